@@ -1,0 +1,5 @@
+//! Covariance operators.
+
+mod operator;
+
+pub use operator::{Covariance, Precision};

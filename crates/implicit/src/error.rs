@@ -1,0 +1,54 @@
+//! Errors of a step: typed, with numbers, naming the step.
+
+/// Why a step's own equations refuse a state: a fold, a zero edge, a value that is not finite. The typed error of the
+/// crate that defines the step, boxed so that this crate need not know it; get it back with `downcast_ref`.
+pub type Refusal = Box<dyn std::error::Error + Send + Sync + 'static>;
+
+/// What can go wrong while a step is taken or linearized.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// Newton's method ran out of iterations, or its line search out of room, and so did the halving of the step.
+    #[error(
+        "step {step} (t = {time} s, Δt = {length} s): Newton stopped after {iterations} iterations with |du| = {update:e} \
+         (wanted {tolerance:e})"
+    )]
+    NewtonDiverged {
+        /// Index k of the step.
+        step: usize,
+        /// Time at the start of the interval that failed [s].
+        time: f64,
+        /// Length of the interval that failed [s].
+        length: f64,
+        /// Iterations done.
+        iterations: usize,
+        /// Size of the last update, in the step's own norm.
+        update: f64,
+        /// The size that was asked for.
+        tolerance: f64,
+    },
+    /// ∂G/∂u has no usable factorization.
+    #[error("step {step}: the Jacobian ∂G/∂u is singular at row {row}")]
+    SingularJacobian {
+        /// Index k of the step.
+        step: usize,
+        /// Row of the first unusable pivot.
+        row: usize,
+    },
+    /// A value that is not finite left a step.
+    #[error("step {step}: {what} is not finite")]
+    NonFinite {
+        /// Index k of the step.
+        step: usize,
+        /// Which vector.
+        what: &'static str,
+    },
+    /// The step's own equations refused the state.
+    #[error("step {step}: {source}")]
+    Refused {
+        /// Index k of the step.
+        step: usize,
+        /// The typed error of the step.
+        source: Refusal,
+    },
+}

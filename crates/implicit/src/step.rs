@@ -1,0 +1,133 @@
+//! One step of a discrete model, given by the equations it satisfies.
+
+use crate::Refusal;
+
+/// The time interval of one step, or of a part of one: from `start` to `start + length`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Interval {
+    /// Index k of the step the interval belongs to.
+    pub index: usize,
+    /// Time at its start [s].
+    pub start: f64,
+    /// Its length Δt [s].
+    pub length: f64,
+}
+
+impl Interval {
+    /// Time at its end [s].
+    pub fn end(&self) -> f64 {
+        self.start + self.length
+    }
+}
+
+/// Where the entries of ∂G/∂u may be non-zero, and how its values are laid out in a slice. Never changes during a run.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Structure {
+    /// All n² entries, column by column: entry (i, j) at `i + j n`.
+    Dense,
+    /// Symmetric with half-bandwidth w; row i of the lower triangle holds columns i−w … i:
+    /// entry (i, j), j ≤ i, at `i (w + 1) + (j + w − i)`. Length n (w + 1); entries left of column 0 are zero.
+    SymmetricBand {
+        /// w: entries with |i − j| > w are zero.
+        half_bandwidth: usize,
+    },
+    /// General with half-bandwidth w; row i holds columns i−w … i+w: entry (i, j) at `i (2w + 1) + (j + w − i)`.
+    Band {
+        /// w: entries with |i − j| > w are zero.
+        half_bandwidth: usize,
+    },
+    /// Compressed sparse columns: values in the order of `rows`.
+    Sparse {
+        /// Offsets of the columns, n + 1 of them.
+        columns: Vec<usize>,
+        /// Row index of every value, ascending within a column.
+        rows: Vec<usize>,
+    },
+}
+
+/// A step x_{k+1} = M_k(x_k) given by equations G(x_k, u) = 0 in unknowns u, from which x_{k+1} = S(x_k, u) follows
+/// without a solve.
+///
+/// The unknowns are what must be solved for and nothing else: backward Euler of ẍ = f needs the new positions only, the
+/// velocities being (X_{k+1} − X_k)/Δt. Where u = x_{k+1} (the default of the mapping methods) G is the paper's
+/// G(x_k, x_{k+1}) (2.23). A step is a pure function of the interval and x_k: no memory of earlier calls may show.
+pub trait ImplicitStep {
+    /// Length of the state x.
+    fn dim(&self) -> usize;
+
+    /// Length of the unknowns u.
+    fn unknowns(&self) -> usize {
+        self.dim()
+    }
+
+    /// Layout of ∂G/∂u.
+    fn structure(&self) -> Structure;
+
+    /// First guess of u.
+    fn predict(&mut self, at: &Interval, x: &[f64], u: &mut [f64]) -> Result<(), Refusal>;
+
+    /// g = G(x, u); where asked for, all values of ∂G/∂u in the layout of `structure` (symmetric where that says so).
+    ///
+    /// Returns Φ(u) where G = ∂Φ/∂u (a minimum of Φ is then looked for), `None` where there is no potential.
+    fn assemble(
+        &mut self,
+        at: &Interval,
+        x: &[f64],
+        u: &[f64],
+        g: &mut [f64],
+        jacobian: Option<&mut [f64]>,
+    ) -> Result<Option<f64>, Refusal>;
+
+    /// `trial` = u ⊕ α du, where du solved ∂G/∂u du = −G. A plain sum unless u lives on a curved set.
+    fn retract(&mut self, _at: &Interval, _x: &[f64], u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
+        for ((t, u), d) in trial.iter_mut().zip(u).zip(du) {
+            *t = u + alpha * d;
+        }
+    }
+
+    /// Size of an update du, in the norm the two thresholds below are stated in.
+    fn size(&self, du: &[f64]) -> f64 {
+        du.iter().fold(0.0, |m: f64, d| if d.is_nan() { f64::NAN } else { m.max(d.abs()) })
+    }
+
+    /// Newton ends when a full step was no larger than this.
+    fn converged_below(&self) -> f64;
+
+    /// Full steps no larger than this are accepted without a decrease test (a test on Φ stalls at rounding).
+    fn trusted_below(&self) -> f64 {
+        1e5 * self.converged_below()
+    }
+
+    /// x_{k+1} = S(x_k, u).
+    fn advance(&mut self, _at: &Interval, _x: &[f64], u: &[f64], x_next: &mut [f64]) {
+        x_next.copy_from_slice(u);
+    }
+
+    /// u back from an accepted x_{k+1}: the point at which a step is linearized.
+    fn recover(&mut self, _at: &Interval, _x: &[f64], x_next: &[f64], u: &mut [f64]) {
+        u.copy_from_slice(x_next);
+    }
+
+    /// dg = ∂G/∂x_k dx.
+    fn previous(&mut self, at: &Interval, x: &[f64], u: &[f64], dx: &[f64], dg: &mut [f64]);
+
+    /// dx += (∂G/∂x_k)ᵀ μ.
+    fn previous_transpose_add(&mut self, at: &Interval, x: &[f64], u: &[f64], mu: &[f64], dx: &mut [f64]);
+
+    /// dx_next = ∂S/∂x_k dx + ∂S/∂u du.
+    fn advance_tangent(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], _dx: &[f64], du: &[f64], dx_next: &mut [f64]) {
+        dx_next.copy_from_slice(du);
+    }
+
+    /// du = (∂S/∂u)ᵀ λ; dx = (∂S/∂x_k)ᵀ λ. Both are overwritten.
+    fn advance_adjoint(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], lambda: &[f64], dx: &mut [f64], du: &mut [f64]) {
+        dx.fill(0.0);
+        du.copy_from_slice(lambda);
+    }
+
+    /// Called once after a step was accepted (and again when it is linearized): a step may watch a pivot here and
+    /// return a warning to keep, or refuse the state.
+    fn accepted(&mut self, _at: &Interval, _x: &[f64], _u: &[f64]) -> Result<Option<String>, Refusal> {
+        Ok(None)
+    }
+}

@@ -1,0 +1,1 @@
+//! Scenes, twin experiments and reports for variational data assimilation.
