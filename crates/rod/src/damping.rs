@@ -118,12 +118,8 @@ impl KelvinVoigt {
     /// −(β/Δt) Σ ∇ε(to) k ∇ε(from)ᵀ applied to `full`; from x_k to x_{k+1} or the other way round.
     fn couple(&self, system: &System, direction: Direction, mut add: impl FnMut(usize, f64)) {
         let layout = &system.layout;
-        let pick = |old, new| match direction {
-            Direction::Forward => (old, new),
-            Direction::Transposed => (new, old),
-        };
         for e in 0..layout.segments {
-            let (from, to) = pick(self.shape.edges[e].t, system.shape.edges[e].t);
+            let (from, to) = direction.order(self.shape.edges[e].t, system.shape.edges[e].t);
             let (a, b) = (layout.vertex(e), layout.vertex(e + 1));
             let dl: f64 = (0..3).map(|c| from[c] * (self.full[b + c] - self.full[a + c])).sum();
             let (ea, rest) = system.stretch[e];
@@ -141,7 +137,7 @@ impl KelvinVoigt {
             let old = &self.strains[vertex - 1];
             let first = layout.vertex(vertex - 1);
             let local = &self.full[first..first + 11];
-            let (from, to) = pick(&old.gradient, &new.gradient);
+            let (from, to) = direction.order(&old.gradient, &new.gradient);
             let strain = from.each_ref().map(|g| g.iter().zip(local).map(|(g, q)| g * q).sum());
             let stress = system.bend[vertex - 1].times(&strain);
             for i in 0..11 {
@@ -155,4 +151,14 @@ impl KelvinVoigt {
 enum Direction {
     Forward,
     Transposed,
+}
+
+impl Direction {
+    /// (from, to).
+    fn order<T>(self, old: T, new: T) -> (T, T) {
+        match self {
+            Direction::Forward => (old, new),
+            Direction::Transposed => (new, old),
+        }
+    }
 }

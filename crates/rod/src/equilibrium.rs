@@ -43,7 +43,7 @@ pub fn equilibrium(rod: &Rod, supports: &Supports, loads: &Loads, t: f64, guess:
     let mut u = vec![0.0; system.layout.unknowns];
     system.gather(&mut u);
     let mut statics = Statics::new(system, end_angle, 1e-11 * rod.length());
-    let mut work = NewtonWork::new(&statics);
+    let mut work = NewtonWork::new(statics.unknowns(), &statics.structure());
     let options = NewtonOptions { max_iterations: 500, ..NewtonOptions::default() };
     let report = solve(&mut statics, &Interval { index: 0, start: t, length: 0.0 }, &[], &mut u, &mut work, &options)?;
     let mut system = statics.system;
@@ -191,7 +191,7 @@ impl TwistEquilibrium {
         let angles = system.layout.free_angles.len();
         let statics = Statics::new(held, 0.0, 1e-12);
         TwistEquilibrium {
-            work: NewtonWork::new(&statics),
+            work: NewtonWork::new(statics.unknowns(), &statics.structure()),
             statics,
             band: vec![0.0; system.layout.unknowns * (system.layout.half_bandwidth + 1)],
             diagonal: vec![0.0; angles],

@@ -279,7 +279,7 @@ impl System {
     pub(crate) fn smallest_twist_pivot(&self) -> (usize, f64) {
         let n = self.layout.segments;
         let vertex = |i: usize| if i == 0 || i == n { [0.0; 3] } else { self.strains(i).angle_hessian(&self.bend[i - 1]) };
-        let scale = |i: usize| if i == 0 || i == n { 0.0 } else { self.bend[i - 1].twist };
+        let scale = |i: usize| if i == 0 || i == n { 0.0 } else { self.bend[i - 1].twist + 1e-9 * (self.bend[i - 1].bend[0] + self.bend[i - 1].bend[2]) };
         let mut left = vertex(0);
         let (mut pivot_before, mut smallest) = (None::<f64>, (0, f64::INFINITY));
         for e in 0..n {
