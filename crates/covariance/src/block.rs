@@ -46,7 +46,14 @@ impl<C: Covariance> Interleaved<C> {
     }
 
     /// For every component: gathers it from `x` (`rows` values), lets `product` overwrite the output, scatters that to `y`.
-    fn each(&self, x: &[f64], rows: usize, y: &mut [f64], columns: usize, product: impl Fn(&[f64], &mut [f64])) {
+    fn each(
+        &self,
+        x: &[f64],
+        rows: usize,
+        y: &mut [f64],
+        columns: usize,
+        product: impl Fn(&[f64], &mut [f64]),
+    ) {
         let c = self.components;
         check_lengths(x, rows * c, y, columns * c);
         // Nothing in the buffer outlives a call, so that a panic in another one did no harm.
@@ -100,7 +107,9 @@ impl<C: Covariance> Covariance for Interleaved<C> {
     /// The eigenvalues of C, each c times.
     fn spectrum(&self) -> Result<Spectrum, Error> {
         let part = self.part.spectrum()?.eigenvalues;
-        Ok(Spectrum::new(part.into_iter().flat_map(|value| std::iter::repeat_n(value, self.components)).collect()))
+        Ok(Spectrum::new(
+            part.into_iter().flat_map(|value| std::iter::repeat_n(value, self.components)).collect(),
+        ))
     }
 }
 

@@ -224,7 +224,8 @@ impl Covariance for Truncated {
     fn spectrum(&self) -> Result<Spectrum, Error> {
         let rank = self.root_dim();
         let column = |k: usize| &self.columns[k * self.n..][..self.n];
-        let mut eigenvalues = eigenvalues_descending(Mat::from_fn(rank, rank, |i, j| dot(column(i), column(j))))?;
+        let mut eigenvalues =
+            eigenvalues_descending(Mat::from_fn(rank, rank, |i, j| dot(column(i), column(j))))?;
         eigenvalues.resize(self.n, 0.0);
         Ok(Spectrum { eigenvalues })
     }
@@ -257,7 +258,11 @@ fn check_matrix(n: usize, matrix: &[f64]) -> Result<(), Error> {
 /// max(tolerance, n ε): below n ε of the largest, rounding decides.
 fn usable_tolerance(n: usize, tolerance: f64) -> Result<f64, Error> {
     if !(0.0..1.0).contains(&tolerance) {
-        return Err(Error::Parameter { what: "truncation tolerance", value: tolerance, range: "at least 0, below 1" });
+        return Err(Error::Parameter {
+            what: "truncation tolerance",
+            value: tolerance,
+            range: "at least 0, below 1",
+        });
     }
     Ok(tolerance.max(n as f64 * f64::EPSILON))
 }
@@ -288,7 +293,8 @@ mod tests {
     #[test]
     fn bad_matrices_are_typed_errors() {
         let nan = f64::NAN;
-        let new = |n: usize, matrix: &[f64]| (Dense::new(n, matrix).err(), Truncated::eigen(n, matrix, 0.0).err());
+        let new =
+            |n: usize, matrix: &[f64]| (Dense::new(n, matrix).err(), Truncated::eigen(n, matrix, 0.0).err());
         let both = |n: usize, matrix: &[f64]| {
             let (dense, truncated) = new(n, matrix);
             assert_eq!(format!("{dense:?}"), format!("{truncated:?}"));
@@ -301,7 +307,9 @@ mod tests {
 
         let (dense, truncated) = new(2, &[1.0, 2.0, 2.0, 1.0]);
         assert_eq!(dense, Some(Error::NotPositiveDefinite { pivot: 1, value: -3.0, variance: 1.0 }));
-        assert!(matches!(truncated, Some(Error::NotPositiveSemidefinite { value, .. }) if (value + 1.0).abs() < 1e-14));
+        assert!(
+            matches!(truncated, Some(Error::NotPositiveSemidefinite { value, .. }) if (value + 1.0).abs() < 1e-14)
+        );
         let pivoted = Truncated::pivoted_cholesky(2, &[1.0, 2.0, 2.0, 1.0], 0.0).err();
         assert_eq!(pivoted, Some(Error::NotPositiveSemidefinite { value: -3.0, largest: 1.0 }));
 
@@ -317,7 +325,10 @@ mod tests {
     fn truncation_keeps_what_exceeds_the_tolerance() {
         // diag(4, 1, 0.01): at 0.1 two eigenvalues stay, 5 of a trace of 5.01.
         let matrix = [1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 4.0];
-        for b in [Truncated::eigen(3, &matrix, 0.1).unwrap(), Truncated::pivoted_cholesky(3, &matrix, 0.1).unwrap()] {
+        for b in [
+            Truncated::eigen(3, &matrix, 0.1).unwrap(),
+            Truncated::pivoted_cholesky(3, &matrix, 0.1).unwrap(),
+        ] {
             assert_eq!((b.dim(), b.root_dim()), (3, 2));
             assert!((b.explained_variance() - 5.0 / 5.01).abs() < 1e-15);
             let mut variance = [9.0; 3];

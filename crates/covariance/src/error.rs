@@ -35,7 +35,9 @@ pub enum Error {
         value: f64,
     },
     /// The matrix is not symmetric.
-    #[error("the covariance is not symmetric: entry ({row}, {column}) is {value:e}, its mirror image {mirror:e}")]
+    #[error(
+        "the covariance is not symmetric: entry ({row}, {column}) is {value:e}, its mirror image {mirror:e}"
+    )]
     NotSymmetric {
         /// Row of the entry.
         row: usize,
@@ -47,7 +49,9 @@ pub enum Error {
         mirror: f64,
     },
     /// Cholesky met a clearly negative pivot: the matrix is no covariance at all.
-    #[error("the matrix is not positive definite, so it is no covariance: pivot {pivot} is {value:e}, its variance {variance:e}")]
+    #[error(
+        "the matrix is not positive definite, so it is no covariance: pivot {pivot} is {value:e}, its variance {variance:e}"
+    )]
     NotPositiveDefinite {
         /// Index of the pivot.
         pivot: usize,
@@ -73,7 +77,9 @@ pub enum Error {
         tolerance: f64,
     },
     /// An eigenvalue (or, in a pivoted Cholesky, a remaining variance) is more negative than what is counted as zero.
-    #[error("the matrix is not positive semidefinite, so it is no covariance: {value:e} against a largest of {largest:e}")]
+    #[error(
+        "the matrix is not positive semidefinite, so it is no covariance: {value:e} against a largest of {largest:e}"
+    )]
     NotPositiveSemidefinite {
         /// The most negative eigenvalue or remaining variance.
         value: f64,

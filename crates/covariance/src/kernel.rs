@@ -289,14 +289,21 @@ mod tests {
         };
         assert_eq!(what(CovarianceFunction { sigma: 0.0, ..good }), "standard deviation");
         assert_eq!(what(CovarianceFunction { sigma: f64::NAN, ..good }), "standard deviation");
-        assert_eq!(what(CovarianceFunction { kernel: Kernel::Matern32 { length: -1.0 }, ..good }), "correlation length");
-        assert_eq!(what(CovarianceFunction { taper: Taper::GaspariCohn { support: 0.0 }, ..good }), "taper support");
+        assert_eq!(
+            what(CovarianceFunction { kernel: Kernel::Matern32 { length: -1.0 }, ..good }),
+            "correlation length"
+        );
+        assert_eq!(
+            what(CovarianceFunction { taper: Taper::GaspariCohn { support: 0.0 }, ..good }),
+            "taper support"
+        );
         assert!(matches!(good.matrix(&[0.0, f64::NAN]), Err(Error::NonFinite { row: 1, column: 0, .. })));
     }
 
     #[test]
     fn coinciding_known_points_are_refused() {
-        let f = CovarianceFunction { sigma: 1.0, kernel: Kernel::Gaussian { length: 0.5 }, taper: Taper::None };
+        let f =
+            CovarianceFunction { sigma: 1.0, kernel: Kernel::Gaussian { length: 0.5 }, taper: Taper::None };
         let result = f.conditioned_matrix(&[0.5], &[0.0, 0.0]);
         assert!(matches!(result, Err(Error::KnownPoints { point: 1, .. })), "{result:?}");
         assert!(f.conditioned_matrix(&[0.5], &[0.0, 0.04]).is_ok());
