@@ -124,7 +124,8 @@ impl Truncated {
 
     /// The root of a pivoted Cholesky factorization stopped at the rank where no variance left exceeds τ times the
     /// largest variance, τ = max(`tolerance`, n ε) (Higham 2002, section 10.3): |B − U Uᵀ|_ij ≤ τ max b_ii. Costs n r²
-    /// against some 10 n³ of [`eigen`](Self::eigen); the rank for the same error is a little larger.
+    /// against some 10 n³ of [`eigen`](Self::eigen). The same τ asks for more here, and keeps a higher rank: it is relative
+    /// to a variance at one point, where that of `eigen` is relative to λ₁, up to n times as large.
     ///
     /// # Errors
     ///

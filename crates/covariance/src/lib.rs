@@ -49,6 +49,9 @@
 //! # Ok::<(), varda_covariance::Error>(())
 //! ```
 
+// `!(value > tolerance)` is how a NaN is made to fail.
+#![allow(clippy::neg_cmp_op_on_partial_ord)]
+
 mod block;
 mod cholesky;
 mod dense;
