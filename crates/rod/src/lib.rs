@@ -57,9 +57,6 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-// `!(a <= b)` is how NaN is made to fail.
-#![allow(clippy::neg_cmp_op_on_partial_ord)]
-
 mod damping;
 mod dynamics;
 mod element;

@@ -59,7 +59,6 @@ fn driven_rod_ends_where_an_independent_program_says() {
     for (ours, theirs) in x[69..72].iter().zip([0.291641, 0.071304, -0.925106]) {
         assert!((ours - theirs).abs() <= 2e-6, "{:?}", &x[69..72]);
     }
-    println!("{:?}", model.counts());
 }
 
 #[test]
