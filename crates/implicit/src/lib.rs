@@ -1,6 +1,7 @@
 //! Steps given implicitly by G(x_k, x_{k+1}) = 0, with tangent and adjoint.
 
 pub mod band;
+pub mod check;
 mod error;
 mod explicit;
 mod factor;

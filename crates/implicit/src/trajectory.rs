@@ -56,22 +56,19 @@ impl Trajectory {
     pub fn run(&mut self, model: &mut dyn Model, x0: &[f64], steps: usize, keep: Keep) -> Result<(), Error> {
         let n = model.dim();
         assert_eq!(x0.len(), n, "the initial state has the wrong length");
-        self.linearized = false;
         self.dim = n;
-        self.states.clear();
-        let mut states = std::mem::take(&mut self.states);
-        states.resize((steps + 1) * n, 0.0);
-        states[..n].copy_from_slice(x0);
-        for k in 0..steps {
-            let (x, x_next) = states[k * n..(k + 2) * n].split_at_mut(n);
+        self.states.resize((steps + 1) * n, 0.0);
+        self.states[..n].copy_from_slice(x0);
+        let result = (0..steps).try_for_each(|k| {
+            let (x, x_next) = self.states[k * n..(k + 2) * n].split_at_mut(n);
             model.step(k, x, x_next)?;
-            if keep == Keep::Linearizations {
-                model.linearize(k, x, x_next)?;
-            }
+            if keep == Keep::Linearizations { model.linearize(k, x, x_next) } else { Ok(()) }
+        });
+        if result.is_err() {
+            self.states.clear();
         }
-        self.states = states;
-        self.linearized = keep == Keep::Linearizations;
-        Ok(())
+        self.linearized = keep == Keep::Linearizations && result.is_ok();
+        result
     }
 
     /// Linearizes every step, where that has not been done.
