@@ -22,7 +22,8 @@ pub fn curved_problem() -> (Rk4<Lorenz96>, Vec<f64>, ObservationSet) {
     let values = normals(6, 40);
     let mut observations = Vec::new();
     for (j, step) in [0, 3, 3, 7, 12].into_iter().enumerate() {
-        let mut o = observation(&[5, 1, 2], step, [0.0, 0.3, 0.7, 0.0, 0.0][j], &values[3 * j..3 * j + 3], 0.7);
+        let mut o =
+            observation(&[5, 1, 2], step, [0.0, 0.3, 0.7, 0.0, 0.0][j], &values[3 * j..3 * j + 3], 0.7);
         o.sigma[1] = 0.3;
         observations.push(o.clone());
         (o.operator, o.rows, o.weight) = (1, vec![1, 0, 1], 0.0);
@@ -74,7 +75,8 @@ fn relative(a: &[f64], b: &[f64]) -> f64 {
 fn gradient_is_that_of_j_at_two_successive_controls_and_leaves_no_trace() {
     let (mut model, background, mut set) = curved_problem();
     let b = coupled(6, 0.5);
-    let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
+    let mut cost =
+        StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
     let (v1, v2) = (normals(7, 6), normals(8, 6));
     let (mut g1, mut g2, mut again) = (vec![0.0; 6], vec![0.0; 6], vec![0.0; 6]);
     let j1 = cost.evaluate(&v1, Some(&mut g1)).unwrap();
@@ -84,7 +86,10 @@ fn gradient_is_that_of_j_at_two_successive_controls_and_leaves_no_trace() {
         assert!((slope - 2.0).abs() <= 0.05, "{slope}");
         let error = relative(&difference_gradient(&mut cost, v), g);
         assert!(error <= 1e-8, "{error:e}");
-        assert_eq!(cost.evaluate(if g == &g1 { &v1 } else { &v2 }, Some(&mut again)).unwrap(), if g == &g1 { j1 } else { j2 });
+        assert_eq!(
+            cost.evaluate(if g == &g1 { &v1 } else { &v2 }, Some(&mut again)).unwrap(),
+            if g == &g1 { j1 } else { j2 }
+        );
         assert_eq!(&again, g);
     }
 }
@@ -94,7 +99,8 @@ fn a_wrong_adjoint_is_caught() {
     let (mut model, background, mut set) = curved_problem();
     model.mutation = 1e-3;
     let b = coupled(6, 0.5);
-    let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
+    let mut cost =
+        StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
     let v = normals(7, 6);
     let mut g = vec![0.0; 6];
     cost.evaluate(&v, Some(&mut g)).unwrap();
@@ -119,7 +125,8 @@ fn dot_product_error(cost: &mut dyn GaussNewton) -> f64 {
 fn hessian_products_agree_with_the_matrix_and_with_differences_of_predictions() {
     let (mut model, background, mut set) = curved_problem();
     let b = coupled(6, 0.5);
-    let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
+    let mut cost =
+        StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
     let n = 6;
     let v = normals(9, n);
     let mut g = vec![0.0; n];
@@ -163,17 +170,28 @@ fn hessian_products_agree_with_the_matrix_and_with_differences_of_predictions() 
 fn an_accepted_trial_point_is_not_run_again_and_steps_nobody_observes_are_not_run() {
     let (mut model, background, mut set) = curved_problem();
     let b = Diagonal::uniform(6, 0.5).unwrap();
-    let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
+    let mut cost =
+        StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
     let (v, trial) = (normals(7, 6), normals(8, 6));
     let (mut g, mut g_trial, mut g_fresh) = (vec![0.0; 6], vec![0.0; 6], vec![0.0; 6]);
     cost.evaluate(&v, Some(&mut g)).unwrap();
     // The window has 14 steps; the last observation is at 12.
-    let once = varda_implicit::Counts { model_steps: 12, linearizations: 12, adjoint_steps: 12, ..Default::default() };
+    let once = varda_implicit::Counts {
+        model_steps: 12,
+        linearizations: 12,
+        adjoint_steps: 12,
+        ..Default::default()
+    };
     assert_eq!(cost.counts().model, once);
     cost.evaluate(&trial, None).unwrap();
     assert_eq!(cost.counts().model, varda_implicit::Counts { model_steps: 24, ..once });
     cost.evaluate(&trial, Some(&mut g_trial)).unwrap();
-    let twice = varda_implicit::Counts { model_steps: 24, linearizations: 24, adjoint_steps: 24, ..Default::default() };
+    let twice = varda_implicit::Counts {
+        model_steps: 24,
+        linearizations: 24,
+        adjoint_steps: 24,
+        ..Default::default()
+    };
     assert_eq!(cost.counts().model, twice);
     assert_eq!((cost.counts().forward_runs, cost.counts().gradients), (2, 2));
     // Back to the point before: its trajectory is still there.
@@ -187,7 +205,8 @@ fn an_accepted_trial_point_is_not_run_again_and_steps_nobody_observes_are_not_ru
     assert_eq!((cost.counts().adjoint_sweeps, cost.counts().tangent_sweeps), (adjoints, 6));
     drop(cost);
     let (mut model, background, mut set) = curved_problem();
-    let mut fresh = StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
+    let mut fresh =
+        StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
     fresh.evaluate(&trial, Some(&mut g_fresh)).unwrap();
     assert_eq!(g_fresh, g_trial);
 }
@@ -197,7 +216,8 @@ fn a_failure_names_its_step_and_leaves_the_linearized_point() {
     let (mut model, background, mut set) = curved_problem();
     model.bound = 50.0;
     let b = Diagonal::uniform(6, 1.0).unwrap();
-    let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
+    let mut cost =
+        StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
     let v = normals(7, 6);
     let (mut g, mut product, mut again) = (vec![0.0; 6], vec![0.0; 6], vec![0.0; 6]);
     cost.evaluate(&v, Some(&mut g)).unwrap();
@@ -205,7 +225,10 @@ fn a_failure_names_its_step_and_leaves_the_linearized_point() {
     let far: Vec<f64> = v.iter().map(|v| 60.0 * v).collect();
     let terms = cost.terms();
     let error = cost.evaluate(&far, None).unwrap_err();
-    assert!(matches!(error, Error::Model(varda_implicit::Error::NonFinite { .. }) | Error::Observe { .. }), "{error}");
+    assert!(
+        matches!(error, Error::Model(varda_implicit::Error::NonFinite { .. }) | Error::Observe { .. }),
+        "{error}"
+    );
     assert!(error.to_string().contains("step"));
     assert_eq!(cost.terms(), terms);
     cost.hessian_apply(&v, &mut again).unwrap();
@@ -219,7 +242,8 @@ fn a_failure_names_its_step_and_leaves_the_linearized_point() {
 fn inflated_errors_scale_j_o_and_reuse_the_run() {
     let (mut model, background, mut set) = curved_problem();
     let b = Diagonal::uniform(6, 0.5).unwrap();
-    let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
+    let mut cost =
+        StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
     let v = normals(7, 6);
     let mut g = vec![0.0; 6];
     cost.evaluate(&v, Some(&mut g)).unwrap();
@@ -245,7 +269,15 @@ fn a_linear_problem_has_the_closed_form_minimum_and_covariance() {
     let background = normals(21, n);
     let values = normals(22, 12);
     let observations: Vec<Observation> = (0..4)
-        .map(|j| observation(&[j % 2, 2, 3], 2 * j, if j == 1 { 0.4 } else { 0.0 }, &values[3 * j..3 * j + 3], 0.3 + 0.1 * j as f64))
+        .map(|j| {
+            observation(
+                &[j % 2, 2, 3],
+                2 * j,
+                if j == 1 { 0.4 } else { 0.0 },
+                &values[3 * j..3 * j + 3],
+                0.3 + 0.1 * j as f64,
+            )
+        })
         .collect();
     let mut set = ObservationSet::new(steps, vec![all_of(n)], observations.clone()).unwrap();
     let m = set.dim();
@@ -269,11 +301,16 @@ fn a_linear_problem_has_the_closed_form_minimum_and_covariance() {
     };
     let bht: Vec<Vec<f64>> = stacked.iter().map(|h| apply_b(h)).collect();
     let s: Vec<Vec<f64>> = (0..m)
-        .map(|i| (0..m).map(|j| dot(&stacked[i], &bht[j]) + if i == j { set.sigma()[i].powi(2) } else { 0.0 }).collect())
+        .map(|i| {
+            (0..m)
+                .map(|j| dot(&stacked[i], &bht[j]) + if i == j { set.sigma()[i].powi(2) } else { 0.0 })
+                .collect()
+        })
         .collect();
     let d: Vec<f64> = (0..m).map(|i| set.values()[i] - dot(&stacked[i], &background)).collect();
     let weights = solve(s.clone(), d.clone());
-    let expected: Vec<f64> = (0..n).map(|i| background[i] + (0..m).map(|j| bht[j][i] * weights[j]).sum::<f64>()).collect();
+    let expected: Vec<f64> =
+        (0..n).map(|i| background[i] + (0..m).map(|j| bht[j][i] * weights[j]).sum::<f64>()).collect();
     let j_expected = 0.5 * dot(&d, &weights);
     let mut variance = vec![0.0; n];
     b.variance(&mut variance);
@@ -315,7 +352,8 @@ fn a_linear_problem_has_the_closed_form_minimum_and_covariance() {
     }
 
     // Exact Hessian = Gauss–Newton: a difference of gradients of a quadratic has no truncation error.
-    let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
+    let mut cost =
+        StrongConstraint::new(&mut model, ControlTransform::new(background, &b).unwrap(), &mut set).unwrap();
     let dv = normals(23, n);
     let (mut g0, mut g1, mut product) = (vec![0.0; n], vec![0.0; n], vec![0.0; n]);
     cost.evaluate(&vec![0.0; n], Some(&mut g0)).unwrap();
@@ -351,14 +389,19 @@ fn without_observations_the_background_is_the_minimum_and_no_model_is_called() {
     let b = Diagonal::uniform(3, 1.0).unwrap();
     let mut model = Rk4::new(Lorenz63, 0.01);
     let mut set = ObservationSet::new(10, vec![all_of(3)], vec![]).unwrap();
-    let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(vec![1.0; 3], &b).unwrap(), &mut set).unwrap();
+    let mut cost =
+        StrongConstraint::new(&mut model, ControlTransform::new(vec![1.0; 3], &b).unwrap(), &mut set)
+            .unwrap();
     let mut v = vec![1.0, -2.0, 0.5];
-    let minimum = Minimizer::default().minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(())).unwrap();
+    let minimum =
+        Minimizer::default().minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(())).unwrap();
     assert_eq!(minimum.status, Status::Converged);
     assert!(norm(&v) <= 1e-8);
     assert_eq!(cost.counts().model, varda_implicit::Counts::default());
     assert_eq!(cost.counts().adjoint_sweeps, 0);
-    let mut late = ObservationSet::new(1, vec![all_of(3)], vec![observation(&[0], 1, 0.0, &[1.0], 1.0)]).unwrap();
-    let refused = StrongConstraint::without_model(ControlTransform::new(vec![1.0; 3], &b).unwrap(), &mut late);
+    let mut late =
+        ObservationSet::new(1, vec![all_of(3)], vec![observation(&[0], 1, 0.0, &[1.0], 1.0)]).unwrap();
+    let refused =
+        StrongConstraint::without_model(ControlTransform::new(vec![1.0; 3], &b).unwrap(), &mut late);
     assert!(refused.is_err());
 }

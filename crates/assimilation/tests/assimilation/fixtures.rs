@@ -21,9 +21,12 @@ fn check(text: &str, mut model: Option<&mut dyn Model>, minimizer: &Minimizer) {
     let sigma = problem["R_diag"].as_f64().unwrap().sqrt();
     let every: Vec<usize> = (0..rows.len()).collect();
     let observations = problem["obs"].as_object().unwrap();
-    let observations =
-        observations.iter().map(|(k, y)| observation(&every, k.parse().unwrap(), 0.0, &numbers(y), sigma)).collect();
-    let mut set = ObservationSet::new(steps, vec![Box::new(Selection::new(rows, n).unwrap())], observations).unwrap();
+    let observations = observations
+        .iter()
+        .map(|(k, y)| observation(&every, k.parse().unwrap(), 0.0, &numbers(y), sigma))
+        .collect();
+    let mut set =
+        ObservationSet::new(steps, vec![Box::new(Selection::new(rows, n).unwrap())], observations).unwrap();
     let m = set.dim();
     let transform = ControlTransform::new(numbers(&problem["xb"]), &b).unwrap();
     let mut cost = match &mut model {

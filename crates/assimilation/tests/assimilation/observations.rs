@@ -16,7 +16,10 @@ fn a_time_between_steps_weighs_both_and_rows_left_out_are_not_predicted() {
     )
     .unwrap();
     // In order of time, whatever the order given.
-    assert_eq!(set.observations().iter().map(|o| (o.step, o.weight)).collect::<Vec<_>>(), [(0, 0.0), (2, 0.0), (2, 0.25)]);
+    assert_eq!(
+        set.observations().iter().map(|o| (o.step, o.weight)).collect::<Vec<_>>(),
+        [(0, 0.0), (2, 0.0), (2, 0.25)]
+    );
     assert_eq!((set.dim(), set.last_step(), set.rows(0), set.rows(2)), (4, Some(3), 0..2, 3..4));
     assert_eq!(set.sigma(), [0.1, 0.1, 2.0, 0.5]);
     let states = [[1.0, 2.0, 3.0], [9.0, 9.0, 9.0], [4.0, 5.0, 6.0], [7.0, 8.0, 10.0]];
@@ -92,11 +95,11 @@ fn bad_observations_are_refused_by_name() {
         assert!(matches!(refuse(&|o| o.sigma[1] = sigma), Error::Sigma { observation: 1, entry: 1, .. }));
     }
     assert!(matches!(refuse(&|o| o.values[0] = f64::NAN), Error::Value { observation: 1, entry: 0, .. }));
-    assert!(matches!(refuse(&|o| o.values.truncate(1)), Error::Lengths { observation: 1, rows: 2, values: 1, .. }));
-    assert_eq!(
-        refuse(&|o| o.rows[1] = 3).to_string(),
-        "observation 1: row 3 of an operator with 3 rows"
-    );
+    assert!(matches!(
+        refuse(&|o| o.values.truncate(1)),
+        Error::Lengths { observation: 1, rows: 2, values: 1, .. }
+    ));
+    assert_eq!(refuse(&|o| o.rows[1] = 3).to_string(), "observation 1: row 3 of an operator with 3 rows");
     assert!(matches!(Selection::new(vec![0, 5], 3), Err(Error::OperatorEntry { row: 1, column: 5, .. })));
     let mut matrix = sprs::TriMat::new((1, 2));
     matrix.add_triplet(0, 1, f64::NAN);
