@@ -110,7 +110,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         self.step
     }
 
-    /// Time at the start of step k [s].
+    /// Time at the start of step k (s).
     pub fn time(&self, k: usize) -> f64 {
         (self.first + k) as f64 * self.length
     }

@@ -55,10 +55,7 @@ fn every_fault_is_caught_by_the_check_made_for_it() {
             "Taylor",
             Toy { step: |x, next| next.copy_from_slice(&[x[0] + 2.001 * x[1], 3.0 * x[1]]), ..LINEAR },
         ),
-        (
-            "‖M 0‖",
-            Toy { tangent: |d| d.copy_from_slice(&[d[0] + 2.0 * d[1], 3.0 * d[1] + 1e-300]), ..LINEAR },
-        ),
+        ("M 0", Toy { tangent: |d| d.copy_from_slice(&[d[0] + 2.0 * d[1], 3.0 * d[1] + 1e-300]), ..LINEAR }),
         (
             "linearity",
             Toy { tangent: |d| d.copy_from_slice(&[d[0] + 2.0 * d[1].abs(), 3.0 * d[1]]), ..LINEAR },
@@ -133,18 +130,21 @@ impl Rhs for VanDerPol {
 
 #[test]
 fn stiff_steps_without_a_potential_go_through_the_contraction_test() {
-    // over the fast jumps of the relaxation cycle with steps a hundred times longer than they last
-    let mut model = ImplicitModel::new(OneLeg::implicit_euler(VanDerPol, 1e-10), 0, 0.5);
+    // over the jumps of the relaxation cycle, which last about 1/μ, with steps fifty times as long
+    let mut model = ImplicitModel::new(OneLeg::implicit_euler(VanDerPol, 1e-10), 0, 0.05);
     let mut x = vec![2.0, 0.0];
     let mut turns = 0;
-    for k in 0..4000 {
+    for k in 0..36_000 {
         let mut next = vec![0.0; 2];
         model.step(k, &x, &mut next).unwrap();
+        assert!(next[0].abs() <= 2.1, "{next:?}");
         turns += usize::from(next[0] * x[0] < 0.0);
         x = next;
     }
-    // the period of the cycle is (3 − 2 ln 2) μ = 1614 s and more: 2000 s hold two jumps
-    assert_eq!(turns, 2);
+    // a turn takes (3 − 2 ln 2) μ/2 = 807 s and less where a long step lands short of the slow branch: two at least. The
+    // jumps themselves have no root near the guess, and are halved.
+    assert!(turns >= 2 && model.counts().substeps > 0, "{turns} {:?}", model.counts());
+    assert!(model.warnings().len() < 40, "{:?}", model.warnings());
     let window = check::window(&mut model, &[2.0, 0.0], 100, &[1.0, 1e-3], 3).unwrap();
     assert!(window.pass, "{window:?}");
 }
