@@ -41,6 +41,7 @@ mod error;
 mod explicit;
 mod factor;
 mod implicit;
+pub mod line;
 pub mod lorenz;
 mod model;
 mod newton;
