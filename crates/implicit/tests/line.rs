@@ -1,4 +1,4 @@
-//! Transport along a line: Fourier modes, the Cole–Hopf solution, conservation, conformance in every layout.
+//! Transport along a line: Fourier modes, the Cole–Hopf solution, conservation, conformance, one answer in every layout.
 
 use std::f64::consts::TAU;
 
@@ -225,4 +225,44 @@ fn the_gradient_of_a_burgers_window_passes_taylor() {
     // the same test with one gradient value off by a thousandth of the largest
     gradient[10] += 1e-3 * gradient.iter().fold(0.0, |m: f64, g| m.max(g.abs()));
     assert!(!check::taylor(&mut cost, &gradient, &u0, &direction).unwrap().pass);
+}
+
+/// The same right-hand side with a dense Jacobian, column by column from its tangent.
+struct Dense(Transport);
+
+impl Rhs for Dense {
+    fn dim(&self) -> usize {
+        self.0.dim()
+    }
+    fn eval(&mut self, t: f64, u: &[f64], f: &mut [f64]) {
+        self.0.eval(t, u, f);
+    }
+    fn tangent(&mut self, t: f64, u: &[f64], du: &[f64], df: &mut [f64]) {
+        self.0.tangent(t, u, du, df);
+    }
+    fn adjoint_add(&mut self, t: f64, u: &[f64], lambda: &[f64], du: &mut [f64]) {
+        self.0.adjoint_add(t, u, lambda, du);
+    }
+}
+
+#[test]
+fn sparse_and_band_give_the_answer_of_dense() {
+    // below and above the size from which dense matrices are factored in blocks
+    for (ends, points) in [(Ends::Periodic, 20), (Ends::Fixed { left: 0.5, right: -0.3 }, 40)] {
+        let line = Line { points, length: 1.0, ends };
+        let u0 = sampled(&line, |s| 0.3 + (TAU * s).sin());
+        let answer = |model: &mut dyn Model| {
+            let mut trajectory = Trajectory::new();
+            trajectory.run(model, &u0, 30, Keep::Linearizations).unwrap();
+            let mut lambda = vec![0.0; points];
+            trajectory.adjoint(model, &mut lambda, &mut |k, l| l[k % points] += 1.0);
+            lambda.extend_from_slice(trajectory.state(30));
+            lambda
+        };
+        let rhs = Transport::burgers(line, 0.02);
+        let own = answer(&mut ImplicitModel::new(OneLeg::implicit_midpoint(rhs, 1e-11), 0, 0.02));
+        let dense = answer(&mut ImplicitModel::new(OneLeg::implicit_midpoint(Dense(rhs), 1e-11), 0, 0.02));
+        // thirty damped steps of well conditioned systems
+        assert!(distance(&own, &dense) <= 1e-12, "{ends:?}: {:e}", distance(&own, &dense));
+    }
 }
