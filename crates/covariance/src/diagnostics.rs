@@ -1,0 +1,117 @@
+//! What a covariance is like: its spectrum, condition number and effective rank.
+
+use faer::{Mat, Side};
+
+use crate::error::Error;
+use crate::operator::Covariance;
+
+/// The eigenvalues λ₁ ≥ λ₂ ≥ … ≥ λ_n of a covariance. Get it from [`Covariance::spectrum`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Spectrum {
+    /// All n eigenvalues, descending, in the square of the field's unit. Those of a singular covariance may be round-off of either sign.
+    pub eigenvalues: Vec<f64>,
+}
+
+impl Spectrum {
+    /// Sorts the eigenvalues.
+    pub fn new(mut eigenvalues: Vec<f64>) -> Self {
+        eigenvalues.sort_by(|a, b| b.total_cmp(a));
+        Self { eigenvalues }
+    }
+
+    /// λ₁/λ_n; infinite if λ_n ≤ 0. Beyond 1/(n ε) it says no more than "singular". NaN without eigenvalues.
+    pub fn condition_number(&self) -> f64 {
+        match (self.eigenvalues.first(), self.eigenvalues.last()) {
+            (Some(largest), Some(smallest)) if *smallest > 0.0 => largest / smallest,
+            (Some(_), Some(_)) => f64::INFINITY,
+            _ => f64::NAN,
+        }
+    }
+
+    /// (Σ λ)² / Σ λ²: the number of equal eigenvalues that would spread the variance as widely (Bretherton et al. 1999).
+    /// Between 1 and n.
+    pub fn effective_rank(&self) -> f64 {
+        let squares: f64 = self.eigenvalues.iter().map(|value| value * value).sum();
+        self.total_variance().powi(2) / squares
+    }
+
+    /// The part of the total variance in the leading `rank` directions, Σ_{k ≤ rank} λ_k / Σ λ.
+    pub fn explained_variance(&self, rank: usize) -> f64 {
+        self.eigenvalues.iter().take(rank).sum::<f64>() / self.total_variance()
+    }
+
+    /// Σ λ = tr B.
+    pub fn total_variance(&self) -> f64 {
+        self.eigenvalues.iter().sum()
+    }
+}
+
+/// The spectrum of B formed column by column through `apply`.
+pub(crate) fn spectrum_by_products<C: Covariance + ?Sized>(covariance: &C) -> Result<Spectrum, Error> {
+    let n = covariance.dim();
+    let mut matrix = Mat::zeros(n, n);
+    let mut unit = vec![0.0; n];
+    let mut column = vec![0.0; n];
+    for j in 0..n {
+        unit[j] = 1.0;
+        covariance.apply(&unit, &mut column);
+        unit[j] = 0.0;
+        for (i, &value) in column.iter().enumerate() {
+            if !value.is_finite() {
+                return Err(Error::NonFinite { row: i, column: j, value });
+            }
+            matrix[(i, j)] = value;
+        }
+    }
+    Ok(Spectrum { eigenvalues: eigenvalues_descending(matrix)? })
+}
+
+/// The eigenvalues of a symmetric matrix, of which the lower triangle is read.
+pub(crate) fn eigenvalues_descending(matrix: Mat<f64>) -> Result<Vec<f64>, Error> {
+    let failed = Error::Eigen { dim: matrix.nrows() };
+    match matrix.self_adjoint_eigenvalues(Side::Lower) {
+        // faer gives Ok with NaN for a matrix with NaN.
+        Ok(mut values) if values.iter().all(|value| value.is_finite()) => {
+            values.reverse();
+            Ok(values)
+        }
+        _ => Err(failed),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_of_a_small_spectrum() {
+        let spectrum = Spectrum::new(vec![1.0, 4.0, 3.0]);
+        assert_eq!(spectrum.eigenvalues, [4.0, 3.0, 1.0]);
+        assert_eq!(spectrum.condition_number(), 4.0);
+        assert_eq!(spectrum.total_variance(), 8.0);
+        assert_eq!(spectrum.effective_rank(), 64.0 / 26.0);
+        assert_eq!(spectrum.explained_variance(2), 7.0 / 8.0);
+        assert_eq!(Spectrum::new(vec![1.0, 0.0]).condition_number(), f64::INFINITY);
+        assert!(Spectrum::new(vec![]).condition_number().is_nan());
+    }
+
+    #[test]
+    fn a_product_that_is_not_finite_is_an_error() {
+        struct Broken;
+        impl Covariance for Broken {
+            fn dim(&self) -> usize {
+                2
+            }
+            fn root_dim(&self) -> usize {
+                2
+            }
+            fn apply(&self, _: &[f64], y: &mut [f64]) {
+                y.copy_from_slice(&[1.0, f64::NAN]);
+            }
+            fn root(&self, _: &[f64], _: &mut [f64]) {}
+            fn root_transpose(&self, _: &[f64], _: &mut [f64]) {}
+            fn variance(&self, _: &mut [f64]) {}
+        }
+        assert!(matches!(Broken.spectrum(), Err(Error::NonFinite { row: 1, column: 0, .. })));
+    }
+}

@@ -1,0 +1,472 @@
+//! Backward Euler of the rod as a step of the generic layer.
+
+use varda_implicit::{ImplicitStep, Interval, Refusal, Structure};
+
+use crate::damping::KelvinVoigt;
+use crate::equilibrium::TwistEquilibrium;
+use crate::geometry::V3;
+use crate::predict::Carry;
+use crate::Error;
+use crate::rod::Rod;
+use crate::support::{Damping, Loads, Supports};
+use crate::system::System;
+
+/// Backward Euler of a rod with massless twist (paper, section 3):
+///
+/// ```text
+/// X_{k+1} − X_k − Δt V_{k+1} = 0
+/// M (V_{k+1} − V_k) + Δt (∂E/∂X(X_{k+1}, θ_{k+1}) + α M V_{k+1} − F_ext(t_{k+1})) = 0
+/// ∂E/∂θ(X_{k+1}, θ_{k+1}) = 0
+/// ```
+///
+/// V is eliminated: the unknowns are u = (X_{k+1}, θ_{k+1}), interleaved along the rod so that ∂G/∂u is a symmetric band
+/// (half-bandwidth 10; 8 without twist; 5 for a chain), and G = ∂Φ/∂u is the gradient of the incremental potential
+///
+/// ```text
+/// Φ(u) = |X − X_k − Δt V_k|²_M / (2Δt²) + α |X − X_k|²_M / (2Δt) + E(X, θ) + (β/2Δt) Σ k (ε − ε_k)² − F_ext·X
+/// ```
+///
+/// State x = [X, V, θ] of the free vertices and angles (SI units: m, m/s, rad); control z = [X₀, V₀], θ₀ being the twist
+/// equilibrium of X₀ nearest to the untwisted frame. Use it through [`crate::rod_model`].
+///
+/// First guess of a step: X_k carried along rigidly with the supports, θ_k.
+pub struct BackwardEuler {
+    pub(crate) system: System,
+    damping: Damping,
+    viscous: Option<KelvinVoigt>,
+    twist: Option<TwistEquilibrium>,
+    carry: Carry,
+    interval: Option<Interval>,
+    /// X_k and X_k + Δt V_k of the free vertices in the step being worked on.
+    start: Vec<V3>,
+    target: Vec<V3>,
+    end_angle: f64,
+    tolerance: f64,
+    displacement: Vec<V3>,
+    psi: Vec<f64>,
+}
+
+impl BackwardEuler {
+    /// # Errors
+    /// [`Error`] naming the field, vertex or place that is impossible.
+    pub fn new(rod: Rod, supports: Supports, loads: Loads, damping: Damping) -> Result<Self, Error> {
+        Self::with_twist(rod, supports, loads, damping, TwistUnknowns::WhereNeeded)
+    }
+
+    /// The same, with the choice to keep twist unknowns that are provably zero (to check that leaving them out is right).
+    ///
+    /// # Errors
+    /// As [`BackwardEuler::new`].
+    pub fn with_twist(rod: Rod, supports: Supports, loads: Loads, damping: Damping, twist: TwistUnknowns) -> Result<Self, Error> {
+        let system = System::new(rod, supports, loads, &damping, twist == TwistUnknowns::Always)?;
+        let (n, free) = (system.rod.segments(), system.layout.free_vertices.len());
+        Ok(BackwardEuler {
+            viscous: (damping.stiffness > 0.0).then(|| KelvinVoigt::new(&system)),
+            twist: (!system.layout.free_angles.is_empty()).then(|| TwistEquilibrium::new(&system)),
+            carry: Carry::new(&system),
+            interval: None,
+            start: vec![V3::zeros(); free],
+            target: vec![V3::zeros(); free],
+            end_angle: 0.0,
+            tolerance: 0.0,
+            displacement: vec![V3::zeros(); n + 1],
+            psi: vec![0.0; n],
+            damping,
+            system,
+        })
+    }
+
+    /// The rod itself.
+    pub fn rod(&self) -> &Rod {
+        &self.system.rod
+    }
+
+    /// What holds it.
+    pub fn supports(&self) -> &Supports {
+        &self.system.supports
+    }
+
+    /// Numbers of the vertices that are not prescribed, ascending: the order of X and V in the state.
+    pub fn free_vertices(&self) -> &[usize] {
+        &self.system.layout.free_vertices
+    }
+
+    /// Numbers of the edges whose angle θ is part of the state, ascending; empty where twist is left out.
+    pub fn free_angles(&self) -> &[usize] {
+        &self.system.layout.free_angles
+    }
+
+    /// Length of the control z = [X₀, V₀].
+    pub fn control_len(&self) -> usize {
+        6 * self.system.layout.free_vertices.len()
+    }
+
+    /// Places of all vertices at time t in a state or control, prescribed ones included [m].
+    ///
+    /// # Errors
+    /// [`Error`] where a support's motion is not usable at t.
+    pub fn vertices(&mut self, t: f64, state: &[f64]) -> Result<Vec<[f64; 3]>, Error> {
+        self.system.place(t)?;
+        let f = self.system.layout.free_vertices.len();
+        assert!(state.len() >= 6 * f, "a state or control is at least {} long", 6 * f);
+        for (i, &v) in self.system.layout.free_vertices.iter().enumerate() {
+            self.system.x[v] = V3::from_column_slice(&state[3 * i..3 * i + 3]);
+        }
+        Ok(self.system.x.iter().map(|x| (*x).into()).collect())
+    }
+
+    /// What this rod does not need and therefore does not have.
+    pub fn left_out(&self) -> Vec<String> {
+        let layout = &self.system.layout;
+        let n = layout.segments;
+        let mut out = Vec::new();
+        if !layout.bending {
+            out.push("bending and twisting: no stiffness against them (a chain)".to_string());
+        } else if !layout.twist {
+            out.push(format!("{n} twist angles, frames and the twist energy: an isotropic, naturally straight rod held by one director does not twist"));
+        }
+        let fixed = n + 1 - layout.free_vertices.len();
+        if fixed > 0 {
+            out.push(format!("{} unknowns and their Hessian blocks: {fixed} prescribed vertices", 3 * fixed));
+        }
+        if self.viscous.is_none() {
+            out.push("strain-rate damping".to_string());
+        }
+        if self.damping.mass == 0.0 {
+            out.push("mass-proportional damping".to_string());
+        }
+        out.push("velocities as unknowns of the step: V = (X_{k+1} − X_k)/Δt".to_string());
+        out
+    }
+
+    /// Half-bandwidth of ∂G/∂u.
+    pub fn half_bandwidth(&self) -> usize {
+        self.system.layout.half_bandwidth
+    }
+
+    /// Sets everything that depends on the interval and x_k but not on u.
+    fn prepare(&mut self, at: &Interval, x: &[f64]) -> Result<(), Refusal> {
+        let h = at.length;
+        let s = &mut self.system;
+        let nf = s.layout.free_vertices.len();
+        if self.viscous.is_some() || s.layout.twist {
+            s.place(at.start)?;
+            s.scatter_state(x);
+            let guess = s.end_angle_guess();
+            s.update_shape(true, guess)?;
+            self.end_angle = s.theta.last().copied().unwrap_or(0.0);
+            if let Some(viscous) = &mut self.viscous {
+                viscous.set_past(s, self.damping.stiffness / h);
+            }
+        }
+        s.place(at.end())?;
+        let mut stiffest: f64 = 0.0;
+        for (f, &v) in s.layout.free_vertices.iter().enumerate() {
+            self.start[f] = V3::from_column_slice(&x[3 * f..3 * f + 3]);
+            self.target[f] = self.start[f] + V3::from_column_slice(&x[3 * (nf + f)..3 * (nf + f) + 3]) * h;
+            for e in v.saturating_sub(1)..=v.min(s.rod.segments() - 1) {
+                let (ea, rest) = s.stretch[e];
+                stiffest = stiffest.max(ea / rest * h * h / s.rod.masses[v]);
+            }
+        }
+        // Coordinates of size L carry an error of ε L; the stretch springs turn it into a force error of ε L EA/l̄, which
+        // moves a vertex held by its inertia M/Δt² alone by ε L (EA/l̄)(Δt²/M). No update can be smaller than that.
+        let length = s.rod.length();
+        self.tolerance = (1e-11 * length).max(f64::EPSILON * length * stiffest);
+        self.interval = Some(*at);
+        Ok(())
+    }
+
+    fn inertia(&self, vertex: usize, h: f64) -> (f64, f64) {
+        let m = self.system.rod.masses[vertex];
+        (m / (h * h), self.damping.mass * m / h)
+    }
+}
+
+/// Whether twist angles are unknowns where they are provably zero.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TwistUnknowns {
+    /// Left out where they are provably zero (the default).
+    WhereNeeded,
+    /// Kept wherever the rod bends.
+    Always,
+}
+
+impl ImplicitStep for BackwardEuler {
+    fn dim(&self) -> usize {
+        self.system.layout.state()
+    }
+
+    fn unknowns(&self) -> usize {
+        self.system.layout.unknowns
+    }
+
+    fn structure(&self) -> Structure {
+        Structure::SymmetricBand { half_bandwidth: self.system.layout.half_bandwidth }
+    }
+
+    fn predict(&mut self, at: &Interval, x: &[f64], u: &mut [f64]) -> Result<(), Refusal> {
+        self.prepare(at, x)?;
+        self.carry.guess(&mut self.system, at, x)?;
+        self.system.gather(u);
+        Ok(())
+    }
+
+    fn assemble(&mut self, at: &Interval, _x: &[f64], u: &[f64], g: &mut [f64], mut jacobian: Option<&mut [f64]>) -> Result<Option<f64>, Refusal> {
+        debug_assert_eq!(self.interval.as_ref(), Some(at), "predict or recover comes before assemble");
+        let h = at.length;
+        let s = &mut self.system;
+        s.scatter(u);
+        let twist = s.layout.twist;
+        s.update_shape(twist, self.end_angle)?;
+        if let Some(values) = jacobian.as_deref_mut() {
+            values.fill(0.0);
+        }
+        let mut potential = s.elastic(jacobian.as_deref_mut());
+        for (full, &unknown) in s.layout.unknown.iter().enumerate() {
+            if let Some(g) = g.get_mut(unknown) {
+                *g = s.gradient[full];
+            }
+        }
+        let width = self.system.layout.half_bandwidth + 1;
+        for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
+            let (k, c) = self.inertia(v, h);
+            let s = &self.system;
+            let (x, force) = (s.x[v], s.forces[v]);
+            let (d, e) = (x - self.target[f], x - self.start[f]);
+            // Forces act through the displacement of the step: F·X itself would drown Φ's decrease in rounding.
+            potential += 0.5 * k * d.norm_squared() + 0.5 * c * e.norm_squared() - force.dot(&e);
+            let i = s.layout.unknown[s.layout.vertex(v)];
+            for a in 0..3 {
+                g[i + a] += k * d[a] + c * e[a] - force[a];
+                if let Some(values) = jacobian.as_deref_mut() {
+                    values[(i + a) * width + width - 1] += k + c;
+                }
+            }
+        }
+        Ok(Some(potential))
+    }
+
+    fn retract(&mut self, _at: &Interval, _x: &[f64], u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
+        for ((t, u), d) in trial.iter_mut().zip(u).zip(du) {
+            *t = u + alpha * d;
+        }
+        if self.system.layout.twist {
+            self.angles_to_stored(u, du, alpha, trial);
+        }
+    }
+
+    fn size(&self, du: &[f64]) -> f64 {
+        let layout = &self.system.layout;
+        let mut size: f64 = 0.0;
+        let mut grow = |v: f64| size = if v.is_nan() || size.is_nan() { f64::NAN } else { size.max(v.abs()) };
+        for &v in &layout.free_vertices {
+            let i = layout.unknown[layout.vertex(v)];
+            du[i..i + 3].iter().for_each(|d| grow(*d));
+        }
+        for &e in &layout.free_angles {
+            grow(du[layout.unknown[layout.angle(e)]] * self.system.rod.rest_lengths[e]);
+        }
+        size
+    }
+
+    fn converged_below(&self) -> f64 {
+        self.tolerance
+    }
+
+    fn trusted_below(&self) -> f64 {
+        let shortest = self.system.rod.rest_lengths.iter().fold(f64::INFINITY, |m: f64, l| m.min(*l));
+        (1e-6 * shortest).max(10.0 * self.tolerance)
+    }
+
+    fn advance(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
+        let layout = &self.system.layout;
+        let nf = layout.free_vertices.len();
+        for (f, &v) in layout.free_vertices.iter().enumerate() {
+            let i = layout.unknown[layout.vertex(v)];
+            for c in 0..3 {
+                x_next[3 * f + c] = u[i + c];
+                x_next[3 * (nf + f) + c] = (u[i + c] - x[3 * f + c]) / at.length;
+            }
+        }
+        for (f, &e) in layout.free_angles.iter().enumerate() {
+            x_next[6 * nf + f] = u[layout.unknown[layout.angle(e)]];
+        }
+    }
+
+    fn recover(&mut self, at: &Interval, x: &[f64], x_next: &[f64], u: &mut [f64]) {
+        // The step was accepted with these states, so its supports and shape are usable; an error shows in `assemble`.
+        if self.prepare(at, x).is_err() {
+            u.fill(f64::NAN);
+            return;
+        }
+        self.system.scatter_state(x_next);
+        self.system.gather(u);
+    }
+
+    fn previous(&mut self, at: &Interval, x: &[f64], u: &[f64], dx: &[f64], dg: &mut [f64]) {
+        dg.fill(0.0);
+        let h = at.length;
+        let nf = self.system.layout.free_vertices.len();
+        for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
+            let (k, c) = self.inertia(v, h);
+            let i = self.system.layout.unknown[self.system.layout.vertex(v)];
+            for a in 0..3 {
+                dg[i + a] = -k * (dx[3 * f + a] + h * dx[3 * (nf + f) + a]) - c * dx[3 * f + a];
+            }
+        }
+        if self.viscous.is_some() {
+            self.prepare_and_shape(at, x, u);
+            let viscous = self.viscous.as_mut().expect("checked above");
+            viscous.previous_add(&self.system, dx, dg);
+        }
+    }
+
+    fn previous_transpose_add(&mut self, at: &Interval, x: &[f64], u: &[f64], mu: &[f64], dx: &mut [f64]) {
+        let h = at.length;
+        let nf = self.system.layout.free_vertices.len();
+        for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
+            let (k, c) = self.inertia(v, h);
+            let i = self.system.layout.unknown[self.system.layout.vertex(v)];
+            for a in 0..3 {
+                dx[3 * f + a] -= (k + c) * mu[i + a];
+                dx[3 * (nf + f) + a] -= k * h * mu[i + a];
+            }
+        }
+        if self.viscous.is_some() {
+            self.prepare_and_shape(at, x, u);
+            let viscous = self.viscous.as_mut().expect("checked above");
+            viscous.previous_transpose_add(&self.system, mu, dx);
+        }
+    }
+
+    fn advance_tangent(&mut self, at: &Interval, _x: &[f64], u: &[f64], dx: &[f64], du: &[f64], dx_next: &mut [f64]) {
+        let layout = &self.system.layout;
+        let nf = layout.free_vertices.len();
+        for (f, &v) in layout.free_vertices.iter().enumerate() {
+            let i = layout.unknown[layout.vertex(v)];
+            for c in 0..3 {
+                dx_next[3 * f + c] = du[i + c];
+                dx_next[3 * (nf + f) + c] = (du[i + c] - dx[3 * f + c]) / at.length;
+            }
+        }
+        if layout.free_angles.is_empty() {
+            return;
+        }
+        self.set_edges_of(u);
+        self.system.displacements(dx_next, &mut self.displacement);
+        self.system.shape.holonomy(&self.displacement, &mut self.psi);
+        let layout = &self.system.layout;
+        for (f, &e) in layout.free_angles.iter().enumerate() {
+            dx_next[6 * nf + f] = du[layout.unknown[layout.angle(e)]] + self.psi[e];
+        }
+    }
+
+    fn advance_adjoint(&mut self, at: &Interval, _x: &[f64], u: &[f64], lambda: &[f64], dx: &mut [f64], du: &mut [f64]) {
+        dx.fill(0.0);
+        let layout = &self.system.layout;
+        let nf = layout.free_vertices.len();
+        for (f, &v) in layout.free_vertices.iter().enumerate() {
+            let i = layout.unknown[layout.vertex(v)];
+            for c in 0..3 {
+                let back = lambda[3 * (nf + f) + c] / at.length;
+                du[i + c] = lambda[3 * f + c] + back;
+                dx[3 * f + c] = -back;
+            }
+        }
+        let angles = &lambda[6 * nf..];
+        for (f, &e) in layout.free_angles.iter().enumerate() {
+            du[layout.unknown[layout.angle(e)]] = angles[f];
+        }
+        // θ_{k+1} is read by nobody in most windows: then nothing comes back through the holonomy.
+        if angles.iter().all(|a| *a == 0.0) {
+            return;
+        }
+        self.set_edges_of(u);
+        self.psi.fill(0.0);
+        for (f, &e) in self.system.layout.free_angles.iter().enumerate() {
+            self.psi[e] = angles[f];
+        }
+        self.displacement.fill(V3::zeros());
+        self.system.shape.holonomy_transpose_add(&self.psi, &mut self.displacement);
+        let layout = &self.system.layout;
+        for &v in &layout.free_vertices {
+            let i = layout.unknown[layout.vertex(v)];
+            for c in 0..3 {
+                du[i + c] += self.displacement[v][c];
+            }
+        }
+    }
+
+    fn accepted(&mut self, _at: &Interval, _x: &[f64], u: &[f64]) -> Result<Option<String>, Refusal> {
+        if self.system.layout.free_angles.is_empty() {
+            return Ok(None);
+        }
+        self.system.scatter(u);
+        self.system.update_shape(true, self.end_angle)?;
+        let (edge, pivot) = self.system.smallest_twist_pivot();
+        if !(pivot > 1e-9) {
+            return Err(Error::TwistFold { edge, pivot }.into());
+        }
+        Ok((pivot < 1e-2).then(|| format!("the twist equilibrium is close to folding at edge {edge} (pivot {pivot:.1e} of its natural size)")))
+    }
+
+    fn control_dim(&self) -> usize {
+        self.control_len()
+    }
+
+    fn initial_state(&mut self, t: f64, z: &[f64], x: &mut [f64]) -> Result<(), Refusal> {
+        let n = self.control_len();
+        x[..n].copy_from_slice(z);
+        if let Some(twist) = &mut self.twist {
+            twist.solve(t, &z[..n / 2], &mut x[n..])?;
+        }
+        Ok(())
+    }
+
+    fn initial_tangent(&mut self, dz: &[f64], dx: &mut [f64]) {
+        let n = self.control_len();
+        dx[..n].copy_from_slice(dz);
+        if let Some(twist) = &mut self.twist {
+            twist.tangent(&dz[..n / 2], &mut dx[n..]);
+        }
+    }
+
+    fn initial_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]) {
+        let n = self.control_len();
+        dz.copy_from_slice(&lambda[..n]);
+        if let Some(twist) = &mut self.twist {
+            twist.adjoint_add(&lambda[n..], &mut dz[..n / 2]);
+        }
+    }
+}
+
+impl BackwardEuler {
+    /// The stored angles of u ⊕ α du: an increment of θ in the local gauge, plus the holonomy of the displacements.
+    fn angles_to_stored(&mut self, u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
+        self.set_edges_of(u);
+        let layout = &self.system.layout;
+        self.displacement.fill(V3::zeros());
+        for &v in &layout.free_vertices {
+            let i = layout.unknown[layout.vertex(v)];
+            self.displacement[v] = V3::new(du[i], du[i + 1], du[i + 2]);
+        }
+        self.system.shape.holonomy(&self.displacement, &mut self.psi);
+        for &e in &layout.free_angles {
+            trial[layout.unknown[layout.angle(e)]] += alpha * self.psi[e];
+        }
+    }
+
+    /// Edges and turns at u. The point was assembled before, so its geometry is sound.
+    fn set_edges_of(&mut self, u: &[f64]) {
+        self.system.scatter(u);
+        self.system.shape.set_edges(&self.system.x, true).expect("u was assembled before");
+    }
+
+    /// The present step's strains and shapes at x and u, for the products with ∂G/∂x_k.
+    fn prepare_and_shape(&mut self, at: &Interval, x: &[f64], u: &[f64]) {
+        self.prepare(at, x).expect("the step was accepted before");
+        self.system.scatter(u);
+        self.system.update_shape(true, self.end_angle).expect("the step was accepted before");
+    }
+}

@@ -1,0 +1,78 @@
+//! Errors of the rod: typed, with numbers, naming the edge, vertex or field.
+
+/// What can be wrong with a rod, its supports or a configuration of it.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// Two neighbouring edges fold back on each other: curvature is infinite there.
+    #[error("edges {} and {vertex} are folded onto each other at vertex {vertex} (turning angle within 1e-6 rad of pi)", vertex - 1)]
+    Fold {
+        /// The vertex between the two edges.
+        vertex: usize,
+    },
+    /// The first edge points exactly against its reference direction, where its frame is undefined.
+    #[error("the first edge points against its rest direction: its frame is undefined")]
+    FrameUndefined,
+    /// An edge has no length.
+    #[error("edge {edge} has length {length:e} m")]
+    ZeroEdge {
+        /// Number of the edge (that of its first vertex).
+        edge: usize,
+        /// Its length [m].
+        length: f64,
+    },
+    /// A coordinate, angle or prescribed value is not finite.
+    #[error("{what} {index} is not finite")]
+    NonFinite {
+        /// Kind of quantity.
+        what: &'static str,
+        /// Its number.
+        index: usize,
+    },
+    /// The twist equilibrium is (nearly) not a minimum: the step is discontinuous there and has no tangent.
+    #[error("the twist equilibrium folds at edge {edge}: pivot of the twist Hessian {pivot:e} of its natural size")]
+    TwistFold {
+        /// The edge where the pivot vanishes.
+        edge: usize,
+        /// The pivot over GJ/l + EI/l there.
+        pivot: f64,
+    },
+    /// A field of a description has an impossible value.
+    #[error("{field}: {value} is not allowed (expected {expected})")]
+    Value {
+        /// Which field.
+        field: &'static str,
+        /// What was given.
+        value: f64,
+        /// What would be right.
+        expected: &'static str,
+    },
+    /// An array of a description has the wrong length.
+    #[error("{field} has {found} entries, expected {expected}")]
+    Count {
+        /// Which field.
+        field: &'static str,
+        /// How many were given.
+        found: usize,
+        /// How many are needed.
+        expected: usize,
+    },
+    /// A place along the rod is outside it.
+    #[error("{what} at arc length {s} m is off the rod (0 to {length} m)")]
+    OffRod {
+        /// What was placed.
+        what: &'static str,
+        /// Where [m].
+        s: f64,
+        /// Length of the rod [m].
+        length: f64,
+    },
+    /// Two supports prescribe the same vertex, or a vertex that does not exist.
+    #[error("vertex {vertex} cannot be prescribed: {reason}")]
+    Support {
+        /// Which vertex.
+        vertex: usize,
+        /// Why not.
+        reason: &'static str,
+    },
+}

@@ -1,0 +1,73 @@
+//! First guess of a step: the old shape carried along with the supports.
+
+use varda_implicit::Interval;
+
+use crate::Error;
+use crate::geometry::{M3, V3};
+use crate::system::{ClampFrame, System};
+
+/// A support moves a part of the rod rigidly from one time to the next.
+#[derive(Clone, Copy)]
+struct Anchor {
+    vertex: usize,
+    from: V3,
+    to: V3,
+    rotation: M3,
+}
+
+impl Anchor {
+    fn carry(&self, x: &V3) -> V3 {
+        self.to + self.rotation * (x - self.from)
+    }
+}
+
+/// X_k carried rigidly with the supports: between two of them, a blend by vertex number of what either would do.
+/// A clamp that moves several segments in one step then leaves a rod of the same shape, not one torn off its support.
+pub(crate) struct Carry {
+    anchors: Vec<Anchor>,
+}
+
+impl Carry {
+    pub(crate) fn new(system: &System) -> Carry {
+        Carry { anchors: Vec::with_capacity(system.supports.prescribed.len() + 2) }
+    }
+
+    /// Sets the free vertices of `system` (whose supports stand at the end of the interval) to the guess; angles keep
+    /// their old values.
+    pub(crate) fn guess(&mut self, system: &mut System, at: &Interval, state: &[f64]) -> Result<(), Error> {
+        let n = system.rod.segments();
+        self.anchors.clear();
+        if let Some(clamp) = &system.supports.start {
+            self.anchors.push(between(0, &clamp.frame(at.start)?, &clamp.frame(at.end())?));
+        }
+        for (vertex, motion) in &system.supports.prescribed {
+            let (from, to) = (V3::from(motion.at(at.start)), V3::from(motion.at(at.end())));
+            self.anchors.push(Anchor { vertex: *vertex, from, to, rotation: M3::identity() });
+        }
+        if let Some(clamp) = &system.supports.end {
+            self.anchors.push(between(n, &clamp.frame(at.start)?, &clamp.frame(at.end())?));
+        }
+        self.anchors.sort_unstable_by_key(|a| a.vertex);
+        system.scatter_state(state);
+        for f in 0..system.layout.free_vertices.len() {
+            let v = system.layout.free_vertices[f];
+            let after = self.anchors.partition_point(|a| a.vertex < v);
+            let x = system.x[v];
+            system.x[v] = match (after.checked_sub(1).map(|i| self.anchors[i]), self.anchors.get(after)) {
+                (None, None) => x,
+                (Some(a), None) => a.carry(&x),
+                (None, Some(b)) => b.carry(&x),
+                (Some(a), Some(b)) => {
+                    let w = (v - a.vertex) as f64 / (b.vertex - a.vertex) as f64;
+                    a.carry(&x) * (1.0 - w) + b.carry(&x) * w
+                }
+            };
+        }
+        Ok(())
+    }
+}
+
+fn between(vertex: usize, from: &ClampFrame, to: &ClampFrame) -> Anchor {
+    let axes = |f: &ClampFrame| M3::from_columns(&[f.tangent, f.director, f.tangent.cross(&f.director)]);
+    Anchor { vertex, from: from.position, to: to.position, rotation: axes(to) * axes(from).transpose() }
+}

@@ -1,0 +1,134 @@
+//! Edges, turns and frames of one configuration, and the conversion between the two gauges of θ.
+//!
+//! Stored angles θ are measured from the **Bishop frame**: d₁ of the first edge carried along the rod by parallel
+//! transport, so that the reference twist is zero and τ_i = θ^i − θ^{i−1} counts whole turns. Derivatives of energies are
+//! taken in the **local gauge** (directors carried along in time). The two differ by the holonomy ψ,
+//!
+//! ```text
+//! dθ_stored = dθ_local + dψ,   dψ^i − dψ^{i−1} = ½ κb_i·(de^{i−1}/l^{i−1} + de^i/l^i)
+//! ```
+//!
+//! with dψ⁰ = 0 where the first edge is clamped.
+
+use crate::Error;
+use crate::element::Directors;
+use crate::geometry::{Edge, Turn, V3, perpendicular};
+
+/// How the first edge gets its director d₁.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum FirstFrame {
+    /// Given: the edge is clamped in this director.
+    Clamped(V3),
+    /// Carried by parallel transport from a fixed tangent and director: a function of the first tangent alone.
+    Carried { tangent: V3, director: V3 },
+}
+
+/// One configuration of the rod: everything energies and markers need. Buffers are reused.
+#[derive(Debug, Clone)]
+pub(crate) struct Shape {
+    pub(crate) edges: Vec<Edge>,
+    /// Turn at vertex i, i = 1 … n−1; entry 0 is that between the reference tangent and the first edge where the first
+    /// frame is carried.
+    turns: Vec<Turn>,
+    carried: bool,
+    pub(crate) d1: Vec<V3>,
+    pub(crate) m1: Vec<V3>,
+    pub(crate) m2: Vec<V3>,
+    /// τ_i at vertex i; entry 0 unused.
+    pub(crate) tau: Vec<f64>,
+}
+
+impl Shape {
+    pub(crate) fn new(segments: usize) -> Shape {
+        let (n, zero) = (segments, V3::zeros());
+        Shape {
+            edges: vec![Edge::NONE; n],
+            turns: vec![Turn { chi: 1.0, kb: zero, tilde: zero }; n],
+            carried: false,
+            d1: vec![zero; n],
+            m1: vec![zero; n],
+            m2: vec![zero; n],
+            tau: vec![0.0; n],
+        }
+    }
+
+    pub(crate) fn turn(&self, vertex: usize) -> &Turn {
+        debug_assert!(vertex > 0);
+        &self.turns[vertex]
+    }
+
+    /// Edges and turns of the vertices x. `bent` = whether turns are needed.
+    pub(crate) fn set_edges(&mut self, x: &[V3], bent: bool) -> Result<(), Error> {
+        for i in 0..self.edges.len() {
+            self.edges[i] = Edge::between(&x[i], &x[i + 1], i)?;
+            if bent && i > 0 {
+                self.turns[i] = Turn::between(&self.edges[i - 1].t, &self.edges[i].t, i)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Bishop directors d₁ of all edges; needs edges and turns.
+    pub(crate) fn set_bishop(&mut self, first: &FirstFrame) -> Result<(), Error> {
+        let t0 = self.edges[0].t;
+        self.carried = matches!(first, FirstFrame::Carried { .. });
+        self.d1[0] = match first {
+            FirstFrame::Clamped(director) => perpendicular(director, &t0),
+            FirstFrame::Carried { tangent, director } => {
+                self.turns[0] = Turn::between(tangent, &t0, 0).map_err(|_| Error::FrameUndefined)?;
+                perpendicular(&self.turns[0].transport(&t0, director), &t0)
+            }
+        };
+        for i in 1..self.edges.len() {
+            let t = self.edges[i].t;
+            self.d1[i] = perpendicular(&self.turns[i].transport(&t, &self.d1[i - 1]), &t);
+        }
+        Ok(())
+    }
+
+    /// Directors m₁, m₂ from d₁ and θ, and twists τ_i = θ^i − θ^{i−1} + reference twist.
+    pub(crate) fn set_angles(&mut self, theta: &[f64], reference_twist: Option<&[f64]>) {
+        for i in 0..self.edges.len() {
+            let (d1, d2) = (self.d1[i], self.edges[i].t.cross(&self.d1[i]));
+            let (sin, cos) = theta[i].sin_cos();
+            self.m1[i] = d1 * cos + d2 * sin;
+            self.m2[i] = d2 * cos - d1 * sin;
+            if i > 0 {
+                self.tau[i] = theta[i] - theta[i - 1] + reference_twist.map_or(0.0, |r| r[i - 1]);
+            }
+        }
+    }
+
+    /// Directors of the two edges at an interior vertex.
+    pub(crate) fn directors(&self, vertex: usize) -> Directors {
+        Directors { m1e: self.m1[vertex - 1], m2e: self.m2[vertex - 1], m1f: self.m1[vertex], m2f: self.m2[vertex] }
+    }
+
+    /// dψ of every edge for displacements dx of the vertices.
+    pub(crate) fn holonomy(&self, dx: &[V3], psi: &mut [f64]) {
+        let rate = |i: usize| (dx[i + 1] - dx[i]) / self.edges[i].l;
+        let mut sum = if self.carried { 0.5 * self.turns[0].kb.dot(&rate(0)) } else { 0.0 };
+        psi[0] = sum;
+        for i in 1..self.edges.len() {
+            sum += 0.5 * self.turns[i].kb.dot(&(rate(i - 1) + rate(i)));
+            psi[i] = sum;
+        }
+    }
+
+    /// The transpose: dx += (∂ψ/∂x)ᵀ μ, μ one number per edge.
+    pub(crate) fn holonomy_transpose_add(&self, mu: &[f64], dx: &mut [V3]) {
+        let mut sum = 0.0;
+        for i in (0..self.edges.len()).rev() {
+            sum += mu[i];
+            if i == 0 && !self.carried {
+                break;
+            }
+            let half = self.turns[i].kb * (0.5 * sum);
+            for edge in i.saturating_sub(1)..=i {
+                let v = half / self.edges[edge].l;
+                dx[edge + 1] += v;
+                dx[edge] -= v;
+            }
+        }
+    }
+}

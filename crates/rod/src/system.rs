@@ -1,0 +1,337 @@
+//! One rod with its supports and loads: places the prescribed parts, sums the elements.
+
+use crate::Error;
+use crate::element::{self, Stiffness, Strains};
+use crate::geometry::{V3, any_perpendicular, perpendicular, signed_angle};
+use crate::layout::{Band, Layout};
+use crate::rod::Rod;
+use crate::shape::{FirstFrame, Shape};
+use crate::support::{Clamp, Damping, Loads, Supports};
+
+/// Everything that stays the same during a run, and the work buffers of one evaluation.
+#[derive(Clone)]
+pub(crate) struct System {
+    pub(crate) rod: Rod,
+    pub(crate) supports: Supports,
+    pub(crate) loads: Loads,
+    pub(crate) layout: Layout,
+    /// Prescribed vertices with their motion's origin resolved at the last `place`.
+    pub(crate) x: Vec<V3>,
+    pub(crate) theta: Vec<f64>,
+    pub(crate) shape: Shape,
+    first: FirstFrame,
+    end_director: Option<V3>,
+    /// Stiffness and rest strain of every edge (EA, l̄) and interior vertex, with the damping of the present step in it.
+    pub(crate) stretch: Vec<(f64, f64)>,
+    pub(crate) bend: Vec<Stiffness>,
+    /// ∂E/∂(x, θ) in the full order.
+    pub(crate) gradient: Vec<f64>,
+    pub(crate) forces: Vec<V3>,
+}
+
+/// Position, tangent and director of a clamp at one time.
+pub(crate) struct ClampFrame {
+    pub(crate) position: V3,
+    pub(crate) tangent: V3,
+    pub(crate) director: V3,
+}
+
+impl Clamp {
+    pub(crate) fn frame(&self, t: f64) -> Result<ClampFrame, Error> {
+        let bad = |what, index| Error::NonFinite { what, index };
+        let position = V3::from(self.position.at(t));
+        let tangent = V3::from(self.tangent.at(t));
+        let director = V3::from(self.director.at(t));
+        let size = tangent.norm();
+        if !(size > 0.0 && size.is_finite()) {
+            return Err(bad("a clamp's tangent, component", 0));
+        }
+        let tangent = tangent / size;
+        let across = director - tangent * director.dot(&tangent);
+        if !(across.norm() > 1e-9 * director.norm()) {
+            return Err(Error::Value { field: "a clamp's director", value: across.norm(), expected: "a direction not along its tangent" });
+        }
+        if !position.iter().all(|v| v.is_finite()) {
+            return Err(bad("a clamp's position, component", 0));
+        }
+        Ok(ClampFrame { position, tangent, director: across.normalize() })
+    }
+}
+
+impl System {
+    pub(crate) fn new(rod: Rod, supports: Supports, loads: Loads, damping: &Damping, force_twist: bool) -> Result<System, Error> {
+        rod.check()?;
+        crate::material::not_negative("damping.stiffness", damping.stiffness)?;
+        crate::material::not_negative("damping.mass", damping.mass)?;
+        for (s, _) in &loads.point_forces {
+            rod.place("point force", *s)?;
+        }
+        let layout = Layout::needed(&rod, &supports, damping, force_twist)?;
+        let n = rod.segments();
+        let tangent = V3::from(supports.free_frame.0);
+        let size = tangent.norm();
+        if !(size > 0.0 && size.is_finite()) {
+            return Err(Error::Value { field: "free_frame tangent", value: size, expected: "a direction" });
+        }
+        let tangent = tangent / size;
+        let director = V3::from(supports.free_frame.1);
+        let across = director - tangent * director.dot(&tangent);
+        let director = if across.norm() > 1e-9 * director.norm() { perpendicular(&director, &tangent) } else { any_perpendicular(&tangent) };
+        let mut system = System {
+            x: vec![V3::zeros(); n + 1],
+            theta: vec![0.0; n],
+            shape: Shape::new(n),
+            first: FirstFrame::Carried { tangent, director },
+            end_director: None,
+            stretch: Vec::with_capacity(n),
+            bend: Vec::with_capacity(n),
+            gradient: vec![0.0; layout.full()],
+            forces: vec![V3::zeros(); n + 1],
+            rod,
+            supports,
+            loads,
+            layout,
+        };
+        system.set_stiffness(0.0, None);
+        system.place(0.0)?;
+        Ok(system)
+    }
+
+    /// Elastic stiffness, with Kelvin–Voigt damping folded in: ½k(ε−ε̄)² + ½rk(ε−ε_k)² is, up to a constant, the energy of
+    /// stiffness k(1+r) about (ε̄ + r ε_k)/(1+r), r = β/Δt. `past` gives the strains ε_k: (l, (κ₁, κ₂, τ)).
+    pub(crate) fn set_stiffness(&mut self, r: f64, past: Option<&PastStrains>) {
+        let mix = |rest: f64, before: f64| (rest + r * before) / (1.0 + r);
+        self.stretch.clear();
+        for (e, (&ea, &rest)) in self.rod.ea.iter().zip(&self.rod.rest_lengths).enumerate() {
+            // EA stays EA/l̄ times l̄: the modulus of the spring does not change with its mixed rest length.
+            let k = ea / rest * (1.0 + r);
+            let rest = past.map_or(rest, |p| mix(rest, p.lengths[e]));
+            self.stretch.push((k * rest, rest));
+        }
+        self.bend.clear();
+        for i in 0..self.rod.ei.len() {
+            let over = (1.0 + r) / self.rod.voronoi_lengths[i];
+            let (ei, natural) = (self.rod.ei[i], self.rod.natural_curvature[i]);
+            let mut rest = [natural[0], natural[1], self.rod.natural_twist[i]];
+            if let Some(p) = past {
+                for a in 0..3 {
+                    rest[a] = mix(rest[a], p.bend[i][a]);
+                }
+            }
+            self.bend.push(Stiffness { bend: ei.map(|k| k * over), twist: self.rod.gj[i] * over, rest });
+        }
+    }
+
+    /// Puts the prescribed vertices, directors and forces where they are at time t.
+    pub(crate) fn place(&mut self, t: f64) -> Result<(), Error> {
+        let n = self.rod.segments();
+        for (vertex, motion) in &self.supports.prescribed {
+            self.x[*vertex] = V3::from(motion.at(t));
+        }
+        if let Some(clamp) = &self.supports.start {
+            let f = clamp.frame(t)?;
+            self.x[0] = f.position;
+            self.x[1] = f.position + f.tangent * self.rod.rest_lengths[0];
+            self.first = FirstFrame::Clamped(f.director);
+            self.theta[0] = 0.0;
+        }
+        if let Some(clamp) = &self.supports.end {
+            let f = clamp.frame(t)?;
+            self.x[n] = f.position;
+            self.x[n - 1] = f.position - f.tangent * self.rod.rest_lengths[n - 1];
+            self.end_director = Some(f.director);
+        }
+        self.forces.fill(V3::zeros());
+        for v in 0..=n {
+            self.forces[v] = V3::from(self.loads.gravity) * self.rod.masses[v];
+        }
+        for (s, force) in &self.loads.point_forces {
+            let place = self.rod.place("point force", *s)?;
+            let f = V3::from(force.at(t));
+            self.forces[place.edge] += f * (1.0 - place.fraction);
+            self.forces[place.edge + 1] += f * place.fraction;
+        }
+        Ok(())
+    }
+
+    /// Vertices and angles from unknowns.
+    pub(crate) fn scatter(&mut self, u: &[f64]) {
+        let layout = &self.layout;
+        for &v in &layout.free_vertices {
+            let i = layout.unknown[layout.vertex(v)];
+            self.x[v] = V3::new(u[i], u[i + 1], u[i + 2]);
+        }
+        for &e in &layout.free_angles {
+            self.theta[e] = u[layout.unknown[layout.angle(e)]];
+        }
+    }
+
+    /// Unknowns from vertices and angles.
+    pub(crate) fn gather(&self, u: &mut [f64]) {
+        let layout = &self.layout;
+        for &v in &layout.free_vertices {
+            let i = layout.unknown[layout.vertex(v)];
+            u[i..i + 3].copy_from_slice(self.x[v].as_slice());
+        }
+        for &e in &layout.free_angles {
+            u[layout.unknown[layout.angle(e)]] = self.theta[e];
+        }
+    }
+
+    /// Vertices and angles from a state [X, V, θ].
+    pub(crate) fn scatter_state(&mut self, state: &[f64]) {
+        let nf = self.layout.free_vertices.len();
+        for (f, &v) in self.layout.free_vertices.iter().enumerate() {
+            self.x[v] = V3::from_column_slice(&state[3 * f..3 * f + 3]);
+        }
+        for (f, &e) in self.layout.free_angles.iter().enumerate() {
+            self.theta[e] = state[6 * nf + f];
+        }
+    }
+
+    /// An angle near the one the end clamp will have: the branch on which the last twist is nearest its natural value.
+    pub(crate) fn end_angle_guess(&self) -> f64 {
+        let n = self.rod.segments();
+        let before = if n > 1 { self.theta[n - 2] } else { 0.0 };
+        before + self.rod.natural_twist.last().copied().unwrap_or(0.0)
+    }
+
+    /// Edges, turns and, where frames are needed, directors of the present vertices and angles. The angle of a clamped
+    /// end is taken on the branch nearest to `end_angle`.
+    pub(crate) fn update_shape(&mut self, frames: bool, end_angle: f64) -> Result<(), Error> {
+        self.shape.set_edges(&self.x, self.layout.bending || frames)?;
+        if frames {
+            self.shape.set_bishop(&self.first)?;
+            if let (Some(director), Some(last)) = (&self.end_director, self.rod.segments().checked_sub(1)) {
+                let t = &self.shape.edges[last].t;
+                let angle = signed_angle(&self.shape.d1[last], &perpendicular(director, t), t);
+                let turn = std::f64::consts::TAU;
+                self.theta[last] = angle + turn * ((end_angle - angle) / turn).round();
+                if !self.layout.twist {
+                    let angle = self.theta[last];
+                    self.theta.fill(angle);
+                }
+            }
+            self.shape.set_angles(&self.theta, None);
+        }
+        Ok(())
+    }
+
+    /// Elastic energy of the present shape; overwrites `gradient` (full order), adds to the band where one is given.
+    pub(crate) fn elastic(&mut self, mut jacobian: Option<&mut [f64]>) -> f64 {
+        let System { layout, shape, gradient, stretch, bend, .. } = self;
+        gradient.fill(0.0);
+        let mut energy = 0.0;
+        for (e, edge) in shape.edges.iter().enumerate() {
+            let (k, rest) = stretch[e];
+            let (value, force, h) = element::stretch(edge, rest, k);
+            energy += value;
+            let (a, b) = (layout.vertex(e), layout.vertex(e + 1));
+            for c in 0..3 {
+                gradient[a + c] -= force * edge.t[c];
+                gradient[b + c] += force * edge.t[c];
+            }
+            if let Some(values) = jacobian.as_deref_mut() {
+                let mut band = Band { layout, values };
+                if layout.twist { band.add(a, &edge_hessian::<7>(&h, 4)) } else { band.add(a, &edge_hessian::<6>(&h, 3)) }
+            }
+        }
+        if !layout.bending {
+            return energy;
+        }
+        for i in 1..layout.segments {
+            let (a, b, turn, k) = (&shape.edges[i - 1], &shape.edges[i], shape.turn(i), &bend[i - 1]);
+            let first = layout.vertex(i - 1);
+            if layout.twist {
+                let m = shape.directors(i);
+                let strains = Strains::of(a, b, turn, &m, shape.tau[i]);
+                let el = element::bend_twist(a, b, turn, &m, &strains, k);
+                energy += el.energy;
+                add(&mut gradient[first..], &el.gradient);
+                if let Some(values) = jacobian.as_deref_mut() {
+                    Band { layout, values }.add(first, &el.hessian);
+                }
+            } else {
+                let el = element::isotropic_bend(a, b, turn, k.bend[0]);
+                energy += el.energy;
+                add(&mut gradient[first..], &el.gradient);
+                if let Some(values) = jacobian.as_deref_mut() {
+                    Band { layout, values }.add(first, &el.hessian);
+                }
+            }
+        }
+        energy
+    }
+
+    /// δθ of the edges of a rod without twist unknowns: all turn with the end clamp where only that holds a director.
+    pub(crate) fn angle_that_all_follow(&self, psi: &[f64]) -> f64 {
+        if !self.layout.twist && self.supports.end.is_some() { psi.last().copied().unwrap_or(0.0) } else { 0.0 }
+    }
+
+    /// Strains of the present shape at an interior vertex, with gradients.
+    pub(crate) fn strains(&self, vertex: usize) -> Strains {
+        let shape = &self.shape;
+        Strains::of(&shape.edges[vertex - 1], &shape.edges[vertex], shape.turn(vertex), &shape.directors(vertex), shape.tau[vertex])
+    }
+
+    /// Edge and size of the smallest pivot of E_θθ (free angles, in order), in units of the stiffness of its neighbours.
+    /// As it goes to zero the twist equilibrium folds: it stops being a smooth function of the vertices.
+    pub(crate) fn smallest_twist_pivot(&self) -> (usize, f64) {
+        let n = self.layout.segments;
+        let vertex = |i: usize| if i == 0 || i == n { [0.0; 3] } else { self.strains(i).angle_hessian(&self.bend[i - 1]) };
+        let scale = |i: usize| if i == 0 || i == n { 0.0 } else { self.bend[i - 1].twist + 1e-9 * (self.bend[i - 1].bend[0] + self.bend[i - 1].bend[2]) };
+        let mut left = vertex(0);
+        let (mut pivot_before, mut smallest) = (None::<f64>, (0, f64::INFINITY));
+        for e in 0..n {
+            let right = vertex(e + 1);
+            if self.layout.free_angles.binary_search(&e).is_ok() {
+                let pivot = left[2] + right[0] - pivot_before.map_or(0.0, |p| left[1] * left[1] / p);
+                let relative = pivot / (scale(e) + scale(e + 1));
+                if !(relative >= smallest.1) {
+                    smallest = (e, relative);
+                }
+                pivot_before = Some(pivot);
+            } else {
+                pivot_before = None;
+            }
+            left = right;
+        }
+        smallest
+    }
+
+    /// Displacements of all vertices from those of the free ones, taken from the first entries of a state-like vector.
+    pub(crate) fn displacements(&self, dx: &[f64], out: &mut [V3]) {
+        out.fill(V3::zeros());
+        for (f, &v) in self.layout.free_vertices.iter().enumerate() {
+            out[v] = V3::from_column_slice(&dx[3 * f..3 * f + 3]);
+        }
+    }
+}
+
+/// Strains of the step before: lengths of edges and (κ₁, κ₂, τ) of interior vertices.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct PastStrains {
+    pub(crate) lengths: Vec<f64>,
+    pub(crate) bend: Vec<[f64; 3]>,
+}
+
+fn add(target: &mut [f64], values: &[f64]) {
+    for (t, v) in target.iter_mut().zip(values) {
+        *t += v;
+    }
+}
+
+/// The Hessian of an edge with respect to both its vertices, `second` the place of the second one; an angle between is zero.
+fn edge_hessian<const N: usize>(h: &crate::geometry::M3, second: usize) -> [[f64; N]; N] {
+    let mut out = [[0.0; N]; N];
+    for i in 0..3 {
+        for j in 0..3 {
+            if j <= i {
+                out[i][j] = h[(i, j)];
+                out[second + i][second + j] = h[(i, j)];
+            }
+            out[second + i][j] = -h[(i, j)];
+        }
+    }
+    out
+}
