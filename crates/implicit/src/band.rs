@@ -138,16 +138,25 @@ fn eliminate<const W: usize, const S: usize>(rows: usize, reciprocal: f64, below
     for t in 0..rows {
         v[t + 1] = below[W - 1 + t * W];
     }
-    for t in 0..rows {
-        let at = W - 1 + t * W;
-        let l = v[t + 1] * reciprocal;
-        below[at] = l;
-        // Row t from the next column to its diagonal. Every run is made even in length (the zero leaves l as it is), so
-        // that what is written here in pairs is read by the next pivot in the same pairs.
-        let odd = (t + 1) % 2;
-        for (r, v) in below[at + 1 - odd..at + 2 + t].iter_mut().zip(&v[1 - odd..]) {
-            *r -= l * v;
-        }
+    // In two runs, each short enough for the compiler to write out in full.
+    for t in 0..rows.min(W / 2 + 1) {
+        eliminate_row::<W, S>(t, v[t + 1] * reciprocal, &v, below);
+    }
+    for t in W / 2 + 1..rows {
+        eliminate_row::<W, S>(t, v[t + 1] * reciprocal, &v, below);
+    }
+}
+
+/// Row t below a pivot minus l times the column v, from the next column to its diagonal.
+#[inline(always)]
+fn eliminate_row<const W: usize, const S: usize>(t: usize, l: f64, v: &[f64; S], below: &mut [f64]) {
+    let at = W - 1 + t * W;
+    below[at] = l;
+    // Every run is made even in length (the zero leaves l as it is), so that what is written here in pairs is read by
+    // the next pivot in the same pairs.
+    let odd = (t + 1) % 2;
+    for (r, v) in below[at + 1 - odd..at + 2 + t].iter_mut().zip(&v[1 - odd..]) {
+        *r -= l * v;
     }
 }
 

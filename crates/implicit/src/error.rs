@@ -43,6 +43,12 @@ pub enum Error {
         /// Index k of the step.
         step: usize,
     },
+    /// A check that would have compared nothing with nothing, or rounding with rounding.
+    #[error("an empty test: {what}")]
+    EmptyTest {
+        /// What was missing.
+        what: &'static str,
+    },
     /// A value that is not finite left a step.
     #[error("step {step}: {what} is not finite")]
     NonFinite {

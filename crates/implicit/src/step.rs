@@ -45,6 +45,21 @@ pub enum Structure {
     },
 }
 
+impl Structure {
+    /// Where the diagonal entry (i, i) of an n × n matrix is among its values; `None` where a sparse pattern leaves it out.
+    pub fn diagonal(&self, n: usize, i: usize) -> Option<usize> {
+        match self {
+            Structure::Dense => Some(i * (n + 1)),
+            Structure::SymmetricBand { half_bandwidth: w } => Some(i * (w + 1) + w),
+            Structure::Band { half_bandwidth: w } => Some(i * (2 * w + 1) + w),
+            Structure::Sparse { columns, rows } => {
+                let column = &rows[columns[i]..columns[i + 1]];
+                column.binary_search(&i).ok().map(|p| columns[i] + p)
+            }
+        }
+    }
+}
+
 /// A step x_{k+1} = M_k(x_k) given by equations G(x_k, u) = 0 in unknowns u, from which x_{k+1} = S(x_k, u) follows
 /// without a solve.
 ///

@@ -60,7 +60,8 @@ impl Spectral {
         // Just inside the open interval of admissible λ.
         let floor = if lowest > 0.0 { 0.0 } else { -lowest + 1e-12 * scale.max(f64::MIN_POSITIVE) };
         let inside = size(floor) <= radius;
-        let damping = if inside { floor } else { boundary(floor, norm(&self.slope) / radius - lowest, radius, &size) };
+        let damping =
+            if inside { floor } else { boundary(floor, norm(&self.slope) / radius - lowest, radius, &size) };
         p.fill(0.0);
         let mut along_lowest = -self.slope[0] / (lowest + damping);
         if inside && lowest <= 0.0 && radius.is_finite() {
