@@ -77,7 +77,7 @@ impl Drop for Output {
     }
 }
 
-/// A result of Varda is a folder with a `summary.json` that has its keys `scene` and `version`.
+/// A result of Varda is a folder with a `summary.json` that has its keys `scene`, `version` and `status`.
 fn replaceable(target: &Path) -> Result<(), Error> {
     let occupied = |reason| Err(Error::Occupied { path: target.to_path_buf(), reason });
     if !target.exists() {
@@ -92,7 +92,7 @@ fn replaceable(target: &Path) -> Result<(), Error> {
     }
     let summary = std::fs::read_to_string(target.join("summary.json")).unwrap_or_default();
     match serde_json::from_str::<serde_json::Value>(&summary) {
-        Ok(json) if json["varda"].is_string() && json["scene"].is_string() => Ok(()),
+        Ok(json) if json["version"].is_string() && json["scene"].is_string() && json["status"].is_string() => Ok(()),
         _ => occupied("it has no summary.json of Varda's"),
     }
 }
@@ -108,7 +108,7 @@ mod tests {
         path
     }
 
-    const SUMMARY: &str = r#"{"scene": "s", "varda": "0.1.0"}"#;
+    const SUMMARY: &str = r#"{"scene": "s", "version": "0.1.0", "status": "converged"}"#;
 
     #[test]
     fn an_earlier_result_is_replaced_whole() {
