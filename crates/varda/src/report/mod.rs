@@ -1,5 +1,8 @@
 //! What a run leaves behind: summary.json, CSV files, figures and report.html.
 
+mod figures;
+mod html;
+mod plot;
 mod summary;
 mod tables;
 
@@ -19,6 +22,13 @@ use crate::run::{Outcome, Simulation, Trajectories};
 pub fn write(problem: &mut Problem, outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
     let out = Output::begin(folder)?;
     let summary = Summary::new(problem, outcome);
+    let mut drawn = Vec::new();
+    for figure in figures::all(problem, outcome)? {
+        let svg = figure.svg()?;
+        out.write(&format!("figures/{}.svg", figure.name), &svg)?;
+        drawn.push((figure.name, figure.title, svg));
+    }
+    out.write("report.html", &html::page(problem, outcome, &summary, &drawn))?;
     out.write("summary.json", &summary.to_json())?;
     out.write("analysis.csv", &tables::analysis(problem, outcome))?;
     out.write("convergence.csv", &tables::convergence(&outcome.convergence))?;

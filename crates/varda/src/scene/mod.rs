@@ -59,6 +59,11 @@ impl Scene {
         let schema = schemars::schema_for!(Scene);
         serde_json::to_string_pretty(&schema).expect("a schema is plain JSON")
     }
+
+    /// The model is a rod: its control is in metres and metres per second.
+    pub fn model_is_rod(&self) -> bool {
+        matches!(self.model, Model::Rod(_))
+    }
 }
 
 /// Integrator, step and window.
