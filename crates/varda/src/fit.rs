@@ -40,6 +40,8 @@ pub struct Withheld {
     pub rms_background: f64,
     /// From x_a [m].
     pub rms_analysis: f64,
+    /// From x_a, less the mean error: what is left when the marker's place in the scene is a constant off [m].
+    pub moving_analysis: f64,
 }
 
 /// Distances [m] between a marker and its forecast, root mean square over the time after the window.
@@ -59,6 +61,10 @@ pub struct Forecast {
     pub persistence: f64,
     /// The model at rest in its static equilibrium [m].
     pub static_model: f64,
+    /// The model from x_a, less its mean error [m].
+    pub moving_analysis: f64,
+    /// The best constant forecast there is: how far the marker moves about its mean place [m].
+    pub moving_constant: f64,
 }
 
 /// Innovations at background and analysis, label by label in the order of their first appearance.
@@ -167,37 +173,45 @@ pub fn beyond(
             .collect();
         let inside: Vec<_> = seen.iter().filter(|s| s.0 <= end).copied().collect();
         let after: Vec<_> = seen.iter().filter(|s| s.0 > end).copied().collect();
-        let mut rms = |states: &[f64], seen: &[(f64, usize, f64, [f64; 3])]| -> Result<f64, Error> {
-            let mut sum = 0.0;
+        let mut miss = |states: &[f64], seen: &[(f64, usize, f64, [f64; 3])]| -> Result<Spread, Error> {
+            let mut errors = Vec::with_capacity(seen.len());
             for &(_, k, w, p) in seen {
-                let Some(q) = place_at(rod, runs, states, site, k, w)? else { return Ok(f64::NAN) };
-                sum += squared_distance(&p, &q);
+                match place_at(rod, runs, states, site, k, w)? {
+                    Some(q) => errors.push(std::array::from_fn(|i| p[i] - q[i])),
+                    // A run that ended early has no error; its warning says so.
+                    None => return Ok(Spread { rms: f64::NAN, moving: f64::NAN }),
+                }
             }
-            Ok((sum / seen.len() as f64).sqrt())
+            Ok(Spread::of(&errors))
         };
         if place.used == Use::Withhold && !inside.is_empty() {
+            let analysis = miss(&runs.analysis, &inside)?;
             withheld.push(Withheld {
                 label: place.label.clone(),
                 count: inside.len(),
-                rms_background: rms(&runs.background, &inside)?,
-                rms_analysis: rms(&runs.analysis, &inside)?,
+                rms_background: miss(&runs.background, &inside)?.rms,
+                rms_analysis: analysis.rms,
+                moving_analysis: analysis.moving,
             });
         }
         if !after.is_empty() {
-            let analysis = rms(&runs.analysis, &after)?;
-            let background = rms(&runs.background, &after)?;
-            let mean_to = |q: &[f64; 3]| {
-                (after.iter().map(|s| squared_distance(&s.3, q)).sum::<f64>() / after.len() as f64).sqrt()
-            };
+            let analysis = miss(&runs.analysis, &after)?;
+            let background = miss(&runs.background, &after)?;
             let still = place_of(rod, &at_rest, site, window.steps)?;
+            let constant = |q: &[f64; 3]| {
+                let errors: Vec<[f64; 3]> = after.iter().map(|s| std::array::from_fn(|i| s.3[i] - q[i])).collect();
+                Spread::of(&errors)
+            };
             forecasts.push(Forecast {
                 label: place.label.clone(),
                 assimilated: place.used == Use::Assimilate,
                 count: after.len(),
-                analysis,
-                background,
-                persistence: inside.last().map_or(f64::NAN, |s| mean_to(&s.3)),
-                static_model: mean_to(&still),
+                analysis: analysis.rms,
+                background: background.rms,
+                persistence: inside.last().map_or(f64::NAN, |s| constant(&s.3).rms),
+                static_model: constant(&still).rms,
+                moving_analysis: analysis.moving,
+                moving_constant: constant(&still).moving,
             });
         }
     }
@@ -229,6 +243,20 @@ fn place_of(rod: &mut RodView, state: &[f64], site: usize, k: usize) -> Result<[
     Ok([places[3 * site], places[3 * site + 1], places[3 * site + 2]])
 }
 
-fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
+/// Root mean square of some error vectors, with their mean and without it.
+struct Spread {
+    rms: f64,
+    moving: f64,
+}
+
+impl Spread {
+    fn of(errors: &[[f64; 3]]) -> Spread {
+        let n = errors.len() as f64;
+        let mean: [f64; 3] = std::array::from_fn(|i| errors.iter().map(|e| e[i]).sum::<f64>() / n);
+        let rms = |about: [f64; 3]| {
+            let squares = errors.iter().flat_map(|e| (0..3).map(move |i| (e[i] - about[i]).powi(2)));
+            (squares.sum::<f64>() / n).sqrt()
+        };
+        Spread { rms: rms([0.0; 3]), moving: rms(mean) }
+    }
 }

@@ -11,7 +11,7 @@ use crate::{Error, csv_input};
 /// A place on the rod that is looked at.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Site {
-    /// Name in reports: the marker's, or the arc length.
+    /// Name in reports: "marker …", or the arc length.
     pub label: String,
     /// Where.
     pub marker: Marker,
@@ -98,7 +98,7 @@ impl Sightings {
             .markers
             .iter()
             .map(|m| Site {
-                label: m.name.clone(),
+                label: format!("marker {}", m.name),
                 marker: Marker { s: m.arc_length, offset: m.offset },
                 used: m.used,
             })
@@ -114,7 +114,7 @@ impl Sightings {
                     ignored += 1;
                     continue;
                 }
-                Subject::Marker(name) => sites.iter().position(|s| s.label == *name).ok_or_else(|| {
+                Subject::Marker(name) => recording.markers.iter().position(|m| m.name == *name).ok_or_else(|| {
                     bad(row, format!("marker {name:?} has no place: add it to [[observations.markers]] or to observations.ignore"))
                 })?,
                 Subject::ArcLength(s) => {

@@ -30,10 +30,10 @@ pub(super) fn outcome(problem: &Problem, o: &Outcome, folder: &Path, seconds: f6
         line("RMSE velocity", text);
     }
     for w in &o.withheld {
-        line("withheld", format!("marker {}: {:.2} mm -> {:.2} mm rms over {} times", w.label, 1e3 * w.rms_background, 1e3 * w.rms_analysis, w.count));
+        line("withheld", format!("{}: {:.2} mm -> {:.2} mm rms over {} times ({:.2} with its constant offset aside)", w.label, 1e3 * w.rms_background, 1e3 * w.rms_analysis, w.count, 1e3 * w.moving_analysis));
     }
     for f in &o.forecast {
-        line("forecast", format!("marker {}: {:.2} mm rms; persistence {:.2}, static model {:.2}, background {:.2}", f.label, 1e3 * f.analysis, 1e3 * f.persistence, 1e3 * f.static_model, 1e3 * f.background));
+        line("forecast", format!("{}: {:.2} mm rms; persistence {:.2}, static model {:.2} (offset aside: {:.2}, best constant {:.2})", f.label, 1e3 * f.analysis, 1e3 * f.persistence, 1e3 * f.static_model, 1e3 * f.moving_analysis, 1e3 * f.moving_constant));
     }
     line("work", format!("{} model steps, {} tangent, {} adjoint, {} factorizations", o.counts.model_steps, o.counts.tangent_steps, o.counts.adjoint_steps, o.counts.factorizations));
     line("time", format!("{seconds:.2} s"));

@@ -5,7 +5,7 @@ use crate::problem::{Problem, RodView, View};
 use crate::run::{ConvergenceRow, Outcome};
 use crate::scene::Use;
 
-use super::plot::{Figure, Panel, Series, Style};
+use super::plot::{Corner, Figure, Panel, Series, Style};
 
 /// All figures of a run, in the order of the report.
 pub(super) fn all(problem: &mut Problem, outcome: &Outcome) -> Result<Vec<Figure>, Error> {
@@ -38,7 +38,7 @@ pub(super) fn all(problem: &mut Problem, outcome: &Outcome) -> Result<Vec<Figure
 fn convergence(outcome: &Outcome) -> Figure {
     let rows = &outcome.convergence;
     let is_rod = outcome.rmse.velocity_background.is_some();
-    let panel = |x_label: &str, x: &dyn Fn(&ConvergenceRow) -> f64, legend: bool| {
+    let panel = |x_label: &str, x: &dyn Fn(&ConvergenceRow) -> f64, legend: Option<Corner>| {
         let series = |label: &str, style, y: &dyn Fn(&ConvergenceRow) -> f64| {
             let first = rows.first().map_or(1.0, y);
             Series { label: label.into(), style, points: rows.iter().map(|r| (x(r), y(r) / first)).collect() }
@@ -66,7 +66,7 @@ fn convergence(outcome: &Outcome) -> Figure {
     Figure {
         name: "convergence",
         title: "Convergence: cost, gradient norm and error against iterations and against seconds".into(),
-        panels: vec![panel("outer iterations", &|r| r.iteration as f64, true), panel("seconds", &|r| r.seconds, false)],
+        panels: vec![panel("outer iterations", &|r| r.iteration as f64, Some(Corner::LowerLeft)), panel("seconds", &|r| r.seconds, None)],
         columns: 2,
         panel_size: (460, 320),
     }
@@ -101,9 +101,9 @@ fn shapes(rod: &mut RodView, outcome: &Outcome, window: &crate::rod_observation:
     let width = |c: usize| extent(c).1 - extent(c).0;
     let across = if width(0) >= width(1) { 0 } else { 1 };
     let (x, z) = (extent(across), extent(2));
-    let columns = count.min(6);
+    let columns = count.min(3);
     // Equal scales in a panel: the plot's own area is the panel less labels and margins.
-    let panel_size = if z.1 - z.0 >= x.1 - x.0 { (220u32, 330u32) } else { (300, 250) };
+    let panel_size = if z.1 - z.0 >= x.1 - x.0 { (310u32, 350u32) } else { (310, 250) };
     let inner = (f64::from(panel_size.0) - 66.0, f64::from(panel_size.1) - 78.0);
     let scale = (1.1 * (x.1 - x.0) / inner.0).max(1.1 * (z.1 - z.0) / inner.1);
     let around = |(low, high): (f64, f64), pixels: f64| {
@@ -139,6 +139,7 @@ fn shapes(rod: &mut RodView, outcome: &Outcome, window: &crate::rod_observation:
                 x_label: format!("{} [m]", ["x", "y"][across]),
                 y_label: if i % columns == 0 { "z [m]".into() } else { String::new() },
                 equal: Some(ranges),
+                legend: (i == 0).then_some(Corner::LowerLeft),
                 series,
                 ..Panel::default()
             }
@@ -202,7 +203,7 @@ fn tracks(rod: &mut RodView, outcome: &Outcome, window: &crate::rod_observation:
         Panel {
             x_label: "time [s]".into(),
             y_label: format!("{} of {name} [m]", ["x", "y", "z"][c]),
-            legend: c == 0,
+            legend: (c == 0).then_some(Corner::Top),
             series,
             ..Panel::default()
         }
@@ -222,7 +223,7 @@ fn rod_spread(rod: &RodView, outcome: &Outcome) -> Figure {
     let s = rod.parts.rod.arc_lengths();
     let free = rod.dynamics.free_vertices();
     let half = 3 * free.len();
-    let panel = |from: usize, y_label: &str, legend: bool| {
+    let panel = |from: usize, y_label: &str, legend: Option<Corner>| {
         let series = |label: &str, style, sigma: &[f64]| Series {
             label: label.into(),
             style,
@@ -246,7 +247,7 @@ fn rod_spread(rod: &RodView, outcome: &Outcome) -> Figure {
     Figure {
         name: "spread",
         title: "Standard deviation of initial position and velocity along the rod, before and after".into(),
-        panels: vec![panel(0, "σ of position [m]", true), panel(half, "σ of velocity [m/s]", false)],
+        panels: vec![panel(0, "σ of position [m]", Some(Corner::LowerRight)), panel(half, "σ of velocity [m/s]", None)],
         columns: 2,
         panel_size: (460, 300),
     }
@@ -276,7 +277,7 @@ fn components(problem: &Problem, outcome: &Outcome, names: &[String]) -> Figure 
         if !points.is_empty() {
             series.push(Series { label: "observed".into(), style: Style::Observation, points });
         }
-        Panel { x_label: "time".into(), y_label: names[c].clone(), legend: i == 0, series, ..Panel::default() }
+        Panel { x_label: "time".into(), y_label: names[c].clone(), legend: (i == 0).then_some(Corner::Top), series, ..Panel::default() }
     };
     Figure {
         name: "components",
@@ -300,7 +301,7 @@ fn component_spread(outcome: &Outcome) -> Figure {
         panels: vec![Panel {
             x_label: "component".into(),
             y_label: "σ".into(),
-            legend: true,
+            legend: Some(Corner::Top),
             series: vec![
                 series("before (background)", Style::Background, &outcome.analysis.sigma_background),
                 series("after (analysis)", Style::Analysis, &outcome.analysis.sigma_analysis),

@@ -83,10 +83,10 @@ fn tiles(s: &Summary) -> String {
     ratio(if is_rod { "Position error (RMSE)" } else { "Error (RMSE)" }, s.rmse.position_background, s.rmse.position_analysis, if is_rod { " m" } else { "" });
     ratio("Velocity error (RMSE)", s.rmse.velocity_background, s.rmse.velocity_analysis, " m/s");
     for w in &s.withheld {
-        tiles.push((format!("Marker {} (kept back)", w.label), format!("{:.2} → {:.2} mm", 1e3 * w.rms_background, 1e3 * w.rms_analysis), format!("rms distance over {} times", w.count)));
+        tiles.push((format!("Kept back: {}", w.label), format!("{:.2} → {:.2} mm", 1e3 * w.rms_background, 1e3 * w.rms_analysis), format!("rms distance over {} times", w.count)));
     }
     if let Some(f) = s.forecast.iter().find(|f| !f.assimilated).or(s.forecast.first()) {
-        tiles.push((format!("Forecast of marker {}", f.label), format!("{:.2} mm", 1e3 * f.analysis), format!("persistence {:.2}, static model {:.2} mm", 1e3 * f.persistence, 1e3 * f.static_model)));
+        tiles.push((format!("Forecast of {}", f.label), format!("{:.2} mm", 1e3 * f.analysis), format!("persistence {:.2}, static model {:.2} mm", 1e3 * f.persistence, 1e3 * f.static_model)));
     }
     tiles.push(("Time".into(), format!("{:.2} s", s.seconds.total), format!("{} outer iterations", s.outer_iterations)));
     let tile = |(name, value, note): &(String, String, String)| {
@@ -159,12 +159,12 @@ fn fit_section(problem: &Problem, s: &Summary) -> String {
     }
     if !s.withheld.is_empty() {
         let row = |w: &crate::fit::Withheld| {
-            format!("<tr><th scope=\"row\">{}</th><td>{}</td><td>{:.2}</td><td>{:.2}</td></tr>", escape(&w.label), w.count, 1e3 * w.rms_background, 1e3 * w.rms_analysis)
+            format!("<tr><th scope=\"row\">{}</th><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>", escape(&w.label), w.count, 1e3 * w.rms_background, 1e3 * w.rms_analysis, 1e3 * w.moving_analysis)
         };
         let _ = write!(
             out,
             "<h3>Markers kept back</h3><p>They were not assimilated; distance between where they were seen and where the model has them, rms over the window.</p>\
-             <div class=\"scroll\"><table><thead><tr><th scope=\"col\">Marker</th><th scope=\"col\">times</th><th scope=\"col\">background [mm]</th><th scope=\"col\">analysis [mm]</th></tr></thead><tbody>{}</tbody></table></div>",
+             <div class=\"scroll\"><table><thead><tr><th scope=\"col\">Marker</th><th scope=\"col\">times</th><th scope=\"col\">background [mm]</th><th scope=\"col\">analysis [mm]</th><th scope=\"col\">analysis, constant offset aside [mm]</th></tr></thead><tbody>{}</tbody></table></div>",
             s.withheld.iter().map(row).collect::<String>()
         );
     }
@@ -172,16 +172,18 @@ fn fit_section(problem: &Problem, s: &Summary) -> String {
         let row = |f: &crate::fit::Forecast| {
             let used = if f.assimilated { "assimilated" } else { "kept back" };
             format!(
-                "<tr><th scope=\"row\">{}</th><td>{used}</td><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",
-                escape(&f.label), f.count, 1e3 * f.analysis, 1e3 * f.persistence, 1e3 * f.static_model, 1e3 * f.background
+                "<tr><th scope=\"row\">{}</th><td>{used}</td><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",
+                escape(&f.label), f.count, 1e3 * f.analysis, 1e3 * f.persistence, 1e3 * f.static_model, 1e3 * f.background, 1e3 * f.moving_analysis, 1e3 * f.moving_constant
             )
         };
         let _ = write!(
             out,
             "<h3>Forecast</h3><p>Distance to the markers over {} s after the window, rms, beside simpler forecasts: the marker stays where it was last seen \
-             (persistence), the model at rest in its static equilibrium, and the model run from the background.</p>\
+             (persistence), the model at rest in its static equilibrium, and the model run from the background. The last two columns set constant offsets (a marker or mount not quite where the scene puts it) aside: \
+             the analysis less its mean error, and the best constant place there is.</p>\
              <div class=\"scroll\"><table><thead><tr><th scope=\"col\">Marker</th><th scope=\"col\">in the window</th><th scope=\"col\">times</th><th scope=\"col\">analysis [mm]</th><th scope=\"col\">persistence [mm]</th>\
-             <th scope=\"col\">static model [mm]</th><th scope=\"col\">background [mm]</th></tr></thead><tbody>{}</tbody></table></div>",
+             <th scope=\"col\">static model [mm]</th><th scope=\"col\">background [mm]</th>\
+             <th scope=\"col\">analysis, offset aside [mm]</th><th scope=\"col\">best constant [mm]</th></tr></thead><tbody>{}</tbody></table></div>",
             problem.scene.report.forecast,
             s.forecast.iter().map(row).collect::<String>()
         );

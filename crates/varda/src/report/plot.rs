@@ -29,8 +29,16 @@ pub(super) struct Panel {
     pub(super) log_y: bool,
     /// Both axes have the same scale, and these ranges.
     pub(super) equal: Option<[(f64, f64); 2]>,
-    pub(super) legend: bool,
+    pub(super) legend: Option<Corner>,
     pub(super) series: Vec<Series>,
+}
+
+/// Where a legend is. At the top it gets room of its own above the curves.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Corner {
+    Top,
+    LowerLeft,
+    LowerRight,
 }
 
 /// One curve or cloud of points.
@@ -101,6 +109,15 @@ impl Panel {
             Some([x, y]) => (x, y),
             None => (range(all.iter().map(|p| p.0), 0.02), range(all.iter().map(|p| p.1), 0.06)),
         };
+        let y_range = match (self.legend, self.equal) {
+            (Some(Corner::Top), None) => {
+                // A line of the legend is about 16 px high; the curves keep the rest.
+                let legend = 16.0 * self.series.len() as f64 + 12.0;
+                let plot = f64::from(area.dim_in_pixel().1) - 60.0;
+                (y_range.0, y_range.1 + (y_range.1 - y_range.0) * legend / (plot - legend).max(40.0))
+            }
+            _ => y_range,
+        };
         let grey = RGBColor(120, 120, 120);
         let font = |size: u32| ("sans-serif", size).into_font().color(&RGBColor(40, 40, 40));
         let mut builder = ChartBuilder::on(area);
@@ -136,7 +153,7 @@ impl Panel {
         for series in &self.series {
             let colour = series.style.colour();
             let points: Vec<(f64, f64)> = series.points.iter().filter(usable).map(|p| (p.0, y_of(p.1))).collect();
-            let named = match series.style {
+            match series.style {
                 Style::Observation => {
                     chart.draw_series(points.iter().map(|p| Circle::new(*p, 3, colour.filled())))?
                         .label(&series.label)
@@ -161,12 +178,15 @@ impl Panel {
                         .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)))
                 }
             };
-            let _ = named;
         }
-        if self.legend {
+        if let Some(corner) = self.legend {
             chart
                 .configure_series_labels()
-                .position(SeriesLabelPosition::UpperRight)
+                .position(match corner {
+                    Corner::Top => SeriesLabelPosition::UpperRight,
+                    Corner::LowerLeft => SeriesLabelPosition::LowerLeft,
+                    Corner::LowerRight => SeriesLabelPosition::LowerRight,
+                })
                 .background_style(WHITE.mix(0.85))
                 .border_style(RGBColor(210, 210, 210))
                 .label_font(font(12))
