@@ -29,7 +29,7 @@ impl Output {
         if temporary.exists() {
             std::fs::remove_dir_all(&temporary).map_err(failed)?;
         }
-        std::fs::create_dir_all(temporary.join("figures")).map_err(failed)?;
+        std::fs::create_dir_all(&temporary).map_err(failed)?;
         Ok(Output { target: target.to_path_buf(), temporary, published: false })
     }
 
@@ -39,7 +39,10 @@ impl Output {
     /// [`Error::Write`].
     pub fn write(&self, name: &str, text: &str) -> Result<(), Error> {
         let path = self.temporary.join(name);
-        std::fs::write(&path, text).map_err(|source| Error::Write { path: self.target.join(name), source })
+        let folder = path.parent().unwrap_or(&self.temporary);
+        std::fs::create_dir_all(folder)
+            .and_then(|()| std::fs::write(&path, text))
+            .map_err(|source| Error::Write { path: self.target.join(name), source })
     }
 
     /// Puts the folder in its final place, replacing an earlier result.

@@ -2,6 +2,7 @@
 
 use crate::Error;
 use crate::problem::{Problem, RodView, View};
+use crate::rod_observation::Window;
 use crate::run::{ConvergenceRow, Outcome};
 use crate::scene::Use;
 
@@ -75,7 +76,7 @@ fn convergence(outcome: &Outcome) -> Figure {
 type Shape = Vec<[f64; 3]>;
 
 /// Snapshots of a rod, seen from the side: the vertical against the horizontal in which it extends most.
-fn shapes(rod: &mut RodView, outcome: &Outcome, window: &crate::rod_observation::Window, count: usize) -> Result<Figure, Error> {
+fn shapes(rod: &mut RodView, outcome: &Outcome, window: &Window, count: usize) -> Result<Figure, Error> {
     let runs = &outcome.trajectories;
     let count = count.min(window.steps + 1);
     let steps: Vec<usize> = (0..count).map(|i| if count > 1 { i * window.steps / (count - 1) } else { 0 }).collect();
@@ -93,8 +94,18 @@ fn shapes(rod: &mut RodView, outcome: &Outcome, window: &crate::rod_observation:
         }
         drawn.push((k, here));
     }
+    let seen: Vec<(usize, Use, [f64; 3])> = rod
+        .sightings
+        .seen
+        .iter()
+        .filter_map(|s| {
+            let k = steps.iter().copied().find(|k| (s.at() - *k as f64).abs() < 0.5)?;
+            Some((k, rod.sightings.sites[s.site].used, s.position(&rod.sightings.rotation)?))
+        })
+        .collect();
     let extent = |c: usize| {
-        let all = drawn.iter().flat_map(|(_, here)| here).flat_map(|(_, _, shape)| shape).map(move |p| p[c]);
+        let shapes = drawn.iter().flat_map(|(_, here)| here).flat_map(|(_, _, shape)| shape).copied();
+        let all = shapes.chain(seen.iter().map(|(_, _, p)| *p)).map(move |p| p[c]);
         let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
         (low, high)
     };
@@ -124,12 +135,8 @@ fn shapes(rod: &mut RodView, outcome: &Outcome, window: &crate::rod_observation:
             for (used, style, label) in
                 [(Use::Assimilate, Style::Observation, "observed"), (Use::Withhold, Style::Withheld, "kept back")]
             {
-                let near = |s: &&crate::rod_observation::Sighting| {
-                    (s.at() - k as f64).abs() < 0.5 && rod.sightings.sites[s.site].used == used
-                };
-                let seen = rod.sightings.seen.iter().filter(near);
-                let points: Vec<(f64, f64)> =
-                    seen.filter_map(|s| s.position(&rod.sightings.rotation)).map(|p| (p[across], p[2])).collect();
+                let here = seen.iter().filter(|(at, kind, _)| *at == k && *kind == used);
+                let points: Vec<(f64, f64)> = here.map(|(_, _, p)| (p[across], p[2])).collect();
                 if !points.is_empty() {
                     series.push(Series { label: label.into(), style, points });
                 }
@@ -139,7 +146,7 @@ fn shapes(rod: &mut RodView, outcome: &Outcome, window: &crate::rod_observation:
                 x_label: format!("{} [m]", ["x", "y"][across]),
                 y_label: if i % columns == 0 { "z [m]".into() } else { String::new() },
                 equal: Some(ranges),
-                legend: (i == 0).then_some(Corner::LowerLeft),
+                legend: (i + 1 == count).then_some(Corner::LowerLeft),
                 series,
                 ..Panel::default()
             }
@@ -155,7 +162,7 @@ fn shapes(rod: &mut RodView, outcome: &Outcome, window: &crate::rod_observation:
 }
 
 /// Where the site with the most observations is, coordinate by coordinate, against time, forecast included.
-fn tracks(rod: &mut RodView, outcome: &Outcome, window: &crate::rod_observation::Window) -> Result<Figure, Error> {
+fn tracks(rod: &mut RodView, outcome: &Outcome, window: &Window) -> Result<Figure, Error> {
     let runs = &outcome.trajectories;
     let sites = rod.sightings.sites.len();
     // The last site is the free end in most scenes; a marker kept back says more.

@@ -193,16 +193,26 @@ fn fit_section(problem: &Problem, s: &Summary) -> String {
 }
 
 fn convergence_table(outcome: &Outcome) -> String {
-    let optional = |v: Option<f64>| v.map_or("–".to_string(), short);
     let row = |r: &crate::run::ConvergenceRow| {
         format!(
-            "<tr><td>{}</td><td>{:.3}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.2e}</td><td>{}</td><td>{}</td></tr>",
-            r.iteration, r.seconds, short(r.j), short(r.j_b), short(r.j_o), r.gradient_norm, optional(r.rmse_position), optional(r.rmse_velocity)
+            "<tr><td>{}</td><td>{:.3}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.2e}</td>{}</tr>",
+            r.iteration,
+            r.seconds,
+            short(r.j),
+            short(r.j_b),
+            short(r.j_o),
+            r.gradient_norm,
+            [r.rmse_position, r.rmse_velocity].iter().flatten().map(|e| format!("<td>{}</td>", short(*e))).collect::<String>()
         )
+    };
+    let errors = match (outcome.rmse.position_background, outcome.rmse.velocity_background) {
+        (Some(_), Some(_)) => "<th scope=\"col\">RMSE position [m]</th><th scope=\"col\">RMSE velocity [m/s]</th>",
+        (Some(_), None) => "<th scope=\"col\">RMSE</th>",
+        (None, _) => "",
     };
     format!(
         "<details><summary>Iteration by iteration</summary><div class=\"scroll\"><table><thead><tr><th scope=\"col\">iteration</th><th scope=\"col\">seconds</th><th scope=\"col\">J</th>\
-         <th scope=\"col\">J_b</th><th scope=\"col\">J_o</th><th scope=\"col\">gradient norm</th><th scope=\"col\">RMSE (position) [m]</th><th scope=\"col\">RMSE velocity [m/s]</th></tr></thead>\
+         <th scope=\"col\">J_b</th><th scope=\"col\">J_o</th><th scope=\"col\">gradient norm</th>{errors}</tr></thead>\
          <tbody>{}</tbody></table></div></details>",
         outcome.convergence.iter().map(row).collect::<String>()
     )

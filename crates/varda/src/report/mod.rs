@@ -12,7 +12,8 @@ use std::path::{Path, PathBuf};
 
 use crate::Error;
 use crate::output::Output;
-use crate::problem::Problem;
+use crate::problem::{Problem, View};
+use crate::scene::Origin;
 use crate::run::{Outcome, Simulation, Trajectories};
 
 /// Writes the result of a run to `folder`, whole or not at all.
@@ -36,7 +37,8 @@ pub fn write(problem: &mut Problem, outcome: &Outcome, folder: &Path) -> Result<
     out.publish()
 }
 
-/// Writes a forward run to `folder`, whole or not at all: summary.json and trajectory.csv, in which the run stands alone.
+/// Writes a forward run to `folder`, whole or not at all: summary.json and trajectory.csv, in which the run stands alone. A rod's twin
+/// experiment also leaves its background.csv and observations.csv, as a scene that reads files takes them.
 ///
 /// # Errors
 /// As [`write`].
@@ -66,5 +68,9 @@ pub fn write_simulation(
     out.write("summary.json", &format!("{summary:#}\n"))?;
     let runs = Trajectories { dim: problem.model.dim(), analysis: simulation.states.clone(), ..Trajectories::default() };
     out.write("trajectory.csv", &tables::trajectory(problem, &runs)?)?;
+    if let (View::Rod(rod), Origin::TruthPlusDraw) = (&problem.view, problem.scene.background.from) {
+        out.write("background.csv", &tables::background(rod, &problem.background))?;
+        out.write("observations.csv", &tables::observations(rod, &problem.window))?;
+    }
     out.publish()
 }

@@ -5,6 +5,9 @@ use plotters::prelude::*;
 
 use crate::Error;
 
+/// Figures are drawn this much larger than they are shown: the SVG backend rounds coordinates to whole pixels.
+const FINE: u32 = 4;
+
 type Drawing = DrawingAreaErrorKind<<SVGBackend<'static> as DrawingBackend>::ErrorType>;
 
 /// A chart of one or more panels.
@@ -80,7 +83,7 @@ impl Figure {
     /// The figure as a standalone SVG document.
     pub(super) fn svg(&self) -> Result<String, Error> {
         let rows = self.panels.len().div_ceil(self.columns);
-        let size = (self.panel_size.0 * self.columns as u32, self.panel_size.1 * rows as u32);
+        let size = (FINE * self.panel_size.0 * self.columns as u32, FINE * self.panel_size.1 * rows as u32);
         let mut text = String::new();
         {
             let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
@@ -112,16 +115,17 @@ impl Panel {
         let y_range = match (self.legend, self.equal) {
             (Some(Corner::Top), None) => {
                 // A line of the legend is about 16 px high; the curves keep the rest.
-                let legend = 16.0 * self.series.len() as f64 + 12.0;
-                let plot = f64::from(area.dim_in_pixel().1) - 60.0;
-                (y_range.0, y_range.1 + (y_range.1 - y_range.0) * legend / (plot - legend).max(40.0))
+                let legend = f64::from(FINE) * (16.0 * self.series.len() as f64 + 12.0);
+                let plot = f64::from(area.dim_in_pixel().1) - 60.0 * f64::from(FINE);
+                (y_range.0, y_range.1 + (y_range.1 - y_range.0) * legend / (plot - legend).max(40.0 * f64::from(FINE)))
             }
             _ => y_range,
         };
         let grey = RGBColor(120, 120, 120);
-        let font = |size: u32| ("sans-serif", size).into_font().color(&RGBColor(40, 40, 40));
+        let font = |size: u32| ("sans-serif", FINE * size).into_font().color(&RGBColor(40, 40, 40));
         let mut builder = ChartBuilder::on(area);
-        builder.margin(8).margin_right(14).x_label_area_size(36).y_label_area_size(if self.equal.is_some() { 44 } else { 64 });
+        let labels = if self.equal.is_some() { 44 } else { 64 };
+        builder.margin(FINE * 8).margin_right(FINE * 14).x_label_area_size(FINE * 36).y_label_area_size(FINE * labels);
         if !self.title.is_empty() {
             builder.caption(&self.title, font(15));
         }
@@ -139,43 +143,45 @@ impl Panel {
         chart
             .configure_mesh()
             .light_line_style(TRANSPARENT)
-            .bold_line_style(RGBColor(228, 228, 228))
-            .axis_style(grey)
+            .bold_line_style(RGBColor(228, 228, 228).stroke_width(FINE))
+            .axis_style(grey.stroke_width(FINE))
+            .set_all_tick_mark_size(FINE * 4)
             .x_desc(&self.x_label)
             .y_desc(&self.y_label)
-            .x_labels((wide / 90).clamp(3, 10) as usize)
-            .y_labels((high / 45).clamp(3, 10) as usize)
+            .x_labels((wide / FINE / 90).clamp(3, 10) as usize)
+            .y_labels((high / FINE / 45).clamp(3, 10) as usize)
             .x_label_formatter(&x_text)
             .y_label_formatter(&y_text)
             .label_style(font(12))
             .axis_desc_style(font(13))
             .draw()?;
+        let wide_mark = 18 * FINE as i32;
         for series in &self.series {
             let colour = series.style.colour();
             let points: Vec<(f64, f64)> = series.points.iter().filter(usable).map(|p| (p.0, y_of(p.1))).collect();
             match series.style {
                 Style::Observation => {
-                    chart.draw_series(points.iter().map(|p| Circle::new(*p, 3, colour.filled())))?
+                    chart.draw_series(points.iter().map(|p| Circle::new(*p, FINE * 3, colour.filled())))?
                         .label(&series.label)
-                        .legend(move |(x, y)| Circle::new((x + 9, y), 3, colour.filled()))
+                        .legend(move |(x, y)| Circle::new((x + wide_mark / 2, y), FINE * 3, colour.filled()))
                 }
                 Style::Withheld => {
-                    chart.draw_series(points.iter().map(|p| Cross::new(*p, 3, colour.stroke_width(2))))?
+                    chart.draw_series(points.iter().map(|p| Cross::new(*p, FINE * 3, colour.stroke_width(2 * FINE))))?
                         .label(&series.label)
-                        .legend(move |(x, y)| Cross::new((x + 9, y), 3, colour.stroke_width(2)))
+                        .legend(move |(x, y)| Cross::new((x + wide_mark / 2, y), FINE * 3, colour.stroke_width(2 * FINE)))
                 }
                 Style::Background | Style::Truth => {
-                    let (on, off) = if series.style == Style::Truth { (2, 3) } else { (7, 4) };
-                    chart.draw_series(DashedLineSeries::new(points, on, off, colour.stroke_width(2)))?
+                    let (on, off) = if series.style == Style::Truth { (2 * FINE, 3 * FINE) } else { (7 * FINE, 4 * FINE) };
+                    chart.draw_series(DashedLineSeries::new(points, on, off, colour.stroke_width(2 * FINE)))?
                         .label(&series.label)
                         .legend(move |(x, y)| {
-                            plotters::element::DashedPathElement::new([(x, y), (x + 18, y)], on, off, colour.stroke_width(2))
+                            plotters::element::DashedPathElement::new([(x, y), (x + wide_mark, y)], on, off, colour.stroke_width(2 * FINE))
                         })
                 }
                 Style::Analysis | Style::Line(_) => {
-                    chart.draw_series(LineSeries::new(points, colour.stroke_width(2)))?
+                    chart.draw_series(LineSeries::new(points, colour.stroke_width(2 * FINE)))?
                         .label(&series.label)
-                        .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)))
+                        .legend(move |(x, y)| PathElement::new([(x, y), (x + wide_mark, y)], colour.stroke_width(2 * FINE)))
                 }
             };
         }
@@ -188,7 +194,9 @@ impl Panel {
                     Corner::LowerRight => SeriesLabelPosition::LowerRight,
                 })
                 .background_style(WHITE.mix(0.85))
-                .border_style(RGBColor(210, 210, 210))
+                .border_style(RGBColor(210, 210, 210).stroke_width(FINE))
+                .legend_area_size(FINE * 24)
+                .margin(FINE * 8)
                 .label_font(font(12))
                 .draw()?;
         }
@@ -218,11 +226,12 @@ fn fixed(value: f64, decimals: usize) -> String {
 }
 
 /// Gives an SVG a title for screen readers, and a size that follows the page.
-fn accessible(svg: &str, (width, height): (u32, u32), title: &str) -> String {
+fn accessible(svg: &str, (wide, high): (u32, u32), title: &str) -> String {
+    let (width, height) = (wide / FINE, high / FINE);
     let body = svg.find("<svg").map_or(svg, |i| &svg[i..]);
     let inner = body.find('>').map_or("", |i| &body[i + 1..]);
     format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" role=\"img\" \
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {wide} {high}\" width=\"{width}\" height=\"{height}\" role=\"img\" \
          aria-label=\"{0}\">\n<title>{0}</title>{inner}",
         super::html::escape(title)
     )

@@ -3,7 +3,8 @@
 use std::fmt::Write;
 
 use crate::Error;
-use crate::problem::{Problem, View};
+use crate::problem::{Problem, RodView, View};
+use crate::rod_observation::Window;
 use crate::run::{ConvergenceRow, Outcome, Trajectories};
 
 /// A number as the shortest text that reads back to the same bits; nothing for one that is not there.
@@ -126,6 +127,30 @@ pub(super) fn trajectory(problem: &mut Problem, runs: &Trajectories) -> Result<S
         }
     }
     Ok(out)
+}
+
+/// background.csv: the background of a rod, in the form `[background] file` reads.
+pub(super) fn background(rod: &RodView, background: &[f64]) -> String {
+    let mut out = String::from("vertex,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s\n");
+    let (x, v) = background.split_at(background.len() / 2);
+    for ((vertex, x), v) in rod.dynamics.free_vertices().iter().zip(x.chunks_exact(3)).zip(v.chunks_exact(3)) {
+        let values: Vec<String> = x.iter().chain(v).map(|c| number(*c)).collect();
+        let _ = writeln!(out, "{vertex},{}", values.join(","));
+    }
+    out
+}
+
+/// observations.csv: what was seen of a rod in the model's axes and time, in the form `[observations] file` reads.
+pub(super) fn observations(rod: &RodView, window: &Window) -> String {
+    let mut out = String::from("time_s,s_m,x_m,y_m,z_m,sigma_m\n");
+    for seen in &rod.sightings.seen {
+        if let Some(p) = seen.position(&rod.sightings.rotation) {
+            let s = rod.sightings.sites[seen.site].marker.s;
+            let fields = [window.start + seen.at() * window.step, s, p[0], p[1], p[2], seen.sigma].map(number);
+            let _ = writeln!(out, "{}", fields.join(","));
+        }
+    }
+    out
 }
 
 #[cfg(test)]
