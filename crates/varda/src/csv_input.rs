@@ -98,6 +98,7 @@ pub fn numbers<const N: usize>(file: &str, text: &str, columns: [&str; N]) -> Re
 /// A CSV file being read row by row.
 struct Table<'a> {
     file: &'a str,
+    text: &'a str,
     reader: csv::Reader<&'a [u8]>,
     columns: Vec<String>,
     record: csv::StringRecord,
@@ -111,7 +112,7 @@ impl<'a> Table<'a> {
             Ok(header) => header.iter().map(|c| c.trim_start_matches('\u{feff}').to_string()).collect(),
             Err(e) => return Err(Error::Data { place: format!("{file}:1"), message: e.to_string() }),
         };
-        let table = Table { file, reader, columns, record: csv::StringRecord::new(), line: 1 };
+        let table = Table { file, text, reader, columns, record: csv::StringRecord::new(), line: 1 };
         for (i, name) in table.columns.iter().enumerate() {
             if !known.contains(&name.as_str()) {
                 return Err(table.bad(1, format!("unknown column {name:?}; expected the header {expected}")));
@@ -134,7 +135,12 @@ impl<'a> Table<'a> {
     fn next(&mut self) -> Result<bool, Error> {
         match self.reader.read_record(&mut self.record) {
             Ok(more) => {
-                self.line = self.record.position().map_or(self.line, |p| p.line() as usize);
+                if let Some(at) = self.record.position() {
+                    // The reader's position is before any empty lines and comments that it skips.
+                    let rest = &self.text[(at.byte() as usize).min(self.text.len())..];
+                    let skipped = rest.lines().take_while(|l| l.is_empty() || l.starts_with('#')).count();
+                    self.line = at.line() as usize + skipped;
+                }
                 Ok(more)
             }
             Err(e) => {

@@ -67,6 +67,14 @@ pub enum Error {
     /// The rod refuses its description or state.
     #[error("rod: {0}")]
     Rod(#[from] varda_rod::Error),
+    /// The model stopped before the window began.
+    #[error("{stage}: {source}")]
+    Preparation {
+        /// The static equilibrium, or the spin-up of the truth; its steps count from rest.
+        stage: &'static str,
+        /// Where and why.
+        source: varda_implicit::Error,
+    },
     /// The model stopped.
     #[error("model: {0}")]
     Model(#[from] varda_implicit::Error),

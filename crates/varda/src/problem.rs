@@ -244,11 +244,12 @@ fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
 /// The state after the spin-up from rest.
 fn spun_up(parts: &RodParts, window: &Window, steps: usize) -> Result<Vec<f64>, Error> {
     let mut model = ImplicitModel::new(parts.dynamics()?, 0, window.step);
+    let failed = |source| Error::Preparation { stage: "spin-up of the truth", source };
     let mut x = vec![0.0; model.dim()];
-    model.initial_state(&parts.at_rest(0.0)?, &mut x)?;
+    model.initial_state(&parts.at_rest(0.0)?, &mut x).map_err(failed)?;
     let mut next = x.clone();
     for k in 0..steps {
-        model.step(k, &x, &mut next)?;
+        model.step(k, &x, &mut next).map_err(failed)?;
         std::mem::swap(&mut x, &mut next);
     }
     Ok(x)

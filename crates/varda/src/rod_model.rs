@@ -70,12 +70,13 @@ impl RodParts {
     /// The control [X, 0] of the rod at rest, supports where they are at time t [s].
     ///
     /// # Errors
-    /// [`Error::Model`] where no equilibrium is found.
+    /// [`Error::Preparation`] where no equilibrium is found.
     pub fn at_rest(&self, t: f64) -> Result<Vec<f64>, Error> {
         let along = self.loads.gravity;
         let direction = if along == [0.0; 3] { [0.0, 0.0, -1.0] } else { along };
         let guess: Rest = straight_guess(&self.rod, &self.supports, t, direction)?;
-        let (rest, _) = equilibrium(&self.rod, &self.supports, &self.loads, t, &guess)?;
+        let (rest, _) = equilibrium(&self.rod, &self.supports, &self.loads, t, &guess)
+            .map_err(|source| Error::Preparation { stage: "static equilibrium", source })?;
         let dynamics = self.dynamics()?;
         let mut control: Vec<f64> = dynamics.free_vertices().iter().flat_map(|&v| rest.vertices[v]).collect();
         control.resize(dynamics.control_len(), 0.0);

@@ -7,6 +7,9 @@ use crate::check::Plan;
 use crate::problem::Problem;
 use crate::run::{Outcome, Simulation, Status};
 
+/// More than this many notes are for the report.
+const MOST_NOTES: usize = 6;
+
 pub(super) fn outcome(problem: &Problem, o: &Outcome, folder: &Path, seconds: f64) -> String {
     let mut out = String::new();
     let mut line = |name: &str, text: String| {
@@ -37,8 +40,11 @@ pub(super) fn outcome(problem: &Problem, o: &Outcome, folder: &Path, seconds: f6
     }
     line("work", format!("{} model steps, {} tangent, {} adjoint, {} factorizations", o.counts.model_steps, o.counts.tangent_steps, o.counts.adjoint_steps, o.counts.factorizations));
     line("time", format!("{seconds:.2} s"));
-    for w in &o.warnings {
+    for w in o.warnings.iter().take(MOST_NOTES) {
         line("note", w.clone());
+    }
+    if o.warnings.len() > MOST_NOTES {
+        line("note", format!("{} more in summary.json", o.warnings.len() - MOST_NOTES));
     }
     let shown = if o.status == Status::Failed { "what was reached" } else { "report" };
     line(shown, folder.join("report.html").display().to_string());
