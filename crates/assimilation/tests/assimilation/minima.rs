@@ -139,7 +139,6 @@ fn ritz_pairs_are_eigenpairs_of_the_hessian() {
     }
 }
 
-
 /// Lorenz-63 over 100 steps, all components seen every 10 with R = 2 I, B = I: from the background every minimizer ends in a wrong
 /// minimum (J about 1268 against 13), and inflating R does not help: the cost has several minima because the window is long.
 /// Starting with a short window and letting it grow keeps to the right one (quasi-static; Pires, Vautard and Talagrand 1996).

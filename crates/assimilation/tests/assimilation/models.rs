@@ -241,7 +241,13 @@ impl ObservationOperator for Products {
     }
 }
 
-pub(crate) fn observation(rows: &[usize], step: usize, weight: f64, values: &[f64], sigma: f64) -> Observation {
+pub(crate) fn observation(
+    rows: &[usize],
+    step: usize,
+    weight: f64,
+    values: &[f64],
+    sigma: f64,
+) -> Observation {
     Observation {
         operator: 0,
         rows: rows.to_vec(),
