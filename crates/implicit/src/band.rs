@@ -1,8 +1,8 @@
 //! Banded linear algebra: symmetric LDLᵀ without pivoting, and LU with partial pivoting.
 //!
 //! Plain functions on slices in the layouts of [`Structure`](crate::Structure). Both factorizations cost O(n w²), every
-//! solve O(n w), and nothing allocates. The symmetric one is the hot loop of a rod: half-bandwidths 8 and 10 have their
-//! own code, in which every loop over the band has a fixed length.
+//! solve O(n w), and nothing allocates. The symmetric factorization is the hot loop of a rod: half-bandwidths 8 and 10
+//! have their own code, in which every loop over the band has a fixed length.
 //!
 //! LDLᵀ without pivoting is backward stable for a positive definite matrix, and exact up to the growth of its
 //! intermediate values otherwise (Golub and Van Loan 2013, section 4.4); Sylvester's law makes the number of negative
@@ -44,11 +44,16 @@ pub fn ldlt_factor(w: usize, a: &mut [f64]) -> Result<usize, BadPivot> {
 /// If the length of `a` is not w + 1 times that of `b`.
 pub fn ldlt_solve(w: usize, a: &[f64], b: &mut [f64]) {
     assert_eq!(a.len(), b.len() * (w + 1), "factor and right-hand side differ in size");
-    match w {
-        8 => ldlt_solve_rows(8, a, b),
-        10 => ldlt_solve_rows(10, a, b),
-        _ => ldlt_solve_rows(w, a, b),
+    let s = w + 1;
+    for i in 0..b.len() {
+        let reach = i.min(w);
+        let dot: f64 = a[i * s + w - reach..i * s + w].iter().zip(&b[i - reach..i]).map(|(l, y)| l * y).sum();
+        b[i] -= dot;
     }
+    for (row, y) in a.chunks_exact(s).zip(b.iter_mut()) {
+        *y *= row[w];
+    }
+    back_substitute(w, a, b);
 }
 
 /// B ← A⁻¹ B for m right-hand sides at once; B is n × m, row by row: entry (i, c) at `i m + c`.
@@ -190,43 +195,13 @@ fn ldlt_factor_any(w: usize, a: &mut [f64]) -> Result<usize, BadPivot> {
     Ok(negative)
 }
 
-#[inline(always)]
-fn ldlt_solve_rows(w: usize, a: &[f64], b: &mut [f64]) {
-    let s = w + 1;
-    let n = b.len();
-    for i in 0..n.min(w) {
-        let dot: f64 = a[i * s + w - i..i * s + w].iter().zip(&b[..i]).map(|(l, y)| l * y).sum();
-        b[i] -= dot;
-    }
-    for i in w..n {
-        let window = &mut b[i - w..=i];
-        let mut dot = 0.0;
-        for (l, y) in a[i * s..i * s + w].iter().zip(&window[..w]) {
-            dot += l * y;
-        }
-        window[w] -= dot;
-    }
-    for (row, y) in a.chunks_exact(s).zip(b.iter_mut()) {
-        *y *= row[w];
-    }
-    back_substitute(w, a, b);
-}
-
 /// b ← L⁻ᵀ b.
-#[inline(always)]
 fn back_substitute(w: usize, a: &[f64], b: &mut [f64]) {
     let s = w + 1;
-    let n = b.len();
-    for i in (w..n).rev() {
-        let window = &mut b[i - w..=i];
-        let x = window[w];
-        for (y, l) in window[..w].iter_mut().zip(&a[i * s..i * s + w]) {
-            *y -= l * x;
-        }
-    }
-    for i in (0..n.min(w)).rev() {
+    for i in (0..b.len()).rev() {
+        let reach = i.min(w);
         let x = b[i];
-        for (y, l) in b[..i].iter_mut().zip(&a[i * s + w - i..i * s + w]) {
+        for (y, l) in b[i - reach..i].iter_mut().zip(&a[i * s + w - reach..i * s + w]) {
             *y -= l * x;
         }
     }
