@@ -16,9 +16,9 @@ pub enum Error {
     NewtonDiverged {
         /// Index k of the step.
         step: usize,
-        /// Time at the start of the interval that failed [s].
+        /// Time at the start of the interval that failed (s).
         time: f64,
-        /// Length of the interval that failed [s].
+        /// Length of the interval that failed (s).
         length: f64,
         /// Iterations done.
         iterations: usize,

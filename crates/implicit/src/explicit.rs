@@ -149,20 +149,24 @@ impl<R: Rhs> Model for Rk4<R> {
         assert!(self.linearized.get(k) == Some(&true), "step {k} has not been linearized");
         self.counts.adjoint_steps += 1;
         let n = lambda.len();
-        // slope: what k_i is weighted with; point: (∂f/∂X_i)ᵀ of that; sum: what X₁ … X₄ send back to x_k
+        // slope: what k_i is weighted with; point: (∂f/∂X_i)ᵀ of that; sum: λ and what X₄ … X_{i+1} send back to x_k
         self.sum.copy_from_slice(lambda);
         self.point.fill(0.0);
         for i in (0..4).rev() {
             let (weight, after) = (self.length * WEIGHT[i], self.length * PLACE.get(i + 1).unwrap_or(&0.0));
-            for ((s, l), p) in self.slope.iter_mut().zip(lambda.iter()).zip(&mut self.point) {
+            for (((s, l), p), sum) in
+                self.slope.iter_mut().zip(lambda.iter()).zip(&mut self.point).zip(&mut self.sum)
+            {
                 *s = weight * l + after * *p;
+                *sum += *p;
                 *p = 0.0;
             }
             let t = self.time(k, i);
             self.rhs.adjoint_add(t, &self.kept[k][i * n..(i + 1) * n], &self.slope, &mut self.point);
-            add(1.0, &self.point, &mut self.sum);
         }
-        lambda.copy_from_slice(&self.sum);
+        for ((l, sum), p) in lambda.iter_mut().zip(&self.sum).zip(&self.point) {
+            *l = sum + p;
+        }
     }
 
     fn counts(&self) -> Counts {

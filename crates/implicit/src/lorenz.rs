@@ -101,9 +101,14 @@ impl Rhs for Lorenz96 {
         // Column i gathers what it gives to rows i−1, i, i+1 and i+2: five neighbours, from i−2 on.
         let n = self.n;
         let column = |x: [f64; 5], l: [f64; 5]| x[0] * l[1] - l[2] + (x[4] - x[1]) * l[3] - x[3] * l[4];
-        for i in [0, 1, n - 2, n - 1] {
-            let at = |v: &[f64]| [n - 2, n - 1, 0, 1, 2].map(|o| v[(i + o) % n]);
-            dx[i] += column(at(x), at(l));
+        let at = |v: &[f64], i: [usize; 5]| [v[i[0]], v[i[1]], v[i[2]], v[i[3]], v[i[4]]];
+        for i in [
+            [n - 2, n - 1, 0, 1, 2],
+            [n - 1, 0, 1, 2, 3],
+            [n - 4, n - 3, n - 2, n - 1, 0],
+            [n - 3, n - 2, n - 1, 0, 1],
+        ] {
+            dx[i[2]] += column(at(x, i), at(l, i));
         }
         for ((dx, x), l) in dx[2..n - 2].iter_mut().zip(x.windows(5)).zip(l.windows(5)) {
             *dx += column([x[0], x[1], x[2], x[3], x[4]], [l[0], l[1], l[2], l[3], l[4]]);

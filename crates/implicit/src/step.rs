@@ -7,14 +7,14 @@ use crate::Refusal;
 pub struct Interval {
     /// Index k of the step the interval belongs to.
     pub index: usize,
-    /// Time at its start [s].
+    /// Time at its start (s).
     pub start: f64,
-    /// Its length Δt [s].
+    /// Its length Δt (s).
     pub length: f64,
 }
 
 impl Interval {
-    /// Time at its end [s].
+    /// Time at its end (s).
     pub fn end(&self) -> f64 {
         self.start + self.length
     }
@@ -161,7 +161,7 @@ pub trait ImplicitStep {
         self.dim()
     }
 
-    /// x₀ from the control z, at the time t of the start [s]. Keeps what the two derivatives below need.
+    /// x₀ from the control z, at the time t of the start (s). Keeps what the two derivatives below need.
     fn initial_state(&mut self, _t: f64, z: &[f64], x: &mut [f64]) -> Result<(), Refusal> {
         x.copy_from_slice(z);
         Ok(())
