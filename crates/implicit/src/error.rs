@@ -35,6 +35,14 @@ pub enum Error {
         /// Row of the first unusable pivot.
         row: usize,
     },
+    /// A pair of states to linearize at is not a step of the model.
+    #[error(
+        "step {step}: x_{{k+1}} does not follow from x_k; a step is linearized at a pair it was taken between"
+    )]
+    NotAStep {
+        /// Index k of the step.
+        step: usize,
+    },
     /// A value that is not finite left a step.
     #[error("step {step}: {what} is not finite")]
     NonFinite {

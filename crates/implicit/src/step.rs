@@ -115,14 +115,51 @@ pub trait ImplicitStep {
     fn previous_transpose_add(&mut self, at: &Interval, x: &[f64], u: &[f64], mu: &[f64], dx: &mut [f64]);
 
     /// dx_next = ∂S/∂x_k dx + ∂S/∂u du.
-    fn advance_tangent(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], _dx: &[f64], du: &[f64], dx_next: &mut [f64]) {
+    fn advance_tangent(
+        &mut self,
+        _at: &Interval,
+        _x: &[f64],
+        _u: &[f64],
+        _dx: &[f64],
+        du: &[f64],
+        dx_next: &mut [f64],
+    ) {
         dx_next.copy_from_slice(du);
     }
 
     /// du = (∂S/∂u)ᵀ λ; dx = (∂S/∂x_k)ᵀ λ. Both are overwritten.
-    fn advance_adjoint(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], lambda: &[f64], dx: &mut [f64], du: &mut [f64]) {
+    fn advance_adjoint(
+        &mut self,
+        _at: &Interval,
+        _x: &[f64],
+        _u: &[f64],
+        lambda: &[f64],
+        dx: &mut [f64],
+        du: &mut [f64],
+    ) {
         dx.fill(0.0);
         du.copy_from_slice(lambda);
+    }
+
+    /// Length of the control z, what is estimated.
+    fn control_dim(&self) -> usize {
+        self.dim()
+    }
+
+    /// x₀ from the control z, at the time t of the start [s]. Keeps what the two derivatives below need.
+    fn initial_state(&mut self, _t: f64, z: &[f64], x: &mut [f64]) -> Result<(), Refusal> {
+        x.copy_from_slice(z);
+        Ok(())
+    }
+
+    /// dx₀ = ∂x₀/∂z dz at the control of the last `initial_state`.
+    fn initial_tangent(&mut self, _t: f64, dz: &[f64], dx: &mut [f64]) {
+        dx.copy_from_slice(dz);
+    }
+
+    /// dz = (∂x₀/∂z)ᵀ λ₀ at the control of the last `initial_state`.
+    fn initial_adjoint(&mut self, _t: f64, lambda: &[f64], dz: &mut [f64]) {
+        dz.copy_from_slice(lambda);
     }
 
     /// Called once after a step was accepted (and again when it is linearized): a step may watch a pivot here and

@@ -424,7 +424,7 @@ impl ImplicitStep for BackwardEuler {
         Ok(())
     }
 
-    fn initial_tangent(&mut self, dz: &[f64], dx: &mut [f64]) {
+    fn initial_tangent(&mut self, _t: f64, dz: &[f64], dx: &mut [f64]) {
         let n = self.control_len();
         dx[..n].copy_from_slice(dz);
         if let Some(twist) = &mut self.twist {
@@ -432,7 +432,7 @@ impl ImplicitStep for BackwardEuler {
         }
     }
 
-    fn initial_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]) {
+    fn initial_adjoint(&mut self, _t: f64, lambda: &[f64], dz: &mut [f64]) {
         let n = self.control_len();
         dz.copy_from_slice(&lambda[..n]);
         if let Some(twist) = &mut self.twist {

@@ -1,6 +1,6 @@
 //! Static equilibrium of the whole rod, and of the twist alone, by the same Newton's method.
 
-use varda_implicit::newton::{NewtonOptions, NewtonReport, NewtonWork, solve};
+use varda_implicit::{NewtonOptions, NewtonReport, NewtonWork, solve};
 use varda_implicit::{ImplicitStep, Interval, Refusal, Structure};
 
 use crate::geometry::V3;

@@ -108,11 +108,6 @@ pub(crate) struct Band<'a> {
 }
 
 impl Band<'_> {
-    pub(crate) fn diagonal_add(&mut self, unknown: usize, value: f64) {
-        let w = self.layout.half_bandwidth;
-        self.values[unknown * (w + 1) + w] += value;
-    }
-
     /// Adds the lower triangle of an element whose degrees of freedom are `first`, `first` + 1, … in the full order.
     pub(crate) fn add<const N: usize>(&mut self, first: usize, h: &[[f64; N]; N]) {
         let w = self.layout.half_bandwidth;

@@ -1,0 +1,322 @@
+//! Newton's method for one implicit step, globalized.
+
+use crate::factor::{Factor, LinearSolver};
+use crate::{Error, ImplicitStep, Interval, Structure};
+
+/// Limits of the iteration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct NewtonOptions {
+    /// Most iterations (linear solves) of one call.
+    pub max_iterations: usize,
+    /// Most halvings of one update.
+    pub max_backtracks: usize,
+}
+
+impl Default for NewtonOptions {
+    fn default() -> Self {
+        Self { max_iterations: 50, max_backtracks: 30 }
+    }
+}
+
+/// What one call did.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct NewtonReport {
+    /// Linear solves; the last one ended the iteration and its update was applied.
+    pub iterations: usize,
+    /// Numerical factorizations: one per iteration, and one more per shift tried.
+    pub factorizations: usize,
+    /// Size of the last update, in the step's own norm.
+    pub last_update: f64,
+    /// Shifts of the diagonal that were tried because ∂G/∂u was not positive definite.
+    pub shifts: usize,
+    /// Halvings of an update.
+    pub backtracks: usize,
+    /// The updates stopped shrinking above the threshold, with a residual that is all rounding (see [`solve`]).
+    pub at_rounding: bool,
+}
+
+/// Work space of [`solve`], made once for a step's structure and used for as many calls as one likes.
+#[derive(Debug)]
+pub struct NewtonWork {
+    pub(crate) solver: LinearSolver,
+    pub(crate) values: Vec<f64>,
+    pub(crate) factor: Factor,
+    pub(crate) g: Vec<f64>,
+    du: Vec<f64>,
+    trial: Vec<f64>,
+    probe: Vec<f64>,
+    report: NewtonReport,
+}
+
+impl NewtonWork {
+    /// Space for n unknowns and a Jacobian of the given structure.
+    ///
+    /// # Panics
+    /// If a sparse structure is not a pattern of n columns.
+    pub fn new(unknowns: usize, structure: &Structure) -> Self {
+        let solver = LinearSolver::new(unknowns, structure);
+        Self {
+            values: vec![0.0; solver.values_len()],
+            factor: solver.empty_factor(),
+            solver,
+            g: vec![0.0; unknowns],
+            du: vec![0.0; unknowns],
+            trial: vec![0.0; unknowns],
+            probe: vec![0.0; unknowns],
+            report: NewtonReport::default(),
+        }
+    }
+
+    /// What the last call of [`solve`] did, also where it failed.
+    pub fn report(&self) -> &NewtonReport {
+        &self.report
+    }
+}
+
+/// Armijo's constant: the share of the predicted decrease that a step must bring.
+const DECREASE: f64 = 1e-4;
+/// Smallest shift of the diagonal, as a share of every row's own |diagonal|.
+const FIRST_SHIFT: f64 = 1e-3;
+/// A shift is given up beyond this.
+const LAST_SHIFT: f64 = 1e12;
+/// Two potentials that agree to this share of themselves cannot be told apart.
+const POTENTIAL_ROUNDING: f64 = 1e-10;
+/// Trusted steps in a row that may fail to halve the update.
+const STALLED: usize = 3;
+/// A saddle is left by a step this many times the trusted size, then halved as needed.
+const ESCAPE: f64 = 1e4;
+/// A residual below this many roundings of the unknowns is rounding.
+const ROUNDINGS: f64 = 16.0;
+
+/// Solves G(x, u) = 0 for u, from the guess in `u`; statics pass an empty `x`.
+///
+/// ```text
+/// ∂G/∂u du = −G,   u ← u ⊕ α du
+/// ```
+///
+/// **With a potential** (G = ∂Φ/∂u) a minimum of Φ is looked for. Where the factorization shows ∂G/∂u not positive definite,
+/// a growing multiple of |diag ∂G/∂u| is added (relative to each row's own diagonal: unknowns may be lengths and angles), so
+/// that du is a direction of descent; α is halved until Φ decreases by Armijo's rule or, where Φ cannot resolve it,
+/// until Φ is equal to rounding and its slope along du has shrunk (Hager and Zhang 2005). A saddle is not accepted: where
+/// the shifted update is tiny the iteration leaves along a direction of negative curvature. This needs the inertia, thus
+/// `Structure::SymmetricBand`; with other structures only descent along du is ensured.
+///
+/// **Without a potential** α is halved until the simplified update has shrunk, the natural monotonicity test
+/// size(J⁻¹G(u ⊕ α du)) ≤ (1 − α/4) size(du) with the factor at hand (Deuflhard 2004, section 3.3): it has the units of u and
+/// does not see the scaling of the equations.
+///
+/// A trial point is assembled with its Jacobian, so that an accepted full step costs one assembly and one factorization. A
+/// trial point that the step refuses is too far: the update is halved. Full unshifted updates no larger than
+/// `trusted_below` are taken without a test, and one below `converged_below` is applied and ends the iteration.
+///
+/// **Rounding.** Where trusted updates stop shrinking before that, the iteration ends only if the residual cannot be told
+/// from a change of the unknowns in their last digits, |g_i| ≤ 16 ε Σ_j |J_ij| |u_j| for every row (Oettli and Prager
+/// 1964: u is then the exact root of equations as close as the machine can state them); the report says so. Else it fails.
+///
+/// # Errors
+/// - [`Error::Refused`] if the step refuses the guess, or a trusted update.
+/// - [`Error::SingularJacobian`] if there is no usable factorization.
+/// - [`Error::NonFinite`] if an update or a residual is not finite.
+/// - [`Error::NewtonDiverged`] if the iterations or the halvings run out, or the updates stall.
+///
+/// # Panics
+/// If the length of `u` is not that of `work`, or the step's structure differs from it.
+pub fn solve<S: ImplicitStep + ?Sized>(
+    step: &mut S,
+    at: &Interval,
+    x: &[f64],
+    u: &mut [f64],
+    work: &mut NewtonWork,
+    options: &NewtonOptions,
+) -> Result<NewtonReport, Error> {
+    assert_eq!(u.len(), work.g.len(), "the work space was made for another number of unknowns");
+    work.report = NewtonReport { last_update: f64::INFINITY, ..NewtonReport::default() };
+    let refused = |source| Error::Refused { step: at.index, source };
+    let (converged, trusted) = (step.converged_below(), step.trusted_below());
+    let mut potential = step.assemble(at, x, u, &mut work.g, Some(&mut work.values)).map_err(refused)?;
+    let mut shift = 0.0;
+    let mut stalled = 0;
+    for iteration in 1..=options.max_iterations {
+        work.report.iterations = iteration;
+        shift = work.factor_descending(at, potential.is_some(), shift)?;
+        work.newton_update();
+        let size = step.size(&work.du);
+        if !size.is_finite() {
+            return Err(Error::NonFinite { step: at.index, what: "the Newton update" });
+        }
+        let previous = std::mem::replace(&mut work.report.last_update, size);
+        if shift == 0.0 && size <= converged {
+            step.retract(at, x, u, &work.du, 1.0, &mut work.trial);
+            u.copy_from_slice(&work.trial);
+            return Ok(work.report);
+        }
+        if shift == 0.0 && size <= trusted {
+            stalled = if size > 0.5 * previous { stalled + 1 } else { 0 };
+            if stalled >= STALLED {
+                work.report.at_rounding = work.residual_is_rounding(u);
+                return if work.report.at_rounding { Ok(work.report) } else { Err(work.diverged(step, at)) };
+            }
+            step.retract(at, x, u, &work.du, 1.0, &mut work.trial);
+            potential =
+                step.assemble(at, x, &work.trial, &mut work.g, Some(&mut work.values)).map_err(refused)?;
+        } else {
+            let test = match potential {
+                Some(phi) if shift > 0.0 && size <= trusted => {
+                    work.negative_curvature(step, ESCAPE * trusted, phi)
+                }
+                Some(phi) => Some(work.descent(phi)),
+                None => Some(Test::Contraction { size }),
+            };
+            let accepted = test.and_then(|test| work.backtrack(step, at, x, u, &test, options));
+            potential = accepted.ok_or_else(|| work.diverged(step, at))?;
+        }
+        u.copy_from_slice(&work.trial);
+    }
+    Err(work.diverged(step, at))
+}
+
+impl NewtonWork {
+    /// Factors ∂G/∂u; with a potential, shifted until positive definite. Returns the shift.
+    fn factor_descending(&mut self, at: &Interval, has_potential: bool, last: f64) -> Result<f64, Error> {
+        self.report.factorizations += 1;
+        match self.solver.factor(&self.values, &mut self.factor) {
+            Ok(negative) if !has_potential || negative == 0 => return Ok(0.0),
+            Err(bad) if !has_potential => {
+                return Err(Error::SingularJacobian { step: at.index, row: bad.row });
+            }
+            _ => {}
+        }
+        let mut shift = FIRST_SHIFT.max(last / 4.0);
+        while shift <= LAST_SHIFT {
+            self.report.factorizations += 1;
+            self.report.shifts += 1;
+            if self.solver.factor_shifted(&self.values, shift, &mut self.factor) == Ok(0) {
+                return Ok(shift);
+            }
+            shift *= 4.0;
+        }
+        // only a Jacobian that is zero or not finite in some row withstands every shift
+        let row =
+            self.solver.factor_shifted(&self.values, shift, &mut self.factor).err().map_or(0, |bad| bad.row);
+        Err(Error::SingularJacobian { step: at.index, row })
+    }
+
+    /// du = −J⁻¹ g.
+    fn newton_update(&mut self) {
+        for (d, g) in self.du.iter_mut().zip(&self.g) {
+            *d = -g;
+        }
+        self.solver.solve(&self.factor, &mut self.du);
+    }
+
+    /// The test of a step along du, turned downhill.
+    fn descent(&mut self, phi: f64) -> Test {
+        let mut slope = dot(&self.g, &self.du);
+        if slope > 0.0 {
+            // an LU factor of an indefinite Hessian: the update leads uphill, its reverse does not
+            self.du.iter_mut().for_each(|d| *d = -*d);
+            slope = -slope;
+        }
+        Test::Decrease { phi, slope }
+    }
+
+    /// du becomes a direction of negative curvature of the given size, downhill. `None` where there is none to be had.
+    fn negative_curvature<S: ImplicitStep + ?Sized>(
+        &mut self,
+        step: &S,
+        size: f64,
+        phi: f64,
+    ) -> Option<Test> {
+        self.report.factorizations += 1;
+        self.solver.factor(&self.values, &mut self.factor).ok()?;
+        let curvature = self.solver.negative_curvature(&self.factor, &mut self.du)?;
+        let scale = size / step.size(&self.du);
+        let scale = if dot(&self.g, &self.du) > 0.0 { -scale } else { scale };
+        self.du.iter_mut().for_each(|d| *d *= scale);
+        Some(Test::Curvature { phi, slope: dot(&self.g, &self.du), curvature: curvature * scale * scale })
+    }
+
+    /// Halves α until the test holds at u ⊕ α du, and leaves that point in `trial`, its equations in `g` and `values`.
+    /// Returns its potential; `None` where the halvings ran out.
+    fn backtrack<S: ImplicitStep + ?Sized>(
+        &mut self,
+        step: &mut S,
+        at: &Interval,
+        x: &[f64],
+        u: &[f64],
+        test: &Test,
+        options: &NewtonOptions,
+    ) -> Option<Option<f64>> {
+        let mut alpha = 1.0;
+        for _ in 0..=options.max_backtracks {
+            step.retract(at, x, u, &self.du, alpha, &mut self.trial);
+            let assembled = step.assemble(at, x, &self.trial, &mut self.g, Some(&mut self.values));
+            if let Ok(potential) = assembled
+                && self.holds(step, test, alpha, potential)
+            {
+                return Some(potential);
+            }
+            alpha *= 0.5;
+            self.report.backtracks += 1;
+        }
+        None
+    }
+
+    /// Whether the point just assembled passes. False for anything that is not a number.
+    fn holds<S: ImplicitStep + ?Sized>(
+        &mut self,
+        step: &S,
+        test: &Test,
+        alpha: f64,
+        potential: Option<f64>,
+    ) -> bool {
+        match (test, potential) {
+            (&Test::Decrease { phi, slope }, Some(trial)) => {
+                // Armijo's rule on a parabola is a bound on the slope at its end, which rounding of Φ does not touch.
+                let equal = (trial - phi).abs() <= POTENTIAL_ROUNDING * phi.abs().max(trial.abs());
+                trial <= phi + DECREASE * alpha * slope
+                    || equal && dot(&self.g, &self.du) <= (2.0 * DECREASE - 1.0) * slope
+            }
+            (&Test::Curvature { phi, slope, curvature }, Some(trial)) => {
+                trial <= phi + DECREASE * (alpha * slope + 0.5 * alpha * alpha * curvature)
+            }
+            (&Test::Contraction { size }, None) => {
+                self.probe.copy_from_slice(&self.g);
+                self.solver.solve(&self.factor, &mut self.probe);
+                step.size(&self.probe) <= (1.0 - 0.25 * alpha) * size
+            }
+            _ => false,
+        }
+    }
+
+    /// |g_i| ≤ 16 ε Σ_j |J_ij| |u_j| in every row.
+    fn residual_is_rounding(&mut self, u: &[f64]) -> bool {
+        self.solver.absolute_product(&self.values, u, &mut self.probe);
+        self.g.iter().zip(&self.probe).all(|(g, scale)| g.abs() <= ROUNDINGS * f64::EPSILON * scale)
+    }
+
+    fn diverged<S: ImplicitStep + ?Sized>(&self, step: &S, at: &Interval) -> Error {
+        Error::NewtonDiverged {
+            step: at.index,
+            time: at.start,
+            length: at.length,
+            iterations: self.report.iterations,
+            update: self.report.last_update,
+            tolerance: step.converged_below(),
+        }
+    }
+}
+
+/// What a trial point must show.
+enum Test {
+    /// Φ falls along du with this slope.
+    Decrease { phi: f64, slope: f64 },
+    /// Φ falls along du with this slope and this (negative) curvature.
+    Curvature { phi: f64, slope: f64, curvature: f64 },
+    /// The simplified update is smaller than du.
+    Contraction { size: f64 },
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}

@@ -1,0 +1,219 @@
+//! Tangent and adjoint of steps, of θ₀(X₀) and of markers, against central differences and each other.
+
+use std::sync::Arc;
+
+use varda_implicit::{ImplicitModel, Model};
+use varda_rod::{BackwardEuler, Clamp, Damping, EllipseDrive, Loads, Marker, Markers, Material, Motion, Rod, Section, Supports, equilibrium, straight_guess};
+
+const MATERIAL: Material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1100.0 };
+
+fn loads() -> Loads {
+    Loads { gravity: [0.0, 0.0, -9.81], point_forces: vec![(0.61, Arc::new(|t: f64| [0.02 * t.cos(), 0.01, 0.0]))] }
+}
+
+fn clamp(position: impl Motion + 'static, tangent: impl Motion + 'static, director: impl Motion + 'static) -> Clamp {
+    Clamp { position: Arc::new(position), tangent: Arc::new(tangent), director: Arc::new(director) }
+}
+
+fn drive() -> EllipseDrive {
+    EllipseDrive { centre: [0.0; 3], radii: [0.06, 0.03], omega: 10.0, ramp: 0.1 }
+}
+
+/// A rod with everything: anisotropic, naturally curved and twisted, unequal segments, a point mass.
+fn curved() -> Rod {
+    let lengths: Vec<f64> = (0..9).map(|i| 0.1 + 0.02 * (i as f64).sin()).collect();
+    let section = Section::ellipse(&MATERIAL, 0.012, 0.009);
+    let mut rod = Rod::with_segments(&lengths, &section).unwrap().naturally([0.5, -0.3], 0.8);
+    rod.add_point_mass(0.5, 0.05).unwrap();
+    rod
+}
+
+fn straight(segments: usize) -> Rod {
+    Rod::uniform(0.9, segments, &Section::circle(&MATERIAL, 0.01)).unwrap()
+}
+
+/// A clamp that moves, swings and turns about itself.
+fn swinging() -> Clamp {
+    clamp(drive(), |t: f64| [0.3 * (3.0 * t).sin(), 0.1, -1.0], |t: f64| [(4.0 * t).cos(), (4.0 * t).sin(), 0.0])
+}
+
+fn both_ends() -> Supports {
+    let end = clamp(|t: f64| [0.35 + 0.05 * t, 0.1, -0.4], [0.8, 0.2, 0.6], |t: f64| [(2.0 * t).sin(), (2.0 * t).cos(), 0.3]);
+    Supports { start: Some(swinging()), end: Some(end), ..Supports::default() }
+}
+
+fn pinned() -> Supports {
+    Supports { prescribed: vec![(0, Arc::new(drive())), (5, Arc::new([0.1, 0.0, -0.45]))], free_frame: ([0.0, 0.0, -1.0], [1.0, 0.0, 0.0]), ..Supports::default() }
+}
+
+fn end_clamp() -> Supports {
+    Supports { end: Some(clamp([0.0, 0.0, -0.9], |t: f64| [0.2 * t.sin(), 0.0, -1.0], [0.0, 1.0, 0.2])), free_frame: ([0.0, 0.0, -1.0], [1.0, 0.0, 0.0]), ..Supports::default() }
+}
+
+fn chain() -> Rod {
+    let mut section = Section::circle(&MATERIAL, 0.01);
+    (section.ei1, section.ei2, section.gj) = (0.0, 0.0, 0.0);
+    Rod::uniform(0.9, 8, &section).unwrap()
+}
+
+fn cases() -> Vec<(&'static str, Rod, Supports, Damping)> {
+    let none = Damping::default();
+    let both = Damping { stiffness: 0.004, mass: 0.7 };
+    vec![
+        ("straight, clamped", straight(8), Supports::clamped_start(swinging()), none),
+        ("straight, mass damping", straight(8), Supports::clamped_start(swinging()), Damping { stiffness: 0.0, mass: 1.5 }),
+        ("straight, both dampings", straight(8), Supports::clamped_start(swinging()), both),
+        ("straight, both ends", straight(8), both_ends(), none),
+        ("straight, end clamp", straight(8), end_clamp(), none),
+        ("curved, clamped", curved(), Supports::clamped_start(swinging()), none),
+        ("curved, both dampings", curved(), Supports::clamped_start(swinging()), both),
+        ("curved, both ends, damped", curved(), both_ends(), both),
+        ("curved, pinned", curved(), pinned(), none),
+        ("curved, pinned, damped", curved(), pinned(), both),
+        ("curved, end clamp, damped", curved(), end_clamp(), both),
+        ("curved, free, damped", curved(), Supports { free_frame: ([0.0, 0.0, -1.0], [1.0, 0.0, 0.0]), ..Supports::default() }, both),
+        ("chain, damped", chain(), Supports::clamped_start(swinging()), both),
+    ]
+}
+
+/// A smooth pseudo-random sequence in [−1, 1].
+fn noise(seed: usize) -> impl Iterator<Item = f64> {
+    (0..).map(move |i| (12.9898 * (i as f64 + 1.0) + 78.233 * seed as f64).sin())
+}
+
+fn model(rod: Rod, supports: Supports, damping: Damping) -> ImplicitModel<BackwardEuler> {
+    ImplicitModel::new(BackwardEuler::new(rod, supports, loads(), damping).unwrap(), 3, 0.01)
+}
+
+fn control(step: &BackwardEuler) -> Vec<f64> {
+    let mut guess = straight_guess(step.rod(), step.supports(), 0.03, [0.0, 0.0, -1.0]).unwrap();
+    let held_twice = step.supports().start.is_some() && step.supports().end.is_some();
+    if held_twice {
+        guess = equilibrium(step.rod(), step.supports(), &loads(), 0.03, &guess).unwrap().0;
+    }
+    let mut z: Vec<f64> = step.free_vertices().iter().flat_map(|&v| guess.vertices[v]).collect();
+    z.resize(step.control_len(), 0.0);
+    // Bowed, so that a rod whose ends are free to spin has one stable angle: its own curve looks for the bow.
+    let n = z.len() / 2;
+    for i in (0..n / 3).filter(|_| step.supports().start.is_none() && step.supports().end.is_none()) {
+        let s = z[3 * i + 2];
+        z[3 * i] += 0.4 * s * s;
+    }
+    for (i, (z, e)) in z.iter_mut().zip(noise(1)).enumerate() {
+        *z += if i < n { 0.004 } else { 0.2 } * e;
+    }
+    z
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+fn norm(a: &[f64]) -> f64 {
+    dot(a, a).sqrt()
+}
+
+fn assert_close(name: &str, tangent: &[f64], difference: &[f64], bound: f64) {
+    let error = tangent.iter().zip(difference).fold(0.0, |m: f64, (a, b)| m.max((a - b).abs()));
+    let size = difference.iter().fold(0.0, |m: f64, b| m.max(b.abs()));
+    assert!(size > 0.0 && error <= bound * size, "{name}: off by {error:e} of {size:e}");
+}
+
+/// Central differences of f at x along dx, extrapolated once: error O(h⁴) and rounding ε/h.
+fn difference(x: &[f64], dx: &[f64], h: f64, mut f: impl FnMut(&[f64]) -> Vec<f64>) -> Vec<f64> {
+    let mut central = |h: f64| -> Vec<f64> {
+        let at = |s: f64| -> Vec<f64> { x.iter().zip(dx).map(|(x, d)| x + s * d).collect() };
+        let (a, b) = (f(&at(h)), f(&at(-h)));
+        a.iter().zip(&b).map(|(a, b)| (a - b) / (2.0 * h)).collect()
+    };
+    let (one, half) = (central(h), central(0.5 * h));
+    one.iter().zip(&half).map(|(a, b)| (4.0 * b - a) / 3.0).collect()
+}
+
+#[test]
+fn initial_angles() {
+    for (name, rod, supports, damping) in cases() {
+        let mut model = model(rod, supports, damping);
+        let z = control(model.step_ref());
+        let (m, n) = (z.len(), model.dim());
+        let dz: Vec<f64> = noise(2).take(m).collect();
+        let by_difference = difference(&z, &dz, 1e-4, |z| {
+            let mut x = vec![0.0; n];
+            model.initial_state(z, &mut x).unwrap();
+            x
+        });
+        let mut x = vec![0.0; n];
+        model.initial_state(&z, &mut x).unwrap();
+        let mut dx = vec![0.0; n];
+        model.initial_tangent(&dz, &mut dx);
+        assert_close(name, &dx, &by_difference, 1e-7);
+        let lambda: Vec<f64> = noise(3).take(n).collect();
+        let mut back = vec![0.0; m];
+        model.initial_adjoint(&lambda, &mut back);
+        let (a, b) = (dot(&dx, &lambda), dot(&dz, &back));
+        assert!((a - b).abs() <= 1e-13 * norm(&dx) * norm(&lambda), "{name}: {a} and {b}");
+    }
+}
+
+#[test]
+fn steps() {
+    for (name, rod, supports, damping) in cases() {
+        let mut model = model(rod, supports, damping);
+        let n = model.dim();
+        let mut x = vec![0.0; n];
+        model.initial_state(&control(model.step_ref()), &mut x).unwrap();
+        for k in 0..3 {
+            let mut next = vec![0.0; n];
+            model.step(k, &x, &mut next).unwrap();
+            model.linearize(k, &x, &next).unwrap();
+            let dx: Vec<f64> = noise(4 + k).take(n).collect();
+            let by_difference = difference(&x, &dx, 1e-4, |x| {
+                let mut next = vec![0.0; n];
+                model.step(k, x, &mut next).unwrap();
+                next
+            });
+            let mut tangent = dx.clone();
+            model.tangent(k, &mut tangent);
+            assert_close(name, &tangent, &by_difference, 1e-6);
+            let lambda: Vec<f64> = noise(7 + k).take(n).collect();
+            let mut back = lambda.clone();
+            model.adjoint(k, &mut back);
+            let (a, b) = (dot(&tangent, &lambda), dot(&dx, &back));
+            assert!(tangent.iter().all(|v| v.abs() > 1e-12), "{name}: an empty test");
+            assert!((a - b).abs() <= 1e-12 * norm(&tangent) * norm(&lambda), "{name}: {a} and {b}");
+            x = next;
+        }
+        assert_eq!(model.counts().substeps, 0, "{name}");
+    }
+}
+
+#[test]
+fn markers() {
+    for (name, rod, supports, damping) in cases() {
+        let mut model = model(rod, supports, damping);
+        let n = model.dim();
+        let mut x = vec![0.0; n];
+        model.initial_state(&control(model.step_ref()), &mut x).unwrap();
+        let length = model.step_ref().rod().length();
+        let places = [0.0, 0.33, 0.5, length].map(|s| Marker { s, offset: [0.02, -0.015, 0.01] });
+        let points = [0.2, length].map(|s| Marker { s, offset: [0.0; 3] });
+        for (what, list) in [("off", places.to_vec()), ("on", points.to_vec())] {
+            let mut markers = Markers::new(model.step_ref(), &list).unwrap();
+            let m = 3 * markers.len();
+            let dx: Vec<f64> = noise(5).take(n).collect();
+            let by_difference = difference(&x, &dx, 1e-4, |x| {
+                let mut y = vec![0.0; m];
+                markers.places(0.05, x, &mut y).unwrap();
+                y
+            });
+            let mut dy = vec![0.0; m];
+            markers.tangent(0.05, &x, &dx, &mut dy).unwrap();
+            assert_close(&format!("{name}, {what}"), &dy, &by_difference, 1e-7);
+            let dp: Vec<f64> = noise(6).take(m).collect();
+            let mut back = vec![0.0; n];
+            markers.adjoint_add(0.05, &x, &dp, &mut back).unwrap();
+            let (a, b) = (dot(&dy, &dp), dot(&dx, &back));
+            assert!((a - b).abs() <= 1e-13 * norm(&dy) * norm(&dp), "{name}, {what}: {a} and {b}");
+        }
+    }
+}

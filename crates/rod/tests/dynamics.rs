@@ -1,0 +1,86 @@
+//! The step against known runs, against itself with more unknowns, and its derivatives.
+
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+use varda_implicit::{ImplicitModel, Model};
+use varda_rod::{BackwardEuler, Clamp, Damping, Loads, Material, Rod, Section, Supports, TwistUnknowns, equilibrium, straight_guess};
+
+const DOWN: Loads = Loads { gravity: [0.0, 0.0, -9.81], point_forces: Vec::new() };
+
+/// Clamped at its start, hanging down, the clamp moving as given.
+fn hanging(position: impl varda_rod::Motion + 'static) -> Supports {
+    Supports::clamped_start(Clamp { position: Arc::new(position), tangent: Arc::new([0.0, 0.0, -1.0]), director: Arc::new([1.0, 0.0, 0.0]) })
+}
+
+fn driven_25(twist: TwistUnknowns) -> ImplicitModel<BackwardEuler> {
+    let material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1200.0 };
+    let rod = Rod::uniform(1.0, 25, &Section::circle(&material, 0.005)).unwrap();
+    let omega = 2.0 * PI;
+    let drive = move |t: f64| [0.10 * (1.0 - (omega * t).cos()), 0.05 * (omega * t).sin(), 0.0];
+    let step = BackwardEuler::with_twist(rod, hanging(drive), DOWN, Damping::default(), twist).unwrap();
+    ImplicitModel::new(step, 0, 0.02)
+}
+
+fn straight_down(step: &BackwardEuler) -> Vec<f64> {
+    let guess = straight_guess(step.rod(), step.supports(), 0.0, [0.0, 0.0, -1.0]).unwrap();
+    let mut z = Vec::new();
+    for &v in step.free_vertices() {
+        z.extend(guess.vertices[v]);
+    }
+    z.resize(step.control_len(), 0.0);
+    z
+}
+
+fn run(model: &mut ImplicitModel<BackwardEuler>, z: &[f64], steps: usize) -> Vec<f64> {
+    let mut x = vec![0.0; model.dim()];
+    model.initial_state(z, &mut x).unwrap();
+    let mut next = x.clone();
+    for k in 0..steps {
+        model.step(k, &x, &mut next).unwrap();
+        std::mem::swap(&mut x, &mut next);
+    }
+    x
+}
+
+#[test]
+fn driven_rod_ends_where_an_independent_program_says() {
+    let mut model = driven_25(TwistUnknowns::WhereNeeded);
+    assert_eq!(model.dim(), 6 * 24, "a straight isotropic rod has no twist unknowns");
+    let z = straight_down(model.step_ref());
+    let x = run(&mut model, &z, 100);
+    for (ours, theirs) in x[69..72].iter().zip([0.291641, 0.071304, -0.925106]) {
+        assert!((ours - theirs).abs() <= 2e-6, "{:?}", &x[69..72]);
+    }
+    println!("{:?}", model.counts());
+}
+
+#[test]
+fn leaving_the_twist_out_changes_nothing() {
+    let mut without = driven_25(TwistUnknowns::WhereNeeded);
+    let mut with = driven_25(TwistUnknowns::Always);
+    assert_eq!(with.dim(), 6 * 24 + 24);
+    let z = straight_down(without.step_ref());
+    let (a, b) = (run(&mut without, &z, 50), run(&mut with, &z, 50));
+    // Newton leaves up to 1e-11 L a step in X; velocities are differences over 0.02 s.
+    for (i, (a, b)) in a.iter().zip(&b).enumerate() {
+        let bound = if i < 72 { 1e-9 } else { 1e-7 };
+        assert!((a - b).abs() <= bound, "component {i}: {a} and {b}");
+    }
+    assert!(b[144..].iter().all(|theta| theta.abs() < 1e-9), "θ stays zero");
+}
+
+#[test]
+fn hanging_equilibrium_is_the_closed_form() {
+    // Discrete hanging rod: edge e carries the weight below it, l = l̄ (1 + W/EA).
+    let step = driven_25(TwistUnknowns::WhereNeeded).into_inner();
+    let guess = straight_guess(step.rod(), step.supports(), 0.0, [0.0, 0.0, -1.0]).unwrap();
+    let (rest, _) = equilibrium(step.rod(), step.supports(), &DOWN, 0.0, &guess).unwrap();
+    let rod = step.rod();
+    let mut z = -rod.rest_lengths[0];
+    for e in 1..25 {
+        let weight: f64 = rod.masses[e + 1..].iter().sum::<f64>() * 9.81;
+        z -= rod.rest_lengths[e] * (1.0 + weight / rod.ea[e]);
+        assert!((rest.vertices[e + 1][2] - z).abs() < 1e-12, "vertex {}", e + 1);
+    }
+}
