@@ -1,8 +1,8 @@
 //! Banded linear algebra: symmetric LDLᵀ without pivoting, and LU with partial pivoting.
 //!
 //! Plain functions on slices in the layouts of [`Structure`](crate::Structure). Both factorizations cost O(n w²), every
-//! solve O(n w), and nothing allocates. The symmetric one is the hot loop of a rod: half-bandwidths 8 and 10 have their
-//! own code, in which every loop over the band has a fixed length.
+//! solve O(n w), and nothing allocates. The symmetric factorization is the hot loop of a rod: half-bandwidths 8 and 10
+//! have their own code, in which every loop over the band has a fixed length.
 //!
 //! LDLᵀ without pivoting is backward stable for a positive definite matrix, and exact up to the growth of its
 //! intermediate values otherwise (Golub and Van Loan 2013, section 4.4); Sylvester's law makes the number of negative
@@ -44,11 +44,16 @@ pub fn ldlt_factor(w: usize, a: &mut [f64]) -> Result<usize, BadPivot> {
 /// If the length of `a` is not w + 1 times that of `b`.
 pub fn ldlt_solve(w: usize, a: &[f64], b: &mut [f64]) {
     assert_eq!(a.len(), b.len() * (w + 1), "factor and right-hand side differ in size");
-    match w {
-        8 => ldlt_solve_rows(8, a, b),
-        10 => ldlt_solve_rows(10, a, b),
-        _ => ldlt_solve_rows(w, a, b),
+    let s = w + 1;
+    for i in 0..b.len() {
+        let reach = i.min(w);
+        let dot: f64 = a[i * s + w - reach..i * s + w].iter().zip(&b[i - reach..i]).map(|(l, y)| l * y).sum();
+        b[i] -= dot;
     }
+    for (row, y) in a.chunks_exact(s).zip(b.iter_mut()) {
+        *y *= row[w];
+    }
+    back_substitute(w, a, b);
 }
 
 /// B ← A⁻¹ B for m right-hand sides at once; B is n × m, row by row: entry (i, c) at `i m + c`.
@@ -138,16 +143,25 @@ fn eliminate<const W: usize, const S: usize>(rows: usize, reciprocal: f64, below
     for t in 0..rows {
         v[t + 1] = below[W - 1 + t * W];
     }
-    for t in 0..rows {
-        let at = W - 1 + t * W;
-        let l = v[t + 1] * reciprocal;
-        below[at] = l;
-        // Row t from the next column to its diagonal. Every run is made even in length (the zero leaves l as it is), so
-        // that what is written here in pairs is read by the next pivot in the same pairs.
-        let odd = (t + 1) % 2;
-        for (r, v) in below[at + 1 - odd..at + 2 + t].iter_mut().zip(&v[1 - odd..]) {
-            *r -= l * v;
-        }
+    // In two runs, each short enough for the compiler to write out in full.
+    for t in 0..rows.min(W / 2 + 1) {
+        eliminate_row::<W, S>(t, v[t + 1] * reciprocal, &v, below);
+    }
+    for t in W / 2 + 1..rows {
+        eliminate_row::<W, S>(t, v[t + 1] * reciprocal, &v, below);
+    }
+}
+
+/// Row t below a pivot minus l times the column v, from the next column to its diagonal.
+#[inline(always)]
+fn eliminate_row<const W: usize, const S: usize>(t: usize, l: f64, v: &[f64; S], below: &mut [f64]) {
+    let at = W - 1 + t * W;
+    below[at] = l;
+    // Every run is made even in length (the zero leaves l as it is), so that what is written here in pairs is read by
+    // the next pivot in the same pairs.
+    let odd = (t + 1) % 2;
+    for (r, v) in below[at + 1 - odd..at + 2 + t].iter_mut().zip(&v[1 - odd..]) {
+        *r -= l * v;
     }
 }
 
@@ -181,43 +195,13 @@ fn ldlt_factor_any(w: usize, a: &mut [f64]) -> Result<usize, BadPivot> {
     Ok(negative)
 }
 
-#[inline(always)]
-fn ldlt_solve_rows(w: usize, a: &[f64], b: &mut [f64]) {
-    let s = w + 1;
-    let n = b.len();
-    for i in 0..n.min(w) {
-        let dot: f64 = a[i * s + w - i..i * s + w].iter().zip(&b[..i]).map(|(l, y)| l * y).sum();
-        b[i] -= dot;
-    }
-    for i in w..n {
-        let window = &mut b[i - w..=i];
-        let mut dot = 0.0;
-        for (l, y) in a[i * s..i * s + w].iter().zip(&window[..w]) {
-            dot += l * y;
-        }
-        window[w] -= dot;
-    }
-    for (row, y) in a.chunks_exact(s).zip(b.iter_mut()) {
-        *y *= row[w];
-    }
-    back_substitute(w, a, b);
-}
-
 /// b ← L⁻ᵀ b.
-#[inline(always)]
 fn back_substitute(w: usize, a: &[f64], b: &mut [f64]) {
     let s = w + 1;
-    let n = b.len();
-    for i in (w..n).rev() {
-        let window = &mut b[i - w..=i];
-        let x = window[w];
-        for (y, l) in window[..w].iter_mut().zip(&a[i * s..i * s + w]) {
-            *y -= l * x;
-        }
-    }
-    for i in (0..n.min(w)).rev() {
+    for i in (0..b.len()).rev() {
+        let reach = i.min(w);
         let x = b[i];
-        for (y, l) in b[..i].iter_mut().zip(&a[i * s + w - i..i * s + w]) {
+        for (y, l) in b[i - reach..i].iter_mut().zip(&a[i * s + w - reach..i * s + w]) {
             *y -= l * x;
         }
     }

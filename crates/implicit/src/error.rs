@@ -16,9 +16,9 @@ pub enum Error {
     NewtonDiverged {
         /// Index k of the step.
         step: usize,
-        /// Time at the start of the interval that failed [s].
+        /// Time at the start of the interval that failed (s).
         time: f64,
-        /// Length of the interval that failed [s].
+        /// Length of the interval that failed (s).
         length: f64,
         /// Iterations done.
         iterations: usize,
@@ -42,6 +42,12 @@ pub enum Error {
     NotAStep {
         /// Index k of the step.
         step: usize,
+    },
+    /// A check that would have compared nothing with nothing, or rounding with rounding.
+    #[error("an empty test: {what}")]
+    EmptyTest {
+        /// What was missing.
+        what: &'static str,
     },
     /// A value that is not finite left a step.
     #[error("step {step}: {what} is not finite")]

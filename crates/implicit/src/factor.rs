@@ -161,9 +161,10 @@ impl LinearSolver {
     ) -> Result<usize, BadPivot> {
         let mut shifted = std::mem::take(&mut self.shifted);
         shifted.copy_from_slice(values);
-        let largest =
-            (0..self.n).filter_map(|i| self.diagonal(i)).fold(0.0_f64, |m, p| m.max(values[p].abs()));
-        for p in (0..self.n).filter_map(|i| self.diagonal(i)) {
+        let largest = (0..self.n)
+            .filter_map(|i| self.structure.diagonal(self.n, i))
+            .fold(0.0_f64, |m, p| m.max(values[p].abs()));
+        for p in (0..self.n).filter_map(|i| self.structure.diagonal(self.n, i)) {
             shifted[p] += shift * values[p].abs().max(1e-8 * largest);
         }
         let result = self.factor(&shifted, factor);
@@ -274,19 +275,6 @@ impl LinearSolver {
                         y[rows[p]] += values[p].abs() * x[j].abs();
                     }
                 }
-            }
-        }
-    }
-
-    /// Where a_ii is among the values; `None` where a sparse pattern leaves it out.
-    fn diagonal(&self, i: usize) -> Option<usize> {
-        match &self.structure {
-            Structure::Dense => Some(i * (self.n + 1)),
-            Structure::SymmetricBand { half_bandwidth: w } => Some(i * (w + 1) + w),
-            Structure::Band { half_bandwidth: w } => Some(i * (2 * w + 1) + w),
-            Structure::Sparse { columns, rows } => {
-                let column = columns[i]..columns[i + 1];
-                rows[column.clone()].binary_search(&i).ok().map(|p| column.start + p)
             }
         }
     }

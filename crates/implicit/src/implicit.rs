@@ -57,6 +57,8 @@ struct Part {
 
 /// A step may be halved this many times.
 pub const MAX_HALVINGS: u32 = 6;
+/// A pair of states solves the whole step if Newton's method asks for no more than this many times its threshold.
+const SOLVED: f64 = 100.0;
 /// Most warnings kept.
 const MAX_WARNINGS: usize = 1000;
 /// Parts of the shortest length in a step.
@@ -108,7 +110,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         self.step
     }
 
-    /// Time at the start of step k [s].
+    /// Time at the start of step k (s).
     pub fn time(&self, k: usize) -> f64 {
         (self.first + k) as f64 * self.length
     }
@@ -273,7 +275,7 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
         let whole = Interval { index: k, start: self.time(k), length: self.length };
         if !(self.is_last(k, x, x_next) && self.last.at.len() > 1) {
             let left = self.linearize_part(0, whole, x, x_next);
-            if left.as_ref().is_ok_and(|left| *left <= self.step.trusted_below()) {
+            if left.as_ref().is_ok_and(|left| *left <= SOLVED * self.step.converged_below()) {
                 self.used[k] = 1;
                 return self.ask_accepted(k, 0);
             }

@@ -1,16 +1,59 @@
-//! Steps given implicitly by G(x_k, x_{k+1}) = 0, with tangent and adjoint.
+//! Discrete models with tangent and adjoint, above all those whose steps are given implicitly by G(x_k, x_{k+1}) = 0.
+//!
+//! Write the equations of one step and their derivatives as an [`ImplicitStep`]; [`ImplicitModel`] makes of it a
+//! [`Model`]: Newton's method with a line search, halved steps where that fails, and the tangent linear and adjoint of the
+//! step from a kept factorization (paper 2.23 to 2.25). [`OneLeg`] and [`Rk4`] are ready-made steps for any ẋ = f(t, x),
+//! [`Trajectory`] runs a window and sweeps along it, [`check`] tests the derivatives of any [`Model`].
+//!
+//! When not to use it: where steps adapt their length to an error estimate (steps here lie on a uniform grid of time), or
+//! where derivatives are not known in closed form (nothing here differentiates numerically).
+//!
+//! The derivative of the end of a window with respect to its start, and its transpose:
+//!
+//! ```
+//! use varda_implicit::lorenz::Lorenz63;
+//! use varda_implicit::{ImplicitModel, Keep, OneLeg, Trajectory, check};
+//!
+//! let step = OneLeg::implicit_midpoint(Lorenz63::default(), 1e-11);
+//! let mut model = ImplicitModel::new(step, 0, 0.01);
+//! let mut trajectory = Trajectory::new();
+//! trajectory.run(&mut model, &[1.0, 3.0, 20.0], 50, Keep::Linearizations)?;
+//!
+//! let mut dx = [1.0, 0.0, 0.0];
+//! trajectory.tangent(&mut model, &mut dx, &mut |_, _| {});
+//! let mut lambda = [0.0; 3];
+//! trajectory.adjoint(&mut model, &mut lambda, &mut |k, lambda| {
+//!     if k == 50 {
+//!         lambda[2] += 1.0;
+//!     }
+//! });
+//! // ∂z₅₀/∂x₀ both ways
+//! assert!((dx[2] - lambda[0]).abs() < 1e-12 * dx[2].abs());
+//!
+//! let test = check::dot_product(&mut model, 0..50, &[1.0; 3], 1)?;
+//! assert!(test.pass);
+//! # Ok::<(), varda_implicit::Error>(())
+//! ```
 
 pub mod band;
+pub mod check;
 mod error;
+mod explicit;
 mod factor;
 mod implicit;
+pub mod lorenz;
 mod model;
 mod newton;
+mod rhs;
 mod step;
+mod trajectory;
 
 pub use error::{Error, Refusal};
+pub use explicit::Rk4;
 pub use factor::{Factor, LinearSolver};
 pub use implicit::{ImplicitModel, MAX_HALVINGS};
 pub use model::{Counts, Model, Warning};
 pub use newton::{NewtonOptions, NewtonReport, NewtonWork, solve};
+pub use rhs::{OneLeg, Rhs};
 pub use step::{ImplicitStep, Interval, Structure};
+pub use trajectory::{Keep, Trajectory};

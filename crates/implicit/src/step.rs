@@ -7,14 +7,14 @@ use crate::Refusal;
 pub struct Interval {
     /// Index k of the step the interval belongs to.
     pub index: usize,
-    /// Time at its start [s].
+    /// Time at its start (s).
     pub start: f64,
-    /// Its length Δt [s].
+    /// Its length Δt (s).
     pub length: f64,
 }
 
 impl Interval {
-    /// Time at its end [s].
+    /// Time at its end (s).
     pub fn end(&self) -> f64 {
         self.start + self.length
     }
@@ -43,6 +43,21 @@ pub enum Structure {
         /// Row index of every value, ascending within a column.
         rows: Vec<usize>,
     },
+}
+
+impl Structure {
+    /// Where the diagonal entry (i, i) of an n × n matrix is among its values; `None` where a sparse pattern leaves it out.
+    pub fn diagonal(&self, n: usize, i: usize) -> Option<usize> {
+        match self {
+            Structure::Dense => Some(i * (n + 1)),
+            Structure::SymmetricBand { half_bandwidth: w } => Some(i * (w + 1) + w),
+            Structure::Band { half_bandwidth: w } => Some(i * (2 * w + 1) + w),
+            Structure::Sparse { columns, rows } => {
+                let column = &rows[columns[i]..columns[i + 1]];
+                column.binary_search(&i).ok().map(|p| columns[i] + p)
+            }
+        }
+    }
 }
 
 /// A step x_{k+1} = M_k(x_k) given by equations G(x_k, u) = 0 in unknowns u, from which x_{k+1} = S(x_k, u) follows
@@ -146,7 +161,7 @@ pub trait ImplicitStep {
         self.dim()
     }
 
-    /// x₀ from the control z, at the time t of the start [s]. Keeps what the two derivatives below need.
+    /// x₀ from the control z, at the time t of the start (s). Keeps what the two derivatives below need.
     fn initial_state(&mut self, _t: f64, z: &[f64], x: &mut [f64]) -> Result<(), Refusal> {
         x.copy_from_slice(z);
         Ok(())

@@ -2,11 +2,11 @@
 
 use varda_implicit::{ImplicitStep, Interval, Refusal, Structure};
 
+use crate::Error;
 use crate::damping::KelvinVoigt;
 use crate::equilibrium::TwistEquilibrium;
 use crate::geometry::V3;
 use crate::predict::Carry;
-use crate::Error;
 use crate::rod::Rod;
 use crate::support::{Damping, Loads, Supports};
 use crate::system::System;
@@ -27,7 +27,7 @@ use crate::system::System;
 /// ```
 ///
 /// State x = [X, V, θ] of the free vertices and angles (SI units: m, m/s, rad); control z = [X₀, V₀], θ₀ being the twist
-/// equilibrium of X₀ nearest to the untwisted frame. Use it through [`crate::rod_model`].
+/// equilibrium of X₀ nearest to the untwisted frame. Use it inside [`varda_implicit::ImplicitModel`].
 ///
 /// First guess of a step: X_k carried along rigidly with the supports, θ_k.
 pub struct BackwardEuler {
@@ -57,7 +57,13 @@ impl BackwardEuler {
     ///
     /// # Errors
     /// As [`BackwardEuler::new`].
-    pub fn with_twist(rod: Rod, supports: Supports, loads: Loads, damping: Damping, twist: TwistUnknowns) -> Result<Self, Error> {
+    pub fn with_twist(
+        rod: Rod,
+        supports: Supports,
+        loads: Loads,
+        damping: Damping,
+        twist: TwistUnknowns,
+    ) -> Result<Self, Error> {
         let system = System::new(rod, supports, loads, &damping, twist == TwistUnknowns::Always)?;
         let (n, free) = (system.rod.segments(), system.layout.free_vertices.len());
         Ok(BackwardEuler {
@@ -212,7 +218,14 @@ impl ImplicitStep for BackwardEuler {
         Ok(())
     }
 
-    fn assemble(&mut self, at: &Interval, _x: &[f64], u: &[f64], g: &mut [f64], mut jacobian: Option<&mut [f64]>) -> Result<Option<f64>, Refusal> {
+    fn assemble(
+        &mut self,
+        at: &Interval,
+        _x: &[f64],
+        u: &[f64],
+        g: &mut [f64],
+        mut jacobian: Option<&mut [f64]>,
+    ) -> Result<Option<f64>, Refusal> {
         debug_assert_eq!(self.interval.as_ref(), Some(at), "predict or recover comes before assemble");
         let h = at.length;
         let s = &mut self.system;
@@ -340,7 +353,15 @@ impl ImplicitStep for BackwardEuler {
         }
     }
 
-    fn advance_tangent(&mut self, at: &Interval, _x: &[f64], u: &[f64], dx: &[f64], du: &[f64], dx_next: &mut [f64]) {
+    fn advance_tangent(
+        &mut self,
+        at: &Interval,
+        _x: &[f64],
+        u: &[f64],
+        dx: &[f64],
+        du: &[f64],
+        dx_next: &mut [f64],
+    ) {
         let layout = &self.system.layout;
         let nf = layout.free_vertices.len();
         for (f, &v) in layout.free_vertices.iter().enumerate() {
@@ -362,7 +383,15 @@ impl ImplicitStep for BackwardEuler {
         }
     }
 
-    fn advance_adjoint(&mut self, at: &Interval, _x: &[f64], u: &[f64], lambda: &[f64], dx: &mut [f64], du: &mut [f64]) {
+    fn advance_adjoint(
+        &mut self,
+        at: &Interval,
+        _x: &[f64],
+        u: &[f64],
+        lambda: &[f64],
+        dx: &mut [f64],
+        du: &mut [f64],
+    ) {
         dx.fill(0.0);
         let layout = &self.system.layout;
         let nf = layout.free_vertices.len();

@@ -115,7 +115,8 @@ impl Strains {
     pub(crate) fn angle_hessian(&self, k: &Stiffness) -> [f64; 3] {
         let second = self.angle_curvature(&k.stress(&self.value));
         let column = |j: usize| [self.gradient[0][j], self.gradient[1][j], self.gradient[2][j]];
-        let product = |i: usize, j: usize| k.times(&column(j)).iter().zip(column(i)).map(|(a, b)| a * b).sum::<f64>();
+        let product =
+            |i: usize, j: usize| k.times(&column(j)).iter().zip(column(i)).map(|(a, b)| a * b).sum::<f64>();
         [product(3, 3) + second[0], product(3, 7), product(7, 7) + second[1]]
     }
 }
@@ -158,7 +159,14 @@ pub(crate) fn energies(strains: &Strains, k: &Stiffness) -> (f64, f64) {
 /// The second derivatives of κ_w = ½ w·κb follow from κ_w = N/D with N = w·(e × f), D = |e||f| + e·f for fixed w; the
 /// second-order part of the transport of w adds (κb wᵀ + w κbᵀ)/(4 l²). Those of τ are the symmetric part of ∂(½κb/l)
 /// (the other part is the holonomy of the gauge; Bergou et al. 2010).
-pub(crate) fn bend_twist(a: &Edge, b: &Edge, turn: &Turn, m: &Directors, strains: &Strains, k: &Stiffness) -> Element<11> {
+pub(crate) fn bend_twist(
+    a: &Edge,
+    b: &Edge,
+    turn: &Turn,
+    m: &Directors,
+    strains: &Strains,
+    k: &Stiffness,
+) -> Element<11> {
     let s = k.stress(&strains.value);
     let (bend, twist) = energies(strains, k);
     let mut out = Element { energy: bend + twist, gradient: [0.0; 11], hessian: [[0.0; 11]; 11] };

@@ -57,7 +57,9 @@ pub struct Derivatives {
 pub fn derivatives(rod: &Rod, at: &Framed) -> Result<Derivatives, Error> {
     rod.check()?;
     let n = rod.segments();
-    let count = |field, found, expected| if found == expected { Ok(()) } else { Err(Error::Count { field, found, expected }) };
+    let count = |field, found, expected| {
+        if found == expected { Ok(()) } else { Err(Error::Count { field, found, expected }) }
+    };
     count("vertices", at.vertices.len(), n + 1)?;
     count("directors", at.directors.len(), n)?;
     count("reference_twist", at.reference_twist.len(), n - 1)?;
@@ -71,7 +73,8 @@ pub fn derivatives(rod: &Rod, at: &Framed) -> Result<Derivatives, Error> {
     shape.set_angles(at.theta, Some(at.reference_twist));
 
     let full = 4 * n + 3;
-    let mut out = Derivatives { energy: Energy::default(), gradient: vec![0.0; full], hessian: vec![0.0; full * full] };
+    let mut out =
+        Derivatives { energy: Energy::default(), gradient: vec![0.0; full], hessian: vec![0.0; full * full] };
     for e in 0..n {
         let (energy, force, h) = element::stretch(&shape.edges[e], rod.rest_lengths[e], rod.ea[e]);
         out.energy.stretch += energy;
@@ -88,7 +91,11 @@ pub fn derivatives(rod: &Rod, at: &Framed) -> Result<Derivatives, Error> {
     for i in 1..n {
         let over = 1.0 / rod.voronoi_lengths[i - 1];
         let natural = rod.natural_curvature[i - 1];
-        let k = Stiffness { bend: rod.ei[i - 1].map(|k| k * over), twist: rod.gj[i - 1] * over, rest: [natural[0], natural[1], rod.natural_twist[i - 1]] };
+        let k = Stiffness {
+            bend: rod.ei[i - 1].map(|k| k * over),
+            twist: rod.gj[i - 1] * over,
+            rest: [natural[0], natural[1], rod.natural_twist[i - 1]],
+        };
         let (a, b, turn, m) = (&shape.edges[i - 1], &shape.edges[i], shape.turn(i), shape.directors(i));
         let strains = Strains::of(a, b, turn, &m, shape.tau[i]);
         let (bend, twist) = element::energies(&strains, &k);
@@ -108,7 +115,10 @@ pub fn derivatives(rod: &Rod, at: &Framed) -> Result<Derivatives, Error> {
         }
     }
     if !out.gradient.iter().all(|g| g.is_finite()) {
-        return Err(Error::NonFinite { what: "the gradient, component", index: out.gradient.iter().position(|g| !g.is_finite()).unwrap_or(0) });
+        return Err(Error::NonFinite {
+            what: "the gradient, component",
+            index: out.gradient.iter().position(|g| !g.is_finite()).unwrap_or(0),
+        });
     }
     Ok(out)
 }

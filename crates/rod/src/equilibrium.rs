@@ -1,14 +1,14 @@
 //! Static equilibrium of the whole rod, and of the twist alone, by the same Newton's method.
 
-use varda_implicit::{NewtonOptions, NewtonReport, NewtonWork, solve};
 use varda_implicit::{ImplicitStep, Interval, Refusal, Structure};
+use varda_implicit::{NewtonOptions, NewtonReport, NewtonWork, solve};
 
+use crate::Error;
 use crate::geometry::V3;
 use crate::layout::FIXED;
 use crate::rod::Rod;
 use crate::support::{Damping, Loads, Supports};
 use crate::system::System;
-use crate::Error;
 
 /// A rod at rest: places of all vertices and angles of all edges (from the Bishop frame).
 #[derive(Debug, Clone, PartialEq)]
@@ -29,11 +29,18 @@ pub struct Rest {
 ///
 /// # Panics
 /// If the guess has the wrong number of vertices or angles.
-pub fn equilibrium(rod: &Rod, supports: &Supports, loads: &Loads, t: f64, guess: &Rest) -> Result<(Rest, NewtonReport), varda_implicit::Error> {
+pub fn equilibrium(
+    rod: &Rod,
+    supports: &Supports,
+    loads: &Loads,
+    t: f64,
+    guess: &Rest,
+) -> Result<(Rest, NewtonReport), varda_implicit::Error> {
     assert_eq!(guess.vertices.len(), rod.segments() + 1, "one place for every vertex");
     assert_eq!(guess.theta.len(), rod.segments(), "one angle for every edge");
     let refuse = |source: Error| varda_implicit::Error::Refused { step: 0, source: source.into() };
-    let mut system = System::new(rod.clone(), supports.clone(), loads.clone(), &Damping::default(), false).map_err(refuse)?;
+    let mut system = System::new(rod.clone(), supports.clone(), loads.clone(), &Damping::default(), false)
+        .map_err(refuse)?;
     for (x, g) in system.x.iter_mut().zip(&guess.vertices) {
         *x = V3::from(*g);
     }
@@ -45,7 +52,8 @@ pub fn equilibrium(rod: &Rod, supports: &Supports, loads: &Loads, t: f64, guess:
     let mut statics = Statics::new(system, end_angle, 1e-11 * rod.length());
     let mut work = NewtonWork::new(statics.unknowns(), &statics.structure());
     let options = NewtonOptions { max_iterations: 500, ..NewtonOptions::default() };
-    let report = solve(&mut statics, &Interval { index: 0, start: t, length: 0.0 }, &[], &mut u, &mut work, &options)?;
+    let report =
+        solve(&mut statics, &Interval { index: 0, start: t, length: 0.0 }, &[], &mut u, &mut work, &options)?;
     let mut system = statics.system;
     system.scatter(&u);
     system.update_shape(system.layout.twist, end_angle).map_err(refuse)?;
@@ -113,7 +121,14 @@ impl ImplicitStep for Statics {
         Ok(())
     }
 
-    fn assemble(&mut self, _at: &Interval, _x: &[f64], u: &[f64], g: &mut [f64], mut jacobian: Option<&mut [f64]>) -> Result<Option<f64>, Refusal> {
+    fn assemble(
+        &mut self,
+        _at: &Interval,
+        _x: &[f64],
+        u: &[f64],
+        g: &mut [f64],
+        mut jacobian: Option<&mut [f64]>,
+    ) -> Result<Option<f64>, Refusal> {
         let s = &mut self.system;
         s.scatter(u);
         let twist = s.layout.twist;
@@ -164,7 +179,15 @@ impl ImplicitStep for Statics {
 
     fn previous(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], _dx: &[f64], _dg: &mut [f64]) {}
 
-    fn previous_transpose_add(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], _mu: &[f64], _dx: &mut [f64]) {}
+    fn previous_transpose_add(
+        &mut self,
+        _at: &Interval,
+        _x: &[f64],
+        _u: &[f64],
+        _mu: &[f64],
+        _dx: &mut [f64],
+    ) {
+    }
 }
 
 /// θ₀ = θ(X₀): the angles that minimise E at given vertices, from θ = 0, with δθ₀ = −E_θθ⁻¹ E_θX δX₀ and its transpose.
@@ -285,7 +308,8 @@ impl TwistEquilibrium {
             let mut sum = 0.0;
             for v in self.neighbours(e) {
                 for c in 0..3 {
-                    sum -= self.entry(self.full.layout.angle(e), self.full.layout.vertex(v) + c) * displacement[v][c];
+                    sum -= self.entry(self.full.layout.angle(e), self.full.layout.vertex(v) + c)
+                        * displacement[v][c];
                 }
             }
             self.rhs[f] = sum;
@@ -311,7 +335,8 @@ impl TwistEquilibrium {
             self.psi[e] = lambda[f];
             for v in self.neighbours(e) {
                 for c in 0..3 {
-                    displacement[v][c] -= self.entry(self.full.layout.angle(e), self.full.layout.vertex(v) + c) * self.rhs[f];
+                    displacement[v][c] -=
+                        self.entry(self.full.layout.angle(e), self.full.layout.vertex(v) + c) * self.rhs[f];
                 }
             }
         }

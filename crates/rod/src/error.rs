@@ -30,7 +30,9 @@ pub enum Error {
         index: usize,
     },
     /// The twist equilibrium is (nearly) not a minimum: the step is discontinuous there and has no tangent.
-    #[error("the twist equilibrium folds at edge {edge}: pivot of the twist Hessian {pivot:e} of its natural size")]
+    #[error(
+        "the twist equilibrium folds at edge {edge}: pivot of the twist Hessian {pivot:e} of its natural size"
+    )]
     TwistFold {
         /// The edge where the pivot vanishes.
         edge: usize,

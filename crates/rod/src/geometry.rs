@@ -23,7 +23,11 @@ impl Edge {
         let l = e.norm();
         // Also catches NaN and overflow; 1e-150 keeps 1/l² finite.
         if !(l > 1e-150 && l < 1e150) {
-            return Err(if l.is_finite() { Error::ZeroEdge { edge: index, length: l } } else { Error::NonFinite { what: "the length of edge", index } });
+            return Err(if l.is_finite() {
+                Error::ZeroEdge { edge: index, length: l }
+            } else {
+                Error::NonFinite { what: "the length of edge", index }
+            });
         }
         Ok(Edge { t: e / l, l })
     }

@@ -32,7 +32,12 @@ impl Layout {
     ///
     /// The twist of a naturally straight isotropic rod is zero in equilibrium as long as at most one end holds a director
     /// and no strain-rate damping ties θ to its past: bending does not depend on θ, and τ = 0 costs nothing.
-    pub(crate) fn needed(rod: &Rod, supports: &Supports, damping: &Damping, force_twist: bool) -> Result<Layout, Error> {
+    pub(crate) fn needed(
+        rod: &Rod,
+        supports: &Supports,
+        damping: &Damping,
+        force_twist: bool,
+    ) -> Result<Layout, Error> {
         let bending = !rod.is_chain() && rod.segments() > 1;
         let held = supports.start.is_some() && supports.end.is_some();
         let twistless = rod.is_isotropic_and_straight() && !held && damping.stiffness == 0.0 && !force_twist;
@@ -55,7 +60,13 @@ impl Layout {
         Layout::of(self.segments, self.twist, self.bending, Vec::new(), self.free_angles.clone())
     }
 
-    fn of(segments: usize, twist: bool, bending: bool, free_vertices: Vec<usize>, free_angles: Vec<usize>) -> Layout {
+    fn of(
+        segments: usize,
+        twist: bool,
+        bending: bool,
+        free_vertices: Vec<usize>,
+        free_angles: Vec<usize>,
+    ) -> Layout {
         let stride = if twist { 4 } else { 3 };
         let full = stride * segments + 3;
         let mut unknown = vec![FIXED; full];
@@ -77,7 +88,17 @@ impl Layout {
             free.next().map_or(0, |first| free.next_back().map_or(0, |last| last - first))
         });
         let half_bandwidth = reach.max().unwrap_or(0);
-        Layout { segments, twist, bending, stride, unknown, free_vertices, free_angles, unknowns, half_bandwidth }
+        Layout {
+            segments,
+            twist,
+            bending,
+            stride,
+            unknown,
+            free_vertices,
+            free_angles,
+            unknowns,
+            half_bandwidth,
+        }
     }
 
     pub(crate) fn full(&self) -> usize {

@@ -1,4 +1,61 @@
-//! Discrete elastic rods: energies with exact gradients and Hessians, dynamics, statics.
+//! Discrete elastic rods: cables, tethers, soft robots.
+//!
+//! A rod is a polyline of vertices x_i [m] whose segments stretch, bend and twist (Bergou et al. 2008, 2010):
+//!
+//! ```text
+//! E = ½ Σ EA (l − l̄)²/l̄  +  ½ Σ (κ − κ̄)ᵀ EI (κ − κ̄)/l̄_i  +  ½ Σ GJ (τ − τ̄)²/l̄_i
+//! κb_i = 2 t^{i−1} × t^i / (1 + t^{i−1}·t^i),   κ₁ = ½(m₂^{i−1} + m₂^i)·κb_i,   κ₂ = −½(m₁^{i−1} + m₁^i)·κb_i
+//! ```
+//!
+//! - [`Rod`] is the description (stiffness, rest shape, mass), [`Section`] and [`Material`] make uniform ones.
+//! - [`Supports`], [`Loads`] and [`Damping`] hold it, pull at it and slow it down.
+//! - [`BackwardEuler`] is a time step for [`varda_implicit::ImplicitModel`]: a pure function of (k, x_k), O(n), with exact
+//!   tangent and adjoint. [`equilibrium`] finds the shape at rest; [`Markers`] read points carried by the rod.
+//! - [`derivatives`] gives energy, gradient and full Hessian of any configuration, for a time stepping of your own.
+//!
+//! Units are SI throughout. Sections stay plane and rigid: no shear, no section inertia (θ is massless), small strains
+//! (Hooke's law) with large rotations; no contact. For stubby beams (length under about ten heights) shear matters at
+//! the per cent level and this is the wrong model; for a rod that never bends far, a linear beam is cheaper.
+//!
+//! What a rod does not need is left out: twist angles where they are provably zero (isotropic, naturally straight, one
+//! held director), bending for a chain, prescribed degrees of freedom; [`BackwardEuler::left_out`] lists it.
+//!
+//! # Example
+//!
+//! A rod of silicone hangs from a clamp that moves sideways; where is its tip after one second?
+//!
+//! ```
+//! use std::sync::Arc;
+//! use varda_implicit::{ImplicitModel, Model};
+//! use varda_rod::{BackwardEuler, Clamp, Damping, Loads, Material, Rod, Section, Supports};
+//!
+//! let material = Material::new(1e6, 0.5, 1100.0);
+//! let rod = Rod::uniform(1.0, 20, &Section::circle(&material, 0.01))?;
+//! let clamp = Clamp {
+//!     position: Arc::new(|t: f64| [0.1 * t * t, 0.0, 0.0]),
+//!     tangent: Arc::new([0.0, 0.0, -1.0]),
+//!     director: Arc::new([1.0, 0.0, 0.0]),
+//! };
+//! let loads = Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() };
+//! let step = BackwardEuler::new(rod, Supports::clamped_start(clamp), loads, Damping::default())?;
+//!
+//! // Hanging straight down, at rest: control z = [X₀, V₀] of the free vertices.
+//! let mut z = vec![0.0; step.control_len()];
+//! for (i, &v) in step.free_vertices().iter().enumerate() {
+//!     z[3 * i + 2] = -(v as f64) / 20.0;
+//! }
+//! let mut model = ImplicitModel::new(step, 0, 0.01);
+//! let mut x = vec![0.0; model.dim()];
+//! model.initial_state(&z, &mut x)?;
+//! for k in 0..100 {
+//!     let mut next = vec![0.0; model.dim()];
+//!     model.step(k, &x, &mut next)?;
+//!     x = next;
+//! }
+//! let tip = &x[model.step_ref().control_len() / 2 - 3..][..3];
+//! assert!(tip[0] > 0.0 && tip[0] < 0.1, "it lags behind its clamp");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod damping;
 mod dynamics;

@@ -1,10 +1,10 @@
 //! Points carried by the rod: on the centreline, or off it in the frame of the section.
 
+use crate::Error;
 use crate::dynamics::BackwardEuler;
 use crate::geometry::V3;
 use crate::rod::Place;
 use crate::system::System;
-use crate::Error;
 
 /// A point fixed to the rod: rest arc length s [m] and offset (o₁, o₂, o₃) along (m₁, m₂, t) of the edge there [m].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -48,7 +48,14 @@ impl Markers {
             placed.push((system.rod.place("marker", m.s)?, m.offset));
         }
         let frames = markers.iter().any(|m| m.offset[0] != 0.0 || m.offset[1] != 0.0);
-        Ok(Markers { system, markers: placed, frames, displacement: vec![V3::zeros(); n + 1], psi: vec![0.0; n], angle: vec![0.0; n] })
+        Ok(Markers {
+            system,
+            markers: placed,
+            frames,
+            displacement: vec![V3::zeros(); n + 1],
+            psi: vec![0.0; n],
+            angle: vec![0.0; n],
+        })
     }
 
     /// Number of markers.

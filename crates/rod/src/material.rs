@@ -82,9 +82,17 @@ impl Section {
 }
 
 pub(crate) fn positive(field: &'static str, value: f64) -> Result<(), Error> {
-    if value > 0.0 && value.is_finite() { Ok(()) } else { Err(Error::Value { field, value, expected: "a positive number" }) }
+    if value > 0.0 && value.is_finite() {
+        Ok(())
+    } else {
+        Err(Error::Value { field, value, expected: "a positive number" })
+    }
 }
 
 pub(crate) fn not_negative(field: &'static str, value: f64) -> Result<(), Error> {
-    if value >= 0.0 && value.is_finite() { Ok(()) } else { Err(Error::Value { field, value, expected: "zero or a positive number" }) }
+    if value >= 0.0 && value.is_finite() {
+        Ok(())
+    } else {
+        Err(Error::Value { field, value, expected: "zero or a positive number" })
+    }
 }

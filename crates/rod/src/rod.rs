@@ -151,7 +151,9 @@ impl Rod {
         if n == 0 {
             return Err(Error::Value { field: "segments", value: 0.0, expected: "at least 1" });
         }
-        let count = |field, found, expected| if found == expected { Ok(()) } else { Err(Error::Count { field, found, expected }) };
+        let count = |field, found, expected| {
+            if found == expected { Ok(()) } else { Err(Error::Count { field, found, expected }) }
+        };
         count("voronoi_lengths", self.voronoi_lengths.len(), n - 1)?;
         count("ea", self.ea.len(), n)?;
         count("ei", self.ei.len(), n - 1)?;
@@ -169,7 +171,13 @@ impl Rod {
             not_negative("EI", k[2])?;
             not_negative("determinant of EI", k[0] * k[2] - k[1] * k[1])?;
         }
-        let finite = |field, value: f64| if value.is_finite() { Ok(()) } else { Err(Error::Value { field, value, expected: "a finite number" }) };
+        let finite = |field, value: f64| {
+            if value.is_finite() {
+                Ok(())
+            } else {
+                Err(Error::Value { field, value, expected: "a finite number" })
+            }
+        };
         self.natural_twist.iter().try_for_each(|&v| finite("natural twist", v))?;
         self.natural_curvature.iter().flatten().try_for_each(|&v| finite("natural curvature", v))
     }

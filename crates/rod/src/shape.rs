@@ -101,7 +101,12 @@ impl Shape {
 
     /// Directors of the two edges at an interior vertex.
     pub(crate) fn directors(&self, vertex: usize) -> Directors {
-        Directors { m1e: self.m1[vertex - 1], m2e: self.m2[vertex - 1], m1f: self.m1[vertex], m2f: self.m2[vertex] }
+        Directors {
+            m1e: self.m1[vertex - 1],
+            m2e: self.m2[vertex - 1],
+            m1f: self.m1[vertex],
+            m2f: self.m2[vertex],
+        }
     }
 
     /// dψ of every edge for displacements dx of the vertices.

@@ -86,7 +86,12 @@ pub struct Supports {
 
 impl Default for Supports {
     fn default() -> Supports {
-        Supports { start: None, end: None, prescribed: Vec::new(), free_frame: ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]) }
+        Supports {
+            start: None,
+            end: None,
+            prescribed: Vec::new(),
+            free_frame: ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]),
+        }
     }
 }
 

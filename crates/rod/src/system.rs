@@ -49,7 +49,11 @@ impl Clamp {
         let tangent = tangent / size;
         let across = director - tangent * director.dot(&tangent);
         if !(across.norm() > 1e-9 * director.norm()) {
-            return Err(Error::Value { field: "a clamp's director", value: across.norm(), expected: "a direction not along its tangent" });
+            return Err(Error::Value {
+                field: "a clamp's director",
+                value: across.norm(),
+                expected: "a direction not along its tangent",
+            });
         }
         if !position.iter().all(|v| v.is_finite()) {
             return Err(bad("a clamp's position, component", 0));
@@ -59,7 +63,13 @@ impl Clamp {
 }
 
 impl System {
-    pub(crate) fn new(rod: Rod, supports: Supports, loads: Loads, damping: &Damping, force_twist: bool) -> Result<System, Error> {
+    pub(crate) fn new(
+        rod: Rod,
+        supports: Supports,
+        loads: Loads,
+        damping: &Damping,
+        force_twist: bool,
+    ) -> Result<System, Error> {
         rod.check()?;
         crate::material::not_negative("damping.stiffness", damping.stiffness)?;
         crate::material::not_negative("damping.mass", damping.mass)?;
@@ -76,7 +86,11 @@ impl System {
         let tangent = tangent / size;
         let director = V3::from(supports.free_frame.1);
         let across = director - tangent * director.dot(&tangent);
-        let director = if across.norm() > 1e-9 * director.norm() { perpendicular(&director, &tangent) } else { any_perpendicular(&tangent) };
+        let director = if across.norm() > 1e-9 * director.norm() {
+            perpendicular(&director, &tangent)
+        } else {
+            any_perpendicular(&tangent)
+        };
         let mut system = System {
             x: vec![V3::zeros(); n + 1],
             theta: vec![0.0; n],
@@ -233,7 +247,11 @@ impl System {
             }
             if let Some(values) = jacobian.as_deref_mut() {
                 let mut band = Band { layout, values };
-                if layout.twist { band.add(a, &edge_hessian::<7>(&h, 4)) } else { band.add(a, &edge_hessian::<6>(&h, 3)) }
+                if layout.twist {
+                    band.add(a, &edge_hessian::<7>(&h, 4))
+                } else {
+                    band.add(a, &edge_hessian::<6>(&h, 3))
+                }
             }
         }
         if !layout.bending {
@@ -265,21 +283,39 @@ impl System {
 
     /// δθ of the edges of a rod without twist unknowns: all turn with the end clamp where only that holds a director.
     pub(crate) fn angle_that_all_follow(&self, psi: &[f64]) -> f64 {
-        if !self.layout.twist && self.supports.end.is_some() { psi.last().copied().unwrap_or(0.0) } else { 0.0 }
+        if !self.layout.twist && self.supports.end.is_some() {
+            psi.last().copied().unwrap_or(0.0)
+        } else {
+            0.0
+        }
     }
 
     /// Strains of the present shape at an interior vertex, with gradients.
     pub(crate) fn strains(&self, vertex: usize) -> Strains {
         let shape = &self.shape;
-        Strains::of(&shape.edges[vertex - 1], &shape.edges[vertex], shape.turn(vertex), &shape.directors(vertex), shape.tau[vertex])
+        Strains::of(
+            &shape.edges[vertex - 1],
+            &shape.edges[vertex],
+            shape.turn(vertex),
+            &shape.directors(vertex),
+            shape.tau[vertex],
+        )
     }
 
     /// Edge and size of the smallest pivot of E_θθ (free angles, in order), in units of the stiffness of its neighbours.
     /// As it goes to zero the twist equilibrium folds: it stops being a smooth function of the vertices.
     pub(crate) fn smallest_twist_pivot(&self) -> (usize, f64) {
         let n = self.layout.segments;
-        let vertex = |i: usize| if i == 0 || i == n { [0.0; 3] } else { self.strains(i).angle_hessian(&self.bend[i - 1]) };
-        let scale = |i: usize| if i == 0 || i == n { 0.0 } else { self.bend[i - 1].twist + 1e-9 * (self.bend[i - 1].bend[0] + self.bend[i - 1].bend[2]) };
+        let vertex = |i: usize| {
+            if i == 0 || i == n { [0.0; 3] } else { self.strains(i).angle_hessian(&self.bend[i - 1]) }
+        };
+        let scale = |i: usize| {
+            if i == 0 || i == n {
+                0.0
+            } else {
+                self.bend[i - 1].twist + 1e-9 * (self.bend[i - 1].bend[0] + self.bend[i - 1].bend[2])
+            }
+        };
         let mut left = vertex(0);
         let (mut pivot_before, mut smallest) = (None::<f64>, (0, f64::INFINITY));
         for e in 0..n {

@@ -3,15 +3,25 @@
 use std::sync::Arc;
 
 use varda_implicit::{ImplicitModel, Model};
-use varda_rod::{BackwardEuler, Clamp, Damping, EllipseDrive, Loads, Marker, Markers, Material, Motion, Rod, Section, Supports, equilibrium, straight_guess};
+use varda_rod::{
+    BackwardEuler, Clamp, Damping, EllipseDrive, Loads, Marker, Markers, Material, Motion, Rod, Section,
+    Supports, equilibrium, straight_guess,
+};
 
 const MATERIAL: Material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1100.0 };
 
 fn loads() -> Loads {
-    Loads { gravity: [0.0, 0.0, -9.81], point_forces: vec![(0.61, Arc::new(|t: f64| [0.02 * t.cos(), 0.01, 0.0]))] }
+    Loads {
+        gravity: [0.0, 0.0, -9.81],
+        point_forces: vec![(0.61, Arc::new(|t: f64| [0.02 * t.cos(), 0.01, 0.0]))],
+    }
 }
 
-fn clamp(position: impl Motion + 'static, tangent: impl Motion + 'static, director: impl Motion + 'static) -> Clamp {
+fn clamp(
+    position: impl Motion + 'static,
+    tangent: impl Motion + 'static,
+    director: impl Motion + 'static,
+) -> Clamp {
     Clamp { position: Arc::new(position), tangent: Arc::new(tangent), director: Arc::new(director) }
 }
 
@@ -34,20 +44,36 @@ fn straight(segments: usize) -> Rod {
 
 /// A clamp that moves, swings and turns about itself.
 fn swinging() -> Clamp {
-    clamp(drive(), |t: f64| [0.3 * (3.0 * t).sin(), 0.1, -1.0], |t: f64| [(4.0 * t).cos(), (4.0 * t).sin(), 0.0])
+    clamp(
+        drive(),
+        |t: f64| [0.3 * (3.0 * t).sin(), 0.1, -1.0],
+        |t: f64| [(4.0 * t).cos(), (4.0 * t).sin(), 0.0],
+    )
 }
 
 fn both_ends() -> Supports {
-    let end = clamp(|t: f64| [0.35 + 0.05 * t, 0.1, -0.4], [0.8, 0.2, 0.6], |t: f64| [(2.0 * t).sin(), (2.0 * t).cos(), 0.3]);
+    let end = clamp(
+        |t: f64| [0.35 + 0.05 * t, 0.1, -0.4],
+        [0.8, 0.2, 0.6],
+        |t: f64| [(2.0 * t).sin(), (2.0 * t).cos(), 0.3],
+    );
     Supports { start: Some(swinging()), end: Some(end), ..Supports::default() }
 }
 
 fn pinned() -> Supports {
-    Supports { prescribed: vec![(0, Arc::new(drive())), (5, Arc::new([0.1, 0.0, -0.45]))], free_frame: ([0.0, 0.0, -1.0], [1.0, 0.0, 0.0]), ..Supports::default() }
+    Supports {
+        prescribed: vec![(0, Arc::new(drive())), (5, Arc::new([0.1, 0.0, -0.45]))],
+        free_frame: ([0.0, 0.0, -1.0], [1.0, 0.0, 0.0]),
+        ..Supports::default()
+    }
 }
 
 fn end_clamp() -> Supports {
-    Supports { end: Some(clamp([0.0, 0.0, -0.9], |t: f64| [0.2 * t.sin(), 0.0, -1.0], [0.0, 1.0, 0.2])), free_frame: ([0.0, 0.0, -1.0], [1.0, 0.0, 0.0]), ..Supports::default() }
+    Supports {
+        end: Some(clamp([0.0, 0.0, -0.9], |t: f64| [0.2 * t.sin(), 0.0, -1.0], [0.0, 1.0, 0.2])),
+        free_frame: ([0.0, 0.0, -1.0], [1.0, 0.0, 0.0]),
+        ..Supports::default()
+    }
 }
 
 fn chain() -> Rod {
@@ -61,7 +87,12 @@ fn cases() -> Vec<(&'static str, Rod, Supports, Damping)> {
     let both = Damping { stiffness: 0.004, mass: 0.7 };
     vec![
         ("straight, clamped", straight(8), Supports::clamped_start(swinging()), none),
-        ("straight, mass damping", straight(8), Supports::clamped_start(swinging()), Damping { stiffness: 0.0, mass: 1.5 }),
+        (
+            "straight, mass damping",
+            straight(8),
+            Supports::clamped_start(swinging()),
+            Damping { stiffness: 0.0, mass: 1.5 },
+        ),
         ("straight, both dampings", straight(8), Supports::clamped_start(swinging()), both),
         ("straight, both ends", straight(8), both_ends(), none),
         ("straight, end clamp", straight(8), end_clamp(), none),
@@ -71,7 +102,12 @@ fn cases() -> Vec<(&'static str, Rod, Supports, Damping)> {
         ("curved, pinned", curved(), pinned(), none),
         ("curved, pinned, damped", curved(), pinned(), both),
         ("curved, end clamp, damped", curved(), end_clamp(), both),
-        ("curved, free, damped", curved(), Supports { free_frame: ([0.0, 0.0, -1.0], [1.0, 0.0, 0.0]), ..Supports::default() }, both),
+        (
+            "curved, free, damped",
+            curved(),
+            Supports { free_frame: ([0.0, 0.0, -1.0], [1.0, 0.0, 0.0]), ..Supports::default() },
+            both,
+        ),
         ("chain, damped", chain(), Supports::clamped_start(swinging()), both),
     ]
 }

@@ -24,15 +24,27 @@ fn check(text: &str) {
         rest_lengths: numbers(&f["rest_lengths"]),
         voronoi_lengths: numbers(&f["voronoi_lengths"]),
         ea: numbers(&f["EA"]),
-        ei: matrices.map(|m| [m[0][0].as_f64().unwrap(), m[0][1].as_f64().unwrap(), m[1][1].as_f64().unwrap()]).collect(),
+        ei: matrices
+            .map(|m| [m[0][0].as_f64().unwrap(), m[0][1].as_f64().unwrap(), m[1][1].as_f64().unwrap()])
+            .collect(),
         gj: numbers(&f["GJ"]),
-        natural_curvature: f["kappa_bar"].as_array().unwrap().iter().map(|k| numbers(k).try_into().unwrap()).collect(),
+        natural_curvature: f["kappa_bar"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|k| numbers(k).try_into().unwrap())
+            .collect(),
         natural_twist: numbers(&f["tau_bar"]),
         masses: vec![1.0; n + 1],
     };
     let (vertices, directors) = (triples(&f["vertices"]), triples(&f["ref_d1"]));
     let (reference_twist, theta) = (numbers(&f["ref_twist"]), numbers(&f["theta"]));
-    let at = Framed { vertices: &vertices, directors: &directors, reference_twist: &reference_twist, theta: &theta };
+    let at = Framed {
+        vertices: &vertices,
+        directors: &directors,
+        reference_twist: &reference_twist,
+        theta: &theta,
+    };
     let ours = derivatives(&rod, &at).expect("a sound configuration");
 
     // Tolerances as stated with the fixtures: rounding of float64 inputs, looser where edges are almost folded.
@@ -40,7 +52,10 @@ fn check(text: &str) {
     let total = f["energy"]["total"].as_f64().unwrap();
     let scale: f64 = rod.ea.iter().zip(&rod.rest_lengths).map(|(a, l)| a * l).sum();
     let error = (ours.energy.total() - total).abs();
-    assert!(error <= 1e-12 * loose * total.abs().max(1e-12 * scale), "{name}: energy off by {error:e} of {total:e}");
+    assert!(
+        error <= 1e-12 * loose * total.abs().max(1e-12 * scale),
+        "{name}: energy off by {error:e} of {total:e}"
+    );
 
     let gradient = numbers(&f["gradient"]["total"]);
     let bound = (1e-10 * loose * largest(&gradient)).max(1e-13 * largest(&rod.ea));
@@ -61,7 +76,12 @@ fn check(text: &str) {
     }
     let bound = 1e-10 * loose * largest(&hessian);
     for (i, (a, b)) in ours.hessian.iter().zip(&hessian).enumerate() {
-        assert!((a - b).abs() <= bound, "{name}: Hessian ({}, {}) is {a:e}, expected {b:e}", i % full, i / full);
+        assert!(
+            (a - b).abs() <= bound,
+            "{name}: Hessian ({}, {}) is {a:e}, expected {b:e}",
+            i % full,
+            i / full
+        );
     }
     // The check can fail: one entry off by a thousandth is seen.
     let k = (0..hessian.len()).max_by(|&a, &b| hessian[a].abs().total_cmp(&hessian[b].abs())).unwrap();
@@ -72,4 +92,12 @@ macro_rules! fixtures {
     ($($name:ident),*) => { $(#[test] fn $name() { check(include_str!(concat!("fixtures/", stringify!($name), ".json"))); })* };
 }
 
-fixtures!(aniso_natural_7, curved_iso_5, large_theta_6, near_folded_170_4, nonuniform_stretched_12, slender_1e4_8, straight_rest_3);
+fixtures!(
+    aniso_natural_7,
+    curved_iso_5,
+    large_theta_6,
+    near_folded_170_4,
+    nonuniform_stretched_12,
+    slender_1e4_8,
+    straight_rest_3
+);

@@ -1,0 +1,411 @@
+//! Strong-constraint 4D-Var; with a window of zero steps, 3D-Var.
+
+use super::{CostFunction, CostTerms, Counts, GaussNewton, dot};
+use crate::{ControlTransform, Error, ObservationSet};
+use faer::linalg::matmul::matmul;
+use faer::{Accum, MatMut, MatRef, Par};
+use varda_implicit::Model;
+
+/// Strong-constraint 4D-Var in the control variable (paper 2.15, with z = z_b + B^{1/2} v; Courtier, Thépaut and Hollingsworth 1994):
+///
+/// ```text
+///     J(v)  = ½‖v‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹},    x₀ = x₀(z),    x_{k+1} = M_k(x_k)
+///     ∇J(v) = v − Gᵀ R^{-1/2} d,    A = I + GᵀG,    G = R^{-1/2} H M B^{1/2}
+/// ```
+///
+/// The gradient is one forward run, one linearization of every step, and one adjoint sweep in Horner's form (2.26, 2.27):
+/// λ ← H_kᵀ R_k⁻¹ d_k + M_kᵀ λ from the last observed step down to the first. Steps after the last observation are not run. Where the
+/// last observation is at step 0, or there is no model at all, this is 3D-Var and no step is called.
+///
+/// Cost: memory two trajectories, (last + 1) × n each, beside what the model keeps of its linearizations. Not for windows too long for
+/// that, nor for a model in error (weak constraint).
+pub struct StrongConstraint<'a> {
+    model: Option<&'a mut (dyn Model + 'a)>,
+    transform: ControlTransform<'a>,
+    observations: &'a mut ObservationSet,
+    scale: f64,
+    /// The last step that is run to.
+    last: usize,
+    /// Length of the state.
+    state_dim: usize,
+    /// The point of the last gradient.
+    base: Point,
+    /// Whether the model holds the linearizations at `base`.
+    linearized: bool,
+    /// The last point evaluated without one.
+    trial: Point,
+    terms: CostTerms,
+    counts: Counts,
+    model_before: varda_implicit::Counts,
+    lambda: Vec<f64>,
+    dz: Vec<f64>,
+    dy: Vec<f64>,
+    unit: Vec<f64>,
+    /// G, m × n by columns; allocated by the first dense Hessian.
+    jacobian: Vec<f64>,
+}
+
+/// A forward run: everything that follows from v without derivatives.
+struct Point {
+    valid: bool,
+    /// Whether the model's `initial_state` was last called here.
+    initial: bool,
+    v: Vec<f64>,
+    z: Vec<f64>,
+    states: Vec<f64>,
+    predicted: Vec<f64>,
+}
+
+impl<'a> StrongConstraint<'a> {
+    /// The cost of a window of `observations.steps()` steps of a model whose control is that of `transform`.
+    ///
+    /// # Errors
+    /// A model whose control has another length than B.
+    pub fn new(
+        model: &'a mut (dyn Model + 'a),
+        transform: ControlTransform<'a>,
+        observations: &'a mut ObservationSet,
+    ) -> Result<Self, Error> {
+        if model.control_dim() != transform.control_dim() {
+            return Err(Error::Length {
+                what: "the background",
+                expected: model.control_dim(),
+                found: transform.control_dim(),
+            });
+        }
+        let state_dim = model.dim();
+        Ok(Self::with(Some(model), state_dim, transform, observations))
+    }
+
+    /// 3D-Var: no model, the control is the state.
+    ///
+    /// # Errors
+    /// Observations after step 0.
+    pub fn without_model(
+        transform: ControlTransform<'a>,
+        observations: &'a mut ObservationSet,
+    ) -> Result<Self, Error> {
+        if let Some(step @ 1..) = observations.last_step() {
+            return Err(Error::Length { what: "a window without a model", expected: 0, found: step });
+        }
+        let state_dim = transform.control_dim();
+        Ok(Self::with(None, state_dim, transform, observations))
+    }
+
+    fn with(
+        model: Option<&'a mut (dyn Model + 'a)>,
+        state_dim: usize,
+        transform: ControlTransform<'a>,
+        observations: &'a mut ObservationSet,
+    ) -> Self {
+        let (n, n_z, m) = (transform.dim(), transform.control_dim(), observations.dim());
+        let last = observations.last_step().unwrap_or(0);
+        let point = || Point {
+            valid: false,
+            initial: false,
+            v: vec![0.0; n],
+            z: vec![0.0; n_z],
+            states: vec![0.0; (last + 1) * state_dim],
+            predicted: vec![0.0; m],
+        };
+        Self {
+            model_before: model.as_ref().map(|m| m.counts()).unwrap_or_default(),
+            model,
+            scale: 1.0,
+            last,
+            state_dim,
+            base: point(),
+            linearized: false,
+            trial: point(),
+            terms: CostTerms::default(),
+            counts: Counts::default(),
+            lambda: vec![0.0; state_dim],
+            dz: vec![0.0; n_z],
+            dy: vec![0.0; m],
+            unit: vec![0.0; n],
+            jacobian: Vec::new(),
+            transform,
+            observations,
+        }
+    }
+
+    /// The control variable transform.
+    pub fn transform(&self) -> &ControlTransform<'a> {
+        &self.transform
+    }
+
+    /// The observations.
+    pub fn observations(&self) -> &ObservationSet {
+        self.observations
+    }
+
+    /// State x_k of the point of the last gradient, k = 0 … the last observed step.
+    ///
+    /// # Panics
+    /// If no gradient has been evaluated, or that step was not run.
+    pub fn state(&self, k: usize) -> &[f64] {
+        assert!(self.linearized, "evaluate a gradient first");
+        &self.base.states[k * self.state_dim..(k + 1) * self.state_dim]
+    }
+
+    /// Predictions H(x) at the point of the last gradient, stacked.
+    ///
+    /// # Panics
+    /// If no gradient has been evaluated.
+    pub fn predicted(&self) -> &[f64] {
+        assert!(self.linearized, "evaluate a gradient first");
+        &self.base.predicted
+    }
+
+    /// Runs the window from v into the trial point.
+    fn forward(&mut self, v: &[f64]) -> Result<(), Error> {
+        self.base.initial = false;
+        self.trial.initial = false;
+        self.trial.valid = false;
+        if !v.iter().all(|v| v.is_finite()) {
+            return Err(Error::NonFinite { what: "the control variable", step: 0 });
+        }
+        self.counts.forward_runs += 1;
+        let n = self.state_dim;
+        let Point { v: kept, z, states, predicted, .. } = &mut self.trial;
+        kept.copy_from_slice(v);
+        self.transform.control(v, z);
+        match &mut self.model {
+            Some(model) => model.initial_state(z, &mut states[..n])?,
+            None => states.copy_from_slice(z),
+        }
+        predicted.fill(0.0);
+        self.observations.observe_add(0, &states[..n], predicted)?;
+        if let Some(model) = &mut self.model {
+            for k in 0..self.last {
+                let (x, x_next) = states[k * n..(k + 2) * n].split_at_mut(n);
+                model.step(k, x, x_next)?;
+                self.observations.observe_add(k + 1, x_next, predicted)?;
+            }
+        }
+        self.trial.initial = true;
+        self.trial.valid = true;
+        Ok(())
+    }
+
+    /// Linearizes every step at the base point.
+    fn linearize(&mut self) -> Result<(), Error> {
+        self.linearized = false;
+        let n = self.state_dim;
+        if let Some(model) = &mut self.model {
+            for k in 0..self.last {
+                let (x, x_next) = self.base.states[k * n..(k + 2) * n].split_at(n);
+                model.linearize(k, x, x_next)?;
+            }
+        }
+        self.linearized = true;
+        Ok(())
+    }
+
+    /// Brings the model's map from control to initial state back to the base point after a trial run.
+    fn return_to_base(&mut self) -> Result<(), Error> {
+        assert!(self.linearized, "evaluate a gradient first");
+        if !self.base.initial {
+            if let Some(model) = &mut self.model {
+                model.initial_state(&self.base.z, &mut self.lambda)?;
+            }
+            self.base.initial = true;
+            self.trial.initial = false;
+        }
+        Ok(())
+    }
+
+    /// out = (H M U)ᵀ dy, at the base point.
+    fn adjoint_sweep(&mut self, out: &mut [f64]) {
+        self.counts.adjoint_sweeps += 1;
+        let n = self.state_dim;
+        self.lambda.fill(0.0);
+        for k in (0..=self.last).rev() {
+            if k < self.last
+                && let Some(model) = &mut self.model
+            {
+                model.adjoint(k, &mut self.lambda);
+            }
+            let x = &self.base.states[k * n..(k + 1) * n];
+            self.observations.adjoint_add(k, x, &self.dy, &mut self.lambda);
+        }
+        match &mut self.model {
+            Some(model) => model.initial_adjoint(&self.lambda, &mut self.dz),
+            None => self.dz.copy_from_slice(&self.lambda),
+        }
+        self.transform.adjoint(&self.dz, out);
+    }
+
+    /// dy = R^{-1/2} H M U dv, at the base point.
+    fn tangent_sweep(&mut self, dv: &[f64], dy: &mut [f64]) {
+        self.counts.tangent_sweeps += 1;
+        let n = self.state_dim;
+        self.transform.tangent(dv, &mut self.dz);
+        match &mut self.model {
+            Some(model) => model.initial_tangent(&self.dz, &mut self.lambda),
+            None => self.lambda.copy_from_slice(&self.dz),
+        }
+        dy.fill(0.0);
+        for k in 0..=self.last {
+            let x = &self.base.states[k * n..(k + 1) * n];
+            self.observations.tangent_add(k, x, &self.lambda, dy);
+            if k < self.last
+                && let Some(model) = &mut self.model
+            {
+                model.tangent(k, &mut self.lambda);
+            }
+        }
+        for (dy, sigma) in dy.iter_mut().zip(self.observations.sigma()) {
+            *dy /= self.scale * sigma;
+        }
+    }
+}
+
+impl CostFunction for StrongConstraint<'_> {
+    fn dim(&self) -> usize {
+        self.transform.dim()
+    }
+
+    fn evaluate(&mut self, v: &[f64], gradient: Option<&mut [f64]>) -> Result<f64, Error> {
+        assert_eq!(v.len(), self.dim(), "length of v");
+        let at_base = self.base.valid && self.base.v == v;
+        if !at_base && !(self.trial.valid && self.trial.v == v) {
+            self.forward(v)?;
+        }
+        let point = if at_base { &self.base } else { &self.trial };
+        let mut sum = 0.0;
+        for i in 0..self.observations.dim() {
+            let sigma = self.scale * self.observations.sigma()[i];
+            let d = self.observations.values()[i] - point.predicted[i];
+            sum += (d / sigma) * (d / sigma);
+        }
+        let terms = CostTerms { background: 0.5 * dot(v, v), observation: 0.5 * sum, model_error: 0.0 };
+        if !terms.total().is_finite() {
+            return Err(Error::NonFinite { what: "the cost", step: self.last });
+        }
+
+        if let Some(gradient) = gradient {
+            assert_eq!(gradient.len(), self.dim(), "length of the gradient");
+            if !at_base {
+                std::mem::swap(&mut self.base, &mut self.trial);
+                self.linearized = false;
+            }
+            if !self.linearized {
+                self.linearize()?;
+            }
+            self.return_to_base()?;
+            for i in 0..self.observations.dim() {
+                let sigma = self.scale * self.observations.sigma()[i];
+                self.dy[i] = (self.base.predicted[i] - self.observations.values()[i]) / sigma / sigma;
+            }
+            self.counts.gradients += 1;
+            if self.observations.dim() == 0 {
+                gradient.fill(0.0);
+            } else {
+                self.adjoint_sweep(gradient);
+            }
+            for (g, v) in gradient.iter_mut().zip(v) {
+                *g += v;
+            }
+            if !gradient.iter().all(|g| g.is_finite()) {
+                return Err(Error::NonFinite { what: "the gradient", step: 0 });
+            }
+        }
+        self.terms = terms;
+        Ok(terms.total())
+    }
+
+    fn terms(&self) -> CostTerms {
+        self.terms
+    }
+
+    fn set_observation_scale(&mut self, scale: f64) {
+        assert!(scale > 0.0 && scale.is_finite(), "observation scale {scale}");
+        self.scale = scale;
+    }
+
+    fn counts(&self) -> Counts {
+        let model = match &self.model {
+            Some(model) => difference(model.counts(), self.model_before),
+            None => varda_implicit::Counts::default(),
+        };
+        Counts { model, ..self.counts }
+    }
+}
+
+impl GaussNewton for StrongConstraint<'_> {
+    fn observation_dim(&self) -> usize {
+        self.observations.dim()
+    }
+
+    fn observation_jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
+        self.return_to_base()?;
+        self.tangent_sweep(dv, dy);
+        Ok(())
+    }
+
+    fn observation_jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
+        assert_eq!(dy.len(), self.observations.dim(), "length of dy");
+        self.return_to_base()?;
+        for i in 0..dy.len() {
+            self.dy[i] = dy[i] / (self.scale * self.observations.sigma()[i]);
+        }
+        self.adjoint_sweep(dv);
+        Ok(())
+    }
+
+    fn hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error> {
+        self.return_to_base()?;
+        let mut dy = std::mem::take(&mut self.dy);
+        self.tangent_sweep(dv, &mut dy);
+        for (dy, sigma) in dy.iter_mut().zip(self.observations.sigma()) {
+            *dy /= self.scale * sigma;
+        }
+        self.dy = dy;
+        self.adjoint_sweep(out);
+        for (out, dv) in out.iter_mut().zip(dv) {
+            *out += dv;
+        }
+        Ok(())
+    }
+
+    fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        self.return_to_base()?;
+        let (n, m) = (self.dim(), self.observations.dim());
+        assert_eq!(out.len(), n * n, "length of the Hessian");
+        let mut unit = std::mem::take(&mut self.unit);
+        let mut jacobian = std::mem::take(&mut self.jacobian);
+        jacobian.resize(m * n, 0.0);
+        if m > 0 {
+            for (j, column) in jacobian.chunks_exact_mut(m).enumerate() {
+                unit[j] = 1.0;
+                self.tangent_sweep(&unit, column);
+                unit[j] = 0.0;
+            }
+        }
+        let g = MatRef::from_column_major_slice(&jacobian, m, n);
+        let a = MatMut::from_column_major_slice_mut(out, n, n);
+        matmul(a, Accum::Replace, g.transpose(), g, 1.0, Par::Seq);
+        self.unit = unit;
+        self.jacobian = jacobian;
+        for j in 0..n {
+            out[j + j * n] += 1.0;
+            for i in 0..j {
+                out[j + i * n] = out[i + j * n];
+            }
+        }
+        Ok(())
+    }
+}
+
+fn difference(now: varda_implicit::Counts, before: varda_implicit::Counts) -> varda_implicit::Counts {
+    varda_implicit::Counts {
+        model_steps: now.model_steps - before.model_steps,
+        substeps: now.substeps - before.substeps,
+        tangent_steps: now.tangent_steps - before.tangent_steps,
+        adjoint_steps: now.adjoint_steps - before.adjoint_steps,
+        linearizations: now.linearizations - before.linearizations,
+        factorizations: now.factorizations - before.factorizations,
+        newton_iterations: now.newton_iterations - before.newton_iterations,
+    }
+}

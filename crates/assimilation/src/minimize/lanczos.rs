@@ -1,0 +1,136 @@
+//! Lanczos iteration with full re-orthogonalisation: truncated conjugate gradients that also return Ritz pairs.
+
+use super::spectral::{Spectral, eigen};
+use crate::{Error, cost::dot, cost::norm};
+
+/// An approximate eigenpair A z ≈ μ z of the Hessian, ‖z‖ = 1.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RitzPair {
+    /// μ.
+    pub value: f64,
+    /// z.
+    pub vector: Vec<f64>,
+    /// ‖A z − μ z‖: an eigenvalue of A lies within this of μ.
+    pub residual: f64,
+}
+
+/// The Krylov space of (A, g) and A on it: Qᵀ A Q = T tridiagonal, Q orthonormal to rounding.
+pub(super) struct Lanczos {
+    n: usize,
+    /// Columns of Q, k + 1 of them after k iterations.
+    basis: Vec<f64>,
+    diagonal: Vec<f64>,
+    off_diagonal: Vec<f64>,
+    work: Vec<f64>,
+}
+
+/// When to stop: at the first of the four.
+pub(super) struct Limits {
+    /// The conjugate gradient iterate has a residual below this part of ‖g‖.
+    pub(super) residual: f64,
+    /// That iterate has left the ball of this radius: the best step is on its boundary (Steihaug 1983).
+    pub(super) radius: f64,
+    /// Iterations. (The fourth: the space is invariant, nothing is left to be found.)
+    pub(super) iterations: usize,
+}
+
+impl Lanczos {
+    pub(super) fn new(n: usize) -> Self {
+        Self { n, basis: Vec::new(), diagonal: Vec::new(), off_diagonal: Vec::new(), work: vec![0.0; n] }
+    }
+
+    /// Builds the space, and returns the quadratic model on it.
+    pub(super) fn run(
+        &mut self,
+        product: &mut dyn FnMut(&[f64], &mut [f64]) -> Result<(), Error>,
+        g: &[f64],
+        limits: &Limits,
+    ) -> Result<Spectral, Error> {
+        let n = self.n;
+        let length = norm(g);
+        self.basis.clear();
+        self.diagonal.clear();
+        self.off_diagonal.clear();
+        self.basis.extend(g.iter().map(|g| g / length));
+        for k in 0..limits.iterations.min(n) {
+            product(&self.basis[k * n..], &mut self.work)?;
+            self.diagonal.push(dot(&self.basis[k * n..], &self.work));
+            // Twice is enough (Giraud, Langou and Rozložník 2005).
+            for q in self.basis.chunks_exact(n).rev().chain(self.basis.chunks_exact(n)) {
+                let c = dot(q, &self.work);
+                self.work.iter_mut().zip(q).for_each(|(w, q)| *w -= c * q);
+            }
+            let beta = norm(&self.work);
+            if !beta.is_finite() {
+                return Err(Error::NonFinite { what: "a product with the Hessian", step: 0 });
+            }
+            self.off_diagonal.push(beta);
+            let (last, size) = self.galerkin(length);
+            let scale = self.diagonal.iter().fold(0.0, |m: f64, a| m.max(a.abs()));
+            if beta * last.abs() <= limits.residual * length || size >= limits.radius || beta <= 1e-14 * scale
+            {
+                break;
+            }
+            self.basis.extend(self.work.iter().map(|w| w / beta));
+        }
+        let k = self.iterations();
+        let (values, small) = self.eigen()?;
+        let mut vectors = vec![0.0; n * k];
+        for (z, w) in vectors.chunks_exact_mut(n).zip(small.chunks_exact(k)) {
+            for (q, w) in self.basis.chunks_exact(n).zip(w) {
+                z.iter_mut().zip(q).for_each(|(z, q)| *z += w * q);
+            }
+        }
+        Ok(Spectral::new(values, vectors, g))
+    }
+
+    pub(super) fn iterations(&self) -> usize {
+        self.diagonal.len()
+    }
+
+    /// The pairs of the last run, largest first.
+    pub(super) fn ritz(&self, spectral: &Spectral) -> Result<Vec<RitzPair>, Error> {
+        let k = self.iterations();
+        let (_, small) = self.eigen()?;
+        let beta = self.off_diagonal[k - 1];
+        let pairs =
+            spectral.values.iter().zip(spectral.vectors.chunks_exact(self.n)).zip(small.chunks_exact(k));
+        Ok(pairs
+            .map(|((&value, z), w)| RitzPair { value, vector: z.to_vec(), residual: beta * w[k - 1].abs() })
+            .rev()
+            .collect())
+    }
+
+    fn eigen(&self) -> Result<(Vec<f64>, Vec<f64>), Error> {
+        let k = self.iterations();
+        let mut t = vec![0.0; k * k];
+        for i in 0..k {
+            t[i + i * k] = self.diagonal[i];
+            if i + 1 < k {
+                t[i + 1 + i * k] = self.off_diagonal[i];
+                t[i + (i + 1) * k] = self.off_diagonal[i];
+            }
+        }
+        eigen(k, &t)
+    }
+
+    /// Last entry and norm of the y with T y = −‖g‖ e₁: the conjugate gradient iterate in the basis.
+    fn galerkin(&self, length: f64) -> (f64, f64) {
+        let k = self.iterations();
+        // T = L D Lᵀ; forward substitution gives the entries of D⁻¹L⁻¹b, the last of which is that of y.
+        let (mut pivots, mut y) = (vec![self.diagonal[0]], vec![-length / self.diagonal[0]]);
+        for i in 1..k {
+            let beta = self.off_diagonal[i - 1];
+            pivots.push(self.diagonal[i] - beta * beta / pivots[i - 1]);
+            y.push(-beta * y[i - 1] / pivots[i]);
+        }
+        if pivots.iter().any(|&d| d <= 0.0) {
+            // Negative curvature: the step goes to the boundary.
+            return (y[k - 1], f64::INFINITY);
+        }
+        for i in (0..k - 1).rev() {
+            y[i] -= self.off_diagonal[i] / pivots[i] * y[i + 1];
+        }
+        (y[k - 1], norm(&y))
+    }
+}

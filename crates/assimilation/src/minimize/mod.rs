@@ -1,0 +1,270 @@
+//! Minimizers of a cost J(v), their settings and what they report.
+
+mod continuation;
+mod lanczos;
+mod newton;
+mod newton_cg;
+mod secant;
+mod spectral;
+mod trust_region;
+
+pub(crate) use spectral::eigen;
+
+pub use continuation::continuation;
+pub use lanczos::RitzPair;
+pub use newton::{NewtonOptions, newton};
+pub use newton_cg::{NewtonCgOptions, newton_cg};
+pub use trust_region::{TrustRegionOptions, trust_region};
+
+use crate::cost::norm;
+use crate::{CostTerms, Counts, Error, GaussNewton};
+use std::ops::ControlFlow;
+
+/// A minimizer with its settings: a choice that can be made from data.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Minimizer {
+    /// Trust region on the true J: the default.
+    TrustRegion(TrustRegionOptions),
+    /// Gauss–Newton with truncated conjugate gradients and a line search.
+    NewtonCg(NewtonCgOptions),
+    /// The paper's: dense Hessian (2.18), full steps, no safeguard.
+    Newton(NewtonOptions),
+}
+
+impl Default for Minimizer {
+    fn default() -> Self {
+        Self::TrustRegion(TrustRegionOptions::default())
+    }
+}
+
+impl Minimizer {
+    /// Minimizes J from `v`, and leaves the best point in it.
+    ///
+    /// # Errors
+    /// A cost that cannot be evaluated at the first point, a setting out of range, or products that fail. Everything that happens to a
+    /// minimization once under way is a [`Status`].
+    ///
+    /// # Panics
+    /// If `v` is not of length `cost.dim()`.
+    pub fn minimize(
+        &self,
+        cost: &mut dyn GaussNewton,
+        v: &mut [f64],
+        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+    ) -> Result<Minimum, Error> {
+        self.run(cost, v, &Start::default(), on_iteration)
+    }
+
+    fn run(
+        &self,
+        cost: &mut dyn GaussNewton,
+        v: &mut [f64],
+        start: &Start,
+        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+    ) -> Result<Minimum, Error> {
+        match self {
+            Self::TrustRegion(options) => trust_region::run(cost, v, options, start, on_iteration),
+            Self::NewtonCg(options) => newton_cg::run(cost, v, options, start, on_iteration),
+            Self::Newton(options) => newton::run(cost, v, options, start, on_iteration),
+        }
+    }
+}
+
+/// One line of a convergence table. The first (index 0, or the first of a stage) is the point the run starts from.
+#[derive(Debug, Clone, Copy)]
+pub struct Iteration<'a> {
+    /// Outer iterations done.
+    pub index: usize,
+    /// J, at the observation scale in force.
+    pub value: f64,
+    /// Its parts.
+    pub terms: CostTerms,
+    /// ‖∇J‖ in the control variable.
+    pub gradient_norm: f64,
+    /// ‖Δv‖ of the step that led here, the B⁻¹ norm of the increment; 0 at the start.
+    pub step_norm: f64,
+    /// λ of that step, (A + λI) Δv = −∇J; 0 for a full step.
+    pub damping: f64,
+    /// Trial points refused before that step.
+    pub rejected: usize,
+    /// Inner (Lanczos) iterations for that step; 0 where a dense solve was used.
+    pub inner_iterations: usize,
+    /// What σ is multiplied by at this stage (1 = the true cost).
+    pub observation_scale: f64,
+    /// Work done so far.
+    pub counts: Counts,
+    /// The point.
+    pub v: &'a [f64],
+}
+
+/// How a minimization ended, and where.
+#[derive(Debug)]
+pub struct Minimum {
+    /// J at the point returned.
+    pub value: f64,
+    /// Its parts.
+    pub terms: CostTerms,
+    /// ‖∇J‖ at the first point.
+    pub gradient_norm_first: f64,
+    /// ‖∇J‖ at the point returned.
+    pub gradient_norm: f64,
+    /// Outer iterations.
+    pub outer_iterations: usize,
+    /// Inner (Lanczos) iterations, summed.
+    pub inner_iterations: usize,
+    /// How it ended.
+    pub status: Status,
+    /// The model failure that ended it (`Failed`) or the last one that refused a trial point (`Stalled`).
+    pub failure: Option<Error>,
+    /// Approximate eigenpairs of the Hessian from the last inner iteration, largest first; empty after dense solves.
+    pub ritz: Vec<RitzPair>,
+}
+
+/// How a minimization ended. Only `Converged` claims a stationary point; a small step alone never does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Status {
+    /// ‖∇J‖ ≤ tolerance × ‖∇J‖ at the first point, or ‖∇J‖ is rounding: at most 64 ε (‖v‖ + ‖∇J − v‖), its two parts having cancelled
+    /// to the last digits.
+    Converged,
+    /// Out of iterations.
+    MaxIterations,
+    /// No step decreases J, nor, where the decrease is too small to be measured, the gradient.
+    Stalled,
+    /// The caller asked to stop.
+    Interrupted,
+    /// The model failed where no safeguard was asked for.
+    Failed,
+}
+
+/// Where a run starts in the table of a longer one.
+#[derive(Debug, Clone, Copy)]
+struct Start {
+    index: usize,
+    inner: usize,
+    /// The first ‖∇J‖ where it is not that of the point given.
+    gradient_norm: Option<f64>,
+    scale: f64,
+}
+
+impl Default for Start {
+    fn default() -> Self {
+        Self { index: 0, inner: 0, gradient_norm: None, scale: 1.0 }
+    }
+}
+
+/// What a run has come to: the point's numbers and the step that led there.
+struct Progress {
+    index: usize,
+    inner_total: usize,
+    scale: f64,
+    gradient_norm_first: f64,
+    value: f64,
+    terms: CostTerms,
+    gradient_norm: f64,
+    step_norm: f64,
+    damping: f64,
+    rejected: usize,
+    inner: usize,
+}
+
+impl Progress {
+    /// Evaluates the first point.
+    fn start(
+        cost: &mut dyn GaussNewton,
+        v: &[f64],
+        gradient: &mut [f64],
+        start: &Start,
+    ) -> Result<Self, Error> {
+        let value = cost.evaluate(v, Some(gradient))?;
+        let gradient_norm = norm(gradient);
+        Ok(Self {
+            index: start.index,
+            inner_total: start.inner,
+            scale: start.scale,
+            gradient_norm_first: start.gradient_norm.unwrap_or(gradient_norm),
+            value,
+            terms: cost.terms(),
+            gradient_norm,
+            step_norm: 0.0,
+            damping: 0.0,
+            rejected: 0,
+            inner: 0,
+        })
+    }
+
+    /// Takes note of a step to a new point, whose gradient is the cost's last evaluation.
+    fn advance(&mut self, cost: &dyn GaussNewton, gradient: &[f64], step_norm: f64, damping: f64) {
+        self.index += 1;
+        self.terms = cost.terms();
+        self.value = self.terms.total();
+        self.gradient_norm = norm(gradient);
+        self.step_norm = step_norm;
+        self.damping = damping;
+    }
+
+    /// Reports the point, and says whether the run ends there.
+    fn report(
+        &self,
+        cost: &dyn GaussNewton,
+        v: &[f64],
+        gradient: &[f64],
+        tolerance: f64,
+        last: usize,
+        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+    ) -> Option<Status> {
+        let flow = on_iteration(&Iteration {
+            index: self.index,
+            value: self.value,
+            terms: self.terms,
+            gradient_norm: self.gradient_norm,
+            step_norm: self.step_norm,
+            damping: self.damping,
+            rejected: self.rejected,
+            inner_iterations: self.inner,
+            observation_scale: self.scale,
+            counts: cost.counts(),
+            v,
+        });
+        let pull = v.iter().zip(gradient).map(|(v, g)| (g - v) * (g - v)).sum::<f64>().sqrt();
+        if self.gradient_norm <= tolerance * self.gradient_norm_first
+            || self.gradient_norm <= 64.0 * f64::EPSILON * (norm(v) + pull)
+        {
+            Some(Status::Converged)
+        } else if flow.is_break() {
+            Some(Status::Interrupted)
+        } else if self.index >= last {
+            Some(Status::MaxIterations)
+        } else {
+            None
+        }
+    }
+
+    fn end(self, status: Status, failure: Option<Error>, ritz: Vec<RitzPair>) -> Minimum {
+        Minimum {
+            value: self.value,
+            terms: self.terms,
+            gradient_norm_first: self.gradient_norm_first,
+            gradient_norm: self.gradient_norm,
+            outer_iterations: self.index,
+            inner_iterations: self.inner_total,
+            status,
+            failure,
+            ritz,
+        }
+    }
+}
+
+/// A relative gradient tolerance: in [0, 1).
+fn check_tolerance(tolerance: f64) -> Result<(), Error> {
+    if (0.0..1.0).contains(&tolerance) {
+        Ok(())
+    } else {
+        Err(Error::Setting { what: "gradient_tolerance", value: tolerance })
+    }
+}
+
+/// How far an inner problem is solved, relative to its gradient: min(½, √(‖g‖/‖g₀‖)), so that the outer iteration keeps
+/// its superlinear rate where the Hessian is exact (Dembo, Eisenstat and Steihaug 1982).
+fn forcing(progress: &Progress) -> f64 {
+    (progress.gradient_norm / progress.gradient_norm_first).sqrt().min(0.5)
+}

@@ -1,0 +1,88 @@
+//! The paper's minimizer: Newton's method with the dense Hessian (2.18) and full steps.
+
+use super::{Iteration, Minimum, Progress, Start, Status, check_tolerance};
+use crate::cost::norm;
+use crate::{Error, GaussNewton};
+use faer::linalg::solvers::Solve;
+use faer::{MatMut, MatRef, Side};
+use std::ops::ControlFlow;
+
+/// Settings of [`newton`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct NewtonOptions {
+    /// Converged when ‖∇J‖ has fallen to this part of the first.
+    pub gradient_tolerance: f64,
+    /// Steps at most.
+    pub max_iterations: usize,
+}
+
+impl Default for NewtonOptions {
+    fn default() -> Self {
+        Self { gradient_tolerance: 1e-8, max_iterations: 50 }
+    }
+}
+
+/// The paper's Newton method: v ← v − A⁻¹∇J with the dense Gauss–Newton Hessian A (2.18) by Cholesky, full steps, no safeguard.
+///
+/// Exact in one step where model and observations are linear. Elsewhere J may rise and the model may be driven to a state it cannot
+/// step from (`Status::Failed` with the reason); where the dropped second derivatives exceed A, it is repelled from the minimum.
+/// The lowest point seen is returned unless it converged. For comparison: [`trust_region`](crate::trust_region) is the one to use.
+///
+/// Cost of a step: one gradient, n tangent sweeps, n³/3.
+///
+/// # Errors
+/// As for [`Minimizer::minimize`](crate::Minimizer::minimize).
+///
+/// # Panics
+/// If `v` is not of length `cost.dim()`.
+pub fn newton(
+    cost: &mut dyn GaussNewton,
+    v: &mut [f64],
+    options: &NewtonOptions,
+    on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+) -> Result<Minimum, Error> {
+    run(cost, v, options, &Start::default(), on_iteration)
+}
+
+pub(super) fn run(
+    cost: &mut dyn GaussNewton,
+    v: &mut [f64],
+    options: &NewtonOptions,
+    start: &Start,
+    on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+) -> Result<Minimum, Error> {
+    check_tolerance(options.gradient_tolerance)?;
+    let n = cost.dim();
+    let mut g = vec![0.0; n];
+    let mut p = vec![0.0; n];
+    let mut hessian = vec![0.0; n * n];
+    let mut progress = Progress::start(cost, v, &mut g, start)?;
+    let mut best = (progress.terms, progress.gradient_norm, v.to_vec());
+    let last = start.index + options.max_iterations;
+    let (status, failure) = loop {
+        let status = progress.report(cost, v, &g, options.gradient_tolerance, last, on_iteration);
+        if progress.value < best.0.total() {
+            best = (progress.terms, progress.gradient_norm, v.to_vec());
+        }
+        if let Some(status) = status {
+            break (status, None);
+        }
+        cost.hessian(&mut hessian)?;
+        let Ok(factor) = MatRef::from_column_major_slice(&hessian, n, n).llt(Side::Lower) else {
+            break (Status::Failed, Some(Error::NotPositiveDefinite { smallest: f64::NAN }));
+        };
+        p.copy_from_slice(&g);
+        factor.solve_in_place(MatMut::from_column_major_slice_mut(&mut p, n, 1));
+        v.iter_mut().zip(&p).for_each(|(v, p)| *v -= p);
+        if let Err(error) = cost.evaluate(v, Some(&mut g)) {
+            break (Status::Failed, Some(error));
+        }
+        progress.advance(cost, &g, norm(&p), 0.0);
+    };
+    if status != Status::Converged {
+        (progress.terms, progress.gradient_norm) = (best.0, best.1);
+        progress.value = best.0.total();
+        v.copy_from_slice(&best.2);
+    }
+    Ok(progress.end(status, failure, Vec::new()))
+}

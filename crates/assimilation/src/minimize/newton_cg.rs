@@ -1,0 +1,111 @@
+//! Gauss–Newton with truncated conjugate gradients and a line search.
+
+use super::lanczos::{Lanczos, Limits};
+use super::{Iteration, Minimum, Progress, Start, Status, check_tolerance, forcing};
+use crate::cost::dot;
+use crate::{Error, GaussNewton};
+use std::ops::ControlFlow;
+
+/// Settings of [`newton_cg`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct NewtonCgOptions {
+    /// Converged when ‖∇J‖ has fallen to this part of the first.
+    pub gradient_tolerance: f64,
+    /// Outer iterations at most.
+    pub max_iterations: usize,
+    /// Inner iterations of one outer iteration at most: products with the Hessian, and vectors kept.
+    pub max_inner: usize,
+}
+
+impl Default for NewtonCgOptions {
+    fn default() -> Self {
+        Self { gradient_tolerance: 1e-8, max_iterations: 100, max_inner: 100 }
+    }
+}
+
+/// Gauss–Newton with truncated conjugate gradients: A p = −∇J solved to min(½, √(‖∇J‖/‖∇J₀‖)) of its right-hand side by Lanczos
+/// iteration with full re-orthogonalisation, then steps of 1, ½, ¼, … until J falls by 10⁻⁴ of what the slope promises.
+///
+/// No matrix is formed; products needed are about the degrees of freedom for signal. Returns the Ritz pairs of the last outer iteration.
+/// Converges linearly where the dropped second derivatives matter, and then [`trust_region`](crate::trust_region) is faster.
+///
+/// # Errors
+/// As for [`Minimizer::minimize`](crate::Minimizer::minimize).
+///
+/// # Panics
+/// If `v` is not of length `cost.dim()`.
+pub fn newton_cg(
+    cost: &mut dyn GaussNewton,
+    v: &mut [f64],
+    options: &NewtonCgOptions,
+    on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+) -> Result<Minimum, Error> {
+    run(cost, v, options, &Start::default(), on_iteration)
+}
+
+pub(super) fn run(
+    cost: &mut dyn GaussNewton,
+    v: &mut [f64],
+    options: &NewtonCgOptions,
+    start: &Start,
+    on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+) -> Result<Minimum, Error> {
+    check_tolerance(options.gradient_tolerance)?;
+    if options.max_inner == 0 {
+        return Err(Error::Setting { what: "max_inner", value: 0.0 });
+    }
+    let n = cost.dim();
+    let [mut g, mut g_trial, mut p, mut trial] = std::array::from_fn(|_| vec![0.0; n]);
+    let mut lanczos = Lanczos::new(n);
+    let mut ritz = Vec::new();
+    let mut progress = Progress::start(cost, v, &mut g, start)?;
+    let last = start.index + options.max_iterations;
+    loop {
+        if let Some(status) = progress.report(cost, v, &g, options.gradient_tolerance, last, on_iteration) {
+            return Ok(progress.end(status, None, ritz));
+        }
+        let limits =
+            Limits { residual: forcing(&progress), radius: f64::INFINITY, iterations: options.max_inner };
+        let spectral = lanczos.run(&mut |p, out| cost.hessian_apply(p, out), &g, &limits)?;
+        ritz = lanczos.ritz(&spectral)?;
+        progress.inner = lanczos.iterations();
+        progress.inner_total += progress.inner;
+        progress.rejected = 0;
+        let step = spectral.step(f64::INFINITY, &mut p);
+        let slope = dot(&g, &p);
+
+        let mut failure = None;
+        let mut length = 1.0;
+        let accepted = loop {
+            trial.iter_mut().zip(v.iter().zip(&p)).for_each(|(t, (v, p))| *t = v + length * p);
+            let by_gradient = -length * slope <= super::trust_region::NOISE * progress.value;
+            match cost.evaluate(&trial, by_gradient.then_some(&mut g_trial[..])) {
+                Ok(value) => {
+                    let accept = if by_gradient {
+                        crate::cost::norm(&g_trial) < progress.gradient_norm
+                    } else {
+                        value <= progress.value + 1e-4 * length * slope
+                    };
+                    if accept
+                        && cost.evaluate(&trial, Some(&mut g_trial)).map_err(|e| failure = Some(e)).is_ok()
+                    {
+                        break true;
+                    }
+                }
+                Err(error) => failure = Some(error),
+            }
+            progress.rejected += 1;
+            length *= 0.5;
+            // 2⁻⁴⁰: a descent direction that needs less than 1e-12 of its step is none.
+            if progress.rejected > 40 || by_gradient {
+                break false;
+            }
+        };
+        if !accepted {
+            return Ok(progress.end(Status::Stalled, failure, ritz));
+        }
+        v.copy_from_slice(&trial);
+        g.copy_from_slice(&g_trial);
+        progress.advance(cost, &g, length * step.norm, 0.0);
+    }
+}

@@ -1,0 +1,386 @@
+//! Observations y of a trajectory, and the operators H that predict them.
+
+use crate::Error;
+use std::ops::Range;
+use varda_implicit::Refusal;
+
+/// All observations of a window of K steps, with the operators that predict them.
+///
+/// ```text
+///     H(x)_i = (1 − w_i) H_op(i)(x_{k_i})[row_i] + w_i H_op(i)(x_{k_i + 1})[row_i],    d = y − H(x),    R = diag σ²
+/// ```
+///
+/// The m rows of all observations are stacked in one vector, in order of time (step, then weight; observations of equal
+/// time keep the order they were given in). Every operator is called once for every step at which it is needed, however many
+/// observations share it; rows nobody observed cost nothing but that call.
+pub struct ObservationSet {
+    operators: Vec<Box<dyn ObservationOperator>>,
+    observations: Vec<Observation>,
+    steps: usize,
+    /// Offset of every observation in the stacked vector, and m.
+    offsets: Vec<usize>,
+    values: Vec<f64>,
+    sigma: Vec<f64>,
+    /// One operator at one step, ordered by step; the samples of step k are `by_step[k]..by_step[k + 1]`.
+    samples: Vec<Sample>,
+    by_step: Vec<usize>,
+    /// What each stacked row takes from the samples, ordered by sample.
+    parts: Vec<Part>,
+    buffer: Vec<f64>,
+    tangent: Vec<f64>,
+}
+
+/// What was measured at one time by one operator: some of its rows, each with its value and standard deviation.
+///
+/// A time between two steps is a weight on each. A component that was not measured is a row left out.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Observation {
+    /// Index of the operator in the set.
+    pub operator: usize,
+    /// The rows of the operator that were measured.
+    pub rows: Vec<usize>,
+    /// Step k of the window (0 is the initial state).
+    pub step: usize,
+    /// w ∈ [0, 1): the share of step k + 1. Time t_k + w Δt.
+    pub weight: f64,
+    /// y, one for each row.
+    pub values: Vec<f64>,
+    /// σ > 0, one for each row, in the unit of the value.
+    pub sigma: Vec<f64>,
+    /// Whose measurement it is; for reports only.
+    pub label: String,
+}
+
+/// An observation operator y = H_k(x) with its tangent H'_k and its transpose, at a step k of the window.
+///
+/// The step is passed because what is seen may depend on time (a frame carried by a driven clamp). All three are functions of
+/// (k, x) alone.
+pub trait ObservationOperator {
+    /// Number of rows: the length of y.
+    fn dim(&self) -> usize;
+
+    /// y = H_k(x).
+    ///
+    /// # Errors
+    /// Where the state cannot be observed; the operator's own typed error.
+    fn observe(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> Result<(), Refusal>;
+
+    /// dy = H'_k(x) dx. Called only at states that `observe` accepted.
+    fn tangent(&mut self, k: usize, x: &[f64], dx: &[f64], dy: &mut [f64]);
+
+    /// dx += H'_k(x)ᵀ dy. Called only at states that `observe` accepted.
+    fn adjoint_add(&mut self, k: usize, x: &[f64], dy: &[f64], dx: &mut [f64]);
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Sample {
+    operator: usize,
+    step: usize,
+    /// Range in `parts`.
+    first: usize,
+    end: usize,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Part {
+    operator_row: usize,
+    row: usize,
+    weight: f64,
+}
+
+impl ObservationSet {
+    /// The observations of a window of `steps` steps, in any order.
+    ///
+    /// # Errors
+    /// An observation with an unknown operator or row, outside the window, with a weight outside [0, 1), a value that is
+    /// not finite or a σ that is not positive and finite; each error names the observation by its index in `observations`.
+    pub fn new(
+        steps: usize,
+        operators: Vec<Box<dyn ObservationOperator>>,
+        mut observations: Vec<Observation>,
+    ) -> Result<Self, Error> {
+        for (index, observation) in observations.iter().enumerate() {
+            validate(index, observation, steps, &operators)?;
+        }
+        observations.sort_by(|a, b| a.step.cmp(&b.step).then(a.weight.total_cmp(&b.weight)));
+
+        let mut offsets = vec![0];
+        let mut keyed = Vec::new();
+        for observation in &observations {
+            let offset = offsets[offsets.len() - 1];
+            for (i, &operator_row) in observation.rows.iter().enumerate() {
+                let (step, w, row) = (observation.step, observation.weight, offset + i);
+                keyed.push((step, observation.operator, Part { operator_row, row, weight: 1.0 - w }));
+                if w > 0.0 {
+                    keyed.push((step + 1, observation.operator, Part { operator_row, row, weight: w }));
+                }
+            }
+            offsets.push(offset + observation.rows.len());
+        }
+        keyed.sort_by_key(|&(step, operator, part)| (step, operator, part.row));
+
+        let mut samples: Vec<Sample> = Vec::new();
+        for (i, &(step, operator, _)) in keyed.iter().enumerate() {
+            match samples.last_mut() {
+                Some(last) if (last.step, last.operator) == (step, operator) => last.end = i + 1,
+                _ => samples.push(Sample { operator, step, first: i, end: i + 1 }),
+            }
+        }
+        let by_step = (0..=steps + 1).map(|k| samples.partition_point(|s| s.step < k)).collect();
+        let widest = operators.iter().map(|o| o.dim()).max().unwrap_or(0);
+        Ok(Self {
+            values: observations.iter().flat_map(|o| o.values.iter().copied()).collect(),
+            sigma: observations.iter().flat_map(|o| o.sigma.iter().copied()).collect(),
+            operators,
+            observations,
+            steps,
+            offsets,
+            samples,
+            by_step,
+            parts: keyed.into_iter().map(|(_, _, part)| part).collect(),
+            buffer: vec![0.0; widest],
+            tangent: vec![0.0; widest],
+        })
+    }
+
+    /// m, the number of stacked rows.
+    pub fn dim(&self) -> usize {
+        self.values.len()
+    }
+
+    /// K, the length of the window in steps.
+    pub fn steps(&self) -> usize {
+        self.steps
+    }
+
+    /// The last step whose state is needed; `None` where nothing is observed.
+    pub fn last_step(&self) -> Option<usize> {
+        self.samples.last().map(|s| s.step)
+    }
+
+    /// The observations, in order of time.
+    pub fn observations(&self) -> &[Observation] {
+        &self.observations
+    }
+
+    /// Where the rows of observation `i` (in order of time) are in the stacked vector.
+    pub fn rows(&self, i: usize) -> Range<usize> {
+        self.offsets[i]..self.offsets[i + 1]
+    }
+
+    /// y, stacked.
+    pub fn values(&self) -> &[f64] {
+        &self.values
+    }
+
+    /// σ, stacked: R = diag σ².
+    pub fn sigma(&self) -> &[f64] {
+        &self.sigma
+    }
+
+    /// y += the share of state x_k in H(x). Summed over k = 0 … `last_step` from zero this is H(x), of length `dim`.
+    ///
+    /// # Errors
+    /// An operator that refuses the state, or a prediction that is not finite.
+    ///
+    /// # Panics
+    /// If `y` is not of length `dim`.
+    pub fn observe_add(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> Result<(), Error> {
+        assert_eq!(y.len(), self.dim(), "length of y");
+        for sample in &self.samples[self.by_step[k]..self.by_step[k + 1]] {
+            let operator = &mut self.operators[sample.operator];
+            let seen = &mut self.buffer[..operator.dim()];
+            operator.observe(k, x, seen).map_err(|source| Error::Observe {
+                operator: sample.operator,
+                step: k,
+                source,
+            })?;
+            for part in &self.parts[sample.first..sample.end] {
+                y[part.row] += part.weight * seen[part.operator_row];
+                if !y[part.row].is_finite() {
+                    return Err(Error::NonFinite { what: "a predicted observation", step: k });
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// dy += the share of dx_k in H' dx.
+    ///
+    /// # Panics
+    /// If `dy` is not of length `dim`.
+    pub fn tangent_add(&mut self, k: usize, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+        assert_eq!(dy.len(), self.dim(), "length of dy");
+        for sample in &self.samples[self.by_step[k]..self.by_step[k + 1]] {
+            let operator = &mut self.operators[sample.operator];
+            let seen = &mut self.tangent[..operator.dim()];
+            operator.tangent(k, x, dx, seen);
+            for part in &self.parts[sample.first..sample.end] {
+                dy[part.row] += part.weight * seen[part.operator_row];
+            }
+        }
+    }
+
+    /// dx_k += the share of state k in H'ᵀ dy.
+    ///
+    /// # Panics
+    /// If `dy` is not of length `dim`.
+    pub fn adjoint_add(&mut self, k: usize, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+        assert_eq!(dy.len(), self.dim(), "length of dy");
+        for sample in &self.samples[self.by_step[k]..self.by_step[k + 1]] {
+            let operator = &mut self.operators[sample.operator];
+            let seen = &mut self.tangent[..operator.dim()];
+            seen.fill(0.0);
+            for part in &self.parts[sample.first..sample.end] {
+                seen[part.operator_row] += part.weight * dy[part.row];
+            }
+            operator.adjoint_add(k, x, seen, dx);
+        }
+    }
+
+    /// d = y − H(x), the innovations, from the predictions H(x).
+    ///
+    /// # Panics
+    /// If a slice is not of length `dim`.
+    pub fn innovations(&self, predicted: &[f64], d: &mut [f64]) {
+        assert!(predicted.len() == self.dim() && d.len() == self.dim(), "lengths of H(x) and d");
+        for ((d, y), p) in d.iter_mut().zip(&self.values).zip(predicted) {
+            *d = y - p;
+        }
+    }
+}
+
+fn validate(
+    index: usize,
+    observation: &Observation,
+    steps: usize,
+    operators: &[Box<dyn ObservationOperator>],
+) -> Result<(), Error> {
+    let Observation { operator, ref rows, step, weight, ref values, ref sigma, label: _ } = *observation;
+    if operator >= operators.len() {
+        return Err(Error::UnknownOperator { observation: index, operator, operators: operators.len() });
+    }
+    let dim = operators[operator].dim();
+    if let Some(&row) = rows.iter().find(|&&row| row >= dim) {
+        return Err(Error::UnknownRow { observation: index, row, rows: dim });
+    }
+    if !(0.0..1.0).contains(&weight) {
+        return Err(Error::Weight { observation: index, weight });
+    }
+    if step > steps || (step == steps && weight > 0.0) {
+        return Err(Error::OutsideWindow { observation: index, step, weight, steps });
+    }
+    if rows.len() != values.len() || rows.len() != sigma.len() {
+        return Err(Error::Lengths {
+            observation: index,
+            rows: rows.len(),
+            values: values.len(),
+            sigmas: sigma.len(),
+        });
+    }
+    if let Some(entry) = values.iter().position(|y| !y.is_finite()) {
+        return Err(Error::Value { observation: index, entry, value: values[entry] });
+    }
+    if let Some(entry) = sigma.iter().position(|s| !(*s > 0.0 && s.is_finite())) {
+        return Err(Error::Sigma { observation: index, entry, sigma: sigma[entry] });
+    }
+    Ok(())
+}
+
+/// y = H x with a sparse matrix H (rows × length of the state).
+///
+/// # Panics
+/// Its methods panic if a slice has the wrong length.
+pub struct LinearObservation {
+    matrix: sprs::CsMat<f64>,
+}
+
+impl LinearObservation {
+    /// From a matrix in compressed rows or columns.
+    ///
+    /// # Errors
+    /// An entry that is not finite.
+    pub fn new(matrix: sprs::CsMat<f64>) -> Result<Self, Error> {
+        let columns = matrix.cols();
+        if let Some((&value, (row, column))) = matrix.iter().find(|(value, _)| !value.is_finite()) {
+            return Err(Error::OperatorEntry { row, column, columns, value });
+        }
+        Ok(Self { matrix: if matrix.is_csr() { matrix } else { matrix.to_csr() } })
+    }
+}
+
+impl ObservationOperator for LinearObservation {
+    fn dim(&self) -> usize {
+        self.matrix.rows()
+    }
+
+    fn observe(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
+        self.tangent(k, x, x, y);
+        Ok(())
+    }
+
+    fn tangent(&mut self, _k: usize, _x: &[f64], dx: &[f64], dy: &mut [f64]) {
+        assert!(dx.len() == self.matrix.cols() && dy.len() == self.matrix.rows(), "lengths of dx and dy");
+        for (row, dy) in self.matrix.outer_iterator().zip(dy) {
+            *dy = row.iter().map(|(j, h)| h * dx[j]).sum();
+        }
+    }
+
+    fn adjoint_add(&mut self, _k: usize, _x: &[f64], dy: &[f64], dx: &mut [f64]) {
+        assert!(dx.len() == self.matrix.cols() && dy.len() == self.matrix.rows(), "lengths of dx and dy");
+        for (row, dy) in self.matrix.outer_iterator().zip(dy) {
+            for (j, h) in row.iter() {
+                dx[j] += h * dy;
+            }
+        }
+    }
+}
+
+/// y_i = x_{c_i}: some components of the state, seen directly.
+///
+/// # Panics
+/// Its methods panic if a slice has the wrong length.
+pub struct Selection {
+    components: Vec<usize>,
+    state_dim: usize,
+}
+
+impl Selection {
+    /// The given components of a state of length `state_dim`, in the given order.
+    ///
+    /// # Errors
+    /// A component the state does not have.
+    pub fn new(components: Vec<usize>, state_dim: usize) -> Result<Self, Error> {
+        match components.iter().position(|&c| c >= state_dim) {
+            Some(row) => {
+                Err(Error::OperatorEntry { row, column: components[row], columns: state_dim, value: 1.0 })
+            }
+            None => Ok(Self { components, state_dim }),
+        }
+    }
+}
+
+impl ObservationOperator for Selection {
+    fn dim(&self) -> usize {
+        self.components.len()
+    }
+
+    fn observe(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
+        self.tangent(k, x, x, y);
+        Ok(())
+    }
+
+    fn tangent(&mut self, _k: usize, _x: &[f64], dx: &[f64], dy: &mut [f64]) {
+        assert!(dx.len() == self.state_dim && dy.len() == self.dim(), "lengths of dx and dy");
+        for (dy, &c) in dy.iter_mut().zip(&self.components) {
+            *dy = dx[c];
+        }
+    }
+
+    fn adjoint_add(&mut self, _k: usize, _x: &[f64], dy: &[f64], dx: &mut [f64]) {
+        assert!(dx.len() == self.state_dim && dy.len() == self.dim(), "lengths of dx and dy");
+        for (dy, &c) in dy.iter().zip(&self.components) {
+            dx[c] += dy;
+        }
+    }
+}

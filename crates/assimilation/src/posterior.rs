@@ -1,0 +1,121 @@
+//! The posterior covariance from the dense Gauss–Newton Hessian.
+
+use crate::minimize::eigen;
+use crate::{ControlTransform, Error, GaussNewton};
+
+/// The posterior of a linear-Gaussian problem, or its Laplace approximation around the linearized point:
+///
+/// ```text
+///     P_v = A⁻¹ = (I + GᵀG)⁻¹,    P_z = U P_v Uᵀ = (B⁻¹ + MᵀHᵀR⁻¹HM)⁻¹    (paper 2.18)
+/// ```
+///
+/// kept as the eigenpairs of A. Dense: for n up to a few thousand. Where the dropped second derivatives matter at the minimum, the true
+/// curvature, and with it the spread, differs.
+pub struct Posterior {
+    /// Eigenvalues of A, ascending; ≥ 1 up to rounding.
+    eigenvalues: Vec<f64>,
+    /// Eigenvectors of A, by columns, each scaled by μ^{-1/2}: a square root of P_v.
+    root: Vec<f64>,
+}
+
+impl Posterior {
+    /// Around the point of the last gradient of `cost`.
+    ///
+    /// # Errors
+    /// Products that fail, or a Hessian that is not positive definite.
+    ///
+    /// # Panics
+    /// If no gradient has been evaluated.
+    pub fn new(cost: &mut dyn GaussNewton) -> Result<Self, Error> {
+        let mut hessian = vec![0.0; cost.dim() * cost.dim()];
+        cost.hessian(&mut hessian)?;
+        Self::from_hessian(cost.dim(), &hessian)
+    }
+
+    /// From a Hessian in the control variable, n × n.
+    ///
+    /// # Errors
+    /// A Hessian that is not positive definite.
+    ///
+    /// # Panics
+    /// If `hessian` is not of length n².
+    pub fn from_hessian(n: usize, hessian: &[f64]) -> Result<Self, Error> {
+        assert_eq!(hessian.len(), n * n, "length of the Hessian");
+        let (eigenvalues, mut root) = eigen(n, hessian)?;
+        if let Some(&smallest) = eigenvalues.first()
+            && !(smallest > 0.0)
+        {
+            return Err(Error::NotPositiveDefinite { smallest });
+        }
+        for (column, mu) in root.chunks_exact_mut(n.max(1)).zip(&eigenvalues) {
+            column.iter_mut().for_each(|z| *z /= mu.sqrt());
+        }
+        Ok(Self { eigenvalues, root })
+    }
+
+    /// Eigenvalues of A, ascending: 1 where nothing was observed, 1 + (signal / noise)² elsewhere.
+    pub fn spectrum(&self) -> &[f64] {
+        &self.eigenvalues
+    }
+
+    /// Degrees of freedom for signal, tr(I − A⁻¹) = Σ (1 − 1/μ): how many directions the observations determine.
+    pub fn degrees_of_freedom(&self) -> f64 {
+        self.eigenvalues.iter().map(|mu| (mu - 1.0) / mu).sum()
+    }
+
+    /// Variances of v, the diagonal of P_v.
+    pub fn control_variable_variance(&self) -> Vec<f64> {
+        sum_of_squares(&self.root, self.eigenvalues.len())
+    }
+
+    /// Variances of z, the diagonal of P_z = U A⁻¹ Uᵀ; square roots of them are σ_a.
+    ///
+    /// # Panics
+    /// If the transform is of another length.
+    pub fn variance(&self, transform: &ControlTransform) -> Vec<f64> {
+        sum_of_squares(&self.control_root(transform), transform.control_dim())
+    }
+
+    /// tr P_z.
+    ///
+    /// # Panics
+    /// If the transform is of another length.
+    pub fn trace(&self, transform: &ControlTransform) -> f64 {
+        self.variance(transform).iter().sum()
+    }
+
+    /// P_z, dense, by columns.
+    ///
+    /// # Panics
+    /// If the transform is of another length.
+    pub fn covariance(&self, transform: &ControlTransform) -> Vec<f64> {
+        let n = transform.control_dim();
+        let mut covariance = vec![0.0; n * n];
+        for w in self.control_root(transform).chunks_exact(n) {
+            for (column, wj) in covariance.chunks_exact_mut(n).zip(w) {
+                column.iter_mut().zip(w).for_each(|(c, wi)| *c += wi * wj);
+            }
+        }
+        covariance
+    }
+
+    /// U A^{-1/2}, by columns: a square root of P_z.
+    fn control_root(&self, transform: &ControlTransform) -> Vec<f64> {
+        let (n, n_z) = (self.eigenvalues.len(), transform.control_dim());
+        assert_eq!(transform.dim(), n, "length of the control variable");
+        let mut root = vec![0.0; n * n_z];
+        for (v, z) in self.root.chunks_exact(n.max(1)).zip(root.chunks_exact_mut(n_z)) {
+            transform.tangent(v, z);
+        }
+        root
+    }
+}
+
+/// The diagonal of W Wᵀ, W with `rows` rows, by columns.
+fn sum_of_squares(w: &[f64], rows: usize) -> Vec<f64> {
+    let mut sum = vec![0.0; rows];
+    for column in w.chunks_exact(rows.max(1)) {
+        sum.iter_mut().zip(column).for_each(|(s, w)| *s += w * w);
+    }
+    sum
+}

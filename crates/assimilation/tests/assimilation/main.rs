@@ -1,0 +1,7 @@
+//! Tests of the crate through its public face.
+
+mod cost;
+mod fixtures;
+mod minima;
+mod models;
+mod observations;

@@ -1,0 +1,181 @@
+//! Minimizers where it is hard: dropped curvature, failures, several minima; and what they report.
+
+use crate::cost::{coupled, curved_problem};
+use crate::models::*;
+use std::ops::ControlFlow;
+use varda_assimilation::*;
+use varda_covariance::Diagonal;
+
+/// y = (x₀², x₀x₁) far from what any state gives: at the minimum the dropped second derivatives are eight times A.
+fn repelling() -> (Diagonal, ObservationSet) {
+    let b = Diagonal::uniform(2, 1.0).unwrap();
+    let set = ObservationSet::new(
+        0,
+        vec![Box::new(Products)],
+        vec![observation(&[0, 1], 0, 0.0, &[-4.0, 0.5], 1.0)],
+    );
+    (b, set.unwrap())
+}
+
+#[test]
+fn trust_region_converges_where_full_gauss_newton_steps_are_repelled() {
+    let (b, mut set) = repelling();
+    let transform = ControlTransform::new(vec![1.0, 0.5], &b).unwrap();
+    let mut cost = StrongConstraint::without_model(transform, &mut set).unwrap();
+    let ignore = &mut |_: &Iteration| ControlFlow::Continue(());
+
+    let mut v = vec![0.0; 2];
+    let newton = Minimizer::Newton(NewtonOptions::default()).minimize(&mut cost, &mut v, ignore).unwrap();
+    assert!(matches!(newton.status, Status::MaxIterations | Status::Failed), "{newton:?}");
+
+    for (dense_limit, secant_terms, most) in [(300, 60, 15), (0, 60, 20), (300, 0, 60)] {
+        let options =
+            TrustRegionOptions { dense_limit, secant_terms, gradient_tolerance: 1e-9, ..Default::default() };
+        let mut v = vec![0.0; 2];
+        let mut values = Vec::new();
+        let minimum = trust_region(&mut cost, &mut v, &options, &mut |i| {
+            values.push(i.value);
+            ControlFlow::Continue(())
+        })
+        .unwrap();
+        assert_eq!(minimum.status, Status::Converged, "{minimum:?}");
+        assert!(
+            minimum.outer_iterations <= most,
+            "{} iterations, secant {secant_terms}",
+            minimum.outer_iterations
+        );
+        assert!(minimum.value < newton.value || newton.value - minimum.value <= 1e-9);
+        // J never rises by more than rounding.
+        assert!(values.windows(2).all(|w| w[1] <= w[0] * (1.0 + 1e-11)));
+        assert_eq!(values.len(), minimum.outer_iterations + 1);
+    }
+}
+
+#[test]
+fn learnt_curvature_restores_fast_convergence() {
+    let (mut model, background, mut set) = curved_problem();
+    let b = coupled(6, 1.5);
+    let transform = ControlTransform::new(background, &b).unwrap();
+    let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
+    let mut iterations = |secant_terms| {
+        let options = TrustRegionOptions { secant_terms, ..Default::default() };
+        let mut v = vec![0.0; 6];
+        let minimum = trust_region(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(())).unwrap();
+        assert_eq!(minimum.status, Status::Converged, "{minimum:?}");
+        (minimum.outer_iterations, minimum.value)
+    };
+    let (with, j_with) = iterations(60);
+    let (without, j_without) = iterations(0);
+    assert!((j_with - j_without).abs() <= 1e-9 * j_with);
+    assert!(with < without, "{with} {without}");
+}
+
+#[test]
+fn a_model_that_fails_at_a_trial_point_only_shrinks_the_step() {
+    let (mut model, background, mut set) = curved_problem();
+    // The first radius is far too large, and leads where the model refuses.
+    model.bound = 12.0;
+    let b = coupled(6, 0.8);
+    let transform = ControlTransform::new(background, &b).unwrap();
+    let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
+    let options = TrustRegionOptions { initial_radius: 50.0, ..Default::default() };
+    let start: Vec<f64> = normals(7, 6).iter().map(|v| 0.5 * v).collect();
+    let mut rejected = 0;
+    let mut v = start.clone();
+    let minimum = trust_region(&mut cost, &mut v, &options, &mut |i| {
+        rejected += i.rejected;
+        ControlFlow::Continue(())
+    })
+    .unwrap();
+    assert!(rejected > 0);
+    assert_eq!(minimum.status, Status::Converged, "{minimum:?}");
+}
+
+#[test]
+fn interruption_returns_the_point_reached() {
+    let (mut model, background, mut set) = curved_problem();
+    let b = coupled(6, 0.5);
+    let transform = ControlTransform::new(background, &b).unwrap();
+    let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
+    for minimizer in [Minimizer::default(), Minimizer::NewtonCg(NewtonCgOptions::default())] {
+        let mut v = vec![0.0; 6];
+        let mut stop =
+            |i: &Iteration| if i.index == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+        let minimum = continuation(&minimizer, &mut cost, &mut v, &[3.0, 1.0], &mut stop).unwrap();
+        assert_eq!((minimum.status, minimum.outer_iterations), (Status::Interrupted, 2));
+        assert_eq!(cost.evaluate(&v, None).unwrap(), minimum.value);
+    }
+    for (minimizer, scales) in [
+        (Minimizer::TrustRegion(TrustRegionOptions { initial_radius: 0.0, ..Default::default() }), vec![1.0]),
+        (Minimizer::NewtonCg(NewtonCgOptions { gradient_tolerance: -1.0, ..Default::default() }), vec![1.0]),
+        (Minimizer::default(), vec![3.0, 0.0, 1.0]),
+        (Minimizer::default(), vec![10.0]),
+        (Minimizer::default(), vec![]),
+    ] {
+        let ended =
+            continuation(&minimizer, &mut cost, &mut [0.0; 6], &scales, &mut |_| ControlFlow::Continue(()));
+        assert!(matches!(ended, Err(Error::Setting { .. })));
+    }
+}
+
+#[test]
+fn ritz_pairs_are_eigenpairs_of_the_hessian() {
+    let (mut model, background, mut set) = curved_problem();
+    let b = coupled(6, 0.5);
+    let transform = ControlTransform::new(background, &b).unwrap();
+    let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
+    // Steps of zero iterations leave the pairs at the first point; one step uses them there.
+    let options = NewtonCgOptions { max_iterations: 1, ..Default::default() };
+    let mut v = vec![0.0; 6];
+    let minimum = newton_cg(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(())).unwrap();
+    cost.evaluate(&[0.0; 6], Some(&mut [0.0; 6])).unwrap();
+    assert!(!minimum.ritz.is_empty());
+    for pair in &minimum.ritz {
+        let mut product = vec![0.0; 6];
+        cost.hessian_apply(&pair.vector, &mut product).unwrap();
+        let rest: Vec<f64> = product.iter().zip(&pair.vector).map(|(a, z)| a - pair.value * z).collect();
+        // Equal up to rounding of a product.
+        assert!((norm(&rest) - pair.residual).abs() <= 1e-11 * minimum.ritz[0].value);
+    }
+}
+
+fn lowest(seed: u64, steps: usize, scales: &[f64], minimizer: &Minimizer) -> (Minimum, f64) {
+    let (truth, background, mut set) = lorenz63_twin(seed, steps, 5);
+    let b = Diagonal::uniform(3, 1.0).unwrap();
+    let mut model = Rk4::new(Lorenz63, 0.01);
+    let start: Vec<f64> = truth.iter().zip(&background).map(|(t, b)| t - b).collect();
+    let transform = ControlTransform::new(background, &b).unwrap();
+    let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
+    let mut ignore = |_: &Iteration| ControlFlow::Continue(());
+    // The reference, and only it, knows the truth.
+    let from_truth = minimizer.minimize(&mut cost, &mut start.clone(), &mut ignore).unwrap().value;
+    let found = continuation(minimizer, &mut cost, &mut [0.0; 3], scales, &mut ignore).unwrap();
+    (found, from_truth)
+}
+
+#[test]
+#[allow(clippy::print_stdout)]
+fn survey() {
+    for steps in [50, 100, 150, 200] {
+        let plain = Minimizer::TrustRegion(TrustRegionOptions { secant_terms: 0, ..Default::default() });
+        for (name, minimizer, scales) in [
+            ("ncg", Minimizer::NewtonCg(NewtonCgOptions::default()), &[1.0][..]),
+            ("tr0", plain, &[1.0][..]),
+            ("tr", Minimizer::default(), &[1.0][..]),
+            ("tr ladder", Minimizer::default(), &[10.0, 3.0, 1.0][..]),
+            ("tr long", Minimizer::default(), &[100.0, 30.0, 10.0, 3.0, 1.0][..]),
+        ] {
+            let mut wrong = Vec::new();
+            let (mut its, mut not) = (0, 0);
+            for seed in 0..40 {
+                let (found, reference) = lowest(seed, steps, scales, &minimizer);
+                its += found.outer_iterations;
+                not += usize::from(found.status != Status::Converged);
+                if found.value > reference * (1.0 + 1e-6) {
+                    wrong.push((seed, found.value.round(), reference.round()));
+                }
+            }
+            println!("{steps} {name}: wrong {} its {its} unconverged {not} {wrong:?}", wrong.len());
+        }
+    }
+}

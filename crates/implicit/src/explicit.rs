@@ -1,0 +1,180 @@
+//! The classical explicit Runge–Kutta method, with its exact discrete adjoint.
+
+use crate::{Counts, Error, Model, Rhs};
+
+/// ẋ = f(t, x) by the classical Runge–Kutta method of order four on a uniform grid of time.
+///
+/// ```text
+/// x_{k+1} = x_k + Δt/6 (k₁ + 2k₂ + 2k₃ + k₄),  k_i = f(t_k + c_i Δt, X_i),
+/// X₁ = x_k,  X₂ = x_k + Δt/2 k₁,  X₃ = x_k + Δt/2 k₂,  X₄ = x_k + Δt k₃,  c = (0, ½, ½, 1)
+/// ```
+///
+/// Tangent and adjoint are those of this discrete step: its derivative at the stages X_i, and the transpose of that. A
+/// linearization keeps the four stages; it takes them over from a step just taken, and costs three evaluations of f otherwise.
+#[derive(Debug, Clone)]
+pub struct Rk4<R> {
+    rhs: R,
+    first: usize,
+    length: f64,
+    /// X₁ … X₄ of the last step, one after the other.
+    stages: Vec<f64>,
+    /// The step `stages` belongs to.
+    last: Option<usize>,
+    slope: Vec<f64>,
+    sum: Vec<f64>,
+    point: Vec<f64>,
+    kept: Vec<Vec<f64>>,
+    linearized: Vec<bool>,
+    counts: Counts,
+}
+
+/// Place of the stages in the step.
+const PLACE: [f64; 4] = [0.0, 0.5, 0.5, 1.0];
+/// Weights of the slopes.
+const WEIGHT: [f64; 4] = [1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0];
+
+impl<R: Rhs> Rk4<R> {
+    /// A model whose step k starts at (first_index + k) · length seconds.
+    ///
+    /// # Panics
+    /// If the length is not positive and finite.
+    pub fn new(rhs: R, first_index: usize, length: f64) -> Self {
+        assert!(length > 0.0 && length.is_finite(), "a step needs a positive length, not {length}");
+        let n = rhs.dim();
+        Self {
+            rhs,
+            first: first_index,
+            length,
+            stages: vec![0.0; 4 * n],
+            last: None,
+            slope: vec![0.0; n],
+            sum: vec![0.0; n],
+            point: vec![0.0; n],
+            kept: Vec::new(),
+            linearized: Vec::new(),
+            counts: Counts::default(),
+        }
+    }
+
+    /// The right-hand side.
+    pub fn rhs(&self) -> &R {
+        &self.rhs
+    }
+
+    /// Time at stage i of step k [s].
+    fn time(&self, k: usize, i: usize) -> f64 {
+        (self.first + k) as f64 * self.length + PLACE[i] * self.length
+    }
+
+    /// Fills `stages` and, up to the slope of the last stage asked for, `sum` = Σ w_i k_i.
+    fn run(&mut self, k: usize, x: &[f64], slopes: usize) {
+        let n = x.len();
+        self.last = Some(k);
+        self.stages[..n].copy_from_slice(x);
+        self.sum.fill(0.0);
+        for i in 0..slopes {
+            let t = self.time(k, i);
+            let (done, next) = self.stages.split_at_mut((i + 1) * n);
+            self.rhs.eval(t, &done[i * n..], &mut self.slope);
+            add(WEIGHT[i], &self.slope, &mut self.sum);
+            if i < 3 {
+                let h = PLACE[i + 1] * self.length;
+                for ((next, x), s) in next[..n].iter_mut().zip(x).zip(&self.slope) {
+                    *next = x + h * s;
+                }
+            }
+        }
+    }
+}
+
+impl<R: Rhs> Model for Rk4<R> {
+    fn dim(&self) -> usize {
+        self.slope.len()
+    }
+
+    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
+        assert!(x.len() == self.dim() && x_next.len() == self.dim(), "a state has {} values", self.dim());
+        self.run(k, x, 4);
+        for ((next, x), s) in x_next.iter_mut().zip(x).zip(&self.sum) {
+            *next = x + self.length * s;
+        }
+        self.counts.model_steps += 1;
+        // a sum is finite only if all its terms are; one that overflows is looked at more closely
+        if !x_next.iter().sum::<f64>().is_finite() && !x_next.iter().all(|v| v.is_finite()) {
+            self.last = None;
+            return Err(Error::NonFinite { step: k, what: "x_{k+1}" });
+        }
+        Ok(())
+    }
+
+    fn linearize(&mut self, k: usize, x: &[f64], x_next: &[f64]) -> Result<(), Error> {
+        let n = self.dim();
+        assert!(x.len() == n && x_next.len() == n, "a state has {n} values");
+        self.counts.linearizations += 1;
+        if self.last != Some(k) || self.stages[..n] != *x {
+            self.run(k, x, 3);
+        }
+        if self.kept.len() <= k {
+            self.kept.resize_with(k + 1, Vec::new);
+            self.linearized.resize(k + 1, false);
+        }
+        self.linearized[k] = true;
+        self.kept[k].resize(4 * n, 0.0);
+        std::mem::swap(&mut self.kept[k], &mut self.stages);
+        self.last = None;
+        Ok(())
+    }
+
+    fn tangent(&mut self, k: usize, dx: &mut [f64]) {
+        assert!(self.linearized.get(k) == Some(&true), "step {k} has not been linearized");
+        self.counts.tangent_steps += 1;
+        let n = dx.len();
+        self.sum.fill(0.0);
+        self.point.copy_from_slice(dx);
+        for i in 0..4 {
+            let t = self.time(k, i);
+            self.rhs.tangent(t, &self.kept[k][i * n..(i + 1) * n], &self.point, &mut self.slope);
+            add(WEIGHT[i], &self.slope, &mut self.sum);
+            if i < 3 {
+                let h = PLACE[i + 1] * self.length;
+                for ((p, d), s) in self.point.iter_mut().zip(dx.iter()).zip(&self.slope) {
+                    *p = d + h * s;
+                }
+            }
+        }
+        add(self.length, &self.sum, dx);
+    }
+
+    fn adjoint(&mut self, k: usize, lambda: &mut [f64]) {
+        assert!(self.linearized.get(k) == Some(&true), "step {k} has not been linearized");
+        self.counts.adjoint_steps += 1;
+        let n = lambda.len();
+        // slope: what k_i is weighted with; point: (∂f/∂X_i)ᵀ of that; sum: λ and what X₄ … X_{i+1} send back to x_k
+        self.sum.copy_from_slice(lambda);
+        self.point.fill(0.0);
+        for i in (0..4).rev() {
+            let (weight, after) = (self.length * WEIGHT[i], self.length * PLACE.get(i + 1).unwrap_or(&0.0));
+            for (((s, l), p), sum) in
+                self.slope.iter_mut().zip(lambda.iter()).zip(&mut self.point).zip(&mut self.sum)
+            {
+                *s = weight * l + after * *p;
+                *sum += *p;
+                *p = 0.0;
+            }
+            let t = self.time(k, i);
+            self.rhs.adjoint_add(t, &self.kept[k][i * n..(i + 1) * n], &self.slope, &mut self.point);
+        }
+        for ((l, sum), p) in lambda.iter_mut().zip(&self.sum).zip(&self.point) {
+            *l = sum + p;
+        }
+    }
+
+    fn counts(&self) -> Counts {
+        self.counts
+    }
+}
+
+/// y += a x.
+fn add(a: f64, x: &[f64], y: &mut [f64]) {
+    y.iter_mut().zip(x).for_each(|(y, x)| *y += a * x);
+}

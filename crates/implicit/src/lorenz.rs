@@ -1,0 +1,117 @@
+//! Standard test models: the Lorenz equations of 1963 and 1996.
+
+use crate::Rhs;
+
+/// Lorenz 1963, three variables, chaotic for the classical parameters.
+///
+/// ```text
+/// ẋ = σ (y − x),  ẏ = x (ρ − z) − y,  ż = x y − β z
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lorenz63 {
+    /// σ, Prandtl number.
+    pub sigma: f64,
+    /// ρ, relative Rayleigh number.
+    pub rho: f64,
+    /// β, aspect ratio of the rolls.
+    pub beta: f64,
+}
+
+impl Default for Lorenz63 {
+    /// σ = 10, ρ = 28, β = 8/3.
+    fn default() -> Self {
+        Self { sigma: 10.0, rho: 28.0, beta: 8.0 / 3.0 }
+    }
+}
+
+impl Rhs for Lorenz63 {
+    fn dim(&self) -> usize {
+        3
+    }
+
+    fn eval(&mut self, _t: f64, x: &[f64], f: &mut [f64]) {
+        f[0] = self.sigma * (x[1] - x[0]);
+        f[1] = x[0] * (self.rho - x[2]) - x[1];
+        f[2] = x[0] * x[1] - self.beta * x[2];
+    }
+
+    fn tangent(&mut self, _t: f64, x: &[f64], dx: &[f64], df: &mut [f64]) {
+        df[0] = self.sigma * (dx[1] - dx[0]);
+        df[1] = dx[0] * (self.rho - x[2]) - x[0] * dx[2] - dx[1];
+        df[2] = dx[0] * x[1] + x[0] * dx[1] - self.beta * dx[2];
+    }
+
+    fn adjoint_add(&mut self, _t: f64, x: &[f64], l: &[f64], dx: &mut [f64]) {
+        dx[0] += -self.sigma * l[0] + (self.rho - x[2]) * l[1] + x[1] * l[2];
+        dx[1] += self.sigma * l[0] - l[1] + x[0] * l[2];
+        dx[2] += -x[0] * l[1] - self.beta * l[2];
+    }
+}
+
+/// Lorenz 1996, N ≥ 4 variables on a circle.
+///
+/// ```text
+/// ẋ_i = (x_{i+1} − x_{i−2}) x_{i−1} − x_i + F
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lorenz96 {
+    n: usize,
+    forcing: f64,
+}
+
+impl Lorenz96 {
+    /// N variables, forcing F (8 is chaotic).
+    ///
+    /// # Panics
+    /// If N < 4.
+    pub fn new(n: usize, forcing: f64) -> Self {
+        assert!(n >= 4, "the stencil of Lorenz 96 needs 4 variables, not {n}");
+        Self { n, forcing }
+    }
+}
+
+impl Rhs for Lorenz96 {
+    fn dim(&self) -> usize {
+        self.n
+    }
+
+    fn eval(&mut self, _t: f64, x: &[f64], f: &mut [f64]) {
+        let (n, forcing) = (self.n, self.forcing);
+        let at = |back2: f64, back: f64, here: f64, ahead: f64| (ahead - back2) * back - here + forcing;
+        f[0] = at(x[n - 2], x[n - 1], x[0], x[1]);
+        f[1] = at(x[n - 1], x[0], x[1], x[2]);
+        for (f, x) in f[2..n - 1].iter_mut().zip(x.windows(4)) {
+            *f = at(x[0], x[1], x[2], x[3]);
+        }
+        f[n - 1] = at(x[n - 3], x[n - 2], x[n - 1], x[0]);
+    }
+
+    fn tangent(&mut self, _t: f64, x: &[f64], dx: &[f64], df: &mut [f64]) {
+        let n = self.n;
+        let at = |i: [usize; 4]| (dx[i[3]] - dx[i[0]]) * x[i[1]] + (x[i[3]] - x[i[0]]) * dx[i[1]] - dx[i[2]];
+        df[0] = at([n - 2, n - 1, 0, 1]);
+        df[1] = at([n - 1, 0, 1, 2]);
+        for ((df, x), dx) in df[2..n - 1].iter_mut().zip(x.windows(4)).zip(dx.windows(4)) {
+            *df = (dx[3] - dx[0]) * x[1] + (x[3] - x[0]) * dx[1] - dx[2];
+        }
+        df[n - 1] = at([n - 3, n - 2, n - 1, 0]);
+    }
+
+    fn adjoint_add(&mut self, _t: f64, x: &[f64], l: &[f64], dx: &mut [f64]) {
+        // Column i gathers what it gives to rows i−1, i, i+1 and i+2: five neighbours, from i−2 on.
+        let n = self.n;
+        let column = |x: [f64; 5], l: [f64; 5]| x[0] * l[1] - l[2] + (x[4] - x[1]) * l[3] - x[3] * l[4];
+        let at = |v: &[f64], i: [usize; 5]| [v[i[0]], v[i[1]], v[i[2]], v[i[3]], v[i[4]]];
+        for i in [
+            [n - 2, n - 1, 0, 1, 2],
+            [n - 1, 0, 1, 2, 3],
+            [n - 4, n - 3, n - 2, n - 1, 0],
+            [n - 3, n - 2, n - 1, 0, 1],
+        ] {
+            dx[i[2]] += column(at(x, i), at(l, i));
+        }
+        for ((dx, x), l) in dx[2..n - 2].iter_mut().zip(x.windows(5)).zip(l.windows(5)) {
+            *dx += column([x[0], x[1], x[2], x[3], x[4]], [l[0], l[1], l[2], l[3], l[4]]);
+        }
+    }
+}

@@ -1,0 +1,175 @@
+//! The checks themselves: what they refuse, and what they must not let pass.
+
+use varda_implicit::lorenz::Lorenz63;
+use varda_implicit::{Counts, Error, ImplicitModel, Model, OneLeg, Rhs, Rk4, check};
+
+/// A model given by its three functions.
+struct Toy {
+    step: fn(&[f64], &mut [f64]),
+    tangent: fn(&mut [f64]),
+    adjoint: fn(&mut [f64]),
+}
+
+impl Model for Toy {
+    fn dim(&self) -> usize {
+        2
+    }
+    fn step(&mut self, _: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
+        (self.step)(x, x_next);
+        Ok(())
+    }
+    fn linearize(&mut self, _: usize, _: &[f64], _: &[f64]) -> Result<(), Error> {
+        Ok(())
+    }
+    fn tangent(&mut self, _: usize, dx: &mut [f64]) {
+        (self.tangent)(dx);
+    }
+    fn adjoint(&mut self, _: usize, lambda: &mut [f64]) {
+        (self.adjoint)(lambda);
+    }
+    fn counts(&self) -> Counts {
+        Counts::default()
+    }
+}
+
+/// x ← (x₀ + 2 x₁, 3 x₁).
+const LINEAR: Toy = Toy {
+    step: |x, next| next.copy_from_slice(&[x[0] + 2.0 * x[1], 3.0 * x[1]]),
+    tangent: |d| d.copy_from_slice(&[d[0] + 2.0 * d[1], 3.0 * d[1]]),
+    adjoint: |l| l.copy_from_slice(&[l[0], 2.0 * l[0] + 3.0 * l[1]]),
+};
+
+#[test]
+fn a_linear_model_conforms_with_an_infinite_slope() {
+    let outcomes = check::conformance(&mut { LINEAR }, 0, &[1.0, 2.0], &[1.0, 1.0], 1).unwrap();
+    assert!(outcomes.iter().all(|o| o.pass), "{outcomes:?}");
+    let taylor = check::taylor_step(&mut { LINEAR }, 0, &[1.0, 2.0], &[0.3, 0.4], &[1.0, 1.0]).unwrap();
+    assert_eq!(taylor.slope, f64::INFINITY);
+}
+
+#[test]
+fn every_fault_is_caught_by_the_check_made_for_it() {
+    let faults = [
+        ("adjoint", Toy { adjoint: |l| l.copy_from_slice(&[l[0], -2.0 * l[0] + 3.0 * l[1]]), ..LINEAR }),
+        (
+            "Taylor",
+            Toy { step: |x, next| next.copy_from_slice(&[x[0] + 2.001 * x[1], 3.0 * x[1]]), ..LINEAR },
+        ),
+        ("M 0", Toy { tangent: |d| d.copy_from_slice(&[d[0] + 2.0 * d[1], 3.0 * d[1] + 1e-300]), ..LINEAR }),
+        (
+            "linearity",
+            Toy { tangent: |d| d.copy_from_slice(&[d[0] + 2.0 * d[1].abs(), 3.0 * d[1]]), ..LINEAR },
+        ),
+    ];
+    for (what, mut toy) in faults {
+        let outcomes = check::conformance(&mut toy, 0, &[1.0, 2.0], &[1.0, 1.0], 1).unwrap();
+        assert!(outcomes.iter().any(|o| o.what.contains(what) && !o.pass), "{what}: {outcomes:?}");
+    }
+}
+
+#[test]
+fn empty_tests_are_refused() {
+    let dead = Toy { tangent: |d| d.fill(0.0), adjoint: |l| l.fill(0.0), ..LINEAR };
+    assert!(matches!(check::dot_product(&mut { dead }, 0..1, &[1.0; 2], 1), Err(Error::EmptyTest { .. })));
+    let compare =
+        |dx: [f64; 2], m_dx: [f64; 2]| check::compare(&dx, &m_dx, &[1.0; 2], &[1.0; 2], 1.0, &[1.0; 2]);
+    assert!(compare([1.0, 2.0], [2.0, 1.0]).unwrap().pass);
+    assert!(matches!(compare([0.0; 2], [1.0; 2]), Err(Error::EmptyTest { .. })));
+    assert!(matches!(compare([1.0; 2], [0.0; 2]), Err(Error::EmptyTest { .. })));
+    assert!(matches!(compare([1.0; 2], [1e-12; 2]), Err(Error::EmptyTest { .. })));
+    let nan = compare([f64::NAN, 1.0], [1.0; 2]).map(|d| d.pass);
+    assert!(!matches!(nan, Ok(true)));
+    let constant = check::taylor(&mut |_| Ok(3.0), &[0.0], &[1.0], &[1.0]);
+    assert!(matches!(constant, Err(Error::EmptyTest { .. })));
+}
+
+#[test]
+fn taylor_slopes_tell_right_gradients_from_wrong_ones() {
+    let mut function = |x: &[f64]| Ok((x[0] * x[1]).exp() + x[1].powi(3));
+    let x: [f64; 2] = [0.4, 0.7];
+    let e = (x[0] * x[1]).exp();
+    let gradient = [x[1] * e, x[0] * e + 3.0 * x[1] * x[1]];
+    let right = check::taylor(&mut function, &gradient, &x, &[1.0, -0.5]).unwrap();
+    assert!(right.pass && (right.slope - 2.0).abs() <= 0.05, "{right:?}");
+    // the smaller the error the smaller the steps at which it shows; one in 10⁵ still does
+    for error in [1.0, 1e-3, 1e-5] {
+        let wrong =
+            check::taylor(&mut function, &[gradient[0] * (1.0 + error), gradient[1]], &x, &[1.0, -0.5]);
+        assert!(!wrong.unwrap().pass, "{error}");
+    }
+    // a failing function is no passed test
+    let failing =
+        check::taylor(&mut |_| Err(Error::NonFinite { step: 0, what: "x" }), &gradient, &x, &[1.0, 0.0]);
+    assert!(failing.is_err());
+}
+
+/// A stiff decay towards a moving point with f beyond reach of explicit steps, no potential: Van der Pol, μ = 1000.
+#[derive(Clone)]
+struct VanDerPol;
+
+impl Rhs for VanDerPol {
+    fn dim(&self) -> usize {
+        2
+    }
+    fn eval(&mut self, _: f64, x: &[f64], f: &mut [f64]) {
+        f.copy_from_slice(&[x[1], 1000.0 * (1.0 - x[0] * x[0]) * x[1] - x[0]]);
+    }
+    fn tangent(&mut self, _: f64, x: &[f64], dx: &[f64], df: &mut [f64]) {
+        let m = 1000.0;
+        df.copy_from_slice(&[
+            dx[1],
+            -(2.0 * m * x[0] * x[1] + 1.0) * dx[0] + m * (1.0 - x[0] * x[0]) * dx[1],
+        ]);
+    }
+    fn adjoint_add(&mut self, _: f64, x: &[f64], l: &[f64], dx: &mut [f64]) {
+        let m = 1000.0;
+        dx[0] -= (2.0 * m * x[0] * x[1] + 1.0) * l[1];
+        dx[1] += l[0] + m * (1.0 - x[0] * x[0]) * l[1];
+    }
+}
+
+#[test]
+fn stiff_steps_without_a_potential_go_through_the_contraction_test() {
+    // over the jumps of the relaxation cycle, which last about 1/μ, with steps fifty times as long
+    let mut model = ImplicitModel::new(OneLeg::implicit_euler(VanDerPol, 1e-10), 0, 0.05);
+    let mut x = vec![2.0, 0.0];
+    let mut turns = 0;
+    for k in 0..36_000 {
+        let mut next = vec![0.0; 2];
+        model.step(k, &x, &mut next).unwrap();
+        assert!(next[0].abs() <= 2.1, "{next:?}");
+        turns += usize::from(next[0] * x[0] < 0.0);
+        x = next;
+    }
+    // a turn takes (3 − 2 ln 2) μ/2 = 807 s and less where a long step lands short of the slow branch: two at least. The
+    // jumps themselves have no root near the guess, and are halved.
+    assert!(turns >= 2 && model.counts().substeps > 0, "{turns} {:?}", model.counts());
+    assert!(model.warnings().len() < 40, "{:?}", model.warnings());
+    let window = check::window(&mut model, &[2.0, 0.0], 100, &[1.0, 1e-3], 3).unwrap();
+    assert!(window.pass, "{window:?}");
+}
+
+#[test]
+fn a_mutated_right_hand_side_fails_the_conformance_of_its_models() {
+    /// Lorenz 63 with one wrong sign in the tangent.
+    struct Mutated(Lorenz63);
+    impl Rhs for Mutated {
+        fn dim(&self) -> usize {
+            3
+        }
+        fn eval(&mut self, t: f64, x: &[f64], f: &mut [f64]) {
+            self.0.eval(t, x, f);
+        }
+        fn tangent(&mut self, t: f64, x: &[f64], dx: &[f64], df: &mut [f64]) {
+            self.0.tangent(t, x, dx, df);
+            df[1] += 2.0 * dx[1];
+        }
+        fn adjoint_add(&mut self, t: f64, x: &[f64], l: &[f64], dx: &mut [f64]) {
+            self.0.adjoint_add(t, x, l, dx);
+        }
+    }
+    let mut model = Rk4::new(Mutated(Lorenz63::default()), 0, 0.01);
+    let outcomes = check::conformance(&mut model, 0, &[1.0, 3.0, 20.0], &[1.0; 3], 1).unwrap();
+    let failed = |what: &str| outcomes.iter().any(|o| o.what.contains(what) && !o.pass);
+    assert!(failed("dot product") && failed("Taylor"), "{outcomes:?}");
+}

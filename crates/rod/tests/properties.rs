@@ -1,0 +1,230 @@
+//! Properties that hold for every configuration: invariance, symmetry, and the paper's three-block equations.
+
+use std::sync::Arc;
+
+use proptest::prelude::*;
+use varda_implicit::{Error as StepError, ImplicitModel, Model};
+use varda_rod::{
+    BackwardEuler, Clamp, Damping, Error, Framed, Loads, Material, Motion, Rod, Section, Supports,
+    derivatives,
+};
+
+type V = [f64; 3];
+
+fn sub(a: V, b: V) -> V {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+fn cross(a: V, b: V) -> V {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+fn dot(a: V, b: V) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// Rotation of v about the unit axis by the angle (Rodrigues).
+fn rotate(v: V, axis: V, angle: f64) -> V {
+    let (s, c) = angle.sin_cos();
+    let (w, d) = (cross(axis, v), dot(axis, v));
+    std::array::from_fn(|i| v[i] * c + w[i] * s + axis[i] * d * (1.0 - c))
+}
+
+fn rod() -> Rod {
+    let material = Material::new(2e6, 0.4, 1000.0);
+    Rod::uniform(0.6, 6, &Section::ellipse(&material, 0.02, 0.012)).unwrap().naturally([0.4, -0.7], 0.5)
+}
+
+/// A crooked rod from numbers in [−1, 1]: edges turn by up to about a radian.
+fn crooked(noise: &[f64]) -> (Vec<V>, Vec<V>, Vec<f64>) {
+    let mut x = vec![[0.0; 3]];
+    for e in noise[..18].chunks(3) {
+        let last = *x.last().unwrap();
+        x.push([last[0] + 0.04 * e[0], last[1] + 0.04 * e[1], last[2] - 0.1 + 0.02 * e[2]]);
+    }
+    let directors = (0..6)
+        .map(|i| {
+            let t = sub(x[i + 1], x[i]);
+            let d = cross(t, [noise[18 + i], 1.0, 0.3]);
+            let size = dot(d, d).sqrt();
+            d.map(|v| v / size)
+        })
+        .collect();
+    (x, directors, noise[24..30].to_vec())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
+
+    /// Energy does not change when the whole rod moves rigidly; forces turn with it; the Hessian is symmetric.
+    #[test]
+    fn rigid_motion(noise in prop::collection::vec(-1.0..1.0f64, 30), axis in prop::array::uniform3(-1.0..1.0f64), angle in -3.0..3.0f64) {
+        let size = dot(axis, axis).sqrt();
+        prop_assume!(size > 0.1);
+        let axis = axis.map(|v| v / size);
+        let (x, d, theta) = crooked(&noise);
+        let twist = vec![0.3; 5];
+        let still = derivatives(&rod(), &Framed { vertices: &x, directors: &d, reference_twist: &twist, theta: &theta }).unwrap();
+        let turn = |v: V| rotate(v, axis, angle);
+        let (xr, dr): (Vec<V>, Vec<V>) = (x.iter().map(|v| { let w = turn(*v); [w[0] + 1.0, w[1] - 2.0, w[2]] }).collect(), d.iter().map(|v| turn(*v)).collect());
+        let moved = derivatives(&rod(), &Framed { vertices: &xr, directors: &dr, reference_twist: &twist, theta: &theta }).unwrap();
+        // Coordinates of size 2 m carry 4e-16 m; the stiffest spring has EA/l̄ = 1.5e4 N/m.
+        let scale = still.gradient.iter().fold(1.0, |m: f64, g| m.max(g.abs()));
+        prop_assert!((still.energy.total() - moved.energy.total()).abs() <= 1e-12 * scale);
+        for i in 0..=6 {
+            let f = turn([still.gradient[3 * i], still.gradient[3 * i + 1], still.gradient[3 * i + 2]]);
+            for c in 0..3 {
+                prop_assert!((f[c] - moved.gradient[3 * i + c]).abs() <= 1e-10 * scale);
+            }
+        }
+        let n = still.gradient.len();
+        for i in 0..n {
+            for j in 0..i {
+                prop_assert_eq!(still.hessian[i + j * n], still.hessian[j + i * n]);
+            }
+        }
+        // No net force and no net moment: rigid motions are null vectors of the gradient.
+        for c in 0..3 {
+            let force: f64 = (0..=6).map(|i| still.gradient[3 * i + c]).sum();
+            prop_assert!(force.abs() <= 1e-11 * scale);
+        }
+    }
+}
+
+fn hanging(
+    segments: usize,
+    position: impl Motion + 'static,
+    damping: Damping,
+) -> ImplicitModel<BackwardEuler> {
+    let material = Material::new(1e6, 0.5, 1100.0);
+    let rod = Rod::uniform(1.0, segments, &Section::circle(&material, 0.01)).unwrap();
+    let clamp = Clamp {
+        position: Arc::new(position),
+        tangent: Arc::new([0.0, 0.0, -1.0]),
+        director: Arc::new([1.0, 0.0, 0.0]),
+    };
+    let loads = Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() };
+    ImplicitModel::new(
+        BackwardEuler::new(rod, Supports::clamped_start(clamp), loads, damping).unwrap(),
+        0,
+        0.02,
+    )
+}
+
+fn at_rest(model: &ImplicitModel<BackwardEuler>) -> Vec<f64> {
+    let (n, step) = (model.step_ref().rod().segments(), model.step_ref());
+    let mut z = vec![0.0; step.control_len()];
+    for (i, &v) in step.free_vertices().iter().enumerate() {
+        z[3 * i + 2] = -(v as f64) / n as f64;
+    }
+    z
+}
+
+/// The paper's residual of section 3, in all three blocks, with the gradient taken from the public energy.
+#[test]
+fn the_step_solves_the_papers_equations() {
+    let (n, h, alpha) = (10, 0.02, 0.8);
+    let drive = |t: f64| [0.1 * (5.0 * t).sin(), 0.05 * t, 0.0];
+    let mut model = hanging(n, drive, Damping { stiffness: 0.0, mass: alpha });
+    let mut x = at_rest(&model);
+    for k in 0..20 {
+        let mut next = vec![0.0; x.len()];
+        model.step(k, &x, &mut next).unwrap();
+        let vertices = model.step_mut().vertices(h * (k + 1) as f64, &next).unwrap();
+        let rod = model.step_ref().rod().clone();
+        // Any frames do for an isotropic straight rod: parallel ones, untwisted.
+        let mut d = vec![[1.0, 0.0, 0.0]; n];
+        for e in 0..n {
+            let t = sub(vertices[e + 1], vertices[e]);
+            let l = dot(t, t).sqrt();
+            let t = t.map(|v| v / l);
+            d[e] = if e == 0 {
+                d[0]
+            } else {
+                let before = sub(vertices[e], vertices[e - 1]);
+                let l = dot(before, before).sqrt();
+                let p = before.map(|v| v / l);
+                let share = dot(d[e - 1], t) / (1.0 + dot(p, t));
+                std::array::from_fn(|c| d[e - 1][c] - share * (p[c] + t[c]))
+            };
+        }
+        let energy = derivatives(
+            &rod,
+            &Framed {
+                vertices: &vertices,
+                directors: &d,
+                reference_twist: &vec![0.0; n - 1],
+                theta: &vec![0.0; n],
+            },
+        )
+        .unwrap();
+        let half = x.len() / 2;
+        for (i, &v) in model.step_ref().free_vertices().iter().enumerate() {
+            for c in 0..3 {
+                let j = 3 * i + c;
+                let g1 = next[j] - x[j] - h * next[half + j];
+                let weight = if c == 2 { -9.81 * rod.masses[v] } else { 0.0 };
+                let g2 = rod.masses[v] * (next[half + j] - x[half + j])
+                    + h * (energy.gradient[3 * v + c] + alpha * rod.masses[v] * next[half + j] - weight);
+                // The last Newton update is below 1e-11 m; springs of EA/l̄ = 3e3 N/m over 0.02 s turn that into 1e-9 N s.
+                assert!(g1.abs() <= 1e-15 && g2.abs() <= 1e-9, "step {k}, vertex {v}: {g1:e}, {g2:e}");
+            }
+        }
+        assert!(energy.gradient[3 * (n + 1)..].iter().all(|t| t.abs() < 1e-12), "no twisting moment");
+        x = next;
+    }
+}
+
+#[test]
+fn a_clamp_that_jumps_several_segments_is_followed() {
+    // 400 segments of 2.5 mm; the clamp moves by up to 6.3 mm, 2.5 segments, in a step of 0.02 s.
+    let drive = |t: f64| {
+        [0.1 * (1.0 - (std::f64::consts::PI * t).cos()), 0.05 * (2.0 * std::f64::consts::PI * t).sin(), 0.0]
+    };
+    let mut model = hanging(400, drive, Damping::default());
+    let mut x = at_rest(&model);
+    for k in 0..50 {
+        let mut next = vec![0.0; x.len()];
+        model.step(k, &x, &mut next).unwrap_or_else(|e| panic!("{e}"));
+        x = next;
+    }
+    let half = x.len() / 2;
+    let tip = [x[half - 3], x[half - 2], x[half - 1]];
+    assert!(tip[2] < -0.8 && tip[0].abs() < 0.5, "{tip:?}");
+}
+
+#[test]
+fn impossible_input_is_named() {
+    let material = Material::new(1e6, 0.5, 1100.0);
+    let section = Section::circle(&material, 0.01);
+    assert!(matches!(Rod::uniform(-1.0, 5, &section), Err(Error::Value { field: "rod length", .. })));
+    assert!(matches!(Rod::uniform(1.0, 0, &section), Err(Error::Value { field: "segments", .. })));
+    assert!(matches!(Rod::uniform(1.0, 5, &Section::circle(&material, f64::NAN)), Err(Error::Value { .. })));
+    let rod = Rod::uniform(1.0, 5, &section).unwrap();
+    assert!(matches!(rod.place("marker", 1.2), Err(Error::OffRod { .. })));
+    let twice = Supports {
+        prescribed: vec![(1, Arc::new([0.0; 3]))],
+        ..Supports::clamped_start(Clamp::fixed([0.0; 3], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
+    };
+    assert!(matches!(
+        BackwardEuler::new(rod.clone(), twice, Loads::default(), Damping::default()),
+        Err(Error::Support { vertex: 1, .. })
+    ));
+    let along = Supports::clamped_start(Clamp::fixed([0.0; 3], [0.0, 0.0, -1.0], [0.0, 0.0, 2.0]));
+    assert!(matches!(
+        BackwardEuler::new(rod, along, Loads::default(), Damping::default()),
+        Err(Error::Value { field: "a clamp's director", .. })
+    ));
+}
+
+#[test]
+fn a_fold_or_a_nan_is_an_error_that_names_the_step() {
+    let mut model = hanging(10, [0.0; 3], Damping::default());
+    let mut x = at_rest(&model);
+    let mut next = vec![0.0; x.len()];
+    x[2] = f64::NAN;
+    assert!(matches!(
+        model.step(7, &x, &mut next),
+        Err(StepError::Refused { step: 7, .. } | StepError::NonFinite { step: 7, .. })
+    ));
+}
