@@ -25,18 +25,23 @@ struct Fixture {
     ref_d1: Vec<[f64; 3]>,
     ref_twist: Vec<f64>,
     theta: Vec<f64>,
-    energy: Parts<f64>,
-    gradient: Parts<Vec<f64>>,
+    energy: Energies,
+    gradient: Gradient,
     hessian_lower_coo: Coo,
     reduced: Option<Reduced>,
 }
 
 #[derive(Deserialize)]
-struct Parts<T> {
-    stretch: T,
-    bend: T,
-    twist: T,
-    total: T,
+struct Energies {
+    stretch: f64,
+    bend: f64,
+    twist: f64,
+    total: f64,
+}
+
+#[derive(Deserialize)]
+struct Gradient {
+    total: Vec<f64>,
 }
 
 #[derive(Deserialize)]

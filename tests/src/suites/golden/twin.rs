@@ -1,0 +1,183 @@
+//! Small twin problems with known minima.
+
+use super::{expect_length, read_json};
+use crate::row::{Case, Outcome};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::ops::ControlFlow;
+use std::path::Path;
+use varda_assimilation::{
+    ControlTransform, CostFunction, Minimizer, Observation, ObservationSet, Posterior, Selection, Status,
+    StrongConstraint, TrustRegionOptions, continuation,
+};
+use varda_covariance::{Dense, Precision};
+use varda_implicit::{Model, Rk4, lorenz::Lorenz63, lorenz::Lorenz96};
+
+#[derive(Deserialize)]
+#[allow(non_snake_case)]
+struct Twin {
+    model: ModelFields,
+    n: usize,
+    K: usize,
+    B: Vec<Vec<f64>>,
+    R_diag: f64,
+    H_rows: Vec<usize>,
+    xb: Vec<f64>,
+    obs: BTreeMap<usize, Vec<f64>>,
+    xa: Vec<f64>,
+    J_b: f64,
+    J_min: f64,
+    trPa: f64,
+}
+
+#[derive(Deserialize)]
+struct ModelFields {
+    name: String,
+    parameters: BTreeMap<String, f64>,
+    integrator: Option<String>,
+    dt: Option<f64>,
+}
+
+type AnyModel = Option<Box<dyn Model>>;
+
+impl Twin {
+    /// The model; none where nothing moves.
+    fn model(&self) -> Result<AnyModel, Box<dyn Error>> {
+        let ModelFields { name, parameters, integrator, dt } = &self.model;
+        let parameter = |key: &str| parameters.get(key).copied().ok_or(format!("model.parameters.{key} is missing"));
+        if name == "none" {
+            return Ok(None);
+        }
+        if integrator.as_deref() != Some("rk4") {
+            return Err(format!("unknown integrator {integrator:?} of model {name:?} (known: rk4)").into());
+        }
+        let dt = dt.filter(|dt| *dt > 0.0).ok_or("model.dt is not a positive number")?;
+        match name.as_str() {
+            "lorenz63" => {
+                expect_length("xb of lorenz63", self.n, 3)?;
+                let rhs =
+                    Lorenz63 { sigma: parameter("sigma")?, rho: parameter("rho")?, beta: parameter("beta")? };
+                Ok(Some(Box::new(Rk4::new(rhs, 0, dt))))
+            }
+            "lorenz96" => {
+                if parameters.get("n").is_some_and(|n| *n != self.n as f64) || self.n < 4 {
+                    return Err(format!("model.parameters.n does not fit n = {}", self.n).into());
+                }
+                Ok(Some(Box::new(Rk4::new(Lorenz96::new(self.n, parameter("forcing")?), 0, dt))))
+            }
+            _ => Err(format!("unknown model {name:?} (known: none, lorenz63, lorenz96)").into()),
+        }
+    }
+
+    /// The observations up to and including step `last`.
+    fn observations(&self, last: usize) -> Result<ObservationSet, Box<dyn Error>> {
+        let observation = |(&step, values): (&usize, &Vec<f64>)| Observation {
+            operator: 0,
+            rows: (0..values.len()).collect(),
+            step,
+            weight: 0.0,
+            values: values.clone(),
+            sigma: vec![self.R_diag.sqrt(); values.len()],
+            label: String::new(),
+        };
+        let operator = Selection::new(self.H_rows.clone(), self.n)?;
+        let all = self.obs.range(..=last).map(observation).collect();
+        Ok(ObservationSet::new(self.K, vec![Box::new(operator)], all)?)
+    }
+}
+
+pub(super) fn check(case: &mut Case, path: &Path) -> Outcome {
+    let twin: Twin = read_json(path)?;
+    let n = twin.n;
+    for (what, found) in [("xb", twin.xb.len()), ("xa", twin.xa.len()), ("B", twin.B.len())] {
+        expect_length(what, found, n)?;
+    }
+    for row in &twin.B {
+        expect_length("a row of B", row.len(), n)?;
+    }
+    for (step, values) in &twin.obs {
+        expect_length(&format!("obs at step {step}"), values.len(), twin.H_rows.len())?;
+    }
+    let mut model = twin.model()?;
+    let b = Dense::new(n, &twin.B.concat())?;
+    let transform = ControlTransform::new(twin.xb.clone(), &b)?;
+    let mut observations = twin.observations(twin.K)?;
+
+    let mut v = vec![0.0; n];
+    let j = cost(&mut model, &transform, &mut observations)?.evaluate(&v, None)?;
+    case.at_most("j_background", (j - twin.J_b).abs() / twin.J_b.abs(), 1e-10, "-").computed(j);
+
+    let how = minimize(&twin, &mut model, &transform, &mut v)?;
+    let mut cost = cost(&mut model, &transform, &mut observations)?;
+    let j = cost.evaluate(&v, Some(&mut vec![0.0; n]))?;
+    case.at_most("j_analysis", (j - twin.J_min) / twin.J_min.abs(), 1e-8, "-").computed(j).note(how);
+
+    let mut z = vec![0.0; n];
+    transform.control(&v, &mut z);
+    let difference: Vec<f64> = z.iter().zip(&twin.xa).map(|(a, b)| a - b).collect();
+    let mut whitened = vec![0.0; n];
+    b.whiten(&difference, &mut whitened);
+    let distance = super::norm(&whitened);
+    case.at_most("analysis", distance, 1e-4, "-").computed(distance);
+
+    let trace = Posterior::new(&mut cost)?.trace(&transform);
+    case.at_most("posterior_trace", (trace - twin.trPa).abs() / twin.trPa.abs(), 1e-6, "-").computed(trace);
+    Ok(())
+}
+
+fn cost<'a>(
+    model: &'a mut AnyModel,
+    transform: &ControlTransform<'a>,
+    observations: &'a mut ObservationSet,
+) -> Result<StrongConstraint<'a>, varda_assimilation::Error> {
+    match model {
+        Some(model) => StrongConstraint::new(model.as_mut(), transform.clone(), observations),
+        None => StrongConstraint::without_model(transform.clone(), observations),
+    }
+}
+
+/// Minimizes from the background, into `v`; says how it was found.
+///
+/// At the right minimum 2J is about m, give or take a few √(2m). A minimum that fails this is a false one, as chaotic models
+/// have in long windows; then larger observation errors first, and windows that grow by one observation time (Pires, Vautard and Talagrand
+/// 1996), are tried too, and the lowest J is kept.
+fn minimize(
+    twin: &Twin,
+    model: &mut AnyModel,
+    transform: &ControlTransform,
+    v: &mut Vec<f64>,
+) -> Result<String, Box<dyn Error>> {
+    let go_on = &mut |_: &varda_assimilation::Iteration| ControlFlow::Continue(());
+    let tight = TrustRegionOptions { gradient_tolerance: 1e-10, ..TrustRegionOptions::default() };
+    let tight = Minimizer::TrustRegion(tight);
+    let start = v.clone();
+    let mut all = twin.observations(twin.K)?;
+    let m = all.dim() as f64;
+
+    let mut best = tight.minimize(&mut cost(model, transform, &mut all)?, v, go_on)?;
+    let mut how = "from the background";
+    if best.value > 0.5 * m + 5.0 * (0.5 * m).sqrt() {
+        let mut trial = start.clone();
+        let mut whole = cost(model, transform, &mut all)?;
+        let found = continuation(&tight, &mut whole, &mut trial, &[10.0, 3.0, 1.0], go_on)?;
+        if found.value < best.value {
+            (best, how) = (found, "through larger observation errors");
+            v.copy_from_slice(&trial);
+        }
+        let mut trial = start;
+        let mut found = None;
+        for &last in twin.obs.keys() {
+            let mut some = twin.observations(last)?;
+            found = Some(tight.minimize(&mut cost(model, transform, &mut some)?, &mut trial, go_on)?);
+        }
+        if let Some(found) = found.filter(|f| f.value < best.value) {
+            (best, how) = (found, "through growing windows");
+            *v = trial;
+        }
+    }
+    let Status::Converged = best.status else {
+        return Ok(format!("{:?}, |g|/|g₀| {:.1e}; {how}", best.status, best.gradient_norm / best.gradient_norm_first));
+    };
+    Ok(format!("converged, {} iterations, {how}", best.outer_iterations))
+}
