@@ -7,9 +7,11 @@
 #![allow(clippy::neg_cmp_op_on_partial_ord)]
 
 pub mod allocations;
+pub mod costs;
 pub mod problems;
 pub mod row;
 pub mod suites;
+mod twin_tmp;
 
 pub use row::{Case, Row, Rows, table};
 pub use suites::{Options, SUITES, run};

@@ -294,9 +294,10 @@ pub fn rods() -> Result<Vec<RodCase>> {
 
 const MATERIAL: Material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1100.0 };
 
-/// Δt and index of the first step of the rods above.
-const DT: f64 = 0.01;
-const FIRST: usize = 3;
+/// Δt of the rods above [s].
+pub const DT: f64 = 0.01;
+/// Index of their first step.
+pub const FIRST: usize = 3;
 
 fn rod_case(name: &'static str, rod: Rod, supports: Supports, damping: Damping) -> Result<RodCase> {
     let force = |t: f64| [0.02 * t.cos(), 0.01, 0.0];

@@ -8,7 +8,9 @@ use std::error::Error;
 use std::f64::consts::TAU;
 use std::ops::ControlFlow;
 use std::path::Path;
-use varda_assimilation::{ControlTransform, CostFunction, Minimizer, Observation, Posterior, StrongConstraint};
+use varda_assimilation::{
+    ControlTransform, CostFunction, Iteration, Minimizer, Observation, Posterior, StrongConstraint, continuation,
+};
 use varda_covariance::{Diagonal, Precision};
 use varda_implicit::Model;
 use varda_rod::{EllipseDrive, Rod};
@@ -231,12 +233,16 @@ pub(super) fn check(case: &mut Case, folder: &Path) -> Outcome {
         case.at_most("posterior_variance", largest(&relative), 1e-6, "-").computed(trace);
     }
 
+    // Case 4 with the plain prior has several local minima; its scene goes through inflated observation errors.
+    let several = problem.case == Some(4) && !rod.prior.conditioned;
+    let stages: &[f64] = if several { &[10.0, 3.0, 1.0] } else { &[1.0] };
     let mut v = vec![0.0; n];
-    let minimum = Minimizer::default().minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(()))?;
+    let go_on = &mut |_: &Iteration| ControlFlow::Continue(());
+    let minimum = continuation(&Minimizer::default(), &mut cost, &mut v, stages, go_on)?;
     let gap = (minimum.value - reference.J_star) / reference.J_star.abs();
     let how = format!("{:?} after {} iterations", minimum.status, minimum.outer_iterations);
-    if problem.case == Some(4) && !rod.prior.conditioned {
-        // Several local minima: any stationary point will do.
+    if several {
+        // Any stationary point will do.
         let reduction = minimum.gradient_norm / minimum.gradient_norm_first;
         let note = format!("|g|/|g₀|; {how}");
         case.at_most("j_analysis", reduction, 1e-6, "-").computed(minimum.value).note(note);
