@@ -3,7 +3,8 @@
 use crate::problems::{DT, FIRST, HangingRod, rod_scale, rods, wave};
 use std::error::Error;
 use varda_assimilation::{
-    ControlTransform, GaussNewton, Observation, ObservationOperator, ObservationSet, Selection, StrongConstraint,
+    ControlTransform, GaussNewton, Observation, ObservationOperator, ObservationSet, Selection,
+    StrongConstraint,
 };
 use varda_covariance::{Covariance, Dense, Diagonal};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
@@ -73,7 +74,9 @@ pub fn for_each_cost(visit: &mut Visit) -> Result<()> {
     let x63 = [1.2, -0.7, 10.3];
     let b = Dense::new(3, &[1.0, 0.5, 0.0, 0.5, 1.0, 0.2, 0.0, 0.2, 2.0])?;
     let when = [(4, 0.0), (9, 0.5), (20, 0.0)];
-    let all = |n: usize, step: usize| Ok::<_, Box<dyn Error>>(Box::new(Selection::new((0..n).step_by(step).collect(), n)?));
+    let all = |n: usize, step: usize| {
+        Ok::<_, Box<dyn Error>>(Box::new(Selection::new((0..n).step_by(step).collect(), n)?))
+    };
     let mut rk4 = Rk4::new(Lorenz63::default(), 0, 0.01);
     problem("lorenz63 rk4", &mut rk4, &x63, &b, all(3, 2)?, 1.0, &when, visit)?;
     let mut euler = ImplicitModel::new(OneLeg::implicit_euler(Lorenz63::default(), 1e-13), 0, 0.01);
@@ -82,7 +85,8 @@ pub fn for_each_cost(visit: &mut Visit) -> Result<()> {
     let b = Diagonal::uniform(40, 0.5)?;
     let mut rk4 = Rk4::new(Lorenz96::new(40, 8.0), 0, 0.0125);
     problem("lorenz96 rk4", &mut rk4, &x96, &b, all(40, 2)?, 1.0, &when, visit)?;
-    let mut midpoint = ImplicitModel::new(OneLeg::implicit_midpoint(Lorenz96::new(40, 8.0), 1e-13), 0, 0.0125);
+    let mut midpoint =
+        ImplicitModel::new(OneLeg::implicit_midpoint(Lorenz96::new(40, 8.0), 1e-13), 0, 0.0125);
     problem("lorenz96 implicit midpoint", &mut midpoint, &x96, &b, all(40, 1)?, 1.0, &when, visit)?;
     let mut unused = Rk4::new(Lorenz96::new(40, 8.0), 0, 0.0125);
     problem("3D-Var", &mut unused, &x96, &b, all(40, 3)?, 0.4, &[(0, 0.0)], visit)

@@ -22,16 +22,18 @@ fn verify(mut arguments: impl Iterator<Item = String>) -> Result<bool, String> {
     let mut json = None;
     let mut names = Vec::new();
     while let Some(argument) = arguments.next() {
-        let mut file = |what: &str| {
-            arguments.next().map(PathBuf::from).ok_or(format!("{argument} needs {what}"))
-        };
+        let mut file =
+            |what: &str| arguments.next().map(PathBuf::from).ok_or(format!("{argument} needs {what}"));
         match argument.as_str() {
             "--quick" => options.quick = true,
             "--json" => json = Some(file("a file")?),
             "--fixtures" => options.fixtures = Some(file("a folder")?),
             name => names.push(SUITES.iter().map(|s| s.name).find(|s| *s == name).ok_or_else(|| {
                 let known: Vec<&str> = SUITES.iter().map(|s| s.name).collect();
-                format!("no suite or option {name:?} (suites: {}; options: --quick, --json FILE, --fixtures DIR)", known.join(", "))
+                format!(
+                    "no suite or option {name:?} (suites: {}; options: --quick, --json FILE, --fixtures DIR)",
+                    known.join(", ")
+                )
             })?),
         }
     }

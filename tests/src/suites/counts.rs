@@ -229,6 +229,7 @@ fn timing(case: &mut Case) -> Outcome {
     let (forward, backward) = (fastest(&forward), fastest(&backward));
     case.inform("forward run", forward, "s");
     case.inform("adjoint sweep", backward, "s");
-    case.inform("adjoint sweep / forward run", backward / forward, "-").note("informative; wanted below 0.10");
+    case.inform("adjoint sweep / forward run", backward / forward, "-")
+        .note("informative; wanted below 0.10");
     Ok(())
 }

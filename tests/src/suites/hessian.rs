@@ -13,7 +13,9 @@ use varda_rod::{Derivatives, Error, Framed, Rod, derivatives};
 pub(super) fn run(_options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("hessian");
     for seed in 1..=5 {
-        rows.case(&format!("two edges, configuration {seed}"), |case| dual_numbers(case, &Bent::new(2, seed)));
+        rows.case(&format!("two edges, configuration {seed}"), |case| {
+            dual_numbers(case, &Bent::new(2, seed))
+        });
     }
     for seed in 1..=3 {
         let bent = Bent::new(7, seed);
@@ -139,7 +141,8 @@ impl Bent {
             let over = 0.5 / rod.voronoi_lengths[i];
             energy += (d[0] * d[0] * e11 + d[0] * d[1] * (2.0 * e12) + d[1] * d[1] * e22) * over;
             // the angle at the given place drops out but for its derivatives: whole turns stay
-            let turned = self.frame_angle(x, i) - self.frame_angle(&self.vertices, i) + self.reference_twist[i];
+            let turned =
+                self.frame_angle(x, i) - self.frame_angle(&self.vertices, i) + self.reference_twist[i];
             let tau = theta[i + 1] - theta[i] + turned - rod.natural_twist[i];
             energy += tau * tau * (rod.gj[i] * over);
         }
@@ -227,7 +230,8 @@ fn differences(case: &mut Case, bent: &Bent) -> Outcome {
     let asymmetry = largest((0..n * n).map(|at| here.hessian[at] - here.hessian[at / n + at % n * n]));
     case.at_most("symmetry", asymmetry / size, 0.0, "-");
 
-    let q: Vec<f64> = (0..n).map(|i| if i < n - bent.theta.len() { 0.01 } else { 0.1 } * wave(i, 51)).collect();
+    let q: Vec<f64> =
+        (0..n).map(|i| if i < n - bent.theta.len() { 0.01 } else { 0.1 } * wave(i, 51)).collect();
     let mut energy = |s: &[f64]| {
         let there = bent.moved(&q, s[0]).derivatives();
         let refused = |e| varda_implicit::Error::Refused { step: 0, source: Box::new(e) };
@@ -238,8 +242,10 @@ fn differences(case: &mut Case, bent: &Bent) -> Outcome {
     case.at_most("gradient: Taylor slope", (taylor.slope - 2.0).abs(), 0.05, "-").computed(taylor.slope);
 
     // Remainder of second order: E(h) − E − h g·q − ½h² qᵀHq falls like h³.
-    let curvature: f64 =
-        (0..n).flat_map(|j| (0..n).map(move |i| (i, j))).map(|(i, j)| q[i] * here.hessian[i + j * n] * q[j]).sum();
+    let curvature: f64 = (0..n)
+        .flat_map(|j| (0..n).map(move |i| (i, j)))
+        .map(|(i, j)| q[i] * here.hessian[i + j * n] * q[j])
+        .sum();
     let remainder = |s: f64| -> Result<f64, Error> {
         let there = bent.moved(&q, s).derivatives()?.energy.total();
         Ok((there - here.energy.total() - s * slope - 0.5 * s * s * curvature).abs())
@@ -293,7 +299,12 @@ fn rigid_motion(case: &mut Case, bent: &Bent) -> Outcome {
     let (size, scale) = (largest(here.hessian.iter().copied()), largest(here.gradient.iter().copied()));
     let mut translation = vec![0.0; n];
     translation[..nx].chunks_exact_mut(3).for_each(|x| x.copy_from_slice(&[0.6, -0.3, 0.7]));
-    case.at_most("force of a translation", largest(times(&here.hessian, &translation).into_iter()) / size, 1e-12, "-");
+    case.at_most(
+        "force of a translation",
+        largest(times(&here.hessian, &translation).into_iter()) / size,
+        1e-12,
+        "-",
+    );
     let omega = axis.into_inner();
     let mut rotation = Vec::new();
     bent.vertices.iter().for_each(|x| rotation.extend_from_slice(omega.cross(&Vector3::from(*x)).as_slice()));
@@ -324,7 +335,8 @@ fn products(case: &mut Case, cost: &mut dyn GaussNewton) -> Outcome {
     cost.hessian_apply(&a, &mut product_a)?;
     cost.hessian_apply(&b, &mut product_b)?;
     let columns = times(&dense, &a);
-    let error = largest(product_a.iter().zip(&columns).map(|(p, c)| p - c)) / largest(columns.iter().copied());
+    let error =
+        largest(product_a.iter().zip(&columns).map(|(p, c)| p - c)) / largest(columns.iter().copied());
     // Two window sweeps against one, each good to about 1e-13.
     case.at_most("product against columns", error, 1e-11, "-");
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();

@@ -4,15 +4,19 @@
 use super::{Options, Report};
 use crate::problems::HangingRod;
 use crate::row::Rows;
+use crate::twin_tmp::{Stream, normal, stream};
 use std::error::Error;
 use std::fmt::Write;
 use std::ops::ControlFlow;
-use crate::twin_tmp::{Stream, normal, stream};
 use varda_assimilation::{
     ControlTransform, Iteration, Minimizer, Minimum, NewtonOptions, Status, StrongConstraint, continuation,
 };
 use varda_covariance::Covariance;
 use varda_implicit::Model;
+
+/// The plain prior strains the first edge by up to 290 %: J has several minima and kinks where steps are halved. Straight from the
+/// background the trust region ends on one of these in case 1 for seeds 2 and 4; through these factors on σ it never did.
+const PLAIN_STAGES: [f64; 3] = [10.0, 3.0, 1.0];
 
 /// What the paper says, and what is found here.
 const WORDS: &str = "\
@@ -20,7 +24,7 @@ The paper, section 3.3: \"For Cases 1 to 3, Newton's method performed well\"; \"
 \"the initial velocities are assimilated much faster and more effectively than the initial positions, which undergo very
 little change\"; \"the loss and gradient plateaus after about a dozen iterations\". It has one draw a case, the plain prior.
 Newton: dense Hessian (2.18), full steps, at most 50; converged means |g| ≤ 1e-6 |g₀|. Default: trust region on the true J
-(case 4 with the plain prior through σ × 10, 3, 1, as its scene). RMSE over components, mean over seeds, background → analysis.
+(with the plain prior through σ × 10, 3, 1). RMSE over components, mean over seeds, background → analysis.
 ";
 
 pub(super) fn run(options: &Options) -> Report {
@@ -30,7 +34,14 @@ pub(super) fn run(options: &Options) -> Report {
     let _ = writeln!(
         text,
         "\n{:<14} {:>16} {:>10} {:>16} {:>10} {:>22} {:>22}  {}",
-        "case", "Newton converged", "its", "default at |g|≤", "its", "position [mm]", "velocity [m/s]", "J_a (m/2 = 60), each seed"
+        "case",
+        "Newton converged",
+        "its",
+        "default at |g|≤",
+        "its",
+        "position [mm]",
+        "velocity [m/s]",
+        "J_a (m/2 = 60), each seed"
     );
     for case in 1..=4 {
         for conditioned in [true, false] {
@@ -44,16 +55,19 @@ pub(super) fn run(options: &Options) -> Report {
                 let worst = if runs.iter().any(|r| r.default.0.is_nan()) { f64::NAN } else { worst };
                 row.at_most("default: worst |g|/|g₀|", worst, 1e-6, "-").computed(worst);
                 let converged = runs.iter().filter(|r| r.newton.is_some()).count();
-                row.inform("Newton: runs converged", converged as f64, "-").note(format!("of {seeds}; informative"));
+                row.inform("Newton: runs converged", converged as f64, "-")
+                    .note(format!("of {seeds}; informative"));
                 let mean = |f: &dyn Fn(&Run) -> f64| runs.iter().map(f).sum::<f64>() / runs.len() as f64;
                 let rmse: Vec<[f64; 2]> =
                     (0..2).map(|q| [mean(&|r| r.before[q]), mean(&|r| r.after[q])]).collect();
-                row.inform("J at the analysis, mean", mean(&|r| r.value), "-").note("expected m/2 = 60; informative");
+                row.inform("J at the analysis, mean", mean(&|r| r.value), "-")
+                    .note("expected m/2 = 60; informative");
                 row.inform("position RMSE of the background", rmse[0][0], "m");
                 row.inform("position RMSE of the analysis", rmse[0][1], "m");
                 row.inform("velocity RMSE of the background", rmse[1][0], "m/s");
                 row.inform("velocity RMSE of the analysis", rmse[1][1], "m/s");
-                let newton: Vec<String> = runs.iter().map(|r| r.newton.map_or("-".into(), |n| n.to_string())).collect();
+                let newton: Vec<String> =
+                    runs.iter().map(|r| r.newton.map_or("-".into(), |n| n.to_string())).collect();
                 let its: Vec<String> = runs.iter().map(|r| r.default.1.to_string()).collect();
                 let values: Vec<String> = runs.iter().map(|r| format!("{:.1}", r.value)).collect();
                 let _ = writeln!(
@@ -106,7 +120,7 @@ fn experiment(case: usize, conditioned: bool, seed: u64) -> Result<Run, Box<dyn 
     let newton = (found.status == Status::Converged).then_some(found.outer_iterations);
 
     v.fill(0.0);
-    let stages: &[f64] = if case == 4 && !conditioned { &[10.0, 3.0, 1.0] } else { &[1.0] };
+    let stages: &[f64] = if conditioned { &[1.0] } else { &PLAIN_STAGES };
     let found = continuation(&Minimizer::default(), &mut cost, &mut v, stages, go_on)?;
     let mut analysis = vec![0.0; truth.len()];
     transform.control(&v, &mut analysis);

@@ -2,8 +2,8 @@
 
 use super::{expect_length, largest, largest_difference, norm, read_json};
 use crate::row::{Case, Outcome};
-use faer::prelude::Solve;
 use faer::Mat;
+use faer::prelude::Solve;
 use serde::Deserialize;
 use std::path::Path;
 use varda_rod::{Derivatives, Energy, Framed, Rod, derivatives};
@@ -193,7 +193,8 @@ fn gradient_row<'a>(
 }
 
 fn hessian_row(case: &mut Case, what: &str, ours: &[f64], theirs: &[f64], tolerance: f64) {
-    case.at_most(what, largest_difference(ours, theirs) / largest(theirs), tolerance, "-").computed(norm(ours));
+    case.at_most(what, largest_difference(ours, theirs) / largest(theirs), tolerance, "-")
+        .computed(norm(ours));
 }
 
 /// The smallest 1 + t·t' along the rod.
@@ -204,4 +205,3 @@ fn sharpest_turn(vertices: &[[f64; 3]]) -> f64 {
     let turn = |w: &[[f64; 3]]| 1.0 + dot(&w[0], &w[1]) / (dot(&w[0], &w[0]) * dot(&w[1], &w[1])).sqrt();
     edges.windows(2).map(turn).fold(2.0, f64::min)
 }
-

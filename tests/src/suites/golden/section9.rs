@@ -4,12 +4,12 @@ use super::largest_difference;
 use crate::row::{Case, Outcome, Rows};
 use std::f64::consts::TAU;
 use std::sync::Arc;
-use varda_assimilation::{ControlTransform, CostFunction, Observation, ObservationSet, Selection, StrongConstraint};
+use varda_assimilation::{
+    ControlTransform, CostFunction, Observation, ObservationSet, Selection, StrongConstraint,
+};
 use varda_covariance::Diagonal;
 use varda_implicit::{ImplicitModel, Model, Rk4, lorenz::Lorenz96};
-use varda_rod::{
-    BackwardEuler, Clamp, Damping, Loads, Material, Rod, Section, Supports, straight_guess,
-};
+use varda_rod::{BackwardEuler, Clamp, Damping, Loads, Material, Rod, Section, Supports, straight_guess};
 
 pub(super) fn run(rows: &mut Rows) {
     rows.case("section9-tip", tip);
@@ -32,7 +32,8 @@ fn tip(case: &mut Case) -> Outcome {
     });
     let loads = Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() };
     let start = straight_guess(&rod, &supports, 0.0, down)?;
-    let mut model = ImplicitModel::new(BackwardEuler::new(rod, supports, loads, Damping::default())?, 0, 0.02);
+    let mut model =
+        ImplicitModel::new(BackwardEuler::new(rod, supports, loads, Damping::default())?, 0, 0.02);
     let mut z: Vec<f64> = model.step_ref().free_vertices().iter().flat_map(|&v| start.vertices[v]).collect();
     z.resize(model.control_dim(), 0.0);
     let mut x = vec![0.0; model.dim()];

@@ -8,8 +8,8 @@ use std::error::Error;
 use std::ops::ControlFlow;
 use std::path::Path;
 use varda_assimilation::{
-    ControlTransform, CostFunction, Minimizer, Observation, ObservationSet, Posterior, Selection, Status,
-    StrongConstraint, TrustRegionOptions, continuation,
+    ControlTransform, CostFunction, Minimizer, Observation, ObservationSet, Posterior, Selection,
+    StrongConstraint,
 };
 use varda_covariance::{Dense, Precision};
 use varda_implicit::{Model, Rk4, lorenz::Lorenz63, lorenz::Lorenz96};
@@ -45,7 +45,8 @@ impl Twin {
     /// The model; none where nothing moves.
     fn model(&self) -> Result<AnyModel, Box<dyn Error>> {
         let ModelFields { name, parameters, integrator, dt } = &self.model;
-        let parameter = |key: &str| parameters.get(key).copied().ok_or(format!("model.parameters.{key} is missing"));
+        let parameter =
+            |key: &str| parameters.get(key).copied().ok_or(format!("model.parameters.{key} is missing"));
         if name == "none" {
             return Ok(None);
         }
@@ -140,44 +141,33 @@ fn cost<'a>(
 /// Minimizes from the background, into `v`; says how it was found.
 ///
 /// At the right minimum 2J is about m, give or take a few √(2m). A minimum that fails this is a false one, as chaotic models
-/// have in long windows; then larger observation errors first, and windows that grow by one observation time (Pires, Vautard and Talagrand
-/// 1996), are tried too, and the lowest J is kept.
+/// have in long windows; then windows that grow by one observation time (Pires, Vautard and Talagrand 1996) are tried too, and the
+/// lower J is kept.
 fn minimize(
     twin: &Twin,
     model: &mut AnyModel,
     transform: &ControlTransform,
     v: &mut Vec<f64>,
 ) -> Result<String, Box<dyn Error>> {
-    let go_on = &mut |_: &varda_assimilation::Iteration| ControlFlow::Continue(());
-    let tight = TrustRegionOptions { gradient_tolerance: 1e-10, ..TrustRegionOptions::default() };
-    let tight = Minimizer::TrustRegion(tight);
-    let start = v.clone();
+    let mut growing = v.clone();
     let mut all = twin.observations(twin.K)?;
     let m = all.dim() as f64;
-
-    let mut best = tight.minimize(&mut cost(model, transform, &mut all)?, v, go_on)?;
-    let mut how = "from the background";
-    if best.value > 0.5 * m + 5.0 * (0.5 * m).sqrt() {
-        let mut trial = start.clone();
-        let mut whole = cost(model, transform, &mut all)?;
-        let found = continuation(&tight, &mut whole, &mut trial, &[10.0, 3.0, 1.0], go_on)?;
-        if found.value < best.value {
-            (best, how) = (found, "through larger observation errors");
-            v.copy_from_slice(&trial);
-        }
-        let mut trial = start;
-        let mut found = None;
-        for &last in twin.obs.keys() {
-            let mut some = twin.observations(last)?;
-            found = Some(tight.minimize(&mut cost(model, transform, &mut some)?, &mut trial, go_on)?);
-        }
-        if let Some(found) = found.filter(|f| f.value < best.value) {
-            (best, how) = (found, "through growing windows");
-            *v = trial;
-        }
+    let (best, how) = super::minimize(&mut cost(model, transform, &mut all)?, v)?;
+    if best.value < 0.5 * m + 5.0 * (0.5 * m).sqrt() {
+        return Ok(how);
     }
-    let Status::Converged = best.status else {
-        return Ok(format!("{:?}, |g|/|g₀| {:.1e}; {how}", best.status, best.gradient_norm / best.gradient_norm_first));
-    };
-    Ok(format!("converged, {} iterations, {how}", best.outer_iterations))
+    let mut found = None;
+    for &last in twin.obs.keys() {
+        let mut some = twin.observations(last)?;
+        let go_on = &mut |_: &varda_assimilation::Iteration| ControlFlow::Continue(());
+        let mut cost = cost(model, transform, &mut some)?;
+        found = Some(Minimizer::default().minimize(&mut cost, &mut growing, go_on)?);
+    }
+    match found.filter(|f| f.value < best.value) {
+        Some(found) => {
+            *v = growing;
+            Ok(super::describe(&found, "through growing windows"))
+        }
+        None => Ok(how),
+    }
 }
