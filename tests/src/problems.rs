@@ -393,3 +393,25 @@ fn pinned() -> Supports {
         ..Supports::default()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use varda_assimilation::{ControlTransform, CostFunction, StrongConstraint};
+
+    /// Points on the prescribed edge and beside it: the known motion is on the observed side, so that the truth fits exactly.
+    #[test]
+    fn observed_points_may_touch_prescribed_vertices() {
+        let (mut rod, truth) = HangingRod::flagship(1, true).unwrap();
+        rod.s_over_length = vec![0.0, 0.03, 0.04, 0.05, 0.5, 1.0];
+        let observations = rod.observe(&truth, &mut || 0.0).unwrap();
+        let mut model = rod.model(rod.first_step).unwrap();
+        let mut set = rod.observation_set(model.dim(), observations).unwrap();
+        let b = rod.background_covariance().unwrap();
+        let transform = ControlTransform::new(truth, &b).unwrap();
+        let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
+        let j = cost.evaluate(&[0.0; 144], None).unwrap();
+        // 360 coordinates of rounding size over σ = 0.1
+        assert!(j < 1e-25, "{j:e}");
+    }
+}

@@ -171,3 +171,76 @@ fn minimize(
         None => Ok(how),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::problems::wave;
+
+    /// A Lorenz 1963 window of `steps` steps, all components seen every tenth step, with R = 2.
+    fn lorenz63(steps: usize) -> Twin {
+        let parameters = [("sigma", 10.0), ("rho", 28.0), ("beta", 8.0 / 3.0)];
+        let mut twin = Twin {
+            model: ModelFields {
+                name: "lorenz63".into(),
+                parameters: parameters.map(|(k, v)| (k.to_string(), v)).into(),
+                integrator: Some("rk4".into()),
+                dt: Some(0.01),
+            },
+            n: 3,
+            K: steps,
+            B: vec![vec![2.0, 0.0, 0.0], vec![0.0, 2.0, 0.0], vec![0.0, 0.0, 2.0]],
+            R_diag: 2.0,
+            H_rows: vec![0, 1, 2],
+            xb: vec![-3.0, -6.5, 18.0],
+            obs: BTreeMap::new(),
+            xa: vec![-4.3, -5.0, 20.0],
+            J_b: 0.0,
+            J_min: 0.0,
+            trPa: 0.0,
+        };
+        let mut model = twin.model().unwrap().unwrap();
+        let (mut x, mut next) = (twin.xa.clone(), vec![0.0; 3]);
+        for k in 0..steps {
+            model.step(k, &x, &mut next).unwrap();
+            std::mem::swap(&mut x, &mut next);
+            if (k + 1) % 10 == 0 {
+                let y = x.iter().enumerate().map(|(c, x)| x + 2.0 * wave(3 * k + c, 9));
+                twin.obs.insert(k + 1, y.collect());
+            }
+        }
+        twin
+    }
+
+    #[test]
+    fn growing_windows_find_the_minimum_of_a_long_chaotic_one() {
+        let twin = lorenz63(600);
+        let mut model = twin.model().unwrap();
+        let b = Dense::new(3, &twin.B.concat()).unwrap();
+        let transform = ControlTransform::new(twin.xb.clone(), &b).unwrap();
+        let mut all = twin.observations(twin.K).unwrap();
+        let mut value = |model: &mut AnyModel, v: &[f64]| {
+            cost(model, &transform, &mut all).unwrap().evaluate(v, None).unwrap()
+        };
+
+        // Where one would be sure to end: from the truth.
+        let increment: Vec<f64> = twin.xa.iter().zip(&twin.xb).map(|(a, b)| a - b).collect();
+        let mut reference = vec![0.0; 3];
+        b.whiten(&increment, &mut reference);
+        let mut set = twin.observations(twin.K).unwrap();
+        let (best, _) =
+            super::super::minimize(&mut cost(&mut model, &transform, &mut set).unwrap(), &mut reference)
+                .unwrap();
+
+        // Straight from the background this problem ends elsewhere: it is a test of what follows.
+        let mut v = vec![0.0; 3];
+        let (straight, _) =
+            super::super::minimize(&mut cost(&mut model, &transform, &mut set).unwrap(), &mut v).unwrap();
+        assert!(straight.value > 2.0 * best.value, "{} and {}", straight.value, best.value);
+
+        let mut v = vec![0.0; 3];
+        let how = minimize(&twin, &mut model, &transform, &mut v).unwrap();
+        let found = value(&mut model, &v);
+        assert!((found - best.value).abs() <= 1e-8 * best.value, "{found} and {}: {how}", best.value);
+    }
+}
