@@ -1,4 +1,52 @@
-//! Variational data assimilation.
+//! Variational data assimilation: the state of a dynamical system from a background and noisy, sparse observations.
+//!
+//! ```text
+//!     J(v) = ½‖v‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹},    x₀ = x_b + B^{1/2} v,    x_{k+1} = M_k(x_k)
+//! ```
+//!
+//! | question | answer |
+//! |---|---|
+//! | what is observed? | an [`ObservationSet`] of [`Observation`]s through [`ObservationOperator`]s |
+//! | what is known before? | a [`ControlTransform`]: background x_b and any `varda_covariance::Covariance` |
+//! | which cost? | [`StrongConstraint`]: 4D-Var, and 3D-Var where nothing is observed after step 0 |
+//! | which minimizer? | [`Minimizer`]: [`trust_region`] (default), [`newton_cg`], [`newton`]; [`continuation`] for several minima |
+//! | how sure? | [`Posterior`], [`Analysis`] |
+//!
+//! The system is any `varda_implicit::Model`. Everything is minimised in the control variable v. Not for problems whose posterior has
+//! several modes that matter, nor for models without a tangent and an adjoint.
+//!
+//! ```
+//! use std::ops::ControlFlow;
+//! use varda_assimilation::*;
+//! use varda_covariance::Diagonal;
+//! use varda_implicit::{Rk4, lorenz::Lorenz63};
+//!
+//! let mut model = Rk4::new(Lorenz63::default(), 0, 0.01);
+//! // x₀ and x₂ were seen at step 20, x₀ again between steps 30 and 31.
+//! let see = |rows: &[usize], step, weight, values: &[f64]| Observation {
+//!     operator: 0,
+//!     rows: rows.to_vec(),
+//!     step,
+//!     weight,
+//!     values: values.to_vec(),
+//!     sigma: vec![0.1; rows.len()],
+//!     label: String::new(),
+//! };
+//! let all = Selection::new(vec![0, 1, 2], 3)?;
+//! let seen = vec![see(&[0, 2], 20, 0.0, &[8.1, 14.9]), see(&[0], 30, 0.5, &[15.4])];
+//! let mut observations = ObservationSet::new(40, vec![Box::new(all)], seen)?;
+//! let b = Diagonal::uniform(3, 1.0)?;
+//! let transform = ControlTransform::new(vec![1.5, 1.7, 20.0], &b)?;
+//!
+//! let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut observations)?;
+//! let mut v = vec![0.0; 3];
+//! let minimum = Minimizer::default().minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(()))?;
+//! assert_eq!(minimum.status, Status::Converged);
+//! let posterior = Posterior::new(&mut cost)?;
+//! let analysis = Analysis::new(&transform, &v, &minimum, &posterior, 3);
+//! assert!(analysis.sigma_analysis[0] < analysis.sigma_background[0]);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod analysis;
 mod control;

@@ -269,7 +269,8 @@ impl CostFunction for StrongConstraint<'_> {
     fn evaluate(&mut self, v: &[f64], gradient: Option<&mut [f64]>) -> Result<f64, Error> {
         assert_eq!(v.len(), self.dim(), "length of v");
         let at_base = self.base.valid && self.base.v == v;
-        if !at_base && !(self.trial.valid && self.trial.v == v) {
+        let at_trial = self.trial.valid && self.trial.v == v;
+        if !at_base && !at_trial {
             self.forward(v)?;
         }
         let point = if at_base { &self.base } else { &self.trial };

@@ -24,6 +24,9 @@ pub(super) struct Lanczos {
     work: Vec<f64>,
 }
 
+/// out = A p.
+pub(super) type Product<'a> = dyn FnMut(&[f64], &mut [f64]) -> Result<(), Error> + 'a;
+
 /// When to stop: at the first of the four.
 pub(super) struct Limits {
     /// The conjugate gradient iterate has a residual below this part of ‖g‖.
@@ -42,7 +45,7 @@ impl Lanczos {
     /// Builds the space, and returns the quadratic model on it.
     pub(super) fn run(
         &mut self,
-        product: &mut dyn FnMut(&[f64], &mut [f64]) -> Result<(), Error>,
+        product: &mut Product,
         g: &[f64],
         limits: &Limits,
     ) -> Result<Spectral, Error> {

@@ -52,13 +52,6 @@ impl Secant {
         let difference = |known: &[f64]| dropped.iter().zip(known).map(|(d, k)| d - k).collect::<Vec<f64>>();
         self.trusted = norm(&difference(&known)) < norm(dropped);
 
-        // Sizing: S forgets curvature that is no longer there (Dennis, Gay and Welsch 1981).
-        let (now, before) = (dot(s, dropped).abs(), dot(s, &known).abs());
-        if before > now {
-            let size = now / before;
-            self.terms.iter_mut().for_each(|(w, _)| *w *= size);
-            known.iter_mut().for_each(|k| *k *= size);
-        }
         if self.terms.len() == self.capacity {
             self.terms.clear();
             known.fill(0.0);

@@ -6,7 +6,7 @@ use varda_assimilation::*;
 use varda_covariance::{Covariance, Dense, Diagonal};
 
 /// A covariance that couples everything, of size n.
-pub fn coupled(n: usize, sigma: f64) -> Dense {
+pub(crate) fn coupled(n: usize, sigma: f64) -> Dense {
     let mut matrix = vec![0.0; n * n];
     for i in 0..n {
         for j in 0..n {
@@ -17,7 +17,7 @@ pub fn coupled(n: usize, sigma: f64) -> Dense {
 }
 
 /// Lorenz-96 with 6 variables: two operators, one of them curved, times between steps, missing rows, several σ.
-pub fn curved_problem() -> (Rk4<Lorenz96>, Vec<f64>, ObservationSet) {
+pub(crate) fn curved_problem() -> (Rk4<Lorenz96>, Vec<f64>, ObservationSet) {
     let background: Vec<f64> = normals(5, 6).iter().map(|x| 2.0 + 2.0 * x).collect();
     let values = normals(6, 40);
     let mut observations = Vec::new();

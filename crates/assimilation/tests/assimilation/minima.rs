@@ -139,43 +139,55 @@ fn ritz_pairs_are_eigenpairs_of_the_hessian() {
     }
 }
 
-fn lowest(seed: u64, steps: usize, scales: &[f64], minimizer: &Minimizer) -> (Minimum, f64) {
-    let (truth, background, mut set) = lorenz63_twin(seed, steps, 5);
+/// Lorenz-63 over 100 steps, all components seen every 10 with R = 2 I, B = I: from the background every minimizer ends in a wrong
+/// minimum (J about 1268 against 13), and inflating R does not help: the cost has several minima because the window is long.
+/// Starting with a short window and letting it grow keeps to the right one (quasi-static; Pires, Vautard and Talagrand 1996).
+#[test]
+fn a_growing_window_finds_the_minimum_that_continuation_in_r_misses() {
     let b = Diagonal::uniform(3, 1.0).unwrap();
-    let mut model = Rk4::new(Lorenz63, 0.01);
-    let start: Vec<f64> = truth.iter().zip(&background).map(|(t, b)| t - b).collect();
-    let transform = ControlTransform::new(background, &b).unwrap();
-    let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
-    let mut ignore = |_: &Iteration| ControlFlow::Continue(());
-    // The reference, and only it, knows the truth.
-    let from_truth = minimizer.minimize(&mut cost, &mut start.clone(), &mut ignore).unwrap().value;
-    let found = continuation(minimizer, &mut cost, &mut [0.0; 3], scales, &mut ignore).unwrap();
-    (found, from_truth)
+    let run = |windows: &[usize], scales: &[f64], from_truth: bool| {
+        let (truth, background, set) = lorenz63_twin(90, 100, 10);
+        let mut v = vec![0.0; 3];
+        if from_truth {
+            v.iter_mut().zip(truth.iter().zip(&background)).for_each(|(v, (t, b))| *v = t - b);
+        }
+        let mut value = f64::NAN;
+        for &window in windows {
+            let seen = set.observations().iter().filter(|o| o.step <= window).cloned().collect();
+            let mut seen = ObservationSet::new(window, vec![all_of(3)], seen).unwrap();
+            let mut model = Rk4::new(Lorenz63, 0.01);
+            let transform = ControlTransform::new(background.clone(), &b).unwrap();
+            let mut cost = StrongConstraint::new(&mut model, transform, &mut seen).unwrap();
+            let ignore = &mut |_: &Iteration| ControlFlow::Continue(());
+            let minimum = continuation(&Minimizer::default(), &mut cost, &mut v, scales, ignore).unwrap();
+            assert_eq!(minimum.status, Status::Converged, "{minimum:?}");
+            value = minimum.value;
+        }
+        value
+    };
+    let lowest = run(&[100], &[1.0], true);
+    assert!((10.0..20.0).contains(&lowest), "{lowest}");
+    assert!(run(&[100], &[1.0], false) > 1000.0);
+    assert!(run(&[100], &[10.0, 3.0, 1.0], false) > 1000.0);
+    let grown = run(&[20, 40, 60, 80, 100], &[1.0], false);
+    assert!((grown - lowest).abs() <= 1e-8 * lowest, "{grown} {lowest}");
 }
 
+/// On the way down a bent valley at large residual (J stays near 1060) plain Gauss–Newton needs more than 200 iterations.
 #[test]
-#[allow(clippy::print_stdout)]
-fn survey() {
-    for steps in [50, 100, 150, 200] {
-        let plain = Minimizer::TrustRegion(TrustRegionOptions { secant_terms: 0, ..Default::default() });
-        for (name, minimizer, scales) in [
-            ("ncg", Minimizer::NewtonCg(NewtonCgOptions::default()), &[1.0][..]),
-            ("tr0", plain, &[1.0][..]),
-            ("tr", Minimizer::default(), &[1.0][..]),
-            ("tr ladder", Minimizer::default(), &[10.0, 3.0, 1.0][..]),
-            ("tr long", Minimizer::default(), &[100.0, 30.0, 10.0, 3.0, 1.0][..]),
-        ] {
-            let mut wrong = Vec::new();
-            let (mut its, mut not) = (0, 0);
-            for seed in 0..40 {
-                let (found, reference) = lowest(seed, steps, scales, &minimizer);
-                its += found.outer_iterations;
-                not += usize::from(found.status != Status::Converged);
-                if found.value > reference * (1.0 + 1e-6) {
-                    wrong.push((seed, found.value.round(), reference.round()));
-                }
-            }
-            println!("{steps} {name}: wrong {} its {its} unconverged {not} {wrong:?}", wrong.len());
+fn a_stationary_point_is_reached_at_large_residuals() {
+    for seed in [24, 43] {
+        let (truth, background, mut set) = lorenz63_twin(seed, 100, 10);
+        let background = truth.iter().zip(&background).map(|(t, b)| t + 3.0 * (b - t)).collect();
+        let b = Diagonal::uniform(3, 3.0).unwrap();
+        let mut model = Rk4::new(Lorenz63, 0.01);
+        let transform = ControlTransform::new(background, &b).unwrap();
+        let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
+        for initial_radius in [0.1, 1.0, 10.0] {
+            let options = TrustRegionOptions { initial_radius, ..Default::default() };
+            let ignore = &mut |_: &Iteration| ControlFlow::Continue(());
+            let minimum = trust_region(&mut cost, &mut [0.0; 3], &options, ignore).unwrap();
+            assert_eq!(minimum.status, Status::Converged, "seed {seed}, {initial_radius}: {minimum:?}");
         }
     }
 }

@@ -6,28 +6,28 @@ use rand_distr::{Distribution, StandardNormal};
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet, Selection};
 use varda_implicit::{Counts, Error, Model};
 
-pub fn normals(seed: u64, n: usize) -> Vec<f64> {
+pub(crate) fn normals(seed: u64, n: usize) -> Vec<f64> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     (0..n).map(|_| StandardNormal.sample(&mut rng)).collect()
 }
 
-pub fn dot(a: &[f64], b: &[f64]) -> f64 {
+pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-pub fn norm(a: &[f64]) -> f64 {
+pub(crate) fn norm(a: &[f64]) -> f64 {
     dot(a, a).sqrt()
 }
 
 /// f(x), f'(x) dx and f'(x)ᵀ λ of an autonomous system.
-pub trait Field {
+pub(crate) trait Field {
     fn dim(&self) -> usize;
     fn value(&self, x: &[f64], f: &mut [f64]);
     fn tangent(&self, x: &[f64], dx: &[f64], df: &mut [f64]);
     fn adjoint(&self, x: &[f64], lambda: &[f64], dx: &mut [f64]);
 }
 
-pub struct Lorenz63;
+pub(crate) struct Lorenz63;
 
 impl Field for Lorenz63 {
     fn dim(&self) -> usize {
@@ -50,7 +50,7 @@ impl Field for Lorenz63 {
     }
 }
 
-pub struct Lorenz96(pub usize);
+pub(crate) struct Lorenz96(pub(crate) usize);
 
 impl Field for Lorenz96 {
     fn dim(&self) -> usize {
@@ -84,7 +84,7 @@ impl Field for Lorenz96 {
 }
 
 /// x' = A x, A by rows.
-pub struct Linear(pub usize, pub Vec<f64>);
+pub(crate) struct Linear(pub(crate) usize, pub(crate) Vec<f64>);
 
 impl Field for Linear {
     fn dim(&self) -> usize {
@@ -106,17 +106,17 @@ impl Field for Linear {
 
 /// Classical Runge–Kutta with its discrete tangent and adjoint. `mutation` is a relative error put into the adjoint of step 0;
 /// states beyond `bound` are refused.
-pub struct Rk4<F> {
-    pub field: F,
-    pub dt: f64,
-    pub mutation: f64,
-    pub bound: f64,
+pub(crate) struct Rk4<F> {
+    field: F,
+    dt: f64,
+    pub(crate) mutation: f64,
+    pub(crate) bound: f64,
     kept: Vec<Option<[Vec<f64>; 4]>>,
     counts: Counts,
 }
 
 impl<F: Field> Rk4<F> {
-    pub fn new(field: F, dt: f64) -> Self {
+    pub(crate) fn new(field: F, dt: f64) -> Self {
         Self {
             field,
             dt,
@@ -204,7 +204,7 @@ impl<F: Field> Model for Rk4<F> {
 }
 
 /// The state after each of `steps` steps.
-pub fn run(model: &mut dyn Model, x: &[f64], steps: usize) -> Vec<Vec<f64>> {
+pub(crate) fn run(model: &mut dyn Model, x: &[f64], steps: usize) -> Vec<Vec<f64>> {
     let mut states = vec![x.to_vec()];
     for k in 0..steps {
         let mut next = x.to_vec();
@@ -214,12 +214,12 @@ pub fn run(model: &mut dyn Model, x: &[f64], steps: usize) -> Vec<Vec<f64>> {
     states
 }
 
-pub fn all_of(n: usize) -> Box<dyn ObservationOperator> {
+pub(crate) fn all_of(n: usize) -> Box<dyn ObservationOperator> {
     Box::new(Selection::new((0..n).collect(), n).unwrap())
 }
 
 /// y = (x₀², x₀ x₁): a curved operator, to be told from its linearization.
-pub struct Products;
+pub(crate) struct Products;
 
 impl ObservationOperator for Products {
     fn dim(&self) -> usize {
@@ -241,7 +241,13 @@ impl ObservationOperator for Products {
     }
 }
 
-pub fn observation(rows: &[usize], step: usize, weight: f64, values: &[f64], sigma: f64) -> Observation {
+pub(crate) fn observation(
+    rows: &[usize],
+    step: usize,
+    weight: f64,
+    values: &[f64],
+    sigma: f64,
+) -> Observation {
     Observation {
         operator: 0,
         rows: rows.to_vec(),
@@ -255,7 +261,7 @@ pub fn observation(rows: &[usize], step: usize, weight: f64, values: &[f64], sig
 
 /// A twin on Lorenz-63: a truth on the attractor, a background drawn around it with B = I, all three components seen every `every`
 /// steps of 0.01 with R = 2 I.
-pub fn lorenz63_twin(seed: u64, steps: usize, every: usize) -> (Vec<f64>, Vec<f64>, ObservationSet) {
+pub(crate) fn lorenz63_twin(seed: u64, steps: usize, every: usize) -> (Vec<f64>, Vec<f64>, ObservationSet) {
     let mut model = Rk4::new(Lorenz63, 0.01);
     let start: Vec<f64> = normals(1000 + seed, 3).iter().map(|x| 5.0 * x).collect();
     let truth = run(&mut model, &start, 900).pop().unwrap();
