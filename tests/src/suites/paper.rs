@@ -4,7 +4,7 @@
 use super::{Options, Report};
 use crate::problems::HangingRod;
 use crate::row::Rows;
-use crate::twin_tmp::{Stream, normal, stream};
+use varda::twin::{Stream, normal, stream};
 use std::error::Error;
 use std::fmt::Write;
 use std::ops::ControlFlow;
