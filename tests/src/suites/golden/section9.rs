@@ -5,6 +5,8 @@ use crate::problems::HangingRod;
 use crate::row::{Case, Outcome, Rows};
 use std::f64::consts::TAU;
 use std::sync::Arc;
+use varda::problem::Problem;
+use varda::scene::SceneFile;
 use varda_assimilation::{
     ControlTransform, CostFunction, Observation, ObservationSet, Selection, StrongConstraint,
 };
@@ -44,6 +46,9 @@ fn flagship_truth(case: &mut Case) -> Outcome {
     case.at_most("velocities", largest_difference(v, &given.truth_v), 1e-8, "m/s").computed(super::norm(v));
     let error = (rod.prior.sigma_v - given.prior.sigma_v).abs();
     case.at_most("sigma_v = 2 mean speed", error, 1e-8, "m/s").computed(rod.prior.sigma_v);
+    let scene = Problem::from_scene(&SceneFile::open("hanging-rod", &[])?)?;
+    let theirs = scene.truth.ok_or("a twin experiment knows its truth")?;
+    case.at_most("truth of the scene", largest_difference(&theirs[..truth.len()], &truth), 1e-8, "m, m/s");
     if (given.prior.sigma_v - 2.0 * given.prior.vbar).abs() > 1e-12 {
         return Err("sigma_v of the fixture is not 2 vbar".into());
     }
