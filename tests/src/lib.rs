@@ -11,7 +11,6 @@ pub mod costs;
 pub mod problems;
 pub mod row;
 pub mod suites;
-mod twin_tmp;
 
 pub use row::{Case, Row, Rows, table};
 pub use suites::{Options, SUITES, run};

@@ -1,13 +1,10 @@
 //! Problems that several suites use: the hanging rod of the paper, rods of every kind.
 
-use rand::Rng;
 use std::error::Error;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 use varda_assimilation::{LinearObservation, Observation, ObservationSet};
-use varda_covariance::{
-    BlockDiagonal, CovarianceFunction, Dense, Interleaved, Kernel, Taper, Truncated, sample,
-};
+use varda_covariance::{BlockDiagonal, CovarianceFunction, Dense, Interleaved, Kernel, Taper};
 use varda_implicit::{ImplicitModel, Model};
 use varda_rod::{
     BackwardEuler, Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rod, Section, Supports,
@@ -137,42 +134,22 @@ impl HangingRod {
         (free, s)
     }
 
-    fn blocks(&self, taper: Taper) -> Result<[Vec<f64>; 2]> {
-        let p = &self.prior;
-        let (free, known) = self.places();
-        let known = if p.conditioned { known } else { Vec::new() };
-        let block = |sigma, length| {
-            CovarianceFunction { sigma, kernel: Kernel::Gaussian { length }, taper }
-                .conditioned_matrix(&free, &known)
-        };
-        Ok([block(p.sigma_x, p.length_x)?, block(p.sigma_v, p.length_v)?])
-    }
-
     /// B, localized.
     ///
     /// # Errors
     /// A B that is not positive definite.
     pub fn background_covariance(&self) -> Result<Background> {
-        let n = self.rod.segments() - 1;
+        let p = &self.prior;
+        let (free, known) = self.places();
+        let known = if p.conditioned { known } else { Vec::new() };
         let mut parts = Vec::new();
-        for matrix in self.blocks(Taper::Triangle { support: self.prior.support })? {
-            parts.push(Interleaved::new(Dense::new(n, &matrix)?, 3));
+        for (sigma, length) in [(p.sigma_x, p.length_x), (p.sigma_v, p.length_v)] {
+            let taper = Taper::Triangle { support: p.support };
+            let block = CovarianceFunction { sigma, kernel: Kernel::Gaussian { length }, taper };
+            let matrix = block.conditioned_matrix(&free, &known)?;
+            parts.push(Interleaved::new(Dense::new(free.len(), &matrix)?, 3));
         }
         Ok(BlockDiagonal::new(parts))
-    }
-
-    /// A background error drawn from the kernels before localization.
-    ///
-    /// # Errors
-    /// A kernel whose eigenvalues cannot be found.
-    pub fn draw_error(&self, rng: &mut impl Rng) -> Result<Vec<f64>> {
-        let n = self.rod.segments() - 1;
-        let mut parts = Vec::new();
-        for matrix in self.blocks(Taper::None)? {
-            // A smooth kernel is singular to rounding: what is below 1e-12 of the largest eigenvalue is noise.
-            parts.push(Interleaved::new(Truncated::eigen(n, &matrix, 1e-12)?, 3));
-        }
-        Ok(sample(&BlockDiagonal::new(parts), rng))
     }
 
     /// The share of vertex i and i + 1 in the observed point p, linear in arc length: (i, weight of i + 1).

@@ -1,9 +1,12 @@
-//! Numbers that design.md, section 9, asks for.
+//! Numbers that design.md, section 9, asks for, and the start of the flagship's window.
 
 use super::largest_difference;
+use crate::problems::HangingRod;
 use crate::row::{Case, Outcome, Rows};
 use std::f64::consts::TAU;
 use std::sync::Arc;
+use varda::problem::Problem;
+use varda::scene::SceneFile;
 use varda_assimilation::{
     ControlTransform, CostFunction, Observation, ObservationSet, Selection, StrongConstraint,
 };
@@ -12,11 +15,44 @@ use varda_implicit::{ImplicitModel, Model, Rk4, lorenz::Lorenz96};
 use varda_rod::{BackwardEuler, Clamp, Damping, Loads, Material, Rod, Section, Supports, straight_guess};
 
 pub(super) fn run(rows: &mut Rows) {
+    rows.case("flagship-truth", flagship_truth);
     rows.case("section9-tip", tip);
     let small = [388.6557570224758, 2499.876979576174];
     rows.case("section9-lorenz96-40", |case| lorenz96(case, 40, small, Some(-248.04375322925)));
     let large = [6131.583457861555, 11107.61576870228];
     rows.case("section9-lorenz96-1000", |case| lorenz96(case, 1000, large, None));
+}
+
+/// Hanging at rest, then 150 steps: the truth that the windows' fixtures start from.
+fn flagship_truth(case: &mut Case) -> Outcome {
+    #[derive(serde::Deserialize)]
+    struct Given {
+        truth_x: Vec<f64>,
+        truth_v: Vec<f64>,
+        prior: Prior,
+    }
+    #[derive(serde::Deserialize)]
+    struct Prior {
+        vbar: f64,
+        sigma_v: f64,
+    }
+    let given: Given =
+        super::read_json(&super::shipped().join("hanging-rod/case1-clamp-seed0/problem.json"))?;
+    let (rod, truth) = HangingRod::flagship(1, true)?;
+    let (x, v) = truth.split_at(truth.len() / 2);
+    super::expect_length("truth_x", given.truth_x.len(), x.len())?;
+    // Each of 150 steps is solved to 1e-11 m, a velocity to 1e-9 m/s; the motion is damped, so they do not pile up.
+    case.at_most("positions", largest_difference(x, &given.truth_x), 1e-10, "m").computed(super::norm(x));
+    case.at_most("velocities", largest_difference(v, &given.truth_v), 1e-8, "m/s").computed(super::norm(v));
+    let error = (rod.prior.sigma_v - given.prior.sigma_v).abs();
+    case.at_most("sigma_v = 2 mean speed", error, 1e-8, "m/s").computed(rod.prior.sigma_v);
+    let scene = Problem::from_scene(&SceneFile::open("hanging-rod", &[])?)?;
+    let theirs = scene.truth.ok_or("a twin experiment knows its truth")?;
+    case.at_most("truth of the scene", largest_difference(&theirs[..truth.len()], &truth), 1e-8, "m, m/s");
+    if (given.prior.sigma_v - 2.0 * given.prior.vbar).abs() > 1e-12 {
+        return Err("sigma_v of the fixture is not 2 vbar".into());
+    }
+    Ok(())
 }
 
 /// A rod of 25 segments from rest, straight down and unstretched, its clamp going round once a second.
