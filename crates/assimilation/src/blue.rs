@@ -1,6 +1,6 @@
 //! The closed form of linear problems: the best linear unbiased estimate.
 
-use crate::cost::{dot, solve_identity_plus};
+use crate::cost::{columns, dot, solve_identity_plus};
 use crate::{ControlTransform, Error, Incremental};
 use faer::MatRef;
 
@@ -24,8 +24,8 @@ pub enum Gain {
 /// includes the tangent of the model, so that observations may lie anywhere in a window.
 ///
 /// When to use it: as a reference, and for small linear problems. Where model or observations are not linear it is the estimate
-/// linearized around the background (one full step of Gauss–Newton). Dense: memory n m + n² + max(n, m)², time the sweeps
-/// of the gain and min(n, m)… cubed of its space.
+/// linearized around the background (one full step of Gauss–Newton). Dense: memory 2 n m + n² (+ m² with the gain in
+/// observation space), time the sweeps of the gain, a Cholesky factorization and n m min(n, m).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Blue {
     /// v_a, the increment in the control variable.
@@ -52,13 +52,15 @@ impl Blue {
         // G, m × n by columns, and K, n × m by columns.
         let (g, k) = match gain {
             Gain::Information => {
-                let g = columns(m, n, &mut |unit, column| problem.tangent(unit, column))?;
+                let mut g = vec![0.0; m * n];
+                columns(n, &mut g, &mut |unit, column| problem.tangent(unit, column))?;
                 let mut k = transpose(m, &g);
                 solve_identity_plus(MatRef::from_column_major_slice(&g, m, n), &mut k, m)?;
                 (g, k)
             }
             Gain::Observation => {
-                let gt = columns(n, m, &mut |unit, column| problem.adjoint(unit, column))?;
+                let mut gt = vec![0.0; n * m];
+                columns(m, &mut gt, &mut |unit, column| problem.adjoint(unit, column))?;
                 let g = transpose(n, &gt);
                 // Kᵀ = (G Gᵀ + I)⁻¹ G.
                 let mut kt = g.clone();
@@ -121,22 +123,6 @@ impl Blue {
         }
         covariance
     }
-}
-
-/// The columns of a linear map from `inputs` to `outputs` numbers.
-fn columns(
-    outputs: usize,
-    inputs: usize,
-    map: &mut dyn FnMut(&[f64], &mut [f64]) -> Result<(), Error>,
-) -> Result<Vec<f64>, Error> {
-    let mut unit = vec![0.0; inputs];
-    let mut columns = vec![0.0; outputs * inputs];
-    for (j, column) in columns.chunks_exact_mut(outputs.max(1)).enumerate() {
-        unit[j] = 1.0;
-        map(&unit, column)?;
-        unit[j] = 0.0;
-    }
-    Ok(columns)
 }
 
 fn columns_of(matrix: &[f64], rows: usize) -> std::slice::ChunksExact<'_, f64> {

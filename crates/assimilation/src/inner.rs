@@ -130,11 +130,8 @@ pub fn restricted_conjugate_gradients(
         }
         product(&r, &mut control, &mut kr)?;
         let beta = progress.advance(dot(&control, &control));
-        for (old, new) in [
-            (&mut direction, &r),
-            (&mut k_direction, &kr),
-            (&mut direction_control, &control),
-        ] {
+        for (old, new) in [(&mut direction, &r), (&mut k_direction, &kr), (&mut direction_control, &control)]
+        {
             old.iter_mut().zip(new).for_each(|(old, new)| *old = new + beta * *old);
         }
     }

@@ -65,8 +65,8 @@ pub use analysis::Analysis;
 pub use blue::{Blue, Gain};
 pub use control::ControlTransform;
 pub use cost::{
-    CostFunction, CostTerms, Counts, Dual, Forcing, GaussNewton, Incremental, InnerCost, StrongConstraint, WeakForcing,
-    WeakState,
+    CostFunction, CostTerms, Counts, Dual, Forcing, GaussNewton, Incremental, InnerCost, StrongConstraint,
+    WeakForcing, WeakState,
 };
 pub use error::Error;
 pub use inner::{InnerEnd, InnerLimits, conjugate_gradients, restricted_conjugate_gradients};

@@ -1,6 +1,6 @@
 //! The dual cost in observation space: PSAS, and 4D-PSAS with a model.
 
-use super::{CostFunction, CostTerms, Counts, GaussNewton, Incremental, dot};
+use super::{CostFunction, CostTerms, Counts, GaussNewton, Incremental, columns, dot};
 use crate::Error;
 
 /// The dual of the inner cost around an outer iterate (paper 2.12, 2.13; Courtier 1997), whitened by R:
@@ -139,12 +139,6 @@ impl GaussNewton for Dual<'_> {
     fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
         let m = self.right.len();
         assert_eq!(out.len(), m * m, "length of the Hessian");
-        let mut unit = vec![0.0; m];
-        for (j, column) in out.chunks_exact_mut(m.max(1)).enumerate() {
-            unit[j] = 1.0;
-            self.hessian_apply(&unit, column)?;
-            unit[j] = 0.0;
-        }
-        Ok(())
+        columns(m, out, &mut |unit, column| self.hessian_apply(unit, column))
     }
 }

@@ -81,16 +81,26 @@ pub trait Incremental: CostFunction {
     /// As for `tangent`.
     fn direct(&mut self, gradient: &[f64], p: &mut [f64]) -> Result<(), Error> {
         let (n, m) = (self.dim(), self.departure_dim());
-        let mut columns = vec![0.0; m * n];
-        let mut unit = vec![0.0; n];
-        for (j, column) in columns.chunks_exact_mut(m.max(1)).enumerate() {
-            unit[j] = 1.0;
-            self.tangent(&unit, column)?;
-            unit[j] = 0.0;
-        }
+        let mut g = vec![0.0; m * n];
+        columns(n, &mut g, &mut |unit, column| self.tangent(unit, column))?;
         p.iter_mut().zip(gradient).for_each(|(p, g)| *p = -g);
-        solve_identity_plus(MatRef::from_column_major_slice(&columns, m, n), p, 1)
+        solve_identity_plus(MatRef::from_column_major_slice(&g, m, n), p, 1)
     }
+}
+
+/// y = a linear map of x.
+pub(crate) type Map<'a> = dyn FnMut(&[f64], &mut [f64]) -> Result<(), Error> + 'a;
+
+/// The matrix of a linear map of `inputs` numbers, column by column.
+pub(crate) fn columns(inputs: usize, matrix: &mut [f64], map: &mut Map) -> Result<(), Error> {
+    let outputs = matrix.len() / inputs.max(1);
+    let mut unit = vec![0.0; inputs];
+    for (j, column) in matrix.chunks_exact_mut(outputs.max(1)).enumerate() {
+        unit[j] = 1.0;
+        map(&unit, column)?;
+        unit[j] = 0.0;
+    }
+    Ok(())
 }
 
 /// x ← (I + WᵀW)⁻¹ x for `columns` columns x, W with n columns: Cholesky.
@@ -204,12 +214,6 @@ impl GaussNewton for InnerCost<'_> {
     fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
         let n = self.b.len();
         assert_eq!(out.len(), n * n, "length of the Hessian");
-        let mut unit = vec![0.0; n];
-        for (j, column) in out.chunks_exact_mut(n.max(1)).enumerate() {
-            unit[j] = 1.0;
-            self.hessian_apply(&unit, column)?;
-            unit[j] = 0.0;
-        }
-        Ok(())
+        columns(n, out, &mut |unit, column| self.hessian_apply(unit, column))
     }
 }

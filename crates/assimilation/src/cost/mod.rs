@@ -10,7 +10,7 @@ mod weak_state;
 
 pub use dual::Dual;
 pub use incremental::{Incremental, InnerCost};
-pub(crate) use incremental::solve_identity_plus;
+pub(crate) use incremental::{columns, solve_identity_plus};
 pub use model_error::Forcing;
 pub use strong::StrongConstraint;
 pub use weak_forcing::WeakForcing;

@@ -77,7 +77,11 @@ impl<'a> Errors<'a> {
 
     /// N, how many η there are.
     pub(super) fn count(&self) -> usize {
-        if self.forcing.held { self.last.div_ceil(self.forcing.steps) } else { self.last / self.forcing.steps }
+        if self.forcing.held {
+            self.last.div_ceil(self.forcing.steps)
+        } else {
+            self.last / self.forcing.steps
+        }
     }
 
     /// Numbers of one η in the control.
@@ -103,7 +107,7 @@ impl<'a> Errors<'a> {
     /// Which η enters after step k.
     pub(super) fn index(&self, k: usize) -> Option<usize> {
         let n = self.forcing.steps;
-        if self.forcing.held { Some(k / n) } else { ((k + 1) % n == 0).then(|| (k + 1) / n - 1) }
+        if self.forcing.held { Some(k / n) } else { (k + 1).is_multiple_of(n).then(|| (k + 1) / n - 1) }
     }
 
     /// How many landings M_k(x_k) are kept.

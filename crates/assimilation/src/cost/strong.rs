@@ -106,7 +106,8 @@ impl<'a> StrongConstraint<'a> {
         observations: &'a mut ObservationSet,
         errors: Errors<'a>,
     ) -> Result<Self, Error> {
-        let Self { model, transform, observations, state_dim, .. } = Self::new(model, transform, observations)?;
+        let Self { model, transform, observations, state_dim, .. } =
+            Self::new(model, transform, observations)?;
         Ok(Self::with(model, state_dim, transform, observations, Some(errors)))
     }
 

@@ -95,7 +95,14 @@ struct Row {
 }
 
 /// Column i of F_j and C_j: a tangent run of sub-window j from component i of its whitened start.
-fn column(window: &mut StrongConstraint, q: &dyn Precision, j: usize, i: usize, f: &mut Mat<f64>, c: &mut Mat<f64>) {
+fn column(
+    window: &mut StrongConstraint,
+    q: &dyn Precision,
+    j: usize,
+    i: usize,
+    f: &mut Mat<f64>,
+    c: &mut Mat<f64>,
+) {
     let StrongConstraint {
         model: Some(model),
         errors: Some(errors),

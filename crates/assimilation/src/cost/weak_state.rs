@@ -50,7 +50,10 @@ impl<'a> WeakState<'a> {
         observations: &'a mut ObservationSet,
     ) -> Result<Self, Error> {
         if forcing.held && forcing.steps > 1 {
-            return Err(Error::Setting { what: "the steps of a held forcing over states", value: forcing.steps as f64 });
+            return Err(Error::Setting {
+                what: "the steps of a held forcing over states",
+                value: forcing.steps as f64,
+            });
         }
         for (what, c) in [("the square root of B", b), ("the square root of Q", q)] {
             if c.root_dim() != c.dim() {
@@ -108,7 +111,10 @@ impl<'a> WeakState<'a> {
         self.window.return_to_base()?;
         self.window.counts.adjoint_sweeps += 1;
         let Self { window, b, q, p, physical } = self;
-        let StrongConstraint { model: Some(model), errors: Some(errors), lambda, dz, last, transform, .. } = window else {
+        let StrongConstraint {
+            model: Some(model), errors: Some(errors), lambda, dz, last, transform, ..
+        } = window
+        else {
             unreachable!()
         };
         let (head, n) = (transform.dim(), q.dim());
@@ -194,7 +200,8 @@ impl Incremental for WeakState<'_> {
     fn increment(&mut self, p: &[f64], dv: &mut [f64]) -> Result<(), Error> {
         self.window.return_to_base()?;
         self.window.counts.tangent_sweeps += 1;
-        let StrongConstraint { model: Some(model), errors: Some(errors), lambda, last, transform, .. } = &mut self.window
+        let StrongConstraint { model: Some(model), errors: Some(errors), lambda, last, transform, .. } =
+            &mut self.window
         else {
             unreachable!()
         };

@@ -59,7 +59,8 @@ fn gradients_are_those_of_j_in_both_forms() {
         let (mut model, background, mut set) = curved_problem();
         let mut cost = WeakState::new(&mut model, background, &b, &q, forcing, &mut set).unwrap();
         let start = cost.background().unwrap();
-        let at = |seed| -> Vec<f64> { start.iter().zip(normals(seed, n)).map(|(x, e)| x + 0.1 * e).collect() };
+        let at =
+            |seed| -> Vec<f64> { start.iter().zip(normals(seed, n)).map(|(x, e)| x + 0.1 * e).collect() };
         check_gradient(&mut cost, &at(63), &at(64));
         assert!(transposed(&mut cost) <= 1e-14);
         // The gradient in p is that along its increments: ∇q(0)·p = ∇J·increment(p).
@@ -183,7 +184,8 @@ fn the_weak_forms_agree_on_nonlinear_windows() {
         let b = coupled(n, 0.3);
         let (mut model, background, mut set) = make();
         let transform = ControlTransform::new(background.clone(), &b).unwrap();
-        let mut over_forcing = WeakForcing::new(&mut model, transform, &q, forcing.clone(), &mut set).unwrap();
+        let mut over_forcing =
+            WeakForcing::new(&mut model, transform, &q, forcing.clone(), &mut set).unwrap();
         let mut v = vec![0.0; over_forcing.dim()];
         let one = minimize(&mut over_forcing, &mut v, InnerSolver::Primal);
         let (mut model, _, mut set) = make();
