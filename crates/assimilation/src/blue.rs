@@ -16,38 +16,42 @@ pub enum Gain {
 /// The best linear unbiased estimate in closed form (paper 2.2; the Kalman update), for a window too:
 ///
 /// ```text
-///     v_a = K d,    K = Gᵀ (G Gᵀ + I)⁻¹ = (I + GᵀG)⁻¹ Gᵀ,    P_v = I − K G = (I + GᵀG)⁻¹
+///     v_a = K (d + G b),    K = Gᵀ (G Gᵀ + I)⁻¹ = (I + GᵀG)⁻¹ Gᵀ,    P_v = I − K G = (I + GᵀG)⁻¹
 ///     z_a = z_b + U v_a,    P_z = U P_v Uᵀ
 /// ```
 ///
+/// (b = 0 where the problem is linearized at the background)
 /// with G = R^{-1/2} H M U, U = B^{1/2}: whitened, so that no inverse of B appears and a singular B is no special case, and H M
 /// includes the tangent of the model, so that observations may lie anywhere in a window.
 ///
 /// When to use it: as a reference, and for small linear problems. Where model or observations are not linear it is the estimate
-/// linearized around the background (one full step of Gauss–Newton). Dense: memory 2 n m + n² (+ m² with the gain in
+/// linearized there (one full step of Gauss–Newton from the point given). Dense: memory 2 n m + n² (+ m² with the gain in
 /// observation space), time the sweeps of the gain, a Cholesky factorization and n m min(n, m).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Blue {
-    /// v_a, the increment in the control variable.
+    /// v_a, the whitened estimate: B^{-1/2}(z_a − z_b), and with model error Q^{-1/2} η after it.
     pub control_variable: Vec<f64>,
     /// K in the control variable and whitened observations, n × m by columns.
     pub gain: Vec<f64>,
     /// P_v, n × n by columns.
     pub covariance: Vec<f64>,
-    /// The minimum of the linearized cost, ½ dᵀ(G Gᵀ + I)⁻¹ d.
+    /// The minimum of the linearized cost, ½ (d + G b)ᵀ(G Gᵀ + I)⁻¹(d + G b).
     pub value: f64,
 }
 
 impl Blue {
-    /// Around the background, v = 0.
+    /// Linearized at `v` (where the problem is linear, any will do; the background is the usual one).
     ///
     /// # Errors
     /// A cost that cannot be evaluated there; [`Error::NotPositiveDefinite`] where G is too large for I + GᵀG to be factorized
     /// in double precision, or is not finite (σ tiny against the spread of the background).
-    pub fn new(problem: &mut dyn Incremental, gain: Gain) -> Result<Self, Error> {
+    ///
+    /// # Panics
+    /// If `v` is not of length `dim`.
+    pub fn new(problem: &mut dyn Incremental, v: &[f64], gain: Gain) -> Result<Self, Error> {
         let (n, m) = (problem.dim(), problem.departure_dim());
         let (mut b, mut d, mut gradient) = (vec![0.0; n], vec![0.0; m], vec![0.0; n]);
-        problem.linearize(&vec![0.0; n], &mut gradient)?;
+        problem.linearize(v, &mut gradient)?;
         problem.departures(&mut b, &mut d);
         // G, m × n by columns, and K, n × m by columns.
         let (g, k) = match gain {
@@ -68,6 +72,9 @@ impl Blue {
                 (g, transpose(m, &kt))
             }
         };
+        for (column, b) in columns_of(&g, m).zip(&b) {
+            d.iter_mut().zip(column).for_each(|(d, g)| *d += g * b);
+        }
         let mut control_variable = vec![0.0; n];
         for (column, d) in k.chunks_exact(n.max(1)).zip(&d) {
             control_variable.iter_mut().zip(column).for_each(|(v, k)| *v += k * d);
@@ -87,7 +94,7 @@ impl Blue {
                 }
             }
         }
-        // ½ dᵀ (d − G v_a): (G Gᵀ + I)⁻¹ d = d − G K d.
+        // (G Gᵀ + I)⁻¹ d = d − G K d.
         let mut rest = d.clone();
         for (column, v) in columns_of(&g, m).zip(&control_variable) {
             rest.iter_mut().zip(column).for_each(|(r, g)| *r -= g * v);

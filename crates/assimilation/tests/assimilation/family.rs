@@ -61,7 +61,7 @@ fn every_way(b: &dyn Covariance) -> Vec<(&'static str, Vec<f64>, f64)> {
     let mut found = Vec::new();
     for (name, gain) in [("blue, observation", Gain::Observation), ("blue, information", Gain::Information)] {
         let mut cost = StrongConstraint::without_model(transform.clone(), &mut set).unwrap();
-        let blue = Blue::new(&mut cost, gain).unwrap();
+        let blue = Blue::new(&mut cost, &vec![0.0; n], gain).unwrap();
         found.push((name, blue.analysis(&transform), blue.value));
     }
     let control = |v: &[f64]| {
@@ -121,7 +121,10 @@ fn blue_3dvar_incremental_and_psas_are_one_also_for_a_b_without_inverse() {
         let transform = ControlTransform::new(background, b).unwrap();
         for gain in [Gain::Observation, Gain::Information] {
             let mut cost = StrongConstraint::without_model(transform.clone(), &mut set).unwrap();
-            let blue = Blue::new(&mut cost, gain).unwrap();
+            // Where it is linearized does not matter.
+            let blue = Blue::new(&mut cost, &normals(54, transform.dim()), gain).unwrap();
+            assert!(relative(&blue.analysis(&transform), &expected) <= 1e-11);
+            assert!((blue.value - value).abs() <= 1e-11 * value);
             let covariance = blue.control_covariance(&transform);
             assert!(relative(&covariance, &p.by_columns()) <= 1e-12);
             let posterior = Posterior::new(&mut cost).unwrap().covariance(&transform);
@@ -139,7 +142,7 @@ fn a_gain_that_cannot_be_factorized_is_a_typed_error() {
     let transform = ControlTransform::new(vec![0.0; 2], &b).unwrap();
     for gain in [Gain::Observation, Gain::Information] {
         let mut cost = StrongConstraint::without_model(transform.clone(), &mut set).unwrap();
-        assert!(matches!(Blue::new(&mut cost, gain), Err(Error::NotPositiveDefinite { .. })));
+        assert!(matches!(Blue::new(&mut cost, &[0.0; 2], gain), Err(Error::NotPositiveDefinite { .. })));
     }
 }
 
@@ -189,6 +192,31 @@ fn dual_iterates_are_the_primal_ones_at_every_outer_iterate() {
         let (iterations, worst) = compare_iterates(&mut cost, &v);
         assert!(iterations >= 10 && worst <= 1e-9, "{iterations} {worst:e}");
     }
+}
+
+#[test]
+fn an_iteration_of_either_solver_costs_one_sweep_each_way() {
+    let (mut model, background, mut set) = wide_problem();
+    let b = coupled(30, 1.0);
+    let transform = ControlTransform::new(background, &b).unwrap();
+    let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
+    let (mut g, mut p) = (vec![0.0; 30], vec![0.0; 30]);
+    cost.linearize(&[0.0; 30], &mut g).unwrap();
+    let sweeps = |cost: &StrongConstraint| (cost.counts().tangent_sweeps, cost.counts().adjoint_sweeps);
+    let steps = cost.counts().model.model_steps;
+    let limits = InnerLimits { residual: 0.0, iterations: 7 };
+    assert_eq!(sweeps(&cost), (0, 1));
+    conjugate_gradients(&mut cost, &g, &limits, &mut p).unwrap();
+    assert_eq!(sweeps(&cost), (7, 8));
+    // And one of each for the first residual.
+    restricted_conjugate_gradients(&mut cost, &limits, &mut p).unwrap();
+    assert_eq!(sweeps(&cost), (15, 16));
+    assert_eq!(cost.counts().model.model_steps, steps);
+    // Nothing to be done is done in no iteration.
+    p.fill(1.0);
+    let ended = conjugate_gradients(&mut cost, &[0.0; 30], &limits, &mut p).unwrap();
+    assert_eq!(ended, InnerEnd { iterations: 0, residual: 0.0 });
+    assert_eq!(p, vec![0.0; 30]);
 }
 
 /// Lorenz-96 with 30 variables, 12 observed values at three times.
@@ -398,7 +426,7 @@ fn strong_4dvar_is_the_filter_at_the_end_and_the_smoother_at_the_start() {
         assert!(relative(cost.state(0), &smoothed[0].0) <= 1e-9);
         assert!(relative(cost.state(steps), &filtered[steps].0) <= 1e-9);
     }
-    let blue = Blue::new(&mut cost, Gain::Observation).unwrap();
+    let blue = Blue::new(&mut cost, &[0.0; 4], Gain::Observation).unwrap();
     assert!(relative(&blue.control_covariance(&transform), &smoothed[0].1.by_columns()) <= 1e-9);
     assert!(relative(&blue.analysis(&transform), &smoothed[0].0) <= 1e-9);
     // In between they differ: the filter has not seen what comes later.

@@ -6,6 +6,7 @@ use crate::matrix::*;
 use crate::models::*;
 use varda_assimilation::*;
 use varda_covariance::{Covariance, Dense, Diagonal, Precision};
+use varda_implicit::Model;
 
 /// Every second component, error every third step.
 fn partial(n: usize) -> Forcing {
@@ -126,7 +127,8 @@ fn the_weak_forms_are_the_smoother_on_a_linear_window() {
         let moved: Vec<f64> = step.apply(cost.state(2)).iter().zip(&eta).map(|(x, e)| x + e).collect();
         assert!(relative(&moved, cost.state(3)) <= 1e-13);
     }
-    let blue = Blue::new(&mut cost, Gain::Observation).unwrap();
+    let start = vec![0.0; cost.dim()];
+    let blue = Blue::new(&mut cost, &start, Gain::Observation).unwrap();
     assert!(relative(&blue.control_covariance(&transform), &smoothed[0].1.by_columns()) <= 1e-9);
     drop(cost);
     let mut cost = WeakState::new(&mut model, background, &b, &q, Forcing::every_step(n), &mut set).unwrap();
@@ -140,6 +142,11 @@ fn the_weak_forms_are_the_smoother_on_a_linear_window() {
             assert!(relative(&v[k * n..(k + 1) * n], cost.state(k)) == 0.0);
         }
     }
+    let start = cost.background().unwrap();
+    let over_states = Blue::new(&mut cost, &start, Gain::Information).unwrap();
+    assert!(relative(&over_states.control_covariance(&transform), &smoothed[0].1.by_columns()) <= 1e-9);
+    assert!(relative(&over_states.analysis(&transform), &smoothed[0].0) <= 1e-9);
+    values.extend([blue.value, over_states.value]);
     assert!(values.iter().all(|j| (j - values[0]).abs() <= 1e-12 * j), "{values:?}");
 }
 
@@ -281,4 +288,152 @@ fn bad_model_errors_are_refused() {
     assert!(matches!(attempt(vec![0, 6], 2, false), Some(Error::OperatorEntry { row: 1, column: 6, .. })));
     assert!(matches!(attempt(vec![0, 5], 0, false), Some(Error::Setting { .. })));
     assert!(matches!(attempt(vec![0, 5], 2, true), Some(Error::Setting { .. })));
+}
+
+/// Lorenz-96 with one more component, which the control lacks: it starts from the others, follows the square of the first and feeds nothing but
+/// itself and an observation.
+struct Carrying {
+    inner: Rk4<Lorenz96>,
+    z: Vec<f64>,
+    first: Vec<f64>,
+}
+
+impl Model for Carrying {
+    fn dim(&self) -> usize {
+        7
+    }
+    fn control_dim(&self) -> usize {
+        6
+    }
+    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), varda_implicit::Error> {
+        x_next[6] = 0.5 * x[6] + 0.1 * x[0] * x[0];
+        self.inner.step(k, &x[..6], &mut x_next[..6])
+    }
+    fn linearize(&mut self, k: usize, x: &[f64], x_next: &[f64]) -> Result<(), varda_implicit::Error> {
+        // As strict as an implicit model: the pair must be a step, bit for bit.
+        let mut landed = vec![0.0; 7];
+        self.step(k, x, &mut landed)?;
+        if landed != x_next {
+            return Err(varda_implicit::Error::NotAStep { step: k });
+        }
+        self.first.resize(self.first.len().max(k + 1), 0.0);
+        self.first[k] = x[0];
+        self.inner.linearize(k, &x[..6], &x_next[..6])
+    }
+    fn tangent(&mut self, k: usize, dx: &mut [f64]) {
+        dx[6] = 0.5 * dx[6] + 0.2 * self.first[k] * dx[0];
+        self.inner.tangent(k, &mut dx[..6]);
+    }
+    fn adjoint(&mut self, k: usize, lambda: &mut [f64]) {
+        self.inner.adjoint(k, &mut lambda[..6]);
+        lambda[0] += 0.2 * self.first[k] * lambda[6];
+        lambda[6] *= 0.5;
+    }
+    fn initial_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), varda_implicit::Error> {
+        self.z = z.to_vec();
+        x[..6].copy_from_slice(z);
+        x[6] = z[1] * z[2];
+        Ok(())
+    }
+    fn initial_tangent(&mut self, dz: &[f64], dx: &mut [f64]) {
+        dx[..6].copy_from_slice(dz);
+        dx[6] = self.z[1] * dz[2] + self.z[2] * dz[1];
+    }
+    fn initial_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]) {
+        dz.copy_from_slice(&lambda[..6]);
+        dz[1] += self.z[2] * lambda[6];
+        dz[2] += self.z[1] * lambda[6];
+    }
+    fn counts(&self) -> varda_implicit::Counts {
+        self.inner.counts()
+    }
+}
+
+/// As on a rod: Q on [X, V], the rest of the state carried along by the model, through every boundary of a sub-window.
+#[test]
+fn a_state_longer_than_the_control_and_partly_forced() {
+    let (_, background, _) = curved_problem();
+    let values = normals(70, 12);
+    let observations: Vec<Observation> = (0..4)
+        .map(|j| {
+            observation(&[6, 1, 3], 3 * j, if j < 3 { 0.4 } else { 0.0 }, &values[3 * j..3 * j + 3], 0.5)
+        })
+        .collect();
+    let make = || ObservationSet::new(9, vec![all_of(7)], observations.clone()).unwrap();
+    let model = || Carrying { inner: Rk4::new(Lorenz96(6), 0.03), z: Vec::new(), first: Vec::new() };
+    let (b, q) = (coupled(6, 0.3), coupled(6, 0.2));
+    let forcing = Forcing { components: (0..6).collect(), steps: 2, held: false };
+
+    let (mut first, mut set) = (model(), make());
+    let transform = ControlTransform::new(background.clone(), &b).unwrap();
+    let mut over_forcing = WeakForcing::new(&mut first, transform, &q, forcing.clone(), &mut set).unwrap();
+    let n = over_forcing.dim();
+    check_gradient(&mut over_forcing, &normals(71, n), &normals(72, n));
+    let mut v = vec![0.0; n];
+    let one = minimize(&mut over_forcing, &mut v, InnerSolver::Primal);
+
+    let (mut second, mut set) = (model(), make());
+    let mut over_states = WeakState::new(&mut second, background, &b, &q, forcing, &mut set).unwrap();
+    let start = over_states.background().unwrap();
+    let at = |seed| -> Vec<f64> { start.iter().zip(normals(seed, n)).map(|(x, e)| x + 0.1 * e).collect() };
+    check_gradient(&mut over_states, &at(73), &at(74));
+    let mut x = start.clone();
+    let two = minimize(&mut over_states, &mut x, InnerSolver::Dual);
+    assert!((one.value - two.value).abs() <= 1e-10 * one.value, "{} {}", one.value, two.value);
+    assert!(relative(over_states.state(9), over_forcing.state(9)) <= 1e-8);
+}
+
+#[test]
+fn experiment() {
+    for seed in [90, 91, 92, 93] {
+        for (every, sq) in [(1, 0.1), (5, 0.3), (10, 0.5), (10, 1.0)] {
+            let (truth, background, mut set) = lorenz63_twin(seed, 100, 10);
+            let b = Diagonal::uniform(3, 1.0).unwrap();
+            let q = Diagonal::uniform(3, sq).unwrap();
+            let forcing = Forcing { steps: every, ..Forcing::every_step(3) };
+            let mut model = Rk4::new(Lorenz63, 0.01);
+            let transform = ControlTransform::new(background.clone(), &b).unwrap();
+            let mut cost = WeakForcing::new(&mut model, transform, &q, forcing.clone(), &mut set).unwrap();
+            let options = OuterLoopOptions { max_inner: 1000, max_iterations: 500, ..Default::default() };
+            let mut best = f64::INFINITY;
+            let mut v = vec![0.0; cost.dim()];
+            let f = outer_loop(&mut cost, &mut v, &options, &mut ignore()).unwrap();
+            v.fill(0.0);
+            for i in 0..3 {
+                v[i] = truth[i] - background[i];
+            }
+            let t = outer_loop(&mut cost, &mut v, &options, &mut ignore()).unwrap();
+            best = t.value.min(best);
+            drop(cost);
+            let y: Vec<Vec<f64>> = set.observations().iter().map(|o| o.values.clone()).collect();
+            let mut cost = WeakState::new(&mut model, background.clone(), &b, &q, forcing, &mut set).unwrap();
+            let bg = cost.background().unwrap();
+            let mut x = bg.clone();
+            let s = outer_loop(&mut cost, &mut x, &options, &mut ignore()).unwrap();
+            let mut x = bg.clone();
+            for j in 1..x.len() / 3 {
+                let t = (j * every) as f64 / 10.0;
+                let i = t as usize;
+                let w = t - i as f64;
+                for c in 0..3 {
+                    let at = |i: usize| if i == 0 { background[c] } else { y[i.min(10) - 1][c] };
+                    x[3 * j + c] = (1.0 - w) * at(i) + w * at(i + 1);
+                }
+            }
+            let o = outer_loop(&mut cost, &mut x, &options, &mut ignore()).unwrap();
+            println!(
+                "EXP {seed} {every} {sq}: forcing {} {:?} truth {} states-bg {} {:?} {} states-obs {} {:?} {} {}",
+                f.value,
+                f.status,
+                best,
+                s.value,
+                s.status,
+                s.outer_iterations,
+                o.value,
+                o.status,
+                o.outer_iterations,
+                o.inner_iterations
+            );
+        }
+    }
 }
