@@ -90,6 +90,21 @@ impl<'a> WeakState<'a> {
         Ok(v)
     }
 
+    /// The control of a first guess: z, and the forced components of what `state(k, x)` fills in for step k at every end of a sub-window.
+    ///
+    /// # Panics
+    /// If z has the wrong length.
+    pub fn control(&self, z: &[f64], state: &mut dyn FnMut(usize, &mut [f64])) -> Vec<f64> {
+        assert_eq!(z.len(), self.window.transform.control_dim(), "length of z");
+        let Some(errors) = &self.window.errors else { unreachable!() };
+        let (mut v, mut x) = (z.to_vec(), vec![0.0; self.window.state_dim]);
+        for k in (0..self.window.last).filter(|&k| errors.index(k).is_some()) {
+            state(k + 1, &mut x);
+            v.extend(errors.forcing().components.iter().map(|&c| x[c]));
+        }
+        v
+    }
+
     /// State x_k of the point of the last gradient, k = 0 … the last observed step.
     ///
     /// # Panics
