@@ -70,7 +70,53 @@ const NOISE: f64 = 1e-11;
 /// residuals, where [`trust_region`](crate::trust_region) is faster.
 ///
 /// Cost of an outer iteration: one forward run and adjoint sweep, a forward run for each refused step, and a tangent and an adjoint sweep for
-/// each inner iteration. `gradient_norm` and `step_norm` reported are those of p, the norm of the prior.
+/// each inner iteration. `gradient_norm` and `step_norm` reported are those of p, the norm of the prior; `observation_scale` is
+/// reported as 1, whatever was set.
+///
+/// PSAS, where the square of a state of 50 is seen at two points:
+///
+/// ```
+/// use std::ops::ControlFlow;
+/// use varda_assimilation::*;
+/// use varda_covariance::{CovarianceFunction, Dense, Kernel, Taper};
+/// # struct Square;
+/// # impl ObservationOperator for Square {
+/// #     fn dim(&self) -> usize { 50 }
+/// #     fn observe(&mut self, _: usize, x: &[f64], y: &mut [f64]) -> Result<(), varda_implicit::Refusal> {
+/// #         y.iter_mut().zip(x).for_each(|(y, x)| *y = x * x);
+/// #         Ok(())
+/// #     }
+/// #     fn tangent(&mut self, _: usize, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+/// #         (0..50).for_each(|i| dy[i] = 2.0 * x[i] * dx[i]);
+/// #     }
+/// #     fn adjoint_add(&mut self, _: usize, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+/// #         (0..50).for_each(|i| dx[i] += 2.0 * x[i] * dy[i]);
+/// #     }
+/// # }
+///
+/// let places: Vec<f64> = (0..50).map(|i| 0.02 * i as f64).collect();
+/// let kernel = Kernel::Gaussian { length: 0.2 };
+/// let b = CovarianceFunction { sigma: 0.3, kernel, taper: Taper::Triangle { support: 1.0 } };
+/// let b = Dense::new(50, &b.matrix(&places)?)?;
+/// let transform = ControlTransform::new(vec![1.0; 50], &b)?;
+/// let seen = Observation {
+///     operator: 0,
+///     rows: vec![10, 30],
+///     step: 0,
+///     weight: 0.0,
+///     values: vec![1.44, 0.81],
+///     sigma: vec![0.01; 2],
+///     label: String::new(),
+/// };
+/// let mut observations = ObservationSet::new(0, vec![Box::new(Square)], vec![seen])?;
+/// let mut cost = StrongConstraint::without_model(transform, &mut observations)?;
+/// let options = OuterLoopOptions { inner: InnerSolver::Dual, ..Default::default() };
+/// let mut v = vec![0.0; 50];
+/// let minimum = outer_loop(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(()))?;
+/// assert_eq!(minimum.status, Status::Converged);
+/// assert!((cost.state(0)[10] - 1.2).abs() < 0.01 && (cost.state(0)[30] - 0.9).abs() < 0.01);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// A cost that cannot be evaluated at the first point, a setting out of range, or products that fail. Everything that happens once under

@@ -194,6 +194,52 @@ fn dual_iterates_are_the_primal_ones_at_every_outer_iterate() {
     }
 }
 
+/// Many iterations: a whole state of 30 seen four times with small errors, and 210 unknowns with model error.
+#[test]
+fn dual_iterates_stay_the_primal_ones_over_many_iterations() {
+    let values = normals(55, 120);
+    let observations: Vec<Observation> = (0..4)
+        .map(|j| observation(&(0..30).collect::<Vec<_>>(), 2 * j, 0.0, &values[30 * j..30 * j + 30], 0.01))
+        .collect();
+    let (mut model, background, _) = wide_problem();
+    let mut set = ObservationSet::new(6, vec![all_of(30)], observations).unwrap();
+    let (b, q) = (coupled(30, 1.0), coupled(30, 0.3));
+    let transform = ControlTransform::new(background, &b).unwrap();
+    let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut set).unwrap();
+    let (iterations, worst) = compare_iterates(&mut cost, &[0.0; 30]);
+    assert!(iterations >= 25 && worst <= 1e-9, "{iterations} {worst:e}");
+    drop(cost);
+    let mut cost = WeakForcing::new(&mut model, transform, &q, Forcing::every_step(30), &mut set).unwrap();
+    let v: Vec<f64> = normals(56, 210).iter().map(|v| 0.1 * v).collect();
+    let (iterations, worst) = compare_iterates(&mut cost, &v);
+    assert!(iterations >= 80 && worst <= 1e-9, "{iterations} {worst:e}");
+}
+
+#[test]
+fn inflated_errors_reach_the_inner_and_the_dual_cost() {
+    let (mut model, background, mut set) = linear_window(4, 8);
+    let b = coupled(4, 0.8);
+    let transform = ControlTransform::new(background, &b).unwrap();
+    let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
+    let (v, p, w) = (normals(50, 4), normals(51, 4), normals(52, 12));
+    cost.linearize(&v, &mut [0.0; 4]).unwrap();
+    let dual_before = Dual::new(&mut cost).unwrap().evaluate(&w, None).unwrap();
+    let mut inner = InnerCost::new(&mut cost);
+    inner.set_observation_scale(3.0);
+    let inner_value = inner.evaluate(&p, None).unwrap();
+    let mut dual = Dual::new(&mut cost).unwrap();
+    let dual_value = dual.evaluate(&w, None).unwrap();
+    dual.set_observation_scale(1.0);
+    // Some roundings of terms of this size.
+    assert!((dual.evaluate(&w, None).unwrap() - dual_before).abs() <= 1e-13 * dual_before.abs());
+    dual.set_observation_scale(3.0);
+    assert_eq!(dual.evaluate(&w, None).unwrap(), dual_value);
+    assert!((dual_value - dual_before).abs() > 0.1 * dual_before.abs());
+    let moved: Vec<f64> = v.iter().zip(&p).map(|(v, p)| v + p).collect();
+    let value = cost.evaluate(&moved, None).unwrap();
+    assert!((inner_value - value).abs() <= 1e-13 * value);
+}
+
 #[test]
 fn an_iteration_of_either_solver_costs_one_sweep_each_way() {
     let (mut model, background, mut set) = wide_problem();
