@@ -9,6 +9,8 @@
 //! | what is observed? | an [`ObservationSet`] of [`Observation`]s through [`ObservationOperator`]s |
 //! | what is known before? | a [`ControlTransform`]: background x_b and any `varda_covariance::Covariance` |
 //! | which cost? | [`StrongConstraint`]: 4D-Var, and 3D-Var where nothing is observed after step 0 |
+//! | and if the model errs? | [`WeakForcing`] or [`WeakState`], with [`Forcing`] |
+//! | a cheaper inner problem? | [`outer_loop`]: incremental, [`InnerSolver::Dual`] for PSAS; [`Blue`] in closed form |
 //! | which minimizer? | [`Minimizer`]: [`trust_region`] (default), [`newton_cg`], [`newton`]; [`continuation`] for several minima |
 //! | how sure? | [`Posterior`], [`Analysis`] |
 //!
@@ -49,20 +51,29 @@
 //! ```
 
 mod analysis;
+mod blue;
 mod control;
 mod cost;
 mod error;
+mod inner;
 mod minimize;
 mod observation;
+mod outer_loop;
 mod posterior;
 
 pub use analysis::Analysis;
+pub use blue::{Blue, Gain};
 pub use control::ControlTransform;
-pub use cost::{CostFunction, CostTerms, Counts, GaussNewton, StrongConstraint};
+pub use cost::{
+    CostFunction, CostTerms, Counts, Dual, Forcing, GaussNewton, Incremental, InnerCost, StrongConstraint,
+    WeakForcing, WeakState,
+};
 pub use error::Error;
+pub use inner::{InnerEnd, InnerLimits, conjugate_gradients, restricted_conjugate_gradients};
 pub use minimize::{
     Iteration, Minimizer, Minimum, NewtonCgOptions, NewtonOptions, RitzPair, Status, TrustRegionOptions,
     continuation, newton, newton_cg, trust_region,
 };
 pub use observation::{LinearObservation, Observation, ObservationOperator, ObservationSet, Selection};
+pub use outer_loop::{InnerSolver, OuterLoopOptions, outer_loop};
 pub use posterior::Posterior;

@@ -1,8 +1,20 @@
 //! Cost functions of a control vector v, as minimizers see them.
 
+mod dual;
+mod incremental;
+mod model_error;
 mod strong;
+mod tridiagonal;
+mod weak_forcing;
+mod weak_state;
 
+pub use dual::Dual;
+pub use incremental::{Incremental, InnerCost};
+pub(crate) use incremental::{columns, solve_identity_plus};
+pub use model_error::Forcing;
 pub use strong::StrongConstraint;
+pub use weak_forcing::WeakForcing;
+pub use weak_state::WeakState;
 
 use crate::Error;
 

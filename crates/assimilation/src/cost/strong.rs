@@ -1,6 +1,7 @@
 //! Strong-constraint 4D-Var; with a window of zero steps, 3D-Var.
 
-use super::{CostFunction, CostTerms, Counts, GaussNewton, dot};
+use super::model_error::{Errors, Over};
+use super::{CostFunction, CostTerms, Counts, GaussNewton, Incremental, dot};
 use crate::{ControlTransform, Error, ObservationSet};
 use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
@@ -20,39 +21,45 @@ use varda_implicit::Model;
 /// Cost: memory two trajectories, (last + 1) × n each, beside what the model keeps of its linearizations. Not for windows too long for
 /// that, nor for a model in error (weak constraint).
 pub struct StrongConstraint<'a> {
-    model: Option<&'a mut (dyn Model + 'a)>,
-    transform: ControlTransform<'a>,
-    observations: &'a mut ObservationSet,
-    scale: f64,
+    pub(super) model: Option<&'a mut (dyn Model + 'a)>,
+    pub(super) transform: ControlTransform<'a>,
+    pub(super) observations: &'a mut ObservationSet,
+    /// With model error: the engine of the weak-constraint costs.
+    pub(super) errors: Option<Errors<'a>>,
+    pub(super) scale: f64,
     /// The last step that is run to.
-    last: usize,
+    pub(super) last: usize,
     /// Length of the state.
-    state_dim: usize,
+    pub(super) state_dim: usize,
     /// The point of the last gradient.
-    base: Point,
+    pub(super) base: Point,
     /// Whether the model holds the linearizations at `base`.
     linearized: bool,
     /// The last point evaluated without one.
-    trial: Point,
+    pub(super) trial: Point,
     terms: CostTerms,
-    counts: Counts,
+    pub(super) counts: Counts,
     model_before: varda_implicit::Counts,
-    lambda: Vec<f64>,
-    dz: Vec<f64>,
-    dy: Vec<f64>,
+    pub(super) lambda: Vec<f64>,
+    pub(super) dz: Vec<f64>,
+    pub(super) dy: Vec<f64>,
     unit: Vec<f64>,
     /// G, m × n by columns; allocated by the first dense Hessian.
     jacobian: Vec<f64>,
 }
 
 /// A forward run: everything that follows from v without derivatives.
-struct Point {
+pub(super) struct Point {
     valid: bool,
     /// Whether the model's `initial_state` was last called here.
-    initial: bool,
+    pub(super) initial: bool,
     v: Vec<f64>,
     z: Vec<f64>,
-    states: Vec<f64>,
+    /// b, the whitened departures from what is known before: v itself, unless v is states.
+    prior: Vec<f64>,
+    pub(super) states: Vec<f64>,
+    /// M_k(x_k) of the steps after which the model's error enters.
+    landings: Vec<f64>,
     predicted: Vec<f64>,
 }
 
@@ -74,7 +81,7 @@ impl<'a> StrongConstraint<'a> {
             });
         }
         let state_dim = model.dim();
-        Ok(Self::with(Some(model), state_dim, transform, observations))
+        Ok(Self::with(Some(model), state_dim, transform, observations, None))
     }
 
     /// 3D-Var: no model, the control is the state.
@@ -89,7 +96,19 @@ impl<'a> StrongConstraint<'a> {
             return Err(Error::Length { what: "a window without a model", expected: 0, found: step });
         }
         let state_dim = transform.control_dim();
-        Ok(Self::with(None, state_dim, transform, observations))
+        Ok(Self::with(None, state_dim, transform, observations, None))
+    }
+
+    /// The cost with errors of the model.
+    pub(super) fn weak(
+        model: &'a mut (dyn Model + 'a),
+        transform: ControlTransform<'a>,
+        observations: &'a mut ObservationSet,
+        errors: Errors<'a>,
+    ) -> Result<Self, Error> {
+        let Self { model, transform, observations, state_dim, .. } =
+            Self::new(model, transform, observations)?;
+        Ok(Self::with(model, state_dim, transform, observations, Some(errors)))
     }
 
     fn with(
@@ -97,15 +116,20 @@ impl<'a> StrongConstraint<'a> {
         state_dim: usize,
         transform: ControlTransform<'a>,
         observations: &'a mut ObservationSet,
+        errors: Option<Errors<'a>>,
     ) -> Self {
-        let (n, n_z, m) = (transform.dim(), transform.control_dim(), observations.dim());
+        let (n_z, m) = (transform.control_dim(), observations.dim());
+        let n = transform.dim() + errors.as_ref().map_or(0, Errors::dim);
+        let landings = errors.as_ref().map_or(0, Errors::slots) * state_dim;
         let last = observations.last_step().unwrap_or(0);
         let point = || Point {
             valid: false,
             initial: false,
             v: vec![0.0; n],
             z: vec![0.0; n_z],
+            prior: vec![0.0; n],
             states: vec![0.0; (last + 1) * state_dim],
+            landings: vec![0.0; landings],
             predicted: vec![0.0; m],
         };
         Self {
@@ -126,6 +150,7 @@ impl<'a> StrongConstraint<'a> {
             jacobian: Vec::new(),
             transform,
             observations,
+            errors,
         }
     }
 
@@ -167,9 +192,22 @@ impl<'a> StrongConstraint<'a> {
         }
         self.counts.forward_runs += 1;
         let n = self.state_dim;
-        let Point { v: kept, z, states, predicted, .. } = &mut self.trial;
+        let Point { v: kept, z, prior, states, landings, predicted, .. } = &mut self.trial;
         kept.copy_from_slice(v);
-        self.transform.control(v, z);
+        let head = self.transform.dim();
+        match self.errors.as_ref().map(|e| e.over) {
+            Some(Over::States { b, .. }) => {
+                z.copy_from_slice(&v[..head]);
+                for ((dz, z), background) in self.dz.iter_mut().zip(&*z).zip(self.transform.background()) {
+                    *dz = z - background;
+                }
+                b.whiten(&self.dz, &mut prior[..head]);
+            }
+            _ => {
+                self.transform.control(&v[..head], z);
+                prior.copy_from_slice(v);
+            }
+        }
         match &mut self.model {
             Some(model) => model.initial_state(z, &mut states[..n])?,
             None => states.copy_from_slice(z),
@@ -180,6 +218,9 @@ impl<'a> StrongConstraint<'a> {
             for k in 0..self.last {
                 let (x, x_next) = states[k * n..(k + 2) * n].split_at_mut(n);
                 model.step(k, x, x_next)?;
+                if let Some(errors) = &mut self.errors {
+                    errors.enter(k, &v[head..], x_next, landings, &mut prior[head..]);
+                }
                 self.observations.observe_add(k + 1, x_next, predicted)?;
             }
         }
@@ -194,7 +235,11 @@ impl<'a> StrongConstraint<'a> {
         let n = self.state_dim;
         if let Some(model) = &mut self.model {
             for k in 0..self.last {
-                let (x, x_next) = self.base.states[k * n..(k + 2) * n].split_at(n);
+                // The pair the model stepped between: its error enters after.
+                let (x, mut x_next) = self.base.states[k * n..(k + 2) * n].split_at(n);
+                if let Some(slot) = self.errors.as_ref().and_then(|e| e.slot(k)) {
+                    x_next = &self.base.landings[slot * n..(slot + 1) * n];
+                }
                 model.linearize(k, x, x_next)?;
             }
         }
@@ -203,7 +248,7 @@ impl<'a> StrongConstraint<'a> {
     }
 
     /// Brings the model's map from control to initial state back to the base point after a trial run.
-    fn return_to_base(&mut self) -> Result<(), Error> {
+    pub(super) fn return_to_base(&mut self) -> Result<(), Error> {
         assert!(self.linearized, "evaluate a gradient first");
         if !self.base.initial {
             if let Some(model) = &mut self.model {
@@ -219,11 +264,16 @@ impl<'a> StrongConstraint<'a> {
     fn adjoint_sweep(&mut self, out: &mut [f64]) {
         self.counts.adjoint_sweeps += 1;
         let n = self.state_dim;
+        let (out, forcing) = out.split_at_mut(self.transform.dim());
         self.lambda.fill(0.0);
+        forcing.fill(0.0);
         for k in (0..=self.last).rev() {
             if k < self.last
                 && let Some(model) = &mut self.model
             {
+                if let Some(errors) = &mut self.errors {
+                    errors.adjoint_add(k, &self.lambda, forcing);
+                }
                 model.adjoint(k, &mut self.lambda);
             }
             let x = &self.base.states[k * n..(k + 1) * n];
@@ -240,6 +290,7 @@ impl<'a> StrongConstraint<'a> {
     fn tangent_sweep(&mut self, dv: &[f64], dy: &mut [f64]) {
         self.counts.tangent_sweeps += 1;
         let n = self.state_dim;
+        let (dv, forcing) = dv.split_at(self.transform.dim());
         self.transform.tangent(dv, &mut self.dz);
         match &mut self.model {
             Some(model) => model.initial_tangent(&self.dz, &mut self.lambda),
@@ -253,6 +304,9 @@ impl<'a> StrongConstraint<'a> {
                 && let Some(model) = &mut self.model
             {
                 model.tangent(k, &mut self.lambda);
+                if let Some(errors) = &mut self.errors {
+                    errors.tangent_add(k, forcing, &mut self.lambda);
+                }
             }
         }
         for (dy, sigma) in dy.iter_mut().zip(self.observations.sigma()) {
@@ -263,7 +317,7 @@ impl<'a> StrongConstraint<'a> {
 
 impl CostFunction for StrongConstraint<'_> {
     fn dim(&self) -> usize {
-        self.transform.dim()
+        self.base.v.len()
     }
 
     fn evaluate(&mut self, v: &[f64], gradient: Option<&mut [f64]>) -> Result<f64, Error> {
@@ -280,7 +334,12 @@ impl CostFunction for StrongConstraint<'_> {
             let d = self.observations.values()[i] - point.predicted[i];
             sum += (d / sigma) * (d / sigma);
         }
-        let terms = CostTerms { background: 0.5 * dot(v, v), observation: 0.5 * sum, model_error: 0.0 };
+        let (background, errors) = point.prior.split_at(self.transform.dim());
+        let terms = CostTerms {
+            background: 0.5 * dot(background, background),
+            observation: 0.5 * sum,
+            model_error: errors.iter().fold(0.0, |sum, e| sum + 0.5 * e * e),
+        };
         if !terms.total().is_finite() {
             return Err(Error::NonFinite { what: "the cost", step: self.last });
         }
@@ -305,8 +364,8 @@ impl CostFunction for StrongConstraint<'_> {
             } else {
                 self.adjoint_sweep(gradient);
             }
-            for (g, v) in gradient.iter_mut().zip(v) {
-                *g += v;
+            for (g, b) in gradient.iter_mut().zip(&self.base.prior) {
+                *g += b;
             }
             if !gradient.iter().all(|g| g.is_finite()) {
                 return Err(Error::NonFinite { what: "the gradient", step: 0 });
@@ -396,6 +455,37 @@ impl GaussNewton for StrongConstraint<'_> {
             }
         }
         Ok(())
+    }
+}
+
+impl Incremental for StrongConstraint<'_> {
+    fn linearize(&mut self, v: &[f64], gradient: &mut [f64]) -> Result<f64, Error> {
+        self.evaluate(v, Some(gradient))
+    }
+
+    fn departure_dim(&self) -> usize {
+        self.observations.dim()
+    }
+
+    fn background_dim(&self) -> usize {
+        self.transform.dim()
+    }
+
+    fn departures(&self, b: &mut [f64], d: &mut [f64]) {
+        assert!(self.linearized, "evaluate a gradient first");
+        b.copy_from_slice(&self.base.prior);
+        self.observations.innovations(&self.base.predicted, d);
+        for (d, sigma) in d.iter_mut().zip(self.observations.sigma()) {
+            *d /= self.scale * sigma;
+        }
+    }
+
+    fn tangent(&mut self, p: &[f64], dy: &mut [f64]) -> Result<(), Error> {
+        self.observation_jacobian(p, dy)
+    }
+
+    fn adjoint(&mut self, dy: &[f64], p: &mut [f64]) -> Result<(), Error> {
+        self.observation_jacobian_transpose(dy, p)
     }
 }
 

@@ -35,7 +35,7 @@ pub(crate) fn curved_problem() -> (Rk4<Lorenz96>, Vec<f64>, ObservationSet) {
 }
 
 /// The remainder |J(v + h p) − J(v) − h ∇J·p| falls like h²: the slope of its logarithm, fitted.
-fn taylor_slope(cost: &mut dyn CostFunction, v: &[f64], gradient: &[f64]) -> f64 {
+pub(crate) fn taylor_slope(cost: &mut dyn CostFunction, v: &[f64], gradient: &[f64]) -> f64 {
     let p = normals(77, v.len());
     let value = cost.evaluate(v, None).unwrap();
     let points: Vec<(f64, f64)> = (0..6)
@@ -52,7 +52,7 @@ fn taylor_slope(cost: &mut dyn CostFunction, v: &[f64], gradient: &[f64]) -> f64
 }
 
 /// Central differences of J, extrapolated once: an error of order h⁴, 1e-9 or so.
-fn difference_gradient(cost: &mut dyn CostFunction, v: &[f64]) -> Vec<f64> {
+pub(crate) fn difference_gradient(cost: &mut dyn CostFunction, v: &[f64]) -> Vec<f64> {
     (0..v.len())
         .map(|i| {
             let mut central = |h: f64| {
@@ -67,7 +67,7 @@ fn difference_gradient(cost: &mut dyn CostFunction, v: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-fn relative(a: &[f64], b: &[f64]) -> f64 {
+pub(crate) fn relative(a: &[f64], b: &[f64]) -> f64 {
     norm(&a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<_>>()) / norm(b)
 }
 

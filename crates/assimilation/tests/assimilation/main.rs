@@ -1,7 +1,10 @@
 //! Tests of the crate through its public face.
 
 mod cost;
+mod family;
 mod fixtures;
+mod matrix;
 mod minima;
 mod models;
 mod observations;
+mod weak;

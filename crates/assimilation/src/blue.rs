@@ -1,0 +1,143 @@
+//! The closed form of linear problems: the best linear unbiased estimate.
+
+use crate::cost::{columns, dot, solve_identity_plus};
+use crate::{ControlTransform, Error, Incremental};
+use faer::MatRef;
+
+/// In which space the gain is computed; both forms are equal (paper 2.2).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Gain {
+    /// K = B Hᵀ (H B Hᵀ + R)⁻¹: a system of m equations, m adjoint sweeps.
+    Observation,
+    /// K = (B⁻¹ + Hᵀ R⁻¹ H)⁻¹ Hᵀ R⁻¹: a system of n equations, n tangent sweeps.
+    Information,
+}
+
+/// The best linear unbiased estimate in closed form (paper 2.2; the Kalman update), for a window too:
+///
+/// ```text
+///     v_a = K (d + G b),    K = Gᵀ (G Gᵀ + I)⁻¹ = (I + GᵀG)⁻¹ Gᵀ,    P_v = I − K G = (I + GᵀG)⁻¹
+///     z_a = z_b + U v_a,    P_z = U P_v Uᵀ
+/// ```
+///
+/// (b = 0 where the problem is linearized at the background)
+/// with G = R^{-1/2} H M U, U = B^{1/2}: whitened, so that no inverse of B appears and a singular B is no special case, and H M
+/// includes the tangent of the model, so that observations may lie anywhere in a window.
+///
+/// When to use it: as a reference, and for small linear problems. Where model or observations are not linear it is the estimate
+/// linearized there (one full step of Gauss–Newton from the point given). Dense: memory 2 n m + n² (+ m² with the gain in
+/// observation space), time the sweeps of the gain, a Cholesky factorization and n m min(n, m).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Blue {
+    /// v_a, the whitened estimate: B^{-1/2}(z_a − z_b), and with model error Q^{-1/2} η after it.
+    pub control_variable: Vec<f64>,
+    /// K in the control variable and whitened observations, n × m by columns.
+    pub gain: Vec<f64>,
+    /// P_v, n × n by columns.
+    pub covariance: Vec<f64>,
+    /// The minimum of the linearized cost, ½ (d + G b)ᵀ(G Gᵀ + I)⁻¹(d + G b).
+    pub value: f64,
+}
+
+impl Blue {
+    /// Linearized at `v` (where the problem is linear, any will do; the background is the usual one).
+    ///
+    /// # Errors
+    /// A cost that cannot be evaluated there; [`Error::NotPositiveDefinite`] where G is too large for I + GᵀG to be factorized
+    /// in double precision, or is not finite (σ tiny against the spread of the background).
+    ///
+    /// # Panics
+    /// If `v` is not of length `dim`.
+    pub fn new(problem: &mut dyn Incremental, v: &[f64], gain: Gain) -> Result<Self, Error> {
+        let (n, m) = (problem.dim(), problem.departure_dim());
+        let (mut b, mut d, mut gradient) = (vec![0.0; n], vec![0.0; m], vec![0.0; n]);
+        problem.linearize(v, &mut gradient)?;
+        problem.departures(&mut b, &mut d);
+        // G, m × n by columns, and K, n × m by columns.
+        let (g, k) = match gain {
+            Gain::Information => {
+                let mut g = vec![0.0; m * n];
+                columns(n, &mut g, &mut |unit, column| problem.tangent(unit, column))?;
+                let mut k = transpose(m, &g);
+                solve_identity_plus(MatRef::from_column_major_slice(&g, m, n), &mut k, m)?;
+                (g, k)
+            }
+            Gain::Observation => {
+                let mut gt = vec![0.0; n * m];
+                columns(m, &mut gt, &mut |unit, column| problem.adjoint(unit, column))?;
+                let g = transpose(n, &gt);
+                // Kᵀ = (G Gᵀ + I)⁻¹ G.
+                let mut kt = g.clone();
+                solve_identity_plus(MatRef::from_column_major_slice(&gt, n, m), &mut kt, n)?;
+                (g, transpose(m, &kt))
+            }
+        };
+        for (column, b) in columns_of(&g, m).zip(&b) {
+            d.iter_mut().zip(column).for_each(|(d, g)| *d += g * b);
+        }
+        let mut control_variable = vec![0.0; n];
+        for (column, d) in k.chunks_exact(n.max(1)).zip(&d) {
+            control_variable.iter_mut().zip(column).for_each(|(v, k)| *v += k * d);
+        }
+        let mut covariance = vec![0.0; n * n];
+        match gain {
+            Gain::Information => {
+                (0..n).for_each(|i| covariance[i + i * n] = 1.0);
+                solve_identity_plus(MatRef::from_column_major_slice(&g, m, n), &mut covariance, n)?;
+            }
+            Gain::Observation => {
+                for (j, (column, g)) in covariance.chunks_exact_mut(n).zip(columns_of(&g, m)).enumerate() {
+                    column[j] = 1.0;
+                    for (k, g) in k.chunks_exact(n).zip(g) {
+                        column.iter_mut().zip(k).for_each(|(c, k)| *c -= k * g);
+                    }
+                }
+            }
+        }
+        // (G Gᵀ + I)⁻¹ d = d − G K d.
+        let mut rest = d.clone();
+        for (column, v) in columns_of(&g, m).zip(&control_variable) {
+            rest.iter_mut().zip(column).for_each(|(r, g)| *r -= g * v);
+        }
+        Ok(Self { value: 0.5 * dot(&d, &rest), control_variable, gain: k, covariance })
+    }
+
+    /// z_a = z_b + U v_a.
+    ///
+    /// # Panics
+    /// If v is shorter than the transform's.
+    pub fn analysis(&self, transform: &ControlTransform) -> Vec<f64> {
+        let mut z = vec![0.0; transform.control_dim()];
+        transform.control(&self.control_variable[..transform.dim()], &mut z);
+        z
+    }
+
+    /// P_z = U P_v Uᵀ, by columns. Of a cost with model error, that of the initial control.
+    ///
+    /// # Panics
+    /// If v is shorter than the transform's.
+    pub fn control_covariance(&self, transform: &ControlTransform) -> Vec<f64> {
+        let (n, r, n_z) = (self.control_variable.len(), transform.dim(), transform.control_dim());
+        // U P_v, n_z × r by columns, then its rows through U again.
+        let mut half = vec![0.0; n_z * r];
+        for (j, column) in half.chunks_exact_mut(n_z).enumerate() {
+            transform.tangent(&self.covariance[j * n..][..r], column);
+        }
+        let rows = transpose(n_z, &half);
+        let mut covariance = vec![0.0; n_z * n_z];
+        for (row, column) in rows.chunks_exact(r.max(1)).zip(covariance.chunks_exact_mut(n_z)) {
+            transform.tangent(row, column);
+        }
+        covariance
+    }
+}
+
+fn columns_of(matrix: &[f64], rows: usize) -> std::slice::ChunksExact<'_, f64> {
+    matrix.chunks_exact(rows.max(1))
+}
+
+/// The transpose of a matrix with `rows` rows, by columns both.
+fn transpose(rows: usize, matrix: &[f64]) -> Vec<f64> {
+    let columns = matrix.len() / rows.max(1);
+    (0..rows).flat_map(|i| (0..columns).map(move |j| matrix[i + j * rows])).collect()
+}

@@ -1,0 +1,151 @@
+//! Weak-constraint 4D-Var over the forcing of the model.
+
+use super::model_error::{Errors, Over};
+use super::{CostFunction, CostTerms, Counts, Forcing, GaussNewton, Incremental, StrongConstraint};
+use crate::{ControlTransform, Error, ObservationSet};
+use varda_covariance::Covariance;
+use varda_implicit::Model;
+
+/// Weak-constraint 4D-Var over initial state and model-error forcing (paper 4.1 with squares and x_{k+1} = M_k(x_k) + η; Trémolet 2006):
+///
+/// ```text
+///     J(v, p) = ½‖v‖² + ½ Σ_j ‖p_j‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹}
+///     x₀ = x₀(z_b + B^{1/2} v),    x_{k+1} = M_k(x_k) + E Q^{1/2} p_j,    ‖p_j‖² = ‖η_j‖²_{Q⁻¹}
+/// ```
+///
+/// The control is (v, p_1 … p_N); its gradient is one adjoint sweep, λ being read off as it passes: ∂J/∂p_j = p_j + Q^{1/2}ᵀ Eᵀ Σ λ_{k+1}.
+/// The Hessian is I + GᵀG, so that every minimizer works; neither B nor Q needs an inverse, and Q → 0 is the strong constraint, smoothly.
+/// N counts the sub-windows that end (or, with a held forcing, begin) before the last observation; later forcing could not be estimated.
+///
+/// When to use it: a model in error, above all with few forcings (long sub-windows, a Q of low rank). When not: long chaotic windows, where
+/// J as a function of x₀ has several minima that [`WeakState`](super::WeakState) avoids.
+///
+/// Cost: as [`StrongConstraint`], and memory for N more states; the control has N times the rank of Q more entries.
+pub struct WeakForcing<'a> {
+    window: StrongConstraint<'a>,
+}
+
+impl<'a> WeakForcing<'a> {
+    /// The cost of the window of `observations` with model errors of covariance `q`, entering as `forcing` says.
+    ///
+    /// # Errors
+    /// As for [`StrongConstraint::new`]; a Q of another size than the forced components, a component twice or one the state does
+    /// not have, a sub-window of no steps.
+    pub fn new(
+        model: &'a mut (dyn Model + 'a),
+        transform: ControlTransform<'a>,
+        q: &'a dyn Covariance,
+        forcing: Forcing,
+        observations: &'a mut ObservationSet,
+    ) -> Result<Self, Error> {
+        let last = observations.last_step().unwrap_or(0);
+        let errors = Errors::new(forcing, Over::Forcing { q }, model.dim(), last)?;
+        Ok(Self { window: StrongConstraint::weak(model, transform, observations, errors)? })
+    }
+
+    /// The control variable transform of the initial state: the first entries of the control.
+    pub fn transform(&self) -> &ControlTransform<'a> {
+        self.window.transform()
+    }
+
+    /// N, the number of forcings.
+    pub fn forcings(&self) -> usize {
+        self.window.errors.as_ref().map_or(0, Errors::count)
+    }
+
+    /// η_j = Q^{1/2} p_j of a control, on the forced components.
+    ///
+    /// # Panics
+    /// If there is no such forcing, or a slice has the wrong length.
+    pub fn forcing(&self, v: &[f64], j: usize, eta: &mut [f64]) {
+        assert!(v.len() == self.dim() && j < self.forcings(), "forcing {j}");
+        let Some(Errors { over: Over::Forcing { q }, .. }) = &self.window.errors else { unreachable!() };
+        q.root(&v[self.window.transform().dim() + j * q.root_dim()..][..q.root_dim()], eta);
+    }
+
+    /// State x_k of the point of the last gradient, k = 0 … the last observed step.
+    ///
+    /// # Panics
+    /// If no gradient has been evaluated, or that step was not run.
+    pub fn state(&self, k: usize) -> &[f64] {
+        self.window.state(k)
+    }
+
+    /// Predictions H(x) at the point of the last gradient, stacked.
+    ///
+    /// # Panics
+    /// If no gradient has been evaluated.
+    pub fn predicted(&self) -> &[f64] {
+        self.window.predicted()
+    }
+}
+
+impl CostFunction for WeakForcing<'_> {
+    fn dim(&self) -> usize {
+        self.window.dim()
+    }
+
+    fn evaluate(&mut self, v: &[f64], gradient: Option<&mut [f64]>) -> Result<f64, Error> {
+        self.window.evaluate(v, gradient)
+    }
+
+    fn terms(&self) -> CostTerms {
+        self.window.terms()
+    }
+
+    fn set_observation_scale(&mut self, scale: f64) {
+        self.window.set_observation_scale(scale);
+    }
+
+    fn counts(&self) -> Counts {
+        self.window.counts()
+    }
+}
+
+impl GaussNewton for WeakForcing<'_> {
+    fn observation_dim(&self) -> usize {
+        self.window.observation_dim()
+    }
+
+    fn observation_jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
+        self.window.observation_jacobian(dv, dy)
+    }
+
+    fn observation_jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
+        self.window.observation_jacobian_transpose(dy, dv)
+    }
+
+    fn hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error> {
+        self.window.hessian_apply(dv, out)
+    }
+
+    fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        self.window.hessian(out)
+    }
+}
+
+impl Incremental for WeakForcing<'_> {
+    fn linearize(&mut self, v: &[f64], gradient: &mut [f64]) -> Result<f64, Error> {
+        self.window.linearize(v, gradient)
+    }
+
+    fn departure_dim(&self) -> usize {
+        self.window.departure_dim()
+    }
+
+    fn background_dim(&self) -> usize {
+        self.window.background_dim()
+    }
+
+    fn departures(&self, b: &mut [f64], d: &mut [f64]) {
+        self.window.departures(b, d);
+    }
+
+    fn tangent(&mut self, p: &[f64], dy: &mut [f64]) -> Result<(), Error> {
+        self.window.tangent(p, dy)
+    }
+
+    fn adjoint(&mut self, dy: &[f64], p: &mut [f64]) -> Result<(), Error> {
+        self.window.adjoint(dy, p)
+    }
+}

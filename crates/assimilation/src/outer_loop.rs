@@ -1,0 +1,262 @@
+//! The outer loop of incremental methods: linearize, minimize the quadratic, move, repeat.
+
+use crate::cost::norm;
+use crate::inner::{InnerLimits, conjugate_gradients, restricted_conjugate_gradients};
+use crate::{Error, Incremental, Iteration, Minimum, Status};
+use std::ops::ControlFlow;
+
+/// How the inner problem is solved.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum InnerSolver {
+    /// Conjugate gradients in the control space: incremental 3D-Var and 4D-Var.
+    #[default]
+    Primal,
+    /// Restricted conjugate gradients in observation space: PSAS and 4D-PSAS. The same iterates.
+    Dual,
+    /// A direct solve, for small problems: dense Cholesky, block-tridiagonal for a cost over states.
+    Direct,
+}
+
+/// Settings of [`outer_loop`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct OuterLoopOptions {
+    /// Converged when the true gradient has fallen to this part of the first.
+    pub gradient_tolerance: f64,
+    /// Outer iterations at most.
+    pub max_iterations: usize,
+    /// How the inner problem is solved.
+    pub inner: InnerSolver,
+    /// Inner iterations of one outer iteration at most.
+    pub max_inner: usize,
+    /// How far an inner problem is solved at least, relative to its gradient; the forcing term √(‖∇J‖/‖∇J₀‖) asks for more as the
+    /// outer loop converges. On a linear problem 1e-12 makes the first outer iteration the last.
+    pub inner_tolerance: f64,
+    /// Halve steps until J falls by 10⁻⁴ of what the slope promises. Without it every step is full, as in operations.
+    pub step_control: bool,
+}
+
+impl Default for OuterLoopOptions {
+    fn default() -> Self {
+        Self {
+            gradient_tolerance: 1e-8,
+            max_iterations: 100,
+            inner: InnerSolver::Primal,
+            max_inner: 200,
+            inner_tolerance: 0.5,
+            step_control: true,
+        }
+    }
+}
+
+/// A predicted decrease below this part of J cannot be seen in J; steps are then judged by the gradient.
+const NOISE: f64 = 1e-11;
+
+/// Incremental minimization (paper 2.2, 2.5; Courtier, Thépaut and Hollingsworth 1994; Gauss–Newton, Lawless et al. 2005):
+///
+/// ```text
+///     repeat:  x = trajectory of v,  d = y − H(x),  G around x
+///              p ≈ argmin ½‖b + p‖² + ½‖G p − d‖²       (inner loop, to a forcing tolerance)
+///              v ← v + α increment(p)                   (α = 1, ½, ¼, … with step control)
+/// until the gradient of the true J is small
+/// ```
+///
+/// The background term stays about x_b: b = v, not zero, at every outer iterate but the first. With a [`StrongConstraint`](crate::StrongConstraint)
+/// this is incremental 4D-Var, without a model incremental 3D-Var; with [`InnerSolver::Dual`] 4D-PSAS and PSAS; with a
+/// [`WeakState`](crate::WeakState) or a [`WeakForcing`](crate::WeakForcing) weak-constraint 4D-Var.
+///
+/// When to use it: inner iterations much cheaper than model runs, mildly nonlinear problems. Convergence is linear, at the rate by which
+/// the dropped second derivatives are smaller than A; with step control J never rises and the loop ends at a stationary point or says
+/// that it did not. Without it, it may cycle or diverge (`MaxIterations`, or `Failed` where the model refuses). When not: large
+/// residuals, where [`trust_region`](crate::trust_region) is faster.
+///
+/// Cost of an outer iteration: one forward run and adjoint sweep, a forward run for each refused step, and a tangent and an adjoint sweep for
+/// each inner iteration. `gradient_norm` and `step_norm` reported are those of p, the norm of the prior; `observation_scale` is
+/// reported as 1, whatever was set.
+///
+/// PSAS, where the square of a state of 50 is seen at two points:
+///
+/// ```
+/// use std::ops::ControlFlow;
+/// use varda_assimilation::*;
+/// use varda_covariance::{CovarianceFunction, Dense, Kernel, Taper};
+/// # struct Square;
+/// # impl ObservationOperator for Square {
+/// #     fn dim(&self) -> usize { 50 }
+/// #     fn observe(&mut self, _: usize, x: &[f64], y: &mut [f64]) -> Result<(), varda_implicit::Refusal> {
+/// #         y.iter_mut().zip(x).for_each(|(y, x)| *y = x * x);
+/// #         Ok(())
+/// #     }
+/// #     fn tangent(&mut self, _: usize, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+/// #         (0..50).for_each(|i| dy[i] = 2.0 * x[i] * dx[i]);
+/// #     }
+/// #     fn adjoint_add(&mut self, _: usize, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+/// #         (0..50).for_each(|i| dx[i] += 2.0 * x[i] * dy[i]);
+/// #     }
+/// # }
+///
+/// let places: Vec<f64> = (0..50).map(|i| 0.02 * i as f64).collect();
+/// let kernel = Kernel::Gaussian { length: 0.2 };
+/// let b = CovarianceFunction { sigma: 0.3, kernel, taper: Taper::Triangle { support: 1.0 } };
+/// let b = Dense::new(50, &b.matrix(&places)?)?;
+/// let transform = ControlTransform::new(vec![1.0; 50], &b)?;
+/// let seen = Observation {
+///     operator: 0,
+///     rows: vec![10, 30],
+///     step: 0,
+///     weight: 0.0,
+///     values: vec![1.44, 0.81],
+///     sigma: vec![0.01; 2],
+///     label: String::new(),
+/// };
+/// let mut observations = ObservationSet::new(0, vec![Box::new(Square)], vec![seen])?;
+/// let mut cost = StrongConstraint::without_model(transform, &mut observations)?;
+/// let options = OuterLoopOptions { inner: InnerSolver::Dual, ..Default::default() };
+/// let mut v = vec![0.0; 50];
+/// let minimum = outer_loop(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(()))?;
+/// assert_eq!(minimum.status, Status::Converged);
+/// assert!((cost.state(0)[10] - 1.2).abs() < 0.01 && (cost.state(0)[30] - 0.9).abs() < 0.01);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// A cost that cannot be evaluated at the first point, a setting out of range, or products that fail. Everything that happens once under
+/// way is a [`Status`].
+///
+/// # Panics
+/// If `v` is not of length `problem.dim()`.
+pub fn outer_loop(
+    problem: &mut dyn Incremental,
+    v: &mut [f64],
+    options: &OuterLoopOptions,
+    on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+) -> Result<Minimum, Error> {
+    for (what, value) in
+        [("gradient_tolerance", options.gradient_tolerance), ("inner_tolerance", options.inner_tolerance)]
+    {
+        if !(0.0..1.0).contains(&value) {
+            return Err(Error::Setting { what, value });
+        }
+    }
+    if options.max_inner == 0 {
+        return Err(Error::Setting { what: "max_inner", value: 0.0 });
+    }
+    let n = problem.dim();
+    let [mut g, mut g_trial, mut p, mut dv, mut trial, mut b] = std::array::from_fn(|_| vec![0.0; n]);
+    let mut d = vec![0.0; problem.departure_dim()];
+    let mut value = problem.linearize(v, &mut g)?;
+    let mut now = Minimum {
+        value,
+        terms: problem.terms(),
+        gradient_norm_first: norm(&g),
+        gradient_norm: norm(&g),
+        outer_iterations: 0,
+        inner_iterations: 0,
+        status: Status::Converged,
+        failure: None,
+        ritz: Vec::new(),
+    };
+    let (mut step_norm, mut rejected, mut inner) = (0.0, 0, 0);
+    loop {
+        let flow = on_iteration(&report(problem, &now, step_norm, rejected, inner, v));
+        problem.departures(&mut b, &mut d);
+        let pull = b.iter().zip(&g).map(|(b, g)| (g - b) * (g - b)).sum::<f64>().sqrt();
+        let rounding = 64.0 * f64::EPSILON * (norm(&b) + pull);
+        let ended = if now.gradient_norm <= options.gradient_tolerance * now.gradient_norm_first
+            || now.gradient_norm <= rounding
+        {
+            Some(Status::Converged)
+        } else if flow.is_break() {
+            Some(Status::Interrupted)
+        } else if now.outer_iterations >= options.max_iterations {
+            Some(Status::MaxIterations)
+        } else {
+            None
+        };
+        if let Some(status) = ended {
+            return Ok(Minimum { status, failure: None, ..now });
+        }
+
+        let forcing = (now.gradient_norm / now.gradient_norm_first).sqrt();
+        let limits =
+            InnerLimits { residual: options.inner_tolerance.min(forcing), iterations: options.max_inner };
+        inner = match options.inner {
+            InnerSolver::Primal => conjugate_gradients(problem, &g, &limits, &mut p)?.iterations,
+            InnerSolver::Dual => restricted_conjugate_gradients(problem, &limits, &mut p)?.iterations,
+            InnerSolver::Direct => {
+                problem.direct(&g, &mut p)?;
+                0
+            }
+        };
+        now.inner_iterations += inner;
+        problem.increment(&p, &mut dv)?;
+        let slope = crate::cost::dot(&g, &p);
+
+        let (mut length, mut blind) = (1.0, 0);
+        rejected = 0;
+        let accepted = loop {
+            trial.iter_mut().zip(v.iter().zip(&dv)).for_each(|(t, (v, dv))| *t = v + length * dv);
+            let by_gradient = -length * slope <= NOISE * value;
+            let falls = match problem.evaluate(&trial, None) {
+                Ok(at) => !options.step_control || by_gradient || at <= value + 1e-4 * length * slope,
+                Err(error) => {
+                    now.failure = Some(error);
+                    false
+                }
+            };
+            if falls {
+                match problem.linearize(&trial, &mut g_trial) {
+                    Ok(at) if !options.step_control || !by_gradient || norm(&g_trial) < now.gradient_norm => {
+                        value = at;
+                        break true;
+                    }
+                    Ok(_) => {}
+                    Err(error) => now.failure = Some(error),
+                }
+            }
+            rejected += 1;
+            blind += usize::from(by_gradient);
+            length *= 0.5;
+            // 2⁻⁴⁰: a descent direction that needs less than 1e-12 of its step is none. Where J resolves nothing, a gradient that does
+            // not fall over 2⁻⁸ of the step is at the accuracy of the model.
+            if !options.step_control || blind > 8 || rejected > 40 {
+                break false;
+            }
+        };
+        if !accepted {
+            // The products of the point that is returned.
+            problem.linearize(v, &mut g)?;
+            let status = if options.step_control { Status::Stalled } else { Status::Failed };
+            return Ok(Minimum { status, ..now });
+        }
+        v.copy_from_slice(&trial);
+        g.copy_from_slice(&g_trial);
+        step_norm = length * norm(&p);
+        now.outer_iterations += 1;
+        now.value = value;
+        now.terms = problem.terms();
+        now.gradient_norm = norm(&g);
+    }
+}
+
+fn report<'a>(
+    problem: &dyn Incremental,
+    now: &Minimum,
+    step_norm: f64,
+    rejected: usize,
+    inner_iterations: usize,
+    v: &'a [f64],
+) -> Iteration<'a> {
+    Iteration {
+        index: now.outer_iterations,
+        value: now.value,
+        terms: now.terms,
+        gradient_norm: now.gradient_norm,
+        step_norm,
+        damping: 0.0,
+        rejected,
+        inner_iterations,
+        observation_scale: 1.0,
+        counts: problem.counts(),
+        v,
+    }
+}
