@@ -28,7 +28,7 @@ pub struct Plan {
     pub window: Window,
     /// Steps before it.
     pub spin_up: usize,
-    /// Estimate of the memory the assimilation needs [bytes].
+    /// Estimate of the memory the assimilation needs \[bytes\].
     pub bytes: usize,
     /// What is left out.
     pub left_out: Vec<String>,

@@ -13,17 +13,21 @@ use std::time::Instant;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::Error;
 use crate::check::Plan;
 use crate::output::Output;
 use crate::problem::Problem;
 use crate::report;
 use crate::run::{self, Listener, Status, assimilate};
 use crate::scene::{SHIPPED, STARTER, Scene, SceneFile};
-use crate::Error;
 use progress::Progress;
 
 #[derive(Parser)]
-#[command(name = "varda", version, about = "Estimates the state of a dynamical system from noisy, sparse observations")]
+#[command(
+    name = "varda",
+    version,
+    about = "Estimates the state of a dynamical system from noisy, sparse observations"
+)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -115,7 +119,12 @@ pub fn main() -> ExitCode {
 /// 130 is what a shell reports for a program ended by Ctrl-C.
 const INTERRUPTED: u8 = 130;
 
-fn run_scene(arguments: &SceneArguments, out: Option<&Path>, quiet: bool, started: Instant) -> Result<ExitCode, Error> {
+fn run_scene(
+    arguments: &SceneArguments,
+    out: Option<&Path>,
+    quiet: bool,
+    started: Instant,
+) -> Result<ExitCode, Error> {
     let file = arguments.open()?;
     let folder = out.map_or_else(|| Path::new("out").join(&file.name), Path::to_path_buf);
     // Refuse an occupied folder before the work, not after it.
@@ -150,14 +159,20 @@ fn run_scene(arguments: &SceneArguments, out: Option<&Path>, quiet: bool, starte
     })
 }
 
-fn simulate(arguments: &SceneArguments, out: Option<&Path>, quiet: bool, started: Instant) -> Result<ExitCode, Error> {
+fn simulate(
+    arguments: &SceneArguments,
+    out: Option<&Path>,
+    quiet: bool,
+    started: Instant,
+) -> Result<ExitCode, Error> {
     let file = arguments.open()?;
     let default = || Path::new("out").join(format!("{}-simulation", file.name));
     let folder = out.map_or_else(default, Path::to_path_buf);
     drop(Output::begin(&folder)?);
     let mut problem = Problem::from_scene(&file)?;
     let simulation = run::simulate(&mut problem)?;
-    let folder = report::write_simulation(&mut problem, &simulation, started.elapsed().as_secs_f64(), &folder)?;
+    let folder =
+        report::write_simulation(&mut problem, &simulation, started.elapsed().as_secs_f64(), &folder)?;
     if !quiet {
         print!("{}", table::simulation(&problem, &simulation, &folder, started.elapsed().as_secs_f64()));
     }
@@ -181,7 +196,8 @@ fn new(name: &str) -> Result<ExitCode, Error> {
 fn list() {
     let width = SHIPPED.iter().map(|s| s.name.len()).max().unwrap_or(0);
     for shipped in SHIPPED {
-        let title = shipped.text.lines().find_map(|l| l.strip_prefix("title = ")).unwrap_or("").trim_matches('"');
+        let title =
+            shipped.text.lines().find_map(|l| l.strip_prefix("title = ")).unwrap_or("").trim_matches('"');
         println!("{:width$}  {title}", shipped.name);
     }
     println!("\nhanging-rod is short for hanging-rod-case1.");

@@ -17,7 +17,7 @@ pub fn diagonal(file: &SceneFile, n: usize, sigma: f64) -> Result<Box<dyn Covari
     Ok(Box::new(Diagonal::uniform(n, sigma).map_err(|e| file.invalid(PATH, e.to_string()))?))
 }
 
-/// The arc lengths a rod's B is about [m].
+/// The arc lengths a rod's B is about \[m\].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Places {
     /// Of the free vertices.
@@ -26,7 +26,7 @@ pub struct Places {
     pub known: Vec<f64>,
 }
 
-/// B of [X₀, V₀]: one block for the positions (σ_x [m]) and one for the velocities (σ_v [m/s]), each shared by x, y and z.
+/// B of [X₀, V₀]: one block for the positions (σ_x \[m\]) and one for the velocities (σ_v [m/s]), each shared by x, y and z.
 ///
 /// # Errors
 /// [`Error::Scene`] where B has no root of the kind asked for.
@@ -45,9 +45,16 @@ pub fn localized(
     };
     let n = places.free.len();
     blocks(file, k, places, sigma_x, sigma_v, taper, |matrix| match k.root {
-        Root::Cholesky => Dense::new(n, matrix).map(|root| Box::new(root) as Box<dyn Covariance>).map_err(|e| {
-            file.invalid(PATH, format!("{e}: B has no Cholesky root; take root = \"truncated\", a taper, or a rougher kernel"))
-        }),
+        Root::Cholesky => {
+            Dense::new(n, matrix).map(|root| Box::new(root) as Box<dyn Covariance>).map_err(|e| {
+                file.invalid(
+                    PATH,
+                    format!(
+                        "{e}: B has no Cholesky root; take root = \"truncated\", a taper, or a rougher kernel"
+                    ),
+                )
+            })
+        }
         Root::Truncated => Truncated::eigen(n, matrix, k.truncation)
             .map(|root| Box::new(root) as Box<dyn Covariance>)
             .map_err(|e| file.invalid(PATH, e.to_string())),

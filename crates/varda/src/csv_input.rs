@@ -9,20 +9,20 @@ use crate::Error;
 pub struct Row {
     /// Line of the file, from 1.
     pub line: usize,
-    /// Time [s].
+    /// Time \[s\].
     pub time: f64,
     /// What was seen.
     pub subject: Subject,
-    /// Its coordinates [m]; `None` was not observed.
+    /// Its coordinates \[m\]; `None` was not observed.
     pub position: [Option<f64>; 3],
-    /// Standard deviation of a coordinate [m], where the file says so.
+    /// Standard deviation of a coordinate \[m\], where the file says so.
     pub sigma: Option<f64>,
 }
 
 /// What a row is about.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Subject {
-    /// The point of the centreline at an arc length [m].
+    /// The point of the centreline at an arc length \[m\].
     ArcLength(f64),
     /// A named marker.
     Marker(String),
@@ -35,15 +35,22 @@ pub enum Subject {
 /// [`Error::Data`] naming file and line.
 pub fn observations(file: &str, text: &str) -> Result<Vec<Row>, Error> {
     let expected = "time_s,s_m,x_m,y_m,z_m or time_s,marker,x_m,y_m,z_m, optionally sigma_m";
-    let mut table = Table::open(file, text, &["time_s", "s_m", "marker", "x_m", "y_m", "z_m", "sigma_m"], expected)?;
+    let mut table =
+        Table::open(file, text, &["time_s", "s_m", "marker", "x_m", "y_m", "z_m", "sigma_m"], expected)?;
     for name in ["time_s", "x_m", "y_m", "z_m"] {
         table.require(name, expected)?;
     }
     let by_marker = match (table.has("marker"), table.has("s_m")) {
         (true, false) => true,
         (false, true) => false,
-        (true, true) => return Err(table.bad(1, "has both `marker` and `s_m`: a row is about one or the other")),
-        (false, false) => return Err(table.bad(1, format!("the header has neither `s_m` nor `marker`; expected {expected}"))),
+        (true, true) => {
+            return Err(table.bad(1, "has both `marker` and `s_m`: a row is about one or the other"));
+        }
+        (false, false) => {
+            return Err(
+                table.bad(1, format!("the header has neither `s_m` nor `marker`; expected {expected}"))
+            );
+        }
     };
     let mut rows = Vec::new();
     while table.next()? {
@@ -107,7 +114,8 @@ struct Table<'a> {
 
 impl<'a> Table<'a> {
     fn open(file: &'a str, text: &'a str, known: &[&str], expected: &str) -> Result<Self, Error> {
-        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(text.as_bytes());
+        let mut reader =
+            csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(text.as_bytes());
         let columns: Vec<String> = match reader.headers() {
             Ok(header) => header.iter().map(|c| c.trim_start_matches('\u{feff}').to_string()).collect(),
             Err(e) => return Err(Error::Data { place: format!("{file}:1"), message: e.to_string() }),
@@ -129,7 +137,11 @@ impl<'a> Table<'a> {
     }
 
     fn require(&self, name: &str, expected: &str) -> Result<(), Error> {
-        if self.has(name) { Ok(()) } else { Err(self.bad(1, format!("no column {name:?}; expected the header {expected}"))) }
+        if self.has(name) {
+            Ok(())
+        } else {
+            Err(self.bad(1, format!("no column {name:?}; expected the header {expected}")))
+        }
     }
 
     fn next(&mut self) -> Result<bool, Error> {
@@ -145,7 +157,10 @@ impl<'a> Table<'a> {
             }
             Err(e) => {
                 let line = e.position().map_or(self.line, |p| p.line() as usize);
-                Err(self.bad(line, format!("a row of another length than the header ({} columns)", self.columns.len())))
+                Err(self.bad(
+                    line,
+                    format!("a row of another length than the header ({} columns)", self.columns.len()),
+                ))
             }
         }
     }
@@ -162,9 +177,10 @@ impl<'a> Table<'a> {
         }
         match cell.parse::<f64>() {
             Ok(value) if value.is_finite() => Ok(Some(value)),
-            Ok(value) => {
-                Err(self.bad(self.line, format!("`{name}` is {value}: leave the cell empty where nothing was observed")))
-            }
+            Ok(value) => Err(self.bad(
+                self.line,
+                format!("`{name}` is {value}: leave the cell empty where nothing was observed"),
+            )),
             Err(_) => Err(self.bad(self.line, format!("`{name}` = {cell:?} is not a number"))),
         }
     }
@@ -188,7 +204,8 @@ mod tests {
 
     #[test]
     fn empty_cells_are_not_observed() {
-        let rows = observations("o", "time_s,s_m,x_m,y_m,z_m,sigma_m\n0.5,1.0,1,,3,0.1\n0.6,0.5,,,,\n").unwrap();
+        let rows =
+            observations("o", "time_s,s_m,x_m,y_m,z_m,sigma_m\n0.5,1.0,1,,3,0.1\n0.6,0.5,,,,\n").unwrap();
         assert_eq!(rows[0].position, [Some(1.0), None, Some(3.0)]);
         assert_eq!(rows[0].sigma, Some(0.1));
         assert_eq!((rows[1].line, rows[1].position), (3, [None; 3]));

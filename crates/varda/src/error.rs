@@ -33,7 +33,9 @@ pub enum Error {
         source: std::io::Error,
     },
     /// No shipped scene and no file of that name.
-    #[error("no scene {name:?}: it is neither a file nor a shipped scene{suggestion} (`varda scenes` lists them)")]
+    #[error(
+        "no scene {name:?}: it is neither a file nor a shipped scene{suggestion} (`varda scenes` lists them)"
+    )]
     NoScene {
         /// What was asked for.
         name: String,
@@ -49,7 +51,9 @@ pub enum Error {
         source: std::io::Error,
     },
     /// The output folder holds something that Varda did not write.
-    #[error("{path} exists and is not a result of Varda ({reason}); choose another folder with --out, or move it away")]
+    #[error(
+        "{path} exists and is not a result of Varda ({reason}); choose another folder with --out, or move it away"
+    )]
     Occupied {
         /// The folder.
         path: PathBuf,

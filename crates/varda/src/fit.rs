@@ -29,22 +29,22 @@ pub struct Fit {
     pub ratio: f64,
 }
 
-/// Distances [m] between a marker that was kept back and where the model has it, root mean square over the window.
+/// Distances \[m\] between a marker that was kept back and where the model has it, root mean square over the window.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Withheld {
     /// Which marker.
     pub label: String,
     /// Number of times.
     pub count: usize,
-    /// From x_b [m].
+    /// From x_b \[m\].
     pub rms_background: f64,
-    /// From x_a [m].
+    /// From x_a \[m\].
     pub rms_analysis: f64,
-    /// From x_a, less the mean error: what is left when the marker's place in the scene is a constant off [m].
+    /// From x_a, less the mean error: what is left when the marker's place in the scene is a constant off \[m\].
     pub moving_analysis: f64,
 }
 
-/// Distances [m] between a marker and its forecast, root mean square over the time after the window.
+/// Distances \[m\] between a marker and its forecast, root mean square over the time after the window.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Forecast {
     /// Which marker.
@@ -53,17 +53,17 @@ pub struct Forecast {
     pub assimilated: bool,
     /// Number of times.
     pub count: usize,
-    /// The model from x_a [m].
+    /// The model from x_a \[m\].
     pub analysis: f64,
-    /// The model from x_b [m].
+    /// The model from x_b \[m\].
     pub background: f64,
-    /// Persistence: the marker stays where it was last seen in the window [m].
+    /// Persistence: the marker stays where it was last seen in the window \[m\].
     pub persistence: f64,
-    /// The model at rest in its static equilibrium [m].
+    /// The model at rest in its static equilibrium \[m\].
     pub static_model: f64,
-    /// The model from x_a, less its mean error [m].
+    /// The model from x_a, less its mean error \[m\].
     pub moving_analysis: f64,
-    /// The best constant forecast there is: how far the marker moves about its mean place [m].
+    /// The best constant forecast there is: how far the marker moves about its mean place \[m\].
     pub moving_constant: f64,
 }
 
@@ -103,7 +103,11 @@ pub fn fit(observations: &mut ObservationSet, runs: &Trajectories) -> Result<Vec
     Ok(labels.iter().map(of_label).collect())
 }
 
-fn innovations(observations: &mut ObservationSet, runs: &Trajectories, states: &[f64]) -> Result<Vec<f64>, Error> {
+fn innovations(
+    observations: &mut ObservationSet,
+    runs: &Trajectories,
+    states: &[f64],
+) -> Result<Vec<f64>, Error> {
     let mut predicted = vec![0.0; observations.dim()];
     let last = observations.last_step().unwrap_or(0);
     for k in 0..=last {
@@ -199,7 +203,8 @@ pub fn beyond(
             let background = miss(&runs.background, &after)?;
             let still = place_of(rod, &at_rest, site, window.steps)?;
             let constant = |q: &[f64; 3]| {
-                let errors: Vec<[f64; 3]> = after.iter().map(|s| std::array::from_fn(|i| s.3[i] - q[i])).collect();
+                let errors: Vec<[f64; 3]> =
+                    after.iter().map(|s| std::array::from_fn(|i| s.3[i] - q[i])).collect();
                 Spread::of(&errors)
             };
             forecasts.push(Forecast {

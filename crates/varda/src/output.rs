@@ -65,7 +65,8 @@ impl Output {
         }
         self.published = true;
         if replaces {
-            std::fs::remove_dir_all(&earlier).map_err(|source| Error::Write { path: earlier.clone(), source })?;
+            std::fs::remove_dir_all(&earlier)
+                .map_err(|source| Error::Write { path: earlier.clone(), source })?;
         }
         Ok(self.target.clone())
     }
@@ -95,7 +96,11 @@ fn replaceable(target: &Path) -> Result<(), Error> {
     }
     let summary = std::fs::read_to_string(target.join("summary.json")).unwrap_or_default();
     match serde_json::from_str::<serde_json::Value>(&summary) {
-        Ok(json) if json["version"].is_string() && json["scene"].is_string() && json["status"].is_string() => Ok(()),
+        Ok(json)
+            if json["version"].is_string() && json["scene"].is_string() && json["status"].is_string() =>
+        {
+            Ok(())
+        }
         _ => occupied("it has no summary.json of Varda's"),
     }
 }

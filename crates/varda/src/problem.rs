@@ -10,7 +10,10 @@ use varda_rod::{BackwardEuler, Marker};
 use crate::covariance::{self, Places};
 use crate::rod_model::RodParts;
 use crate::rod_observation::{RodObservation, Sighting, Sightings, Site, Window};
-use crate::scene::{self, Covariance as CovarianceKey, KernelCovariance, Observations, Origin, RodModel, Scene, SceneFile, Synthetic, Use};
+use crate::scene::{
+    self, Covariance as CovarianceKey, KernelCovariance, Observations, Origin, RodModel, Scene, SceneFile,
+    Synthetic, Use,
+};
 use crate::twin::{Stream, normal, stream};
 use crate::{Error, csv_input};
 
@@ -59,7 +62,7 @@ pub struct RodView {
 }
 
 impl RodView {
-    /// Places of all vertices at step k [m].
+    /// Places of all vertices at step k \[m\].
     ///
     /// # Errors
     /// [`Error::Rod`].
@@ -192,7 +195,10 @@ fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
     let reference = truth.as_ref().or(known_background.as_ref()).map_or(&[][..], |z| &z[..n]);
     let (sigma_x, sigma_v) = sigmas(kernel, length, mean_speed(reference));
     if !(sigma_v > 0.0) {
-        return Err(file.invalid("background.covariance.sigma_v_over_mean_speed", "nothing moves at the start of the window, so this σ would be 0: give sigma_v [m/s]"));
+        return Err(file.invalid(
+            "background.covariance.sigma_v_over_mean_speed",
+            "nothing moves at the start of the window, so this σ would be 0: give sigma_v [m/s]",
+        ));
     }
     let covariance = covariance::localized(file, kernel, &places, sigma_x, sigma_v)?;
     let background = match (known_background, &truth) {
@@ -208,13 +214,18 @@ fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
     let mut sites = RodObservation::new(&dynamics, &sightings, window)?;
     if let (Observations::Synthetic(synthetic), Some(truth)) = (&scene.observations, &truth) {
         let steps = observed_steps(synthetic, &window);
-        let sigma = synthetic.sigma.unwrap_or_else(|| synthetic.sigma_over_length.unwrap_or(f64::NAN) * length);
+        let sigma =
+            synthetic.sigma.unwrap_or_else(|| synthetic.sigma_over_length.unwrap_or(f64::NAN) * length);
         let states = run_states(&mut model, truth, steps.iter().copied().max().unwrap_or(0))?;
         let mut rng = stream(scene.seed, Stream::Observations);
         let mut seen = vec![0.0; sites.dim()];
         for &k in &steps {
             let state = &states[k * model.dim()..(k + 1) * model.dim()];
-            sites.observe(k, state, &mut seen).map_err(|source| varda_assimilation::Error::Observe { operator: 0, step: k, source })?;
+            sites.observe(k, state, &mut seen).map_err(|source| varda_assimilation::Error::Observe {
+                operator: 0,
+                step: k,
+                source,
+            })?;
             for (site, y) in seen.chunks_exact(3).enumerate() {
                 let values = [0, 1, 2].map(|c| Some(y[c] + normal(&mut rng, sigma)));
                 sightings.seen.push(Sighting { site, step: k, weight: 0.0, values, sigma });
@@ -222,7 +233,8 @@ fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
         }
     }
     let operator = RodObservation::new(&dynamics, &sightings, window)?;
-    let observations = ObservationSet::new(window.steps, vec![Box::new(operator)], sightings.assimilated(&window))?;
+    let observations =
+        ObservationSet::new(window.steps, vec![Box::new(operator)], sightings.assimilated(&window))?;
     let mut left_out = dynamics.left_out();
     left_out.extend(sightings.left_out.iter().cloned());
     // The model that ran the truth starts again from nothing, so that counts are those of the assimilation.
@@ -273,7 +285,12 @@ fn read_rod_background(file: &SceneFile, dynamics: &BackwardEuler) -> Result<Vec
     for (i, row) in rows.iter().enumerate() {
         let bad = |message: String| Error::Data { place: format!("{label}, row {}", i + 1), message };
         let Some(at) = free.iter().position(|&v| v as f64 == row[0]) else {
-            return Err(bad(format!("vertex {} is not a free vertex of the rod ({} to {})", row[0], free[0], free[n - 1])));
+            return Err(bad(format!(
+                "vertex {} is not a free vertex of the rod ({} to {})",
+                row[0],
+                free[0],
+                free[n - 1]
+            )));
         };
         if !control[3 * at].is_nan() {
             return Err(bad(format!("vertex {} is there twice", row[0])));
@@ -282,7 +299,9 @@ fn read_rod_background(file: &SceneFile, dynamics: &BackwardEuler) -> Result<Vec
         control[3 * (n + at)..3 * (n + at) + 3].copy_from_slice(&row[4..7]);
     }
     match free.iter().enumerate().find(|(at, _)| control[3 * at].is_nan()) {
-        Some((_, vertex)) => Err(Error::Data { place: label, message: format!("vertex {vertex} is missing") }),
+        Some((_, vertex)) => {
+            Err(Error::Data { place: label, message: format!("vertex {vertex} is missing") })
+        }
         None => Ok(control),
     }
 }
@@ -379,7 +398,10 @@ fn read_component_background(file: &SceneFile, n: usize) -> Result<Vec<f64>, Err
     let rows = csv_input::numbers(&label, &text, ["component", "value"])?;
     let in_order = rows.iter().enumerate().all(|(i, r)| r[0] == i as f64);
     if rows.len() != n || !in_order {
-        return Err(Error::Data { place: label, message: format!("expected one row for each component 0 to {}, in order", n - 1) });
+        return Err(Error::Data {
+            place: label,
+            message: format!("expected one row for each component 0 to {}, in order", n - 1),
+        });
     }
     Ok(rows.iter().map(|r| r[1]).collect())
 }

@@ -4,8 +4,8 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use varda_rod::{
-    BackwardEuler, Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rest, Rod, Section, Supports, equilibrium,
-    straight_guess,
+    BackwardEuler, Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rest, Rod, Section, Supports,
+    equilibrium, straight_guess,
 };
 
 use crate::scene::{self, RodModel, SceneFile};
@@ -38,7 +38,8 @@ impl RodParts {
             .map_err(refuse("model"))?
             .naturally(model.natural_curvature, model.natural_twist);
         for (i, mass) in model.point_masses.iter().enumerate() {
-            rod.add_point_mass(mass.arc_length, mass.mass).map_err(refuse(&format!("model.point_masses.{i}")))?;
+            rod.add_point_mass(mass.arc_length, mass.mass)
+                .map_err(refuse(&format!("model.point_masses.{i}")))?;
         }
         let mut supports = Supports::default();
         if let Some(clamp) = &model.start {
@@ -51,7 +52,8 @@ impl RodParts {
             let motion = motion(file, &format!("model.prescribed.{i}"), p.position, p.motion.as_ref())?;
             supports.prescribed.push((p.vertex, motion));
         }
-        let point_forces = model.point_forces.iter().map(|f| (f.arc_length, Arc::new(f.force) as Arc<dyn Motion>));
+        let point_forces =
+            model.point_forces.iter().map(|f| (f.arc_length, Arc::new(f.force) as Arc<dyn Motion>));
         let loads = Loads { gravity: model.gravity, point_forces: point_forces.collect() };
         let damping = Damping { stiffness: model.damping.stiffness, mass: model.damping.mass };
         let parts = RodParts { rod, supports, loads, damping };
@@ -67,7 +69,7 @@ impl RodParts {
         BackwardEuler::new(self.rod.clone(), self.supports.clone(), self.loads.clone(), self.damping)
     }
 
-    /// The control [X, 0] of the rod at rest, supports where they are at time t [s].
+    /// The control [X, 0] of the rod at rest, supports where they are at time t \[s\].
     ///
     /// # Errors
     /// [`Error::Preparation`] where no equilibrium is found.
@@ -87,7 +89,9 @@ impl RodParts {
 fn section(model: &RodModel) -> Section {
     // Validation has seen to it that there is a material wherever the section needs one.
     let material = model.material.as_ref().map(|m| match (m.shear_modulus, m.poisson_ratio) {
-        (Some(shear_modulus), _) => Material { youngs_modulus: m.youngs_modulus, shear_modulus, density: m.density },
+        (Some(shear_modulus), _) => {
+            Material { youngs_modulus: m.youngs_modulus, shear_modulus, density: m.density }
+        }
         (None, ratio) => Material::new(m.youngs_modulus, ratio.unwrap_or(0.0), m.density),
     });
     let material = material.unwrap_or(Material { youngs_modulus: 0.0, shear_modulus: 0.0, density: 0.0 });

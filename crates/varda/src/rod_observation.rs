@@ -28,9 +28,9 @@ pub struct Sighting {
     pub step: usize,
     /// Share of step k + 1, in [0, 1).
     pub weight: f64,
-    /// The coordinates in the recording's axes (turned, not displaced: Rᵀ p) [m]; `None` was not observed.
+    /// The coordinates in the recording's axes (turned, not displaced: Rᵀ p) \[m\]; `None` was not observed.
     pub values: [Option<f64>; 3],
-    /// Standard deviation of each [m].
+    /// Standard deviation of each \[m\].
     pub sigma: f64,
 }
 
@@ -50,9 +50,9 @@ pub struct Sightings {
 /// The grid of the window: step k is at `start + k · step` seconds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Window {
-    /// Model time at the start [s].
+    /// Model time at the start \[s\].
     pub start: f64,
-    /// Δt [s].
+    /// Δt \[s\].
     pub step: f64,
     /// Steps in the window.
     pub steps: usize,
@@ -61,14 +61,14 @@ pub struct Window {
 }
 
 impl Window {
-    /// Model time of step k [s].
+    /// Model time of step k \[s\].
     pub fn time(&self, k: usize) -> f64 {
         self.start + k as f64 * self.step
     }
 }
 
 impl Sighting {
-    /// The place in the model's axes [m], where all three coordinates were seen.
+    /// The place in the model's axes \[m\], where all three coordinates were seen.
     pub fn position(&self, rotation: &[[f64; 3]; 3]) -> Option<[f64; 3]> {
         let [Some(a), Some(b), Some(c)] = self.values else { return None };
         Some(std::array::from_fn(|i| rotation[i][0] * a + rotation[i][1] * b + rotation[i][2] * c))
@@ -85,14 +85,22 @@ impl Sightings {
     ///
     /// # Errors
     /// [`Error::Data`] or [`Error::Scene`] naming the line or the key.
-    pub fn from_recording(file: &SceneFile, recording: &Recording, length: f64, window: &Window) -> Result<Self, Error> {
+    pub fn from_recording(
+        file: &SceneFile,
+        recording: &Recording,
+        length: f64,
+        window: &Window,
+    ) -> Result<Self, Error> {
         let key = "observations.file";
         let Some(name) = &recording.file else {
-            return Err(file.invalid("observations", "no file is named: give one with --set observations.file=…"));
+            return Err(
+                file.invalid("observations", "no file is named: give one with --set observations.file=…")
+            );
         };
         let (label, text) = file.read(key, name)?;
         let rows = csv_input::observations(&label, &text)?;
-        let bad = |row: &Row, message: String| Error::Data { place: format!("{label}:{}", row.line), message };
+        let bad =
+            |row: &Row, message: String| Error::Data { place: format!("{label}:{}", row.line), message };
 
         let mut sites: Vec<Site> = recording
             .markers
@@ -135,8 +143,12 @@ impl Sightings {
             let beyond = at > window.steps as f64 + slack;
             if at < -slack || beyond {
                 if recording.outside_window == OutsideWindow::Error {
-                    let (from, to) = (window.start + recording.time_zero, window.time(window.steps) + recording.time_zero);
-                    return Err(bad(row, format!("time_s = {} is outside the window ({from} to {to} s)", row.time)));
+                    let (from, to) =
+                        (window.start + recording.time_zero, window.time(window.steps) + recording.time_zero);
+                    return Err(bad(
+                        row,
+                        format!("time_s = {} is outside the window ({from} to {to} s)", row.time),
+                    ));
                 }
                 if !beyond || at > (window.steps + window.forecast) as f64 + slack {
                     *(if beyond { &mut after } else { &mut before }) += 1;
@@ -168,7 +180,8 @@ impl Sightings {
     /// Those that are assimilated, for an [`ObservationSet`](varda_assimilation::ObservationSet) whose operator 0 is
     /// [`RodObservation`] over all sites.
     pub fn assimilated(&self, window: &Window) -> Vec<Observation> {
-        let used = |s: &&Sighting| self.sites[s.site].used == Use::Assimilate && s.at() <= window.steps as f64;
+        let used =
+            |s: &&Sighting| self.sites[s.site].used == Use::Assimilate && s.at() <= window.steps as f64;
         let observation = |s: &Sighting| {
             let present: Vec<(usize, f64)> =
                 (0..3).filter_map(|c| s.values[c].map(|v| (3 * s.site + c, v))).collect();
@@ -224,10 +237,15 @@ impl RodObservation {
     pub fn new(rod: &BackwardEuler, sightings: &Sightings, window: Window) -> Result<Self, varda_rod::Error> {
         let markers: Vec<Marker> = sightings.sites.iter().map(|s| s.marker).collect();
         let places = vec![0.0; 3 * markers.len()];
-        Ok(RodObservation { markers: Markers::new(rod, &markers)?, rotation: sightings.rotation, window, places })
+        Ok(RodObservation {
+            markers: Markers::new(rod, &markers)?,
+            rotation: sightings.rotation,
+            window,
+            places,
+        })
     }
 
-    /// Where the sites are at step k [m], in the model's axes; three numbers a site.
+    /// Where the sites are at step k \[m\], in the model's axes; three numbers a site.
     ///
     /// # Errors
     /// A state without frames: a fold, a zero edge, a value that is not finite.

@@ -5,16 +5,16 @@ use std::time::Instant;
 
 use serde::Serialize;
 use varda_assimilation::{
-    Analysis, ControlTransform, CostFunction, Counts, Minimizer, Minimum, NewtonCgOptions, NewtonOptions, Posterior,
-    StrongConstraint, TrustRegionOptions, continuation,
+    Analysis, ControlTransform, CostFunction, Counts, Minimizer, Minimum, NewtonCgOptions, NewtonOptions,
+    Posterior, StrongConstraint, TrustRegionOptions, continuation,
 };
 use varda_implicit::Model;
 
+use crate::Error;
 use crate::fit::{self, Fit, Forecast, Withheld};
 use crate::problem::{Problem, View, run_states};
 use crate::scene;
 use crate::timed::Timed;
-use crate::Error;
 
 /// What the caller of a run wants to hear and may say.
 pub struct Listener<'a> {
@@ -112,9 +112,9 @@ impl Status {
 /// RMSE against the truth: the root of the mean squared distance of a vertex (of a component, for other models).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Rmse {
-    /// Of positions [m], background.
+    /// Of positions \[m\], background.
     pub position_background: Option<f64>,
-    /// Of positions [m], analysis.
+    /// Of positions \[m\], analysis.
     pub position_analysis: Option<f64>,
     /// Of velocities [m/s], background.
     pub velocity_background: Option<f64>,
@@ -122,7 +122,7 @@ pub struct Rmse {
     pub velocity_analysis: Option<f64>,
 }
 
-/// Where the time went [s].
+/// Where the time went \[s\].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Seconds {
     /// From the start of the run to the end of the analysis.
@@ -240,7 +240,8 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
     let counts = WorkCounts::from(&cost.counts());
     let status = status(&minimum);
 
-    let has_posterior = problem.scene.report.posterior && !matches!(status, Status::Interrupted | Status::Failed);
+    let has_posterior =
+        problem.scene.report.posterior && !matches!(status, Status::Interrupted | Status::Failed);
     let n = cost.dim();
     let posterior = if has_posterior {
         let mut gradient = vec![0.0; n];
@@ -265,9 +266,13 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
         });
     }
     match status {
-        Status::MaxIterations => warnings.push(format!("not converged after {} iterations", minimum.outer_iterations)),
+        Status::MaxIterations => {
+            warnings.push(format!("not converged after {} iterations", minimum.outer_iterations))
+        }
         Status::Stalled => warnings.push("the minimizer stalled before its tolerance was met".into()),
-        Status::Interrupted => warnings.push("interrupted: the last accepted point, without posterior".into()),
+        Status::Interrupted => {
+            warnings.push("interrupted: the last accepted point, without posterior".into())
+        }
         Status::Converged | Status::Failed => {}
     }
     let trajectories = trajectories(problem, &analysis.analysis, &mut warnings);
@@ -308,9 +313,11 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
 fn minimizer(algorithm: &scene::Algorithm) -> Minimizer {
     let (gradient_tolerance, max_iterations) = (algorithm.gradient_tolerance, algorithm.max_iterations);
     match algorithm.minimizer {
-        scene::Minimizer::TrustRegion => {
-            Minimizer::TrustRegion(TrustRegionOptions { gradient_tolerance, max_iterations, ..Default::default() })
-        }
+        scene::Minimizer::TrustRegion => Minimizer::TrustRegion(TrustRegionOptions {
+            gradient_tolerance,
+            max_iterations,
+            ..Default::default()
+        }),
         scene::Minimizer::Newton => Minimizer::Newton(NewtonOptions { gradient_tolerance, max_iterations }),
         scene::Minimizer::GaussNewtonCg => {
             Minimizer::NewtonCg(NewtonCgOptions { gradient_tolerance, max_iterations, ..Default::default() })
@@ -347,33 +354,44 @@ fn errors(control: &[f64], truth: Option<&[f64]>, is_rod: bool) -> [Option<f64>;
 /// Runs of the window and its forecast. One that fails ends early, with a warning.
 fn trajectories(problem: &mut Problem, analysis: &[f64], warnings: &mut Vec<String>) -> Trajectories {
     let steps = problem.window.steps + problem.window.forecast;
-    let dim = problem.model.dim();
     let model = problem.model.as_mut();
-    let mut run = |what: &str, first: &dyn Fn(&mut dyn Model, &mut [f64]) -> Result<(), varda_implicit::Error>| {
-        let mut states = vec![0.0; (steps + 1) * dim];
-        let mut done = 0;
-        let mut result = first(model, &mut states[..dim]);
-        while result.is_ok() && done < steps {
-            let (x, next) = states[done * dim..].split_at_mut(dim);
-            result = model.step(done, x, &mut next[..dim]);
-            done += usize::from(result.is_ok());
-        }
-        if let Err(e) = result {
-            warnings.push(format!("the run of the {what} ends early: {e}"));
-        }
-        states.truncate((done + 1) * dim);
-        states
-    };
-    let background = run("background", &|m, x| m.initial_state(&problem.background, x));
-    let analysis = run("analysis", &|m, x| m.initial_state(analysis, x));
+    let dim = model.dim();
+    let [mut from_background, mut from_analysis] = [vec![0.0; dim], vec![0.0; dim]];
+    let background = model.initial_state(&problem.background, &mut from_background);
+    let background = run_as_far("background", model, background, &from_background, steps, warnings);
+    let analysis = model.initial_state(analysis, &mut from_analysis);
+    let analysis = run_as_far("analysis", model, analysis, &from_analysis, steps, warnings);
     let truth = match &problem.truth {
-        Some(truth) => run("truth", &|_, x| {
-            x.copy_from_slice(truth);
-            Ok(())
-        }),
+        Some(truth) => run_as_far("truth", model, Ok(()), truth, steps, warnings),
         None => Vec::new(),
     };
     Trajectories { dim, background, analysis, truth }
+}
+
+/// States from `x0` on, up to the step that fails. `start` is how the making of `x0` went.
+fn run_as_far(
+    what: &str,
+    model: &mut dyn Model,
+    start: Result<(), varda_implicit::Error>,
+    x0: &[f64],
+    steps: usize,
+    warnings: &mut Vec<String>,
+) -> Vec<f64> {
+    let dim = x0.len();
+    let mut states = x0.to_vec();
+    let mut next = vec![0.0; dim];
+    let mut result = start;
+    for k in 0..steps {
+        result = result.and_then(|()| model.step(k, &states[k * dim..], &mut next));
+        if result.is_err() {
+            break;
+        }
+        states.extend_from_slice(&next);
+    }
+    if let Err(e) = result {
+        warnings.push(format!("the run of the {what} ends early: {e}"));
+    }
+    states
 }
 
 /// A forward run.
@@ -387,7 +405,7 @@ pub struct Simulation {
     pub steps: usize,
     /// Work of the model.
     pub counts: WorkCounts,
-    /// Where the free end of a rod is at the end [m].
+    /// Where the free end of a rod is at the end \[m\].
     pub tip: Option<[f64; 3]>,
     /// What the user should know.
     pub warnings: Vec<String>,

@@ -70,9 +70,29 @@ fn text(output: &Output) -> String {
 }
 
 const KEYS: &[&str] = &[
-    "scene", "seed", "version", "method", "minimizer", "status", "n_state", "n_control", "n_obs", "j_background",
-    "j_analysis", "j_terms", "gradient_norm_first", "gradient_norm_last", "outer_iterations", "inner_iterations",
-    "counts", "chi2", "rmse", "seconds", "peak_bytes", "left_out", "warnings",
+    "scene",
+    "seed",
+    "version",
+    "method",
+    "minimizer",
+    "status",
+    "n_state",
+    "n_control",
+    "n_obs",
+    "j_background",
+    "j_analysis",
+    "j_terms",
+    "gradient_norm_first",
+    "gradient_norm_last",
+    "outer_iterations",
+    "inner_iterations",
+    "counts",
+    "chi2",
+    "rmse",
+    "seconds",
+    "peak_bytes",
+    "left_out",
+    "warnings",
 ];
 
 #[test]
@@ -95,7 +115,10 @@ fn the_flagship_writes_everything_it_promises() {
             assert!(summary[parent][key].is_number(), "{parent}.{key}");
         }
     }
-    assert_eq!((&summary["status"], &summary["n_control"], &summary["n_obs"]), (&"converged".into(), &144.into(), &120.into()));
+    assert_eq!(
+        (&summary["status"], &summary["n_control"], &summary["n_obs"]),
+        (&"converged".into(), &144.into(), &120.into())
+    );
     assert!(summary["rmse"]["position_analysis"].as_f64() < summary["rmse"]["position_background"].as_f64());
     // 2J is about χ² with 120 degrees of freedom: 60 ± 5 √60 covers all but one run in a million.
     let j = summary["j_analysis"].as_f64().unwrap();
@@ -106,7 +129,11 @@ fn the_flagship_writes_everything_it_promises() {
     assert_eq!(lines("analysis.csv"), 145);
     assert_eq!(lines("trajectory.csv"), 1 + 101 * 26);
     assert_eq!(lines("convergence.csv"), 2 + summary["outer_iterations"].as_u64().unwrap() as usize);
-    assert!(folder.read(&format!("{here}/analysis.csv")).starts_with("index,name,unit,x_b,x_a,sigma_b,sigma_a,truth\n"));
+    assert!(
+        folder
+            .read(&format!("{here}/analysis.csv"))
+            .starts_with("index,name,unit,x_b,x_a,sigma_b,sigma_a,truth\n")
+    );
 
     let page = folder.read(&format!("{here}/report.html"));
     assert_eq!(page.matches("<svg").count(), 4);
@@ -131,7 +158,9 @@ fn the_same_seed_gives_the_same_bits_and_another_one_others() {
     }
     // Everything in the convergence table but its seconds.
     let table = |out: &str| -> Vec<String> {
-        let without_seconds = |l: &str| l.split(',').enumerate().filter(|c| c.0 != 1).map(|c| c.1).collect::<Vec<_>>().join(",");
+        let without_seconds = |l: &str| {
+            l.split(',').enumerate().filter(|c| c.0 != 1).map(|c| c.1).collect::<Vec<_>>().join(",")
+        };
         folder.read(&format!("{out}/convergence.csv")).lines().map(without_seconds).collect()
     };
     assert_eq!(table("a"), table("b"));
@@ -161,10 +190,17 @@ fn a_twin_written_to_files_and_read_back_is_the_same_problem() {
     let text_of = |v: &serde_json::Value| v.as_f64().unwrap();
     let mean_speed = 1.5987392716799629;
     text(&folder.varda(&[
-        "run", "hanging-rod-csv", "--quiet", "--out", "files",
-        "--set", "background.file=twin/background.csv",
-        "--set", "observations.file=twin/observations.csv",
-        "--set", &format!("background.covariance.sigma_v={}", 0.4 * mean_speed),
+        "run",
+        "hanging-rod-csv",
+        "--quiet",
+        "--out",
+        "files",
+        "--set",
+        "background.file=twin/background.csv",
+        "--set",
+        "observations.file=twin/observations.csv",
+        "--set",
+        &format!("background.covariance.sigma_v={}", 0.4 * mean_speed),
     ]));
     let (direct, files) = (folder.summary("direct"), folder.summary("files"));
     // The files hold every bit; σ_v is the product of another order, 1 ulp off at most.
@@ -178,24 +214,37 @@ fn a_twin_written_to_files_and_read_back_is_the_same_problem() {
 #[test]
 fn bad_input_is_one_message_and_no_folder() {
     let folder = Folder::new("bad");
-    std::fs::write(folder.0.join("nan.csv"), "time_s,s_m,x_m,y_m,z_m\n1.6,0.5,0,0,0\n1.7,0.5,0,nan,0\n").unwrap();
+    std::fs::write(folder.0.join("nan.csv"), "time_s,s_m,x_m,y_m,z_m\n1.6,0.5,0,0,0\n1.7,0.5,0,nan,0\n")
+        .unwrap();
     std::fs::write(folder.0.join("late.csv"), "time_s,s_m,x_m,y_m,z_m\n9.5,0.5,0,0,0\n").unwrap();
     std::fs::write(folder.0.join("off.csv"), "time_s,s_m,x_m,y_m,z_m\n1.6,1.5,0,0,0\n").unwrap();
     std::fs::write(folder.0.join("who.csv"), "time_s,marker,x_m,y_m,z_m\n0.7,9,0,0,0\n").unwrap();
     let file = |name: &str| format!("observations.file={name}");
     let cases: Vec<(Vec<String>, &[&str])> = vec![
         (vec!["missing.toml".into()], &["missing.toml"]),
-        (vec!["hanging-rod".into(), "--set".into(), "model.lenght=1".into()], &["lenght", "did you mean `length`"]),
+        (
+            vec!["hanging-rod".into(), "--set".into(), "model.lenght=1".into()],
+            &["lenght", "did you mean `length`"],
+        ),
         (vec!["hanging-rod".into(), "--set".into(), "model.length=-1".into()], &["greater than 0 [m]"]),
         (vec!["hanging-rod".into(), "--set".into(), "observations.places=[1.2]".into()], &["off the rod"]),
         (vec!["hanging-rod".into(), "--set".into(), "observations.steps=[101]".into()], &["not both"]),
-        (vec!["hanging-rod".into(), "--set".into(), "model.start.motion.radii=[1e160,1e160]".into()], &["spin-up of the truth: step 0", "Newton stopped"]),
+        (
+            vec!["hanging-rod".into(), "--set".into(), "model.start.motion.radii=[1e160,1e160]".into()],
+            &["spin-up of the truth: step 0", "Newton stopped"],
+        ),
         (vec!["hanging-rod-csv".into(), "--set".into(), file("nan.csv")], &["nan.csv:3", "`y_m` is NaN"]),
-        (vec!["hanging-rod-csv".into(), "--set".into(), file("late.csv")], &["late.csv:2", "outside the window"]),
+        (
+            vec!["hanging-rod-csv".into(), "--set".into(), file("late.csv")],
+            &["late.csv:2", "outside the window"],
+        ),
         (vec!["hanging-rod-csv".into(), "--set".into(), file("off.csv")], &["off.csv:2", "off the rod"]),
         (vec!["hanging-rod-csv".into(), "--set".into(), file("none.csv")], &["none.csv", "cannot read"]),
         (vec!["beam-release".into()], &["--set observations.file="]),
-        (vec!["beam-release".into(), "--set".into(), file("who.csv")], &["who.csv:2", "marker \"9\" has no place"]),
+        (
+            vec!["beam-release".into(), "--set".into(), file("who.csv")],
+            &["who.csv:2", "marker \"9\" has no place"],
+        ),
         (vec!["hanging-rod".into(), "--out".into(), ".".into()], &["not a result of Varda"]),
     ];
     for (arguments, expected) in cases {
@@ -236,7 +285,14 @@ fn a_new_scene_checks_and_runs_and_is_not_overwritten() {
 fn lists_and_schema_are_printed() {
     let folder = Folder::new("lists");
     let scenes = text(&folder.varda(&["scenes"]));
-    for name in ["hanging-rod-case1", "hanging-rod-case4-plain", "hanging-rod-csv", "beam-release", "lorenz63", "lorenz96"] {
+    for name in [
+        "hanging-rod-case1",
+        "hanging-rod-case4-plain",
+        "hanging-rod-csv",
+        "beam-release",
+        "lorenz63",
+        "lorenz96",
+    ] {
         assert!(scenes.contains(name), "{name}");
     }
     let schema: serde_json::Value = serde_json::from_str(&text(&folder.varda(&["schema"]))).unwrap();

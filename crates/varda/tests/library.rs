@@ -12,7 +12,8 @@ use varda_assimilation::ObservationOperator;
 fn assimilated(scene: &str, sets: &[String]) -> (Problem, Outcome) {
     let file = SceneFile::open(scene, sets).unwrap();
     let mut problem = Problem::from_scene(&file).unwrap();
-    let mut listener = Listener { on_iteration: &mut |_| {}, interrupted: &|| false, started: Instant::now() };
+    let mut listener =
+        Listener { on_iteration: &mut |_| {}, interrupted: &|| false, started: Instant::now() };
     let outcome = assimilate(&mut problem, &mut listener).unwrap();
     (problem, outcome)
 }
@@ -42,15 +43,18 @@ fn an_interrupted_run_ends_with_what_is_done() {
 #[test]
 fn a_recording_in_other_axes_and_time_is_the_same_problem() {
     let dt = std::f64::consts::TAU / (50.0 * 12.0);
-    let (mut plain, mut moved) = ("time_s,s_m,x_m,y_m,z_m\n".to_string(), "time_s,s_m,x_m,y_m,z_m\n".to_string());
+    let (mut plain, mut moved) =
+        ("time_s,s_m,x_m,y_m,z_m\n".to_string(), "time_s,s_m,x_m,y_m,z_m\n".to_string());
     // Recorded = Rᵀ (model − t) for a quarter turn about z: R = [[0,−1,0],[1,0,0],[0,0,1]].
     let translation = [0.5, -2.0, 0.25];
     for i in 0..12 {
         let t = (150.0 + 7.3 * f64::from(i)) * dt;
-        let p = [0.1 * (1.3 * f64::from(i)).sin(), 0.1 * (0.7 * f64::from(i)).cos(), -0.7 + 0.01 * f64::from(i)];
+        let p =
+            [0.1 * (1.3 * f64::from(i)).sin(), 0.1 * (0.7 * f64::from(i)).cos(), -0.7 + 0.01 * f64::from(i)];
         let d = [p[0] - translation[0], p[1] - translation[1], p[2] - translation[2]];
         // Every third row lacks the model's y, which is the recording's −x axis… its first column.
-        let (y, x_recorded) = if i % 3 == 0 { (String::new(), String::new()) } else { (p[1].to_string(), d[1].to_string()) };
+        let (y, x_recorded) =
+            if i % 3 == 0 { (String::new(), String::new()) } else { (p[1].to_string(), d[1].to_string()) };
         plain.push_str(&format!("{t},1.0,{},{y},{}\n", p[0], p[2]));
         moved.push_str(&format!("{},1.0,{x_recorded},{},{}\n", t + 100.0, -d[0], d[2]));
     }
@@ -71,7 +75,12 @@ fn a_recording_in_other_axes_and_time_is_the_same_problem() {
         let other = assimilated("hanging-rod-csv", &sets).1;
         assert_eq!(other.analysis.observations, 12 * 3 - 4);
         // Times are shifted by 100 s and back: 1e-14 of 100 s on 0.01 s steps, times speeds over σ of a hundred.
-        assert!((other.j_background / direct.j_background - 1.0).abs() < 1e-9, "{} {}", other.j_background, direct.j_background);
+        assert!(
+            (other.j_background / direct.j_background - 1.0).abs() < 1e-9,
+            "{} {}",
+            other.j_background,
+            direct.j_background
+        );
         assert!((other.analysis.value / direct.analysis.value - 1.0).abs() < 1e-9);
     }
     let wrong = frame("observations.frame.rotation=[[0.0,1.0,0.0],[-1.0,0.0,0.0],[0.0,0.0,1.0]]");

@@ -41,14 +41,26 @@ fn the_starter_scene_is_right() {
 #[test]
 fn errors_name_file_line_and_column_and_say_what_was_meant() {
     let cases: &[(&str, &str, &[&str])] = &[
-        ("youngs_modulus = 1e6", "youngs_modulos = 1e6", &["unknown key `youngs_modulos`", "did you mean `youngs_modulus` (Young's modulus E [Pa])"]),
+        (
+            "youngs_modulus = 1e6",
+            "youngs_modulos = 1e6",
+            &["unknown key `youngs_modulos`", "did you mean `youngs_modulus` (Young's modulus E [Pa])"],
+        ),
         ("length = 0.5 ", "length_mm = 500", &["unknown key `length_mm`", "did you mean `length`"]),
         ("length = 0.5 ", "length = -0.5", &["`model.length` = -0.5 is impossible", "greater than 0 [m]"]),
         ("length = 0.5 ", "length = nan", &["must be finite"]),
-        ("length = 0.5 ", "length = \"0.5 m\"", &["`model.length` must be a number [m]", "plain number in that SI unit"]),
+        (
+            "length = 0.5 ",
+            "length = \"0.5 m\"",
+            &["`model.length` must be a number [m]", "plain number in that SI unit"],
+        ),
         ("radius = 0.005", "radius = 5", &["lengths are in metres, was another unit meant?"]),
         ("segments = 20", "segments = 20.5", &["must be a whole number"]),
-        ("\"trust-region\"", "\"trust-regoin\"", &["`algorithm.minimizer` = \"trust-regoin\"", "did you mean \"trust-region\""]),
+        (
+            "\"trust-region\"",
+            "\"trust-regoin\"",
+            &["`algorithm.minimizer` = \"trust-regoin\"", "did you mean \"trust-region\""],
+        ),
         ("\"circle\"", "\"circel\"", &["did you mean \"circle\"", "ellipse, rectangle, stiffness"]),
         ("kind = \"rod\" ", "", &["[model] needs the key `kind`"]),
         ("density = 1100.0 ", "", &["needs the key `density` (Density ρ [kg/m³])"]),
@@ -58,7 +70,11 @@ fn errors_name_file_line_and_column_and_say_what_was_meant() {
         ("localization_length = 0.5 ", "", &["a taper needs `localization_length`"]),
         ("tangent = [0.0, 0.0, -1.0]", "tangent = [0.0, -1.0]", &["has 2 entries, expected 3"]),
         ("seed = 0", "seed = = 0", &["not TOML"]),
-        ("step = 0.01 ", "step = 0.01\nsteps_per_period = 50 #", &["give `step` or `steps_per_period`, not both"]),
+        (
+            "step = 0.01 ",
+            "step = 0.01\nsteps_per_period = 50 #",
+            &["give `step` or `steps_per_period`, not both"],
+        ),
     ];
     for (old, new, expected) in cases {
         let (text, line) = starter_with(old, new);
@@ -77,7 +93,11 @@ fn errors_name_file_line_and_column_and_say_what_was_meant() {
 
 #[test]
 fn overrides_set_any_key_and_are_named_when_wrong() {
-    let file = parse(STARTER, &["model.length=0.25", "model.segments=10", "observations.places=[0.25]", "title=a new title"]).unwrap();
+    let file = parse(
+        STARTER,
+        &["model.length=0.25", "model.segments=10", "observations.places=[0.25]", "title=a new title"],
+    )
+    .unwrap();
     assert_eq!(file.scene.title, "a new title");
     assert_eq!(Plan::new(&file).unwrap().n_obs, 3 * 12);
     for (set, expected) in [
@@ -124,7 +144,8 @@ fn a_smooth_kernel_without_taper_or_truncation_is_refused_with_the_remedy() {
     let text = STARTER.replace("localization_length = 0.5 ", "#");
     let message = Plan::new(&parse(&text, &sets).unwrap()).unwrap_err().to_string();
     assert!(message.contains("root = \"truncated\""), "{message}");
-    let sets = ["background.covariance.taper=none", "model.segments=60", "background.covariance.root=truncated"];
+    let sets =
+        ["background.covariance.taper=none", "model.segments=60", "background.covariance.root=truncated"];
     Plan::new(&parse(&text, &sets).unwrap()).expect("a truncated root exists");
 }
 
@@ -151,7 +172,9 @@ fn walk(node: &serde_json::Value, root: &serde_json::Value, path: &str, keys: &m
         }
     }
     match node {
-        serde_json::Value::Object(map) => map.iter().for_each(|(k, v)| walk(v, root, &format!("{path}.{k}"), keys)),
+        serde_json::Value::Object(map) => {
+            map.iter().for_each(|(k, v)| walk(v, root, &format!("{path}.{k}"), keys))
+        }
         serde_json::Value::Array(all) => all.iter().for_each(|v| walk(v, root, path, keys)),
         _ => {}
     }

@@ -39,10 +39,14 @@ impl Progress {
         let share = done.max(by_count).clamp(0.0, 1.0);
         let left = (share > 0.0).then(|| began.elapsed().as_secs_f64() * (1.0 - share) / share);
         let left = left.map_or(String::from("?"), |s| format!("{s:.0}"));
-        let message = format!("iteration {}  J {:.6e}  |grad| {:.2e}  about {left} s left", row.iteration, row.j, row.gradient_norm);
+        let message = format!(
+            "iteration {}  J {:.6e}  |grad| {:.2e}  about {left} s left",
+            row.iteration, row.j, row.gradient_norm
+        );
         if std::io::stderr().is_terminal() {
             let bar = self.bar.get_or_insert_with(|| {
-                let style = ProgressStyle::with_template("[{bar:30}] {msg}").unwrap_or_else(|_| ProgressStyle::default_bar());
+                let style = ProgressStyle::with_template("[{bar:30}] {msg}")
+                    .unwrap_or_else(|_| ProgressStyle::default_bar());
                 ProgressBar::with_draw_target(Some(1000), ProgressDrawTarget::stderr()).with_style(style)
             });
             bar.set_position((1000.0 * share) as u64);

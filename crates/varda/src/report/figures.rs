@@ -3,7 +3,7 @@
 use crate::Error;
 use crate::problem::{Problem, RodView, View};
 use crate::rod_observation::Window;
-use crate::run::{ConvergenceRow, Outcome};
+use crate::run::{ConvergenceRow, Outcome, Trajectories};
 use crate::scene::Use;
 
 use super::plot::{Corner, Figure, Panel, Series, Style};
@@ -67,27 +67,37 @@ fn convergence(outcome: &Outcome) -> Figure {
     Figure {
         name: "convergence",
         title: "Convergence: cost, gradient norm and error against iterations and against seconds".into(),
-        panels: vec![panel("outer iterations", &|r| r.iteration as f64, Some(Corner::LowerLeft)), panel("seconds", &|r| r.seconds, None)],
+        panels: vec![
+            panel("outer iterations", &|r| r.iteration as f64, Some(Corner::LowerLeft)),
+            panel("seconds", &|r| r.seconds, None),
+        ],
         columns: 2,
         panel_size: (460, 320),
     }
 }
 
-type Shape = Vec<[f64; 3]>;
+/// The runs there are, as they are drawn; a run that is not there is empty.
+fn kinds(runs: &Trajectories) -> [(Style, &'static str, &[f64]); 3] {
+    [
+        (Style::Truth, "truth", &runs.truth),
+        (Style::Background, "background", &runs.background),
+        (Style::Analysis, "analysis", &runs.analysis),
+    ]
+}
+
+/// How a run is drawn, its name, and its points.
+type Drawn<Point> = (Style, &'static str, Vec<Point>);
 
 /// Snapshots of a rod, seen from the side: the vertical against the horizontal in which it extends most.
 fn shapes(rod: &mut RodView, outcome: &Outcome, window: &Window, count: usize) -> Result<Figure, Error> {
     let runs = &outcome.trajectories;
     let count = count.min(window.steps + 1);
-    let steps: Vec<usize> = (0..count).map(|i| if count > 1 { i * window.steps / (count - 1) } else { 0 }).collect();
-    let mut drawn: Vec<(usize, Vec<(Style, &str, Shape)>)> = Vec::new();
+    let steps: Vec<usize> =
+        (0..count).map(|i| if count > 1 { i * window.steps / (count - 1) } else { 0 }).collect();
+    let mut drawn: Vec<(usize, Vec<Drawn<[f64; 3]>>)> = Vec::new();
     for &k in &steps {
         let mut here = Vec::new();
-        for (style, label, states) in [
-            (Style::Truth, "truth", &runs.truth),
-            (Style::Background, "background", &runs.background),
-            (Style::Analysis, "analysis", &runs.analysis),
-        ] {
+        for (style, label, states) in kinds(runs) {
             if let Some(state) = runs.state(states, k) {
                 here.push((style, label, rod.vertices(window, k, state)?));
             }
@@ -126,15 +136,16 @@ fn shapes(rod: &mut RodView, outcome: &Outcome, window: &Window, count: usize) -
         .into_iter()
         .enumerate()
         .map(|(i, (k, here))| {
-            let line = |(style, label, shape): (Style, &str, Shape)| Series {
+            let line = |(style, label, shape): Drawn<[f64; 3]>| Series {
                 label: label.into(),
                 style,
                 points: shape.iter().map(|p| (p[across], p[2])).collect(),
             };
             let mut series: Vec<Series> = here.into_iter().map(line).collect();
-            for (used, style, label) in
-                [(Use::Assimilate, Style::Observation, "observed"), (Use::Withhold, Style::Withheld, "kept back")]
-            {
+            for (used, style, label) in [
+                (Use::Assimilate, Style::Observation, "observed"),
+                (Use::Withhold, Style::Withheld, "kept back"),
+            ] {
                 let here = seen.iter().filter(|(at, kind, _)| *at == k && *kind == used);
                 let points: Vec<(f64, f64)> = here.map(|(_, _, p)| (p[across], p[2])).collect();
                 if !points.is_empty() {
@@ -154,7 +165,10 @@ fn shapes(rod: &mut RodView, outcome: &Outcome, window: &Window, count: usize) -
         .collect();
     Ok(Figure {
         name: "snapshots",
-        title: format!("The rod at {count} instants of the window, {}-z plane: truth, background, analysis and observations", ["x", "y"][across]),
+        title: format!(
+            "The rod at {count} instants of the window, {}-z plane: truth, background, analysis and observations",
+            ["x", "y"][across]
+        ),
         panels,
         columns,
         panel_size,
@@ -166,15 +180,12 @@ fn tracks(rod: &mut RodView, outcome: &Outcome, window: &Window) -> Result<Figur
     let runs = &outcome.trajectories;
     let sites = rod.sightings.sites.len();
     // The last site is the free end in most scenes; a marker kept back says more.
-    let site = rod.sightings.sites.iter().position(|s| s.used == Use::Withhold).unwrap_or(sites.saturating_sub(1));
+    let site =
+        rod.sightings.sites.iter().position(|s| s.used == Use::Withhold).unwrap_or(sites.saturating_sub(1));
     let name = rod.sightings.sites.get(site).map_or("?".into(), |s| s.label.clone());
-    let mut lines: Vec<(Style, &str, Vec<(f64, [f64; 3])>)> = Vec::new();
+    let mut lines: Vec<Drawn<(f64, [f64; 3])>> = Vec::new();
     let mut places = vec![0.0; 3 * sites];
-    for (style, label, states) in [
-        (Style::Truth, "truth", &runs.truth),
-        (Style::Background, "background", &runs.background),
-        (Style::Analysis, "analysis", &runs.analysis),
-    ] {
+    for (style, label, states) in kinds(runs) {
         let mut line = Vec::new();
         for k in 0..=window.steps + window.forecast {
             let Some(state) = runs.state(states, k).filter(|_| sites > 0) else { break };
@@ -215,7 +226,11 @@ fn tracks(rod: &mut RodView, outcome: &Outcome, window: &Window) -> Result<Figur
             ..Panel::default()
         }
     };
-    let after = if window.forecast > 0 { format!("; the window ends at {:.3} s, the rest is forecast", window.time(window.steps)) } else { String::new() };
+    let after = if window.forecast > 0 {
+        format!("; the window ends at {:.3} s, the rest is forecast", window.time(window.steps))
+    } else {
+        String::new()
+    };
     Ok(Figure {
         name: "tracks",
         title: format!("Coordinates of {name} against time{after}"),
@@ -254,7 +269,10 @@ fn rod_spread(rod: &RodView, outcome: &Outcome) -> Figure {
     Figure {
         name: "spread",
         title: "Standard deviation of initial position and velocity along the rod, before and after".into(),
-        panels: vec![panel(0, "σ of position [m]", Some(Corner::LowerRight)), panel(half, "σ of velocity [m/s]", None)],
+        panels: vec![
+            panel(0, "σ of position [m]", Some(Corner::LowerRight)),
+            panel(half, "σ of velocity [m/s]", None),
+        ],
         columns: 2,
         panel_size: (460, 300),
     }
@@ -266,25 +284,31 @@ fn components(problem: &Problem, outcome: &Outcome, names: &[String]) -> Figure 
     let window = problem.window;
     let chosen: Vec<usize> = (0..names.len()).step_by(names.len().div_ceil(6).max(1)).collect();
     let panel = |(i, &c): (usize, &usize)| {
-        let mut series: Vec<Series> = [
-            ("truth", Style::Truth, &runs.truth),
-            ("background", Style::Background, &runs.background),
-            ("analysis", Style::Analysis, &runs.analysis),
-        ]
-        .into_iter()
-        .filter(|(_, _, states)| !states.is_empty())
-        .map(|(label, style, states)| Series {
-            label: label.into(),
-            style,
-            points: states.chunks_exact(runs.dim).enumerate().map(|(k, x)| (window.time(k), x[c])).collect(),
-        })
-        .collect();
+        let mut series: Vec<Series> = kinds(runs)
+            .into_iter()
+            .filter(|(_, _, states)| !states.is_empty())
+            .map(|(style, label, states)| Series {
+                label: label.into(),
+                style,
+                points: states
+                    .chunks_exact(runs.dim)
+                    .enumerate()
+                    .map(|(k, x)| (window.time(k), x[c]))
+                    .collect(),
+            })
+            .collect();
         let seen = problem.observations.observations().iter().filter(|o| o.label == names[c]);
         let points: Vec<(f64, f64)> = seen.map(|o| (window.time(o.step), o.values[0])).collect();
         if !points.is_empty() {
             series.push(Series { label: "observed".into(), style: Style::Observation, points });
         }
-        Panel { x_label: "time".into(), y_label: names[c].clone(), legend: (i == 0).then_some(Corner::Top), series, ..Panel::default() }
+        Panel {
+            x_label: "time".into(),
+            y_label: names[c].clone(),
+            legend: (i == 0).then_some(Corner::Top),
+            series,
+            ..Panel::default()
+        }
     };
     Figure {
         name: "components",

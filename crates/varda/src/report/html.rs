@@ -30,11 +30,19 @@ pub(super) fn page(problem: &Problem, outcome: &Outcome, summary: &Summary, figu
     );
     body.push_str(&tiles(summary));
     if !summary.warnings.is_empty() {
-        let _ = write!(body, "<section class=\"notes\"><h2>What to know</h2>{}</section>", list(&summary.warnings));
+        let _ = write!(
+            body,
+            "<section class=\"notes\"><h2>What to know</h2>{}</section>",
+            list(&summary.warnings)
+        );
     }
     body.push_str(&table_section(problem, summary));
     for (_, title, svg) in figures {
-        let _ = write!(body, "<figure><div class=\"scroll\">{svg}</div><figcaption>{}</figcaption></figure>", escape(title));
+        let _ = write!(
+            body,
+            "<figure><div class=\"scroll\">{svg}</div><figcaption>{}</figcaption></figure>",
+            escape(title)
+        );
     }
     body.push_str(&fit_section(problem, summary));
     let scene = toml::to_string(&problem.scene).unwrap_or_default();
@@ -76,21 +84,47 @@ fn tiles(s: &Summary) -> String {
     )];
     let mut ratio = |name: &str, before: Option<f64>, after: Option<f64>, unit: &str| {
         if let (Some(b), Some(a)) = (before, after) {
-            tiles.push((name.to_string(), format!("{} → {}{unit}", short(b), short(a)), format!("{:.0} % of the background's error left", 100.0 * a / b)));
+            tiles.push((
+                name.to_string(),
+                format!("{} → {}{unit}", short(b), short(a)),
+                format!("{:.0} % of the background's error left", 100.0 * a / b),
+            ));
         }
     };
     let is_rod = s.rmse.velocity_background.is_some();
-    ratio(if is_rod { "Position error (RMSE)" } else { "Error (RMSE)" }, s.rmse.position_background, s.rmse.position_analysis, if is_rod { " m" } else { "" });
+    ratio(
+        if is_rod { "Position error (RMSE)" } else { "Error (RMSE)" },
+        s.rmse.position_background,
+        s.rmse.position_analysis,
+        if is_rod { " m" } else { "" },
+    );
     ratio("Velocity error (RMSE)", s.rmse.velocity_background, s.rmse.velocity_analysis, " m/s");
     for w in &s.withheld {
-        tiles.push((format!("Kept back: {}", w.label), format!("{:.2} → {:.2} mm", 1e3 * w.rms_background, 1e3 * w.rms_analysis), format!("rms distance over {} times", w.count)));
+        tiles.push((
+            format!("Kept back: {}", w.label),
+            format!("{:.2} → {:.2} mm", 1e3 * w.rms_background, 1e3 * w.rms_analysis),
+            format!("rms distance over {} times", w.count),
+        ));
     }
     if let Some(f) = s.forecast.iter().find(|f| !f.assimilated).or(s.forecast.first()) {
-        tiles.push((format!("Forecast of {}", f.label), format!("{:.2} mm", 1e3 * f.analysis), format!("persistence {:.2}, static model {:.2} mm", 1e3 * f.persistence, 1e3 * f.static_model)));
+        tiles.push((
+            format!("Forecast of {}", f.label),
+            format!("{:.2} mm", 1e3 * f.analysis),
+            format!("persistence {:.2}, static model {:.2} mm", 1e3 * f.persistence, 1e3 * f.static_model),
+        ));
     }
-    tiles.push(("Time".into(), format!("{:.2} s", s.seconds.total), format!("{} outer iterations", s.outer_iterations)));
+    tiles.push((
+        "Time".into(),
+        format!("{:.2} s", s.seconds.total),
+        format!("{} outer iterations", s.outer_iterations),
+    ));
     let tile = |(name, value, note): &(String, String, String)| {
-        format!("<div class=\"tile\"><dt>{}</dt><dd>{}</dd><dd class=\"note\">{}</dd></div>", escape(name), escape(value), escape(note))
+        format!(
+            "<div class=\"tile\"><dt>{}</dt><dd>{}</dd><dd class=\"note\">{}</dd></div>",
+            escape(name),
+            escape(value),
+            escape(note)
+        )
     };
     format!("<dl class=\"tiles\">{}</dl>", tiles.iter().map(tile).collect::<String>())
 }
@@ -106,23 +140,47 @@ fn table_section(problem: &Problem, s: &Summary) -> String {
         ("Window", format!("{} steps of {}", problem.window.steps, short(problem.window.step)), "s"),
         ("J at the background", short(s.j_background), ""),
         ("J at the analysis", short(s.j_analysis), ""),
-        ("of it J_b, J_o, J_q", format!("{}, {}, {}", short(t.background), short(t.observation), short(t.model_error)), ""),
-        ("Gradient norm, first and last", format!("{:.2e}, {:.2e}", s.gradient_norm_first, s.gradient_norm_last), ""),
+        (
+            "of it J_b, J_o, J_q",
+            format!("{}, {}, {}", short(t.background), short(t.observation), short(t.model_error)),
+            "",
+        ),
+        (
+            "Gradient norm, first and last",
+            format!("{:.2e}, {:.2e}", s.gradient_norm_first, s.gradient_norm_last),
+            "",
+        ),
         ("Iterations, outer and inner", format!("{}, {}", s.outer_iterations, s.inner_iterations), ""),
         ("2J/m", format!("{:.4}", s.chi2), ""),
         ("Degrees of freedom for signal", optional(s.degrees_of_freedom), ""),
     ];
     if s.rmse.position_background.is_some() {
-        rows.push(("RMSE before and after", format!("{}, {}", optional(s.rmse.position_background), optional(s.rmse.position_analysis)), if is_rod { "m" } else { "" }));
+        rows.push((
+            "RMSE before and after",
+            format!("{}, {}", optional(s.rmse.position_background), optional(s.rmse.position_analysis)),
+            if is_rod { "m" } else { "" },
+        ));
     }
     if is_rod {
-        rows.push(("RMSE of velocity before and after", format!("{}, {}", optional(s.rmse.velocity_background), optional(s.rmse.velocity_analysis)), "m/s"));
+        rows.push((
+            "RMSE of velocity before and after",
+            format!("{}, {}", optional(s.rmse.velocity_background), optional(s.rmse.velocity_analysis)),
+            "m/s",
+        ));
     }
     rows.extend([
-        ("Model steps, tangent, adjoint", format!("{}, {}, {}", c.model_steps, c.tangent_steps, c.adjoint_steps), ""),
+        (
+            "Model steps, tangent, adjoint",
+            format!("{}, {}, {}", c.model_steps, c.tangent_steps, c.adjoint_steps),
+            "",
+        ),
         ("Factorizations, Newton iterations", format!("{}, {}", c.factorizations, c.newton_iterations), ""),
         ("Time: total, minimizer", format!("{:.3}, {:.3}", s.seconds.total, s.seconds.minimizer), "s"),
-        ("of it forward, tangent, adjoint", format!("{:.3}, {:.3}, {:.3}", s.seconds.forward, s.seconds.tangent, s.seconds.adjoint), "s"),
+        (
+            "of it forward, tangent, adjoint",
+            format!("{:.3}, {:.3}, {:.3}", s.seconds.forward, s.seconds.tangent, s.seconds.adjoint),
+            "s",
+        ),
         ("Peak memory", s.peak_bytes.map_or("–".into(), |b| format!("{:.1}", b as f64 / 1e6)), "MB"),
     ]);
     let row = |(name, value, unit): &(&str, String, &str)| {
@@ -142,7 +200,13 @@ fn fit_section(problem: &Problem, s: &Summary) -> String {
             let class = if f.ratio > 1.5 && f.count >= 10 { " class=\"bad\"" } else { "" };
             format!(
                 "<tr{class}><th scope=\"row\">{}</th><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.2}</td></tr>",
-                escape(&f.label), f.count, short(f.sigma), short(f.rms_background), short(f.rms_analysis), short(f.mean_analysis), f.ratio
+                escape(&f.label),
+                f.count,
+                short(f.sigma),
+                short(f.rms_background),
+                short(f.rms_analysis),
+                short(f.mean_analysis),
+                f.ratio
             )
         };
         let unit = if problem.scene.model_is_rod() { " [m]" } else { "" };
@@ -159,7 +223,14 @@ fn fit_section(problem: &Problem, s: &Summary) -> String {
     }
     if !s.withheld.is_empty() {
         let row = |w: &crate::fit::Withheld| {
-            format!("<tr><th scope=\"row\">{}</th><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>", escape(&w.label), w.count, 1e3 * w.rms_background, 1e3 * w.rms_analysis, 1e3 * w.moving_analysis)
+            format!(
+                "<tr><th scope=\"row\">{}</th><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",
+                escape(&w.label),
+                w.count,
+                1e3 * w.rms_background,
+                1e3 * w.rms_analysis,
+                1e3 * w.moving_analysis
+            )
         };
         let _ = write!(
             out,
@@ -173,7 +244,14 @@ fn fit_section(problem: &Problem, s: &Summary) -> String {
             let used = if f.assimilated { "assimilated" } else { "kept back" };
             format!(
                 "<tr><th scope=\"row\">{}</th><td>{used}</td><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",
-                escape(&f.label), f.count, 1e3 * f.analysis, 1e3 * f.persistence, 1e3 * f.static_model, 1e3 * f.background, 1e3 * f.moving_analysis, 1e3 * f.moving_constant
+                escape(&f.label),
+                f.count,
+                1e3 * f.analysis,
+                1e3 * f.persistence,
+                1e3 * f.static_model,
+                1e3 * f.background,
+                1e3 * f.moving_analysis,
+                1e3 * f.moving_constant
             )
         };
         let _ = write!(
@@ -202,11 +280,17 @@ fn convergence_table(outcome: &Outcome) -> String {
             short(r.j_b),
             short(r.j_o),
             r.gradient_norm,
-            [r.rmse_position, r.rmse_velocity].iter().flatten().map(|e| format!("<td>{}</td>", short(*e))).collect::<String>()
+            [r.rmse_position, r.rmse_velocity]
+                .iter()
+                .flatten()
+                .map(|e| format!("<td>{}</td>", short(*e)))
+                .collect::<String>()
         )
     };
     let errors = match (outcome.rmse.position_background, outcome.rmse.velocity_background) {
-        (Some(_), Some(_)) => "<th scope=\"col\">RMSE position [m]</th><th scope=\"col\">RMSE velocity [m/s]</th>",
+        (Some(_), Some(_)) => {
+            "<th scope=\"col\">RMSE position [m]</th><th scope=\"col\">RMSE velocity [m/s]</th>"
+        }
         (Some(_), None) => "<th scope=\"col\">RMSE</th>",
         (None, _) => "",
     };
@@ -293,7 +377,10 @@ mod tests {
 
     #[test]
     fn text_of_a_user_cannot_become_markup() {
-        assert_eq!(escape("<script>alert('&\"')</script>"), "&lt;script&gt;alert(&#39;&amp;&quot;&#39;)&lt;/script&gt;");
+        assert_eq!(
+            escape("<script>alert('&\"')</script>"),
+            "&lt;script&gt;alert(&#39;&amp;&quot;&#39;)&lt;/script&gt;"
+        );
     }
 
     #[test]

@@ -13,8 +13,8 @@ use std::path::{Path, PathBuf};
 use crate::Error;
 use crate::output::Output;
 use crate::problem::{Problem, View};
-use crate::scene::Origin;
 use crate::run::{Outcome, Simulation, Trajectories};
+use crate::scene::Origin;
 
 /// Writes the result of a run to `folder`, whole or not at all.
 ///
@@ -41,7 +41,7 @@ pub fn write(problem: &mut Problem, outcome: &Outcome, folder: &Path) -> Result<
 /// experiment also leaves its background.csv and observations.csv, as a scene that reads files takes them.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn write_simulation(
     problem: &mut Problem,
     simulation: &Simulation,
@@ -66,7 +66,11 @@ pub fn write_simulation(
         "warnings": simulation.warnings,
     });
     out.write("summary.json", &format!("{summary:#}\n"))?;
-    let runs = Trajectories { dim: problem.model.dim(), analysis: simulation.states.clone(), ..Trajectories::default() };
+    let runs = Trajectories {
+        dim: problem.model.dim(),
+        analysis: simulation.states.clone(),
+        ..Trajectories::default()
+    };
     out.write("trajectory.csv", &tables::trajectory(problem, &runs)?)?;
     if let (View::Rod(rod), Origin::TruthPlusDraw) = (&problem.view, problem.scene.background.from) {
         out.write("background.csv", &tables::background(rod, &problem.background))?;

@@ -19,7 +19,7 @@ pub(super) struct Figure {
     pub(super) panels: Vec<Panel>,
     /// Panels in a row.
     pub(super) columns: usize,
-    /// Size of one panel [px].
+    /// Size of one panel \[px\].
     pub(super) panel_size: (u32, u32),
 }
 
@@ -63,8 +63,13 @@ pub(super) enum Style {
     Line(usize),
 }
 
-const PALETTE: [RGBColor; 5] =
-    [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115), RGBColor(204, 121, 167), RGBColor(86, 180, 233)];
+const PALETTE: [RGBColor; 5] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(86, 180, 233),
+];
 
 impl Style {
     fn colour(self) -> RGBColor {
@@ -106,8 +111,12 @@ impl Panel {
     fn draw(&self, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Drawing> {
         let y_of = |y: f64| if self.log_y { y.log10() } else { y };
         let usable = |p: &&(f64, f64)| p.0.is_finite() && y_of(p.1).is_finite();
-        let all: Vec<(f64, f64)> =
-            self.series.iter().flat_map(|s| s.points.iter().filter(usable)).map(|p| (p.0, y_of(p.1))).collect();
+        let all: Vec<(f64, f64)> = self
+            .series
+            .iter()
+            .flat_map(|s| s.points.iter().filter(usable))
+            .map(|p| (p.0, y_of(p.1)))
+            .collect();
         let (x_range, y_range) = match self.equal {
             Some([x, y]) => (x, y),
             None => (range(all.iter().map(|p| p.0), 0.02), range(all.iter().map(|p| p.1), 0.06)),
@@ -117,7 +126,11 @@ impl Panel {
                 // A line of the legend is about 16 px high; the curves keep the rest.
                 let legend = f64::from(FINE) * (16.0 * self.series.len() as f64 + 12.0);
                 let plot = f64::from(area.dim_in_pixel().1) - 60.0 * f64::from(FINE);
-                (y_range.0, y_range.1 + (y_range.1 - y_range.0) * legend / (plot - legend).max(40.0 * f64::from(FINE)))
+                (
+                    y_range.0,
+                    y_range.1
+                        + (y_range.1 - y_range.0) * legend / (plot - legend).max(40.0 * f64::from(FINE)),
+                )
             }
             _ => y_range,
         };
@@ -125,7 +138,11 @@ impl Panel {
         let font = |size: u32| ("sans-serif", FINE * size).into_font().color(&RGBColor(40, 40, 40));
         let mut builder = ChartBuilder::on(area);
         let labels = if self.equal.is_some() { 44 } else { 64 };
-        builder.margin(FINE * 8).margin_right(FINE * 14).x_label_area_size(FINE * 36).y_label_area_size(FINE * labels);
+        builder
+            .margin(FINE * 8)
+            .margin_right(FINE * 14)
+            .x_label_area_size(FINE * 36)
+            .y_label_area_size(FINE * labels);
         if !self.title.is_empty() {
             builder.caption(&self.title, font(15));
         }
@@ -158,31 +175,45 @@ impl Panel {
         let wide_mark = 18 * FINE as i32;
         for series in &self.series {
             let colour = series.style.colour();
-            let points: Vec<(f64, f64)> = series.points.iter().filter(usable).map(|p| (p.0, y_of(p.1))).collect();
+            let points: Vec<(f64, f64)> =
+                series.points.iter().filter(usable).map(|p| (p.0, y_of(p.1))).collect();
             match series.style {
-                Style::Observation => {
-                    chart.draw_series(points.iter().map(|p| Circle::new(*p, FINE * 3, colour.filled())))?
-                        .label(&series.label)
-                        .legend(move |(x, y)| Circle::new((x + wide_mark / 2, y), FINE * 3, colour.filled()))
-                }
-                Style::Withheld => {
-                    chart.draw_series(points.iter().map(|p| Cross::new(*p, FINE * 3, colour.stroke_width(2 * FINE))))?
-                        .label(&series.label)
-                        .legend(move |(x, y)| Cross::new((x + wide_mark / 2, y), FINE * 3, colour.stroke_width(2 * FINE)))
-                }
+                Style::Observation => chart
+                    .draw_series(points.iter().map(|p| Circle::new(*p, FINE * 3, colour.filled())))?
+                    .label(&series.label)
+                    .legend(move |(x, y)| Circle::new((x + wide_mark / 2, y), FINE * 3, colour.filled())),
+                Style::Withheld => chart
+                    .draw_series(
+                        points.iter().map(|p| Cross::new(*p, FINE * 3, colour.stroke_width(2 * FINE))),
+                    )?
+                    .label(&series.label)
+                    .legend(move |(x, y)| {
+                        Cross::new((x + wide_mark / 2, y), FINE * 3, colour.stroke_width(2 * FINE))
+                    }),
                 Style::Background | Style::Truth => {
-                    let (on, off) = if series.style == Style::Truth { (2 * FINE, 3 * FINE) } else { (7 * FINE, 4 * FINE) };
-                    chart.draw_series(DashedLineSeries::new(points, on, off, colour.stroke_width(2 * FINE)))?
+                    let (on, off) = if series.style == Style::Truth {
+                        (2 * FINE, 3 * FINE)
+                    } else {
+                        (7 * FINE, 4 * FINE)
+                    };
+                    chart
+                        .draw_series(DashedLineSeries::new(points, on, off, colour.stroke_width(2 * FINE)))?
                         .label(&series.label)
                         .legend(move |(x, y)| {
-                            plotters::element::DashedPathElement::new([(x, y), (x + wide_mark, y)], on, off, colour.stroke_width(2 * FINE))
+                            plotters::element::DashedPathElement::new(
+                                [(x, y), (x + wide_mark, y)],
+                                on,
+                                off,
+                                colour.stroke_width(2 * FINE),
+                            )
                         })
                 }
-                Style::Analysis | Style::Line(_) => {
-                    chart.draw_series(LineSeries::new(points, colour.stroke_width(2 * FINE)))?
-                        .label(&series.label)
-                        .legend(move |(x, y)| PathElement::new([(x, y), (x + wide_mark, y)], colour.stroke_width(2 * FINE)))
-                }
+                Style::Analysis | Style::Line(_) => chart
+                    .draw_series(LineSeries::new(points, colour.stroke_width(2 * FINE)))?
+                    .label(&series.label)
+                    .legend(move |(x, y)| {
+                        PathElement::new([(x, y), (x + wide_mark, y)], colour.stroke_width(2 * FINE))
+                    }),
             };
         }
         if let Some(corner) = self.legend {
@@ -222,7 +253,11 @@ fn decimals((low, high): (f64, f64)) -> usize {
 fn fixed(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     // −0.00 is 0.00.
-    if text.trim_start_matches('-').chars().all(|c| c == '0' || c == '.') { text.trim_start_matches('-').to_string() } else { text }
+    if text.trim_start_matches('-').chars().all(|c| c == '0' || c == '.') {
+        text.trim_start_matches('-').to_string()
+    } else {
+        text
+    }
 }
 
 /// Gives an SVG a title for screen readers, and a size that follows the page.

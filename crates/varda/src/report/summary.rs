@@ -50,15 +50,15 @@ pub struct Summary {
     pub degrees_of_freedom: Option<f64>,
     /// RMSE against the truth of the initial state, where it is known.
     pub rmse: Rmse,
-    /// Where the time went [s].
+    /// Where the time went \[s\].
     pub seconds: Seconds,
-    /// Most memory the process held [bytes]; `null` where the system does not tell.
+    /// Most memory the process held \[bytes\]; `null` where the system does not tell.
     pub peak_bytes: Option<u64>,
     /// Innovations against their σ.
     pub innovations: Vec<Fit>,
-    /// Errors at markers that were kept back [m].
+    /// Errors at markers that were kept back \[m\].
     pub withheld: Vec<Withheld>,
-    /// Errors of the forecast after the window [m].
+    /// Errors of the forecast after the window \[m\].
     pub forecast: Vec<Forecast>,
     /// What was not needed and therefore not done.
     pub left_out: Vec<String>,

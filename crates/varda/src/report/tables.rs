@@ -42,7 +42,12 @@ pub(super) fn analysis(problem: &Problem, outcome: &Outcome) -> String {
     out.push_str(if outcome.truth.is_some() { ",truth\n" } else { "\n" });
     for (i, (name, unit)) in components(problem).iter().enumerate() {
         let sigma_a = outcome.has_posterior.then(|| a.sigma_analysis[i]);
-        let fields = [number(a.background[i]), number(a.analysis[i]), number(a.sigma_background[i]), optional(sigma_a)];
+        let fields = [
+            number(a.background[i]),
+            number(a.analysis[i]),
+            number(a.sigma_background[i]),
+            optional(sigma_a),
+        ];
         let _ = write!(out, "{i},{name},{unit},{}", fields.join(","));
         if let Some(truth) = &outcome.truth {
             let _ = write!(out, ",{}", number(truth[i]));
@@ -79,10 +84,11 @@ pub(super) fn convergence(rows: &[ConvergenceRow]) -> String {
 }
 
 /// trajectory.csv: the analysis, the background and, where it is known, the truth, step by step. Vertices of a rod
-/// [m], or components.
+/// \[m\], or components.
 pub(super) fn trajectory(problem: &mut Problem, runs: &Trajectories) -> Result<String, Error> {
     let window = problem.window;
-    let all = [("", "x_a", &runs.analysis), ("b_", "x_b", &runs.background), ("truth_", "truth", &runs.truth)];
+    let all =
+        [("", "x_a", &runs.analysis), ("b_", "x_b", &runs.background), ("truth_", "truth", &runs.truth)];
     let series: Vec<_> = all.iter().filter(|(_, _, states)| !states.is_empty()).collect();
     let mut out = String::from(match problem.view {
         View::Rod(_) => "step,time_s,vertex,s_m",
@@ -133,7 +139,8 @@ pub(super) fn trajectory(problem: &mut Problem, runs: &Trajectories) -> Result<S
 pub(super) fn background(rod: &RodView, background: &[f64]) -> String {
     let mut out = String::from("vertex,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s\n");
     let (x, v) = background.split_at(background.len() / 2);
-    for ((vertex, x), v) in rod.dynamics.free_vertices().iter().zip(x.chunks_exact(3)).zip(v.chunks_exact(3)) {
+    for ((vertex, x), v) in rod.dynamics.free_vertices().iter().zip(x.chunks_exact(3)).zip(v.chunks_exact(3))
+    {
         let values: Vec<String> = x.iter().chain(v).map(|c| number(*c)).collect();
         let _ = writeln!(out, "{vertex},{}", values.join(","));
     }
@@ -146,7 +153,8 @@ pub(super) fn observations(rod: &RodView, window: &Window) -> String {
     for seen in &rod.sightings.seen {
         if let Some(p) = seen.position(&rod.sightings.rotation) {
             let s = rod.sightings.sites[seen.site].marker.s;
-            let fields = [window.start + seen.at() * window.step, s, p[0], p[1], p[2], seen.sigma].map(number);
+            let fields =
+                [window.start + seen.at() * window.step, s, p[0], p[1], p[2], seen.sigma].map(number);
             let _ = writeln!(out, "{}", fields.join(","));
         }
     }

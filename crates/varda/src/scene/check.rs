@@ -3,8 +3,8 @@
 
 use serde_json::Value as Json;
 
-use super::tree::{Node, Value};
 use super::Place;
+use super::tree::{Node, Value};
 
 /// What is wrong, and where.
 #[derive(Debug)]
@@ -35,7 +35,10 @@ pub(super) fn check(node: &Node, path: &str, schema: &Json, root: &Json) -> Resu
             for (i, item) in items.iter().enumerate() {
                 check(item, &format!("{path}[{i}]"), &schema["items"], root)?;
                 if schema["x-positive"] == true && !number(&item.value).is_some_and(|v| v > 0.0) {
-                    return Err(Wrong { place: item.place.clone(), message: format!("`{path}[{i}]` must be greater than 0{}", unit(schema)) });
+                    return Err(Wrong {
+                        place: item.place.clone(),
+                        message: format!("`{path}[{i}]` must be greater than 0{}", unit(schema)),
+                    });
                 }
             }
             Ok(())
@@ -77,7 +80,8 @@ fn check_table(node: &Node, path: &str, schema: &Json, root: &Json) -> Result<()
                 Some(name) => format!("did you mean `{name}`{}? ", about(resolve(&known[name], root), root)),
                 None => String::new(),
             };
-            let message = format!("unknown key `{}` in {section}; {meant}Known keys: {}", entry.key, names.join(", "));
+            let message =
+                format!("unknown key `{}` in {section}; {meant}Known keys: {}", entry.key, names.join(", "));
             return Err(Wrong { place: entry.place.clone(), message });
         };
         check(&entry.node, &below(&entry.key), property, root)?;
@@ -116,12 +120,16 @@ fn check_choice(node: &Node, path: &str, choices: &[Json], root: &Json) -> Resul
         let message = format!("`{label}` must be {what} of: {}", names.join(", "));
         return Err(Wrong { place: place.clone(), message });
     };
-    match choices.iter().find(|c| c["const"] == word.as_str() || c["properties"]["kind"]["const"] == word.as_str()) {
+    match choices
+        .iter()
+        .find(|c| c["const"] == word.as_str() || c["properties"]["kind"]["const"] == word.as_str())
+    {
         Some(choice) if tagged => check_table(node, path, choice, root),
         Some(_) => Ok(()),
         None => {
             let meant = nearest(word, &names).map_or(String::new(), |n| format!("did you mean \"{n}\"? "));
-            let message = format!("`{label}` = {word:?} is unknown; {meant}Expected one of: {}", names.join(", "));
+            let message =
+                format!("`{label}` = {word:?} is unknown; {meant}Expected one of: {}", names.join(", "));
             Err(Wrong { place: place.clone(), message })
         }
     }
@@ -160,7 +168,10 @@ fn resolve<'a>(schema: &'a Json, root: &'a Json) -> &'a Json {
 
 /// " (first sentence of its description)".
 fn about(schema: &Json, root: &Json) -> String {
-    let text = schema["description"].as_str().or_else(|| resolve(schema, root)["description"].as_str()).unwrap_or("");
+    let text = schema["description"]
+        .as_str()
+        .or_else(|| resolve(schema, root)["description"].as_str())
+        .unwrap_or("");
     let sentence = text.split_terminator(". ").next().unwrap_or("").trim_end_matches('.').replace('\n', " ");
     if sentence.is_empty() { sentence } else { format!(" ({sentence})") }
 }
@@ -195,7 +206,13 @@ pub(crate) fn nearest<'a>(word: &str, names: &[&'a str]) -> Option<&'a str> {
     let related = |n: &str| word.len() > 2 && n.len() > 2 && (n.starts_with(&word) || word.starts_with(n));
     let score = |n: &str| if related(n) { 1 } else { distance(&word, &n.to_lowercase()) };
     let allowed = 2.max(word.chars().count() / 3);
-    names.iter().copied().map(|n| (score(n), n)).filter(|(d, _)| *d <= allowed).min_by_key(|(d, _)| *d).map(|(_, n)| n)
+    names
+        .iter()
+        .copied()
+        .map(|n| (score(n), n))
+        .filter(|(d, _)| *d <= allowed)
+        .min_by_key(|(d, _)| *d)
+        .map(|(_, n)| n)
 }
 
 /// Edit distance (Levenshtein 1966).

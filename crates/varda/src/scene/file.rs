@@ -51,12 +51,19 @@ impl SceneFile {
     pub fn open(name: &str, overrides: &[String]) -> Result<SceneFile, Error> {
         let path = Path::new(name);
         if let Some(shipped) = shipped::find(name).filter(|_| !path.is_file()) {
-            return SceneFile::parse(shipped.name, &format!("{}.toml", shipped.name), shipped.text, None, overrides);
+            return SceneFile::parse(
+                shipped.name,
+                &format!("{}.toml", shipped.name),
+                shipped.text,
+                None,
+                overrides,
+            );
         }
         let text = std::fs::read_to_string(path).map_err(|source| match source.kind() {
             std::io::ErrorKind::NotFound => {
                 let names: Vec<&str> = shipped::SHIPPED.iter().map(|s| s.name).collect();
-                let suggestion = check::nearest(name, &names).map_or(String::new(), |n| format!(", did you mean {n:?}?"));
+                let suggestion =
+                    check::nearest(name, &names).map_or(String::new(), |n| format!(", did you mean {n:?}?"));
                 Error::NoScene { name: name.to_string(), suggestion }
             }
             _ => Error::Read { place: "scene".into(), path: path.to_path_buf(), source },
@@ -82,7 +89,8 @@ impl SceneFile {
             tree::set(&mut root, assignment)?;
         }
         let schema = serde_json::to_value(schemars::schema_for!(Scene)).expect("a schema is plain JSON");
-        let wrong = |place: &Place, message: String| Error::Scene { place: locate(label, Some(place)), message };
+        let wrong =
+            |place: &Place, message: String| Error::Scene { place: locate(label, Some(place)), message };
         check::check(&root, "", &schema, &schema).map_err(|w| wrong(&w.place, w.message))?;
         let scene = Scene::deserialize(root.to_json()).map_err(|e| wrong(&root.place, e.to_string()))?;
         let mut places = BTreeMap::new();
@@ -115,13 +123,16 @@ impl SceneFile {
             None => {
                 return match shipped::data(file) {
                     Some(text) => Ok((file.to_string(), text.to_string())),
-                    None => Err(self.invalid(path, format!("no file {file:?} is shipped; give one with --set {path}=…"))),
+                    None => Err(self
+                        .invalid(path, format!("no file {file:?} is shipped; give one with --set {path}=…"))),
                 };
             }
         };
         match std::fs::read_to_string(&full) {
             Ok(text) => Ok((full.display().to_string(), text)),
-            Err(source) => Err(Error::Read { place: locate(&self.label, self.place(path)), path: full, source }),
+            Err(source) => {
+                Err(Error::Read { place: locate(&self.label, self.place(path)), path: full, source })
+            }
         }
     }
 

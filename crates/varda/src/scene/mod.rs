@@ -4,6 +4,9 @@
 //! (`varda schema`). Files named in a scene are relative to the scene's own folder; those given by `--set` to the
 //! current one.
 
+// Descriptions are the schema's text too, where a unit stands in plain brackets: rustdoc takes [m] for a link.
+#![allow(rustdoc::broken_intra_doc_links)]
+
 mod background;
 mod check;
 mod file;
@@ -13,13 +16,16 @@ mod shipped;
 mod tree;
 mod validate;
 
-pub use background::{Background, Covariance, DiagonalCovariance, Kernel, KernelCovariance, Origin, Prior, Root, Taper};
+pub use background::{
+    Background, Covariance, DiagonalCovariance, Kernel, KernelCovariance, Origin, Prior, Root, Taper,
+};
 pub use file::{Place, SceneFile};
 pub use model::{
-    Clamp, DampingValues, Lorenz63, Lorenz96, Material, Model, Motion, PointForce, PointMass, Prescribed, RodModel, Section,
+    Clamp, DampingValues, Lorenz63, Lorenz96, Material, Model, Motion, PointForce, PointMass, Prescribed,
+    RodModel, Section,
 };
 pub use observations::{Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, Use};
-pub use shipped::{SHIPPED, Shipped, STARTER};
+pub use shipped::{SHIPPED, STARTER, Shipped};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -1,7 +1,7 @@
 //! A TOML document as a tree in which every key and value knows where it was written.
 
-use toml::de::{DeTable, DeValue};
 use toml::Spanned;
+use toml::de::{DeTable, DeValue};
 
 use super::Place;
 use crate::Error;
@@ -75,7 +75,11 @@ pub(super) fn set(root: &mut Node, assignment: &str) -> Result<(), Error> {
                 let count = items.len();
                 match part.parse::<usize>().ok().filter(|i| *i < count) {
                     Some(i) => &mut items[i],
-                    None => return Err(bad(format!("{part:?} is not an index of a list of {count}, counted from 0"))),
+                    None => {
+                        return Err(bad(format!(
+                            "{part:?} is not an index of a list of {count}, counted from 0"
+                        )));
+                    }
                 }
             }
             _ => return Err(bad(format!("there is no key {part:?} below a plain value"))),
@@ -105,7 +109,9 @@ impl Node {
         let below = |part: &str| if path.is_empty() { part.to_string() } else { format!("{path}.{part}") };
         match &self.value {
             Value::Table(entries) => entries.iter().for_each(|e| e.node.places(&below(&e.key), out)),
-            Value::Array(items) => items.iter().enumerate().for_each(|(i, n)| n.places(&below(&i.to_string()), out)),
+            Value::Array(items) => {
+                items.iter().enumerate().for_each(|(i, n)| n.places(&below(&i.to_string()), out))
+            }
             _ => {}
         }
     }
@@ -124,7 +130,10 @@ fn convert(value: &DeValue<'_>, place: &impl Fn(std::ops::Range<usize>) -> Place
     match value {
         DeValue::Table(table) => convert_table(table, place),
         DeValue::Array(items) => Value::Array(
-            items.iter().map(|v| Node { place: place(v.span()), value: convert(v.get_ref(), place) }).collect(),
+            items
+                .iter()
+                .map(|v| Node { place: place(v.span()), value: convert(v.get_ref(), place) })
+                .collect(),
         ),
         DeValue::String(s) => Value::String(s.to_string()),
         // Digits too many for 64 bits become a float, which the check then refuses where an integer is meant.
