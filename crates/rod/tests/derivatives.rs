@@ -253,3 +253,31 @@ fn markers() {
         }
     }
 }
+
+#[test]
+fn products_do_not_depend_on_what_was_asked_before() {
+    for (name, rod, supports, damping) in cases() {
+        let mut model = model(rod, supports, damping);
+        let z = control(model.step_ref());
+        let n = model.dim();
+        let mut x = vec![0.0; n];
+        model.initial_state(&z, &mut x).unwrap();
+        let mut next = x.clone();
+        for k in 0..3 {
+            model.step(k, &x, &mut next).unwrap();
+            model.linearize(k, &x, &next).unwrap();
+            x.copy_from_slice(&next);
+        }
+        let v: Vec<f64> = noise(7).take(n).collect();
+        let products = |model: &mut ImplicitModel<BackwardEuler>, before: usize| {
+            let (mut forward, mut backward, mut other) = (v.clone(), v.clone(), v.clone());
+            model.adjoint(before, &mut other);
+            model.tangent(1, &mut forward);
+            model.tangent(before, &mut other);
+            model.adjoint(1, &mut backward);
+            (forward, backward)
+        };
+        let (early, late) = (products(&mut model, 0), products(&mut model, 2));
+        assert!(early == late, "{name}: the products of step 1 remember another step");
+    }
+}
