@@ -61,8 +61,11 @@ pub use control::ControlTransform;
 pub use cost::{CostFunction, CostTerms, Counts, GaussNewton, StrongConstraint};
 pub use error::Error;
 pub use minimize::{
-    Iteration, Minimizer, Minimum, NewtonCgOptions, NewtonOptions, RitzPair, Status, TrustRegionOptions,
-    continuation, newton, newton_cg, trust_region,
+    AdamOptions, AutoOptions, InverseHessian, Iteration, LbfgsOptions, Minimizer, Minimum, NewtonCgOptions,
+    NewtonOptions, RawVariables, RitzPair, Status, TrustRegionOptions, adam, auto, continuation, lbfgs, newton,
+    newton_cg, trust_region,
 };
+#[cfg(feature = "argmin")]
+pub use minimize::{ArgminOptions, argmin_lbfgs, argmin_trust_region};
 pub use observation::{LinearObservation, Observation, ObservationOperator, ObservationSet, Selection};
 pub use posterior::Posterior;
