@@ -9,8 +9,8 @@
 //! | what is observed? | an [`ObservationSet`] of [`Observation`]s through [`ObservationOperator`]s |
 //! | what is known before? | a [`ControlTransform`]: background x_b and any `varda_covariance::Covariance` |
 //! | which cost? | [`StrongConstraint`]: 4D-Var, and 3D-Var where nothing is observed after step 0 |
-//! | which minimizer? | [`Minimizer`]: [`trust_region`] (default), [`newton_cg`], [`newton`]; [`continuation`] for several minima |
-//! | how sure? | [`Posterior`], [`Analysis`] |
+//! | which minimizer? | [`Minimizer`]: [`trust_region`] (default), [`newton_cg`], [`newton`]; with gradients alone [`lbfgs`], [`adam`]; for several minima [`continuation`], [`auto`] |
+//! | how sure? | [`Posterior`], [`LowRankPosterior`], [`Analysis`]; are B and R right? [`consistency`] |
 //!
 //! The system is any `varda_implicit::Model`. Everything is minimised in the control variable v. Not for problems whose posterior has
 //! several modes that matter, nor for models without a tangent and an adjoint.
@@ -49,14 +49,17 @@
 //! ```
 
 mod analysis;
+mod consistency;
 mod control;
 mod cost;
 mod error;
 mod minimize;
 mod observation;
 mod posterior;
+mod posterior_lanczos;
 
 pub use analysis::Analysis;
+pub use consistency::{Consistency, consistency, predicted_variance};
 pub use control::ControlTransform;
 pub use cost::{CostFunction, CostTerms, Counts, GaussNewton, StrongConstraint};
 pub use error::Error;
@@ -69,3 +72,4 @@ pub use minimize::{
 pub use minimize::{ArgminOptions, argmin_lbfgs, argmin_trust_region};
 pub use observation::{LinearObservation, Observation, ObservationOperator, ObservationSet, Selection};
 pub use posterior::Posterior;
+pub use posterior_lanczos::{LanczosOptions, LowRankPosterior};
