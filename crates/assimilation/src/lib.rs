@@ -65,8 +65,8 @@ pub use cost::{CostFunction, CostTerms, Counts, GaussNewton, StrongConstraint};
 pub use error::Error;
 pub use minimize::{
     AdamOptions, AutoOptions, InverseHessian, Iteration, LbfgsOptions, Minimizer, Minimum, NewtonCgOptions,
-    NewtonOptions, RawVariables, RitzPair, Status, TrustRegionOptions, adam, auto, continuation, lbfgs, newton,
-    newton_cg, trust_region,
+    NewtonOptions, RawVariables, RitzPair, Status, TrustRegionOptions, adam, auto, continuation, lbfgs,
+    newton, newton_cg, trust_region,
 };
 #[cfg(feature = "argmin")]
 pub use minimize::{ArgminOptions, argmin_lbfgs, argmin_trust_region};

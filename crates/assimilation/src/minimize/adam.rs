@@ -103,7 +103,8 @@ pub(super) fn run(
         for i in 0..n {
             mean[i] = beta1 * mean[i] + (1.0 - beta1) * g[i];
             square[i] = beta2 * square[i] + (1.0 - beta2) * g[i] * g[i];
-            let step = learning_rate * (mean[i] / (1.0 - power1)) / ((square[i] / (1.0 - power2)).sqrt() + epsilon);
+            let step =
+                learning_rate * (mean[i] / (1.0 - power1)) / ((square[i] / (1.0 - power2)).sqrt() + epsilon);
             v[i] -= step;
             length += step * step;
         }

@@ -112,12 +112,18 @@ impl Lanczos {
         self.iterations() == self.n || self.residual() <= 1e-14 * scale
     }
 
-    /// Ritz values, ascending, with the residuals of their pairs.
-    pub(crate) fn values(&self) -> Result<Vec<(f64, f64)>, Error> {
+    /// A Z − Z D = q eᵀ for all Ritz pairs: q of norm 1, and the entry of e of every pair, ascending.
+    pub(crate) fn coupling(&self) -> Result<(Vec<f64>, Vec<f64>), Error> {
         let k = self.iterations();
-        let (values, small) = self.eigen()?;
+        let (_, small) = self.eigen()?;
         let beta = self.residual();
-        Ok(values.iter().zip(small.chunks_exact(k)).map(|(&mu, w)| (mu, beta * w[k - 1].abs())).collect())
+        let q = self.work.iter().map(|w| if beta > 0.0 { w / beta } else { 0.0 }).collect();
+        Ok((q, small.chunks_exact(k).map(|w| beta * w[k - 1]).collect()))
+    }
+
+    /// Ritz values, ascending.
+    pub(crate) fn values(&self) -> Result<Vec<f64>, Error> {
+        Ok(self.eigen()?.0)
     }
 
     /// The Ritz vectors of the `count` largest values, ascending, one after the other.

@@ -270,13 +270,20 @@ impl Search {
                 break;
             }
         }
-        if low.length > 0.0 && self.sample(cost, v, p, low.length).is_ok() {
+        // A step that is rounding of v is none.
+        if low.length * norm(p) > 1e-12 * (1.0 + norm(v)) && self.sample(cost, v, p, low.length).is_ok() {
             return Ok(Some(low.length));
         }
         Ok(None)
     }
 
-    fn sample(&mut self, cost: &mut dyn CostFunction, v: &[f64], p: &[f64], length: f64) -> Result<Sample, Error> {
+    fn sample(
+        &mut self,
+        cost: &mut dyn CostFunction,
+        v: &[f64],
+        p: &[f64],
+        length: f64,
+    ) -> Result<Sample, Error> {
         self.trial.iter_mut().zip(v.iter().zip(p)).for_each(|(t, (v, p))| *t = v + length * p);
         let value = cost.evaluate(&self.trial, Some(&mut self.gradient))?;
         Ok(Sample { length, value, slope: dot(&self.gradient, p) })

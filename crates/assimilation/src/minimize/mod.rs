@@ -18,9 +18,9 @@ mod trust_region;
 pub(crate) use lanczos::Lanczos;
 pub(crate) use spectral::eigen;
 
+pub use adam::{AdamOptions, adam};
 #[cfg(feature = "argmin")]
 pub use argmin::{ArgminOptions, argmin_lbfgs, argmin_trust_region};
-pub use adam::{AdamOptions, adam};
 pub use auto::{AutoOptions, auto};
 pub use continuation::continuation;
 pub use lanczos::RitzPair;
@@ -174,7 +174,9 @@ impl Minimizer {
             #[cfg(feature = "argmin")]
             Self::ArgminLbfgs(options) => argmin::run_lbfgs(cost, v, options, start, on_iteration),
             #[cfg(feature = "argmin")]
-            Self::ArgminTrustRegion(options) => argmin::run_trust_region(cost, v, options, start, on_iteration),
+            Self::ArgminTrustRegion(options) => {
+                argmin::run_trust_region(cost, v, options, start, on_iteration)
+            }
         }
     }
 }

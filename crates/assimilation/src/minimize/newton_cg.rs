@@ -30,8 +30,8 @@ impl Default for NewtonCgOptions {
 /// iteration with full re-orthogonalisation, then steps of 1, ½, ¼, … until J falls by 10⁻⁴ of what the slope promises.
 ///
 /// With `preconditioner_pairs`, every outer iteration is preconditioned by the Ritz pairs of those before it (limited-memory preconditioner in
-/// its spectral form: Fisher 1998; Tshimanga et al. 2008). When to use: where the inner iterations are many and A
-/// changes little between outer ones; memory one vector a pair. No Ritz pairs are then returned, those of the last problem being of the
+/// its spectral form: Fisher 1998; Tshimanga et al. 2008). When to use: where the inner iterations are many and outer ones go on
+/// near the minimum (large residuals); it gains nothing where three good outer iterations suffice. Memory: a vector a pair. No Ritz pairs are then returned, those of the last problem being of the
 /// preconditioned matrix.
 ///
 /// No matrix is formed; products needed are about the degrees of freedom for signal. Returns the Ritz pairs of the last outer iteration.
@@ -121,7 +121,7 @@ pub(super) fn run(
             progress.rejected += 1;
             length *= 0.5;
             // 2⁻⁴⁰: a descent direction that needs less than 1e-12 of its step is none.
-            if progress.rejected > 40 || by_gradient {
+            if progress.rejected > 40 || (by_gradient && progress.rejected >= 8) {
                 break false;
             }
         };

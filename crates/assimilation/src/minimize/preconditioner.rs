@@ -33,9 +33,9 @@ impl Preconditioner {
     }
 
     /// Takes in the pairs of the last inner problem, those that are good enough: a pair with residual r couples the rest of
-    /// the preconditioned matrix with strength r μ^{-1/2}, which must not exceed what is left there, about 1.
+    /// the preconditioned matrix with strength r μ^{-1/2}, which may be a few times what is left there, about 1.
     pub(super) fn learn(&mut self, mut pairs: Vec<RitzPair>) {
-        pairs.retain(|pair| pair.value > 1.5 && pair.residual <= pair.value.sqrt());
+        pairs.retain(|pair| pair.value > 1.5 && pair.residual <= 3.0 * pair.value.sqrt());
         if self.levels.iter().map(Vec::len).sum::<usize>() + pairs.len() > self.capacity {
             self.levels.clear();
             pairs.truncate(self.capacity);

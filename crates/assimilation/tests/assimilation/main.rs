@@ -3,5 +3,7 @@
 mod cost;
 mod fixtures;
 mod minima;
+mod minimizers;
 mod models;
 mod observations;
+mod posteriors;
