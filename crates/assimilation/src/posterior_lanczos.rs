@@ -116,39 +116,55 @@ impl LowRankPosterior {
         }
     }
 
-    /// From what L-BFGS has learnt of the Hessian of J on its way, started from I: no products with the Hessian at all, no tangent model.
+    /// From what L-BFGS has learnt of the Hessian of J on its way: no products with the Hessian at all, no tangent model.
     ///
-    /// Right in the directions the minimization went, at its prior value in those it never tried; how good that is depends on the
-    /// path, and no bound comes with it. [`Self::error_estimate`] gives one for a few products. It refers to the Hessian of J, second
-    /// derivatives included, along the way.
+    /// The pairs y ≈ A s, newest first, give A on the space of the steps (Rayleigh–Ritz); steps that are within 10⁻³ of dependent on newer
+    /// ones are left out, and eigenvalues below 1, which A does not have, are put to 1. Exact on that space where J is quadratic; the
+    /// directions no step went along keep their prior variance 1. (L-BFGS's own matrix, [`InverseHessian::apply`], fits
+    /// the last pair only and is much further off.)
+    ///
+    /// How good it is depends on the path, and no bound comes with it: [`Self::error_estimate`] gives one for a few products. It
+    /// refers to the Hessian of J, second derivatives included, along the way.
     ///
     /// # Errors
     /// An eigenvalue problem that fails.
     pub fn from_inverse_hessian(inverse: &InverseHessian) -> Result<Self, Error> {
         let n = inverse.dim();
-        let basis = orthonormal(n, (0..inverse.pairs()).flat_map(|i| <[&[f64]; 2]>::from(inverse.pair(i))));
-        let k = basis.len() / n.max(1);
-        let mut image = vec![0.0; n];
-        let mut small = vec![0.0; k * k];
-        for (j, q) in basis.chunks_exact(n.max(1)).enumerate() {
-            inverse.apply(q, &mut image);
-            for (i, p) in basis.chunks_exact(n.max(1)).enumerate() {
-                small[i + j * k] = dot(p, &image);
+        // Q orthonormal and A Q, by columns.
+        let mut columns: Vec<(Vec<f64>, Vec<f64>)> = Vec::new();
+        for i in (0..inverse.pairs()).rev() {
+            let (s, y) = inverse.pair(i);
+            let (mut q, mut aq) = (s.to_vec(), y.to_vec());
+            let length = norm(s);
+            // Twice is enough.
+            for _ in 0..2 {
+                for (p, ap) in &columns {
+                    let c = dot(p, &q);
+                    q.iter_mut().zip(p).for_each(|(q, p)| *q -= c * p);
+                    aq.iter_mut().zip(ap).for_each(|(q, p)| *q -= c * p);
+                }
+            }
+            let left = norm(&q);
+            if left > 1e-3 * length {
+                q.iter_mut().chain(&mut aq).for_each(|x| *x /= left);
+                columns.push((q, aq));
             }
         }
-        let (inverted, small) = eigen(k, &small)?;
-        if let Some(&smallest) = inverted.first()
-            && !(smallest > 0.0)
-        {
-            return Err(Error::NotPositiveDefinite { smallest });
+        let k = columns.len();
+        let mut small = vec![0.0; k * k];
+        for (j, (q, aq)) in columns.iter().enumerate() {
+            for (i, (p, ap)) in columns.iter().enumerate() {
+                small[i + j * k] = 0.5 * (dot(p, aq) + dot(q, ap));
+            }
         }
+        let (values, small) = eigen(k, &small)?;
         let mut vectors = vec![0.0; n * k];
-        for (z, w) in vectors.chunks_exact_mut(n.max(1)).rev().zip(small.chunks_exact(k.max(1))) {
-            for (q, w) in basis.chunks_exact(n).zip(w) {
+        for (z, w) in vectors.chunks_exact_mut(n.max(1)).zip(small.chunks_exact(k.max(1))) {
+            for ((q, _), w) in columns.iter().zip(w) {
                 z.iter_mut().zip(q).for_each(|(z, q)| *z += w * q);
             }
         }
-        let values = inverted.iter().rev().map(|eta| 1.0 / eta).collect();
+        let values = values.iter().map(|mu| mu.max(1.0)).collect();
         Ok(Self { n, values, vectors, error_bound: None, products: 0 })
     }
 
@@ -304,31 +320,4 @@ fn best_split(
         }
     }
     best
-}
-
-/// An orthonormal basis of the span, by Gram–Schmidt made twice; what is dependent to rounding is dropped.
-fn orthonormal<'a>(n: usize, vectors: impl Iterator<Item = &'a [f64]>) -> Vec<f64> {
-    let mut basis: Vec<f64> = Vec::new();
-    for x in vectors {
-        let length = norm(x);
-        let mut q: Vec<f64> = x.iter().map(|x| x / length).collect();
-        let mut left = 1.0;
-        for _ in 0..2 {
-            for p in basis.chunks_exact(n) {
-                let c = dot(p, &q);
-                q.iter_mut().zip(p).for_each(|(q, p)| *q -= c * p);
-            }
-            left = norm(&q);
-        }
-        if left > 1e-12 {
-            q.iter_mut().for_each(|q| *q /= left);
-            // Once more: dividing by a small rest has brought its rounding to the front.
-            for p in basis.chunks_exact(n) {
-                let c = dot(p, &q);
-                q.iter_mut().zip(p).for_each(|(q, p)| *q -= c * p);
-            }
-            basis.extend_from_slice(&q);
-        }
-    }
-    basis
 }

@@ -124,11 +124,13 @@ where
     check_tolerance(options.gradient_tolerance)?;
     let mut g = vec![0.0; v.len()];
     let mut progress = Progress::start(cost.as_cost(), v, &mut g, start)?;
+    let scale = 1.0 / progress.gradient_norm.max(1.0);
     let shared = Rc::new(RefCell::new(Shared {
         cost,
         v: v.to_vec(),
         value: progress.value,
         gradient: Some(g.clone()),
+        scale,
         calls: 0,
         limit: options.max_evaluations,
         failure: None,
@@ -166,11 +168,12 @@ where
                 break 'run Status::Stalled;
             }
         };
-        match shared.borrow_mut().gradient(v) {
-            Ok(gradient) => g.copy_from_slice(&gradient),
-            Err(_) => break Status::Stalled,
+        let mut here = shared.borrow_mut();
+        if here.gradient(v).is_err() {
+            break Status::Stalled;
         }
-        progress.advance(shared.borrow_mut().cost.as_cost(), &g, step, 0.0);
+        g.iter_mut().zip(here.gradient.iter().flatten()).for_each(|(g, new)| *g = *new);
+        progress.advance(here.cost.as_cost(), &g, step, 0.0);
     };
     let mut shared = shared.borrow_mut();
     let failure = shared.failure.take();
@@ -206,6 +209,8 @@ struct Shared<'a, C: ?Sized> {
     v: Vec<f64>,
     value: f64,
     gradient: Option<Vec<f64>>,
+    /// argmin sees J times this: 1 / ‖∇J‖ at the first point if that is above 1, so that its first step, along −∇J, is of length 1.
+    scale: f64,
     calls: usize,
     limit: usize,
     failure: Option<Error>,
@@ -216,14 +221,14 @@ impl<C: AsCost + ?Sized> Shared<'_, C> {
         if self.v != v {
             self.call(v, false)?;
         }
-        Ok(self.value)
+        Ok(self.scale * self.value)
     }
 
     fn gradient(&mut self, v: &[f64]) -> Result<Vec<f64>, core::Error> {
         if self.v != v || self.gradient.is_none() {
             self.call(v, true)?;
         }
-        Ok(self.gradient.clone().unwrap_or_default())
+        Ok(self.gradient.iter().flatten().map(|g| self.scale * g).collect())
     }
 
     fn call(&mut self, v: &[f64], with_gradient: bool) -> Result<(), core::Error> {
@@ -309,6 +314,7 @@ impl ArgminDot<Vec<f64>, Vec<f64>> for Hessian<'_, '_> {
                 product.err().or(Some(Error::NonFinite { what: "a product with the Hessian", step: 0 }));
             out.fill(0.0);
         }
+        out.iter_mut().for_each(|x| *x *= shared.scale);
         out
     }
 }

@@ -228,9 +228,9 @@ fn every_minimizer_has_a_name_reports_equal_rows_and_is_deterministic() {
                 minimizer.name()
             );
         } else {
-            // The paper's baseline need not reach 1e-8, argmin's need not see the last digits; both come near.
+            // The paper's two need not reach 1e-8, argmin's need not see the last digits; both come near.
             assert!(
-                matches!(minimizer.name(), "adam" | "argmin-lbfgs" | "argmin-trust-region"),
+                matches!(minimizer.name(), "adam" | "newton" | "argmin-lbfgs" | "argmin-trust-region"),
                 "{minimum:?}"
             );
             assert!(minimum.value <= 1.01 * reference.value, "{}: {minimum:?}", minimizer.name());
@@ -253,13 +253,13 @@ fn every_minimizer_has_a_name_reports_equal_rows_and_is_deterministic() {
     assert_eq!(Minimizer::named("gradient-descent"), None);
 }
 
-/// 40 points with smooth errors (Gaussian kernel and a little white noise: condition number 2e5), every fourth seen.
+/// 40 points with smooth errors (Gaussian kernel and a little white noise: condition number 1e7), every fourth seen.
 fn line() -> (Dense, ObservationSet) {
     let n = 40;
     let matrix: Vec<f64> = (0..n * n)
         .map(|ij| {
             let apart = ((ij / n) as f64 - (ij % n) as f64) / 4.0;
-            (-0.5 * apart * apart).exp() + if ij % (n + 1) == 0 { 5e-5 } else { 0.0 }
+            (-0.5 * apart * apart).exp() + if ij % (n + 1) == 0 { 1e-6 } else { 0.0 }
         })
         .collect();
     let every: Vec<usize> = (0..10).collect();
@@ -294,15 +294,15 @@ fn adam_works_in_control_variables_and_lags_in_raw_ones() {
     assert!((slope - dot(&g, &d)).abs() <= 1e-10 * slope.abs(), "{slope} {}", dot(&g, &d));
 
     let gap = |cost: &mut dyn CostFunction, learning_rate| {
-        let options = AdamOptions { learning_rate, max_iterations: 200, ..Default::default() };
+        let options = AdamOptions { learning_rate, max_iterations: 600, ..Default::default() };
         adam(cost, &mut [0.0; 40], &options, &mut quiet).unwrap().value / lowest - 1.0
     };
-    // The raw variables' own best learning rate of several, to be fair to them.
-    let in_raw = [0.005, 0.01, 0.02, 0.04, 0.08].map(|rate| gap(&mut raw, rate));
-    let in_raw = in_raw.into_iter().fold(f64::INFINITY, f64::min);
-    let control =
-        [0.025, 0.05, 0.1].map(|rate| gap(&mut cost, rate)).into_iter().fold(f64::INFINITY, f64::min);
-    eprintln!("adam after 200 steps: control {control:e}, raw {in_raw:e}");
+    // Either with its own best learning rate of several.
+    let in_raw = [0.0025, 0.005, 0.01, 0.02, 0.04].map(|rate| gap(&mut raw, rate));
+    let control = [0.01, 0.02, 0.04, 0.08].map(|rate| gap(&mut cost, rate));
+    eprintln!("adam, J / J_min - 1 after 600 steps: control {control:?}, raw {in_raw:?}");
+    let [control, in_raw] =
+        [&control[..], &in_raw].map(|gaps| gaps.iter().copied().fold(f64::INFINITY, f64::min));
     assert!(control < 1e-3 && control < 0.01 * in_raw, "{control:e} {in_raw:e}");
 }
 
