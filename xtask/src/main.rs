@@ -1,2 +1,80 @@
-//! Developer commands: `cargo xtask verify`.
-fn main() {}
+//! Developer commands: `cargo xtask verify`, `cargo xtask docs`, `cargo xtask ci`.
+#![allow(clippy::print_stdout, clippy::print_stderr)]
+
+mod docs;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+
+const HELP: &str = "\
+cargo xtask verify [SUITE…] [--quick] [--json FILE] [--fixtures DIR]
+    Runs the verification suites (adjoint, taylor, hessian, golden, counts, paper) in a release build and prints one row per
+    check; fails if a row fails. --quick: fewer seeds. --json: the same rows as one array. --fixtures: check what is in
+    DIR/der, DIR/hanging-rod and DIR/twin instead of the copies in tests/fixtures.
+cargo xtask docs
+    Documentation of all crates with an index page, in target/doc.
+cargo xtask ci
+    fmt, clippy with warnings denied, tests, verify, docs.
+";
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let done = match words.as_slice() {
+        ["verify", rest @ ..] => verify(rest),
+        ["docs"] => docs::build(),
+        ["ci"] => ci(),
+        [] | ["help" | "--help" | "-h"] => {
+            print!("{HELP}");
+            Ok(())
+        }
+        other => Err(format!("unknown command: {}\n\n{HELP}", other.join(" "))),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            eprintln!("error: {message}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// The suites live in package `tests`; paths are those of the caller's folder.
+fn verify(arguments: &[&str]) -> Result<(), String> {
+    let manifest = root().join("Cargo.toml");
+    let mut command = cargo();
+    command
+        .args(["run", "--quiet", "--release", "--package", "tests", "--manifest-path"])
+        .arg(manifest)
+        .arg("--");
+    run(command.args(arguments))
+}
+
+fn ci() -> Result<(), String> {
+    let steps: [&[&str]; 3] = [
+        &["fmt", "--all", "--check"],
+        &["clippy", "--workspace", "--all-targets", "--", "--deny", "warnings"],
+        &["test", "--workspace"],
+    ];
+    for step in steps {
+        println!("cargo {}", step.join(" "));
+        run(cargo().args(step).current_dir(root()))?;
+    }
+    verify(&[])?;
+    docs::build()
+}
+
+/// The workspace's top folder.
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the workspace").to_path_buf()
+}
+
+/// The cargo that runs this.
+fn cargo() -> Command {
+    Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+}
+
+fn run(command: &mut Command) -> Result<(), String> {
+    let status = command.status().map_err(|e| format!("{command:?}: {e}"))?;
+    if status.success() { Ok(()) } else { Err(format!("failed: {command:?}")) }
+}

@@ -1,8 +1,8 @@
 //! Banded linear algebra: symmetric LDLᵀ without pivoting, and LU with partial pivoting.
 //!
 //! Plain functions on slices in the layouts of [`Structure`](crate::Structure). Both factorizations cost O(n w²), every
-//! solve O(n w), and nothing allocates. The symmetric factorization is the hot loop of a rod: half-bandwidths 8 and 10
-//! have their own code, in which every loop over the band has a fixed length.
+//! solve O(n w), and nothing allocates. The symmetric factorization is the hot loop of a rod: half-bandwidths 5, 8 and
+//! 10 (a chain, a rod without twist, a rod) have their own code, in which every loop over the band has a fixed length.
 //!
 //! LDLᵀ without pivoting is backward stable for a positive definite matrix, and exact up to the growth of its
 //! intermediate values otherwise (Golub and Van Loan 2013, section 4.4); Sylvester's law makes the number of negative
@@ -32,6 +32,7 @@ const NEGLIGIBLE: f64 = f64::EPSILON;
 pub fn ldlt_factor(w: usize, a: &mut [f64]) -> Result<usize, BadPivot> {
     assert_rows(w, a);
     match w {
+        5 => ldlt_factor_fixed::<5, 6>(a),
         8 => ldlt_factor_fixed::<8, 9>(a),
         10 => ldlt_factor_fixed::<10, 11>(a),
         _ => ldlt_factor_any(w, a),

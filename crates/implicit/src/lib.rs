@@ -3,7 +3,8 @@
 //! Write the equations of one step and their derivatives as an [`ImplicitStep`]; [`ImplicitModel`] makes of it a
 //! [`Model`]: Newton's method with a line search, halved steps where that fails, and the tangent linear and adjoint of the
 //! step from a kept factorization (paper 2.23 to 2.25). [`OneLeg`] and [`Rk4`] are ready-made steps for any ẋ = f(t, x),
-//! [`Trajectory`] runs a window and sweeps along it, [`check`] tests the derivatives of any [`Model`].
+//! [`Trajectory`] runs a window and sweeps along it, [`check`] tests the derivatives of any [`Model`]. [`lorenz`] and [`mod@line`]
+//! hold models to try things on; one of your own is an [`Rhs`] of three functions.
 //!
 //! When not to use it: where steps adapt their length to an error estimate (steps here lie on a uniform grid of time), or
 //! where derivatives are not known in closed form (nothing here differentiates numerically).
@@ -41,6 +42,7 @@ mod error;
 mod explicit;
 mod factor;
 mod implicit;
+pub mod line;
 pub mod lorenz;
 mod model;
 mod newton;

@@ -1,7 +1,7 @@
 //! Lorenz models through RK4 and one-leg steps: reference numbers, conformance, order of accuracy.
 
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
-use varda_implicit::{ImplicitModel, Keep, Model, OneLeg, Rhs, Rk4, Structure, Trajectory, check};
+use varda_implicit::{ImplicitModel, Keep, Model, OneLeg, Rk4, Trajectory, check};
 
 /// The cost and gradient of design.md section 9: N components, every other one observed at steps 10, 20, …, 100.
 fn cost_and_gradient(n: usize) -> (f64, Vec<f64>) {
@@ -100,94 +100,5 @@ fn steps_have_their_order_of_accuracy() {
     for (order, steps) in [(1, 4000), (2, 1000), (4, 400)] {
         let fitted = (error(order, steps) / error(order, 2 * steps)).log2();
         assert!((fitted - f64::from(order)).abs() <= 0.05, "order {order}: {fitted}");
-    }
-}
-
-/// Burgers' equation u̇ = ν u″ − (u²/2)′ on a line of unit spacing: a tridiagonal, unsymmetric Jacobian in any layout.
-struct Burgers(Structure);
-
-const N: usize = 20;
-
-impl Burgers {
-    /// ∂f_i/∂x_j for j = i−1, i, i+1.
-    fn row(x: &[f64], i: usize) -> [f64; 3] {
-        let near = |j: usize| x.get(j).copied().unwrap_or(0.0);
-        [0.3 + 0.5 * near(i.wrapping_sub(1)), -0.6, 0.3 - 0.5 * near(i + 1)]
-    }
-}
-
-impl Rhs for Burgers {
-    fn dim(&self) -> usize {
-        N
-    }
-    fn structure(&self) -> Structure {
-        self.0.clone()
-    }
-    fn eval(&mut self, _: f64, x: &[f64], f: &mut [f64]) {
-        let near = |j: usize| x.get(j).copied().unwrap_or(0.0);
-        for i in 0..N {
-            let (left, right) = (near(i.wrapping_sub(1)), near(i + 1));
-            f[i] = 0.3 * (left - 2.0 * x[i] + right) - 0.25 * (right * right - left * left);
-        }
-    }
-    fn tangent(&mut self, _: f64, x: &[f64], dx: &[f64], df: &mut [f64]) {
-        let near = |j: usize| dx.get(j).copied().unwrap_or(0.0);
-        for i in 0..N {
-            let row = Self::row(x, i);
-            df[i] = row[0] * near(i.wrapping_sub(1)) + row[1] * dx[i] + row[2] * near(i + 1);
-        }
-    }
-    fn adjoint_add(&mut self, _: f64, x: &[f64], l: &[f64], dx: &mut [f64]) {
-        for i in 0..N {
-            for (p, v) in Self::row(x, i).into_iter().enumerate() {
-                if (1..=N).contains(&(i + p)) {
-                    dx[i + p - 1] += v * l[i];
-                }
-            }
-        }
-    }
-    fn jacobian(&mut self, _: f64, x: &[f64], _: &mut [f64], values: &mut [f64]) {
-        let mut next = 0;
-        for j in 0..N {
-            for i in 0..N {
-                let value = if i.abs_diff(j) <= 1 { Self::row(x, i)[j + 1 - i] } else { 0.0 };
-                match self.0 {
-                    Structure::Dense => values[i + j * N] = value,
-                    Structure::Band { .. } if i.abs_diff(j) <= 1 => values[3 * i + j + 1 - i] = value,
-                    Structure::Sparse { .. } if i.abs_diff(j) <= 1 => {
-                        values[next] = value;
-                        next += 1;
-                    }
-                    _ => {}
-                }
-            }
-        }
-    }
-}
-
-#[test]
-fn one_model_in_three_layouts_gives_one_answer() {
-    let (mut columns, mut rows) = (vec![0], Vec::new());
-    for j in 0..N {
-        rows.extend(j.saturating_sub(1)..(j + 2).min(N));
-        columns.push(rows.len());
-    }
-    let x0: Vec<f64> = (0..N).map(|i| 1.0 + (0.4 * i as f64).sin()).collect();
-    let mut answers = Vec::new();
-    for structure in
-        [Structure::Dense, Structure::Band { half_bandwidth: 1 }, Structure::Sparse { columns, rows }]
-    {
-        let mut model = ImplicitModel::new(OneLeg::implicit_midpoint(Burgers(structure), 1e-11), 0, 0.5);
-        conforms(&mut model, &x0);
-        let mut trajectory = Trajectory::new();
-        trajectory.run(&mut model, &x0, 30, Keep::Linearizations).unwrap();
-        let mut lambda = vec![0.0; N];
-        trajectory.adjoint(&mut model, &mut lambda, &mut |k, l| l[k % N] += 1.0);
-        lambda.extend_from_slice(trajectory.state(30));
-        answers.push(lambda);
-    }
-    for other in &answers[1..] {
-        // thirty damped steps of well conditioned systems
-        assert!(other.iter().zip(&answers[0]).all(|(a, b)| (a - b).abs() <= 1e-12));
     }
 }

@@ -38,7 +38,7 @@ impl KelvinVoigt {
     /// Takes the strains of the present shape of `system` as those of x_k and folds them into its stiffness.
     pub(crate) fn set_past(&mut self, system: &mut System, r: f64) {
         self.share = r / (1.0 + r);
-        self.shape.clone_from(&system.shape);
+        self.shape.copy_from(&system.shape);
         self.past.lengths.clear();
         self.past.lengths.extend(system.shape.edges.iter().map(|e| e.l));
         self.strains.clear();

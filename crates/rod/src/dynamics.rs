@@ -260,12 +260,12 @@ impl ImplicitStep for BackwardEuler {
         Ok(Some(potential))
     }
 
-    fn retract(&mut self, _at: &Interval, _x: &[f64], u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
+    fn retract(&mut self, at: &Interval, _x: &[f64], u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
         for ((t, u), d) in trial.iter_mut().zip(u).zip(du) {
             *t = u + alpha * d;
         }
         if self.system.layout.twist {
-            self.angles_to_stored(u, du, alpha, trial);
+            self.angles_to_stored(at, u, du, alpha, trial);
         }
     }
 
@@ -374,7 +374,7 @@ impl ImplicitStep for BackwardEuler {
         if layout.free_angles.is_empty() {
             return;
         }
-        self.set_edges_of(u);
+        self.set_edges_of(at, u);
         self.system.displacements(dx_next, &mut self.displacement);
         self.system.shape.holonomy(&self.displacement, &mut self.psi);
         let layout = &self.system.layout;
@@ -411,7 +411,7 @@ impl ImplicitStep for BackwardEuler {
         if angles.iter().all(|a| *a == 0.0) {
             return;
         }
-        self.set_edges_of(u);
+        self.set_edges_of(at, u);
         self.psi.fill(0.0);
         for (f, &e) in self.system.layout.free_angles.iter().enumerate() {
             self.psi[e] = angles[f];
@@ -472,8 +472,8 @@ impl ImplicitStep for BackwardEuler {
 
 impl BackwardEuler {
     /// The stored angles of u ⊕ α du: an increment of θ in the local gauge, plus the holonomy of the displacements.
-    fn angles_to_stored(&mut self, u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
-        self.set_edges_of(u);
+    fn angles_to_stored(&mut self, at: &Interval, u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
+        self.set_edges_of(at, u);
         let layout = &self.system.layout;
         self.displacement.fill(V3::zeros());
         for &v in &layout.free_vertices {
@@ -487,9 +487,12 @@ impl BackwardEuler {
     }
 
     /// Edges and turns at u. The point was assembled before, so its geometry is sound.
-    fn set_edges_of(&mut self, u: &[f64]) {
+    ///
+    /// Places the supports first: products of other steps may have been asked for in between.
+    fn set_edges_of(&mut self, at: &Interval, u: &[f64]) {
+        self.system.place(at.end()).expect("the step was accepted before");
         self.system.scatter(u);
-        self.system.shape.set_edges(&self.system.x, true).expect("u was assembled before");
+        self.system.update_shape(true, self.end_angle).expect("u was assembled before");
     }
 
     /// The present step's strains and shapes at x and u, for the products with ∂G/∂x_k.

@@ -57,6 +57,18 @@ impl Shape {
         &self.turns[vertex]
     }
 
+    /// Takes over another shape of the same rod, without asking for memory.
+    pub(crate) fn copy_from(&mut self, other: &Shape) {
+        let Shape { edges, turns, carried, d1, m1, m2, tau } = other;
+        self.edges.copy_from_slice(edges);
+        self.turns.copy_from_slice(turns);
+        self.carried = *carried;
+        self.d1.copy_from_slice(d1);
+        self.m1.copy_from_slice(m1);
+        self.m2.copy_from_slice(m2);
+        self.tau.copy_from_slice(tau);
+    }
+
     /// Edges and turns of the vertices x. `bent` = whether turns are needed.
     pub(crate) fn set_edges(&mut self, x: &[V3], bent: bool) -> Result<(), Error> {
         for i in 0..self.edges.len() {

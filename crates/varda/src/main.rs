@@ -1,2 +1,5 @@
 //! The command line `varda`.
-fn main() {}
+
+fn main() -> std::process::ExitCode {
+    varda::cli::main()
+}

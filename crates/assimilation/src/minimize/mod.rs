@@ -69,7 +69,7 @@ impl Minimizer {
     pub const NAMES: &[&str] = &[
         "auto",
         "trust-region",
-        "newton-cg",
+        "gauss-newton-cg",
         "newton",
         "lbfgs",
         "adam",
@@ -84,7 +84,7 @@ impl Minimizer {
         Some(match name {
             "auto" => Self::Auto(AutoOptions::default()),
             "trust-region" => Self::TrustRegion(TrustRegionOptions::default()),
-            "newton-cg" => Self::NewtonCg(NewtonCgOptions::default()),
+            "gauss-newton-cg" => Self::NewtonCg(NewtonCgOptions::default()),
             "newton" => Self::Newton(NewtonOptions::default()),
             "lbfgs" => Self::Lbfgs(LbfgsOptions::default()),
             "adam" => Self::Adam(AdamOptions::default()),
@@ -101,7 +101,7 @@ impl Minimizer {
         match self {
             Self::Auto(_) => "auto",
             Self::TrustRegion(_) => "trust-region",
-            Self::NewtonCg(_) => "newton-cg",
+            Self::NewtonCg(_) => "gauss-newton-cg",
             Self::Newton(_) => "newton",
             Self::Lbfgs(_) => "lbfgs",
             Self::Adam(_) => "adam",

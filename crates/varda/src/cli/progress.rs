@@ -1,0 +1,65 @@
+//! What a run shows while it goes: nothing at first, then a bar, or plain lines where there is no terminal.
+
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+use crate::run::ConvergenceRow;
+
+/// A run shorter than this shows only its table.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// Plain lines are this far apart.
+const PACE: Duration = Duration::from_secs(5);
+
+pub(super) struct Progress {
+    tolerance: f64,
+    max_iterations: usize,
+    quiet: bool,
+    started: Instant,
+    first: Option<(Instant, f64)>,
+    bar: Option<ProgressBar>,
+    last_line: Option<Instant>,
+}
+
+impl Progress {
+    pub(super) fn new(tolerance: f64, max_iterations: usize, quiet: bool, started: Instant) -> Self {
+        Progress { tolerance, max_iterations, quiet, started, first: None, bar: None, last_line: None }
+    }
+
+    pub(super) fn row(&mut self, row: &ConvergenceRow) {
+        let now = Instant::now();
+        let (began, gradient) = *self.first.get_or_insert((now, row.gradient_norm));
+        if self.quiet || self.started.elapsed() < PATIENCE {
+            return;
+        }
+        // The gradient falls about evenly on a log scale: how far along it is tells the seconds left.
+        let done = (gradient / row.gradient_norm).ln() / (1.0 / self.tolerance).ln();
+        let by_count = row.iteration as f64 / self.max_iterations as f64;
+        let share = done.max(by_count).clamp(0.0, 1.0);
+        let left = (share > 0.0).then(|| began.elapsed().as_secs_f64() * (1.0 - share) / share);
+        let left = left.map_or(String::from("?"), |s| format!("{s:.0}"));
+        let message = format!(
+            "iteration {}  J {:.6e}  |grad| {:.2e}  about {left} s left",
+            row.iteration, row.j, row.gradient_norm
+        );
+        if std::io::stderr().is_terminal() {
+            let bar = self.bar.get_or_insert_with(|| {
+                let style = ProgressStyle::with_template("[{bar:30}] {msg}")
+                    .unwrap_or_else(|_| ProgressStyle::default_bar());
+                ProgressBar::with_draw_target(Some(1000), ProgressDrawTarget::stderr()).with_style(style)
+            });
+            bar.set_position((1000.0 * share) as u64);
+            bar.set_message(message);
+        } else if self.last_line.is_none_or(|t| t.elapsed() >= PACE) {
+            eprintln!("{message}");
+            self.last_line = Some(now);
+        }
+    }
+
+    pub(super) fn finish(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}

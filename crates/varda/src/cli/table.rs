@@ -1,0 +1,159 @@
+//! The tables the commands print.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use crate::check::Plan;
+use crate::problem::Problem;
+use crate::run::{Outcome, Simulation, Status};
+
+/// More than this many notes are for the report.
+const MOST_NOTES: usize = 6;
+
+pub(super) fn outcome(problem: &Problem, o: &Outcome, folder: &Path, seconds: f64) -> String {
+    let mut out = String::new();
+    let mut line = |name: &str, text: String| {
+        let _ = writeln!(out, "{name:<14} {text}");
+    };
+    let algorithm = &problem.scene.algorithm;
+    line("scene", format!("{} (seed {})", problem.name, problem.scene.seed));
+    line(
+        "method",
+        format!("{}, {}: {}", algorithm.method.name(), algorithm.minimizer.name(), o.status.name()),
+    );
+    line(
+        "sizes",
+        format!(
+            "{} unknowns, {} observed values, {} steps",
+            problem.control_dim(),
+            o.analysis.observations,
+            problem.window.steps
+        ),
+    );
+    line(
+        "J",
+        format!(
+            "{:.6} -> {:.6}  (background {:.4}, observations {:.4}; 2J/m = {:.3})",
+            o.j_background,
+            o.analysis.value,
+            o.analysis.terms.background,
+            o.analysis.terms.observation,
+            o.analysis.chi2
+        ),
+    );
+    line(
+        "gradient",
+        format!(
+            "{:.2e} -> {:.2e} in {} outer iterations",
+            o.gradient_norms[0], o.gradient_norms[1], o.iterations[0]
+        ),
+    );
+    let rmse = |b: Option<f64>, a: Option<f64>, unit: &str| match (b, a) {
+        (Some(b), Some(a)) => Some(format!("{b:.4e} -> {a:.4e}{unit}  (x {:.3})", a / b)),
+        _ => None,
+    };
+    let is_rod = o.rmse.velocity_background.is_some();
+    if let Some(text) =
+        rmse(o.rmse.position_background, o.rmse.position_analysis, if is_rod { " m" } else { "" })
+    {
+        line(if is_rod { "RMSE position" } else { "RMSE" }, text);
+    }
+    if let Some(text) = rmse(o.rmse.velocity_background, o.rmse.velocity_analysis, " m/s") {
+        line("RMSE velocity", text);
+    }
+    for w in &o.withheld {
+        line(
+            "withheld",
+            format!(
+                "{}: {:.2} mm -> {:.2} mm rms over {} times ({:.2} with its constant offset aside)",
+                w.label,
+                1e3 * w.rms_background,
+                1e3 * w.rms_analysis,
+                w.count,
+                1e3 * w.moving_analysis
+            ),
+        );
+    }
+    for f in &o.forecast {
+        line(
+            "forecast",
+            format!(
+                "{}: {:.2} mm rms; persistence {:.2}, static model {:.2} (offset aside: {:.2}, best constant {:.2})",
+                f.label,
+                1e3 * f.analysis,
+                1e3 * f.persistence,
+                1e3 * f.static_model,
+                1e3 * f.moving_analysis,
+                1e3 * f.moving_constant
+            ),
+        );
+    }
+    line(
+        "work",
+        format!(
+            "{} model steps, {} tangent, {} adjoint, {} factorizations",
+            o.counts.model_steps, o.counts.tangent_steps, o.counts.adjoint_steps, o.counts.factorizations
+        ),
+    );
+    line("time", format!("{seconds:.2} s"));
+    for w in o.warnings.iter().take(MOST_NOTES) {
+        line("note", w.clone());
+    }
+    if o.warnings.len() > MOST_NOTES {
+        line("note", format!("{} more in summary.json", o.warnings.len() - MOST_NOTES));
+    }
+    let shown = if o.status == Status::Failed { "what was reached" } else { "report" };
+    line(shown, folder.join("report.html").display().to_string());
+    out
+}
+
+pub(super) fn simulation(problem: &Problem, s: &Simulation, folder: &Path, seconds: f64) -> String {
+    let mut out = String::new();
+    let mut line = |name: &str, text: String| {
+        let _ = writeln!(out, "{name:<14} {text}");
+    };
+    let w = &problem.window;
+    line("scene", format!("{} (seed {})", problem.name, problem.scene.seed));
+    line("run", format!("of the {}: {} steps of {:.6} s from t = {:.6} s", s.of, s.steps, w.step, w.start));
+    if let Some(tip) = s.tip {
+        line("tip at the end", format!("({:.6}, {:.6}, {:.6}) m", tip[0], tip[1], tip[2]));
+    }
+    line(
+        "work",
+        format!(
+            "{} Newton iterations, {} factorizations",
+            s.counts.newton_iterations, s.counts.factorizations
+        ),
+    );
+    line("time", format!("{seconds:.2} s"));
+    for w in &s.warnings {
+        line("note", w.clone());
+    }
+    line("trajectory", folder.join("trajectory.csv").display().to_string());
+    out
+}
+
+pub(super) fn plan(p: &Plan) -> String {
+    let mut out = format!("{}: nothing wrong\n", p.name);
+    let mut line = |name: &str, text: String| {
+        let _ = writeln!(out, "  {name:<14} {text}");
+    };
+    if !p.title.is_empty() {
+        line("title", p.title.clone());
+    }
+    line("state", format!("{} numbers", p.n_state));
+    line("control", format!("{} numbers", p.n_control));
+    line("observations", format!("{} values at {} times", p.n_obs, p.times));
+    line(
+        "window",
+        format!(
+            "{} steps of {:.6} s from t = {:.6} s, after {} steps of spin-up",
+            p.window.steps, p.window.step, p.window.start, p.spin_up
+        ),
+    );
+    line("memory", format!("about {:.1} MB", p.bytes as f64 / 1e6));
+    for text in &p.left_out {
+        line("left out", text.clone());
+    }
+    out
+}

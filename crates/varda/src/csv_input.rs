@@ -1,0 +1,240 @@
+//! CSV files a person brings: observations of a rod, a background, the motion of a support.
+//!
+//! Every refusal names file and line. An empty cell is "not there"; NaN and infinities are errors.
+
+use crate::Error;
+
+/// One row of an observation file, in the recording's own time and axes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Row {
+    /// Line of the file, from 1.
+    pub line: usize,
+    /// Time \[s\].
+    pub time: f64,
+    /// What was seen.
+    pub subject: Subject,
+    /// Its coordinates \[m\]; `None` was not observed.
+    pub position: [Option<f64>; 3],
+    /// Standard deviation of a coordinate \[m\], where the file says so.
+    pub sigma: Option<f64>,
+}
+
+/// What a row is about.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Subject {
+    /// The point of the centreline at an arc length \[m\].
+    ArcLength(f64),
+    /// A named marker.
+    Marker(String),
+}
+
+/// Reads observations: header `time_s,s_m,x_m,y_m,z_m` or `time_s,marker,x_m,y_m,z_m`, optionally `sigma_m`; columns in any
+/// order. `file` is its name in messages.
+///
+/// # Errors
+/// [`Error::Data`] naming file and line.
+pub fn observations(file: &str, text: &str) -> Result<Vec<Row>, Error> {
+    let expected = "time_s,s_m,x_m,y_m,z_m or time_s,marker,x_m,y_m,z_m, optionally sigma_m";
+    let mut table =
+        Table::open(file, text, &["time_s", "s_m", "marker", "x_m", "y_m", "z_m", "sigma_m"], expected)?;
+    for name in ["time_s", "x_m", "y_m", "z_m"] {
+        table.require(name, expected)?;
+    }
+    let by_marker = match (table.has("marker"), table.has("s_m")) {
+        (true, false) => true,
+        (false, true) => false,
+        (true, true) => {
+            return Err(table.bad(1, "has both `marker` and `s_m`: a row is about one or the other"));
+        }
+        (false, false) => {
+            return Err(
+                table.bad(1, format!("the header has neither `s_m` nor `marker`; expected {expected}"))
+            );
+        }
+    };
+    let mut rows = Vec::new();
+    while table.next()? {
+        let subject = if by_marker {
+            let name = table.cell("marker");
+            if name.is_empty() {
+                return Err(table.bad(table.line, "`marker` is empty"));
+            }
+            Subject::Marker(name.to_string())
+        } else {
+            Subject::ArcLength(table.needed("s_m")?)
+        };
+        let sigma = table.number("sigma_m")?;
+        if let Some(sigma) = sigma.filter(|s| !(*s > 0.0)) {
+            return Err(table.bad(table.line, format!("`sigma_m` = {sigma} must be greater than 0")));
+        }
+        rows.push(Row {
+            line: table.line,
+            time: table.needed("time_s")?,
+            subject,
+            position: [table.number("x_m")?, table.number("y_m")?, table.number("z_m")?],
+            sigma,
+        });
+    }
+    if rows.is_empty() {
+        return Err(table.bad(1, "holds no observations"));
+    }
+    Ok(rows)
+}
+
+/// Reads columns of numbers, every cell of them filled; `columns` are the header's names, in any order.
+///
+/// # Errors
+/// [`Error::Data`] naming file and line.
+pub fn numbers<const N: usize>(file: &str, text: &str, columns: [&str; N]) -> Result<Vec<[f64; N]>, Error> {
+    let expected = columns.join(",");
+    let mut table = Table::open(file, text, &columns, &expected)?;
+    for name in columns {
+        table.require(name, &expected)?;
+    }
+    let mut rows = Vec::new();
+    while table.next()? {
+        let mut row = [0.0; N];
+        for (value, name) in row.iter_mut().zip(columns) {
+            *value = table.needed(name)?;
+        }
+        rows.push(row);
+    }
+    Ok(rows)
+}
+
+/// A CSV file being read row by row.
+struct Table<'a> {
+    file: &'a str,
+    text: &'a str,
+    reader: csv::Reader<&'a [u8]>,
+    columns: Vec<String>,
+    record: csv::StringRecord,
+    line: usize,
+}
+
+impl<'a> Table<'a> {
+    fn open(file: &'a str, text: &'a str, known: &[&str], expected: &str) -> Result<Self, Error> {
+        let mut reader =
+            csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(text.as_bytes());
+        let columns: Vec<String> = match reader.headers() {
+            Ok(header) => header.iter().map(|c| c.trim_start_matches('\u{feff}').to_string()).collect(),
+            Err(e) => return Err(Error::Data { place: format!("{file}:1"), message: e.to_string() }),
+        };
+        let table = Table { file, text, reader, columns, record: csv::StringRecord::new(), line: 1 };
+        for (i, name) in table.columns.iter().enumerate() {
+            if !known.contains(&name.as_str()) {
+                return Err(table.bad(1, format!("unknown column {name:?}; expected the header {expected}")));
+            }
+            if table.columns[..i].contains(name) {
+                return Err(table.bad(1, format!("the column {name:?} is there twice")));
+            }
+        }
+        Ok(table)
+    }
+
+    fn has(&self, name: &str) -> bool {
+        self.columns.iter().any(|c| c == name)
+    }
+
+    fn require(&self, name: &str, expected: &str) -> Result<(), Error> {
+        if self.has(name) {
+            Ok(())
+        } else {
+            Err(self.bad(1, format!("no column {name:?}; expected the header {expected}")))
+        }
+    }
+
+    fn next(&mut self) -> Result<bool, Error> {
+        match self.reader.read_record(&mut self.record) {
+            Ok(more) => {
+                if let Some(at) = self.record.position() {
+                    // The reader's position is before any empty lines and comments that it skips.
+                    let rest = &self.text[(at.byte() as usize).min(self.text.len())..];
+                    let skipped = rest.lines().take_while(|l| l.is_empty() || l.starts_with('#')).count();
+                    self.line = at.line() as usize + skipped;
+                }
+                Ok(more)
+            }
+            Err(e) => {
+                let line = e.position().map_or(self.line, |p| p.line() as usize);
+                Err(self.bad(
+                    line,
+                    format!("a row of another length than the header ({} columns)", self.columns.len()),
+                ))
+            }
+        }
+    }
+
+    fn cell(&self, name: &str) -> &str {
+        self.columns.iter().position(|c| c == name).and_then(|i| self.record.get(i)).unwrap_or("")
+    }
+
+    /// The number in a cell; `None` where the cell is empty or there is no such column.
+    fn number(&self, name: &str) -> Result<Option<f64>, Error> {
+        let cell = self.cell(name);
+        if cell.is_empty() {
+            return Ok(None);
+        }
+        match cell.parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(Some(value)),
+            Ok(value) => Err(self.bad(
+                self.line,
+                format!("`{name}` is {value}: leave the cell empty where nothing was observed"),
+            )),
+            Err(_) => Err(self.bad(self.line, format!("`{name}` = {cell:?} is not a number"))),
+        }
+    }
+
+    fn needed(&self, name: &str) -> Result<f64, Error> {
+        self.number(name)?.ok_or_else(|| self.bad(self.line, format!("`{name}` is empty")))
+    }
+
+    fn bad(&self, line: usize, message: impl Into<String>) -> Error {
+        Error::Data { place: format!("{}:{line}", self.file), message: message.into() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn message(text: &str) -> String {
+        observations("obs.csv", text).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn empty_cells_are_not_observed() {
+        let rows =
+            observations("o", "time_s,s_m,x_m,y_m,z_m,sigma_m\n0.5,1.0,1,,3,0.1\n0.6,0.5,,,,\n").unwrap();
+        assert_eq!(rows[0].position, [Some(1.0), None, Some(3.0)]);
+        assert_eq!(rows[0].sigma, Some(0.1));
+        assert_eq!((rows[1].line, rows[1].position), (3, [None; 3]));
+        assert_eq!(rows[1].subject, Subject::ArcLength(0.5));
+    }
+
+    #[test]
+    fn markers_are_names_and_columns_may_be_in_any_order() {
+        let rows = observations("o", "marker,time_s,z_m,y_m,x_m\ntip,0.25,3,2,1\n").unwrap();
+        assert_eq!(rows[0].subject, Subject::Marker("tip".into()));
+        assert_eq!(rows[0].position, [Some(1.0), Some(2.0), Some(3.0)]);
+    }
+
+    #[test]
+    fn refusals_name_file_and_line() {
+        let header = "time_s,s_m,x_m,y_m,z_m\n";
+        let all = [
+            (format!("{header}0,1,0,0,0\n0.1,1,0,NaN,0\n"), "obs.csv:3", "`y_m` is NaN"),
+            (format!("{header}0,1,0,0,0\n\n0.1,1,0,abc,0\n"), "obs.csv:4", "not a number"),
+            (format!("{header}0,1,0,0\n"), "obs.csv:2", "5 columns"),
+            (format!("{header},1,0,0,0\n"), "obs.csv:2", "`time_s` is empty"),
+            ("time_s,s_m,x,y_m,z_m\n".into(), "obs.csv:1", "unknown column \"x\""),
+            ("time_s,x_m,y_m,z_m\n".into(), "obs.csv:1", "neither `s_m` nor `marker`"),
+            ("time_s,s_m,x_m,y_m,z_m,sigma_m\n0,1,0,0,0,-1\n".into(), "obs.csv:2", "greater than 0"),
+            (header.into(), "obs.csv:1", "no observations"),
+        ];
+        for (text, place, what) in all {
+            let message = message(&text);
+            assert!(message.starts_with(place) && message.contains(what), "{message}");
+        }
+    }
+}

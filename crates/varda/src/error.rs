@@ -1,0 +1,91 @@
+//! Errors: one clear message each, naming the file and line, the field or the step.
+
+use std::path::PathBuf;
+
+/// Anything that can stop a scene from being read, run or written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A scene says something impossible. `place` is `file:line:column`, or the `--set` that said it.
+    #[error("{place}: {message}")]
+    Scene {
+        /// Where.
+        place: String,
+        /// What is wrong and what would be right.
+        message: String,
+    },
+    /// A data file (CSV) cannot be used. `place` is `file:line`.
+    #[error("{place}: {message}")]
+    Data {
+        /// Where.
+        place: String,
+        /// What is wrong and what would be right.
+        message: String,
+    },
+    /// A file cannot be read.
+    #[error("{place}: cannot read {path}: {source}")]
+    Read {
+        /// Who asked for it.
+        place: String,
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// No shipped scene and no file of that name.
+    #[error(
+        "no scene {name:?}: it is neither a file nor a shipped scene{suggestion} (`varda scenes` lists them)"
+    )]
+    NoScene {
+        /// What was asked for.
+        name: String,
+        /// ", did you mean …?", or nothing.
+        suggestion: String,
+    },
+    /// A file or folder cannot be written.
+    #[error("cannot write {path}: {source}")]
+    Write {
+        /// What was being written.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The output folder holds something that Varda did not write.
+    #[error(
+        "{path} exists and is not a result of Varda ({reason}); choose another folder with --out, or move it away"
+    )]
+    Occupied {
+        /// The folder.
+        path: PathBuf,
+        /// How one can tell.
+        reason: &'static str,
+    },
+    /// A plot could not be drawn.
+    #[error("cannot draw {figure}: {reason}")]
+    Plot {
+        /// Which one.
+        figure: &'static str,
+        /// Why.
+        reason: String,
+    },
+    /// The rod refuses its description or state.
+    #[error("rod: {0}")]
+    Rod(#[from] varda_rod::Error),
+    /// The model stopped before the window began.
+    #[error("{stage}: {source}")]
+    Preparation {
+        /// The static equilibrium, or the spin-up of the truth; its steps count from rest.
+        stage: &'static str,
+        /// Where and why.
+        source: varda_implicit::Error,
+    },
+    /// The model stopped.
+    #[error("model: {0}")]
+    Model(#[from] varda_implicit::Error),
+    /// A covariance cannot be built.
+    #[error("background covariance: {0}")]
+    Covariance(#[from] varda_covariance::Error),
+    /// The assimilation stopped.
+    #[error("assimilation: {0}")]
+    Assimilation(#[from] varda_assimilation::Error),
+}

@@ -1,0 +1,393 @@
+//! report.html: one file, readable offline, on a phone and on paper.
+
+use std::fmt::Write;
+
+use crate::problem::Problem;
+use crate::run::{Outcome, Status};
+
+use super::Summary;
+
+/// A drawn figure: name, title, SVG text.
+pub(super) type Drawn = (&'static str, String, String);
+
+/// The page.
+pub(super) fn page(problem: &Problem, outcome: &Outcome, summary: &Summary, figures: &[Drawn]) -> String {
+    let title = match problem.scene.title.as_str() {
+        "" => problem.name.as_str(),
+        title => title,
+    };
+    let mut body = String::new();
+    let _ = write!(
+        body,
+        "<header><h1>{}</h1><p class=\"sub\">scene <code>{}</code> · seed {} · {} by {} · <span class=\"status {}\">{}</span></p></header>",
+        escape(title),
+        escape(&problem.name),
+        summary.seed,
+        summary.method,
+        summary.minimizer,
+        summary.status,
+        status_words(outcome.status),
+    );
+    body.push_str(&tiles(summary));
+    if !summary.warnings.is_empty() {
+        let _ = write!(
+            body,
+            "<section class=\"notes\"><h2>What to know</h2>{}</section>",
+            list(&summary.warnings)
+        );
+    }
+    body.push_str(&table_section(problem, summary));
+    for (_, title, svg) in figures {
+        let _ = write!(
+            body,
+            "<figure><div class=\"scroll\">{svg}</div><figcaption>{}</figcaption></figure>",
+            escape(title)
+        );
+    }
+    body.push_str(&fit_section(problem, summary));
+    let scene = toml::to_string(&problem.scene).unwrap_or_default();
+    let _ = write!(
+        body,
+        "<section><h2>What was left out</h2><p>Not needed by this scene, and not computed:</p>{}</section>\
+         <section><h2>Convergence</h2>{}</section>\
+         <section><h2>The scene as it was run</h2><details><summary>TOML, overrides and defaults included</summary><pre>{}</pre></details></section>\
+         <footer><p>Made by Varda {}. Files beside this page: summary.json, analysis.csv, trajectory.csv, convergence.csv, figures/.</p></footer>",
+        list(&summary.left_out),
+        convergence_table(outcome),
+        escape(&scene),
+        summary.version,
+    );
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{} – Varda</title>\n<style>{STYLE}</style>\n</head>\n\
+         <body>\n<main>{body}</main>\n</body>\n</html>\n",
+        escape(title)
+    )
+}
+
+fn status_words(status: Status) -> &'static str {
+    match status {
+        Status::Converged => "converged",
+        Status::MaxIterations => "out of iterations",
+        Status::Stalled => "stalled",
+        Status::Interrupted => "interrupted",
+        Status::Failed => "failed",
+    }
+}
+
+/// The numbers one looks for first.
+fn tiles(s: &Summary) -> String {
+    let mut tiles = vec![(
+        "Cost J".to_string(),
+        format!("{} → {}", short(s.j_background), short(s.j_analysis)),
+        format!("2J/m = {:.3}, about 1 is expected", s.chi2),
+    )];
+    let mut ratio = |name: &str, before: Option<f64>, after: Option<f64>, unit: &str| {
+        if let (Some(b), Some(a)) = (before, after) {
+            tiles.push((
+                name.to_string(),
+                format!("{} → {}{unit}", short(b), short(a)),
+                format!("{:.0} % of the background's error left", 100.0 * a / b),
+            ));
+        }
+    };
+    let is_rod = s.rmse.velocity_background.is_some();
+    ratio(
+        if is_rod { "Position error (RMSE)" } else { "Error (RMSE)" },
+        s.rmse.position_background,
+        s.rmse.position_analysis,
+        if is_rod { " m" } else { "" },
+    );
+    ratio("Velocity error (RMSE)", s.rmse.velocity_background, s.rmse.velocity_analysis, " m/s");
+    for w in &s.withheld {
+        tiles.push((
+            format!("Kept back: {}", w.label),
+            format!("{:.2} → {:.2} mm", 1e3 * w.rms_background, 1e3 * w.rms_analysis),
+            format!("rms distance over {} times", w.count),
+        ));
+    }
+    if let Some(f) = s.forecast.iter().find(|f| !f.assimilated).or(s.forecast.first()) {
+        tiles.push((
+            format!("Forecast of {}", f.label),
+            format!("{:.2} mm", 1e3 * f.analysis),
+            format!("persistence {:.2}, static model {:.2} mm", 1e3 * f.persistence, 1e3 * f.static_model),
+        ));
+    }
+    tiles.push((
+        "Time".into(),
+        format!("{:.2} s", s.seconds.total),
+        format!("{} outer iterations", s.outer_iterations),
+    ));
+    let tile = |(name, value, note): &(String, String, String)| {
+        format!(
+            "<div class=\"tile\"><dt>{}</dt><dd>{}</dd><dd class=\"note\">{}</dd></div>",
+            escape(name),
+            escape(value),
+            escape(note)
+        )
+    };
+    format!("<dl class=\"tiles\">{}</dl>", tiles.iter().map(tile).collect::<String>())
+}
+
+fn table_section(problem: &Problem, s: &Summary) -> String {
+    let optional = |v: Option<f64>| v.map_or("–".to_string(), short);
+    let t = &s.j_terms;
+    let c = &s.counts;
+    let is_rod = s.rmse.velocity_background.is_some();
+    let mut rows: Vec<(&str, String, &str)> = vec![
+        ("State, control", format!("{}, {}", s.n_state, s.n_control), "numbers"),
+        ("Observed values m", s.n_obs.to_string(), ""),
+        ("Window", format!("{} steps of {}", problem.window.steps, short(problem.window.step)), "s"),
+        ("J at the background", short(s.j_background), ""),
+        ("J at the analysis", short(s.j_analysis), ""),
+        (
+            "of it J_b, J_o, J_q",
+            format!("{}, {}, {}", short(t.background), short(t.observation), short(t.model_error)),
+            "",
+        ),
+        (
+            "Gradient norm, first and last",
+            format!("{:.2e}, {:.2e}", s.gradient_norm_first, s.gradient_norm_last),
+            "",
+        ),
+        ("Iterations, outer and inner", format!("{}, {}", s.outer_iterations, s.inner_iterations), ""),
+        ("2J/m", format!("{:.4}", s.chi2), ""),
+        ("Degrees of freedom for signal", optional(s.degrees_of_freedom), ""),
+    ];
+    if s.rmse.position_background.is_some() {
+        rows.push((
+            "RMSE before and after",
+            format!("{}, {}", optional(s.rmse.position_background), optional(s.rmse.position_analysis)),
+            if is_rod { "m" } else { "" },
+        ));
+    }
+    if is_rod {
+        rows.push((
+            "RMSE of velocity before and after",
+            format!("{}, {}", optional(s.rmse.velocity_background), optional(s.rmse.velocity_analysis)),
+            "m/s",
+        ));
+    }
+    rows.extend([
+        (
+            "Model steps, tangent, adjoint",
+            format!("{}, {}, {}", c.model_steps, c.tangent_steps, c.adjoint_steps),
+            "",
+        ),
+        ("Factorizations, Newton iterations", format!("{}, {}", c.factorizations, c.newton_iterations), ""),
+        ("Time: total, minimizer", format!("{:.3}, {:.3}", s.seconds.total, s.seconds.minimizer), "s"),
+        (
+            "of it forward, tangent, adjoint",
+            format!("{:.3}, {:.3}, {:.3}", s.seconds.forward, s.seconds.tangent, s.seconds.adjoint),
+            "s",
+        ),
+        ("Peak memory", s.peak_bytes.map_or("–".into(), |b| format!("{:.1}", b as f64 / 1e6)), "MB"),
+    ]);
+    let row = |(name, value, unit): &(&str, String, &str)| {
+        format!("<tr><th scope=\"row\">{}</th><td>{}</td><td>{unit}</td></tr>", escape(name), escape(value))
+    };
+    format!(
+        "<section><h2>In numbers</h2><div class=\"scroll\"><table><thead><tr><th scope=\"col\">Quantity</th><th scope=\"col\">Value</th><th scope=\"col\">Unit</th></tr></thead><tbody>{}</tbody></table></div></section>",
+        rows.iter().map(row).collect::<String>()
+    )
+}
+
+fn fit_section(problem: &Problem, s: &Summary) -> String {
+    let mut out = String::from("<section><h2>What fits and what does not</h2>");
+    if !s.innovations.is_empty() {
+        let shown = s.innovations.len().min(40);
+        let row = |f: &crate::fit::Fit| {
+            let class = if f.ratio > 1.5 && f.count >= 10 { " class=\"bad\"" } else { "" };
+            format!(
+                "<tr{class}><th scope=\"row\">{}</th><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.2}</td></tr>",
+                escape(&f.label),
+                f.count,
+                short(f.sigma),
+                short(f.rms_background),
+                short(f.rms_analysis),
+                short(f.mean_analysis),
+                f.ratio
+            )
+        };
+        let unit = if problem.scene.model_is_rod() { " [m]" } else { "" };
+        let _ = write!(
+            out,
+            "<p>Innovations d = y − H(x) against the σ that was assumed for them. An rms of d/σ near 1 at the analysis says that both are right.</p>\
+             <div class=\"scroll\"><table><thead><tr><th scope=\"col\">Observed</th><th scope=\"col\">values</th><th scope=\"col\">σ{unit}</th><th scope=\"col\">rms d, background{unit}</th>\
+             <th scope=\"col\">rms d, analysis{unit}</th><th scope=\"col\">mean d, analysis{unit}</th><th scope=\"col\">rms d/σ</th></tr></thead><tbody>{}</tbody></table></div>",
+            s.innovations[..shown].iter().map(row).collect::<String>()
+        );
+        if shown < s.innovations.len() {
+            let _ = write!(out, "<p>{} more in summary.json.</p>", s.innovations.len() - shown);
+        }
+    }
+    if !s.withheld.is_empty() {
+        let row = |w: &crate::fit::Withheld| {
+            format!(
+                "<tr><th scope=\"row\">{}</th><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",
+                escape(&w.label),
+                w.count,
+                1e3 * w.rms_background,
+                1e3 * w.rms_analysis,
+                1e3 * w.moving_analysis
+            )
+        };
+        let _ = write!(
+            out,
+            "<h3>Markers kept back</h3><p>They were not assimilated; distance between where they were seen and where the model has them, rms over the window.</p>\
+             <div class=\"scroll\"><table><thead><tr><th scope=\"col\">Marker</th><th scope=\"col\">times</th><th scope=\"col\">background [mm]</th><th scope=\"col\">analysis [mm]</th><th scope=\"col\">analysis, constant offset aside [mm]</th></tr></thead><tbody>{}</tbody></table></div>",
+            s.withheld.iter().map(row).collect::<String>()
+        );
+    }
+    if !s.forecast.is_empty() {
+        let row = |f: &crate::fit::Forecast| {
+            let used = if f.assimilated { "assimilated" } else { "kept back" };
+            format!(
+                "<tr><th scope=\"row\">{}</th><td>{used}</td><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",
+                escape(&f.label),
+                f.count,
+                1e3 * f.analysis,
+                1e3 * f.persistence,
+                1e3 * f.static_model,
+                1e3 * f.background,
+                1e3 * f.moving_analysis,
+                1e3 * f.moving_constant
+            )
+        };
+        let _ = write!(
+            out,
+            "<h3>Forecast</h3><p>Distance to the markers over {} s after the window, rms, beside simpler forecasts: the marker stays where it was last seen \
+             (persistence), the model at rest in its static equilibrium, and the model run from the background. The last two columns set constant offsets (a marker or mount not quite where the scene puts it) aside: \
+             the analysis less its mean error, and the best constant place there is.</p>\
+             <div class=\"scroll\"><table><thead><tr><th scope=\"col\">Marker</th><th scope=\"col\">in the window</th><th scope=\"col\">times</th><th scope=\"col\">analysis [mm]</th><th scope=\"col\">persistence [mm]</th>\
+             <th scope=\"col\">static model [mm]</th><th scope=\"col\">background [mm]</th>\
+             <th scope=\"col\">analysis, offset aside [mm]</th><th scope=\"col\">best constant [mm]</th></tr></thead><tbody>{}</tbody></table></div>",
+            problem.scene.report.forecast,
+            s.forecast.iter().map(row).collect::<String>()
+        );
+    }
+    out.push_str("</section>");
+    out
+}
+
+fn convergence_table(outcome: &Outcome) -> String {
+    let row = |r: &crate::run::ConvergenceRow| {
+        format!(
+            "<tr><td>{}</td><td>{:.3}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.2e}</td>{}</tr>",
+            r.iteration,
+            r.seconds,
+            short(r.j),
+            short(r.j_b),
+            short(r.j_o),
+            r.gradient_norm,
+            [r.rmse_position, r.rmse_velocity]
+                .iter()
+                .flatten()
+                .map(|e| format!("<td>{}</td>", short(*e)))
+                .collect::<String>()
+        )
+    };
+    let errors = match (outcome.rmse.position_background, outcome.rmse.velocity_background) {
+        (Some(_), Some(_)) => {
+            "<th scope=\"col\">RMSE position [m]</th><th scope=\"col\">RMSE velocity [m/s]</th>"
+        }
+        (Some(_), None) => "<th scope=\"col\">RMSE</th>",
+        (None, _) => "",
+    };
+    format!(
+        "<details><summary>Iteration by iteration</summary><div class=\"scroll\"><table><thead><tr><th scope=\"col\">iteration</th><th scope=\"col\">seconds</th><th scope=\"col\">J</th>\
+         <th scope=\"col\">J_b</th><th scope=\"col\">J_o</th><th scope=\"col\">gradient norm</th>{errors}</tr></thead>\
+         <tbody>{}</tbody></table></div></details>",
+        outcome.convergence.iter().map(row).collect::<String>()
+    )
+}
+
+fn list(items: &[String]) -> String {
+    format!("<ul>{}</ul>", items.iter().map(|i| format!("<li>{}</li>", escape(i))).collect::<String>())
+}
+
+/// A number in five significant digits.
+fn short(value: f64) -> String {
+    let size = value.abs();
+    if !value.is_finite() {
+        "–".into()
+    } else if size != 0.0 && !(1e-3..1e5).contains(&size) {
+        format!("{value:.4e}")
+    } else {
+        let digits = if size == 0.0 { 0 } else { (4.0 - size.log10().floor()).max(0.0) as usize };
+        format!("{value:.digits$}")
+    }
+}
+
+/// Text that is safe between tags and in attributes.
+pub(super) fn escape(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
+            c => out.push(c),
+        }
+    }
+    out
+}
+
+const STYLE: &str = "
+:root{color-scheme:light;--ink:#1d2733;--soft:#5a6675;--line:#dde3ea;--accent:#0072b2}
+*{box-sizing:border-box}
+body{margin:0;background:#f5f7f9;color:var(--ink);font:16px/1.5 system-ui,-apple-system,'Segoe UI',Roboto,sans-serif}
+main{max-width:1000px;margin:0 auto;padding:1.2rem}
+h1{font-size:1.6rem;line-height:1.25;margin:.4rem 0}
+h2{font-size:1.15rem;margin:0 0 .6rem}
+h3{font-size:1rem;margin:1.2rem 0 .3rem}
+.sub{color:var(--soft);margin:0 0 1rem}
+.status{font-weight:600;color:#8a4b00}
+.status.converged{color:#00694b}
+.status.failed{color:#a40000}
+section,figure{background:#fff;border:1px solid var(--line);border-radius:10px;padding:1rem;margin:0 0 1rem}
+figcaption{color:var(--soft);font-size:.9rem;margin-top:.4rem}
+.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(200px,1fr));gap:.8rem;margin:0 0 1rem}
+.tile{background:#fff;border:1px solid var(--line);border-left:4px solid var(--accent);border-radius:10px;padding:.7rem .9rem}
+.tile dt{color:var(--soft);font-size:.85rem}
+.tile dd{margin:0;font-size:1.15rem;font-weight:600;font-variant-numeric:tabular-nums}
+.tile dd.note{font-size:.8rem;font-weight:400;color:var(--soft)}
+.notes{border-left:4px solid #d55e00}
+.scroll{overflow-x:auto}
+svg{max-width:100%;height:auto;display:block;margin:0 auto}
+table{border-collapse:collapse;width:100%;font-size:.92rem;font-variant-numeric:tabular-nums}
+th,td{padding:.3rem .6rem;border-bottom:1px solid var(--line);text-align:left}
+td{text-align:right;white-space:nowrap}
+thead th{color:var(--soft);font-weight:600}
+tbody th{font-weight:400}
+tr.bad td,tr.bad th{color:#a40000;font-weight:600}
+pre{overflow-x:auto;background:#f5f7f9;padding:.8rem;border-radius:8px;font-size:.85rem}
+footer{color:var(--soft);font-size:.85rem}
+ul{margin:.2rem 0;padding-left:1.2rem}
+summary{cursor:pointer}
+@media (max-width:600px){figure .scroll svg{min-width:640px}main{padding:.6rem}}
+@media print{body{background:#fff}section,figure,.tile{break-inside:avoid;border-color:#bbb}main{max-width:none}}
+";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_of_a_user_cannot_become_markup() {
+        assert_eq!(
+            escape("<script>alert('&\"')</script>"),
+            "&lt;script&gt;alert(&#39;&amp;&quot;&#39;)&lt;/script&gt;"
+        );
+    }
+
+    #[test]
+    fn numbers_have_five_digits() {
+        assert_eq!(short(61.844234), "61.844");
+        assert_eq!(short(0.0123456), "0.012346");
+        assert_eq!(short(-1234567.0), "-1.2346e6");
+        assert_eq!(short(f64::NAN), "–");
+    }
+}

@@ -1,0 +1,273 @@
+//! Charts as SVG text: curves and points with labelled axes and a legend, one panel or several side by side.
+
+use plotters::coord::Shift;
+use plotters::prelude::*;
+
+use crate::Error;
+
+/// Figures are drawn this much larger than they are shown: the SVG backend rounds coordinates to whole pixels.
+const FINE: u32 = 4;
+
+type Drawing = DrawingAreaErrorKind<<SVGBackend<'static> as DrawingBackend>::ErrorType>;
+
+/// A chart of one or more panels.
+pub(super) struct Figure {
+    /// File name under figures/, without ending.
+    pub(super) name: &'static str,
+    /// Title, and alternative text of the picture.
+    pub(super) title: String,
+    pub(super) panels: Vec<Panel>,
+    /// Panels in a row.
+    pub(super) columns: usize,
+    /// Size of one panel \[px\].
+    pub(super) panel_size: (u32, u32),
+}
+
+/// One set of axes.
+#[derive(Default)]
+pub(super) struct Panel {
+    pub(super) title: String,
+    pub(super) x_label: String,
+    pub(super) y_label: String,
+    pub(super) log_y: bool,
+    /// Both axes have the same scale, and these ranges.
+    pub(super) equal: Option<[(f64, f64); 2]>,
+    pub(super) legend: Option<Corner>,
+    pub(super) series: Vec<Series>,
+}
+
+/// Where a legend is. At the top it gets room of its own above the curves.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Corner {
+    Top,
+    LowerLeft,
+    LowerRight,
+}
+
+/// One curve or cloud of points.
+pub(super) struct Series {
+    pub(super) label: String,
+    pub(super) style: Style,
+    pub(super) points: Vec<(f64, f64)>,
+}
+
+/// What a series looks like. Colours are Okabe and Ito's (2008), which stay apart for colour-blind eyes; lines differ in
+/// dash too.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Style {
+    Truth,
+    Background,
+    Analysis,
+    Observation,
+    Withheld,
+    Line(usize),
+}
+
+const PALETTE: [RGBColor; 5] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(86, 180, 233),
+];
+
+impl Style {
+    fn colour(self) -> RGBColor {
+        match self {
+            Style::Truth => RGBColor(60, 60, 60),
+            Style::Background => PALETTE[1],
+            Style::Analysis => PALETTE[0],
+            Style::Observation => RGBColor(0, 120, 90),
+            Style::Withheld => PALETTE[3],
+            Style::Line(i) => PALETTE[i % PALETTE.len()],
+        }
+    }
+}
+
+impl Figure {
+    /// The figure as a standalone SVG document.
+    pub(super) fn svg(&self) -> Result<String, Error> {
+        let rows = self.panels.len().div_ceil(self.columns);
+        let size = (FINE * self.panel_size.0 * self.columns as u32, FINE * self.panel_size.1 * rows as u32);
+        let mut text = String::new();
+        {
+            let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
+            self.draw(&root, rows).map_err(|e| Error::Plot { figure: self.name, reason: e.to_string() })?;
+        }
+        Ok(accessible(&text, size, &self.title))
+    }
+
+    fn draw(&self, root: &DrawingArea<SVGBackend, Shift>, rows: usize) -> Result<(), Drawing> {
+        root.fill(&WHITE)?;
+        for (panel, area) in self.panels.iter().zip(root.split_evenly((rows, self.columns))) {
+            panel.draw(&area)?;
+        }
+        root.present()?;
+        Ok(())
+    }
+}
+
+impl Panel {
+    fn draw(&self, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Drawing> {
+        let y_of = |y: f64| if self.log_y { y.log10() } else { y };
+        let usable = |p: &&(f64, f64)| p.0.is_finite() && y_of(p.1).is_finite();
+        let all: Vec<(f64, f64)> = self
+            .series
+            .iter()
+            .flat_map(|s| s.points.iter().filter(usable))
+            .map(|p| (p.0, y_of(p.1)))
+            .collect();
+        let (x_range, y_range) = match self.equal {
+            Some([x, y]) => (x, y),
+            None => (range(all.iter().map(|p| p.0), 0.02), range(all.iter().map(|p| p.1), 0.06)),
+        };
+        let y_range = match (self.legend, self.equal) {
+            (Some(Corner::Top), None) => {
+                // A line of the legend is about 16 px high; the curves keep the rest.
+                let legend = f64::from(FINE) * (16.0 * self.series.len() as f64 + 12.0);
+                let plot = f64::from(area.dim_in_pixel().1) - 60.0 * f64::from(FINE);
+                (
+                    y_range.0,
+                    y_range.1
+                        + (y_range.1 - y_range.0) * legend / (plot - legend).max(40.0 * f64::from(FINE)),
+                )
+            }
+            _ => y_range,
+        };
+        let grey = RGBColor(120, 120, 120);
+        let font = |size: u32| ("sans-serif", FINE * size).into_font().color(&RGBColor(40, 40, 40));
+        let mut builder = ChartBuilder::on(area);
+        let labels = if self.equal.is_some() { 44 } else { 64 };
+        builder
+            .margin(FINE * 8)
+            .margin_right(FINE * 14)
+            .x_label_area_size(FINE * 36)
+            .y_label_area_size(FINE * labels);
+        if !self.title.is_empty() {
+            builder.caption(&self.title, font(15));
+        }
+        let mut chart = builder.build_cartesian_2d(x_range.0..x_range.1, y_range.0..y_range.1)?;
+        let decimals = decimals(y_range);
+        let y_text = |y: &f64| match self.log_y {
+            true if (y - y.round()).abs() < 1e-6 => format!("1e{}", y.round()),
+            true if y_range.1 - y_range.0 < 2.5 => format!("{:.1e}", 10f64.powf(*y)),
+            true => String::new(),
+            false => fixed(*y, decimals),
+        };
+        let x_decimals = self::decimals(x_range);
+        let x_text = |x: &f64| fixed(*x, x_decimals);
+        let (wide, high) = area.dim_in_pixel();
+        chart
+            .configure_mesh()
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(RGBColor(228, 228, 228).stroke_width(FINE))
+            .axis_style(grey.stroke_width(FINE))
+            .set_all_tick_mark_size(FINE * 4)
+            .x_desc(&self.x_label)
+            .y_desc(&self.y_label)
+            .x_labels((wide / FINE / 90).clamp(3, 10) as usize)
+            .y_labels((high / FINE / 45).clamp(3, 10) as usize)
+            .x_label_formatter(&x_text)
+            .y_label_formatter(&y_text)
+            .label_style(font(12))
+            .axis_desc_style(font(13))
+            .draw()?;
+        let wide_mark = 18 * FINE as i32;
+        for series in &self.series {
+            let colour = series.style.colour();
+            let points: Vec<(f64, f64)> =
+                series.points.iter().filter(usable).map(|p| (p.0, y_of(p.1))).collect();
+            match series.style {
+                Style::Observation => chart
+                    .draw_series(points.iter().map(|p| Circle::new(*p, FINE * 3, colour.filled())))?
+                    .label(&series.label)
+                    .legend(move |(x, y)| Circle::new((x + wide_mark / 2, y), FINE * 3, colour.filled())),
+                Style::Withheld => chart
+                    .draw_series(
+                        points.iter().map(|p| Cross::new(*p, FINE * 3, colour.stroke_width(2 * FINE))),
+                    )?
+                    .label(&series.label)
+                    .legend(move |(x, y)| {
+                        Cross::new((x + wide_mark / 2, y), FINE * 3, colour.stroke_width(2 * FINE))
+                    }),
+                Style::Background | Style::Truth => {
+                    let (on, off) = if series.style == Style::Truth {
+                        (2 * FINE, 3 * FINE)
+                    } else {
+                        (7 * FINE, 4 * FINE)
+                    };
+                    chart
+                        .draw_series(DashedLineSeries::new(points, on, off, colour.stroke_width(2 * FINE)))?
+                        .label(&series.label)
+                        .legend(move |(x, y)| {
+                            plotters::element::DashedPathElement::new(
+                                [(x, y), (x + wide_mark, y)],
+                                on,
+                                off,
+                                colour.stroke_width(2 * FINE),
+                            )
+                        })
+                }
+                Style::Analysis | Style::Line(_) => chart
+                    .draw_series(LineSeries::new(points, colour.stroke_width(2 * FINE)))?
+                    .label(&series.label)
+                    .legend(move |(x, y)| {
+                        PathElement::new([(x, y), (x + wide_mark, y)], colour.stroke_width(2 * FINE))
+                    }),
+            };
+        }
+        if let Some(corner) = self.legend {
+            chart
+                .configure_series_labels()
+                .position(match corner {
+                    Corner::Top => SeriesLabelPosition::UpperRight,
+                    Corner::LowerLeft => SeriesLabelPosition::LowerLeft,
+                    Corner::LowerRight => SeriesLabelPosition::LowerRight,
+                })
+                .background_style(WHITE.mix(0.85))
+                .border_style(RGBColor(210, 210, 210).stroke_width(FINE))
+                .legend_area_size(FINE * 24)
+                .margin(FINE * 8)
+                .label_font(font(12))
+                .draw()?;
+        }
+        Ok(())
+    }
+}
+
+/// The range of some values with a margin; around 0 where there are none.
+fn range(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
+    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+    if low > high {
+        return (0.0, 1.0);
+    }
+    let width = if high > low { high - low } else { 1e-3 * high.abs().max(1e-3) };
+    (low - margin * width, high + margin * width)
+}
+
+/// Digits after the point that tell neighbouring labels apart.
+fn decimals((low, high): (f64, f64)) -> usize {
+    (1.0 - (high - low).max(1e-12).log10().floor()).clamp(0.0, 9.0) as usize
+}
+
+fn fixed(value: f64, decimals: usize) -> String {
+    let text = format!("{value:.decimals$}");
+    // −0.00 is 0.00.
+    if text.trim_start_matches('-').chars().all(|c| c == '0' || c == '.') {
+        text.trim_start_matches('-').to_string()
+    } else {
+        text
+    }
+}
+
+/// Gives an SVG a title for screen readers, and a size that follows the page.
+fn accessible(svg: &str, (wide, high): (u32, u32), title: &str) -> String {
+    let (width, height) = (wide / FINE, high / FINE);
+    let body = svg.find("<svg").map_or(svg, |i| &svg[i..]);
+    let inner = body.find('>').map_or("", |i| &body[i + 1..]);
+    format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {wide} {high}\" width=\"{width}\" height=\"{height}\" role=\"img\" \
+         aria-label=\"{0}\">\n<title>{0}</title>{inner}",
+        super::html::escape(title)
+    )
+}

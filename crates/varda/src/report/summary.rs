@@ -1,0 +1,134 @@
+//! summary.json: the run in numbers.
+
+use serde::Serialize;
+use varda_assimilation::CostTerms;
+
+use crate::fit::{Fit, Forecast, Withheld};
+use crate::problem::Problem;
+use crate::run::{Outcome, Rmse, Seconds, WorkCounts};
+
+/// The keys of summary.json, in their order.
+#[derive(Debug, Serialize)]
+pub struct Summary {
+    /// Name of the scene.
+    pub scene: String,
+    /// Seed of every random number.
+    pub seed: u64,
+    /// Version of Varda.
+    pub version: &'static str,
+    /// Method, as in a scene.
+    pub method: &'static str,
+    /// Minimizer, as in a scene.
+    pub minimizer: &'static str,
+    /// How the run ended: converged, max_iterations, stalled, interrupted, failed.
+    pub status: &'static str,
+    /// Length of the state.
+    pub n_state: usize,
+    /// Length of the control.
+    pub n_control: usize,
+    /// Number of observed values m.
+    pub n_obs: usize,
+    /// J at the background.
+    pub j_background: f64,
+    /// J at the analysis.
+    pub j_analysis: f64,
+    /// J at the analysis, part by part.
+    pub j_terms: Terms,
+    /// ‖∇J‖ at the first point, in the control variable.
+    pub gradient_norm_first: f64,
+    /// ‖∇J‖ at the last point.
+    pub gradient_norm_last: f64,
+    /// Outer iterations.
+    pub outer_iterations: usize,
+    /// Inner iterations, summed.
+    pub inner_iterations: usize,
+    /// Work of the model in the minimization.
+    pub counts: WorkCounts,
+    /// 2J/m at the analysis.
+    pub chi2: f64,
+    /// Degrees of freedom for signal; `null` without a posterior.
+    pub degrees_of_freedom: Option<f64>,
+    /// RMSE against the truth of the initial state, where it is known.
+    pub rmse: Rmse,
+    /// Where the time went \[s\].
+    pub seconds: Seconds,
+    /// Most memory the process held \[bytes\]; `null` where the system does not tell.
+    pub peak_bytes: Option<u64>,
+    /// Innovations against their σ.
+    pub innovations: Vec<Fit>,
+    /// Errors at markers that were kept back \[m\].
+    pub withheld: Vec<Withheld>,
+    /// Errors of the forecast after the window \[m\].
+    pub forecast: Vec<Forecast>,
+    /// What was not needed and therefore not done.
+    pub left_out: Vec<String>,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+}
+
+/// J = J_b + J_o + J_q.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Terms {
+    /// J_b.
+    pub background: f64,
+    /// J_o.
+    pub observation: f64,
+    /// J_q.
+    pub model_error: f64,
+}
+
+impl From<CostTerms> for Terms {
+    fn from(t: CostTerms) -> Self {
+        Terms { background: t.background, observation: t.observation, model_error: t.model_error }
+    }
+}
+
+impl Summary {
+    /// The summary of a run.
+    pub fn new(problem: &Problem, outcome: &Outcome) -> Summary {
+        let scene = &problem.scene;
+        Summary {
+            scene: problem.name.clone(),
+            seed: scene.seed,
+            version: env!("CARGO_PKG_VERSION"),
+            method: scene.algorithm.method.name(),
+            minimizer: scene.algorithm.minimizer.name(),
+            status: outcome.status.name(),
+            n_state: outcome.trajectories.dim,
+            n_control: problem.control_dim(),
+            n_obs: outcome.analysis.observations,
+            j_background: outcome.j_background,
+            j_analysis: outcome.analysis.value,
+            j_terms: outcome.analysis.terms.into(),
+            gradient_norm_first: outcome.gradient_norms[0],
+            gradient_norm_last: outcome.gradient_norms[1],
+            outer_iterations: outcome.iterations[0],
+            inner_iterations: outcome.iterations[1],
+            counts: outcome.counts,
+            chi2: outcome.analysis.chi2,
+            degrees_of_freedom: outcome.has_posterior.then_some(outcome.analysis.degrees_of_freedom),
+            rmse: outcome.rmse,
+            seconds: outcome.seconds,
+            peak_bytes: peak_bytes(),
+            innovations: outcome.fit.clone(),
+            withheld: outcome.withheld.clone(),
+            forecast: outcome.forecast.clone(),
+            left_out: problem.left_out.clone(),
+            warnings: outcome.warnings.clone(),
+        }
+    }
+
+    /// As JSON text.
+    pub fn to_json(&self) -> String {
+        let mut text = serde_json::to_string_pretty(self).expect("a summary is plain data");
+        text.push('\n');
+        text
+    }
+}
+
+/// The process's largest resident set, as Linux tells it.
+fn peak_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
+    Some(1024 * line.split_whitespace().nth(1)?.parse::<u64>().ok()?)
+}

@@ -1,0 +1,154 @@
+//! `[background]`: x_b and its error covariance B.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// The background x_b at the start of the window and its error covariance B.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Background {
+    /// Where x_b comes from.
+    pub from: Origin,
+    /// The CSV file of `from = "file"`. A rod's has the header `vertex,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s` and one row
+    /// for every free vertex; another model's has the header `component,value`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
+    /// The error covariance B.
+    pub covariance: Covariance,
+}
+
+/// Where x_b comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Origin {
+    /// A twin experiment: the truth at the start of the window plus an error drawn from B (before localization).
+    TruthPlusDraw,
+    /// A CSV file.
+    File,
+    /// The rod's static equilibrium at the start of the window, at rest.
+    StaticEquilibrium,
+}
+
+/// An error covariance B.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum Covariance {
+    /// Independent errors of one σ in every component (Lorenz models).
+    Diagonal(DiagonalCovariance),
+    /// A kernel in arc length times a taper; x, y, z alike and independent, positions and velocities too (rods).
+    Kernel(KernelCovariance),
+}
+
+/// Independent errors of one σ.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DiagonalCovariance {
+    /// Standard deviation of every component.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub sigma: f64,
+}
+
+/// Errors correlated along the rod: σ² k(s_i, s_j) taper(|s_i − s_j|).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct KernelCovariance {
+    /// Standard deviation σ_x of a position component [m]. Give this or `sigma_x_over_length`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+    pub sigma_x: Option<f64>,
+    /// σ_x over the length of the rod.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub sigma_x_over_length: Option<f64>,
+    /// Standard deviation σ_v of a velocity component [m/s]. Give this or `sigma_v_over_mean_speed`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m/s"))]
+    pub sigma_v: Option<f64>,
+    /// σ_v over v̄, the mean speed of the free vertices at the start of the window (of the truth; of x_b without one).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub sigma_v_over_mean_speed: Option<f64>,
+    /// Correlation length L_x of positions [m].
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+    pub correlation_length_x: f64,
+    /// Correlation length L_v of velocities [m].
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+    pub correlation_length_v: f64,
+    /// Shape of the kernel.
+    #[serde(default)]
+    pub kernel: Kernel,
+    /// Shape of the taper (localization).
+    #[serde(default)]
+    pub taper: Taper,
+    /// Length L_loc beyond which errors are uncorrelated [m]. Needed unless `taper = "none"`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+    pub localization_length: Option<f64>,
+    /// Whether the kernel knows that prescribed vertices have no error.
+    #[serde(default)]
+    pub prior: Prior,
+    /// The square root B^{1/2}.
+    #[serde(default)]
+    pub root: Root,
+    /// Eigenvalues below this fraction of the largest are left out of a truncated root.
+    #[serde(default = "default_truncation")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "maximum" = 1.0))]
+    pub truncation: f64,
+}
+
+fn default_truncation() -> f64 {
+    1e-12
+}
+
+/// Shape of a kernel k(d) of the distance d, L its correlation length.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub enum Kernel {
+    /// exp(−d²/(2L²)).
+    #[default]
+    #[serde(rename = "gaussian")]
+    Gaussian,
+    /// Matérn with ν = 1/2: exp(−d/L).
+    #[serde(rename = "matern-1/2")]
+    Matern12,
+    /// Matérn with ν = 3/2: (1 + √3 d/L) exp(−√3 d/L).
+    #[serde(rename = "matern-3/2")]
+    Matern32,
+    /// Matérn with ν = 5/2: (1 + √5 d/L + 5d²/(3L²)) exp(−√5 d/L).
+    #[serde(rename = "matern-5/2")]
+    Matern52,
+}
+
+/// Shape of a taper, zero from the localization length on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Taper {
+    /// max(0, 1 − d/L_loc), the paper's.
+    #[default]
+    Triangle,
+    /// Gaspari and Cohn's fifth-order function (1999, eq. 4.10).
+    GaspariCohn,
+    /// No localization.
+    None,
+}
+
+/// Whether the kernel knows about the supports.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Prior {
+    /// Conditioned on zero error at the prescribed vertices.
+    #[default]
+    Clamp,
+    /// The kernel as it is.
+    Plain,
+}
+
+/// The square root of B.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Root {
+    /// Cholesky; B must be positive definite to working precision.
+    #[default]
+    Cholesky,
+    /// Eigenvectors of the larger eigenvalues; for smooth kernels without a taper, which are singular.
+    Truncated,
+}

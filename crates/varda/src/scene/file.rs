@@ -1,0 +1,157 @@
+//! Where a scene comes from: a file or the binary, overrides, and the files it names.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::{Scene, check, shipped, tree, validate};
+use crate::Error;
+
+/// A scene that has been read and checked, with what is needed to point at its lines and to find its files.
+#[derive(Debug, Clone)]
+pub struct SceneFile {
+    /// Name of the scene: that of the file without its ending.
+    pub name: String,
+    /// The scene.
+    pub scene: Scene,
+    label: String,
+    folder: Option<PathBuf>,
+    places: BTreeMap<String, Place>,
+}
+
+/// Where something was written.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Place {
+    /// In the scene's text; both counted from 1.
+    Text {
+        /// Line.
+        line: usize,
+        /// Column, in characters.
+        column: usize,
+    },
+    /// On the command line: `key=value`.
+    Set(String),
+}
+
+impl std::fmt::Display for Place {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Place::Text { line, column } => write!(f, "{line}:{column}"),
+            Place::Set(assignment) => write!(f, "--set {assignment}"),
+        }
+    }
+}
+
+impl SceneFile {
+    /// Opens a scene: the path of a TOML file, or the name of a shipped scene. `overrides` are `key=value`.
+    ///
+    /// # Errors
+    /// [`Error::NoScene`], [`Error::Read`], or [`Error::Scene`] with file, line and column.
+    pub fn open(name: &str, overrides: &[String]) -> Result<SceneFile, Error> {
+        let path = Path::new(name);
+        if let Some(shipped) = shipped::find(name).filter(|_| !path.is_file()) {
+            return SceneFile::parse(
+                shipped.name,
+                &format!("{}.toml", shipped.name),
+                shipped.text,
+                None,
+                overrides,
+            );
+        }
+        let text = std::fs::read_to_string(path).map_err(|source| match source.kind() {
+            std::io::ErrorKind::NotFound => {
+                let names: Vec<&str> = shipped::SHIPPED.iter().map(|s| s.name).collect();
+                let suggestion =
+                    check::nearest(name, &names).map_or(String::new(), |n| format!(", did you mean {n:?}?"));
+                Error::NoScene { name: name.to_string(), suggestion }
+            }
+            _ => Error::Read { place: "scene".into(), path: path.to_path_buf(), source },
+        })?;
+        let stem = path.file_stem().map_or("scene".into(), |s| s.to_string_lossy());
+        SceneFile::parse(&stem, name, &text, Some(path.parent().unwrap_or(Path::new(""))), overrides)
+    }
+
+    /// Reads a scene from text; `label` stands for the file in messages, `folder` is where its files are
+    /// (`None`: among those shipped in the binary).
+    ///
+    /// # Errors
+    /// [`Error::Scene`].
+    pub fn parse(
+        name: &str,
+        label: &str,
+        text: &str,
+        folder: Option<&Path>,
+        overrides: &[String],
+    ) -> Result<SceneFile, Error> {
+        let mut root = tree::parse(label, text)?;
+        for assignment in overrides {
+            tree::set(&mut root, assignment)?;
+        }
+        let schema = serde_json::to_value(schemars::schema_for!(Scene)).expect("a schema is plain JSON");
+        let wrong =
+            |place: &Place, message: String| Error::Scene { place: locate(label, Some(place)), message };
+        check::check(&root, "", &schema, &schema).map_err(|w| wrong(&w.place, w.message))?;
+        let scene = Scene::deserialize(root.to_json()).map_err(|e| wrong(&root.place, e.to_string()))?;
+        let mut places = BTreeMap::new();
+        root.places("", &mut places);
+        let file = SceneFile {
+            name: name.to_string(),
+            scene,
+            label: label.to_string(),
+            folder: folder.map(Path::to_path_buf),
+            places,
+        };
+        validate::validate(&file.scene).map_err(|i| file.invalid(&i.path, i.message))?;
+        Ok(file)
+    }
+
+    /// An error that points at the key `path` (dotted; its nearest written parent where it was not written).
+    pub fn invalid(&self, path: &str, message: impl Into<String>) -> Error {
+        Error::Scene { place: locate(&self.label, self.place(path)), message: message.into() }
+    }
+
+    /// The text of a file that the key `path` names, and its name for messages.
+    ///
+    /// # Errors
+    /// [`Error::Read`], or [`Error::Scene`] where a shipped scene names a file that is not shipped.
+    pub fn read(&self, path: &str, file: &str) -> Result<(String, String), Error> {
+        let from_command_line = matches!(self.place(path), Some(Place::Set(_)));
+        let full = match &self.folder {
+            _ if from_command_line => PathBuf::from(file),
+            Some(folder) => folder.join(file),
+            None => {
+                return match shipped::data(file) {
+                    Some(text) => Ok((file.to_string(), text.to_string())),
+                    None => Err(self
+                        .invalid(path, format!("no file {file:?} is shipped; give one with --set {path}=…"))),
+                };
+            }
+        };
+        match std::fs::read_to_string(&full) {
+            Ok(text) => Ok((full.display().to_string(), text)),
+            Err(source) => {
+                Err(Error::Read { place: locate(&self.label, self.place(path)), path: full, source })
+            }
+        }
+    }
+
+    fn place(&self, path: &str) -> Option<&Place> {
+        let mut path = path;
+        loop {
+            match (self.places.get(path), path.rfind('.')) {
+                (Some(place), _) => return Some(place),
+                (None, Some(dot)) => path = &path[..dot],
+                (None, None) => return None,
+            }
+        }
+    }
+}
+
+fn locate(label: &str, place: Option<&Place>) -> String {
+    match place {
+        Some(Place::Text { line, column }) => format!("{label}:{line}:{column}"),
+        Some(set @ Place::Set(_)) => set.to_string(),
+        None => label.to_string(),
+    }
+}

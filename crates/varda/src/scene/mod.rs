@@ -1,0 +1,220 @@
+//! A scene: everything that defines an experiment, as plain data read from TOML.
+//!
+//! Lengths are metres, times seconds, masses kilograms, angles radians; every key says its unit in its description
+//! (`varda schema`). Files named in a scene are relative to the scene's own folder; those given by `--set` to the
+//! current one.
+
+// Descriptions are the schema's text too, where a unit stands in plain brackets: rustdoc takes [m] for a link.
+#![allow(rustdoc::broken_intra_doc_links)]
+
+mod background;
+mod check;
+mod file;
+mod model;
+mod observations;
+mod shipped;
+mod tree;
+mod validate;
+
+pub use background::{
+    Background, Covariance, DiagonalCovariance, Kernel, KernelCovariance, Origin, Prior, Root, Taper,
+};
+pub use file::{Place, SceneFile};
+pub use model::{
+    Clamp, DampingValues, Lorenz63, Lorenz96, Material, Model, Motion, PointForce, PointMass, Prescribed,
+    RodModel, Section,
+};
+pub use observations::{Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, Use};
+pub use shipped::{SHIPPED, STARTER, Shipped};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// A scene of Varda. SI units throughout.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Scene {
+    /// What the scene shows, in a sentence.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub title: String,
+    /// Seed of every random number; truth, background, observations and ensemble draw from independent streams of it.
+    #[serde(default)]
+    pub seed: u64,
+    /// The dynamical system.
+    pub model: Model,
+    /// Integrator, step and window.
+    pub time: Time,
+    /// The state the truth of a twin experiment starts from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub truth: Option<Truth>,
+    /// The background x_b and its error covariance B.
+    pub background: Background,
+    /// What is observed, where, when, and with what error.
+    pub observations: Observations,
+    /// How the cost is minimised.
+    #[serde(default)]
+    pub algorithm: Algorithm,
+    /// What the report shows.
+    #[serde(default)]
+    pub report: Report,
+}
+
+impl Scene {
+    /// The JSON Schema of a scene, as text.
+    pub fn schema() -> String {
+        let schema = schemars::schema_for!(Scene);
+        serde_json::to_string_pretty(&schema).expect("a schema is plain JSON")
+    }
+
+    /// The model is a rod: its control is in metres and metres per second.
+    pub fn model_is_rod(&self) -> bool {
+        matches!(self.model, Model::Rod(_))
+    }
+}
+
+/// Integrator, step and window.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Time {
+    /// How a step is taken.
+    pub integrator: Integrator,
+    /// Length of a step Δt [s]. Give this or `steps_per_period`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "s"))]
+    pub step: Option<f64>,
+    /// Steps in one period 2π/ω of the start clamp's ellipse drive. Give this or `step`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("minimum" = 1))]
+    pub steps_per_period: Option<usize>,
+    /// Length of the assimilation window, in steps.
+    pub window: usize,
+    /// Steps from the model's time 0 to the start of the window. A twin's truth is run through them.
+    #[serde(default)]
+    pub spin_up: usize,
+}
+
+/// How a step is taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Integrator {
+    /// Backward Euler, first order (the paper's choice for the rod).
+    BackwardEuler,
+    /// Implicit midpoint rule, second order (rods).
+    Midpoint,
+    /// Second-order backward differences (rods).
+    Bdf2,
+    /// Explicit Runge–Kutta of fourth order (Lorenz models).
+    Rk4,
+}
+
+impl Integrator {
+    /// Its name in a scene.
+    pub fn name(self) -> &'static str {
+        match self {
+            Integrator::BackwardEuler => "backward-euler",
+            Integrator::Midpoint => "midpoint",
+            Integrator::Bdf2 => "bdf2",
+            Integrator::Rk4 => "rk4",
+        }
+    }
+}
+
+/// The state the truth of a twin experiment starts from, before the spin-up.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Truth {
+    /// The state at time 0. A rod starts from its static equilibrium instead and has no such key.
+    pub state: Vec<f64>,
+}
+
+/// How the cost is minimised.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Algorithm {
+    /// The member of the variational family.
+    pub method: Method,
+    /// The minimizer.
+    pub minimizer: Minimizer,
+    /// Most outer iterations.
+    #[schemars(extend("minimum" = 1))]
+    pub max_iterations: usize,
+    /// Converged when the gradient in the control variable is this much smaller than at the background.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub gradient_tolerance: f64,
+    /// Observation-error continuation: σ of the observations is multiplied by these factors in turn, each stage starting
+    /// where the last one ended. The last factor must be 1. Empty: none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub sigma_stages: Vec<f64>,
+}
+
+impl Default for Algorithm {
+    fn default() -> Self {
+        Algorithm {
+            method: Method::FourDVar,
+            minimizer: Minimizer::TrustRegion,
+            max_iterations: 200,
+            gradient_tolerance: 1e-8,
+            sigma_stages: Vec::new(),
+        }
+    }
+}
+
+/// A member of the variational family.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub enum Method {
+    /// Strong-constraint 4D-Var.
+    #[serde(rename = "4dvar")]
+    FourDVar,
+}
+
+impl Method {
+    /// Its name in a scene.
+    pub fn name(self) -> &'static str {
+        match self {
+            Method::FourDVar => "4dvar",
+        }
+    }
+}
+
+/// A minimizer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Minimizer {
+    /// Gauss–Newton made safe by a trust region (Levenberg–Marquardt in the B⁻¹ norm). The default: it always ends.
+    TrustRegion,
+    /// The paper's Newton: dense Gauss–Newton Hessian (2.18), full steps. May diverge.
+    Newton,
+    /// Gauss–Newton with truncated conjugate gradients.
+    GaussNewtonCg,
+}
+
+impl Minimizer {
+    /// Its name in a scene.
+    pub fn name(self) -> &'static str {
+        match self {
+            Minimizer::TrustRegion => "trust-region",
+            Minimizer::Newton => "newton",
+            Minimizer::GaussNewtonCg => "gauss-newton-cg",
+        }
+    }
+}
+
+/// What the report shows.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Report {
+    /// Number of instants of the window drawn as snapshots of a rod.
+    #[schemars(extend("minimum" = 1, "maximum" = 24))]
+    pub snapshots: usize,
+    /// Forecast from the end of the window over this time [s], compared with what was recorded then. 0: none.
+    #[schemars(extend("minimum" = 0.0, "x-unit" = "s"))]
+    pub forecast: f64,
+    /// Posterior standard deviations (one tangent run per control component).
+    pub posterior: bool,
+}
+
+impl Default for Report {
+    fn default() -> Self {
+        Report { snapshots: 6, forecast: 0.0, posterior: true }
+    }
+}

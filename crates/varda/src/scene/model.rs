@@ -1,0 +1,263 @@
+//! `[model]`: the dynamical system.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// The dynamical system.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "lowercase")]
+pub enum Model {
+    /// A discrete elastic rod; the control is [X₀, V₀] of its free vertices.
+    Rod(Box<RodModel>),
+    /// Lorenz's three equations of convection (1963).
+    Lorenz63(Lorenz63),
+    /// Lorenz's ring of N variables (1996).
+    Lorenz96(Lorenz96),
+}
+
+/// ẋ = σ(y−x), ẏ = x(ρ−z)−y, ż = xy−βz.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Lorenz63 {
+    /// Prandtl number σ.
+    pub sigma: f64,
+    /// Rayleigh number over its critical value, ρ.
+    pub rho: f64,
+    /// Aspect of the rolls, β.
+    pub beta: f64,
+}
+
+impl Default for Lorenz63 {
+    fn default() -> Self {
+        Lorenz63 { sigma: 10.0, rho: 28.0, beta: 8.0 / 3.0 }
+    }
+}
+
+/// ẋ_i = (x_{i+1} − x_{i−2}) x_{i−1} − x_i + F on a ring.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Lorenz96 {
+    /// Number of variables N.
+    #[schemars(extend("minimum" = 4))]
+    pub variables: usize,
+    /// Forcing F.
+    pub forcing: f64,
+}
+
+impl Default for Lorenz96 {
+    fn default() -> Self {
+        Lorenz96 { variables: 40, forcing: 8.0 }
+    }
+}
+
+/// A discrete elastic rod.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RodModel {
+    /// Rest length of the rod L [m]. Give this and `segments`, or `segment_lengths`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+    pub length: Option<f64>,
+    /// Number of equal segments.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("minimum" = 2))]
+    pub segments: Option<usize>,
+    /// Rest length of every segment [m], where they differ.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("x-unit" = "m"))]
+    pub segment_lengths: Option<Vec<f64>>,
+    /// The cross-section, the same all along.
+    pub section: Section,
+    /// What the rod is made of. Not needed where the section gives its stiffnesses directly.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub material: Option<Material>,
+    /// Natural curvature (κ̄₁, κ̄₂) per length [1/m].
+    #[serde(default, skip_serializing_if = "is_default")]
+    #[schemars(extend("x-unit" = "1/m"))]
+    pub natural_curvature: [f64; 2],
+    /// Natural twist per length [rad/m].
+    #[serde(default, skip_serializing_if = "is_default")]
+    #[schemars(extend("x-unit" = "rad/m"))]
+    pub natural_twist: f64,
+    /// Clamp at arc length 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start: Option<Clamp>,
+    /// Clamp at arc length L.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub end: Option<Clamp>,
+    /// Further vertices whose place is given.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub prescribed: Vec<Prescribed>,
+    /// Gravity [m/s²].
+    #[serde(default = "standard_gravity")]
+    #[schemars(extend("x-unit" = "m/s²"))]
+    pub gravity: [f64; 3],
+    /// Constant forces on points of the rod.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub point_forces: Vec<PointForce>,
+    /// Masses hung on points of the rod.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub point_masses: Vec<PointMass>,
+    /// Damping of the motion.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub damping: DampingValues,
+}
+
+fn standard_gravity() -> [f64; 3] {
+    [0.0, 0.0, -9.81]
+}
+
+pub(super) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
+/// The cross-section of a rod. m₁ and m₂ are its directions in the rod; a clamp says where m₁ points.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Section {
+    /// A full circle.
+    Circle {
+        /// Radius [m].
+        #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+        radius: f64,
+    },
+    /// A full ellipse.
+    Ellipse {
+        /// Semi-axes along m₁ and m₂ [m].
+        #[schemars(extend("x-unit" = "m", "x-positive" = true))]
+        semi_axes: [f64; 2],
+    },
+    /// A full rectangle.
+    Rectangle {
+        /// Side along m₁ [m].
+        #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+        width: f64,
+        /// Side along m₂ [m].
+        #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+        height: f64,
+    },
+    /// Stiffnesses given directly.
+    Stiffness {
+        /// Stretching stiffness EA [N].
+        #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "N"))]
+        ea: f64,
+        /// Bending stiffnesses (EI₁, EI₂) [N m²].
+        #[schemars(extend("x-unit" = "N m²"))]
+        ei: [f64; 2],
+        /// Twisting stiffness GJ [N m²].
+        #[schemars(extend("minimum" = 0.0, "x-unit" = "N m²"))]
+        gj: f64,
+        /// Mass per length [kg/m].
+        #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "kg/m"))]
+        mass_per_length: f64,
+    },
+}
+
+/// An elastic material. Give `poisson_ratio` or `shear_modulus`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Material {
+    /// Young's modulus E [Pa].
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "Pa"))]
+    pub youngs_modulus: f64,
+    /// Poisson's ratio ν; the shear modulus is then E / (2 (1 + ν)).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = -1.0, "maximum" = 0.5))]
+    pub poisson_ratio: Option<f64>,
+    /// Shear modulus G [Pa].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "Pa"))]
+    pub shear_modulus: Option<f64>,
+    /// Density ρ [kg/m³].
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "kg/m³"))]
+    pub density: f64,
+}
+
+/// A clamped end: place, direction and rotation of the end edge are given.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Clamp {
+    /// Place of the end vertex [m].
+    #[schemars(extend("x-unit" = "m"))]
+    pub position: [f64; 3],
+    /// Direction of the end edge, towards growing arc length.
+    pub tangent: [f64; 3],
+    /// Direction m₁ of the section.
+    pub director: [f64; 3],
+    /// How the clamp moves, directions kept. Absent: it does not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion: Option<Motion>,
+}
+
+/// A vertex whose place is given.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Prescribed {
+    /// Number of the vertex, 0 at the start.
+    pub vertex: usize,
+    /// Its place [m].
+    #[schemars(extend("x-unit" = "m"))]
+    pub position: [f64; 3],
+    /// How it moves. Absent: it does not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion: Option<Motion>,
+}
+
+/// A motion: a displacement added to a given position.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Motion {
+    /// The paper's drive: a(t) (r_x cos ωt, r_y sin ωt, 0), faded in by a quintic ramp a(t).
+    Ellipse {
+        /// Semi-axes r_x, r_y [m].
+        #[schemars(extend("x-unit" = "m"))]
+        radii: [f64; 2],
+        /// Angular frequency ω [rad/s].
+        #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "rad/s"))]
+        omega: f64,
+        /// Duration of the ramp in periods 2π/ω; 0 for none.
+        #[schemars(extend("minimum" = 0.0))]
+        ramp_periods: f64,
+    },
+    /// Displacements from a CSV file with the header `time_s,x_m,y_m,z_m`; linear between rows, constant outside them.
+    Table {
+        /// The file.
+        file: String,
+    },
+}
+
+/// A constant force on a point of the rod.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PointForce {
+    /// Arc length of the point [m].
+    #[schemars(extend("minimum" = 0.0, "x-unit" = "m"))]
+    pub arc_length: f64,
+    /// The force [N].
+    #[schemars(extend("x-unit" = "N"))]
+    pub force: [f64; 3],
+}
+
+/// A mass hung on a point of the rod.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PointMass {
+    /// Arc length of the point [m].
+    #[schemars(extend("minimum" = 0.0, "x-unit" = "m"))]
+    pub arc_length: f64,
+    /// The mass [kg].
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "kg"))]
+    pub mass: f64,
+}
+
+/// Damping of the motion.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct DampingValues {
+    /// Kelvin–Voigt time β [s]: a strain ε of stiffness k gets the stress β k ε̇.
+    #[schemars(extend("minimum" = 0.0, "x-unit" = "s"))]
+    pub stiffness: f64,
+    /// Mass-proportional rate α [1/s]: the force −α M V.
+    #[schemars(extend("minimum" = 0.0, "x-unit" = "1/s"))]
+    pub mass: f64,
+}

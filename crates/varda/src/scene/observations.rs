@@ -1,0 +1,133 @@
+//! `[observations]`: what is observed, where, when, and with what error.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::model::is_default;
+
+/// What is observed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum Observations {
+    /// Drawn around the truth of a twin experiment.
+    Synthetic(Synthetic),
+    /// Read from a CSV file.
+    File(Box<Recording>),
+}
+
+/// Observations drawn around the truth.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Synthetic {
+    /// Arc lengths of the observed points of a rod [m]; all three coordinates are observed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schemars(extend("x-unit" = "m"))]
+    pub places: Vec<f64>,
+    /// Observed components of the state of another model, from 0. Empty: all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub components: Vec<usize>,
+    /// Observed every so many steps, the first time after that many. Give this or `steps`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("minimum" = 1))]
+    pub every: Option<usize>,
+    /// Observed after these numbers of steps of the window.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub steps: Option<Vec<usize>>,
+    /// Standard deviation of an observed value [m]. Give this or `sigma_over_length`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+    pub sigma: Option<f64>,
+    /// Standard deviation of an observed coordinate over the length of the rod.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub sigma_over_length: Option<f64>,
+}
+
+/// Observations of a rod read from a CSV file with the header `time_s,s_m,x_m,y_m,z_m` or `time_s,marker,x_m,y_m,z_m` and,
+/// if wanted, a column `sigma_m`. An empty cell or a missing row was not observed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Recording {
+    /// The file. May be left to `--set observations.file=…`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
+    /// Time in the recording at which the model's clock reads 0 [s].
+    #[serde(default, skip_serializing_if = "is_default")]
+    #[schemars(extend("x-unit" = "s"))]
+    pub time_zero: f64,
+    /// Standard deviation of every coordinate where the file has no `sigma_m` [m].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+    pub sigma: Option<f64>,
+    /// Where the recording's axes sit in the model's.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub frame: Frame,
+    /// What to do with rows outside the window.
+    #[serde(default)]
+    pub outside_window: OutsideWindow,
+    /// The markers of the recording and their places on the rod.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub markers: Vec<Marker>,
+    /// Markers of the recording that are not on the rod.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub ignore: Vec<String>,
+}
+
+/// x_model = R x_recorded + t, with R given by its rows or as a turn about an axis. σ stays.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Frame {
+    /// Rows of the rotation R: the model's axes written in the recording's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rotation: Option<[[f64; 3]; 3]>,
+    /// Axis of the rotation, instead of its rows.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub axis: Option<[f64; 3]>,
+    /// Angle about `axis` [rad].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("x-unit" = "rad"))]
+    pub angle: Option<f64>,
+    /// Translation t [m], in the model's axes.
+    #[schemars(extend("x-unit" = "m"))]
+    pub translation: [f64; 3],
+}
+
+/// What to do with rows outside the window.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum OutsideWindow {
+    /// Refuse the file.
+    #[default]
+    Error,
+    /// Leave them out (those after the window serve to judge the forecast).
+    Skip,
+}
+
+/// A marker and its place on the rod.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Marker {
+    /// Its name in the column `marker`.
+    pub name: String,
+    /// Arc length of its section [m].
+    #[schemars(extend("minimum" = 0.0, "x-unit" = "m"))]
+    pub arc_length: f64,
+    /// Its place in the frame of the section, along (m₁, m₂, t) [m].
+    #[serde(default, skip_serializing_if = "is_default")]
+    #[schemars(extend("x-unit" = "m"))]
+    pub offset: [f64; 3],
+    /// What it is used for.
+    #[serde(default, rename = "use")]
+    pub used: Use,
+}
+
+/// What a marker is used for.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Use {
+    /// Assimilated.
+    #[default]
+    Assimilate,
+    /// Kept back: the report compares the analysis with it.
+    Withhold,
+}

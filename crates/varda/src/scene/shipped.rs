@@ -1,0 +1,46 @@
+//! The scenes that come with the binary, and the data they name.
+
+/// A scene in the binary.
+#[derive(Debug, Clone, Copy)]
+pub struct Shipped {
+    /// Its name on the command line.
+    pub name: &'static str,
+    /// Its TOML.
+    pub text: &'static str,
+}
+
+macro_rules! shipped {
+    ($($name:literal)*) => {
+        &[$(Shipped { name: $name, text: include_str!(concat!("../../scenes/", $name, ".toml")) }),*]
+    };
+}
+
+/// All of them, in the order in which they are listed. `hanging-rod` stands for `hanging-rod-case1`.
+pub const SHIPPED: &[Shipped] = shipped![
+    "hanging-rod-case1"
+    "hanging-rod-case2"
+    "hanging-rod-case3"
+    "hanging-rod-case4"
+    "hanging-rod-case4-plain"
+    "hanging-rod-csv"
+    "beam-release"
+    "lorenz63"
+    "lorenz96"
+];
+
+/// What `varda new` writes.
+pub const STARTER: &str = include_str!("../../scenes/starter.toml");
+
+const DATA: &[(&str, &str)] = &[
+    ("data/hanging-rod-background.csv", include_str!("../../scenes/data/hanging-rod-background.csv")),
+    ("data/hanging-rod-observations.csv", include_str!("../../scenes/data/hanging-rod-observations.csv")),
+];
+
+pub(super) fn find(name: &str) -> Option<&'static Shipped> {
+    let name = if name == "hanging-rod" { "hanging-rod-case1" } else { name };
+    SHIPPED.iter().find(|s| s.name == name)
+}
+
+pub(super) fn data(file: &str) -> Option<&'static str> {
+    DATA.iter().find(|d| d.0 == file).map(|d| d.1)
+}

@@ -1,0 +1,155 @@
+//! A TOML document as a tree in which every key and value knows where it was written.
+
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use super::Place;
+use crate::Error;
+
+/// A value and where it was written.
+#[derive(Debug, Clone)]
+pub(super) struct Node {
+    pub(super) place: Place,
+    pub(super) value: Value,
+}
+
+/// A TOML value.
+#[derive(Debug, Clone)]
+pub(super) enum Value {
+    Table(Vec<Entry>),
+    Array(Vec<Node>),
+    String(String),
+    Integer(i64),
+    Float(f64),
+    Boolean(bool),
+    Datetime,
+}
+
+/// A key of a table.
+#[derive(Debug, Clone)]
+pub(super) struct Entry {
+    pub(super) key: String,
+    pub(super) place: Place,
+    pub(super) node: Node,
+}
+
+/// Parses a document; `label` is its name in messages.
+pub(super) fn parse(label: &str, text: &str) -> Result<Node, Error> {
+    let place = |span: std::ops::Range<usize>| line_column(text, span.start);
+    let table = DeTable::parse(text).map_err(|e| Error::Scene {
+        place: format!("{label}{}", e.span().map_or(String::new(), |s| format!(":{}", place(s)))),
+        message: format!("not TOML: {}", e.message().replace('\n', ", ")),
+    })?;
+    let value = convert_table(table.get_ref(), &place);
+    Ok(Node { place: Place::Text { line: 1, column: 1 }, value })
+}
+
+/// The tree with `key=value` put in (a dotted key; the value as TOML, or as a string where it is not TOML).
+pub(super) fn set(root: &mut Node, assignment: &str) -> Result<(), Error> {
+    let bad = |message: String| Error::Scene { place: format!("--set {assignment}"), message };
+    let Some((key, text)) = assignment.split_once('=') else {
+        return Err(bad("expected key=value, for example --set algorithm.max_iterations=20".into()));
+    };
+    let place = Place::Set(assignment.to_string());
+    let here = |_| place.clone();
+    let value = match DeValue::parse(text.trim()) {
+        Ok(value) => convert(value.get_ref(), &here),
+        Err(_) => Value::String(text.trim().to_string()),
+    };
+    let mut node = root;
+    let parts: Vec<&str> = key.trim().split('.').collect();
+    if parts.iter().any(|p| p.is_empty()) {
+        return Err(bad(format!("{:?} is not a dotted key such as observations.sigma", key.trim())));
+    }
+    for part in parts {
+        node = match &mut node.value {
+            Value::Table(entries) => {
+                let at = entries.iter().position(|e| e.key == part).unwrap_or_else(|| {
+                    let node = Node { place: place.clone(), value: Value::Table(Vec::new()) };
+                    entries.push(Entry { key: part.to_string(), place: place.clone(), node });
+                    entries.len() - 1
+                });
+                &mut entries[at].node
+            }
+            Value::Array(items) => {
+                let count = items.len();
+                match part.parse::<usize>().ok().filter(|i| *i < count) {
+                    Some(i) => &mut items[i],
+                    None => {
+                        return Err(bad(format!(
+                            "{part:?} is not an index of a list of {count}, counted from 0"
+                        )));
+                    }
+                }
+            }
+            _ => return Err(bad(format!("there is no key {part:?} below a plain value"))),
+        };
+    }
+    *node = Node { place, value };
+    Ok(())
+}
+
+impl Node {
+    /// The value as JSON (what serde reads the scene from).
+    pub(super) fn to_json(&self) -> serde_json::Value {
+        match &self.value {
+            Value::Table(entries) => entries.iter().map(|e| (e.key.clone(), e.node.to_json())).collect(),
+            Value::Array(items) => items.iter().map(Node::to_json).collect(),
+            Value::String(s) => s.as_str().into(),
+            Value::Integer(i) => (*i).into(),
+            Value::Float(f) => (*f).into(),
+            Value::Boolean(b) => (*b).into(),
+            Value::Datetime => serde_json::Value::Null,
+        }
+    }
+
+    /// Places of this node and all below it, by dotted path.
+    pub(super) fn places(&self, path: &str, out: &mut std::collections::BTreeMap<String, Place>) {
+        out.insert(path.to_string(), self.place.clone());
+        let below = |part: &str| if path.is_empty() { part.to_string() } else { format!("{path}.{part}") };
+        match &self.value {
+            Value::Table(entries) => entries.iter().for_each(|e| e.node.places(&below(&e.key), out)),
+            Value::Array(items) => {
+                items.iter().enumerate().for_each(|(i, n)| n.places(&below(&i.to_string()), out))
+            }
+            _ => {}
+        }
+    }
+}
+
+fn convert_table(table: &DeTable<'_>, place: &impl Fn(std::ops::Range<usize>) -> Place) -> Value {
+    let entry = |(key, value): (&Spanned<std::borrow::Cow<'_, str>>, &Spanned<DeValue<'_>>)| Entry {
+        key: key.get_ref().to_string(),
+        place: place(key.span()),
+        node: Node { place: place(value.span()), value: convert(value.get_ref(), place) },
+    };
+    Value::Table(table.iter().map(entry).collect())
+}
+
+fn convert(value: &DeValue<'_>, place: &impl Fn(std::ops::Range<usize>) -> Place) -> Value {
+    match value {
+        DeValue::Table(table) => convert_table(table, place),
+        DeValue::Array(items) => Value::Array(
+            items
+                .iter()
+                .map(|v| Node { place: place(v.span()), value: convert(v.get_ref(), place) })
+                .collect(),
+        ),
+        DeValue::String(s) => Value::String(s.to_string()),
+        // Digits too many for 64 bits become a float, which the check then refuses where an integer is meant.
+        DeValue::Integer(i) => match i64::from_str_radix(i.as_str(), i.radix()) {
+            Ok(i) => Value::Integer(i),
+            Err(_) => Value::Float(i.as_str().parse().unwrap_or(f64::NAN)),
+        },
+        DeValue::Float(f) => Value::Float(f.as_str().parse().unwrap_or(f64::NAN)),
+        DeValue::Boolean(b) => Value::Boolean(*b),
+        DeValue::Datetime(_) => Value::Datetime,
+    }
+}
+
+/// Line and column (in characters), both from 1, of a byte offset.
+fn line_column(text: &str, offset: usize) -> Place {
+    let before = &text[..offset.min(text.len())];
+    let start = before.rfind('\n').map_or(0, |i| i + 1);
+    Place::Text { line: before.matches('\n').count() + 1, column: before[start..].chars().count() + 1 }
+}

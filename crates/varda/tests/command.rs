@@ -1,0 +1,309 @@
+//! The built binary: its files, its exit codes, its one message on error.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// A folder of its own for every test, removed at the end.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Folder {
+        let path = std::env::temp_dir().join(format!("varda-command-{name}-{}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&path);
+        std::fs::create_dir_all(&path).unwrap();
+        Folder(path)
+    }
+
+    fn varda(&self, arguments: &[&str]) -> Output {
+        Command::new(env!("CARGO_BIN_EXE_varda")).args(arguments).current_dir(&self.0).output().unwrap()
+    }
+
+    /// The one message of a run that must fail and leave nothing behind.
+    fn refusal(&self, arguments: &[&str]) -> String {
+        let before = self.entries();
+        let output = self.varda(arguments);
+        assert!(!output.status.success(), "{arguments:?} should fail");
+        assert!(output.stdout.is_empty(), "an error prints to stderr only");
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(message.lines().count(), 1, "one message: {message}");
+        assert_eq!(self.entries(), before, "nothing half-written is left");
+        message
+    }
+
+    fn entries(&self) -> Vec<PathBuf> {
+        let mut all = Vec::new();
+        let mut open = vec![self.0.clone()];
+        while let Some(folder) = open.pop() {
+            for entry in std::fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                if path.is_dir() {
+                    open.push(path.clone());
+                }
+                // `out` itself may appear: it is the parent of results.
+                if path != self.0.join("out") {
+                    all.push(path);
+                }
+            }
+        }
+        all.sort();
+        all
+    }
+
+    fn read(&self, file: &str) -> String {
+        std::fs::read_to_string(self.0.join(file)).unwrap_or_else(|e| panic!("{file}: {e}"))
+    }
+
+    fn summary(&self, folder: &str) -> serde_json::Value {
+        serde_json::from_str(&self.read(&format!("{folder}/summary.json"))).unwrap()
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+fn text(output: &Output) -> String {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+const KEYS: &[&str] = &[
+    "scene",
+    "seed",
+    "version",
+    "method",
+    "minimizer",
+    "status",
+    "n_state",
+    "n_control",
+    "n_obs",
+    "j_background",
+    "j_analysis",
+    "j_terms",
+    "gradient_norm_first",
+    "gradient_norm_last",
+    "outer_iterations",
+    "inner_iterations",
+    "counts",
+    "chi2",
+    "rmse",
+    "seconds",
+    "peak_bytes",
+    "left_out",
+    "warnings",
+];
+
+#[test]
+fn the_flagship_writes_everything_it_promises() {
+    let folder = Folder::new("flagship");
+    let table = text(&folder.varda(&["run", "hanging-rod"]));
+    assert!(table.contains("converged") && table.contains("report.html"), "{table}");
+    let here = "out/hanging-rod-case1";
+    let summary = folder.summary(here);
+    for key in KEYS {
+        assert!(summary.get(key).is_some(), "summary.json has no {key}");
+    }
+    for (parent, keys) in [
+        ("j_terms", &["background", "observation", "model_error"][..]),
+        ("counts", &["model_steps", "tangent_steps", "adjoint_steps", "factorizations", "newton_iterations"]),
+        ("rmse", &["position_background", "position_analysis", "velocity_background", "velocity_analysis"]),
+        ("seconds", &["total", "forward", "adjoint", "minimizer"]),
+    ] {
+        for key in keys {
+            assert!(summary[parent][key].is_number(), "{parent}.{key}");
+        }
+    }
+    assert_eq!(
+        (&summary["status"], &summary["n_control"], &summary["n_obs"]),
+        (&"converged".into(), &144.into(), &120.into())
+    );
+    assert!(summary["rmse"]["position_analysis"].as_f64() < summary["rmse"]["position_background"].as_f64());
+    // 2J is about χ² with 120 degrees of freedom: 60 ± 5 √60 covers all but one run in a million.
+    let j = summary["j_analysis"].as_f64().unwrap();
+    assert!((j - 60.0).abs() < 39.0, "J = {j}");
+    assert!(summary["peak_bytes"].is_null() || summary["peak_bytes"].as_u64().unwrap() < 100_000_000);
+
+    let lines = |file: &str| folder.read(&format!("{here}/{file}")).lines().count();
+    assert_eq!(lines("analysis.csv"), 145);
+    assert_eq!(lines("trajectory.csv"), 1 + 101 * 26);
+    assert_eq!(lines("convergence.csv"), 2 + summary["outer_iterations"].as_u64().unwrap() as usize);
+    assert!(
+        folder
+            .read(&format!("{here}/analysis.csv"))
+            .starts_with("index,name,unit,x_b,x_a,sigma_b,sigma_a,truth\n")
+    );
+
+    let page = folder.read(&format!("{here}/report.html"));
+    assert_eq!(page.matches("<svg").count(), 4);
+    for outside in ["http://", "https://", "src=", "<script", "<link", "@import"] {
+        let found = page.replace("http://www.w3.org/2000/svg", "");
+        assert!(!found.contains(outside), "the report reaches outside itself: {outside}");
+    }
+    for figure in ["convergence", "snapshots", "tracks", "spread"] {
+        assert!(folder.read(&format!("{here}/figures/{figure}.svg")).starts_with("<svg"));
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bits_and_another_one_others() {
+    let folder = Folder::new("bits");
+    for (out, seed) in [("a", "3"), ("b", "3"), ("c", "4")] {
+        text(&folder.varda(&["run", "hanging-rod-case2", "--seed", seed, "--out", out, "--quiet"]));
+    }
+    for file in ["analysis.csv", "trajectory.csv"] {
+        assert_eq!(folder.read(&format!("a/{file}")), folder.read(&format!("b/{file}")), "{file}");
+        assert_ne!(folder.read(&format!("a/{file}")), folder.read(&format!("c/{file}")), "{file}");
+    }
+    // Everything in the convergence table but its seconds.
+    let table = |out: &str| -> Vec<String> {
+        let without_seconds = |l: &str| {
+            l.split(',').enumerate().filter(|c| c.0 != 1).map(|c| c.1).collect::<Vec<_>>().join(",")
+        };
+        folder.read(&format!("{out}/convergence.csv")).lines().map(without_seconds).collect()
+    };
+    assert_eq!(table("a"), table("b"));
+}
+
+#[test]
+fn every_minimizer_finds_the_same_minimum_of_case_2() {
+    let folder = Folder::new("minimizers");
+    let mut minima = Vec::new();
+    for minimizer in ["trust-region", "newton", "gauss-newton-cg"] {
+        let set = format!("algorithm.minimizer={minimizer}");
+        text(&folder.varda(&["run", "hanging-rod-case2", "--set", &set, "--quiet", "--out", minimizer]));
+        let summary = folder.summary(minimizer);
+        assert_eq!(summary["status"], "converged");
+        minima.push(summary["j_analysis"].as_f64().unwrap());
+    }
+    // Each stops at a gradient 1e-8 of the first: J is then its minimum to far better than this.
+    assert!(minima.iter().all(|j| (j / minima[0] - 1.0).abs() < 1e-9), "{minima:?}");
+}
+
+#[test]
+fn a_twin_written_to_files_and_read_back_is_the_same_problem() {
+    let folder = Folder::new("files");
+    text(&folder.varda(&["simulate", "hanging-rod-case2", "--seed", "5", "--out", "twin"]));
+    text(&folder.varda(&["run", "hanging-rod-case2", "--seed", "5", "--out", "direct", "--quiet"]));
+    // σ_v as the twin has it, from v̄.
+    let text_of = |v: &serde_json::Value| v.as_f64().unwrap();
+    let mean_speed = 1.5987392716799629;
+    text(&folder.varda(&[
+        "run",
+        "hanging-rod-csv",
+        "--quiet",
+        "--out",
+        "files",
+        "--set",
+        "background.file=twin/background.csv",
+        "--set",
+        "observations.file=twin/observations.csv",
+        "--set",
+        &format!("background.covariance.sigma_v={}", 0.4 * mean_speed),
+    ]));
+    let (direct, files) = (folder.summary("direct"), folder.summary("files"));
+    // The files hold every bit; σ_v is the product of another order, 1 ulp off at most.
+    for key in ["j_background", "j_analysis"] {
+        let (a, b) = (text_of(&direct[key]), text_of(&files[key]));
+        assert!((a / b - 1.0).abs() < 1e-9, "{key}: {a} {b}");
+    }
+    assert!(files["rmse"]["position_background"].is_null(), "a scene that reads files knows no truth");
+}
+
+#[test]
+fn bad_input_is_one_message_and_no_folder() {
+    let folder = Folder::new("bad");
+    std::fs::write(folder.0.join("nan.csv"), "time_s,s_m,x_m,y_m,z_m\n1.6,0.5,0,0,0\n1.7,0.5,0,nan,0\n")
+        .unwrap();
+    std::fs::write(folder.0.join("late.csv"), "time_s,s_m,x_m,y_m,z_m\n9.5,0.5,0,0,0\n").unwrap();
+    std::fs::write(folder.0.join("off.csv"), "time_s,s_m,x_m,y_m,z_m\n1.6,1.5,0,0,0\n").unwrap();
+    std::fs::write(folder.0.join("who.csv"), "time_s,marker,x_m,y_m,z_m\n0.7,9,0,0,0\n").unwrap();
+    let file = |name: &str| format!("observations.file={name}");
+    let cases: Vec<(Vec<String>, &[&str])> = vec![
+        (vec!["missing.toml".into()], &["missing.toml"]),
+        (
+            vec!["hanging-rod".into(), "--set".into(), "model.lenght=1".into()],
+            &["lenght", "did you mean `length`"],
+        ),
+        (vec!["hanging-rod".into(), "--set".into(), "model.length=-1".into()], &["greater than 0 [m]"]),
+        (vec!["hanging-rod".into(), "--set".into(), "observations.places=[1.2]".into()], &["off the rod"]),
+        (vec!["hanging-rod".into(), "--set".into(), "observations.steps=[101]".into()], &["not both"]),
+        (
+            vec!["hanging-rod".into(), "--set".into(), "model.start.motion.radii=[1e160,1e160]".into()],
+            &["spin-up of the truth: step 0", "Newton stopped"],
+        ),
+        (vec!["hanging-rod-csv".into(), "--set".into(), file("nan.csv")], &["nan.csv:3", "`y_m` is NaN"]),
+        (
+            vec!["hanging-rod-csv".into(), "--set".into(), file("late.csv")],
+            &["late.csv:2", "outside the window"],
+        ),
+        (vec!["hanging-rod-csv".into(), "--set".into(), file("off.csv")], &["off.csv:2", "off the rod"]),
+        (vec!["hanging-rod-csv".into(), "--set".into(), file("none.csv")], &["none.csv", "cannot read"]),
+        (vec!["beam-release".into()], &["--set observations.file="]),
+        (
+            vec!["beam-release".into(), "--set".into(), file("who.csv")],
+            &["who.csv:2", "marker \"9\" has no place"],
+        ),
+        (vec!["hanging-rod".into(), "--out".into(), ".".into()], &["not a result of Varda"]),
+    ];
+    for (arguments, expected) in cases {
+        let mut all = vec!["run"];
+        all.extend(arguments.iter().map(String::as_str));
+        let message = folder.refusal(&all);
+        for piece in expected {
+            assert!(message.contains(piece), "{all:?}: {message}");
+        }
+    }
+}
+
+#[test]
+fn a_result_is_replaced_and_anything_else_is_not() {
+    let folder = Folder::new("replace");
+    for seed in ["1", "2"] {
+        text(&folder.varda(&["run", "lorenz63", "--out", "result", "--seed", seed, "--quiet"]));
+        assert_eq!(folder.summary("result")["seed"].to_string(), seed);
+    }
+    std::fs::create_dir(folder.0.join("thesis")).unwrap();
+    std::fs::write(folder.0.join("thesis/chapter.tex"), "years").unwrap();
+    let message = folder.refusal(&["run", "lorenz63", "--out", "thesis"]);
+    assert!(message.contains("thesis exists and is not a result of Varda"), "{message}");
+}
+
+#[test]
+fn a_new_scene_checks_and_runs_and_is_not_overwritten() {
+    let folder = Folder::new("new");
+    text(&folder.varda(&["new", "mine"]));
+    assert!(text(&folder.varda(&["check", "mine.toml"])).contains("nothing wrong"));
+    text(&folder.varda(&["run", "mine.toml", "--quiet"]));
+    assert_eq!(folder.summary("out/mine")["status"], "converged");
+    let message = folder.refusal(&["new", "mine"]);
+    assert!(message.contains("mine.toml"), "{message}");
+}
+
+#[test]
+fn lists_and_schema_are_printed() {
+    let folder = Folder::new("lists");
+    let scenes = text(&folder.varda(&["scenes"]));
+    for name in [
+        "hanging-rod-case1",
+        "hanging-rod-case4-plain",
+        "hanging-rod-csv",
+        "beam-release",
+        "lorenz63",
+        "lorenz96",
+    ] {
+        assert!(scenes.contains(name), "{name}");
+    }
+    let schema: serde_json::Value = serde_json::from_str(&text(&folder.varda(&["schema"]))).unwrap();
+    assert!(schema["properties"]["model"].is_object());
+    assert!(text(&folder.varda(&["check", "hanging-rod"])).contains("144 numbers"));
+}
+
+#[test]
+fn quiet_is_quiet() {
+    let folder = Folder::new("quiet");
+    let output = folder.varda(&["run", "lorenz96", "--quiet"]);
+    assert!(output.status.success() && output.stdout.is_empty() && output.stderr.is_empty());
+    assert!(Path::new(&folder.0).join("out/lorenz96/report.html").is_file());
+}

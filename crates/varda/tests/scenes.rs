@@ -1,0 +1,181 @@
+//! Scenes: those that ship, and what is said about wrong ones.
+
+use varda::check::Plan;
+use varda::scene::{Observations, SHIPPED, STARTER, Scene, SceneFile};
+
+fn parse(text: &str, sets: &[&str]) -> Result<SceneFile, varda::Error> {
+    let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
+    SceneFile::parse("test", "test.toml", text, None, &sets)
+}
+
+fn message(text: &str, sets: &[&str]) -> String {
+    parse(text, sets).expect_err("this scene is wrong").to_string()
+}
+
+/// `STARTER` with one piece of text replaced, and the line on which that is.
+fn starter_with(old: &str, new: &str) -> (String, usize) {
+    assert!(STARTER.contains(old), "the starter scene no longer has {old:?}");
+    let line = STARTER[..STARTER.find(old).unwrap()].matches('\n').count() + 1;
+    (STARTER.replacen(old, new, 1), line)
+}
+
+#[test]
+fn every_shipped_scene_parses_and_survives_being_written_and_read() {
+    for shipped in SHIPPED {
+        let file = SceneFile::open(shipped.name, &[]).unwrap_or_else(|e| panic!("{}: {e}", shipped.name));
+        let text = toml::to_string(&file.scene).unwrap();
+        let again = parse(&text, &[]).unwrap_or_else(|e| panic!("{} rewritten: {e}\n{text}", shipped.name));
+        assert_eq!(file.scene, again.scene, "{}", shipped.name);
+        let needs_a_recording = matches!(&file.scene.observations, Observations::File(r) if r.file.is_none());
+        assert_eq!(Plan::new(&file).is_err(), needs_a_recording, "{}", shipped.name);
+    }
+    assert_eq!(SceneFile::open("hanging-rod", &[]).unwrap().name, "hanging-rod-case1");
+}
+
+#[test]
+fn the_starter_scene_is_right() {
+    let plan = Plan::new(&parse(STARTER, &[]).unwrap()).unwrap();
+    assert_eq!((plan.n_control, plan.n_obs), (6 * 19, 2 * 3 * 12));
+}
+
+#[test]
+fn errors_name_file_line_and_column_and_say_what_was_meant() {
+    let cases: &[(&str, &str, &[&str])] = &[
+        (
+            "youngs_modulus = 1e6",
+            "youngs_modulos = 1e6",
+            &["unknown key `youngs_modulos`", "did you mean `youngs_modulus` (Young's modulus E [Pa])"],
+        ),
+        ("length = 0.5 ", "length_mm = 500", &["unknown key `length_mm`", "did you mean `length`"]),
+        ("length = 0.5 ", "length = -0.5", &["`model.length` = -0.5 is impossible", "greater than 0 [m]"]),
+        ("length = 0.5 ", "length = nan", &["must be finite"]),
+        (
+            "length = 0.5 ",
+            "length = \"0.5 m\"",
+            &["`model.length` must be a number [m]", "plain number in that SI unit"],
+        ),
+        ("radius = 0.005", "radius = 5", &["lengths are in metres, was another unit meant?"]),
+        ("segments = 20", "segments = 20.5", &["must be a whole number"]),
+        (
+            "\"trust-region\"",
+            "\"trust-regoin\"",
+            &["`algorithm.minimizer` = \"trust-regoin\"", "did you mean \"trust-region\""],
+        ),
+        ("\"circle\"", "\"circel\"", &["did you mean \"circle\"", "ellipse, rectangle, stiffness"]),
+        ("kind = \"rod\" ", "", &["[model] needs the key `kind`"]),
+        ("density = 1100.0 ", "", &["needs the key `density` (Density ρ [kg/m³])"]),
+        ("poisson_ratio = 0.5 ", "poisson_ratio = 0.6", &["at most 0.5"]),
+        ("places = [0.25, 0.5]", "places = [0.25, 0.75]", &["arc length 0.75 m is off the rod (0 to 0.5"]),
+        ("every = 5 ", "every = 61", &["no observation falls in the window"]),
+        ("localization_length = 0.5 ", "", &["a taper needs `localization_length`"]),
+        ("tangent = [0.0, 0.0, -1.0]", "tangent = [0.0, -1.0]", &["has 2 entries, expected 3"]),
+        ("seed = 0", "seed = = 0", &["not TOML"]),
+        (
+            "step = 0.01 ",
+            "step = 0.01\nsteps_per_period = 50 #",
+            &["give `step` or `steps_per_period`, not both"],
+        ),
+    ];
+    for (old, new, expected) in cases {
+        let (text, line) = starter_with(old, new);
+        let message = message(&text, &[]);
+        assert!(message.starts_with("test.toml:"), "{message}");
+        for piece in *expected {
+            assert!(message.contains(piece), "{new:?}: {message}");
+        }
+        let found: usize = message.split(':').nth(1).unwrap().parse().unwrap();
+        // A missing key is reported at its table's header, at most a dozen lines above.
+        assert!(found <= line + 1 && found + 12 >= line, "line {found}, expected about {line}: {message}");
+    }
+    let (text, line) = starter_with("length = 0.5 ", "length = -0.5");
+    assert!(message(&text, &[]).starts_with(&format!("test.toml:{line}:10: ")), "columns count from 1");
+}
+
+#[test]
+fn overrides_set_any_key_and_are_named_when_wrong() {
+    let file = parse(
+        STARTER,
+        &["model.length=0.25", "model.segments=10", "observations.places=[0.25]", "title=a new title"],
+    )
+    .unwrap();
+    assert_eq!(file.scene.title, "a new title");
+    assert_eq!(Plan::new(&file).unwrap().n_obs, 3 * 12);
+    for (set, expected) in [
+        ("model.lenght=1", "unknown key `lenght` in [model]; did you mean `length`"),
+        ("model.length=-1", "`model.length` = -1 is impossible"),
+        ("algorithm.minimizer=newtn", "did you mean \"newton\""),
+        ("observations.places.7=0.1", "not an index of a list of 2"),
+        ("model.length", "expected key=value"),
+        ("model..length=1", "not a dotted key"),
+        ("model.length.x=1", "no key \"x\" below a plain value"),
+    ] {
+        let message = message(STARTER, &[set]);
+        assert!(message.starts_with(&format!("--set {set}: ")) && message.contains(expected), "{message}");
+    }
+}
+
+#[test]
+fn files_of_a_scene_are_relative_to_it_and_those_of_set_to_the_current_folder() {
+    let folder = std::env::temp_dir().join(format!("varda-scenes-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let scene = SHIPPED.iter().find(|s| s.name == "hanging-rod-csv").unwrap().text.replace("data/", "");
+    std::fs::write(folder.join("mine.toml"), scene).unwrap();
+    let path = folder.join("mine.toml").display().to_string();
+    let data = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/data");
+    for name in ["hanging-rod-background.csv", "hanging-rod-observations.csv"] {
+        std::fs::copy(data.join(name), folder.join(name)).unwrap();
+    }
+    Plan::new(&SceneFile::open(&path, &[]).unwrap()).expect("files beside the scene are found");
+    let set = ["observations.file=hanging-rod-observations.csv".to_string()];
+    let message = Plan::new(&SceneFile::open(&path, &set).unwrap()).unwrap_err().to_string();
+    assert!(message.contains("--set observations.file=") && message.contains("cannot read"), "{message}");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn an_unknown_scene_gets_a_suggestion() {
+    let message = SceneFile::open("hanging-rod-case5", &[]).unwrap_err().to_string();
+    assert!(message.contains("did you mean \"hanging-rod-case"), "{message}");
+}
+
+#[test]
+fn a_smooth_kernel_without_taper_or_truncation_is_refused_with_the_remedy() {
+    let sets = ["background.covariance.taper=none", "model.segments=60"];
+    let text = STARTER.replace("localization_length = 0.5 ", "#");
+    let message = Plan::new(&parse(&text, &sets).unwrap()).unwrap_err().to_string();
+    assert!(message.contains("root = \"truncated\""), "{message}");
+    let sets =
+        ["background.covariance.taper=none", "model.segments=60", "background.covariance.root=truncated"];
+    Plan::new(&parse(&text, &sets).unwrap()).expect("a truncated root exists");
+}
+
+#[test]
+fn the_schema_describes_every_key_and_has_no_loose_ends() {
+    let schema: serde_json::Value = serde_json::from_str(&Scene::schema()).unwrap();
+    assert!(schema["$schema"].as_str().unwrap().starts_with("https://json-schema.org/"));
+    let mut keys = 0;
+    walk(&schema, &schema, "", &mut keys);
+    assert!(keys > 80, "{keys} keys were looked at");
+}
+
+fn walk(node: &serde_json::Value, root: &serde_json::Value, path: &str, keys: &mut usize) {
+    if let Some(reference) = node["$ref"].as_str() {
+        let name = reference.strip_prefix("#/$defs/").expect("references are local");
+        assert!(root["$defs"][name].is_object(), "{path}: {reference} is not there");
+    }
+    if let Some(properties) = node["properties"].as_object() {
+        assert_eq!(node["additionalProperties"], false, "{path} lets unknown keys pass");
+        for (key, property) in properties {
+            *keys += 1;
+            let text = property["description"].as_str().unwrap_or("");
+            assert!(property["const"].is_string() || !text.is_empty(), "{path}.{key} has no description");
+        }
+    }
+    match node {
+        serde_json::Value::Object(map) => {
+            map.iter().for_each(|(k, v)| walk(v, root, &format!("{path}.{k}"), keys))
+        }
+        serde_json::Value::Array(all) => all.iter().for_each(|v| walk(v, root, path, keys)),
+        _ => {}
+    }
+}

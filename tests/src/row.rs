@@ -1,0 +1,215 @@
+//! One checked number, and how many of them are printed.
+
+use serde::Serialize;
+use std::fmt::Write;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::Instant;
+
+/// What a check may end with instead of rows: a reason, shown in a failed row.
+pub type Outcome = Result<(), Box<dyn std::error::Error>>;
+
+/// One checked number. It passes where `value ≤ bound`; a NaN does not. A row that only informs has an infinite bound (null in
+/// JSON) and says so in its note.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// The suite it belongs to.
+    pub suite: &'static str,
+    /// What was checked: a fixture, a model.
+    pub case: String,
+    /// Which quantity.
+    pub what: String,
+    /// The number compared: mostly an error, normalized as its tolerance is stated.
+    pub value: f64,
+    /// What it may be at most.
+    pub bound: f64,
+    /// Unit of value and bound; `-` for none.
+    pub unit: &'static str,
+    /// Seconds since the row before it in the same case.
+    pub seconds: f64,
+    /// value ≤ bound.
+    pub pass: bool,
+    /// Our own number, where there is one: an energy, a cost, a trace, the norm of a vector.
+    pub computed: Option<f64>,
+    /// A remark, or the reason of a failure.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub note: String,
+}
+
+impl Row {
+    /// Adds our own number.
+    pub fn computed(&mut self, computed: f64) -> &mut Row {
+        self.computed = Some(computed);
+        self
+    }
+
+    /// Adds a remark.
+    pub fn note(&mut self, note: impl Into<String>) -> &mut Row {
+        self.note = note.into();
+        self
+    }
+}
+
+/// The rows of one suite while they are collected.
+pub struct Rows {
+    suite: &'static str,
+    rows: Vec<Row>,
+}
+
+impl Rows {
+    /// No rows yet.
+    pub fn new(suite: &'static str) -> Rows {
+        Rows { suite, rows: Vec::new() }
+    }
+
+    /// Runs the checks of one case. An error or a panic in there is a failed row, not the end of the run.
+    pub fn case(&mut self, name: &str, checks: impl FnOnce(&mut Case) -> Outcome) {
+        let mut case =
+            Case { suite: self.suite, name: name.to_string(), rows: &mut self.rows, since: Instant::now() };
+        let reason = match catch_unwind(AssertUnwindSafe(|| checks(&mut case))) {
+            Ok(Ok(())) => return,
+            Ok(Err(error)) => error.to_string(),
+            Err(panic) => {
+                let text = panic.downcast_ref::<String>().map(String::as_str);
+                format!("panicked: {}", text.or(panic.downcast_ref::<&str>().copied()).unwrap_or("?"))
+            }
+        };
+        case.at_most("completed", f64::NAN, 0.0, "-").note(reason);
+    }
+
+    /// The rows.
+    pub fn finish(self) -> Vec<Row> {
+        self.rows
+    }
+}
+
+/// The rows of one case while they are collected.
+pub struct Case<'a> {
+    suite: &'static str,
+    name: String,
+    rows: &'a mut Vec<Row>,
+    since: Instant,
+}
+
+impl Case<'_> {
+    /// A row that passes where value ≤ bound.
+    pub fn at_most(&mut self, what: &str, value: f64, bound: f64, unit: &'static str) -> &mut Row {
+        let seconds = self.since.elapsed().as_secs_f64();
+        self.since = Instant::now();
+        self.rows.push(Row {
+            suite: self.suite,
+            case: self.name.clone(),
+            what: what.to_string(),
+            value,
+            bound,
+            unit,
+            seconds,
+            pass: value <= bound,
+            computed: None,
+            note: String::new(),
+        });
+        self.rows.last_mut().expect("just pushed")
+    }
+
+    /// A row that passes where a count is what it should be: value = |count − expected|, bound 0.
+    pub fn count(&mut self, what: &str, count: usize, expected: usize) -> &mut Row {
+        let row = self.at_most(what, count.abs_diff(expected) as f64, 0.0, "-");
+        row.computed(count as f64).note(format!("{count}, expected {expected}"))
+    }
+
+    /// A row that only informs.
+    pub fn inform(&mut self, what: &str, value: f64, unit: &'static str) -> &mut Row {
+        self.at_most(what, value, f64::INFINITY, unit).computed(value).note("informative")
+    }
+}
+
+/// The rows as text, aligned.
+pub fn table(rows: &[Row]) -> String {
+    let cells: Vec<[String; 9]> = rows.iter().map(cells).collect();
+    let head = ["suite", "case", "what", "value", "bound", "unit", "seconds", "pass", ""].map(str::to_string);
+    let mut width = [0; 9];
+    for row in cells.iter().chain([&head]) {
+        for (w, cell) in width.iter_mut().zip(row) {
+            *w = (*w).max(cell.chars().count());
+        }
+    }
+    let mut text = String::new();
+    for row in [&head].into_iter().chain(&cells) {
+        let mut line = String::new();
+        for (i, (cell, &w)) in row.iter().zip(&width).enumerate() {
+            // numbers to the right, words to the left
+            let numeric = matches!(i, 3 | 4 | 6);
+            let _ = if numeric { write!(line, "{cell:>w$}  ") } else { write!(line, "{cell:<w$}  ") };
+        }
+        text.push_str(line.trim_end());
+        text.push('\n');
+    }
+    text
+}
+
+fn cells(row: &Row) -> [String; 9] {
+    let number = |v: f64| if v == f64::INFINITY { "-".to_string() } else { format!("{v:.3e}") };
+    let pass = if row.pass { "yes" } else { "NO" };
+    [
+        row.suite.to_string(),
+        row.case.clone(),
+        row.what.clone(),
+        number(row.value),
+        number(row.bound),
+        row.unit.to_string(),
+        format!("{:.3}", row.seconds),
+        pass.to_string(),
+        row.note.clone(),
+    ]
+}
+
+/// The rows as one JSON array; numbers that are not finite are null.
+pub fn json(rows: &[Row]) -> String {
+    serde_json::to_string_pretty(rows).expect("rows are plain data") + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample() -> Vec<Row> {
+        let mut rows = Rows::new("golden");
+        rows.case("a", |case| {
+            case.at_most("exact", 1.0, 1.0, "m").computed(2.5);
+            case.at_most("beyond", 1.5, 1.0, "m");
+            case.at_most("nan", f64::NAN, f64::INFINITY, "-");
+            case.count("steps", 3, 4);
+            case.inform("time", 0.1, "s");
+            Err("no such file".into())
+        });
+        rows.case("b", |_| panic!("index {}", 7));
+        rows.finish()
+    }
+
+    #[test]
+    fn only_numbers_within_their_bound_pass() {
+        let pass: Vec<bool> = sample().iter().map(|r| r.pass).collect();
+        assert_eq!(pass, [true, false, false, false, true, false, false]);
+        assert_eq!(sample()[5].note, "no such file");
+        assert_eq!(sample()[6].note, "panicked: index 7");
+    }
+
+    #[test]
+    fn json_has_no_nan_and_all_columns() {
+        let rows: serde_json::Value = serde_json::from_str(&json(&sample())).unwrap();
+        let columns = ["suite", "case", "what", "value", "bound", "unit", "seconds", "pass", "computed"];
+        for row in rows.as_array().unwrap() {
+            assert!(columns.iter().all(|c| row.get(c).is_some()), "{row}");
+        }
+        assert_eq!(rows[0]["computed"], 2.5);
+        assert!(rows[2]["value"].is_null() && rows[4]["bound"].is_null() && rows[1]["computed"].is_null());
+    }
+
+    #[test]
+    fn columns_are_aligned() {
+        let text = table(&sample());
+        let at: Vec<usize> = text.lines().map(|l| l.chars().take_while(|c| *c != ' ').count()).collect();
+        assert_eq!(text.lines().count(), 8);
+        assert!(at.iter().all(|a| *a <= 6), "{text}");
+        assert!(text.contains("NO"));
+    }
+}

@@ -1,0 +1,235 @@
+//! Work counted exactly: what is not needed is not done.
+
+use super::Options;
+use crate::allocations::allocations;
+use crate::costs::for_each_cost;
+use crate::problems::{HangingRod, rods, wave};
+use crate::row::{Case, Outcome, Row, Rows};
+use std::time::Instant;
+use varda_assimilation::{
+    ControlTransform, CostFunction, GaussNewton, Observation, ObservationSet, Selection, StrongConstraint,
+};
+use varda_covariance::Diagonal;
+use varda_implicit::lorenz::Lorenz96;
+use varda_implicit::{Counts, Model, Rk4};
+
+pub(super) fn run(_options: &Options) -> Vec<Row> {
+    let mut rows = Rows::new("counts");
+    rows.case("flagship", flagship);
+    rows.case("window without steps", no_steps);
+    rows.case("early last observation", early);
+    rows.case("flagship timing", timing);
+    match rods() {
+        Ok(rods) => {
+            for mut rod in rods {
+                rows.case(rod.name, |case| model_allocations(case, &mut rod.model, &rod.control));
+            }
+        }
+        Err(error) => rows.case("rods", |_| Err(error)),
+    }
+    rows.case("lorenz96 rk4", |case| {
+        let x: Vec<f64> = (0..40).map(|i| 8.0 + 4.0 * wave(i, 0)).collect();
+        model_allocations(case, &mut Rk4::new(Lorenz96::new(40, 8.0), 0, 0.0125), &x)
+    });
+    let outcome = for_each_cost(&mut |name, cost| {
+        rows.case(name, |case| cost_allocations(case, cost));
+        Ok(())
+    });
+    if let Err(error) = outcome {
+        rows.case("assembled costs", |_| Err(error));
+    }
+    rows.finish()
+}
+
+fn flagship(case: &mut Case) -> Outcome {
+    let (rod, truth) = HangingRod::flagship(1, true)?;
+    let mut model = rod.model(rod.first_step)?;
+    case.count("length of the state", model.dim(), 6 * 24);
+    case.count("twist unknowns", model.step_ref().free_angles().len(), 0);
+    let named = model.step_ref().left_out().iter().any(|l| l.contains("twist"));
+    case.count("twist named as left out", usize::from(named), 1);
+
+    let observations = rod.observe(&truth, &mut || 0.5)?;
+    let mut set = rod.observation_set(model.dim(), observations)?;
+    let b = rod.background_covariance()?;
+    let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(truth, &b)?, &mut set)?;
+    let n = cost.dim();
+    let v: Vec<f64> = (0..n).map(|i| 0.1 * wave(i, 1)).collect();
+    let mut g = vec![0.0; n];
+
+    cost.evaluate(&v, None)?;
+    let trial = cost.counts();
+    case.count("steps of a trial run", trial.model.model_steps, 100);
+    case.count("linearizations of a trial run", trial.model.linearizations, 0);
+    case.count("steps in parts", trial.model.substeps, 0);
+    // Newton factors once an iteration where no pivot is negative.
+    case.count("factorizations of a trial run", trial.model.factorizations, trial.model.newton_iterations);
+
+    cost.evaluate(&v, Some(&mut g))?;
+    let gradient = cost.counts();
+    case.count("forward runs after the gradient there", gradient.forward_runs, 1);
+    let of = |f: fn(&Counts) -> usize| f(&gradient.model) - f(&trial.model);
+    case.count("steps of the gradient", of(|c| c.model_steps), 0);
+    case.count("linearizations of the gradient", of(|c| c.linearizations), 100);
+    case.count("factorizations of the gradient", of(|c| c.factorizations), 100);
+    case.count("adjoint steps of the gradient", of(|c| c.adjoint_steps), 100);
+    case.count("tangent steps of the gradient", of(|c| c.tangent_steps), 0);
+
+    cost.evaluate(&v, Some(&mut g))?;
+    let again = cost.counts();
+    case.count("forward runs after asking again", again.forward_runs, 1);
+    case.count("linearizations after asking again", again.model.linearizations, 100);
+
+    cost.hessian_apply(&v, &mut g)?;
+    let product = cost.counts();
+    let of = |f: fn(&Counts) -> usize| f(&product.model) - f(&again.model);
+    case.count("tangent steps of a product", of(|c| c.tangent_steps), 100);
+    case.count("adjoint steps of a product", of(|c| c.adjoint_steps), 100);
+    case.count("steps of a product", of(|c| c.model_steps), 0);
+    case.count("factorizations of a product", of(|c| c.factorizations), 0);
+
+    let mut hessian = vec![0.0; n * n];
+    cost.hessian(&mut hessian)?;
+    let dense = cost.counts();
+    let of = |f: fn(&Counts) -> usize| f(&dense.model) - f(&product.model);
+    case.count("tangent steps of the dense Hessian", of(|c| c.tangent_steps), 100 * n);
+    case.count("adjoint steps of the dense Hessian", of(|c| c.adjoint_steps), 0);
+    Ok(())
+}
+
+/// Lorenz 1996, all components seen with σ = 1 at one step.
+fn lorenz_counts(last: usize, steps: usize) -> Result<Counts, Box<dyn std::error::Error>> {
+    let mut model = Rk4::new(Lorenz96::new(40, 8.0), 0, 0.0125);
+    let x: Vec<f64> = (0..40).map(|i| 8.0 + 4.0 * wave(i, 0)).collect();
+    let seen = Observation {
+        operator: 0,
+        rows: (0..40).collect(),
+        step: last,
+        weight: 0.0,
+        values: x.clone(),
+        sigma: vec![1.0; 40],
+        label: String::new(),
+    };
+    let all = Selection::new((0..40).collect(), 40)?;
+    let mut set = ObservationSet::new(steps, vec![Box::new(all)], vec![seen])?;
+    let b = Diagonal::uniform(40, 0.5)?;
+    let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(x, &b)?, &mut set)?;
+    let v = vec![0.3; 40];
+    let mut g = vec![0.0; 40];
+    cost.evaluate(&v, Some(&mut g))?;
+    cost.hessian_apply(&v, &mut g)?;
+    Ok(cost.counts().model)
+}
+
+fn no_steps(case: &mut Case) -> Outcome {
+    let Counts { model_steps, tangent_steps, adjoint_steps, linearizations, .. } = lorenz_counts(0, 20)?;
+    case.count("model calls", model_steps + tangent_steps + adjoint_steps + linearizations, 0);
+    Ok(())
+}
+
+fn early(case: &mut Case) -> Outcome {
+    let counts = lorenz_counts(12, 20)?;
+    case.count("steps run", counts.model_steps, 12);
+    case.count("steps linearized", counts.linearizations, 12);
+    case.count("adjoint steps of gradient and product", counts.adjoint_steps, 24);
+    Ok(())
+}
+
+/// Requests for memory in a model's calls, after each was made once.
+fn model_allocations(case: &mut Case, model: &mut dyn Model, z: &[f64]) -> Outcome {
+    let mut x = vec![0.0; model.dim()];
+    model.initial_state(z, &mut x)?;
+    let mut next = x.clone();
+    let mut dz = z.to_vec();
+    let mut lambda = x.clone();
+    let mut total = [0; 5];
+    for round in 0..2 {
+        let names = ["initial state", "step", "linearize", "tangent", "adjoint"];
+        let (initial, outcome) = allocations(|| {
+            model.initial_state(z, &mut x)?;
+            model.initial_tangent(z, &mut lambda);
+            model.initial_adjoint(&lambda, &mut dz);
+            Ok::<_, varda_implicit::Error>(())
+        });
+        outcome?;
+        total[0] = initial;
+        let mut current = x.clone();
+        total[1..].fill(0);
+        for k in 0..5 {
+            let (step, outcome) = allocations(|| model.step(k, &current, &mut next));
+            outcome?;
+            let (linearize, outcome) = allocations(|| model.linearize(k, &current, &next));
+            outcome?;
+            let (tangent, ()) = allocations(|| model.tangent(k, &mut lambda));
+            let (adjoint, ()) = allocations(|| model.adjoint(k, &mut lambda));
+            for (t, a) in total[1..].iter_mut().zip([step, linearize, tangent, adjoint]) {
+                *t += a;
+            }
+            current.copy_from_slice(&next);
+        }
+        if round == 1 {
+            for (name, found) in names.iter().zip(total) {
+                case.count(&format!("allocations: {name}"), found, 0);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Requests for memory in a cost's calls, after each was made once.
+fn cost_allocations(case: &mut Case, cost: &mut dyn GaussNewton) -> Outcome {
+    let n = cost.dim();
+    let mut g = vec![0.0; n];
+    let mut product = vec![0.0; n];
+    let points: Vec<Vec<f64>> = (0..4).map(|s| (0..n).map(|i| 0.1 * wave(i, 80 + s)).collect()).collect();
+    for (round, pair) in points.chunks_exact(2).enumerate() {
+        let (trial, outcome) = allocations(|| cost.evaluate(&pair[0], None));
+        outcome?;
+        let (gradient, outcome) = allocations(|| cost.evaluate(&pair[1], Some(&mut g)));
+        outcome?;
+        let (apply, outcome) = allocations(|| cost.hessian_apply(&g, &mut product));
+        outcome?;
+        if round == 1 {
+            case.count("allocations: evaluate", trial, 0);
+            case.count("allocations: evaluate with gradient", gradient, 0);
+            case.count("allocations: hessian_apply", apply, 0);
+        }
+    }
+    Ok(())
+}
+
+/// Seconds of an adjoint sweep over those of a plain forward run: informative, time never fails a check.
+fn timing(case: &mut Case) -> Outcome {
+    let (rod, truth) = HangingRod::flagship(1, true)?;
+    let mut model = rod.model(rod.first_step)?;
+    let n = model.dim();
+    let steps = rod.steps;
+    let mut states = vec![0.0; (steps + 1) * n];
+    model.initial_state(&truth, &mut states[..n])?;
+    let (mut forward, mut backward) = (Vec::new(), Vec::new());
+    for _ in 0..9 {
+        let since = Instant::now();
+        for k in 0..steps {
+            let (x, next) = states[k * n..(k + 2) * n].split_at_mut(n);
+            model.step(k, x, next)?;
+        }
+        forward.push(since.elapsed().as_secs_f64());
+        for k in 0..steps {
+            let (x, next) = states[k * n..(k + 2) * n].split_at(n);
+            model.linearize(k, x, next)?;
+        }
+        let mut lambda = vec![1.0; n];
+        let since = Instant::now();
+        for k in (0..steps).rev() {
+            model.adjoint(k, &mut lambda);
+        }
+        backward.push(since.elapsed().as_secs_f64());
+    }
+    let fastest = |times: &[f64]| times.iter().copied().fold(f64::INFINITY, f64::min);
+    let (forward, backward) = (fastest(&forward), fastest(&backward));
+    case.inform("forward run", forward, "s");
+    case.inform("adjoint sweep", backward, "s");
+    case.inform("adjoint sweep / forward run", backward / forward, "-")
+        .note("informative; wanted below 0.10");
+    Ok(())
+}

@@ -1,0 +1,254 @@
+//! Windows of the hanging rod: cost, gradient, minimum and posterior variance against an independent program.
+
+use super::{expect_length, largest, largest_difference, norm, read_json};
+use crate::problems::{HangingRod, Prior};
+use crate::row::{Case, Outcome};
+use serde::Deserialize;
+use std::error::Error;
+use std::f64::consts::TAU;
+use std::path::Path;
+use varda_assimilation::{ControlTransform, CostFunction, Observation, Posterior, StrongConstraint};
+use varda_covariance::{Diagonal, Precision};
+use varda_implicit::Model;
+use varda_rod::{EllipseDrive, Rod};
+
+#[derive(Deserialize)]
+struct Problem {
+    rod: RodFields,
+    drive: Drive,
+    window: Window,
+    prior: PriorFields,
+    observations: Observed,
+    /// Case of the paper, where it is one.
+    case: Option<usize>,
+    background_x: Vec<f64>,
+    background_v: Vec<f64>,
+}
+
+#[derive(Deserialize)]
+struct RodFields {
+    segments: usize,
+    #[serde(rename = "EA")]
+    ea: f64,
+    #[serde(rename = "EI")]
+    ei: Option<f64>,
+    #[serde(rename = "EI1")]
+    ei1: Option<f64>,
+    #[serde(rename = "EI2")]
+    ei2: Option<f64>,
+    #[serde(rename = "GJ")]
+    gj: Option<f64>,
+    rest_edge_length: f64,
+    vertex_masses: Vec<f64>,
+    gravity: [f64; 3],
+    natural_curvature_per_length: Option<[f64; 2]>,
+    natural_twist_per_length: Option<f64>,
+    /// Only ever zero: a value would be per length, under the names above.
+    #[serde(default)]
+    natural_curvature: f64,
+    #[serde(default)]
+    natural_twist: f64,
+    clamped_d1: Option<[f64; 3]>,
+    #[serde(default)]
+    clamped_theta: f64,
+}
+
+#[derive(Deserialize)]
+struct Drive {
+    rx: f64,
+    ry: f64,
+    omega: f64,
+    ramp_periods: f64,
+    dt: f64,
+}
+
+#[derive(Deserialize)]
+struct Window {
+    first_step: usize,
+    steps: usize,
+    observation_steps: Vec<usize>,
+}
+
+#[derive(Deserialize)]
+#[allow(non_snake_case)]
+struct PriorFields {
+    sigma_x: f64,
+    sigma_v: f64,
+    L_x: f64,
+    L_v: f64,
+    L_loc: f64,
+    conditioned_on_clamp: bool,
+}
+
+#[derive(Deserialize)]
+#[allow(non_snake_case)]
+struct Observed {
+    sigma_y: f64,
+    s_over_L: Vec<f64>,
+    csv: String,
+}
+
+#[derive(Deserialize)]
+#[allow(non_snake_case)]
+struct Reference {
+    J_background: f64,
+    gradient_background: Vec<f64>,
+    J_star: f64,
+    analysis: Vec<f64>,
+    posterior_variance_gauss_newton: Option<Vec<f64>>,
+}
+
+impl Problem {
+    fn hanging_rod(&self) -> Result<HangingRod, Box<dyn Error>> {
+        let f = &self.rod;
+        let n = f.segments;
+        if n < 2 {
+            return Err(format!(
+                "rod.segments = {n}: two vertices are prescribed, at least one must be free"
+            )
+            .into());
+        }
+        expect_length("rod.vertex_masses", f.vertex_masses.len(), n + 1)?;
+        if f.natural_curvature != 0.0 || f.natural_twist != 0.0 {
+            return Err("rod.natural_curvature and natural_twist: give them as natural_…_per_length".into());
+        }
+        let (ei1, ei2) = match (f.ei, f.ei1, f.ei2) {
+            (Some(ei), None, None) => (ei, ei),
+            (None, Some(ei1), Some(ei2)) => (ei1, ei2),
+            _ => return Err("rod: either EI, or EI1 and EI2".into()),
+        };
+        let curvature = f.natural_curvature_per_length.unwrap_or_default();
+        let twist = f.natural_twist_per_length.unwrap_or_default();
+        let gj = match f.gj {
+            Some(gj) => gj,
+            // The energy of a rod that does not twist has no GJ; any value will do.
+            None if ei1 == ei2 && curvature == [0.0; 2] && twist == 0.0 => ei1,
+            None => return Err("rod.GJ is missing, and this rod twists".into()),
+        };
+        let rod = Rod {
+            rest_lengths: vec![f.rest_edge_length; n],
+            voronoi_lengths: vec![f.rest_edge_length; n - 1],
+            ea: vec![f.ea; n],
+            ei: vec![[ei1, 0.0, ei2]; n - 1],
+            gj: vec![gj; n - 1],
+            natural_curvature: vec![[0.0; 2]; n - 1],
+            natural_twist: vec![0.0; n - 1],
+            masses: f.vertex_masses.clone(),
+        };
+        let d = &self.drive;
+        let p = &self.prior;
+        Ok(HangingRod {
+            rod: rod.naturally(curvature, twist),
+            drive: EllipseDrive {
+                centre: [0.0; 3],
+                radii: [d.rx, d.ry],
+                omega: d.omega,
+                ramp: d.ramp_periods * TAU / d.omega,
+            },
+            director: turned(f.clamped_d1.unwrap_or([1.0, 0.0, 0.0]), f.clamped_theta),
+            gravity: f.gravity,
+            dt: d.dt,
+            first_step: self.window.first_step,
+            steps: self.window.steps,
+            prior: Prior {
+                sigma_x: p.sigma_x,
+                sigma_v: p.sigma_v,
+                length_x: p.L_x,
+                length_v: p.L_v,
+                support: p.L_loc,
+                conditioned: p.conditioned_on_clamp,
+            },
+            s_over_length: self.observations.s_over_L.clone(),
+            sigma_y: self.observations.sigma_y,
+        })
+    }
+}
+
+/// cos θ d₁ + sin θ d₂ with d₂ = t × d₁, t straight down.
+fn turned(d: [f64; 3], theta: f64) -> [f64; 3] {
+    let across = [d[1], -d[0], 0.0];
+    let (sin, cos) = theta.sin_cos();
+    std::array::from_fn(|c| cos * d[c] + sin * across[c])
+}
+
+/// Rows `step,point,x,y,z`; an empty cell was not observed.
+fn read_observations(
+    path: &Path,
+    rod: &HangingRod,
+    steps: &[usize],
+) -> Result<Vec<Observation>, Box<dyn Error>> {
+    let named = |e: csv::Error| format!("{}: {e}", path.display());
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).map_err(named)?;
+    let mut all = Vec::new();
+    for record in reader.deserialize::<(usize, usize, Option<f64>, Option<f64>, Option<f64>)>() {
+        let (step, point, x, y, z) = record.map_err(named)?;
+        if !steps.contains(&step) {
+            return Err(format!("{}: step {step} is not in observation_steps", path.display()).into());
+        }
+        all.push(rod.observation(step, point, [x, y, z])?);
+    }
+    Ok(all)
+}
+
+pub(super) fn check(case: &mut Case, folder: &Path) -> Outcome {
+    let problem: Problem = read_json(&folder.join("problem.json"))?;
+    let reference: Reference = read_json(&folder.join("reference.json"))?;
+    let rod = problem.hanging_rod()?;
+    let csv = folder.join(&problem.observations.csv);
+    let observations = read_observations(&csv, &rod, &problem.window.observation_steps)?;
+
+    let mut model = rod.model(rod.first_step)?;
+    let mut observations = rod.observation_set(model.dim(), observations)?;
+    let n = model.control_dim();
+    let background: Vec<f64> = problem.background_x.iter().chain(&problem.background_v).copied().collect();
+    expect_length("background_x and background_v", background.len(), n)?;
+    expect_length("gradient_background", reference.gradient_background.len(), n)?;
+    expect_length("analysis", reference.analysis.len(), n)?;
+
+    // With B = I the control variable is z − z_b itself; at the background J and dJ/dz do not depend on B.
+    {
+        let unit = Diagonal::uniform(n, 1.0)?;
+        let transform = ControlTransform::new(background.clone(), &unit)?;
+        let mut cost = StrongConstraint::new(&mut model, transform, &mut observations)?;
+        let mut gradient = vec![0.0; n];
+        let j = cost.evaluate(&vec![0.0; n], Some(&mut gradient))?;
+        let error = (j - reference.J_background).abs() / reference.J_background.abs();
+        case.at_most("j_background", error, 1e-9, "-").computed(j);
+        let theirs = &reference.gradient_background;
+        let error = largest_difference(&gradient, theirs) / largest(theirs);
+        case.at_most("gradient_background", error, 1e-7, "-").computed(norm(&gradient));
+    }
+
+    let b = rod.background_covariance()?;
+    let transform = ControlTransform::new(background.clone(), &b)?;
+    let mut cost = StrongConstraint::new(&mut model, transform, &mut observations)?;
+    let increment: Vec<f64> = reference.analysis.iter().zip(&background).map(|(a, b)| a - b).collect();
+    let mut v_reference = vec![0.0; n];
+    b.whiten(&increment, &mut v_reference);
+    let mut gradient = vec![0.0; n];
+    let j = cost.evaluate(&v_reference, Some(&mut gradient))?;
+    let error = (j - reference.J_star).abs() / reference.J_star.abs();
+    case.at_most("j_at_reference", error, 1e-9, "-").computed(j);
+    if let Some(theirs) = &reference.posterior_variance_gauss_newton {
+        expect_length("posterior_variance_gauss_newton", theirs.len(), n)?;
+        let ours = Posterior::new(&mut cost)?.variance(cost.transform());
+        let relative = ours.iter().zip(theirs).map(|(a, b)| (a - b) / b).collect::<Vec<_>>();
+        let trace = ours.iter().sum();
+        case.at_most("posterior_variance", largest(&relative), 1e-6, "-").computed(trace);
+    }
+
+    let mut v = vec![0.0; n];
+    let (minimum, how) = super::minimize(&mut cost, &mut v)?;
+    let gap = (minimum.value - reference.J_star) / reference.J_star.abs();
+    if problem.case == Some(4) && !rod.prior.conditioned {
+        // Several local minima: any stationary point will do.
+        let reduction = minimum.gradient_norm / minimum.gradient_norm_first;
+        case.at_most("j_analysis", reduction, 1e-6, "-").computed(minimum.value).note(how);
+        case.inform("j_gap", gap, "-").computed(minimum.value - reference.J_star);
+    } else {
+        case.at_most("j_analysis", gap, 1e-8, "-").computed(minimum.value).note(how);
+        let distance = v.iter().zip(&v_reference).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+        case.at_most("analysis", distance, 1e-3, "-").computed(distance);
+    }
+    Ok(())
+}

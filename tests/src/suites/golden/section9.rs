@@ -1,0 +1,131 @@
+//! Numbers that design.md, section 9, asks for, and the start of the flagship's window.
+
+use super::largest_difference;
+use crate::problems::HangingRod;
+use crate::row::{Case, Outcome, Rows};
+use std::f64::consts::TAU;
+use std::sync::Arc;
+use varda::problem::Problem;
+use varda::scene::SceneFile;
+use varda_assimilation::{
+    ControlTransform, CostFunction, Observation, ObservationSet, Selection, StrongConstraint,
+};
+use varda_covariance::Diagonal;
+use varda_implicit::{ImplicitModel, Model, Rk4, lorenz::Lorenz96};
+use varda_rod::{BackwardEuler, Clamp, Damping, Loads, Material, Rod, Section, Supports, straight_guess};
+
+pub(super) fn run(rows: &mut Rows) {
+    rows.case("flagship-truth", flagship_truth);
+    rows.case("section9-tip", tip);
+    let small = [388.6557570224758, 2499.876979576174];
+    rows.case("section9-lorenz96-40", |case| lorenz96(case, 40, small, Some(-248.04375322925)));
+    let large = [6131.583457861555, 11107.61576870228];
+    rows.case("section9-lorenz96-1000", |case| lorenz96(case, 1000, large, None));
+}
+
+/// Hanging at rest, then 150 steps: the truth that the windows' fixtures start from.
+fn flagship_truth(case: &mut Case) -> Outcome {
+    #[derive(serde::Deserialize)]
+    struct Given {
+        truth_x: Vec<f64>,
+        truth_v: Vec<f64>,
+        prior: Prior,
+    }
+    #[derive(serde::Deserialize)]
+    struct Prior {
+        vbar: f64,
+        sigma_v: f64,
+    }
+    let given: Given =
+        super::read_json(&super::shipped().join("hanging-rod/case1-clamp-seed0/problem.json"))?;
+    let (rod, truth) = HangingRod::flagship(1, true)?;
+    let (x, v) = truth.split_at(truth.len() / 2);
+    super::expect_length("truth_x", given.truth_x.len(), x.len())?;
+    // Each of 150 steps is solved to 1e-11 m, a velocity to 1e-9 m/s; the motion is damped, so they do not pile up.
+    case.at_most("positions", largest_difference(x, &given.truth_x), 1e-10, "m").computed(super::norm(x));
+    case.at_most("velocities", largest_difference(v, &given.truth_v), 1e-8, "m/s").computed(super::norm(v));
+    let error = (rod.prior.sigma_v - given.prior.sigma_v).abs();
+    case.at_most("sigma_v = 2 mean speed", error, 1e-8, "m/s").computed(rod.prior.sigma_v);
+    let scene = Problem::from_scene(&SceneFile::open("hanging-rod", &[])?)?;
+    let theirs = scene.truth.ok_or("a twin experiment knows its truth")?;
+    case.at_most("truth of the scene", largest_difference(&theirs[..truth.len()], &truth), 1e-8, "m, m/s");
+    if (given.prior.sigma_v - 2.0 * given.prior.vbar).abs() > 1e-12 {
+        return Err("sigma_v of the fixture is not 2 vbar".into());
+    }
+    Ok(())
+}
+
+/// A rod of 25 segments from rest, straight down and unstretched, its clamp going round once a second.
+fn tip(case: &mut Case) -> Outcome {
+    let material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1200.0 };
+    let rod = Rod::uniform(1.0, 25, &Section::circle(&material, 0.005))?;
+    let drive = |t: f64| [0.10 * (1.0 - (TAU * t).cos()), 0.05 * (TAU * t).sin(), 0.0];
+    let down = [0.0, 0.0, -1.0];
+    let supports = Supports::clamped_start(Clamp {
+        position: Arc::new(drive),
+        tangent: Arc::new(down),
+        director: Arc::new([1.0, 0.0, 0.0]),
+    });
+    let loads = Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() };
+    let start = straight_guess(&rod, &supports, 0.0, down)?;
+    let mut model =
+        ImplicitModel::new(BackwardEuler::new(rod, supports, loads, Damping::default())?, 0, 0.02);
+    let mut z: Vec<f64> = model.step_ref().free_vertices().iter().flat_map(|&v| start.vertices[v]).collect();
+    z.resize(model.control_dim(), 0.0);
+    let mut x = vec![0.0; model.dim()];
+    model.initial_state(&z, &mut x)?;
+    let mut next = x.clone();
+    for k in 0..100 {
+        model.step(k, &x, &mut next)?;
+        std::mem::swap(&mut x, &mut next);
+    }
+    let vertices = model.step_mut().vertices(2.0, &x)?;
+    let error = largest_difference(&vertices[25], &[0.291641, 0.071304, -0.925106]);
+    let note = format!("tip {:.6?} m", vertices[25]);
+    case.at_most("tip", error, 2e-6, "m").computed(error).note(note);
+    Ok(())
+}
+
+/// J and its gradient at x_b + 0.1 sin i, at B = 0.25 I, R = I.
+fn lorenz96(case: &mut Case, n: usize, [cost, gradient_norm]: [f64; 2], first: Option<f64>) -> Outcome {
+    let truth: Vec<f64> = (0..n).map(|i| 8.0 + 4.0 * (0.9 * i as f64).sin()).collect();
+    let background: Vec<f64> =
+        truth.iter().enumerate().map(|(i, x)| x + 0.5 * (2.3 * i as f64 + 1.0).cos()).collect();
+    let mut model = Rk4::new(Lorenz96::new(n, 8.0), 0, 0.01);
+    let mut observations = Vec::new();
+    let (mut x, mut next) = (truth, vec![0.0; n]);
+    for k in 0..100 {
+        model.step(k, &x, &mut next)?;
+        std::mem::swap(&mut x, &mut next);
+        let step = k + 1;
+        if step % 10 == 0 {
+            let y = |j: usize| x[2 * j] + (12.9898 * (step * n + j) as f64).sin();
+            observations.push(Observation {
+                operator: 0,
+                rows: (0..n / 2).collect(),
+                step,
+                weight: 0.0,
+                values: (0..n / 2).map(y).collect(),
+                sigma: vec![1.0; n / 2],
+                label: String::new(),
+            });
+        }
+    }
+    let even = Selection::new((0..n).step_by(2).collect(), n)?;
+    let mut set = ObservationSet::new(100, vec![Box::new(even)], observations)?;
+    let b = Diagonal::uniform(n, 0.5)?;
+    let mut problem = StrongConstraint::new(&mut model, ControlTransform::new(background, &b)?, &mut set)?;
+    // v = (x − x_b)/σ, dJ/dx = (dJ/dv)/σ with σ = ½.
+    let v: Vec<f64> = (0..n).map(|i| 0.2 * (i as f64).sin()).collect();
+    let mut g = vec![0.0; n];
+    let j = problem.evaluate(&v, Some(&mut g))?;
+    g.iter_mut().for_each(|g| *g *= 2.0);
+    let size = super::norm(&g);
+    // Stated tolerance; 100 steps of a chaotic model amplify rounding by about 1e2.
+    case.at_most("j", (j - cost).abs() / cost, 1e-11, "-").computed(j);
+    case.at_most("gradient", (size - gradient_norm).abs() / gradient_norm, 1e-11, "-").computed(size);
+    if let Some(first) = first {
+        case.at_most("gradient_0", (g[0] - first).abs() / first.abs(), 1e-11, "-").computed(g[0]);
+    }
+    Ok(())
+}
