@@ -28,6 +28,10 @@ impl Default for AutoOptions {
 /// have several minima. When not: where one is known to exist, or where time matters more than the last per cent of J. By
 /// construction never worse than the trust region alone.
 ///
+/// Evidence, case 4 of the hanging rod with the plain prior (m = 120, J at the background 2 500 to 49 000), seeds 0 to 9: the trust region alone ends 0.3 % and
+/// 0.7 % too high on two and stalls at J = 10 297 for 66 on a third; the ladder alone stalls once; the lower of the two
+/// is converged on all ten. On Lorenz-63 over a long window the ladder gains nothing: there the window must grow.
+///
 /// The ladder's end is taken where it is lower by more than 10⁻⁶ of J, or as low and converged where the first run did not. Rows of both
 /// runs are reported, the second counting on from the first.
 ///

@@ -25,7 +25,7 @@ pub(crate) struct Lanczos {
 }
 
 /// out = A p.
-pub(super) type Product<'a> = dyn FnMut(&[f64], &mut [f64]) -> Result<(), Error> + 'a;
+pub(crate) type Product<'a> = dyn FnMut(&[f64], &mut [f64]) -> Result<(), Error> + 'a;
 
 /// When to stop: at the first of the four.
 pub(super) struct Limits {
@@ -77,10 +77,7 @@ impl Lanczos {
     }
 
     /// One dimension more; not past an invariant space.
-    pub(crate) fn extend(
-        &mut self,
-        product: &mut dyn FnMut(&[f64], &mut [f64]) -> Result<(), Error>,
-    ) -> Result<(), Error> {
+    pub(crate) fn extend(&mut self, product: &mut Product) -> Result<(), Error> {
         let (n, k) = (self.n, self.iterations());
         if k > 0 {
             let beta = self.residual();

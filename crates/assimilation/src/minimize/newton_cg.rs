@@ -31,7 +31,7 @@ impl Default for NewtonCgOptions {
 ///
 /// With `preconditioner_pairs`, every outer iteration is preconditioned by the Ritz pairs of those before it (limited-memory preconditioner in
 /// its spectral form: Fisher 1998; Tshimanga et al. 2008). When to use: where the inner iterations are many and outer ones go on
-/// near the minimum (large residuals); it gains nothing where three good outer iterations suffice. Memory: a vector a pair. No Ritz pairs are then returned, those of the last problem being of the
+/// near the minimum (large residuals: a third fewer on case 1 of the hanging rod); it gains nothing where few suffice. Memory: a vector a pair. No Ritz pairs are then returned, those of the last problem being of the
 /// preconditioned matrix.
 ///
 /// No matrix is formed; products needed are about the degrees of freedom for signal. Returns the Ritz pairs of the last outer iteration.

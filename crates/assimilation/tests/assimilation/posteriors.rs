@@ -17,12 +17,11 @@ fn quiet(_: &Iteration) -> ControlFlow<()> {
 const LORENZ96: &str = include_str!("../fixtures/l96.json");
 const LINEAR: &str = include_str!("../fixtures/lin3dvar.json");
 
+type Check<'a> = dyn FnMut(&mut dyn GaussNewton, &ControlTransform, &[f64], Minimum) + 'a;
+
 /// One of the fixtures at its minimum, found by L-BFGS that keeps every pair. Lorenz-96: n = 40, all of them seen; the linear
 /// one: n = 100, 25 seen.
-fn at_the_minimum(
-    text: &str,
-    check: &mut dyn FnMut(&mut dyn GaussNewton, &ControlTransform, &[f64], Minimum),
-) {
+fn at_the_minimum(text: &str, check: &mut Check) {
     let problem: Value = serde_json::from_str(text).unwrap();
     let n = problem["n"].as_u64().unwrap() as usize;
     let steps = problem["K"].as_u64().unwrap() as usize;
@@ -104,11 +103,6 @@ fn check_three_ways(text: &str, runs: &[(f64, usize)], most_products: usize, lbf
             let lanczos = LowRankPosterior::lanczos(cost, &options, &mut rng).unwrap();
             let bound = lanczos.error_bound().unwrap();
             let found = error(&lanczos, &inverse);
-            eprintln!(
-                "n {n}, tolerance {tolerance:e}: {} products, {} pairs, bound {bound:.3e}, error {found:.3e}",
-                lanczos.products(),
-                lanczos.spectrum().len()
-            );
             if max_products >= n {
                 assert!(bound <= tolerance);
                 assert!(lanczos.products() <= most_products);
@@ -133,11 +127,6 @@ fn check_three_ways(text: &str, runs: &[(f64, usize)], most_products: usize, lbf
         let found = error(&by_lbfgs, &inverse);
         let estimate = by_lbfgs.error_estimate(cost, 20, &mut rng).unwrap();
         let ratio = by_lbfgs.trace(transform) / dense.trace(transform);
-        eprintln!(
-            "n {n}, L-BFGS after {} iterations: {} pairs, error {found:.3e}, estimate {estimate:.3e}, trace ratio {ratio:.3}",
-            minimum.outer_iterations,
-            by_lbfgs.spectrum().len(),
-        );
         // The mean of 20 squares is three standard deviations low at worst.
         assert!(found <= estimate / (1.0 - 3.0 * (2.0 / 20.0f64).sqrt()).sqrt());
         assert!((ratio - 1.0).abs() <= lbfgs_trace, "{ratio}");
