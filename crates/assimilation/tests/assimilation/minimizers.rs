@@ -358,7 +358,7 @@ fn auto_is_never_worse_than_the_trust_region_and_the_same_where_the_background_i
             (minimum.value, cost.counts().gradients - before, v)
         };
         let plain = end(&Minimizer::default());
-        let auto = end(&Minimizer::named("auto").unwrap());
+        let auto = end(&Minimizer::Auto(AutoOptions { threshold: 1.0, ..Default::default() }));
         assert!(auto.0 <= plain.0 * (1.0 + 1e-6), "seed {seed}: {} {}", auto.0, plain.0);
         twice += usize::from(auto.1 > plain.1);
         same += usize::from(seed >= 20 && auto == plain);
