@@ -11,8 +11,8 @@
 //! | which cost? | [`StrongConstraint`]: 4D-Var, and 3D-Var where nothing is observed after step 0 |
 //! | and if the model errs? | [`WeakForcing`] or [`WeakState`], with [`Forcing`] |
 //! | a cheaper inner problem? | [`outer_loop`]: incremental, [`InnerSolver::Dual`] for PSAS; [`Blue`] in closed form |
-//! | which minimizer? | [`Minimizer`]: [`trust_region`] (default), [`newton_cg`], [`newton`]; [`continuation`] for several minima |
-//! | how sure? | [`Posterior`], [`Analysis`] |
+//! | which minimizer? | [`Minimizer`]: [`trust_region`] (default), [`newton_cg`], [`newton`]; with gradients alone [`lbfgs`], [`adam`]; for several minima [`continuation`], [`auto`] |
+//! | how sure? | [`Posterior`], [`LowRankPosterior`], [`Analysis`]; are B and R right? [`consistency`] |
 //!
 //! The system is any `varda_implicit::Model`. Everything is minimised in the control variable v. Not for problems whose posterior has
 //! several modes that matter, nor for models without a tangent and an adjoint.
@@ -52,6 +52,7 @@
 
 mod analysis;
 mod blue;
+mod consistency;
 mod control;
 mod cost;
 mod error;
@@ -60,9 +61,11 @@ mod minimize;
 mod observation;
 mod outer_loop;
 mod posterior;
+mod posterior_lanczos;
 
 pub use analysis::Analysis;
 pub use blue::{Blue, Gain};
+pub use consistency::{Consistency, consistency, predicted_variance};
 pub use control::ControlTransform;
 pub use cost::{
     CostFunction, CostTerms, Counts, Dual, Forcing, GaussNewton, Incremental, InnerCost, StrongConstraint,
@@ -71,9 +74,13 @@ pub use cost::{
 pub use error::Error;
 pub use inner::{InnerEnd, InnerLimits, conjugate_gradients, restricted_conjugate_gradients};
 pub use minimize::{
-    Iteration, Minimizer, Minimum, NewtonCgOptions, NewtonOptions, RitzPair, Status, TrustRegionOptions,
-    continuation, newton, newton_cg, trust_region,
+    AdamOptions, AutoOptions, InverseHessian, Iteration, LbfgsOptions, Minimizer, Minimum, NewtonCgOptions,
+    NewtonOptions, RawVariables, RitzPair, Status, TrustRegionOptions, adam, auto, continuation, lbfgs,
+    newton, newton_cg, trust_region,
 };
+#[cfg(feature = "argmin")]
+pub use minimize::{ArgminOptions, argmin_lbfgs, argmin_trust_region};
 pub use observation::{LinearObservation, Observation, ObservationOperator, ObservationSet, Selection};
 pub use outer_loop::{InnerSolver, OuterLoopOptions, outer_loop};
 pub use posterior::Posterior;
+pub use posterior_lanczos::{LanczosOptions, LowRankPosterior};

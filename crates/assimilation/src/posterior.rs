@@ -2,6 +2,8 @@
 
 use crate::minimize::eigen;
 use crate::{ControlTransform, Error, GaussNewton};
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
 
 /// The posterior of a linear-Gaussian problem, or its Laplace approximation around the linearized point:
 ///
@@ -97,6 +99,23 @@ impl Posterior {
             }
         }
         covariance
+    }
+
+    /// A draw of the control from N(z, P_z) around the analysis z of v: z_b + U (v + A^{-1/2} ξ), with ξ from the caller's generator.
+    ///
+    /// # Panics
+    /// If a length does not agree with the transform.
+    pub fn draw<R: Rng + ?Sized>(&self, transform: &ControlTransform, v: &[f64], rng: &mut R) -> Vec<f64> {
+        let n = self.eigenvalues.len();
+        assert_eq!((v.len(), transform.dim()), (n, n), "length of the control variable");
+        let mut w = v.to_vec();
+        for column in self.root.chunks_exact(n.max(1)) {
+            let xi: f64 = StandardNormal.sample(rng);
+            w.iter_mut().zip(column).for_each(|(w, c)| *w += xi * c);
+        }
+        let mut z = vec![0.0; transform.control_dim()];
+        transform.control(&w, &mut z);
+        z
     }
 
     /// U A^{-1/2}, by columns: a square root of P_z.

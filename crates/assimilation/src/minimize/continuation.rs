@@ -25,6 +25,22 @@ pub fn continuation(
     scales: &[f64],
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
+    run(minimizer, cost, v, scales, &Start::default(), on_iteration)
+}
+
+pub(super) fn run(
+    minimizer: &Minimizer,
+    cost: &mut dyn GaussNewton,
+    v: &mut [f64],
+    scales: &[f64],
+    start: &Start,
+    on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+) -> Result<Minimum, Error> {
+    // Its own ladder would be one too many.
+    let minimizer = match minimizer {
+        Minimizer::Auto(options) => &Minimizer::TrustRegion(options.trust_region.clone()),
+        other => other,
+    };
     if let Some(&scale) = scales.iter().find(|s| !(**s > 0.0 && s.is_finite())) {
         return Err(Error::Setting { what: "sigma_scales", value: scale });
     }
@@ -37,7 +53,7 @@ pub fn continuation(
     let mut g = vec![0.0; cost.dim()];
     cost.set_observation_scale(1.0);
     cost.evaluate(v, Some(&mut g))?;
-    let mut start = Start { gradient_norm: Some(norm(&g)), ..Start::default() };
+    let mut start = Start { gradient_norm: Some(norm(&g)), scale: 1.0, ..*start };
     for &scale in early {
         cost.set_observation_scale(scale);
         let stage = Start { scale, gradient_norm: None, ..start };
@@ -63,11 +79,7 @@ pub fn continuation(
 /// The same minimizer, content with finding the way.
 fn loose(minimizer: &Minimizer) -> Minimizer {
     let mut loose = minimizer.clone();
-    let tolerance = match &mut loose {
-        Minimizer::TrustRegion(options) => &mut options.gradient_tolerance,
-        Minimizer::NewtonCg(options) => &mut options.gradient_tolerance,
-        Minimizer::Newton(options) => &mut options.gradient_tolerance,
-    };
+    let tolerance = loose.gradient_tolerance_mut();
     *tolerance = tolerance.max(1e-3);
     loose
 }

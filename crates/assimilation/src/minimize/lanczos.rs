@@ -15,7 +15,7 @@ pub struct RitzPair {
 }
 
 /// The Krylov space of (A, g) and A on it: Qᵀ A Q = T tridiagonal, Q orthonormal to rounding.
-pub(super) struct Lanczos {
+pub(crate) struct Lanczos {
     n: usize,
     /// Columns of Q, k + 1 of them after k iterations.
     basis: Vec<f64>,
@@ -25,7 +25,7 @@ pub(super) struct Lanczos {
 }
 
 /// out = A p.
-pub(super) type Product<'a> = dyn FnMut(&[f64], &mut [f64]) -> Result<(), Error> + 'a;
+pub(crate) type Product<'a> = dyn FnMut(&[f64], &mut [f64]) -> Result<(), Error> + 'a;
 
 /// When to stop: at the first of the four.
 pub(super) struct Limits {
@@ -38,7 +38,7 @@ pub(super) struct Limits {
 }
 
 impl Lanczos {
-    pub(super) fn new(n: usize) -> Self {
+    pub(crate) fn new(n: usize) -> Self {
         Self { n, basis: Vec::new(), diagonal: Vec::new(), off_diagonal: Vec::new(), work: vec![0.0; n] }
     }
 
@@ -49,45 +49,94 @@ impl Lanczos {
         g: &[f64],
         limits: &Limits,
     ) -> Result<Spectral, Error> {
-        let n = self.n;
+        let length = norm(g);
+        self.begin(g);
+        for _ in 0..limits.iterations.min(self.n) {
+            self.extend(product)?;
+            let (last, size) = self.galerkin(length);
+            if self.residual() * last.abs() <= limits.residual * length
+                || size >= limits.radius
+                || self.invariant()
+            {
+                break;
+            }
+        }
+        let k = self.iterations();
+        let (values, _) = self.eigen()?;
+        let vectors = self.largest(k)?;
+        Ok(Spectral::new(values, vectors, g))
+    }
+
+    /// An empty space, to be grown from g ≠ 0.
+    pub(crate) fn begin(&mut self, g: &[f64]) {
         let length = norm(g);
         self.basis.clear();
         self.diagonal.clear();
         self.off_diagonal.clear();
         self.basis.extend(g.iter().map(|g| g / length));
-        for k in 0..limits.iterations.min(n) {
-            product(&self.basis[k * n..], &mut self.work)?;
-            self.diagonal.push(dot(&self.basis[k * n..], &self.work));
-            // Twice is enough (Giraud, Langou and Rozložník 2005).
-            for q in self.basis.chunks_exact(n).rev().chain(self.basis.chunks_exact(n)) {
-                let c = dot(q, &self.work);
-                self.work.iter_mut().zip(q).for_each(|(w, q)| *w -= c * q);
-            }
-            let beta = norm(&self.work);
-            if !beta.is_finite() {
-                return Err(Error::NonFinite { what: "a product with the Hessian", step: 0 });
-            }
-            self.off_diagonal.push(beta);
-            let (last, size) = self.galerkin(length);
-            let scale = self.diagonal.iter().fold(0.0, |m: f64, a| m.max(a.abs()));
-            if beta * last.abs() <= limits.residual * length || size >= limits.radius || beta <= 1e-14 * scale
-            {
-                break;
-            }
+    }
+
+    /// One dimension more; not past an invariant space.
+    pub(crate) fn extend(&mut self, product: &mut Product) -> Result<(), Error> {
+        let (n, k) = (self.n, self.iterations());
+        if k > 0 {
+            let beta = self.residual();
             self.basis.extend(self.work.iter().map(|w| w / beta));
         }
+        product(&self.basis[k * n..], &mut self.work)?;
+        self.diagonal.push(dot(&self.basis[k * n..], &self.work));
+        // Twice is enough (Giraud, Langou and Rozložník 2005).
+        for q in self.basis.chunks_exact(n).rev().chain(self.basis.chunks_exact(n)) {
+            let c = dot(q, &self.work);
+            self.work.iter_mut().zip(q).for_each(|(w, q)| *w -= c * q);
+        }
+        let beta = norm(&self.work);
+        if !beta.is_finite() {
+            return Err(Error::NonFinite { what: "a product with the Hessian", step: 0 });
+        }
+        self.off_diagonal.push(beta);
+        Ok(())
+    }
+
+    /// β: how far the space is from invariant, ‖A Q − Q T‖.
+    fn residual(&self) -> f64 {
+        self.off_diagonal[self.off_diagonal.len() - 1]
+    }
+
+    /// Nothing is left to be found from this start.
+    pub(crate) fn invariant(&self) -> bool {
+        let scale = self.diagonal.iter().fold(0.0, |m: f64, a| m.max(a.abs()));
+        self.iterations() == self.n || self.residual() <= 1e-14 * scale
+    }
+
+    /// A Z − Z D = q eᵀ for all Ritz pairs: q of norm 1, and the entry of e of every pair, ascending.
+    pub(crate) fn coupling(&self) -> Result<(Vec<f64>, Vec<f64>), Error> {
         let k = self.iterations();
-        let (values, small) = self.eigen()?;
-        let mut vectors = vec![0.0; n * k];
-        for (z, w) in vectors.chunks_exact_mut(n).zip(small.chunks_exact(k)) {
+        let (_, small) = self.eigen()?;
+        let beta = self.residual();
+        let q = self.work.iter().map(|w| if beta > 0.0 { w / beta } else { 0.0 }).collect();
+        Ok((q, small.chunks_exact(k).map(|w| beta * w[k - 1]).collect()))
+    }
+
+    /// Ritz values, ascending.
+    pub(crate) fn values(&self) -> Result<Vec<f64>, Error> {
+        Ok(self.eigen()?.0)
+    }
+
+    /// The Ritz vectors of the `count` largest values, ascending, one after the other.
+    pub(crate) fn largest(&self, count: usize) -> Result<Vec<f64>, Error> {
+        let (n, k) = (self.n, self.iterations());
+        let (_, small) = self.eigen()?;
+        let mut vectors = vec![0.0; n * count];
+        for (z, w) in vectors.chunks_exact_mut(n).zip(small[(k - count) * k..].chunks_exact(k)) {
             for (q, w) in self.basis.chunks_exact(n).zip(w) {
                 z.iter_mut().zip(q).for_each(|(z, q)| *z += w * q);
             }
         }
-        Ok(Spectral::new(values, vectors, g))
+        Ok(vectors)
     }
 
-    pub(super) fn iterations(&self) -> usize {
+    pub(crate) fn iterations(&self) -> usize {
         self.diagonal.len()
     }
 

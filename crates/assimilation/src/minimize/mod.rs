@@ -1,34 +1,61 @@
 //! Minimizers of a cost J(v), their settings and what they report.
 
+mod adam;
+#[cfg(feature = "argmin")]
+mod argmin;
+mod auto;
 mod continuation;
 mod lanczos;
+mod lbfgs;
 mod newton;
 mod newton_cg;
+mod preconditioner;
+mod raw;
 mod secant;
 mod spectral;
 mod trust_region;
 
+pub(crate) use lanczos::Lanczos;
 pub(crate) use spectral::eigen;
 
+pub use adam::{AdamOptions, adam};
+#[cfg(feature = "argmin")]
+pub use argmin::{ArgminOptions, argmin_lbfgs, argmin_trust_region};
+pub use auto::{AutoOptions, auto};
 pub use continuation::continuation;
 pub use lanczos::RitzPair;
+pub use lbfgs::{InverseHessian, LbfgsOptions, lbfgs};
 pub use newton::{NewtonOptions, newton};
 pub use newton_cg::{NewtonCgOptions, newton_cg};
+pub use raw::RawVariables;
 pub use trust_region::{TrustRegionOptions, trust_region};
 
 use crate::cost::norm;
-use crate::{CostTerms, Counts, Error, GaussNewton};
+use crate::{CostFunction, CostTerms, Counts, Error, GaussNewton};
 use std::ops::ControlFlow;
 
 /// A minimizer with its settings: a choice that can be made from data.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Minimizer {
+    /// Trust region on the true J, and where the background is far from the observations also through inflated errors; the lower
+    /// minimum of the two.
+    Auto(AutoOptions),
     /// Trust region on the true J: the default.
     TrustRegion(TrustRegionOptions),
     /// Gauss–Newton with truncated conjugate gradients and a line search.
     NewtonCg(NewtonCgOptions),
     /// The paper's: dense Hessian (2.18), full steps, no safeguard.
     Newton(NewtonOptions),
+    /// Limited-memory BFGS: gradients only.
+    Lbfgs(LbfgsOptions),
+    /// The paper's other one: fixed steps along smoothed gradients.
+    Adam(AdamOptions),
+    /// L-BFGS of the argmin crate, to compare with.
+    #[cfg(feature = "argmin")]
+    ArgminLbfgs(ArgminOptions),
+    /// Trust region of the argmin crate, to compare with.
+    #[cfg(feature = "argmin")]
+    ArgminTrustRegion(ArgminOptions),
 }
 
 impl Default for Minimizer {
@@ -38,6 +65,81 @@ impl Default for Minimizer {
 }
 
 impl Minimizer {
+    /// The names [`Minimizer::named`] knows.
+    pub const NAMES: &[&str] = &[
+        "auto",
+        "trust-region",
+        "gauss-newton-cg",
+        "newton",
+        "lbfgs",
+        "adam",
+        #[cfg(feature = "argmin")]
+        "argmin-lbfgs",
+        #[cfg(feature = "argmin")]
+        "argmin-trust-region",
+    ];
+
+    /// The minimizer of that name, with its default settings.
+    pub fn named(name: &str) -> Option<Self> {
+        Some(match name {
+            "auto" => Self::Auto(AutoOptions::default()),
+            "trust-region" => Self::TrustRegion(TrustRegionOptions::default()),
+            "gauss-newton-cg" => Self::NewtonCg(NewtonCgOptions::default()),
+            "newton" => Self::Newton(NewtonOptions::default()),
+            "lbfgs" => Self::Lbfgs(LbfgsOptions::default()),
+            "adam" => Self::Adam(AdamOptions::default()),
+            #[cfg(feature = "argmin")]
+            "argmin-lbfgs" => Self::ArgminLbfgs(ArgminOptions::default()),
+            #[cfg(feature = "argmin")]
+            "argmin-trust-region" => Self::ArgminTrustRegion(ArgminOptions::default()),
+            _ => return None,
+        })
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Auto(_) => "auto",
+            Self::TrustRegion(_) => "trust-region",
+            Self::NewtonCg(_) => "gauss-newton-cg",
+            Self::Newton(_) => "newton",
+            Self::Lbfgs(_) => "lbfgs",
+            Self::Adam(_) => "adam",
+            #[cfg(feature = "argmin")]
+            Self::ArgminLbfgs(_) => "argmin-lbfgs",
+            #[cfg(feature = "argmin")]
+            Self::ArgminTrustRegion(_) => "argmin-trust-region",
+        }
+    }
+
+    /// The relative gradient tolerance, which every minimizer has.
+    pub fn gradient_tolerance_mut(&mut self) -> &mut f64 {
+        match self {
+            Self::Auto(options) => &mut options.trust_region.gradient_tolerance,
+            Self::TrustRegion(options) => &mut options.gradient_tolerance,
+            Self::NewtonCg(options) => &mut options.gradient_tolerance,
+            Self::Newton(options) => &mut options.gradient_tolerance,
+            Self::Lbfgs(options) => &mut options.gradient_tolerance,
+            Self::Adam(options) => &mut options.gradient_tolerance,
+            #[cfg(feature = "argmin")]
+            Self::ArgminLbfgs(options) | Self::ArgminTrustRegion(options) => &mut options.gradient_tolerance,
+        }
+    }
+
+    /// The limit on outer iterations, which every minimizer has.
+    pub fn max_iterations_mut(&mut self) -> &mut usize {
+        match self {
+            Self::Auto(options) => &mut options.trust_region.max_iterations,
+            Self::TrustRegion(options) => &mut options.max_iterations,
+            Self::NewtonCg(options) => &mut options.max_iterations,
+            Self::Newton(options) => &mut options.max_iterations,
+            Self::Lbfgs(options) => &mut options.max_iterations,
+            Self::Adam(options) => &mut options.max_iterations,
+            #[cfg(feature = "argmin")]
+            Self::ArgminLbfgs(options) | Self::ArgminTrustRegion(options) => &mut options.max_iterations,
+        }
+    }
+
     /// Minimizes J from `v`, and leaves the best point in it.
     ///
     /// # Errors
@@ -63,9 +165,18 @@ impl Minimizer {
         on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
     ) -> Result<Minimum, Error> {
         match self {
+            Self::Auto(options) => auto::run(cost, v, options, start, on_iteration),
             Self::TrustRegion(options) => trust_region::run(cost, v, options, start, on_iteration),
             Self::NewtonCg(options) => newton_cg::run(cost, v, options, start, on_iteration),
             Self::Newton(options) => newton::run(cost, v, options, start, on_iteration),
+            Self::Lbfgs(options) => lbfgs::run(cost, v, options, start, on_iteration),
+            Self::Adam(options) => adam::run(cost, v, options, start, on_iteration),
+            #[cfg(feature = "argmin")]
+            Self::ArgminLbfgs(options) => argmin::run_lbfgs(cost, v, options, start, on_iteration),
+            #[cfg(feature = "argmin")]
+            Self::ArgminTrustRegion(options) => {
+                argmin::run_trust_region(cost, v, options, start, on_iteration)
+            }
         }
     }
 }
@@ -118,6 +229,8 @@ pub struct Minimum {
     pub failure: Option<Error>,
     /// Approximate eigenpairs of the Hessian from the last inner iteration, largest first; empty after dense solves.
     pub ritz: Vec<RitzPair>,
+    /// What [`lbfgs`] has learnt of the Hessian; `None` from the others.
+    pub inverse_hessian: Option<InverseHessian>,
 }
 
 /// How a minimization ended. Only `Converged` claims a stationary point; a small step alone never does.
@@ -170,7 +283,7 @@ struct Progress {
 impl Progress {
     /// Evaluates the first point.
     fn start(
-        cost: &mut dyn GaussNewton,
+        cost: &mut dyn CostFunction,
         v: &[f64],
         gradient: &mut [f64],
         start: &Start,
@@ -193,7 +306,7 @@ impl Progress {
     }
 
     /// Takes note of a step to a new point, whose gradient is the cost's last evaluation.
-    fn advance(&mut self, cost: &dyn GaussNewton, gradient: &[f64], step_norm: f64, damping: f64) {
+    fn advance(&mut self, cost: &dyn CostFunction, gradient: &[f64], step_norm: f64, damping: f64) {
         self.index += 1;
         self.terms = cost.terms();
         self.value = self.terms.total();
@@ -202,10 +315,18 @@ impl Progress {
         self.damping = damping;
     }
 
+    /// Takes the numbers of v instead, and leaves its gradient the cost's last evaluation.
+    fn here(&mut self, cost: &mut dyn CostFunction, v: &[f64], gradient: &mut [f64]) -> Result<(), Error> {
+        self.value = cost.evaluate(v, Some(gradient))?;
+        self.terms = cost.terms();
+        self.gradient_norm = norm(gradient);
+        Ok(())
+    }
+
     /// Reports the point, and says whether the run ends there.
     fn report(
         &self,
-        cost: &dyn GaussNewton,
+        cost: &dyn CostFunction,
         v: &[f64],
         gradient: &[f64],
         tolerance: f64,
@@ -250,6 +371,7 @@ impl Progress {
             status,
             failure,
             ritz,
+            inverse_hessian: None,
         }
     }
 }

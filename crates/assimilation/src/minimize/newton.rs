@@ -57,12 +57,12 @@ pub(super) fn run(
     let mut p = vec![0.0; n];
     let mut hessian = vec![0.0; n * n];
     let mut progress = Progress::start(cost, v, &mut g, start)?;
-    let mut best = (progress.terms, progress.gradient_norm, v.to_vec());
+    let mut best = (progress.value, v.to_vec());
     let last = start.index + options.max_iterations;
     let (status, failure) = loop {
         let status = progress.report(cost, v, &g, options.gradient_tolerance, last, on_iteration);
-        if progress.value < best.0.total() {
-            best = (progress.terms, progress.gradient_norm, v.to_vec());
+        if progress.value < best.0 {
+            best = (progress.value, v.to_vec());
         }
         if let Some(status) = status {
             break (status, None);
@@ -80,9 +80,8 @@ pub(super) fn run(
         progress.advance(cost, &g, norm(&p), 0.0);
     };
     if status != Status::Converged {
-        (progress.terms, progress.gradient_norm) = (best.0, best.1);
-        progress.value = best.0.total();
-        v.copy_from_slice(&best.2);
+        v.copy_from_slice(&best.1);
+        progress.here(cost, v, &mut g)?;
     }
     Ok(progress.end(status, failure, Vec::new()))
 }

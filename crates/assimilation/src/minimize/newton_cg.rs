@@ -1,8 +1,9 @@
 //! Gauss–Newton with truncated conjugate gradients and a line search.
 
 use super::lanczos::{Lanczos, Limits};
+use super::preconditioner::Preconditioner;
 use super::{Iteration, Minimum, Progress, Start, Status, check_tolerance, forcing};
-use crate::cost::dot;
+use crate::cost::{dot, norm};
 use crate::{Error, GaussNewton};
 use std::ops::ControlFlow;
 
@@ -15,16 +16,23 @@ pub struct NewtonCgOptions {
     pub max_iterations: usize,
     /// Inner iterations of one outer iteration at most: products with the Hessian, and vectors kept.
     pub max_inner: usize,
+    /// Ritz pairs kept as a preconditioner of the outer iterations that follow; 0 for none.
+    pub preconditioner_pairs: usize,
 }
 
 impl Default for NewtonCgOptions {
     fn default() -> Self {
-        Self { gradient_tolerance: 1e-8, max_iterations: 100, max_inner: 100 }
+        Self { gradient_tolerance: 1e-8, max_iterations: 100, max_inner: 100, preconditioner_pairs: 0 }
     }
 }
 
 /// Gauss–Newton with truncated conjugate gradients: A p = −∇J solved to min(½, √(‖∇J‖/‖∇J₀‖)) of its right-hand side by Lanczos
 /// iteration with full re-orthogonalisation, then steps of 1, ½, ¼, … until J falls by 10⁻⁴ of what the slope promises.
+///
+/// With `preconditioner_pairs`, every outer iteration is preconditioned by the Ritz pairs of those before it (limited-memory preconditioner in
+/// its spectral form: Fisher 1998; Tshimanga et al. 2008). When to use: where the inner iterations are many and outer ones go on
+/// near the minimum (large residuals: a third fewer on case 1 of the hanging rod); it gains nothing where few suffice. Memory: a vector a pair. No Ritz pairs are then returned, those of the last problem being of the
+/// preconditioned matrix.
 ///
 /// No matrix is formed; products needed are about the degrees of freedom for signal. Returns the Ritz pairs of the last outer iteration.
 /// Converges linearly where the dropped second derivatives matter, and then [`trust_region`](crate::trust_region) is faster.
@@ -57,6 +65,8 @@ pub(super) fn run(
     let n = cost.dim();
     let [mut g, mut g_trial, mut p, mut trial] = std::array::from_fn(|_| vec![0.0; n]);
     let mut lanczos = Lanczos::new(n);
+    let mut preconditioner = Preconditioner::new(options.preconditioner_pairs);
+    let [mut rhs, mut mapped] = std::array::from_fn(|_| vec![0.0; n]);
     let mut ritz = Vec::new();
     let mut progress = Progress::start(cost, v, &mut g, start)?;
     let last = start.index + options.max_iterations;
@@ -66,12 +76,26 @@ pub(super) fn run(
         }
         let limits =
             Limits { residual: forcing(&progress), radius: f64::INFINITY, iterations: options.max_inner };
-        let spectral = lanczos.run(&mut |p, out| cost.hessian_apply(p, out), &g, &limits)?;
-        ritz = lanczos.ritz(&spectral)?;
+        rhs.copy_from_slice(&g);
+        preconditioner.apply_transpose(&mut rhs);
+        let mut product = |p: &[f64], out: &mut [f64]| {
+            mapped.copy_from_slice(p);
+            preconditioner.apply(&mut mapped);
+            cost.hessian_apply(&mapped, out)?;
+            preconditioner.apply_transpose(out);
+            Ok(())
+        };
+        let spectral = lanczos.run(&mut product, &rhs, &limits)?;
         progress.inner = lanczos.iterations();
         progress.inner_total += progress.inner;
         progress.rejected = 0;
-        let step = spectral.step(f64::INFINITY, &mut p);
+        spectral.step(f64::INFINITY, &mut p);
+        preconditioner.apply(&mut p);
+        if options.preconditioner_pairs > 0 {
+            preconditioner.learn(lanczos.ritz(&spectral)?);
+        } else {
+            ritz = lanczos.ritz(&spectral)?;
+        }
         let slope = dot(&g, &p);
 
         let mut failure = None;
@@ -82,7 +106,7 @@ pub(super) fn run(
             match cost.evaluate(&trial, by_gradient.then_some(&mut g_trial[..])) {
                 Ok(value) => {
                     let accept = if by_gradient {
-                        crate::cost::norm(&g_trial) < progress.gradient_norm
+                        norm(&g_trial) < progress.gradient_norm
                     } else {
                         value <= progress.value + 1e-4 * length * slope
                     };
@@ -97,7 +121,7 @@ pub(super) fn run(
             progress.rejected += 1;
             length *= 0.5;
             // 2⁻⁴⁰: a descent direction that needs less than 1e-12 of its step is none.
-            if progress.rejected > 40 || by_gradient {
+            if progress.rejected > 40 || (by_gradient && progress.rejected >= 8) {
                 break false;
             }
         };
@@ -106,6 +130,6 @@ pub(super) fn run(
         }
         v.copy_from_slice(&trial);
         g.copy_from_slice(&g_trial);
-        progress.advance(cost, &g, length * step.norm, 0.0);
+        progress.advance(cost, &g, length * norm(&p), 0.0);
     }
 }

@@ -7,7 +7,7 @@ use varda_assimilation::*;
 use varda_covariance::{Dense, Precision};
 use varda_implicit::Model;
 
-fn numbers(value: &Value) -> Vec<f64> {
+pub(crate) fn numbers(value: &Value) -> Vec<f64> {
     value.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect()
 }
 
@@ -59,6 +59,13 @@ fn minimizers() -> Vec<Minimizer> {
         Minimizer::TrustRegion(TrustRegionOptions { dense_limit: 0, ..Default::default() }),
         Minimizer::TrustRegion(TrustRegionOptions { secant_terms: 0, ..Default::default() }),
         Minimizer::NewtonCg(NewtonCgOptions::default()),
+        Minimizer::NewtonCg(NewtonCgOptions { preconditioner_pairs: 100, ..Default::default() }),
+        Minimizer::Auto(AutoOptions::default()),
+        Minimizer::Lbfgs(LbfgsOptions::default()),
+        #[cfg(feature = "argmin")]
+        Minimizer::ArgminLbfgs(ArgminOptions { gradient_tolerance: 1e-6, ..Default::default() }),
+        #[cfg(feature = "argmin")]
+        Minimizer::ArgminTrustRegion(ArgminOptions { gradient_tolerance: 1e-6, ..Default::default() }),
     ]
 }
 

@@ -5,6 +5,8 @@ mod family;
 mod fixtures;
 mod matrix;
 mod minima;
+mod minimizers;
 mod models;
 mod observations;
 mod weak;
+mod posteriors;

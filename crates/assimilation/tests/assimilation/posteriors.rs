@@ -1,0 +1,234 @@
+//! The posterior three ways, its draws, and whether B and R are what they should be.
+
+use crate::cost::coupled;
+use crate::fixtures::numbers;
+use crate::models::*;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
+use std::ops::ControlFlow;
+use varda_assimilation::*;
+use varda_covariance::{Covariance, Dense};
+
+fn quiet(_: &Iteration) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+const LORENZ96: &str = include_str!("../fixtures/l96.json");
+const LINEAR: &str = include_str!("../fixtures/lin3dvar.json");
+
+type Check<'a> = dyn FnMut(&mut dyn GaussNewton, &ControlTransform, &[f64], Minimum) + 'a;
+
+/// One of the fixtures at its minimum, found by L-BFGS that keeps every pair. Lorenz-96: n = 40, all of them seen; the linear
+/// one: n = 100, 25 seen.
+fn at_the_minimum(text: &str, check: &mut Check) {
+    let problem: Value = serde_json::from_str(text).unwrap();
+    let n = problem["n"].as_u64().unwrap() as usize;
+    let steps = problem["K"].as_u64().unwrap() as usize;
+    let matrix: Vec<f64> = problem["B"].as_array().unwrap().iter().flat_map(numbers).collect();
+    let b = Dense::new(n, &matrix).unwrap();
+    let sigma = problem["R_diag"].as_f64().unwrap().sqrt();
+    let rows: Vec<usize> = numbers(&problem["H_rows"]).iter().map(|&r| r as usize).collect();
+    let every: Vec<usize> = (0..rows.len()).collect();
+    let observations = problem["obs"].as_object().unwrap().iter();
+    let observations =
+        observations.map(|(k, y)| observation(&every, k.parse().unwrap(), 0.0, &numbers(y), sigma)).collect();
+    let h = Selection::new(rows, n).unwrap();
+    let mut set = ObservationSet::new(steps, vec![Box::new(h)], observations).unwrap();
+    let transform = ControlTransform::new(numbers(&problem["xb"]), &b).unwrap();
+    let mut model = Rk4::new(Lorenz96(40), 0.0125);
+    let mut cost = if steps > 0 {
+        StrongConstraint::new(&mut model, transform.clone(), &mut set).unwrap()
+    } else {
+        StrongConstraint::without_model(transform.clone(), &mut set).unwrap()
+    };
+    let mut v = vec![0.0; n];
+    let options = LbfgsOptions { memory: 200, ..Default::default() };
+    let minimum = lbfgs(&mut cost, &mut v, &options, &mut quiet).unwrap();
+    assert_eq!(minimum.status, Status::Converged);
+    check(&mut cost, &transform, &v, minimum);
+}
+
+/// A⁻¹ by columns, from the inverse of its Cholesky factor through `Dense`: independent of the eigenpairs under test.
+fn inverse(cost: &mut dyn GaussNewton) -> Vec<f64> {
+    use varda_covariance::Precision;
+    let n = cost.dim();
+    let mut hessian = vec![0.0; n * n];
+    cost.hessian(&mut hessian).unwrap();
+    let factor = Dense::new(n, &hessian).unwrap();
+    let mut inverse = vec![0.0; n * n];
+    for (j, column) in inverse.chunks_exact_mut(n).enumerate() {
+        let mut unit = vec![0.0; n];
+        unit[j] = 1.0;
+        factor.solve(&unit, column);
+    }
+    inverse
+}
+
+/// ‖P_v − A⁻¹‖₂ by power iteration: a lower estimate, within a per cent after 300 products.
+fn error(posterior: &LowRankPosterior, inverse: &[f64]) -> f64 {
+    let n = posterior.control_variable_variance().len();
+    let mut x = normals(3, n);
+    let mut size = 0.0;
+    for _ in 0..300 {
+        let mut y = vec![0.0; n];
+        posterior.apply(&x, &mut y);
+        for (column, x) in inverse.chunks_exact(n).zip(&x) {
+            y.iter_mut().zip(column).for_each(|(y, a)| *y -= a * x);
+        }
+        size = norm(&y);
+        if size == 0.0 {
+            break;
+        }
+        x = y.iter().map(|y| y / size).collect();
+    }
+    size
+}
+
+fn check_three_ways(text: &str, runs: &[(f64, usize)], most_products: usize, lbfgs_trace: f64) {
+    at_the_minimum(text, &mut |cost, transform, _, minimum| {
+        let n = cost.dim();
+        let dense = Posterior::new(cost).unwrap();
+        let inverse = inverse(cost);
+        let mut prior = vec![0.0; n];
+        transform.covariance().variance(&mut prior);
+        for (i, d) in dense.control_variable_variance().iter().enumerate() {
+            // Both are backward stable, with a condition number of at most 1e4.
+            assert!((d - inverse[i + i * n]).abs() <= 1e-11);
+        }
+
+        let mut rng = ChaCha8Rng::seed_from_u64(11);
+        for &(tolerance, max_products) in runs {
+            let options = LanczosOptions { tolerance, max_products, ..Default::default() };
+            let lanczos = LowRankPosterior::lanczos(cost, &options, &mut rng).unwrap();
+            let bound = lanczos.error_bound().unwrap();
+            let found = error(&lanczos, &inverse);
+            if max_products >= n {
+                assert!(bound <= tolerance);
+                assert!(lanczos.products() <= most_products);
+            } else {
+                assert_eq!(lanczos.products(), max_products + options.probes);
+            }
+            // 1e-11: the rounding of the two inverses compared.
+            assert!(found <= bound + 1e-11, "{found:e} {bound:e}");
+            for ((low, dense), b) in
+                lanczos.variance(transform).iter().zip(dense.variance(transform)).zip(&prior)
+            {
+                assert!((low - dense).abs() <= bound * b + 1e-11);
+            }
+            let scale: f64 = prior.iter().sum();
+            assert!((lanczos.trace(transform) - dense.trace(transform)).abs() <= bound * scale + 1e-9);
+            let dof = lanczos.degrees_of_freedom() - dense.degrees_of_freedom();
+            assert!(dof.abs() <= n as f64 * bound + 1e-9);
+        }
+
+        let by_lbfgs = LowRankPosterior::from_inverse_hessian(&minimum.inverse_hessian.unwrap()).unwrap();
+        assert_eq!(by_lbfgs.error_bound(), None);
+        let found = error(&by_lbfgs, &inverse);
+        let estimate = by_lbfgs.error_estimate(cost, 20, &mut rng).unwrap();
+        let ratio = by_lbfgs.trace(transform) / dense.trace(transform);
+        // The mean of 20 squares is three standard deviations low at worst.
+        assert!(found <= estimate / (1.0 - 3.0 * (2.0 / 20.0f64).sqrt()).sqrt());
+        assert!((ratio - 1.0).abs() <= lbfgs_trace, "{ratio}");
+    });
+}
+
+#[test]
+fn three_ways_to_the_posterior_agree_to_their_bounds() {
+    // 25 observations: 26 Lanczos iterations find all there is, at checks a few iterations apart, beside 6 probes.
+    check_three_ways(LINEAR, &[(0.5, 200), (1e-2, 200), (1e-6, 200), (1e-6, 8), (1e-6, 20)], 36, 0.25);
+}
+
+/// Every direction is seen: there is no low rank, and the bound says so until all 40 are found.
+#[test]
+fn where_everything_is_observed_the_bound_asks_for_the_whole_spectrum() {
+    check_three_ways(LORENZ96, &[(1e-2, 200), (1e-9, 200), (1e-6, 8), (1e-6, 25)], 46, 1.0);
+}
+
+#[test]
+fn draws_have_the_posterior_s_mean_and_variance() {
+    at_the_minimum(LORENZ96, &mut |cost, transform, v, _| {
+        let dense = Posterior::new(cost).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(12);
+        let low = LowRankPosterior::lanczos(cost, &LanczosOptions::default(), &mut rng).unwrap();
+        let variance = dense.variance(transform);
+        let mut mean = vec![0.0; 40];
+        transform.control(v, &mut mean);
+        let count = 4000;
+        for way in 0..2 {
+            let mut sums = vec![(0.0, 0.0); 40];
+            for _ in 0..count {
+                let z = if way == 0 {
+                    dense.draw(transform, v, &mut rng)
+                } else {
+                    low.draw(transform, v, &mut rng)
+                };
+                for (s, (z, m)) in sums.iter_mut().zip(z.iter().zip(&mean)) {
+                    s.0 += z - m;
+                    s.1 += (z - m) * (z - m);
+                }
+            }
+            for (s, variance) in sums.iter().zip(&variance) {
+                // Five standard deviations of a mean and of a variance from that many normal draws.
+                assert!((s.0 / count as f64).abs() <= 5.0 * (variance / count as f64).sqrt());
+                assert!((s.1 / count as f64 / variance - 1.0).abs() <= 5.0 * (2.0 / count as f64).sqrt());
+            }
+        }
+    });
+}
+
+/// 200 linear twins with 12 observations in two groups: every ratio is 1 in the mean; with σ_o of the second group given
+/// as twice what it is, that group's falls, and χ² with it.
+#[test]
+fn ratios_are_one_where_b_and_r_are_right_and_not_where_they_are_wrong() {
+    let n = 8;
+    let b = coupled(n, 1.3);
+    let groups: Vec<usize> = (0..12).map(|i| i / 6).collect();
+    let truth_sigma = |group: usize| [0.4, 0.9][group];
+    let run = |wrong: f64| {
+        let mut sums = [[0.0; 3]; 2];
+        let mut chi2 = 0.0;
+        for twin in 0..200 {
+            let mut error = vec![0.0; n];
+            b.root(&normals(5000 + twin, n), &mut error);
+            let noise = normals(9000 + twin, 12);
+            let mut seen = Vec::new();
+            for group in 0..2 {
+                // x_b = 0, so that the truth is minus the background's error.
+                let y: Vec<f64> =
+                    (0..6).map(|i| -error[i + group] + truth_sigma(group) * noise[6 * group + i]).collect();
+                let rows: Vec<usize> = (group..6 + group).collect();
+                let sigma = truth_sigma(group) * if group == 1 { wrong } else { 1.0 };
+                seen.push(observation(&rows, 0, 0.0, &y, sigma));
+            }
+            let mut set = ObservationSet::new(0, vec![all_of(n)], seen).unwrap();
+            let (values, sigma) = (set.values().to_vec(), set.sigma().to_vec());
+            let transform = ControlTransform::new(vec![0.0; n], &b).unwrap();
+            let mut cost = StrongConstraint::without_model(transform, &mut set).unwrap();
+            let mut v = vec![0.0; n];
+            cost.evaluate(&v, Some(&mut vec![0.0; n])).unwrap();
+            let at_background = cost.predicted().to_vec();
+            let spread = predicted_variance(&mut cost, &sigma).unwrap();
+            let minimum = Minimizer::default().minimize(&mut cost, &mut v, &mut quiet).unwrap();
+            let found = consistency(&values, &sigma, &at_background, cost.predicted(), &spread, &groups);
+            chi2 += 2.0 * minimum.value / 12.0 / 200.0;
+            for (sums, found) in sums.iter_mut().zip(&found) {
+                assert_eq!(found.count, 6);
+                sums[0] += found.observation_ratio / 200.0;
+                sums[1] += found.background_ratio / 200.0;
+                sums[2] += found.innovation_ratio / 200.0;
+            }
+        }
+        (sums, chi2)
+    };
+    let (right, chi2) = run(1.0);
+    // χ² has variance 2/12 in each of 200 twins; the ratios up to 2 (one strong direction). Four standard deviations.
+    assert!((chi2 - 1.0).abs() <= 4.0 * (2.0 / 12.0 / 200.0f64).sqrt(), "{chi2}");
+    for ratio in right.iter().flatten() {
+        assert!((ratio - 1.0).abs() <= 4.0 * (2.0 / 200.0f64).sqrt(), "{right:?}");
+    }
+    let (wrong, chi2) = run(2.0);
+    assert!(wrong[1][0] < 0.6, "{wrong:?}");
+    assert!(chi2 < 0.8, "{chi2}");
+    assert!(consistency(&[1.0], &[1.0], &[0.0], &[0.5], &[1.0], &[1])[0].observation_ratio.is_nan());
+}
