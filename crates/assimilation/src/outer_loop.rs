@@ -154,6 +154,7 @@ pub fn outer_loop(
         status: Status::Converged,
         failure: None,
         ritz: Vec::new(),
+        inverse_hessian: None,
     };
     let (mut step_norm, mut rejected, mut inner) = (0.0, 0, 0);
     loop {

@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use serde::Serialize;
 use varda_assimilation::{
-    Analysis, ControlTransform, CostFunction, Counts, Minimizer, Minimum, NewtonCgOptions, NewtonOptions,
-    Posterior, StrongConstraint, TrustRegionOptions, continuation,
+    Analysis, ControlTransform, CostFunction, Counts, Minimizer, Minimum, Posterior, StrongConstraint,
+    continuation,
 };
 use varda_implicit::Model;
 
@@ -311,18 +311,10 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
 }
 
 fn minimizer(algorithm: &scene::Algorithm) -> Minimizer {
-    let (gradient_tolerance, max_iterations) = (algorithm.gradient_tolerance, algorithm.max_iterations);
-    match algorithm.minimizer {
-        scene::Minimizer::TrustRegion => Minimizer::TrustRegion(TrustRegionOptions {
-            gradient_tolerance,
-            max_iterations,
-            ..Default::default()
-        }),
-        scene::Minimizer::Newton => Minimizer::Newton(NewtonOptions { gradient_tolerance, max_iterations }),
-        scene::Minimizer::GaussNewtonCg => {
-            Minimizer::NewtonCg(NewtonCgOptions { gradient_tolerance, max_iterations, ..Default::default() })
-        }
-    }
+    let mut minimizer = Minimizer::named(algorithm.minimizer.name()).expect("every scene name is a minimizer's name");
+    *minimizer.gradient_tolerance_mut() = algorithm.gradient_tolerance;
+    *minimizer.max_iterations_mut() = algorithm.max_iterations;
+    minimizer
 }
 
 fn status(minimum: &Minimum) -> Status {

@@ -170,7 +170,7 @@ fn the_same_seed_gives_the_same_bits_and_another_one_others() {
 fn every_minimizer_finds_the_same_minimum_of_case_2() {
     let folder = Folder::new("minimizers");
     let mut minima = Vec::new();
-    for minimizer in ["trust-region", "newton", "gauss-newton-cg"] {
+    for minimizer in ["auto", "trust-region", "newton", "gauss-newton-cg", "lbfgs"] {
         let set = format!("algorithm.minimizer={minimizer}");
         text(&folder.varda(&["run", "hanging-rod-case2", "--set", &set, "--quiet", "--out", minimizer]));
         let summary = folder.summary(minimizer);

@@ -57,7 +57,7 @@ fn errors_name_file_line_and_column_and_say_what_was_meant() {
         ("radius = 0.005", "radius = 5", &["lengths are in metres, was another unit meant?"]),
         ("segments = 20", "segments = 20.5", &["must be a whole number"]),
         (
-            "\"trust-region\"",
+            "\"auto\"",
             "\"trust-regoin\"",
             &["`algorithm.minimizer` = \"trust-regoin\"", "did you mean \"trust-region\""],
         ),

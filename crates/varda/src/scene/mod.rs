@@ -151,7 +151,7 @@ impl Default for Algorithm {
     fn default() -> Self {
         Algorithm {
             method: Method::FourDVar,
-            minimizer: Minimizer::TrustRegion,
+            minimizer: Minimizer::Auto,
             max_iterations: 200,
             gradient_tolerance: 1e-8,
             sigma_stages: Vec::new(),
@@ -180,21 +180,31 @@ impl Method {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Minimizer {
-    /// Gauss–Newton made safe by a trust region (Levenberg–Marquardt in the B⁻¹ norm). The default: it always ends.
+    /// The default: the trust region; where the observations are far from the background (J_o > 10 m) also through
+    /// enlarged σ × 10, 3, 1, of the two ends the lower.
+    Auto,
+    /// Gauss–Newton made safe by a trust region (Levenberg–Marquardt in the B⁻¹ norm).
     TrustRegion,
     /// The paper's Newton: dense Gauss–Newton Hessian (2.18), full steps. May diverge.
     Newton,
     /// Gauss–Newton with truncated conjugate gradients.
     GaussNewtonCg,
+    /// Limited-memory BFGS: gradients only.
+    Lbfgs,
+    /// Adam, the paper's other minimizer: gradients only, slow.
+    Adam,
 }
 
 impl Minimizer {
     /// Its name in a scene.
     pub fn name(self) -> &'static str {
         match self {
+            Minimizer::Auto => "auto",
             Minimizer::TrustRegion => "trust-region",
             Minimizer::Newton => "newton",
             Minimizer::GaussNewtonCg => "gauss-newton-cg",
+            Minimizer::Lbfgs => "lbfgs",
+            Minimizer::Adam => "adam",
         }
     }
 }
