@@ -58,7 +58,9 @@ mod posterior;
 
 pub use analysis::Analysis;
 pub use control::ControlTransform;
-pub use cost::{CostFunction, CostTerms, Counts, GaussNewton, StrongConstraint};
+pub use cost::{
+    CostFunction, CostTerms, Counts, EnVar, EnVarOptions, EnsembleUpdate, GaussNewton, StrongConstraint,
+};
 pub use error::Error;
 pub use minimize::{
     Iteration, Minimizer, Minimum, NewtonCgOptions, NewtonOptions, RitzPair, Status, TrustRegionOptions,

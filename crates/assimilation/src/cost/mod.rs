@@ -1,7 +1,9 @@
 //! Cost functions of a control vector v, as minimizers see them.
 
+mod ensemble;
 mod strong;
 
+pub use ensemble::{EnVar, EnVarOptions, EnsembleUpdate};
 pub use strong::StrongConstraint;
 
 use crate::Error;
