@@ -51,7 +51,9 @@
 mod analysis;
 mod control;
 mod cost;
+mod cycle;
 mod error;
+mod growth;
 mod minimize;
 mod observation;
 mod posterior;
@@ -59,9 +61,12 @@ mod posterior;
 pub use analysis::Analysis;
 pub use control::ControlTransform;
 pub use cost::{
-    CostFunction, CostTerms, Counts, EnVar, EnVarOptions, EnsembleUpdate, GaussNewton, StrongConstraint,
+    CostFunction, CostTerms, Counts, EnVar, EnVarOptions, EnsembleUpdate, GaussNewton, Rejection,
+    StrongConstraint, huber,
 };
+pub use cycle::{Cycle, CycleErrors, CycledCovariance, CycledEnsemble, Cycling, cycle};
 pub use error::Error;
+pub use growth::window_growth;
 pub use minimize::{
     Iteration, Minimizer, Minimum, NewtonCgOptions, NewtonOptions, RitzPair, Status, TrustRegionOptions,
     continuation, newton, newton_cg, trust_region,

@@ -446,13 +446,13 @@ impl<'a> EnVar<'a> {
     ///
     /// # Errors
     /// An eigenvalue iteration that fails.
-    pub fn posterior_perturbations(&mut self, mut update: EnsembleUpdate) -> Result<Vec<f64>, Error> {
+    pub fn posterior_perturbations(&mut self, update: &mut EnsembleUpdate) -> Result<Vec<f64>, Error> {
         let (n_z, m, members) =
             (self.transform.control_dim(), self.observations.dim(), self.ensemble.members());
         let gram = self.gram()?;
         let size = ((members - 1).max(1) as f64).sqrt();
         let mut whitened: Vec<f64> = self.base.y.iter().map(|y| -y / self.scale).collect();
-        if let EnsembleUpdate::PerturbedObservations(normal) = &mut update {
+        if let EnsembleUpdate::PerturbedObservations(normal) = &mut *update {
             let noise: Vec<f64> = (0..members * m).map(|_| normal() / size).collect();
             for a in 0..m {
                 let mean = (0..members).map(|i| noise[i * m + a]).sum::<f64>() / members as f64;
@@ -481,30 +481,7 @@ impl<'a> EnVar<'a> {
             return Err(Error::NonFinite { what: "a control of the ensemble", step: 0 });
         }
         self.counts.forward_runs += runs;
-        let (n, n_z, last) = (self.state_dim, self.transform.control_dim(), self.last);
-        let one = |((model, z), states): ((&mut Box<dyn Model + Send + 'a>, &[f64]), &mut [f64])| {
-            model.initial_state(z, &mut states[..n])?;
-            (0..last).try_for_each(|k| {
-                let (x, x_next) = states[k * n..(k + 2) * n].split_at_mut(n);
-                model.step(k, x, x_next)
-            })
-        };
-        let models = &mut self.models[..runs];
-        #[cfg(feature = "rayon")]
-        let ended: Vec<Result<(), varda_implicit::Error>> = models
-            .par_iter_mut()
-            .zip(self.controls.par_chunks_exact(n_z))
-            .zip(self.states.par_chunks_exact_mut((last + 1) * n))
-            .map(one)
-            .collect();
-        #[cfg(not(feature = "rayon"))]
-        let ended: Vec<Result<(), varda_implicit::Error>> = models
-            .iter_mut()
-            .zip(self.controls.chunks_exact(n_z))
-            .zip(self.states.chunks_exact_mut((last + 1) * n))
-            .map(one)
-            .collect();
-        Ok(ended.into_iter().collect::<Result<(), _>>()?)
+        run_all(&mut self.models[..runs], &self.controls, &mut self.states, self.last)
     }
 
     /// Predicts the observations of run `run`.
@@ -627,6 +604,40 @@ impl<'a> EnVar<'a> {
             v.copy_from_slice(&filtered);
         }
     }
+}
+
+/// Runs every model from its control over `steps` steps, in parallel with the feature `rayon`. A run is a pure function of its control, so
+/// that who runs it does not matter; the error is that of the first model that failed.
+pub(crate) fn run_all<'m>(
+    models: &mut [Box<dyn Model + Send + 'm>],
+    controls: &[f64],
+    states: &mut [f64],
+    steps: usize,
+) -> Result<(), Error> {
+    let (n, n_z) = (models[0].dim(), models[0].control_dim());
+    let one = |((model, z), states): ((&mut Box<dyn Model + Send + 'm>, &[f64]), &mut [f64])| {
+        model.initial_state(z, &mut states[..n])?;
+        (0..steps).try_for_each(|k| {
+            let (x, x_next) = states[k * n..(k + 2) * n].split_at_mut(n);
+            model.step(k, x, x_next)
+        })
+    };
+    let length = (steps + 1) * n;
+    #[cfg(feature = "rayon")]
+    let ended: Vec<Result<(), varda_implicit::Error>> = models
+        .par_iter_mut()
+        .zip(controls.par_chunks_exact(n_z))
+        .zip(states.par_chunks_exact_mut(length))
+        .map(one)
+        .collect();
+    #[cfg(not(feature = "rayon"))]
+    let ended: Vec<Result<(), varda_implicit::Error>> = models
+        .iter_mut()
+        .zip(controls.chunks_exact(n_z))
+        .zip(states.chunks_exact_mut(length))
+        .map(one)
+        .collect();
+    Ok(ended.into_iter().collect::<Result<(), _>>()?)
 }
 
 /// Whether the columns of X sum to zero.

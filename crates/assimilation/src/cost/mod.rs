@@ -1,9 +1,12 @@
 //! Cost functions of a control vector v, as minimizers see them.
 
 mod ensemble;
+mod robust;
 mod strong;
 
+pub(crate) use ensemble::run_all;
 pub use ensemble::{EnVar, EnVarOptions, EnsembleUpdate};
+pub use robust::{Rejection, huber};
 pub use strong::StrongConstraint;
 
 use crate::Error;
