@@ -118,8 +118,8 @@ impl<'a> EnVar<'a> {
     /// # Errors
     /// Lengths that disagree, an anchor the control does not have; the first failure of the model or of an operator, in the order control, member
     /// 1 … N.
-    pub fn new(
-        make_model: &dyn Fn() -> Box<dyn Model + Send + 'a>,
+    pub fn new<'m: 'a>(
+        make_model: &dyn Fn() -> Box<dyn Model + Send + 'm>,
         background: Vec<f64>,
         ensemble: &'a Ensemble,
         observations: &'a mut ObservationSet,
@@ -133,8 +133,8 @@ impl<'a> EnVar<'a> {
     ///
     /// # Errors
     /// As for [`new`](Self::new).
-    pub fn hybrid(
-        make_model: &dyn Fn() -> Box<dyn Model + Send + 'a>,
+    pub fn hybrid<'m: 'a>(
+        make_model: &dyn Fn() -> Box<dyn Model + Send + 'm>,
         background: Vec<f64>,
         hybrid: &'a Hybrid<'a>,
         observations: &'a mut ObservationSet,
@@ -146,8 +146,8 @@ impl<'a> EnVar<'a> {
         Self::with(make_model, transform, ensemble, weight, static_part, observations, anchors)
     }
 
-    fn with(
-        make_model: &dyn Fn() -> Box<dyn Model + Send + 'a>,
+    fn with<'m: 'a>(
+        make_model: &dyn Fn() -> Box<dyn Model + Send + 'm>,
         transform: ControlTransform<'a>,
         ensemble: &'a Ensemble,
         ensemble_weight: f64,
@@ -155,7 +155,8 @@ impl<'a> EnVar<'a> {
         observations: &'a mut ObservationSet,
         anchors: &[usize],
     ) -> Result<Self, Error> {
-        let models: Vec<_> = (0..=ensemble.members()).map(|_| make_model()).collect();
+        let mut models: Vec<Box<dyn Model + Send + 'a>> = Vec::new();
+        (0..=ensemble.members()).for_each(|_| models.push(make_model()));
         let (n, n_z, m) = (transform.dim(), transform.control_dim(), observations.dim());
         let (state_dim, expected) = (models[0].dim(), models[0].control_dim());
         if expected != n_z {
