@@ -3,6 +3,8 @@
 mod cost;
 mod ensemble;
 mod fixtures;
+mod growth;
 mod minima;
 mod models;
 mod observations;
+mod robust;
