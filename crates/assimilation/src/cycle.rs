@@ -12,8 +12,9 @@ use varda_implicit::{Keep, Model, Trajectory};
 
 /// A sequence of windows. Window c covers the steps first + c S … first + c S + K of a long run.
 ///
-/// Every observation is used once: where windows overlap (S < K), a window after the first takes those later than K − S, the ones
-/// no window before has seen (the single data assimilation of Bocquet and Sakov 2014). A window of K = 0 is 3D-Var (or an ensemble Kalman filter):
+/// Every observation is used once: a window after the first takes those later than step K − S, the ones no window before has seen (the single
+/// data assimilation of Bocquet and Sakov 2014). So windows overlap (S < K), share the step at which one ends and the next begins (S = K), or
+/// tile the time (S = K + 1: the background is a forecast to the first observed step). A window of K = 0 is 3D-Var, or an ensemble Kalman filter:
 /// one time is analysed, then S steps are forecast.
 #[derive(Clone, Copy)]
 pub struct Cycling<'a> {
@@ -21,12 +22,12 @@ pub struct Cycling<'a> {
     pub first: usize,
     /// K, the length of a window in steps.
     pub window: usize,
-    /// S, the steps from one window to the next; at most max(K, 1), any for K = 0.
+    /// S, the steps from one window to the next; at most K + 1, any for K = 0.
     pub shift: usize,
     /// How many windows.
     pub cycles: usize,
     /// A model whose step 0 is the given step of the long run.
-    pub make_model: &'a dyn Fn(usize) -> Box<dyn Model + Send + 'a>,
+    pub make_model: &'a dyn Fn(usize) -> Box<dyn Model + Send>,
     /// The observations of the window that starts at the given step, with steps counted from there; also those already seen.
     pub observations: &'a dyn Fn(usize) -> Result<ObservationSet, Error>,
     /// The true state at a step, where it is known.
@@ -118,7 +119,7 @@ pub struct CycleErrors {
 /// `on_cycle` may end the sequence.
 ///
 /// # Errors
-/// A shift of 0 or beyond the window, an inflation that is not positive; a model that fails between two windows, observations or covariances that
+/// A shift of 0 or beyond K + 1, an inflation that is not positive; a model that fails between two windows, observations or covariances that
 /// cannot be built.
 pub fn cycle(
     cycling: &Cycling,
@@ -127,7 +128,7 @@ pub fn cycle(
     minimizer: &Minimizer,
     on_cycle: &mut dyn FnMut(&Cycle) -> ControlFlow<()>,
 ) -> Result<Vec<Cycle>, Error> {
-    if cycling.shift == 0 || (cycling.window > 0 && cycling.shift > cycling.window) {
+    if cycling.shift == 0 || (cycling.window > 0 && cycling.shift > cycling.window + 1) {
         return Err(Error::Setting { what: "the shift between windows", value: cycling.shift as f64 });
     }
     let positive = |inflation: f64| {
@@ -185,7 +186,7 @@ impl Cycling<'_> {
     /// The observations of window c that no window before has used.
     fn unseen(&self, c: usize) -> Result<ObservationSet, Error> {
         let set = (self.observations)(self.first + c * self.shift)?;
-        if c == 0 || self.window == 0 {
+        if c == 0 || self.shift > self.window {
             return Ok(set);
         }
         let (steps, seen) = (set.steps(), (self.window - self.shift) as f64);

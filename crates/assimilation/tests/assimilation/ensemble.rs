@@ -21,7 +21,7 @@ pub(crate) fn linear(n: usize) -> Rk4<Linear> {
 }
 
 /// Components 0, 2 and 5 seen at steps 0, 4, 7.5 and 10.
-fn observed(seed: u64) -> ObservationSet {
+pub(crate) fn observed(seed: u64) -> ObservationSet {
     let y = normals(seed, 12);
     let seen = [(0, 0.0), (4, 0.0), (7, 0.5), (10, 0.0)]
         .iter()
@@ -34,7 +34,7 @@ fn observed(seed: u64) -> ObservationSet {
 }
 
 /// X with X Xᵀ = B, all columns: an ensemble that spans, and represents B exactly (n + 1 members whose perturbations sum to zero).
-fn spanning(b: &dyn Covariance, mean: &[f64]) -> Vec<f64> {
+pub(crate) fn spanning(b: &dyn Covariance, mean: &[f64]) -> Vec<f64> {
     let n = b.dim();
     // A Helmert basis: n vectors of length n + 1, orthonormal and orthogonal to (1, …, 1).
     let mut members = vec![0.0; (n + 1) * n];

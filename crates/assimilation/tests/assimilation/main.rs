@@ -1,6 +1,8 @@
 //! Tests of the crate through its public face.
 
 mod cost;
+mod coverage;
+mod cycles;
 mod ensemble;
 mod fixtures;
 mod growth;
