@@ -2,6 +2,9 @@
 
 use crate::{Error, Minimum, ObservationSet};
 
+/// Minimises the cost of the observations it is given from a control variable on, and leaves the point in it.
+pub type Assimilate<'a> = dyn FnMut(&mut ObservationSet, &mut Vec<f64>) -> Result<Minimum, Error> + 'a;
+
 /// Assimilates the sub-windows of `windows` steps in turn, each from where the one before ended (Pires, Vautard and Talagrand 1996), and
 /// returns the observations with the minimum of every stage.
 ///
@@ -52,7 +55,7 @@ pub fn window_growth(
     observations: ObservationSet,
     windows: &[usize],
     v: &mut Vec<f64>,
-    assimilate: &mut dyn FnMut(&mut ObservationSet, &mut Vec<f64>) -> Result<Minimum, Error>,
+    assimilate: &mut Assimilate,
 ) -> Result<(ObservationSet, Vec<Minimum>), Error> {
     let whole = observations.steps();
     if let Some(pair) = windows.windows(2).find(|pair| pair[0] >= pair[1]) {

@@ -66,7 +66,7 @@ pub use cost::{
 };
 pub use cycle::{Cycle, CycleErrors, CycledCovariance, CycledEnsemble, Cycling, cycle};
 pub use error::Error;
-pub use growth::window_growth;
+pub use growth::{Assimilate, window_growth};
 pub use minimize::{
     Iteration, Minimizer, Minimum, NewtonCgOptions, NewtonOptions, RitzPair, Status, TrustRegionOptions,
     continuation, newton, newton_cg, trust_region,

@@ -48,8 +48,8 @@ fn growth_finds_the_minimum_gauss_newton_from_the_background_misses() {
     }
 }
 
-/// Seeds, and what J the wrong minimum has at least.
-const WRONG: [(u64, f64); 1] = [(90, 1000.0)];
+/// Seeds, and what J the wrong minimum has at least: all that are wrong among the seeds 0 … 299.
+const WRONG: [(u64, f64); 4] = [(90, 1200.0), (107, 1100.0), (134, 1100.0), (263, 1300.0)];
 
 /// The same driver with another method: the ensemble smoother, which starts every stage from the last v.
 #[test]
