@@ -9,11 +9,15 @@
 //! | what is observed? | an [`ObservationSet`] of [`Observation`]s through [`ObservationOperator`]s |
 //! | what is known before? | a [`ControlTransform`]: background x_b and any `varda_covariance::Covariance` |
 //! | which cost? | [`StrongConstraint`]: 4D-Var, and 3D-Var where nothing is observed after step 0 |
+//! | without a tangent and an adjoint? | [`EnVar`]: 4D-EnVar, hybrid 4D-EnVar, the iterative ensemble smoother |
+//! | gross errors? | [`StrongConstraint::set_huber`], [`StrongConstraint::background_check`] |
+//! | several minima, a long window? | [`window_growth`] |
+//! | window after window? | [`cycle`] |
 //! | which minimizer? | [`Minimizer`]: [`trust_region`] (default), [`newton_cg`], [`newton`]; [`continuation`] for several minima |
 //! | how sure? | [`Posterior`], [`Analysis`] |
 //!
 //! The system is any `varda_implicit::Model`. Everything is minimised in the control variable v. Not for problems whose posterior has
-//! several modes that matter, nor for models without a tangent and an adjoint.
+//! several modes that matter.
 //!
 //! ```
 //! use std::ops::ControlFlow;
