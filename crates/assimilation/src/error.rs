@@ -11,6 +11,9 @@ pub enum Error {
     /// The model could not take or linearize a step.
     #[error(transparent)]
     Model(#[from] varda_implicit::Error),
+    /// A covariance could not be built.
+    #[error(transparent)]
+    Covariance(#[from] varda_covariance::Error),
     /// An observation operator refused a state.
     #[error("observation operator {operator} at step {step}: {source}")]
     Observe {

@@ -11,11 +11,15 @@
 //! | which cost? | [`StrongConstraint`]: 4D-Var, and 3D-Var where nothing is observed after step 0 |
 //! | and if the model errs? | [`WeakForcing`] or [`WeakState`], with [`Forcing`] |
 //! | a cheaper inner problem? | [`outer_loop`]: incremental, [`InnerSolver::Dual`] for PSAS; [`Blue`] in closed form |
+//! | without a tangent and an adjoint? | [`EnVar`]: 4D-EnVar, hybrid 4D-EnVar, the iterative ensemble smoother |
+//! | gross errors? | [`StrongConstraint::set_huber`], [`StrongConstraint::background_check`] |
+//! | several minima, a long window? | [`window_growth`] |
+//! | window after window? | [`cycle`] |
 //! | which minimizer? | [`Minimizer`]: [`trust_region`] (default), [`newton_cg`], [`newton`]; with gradients alone [`lbfgs`], [`adam`]; for several minima [`continuation`], [`auto`] |
 //! | how sure? | [`Posterior`], [`LowRankPosterior`], [`Analysis`]; are B and R right? [`consistency`] |
 //!
 //! The system is any `varda_implicit::Model`. Everything is minimised in the control variable v. Not for problems whose posterior has
-//! several modes that matter, nor for models without a tangent and an adjoint.
+//! several modes that matter.
 //!
 //! ```
 //! use std::ops::ControlFlow;
@@ -55,7 +59,9 @@ mod blue;
 mod consistency;
 mod control;
 mod cost;
+mod cycle;
 mod error;
+mod growth;
 mod inner;
 mod minimize;
 mod observation;
@@ -68,10 +74,12 @@ pub use blue::{Blue, Gain};
 pub use consistency::{Consistency, consistency, predicted_variance};
 pub use control::ControlTransform;
 pub use cost::{
-    CostFunction, CostTerms, Counts, Dual, Forcing, GaussNewton, Incremental, InnerCost, StrongConstraint,
-    WeakForcing, WeakState,
+    CostFunction, CostTerms, Counts, Dual, EnVar, EnVarOptions, EnsembleUpdate, Forcing, GaussNewton,
+    Incremental, InnerCost, Rejection, StrongConstraint, WeakForcing, WeakState, huber,
 };
+pub use cycle::{Cycle, CycleErrors, CycledCovariance, CycledEnsemble, Cycling, cycle};
 pub use error::Error;
+pub use growth::{Assimilate, window_growth};
 pub use inner::{InnerEnd, InnerLimits, conjugate_gradients, restricted_conjugate_gradients};
 pub use minimize::{
     AdamOptions, AutoOptions, InverseHessian, Iteration, LbfgsOptions, Minimizer, Minimum, NewtonCgOptions,

@@ -143,6 +143,33 @@ impl ObservationSet {
         })
     }
 
+    /// The operators and the observations, in order of time: what another set can be made of.
+    pub fn into_parts(self) -> (Vec<Box<dyn ObservationOperator>>, Vec<Observation>) {
+        (self.operators, self.observations)
+    }
+
+    /// The set without some stacked rows; those left keep their order.
+    ///
+    /// # Errors
+    /// None: a part of a valid set is valid.
+    ///
+    /// # Panics
+    /// If a row does not exist.
+    pub fn without(self, rows: &[usize]) -> Result<Self, Error> {
+        let mut keep = vec![true; self.dim()];
+        rows.iter().for_each(|&row| keep[row] = false);
+        let (steps, offsets) = (self.steps, self.offsets.clone());
+        let (operators, mut observations) = self.into_parts();
+        for (o, at) in observations.iter_mut().zip(offsets) {
+            let kept: Vec<usize> = (0..o.rows.len()).filter(|i| keep[at + i]).collect();
+            o.rows = kept.iter().map(|&i| o.rows[i]).collect();
+            o.values = kept.iter().map(|&i| o.values[i]).collect();
+            o.sigma = kept.iter().map(|&i| o.sigma[i]).collect();
+        }
+        observations.retain(|o| !o.rows.is_empty());
+        Self::new(steps, operators, observations)
+    }
+
     /// m, the number of stacked rows.
     pub fn dim(&self) -> usize {
         self.values.len()

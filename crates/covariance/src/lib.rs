@@ -7,6 +7,7 @@
 //!   on points without error ([`CovarianceFunction`]);
 //! - a dense matrix, through its Cholesky root ([`Dense`]) or, where it is singular, a root of truncated rank ([`Truncated`]);
 //! - a standard deviation per component ([`Diagonal`]);
+//! - an [`Ensemble`], localized ([`Localization`]), and its [`Hybrid`] with a static covariance;
 //! - other covariances: one shared by the components of a vector field ([`Interleaved`]), several side by side ([`BlockDiagonal`]).
 //!
 //! [`sample()`] draws from N(0, B); [`Spectrum`] says how well conditioned it is.
@@ -57,6 +58,7 @@ mod cholesky;
 mod dense;
 mod diagnostics;
 mod diagonal;
+mod ensemble;
 mod error;
 mod kernel;
 mod operator;
@@ -66,6 +68,7 @@ pub use block::{BlockDiagonal, Interleaved};
 pub use dense::{Dense, Truncated};
 pub use diagnostics::Spectrum;
 pub use diagonal::Diagonal;
+pub use ensemble::{Ensemble, Hybrid, Localization};
 pub use error::Error;
 pub use kernel::{CovarianceFunction, Kernel, Taper, correlation};
 pub use operator::{Covariance, Precision};

@@ -311,7 +311,8 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
 }
 
 fn minimizer(algorithm: &scene::Algorithm) -> Minimizer {
-    let mut minimizer = Minimizer::named(algorithm.minimizer.name()).expect("every scene name is a minimizer's name");
+    let mut minimizer =
+        Minimizer::named(algorithm.minimizer.name()).expect("every scene name is a minimizer's name");
     *minimizer.gradient_tolerance_mut() = algorithm.gradient_tolerance;
     *minimizer.max_iterations_mut() = algorithm.max_iterations;
     minimizer

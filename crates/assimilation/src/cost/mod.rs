@@ -1,17 +1,22 @@
 //! Cost functions of a control vector v, as minimizers see them.
 
 mod dual;
+mod ensemble;
 mod incremental;
 mod model_error;
+mod robust;
 mod strong;
 mod tridiagonal;
 mod weak_forcing;
 mod weak_state;
 
 pub use dual::Dual;
+pub(crate) use ensemble::run_all;
+pub use ensemble::{EnVar, EnVarOptions, EnsembleUpdate};
 pub use incremental::{Incremental, InnerCost};
 pub(crate) use incremental::{columns, solve_identity_plus};
 pub use model_error::Forcing;
+pub use robust::{Rejection, huber};
 pub use strong::StrongConstraint;
 pub use weak_forcing::WeakForcing;
 pub use weak_state::WeakState;

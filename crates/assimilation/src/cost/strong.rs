@@ -1,6 +1,7 @@
 //! Strong-constraint 4D-Var; with a window of zero steps, 3D-Var.
 
 use super::model_error::{Errors, Over};
+use super::robust::huber;
 use super::{CostFunction, CostTerms, Counts, GaussNewton, Incremental, dot};
 use crate::{ControlTransform, Error, ObservationSet};
 use faer::linalg::matmul::matmul;
@@ -27,6 +28,10 @@ pub struct StrongConstraint<'a> {
     /// With model error: the engine of the weak-constraint costs.
     pub(super) errors: Option<Errors<'a>>,
     pub(super) scale: f64,
+    /// δ of the Huber norm; infinite for squares.
+    huber: f64,
+    /// √ρ'' of every row at the point of the last gradient.
+    root_weight: Vec<f64>,
     /// The last step that is run to.
     pub(super) last: usize,
     /// Length of the state.
@@ -136,6 +141,8 @@ impl<'a> StrongConstraint<'a> {
             model_before: model.as_ref().map(|m| m.counts()).unwrap_or_default(),
             model,
             scale: 1.0,
+            huber: f64::INFINITY,
+            root_weight: vec![1.0; m],
             last,
             state_dim,
             base: point(),
@@ -152,6 +159,24 @@ impl<'a> StrongConstraint<'a> {
             observations,
             errors,
         }
+    }
+
+    /// Measures departures by the Huber norm from now on: J_o = Σ ρ_δ(d/σ), see [`huber`](crate::huber). δ is in units of σ; infinity (the
+    /// default) is the sum of squares.
+    ///
+    /// # Errors
+    /// δ that is not positive.
+    pub fn set_huber(&mut self, delta: f64) -> Result<(), Error> {
+        if !(delta > 0.0) {
+            return Err(Error::Setting { what: "the threshold of the Huber norm", value: delta });
+        }
+        self.huber = delta;
+        Ok(())
+    }
+
+    /// δ of the Huber norm in force.
+    pub fn huber_threshold(&self) -> f64 {
+        self.huber
     }
 
     /// The control variable transform.
@@ -309,8 +334,13 @@ impl<'a> StrongConstraint<'a> {
                 }
             }
         }
-        for (dy, sigma) in dy.iter_mut().zip(self.observations.sigma()) {
-            *dy /= self.scale * sigma;
+        self.whiten(dy);
+    }
+
+    /// dy ← √ρ'' R^{-1/2} dy.
+    fn whiten(&self, dy: &mut [f64]) {
+        for ((dy, sigma), root) in dy.iter_mut().zip(self.observations.sigma()).zip(&self.root_weight) {
+            *dy *= root / (self.scale * sigma);
         }
     }
 }
@@ -332,12 +362,12 @@ impl CostFunction for StrongConstraint<'_> {
         for i in 0..self.observations.dim() {
             let sigma = self.scale * self.observations.sigma()[i];
             let d = self.observations.values()[i] - point.predicted[i];
-            sum += (d / sigma) * (d / sigma);
+            sum += huber(self.huber, d / sigma).0;
         }
         let (background, errors) = point.prior.split_at(self.transform.dim());
         let terms = CostTerms {
             background: 0.5 * dot(background, background),
-            observation: 0.5 * sum,
+            observation: sum,
             model_error: errors.iter().fold(0.0, |sum, e| sum + 0.5 * e * e),
         };
         if !terms.total().is_finite() {
@@ -356,7 +386,10 @@ impl CostFunction for StrongConstraint<'_> {
             self.return_to_base()?;
             for i in 0..self.observations.dim() {
                 let sigma = self.scale * self.observations.sigma()[i];
-                self.dy[i] = (self.base.predicted[i] - self.observations.values()[i]) / sigma / sigma;
+                let d = self.observations.values()[i] - self.base.predicted[i];
+                let (_, slope, curvature) = huber(self.huber, d / sigma);
+                self.dy[i] = -slope / sigma;
+                self.root_weight[i] = curvature.sqrt();
             }
             self.counts.gradients += 1;
             if self.observations.dim() == 0 {
@@ -407,9 +440,10 @@ impl GaussNewton for StrongConstraint<'_> {
     fn observation_jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
         assert_eq!(dy.len(), self.observations.dim(), "length of dy");
         self.return_to_base()?;
-        for i in 0..dy.len() {
-            self.dy[i] = dy[i] / (self.scale * self.observations.sigma()[i]);
-        }
+        let mut whitened = std::mem::take(&mut self.dy);
+        whitened.copy_from_slice(dy);
+        self.whiten(&mut whitened);
+        self.dy = whitened;
         self.adjoint_sweep(dv);
         Ok(())
     }
@@ -418,9 +452,7 @@ impl GaussNewton for StrongConstraint<'_> {
         self.return_to_base()?;
         let mut dy = std::mem::take(&mut self.dy);
         self.tangent_sweep(dv, &mut dy);
-        for (dy, sigma) in dy.iter_mut().zip(self.observations.sigma()) {
-            *dy /= self.scale * sigma;
-        }
+        self.whiten(&mut dy);
         self.dy = dy;
         self.adjoint_sweep(out);
         for (out, dv) in out.iter_mut().zip(dv) {
@@ -460,6 +492,13 @@ impl GaussNewton for StrongConstraint<'_> {
 
 impl Incremental for StrongConstraint<'_> {
     fn linearize(&mut self, v: &[f64], gradient: &mut [f64]) -> Result<f64, Error> {
+        // The inner problem is one of least squares; Huber's norm is not.
+        if self.huber.is_finite() {
+            return Err(Error::Setting {
+                what: "a Huber threshold in an incremental or dual form",
+                value: self.huber,
+            });
+        }
         self.evaluate(v, Some(gradient))
     }
 

@@ -1,12 +1,17 @@
 //! Tests of the crate through its public face.
 
 mod cost;
+mod coverage;
+mod cycles;
+mod ensemble;
 mod family;
 mod fixtures;
+mod growth;
 mod matrix;
 mod minima;
 mod minimizers;
 mod models;
 mod observations;
-mod weak;
 mod posteriors;
+mod robust;
+mod weak;

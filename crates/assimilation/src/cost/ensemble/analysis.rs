@@ -1,0 +1,250 @@
+//! From the linearized ensemble to the analysis: exact solves, outer iterations, the posterior ensemble.
+
+use super::EnVar;
+use crate::cost::{CostFunction, dot, norm};
+use crate::minimize::eigen;
+use crate::{Error, Iteration, Minimum, Status};
+use std::ops::ControlFlow;
+
+/// Settings of [`EnVar::minimize`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct EnVarOptions {
+    /// Linearizations at most; 1 is 4D-EnVar proper, more the iterative ensemble smoother.
+    pub max_outer: usize,
+    /// Converged when a step ‖Δv‖ (in standard deviations of the prior) is at most this.
+    pub step_tolerance: f64,
+}
+
+impl Default for EnVarOptions {
+    fn default() -> Self {
+        Self { max_outer: 10, step_tolerance: 1e-3 }
+    }
+}
+
+/// How the perturbations of an ensemble are brought from the prior to the posterior.
+pub enum EnsembleUpdate<'u> {
+    /// x_i ← x_i − U Gᵀ φ(GGᵀ) Y_i, φ(λ) = 1 / (√(1+λ) (√(1+λ) + 1)): deterministic. Without localization this is the symmetric square root
+    /// X (I + GᵀG)^{-1/2} of Bocquet and Sakov (2014), with it the modified gain of Bishop, Whitaker and Lei (2017).
+    SquareRoot,
+    /// x_i ← x_i + U Gᵀ (I + GGᵀ)⁻¹ (ε_i − Y_i): an ensemble of assimilations, each with its own perturbed observations. The closure draws
+    /// standard normals; the perturbations are centred over the members.
+    PerturbedObservations(&'u mut dyn FnMut() -> f64),
+}
+
+/// Eigenpairs of GGᵀ or of GᵀG, whichever is smaller.
+struct Gram {
+    dual: bool,
+    values: Vec<f64>,
+    vectors: Vec<f64>,
+}
+
+impl EnVar<'_> {
+    /// Gauss–Newton with exact solves: linearize, go to the minimum of J, until a step is at most `step_tolerance`. Starts from `v`,
+    /// and leaves the analysis in it.
+    ///
+    /// A step after which the nonlinear J is higher is halved, unless it is shorter than 0.1: ensemble differences of finite
+    /// spread do not resolve J more finely. The last step is not followed by a run of the ensemble; `value` and the gradient are those of
+    /// the quadratic J there.
+    ///
+    /// # Errors
+    /// A first point at which the model fails, `max_outer` = 0, an eigenvalue iteration that fails. A step on which the model fails
+    /// however short ends the run as `Stalled`.
+    ///
+    /// # Panics
+    /// If `v` is not of length `dim`.
+    pub fn minimize(
+        &mut self,
+        v: &mut [f64],
+        options: &EnVarOptions,
+        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+    ) -> Result<Minimum, Error> {
+        if options.max_outer == 0 {
+            return Err(Error::Setting { what: "max_outer", value: 0.0 });
+        }
+        if self.base.v != v {
+            self.relinearize(v)?;
+        }
+        let n = self.dim();
+        let (mut target, mut trial, mut gradient) = (vec![0.0; n], vec![0.0; n], vec![0.0; n]);
+        let (mut first, mut step_norm, mut rejected) = (f64::NAN, 0.0, 0);
+        let mut failure = None;
+        let mut outer = 0;
+        let mut status = loop {
+            let value = self.evaluate(v, Some(&mut gradient))?;
+            let gradient_norm = norm(&gradient);
+            if outer == 0 {
+                first = gradient_norm;
+            }
+            let flow = on_iteration(&Iteration {
+                index: outer,
+                value,
+                terms: self.terms,
+                gradient_norm,
+                step_norm,
+                damping: 0.0,
+                rejected,
+                inner_iterations: 0,
+                observation_scale: self.scale,
+                counts: self.counts(),
+                v,
+            });
+            if flow.is_break() {
+                break Status::Interrupted;
+            }
+            self.solve(&mut target)?;
+            let mut length = 1.0;
+            let full = target.iter().zip(&*v).map(|(t, v)| (t - v) * (t - v)).sum::<f64>().sqrt();
+            outer += 1;
+            if full <= options.step_tolerance || outer == options.max_outer {
+                v.copy_from_slice(&target);
+                let ended = full <= options.step_tolerance || options.max_outer == 1;
+                break if ended { Status::Converged } else { Status::MaxIterations };
+            }
+            rejected = 0;
+            let moved = loop {
+                trial.iter_mut().zip(v.iter().zip(&target)).for_each(|(x, (v, t))| *x = v + length * (t - v));
+                let lower = length * full <= 0.1
+                    || match self.nonlinear_value(&trial) {
+                        Ok(after) => after <= value,
+                        Err(error) => {
+                            failure = Some(error);
+                            false
+                        }
+                    };
+                if lower {
+                    match self.relinearize(&trial) {
+                        Ok(()) => break true,
+                        Err(error) => failure = Some(error),
+                    }
+                }
+                rejected += 1;
+                length *= 0.5;
+                if rejected > 40 {
+                    break false;
+                }
+            };
+            if !moved {
+                break Status::Stalled;
+            }
+            step_norm = length * full;
+            v.copy_from_slice(&trial);
+        };
+        let value = self.evaluate(v, Some(&mut gradient))?;
+        if !value.is_finite() {
+            status = Status::Failed;
+        }
+        let failure = if matches!(status, Status::Stalled | Status::Failed) { failure } else { None };
+        Ok(Minimum {
+            value,
+            terms: self.terms,
+            gradient_norm_first: first,
+            gradient_norm: norm(&gradient),
+            outer_iterations: outer,
+            inner_iterations: 0,
+            status,
+            failure,
+            ritz: Vec::new(),
+            inverse_hessian: None,
+        })
+    }
+
+    /// v = argmin J: Gᵀ (I + GGᵀ)⁻¹ (d₀ + G v₀), by an eigenvalue decomposition of the smaller of GGᵀ and GᵀG.
+    ///
+    /// # Errors
+    /// An eigenvalue iteration that fails.
+    ///
+    /// # Panics
+    /// If `v` is not of length `dim`.
+    pub fn solve(&mut self, v: &mut [f64]) -> Result<(), Error> {
+        let gram = self.gram()?;
+        let mut w = vec![0.0; self.observations.dim()];
+        self.forward(&self.base.v, &mut w);
+        w.iter_mut().zip(&self.base.d).for_each(|(w, d)| *w += d / self.scale);
+        self.gain(&gram, |lambda| 1.0 / (1.0 + lambda), &w, v);
+        Ok(())
+    }
+
+    /// The perturbations of the posterior ensemble in the control z, scaled as the columns of X, one after the other: their sample covariance
+    /// stands for U (I + GᵀG)⁻¹ Uᵀ at the last linearization.
+    ///
+    /// # Errors
+    /// An eigenvalue iteration that fails.
+    pub fn posterior_perturbations(&mut self, update: &mut EnsembleUpdate) -> Result<Vec<f64>, Error> {
+        let (n_z, m, members) =
+            (self.transform.control_dim(), self.observations.dim(), self.ensemble.members());
+        let gram = self.gram()?;
+        let size = ((members - 1).max(1) as f64).sqrt();
+        let mut whitened: Vec<f64> = self.base.y.iter().map(|y| -y / self.scale).collect();
+        if let EnsembleUpdate::PerturbedObservations(normal) = &mut *update {
+            let noise: Vec<f64> = (0..members * m).map(|_| normal() / size).collect();
+            for a in 0..m {
+                let mean = (0..members).map(|i| noise[i * m + a]).sum::<f64>() / members as f64;
+                (0..members).for_each(|i| whitened[a * members + i] += noise[i * m + a] - mean);
+            }
+        }
+        let phi = |lambda: f64| match update {
+            EnsembleUpdate::SquareRoot => 1.0 / ((1.0 + lambda).sqrt() * ((1.0 + lambda).sqrt() + 1.0)),
+            EnsembleUpdate::PerturbedObservations(_) => 1.0 / (1.0 + lambda),
+        };
+        let mut columns = vec![0.0; members * n_z];
+        let (mut w, mut v, mut dz) = (vec![0.0; m], vec![0.0; self.dim()], vec![0.0; n_z]);
+        for (i, column) in columns.chunks_exact_mut(n_z).enumerate() {
+            (0..m).for_each(|a| w[a] = whitened[a * members + i]);
+            self.gain(&gram, phi, &w, &mut v);
+            self.transform.tangent(&v, &mut dz);
+            self.ensemble.perturbation(i, column);
+            column.iter_mut().zip(&dz).for_each(|(x, dz)| *x += dz);
+        }
+        Ok(columns)
+    }
+
+    fn gram(&self) -> Result<Gram, Error> {
+        let (n, m) = (self.dim(), self.observations.dim());
+        if m == 0 {
+            return Ok(Gram { dual: true, values: Vec::new(), vectors: Vec::new() });
+        }
+        let dual = m <= n;
+        let size = m.min(n);
+        let mut matrix = vec![0.0; size * size];
+        if dual {
+            // β_s² G_s G_sᵀ + β_e² (Y Yᵀ) ∘ (ρ ρᵀ): the Schur product in observation space.
+            let (members, r_s) = (self.ensemble.members(), self.static_dim());
+            let w_s = self.static_part.map_or(0.0, |(_, weight)| weight * weight);
+            let w_e = self.ensemble_weight * self.ensemble_weight;
+            let localization = self.ensemble.localization();
+            let y = |a: usize| &self.base.y[a * members..][..members];
+            let g = |a: usize| &self.base.g_static[a * r_s..][..r_s];
+            for a in 0..m {
+                for b in 0..=a {
+                    let c = dot(localization.row(self.anchors[a]), localization.row(self.anchors[b]));
+                    let value = w_e * c * dot(y(a), y(b)) + w_s * dot(g(a), g(b));
+                    matrix[a + b * m] = value / (self.scale * self.scale);
+                    matrix[b + a * m] = matrix[a + b * m];
+                }
+            }
+        } else {
+            self.normal_matrix(&mut matrix);
+        }
+        let (mut values, vectors) = eigen(size, &matrix)?;
+        values.iter_mut().for_each(|lambda| *lambda = lambda.max(0.0));
+        Ok(Gram { dual, values, vectors })
+    }
+
+    /// v = Gᵀ φ(GGᵀ) w = φ(GᵀG) Gᵀ w.
+    fn gain(&self, gram: &Gram, phi: impl Fn(f64) -> f64, w: &[f64], v: &mut [f64]) {
+        let mut right = if gram.dual { w.to_vec() } else { vec![0.0; self.dim()] };
+        if !gram.dual {
+            self.transpose(w, &mut right);
+        }
+        let mut filtered = vec![0.0; right.len()];
+        for (z, lambda) in gram.vectors.chunks_exact(right.len().max(1)).zip(&gram.values) {
+            let c = phi(*lambda) * dot(z, &right);
+            filtered.iter_mut().zip(z).for_each(|(f, z)| *f += c * z);
+        }
+        if gram.dual {
+            self.transpose(&filtered, v);
+        } else {
+            v.copy_from_slice(&filtered);
+        }
+    }
+}
