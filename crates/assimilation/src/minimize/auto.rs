@@ -33,8 +33,9 @@ impl Default for AutoOptions {
 /// is converged on all ten. On seeds 10 to 39 it is nowhere above what a ladder of 30, 10, 3, 1 reaches; 28 converge, two stall at a
 /// gradient of 10⁻⁵ of the first. On Lorenz-63 over a long window the ladder gains nothing: there the window must grow.
 ///
-/// The ladder's end is taken where it is lower by more than 10⁻⁶ of J, or as low and converged where the first run did not. Rows of both
-/// runs are reported, the second counting on from the first.
+/// The ladder's end is taken where it is lower by more than 10⁻⁶ of J, or where it converged, the first run did not, and J is at most
+/// 10⁻³ higher. Where neither converged, a ladder with one more rung (σ × 30) is climbed down as a last resort. Rows of all runs are
+/// reported, each counting on from the one before.
 ///
 /// Cost: that of the trust region where J_o ≤ 10 m, else two to four times as much.
 ///
@@ -66,28 +67,43 @@ pub(super) fn run(
     let first = v.to_vec();
     cost.evaluate(v, None)?;
     let hard = cost.terms().observation > options.threshold * cost.observation_dim() as f64;
-    let mut plain = minimizer.run(cost, v, start, on_iteration)?;
-    if !hard || plain.status == Status::Interrupted {
-        return Ok(plain);
+    let mut best = minimizer.run(cost, v, start, on_iteration)?;
+    if !hard {
+        return Ok(best);
     }
 
-    let mut other = first;
-    let next = Start { index: plain.outer_iterations, inner: plain.inner_iterations, ..*start };
-    let ladder = continuation::run(&minimizer, cost, &mut other, &options.scales, &next, on_iteration)?;
-    let margin = 1e-6 * plain.value;
-    let converged = |m: &Minimum| m.status == Status::Converged;
-    if ladder.value < plain.value - margin
-        || (ladder.value < plain.value + margin && converged(&ladder) && !converged(&plain))
-    {
-        v.copy_from_slice(&other);
-        return Ok(ladder);
+    let longer: Vec<f64> =
+        options.scales.first().map(|s| 3.0 * s).into_iter().chain(options.scales.iter().copied()).collect();
+    let (mut outer, mut inner) = (best.outer_iterations, best.inner_iterations);
+    for (scales, last_resort) in [(&options.scales, false), (&longer, true)] {
+        if best.status == Status::Interrupted || (last_resort && best.status == Status::Converged) {
+            break;
+        }
+        let mut other = first.clone();
+        let next = Start { index: outer, inner, ..*start };
+        let ladder = continuation::run(&minimizer, cost, &mut other, scales, &next, on_iteration)?;
+        (outer, inner) = (ladder.outer_iterations, ladder.inner_iterations);
+        let interrupted = ladder.status == Status::Interrupted;
+        let margin = if ladder.status == Status::Converged && best.status != Status::Converged {
+            SETTLED
+        } else {
+            -LOWER
+        };
+        if ladder.value < best.value * (1.0 + margin) {
+            v.copy_from_slice(&other);
+            best = ladder;
+        }
+        if interrupted {
+            best.status = Status::Interrupted;
+        }
     }
-    plain.outer_iterations = ladder.outer_iterations;
-    plain.inner_iterations = ladder.inner_iterations;
-    if ladder.status == Status::Interrupted {
-        plain.status = Status::Interrupted;
-    }
+    (best.outer_iterations, best.inner_iterations) = (outer, inner);
     let mut gradient = vec![0.0; v.len()];
     cost.evaluate(v, Some(&mut gradient))?;
-    Ok(plain)
+    Ok(best)
 }
+
+/// An end is taken for lower by this share of J.
+const LOWER: f64 = 1e-6;
+/// A stationary point is preferred to one where the minimizer stalled (the edge of a jump of J) unless J is higher by this share.
+const SETTLED: f64 = 1e-3;
