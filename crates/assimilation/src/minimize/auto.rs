@@ -21,7 +21,7 @@ impl Default for AutoOptions {
     }
 }
 
-/// [`trust_region`](crate::trust_region), and where J_o > 10 m at the first point (m observations) also
+/// [`trust_region`](crate::trust_region), and where J_o > 10 m at the first point (m observations), or it did not converge, also
 /// [`continuation`] through σ × (10, 3, 1) from the same point; of the two ends, the lower.
 ///
 /// When to use: where the observations are much more precise than the background and the model is nonlinear, so that J may
@@ -68,7 +68,7 @@ pub(super) fn run(
     cost.evaluate(v, None)?;
     let hard = cost.terms().observation > options.threshold * cost.observation_dim() as f64;
     let mut best = minimizer.run(cost, v, start, on_iteration)?;
-    if !hard {
+    if !hard && best.status == Status::Converged {
         return Ok(best);
     }
 
