@@ -11,6 +11,7 @@ pub mod costs;
 pub mod problems;
 pub mod row;
 pub mod suites;
+pub mod windows;
 
 pub use row::{Case, Row, Rows, table};
 pub use suites::{Options, SUITES, run};
