@@ -8,6 +8,7 @@
 
 pub mod allocations;
 pub mod costs;
+pub mod methods;
 pub mod problems;
 pub mod row;
 pub mod suites;

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::error::Error;
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet, Selection};
-use varda_covariance::{Covariance, Dense};
+use varda_covariance::{Covariance, Dense, Ensemble, Localization, Taper};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 use varda_implicit::{Model, Refusal, Rhs, Rk4};
 
@@ -273,4 +273,15 @@ pub fn spanning(b: &dyn Covariance, mean: &[f64]) -> Vec<f64> {
         }
     }
     members
+}
+
+/// Five members for the variables of [`RING`], localized.
+///
+/// # Errors
+/// None in practice.
+pub fn localized() -> Result<Ensemble> {
+    let distance = |i: usize, j: usize| i.abs_diff(j) as f64;
+    let taper = Taper::GaspariCohn { support: 5.0 };
+    let members: Vec<f64> = normals(4, 5 * RING).iter().map(|x| 0.3 * x).collect();
+    Ok(Ensemble::new(&members, Localization::by_distance(taper, RING, distance, 0.0)?)?)
 }

@@ -3,11 +3,13 @@
 use super::Options;
 use crate::allocations::allocations;
 use crate::costs::for_each_cost;
+use crate::methods::{Assembled, for_each_method};
 use crate::problems::{HangingRod, rods, wave};
 use crate::row::{Case, Outcome, Row, Rows};
 use std::time::Instant;
 use varda_assimilation::{
-    ControlTransform, CostFunction, GaussNewton, Observation, ObservationSet, Selection, StrongConstraint,
+    ControlTransform, CostFunction, GaussNewton, Incremental, Observation, ObservationSet, Selection,
+    StrongConstraint,
 };
 use varda_covariance::Diagonal;
 use varda_implicit::lorenz::Lorenz96;
@@ -37,6 +39,16 @@ pub(super) fn run(_options: &Options) -> Vec<Row> {
     });
     if let Err(error) = outcome {
         rows.case("assembled costs", |_| Err(error));
+    }
+    let outcome = for_each_method(&mut |name, origin, cost| {
+        rows.case(name, |case| match cost {
+            Assembled::Products(cost) => cost_allocations(case, cost),
+            Assembled::Increments(cost) => increment_allocations(case, origin, cost),
+        });
+        Ok(())
+    });
+    if let Err(error) = outcome {
+        rows.case("methods", |_| Err(error));
     }
     rows.finish()
 }
@@ -193,6 +205,31 @@ fn cost_allocations(case: &mut Case, cost: &mut dyn GaussNewton) -> Outcome {
             case.count("allocations: evaluate", trial, 0);
             case.count("allocations: evaluate with gradient", gradient, 0);
             case.count("allocations: hessian_apply", apply, 0);
+        }
+    }
+    Ok(())
+}
+
+/// The same for a cost whose products are in its increments.
+fn increment_allocations(case: &mut Case, origin: &[f64], cost: &mut dyn Incremental) -> Outcome {
+    let (mut g, mut dy) = (vec![0.0; cost.dim()], vec![0.0; cost.departure_dim()]);
+    let at = |s: usize| origin.iter().enumerate().map(|(i, o)| o + 0.1 * wave(i, 80 + s)).collect();
+    let points: Vec<Vec<f64>> = (0..4).map(at).collect();
+    for (round, pair) in points.chunks_exact(2).enumerate() {
+        let (trial, outcome) = allocations(|| cost.evaluate(&pair[0], None));
+        outcome?;
+        let (gradient, outcome) = allocations(|| cost.linearize(&pair[1], &mut g));
+        outcome?;
+        let p = g.clone();
+        let (apply, outcome) = allocations(|| {
+            cost.tangent(&p, &mut dy)?;
+            cost.adjoint(&dy, &mut g)
+        });
+        outcome?;
+        if round == 1 {
+            case.count("allocations: evaluate", trial, 0);
+            case.count("allocations: linearize", gradient, 0);
+            case.count("allocations: tangent and adjoint", apply, 0);
         }
     }
     Ok(())

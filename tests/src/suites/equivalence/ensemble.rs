@@ -2,13 +2,15 @@
 
 use super::{gap, go_on};
 use crate::row::{Case, Outcome, Rows};
-use crate::windows::{RING, all_of, coupled, difference, normals, observation, ring, ring_model, spanning};
+use crate::windows::{
+    RING, all_of, coupled, difference, localized, normals, observation, ring, ring_model, spanning,
+};
 use std::error::Error;
 use varda_assimilation::{
     ControlTransform, CostFunction, EnVar, EnVarOptions, EnsembleUpdate, NewtonOptions, ObservationSet,
     Posterior, StrongConstraint, newton,
 };
-use varda_covariance::{Ensemble, Hybrid, Localization, Taper};
+use varda_covariance::{Ensemble, Hybrid, Localization};
 use varda_implicit::lorenz::Lorenz96;
 use varda_implicit::{Model, Rk4};
 
@@ -56,14 +58,6 @@ fn spans(case: &mut Case) -> Outcome {
 
 fn make() -> Box<dyn Model + Send> {
     Box::new(Rk4::new(Lorenz96::new(RING, 8.0), 0, 0.03))
-}
-
-/// Five members, localized.
-pub(in crate::suites) fn localized() -> Result<Ensemble> {
-    let distance = |i: usize, j: usize| i.abs_diff(j) as f64;
-    let localization = Localization::by_distance(Taper::GaspariCohn { support: 5.0 }, RING, distance, 0.0)?;
-    let members: Vec<f64> = normals(4, 5 * RING).iter().map(|x| 0.3 * x).collect();
-    Ok(Ensemble::new(&members, localization)?)
 }
 
 fn ends(case: &mut Case) -> Outcome {

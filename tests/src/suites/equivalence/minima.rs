@@ -7,8 +7,8 @@ use crate::suites::golden::twin;
 use crate::windows::{difference, long_lorenz63};
 use std::error::Error;
 use varda_assimilation::{
-    AdamOptions, ControlTransform, CostFunction, InnerSolver, Minimizer, Minimum, NewtonCgOptions,
-    OuterLoopOptions, Status, StrongConstraint, TrustRegionOptions, outer_loop, window_growth,
+    ControlTransform, CostFunction, InnerSolver, Minimizer, Minimum, NewtonCgOptions, OuterLoopOptions,
+    Status, StrongConstraint, TrustRegionOptions, outer_loop, window_growth,
 };
 use varda_covariance::Diagonal;
 use varda_implicit::Rk4;
@@ -40,7 +40,6 @@ fn every_minimizer(case: &mut Case, name: &str) -> Outcome {
     minimizers.push(("trust-region by products".into(), Minimizer::TrustRegion(products)));
     let pairs = NewtonCgOptions { preconditioner_pairs: 100, ..Default::default() };
     minimizers.push(("gauss-newton-cg, preconditioned".into(), Minimizer::NewtonCg(pairs)));
-    minimizers.push(("adam, 5000 steps".into(), Minimizer::Adam(adam())));
     twin::shipped(name, &mut |cost, _, least| {
         let n = cost.dim();
         for (name, minimizer) in &minimizers {
@@ -59,10 +58,6 @@ fn every_minimizer(case: &mut Case, name: &str) -> Outcome {
         }
         Ok(())
     })
-}
-
-fn adam() -> AdamOptions {
-    AdamOptions { max_iterations: 5000, ..Default::default() }
 }
 
 fn row(case: &mut Case, name: &str, found: &Minimum, least: f64, required: bool) {
