@@ -37,8 +37,12 @@ pub(super) fn rows(rows: &mut Rows) {
         let transform = ControlTransform::new(background, &b)?;
         iterates(case, &mut StrongConstraint::new(&mut model, transform, &mut set)?, 44)
     });
-    rows.case("lorenz96, 30 variables, model error", |case| {
-        let (mut model, background, mut set) = windows::wide()?;
+    rows.case("lorenz96, 30 variables, model error, many iterations", |case| {
+        let (mut model, background, _) = windows::wide()?;
+        let values = normals(55, 120);
+        let whole: Vec<usize> = (0..30).collect();
+        let seen = (0..4).map(|j| observation(&whole, 2 * j, 0.0, &values[30 * j..30 * j + 30], 0.01));
+        let mut set = ObservationSet::new(6, vec![windows::all_of(30)?], seen.collect())?;
         let (b, q) = (coupled(30, 1.0)?, coupled(30, 0.3)?);
         let transform = ControlTransform::new(background, &b)?;
         iterates(

@@ -6,6 +6,8 @@ mod minima;
 mod posterior;
 mod weak;
 
+pub(super) use linear::{closed_form, linear_3dvar};
+
 use super::Options;
 use crate::row::{Row, Rows};
 use std::ops::ControlFlow;
