@@ -51,6 +51,7 @@ pub(super) fn rows(rows: &mut Rows) {
             56,
         )
     });
+    rows.case("lorenz96, 6 variables, curved H", wrong_adjoint);
     rows.case("linear window", filter_and_smoother);
     rows.case("linear window", one_outer_loop);
     rows.case("lorenz96, 30 variables", one_minimum);
@@ -131,31 +132,84 @@ fn static_methods(case: &mut Case, b: &dyn Covariance) -> Outcome {
     Ok(())
 }
 
-/// Both inner solvers, iterate for iterate, until |r| ≤ 1e-10 |r₀|, at two outer iterates.
+/// Both inner solvers at two outer iterates.
 fn iterates(case: &mut Case, problem: &mut dyn Incremental, seed: u64) -> Outcome {
     let n = problem.dim();
     let there: Vec<f64> = normals(seed, n).iter().map(|v| 0.3 * v).collect();
     for (name, v) in [("background", vec![0.0; n]), ("second iterate", there)] {
-        let (mut g, mut primal, mut dual) = (vec![0.0; n], vec![0.0; n], vec![0.0; n]);
-        problem.linearize(&v, &mut g)?;
-        let mut worst = 0.0f64;
-        let mut done = 0;
-        for iterations in 1..=2 * n {
-            let limits = InnerLimits { residual: 1e-10, iterations };
-            let one = conjugate_gradients(problem, &g, &limits, &mut primal)?;
-            let two = restricted_conjugate_gradients(problem, &limits, &mut dual)?;
-            worst = worst.max(difference(&dual, &primal)).max((one.residual - two.residual).abs());
-            if worst.is_nan() {
-                return Err("iterates that are not finite".into());
-            }
-            done = one.iterations;
-            if done < iterations || one.residual <= 1e-10 {
-                break;
-            }
-        }
+        let (iterations, worst) = compare_iterates(problem, &v)?;
         case.at_most(&format!("primal = dual iterates, {name}"), worst, 1e-9, "-")
-            .note(format!("{done} iterations"));
+            .note(format!("{iterations} iterations"));
     }
+    Ok(())
+}
+
+/// Iterate for iterate until |r| ≤ 1e-10 |r₀|: how many, and the largest relative difference.
+fn compare_iterates(problem: &mut dyn Incremental, v: &[f64]) -> Result<(usize, f64)> {
+    let n = problem.dim();
+    let (mut g, mut primal, mut dual) = (vec![0.0; n], vec![0.0; n], vec![0.0; n]);
+    problem.linearize(v, &mut g)?;
+    let mut worst = 0.0f64;
+    for iterations in 1..=2 * n {
+        let limits = InnerLimits { residual: 1e-10, iterations };
+        let one = conjugate_gradients(problem, &g, &limits, &mut primal)?;
+        let two = restricted_conjugate_gradients(problem, &limits, &mut dual)?;
+        let apart = difference(&dual, &primal);
+        if !apart.is_finite() {
+            return Err("iterates that are not finite".into());
+        }
+        worst = worst.max(apart).max((one.residual - two.residual).abs());
+        if one.iterations < iterations || one.residual <= 1e-10 {
+            return Ok((one.iterations, worst));
+        }
+    }
+    Err("conjugate gradients did not end".into())
+}
+
+/// A model whose adjoint is wrong by a thousandth in one entry of its first step.
+struct WrongAdjoint<M>(M);
+
+impl<M: Model> Model for WrongAdjoint<M> {
+    fn dim(&self) -> usize {
+        self.0.dim()
+    }
+    fn step(
+        &mut self,
+        k: usize,
+        x: &[f64],
+        x_next: &mut [f64],
+    ) -> std::result::Result<(), varda_implicit::Error> {
+        self.0.step(k, x, x_next)
+    }
+    fn linearize(
+        &mut self,
+        k: usize,
+        x: &[f64],
+        x_next: &[f64],
+    ) -> std::result::Result<(), varda_implicit::Error> {
+        self.0.linearize(k, x, x_next)
+    }
+    fn tangent(&mut self, k: usize, dx: &mut [f64]) {
+        self.0.tangent(k, dx);
+    }
+    fn adjoint(&mut self, k: usize, lambda: &mut [f64]) {
+        self.0.adjoint(k, lambda);
+        lambda[0] *= if k == 0 { 1.001 } else { 1.0 };
+    }
+    fn counts(&self) -> varda_implicit::Counts {
+        self.0.counts()
+    }
+}
+
+fn wrong_adjoint(case: &mut Case) -> Outcome {
+    let (model, background, mut set) = windows::curved()?;
+    let mut model = WrongAdjoint(model);
+    let b = coupled(6, 0.5)?;
+    let transform = ControlTransform::new(background, &b)?;
+    let mut cost = StrongConstraint::new(&mut model, transform, &mut set)?;
+    let (_, worst) = compare_iterates(&mut cost, &normals(7, 6))?;
+    case.at_most("guard: 1e-6 / |primal − dual| with a wrong adjoint", 1e-6 / worst, 1.0, "-")
+        .computed(worst);
     Ok(())
 }
 
