@@ -66,6 +66,13 @@ pub fn for_each_method(visit: &mut Visit) -> Result<()> {
         products(&format!("dual cost, {name} outer iterate"), &mut Dual::new(&mut cost)?)?;
     }
     cost.set_huber(2.0)?;
+    cost.evaluate(&[0.0; 6], None)?;
+    let seen = cost.observations();
+    let rows = cost.predicted().iter().zip(seen.values()).zip(seen.sigma());
+    let inside = rows.filter(|((p, y), s)| (*y - *p).abs() <= 2.0 * **s).count();
+    if inside == 0 || inside == seen.dim() {
+        return Err(format!("{inside} of {} rows inside the threshold: an empty test", seen.dim()).into());
+    }
     products("4dvar, huber norm", &mut cost)?;
     drop(cost);
 
