@@ -2,7 +2,6 @@
 
 use super::{gap, go_on};
 use crate::row::{Case, Outcome, Rows};
-use crate::suites::Options;
 use crate::suites::golden::twin;
 use crate::windows::{difference, long_lorenz63};
 use std::error::Error;
@@ -14,7 +13,7 @@ use varda_covariance::Diagonal;
 use varda_implicit::Rk4;
 use varda_implicit::lorenz::Lorenz63;
 
-pub(super) fn rows(rows: &mut Rows, _options: &Options) {
+pub(super) fn rows(rows: &mut Rows) {
     for name in ["lin3dvar", "l63", "l96"] {
         rows.case(name, |case| every_minimizer(case, name));
     }

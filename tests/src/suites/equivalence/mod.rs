@@ -13,13 +13,13 @@ use crate::row::{Row, Rows};
 use std::ops::ControlFlow;
 use varda_assimilation::{Error, Incremental, InnerSolver, Iteration, Minimum, OuterLoopOptions, outer_loop};
 
-pub(super) fn run(options: &Options) -> Vec<Row> {
+pub(super) fn run(_options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("equivalence");
     linear::rows(&mut rows);
     weak::rows(&mut rows);
     ensemble::rows(&mut rows);
-    posterior::rows(&mut rows, options);
-    minima::rows(&mut rows, options);
+    posterior::rows(&mut rows);
+    minima::rows(&mut rows);
     rows.finish()
 }
 

@@ -2,7 +2,6 @@
 
 use super::go_on;
 use crate::row::{Case, Outcome, Rows};
-use crate::suites::Options;
 use crate::suites::golden::twin;
 use crate::windows::{RING, coupled, difference, dot, normals, ring, ring_model, spanning, states};
 use nalgebra::DMatrix;
@@ -19,7 +18,7 @@ use varda_implicit::Model;
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
-pub(super) fn rows(rows: &mut Rows, _options: &Options) {
+pub(super) fn rows(rows: &mut Rows) {
     // L-BFGS knows the directions it has passed through: most of 25, but not all of 40, so that the second only informs. 0.25 is four
     // times what was seen, not a theory.
     for (name, runs, lbfgs_trace) in [
@@ -32,8 +31,8 @@ pub(super) fn rows(rows: &mut Rows, _options: &Options) {
             })
         });
     }
-    rows.case("200 linear twins, 4dvar", |case| coverage(case, 1.0, &by_strong));
-    rows.case("200 linear twins, 4denvar", |case| coverage(case, 1.0, &by_ensemble));
+    rows.case("200 linear twins, 4dvar", |case| coverage(case, &by_strong));
+    rows.case("200 linear twins, 4denvar", |case| coverage(case, &by_ensemble));
     rows.case("200 linear twins, guard", |case| {
         // A B four times too small: the claims of the analysis must be found wrong.
         let tally = tally(0.5, &by_strong)?;
@@ -159,8 +158,8 @@ fn tally(claimed: f64, analyse: &Analyse) -> Result<Tally> {
     Ok(tally)
 }
 
-fn coverage(case: &mut Case, claimed: f64, analyse: &Analyse) -> Outcome {
-    let tally = tally(claimed, analyse)?;
+fn coverage(case: &mut Case, analyse: &Analyse) -> Outcome {
+    let tally = tally(1.0, analyse)?;
     let (middle, half) = INSIDE;
     for (i, &count) in tally.inside.iter().enumerate() {
         case.at_most(
