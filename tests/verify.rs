@@ -36,6 +36,11 @@ fn counts() {
 }
 
 #[test]
+fn equivalence() {
+    check("equivalence");
+}
+
+#[test]
 fn paper() {
     check("paper");
 }

@@ -8,9 +8,11 @@
 
 pub mod allocations;
 pub mod costs;
+pub mod methods;
 pub mod problems;
 pub mod row;
 pub mod suites;
+pub mod windows;
 
 pub use row::{Case, Row, Rows, table};
 pub use suites::{Options, SUITES, run};

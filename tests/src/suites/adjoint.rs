@@ -2,9 +2,10 @@
 
 use super::Options;
 use crate::costs::for_each_cost;
+use crate::methods::{Assembled, for_each_method};
 use crate::problems::{HangingRod, rod_scale, rods, wave};
 use crate::row::{Case, Outcome, Row, Rows};
-use varda_assimilation::GaussNewton;
+use varda_assimilation::{GaussNewton, Incremental};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 use varda_implicit::{Counts, Error, ImplicitModel, Keep, Model, OneLeg, Rk4, Trajectory, check};
 
@@ -47,6 +48,16 @@ pub(super) fn run(_options: &Options) -> Vec<Row> {
     });
     if let Err(error) = outcome {
         rows.case("assembled costs", |_| Err(error));
+    }
+    let outcome = for_each_method(&mut |name, origin, cost| {
+        rows.case(name, |case| match cost {
+            Assembled::Products(cost) => assembled(case, cost),
+            Assembled::Increments(cost) => increments(case, origin, cost),
+        });
+        Ok(())
+    });
+    if let Err(error) = outcome {
+        rows.case("methods", |_| Err(error));
     }
     rows.case("guard", guard);
     rows.finish()
@@ -97,16 +108,37 @@ fn initial_map(case: &mut Case, model: &mut dyn Model, scale: &[f64]) -> Outcome
     dot_product_row(case, "initial state: dot product", n, m, &mut forward, &mut backward)
 }
 
-/// G and Gᵀ of an assembled cost.
+/// G and Gᵀ of an assembled cost, at two successive controls.
 fn assembled(case: &mut Case, cost: &mut dyn GaussNewton) -> Outcome {
     let (n, m) = (cost.dim(), cost.observation_dim());
-    let v: Vec<f64> = (0..n).map(|i| 0.3 * wave(i, 11)).collect();
-    cost.evaluate(&v, Some(&mut vec![0.0; n]))?;
-    let cost = std::cell::RefCell::new(cost);
-    let mut forward = |dv: &[f64], dy: &mut [f64]| Ok(cost.borrow_mut().observation_jacobian(dv, dy)?);
-    let mut backward =
-        |dy: &[f64], dv: &mut [f64]| Ok(cost.borrow_mut().observation_jacobian_transpose(dy, dv)?);
-    dot_product_row(case, "assembled: dot product", n, m, &mut forward, &mut backward)
+    for (what, size) in AT {
+        let v: Vec<f64> = (0..n).map(|i| size * wave(i, 11)).collect();
+        cost.evaluate(&v, Some(&mut vec![0.0; n]))?;
+        let cost = std::cell::RefCell::new(&mut *cost);
+        let mut forward = |dv: &[f64], dy: &mut [f64]| Ok(cost.borrow_mut().observation_jacobian(dv, dy)?);
+        let mut backward =
+            |dy: &[f64], dv: &mut [f64]| Ok(cost.borrow_mut().observation_jacobian_transpose(dy, dv)?);
+        dot_product_row(case, what, n, m, &mut forward, &mut backward)?;
+    }
+    Ok(())
+}
+
+/// Size of the two controls.
+const AT: [(&str, f64); 2] =
+    [("assembled: dot product, first control", 0.3), ("assembled: dot product, second control", 0.5)];
+
+/// The same of a cost whose products are in its increments.
+fn increments(case: &mut Case, origin: &[f64], cost: &mut dyn Incremental) -> Outcome {
+    let (n, m) = (cost.dim(), cost.departure_dim());
+    for (what, size) in AT {
+        let v: Vec<f64> = origin.iter().enumerate().map(|(i, o)| o + size * wave(i, 11)).collect();
+        cost.linearize(&v, &mut vec![0.0; n])?;
+        let cost = std::cell::RefCell::new(&mut *cost);
+        let mut forward = |p: &[f64], dy: &mut [f64]| Ok(cost.borrow_mut().tangent(p, dy)?);
+        let mut backward = |dy: &[f64], p: &mut [f64]| Ok(cost.borrow_mut().adjoint(dy, p)?);
+        dot_product_row(case, what, n, m, &mut forward, &mut backward)?;
+    }
+    Ok(())
 }
 
 type Map<'a> = dyn FnMut(&[f64], &mut [f64]) -> Outcome + 'a;

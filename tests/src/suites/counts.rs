@@ -1,15 +1,22 @@
 //! Work counted exactly: what is not needed is not done.
 
 use super::Options;
+use super::equivalence::{closed_form, linear_3dvar};
 use crate::allocations::allocations;
 use crate::costs::for_each_cost;
+use crate::methods::{Assembled, for_each_method};
 use crate::problems::{HangingRod, rods, wave};
 use crate::row::{Case, Outcome, Row, Rows};
+use crate::windows::{Thin, all_of, coupled, difference, localized, normals, observation, ring};
+use std::cell::Cell;
+use std::ops::ControlFlow;
 use std::time::Instant;
 use varda_assimilation::{
-    ControlTransform, CostFunction, GaussNewton, Observation, ObservationSet, Selection, StrongConstraint,
+    ControlTransform, CostFunction, EnVar, EnVarOptions, GaussNewton, Incremental, InnerSolver, Iteration,
+    Minimizer, Observation, ObservationSet, OuterLoopOptions, Posterior, Selection, StrongConstraint,
+    outer_loop,
 };
-use varda_covariance::Diagonal;
+use varda_covariance::{Covariance, Diagonal, Hybrid};
 use varda_implicit::lorenz::Lorenz96;
 use varda_implicit::{Counts, Model, Rk4};
 
@@ -27,6 +34,9 @@ pub(super) fn run(_options: &Options) -> Vec<Row> {
         }
         Err(error) => rows.case("rods", |_| Err(error)),
     }
+    rows.case("4denvar", no_derivatives);
+    rows.case("3dvar, incremental, psas", no_model);
+    rows.case("4d-psas", no_inverse);
     rows.case("lorenz96 rk4", |case| {
         let x: Vec<f64> = (0..40).map(|i| 8.0 + 4.0 * wave(i, 0)).collect();
         model_allocations(case, &mut Rk4::new(Lorenz96::new(40, 8.0), 0, 0.0125), &x)
@@ -37,6 +47,16 @@ pub(super) fn run(_options: &Options) -> Vec<Row> {
     });
     if let Err(error) = outcome {
         rows.case("assembled costs", |_| Err(error));
+    }
+    let outcome = for_each_method(&mut |name, origin, cost| {
+        rows.case(name, |case| match cost {
+            Assembled::Products(cost) => cost_allocations(case, cost),
+            Assembled::Increments(cost) => increment_allocations(case, origin, cost),
+        });
+        Ok(())
+    });
+    if let Err(error) = outcome {
+        rows.case("methods", |_| Err(error));
     }
     rows.finish()
 }
@@ -135,6 +155,109 @@ fn early(case: &mut Case) -> Outcome {
     Ok(())
 }
 
+/// 4D-EnVar and its hybrid, through outer loops to the minimum and to the posterior: forward runs only.
+fn no_derivatives(case: &mut Case) -> Outcome {
+    let b = coupled(6, 0.4)?;
+    let hybrid = Hybrid::new(&b, 0.6, localized()?, 0.8)?;
+    let make = || -> Box<dyn Model + Send> { Box::new(Rk4::new(Lorenz96::new(6, 8.0), 0, 0.03)) };
+    let (background, anchors) = (normals(5, 6), [0, 2, 5].repeat(4));
+    let (mut set, mut again) = (ring(&normals(6, 12))?, ring(&normals(6, 12))?);
+    let ensemble = hybrid.ensemble();
+    let pure = EnVar::new(&make, background.clone(), ensemble, &mut set, &anchors)?;
+    let mixed = EnVar::hybrid(&make, background, &hybrid, &mut again, &anchors)?;
+    for (name, mut cost) in [("4denvar", pure), ("hybrid", mixed)] {
+        let options = EnVarOptions { max_outer: 3, step_tolerance: 1e-12 };
+        let mut v = vec![0.0; cost.dim()];
+        let minimum = cost.minimize(&mut v, &options, &mut |_| ControlFlow::Continue(()))?;
+        Posterior::new(&mut cost)?;
+        let counts = cost.counts();
+        case.count(&format!("{name}: outer loops"), minimum.outer_iterations, 3);
+        case.count(&format!("{name}: linearizations"), counts.model.linearizations, 0);
+        case.count(&format!("{name}: tangent steps"), counts.model.tangent_steps, 0);
+        case.count(&format!("{name}: adjoint steps"), counts.model.adjoint_steps, 0);
+        let sweeps = counts.tangent_sweeps + counts.adjoint_sweeps;
+        case.count(&format!("{name}: tangent and adjoint sweeps"), sweeps, 0);
+        // The last observation is at step 10.
+        case.count(&format!("{name}: steps"), counts.model.model_steps, 10 * counts.forward_runs);
+        let ran = usize::from(counts.forward_runs >= 4 * 5);
+        case.count(&format!("{name}: members were run in every loop"), ran, 1);
+    }
+    Ok(())
+}
+
+/// Nothing observed after step 0: a model that is there is not called.
+fn no_model(case: &mut Case) -> Outcome {
+    let seen = observation(&[0, 2], 0, 0.0, &[1.0, 2.0], 0.3);
+    let mut set = ObservationSet::new(20, vec![all_of(6)?], vec![seen])?;
+    let b = coupled(6, 0.5)?;
+    let mut model = Rk4::new(Lorenz96::new(6, 8.0), 0, 0.03);
+    let transform = ControlTransform::new(normals(5, 6), &b)?;
+    let mut cost = StrongConstraint::new(&mut model, transform, &mut set)?;
+    let go_on = &mut |_: &Iteration| ControlFlow::Continue(());
+    Minimizer::default().minimize(&mut cost, &mut [0.0; 6], go_on)?;
+    for inner in [InnerSolver::Primal, InnerSolver::Dual, InnerSolver::Direct] {
+        outer_loop(&mut cost, &mut [0.0; 6], &OuterLoopOptions { inner, ..Default::default() }, go_on)?;
+    }
+    Posterior::new(&mut cost)?;
+    let Counts { model_steps, substeps, tangent_steps, adjoint_steps, linearizations, .. } =
+        cost.counts().model;
+    let calls = model_steps + substeps + tangent_steps + adjoint_steps + linearizations;
+    case.count("model calls", calls, 0);
+    case.count("gradients were asked for", usize::from(cost.counts().gradients > 0), 1);
+    Ok(())
+}
+
+/// B is known by its root alone and has no `Precision`: with its products the dual still ends at the analysis of (2.2).
+fn no_inverse(case: &mut Case) -> Outcome {
+    let (expected, _) = closed_form(&Thin)?;
+    let (background, mut set) = linear_3dvar()?;
+    let b = Counted { products: Cell::new(0) };
+    let transform = ControlTransform::new(background, &b)?;
+    let mut cost = StrongConstraint::without_model(transform.clone(), &mut set)?;
+    let mut v = vec![0.0; transform.dim()];
+    let options = OuterLoopOptions { inner: InnerSolver::Dual, inner_tolerance: 1e-14, ..Default::default() };
+    outer_loop(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(()))?;
+    let mut z = vec![0.0; 5];
+    transform.control(&v, &mut z);
+    case.at_most("analysis by a B without inverse", difference(&z, &expected), 1e-10, "-");
+    let products = b.products.get();
+    case.count("products with a root of B were made", usize::from(products > 0), 1);
+    let counts = cost.counts();
+    // One for every control that is run or swept, none for anything else, and ours above.
+    let sweeps = counts.forward_runs + counts.tangent_sweeps + counts.adjoint_sweeps + 1;
+    case.count("products with a root of B", products, sweeps);
+    Ok(())
+}
+
+/// [`Thin`], counting.
+struct Counted {
+    products: Cell<usize>,
+}
+
+impl Covariance for Counted {
+    fn dim(&self) -> usize {
+        Thin.dim()
+    }
+    fn root_dim(&self) -> usize {
+        Thin.root_dim()
+    }
+    fn apply(&self, x: &[f64], y: &mut [f64]) {
+        self.products.set(self.products.get() + 1);
+        Thin.apply(x, y);
+    }
+    fn root(&self, v: &[f64], x: &mut [f64]) {
+        self.products.set(self.products.get() + 1);
+        Thin.root(v, x);
+    }
+    fn root_transpose(&self, x: &[f64], v: &mut [f64]) {
+        self.products.set(self.products.get() + 1);
+        Thin.root_transpose(x, v);
+    }
+    fn variance(&self, variance: &mut [f64]) {
+        Thin.variance(variance);
+    }
+}
+
 /// Requests for memory in a model's calls, after each was made once.
 fn model_allocations(case: &mut Case, model: &mut dyn Model, z: &[f64]) -> Outcome {
     let mut x = vec![0.0; model.dim()];
@@ -193,6 +316,31 @@ fn cost_allocations(case: &mut Case, cost: &mut dyn GaussNewton) -> Outcome {
             case.count("allocations: evaluate", trial, 0);
             case.count("allocations: evaluate with gradient", gradient, 0);
             case.count("allocations: hessian_apply", apply, 0);
+        }
+    }
+    Ok(())
+}
+
+/// The same for a cost whose products are in its increments.
+fn increment_allocations(case: &mut Case, origin: &[f64], cost: &mut dyn Incremental) -> Outcome {
+    let (mut g, mut dy) = (vec![0.0; cost.dim()], vec![0.0; cost.departure_dim()]);
+    let at = |s: usize| origin.iter().enumerate().map(|(i, o)| o + 0.1 * wave(i, 80 + s)).collect();
+    let points: Vec<Vec<f64>> = (0..4).map(at).collect();
+    for (round, pair) in points.chunks_exact(2).enumerate() {
+        let (trial, outcome) = allocations(|| cost.evaluate(&pair[0], None));
+        outcome?;
+        let (gradient, outcome) = allocations(|| cost.linearize(&pair[1], &mut g));
+        outcome?;
+        let p = g.clone();
+        let (apply, outcome) = allocations(|| {
+            cost.tangent(&p, &mut dy)?;
+            cost.adjoint(&dy, &mut g)
+        });
+        outcome?;
+        if round == 1 {
+            case.count("allocations: evaluate", trial, 0);
+            case.count("allocations: linearize", gradient, 0);
+            case.count("allocations: tangent and adjoint", apply, 0);
         }
     }
     Ok(())

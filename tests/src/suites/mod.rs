@@ -2,6 +2,7 @@
 
 mod adjoint;
 mod counts;
+mod equivalence;
 mod golden;
 mod hessian;
 mod paper;
@@ -48,6 +49,7 @@ pub const SUITES: &[Suite] = &[
     Suite { name: "hessian", run: |options| hessian::run(options).into() },
     Suite { name: "golden", run: |options| golden::run(options).into() },
     Suite { name: "counts", run: |options| counts::run(options).into() },
+    Suite { name: "equivalence", run: |options| equivalence::run(options).into() },
     Suite { name: "paper", run: paper::run },
 ];
 

@@ -2,9 +2,10 @@
 
 use super::Options;
 use crate::costs::for_each_cost;
+use crate::methods::for_each_method;
 use crate::problems::{rod_scale, rods, wave};
 use crate::row::{Case, Outcome, Row, Rows};
-use varda_assimilation::GaussNewton;
+use varda_assimilation::CostFunction;
 use varda_implicit::check::{self, Taylor};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 use varda_implicit::{ImplicitModel, Model, OneLeg, Rk4};
@@ -15,11 +16,18 @@ const BOUND: f64 = 0.05;
 pub(super) fn run(_options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("taylor");
     let outcome = for_each_cost(&mut |name, cost| {
-        rows.case(name, |case| gradient(case, cost));
+        rows.case(name, |case| gradient(case, &vec![0.0; cost.dim()], cost));
         Ok(())
     });
     if let Err(error) = outcome {
         rows.case("assembled costs", |_| Err(error));
+    }
+    let outcome = for_each_method(&mut |name, origin, mut cost| {
+        rows.case(name, |case| gradient(case, origin, cost.cost()));
+        Ok(())
+    });
+    if let Err(error) = outcome {
+        rows.case("methods", |_| Err(error));
     }
     match rods() {
         Ok(rods) => {
@@ -63,10 +71,10 @@ fn step(case: &mut Case, model: &mut dyn Model, x: &[f64], scale: &[f64]) -> Out
 }
 
 /// The gradient of the assembled cost at two successive controls: state kept from the first must not leak into the second.
-fn gradient(case: &mut Case, cost: &mut dyn GaussNewton) -> Outcome {
+fn gradient(case: &mut Case, origin: &[f64], cost: &mut dyn CostFunction) -> Outcome {
     let n = cost.dim();
     for (what, size) in [("gradient at the first control", 0.1), ("gradient at the second control", 0.5)] {
-        let v: Vec<f64> = (0..n).map(|i| size * wave(i, 41)).collect();
+        let v: Vec<f64> = origin.iter().enumerate().map(|(i, o)| o + size * wave(i, 41)).collect();
         let direction: Vec<f64> = (0..n).map(|i| wave(i, 42)).collect();
         let mut g = vec![0.0; n];
         cost.evaluate(&v, Some(&mut g))?;

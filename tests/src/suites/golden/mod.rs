@@ -3,7 +3,7 @@
 mod der;
 mod hanging_rod;
 mod section9;
-mod twin;
+pub(super) mod twin;
 
 use super::Options;
 use crate::row::{Case, Outcome, Row, Rows};

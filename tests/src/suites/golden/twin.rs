@@ -127,6 +127,19 @@ pub(super) fn check(case: &mut Case, path: &Path) -> Outcome {
     Ok(())
 }
 
+/// Hands the assembled cost of one of our own copies to `visit`, with its control and the known minimum of J.
+pub(in crate::suites) fn shipped(
+    name: &str,
+    visit: &mut dyn FnMut(&mut StrongConstraint, &ControlTransform, f64) -> Outcome,
+) -> Outcome {
+    let twin: Twin = read_json(&super::shipped().join("twin").join(name).with_extension("json"))?;
+    let mut model = twin.model()?;
+    let b = Dense::new(twin.n, &twin.B.concat())?;
+    let transform = ControlTransform::new(twin.xb.clone(), &b)?;
+    let mut observations = twin.observations(twin.K)?;
+    visit(&mut cost(&mut model, &transform, &mut observations)?, &transform, twin.J_min)
+}
+
 fn cost<'a>(
     model: &'a mut AnyModel,
     transform: &ControlTransform<'a>,
