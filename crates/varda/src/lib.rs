@@ -39,6 +39,7 @@ pub mod covariance;
 pub mod csv_input;
 mod error;
 pub mod fit;
+mod method;
 pub mod output;
 pub mod problem;
 pub mod report;

@@ -17,10 +17,7 @@ pub(super) fn outcome(problem: &Problem, o: &Outcome, folder: &Path, seconds: f6
     };
     let algorithm = &problem.scene.algorithm;
     line("scene", format!("{} (seed {})", problem.name, problem.scene.seed));
-    line(
-        "method",
-        format!("{}, {}: {}", algorithm.method.name(), algorithm.minimizer.name(), o.status.name()),
-    );
+    line("method", format!("{}, {}: {}", algorithm.method.name(), algorithm.solver_name(), o.status.name()));
     line(
         "sizes",
         format!(
