@@ -35,6 +35,7 @@
 
 pub mod check;
 pub mod cli;
+pub mod compare;
 pub mod covariance;
 pub mod csv_input;
 mod error;

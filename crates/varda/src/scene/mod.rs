@@ -259,6 +259,16 @@ pub enum Minimizer {
 }
 
 impl Minimizer {
+    /// All of them.
+    pub const ALL: [Minimizer; 6] = [
+        Minimizer::Auto,
+        Minimizer::TrustRegion,
+        Minimizer::Newton,
+        Minimizer::GaussNewtonCg,
+        Minimizer::Lbfgs,
+        Minimizer::Adam,
+    ];
+
     /// Its name in a scene.
     pub fn name(self) -> &'static str {
         match self {
