@@ -15,6 +15,7 @@ use clap::{Args, Parser, Subcommand};
 
 use crate::Error;
 use crate::check::Plan;
+use crate::compare::{Compared, compare};
 use crate::output::Output;
 use crate::problem::Problem;
 use crate::report;
@@ -56,6 +57,14 @@ enum Command {
         /// Print nothing but errors
         #[arg(long)]
         quiet: bool,
+    },
+    /// Run every method and minimizer that applies; print and draw error against seconds
+    Compare {
+        #[command(flatten)]
+        scene: SceneArguments,
+        /// Folder for the result [default: out/<scene name>-compare]
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
     },
     /// Validate a scene; print sizes, memory and what will be left out; run nothing
     Check {
@@ -99,6 +108,7 @@ pub fn main() -> ExitCode {
     let done = match Cli::parse().command {
         Command::Run { scene, out, quiet } => run_scene(&scene, out.as_deref(), quiet, started),
         Command::Simulate { scene, out, quiet } => simulate(&scene, out.as_deref(), quiet, started),
+        Command::Compare { scene, out } => compare_all(&scene, out.as_deref()),
         Command::Check { scene } => scene.open().and_then(|file| check(&file)),
         Command::New { name } => new(&name),
         Command::Schema => {
@@ -177,6 +187,23 @@ fn simulate(
         print!("{}", table::simulation(&problem, &simulation, &folder, started.elapsed().as_secs_f64()));
     }
     Ok(ExitCode::SUCCESS)
+}
+
+fn compare_all(arguments: &SceneArguments, out: Option<&Path>) -> Result<ExitCode, Error> {
+    let file = arguments.open()?;
+    let default = || Path::new("out").join(format!("{}-compare", file.name));
+    let folder = out.map_or_else(default, Path::to_path_buf);
+    drop(Output::begin(&folder)?);
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    // As in a run: without a handler Ctrl-C ends the program, only less politely.
+    let _ = ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst));
+    let interrupted = || stop.load(Ordering::SeqCst);
+    let mut on_row = |r: &Compared| eprintln!("{} {}: {}", r.method, r.solver, r.status);
+    let rows = compare(&file, &mut on_row, &interrupted)?;
+    let folder = report::write_comparison(&file, &rows, interrupted(), &folder)?;
+    print!("{}", table::comparison(&rows, &folder));
+    Ok(if interrupted() { ExitCode::from(INTERRUPTED) } else { ExitCode::SUCCESS })
 }
 
 fn check(file: &SceneFile) -> Result<ExitCode, Error> {

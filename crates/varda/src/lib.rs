@@ -35,10 +35,12 @@
 
 pub mod check;
 pub mod cli;
+pub mod compare;
 pub mod covariance;
 pub mod csv_input;
 mod error;
 pub mod fit;
+mod method;
 pub mod output;
 pub mod problem;
 pub mod report;

@@ -235,6 +235,14 @@ fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
     let operator = RodObservation::new(&dynamics, &sightings, window)?;
     let observations =
         ObservationSet::new(window.steps, vec![Box::new(operator)], sightings.assimilated(&window))?;
+    let method = scene.algorithm.method;
+    if let (true, Some(last @ 1..)) = (method.is_of_one_instant(), observations.last_step()) {
+        let message = format!(
+            "method {:?} takes observations at step 0 only; these go on to step {last}",
+            method.name()
+        );
+        return Err(file.invalid("algorithm.method", message));
+    }
     let mut left_out = dynamics.left_out();
     left_out.extend(sightings.left_out.iter().cloned());
     // The model that ran the truth starts again from nothing, so that counts are those of the assimilation.

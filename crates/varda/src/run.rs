@@ -5,13 +5,13 @@ use std::time::Instant;
 
 use serde::Serialize;
 use varda_assimilation::{
-    Analysis, ControlTransform, CostFunction, Counts, Minimizer, Minimum, Posterior, StrongConstraint,
-    continuation,
+    Analysis, ControlTransform, CostFunction, Counts, Minimum, Posterior, StrongConstraint,
 };
 use varda_implicit::Model;
 
 use crate::Error;
 use crate::fit::{self, Fit, Forecast, Withheld};
+use crate::method;
 use crate::problem::{Problem, View, run_states};
 use crate::scene;
 use crate::timed::Timed;
@@ -230,12 +230,11 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
         convergence.push(row);
         if (listener.interrupted)() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
+    if let Some(delta) = problem.scene.algorithm.robust {
+        cost.set_huber(delta)?;
+    }
     let j_background = cost.evaluate(&v, None)?;
-    let minimizer = minimizer(&problem.scene.algorithm);
-    let minimum = match problem.scene.algorithm.sigma_stages.as_slice() {
-        [] => minimizer.minimize(&mut cost, &mut v, &mut on_iteration)?,
-        stages => continuation(&minimizer, &mut cost, &mut v, stages, &mut on_iteration)?,
-    };
+    let minimum = method::minimize(&problem.scene.algorithm, &mut cost, &mut v, &mut on_iteration)?;
     let minimizer_seconds = began.elapsed().as_secs_f64();
     let counts = WorkCounts::from(&cost.counts());
     let status = status(&minimum);
@@ -245,7 +244,12 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
     let n = cost.dim();
     let posterior = if has_posterior {
         let mut gradient = vec![0.0; n];
-        cost.evaluate(&v, Some(&mut gradient))?;
+        // BLUE's covariance is that of the background's linearization, (I + GᵀG)⁻¹ there.
+        let linearized = match problem.scene.algorithm.method {
+            scene::Method::Blue => &vec![0.0; n],
+            _ => &v,
+        };
+        cost.evaluate(linearized, Some(&mut gradient))?;
         Posterior::new(&mut cost)?
     } else {
         let identity: Vec<f64> = (0..n * n).map(|i| f64::from(i % (n + 1) == 0)).collect();
@@ -308,14 +312,6 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
         warnings,
         analysis,
     })
-}
-
-fn minimizer(algorithm: &scene::Algorithm) -> Minimizer {
-    let mut minimizer =
-        Minimizer::named(algorithm.minimizer.name()).expect("every scene name is a minimizer's name");
-    *minimizer.gradient_tolerance_mut() = algorithm.gradient_tolerance;
-    *minimizer.max_iterations_mut() = algorithm.max_iterations;
-    minimizer
 }
 
 fn status(minimum: &Minimum) -> Status {

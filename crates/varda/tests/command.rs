@@ -307,3 +307,35 @@ fn quiet_is_quiet() {
     assert!(output.status.success() && output.stdout.is_empty() && output.stderr.is_empty());
     assert!(Path::new(&folder.0).join("out/lorenz96/report.html").is_file());
 }
+
+#[test]
+fn compare_runs_every_method_and_minimizer_and_keeps_failures_as_rows() {
+    let folder = Folder::new("compare");
+    let printed = text(&folder.varda(&["compare", "lorenz63", "--out", "all"]));
+    assert!(printed.contains("gap = (J - J*)/(J0 - J*)"), "{printed}");
+    let csv = folder.read("all/compare.csv");
+    let rows: Vec<Vec<&str>> = csv.lines().skip(1).map(|l| l.split(',').collect()).collect();
+    assert_eq!(rows.len(), 6 + 3, "4dvar with every minimizer, incremental, dual, closed form: {csv}");
+    for row in rows.iter().filter(|r| r[2] == "converged" && r[1] != "adam") {
+        // J at a gradient 1e-8 of the first is its minimum to far better than this.
+        assert!(row[4].parse::<f64>().unwrap() < 1e-9, "{row:?}");
+    }
+    assert!(rows.iter().filter(|r| r[2] == "converged").count() >= 6, "{csv}");
+    assert!(rows.iter().any(|r| r[4] == "0"), "one row is the lowest: {csv}");
+    assert!(folder.read("all/compare.svg").contains("<svg"));
+    // A threshold of the Huber norm leaves the methods that take one.
+    text(&folder.varda(&["compare", "lorenz63", "--set", "algorithm.robust=1.5", "--out", "all"]));
+    assert_eq!(folder.read("all/compare.csv").lines().count(), 1 + 6);
+}
+
+#[test]
+fn a_method_that_fails_is_a_row_of_the_comparison_with_its_reason() {
+    let folder = Folder::new("compare-failure");
+    // σ so small that 1/σ² overflows: no cost can be evaluated.
+    let sets = ["--set", "observations.sigma=1e-160", "--set", "algorithm.max_iterations=3"];
+    text(&folder.varda(&[&["compare", "lorenz63", "--out", "all"], &sets[..]].concat()));
+    let csv = folder.read("all/compare.csv");
+    assert_eq!(csv.lines().count(), 1 + 9, "{csv}");
+    let blue = csv.lines().find(|l| l.starts_with("blue,")).unwrap();
+    assert!(blue.starts_with("blue,closed-form,failed,") && !blue.ends_with("\"\""), "{csv}");
+}

@@ -6,7 +6,7 @@ use std::time::Instant;
 use varda::problem::{Problem, View};
 use varda::rod_observation::RodObservation;
 use varda::run::{Listener, Outcome, Status, assimilate};
-use varda::scene::SceneFile;
+use varda::scene::{SHIPPED, SceneFile};
 use varda_assimilation::ObservationOperator;
 
 fn assimilated(scene: &str, sets: &[String]) -> (Problem, Outcome) {
@@ -155,4 +155,68 @@ fn the_beam_release_recording_is_assimilated() {
     for fit in &outcome.fit {
         assert!(fit.ratio < 1.5, "{fit:?}");
     }
+}
+
+fn sets(keys: &[&str]) -> Vec<String> {
+    keys.iter().map(|k| k.to_string()).collect()
+}
+
+#[test]
+fn incremental_and_dual_4dvar_end_where_4dvar_does() {
+    for scene in ["hanging-rod-case2", "lorenz63"] {
+        let full = assimilated(scene, &[]).1;
+        for method in ["4dvar-incremental", "4d-psas"] {
+            let other = assimilated(scene, &[format!("algorithm.method={method}")]).1;
+            assert_eq!(other.status, Status::Converged, "{scene} {method}");
+            // Each stops at a gradient 1e-8 of the first: J is then its minimum to far better than this, σ_a to this.
+            let j = (other.analysis.value / full.analysis.value - 1.0).abs();
+            assert!(j < 1e-9, "{scene} {method}: J differs by {j:e}");
+            let pairs = other.analysis.sigma_analysis.iter().zip(&full.analysis.sigma_analysis);
+            assert!(other.has_posterior && pairs.into_iter().all(|(a, b)| (a / b - 1.0).abs() < 1e-4));
+            assert!(other.counts.tangent_steps > 0 && other.counts.adjoint_steps > 0);
+        }
+    }
+}
+
+/// One instant observed directly is a linear problem: one full step is the minimum, whoever takes it.
+#[test]
+fn at_one_instant_blue_3dvar_incremental_and_psas_are_one() {
+    let text =
+        SHIPPED.iter().find(|s| s.name == "lorenz63").unwrap().text.replace("every = 5", "steps = [0]");
+    let path = temporary("instant.toml", &text);
+    let run = |method: &str| assimilated(path.to_str().unwrap(), &[format!("algorithm.method={method}")]).1;
+    let blue = run("blue");
+    assert_eq!(blue.status, Status::Converged);
+    for method in ["3dvar", "3dvar-incremental", "psas", "4dvar"] {
+        let other = run(method);
+        assert_eq!(other.status, Status::Converged, "{method}");
+        assert!((other.analysis.value / blue.analysis.value - 1.0).abs() < 1e-10, "{method}");
+        for (a, b) in other.analysis.analysis.iter().zip(&blue.analysis.analysis) {
+            // States of some ten units; the iterations stop at a gradient 1e-8 of the first.
+            assert!((a - b).abs() < 1e-6, "{method}: {a} {b}");
+        }
+        for (a, b) in other.analysis.sigma_analysis.iter().zip(&blue.analysis.sigma_analysis) {
+            assert!((a / b - 1.0).abs() < 1e-10, "{method}");
+        }
+        assert_eq!(other.counts.model_steps, 0, "{method} runs no model");
+    }
+    std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn blue_where_the_model_is_not_linear_does_not_claim_convergence() {
+    let (blue, full) =
+        (assimilated("lorenz63", &sets(&["algorithm.method=blue"])).1, assimilated("lorenz63", &[]).1);
+    assert_eq!((blue.status, blue.iterations[0], blue.convergence.len()), (Status::MaxIterations, 1, 2));
+    assert!(blue.analysis.value > full.analysis.value && blue.has_posterior);
+}
+
+#[test]
+fn the_huber_norm_lowers_what_large_departures_cost() {
+    let huber = assimilated("lorenz63", &sets(&["algorithm.robust=1.0"])).1;
+    let squares = assimilated("lorenz63", &[]).1;
+    let loose = assimilated("lorenz63", &sets(&["algorithm.robust=1e6"])).1;
+    assert_eq!(huber.status, Status::Converged);
+    assert!(huber.analysis.value < squares.analysis.value);
+    assert_eq!(loose.analysis.value, squares.analysis.value, "no departure is 1e6 σ");
 }

@@ -179,3 +179,19 @@ fn walk(node: &serde_json::Value, root: &serde_json::Value, path: &str, keys: &m
         _ => {}
     }
 }
+
+#[test]
+fn a_key_that_is_not_the_methods_is_named_with_its_place() {
+    let (text, line) = starter_with("[algorithm]", "[algorithm]\nmethod = \"4d-psas\"\nrobust = 1.5");
+    let said = message(&text, &[]);
+    assert!(
+        said.starts_with(&format!("test.toml:{}:10: method \"4d-psas\" has no `robust`", line + 2)),
+        "{said}"
+    );
+    let said = message(STARTER, &["algorithm.method=blue", "algorithm.minimizer=lbfgs"]);
+    assert!(said.contains("method \"blue\" has no `minimizer`"), "{said}");
+    let said = message(STARTER, &["algorithm.method=3dvar"]);
+    assert!(said.contains("takes observations at step 0 only"), "{said}");
+    let said = message(STARTER, &["algorithm.method=4d-pasas"]);
+    assert!(said.contains("did you mean \"4d-psas\"?"), "{said}");
+}

@@ -4,6 +4,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::check::Plan;
+use crate::compare::Compared;
 use crate::problem::Problem;
 use crate::run::{Outcome, Simulation, Status};
 
@@ -17,10 +18,7 @@ pub(super) fn outcome(problem: &Problem, o: &Outcome, folder: &Path, seconds: f6
     };
     let algorithm = &problem.scene.algorithm;
     line("scene", format!("{} (seed {})", problem.name, problem.scene.seed));
-    line(
-        "method",
-        format!("{}, {}: {}", algorithm.method.name(), algorithm.minimizer.name(), o.status.name()),
-    );
+    line("method", format!("{}, {}: {}", algorithm.method.name(), algorithm.solver_name(), o.status.name()));
     line(
         "sizes",
         format!(
@@ -104,6 +102,33 @@ pub(super) fn outcome(problem: &Problem, o: &Outcome, folder: &Path, seconds: f6
     }
     let shown = if o.status == Status::Failed { "what was reached" } else { "report" };
     line(shown, folder.join("report.html").display().to_string());
+    out
+}
+
+pub(super) fn comparison(rows: &[Compared], folder: &Path) -> String {
+    let number = |x: Option<f64>| x.map_or("-".to_string(), |x| format!("{x:.3e}"));
+    let mut out = format!(
+        "{:<18} {:<16} {:<15} {:>9} {:>10} {:>9} {:>9} {:>9} {:>9}\n",
+        "method", "solver", "status", "gap", "RMSE", "seconds", "model", "tangent", "adjoint"
+    );
+    for r in rows {
+        let _ = writeln!(
+            out,
+            "{:<18} {:<16} {:<15} {:>9} {:>10} {:>9} {:>9} {:>9} {:>9}{}{}",
+            r.method,
+            r.solver,
+            r.status,
+            number(r.gap),
+            number(r.rmse),
+            number(r.seconds),
+            r.counts.model_steps,
+            r.counts.tangent_steps,
+            r.counts.adjoint_steps,
+            if r.reason.is_empty() { "" } else { "  " },
+            r.reason
+        );
+    }
+    let _ = writeln!(out, "gap = (J - J*)/(J0 - J*), J* the lowest found; written to {}", folder.display());
     out
 }
 

@@ -1,6 +1,7 @@
 //! Which figures a run draws.
 
 use crate::Error;
+use crate::compare::{Compared, lowest};
 use crate::problem::{Problem, RodView, View};
 use crate::rod_observation::Window;
 use crate::run::{ConvergenceRow, Outcome, Trajectories};
@@ -36,6 +37,43 @@ pub(super) fn all(problem: &mut Problem, outcome: &Outcome) -> Result<Vec<Figure
 }
 
 /// J, ‖∇J‖ and RMSE against iteration and against seconds, relative to their first values.
+/// Error against seconds, of every method that got under way.
+pub(super) fn comparison(rows: &[Compared]) -> Figure {
+    let lowest = lowest(rows);
+    let panel = |y_label: &str, legend, points: &dyn Fn(&Compared) -> Vec<(f64, f64)>| Panel {
+        x_label: "seconds".into(),
+        y_label: y_label.into(),
+        log_x: true,
+        log_y: true,
+        legend,
+        series: rows
+            .iter()
+            .enumerate()
+            .map(|(i, r)| Series {
+                label: format!("{} {}", r.method, r.solver),
+                style: Style::Line(i),
+                points: points(r),
+            })
+            .collect(),
+        ..Panel::default()
+    };
+    let gap = panel("(J − J*)/(J₀ − J*)", Some(Corner::LowerLeft), &|r| r.gaps(lowest));
+    let rmse = panel("RMSE", None, &|r| {
+        r.convergence.iter().filter_map(|c| Some((c.seconds, c.rmse_position?))).collect()
+    });
+    let mut panels = vec![gap];
+    if rmse.series.iter().any(|s| !s.points.is_empty()) {
+        panels.push(rmse);
+    }
+    Figure {
+        name: "compare",
+        title: "Error of every method and minimizer against seconds".into(),
+        columns: panels.len(),
+        panels,
+        panel_size: (560, 420),
+    }
+}
+
 fn convergence(outcome: &Outcome) -> Figure {
     let rows = &outcome.convergence;
     let is_rod = outcome.rmse.velocity_background.is_some();

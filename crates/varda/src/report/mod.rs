@@ -11,10 +11,11 @@ pub use summary::{Summary, Terms};
 use std::path::{Path, PathBuf};
 
 use crate::Error;
+use crate::compare::Compared;
 use crate::output::Output;
 use crate::problem::{Problem, View};
 use crate::run::{Outcome, Simulation, Trajectories};
-use crate::scene::Origin;
+use crate::scene::{Origin, SceneFile};
 
 /// Writes the result of a run to `folder`, whole or not at all.
 ///
@@ -34,6 +35,31 @@ pub fn write(problem: &mut Problem, outcome: &Outcome, folder: &Path) -> Result<
     out.write("analysis.csv", &tables::analysis(problem, outcome))?;
     out.write("convergence.csv", &tables::convergence(&outcome.convergence))?;
     out.write("trajectory.csv", &tables::trajectory(problem, &outcome.trajectories)?)?;
+    out.publish()
+}
+
+/// Writes a comparison to `folder`, whole or not at all: compare.csv, compare.svg, summary.json.
+///
+/// # Errors
+/// As [`write()`].
+pub fn write_comparison(
+    file: &SceneFile,
+    rows: &[Compared],
+    interrupted: bool,
+    folder: &Path,
+) -> Result<PathBuf, Error> {
+    let out = Output::begin(folder)?;
+    let summary = serde_json::json!({
+        "scene": file.name,
+        "seed": file.scene.seed,
+        "version": env!("CARGO_PKG_VERSION"),
+        "method": "compare",
+        "status": if interrupted { "interrupted" } else { "converged" },
+        "rows": rows,
+    });
+    out.write("summary.json", &format!("{summary:#}\n"))?;
+    out.write("compare.csv", &tables::comparison(rows))?;
+    out.write("compare.svg", &figures::comparison(rows).svg()?)?;
     out.publish()
 }
 

@@ -29,6 +29,7 @@ pub(super) struct Panel {
     pub(super) title: String,
     pub(super) x_label: String,
     pub(super) y_label: String,
+    pub(super) log_x: bool,
     pub(super) log_y: bool,
     /// Both axes have the same scale, and these ranges.
     pub(super) equal: Option<[(f64, f64); 2]>,
@@ -63,12 +64,16 @@ pub(super) enum Style {
     Line(usize),
 }
 
-const PALETTE: [RGBColor; 5] = [
+const PALETTE: [RGBColor; 9] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),
     RGBColor(204, 121, 167),
     RGBColor(86, 180, 233),
+    RGBColor(230, 159, 0),
+    RGBColor(240, 228, 66),
+    RGBColor(0, 0, 0),
+    RGBColor(130, 130, 130),
 ];
 
 impl Style {
@@ -110,12 +115,13 @@ impl Figure {
 impl Panel {
     fn draw(&self, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Drawing> {
         let y_of = |y: f64| if self.log_y { y.log10() } else { y };
-        let usable = |p: &&(f64, f64)| p.0.is_finite() && y_of(p.1).is_finite();
+        let x_of = |x: f64| if self.log_x { x.log10() } else { x };
+        let usable = |p: &&(f64, f64)| x_of(p.0).is_finite() && y_of(p.1).is_finite();
         let all: Vec<(f64, f64)> = self
             .series
             .iter()
             .flat_map(|s| s.points.iter().filter(usable))
-            .map(|p| (p.0, y_of(p.1)))
+            .map(|p| (x_of(p.0), y_of(p.1)))
             .collect();
         let (x_range, y_range) = match self.equal {
             Some([x, y]) => (x, y),
@@ -148,14 +154,15 @@ impl Panel {
         }
         let mut chart = builder.build_cartesian_2d(x_range.0..x_range.1, y_range.0..y_range.1)?;
         let decimals = decimals(y_range);
-        let y_text = |y: &f64| match self.log_y {
-            true if (y - y.round()).abs() < 1e-6 => format!("1e{}", y.round()),
-            true if y_range.1 - y_range.0 < 2.5 => format!("{:.1e}", 10f64.powf(*y)),
+        let text = |value: f64, log: bool, range: (f64, f64), decimals: usize| match log {
+            true if (value - value.round()).abs() < 1e-6 => format!("1e{}", value.round()),
+            true if range.1 - range.0 < 2.5 => format!("{:.1e}", 10f64.powf(value)),
             true => String::new(),
-            false => fixed(*y, decimals),
+            false => fixed(value, decimals),
         };
+        let y_text = |y: &f64| text(*y, self.log_y, y_range, decimals);
         let x_decimals = self::decimals(x_range);
-        let x_text = |x: &f64| fixed(*x, x_decimals);
+        let x_text = |x: &f64| text(*x, self.log_x, x_range, x_decimals);
         let (wide, high) = area.dim_in_pixel();
         chart
             .configure_mesh()
@@ -176,7 +183,7 @@ impl Panel {
         for series in &self.series {
             let colour = series.style.colour();
             let points: Vec<(f64, f64)> =
-                series.points.iter().filter(usable).map(|p| (p.0, y_of(p.1))).collect();
+                series.points.iter().filter(usable).map(|p| (x_of(p.0), y_of(p.1))).collect();
             match series.style {
                 Style::Observation => chart
                     .draw_series(points.iter().map(|p| Circle::new(*p, FINE * 3, colour.filled())))?

@@ -92,7 +92,7 @@ impl Summary {
             seed: scene.seed,
             version: env!("CARGO_PKG_VERSION"),
             method: scene.algorithm.method.name(),
-            minimizer: scene.algorithm.minimizer.name(),
+            minimizer: scene.algorithm.solver_name(),
             status: outcome.status.name(),
             n_state: outcome.trajectories.dim,
             n_control: problem.control_dim(),

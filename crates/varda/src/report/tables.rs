@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use crate::Error;
+use crate::compare::Compared;
 use crate::problem::{Problem, RodView, View};
 use crate::rod_observation::Window;
 use crate::run::{ConvergenceRow, Outcome, Trajectories};
@@ -33,6 +34,24 @@ pub(super) fn components(problem: &Problem) -> Vec<(String, &'static str)> {
             of("", "m").chain(of("v", "m/s")).collect()
         }
     }
+}
+
+/// compare.csv: one row for every method and minimizer.
+pub(super) fn comparison(rows: &[Compared]) -> String {
+    let mut out = String::from(
+        "method,solver,status,j,gap,rmse,seconds,model_steps,tangent_steps,adjoint_steps,reason\n",
+    );
+    for r in rows {
+        let numbers = [r.j, r.gap, r.rmse, r.seconds].map(optional).join(",");
+        let c = r.counts;
+        let reason = r.reason.replace('"', "\"\"");
+        let _ = writeln!(
+            out,
+            "{},{},{},{numbers},{},{},{},\"{reason}\"",
+            r.method, r.solver, r.status, c.model_steps, c.tangent_steps, c.adjoint_steps
+        );
+    }
+    out
 }
 
 /// analysis.csv: x_b, x_a, σ_b, σ_a and, where it is known, the truth.

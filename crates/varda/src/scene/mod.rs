@@ -133,7 +133,7 @@ pub struct Truth {
 pub struct Algorithm {
     /// The member of the variational family.
     pub method: Method,
-    /// The minimizer.
+    /// The minimizer of methods 4dvar and 3dvar. The others have a loop of their own.
     pub minimizer: Minimizer,
     /// Most outer iterations.
     #[schemars(extend("minimum" = 1))]
@@ -145,6 +145,10 @@ pub struct Algorithm {
     /// where the last one ended. The last factor must be 1. Empty: none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub sigma_stages: Vec<f64>,
+    /// Robust observations (methods 4dvar and 3dvar): departures beyond this many σ count linearly, not squared (Huber norm).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub robust: Option<f64>,
 }
 
 impl Default for Algorithm {
@@ -155,6 +159,19 @@ impl Default for Algorithm {
             max_iterations: 200,
             gradient_tolerance: 1e-8,
             sigma_stages: Vec::new(),
+            robust: None,
+        }
+    }
+}
+
+impl Algorithm {
+    /// What solves the method's problem, for tables: its minimizer, or the loop of its own.
+    pub fn solver_name(&self) -> &'static str {
+        match self.method {
+            Method::FourDVar | Method::ThreeDVar => self.minimizer.name(),
+            Method::FourDVarIncremental | Method::ThreeDVarIncremental => "outer-loop",
+            Method::FourDPsas | Method::Psas => "outer-loop-dual",
+            Method::Blue => "closed-form",
         }
     }
 }
@@ -165,6 +182,25 @@ pub enum Method {
     /// Strong-constraint 4D-Var.
     #[serde(rename = "4dvar")]
     FourDVar,
+    /// Incremental 4D-Var: quadratic inner problems in the control space, re-linearized in an outer loop.
+    #[serde(rename = "4dvar-incremental")]
+    FourDVarIncremental,
+    /// 4D-PSAS: the same inner problems solved in observation space (dual).
+    #[serde(rename = "4d-psas")]
+    FourDPsas,
+    /// BLUE, the closed form, linearized once at the background: exact where model and observations are linear; elsewhere one full
+    /// Gauss-Newton step, which says "max_iterations" where its gradient is not below the tolerance. Dense.
+    #[serde(rename = "blue")]
+    Blue,
+    /// 3D-Var: everything is observed at step 0.
+    #[serde(rename = "3dvar")]
+    ThreeDVar,
+    /// Incremental 3D-Var: everything is observed at step 0.
+    #[serde(rename = "3dvar-incremental")]
+    ThreeDVarIncremental,
+    /// PSAS, the dual of incremental 3D-Var: everything is observed at step 0.
+    #[serde(rename = "psas")]
+    Psas,
 }
 
 impl Method {
@@ -172,7 +208,34 @@ impl Method {
     pub fn name(self) -> &'static str {
         match self {
             Method::FourDVar => "4dvar",
+            Method::FourDVarIncremental => "4dvar-incremental",
+            Method::FourDPsas => "4d-psas",
+            Method::Blue => "blue",
+            Method::ThreeDVar => "3dvar",
+            Method::ThreeDVarIncremental => "3dvar-incremental",
+            Method::Psas => "psas",
         }
+    }
+
+    /// All of them.
+    pub const ALL: [Method; 7] = [
+        Method::FourDVar,
+        Method::FourDVarIncremental,
+        Method::FourDPsas,
+        Method::Blue,
+        Method::ThreeDVar,
+        Method::ThreeDVarIncremental,
+        Method::Psas,
+    ];
+
+    /// Takes a minimizer, and with it σ stages and the Huber norm.
+    pub fn takes_minimizer(self) -> bool {
+        matches!(self, Method::FourDVar | Method::ThreeDVar)
+    }
+
+    /// Analyses one instant: nothing may be observed after step 0.
+    pub fn is_of_one_instant(self) -> bool {
+        matches!(self, Method::ThreeDVar | Method::ThreeDVarIncremental | Method::Psas)
     }
 }
 
@@ -196,6 +259,16 @@ pub enum Minimizer {
 }
 
 impl Minimizer {
+    /// All of them.
+    pub const ALL: [Minimizer; 6] = [
+        Minimizer::Auto,
+        Minimizer::TrustRegion,
+        Minimizer::Newton,
+        Minimizer::GaussNewtonCg,
+        Minimizer::Lbfgs,
+        Minimizer::Adam,
+    ];
+
     /// Its name in a scene.
     pub fn name(self) -> &'static str {
         match self {

@@ -1,8 +1,8 @@
 //! What a scene must satisfy beyond the type of each key: keys that exclude or need one another.
 
 use super::{
-    Background, Clamp, Covariance, Frame, Integrator, KernelCovariance, Model, Motion, Observations, Origin,
-    Recording, RodModel, Scene, Section, Synthetic, Taper,
+    Algorithm, Background, Clamp, Covariance, Frame, Integrator, KernelCovariance, Minimizer, Model, Motion,
+    Observations, Origin, Recording, RodModel, Scene, Section, Synthetic, Taper,
 };
 
 /// What is wrong with which key (dotted path).
@@ -78,6 +78,7 @@ pub(super) fn validate(scene: &Scene) -> Check {
         Observations::Synthetic(s) => validate_synthetic(s, scene, rod)?,
         Observations::File(f) => validate_recording(f, rod)?,
     }
+    validate_algorithm(&scene.algorithm, &scene.observations)?;
     if let Some(last) = scene.algorithm.sigma_stages.last() {
         if *last != 1.0 {
             return invalid("algorithm.sigma_stages", format!("the last factor is {last}, it must be 1"));
@@ -249,6 +250,40 @@ fn validate_kernel(k: &KernelCovariance) -> Check {
         }
         _ => Ok(()),
     }
+}
+
+/// Keys that do not belong to the chosen method; a recording's steps are known only when it is read.
+fn validate_algorithm(algorithm: &Algorithm, observations: &Observations) -> Check {
+    let method = algorithm.method;
+    let not_taken = [
+        ("minimizer", algorithm.minimizer != Minimizer::Auto),
+        ("sigma_stages", !algorithm.sigma_stages.is_empty()),
+        ("robust", algorithm.robust.is_some()),
+    ];
+    if !method.takes_minimizer()
+        && let Some((key, _)) = not_taken.iter().find(|(_, given)| *given)
+    {
+        return invalid(
+            format!("algorithm.{key}"),
+            format!("method {:?} has no `{key}`; it belongs to \"4dvar\" and \"3dvar\"", method.name()),
+        );
+    }
+    if let (true, Observations::Synthetic(s)) = (method.is_of_one_instant(), observations) {
+        let only = |key: &str| {
+            let message = format!(
+                "method {:?} takes observations at step 0 only: `steps = [0]`, without `every`",
+                method.name()
+            );
+            invalid(format!("observations.{key}"), message)
+        };
+        if s.every.is_some() {
+            return only("every");
+        }
+        if let Some(i) = s.steps.iter().flatten().position(|k| *k > 0) {
+            return only(&format!("steps.{i}"));
+        }
+    }
+    Ok(())
 }
 
 fn validate_synthetic(s: &Synthetic, scene: &Scene, rod: Option<&RodModel>) -> Check {
