@@ -19,7 +19,7 @@ pub struct MarkerOperator {
     pub markers: Markers,
     /// Index of the first step.
     pub first: usize,
-    /// Δt [s].
+    /// Δt \[s\].
     pub dt: f64,
 }
 

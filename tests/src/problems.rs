@@ -22,9 +22,9 @@ pub struct HangingRod {
     pub drive: EllipseDrive,
     /// m₁ of the first edge.
     pub director: [f64; 3],
-    /// [m/s²].
+    /// \[m/s²\].
     pub gravity: [f64; 3],
-    /// Δt [s].
+    /// Δt \[s\].
     pub dt: f64,
     /// Steps from the resting start to the window.
     pub first_step: usize,
@@ -34,22 +34,22 @@ pub struct HangingRod {
     pub prior: Prior,
     /// Observed places, as parts of the length.
     pub s_over_length: Vec<f64>,
-    /// σ of every observed coordinate [m].
+    /// σ of every observed coordinate \[m\].
     pub sigma_y: f64,
 }
 
 /// Background errors of positions and velocities, with Gaussian kernels and a triangle taper.
 #[derive(Debug, Clone, Copy)]
 pub struct Prior {
-    /// σ of positions [m].
+    /// σ of positions \[m\].
     pub sigma_x: f64,
-    /// σ of velocities [m/s].
+    /// σ of velocities \[m/s\].
     pub sigma_v: f64,
-    /// Correlation length of positions [m].
+    /// Correlation length of positions \[m\].
     pub length_x: f64,
-    /// Correlation length of velocities [m].
+    /// Correlation length of velocities \[m\].
     pub length_v: f64,
-    /// Support of the taper [m].
+    /// Support of the taper \[m\].
     pub support: f64,
     /// The two prescribed vertices are known exactly.
     pub conditioned: bool,
@@ -279,7 +279,7 @@ pub fn rods() -> Result<Vec<RodCase>> {
 
 const MATERIAL: Material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1100.0 };
 
-/// Δt of the rods above [s].
+/// Δt of the rods above \[s\].
 pub const DT: f64 = 0.01;
 /// Index of their first step.
 pub const FIRST: usize = 3;

@@ -107,7 +107,7 @@ impl BackwardEuler {
         6 * self.system.layout.free_vertices.len()
     }
 
-    /// Places of all vertices at time t in a state or control, prescribed ones included [m].
+    /// Places of all vertices at time t in a state or control, prescribed ones included \[m\].
     ///
     /// # Errors
     /// [`Error`] where a support's motion is not usable at t.

@@ -9,17 +9,17 @@ use crate::shape::Shape;
 /// A configuration with its reference frames.
 #[derive(Debug, Clone, Copy)]
 pub struct Framed<'a> {
-    /// x_0 … x_n [m].
+    /// x_0 … x_n \[m\].
     pub vertices: &'a [[f64; 3]],
     /// Reference director d₁ of every edge; m₁ = cos θ d₁ + sin θ d₂, d₂ = t × d₁.
     pub directors: &'a [[f64; 3]],
-    /// Reference twist of every interior vertex [rad]; whole turns count.
+    /// Reference twist of every interior vertex \[rad\]; whole turns count.
     pub reference_twist: &'a [f64],
-    /// θ of every edge [rad].
+    /// θ of every edge \[rad\].
     pub theta: &'a [f64],
 }
 
-/// Elastic energies [J].
+/// Elastic energies \[J\].
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Energy {
     /// E_ε.

@@ -13,9 +13,9 @@ use crate::system::System;
 /// A rod at rest: places of all vertices and angles of all edges (from the Bishop frame).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rest {
-    /// x_0 … x_n [m].
+    /// x_0 … x_n \[m\].
     pub vertices: Vec<[f64; 3]>,
-    /// θ^0 … θ^{n−1} [rad]; zero where the rod has no twist unknowns.
+    /// θ^0 … θ^{n−1} \[rad\]; zero where the rod has no twist unknowns.
     pub theta: Vec<f64>,
 }
 

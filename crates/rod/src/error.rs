@@ -18,7 +18,7 @@ pub enum Error {
     ZeroEdge {
         /// Number of the edge (that of its first vertex).
         edge: usize,
-        /// Its length [m].
+        /// Its length \[m\].
         length: f64,
     },
     /// A coordinate, angle or prescribed value is not finite.
@@ -64,9 +64,9 @@ pub enum Error {
     OffRod {
         /// What was placed.
         what: &'static str,
-        /// Where [m].
+        /// Where \[m\].
         s: f64,
-        /// Length of the rod [m].
+        /// Length of the rod \[m\].
         length: f64,
     },
     /// Two supports prescribe the same vertex, or a vertex that does not exist.

@@ -1,6 +1,6 @@
 //! Discrete elastic rods: cables, tethers, soft robots.
 //!
-//! A rod is a polyline of vertices x_i [m] whose segments stretch, bend and twist (Bergou et al. 2008, 2010):
+//! A rod is a polyline of vertices x_i \[m\] whose segments stretch, bend and twist (Bergou et al. 2008, 2010):
 //!
 //! ```text
 //! E = ½ Σ EA (l − l̄)²/l̄  +  ½ Σ (κ − κ̄)ᵀ EI (κ − κ̄)/l̄_i  +  ½ Σ GJ (τ − τ̄)²/l̄_i

@@ -6,12 +6,12 @@ use crate::geometry::V3;
 use crate::rod::Place;
 use crate::system::System;
 
-/// A point fixed to the rod: rest arc length s [m] and offset (o₁, o₂, o₃) along (m₁, m₂, t) of the edge there [m].
+/// A point fixed to the rod: rest arc length s \[m\] and offset (o₁, o₂, o₃) along (m₁, m₂, t) of the edge there \[m\].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Marker {
-    /// Rest arc length [m].
+    /// Rest arc length \[m\].
     pub s: f64,
-    /// Offset in the frame of the section [m]; zero for a point of the centreline.
+    /// Offset in the frame of the section \[m\]; zero for a point of the centreline.
     pub offset: [f64; 3],
 }
 
@@ -73,7 +73,7 @@ impl Markers {
         self.system.layout.state()
     }
 
-    /// Places of all markers [m], three numbers each, in a state at time t.
+    /// Places of all markers \[m\], three numbers each, in a state at time t.
     ///
     /// # Errors
     /// [`Error`] where the state has no frames (a fold, a zero edge) or is not finite.

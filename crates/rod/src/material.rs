@@ -5,16 +5,16 @@ use crate::Error;
 /// An elastic material.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Material {
-    /// Young's modulus E [Pa].
+    /// Young's modulus E \[Pa\].
     pub youngs_modulus: f64,
-    /// Shear modulus G [Pa]; E / (2 (1 + ν)) where Poisson's ratio ν is known.
+    /// Shear modulus G \[Pa\]; E / (2 (1 + ν)) where Poisson's ratio ν is known.
     pub shear_modulus: f64,
-    /// Density ρ [kg/m³].
+    /// Density ρ \[kg/m³\].
     pub density: f64,
 }
 
 impl Material {
-    /// From Young's modulus E [Pa], Poisson's ratio ν and density ρ [kg/m³]: G = E / (2 (1 + ν)).
+    /// From Young's modulus E \[Pa\], Poisson's ratio ν and density ρ [kg/m³]: G = E / (2 (1 + ν)).
     pub fn new(youngs_modulus: f64, poisson_ratio: f64, density: f64) -> Self {
         Material { youngs_modulus, shear_modulus: youngs_modulus / (2.0 * (1.0 + poisson_ratio)), density }
     }
@@ -23,25 +23,25 @@ impl Material {
 /// Stiffness and mass of a section, whatever its shape.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Section {
-    /// Stretching stiffness E A [N].
+    /// Stretching stiffness E A \[N\].
     pub ea: f64,
-    /// Bending stiffness of κ₁ (curvature in the direction m₁) [N m²].
+    /// Bending stiffness of κ₁ (curvature in the direction m₁) \[N m²\].
     pub ei1: f64,
-    /// Bending stiffness of κ₂ (curvature in the direction m₂) [N m²].
+    /// Bending stiffness of κ₂ (curvature in the direction m₂) \[N m²\].
     pub ei2: f64,
-    /// Twisting stiffness G J [N m²].
+    /// Twisting stiffness G J \[N m²\].
     pub gj: f64,
-    /// Mass per length ρ A [kg/m].
+    /// Mass per length ρ A \[kg/m\].
     pub mass_per_length: f64,
 }
 
 impl Section {
-    /// A full circle of radius r [m]: A = πr², I = πr⁴/4, J = πr⁴/2.
+    /// A full circle of radius r \[m\]: A = πr², I = πr⁴/4, J = πr⁴/2.
     pub fn circle(material: &Material, radius: f64) -> Self {
         Self::ellipse(material, radius, radius)
     }
 
-    /// A full ellipse with semi-axes a₁ along m₁ and a₂ along m₂ [m]: EI₁ = E π a₁³ a₂ / 4, EI₂ = E π a₁ a₂³ / 4 and
+    /// A full ellipse with semi-axes a₁ along m₁ and a₂ along m₂ \[m\]: EI₁ = E π a₁³ a₂ / 4, EI₂ = E π a₁ a₂³ / 4 and
     /// Saint-Venant's torsion constant J = π a₁³ a₂³ / (a₁² + a₂²) (Timoshenko and Goodier, 1970, §107).
     pub fn ellipse(material: &Material, a1: f64, a2: f64) -> Self {
         let pi = std::f64::consts::PI;
@@ -55,7 +55,7 @@ impl Section {
         }
     }
 
-    /// A full rectangle, w₁ along m₁ by w₂ along m₂ [m]: EI₁ = E w₁³ w₂ / 12, EI₂ = E w₁ w₂³ / 12 and, with a the longer
+    /// A full rectangle, w₁ along m₁ by w₂ along m₂ \[m\]: EI₁ = E w₁³ w₂ / 12, EI₂ = E w₁ w₂³ / 12 and, with a the longer
     /// and b the shorter side, J ≈ a b³ (1/3 − 0.21 (b/a) (1 − b⁴/(12 a⁴))) (Young and Budynas, 2002, table 10.1; 0.4 %).
     pub fn rectangle(material: &Material, w1: f64, w2: f64) -> Self {
         let (a, b) = (w1.max(w2), w1.min(w2));

@@ -16,21 +16,21 @@ use crate::material::{Section, not_negative, positive};
 /// Plain data: fill it by hand for a rod that varies along its length, or by [`Rod::uniform`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rod {
-    /// Rest length l̄ of every edge [m]; n of them.
+    /// Rest length l̄ of every edge \[m\]; n of them.
     pub rest_lengths: Vec<f64>,
-    /// Length l̄_i belonging to every interior vertex in E_κ and E_τ [m]; n − 1.
+    /// Length l̄_i belonging to every interior vertex in E_κ and E_τ \[m\]; n − 1.
     pub voronoi_lengths: Vec<f64>,
-    /// Stretching stiffness EA of every edge [N]; n.
+    /// Stretching stiffness EA of every edge \[N\]; n.
     pub ea: Vec<f64>,
-    /// Bending stiffness of every interior vertex [N m²], symmetric 2 × 2 as (11, 12, 22); n − 1.
+    /// Bending stiffness of every interior vertex \[N m²\], symmetric 2 × 2 as (11, 12, 22); n − 1.
     pub ei: Vec<[f64; 3]>,
-    /// Twisting stiffness GJ of every interior vertex [N m²]; n − 1.
+    /// Twisting stiffness GJ of every interior vertex \[N m²\]; n − 1.
     pub gj: Vec<f64>,
-    /// Natural integrated curvature κ̄ = (κ̄₁, κ̄₂) of every interior vertex [–]; n − 1.
+    /// Natural integrated curvature κ̄ = (κ̄₁, κ̄₂) of every interior vertex \[–\]; n − 1.
     pub natural_curvature: Vec<[f64; 2]>,
-    /// Natural integrated twist τ̄ of every interior vertex [rad]; n − 1.
+    /// Natural integrated twist τ̄ of every interior vertex \[rad\]; n − 1.
     pub natural_twist: Vec<f64>,
-    /// Mass of every vertex [kg], ρ A l̄_i with half segments at the ends; n + 1.
+    /// Mass of every vertex \[kg\], ρ A l̄_i with half segments at the ends; n + 1.
     pub masses: Vec<f64>,
 }
 
@@ -47,7 +47,7 @@ impl Rod {
         Rod::with_segments(&vec![length / segments as f64; segments], section)
     }
 
-    /// A naturally straight rod of one section with the given segment lengths [m].
+    /// A naturally straight rod of one section with the given segment lengths \[m\].
     ///
     /// # Errors
     /// As [`Rod::uniform`].
@@ -71,7 +71,7 @@ impl Rod {
         Ok(rod)
     }
 
-    /// The same rod, naturally curved and twisted: κ̄_i = `curvature` l̄_i, τ̄_i = `twist` l̄_i, both per length [1/m].
+    /// The same rod, naturally curved and twisted: κ̄_i = `curvature` l̄_i, τ̄_i = `twist` l̄_i, both per length \[1/m\].
     pub fn naturally(mut self, curvature: [f64; 2], twist: f64) -> Rod {
         for (i, l) in self.voronoi_lengths.iter().enumerate() {
             self.natural_curvature[i] = [curvature[0] * l, curvature[1] * l];
@@ -80,7 +80,7 @@ impl Rod {
         self
     }
 
-    /// Adds a point mass [kg] at arc length s [m], shared linearly by the two vertices beside it.
+    /// Adds a point mass \[kg\] at arc length s \[m\], shared linearly by the two vertices beside it.
     ///
     /// # Errors
     /// [`Error::OffRod`], or [`Error::Value`] for a negative mass.
@@ -97,12 +97,12 @@ impl Rod {
         self.rest_lengths.len()
     }
 
-    /// Rest length of the whole rod L [m].
+    /// Rest length of the whole rod L \[m\].
     pub fn length(&self) -> f64 {
         self.rest_lengths.iter().sum()
     }
 
-    /// Rest arc length s_i of every vertex [m].
+    /// Rest arc length s_i of every vertex \[m\].
     pub fn arc_lengths(&self) -> Vec<f64> {
         let mut s = vec![0.0];
         s.extend(self.rest_lengths.iter().scan(0.0, |sum, l| {

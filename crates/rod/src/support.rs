@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use crate::{Error, Rod};
 
-/// A vector that depends on time: the place of a vertex [m], a direction, a force [N].
+/// A vector that depends on time: the place of a vertex \[m\], a direction, a force \[N\].
 ///
 /// Constant arrays and closures `|t| [x, y, z]` are motions.
 pub trait Motion: Send + Sync {
-    /// Its value at time t [s].
+    /// Its value at time t \[s\].
     fn at(&self, t: f64) -> [f64; 3];
 }
 
@@ -31,13 +31,13 @@ impl<F: Fn(f64) -> [f64; 3] + Send + Sync> Motion for F {
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EllipseDrive {
-    /// Centre c [m].
+    /// Centre c \[m\].
     pub centre: [f64; 3],
-    /// Semi-axes r_x, r_y [m].
+    /// Semi-axes r_x, r_y \[m\].
     pub radii: [f64; 2],
     /// Angular frequency ω [rad/s].
     pub omega: f64,
-    /// Duration of the ramp [s]; 0 for none.
+    /// Duration of the ramp \[s\]; 0 for none.
     pub ramp: f64,
 }
 
@@ -55,7 +55,7 @@ impl Motion for EllipseDrive {
 /// of the section there, all as functions of time. Directions need not be normalized, nor m₁ exactly perpendicular.
 #[derive(Clone)]
 pub struct Clamp {
-    /// Place of the end vertex [m].
+    /// Place of the end vertex \[m\].
     pub position: Arc<dyn Motion>,
     /// Direction of the end edge, towards growing arc length.
     pub tangent: Arc<dyn Motion>,
@@ -128,16 +128,16 @@ impl Supports {
 /// External forces on the rod.
 #[derive(Clone, Default)]
 pub struct Loads {
-    /// Gravity [m/s²], for example (0, 0, −9.81).
+    /// Gravity \[m/s²\], for example (0, 0, −9.81).
     pub gravity: [f64; 3],
-    /// Forces [N] at arc lengths s [m], shared linearly by the two vertices beside s.
+    /// Forces \[N\] at arc lengths s \[m\], shared linearly by the two vertices beside s.
     pub point_forces: Vec<(f64, Arc<dyn Motion>)>,
 }
 
 /// Damping of the motion. Both are zero by default.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Damping {
-    /// Kelvin–Voigt time β [s]: every strain ε gets the stress β k ε̇ of its own stiffness k. Zero for rigid motion.
+    /// Kelvin–Voigt time β \[s\]: every strain ε gets the stress β k ε̇ of its own stiffness k. Zero for rigid motion.
     pub stiffness: f64,
     /// Mass-proportional rate α [1/s]: force −α M V.
     pub mass: f64,

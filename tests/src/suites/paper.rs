@@ -115,7 +115,7 @@ struct Run {
     default: (f64, usize),
     /// J where the default ended.
     value: f64,
-    /// RMSE of positions [m] and velocities [m/s].
+    /// RMSE of positions \[m\] and velocities \[m/s\].
     before: [f64; 2],
     after: [f64; 2],
 }
