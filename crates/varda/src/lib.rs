@@ -52,3 +52,8 @@ pub mod timed;
 pub mod twin;
 
 pub use error::Error;
+
+/// The README's example, compiled and run as a test.
+#[cfg(doctest)]
+#[doc = include_str!("../../../README.md")]
+struct Readme;
