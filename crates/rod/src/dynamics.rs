@@ -474,16 +474,7 @@ impl BackwardEuler {
     /// The stored angles of u ⊕ α du: an increment of θ in the local gauge, plus the holonomy of the displacements.
     fn angles_to_stored(&mut self, at: &Interval, u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
         self.set_edges_of(at, u);
-        let layout = &self.system.layout;
-        self.displacement.fill(V3::zeros());
-        for &v in &layout.free_vertices {
-            let i = layout.unknown[layout.vertex(v)];
-            self.displacement[v] = V3::new(du[i], du[i + 1], du[i + 2]);
-        }
-        self.system.shape.holonomy(&self.displacement, &mut self.psi);
-        for &e in &layout.free_angles {
-            trial[layout.unknown[layout.angle(e)]] += alpha * self.psi[e];
-        }
+        self.system.add_holonomy(du, alpha, &mut self.displacement, &mut self.psi, trial);
     }
 
     /// Edges and turns at u. The point was assembled before, so its geometry is sound.

@@ -162,15 +162,7 @@ impl ImplicitStep for Statics {
         }
         s.scatter(u);
         s.shape.set_edges(&s.x, true).expect("u was assembled before");
-        self.displacement.fill(V3::zeros());
-        for &v in &s.layout.free_vertices {
-            let i = s.layout.unknown[s.layout.vertex(v)];
-            self.displacement[v] = V3::new(du[i], du[i + 1], du[i + 2]);
-        }
-        s.shape.holonomy(&self.displacement, &mut self.psi);
-        for &e in &s.layout.free_angles {
-            trial[s.layout.unknown[s.layout.angle(e)]] += alpha * self.psi[e];
-        }
+        s.add_holonomy(du, alpha, &mut self.displacement, &mut self.psi, trial);
     }
 
     fn converged_below(&self) -> f64 {

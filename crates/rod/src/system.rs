@@ -335,6 +335,28 @@ impl System {
         smallest
     }
 
+    /// Turns an increment α du of local angles, already added in `trial`, into one of stored angles: adds the holonomy of its
+    /// displacements, with the edges and turns of the present shape. `displacement` and `psi` are work space.
+    pub(crate) fn add_holonomy(
+        &self,
+        du: &[f64],
+        alpha: f64,
+        displacement: &mut [V3],
+        psi: &mut [f64],
+        trial: &mut [f64],
+    ) {
+        let layout = &self.layout;
+        displacement.fill(V3::zeros());
+        for &v in &layout.free_vertices {
+            let i = layout.unknown[layout.vertex(v)];
+            displacement[v] = V3::new(du[i], du[i + 1], du[i + 2]);
+        }
+        self.shape.holonomy(displacement, psi);
+        for &e in &layout.free_angles {
+            trial[layout.unknown[layout.angle(e)]] += alpha * psi[e];
+        }
+    }
+
     /// Displacements of all vertices from those of the free ones, taken from the first entries of a state-like vector.
     pub(crate) fn displacements(&self, dx: &[f64], out: &mut [V3]) {
         out.fill(V3::zeros());
