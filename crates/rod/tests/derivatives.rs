@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use varda_implicit::{ImplicitModel, Model};
 use varda_rod::{
-    BackwardEuler, Clamp, Damping, EllipseDrive, Loads, Marker, Markers, Material, Motion, Rod, Section,
-    Supports, equilibrium, straight_guess,
+    Clamp, Damping, EllipseDrive, Loads, Marker, Markers, Material, Motion, Rod, RodStep, Section, Supports,
+    equilibrium, straight_guess,
 };
 
 const MATERIAL: Material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1100.0 };
@@ -117,11 +117,11 @@ fn noise(seed: usize) -> impl Iterator<Item = f64> {
     (0..).map(move |i| (12.9898 * (i as f64 + 1.0) + 78.233 * seed as f64).sin())
 }
 
-fn model(rod: Rod, supports: Supports, damping: Damping) -> ImplicitModel<BackwardEuler> {
-    ImplicitModel::new(BackwardEuler::new(rod, supports, loads(), damping).unwrap(), 3, 0.01)
+fn model(rod: Rod, supports: Supports, damping: Damping) -> ImplicitModel<RodStep> {
+    ImplicitModel::new(RodStep::new(rod, supports, loads(), damping).unwrap(), 3, 0.01)
 }
 
-fn control(step: &BackwardEuler) -> Vec<f64> {
+fn control(step: &RodStep) -> Vec<f64> {
     let mut guess = straight_guess(step.rod(), step.supports(), 0.03, [0.0, 0.0, -1.0]).unwrap();
     let held_twice = step.supports().start.is_some() && step.supports().end.is_some();
     if held_twice {
@@ -269,7 +269,7 @@ fn products_do_not_depend_on_what_was_asked_before() {
             x.copy_from_slice(&next);
         }
         let v: Vec<f64> = noise(7).take(n).collect();
-        let products = |model: &mut ImplicitModel<BackwardEuler>, before: usize| {
+        let products = |model: &mut ImplicitModel<RodStep>, before: usize| {
             let (mut forward, mut backward, mut other) = (v.clone(), v.clone(), v.clone());
             model.adjoint(before, &mut other);
             model.tangent(1, &mut forward);

@@ -5,8 +5,7 @@ use std::sync::Arc;
 use proptest::prelude::*;
 use varda_implicit::{Error as StepError, ImplicitModel, Model};
 use varda_rod::{
-    BackwardEuler, Clamp, Damping, Error, Framed, Loads, Material, Motion, Rod, Section, Supports,
-    derivatives,
+    Clamp, Damping, Error, Framed, Loads, Material, Motion, Rod, RodStep, Section, Supports, derivatives,
 };
 
 type V = [f64; 3];
@@ -91,11 +90,7 @@ proptest! {
     }
 }
 
-fn hanging(
-    segments: usize,
-    position: impl Motion + 'static,
-    damping: Damping,
-) -> ImplicitModel<BackwardEuler> {
+fn hanging(segments: usize, position: impl Motion + 'static, damping: Damping) -> ImplicitModel<RodStep> {
     let material = Material::new(1e6, 0.5, 1100.0);
     let rod = Rod::uniform(1.0, segments, &Section::circle(&material, 0.01)).unwrap();
     let clamp = Clamp {
@@ -104,14 +99,10 @@ fn hanging(
         director: Arc::new([1.0, 0.0, 0.0]),
     };
     let loads = Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() };
-    ImplicitModel::new(
-        BackwardEuler::new(rod, Supports::clamped_start(clamp), loads, damping).unwrap(),
-        0,
-        0.02,
-    )
+    ImplicitModel::new(RodStep::new(rod, Supports::clamped_start(clamp), loads, damping).unwrap(), 0, 0.02)
 }
 
-fn at_rest(model: &ImplicitModel<BackwardEuler>) -> Vec<f64> {
+fn at_rest(model: &ImplicitModel<RodStep>) -> Vec<f64> {
     let (n, step) = (model.step_ref().rod().segments(), model.step_ref());
     let mut z = vec![0.0; step.control_len()];
     for (i, &v) in step.free_vertices().iter().enumerate() {
@@ -207,12 +198,12 @@ fn impossible_input_is_named() {
         ..Supports::clamped_start(Clamp::fixed([0.0; 3], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
     };
     assert!(matches!(
-        BackwardEuler::new(rod.clone(), twice, Loads::default(), Damping::default()),
+        RodStep::new(rod.clone(), twice, Loads::default(), Damping::default()),
         Err(Error::Support { vertex: 1, .. })
     ));
     let along = Supports::clamped_start(Clamp::fixed([0.0; 3], [0.0, 0.0, -1.0], [0.0, 0.0, 2.0]));
     assert!(matches!(
-        BackwardEuler::new(rod, along, Loads::default(), Damping::default()),
+        RodStep::new(rod, along, Loads::default(), Damping::default()),
         Err(Error::Value { field: "a clamp's director", .. })
     ));
 }
