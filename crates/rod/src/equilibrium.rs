@@ -72,9 +72,8 @@ pub fn equilibrium(
 /// An edge of a chain at its rest length has no stiffness across itself, which leaves zero rows in the Hessian: where there is
 /// one, the free vertices move away from the first held one by a thousandth.
 fn stretch_a_little(system: &mut System) {
-    let edges = system.x.windows(2).zip(&system.rod.rest_lengths);
-    let slack = |(x, rest): (&[V3], &f64)| ((x[1] - x[0]).norm() - rest).abs() < 1e-9 * rest;
-    if edges.map(slack).any(|slack| slack) {
+    let mut edges = system.x.windows(2).zip(&system.rod.rest_lengths);
+    if edges.any(|(x, rest)| ((x[1] - x[0]).norm() - rest).abs() < 1e-9 * rest) {
         let free = &system.layout.free_vertices;
         let held = (0..system.x.len()).find(|v| !free.contains(v)).unwrap_or(0);
         let origin = system.x[held];
