@@ -61,7 +61,8 @@ fn flagship() -> Result<(), Box<dyn Error>> {
     for linearization in [Linearization::Accepted, Linearization::LastFactor] {
         let mut model = rod.model(rod.first_step)?.with_linearization(linearization);
         let mut set = rod.observation_set(model.dim(), observations.clone())?;
-        let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(truth.clone(), &b)?, &mut set)?;
+        let mut cost =
+            StrongConstraint::new(&mut model, ControlTransform::new(truth.clone(), &b)?, &mut set)?;
         let n = cost.dim();
         let mut g = vec![0.0; n];
         let mut v = vec![0.0; n];

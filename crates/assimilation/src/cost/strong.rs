@@ -131,7 +131,7 @@ impl<'a> StrongConstraint<'a> {
             v: vec![0.0; n],
             z: vec![0.0; n_z],
             prior: vec![0.0; n],
-            trajectory: Trajectory::new(),
+            trajectory: room(Storage::KeepAll, state_dim, last),
             landings: vec![0.0; landings],
             predicted: vec![0.0; m],
         };
@@ -184,7 +184,7 @@ impl<'a> StrongConstraint<'a> {
     pub fn set_storage(&mut self, storage: Storage) {
         for point in [&mut self.base, &mut self.trial] {
             point.valid = false;
-            point.trajectory = Trajectory::with_storage(storage);
+            point.trajectory = room(storage, self.state_dim, self.last);
         }
         self.based = false;
     }
@@ -543,6 +543,13 @@ impl Incremental for StrongConstraint<'_> {
     fn adjoint(&mut self, dy: &[f64], p: &mut [f64]) -> Result<(), Error> {
         self.observation_jacobian_transpose(dy, p)
     }
+}
+
+/// Room for a run.
+fn room(storage: Storage, dim: usize, steps: usize) -> Trajectory {
+    let mut trajectory = Trajectory::with_storage(storage);
+    trajectory.start(dim, steps);
+    trajectory
 }
 
 fn difference(now: varda_implicit::Counts, before: varda_implicit::Counts) -> varda_implicit::Counts {
