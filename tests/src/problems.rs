@@ -7,8 +7,8 @@ use varda_assimilation::{LinearObservation, Observation, ObservationSet};
 use varda_covariance::{BlockDiagonal, CovarianceFunction, Dense, Interleaved, Kernel, Taper};
 use varda_implicit::{ImplicitModel, Model};
 use varda_rod::{
-    BackwardEuler, Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rod, Section, Supports,
-    equilibrium, straight_guess,
+    Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rod, RodStep, Section, Supports, equilibrium,
+    straight_guess,
 };
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -95,9 +95,9 @@ impl HangingRod {
     ///
     /// # Errors
     /// Impossible numbers.
-    pub fn model(&self, first: usize) -> Result<ImplicitModel<BackwardEuler>> {
+    pub fn model(&self, first: usize) -> Result<ImplicitModel<RodStep>> {
         let loads = Loads { gravity: self.gravity, ..Loads::default() };
-        let step = BackwardEuler::new(self.rod.clone(), self.supports(), loads, Damping::default())?;
+        let step = RodStep::new(self.rod.clone(), self.supports(), loads, Damping::default())?;
         Ok(ImplicitModel::new(step, first, self.dt))
     }
 
@@ -253,7 +253,7 @@ pub struct RodCase {
     /// What is special about it.
     pub name: &'static str,
     /// Its step.
-    pub model: ImplicitModel<BackwardEuler>,
+    pub model: ImplicitModel<RodStep>,
     /// A control near which it steps.
     pub control: Vec<f64>,
 }
@@ -293,7 +293,7 @@ fn rod_case(name: &'static str, rod: Rod, supports: Supports, damping: Damping) 
     if clamps == 2 {
         shape = equilibrium(&rod, &supports, &loads, start, &shape)?.0;
     }
-    let model = ImplicitModel::new(BackwardEuler::new(rod, supports, loads, damping)?, FIRST, DT);
+    let model = ImplicitModel::new(RodStep::new(rod, supports, loads, damping)?, FIRST, DT);
     let free = model.step_ref().free_vertices();
     let mut control: Vec<f64> = free.iter().flat_map(|&v| shape.vertices[v]).collect();
     let positions = control.len();
@@ -310,7 +310,7 @@ fn rod_case(name: &'static str, rod: Rod, supports: Supports, damping: Damping) 
 }
 
 /// Typical sizes of the components of a rod's state: 1 cm, 1 m/s, 0.1 rad.
-pub fn rod_scale(step: &BackwardEuler) -> Vec<f64> {
+pub fn rod_scale(step: &RodStep) -> Vec<f64> {
     let n = step.control_len() / 2;
     let mut scale = vec![0.01; n];
     scale.resize(2 * n, 1.0);

@@ -8,7 +8,7 @@ use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{ColMut, Conj, MatMut, Par};
 
 use crate::Structure;
-use crate::band::{self, BadPivot};
+use crate::band::{self, BLOCK, BadPivot};
 
 /// Factors and solves matrices of one structure.
 ///
@@ -26,9 +26,6 @@ pub struct LinearSolver {
     inverse: Vec<usize>,
     column: Vec<f64>,
 }
-
-/// Right-hand sides that [`LinearSolver::solve_block`] takes at once.
-pub(crate) const BLOCK: usize = band::BLOCK;
 
 /// The factor of one matrix; belongs to the [`LinearSolver`] that made it.
 #[derive(Debug, Clone)]

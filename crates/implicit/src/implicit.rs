@@ -1,13 +1,14 @@
 //! A [`Model`] made from any [`ImplicitStep`].
 
+use crate::block::Block;
 use crate::factor::Factor;
 use crate::newton::{self, NewtonOptions, NewtonWork};
 use crate::{Counts, Error, ImplicitStep, Interval, Model, Warning};
 
-/// Steps on a uniform grid of time, each solved by Newton's method, with tangent and adjoint from kept factors
-/// (paper 2.24, 2.25).
+/// Steps on a grid of time, each solved by Newton's method, with tangent and adjoint from kept factors (paper 2.24, 2.25).
 ///
-/// Step k runs from (first + k) Δt to (first + k + 1) Δt, both computed as products, so that long runs do not drift.
+/// On a uniform grid step k runs from (first + k) Δt to (first + k + 1) Δt, both computed as products, so that long runs
+/// do not drift; on a grid of one's own from `times[k]` to `times[k + 1]`.
 ///
 /// ```text
 /// G(x_k, u) = 0,   x_{k+1} = S(x_k, u)
@@ -19,6 +20,10 @@ use crate::{Counts, Error, ImplicitStep, Interval, Model, Warning};
 /// to 1/64 of Δt; the parts are full states of the model, a [`Warning`] tells of them, and tangent and adjoint go through
 /// every one. M_k is discontinuous where that pattern changes.
 ///
+/// **Two-step schemes** ([`ImplicitStep::history`]). x₀ has itself for a history, which step 0 does not read
+/// (`Interval::previous` is `None` there). After a step in parts the history is that of the whole step again, so that M_k
+/// stays a function of k and x_k.
+///
 /// **Linearization** is a function of the pair (x_k, x_{k+1}) alone: u is recovered from x_{k+1}, assembled and factored. A
 /// pair that does not satisfy the equations of the whole step comes from a step in parts, which is then run again to find
 /// them (unless it was the last one taken). Memory is allocated the first time a step is linearized, and reused.
@@ -26,8 +31,7 @@ use crate::{Counts, Error, ImplicitStep, Interval, Model, Warning};
 #[derive(Debug)]
 pub struct ImplicitModel<S> {
     step: S,
-    first: usize,
-    length: f64,
+    grid: Grid,
     options: NewtonOptions,
     linearization: Linearization,
     work: NewtonWork,
@@ -39,10 +43,42 @@ pub struct ImplicitModel<S> {
     places: usize,
     u: Vec<f64>,
     dx: Vec<f64>,
-    block_u: Vec<[f64; BLOCK]>,
-    block_dx: Vec<f64>,
+    block: Block,
+    /// The history that leaves a step: the first components of x_k, dx or λ.
+    history: Vec<f64>,
     counts: Counts,
     warnings: Vec<Warning>,
+}
+
+/// Where the steps are in time.
+#[derive(Debug)]
+enum Grid {
+    Uniform { first: usize, length: f64 },
+    Times(Vec<f64>),
+}
+
+impl Grid {
+    fn time(&self, k: usize) -> f64 {
+        match self {
+            Grid::Uniform { first, length } => (first + k) as f64 * length,
+            Grid::Times(times) => times[k],
+        }
+    }
+
+    fn length(&self, k: usize) -> f64 {
+        match self {
+            Grid::Uniform { length, .. } => *length,
+            Grid::Times(times) => times[k + 1] - times[k],
+        }
+    }
+
+    fn step(&self, k: usize) -> Interval {
+        if let Grid::Times(times) = self {
+            assert!(k + 1 < times.len(), "step {k} of a grid of {} steps", times.len() - 1);
+        }
+        let previous = k.checked_sub(1).map(|before| self.length(before));
+        Interval { index: k, start: self.time(k), length: self.length(k), previous }
+    }
 }
 
 /// The parts of one step: where they are in time, and the states between them (one more than parts).
@@ -74,16 +110,13 @@ struct Kept {
     parts: Vec<Part>,
 }
 
-/// Columns that are solved for at once.
-const BLOCK: usize = crate::factor::BLOCK;
-
 /// The linearization of a step or of a part of one.
 #[derive(Debug)]
-struct Part {
-    at: Interval,
-    x: Vec<f64>,
-    u: Vec<f64>,
-    factor: Factor,
+pub(crate) struct Part {
+    pub(crate) at: Interval,
+    pub(crate) x: Vec<f64>,
+    pub(crate) u: Vec<f64>,
+    pub(crate) factor: Factor,
 }
 
 /// A step may be halved this many times.
@@ -102,12 +135,26 @@ impl<S: ImplicitStep> ImplicitModel<S> {
     /// If the length is not positive and finite.
     pub fn new(step: S, first_index: usize, length: f64) -> Self {
         assert!(length > 0.0 && length.is_finite(), "a step needs a positive length, not {length}");
+        Self::on(Grid::Uniform { first: first_index, length }, step)
+    }
+
+    /// A model whose step k runs from `times[k]` to `times[k + 1]` (s); it has no steps beyond the last time.
+    ///
+    /// # Panics
+    /// If there are fewer than two times or they do not ascend.
+    pub fn on_times(step: S, times: Vec<f64>) -> Self {
+        let ascending = times.windows(2).all(|t| t[0] < t[1] && t[1].is_finite());
+        assert!(times.len() > 1 && ascending, "a grid of time needs two or more ascending times");
+        Self::on(Grid::Times(times), step)
+    }
+
+    fn on(grid: Grid, step: S) -> Self {
         let (n, unknowns) = (step.dim(), step.unknowns());
         Self {
             work: NewtonWork::new(unknowns, &step.structure()),
+            history: vec![0.0; step.history()],
             step,
-            first: first_index,
-            length,
+            grid,
             options: NewtonOptions::default(),
             linearization: Linearization::default(),
             last: Parts::default(),
@@ -116,8 +163,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
             places: usize::MAX,
             u: vec![0.0; unknowns],
             dx: vec![0.0; n],
-            block_u: Vec::new(),
-            block_dx: Vec::new(),
+            block: Block::default(),
             counts: Counts::default(),
             warnings: Vec::new(),
         }
@@ -157,8 +203,11 @@ impl<S: ImplicitStep> ImplicitModel<S> {
     }
 
     /// Time at the start of step k (s).
+    ///
+    /// # Panics
+    /// If a grid of times does not reach so far.
     pub fn time(&self, k: usize) -> f64 {
-        (self.first + k) as f64 * self.length
+        self.grid.time(k)
     }
 
     /// Allocates now what the linearizations of steps 0 … steps−1 need, one part each.
@@ -177,14 +226,16 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         parts.clear();
         states.clear();
         states.extend_from_slice(x);
-        let start = (self.first + k) as f64 * self.length;
+        let whole = self.grid.step(k);
+        let own = n - self.history.len();
         // in units of the shortest part: where the next part begins, and how long it is to be
         let (mut position, mut size) = (0, SHORTEST);
         while position < SHORTEST {
             let at = Interval {
                 index: k,
-                start: start + self.length * position as f64 / SHORTEST as f64,
-                length: self.length * size as f64 / SHORTEST as f64,
+                start: whole.start + whole.length * position as f64 / SHORTEST as f64,
+                length: whole.length * size as f64 / SHORTEST as f64,
+                previous: parts.last().map_or(whole.previous, |before| Some(before.length)),
             };
             let from = parts.len() * n;
             states.resize(from + 2 * n, 0.0);
@@ -208,7 +259,8 @@ impl<S: ImplicitStep> ImplicitModel<S> {
                 }
                 Err(error) => return Err(error),
             }
-            self.step.advance(&at, x, &self.u, x_next);
+            self.step.advance(&at, x, &self.u, &mut x_next[..own]);
+            x_next[own..].copy_from_slice(&x[..n - own]);
             if !x_next.iter().all(|v| v.is_finite()) {
                 return Err(Error::NonFinite { step: k, what: "x_{k+1}" });
             }
@@ -222,6 +274,9 @@ impl<S: ImplicitStep> ImplicitModel<S> {
                 size *= 2;
             }
         }
+        // to the next step, the step before it is the whole of this one
+        let end = states.len() - n;
+        states.copy_within(..n - own, end + own);
         self.last.step = Some(k);
         self.last_factor = true;
         Ok(())
@@ -254,7 +309,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         let parts = &mut self.kept[place].parts;
         if parts.len() == p {
             parts.push(Part {
-                at: Interval { index: k, start: 0.0, length: 0.0 },
+                at: Interval { index: k, start: 0.0, length: 0.0, previous: None },
                 x: vec![0.0; n],
                 u: vec![0.0; unknowns],
                 factor: self.work.solver.empty_factor(),
@@ -270,7 +325,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         let part = &mut kept[k % *places].parts[0];
         part.at = last.at[0];
         part.x.copy_from_slice(x);
-        step.recover(&part.at, x, x_next, &mut part.u);
+        step.recover(&part.at, x, &x_next[..x.len() - step.history()], &mut part.u);
         std::mem::swap(&mut part.factor, &mut work.factor);
         self.last_factor = false;
         self.counts.reused += 1;
@@ -284,7 +339,8 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         let part = &mut kept[k % *places].parts[p];
         part.at = at;
         part.x.copy_from_slice(x);
-        step.recover(&at, x, x_next, &mut part.u);
+        let own = x.len() - step.history();
+        step.recover(&at, x, &x_next[..own], &mut part.u);
         step.assemble(&at, x, &part.u, &mut work.g, Some(&mut work.values))
             .map_err(|source| Error::Refused { step: k, source })?;
         self.counts.factorizations += 1;
@@ -334,7 +390,7 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
             self.kept[place].used = 1;
             return self.ask_accepted(k, 0);
         }
-        let whole = Interval { index: k, start: self.time(k), length: self.length };
+        let whole = self.grid.step(k);
         let left = self.linearize_part(0, whole, x, x_next);
         if left.as_ref().is_ok_and(|left| *left <= SOLVED * self.step.converged_below()) {
             self.kept[place].used = 1;
@@ -361,74 +417,51 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
 
     fn tangent(&mut self, k: usize, dx: &mut [f64]) {
         self.counts.tangent_steps += 1;
-        let Self { step, work, kept, places, u: du, dx: dx_next, .. } = self;
+        let Self { step, work, kept, places, u: du, dx: dx_next, history, .. } = self;
+        let (past, own) = (history.len(), dx.len() - history.len());
+        history.copy_from_slice(&dx[..past]);
         for part in linearized(kept, *places, k) {
             step.previous(&part.at, &part.x, &part.u, dx, du);
             work.solver.solve(&part.factor, du);
             du.iter_mut().for_each(|d| *d = -*d);
-            step.advance_tangent(&part.at, &part.x, &part.u, dx, du, dx_next);
+            step.advance_tangent(&part.at, &part.x, &part.u, dx, du, &mut dx_next[..own]);
+            dx_next[own..].copy_from_slice(&dx[..past]);
             dx.copy_from_slice(dx_next);
         }
+        dx[own..].copy_from_slice(history);
     }
 
     fn adjoint(&mut self, k: usize, lambda: &mut [f64]) {
         self.counts.adjoint_steps += 1;
-        let Self { step, work, kept, places, u: mu, dx, .. } = self;
+        let Self { step, work, kept, places, u: mu, dx, history, .. } = self;
+        let (past, own) = (history.len(), lambda.len() - history.len());
+        history.copy_from_slice(&lambda[own..]);
+        lambda[own..].fill(0.0);
         for part in linearized(kept, *places, k).iter().rev() {
-            step.advance_adjoint(&part.at, &part.x, &part.u, lambda, dx, mu);
+            step.advance_adjoint(&part.at, &part.x, &part.u, &lambda[..own], dx, mu);
             work.solver.solve_transpose(&part.factor, mu);
             mu.iter_mut().for_each(|m| *m = -*m);
             step.previous_transpose_add(&part.at, &part.x, &part.u, mu, dx);
+            add(&mut dx[..past], &lambda[own..]);
             lambda.copy_from_slice(dx);
         }
+        add(&mut lambda[..past], history);
     }
 
     fn tangent_block(&mut self, k: usize, dx: &mut [f64]) {
         let n = self.dim();
         assert!(dx.len().is_multiple_of(n), "a column has {n} values");
         self.counts.tangent_steps += dx.len() / n;
-        let Self { step, work, kept, places, u: du, dx: dx_next, block_u, .. } = self;
-        block_u.resize(du.len(), [0.0; BLOCK]);
-        for part in linearized(kept, *places, k) {
-            for columns in dx.chunks_mut(BLOCK * n) {
-                for (c, dx) in columns.chunks_exact(n).enumerate() {
-                    step.previous(&part.at, &part.x, &part.u, dx, du);
-                    block_u.iter_mut().zip(du.iter()).for_each(|(row, d)| row[c] = -d);
-                }
-                work.solver.solve_block(&part.factor, block_u);
-                for (c, dx) in columns.chunks_exact_mut(n).enumerate() {
-                    du.iter_mut().zip(block_u.iter()).for_each(|(d, row)| *d = row[c]);
-                    step.advance_tangent(&part.at, &part.x, &part.u, dx, du, dx_next);
-                    dx.copy_from_slice(dx_next);
-                }
-            }
-        }
+        let parts = linearized(&self.kept, self.places, k);
+        self.block.tangent(&mut self.step, &mut self.work.solver, parts, n, dx);
     }
 
     fn adjoint_block(&mut self, k: usize, lambda: &mut [f64]) {
         let n = self.dim();
         assert!(lambda.len().is_multiple_of(n), "a column has {n} values");
         self.counts.adjoint_steps += lambda.len() / n;
-        let Self { step, work, kept, places, u: mu, block_u, block_dx, .. } = self;
-        block_u.resize(mu.len(), [0.0; BLOCK]);
-        block_dx.resize(BLOCK * n, 0.0);
-        for part in linearized(kept, *places, k).iter().rev() {
-            for columns in lambda.chunks_mut(BLOCK * n) {
-                for (c, (lambda, dx)) in columns.chunks_exact(n).zip(block_dx.chunks_exact_mut(n)).enumerate()
-                {
-                    step.advance_adjoint(&part.at, &part.x, &part.u, lambda, dx, mu);
-                    block_u.iter_mut().zip(mu.iter()).for_each(|(row, m)| row[c] = -m);
-                }
-                work.solver.solve_transpose_block(&part.factor, block_u);
-                for (c, (lambda, dx)) in
-                    columns.chunks_exact_mut(n).zip(block_dx.chunks_exact_mut(n)).enumerate()
-                {
-                    mu.iter_mut().zip(block_u.iter()).for_each(|(m, row)| *m = row[c]);
-                    step.previous_transpose_add(&part.at, &part.x, &part.u, mu, dx);
-                    lambda.copy_from_slice(dx);
-                }
-            }
-        }
+        let parts = linearized(&self.kept, self.places, k);
+        self.block.adjoint(&mut self.step, &mut self.work.solver, parts, n, lambda);
     }
 
     fn keep_at_most(&mut self, steps: usize) {
@@ -455,7 +488,9 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
 
     fn initial_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), Error> {
         let t = self.time(0);
-        self.step.initial_state(t, z, x).map_err(|source| Error::Refused { step: 0, source })?;
+        let (own, history) = x.split_at_mut(x.len() - self.history.len());
+        self.step.initial_state(t, z, own).map_err(|source| Error::Refused { step: 0, source })?;
+        history.copy_from_slice(&own[..history.len()]);
         if !x.iter().all(|v| v.is_finite()) {
             return Err(Error::NonFinite { step: 0, what: "the initial state" });
         }
@@ -464,12 +499,18 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
 
     fn initial_tangent(&mut self, dz: &[f64], dx: &mut [f64]) {
         let t = self.time(0);
-        self.step.initial_tangent(t, dz, dx);
+        let (own, history) = dx.split_at_mut(dx.len() - self.history.len());
+        self.step.initial_tangent(t, dz, own);
+        history.copy_from_slice(&own[..history.len()]);
     }
 
     fn initial_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]) {
         let t = self.time(0);
-        self.step.initial_adjoint(t, lambda, dz);
+        let (own, history) = lambda.split_at(lambda.len() - self.history.len());
+        let sum = &mut self.dx[..own.len()];
+        sum.copy_from_slice(own);
+        add(&mut sum[..history.len()], history);
+        self.step.initial_adjoint(t, sum, dz);
     }
 
     fn counts(&self) -> Counts {
@@ -479,6 +520,10 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
     fn warnings(&self) -> &[Warning] {
         &self.warnings
     }
+}
+
+pub(crate) fn add(target: &mut [f64], values: &[f64]) {
+    target.iter_mut().zip(values).for_each(|(t, v)| *t += v);
 }
 
 fn linearized(kept: &[Kept], places: usize, k: usize) -> &[Part] {

@@ -37,6 +37,7 @@
 //! ```
 
 pub mod band;
+mod block;
 pub mod check;
 mod error;
 mod explicit;
@@ -47,6 +48,7 @@ pub mod lorenz;
 mod model;
 mod newton;
 mod rhs;
+mod scheme;
 mod step;
 mod storage;
 mod trajectory;
@@ -58,6 +60,7 @@ pub use implicit::{ImplicitModel, Linearization, MAX_HALVINGS};
 pub use model::{Counts, Model, Warning};
 pub use newton::{NewtonOptions, NewtonReport, NewtonWork, solve};
 pub use rhs::{OneLeg, Rhs};
+pub use scheme::{Scheme, Stage};
 pub use step::{ImplicitStep, Interval, Structure};
 pub use storage::{Footprint, Storage};
 pub use trajectory::{Keep, Trajectory};

@@ -12,7 +12,7 @@ use varda_assimilation::{
 };
 use varda_covariance::Diagonal;
 use varda_implicit::{ImplicitModel, Model, Rk4, lorenz::Lorenz96};
-use varda_rod::{BackwardEuler, Clamp, Damping, Loads, Material, Rod, Section, Supports, straight_guess};
+use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, straight_guess};
 
 pub(super) fn run(rows: &mut Rows) {
     rows.case("flagship-truth", flagship_truth);
@@ -68,8 +68,7 @@ fn tip(case: &mut Case) -> Outcome {
     });
     let loads = Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() };
     let start = straight_guess(&rod, &supports, 0.0, down)?;
-    let mut model =
-        ImplicitModel::new(BackwardEuler::new(rod, supports, loads, Damping::default())?, 0, 0.02);
+    let mut model = ImplicitModel::new(RodStep::new(rod, supports, loads, Damping::default())?, 0, 0.02);
     let mut z: Vec<f64> = model.step_ref().free_vertices().iter().flat_map(|&v| start.vertices[v]).collect();
     z.resize(model.control_dim(), 0.0);
     let mut x = vec![0.0; model.dim()];
