@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 use varda_assimilation::{LinearObservation, Observation, ObservationSet};
 use varda_covariance::{BlockDiagonal, CovarianceFunction, Dense, Interleaved, Kernel, Taper};
-use varda_implicit::{ImplicitModel, Model};
+use varda_implicit::{ImplicitModel, ImplicitStep, Model, Scheme};
 use varda_rod::{
     Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rod, RodStep, Section, Supports, equilibrium,
     straight_guess,
@@ -258,7 +258,8 @@ pub struct RodCase {
     pub control: Vec<f64>,
 }
 
-/// Rods with every feature the step has: twist, both dampings, both ends clamped, pinned, no bending, everything at once.
+/// Rods with every feature the step has: twist, both dampings, both ends clamped, pinned, no bending, everything at once,
+/// and by the second-order schemes, with and without a state before.
 ///
 /// # Errors
 /// A rod that cannot be made.
@@ -274,7 +275,27 @@ pub fn rods() -> Result<Vec<RodCase>> {
         rod_case("damped anisotropic rod clamped at both ends", curved()?, both_ends(), damping(0.004, 0.7))?,
         rod_case("pinned anisotropic rod", curved()?, pinned(), damping(0.004, 0.0))?,
         rod_case("chain", straight(8, true)?, clamped(), damping(0.004, 0.7))?,
+        by(Scheme::Midpoint, rod_case("rod by midpoint", straight(8, false)?, clamped(), damping(0.0, 0.7))?),
+        by(
+            Scheme::Midpoint,
+            rod_case("anisotropic rod by midpoint", curved()?, clamped(), damping(0.0, 0.0))?,
+        ),
+        by(
+            Scheme::Midpoint,
+            rod_case("damped anisotropic rod by midpoint", curved()?, both_ends(), damping(0.004, 0.7))?,
+        ),
+        by(Scheme::Bdf2, rod_case("rod by bdf2", straight(8, false)?, clamped(), damping(0.0, 0.7))?),
+        by(
+            Scheme::Bdf2,
+            rod_case("damped anisotropic rod by bdf2", curved()?, both_ends(), damping(0.004, 0.7))?,
+        ),
     ])
+}
+
+/// The same rod by another scheme.
+fn by(scheme: Scheme, case: RodCase) -> RodCase {
+    let step = case.model.into_inner().with_scheme(scheme);
+    RodCase { model: ImplicitModel::new(step, FIRST, DT), ..case }
 }
 
 const MATERIAL: Material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1100.0 };
@@ -309,12 +330,36 @@ fn rod_case(name: &'static str, rod: Rod, supports: Supports, damping: Damping) 
     Ok(RodCase { name, model, control })
 }
 
+/// The rod of design.md, section 9: 25 segments, from rest, straight down and unstretched, its clamp going round once a second.
+/// Its step (backward Euler, no damping) and control.
+///
+/// # Errors
+/// A rod that cannot be made.
+pub fn section9() -> Result<(RodStep, Vec<f64>)> {
+    let material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1200.0 };
+    let rod = Rod::uniform(1.0, 25, &Section::circle(&material, 0.005))?;
+    let drive = |t: f64| [0.10 * (1.0 - (TAU * t).cos()), 0.05 * (TAU * t).sin(), 0.0];
+    let down = [0.0, 0.0, -1.0];
+    let supports = Supports::clamped_start(Clamp {
+        position: Arc::new(drive),
+        tangent: Arc::new(down),
+        director: Arc::new([1.0, 0.0, 0.0]),
+    });
+    let loads = Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() };
+    let start = straight_guess(&rod, &supports, 0.0, down)?;
+    let step = RodStep::new(rod, supports, loads, Damping::default())?;
+    let mut control: Vec<f64> = step.free_vertices().iter().flat_map(|&v| start.vertices[v]).collect();
+    control.resize(step.control_len(), 0.0);
+    Ok((step, control))
+}
+
 /// Typical sizes of the components of a rod's state: 1 cm, 1 m/s, 0.1 rad.
 pub fn rod_scale(step: &RodStep) -> Vec<f64> {
     let n = step.control_len() / 2;
     let mut scale = vec![0.01; n];
     scale.resize(2 * n, 1.0);
     scale.resize(2 * n + step.free_angles().len(), 0.1);
+    scale.extend_from_within(..step.history());
     scale
 }
 

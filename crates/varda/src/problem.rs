@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet, Selection};
 use varda_covariance::{Covariance, sample};
-use varda_implicit::{ImplicitModel, Model, Rk4, lorenz};
+use varda_implicit::{Adaptive, Grouped, ImplicitModel, Model, Rk4, accepted_times, lorenz};
 use varda_rod::{Marker, RodStep};
 
 use crate::covariance::{self, Places};
@@ -210,13 +210,15 @@ fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
         }
     };
 
-    let mut model = ImplicitModel::new(parts.dynamics()?, scene.time.spin_up, window.step);
+    let times =
+        scene.time.tolerance.map(|t| divided_steps(&parts, scene, &window, &background, t)).transpose()?;
+    let mut model = rod_model(&parts, scene, &window, times.as_deref())?;
     let mut sites = RodObservation::new(&dynamics, &sightings, window)?;
     if let (Observations::Synthetic(synthetic), Some(truth)) = (&scene.observations, &truth) {
         let steps = observed_steps(synthetic, &window);
         let sigma =
             synthetic.sigma.unwrap_or_else(|| synthetic.sigma_over_length.unwrap_or(f64::NAN) * length);
-        let states = run_states(&mut model, truth, steps.iter().copied().max().unwrap_or(0))?;
+        let states = run_states(model.as_mut(), truth, steps.iter().copied().max().unwrap_or(0))?;
         let mut rng = stream(scene.seed, Stream::Observations);
         let mut seen = vec![0.0; sites.dim()];
         for &k in &steps {
@@ -246,18 +248,59 @@ fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
     let mut left_out = dynamics.left_out();
     left_out.extend(sightings.left_out.iter().cloned());
     // The model that ran the truth starts again from nothing, so that counts are those of the assimilation.
-    let model = ImplicitModel::new(model.into_inner(), scene.time.spin_up, window.step);
+    let model = rod_model(&parts, scene, &window, times.as_deref())?;
     Ok(Problem {
         name: file.name.clone(),
         scene: scene.clone(),
         window,
-        model: Box::new(model),
+        model,
         view: View::Rod(Box::new(RodView { parts, dynamics, sightings, sites })),
         covariance,
         background,
         truth,
         observations,
         left_out,
+    })
+}
+
+/// The times of all steps to the end of the forecast, from the error estimates of a run from `background`.
+fn divided_steps(
+    parts: &RodParts,
+    scene: &Scene,
+    window: &Window,
+    background: &[f64],
+    tolerance: f64,
+) -> Result<Vec<f64>, Error> {
+    let mut model = ImplicitModel::new(parts.dynamics()?, scene.time.spin_up, window.step);
+    let mut x0 = vec![0.0; model.dim()];
+    model.initial_state(background, &mut x0)?;
+    let mut scale = vec![f64::INFINITY; x0.len()];
+    scale[..background.len() / 2].fill(parts.rod.length());
+    let mut step = model.into_inner();
+    let options =
+        Adaptive { tolerance, first: window.step, shortest: window.step / 4096.0, longest: window.step };
+    Ok(accepted_times(&mut step, parts.scheme, &x0, &scale, &grid(window), &options)?)
+}
+
+/// Times of all steps of the window and its forecast.
+fn grid(window: &Window) -> Vec<f64> {
+    (0..=window.steps + window.forecast).map(|k| window.time(k)).collect()
+}
+
+/// The model whose step k is that of the window: one step, or those between `times` that make it up.
+fn rod_model(
+    parts: &RodParts,
+    scene: &Scene,
+    window: &Window,
+    times: Option<&[f64]>,
+) -> Result<Box<dyn Model>, Error> {
+    let step = parts.dynamics()?;
+    Ok(match times {
+        None => Box::new(ImplicitModel::new(step, scene.time.spin_up, window.step)),
+        Some(times) => {
+            let model = ImplicitModel::on_times(step, times.to_vec());
+            Box::new(Grouped::through(model, times, &grid(window)))
+        }
     })
 }
 

@@ -91,6 +91,11 @@ pub struct Time {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("minimum" = 1))]
     pub steps_per_period: Option<usize>,
+    /// Rods: divide every step so that the estimated error of its parts is at most this share of the rod's length (root mean
+    /// square over coordinates). The parts are those the background's run needs and stay the same during a run.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub tolerance: Option<f64>,
     /// Length of the assimilation window, in steps.
     pub window: usize,
     /// Steps from the model's time 0 to the start of the window. A twin's truth is run through them.

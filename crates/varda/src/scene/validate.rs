@@ -41,8 +41,12 @@ pub(super) fn validate(scene: &Scene) -> Check {
         }
         None => {}
     }
-    if rod.is_some() && scene.time.integrator != Integrator::BackwardEuler {
-        return invalid("time.integrator", "rods are integrated with \"backward-euler\"");
+    if rod.is_some() && scene.time.integrator == Integrator::Rk4 {
+        let rods = "rods are integrated with \"backward-euler\", \"midpoint\" or \"bdf2\"";
+        return invalid("time.integrator", rods);
+    }
+    if rod.is_none() && scene.time.tolerance.is_some() {
+        return invalid("time.tolerance", "steps are divided by their error for rods only");
     }
     one_of(
         "time",

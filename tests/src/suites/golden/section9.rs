@@ -1,10 +1,8 @@
 //! Numbers that design.md, section 9, asks for, and the start of the flagship's window.
 
 use super::largest_difference;
-use crate::problems::HangingRod;
+use crate::problems::{HangingRod, section9};
 use crate::row::{Case, Outcome, Rows};
-use std::f64::consts::TAU;
-use std::sync::Arc;
 use varda::problem::Problem;
 use varda::scene::SceneFile;
 use varda_assimilation::{
@@ -12,7 +10,6 @@ use varda_assimilation::{
 };
 use varda_covariance::Diagonal;
 use varda_implicit::{ImplicitModel, Model, Rk4, lorenz::Lorenz96};
-use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, straight_guess};
 
 pub(super) fn run(rows: &mut Rows) {
     rows.case("flagship-truth", flagship_truth);
@@ -57,20 +54,8 @@ fn flagship_truth(case: &mut Case) -> Outcome {
 
 /// A rod of 25 segments from rest, straight down and unstretched, its clamp going round once a second.
 fn tip(case: &mut Case) -> Outcome {
-    let material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1200.0 };
-    let rod = Rod::uniform(1.0, 25, &Section::circle(&material, 0.005))?;
-    let drive = |t: f64| [0.10 * (1.0 - (TAU * t).cos()), 0.05 * (TAU * t).sin(), 0.0];
-    let down = [0.0, 0.0, -1.0];
-    let supports = Supports::clamped_start(Clamp {
-        position: Arc::new(drive),
-        tangent: Arc::new(down),
-        director: Arc::new([1.0, 0.0, 0.0]),
-    });
-    let loads = Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() };
-    let start = straight_guess(&rod, &supports, 0.0, down)?;
-    let mut model = ImplicitModel::new(RodStep::new(rod, supports, loads, Damping::default())?, 0, 0.02);
-    let mut z: Vec<f64> = model.step_ref().free_vertices().iter().flat_map(|&v| start.vertices[v]).collect();
-    z.resize(model.control_dim(), 0.0);
+    let (step, z) = section9()?;
+    let mut model = ImplicitModel::new(step, 0, 0.02);
     let mut x = vec![0.0; model.dim()];
     model.initial_state(&z, &mut x)?;
     let mut next = x.clone();
