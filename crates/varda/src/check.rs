@@ -51,7 +51,8 @@ impl Plan {
                 if let Covariance::Kernel(k) = &scene.background.covariance {
                     // v̄ needs a run; whether B has a root does not depend on it.
                     let (sigma_x, sigma_v) = sigmas(k, parts.rod.length(), 1.0);
-                    covariance::localized(file, k, &places(&parts, &dynamics), sigma_x, sigma_v)?;
+                    let path = "background.covariance";
+                    covariance::localized(file, path, k, &places(&parts, &dynamics), (sigma_x, sigma_v))?;
                 }
                 left_out = dynamics.left_out();
                 left_out.extend(sightings.left_out.iter().cloned());
