@@ -2,9 +2,7 @@
 //! not belong together.
 
 use super::validate::{Check, invalid, validate_covariance};
-use super::{
-    Algorithm, Covariance, Ensemble, Method, Minimizer, Model, ModelError, Observations, Root, Scene, Taper,
-};
+use super::{Algorithm, Ensemble, Method, Minimizer, Model, ModelError, Observations, Root, Scene, Taper};
 
 pub(super) fn validate_algorithm(scene: &Scene) -> Check {
     let algorithm = &scene.algorithm;
@@ -158,16 +156,5 @@ fn validate_ensemble(ensemble: &Ensemble, method: Method, model: &Model) -> Chec
             "the three variables of lorenz63 have no distances: leave it out",
         ),
         _ => Ok(()),
-    }
-}
-
-impl Covariance {
-    /// The kind of its square root.
-    fn root(&self) -> Root {
-        match self {
-            Covariance::Diagonal(_) => Root::Cholesky,
-            Covariance::Kernel(k) => k.root,
-            Covariance::Line(k) => k.root,
-        }
     }
 }
