@@ -314,7 +314,12 @@ impl Task<'_> {
             transform.control(iteration.v, &mut control);
             on_row(&Row { iteration, control: &control, window, before })
         };
-        let options = EnVarOptions { max_outer: self.algorithm.max_iterations, ..EnVarOptions::default() };
+        // The static part of a hybrid stays where it is through the window: relinearized, it has no minimum to end at.
+        let max_outer = match self.algorithm.method {
+            Method::HybridFourDEnVar => 1,
+            _ => self.algorithm.max_iterations,
+        };
+        let options = EnVarOptions { max_outer, ..EnVarOptions::default() };
         let minimum = cost.minimize(v, &options, &mut on_iteration)?;
         let counts = WorkCounts::from(&cost.counts());
         // The last step is not followed by a run of the ensemble, nor reported: nothing is left to interrupt.

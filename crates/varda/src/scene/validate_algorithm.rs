@@ -35,7 +35,7 @@ pub(super) fn validate_algorithm(scene: &Scene) -> Check {
 /// Keys that the method has no use for.
 fn validate_keys(algorithm: &Algorithm) -> Check {
     let method = algorithm.method;
-    let keys: [(&str, bool, fn(Method) -> bool); 7] = [
+    let keys: [(&str, bool, fn(Method) -> bool); 8] = [
         ("minimizer", algorithm.minimizer != Minimizer::Auto, Method::takes_minimizer),
         ("sigma_stages", !algorithm.sigma_stages.is_empty(), Method::takes_minimizer),
         ("robust", algorithm.robust.is_some(), Method::takes_robust),
@@ -47,6 +47,9 @@ fn validate_keys(algorithm: &Algorithm) -> Check {
             algorithm.gradient_tolerance != Algorithm::default().gradient_tolerance,
             |method| !method.is_ensemble(),
         ),
+        ("max_iterations", algorithm.max_iterations != Algorithm::default().max_iterations, |method| {
+            !matches!(method, Method::Blue | Method::HybridFourDEnVar)
+        }),
     ];
     let Some((key, _, takes)) = keys.iter().find(|(_, given, takes)| *given && !takes(method)) else {
         return Ok(());
