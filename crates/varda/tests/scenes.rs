@@ -182,10 +182,10 @@ fn walk(node: &serde_json::Value, root: &serde_json::Value, path: &str, keys: &m
 
 #[test]
 fn a_key_that_is_not_the_methods_is_named_with_its_place() {
-    let (text, line) = starter_with("[algorithm]", "[algorithm]\nmethod = \"4d-psas\"\nrobust = 1.5");
+    let (text, line) = starter_with("method = \"4dvar\" ", "method = \"4d-psas\"\nrobust = 1.5 #");
     let said = message(&text, &[]);
     assert!(
-        said.starts_with(&format!("test.toml:{}:10: method \"4d-psas\" has no `robust`", line + 2)),
+        said.starts_with(&format!("test.toml:{}:10: method \"4d-psas\" has no `robust`", line + 1)),
         "{said}"
     );
     let said = message(STARTER, &["algorithm.method=blue", "algorithm.minimizer=lbfgs"]);
