@@ -98,7 +98,7 @@ impl Error {
             | Error::NotAStep { step }
             | Error::NonFinite { step, .. }
             | Error::Refused { step, .. } => *step = k,
-            Error::EmptyTest { .. } | Error::ToleranceNotMet { .. } => {}
+            Error::EmptyTest { .. } | Error::ToleranceNotMet { .. } | Error::Memory { .. } => {}
         }
         self
     }

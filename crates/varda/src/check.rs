@@ -4,10 +4,10 @@ use varda_implicit::{Footprint, ImplicitStep, Storage, Structure};
 
 use crate::Error;
 use crate::covariance;
-use crate::problem::{observed_steps, places, sightings, sigmas, window};
+use crate::problem::{no_derivatives, observed_steps, places, sightings, sigmas, window};
 use crate::rod_model::RodParts;
 use crate::rod_observation::Window;
-use crate::scene::{Covariance, Model, Observations, SceneFile};
+use crate::scene::{Covariance, Integrator, Model, Observations, SceneFile};
 
 /// Sizes of a scene, and what it leaves out.
 #[derive(Debug, Clone, PartialEq)]
@@ -16,10 +16,16 @@ pub struct Plan {
     pub name: String,
     /// Its title.
     pub title: String,
+    /// Its method and what solves it.
+    pub method: String,
     /// Length of the state.
     pub n_state: usize,
     /// Length of the control.
     pub n_control: usize,
+    /// Numbers of model error in the control beyond it, at most (weak-constraint methods).
+    pub n_errors: usize,
+    /// Members of the ensemble; 0 where there is none.
+    pub members: usize,
     /// Number of observed values that would be assimilated.
     pub n_obs: usize,
     /// Number of times at which something is observed.
@@ -51,7 +57,8 @@ impl Plan {
                 if let Covariance::Kernel(k) = &scene.background.covariance {
                     // v̄ needs a run; whether B has a root does not depend on it.
                     let (sigma_x, sigma_v) = sigmas(k, parts.rod.length(), 1.0);
-                    covariance::localized(file, k, &places(&parts, &dynamics), sigma_x, sigma_v)?;
+                    let path = "background.covariance";
+                    covariance::localized(file, path, k, &places(&parts, &dynamics), (sigma_x, sigma_v))?;
                 }
                 left_out = dynamics.left_out();
                 left_out.extend(sightings.left_out.iter().cloned());
@@ -77,10 +84,7 @@ impl Plan {
                 (dynamics.dim(), dynamics.control_len(), n_obs, times, kept)
             }
             model => {
-                let n = match model {
-                    Model::Lorenz96(m) => m.variables,
-                    _ => 3,
-                };
+                let n = model.components().unwrap_or(0);
                 let (rows, times) = match &scene.observations {
                     Observations::Synthetic(s) => {
                         let rows = if s.components.is_empty() { n } else { s.components.len() };
@@ -88,10 +92,26 @@ impl Plan {
                     }
                     Observations::File(_) => (0, 0),
                 };
-                left_out.push("factorizations: the steps are explicit".to_string());
-                (n, n, rows * times, times, 4 * n)
+                let path = "background.covariance";
+                covariance::of_components(
+                    file,
+                    path,
+                    &scene.background.covariance,
+                    n,
+                    model.line().as_ref(),
+                )?;
+                let kept = match scene.time.integrator {
+                    Integrator::Rk4 => {
+                        left_out.push("factorizations: the steps are explicit".to_string());
+                        4 * n
+                    }
+                    // The states and a factor of about six numbers a row: bands, and circles with little fill.
+                    _ => 8 * n,
+                };
+                (n, n, rows * times, times, kept)
             }
         };
+        let algorithm = &scene.algorithm;
         let footprint =
             Footprint { steps: window.steps, runs: 2, state: 8 * n_state, linearization: 8 * kept };
         let storage = match scene.limits.bytes() {
@@ -102,12 +122,30 @@ impl Plan {
         };
         left_out.extend(scene.limits.left_out(storage, window.steps));
         // States of two runs and what linearized steps keep; the Jacobian of the observations, B's root, the Hessian.
-        let bytes = footprint.bytes(storage) + 8 * n_control * (n_obs + 3 * n_control);
+        let mut bytes = footprint.bytes(storage) + 8 * n_control * (n_obs + 3 * n_control);
+        let mut n_errors = 0;
+        if let Some(error) = &algorithm.model_error {
+            // Each η is as long as the control at most (a truncated root of Q is shorter).
+            let parts = window.steps / error.every;
+            n_errors = n_control * if error.held { window.steps.div_ceil(error.every) } else { parts };
+            bytes += 8 * (n_errors * (n_obs + 8) + window.steps * n_state + n_obs * n_obs);
+        }
+        let members = algorithm.members();
+        if let Some(ensemble) = &members {
+            left_out.extend(no_derivatives(scene));
+            bytes = 8
+                * ((ensemble.members + 1) * (window.steps + 1) * n_state
+                    + 2 * ensemble.members * (n_obs + n_control)
+                    + n_control * n_control);
+        }
         Ok(Plan {
             name: file.name.clone(),
             title: scene.title.clone(),
+            method: format!("{}, {}", algorithm.method.name(), algorithm.solver_name()),
             n_state,
             n_control,
+            n_errors,
+            members: members.map_or(0, |e| e.members),
             n_obs,
             times,
             window,

@@ -36,8 +36,10 @@
 pub mod check;
 pub mod cli;
 pub mod compare;
+mod component_model;
 pub mod covariance;
 pub mod csv_input;
+pub mod ensemble;
 mod error;
 pub mod fit;
 mod method;

@@ -23,9 +23,14 @@ pub const SHIPPED: &[Shipped] = shipped![
     "hanging-rod-case4"
     "hanging-rod-case4-plain"
     "hanging-rod-csv"
+    "hanging-rod-weak"
     "beam-release"
     "lorenz63"
+    "lorenz63-window"
     "lorenz96"
+    "lorenz96-4denvar"
+    "linear-advection"
+    "burgers"
 ];
 
 /// What `varda new` writes.
