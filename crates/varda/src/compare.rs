@@ -16,7 +16,7 @@ pub struct Compared {
     pub method: &'static str,
     /// Its minimizer, or the loop of its own.
     pub solver: String,
-    /// How it ended; "failed" where it could not even begin.
+    /// How it ended; "failed" where it could not even begin, "left_out" where it was not tried.
     pub status: &'static str,
     /// J at the end.
     pub j: Option<f64>,
@@ -42,6 +42,24 @@ pub struct Compared {
 }
 
 impl Compared {
+    /// A row that has not begun.
+    fn blank(method: Method, solver: String) -> Compared {
+        Compared {
+            method: method.name(),
+            solver,
+            status: "failed",
+            j: None,
+            gap: None,
+            rmse: None,
+            seconds: None,
+            counts: WorkCounts::default(),
+            reason: String::new(),
+            convergence: Vec::new(),
+            j_background: None,
+            strong: !method.is_weak() && !method.is_ensemble(),
+        }
+    }
+
     /// The gap of some J, given that of this row's background and the lowest.
     fn gap_of(&self, j: f64, lowest: f64) -> Option<f64> {
         let whole = self.j_background? - lowest;
@@ -92,8 +110,7 @@ pub fn compare(
     let problem = Problem::from_scene(file)?;
     let last_observed = problem.observations.last_step();
     let mut rows = Vec::new();
-    let mut run = |file: &SceneFile, solver: String, note: String| {
-        let row = one(file, solver, note, interrupted);
+    let mut add = |row: Compared| {
         on_row(&row);
         rows.push(row);
     };
@@ -101,7 +118,8 @@ pub fn compare(
     file.scene.report.posterior = false;
     let algorithm = file.scene.algorithm.clone();
     if !algorithm.sigma_stages.is_empty() || !algorithm.window_growth.is_empty() {
-        run(&file, format!("{} as in the scene", algorithm.solver_name()), String::new());
+        let solver = format!("{} as in the scene", algorithm.solver_name());
+        add(one(&file, Compared::blank(algorithm.method, solver), interrupted));
     }
     file.scene.algorithm.sigma_stages.clear();
     file.scene.algorithm.window_growth.clear();
@@ -131,11 +149,14 @@ pub fn compare(
             }
             let every = file.scene.algorithm.model_error.as_ref().map(|e| e.every);
             let unknowns = problem.control_dim() * (1 + every.map_or(0, |e| file.scene.time.window / e));
-            if method.is_weak() && minimizer == Minimizer::Newton && unknowns > MOST_DENSE {
-                continue;
-            }
             file.scene.algorithm.minimizer = minimizer;
-            run(&file, file.scene.algorithm.solver_name().to_string(), note.clone());
+            let blank = Compared::blank(method, file.scene.algorithm.solver_name().to_string());
+            if method.is_weak() && minimizer == Minimizer::Newton && unknowns > MOST_DENSE {
+                let reason = format!("a dense Hessian of {unknowns} unknowns is not waited for");
+                add(Compared { status: "left_out", reason, ..blank });
+            } else {
+                add(one(&file, Compared { reason: note.clone(), ..blank }, interrupted));
+            }
         }
     }
     let lowest = lowest(&rows);
@@ -145,22 +166,8 @@ pub fn compare(
     Ok(rows)
 }
 
-fn one(file: &SceneFile, solver: String, note: String, interrupted: &dyn Fn() -> bool) -> Compared {
-    let method = file.scene.algorithm.method;
-    let mut row = Compared {
-        method: method.name(),
-        solver,
-        status: "failed",
-        j: None,
-        gap: None,
-        rmse: None,
-        seconds: None,
-        counts: WorkCounts::default(),
-        reason: note,
-        convergence: Vec::new(),
-        j_background: None,
-        strong: !method.is_weak() && !method.is_ensemble(),
-    };
+/// Fills in a row that is blank but for its names and its note.
+fn one(file: &SceneFile, mut row: Compared, interrupted: &dyn Fn() -> bool) -> Compared {
     let mut listener = Listener { on_iteration: &mut |_| {}, interrupted, started: Instant::now() };
     let outcome = Problem::from_scene(file).and_then(|mut p| assimilate(&mut p, &mut listener));
     match outcome {

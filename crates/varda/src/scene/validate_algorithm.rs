@@ -32,10 +32,13 @@ pub(super) fn validate_algorithm(scene: &Scene) -> Check {
     }
 }
 
+/// Which methods take a key.
+type Takes = fn(Method) -> bool;
+
 /// Keys that the method has no use for.
 fn validate_keys(algorithm: &Algorithm) -> Check {
     let method = algorithm.method;
-    let keys: [(&str, bool, fn(Method) -> bool); 8] = [
+    let keys: [(&str, bool, Takes); 8] = [
         ("minimizer", algorithm.minimizer != Minimizer::Auto, Method::takes_minimizer),
         ("sigma_stages", !algorithm.sigma_stages.is_empty(), Method::takes_minimizer),
         ("robust", algorithm.robust.is_some(), Method::takes_robust),
