@@ -65,8 +65,13 @@ fn main() -> Result<(), Failure> {
     };
     let localized =
         Method::Ensemble { members: 20, inflation: 1.02, support: Some(20.0), static_weight: 0.0, outer: 4 };
-    let hybrid =
-        Method::Ensemble { members: 30, inflation: 1.03, support: None, static_weight: 0.05, outer: 4 };
+    let hybrid = |members, inflation| Method::Ensemble {
+        members,
+        inflation,
+        support: None,
+        static_weight: 0.05,
+        outer: 4,
+    };
     let carried = || Method::Propagated { inflation: 1.04, static_weight: 0.1 };
     let case = |name, window, method, bound| Case { name, window, method, bound };
     let dense = [
@@ -79,7 +84,7 @@ fn main() -> Result<(), Failure> {
         case("4D-EnVar, at most 4", 4, envar(40, 1.02, 4), 0.2),
         case("4D-EnVar, at most 4", 8, envar(40, 1.02, 4), 0.2),
         case("4D-EnVar, at most 4, localized to 20", 2, localized, 0.2),
-        case("hybrid 4D-EnVar, β_s = 0.05, at most 4", 4, hybrid, 0.2),
+        case("hybrid 4D-EnVar, β_s = 0.05, at most 4", 4, hybrid(30, 1.03), 0.2),
     ];
     let sparse = [
         case("4D-Var", 4, Method::Static(&b), 0.75),
@@ -88,8 +93,9 @@ fn main() -> Result<(), Failure> {
         case("4D-Var, B_s = 0.03 × climatology", 8, Method::Static(&wider), 0.6),
         case("4D-Var, B = P_a carried + 0.1² B_s", 4, carried(), 0.75),
         case("4D-Var, B = P_a carried + 0.1² B_s", 8, carried(), 0.6),
-        case("4D-EnVar, at most 4", 2, envar(40, 1.03, 4), 0.48),
-        case("4D-EnVar, at most 4", 4, envar(40, 1.03, 4), 0.48),
+        case("4D-EnVar, at most 4", 2, envar(40, 1.04, 4), 0.48),
+        case("4D-EnVar, at most 4", 4, envar(40, 1.05, 4), 0.48),
+        case("hybrid 4D-EnVar, β_s = 0.05, at most 4", 4, hybrid(40, 1.05), 0.48),
     ];
     println!(
         "| observed | method | window | members | inflation | RMSE, mean ± spread of seeds | bound | worst seed \
