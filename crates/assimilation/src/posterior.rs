@@ -14,8 +14,10 @@ use rand_distr::{Distribution, StandardNormal};
 ///     P_v = A⁻¹ = (I + GᵀG)⁻¹,    P_z = U P_v Uᵀ = (B⁻¹ + MᵀHᵀR⁻¹HM)⁻¹    (paper 2.18)
 /// ```
 ///
-/// kept as the eigenpairs of A. Dense: for n up to a few thousand. Where the dropped second derivatives matter at the minimum, the true
-/// curvature, and with it the spread, differs.
+/// kept as the eigenpairs of A.
+///
+/// When to use: n up to a few thousand. When not: larger n ([`LowRankPosterior`](crate::LowRankPosterior)); where the dropped second derivatives
+/// matter at the minimum, for there the true curvature, and with it the spread, differs. Cost: n tangent sweeps and 9 n³ or so. Memory: 2n².
 pub struct Posterior {
     /// Eigenvalues of A, ascending; ≥ 1 up to rounding.
     eigenvalues: Vec<f64>,

@@ -80,12 +80,12 @@ pub enum Error {
         tolerance: f64,
     },
     /// The step's own equations refused the state.
-    #[error("step {step}: {source}")]
+    #[error("step {step}: {reason}")]
     Refused {
         /// Index k of the step.
         step: usize,
-        /// The typed error of the step.
-        source: Refusal,
+        /// The typed error of the step. Part of the message, hence not of the chain of sources as well.
+        reason: Refusal,
     },
 }
 

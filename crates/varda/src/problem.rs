@@ -260,10 +260,10 @@ fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
         let mut seen = vec![0.0; sites.dim()];
         for &k in &steps {
             let state = &states[k * model.dim()..(k + 1) * model.dim()];
-            sites.observe(k, state, &mut seen).map_err(|source| varda_assimilation::Error::Observe {
+            sites.observe(k, state, &mut seen).map_err(|reason| varda_assimilation::Error::Observe {
                 operator: 0,
                 step: k,
-                source,
+                reason,
             })?;
             for (site, y) in seen.chunks_exact(3).enumerate() {
                 let values = [0, 1, 2].map(|c| Some(y[c] + normal(&mut rng, sigma)));

@@ -2,7 +2,7 @@
 
 use super::EnVar;
 use crate::cost::{CostFunction, dot, norm};
-use crate::minimize::eigen;
+use crate::minimize::{at_least_one, eigen};
 use crate::{Error, Iteration, Minimum, Status};
 use std::ops::ControlFlow;
 
@@ -58,9 +58,7 @@ impl EnVar<'_> {
         options: &EnVarOptions,
         on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
     ) -> Result<Minimum, Error> {
-        if options.max_outer == 0 {
-            return Err(Error::Setting { what: "max_outer", value: 0.0 });
-        }
+        at_least_one("max_outer", options.max_outer)?;
         if self.base.v != v {
             self.relinearize(v)?;
         }
