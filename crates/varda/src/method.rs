@@ -38,6 +38,12 @@ pub(crate) fn minimize(
             outer_loop(cost, v, &incremental(InnerSolver::Dual), on_iteration)?
         }
         Method::Blue => blue(algorithm, cost, v, on_iteration)?,
+        Method::WeakForcing | Method::WeakState | Method::FourDEnVar | Method::HybridFourDEnVar => {
+            return Err(Error::Scene {
+                place: "algorithm.method".into(),
+                message: format!("method {:?} cannot be run from a scene yet", algorithm.method.name()),
+            });
+        }
     })
 }
 

@@ -1,8 +1,8 @@
 //! What a scene must satisfy beyond the type of each key: keys that exclude or need one another.
 
 use super::{
-    Algorithm, Background, Clamp, Covariance, Frame, Integrator, KernelCovariance, Minimizer, Model, Motion,
-    Observations, Origin, Recording, RodModel, Scene, Section, Synthetic, Taper,
+    Background, Clamp, Covariance, Frame, Integrator, KernelCovariance, Model, Motion, Observations, Origin,
+    Recording, RodModel, Scene, Section, Synthetic, Taper, validate_algorithm::validate_algorithm,
 };
 
 /// What is wrong with which key (dotted path).
@@ -12,9 +12,9 @@ pub(super) struct Invalid {
     pub(super) message: String,
 }
 
-type Check = Result<(), Invalid>;
+pub(super) type Check = Result<(), Invalid>;
 
-fn invalid(path: impl Into<String>, message: impl Into<String>) -> Check {
+pub(super) fn invalid(path: impl Into<String>, message: impl Into<String>) -> Check {
     Err(Invalid { path: path.into(), message: message.into() })
 }
 
@@ -73,21 +73,12 @@ pub(super) fn validate(scene: &Scene) -> Check {
             );
         }
     }
-    validate_background(&scene.background, rod)?;
+    validate_background(&scene.background, &scene.model)?;
     match &scene.observations {
         Observations::Synthetic(s) => validate_synthetic(s, scene, rod)?,
         Observations::File(f) => validate_recording(f, rod)?,
     }
-    validate_algorithm(&scene.algorithm, &scene.observations)?;
-    if let Some(last) = scene.algorithm.sigma_stages.last() {
-        if *last != 1.0 {
-            return invalid("algorithm.sigma_stages", format!("the last factor is {last}, it must be 1"));
-        }
-        if let Some(i) = scene.algorithm.sigma_stages.iter().position(|f| !(*f >= 1.0)) {
-            return invalid(format!("algorithm.sigma_stages.{i}"), "factors of σ must be at least 1");
-        }
-    }
-    Ok(())
+    validate_algorithm(scene)
 }
 
 impl RodModel {
@@ -210,7 +201,7 @@ fn on_rod(path: &str, s: f64, length: f64) -> Check {
     }
 }
 
-fn validate_background(background: &Background, rod: Option<&RodModel>) -> Check {
+fn validate_background(background: &Background, model: &Model) -> Check {
     match (&background.file, background.from) {
         (None, Origin::File) => return invalid("background", "from = \"file\" needs the key `file`"),
         (Some(_), Origin::TruthPlusDraw | Origin::StaticEquilibrium) => {
@@ -218,19 +209,25 @@ fn validate_background(background: &Background, rod: Option<&RodModel>) -> Check
         }
         _ => {}
     }
-    match (&background.covariance, rod) {
-        (Covariance::Kernel(k), Some(_)) => validate_kernel(k),
-        (Covariance::Diagonal(_), None) => match background.from {
-            Origin::StaticEquilibrium => invalid("background.from", "only rods have a static equilibrium"),
-            _ => Ok(()),
-        },
-        (_, Some(_)) => invalid("background.covariance.kind", "rods take kind = \"kernel\""),
-        (_, None) => invalid("background.covariance.kind", "Lorenz models take kind = \"diagonal\""),
+    if background.from == Origin::StaticEquilibrium && !matches!(model, Model::Rod(_)) {
+        return invalid("background.from", "only rods have a static equilibrium");
+    }
+    validate_covariance(&background.covariance, "background.covariance", model)
+}
+
+/// A covariance of a model's control, at `path`.
+pub(super) fn validate_covariance(covariance: &Covariance, path: &str, model: &Model) -> Check {
+    match (covariance, model) {
+        (Covariance::Kernel(k), Model::Rod(_)) => validate_kernel(k, path),
+        (Covariance::Diagonal(_), Model::Lorenz63(_) | Model::Lorenz96(_)) => Ok(()),
+        (_, Model::Rod(_)) => invalid(format!("{path}.kind"), "rods take kind = \"kernel\""),
+        (_, Model::Lorenz63(_) | Model::Lorenz96(_)) => {
+            invalid(format!("{path}.kind"), "Lorenz models take kind = \"diagonal\"")
+        }
     }
 }
 
-fn validate_kernel(k: &KernelCovariance) -> Check {
-    let section = "background.covariance";
+fn validate_kernel(k: &KernelCovariance, section: &str) -> Check {
     one_of(
         section,
         ("sigma_x", k.sigma_x.is_some()),
@@ -250,40 +247,6 @@ fn validate_kernel(k: &KernelCovariance) -> Check {
         }
         _ => Ok(()),
     }
-}
-
-/// Keys that do not belong to the chosen method; a recording's steps are known only when it is read.
-fn validate_algorithm(algorithm: &Algorithm, observations: &Observations) -> Check {
-    let method = algorithm.method;
-    let not_taken = [
-        ("minimizer", algorithm.minimizer != Minimizer::Auto),
-        ("sigma_stages", !algorithm.sigma_stages.is_empty()),
-        ("robust", algorithm.robust.is_some()),
-    ];
-    if !method.takes_minimizer()
-        && let Some((key, _)) = not_taken.iter().find(|(_, given)| *given)
-    {
-        return invalid(
-            format!("algorithm.{key}"),
-            format!("method {:?} has no `{key}`; it belongs to \"4dvar\" and \"3dvar\"", method.name()),
-        );
-    }
-    if let (true, Observations::Synthetic(s)) = (method.is_of_one_instant(), observations) {
-        let only = |key: &str| {
-            let message = format!(
-                "method {:?} takes observations at step 0 only: `steps = [0]`, without `every`",
-                method.name()
-            );
-            invalid(format!("observations.{key}"), message)
-        };
-        if s.every.is_some() {
-            return only("every");
-        }
-        if let Some(i) = s.steps.iter().flatten().position(|k| *k > 0) {
-            return only(&format!("steps.{i}"));
-        }
-    }
-    Ok(())
 }
 
 fn validate_synthetic(s: &Synthetic, scene: &Scene, rod: Option<&RodModel>) -> Check {
