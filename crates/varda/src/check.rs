@@ -4,6 +4,7 @@ use varda_implicit::{ImplicitStep, Structure};
 
 use crate::Error;
 use crate::covariance;
+use crate::cycles::whole;
 use crate::problem::{observed_steps, places, sightings, sigmas, window};
 use crate::rod_model::RodParts;
 use crate::rod_observation::Window;
@@ -20,12 +21,14 @@ pub struct Plan {
     pub n_state: usize,
     /// Length of the control.
     pub n_control: usize,
-    /// Number of observed values that would be assimilated.
+    /// Number of observed values that would be assimilated, in all windows of a sequence.
     pub n_obs: usize,
     /// Number of times at which something is observed.
     pub times: usize,
-    /// The window.
+    /// The window; the first of a sequence.
     pub window: Window,
+    /// Of a sequence: how many windows, steps from one to the next, steps in all.
+    pub cycles: Option<[usize; 3]>,
     /// Steps before it.
     pub spin_up: usize,
     /// Estimate of the memory the assimilation needs \[bytes\].
@@ -40,6 +43,9 @@ impl Plan {
     /// # Errors
     /// Those of [`Problem::from_scene`](crate::problem::Problem::from_scene) that do not need a run to be seen.
     pub fn new(file: &SceneFile) -> Result<Plan, Error> {
+        let settings = &file.scene.algorithm.cycles;
+        let steps = file.scene.time.window;
+        let file = &whole(file);
         let scene = &file.scene;
         let window = window(scene);
         let mut left_out = Vec::new();
@@ -92,8 +98,11 @@ impl Plan {
                 (n, n, rows * times, times, 4 * n)
             }
         };
-        // States of two runs, what a linearized step keeps, the Jacobian of the observations, B's root, the Hessian.
-        let words = window.steps * (2 * n_state + kept) + n_control * (n_obs + 3 * n_control);
+        let cycles = settings.as_ref().map(|c| [c.count, c.shift_of(steps), window.steps]);
+        // A window: states of two runs, what a linearized step keeps, the Jacobian of the observations, B's root, the Hessian.
+        // A sequence: truth and analysis.
+        let (count, all) = cycles.map_or((1, 0), |[count, _, all]| (count, all));
+        let words = steps * (2 * n_state + kept) + n_control * (n_obs / count + 3 * n_control) + 2 * all * n_state;
         Ok(Plan {
             name: file.name.clone(),
             title: scene.title.clone(),
@@ -101,7 +110,8 @@ impl Plan {
             n_control,
             n_obs,
             times,
-            window,
+            window: Window { steps, ..window },
+            cycles,
             spin_up: scene.time.spin_up,
             bytes: 8 * words,
             left_out,

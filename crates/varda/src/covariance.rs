@@ -17,6 +17,15 @@ pub fn diagonal(file: &SceneFile, n: usize, sigma: f64) -> Result<Box<dyn Covari
     Ok(Box::new(Diagonal::uniform(n, sigma).map_err(|e| file.invalid(PATH, e.to_string()))?))
 }
 
+/// B = `scale` × a symmetric n × n matrix, by rows.
+///
+/// # Errors
+/// [`Error::Scene`] where it is not positive definite.
+pub fn scaled(file: &SceneFile, n: usize, scale: f64, matrix: &[f64]) -> Result<Box<dyn Covariance>, Error> {
+    let matrix: Vec<f64> = matrix.iter().map(|c| scale * c).collect();
+    Ok(Box::new(Dense::new(n, &matrix).map_err(|e| file.invalid(PATH, e.to_string()))?))
+}
+
 /// The arc lengths a rod's B is about \[m\].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Places {

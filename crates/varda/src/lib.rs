@@ -35,13 +35,17 @@
 
 pub mod check;
 pub mod cli;
+pub mod climatology;
 pub mod compare;
 pub mod covariance;
 pub mod csv_input;
+pub mod cycles;
 mod error;
 pub mod fit;
+mod localization;
 mod method;
 pub mod output;
+pub mod partial;
 pub mod problem;
 pub mod report;
 pub mod rod_model;

@@ -47,7 +47,8 @@ pub(crate) fn minimize(
     })
 }
 
-fn minimizer(algorithm: &Algorithm) -> Minimizer {
+/// The minimizer a scene names.
+pub(crate) fn minimizer(algorithm: &Algorithm) -> Minimizer {
     let mut minimizer =
         Minimizer::named(algorithm.minimizer.name()).expect("every scene name is a minimizer's name");
     *minimizer.gradient_tolerance_mut() = algorithm.gradient_tolerance;

@@ -15,7 +15,7 @@ use crate::scene::{
     Synthetic, Use,
 };
 use crate::twin::{Stream, normal, stream};
-use crate::{Error, csv_input};
+use crate::{Error, climatology, csv_input};
 
 /// Everything an assimilation needs. Plain data but for the operators.
 pub struct Problem {
@@ -80,6 +80,18 @@ impl Problem {
         match &file.scene.model {
             scene::Model::Rod(rod) => rod_problem(file, rod),
             scene::Model::Lorenz63(_) | scene::Model::Lorenz96(_) => component_problem(file),
+        }
+    }
+
+    /// A model whose step 0 is step `first` of the window.
+    pub fn model_from(&self, first: usize) -> Box<dyn Model + Send> {
+        let (first, step) = (self.scene.time.spin_up + first, self.window.step);
+        match &self.view {
+            View::Rod(rod) => {
+                let dynamics = rod.parts.dynamics().expect("these parts have made a rod before");
+                Box::new(ImplicitModel::new(dynamics, first, step))
+            }
+            View::Components(_) => component_model(&self.scene.model, first, step),
         }
     }
 
@@ -317,24 +329,9 @@ fn read_rod_background(file: &SceneFile, dynamics: &BackwardEuler) -> Result<Vec
 fn component_problem(file: &SceneFile) -> Result<Problem, Error> {
     let scene = &file.scene;
     let window = window(scene);
-    let model_from = |first: usize| -> Box<dyn Model> {
-        match &scene.model {
-            scene::Model::Lorenz96(m) => {
-                Box::new(Rk4::new(lorenz::Lorenz96::new(m.variables, m.forcing), first, window.step))
-            }
-            scene::Model::Lorenz63(m) => {
-                let rhs = lorenz::Lorenz63 { sigma: m.sigma, rho: m.rho, beta: m.beta };
-                Box::new(Rk4::new(rhs, first, window.step))
-            }
-            scene::Model::Rod(_) => unreachable!("rods have their own problem"),
-        }
-    };
+    let model_from = |first: usize| component_model(&scene.model, first, window.step);
     let mut model = model_from(0);
     let n = model.dim();
-    let CovarianceKey::Diagonal(diagonal) = &scene.background.covariance else {
-        return Err(file.invalid("background.covariance.kind", "this model takes kind = \"diagonal\""));
-    };
-    let covariance = covariance::diagonal(file, n, diagonal.sigma)?;
     let start = match (&scene.truth, &scene.model) {
         (Some(truth), _) => truth.state.clone(),
         (None, scene::Model::Lorenz96(m)) => {
@@ -344,6 +341,17 @@ fn component_problem(file: &SceneFile) -> Result<Problem, Error> {
             x
         }
         (None, _) => vec![1.508870, -1.531271, 25.46091],
+    };
+    let covariance = match &scene.background.covariance {
+        CovarianceKey::Diagonal(diagonal) => covariance::diagonal(file, n, diagonal.sigma)?,
+        CovarianceKey::Climatology(c) => {
+            let matrix = climatology::covariance(model.as_mut(), &start, scene.time.spin_up, c.steps)?;
+            covariance::scaled(file, n, c.scale, &matrix)?
+        }
+        CovarianceKey::Kernel(_) => {
+            let expected = "this model takes kind = \"diagonal\" or \"climatology\"";
+            return Err(file.invalid("background.covariance.kind", expected));
+        }
     };
     let (truth, background) = match scene.background.from {
         Origin::TruthPlusDraw => {
@@ -398,6 +406,20 @@ fn component_problem(file: &SceneFile) -> Result<Problem, Error> {
         observations: ObservationSet::new(window.steps, vec![operator], seen)?,
         left_out: vec!["factorizations: the steps are explicit".to_string()],
     })
+}
+
+/// A model that is no rod, its step 0 the given one of the run.
+fn component_model(model: &scene::Model, first: usize, step: f64) -> Box<dyn Model + Send> {
+    match model {
+        scene::Model::Lorenz96(m) => {
+            Box::new(Rk4::new(lorenz::Lorenz96::new(m.variables, m.forcing), first, step))
+        }
+        scene::Model::Lorenz63(m) => {
+            let rhs = lorenz::Lorenz63 { sigma: m.sigma, rho: m.rho, beta: m.beta };
+            Box::new(Rk4::new(rhs, first, step))
+        }
+        scene::Model::Rod(_) => unreachable!("rods have their own problem"),
+    }
 }
 
 fn read_component_background(file: &SceneFile, n: usize) -> Result<Vec<f64>, Error> {

@@ -3,10 +3,8 @@
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use serde::Serialize;
-use varda_assimilation::{
-    Analysis, ControlTransform, CostFunction, Counts, Minimum, Posterior, StrongConstraint,
-};
+use serde::{Deserialize, Serialize};
+use varda_assimilation::{Analysis, ControlTransform, CostFunction, Counts, Posterior, StrongConstraint};
 use varda_implicit::Model;
 
 use crate::Error;
@@ -54,7 +52,7 @@ pub struct ConvergenceRow {
 }
 
 /// Work of the model.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WorkCounts {
     /// Steps taken.
     pub model_steps: usize,
@@ -81,7 +79,7 @@ impl From<&Counts> for WorkCounts {
 }
 
 /// How a run ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
     /// At a stationary point of J.
@@ -237,7 +235,7 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
     let minimum = method::minimize(&problem.scene.algorithm, &mut cost, &mut v, &mut on_iteration)?;
     let minimizer_seconds = began.elapsed().as_secs_f64();
     let counts = WorkCounts::from(&cost.counts());
-    let status = status(&minimum);
+    let status = Status::from(minimum.status);
 
     let has_posterior =
         problem.scene.report.posterior && !matches!(status, Status::Interrupted | Status::Failed);
@@ -314,19 +312,21 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
     })
 }
 
-fn status(minimum: &Minimum) -> Status {
-    use varda_assimilation::Status as S;
-    match minimum.status {
-        S::Converged => Status::Converged,
-        S::MaxIterations => Status::MaxIterations,
-        S::Stalled => Status::Stalled,
-        S::Interrupted => Status::Interrupted,
-        S::Failed => Status::Failed,
+impl From<varda_assimilation::Status> for Status {
+    fn from(status: varda_assimilation::Status) -> Self {
+        use varda_assimilation::Status as S;
+        match status {
+            S::Converged => Status::Converged,
+            S::MaxIterations => Status::MaxIterations,
+            S::Stalled => Status::Stalled,
+            S::Interrupted => Status::Interrupted,
+            S::Failed => Status::Failed,
+        }
     }
 }
 
 /// RMSE of positions and velocities (of a rod's [X, V], a vertex at a time), or of all components.
-fn errors(control: &[f64], truth: Option<&[f64]>, is_rod: bool) -> [Option<f64>; 2] {
+pub(crate) fn errors(control: &[f64], truth: Option<&[f64]>, is_rod: bool) -> [Option<f64>; 2] {
     let Some(truth) = truth else { return [None, None] };
     let rms = |a: &[f64], b: &[f64], components: usize| {
         let sum: f64 = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum();

@@ -35,6 +35,8 @@ pub enum Origin {
 pub enum Covariance {
     /// Independent errors of one σ in every component (Lorenz models).
     Diagonal(DiagonalCovariance),
+    /// A multiple of the covariance of the states the model passes through (Lorenz models).
+    Climatology(ClimatologyCovariance),
     /// A kernel in arc length times a taper; x, y, z alike and independent, positions and velocities too (rods).
     Kernel(KernelCovariance),
 }
@@ -46,6 +48,23 @@ pub struct DiagonalCovariance {
     /// Standard deviation of every component.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub sigma: f64,
+}
+
+/// Errors like the model's own variations: the covariance of the states of a long run, scaled.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ClimatologyCovariance {
+    /// Factor on the covariance (the square of one on standard deviations).
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub scale: f64,
+    /// Steps of the run, which begins where the truth of a twin experiment does, after `time.spin_up`; the same for every seed.
+    #[serde(default = "default_steps")]
+    #[schemars(extend("minimum" = 1, "maximum" = 100000000))]
+    pub steps: usize,
+}
+
+fn default_steps() -> usize {
+    100_000
 }
 
 /// Errors correlated along the rod: σ² k(s_i, s_j) taper(|s_i − s_j|).

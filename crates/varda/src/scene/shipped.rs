@@ -23,9 +23,13 @@ pub const SHIPPED: &[Shipped] = shipped![
     "hanging-rod-case4"
     "hanging-rod-case4-plain"
     "hanging-rod-csv"
+    "hanging-rod-cycling"
     "beam-release"
     "lorenz63"
     "lorenz96"
+    "lorenz96-cycling-3dvar"
+    "lorenz96-cycling-4dvar"
+    "lorenz96-cycling-4denvar"
 ];
 
 /// What `varda new` writes.

@@ -1,5 +1,6 @@
 //! What a scene must satisfy beyond the type of each key: keys that exclude or need one another.
 
+use super::cycles::validate_cycles;
 use super::{
     Background, Clamp, Covariance, Frame, Integrator, KernelCovariance, Model, Motion, Observations, Origin,
     Recording, RodModel, Scene, Section, Synthetic, Taper, validate_algorithm::validate_algorithm,
@@ -78,7 +79,11 @@ pub(super) fn validate(scene: &Scene) -> Check {
         Observations::Synthetic(s) => validate_synthetic(s, scene, rod)?,
         Observations::File(f) => validate_recording(f, rod)?,
     }
-    validate_algorithm(scene)
+    validate_algorithm(scene)?;
+    match &scene.algorithm.cycles {
+        Some(cycles) => validate_cycles(cycles, scene),
+        None => Ok(()),
+    }
 }
 
 impl RodModel {
@@ -219,10 +224,12 @@ fn validate_background(background: &Background, model: &Model) -> Check {
 pub(super) fn validate_covariance(covariance: &Covariance, path: &str, model: &Model) -> Check {
     match (covariance, model) {
         (Covariance::Kernel(k), Model::Rod(_)) => validate_kernel(k, path),
-        (Covariance::Diagonal(_), Model::Lorenz63(_) | Model::Lorenz96(_)) => Ok(()),
+        (Covariance::Diagonal(_) | Covariance::Climatology(_), Model::Lorenz63(_) | Model::Lorenz96(_)) => {
+            Ok(())
+        }
         (_, Model::Rod(_)) => invalid(format!("{path}.kind"), "rods take kind = \"kernel\""),
         (_, Model::Lorenz63(_) | Model::Lorenz96(_)) => {
-            invalid(format!("{path}.kind"), "Lorenz models take kind = \"diagonal\"")
+            invalid(format!("{path}.kind"), "Lorenz models take kind = \"diagonal\" or \"climatology\"")
         }
     }
 }

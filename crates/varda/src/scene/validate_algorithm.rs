@@ -165,7 +165,7 @@ impl Covariance {
     /// The kind of its square root.
     fn root(&self) -> Root {
         match self {
-            Covariance::Diagonal(_) => Root::Cholesky,
+            Covariance::Diagonal(_) | Covariance::Climatology(_) => Root::Cholesky,
             Covariance::Kernel(k) => k.root,
         }
     }
