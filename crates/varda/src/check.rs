@@ -57,7 +57,8 @@ impl Plan {
                 if let Covariance::Kernel(k) = &scene.background.covariance {
                     // v̄ needs a run; whether B has a root does not depend on it.
                     let (sigma_x, sigma_v) = sigmas(k, parts.rod.length(), 1.0);
-                    covariance::localized(file, k, &places(&parts, &dynamics), sigma_x, sigma_v)?;
+                    let path = "background.covariance";
+                    covariance::localized(file, path, k, &places(&parts, &dynamics), (sigma_x, sigma_v))?;
                 }
                 left_out = dynamics.left_out();
                 left_out.extend(sightings.left_out.iter().cloned());
@@ -102,7 +103,8 @@ impl Plan {
         // A window: states of two runs, what a linearized step keeps, the Jacobian of the observations, B's root, the Hessian.
         // A sequence: truth and analysis.
         let (count, all) = cycles.map_or((1, 0), |[count, _, all]| (count, all));
-        let words = steps * (2 * n_state + kept) + n_control * (n_obs / count + 3 * n_control) + 2 * all * n_state;
+        let words =
+            steps * (2 * n_state + kept) + n_control * (n_obs / count + 3 * n_control) + 2 * all * n_state;
         Ok(Plan {
             name: file.name.clone(),
             title: scene.title.clone(),

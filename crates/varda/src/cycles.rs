@@ -14,16 +14,15 @@ use varda_assimilation::{
     Cycle, CycleState, CycledCovariance, CycledEnsemble, CycledUpdate, Cycling, EnVarOptions, Normals,
     Observation, ObservationOperator, ObservationSet, cycle,
 };
-use varda_covariance::sample;
 use varda_implicit::Refusal;
 
 use crate::Error;
-use crate::localization;
+use crate::ensemble;
 use crate::method;
 use crate::problem::{Problem, View, run_states};
 use crate::run::{Status, Trajectories, WorkCounts, errors};
 use crate::scene::{self, Cycles, Observations, SceneFile};
-use crate::twin::{self, Stream};
+use crate::twin::{Stream, stream_of_window};
 
 /// A sequence of windows, ready to run.
 pub struct Sequence {
@@ -151,6 +150,10 @@ pub fn whole(file: &SceneFile) -> SceneFile {
         all.dedup();
         *steps = all;
     }
+    if let Some(ensemble) = &mut file.scene.algorithm.ensemble {
+        // Every window inflates, the first too.
+        ensemble.inflation = 1.0;
+    }
     if file.scene.algorithm.method.is_of_one_instant() {
         // One instant a window are many in the sequence; what is built is the same.
         file.scene.algorithm.method = scene::Method::FourDVar;
@@ -193,19 +196,16 @@ impl Sequence {
         Ok(Some(sequence))
     }
 
-    /// Before the first window: the background, and the members of an ensemble drawn about it.
+    /// Before the first window: the background, and the members of an ensemble about it, their mean.
     pub fn start(&self) -> CycleState {
-        let problem = &self.problem;
-        let background = problem.background.clone();
-        let Some(ensemble) = problem.scene.algorithm.members() else { return CycleState::new(background) };
-        let mut rng = twin::stream(problem.scene.seed, Stream::Ensemble);
-        let mut columns: Vec<f64> =
-            (0..ensemble.members).flat_map(|_| sample(problem.covariance.as_ref(), &mut rng)).collect();
-        let (n, count) = (background.len(), ensemble.members as f64);
-        for i in 0..n {
-            // Centred: their mean is x_b.
-            let mean = columns.iter().skip(i).step_by(n).sum::<f64>() / count;
-            columns.iter_mut().skip(i).step_by(n).for_each(|x| *x += background[i] - mean);
+        let background = self.problem.background.clone();
+        let Some(ensemble) = &self.problem.ensemble else { return CycleState::new(background) };
+        let size = ((ensemble.members() - 1) as f64).sqrt();
+        let mut x = vec![0.0; background.len()];
+        let mut columns = Vec::with_capacity(ensemble.members() * x.len());
+        for i in 0..ensemble.members() {
+            ensemble.perturbation(i, &mut x);
+            columns.extend(background.iter().zip(&x).map(|(b, x)| b + size * x));
         }
         CycleState { next: 0, background, columns }
     }
@@ -225,28 +225,29 @@ impl Sequence {
         let mut rows = done;
         let (mut refused, mut interrupted) = (None, false);
         let mut began = Instant::now();
-        let make_model = |first: usize| self.problem.model_from(first);
+        let make_model = &self.problem.make_model;
         let observations = |first: usize| self.of_window(first);
-        let anchors = |set: &ObservationSet| localization::anchors(&self.problem, set);
+        let anchors = |set: &ObservationSet| ensemble::anchors(set, &self.problem.anchors);
         let algorithm = &self.problem.scene.algorithm;
         let seed = self.problem.scene.seed;
         let normals = |c: usize| -> Normals {
-            let mut rng = twin::stream_of_window(seed, Stream::Ensemble, c);
+            let mut rng = stream_of_window(seed, Stream::Ensemble, c);
             Box::new(move || StandardNormal.sample(&mut rng))
         };
         let b = self.problem.covariance.as_ref();
-        let covariance = match (self.cycles.covariance_of(algorithm.method), algorithm.members()) {
+        let covariance = match (self.cycles.covariance_of(algorithm.method), &self.problem.ensemble) {
             (scene::CycledCovariance::Propagated, _) => {
                 let static_part = self.cycles.static_weight.filter(|w| *w > 0.0).map(|weight| (b, weight));
                 let inflation = self.cycles.inflation.unwrap_or(1.0);
                 CycledCovariance::Propagated { first: b, inflation, static_part }
             }
-            (scene::CycledCovariance::Ensemble, Some(ensemble)) => {
+            (scene::CycledCovariance::Ensemble, Some(members)) => {
+                let ensemble = algorithm.members().unwrap_or_default();
                 let hybrid = algorithm.method == scene::Method::HybridFourDEnVar;
                 let [beta_s, beta_e] = ensemble.weights();
                 CycledCovariance::Ensemble(CycledEnsemble {
                     inflation: ensemble.inflation,
-                    localization: localization::localization(&self.problem, &ensemble)?,
+                    localization: members.localization().clone(),
                     anchors: &anchors,
                     static_part: hybrid.then_some((b, beta_s, beta_e)),
                     update: match self.cycles.update.unwrap_or_default() {
@@ -266,7 +267,7 @@ impl Sequence {
             window: self.window,
             shift: self.shift,
             cycles: self.cycles.count,
-            make_model: &make_model,
+            make_model,
             observations: &observations,
             truth: None,
         };
@@ -392,7 +393,7 @@ impl Sequence {
         let mut analysis = Vec::new();
         for (i, row) in rows.iter().enumerate() {
             let last = i + 1 == rows.len();
-            let mut model = self.problem.model_from(row.first_step);
+            let mut model = (self.problem.make_model)(row.first_step);
             let mut x = vec![0.0; dim];
             let run = model
                 .initial_state(&row.analysis, &mut x)

@@ -69,7 +69,10 @@ fn a_sequence_writes_what_it_promises() {
     let cycles = &summary["cycles"];
     assert_eq!((&cycles["count"], &cycles["counted"], &cycles["shift"]), (&12.into(), &8.into(), &4.into()));
     assert_eq!(summary["n_obs"], 12 * 4 * 40);
-    assert_eq!((&summary["counts"]["tangent_steps"], &summary["counts"]["adjoint_steps"]), (&0.into(), &0.into()));
+    assert_eq!(
+        (&summary["counts"]["tangent_steps"], &summary["counts"]["adjoint_steps"]),
+        (&0.into(), &0.into())
+    );
     let mean = |key: &str| cycles[key].as_f64().unwrap();
     // What every component observed with σ = 1 must beat, and what the spread must tell.
     assert!(mean("rmse_end") < 0.4 && mean("rmse_start") < mean("rmse_background"), "{cycles}");
@@ -125,8 +128,11 @@ fn a_run_killed_at_any_moment_goes_on_with_the_same_bits() {
         let rows = folder.0.join("r.partial/cycles.jsonl");
         let done = || std::fs::read_to_string(&rows).map_or(0, |text| text.lines().count());
         for stop in [1, count / 2] {
-            let mut child =
-                folder.command(scene, &sets, &["--quiet", "--out", "r"]).stderr(Stdio::null()).spawn().unwrap();
+            let mut child = folder
+                .command(scene, &sets, &["--quiet", "--out", "r"])
+                .stderr(Stdio::null())
+                .spawn()
+                .unwrap();
             while done() < stop && child.try_wait().unwrap().is_none() {
                 std::thread::sleep(std::time::Duration::from_micros(300));
             }
@@ -174,7 +180,8 @@ fn a_window_that_fails_leaves_those_before_it() {
         .replace("\"data/", &format!("\"{}/data/", scenes.display()));
     std::fs::write(folder.0.join("jump.toml"), scene).unwrap();
     // Windows of 20 steps begin at 1.571, 1.780 and 1.990 s; in the third the clamp leaves the world.
-    std::fs::write(folder.0.join("drive.csv"), "time_s,x_m,y_m,z_m\n0,0,0,0\n2.05,0,0,0\n2.06,1e160,0,0\n").unwrap();
+    std::fs::write(folder.0.join("drive.csv"), "time_s,x_m,y_m,z_m\n0,0,0,0\n2.05,0,0,0\n2.06,1e160,0,0\n")
+        .unwrap();
     let sets = ["time.window=20", "algorithm.cycles.count=5", "algorithm.minimizer=trust-region"];
     let output = folder.run("jump.toml", &sets, &["--out", "r"]);
     let message = String::from_utf8_lossy(&output.stderr).to_string();
@@ -221,7 +228,16 @@ fn a_rod_is_cycled_with_every_covariance() {
             Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/hanging-rod-cycling.toml"),
         )
         .unwrap();
-        let scene: String = scene.lines().filter(|l| !l.starts_with("inflation") && !l.starts_with("static_weight") && !l.starts_with("covariance = \"propagated\"") && !l.starts_with("minimizer")).map(|l| format!("{l}\n")).collect();
+        let scene: String = scene
+            .lines()
+            .filter(|l| {
+                !l.starts_with("inflation")
+                    && !l.starts_with("static_weight")
+                    && !l.starts_with("covariance = \"propagated\"")
+                    && !l.starts_with("minimizer")
+            })
+            .map(|l| format!("{l}\n"))
+            .collect();
         std::fs::write(folder.0.join("rod.toml"), scene).unwrap();
         ok(&folder.run("rod.toml", &[&few[..], more].concat(), &["--quiet", "--out", "r"]));
         folder.summary("r")
@@ -231,7 +247,11 @@ fn a_rod_is_cycled_with_every_covariance() {
         ("propagated", &["algorithm.cycles.covariance=propagated", "algorithm.cycles.static_weight=0.1"]),
         (
             "ensemble",
-            &["algorithm.method=hybrid-4denvar", "algorithm.ensemble.members=20", "algorithm.max_iterations=3"],
+            &[
+                "algorithm.method=hybrid-4denvar",
+                "algorithm.ensemble.members=20",
+                "algorithm.max_iterations=3",
+            ],
         ),
     ] {
         let summary = by(more);
@@ -262,23 +282,43 @@ fn every_value_is_used_once() {
         let sequence = Sequence::from_scene(&file).unwrap().unwrap();
         let reached = (count - 1) * shift + window;
         let [inside, between] = sequence.values();
-        assert_eq!((inside, between), (40 * used.min(reached), 40 * unused), "window {window}, shift {shift}");
+        assert_eq!(
+            (inside, between),
+            (40 * used.min(reached), 40 * unused),
+            "window {window}, shift {shift}"
+        );
     }
 }
 
 #[test]
 fn what_makes_no_sequence_is_refused_with_its_place() {
     let cases: &[(&str, &[&str], &str)] = &[
-        ("lorenz96-cycling-4dvar", &["algorithm.cycles.shift=10"], "--set algorithm.cycles.shift=10: windows of 8 steps"),
+        (
+            "lorenz96-cycling-4dvar",
+            &["algorithm.cycles.shift=10"],
+            "--set algorithm.cycles.shift=10: windows of 8 steps",
+        ),
         ("lorenz96-cycling-4dvar", &["algorithm.cycles.covariance=ensemble"], "an ensemble is carried by"),
-        ("lorenz96-cycling-4dvar", &["algorithm.cycles.inflation=1.1"], "belongs to covariance = \"propagated\""),
-        ("lorenz96-cycling-4dvar", &["algorithm.cycles.update=square-root"], "belongs to covariance = \"ensemble\""),
+        (
+            "lorenz96-cycling-4dvar",
+            &["algorithm.cycles.inflation=1.1"],
+            "belongs to covariance = \"propagated\"",
+        ),
+        (
+            "lorenz96-cycling-4dvar",
+            &["algorithm.cycles.update=square-root"],
+            "belongs to covariance = \"ensemble\"",
+        ),
         ("lorenz96-cycling-4dvar", &["algorithm.robust=1.5"], "--set algorithm.robust=1.5: does not go with"),
         ("lorenz96-cycling-4dvar", &["algorithm.cycles.count=0"], "at least 1"),
         ("lorenz96-cycling-4dvar", &["algorithm.cycles.spin_up=75"], "all 75 cycles"),
         ("lorenz96-cycling-4dvar", &["algorithm.cycles.cuont=3"], "did you mean `count`"),
         ("lorenz96-cycling-4denvar", &["algorithm.cycles.inflation=1.1"], "algorithm.ensemble.inflation"),
-        ("lorenz96-cycling-4denvar", &["algorithm.cycles.covariance=static"], "does not go with covariance \"static\""),
+        (
+            "lorenz96-cycling-4denvar",
+            &["algorithm.cycles.covariance=static"],
+            "does not go with covariance \"static\"",
+        ),
         ("lorenz96-cycling-3dvar", &["time.window=4"], "analyses one step"),
         ("lorenz96", &["algorithm.cycles.count=2", "algorithm.method=blue"], "is not cycled"),
     ];
@@ -297,10 +337,8 @@ fn what_makes_no_sequence_is_refused_with_its_place() {
 
 #[test]
 fn check_tells_the_size_of_a_sequence() {
-    let output = Command::new(env!("CARGO_BIN_EXE_varda"))
-        .args(["check", "lorenz96-cycling-4dvar"])
-        .output()
-        .unwrap();
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_varda")).args(["check", "lorenz96-cycling-4dvar"]).output().unwrap();
     let text = String::from_utf8_lossy(&output.stdout).to_string();
     assert!(text.contains("75 windows, 8 steps apart: 600 steps"), "{text}");
     assert!(text.contains("24000 values at 600 times"), "{text}");

@@ -22,7 +22,7 @@ use varda_implicit::Model;
 ///
 /// Cost: as [`StrongConstraint`], and memory for N more states; the control has N times the rank of Q more entries.
 pub struct WeakForcing<'a> {
-    window: StrongConstraint<'a>,
+    pub(super) window: StrongConstraint<'a>,
 }
 
 impl<'a> WeakForcing<'a> {

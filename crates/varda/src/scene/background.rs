@@ -33,12 +33,14 @@ pub enum Origin {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum Covariance {
-    /// Independent errors of one σ in every component (Lorenz models).
+    /// Independent errors of one σ in every component (Lorenz models, lines).
     Diagonal(DiagonalCovariance),
     /// A multiple of the covariance of the states the model passes through (Lorenz models).
     Climatology(ClimatologyCovariance),
     /// A kernel in arc length times a taper; x, y, z alike and independent, positions and velocities too (rods).
     Kernel(KernelCovariance),
+    /// A kernel in the distance along a line times a taper (linear-advection, burgers).
+    Line(LineCovariance),
 }
 
 /// Independent errors of one σ.
@@ -117,6 +119,40 @@ pub struct KernelCovariance {
 
 fn default_truncation() -> f64 {
     1e-12
+}
+
+/// Errors correlated along a line: σ² k(d_ij) taper(d_ij). On a line that closes to a circle d is the chord, in which every kernel
+/// is a covariance.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LineCovariance {
+    /// Standard deviation of every component.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub sigma: f64,
+    /// Correlation length [m].
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+    pub correlation_length: f64,
+    /// Shape of the kernel.
+    #[serde(default)]
+    pub kernel: Kernel,
+    /// Shape of the taper (localization).
+    #[serde(default = "no_taper")]
+    pub taper: Taper,
+    /// Length L_loc beyond which errors are uncorrelated [m]. Needed with a taper.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+    pub localization_length: Option<f64>,
+    /// The square root B^{1/2}.
+    #[serde(default)]
+    pub root: Root,
+    /// Eigenvalues below this fraction of the largest are left out of a truncated root.
+    #[serde(default = "default_truncation")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "maximum" = 1.0))]
+    pub truncation: f64,
+}
+
+fn no_taper() -> Taper {
+    Taper::None
 }
 
 /// Shape of a kernel k(d) of the distance d, L its correlation length.

@@ -23,15 +23,15 @@ mod validate_algorithm;
 
 pub use algorithm::{Algorithm, Method, Minimizer};
 pub use background::{
-    Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Kernel, KernelCovariance, Origin,
-    Prior, Root, Taper,
+    Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Kernel, KernelCovariance,
+    LineCovariance, Origin, Prior, Root, Taper,
 };
 pub use cycles::{CycledCovariance, Cycles, EnsembleUpdate};
 pub use ensemble::Ensemble;
 pub use file::{Place, SceneFile};
 pub use model::{
-    Clamp, DampingValues, Lorenz63, Lorenz96, Material, Model, Motion, PointForce, PointMass, Prescribed,
-    RodModel, Section,
+    Burgers, Clamp, DampingValues, LinearAdvection, Lorenz63, Lorenz96, Material, Model, Motion, PointForce,
+    PointMass, Prescribed, RodModel, Section,
 };
 pub use model_error::ModelError;
 pub use observations::{Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, Use};
@@ -109,11 +109,11 @@ pub struct Time {
 pub enum Integrator {
     /// Backward Euler, first order (the paper's choice for the rod).
     BackwardEuler,
-    /// Implicit midpoint rule, second order (rods).
+    /// Implicit midpoint rule, second order (rods, lines).
     Midpoint,
     /// Second-order backward differences (rods).
     Bdf2,
-    /// Explicit Runge–Kutta of fourth order (Lorenz models).
+    /// Explicit Runge–Kutta of fourth order (Lorenz models, lines).
     Rk4,
 }
 

@@ -1,5 +1,7 @@
 //! What a scene must satisfy beyond the type of each key: keys that exclude or need one another.
 
+use varda_implicit::line::{Ends, Line};
+
 use super::cycles::validate_cycles;
 use super::{
     Background, Clamp, Covariance, Frame, Integrator, KernelCovariance, Model, Motion, Observations, Origin,
@@ -33,17 +35,21 @@ fn one_of(section: &str, a: (&str, bool), b: (&str, bool)) -> Check {
 pub(super) fn validate(scene: &Scene) -> Check {
     let rod = match &scene.model {
         Model::Rod(rod) => Some(rod.as_ref()),
-        Model::Lorenz63(_) | Model::Lorenz96(_) => None,
+        _ => None,
     };
-    match rod {
-        Some(rod) => validate_rod(rod)?,
-        None if scene.time.integrator != Integrator::Rk4 => {
-            return invalid("time.integrator", "Lorenz models are integrated with \"rk4\"");
-        }
-        None => {}
+    if let Some(rod) = rod {
+        validate_rod(rod)?;
     }
-    if rod.is_some() && scene.time.integrator != Integrator::BackwardEuler {
-        return invalid("time.integrator", "rods are integrated with \"backward-euler\"");
+    let (what, integrators): (_, &[Integrator]) = match &scene.model {
+        Model::Rod(_) => ("rods are", &[Integrator::BackwardEuler]),
+        Model::Lorenz63(_) | Model::Lorenz96(_) => ("Lorenz models are", &[Integrator::Rk4]),
+        Model::LinearAdvection(_) | Model::Burgers(_) => {
+            ("fields along a line are", &[Integrator::BackwardEuler, Integrator::Midpoint, Integrator::Rk4])
+        }
+    };
+    if !integrators.contains(&scene.time.integrator) {
+        let names: Vec<String> = integrators.iter().map(|i| format!("{:?}", i.name())).collect();
+        return invalid("time.integrator", format!("{what} integrated with {}", names.join(" or ")));
     }
     one_of(
         "time",
@@ -56,16 +62,12 @@ pub(super) fn validate(scene: &Scene) -> Check {
             "a period is that of the drive [model.start.motion] kind = \"ellipse\", which is not there",
         );
     }
+    if let (Some(line), Some(step)) = (scene.model.line(), scene.time.step) {
+        validate_line(&scene.model, &line, scene.time.integrator, step)?;
+    }
     if let Some(truth) = &scene.truth {
-        let n = match &scene.model {
-            Model::Rod(_) => {
-                return invalid(
-                    "truth",
-                    "a rod's truth starts from its static equilibrium; leave [truth] out",
-                );
-            }
-            Model::Lorenz63(_) => 3,
-            Model::Lorenz96(m) => m.variables,
+        let Some(n) = scene.model.components() else {
+            return invalid("truth", "a rod's truth starts from its static equilibrium; leave [truth] out");
         };
         if truth.state.len() != n {
             return invalid(
@@ -224,13 +226,61 @@ fn validate_background(background: &Background, model: &Model) -> Check {
 pub(super) fn validate_covariance(covariance: &Covariance, path: &str, model: &Model) -> Check {
     match (covariance, model) {
         (Covariance::Kernel(k), Model::Rod(_)) => validate_kernel(k, path),
-        (Covariance::Diagonal(_) | Covariance::Climatology(_), Model::Lorenz63(_) | Model::Lorenz96(_)) => {
-            Ok(())
+        (Covariance::Line(k), Model::LinearAdvection(_) | Model::Burgers(_)) => {
+            validate_taper(k.taper, k.localization_length, path)?;
+            match k.taper {
+                Taper::Triangle if model.line().is_some_and(|line| line.ends == Ends::Periodic) => invalid(
+                    format!("{path}.taper"),
+                    "a triangle is no covariance on a circle: take \"gaspari-cohn\"",
+                ),
+                _ => Ok(()),
+            }
         }
+        (Covariance::Climatology(_), Model::Lorenz63(_) | Model::Lorenz96(_)) => Ok(()),
         (_, Model::Rod(_)) => invalid(format!("{path}.kind"), "rods take kind = \"kernel\""),
+        (Covariance::Diagonal(_), _) => Ok(()),
         (_, Model::Lorenz63(_) | Model::Lorenz96(_)) => {
             invalid(format!("{path}.kind"), "Lorenz models take kind = \"diagonal\" or \"climatology\"")
         }
+        (Covariance::Kernel(_) | Covariance::Climatology(_), _) => {
+            invalid(format!("{path}.kind"), "a field along a line takes kind = \"line\" or \"diagonal\"")
+        }
+    }
+}
+
+/// What an explicit step can follow, as `varda_implicit::line::Transport` has it.
+fn validate_line(model: &Model, line: &Line, integrator: Integrator, step: f64) -> Check {
+    if integrator != Integrator::Rk4 {
+        return Ok(());
+    }
+    let h = line.spacing();
+    let (speed, diffusivity) = match model {
+        Model::LinearAdvection(m) => (m.speed.abs(), m.diffusivity),
+        Model::Burgers(m) => (0.0, m.viscosity),
+        _ => (0.0, 0.0),
+    };
+    for (what, number, most) in
+        [("ν Δt/h²", diffusivity * step / (h * h), 0.69), ("|c| Δt/h", speed * step / h, 2.8)]
+    {
+        if !(number <= most) {
+            let message = format!(
+                "{what} = {number:.3} is beyond {most}, where \"rk4\" blows up: take a smaller step, or \"midpoint\""
+            );
+            return invalid("time.step", message);
+        }
+    }
+    Ok(())
+}
+
+fn validate_taper(taper: Taper, length: Option<f64>, section: &str) -> Check {
+    match (taper, length) {
+        (Taper::None, Some(_)) => {
+            invalid(format!("{section}.localization_length"), "there is no taper to use it")
+        }
+        (Taper::Triangle | Taper::GaspariCohn, None) => {
+            invalid(section, "a taper needs `localization_length` [m]")
+        }
+        _ => Ok(()),
     }
 }
 
@@ -245,15 +295,7 @@ fn validate_kernel(k: &KernelCovariance, section: &str) -> Check {
         ("sigma_v", k.sigma_v.is_some()),
         ("sigma_v_over_mean_speed", k.sigma_v_over_mean_speed.is_some()),
     )?;
-    match (k.taper, k.localization_length) {
-        (Taper::None, Some(_)) => {
-            invalid(format!("{section}.localization_length"), "there is no taper to use it")
-        }
-        (Taper::Triangle | Taper::GaspariCohn, None) => {
-            invalid(section, "a taper needs `localization_length` [m]")
-        }
-        _ => Ok(()),
-    }
+    validate_taper(k.taper, k.localization_length, section)
 }
 
 fn validate_synthetic(s: &Synthetic, scene: &Scene, rod: Option<&RodModel>) -> Check {
@@ -297,10 +339,7 @@ fn validate_synthetic(s: &Synthetic, scene: &Scene, rod: Option<&RodModel>) -> C
                 .try_for_each(|(i, s)| on_rod(&format!("{section}.places.{i}"), *s, length))
         }
         None => {
-            let n = match &scene.model {
-                Model::Lorenz96(m) => m.variables,
-                _ => 3,
-            };
+            let n = scene.model.components().unwrap_or(0);
             if !s.places.is_empty() {
                 return invalid(format!("{section}.places"), "this model is observed in `components`");
             }

@@ -167,6 +167,7 @@ impl Covariance {
         match self {
             Covariance::Diagonal(_) | Covariance::Climatology(_) => Root::Cholesky,
             Covariance::Kernel(k) => k.root,
+            Covariance::Line(k) => k.root,
         }
     }
 }
