@@ -5,10 +5,10 @@ use varda_implicit::{ImplicitStep, Structure};
 use crate::Error;
 use crate::covariance;
 use crate::cycles::whole;
-use crate::problem::{observed_steps, places, sightings, sigmas, window};
+use crate::problem::{no_derivatives, observed_steps, places, sightings, sigmas, window};
 use crate::rod_model::RodParts;
 use crate::rod_observation::Window;
-use crate::scene::{Covariance, Model, Observations, SceneFile};
+use crate::scene::{Covariance, Integrator, Model, Observations, SceneFile};
 
 /// Sizes of a scene, and what it leaves out.
 #[derive(Debug, Clone, PartialEq)]
@@ -17,10 +17,16 @@ pub struct Plan {
     pub name: String,
     /// Its title.
     pub title: String,
+    /// Its method and what solves it.
+    pub method: String,
     /// Length of the state.
     pub n_state: usize,
     /// Length of the control.
     pub n_control: usize,
+    /// Numbers of model error in the control beyond it, at most (weak-constraint methods).
+    pub n_errors: usize,
+    /// Members of the ensemble; 0 where there is none.
+    pub members: usize,
     /// Number of observed values that would be assimilated, in all windows of a sequence.
     pub n_obs: usize,
     /// Number of times at which something is observed.
@@ -84,10 +90,7 @@ impl Plan {
                 (dynamics.dim(), dynamics.control_len(), n_obs, times, kept)
             }
             model => {
-                let n = match model {
-                    Model::Lorenz96(m) => m.variables,
-                    _ => 3,
-                };
+                let n = model.components().unwrap_or(0);
                 let (rows, times) = match &scene.observations {
                     Observations::Synthetic(s) => {
                         let rows = if s.components.is_empty() { n } else { s.components.len() };
@@ -95,21 +98,54 @@ impl Plan {
                     }
                     Observations::File(_) => (0, 0),
                 };
-                left_out.push("factorizations: the steps are explicit".to_string());
-                (n, n, rows * times, times, 4 * n)
+                let path = "background.covariance";
+                let b = &scene.background.covariance;
+                // A climatology needs a run.
+                if !matches!(b, Covariance::Climatology(_)) {
+                    covariance::of_components(file, path, b, n, model.line().as_ref())?;
+                }
+                let kept = match scene.time.integrator {
+                    Integrator::Rk4 => {
+                        left_out.push("factorizations: the steps are explicit".to_string());
+                        4 * n
+                    }
+                    // The states and a factor of about six numbers a row: bands, and circles with little fill.
+                    _ => 8 * n,
+                };
+                (n, n, rows * times, times, kept)
             }
         };
+        let algorithm = &scene.algorithm;
         let cycles = settings.as_ref().map(|c| [c.count, c.shift_of(steps), window.steps]);
-        // A window: states of two runs, what a linearized step keeps, the Jacobian of the observations, B's root, the Hessian.
-        // A sequence: truth and analysis.
         let (count, all) = cycles.map_or((1, 0), |[count, _, all]| (count, all));
-        let words =
-            steps * (2 * n_state + kept) + n_control * (n_obs / count + 3 * n_control) + 2 * all * n_state;
+        // What one window sees.
+        let seen = n_obs / count;
+        // States of two runs, what a linearized step keeps, the Jacobian of the observations, B's root, the Hessian.
+        let mut words = steps * (2 * n_state + kept) + n_control * (seen + 3 * n_control);
+        let mut n_errors = 0;
+        if let Some(error) = &algorithm.model_error {
+            // Each η is as long as the control at most (a truncated root of Q is shorter).
+            let parts = steps / error.every;
+            n_errors = n_control * if error.held { steps.div_ceil(error.every) } else { parts };
+            words += n_errors * (seen + 8) + steps * n_state + seen * seen;
+        }
+        let members = algorithm.members();
+        if let Some(ensemble) = &members {
+            left_out.extend(no_derivatives(scene));
+            words = (ensemble.members + 1) * (steps + 1) * n_state
+                + 2 * ensemble.members * (seen + n_control)
+                + n_control * n_control;
+        }
+        // Truth and analysis of a sequence.
+        words += 2 * all * n_state;
         Ok(Plan {
             name: file.name.clone(),
             title: scene.title.clone(),
+            method: format!("{}, {}", algorithm.method.name(), algorithm.solver_name()),
             n_state,
             n_control,
+            n_errors,
+            members: members.map_or(0, |e| e.members),
             n_obs,
             times,
             window: Window { steps, ..window },

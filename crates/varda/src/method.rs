@@ -16,6 +16,10 @@ use crate::ensemble::anchors;
 use crate::run::{WorkCounts, run_on};
 use crate::scene::{Algorithm, Method};
 
+/// The first linearization of an ensemble takes the members themselves (4D-EnVar proper), later ones differences about the iterate of this
+/// part of their spread (the iterative ensemble smoother): a large spread would end where its own secants vanish, not the gradient.
+const SPREAD: f64 = 1e-3;
+
 /// What every method is given.
 pub(crate) struct Task<'a> {
     pub(crate) algorithm: &'a Algorithm,
@@ -302,6 +306,7 @@ impl Task<'_> {
         let window = observations.steps();
         let anchors = anchors(observations, self.anchors);
         let mut cost = members.cost(self.make_model, self.background, observations, &anchors)?;
+        cost.set_spread(SPREAD);
         v.resize(cost.dim(), 0.0);
         let transform = cost.transform().clone();
         let mut control = self.background.to_vec();
@@ -309,7 +314,12 @@ impl Task<'_> {
             transform.control(iteration.v, &mut control);
             on_row(&Row { iteration, control: &control, window, before })
         };
-        let options = EnVarOptions { max_outer: self.algorithm.max_iterations, ..EnVarOptions::default() };
+        // The static part of a hybrid stays where it is through the window: relinearized, it has no minimum to end at.
+        let max_outer = match self.algorithm.method {
+            Method::HybridFourDEnVar => 1,
+            _ => self.algorithm.max_iterations,
+        };
+        let options = EnVarOptions { max_outer, ..EnVarOptions::default() };
         let minimum = cost.minimize(v, &options, &mut on_iteration)?;
         let counts = WorkCounts::from(&cost.counts());
         // The last step is not followed by a run of the ensemble, nor reported: nothing is left to interrupt.

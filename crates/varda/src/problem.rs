@@ -288,6 +288,7 @@ fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
     }
     let mut left_out = dynamics.left_out();
     left_out.extend(sightings.left_out.iter().cloned());
+    left_out.extend(no_derivatives(scene));
     // The model that ran the truth starts again from nothing, so that counts are those of the assimilation.
     let model = ImplicitModel::new(model.into_inner(), scene.time.spin_up, window.step);
     let (again, first) = (parts.clone(), scene.time.spin_up);
@@ -443,6 +444,7 @@ fn component_problem(file: &SceneFile) -> Result<Problem, Error> {
     if scene.time.integrator == scene::Integrator::Rk4 {
         left_out.push("factorizations: the steps are explicit".to_string());
     }
+    left_out.extend(no_derivatives(scene));
     Ok(Problem {
         name: file.name.clone(),
         scene: scene.clone(),
@@ -459,6 +461,12 @@ fn component_problem(file: &SceneFile) -> Result<Problem, Error> {
         observations: ObservationSet::new(window.steps, vec![operator], seen)?,
         left_out,
     })
+}
+
+/// What an ensemble leaves out.
+pub(crate) fn no_derivatives(scene: &Scene) -> Option<String> {
+    let line = "tangent and adjoint: an ensemble of forward runs takes their place";
+    scene.algorithm.method.is_ensemble().then(|| line.to_string())
 }
 
 fn read_component_background(file: &SceneFile, n: usize) -> Result<Vec<f64>, Error> {

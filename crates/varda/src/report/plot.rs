@@ -1,6 +1,7 @@
 //! Charts as SVG text: curves and points with labelled axes and a legend, one panel or several side by side.
 
 use plotters::coord::Shift;
+use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 
 use crate::Error;
@@ -35,6 +36,8 @@ pub(super) struct Panel {
     pub(super) equal: Option<[(f64, f64); 2]>,
     pub(super) legend: Option<Corner>,
     pub(super) series: Vec<Series>,
+    /// No axes: the names of the series, a line each.
+    pub(super) is_key: bool,
 }
 
 /// Where a legend is. At the top it gets room of its own above the curves.
@@ -77,6 +80,20 @@ const PALETTE: [RGBColor; 9] = [
 ];
 
 impl Style {
+    /// Lengths of dash and gap; `None` for a solid line. Lines that share a colour differ here.
+    fn dash(self) -> Option<(u32, u32)> {
+        match self {
+            Style::Truth => Some((2 * FINE, 3 * FINE)),
+            Style::Background => Some((7 * FINE, 4 * FINE)),
+            Style::Line(i) => match i / PALETTE.len() {
+                0 => None,
+                1 => Some((8 * FINE, 4 * FINE)),
+                _ => Some((2 * FINE, 3 * FINE)),
+            },
+            Style::Analysis | Style::Observation | Style::Withheld => None,
+        }
+    }
+
     fn colour(self) -> RGBColor {
         match self {
             Style::Truth => RGBColor(60, 60, 60),
@@ -113,7 +130,27 @@ impl Figure {
 }
 
 impl Panel {
+    /// The names of the series beside a piece of each line.
+    fn draw_key(&self, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Drawing> {
+        let fine = FINE as i32;
+        let font = ("sans-serif", FINE * 13).into_font().color(&RGBColor(40, 40, 40));
+        for (i, series) in self.series.iter().enumerate() {
+            let y = fine * (24 + 20 * i as i32);
+            let thick = series.style.colour().stroke_width(2 * FINE);
+            let line = [(fine * 16, y), (fine * 56, y)];
+            match series.style.dash() {
+                Some((on, off)) => area.draw(&DashedPathElement::new(line, on, off, thick))?,
+                None => area.draw(&PathElement::new(line, thick))?,
+            }
+            area.draw(&Text::new(series.label.as_str(), (fine * 66, y - fine * 7), font.clone()))?;
+        }
+        Ok(())
+    }
+
     fn draw(&self, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Drawing> {
+        if self.is_key {
+            return self.draw_key(area);
+        }
         let y_of = |y: f64| if self.log_y { y.log10() } else { y };
         let x_of = |x: f64| if self.log_x { x.log10() } else { x };
         let usable = |p: &&(f64, f64)| x_of(p.0).is_finite() && y_of(p.1).is_finite();
@@ -197,30 +234,24 @@ impl Panel {
                     .legend(move |(x, y)| {
                         Cross::new((x + wide_mark / 2, y), FINE * 3, colour.stroke_width(2 * FINE))
                     }),
-                Style::Background | Style::Truth => {
-                    let (on, off) = if series.style == Style::Truth {
-                        (2 * FINE, 3 * FINE)
-                    } else {
-                        (7 * FINE, 4 * FINE)
-                    };
-                    chart
-                        .draw_series(DashedLineSeries::new(points, on, off, colour.stroke_width(2 * FINE)))?
-                        .label(&series.label)
-                        .legend(move |(x, y)| {
-                            plotters::element::DashedPathElement::new(
-                                [(x, y), (x + wide_mark, y)],
-                                on,
-                                off,
-                                colour.stroke_width(2 * FINE),
-                            )
-                        })
+                Style::Background | Style::Truth | Style::Analysis | Style::Line(_) => {
+                    let thick = colour.stroke_width(2 * FINE);
+                    if let [alone] = points[..] {
+                        chart.draw_series([Circle::new(alone, FINE * 3, colour.filled())])?;
+                    }
+                    match series.style.dash() {
+                        Some((on, off)) => chart
+                            .draw_series(DashedLineSeries::new(points, on, off, thick))?
+                            .label(&series.label)
+                            .legend(move |(x, y)| {
+                                DashedPathElement::new([(x, y), (x + wide_mark, y)], on, off, thick)
+                            }),
+                        None => chart
+                            .draw_series(LineSeries::new(points, thick))?
+                            .label(&series.label)
+                            .legend(move |(x, y)| PathElement::new([(x, y), (x + wide_mark, y)], thick)),
+                    }
                 }
-                Style::Analysis | Style::Line(_) => chart
-                    .draw_series(LineSeries::new(points, colour.stroke_width(2 * FINE)))?
-                    .label(&series.label)
-                    .legend(move |(x, y)| {
-                        PathElement::new([(x, y), (x + wide_mark, y)], colour.stroke_width(2 * FINE))
-                    }),
             };
         }
         if let Some(corner) = self.legend {

@@ -113,7 +113,7 @@ pub enum Method {
     /// (1: 4D-EnVar proper; more: the iterative ensemble smoother).
     #[serde(rename = "4denvar")]
     FourDEnVar,
-    /// Hybrid 4D-EnVar: a static part of B beside the ensemble's, its increments constant through the window.
+    /// Hybrid 4D-EnVar: a static part of B beside the ensemble's, its increments constant through the window. Linearized once.
     #[serde(rename = "hybrid-4denvar")]
     HybridFourDEnVar,
 }

@@ -43,6 +43,36 @@ pub enum Covariance {
     Line(LineCovariance),
 }
 
+impl Covariance {
+    /// The same with every σ multiplied by `factor`.
+    pub(crate) fn scaled(&self, factor: f64) -> Covariance {
+        let by = |sigma: Option<f64>| sigma.map(|s| factor * s);
+        match self.clone() {
+            Covariance::Diagonal(d) => Covariance::Diagonal(DiagonalCovariance { sigma: factor * d.sigma }),
+            Covariance::Climatology(c) => {
+                Covariance::Climatology(ClimatologyCovariance { scale: factor * factor * c.scale, ..c })
+            }
+            Covariance::Line(k) => Covariance::Line(LineCovariance { sigma: factor * k.sigma, ..k }),
+            Covariance::Kernel(k) => Covariance::Kernel(KernelCovariance {
+                sigma_x: by(k.sigma_x),
+                sigma_x_over_length: by(k.sigma_x_over_length),
+                sigma_v: by(k.sigma_v),
+                sigma_v_over_mean_speed: by(k.sigma_v_over_mean_speed),
+                ..k
+            }),
+        }
+    }
+
+    /// The kind of its square root.
+    pub(crate) fn root(&self) -> Root {
+        match self {
+            Covariance::Diagonal(_) | Covariance::Climatology(_) => Root::Cholesky,
+            Covariance::Kernel(k) => k.root,
+            Covariance::Line(k) => k.root,
+        }
+    }
+}
+
 /// Independent errors of one σ.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]

@@ -2,9 +2,7 @@
 //! not belong together.
 
 use super::validate::{Check, invalid, validate_covariance};
-use super::{
-    Algorithm, Covariance, Ensemble, Method, Minimizer, Model, ModelError, Observations, Root, Scene, Taper,
-};
+use super::{Algorithm, Ensemble, Method, Minimizer, Model, ModelError, Observations, Root, Scene, Taper};
 
 pub(super) fn validate_algorithm(scene: &Scene) -> Check {
     let algorithm = &scene.algorithm;
@@ -37,7 +35,7 @@ pub(super) fn validate_algorithm(scene: &Scene) -> Check {
 /// Keys that the method has no use for.
 fn validate_keys(algorithm: &Algorithm) -> Check {
     let method = algorithm.method;
-    let keys: [(&str, bool, fn(Method) -> bool); 7] = [
+    let keys: [(&str, bool, fn(Method) -> bool); 8] = [
         ("minimizer", algorithm.minimizer != Minimizer::Auto, Method::takes_minimizer),
         ("sigma_stages", !algorithm.sigma_stages.is_empty(), Method::takes_minimizer),
         ("robust", algorithm.robust.is_some(), Method::takes_robust),
@@ -49,6 +47,9 @@ fn validate_keys(algorithm: &Algorithm) -> Check {
             algorithm.gradient_tolerance != Algorithm::default().gradient_tolerance,
             |method| !method.is_ensemble(),
         ),
+        ("max_iterations", algorithm.max_iterations != Algorithm::default().max_iterations, |method| {
+            !matches!(method, Method::Blue | Method::HybridFourDEnVar)
+        }),
     ];
     let Some((key, _, takes)) = keys.iter().find(|(_, given, takes)| *given && !takes(method)) else {
         return Ok(());
@@ -158,16 +159,5 @@ fn validate_ensemble(ensemble: &Ensemble, method: Method, model: &Model) -> Chec
             "the three variables of lorenz63 have no distances: leave it out",
         ),
         _ => Ok(()),
-    }
-}
-
-impl Covariance {
-    /// The kind of its square root.
-    fn root(&self) -> Root {
-        match self {
-            Covariance::Diagonal(_) | Covariance::Climatology(_) => Root::Cholesky,
-            Covariance::Kernel(k) => k.root,
-            Covariance::Line(k) => k.root,
-        }
     }
 }
