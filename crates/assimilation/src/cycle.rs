@@ -60,7 +60,7 @@ impl CycleState {
     /// # Panics
     /// If there is no member, or a broken one.
     pub fn from_members(members: Vec<f64>, n: usize) -> Self {
-        assert!(n > 0 && !members.is_empty() && members.len() % n == 0, "members of length {n}");
+        assert!(n > 0 && !members.is_empty() && members.len().is_multiple_of(n), "members of length {n}");
         Self { next: 0, background: mean(&members, n), columns: members }
     }
 }

@@ -245,6 +245,8 @@ impl Sequence {
                 let ensemble = algorithm.members().unwrap_or_default();
                 let hybrid = algorithm.method == scene::Method::HybridFourDEnVar;
                 let [beta_s, beta_e] = ensemble.weights();
+                // As without cycles, a hybrid is linearized once.
+                let max_outer = if hybrid { 1 } else { algorithm.max_iterations };
                 CycledCovariance::Ensemble(CycledEnsemble {
                     inflation: ensemble.inflation,
                     localization: members.localization().clone(),
@@ -257,7 +259,7 @@ impl Sequence {
                         }
                     },
                     // A step of 0.05 standard deviations is below what members resolve.
-                    options: EnVarOptions { max_outer: algorithm.max_iterations, step_tolerance: 0.05 },
+                    options: EnVarOptions { max_outer, step_tolerance: 0.05 },
                 })
             }
             _ => CycledCovariance::Static(b),

@@ -240,14 +240,7 @@ fn a_rod_is_cycled_with_every_covariance() {
     for (name, more) in [
         ("static", &["algorithm.cycles.covariance=static"][..]),
         ("propagated", &["algorithm.cycles.covariance=propagated", "algorithm.cycles.static_weight=0.1"]),
-        (
-            "ensemble",
-            &[
-                "algorithm.method=hybrid-4denvar",
-                "algorithm.ensemble.members=20",
-                "algorithm.max_iterations=3",
-            ],
-        ),
+        ("ensemble", &["algorithm.method=hybrid-4denvar", "algorithm.ensemble.members=20"]),
     ] {
         let summary = by(more);
         assert_eq!(summary["cycles"]["covariance"], name);
