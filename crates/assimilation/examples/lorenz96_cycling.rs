@@ -229,6 +229,7 @@ fn run(network: &Network, case: &Case, seed: u64, mean: &[f64], b: &Dense) -> Re
     let mut rng = stream(1);
     let background: Vec<f64> =
         truth[cycling.first].iter().zip(sample(b, &mut rng)).map(|(x, e)| x + e).collect();
+    let mut state = CycleState::new(background.clone());
     let mut rng = stream(3);
     let anchors = |set: &ObservationSet| -> Vec<usize> {
         set.observations().iter().flat_map(|o| o.rows.iter().map(|r| network.rows[*r])).collect()
@@ -244,8 +245,8 @@ fn run(network: &Network, case: &Case, seed: u64, mean: &[f64], b: &Dense) -> Re
                     background.iter().zip(sample(b, &mut rng)).map(|(x, e)| x + e).collect::<Vec<_>>()
                 })
                 .collect();
+            state = CycleState::from_members(members, N);
             CycledCovariance::Ensemble(CycledEnsemble {
-                members,
                 inflation,
                 localization: match support {
                     Some(support) => {
@@ -255,7 +256,7 @@ fn run(network: &Network, case: &Case, seed: u64, mean: &[f64], b: &Dense) -> Re
                 },
                 anchors: &anchors,
                 static_part: (static_weight > 0.0).then_some((b as &dyn Covariance, static_weight, 1.0)),
-                update: EnsembleUpdate::SquareRoot,
+                update: CycledUpdate::SquareRoot,
                 options: EnVarOptions { max_outer: outer, step_tolerance: 0.05 },
             })
         }
@@ -264,7 +265,7 @@ fn run(network: &Network, case: &Case, seed: u64, mean: &[f64], b: &Dense) -> Re
         Minimizer::TrustRegion(TrustRegionOptions { gradient_tolerance: 1e-4, ..Default::default() });
     let clock = Instant::now();
     let before = cpu_seconds(clock);
-    let cycles = cycle(&cycling, &background, covariance, &minimizer, &mut |_| ControlFlow::Continue(()))?;
+    let cycles = cycle(&cycling, &mut state, &covariance, &minimizer, &mut |_, _| ControlFlow::Continue(()))?;
     let seconds = cpu_seconds(clock) - before;
     let counted: Vec<&Cycle> = cycles.iter().filter(|c| c.first_step + case.window > LEFT_OUT).collect();
     let average =
@@ -272,7 +273,7 @@ fn run(network: &Network, case: &Case, seed: u64, mean: &[f64], b: &Dense) -> Re
     Ok(Run {
         end: average(&|c| c.errors.map_or(f64::NAN, |e| e.end)),
         start: average(&|c| c.errors.map_or(f64::NAN, |e| e.start)),
-        spread: average(&|c| c.spread.unwrap_or(f64::NAN)),
+        spread: average(&|c| c.spread().unwrap_or(f64::NAN)),
         seconds,
         cycles: cycles.len(),
         stopped: cycles.iter().filter(|c| matches!(c.status, Status::Stalled | Status::Failed)).count(),

@@ -92,7 +92,9 @@ pub use cost::{
     CostFunction, CostTerms, Counts, Dual, EnVar, EnVarOptions, EnsembleUpdate, Forcing, GaussNewton,
     Incremental, InnerCost, Rejection, StrongConstraint, WeakForcing, WeakState, huber,
 };
-pub use cycle::{Cycle, CycleErrors, CycledCovariance, CycledEnsemble, Cycling, cycle};
+pub use cycle::{
+    Cycle, CycleErrors, CycleState, CycledCovariance, CycledEnsemble, CycledUpdate, Cycling, Normals, cycle,
+};
 pub use error::Error;
 pub use growth::{Assimilate, window_growth};
 pub use inner::{InnerEnd, InnerLimits, conjugate_gradients, restricted_conjugate_gradients};

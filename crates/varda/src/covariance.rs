@@ -57,6 +57,15 @@ pub fn of_components(
     }
 }
 
+/// `scale` × a symmetric n × n matrix, by rows.
+///
+/// # Errors
+/// [`Error::Scene`] where it is not positive definite.
+pub fn scaled(file: &SceneFile, path: &str, n: usize, scale: f64, matrix: &[f64]) -> Result<Factored, Error> {
+    let matrix: Vec<f64> = matrix.iter().map(|c| scale * c).collect();
+    Ok(Factored::Full(Box::new(cholesky(file, path, n, &matrix)?)))
+}
+
 /// Distance \[m\] of two points of a line: the chord where it closes to a circle.
 pub fn line_distance(line: &Line, i: usize, j: usize) -> f64 {
     let d = (line.position(i) - line.position(j)).abs();

@@ -453,14 +453,20 @@ fn minimize(
     v: &mut [f64],
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    let mut minimizer =
-        Minimizer::named(algorithm.minimizer.name()).expect("every scene name is a minimizer's name");
-    *minimizer.gradient_tolerance_mut() = algorithm.gradient_tolerance;
-    *minimizer.max_iterations_mut() = algorithm.max_iterations;
+    let minimizer = minimizer(algorithm);
     match algorithm.sigma_stages.as_slice() {
         [] => minimizer.minimize(cost, v, on_iteration),
         stages => continuation(&minimizer, cost, v, stages, on_iteration),
     }
+}
+
+/// The minimizer a scene names.
+pub(crate) fn minimizer(algorithm: &Algorithm) -> Minimizer {
+    let mut minimizer =
+        Minimizer::named(algorithm.minimizer.name()).expect("every scene name is a minimizer's name");
+    *minimizer.gradient_tolerance_mut() = algorithm.gradient_tolerance;
+    *minimizer.max_iterations_mut() = algorithm.max_iterations;
+    minimizer
 }
 
 fn outer(algorithm: &Algorithm, inner: InnerSolver) -> OuterLoopOptions {

@@ -17,7 +17,7 @@ use crate::scene::{
     Synthetic, Use,
 };
 use crate::twin::{Stream, normal, stream};
-use crate::{Error, csv_input};
+use crate::{Error, climatology, csv_input};
 
 /// Everything an assimilation needs. Plain data but for the operators.
 pub struct Problem {
@@ -51,8 +51,8 @@ pub struct Problem {
     pub left_out: Vec<String>,
 }
 
-/// Makes the model of a problem.
-pub type MakeModel = Box<dyn Fn() -> Box<dyn Model + Send>>;
+/// Makes the model of a problem, its step 0 being the given step of the window.
+pub type MakeModel = Box<dyn Fn(usize) -> Box<dyn Model + Send>>;
 
 /// What the numbers of a state mean.
 pub enum View {
@@ -249,7 +249,7 @@ fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
 
     let times =
         scene.time.tolerance.map(|t| divided_steps(&parts, scene, &window, &background, t)).transpose()?;
-    let mut model = rod_models(&parts, scene.time.spin_up, window, times.clone())();
+    let mut model = rod_models(&parts, scene.time.spin_up, window, times.clone())(0);
     let mut sites = RodObservation::new(&dynamics, &sightings, window)?;
     if let (Observations::Synthetic(synthetic), Some(truth)) = (&scene.observations, &truth) {
         let steps = observed_steps(synthetic, &window);
@@ -296,7 +296,7 @@ fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
         name: file.name.clone(),
         scene: scene.clone(),
         window,
-        model: make_model(),
+        model: make_model(0),
         make_model,
         view: View::Rod(Box::new(RodView { parts, dynamics, sightings, sites })),
         covariance,
@@ -334,16 +334,17 @@ fn grid(window: &Window) -> Vec<f64> {
     (0..=window.steps + window.forecast).map(|k| window.time(k)).collect()
 }
 
-/// Makes models whose step k is that of the window: one step, or those between `times` that make it up.
-fn rod_models(parts: &RodParts, first: usize, window: Window, times: Option<Vec<f64>>) -> MakeModel {
+/// Makes models that start at a step of the window, whose step k is the window's from there: one step, or those between `times` that make it up.
+fn rod_models(parts: &RodParts, spin_up: usize, window: Window, times: Option<Vec<f64>>) -> MakeModel {
     let parts = parts.clone();
-    Box::new(move || {
+    Box::new(move |first| {
         let step = parts.dynamics().expect("the dynamics were made of these parts before");
         match &times {
-            None => Box::new(ImplicitModel::new(step, first, window.step)),
+            None => Box::new(ImplicitModel::new(step, spin_up + first, window.step)),
             Some(times) => {
-                let model = ImplicitModel::on_times(step, times.clone());
-                Box::new(Grouped::through(model, times, &grid(&window)))
+                let from = times.partition_point(|t| *t < window.time(first));
+                let model = ImplicitModel::on_times(step, times[from..].to_vec());
+                Box::new(Grouped::through(model, &times[from..], &grid(&window)[first..]))
             }
         }
     })
@@ -411,7 +412,13 @@ fn component_problem(file: &SceneFile) -> Result<Problem, Error> {
     let mut model = make(0);
     let n = model.dim();
     let line = scene.model.line();
-    let of = |path: &str, c: &CovarianceKey| covariance::of_components(file, path, c, n, line.as_ref());
+    let of = |path: &str, c: &CovarianceKey| match c {
+        CovarianceKey::Climatology(c) => {
+            let matrix = climatology::covariance(make(0).as_mut(), &start, first, c.steps)?;
+            covariance::scaled(file, path, n, c.scale, &matrix)
+        }
+        c => covariance::of_components(file, path, c, n, line.as_ref()),
+    };
     let covariance = of("background.covariance", &scene.background.covariance)?;
     let model_error = match &scene.algorithm.model_error {
         Some(error) => Some(of("algorithm.model_error.covariance", &error.covariance)?),
@@ -479,7 +486,7 @@ fn component_problem(file: &SceneFile) -> Result<Problem, Error> {
         scene: scene.clone(),
         window,
         model: make(first),
-        make_model: Box::new(move || make(first)),
+        make_model: Box::new(move |k| make(first + k)),
         view: View::Components(names),
         covariance,
         model_error,

@@ -3,8 +3,8 @@
 use std::ops::{Add, ControlFlow, Sub};
 use std::time::Instant;
 
-use serde::Serialize;
-use varda_assimilation::{Analysis, Counts, Minimum, ObservationSet, huber};
+use serde::{Deserialize, Serialize};
+use varda_assimilation::{Analysis, Counts, ObservationSet, huber};
 use varda_implicit::Model;
 
 use crate::Error;
@@ -53,7 +53,7 @@ pub struct ConvergenceRow {
 }
 
 /// Work of the model.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WorkCounts {
     /// Steps taken.
     pub model_steps: usize,
@@ -113,7 +113,7 @@ impl Sub for WorkCounts {
 }
 
 /// How a run ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
     /// At a stationary point of J.
@@ -280,7 +280,7 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
     let clock = Clock::default();
     let mut timed = Timed::new(problem.model.as_mut(), &clock);
     let make = &problem.make_model;
-    let make_timed = || -> Box<dyn Model + Send> { Box::new(Timed::new(make(), &clock)) };
+    let make_timed = || -> Box<dyn Model + Send> { Box::new(Timed::new(make(0), &clock)) };
     let mut task = Task {
         algorithm,
         model: &mut timed,
@@ -308,7 +308,7 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
     problem.observations = observations;
     problem.left_out.extend(problem.scene.limits.left_out(solved.storage, problem.window.steps));
 
-    let status = status(&solved.minimum);
+    let status = Status::from(solved.minimum.status);
     let mut warnings = remarks(problem, &solved, status);
     let analysis = analysis(problem, &solved);
     let trajectories = trajectories(problem, &analysis.analysis, solved.states, &mut warnings);
@@ -415,19 +415,21 @@ fn cost_of_run(problem: &mut Problem, runs: &Trajectories) -> Result<f64, Error>
     Ok(d.iter().zip(problem.observations.sigma()).map(|(d, sigma)| huber(delta, d / sigma).0).sum())
 }
 
-fn status(minimum: &Minimum) -> Status {
-    use varda_assimilation::Status as S;
-    match minimum.status {
-        S::Converged => Status::Converged,
-        S::MaxIterations => Status::MaxIterations,
-        S::Stalled => Status::Stalled,
-        S::Interrupted => Status::Interrupted,
-        S::Failed => Status::Failed,
+impl From<varda_assimilation::Status> for Status {
+    fn from(status: varda_assimilation::Status) -> Self {
+        use varda_assimilation::Status as S;
+        match status {
+            S::Converged => Status::Converged,
+            S::MaxIterations => Status::MaxIterations,
+            S::Stalled => Status::Stalled,
+            S::Interrupted => Status::Interrupted,
+            S::Failed => Status::Failed,
+        }
     }
 }
 
 /// RMSE of positions and velocities (of a rod's [X, V], a vertex at a time), or of all components.
-fn errors(control: &[f64], truth: Option<&[f64]>, is_rod: bool) -> [Option<f64>; 2] {
+pub(crate) fn errors(control: &[f64], truth: Option<&[f64]>, is_rod: bool) -> [Option<f64>; 2] {
     let Some(truth) = truth else { return [None, None] };
     let rms = |a: &[f64], b: &[f64], components: usize| {
         let sum: f64 = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum();

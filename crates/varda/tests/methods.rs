@@ -76,7 +76,7 @@ fn the_weak_forms_agree_and_their_trajectory_is_the_analysis() {
         |runs: &Outcome| -> f64 { runs.fit.iter().map(|f| 0.5 * f.count as f64 * f.ratio * f.ratio).sum() };
     let terms = forcing.analysis.terms;
     assert!((of(&forcing) / terms.observation - 1.0).abs() < 1e-12, "{} {terms:?}", of(&forcing));
-    let mut model = (problem.make_model)();
+    let mut model = (problem.make_model)(0);
     let (n, mut jumps) = (3, Vec::new());
     for k in 0..50 {
         let mut next = [0.0; 3];

@@ -192,6 +192,9 @@ pub(super) fn plan(p: &Plan) -> String {
             p.window.steps, p.window.step, p.window.start, p.spin_up
         ),
     );
+    if let Some([count, shift, steps]) = p.cycles {
+        line("cycles", format!("{count} windows, {shift} steps apart: {steps} steps"));
+    }
     line("memory", format!("about {:.1} MB", p.bytes as f64 / 1e6));
     for text in &p.left_out {
         line("left out", text.clone());

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Ensemble, ModelError};
+use super::{Cycles, Ensemble, ModelError};
 
 /// How the cost is minimised.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -42,6 +42,9 @@ pub struct Algorithm {
     /// The ensemble (methods 4denvar and hybrid-4denvar).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ensemble: Option<Ensemble>,
+    /// Window after window along a long run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cycles: Option<Cycles>,
 }
 
 impl Default for Algorithm {
@@ -57,6 +60,7 @@ impl Default for Algorithm {
             window_growth: Vec::new(),
             model_error: None,
             ensemble: None,
+            cycles: None,
         }
     }
 }

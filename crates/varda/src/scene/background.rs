@@ -35,6 +35,8 @@ pub enum Origin {
 pub enum Covariance {
     /// Independent errors of one σ in every component (Lorenz models, lines).
     Diagonal(DiagonalCovariance),
+    /// A multiple of the covariance of the states the model passes through (Lorenz models).
+    Climatology(ClimatologyCovariance),
     /// A kernel in arc length times a taper; x, y, z alike and independent, positions and velocities too (rods).
     Kernel(KernelCovariance),
     /// A kernel in the distance along a line times a taper (linear-advection, burgers).
@@ -47,6 +49,9 @@ impl Covariance {
         let by = |sigma: Option<f64>| sigma.map(|s| factor * s);
         match self.clone() {
             Covariance::Diagonal(d) => Covariance::Diagonal(DiagonalCovariance { sigma: factor * d.sigma }),
+            Covariance::Climatology(c) => {
+                Covariance::Climatology(ClimatologyCovariance { scale: factor * factor * c.scale, ..c })
+            }
             Covariance::Line(k) => Covariance::Line(LineCovariance { sigma: factor * k.sigma, ..k }),
             Covariance::Kernel(k) => Covariance::Kernel(KernelCovariance {
                 sigma_x: by(k.sigma_x),
@@ -61,7 +66,7 @@ impl Covariance {
     /// The kind of its square root.
     pub(crate) fn root(&self) -> Root {
         match self {
-            Covariance::Diagonal(_) => Root::Cholesky,
+            Covariance::Diagonal(_) | Covariance::Climatology(_) => Root::Cholesky,
             Covariance::Kernel(k) => k.root,
             Covariance::Line(k) => k.root,
         }
@@ -75,6 +80,23 @@ pub struct DiagonalCovariance {
     /// Standard deviation of every component.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub sigma: f64,
+}
+
+/// Errors like the model's own variations: the covariance of the states of a long run, scaled.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ClimatologyCovariance {
+    /// Factor on the covariance (the square of one on standard deviations).
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub scale: f64,
+    /// Steps of the run, which begins where the truth of a twin experiment does, after `time.spin_up`; the same for every seed.
+    #[serde(default = "default_steps")]
+    #[schemars(extend("minimum" = 1, "maximum" = 100000000))]
+    pub steps: usize,
+}
+
+fn default_steps() -> usize {
+    100_000
 }
 
 /// Errors correlated along the rod: σ² k(s_i, s_j) taper(|s_i − s_j|).

@@ -10,6 +10,7 @@
 mod algorithm;
 mod background;
 mod check;
+mod cycles;
 mod ensemble;
 mod file;
 mod limits;
@@ -23,9 +24,10 @@ mod validate_algorithm;
 
 pub use algorithm::{Algorithm, Method, Minimizer};
 pub use background::{
-    Background, Covariance, DiagonalCovariance, Kernel, KernelCovariance, LineCovariance, Origin, Prior,
-    Root, Taper,
+    Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Kernel, KernelCovariance,
+    LineCovariance, Origin, Prior, Root, Taper,
 };
+pub use cycles::{CycledCovariance, Cycles, EnsembleUpdate};
 pub use ensemble::Ensemble;
 pub use file::{Place, SceneFile};
 pub use limits::Limits;

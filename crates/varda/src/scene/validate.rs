@@ -2,6 +2,7 @@
 
 use varda_implicit::line::{Ends, Line};
 
+use super::cycles::validate_cycles;
 use super::{
     Background, Clamp, Covariance, Frame, Integrator, KernelCovariance, Model, Motion, Observations, Origin,
     Recording, RodModel, Scene, Section, Synthetic, Taper, validate_algorithm::validate_algorithm,
@@ -84,13 +85,17 @@ pub(super) fn validate(scene: &Scene) -> Check {
         Observations::File(f) => validate_recording(f, rod)?,
     }
     scene.limits.bytes().or_else(|message| invalid("limits.memory", message).map(|()| None))?;
-    if !(scene.limits.memory.is_empty() || scene.algorithm.method.is_strong()) {
-        return invalid(
-            "limits.memory",
-            "only methods whose trajectory is a run of the model can keep less of it",
-        );
+    let algorithm = &scene.algorithm;
+    if !(scene.limits.memory.is_empty() || algorithm.method.is_strong() && algorithm.cycles.is_none()) {
+        let message =
+            "only one window of a method whose trajectory is a run of the model can be kept in less";
+        return invalid("limits.memory", message);
     }
-    validate_algorithm(scene)
+    validate_algorithm(scene)?;
+    match &scene.algorithm.cycles {
+        Some(cycles) => validate_cycles(cycles, scene),
+        None => Ok(()),
+    }
 }
 
 impl RodModel {
@@ -241,14 +246,13 @@ pub(super) fn validate_covariance(covariance: &Covariance, path: &str, model: &M
                 _ => Ok(()),
             }
         }
-        (Covariance::Diagonal(_), Model::Rod(_)) | (Covariance::Line(_), Model::Rod(_)) => {
-            invalid(format!("{path}.kind"), "rods take kind = \"kernel\"")
-        }
+        (Covariance::Climatology(_), Model::Lorenz63(_) | Model::Lorenz96(_)) => Ok(()),
+        (_, Model::Rod(_)) => invalid(format!("{path}.kind"), "rods take kind = \"kernel\""),
         (Covariance::Diagonal(_), _) => Ok(()),
         (_, Model::Lorenz63(_) | Model::Lorenz96(_)) => {
-            invalid(format!("{path}.kind"), "Lorenz models take kind = \"diagonal\"")
+            invalid(format!("{path}.kind"), "Lorenz models take kind = \"diagonal\" or \"climatology\"")
         }
-        (Covariance::Kernel(_), _) => {
+        (Covariance::Kernel(_) | Covariance::Climatology(_), _) => {
             invalid(format!("{path}.kind"), "a field along a line takes kind = \"line\" or \"diagonal\"")
         }
     }
