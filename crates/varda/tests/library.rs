@@ -224,13 +224,17 @@ fn the_huber_norm_lowers_what_large_departures_cost() {
 /// needs the step before, the control is not.
 #[test]
 fn every_integrator_assimilates_a_rod() {
-    let damped = "model.damping.stiffness=0.002";
+    // Midpoint damps nothing: on the flagship's wild background it rings, and J is full of minima.
+    let mild = [
+        "background.covariance.sigma_v_over_mean_speed=0.2",
+        "background.covariance.sigma_x_over_length=0.005",
+    ];
     for (sets, states) in [
-        (vec!["time.integrator=midpoint"], 144),
         (vec!["time.integrator=bdf2"], 288),
-        // Strain-rate damping makes 24 angles true unknowns.
-        (vec!["time.integrator=midpoint", damped], 2 * (144 + 24)),
-        (vec!["time.integrator=bdf2", "time.tolerance=3e-4"], 288),
+        (vec!["time.integrator=midpoint", mild[0], mild[1]], 144),
+        // With strain-rate damping 24 angles are true unknowns.
+        (vec!["time.integrator=midpoint", "model.damping.stiffness=0.002", mild[0], mild[1]], 2 * (144 + 24)),
+        (vec!["time.tolerance=3e-3"], 144),
     ] {
         let sets: Vec<String> = sets.into_iter().map(String::from).collect();
         let (problem, outcome) = assimilated("hanging-rod", &sets);
