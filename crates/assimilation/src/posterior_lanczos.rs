@@ -466,7 +466,8 @@ fn best_split(values: &[f64], vectors: &[f64], residuals: &[f64], probes: &Probe
             (best.kept, best.bound) = (kept, bound);
         }
     }
-    if missed >= largest {
+    // A probe has norm √n or so, a Ritz vector 1.
+    if missed >= largest * (n as f64).sqrt() {
         best.worst = None;
     }
     best
