@@ -2,7 +2,7 @@
 
 mod figures;
 mod html;
-mod plot;
+pub mod plot;
 mod summary;
 mod tables;
 
