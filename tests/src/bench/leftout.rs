@@ -9,7 +9,7 @@ use crate::windows::difference;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use varda_assimilation::{
-    ControlTransform, CostFunction, GaussNewton, LanczosOptions, LowRankPosterior, ObservationSet, Posterior,
+    ControlTransform, CostFunction, LanczosOptions, LowRankPosterior, ObservationSet, Posterior,
     StrongConstraint,
 };
 use varda_covariance::{Covariance, Dense};
