@@ -6,10 +6,10 @@ use std::sync::Arc;
 use varda_assimilation::{LinearObservation, Observation, ObservationSet, Selection};
 use varda_covariance::{BlockDiagonal, CovarianceFunction, Dense, Interleaved, Kernel, Taper};
 use varda_implicit::lorenz::Lorenz96;
-use varda_implicit::{ImplicitModel, Model, Rk4};
+use varda_implicit::{ImplicitModel, Model, Rk4, Scheme};
 use varda_rod::{
-    BackwardEuler, Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rod, Section, Supports,
-    TwistUnknowns, equilibrium, straight_guess,
+    Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rod, RodStep, Section, Supports, TwistUnknowns,
+    equilibrium, straight_guess,
 };
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -96,7 +96,7 @@ impl HangingRod {
     ///
     /// # Errors
     /// Impossible numbers.
-    pub fn model(&self, first: usize) -> Result<ImplicitModel<BackwardEuler>> {
+    pub fn model(&self, first: usize) -> Result<ImplicitModel<RodStep>> {
         self.model_with(first, TwistUnknowns::WhereNeeded)
     }
 
@@ -104,10 +104,9 @@ impl HangingRod {
     ///
     /// # Errors
     /// Impossible numbers.
-    pub fn model_with(&self, first: usize, twist: TwistUnknowns) -> Result<ImplicitModel<BackwardEuler>> {
+    pub fn model_with(&self, first: usize, twist: TwistUnknowns) -> Result<ImplicitModel<RodStep>> {
         let loads = Loads { gravity: self.gravity, ..Loads::default() };
-        let step =
-            BackwardEuler::with_twist(self.rod.clone(), self.supports(), loads, Damping::default(), twist)?;
+        let step = RodStep::with_twist(self.rod.clone(), self.supports(), loads, Damping::default(), twist)?;
         Ok(ImplicitModel::new(step, first, self.dt))
     }
 
@@ -267,11 +266,18 @@ pub struct DrivenRod {
     pub modulus: f64,
     /// Whether angles are unknowns although the rod cannot twist.
     pub twist: TwistUnknowns,
+    /// Of its steps.
+    pub scheme: Scheme,
 }
 
 impl DrivenRod {
-    /// The soft one: 25 segments, 1 MPa, no angles.
-    pub const SOFT: DrivenRod = DrivenRod { segments: 25, modulus: 1e6, twist: TwistUnknowns::WhereNeeded };
+    /// The soft one: 25 segments, 1 MPa, no angles, backward Euler.
+    pub const SOFT: DrivenRod = DrivenRod {
+        segments: 25,
+        modulus: 1e6,
+        twist: TwistUnknowns::WhereNeeded,
+        scheme: Scheme::BackwardEuler,
+    };
 
     /// The rod.
     ///
@@ -298,15 +304,15 @@ impl DrivenRod {
         Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() }
     }
 
-    /// Backward Euler with steps of Δt from time 0, and the state at rest.
+    /// Steps of Δt from time 0, and the state at rest.
     ///
     /// # Errors
     /// Impossible numbers.
-    pub fn model(&self, dt: f64) -> Result<(ImplicitModel<BackwardEuler>, Vec<f64>)> {
+    pub fn model(&self, dt: f64) -> Result<(ImplicitModel<RodStep>, Vec<f64>)> {
         let (rod, supports) = (self.rod()?, self.supports());
         let start = straight_guess(&rod, &supports, 0.0, [0.0, 0.0, -1.0])?;
-        let step = BackwardEuler::with_twist(rod, supports, self.loads(), Damping::default(), self.twist)?;
-        let mut model = ImplicitModel::new(step, 0, dt);
+        let step = RodStep::with_twist(rod, supports, self.loads(), Damping::default(), self.twist)?;
+        let mut model = ImplicitModel::new(step.with_scheme(self.scheme), 0, dt);
         let free = model.step_ref().free_vertices();
         let mut z: Vec<f64> = free.iter().flat_map(|&v| start.vertices[v]).collect();
         z.resize(model.control_dim(), 0.0);
@@ -357,7 +363,7 @@ pub struct RodCase {
     /// What is special about it.
     pub name: &'static str,
     /// Its step.
-    pub model: ImplicitModel<BackwardEuler>,
+    pub model: ImplicitModel<RodStep>,
     /// A control near which it steps.
     pub control: Vec<f64>,
 }
@@ -397,7 +403,7 @@ fn rod_case(name: &'static str, rod: Rod, supports: Supports, damping: Damping) 
     if clamps == 2 {
         shape = equilibrium(&rod, &supports, &loads, start, &shape)?.0;
     }
-    let model = ImplicitModel::new(BackwardEuler::new(rod, supports, loads, damping)?, FIRST, DT);
+    let model = ImplicitModel::new(RodStep::new(rod, supports, loads, damping)?, FIRST, DT);
     let free = model.step_ref().free_vertices();
     let mut control: Vec<f64> = free.iter().flat_map(|&v| shape.vertices[v]).collect();
     let positions = control.len();
@@ -414,7 +420,7 @@ fn rod_case(name: &'static str, rod: Rod, supports: Supports, damping: Damping) 
 }
 
 /// Typical sizes of the components of a rod's state: 1 cm, 1 m/s, 0.1 rad.
-pub fn rod_scale(step: &BackwardEuler) -> Vec<f64> {
+pub fn rod_scale(step: &RodStep) -> Vec<f64> {
     let n = step.control_len() / 2;
     let mut scale = vec![0.01; n];
     scale.resize(2 * n, 1.0);

@@ -4,10 +4,10 @@ use crate::factor::Factor;
 use crate::newton::{self, NewtonOptions, NewtonWork};
 use crate::{Counts, Error, ImplicitStep, Interval, Model, Warning};
 
-/// Steps on a uniform grid of time, each solved by Newton's method, with tangent and adjoint from kept factors
-/// (paper 2.24, 2.25).
+/// Steps on a grid of time, each solved by Newton's method, with tangent and adjoint from kept factors (paper 2.24, 2.25).
 ///
-/// Step k runs from (first + k) Δt to (first + k + 1) Δt, both computed as products, so that long runs do not drift.
+/// On a uniform grid step k runs from (first + k) Δt to (first + k + 1) Δt, both computed as products, so that long runs
+/// do not drift; on a grid of one's own from `times[k]` to `times[k + 1]`.
 ///
 /// ```text
 /// G(x_k, u) = 0,   x_{k+1} = S(x_k, u)
@@ -19,14 +19,17 @@ use crate::{Counts, Error, ImplicitStep, Interval, Model, Warning};
 /// to 1/64 of Δt; the parts are full states of the model, a [`Warning`] tells of them, and tangent and adjoint go through
 /// every one. M_k is discontinuous where that pattern changes.
 ///
+/// **Two-step schemes** ([`ImplicitStep::history`]). x₀ has itself for a history, which step 0 does not read
+/// (`Interval::previous` is `None` there). After a step in parts the history is that of the whole step again, so that M_k
+/// stays a function of k and x_k.
+///
 /// **Linearization** is a function of the pair (x_k, x_{k+1}) alone: u is recovered from x_{k+1}, assembled and factored. A
 /// pair that does not satisfy the equations of the whole step comes from a step in parts, which is then run again to find
 /// them (unless it was the last one taken). Memory is allocated the first time a step is linearized, and reused.
 #[derive(Debug)]
 pub struct ImplicitModel<S> {
     step: S,
-    first: usize,
-    length: f64,
+    grid: Grid,
     options: NewtonOptions,
     work: NewtonWork,
     last: Parts,
@@ -34,8 +37,41 @@ pub struct ImplicitModel<S> {
     used: Vec<usize>,
     u: Vec<f64>,
     dx: Vec<f64>,
+    /// The history that leaves a step: the first components of x_k, dx or λ.
+    history: Vec<f64>,
     counts: Counts,
     warnings: Vec<Warning>,
+}
+
+/// Where the steps are in time.
+#[derive(Debug)]
+enum Grid {
+    Uniform { first: usize, length: f64 },
+    Times(Vec<f64>),
+}
+
+impl Grid {
+    fn time(&self, k: usize) -> f64 {
+        match self {
+            Grid::Uniform { first, length } => (first + k) as f64 * length,
+            Grid::Times(times) => times[k],
+        }
+    }
+
+    fn length(&self, k: usize) -> f64 {
+        match self {
+            Grid::Uniform { length, .. } => *length,
+            Grid::Times(times) => times[k + 1] - times[k],
+        }
+    }
+
+    fn step(&self, k: usize) -> Interval {
+        if let Grid::Times(times) = self {
+            assert!(k + 1 < times.len(), "step {k} of a grid of {} steps", times.len() - 1);
+        }
+        let previous = k.checked_sub(1).map(|before| self.length(before));
+        Interval { index: k, start: self.time(k), length: self.length(k), previous }
+    }
 }
 
 /// The parts of one step: where they are in time, and the states between them (one more than parts).
@@ -71,12 +107,26 @@ impl<S: ImplicitStep> ImplicitModel<S> {
     /// If the length is not positive and finite.
     pub fn new(step: S, first_index: usize, length: f64) -> Self {
         assert!(length > 0.0 && length.is_finite(), "a step needs a positive length, not {length}");
+        Self::on(Grid::Uniform { first: first_index, length }, step)
+    }
+
+    /// A model whose step k runs from `times[k]` to `times[k + 1]` (s); it has no steps beyond the last time.
+    ///
+    /// # Panics
+    /// If there are fewer than two times or they do not ascend.
+    pub fn on_times(step: S, times: Vec<f64>) -> Self {
+        let ascending = times.windows(2).all(|t| t[0] < t[1] && t[1].is_finite());
+        assert!(times.len() > 1 && ascending, "a grid of time needs two or more ascending times");
+        Self::on(Grid::Times(times), step)
+    }
+
+    fn on(grid: Grid, step: S) -> Self {
         let (n, unknowns) = (step.dim(), step.unknowns());
         Self {
             work: NewtonWork::new(unknowns, &step.structure()),
+            history: vec![0.0; step.history()],
             step,
-            first: first_index,
-            length,
+            grid,
             options: NewtonOptions::default(),
             last: Parts::default(),
             kept: Vec::new(),
@@ -111,8 +161,11 @@ impl<S: ImplicitStep> ImplicitModel<S> {
     }
 
     /// Time at the start of step k (s).
+    ///
+    /// # Panics
+    /// If a grid of times does not reach so far.
     pub fn time(&self, k: usize) -> f64 {
-        (self.first + k) as f64 * self.length
+        self.grid.time(k)
     }
 
     /// Allocates now what the linearizations of steps 0 … steps−1 need, one part each.
@@ -138,14 +191,16 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         parts.clear();
         states.clear();
         states.extend_from_slice(x);
-        let start = (self.first + k) as f64 * self.length;
+        let whole = self.grid.step(k);
+        let own = n - self.history.len();
         // in units of the shortest part: where the next part begins, and how long it is to be
         let (mut position, mut size) = (0, SHORTEST);
         while position < SHORTEST {
             let at = Interval {
                 index: k,
-                start: start + self.length * position as f64 / SHORTEST as f64,
-                length: self.length * size as f64 / SHORTEST as f64,
+                start: whole.start + whole.length * position as f64 / SHORTEST as f64,
+                length: whole.length * size as f64 / SHORTEST as f64,
+                previous: parts.last().map_or(whole.previous, |before| Some(before.length)),
             };
             let from = parts.len() * n;
             states.resize(from + 2 * n, 0.0);
@@ -169,7 +224,8 @@ impl<S: ImplicitStep> ImplicitModel<S> {
                 }
                 Err(error) => return Err(error),
             }
-            self.step.advance(&at, x, &self.u, x_next);
+            self.step.advance(&at, x, &self.u, &mut x_next[..own]);
+            x_next[own..].copy_from_slice(&x[..n - own]);
             if !x_next.iter().all(|v| v.is_finite()) {
                 return Err(Error::NonFinite { step: k, what: "x_{k+1}" });
             }
@@ -183,6 +239,9 @@ impl<S: ImplicitStep> ImplicitModel<S> {
                 size *= 2;
             }
         }
+        // to the next step, the step before it is the whole of this one
+        let end = states.len() - n;
+        states.copy_within(..n - own, end + own);
         self.last.step = Some(k);
         Ok(())
     }
@@ -214,7 +273,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         let slot = &mut self.kept[k];
         if slot.len() == p {
             slot.push(Part {
-                at: Interval { index: k, start: 0.0, length: 0.0 },
+                at: Interval { index: k, start: 0.0, length: 0.0, previous: None },
                 x: vec![0.0; n],
                 u: vec![0.0; unknowns],
                 factor: self.work.solver.empty_factor(),
@@ -231,7 +290,8 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         let part = &mut kept[k][p];
         part.at = at;
         part.x.copy_from_slice(x);
-        step.recover(&at, x, x_next, &mut part.u);
+        let own = x.len() - step.history();
+        step.recover(&at, x, &x_next[..own], &mut part.u);
         step.assemble(&at, x, &part.u, &mut work.g, Some(&mut work.values))
             .map_err(|source| Error::Refused { step: k, source })?;
         self.counts.factorizations += 1;
@@ -272,7 +332,7 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
         if let Some(used) = self.used.get_mut(k) {
             *used = 0;
         }
-        let whole = Interval { index: k, start: self.time(k), length: self.length };
+        let whole = self.grid.step(k);
         if !(self.is_last(k, x, x_next) && self.last.at.len() > 1) {
             let left = self.linearize_part(0, whole, x, x_next);
             if left.as_ref().is_ok_and(|left| *left <= SOLVED * self.step.converged_below()) {
@@ -299,26 +359,35 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
 
     fn tangent(&mut self, k: usize, dx: &mut [f64]) {
         self.counts.tangent_steps += 1;
-        let Self { step, work, kept, used, u: du, dx: dx_next, .. } = self;
+        let Self { step, work, kept, used, u: du, dx: dx_next, history, .. } = self;
+        let (past, own) = (history.len(), dx.len() - history.len());
+        history.copy_from_slice(&dx[..past]);
         for part in linearized(kept, used, k) {
             step.previous(&part.at, &part.x, &part.u, dx, du);
             work.solver.solve(&part.factor, du);
             du.iter_mut().for_each(|d| *d = -*d);
-            step.advance_tangent(&part.at, &part.x, &part.u, dx, du, dx_next);
+            step.advance_tangent(&part.at, &part.x, &part.u, dx, du, &mut dx_next[..own]);
+            dx_next[own..].copy_from_slice(&dx[..past]);
             dx.copy_from_slice(dx_next);
         }
+        dx[own..].copy_from_slice(history);
     }
 
     fn adjoint(&mut self, k: usize, lambda: &mut [f64]) {
         self.counts.adjoint_steps += 1;
-        let Self { step, work, kept, used, u: mu, dx, .. } = self;
+        let Self { step, work, kept, used, u: mu, dx, history, .. } = self;
+        let (past, own) = (history.len(), lambda.len() - history.len());
+        history.copy_from_slice(&lambda[own..]);
+        lambda[own..].fill(0.0);
         for part in linearized(kept, used, k).iter().rev() {
-            step.advance_adjoint(&part.at, &part.x, &part.u, lambda, dx, mu);
+            step.advance_adjoint(&part.at, &part.x, &part.u, &lambda[..own], dx, mu);
             work.solver.solve_transpose(&part.factor, mu);
             mu.iter_mut().for_each(|m| *m = -*m);
             step.previous_transpose_add(&part.at, &part.x, &part.u, mu, dx);
+            add(&mut dx[..past], &lambda[own..]);
             lambda.copy_from_slice(dx);
         }
+        add(&mut lambda[..past], history);
     }
 
     fn control_dim(&self) -> usize {
@@ -327,7 +396,9 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
 
     fn initial_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), Error> {
         let t = self.time(0);
-        self.step.initial_state(t, z, x).map_err(|source| Error::Refused { step: 0, source })?;
+        let (own, history) = x.split_at_mut(x.len() - self.history.len());
+        self.step.initial_state(t, z, own).map_err(|source| Error::Refused { step: 0, source })?;
+        history.copy_from_slice(&own[..history.len()]);
         if !x.iter().all(|v| v.is_finite()) {
             return Err(Error::NonFinite { step: 0, what: "the initial state" });
         }
@@ -336,12 +407,18 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
 
     fn initial_tangent(&mut self, dz: &[f64], dx: &mut [f64]) {
         let t = self.time(0);
-        self.step.initial_tangent(t, dz, dx);
+        let (own, history) = dx.split_at_mut(dx.len() - self.history.len());
+        self.step.initial_tangent(t, dz, own);
+        history.copy_from_slice(&own[..history.len()]);
     }
 
     fn initial_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]) {
         let t = self.time(0);
-        self.step.initial_adjoint(t, lambda, dz);
+        let (own, history) = lambda.split_at(lambda.len() - self.history.len());
+        let sum = &mut self.dx[..own.len()];
+        sum.copy_from_slice(own);
+        add(&mut sum[..history.len()], history);
+        self.step.initial_adjoint(t, sum, dz);
     }
 
     fn counts(&self) -> Counts {
@@ -351,6 +428,10 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
     fn warnings(&self) -> &[Warning] {
         &self.warnings
     }
+}
+
+fn add(target: &mut [f64], values: &[f64]) {
+    target.iter_mut().zip(values).for_each(|(t, v)| *t += v);
 }
 
 fn linearized<'a>(kept: &'a [Vec<Part>], used: &[usize], k: usize) -> &'a [Part] {

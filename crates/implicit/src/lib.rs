@@ -47,6 +47,7 @@ pub mod lorenz;
 mod model;
 mod newton;
 mod rhs;
+mod scheme;
 mod step;
 mod trajectory;
 
@@ -57,5 +58,6 @@ pub use implicit::{ImplicitModel, MAX_HALVINGS};
 pub use model::{Counts, Model, Warning};
 pub use newton::{NewtonOptions, NewtonReport, NewtonWork, solve};
 pub use rhs::{OneLeg, Rhs};
+pub use scheme::{Scheme, Stage};
 pub use step::{ImplicitStep, Interval, Structure};
 pub use trajectory::{Keep, Trajectory};

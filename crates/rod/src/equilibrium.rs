@@ -52,8 +52,14 @@ pub fn equilibrium(
     let mut statics = Statics::new(system, end_angle, 1e-11 * rod.length());
     let mut work = NewtonWork::new(statics.unknowns(), &statics.structure());
     let options = NewtonOptions { max_iterations: 500, ..NewtonOptions::default() };
-    let report =
-        solve(&mut statics, &Interval { index: 0, start: t, length: 0.0 }, &[], &mut u, &mut work, &options)?;
+    let report = solve(
+        &mut statics,
+        &Interval { index: 0, start: t, length: 0.0, previous: None },
+        &[],
+        &mut u,
+        &mut work,
+        &options,
+    )?;
     let mut system = statics.system;
     system.scatter(&u);
     system.update_shape(system.layout.twist, end_angle).map_err(refuse)?;
@@ -230,7 +236,7 @@ impl TwistEquilibrium {
         let end_angle = s.end_angle_guess();
         self.statics.end_angle = end_angle;
         self.u.fill(0.0);
-        let at = Interval { index: 0, start: t, length: 0.0 };
+        let at = Interval { index: 0, start: t, length: 0.0, previous: None };
         let options = NewtonOptions { max_iterations: 200, ..NewtonOptions::default() };
         solve(&mut self.statics, &at, &[], &mut self.u, &mut self.work, &options)?;
         theta.copy_from_slice(&self.u);

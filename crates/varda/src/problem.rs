@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet, Selection};
 use varda_covariance::{Covariance, sample};
 use varda_implicit::{ImplicitModel, Model, Rk4, lorenz};
-use varda_rod::{BackwardEuler, Marker};
+use varda_rod::{Marker, RodStep};
 
 use crate::covariance::{self, Places};
 use crate::rod_model::RodParts;
@@ -54,7 +54,7 @@ pub struct RodView {
     /// The rod, its supports and loads.
     pub parts: RodParts,
     /// Its dynamics: numbering, places of vertices.
-    pub dynamics: BackwardEuler,
+    pub dynamics: RodStep,
     /// All that was seen, withheld and later rows included.
     pub sightings: Sightings,
     /// Where the sites are.
@@ -110,7 +110,7 @@ pub fn window(scene: &Scene) -> Window {
 }
 
 /// The arc lengths B is about.
-pub fn places(parts: &RodParts, dynamics: &BackwardEuler) -> Places {
+pub fn places(parts: &RodParts, dynamics: &RodStep) -> Places {
     let s = parts.rod.arc_lengths();
     let free = dynamics.free_vertices();
     Places {
@@ -282,7 +282,7 @@ pub fn mean_speed(control: &[f64]) -> f64 {
     speeds.iter().sum::<f64>() / speeds.len().max(1) as f64
 }
 
-fn read_rod_background(file: &SceneFile, dynamics: &BackwardEuler) -> Result<Vec<f64>, Error> {
+fn read_rod_background(file: &SceneFile, dynamics: &RodStep) -> Result<Vec<f64>, Error> {
     let name = file.scene.background.file.as_deref().unwrap_or("");
     let (label, text) = file.read("background.file", name)?;
     let columns = ["vertex", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"];

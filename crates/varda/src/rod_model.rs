@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use varda_rod::{
-    BackwardEuler, Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rest, Rod, Section, Supports,
+    Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rest, Rod, RodStep, Section, Supports,
     equilibrium, straight_guess,
 };
 
@@ -65,8 +65,8 @@ impl RodParts {
     ///
     /// # Errors
     /// What varda-rod finds impossible.
-    pub fn dynamics(&self) -> Result<BackwardEuler, varda_rod::Error> {
-        BackwardEuler::new(self.rod.clone(), self.supports.clone(), self.loads.clone(), self.damping)
+    pub fn dynamics(&self) -> Result<RodStep, varda_rod::Error> {
+        RodStep::new(self.rod.clone(), self.supports.clone(), self.loads.clone(), self.damping)
     }
 
     /// The control [X, 0] of the rod at rest, supports where they are at time t \[s\].

@@ -11,7 +11,7 @@ use varda_implicit::lorenz::Lorenz96;
 use varda_implicit::{
     ImplicitModel, ImplicitStep, Interval, LinearSolver, Model, OneLeg, Rk4, Structure, band,
 };
-use varda_rod::{BackwardEuler, TwistUnknowns};
+use varda_rod::{RodStep, TwistUnknowns};
 
 /// A kernel.
 pub struct Kernel {
@@ -95,7 +95,7 @@ pub const KERNELS: &[Kernel] = &[
 ];
 
 /// The rod of [`DrivenRod`] in the middle of its motion: model, x_50, x_51.
-fn moving(twist: TwistUnknowns) -> Result<(ImplicitModel<BackwardEuler>, Vec<f64>, Vec<f64>)> {
+fn moving(twist: TwistUnknowns) -> Result<(ImplicitModel<RodStep>, Vec<f64>, Vec<f64>)> {
     let (mut model, mut x) = DrivenRod { twist, ..DrivenRod::SOFT }.model(0.02)?;
     let mut next = x.clone();
     for k in 0..50 {
@@ -108,7 +108,7 @@ fn moving(twist: TwistUnknowns) -> Result<(ImplicitModel<BackwardEuler>, Vec<f64
 
 /// That rod's step, ready to be assembled at u = x_51, with its Hessian.
 struct Assembled {
-    step: BackwardEuler,
+    step: RodStep,
     at: Interval,
     x: Vec<f64>,
     u: Vec<f64>,
@@ -120,7 +120,7 @@ struct Assembled {
 fn assembled(twist: TwistUnknowns) -> Result<Assembled> {
     let (model, x, next) = moving(twist)?;
     let mut step = model.into_inner();
-    let at = Interval { index: 50, start: 1.0, length: 0.02 };
+    let at = Interval { index: 50, start: 1.0, length: 0.02, previous: Some(0.02) };
     let n = step.unknowns();
     let (mut u, mut g) = (vec![0.0; n], vec![0.0; n]);
     step.recover(&at, &x, &next, &mut u);

@@ -14,7 +14,7 @@ use varda_assimilation::{
 };
 use varda_covariance::{Covariance, Dense};
 use varda_implicit::{ImplicitModel, Keep, Model, Trajectory};
-use varda_rod::{BackwardEuler, TwistUnknowns};
+use varda_rod::{RodStep, TwistUnknowns};
 
 pub(super) fn run(options: &Options) -> Result<Page> {
     let mut benchmark = Benchmark {
@@ -255,7 +255,7 @@ impl Window {
     fn with(&mut self, user: Use) -> Result<Vec<f64>> {
         let rod = &self.rod;
         let observations = rod.observe(&self.truth, &mut || 0.0)?;
-        let mut model: ImplicitModel<BackwardEuler> = rod.model_with(rod.first_step, self.twist)?;
+        let mut model: ImplicitModel<RodStep> = rod.model_with(rod.first_step, self.twist)?;
         let mut set: ObservationSet = rod.observation_set(model.dim(), observations)?;
         let b = rod.background_covariance()?;
         let mut cost =

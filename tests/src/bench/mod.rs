@@ -1,6 +1,6 @@
 //! Benchmarks: error against run time. Each gives a [`Page`], printed and written to docs/results.
 //!
-//! Clock times are of one thread, taken after a warm-up, given as the median and the least of several samples. They inform; only
+//! Times are CPU seconds of one thread, taken after a warm-up, given as the median and the least of several samples. They inform; only
 //! errors are checked, by the suites.
 
 pub mod clock;

@@ -9,8 +9,8 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 use varda::report::plot::{Corner, Panel, Series, Style};
 use varda_implicit::lorenz::Lorenz63;
-use varda_implicit::{Counts, ImplicitModel, ImplicitStep, Interval, Model, OneLeg, Rhs, Rk4};
-use varda_rod::{BackwardEuler, Clamp, Damping, Supports, equilibrium, straight_guess};
+use varda_implicit::{Counts, ImplicitModel, ImplicitStep, Interval, Model, OneLeg, Rhs, Rk4, Scheme};
+use varda_rod::{Clamp, Damping, RodStep, Supports, equilibrium, straight_guess};
 
 pub(super) fn run(options: &Options) -> Result<Page> {
     let mut benchmark = Benchmark {
@@ -62,6 +62,8 @@ const COLUMNS: [&str; 9] = [
     "factorizations",
 ];
 
+const SCHEMES: [Scheme; 3] = [Scheme::BackwardEuler, Scheme::Midpoint, Scheme::Bdf2];
+
 /// A model and its state at time 0.
 type Start = (Box<dyn Model>, Vec<f64>);
 /// Makes one for a step Δt.
@@ -110,18 +112,20 @@ impl Benchmark {
             second / 15.0
         ));
         let error = |x: &[f64]| distance(&x[..positions], &fine);
-        let euler = |dt: f64| -> Result<Start> {
-            let (model, x) = rod.model(dt)?;
-            Ok((Box::new(model), x))
+        let implicit = |scheme| {
+            move |dt: f64| -> Result<Start> {
+                let (model, x) = DrivenRod { scheme, ..rod }.model(dt)?;
+                Ok((Box::new(model), x))
+            }
         };
+        let [euler, midpoint, bdf2] = SCHEMES.map(implicit);
         let halved = |first: usize, times: u32| (0..=times).map(|i| first << i).collect();
+        let stable = (duration / reference_step).round() as usize / 8;
         let methods = [
             Method { name: "backward Euler", make: &euler, steps: halved(50, 8) },
-            Method {
-                name: "RK4, explicit",
-                make: &explicit,
-                steps: halved((duration / reference_step).round() as usize / 8, 3),
-            },
+            Method { name: "midpoint", make: &midpoint, steps: halved(50, 7) },
+            Method { name: "BDF2", make: &bdf2, steps: halved(50, 7) },
+            Method { name: "RK4, explicit", make: &explicit, steps: halved(stable, 3) },
         ];
         self.problem(name, duration, &methods, &error)?;
         for method in &methods {
@@ -161,14 +165,23 @@ impl Benchmark {
             "First mode: {:.6} Hz for 25 segments; the continuous rod has 0.619921 Hz (design.md section 9).",
             mode.omega / TAU
         ));
-        let euler = |dt: f64| -> Result<Start> {
-            mode.start(dt, &|step, dt| Box::new(ImplicitModel::new(step, 0, dt)))
+        let implicit = |scheme| {
+            let mode = &mode;
+            move |dt: f64| -> Result<Start> {
+                let (model, x) = mode.start(scheme, dt)?;
+                Ok((Box::new(model), x))
+            }
         };
+        let [euler, midpoint, bdf2] = SCHEMES.map(implicit);
         let explicit = |dt: f64| -> Result<Start> {
-            mode.start(dt, &|step, dt| Box::new(Rk4::new(RodMotion::new(step), 0, dt)))
+            let (model, x) = mode.start(Scheme::BackwardEuler, dt)?;
+            Ok((Box::new(Rk4::new(RodMotion::new(model.into_inner()), 0, dt)), x))
         };
+        let steps = |times: u32| (0..times).map(|i| 64 << i).collect();
         let methods = [
-            Method { name: "backward Euler", make: &euler, steps: (0..8).map(|i| 64 << i).collect() },
+            Method { name: "backward Euler", make: &euler, steps: steps(8) },
+            Method { name: "midpoint", make: &midpoint, steps: steps(7) },
+            Method { name: "BDF2", make: &bdf2, steps: steps(7) },
             Method { name: "RK4, explicit", make: &explicit, steps: (0..3).map(|i| 2048 << i).collect() },
         ];
         self.problem("rod in its first mode", duration, &methods, &error)
@@ -178,13 +191,12 @@ impl Benchmark {
         let x0 = [1.0, 1.0, 20.0];
         let rk4 =
             |dt: f64| -> Result<Start> { Ok((Box::new(Rk4::new(Lorenz63::default(), 0, dt)), x0.to_vec())) };
-        let implicit = |step: fn(Lorenz63, f64) -> OneLeg<Lorenz63>| {
+        let implicit = |scheme| {
             move |dt: f64| -> Result<Start> {
-                let step = step(Lorenz63::default(), 1e-12);
-                Ok((Box::new(ImplicitModel::new(step, 0, dt)), x0.to_vec()))
+                started(OneLeg::new(Lorenz63::default(), scheme, 1e-12), &x0, dt)
             }
         };
-        let (euler, midpoint) = (implicit(OneLeg::implicit_euler), implicit(OneLeg::implicit_midpoint));
+        let [euler, midpoint, bdf2] = SCHEMES.map(implicit);
         let (exact, _) = run_to_end(&rk4, 1.0, 100_000)?;
         let error = |x: &[f64]| {
             let squares = |a: &[f64]| a.iter().map(|a| a * a).sum::<f64>().sqrt();
@@ -194,6 +206,7 @@ impl Benchmark {
         let methods = [
             Method { name: "implicit Euler", make: &euler, steps: steps.clone() },
             Method { name: "implicit midpoint", make: &midpoint, steps: steps.clone() },
+            Method { name: "BDF2", make: &bdf2, steps: steps.clone() },
             Method { name: "RK4, explicit", make: &rk4, steps },
         ];
         self.problem("Lorenz-63", 1.0, &methods, &error)
@@ -201,17 +214,18 @@ impl Benchmark {
 
     fn stiff(&mut self) -> Result<()> {
         let rk4 = |dt: f64| -> Result<Start> { Ok((Box::new(Rk4::new(ProtheroRobinson, 0, dt)), vec![1.5])) };
-        let implicit = |step: fn(ProtheroRobinson, f64) -> OneLeg<ProtheroRobinson>| {
+        let implicit = |scheme| {
             move |dt: f64| -> Result<Start> {
-                Ok((Box::new(ImplicitModel::new(step(ProtheroRobinson, 1e-13), 0, dt)), vec![1.5]))
+                started(OneLeg::new(ProtheroRobinson, scheme, 1e-13), &[1.5], dt)
             }
         };
-        let (euler, midpoint) = (implicit(OneLeg::implicit_euler), implicit(OneLeg::implicit_midpoint));
+        let [euler, midpoint, bdf2] = SCHEMES.map(implicit);
         let error = |x: &[f64]| (x[0] - 10f64.cos()).abs();
         let steps: Vec<usize> = (0..6).map(|i| 40 * 5usize.pow(i)).collect();
         let methods = [
             Method { name: "implicit Euler", make: &euler, steps: steps.clone() },
             Method { name: "implicit midpoint", make: &midpoint, steps: steps.clone() },
+            Method { name: "BDF2", make: &bdf2, steps: steps.clone() },
             Method { name: "RK4, explicit", make: &rk4, steps },
         ];
         self.problem("Prothero–Robinson", 10.0, &methods, &error)
@@ -278,6 +292,14 @@ impl Benchmark {
     }
 }
 
+/// A step with the initial state of a control.
+fn started<S: ImplicitStep + 'static>(step: S, z: &[f64], dt: f64) -> Result<Start> {
+    let mut model = ImplicitModel::new(step, 0, dt);
+    let mut x = vec![0.0; model.dim()];
+    model.initial_state(z, &mut x)?;
+    Ok((Box::new(model), x))
+}
+
 /// The state after `steps` equal steps.
 fn run_to_end(make: Make, duration: f64, steps: usize) -> Result<(Vec<f64>, Counts)> {
     let (mut model, mut x) = make(duration / steps as f64)?;
@@ -291,7 +313,7 @@ fn run_to_end(make: Make, duration: f64, steps: usize) -> Result<(Vec<f64>, Coun
 
 /// M Ẍ = F(t, X) of an undamped rod without angles, as a system of first order in [X, V].
 struct RodMotion {
-    step: BackwardEuler,
+    step: RodStep,
     masses: Vec<f64>,
     at_rest: Vec<f64>,
     u: Vec<f64>,
@@ -299,7 +321,7 @@ struct RodMotion {
 }
 
 impl RodMotion {
-    fn new(step: BackwardEuler) -> RodMotion {
+    fn new(step: RodStep) -> RodMotion {
         let masses = step.free_vertices().iter().map(|&v| step.rod().masses[v]).collect();
         let (n, unknowns) = (step.dim(), step.unknowns());
         RodMotion {
@@ -321,7 +343,7 @@ impl Rhs for RodMotion {
     fn eval(&mut self, t: f64, x: &[f64], f: &mut [f64]) {
         let n = x.len() / 2;
         self.at_rest[..n].copy_from_slice(&x[..n]);
-        let at = Interval { index: 0, start: t - 1.0, length: 1.0 };
+        let at = Interval { index: 0, start: t - 1.0, length: 1.0, previous: None };
         self.step.recover(&at, &self.at_rest, &self.at_rest, &mut self.u);
         match self.step.assemble(&at, &self.at_rest, &self.u, &mut self.gradient, None) {
             Ok(_) => {
@@ -383,12 +405,12 @@ impl Mode {
         let (rod, loads, held) = (DrivenRod::SOFT.rod()?, DrivenRod::SOFT.loads(), Mode::held());
         let guess = straight_guess(&rod, &held, 0.0, [0.0, 0.0, -1.0])?;
         let (shape, _) = equilibrium(&rod, &held, &loads, 0.0, &guess)?;
-        let mut step = BackwardEuler::new(rod, held, loads, Damping::default())?;
+        let mut step = RodStep::new(rod, held, loads, Damping::default())?;
         let rest: Vec<f64> = step.free_vertices().iter().flat_map(|&v| shape.vertices[v]).collect();
         let masses: Vec<f64> = step.free_vertices().iter().map(|&v| step.rod().masses[v]).collect();
 
         // ∂G/∂u = M/Δt² + K with Δt = 1 s.
-        let at = Interval { index: 0, start: -1.0, length: 1.0 };
+        let at = Interval { index: 0, start: -1.0, length: 1.0, previous: None };
         let mut x = rest.clone();
         x.resize(step.dim(), 0.0);
         let (n, width) = (step.unknowns(), step.half_bandwidth() + 1);
@@ -431,11 +453,14 @@ impl Mode {
         self.rest.iter().zip(&self.shape).map(|(x, d)| x + d * (self.omega * t).cos()).collect()
     }
 
-    fn start(&self, dt: f64, model: &dyn Fn(BackwardEuler, f64) -> Box<dyn Model>) -> Result<Start> {
+    fn start(&self, scheme: Scheme, dt: f64) -> Result<(ImplicitModel<RodStep>, Vec<f64>)> {
         let (rod, loads) = (DrivenRod::SOFT.rod()?, DrivenRod::SOFT.loads());
-        let step = BackwardEuler::new(rod, Mode::held(), loads, Damping::default())?;
-        let mut x = self.at(0.0);
-        x.resize(step.dim(), 0.0);
-        Ok((model(step, dt), x))
+        let step = RodStep::new(rod, Mode::held(), loads, Damping::default())?.with_scheme(scheme);
+        let mut model = ImplicitModel::new(step, 0, dt);
+        let mut z = self.at(0.0);
+        z.resize(model.control_dim(), 0.0);
+        let mut x = vec![0.0; model.dim()];
+        model.initial_state(&z, &mut x)?;
+        Ok((model, x))
     }
 }
