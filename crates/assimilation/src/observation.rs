@@ -265,6 +265,19 @@ impl ObservationSet {
         }
     }
 
+    /// The stacked rows with a share of state x_k. (They are neighbours: those of step k, and before them those of step k − 1 that lie
+    /// between the two.)
+    pub(crate) fn rows_at(&self, k: usize) -> Range<usize> {
+        let samples = &self.samples[self.by_step[k]..self.by_step[k + 1]];
+        let rows = || samples.iter().flat_map(|s| &self.parts[s.first..s.end]).map(|part| part.row);
+        rows().min().map_or(self.dim()..self.dim(), |first| first..rows().max().unwrap_or(first) + 1)
+    }
+
+    /// Σ over the rows of the last step whose state they need: the steps of an adjoint sweep for each.
+    pub(crate) fn steps_of_rows(&self) -> usize {
+        self.observations.iter().map(|o| o.rows.len() * (o.step + usize::from(o.weight > 0.0))).sum()
+    }
+
     /// d = y − H(x), the innovations, from the predictions H(x).
     ///
     /// # Panics

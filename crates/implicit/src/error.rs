@@ -43,6 +43,14 @@ pub enum Error {
         /// Index k of the step.
         step: usize,
     },
+    /// A budget of memory too small for the sparest [`Storage`](crate::Storage).
+    #[error("{budget} bytes are too few for this window: one checkpoint already takes {least}")]
+    Memory {
+        /// Bytes allowed.
+        budget: usize,
+        /// Bytes needed at least.
+        least: usize,
+    },
     /// A check that would have compared nothing with nothing, or rounding with rounding.
     #[error("an empty test: {what}")]
     EmptyTest {

@@ -1,6 +1,6 @@
 //! What a run of a scene would take, without running anything.
 
-use varda_implicit::{ImplicitStep, Structure};
+use varda_implicit::{Footprint, ImplicitStep, Storage, Structure};
 
 use crate::Error;
 use crate::covariance;
@@ -92,8 +92,17 @@ impl Plan {
                 (n, n, rows * times, times, 4 * n)
             }
         };
-        // States of two runs, what a linearized step keeps, the Jacobian of the observations, B's root, the Hessian.
-        let words = window.steps * (2 * n_state + kept) + n_control * (n_obs + 3 * n_control);
+        let footprint =
+            Footprint { steps: window.steps, runs: 2, state: 8 * n_state, linearization: 8 * kept };
+        let storage = match scene.limits.bytes() {
+            Ok(Some(bytes)) => {
+                footprint.within(bytes).map_err(|e| file.invalid("limits.memory", e.to_string()))?
+            }
+            _ => Storage::KeepAll,
+        };
+        left_out.extend(scene.limits.left_out(storage, window.steps));
+        // States of two runs and what linearized steps keep; the Jacobian of the observations, B's root, the Hessian.
+        let bytes = footprint.bytes(storage) + 8 * n_control * (n_obs + 3 * n_control);
         Ok(Plan {
             name: file.name.clone(),
             title: scene.title.clone(),
@@ -103,7 +112,7 @@ impl Plan {
             times,
             window,
             spin_up: scene.time.spin_up,
-            bytes: 8 * words,
+            bytes,
             left_out,
         })
     }

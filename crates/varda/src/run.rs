@@ -233,6 +233,11 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
     if let Some(delta) = problem.scene.algorithm.robust {
         cost.set_huber(delta)?;
     }
+    let limits = &problem.scene.limits;
+    if let Some(bytes) = limits.bytes().unwrap_or_default() {
+        let storage = cost.set_memory(bytes)?;
+        problem.left_out.extend(limits.left_out(storage, problem.window.steps));
+    }
     let j_background = cost.evaluate(&v, None)?;
     let minimum = method::minimize(&problem.scene.algorithm, &mut cost, &mut v, &mut on_iteration)?;
     let minimizer_seconds = began.elapsed().as_secs_f64();

@@ -53,6 +53,30 @@ impl Model for Timed<'_> {
         self.adjoint += start.elapsed();
     }
 
+    fn tangent_block(&mut self, k: usize, dx: &mut [f64]) {
+        let start = Instant::now();
+        self.model.tangent_block(k, dx);
+        self.tangent += start.elapsed();
+    }
+
+    fn adjoint_block(&mut self, k: usize, lambda: &mut [f64]) {
+        let start = Instant::now();
+        self.model.adjoint_block(k, lambda);
+        self.adjoint += start.elapsed();
+    }
+
+    fn keep_at_most(&mut self, steps: usize) {
+        self.model.keep_at_most(steps);
+    }
+
+    fn bytes_per_step(&self) -> usize {
+        self.model.bytes_per_step()
+    }
+
+    fn bytes_kept(&self) -> usize {
+        self.model.bytes_kept()
+    }
+
     fn control_dim(&self) -> usize {
         self.model.control_dim()
     }

@@ -1,5 +1,6 @@
 //! Cost functions of a control vector v, as minimizers see them.
 
+mod dense;
 mod dual;
 mod ensemble;
 mod incremental;
@@ -91,7 +92,7 @@ pub trait GaussNewton: CostFunction {
     /// As for `observation_jacobian`.
     fn hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error>;
 
-    /// A, dense, column by column (`out` has length n²): n tangent sweeps and no adjoint.
+    /// A, dense, column by column (`out` has length n²): n tangent or m adjoint sweeps, whichever takes fewer steps.
     ///
     /// # Errors
     /// As for `observation_jacobian`.

@@ -10,6 +10,7 @@
 mod background;
 mod check;
 mod file;
+mod limits;
 mod model;
 mod observations;
 mod shipped;
@@ -20,6 +21,7 @@ pub use background::{
     Background, Covariance, DiagonalCovariance, Kernel, KernelCovariance, Origin, Prior, Root, Taper,
 };
 pub use file::{Place, SceneFile};
+pub use limits::Limits;
 pub use model::{
     Clamp, DampingValues, Lorenz63, Lorenz96, Material, Model, Motion, PointForce, PointMass, Prescribed,
     RodModel, Section,
@@ -54,6 +56,9 @@ pub struct Scene {
     /// How the cost is minimised.
     #[serde(default)]
     pub algorithm: Algorithm,
+    /// What a run may take of the machine.
+    #[serde(default)]
+    pub limits: Limits,
     /// What the report shows.
     #[serde(default)]
     pub report: Report,

@@ -79,6 +79,7 @@ pub(super) fn validate(scene: &Scene) -> Check {
         Observations::File(f) => validate_recording(f, rod)?,
     }
     validate_algorithm(&scene.algorithm, &scene.observations)?;
+    scene.limits.bytes().or_else(|message| invalid("limits.memory", message).map(|()| None))?;
     if let Some(last) = scene.algorithm.sigma_stages.last() {
         if *last != 1.0 {
             return invalid("algorithm.sigma_stages", format!("the last factor is {last}, it must be 1"));
