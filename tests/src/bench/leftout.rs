@@ -9,11 +9,11 @@ use crate::windows::difference;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use varda_assimilation::{
-    ControlTransform, CostFunction, LanczosOptions, LowRankPosterior, ObservationSet, Posterior,
+    ControlTransform, CostFunction, GaussNewton, LanczosOptions, LowRankPosterior, ObservationSet, Posterior,
     StrongConstraint,
 };
 use varda_covariance::{Covariance, Dense};
-use varda_implicit::{ImplicitModel, Keep, Model, Trajectory};
+use varda_implicit::{ImplicitModel, Model, Storage};
 use varda_rod::{RodStep, TwistUnknowns};
 
 pub(super) fn run(options: &Options) -> Result<Page> {
@@ -37,7 +37,7 @@ pub(super) fn run(options: &Options) -> Result<Page> {
     };
     benchmark.steps()?;
     benchmark.windows()?;
-    benchmark.keeping()?;
+    benchmark.storage()?;
     benchmark.posteriors()?;
     benchmark.covariances()?;
     Ok(Page {
@@ -126,18 +126,33 @@ impl Benchmark {
         Ok(())
     }
 
-    /// A forward run alone, and one whose linearizations are kept for sweeps.
-    fn keeping(&mut self) -> Result<()> {
-        let task = "forward run of the flagship";
-        for (variant, keep) in [("states", Keep::States), ("states and linearizations", Keep::Linearizations)]
-        {
-            let (rod, truth) = HangingRod::flagship(1, true)?;
-            self.variant(task, variant, None, &mut || {
-                let mut model = rod.model(rod.first_step)?;
-                let mut x = vec![0.0; model.dim()];
-                model.initial_state(&truth, &mut x)?;
-                Ok(Trajectory::new().run(&mut model, &x, rod.steps, keep)?)
-            })?;
+    /// Memory against work: the gradient and a product with the Hessian under every storage policy.
+    fn storage(&mut self) -> Result<()> {
+        let task = "J, ∇J and one product A v of the flagship";
+        let policies = [
+            ("all linearizations kept", Storage::KeepAll),
+            ("states kept, refactoring", Storage::States),
+            ("10 checkpoints", Storage::Checkpoints { states: 10 }),
+            ("3 checkpoints", Storage::Checkpoints { states: 3 }),
+        ];
+        let mut first = Vec::new();
+        for (variant, storage) in policies {
+            let mut window = Window::new(TwistUnknowns::WhereNeeded)?;
+            let mut product = Vec::new();
+            let mut run = || {
+                window.with(&mut |cost, v, g| {
+                    cost.set_storage(storage);
+                    cost.evaluate(v, Some(g))?;
+                    product.resize(v.len(), 0.0);
+                    Ok(cost.hessian_apply(v, &mut product)?)
+                })
+            };
+            let mut result = run()?;
+            let differs = (!first.is_empty()).then(|| difference(&result, &first));
+            self.variant(task, variant, differs, &mut || run().map(drop))?;
+            if first.is_empty() {
+                first = std::mem::take(&mut result);
+            }
         }
         Ok(())
     }

@@ -242,17 +242,18 @@ impl Panel {
                         })
                 }
                 Style::Marked(i) => {
-                    // no gap, or one as long as the dash
-                    let gap = if i < PALETTE.len() { 0 } else { 5 * FINE };
+                    let dash = 5 * FINE;
+                    let gap = if i < PALETTE.len() { 0 } else { dash };
                     let line = colour.stroke_width(2 * FINE);
                     chart.draw_series(points.iter().map(|p| Circle::new(*p, FINE * 3, colour.filled())))?;
-                    chart
-                        .draw_series(DashedLineSeries::new(points, 5 * FINE, gap, line))?
-                        .label(&series.label)
-                        .legend(move |(x, y)| {
-                            let ends = [(x, y), (x + wide_mark, y)];
-                            plotters::element::DashedPathElement::new(ends, 5 * FINE, gap, line)
-                        })
+                    let drawn = match gap {
+                        0 => chart.draw_series(LineSeries::new(points, line))?,
+                        _ => chart.draw_series(DashedLineSeries::new(points, dash, gap, line))?,
+                    };
+                    drawn.label(&series.label).legend(move |(x, y)| {
+                        let ends = [(x, y), (x + wide_mark, y)];
+                        plotters::element::DashedPathElement::new(ends, dash, gap, line)
+                    })
                 }
                 Style::Analysis | Style::Line(_) => chart
                     .draw_series(LineSeries::new(points, colour.stroke_width(2 * FINE)))?
