@@ -3,7 +3,7 @@
 mod cycles;
 mod figures;
 mod html;
-mod plot;
+pub mod plot;
 mod summary;
 mod tables;
 

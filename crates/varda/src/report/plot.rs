@@ -12,59 +12,82 @@ const FINE: u32 = 4;
 type Drawing = DrawingAreaErrorKind<<SVGBackend<'static> as DrawingBackend>::ErrorType>;
 
 /// A chart of one or more panels.
-pub(super) struct Figure {
-    /// File name under figures/, without ending.
-    pub(super) name: &'static str,
+pub struct Figure {
+    /// Its file name, without ending.
+    pub name: &'static str,
     /// Title, and alternative text of the picture.
-    pub(super) title: String,
-    pub(super) panels: Vec<Panel>,
+    pub title: String,
+    /// Row by row.
+    pub panels: Vec<Panel>,
     /// Panels in a row.
-    pub(super) columns: usize,
+    pub columns: usize,
     /// Size of one panel \[px\].
-    pub(super) panel_size: (u32, u32),
+    pub panel_size: (u32, u32),
 }
 
 /// One set of axes.
-#[derive(Default)]
-pub(super) struct Panel {
-    pub(super) title: String,
-    pub(super) x_label: String,
-    pub(super) y_label: String,
-    pub(super) log_x: bool,
-    pub(super) log_y: bool,
+#[derive(Clone, Default)]
+pub struct Panel {
+    /// Written above; may be empty.
+    pub title: String,
+    /// What x is, with its unit.
+    pub x_label: String,
+    /// What y is, with its unit.
+    pub y_label: String,
+    /// x on a logarithmic scale; points that have none are left out.
+    pub log_x: bool,
+    /// y on a logarithmic scale; points that have none are left out.
+    pub log_y: bool,
     /// Both axes have the same scale, and these ranges.
-    pub(super) equal: Option<[(f64, f64); 2]>,
-    pub(super) legend: Option<Corner>,
-    pub(super) series: Vec<Series>,
+    pub equal: Option<[(f64, f64); 2]>,
+    /// Where the legend is; `None` for no legend.
+    pub legend: Option<Corner>,
+    /// The curves, those drawn last on top.
+    pub series: Vec<Series>,
     /// No axes: the names of the series, a line each.
-    pub(super) is_key: bool,
+    pub is_key: bool,
 }
 
 /// Where a legend is. At the top it gets room of its own above the curves.
 #[derive(Clone, Copy, PartialEq)]
-pub(super) enum Corner {
+pub enum Corner {
+    /// Above the curves.
     Top,
+    /// Over the curves, lower left.
     LowerLeft,
+    /// Over the curves, lower right.
     LowerRight,
 }
 
 /// One curve or cloud of points.
-pub(super) struct Series {
-    pub(super) label: String,
-    pub(super) style: Style,
-    pub(super) points: Vec<(f64, f64)>,
+#[derive(Clone)]
+pub struct Series {
+    /// Its name in the legend.
+    pub label: String,
+    /// What it looks like.
+    pub style: Style,
+    /// (x, y), in the order they are joined.
+    pub points: Vec<(f64, f64)>,
 }
 
 /// What a series looks like. Colours are Okabe and Ito's (2008), which stay apart for colour-blind eyes; lines differ in
 /// dash too.
 #[derive(Clone, Copy, PartialEq)]
-pub(super) enum Style {
+pub enum Style {
+    /// Dotted, grey.
     Truth,
+    /// Dashed.
     Background,
+    /// A line.
     Analysis,
+    /// Dots.
     Observation,
+    /// Crosses.
     Withheld,
+    /// A line of colour i.
     Line(usize),
+    /// A line of colour i with a dot at every point, dashed once the colours begin again.
+    Marked(usize),
 }
 
 const PALETTE: [RGBColor; 9] = [
@@ -85,7 +108,7 @@ impl Style {
         match self {
             Style::Truth => Some((2 * FINE, 3 * FINE)),
             Style::Background => Some((7 * FINE, 4 * FINE)),
-            Style::Line(i) => match i / PALETTE.len() {
+            Style::Line(i) | Style::Marked(i) => match i / PALETTE.len() {
                 0 => None,
                 1 => Some((8 * FINE, 4 * FINE)),
                 _ => Some((2 * FINE, 3 * FINE)),
@@ -101,14 +124,17 @@ impl Style {
             Style::Analysis => PALETTE[0],
             Style::Observation => RGBColor(0, 120, 90),
             Style::Withheld => PALETTE[3],
-            Style::Line(i) => PALETTE[i % PALETTE.len()],
+            Style::Line(i) | Style::Marked(i) => PALETTE[i % PALETTE.len()],
         }
     }
 }
 
 impl Figure {
     /// The figure as a standalone SVG document.
-    pub(super) fn svg(&self) -> Result<String, Error> {
+    ///
+    /// # Errors
+    /// [`Error::Plot`] where it cannot be drawn.
+    pub fn svg(&self) -> Result<String, Error> {
         let rows = self.panels.len().div_ceil(self.columns);
         let size = (FINE * self.panel_size.0 * self.columns as u32, FINE * self.panel_size.1 * rows as u32);
         let mut text = String::new();
@@ -234,10 +260,11 @@ impl Panel {
                     .legend(move |(x, y)| {
                         Cross::new((x + wide_mark / 2, y), FINE * 3, colour.stroke_width(2 * FINE))
                     }),
-                Style::Background | Style::Truth | Style::Analysis | Style::Line(_) => {
+                Style::Background | Style::Truth | Style::Analysis | Style::Line(_) | Style::Marked(_) => {
                     let thick = colour.stroke_width(2 * FINE);
-                    if let [alone] = points[..] {
-                        chart.draw_series([Circle::new(alone, FINE * 3, colour.filled())])?;
+                    if points.len() == 1 || matches!(series.style, Style::Marked(_)) {
+                        chart
+                            .draw_series(points.iter().map(|p| Circle::new(*p, FINE * 3, colour.filled())))?;
                     }
                     match series.style.dash() {
                         Some((on, off)) => chart
