@@ -71,7 +71,7 @@ fn table(scene: &'static str, steps: usize, rows: &[Compared], seconds: &[Vec<f6
         let timing = Timing::of(seconds.iter().map(|s| s[i]).collect());
         table.push(vec![
             row.method.into(),
-            row.solver.clone(),
+            row.solver.as_str().into(),
             row.status.into(),
             row.j.into(),
             row.gap.into(),
