@@ -43,6 +43,14 @@ pub enum Error {
         /// Index k of the step.
         step: usize,
     },
+    /// A budget of memory too small for the sparest [`Storage`](crate::Storage).
+    #[error("{budget} bytes are too few for this window: one checkpoint already takes {least}")]
+    Memory {
+        /// Bytes allowed.
+        budget: usize,
+        /// Bytes needed at least.
+        least: usize,
+    },
     /// A check that would have compared nothing with nothing, or rounding with rounding.
     #[error("an empty test: {what}")]
     EmptyTest {
@@ -72,12 +80,12 @@ pub enum Error {
         tolerance: f64,
     },
     /// The step's own equations refused the state.
-    #[error("step {step}: {source}")]
+    #[error("step {step}: {reason}")]
     Refused {
         /// Index k of the step.
         step: usize,
-        /// The typed error of the step.
-        source: Refusal,
+        /// The typed error of the step. Part of the message, hence not of the chain of sources as well.
+        reason: Refusal,
     },
 }
 
@@ -90,7 +98,7 @@ impl Error {
             | Error::NotAStep { step }
             | Error::NonFinite { step, .. }
             | Error::Refused { step, .. } => *step = k,
-            Error::EmptyTest { .. } | Error::ToleranceNotMet { .. } => {}
+            Error::EmptyTest { .. } | Error::ToleranceNotMet { .. } | Error::Memory { .. } => {}
         }
         self
     }

@@ -41,6 +41,11 @@ impl<M: Model> Grouped<M> {
         Self::new(model, through.iter().map(place).collect())
     }
 
+    /// Steps in the longest group.
+    fn longest(&self) -> usize {
+        self.first.windows(2).map(|f| f[1] - f[0]).max().unwrap_or(1)
+    }
+
     fn run(&mut self, k: usize, x: &[f64]) -> Result<(), Error> {
         assert!(k + 1 < self.first.len(), "step {k} of {}", self.first.len() - 1);
         let (n, steps) = (x.len(), self.first[k]..self.first[k + 1]);
@@ -96,6 +101,30 @@ impl<M: Model> Model for Grouped<M> {
         for step in (self.first[k]..self.first[k + 1]).rev() {
             self.model.adjoint(step, lambda);
         }
+    }
+
+    fn tangent_block(&mut self, k: usize, dx: &mut [f64]) {
+        for step in self.first[k]..self.first[k + 1] {
+            self.model.tangent_block(step, dx);
+        }
+    }
+
+    fn adjoint_block(&mut self, k: usize, lambda: &mut [f64]) {
+        for step in (self.first[k]..self.first[k + 1]).rev() {
+            self.model.adjoint_block(step, lambda);
+        }
+    }
+
+    fn keep_at_most(&mut self, steps: usize) {
+        self.model.keep_at_most(steps.saturating_mul(self.longest()));
+    }
+
+    fn bytes_per_step(&self) -> usize {
+        self.longest() * self.model.bytes_per_step()
+    }
+
+    fn bytes_kept(&self) -> usize {
+        self.model.bytes_kept()
     }
 
     fn control_dim(&self) -> usize {

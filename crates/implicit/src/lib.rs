@@ -22,13 +22,13 @@
 //! trajectory.run(&mut model, &[1.0, 3.0, 20.0], 50, Keep::Linearizations)?;
 //!
 //! let mut dx = [1.0, 0.0, 0.0];
-//! trajectory.tangent(&mut model, &mut dx, &mut |_, _| {});
+//! trajectory.tangent(&mut model, &mut dx, &mut |_, _, _| {})?;
 //! let mut lambda = [0.0; 3];
-//! trajectory.adjoint(&mut model, &mut lambda, &mut |k, lambda| {
+//! trajectory.adjoint(&mut model, &mut lambda, &mut |k, _, lambda| {
 //!     if k == 50 {
 //!         lambda[2] += 1.0;
 //!     }
-//! });
+//! })?;
 //! // ∂z₅₀/∂x₀ both ways
 //! assert!((dx[2] - lambda[0]).abs() < 1e-12 * dx[2].abs());
 //!
@@ -39,6 +39,7 @@
 
 mod adaptive;
 pub mod band;
+mod block;
 pub mod check;
 mod error;
 mod explicit;
@@ -52,6 +53,7 @@ mod newton;
 mod rhs;
 mod scheme;
 mod step;
+mod storage;
 mod trajectory;
 
 pub use adaptive::{Adaptive, accepted_times};
@@ -59,10 +61,11 @@ pub use error::{Error, Refusal};
 pub use explicit::Rk4;
 pub use factor::{Factor, LinearSolver};
 pub use grouped::Grouped;
-pub use implicit::{ImplicitModel, MAX_HALVINGS};
+pub use implicit::{ImplicitModel, Linearization, MAX_HALVINGS};
 pub use model::{Counts, Model, Warning};
 pub use newton::{NewtonOptions, NewtonReport, NewtonWork, solve};
 pub use rhs::{OneLeg, Rhs};
 pub use scheme::{Scheme, Stage};
 pub use step::{ImplicitStep, Interval, Structure};
+pub use storage::{Footprint, Storage};
 pub use trajectory::{Keep, Trajectory};

@@ -38,7 +38,7 @@ pub fn equilibrium(
 ) -> Result<(Rest, NewtonReport), varda_implicit::Error> {
     assert_eq!(guess.vertices.len(), rod.segments() + 1, "one place for every vertex");
     assert_eq!(guess.theta.len(), rod.segments(), "one angle for every edge");
-    let refuse = |source: Error| varda_implicit::Error::Refused { step: 0, source: source.into() };
+    let refuse = |e: Error| varda_implicit::Error::Refused { step: 0, reason: e.into() };
     let mut system = System::new(rod.clone(), supports.clone(), loads.clone(), &Damping::default(), false)
         .map_err(refuse)?;
     for (x, g) in system.x.iter_mut().zip(&guess.vertices) {

@@ -1,7 +1,7 @@
 //! Orders of the rod's step in time.
 
 use super::{extrapolated, slope_row};
-use crate::problems::{DT, FIRST, rods, section9};
+use crate::problems::{DT, DrivenRod, FIRST, rods};
 use crate::row::{Case, Outcome, Rows};
 use varda_implicit::{ImplicitModel, Model, Scheme};
 
@@ -23,7 +23,7 @@ pub(super) fn run(rows: &mut Rows, quick: bool) {
 
 /// Places of all vertices at the end of a run of `steps` steps of the rod of section 9, and Newton iterations.
 fn end(scheme: Scheme, time: f64, steps: usize) -> Result<(Vec<f64>, usize)> {
-    let (step, control) = section9()?;
+    let (step, control) = DrivenRod::SOFT.step()?;
     let mut model = ImplicitModel::new(step.with_scheme(scheme), 0, time / steps as f64);
     let x = run_to(&mut model, &control, steps)?;
     let vertices = model.step_mut().vertices(time, &x)?;
