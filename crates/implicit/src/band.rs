@@ -68,25 +68,32 @@ pub const BLOCK: usize = 16;
 pub fn ldlt_solve_block(w: usize, a: &[f64], b: &mut [[f64; BLOCK]]) {
     assert_eq!(a.len(), b.len() * (w + 1), "factor and right-hand sides differ in size");
     // the widest vectors there are; products and sums stay apart, so that the bits are the same on every machine
-    pulp::Arch::new().dispatch(
-        #[inline(always)]
-        || solve_block(w, a, b),
-    );
+    pulp::Arch::new().dispatch(SolveBlock { w, a, b });
+}
+
+struct SolveBlock<'a> {
+    w: usize,
+    a: &'a [f64],
+    b: &'a mut [[f64; BLOCK]],
+}
+
+impl pulp::WithSimd for SolveBlock<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        solve_block(self.w, self.a, self.b);
+    }
 }
 
 #[inline(always)]
 fn solve_block(w: usize, a: &[f64], b: &mut [[f64; BLOCK]]) {
     let (n, s) = (b.len(), w + 1);
-    let minus = |row: &mut [f64; BLOCK], l: f64, other: &[f64; BLOCK]| {
-        for c in 0..BLOCK {
-            row[c] -= l * other[c];
-        }
-    };
     for i in 0..n {
         let mut row = b[i];
         let reach = i.min(w);
         for (l, above) in a[i * s + w - reach..i * s + w].iter().zip(&b[i - reach..i]) {
-            minus(&mut row, *l, above);
+            subtract(&mut row, *l, above);
         }
         b[i] = row;
     }
@@ -95,9 +102,17 @@ fn solve_block(w: usize, a: &[f64], b: &mut [[f64; BLOCK]]) {
         let reach = (n - 1 - i).min(w);
         // l_{i+d,i} lies d w after the diagonal of row i
         for d in 1..=reach {
-            minus(&mut row, a[i * s + w + d * w], &b[i + d]);
+            subtract(&mut row, a[i * s + w + d * w], &b[i + d]);
         }
         b[i] = row;
+    }
+}
+
+/// row −= l · other.
+#[inline(always)]
+fn subtract(row: &mut [f64; BLOCK], l: f64, other: &[f64; BLOCK]) {
+    for c in 0..BLOCK {
+        row[c] -= l * other[c];
     }
 }
 
