@@ -8,7 +8,7 @@ use std::time::Instant;
 use tests::problems::HangingRod;
 use varda_assimilation::{ControlTransform, CostFunction, GaussNewton, StrongConstraint};
 use varda_implicit::{ImplicitModel, Keep, Linearization, Model, Storage, Trajectory};
-use varda_rod::{BackwardEuler, Clamp, Damping, Loads, Material, Motion, Rod, Section, Supports};
+use varda_rod::{Clamp, Damping, Loads, Material, Motion, Rod, RodStep, Section, Supports};
 
 /// Median of the CPU seconds of 15 calls after two.
 fn median(call: &mut dyn FnMut()) -> f64 {
@@ -101,7 +101,7 @@ fn kernels() -> Result<(), Box<dyn Error>> {
                 director: Arc::new([1.0, 0.0, 0.0]),
             };
             let loads = Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() };
-            let step = BackwardEuler::new(rod, Supports::clamped_start(clamp), loads, Damping::default())?;
+            let step = RodStep::new(rod, Supports::clamped_start(clamp), loads, Damping::default())?;
             // at rest in a helix of one turn in 2.5 m
             let mut z = Vec::new();
             for &v in step.free_vertices() {
