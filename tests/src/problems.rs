@@ -6,7 +6,7 @@ use std::sync::Arc;
 use varda_assimilation::{LinearObservation, Observation, ObservationSet, Selection};
 use varda_covariance::{BlockDiagonal, CovarianceFunction, Dense, Interleaved, Kernel, Taper};
 use varda_implicit::lorenz::Lorenz96;
-use varda_implicit::{ImplicitModel, Model, Rk4, Scheme};
+use varda_implicit::{ImplicitModel, ImplicitStep, Model, Rk4, Scheme};
 use varda_rod::{
     Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rod, RodStep, Section, Supports, TwistUnknowns,
     equilibrium, straight_guess,
@@ -304,20 +304,28 @@ impl DrivenRod {
         Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() }
     }
 
+    /// Its step, and the control at rest, straight down and unstretched.
+    ///
+    /// # Errors
+    /// Impossible numbers.
+    pub fn step(&self) -> Result<(RodStep, Vec<f64>)> {
+        let (rod, supports) = (self.rod()?, self.supports());
+        let start = straight_guess(&rod, &supports, 0.0, [0.0, 0.0, -1.0])?;
+        let step = RodStep::with_twist(rod, supports, self.loads(), Damping::default(), self.twist)?;
+        let mut control: Vec<f64> = step.free_vertices().iter().flat_map(|&v| start.vertices[v]).collect();
+        control.resize(step.control_len(), 0.0);
+        Ok((step.with_scheme(self.scheme), control))
+    }
+
     /// Steps of Δt from time 0, and the state at rest.
     ///
     /// # Errors
     /// Impossible numbers.
     pub fn model(&self, dt: f64) -> Result<(ImplicitModel<RodStep>, Vec<f64>)> {
-        let (rod, supports) = (self.rod()?, self.supports());
-        let start = straight_guess(&rod, &supports, 0.0, [0.0, 0.0, -1.0])?;
-        let step = RodStep::with_twist(rod, supports, self.loads(), Damping::default(), self.twist)?;
-        let mut model = ImplicitModel::new(step.with_scheme(self.scheme), 0, dt);
-        let free = model.step_ref().free_vertices();
-        let mut z: Vec<f64> = free.iter().flat_map(|&v| start.vertices[v]).collect();
-        z.resize(model.control_dim(), 0.0);
+        let (step, control) = self.step()?;
+        let mut model = ImplicitModel::new(step, 0, dt);
         let mut x = vec![0.0; model.dim()];
-        model.initial_state(&z, &mut x)?;
+        model.initial_state(&control, &mut x)?;
         Ok((model, x))
     }
 }
@@ -368,7 +376,8 @@ pub struct RodCase {
     pub control: Vec<f64>,
 }
 
-/// Rods with every feature the step has: twist, both dampings, both ends clamped, pinned, no bending, everything at once.
+/// Rods with every feature the step has: twist, both dampings, both ends clamped, pinned, no bending, everything at once,
+/// and by the second-order schemes, with and without a state before.
 ///
 /// # Errors
 /// A rod that cannot be made.
@@ -384,7 +393,27 @@ pub fn rods() -> Result<Vec<RodCase>> {
         rod_case("damped anisotropic rod clamped at both ends", curved()?, both_ends(), damping(0.004, 0.7))?,
         rod_case("pinned anisotropic rod", curved()?, pinned(), damping(0.004, 0.0))?,
         rod_case("chain", straight(8, true)?, clamped(), damping(0.004, 0.7))?,
+        by(Scheme::Midpoint, rod_case("rod by midpoint", straight(8, false)?, clamped(), damping(0.0, 0.7))?),
+        by(
+            Scheme::Midpoint,
+            rod_case("anisotropic rod by midpoint", curved()?, clamped(), damping(0.0, 0.0))?,
+        ),
+        by(
+            Scheme::Midpoint,
+            rod_case("damped anisotropic rod by midpoint", curved()?, both_ends(), damping(0.004, 0.7))?,
+        ),
+        by(Scheme::Bdf2, rod_case("rod by bdf2", straight(8, false)?, clamped(), damping(0.0, 0.7))?),
+        by(
+            Scheme::Bdf2,
+            rod_case("damped anisotropic rod by bdf2", curved()?, both_ends(), damping(0.004, 0.7))?,
+        ),
     ])
+}
+
+/// The same rod by another scheme.
+fn by(scheme: Scheme, case: RodCase) -> RodCase {
+    let step = case.model.into_inner().with_scheme(scheme);
+    RodCase { model: ImplicitModel::new(step, FIRST, DT), ..case }
 }
 
 const MATERIAL: Material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1100.0 };
@@ -425,6 +454,7 @@ pub fn rod_scale(step: &RodStep) -> Vec<f64> {
     let mut scale = vec![0.01; n];
     scale.resize(2 * n, 1.0);
     scale.resize(2 * n + step.free_angles().len(), 0.1);
+    scale.extend_from_within(..step.history());
     scale
 }
 

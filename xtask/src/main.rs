@@ -8,7 +8,7 @@ use std::process::{Command, ExitCode};
 
 const HELP: &str = "\
 cargo xtask verify [SUITE…] [--quick] [--json FILE] [--fixtures DIR]
-    Runs the verification suites (adjoint, taylor, hessian, golden, counts, equivalence, paper) in a release build and prints
+    Runs the verification suites (adjoint, taylor, hessian, golden, counts, order, equivalence, paper) in a release build and prints
     one row per check; fails if a row fails. --quick: fewer seeds. --json: the same rows as one array. --fixtures: check what is in
     DIR/der, DIR/hanging-rod and DIR/twin instead of the copies in tests/fixtures.
 cargo xtask bench [NAME…] [--quick] [--out DIR]

@@ -217,10 +217,10 @@ impl ObservationSet {
         for sample in &self.samples[self.by_step[k]..self.by_step[k + 1]] {
             let operator = &mut self.operators[sample.operator];
             let seen = &mut self.buffer[..operator.dim()];
-            operator.observe(k, x, seen).map_err(|source| Error::Observe {
+            operator.observe(k, x, seen).map_err(|reason| Error::Observe {
                 operator: sample.operator,
                 step: k,
-                source,
+                reason,
             })?;
             for part in &self.parts[sample.first..sample.end] {
                 y[part.row] += part.weight * seen[part.operator_row];

@@ -58,7 +58,7 @@ pub fn ldlt_solve(w: usize, a: &[f64], b: &mut [f64]) {
 }
 
 /// Right-hand sides that [`ldlt_solve_block`] takes at once: enough to fill the registers of a processor.
-pub const BLOCK: usize = 8;
+pub const BLOCK: usize = 16;
 
 /// B ← A⁻¹ B for a block of right-hand sides with the factor of [`ldlt_factor`]; B is n rows: entry (i, c) is `b[i][c]`. A column's
 /// bits do not depend on the others.
@@ -67,6 +67,15 @@ pub const BLOCK: usize = 8;
 /// If the length of `a` is not w + 1 times the number of rows of `b`.
 pub fn ldlt_solve_block(w: usize, a: &[f64], b: &mut [[f64; BLOCK]]) {
     assert_eq!(a.len(), b.len() * (w + 1), "factor and right-hand sides differ in size");
+    // the widest vectors there are; products and sums stay apart, so that the bits are the same on every machine
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        || solve_block(w, a, b),
+    );
+}
+
+#[inline(always)]
+fn solve_block(w: usize, a: &[f64], b: &mut [[f64; BLOCK]]) {
     let (n, s) = (b.len(), w + 1);
     let minus = |row: &mut [f64; BLOCK], l: f64, other: &[f64; BLOCK]| {
         for c in 0..BLOCK {

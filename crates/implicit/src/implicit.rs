@@ -243,7 +243,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
             let solved = self
                 .step
                 .predict(&at, x, &mut self.u)
-                .map_err(|source| Error::Refused { step: k, source })
+                .map_err(|reason| Error::Refused { step: k, reason })
                 .and_then(|()| {
                     let solved =
                         newton::solve(&mut self.step, &at, x, &mut self.u, &mut self.work, &self.options);
@@ -265,7 +265,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
                 return Err(Error::NonFinite { step: k, what: "x_{k+1}" });
             }
             let text =
-                self.step.accepted(&at, x, &self.u).map_err(|source| Error::Refused { step: k, source })?;
+                self.step.accepted(&at, x, &self.u).map_err(|reason| Error::Refused { step: k, reason })?;
             keep_warning(&mut self.warnings, k, text);
             parts.push(at);
             position += size;
@@ -288,7 +288,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         let text = self
             .step
             .accepted(&part.at, &part.x, &part.u)
-            .map_err(|source| Error::Refused { step: k, source })?;
+            .map_err(|reason| Error::Refused { step: k, reason })?;
         keep_warning(&mut self.warnings, k, text);
         Ok(())
     }
@@ -342,7 +342,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         let own = x.len() - step.history();
         step.recover(&at, x, &x_next[..own], &mut part.u);
         step.assemble(&at, x, &part.u, &mut work.g, Some(&mut work.values))
-            .map_err(|source| Error::Refused { step: k, source })?;
+            .map_err(|reason| Error::Refused { step: k, reason })?;
         self.counts.factorizations += 1;
         work.solver
             .factor(&work.values, &mut part.factor)
@@ -489,7 +489,7 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
     fn initial_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), Error> {
         let t = self.time(0);
         let (own, history) = x.split_at_mut(x.len() - self.history.len());
-        self.step.initial_state(t, z, own).map_err(|source| Error::Refused { step: 0, source })?;
+        self.step.initial_state(t, z, own).map_err(|reason| Error::Refused { step: 0, reason })?;
         history.copy_from_slice(&own[..history.len()]);
         if !x.iter().all(|v| v.is_finite()) {
             return Err(Error::NonFinite { step: 0, what: "the initial state" });

@@ -41,6 +41,14 @@ pub struct Stage {
 }
 
 impl Scheme {
+    /// Order of accuracy.
+    pub fn order(self) -> i32 {
+        match self {
+            Scheme::BackwardEuler => 1,
+            Scheme::Midpoint | Scheme::Bdf2 => 2,
+        }
+    }
+
     /// The stage of a step; BDF2 without a step before it is the midpoint rule.
     pub fn stage(self, at: &Interval) -> Stage {
         match (self, at.previous) {

@@ -205,6 +205,7 @@ fn a_step_that_cannot_be_taken_names_itself() {
     let error = model.step(4, &[0.8, -0.5, 0.3, 0.9], &mut [0.0; 4]).unwrap_err();
     assert!(matches!(error, Error::Refused { step: 4, .. }), "{error}");
     assert!(error.to_string().contains("out of reach"), "{error}");
+    assert!(std::error::Error::source(&error).is_none(), "printers of chains would say the reason twice");
     let options = NewtonOptions { max_iterations: 1, ..NewtonOptions::default() };
     let mut model = ImplicitModel::new(SPRING, 10, 0.02).with_options(options);
     let error = model.step(4, &WILD, &mut [0.0; 4]).unwrap_err();

@@ -82,7 +82,7 @@ fn sweeps(model: &mut dyn Model, trajectory: &mut Trajectory, x0: &[f64], steps:
 
 #[test]
 fn every_policy_gives_the_same_bits_at_successive_controls() {
-    let models: [(&str, Box<dyn Fn() -> Box<dyn Model>>, [Vec<f64>; 2]); 3] = [
+    let models: [(&str, Box<dyn Fn() -> Box<dyn Model>>, [Vec<f64>; 2]); 4] = [
         (
             "rk4",
             Box::new(|| Box::new(Rk4::new(Lorenz96::new(6, 8.0), 0, 0.02))),
@@ -94,6 +94,11 @@ fn every_policy_gives_the_same_bits_at_successive_controls() {
                 Box::new(ImplicitModel::new(OneLeg::implicit_midpoint(Lorenz63::default(), 1e-11), 3, 0.02))
             }),
             [vec![1.0, 3.0, 20.0], vec![1.01, 3.0, 20.0]],
+        ),
+        (
+            "two-step",
+            Box::new(|| Box::new(ImplicitModel::new(OneLeg::bdf2(Lorenz63::default(), 1e-11), 0, 0.02))),
+            [vec![1.0, 3.0, 20.0, 1.0, 3.0, 20.0], vec![1.01, 3.0, 20.0, 1.0, 3.0, 20.0]],
         ),
         (
             "in parts",
@@ -197,7 +202,10 @@ fn memory_is_bounded_by_the_budget_and_used_again() {
     assert!(matches!(error, Error::Memory { budget: 15_000, least: 20_968 }), "{error}");
 }
 
-/// The products with step 0, of one column and of a block.
+/// The step looked at: one that reads its history.
+const K: usize = 3;
+
+/// The products with that step, of one column and of a block.
 struct Products {
     single: fn(&mut dyn Model, &mut [f64]),
     block: fn(&mut dyn Model, &mut [f64]),
@@ -205,9 +213,9 @@ struct Products {
 
 impl Products {
     const TANGENT: Self =
-        Self { single: |model, dx| model.tangent(0, dx), block: |model, dx| model.tangent_block(0, dx) };
+        Self { single: |model, dx| model.tangent(K, dx), block: |model, dx| model.tangent_block(K, dx) };
     const ADJOINT: Self =
-        Self { single: |model, l| model.adjoint(0, l), block: |model, l| model.adjoint_block(0, l) };
+        Self { single: |model, l| model.adjoint(K, l), block: |model, l| model.adjoint_block(K, l) };
 }
 
 #[test]
@@ -215,13 +223,15 @@ fn a_block_of_columns_is_its_columns() {
     let x0 = [1.0, 3.0, 20.0];
     let mut model = ImplicitModel::new(OneLeg::implicit_midpoint(Lorenz63::default(), 1e-11), 0, 0.02);
     let mut parts = ImplicitModel::new(Swing, 0, 0.5);
-    let cases: [(&mut dyn Model, &[f64]); 2] = [(&mut model, &x0), (&mut parts, &[1.2, 0.0])];
+    let mut two_step = ImplicitModel::new(OneLeg::bdf2(Lorenz63::default(), 1e-11), 0, 0.02);
+    let cases: [(&mut dyn Model, &[f64]); 3] =
+        [(&mut model, &x0), (&mut parts, &[1.2, 0.0]), (&mut two_step, &[1.0, 3.0, 20.0, 0.9, 2.8, 19.6])];
     for (model, x0) in cases {
         let n = x0.len();
         let mut x_next = vec![0.0; n];
-        model.step(0, x0, &mut x_next).unwrap();
-        model.linearize(0, x0, &x_next).unwrap();
-        let columns: Vec<f64> = (0..11 * n).map(|i| (0.7 * i as f64).sin()).collect();
+        model.step(K, x0, &mut x_next).unwrap();
+        model.linearize(K, x0, &x_next).unwrap();
+        let columns: Vec<f64> = (0..19 * n).map(|i| (0.7 * i as f64).sin()).collect();
         let before = model.counts();
         for product in [Products::TANGENT, Products::ADJOINT] {
             let (mut one_by_one, mut at_once) = (columns.clone(), columns.clone());
@@ -232,13 +242,13 @@ fn a_block_of_columns_is_its_columns() {
                 assert!((a - b).abs() <= 1e-14, "{a} {b}");
             }
             // the last columns alone: the same bits
-            let mut alone = columns[9 * n..].to_vec();
+            let mut alone = columns[17 * n..].to_vec();
             (product.block)(model, &mut alone);
-            assert_eq!(alone, at_once[9 * n..]);
+            assert_eq!(alone, at_once[17 * n..]);
         }
         let counts = model.counts();
-        assert_eq!(counts.tangent_steps - before.tangent_steps, 24);
-        assert_eq!(counts.adjoint_steps - before.adjoint_steps, 24);
+        assert_eq!(counts.tangent_steps - before.tangent_steps, 40);
+        assert_eq!(counts.adjoint_steps - before.adjoint_steps, 40);
     }
 }
 

@@ -229,9 +229,9 @@ impl RodStep {
         Ok(())
     }
 
-    fn inertia(&self, vertex: usize, h: f64) -> (f64, f64) {
-        let m = self.system.rod.masses[vertex];
-        (m / (h * h), self.damping.mass * m / h)
+    /// What M is multiplied by in the stage's equations: 1/η² and α/η.
+    fn inertia(&self, h: f64) -> [f64; 2] {
+        [1.0 / (h * h), self.damping.mass / h]
     }
 }
 
@@ -297,8 +297,9 @@ impl ImplicitStep for RodStep {
             }
         }
         let width = self.system.layout.half_bandwidth + 1;
+        let inertia = self.inertia(h);
         for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
-            let (k, c) = self.inertia(v, h);
+            let [k, c] = inertia.map(|rate| rate * self.system.rod.masses[v]);
             let s = &self.system;
             let (x, force) = (s.x[v], s.forces[v]);
             let (d, e) = (x - self.target[f], x - self.start[f]);
@@ -389,8 +390,9 @@ impl ImplicitStep for RodStep {
         let of = self.scheme.stage(at);
         let h = of.length;
         let (own, nf) = (self.system.layout.state(), self.system.layout.free_vertices.len());
+        let inertia = self.inertia(of.length);
         for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
-            let (k, c) = self.inertia(v, h);
+            let [k, c] = inertia.map(|rate| rate * self.system.rod.masses[v]);
             let i = self.system.layout.unknown[self.system.layout.vertex(v)];
             for a in 0..3 {
                 let place = mixed(of.from, dx, own, 3 * f + a);
@@ -408,8 +410,9 @@ impl ImplicitStep for RodStep {
     fn previous_transpose_add(&mut self, at: &Interval, x: &[f64], u: &[f64], mu: &[f64], dx: &mut [f64]) {
         let of = self.scheme.stage(at);
         let (own, nf) = (self.system.layout.state(), self.system.layout.free_vertices.len());
+        let inertia = self.inertia(of.length);
         for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
-            let (k, c) = self.inertia(v, of.length);
+            let [k, c] = inertia.map(|rate| rate * self.system.rod.masses[v]);
             let i = self.system.layout.unknown[self.system.layout.vertex(v)];
             for a in 0..3 {
                 mixed_add(of.from, dx, own, 3 * f + a, -(k + c) * mu[i + a]);
@@ -460,11 +463,12 @@ impl ImplicitStep for RodStep {
         let RodStage { of, angle, .. } = self.stage(at);
         let ([b0, b1], layout) = (of.to, &self.system.layout);
         let (own, nf) = (layout.state(), layout.free_vertices.len());
+        let rate = b0 / of.length;
         for (f, &v) in layout.free_vertices.iter().enumerate() {
             let i = layout.unknown[layout.vertex(v)];
             for c in 0..3 {
                 let (place, speed) = (3 * f + c, 3 * (nf + f) + c);
-                let back = b0 * lambda[speed] / of.length;
+                let back = rate * lambda[speed];
                 du[i + c] = b0 * lambda[place] + back;
                 dx[place] += b1 * lambda[place];
                 dx[speed] += b1 * lambda[speed];

@@ -78,8 +78,18 @@ fn leaving_the_twist_out_changes_nothing() {
 
 #[test]
 fn hanging_equilibrium_is_the_closed_form() {
-    // Discrete hanging rod: edge e carries the weight below it, l = l̄ (1 + W/EA).
-    let step = driven_25(TwistUnknowns::WhereNeeded).into_inner();
+    let rod = driven_25(TwistUnknowns::WhereNeeded).into_inner();
+    let mut section = Section::circle(&Material::new(1e6, 0.5, 1200.0), 0.005);
+    (section.ei1, section.ei2, section.gj) = (0.0, 0.0, 0.0);
+    // A chain, unstretched at first, has no stiffness across itself.
+    let chain = Rod::uniform(1.0, 25, &section).unwrap();
+    let chain = RodStep::new(chain, hanging([0.0; 3]), DOWN, Damping::default()).unwrap();
+    hangs_as_its_weight_says(&rod);
+    hangs_as_its_weight_says(&chain);
+}
+
+/// Edge e carries the weight below it, l = l̄ (1 + W/EA).
+fn hangs_as_its_weight_says(step: &RodStep) {
     let guess = straight_guess(step.rod(), step.supports(), 0.0, [0.0, 0.0, -1.0]).unwrap();
     let (rest, _) = equilibrium(step.rod(), step.supports(), &DOWN, 0.0, &guess).unwrap();
     let rod = step.rod();

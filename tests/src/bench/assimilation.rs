@@ -73,7 +73,7 @@ fn table(scene: &'static str, title: String, steps: usize, rows: &[Compared], se
         let timing = Timing::of(seconds.iter().map(|s| s[i]).collect());
         table.push(vec![
             row.method.into(),
-            row.solver.into(),
+            row.solver.as_str().into(),
             row.status.into(),
             row.j.into(),
             row.gap.into(),

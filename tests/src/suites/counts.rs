@@ -11,6 +11,9 @@ use crate::windows::{Thin, all_of, coupled, difference, localized, normals, obse
 use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::time::Instant;
+use varda::problem::Problem;
+use varda::run::{Listener, assimilate};
+use varda::scene::SceneFile;
 use varda_assimilation::{
     ControlTransform, CostFunction, EnVar, EnVarOptions, GaussNewton, Incremental, InnerSolver, Iteration,
     Minimizer, Observation, ObservationSet, OuterLoopOptions, Posterior, Selection, StrongConstraint,
@@ -36,6 +39,9 @@ pub(super) fn run(_options: &Options) -> Vec<Row> {
         Err(error) => rows.case("rods", |_| Err(error)),
     }
     rows.case("4denvar", no_derivatives);
+    for scene in ["lorenz96-4denvar", "hanging-rod-case2"] {
+        rows.case(&format!("scene {scene} by 4denvar"), |case| no_derivatives_in_a_scene(case, scene));
+    }
     rows.case("3dvar, incremental, psas", no_model);
     rows.case("4d-psas", no_inverse);
     rows.case("lorenz96 rk4", |case| {
@@ -225,6 +231,27 @@ fn early(case: &mut Case) -> Outcome {
 }
 
 /// 4D-EnVar and its hybrid, through outer loops to the minimum and to the posterior: forward runs only.
+/// A whole run of a scene, background check and posterior included.
+fn no_derivatives_in_a_scene(case: &mut Case, scene: &str) -> Outcome {
+    let sets =
+        ["algorithm.method=4denvar", "algorithm.ensemble.members=10", "algorithm.background_check=9.0"];
+    let file = SceneFile::open(scene, &sets.map(String::from))?;
+    let mut problem = Problem::from_scene(&file)?;
+    let mut listener =
+        Listener { on_iteration: &mut |_| {}, interrupted: &|| false, started: Instant::now() };
+    let outcome = assimilate(&mut problem, &mut listener)?;
+    case.count("tangent steps", outcome.counts.tangent_steps, 0);
+    case.count("adjoint steps", outcome.counts.adjoint_steps, 0);
+    let model = problem.model.counts();
+    let after = model.tangent_steps + model.adjoint_steps + model.linearizations;
+    case.count("tangent and adjoint steps and linearizations of the reported runs", after, 0);
+    case.count("σ of the analysis is there all the same", usize::from(outcome.has_posterior), 1);
+    let last = problem.observations.last_step().unwrap_or(0);
+    let ran = outcome.counts.model_steps >= 2 * 11 * last;
+    case.count("members were run for the check and for the analysis", usize::from(ran), 1);
+    Ok(())
+}
+
 fn no_derivatives(case: &mut Case) -> Outcome {
     let b = coupled(6, 0.4)?;
     let hybrid = Hybrid::new(&b, 0.6, localized()?, 0.8)?;

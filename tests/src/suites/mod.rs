@@ -5,6 +5,7 @@ mod counts;
 mod equivalence;
 mod golden;
 mod hessian;
+mod order;
 mod paper;
 mod taylor;
 
@@ -49,6 +50,7 @@ pub const SUITES: &[Suite] = &[
     Suite { name: "hessian", run: |options| hessian::run(options).into() },
     Suite { name: "golden", run: |options| golden::run(options).into() },
     Suite { name: "counts", run: |options| counts::run(options).into() },
+    Suite { name: "order", run: |options| order::run(options).into() },
     Suite { name: "equivalence", run: |options| equivalence::run(options).into() },
     Suite { name: "paper", run: paper::run },
 ];

@@ -18,8 +18,12 @@ use varda_implicit::{Footprint, Keep, Model, Storage, Trajectory};
 /// λ ← H_kᵀ R_k⁻¹ d_k + M_kᵀ λ from the last observed step down to the first. Steps after the last observation are not run. Where the
 /// last observation is at step 0, or there is no model at all, this is 3D-Var and no step is called.
 ///
-/// Cost: memory two trajectories, (last + 1) × n each, beside what the model keeps of its linearizations; less, for more work and the same
-/// bits, by [`set_storage`](Self::set_storage). Not for a model in error (weak constraint).
+/// When to use: the default, where the model has a tangent and an adjoint. When not: a model in error ([`WeakForcing`](super::WeakForcing)), no
+/// adjoint ([`EnVar`](super::EnVar)), chaos over a window of many e-foldings ([`window_growth`](crate::window_growth)).
+///
+/// Cost: a gradient is one forward run, one linearization of every step and one adjoint sweep; a product with A one sweep each way; A itself n
+/// tangent or m adjoint sweeps, whichever takes fewer steps. Memory: two trajectories, (last + 1) × n each, beside what the model keeps of its
+/// linearizations, m n for A; less, for more work and the same bits, by [`set_storage`](Self::set_storage).
 pub struct StrongConstraint<'a> {
     pub(super) model: Option<&'a mut (dyn Model + 'a)>,
     pub(super) transform: ControlTransform<'a>,

@@ -1,6 +1,7 @@
 //! Charts as SVG text: curves and points with labelled axes and a legend, one panel or several side by side.
 
 use plotters::coord::Shift;
+use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 
 use crate::Error;
@@ -43,6 +44,8 @@ pub struct Panel {
     pub legend: Option<Corner>,
     /// The curves, those drawn last on top.
     pub series: Vec<Series>,
+    /// No axes: the names of the series, a line each.
+    pub is_key: bool,
 }
 
 /// Where a legend is. At the top it gets room of its own above the curves.
@@ -100,6 +103,20 @@ const PALETTE: [RGBColor; 9] = [
 ];
 
 impl Style {
+    /// Lengths of dash and gap; `None` for a solid line. Lines that share a colour differ here.
+    fn dash(self) -> Option<(u32, u32)> {
+        match self {
+            Style::Truth => Some((2 * FINE, 3 * FINE)),
+            Style::Background => Some((7 * FINE, 4 * FINE)),
+            Style::Line(i) | Style::Marked(i) => match i / PALETTE.len() {
+                0 => None,
+                1 => Some((8 * FINE, 4 * FINE)),
+                _ => Some((2 * FINE, 3 * FINE)),
+            },
+            Style::Analysis | Style::Observation | Style::Withheld => None,
+        }
+    }
+
     fn colour(self) -> RGBColor {
         match self {
             Style::Truth => RGBColor(60, 60, 60),
@@ -139,7 +156,27 @@ impl Figure {
 }
 
 impl Panel {
+    /// The names of the series beside a piece of each line.
+    fn draw_key(&self, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Drawing> {
+        let fine = FINE as i32;
+        let font = ("sans-serif", FINE * 13).into_font().color(&RGBColor(40, 40, 40));
+        for (i, series) in self.series.iter().enumerate() {
+            let y = fine * (24 + 20 * i as i32);
+            let thick = series.style.colour().stroke_width(2 * FINE);
+            let line = [(fine * 16, y), (fine * 56, y)];
+            match series.style.dash() {
+                Some((on, off)) => area.draw(&DashedPathElement::new(line, on, off, thick))?,
+                None => area.draw(&PathElement::new(line, thick))?,
+            }
+            area.draw(&Text::new(series.label.as_str(), (fine * 66, y - fine * 7), font.clone()))?;
+        }
+        Ok(())
+    }
+
     fn draw(&self, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Drawing> {
+        if self.is_key {
+            return self.draw_key(area);
+        }
         let y_of = |y: f64| if self.log_y { y.log10() } else { y };
         let x_of = |x: f64| if self.log_x { x.log10() } else { x };
         let usable = |p: &&(f64, f64)| x_of(p.0).is_finite() && y_of(p.1).is_finite();
@@ -223,44 +260,25 @@ impl Panel {
                     .legend(move |(x, y)| {
                         Cross::new((x + wide_mark / 2, y), FINE * 3, colour.stroke_width(2 * FINE))
                     }),
-                Style::Background | Style::Truth => {
-                    let (on, off) = if series.style == Style::Truth {
-                        (2 * FINE, 3 * FINE)
-                    } else {
-                        (7 * FINE, 4 * FINE)
-                    };
-                    chart
-                        .draw_series(DashedLineSeries::new(points, on, off, colour.stroke_width(2 * FINE)))?
-                        .label(&series.label)
-                        .legend(move |(x, y)| {
-                            plotters::element::DashedPathElement::new(
-                                [(x, y), (x + wide_mark, y)],
-                                on,
-                                off,
-                                colour.stroke_width(2 * FINE),
-                            )
-                        })
+                Style::Background | Style::Truth | Style::Analysis | Style::Line(_) | Style::Marked(_) => {
+                    let thick = colour.stroke_width(2 * FINE);
+                    if points.len() == 1 || matches!(series.style, Style::Marked(_)) {
+                        chart
+                            .draw_series(points.iter().map(|p| Circle::new(*p, FINE * 3, colour.filled())))?;
+                    }
+                    match series.style.dash() {
+                        Some((on, off)) => chart
+                            .draw_series(DashedLineSeries::new(points, on, off, thick))?
+                            .label(&series.label)
+                            .legend(move |(x, y)| {
+                                DashedPathElement::new([(x, y), (x + wide_mark, y)], on, off, thick)
+                            }),
+                        None => chart
+                            .draw_series(LineSeries::new(points, thick))?
+                            .label(&series.label)
+                            .legend(move |(x, y)| PathElement::new([(x, y), (x + wide_mark, y)], thick)),
+                    }
                 }
-                Style::Marked(i) => {
-                    let dash = 5 * FINE;
-                    let gap = if i < PALETTE.len() { 0 } else { dash };
-                    let line = colour.stroke_width(2 * FINE);
-                    chart.draw_series(points.iter().map(|p| Circle::new(*p, FINE * 3, colour.filled())))?;
-                    let drawn = match gap {
-                        0 => chart.draw_series(LineSeries::new(points, line))?,
-                        _ => chart.draw_series(DashedLineSeries::new(points, dash, gap, line))?,
-                    };
-                    drawn.label(&series.label).legend(move |(x, y)| {
-                        let ends = [(x, y), (x + wide_mark, y)];
-                        plotters::element::DashedPathElement::new(ends, dash, gap, line)
-                    })
-                }
-                Style::Analysis | Style::Line(_) => chart
-                    .draw_series(LineSeries::new(points, colour.stroke_width(2 * FINE)))?
-                    .label(&series.label)
-                    .legend(move |(x, y)| {
-                        PathElement::new([(x, y), (x + wide_mark, y)], colour.stroke_width(2 * FINE))
-                    }),
             };
         }
         if let Some(corner) = self.legend {
