@@ -92,11 +92,13 @@ fn table(scene: &'static str, title: String, steps: usize, rows: &[Compared], se
 
 fn panel(scene: &str, rows: &[Compared]) -> Panel {
     let lowest = lowest(rows);
-    let series = rows.iter().enumerate().map(|(i, r)| Series {
+    let all = rows.iter().enumerate().map(|(i, r)| Series {
         label: format!("{} {}", r.method, r.solver),
         style: Style::Marked(i),
         points: r.gaps(lowest),
     });
+    // Rows without a gap (costs of another kind, failures) have no curve.
+    let series = all.filter(|s| !s.points.is_empty());
     Panel {
         title: scene.into(),
         x_label: "seconds".into(),
