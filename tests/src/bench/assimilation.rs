@@ -6,14 +6,14 @@ use varda::compare::{Compared, compare, lowest};
 use varda::report::plot::{Corner, Panel, Series, Style};
 use varda::scene::SceneFile;
 
-/// Scenes, and keys of their tables.
-const SCENES: [&str; 6] = [
-    "hanging-rod-case1",
-    "hanging-rod-case2",
-    "hanging-rod-case3",
-    "hanging-rod-case4",
-    "lorenz63",
-    "lorenz96",
+/// Scenes, keys of their tables too. Those whose slow minimizers take long are run once after the warm-up.
+const SCENES: [(&str, bool); 6] = [
+    ("hanging-rod-case1", true),
+    ("lorenz63", true),
+    ("lorenz96", true),
+    ("hanging-rod-case2", false),
+    ("hanging-rod-case3", false),
+    ("hanging-rod-case4", false),
 ];
 
 const COLUMNS: [&str; 13] = [
@@ -33,19 +33,21 @@ const COLUMNS: [&str; 13] = [
 ];
 
 pub(super) fn run(options: &Options) -> Result<Page> {
-    let scenes = if options.quick { &SCENES[4..5] } else { &SCENES[..] };
+    let scenes = if options.quick { &SCENES[1..2] } else { &SCENES[..] };
     let (mut tables, mut panels) = (Vec::new(), Vec::new());
-    for scene in scenes {
+    for &(scene, often) in scenes {
         let file = SceneFile::open(scene, &[])?;
         let steps = varda::problem::Problem::from_scene(&file)?.observations.last_step().unwrap_or(0).max(1);
         let mut rows = Vec::new();
         let mut seconds: Vec<Vec<f64>> = Vec::new();
         // The first run warms up.
-        for _ in 0..=options.samples() {
+        let samples = if often { options.samples() } else { 1 };
+        for _ in 0..=samples {
             rows = compare(&file, &mut |_| {}, &|| false)?;
             seconds.push(rows.iter().map(|r| r.seconds.unwrap_or(f64::NAN)).collect());
         }
-        tables.push(table(scene, steps, &rows, &seconds[1..]));
+        let title = format!("{scene}, samples: {samples}");
+        tables.push(table(scene, title, steps, &rows, &seconds[1..]));
         panels.push(panel(scene, &rows));
     }
     Ok(Page {
@@ -58,14 +60,14 @@ pub(super) fn run(options: &Options) -> Result<Page> {
 }
 
 const TEXT: &str = "\
-What `varda compare SCENE` runs, nine times after a warm-up: every method and minimizer from the scene's own background to its own end. Gap: (J − J*)/(J₀ − J*), J₀ at the \
+What `varda compare SCENE` runs, after a warm-up: every method and minimizer from the scene's own background to its own end. Seconds: of the minimization, by the wall's clock, as varda reports them (the other pages give CPU time). Gap: (J − J*)/(J₀ − J*), J₀ at the \
 background, J* the lowest J of any row of the scene. RMSE: of initial positions [m] (of the state, for the Lorenz models) against the truth; observations have errors, so it \
 does not vanish at the minimum. Runs: steps over the steps of the window; linearizations are not counted as runs. `converged`: the gradient fell by the scene's tolerance.
 
 Curves: gap after every outer iteration of the last sample; the end at gap 0 is not on the axis. Target of issue 4: the default (4dvar, auto) on case 1 ≤ 0.5 s.";
 
-fn table(scene: &'static str, steps: usize, rows: &[Compared], seconds: &[Vec<f64>]) -> Table {
-    let mut table = Table::new(scene, scene, &COLUMNS);
+fn table(scene: &'static str, title: String, steps: usize, rows: &[Compared], seconds: &[Vec<f64>]) -> Table {
+    let mut table = Table::new(scene, title, &COLUMNS);
     let runs = |count: usize| Cell::from(count as f64 / steps as f64);
     for (i, row) in rows.iter().enumerate() {
         let timing = Timing::of(seconds.iter().map(|s| s[i]).collect());
@@ -90,11 +92,13 @@ fn table(scene: &'static str, steps: usize, rows: &[Compared], seconds: &[Vec<f6
 
 fn panel(scene: &str, rows: &[Compared]) -> Panel {
     let lowest = lowest(rows);
-    let series = rows.iter().enumerate().map(|(i, r)| Series {
+    let all = rows.iter().enumerate().map(|(i, r)| Series {
         label: format!("{} {}", r.method, r.solver),
         style: Style::Marked(i),
         points: r.gaps(lowest),
     });
+    // Rows without a gap (costs of another kind, failures) have no curve.
+    let series = all.filter(|s| !s.points.is_empty());
     Panel {
         title: scene.into(),
         x_label: "seconds".into(),

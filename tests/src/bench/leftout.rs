@@ -147,11 +147,11 @@ impl Benchmark {
                     Ok(cost.hessian_apply(v, &mut product)?)
                 })
             };
-            let mut result = run()?;
+            let result = run()?;
             let differs = (!first.is_empty()).then(|| difference(&result, &first));
             self.variant(task, variant, differs, &mut || run().map(drop))?;
             if first.is_empty() {
-                first = std::mem::take(&mut result);
+                first = result;
             }
         }
         Ok(())
