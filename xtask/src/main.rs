@@ -1,6 +1,7 @@
-//! Developer commands: `cargo xtask verify`, `cargo xtask docs`, `cargo xtask ci`.
+//! Developer commands: `cargo xtask verify`, `cargo xtask bench`, `cargo xtask docs`, `cargo xtask ci`.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
+mod bench;
 mod docs;
 
 use std::path::{Path, PathBuf};
@@ -11,6 +12,8 @@ cargo xtask verify [SUITE…] [--quick] [--json FILE] [--fixtures DIR]
     Runs the verification suites (adjoint, taylor, hessian, golden, counts, equivalence, paper) in a release build and prints
     one row per check; fails if a row fails. --quick: fewer seeds. --json: the same rows as one array. --fixtures: check what is in
     DIR/der, DIR/hanging-rod and DIR/twin instead of the copies in tests/fixtures.
+cargo xtask bench NAME [OPTION…]
+    Measures, and writes docs/results/NAME.md, .csv and .svg. Names: case4.
 cargo xtask docs
     Documentation of all crates with an index page, in target/doc.
 cargo xtask ci
@@ -22,6 +25,7 @@ fn main() -> ExitCode {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let done = match words.as_slice() {
         ["verify", rest @ ..] => verify(rest),
+        ["bench", rest @ ..] => bench::run_one(rest),
         ["docs"] => docs::build(),
         ["ci"] => ci(),
         [] | ["help" | "--help" | "-h"] => {
