@@ -14,6 +14,8 @@ cargo xtask verify [SUITE…] [--quick] [--json FILE] [--fixtures DIR]
 cargo xtask bench [NAME…] [--quick] [--out DIR]
     Error against run time (time, gradient, assimilation, scaling, leftout, instructions) in a release build: prints tables and
     writes docs/results/NAME.md, .csv and .svg. --quick: few cases and samples, nothing written. --out: another folder.
+cargo xtask bench case4 [OPTION…]
+    The study of minimizers on case 4 of the paper, 100 seeds of two priors: docs/results/case4.md. --help: its options.
 cargo xtask docs
     Documentation of all crates with an index page, in target/doc.
 cargo xtask ci
@@ -24,8 +26,9 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let done = match words.as_slice() {
-        ["verify", rest @ ..] => from_tests("tests", rest),
-        ["bench", rest @ ..] => from_tests("bench", rest),
+        ["verify", rest @ ..] => release("tests", ["--bin", "tests"], rest),
+        ["bench", "case4", rest @ ..] => release("varda", ["--example", "case4_study"], rest),
+        ["bench", rest @ ..] => release("tests", ["--bin", "bench"], rest),
         ["docs"] => docs::build(),
         ["ci"] => ci(),
         [] | ["help" | "--help" | "-h"] => {
@@ -43,15 +46,11 @@ fn main() -> ExitCode {
     }
 }
 
-/// Suites and benchmarks are binaries of package `tests`; paths are those of the caller's folder.
-fn from_tests(binary: &str, arguments: &[&str]) -> Result<(), String> {
-    let manifest = root().join("Cargo.toml");
+/// Runs a release build of a package's binary or example; paths are those of the caller's folder.
+fn release(package: &str, target: [&str; 2], arguments: &[&str]) -> Result<(), String> {
     let mut command = cargo();
-    command
-        .args(["run", "--quiet", "--release", "--package", "tests", "--bin", binary, "--manifest-path"])
-        .arg(manifest)
-        .arg("--");
-    run(command.args(arguments))
+    command.args(["run", "--quiet", "--release", "--package", package]).args(target).arg("--manifest-path");
+    run(command.arg(root().join("Cargo.toml")).arg("--").args(arguments))
 }
 
 fn ci() -> Result<(), String> {
@@ -64,7 +63,7 @@ fn ci() -> Result<(), String> {
         println!("cargo {}", step.join(" "));
         run(cargo().args(step).current_dir(root()))?;
     }
-    from_tests("tests", &[])?;
+    release("tests", ["--bin", "tests"], &[])?;
     docs::build()
 }
 

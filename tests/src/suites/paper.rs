@@ -18,7 +18,7 @@ The paper, section 3.3: \"For Cases 1 to 3, Newton's method performed well\"; \"
 \"the initial velocities are assimilated much faster and more effectively than the initial positions, which undergo very
 little change\"; \"the loss and gradient plateaus after about a dozen iterations\". It has one draw a case, the plain prior.
 Newton: dense Hessian (2.18), full steps, at most 50; converged means |g| ≤ 1e-6 |g₀|. Default: that of scenes, a trust region on
-the true J, also through σ × 10, 3, 1 where J_o > 10 m at the background or the first run did not converge. RMSE over components, mean over seeds, background → analysis.
+the true J; where J_o > 10 m at the background or it did not converge, also through inflated σ and from draws, until two runs agree. RMSE over components, mean over seeds, background → analysis.
 ";
 
 pub(super) fn run(options: &Options) -> Report {

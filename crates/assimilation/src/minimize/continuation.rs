@@ -56,7 +56,8 @@ pub(super) fn run(
     let mut g = vec![0.0; cost.dim()];
     cost.set_observation_scale(1.0);
     cost.evaluate(v, Some(&mut g))?;
-    let mut start = Start { gradient_norm: Some(norm(&g)), scale: 1.0, ..*start };
+    let mut start =
+        Start { gradient_norm: start.gradient_norm.or_else(|| Some(norm(&g))), scale: 1.0, ..*start };
     for &scale in early {
         cost.set_observation_scale(scale);
         let stage = Start { scale, gradient_norm: None, ..start };

@@ -37,8 +37,8 @@ use std::ops::ControlFlow;
 /// A minimizer with its settings: a choice that can be made from data.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Minimizer {
-    /// Trust region on the true J, and where the background is far from the observations also through inflated errors; the lower
-    /// minimum of the two.
+    /// Trust region on the true J, and where the background is far from the observations also through inflated errors and from draws of the
+    /// prior, until two runs agree on the lowest end.
     Auto(AutoOptions),
     /// Trust region on the true J: the default.
     TrustRegion(TrustRegionOptions),

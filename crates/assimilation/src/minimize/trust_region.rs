@@ -35,7 +35,7 @@ impl Default for TrustRegionOptions {
             gradient_tolerance: 1e-8,
             max_iterations: 200,
             initial_radius: 1.0,
-            dense_limit: 300,
+            dense_limit: 100,
             max_inner: 100,
             secant_terms: 60,
         }
