@@ -37,7 +37,7 @@ impl Limits {
             _ => f64::NAN,
         };
         let bytes = number * factor;
-        if bytes >= 1.0 && bytes < 1e18 {
+        if (1.0..1e18).contains(&bytes) {
             Ok(Some(bytes as usize))
         } else {
             Err(format!(
