@@ -70,11 +70,11 @@ impl BackwardEuler {
             viscous: (damping.stiffness > 0.0).then(|| KelvinVoigt::new(&system)),
             twist: (!system.layout.free_angles.is_empty()).then(|| TwistEquilibrium::new(&system)),
             carry: Carry::new(&system),
+            tolerance: 1e-11 * system.rod.length(),
             interval: None,
             start: vec![V3::zeros(); free],
             target: vec![V3::zeros(); free],
             end_angle: 0.0,
-            tolerance: 0.0,
             displacement: vec![V3::zeros(); n + 1],
             psi: vec![0.0; n],
             damping,
@@ -166,19 +166,10 @@ impl BackwardEuler {
             }
         }
         s.place(at.end())?;
-        let mut stiffest: f64 = 0.0;
         for (f, &v) in s.layout.free_vertices.iter().enumerate() {
             self.start[f] = V3::from_column_slice(&x[3 * f..3 * f + 3]);
             self.target[f] = self.start[f] + V3::from_column_slice(&x[3 * (nf + f)..3 * (nf + f) + 3]) * h;
-            for e in v.saturating_sub(1)..=v.min(s.rod.segments() - 1) {
-                let (ea, rest) = s.stretch[e];
-                stiffest = stiffest.max(ea / rest * h * h / s.rod.masses[v]);
-            }
         }
-        // Coordinates of size L carry an error of ε L; the stretch springs turn it into a force error of ε L EA/l̄, which
-        // moves a vertex held by its inertia M/Δt² alone by ε L (EA/l̄)(Δt²/M). No update can be smaller than that.
-        let length = s.rod.length();
-        self.tolerance = (1e-11 * length).max(f64::EPSILON * length * stiffest);
         self.interval = Some(*at);
         Ok(())
     }
