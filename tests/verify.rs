@@ -44,3 +44,8 @@ fn equivalence() {
 fn paper() {
     check("paper");
 }
+
+#[test]
+fn stiff() {
+    check("stiff");
+}

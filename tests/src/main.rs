@@ -1,4 +1,4 @@
-//! Runs suites and prints their rows: `cargo xtask verify [SUITE…] [--quick] [--json FILE] [--fixtures DIR]`.
+//! Runs suites and prints their rows: `cargo xtask verify [SUITE…] [--quick | --full] [--json FILE] [--fixtures DIR]`.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 use std::path::PathBuf;
@@ -26,12 +26,13 @@ fn verify(mut arguments: impl Iterator<Item = String>) -> Result<bool, String> {
             |what: &str| arguments.next().map(PathBuf::from).ok_or(format!("{argument} needs {what}"));
         match argument.as_str() {
             "--quick" => options.quick = true,
+            "--full" => options.full = true,
             "--json" => json = Some(file("a file")?),
             "--fixtures" => options.fixtures = Some(file("a folder")?),
             name => names.push(SUITES.iter().map(|s| s.name).find(|s| *s == name).ok_or_else(|| {
                 let known: Vec<&str> = SUITES.iter().map(|s| s.name).collect();
                 format!(
-                    "no suite or option {name:?} (suites: {}; options: --quick, --json FILE, --fixtures DIR)",
+                    "no suite or option {name:?} (suites: {}; options: --quick, --full, --json FILE, --fixtures DIR)",
                     known.join(", ")
                 )
             })?),

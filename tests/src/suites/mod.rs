@@ -6,6 +6,7 @@ mod equivalence;
 mod golden;
 mod hessian;
 mod paper;
+mod stiff;
 mod taylor;
 
 use crate::Row;
@@ -16,6 +17,8 @@ use std::path::PathBuf;
 pub struct Options {
     /// Fewer seeds, fewer cases.
     pub quick: bool,
+    /// The longest cases too.
+    pub full: bool,
     /// Folder with `der`, `hanging-rod`, `twin` (any of them); our own copies where there is none.
     pub fixtures: Option<PathBuf>,
 }
@@ -51,6 +54,7 @@ pub const SUITES: &[Suite] = &[
     Suite { name: "counts", run: |options| counts::run(options).into() },
     Suite { name: "equivalence", run: |options| equivalence::run(options).into() },
     Suite { name: "paper", run: paper::run },
+    Suite { name: "stiff", run: stiff::run },
 ];
 
 /// Runs a suite.
