@@ -3,6 +3,7 @@
 //! Every case gives a measured error with its bound; condition, Newton iterations and extra parts of steps stand in the note,
 //! the run time in its own column. `docs/results/stability.md` is made of these rows.
 
+mod assimilation;
 mod chaos;
 mod covariance;
 mod implicit;
@@ -21,6 +22,7 @@ pub(super) fn run(options: &Options) -> Report {
     implicit::run(&mut rows, options);
     chaos::run(&mut rows, options);
     covariance::run(&mut rows, options);
+    assimilation::run(&mut rows, options);
 
     rows.finish().into()
 }
