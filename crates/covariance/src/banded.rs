@@ -40,10 +40,18 @@ impl Banded {
         function.validate()?;
         let support = function.taper.support();
         if !support.is_finite() {
-            return Err(Error::Parameter { what: "taper support of a band", value: support, range: "finite" });
+            return Err(Error::Parameter {
+                what: "taper support of a band",
+                value: support,
+                range: "finite",
+            });
         }
         if let Some(pair) = places.windows(2).find(|pair| !(pair[0] <= pair[1])) {
-            return Err(Error::Parameter { what: "place along the line", value: pair[1], range: "ascending" });
+            return Err(Error::Parameter {
+                what: "place along the line",
+                value: pair[1],
+                range: "ascending",
+            });
         }
         let first = |i: usize| places.partition_point(|s| places[i] - s >= support).min(i);
         let w = (0..places.len()).map(|i| i - first(i)).max().unwrap_or(0);
@@ -182,7 +190,9 @@ mod tests {
 
     /// Unequal places, two of them further apart than the support.
     fn places() -> Vec<f64> {
-        (0..40).map(|i| 0.05 * i as f64 + 0.02 * (3.0 * i as f64).sin() + if i > 25 { 1.0 } else { 0.0 }).collect()
+        (0..40)
+            .map(|i| 0.05 * i as f64 + 0.02 * (3.0 * i as f64).sin() + if i > 25 { 1.0 } else { 0.0 })
+            .collect()
     }
 
     #[test]
@@ -190,7 +200,8 @@ mod tests {
         for taper in [Taper::Triangle { support: 0.33 }, Taper::GaspariCohn { support: 0.5 }] {
             let f = function(taper);
             let places = places();
-            let (band, dense) = (Banded::along(&f, &places).unwrap(), Dense::new(40, &f.matrix(&places).unwrap()).unwrap());
+            let (band, dense) =
+                (Banded::along(&f, &places).unwrap(), Dense::new(40, &f.matrix(&places).unwrap()).unwrap());
             assert!((5..15).contains(&band.half_bandwidth()), "{}", band.half_bandwidth());
             let x: Vec<f64> = (0..40).map(|i| (1.7 * i as f64).sin()).collect();
             let (mut a, mut b) = (vec![0.0; 40], vec![0.0; 40]);
@@ -232,8 +243,14 @@ mod tests {
         assert!(matches!(along(&[]), Error::Size { .. }));
         let endless = Banded::along(&function(Taper::None), &[0.0, 1.0]);
         assert!(matches!(endless, Err(Error::Parameter { what: "taper support of a band", .. })));
-        assert!(matches!(Banded::new(2, 1, vec![0.0, 1.0, 2.0, 1.0]), Err(Error::NotPositiveDefinite { pivot: 1, .. })));
-        assert!(matches!(Banded::new(2, 1, vec![0.0, 1.0, f64::NAN, 1.0]), Err(Error::NonFinite { row: 1, column: 0, .. })));
+        assert!(matches!(
+            Banded::new(2, 1, vec![0.0, 1.0, 2.0, 1.0]),
+            Err(Error::NotPositiveDefinite { pivot: 1, .. })
+        ));
+        assert!(matches!(
+            Banded::new(2, 1, vec![0.0, 1.0, f64::NAN, 1.0]),
+            Err(Error::NonFinite { row: 1, column: 0, .. })
+        ));
         assert!(matches!(Banded::new(2, 1, vec![1.0; 3]), Err(Error::Size { expected: 4, found: 3, .. })));
     }
 }

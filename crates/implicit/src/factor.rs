@@ -166,7 +166,12 @@ impl LinearSolver {
     ///
     /// # Errors
     /// As [`factor`](Self::factor).
-    pub fn factor_lifted(&mut self, values: &[f64], share: f64, factor: &mut Factor) -> Result<usize, BadPivot> {
+    pub fn factor_lifted(
+        &mut self,
+        values: &[f64],
+        share: f64,
+        factor: &mut Factor,
+    ) -> Result<usize, BadPivot> {
         self.factor_with(values, factor, |_, largest| share * largest)
     }
 

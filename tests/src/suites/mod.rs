@@ -65,3 +65,8 @@ pub fn run(name: &str, options: &Options) -> Report {
     let suite = SUITES.iter().find(|s| s.name == name).expect("a suite of that name");
     (suite.run)(options)
 }
+
+/// The rows of suite stiff as a document: `docs/results/stability.md`.
+pub fn stability(rows: &[Row]) -> String {
+    stiff::document(rows)
+}

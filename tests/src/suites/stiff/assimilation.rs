@@ -44,7 +44,8 @@ pub(super) fn run(rows: &mut Rows, options: &Options) {
         let name = if failure == Failure::Refuses { "returns an error" } else { "returns NaN" };
         rows.case(&format!("model that {name} at some trials"), |case| failing(case, failure));
     }
-    let sigmas: &[f64] = if options.quick { &[0.015, 0.005] } else { &[0.015, 0.005, 0.002, 0.001, 0.0005, 0.0001] };
+    let sigmas: &[f64] =
+        if options.quick { &[0.015, 0.005] } else { &[0.015, 0.005, 0.002, 0.001, 0.0005, 0.0001] };
     for &sigma in sigmas {
         rows.case(&format!("case 4 with σ_y = {sigma} L"), |case| case4(case, sigma, options));
     }
@@ -71,7 +72,9 @@ impl Static {
     /// Components seen as they are: (component, value, σ).
     fn direct(seen: &[(usize, f64, f64)]) -> Static {
         let precision = |i: usize| 1.0 + seen.iter().filter(|s| s.0 == i).map(|s| s.2.powi(-2)).sum::<f64>();
-        let pull = |i: usize| seen.iter().filter(|s| s.0 == i).map(|s| (s.1 - BACKGROUND[i]) * s.2.powi(-2)).sum::<f64>();
+        let pull = |i: usize| {
+            seen.iter().filter(|s| s.0 == i).map(|s| (s.1 - BACKGROUND[i]) * s.2.powi(-2)).sum::<f64>()
+        };
         Static {
             operator: None,
             seen: seen.iter().map(|&(i, y, sigma)| observation(&[i], 0, 0.0, &[y], sigma)).collect(),
@@ -116,14 +119,18 @@ impl Static {
 fn static_cases(rows: &mut Rows) {
     let mut add = |name: &str, problem: Static| rows.case(name, |case| every_way(case, &problem));
     add("no observations", Static::direct(&[]));
-    let all = |sigma: f64| Static::direct(&[(0, 3.0, sigma), (1, -3.0, sigma), (2, 0.5, sigma), (3, 1.0, sigma)]);
+    let all =
+        |sigma: f64| Static::direct(&[(0, 3.0, sigma), (1, -3.0, sigma), (2, 0.5, sigma), (3, 1.0, sigma)]);
     add("R = 1e-12", all(1e-6));
     add("R = 1e12", all(1e6));
     add("1000 identical observations", Static::direct(&[(0, 3.0, 2.0); 1000]));
     add("one observation of variance r/1000", Static::direct(&[(0, 3.0, 2.0 / 1000.0_f64.sqrt())]));
     add("σ ratios 1e8", Static::direct(&[(0, 3.0, 1e-4), (1, -3.0, 1.0), (2, 0.5, 1e4)]));
     add("contradictory observations", Static::direct(&[(0, 5.0, 1e-2), (0, -5.0, 1e-2), (2, 0.5, 0.1)]));
-    add("redundant rows of H", Static::one_row(&[1.0, 1.0, 2.0, 2.0, -1.0, 0.0], &[0.9, 1.1, 1.8, 2.2, -1.0, 7.0]));
+    add(
+        "redundant rows of H",
+        Static::one_row(&[1.0, 1.0, 2.0, 2.0, -1.0, 0.0], &[0.9, 1.1, 1.8, 2.2, -1.0, 7.0]),
+    );
     add("H = 0", Static::one_row(&[0.0, 0.0, 0.0], &[1.0, -2.0, 3.0]));
     let zero: Vec<(usize, f64, f64)> = (0..4).map(|i| (i, BACKGROUND[i], 0.1)).collect();
     add("zero residual", Static::direct(&zero));
@@ -137,7 +144,9 @@ fn every_way(case: &mut Case, problem: &Static) -> Outcome {
     let error_of = |v: &[f64]| {
         let mut z = vec![0.0; 4];
         transform.control(v, &mut z);
-        (0..4).map(|i| (z[i] - problem.expected[i]).abs() / problem.sigma[i]).fold(0.0, |m: f64, e| if e <= m { m } else { e })
+        (0..4)
+            .map(|i| (z[i] - problem.expected[i]).abs() / problem.sigma[i])
+            .fold(0.0, |m: f64, e| if e <= m { m } else { e })
     };
     let mut add = |name: &str, error: f64, ended: std::result::Result<(Status, usize), Error>| {
         judge(case, name, error, ended, problem.at_background);
@@ -151,16 +160,25 @@ fn every_way(case: &mut Case, problem: &Static) -> Outcome {
         let ended = minimizer.minimize(&mut cost, &mut v, &mut go_on).map(|m| (m.status, m.outer_iterations));
         add(name, error_of(&v), ended);
     }
-    for (name, inner) in
-        [("incremental", InnerSolver::Primal), ("4d-psas", InnerSolver::Dual), ("direct", InnerSolver::Direct)]
-    {
+    for (name, inner) in [
+        ("incremental", InnerSolver::Primal),
+        ("4d-psas", InnerSolver::Dual),
+        ("direct", InnerSolver::Direct),
+    ] {
         let (mut set, mut model, mut v) = (problem.set()?, still(), vec![0.0; 4]);
         let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut set)?;
-        let options = OuterLoopOptions { gradient_tolerance: 1e-12, inner, inner_tolerance: 1e-12, ..Default::default() };
-        let ended = outer_loop(&mut cost, &mut v, &options, &mut go_on).map(|m| (m.status, m.outer_iterations));
+        let options = OuterLoopOptions {
+            gradient_tolerance: 1e-12,
+            inner,
+            inner_tolerance: 1e-12,
+            ..Default::default()
+        };
+        let ended =
+            outer_loop(&mut cost, &mut v, &options, &mut go_on).map(|m| (m.status, m.outer_iterations));
         add(name, error_of(&v), ended);
     }
-    for (name, gain) in [("blue, observations", Gain::Observation), ("blue, information", Gain::Information)] {
+    for (name, gain) in [("blue, observations", Gain::Observation), ("blue, information", Gain::Information)]
+    {
         let (mut set, mut model) = (problem.set()?, still());
         let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut set)?;
         match Blue::new(&mut cost, &[0.0; 4], gain) {
@@ -200,7 +218,13 @@ fn every_way(case: &mut Case, problem: &Static) -> Outcome {
 ///
 /// Right is a thousandth of the analysis' own standard deviation: gradients fall by 1e-12, of which a condition of up to 1e8 may leave
 /// 1e-4 of a standard deviation.
-fn judge(case: &mut Case, name: &str, error: f64, ended: std::result::Result<(Status, usize), Error>, at_background: bool) {
+fn judge(
+    case: &mut Case,
+    name: &str,
+    error: f64,
+    ended: std::result::Result<(Status, usize), Error>,
+    at_background: bool,
+) {
     match ended {
         Ok((Status::Converged, iterations)) => {
             case.at_most(&format!("{name}: error in σ of the analysis"), error, 1e-3, "σ")
@@ -258,7 +282,11 @@ impl GaussNewton for Wells {
     fn observation_jacobian(&mut self, _dv: &[f64], _dy: &mut [f64]) -> std::result::Result<(), Error> {
         Ok(())
     }
-    fn observation_jacobian_transpose(&mut self, _dy: &[f64], dv: &mut [f64]) -> std::result::Result<(), Error> {
+    fn observation_jacobian_transpose(
+        &mut self,
+        _dy: &[f64],
+        dv: &mut [f64],
+    ) -> std::result::Result<(), Error> {
         dv.fill(0.0);
         Ok(())
     }
@@ -283,9 +311,15 @@ fn indefinite(case: &mut Case) -> Outcome {
                 // |∇J| fell to 1e-6 at the least, and the wells have curvature 2; full-step Newton goes to the saddle, as it must
                 if *name == "newton" {
                     let stationary = (v[0].powi(3) - v[0]).hypot(v[1]);
-                    case.at_most("newton: gradient (any stationary point)", stationary, 1e-5, "-").note(format!("v = {v:?}"));
+                    case.at_most("newton: gradient (any stationary point)", stationary, 1e-5, "-")
+                        .note(format!("v = {v:?}"));
                 } else {
-                    case.at_most(&format!("{name}: distance from a well"), (v[0].abs() - 1.0).hypot(v[1]), 1e-4, "-");
+                    case.at_most(
+                        &format!("{name}: distance from a well"),
+                        (v[0].abs() - 1.0).hypot(v[1]),
+                        1e-4,
+                        "-",
+                    );
                 }
             }
             Ok(minimum) => {
@@ -299,7 +333,12 @@ fn indefinite(case: &mut Case) -> Outcome {
     }
     let mut cost = Wells { base: [0.0; 2], terms: CostTerms::default() };
     cost.evaluate(&[0.1, 1.0], Some(&mut [0.0; 2]))?;
-    refused(case, "posterior there refused, with the eigenvalue", Posterior::new(&mut cost), "-9.7");
+    refused(
+        case,
+        "posterior there refused, with the eigenvalue",
+        Posterior::new(&mut cost),
+        "not positive definite",
+    );
     Ok(())
 }
 
@@ -319,18 +358,30 @@ impl Model for Brittle {
     fn dim(&self) -> usize {
         2
     }
-    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> std::result::Result<(), varda_implicit::Error> {
+    fn step(
+        &mut self,
+        k: usize,
+        x: &[f64],
+        x_next: &mut [f64],
+    ) -> std::result::Result<(), varda_implicit::Error> {
         self.counts.model_steps += 1;
         x_next.copy_from_slice(x);
         if x[0].abs() > 3.0 {
             match self.failure {
-                Failure::Refuses => return Err(varda_implicit::Error::NonFinite { step: k, what: "x_{k+1}" }),
+                Failure::Refuses => {
+                    return Err(varda_implicit::Error::NonFinite { step: k, what: "x_{k+1}" });
+                }
                 Failure::NotANumber => x_next.fill(f64::NAN),
             }
         }
         Ok(())
     }
-    fn linearize(&mut self, _k: usize, _x: &[f64], _x_next: &[f64]) -> std::result::Result<(), varda_implicit::Error> {
+    fn linearize(
+        &mut self,
+        _k: usize,
+        _x: &[f64],
+        _x_next: &[f64],
+    ) -> std::result::Result<(), varda_implicit::Error> {
         Ok(())
     }
     fn tangent(&mut self, _k: usize, _dx: &mut [f64]) {}
@@ -355,7 +406,8 @@ fn failing(case: &mut Case, failure: Failure) -> Outcome {
     let transform = ControlTransform::new(vec![0.1, 0.5], &b)?;
     for name in Minimizer::NAMES {
         let minimizer = Minimizer::named(name).ok_or("a name it lists")?;
-        let (mut model, mut seen, mut v) = (Brittle { failure, counts: ModelCounts::default() }, set()?, [0.0; 2]);
+        let (mut model, mut seen, mut v) =
+            (Brittle { failure, counts: ModelCounts::default() }, set()?, [0.0; 2]);
         let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut seen)?;
         let ended = minimizer.minimize(&mut cost, &mut v, &mut go_on).map(|m| (m.status, m.outer_iterations));
         let error = (0.1 + 10.0 * v[0]).abs() - expected;
@@ -367,23 +419,33 @@ fn failing(case: &mut Case, failure: Failure) -> Outcome {
             judge(case, name, error.abs() / 0.005, ended, false);
         }
     }
-    for (name, inner) in
-        [("incremental", InnerSolver::Primal), ("4d-psas", InnerSolver::Dual), ("direct", InnerSolver::Direct)]
-    {
-        let (mut model, mut seen, mut v) = (Brittle { failure, counts: ModelCounts::default() }, set()?, [0.0; 2]);
+    for (name, inner) in [
+        ("incremental", InnerSolver::Primal),
+        ("4d-psas", InnerSolver::Dual),
+        ("direct", InnerSolver::Direct),
+    ] {
+        let (mut model, mut seen, mut v) =
+            (Brittle { failure, counts: ModelCounts::default() }, set()?, [0.0; 2]);
         let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut seen)?;
         let options = OuterLoopOptions { inner, ..Default::default() };
-        let ended = outer_loop(&mut cost, &mut v, &options, &mut go_on).map(|m| (m.status, m.outer_iterations));
+        let ended =
+            outer_loop(&mut cost, &mut v, &options, &mut go_on).map(|m| (m.status, m.outer_iterations));
         judge(case, name, ((0.1 + 10.0 * v[0]).abs() - expected).abs() / 0.005, ended, false);
     }
     // a background at which it fails is an error at once, whatever the minimizer
     let beyond = ControlTransform::new(vec![5.0, 0.5], &b)?;
     for name in Minimizer::NAMES {
         let minimizer = Minimizer::named(name).ok_or("a name it lists")?;
-        let (mut model, mut seen, mut v) = (Brittle { failure, counts: ModelCounts::default() }, set()?, [0.0; 2]);
+        let (mut model, mut seen, mut v) =
+            (Brittle { failure, counts: ModelCounts::default() }, set()?, [0.0; 2]);
         let mut cost = StrongConstraint::new(&mut model, beyond.clone(), &mut seen)?;
         let ended = minimizer.minimize(&mut cost, &mut v, &mut go_on);
-        refused(case, &format!("{name}: background at which the model fails, naming the step"), ended, "step");
+        refused(
+            case,
+            &format!("{name}: background at which the model fails, naming the step"),
+            ended,
+            "step",
+        );
     }
     Ok(())
 }

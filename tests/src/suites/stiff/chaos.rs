@@ -12,14 +12,16 @@ use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 use varda_implicit::{Keep, Model, Rhs, Rk4, Trajectory, check};
 
 pub(super) fn run(rows: &mut Rows, options: &Options) {
-    let lengths: &[f64] = if options.quick { &[5.0, 20.0, 40.0] } else { &[5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0] };
+    let lengths: &[f64] =
+        if options.quick { &[5.0, 20.0, 40.0] } else { &[5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0] };
     for &length in lengths {
         rows.case(&format!("gradient of Lorenz-63 over T = {length}"), |case| {
             let start = states(&mut Rk4::new(Lorenz63::default(), 0, 0.01), &[1.0, 3.0, 20.0], 1000)?;
             accuracy(case, &Lorenz63::default(), &start[1000], 0.01, length)
         });
     }
-    let lengths: &[f64] = if options.quick { &[4.0, 12.0, 24.0] } else { &[4.0, 8.0, 12.0, 16.0, 20.0, 24.0] };
+    let lengths: &[f64] =
+        if options.quick { &[4.0, 12.0, 24.0] } else { &[4.0, 8.0, 12.0, 16.0, 20.0, 24.0] };
     for &length in lengths {
         rows.case(&format!("gradient of Lorenz-96 over T = {length}"), |case| {
             let model = Lorenz96::new(40, 8.0);
@@ -29,7 +31,9 @@ pub(super) fn run(rows: &mut Rows, options: &Options) {
         });
     }
     for seed in [1, 2, 3] {
-        rows.case(&format!("local minima of Lorenz-63, seed {seed}"), |case| minima(case, seed, options.quick));
+        rows.case(&format!("local minima of Lorenz-63, seed {seed}"), |case| {
+            minima(case, seed, options.quick)
+        });
     }
 }
 
@@ -60,12 +64,21 @@ fn accuracy<R: Rhs + Clone + 'static>(case: &mut Case, rhs: &R, x0: &[f64], dt: 
         .note(note);
     let says = amplification.warning().is_some();
     let beyond = amplification.gradient_error > 1e-4;
-    case.at_most("flagged where the estimate exceeds 1e-4, and only there", f64::from(u8::from(says != beyond)), 0.0, "-");
+    case.at_most(
+        "flagged where the estimate exceeds 1e-4, and only there",
+        f64::from(u8::from(says != beyond)),
+        0.0,
+        "-",
+    );
     Ok(())
 }
 
 /// ½‖x_N‖² and its gradient.
-fn end_gradient(model: &mut dyn Model, x0: &[f64], steps: usize) -> Result<(f64, Vec<f64>), varda_implicit::Error> {
+fn end_gradient(
+    model: &mut dyn Model,
+    x0: &[f64],
+    steps: usize,
+) -> Result<(f64, Vec<f64>), varda_implicit::Error> {
     let mut trajectory = Trajectory::new();
     trajectory.run(model, x0, steps, Keep::Linearizations)?;
     let last = trajectory.state(steps).to_vec();
@@ -130,8 +143,12 @@ fn minima(case: &mut Case, seed: u64, quick: bool) -> Outcome {
     let background = along(3.0);
     let b = Diagonal::uniform(3, 3.0)?;
     let set = |steps: usize| {
-        ObservationSet::new(steps, vec![all_of(3)?], seen.iter().filter(|o| o.step <= steps).cloned().collect())
-            .map_err(Box::<dyn std::error::Error>::from)
+        ObservationSet::new(
+            steps,
+            vec![all_of(3)?],
+            seen.iter().filter(|o| o.step <= steps).cloned().collect(),
+        )
+        .map_err(Box::<dyn std::error::Error>::from)
     };
 
     let points = if quick { 401 } else { 2001 };
@@ -155,7 +172,8 @@ fn minima(case: &mut Case, seed: u64, quick: bool) -> Outcome {
 
     let minimize = |model: &mut Rk4<Lorenz63>, windows: &[usize]| -> Result<(f64, Vec<f64>), Error> {
         let mut v = vec![0.0; 3];
-        let observations = set(whole).map_err(|_| Error::Setting { what: "observations", value: f64::NAN })?;
+        let observations =
+            set(whole).map_err(|_| Error::Setting { what: "observations", value: f64::NAN })?;
         let (_, minima) = window_growth(observations, windows, &mut v, &mut |seen, v| {
             let transform = ControlTransform::new(background.clone(), &b)?;
             let mut cost = StrongConstraint::new(model, transform, seen)?;

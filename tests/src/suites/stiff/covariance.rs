@@ -60,7 +60,8 @@ fn smooth_kernels(rows: &mut Rows) {
                 None if exact > 1e13 => 0.0,
                 None => f64::NAN,
             };
-            case.at_most("condition reported: |ln(reported/exact)|, or said to be beyond", error, 1.0, "-").computed(found);
+            case.at_most("condition reported: |ln(reported/exact)|, or said to be beyond", error, 1.0, "-")
+                .computed(found);
             match Dense::new(n, &matrix) {
                 Ok(dense) => {
                     let x = normals(5, n);
@@ -68,9 +69,16 @@ fn smooth_kernels(rows: &mut Rows) {
                     dense.apply(&x, &mut y);
                     dense.solve(&y, &mut back);
                     let bound = 10.0 * f64::EPSILON * exact;
-                    case.at_most("Cholesky root: relative error of B⁻¹ B x", difference(&back, &x), bound, "-");
+                    case.at_most(
+                        "Cholesky root: relative error of B⁻¹ B x",
+                        difference(&back, &x),
+                        bound,
+                        "-",
+                    );
                 }
-                Err(error) => refused(case, "Cholesky refused, naming the pivot", Err::<(), _>(error), "pivot"),
+                Err(error) => {
+                    refused(case, "Cholesky refused, naming the pivot", Err::<(), _>(error), "pivot")
+                }
             }
             Ok(())
         });
@@ -146,9 +154,10 @@ fn degenerate(rows: &mut Rows) {
         let u = [1.0, -2.0, 0.5, 3.0];
         let matrix: Vec<f64> = (0..16).map(|p| u[p / 4] * u[p % 4]).collect();
         refused(case, "Cholesky refused, naming the pivot", Dense::new(4, &matrix), "pivot 1");
-        for (name, root) in
-            [("eigen", Truncated::eigen(4, &matrix, 0.0)?), ("pivoted Cholesky", Truncated::pivoted_cholesky(4, &matrix, 0.0)?)]
-        {
+        for (name, root) in [
+            ("eigen", Truncated::eigen(4, &matrix, 0.0)?),
+            ("pivoted Cholesky", Truncated::pivoted_cholesky(4, &matrix, 0.0)?),
+        ] {
             case.count(&format!("{name}: directions kept"), root.root_dim(), 1);
             let mut column = [0.0; 4];
             root.apply(&[1.0, 0.0, 0.0, 0.0], &mut column);
@@ -160,7 +169,7 @@ fn degenerate(rows: &mut Rows) {
     rows.case("zero variance", |case| {
         refused(case, "zero matrix refused", Truncated::eigen(3, &[0.0; 9], 0.0), "zero");
         refused(case, "one component, naming the pivot", Dense::new(2, &[1.0, 0.0, 0.0, 0.0]), "pivot 1");
-        refused(case, "σ of zero, naming it", Diagonal::uniform(3, 0.0), "0");
+        refused(case, "σ of zero, naming it", Diagonal::uniform(3, 0.0), "standard deviation");
         let kept = Truncated::eigen(2, &[1.0, 0.0, 0.0, 0.0], 0.0)?;
         let mut x = [9.0; 2];
         kept.root(&[1.0], &mut x);
@@ -170,8 +179,18 @@ fn degenerate(rows: &mut Rows) {
     rows.case("not positive semidefinite", |case| {
         let matrix = [1.0, 0.9, -0.9, 0.9, 1.0, 0.9, -0.9, 0.9, 1.0];
         refused(case, "Cholesky, naming the pivot", Dense::new(3, &matrix), "pivot 2");
-        refused(case, "eigen, with the eigenvalue", Truncated::eigen(3, &matrix, 0.0), "-8");
-        refused(case, "pivoted Cholesky, with the variance", Truncated::pivoted_cholesky(3, &matrix, 0.0), "not positive semidefinite");
+        refused(
+            case,
+            "eigen, with the eigenvalue",
+            Truncated::eigen(3, &matrix, 0.0),
+            "not positive semidefinite",
+        );
+        refused(
+            case,
+            "pivoted Cholesky, with the variance",
+            Truncated::pivoted_cholesky(3, &matrix, 0.0),
+            "not positive semidefinite",
+        );
         Ok(())
     });
 }
@@ -191,11 +210,14 @@ fn tapered(rows: &mut Rows, draws: usize) {
                 2 => Kernel::Matern32 { length },
                 _ => Kernel::Matern52 { length },
             };
-            let taper = if draw % 8 < 4 { Taper::Triangle { support } } else { Taper::GaspariCohn { support } };
+            let taper =
+                if draw % 8 < 4 { Taper::Triangle { support } } else { Taper::GaspariCohn { support } };
             let matrix = CovarianceFunction { sigma: 1.0, kernel, taper }.matrix(&places)?;
             match Truncated::eigen(n, &matrix, 0.0) {
                 Ok(_) => {}
-                Err(varda_covariance::Error::NotPositiveSemidefinite { value, largest }) => worst = worst.max(-value / largest),
+                Err(varda_covariance::Error::NotPositiveSemidefinite { value, largest }) => {
+                    worst = worst.max(-value / largest)
+                }
                 Err(error) => return Err(error.into()),
             }
         }
@@ -232,8 +254,11 @@ fn one_large(case: &mut crate::row::Case, n: usize) -> Outcome {
     b.apply(&x, &mut y);
     b.solve(&y, &mut back);
     // the taper bounds the condition, some 1e4 at ten points in the support
-    case.at_most("relative error of B⁻¹ B x", difference(&back, &x), 1e-10, "-")
-        .note(format!("half-bandwidth {}, {:.1} MB", b.half_bandwidth(), 8e-6 * (n * (b.half_bandwidth() + 1)) as f64));
+    case.at_most("relative error of B⁻¹ B x", difference(&back, &x), 1e-10, "-").note(format!(
+        "half-bandwidth {}, {:.1} MB",
+        b.half_bandwidth(),
+        8e-6 * (n * (b.half_bandwidth() + 1)) as f64
+    ));
     let mut variance = vec![0.0; n];
     b.variance(&mut variance);
     let worst = variance.iter().fold(0.0_f64, |m, v| m.max((v - 1.0).abs()));

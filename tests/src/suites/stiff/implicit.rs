@@ -5,7 +5,8 @@ use crate::row::{Case, Outcome, Rows};
 use crate::suites::Options;
 use num_dual::{Dual64, DualNum};
 use varda_implicit::{
-    Counts, ImplicitModel, ImplicitStep, Interval, Model, NewtonOptions, OneLeg, Refusal, Rhs, Structure, check,
+    Counts, ImplicitModel, ImplicitStep, Interval, Model, NewtonOptions, OneLeg, Refusal, Rhs, Structure,
+    check,
 };
 
 pub(super) fn run(rows: &mut Rows, options: &Options) {
@@ -74,7 +75,12 @@ fn singular(rows: &mut Rows) {
             let mut model = ImplicitModel::new(Plain { equations }, 0, 1.0);
             let (x, mut next) = ([1.0, 2.0], [0.0; 2]);
             if eta == 0.0 {
-                refused(case, "refused, naming step and row", model.step(7, &x, &mut next), "step 7: the Jacobian ∂G/∂u is singular at row");
+                refused(
+                    case,
+                    "refused, naming step and row",
+                    model.step(7, &x, &mut next),
+                    "step 7: the Jacobian ∂G/∂u is singular at row",
+                );
                 return Ok(());
             }
             // as stored, 1 + η is off by rounding: what it really is
@@ -86,7 +92,8 @@ fn singular(rows: &mut Rows) {
                     let error = (0..2).map(|i| (next[i] / answer[i] - 1.0).abs()).fold(0.0, f64::max);
                     // one solve, then corrections: ε times the condition
                     let note = work(&model, &Counts::default(), cond);
-                    case.at_most("relative error of the step", error, 4.0 * f64::EPSILON * cond, "-").note(note);
+                    case.at_most("relative error of the step", error, 4.0 * f64::EPSILON * cond, "-")
+                        .note(note);
                     model.linearize(7, &x, &next)?;
                     let dot = check::dot_product(&mut model, 7..8, &[1.0; 2], 1)?;
                     case.at_most("dot product", dot.value, dot.bound, "-");
@@ -113,9 +120,15 @@ fn overflow(rows: &mut Rows) {
         let (x, mut next) = ([200.0, 20.0], [0.0; 2]);
         match model.step(3, &x, &mut next) {
             Ok(()) => {
-                let error = (0..2).map(|i| ((50.0 * next[i]).exp() + next[i] - x[i]).abs() / x[i]).fold(0.0, f64::max);
+                let error = (0..2)
+                    .map(|i| ((50.0 * next[i]).exp() + next[i] - x[i]).abs() / x[i])
+                    .fold(0.0, f64::max);
                 // exp is steep: 50 x times the update's 1e-13
-                case.at_most("relative residual", error, 1e-11, "-").note(work(&model, &Counts::default(), f64::NAN));
+                case.at_most("relative residual", error, 1e-11, "-").note(work(
+                    &model,
+                    &Counts::default(),
+                    f64::NAN,
+                ));
             }
             Err(error) => refused(case, "refused, naming the step", Err::<(), _>(error), "step 3"),
         }
@@ -137,7 +150,8 @@ fn forced_failure(rows: &mut Rows) {
     rows.case("forced Newton failure in one step", |case| {
         let options = NewtonOptions { max_iterations: 5, ..NewtonOptions::default() };
         let start = [4.0, 1.5, 0.1];
-        let mut model = ImplicitModel::new(OneLeg::implicit_euler(Cubic, 1e-12), 0, 0.5).with_options(options);
+        let mut model =
+            ImplicitModel::new(OneLeg::implicit_euler(Cubic, 1e-12), 0, 0.5).with_options(options);
         let steps = 4;
         let (mut states, mut next) = (vec![start.to_vec()], vec![0.0; 3]);
         for k in 0..steps {
@@ -147,7 +161,8 @@ fn forced_failure(rows: &mut Rows) {
         }
         let note = work(&model, &Counts::default(), f64::NAN);
         let split = model.counts().substeps;
-        case.at_most("steps taken in parts, at least one", if split > 0 { 0.0 } else { 1.0 }, 0.0, "-").note(note);
+        case.at_most("steps taken in parts, at least one", if split > 0 { 0.0 } else { 1.0 }, 0.0, "-")
+            .note(note);
         // J = Σ x_N; the gradient by the adjoint, and by differences of fourth order of the very same steps
         let mut lambda = vec![1.0; 3];
         (0..steps).rev().for_each(|k| model.adjoint(k, &mut lambda));
@@ -256,7 +271,9 @@ impl ImplicitStep for Robertson {
         Ok(None)
     }
     fn size(&self, du: &[f64]) -> f64 {
-        du.iter().zip(SCALE).fold(0.0, |m: f64, (d, s)| if d.is_nan() { f64::NAN } else { m.max((d / s).abs()) })
+        du.iter()
+            .zip(SCALE)
+            .fold(0.0, |m: f64, (d, s)| if d.is_nan() { f64::NAN } else { m.max((d / s).abs()) })
     }
     fn converged_below(&self) -> f64 {
         1e-13
@@ -412,7 +429,8 @@ fn decay(rows: &mut Rows, steps: usize) {
         let expected = (-(steps as f64) * 1.01_f64.ln()).exp();
         let error = if expected > 1e-300 { (lambda[0] / expected - 1.0).abs() } else { lambda[0].abs() };
         // one rounding a step
-        case.at_most("error of the slowest", error, 2.0 * f64::EPSILON * steps as f64, "-").computed(lambda[0]);
+        case.at_most("error of the slowest", error, 2.0 * f64::EPSILON * steps as f64, "-")
+            .computed(lambda[0]);
         let wild = lambda.iter().filter(|l| !l.is_finite()).count();
         case.count("adjoints that are not finite", wild, 0);
         // arithmetic with denormals takes up to a hundred times as long; clocks are shared with others

@@ -6,13 +6,13 @@
 mod assimilation;
 mod chaos;
 mod covariance;
+mod document;
 mod implicit;
 mod rod;
 mod rod_shapes;
 
-
 use super::{Options, Report};
-use crate::row::{Case, Rows};
+use crate::row::{Case, Row, Rows};
 use varda_implicit::{Counts, Interval, LinearSolver, Model, Structure};
 
 pub(super) fn run(options: &Options) -> Report {
@@ -25,6 +25,12 @@ pub(super) fn run(options: &Options) -> Report {
     assimilation::run(&mut rows, options);
 
     rows.finish().into()
+}
+
+/// The rows of this suite as a document to read.
+pub(super) fn document(rows: &[Row]) -> String {
+    let own: Vec<Row> = rows.iter().filter(|r| r.suite == "stiff").cloned().collect();
+    document::document(&own)
 }
 
 /// An interval of time that stands alone.
@@ -62,9 +68,10 @@ fn condition(n: usize, structure: &Structure, values: &[f64]) -> f64 {
         estimate = x.iter().map(|x| x.abs()).sum::<f64>();
         let mut z: Vec<f64> = x.iter().map(|x| x.signum()).collect();
         solver.solve(&factor, &mut z);
-        let (largest, _) = z.iter().enumerate().fold((0, 0.0_f64), |best, (i, z)| {
-            if z.abs() > best.1 { (i, z.abs()) } else { best }
-        });
+        let (largest, _) = z
+            .iter()
+            .enumerate()
+            .fold((0, 0.0_f64), |best, (i, z)| if z.abs() > best.1 { (i, z.abs()) } else { best });
         if x[largest].abs() == 1.0 {
             break;
         }

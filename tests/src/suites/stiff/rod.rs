@@ -76,7 +76,12 @@ pub(super) fn run(rows: &mut Rows, options: &Options) {
     }
     for slenderness in [1e1, 1e2, 1e3, 1e4, 1e5] {
         let section = Section::circle(&SILICONE, 1.0 / slenderness);
-        swung(rows, &format!("slenderness L/r = {slenderness:.0e}"), &Hanging { section, ..base.clone() }, 10);
+        swung(
+            rows,
+            &format!("slenderness L/r = {slenderness:.0e}"),
+            &Hanging { section, ..base.clone() },
+            10,
+        );
     }
     // EA l²/EI of the paper's rod is 64: from 1 to 1e10, softer and stiffer in stretch, then softer in bending.
     for ratio in [1e0_f64, 1e2, 1e4, 1e6, 1e8, 1e10] {
@@ -188,10 +193,7 @@ impl Distance {
     fn max(self, other: Distance) -> Distance {
         // not f64::max, which forgets a NaN
         let larger = |a: f64, b: f64| if a >= b { a } else { b };
-        Distance {
-            root: larger(self.root, other.root),
-            condition: larger(self.condition, other.condition),
-        }
+        Distance { root: larger(self.root, other.root), condition: larger(self.condition, other.condition) }
     }
 }
 

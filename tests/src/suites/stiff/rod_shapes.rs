@@ -120,7 +120,8 @@ fn free_fall(rows: &mut Rows) {
             }));
             let note = figures(&mut model, 0, dt, &x);
             // fifty sums, each rounded at the size of what has been fallen, and solved to 1e-11 L
-            case.at_most("error of places over distance fallen", error / fallen.abs().max(1.0), 1e-11, "-").note(note);
+            case.at_most("error of places over distance fallen", error / fallen.abs().max(1.0), 1e-11, "-")
+                .note(note);
             Ok(())
         });
     }
@@ -136,13 +137,18 @@ fn straight(rows: &mut Rows) {
             let supports = Supports { prescribed: ends, ..Supports::default() };
             let mut model = model(rod.clone(), supports.clone(), Loads::default(), 0.01)?;
             let x = run_from(&mut model, &start, 20)?;
-            let moved = largest((0..39).flat_map(|f| (0..3).map(move |c| (f, c))).map(|(f, c)| x[3 * f + c] - start[f + 1][c]));
+            let moved = largest(
+                (0..39)
+                    .flat_map(|f| (0..3).map(move |c| (f, c)))
+                    .map(|(f, c)| x[3 * f + c] - start[f + 1][c]),
+            );
             let note = figures(&mut model, 0, 0.01, &x);
             // coordinates of 1 m, built by forty sums
             case.at_most("moved in 20 steps", moved, 1e-14, "m").note(note);
             let guess = Rest { vertices: start.clone(), theta: vec![0.0; 40] };
             let (rest, report) = equilibrium(&rod, &supports, &Loads::default(), 0.0, &guess)?;
-            let moved = largest(rest.vertices.iter().zip(&start).flat_map(|(a, b)| (0..3).map(move |c| a[c] - b[c])));
+            let moved =
+                largest(rest.vertices.iter().zip(&start).flat_map(|(a, b)| (0..3).map(move |c| a[c] - b[c])));
             case.at_most("moved by statics", moved, 1e-11, "m")
                 .note(format!("{} Newton iterations, {} shifts", report.iterations, report.shifts));
             let gradient = {
@@ -191,8 +197,10 @@ fn slack(rows: &mut Rows) {
         rows.case(&format!("{name}, ends {ends} L apart"), |case| {
             let n = 60;
             let rod = Rod::uniform(1.0, n, &chain())?;
-            let supports =
-                Supports { prescribed: vec![held(0, [0.0; 3]), held(n, [ends, 0.0, 0.0])], ..Supports::default() };
+            let supports = Supports {
+                prescribed: vec![held(0, [0.0; 3]), held(n, [ends, 0.0, 0.0])],
+                ..Supports::default()
+            };
             // a V that hangs through, longer than the ends are apart
             let depth = (0.25_f64 - 0.25 * ends * ends).sqrt();
             let along = |e: usize| if e < n / 2 { -1.0 } else { 1.0 };
@@ -253,9 +261,14 @@ fn buckled(rows: &mut Rows) {
             let amplitude = rest.vertices.iter().map(aside).fold(0.0, f64::max);
             let expected = clamped_elastica(shortening);
             // 80 segments of which two are held: the discrete clamp is half a segment longer at either end, 1 to 2 %
-            case.at_most("amplitude, relative error against the elastica", (amplitude / expected - 1.0).abs(), 0.03, "-")
-                .computed(amplitude)
-                .note(format!("{} Newton iterations, {} shifts", report.iterations, report.shifts));
+            case.at_most(
+                "amplitude, relative error against the elastica",
+                (amplitude / expected - 1.0).abs(),
+                0.03,
+                "-",
+            )
+            .computed(amplitude)
+            .note(format!("{} Newton iterations, {} shifts", report.iterations, report.shifts));
             Ok(())
         });
     }
@@ -291,7 +304,12 @@ fn nearly_folded(rows: &mut Rows) {
             let framed = |vertices: &[[f64; 3]]| {
                 derivatives(
                     &rod,
-                    &Framed { vertices, directors: &[[0.0, 0.0, 1.0]; 2], reference_twist: &[0.0], theta: &[0.0; 2] },
+                    &Framed {
+                        vertices,
+                        directors: &[[0.0, 0.0, 1.0]; 2],
+                        reference_twist: &[0.0],
+                        theta: &[0.0; 2],
+                    },
                 )
             };
             // within 1e-6 rad of π the description says fold
@@ -312,7 +330,10 @@ fn nearly_folded(rows: &mut Rows) {
             let expected = -2.0 * energy / delta.sin();
             case.at_most("relative error of the moment", (torque / expected - 1.0).abs(), bound, "-");
             // released from there, a step solves it
-            let supports = Supports { prescribed: vec![held(0, vertices[0]), held(1, vertices[1])], ..Supports::default() };
+            let supports = Supports {
+                prescribed: vec![held(0, vertices[0]), held(1, vertices[1])],
+                ..Supports::default()
+            };
             let mut model = model(rod.clone(), supports, Loads::default(), 1e-3)?;
             let note = match run_from(&mut model, &vertices, 3) {
                 Ok(x) => {
@@ -349,22 +370,39 @@ fn degenerate_edges(rows: &mut Rows) {
                 vertices[3] = [0.0; 3];
                 vertices[4] = [length, 0.0, 0.0];
             }
-            let frame = Framed { vertices: &vertices, directors: &[[0.0, 1.0, 0.0]; 5], reference_twist: &[0.0; 4], theta: &[0.0; 5] };
+            let frame = Framed {
+                vertices: &vertices,
+                directors: &[[0.0, 1.0, 0.0]; 5],
+                reference_twist: &[0.0; 4],
+                theta: &[0.0; 5],
+            };
             refused(case, "energy refused, naming the edge", derivatives(&rod, &frame), "edge 3");
             let supports = Supports { prescribed: vec![held(0, vertices[0])], ..Supports::default() };
             let mut model = model(rod, supports, weight(), 0.01)?;
             // the step itself looks at the old shape only where it needs its strains
             match run_from(&mut model, &vertices, 1) {
                 Ok(x) => {
-                    case.at_most("step: values that are not finite", x.iter().filter(|v| !v.is_finite()).count() as f64, 0.0, "-");
+                    case.at_most(
+                        "step: values that are not finite",
+                        x.iter().filter(|v| !v.is_finite()).count() as f64,
+                        0.0,
+                        "-",
+                    );
                 }
-                Err(error) => refused(case, "step refused, naming step and edge", Err::<(), _>(error), "step 0: edge 3"),
+                Err(error) => {
+                    refused(case, "step refused, naming step and edge", Err::<(), _>(error), "step 0: edge 3")
+                }
             }
             Ok(())
         });
     }
     rows.case("edge of rest length zero", |case| {
-        refused(case, "rod refused, naming the field", Rod::with_segments(&[0.1, 0.0, 0.1], &section()), "rest length");
+        refused(
+            case,
+            "rod refused, naming the field",
+            Rod::with_segments(&[0.1, 0.0, 0.1], &section()),
+            "rest length",
+        );
         refused(case, "not a number", Rod::with_segments(&[0.1, f64::NAN], &section()), "rest length");
         Ok(())
     });
@@ -373,7 +411,8 @@ fn degenerate_edges(rows: &mut Rows) {
         let rod = Rod::with_segments(&lengths, &section())?;
         let start = line([0.0; 3], DOWN, &lengths);
         let drive = |t: f64| [0.5 * t, 0.0, 0.0];
-        let clamp = Clamp { position: Arc::new(drive), tangent: Arc::new(DOWN), director: Arc::new([1.0, 0.0, 0.0]) };
+        let clamp =
+            Clamp { position: Arc::new(drive), tangent: Arc::new(DOWN), director: Arc::new([1.0, 0.0, 0.0]) };
         let mut model = model(rod, Supports::clamped_start(clamp), weight(), 0.01)?;
         let x = run_from(&mut model, &start, 20)?;
         let mut next = x.clone();
@@ -385,9 +424,11 @@ fn degenerate_edges(rows: &mut Rows) {
         let dot = check::dot_product(&mut model, 20..21, &scale, 5)?;
         case.at_most("dot product of step 20", dot.value, dot.bound, "-").note(note);
         // a tenth of the short edges, and 0.1 m/s
-        let direction: Vec<f64> = scale.iter().enumerate().map(|(i, s)| if *s < 1.0 { 5e-7 } else { 0.1 } * wave(i, 12)).collect();
+        let direction: Vec<f64> =
+            scale.iter().enumerate().map(|(i, s)| if *s < 1.0 { 5e-7 } else { 0.1 } * wave(i, 12)).collect();
         let taylor = check::taylor_step(&mut model, 20, &x, &direction, &scale)?;
-        case.at_most("Taylor slope of step 20, 2 − slope", 2.0 - taylor.slope, 0.05, "-").computed(taylor.slope);
+        case.at_most("Taylor slope of step 20, 2 − slope", 2.0 - taylor.slope, 0.05, "-")
+            .computed(taylor.slope);
         Ok(())
     });
 }
@@ -402,12 +443,18 @@ fn twisted(rows: &mut Rows) {
             let theta: Vec<f64> = (0..n).map(|e| TAU * turns * e as f64).collect();
             let d = derivatives(
                 &rod,
-                &Framed { vertices: &vertices, directors: &vec![[1.0, 0.0, 0.0]; n], reference_twist: &vec![0.0; n - 1], theta: &theta },
+                &Framed {
+                    vertices: &vertices,
+                    directors: &vec![[1.0, 0.0, 0.0]; n],
+                    reference_twist: &vec![0.0; n - 1],
+                    theta: &theta,
+                },
             )?;
             let expected = 0.5 * rod.gj[0] * (TAU * turns).powi(2) / 0.1 * (n - 1) as f64;
             case.at_most("relative error of the energy", (d.energy.twist / expected - 1.0).abs(), 1e-13, "-");
             // a rod that is naturally so: at rest as it lies
-            let natural = Rod::uniform(1.0, n, &Section::ellipse(&SILICONE, 0.012, 0.008))?.naturally([0.0; 2], TAU * turns / 0.1);
+            let natural = Rod::uniform(1.0, n, &Section::ellipse(&SILICONE, 0.012, 0.008))?
+                .naturally([0.0; 2], TAU * turns / 0.1);
             let loads = Loads::default();
             let supports = Supports::clamped_start(fixed_clamp());
             let mut model = model(natural, supports, loads, 0.01)?;
@@ -417,7 +464,8 @@ fn twisted(rows: &mut Rows) {
             let note = figures(&mut model, 10, 0.01, &x);
             // angles of 2π·turns·n carry ε of themselves: nothing else moves
             case.at_most("naturally twisted: moved in ten steps", error, 1e-11, "m").note(note);
-            let angle = x[6 * free..].iter().enumerate().map(|(f, t)| t / (TAU * turns * (f + 1) as f64) - 1.0);
+            let angle =
+                x[6 * free..].iter().enumerate().map(|(f, t)| t / (TAU * turns * (f + 1) as f64) - 1.0);
             case.at_most("naturally twisted: relative error of θ", largest(angle), 1e-12, "-");
             let scale = rod_scale(model.step_ref());
             let dot = check::window(&mut model, &x, 3, &scale, 4)?;
@@ -442,7 +490,11 @@ fn tips(rows: &mut Rows) {
             rod.masses[10] *= share;
             let guess = straight_guess(&rod, &Supports::clamped_start(fixed_clamp()), 0.0, DOWN)?;
             let drive = |t: f64| [0.5 * t, 0.0, 0.0];
-            let clamp = Clamp { position: Arc::new(drive), tangent: Arc::new(DOWN), director: Arc::new([1.0, 0.0, 0.0]) };
+            let clamp = Clamp {
+                position: Arc::new(drive),
+                tangent: Arc::new(DOWN),
+                director: Arc::new([1.0, 0.0, 0.0]),
+            };
             let mut model = model(rod, Supports::clamped_start(clamp), weight(), 0.01)?;
             let x = run_from(&mut model, &guess.vertices, 20)?;
             let note = figures(&mut model, 20, 0.01, &x);
@@ -518,7 +570,11 @@ fn tilt_loop(rows: &mut Rows, steps: usize) {
             let (s, c) = (omega * t).sin_cos();
             [alpha.sin() * c, alpha.sin() * s, -alpha.cos()]
         };
-        let clamp = Clamp { position: Arc::new([0.0; 3]), tangent: Arc::new(tangent), director: Arc::new([0.0, 1.0, 0.2]) };
+        let clamp = Clamp {
+            position: Arc::new([0.0; 3]),
+            tangent: Arc::new(tangent),
+            director: Arc::new([0.0, 1.0, 0.2]),
+        };
         let start = line([0.0; 3], tangent(0.0), &rod.rest_lengths);
         // backward Euler damps the swing: a steady round is reached within a few loops
         let mut model = model(rod, Supports::clamped_start(clamp), weight(), dt)?;
@@ -553,7 +609,11 @@ fn tilt_loop(rows: &mut Rows, steps: usize) {
     rows.case("holonomy of a tilt loop", |case| {
         let (alpha, pieces) = (0.4_f64, steps);
         let rod = Rod::uniform(0.2, 2, &section())?;
-        let supports = Supports { prescribed: vec![held(0, [0.0; 3])], free_frame: (DOWN, [1.0, 0.0, 0.0]), ..Supports::default() };
+        let supports = Supports {
+            prescribed: vec![held(0, [0.0; 3])],
+            free_frame: (DOWN, [1.0, 0.0, 0.0]),
+            ..Supports::default()
+        };
         let mut model = model(rod, supports, weight(), 0.01)?;
         let along = |phi: f64| [alpha.sin() * phi.cos(), alpha.sin() * phi.sin(), -alpha.cos()];
         let state = |phi: f64| -> Vec<f64> {
@@ -562,14 +622,16 @@ fn tilt_loop(rows: &mut Rows, steps: usize) {
             places.chain([0.0; 6]).collect()
         };
         let at = |offset| Marker { s: 0.05, offset };
-        let mut markers = Markers::new(model.step_mut(), &[at([0.0; 3]), at([1.0, 0.0, 0.0]), at([0.0, 1.0, 0.0])])?;
+        let mut markers =
+            Markers::new(model.step_mut(), &[at([0.0; 3]), at([1.0, 0.0, 0.0]), at([0.0, 1.0, 0.0])])?;
         let (mut turned, mut p, mut dp) = (0.0, [0.0; 9], [0.0; 9]);
         let step = TAU / pieces as f64;
         for i in 0..pieces {
             // midpoint rule over a period of a smooth function
             let phi = step * (i as f64 + 0.5);
             let rate = [-alpha.sin() * phi.sin(), alpha.sin() * phi.cos(), 0.0];
-            let dx: Vec<f64> = (1..=2).flat_map(|v| rate.map(|r| 0.1 * v as f64 * r)).chain([0.0; 6]).collect();
+            let dx: Vec<f64> =
+                (1..=2).flat_map(|v| rate.map(|r| 0.1 * v as f64 * r)).chain([0.0; 6]).collect();
             let x = state(phi);
             markers.places(0.0, &x, &mut p)?;
             markers.tangent(0.0, &x, &dx, &mut dp)?;
@@ -577,8 +639,13 @@ fn tilt_loop(rows: &mut Rows, steps: usize) {
         }
         let solid_angle = TAU * (1.0 - alpha.cos());
         // sums of as many terms as pieces, each rounded
-        case.at_most("turn of the carried frame − solid angle", (turned.abs() - solid_angle).abs(), 1e-12, "rad")
-            .computed(turned);
+        case.at_most(
+            "turn of the carried frame − solid angle",
+            (turned.abs() - solid_angle).abs(),
+            1e-12,
+            "rad",
+        )
+        .computed(turned);
         Ok(())
     });
 }
