@@ -6,7 +6,7 @@ use tests::problems::{HangingRod, rod_scale};
 use varda_implicit::{
     Counts, Error, ImplicitModel, ImplicitStep, Interval, Model, Refusal, Structure, check,
 };
-use varda_rod::BackwardEuler;
+use varda_rod::RodStep;
 
 /// Which entry is wrong, by one part in a thousand.
 #[derive(Clone, Copy, PartialEq)]
@@ -21,7 +21,7 @@ enum Wrong {
 const OFF: f64 = 1e-3;
 
 /// The flagship's step with one wrong entry.
-struct Mutated(BackwardEuler, Wrong);
+struct Mutated(RodStep, Wrong);
 
 impl ImplicitStep for Mutated {
     fn dim(&self) -> usize {

@@ -36,6 +36,11 @@ fn counts() {
 }
 
 #[test]
+fn order() {
+    check("order");
+}
+
+#[test]
 fn equivalence() {
     check("equivalence");
 }

@@ -1,13 +1,14 @@
-//! Problems that several suites use: the hanging rod of the paper, rods of every kind.
+//! Problems that several suites and benchmarks use: the hanging rod of the paper, a driven one, rods of every kind, Lorenz 1996.
 
 use std::error::Error;
 use std::f64::consts::TAU;
 use std::sync::Arc;
-use varda_assimilation::{LinearObservation, Observation, ObservationSet};
+use varda_assimilation::{LinearObservation, Observation, ObservationSet, Selection};
 use varda_covariance::{BlockDiagonal, CovarianceFunction, Dense, Interleaved, Kernel, Taper};
-use varda_implicit::{ImplicitModel, Model};
+use varda_implicit::lorenz::Lorenz96;
+use varda_implicit::{ImplicitModel, ImplicitStep, Model, Rk4, Scheme};
 use varda_rod::{
-    BackwardEuler, Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rod, Section, Supports,
+    Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rod, RodStep, Section, Supports, TwistUnknowns,
     equilibrium, straight_guess,
 };
 
@@ -95,9 +96,17 @@ impl HangingRod {
     ///
     /// # Errors
     /// Impossible numbers.
-    pub fn model(&self, first: usize) -> Result<ImplicitModel<BackwardEuler>> {
+    pub fn model(&self, first: usize) -> Result<ImplicitModel<RodStep>> {
+        self.model_with(first, TwistUnknowns::WhereNeeded)
+    }
+
+    /// The same, with angles where they are not needed.
+    ///
+    /// # Errors
+    /// Impossible numbers.
+    pub fn model_with(&self, first: usize, twist: TwistUnknowns) -> Result<ImplicitModel<RodStep>> {
         let loads = Loads { gravity: self.gravity, ..Loads::default() };
-        let step = BackwardEuler::new(self.rod.clone(), self.supports(), loads, Damping::default())?;
+        let step = RodStep::with_twist(self.rod.clone(), self.supports(), loads, Damping::default(), twist)?;
         Ok(ImplicitModel::new(step, first, self.dt))
     }
 
@@ -248,17 +257,127 @@ impl HangingRod {
     }
 }
 
+/// A rod of 1 m and 5 mm radius, from rest, straight down and unstretched; its clamp goes round once a second.
+#[derive(Debug, Clone, Copy)]
+pub struct DrivenRod {
+    /// Equal segments.
+    pub segments: usize,
+    /// Young's modulus \[Pa\]; the shear modulus is a third of it.
+    pub modulus: f64,
+    /// Whether angles are unknowns although the rod cannot twist.
+    pub twist: TwistUnknowns,
+    /// Of its steps.
+    pub scheme: Scheme,
+}
+
+impl DrivenRod {
+    /// The soft one: 25 segments, 1 MPa, no angles, backward Euler.
+    pub const SOFT: DrivenRod = DrivenRod {
+        segments: 25,
+        modulus: 1e6,
+        twist: TwistUnknowns::WhereNeeded,
+        scheme: Scheme::BackwardEuler,
+    };
+
+    /// The rod.
+    ///
+    /// # Errors
+    /// Impossible numbers.
+    pub fn rod(&self) -> Result<Rod> {
+        let e = self.modulus;
+        let material = Material { youngs_modulus: e, shear_modulus: e / 3.0, density: 1200.0 };
+        Ok(Rod::uniform(1.0, self.segments, &Section::circle(&material, 0.005))?)
+    }
+
+    /// How it is held: vertices 0 and 1 driven.
+    pub fn supports(&self) -> Supports {
+        let drive = |t: f64| [0.10 * (1.0 - (TAU * t).cos()), 0.05 * (TAU * t).sin(), 0.0];
+        Supports::clamped_start(Clamp {
+            position: Arc::new(drive),
+            tangent: Arc::new([0.0, 0.0, -1.0]),
+            director: Arc::new([1.0, 0.0, 0.0]),
+        })
+    }
+
+    /// Its weight.
+    pub fn loads(&self) -> Loads {
+        Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() }
+    }
+
+    /// Its step, and the control at rest, straight down and unstretched.
+    ///
+    /// # Errors
+    /// Impossible numbers.
+    pub fn step(&self) -> Result<(RodStep, Vec<f64>)> {
+        let (rod, supports) = (self.rod()?, self.supports());
+        let start = straight_guess(&rod, &supports, 0.0, [0.0, 0.0, -1.0])?;
+        let step = RodStep::with_twist(rod, supports, self.loads(), Damping::default(), self.twist)?;
+        let mut control: Vec<f64> = step.free_vertices().iter().flat_map(|&v| start.vertices[v]).collect();
+        control.resize(step.control_len(), 0.0);
+        Ok((step.with_scheme(self.scheme), control))
+    }
+
+    /// Steps of Δt from time 0, and the state at rest.
+    ///
+    /// # Errors
+    /// Impossible numbers.
+    pub fn model(&self, dt: f64) -> Result<(ImplicitModel<RodStep>, Vec<f64>)> {
+        let (step, control) = self.step()?;
+        let mut model = ImplicitModel::new(step, 0, dt);
+        let mut x = vec![0.0; model.dim()];
+        model.initial_state(&control, &mut x)?;
+        Ok((model, x))
+    }
+}
+
+/// Lorenz 1996 with N variables over 100 steps of 0.01, every second variable seen every tenth step with R = I, B = 0.25 I: background,
+/// observations, and the point x_b + 0.1 sin i in the control variable.
+///
+/// # Errors
+/// None in practice.
+pub fn lorenz96_window(n: usize) -> Result<(Vec<f64>, ObservationSet, Vec<f64>)> {
+    let truth: Vec<f64> = (0..n).map(|i| 8.0 + 4.0 * (0.9 * i as f64).sin()).collect();
+    let background: Vec<f64> =
+        truth.iter().enumerate().map(|(i, x)| x + 0.5 * (2.3 * i as f64 + 1.0).cos()).collect();
+    let mut model = Rk4::new(Lorenz96::new(n, 8.0), 0, 0.01);
+    let mut observations = Vec::new();
+    let (mut x, mut next) = (truth, vec![0.0; n]);
+    for k in 0..100 {
+        model.step(k, &x, &mut next)?;
+        std::mem::swap(&mut x, &mut next);
+        let step = k + 1;
+        if step % 10 == 0 {
+            let y = |j: usize| x[2 * j] + (12.9898 * (step * n + j) as f64).sin();
+            observations.push(Observation {
+                operator: 0,
+                rows: (0..n / 2).collect(),
+                step,
+                weight: 0.0,
+                values: (0..n / 2).map(y).collect(),
+                sigma: vec![1.0; n / 2],
+                label: String::new(),
+            });
+        }
+    }
+    let even = Selection::new((0..n).step_by(2).collect(), n)?;
+    let set = ObservationSet::new(100, vec![Box::new(even)], observations)?;
+    // v = (x − x_b)/σ with σ = ½
+    let v = (0..n).map(|i| 0.2 * (i as f64).sin()).collect();
+    Ok((background, set, v))
+}
+
 /// A rod of one kind, to take single steps of.
 pub struct RodCase {
     /// What is special about it.
     pub name: &'static str,
     /// Its step.
-    pub model: ImplicitModel<BackwardEuler>,
+    pub model: ImplicitModel<RodStep>,
     /// A control near which it steps.
     pub control: Vec<f64>,
 }
 
-/// Rods with every feature the step has: twist, both dampings, both ends clamped, pinned, no bending, everything at once.
+/// Rods with every feature the step has: twist, both dampings, both ends clamped, pinned, no bending, everything at once,
+/// and by the second-order schemes, with and without a state before.
 ///
 /// # Errors
 /// A rod that cannot be made.
@@ -274,7 +393,27 @@ pub fn rods() -> Result<Vec<RodCase>> {
         rod_case("damped anisotropic rod clamped at both ends", curved()?, both_ends(), damping(0.004, 0.7))?,
         rod_case("pinned anisotropic rod", curved()?, pinned(), damping(0.004, 0.0))?,
         rod_case("chain", straight(8, true)?, clamped(), damping(0.004, 0.7))?,
+        by(Scheme::Midpoint, rod_case("rod by midpoint", straight(8, false)?, clamped(), damping(0.0, 0.7))?),
+        by(
+            Scheme::Midpoint,
+            rod_case("anisotropic rod by midpoint", curved()?, clamped(), damping(0.0, 0.0))?,
+        ),
+        by(
+            Scheme::Midpoint,
+            rod_case("damped anisotropic rod by midpoint", curved()?, both_ends(), damping(0.004, 0.7))?,
+        ),
+        by(Scheme::Bdf2, rod_case("rod by bdf2", straight(8, false)?, clamped(), damping(0.0, 0.7))?),
+        by(
+            Scheme::Bdf2,
+            rod_case("damped anisotropic rod by bdf2", curved()?, both_ends(), damping(0.004, 0.7))?,
+        ),
     ])
+}
+
+/// The same rod by another scheme.
+fn by(scheme: Scheme, case: RodCase) -> RodCase {
+    let step = case.model.into_inner().with_scheme(scheme);
+    RodCase { model: ImplicitModel::new(step, FIRST, DT), ..case }
 }
 
 const MATERIAL: Material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1100.0 };
@@ -293,7 +432,7 @@ fn rod_case(name: &'static str, rod: Rod, supports: Supports, damping: Damping) 
     if clamps == 2 {
         shape = equilibrium(&rod, &supports, &loads, start, &shape)?.0;
     }
-    let model = ImplicitModel::new(BackwardEuler::new(rod, supports, loads, damping)?, FIRST, DT);
+    let model = ImplicitModel::new(RodStep::new(rod, supports, loads, damping)?, FIRST, DT);
     let free = model.step_ref().free_vertices();
     let mut control: Vec<f64> = free.iter().flat_map(|&v| shape.vertices[v]).collect();
     let positions = control.len();
@@ -310,11 +449,12 @@ fn rod_case(name: &'static str, rod: Rod, supports: Supports, damping: Damping) 
 }
 
 /// Typical sizes of the components of a rod's state: 1 cm, 1 m/s, 0.1 rad.
-pub fn rod_scale(step: &BackwardEuler) -> Vec<f64> {
+pub fn rod_scale(step: &RodStep) -> Vec<f64> {
     let n = step.control_len() / 2;
     let mut scale = vec![0.01; n];
     scale.resize(2 * n, 1.0);
     scale.resize(2 * n + step.free_angles().len(), 0.1);
+    scale.extend_from_within(..step.history());
     scale
 }
 

@@ -1,4 +1,4 @@
-//! Developer commands: `cargo xtask verify`, `cargo xtask docs`, `cargo xtask ci`.
+//! Developer commands: `cargo xtask verify`, `cargo xtask bench`, `cargo xtask docs`, `cargo xtask ci`.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod docs;
@@ -8,11 +8,13 @@ use std::process::{Command, ExitCode};
 
 const HELP: &str = "\
 cargo xtask verify [SUITE…] [--quick | --full] [--json FILE] [--stability FILE] [--fixtures DIR]
-    Runs the verification suites (adjoint, taylor, hessian, golden, counts, equivalence, paper, stiff) in a release build and prints
-    one row per check; fails if a row fails. --quick: fewer seeds. --full: the
-    longest cases of stiff too. --json: the same rows as one array. --stability: the rows of
-    stiff as a document, docs/results/stability.md. --fixtures: check what is in
+    Runs the verification suites (adjoint, taylor, hessian, golden, counts, order, equivalence, paper, stiff) in a release build and
+    prints one row per check; fails if a row fails. --quick: fewer seeds. --full: the longest cases of stiff too. --json: the same
+    rows as one array. --stability: the rows of stiff as a document, docs/results/stability.md. --fixtures: check what is in
     DIR/der, DIR/hanging-rod and DIR/twin instead of the copies in tests/fixtures.
+cargo xtask bench [NAME…] [--quick] [--out DIR]
+    Error against run time (time, gradient, assimilation, scaling, leftout, instructions) in a release build: prints tables and
+    writes docs/results/NAME.md, .csv and .svg. --quick: few cases and samples, nothing written. --out: another folder.
 cargo xtask docs
     Documentation of all crates with an index page, in target/doc.
 cargo xtask ci
@@ -23,7 +25,8 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let done = match words.as_slice() {
-        ["verify", rest @ ..] => verify(rest),
+        ["verify", rest @ ..] => from_tests("tests", rest),
+        ["bench", rest @ ..] => from_tests("bench", rest),
         ["docs"] => docs::build(),
         ["ci"] => ci(),
         [] | ["help" | "--help" | "-h"] => {
@@ -41,12 +44,12 @@ fn main() -> ExitCode {
     }
 }
 
-/// The suites live in package `tests`; paths are those of the caller's folder.
-fn verify(arguments: &[&str]) -> Result<(), String> {
+/// Suites and benchmarks are binaries of package `tests`; paths are those of the caller's folder.
+fn from_tests(binary: &str, arguments: &[&str]) -> Result<(), String> {
     let manifest = root().join("Cargo.toml");
     let mut command = cargo();
     command
-        .args(["run", "--quiet", "--release", "--package", "tests", "--manifest-path"])
+        .args(["run", "--quiet", "--release", "--package", "tests", "--bin", binary, "--manifest-path"])
         .arg(manifest)
         .arg("--");
     run(command.args(arguments))
@@ -62,7 +65,7 @@ fn ci() -> Result<(), String> {
         println!("cargo {}", step.join(" "));
         run(cargo().args(step).current_dir(root()))?;
     }
-    verify(&[])?;
+    from_tests("tests", &[])?;
     docs::build()
 }
 

@@ -24,9 +24,11 @@ pub enum Gain {
 /// with G = R^{-1/2} H M U, U = B^{1/2}: whitened, so that no inverse of B appears and a singular B is no special case, and H M
 /// includes the tangent of the model, so that observations may lie anywhere in a window.
 ///
-/// When to use it: as a reference, and for small linear problems. Where model or observations are not linear it is the estimate
-/// linearized there (one full step of Gauss–Newton from the point given). Dense: memory 2 n m + n² (+ m² with the gain in
-/// observation space), time the sweeps of the gain, a Cholesky factorization and n m min(n, m).
+/// When to use: as a reference, and for small linear problems. When not: where model or observations are not linear, for it is the estimate
+/// linearized there (one full step of Gauss–Newton from the point given); n or m beyond a few thousand.
+///
+/// Cost: n tangent or m adjoint sweeps (see [`Gain`]), a Cholesky factorization and n m min(n, m). Memory: 2 n m + n² (+ m² with the gain in
+/// observation space).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Blue {
     /// v_a, the whitened estimate: B^{-1/2}(z_a − z_b), and with model error Q^{-1/2} η after it.

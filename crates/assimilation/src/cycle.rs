@@ -36,6 +36,35 @@ pub struct Cycling<'a> {
     pub truth: Option<&'a dyn Fn(usize) -> Vec<f64>>,
 }
 
+/// What one window hands to the next, as plain data: everything the windows to come depend on besides their settings. Stored after a window
+/// and given back to [`cycle`], the sequence goes on with the same bits.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CycleState {
+    /// Index of the next window.
+    pub next: usize,
+    /// z_b at its start.
+    pub background: Vec<f64>,
+    /// Vectors of the control's length, one after the other: the members of an ensemble about z_b, not yet inflated; W of a propagated
+    /// posterior, B = W Wᵀ; nothing for static B and before the first window of a propagated one.
+    pub columns: Vec<f64>,
+}
+
+impl CycleState {
+    /// Before the first window, from its background z_b.
+    pub fn new(background: Vec<f64>) -> Self {
+        Self { next: 0, background, columns: Vec::new() }
+    }
+
+    /// Before the first window, from the members of its background in the control, one after the other, each of length `n`; z_b is their mean.
+    ///
+    /// # Panics
+    /// If there is no member, or a broken one.
+    pub fn from_members(members: Vec<f64>, n: usize) -> Self {
+        assert!(n > 0 && !members.is_empty() && members.len().is_multiple_of(n), "members of length {n}");
+        Self { next: 0, background: mean(&members, n), columns: members }
+    }
+}
+
 /// Where the background covariance of a window comes from.
 pub enum CycledCovariance<'a> {
     /// The same B for every window: strong 4D-Var (3D-Var for K = 0).
@@ -54,10 +83,8 @@ pub enum CycledCovariance<'a> {
     Ensemble(CycledEnsemble<'a>),
 }
 
-/// An ensemble and how it is carried.
+/// How an ensemble ([`CycleState::from_members`]) is used and carried.
 pub struct CycledEnsemble<'a> {
-    /// The members of the first window's background in the control z, one after the other; their mean is the background.
-    pub members: Vec<f64>,
     /// α ≥ 1 multiplies the perturbations of every background, before the window is assimilated.
     pub inflation: f64,
     /// C.
@@ -67,10 +94,22 @@ pub struct CycledEnsemble<'a> {
     /// B_s, β_s and β_e of a hybrid; `None` is β_e = 1 alone.
     pub static_part: Option<(&'a dyn Covariance, f64, f64)>,
     /// From the prior perturbations to those of the posterior.
-    pub update: EnsembleUpdate<'a>,
+    pub update: CycledUpdate<'a>,
     /// Outer iterations.
     pub options: EnVarOptions,
 }
+
+/// [`EnsembleUpdate`], window after window.
+pub enum CycledUpdate<'a> {
+    /// [`EnsembleUpdate::SquareRoot`].
+    SquareRoot,
+    /// [`EnsembleUpdate::PerturbedObservations`]: makes the source of standard normals of the window of an index. Every window has its own, so
+    /// that nothing random is carried.
+    PerturbedObservations(&'a dyn Fn(usize) -> Normals),
+}
+
+/// A source of independent standard normals.
+pub type Normals = Box<dyn FnMut() -> f64>;
 
 /// What one window gave.
 #[derive(Debug, Clone, PartialEq)]
@@ -79,8 +118,12 @@ pub struct Cycle {
     pub index: usize,
     /// The first step of the window.
     pub first_step: usize,
+    /// z_b at the start of the window.
+    pub background: Vec<f64>,
     /// z_a at the start of the window.
     pub analysis: Vec<f64>,
+    /// The analysed state at the window's end: of the run from z_a, or the mean of the members' runs.
+    pub end: Vec<f64>,
     /// J at the analysis.
     pub value: f64,
     /// Its parts.
@@ -91,15 +134,25 @@ pub struct Cycle {
     pub chi2: f64,
     /// How the minimization ended.
     pub status: Status,
+    /// Why, where a failing model ended it.
+    pub failure: Option<String>,
     /// Its outer iterations.
     pub outer_iterations: usize,
     /// Work of the minimization; the forecast to the next window comes on top.
     pub counts: Counts,
-    /// Standard deviation expected of the analysis at the window's end, root mean square over the state: the ensemble's spread; that of the
-    /// background of the next window for a propagated posterior; `None` for static B.
-    pub spread: Option<f64>,
+    /// Standard deviation expected of every component of the control: of the analysis at the window's end, by the ensemble; of the
+    /// background of the next window, for a propagated posterior; `None` for static B.
+    pub sigma: Option<Vec<f64>>,
     /// Root mean square errors, where the truth is known.
     pub errors: Option<CycleErrors>,
+}
+
+impl Cycle {
+    /// Root mean square of `sigma`.
+    pub fn spread(&self) -> Option<f64> {
+        let sigma = self.sigma.as_ref()?;
+        Some((sigma.iter().map(|s| s * s).sum::<f64>() / sigma.len() as f64).sqrt())
+    }
 }
 
 /// Root mean square errors over the state.
@@ -113,71 +166,68 @@ pub struct CycleErrors {
     pub end: f64,
 }
 
-/// Assimilates the windows one after the other from the background z_b of the first (an ensemble brings its own: its mean; `background` is
-/// then ignored and may be empty).
+/// Assimilates the windows `state.next` … `cycling.cycles` − 1, one after the other:
+///
+/// ```text
+///     z_b, B  →  z_a = argmin J over window c  →  z_b' = M_S(z_a),  B' as `covariance` says
+/// ```
+///
+/// | B | when to use | when not | cost of a window beyond its minimization | memory beyond a window's |
+/// |---|---|---|---|---|
+/// | static | a first answer; errors that vary little with the flow | sparse observations of a chaotic model: B is too narrow or too wide by turns | 1 forward run | – |
+/// | propagated | n up to some hundreds; sparse observations | a large n; alone over long cycles (give it a static part) | 1 forward run, 2n tangent sweeps, n³ | 2n² |
+/// | ensemble | no adjoint at hand; the best scores for its cost | N below the growing directions, unlocalized | N forward runs | N trajectories |
 ///
 /// The background of a window is the run from the analysis before (the mean of the members' runs), read off the leading components of the state,
 /// which are taken to be the control. A minimization that ends otherwise than converged hands its best point on: see `status`.
-/// `on_cycle` may end the sequence.
+/// `on_cycle` hears of every window with what it hands on, and may end the sequence. After an error `state` is that before the window that
+/// failed.
 ///
 /// # Errors
-/// A shift of 0 or beyond K + 1, an inflation that is not positive; a model that fails between two windows, observations or covariances that
-/// cannot be built.
+/// A shift of 0 or beyond K + 1, an inflation that is not positive; a model that fails at a background or between two windows, observations or
+/// covariances that cannot be built.
 pub fn cycle(
     cycling: &Cycling,
-    background: &[f64],
-    covariance: CycledCovariance,
+    state: &mut CycleState,
+    covariance: &CycledCovariance,
     minimizer: &Minimizer,
-    on_cycle: &mut dyn FnMut(&Cycle) -> ControlFlow<()>,
+    on_cycle: &mut dyn FnMut(&Cycle, &CycleState) -> ControlFlow<()>,
 ) -> Result<Vec<Cycle>, Error> {
     if cycling.shift == 0 || (cycling.window > 0 && cycling.shift > cycling.window + 1) {
         return Err(Error::Setting { what: "the shift between windows", value: cycling.shift as f64 });
     }
-    let positive = |inflation: f64| {
-        if inflation > 0.0 && inflation.is_finite() {
-            Ok(())
-        } else {
-            Err(Error::Setting { what: "inflation", value: inflation })
-        }
+    let inflation = match covariance {
+        CycledCovariance::Static(_) => 1.0,
+        CycledCovariance::Propagated { inflation, .. } => *inflation,
+        CycledCovariance::Ensemble(ensemble) => ensemble.inflation,
     };
-    match covariance {
-        CycledCovariance::Static(b) => {
-            let mut state = Variational { background: background.to_vec(), carried: None };
-            repeat(cycling, on_cycle, &mut |c| state.window(cycling, c, b, minimizer, None))
-        }
-        CycledCovariance::Propagated { first, inflation, static_part } => {
-            positive(inflation)?;
-            let mut state = Variational { background: background.to_vec(), carried: None };
-            repeat(cycling, on_cycle, &mut |c| {
-                let Some(carried) = state.carried.take() else {
-                    return state.window(cycling, c, first, minimizer, Some(inflation));
-                };
+    if !(inflation > 0.0 && inflation.is_finite()) {
+        return Err(Error::Setting { what: "inflation", value: inflation });
+    }
+    let mut cycles = Vec::new();
+    while state.next < cycling.cycles {
+        let (cycle, after) = match covariance {
+            CycledCovariance::Static(b) => cycling.variational(state, *b, minimizer, None)?,
+            CycledCovariance::Propagated { first, inflation, .. } if state.columns.is_empty() => {
+                cycling.variational(state, *first, minimizer, Some(*inflation))?
+            }
+            CycledCovariance::Propagated { inflation, static_part, .. } => {
+                let whole = Localization::none(state.background.len());
+                let carried = Ensemble::from_perturbations(&state.columns, whole)?;
                 match static_part {
                     Some((b, weight)) => {
-                        let hybrid = Hybrid::new(b, weight, carried, 1.0)?;
-                        state.window(cycling, c, &hybrid, minimizer, Some(inflation))
+                        let hybrid = Hybrid::new(*b, *weight, carried, 1.0)?;
+                        cycling.variational(state, &hybrid, minimizer, Some(*inflation))?
                     }
-                    None => state.window(cycling, c, &carried, minimizer, Some(inflation)),
+                    None => cycling.variational(state, &carried, minimizer, Some(*inflation))?,
                 }
-            })
-        }
-        CycledCovariance::Ensemble(mut ensemble) => {
-            positive(ensemble.inflation)?;
-            repeat(cycling, on_cycle, &mut |c| ensemble.window(cycling, c))
-        }
-    }
-}
-
-/// Window after window, until the last or until the caller has enough.
-fn repeat(
-    cycling: &Cycling,
-    on_cycle: &mut dyn FnMut(&Cycle) -> ControlFlow<()>,
-    window: &mut dyn FnMut(usize) -> Result<Cycle, Error>,
-) -> Result<Vec<Cycle>, Error> {
-    let mut cycles = Vec::new();
-    for c in 0..cycling.cycles {
-        cycles.push(window(c)?);
-        if on_cycle(&cycles[c]).is_break() {
+            }
+            CycledCovariance::Ensemble(ensemble) => cycling.ensemble(state, ensemble)?,
+        };
+        *state = after;
+        let flow = on_cycle(&cycle, state);
+        cycles.push(cycle);
+        if flow.is_break() {
             break;
         }
     }
@@ -187,7 +237,7 @@ fn repeat(
 impl Cycling<'_> {
     /// The observations of window c that no window before has used.
     fn unseen(&self, c: usize) -> Result<ObservationSet, Error> {
-        let set = (self.observations)(self.first + c * self.shift)?;
+        let set = (self.observations)(self.first_step(c))?;
         if c == 0 || self.shift > self.window {
             return Ok(set);
         }
@@ -202,62 +252,18 @@ impl Cycling<'_> {
         self.window.max(self.shift)
     }
 
-    fn report(
+    /// One window of strong 4D-Var; `propagate` is the inflation of the posterior that is carried on, if one is.
+    fn variational(
         &self,
-        c: usize,
-        analysis: Vec<f64>,
-        minimum: &Minimum,
-        observations: usize,
-        counts: Counts,
-        spread: Option<f64>,
-        [background, start, end]: [&[f64]; 3],
-    ) -> Cycle {
-        let first_step = self.first + c * self.shift;
-        let errors = self.truth.map(|truth| {
-            let (at_start, at_end) = (truth(first_step), truth(first_step + self.window));
-            CycleErrors {
-                background: rms(background, &at_start),
-                start: rms(start, &at_start),
-                end: rms(end, &at_end),
-            }
-        });
-        Cycle {
-            index: c,
-            first_step,
-            analysis,
-            value: minimum.value,
-            terms: minimum.terms,
-            observations,
-            chi2: if observations == 0 { 0.0 } else { 2.0 * minimum.value / observations as f64 },
-            status: minimum.status,
-            outer_iterations: minimum.outer_iterations,
-            counts,
-            spread,
-            errors,
-        }
-    }
-}
-
-/// What strong 4D-Var carries from window to window.
-struct Variational {
-    background: Vec<f64>,
-    /// The propagated posterior.
-    carried: Option<Ensemble>,
-}
-
-impl Variational {
-    fn window(
-        &mut self,
-        cycling: &Cycling,
-        c: usize,
+        state: &CycleState,
         b: &dyn Covariance,
         minimizer: &Minimizer,
         propagate: Option<f64>,
-    ) -> Result<Cycle, Error> {
-        let mut observations = cycling.unseen(c)?;
+    ) -> Result<(Cycle, CycleState), Error> {
+        let mut observations = self.unseen(state.next)?;
         let m = observations.dim();
-        let mut model = (cycling.make_model)(cycling.first + c * cycling.shift);
-        let transform = ControlTransform::new(self.background.clone(), b)?;
+        let mut model = (self.make_model)(self.first_step(state.next));
+        let transform = ControlTransform::new(state.background.clone(), b)?;
         let n_z = transform.control_dim();
         let mut cost = StrongConstraint::new(&mut *model, transform.clone(), &mut observations)?;
         let mut v = vec![0.0; cost.dim()];
@@ -271,26 +277,142 @@ impl Variational {
         let mut z = vec![0.0; n_z];
         transform.control(&v, &mut z);
         let (mut x_b, mut x_a) = (vec![0.0; model.dim()], vec![0.0; model.dim()]);
-        model.initial_state(&self.background, &mut x_b)?;
+        model.initial_state(&state.background, &mut x_b)?;
         model.initial_state(&z, &mut x_a)?;
         let keep = if propagate.is_some() { Keep::Linearizations } else { Keep::States };
         let mut trajectory = Trajectory::new();
-        trajectory.run(&mut *model, &x_a, cycling.steps(), keep)?;
-        self.background = trajectory.state(cycling.shift)[..n_z].to_vec();
-        let mut spread = None;
-        if let Some(inflation) = propagate {
+        trajectory.run(&mut *model, &x_a, self.steps(), keep)?;
+        let sigma = propagate.map(|inflation| {
             let mut dx = vec![0.0; model.dim()];
             for column in columns.chunks_exact_mut(n_z) {
                 model.initial_tangent(column, &mut dx);
-                (0..cycling.shift).for_each(|k| model.tangent(k, &mut dx));
+                (0..self.shift).for_each(|k| model.tangent(k, &mut dx));
                 column.iter_mut().zip(&dx).for_each(|(w, dx)| *w = inflation * dx);
             }
-            spread = Some((columns.iter().map(|w| w * w).sum::<f64>() / n_z as f64).sqrt());
-            self.carried = Some(Ensemble::from_perturbations(&columns, Localization::none(n_z))?);
-        }
-        let end = trajectory.state(cycling.window);
-        Ok(cycling.report(c, z, &minimum, m, counts, spread, [&x_b, &x_a, end]))
+            let variance = |i: usize| columns.chunks_exact(n_z).map(|w| w[i] * w[i]).sum::<f64>();
+            (0..n_z).map(|i| variance(i).sqrt()).collect()
+        });
+        let background = trajectory.state(self.shift)[..n_z].to_vec();
+        let end = trajectory.state(self.window).to_vec();
+        let errors = self.errors(state.next, [&x_b, &x_a, &end]);
+        let from = Ended { minimum, observations: m, counts, sigma, errors };
+        Ok((self.cycle(state, z, end, from), CycleState { next: state.next + 1, background, columns }))
     }
+
+    /// One window of 4D-EnVar.
+    fn ensemble(&self, state: &CycleState, settings: &CycledEnsemble) -> Result<(Cycle, CycleState), Error> {
+        let mut observations = self.unseen(state.next)?;
+        let m = observations.dim();
+        let first = self.first_step(state.next);
+        let make = || (self.make_model)(first);
+        let z_b = &state.background;
+        let n_z = z_b.len();
+        let mut members = state.columns.clone();
+        for x in members.chunks_exact_mut(n_z) {
+            x.iter_mut().zip(z_b).for_each(|(x, m)| *x = m + settings.inflation * (*x - m));
+        }
+        let ensemble = Ensemble::new(&members, settings.localization.clone())?;
+        let count = ensemble.members();
+        let local = settings.localization.rank() > 1;
+        let anchors = if local { (settings.anchors)(&observations) } else { Vec::new() };
+
+        let hybrid = match settings.static_part {
+            Some((b, beta_s, beta_e)) => Some(Hybrid::new(b, beta_s, ensemble.clone(), beta_e)?),
+            None => None,
+        };
+        let mut cost = match &hybrid {
+            Some(hybrid) => EnVar::hybrid(&make, z_b.clone(), hybrid, &mut observations, &anchors)?,
+            None => EnVar::new(&make, z_b.clone(), &ensemble, &mut observations, &anchors)?,
+        };
+        let mut v = vec![0.0; cost.dim()];
+        let minimum = cost.minimize(&mut v, &settings.options, &mut |_| ControlFlow::Continue(()))?;
+        let mut z = vec![0.0; n_z];
+        cost.transform().control(&v, &mut z);
+        let perturbations = match settings.update {
+            CycledUpdate::SquareRoot => cost.posterior_perturbations(&mut EnsembleUpdate::SquareRoot)?,
+            CycledUpdate::PerturbedObservations(make) => {
+                let mut normals = make(state.next);
+                let mut update = EnsembleUpdate::PerturbedObservations(&mut *normals);
+                cost.posterior_perturbations(&mut update)?
+            }
+        };
+        let counts = cost.counts();
+        let size = ((count - 1) as f64).sqrt();
+        for (member, x) in members.chunks_exact_mut(n_z).zip(perturbations.chunks_exact(n_z)) {
+            member.iter_mut().zip(x).zip(&z).for_each(|((member, x), z)| *member = z + size * x);
+        }
+
+        let mut models: Vec<_> = (0..count).map(|_| make()).collect();
+        let (n, steps) = (models[0].dim(), self.steps());
+        let (mut x_b, mut x_a) = (vec![0.0; n], vec![0.0; n]);
+        models[0].initial_state(z_b, &mut x_b)?;
+        models[0].initial_state(&z, &mut x_a)?;
+        let mut states = vec![0.0; count * (steps + 1) * n];
+        run_all(&mut models, &members, &mut states, steps)?;
+        let at = |k: usize| -> Vec<f64> {
+            states.chunks_exact((steps + 1) * n).flat_map(|run| &run[k * n..][..n]).copied().collect()
+        };
+        for (member, x) in members.chunks_exact_mut(n_z).zip(at(self.shift).chunks_exact(n)) {
+            member.copy_from_slice(&x[..n_z]);
+        }
+        let ends = at(self.window);
+        let end = mean(&ends, n);
+        let variance = |i: usize| {
+            ends.chunks_exact(n).map(|x| (x[i] - end[i]).powi(2)).sum::<f64>() / (count - 1) as f64
+        };
+        let sigma = Some((0..n_z).map(|i| variance(i).sqrt()).collect());
+        let errors = self.errors(state.next, [&x_b, &x_a, &end]);
+        let from = Ended { minimum, observations: m, counts, sigma, errors };
+        let background = mean(&members, n_z);
+        Ok((
+            self.cycle(state, z, end, from),
+            CycleState { next: state.next + 1, background, columns: members },
+        ))
+    }
+
+    fn first_step(&self, c: usize) -> usize {
+        self.first + c * self.shift
+    }
+
+    fn errors(&self, c: usize, [background, start, end]: [&[f64]; 3]) -> Option<CycleErrors> {
+        let truth = self.truth?;
+        let (at_start, at_end) = (truth(self.first_step(c)), truth(self.first_step(c) + self.window));
+        Some(CycleErrors {
+            background: rms(background, &at_start),
+            start: rms(start, &at_start),
+            end: rms(end, &at_end),
+        })
+    }
+
+    fn cycle(&self, state: &CycleState, analysis: Vec<f64>, end: Vec<f64>, from: Ended) -> Cycle {
+        let Ended { minimum, observations, counts, sigma, errors } = from;
+        Cycle {
+            index: state.next,
+            first_step: self.first_step(state.next),
+            background: state.background.clone(),
+            analysis,
+            end,
+            value: minimum.value,
+            terms: minimum.terms,
+            observations,
+            chi2: if observations == 0 { 0.0 } else { 2.0 * minimum.value / observations as f64 },
+            status: minimum.status,
+            failure: minimum.failure.map(|e| e.to_string()),
+            outer_iterations: minimum.outer_iterations,
+            counts,
+            sigma,
+            errors,
+        }
+    }
+}
+
+/// What the two kinds of window have in common at their end.
+struct Ended {
+    minimum: Minimum,
+    observations: usize,
+    counts: Counts,
+    sigma: Option<Vec<f64>>,
+    errors: Option<CycleErrors>,
 }
 
 /// U A^{-1/2} at v, by columns: a square root of P_a.
@@ -328,56 +450,14 @@ fn square_root(n: usize, columns: &[f64]) -> Result<Vec<f64>, Error> {
     Ok(vectors)
 }
 
-impl CycledEnsemble<'_> {
-    fn window(&mut self, cycling: &Cycling, c: usize) -> Result<Cycle, Error> {
-        let first = cycling.first + c * cycling.shift;
-        let mut observations = cycling.unseen(c)?;
-        let m = observations.dim();
-        let make = || (cycling.make_model)(first);
-        let unbroken = Ensemble::new(&self.members, self.localization.clone())?;
-        let (n_z, count, mean) = (unbroken.dim(), unbroken.members(), unbroken.mean().to_vec());
-        for x in self.members.chunks_exact_mut(n_z) {
-            x.iter_mut().zip(&mean).for_each(|(x, m)| *x = m + self.inflation * (*x - m));
-        }
-        let ensemble = Ensemble::new(&self.members, self.localization.clone())?;
-        let anchors = if self.localization.rank() == 1 { Vec::new() } else { (self.anchors)(&observations) };
-
-        let hybrid = match self.static_part {
-            Some((b, beta_s, beta_e)) => Some(Hybrid::new(b, beta_s, ensemble.clone(), beta_e)?),
-            None => None,
-        };
-        let mut cost = match &hybrid {
-            Some(hybrid) => EnVar::hybrid(&make, mean.clone(), hybrid, &mut observations, &anchors)?,
-            None => EnVar::new(&make, mean.clone(), &ensemble, &mut observations, &anchors)?,
-        };
-        let mut v = vec![0.0; cost.dim()];
-        let minimum = cost.minimize(&mut v, &self.options, &mut |_| ControlFlow::Continue(()))?;
-        let mut z = vec![0.0; n_z];
-        cost.transform().control(&v, &mut z);
-        let perturbations = cost.posterior_perturbations(&mut self.update)?;
-        let counts = cost.counts();
-        let size = ((count - 1) as f64).sqrt();
-        for (member, x) in self.members.chunks_exact_mut(n_z).zip(perturbations.chunks_exact(n_z)) {
-            member.iter_mut().zip(x).zip(&z).for_each(|((member, x), z)| *member = z + size * x);
-        }
-
-        let mut models: Vec<_> = (0..count).map(|_| make()).collect();
-        let (n, steps) = (models[0].dim(), cycling.steps());
-        let (mut x_b, mut x_a) = (vec![0.0; n], vec![0.0; n]);
-        models[0].initial_state(&mean, &mut x_b)?;
-        models[0].initial_state(&z, &mut x_a)?;
-        let mut states = vec![0.0; count * (steps + 1) * n];
-        run_all(&mut models, &self.members, &mut states, steps)?;
-        let at = |i: usize, k: usize| &states[(i * (steps + 1) + k) * n..][..n];
-        let mut end = vec![0.0; n];
-        for i in 0..count {
-            self.members[i * n_z..][..n_z].copy_from_slice(&at(i, cycling.shift)[..n_z]);
-            end.iter_mut().zip(at(i, cycling.window)).for_each(|(e, x)| *e += x / count as f64);
-        }
-        let scatter: f64 = (0..count).map(|i| rms(at(i, cycling.window), &end).powi(2)).sum();
-        let spread = Some((scatter / (count - 1) as f64).sqrt());
-        Ok(cycling.report(c, z, &minimum, m, counts, spread, [&x_b, &x_a, &end]))
+/// The mean of vectors of length n, one after the other.
+fn mean(vectors: &[f64], n: usize) -> Vec<f64> {
+    let count = (vectors.len() / n) as f64;
+    let mut mean = vec![0.0; n];
+    for x in vectors.chunks_exact(n) {
+        mean.iter_mut().zip(x).for_each(|(m, x)| *m += x / count);
     }
+    mean
 }
 
 /// √(mean (a − b)²).

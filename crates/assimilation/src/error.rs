@@ -15,14 +15,14 @@ pub enum Error {
     #[error(transparent)]
     Covariance(#[from] varda_covariance::Error),
     /// An observation operator refused a state.
-    #[error("observation operator {operator} at step {step}: {source}")]
+    #[error("observation operator {operator} at step {step}: {reason}")]
     Observe {
         /// Index of the operator.
         operator: usize,
         /// Index k of the step whose state was observed.
         step: usize,
-        /// The typed error of the operator.
-        source: Refusal,
+        /// The typed error of the operator. Part of the message, hence not of the chain of sources as well.
+        reason: Refusal,
     },
     /// A value that is not finite.
     #[error("step {step}: {what} is not finite")]

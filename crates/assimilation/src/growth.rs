@@ -16,6 +16,10 @@ pub type Assimilate<'a> = dyn FnMut(&mut ObservationSet, &mut Vec<f64>) -> Resul
 /// the growth adds less than a few e-foldings of the error that is left. A stage that ends otherwise than converged still hands its point on: look
 /// at the statuses.
 ///
+/// When to use: windows of several e-foldings of a chaotic model, where a start from the background ends in a wrong minimum. When not: one
+/// minimum, where every stage but the last is wasted. Cost: a minimization for every window, of its length, the later ones from a start near
+/// their minimum. Memory: a copy of the observations.
+///
 /// ```
 /// use std::ops::ControlFlow;
 /// use varda_assimilation::*;

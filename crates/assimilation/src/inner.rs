@@ -23,7 +23,10 @@ pub struct InnerEnd {
 
 /// A p = −∇q(0), A = I + GᵀG, from p = 0 by conjugate gradients in the control space (n unknowns), residuals re-orthogonalised twice.
 ///
-/// An iteration costs one tangent and one adjoint sweep; memory 4n + m, and n more for each iteration.
+/// When to use: the default of [`outer_loop`](crate::outer_loop). When not: m far below n and many iterations, see
+/// [`restricted_conjugate_gradients`].
+///
+/// Cost of an iteration: one tangent and one adjoint sweep. Memory: 4n + m, and n more for each iteration.
 ///
 /// # Errors
 /// Products that fail or are not finite.
@@ -77,8 +80,10 @@ pub fn conjugate_gradients(
 /// through the same sweeps as the primal. B enters by its products only. p falls as the primal's does, so an early stop is safe,
 /// unlike one of a plain minimizer of [`Dual`](crate::Dual).
 ///
-/// When to use it: m well below n, and many iterations. An iteration costs one adjoint and one tangent sweep; memory 4n + 5m, and 2m
-/// more for each iteration, where [`conjugate_gradients`] needs n.
+/// When to use: m well below n, and many iterations. When not: m above n/2, where the primal needs less memory.
+///
+/// Cost of an iteration: one adjoint and one tangent sweep. Memory: 4n + 5m, and 2m more for each iteration, where [`conjugate_gradients`]
+/// needs n.
 ///
 /// # Errors
 /// Products that fail or are not finite.

@@ -18,6 +18,21 @@
 //! | which minimizer? | [`Minimizer`]: [`trust_region`] (default), [`newton_cg`], [`newton`]; with gradients alone [`lbfgs`], [`adam`]; for several minima [`continuation`], [`auto`] |
 //! | how sure? | [`Posterior`], [`LowRankPosterior`], [`Analysis`]; are B and R right? [`consistency`] |
 //!
+//! What it costs, in forward runs F, tangent sweeps T and adjoint sweeps A of the window for an iteration, with n unknowns, m observed values, N
+//! members and i inner iterations; memory beside two trajectories and what the model keeps of its linearizations:
+//!
+//! | method | when to use, when not | F | T | A | memory |
+//! |---|---|---|---|---|---|
+//! | [`StrongConstraint`] or a weak cost, [`trust_region`] | the default; not without a tangent | 1 | n, or i for n > 300 | 1 + (0 or i) | 3n², or i n |
+//! | … [`newton_cg`] | large n, small residuals | 1 | i | 1 + i | i n |
+//! | … [`newton`] | linear problems; else it may diverge | 1 | n | 1 | 2n² + m n |
+//! | … [`lbfgs`] | no tangent; not where products can be had | 1 | 0 | 1 | 60n |
+//! | … [`adam`] | as a baseline | 1 | 0 | 1 | 6n |
+//! | [`outer_loop`], primal | mildly nonlinear, runs dearer than sweeps | 1 | i | 1 + i | i n |
+//! | [`outer_loop`], dual | the same with m well below n | 1 | i | 1 + i | 2 i m |
+//! | [`Blue`] | linear and small, as a reference | 1 | n, or 0 | 1 + (0 or m) | 2nm + n² |
+//! | [`EnVar`] | no tangent and no adjoint; not for small N unlocalized | N + 1 | 0 | 0 | N trajectories, 2mN |
+//!
 //! The system is any `varda_implicit::Model`. Everything is minimised in the control variable v. Not for problems whose posterior has
 //! several modes that matter.
 //!
@@ -77,7 +92,9 @@ pub use cost::{
     CostFunction, CostTerms, Counts, Dual, EnVar, EnVarOptions, EnsembleUpdate, Forcing, GaussNewton,
     Incremental, InnerCost, Rejection, StrongConstraint, WeakForcing, WeakState, huber,
 };
-pub use cycle::{Cycle, CycleErrors, CycledCovariance, CycledEnsemble, Cycling, cycle};
+pub use cycle::{
+    Cycle, CycleErrors, CycleState, CycledCovariance, CycledEnsemble, CycledUpdate, Cycling, Normals, cycle,
+};
 pub use error::Error;
 pub use growth::{Assimilate, window_growth};
 pub use inner::{InnerEnd, InnerLimits, conjugate_gradients, restricted_conjugate_gradients};

@@ -217,10 +217,10 @@ impl ObservationSet {
         for sample in &self.samples[self.by_step[k]..self.by_step[k + 1]] {
             let operator = &mut self.operators[sample.operator];
             let seen = &mut self.buffer[..operator.dim()];
-            operator.observe(k, x, seen).map_err(|source| Error::Observe {
+            operator.observe(k, x, seen).map_err(|reason| Error::Observe {
                 operator: sample.operator,
                 step: k,
-                source,
+                reason,
             })?;
             for part in &self.parts[sample.first..sample.end] {
                 y[part.row] += part.weight * seen[part.operator_row];
@@ -263,6 +263,19 @@ impl ObservationSet {
             }
             operator.adjoint_add(k, x, seen, dx);
         }
+    }
+
+    /// The stacked rows with a share of state x_k. (They are neighbours: those of step k, and before them those of step k − 1 that lie
+    /// between the two.)
+    pub(crate) fn rows_at(&self, k: usize) -> Range<usize> {
+        let samples = &self.samples[self.by_step[k]..self.by_step[k + 1]];
+        let rows = || samples.iter().flat_map(|s| &self.parts[s.first..s.end]).map(|part| part.row);
+        rows().min().map_or(self.dim()..self.dim(), |first| first..rows().max().unwrap_or(first) + 1)
+    }
+
+    /// Σ over the rows of the last step whose state they need: the steps of an adjoint sweep for each.
+    pub(crate) fn steps_of_rows(&self) -> usize {
+        self.observations.iter().map(|o| o.rows.len() * (o.step + usize::from(o.weight > 0.0))).sum()
     }
 
     /// d = y − H(x), the innovations, from the predictions H(x).

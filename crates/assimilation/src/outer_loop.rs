@@ -2,6 +2,7 @@
 
 use crate::cost::norm;
 use crate::inner::{InnerLimits, conjugate_gradients, restricted_conjugate_gradients};
+use crate::minimize::{at_least_one, check_tolerance};
 use crate::{Error, Incremental, Iteration, Minimum, Status};
 use std::ops::ControlFlow;
 
@@ -64,13 +65,13 @@ const NOISE: f64 = 1e-11;
 /// this is incremental 4D-Var, without a model incremental 3D-Var; with [`InnerSolver::Dual`] 4D-PSAS and PSAS; with a
 /// [`WeakState`](crate::WeakState) or a [`WeakForcing`](crate::WeakForcing) weak-constraint 4D-Var.
 ///
-/// When to use it: inner iterations much cheaper than model runs, mildly nonlinear problems. Convergence is linear, at the rate by which
+/// When to use: inner iterations much cheaper than model runs, mildly nonlinear problems. Convergence is linear, at the rate by which
 /// the dropped second derivatives are smaller than A; with step control J never rises and the loop ends at a stationary point or says
 /// that it did not. Without it, it may cycle or diverge (`MaxIterations`, or `Failed` where the model refuses). When not: large
 /// residuals, where [`trust_region`](crate::trust_region) is faster.
 ///
 /// Cost of an outer iteration: one forward run and adjoint sweep, a forward run for each refused step, and a tangent and an adjoint sweep for
-/// each inner iteration. `gradient_norm` and `step_norm` reported are those of p, the norm of the prior; `observation_scale` is
+/// each inner iteration. Memory: six vectors and that of the inner solver. `gradient_norm` and `step_norm` reported are those of p, the norm of the prior; `observation_scale` is
 /// reported as 1, whatever was set.
 ///
 /// PSAS, where the square of a state of 50 is seen at two points:
@@ -130,16 +131,9 @@ pub fn outer_loop(
     options: &OuterLoopOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    for (what, value) in
-        [("gradient_tolerance", options.gradient_tolerance), ("inner_tolerance", options.inner_tolerance)]
-    {
-        if !(0.0..1.0).contains(&value) {
-            return Err(Error::Setting { what, value });
-        }
-    }
-    if options.max_inner == 0 {
-        return Err(Error::Setting { what: "max_inner", value: 0.0 });
-    }
+    check_tolerance("gradient_tolerance", options.gradient_tolerance)?;
+    check_tolerance("inner_tolerance", options.inner_tolerance)?;
+    at_least_one("max_inner", options.max_inner)?;
     let n = problem.dim();
     let [mut g, mut g_trial, mut p, mut dv, mut trial, mut b] = std::array::from_fn(|_| vec![0.0; n]);
     let mut d = vec![0.0; problem.departure_dim()];

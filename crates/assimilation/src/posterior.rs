@@ -1,7 +1,10 @@
 //! The posterior covariance from the dense Gauss–Newton Hessian.
 
+use crate::cost::solve_identity_plus;
 use crate::minimize::eigen;
-use crate::{ControlTransform, Error, GaussNewton};
+use crate::{ControlTransform, Error, GaussNewton, Incremental};
+use faer::linalg::matmul::matmul;
+use faer::{Accum, MatMut, MatRef, Par};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -11,8 +14,10 @@ use rand_distr::{Distribution, StandardNormal};
 ///     P_v = A⁻¹ = (I + GᵀG)⁻¹,    P_z = U P_v Uᵀ = (B⁻¹ + MᵀHᵀR⁻¹HM)⁻¹    (paper 2.18)
 /// ```
 ///
-/// kept as the eigenpairs of A. Dense: for n up to a few thousand. Where the dropped second derivatives matter at the minimum, the true
-/// curvature, and with it the spread, differs.
+/// kept as the eigenpairs of A.
+///
+/// When to use: n up to a few thousand. When not: larger n ([`LowRankPosterior`](crate::LowRankPosterior)); where the dropped second derivatives
+/// matter at the minimum, for there the true curvature, and with it the spread, differs. Cost: n tangent sweeps and 9 n³ or so. Memory: 2n².
 pub struct Posterior {
     /// Eigenvalues of A, ascending; ≥ 1 up to rounding.
     eigenvalues: Vec<f64>,
@@ -32,6 +37,44 @@ impl Posterior {
         let mut hessian = vec![0.0; cost.dim() * cost.dim()];
         cost.hessian(&mut hessian)?;
         Self::from_hessian(cost.dim(), &hessian)
+    }
+
+    /// Of the initial state alone, where the control goes on with errors of the model (weak constraint): with G = [G_b, G_q] the errors
+    /// are integrated out,
+    ///
+    /// ```text
+    ///     A_b = I + G_bᵀ (I + G_q G_qᵀ)⁻¹ G_b,    P_b = A_b⁻¹, the leading block of (I + GᵀG)⁻¹
+    /// ```
+    ///
+    /// around the last point linearized. Costs m adjoint sweeps, memory m times the length of the control, and m² numbers. Without model
+    /// error it is [`new`](Self::new).
+    ///
+    /// # Errors
+    /// Products or a factorization that fail.
+    ///
+    /// # Panics
+    /// If nothing has been linearized.
+    pub fn of_initial_state(problem: &mut dyn Incremental) -> Result<Self, Error> {
+        let (n, m, r) = (problem.background_dim(), problem.departure_dim(), problem.dim());
+        let q = r - n;
+        // G_b by columns, G_qᵀ by columns.
+        let (mut g_b, mut g_q) = (vec![0.0; m * n], vec![0.0; q * m]);
+        let (mut unit, mut row) = (vec![0.0; m], vec![0.0; r]);
+        for a in 0..m {
+            unit[a] = 1.0;
+            problem.adjoint(&unit, &mut row)?;
+            unit[a] = 0.0;
+            (0..n).for_each(|j| g_b[a + j * m] = row[j]);
+            g_q[a * q..(a + 1) * q].copy_from_slice(&row[n..]);
+        }
+        let mut weighted = g_b.clone();
+        solve_identity_plus(MatRef::from_column_major_slice(&g_q, q, m), &mut weighted, n)?;
+        let mut hessian: Vec<f64> = (0..n * n).map(|i| f64::from(i % (n + 1) == 0)).collect();
+        let g = MatRef::from_column_major_slice(&g_b, m, n);
+        let w = MatRef::from_column_major_slice(&weighted, m, n);
+        let a = MatMut::from_column_major_slice_mut(&mut hessian, n, n);
+        matmul(a, Accum::Add, g.transpose(), w, 1.0, Par::Seq);
+        Self::from_hessian(n, &hessian)
     }
 
     /// From a Hessian in the control variable, n × n.

@@ -1,7 +1,7 @@
 //! The posterior covariance as the identity less a few directions: from Lanczos iterations or from what L-BFGS has learnt.
 
 use crate::cost::{dot, norm};
-use crate::minimize::{Lanczos, eigen};
+use crate::minimize::{Lanczos, Product, at_least_one, eigen};
 use crate::{ControlTransform, Error, GaussNewton, InverseHessian};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -13,10 +13,17 @@ use rand_distr::{Distribution, StandardNormal};
 /// ```
 ///
 /// When to use: where the observations determine few directions of many (4 to 11 of 144 on the hanging rod), so that A is the identity
-/// but for a few large eigenvalues. When not: for n up to a few hundred [`Posterior`](crate::Posterior) is exact.
+/// but for a few large eigenvalues. When not: for n up to a few hundred [`Posterior`](crate::Posterior) is exact; where everything is
+/// observed there is no low rank, and a bound below 1 takes as many products as there are directions.
 ///
-/// Cost: one tangent and one adjoint sweep a product, about twice as many products as pairs. Memory: a vector for every product while
-/// it is made, one for every pair afterwards.
+/// | made by | products with A | error |
+/// |---|---|---|
+/// | [`lanczos`](Self::lanczos) | about twice as many as pairs kept | a bound, down to the tolerance asked for |
+/// | [`from_inverse_hessian`](Self::from_inverse_hessian) | none | [`error_estimate`](Self::error_estimate); often no better than 1 |
+/// | [`refined`](Self::refined) | one for each of L-BFGS's directions, and what is missing | a bound, down to the tolerance asked for |
+///
+/// Cost: one tangent and one adjoint sweep a product. Memory: a vector for every product while it is made (two, if refined), one for every pair
+/// afterwards.
 #[derive(Debug, Clone)]
 pub struct LowRankPosterior {
     n: usize,
@@ -28,12 +35,12 @@ pub struct LowRankPosterior {
     products: usize,
 }
 
-/// Settings of [`LowRankPosterior::lanczos`].
+/// Settings of [`LowRankPosterior::lanczos`] and [`LowRankPosterior::refined`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct LanczosOptions {
     /// Stop when the error bound ‖P_v − A⁻¹‖ is below this (prior variances in v are 1).
     pub tolerance: f64,
-    /// Lanczos iterations at most: products with the Hessian, and vectors kept.
+    /// Products with the Hessian at most, and vectors kept; those of the probes come on top.
     pub max_products: usize,
     /// Random vectors, one product each, that say what has been missed; the bound fails with probability 10^{−probes}.
     pub probes: usize,
@@ -71,27 +78,11 @@ impl LowRankPosterior {
         options: &LanczosOptions,
         rng: &mut R,
     ) -> Result<Self, Error> {
-        if !(options.tolerance > 0.0) {
-            return Err(Error::Setting { what: "tolerance", value: options.tolerance });
-        }
-        if options.max_products == 0 {
-            return Err(Error::Setting { what: "max_products", value: 0.0 });
-        }
-        if options.probes == 0 {
-            return Err(Error::Setting { what: "probes", value: 0.0 });
-        }
+        options.check()?;
         let n = cost.dim();
-        let mut normals = || (0..n).map(|_| StandardNormal.sample(rng)).collect::<Vec<f64>>();
-        let mut probes = Vec::new();
-        for _ in 0..options.probes {
-            let w = normals();
-            let mut image = vec![0.0; n];
-            cost.hessian_apply(&w, &mut image)?;
-            image.iter_mut().zip(&w).for_each(|(a, w)| *a -= w);
-            probes.push((w, image));
-        }
+        let probes = probe(cost, options.probes, rng)?;
         let mut lanczos = Lanczos::new(n);
-        lanczos.begin(&normals());
+        lanczos.begin(&normals(n, rng));
         let mut next_check = 1;
         loop {
             lanczos.extend(&mut |p, out| cost.hessian_apply(p, out))?;
@@ -103,15 +94,11 @@ impl LowRankPosterior {
             next_check = k + 1 + k / 8;
             let values = lanczos.values()?;
             let vectors = lanczos.largest(k)?;
-            let (kept, error_bound) = best_split(&values, &vectors, lanczos.coupling()?, &probes);
-            if ended || error_bound <= options.tolerance {
-                return Ok(Self {
-                    n,
-                    values: values[k - kept..].to_vec(),
-                    vectors: vectors[(k - kept) * n..].to_vec(),
-                    error_bound: Some(error_bound),
-                    products: k + options.probes,
-                });
+            let (q, coupling) = lanczos.coupling()?;
+            let residuals: Vec<f64> = coupling.iter().flat_map(|c| q.iter().map(move |q| c * q)).collect();
+            let split = best_split(&values, &vectors, &residuals, &probes);
+            if ended || split.bound <= options.tolerance {
+                return Ok(Self::kept(n, &values, &vectors, &split, k + options.probes));
             }
         }
     }
@@ -123,49 +110,82 @@ impl LowRankPosterior {
     /// directions no step went along keep their prior variance 1. (L-BFGS's own matrix, [`InverseHessian::apply`], fits
     /// the last pair only and is much further off.)
     ///
-    /// How good it is depends on the path, and no bound comes with it: [`Self::error_estimate`] gives one for a few products. It
+    /// How good it is depends on the path, and without products no bound better than 1 can come with it: what no step has met is unknown.
+    /// [`Self::error_estimate`] says how far off it is for a few products, [`Self::refined`] makes it as good as asked for. It
     /// refers to the Hessian of J, second derivatives included, along the way.
     ///
     /// # Errors
     /// An eigenvalue problem that fails.
     pub fn from_inverse_hessian(inverse: &InverseHessian) -> Result<Self, Error> {
-        let n = inverse.dim();
-        // Q orthonormal and A Q, by columns.
-        let mut columns: Vec<(Vec<f64>, Vec<f64>)> = Vec::new();
+        let mut space = Space::new(inverse.dim());
         for i in (0..inverse.pairs()).rev() {
             let (s, y) = inverse.pair(i);
-            let (mut q, mut aq) = (s.to_vec(), y.to_vec());
-            let length = norm(s);
-            // Twice is enough.
-            for _ in 0..2 {
-                for (p, ap) in &columns {
-                    let c = dot(p, &q);
-                    q.iter_mut().zip(p).for_each(|(q, p)| *q -= c * p);
-                    aq.iter_mut().zip(ap).for_each(|(q, p)| *q -= c * p);
-                }
-            }
-            let left = norm(&q);
-            if left > 1e-3 * length {
-                q.iter_mut().chain(&mut aq).for_each(|x| *x /= left);
-                columns.push((q, aq));
-            }
+            space.add(s, y);
         }
-        let k = columns.len();
-        let mut small = vec![0.0; k * k];
-        for (j, (q, aq)) in columns.iter().enumerate() {
-            for (i, (p, ap)) in columns.iter().enumerate() {
-                small[i + j * k] = 0.5 * (dot(p, aq) + dot(q, ap));
-            }
-        }
-        let (values, small) = eigen(k, &small)?;
-        let mut vectors = vec![0.0; n * k];
-        for (z, w) in vectors.chunks_exact_mut(n.max(1)).zip(small.chunks_exact(k.max(1))) {
-            for ((q, _), w) in columns.iter().zip(w) {
-                z.iter_mut().zip(q).for_each(|(z, q)| *z += w * q);
-            }
-        }
+        let (values, vectors) = space.ritz()?;
         let values = values.iter().map(|mu| mu.max(1.0)).collect();
-        Ok(Self { n, values, vectors, error_bound: None, products: 0 })
+        Ok(Self { n: inverse.dim(), values, vectors, error_bound: None, products: 0 })
+    }
+
+    /// From the space of L-BFGS's steps, newest first, with the curvature along it measured by one product each around the point of the last
+    /// gradient of `cost`; then, one more product at a time, the largest residual, or where the probes find more than that a random direction,
+    /// until the bound is at most the tolerance. The bound is that of [`Self::lanczos`], with r_i = A z_i − μ_i z_i the residuals of the Ritz pairs:
+    ///
+    /// ```text
+    ///     ‖P_v − A⁻¹‖₂ ≤ ν / (1 − ν) + 1 − 1/(1 + ω),    ν² = Σ ‖r_i‖² / μ_i
+    /// ```
+    ///
+    /// When to use: after L-BFGS that kept its pairs (`memory` above its iterations), whose directions are then those that matter and are not
+    /// looked for again. When not: after anything else. Cost beyond the products: n k² a product of the second kind, k being all products.
+    ///
+    /// # Errors
+    /// Products that fail, or settings out of range.
+    ///
+    /// # Panics
+    /// If no gradient has been evaluated, or `inverse` is of another length than `cost`.
+    pub fn refined<R: Rng + ?Sized>(
+        inverse: &InverseHessian,
+        cost: &mut dyn GaussNewton,
+        options: &LanczosOptions,
+        rng: &mut R,
+    ) -> Result<Self, Error> {
+        options.check()?;
+        let n = cost.dim();
+        assert_eq!(inverse.dim(), n, "length of the control variable");
+        let probes = probe(cost, options.probes, rng)?;
+        let mut product = |p: &[f64], out: &mut [f64]| cost.hessian_apply(p, out);
+        let mut space = Space::new(n);
+        for i in (0..inverse.pairs()).rev() {
+            if space.dim() < options.max_products {
+                space.add_measured(inverse.pair(i).0, &mut product)?;
+            }
+        }
+        loop {
+            let (values, vectors) = space.ritz()?;
+            let residuals = space.residuals(&values, &vectors);
+            let split = best_split(&values, &vectors, &residuals, &probes);
+            let ended = split.bound <= options.tolerance || space.dim() >= options.max_products.min(n);
+            // Not along what the probes found: they would no longer be independent of the space they judge.
+            let next = match split.worst {
+                Some(i) => residuals[i * n..][..n].to_vec(),
+                None => normals(n, rng),
+            };
+            if ended || !space.add_measured(&next, &mut product)? {
+                return Ok(Self::kept(n, &values, &vectors, &split, space.dim() + options.probes));
+            }
+        }
+    }
+
+    /// The pairs of a split.
+    fn kept(n: usize, values: &[f64], vectors: &[f64], split: &Split, products: usize) -> Self {
+        let left_out = values.len() - split.kept;
+        Self {
+            n,
+            values: values[left_out..].to_vec(),
+            vectors: vectors[left_out * n..].to_vec(),
+            error_bound: Some(split.bound),
+            products,
+        }
     }
 
     /// Upper bound of ‖P_v − A⁻¹‖₂, with the probability stated at [`Self::lanczos`]; `None` where there is none.
@@ -193,7 +213,7 @@ impl LowRankPosterior {
         let mut product = vec![0.0; self.n];
         let mut sum = 0.0;
         for _ in 0..samples {
-            let w: Vec<f64> = (0..self.n).map(|_| StandardNormal.sample(rng)).collect();
+            let w = normals(self.n, rng);
             cost.hessian_apply(&w, &mut product)?;
             self.scale(&mut product, |mu| 1.0 / mu);
             sum += product.iter().zip(&w).map(|(p, w)| (p - w) * (p - w)).sum::<f64>();
@@ -265,7 +285,7 @@ impl LowRankPosterior {
     /// If a length does not agree with the transform.
     pub fn draw<R: Rng + ?Sized>(&self, transform: &ControlTransform, v: &[f64], rng: &mut R) -> Vec<f64> {
         assert_eq!((v.len(), transform.dim()), (self.n, self.n), "length of the control variable");
-        let mut w: Vec<f64> = (0..self.n).map(|_| StandardNormal.sample(rng)).collect();
+        let mut w = normals(self.n, rng);
         self.scale(&mut w, |mu| 1.0 / mu.sqrt());
         w.iter_mut().zip(v).for_each(|(w, v)| *w += v);
         let mut z = vec![0.0; transform.control_dim()];
@@ -286,38 +306,169 @@ impl LowRankPosterior {
     }
 }
 
-/// How many of the Ritz pairs, ascending, to keep, from the top, for the least error bound; and that bound.
-fn best_split(
-    values: &[f64],
-    vectors: &[f64],
-    (q, coupling): (Vec<f64>, Vec<f64>),
-    probes: &[(Vec<f64>, Vec<f64>)],
-) -> (usize, f64) {
-    let n = q.len();
-    // Π(A − I)w and the coefficient c of q in Π A (w − Πw), which Π(A − I)Πw = Π(A − I)w − c q needs.
-    let mut rest: Vec<(Vec<f64>, f64)> = probes.iter().map(|(_, image)| (image.clone(), 0.0)).collect();
+impl LanczosOptions {
+    fn check(&self) -> Result<(), Error> {
+        if !(self.tolerance > 0.0) {
+            return Err(Error::Setting { what: "tolerance", value: self.tolerance });
+        }
+        at_least_one("max_products", self.max_products)?;
+        at_least_one("probes", self.probes)
+    }
+}
+
+/// Random vectors w and (A − I) w.
+type Probes = Vec<(Vec<f64>, Vec<f64>)>;
+
+fn probe<R: Rng + ?Sized>(cost: &mut dyn GaussNewton, count: usize, rng: &mut R) -> Result<Probes, Error> {
+    let n = cost.dim();
+    let mut probes = Vec::new();
+    for _ in 0..count {
+        let w = normals(n, rng);
+        let mut image = vec![0.0; n];
+        cost.hessian_apply(&w, &mut image)?;
+        image.iter_mut().zip(&w).for_each(|(a, w)| *a -= w);
+        probes.push((w, image));
+    }
+    Ok(probes)
+}
+
+fn normals<R: Rng + ?Sized>(n: usize, rng: &mut R) -> Vec<f64> {
+    (0..n).map(|_| StandardNormal.sample(rng)).collect()
+}
+
+/// A space and A on it: Q orthonormal and A Q, one column after the other.
+struct Space {
+    n: usize,
+    basis: Vec<f64>,
+    images: Vec<f64>,
+}
+
+impl Space {
+    fn new(n: usize) -> Self {
+        Self { n, basis: Vec::new(), images: Vec::new() }
+    }
+
+    fn dim(&self) -> usize {
+        self.basis.len() / self.n.max(1)
+    }
+
+    /// Adds the direction of s with y = A s, if more than 10⁻³ of it is new; says whether it was.
+    fn add(&mut self, s: &[f64], y: &[f64]) -> bool {
+        let (mut q, mut aq) = (s.to_vec(), y.to_vec());
+        // Twice is enough.
+        for _ in 0..2 {
+            for (p, ap) in self.basis.chunks_exact(self.n).zip(self.images.chunks_exact(self.n)) {
+                let c = dot(p, &q);
+                q.iter_mut().zip(p).for_each(|(q, p)| *q -= c * p);
+                aq.iter_mut().zip(ap).for_each(|(q, p)| *q -= c * p);
+            }
+        }
+        let left = norm(&q);
+        let new = left > 1e-3 * norm(s);
+        if new {
+            self.basis.extend(q.iter().map(|q| q / left));
+            self.images.extend(aq.iter().map(|aq| aq / left));
+        }
+        new
+    }
+
+    /// Adds the direction of s with its image from a product.
+    fn add_measured(&mut self, s: &[f64], product: &mut Product) -> Result<bool, Error> {
+        let new = self.add(s, s);
+        if new {
+            let last = self.basis.len() - self.n;
+            product(&self.basis[last..], &mut self.images[last..])?;
+        }
+        Ok(new)
+    }
+
+    /// Ritz values, ascending, and vectors, one after the other.
+    fn ritz(&self) -> Result<(Vec<f64>, Vec<f64>), Error> {
+        let (n, k) = (self.n, self.dim());
+        let mut small = vec![0.0; k * k];
+        for (j, aq) in self.images.chunks_exact(n).enumerate() {
+            for (i, q) in self.basis.chunks_exact(n).enumerate() {
+                small[i + j * k] += 0.5 * dot(q, aq);
+                small[j + i * k] += 0.5 * dot(q, aq);
+            }
+        }
+        let (values, small) = eigen(k, &small)?;
+        Ok((values, self.combine(&self.basis, &small)))
+    }
+
+    /// A z_i − μ_i z_i of the Ritz pairs, from the space's images.
+    fn residuals(&self, values: &[f64], vectors: &[f64]) -> Vec<f64> {
+        let n = self.n;
+        let along = |z: &[f64]| self.basis.chunks_exact(n).map(|q| dot(q, z)).collect::<Vec<f64>>();
+        let small: Vec<f64> = vectors.chunks_exact(n).flat_map(along).collect();
+        let mut residuals = self.combine(&self.images, &small);
+        for ((r, z), mu) in residuals.chunks_exact_mut(n).zip(vectors.chunks_exact(n)).zip(values) {
+            r.iter_mut().zip(z).for_each(|(r, z)| *r -= mu * z);
+        }
+        residuals
+    }
+
+    /// The columns times a k × k matrix.
+    fn combine(&self, columns: &[f64], matrix: &[f64]) -> Vec<f64> {
+        let (n, k) = (self.n, self.dim());
+        let mut out = vec![0.0; n * k];
+        for (z, w) in out.chunks_exact_mut(n).zip(matrix.chunks_exact(k.max(1))) {
+            for (q, w) in columns.chunks_exact(n).zip(w) {
+                z.iter_mut().zip(q).for_each(|(z, q)| *z += w * q);
+            }
+        }
+        out
+    }
+}
+
+/// Which of the Ritz pairs to keep.
+struct Split {
+    /// How many, from the top.
+    kept: usize,
+    /// The error bound with these.
+    bound: f64,
+    /// The pair with the largest residual, scaled as in ν; `None` where the probes find more beside all pairs.
+    worst: Option<usize>,
+}
+
+/// How many of the Ritz pairs, ascending, with their residuals, to keep for the least error bound.
+fn best_split(values: &[f64], vectors: &[f64], residuals: &[f64], probes: &Probes) -> Split {
+    // Π(A − I)w less R Zᵀw is Π(A − I)Πw, with R the residuals of the pairs Z that Π projects out.
+    let n = probes[0].0.len();
+    let mut rest: Vec<(Vec<f64>, Vec<f64>)> =
+        probes.iter().map(|(_, image)| (image.clone(), vec![0.0; n])).collect();
     let mut nu = 0.0;
-    let mut best = (0, f64::INFINITY);
+    let mut best = Split { kept: 0, bound: f64::INFINITY, worst: None };
+    let (mut largest, mut missed) = (0.0, 0.0);
     for kept in 0..=values.len() {
         if kept > 0 {
             let i = values.len() - kept;
-            let z = &vectors[i * n..(i + 1) * n];
-            nu = f64::hypot(nu, coupling[i] / values[i].sqrt());
-            for ((image, c), (w, _)) in rest.iter_mut().zip(probes) {
-                let along = dot(z, image);
-                image.iter_mut().zip(z).for_each(|(a, z)| *a -= along * z);
-                *c += coupling[i] * dot(z, w);
+            let (z, r) = (&vectors[i * n..][..n], &residuals[i * n..][..n]);
+            let size = norm(r) / values[i].sqrt();
+            nu = f64::hypot(nu, size);
+            if size > largest {
+                (largest, best.worst) = (size, Some(i));
+            }
+            for ((image, along), (w, _)) in rest.iter_mut().zip(probes) {
+                let (c, d) = (dot(z, image), dot(z, w));
+                image.iter_mut().zip(z).for_each(|(a, z)| *a -= c * z);
+                along.iter_mut().zip(r).for_each(|(a, r)| *a += d * r);
             }
         }
-        let largest = rest.iter().map(|(image, c)| {
-            image.iter().zip(&q).map(|(a, q)| (a - c * q) * (a - c * q)).sum::<f64>().sqrt()
-        });
-        let omega = 10.0 * (2.0 / std::f64::consts::PI).sqrt() * largest.fold(0.0, f64::max);
+        let found = |(image, along): &(Vec<f64>, Vec<f64>)| {
+            image.iter().zip(along).map(|(a, r)| (a - r) * (a - r)).sum::<f64>().sqrt()
+        };
+        missed = rest.iter().map(found).fold(0.0, f64::max);
+        let omega = 10.0 * (2.0 / std::f64::consts::PI).sqrt() * missed;
         // P_v and A⁻¹ both lie between 0 and I.
         let bound = if nu < 1.0 { (nu / (1.0 - nu) + omega / (1.0 + omega)).min(1.0) } else { 1.0 };
-        if bound < best.1 {
-            best = (kept, bound);
+        if bound < best.bound {
+            (best.kept, best.bound) = (kept, bound);
         }
+    }
+    // A probe has norm √n or so, a Ritz vector 1.
+    if missed >= largest * (n as f64).sqrt() {
+        best.worst = None;
     }
     best
 }

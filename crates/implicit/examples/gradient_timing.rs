@@ -19,12 +19,16 @@ fn main() {
         });
         let gradient = least(n, || {
             trajectory.run(&mut model, black_box(&x0), 100, Keep::Linearizations).expect("a finite run");
-            trajectory.adjoint(&mut model, &mut lambda, &mut |k, lambda| lambda[0] += k as f64);
+            trajectory
+                .adjoint(&mut model, &mut lambda, &mut |k, _, lambda| lambda[0] += k as f64)
+                .expect("no step runs again");
         });
         let product = least(n, || {
             lambda.copy_from_slice(black_box(&x0));
-            trajectory.tangent(&mut model, &mut lambda, &mut |_, _| {});
-            trajectory.adjoint(&mut model, &mut lambda, &mut |k, lambda| lambda[0] += k as f64);
+            trajectory.tangent(&mut model, &mut lambda, &mut |_, _, _| {}).expect("no step runs again");
+            trajectory
+                .adjoint(&mut model, &mut lambda, &mut |k, _, lambda| lambda[0] += k as f64)
+                .expect("no step runs again");
         });
         println!("{n:>6} {forward:>13.2} {:>15.2} {:>14.2}", gradient / forward, product / forward);
     }

@@ -43,16 +43,16 @@ fn main() -> Result<(), Error> {
     println!("after 3 s: φ = {:.6} rad, φ̇ = {:.6} rad/s", end[0], end[1]);
 
     let mut gradient = [0.0; 2];
-    trajectory.adjoint(&mut model, &mut gradient, &mut |k, lambda| {
+    trajectory.adjoint(&mut model, &mut gradient, &mut |k, _, lambda| {
         if k == steps {
             lambda[0] += 1.0;
         }
-    });
+    })?;
     println!("adjoint:   ∂φ(3 s)/∂φ(0) = {:.9}, ∂φ(3 s)/∂φ̇(0) = {:.9} s", gradient[0], gradient[1]);
     for (component, name) in ["∂φ(3 s)/∂φ(0)", "∂φ(3 s)/∂φ̇(0)"].into_iter().enumerate() {
         let mut dx = [0.0; 2];
         dx[component] = 1.0;
-        trajectory.tangent(&mut model, &mut dx, &mut |_, _| {});
+        trajectory.tangent(&mut model, &mut dx, &mut |_, _, _| {})?;
         println!("tangent:   {name} = {:.9}", dx[0]);
     }
 

@@ -57,35 +57,47 @@ pub fn ldlt_solve(w: usize, a: &[f64], b: &mut [f64]) {
     back_substitute(w, a, b);
 }
 
-/// B ← A⁻¹ B for m right-hand sides at once; B is n × m, row by row: entry (i, c) at `i m + c`.
+/// Right-hand sides that [`ldlt_solve_block`] takes at once: enough to fill the registers of a processor.
+pub const BLOCK: usize = 16;
+
+/// B ← A⁻¹ B for a block of right-hand sides with the factor of [`ldlt_factor`]; B is n rows: entry (i, c) is `b[i][c]`. A column's
+/// bits do not depend on the others.
 ///
 /// # Panics
-/// If m is zero or the lengths of `a` and `b` do not fit.
-pub fn ldlt_solve_many(w: usize, a: &[f64], b: &mut [f64], m: usize) {
-    assert!(m > 0 && b.len().is_multiple_of(m), "a block of right-hand sides needs full rows");
-    let n = b.len() / m;
-    assert_eq!(a.len(), n * (w + 1), "factor and right-hand side differ in size");
-    for i in 0..n {
-        let (above, row) = b.split_at_mut(i * m);
-        for j in i.saturating_sub(w)..i {
-            let l = a[i * (w + 1) + j + w - i];
-            for (r, y) in row.iter_mut().zip(&above[j * m..(j + 1) * m]) {
-                *r -= l * y;
-            }
+/// If the length of `a` is not w + 1 times the number of rows of `b`.
+pub fn ldlt_solve_block(w: usize, a: &[f64], b: &mut [[f64; BLOCK]]) {
+    assert_eq!(a.len(), b.len() * (w + 1), "factor and right-hand sides differ in size");
+    // the widest vectors there are; products and sums stay apart, so that the bits are the same on every machine
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        || solve_block(w, a, b),
+    );
+}
+
+#[inline(always)]
+fn solve_block(w: usize, a: &[f64], b: &mut [[f64; BLOCK]]) {
+    let (n, s) = (b.len(), w + 1);
+    let minus = |row: &mut [f64; BLOCK], l: f64, other: &[f64; BLOCK]| {
+        for c in 0..BLOCK {
+            row[c] -= l * other[c];
         }
-    }
+    };
     for i in 0..n {
-        let reciprocal = a[i * (w + 1) + w];
-        b[i * m..(i + 1) * m].iter_mut().for_each(|r| *r *= reciprocal);
+        let mut row = b[i];
+        let reach = i.min(w);
+        for (l, above) in a[i * s + w - reach..i * s + w].iter().zip(&b[i - reach..i]) {
+            minus(&mut row, *l, above);
+        }
+        b[i] = row;
     }
     for i in (0..n).rev() {
-        let (above, row) = b.split_at_mut(i * m);
-        for j in i.saturating_sub(w)..i {
-            let l = a[i * (w + 1) + j + w - i];
-            for (r, y) in above[j * m..(j + 1) * m].iter_mut().zip(row.iter()) {
-                *r -= l * y;
-            }
+        let mut row = b[i].map(|y| y * a[i * s + w]);
+        let reach = (n - 1 - i).min(w);
+        // l_{i+d,i} lies d w after the diagonal of row i
+        for d in 1..=reach {
+            minus(&mut row, a[i * s + w + d * w], &b[i + d]);
         }
+        b[i] = row;
     }
 }
 

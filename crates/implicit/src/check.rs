@@ -96,7 +96,7 @@ pub fn dot_product(
     let (mut m_dx, mut mt_lambda) = (dx.clone(), lambda.clone());
     steps.clone().for_each(|k| model.tangent(k, &mut m_dx));
     steps.rev().for_each(|k| model.adjoint(k, &mut mt_lambda));
-    compare(&dx, &m_dx, &lambda, &mt_lambda, norm, scale)
+    compare(&dx, &m_dx, &lambda, &mt_lambda, norm, [scale, scale])
 }
 
 /// ‖M‖ in scaled variables from below, by `products` power iterations with MᵀM from v; the last one ends at M v.
@@ -140,7 +140,8 @@ impl Amplification {
     pub fn warning(&self) -> Option<String> {
         (!self.reliable).then(|| {
             format!(
-                "the window amplifies perturbations {:.0e} times: its gradient is right to {:.0e} at best; shorten the window,                  or observe more often and let errors of the model in (weak constraint)",
+                "the window amplifies perturbations {:.0e} times: its gradient is right to {:.0e} at best; shorten the window, \
+                 or observe more often and let errors of the model in (weak constraint)",
                 self.norm, self.gradient_error
             )
         })
@@ -170,7 +171,7 @@ pub fn amplification(
 }
 
 /// Compares ⟨M dx, λ⟩ with ⟨dx, Mᵀ λ⟩ for products already made, and a norm of M in scaled variables (a larger one
-/// loosens the bound).
+/// loosens the bound). `scales` are those of dx and of M dx, which may differ in length.
 ///
 /// # Errors
 /// [`Error::EmptyTest`] where a vector is zero, or M dx so small that rounding rules it.
@@ -183,15 +184,15 @@ pub fn compare(
     lambda: &[f64],
     mt_lambda: &[f64],
     norm: f64,
-    scale: &[f64],
+    scales: [&[f64]; 2],
 ) -> Result<DotProduct, Error> {
-    assert!(
-        dx.len() == scale.len() && m_dx.len() == lambda.len() && dx.len() == mt_lambda.len(),
-        "lengths differ"
-    );
-    let inverse: Vec<f64> = scale.iter().map(|s| 1.0 / s).collect();
-    let sizes =
-        [norm_of(dx, scale), norm_of(m_dx, scale), norm_of(lambda, &inverse), norm_of(mt_lambda, &inverse)];
+    let inverse = scales.map(|scale| scale.iter().map(|s| 1.0 / s).collect::<Vec<f64>>());
+    let sizes = [
+        norm_of(dx, scales[0]),
+        norm_of(m_dx, scales[1]),
+        norm_of(lambda, &inverse[1]),
+        norm_of(mt_lambda, &inverse[0]),
+    ];
     if sizes.contains(&0.0) {
         return Err(Error::EmptyTest { what: "a vector of the dot product is zero" });
     }
@@ -408,6 +409,7 @@ fn log_slope(points: &[(f64, f64)]) -> f64 {
 
 /// ‖v / scale‖.
 fn norm_of(v: &[f64], scale: &[f64]) -> f64 {
+    assert_eq!(v.len(), scale.len(), "a vector and its scale differ in length");
     v.iter().zip(scale).map(|(v, s)| (v / s).powi(2)).sum::<f64>().sqrt()
 }
 

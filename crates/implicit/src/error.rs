@@ -43,6 +43,14 @@ pub enum Error {
         /// Index k of the step.
         step: usize,
     },
+    /// A budget of memory too small for the sparest [`Storage`](crate::Storage).
+    #[error("{budget} bytes are too few for this window: one checkpoint already takes {least}")]
+    Memory {
+        /// Bytes allowed.
+        budget: usize,
+        /// Bytes needed at least.
+        least: usize,
+    },
     /// A check that would have compared nothing with nothing, or rounding with rounding.
     #[error("an empty test: {what}")]
     EmptyTest {
@@ -57,12 +65,41 @@ pub enum Error {
         /// Which vector.
         what: &'static str,
     },
+    /// The shortest step allowed is too long for the error asked for.
+    #[error(
+        "t = {time} s: a step of {length:e} s has an error of {error:e} (wanted {tolerance:e}); no shorter one is allowed"
+    )]
+    ToleranceNotMet {
+        /// Time at the start of the step (s).
+        time: f64,
+        /// Its length (s).
+        length: f64,
+        /// The error estimated.
+        error: f64,
+        /// The most it may be.
+        tolerance: f64,
+    },
     /// The step's own equations refused the state.
-    #[error("step {step}: {source}")]
+    #[error("step {step}: {reason}")]
     Refused {
         /// Index k of the step.
         step: usize,
-        /// The typed error of the step.
-        source: Refusal,
+        /// The typed error of the step. Part of the message, hence not of the chain of sources as well.
+        reason: Refusal,
     },
+}
+
+impl Error {
+    /// The same error under the number that step has for the caller.
+    pub(crate) fn at_step(mut self, k: usize) -> Error {
+        match &mut self {
+            Error::NewtonDiverged { step, .. }
+            | Error::SingularJacobian { step, .. }
+            | Error::NotAStep { step }
+            | Error::NonFinite { step, .. }
+            | Error::Refused { step, .. } => *step = k,
+            Error::EmptyTest { .. } | Error::ToleranceNotMet { .. } | Error::Memory { .. } => {}
+        }
+        self
+    }
 }

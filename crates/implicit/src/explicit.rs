@@ -23,8 +23,10 @@ pub struct Rk4<R> {
     slope: Vec<f64>,
     sum: Vec<f64>,
     point: Vec<f64>,
+    /// The stages of linearized steps, and whose they are; step k is kept in place k mod `places`.
     kept: Vec<Vec<f64>>,
-    linearized: Vec<bool>,
+    linearized: Vec<Option<usize>>,
+    places: usize,
     counts: Counts,
 }
 
@@ -52,6 +54,7 @@ impl<R: Rhs> Rk4<R> {
             point: vec![0.0; n],
             kept: Vec::new(),
             linearized: Vec::new(),
+            places: usize::MAX,
             counts: Counts::default(),
         }
     }
@@ -64,6 +67,13 @@ impl<R: Rhs> Rk4<R> {
     /// Time at stage i of step k [s].
     fn time(&self, k: usize, i: usize) -> f64 {
         (self.first + k) as f64 * self.length + PLACE[i] * self.length
+    }
+
+    /// Where the linearization of step k is.
+    fn place(&self, k: usize) -> usize {
+        let place = k % self.places;
+        assert!(self.linearized.get(place) == Some(&Some(k)), "step {k} has not been linearized");
+        place
     }
 
     /// Fills `stages` and, up to the slope of the last stage asked for, `sum` = Σ w_i k_i.
@@ -114,26 +124,27 @@ impl<R: Rhs> Model for Rk4<R> {
         if self.last != Some(k) || !same_bits(&self.stages[..n], x) {
             self.run(k, x, 3);
         }
-        if self.kept.len() <= k {
-            self.kept.resize_with(k + 1, Vec::new);
-            self.linearized.resize(k + 1, false);
+        let place = k % self.places;
+        if self.kept.len() <= place {
+            self.kept.resize_with(place + 1, Vec::new);
+            self.linearized.resize(place + 1, None);
         }
-        self.linearized[k] = true;
-        self.kept[k].resize(4 * n, 0.0);
-        std::mem::swap(&mut self.kept[k], &mut self.stages);
+        self.linearized[place] = Some(k);
+        self.kept[place].resize(4 * n, 0.0);
+        std::mem::swap(&mut self.kept[place], &mut self.stages);
         self.last = None;
         Ok(())
     }
 
     fn tangent(&mut self, k: usize, dx: &mut [f64]) {
-        assert!(self.linearized.get(k) == Some(&true), "step {k} has not been linearized");
+        let place = self.place(k);
         self.counts.tangent_steps += 1;
         let n = dx.len();
         self.sum.fill(0.0);
         self.point.copy_from_slice(dx);
         for i in 0..4 {
             let t = self.time(k, i);
-            self.rhs.tangent(t, &self.kept[k][i * n..(i + 1) * n], &self.point, &mut self.slope);
+            self.rhs.tangent(t, &self.kept[place][i * n..(i + 1) * n], &self.point, &mut self.slope);
             let h = PLACE.get(i + 1).unwrap_or(&0.0) * self.length;
             for (((p, d), s), sum) in self.point.iter_mut().zip(dx.iter()).zip(&self.slope).zip(&mut self.sum)
             {
@@ -145,7 +156,7 @@ impl<R: Rhs> Model for Rk4<R> {
     }
 
     fn adjoint(&mut self, k: usize, lambda: &mut [f64]) {
-        assert!(self.linearized.get(k) == Some(&true), "step {k} has not been linearized");
+        let place = self.place(k);
         self.counts.adjoint_steps += 1;
         // With p_i = (∂f/∂X_i)ᵀ μ_i:
         //   μ₄ = Δt/6 λ,  μ₃ = Δt/3 λ + Δt p₄,  μ₂ = Δt/3 λ + Δt/2 p₃,  μ₁ = Δt/6 λ + Δt/2 p₂,  Mᵀλ = λ + p₄ + p₃ + p₂ + p₁,
@@ -155,7 +166,7 @@ impl<R: Rhs> Model for Rk4<R> {
         let weight = WEIGHT.map(|w| self.length * w);
         let after = [1, 2, 3].map(|i| self.length * PLACE[i]);
         let Self { rhs, kept, slope: mu, point: p, sum, .. } = self;
-        let stage = |i: usize| &kept[k][i * n..(i + 1) * n];
+        let stage = |i: usize| &kept[place][i * n..(i + 1) * n];
 
         p.fill(0.0);
         rhs.adjoint_add(time[3], stage(3), lambda, p);
@@ -176,6 +187,23 @@ impl<R: Rhs> Model for Rk4<R> {
             *l = sum + p;
         }
         rhs.adjoint_add(time[0], stage(0), mu, lambda);
+    }
+
+    fn keep_at_most(&mut self, steps: usize) {
+        assert!(steps > 0, "a step must be kept to be of use");
+        if steps != self.places {
+            self.places = steps;
+            self.kept = Vec::new();
+            self.linearized = Vec::new();
+        }
+    }
+
+    fn bytes_per_step(&self) -> usize {
+        size_of_val(self.stages.as_slice()) + size_of::<Vec<f64>>() + size_of::<Option<usize>>()
+    }
+
+    fn bytes_kept(&self) -> usize {
+        self.kept.len() * self.bytes_per_step()
     }
 
     fn counts(&self) -> Counts {

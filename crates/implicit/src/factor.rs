@@ -8,7 +8,7 @@ use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{ColMut, Conj, MatMut, Par};
 
 use crate::Structure;
-use crate::band::{self, BadPivot};
+use crate::band::{self, BLOCK, BadPivot};
 
 /// Factors and solves matrices of one structure.
 ///
@@ -24,6 +24,7 @@ pub struct LinearSolver {
     shifted: Vec<f64>,
     permuted: Vec<f64>,
     inverse: Vec<usize>,
+    column: Vec<f64>,
 }
 
 /// The factor of one matrix; belongs to the [`LinearSolver`] that made it.
@@ -71,6 +72,7 @@ impl LinearSolver {
             shifted: Vec::new(),
             permuted: vec![0.0; n],
             inverse: vec![0; n],
+            column: vec![0.0; n],
         };
         solver.shifted = vec![0.0; solver.values_len()];
         solver
@@ -243,6 +245,42 @@ impl LinearSolver {
                 );
             }
         }
+    }
+
+    /// B ← A⁻¹ B for a block of right-hand sides, row by row: entry (i, c) in `b[i][c]`. A column's bits do not depend on the others.
+    ///
+    /// # Panics
+    /// If B has not n rows.
+    pub fn solve_block(&mut self, factor: &Factor, b: &mut [[f64; BLOCK]]) {
+        match self.structure {
+            Structure::SymmetricBand { half_bandwidth } => {
+                band::ldlt_solve_block(half_bandwidth, &factor.values, b)
+            }
+            _ => self.each_column(b, &mut |solver, column| solver.solve(factor, column)),
+        }
+    }
+
+    /// B ← A⁻ᵀ B, as `solve_block`.
+    ///
+    /// # Panics
+    /// If B has not n rows.
+    pub fn solve_transpose_block(&mut self, factor: &Factor, b: &mut [[f64; BLOCK]]) {
+        match self.structure {
+            Structure::SymmetricBand { half_bandwidth } => {
+                band::ldlt_solve_block(half_bandwidth, &factor.values, b)
+            }
+            _ => self.each_column(b, &mut |solver, column| solver.solve_transpose(factor, column)),
+        }
+    }
+
+    fn each_column(&mut self, b: &mut [[f64; BLOCK]], act: &mut dyn FnMut(&mut Self, &mut [f64])) {
+        let mut column = std::mem::take(&mut self.column);
+        for c in 0..BLOCK {
+            column.iter_mut().zip(b.iter()).for_each(|(v, row)| *v = row[c]);
+            act(self, &mut column);
+            b.iter_mut().zip(&column).for_each(|(row, v)| row[c] = *v);
+        }
+        self.column = column;
     }
 
     /// A direction z with zᵀ A z < 0, and that number, for a symmetric band with a negative pivot; `None` otherwise.

@@ -2,12 +2,13 @@
 //!
 //! Write the equations of one step and their derivatives as an [`ImplicitStep`]; [`ImplicitModel`] makes of it a
 //! [`Model`]: Newton's method with a line search, halved steps where that fails, and the tangent linear and adjoint of the
-//! step from a kept factorization (paper 2.23 to 2.25). [`OneLeg`] and [`Rk4`] are ready-made steps for any ẋ = f(t, x),
+//! step from a kept factorization (paper 2.23 to 2.25). [`OneLeg`] (implicit Euler, midpoint, BDF2) and [`Rk4`] are ready-made steps for any ẋ = f(t, x),
 //! [`Trajectory`] runs a window and sweeps along it, [`check`] tests the derivatives of any [`Model`]. [`lorenz`] and [`mod@line`]
 //! hold models to try things on; one of your own is an [`Rhs`] of three functions.
 //!
-//! When not to use it: where steps adapt their length to an error estimate (steps here lie on a uniform grid of time), or
-//! where derivatives are not known in closed form (nothing here differentiates numerically).
+//! Steps lie on a grid of time, uniform or given; [`accepted_times`] makes one by an error estimate, to be kept fixed as long
+//! as derivatives are taken. When not to use it: where the derivative of an adapting step length is wanted too, or where
+//! derivatives are not known in closed form (nothing here differentiates numerically).
 //!
 //! The derivative of the end of a window with respect to its start, and its transpose:
 //!
@@ -21,13 +22,13 @@
 //! trajectory.run(&mut model, &[1.0, 3.0, 20.0], 50, Keep::Linearizations)?;
 //!
 //! let mut dx = [1.0, 0.0, 0.0];
-//! trajectory.tangent(&mut model, &mut dx, &mut |_, _| {});
+//! trajectory.tangent(&mut model, &mut dx, &mut |_, _, _| {})?;
 //! let mut lambda = [0.0; 3];
-//! trajectory.adjoint(&mut model, &mut lambda, &mut |k, lambda| {
+//! trajectory.adjoint(&mut model, &mut lambda, &mut |k, _, lambda| {
 //!     if k == 50 {
 //!         lambda[2] += 1.0;
 //!     }
-//! });
+//! })?;
 //! // ∂z₅₀/∂x₀ both ways
 //! assert!((dx[2] - lambda[0]).abs() < 1e-12 * dx[2].abs());
 //!
@@ -36,26 +37,35 @@
 //! # Ok::<(), varda_implicit::Error>(())
 //! ```
 
+mod adaptive;
 pub mod band;
+mod block;
 pub mod check;
 mod error;
 mod explicit;
 mod factor;
+mod grouped;
 mod implicit;
 pub mod line;
 pub mod lorenz;
 mod model;
 mod newton;
 mod rhs;
+mod scheme;
 mod step;
+mod storage;
 mod trajectory;
 
+pub use adaptive::{Adaptive, accepted_times};
 pub use error::{Error, Refusal};
 pub use explicit::Rk4;
 pub use factor::{Factor, LinearSolver};
-pub use implicit::{ImplicitModel, MAX_HALVINGS};
+pub use grouped::Grouped;
+pub use implicit::{ImplicitModel, Linearization, MAX_HALVINGS};
 pub use model::{Counts, Model, Warning};
 pub use newton::{NewtonOptions, NewtonReport, NewtonWork, solve};
 pub use rhs::{OneLeg, Rhs};
+pub use scheme::{Scheme, Stage};
 pub use step::{ImplicitStep, Interval, Structure};
+pub use storage::{Footprint, Storage};
 pub use trajectory::{Keep, Trajectory};

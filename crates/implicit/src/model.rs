@@ -31,6 +31,44 @@ pub trait Model {
     /// If step k has not been linearized.
     fn adjoint(&mut self, k: usize, lambda: &mut [f64]);
 
+    /// dx ← M_k dx for every column of a block, one after the other (`dx` has the length of the state times their number).
+    /// A column's bits do not depend on the others. By default one by one.
+    ///
+    /// # Panics
+    /// If step k has not been linearized, or there is a part of a column.
+    fn tangent_block(&mut self, k: usize, dx: &mut [f64]) {
+        let n = self.dim();
+        assert!(dx.len().is_multiple_of(n), "a column has {n} values");
+        dx.chunks_exact_mut(n).for_each(|dx| self.tangent(k, dx));
+    }
+
+    /// λ ← M_kᵀ λ for every column of a block, as for `tangent_block`.
+    ///
+    /// # Panics
+    /// As for `tangent_block`.
+    fn adjoint_block(&mut self, k: usize, lambda: &mut [f64]) {
+        let n = self.dim();
+        assert!(lambda.len().is_multiple_of(n), "a column has {n} values");
+        lambda.chunks_exact_mut(n).for_each(|lambda| self.adjoint(k, lambda));
+    }
+
+    /// Keeps the linearizations of no more than `steps` steps from now on (at first of all): those linearized last in a
+    /// window that is swept in order, either way. Memory beyond that is given back. By default nothing happens: a model that
+    /// keeps every linearization is right, only larger.
+    fn keep_at_most(&mut self, steps: usize) {
+        let _ = steps;
+    }
+
+    /// Bytes that keeping the linearization of one step takes; zero where a model does not say.
+    fn bytes_per_step(&self) -> usize {
+        0
+    }
+
+    /// Bytes of all linearizations held now; zero where a model does not say.
+    fn bytes_kept(&self) -> usize {
+        0
+    }
+
     /// Length of the control z.
     fn control_dim(&self) -> usize {
         self.dim()
@@ -74,6 +112,8 @@ pub struct Counts {
     pub adjoint_steps: usize,
     /// Linearizations of a step.
     pub linearizations: usize,
+    /// Those of them that took over the last factor of Newton's method (see [`Linearization`](crate::Linearization)).
+    pub reused: usize,
     /// Numerical factorizations of ∂G/∂u, in steps and in linearizations.
     pub factorizations: usize,
     /// Newton iterations.

@@ -1,6 +1,6 @@
 //! Ordinary differential equations ẋ = f(t, x), and implicit steps for any of them.
 
-use crate::{ImplicitStep, Interval, Refusal, Structure};
+use crate::{ImplicitStep, Interval, Refusal, Scheme, Structure};
 
 /// The right-hand side f of ẋ = f(t, x), with its derivative as products.
 ///
@@ -34,20 +34,19 @@ pub trait Rhs {
     }
 }
 
-/// A one-leg step of ẋ = f(t, x): f is taken once, a share θ of the way through the step (Dahlquist 1975).
+/// A one-leg step of ẋ = f(t, x) by one of the schemes of [`Scheme`]: f is taken once, at the stage y.
 ///
 /// ```text
-/// G(x_k, u) = u − x_k − Δt f(t_k + θ Δt, (1 − θ) x_k + θ u),   x_{k+1} = u
+/// G(x_k, u) = u − x* − η f(t*, u),   x_{k+1} = b₀ u + b₁ x_k
 /// ```
 ///
-/// θ = 1 is implicit Euler (first order, damps), θ = ½ the implicit midpoint rule (second order, keeps quadratic invariants).
+/// The state of BDF2 is [x_k, x_{k−1}], its control x₀.
 #[derive(Debug, Clone)]
 pub struct OneLeg<R> {
     rhs: R,
+    scheme: Scheme,
     structure: Structure,
-    theta: f64,
     tolerance: f64,
-    middle: Vec<f64>,
     product: Vec<f64>,
 }
 
@@ -58,7 +57,7 @@ impl<R: Rhs> OneLeg<R> {
     /// # Panics
     /// If a sparse pattern of ∂f/∂x leaves out the diagonal.
     pub fn implicit_euler(rhs: R, tolerance: f64) -> Self {
-        Self::new(rhs, 1.0, tolerance)
+        Self::new(rhs, Scheme::BackwardEuler, tolerance)
     }
 
     /// The implicit midpoint rule, x_{k+1} = x_k + Δt f(t_{k+½}, ½(x_k + x_{k+1})). `tolerance` as for implicit Euler.
@@ -66,15 +65,28 @@ impl<R: Rhs> OneLeg<R> {
     /// # Panics
     /// If a sparse pattern of ∂f/∂x leaves out the diagonal.
     pub fn implicit_midpoint(rhs: R, tolerance: f64) -> Self {
-        Self::new(rhs, 0.5, tolerance)
+        Self::new(rhs, Scheme::Midpoint, tolerance)
     }
 
-    fn new(rhs: R, theta: f64, tolerance: f64) -> Self {
+    /// BDF2, (3 x_{k+1} − 4 x_k + x_{k−1})/(2Δt) = f(t_{k+1}, x_{k+1}), after one midpoint step. `tolerance` as for implicit
+    /// Euler.
+    ///
+    /// # Panics
+    /// If a sparse pattern of ∂f/∂x leaves out the diagonal.
+    pub fn bdf2(rhs: R, tolerance: f64) -> Self {
+        Self::new(rhs, Scheme::Bdf2, tolerance)
+    }
+
+    /// Any of the three.
+    ///
+    /// # Panics
+    /// If a sparse pattern of ∂f/∂x leaves out the diagonal.
+    pub fn new(rhs: R, scheme: Scheme, tolerance: f64) -> Self {
         let n = rhs.dim();
         let structure = rhs.structure();
         let on_diagonal = (0..n).all(|i| structure.diagonal(n, i).is_some());
         assert!(on_diagonal, "the pattern of ∂f/∂x must contain its diagonal");
-        Self { rhs, structure, theta, tolerance, middle: vec![0.0; n], product: vec![0.0; n] }
+        Self { rhs, scheme, structure, tolerance, product: vec![0.0; n] }
     }
 
     /// The right-hand side.
@@ -82,18 +94,19 @@ impl<R: Rhs> OneLeg<R> {
         &self.rhs
     }
 
-    /// Puts the point where f is taken into `self.middle`; returns its time.
-    fn leg(&mut self, at: &Interval, x: &[f64], u: &[f64]) -> f64 {
-        for ((m, x), u) in self.middle.iter_mut().zip(x).zip(u) {
-            *m = (1.0 - self.theta) * x + self.theta * u;
-        }
-        at.start + self.theta * at.length
+    /// The scheme.
+    pub fn scheme(&self) -> Scheme {
+        self.scheme
     }
 }
 
 impl<R: Rhs> ImplicitStep for OneLeg<R> {
     fn dim(&self) -> usize {
-        self.rhs.dim()
+        self.rhs.dim() + self.history()
+    }
+
+    fn history(&self) -> usize {
+        if self.scheme == Scheme::Bdf2 { self.rhs.dim() } else { 0 }
     }
 
     fn structure(&self) -> Structure {
@@ -102,7 +115,7 @@ impl<R: Rhs> ImplicitStep for OneLeg<R> {
 
     /// No change: what is stiff enough for an implicit step is too stiff for an explicit guess.
     fn predict(&mut self, _at: &Interval, x: &[f64], u: &mut [f64]) -> Result<(), Refusal> {
-        u.copy_from_slice(x);
+        u.copy_from_slice(&x[..u.len()]);
         Ok(())
     }
 
@@ -114,16 +127,20 @@ impl<R: Rhs> ImplicitStep for OneLeg<R> {
         g: &mut [f64],
         jacobian: Option<&mut [f64]>,
     ) -> Result<Option<f64>, Refusal> {
-        let t = self.leg(at, x, u);
-        self.rhs.eval(t, &self.middle, g);
-        for ((g, x), u) in g.iter_mut().zip(x).zip(u) {
-            *g = u - x - at.length * *g;
+        let stage = self.scheme.stage(at);
+        self.rhs.eval(stage.time, u, g);
+        let n = u.len();
+        for i in 0..n {
+            g[i] = u[i] - stage.from[0] * x[i] - stage.length * g[i];
+        }
+        if stage.from[1] != 0.0 {
+            g.iter_mut().zip(&x[n..]).for_each(|(g, x)| *g -= stage.from[1] * x);
         }
         if let Some(values) = jacobian {
-            self.rhs.jacobian(t, &self.middle, &mut self.product, values);
-            values.iter_mut().for_each(|v| *v *= -self.theta * at.length);
-            for i in 0..x.len() {
-                values[self.structure.diagonal(x.len(), i).expect("checked in new")] += 1.0;
+            self.rhs.jacobian(stage.time, u, &mut self.product, values);
+            values.iter_mut().for_each(|v| *v *= -stage.length);
+            for i in 0..n {
+                values[self.structure.diagonal(n, i).expect("checked in new")] += 1.0;
             }
         }
         Ok(None)
@@ -133,20 +150,66 @@ impl<R: Rhs> ImplicitStep for OneLeg<R> {
         self.tolerance
     }
 
-    fn previous(&mut self, at: &Interval, x: &[f64], u: &[f64], dx: &[f64], dg: &mut [f64]) {
-        let t = self.leg(at, x, u);
-        let share = (1.0 - self.theta) * at.length;
-        self.rhs.tangent(t, &self.middle, dx, dg);
-        dg.iter_mut().zip(dx).for_each(|(g, d)| *g = -d - share * *g);
+    fn advance(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
+        let [b0, b1] = self.scheme.stage(at).to;
+        for ((next, u), x) in x_next.iter_mut().zip(u).zip(x) {
+            *next = b0 * u + b1 * x;
+        }
     }
 
-    fn previous_transpose_add(&mut self, at: &Interval, x: &[f64], u: &[f64], mu: &[f64], dx: &mut [f64]) {
-        let t = self.leg(at, x, u);
-        let share = (1.0 - self.theta) * at.length;
-        self.product.fill(0.0);
-        self.rhs.adjoint_add(t, &self.middle, mu, &mut self.product);
-        for ((dx, mu), p) in dx.iter_mut().zip(mu).zip(&self.product) {
-            *dx -= mu + share * p;
+    fn recover(&mut self, at: &Interval, x: &[f64], x_next: &[f64], u: &mut [f64]) {
+        let [b0, b1] = self.scheme.stage(at).to;
+        for ((u, next), x) in u.iter_mut().zip(x_next).zip(x) {
+            *u = (next - b1 * x) / b0;
+        }
+    }
+
+    fn previous(&mut self, at: &Interval, _x: &[f64], _u: &[f64], dx: &[f64], dg: &mut [f64]) {
+        let [a0, a1] = self.scheme.stage(at).from;
+        dg.iter_mut().zip(dx).for_each(|(g, d)| *g = -a0 * d);
+        if a1 != 0.0 {
+            let before = &dx[dg.len()..];
+            dg.iter_mut().zip(before).for_each(|(g, d)| *g -= a1 * d);
+        }
+    }
+
+    fn previous_transpose_add(&mut self, at: &Interval, _x: &[f64], _u: &[f64], mu: &[f64], dx: &mut [f64]) {
+        let [a0, a1] = self.scheme.stage(at).from;
+        dx.iter_mut().zip(mu).for_each(|(d, m)| *d -= a0 * m);
+        if a1 != 0.0 {
+            dx[mu.len()..].iter_mut().zip(mu).for_each(|(d, m)| *d -= a1 * m);
+        }
+    }
+
+    fn advance_tangent(
+        &mut self,
+        at: &Interval,
+        _x: &[f64],
+        _u: &[f64],
+        dx: &[f64],
+        du: &[f64],
+        dx_next: &mut [f64],
+    ) {
+        let [b0, b1] = self.scheme.stage(at).to;
+        for ((next, du), dx) in dx_next.iter_mut().zip(du).zip(dx) {
+            *next = b0 * du + b1 * dx;
+        }
+    }
+
+    fn advance_adjoint(
+        &mut self,
+        at: &Interval,
+        _x: &[f64],
+        _u: &[f64],
+        lambda: &[f64],
+        dx: &mut [f64],
+        du: &mut [f64],
+    ) {
+        let [b0, b1] = self.scheme.stage(at).to;
+        dx.fill(0.0);
+        for ((l, du), dx) in lambda.iter().zip(du).zip(dx) {
+            *du = b0 * l;
+            *dx = b1 * l;
         }
     }
 }

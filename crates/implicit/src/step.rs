@@ -11,6 +11,9 @@ pub struct Interval {
     pub start: f64,
     /// Its length Δt (s).
     pub length: f64,
+    /// Length of the step (or part) before it (s), whose start the history of x_k belongs to; `None` where the window
+    /// starts and x_k has no history yet.
+    pub previous: Option<f64>,
 }
 
 impl Interval {
@@ -66,13 +69,23 @@ impl Structure {
 /// The unknowns are what must be solved for and nothing else: backward Euler of ẍ = f needs the new positions only, the
 /// velocities being (X_{k+1} − X_k)/Δt. Where u = x_{k+1} (the default of the mapping methods) G is the paper's
 /// G(x_k, x_{k+1}) (2.23). A step is a pure function of the interval and x_k: no memory of earlier calls may show.
+///
+/// **Two-step schemes** need the state before: their x_k is [its own components, `history` of the first ones of x_{k−1}].
+/// Every method is given the whole x_k, dx or (∂G/∂x_k)ᵀμ; what they write or read of the *next* state (`advance`,
+/// `recover`, `advance_tangent`, `advance_adjoint`) and of the initial one is without the history, which
+/// [`ImplicitModel`](crate::ImplicitModel) hands on.
 pub trait ImplicitStep {
-    /// Length of the state x.
+    /// Length of the state x, history included.
     fn dim(&self) -> usize;
+
+    /// How many components at the end of the state repeat the first ones of the state before.
+    fn history(&self) -> usize {
+        0
+    }
 
     /// Length of the unknowns u.
     fn unknowns(&self) -> usize {
-        self.dim()
+        self.dim() - self.history()
     }
 
     /// Layout of ∂G/∂u.
@@ -113,7 +126,7 @@ pub trait ImplicitStep {
         1e5 * self.converged_below()
     }
 
-    /// x_{k+1} = S(x_k, u).
+    /// x_{k+1} = S(x_k, u), without the history.
     fn advance(&mut self, _at: &Interval, _x: &[f64], u: &[f64], x_next: &mut [f64]) {
         x_next.copy_from_slice(u);
     }
@@ -158,10 +171,10 @@ pub trait ImplicitStep {
 
     /// Length of the control z, what is estimated.
     fn control_dim(&self) -> usize {
-        self.dim()
+        self.dim() - self.history()
     }
 
-    /// x₀ from the control z, at the time t of the start (s). Keeps what the two derivatives below need.
+    /// x₀, without a history, from the control z, at the time t of the start (s). Keeps what the two derivatives below need.
     fn initial_state(&mut self, _t: f64, z: &[f64], x: &mut [f64]) -> Result<(), Refusal> {
         x.copy_from_slice(z);
         Ok(())

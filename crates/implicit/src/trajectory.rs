@@ -1,52 +1,86 @@
 //! The states of a window, and sweeps along them.
 
-use crate::{Error, Model};
+use crate::storage::next_checkpoint;
+use crate::{Error, Model, Storage};
 
-/// What a forward run keeps.
+/// What a forward run leaves behind for sweeps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Keep {
-    /// The states alone. [`Trajectory::linearize`] can add the rest later.
+    /// No linearizations. A sweep, or [`Trajectory::linearize`], makes them later.
     States,
-    /// The states, and in the model the linearization of every step: what sweeps need.
+    /// In the model the linearization of every step, made as the run goes, where the storage keeps them all.
     Linearizations,
 }
 
-/// The states x₀ … x_N of a window, and tangent and adjoint sweeps along them.
+/// The states x₀ … x_N of a window, or those of them that its [`Storage`] keeps, and tangent and adjoint sweeps along them.
 ///
 /// The linearizations live in the model; a trajectory knows whether they are those of its states as long as nothing
 /// else linearizes the same model. Buffers are reused from run to run.
 ///
 /// ```
-/// use varda_implicit::{Keep, Rk4, Trajectory, lorenz::Lorenz63};
+/// use varda_implicit::{Keep, Rk4, Storage, Trajectory, lorenz::Lorenz63};
 ///
 /// let mut model = Rk4::new(Lorenz63::default(), 0, 0.01);
-/// let mut trajectory = Trajectory::new();
-/// trajectory.run(&mut model, &[1.0, 1.0, 20.0], 100, Keep::Linearizations)?;
-/// // the gradient of ½‖x_N‖² with respect to x₀
-/// let last = trajectory.state(100).to_vec();
-/// let mut lambda = [0.0; 3];
-/// trajectory.adjoint(&mut model, &mut lambda, &mut |k, lambda| {
-///     if k == 100 {
-///         lambda.iter_mut().zip(&last).for_each(|(l, x)| *l += x);
-///     }
-/// });
+/// let mut gradients = Vec::new();
+/// for storage in [Storage::KeepAll, Storage::Checkpoints { states: 4 }] {
+///     let mut trajectory = Trajectory::with_storage(storage);
+///     trajectory.run(&mut model, &[1.0, 1.0, 20.0], 100, Keep::Linearizations)?;
+///     // the gradient of ½‖x_N‖² with respect to x₀
+///     let mut lambda = [0.0; 3];
+///     trajectory.adjoint(&mut model, &mut lambda, &mut |k, x, lambda| {
+///         if k == 100 {
+///             lambda.iter_mut().zip(x).for_each(|(l, x)| *l += x);
+///         }
+///     })?;
+///     gradients.push(lambda);
+/// }
+/// assert_eq!(gradients[0], gradients[1]);
 /// # Ok::<(), varda_implicit::Error>(())
 /// ```
 #[derive(Debug, Clone, Default)]
 pub struct Trajectory {
+    storage: Storage,
     dim: usize,
+    steps: usize,
+    /// All states, or those of `placed`.
     states: Vec<f64>,
     linearized: bool,
+    /// Checkpoints: the indices of the states kept, ascending from 0.
+    placed: Vec<usize>,
+    /// Checkpoints: x_k and x_{k+1} of the step last run, and k.
+    x: Vec<f64>,
+    x_next: Vec<f64>,
+    front: Option<usize>,
 }
 
 impl Trajectory {
-    /// An empty trajectory.
+    /// An empty trajectory that keeps everything.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Runs the model over `steps` steps from x₀ and keeps every state.
+    /// An empty trajectory.
+    ///
+    /// # Panics
+    /// If not even one state is to be kept.
+    pub fn with_storage(storage: Storage) -> Self {
+        assert!(storage != Storage::Checkpoints { states: 0 }, "at least one state must be kept");
+        Self { storage, ..Self::default() }
+    }
+
+    /// What is kept.
+    pub fn storage(&self) -> Storage {
+        self.storage
+    }
+
+    /// Heap memory held, in bytes: the states, not the linearizations (see [`Model::bytes_kept`]).
+    pub fn bytes(&self) -> usize {
+        let words = self.states.capacity() + self.x.capacity() + self.x_next.capacity();
+        words * size_of::<f64>() + self.placed.capacity() * size_of::<usize>()
+    }
+
+    /// Runs the model over `steps` steps from x₀.
     ///
     /// # Errors
     /// The first error of a step; the trajectory is then empty.
@@ -54,85 +88,287 @@ impl Trajectory {
     /// # Panics
     /// If x₀ has not the model's length.
     pub fn run(&mut self, model: &mut dyn Model, x0: &[f64], steps: usize, keep: Keep) -> Result<(), Error> {
-        let n = model.dim();
-        assert_eq!(x0.len(), n, "the initial state has the wrong length");
-        self.dim = n;
-        self.states.resize((steps + 1) * n, 0.0);
-        self.states[..n].copy_from_slice(x0);
-        let result = (0..steps).try_for_each(|k| {
-            let (x, x_next) = self.states[k * n..(k + 2) * n].split_at_mut(n);
-            model.step(k, x, x_next)?;
-            if keep == Keep::Linearizations { model.linearize(k, x, x_next) } else { Ok(()) }
-        });
+        assert_eq!(x0.len(), model.dim(), "the initial state has the wrong length");
+        self.start(x0.len(), steps).copy_from_slice(x0);
+        self.forward(model, keep, &mut |_, _| Ok::<(), Error>(()))
+    }
+
+    /// Makes room for a window of `steps` steps of states of length `dim`; the place of x₀, to be filled before
+    /// [`forward`](Self::forward).
+    pub fn start(&mut self, dim: usize, steps: usize) -> &mut [f64] {
+        (self.dim, self.steps) = (dim, steps);
+        self.linearized = false;
+        self.front = None;
+        self.placed.clear();
+        let kept = match self.storage {
+            Storage::KeepAll | Storage::States => steps + 1,
+            Storage::Checkpoints { states } => {
+                let kept = states.min(steps.max(1));
+                self.placed.reserve_exact(kept);
+                self.placed.push(0);
+                self.x.resize(dim, 0.0);
+                self.x_next.resize(dim, 0.0);
+                kept
+            }
+        };
+        self.states.resize(kept * dim, 0.0);
+        &mut self.states[..dim]
+    }
+
+    /// Runs all steps from the x₀ put in place. `see(k, x_k)` is called for k = 0 … N and may change the state: what it leaves
+    /// is x_k. (A change has to be made again in every run of the step: only where all states are kept.)
+    ///
+    /// # Errors
+    /// The first error of a step or of `see`; the trajectory is then empty.
+    pub fn forward<E: From<Error>>(
+        &mut self,
+        model: &mut dyn Model,
+        keep: Keep,
+        see: &mut dyn FnMut(usize, &mut [f64]) -> Result<(), E>,
+    ) -> Result<(), E> {
+        model.keep_at_most(self.storage.linearizations());
+        let linearize = keep == Keep::Linearizations && self.storage == Storage::KeepAll;
+        let n = self.dim;
+        let mut result = see(0, &mut self.states[..n]);
+        if result.is_ok() && self.steps > 0 {
+            result = match self.storage {
+                Storage::KeepAll | Storage::States => (0..self.steps).try_for_each(|k| {
+                    let (x, x_next) = self.states[k * n..(k + 2) * n].split_at_mut(n);
+                    model.step(k, x, x_next)?;
+                    if linearize {
+                        model.linearize(k, x, x_next)?;
+                    }
+                    see(k + 1, x_next)
+                }),
+                Storage::Checkpoints { .. } => self.run_to(model, self.steps, see),
+            };
+        }
+        self.linearized = linearize && result.is_ok();
         if result.is_err() {
+            self.steps = 0;
             self.states.clear();
         }
-        self.linearized = keep == Keep::Linearizations && result.is_ok();
         result
     }
 
-    /// Linearizes every step, where that has not been done.
+    /// Linearizes every step, where all linearizations are kept and that has not been done.
     ///
     /// # Errors
     /// The first error of a step.
     pub fn linearize(&mut self, model: &mut dyn Model) -> Result<(), Error> {
-        if !self.linearized {
-            for k in 0..self.steps() {
-                model.linearize(k, self.state(k), self.state(k + 1))?;
+        self.linearize_landing(model, &|_| None)
+    }
+
+    /// The same where x_{k+1} was changed after step k: `landing(k)` is then what the step itself had led to, M_k(x_k).
+    ///
+    /// # Errors
+    /// The first error of a step.
+    pub fn linearize_landing<'l>(
+        &mut self,
+        model: &mut dyn Model,
+        landing: &dyn Fn(usize) -> Option<&'l [f64]>,
+    ) -> Result<(), Error> {
+        model.keep_at_most(self.storage.linearizations());
+        if self.storage == Storage::KeepAll && !self.linearized {
+            for k in 0..self.steps {
+                model.linearize(k, self.state(k), landing(k).unwrap_or_else(|| self.state(k + 1)))?;
             }
             self.linearized = true;
         }
         Ok(())
     }
 
+    /// To be called when something else has linearized the model.
+    pub fn forget_linearizations(&mut self) {
+        self.linearized = false;
+    }
+
     /// N, the number of steps.
     pub fn steps(&self) -> usize {
-        (self.states.len() / self.dim.max(1)).saturating_sub(1)
+        self.steps
     }
 
     /// x_k, k = 0 … N.
     ///
     /// # Panics
-    /// If k > N.
+    /// If k > N, or the storage does not keep all states and this is not x₀.
     pub fn state(&self, k: usize) -> &[f64] {
+        let all = k == 0 || !matches!(self.storage, Storage::Checkpoints { .. });
+        assert!(all, "state {k} is not kept: the storage keeps checkpoints");
         &self.states[k * self.dim..(k + 1) * self.dim]
     }
 
-    /// x₀ … x_N, one after the other.
+    /// x₀ … x_N, one after the other, where all states are kept; else x₀ and those kept at the moment.
     pub fn states(&self) -> &[f64] {
         &self.states
     }
 
-    /// dx_{k+1} = M_k dx_k from the dx₀ given to dx_N, in place; `see(k, dx_k)` is called for k = 0 … N.
+    /// dx_{k+1} = M_k dx_k from the dx₀ given to dx_N, in place; `see(k, x_k, dx_k)` is called for k = 0 … N.
+    ///
+    /// # Errors
+    /// Of a step that is linearized or run again, as the storage asks.
     ///
     /// # Panics
-    /// If the trajectory has not been linearized, or `dx` has the wrong length.
-    pub fn tangent(&self, model: &mut dyn Model, dx: &mut [f64], see: &mut dyn FnMut(usize, &[f64])) {
-        self.ready(dx);
-        see(0, dx);
-        for k in 0..self.steps() {
+    /// If `dx` has the wrong length.
+    pub fn tangent(
+        &mut self,
+        model: &mut dyn Model,
+        dx: &mut [f64],
+        see: &mut dyn FnMut(usize, &[f64], &mut [f64]),
+    ) -> Result<(), Error> {
+        self.check(dx);
+        see(0, &self.states[..self.dim], dx);
+        self.for_each_step(model, &mut |model, k, [_, x_next]| {
             model.tangent(k, dx);
-            see(k + 1, dx);
-        }
+            see(k + 1, x_next, dx);
+        })
     }
 
-    /// Σ_k (M_{k−1} … M_0)ᵀ f_k by Horner's rule, λ_k = M_kᵀ λ_{k+1} + f_k, in place: `add(k, λ)` adds the forcing f_k to λ, for
-    /// k = N … 0. λ is overwritten with zeros first, and ends as λ₀.
+    /// Σ_k (M_{k−1} … M_0)ᵀ f_k by Horner's rule, λ_k = M_kᵀ λ_{k+1} + f_k, in place: `add(k, x_k, λ)` adds the forcing f_k to λ,
+    /// for k = N … 0. λ is overwritten with zeros first, and ends as λ₀.
+    ///
+    /// # Errors
+    /// Of a step that is linearized or run again, as the storage asks.
     ///
     /// # Panics
-    /// If the trajectory has not been linearized, or `lambda` has the wrong length.
-    pub fn adjoint(&self, model: &mut dyn Model, lambda: &mut [f64], add: &mut dyn FnMut(usize, &mut [f64])) {
-        self.ready(lambda);
+    /// If `lambda` has the wrong length.
+    pub fn adjoint(
+        &mut self,
+        model: &mut dyn Model,
+        lambda: &mut [f64],
+        add: &mut dyn FnMut(usize, &[f64], &mut [f64]),
+    ) -> Result<(), Error> {
+        self.check(lambda);
         lambda.fill(0.0);
-        add(self.steps(), lambda);
-        for k in (0..self.steps()).rev() {
-            model.adjoint(k, lambda);
-            add(k, lambda);
+        let steps = self.steps;
+        if steps == 0 {
+            add(0, &self.states[..self.dim], lambda);
         }
+        self.for_each_step_reversed(model, &mut |model, k, [x, x_next]| {
+            if k + 1 == steps {
+                add(steps, x_next, lambda);
+            }
+            model.adjoint(k, lambda);
+            add(k, x, lambda);
+        })
     }
 
-    fn ready(&self, vector: &[f64]) {
+    /// `act(model, k, [x_k, x_{k+1}])` for k = 0 … N−1, with step k linearized in the model.
+    ///
+    /// # Errors
+    /// Of a step that is linearized or run again, as the storage asks.
+    pub fn for_each_step(
+        &mut self,
+        model: &mut dyn Model,
+        act: &mut dyn FnMut(&mut dyn Model, usize, [&[f64]; 2]),
+    ) -> Result<(), Error> {
+        model.keep_at_most(self.storage.linearizations());
+        if let Storage::Checkpoints { .. } = self.storage {
+            self.rewind();
+            return self.advance(model, self.steps, &mut |model, k, x, x_next| {
+                model.linearize(k, x, x_next)?;
+                act(model, k, [x, x_next]);
+                Ok(())
+            });
+        }
+        self.linearize(model)?;
+        (0..self.steps).try_for_each(|k| self.act_on(model, k, act))
+    }
+
+    /// The same for k = N−1 … 0.
+    ///
+    /// # Errors
+    /// Of a step that is linearized or run again, as the storage asks.
+    pub fn for_each_step_reversed(
+        &mut self,
+        model: &mut dyn Model,
+        act: &mut dyn FnMut(&mut dyn Model, usize, [&[f64]; 2]),
+    ) -> Result<(), Error> {
+        model.keep_at_most(self.storage.linearizations());
+        if let Storage::Checkpoints { .. } = self.storage {
+            // After a forward run, or a sweep in its order, the last step is at hand and the checkpoints are in place.
+            if self.front.map(|k| k + 1) != Some(self.steps) {
+                self.rewind();
+            }
+            for k in (0..self.steps).rev() {
+                if self.front != Some(k) {
+                    self.run_to(model, k + 1, &mut |_, _| Ok::<(), Error>(()))?;
+                }
+                model.linearize(k, &self.x, &self.x_next)?;
+                act(model, k, [&self.x, &self.x_next]);
+                if k > 0 && self.placed.last() == Some(&k) {
+                    self.placed.pop();
+                }
+            }
+            return Ok(());
+        }
+        self.linearize(model)?;
+        (0..self.steps).rev().try_for_each(|k| self.act_on(model, k, act))
+    }
+
+    /// One step of a sweep where all states are kept.
+    fn act_on(
+        &self,
+        model: &mut dyn Model,
+        k: usize,
+        act: &mut dyn FnMut(&mut dyn Model, usize, [&[f64]; 2]),
+    ) -> Result<(), Error> {
+        let (x, x_next) = (self.state(k), self.state(k + 1));
+        if !self.linearized {
+            model.linearize(k, x, x_next)?;
+        }
+        act(model, k, [x, x_next]);
+        Ok(())
+    }
+
+    /// Forgets all checkpoints but x₀.
+    fn rewind(&mut self) {
+        self.placed.truncate(1);
+        self.front = None;
+    }
+
+    /// Runs from the last checkpoint to the end of step `to` − 1, letting `see` look at every new state.
+    fn run_to<E: From<Error>>(
+        &mut self,
+        model: &mut dyn Model,
+        to: usize,
+        see: &mut dyn FnMut(usize, &mut [f64]) -> Result<(), E>,
+    ) -> Result<(), E> {
+        self.advance(model, to, &mut |_, k, _, x_next| see(k + 1, x_next))
+    }
+
+    /// Runs from the last checkpoint to the end of step `to` − 1 and keeps states on the way as the schedule has it;
+    /// `after(model, k, x_k, x_{k+1})` is called after every step.
+    fn advance<E: From<Error>>(
+        &mut self,
+        model: &mut dyn Model,
+        to: usize,
+        after: &mut dyn FnMut(&mut dyn Model, usize, &[f64], &mut [f64]) -> Result<(), E>,
+    ) -> Result<(), E> {
+        self.front = None;
+        let n = self.dim;
+        let room = self.states.len() / n.max(1);
+        let (mut slot, from) = (self.placed.len() - 1, self.placed[self.placed.len() - 1]);
+        self.x.copy_from_slice(&self.states[slot * n..(slot + 1) * n]);
+        let mut next = next_checkpoint(from, to, room - slot);
+        for k in from..to {
+            if next == Some(k) {
+                slot += 1;
+                self.states[slot * n..(slot + 1) * n].copy_from_slice(&self.x);
+                self.placed.push(k);
+                next = next_checkpoint(k, to, room - slot);
+            }
+            model.step(k, &self.x, &mut self.x_next)?;
+            after(model, k, &self.x, &mut self.x_next)?;
+            if k + 1 < to {
+                std::mem::swap(&mut self.x, &mut self.x_next);
+            }
+        }
+        self.front = to.checked_sub(1);
+        Ok(())
+    }
+
+    fn check(&self, vector: &[f64]) {
         assert_eq!(vector.len(), self.dim, "a state has {} values", self.dim);
-        assert!(self.linearized || self.steps() == 0, "the trajectory has not been linearized");
     }
 }

@@ -72,7 +72,7 @@ fn empty_tests_are_refused() {
     let dead = Toy { tangent: |d| d.fill(0.0), adjoint: |l| l.fill(0.0), ..LINEAR };
     assert!(matches!(check::dot_product(&mut { dead }, 0..1, &[1.0; 2], 1), Err(Error::EmptyTest { .. })));
     let compare =
-        |dx: [f64; 2], m_dx: [f64; 2]| check::compare(&dx, &m_dx, &[1.0; 2], &[1.0; 2], 1.0, &[1.0; 2]);
+        |dx: [f64; 2], m_dx: [f64; 2]| check::compare(&dx, &m_dx, &[1.0; 2], &[1.0; 2], 1.0, [&[1.0; 2]; 2]);
     assert!(compare([1.0, 2.0], [2.0, 1.0]).unwrap().pass);
     assert!(matches!(compare([0.0; 2], [1.0; 2]), Err(Error::EmptyTest { .. })));
     assert!(matches!(compare([1.0; 2], [0.0; 2]), Err(Error::EmptyTest { .. })));
@@ -81,6 +81,24 @@ fn empty_tests_are_refused() {
     assert!(!matches!(nan, Ok(true)));
     let constant = check::taylor(&mut |_| Ok(3.0), &[0.0], &[1.0], &[1.0]);
     assert!(matches!(constant, Err(Error::EmptyTest { .. })));
+}
+
+#[test]
+fn outputs_of_another_length_have_their_own_scale() {
+    // M = (0 0; 0 0; 3 4) from two components to three, λ along the last: everything happens beyond the length of the input.
+    let (dx, lambda) = ([2.0, 1.0], [0.0, 0.0, 5.0]);
+    let (m_dx, mt_lambda) = ([0.0, 0.0, 10.0], [15.0, 20.0]);
+    let scales: [&[f64]; 2] = [&[1.0; 2], &[1.0, 1.0, 4.0]];
+    let test = check::compare(&dx, &m_dx, &lambda, &mt_lambda, 10.0, scales).unwrap();
+    assert!(test.pass && test.forward == 50.0 && test.backward == 50.0, "{test:?}");
+    // ‖M‖ ‖dx‖ / ‖M dx‖ with ‖M dx‖ = 10 / 4; the rounding of a square root
+    assert!((test.condition - 10.0 * 5.0_f64.sqrt() / 2.5).abs() <= 1e-14, "{test:?}");
+    // |50 − 60| / (10/4 · 5·4)
+    let wrong = check::compare(&dx, &m_dx, &lambda, &[20.0, 20.0], 10.0, scales).unwrap();
+    assert!(!wrong.pass && (wrong.value - 0.2).abs() <= 1e-15, "{wrong:?}");
+    let one_scale = [scales[0]; 2];
+    let mixed = || check::compare(&dx, &m_dx, &lambda, &mt_lambda, 10.0, one_scale);
+    assert!(std::panic::catch_unwind(mixed).is_err());
 }
 
 #[test]

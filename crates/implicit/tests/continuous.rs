@@ -82,15 +82,16 @@ fn continuous_adjoint(order: u32, trajectory: &Trajectory, lambda: &mut [f64; 3]
 
 /// The gradient of ½‖x_N‖², discrete and continuous, and their relative distance.
 fn gradients(order: u32, steps: usize) -> ([f64; 3], [f64; 3], f64) {
-    let (mut model, trajectory) = run(order, steps);
-    let end = trajectory.state(steps);
+    let (mut model, mut trajectory) = run(order, steps);
     let mut discrete = [0.0; 3];
-    trajectory.adjoint(&mut *model, &mut discrete, &mut |k, lambda| {
+    let swept = trajectory.adjoint(&mut *model, &mut discrete, &mut |k, x, lambda| {
         if k == steps {
-            lambda.copy_from_slice(end);
+            lambda.copy_from_slice(x);
         }
     });
-    let mut continuous = [end[0], end[1], end[2]];
+    swept.unwrap();
+    let mut continuous = [0.0; 3];
+    continuous.copy_from_slice(trajectory.state(steps));
     continuous_adjoint(order, &trajectory, &mut continuous);
     let apart: [f64; 3] = std::array::from_fn(|i| continuous[i] - discrete[i]);
     (discrete, continuous, (dot(&apart, &apart) / dot(&discrete, &discrete)).sqrt())

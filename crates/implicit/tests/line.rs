@@ -209,11 +209,12 @@ fn the_gradient_of_a_burgers_window_passes_taylor() {
     let mut trajectory = Trajectory::new();
     trajectory.run(&mut model, &u0, 40, Keep::Linearizations).unwrap();
     let mut gradient = vec![0.0; 64];
-    trajectory.adjoint(&mut model, &mut gradient, &mut |k, lambda| {
+    let swept = trajectory.adjoint(&mut model, &mut gradient, &mut |k, x, lambda| {
         if k == 20 || k == 40 {
-            lambda.iter_mut().zip(trajectory.state(k)).for_each(|(l, u)| *l += u);
+            lambda.iter_mut().zip(x).for_each(|(l, u)| *l += u);
         }
     });
+    swept.unwrap();
     let direction = sampled(&line, |s| 0.1 * (2.0 * TAU * s).cos());
     let mut cost = |u0: &[f64]| {
         let mut run = Trajectory::new();
@@ -255,7 +256,7 @@ fn sparse_and_band_give_the_answer_of_dense() {
             let mut trajectory = Trajectory::new();
             trajectory.run(model, &u0, 30, Keep::Linearizations).unwrap();
             let mut lambda = vec![0.0; points];
-            trajectory.adjoint(model, &mut lambda, &mut |k, l| l[k % points] += 1.0);
+            trajectory.adjoint(model, &mut lambda, &mut |k, _, l| l[k % points] += 1.0).unwrap();
             lambda.extend_from_slice(trajectory.state(30));
             lambda
         };

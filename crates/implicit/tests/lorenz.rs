@@ -24,11 +24,13 @@ fn cost_and_gradient(n: usize) -> (f64, Vec<f64>) {
         cost += (0..n / 2).map(|j| 0.5 * departure(k, j).powi(2)).sum::<f64>();
     }
     let mut gradient = vec![0.0; n];
-    trajectory.adjoint(&mut model, &mut gradient, &mut |k, lambda| {
+    let mut sweep = trajectory.clone();
+    let swept = sweep.adjoint(&mut model, &mut gradient, &mut |k, _, lambda| {
         if observed(k) {
             (0..n / 2).for_each(|j| lambda[2 * j] += departure(k, j));
         }
     });
+    swept.unwrap();
     for ((g, x), b) in gradient.iter_mut().zip(&x0).zip(&background) {
         *g += (x - b) / 0.25;
     }

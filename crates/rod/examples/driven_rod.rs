@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use varda_implicit::{ImplicitModel, Model};
-use varda_rod::{BackwardEuler, Clamp, Damping, Loads, Material, Rod, Section, Supports, TwistUnknowns};
+use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, TwistUnknowns};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1200.0 };
@@ -26,7 +26,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         };
         let loads = Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() };
         let step =
-            BackwardEuler::with_twist(rod, Supports::clamped_start(clamp), loads, Damping::default(), twist)?;
+            RodStep::with_twist(rod, Supports::clamped_start(clamp), loads, Damping::default(), twist)?;
 
         // Control z = [X₀, V₀]: hanging straight down, at rest.
         let mut z = vec![0.0; step.control_len()];

@@ -1,6 +1,6 @@
-//! Backward Euler of the rod as a step of the generic layer.
+//! Time steps of the rod for the generic layer.
 
-use varda_implicit::{ImplicitStep, Interval, Refusal, Structure};
+use varda_implicit::{ImplicitStep, Interval, Refusal, Scheme, Structure};
 
 use crate::Error;
 use crate::damping::KelvinVoigt;
@@ -8,45 +8,53 @@ use crate::equilibrium::TwistEquilibrium;
 use crate::geometry::V3;
 use crate::predict::Carry;
 use crate::rod::Rod;
+use crate::stage::{RodStage, mixed, mixed_add};
 use crate::support::{Damping, Loads, Supports};
 use crate::system::System;
 
-/// Backward Euler of a rod with massless twist (paper, section 3):
+/// A step of a rod with massless twist (paper, section 3), by backward Euler or one of the second-order schemes.
 ///
 /// ```text
-/// X_{k+1} − X_k − Δt V_{k+1} = 0
+/// X_{k+1} − X_k − Δt V_{k+1} = 0                                                              (backward Euler)
 /// M (V_{k+1} − V_k) + Δt (∂E/∂X(X_{k+1}, θ_{k+1}) + α M V_{k+1} − F_ext(t_{k+1})) = 0
 /// ∂E/∂θ(X_{k+1}, θ_{k+1}) = 0
 /// ```
 ///
-/// V is eliminated: the unknowns are u = (X_{k+1}, θ_{k+1}), interleaved along the rod so that ∂G/∂u is a symmetric band
-/// (half-bandwidth 10; 8 without twist; 5 for a chain), and G = ∂Φ/∂u is the gradient of the incremental potential
+/// Every [`Scheme`] is one such step of length η from a point (X*, V*) between the last states to a stage (Y, θ_y) at time t*
+/// where forces and supports are taken (midpoint: Y = ½(X_k + X_{k+1}), t* = t_{k+½}), so there is one step here and
+/// [`Scheme::stage`] gives the weights. V is eliminated: the unknowns are u = (Y, θ_y), interleaved along the rod so that
+/// ∂G/∂u is a symmetric band (half-bandwidth 10; 8 without twist; 5 for a chain), and G = ∂Φ/∂u is the gradient of
 ///
 /// ```text
-/// Φ(u) = |X − X_k − Δt V_k|²_M / (2Δt²) + α |X − X_k|²_M / (2Δt) + E(X, θ) + (β/2Δt) Σ k (ε − ε_k)² − F_ext·X
+/// Φ(u) = |Y − X* − η V*|²_M / (2η²) + α |Y − X*|²_M / (2η) + E(Y, θ_y) + (β/2η) Σ k (ε − ε*)² − F_ext(t*)·Y
 /// ```
 ///
-/// State x = [X, V, θ] of the free vertices and angles (SI units: m, m/s, rad); control z = [X₀, V₀], θ₀ being the twist
-/// equilibrium of X₀ nearest to the untwisted frame. Use it inside [`varda_implicit::ImplicitModel`].
+/// State x = [X, V, θ] of the free vertices and angles (SI units: m, m/s, rad); under BDF2, and under midpoint with twist or
+/// Kelvin–Voigt damping, followed by the same of the step before. Control z = [X₀, V₀], θ₀ being the twist equilibrium of
+/// X₀ nearest to the untwisted frame. Use it inside [`varda_implicit::ImplicitModel`].
 ///
 /// First guess of a step: X_k carried along rigidly with the supports, θ_k.
-pub struct BackwardEuler {
+pub struct RodStep {
     pub(crate) system: System,
+    scheme: Scheme,
     damping: Damping,
     viscous: Option<KelvinVoigt>,
     twist: Option<TwistEquilibrium>,
     carry: Carry,
     interval: Option<Interval>,
-    /// X_k and X_k + Δt V_k of the free vertices in the step being worked on.
+    /// X* and X* + η V* of the free vertices in the step being worked on.
     start: Vec<V3>,
     target: Vec<V3>,
     end_angle: f64,
     tolerance: f64,
+    state: Vec<f64>,
     displacement: Vec<V3>,
     psi: Vec<f64>,
 }
 
-impl BackwardEuler {
+impl RodStep {
+    /// By backward Euler; [`RodStep::with_scheme`] chooses another.
+    ///
     /// # Errors
     /// [`Error`] naming the field, vertex or place that is impossible.
     pub fn new(rod: Rod, supports: Supports, loads: Loads, damping: Damping) -> Result<Self, Error> {
@@ -56,7 +64,7 @@ impl BackwardEuler {
     /// The same, with the choice to keep twist unknowns that are provably zero (to check that leaving them out is right).
     ///
     /// # Errors
-    /// As [`BackwardEuler::new`].
+    /// As [`RodStep::new`].
     pub fn with_twist(
         rod: Rod,
         supports: Supports,
@@ -66,8 +74,9 @@ impl BackwardEuler {
     ) -> Result<Self, Error> {
         let system = System::new(rod, supports, loads, &damping, twist == TwistUnknowns::Always)?;
         let (n, free) = (system.rod.segments(), system.layout.free_vertices.len());
-        Ok(BackwardEuler {
-            viscous: (damping.stiffness > 0.0).then(|| KelvinVoigt::new(&system)),
+        Ok(RodStep {
+            scheme: Scheme::BackwardEuler,
+            viscous: (damping.stiffness > 0.0).then(|| KelvinVoigt::new(&system, 1)),
             twist: (!system.layout.free_angles.is_empty()).then(|| TwistEquilibrium::new(&system)),
             carry: Carry::new(&system),
             tolerance: 1e-11 * system.rod.length(),
@@ -75,11 +84,27 @@ impl BackwardEuler {
             start: vec![V3::zeros(); free],
             target: vec![V3::zeros(); free],
             end_angle: 0.0,
+            state: vec![0.0; system.layout.state()],
             displacement: vec![V3::zeros(); n + 1],
             psi: vec![0.0; n],
             damping,
             system,
         })
+    }
+
+    /// The same rod integrated by another scheme.
+    pub fn with_scheme(mut self, scheme: Scheme) -> Self {
+        self.scheme = scheme;
+        // configurations that ε* is made of: see `RodStage`
+        let past = [(Scheme::BackwardEuler, 1), (Scheme::Midpoint, 3), (Scheme::Bdf2, 2)];
+        let count = past.iter().find(|p| p.0 == scheme).map_or(0, |p| p.1);
+        self.viscous = self.viscous.map(|_| KelvinVoigt::new(&self.system, count));
+        self
+    }
+
+    /// The scheme.
+    pub fn scheme(&self) -> Scheme {
+        self.scheme
     }
 
     /// The rod itself.
@@ -141,7 +166,7 @@ impl BackwardEuler {
         if self.damping.mass == 0.0 {
             out.push("mass-proportional damping".to_string());
         }
-        out.push("velocities as unknowns of the step: V = (X_{k+1} − X_k)/Δt".to_string());
+        out.push("velocities as unknowns of the step: they follow from the places".to_string());
         out
     }
 
@@ -150,33 +175,54 @@ impl BackwardEuler {
         self.system.layout.half_bandwidth
     }
 
+    fn stage(&self, at: &Interval) -> RodStage {
+        RodStage::new(self.scheme, at, self.viscous.is_some(), self.history() > 0)
+    }
+
     /// Sets everything that depends on the interval and x_k but not on u.
     fn prepare(&mut self, at: &Interval, x: &[f64]) -> Result<(), Refusal> {
-        let h = at.length;
+        let stage = self.stage(at);
+        let (h, from) = (stage.of.length, stage.of.from);
         let s = &mut self.system;
-        let nf = s.layout.free_vertices.len();
+        let (own, nf) = (s.layout.state(), s.layout.free_vertices.len());
         if self.viscous.is_some() || s.layout.twist {
             s.place(at.start)?;
             s.scatter_state(x);
             let guess = s.end_angle_guess();
             s.update_shape(true, guess)?;
             self.end_angle = s.theta.last().copied().unwrap_or(0.0);
-            if let Some(viscous) = &mut self.viscous {
-                viscous.set_past(s, self.damping.stiffness / h);
-            }
         }
-        s.place(at.end())?;
+        if let Some(viscous) = &mut self.viscous {
+            viscous.clear(s);
+            viscous.add(s, [1.0, 0.0], stage.strain[0]);
+            let before = at.previous.unwrap_or(0.0);
+            for (of, age, weight) in [([0.0, 1.0], 1.0, stage.strain[1]), ([0.5, 0.5], 0.5, stage.strain[2])]
+            {
+                if weight != 0.0 {
+                    for (i, v) in self.state.iter_mut().enumerate() {
+                        *v = mixed(of, x, own, i);
+                    }
+                    s.place(at.start - age * before)?;
+                    s.scatter_state(&self.state);
+                    s.update_shape(true, self.end_angle)?;
+                    viscous.add(s, of, weight);
+                }
+            }
+            viscous.fold_in(s, self.damping.stiffness / h);
+        }
+        s.place(stage.of.time)?;
         for (f, &v) in s.layout.free_vertices.iter().enumerate() {
-            self.start[f] = V3::from_column_slice(&x[3 * f..3 * f + 3]);
-            self.target[f] = self.start[f] + V3::from_column_slice(&x[3 * (nf + f)..3 * (nf + f) + 3]) * h;
+            let star = |i: usize| V3::from_fn(|c, _| mixed(from, x, own, 3 * i + c));
+            self.start[f] = star(f);
+            self.target[f] = self.start[f] + star(nf + f) * h;
         }
         self.interval = Some(*at);
         Ok(())
     }
 
-    fn inertia(&self, vertex: usize, h: f64) -> (f64, f64) {
-        let m = self.system.rod.masses[vertex];
-        (m / (h * h), self.damping.mass * m / h)
+    /// What M is multiplied by in the stage's equations: 1/η² and α/η.
+    fn inertia(&self, h: f64) -> [f64; 2] {
+        [1.0 / (h * h), self.damping.mass / h]
     }
 }
 
@@ -189,9 +235,18 @@ pub enum TwistUnknowns {
     Always,
 }
 
-impl ImplicitStep for BackwardEuler {
+impl ImplicitStep for RodStep {
     fn dim(&self) -> usize {
-        self.system.layout.state()
+        self.system.layout.state() + self.history()
+    }
+
+    fn history(&self) -> usize {
+        let layout = &self.system.layout;
+        match self.scheme {
+            Scheme::BackwardEuler => 0,
+            Scheme::Midpoint if self.viscous.is_none() && layout.free_angles.is_empty() => 0,
+            Scheme::Midpoint | Scheme::Bdf2 => layout.state(),
+        }
     }
 
     fn unknowns(&self) -> usize {
@@ -204,7 +259,7 @@ impl ImplicitStep for BackwardEuler {
 
     fn predict(&mut self, at: &Interval, x: &[f64], u: &mut [f64]) -> Result<(), Refusal> {
         self.prepare(at, x)?;
-        self.carry.guess(&mut self.system, at, x)?;
+        self.carry.guess(&mut self.system, at.start, self.scheme.stage(at).time, x)?;
         self.system.gather(u);
         Ok(())
     }
@@ -218,7 +273,7 @@ impl ImplicitStep for BackwardEuler {
         mut jacobian: Option<&mut [f64]>,
     ) -> Result<Option<f64>, Refusal> {
         debug_assert_eq!(self.interval.as_ref(), Some(at), "predict or recover comes before assemble");
-        let h = at.length;
+        let h = self.scheme.stage(at).length;
         let s = &mut self.system;
         s.scatter(u);
         let twist = s.layout.twist;
@@ -233,8 +288,9 @@ impl ImplicitStep for BackwardEuler {
             }
         }
         let width = self.system.layout.half_bandwidth + 1;
+        let inertia = self.inertia(h);
         for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
-            let (k, c) = self.inertia(v, h);
+            let [k, c] = inertia.map(|rate| rate * self.system.rod.masses[v]);
             let s = &self.system;
             let (x, force) = (s.x[v], s.forces[v]);
             let (d, e) = (x - self.target[f], x - self.start[f]);
@@ -284,17 +340,21 @@ impl ImplicitStep for BackwardEuler {
     }
 
     fn advance(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
-        let layout = &self.system.layout;
-        let nf = layout.free_vertices.len();
+        let RodStage { of, angle, .. } = self.stage(at);
+        let ([b0, b1], layout) = (of.to, &self.system.layout);
+        let (own, nf) = (layout.state(), layout.free_vertices.len());
         for (f, &v) in layout.free_vertices.iter().enumerate() {
             let i = layout.unknown[layout.vertex(v)];
             for c in 0..3 {
-                x_next[3 * f + c] = u[i + c];
-                x_next[3 * (nf + f) + c] = (u[i + c] - x[3 * f + c]) / at.length;
+                let (place, speed) = (3 * f + c, 3 * (nf + f) + c);
+                x_next[place] = b0 * u[i + c] + b1 * x[place];
+                let rate = (u[i + c] - mixed(of.from, x, own, place)) / of.length;
+                x_next[speed] = b0 * rate + b1 * x[speed];
             }
         }
         for (f, &e) in layout.free_angles.iter().enumerate() {
-            x_next[6 * nf + f] = u[layout.unknown[layout.angle(e)]];
+            let past = mixed([angle[1], angle[2]], x, own, 6 * nf + f);
+            x_next[6 * nf + f] = angle[0] * u[layout.unknown[layout.angle(e)]] + past;
         }
     }
 
@@ -304,19 +364,31 @@ impl ImplicitStep for BackwardEuler {
             u.fill(f64::NAN);
             return;
         }
-        self.system.scatter_state(x_next);
+        let RodStage { of, angle, .. } = self.stage(at);
+        let own = x_next.len();
+        let angles = 6 * self.system.layout.free_vertices.len();
+        for (i, y) in self.state.iter_mut().enumerate() {
+            let (share, past) =
+                if i < angles { (of.to[0], [of.to[1], 0.0]) } else { (angle[0], [angle[1], angle[2]]) };
+            *y = (x_next[i] - mixed(past, x, own, i)) / share;
+        }
+        self.system.scatter_state(&self.state);
         self.system.gather(u);
     }
 
     fn previous(&mut self, at: &Interval, x: &[f64], u: &[f64], dx: &[f64], dg: &mut [f64]) {
         dg.fill(0.0);
-        let h = at.length;
-        let nf = self.system.layout.free_vertices.len();
+        let of = self.scheme.stage(at);
+        let h = of.length;
+        let (own, nf) = (self.system.layout.state(), self.system.layout.free_vertices.len());
+        let inertia = self.inertia(of.length);
         for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
-            let (k, c) = self.inertia(v, h);
+            let [k, c] = inertia.map(|rate| rate * self.system.rod.masses[v]);
             let i = self.system.layout.unknown[self.system.layout.vertex(v)];
             for a in 0..3 {
-                dg[i + a] = -k * (dx[3 * f + a] + h * dx[3 * (nf + f) + a]) - c * dx[3 * f + a];
+                let place = mixed(of.from, dx, own, 3 * f + a);
+                let speed = mixed(of.from, dx, own, 3 * (nf + f) + a);
+                dg[i + a] = -k * (place + h * speed) - c * place;
             }
         }
         if self.viscous.is_some() {
@@ -327,14 +399,15 @@ impl ImplicitStep for BackwardEuler {
     }
 
     fn previous_transpose_add(&mut self, at: &Interval, x: &[f64], u: &[f64], mu: &[f64], dx: &mut [f64]) {
-        let h = at.length;
-        let nf = self.system.layout.free_vertices.len();
+        let of = self.scheme.stage(at);
+        let (own, nf) = (self.system.layout.state(), self.system.layout.free_vertices.len());
+        let inertia = self.inertia(of.length);
         for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
-            let (k, c) = self.inertia(v, h);
+            let [k, c] = inertia.map(|rate| rate * self.system.rod.masses[v]);
             let i = self.system.layout.unknown[self.system.layout.vertex(v)];
             for a in 0..3 {
-                dx[3 * f + a] -= (k + c) * mu[i + a];
-                dx[3 * (nf + f) + a] -= k * h * mu[i + a];
+                mixed_add(of.from, dx, own, 3 * f + a, -(k + c) * mu[i + a]);
+                mixed_add(of.from, dx, own, 3 * (nf + f) + a, -k * of.length * mu[i + a]);
             }
         }
         if self.viscous.is_some() {
@@ -353,24 +426,18 @@ impl ImplicitStep for BackwardEuler {
         du: &[f64],
         dx_next: &mut [f64],
     ) {
-        let layout = &self.system.layout;
-        let nf = layout.free_vertices.len();
-        for (f, &v) in layout.free_vertices.iter().enumerate() {
-            let i = layout.unknown[layout.vertex(v)];
-            for c in 0..3 {
-                dx_next[3 * f + c] = du[i + c];
-                dx_next[3 * (nf + f) + c] = (du[i + c] - dx[3 * f + c]) / at.length;
-            }
-        }
-        if layout.free_angles.is_empty() {
+        // ∂S is linear: du takes the place of u, dx that of x.
+        self.advance(at, dx, du, dx_next);
+        if self.system.layout.free_angles.is_empty() {
             return;
         }
         self.set_edges_of(at, u);
-        self.system.displacements(dx_next, &mut self.displacement);
+        self.system.unknown_displacements(du, &mut self.displacement);
         self.system.shape.holonomy(&self.displacement, &mut self.psi);
-        let layout = &self.system.layout;
-        for (f, &e) in layout.free_angles.iter().enumerate() {
-            dx_next[6 * nf + f] = du[layout.unknown[layout.angle(e)]] + self.psi[e];
+        let (layout, share) = (&self.system.layout, self.stage(at).angle[0]);
+        let angles = &mut dx_next[6 * layout.free_vertices.len()..];
+        for (angle, &e) in angles.iter_mut().zip(&layout.free_angles) {
+            *angle += share * self.psi[e];
         }
     }
 
@@ -384,19 +451,25 @@ impl ImplicitStep for BackwardEuler {
         du: &mut [f64],
     ) {
         dx.fill(0.0);
-        let layout = &self.system.layout;
-        let nf = layout.free_vertices.len();
+        let RodStage { of, angle, .. } = self.stage(at);
+        let ([b0, b1], layout) = (of.to, &self.system.layout);
+        let (own, nf) = (layout.state(), layout.free_vertices.len());
+        let rate = b0 / of.length;
         for (f, &v) in layout.free_vertices.iter().enumerate() {
             let i = layout.unknown[layout.vertex(v)];
             for c in 0..3 {
-                let back = lambda[3 * (nf + f) + c] / at.length;
-                du[i + c] = lambda[3 * f + c] + back;
-                dx[3 * f + c] = -back;
+                let (place, speed) = (3 * f + c, 3 * (nf + f) + c);
+                let back = rate * lambda[speed];
+                du[i + c] = b0 * lambda[place] + back;
+                dx[place] += b1 * lambda[place];
+                dx[speed] += b1 * lambda[speed];
+                mixed_add(of.from, dx, own, place, -back);
             }
         }
         let angles = &lambda[6 * nf..];
         for (f, &e) in layout.free_angles.iter().enumerate() {
-            du[layout.unknown[layout.angle(e)]] = angles[f];
+            du[layout.unknown[layout.angle(e)]] = angle[0] * angles[f];
+            mixed_add([angle[1], angle[2]], dx, own, 6 * nf + f, angles[f]);
         }
         // θ_{k+1} is read by nobody in most windows: then nothing comes back through the holonomy.
         if angles.iter().all(|a| *a == 0.0) {
@@ -405,7 +478,7 @@ impl ImplicitStep for BackwardEuler {
         self.set_edges_of(at, u);
         self.psi.fill(0.0);
         for (f, &e) in self.system.layout.free_angles.iter().enumerate() {
-            self.psi[e] = angles[f];
+            self.psi[e] = angle[0] * angles[f];
         }
         self.displacement.fill(V3::zeros());
         self.system.shape.holonomy_transpose_add(&self.psi, &mut self.displacement);
@@ -461,7 +534,7 @@ impl ImplicitStep for BackwardEuler {
     }
 }
 
-impl BackwardEuler {
+impl RodStep {
     /// The stored angles of u ⊕ α du: an increment of θ in the local gauge, plus the holonomy of the displacements.
     fn angles_to_stored(&mut self, at: &Interval, u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
         self.set_edges_of(at, u);
@@ -472,7 +545,7 @@ impl BackwardEuler {
     ///
     /// Places the supports first: products of other steps may have been asked for in between.
     fn set_edges_of(&mut self, at: &Interval, u: &[f64]) {
-        self.system.place(at.end()).expect("the step was accepted before");
+        self.system.place(self.scheme.stage(at).time).expect("the step was accepted before");
         self.system.scatter(u);
         self.system.update_shape(true, self.end_angle).expect("u was assembled before");
     }

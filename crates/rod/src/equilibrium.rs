@@ -38,7 +38,7 @@ pub fn equilibrium(
 ) -> Result<(Rest, NewtonReport), varda_implicit::Error> {
     assert_eq!(guess.vertices.len(), rod.segments() + 1, "one place for every vertex");
     assert_eq!(guess.theta.len(), rod.segments(), "one angle for every edge");
-    let refuse = |source: Error| varda_implicit::Error::Refused { step: 0, source: source.into() };
+    let refuse = |e: Error| varda_implicit::Error::Refused { step: 0, reason: e.into() };
     let mut system = System::new(rod.clone(), supports.clone(), loads.clone(), &Damping::default(), false)
         .map_err(refuse)?;
     for (x, g) in system.x.iter_mut().zip(&guess.vertices) {
@@ -46,18 +46,42 @@ pub fn equilibrium(
     }
     system.theta.copy_from_slice(&guess.theta);
     system.place(t).map_err(refuse)?;
+    if !system.layout.bending {
+        stretch_a_little(&mut system);
+    }
     let end_angle = guess.theta.last().copied().unwrap_or(0.0);
     let mut u = vec![0.0; system.layout.unknowns];
     system.gather(&mut u);
     let mut statics = Statics::new(system, end_angle, 1e-11 * rod.length());
     let mut work = NewtonWork::new(statics.unknowns(), &statics.structure());
     let options = NewtonOptions { max_iterations: 500, ..NewtonOptions::default() };
-    let report =
-        solve(&mut statics, &Interval { index: 0, start: t, length: 0.0 }, &[], &mut u, &mut work, &options)?;
+    let report = solve(
+        &mut statics,
+        &Interval { index: 0, start: t, length: 0.0, previous: None },
+        &[],
+        &mut u,
+        &mut work,
+        &options,
+    )?;
     let mut system = statics.system;
     system.scatter(&u);
     system.update_shape(system.layout.twist, end_angle).map_err(refuse)?;
     Ok((Rest { vertices: system.x.iter().map(|x| (*x).into()).collect(), theta: system.theta }, report))
+}
+
+/// An edge of a chain at its rest length has no stiffness across itself, which leaves zero rows in the Hessian: where there is
+/// one, the free vertices move away from the first held one by a thousandth.
+fn stretch_a_little(system: &mut System) {
+    let edges = system.x.windows(2).zip(&system.rod.rest_lengths);
+    let slack = |(x, rest): (&[V3], &f64)| ((x[1] - x[0]).norm() - rest).abs() < 1e-9 * rest;
+    if edges.map(slack).any(|slack| slack) {
+        let free = &system.layout.free_vertices;
+        let held = (0..system.x.len()).find(|v| !free.contains(v)).unwrap_or(0);
+        let origin = system.x[held];
+        for &v in free {
+            system.x[v] = origin + (system.x[v] - origin) * 1.001;
+        }
+    }
 }
 
 /// The straight, unstretched rod that leaves the start clamp (or, without one, the first prescribed vertex or the end
@@ -230,7 +254,7 @@ impl TwistEquilibrium {
         let end_angle = s.end_angle_guess();
         self.statics.end_angle = end_angle;
         self.u.fill(0.0);
-        let at = Interval { index: 0, start: t, length: 0.0 };
+        let at = Interval { index: 0, start: t, length: 0.0, previous: None };
         let options = NewtonOptions { max_iterations: 200, ..NewtonOptions::default() };
         solve(&mut self.statics, &at, &[], &mut self.u, &mut self.work, &options)?;
         theta.copy_from_slice(&self.u);

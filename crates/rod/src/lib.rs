@@ -9,8 +9,8 @@
 //!
 //! - [`Rod`] is the description (stiffness, rest shape, mass), [`Section`] and [`Material`] make uniform ones.
 //! - [`Supports`], [`Loads`] and [`Damping`] hold it, pull at it and slow it down.
-//! - [`BackwardEuler`] is a time step for [`varda_implicit::ImplicitModel`]: a pure function of (k, x_k), O(n), with exact
-//!   tangent and adjoint. [`equilibrium`] finds the shape at rest; [`Markers`] read points carried by the rod.
+//! - [`RodStep`] is a time step for [`varda_implicit::ImplicitModel`] (backward Euler, midpoint or BDF2): a pure function
+//!   of (k, x_k), O(n), with exact tangent and adjoint. [`equilibrium`] finds the shape at rest; [`Markers`] read points carried by the rod.
 //! - [`derivatives`] gives energy, gradient and full Hessian of any configuration, for a time stepping of your own.
 //!
 //! Units are SI throughout. Sections stay plane and rigid: no shear, no section inertia (θ is massless), small strains
@@ -27,7 +27,7 @@
 //! velocities, differences of places over Δt, carry 1e-10 m/s of rounding.
 //!
 //! What a rod does not need is left out: twist angles where they are provably zero (isotropic, naturally straight, one
-//! held director), bending for a chain, prescribed degrees of freedom; [`BackwardEuler::left_out`] lists it.
+//! held director), bending for a chain, prescribed degrees of freedom; [`RodStep::left_out`] lists it.
 //!
 //! # Example
 //!
@@ -36,7 +36,7 @@
 //! ```
 //! use std::sync::Arc;
 //! use varda_implicit::{ImplicitModel, Model};
-//! use varda_rod::{BackwardEuler, Clamp, Damping, Loads, Material, Rod, Section, Supports};
+//! use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports};
 //!
 //! let material = Material::new(1e6, 0.5, 1100.0);
 //! let rod = Rod::uniform(1.0, 20, &Section::circle(&material, 0.01))?;
@@ -46,7 +46,7 @@
 //!     director: Arc::new([1.0, 0.0, 0.0]),
 //! };
 //! let loads = Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() };
-//! let step = BackwardEuler::new(rod, Supports::clamped_start(clamp), loads, Damping::default())?;
+//! let step = RodStep::new(rod, Supports::clamped_start(clamp), loads, Damping::default())?;
 //!
 //! // Hanging straight down, at rest: control z = [X₀, V₀] of the free vertices.
 //! let mut z = vec![0.0; step.control_len()];
@@ -79,10 +79,11 @@ mod material;
 mod predict;
 mod rod;
 mod shape;
+mod stage;
 mod support;
 mod system;
 
-pub use dynamics::{BackwardEuler, TwistUnknowns};
+pub use dynamics::{RodStep, TwistUnknowns};
 pub use energy::{Derivatives, Energy, Framed, derivatives};
 pub use equilibrium::{Rest, equilibrium, straight_guess};
 pub use error::Error;

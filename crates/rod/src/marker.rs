@@ -1,7 +1,9 @@
 //! Points carried by the rod: on the centreline, or off it in the frame of the section.
 
+use varda_implicit::ImplicitStep;
+
 use crate::Error;
-use crate::dynamics::BackwardEuler;
+use crate::dynamics::RodStep;
 use crate::geometry::V3;
 use crate::rod::Place;
 use crate::system::System;
@@ -23,9 +25,10 @@ pub struct Marker {
 /// ```
 ///
 /// with ψ the holonomy of the Bishop frame (Bergou et al. 2010). A prescribed direction has no δ. Frames are computed only
-/// where a marker is off the centreline. The state is the [X, V, θ] of [`BackwardEuler`].
+/// where a marker is off the centreline. The state is the [X, V, θ] of [`RodStep`].
 pub struct Markers {
     system: System,
+    state_dim: usize,
     markers: Vec<(Place, [f64; 3])>,
     /// A marker is off the centreline.
     frames: bool,
@@ -37,7 +40,7 @@ pub struct Markers {
 impl Markers {
     /// # Errors
     /// [`Error::OffRod`] for a place off the rod, [`Error::NonFinite`] for an offset that is not finite.
-    pub fn new(rod: &BackwardEuler, markers: &[Marker]) -> Result<Markers, Error> {
+    pub fn new(rod: &RodStep, markers: &[Marker]) -> Result<Markers, Error> {
         let system = rod.system.clone();
         let n = system.rod.segments();
         let mut placed = Vec::with_capacity(markers.len());
@@ -50,6 +53,7 @@ impl Markers {
         let frames = markers.iter().any(|m| m.offset[0] != 0.0 || m.offset[1] != 0.0);
         Ok(Markers {
             system,
+            state_dim: rod.dim(),
             markers: placed,
             frames,
             displacement: vec![V3::zeros(); n + 1],
@@ -70,7 +74,7 @@ impl Markers {
 
     /// Length of the state the markers are read from.
     pub fn state_dim(&self) -> usize {
-        self.system.layout.state()
+        self.state_dim
     }
 
     /// Places of all markers \[m\], three numbers each, in a state at time t.
@@ -164,7 +168,7 @@ impl Markers {
 
     fn set(&mut self, t: f64, state: &[f64]) -> Result<(), Error> {
         let s = &mut self.system;
-        assert_eq!(state.len(), s.layout.state(), "a state [X, V, θ]");
+        assert_eq!(state.len(), self.state_dim, "a state of the rod's step");
         s.place(t)?;
         s.scatter_state(state);
         let guess = s.end_angle_guess();

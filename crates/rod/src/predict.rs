@@ -1,7 +1,5 @@
 //! First guess of a step: the old shape carried along with the supports.
 
-use varda_implicit::Interval;
-
 use crate::Error;
 use crate::geometry::{M3, V3};
 use crate::system::{ClampFrame, System};
@@ -32,20 +30,26 @@ impl Carry {
         Carry { anchors: Vec::with_capacity(system.supports.prescribed.len() + 2) }
     }
 
-    /// Sets the free vertices of `system` (whose supports stand at the end of the interval) to the guess; angles keep
-    /// their old values.
-    pub(crate) fn guess(&mut self, system: &mut System, at: &Interval, state: &[f64]) -> Result<(), Error> {
+    /// Sets the free vertices of `system` (whose supports stand where they are at time `to`) to the guess, `state` being that
+    /// of time `from`; angles keep their old values.
+    pub(crate) fn guess(
+        &mut self,
+        system: &mut System,
+        from: f64,
+        to: f64,
+        state: &[f64],
+    ) -> Result<(), Error> {
         let n = system.rod.segments();
         self.anchors.clear();
         if let Some(clamp) = &system.supports.start {
-            self.anchors.push(between(0, &clamp.frame(at.start)?, &clamp.frame(at.end())?));
+            self.anchors.push(between(0, &clamp.frame(from)?, &clamp.frame(to)?));
         }
         for (vertex, motion) in &system.supports.prescribed {
-            let (from, to) = (V3::from(motion.at(at.start)), V3::from(motion.at(at.end())));
+            let (from, to) = (V3::from(motion.at(from)), V3::from(motion.at(to)));
             self.anchors.push(Anchor { vertex: *vertex, from, to, rotation: M3::identity() });
         }
         if let Some(clamp) = &system.supports.end {
-            self.anchors.push(between(n, &clamp.frame(at.start)?, &clamp.frame(at.end())?));
+            self.anchors.push(between(n, &clamp.frame(from)?, &clamp.frame(to)?));
         }
         self.anchors.sort_unstable_by_key(|a| a.vertex);
         system.scatter_state(state);

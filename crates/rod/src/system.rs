@@ -346,14 +346,19 @@ impl System {
         trial: &mut [f64],
     ) {
         let layout = &self.layout;
-        displacement.fill(V3::zeros());
-        for &v in &layout.free_vertices {
-            let i = layout.unknown[layout.vertex(v)];
-            displacement[v] = V3::new(du[i], du[i + 1], du[i + 2]);
-        }
+        self.unknown_displacements(du, displacement);
         self.shape.holonomy(displacement, psi);
         for &e in &layout.free_angles {
             trial[layout.unknown[layout.angle(e)]] += alpha * psi[e];
+        }
+    }
+
+    /// Displacements of all vertices from an increment of the unknowns.
+    pub(crate) fn unknown_displacements(&self, du: &[f64], out: &mut [V3]) {
+        out.fill(V3::zeros());
+        for &v in &self.layout.free_vertices {
+            let i = self.layout.unknown[self.layout.vertex(v)];
+            out[v] = V3::new(du[i], du[i + 1], du[i + 2]);
         }
     }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use varda_implicit::{ImplicitModel, Model};
 use varda_rod::{
-    BackwardEuler, Clamp, Damping, Loads, Material, Rod, Section, Supports, TwistUnknowns, equilibrium,
+    Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, TwistUnknowns, equilibrium,
     straight_guess,
 };
 
@@ -20,16 +20,16 @@ fn hanging(position: impl varda_rod::Motion + 'static) -> Supports {
     })
 }
 
-fn driven_25(twist: TwistUnknowns) -> ImplicitModel<BackwardEuler> {
+fn driven_25(twist: TwistUnknowns) -> ImplicitModel<RodStep> {
     let material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1200.0 };
     let rod = Rod::uniform(1.0, 25, &Section::circle(&material, 0.005)).unwrap();
     let omega = 2.0 * PI;
     let drive = move |t: f64| [0.10 * (1.0 - (omega * t).cos()), 0.05 * (omega * t).sin(), 0.0];
-    let step = BackwardEuler::with_twist(rod, hanging(drive), DOWN, Damping::default(), twist).unwrap();
+    let step = RodStep::with_twist(rod, hanging(drive), DOWN, Damping::default(), twist).unwrap();
     ImplicitModel::new(step, 0, 0.02)
 }
 
-fn straight_down(step: &BackwardEuler) -> Vec<f64> {
+fn straight_down(step: &RodStep) -> Vec<f64> {
     let guess = straight_guess(step.rod(), step.supports(), 0.0, [0.0, 0.0, -1.0]).unwrap();
     let mut z = Vec::new();
     for &v in step.free_vertices() {
@@ -39,7 +39,7 @@ fn straight_down(step: &BackwardEuler) -> Vec<f64> {
     z
 }
 
-fn run(model: &mut ImplicitModel<BackwardEuler>, z: &[f64], steps: usize) -> Vec<f64> {
+fn run(model: &mut ImplicitModel<RodStep>, z: &[f64], steps: usize) -> Vec<f64> {
     let mut x = vec![0.0; model.dim()];
     model.initial_state(z, &mut x).unwrap();
     let mut next = x.clone();
@@ -78,8 +78,18 @@ fn leaving_the_twist_out_changes_nothing() {
 
 #[test]
 fn hanging_equilibrium_is_the_closed_form() {
-    // Discrete hanging rod: edge e carries the weight below it, l = l̄ (1 + W/EA).
-    let step = driven_25(TwistUnknowns::WhereNeeded).into_inner();
+    let rod = driven_25(TwistUnknowns::WhereNeeded).into_inner();
+    let mut section = Section::circle(&Material::new(1e6, 0.5, 1200.0), 0.005);
+    (section.ei1, section.ei2, section.gj) = (0.0, 0.0, 0.0);
+    // A chain, unstretched at first, has no stiffness across itself.
+    let chain = Rod::uniform(1.0, 25, &section).unwrap();
+    let chain = RodStep::new(chain, hanging([0.0; 3]), DOWN, Damping::default()).unwrap();
+    hangs_as_its_weight_says(&rod);
+    hangs_as_its_weight_says(&chain);
+}
+
+/// Edge e carries the weight below it, l = l̄ (1 + W/EA).
+fn hangs_as_its_weight_says(step: &RodStep) {
     let guess = straight_guess(step.rod(), step.supports(), 0.0, [0.0, 0.0, -1.0]).unwrap();
     let (rest, _) = equilibrium(step.rod(), step.supports(), &DOWN, 0.0, &guess).unwrap();
     let rod = step.rod();

@@ -2,6 +2,7 @@
 
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
+mod cycles;
 mod progress;
 mod table;
 
@@ -16,6 +17,7 @@ use clap::{Args, Parser, Subcommand};
 use crate::Error;
 use crate::check::Plan;
 use crate::compare::{Compared, compare};
+use crate::cycles::{Sequence, whole};
 use crate::output::Output;
 use crate::problem::Problem;
 use crate::report;
@@ -46,6 +48,9 @@ enum Command {
         /// Print nothing but errors
         #[arg(long)]
         quiet: bool,
+        /// Go on with an unfinished run of many windows ([algorithm.cycles]) after its last finished one
+        #[arg(long)]
+        resume: bool,
     },
     /// Run the model forward only: from the truth where there is one, else from the background
     Simulate {
@@ -106,7 +111,9 @@ impl SceneArguments {
 pub fn main() -> ExitCode {
     let started = Instant::now();
     let done = match Cli::parse().command {
-        Command::Run { scene, out, quiet } => run_scene(&scene, out.as_deref(), quiet, started),
+        Command::Run { scene, out, quiet, resume } => {
+            run_scene(&scene, out.as_deref(), quiet, resume, started)
+        }
         Command::Simulate { scene, out, quiet } => simulate(&scene, out.as_deref(), quiet, started),
         Command::Compare { scene, out } => compare_all(&scene, out.as_deref()),
         Command::Check { scene } => scene.open().and_then(|file| check(&file)),
@@ -133,13 +140,13 @@ fn run_scene(
     arguments: &SceneArguments,
     out: Option<&Path>,
     quiet: bool,
+    resume: bool,
     started: Instant,
 ) -> Result<ExitCode, Error> {
     let file = arguments.open()?;
     let folder = out.map_or_else(|| Path::new("out").join(&file.name), Path::to_path_buf);
     // Refuse an occupied folder before the work, not after it.
     drop(Output::begin(&folder)?);
-    let mut problem = Problem::from_scene(&file)?;
 
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
@@ -147,11 +154,25 @@ fn run_scene(
     let _ = ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst));
     let algorithm = &file.scene.algorithm;
     let mut progress = Progress::new(algorithm.gradient_tolerance, algorithm.max_iterations, quiet, started);
-    let mut listener = Listener {
-        on_iteration: &mut |row| progress.row(row),
-        interrupted: &|| stop.load(Ordering::SeqCst),
-        started,
-    };
+    let interrupted = || stop.load(Ordering::SeqCst);
+    if let Some(mut sequence) = Sequence::from_scene(&file)? {
+        return cycles::run(
+            &file,
+            &mut sequence,
+            &folder,
+            resume,
+            &mut progress,
+            &interrupted,
+            quiet,
+            started,
+        );
+    }
+    if resume {
+        return Err(file.invalid("algorithm", "only a run with [algorithm.cycles] can be resumed"));
+    }
+    let mut problem = Problem::from_scene(&file)?;
+    let mut listener =
+        Listener { on_iteration: &mut |row| progress.row(row), interrupted: &interrupted, started };
     let outcome = assimilate(&mut problem, &mut listener)?;
     progress.finish();
     let folder = report::write(&mut problem, &outcome, &folder)?;
@@ -179,7 +200,7 @@ fn simulate(
     let default = || Path::new("out").join(format!("{}-simulation", file.name));
     let folder = out.map_or_else(default, Path::to_path_buf);
     drop(Output::begin(&folder)?);
-    let mut problem = Problem::from_scene(&file)?;
+    let mut problem = Problem::from_scene(&whole(&file))?;
     let simulation = run::simulate(&mut problem)?;
     let folder =
         report::write_simulation(&mut problem, &simulation, started.elapsed().as_secs_f64(), &folder)?;
@@ -199,6 +220,9 @@ fn compare_all(arguments: &SceneArguments, out: Option<&Path>) -> Result<ExitCod
     // As in a run: without a handler Ctrl-C ends the program, only less politely.
     let _ = ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst));
     let interrupted = || stop.load(Ordering::SeqCst);
+    if file.scene.algorithm.cycles.is_some() {
+        eprintln!("[algorithm.cycles] is left out: the methods are compared on the first window");
+    }
     let mut on_row = |r: &Compared| eprintln!("{} {}: {}", r.method, r.solver, r.status);
     let rows = compare(&file, &mut on_row, &interrupted)?;
     let folder = report::write_comparison(&file, &rows, interrupted(), &folder)?;

@@ -1,23 +1,98 @@
-//! From `[background.covariance]` to B.
+//! From a `covariance` table of a scene to B or Q.
 
 use varda_covariance::{
-    BlockDiagonal, Covariance, CovarianceFunction, Dense, Diagonal, Interleaved, Kernel, Taper, Truncated,
+    BlockDiagonal, Covariance, CovarianceFunction, Dense, Diagonal, Interleaved, Kernel, Precision, Taper,
+    Truncated, correlation,
 };
+use varda_implicit::line::{Ends, Line};
 
 use crate::Error;
-use crate::scene::{self, KernelCovariance, Prior, Root, SceneFile};
+use crate::scene::{self, KernelCovariance, LineCovariance, Prior, Root, SceneFile};
 
-const PATH: &str = "background.covariance";
+/// A covariance, and whether it has an inverse.
+pub enum Factored {
+    /// Of full rank.
+    Full(Box<dyn Precision>),
+    /// With a truncated root.
+    Truncated(Box<dyn Covariance>),
+}
 
-/// B = σ² I of a state of n components.
+impl Factored {
+    /// It as one that has an inverse, where it has.
+    pub fn precision(&self) -> Option<&dyn Precision> {
+        match self {
+            Factored::Full(c) => Some(c.as_ref()),
+            Factored::Truncated(_) => None,
+        }
+    }
+}
+
+impl AsRef<dyn Covariance> for Factored {
+    fn as_ref(&self) -> &(dyn Covariance + 'static) {
+        match self {
+            Factored::Full(c) => c.as_ref(),
+            Factored::Truncated(c) => c.as_ref(),
+        }
+    }
+}
+
+/// The covariance the key `path` of a scene describes, of a state of `n` components (on `line`, for a field along one).
 ///
 /// # Errors
 /// [`Error::Scene`].
-pub fn diagonal(file: &SceneFile, n: usize, sigma: f64) -> Result<Box<dyn Covariance>, Error> {
-    Ok(Box::new(Diagonal::uniform(n, sigma).map_err(|e| file.invalid(PATH, e.to_string()))?))
+pub fn of_components(
+    file: &SceneFile,
+    path: &str,
+    covariance: &scene::Covariance,
+    n: usize,
+    line: Option<&Line>,
+) -> Result<Factored, Error> {
+    match (covariance, line) {
+        (scene::Covariance::Diagonal(d), _) => {
+            let c = Diagonal::uniform(n, d.sigma).map_err(|e| file.invalid(path, e.to_string()))?;
+            Ok(Factored::Full(Box::new(c)))
+        }
+        (scene::Covariance::Line(k), Some(line)) => along_line(file, path, k, line),
+        _ => Err(file.invalid(&format!("{path}.kind"), "not a covariance of this model")),
+    }
 }
 
-/// The arc lengths a rod's B is about \[m\].
+/// `scale` × a symmetric n × n matrix, by rows.
+///
+/// # Errors
+/// [`Error::Scene`] where it is not positive definite.
+pub fn scaled(file: &SceneFile, path: &str, n: usize, scale: f64, matrix: &[f64]) -> Result<Factored, Error> {
+    let matrix: Vec<f64> = matrix.iter().map(|c| scale * c).collect();
+    Ok(Factored::Full(Box::new(cholesky(file, path, n, &matrix)?)))
+}
+
+/// Distance \[m\] of two points of a line: the chord where it closes to a circle.
+pub fn line_distance(line: &Line, i: usize, j: usize) -> f64 {
+    let d = (line.position(i) - line.position(j)).abs();
+    match line.ends {
+        Ends::Periodic => {
+            line.length / std::f64::consts::PI * (std::f64::consts::PI * d / line.length).sin().abs()
+        }
+        Ends::Fixed { .. } => d,
+    }
+}
+
+fn along_line(file: &SceneFile, path: &str, k: &LineCovariance, line: &Line) -> Result<Factored, Error> {
+    let (kernel, taper) = (kernel(k.kernel, k.correlation_length), taper(k.taper, k.localization_length));
+    let n = line.points;
+    let mut matrix = vec![0.0; n * n];
+    for i in 0..n {
+        for j in 0..n {
+            matrix[i * n + j] = k.sigma * k.sigma * correlation(kernel, taper, line_distance(line, i, j));
+        }
+    }
+    Ok(match k.root {
+        Root::Cholesky => Factored::Full(Box::new(cholesky(file, path, n, &matrix)?)),
+        Root::Truncated => Factored::Truncated(Box::new(truncated(file, path, n, &matrix, k.truncation)?)),
+    })
+}
+
+/// The arc lengths a rod's covariance is about \[m\].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Places {
     /// Of the free vertices.
@@ -26,38 +101,28 @@ pub struct Places {
     pub known: Vec<f64>,
 }
 
-/// B of [X₀, V₀]: one block for the positions (σ_x \[m\]) and one for the velocities (σ_v [m/s]), each shared by x, y and z.
+/// The covariance of [X, V]: one block for the positions (σ_x \[m\]) and one for the velocities (σ_v [m/s]), each shared by x, y and z.
 ///
 /// # Errors
-/// [`Error::Scene`] where B has no root of the kind asked for.
+/// [`Error::Scene`] where it has no root of the kind asked for.
 pub fn localized(
     file: &SceneFile,
+    path: &str,
     k: &KernelCovariance,
     places: &Places,
-    sigma_x: f64,
-    sigma_v: f64,
-) -> Result<Box<dyn Covariance>, Error> {
-    let support = k.localization_length.unwrap_or(f64::INFINITY);
-    let taper = match k.taper {
-        scene::Taper::Triangle => Taper::Triangle { support },
-        scene::Taper::GaspariCohn => Taper::GaspariCohn { support },
-        scene::Taper::None => Taper::None,
-    };
+    sigmas: (f64, f64),
+) -> Result<Factored, Error> {
     let n = places.free.len();
-    blocks(file, k, places, sigma_x, sigma_v, taper, |matrix| match k.root {
+    let taper = taper(k.taper, k.localization_length);
+    Ok(match k.root {
         Root::Cholesky => {
-            Dense::new(n, matrix).map(|root| Box::new(root) as Box<dyn Covariance>).map_err(|e| {
-                file.invalid(
-                    PATH,
-                    format!(
-                        "{e}: B has no Cholesky root; take root = \"truncated\", a taper, or a rougher kernel"
-                    ),
-                )
-            })
+            let root = |matrix: &[f64]| cholesky(file, path, n, matrix);
+            Factored::Full(Box::new(blocks(file, path, k, places, sigmas, taper, root)?))
         }
-        Root::Truncated => Truncated::eigen(n, matrix, k.truncation)
-            .map(|root| Box::new(root) as Box<dyn Covariance>)
-            .map_err(|e| file.invalid(PATH, e.to_string())),
+        Root::Truncated => {
+            let root = |matrix: &[f64]| truncated(file, path, n, matrix, k.truncation);
+            Factored::Truncated(Box::new(blocks(file, path, k, places, sigmas, taper, root)?))
+        }
     })
 }
 
@@ -68,42 +133,68 @@ pub fn localized(
 /// [`Error::Scene`].
 pub fn unlocalized(
     file: &SceneFile,
+    path: &str,
     k: &KernelCovariance,
     places: &Places,
-    sigma_x: f64,
-    sigma_v: f64,
+    sigmas: (f64, f64),
 ) -> Result<Box<dyn Covariance>, Error> {
-    let n = places.free.len();
-    blocks(file, k, places, sigma_x, sigma_v, Taper::None, |matrix| {
-        let root = Truncated::eigen(n, matrix, 1e-14).map_err(|e| file.invalid(PATH, e.to_string()))?;
-        Ok(Box::new(root))
-    })
+    let root = |matrix: &[f64]| truncated(file, path, places.free.len(), matrix, 1e-14);
+    Ok(Box::new(blocks(file, path, k, places, sigmas, Taper::None, root)?))
 }
 
-fn blocks(
+fn blocks<C: Covariance>(
     file: &SceneFile,
+    path: &str,
     k: &KernelCovariance,
     places: &Places,
-    sigma_x: f64,
-    sigma_v: f64,
+    (sigma_x, sigma_v): (f64, f64),
     taper: Taper,
-    root: impl Fn(&[f64]) -> Result<Box<dyn Covariance>, Error>,
-) -> Result<Box<dyn Covariance>, Error> {
-    let block = |sigma: f64, length: f64| -> Result<Interleaved<Box<dyn Covariance>>, Error> {
-        let kernel = match k.kernel {
-            scene::Kernel::Gaussian => Kernel::Gaussian { length },
-            scene::Kernel::Matern12 => Kernel::Matern12 { length },
-            scene::Kernel::Matern32 => Kernel::Matern32 { length },
-            scene::Kernel::Matern52 => Kernel::Matern52 { length },
-        };
-        let function = CovarianceFunction { sigma, kernel, taper };
+    root: impl Fn(&[f64]) -> Result<C, Error>,
+) -> Result<BlockDiagonal<Interleaved<C>>, Error> {
+    let block = |sigma: f64, length: f64| -> Result<Interleaved<C>, Error> {
+        let function = CovarianceFunction { sigma, kernel: kernel(k.kernel, length), taper };
         let matrix = match k.prior {
             Prior::Clamp => function.conditioned_matrix(&places.free, &places.known),
             Prior::Plain => function.matrix(&places.free),
         };
-        let matrix = matrix.map_err(|e| file.invalid(PATH, e.to_string()))?;
+        let matrix = matrix.map_err(|e| file.invalid(path, e.to_string()))?;
         Ok(Interleaved::new(root(&matrix)?, 3))
     };
     let parts = vec![block(sigma_x, k.correlation_length_x)?, block(sigma_v, k.correlation_length_v)?];
-    Ok(Box::new(BlockDiagonal::new(parts)))
+    Ok(BlockDiagonal::new(parts))
+}
+
+fn cholesky(file: &SceneFile, path: &str, n: usize, matrix: &[f64]) -> Result<Dense, Error> {
+    let remedy = "take root = \"truncated\", a taper, or a rougher kernel";
+    Dense::new(n, matrix)
+        .map_err(|e| file.invalid(path, format!("{e}: this covariance has no Cholesky root; {remedy}")))
+}
+
+fn truncated(
+    file: &SceneFile,
+    path: &str,
+    n: usize,
+    matrix: &[f64],
+    tolerance: f64,
+) -> Result<Truncated, Error> {
+    Truncated::eigen(n, matrix, tolerance).map_err(|e| file.invalid(path, e.to_string()))
+}
+
+fn kernel(kernel: scene::Kernel, length: f64) -> Kernel {
+    match kernel {
+        scene::Kernel::Gaussian => Kernel::Gaussian { length },
+        scene::Kernel::Matern12 => Kernel::Matern12 { length },
+        scene::Kernel::Matern32 => Kernel::Matern32 { length },
+        scene::Kernel::Matern52 => Kernel::Matern52 { length },
+    }
+}
+
+/// A taper; `length` has been validated to be there where one is needed.
+pub(crate) fn taper(taper: scene::Taper, length: Option<f64>) -> Taper {
+    let support = length.unwrap_or(f64::INFINITY);
+    match taper {
+        scene::Taper::Triangle => Taper::Triangle { support },
+        scene::Taper::GaspariCohn => Taper::GaspariCohn { support },
+        scene::Taper::None => Taper::None,
+    }
 }

@@ -60,6 +60,22 @@ pub enum Error {
         /// How one can tell.
         reason: &'static str,
     },
+    /// A result has an unfinished run beside it.
+    #[error(
+        "{path} holds an unfinished run; go on with it by --resume, remove it, or choose another folder with --out"
+    )]
+    Unfinished {
+        /// The folder of the unfinished run.
+        path: PathBuf,
+    },
+    /// A run cannot be taken up.
+    #[error("{path} cannot be resumed: {reason}")]
+    Resume {
+        /// The folder of the unfinished run.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
     /// A plot could not be drawn.
     #[error("cannot draw {figure}: {reason}")]
     Plot {

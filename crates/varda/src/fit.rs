@@ -103,7 +103,8 @@ pub fn fit(observations: &mut ObservationSet, runs: &Trajectories) -> Result<Vec
     Ok(labels.iter().map(of_label).collect())
 }
 
-fn innovations(
+/// d = y − H(x) of a run; NaN where it ended early.
+pub(crate) fn innovations(
     observations: &mut ObservationSet,
     runs: &Trajectories,
     states: &[f64],

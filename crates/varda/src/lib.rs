@@ -35,13 +35,18 @@
 
 pub mod check;
 pub mod cli;
+pub mod climatology;
 pub mod compare;
+mod component_model;
 pub mod covariance;
 pub mod csv_input;
+pub mod cycles;
+pub mod ensemble;
 mod error;
 pub mod fit;
 mod method;
 pub mod output;
+pub mod partial;
 pub mod problem;
 pub mod report;
 pub mod rod_model;

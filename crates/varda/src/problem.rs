@@ -3,11 +3,13 @@
 use std::f64::consts::TAU;
 
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet, Selection};
-use varda_covariance::{Covariance, sample};
-use varda_implicit::{ImplicitModel, Model, Rk4, lorenz};
-use varda_rod::{BackwardEuler, Marker};
+use varda_covariance::{Ensemble, sample};
+use varda_implicit::{Adaptive, Grouped, ImplicitModel, Model, accepted_times};
+use varda_rod::{Marker, RodStep};
 
-use crate::covariance::{self, Places};
+use crate::component_model;
+use crate::covariance::{self, Factored, Places};
+use crate::ensemble::{self, Geometry};
 use crate::rod_model::RodParts;
 use crate::rod_observation::{RodObservation, Sighting, Sightings, Site, Window};
 use crate::scene::{
@@ -15,7 +17,7 @@ use crate::scene::{
     Synthetic, Use,
 };
 use crate::twin::{Stream, normal, stream};
-use crate::{Error, csv_input};
+use crate::{Error, climatology, csv_input};
 
 /// Everything an assimilation needs. Plain data but for the operators.
 pub struct Problem {
@@ -27,10 +29,18 @@ pub struct Problem {
     pub window: Window,
     /// The model; its step k is that of the window.
     pub model: Box<dyn Model>,
+    /// Makes it anew, for runs beside one another.
+    pub make_model: MakeModel,
     /// What the numbers of a state mean.
     pub view: View,
     /// B.
-    pub covariance: Box<dyn Covariance>,
+    pub covariance: Factored,
+    /// Q, for the weak-constraint methods.
+    pub model_error: Option<Factored>,
+    /// The members, for the ensemble methods.
+    pub ensemble: Option<Ensemble>,
+    /// The component of the control at whose place a row of the observation operator measures.
+    pub anchors: Vec<usize>,
     /// x_b, in the control.
     pub background: Vec<f64>,
     /// The state of the truth at the start of the window, in a twin experiment.
@@ -40,6 +50,9 @@ pub struct Problem {
     /// What the scene does not need and the run does not touch.
     pub left_out: Vec<String>,
 }
+
+/// Makes the model of a problem, its step 0 being the given step of the window.
+pub type MakeModel = Box<dyn Fn(usize) -> Box<dyn Model + Send>>;
 
 /// What the numbers of a state mean.
 pub enum View {
@@ -54,7 +67,7 @@ pub struct RodView {
     /// The rod, its supports and loads.
     pub parts: RodParts,
     /// Its dynamics: numbering, places of vertices.
-    pub dynamics: BackwardEuler,
+    pub dynamics: RodStep,
     /// All that was seen, withheld and later rows included.
     pub sightings: Sightings,
     /// Where the sites are.
@@ -79,7 +92,7 @@ impl Problem {
     pub fn from_scene(file: &SceneFile) -> Result<Problem, Error> {
         match &file.scene.model {
             scene::Model::Rod(rod) => rod_problem(file, rod),
-            scene::Model::Lorenz63(_) | scene::Model::Lorenz96(_) => component_problem(file),
+            _ => component_problem(file),
         }
     }
 
@@ -110,7 +123,7 @@ pub fn window(scene: &Scene) -> Window {
 }
 
 /// The arc lengths B is about.
-pub fn places(parts: &RodParts, dynamics: &BackwardEuler) -> Places {
+pub fn places(parts: &RodParts, dynamics: &RodStep) -> Places {
     let s = parts.rod.arc_lengths();
     let free = dynamics.free_vertices();
     Places {
@@ -193,38 +206,64 @@ fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
         Origin::File => Some(read_rod_background(file, &dynamics)?),
     };
     let reference = truth.as_ref().or(known_background.as_ref()).map_or(&[][..], |z| &z[..n]);
-    let (sigma_x, sigma_v) = sigmas(kernel, length, mean_speed(reference));
+    let speed = mean_speed(reference);
+    let (sigma_x, sigma_v) = sigmas(kernel, length, speed);
     if !(sigma_v > 0.0) {
         return Err(file.invalid(
             "background.covariance.sigma_v_over_mean_speed",
             "nothing moves at the start of the window, so this σ would be 0: give sigma_v [m/s]",
         ));
     }
-    let covariance = covariance::localized(file, kernel, &places, sigma_x, sigma_v)?;
+    let path = "background.covariance";
+    let covariance = covariance::localized(file, path, kernel, &places, (sigma_x, sigma_v))?;
     let background = match (known_background, &truth) {
         (Some(background), _) => background,
         (None, truth) => {
-            let drawn_from = covariance::unlocalized(file, kernel, &places, sigma_x, sigma_v)?;
+            let drawn_from = covariance::unlocalized(file, path, kernel, &places, (sigma_x, sigma_v))?;
             let error = sample(&drawn_from, &mut stream(scene.seed, Stream::Background));
             truth.iter().flat_map(|x| x[..n].iter()).zip(&error).map(|(x, e)| x + e).collect()
         }
     };
 
-    let mut model = ImplicitModel::new(parts.dynamics()?, scene.time.spin_up, window.step);
+    let model_error = match &scene.algorithm.model_error {
+        Some(error) => {
+            let path = "algorithm.model_error.covariance";
+            let CovarianceKey::Kernel(kernel) = &error.covariance else {
+                return Err(file.invalid(&format!("{path}.kind"), "rods take kind = \"kernel\""));
+            };
+            let sigmas = sigmas(kernel, length, speed);
+            if !(sigmas.1 > 0.0) {
+                return Err(file.invalid(
+                    &format!("{path}.sigma_v_over_mean_speed"),
+                    "nothing moves at the start of the window, so this σ would be 0: give sigma_v [m/s]",
+                ));
+            }
+            Some(covariance::localized(file, path, kernel, &places, sigmas)?)
+        }
+        None => None,
+    };
+    let geometry = Geometry::Rod(places.free.clone());
+    let members = scene.algorithm.members();
+    let members =
+        members.map(|e| ensemble::draw(file, &e, &background, covariance.as_ref(), &geometry)).transpose()?;
+
+    let times =
+        scene.time.tolerance.map(|t| divided_steps(&parts, scene, &window, &background, t)).transpose()?;
+    let mut model = rod_models(&parts, scene.time.spin_up, window, times.clone())(0);
     let mut sites = RodObservation::new(&dynamics, &sightings, window)?;
     if let (Observations::Synthetic(synthetic), Some(truth)) = (&scene.observations, &truth) {
         let steps = observed_steps(synthetic, &window);
         let sigma =
             synthetic.sigma.unwrap_or_else(|| synthetic.sigma_over_length.unwrap_or(f64::NAN) * length);
-        let states = run_states(&mut model, truth, steps.iter().copied().max().unwrap_or(0))?;
+        let states = run_states(model.as_mut(), truth, steps.iter().copied().max().unwrap_or(0))?;
         let mut rng = stream(scene.seed, Stream::Observations);
         let mut seen = vec![0.0; sites.dim()];
         for &k in &steps {
             let state = &states[k * model.dim()..(k + 1) * model.dim()];
-            sites.observe(k, state, &mut seen).map_err(|source| varda_assimilation::Error::Observe {
+            sites.observe(k, state, &mut seen).map_err(|reason| varda_assimilation::Error::Observe {
                 operator: 0,
                 step: k,
-                source,
+                reason,
             })?;
             for (site, y) in seen.chunks_exact(3).enumerate() {
                 let values = [0, 1, 2].map(|c| Some(y[c] + normal(&mut rng, sigma)));
@@ -232,6 +271,11 @@ fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
             }
         }
     }
+    let anchors = sightings
+        .sites
+        .iter()
+        .flat_map(|site| [0, 1, 2].map(|c| geometry.nearest(site.marker.s) + c))
+        .collect();
     let operator = RodObservation::new(&dynamics, &sightings, window)?;
     let observations =
         ObservationSet::new(window.steps, vec![Box::new(operator)], sightings.assimilated(&window))?;
@@ -245,19 +289,64 @@ fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
     }
     let mut left_out = dynamics.left_out();
     left_out.extend(sightings.left_out.iter().cloned());
+    left_out.extend(no_derivatives(scene));
     // The model that ran the truth starts again from nothing, so that counts are those of the assimilation.
-    let model = ImplicitModel::new(model.into_inner(), scene.time.spin_up, window.step);
+    let make_model = rod_models(&parts, scene.time.spin_up, window, times);
     Ok(Problem {
         name: file.name.clone(),
         scene: scene.clone(),
         window,
-        model: Box::new(model),
+        model: make_model(0),
+        make_model,
         view: View::Rod(Box::new(RodView { parts, dynamics, sightings, sites })),
         covariance,
+        model_error,
+        ensemble: members,
+        anchors,
         background,
         truth,
         observations,
         left_out,
+    })
+}
+
+/// The times of all steps to the end of the forecast, from the error estimates of a run from `background`.
+fn divided_steps(
+    parts: &RodParts,
+    scene: &Scene,
+    window: &Window,
+    background: &[f64],
+    tolerance: f64,
+) -> Result<Vec<f64>, Error> {
+    let mut model = ImplicitModel::new(parts.dynamics()?, scene.time.spin_up, window.step);
+    let mut x0 = vec![0.0; model.dim()];
+    model.initial_state(background, &mut x0)?;
+    let mut scale = vec![f64::INFINITY; x0.len()];
+    scale[..background.len() / 2].fill(parts.rod.length());
+    let mut step = model.into_inner();
+    let options =
+        Adaptive { tolerance, first: window.step, shortest: window.step / 4096.0, longest: window.step };
+    Ok(accepted_times(&mut step, parts.scheme, &x0, &scale, &grid(window), &options)?)
+}
+
+/// Times of all steps of the window and its forecast.
+fn grid(window: &Window) -> Vec<f64> {
+    (0..=window.steps + window.forecast).map(|k| window.time(k)).collect()
+}
+
+/// Makes models that start at a step of the window, whose step k is the window's from there: one step, or those between `times` that make it up.
+fn rod_models(parts: &RodParts, spin_up: usize, window: Window, times: Option<Vec<f64>>) -> MakeModel {
+    let parts = parts.clone();
+    Box::new(move |first| {
+        let step = parts.dynamics().expect("the dynamics were made of these parts before");
+        match &times {
+            None => Box::new(ImplicitModel::new(step, spin_up + first, window.step)),
+            Some(times) => {
+                let from = times.partition_point(|t| *t < window.time(first));
+                let model = ImplicitModel::on_times(step, times[from..].to_vec());
+                Box::new(Grouped::through(model, &times[from..], &grid(&window)[first..]))
+            }
+        }
     })
 }
 
@@ -282,7 +371,7 @@ pub fn mean_speed(control: &[f64]) -> f64 {
     speeds.iter().sum::<f64>() / speeds.len().max(1) as f64
 }
 
-fn read_rod_background(file: &SceneFile, dynamics: &BackwardEuler) -> Result<Vec<f64>, Error> {
+fn read_rod_background(file: &SceneFile, dynamics: &RodStep) -> Result<Vec<f64>, Error> {
     let name = file.scene.background.file.as_deref().unwrap_or("");
     let (label, text) = file.read("background.file", name)?;
     let columns = ["vertex", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"];
@@ -317,39 +406,29 @@ fn read_rod_background(file: &SceneFile, dynamics: &BackwardEuler) -> Result<Vec
 fn component_problem(file: &SceneFile) -> Result<Problem, Error> {
     let scene = &file.scene;
     let window = window(scene);
-    let model_from = |first: usize| -> Box<dyn Model> {
-        match &scene.model {
-            scene::Model::Lorenz96(m) => {
-                Box::new(Rk4::new(lorenz::Lorenz96::new(m.variables, m.forcing), first, window.step))
-            }
-            scene::Model::Lorenz63(m) => {
-                let rhs = lorenz::Lorenz63 { sigma: m.sigma, rho: m.rho, beta: m.beta };
-                Box::new(Rk4::new(rhs, first, window.step))
-            }
-            scene::Model::Rod(_) => unreachable!("rods have their own problem"),
-        }
-    };
-    let mut model = model_from(0);
+    let first = scene.time.spin_up;
+    let start = component_model::start(scene);
+    let make = component_model::factory(scene, &start, window.step);
+    let mut model = make(0);
     let n = model.dim();
-    let CovarianceKey::Diagonal(diagonal) = &scene.background.covariance else {
-        return Err(file.invalid("background.covariance.kind", "this model takes kind = \"diagonal\""));
-    };
-    let covariance = covariance::diagonal(file, n, diagonal.sigma)?;
-    let start = match (&scene.truth, &scene.model) {
-        (Some(truth), _) => truth.state.clone(),
-        (None, scene::Model::Lorenz96(m)) => {
-            // Lorenz's own start: the unstable equilibrium, one component a little off.
-            let mut x = vec![m.forcing; n];
-            x[n / 2] += 0.008;
-            x
+    let line = scene.model.line();
+    let of = |path: &str, c: &CovarianceKey| match c {
+        CovarianceKey::Climatology(c) => {
+            let matrix = climatology::covariance(make(0).as_mut(), &start, first, c.steps)?;
+            covariance::scaled(file, path, n, c.scale, &matrix)
         }
-        (None, _) => vec![1.508870, -1.531271, 25.46091],
+        c => covariance::of_components(file, path, c, n, line.as_ref()),
+    };
+    let covariance = of("background.covariance", &scene.background.covariance)?;
+    let model_error = match &scene.algorithm.model_error {
+        Some(error) => Some(of("algorithm.model_error.covariance", &error.covariance)?),
+        None => None,
     };
     let (truth, background) = match scene.background.from {
         Origin::TruthPlusDraw => {
-            let spun = run_states(model.as_mut(), &start, scene.time.spin_up)?;
-            let truth = spun[scene.time.spin_up * n..].to_vec();
-            let error = sample(&covariance, &mut stream(scene.seed, Stream::Background));
+            let spun = run_states(model.as_mut(), &start, first)?;
+            let truth = spun[first * n..].to_vec();
+            let error = sample(covariance.as_ref(), &mut stream(scene.seed, Stream::Background));
             let background = truth.iter().zip(&error).map(|(x, e)| x + e).collect();
             (Some(truth), background)
         }
@@ -362,13 +441,16 @@ fn component_problem(file: &SceneFile) -> Result<Problem, Error> {
         if synthetic.components.is_empty() { (0..n).collect() } else { synthetic.components.clone() };
     let names: Vec<String> = match &scene.model {
         scene::Model::Lorenz63(_) => ["x", "y", "z"].map(String::from).to_vec(),
+        scene::Model::LinearAdvection(_) | scene::Model::Burgers(_) => {
+            (0..n).map(|i| format!("u{i}")).collect()
+        }
         _ => (0..n).map(|i| format!("x{i}")).collect(),
     };
     let mut seen = Vec::new();
     if let Some(truth) = &truth {
         let steps = observed_steps(synthetic, &window);
         let sigma = synthetic.sigma.unwrap_or(f64::NAN);
-        let mut model = model_from(scene.time.spin_up);
+        let mut model = make(first);
         let states = run_states(model.as_mut(), truth, steps.iter().copied().max().unwrap_or(0))?;
         let mut rng = stream(scene.seed, Stream::Observations);
         for &step in &steps {
@@ -385,19 +467,42 @@ fn component_problem(file: &SceneFile) -> Result<Problem, Error> {
             }
         }
     }
-    let operator: Box<dyn ObservationOperator> = Box::new(Selection::new(components, n)?);
+    let geometry = match (&scene.model, line) {
+        (_, Some(line)) => Geometry::Line(line),
+        (scene::Model::Lorenz96(_), None) => Geometry::Ring(n),
+        _ => Geometry::Nowhere,
+    };
+    let members = scene.algorithm.members();
+    let members =
+        members.map(|e| ensemble::draw(file, &e, &background, covariance.as_ref(), &geometry)).transpose()?;
+    let operator: Box<dyn ObservationOperator> = Box::new(Selection::new(components.clone(), n)?);
+    let mut left_out = Vec::new();
+    if scene.time.integrator == scene::Integrator::Rk4 {
+        left_out.push("factorizations: the steps are explicit".to_string());
+    }
+    left_out.extend(no_derivatives(scene));
     Ok(Problem {
         name: file.name.clone(),
         scene: scene.clone(),
         window,
-        model: model_from(scene.time.spin_up),
+        model: make(first),
+        make_model: Box::new(move |k| make(first + k)),
         view: View::Components(names),
         covariance,
+        model_error,
+        ensemble: members,
+        anchors: components,
         background,
         truth,
         observations: ObservationSet::new(window.steps, vec![operator], seen)?,
-        left_out: vec!["factorizations: the steps are explicit".to_string()],
+        left_out,
     })
+}
+
+/// What an ensemble leaves out.
+pub(crate) fn no_derivatives(scene: &Scene) -> Option<String> {
+    let line = "tangent and adjoint: an ensemble of forward runs takes their place";
+    scene.algorithm.method.is_ensemble().then(|| line.to_string())
 }
 
 fn read_component_background(file: &SceneFile, n: usize) -> Result<Vec<f64>, Error> {

@@ -3,12 +3,13 @@
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
+use varda_implicit::Scheme;
 use varda_rod::{
-    BackwardEuler, Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rest, Rod, Section, Supports,
+    Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rest, Rod, RodStep, Section, Supports,
     equilibrium, straight_guess,
 };
 
-use crate::scene::{self, RodModel, SceneFile};
+use crate::scene::{self, Integrator, RodModel, SceneFile};
 use crate::{Error, csv_input};
 
 /// A rod with what holds it and what pulls at it.
@@ -22,6 +23,8 @@ pub struct RodParts {
     pub loads: Loads,
     /// What damps it.
     pub damping: Damping,
+    /// How it is integrated.
+    pub scheme: Scheme,
 }
 
 impl RodParts {
@@ -56,17 +59,24 @@ impl RodParts {
             model.point_forces.iter().map(|f| (f.arc_length, Arc::new(f.force) as Arc<dyn Motion>));
         let loads = Loads { gravity: model.gravity, point_forces: point_forces.collect() };
         let damping = Damping { stiffness: model.damping.stiffness, mass: model.damping.mass };
-        let parts = RodParts { rod, supports, loads, damping };
+        let scheme = match file.scene.time.integrator {
+            Integrator::Midpoint => Scheme::Midpoint,
+            Integrator::Bdf2 => Scheme::Bdf2,
+            // Validation lets no rod through with an explicit integrator.
+            Integrator::BackwardEuler | Integrator::Rk4 => Scheme::BackwardEuler,
+        };
+        let parts = RodParts { rod, supports, loads, damping, scheme };
         parts.dynamics().map_err(refuse("model"))?;
         Ok(parts)
     }
 
-    /// Its dynamics by backward Euler.
+    /// Its dynamics by the integrator of the scene.
     ///
     /// # Errors
     /// What varda-rod finds impossible.
-    pub fn dynamics(&self) -> Result<BackwardEuler, varda_rod::Error> {
-        BackwardEuler::new(self.rod.clone(), self.supports.clone(), self.loads.clone(), self.damping)
+    pub fn dynamics(&self) -> Result<RodStep, varda_rod::Error> {
+        let (rod, supports, loads) = (self.rod.clone(), self.supports.clone(), self.loads.clone());
+        Ok(RodStep::new(rod, supports, loads, self.damping)?.with_scheme(self.scheme))
     }
 
     /// The control [X, 0] of the rod at rest, supports where they are at time t \[s\].

@@ -2,7 +2,7 @@
 
 use varda_assimilation::{Observation, ObservationOperator};
 use varda_implicit::Refusal;
-use varda_rod::{BackwardEuler, Marker, Markers};
+use varda_rod::{Marker, Markers, RodStep};
 
 use crate::csv_input::{Row, Subject};
 use crate::scene::{Frame, OutsideWindow, Recording, SceneFile, Use};
@@ -234,7 +234,7 @@ pub struct RodObservation {
 impl RodObservation {
     /// # Errors
     /// A place off the rod.
-    pub fn new(rod: &BackwardEuler, sightings: &Sightings, window: Window) -> Result<Self, varda_rod::Error> {
+    pub fn new(rod: &RodStep, sightings: &Sightings, window: Window) -> Result<Self, varda_rod::Error> {
         let markers: Vec<Marker> = sightings.sites.iter().map(|s| s.marker).collect();
         let places = vec![0.0; 3 * markers.len()];
         Ok(RodObservation {

@@ -1,20 +1,17 @@
 //! The assimilation of a problem, as plain data: problem → outcome.
 
-use std::ops::ControlFlow;
+use std::ops::{Add, ControlFlow, Sub};
 use std::time::Instant;
 
-use serde::Serialize;
-use varda_assimilation::{
-    Analysis, ControlTransform, CostFunction, Counts, Minimum, Posterior, StrongConstraint,
-};
+use serde::{Deserialize, Serialize};
+use varda_assimilation::{Analysis, Counts, ObservationSet, huber};
 use varda_implicit::Model;
 
 use crate::Error;
 use crate::fit::{self, Fit, Forecast, Withheld};
-use crate::method;
+use crate::method::{self, Solved, Task};
 use crate::problem::{Problem, View, run_states};
-use crate::scene;
-use crate::timed::Timed;
+use crate::timed::{Clock, Timed};
 
 /// What the caller of a run wants to hear and may say.
 pub struct Listener<'a> {
@@ -49,12 +46,14 @@ pub struct ConvergenceRow {
     pub rmse_velocity: Option<f64>,
     /// What σ of the observations is multiplied by at this stage.
     pub sigma_factor: f64,
+    /// Steps of the sub-window; J is that of its observations.
+    pub window: usize,
     /// Work of the model so far.
     pub counts: WorkCounts,
 }
 
 /// Work of the model.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WorkCounts {
     /// Steps taken.
     pub model_steps: usize,
@@ -70,18 +69,51 @@ pub struct WorkCounts {
 
 impl From<&Counts> for WorkCounts {
     fn from(counts: &Counts) -> Self {
+        WorkCounts::of(counts.model)
+    }
+}
+
+impl WorkCounts {
+    /// Those of a model.
+    pub fn of(model: varda_implicit::Counts) -> Self {
         WorkCounts {
-            model_steps: counts.model.model_steps,
-            tangent_steps: counts.model.tangent_steps,
-            adjoint_steps: counts.model.adjoint_steps,
-            factorizations: counts.model.factorizations,
-            newton_iterations: counts.model.newton_iterations,
+            model_steps: model.model_steps,
+            tangent_steps: model.tangent_steps,
+            adjoint_steps: model.adjoint_steps,
+            factorizations: model.factorizations,
+            newton_iterations: model.newton_iterations,
+        }
+    }
+
+    fn each(self, other: Self, f: fn(usize, usize) -> usize) -> Self {
+        WorkCounts {
+            model_steps: f(self.model_steps, other.model_steps),
+            tangent_steps: f(self.tangent_steps, other.tangent_steps),
+            adjoint_steps: f(self.adjoint_steps, other.adjoint_steps),
+            factorizations: f(self.factorizations, other.factorizations),
+            newton_iterations: f(self.newton_iterations, other.newton_iterations),
         }
     }
 }
 
+impl Add for WorkCounts {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        self.each(other, usize::add)
+    }
+}
+
+impl Sub for WorkCounts {
+    type Output = Self;
+
+    fn sub(self, other: Self) -> Self {
+        self.each(other, usize::sub)
+    }
+}
+
 /// How a run ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
     /// At a stationary point of J.
@@ -157,6 +189,21 @@ impl Trajectories {
     }
 }
 
+/// An observed value that the background check refused.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Rejected {
+    /// Whose.
+    pub label: String,
+    /// Step of the window (the one before, where it was seen between two).
+    pub step: usize,
+    /// Model time of that step \[s\].
+    pub time: f64,
+    /// d = y − H(x_b), in the unit of the value.
+    pub departure: f64,
+    /// √(HBHᵀ + R), what is expected of it.
+    pub expected: f64,
+}
+
 /// What a run gives.
 #[derive(Debug)]
 pub struct Outcome {
@@ -178,6 +225,8 @@ pub struct Outcome {
     pub convergence: Vec<ConvergenceRow>,
     /// Work of the minimization.
     pub counts: WorkCounts,
+    /// What the background check refused.
+    pub rejected: Vec<Rejected>,
     /// RMSE against the truth.
     pub rmse: Rmse,
     /// Where the time went.
@@ -194,27 +243,24 @@ pub struct Outcome {
     pub warnings: Vec<String>,
 }
 
-/// Minimises the cost of a problem and takes stock.
+/// Minimises the cost of a problem by the method of its scene and takes stock. What the background check refuses is no longer among
+/// the problem's observations.
 ///
 /// # Errors
 /// [`Error::Assimilation`] where the cost cannot be evaluated at the background; [`Error::Model`], [`Error::Rod`]. How a
-/// minimization ended is a [`Status`].
+/// minimization ended is a [`Status`]. After an error the problem has no observations.
 pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outcome, Error> {
-    let mut timed = Timed::new(problem.model.as_mut());
-    let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref())?;
-    let mut cost = StrongConstraint::new(&mut timed, transform.clone(), &mut problem.observations)?;
-    let mut v = vec![0.0; cost.dim()];
     let truth = problem.truth.as_ref().map(|x| x[..problem.background.len()].to_vec());
     let is_rod = matches!(problem.view, View::Rod(_));
+    let algorithm = &problem.scene.algorithm;
 
     let began = Instant::now();
     let mut convergence: Vec<ConvergenceRow> = Vec::new();
-    let mut z = problem.background.clone();
-    let mut on_iteration = |i: &varda_assimilation::Iteration| {
-        transform.control(i.v, &mut z);
-        let [rmse_position, rmse_velocity] = errors(&z, truth.as_deref(), is_rod);
+    let mut on_row = |r: &method::Row| {
+        let [rmse_position, rmse_velocity] = errors(r.control, truth.as_deref(), is_rod);
+        let i = r.iteration;
         let row = ConvergenceRow {
-            iteration: i.index,
+            iteration: r.before.0 + i.index,
             seconds: began.elapsed().as_secs_f64(),
             j: i.value,
             j_b: i.terms.background,
@@ -224,45 +270,96 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
             rmse_position,
             rmse_velocity,
             sigma_factor: i.observation_scale,
-            counts: WorkCounts::from(&i.counts),
+            window: r.window,
+            counts: r.before.1 + WorkCounts::from(&i.counts),
         };
         (listener.on_iteration)(&row);
         convergence.push(row);
         if (listener.interrupted)() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
-    if let Some(delta) = problem.scene.algorithm.robust {
-        cost.set_huber(delta)?;
-    }
-    let j_background = cost.evaluate(&v, None)?;
-    let minimum = method::minimize(&problem.scene.algorithm, &mut cost, &mut v, &mut on_iteration)?;
-    let minimizer_seconds = began.elapsed().as_secs_f64();
-    let counts = WorkCounts::from(&cost.counts());
-    let status = status(&minimum);
-
-    let has_posterior =
-        problem.scene.report.posterior && !matches!(status, Status::Interrupted | Status::Failed);
-    let n = cost.dim();
-    let posterior = if has_posterior {
-        let mut gradient = vec![0.0; n];
-        // BLUE's covariance is that of the background's linearization, (I + GᵀG)⁻¹ there.
-        let linearized = match problem.scene.algorithm.method {
-            scene::Method::Blue => &vec![0.0; n],
-            _ => &v,
-        };
-        cost.evaluate(linearized, Some(&mut gradient))?;
-        Posterior::new(&mut cost)?
-    } else {
-        let identity: Vec<f64> = (0..n * n).map(|i| f64::from(i % (n + 1) == 0)).collect();
-        Posterior::from_hessian(n, &identity)?
+    let clock = Clock::default();
+    let mut timed = Timed::new(problem.model.as_mut(), &clock);
+    let make = &problem.make_model;
+    let make_timed = || -> Box<dyn Model + Send> { Box::new(Timed::new(make(0), &clock)) };
+    let mut task = Task {
+        algorithm,
+        model: &mut timed,
+        make_model: &make_timed,
+        background: &problem.background,
+        covariance: &problem.covariance,
+        model_error: problem.model_error.as_ref(),
+        ensemble: problem.ensemble.as_ref(),
+        anchors: &problem.anchors,
+        posterior: problem.scene.report.posterior,
+        memory: problem.scene.limits.bytes().unwrap_or_default(),
     };
-    drop(cost);
-    let m = problem.observations.dim();
-    let analysis = Analysis::new(&transform, &v, &minimum, &posterior, m);
-    let seconds = [timed.forward, timed.adjoint, timed.tangent].map(|d| d.as_secs_f64());
+    let none = ObservationSet::new(problem.window.steps, Vec::new(), Vec::new())?;
+    let observations = std::mem::replace(&mut problem.observations, none);
+    let (solved, observations) = method::solve(&mut task, observations, &mut on_row)?;
+    // The posterior is not the minimization's.
+    let minimizer = convergence.last().map_or(0.0, |row| row.seconds);
+    let seconds = Seconds {
+        total: 0.0,
+        forward: clock.forward(),
+        adjoint: clock.adjoint(),
+        tangent: clock.tangent(),
+        minimizer,
+    };
+    problem.observations = observations;
+    problem.left_out.extend(problem.scene.limits.left_out(solved.storage, problem.window.steps));
 
+    let status = Status::from(solved.minimum.status);
+    let mut warnings = remarks(problem, &solved, status);
+    let analysis = analysis(problem, &solved);
+    let trajectories = trajectories(problem, &analysis.analysis, solved.states, &mut warnings);
+    let fit = fit::fit(&mut problem.observations, &trajectories)?;
+    let (withheld, forecast) = match &mut problem.view {
+        View::Rod(rod) => fit::beyond(rod, &problem.window, &trajectories, problem.model.as_mut())?,
+        View::Components(_) => (Vec::new(), Vec::new()),
+    };
+    warnings.extend(fit::remarks(&fit, &analysis));
+    let j_background = cost_of_run(problem, &trajectories)?;
+    let [position_background, velocity_background] = errors(&analysis.background, truth.as_deref(), is_rod);
+    let [position_analysis, velocity_analysis] = errors(&analysis.analysis, truth.as_deref(), is_rod);
+    Ok(Outcome {
+        status,
+        has_posterior: solved.spread.is_some(),
+        truth,
+        j_background,
+        gradient_norms: [solved.minimum.gradient_norm_first, solved.minimum.gradient_norm],
+        iterations: [solved.minimum.outer_iterations, solved.minimum.inner_iterations],
+        convergence,
+        counts: solved.counts,
+        rejected: rejected(problem, &solved.rejected),
+        rmse: Rmse { position_background, position_analysis, velocity_background, velocity_analysis },
+        seconds: Seconds { total: listener.started.elapsed().as_secs_f64(), ..seconds },
+        fit,
+        withheld,
+        forecast,
+        trajectories,
+        warnings,
+        analysis,
+    })
+}
+
+/// What the user should know of how a method went.
+fn remarks(problem: &Problem, solved: &Solved, status: Status) -> Vec<String> {
+    let minimum = &solved.minimum;
     let mut warnings: Vec<String> =
         problem.model.warnings().iter().map(|w| format!("step {}: {}", w.step, w.text)).collect();
     warnings.dedup();
+    if !solved.rejected.is_empty() {
+        let all = problem.observations.dim() + solved.rejected.len();
+        warnings.push(format!(
+            "the background check refused {} of {all} observed values (listed under `rejected` in summary.json)",
+            solved.rejected.len()
+        ));
+    }
+    for (steps, ended) in &solved.stages {
+        if *ended != varda_assimilation::Status::Converged {
+            warnings.push(format!("the sub-window of {steps} steps did not converge ({ended:?})"));
+        }
+    }
     if let Some(failure) = &minimum.failure {
         warnings.push(match status {
             Status::Failed => format!("the minimizer was driven where the model fails: {failure}"),
@@ -279,54 +376,60 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
         }
         Status::Converged | Status::Failed => {}
     }
-    let trajectories = trajectories(problem, &analysis.analysis, &mut warnings);
-    let fit = fit::fit(&mut problem.observations, &trajectories)?;
-    let (withheld, forecast) = match &mut problem.view {
-        View::Rod(rod) => fit::beyond(rod, &problem.window, &trajectories, problem.model.as_mut())?,
-        View::Components(_) => (Vec::new(), Vec::new()),
-    };
-    warnings.extend(fit::remarks(&fit, &analysis));
-    let [position_background, velocity_background] = errors(&analysis.background, truth.as_deref(), is_rod);
-    let [position_analysis, velocity_analysis] = errors(&analysis.analysis, truth.as_deref(), is_rod);
-    Ok(Outcome {
-        status,
-        has_posterior,
-        truth,
-        j_background,
-        gradient_norms: [minimum.gradient_norm_first, minimum.gradient_norm],
-        iterations: [minimum.outer_iterations, minimum.inner_iterations],
-        convergence,
-        counts,
-        rmse: Rmse { position_background, position_analysis, velocity_background, velocity_analysis },
-        seconds: Seconds {
-            total: listener.started.elapsed().as_secs_f64(),
-            forward: seconds[0],
-            adjoint: seconds[1],
-            tangent: seconds[2],
-            minimizer: minimizer_seconds,
-        },
-        fit,
-        withheld,
-        forecast,
-        trajectories,
-        warnings,
-        analysis,
-    })
+    warnings
 }
 
-fn status(minimum: &Minimum) -> Status {
-    use varda_assimilation::Status as S;
-    match minimum.status {
-        S::Converged => Status::Converged,
-        S::MaxIterations => Status::MaxIterations,
-        S::Stalled => Status::Stalled,
-        S::Interrupted => Status::Interrupted,
-        S::Failed => Status::Failed,
+/// A solution as an analysis; where there is no posterior σ_a is that of the background and nothing was gained.
+fn analysis(problem: &Problem, solved: &Solved) -> Analysis {
+    let (minimum, m) = (&solved.minimum, problem.observations.dim());
+    let sigma = solved.spread.as_ref().map(|s| &s.sigma);
+    Analysis {
+        background: problem.background.clone(),
+        analysis: solved.control.clone(),
+        sigma_background: solved.sigma_background.clone(),
+        sigma_analysis: sigma.unwrap_or(&solved.sigma_background).clone(),
+        value: minimum.value,
+        terms: minimum.terms,
+        observations: m,
+        chi2: if m == 0 { 0.0 } else { 2.0 * minimum.value / m as f64 },
+        degrees_of_freedom: solved.spread.as_ref().map_or(0.0, |s| s.degrees_of_freedom),
+    }
+}
+
+/// The refused values, with their times.
+fn rejected(problem: &Problem, all: &[varda_assimilation::Rejection]) -> Vec<Rejected> {
+    let of = |r: &varda_assimilation::Rejection| Rejected {
+        label: r.label.clone(),
+        step: r.step,
+        time: problem.window.time(r.step),
+        departure: r.departure,
+        expected: r.expected,
+    };
+    all.iter().map(of).collect()
+}
+
+/// J at the background, from its run: J_b and J_q are zero there. NaN where that run ended early.
+fn cost_of_run(problem: &mut Problem, runs: &Trajectories) -> Result<f64, Error> {
+    let delta = problem.scene.algorithm.robust.unwrap_or(f64::INFINITY);
+    let d = fit::innovations(&mut problem.observations, runs, &runs.background)?;
+    Ok(d.iter().zip(problem.observations.sigma()).map(|(d, sigma)| huber(delta, d / sigma).0).sum())
+}
+
+impl From<varda_assimilation::Status> for Status {
+    fn from(status: varda_assimilation::Status) -> Self {
+        use varda_assimilation::Status as S;
+        match status {
+            S::Converged => Status::Converged,
+            S::MaxIterations => Status::MaxIterations,
+            S::Stalled => Status::Stalled,
+            S::Interrupted => Status::Interrupted,
+            S::Failed => Status::Failed,
+        }
     }
 }
 
 /// RMSE of positions and velocities (of a rod's [X, V], a vertex at a time), or of all components.
-fn errors(control: &[f64], truth: Option<&[f64]>, is_rod: bool) -> [Option<f64>; 2] {
+pub(crate) fn errors(control: &[f64], truth: Option<&[f64]>, is_rod: bool) -> [Option<f64>; 2] {
     let Some(truth) = truth else { return [None, None] };
     let rms = |a: &[f64], b: &[f64], components: usize| {
         let sum: f64 = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum();
@@ -340,47 +443,55 @@ fn errors(control: &[f64], truth: Option<&[f64]>, is_rod: bool) -> [Option<f64>;
     }
 }
 
-/// Runs of the window and its forecast. One that fails ends early, with a warning.
-fn trajectories(problem: &mut Problem, analysis: &[f64], warnings: &mut Vec<String>) -> Trajectories {
+/// Runs of the window and its forecast; that of the analysis goes on from `states` where there are some. One that fails ends early,
+/// with a warning.
+fn trajectories(
+    problem: &mut Problem,
+    analysis: &[f64],
+    mut states: Vec<f64>,
+    warnings: &mut Vec<String>,
+) -> Trajectories {
     let steps = problem.window.steps + problem.window.forecast;
     let model = problem.model.as_mut();
     let dim = model.dim();
-    let [mut from_background, mut from_analysis] = [vec![0.0; dim], vec![0.0; dim]];
-    let background = model.initial_state(&problem.background, &mut from_background);
-    let background = run_as_far("background", model, background, &from_background, steps, warnings);
-    let analysis = model.initial_state(analysis, &mut from_analysis);
-    let analysis = run_as_far("analysis", model, analysis, &from_analysis, steps, warnings);
-    let truth = match &problem.truth {
-        Some(truth) => run_as_far("truth", model, Ok(()), truth, steps, warnings),
-        None => Vec::new(),
+    let mut x0 = vec![0.0; dim];
+    let mut warn = |what: &str, result: Result<(), varda_implicit::Error>| {
+        if let Err(e) = result {
+            warnings.push(format!("the run of the {what} ends early: {e}"));
+        }
     };
-    Trajectories { dim, background, analysis, truth }
+    let mut from = |control: &[f64], states: &mut Vec<f64>| {
+        let start = model.initial_state(control, &mut x0);
+        states.extend_from_slice(&x0);
+        start.and_then(|()| run_on(model, states, steps))
+    };
+    let mut background = Vec::new();
+    warn("background", from(&problem.background, &mut background));
+    if states.is_empty() {
+        warn("analysis", from(analysis, &mut states));
+    } else {
+        warn("analysis", run_on(model, &mut states, steps));
+    }
+    let mut truth = problem.truth.clone().unwrap_or_default();
+    if !truth.is_empty() {
+        warn("truth", run_on(model, &mut truth, steps));
+    }
+    Trajectories { dim, background, analysis: states, truth }
 }
 
-/// States from `x0` on, up to the step that fails. `start` is how the making of `x0` went.
-fn run_as_far(
-    what: &str,
+/// Goes on from the last of `states` to step `steps`, or up to the step that fails.
+pub(crate) fn run_on(
     model: &mut dyn Model,
-    start: Result<(), varda_implicit::Error>,
-    x0: &[f64],
+    states: &mut Vec<f64>,
     steps: usize,
-    warnings: &mut Vec<String>,
-) -> Vec<f64> {
-    let dim = x0.len();
-    let mut states = x0.to_vec();
+) -> Result<(), varda_implicit::Error> {
+    let dim = model.dim();
     let mut next = vec![0.0; dim];
-    let mut result = start;
-    for k in 0..steps {
-        result = result.and_then(|()| model.step(k, &states[k * dim..], &mut next));
-        if result.is_err() {
-            break;
-        }
+    for k in states.len() / dim - 1..steps {
+        model.step(k, &states[k * dim..], &mut next)?;
         states.extend_from_slice(&next);
     }
-    if let Err(e) = result {
-        warnings.push(format!("the run of the {what} ends early: {e}"));
-    }
-    states
+    Ok(())
 }
 
 /// A forward run.
@@ -419,12 +530,12 @@ pub fn simulate(problem: &mut Problem) -> Result<Simulation, Error> {
         }
     };
     let states = run_states(model, &x0, steps)?;
-    let counts = Counts { model: model.counts(), ..Counts::default() };
+    let counts = WorkCounts::of(model.counts());
     let warnings = model.warnings().iter().map(|w| format!("step {}: {}", w.step, w.text)).collect();
     let last = &states[steps * x0.len()..];
     let tip = match &mut problem.view {
         View::Rod(rod) => rod.vertices(&problem.window, steps, last)?.last().copied(),
         View::Components(_) => None,
     };
-    Ok(Simulation { of, states, steps, counts: WorkCounts::from(&counts), tip, warnings })
+    Ok(Simulation { of, states, steps, counts, tip, warnings })
 }

@@ -25,6 +25,13 @@ pub fn stream(seed: u64, stream: Stream) -> ChaCha8Rng {
     rng
 }
 
+/// The same for a window of a sequence: every window has numbers of its own, whatever the others drew.
+pub fn stream_of_window(seed: u64, stream: Stream, window: usize) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(((window as u64 + 1) << 8) + stream as u64);
+    rng
+}
+
 /// A draw from N(0, σ²).
 pub fn normal(rng: &mut ChaCha8Rng, sigma: f64) -> f64 {
     let unit: f64 = StandardNormal.sample(rng);
@@ -41,5 +48,8 @@ mod tests {
         assert_eq!(draw(1, Stream::Background), draw(1, Stream::Background));
         assert_ne!(draw(1, Stream::Background), draw(1, Stream::Observations));
         assert_ne!(draw(1, Stream::Background), draw(2, Stream::Background));
+        let of_window = |window| normal(&mut stream_of_window(1, Stream::Background, window), 1.0);
+        assert_eq!(of_window(3), of_window(3));
+        assert!(of_window(0) != of_window(1) && of_window(0) != draw(1, Stream::Background));
     }
 }

@@ -87,6 +87,7 @@ const KEYS: &[&str] = &[
     "outer_iterations",
     "inner_iterations",
     "counts",
+    "rejected",
     "chi2",
     "rmse",
     "seconds",
@@ -315,8 +316,14 @@ fn compare_runs_every_method_and_minimizer_and_keeps_failures_as_rows() {
     assert!(printed.contains("gap = (J - J*)/(J0 - J*)"), "{printed}");
     let csv = folder.read("all/compare.csv");
     let rows: Vec<Vec<&str>> = csv.lines().skip(1).map(|l| l.split(',').collect()).collect();
-    assert_eq!(rows.len(), 6 + 3, "4dvar with every minimizer, incremental, dual, closed form: {csv}");
-    for row in rows.iter().filter(|r| r[2] == "converged" && r[1] != "adam") {
+    // 4dvar and weak-forcing with every minimizer; incremental, dual, closed form; weak-state and two ensembles.
+    assert_eq!(rows.len(), 6 + 3 + 6 + 3, "{csv}");
+    let of_another_j = |row: &[&str]| row[0].starts_with("weak") || row[0].ends_with("envar");
+    for row in rows.iter().filter(|r| of_another_j(r)) {
+        assert!(row[4].is_empty() && !row[5].is_empty(), "no gap, but an RMSE: {row:?}");
+    }
+    assert!(csv.contains("Q = 0.01 B assumed"), "{csv}");
+    for row in rows.iter().filter(|r| r[2] == "converged" && r[1] != "adam" && !of_another_j(r)) {
         // J at a gradient 1e-8 of the first is its minimum to far better than this.
         assert!(row[4].parse::<f64>().unwrap() < 1e-9, "{row:?}");
     }
@@ -335,7 +342,7 @@ fn a_method_that_fails_is_a_row_of_the_comparison_with_its_reason() {
     let sets = ["--set", "observations.sigma=1e-160", "--set", "algorithm.max_iterations=3"];
     text(&folder.varda(&[&["compare", "lorenz63", "--out", "all"], &sets[..]].concat()));
     let csv = folder.read("all/compare.csv");
-    assert_eq!(csv.lines().count(), 1 + 9, "{csv}");
+    assert_eq!(csv.lines().count(), 1 + 18, "{csv}");
     let blue = csv.lines().find(|l| l.starts_with("blue,")).unwrap();
     assert!(blue.starts_with("blue,closed-form,failed,") && !blue.ends_with("\"\""), "{csv}");
 }

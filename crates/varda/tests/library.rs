@@ -219,3 +219,40 @@ fn the_huber_norm_lowers_what_large_departures_cost() {
     assert!(huber.analysis.value < squares.analysis.value);
     assert_eq!(loose.analysis.value, squares.analysis.value, "no departure is 1e6 σ");
 }
+
+/// A twin by every integrator of rods, and with steps divided by their error: the state is longer than [X, V] where the scheme
+/// needs the step before, the control is not.
+#[test]
+fn every_integrator_assimilates_a_rod() {
+    // Midpoint damps nothing: on the flagship's wild background it rings, and J is full of minima.
+    let mild = [
+        "background.covariance.sigma_v_over_mean_speed=0.2",
+        "background.covariance.sigma_x_over_length=0.005",
+    ];
+    for (sets, states) in [
+        (vec!["time.integrator=bdf2"], 288),
+        (vec!["time.integrator=midpoint", mild[0], mild[1]], 144),
+        // With strain-rate damping 24 angles are true unknowns.
+        (vec!["time.integrator=midpoint", "model.damping.stiffness=0.002", mild[0], mild[1]], 2 * (144 + 24)),
+        (vec!["time.tolerance=3e-3"], 144),
+    ] {
+        let sets: Vec<String> = sets.into_iter().map(String::from).collect();
+        let (problem, outcome) = assimilated("hanging-rod", &sets);
+        assert_eq!((problem.model.dim(), problem.control_dim()), (states, 144), "{sets:?}");
+        assert_eq!(outcome.status, Status::Converged, "{sets:?}");
+        let analysis = &outcome.analysis;
+        // χ² is about 1 with a standard deviation of √(2/120): 2 is beyond chance.
+        assert!(
+            analysis.value < 0.1 * outcome.j_background && analysis.chi2 < 2.0,
+            "{sets:?}: {}",
+            analysis.chi2
+        );
+    }
+    for (scene, set, part) in [
+        ("hanging-rod", "time.integrator=rk4", "rods are integrated"),
+        ("lorenz63", "time.tolerance=1e-3", "for rods only"),
+    ] {
+        let Err(error) = SceneFile::open(scene, &[set.to_string()]) else { panic!("{set} was taken") };
+        assert!(error.to_string().contains(part), "{error}");
+    }
+}

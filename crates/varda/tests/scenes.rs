@@ -182,10 +182,10 @@ fn walk(node: &serde_json::Value, root: &serde_json::Value, path: &str, keys: &m
 
 #[test]
 fn a_key_that_is_not_the_methods_is_named_with_its_place() {
-    let (text, line) = starter_with("[algorithm]", "[algorithm]\nmethod = \"4d-psas\"\nrobust = 1.5");
+    let (text, line) = starter_with("method = \"4dvar\" ", "method = \"4d-psas\"\nrobust = 1.5 #");
     let said = message(&text, &[]);
     assert!(
-        said.starts_with(&format!("test.toml:{}:10: method \"4d-psas\" has no `robust`", line + 2)),
+        said.starts_with(&format!("test.toml:{}:10: method \"4d-psas\" has no `robust`", line + 1)),
         "{said}"
     );
     let said = message(STARTER, &["algorithm.method=blue", "algorithm.minimizer=lbfgs"]);
@@ -194,4 +194,121 @@ fn a_key_that_is_not_the_methods_is_named_with_its_place() {
     assert!(said.contains("takes observations at step 0 only"), "{said}");
     let said = message(STARTER, &["algorithm.method=4d-pasas"]);
     assert!(said.contains("did you mean \"4d-psas\"?"), "{said}");
+}
+
+#[test]
+fn keys_of_the_new_methods_are_checked() {
+    let q = ["algorithm.model_error.covariance.kind=diagonal", "algorithm.model_error.covariance.sigma=0.1"];
+    let weak = |method: &'static str, more: &[&'static str]| -> Vec<&'static str> {
+        [&[method], &q[..], more].concat()
+    };
+    let lorenz = |sets: &[&str]| {
+        let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
+        SceneFile::open("lorenz63", &sets).expect_err("this scene is wrong").to_string()
+    };
+    let growth = "algorithm.window_growth";
+    let cases: &[(Vec<&str>, &str)] = &[
+        (vec!["algorithm.method=weak-forcing"], "method \"weak-forcing\" needs [algorithm.model_error]"),
+        (
+            weak("algorithm.method=4dvar", &[]),
+            "has no `model_error`; it belongs to \"weak-forcing\", \"weak-state\"",
+        ),
+        (weak("algorithm.method=weak-state", &["algorithm.minimizer=lbfgs"]), "has no `minimizer`"),
+        (weak("algorithm.method=weak-forcing", &["algorithm.robust=1.5"]), "has no `robust`"),
+        (
+            weak("algorithm.method=weak-forcing", &["algorithm.model_error.every=51"]),
+            "no sub-window of 51 steps",
+        ),
+        (weak("algorithm.method=weak-forcing", &["algorithm.model_error.every=0"]), "at least 1"),
+        (
+            weak("algorithm.method=weak-state", &["algorithm.model_error.held=true"]),
+            "belongs to method \"weak-forcing\"",
+        ),
+        (
+            vec!["algorithm.method=weak-forcing", "algorithm.model_error.covariance.kind=kernel"],
+            "needs the key",
+        ),
+        (
+            vec!["algorithm.method=weak-forcing", q[0], "algorithm.model_error.covariance.sigma=-1"],
+            "greater than 0",
+        ),
+        (
+            vec!["algorithm.ensemble.members=20"],
+            "has no `ensemble`; it belongs to \"4denvar\", \"hybrid-4denvar\"",
+        ),
+        (vec!["algorithm.method=4denvar", "algorithm.ensemble.members=1"], "at least 2"),
+        (vec!["algorithm.method=4denvar", "algorithm.ensemble.membrs=9"], "did you mean `members`"),
+        (
+            vec!["algorithm.method=4denvar", "algorithm.ensemble.static_weight=0.5"],
+            "belongs to \"hybrid-4denvar\"",
+        ),
+        (vec!["algorithm.method=4denvar", "algorithm.ensemble.localization_length=1"], "have no distances"),
+        (
+            vec!["algorithm.method=4denvar", "algorithm.ensemble.taper=triangle"],
+            "a taper needs `localization_length`",
+        ),
+        (
+            vec!["algorithm.method=4denvar", "algorithm.gradient_tolerance=1e-6"],
+            "has no `gradient_tolerance`",
+        ),
+        (
+            vec![
+                "algorithm.method=hybrid-4denvar",
+                "algorithm.ensemble.static_weight=0",
+                "algorithm.ensemble.ensemble_weight=0",
+            ],
+            "both weights are 0",
+        ),
+        (vec!["algorithm.background_check=0"], "greater than 0"),
+        (vec!["algorithm.method=blue", "algorithm.window_growth=[50]"], "has no `window_growth`"),
+        (vec!["algorithm.window_growth=[20, 40]"], "it must be the whole window of 50 steps"),
+        (vec!["algorithm.window_growth=[30, 20, 50]"], "20 does not come after 30"),
+        (vec!["algorithm.window_growth=[0, 50]"], "at least 1 step"),
+    ];
+    for (sets, expected) in cases {
+        let said = lorenz(sets);
+        assert!(said.starts_with("--set ") || said.starts_with("lorenz63.toml"), "{said}");
+        assert!(said.contains(expected), "{sets:?}: {said}");
+    }
+    let (text, line) = starter_with("window = 60 ", "window = 50 ");
+    let text = text.replace("# window_growth = [20, 40, 60] ", "window_growth = [20, 40, 60] ");
+    let said = message(&text, &[]);
+    assert!(
+        said.starts_with("test.toml:") && said.contains("it must be the whole window of 50 steps"),
+        "{line}: {said}"
+    );
+    assert!(!lorenz(&[&format!("{growth}=50")]).is_empty());
+}
+
+#[test]
+fn fields_along_a_line_refuse_what_they_cannot_do() {
+    for (scene, set, expected) in [
+        ("linear-advection", "model.points=2", "at least 3"),
+        ("linear-advection", "model.speed=nan", "finite"),
+        ("burgers", "model.viscosity=0", "greater than 0"),
+        ("burgers", "time.integrator=bdf2", "integrated with \"backward-euler\" or \"midpoint\" or \"rk4\""),
+        ("burgers", "model.visocsity=0.1", "did you mean `viscosity`"),
+        ("linear-advection", "background.covariance.taper=triangle", "needs `localization_length`"),
+        (
+            "lorenz96",
+            "background.covariance={ kind = \"line\", sigma = 1, correlation_length = 1 }",
+            "Lorenz models take",
+        ),
+    ] {
+        let said = SceneFile::open(scene, &[set.to_string()]).expect_err(set).to_string();
+        assert!(said.contains(expected), "{set}: {said}");
+    }
+    let sets = ["time.integrator=rk4", "time.step=0.1"].map(String::from);
+    let said = SceneFile::open("burgers", &sets).unwrap_err().to_string();
+    assert!(said.contains("ν Δt/h²") && said.contains("\"midpoint\""), "{said}");
+}
+
+#[test]
+fn check_says_what_the_new_methods_take() {
+    let plan = |scene: &str| Plan::new(&SceneFile::open(scene, &[]).unwrap()).unwrap();
+    let ensemble = plan("lorenz96-4denvar");
+    assert_eq!(ensemble.members, 40);
+    assert!(ensemble.left_out.iter().any(|l| l.contains("tangent and adjoint")));
+    let weak = plan("hanging-rod-weak");
+    assert_eq!(weak.n_errors, 4 * weak.n_control);
 }

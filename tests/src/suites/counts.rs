@@ -11,6 +11,9 @@ use crate::windows::{Thin, all_of, coupled, difference, localized, normals, obse
 use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::time::Instant;
+use varda::problem::Problem;
+use varda::run::{Listener, assimilate};
+use varda::scene::SceneFile;
 use varda_assimilation::{
     ControlTransform, CostFunction, EnVar, EnVarOptions, GaussNewton, Incremental, InnerSolver, Iteration,
     Minimizer, Observation, ObservationSet, OuterLoopOptions, Posterior, Selection, StrongConstraint,
@@ -18,11 +21,12 @@ use varda_assimilation::{
 };
 use varda_covariance::{Covariance, Diagonal, Hybrid};
 use varda_implicit::lorenz::Lorenz96;
-use varda_implicit::{Counts, Model, Rk4};
+use varda_implicit::{Counts, Model, Rk4, Storage};
 
 pub(super) fn run(_options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("counts");
     rows.case("flagship", flagship);
+    rows.case("flagship storage", storage);
     rows.case("window without steps", no_steps);
     rows.case("early last observation", early);
     rows.case("flagship timing", timing);
@@ -35,6 +39,9 @@ pub(super) fn run(_options: &Options) -> Vec<Row> {
         Err(error) => rows.case("rods", |_| Err(error)),
     }
     rows.case("4denvar", no_derivatives);
+    for scene in ["lorenz96-4denvar", "hanging-rod-case2"] {
+        rows.case(&format!("scene {scene} by 4denvar"), |case| no_derivatives_in_a_scene(case, scene));
+    }
     rows.case("3dvar, incremental, psas", no_model);
     rows.case("4d-psas", no_inverse);
     rows.case("lorenz96 rk4", |case| {
@@ -112,8 +119,76 @@ fn flagship(case: &mut Case) -> Outcome {
     cost.hessian(&mut hessian)?;
     let dense = cost.counts();
     let of = |f: fn(&Counts) -> usize| f(&dense.model) - f(&product.model);
-    case.count("tangent steps of the dense Hessian", of(|c| c.tangent_steps), 100 * n);
-    case.count("adjoint steps of the dense Hessian", of(|c| c.adjoint_steps), 0);
+    case.count("tangent steps of the dense Hessian", of(|c| c.tangent_steps), 0);
+    // Twelve rows at each of the steps 10, 20 … 100; columns would take 144 tangent products a step.
+    case.count("adjoint steps of the dense Hessian", of(|c| c.adjoint_steps), 12 * 550);
+    Ok(())
+}
+
+/// The flagship's gradient and a Hessian product under every storage policy: bits, steps run, bytes held, requests for memory.
+fn storage(case: &mut Case) -> Outcome {
+    let (rod, truth) = HangingRod::flagship(1, true)?;
+    let b = rod.background_covariance()?;
+    let mut reference: Vec<Vec<f64>> = Vec::new();
+    let mut all = 0;
+    for (name, policy, steps) in [
+        ("all", Storage::KeepAll, 100),
+        ("states", Storage::States, 100),
+        // r = 2: C(20, 18) = 190 ≥ 100 > 19; 100 + 2·100 − C(20, 19)
+        ("18 checkpoints", Storage::Checkpoints { states: 18 }, 280),
+        // r = 4: C(9, 5) = 126 ≥ 100 > 56; 100 + 4·100 − C(9, 6)
+        ("5 checkpoints", Storage::Checkpoints { states: 5 }, 416),
+    ] {
+        let mut model = rod.model(rod.first_step)?;
+        let observations = rod.observe(&truth, &mut || 0.5)?;
+        let mut set = rod.observation_set(model.dim(), observations)?;
+        let transform = ControlTransform::new(truth.clone(), &b)?;
+        let mut cost = StrongConstraint::new(&mut model, transform, &mut set)?;
+        cost.set_storage(policy);
+        let n = cost.dim();
+        let mut found = Vec::new();
+        let mut requests = 0;
+        for s in 1..3 {
+            let v: Vec<f64> = (0..n).map(|i| 0.1 * wave(i, s)).collect();
+            let (mut g, mut product) = (vec![0.0; n], vec![0.0; n]);
+            let before = cost.counts().model.model_steps;
+            let (asked, outcome) = allocations(|| {
+                cost.evaluate(&v, Some(&mut g))?;
+                cost.hessian_apply(&v, &mut product)
+            });
+            outcome?;
+            requests = asked;
+            // a product is a sweep forward and one back
+            let product_steps = if steps > 100 { steps } else { 0 };
+            let ran = cost.counts().model.model_steps - before;
+            case.count(
+                &format!("{name}: steps of a gradient and a product, control {s}"),
+                ran,
+                steps + product_steps,
+            );
+            found.extend([g, product]);
+        }
+        case.count(&format!("{name}: allocations at the second control"), requests, 0);
+        let differ =
+            |a: &[f64], b: &[f64]| a.iter().zip(b).filter(|(a, b)| a.to_bits() != b.to_bits()).count();
+        if reference.is_empty() {
+            (all, reference) = (cost.bytes(), found.clone());
+        }
+        let different: usize = reference.iter().zip(&found).map(|(a, b)| differ(a, b)).sum();
+        case.count(&format!("{name}: numbers that differ in a bit"), different, 0);
+        case.at_most(
+            &format!("{name}: bytes held, of those of all"),
+            cost.bytes() as f64 / all as f64,
+            match name {
+                "all" => 1.0,
+                // three quarters of all are linearizations
+                "states" => 0.26,
+                "18 checkpoints" => 0.06,
+                _ => 0.03,
+            },
+            "-",
+        );
+    }
     Ok(())
 }
 
@@ -156,6 +231,27 @@ fn early(case: &mut Case) -> Outcome {
 }
 
 /// 4D-EnVar and its hybrid, through outer loops to the minimum and to the posterior: forward runs only.
+/// A whole run of a scene, background check and posterior included.
+fn no_derivatives_in_a_scene(case: &mut Case, scene: &str) -> Outcome {
+    let sets =
+        ["algorithm.method=4denvar", "algorithm.ensemble.members=10", "algorithm.background_check=9.0"];
+    let file = SceneFile::open(scene, &sets.map(String::from))?;
+    let mut problem = Problem::from_scene(&file)?;
+    let mut listener =
+        Listener { on_iteration: &mut |_| {}, interrupted: &|| false, started: Instant::now() };
+    let outcome = assimilate(&mut problem, &mut listener)?;
+    case.count("tangent steps", outcome.counts.tangent_steps, 0);
+    case.count("adjoint steps", outcome.counts.adjoint_steps, 0);
+    let model = problem.model.counts();
+    let after = model.tangent_steps + model.adjoint_steps + model.linearizations;
+    case.count("tangent and adjoint steps and linearizations of the reported runs", after, 0);
+    case.count("σ of the analysis is there all the same", usize::from(outcome.has_posterior), 1);
+    let last = problem.observations.last_step().unwrap_or(0);
+    let ran = outcome.counts.model_steps >= 2 * 11 * last;
+    case.count("members were run for the check and for the analysis", usize::from(ran), 1);
+    Ok(())
+}
+
 fn no_derivatives(case: &mut Case) -> Outcome {
     let b = coupled(6, 0.4)?;
     let hybrid = Hybrid::new(&b, 0.6, localized()?, 0.8)?;

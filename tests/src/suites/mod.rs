@@ -5,6 +5,7 @@ mod counts;
 mod equivalence;
 mod golden;
 mod hessian;
+mod order;
 mod paper;
 mod stiff;
 mod taylor;
@@ -52,6 +53,7 @@ pub const SUITES: &[Suite] = &[
     Suite { name: "hessian", run: |options| hessian::run(options).into() },
     Suite { name: "golden", run: |options| golden::run(options).into() },
     Suite { name: "counts", run: |options| counts::run(options).into() },
+    Suite { name: "order", run: |options| order::run(options).into() },
     Suite { name: "equivalence", run: |options| equivalence::run(options).into() },
     Suite { name: "paper", run: paper::run },
     Suite { name: "stiff", run: stiff::run },

@@ -1,6 +1,6 @@
 //! The dual cost in observation space: PSAS, and 4D-PSAS with a model.
 
-use super::{CostFunction, CostTerms, Counts, GaussNewton, Incremental, columns, dot};
+use super::{CostFunction, CostTerms, Counts, GaussNewton, Incremental, dot};
 use crate::Error;
 
 /// The dual of the inner cost around an outer iterate (paper 2.12, 2.13; Courtier 1997), whitened by R:
@@ -13,10 +13,11 @@ use crate::Error;
 /// with the paper's w being R^{-1/2} w here. Through the same tangent and adjoint sweeps as the primal, over m unknowns instead of n; B
 /// enters by its products only, and has no inverse anywhere. At the minimum J̃ = −q(p), p the primal's.
 ///
-/// When to use it: far fewer observations than unknowns, solved to the end. When not: stopped early, p may have raised the primal
+/// When to use: far fewer observations than unknowns, solved to the end. When not: stopped early, p may have raised the primal
 /// cost, since a minimizer of J̃ knows nothing of q. [`restricted_conjugate_gradients`](crate::restricted_conjugate_gradients) has the
-/// dual's cost and the primal's iterates, and is what [`outer_loop`](crate::outer_loop) uses. A value or product costs one adjoint and one
-/// tangent sweep; memory 3m + 2n beside the problem's.
+/// dual's cost and the primal's iterates, and is what [`outer_loop`](crate::outer_loop) uses.
+///
+/// Cost: an adjoint sweep for a value, a tangent sweep more for a gradient; one of each for a product. Memory: 2m + 2n beside the problem's.
 pub struct Dual<'a> {
     outer: &'a mut (dyn Incremental + 'a),
     b: Vec<f64>,
@@ -134,11 +135,5 @@ impl GaussNewton for Dual<'_> {
         self.outer.tangent(&self.p, out)?;
         out.iter_mut().zip(dv).for_each(|(out, dv)| *out += dv);
         Ok(())
-    }
-
-    fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
-        let m = self.right.len();
-        assert_eq!(out.len(), m * m, "length of the Hessian");
-        columns(m, out, &mut |unit, column| self.hessian_apply(unit, column))
     }
 }

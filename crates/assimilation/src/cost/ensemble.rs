@@ -38,9 +38,13 @@ use varda_implicit::Model;
 /// A linear problem with an ensemble that spans the range of B needs one solve and gives strong 4D-Var. For a nonlinear one
 /// [`relinearize`](Self::relinearize), or let [`minimize`](Self::minimize) do it: the iterative ensemble smoother of Bocquet and Sakov (2014).
 ///
+/// When to use: no tangent or adjoint at hand, or a B that should follow the flow (in cycles). When not: N far below the number of growing
+/// directions without localization; localization over windows in which errors travel farther than its support.
+///
 /// Cost of a linearization: N + 1 forward runs, in parallel with the feature `rayon` (on by default), the same bits for any number of
-/// threads. Memory: the trajectories of all members up to the last observation, and twice m (N + r_s) numbers. Products with G are
-/// arithmetic on those numbers; they count as no sweeps. Not for N far below the number of growing directions without localization.
+/// threads. Products with G are arithmetic on what they leave, and count as no sweeps; an exact solve is an eigenvalue problem of size
+/// min(m, N r + r_s), r the rank of the localization's root and r_s that of the static part, and allocates its matrices. Memory: the
+/// trajectories of all members up to the last observation, and twice m (N + r_s) numbers.
 pub struct EnVar<'a> {
     /// The first runs the control, the others a member each.
     models: Vec<Box<dyn Model + Send + 'a>>,

@@ -128,7 +128,9 @@ pub(crate) fn solve_identity_plus(w: MatRef<f64>, x: &mut [f64], columns: usize)
 /// (paper 2.10; 2.19 with d = y − H(x_b); Courtier, Thépaut and Hollingsworth 1994): any minimizer can be run on it.
 ///
 /// q(0) = J at the outer iterate, ∇q(0) = ∇J there, and where model and observations are linear q(p) = J(v + p) everywhere.
-/// Costs a tangent sweep for a value, and an adjoint sweep more for a gradient; no model step.
+///
+/// When to use: to give the inner problem to a minimizer of one's own. When not: [`outer_loop`](crate::outer_loop) solves it by conjugate
+/// gradients already. Cost: a tangent sweep for a value, an adjoint sweep more for a gradient, no model step. Memory: n + 2m beside the problem's.
 pub struct InnerCost<'a> {
     outer: &'a mut (dyn Incremental + 'a),
     b: Vec<f64>,
@@ -209,11 +211,5 @@ impl GaussNewton for InnerCost<'_> {
         self.outer.adjoint(&self.dy, out)?;
         out.iter_mut().zip(dv).for_each(|(out, dv)| *out += dv);
         Ok(())
-    }
-
-    fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
-        let n = self.b.len();
-        assert_eq!(out.len(), n * n, "length of the Hessian");
-        columns(n, out, &mut |unit, column| self.hessian_apply(unit, column))
     }
 }

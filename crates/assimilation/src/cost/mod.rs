@@ -1,5 +1,6 @@
 //! Cost functions of a control vector v, as minimizers see them.
 
+mod dense;
 mod dual;
 mod ensemble;
 mod incremental;
@@ -91,14 +92,19 @@ pub trait GaussNewton: CostFunction {
     /// As for `observation_jacobian`.
     fn hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error>;
 
-    /// A, dense, column by column (`out` has length n²): n tangent sweeps and no adjoint.
+    /// A, dense, column by column (`out` has length n²): by n products, or as the costs with a model have it by n tangent or m adjoint sweeps,
+    /// whichever takes fewer steps.
     ///
     /// # Errors
     /// As for `observation_jacobian`.
     ///
     /// # Panics
     /// As for `observation_jacobian`.
-    fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error>;
+    fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        let n = self.dim();
+        assert_eq!(out.len(), n * n, "length of the Hessian");
+        columns(n, out, &mut |unit, column| self.hessian_apply(unit, column))
+    }
 }
 
 /// The parts of J = J_b + J_o + J_q.

@@ -1,6 +1,6 @@
 //! Robust observations: the Huber norm, and the background check.
 
-use super::{CostFunction, EnVar, GaussNewton, StrongConstraint};
+use super::{CostFunction, EnVar, GaussNewton, StrongConstraint, WeakForcing};
 use crate::{Error, ObservationSet};
 
 /// The Huber norm ρ_δ(r) of a departure r = d/σ with its first two derivatives (Huber 1964; Tavolato and Isaksen 2015 in 4D-Var):
@@ -61,6 +61,17 @@ impl StrongConstraint<'_> {
         self.observations().innovations(self.predicted(), &mut d);
         d.iter_mut().zip(self.observations().sigma()).for_each(|(d, sigma)| *d /= sigma);
         refused(&d, &spread, limit, self.observations())
+    }
+}
+
+impl WeakForcing<'_> {
+    /// The background check, H B Hᵀ with what the errors of the model add to it, H (M B Mᵀ + Q …) Hᵀ. Otherwise that of
+    /// [`StrongConstraint::background_check`].
+    ///
+    /// # Errors
+    /// A limit that is not positive; a background at which the cost cannot be evaluated.
+    pub fn background_check(&mut self, limit: f64) -> Result<Vec<Rejection>, Error> {
+        self.window.background_check(limit)
     }
 }
 

@@ -1,12 +1,11 @@
 //! Strong-constraint 4D-Var; with a window of zero steps, 3D-Var.
 
+use super::dense::Dense;
 use super::model_error::{Errors, Over};
 use super::robust::huber;
 use super::{CostFunction, CostTerms, Counts, GaussNewton, Incremental, dot};
 use crate::{ControlTransform, Error, ObservationSet};
-use faer::linalg::matmul::matmul;
-use faer::{Accum, MatMut, MatRef, Par};
-use varda_implicit::Model;
+use varda_implicit::{Footprint, Keep, Model, Storage, Trajectory};
 
 /// Strong-constraint 4D-Var in the control variable (paper 2.15, with z = z_b + B^{1/2} v; Courtier, Thépaut and Hollingsworth 1994):
 ///
@@ -19,8 +18,12 @@ use varda_implicit::Model;
 /// λ ← H_kᵀ R_k⁻¹ d_k + M_kᵀ λ from the last observed step down to the first. Steps after the last observation are not run. Where the
 /// last observation is at step 0, or there is no model at all, this is 3D-Var and no step is called.
 ///
-/// Cost: memory two trajectories, (last + 1) × n each, beside what the model keeps of its linearizations. Not for windows too long for
-/// that, nor for a model in error (weak constraint).
+/// When to use: the default, where the model has a tangent and an adjoint. When not: a model in error ([`WeakForcing`](super::WeakForcing)), no
+/// adjoint ([`EnVar`](super::EnVar)), chaos over a window of many e-foldings ([`window_growth`](crate::window_growth)).
+///
+/// Cost: a gradient is one forward run, one linearization of every step and one adjoint sweep; a product with A one sweep each way; A itself n
+/// tangent or m adjoint sweeps, whichever takes fewer steps. Memory: two trajectories, (last + 1) × n each, beside what the model keeps of its
+/// linearizations, m n for A; less, for more work and the same bits, by [`set_storage`](Self::set_storage).
 pub struct StrongConstraint<'a> {
     pub(super) model: Option<&'a mut (dyn Model + 'a)>,
     pub(super) transform: ControlTransform<'a>,
@@ -38,8 +41,8 @@ pub struct StrongConstraint<'a> {
     pub(super) state_dim: usize,
     /// The point of the last gradient.
     pub(super) base: Point,
-    /// Whether the model holds the linearizations at `base`.
-    linearized: bool,
+    /// Whether `base` is the point of a gradient.
+    based: bool,
     /// The last point evaluated without one.
     pub(super) trial: Point,
     terms: CostTerms,
@@ -48,9 +51,8 @@ pub struct StrongConstraint<'a> {
     pub(super) lambda: Vec<f64>,
     pub(super) dz: Vec<f64>,
     pub(super) dy: Vec<f64>,
-    unit: Vec<f64>,
-    /// G, m × n by columns; allocated by the first dense Hessian.
-    jacobian: Vec<f64>,
+    /// Work space of the dense Hessian, allocated by the first.
+    pub(super) dense: Dense,
 }
 
 /// A forward run: everything that follows from v without derivatives.
@@ -62,7 +64,7 @@ pub(super) struct Point {
     z: Vec<f64>,
     /// b, the whitened departures from what is known before: v itself, unless v is states.
     prior: Vec<f64>,
-    pub(super) states: Vec<f64>,
+    pub(super) trajectory: Trajectory,
     /// M_k(x_k) of the steps after which the model's error enters.
     landings: Vec<f64>,
     predicted: Vec<f64>,
@@ -133,7 +135,7 @@ impl<'a> StrongConstraint<'a> {
             v: vec![0.0; n],
             z: vec![0.0; n_z],
             prior: vec![0.0; n],
-            states: vec![0.0; (last + 1) * state_dim],
+            trajectory: room(Storage::KeepAll, state_dim, last),
             landings: vec![0.0; landings],
             predicted: vec![0.0; m],
         };
@@ -146,15 +148,14 @@ impl<'a> StrongConstraint<'a> {
             last,
             state_dim,
             base: point(),
-            linearized: false,
+            based: false,
             trial: point(),
             terms: CostTerms::default(),
             counts: Counts::default(),
             lambda: vec![0.0; state_dim],
             dz: vec![0.0; n_z],
             dy: vec![0.0; m],
-            unit: vec![0.0; n],
-            jacobian: Vec::new(),
+            dense: Dense::default(),
             transform,
             observations,
             errors,
@@ -179,6 +180,47 @@ impl<'a> StrongConstraint<'a> {
         self.huber
     }
 
+    /// What is kept between a forward run and the sweeps along it: the same bits for less memory and more work. Nothing is
+    /// known of any point afterwards.
+    ///
+    /// # Panics
+    /// If not even one state is to be kept.
+    pub fn set_storage(&mut self, storage: Storage) {
+        for point in [&mut self.base, &mut self.trial] {
+            point.valid = false;
+            point.trajectory = room(storage, self.state_dim, self.last);
+        }
+        self.based = false;
+    }
+
+    /// The storage of least work whose states and linearizations take no more than so many bytes ([`bytes`](Self::bytes)); sets and
+    /// returns it. A model that does not say what it keeps is counted with its states alone; a dense Hessian is not counted.
+    ///
+    /// # Errors
+    /// [`varda_implicit::Error::Memory`] where the sparest storage takes more.
+    pub fn set_memory(&mut self, bytes: usize) -> Result<Storage, Error> {
+        let footprint = Footprint {
+            steps: self.last,
+            runs: 2,
+            state: self.state_dim * size_of::<f64>(),
+            linearization: self.model.as_ref().map_or(0, |m| m.bytes_per_step()),
+        };
+        let storage = footprint.within(bytes)?;
+        self.set_storage(storage);
+        Ok(storage)
+    }
+
+    /// What is kept.
+    pub fn storage(&self) -> Storage {
+        self.base.trajectory.storage()
+    }
+
+    /// Bytes held at present: the states of two runs, and the linearizations in the model.
+    pub fn bytes(&self) -> usize {
+        let model = self.model.as_ref().map_or(0, |m| m.bytes_kept());
+        self.base.trajectory.bytes() + self.trial.trajectory.bytes() + model
+    }
+
     /// The control variable transform.
     pub fn transform(&self) -> &ControlTransform<'a> {
         &self.transform
@@ -192,10 +234,10 @@ impl<'a> StrongConstraint<'a> {
     /// State x_k of the point of the last gradient, k = 0 … the last observed step.
     ///
     /// # Panics
-    /// If no gradient has been evaluated, or that step was not run.
+    /// If no gradient has been evaluated, that step was not run, or its state is not kept (checkpoints).
     pub fn state(&self, k: usize) -> &[f64] {
-        assert!(self.linearized, "evaluate a gradient first");
-        &self.base.states[k * self.state_dim..(k + 1) * self.state_dim]
+        assert!(self.based, "evaluate a gradient first");
+        self.base.trajectory.state(k)
     }
 
     /// Predictions H(x) at the point of the last gradient, stacked.
@@ -203,21 +245,23 @@ impl<'a> StrongConstraint<'a> {
     /// # Panics
     /// If no gradient has been evaluated.
     pub fn predicted(&self) -> &[f64] {
-        assert!(self.linearized, "evaluate a gradient first");
+        assert!(self.based, "evaluate a gradient first");
         &self.base.predicted
     }
 
     /// Runs the window from v into the trial point.
-    fn forward(&mut self, v: &[f64]) -> Result<(), Error> {
+    fn forward(&mut self, v: &[f64], keep: Keep) -> Result<(), Error> {
         self.base.initial = false;
         self.trial.initial = false;
         self.trial.valid = false;
+        if keep == Keep::Linearizations {
+            self.base.trajectory.forget_linearizations();
+        }
         if !v.iter().all(|v| v.is_finite()) {
             return Err(Error::NonFinite { what: "the control variable", step: 0 });
         }
         self.counts.forward_runs += 1;
-        let n = self.state_dim;
-        let Point { v: kept, z, prior, states, landings, predicted, .. } = &mut self.trial;
+        let Point { v: kept, z, prior, trajectory, landings, predicted, .. } = &mut self.trial;
         kept.copy_from_slice(v);
         let head = self.transform.dim();
         match self.errors.as_ref().map(|e| e.over) {
@@ -233,20 +277,21 @@ impl<'a> StrongConstraint<'a> {
                 prior.copy_from_slice(v);
             }
         }
-        match &mut self.model {
-            Some(model) => model.initial_state(z, &mut states[..n])?,
-            None => states.copy_from_slice(z),
-        }
         predicted.fill(0.0);
-        self.observations.observe_add(0, &states[..n], predicted)?;
-        if let Some(model) = &mut self.model {
-            for k in 0..self.last {
-                let (x, x_next) = states[k * n..(k + 2) * n].split_at_mut(n);
-                model.step(k, x, x_next)?;
-                if let Some(errors) = &mut self.errors {
-                    errors.enter(k, &v[head..], x_next, landings, &mut prior[head..]);
-                }
-                self.observations.observe_add(k + 1, x_next, predicted)?;
+        let x0 = trajectory.start(self.state_dim, self.last);
+        match &mut self.model {
+            Some(model) => {
+                model.initial_state(z, x0)?;
+                trajectory.forward(&mut **model, keep, &mut |k, x| {
+                    if let (Some(errors), Some(before)) = (&mut self.errors, k.checked_sub(1)) {
+                        errors.enter(before, &v[head..], x, landings, &mut prior[head..]);
+                    }
+                    self.observations.observe_add(k, x, predicted)
+                })?;
+            }
+            None => {
+                x0.copy_from_slice(z);
+                self.observations.observe_add(0, x0, predicted)?;
             }
         }
         self.trial.initial = true;
@@ -254,27 +299,23 @@ impl<'a> StrongConstraint<'a> {
         Ok(())
     }
 
-    /// Linearizes every step at the base point.
+    /// Linearizes every step at the base point, where the storage keeps that and the model does not hold it already.
     fn linearize(&mut self) -> Result<(), Error> {
-        self.linearized = false;
-        let n = self.state_dim;
-        if let Some(model) = &mut self.model {
-            for k in 0..self.last {
-                // The pair the model stepped between: its error enters after.
-                let (x, mut x_next) = self.base.states[k * n..(k + 2) * n].split_at(n);
-                if let Some(slot) = self.errors.as_ref().and_then(|e| e.slot(k)) {
-                    x_next = &self.base.landings[slot * n..(slot + 1) * n];
-                }
-                model.linearize(k, x, x_next)?;
-            }
-        }
-        self.linearized = true;
-        Ok(())
+        let Some(model) = &mut self.model else { return Ok(()) };
+        self.trial.trajectory.forget_linearizations();
+        let (n, errors, landings) = (self.state_dim, &self.errors, &self.base.landings);
+        // The pair the model stepped between: its error enters after.
+        let landing = |k: usize| {
+            let slot = errors.as_ref().and_then(|e| e.slot(k))?;
+            Some(&landings[slot * n..(slot + 1) * n])
+        };
+        Ok(self.base.trajectory.linearize_landing(&mut **model, &landing)?)
     }
 
-    /// Brings the model's map from control to initial state back to the base point after a trial run.
+    /// Brings the model back to the base point after a trial run: its linearizations, and its map from control to initial state.
     pub(super) fn return_to_base(&mut self) -> Result<(), Error> {
-        assert!(self.linearized, "evaluate a gradient first");
+        assert!(self.based, "evaluate a gradient first");
+        self.linearize()?;
         if !self.base.initial {
             if let Some(model) = &mut self.model {
                 model.initial_state(&self.base.z, &mut self.lambda)?;
@@ -286,62 +327,67 @@ impl<'a> StrongConstraint<'a> {
     }
 
     /// out = (H M U)ᵀ dy, at the base point.
-    fn adjoint_sweep(&mut self, out: &mut [f64]) {
+    fn adjoint_sweep(&mut self, out: &mut [f64]) -> Result<(), Error> {
         self.counts.adjoint_sweeps += 1;
-        let n = self.state_dim;
-        let (out, forcing) = out.split_at_mut(self.transform.dim());
-        self.lambda.fill(0.0);
+        let Self { model, transform, observations, errors, base, lambda, dz, dy, .. } = self;
+        let (out, forcing) = out.split_at_mut(transform.dim());
         forcing.fill(0.0);
-        for k in (0..=self.last).rev() {
-            if k < self.last
-                && let Some(model) = &mut self.model
-            {
-                if let Some(errors) = &mut self.errors {
-                    errors.adjoint_add(k, &self.lambda, forcing);
-                }
-                model.adjoint(k, &mut self.lambda);
+        let mut add = |k: usize, x: &[f64], lambda: &mut [f64]| {
+            observations.adjoint_add(k, x, dy, lambda);
+            if let (Some(errors), Some(before)) = (&mut *errors, k.checked_sub(1)) {
+                errors.adjoint_add(before, lambda, forcing);
             }
-            let x = &self.base.states[k * n..(k + 1) * n];
-            self.observations.adjoint_add(k, x, &self.dy, &mut self.lambda);
+        };
+        match model {
+            Some(model) => {
+                base.trajectory.adjoint(&mut **model, lambda, &mut add)?;
+                model.initial_adjoint(lambda, dz);
+            }
+            None => {
+                lambda.fill(0.0);
+                add(0, base.trajectory.state(0), lambda);
+                dz.copy_from_slice(lambda);
+            }
         }
-        match &mut self.model {
-            Some(model) => model.initial_adjoint(&self.lambda, &mut self.dz),
-            None => self.dz.copy_from_slice(&self.lambda),
-        }
-        self.transform.adjoint(&self.dz, out);
+        transform.adjoint(dz, out);
+        Ok(())
     }
 
     /// dy = R^{-1/2} H M U dv, at the base point.
-    fn tangent_sweep(&mut self, dv: &[f64], dy: &mut [f64]) {
+    fn tangent_sweep(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
         self.counts.tangent_sweeps += 1;
-        let n = self.state_dim;
-        let (dv, forcing) = dv.split_at(self.transform.dim());
-        self.transform.tangent(dv, &mut self.dz);
-        match &mut self.model {
-            Some(model) => model.initial_tangent(&self.dz, &mut self.lambda),
-            None => self.lambda.copy_from_slice(&self.dz),
-        }
+        let Self { model, transform, observations, errors, base, lambda: dx, dz, .. } = self;
+        let (dv, forcing) = dv.split_at(transform.dim());
+        transform.tangent(dv, dz);
         dy.fill(0.0);
-        for k in 0..=self.last {
-            let x = &self.base.states[k * n..(k + 1) * n];
-            self.observations.tangent_add(k, x, &self.lambda, dy);
-            if k < self.last
-                && let Some(model) = &mut self.model
-            {
-                model.tangent(k, &mut self.lambda);
-                if let Some(errors) = &mut self.errors {
-                    errors.tangent_add(k, forcing, &mut self.lambda);
-                }
+        let mut see = |k: usize, x: &[f64], dx: &mut [f64]| {
+            if let (Some(errors), Some(before)) = (&mut *errors, k.checked_sub(1)) {
+                errors.tangent_add(before, forcing, dx);
+            }
+            observations.tangent_add(k, x, dx, dy);
+        };
+        match model {
+            Some(model) => {
+                model.initial_tangent(dz, dx);
+                base.trajectory.tangent(&mut **model, dx, &mut see)?;
+            }
+            None => {
+                dx.copy_from_slice(dz);
+                see(0, base.trajectory.state(0), dx);
             }
         }
         self.whiten(dy);
+        Ok(())
     }
 
     /// dy ← √ρ'' R^{-1/2} dy.
     fn whiten(&self, dy: &mut [f64]) {
-        for ((dy, sigma), root) in dy.iter_mut().zip(self.observations.sigma()).zip(&self.root_weight) {
-            *dy *= root / (self.scale * sigma);
-        }
+        dy.iter_mut().enumerate().for_each(|(i, dy)| *dy *= self.whitening(i));
+    }
+
+    /// Entry i of √ρ'' R^{-1/2}.
+    pub(super) fn whitening(&self, i: usize) -> f64 {
+        self.root_weight[i] / (self.scale * self.observations.sigma()[i])
     }
 }
 
@@ -355,7 +401,7 @@ impl CostFunction for StrongConstraint<'_> {
         let at_base = self.base.valid && self.base.v == v;
         let at_trial = self.trial.valid && self.trial.v == v;
         if !at_base && !at_trial {
-            self.forward(v)?;
+            self.forward(v, if gradient.is_some() { Keep::Linearizations } else { Keep::States })?;
         }
         let point = if at_base { &self.base } else { &self.trial };
         let mut sum = 0.0;
@@ -378,11 +424,10 @@ impl CostFunction for StrongConstraint<'_> {
             assert_eq!(gradient.len(), self.dim(), "length of the gradient");
             if !at_base {
                 std::mem::swap(&mut self.base, &mut self.trial);
-                self.linearized = false;
             }
-            if !self.linearized {
-                self.linearize()?;
-            }
+            self.based = false;
+            self.linearize()?;
+            self.based = true;
             self.return_to_base()?;
             for i in 0..self.observations.dim() {
                 let sigma = self.scale * self.observations.sigma()[i];
@@ -395,7 +440,7 @@ impl CostFunction for StrongConstraint<'_> {
             if self.observations.dim() == 0 {
                 gradient.fill(0.0);
             } else {
-                self.adjoint_sweep(gradient);
+                self.adjoint_sweep(gradient)?;
             }
             for (g, b) in gradient.iter_mut().zip(&self.base.prior) {
                 *g += b;
@@ -433,8 +478,7 @@ impl GaussNewton for StrongConstraint<'_> {
 
     fn observation_jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
         self.return_to_base()?;
-        self.tangent_sweep(dv, dy);
-        Ok(())
+        self.tangent_sweep(dv, dy)
     }
 
     fn observation_jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
@@ -444,17 +488,17 @@ impl GaussNewton for StrongConstraint<'_> {
         whitened.copy_from_slice(dy);
         self.whiten(&mut whitened);
         self.dy = whitened;
-        self.adjoint_sweep(dv);
-        Ok(())
+        self.adjoint_sweep(dv)
     }
 
     fn hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error> {
         self.return_to_base()?;
         let mut dy = std::mem::take(&mut self.dy);
-        self.tangent_sweep(dv, &mut dy);
+        let swept = self.tangent_sweep(dv, &mut dy);
         self.whiten(&mut dy);
         self.dy = dy;
-        self.adjoint_sweep(out);
+        swept?;
+        self.adjoint_sweep(out)?;
         for (out, dv) in out.iter_mut().zip(dv) {
             *out += dv;
         }
@@ -463,30 +507,7 @@ impl GaussNewton for StrongConstraint<'_> {
 
     fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
         self.return_to_base()?;
-        let (n, m) = (self.dim(), self.observations.dim());
-        assert_eq!(out.len(), n * n, "length of the Hessian");
-        let mut unit = std::mem::take(&mut self.unit);
-        let mut jacobian = std::mem::take(&mut self.jacobian);
-        jacobian.resize(m * n, 0.0);
-        if m > 0 {
-            for (j, column) in jacobian.chunks_exact_mut(m).enumerate() {
-                unit[j] = 1.0;
-                self.tangent_sweep(&unit, column);
-                unit[j] = 0.0;
-            }
-        }
-        let g = MatRef::from_column_major_slice(&jacobian, m, n);
-        let a = MatMut::from_column_major_slice_mut(out, n, n);
-        matmul(a, Accum::Replace, g.transpose(), g, 1.0, Par::Seq);
-        self.unit = unit;
-        self.jacobian = jacobian;
-        for j in 0..n {
-            out[j + j * n] += 1.0;
-            for i in 0..j {
-                out[j + i * n] = out[i + j * n];
-            }
-        }
-        Ok(())
+        self.dense_hessian(out)
     }
 }
 
@@ -511,7 +532,7 @@ impl Incremental for StrongConstraint<'_> {
     }
 
     fn departures(&self, b: &mut [f64], d: &mut [f64]) {
-        assert!(self.linearized, "evaluate a gradient first");
+        assert!(self.based, "evaluate a gradient first");
         b.copy_from_slice(&self.base.prior);
         self.observations.innovations(&self.base.predicted, d);
         for (d, sigma) in d.iter_mut().zip(self.observations.sigma()) {
@@ -528,6 +549,13 @@ impl Incremental for StrongConstraint<'_> {
     }
 }
 
+/// Room for a run.
+fn room(storage: Storage, dim: usize, steps: usize) -> Trajectory {
+    let mut trajectory = Trajectory::with_storage(storage);
+    trajectory.start(dim, steps);
+    trajectory
+}
+
 fn difference(now: varda_implicit::Counts, before: varda_implicit::Counts) -> varda_implicit::Counts {
     varda_implicit::Counts {
         model_steps: now.model_steps - before.model_steps,
@@ -535,6 +563,7 @@ fn difference(now: varda_implicit::Counts, before: varda_implicit::Counts) -> va
         tangent_steps: now.tangent_steps - before.tangent_steps,
         adjoint_steps: now.adjoint_steps - before.adjoint_steps,
         linearizations: now.linearizations - before.linearizations,
+        reused: now.reused - before.reused,
         factorizations: now.factorizations - before.factorizations,
         newton_iterations: now.newton_iterations - before.newton_iterations,
     }

@@ -145,7 +145,7 @@ fn column(
             (0..n).for_each(|r| f[(r, i)] = whitened[r]);
             break;
         }
-        observations.tangent_add(k, &base.states[k * n..(k + 1) * n], dx, dy);
+        observations.tangent_add(k, base.trajectory.state(k), dx, dy);
         if k < *last {
             model.tangent(k, dx);
         }

@@ -17,12 +17,13 @@ use varda_implicit::Model;
 /// The Hessian is I + GᵀG, so that every minimizer works; neither B nor Q needs an inverse, and Q → 0 is the strong constraint, smoothly.
 /// N counts the sub-windows that end (or, with a held forcing, begin) before the last observation; later forcing could not be estimated.
 ///
-/// When to use it: a model in error, above all with few forcings (long sub-windows, a Q of low rank). When not: long chaotic windows, where
+/// When to use: a model in error, above all with few forcings (long sub-windows, a Q of low rank). When not: long chaotic windows, where
 /// J as a function of x₀ has several minima that [`WeakState`](super::WeakState) avoids.
 ///
-/// Cost: as [`StrongConstraint`], and memory for N more states; the control has N times the rank of Q more entries.
+/// Cost: sweeps and runs as for [`StrongConstraint`], but more inner iterations: the control has N times the rank of Q more entries. Memory:
+/// N more states.
 pub struct WeakForcing<'a> {
-    window: StrongConstraint<'a>,
+    pub(super) window: StrongConstraint<'a>,
 }
 
 impl<'a> WeakForcing<'a> {

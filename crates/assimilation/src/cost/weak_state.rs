@@ -21,11 +21,11 @@ use varda_implicit::Model;
 /// works in p (`InnerSolver::Direct` is a block-tridiagonal solve, as a reference for small problems). The gradient of
 /// [`CostFunction::evaluate`] is that in the states, for other minimizers.
 ///
-/// When to use it: long windows, where a start from states near the observations avoids the minima that a chaotic model puts into
+/// When to use: long windows, where a start from states near the observations avoids the minima that a chaotic model puts into
 /// the forcing form; linear problems give the same analysis by both. When not: Q → 0 (then Q⁻¹ blows up), singular B or Q.
 ///
-/// Cost: as [`WeakForcing`](super::WeakForcing), and a sweep for the increment of an outer iteration. Memory: N n for the control, three times that
-/// for the trajectories.
+/// Cost: as [`WeakForcing`](super::WeakForcing), and a tangent sweep for the increment of an outer iteration; the direct solve n tangent sweeps
+/// and N Cholesky factors of size n. Memory: N n for the control, three times that for the trajectories.
 pub struct WeakState<'a> {
     window: StrongConstraint<'a>,
     b: &'a dyn Precision,

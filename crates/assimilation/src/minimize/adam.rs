@@ -70,7 +70,7 @@ pub(super) fn run(
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
     let &AdamOptions { learning_rate, beta1, beta2, epsilon, .. } = options;
-    check_tolerance(options.gradient_tolerance)?;
+    check_tolerance("gradient_tolerance", options.gradient_tolerance)?;
     for (what, value, fine) in [
         ("learning_rate", learning_rate, learning_rate > 0.0 && learning_rate.is_finite()),
         ("beta1", beta1, (0.0..1.0).contains(&beta1)),

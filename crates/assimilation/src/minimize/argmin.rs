@@ -1,6 +1,6 @@
 //! Solvers of the argmin crate behind our costs: to compare with, and to check ours against.
 
-use super::{Iteration, Minimum, Progress, Start, Status, check_tolerance};
+use super::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance};
 use crate::cost::norm;
 use crate::{CostFunction, Error, GaussNewton};
 use ::argmin::core::{self as core, IterState, Problem, Solver, State};
@@ -45,7 +45,7 @@ impl Default for ArgminOptions {
 /// point, (`Status::Stalled`) where its line search gives up.
 ///
 /// Cost of an iteration: one forward run and one adjoint sweep, or more; the last point is kept, so that argmin's separate calls
-/// for a value and its gradient cost one run.
+/// for a value and its gradient cost one run. Memory: 2 `memory` vectors and argmin's copies.
 ///
 /// # Errors
 /// As for [`Minimizer::minimize`](crate::Minimizer::minimize).
@@ -66,7 +66,7 @@ pub fn argmin_lbfgs(
 /// When to use: to check [`trust_region`](crate::trust_region). When not: otherwise; it solves every inner problem to a fixed
 /// number of iterations, stalls where the decrease of J is rounding, and ends (`Status::Failed`) where the model fails at a trial point.
 ///
-/// Cost of an iteration: one forward run, one adjoint sweep, up to `max_inner` products with the Hessian.
+/// Cost of an iteration: one forward run, one adjoint sweep, up to `max_inner` products with the Hessian. Memory: some ten vectors.
 ///
 /// # Errors
 /// As for [`Minimizer::minimize`](crate::Minimizer::minimize).
@@ -89,9 +89,7 @@ pub(super) fn run_lbfgs(
     start: &Start,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    if options.memory == 0 {
-        return Err(Error::Setting { what: "memory", value: 0.0 });
-    }
+    at_least_one("memory", options.memory)?;
     let search = MoreThuenteLineSearch::<Vec<f64>, Vec<f64>, f64>::new();
     let solver: LBFGS<_, Vec<f64>, Vec<f64>, f64> = LBFGS::new(search, options.memory);
     drive::<_, _, ()>(solver, cost, v, options, start, on_iteration)
@@ -121,7 +119,7 @@ where
     C: AsCost + ?Sized,
     S: Solver<Adapter<'a, C>, IterState<Vec<f64>, Vec<f64>, (), H, (), f64>>,
 {
-    check_tolerance(options.gradient_tolerance)?;
+    check_tolerance("gradient_tolerance", options.gradient_tolerance)?;
     let mut g = vec![0.0; v.len()];
     let mut progress = Progress::start(cost.as_cost(), v, &mut g, start)?;
     let scale = 1.0 / progress.gradient_norm.max(1.0);

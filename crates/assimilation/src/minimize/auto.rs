@@ -39,7 +39,7 @@ impl Default for AutoOptions {
 /// 10⁻³ higher. Where neither converged, Gauss–Newton–CG is run from the same point as a last resort: its line search steps over an edge
 /// of J that holds a trust region. Rows of all runs are reported, each counting on from the one before.
 ///
-/// Cost: that of the trust region where J_o ≤ 10 m, else two to four times as much.
+/// Cost: that of the trust region where J_o ≤ 10 m, else two to four times as much. Memory: that of the trust region.
 ///
 /// # Errors
 /// As for [`Minimizer::minimize`](crate::Minimizer::minimize) and [`continuation`].

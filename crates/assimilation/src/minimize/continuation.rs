@@ -12,6 +12,9 @@ use std::ops::ControlFlow;
 /// to 10⁻³ of its first value; a stage that ends otherwise than converged still hands its point on. The tolerance of the last
 /// stage, and the first gradient norm reported, refer to the true cost at the first point. Leaves the true cost in force.
 ///
+/// When to use: precise observations and a background far from them. When not: chaotic models, whose minima come from the length of the window
+/// ([`window_growth`](crate::window_growth)). Cost: a minimization a stage, the early ones short. Memory: that of the minimizer.
+///
 /// # Errors
 /// Scales that are empty, not positive and finite, or do not end with 1; else as for
 /// [`Minimizer::minimize`].

@@ -1,7 +1,7 @@
 //! Limited-memory BFGS: for costs that have a gradient and nothing else.
 
 use super::trust_region::NOISE;
-use super::{Iteration, Minimum, Progress, Start, Status, check_tolerance};
+use super::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance};
 use crate::cost::{dot, norm};
 use crate::{CostFunction, Error};
 use std::collections::VecDeque;
@@ -62,10 +62,8 @@ pub(super) fn run(
     start: &Start,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    check_tolerance(options.gradient_tolerance)?;
-    if options.memory == 0 {
-        return Err(Error::Setting { what: "memory", value: 0.0 });
-    }
+    check_tolerance("gradient_tolerance", options.gradient_tolerance)?;
+    at_least_one("memory", options.memory)?;
     let n = cost.dim();
     let [mut g, mut p] = std::array::from_fn(|_| vec![0.0; n]);
     let mut search = Search { trial: vec![0.0; n], gradient: vec![0.0; n], refused: 0, failure: None };

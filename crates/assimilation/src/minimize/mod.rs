@@ -15,7 +15,7 @@ mod secant;
 mod spectral;
 mod trust_region;
 
-pub(crate) use lanczos::Lanczos;
+pub(crate) use lanczos::{Lanczos, Product};
 pub(crate) use spectral::eigen;
 
 pub use adam::{AdamOptions, adam};
@@ -376,13 +376,14 @@ impl Progress {
     }
 }
 
-/// A relative gradient tolerance: in [0, 1).
-fn check_tolerance(tolerance: f64) -> Result<(), Error> {
-    if (0.0..1.0).contains(&tolerance) {
-        Ok(())
-    } else {
-        Err(Error::Setting { what: "gradient_tolerance", value: tolerance })
-    }
+/// A relative tolerance: in [0, 1).
+pub(crate) fn check_tolerance(what: &'static str, value: f64) -> Result<(), Error> {
+    if (0.0..1.0).contains(&value) { Ok(()) } else { Err(Error::Setting { what, value }) }
+}
+
+/// A count that must not be zero.
+pub(crate) fn at_least_one(what: &'static str, value: usize) -> Result<(), Error> {
+    if value > 0 { Ok(()) } else { Err(Error::Setting { what, value: 0.0 }) }
 }
 
 /// How far an inner problem is solved, relative to its gradient: min(½, √(‖g‖/‖g₀‖)), so that the outer iteration keeps

@@ -26,9 +26,10 @@ impl Default for NewtonOptions {
 ///
 /// Exact in one step where model and observations are linear. Elsewhere J may rise and the model may be driven to a state it cannot
 /// step from (`Status::Failed` with the reason); where the dropped second derivatives exceed A, it is repelled from the minimum.
-/// The lowest point seen is returned unless it converged. For comparison: [`trust_region`](crate::trust_region) is the one to use.
+/// The lowest point seen is returned unless it converged.
 ///
-/// Cost of a step: one gradient, n tangent sweeps, n³/3.
+/// When to use: linear problems, and to compare with the paper. When not: otherwise; [`trust_region`](crate::trust_region) is the same near the
+/// minimum and safe far from it. Cost of a step: one gradient, n tangent sweeps, n³/3. Memory: 2n².
 ///
 /// # Errors
 /// As for [`Minimizer::minimize`](crate::Minimizer::minimize).
@@ -51,7 +52,7 @@ pub(super) fn run(
     start: &Start,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    check_tolerance(options.gradient_tolerance)?;
+    check_tolerance("gradient_tolerance", options.gradient_tolerance)?;
     let n = cost.dim();
     let mut g = vec![0.0; n];
     let mut p = vec![0.0; n];

@@ -2,7 +2,7 @@
 
 use super::lanczos::{Lanczos, Limits};
 use super::preconditioner::Preconditioner;
-use super::{Iteration, Minimum, Progress, Start, Status, check_tolerance, forcing};
+use super::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance, forcing};
 use crate::cost::{dot, norm};
 use crate::{Error, GaussNewton};
 use std::ops::ControlFlow;
@@ -30,12 +30,15 @@ impl Default for NewtonCgOptions {
 /// iteration with full re-orthogonalisation, then steps of 1, ½, ¼, … until J falls by 10⁻⁴ of what the slope promises.
 ///
 /// With `preconditioner_pairs`, every outer iteration is preconditioned by the Ritz pairs of those before it (limited-memory preconditioner in
-/// its spectral form: Fisher 1998; Tshimanga et al. 2008). When to use: where the inner iterations are many and outer ones go on
-/// near the minimum (large residuals: a third fewer on case 1 of the hanging rod); it gains nothing where few suffice. Memory: a vector a pair. No Ritz pairs are then returned, those of the last problem being of the
-/// preconditioned matrix.
+/// its spectral form: Fisher 1998; Tshimanga et al. 2008): a third fewer inner iterations on case 1 of the hanging rod, where outer ones go on
+/// near the minimum; it gains nothing where few suffice. Without it the Ritz pairs of the last outer iteration are returned (with it they are
+/// those of the preconditioned matrix, and are not).
 ///
-/// No matrix is formed; products needed are about the degrees of freedom for signal. Returns the Ritz pairs of the last outer iteration.
-/// Converges linearly where the dropped second derivatives matter, and then [`trust_region`](crate::trust_region) is faster.
+/// When to use: large n and small residuals; a J with jumps, which hold a trust region. When not: where the dropped second derivatives matter it
+/// converges linearly, and [`trust_region`](crate::trust_region) is faster.
+///
+/// Cost of an outer iteration: one gradient, a forward run for each refused step, and about as many products as there are degrees of freedom for
+/// signal. Memory: a vector for each inner iteration and each pair of the preconditioner; no matrix.
 ///
 /// # Errors
 /// As for [`Minimizer::minimize`](crate::Minimizer::minimize).
@@ -58,10 +61,8 @@ pub(super) fn run(
     start: &Start,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    check_tolerance(options.gradient_tolerance)?;
-    if options.max_inner == 0 {
-        return Err(Error::Setting { what: "max_inner", value: 0.0 });
-    }
+    check_tolerance("gradient_tolerance", options.gradient_tolerance)?;
+    at_least_one("max_inner", options.max_inner)?;
     let n = cost.dim();
     let [mut g, mut g_trial, mut p, mut trial] = std::array::from_fn(|_| vec![0.0; n]);
     let mut lanczos = Lanczos::new(n);

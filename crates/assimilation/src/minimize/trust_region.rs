@@ -3,7 +3,7 @@
 use super::lanczos::{Lanczos, Limits};
 use super::secant::Secant;
 use super::spectral::Spectral;
-use super::{Iteration, Minimum, Progress, RitzPair, Start, Status, check_tolerance, forcing};
+use super::{Iteration, Minimum, Progress, RitzPair, Start, Status, at_least_one, check_tolerance, forcing};
 use crate::cost::norm;
 use crate::{Error, GaussNewton};
 use std::ops::ControlFlow;
@@ -59,8 +59,12 @@ impl Default for TrustRegionOptions {
 /// J never rises by more than its rounding. The minimum found is the one whose basin the path leads into; for costs
 /// with several see [`continuation`](crate::continuation).
 ///
+/// When to use: the default. When not: no tangent model ([`lbfgs`](crate::lbfgs)); several minima ([`auto`](crate::auto),
+/// [`window_growth`](crate::window_growth)).
+///
 /// Cost of an outer iteration: one gradient, one forward run for each refused trial point, and n tangent sweeps with an eigenvalue
-/// decomposition (n ≤ `dense_limit`), or about as many products as there are degrees of freedom for signal.
+/// decomposition (n ≤ `dense_limit`), or about as many products as there are degrees of freedom for signal. Memory: 3n² or so, or a vector
+/// for each inner iteration; and one for each secant term.
 ///
 /// # Errors
 /// As for [`Minimizer::minimize`](crate::Minimizer::minimize).
@@ -83,14 +87,12 @@ pub(super) fn run(
     start: &Start,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    check_tolerance(options.gradient_tolerance)?;
+    check_tolerance("gradient_tolerance", options.gradient_tolerance)?;
     let mut radius = options.initial_radius;
     if !(radius > 0.0 && radius.is_finite()) {
         return Err(Error::Setting { what: "initial_radius", value: radius });
     }
-    if options.max_inner == 0 {
-        return Err(Error::Setting { what: "max_inner", value: 0.0 });
-    }
+    at_least_one("max_inner", options.max_inner)?;
     let n = cost.dim();
     let [mut g, mut g_trial, mut p, mut trial] = std::array::from_fn(|_| vec![0.0; n]);
     let mut inner = if n <= options.dense_limit {

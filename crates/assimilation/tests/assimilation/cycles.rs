@@ -78,6 +78,10 @@ fn make(_first: usize) -> Box<dyn Model + Send> {
     Box::new(linear(N))
 }
 
+fn go_on(_: &Cycle, _: &CycleState) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
 fn exact() -> Minimizer {
     Minimizer::TrustRegion(TrustRegionOptions {
         gradient_tolerance: 1e-13,
@@ -86,14 +90,13 @@ fn exact() -> Minimizer {
     })
 }
 
-fn ensemble<'a>(members: Vec<f64>, inflation: f64) -> CycledEnsemble<'a> {
+fn ensemble<'a>(inflation: f64) -> CycledEnsemble<'a> {
     CycledEnsemble {
-        members,
         inflation,
         localization: Localization::none(N),
         anchors: &|_| Vec::new(),
         static_part: None,
-        update: EnsembleUpdate::SquareRoot,
+        update: CycledUpdate::SquareRoot,
         options: EnVarOptions::default(),
     }
 }
@@ -124,10 +127,12 @@ fn linear_cycles_are_a_kalman_filter_whatever_the_window_and_however_p_is_carrie
                 }
             }
             let first_b = Dense::new(N, &matrix).unwrap();
-            let covariance = if carried_by_members {
-                CycledCovariance::Ensemble(ensemble(members, 1.0))
+            let (mut state, covariance) = if carried_by_members {
+                (CycleState::from_members(members, N), CycledCovariance::Ensemble(ensemble(1.0)))
             } else {
-                CycledCovariance::Propagated { first: &first_b, inflation: 1.0, static_part: None }
+                let carried =
+                    CycledCovariance::Propagated { first: &first_b, inflation: 1.0, static_part: None };
+                (CycleState::new(start), carried)
             };
             let cycling = Cycling {
                 first,
@@ -138,8 +143,7 @@ fn linear_cycles_are_a_kalman_filter_whatever_the_window_and_however_p_is_carrie
                 observations: &observations(window),
                 truth: Some(&truth),
             };
-            let ended =
-                cycle(&cycling, &start, covariance, &exact(), &mut |_| ControlFlow::Continue(())).unwrap();
+            let ended = cycle(&cycling, &mut state, &covariance, &exact(), &mut go_on).unwrap();
             assert_eq!(ended.len(), cycles);
             for c in &ended {
                 assert_eq!(c.first_step, first + c.index * shift);
@@ -152,7 +156,7 @@ fn linear_cycles_are_a_kalman_filter_whatever_the_window_and_however_p_is_carrie
                 assert_eq!(c.observations, 2 * new);
                 if carried_by_members {
                     let expected = spread[c.first_step + window];
-                    assert!((c.spread.unwrap() - expected).abs() <= 1e-9 * expected);
+                    assert!((c.spread().unwrap() - expected).abs() <= 1e-9 * expected);
                     assert_eq!((c.counts.model.tangent_steps, c.counts.model.adjoint_steps), (0, 0));
                 }
             }
@@ -185,11 +189,14 @@ fn inflation_multiplies_standard_deviations_once_a_window() {
         column.iter().enumerate().for_each(|(i, c)| wide[i * N + j] = 1.69 * c);
     }
     let wide = Dense::new(N, &wide).unwrap();
-    for covariance in [
-        CycledCovariance::Ensemble(ensemble(spanning(&b, &background), 1.3)),
-        CycledCovariance::Propagated { first: &wide, inflation: 1.3, static_part: None },
+    for (mut state, covariance) in [
+        (CycleState::from_members(spanning(&b, &background), N), CycledCovariance::Ensemble(ensemble(1.3))),
+        (
+            CycleState::new(background.clone()),
+            CycledCovariance::Propagated { first: &wide, inflation: 1.3, static_part: None },
+        ),
     ] {
-        let ended = cycle(&cycling, &background, covariance, &exact(), &mut |_| ControlFlow::Continue(()));
+        let ended = cycle(&cycling, &mut state, &covariance, &exact(), &mut go_on);
         for c in ended.unwrap() {
             assert!(c.errors.unwrap().end <= 1e-9, "{c:?}");
         }
@@ -229,60 +236,67 @@ fn every_way_to_carry_a_covariance_runs_on_a_nonlinear_model() {
     let anchors = |set: &ObservationSet| -> Vec<usize> {
         set.observations().iter().flat_map(|o| o.rows.clone()).collect()
     };
+    let noise = |c: usize| -> Normals {
+        let (drawn, mut next) = (normals(77 + c as u64, 5000), 0);
+        Box::new(move || {
+            next += 1;
+            drawn[next - 1]
+        })
+    };
     let mut means = Vec::new();
     for way in 0..6 {
-        let run =
-            || {
-                let noise = normals(77, 200_000);
-                let mut next = 0;
-                let mut normal = || {
-                    next += 1;
-                    noise[next - 1]
-                };
-                let members: Vec<f64> = (0..15)
-                    .flat_map(|i| {
-                        let e = normals(600 + i, n);
-                        background.iter().zip(e).map(|(x, e)| x + 0.6 * e).collect::<Vec<_>>()
-                    })
-                    .collect();
-                let taper = varda_covariance::Taper::GaspariCohn { support: 6.0 };
-                let ring = |i: usize, j: usize| i.abs_diff(j).min(n - i.abs_diff(j)) as f64;
-                let ensemble = |update, static_part, localized| {
-                    let localization = if localized {
-                        Localization::by_distance(taper, n, ring, 0.01).unwrap()
-                    } else {
-                        Localization::none(n)
-                    };
-                    CycledCovariance::Ensemble(CycledEnsemble {
-                        members,
-                        inflation: 1.05,
-                        localization,
-                        anchors: &anchors,
-                        static_part,
-                        update,
-                        options: EnVarOptions::default(),
-                    })
-                };
-                let covariance = match way {
-                    0 => CycledCovariance::Static(&b),
-                    1 => CycledCovariance::Propagated { first: &b, inflation: 1.05, static_part: None },
-                    2 => CycledCovariance::Propagated {
-                        first: &b,
-                        inflation: 1.0,
-                        static_part: Some((&b, 0.05)),
-                    },
-                    3 => ensemble(EnsembleUpdate::SquareRoot, None, true),
-                    4 => ensemble(EnsembleUpdate::SquareRoot, Some((&b, 0.1, 1.0)), false),
-                    _ => ensemble(EnsembleUpdate::PerturbedObservations(&mut normal), None, true),
-                };
-                cycle(&cycling, &background, covariance, &Minimizer::default(), &mut |_| {
-                    ControlFlow::Continue(())
-                })
-                .unwrap()
+        let members: Vec<f64> = (0..15)
+            .flat_map(|i| {
+                let e = normals(600 + i, n);
+                background.iter().zip(e).map(|(x, e)| x + 0.6 * e).collect::<Vec<_>>()
+            })
+            .collect();
+        let taper = varda_covariance::Taper::GaspariCohn { support: 6.0 };
+        let ring = |i: usize, j: usize| i.abs_diff(j).min(n - i.abs_diff(j)) as f64;
+        let ensemble = |update, static_part, localized| {
+            let localization = if localized {
+                Localization::by_distance(taper, n, ring, 0.01).unwrap()
+            } else {
+                Localization::none(n)
             };
-        let cycles = run();
+            CycledCovariance::Ensemble(CycledEnsemble {
+                inflation: 1.05,
+                localization,
+                anchors: &anchors,
+                static_part,
+                update,
+                options: EnVarOptions::default(),
+            })
+        };
+        let covariance = match way {
+            0 => CycledCovariance::Static(&b),
+            1 => CycledCovariance::Propagated { first: &b, inflation: 1.05, static_part: None },
+            2 => CycledCovariance::Propagated { first: &b, inflation: 1.0, static_part: Some((&b, 0.05)) },
+            3 => ensemble(CycledUpdate::SquareRoot, None, true),
+            4 => ensemble(CycledUpdate::SquareRoot, Some((&b, 0.1, 1.0)), false),
+            _ => ensemble(CycledUpdate::PerturbedObservations(&noise), None, true),
+        };
+        let start = match way {
+            0..=2 => CycleState::new(background.clone()),
+            _ => CycleState::from_members(members, n),
+        };
+        // Up to window `stop`, and from what that one handed on to the end.
+        let run = |stop: usize| {
+            let mut until = |c: &Cycle, _: &CycleState| match c.index == stop {
+                true => ControlFlow::Break(()),
+                false => ControlFlow::Continue(()),
+            };
+            let mut state = start.clone();
+            let minimizer = Minimizer::default();
+            let mut cycles = cycle(&cycling, &mut state, &covariance, &minimizer, &mut until).unwrap();
+            cycles.extend(cycle(&cycling, &mut state, &covariance, &minimizer, &mut go_on).unwrap());
+            cycles
+        };
+        let cycles = run(19);
         assert_eq!(cycles.len(), 20);
-        assert_eq!(cycles, run(), "way {way}");
+        for stop in [0, 7] {
+            assert_eq!(cycles, run(stop), "way {way}: taken up after window {stop}");
+        }
         let mean = |f: &dyn Fn(&CycleErrors) -> f64| {
             cycles[5..].iter().map(|c| f(&c.errors.unwrap())).sum::<f64>() / 15.0
         };
@@ -290,7 +304,7 @@ fn every_way_to_carry_a_covariance_runs_on_a_nonlinear_model() {
         assert!(after < before && after < 0.35, "way {way}: {before} {after}");
         let chi2 = cycles[5..].iter().map(|c| c.chi2).sum::<f64>() / 15.0;
         assert!((0.6..1.5).contains(&chi2), "way {way}: {chi2}");
-        assert_eq!(cycles[3].spread.is_some(), way > 0);
+        assert_eq!(cycles[3].spread().is_some(), way > 0);
         means.push(mean(&|e| e.end));
     }
     // What flows with the model beats what does not.
@@ -310,23 +324,28 @@ fn a_sequence_can_be_ended_and_what_makes_none_is_refused() {
         observations: &see,
         truth: None,
     };
-    let go = |cycling: &Cycling, covariance, stop: usize| {
-        cycle(cycling, &[0.0; N], covariance, &exact(), &mut |c| {
+    let go = |cycling: &Cycling, mut state: CycleState, covariance: CycledCovariance, stop: usize| {
+        cycle(cycling, &mut state, &covariance, &exact(), &mut |c, after| {
+            assert_eq!(after.next, c.index + 1);
             if c.index == stop { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         })
     };
-    let ended = go(&good, CycledCovariance::Static(&b), 1).unwrap();
-    assert_eq!((ended.len(), ended[1].first_step, ended[1].errors, ended[1].spread), (2, 2, None, None));
+    let rest = || CycleState::new(vec![0.0; N]);
+    let ended = go(&good, rest(), CycledCovariance::Static(&b), 1).unwrap();
+    assert_eq!((ended.len(), ended[1].first_step, ended[1].errors, ended[1].spread()), (2, 2, None, None));
     for shift in [0, 6] {
         let bad = Cycling { shift, ..good };
-        assert!(matches!(go(&bad, CycledCovariance::Static(&b), 9), Err(Error::Setting { .. })));
+        let refused = go(&bad, rest(), CycledCovariance::Static(&b), 9);
+        assert!(matches!(refused, Err(Error::Setting { .. })));
     }
+    let members = CycleState::from_members(spanning(&b, &[0.0; N]), N);
     for inflation in [0.0, -1.0, f64::NAN] {
         let propagated = CycledCovariance::Propagated { first: &b, inflation, static_part: None };
-        assert!(matches!(go(&good, propagated, 9), Err(Error::Setting { .. })));
-        let carried = CycledCovariance::Ensemble(ensemble(spanning(&b, &[0.0; N]), inflation));
-        assert!(matches!(go(&good, carried, 9), Err(Error::Setting { .. })));
+        assert!(matches!(go(&good, rest(), propagated, 9), Err(Error::Setting { .. })));
+        let carried = CycledCovariance::Ensemble(ensemble(inflation));
+        assert!(matches!(go(&good, members.clone(), carried, 9), Err(Error::Setting { .. })));
     }
-    let one_member = CycledCovariance::Ensemble(ensemble(vec![0.0; N], 1.0));
-    assert!(matches!(go(&good, one_member, 9), Err(Error::Covariance(_))));
+    let one_member = CycleState::from_members(vec![0.0; N], N);
+    let refused = go(&good, one_member, CycledCovariance::Ensemble(ensemble(1.0)), 9);
+    assert!(matches!(refused, Err(Error::Covariance(_))));
 }

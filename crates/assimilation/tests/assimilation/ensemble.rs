@@ -163,6 +163,32 @@ fn localized(seed: u64, members: usize) -> Ensemble {
     Ensemble::new(&members, c).unwrap()
 }
 
+/// In observation space, and where the members are fewer than the observations among the members.
+#[test]
+fn posterior_variance_is_that_of_the_dense_hessian() {
+    let static_part = coupled(N, 0.4);
+    let background: Vec<f64> = normals(5, N).iter().map(|x| 2.0 + 2.0 * x).collect();
+    let hybrid = Hybrid::new(&static_part, 0.6, localized(4, 5), 0.8).unwrap();
+    let few: Vec<f64> = normals(4, 5 * N).iter().map(|x| 0.3 * x).collect();
+    let few = Ensemble::new(&few, Localization::none(N)).unwrap();
+    let [mut set, mut same] = [observed(6), observed(6)];
+    let mut by_observations = curved(&hybrid, &mut set, &background);
+    let mut by_members =
+        EnVar::new(&|| Box::new(Rk4::new(Lorenz96(N), 0.03)), background.clone(), &few, &mut same, &[])
+            .unwrap();
+    assert!(by_observations.dim() > 12 && by_members.dim() < 12);
+    for cost in [&mut by_observations, &mut by_members] {
+        let (variance, degrees_of_freedom) = cost.posterior_variance().unwrap();
+        let transform = cost.transform().clone();
+        let dense = Posterior::new(cost).unwrap();
+        // Two eigenvalue decompositions of matrices of condition 1e3 at most.
+        for (a, b) in variance.iter().zip(dense.variance(&transform)) {
+            assert!((a - b).abs() <= 1e-11 * b, "{a} {b}");
+        }
+        assert!((degrees_of_freedom - dense.degrees_of_freedom()).abs() <= 1e-10);
+    }
+}
+
 #[test]
 fn gradient_and_products_at_two_successive_linearizations() {
     let static_part = coupled(N, 0.4);

@@ -14,4 +14,5 @@ mod models;
 mod observations;
 mod posteriors;
 mod robust;
+mod storage;
 mod weak;

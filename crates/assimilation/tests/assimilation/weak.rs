@@ -52,6 +52,10 @@ fn gradients_are_those_of_j_in_both_forms() {
         cost.hessian_apply(&dv, &mut product).unwrap();
         let expected: Vec<f64> = (0..n).map(|i| (0..n).map(|j| hessian[i + j * n] * dv[j]).sum()).collect();
         assert!(relative(&product, &expected) <= 1e-13);
+        // The posterior of the initial state is the leading block of the whole one's.
+        let whole = Posterior::from_hessian(n, &hessian).unwrap().control_variable_variance();
+        let first = Posterior::of_initial_state(&mut cost).unwrap().control_variable_variance();
+        assert!(first.len() == 6 && relative(&first, &whole[..6]) <= 1e-11);
         drop(cost);
         if held {
             continue;
@@ -64,6 +68,11 @@ fn gradients_are_those_of_j_in_both_forms() {
             |seed| -> Vec<f64> { start.iter().zip(normals(seed, n)).map(|(x, e)| x + 0.1 * e).collect() };
         check_gradient(&mut cost, &at(63), &at(64));
         assert!(transposed(&mut cost) <= 1e-14);
+        let (mut v, mut gradient) = (start.clone(), vec![0.0; n]);
+        v.iter_mut().zip(normals(66, n)).for_each(|(v, e)| *v += 0.01 * e);
+        cost.linearize(&v, &mut gradient).unwrap();
+        let first = Posterior::of_initial_state(&mut cost).unwrap();
+        assert!(first.spectrum().len() == 6 && first.spectrum().iter().all(|mu| *mu > 1.0 - 1e-12));
         // The gradient in p is that along its increments: ∇q(0)·p = ∇J·increment(p).
         let (p, mut dv, mut g, mut gp) = (normals(65, n), vec![0.0; n], vec![0.0; n], vec![0.0; n]);
         cost.evaluate(&at(63), Some(&mut g)).unwrap();

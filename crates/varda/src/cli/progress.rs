@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use crate::cycles::Row;
 use crate::run::ConvergenceRow;
 
 /// A run shorter than this shows only its table.
@@ -28,21 +29,31 @@ impl Progress {
     }
 
     pub(super) fn row(&mut self, row: &ConvergenceRow) {
-        let now = Instant::now();
-        let (began, gradient) = *self.first.get_or_insert((now, row.gradient_norm));
-        if self.quiet || self.started.elapsed() < PATIENCE {
-            return;
-        }
+        let (began, gradient) = *self.first.get_or_insert((Instant::now(), row.gradient_norm));
         // The gradient falls about evenly on a log scale: how far along it is tells the seconds left.
         let done = (gradient / row.gradient_norm).ln() / (1.0 / self.tolerance).ln();
         let by_count = row.iteration as f64 / self.max_iterations as f64;
-        let share = done.max(by_count).clamp(0.0, 1.0);
+        let message =
+            format!("iteration {}  J {:.6e}  |grad| {:.2e}", row.iteration, row.j, row.gradient_norm);
+        self.show(began, done.max(by_count).clamp(0.0, 1.0), message);
+    }
+
+    /// A window of a sequence is done; the first `resumed` ones were done before.
+    pub(super) fn cycle(&mut self, row: &Row, resumed: usize, count: usize) {
+        let now = row.cycle + 1;
+        let rmse = row.rmse_end[0].map_or(String::new(), |e| format!("  RMSE {e:.4}"));
+        let share = (now - resumed) as f64 / (count - resumed).max(1) as f64;
+        self.show(self.started, share, format!("cycle {now} of {count}  2J/m {:.3}{rmse}", row.chi2));
+    }
+
+    /// Shows what is going on, and the seconds left if it goes on evenly since `began`.
+    fn show(&mut self, began: Instant, share: f64, message: String) {
+        if self.quiet || self.started.elapsed() < PATIENCE {
+            return;
+        }
         let left = (share > 0.0).then(|| began.elapsed().as_secs_f64() * (1.0 - share) / share);
         let left = left.map_or(String::from("?"), |s| format!("{s:.0}"));
-        let message = format!(
-            "iteration {}  J {:.6e}  |grad| {:.2e}  about {left} s left",
-            row.iteration, row.j, row.gradient_norm
-        );
+        let message = format!("{message}  about {left} s left");
         if std::io::stderr().is_terminal() {
             let bar = self.bar.get_or_insert_with(|| {
                 let style = ProgressStyle::with_template("[{bar:30}] {msg}")
@@ -53,7 +64,7 @@ impl Progress {
             bar.set_message(message);
         } else if self.last_line.is_none_or(|t| t.elapsed() >= PACE) {
             eprintln!("{message}");
-            self.last_line = Some(now);
+            self.last_line = Some(Instant::now());
         }
     }
 

@@ -31,11 +31,16 @@ pub(super) fn outcome(problem: &Problem, o: &Outcome, folder: &Path, seconds: f6
     line(
         "J",
         format!(
-            "{:.6} -> {:.6}  (background {:.4}, observations {:.4}; 2J/m = {:.3})",
+            "{:.6} -> {:.6}  (background {:.4}, observations {:.4}{}; 2J/m = {:.3})",
             o.j_background,
             o.analysis.value,
             o.analysis.terms.background,
             o.analysis.terms.observation,
+            if algorithm.method.is_weak() {
+                format!(", model error {:.4}", o.analysis.terms.model_error)
+            } else {
+                String::new()
+            },
             o.analysis.chi2
         ),
     );
@@ -108,13 +113,13 @@ pub(super) fn outcome(problem: &Problem, o: &Outcome, folder: &Path, seconds: f6
 pub(super) fn comparison(rows: &[Compared], folder: &Path) -> String {
     let number = |x: Option<f64>| x.map_or("-".to_string(), |x| format!("{x:.3e}"));
     let mut out = format!(
-        "{:<18} {:<16} {:<15} {:>9} {:>10} {:>9} {:>9} {:>9} {:>9}\n",
+        "{:<18} {:<23} {:<15} {:>9} {:>10} {:>9} {:>9} {:>9} {:>9}\n",
         "method", "solver", "status", "gap", "RMSE", "seconds", "model", "tangent", "adjoint"
     );
     for r in rows {
         let _ = writeln!(
             out,
-            "{:<18} {:<16} {:<15} {:>9} {:>10} {:>9} {:>9} {:>9} {:>9}{}{}",
+            "{:<18} {:<23} {:<15} {:>9} {:>10} {:>9} {:>9} {:>9} {:>9}{}{}",
             r.method,
             r.solver,
             r.status,
@@ -128,7 +133,11 @@ pub(super) fn comparison(rows: &[Compared], folder: &Path) -> String {
             r.reason
         );
     }
-    let _ = writeln!(out, "gap = (J - J*)/(J0 - J*), J* the lowest found; written to {}", folder.display());
+    let _ = writeln!(
+        out,
+        "gap = (J - J*)/(J0 - J*), J* the lowest found (not for weak constraint and ensembles, whose J is another); written to {}",
+        folder.display()
+    );
     out
 }
 
@@ -168,6 +177,13 @@ pub(super) fn plan(p: &Plan) -> String {
     }
     line("state", format!("{} numbers", p.n_state));
     line("control", format!("{} numbers", p.n_control));
+    line("method", p.method.clone());
+    if p.n_errors > 0 {
+        line("model error", format!("{} numbers at most", p.n_errors));
+    }
+    if p.members > 0 {
+        line("ensemble", format!("{} members, {} runs of the window at a time", p.members, p.members + 1));
+    }
     line("observations", format!("{} values at {} times", p.n_obs, p.times));
     line(
         "window",
@@ -176,6 +192,9 @@ pub(super) fn plan(p: &Plan) -> String {
             p.window.steps, p.window.step, p.window.start, p.spin_up
         ),
     );
+    if let Some([count, shift, steps]) = p.cycles {
+        line("cycles", format!("{count} windows, {shift} steps apart: {steps} steps"));
+    }
     line("memory", format!("about {:.1} MB", p.bytes as f64 / 1e6));
     for text in &p.left_out {
         line("left out", text.clone());

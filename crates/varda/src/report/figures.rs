@@ -36,16 +36,14 @@ pub(super) fn all(problem: &mut Problem, outcome: &Outcome) -> Result<Vec<Figure
     Ok(figures)
 }
 
-/// J, ‖∇J‖ and RMSE against iteration and against seconds, relative to their first values.
 /// Error against seconds, of every method that got under way.
 pub(super) fn comparison(rows: &[Compared]) -> Figure {
     let lowest = lowest(rows);
-    let panel = |y_label: &str, legend, points: &dyn Fn(&Compared) -> Vec<(f64, f64)>| Panel {
+    let panel = |y_label: &str, points: &dyn Fn(&Compared) -> Vec<(f64, f64)>| Panel {
         x_label: "seconds".into(),
         y_label: y_label.into(),
         log_x: true,
         log_y: true,
-        legend,
         series: rows
             .iter()
             .enumerate()
@@ -57,23 +55,26 @@ pub(super) fn comparison(rows: &[Compared]) -> Figure {
             .collect(),
         ..Panel::default()
     };
-    let gap = panel("(J − J*)/(J₀ − J*)", Some(Corner::LowerLeft), &|r| r.gaps(lowest));
-    let rmse = panel("RMSE", None, &|r| {
+    let gap = panel("(J − J*)/(J₀ − J*)", &|r| r.gaps(lowest));
+    let rmse = panel("RMSE", &|r| {
         r.convergence.iter().filter_map(|c| Some((c.seconds, c.rmse_position?))).collect()
     });
     let mut panels = vec![gap];
     if rmse.series.iter().any(|s| !s.points.is_empty()) {
         panels.push(rmse);
     }
+    // Too many names for a corner of a plot: they have a panel of their own.
+    panels.push(Panel { is_key: true, ..panel("", &|_| Vec::new()) });
     Figure {
         name: "compare",
         title: "Error of every method and minimizer against seconds".into(),
         columns: panels.len(),
         panels,
-        panel_size: (560, 420),
+        panel_size: (460, 420.max(22 * rows.len() as u32 + 40)),
     }
 }
 
+/// J, ‖∇J‖ and RMSE against iteration and against seconds, relative to their first values.
 fn convergence(outcome: &Outcome) -> Figure {
     let rows = &outcome.convergence;
     let is_rod = outcome.rmse.velocity_background.is_some();

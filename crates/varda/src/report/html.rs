@@ -57,6 +57,11 @@ pub(super) fn page(problem: &Problem, outcome: &Outcome, summary: &Summary, figu
         escape(&scene),
         summary.version,
     );
+    document(title, &body)
+}
+
+/// A whole page.
+pub(super) fn document(title: &str, body: &str) -> String {
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{} – Varda</title>\n<style>{STYLE}</style>\n</head>\n\
@@ -65,7 +70,7 @@ pub(super) fn page(problem: &Problem, outcome: &Outcome, summary: &Summary, figu
     )
 }
 
-fn status_words(status: Status) -> &'static str {
+pub(super) fn status_words(status: Status) -> &'static str {
     match status {
         Status::Converged => "converged",
         Status::MaxIterations => "out of iterations",
@@ -118,6 +123,11 @@ fn tiles(s: &Summary) -> String {
         format!("{:.2} s", s.seconds.total),
         format!("{} outer iterations", s.outer_iterations),
     ));
+    tile_list(&tiles)
+}
+
+/// Tiles of name, value and note.
+pub(super) fn tile_list(tiles: &[(String, String, String)]) -> String {
     let tile = |(name, value, note): &(String, String, String)| {
         format!(
             "<div class=\"tile\"><dt>{}</dt><dd>{}</dd><dd class=\"note\">{}</dd></div>",
@@ -183,6 +193,11 @@ fn table_section(problem: &Problem, s: &Summary) -> String {
         ),
         ("Peak memory", s.peak_bytes.map_or("–".into(), |b| format!("{:.1}", b as f64 / 1e6)), "MB"),
     ]);
+    numbers(&rows)
+}
+
+/// A table of quantities, their values and units.
+pub(super) fn numbers(rows: &[(&str, String, &str)]) -> String {
     let row = |(name, value, unit): &(&str, String, &str)| {
         format!("<tr><th scope=\"row\">{}</th><td>{}</td><td>{unit}</td></tr>", escape(name), escape(value))
     };
@@ -302,12 +317,12 @@ fn convergence_table(outcome: &Outcome) -> String {
     )
 }
 
-fn list(items: &[String]) -> String {
+pub(super) fn list(items: &[String]) -> String {
     format!("<ul>{}</ul>", items.iter().map(|i| format!("<li>{}</li>", escape(i))).collect::<String>())
 }
 
 /// A number in five significant digits.
-fn short(value: f64) -> String {
+pub(super) fn short(value: f64) -> String {
     let size = value.abs();
     if !value.is_finite() {
         "–".into()

@@ -1,11 +1,13 @@
 //! What a run leaves behind: summary.json, CSV files, figures and report.html.
 
+mod cycles;
 mod figures;
 mod html;
-mod plot;
+pub mod plot;
 mod summary;
 mod tables;
 
+pub use cycles::write_cycles;
 pub use summary::{Summary, Terms};
 
 use std::path::{Path, PathBuf};

@@ -1,6 +1,7 @@
 //! Charts as SVG text: curves and points with labelled axes and a legend, one panel or several side by side.
 
 use plotters::coord::Shift;
+use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 
 use crate::Error;
@@ -11,57 +12,82 @@ const FINE: u32 = 4;
 type Drawing = DrawingAreaErrorKind<<SVGBackend<'static> as DrawingBackend>::ErrorType>;
 
 /// A chart of one or more panels.
-pub(super) struct Figure {
-    /// File name under figures/, without ending.
-    pub(super) name: &'static str,
+pub struct Figure {
+    /// Its file name, without ending.
+    pub name: &'static str,
     /// Title, and alternative text of the picture.
-    pub(super) title: String,
-    pub(super) panels: Vec<Panel>,
+    pub title: String,
+    /// Row by row.
+    pub panels: Vec<Panel>,
     /// Panels in a row.
-    pub(super) columns: usize,
+    pub columns: usize,
     /// Size of one panel \[px\].
-    pub(super) panel_size: (u32, u32),
+    pub panel_size: (u32, u32),
 }
 
 /// One set of axes.
-#[derive(Default)]
-pub(super) struct Panel {
-    pub(super) title: String,
-    pub(super) x_label: String,
-    pub(super) y_label: String,
-    pub(super) log_x: bool,
-    pub(super) log_y: bool,
+#[derive(Clone, Default)]
+pub struct Panel {
+    /// Written above; may be empty.
+    pub title: String,
+    /// What x is, with its unit.
+    pub x_label: String,
+    /// What y is, with its unit.
+    pub y_label: String,
+    /// x on a logarithmic scale; points that have none are left out.
+    pub log_x: bool,
+    /// y on a logarithmic scale; points that have none are left out.
+    pub log_y: bool,
     /// Both axes have the same scale, and these ranges.
-    pub(super) equal: Option<[(f64, f64); 2]>,
-    pub(super) legend: Option<Corner>,
-    pub(super) series: Vec<Series>,
+    pub equal: Option<[(f64, f64); 2]>,
+    /// Where the legend is; `None` for no legend.
+    pub legend: Option<Corner>,
+    /// The curves, those drawn last on top.
+    pub series: Vec<Series>,
+    /// No axes: the names of the series, a line each.
+    pub is_key: bool,
 }
 
 /// Where a legend is. At the top it gets room of its own above the curves.
 #[derive(Clone, Copy, PartialEq)]
-pub(super) enum Corner {
+pub enum Corner {
+    /// Above the curves.
     Top,
+    /// Over the curves, lower left.
     LowerLeft,
+    /// Over the curves, lower right.
     LowerRight,
 }
 
 /// One curve or cloud of points.
-pub(super) struct Series {
-    pub(super) label: String,
-    pub(super) style: Style,
-    pub(super) points: Vec<(f64, f64)>,
+#[derive(Clone)]
+pub struct Series {
+    /// Its name in the legend.
+    pub label: String,
+    /// What it looks like.
+    pub style: Style,
+    /// (x, y), in the order they are joined.
+    pub points: Vec<(f64, f64)>,
 }
 
 /// What a series looks like. Colours are Okabe and Ito's (2008), which stay apart for colour-blind eyes; lines differ in
 /// dash too.
 #[derive(Clone, Copy, PartialEq)]
-pub(super) enum Style {
+pub enum Style {
+    /// Dotted, grey.
     Truth,
+    /// Dashed.
     Background,
+    /// A line.
     Analysis,
+    /// Dots.
     Observation,
+    /// Crosses.
     Withheld,
+    /// A line of colour i.
     Line(usize),
+    /// A line of colour i with a dot at every point, dashed once the colours begin again.
+    Marked(usize),
 }
 
 const PALETTE: [RGBColor; 9] = [
@@ -77,6 +103,20 @@ const PALETTE: [RGBColor; 9] = [
 ];
 
 impl Style {
+    /// Lengths of dash and gap; `None` for a solid line. Lines that share a colour differ here.
+    fn dash(self) -> Option<(u32, u32)> {
+        match self {
+            Style::Truth => Some((2 * FINE, 3 * FINE)),
+            Style::Background => Some((7 * FINE, 4 * FINE)),
+            Style::Line(i) | Style::Marked(i) => match i / PALETTE.len() {
+                0 => None,
+                1 => Some((8 * FINE, 4 * FINE)),
+                _ => Some((2 * FINE, 3 * FINE)),
+            },
+            Style::Analysis | Style::Observation | Style::Withheld => None,
+        }
+    }
+
     fn colour(self) -> RGBColor {
         match self {
             Style::Truth => RGBColor(60, 60, 60),
@@ -84,14 +124,17 @@ impl Style {
             Style::Analysis => PALETTE[0],
             Style::Observation => RGBColor(0, 120, 90),
             Style::Withheld => PALETTE[3],
-            Style::Line(i) => PALETTE[i % PALETTE.len()],
+            Style::Line(i) | Style::Marked(i) => PALETTE[i % PALETTE.len()],
         }
     }
 }
 
 impl Figure {
     /// The figure as a standalone SVG document.
-    pub(super) fn svg(&self) -> Result<String, Error> {
+    ///
+    /// # Errors
+    /// [`Error::Plot`] where it cannot be drawn.
+    pub fn svg(&self) -> Result<String, Error> {
         let rows = self.panels.len().div_ceil(self.columns);
         let size = (FINE * self.panel_size.0 * self.columns as u32, FINE * self.panel_size.1 * rows as u32);
         let mut text = String::new();
@@ -113,7 +156,27 @@ impl Figure {
 }
 
 impl Panel {
+    /// The names of the series beside a piece of each line.
+    fn draw_key(&self, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Drawing> {
+        let fine = FINE as i32;
+        let font = ("sans-serif", FINE * 13).into_font().color(&RGBColor(40, 40, 40));
+        for (i, series) in self.series.iter().enumerate() {
+            let y = fine * (24 + 20 * i as i32);
+            let thick = series.style.colour().stroke_width(2 * FINE);
+            let line = [(fine * 16, y), (fine * 56, y)];
+            match series.style.dash() {
+                Some((on, off)) => area.draw(&DashedPathElement::new(line, on, off, thick))?,
+                None => area.draw(&PathElement::new(line, thick))?,
+            }
+            area.draw(&Text::new(series.label.as_str(), (fine * 66, y - fine * 7), font.clone()))?;
+        }
+        Ok(())
+    }
+
     fn draw(&self, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Drawing> {
+        if self.is_key {
+            return self.draw_key(area);
+        }
         let y_of = |y: f64| if self.log_y { y.log10() } else { y };
         let x_of = |x: f64| if self.log_x { x.log10() } else { x };
         let usable = |p: &&(f64, f64)| x_of(p.0).is_finite() && y_of(p.1).is_finite();
@@ -197,30 +260,25 @@ impl Panel {
                     .legend(move |(x, y)| {
                         Cross::new((x + wide_mark / 2, y), FINE * 3, colour.stroke_width(2 * FINE))
                     }),
-                Style::Background | Style::Truth => {
-                    let (on, off) = if series.style == Style::Truth {
-                        (2 * FINE, 3 * FINE)
-                    } else {
-                        (7 * FINE, 4 * FINE)
-                    };
-                    chart
-                        .draw_series(DashedLineSeries::new(points, on, off, colour.stroke_width(2 * FINE)))?
-                        .label(&series.label)
-                        .legend(move |(x, y)| {
-                            plotters::element::DashedPathElement::new(
-                                [(x, y), (x + wide_mark, y)],
-                                on,
-                                off,
-                                colour.stroke_width(2 * FINE),
-                            )
-                        })
+                Style::Background | Style::Truth | Style::Analysis | Style::Line(_) | Style::Marked(_) => {
+                    let thick = colour.stroke_width(2 * FINE);
+                    if points.len() == 1 || matches!(series.style, Style::Marked(_)) {
+                        chart
+                            .draw_series(points.iter().map(|p| Circle::new(*p, FINE * 3, colour.filled())))?;
+                    }
+                    match series.style.dash() {
+                        Some((on, off)) => chart
+                            .draw_series(DashedLineSeries::new(points, on, off, thick))?
+                            .label(&series.label)
+                            .legend(move |(x, y)| {
+                                DashedPathElement::new([(x, y), (x + wide_mark, y)], on, off, thick)
+                            }),
+                        None => chart
+                            .draw_series(LineSeries::new(points, thick))?
+                            .label(&series.label)
+                            .legend(move |(x, y)| PathElement::new([(x, y), (x + wide_mark, y)], thick)),
+                    }
                 }
-                Style::Analysis | Style::Line(_) => chart
-                    .draw_series(LineSeries::new(points, colour.stroke_width(2 * FINE)))?
-                    .label(&series.label)
-                    .legend(move |(x, y)| {
-                        PathElement::new([(x, y), (x + wide_mark, y)], colour.stroke_width(2 * FINE))
-                    }),
             };
         }
         if let Some(corner) = self.legend {

@@ -5,7 +5,7 @@ use varda_assimilation::CostTerms;
 
 use crate::fit::{Fit, Forecast, Withheld};
 use crate::problem::Problem;
-use crate::run::{Outcome, Rmse, Seconds, WorkCounts};
+use crate::run::{Outcome, Rejected, Rmse, Seconds, WorkCounts};
 
 /// The keys of summary.json, in their order.
 #[derive(Debug, Serialize)]
@@ -44,6 +44,8 @@ pub struct Summary {
     pub inner_iterations: usize,
     /// Work of the model in the minimization.
     pub counts: WorkCounts,
+    /// Observed values that the background check refused.
+    pub rejected: Vec<Rejected>,
     /// 2J/m at the analysis.
     pub chi2: f64,
     /// Degrees of freedom for signal; `null` without a posterior.
@@ -105,6 +107,7 @@ impl Summary {
             outer_iterations: outcome.iterations[0],
             inner_iterations: outcome.iterations[1],
             counts: outcome.counts,
+            rejected: outcome.rejected.clone(),
             chi2: outcome.analysis.chi2,
             degrees_of_freedom: outcome.has_posterior.then_some(outcome.analysis.degrees_of_freedom),
             rmse: outcome.rmse,
@@ -127,7 +130,7 @@ impl Summary {
 }
 
 /// The process's largest resident set, as Linux tells it.
-fn peak_bytes() -> Option<u64> {
+pub(super) fn peak_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
     Some(1024 * line.split_whitespace().nth(1)?.parse::<u64>().ok()?)

@@ -18,7 +18,7 @@ pub(super) fn number(value: f64) -> String {
     }
 }
 
-fn optional(value: Option<f64>) -> String {
+pub(super) fn optional(value: Option<f64>) -> String {
     value.map_or(String::new(), number)
 }
 
@@ -79,7 +79,7 @@ pub(super) fn analysis(problem: &Problem, outcome: &Outcome) -> String {
 /// convergence.csv.
 pub(super) fn convergence(rows: &[ConvergenceRow]) -> String {
     let mut out = String::from(
-        "iteration,seconds,j,j_b,j_o,j_q,gradient_norm,rmse_position,rmse_velocity,sigma_factor,\
+        "iteration,seconds,j,j_b,j_o,j_q,gradient_norm,rmse_position,rmse_velocity,sigma_factor,window,\
          model_steps,tangent_steps,adjoint_steps,factorizations,newton_iterations\n",
     );
     for r in rows {
@@ -87,11 +87,12 @@ pub(super) fn convergence(rows: &[ConvergenceRow]) -> String {
         let c = &r.counts;
         let _ = writeln!(
             out,
-            "{},{values},{},{},{},{},{},{},{},{}",
+            "{},{values},{},{},{},{},{},{},{},{},{}",
             r.iteration,
             optional(r.rmse_position),
             optional(r.rmse_velocity),
             number(r.sigma_factor),
+            r.window,
             c.model_steps,
             c.tangent_steps,
             c.adjoint_steps,

@@ -33,10 +33,44 @@ pub enum Origin {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum Covariance {
-    /// Independent errors of one σ in every component (Lorenz models).
+    /// Independent errors of one σ in every component (Lorenz models, lines).
     Diagonal(DiagonalCovariance),
+    /// A multiple of the covariance of the states the model passes through (Lorenz models).
+    Climatology(ClimatologyCovariance),
     /// A kernel in arc length times a taper; x, y, z alike and independent, positions and velocities too (rods).
     Kernel(KernelCovariance),
+    /// A kernel in the distance along a line times a taper (linear-advection, burgers).
+    Line(LineCovariance),
+}
+
+impl Covariance {
+    /// The same with every σ multiplied by `factor`.
+    pub(crate) fn scaled(&self, factor: f64) -> Covariance {
+        let by = |sigma: Option<f64>| sigma.map(|s| factor * s);
+        match self.clone() {
+            Covariance::Diagonal(d) => Covariance::Diagonal(DiagonalCovariance { sigma: factor * d.sigma }),
+            Covariance::Climatology(c) => {
+                Covariance::Climatology(ClimatologyCovariance { scale: factor * factor * c.scale, ..c })
+            }
+            Covariance::Line(k) => Covariance::Line(LineCovariance { sigma: factor * k.sigma, ..k }),
+            Covariance::Kernel(k) => Covariance::Kernel(KernelCovariance {
+                sigma_x: by(k.sigma_x),
+                sigma_x_over_length: by(k.sigma_x_over_length),
+                sigma_v: by(k.sigma_v),
+                sigma_v_over_mean_speed: by(k.sigma_v_over_mean_speed),
+                ..k
+            }),
+        }
+    }
+
+    /// The kind of its square root.
+    pub(crate) fn root(&self) -> Root {
+        match self {
+            Covariance::Diagonal(_) | Covariance::Climatology(_) => Root::Cholesky,
+            Covariance::Kernel(k) => k.root,
+            Covariance::Line(k) => k.root,
+        }
+    }
 }
 
 /// Independent errors of one σ.
@@ -46,6 +80,23 @@ pub struct DiagonalCovariance {
     /// Standard deviation of every component.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub sigma: f64,
+}
+
+/// Errors like the model's own variations: the covariance of the states of a long run, scaled.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ClimatologyCovariance {
+    /// Factor on the covariance (the square of one on standard deviations).
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub scale: f64,
+    /// Steps of the run, which begins where the truth of a twin experiment does, after `time.spin_up`; the same for every seed.
+    #[serde(default = "default_steps")]
+    #[schemars(extend("minimum" = 1, "maximum" = 100000000))]
+    pub steps: usize,
+}
+
+fn default_steps() -> usize {
+    100_000
 }
 
 /// Errors correlated along the rod: σ² k(s_i, s_j) taper(|s_i − s_j|).
@@ -98,6 +149,40 @@ pub struct KernelCovariance {
 
 fn default_truncation() -> f64 {
     1e-12
+}
+
+/// Errors correlated along a line: σ² k(d_ij) taper(d_ij). On a line that closes to a circle d is the chord, in which every kernel
+/// is a covariance.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LineCovariance {
+    /// Standard deviation of every component.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub sigma: f64,
+    /// Correlation length [m].
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+    pub correlation_length: f64,
+    /// Shape of the kernel.
+    #[serde(default)]
+    pub kernel: Kernel,
+    /// Shape of the taper (localization).
+    #[serde(default = "no_taper")]
+    pub taper: Taper,
+    /// Length L_loc beyond which errors are uncorrelated [m]. Needed with a taper.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+    pub localization_length: Option<f64>,
+    /// The square root B^{1/2}.
+    #[serde(default)]
+    pub root: Root,
+    /// Eigenvalues below this fraction of the largest are left out of a truncated root.
+    #[serde(default = "default_truncation")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "maximum" = 1.0))]
+    pub truncation: f64,
+}
+
+fn no_taper() -> Taper {
+    Taper::None
 }
 
 /// Shape of a kernel k(d) of the distance d, L its correlation length.

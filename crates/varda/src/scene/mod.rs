@@ -7,23 +7,35 @@
 // Descriptions are the schema's text too, where a unit stands in plain brackets: rustdoc takes [m] for a link.
 #![allow(rustdoc::broken_intra_doc_links)]
 
+mod algorithm;
 mod background;
 mod check;
+mod cycles;
+mod ensemble;
 mod file;
+mod limits;
 mod model;
+mod model_error;
 mod observations;
 mod shipped;
 mod tree;
 mod validate;
+mod validate_algorithm;
 
+pub use algorithm::{Algorithm, Method, Minimizer};
 pub use background::{
-    Background, Covariance, DiagonalCovariance, Kernel, KernelCovariance, Origin, Prior, Root, Taper,
+    Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Kernel, KernelCovariance,
+    LineCovariance, Origin, Prior, Root, Taper,
 };
+pub use cycles::{CycledCovariance, Cycles, EnsembleUpdate};
+pub use ensemble::Ensemble;
 pub use file::{Place, SceneFile};
+pub use limits::Limits;
 pub use model::{
-    Clamp, DampingValues, Lorenz63, Lorenz96, Material, Model, Motion, PointForce, PointMass, Prescribed,
-    RodModel, Section,
+    Burgers, Clamp, DampingValues, LinearAdvection, Lorenz63, Lorenz96, Material, Model, Motion, PointForce,
+    PointMass, Prescribed, RodModel, Section,
 };
+pub use model_error::ModelError;
 pub use observations::{Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, Use};
 pub use shipped::{SHIPPED, STARTER, Shipped};
 
@@ -54,6 +66,9 @@ pub struct Scene {
     /// How the cost is minimised.
     #[serde(default)]
     pub algorithm: Algorithm,
+    /// What a run may take of the machine.
+    #[serde(default)]
+    pub limits: Limits,
     /// What the report shows.
     #[serde(default)]
     pub report: Report,
@@ -86,6 +101,11 @@ pub struct Time {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("minimum" = 1))]
     pub steps_per_period: Option<usize>,
+    /// Rods: divide every step so that the estimated error of its parts is at most this share of the rod's length (root mean
+    /// square over coordinates). The parts are those the background's run needs and stay the same during a run.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub tolerance: Option<f64>,
     /// Length of the assimilation window, in steps.
     pub window: usize,
     /// Steps from the model's time 0 to the start of the window. A twin's truth is run through them.
@@ -99,11 +119,11 @@ pub struct Time {
 pub enum Integrator {
     /// Backward Euler, first order (the paper's choice for the rod).
     BackwardEuler,
-    /// Implicit midpoint rule, second order (rods).
+    /// Implicit midpoint rule, second order (rods, lines).
     Midpoint,
     /// Second-order backward differences (rods).
     Bdf2,
-    /// Explicit Runge–Kutta of fourth order (Lorenz models).
+    /// Explicit Runge–Kutta of fourth order (Lorenz models, lines).
     Rk4,
 }
 
@@ -125,161 +145,6 @@ impl Integrator {
 pub struct Truth {
     /// The state at time 0. A rod starts from its static equilibrium instead and has no such key.
     pub state: Vec<f64>,
-}
-
-/// How the cost is minimised.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Algorithm {
-    /// The member of the variational family.
-    pub method: Method,
-    /// The minimizer of methods 4dvar and 3dvar. The others have a loop of their own.
-    pub minimizer: Minimizer,
-    /// Most outer iterations.
-    #[schemars(extend("minimum" = 1))]
-    pub max_iterations: usize,
-    /// Converged when the gradient in the control variable is this much smaller than at the background.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
-    pub gradient_tolerance: f64,
-    /// Observation-error continuation: σ of the observations is multiplied by these factors in turn, each stage starting
-    /// where the last one ended. The last factor must be 1. Empty: none.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub sigma_stages: Vec<f64>,
-    /// Robust observations (methods 4dvar and 3dvar): departures beyond this many σ count linearly, not squared (Huber norm).
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
-    pub robust: Option<f64>,
-}
-
-impl Default for Algorithm {
-    fn default() -> Self {
-        Algorithm {
-            method: Method::FourDVar,
-            minimizer: Minimizer::Auto,
-            max_iterations: 200,
-            gradient_tolerance: 1e-8,
-            sigma_stages: Vec::new(),
-            robust: None,
-        }
-    }
-}
-
-impl Algorithm {
-    /// What solves the method's problem, for tables: its minimizer, or the loop of its own.
-    pub fn solver_name(&self) -> &'static str {
-        match self.method {
-            Method::FourDVar | Method::ThreeDVar => self.minimizer.name(),
-            Method::FourDVarIncremental | Method::ThreeDVarIncremental => "outer-loop",
-            Method::FourDPsas | Method::Psas => "outer-loop-dual",
-            Method::Blue => "closed-form",
-        }
-    }
-}
-
-/// A member of the variational family.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub enum Method {
-    /// Strong-constraint 4D-Var.
-    #[serde(rename = "4dvar")]
-    FourDVar,
-    /// Incremental 4D-Var: quadratic inner problems in the control space, re-linearized in an outer loop.
-    #[serde(rename = "4dvar-incremental")]
-    FourDVarIncremental,
-    /// 4D-PSAS: the same inner problems solved in observation space (dual).
-    #[serde(rename = "4d-psas")]
-    FourDPsas,
-    /// BLUE, the closed form, linearized once at the background: exact where model and observations are linear; elsewhere one full
-    /// Gauss-Newton step, which says "max_iterations" where its gradient is not below the tolerance. Dense.
-    #[serde(rename = "blue")]
-    Blue,
-    /// 3D-Var: everything is observed at step 0.
-    #[serde(rename = "3dvar")]
-    ThreeDVar,
-    /// Incremental 3D-Var: everything is observed at step 0.
-    #[serde(rename = "3dvar-incremental")]
-    ThreeDVarIncremental,
-    /// PSAS, the dual of incremental 3D-Var: everything is observed at step 0.
-    #[serde(rename = "psas")]
-    Psas,
-}
-
-impl Method {
-    /// Its name in a scene.
-    pub fn name(self) -> &'static str {
-        match self {
-            Method::FourDVar => "4dvar",
-            Method::FourDVarIncremental => "4dvar-incremental",
-            Method::FourDPsas => "4d-psas",
-            Method::Blue => "blue",
-            Method::ThreeDVar => "3dvar",
-            Method::ThreeDVarIncremental => "3dvar-incremental",
-            Method::Psas => "psas",
-        }
-    }
-
-    /// All of them.
-    pub const ALL: [Method; 7] = [
-        Method::FourDVar,
-        Method::FourDVarIncremental,
-        Method::FourDPsas,
-        Method::Blue,
-        Method::ThreeDVar,
-        Method::ThreeDVarIncremental,
-        Method::Psas,
-    ];
-
-    /// Takes a minimizer, and with it σ stages and the Huber norm.
-    pub fn takes_minimizer(self) -> bool {
-        matches!(self, Method::FourDVar | Method::ThreeDVar)
-    }
-
-    /// Analyses one instant: nothing may be observed after step 0.
-    pub fn is_of_one_instant(self) -> bool {
-        matches!(self, Method::ThreeDVar | Method::ThreeDVarIncremental | Method::Psas)
-    }
-}
-
-/// A minimizer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Minimizer {
-    /// The default: the trust region; where the observations are far from the background (J_o > 10 m) also through
-    /// enlarged σ × 10, 3, 1, of the two ends the lower.
-    Auto,
-    /// Gauss–Newton made safe by a trust region (Levenberg–Marquardt in the B⁻¹ norm).
-    TrustRegion,
-    /// The paper's Newton: dense Gauss–Newton Hessian (2.18), full steps. May diverge.
-    Newton,
-    /// Gauss–Newton with truncated conjugate gradients.
-    GaussNewtonCg,
-    /// Limited-memory BFGS: gradients only.
-    Lbfgs,
-    /// Adam, the paper's other minimizer: gradients only, slow.
-    Adam,
-}
-
-impl Minimizer {
-    /// All of them.
-    pub const ALL: [Minimizer; 6] = [
-        Minimizer::Auto,
-        Minimizer::TrustRegion,
-        Minimizer::Newton,
-        Minimizer::GaussNewtonCg,
-        Minimizer::Lbfgs,
-        Minimizer::Adam,
-    ];
-
-    /// Its name in a scene.
-    pub fn name(self) -> &'static str {
-        match self {
-            Minimizer::Auto => "auto",
-            Minimizer::TrustRegion => "trust-region",
-            Minimizer::Newton => "newton",
-            Minimizer::GaussNewtonCg => "gauss-newton-cg",
-            Minimizer::Lbfgs => "lbfgs",
-            Minimizer::Adam => "adam",
-        }
-    }
 }
 
 /// What the report shows.

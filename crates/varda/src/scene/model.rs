@@ -2,6 +2,7 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use varda_implicit::line::{Ends, Line};
 
 /// The dynamical system.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -13,6 +14,87 @@ pub enum Model {
     Lorenz63(Lorenz63),
     /// Lorenz's ring of N variables (1996).
     Lorenz96(Lorenz96),
+    /// A field carried along a line at a constant speed, and spread by diffusion.
+    #[serde(rename = "linear-advection")]
+    LinearAdvection(LinearAdvection),
+    /// A velocity that carries itself along a line (Burgers 1948).
+    Burgers(Burgers),
+}
+
+impl Model {
+    /// Number of components of a state, for models that are not rods.
+    pub fn components(&self) -> Option<usize> {
+        match self {
+            Model::Rod(_) => None,
+            Model::Lorenz63(_) => Some(3),
+            Model::Lorenz96(m) => Some(m.variables),
+            Model::LinearAdvection(m) => Some(m.points),
+            Model::Burgers(m) => Some(m.points),
+        }
+    }
+
+    /// The line of a field along one.
+    pub fn line(&self) -> Option<Line> {
+        let (points, length, fixed_ends) = match self {
+            Model::LinearAdvection(m) => (m.points, m.length, m.fixed_ends),
+            Model::Burgers(m) => (m.points, m.length, m.fixed_ends),
+            Model::Rod(_) | Model::Lorenz63(_) | Model::Lorenz96(_) => return None,
+        };
+        let ends = fixed_ends.map_or(Ends::Periodic, |[left, right]| Ends::Fixed { left, right });
+        Some(Line { points, length, ends })
+    }
+}
+
+/// ∂u/∂t + c ∂u/∂s = ν ∂²u/∂s² along a line of points at equal distances.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct LinearAdvection {
+    /// Number of points at which u is unknown.
+    #[schemars(extend("minimum" = 3, "maximum" = 1000000))]
+    pub points: usize,
+    /// Length L of the line [m].
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+    pub length: f64,
+    /// u given at both ends of the line. Left out: the line closes to a circle.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fixed_ends: Option<[f64; 2]>,
+    /// Speed c [m/s].
+    #[schemars(extend("x-unit" = "m/s"))]
+    pub speed: f64,
+    /// Diffusivity ν [m²/s].
+    #[schemars(extend("minimum" = 0.0, "x-unit" = "m²/s"))]
+    pub diffusivity: f64,
+}
+
+impl Default for LinearAdvection {
+    fn default() -> Self {
+        LinearAdvection { points: 100, length: 1.0, fixed_ends: None, speed: 1.0, diffusivity: 0.0 }
+    }
+}
+
+/// ∂u/∂t + u ∂u/∂s = ν ∂²u/∂s² along a line of points at equal distances.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Burgers {
+    /// Number of points at which u is unknown.
+    #[schemars(extend("minimum" = 3, "maximum" = 1000000))]
+    pub points: usize,
+    /// Length L of the line [m].
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+    pub length: f64,
+    /// u given at both ends of the line [m/s]. Left out: the line closes to a circle.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("x-unit" = "m/s"))]
+    pub fixed_ends: Option<[f64; 2]>,
+    /// Viscosity ν [m²/s].
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m²/s"))]
+    pub viscosity: f64,
+}
+
+impl Default for Burgers {
+    fn default() -> Self {
+        Burgers { points: 100, length: 1.0, fixed_ends: None, viscosity: 0.01 }
+    }
 }
 
 /// ẋ = σ(y−x), ẏ = x(ρ−z)−y, ż = xy−βz.

@@ -23,9 +23,18 @@ pub const SHIPPED: &[Shipped] = shipped![
     "hanging-rod-case4"
     "hanging-rod-case4-plain"
     "hanging-rod-csv"
+    "hanging-rod-cycling"
+    "hanging-rod-weak"
     "beam-release"
     "lorenz63"
+    "lorenz63-window"
     "lorenz96"
+    "lorenz96-cycling-3dvar"
+    "lorenz96-cycling-4dvar"
+    "lorenz96-cycling-4denvar"
+    "lorenz96-4denvar"
+    "linear-advection"
+    "burgers"
 ];
 
 /// What `varda new` writes.

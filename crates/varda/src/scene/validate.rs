@@ -1,8 +1,11 @@
 //! What a scene must satisfy beyond the type of each key: keys that exclude or need one another.
 
+use varda_implicit::line::{Ends, Line};
+
+use super::cycles::validate_cycles;
 use super::{
-    Algorithm, Background, Clamp, Covariance, Frame, Integrator, KernelCovariance, Minimizer, Model, Motion,
-    Observations, Origin, Recording, RodModel, Scene, Section, Synthetic, Taper,
+    Background, Clamp, Covariance, Frame, Integrator, KernelCovariance, Model, Motion, Observations, Origin,
+    Recording, RodModel, Scene, Section, Synthetic, Taper, validate_algorithm::validate_algorithm,
 };
 
 /// What is wrong with which key (dotted path).
@@ -12,9 +15,9 @@ pub(super) struct Invalid {
     pub(super) message: String,
 }
 
-type Check = Result<(), Invalid>;
+pub(super) type Check = Result<(), Invalid>;
 
-fn invalid(path: impl Into<String>, message: impl Into<String>) -> Check {
+pub(super) fn invalid(path: impl Into<String>, message: impl Into<String>) -> Check {
     Err(Invalid { path: path.into(), message: message.into() })
 }
 
@@ -32,17 +35,24 @@ fn one_of(section: &str, a: (&str, bool), b: (&str, bool)) -> Check {
 pub(super) fn validate(scene: &Scene) -> Check {
     let rod = match &scene.model {
         Model::Rod(rod) => Some(rod.as_ref()),
-        Model::Lorenz63(_) | Model::Lorenz96(_) => None,
+        _ => None,
     };
-    match rod {
-        Some(rod) => validate_rod(rod)?,
-        None if scene.time.integrator != Integrator::Rk4 => {
-            return invalid("time.integrator", "Lorenz models are integrated with \"rk4\"");
-        }
-        None => {}
+    if let Some(rod) = rod {
+        validate_rod(rod)?;
     }
-    if rod.is_some() && scene.time.integrator != Integrator::BackwardEuler {
-        return invalid("time.integrator", "rods are integrated with \"backward-euler\"");
+    let (what, integrators): (_, &[Integrator]) = match &scene.model {
+        Model::Rod(_) => ("rods are", &[Integrator::BackwardEuler, Integrator::Midpoint, Integrator::Bdf2]),
+        Model::Lorenz63(_) | Model::Lorenz96(_) => ("Lorenz models are", &[Integrator::Rk4]),
+        Model::LinearAdvection(_) | Model::Burgers(_) => {
+            ("fields along a line are", &[Integrator::BackwardEuler, Integrator::Midpoint, Integrator::Rk4])
+        }
+    };
+    if !integrators.contains(&scene.time.integrator) {
+        let names: Vec<String> = integrators.iter().map(|i| format!("{:?}", i.name())).collect();
+        return invalid("time.integrator", format!("{what} integrated with {}", names.join(" or ")));
+    }
+    if rod.is_none() && scene.time.tolerance.is_some() {
+        return invalid("time.tolerance", "steps are divided by their error for rods only");
     }
     one_of(
         "time",
@@ -55,16 +65,12 @@ pub(super) fn validate(scene: &Scene) -> Check {
             "a period is that of the drive [model.start.motion] kind = \"ellipse\", which is not there",
         );
     }
+    if let (Some(line), Some(step)) = (scene.model.line(), scene.time.step) {
+        validate_line(&scene.model, &line, scene.time.integrator, step)?;
+    }
     if let Some(truth) = &scene.truth {
-        let n = match &scene.model {
-            Model::Rod(_) => {
-                return invalid(
-                    "truth",
-                    "a rod's truth starts from its static equilibrium; leave [truth] out",
-                );
-            }
-            Model::Lorenz63(_) => 3,
-            Model::Lorenz96(m) => m.variables,
+        let Some(n) = scene.model.components() else {
+            return invalid("truth", "a rod's truth starts from its static equilibrium; leave [truth] out");
         };
         if truth.state.len() != n {
             return invalid(
@@ -73,21 +79,23 @@ pub(super) fn validate(scene: &Scene) -> Check {
             );
         }
     }
-    validate_background(&scene.background, rod)?;
+    validate_background(&scene.background, &scene.model)?;
     match &scene.observations {
         Observations::Synthetic(s) => validate_synthetic(s, scene, rod)?,
         Observations::File(f) => validate_recording(f, rod)?,
     }
-    validate_algorithm(&scene.algorithm, &scene.observations)?;
-    if let Some(last) = scene.algorithm.sigma_stages.last() {
-        if *last != 1.0 {
-            return invalid("algorithm.sigma_stages", format!("the last factor is {last}, it must be 1"));
-        }
-        if let Some(i) = scene.algorithm.sigma_stages.iter().position(|f| !(*f >= 1.0)) {
-            return invalid(format!("algorithm.sigma_stages.{i}"), "factors of σ must be at least 1");
-        }
+    scene.limits.bytes().or_else(|message| invalid("limits.memory", message).map(|()| None))?;
+    let algorithm = &scene.algorithm;
+    if !(scene.limits.memory.is_empty() || algorithm.method.is_strong() && algorithm.cycles.is_none()) {
+        let message =
+            "only one window of a method whose trajectory is a run of the model can be kept in less";
+        return invalid("limits.memory", message);
     }
-    Ok(())
+    validate_algorithm(scene)?;
+    match &scene.algorithm.cycles {
+        Some(cycles) => validate_cycles(cycles, scene),
+        None => Ok(()),
+    }
 }
 
 impl RodModel {
@@ -210,7 +218,7 @@ fn on_rod(path: &str, s: f64, length: f64) -> Check {
     }
 }
 
-fn validate_background(background: &Background, rod: Option<&RodModel>) -> Check {
+fn validate_background(background: &Background, model: &Model) -> Check {
     match (&background.file, background.from) {
         (None, Origin::File) => return invalid("background", "from = \"file\" needs the key `file`"),
         (Some(_), Origin::TruthPlusDraw | Origin::StaticEquilibrium) => {
@@ -218,30 +226,64 @@ fn validate_background(background: &Background, rod: Option<&RodModel>) -> Check
         }
         _ => {}
     }
-    match (&background.covariance, rod) {
-        (Covariance::Kernel(k), Some(_)) => validate_kernel(k),
-        (Covariance::Diagonal(_), None) => match background.from {
-            Origin::StaticEquilibrium => invalid("background.from", "only rods have a static equilibrium"),
-            _ => Ok(()),
-        },
-        (_, Some(_)) => invalid("background.covariance.kind", "rods take kind = \"kernel\""),
-        (_, None) => invalid("background.covariance.kind", "Lorenz models take kind = \"diagonal\""),
+    if background.from == Origin::StaticEquilibrium && !matches!(model, Model::Rod(_)) {
+        return invalid("background.from", "only rods have a static equilibrium");
+    }
+    validate_covariance(&background.covariance, "background.covariance", model)
+}
+
+/// A covariance of a model's control, at `path`.
+pub(super) fn validate_covariance(covariance: &Covariance, path: &str, model: &Model) -> Check {
+    match (covariance, model) {
+        (Covariance::Kernel(k), Model::Rod(_)) => validate_kernel(k, path),
+        (Covariance::Line(k), Model::LinearAdvection(_) | Model::Burgers(_)) => {
+            validate_taper(k.taper, k.localization_length, path)?;
+            match k.taper {
+                Taper::Triangle if model.line().is_some_and(|line| line.ends == Ends::Periodic) => invalid(
+                    format!("{path}.taper"),
+                    "a triangle is no covariance on a circle: take \"gaspari-cohn\"",
+                ),
+                _ => Ok(()),
+            }
+        }
+        (Covariance::Climatology(_), Model::Lorenz63(_) | Model::Lorenz96(_)) => Ok(()),
+        (_, Model::Rod(_)) => invalid(format!("{path}.kind"), "rods take kind = \"kernel\""),
+        (Covariance::Diagonal(_), _) => Ok(()),
+        (_, Model::Lorenz63(_) | Model::Lorenz96(_)) => {
+            invalid(format!("{path}.kind"), "Lorenz models take kind = \"diagonal\" or \"climatology\"")
+        }
+        (Covariance::Kernel(_) | Covariance::Climatology(_), _) => {
+            invalid(format!("{path}.kind"), "a field along a line takes kind = \"line\" or \"diagonal\"")
+        }
     }
 }
 
-fn validate_kernel(k: &KernelCovariance) -> Check {
-    let section = "background.covariance";
-    one_of(
-        section,
-        ("sigma_x", k.sigma_x.is_some()),
-        ("sigma_x_over_length", k.sigma_x_over_length.is_some()),
-    )?;
-    one_of(
-        section,
-        ("sigma_v", k.sigma_v.is_some()),
-        ("sigma_v_over_mean_speed", k.sigma_v_over_mean_speed.is_some()),
-    )?;
-    match (k.taper, k.localization_length) {
+/// What an explicit step can follow, as `varda_implicit::line::Transport` has it.
+fn validate_line(model: &Model, line: &Line, integrator: Integrator, step: f64) -> Check {
+    if integrator != Integrator::Rk4 {
+        return Ok(());
+    }
+    let h = line.spacing();
+    let (speed, diffusivity) = match model {
+        Model::LinearAdvection(m) => (m.speed.abs(), m.diffusivity),
+        Model::Burgers(m) => (0.0, m.viscosity),
+        _ => (0.0, 0.0),
+    };
+    for (what, number, most) in
+        [("ν Δt/h²", diffusivity * step / (h * h), 0.69), ("|c| Δt/h", speed * step / h, 2.8)]
+    {
+        if !(number <= most) {
+            let message = format!(
+                "{what} = {number:.3} is beyond {most}, where \"rk4\" blows up: take a smaller step, or \"midpoint\""
+            );
+            return invalid("time.step", message);
+        }
+    }
+    Ok(())
+}
+
+fn validate_taper(taper: Taper, length: Option<f64>, section: &str) -> Check {
+    match (taper, length) {
         (Taper::None, Some(_)) => {
             invalid(format!("{section}.localization_length"), "there is no taper to use it")
         }
@@ -252,38 +294,18 @@ fn validate_kernel(k: &KernelCovariance) -> Check {
     }
 }
 
-/// Keys that do not belong to the chosen method; a recording's steps are known only when it is read.
-fn validate_algorithm(algorithm: &Algorithm, observations: &Observations) -> Check {
-    let method = algorithm.method;
-    let not_taken = [
-        ("minimizer", algorithm.minimizer != Minimizer::Auto),
-        ("sigma_stages", !algorithm.sigma_stages.is_empty()),
-        ("robust", algorithm.robust.is_some()),
-    ];
-    if !method.takes_minimizer()
-        && let Some((key, _)) = not_taken.iter().find(|(_, given)| *given)
-    {
-        return invalid(
-            format!("algorithm.{key}"),
-            format!("method {:?} has no `{key}`; it belongs to \"4dvar\" and \"3dvar\"", method.name()),
-        );
-    }
-    if let (true, Observations::Synthetic(s)) = (method.is_of_one_instant(), observations) {
-        let only = |key: &str| {
-            let message = format!(
-                "method {:?} takes observations at step 0 only: `steps = [0]`, without `every`",
-                method.name()
-            );
-            invalid(format!("observations.{key}"), message)
-        };
-        if s.every.is_some() {
-            return only("every");
-        }
-        if let Some(i) = s.steps.iter().flatten().position(|k| *k > 0) {
-            return only(&format!("steps.{i}"));
-        }
-    }
-    Ok(())
+fn validate_kernel(k: &KernelCovariance, section: &str) -> Check {
+    one_of(
+        section,
+        ("sigma_x", k.sigma_x.is_some()),
+        ("sigma_x_over_length", k.sigma_x_over_length.is_some()),
+    )?;
+    one_of(
+        section,
+        ("sigma_v", k.sigma_v.is_some()),
+        ("sigma_v_over_mean_speed", k.sigma_v_over_mean_speed.is_some()),
+    )?;
+    validate_taper(k.taper, k.localization_length, section)
 }
 
 fn validate_synthetic(s: &Synthetic, scene: &Scene, rod: Option<&RodModel>) -> Check {
@@ -327,10 +349,7 @@ fn validate_synthetic(s: &Synthetic, scene: &Scene, rod: Option<&RodModel>) -> C
                 .try_for_each(|(i, s)| on_rod(&format!("{section}.places.{i}"), *s, length))
         }
         None => {
-            let n = match &scene.model {
-                Model::Lorenz96(m) => m.variables,
-                _ => 3,
-            };
+            let n = scene.model.components().unwrap_or(0);
             if !s.places.is_empty() {
                 return invalid(format!("{section}.places"), "this model is observed in `components`");
             }

@@ -1,18 +1,13 @@
 //! Numbers that design.md, section 9, asks for, and the start of the flagship's window.
 
 use super::largest_difference;
-use crate::problems::HangingRod;
+use crate::problems::{DrivenRod, HangingRod, lorenz96_window};
 use crate::row::{Case, Outcome, Rows};
-use std::f64::consts::TAU;
-use std::sync::Arc;
 use varda::problem::Problem;
 use varda::scene::SceneFile;
-use varda_assimilation::{
-    ControlTransform, CostFunction, Observation, ObservationSet, Selection, StrongConstraint,
-};
+use varda_assimilation::{ControlTransform, CostFunction, StrongConstraint};
 use varda_covariance::Diagonal;
-use varda_implicit::{ImplicitModel, Model, Rk4, lorenz::Lorenz96};
-use varda_rod::{BackwardEuler, Clamp, Damping, Loads, Material, Rod, Section, Supports, straight_guess};
+use varda_implicit::{Model, Rk4, lorenz::Lorenz96};
 
 pub(super) fn run(rows: &mut Rows) {
     rows.case("flagship-truth", flagship_truth);
@@ -55,25 +50,9 @@ fn flagship_truth(case: &mut Case) -> Outcome {
     Ok(())
 }
 
-/// A rod of 25 segments from rest, straight down and unstretched, its clamp going round once a second.
+/// Where a soft rod of 25 segments is after two seconds.
 fn tip(case: &mut Case) -> Outcome {
-    let material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1200.0 };
-    let rod = Rod::uniform(1.0, 25, &Section::circle(&material, 0.005))?;
-    let drive = |t: f64| [0.10 * (1.0 - (TAU * t).cos()), 0.05 * (TAU * t).sin(), 0.0];
-    let down = [0.0, 0.0, -1.0];
-    let supports = Supports::clamped_start(Clamp {
-        position: Arc::new(drive),
-        tangent: Arc::new(down),
-        director: Arc::new([1.0, 0.0, 0.0]),
-    });
-    let loads = Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() };
-    let start = straight_guess(&rod, &supports, 0.0, down)?;
-    let mut model =
-        ImplicitModel::new(BackwardEuler::new(rod, supports, loads, Damping::default())?, 0, 0.02);
-    let mut z: Vec<f64> = model.step_ref().free_vertices().iter().flat_map(|&v| start.vertices[v]).collect();
-    z.resize(model.control_dim(), 0.0);
-    let mut x = vec![0.0; model.dim()];
-    model.initial_state(&z, &mut x)?;
+    let (mut model, mut x) = DrivenRod::SOFT.model(0.02)?;
     let mut next = x.clone();
     for k in 0..100 {
         model.step(k, &x, &mut next)?;
@@ -88,37 +67,13 @@ fn tip(case: &mut Case) -> Outcome {
 
 /// J and its gradient at x_b + 0.1 sin i, at B = 0.25 I, R = I.
 fn lorenz96(case: &mut Case, n: usize, [cost, gradient_norm]: [f64; 2], first: Option<f64>) -> Outcome {
-    let truth: Vec<f64> = (0..n).map(|i| 8.0 + 4.0 * (0.9 * i as f64).sin()).collect();
-    let background: Vec<f64> =
-        truth.iter().enumerate().map(|(i, x)| x + 0.5 * (2.3 * i as f64 + 1.0).cos()).collect();
+    let (background, mut set, v) = lorenz96_window(n)?;
     let mut model = Rk4::new(Lorenz96::new(n, 8.0), 0, 0.01);
-    let mut observations = Vec::new();
-    let (mut x, mut next) = (truth, vec![0.0; n]);
-    for k in 0..100 {
-        model.step(k, &x, &mut next)?;
-        std::mem::swap(&mut x, &mut next);
-        let step = k + 1;
-        if step % 10 == 0 {
-            let y = |j: usize| x[2 * j] + (12.9898 * (step * n + j) as f64).sin();
-            observations.push(Observation {
-                operator: 0,
-                rows: (0..n / 2).collect(),
-                step,
-                weight: 0.0,
-                values: (0..n / 2).map(y).collect(),
-                sigma: vec![1.0; n / 2],
-                label: String::new(),
-            });
-        }
-    }
-    let even = Selection::new((0..n).step_by(2).collect(), n)?;
-    let mut set = ObservationSet::new(100, vec![Box::new(even)], observations)?;
     let b = Diagonal::uniform(n, 0.5)?;
     let mut problem = StrongConstraint::new(&mut model, ControlTransform::new(background, &b)?, &mut set)?;
-    // v = (x − x_b)/σ, dJ/dx = (dJ/dv)/σ with σ = ½.
-    let v: Vec<f64> = (0..n).map(|i| 0.2 * (i as f64).sin()).collect();
     let mut g = vec![0.0; n];
     let j = problem.evaluate(&v, Some(&mut g))?;
+    // dJ/dx = (dJ/dv)/σ
     g.iter_mut().for_each(|g| *g *= 2.0);
     let size = super::norm(&g);
     // Stated tolerance; 100 steps of a chaotic model amplify rounding by about 1e2.

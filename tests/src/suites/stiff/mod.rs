@@ -35,7 +35,7 @@ pub(super) fn document(rows: &[Row]) -> String {
 
 /// An interval of time that stands alone.
 fn interval(index: usize, start: f64, length: f64) -> Interval {
-    Interval { index, start, length }
+    Interval { index, start, length, previous: None }
 }
 
 /// "condition 1e5, 34 Newton iterations, 0 extra parts" since `before`; a condition that is NaN is not told.

@@ -10,7 +10,7 @@ use crate::row::{Case, Outcome, Rows};
 use crate::suites::Options;
 use std::sync::Arc;
 use varda_implicit::{Counts, ImplicitModel, ImplicitStep, LinearSolver, Model, check};
-use varda_rod::{BackwardEuler as RodStep, Clamp, Damping, Loads, Material, Rod, Section, Supports};
+use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports};
 
 const GRAVITY: [f64; 3] = [0.0, 0.0, -9.81];
 

@@ -8,8 +8,8 @@ use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 use varda_implicit::{Counts, ImplicitModel, ImplicitStep, Model, check};
 use varda_rod::{
-    BackwardEuler as RodStep, Clamp, Damping, Error, Framed, Loads, Marker, Markers, Material, Motion, Rest,
-    Rod, Section, Supports, derivatives, equilibrium, straight_guess,
+    Clamp, Damping, Error, Framed, Loads, Marker, Markers, Material, Motion, Rest, Rod, RodStep, Section,
+    Supports, derivatives, equilibrium, straight_guess,
 };
 
 const SILICONE: Material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1100.0 };

@@ -2,7 +2,7 @@
 
 use super::EnVar;
 use crate::cost::{CostFunction, dot, norm};
-use crate::minimize::eigen;
+use crate::minimize::{at_least_one, eigen};
 use crate::{Error, Iteration, Minimum, Status};
 use std::ops::ControlFlow;
 
@@ -58,9 +58,7 @@ impl EnVar<'_> {
         options: &EnVarOptions,
         on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
     ) -> Result<Minimum, Error> {
-        if options.max_outer == 0 {
-            return Err(Error::Setting { what: "max_outer", value: 0.0 });
-        }
+        at_least_one("max_outer", options.max_outer)?;
         if self.base.v != v {
             self.relinearize(v)?;
         }
@@ -196,6 +194,37 @@ impl EnVar<'_> {
             column.iter_mut().zip(&dz).for_each(|(x, dz)| *x += dz);
         }
         Ok(columns)
+    }
+
+    /// Variances of the control z, the diagonal of U (I + GᵀG)⁻¹ Uᵀ at the last linearization, and the degrees of freedom for signal,
+    /// tr GGᵀ(I + GGᵀ)⁻¹. Exact for the localized or hybrid covariance U Uᵀ, where the sample covariance of
+    /// [`posterior_perturbations`](Self::posterior_perturbations) is that of the members. No model is run.
+    ///
+    /// # Errors
+    /// An eigenvalue iteration that fails.
+    pub fn posterior_variance(&self) -> Result<(Vec<f64>, f64), Error> {
+        let gram = self.gram()?;
+        let (n_z, size) = (self.transform.control_dim(), gram.values.len());
+        let (mut unit, mut u, mut w) =
+            (vec![0.0; n_z], vec![0.0; self.dim()], vec![0.0; self.observations.dim()]);
+        let mut variance = vec![0.0; n_z];
+        for (p, variance) in variance.iter_mut().enumerate() {
+            unit[p] = 1.0;
+            self.transform.adjoint(&unit, &mut u);
+            unit[p] = 0.0;
+            if gram.dual {
+                self.forward(&u, &mut w);
+            }
+            let seen: &[f64] = if gram.dual { &w } else { &u };
+            let filtered: f64 = gram
+                .vectors
+                .chunks_exact(size.max(1))
+                .zip(&gram.values)
+                .map(|(z, lambda)| dot(z, seen).powi(2) / (1.0 + lambda))
+                .sum();
+            *variance = if gram.dual { dot(&u, &u) - filtered } else { filtered };
+        }
+        Ok((variance, gram.values.iter().map(|lambda| lambda / (1.0 + lambda)).sum()))
     }
 
     fn gram(&self) -> Result<Gram, Error> {

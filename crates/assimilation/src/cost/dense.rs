@@ -1,0 +1,156 @@
+//! The dense Gauss–Newton Hessian, from G by rows or by columns.
+
+use super::{CostFunction, StrongConstraint};
+use crate::Error;
+use faer::linalg::matmul::triangular::{BlockStructure, matmul};
+use faer::{Accum, MatMut, MatRef, Par};
+
+/// Work space.
+#[derive(Default)]
+pub(super) struct Dense {
+    /// G, m × n by columns, or Gᵀ, n × m by columns.
+    jacobian: Vec<f64>,
+    /// States under way, one after the other.
+    block: Vec<f64>,
+    /// A vector of observations and one of control, zero but where it is being used.
+    dy: Vec<f64>,
+    dv: Vec<f64>,
+}
+
+impl StrongConstraint<'_> {
+    /// A = I + GᵀG at the base point. A column of G takes a tangent product for every step of the window, a row an adjoint product for
+    /// every step before its observation: whichever is fewer.
+    pub(super) fn dense_hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        let (n, m) = (self.dim(), self.observations.dim());
+        assert_eq!(out.len(), n * n, "length of the Hessian");
+        let mut dense = std::mem::take(&mut self.dense);
+        dense.jacobian.clear();
+        dense.jacobian.resize(m * n, 0.0);
+        dense.dy.resize(m, 0.0);
+        dense.dv.resize(n, 0.0);
+        let by_rows = self.observations.steps_of_rows() < n * self.last;
+        let swept = if by_rows { self.rows(&mut dense) } else { self.columns(&mut dense) };
+        let stored = MatRef::from_column_major_slice(
+            &dense.jacobian,
+            if by_rows { n } else { m },
+            if by_rows { m } else { n },
+        );
+        let gt = if by_rows { stored } else { stored.transpose() };
+        matmul(
+            MatMut::from_column_major_slice_mut(out, n, n),
+            BlockStructure::TriangularLower,
+            Accum::Replace,
+            gt,
+            BlockStructure::Rectangular,
+            gt.transpose(),
+            BlockStructure::Rectangular,
+            1.0,
+            Par::Seq,
+        );
+        self.dense = dense;
+        for j in 0..n {
+            out[j + j * n] += 1.0;
+            for i in 0..j {
+                out[i + j * n] = out[j + i * n];
+            }
+        }
+        swept
+    }
+
+    /// Gᵀ column by column: all rows of G in one sweep, each joining at its observation.
+    fn rows(&mut self, dense: &mut Dense) -> Result<(), Error> {
+        let (n, m, head) = (self.dim(), self.observations.dim(), self.transform.dim());
+        self.counts.adjoint_sweeps += m;
+        let Dense { jacobian, block, dy, .. } = dense;
+        let Self { model, transform, observations, errors, base, state_dim, last, dz, .. } = self;
+        let (size, last) = (*state_dim, *last);
+        block.clear();
+        block.resize(m * size, 0.0);
+        // Rows from here on are under way.
+        let mut first = m;
+        let mut add = |k: usize, x: &[f64], block: &mut [f64]| {
+            let seen = observations.rows_at(k);
+            first = first.min(seen.start);
+            for i in seen {
+                dy[i] = 1.0;
+                observations.adjoint_add(k, x, dy, &mut block[i * size..(i + 1) * size]);
+                dy[i] = 0.0;
+            }
+            if let (Some(errors), Some(before)) = (&mut *errors, k.checked_sub(1)) {
+                let rows = jacobian.chunks_exact_mut(n).zip(block.chunks_exact(size));
+                rows.skip(first).for_each(|(row, l)| errors.adjoint_add(before, l, &mut row[head..]));
+            }
+            first
+        };
+        match model {
+            Some(model) if last > 0 => {
+                let mut first = m;
+                base.trajectory.for_each_step_reversed(&mut **model, &mut |model, k, [x, x_next]| {
+                    if k + 1 == last {
+                        first = add(last, x_next, block);
+                    }
+                    model.adjoint_block(k, &mut block[first * size..]);
+                    first = add(k, x, block);
+                })?;
+            }
+            _ => {
+                add(0, base.trajectory.state(0), block);
+            }
+        }
+        for (row, lambda) in jacobian.chunks_exact_mut(n).zip(block.chunks_exact(size)) {
+            match model {
+                Some(model) => model.initial_adjoint(lambda, dz),
+                None => dz.copy_from_slice(lambda),
+            }
+            transform.adjoint(dz, &mut row[..head]);
+        }
+        for (i, row) in jacobian.chunks_exact_mut(n).enumerate() {
+            let whitening = self.whitening(i);
+            row.iter_mut().for_each(|g| *g *= whitening);
+        }
+        Ok(())
+    }
+
+    /// G column by column, all in one sweep.
+    fn columns(&mut self, dense: &mut Dense) -> Result<(), Error> {
+        let (n, m, head) = (self.dim(), self.observations.dim(), self.transform.dim());
+        self.counts.tangent_sweeps += n;
+        if m == 0 {
+            return Ok(());
+        }
+        let Dense { jacobian, block, dv, .. } = dense;
+        let Self { model, transform, observations, errors, base, state_dim: size, dz, .. } = self;
+        block.clear();
+        block.resize(n * *size, 0.0);
+        for (j, dx) in block.chunks_exact_mut(*size).enumerate().take(head) {
+            dv[j] = 1.0;
+            transform.tangent(&dv[..head], dz);
+            dv[j] = 0.0;
+            match model {
+                Some(model) => model.initial_tangent(dz, dx),
+                None => dx.copy_from_slice(dz),
+            }
+        }
+        let mut see = |k: usize, x: &[f64], block: &mut [f64]| {
+            for (j, (dx, dy)) in block.chunks_exact_mut(*size).zip(jacobian.chunks_exact_mut(m)).enumerate() {
+                if let (Some(errors), Some(before)) = (&mut *errors, k.checked_sub(1)) {
+                    dv[j] = 1.0;
+                    errors.tangent_add(before, &dv[head..], dx);
+                    dv[j] = 0.0;
+                }
+                observations.tangent_add(k, x, dx, dy);
+            }
+        };
+        see(0, base.trajectory.state(0), block);
+        if let Some(model) = model {
+            base.trajectory.for_each_step(&mut **model, &mut |model, k, [_, x_next]| {
+                model.tangent_block(k, block);
+                see(k + 1, x_next, block);
+            })?;
+        }
+        for (i, whitening) in (0..m).map(|i| (i, self.whitening(i))) {
+            jacobian.iter_mut().skip(i).step_by(m).for_each(|g| *g *= whitening);
+        }
+        Ok(())
+    }
+}

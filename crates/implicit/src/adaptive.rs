@@ -1,0 +1,129 @@
+//! Lengths of steps from an estimate of their error.
+
+use crate::newton::{self, NewtonOptions, NewtonWork};
+use crate::{Error, ImplicitStep, Interval, Scheme};
+
+/// What [`accepted_times`] aims at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Adaptive {
+    /// Most error of one step, as a root mean square over the components that matter, in units of their scale.
+    pub tolerance: f64,
+    /// Length of the first step tried (s).
+    pub first: f64,
+    /// No step is shorter (s).
+    pub shortest: f64,
+    /// No step is longer (s).
+    pub longest: f64,
+}
+
+/// The times of steps whose estimated error is within a tolerance, from the state x₀; they contain all of `through`.
+///
+/// The list is plain data. Given to [`ImplicitModel::on_times`](crate::ImplicitModel::on_times) it makes a model with fixed
+/// steps, whose tangent and adjoint are exact: freeze it over a minimization, and ask again around the new trajectory.
+///
+/// The error of a step of length h is estimated by Richardson's extrapolation, from the same step in two halves:
+/// ‖x_{h/2,h/2} − x_h‖ / (1 − 2^{−p}), p the order of the scheme. The next length is h · 0.9 (tolerance/error)^{1/(p+1)}, within
+/// a factor of 0.2 and 2 (BDF2 is stable up to 2.4; Hairer, Nørsett and Wanner 1993, III.5). A step that Newton's method
+/// does not solve is halved. This costs three solves a step.
+///
+/// `x0` is a state with its history, as [`ImplicitModel`](crate::ImplicitModel) makes it from a control; `scale` holds a
+/// typical size of each of its components, infinity for those that do not matter; those of the history are not read.
+///
+/// # Errors
+/// [`Error::ToleranceNotMet`] where the shortest step is too long, or the error of Newton's method there.
+///
+/// # Panics
+/// If `through` has fewer than two times or does not ascend, lengths differ, or a length or the tolerance of `options` is not
+/// positive.
+pub fn accepted_times(
+    step: &mut dyn ImplicitStep,
+    scheme: Scheme,
+    x0: &[f64],
+    scale: &[f64],
+    through: &[f64],
+    options: &Adaptive,
+) -> Result<Vec<f64>, Error> {
+    let n = step.dim();
+    assert!(x0.len() == n && scale.len() == n, "a state and its scale have {n} values");
+    assert!(
+        through.len() > 1 && through.windows(2).all(|t| t[0] < t[1]),
+        "times to go through must ascend, two or more of them"
+    );
+    let Adaptive { tolerance, first, shortest, longest } = *options;
+    assert!(
+        tolerance > 0.0 && first > 0.0 && shortest > 0.0 && longest >= shortest,
+        "a tolerance and lengths must be positive"
+    );
+    let order = scheme.order();
+    let own = n - step.history();
+    let judged = scale[..own].iter().filter(|s| s.is_finite()).count().max(1) as f64;
+    let mut one = OneStep::new(step);
+    let (mut x, mut times) = (x0.to_vec(), vec![through[0]]);
+    let [mut whole, mut half, mut halves] = [vec![0.0; n], vec![0.0; n], vec![0.0; n]];
+    let (mut wanted, mut previous) = (first.clamp(shortest, longest), None);
+    for end in &through[1..] {
+        let mut start = times[times.len() - 1];
+        while start < *end {
+            // equal shares of what is left, so that no crumb remains before the next time to go through
+            let left = end - start;
+            let length = left / (left / wanted).ceil();
+            let at = Interval { index: times.len() - 1, start, length, previous };
+            let first_half = Interval { length: 0.5 * length, ..at };
+            let second_half =
+                Interval { start: start + 0.5 * length, previous: Some(0.5 * length), ..first_half };
+            let taken = one
+                .take(&at, &x, &mut whole)
+                .and_then(|()| one.take(&first_half, &x, &mut half))
+                .and_then(|()| one.take(&second_half, &half, &mut halves));
+            let error = match taken {
+                Ok(()) => {
+                    let squares = (0..own).map(|i| ((halves[i] - whole[i]) / scale[i]).powi(2));
+                    let difference = (squares.sum::<f64>() / judged).sqrt();
+                    difference / (1.0 - 0.5_f64.powi(order))
+                }
+                Err(error) if 0.5 * length < shortest => return Err(error),
+                Err(_) => {
+                    wanted = 0.5 * length;
+                    continue;
+                }
+            };
+            let factor = 0.9 * (tolerance / error).powf(1.0 / f64::from(order + 1));
+            if error <= tolerance {
+                x.copy_from_slice(&whole);
+                start = if length == left { *end } else { start + length };
+                times.push(start);
+                previous = Some(length);
+                wanted = (length * factor.clamp(0.2, 2.0)).clamp(shortest, longest);
+            } else if length <= shortest || !error.is_finite() {
+                return Err(Error::ToleranceNotMet { time: start, length, error, tolerance });
+            } else {
+                wanted = (length * factor.clamp(0.2, 0.9)).max(shortest);
+            }
+        }
+    }
+    Ok(times)
+}
+
+/// Single steps on any interval.
+struct OneStep<'a> {
+    step: &'a mut dyn ImplicitStep,
+    work: NewtonWork,
+    u: Vec<f64>,
+}
+
+impl<'a> OneStep<'a> {
+    fn new(step: &'a mut dyn ImplicitStep) -> Self {
+        let work = NewtonWork::new(step.unknowns(), &step.structure());
+        Self { work, u: vec![0.0; step.unknowns()], step }
+    }
+
+    fn take(&mut self, at: &Interval, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
+        let own = x.len() - self.step.history();
+        let refused = |reason| Error::Refused { step: at.index, reason };
+        self.step.predict(at, x, &mut self.u).map_err(refused)?;
+        newton::solve(&mut *self.step, at, x, &mut self.u, &mut self.work, &NewtonOptions::default())?;
+        self.step.advance(at, x, &self.u, &mut x_next[..own]);
+        x_next[own..].copy_from_slice(&x[..x.len() - own]);
+        Ok(())
+    }
+}

@@ -1,0 +1,186 @@
+//! A sequence of windows as it is being done: a folder `<result>.partial` beside the result, from which a run can be resumed.
+//!
+//! ```text
+//! scene.json     the scene, overrides and defaults included
+//! cycles.jsonl   the rows of the windows done, one a line
+//! state.json     what the next window starts from: replaced whole after every window, and what counts
+//! lock           held by the run that writes here
+//! ```
+//!
+//! The state is written beside its place and renamed, so that a run killed at any moment leaves that after its last finished window; a row
+//! beyond it is cut off when the run is taken up.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{Seek, Write};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use varda_assimilation::CycleState;
+
+use crate::Error;
+use crate::cycles::Row;
+use crate::scene::{Scene, SceneFile};
+
+/// The folder, open for the windows to come.
+#[derive(Debug)]
+pub struct Partial {
+    folder: PathBuf,
+    rows: File,
+    /// Freed with the process, however it ends.
+    _lock: File,
+}
+
+/// [`CycleState`] with the version that wrote it.
+#[derive(Serialize, Deserialize)]
+struct Stored {
+    version: String,
+    next: usize,
+    background: Vec<f64>,
+    columns: Vec<f64>,
+}
+
+impl Partial {
+    /// The folder of a result.
+    pub fn folder(result: &Path) -> PathBuf {
+        let mut name = result.file_name().unwrap_or("varda".as_ref()).to_os_string();
+        name.push(".partial");
+        result.with_file_name(name)
+    }
+
+    /// Begins the folder of a new run.
+    ///
+    /// # Errors
+    /// [`Error::Unfinished`] where there is one already, [`Error::Write`].
+    pub fn begin(result: &Path, file: &SceneFile) -> Result<Partial, Error> {
+        let folder = Partial::folder(result);
+        let failed = |source| Error::Write { path: folder.clone(), source };
+        if let Some(parent) = folder.parent() {
+            std::fs::create_dir_all(parent).map_err(failed)?;
+        }
+        match std::fs::create_dir(&folder) {
+            Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {
+                return Err(Error::Unfinished { path: folder });
+            }
+            made => made.map_err(failed)?,
+        }
+        let lock = lock(&folder)?;
+        replace(&folder, "scene.json", &json(&file.scene))?;
+        let rows = File::create_new(folder.join("cycles.jsonl")).map_err(failed)?;
+        Ok(Partial { folder, rows, _lock: lock })
+    }
+
+    /// Takes up the run of a scene: the folder, the state after its last finished window, and the rows up to it. Nothing is there of a run
+    /// that was ended within its first window: that begins anew, without a state. The number of windows may be another than before.
+    ///
+    /// # Errors
+    /// [`Error::Resume`] where there is nothing to resume, or it belongs to another scene or version or to a run that goes on;
+    /// [`Error::Write`].
+    pub fn resume(result: &Path, file: &SceneFile) -> Result<(Partial, Option<CycleState>, Vec<Row>), Error> {
+        let folder = Partial::folder(result);
+        let refuse = |reason: &str| Error::Resume { path: folder.clone(), reason: reason.to_string() };
+        if !folder.is_dir() {
+            return Err(refuse("there is no unfinished run"));
+        }
+        let lock = lock(&folder)?;
+        let read = |name: &str| std::fs::read_to_string(folder.join(name));
+        let unfit = |name: &str, e: serde_json::Error| refuse(&format!("{name}: {e}"));
+        let scene: Scene = match read("scene.json") {
+            Ok(text) => serde_json::from_str(&text).map_err(|e| unfit("scene.json", e))?,
+            Err(_) => return Err(refuse("it has no scene.json; remove it and begin again")),
+        };
+        if uncounted(&scene) != uncounted(&file.scene) {
+            return Err(refuse(
+                "it belongs to another scene, seed or --set; only algorithm.cycles.count may differ",
+            ));
+        }
+        replace(&folder, "scene.json", &json(&file.scene))?;
+        let failed = |source| Error::Write { path: folder.join("cycles.jsonl"), source };
+        let mut rows = OpenOptions::new()
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(folder.join("cycles.jsonl"))
+            .map_err(failed)?;
+        let (mut state, mut done, mut length) = (None, Vec::new(), 0);
+        if let Ok(text) = read("state.json") {
+            let stored: Stored = serde_json::from_str(&text).map_err(|e| unfit("state.json", e))?;
+            if stored.version != env!("CARGO_PKG_VERSION") {
+                return Err(refuse(&format!("it was written by version {}", stored.version)));
+            }
+            let text = read("cycles.jsonl").map_err(failed)?;
+            for line in text.split_inclusive('\n').take(stored.next) {
+                done.push(serde_json::from_str::<Row>(line).map_err(|e| unfit("cycles.jsonl", e))?);
+                length += line.len() as u64;
+            }
+            if done.len() != stored.next {
+                return Err(refuse("cycles.jsonl has fewer rows than state.json says"));
+            }
+            let Stored { next, background, columns, .. } = stored;
+            state = Some(CycleState { next, background, columns });
+        }
+        rows.set_len(length).and_then(|()| rows.seek(std::io::SeekFrom::End(0))).map_err(failed)?;
+        Ok((Partial { folder, rows, _lock: lock }, state, done))
+    }
+
+    /// Stores a window that is done and what the next one starts from.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn store(&mut self, row: &Row, state: &CycleState) -> Result<(), Error> {
+        let mut line = json(row);
+        line.push('\n');
+        self.rows
+            .write_all(line.as_bytes())
+            .map_err(|source| Error::Write { path: self.folder.join("cycles.jsonl"), source })?;
+        let stored = Stored {
+            version: env!("CARGO_PKG_VERSION").to_string(),
+            next: state.next,
+            background: state.background.clone(),
+            columns: state.columns.clone(),
+        };
+        replace(&self.folder, "state.json", &json(&stored))
+    }
+
+    /// Removes the folder: its run is finished.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn remove(self) -> Result<(), Error> {
+        std::fs::remove_dir_all(&self.folder)
+            .map_err(|source| Error::Write { path: self.folder.clone(), source })
+    }
+}
+
+/// The scene with one window: what must be equal when a run is resumed.
+fn uncounted(scene: &Scene) -> String {
+    let mut scene = scene.clone();
+    if let Some(cycles) = &mut scene.algorithm.cycles {
+        cycles.count = 1;
+    }
+    json(&scene)
+}
+
+fn json(value: &impl Serialize) -> String {
+    serde_json::to_string(value).expect("plain data")
+}
+
+/// Writes a file beside its place and renames it.
+fn replace(folder: &Path, name: &str, text: &str) -> Result<(), Error> {
+    let (path, beside) = (folder.join(name), folder.join(format!("{name}.new")));
+    std::fs::write(&beside, text)
+        .and_then(|()| std::fs::rename(&beside, &path))
+        .map_err(|source| Error::Write { path, source })
+}
+
+fn lock(folder: &Path) -> Result<File, Error> {
+    let path = folder.join("lock");
+    let failed = |source| Error::Write { path: path.clone(), source };
+    let file = OpenOptions::new().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => {
+            Err(Error::Resume { path: folder.to_path_buf(), reason: "another run is writing to it".into() })
+        }
+        Err(TryLockError::Error(source)) => Err(failed(source)),
+    }
+}

@@ -1,0 +1,61 @@
+//! `[algorithm.ensemble]`: the members, for the methods that run an ensemble in the place of a tangent and an adjoint.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Algorithm, Taper};
+
+/// The ensemble of methods 4denvar and hybrid-4denvar. Its members are drawn from N(x_b, B) with the seed's stream for ensembles.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Ensemble {
+    /// Number of members N.
+    #[schemars(extend("minimum" = 2, "maximum" = 10000))]
+    pub members: usize,
+    /// Distance beyond which the ensemble's covariances are not believed: [m] on a rod or a line, in components on
+    /// lorenz96's ring. Left out: no localization.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub localization_length: Option<f64>,
+    /// Shape of the localization; gaspari-cohn where a length is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub taper: Option<Taper>,
+    /// The members' deviations from their mean are multiplied by this before a window.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub inflation: f64,
+    /// Weight β_s of the static part in β_s² B + β_e² B_e (method hybrid-4denvar): a factor on standard deviations.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("minimum" = 0.0))]
+    pub static_weight: Option<f64>,
+    /// Weight β_e of the ensemble part in β_s² B + β_e² B_e (method hybrid-4denvar): a factor on standard deviations.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("minimum" = 0.0))]
+    pub ensemble_weight: Option<f64>,
+}
+
+impl Default for Ensemble {
+    fn default() -> Self {
+        Ensemble {
+            members: 40,
+            localization_length: None,
+            taper: None,
+            inflation: 1.0,
+            static_weight: None,
+            ensemble_weight: None,
+        }
+    }
+}
+
+impl Ensemble {
+    /// β_s and β_e; √½ each, half of the covariance, where the scene is silent.
+    pub fn weights(&self) -> [f64; 2] {
+        [self.static_weight, self.ensemble_weight].map(|w| w.unwrap_or(std::f64::consts::FRAC_1_SQRT_2))
+    }
+}
+
+impl Algorithm {
+    /// The ensemble the method runs: that of the scene or the default one; `None` for methods that run none.
+    pub fn members(&self) -> Option<Ensemble> {
+        self.method.is_ensemble().then(|| self.ensemble.clone().unwrap_or_default())
+    }
+}

@@ -1,0 +1,84 @@
+//! `[limits]`: what a run may take of the machine.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use varda_implicit::Storage;
+
+/// What a run may take of the machine.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Limits {
+    /// Most memory for the states and linearizations of a window, such as "200 MB" (B, kB, MB, GB; KiB, MiB, GiB). Where that is too
+    /// little to keep all, linearizations and then states are computed again: the same bits, in more time. Empty: no limit.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub memory: String,
+}
+
+impl Limits {
+    /// The limit in bytes; `None` where there is none.
+    ///
+    /// # Errors
+    /// What is wrong with the text.
+    pub fn bytes(&self) -> Result<Option<usize>, String> {
+        let text = self.memory.trim();
+        if text.is_empty() {
+            return Ok(None);
+        }
+        let unit = text.trim_start_matches(|c: char| c.is_ascii_digit() || c == '.');
+        let number: f64 = text[..text.len() - unit.len()].parse().unwrap_or(f64::NAN);
+        let factor = match unit.trim() {
+            "" | "B" => 1.0,
+            "kB" => 1e3,
+            "MB" => 1e6,
+            "GB" => 1e9,
+            "KiB" => 1024.0,
+            "MiB" => 1024.0 * 1024.0,
+            "GiB" => 1024.0 * 1024.0 * 1024.0,
+            _ => f64::NAN,
+        };
+        let bytes = number * factor;
+        if bytes >= 1.0 && bytes < 1e18 {
+            Ok(Some(bytes as usize))
+        } else {
+            Err(format!(
+                "{:?} is not an amount of memory; write a number and B, kB, MB or GB: \"200 MB\"",
+                self.memory
+            ))
+        }
+    }
+
+    /// What a storage leaves out of a window of `steps` steps, in words; nothing where all is kept.
+    pub fn left_out(&self, storage: Storage, steps: usize) -> Option<String> {
+        let for_limit = format!("limits.memory = {:?}", self.memory);
+        match storage {
+            Storage::States => Some(format!(
+                "linearizations of all steps but one: every sweep makes them again ({for_limit})"
+            )),
+            Storage::Checkpoints { states } => Some(format!(
+                "all states but {states} of {}: a gradient runs {} steps ({for_limit})",
+                steps + 1,
+                storage.executed_steps(steps)
+            )),
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn amounts_of_memory_are_read_with_their_units() {
+        let bytes = |text: &str| Limits { memory: text.to_string() }.bytes();
+        assert_eq!(bytes(""), Ok(None));
+        for (text, expected) in
+            [("200 MB", 200_000_000), ("1.5GB", 1_500_000_000), ("64 KiB", 65_536), ("512", 512)]
+        {
+            assert_eq!(bytes(text), Ok(Some(expected)), "{text}");
+        }
+        for text in ["200 mb", "MB", "-3 MB", "1.2.3 MB", "0 B", "much", "9e9 GB"] {
+            assert!(bytes(text).is_err(), "{text}");
+        }
+    }
+}
