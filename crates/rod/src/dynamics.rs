@@ -211,7 +211,7 @@ impl RodStep {
             viscous.fold_in(s, self.damping.stiffness / h);
         }
         s.place(stage.of.time)?;
-        for (f, &v) in s.layout.free_vertices.iter().enumerate() {
+        for f in 0..nf {
             let star = |i: usize| V3::from_fn(|c, _| mixed(from, x, own, 3 * i + c));
             self.start[f] = star(f);
             self.target[f] = self.start[f] + star(nf + f) * h;

@@ -43,12 +43,12 @@ pub(super) fn run(rows: &mut Rows, options: &Options) {
 fn accuracy<R: Rhs + Clone + 'static>(case: &mut Case, rhs: &R, x0: &[f64], dt: f64, length: f64) -> Outcome {
     let steps = (length / dt).round() as usize;
     let mut plain = Rk4::new(rhs.clone(), 0, dt);
-    let (_, gradient) = end_gradient(&mut plain, x0, steps)?;
+    let gradient = end_gradient(&mut plain, x0, steps)?;
     let amplification = check::amplification(&mut plain, 0..steps, &vec![1.0; x0.len()], 1)?;
     let mut tripled = Rk4::new(Tripled(rhs.clone(), vec![0.0; x0.len()]), 0, dt);
     let start: Vec<f64> = x0.iter().map(|x| 3.0 * x).collect();
     // J = ½‖X‖² with X = 3x is nine times as large, its gradient with respect to X three times
-    let (_, three) = end_gradient(&mut tripled, &start, steps)?;
+    let three = end_gradient(&mut tripled, &start, steps)?;
     let other: Vec<f64> = three.iter().map(|g| g / 3.0).collect();
     let measured = difference(&other, &gradient);
     let note = format!(
@@ -73,22 +73,17 @@ fn accuracy<R: Rhs + Clone + 'static>(case: &mut Case, rhs: &R, x0: &[f64], dt: 
     Ok(())
 }
 
-/// ½‖x_N‖² and its gradient.
-fn end_gradient(
-    model: &mut dyn Model,
-    x0: &[f64],
-    steps: usize,
-) -> Result<(f64, Vec<f64>), varda_implicit::Error> {
+/// The gradient of ½‖x_N‖².
+fn end_gradient(model: &mut dyn Model, x0: &[f64], steps: usize) -> Result<Vec<f64>, varda_implicit::Error> {
     let mut trajectory = Trajectory::new();
     trajectory.run(model, x0, steps, Keep::Linearizations)?;
-    let last = trajectory.state(steps).to_vec();
     let mut lambda = vec![0.0; x0.len()];
-    trajectory.adjoint(model, &mut lambda, &mut |k, lambda| {
+    trajectory.adjoint(model, &mut lambda, &mut |k, x, lambda| {
         if k == steps {
-            lambda.iter_mut().zip(&last).for_each(|(l, x)| *l += x);
+            lambda.iter_mut().zip(x).for_each(|(l, x)| *l += x);
         }
-    });
-    Ok((0.5 * last.iter().map(|x| x * x).sum::<f64>(), lambda))
+    })?;
+    Ok(lambda)
 }
 
 /// The same equations for X = 3x.
