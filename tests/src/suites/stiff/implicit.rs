@@ -148,7 +148,7 @@ fn overflow(rows: &mut Rows) {
 /// ẋ = −20 x³ by implicit Euler with too few Newton iterations for a whole step: taken in parts, the gradient through them right.
 fn forced_failure(rows: &mut Rows) {
     rows.case("forced Newton failure in one step", |case| {
-        let options = NewtonOptions { max_iterations: 5, ..NewtonOptions::default() };
+        let options = NewtonOptions { max_iterations: 7, ..NewtonOptions::default() };
         let start = [4.0, 1.5, 0.1];
         let mut model =
             ImplicitModel::new(OneLeg::implicit_euler(Cubic, 1e-12), 0, 0.5).with_options(options);
@@ -294,8 +294,8 @@ impl ImplicitStep for Robertson {
 
 /// Robertson to t = 4e6: y against a reference, and the discrete adjoint against a complex step of length zero through the same steps.
 fn robertson(case: &mut Case, mass: f64) -> Outcome {
-    // 400 steps from 1e-6 s, growing by 7 %: their sum is 4e6 s
-    let (first, steps) = (1e-6, 400);
+    // 1600 steps from 1e-6 s, growing by 1.6 %: their sum is 4e6 s
+    let (first, steps) = (1e-6, 1600);
     let growth = growth_to(4e6, first, steps);
     let step = || Robertson { mass, first, growth };
     let mut model = ImplicitModel::new(step(), 0, 1.0);
@@ -309,16 +309,18 @@ fn robertson(case: &mut Case, mass: f64) -> Outcome {
     let last = states[steps];
     let at = interval(steps - 1, 0.0, 1.0);
     let mut jacobian = [0.0; 9];
-    step().assemble(&at, &states[steps - 1], &last, &mut [0.0; 3], Some(&mut jacobian)).map_err(|e| e.to_string())?;
+    step()
+        .assemble(&at, &states[steps - 1], &last, &mut [0.0; 3], Some(&mut jacobian))
+        .map_err(|e| e.to_string())?;
     let note = work(&model, &Counts::default(), condition(3, &Structure::Dense, &jacobian));
-    // y₁ + y₂ + y₃ = 1 is kept by every step: 400 roundings
-    case.at_most("total, departure from 1", (last.iter().sum::<f64>() - 1.0).abs(), 1e-13, "-").note(note);
+    // y₁ + y₂ + y₃ = 1 is kept by every step: 1600 roundings
+    case.at_most("total, departure from 1", (last.iter().sum::<f64>() - 1.0).abs(), 4e-13, "-").note(note);
     // In quasi-steady state 0.04 y₁ = 1e4 y₂ y₃ + 3e7 y₂², but for what flows on: d y₃/dt over the fluxes, about y₂/t.
     let (y2, y3) = (last[1], last[2]);
     let balance = 0.04 * last[0] - 1e4 * y2 * y3 - 3e7 * y2 * y2;
     case.at_most("quasi-steady balance over 0.04 y₁", (balance / (0.04 * last[0])).abs(), 1e-4, "-");
-    // CVODE's example of this problem (cvRoberts_dns, Hindmarsh et al. 2005) gives 5.168e-4; implicit Euler errs by about half of
-    // what t grows by in a step, 7 %
+    // CVODE's example of this problem (cvRoberts_dns, Hindmarsh et al. 2005) gives 5.168e-4; implicit Euler errs by about
+    // what t grows by in a step, 1.6 %
     case.at_most("y₁(4e6), relative error", (last[0] / 5.168e-4 - 1.0).abs(), 0.05, "-").computed(last[0]);
 
     // J = y₁(T) + 1e4 y₂(T) with respect to y(0)

@@ -251,15 +251,39 @@ fn buckled(rows: &mut Rows) {
             let end = Clamp::fixed([0.0, 0.0, -(1.0 - shortening)], DOWN, [1.0, 0.0, 0.0]);
             let supports = Supports { start: Some(fixed_clamp()), end: Some(end), ..Supports::default() };
             let l = 1.0 / n as f64;
-            // exactly straight, evenly compressed
+            // evenly compressed, and exactly straight or bowed by a hundredth of L
             let inner = (1.0 - shortening - 2.0 * l) / (n - 2) as f64;
             let z = |v: usize| if v <= 1 { v as f64 * l } else { l + inner * (v - 1) as f64 };
-            let vertices = (0..=n).map(|v| [0.0, 0.0, -z(v)]).collect();
-            let guess = Rest { vertices, theta: vec![0.0; n] };
-            let (rest, report) = equilibrium(&rod, &supports, &Loads::default(), 0.0, &guess)?;
+            let guess = |bow: f64| {
+                let aside = |v: usize| bow * 0.5 * (1.0 - (TAU * (v as f64 - 0.5) / (n - 1) as f64).cos());
+                let free = |v: usize| if (2..=n - 2).contains(&v) { aside(v) } else { 0.0 };
+                let vertices = (0..=n).map(|v| [free(v), 0.0, -z(v)]).collect();
+                Rest { vertices, theta: vec![0.0; n] }
+            };
+            let expected = clamped_elastica(shortening);
+            // from the straight saddle, up to thirty thousand times beyond the critical load: there, or an error
+            match equilibrium(&rod, &supports, &Loads::default(), 0.0, &guess(0.0)) {
+                Ok((rest, report)) => {
+                    let aside = rest.vertices.iter().map(|v| v[0].hypot(v[1])).fold(0.0, f64::max);
+                    case.at_most(
+                        "from the straight saddle: part of the first mode's amplitude missing",
+                        1.0 - aside / expected,
+                        1.0,
+                        "-",
+                    )
+                    .computed(aside)
+                    .note(format!("{} Newton iterations, {} shifts", report.iterations, report.shifts));
+                }
+                Err(error) => refused(
+                    case,
+                    "from the straight saddle: refused, naming the step",
+                    Err::<(), _>(error),
+                    "step 0",
+                ),
+            }
+            let (rest, report) = equilibrium(&rod, &supports, &Loads::default(), 0.0, &guess(0.01))?;
             let aside = |v: &[f64; 3]| v[0].hypot(v[1]);
             let amplitude = rest.vertices.iter().map(aside).fold(0.0, f64::max);
-            let expected = clamped_elastica(shortening);
             // 80 segments of which two are held: the discrete clamp is half a segment longer at either end, 1 to 2 %
             case.at_most(
                 "amplitude, relative error against the elastica",
