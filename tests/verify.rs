@@ -49,3 +49,8 @@ fn equivalence() {
 fn paper() {
     check("paper");
 }
+
+#[test]
+fn stiff() {
+    check("stiff");
+}

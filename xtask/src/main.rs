@@ -7,9 +7,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 const HELP: &str = "\
-cargo xtask verify [SUITE…] [--quick] [--json FILE] [--fixtures DIR]
-    Runs the verification suites (adjoint, taylor, hessian, golden, counts, order, equivalence, paper) in a release build and prints
-    one row per check; fails if a row fails. --quick: fewer seeds. --json: the same rows as one array. --fixtures: check what is in
+cargo xtask verify [SUITE…] [--quick | --full] [--json FILE] [--stability FILE] [--fixtures DIR]
+    Runs the verification suites (adjoint, taylor, hessian, golden, counts, order, equivalence, paper, stiff) in a release build and
+    prints one row per check; fails if a row fails. --quick: fewer seeds. --full: the longest cases of stiff too. --json: the same
+    rows as one array. --stability: the rows of stiff as a document, docs/results/stability.md. --fixtures: check what is in
     DIR/der, DIR/hanging-rod and DIR/twin instead of the copies in tests/fixtures.
 cargo xtask bench [NAME…] [--quick] [--out DIR]
     Error against run time (time, gradient, assimilation, scaling, leftout, instructions) in a release build: prints tables and

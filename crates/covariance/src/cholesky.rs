@@ -12,8 +12,6 @@ pub(crate) struct Cholesky {
 impl Cholesky {
     /// Factorizes the lower triangle of a matrix of n × n finite values.
     ///
-    /// A pivot at most n ε b_ii is singular: rounding alone changes it by that much (Higham 2002, theorem 10.3), whatever
-    /// sign it comes out with.
     pub(crate) fn new(n: usize, matrix: &[f64]) -> Result<Self, Error> {
         let mut l = vec![0.0; n * n];
         for i in 0..n {
@@ -24,17 +22,7 @@ impl Cholesky {
             }
             let variance = matrix[i * n + i];
             let value = variance - dot(&row[..i], &row[..i]);
-            let tolerance = n as f64 * f64::EPSILON * variance.abs();
-            if !(value > tolerance) {
-                // Rounding grows in the pivots of a singular kernel, but not to half of the digits.
-                let rounding = value >= -f64::EPSILON.sqrt() * variance.abs();
-                return Err(if rounding {
-                    Error::Singular { pivot: i, value, variance, tolerance }
-                } else {
-                    Error::NotPositiveDefinite { pivot: i, value, variance }
-                });
-            }
-            row[i] = value.sqrt();
+            row[i] = usable_pivot(n, i, value, variance)?.sqrt();
         }
         Ok(Self { n, l })
     }
@@ -90,6 +78,22 @@ impl Cholesky {
     pub(crate) fn row(&self, i: usize) -> &[f64] {
         &self.l[i * self.n..][..=i]
     }
+}
+
+/// A pivot that came from `terms` products, if it can be trusted. At most terms · ε b_ii is singular: rounding alone changes it by that much
+/// (Higham 2002, theorem 10.3), whatever sign it comes out with.
+pub(crate) fn usable_pivot(terms: usize, pivot: usize, value: f64, variance: f64) -> Result<f64, Error> {
+    let tolerance = terms as f64 * f64::EPSILON * variance.abs();
+    if value > tolerance {
+        return Ok(value);
+    }
+    // Rounding grows in the pivots of a singular kernel, but not to half of the digits.
+    let rounding = value >= -f64::EPSILON.sqrt() * variance.abs();
+    Err(if rounding {
+        Error::Singular { pivot, value, variance, tolerance }
+    } else {
+        Error::NotPositiveDefinite { pivot, value, variance }
+    })
 }
 
 /// Σ a_i b_i in four running sums: fast, and the same bits every time.

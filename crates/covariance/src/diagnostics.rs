@@ -28,6 +28,13 @@ impl Spectrum {
         }
     }
 
+    /// The condition number where double precision knows it: `None` where λ_n is not above n ε λ₁, the rounding of the eigenvalues. The
+    /// condition is then above 1/(n ε), some 1e16/n: "above 1e16" for all that arithmetic can tell.
+    pub fn reliable_condition_number(&self) -> Option<f64> {
+        let (largest, smallest) = (*self.eigenvalues.first()?, *self.eigenvalues.last()?);
+        (smallest > self.eigenvalues.len() as f64 * f64::EPSILON * largest).then(|| largest / smallest)
+    }
+
     /// (Σ λ)² / Σ λ²: the number of equal eigenvalues that would spread the variance as widely (Bretherton et al. 1999).
     /// Between 1 and n.
     pub fn effective_rank(&self) -> f64 {
@@ -88,6 +95,9 @@ mod tests {
         let spectrum = Spectrum::new(vec![1.0, 4.0, 3.0]);
         assert_eq!(spectrum.eigenvalues, [4.0, 3.0, 1.0]);
         assert_eq!(spectrum.condition_number(), 4.0);
+        assert_eq!(spectrum.reliable_condition_number(), Some(4.0));
+        assert_eq!(Spectrum::new(vec![1.0, 4e-16]).reliable_condition_number(), None);
+        assert_eq!(Spectrum::new(vec![1.0, 5e-16]).reliable_condition_number(), Some(1.0 / 5e-16));
         assert_eq!(spectrum.total_variance(), 8.0);
         assert_eq!(spectrum.effective_rank(), 64.0 / 26.0);
         assert_eq!(spectrum.explained_variance(2), 7.0 / 8.0);

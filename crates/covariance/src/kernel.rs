@@ -237,7 +237,7 @@ impl CovarianceFunction {
         Ok(matrix)
     }
 
-    fn validate(&self) -> Result<(), Error> {
+    pub(crate) fn validate(&self) -> Result<(), Error> {
         let positive = |what, value: f64, finite: bool| {
             if value > 0.0 && (value.is_finite() || !finite) {
                 Ok(())

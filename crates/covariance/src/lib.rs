@@ -5,6 +5,7 @@
 //!
 //! - a [`Kernel`] (Gaussian, Matérn) times a [`Taper`] (triangle, Gaspari–Cohn) over points, on request conditioned exactly
 //!   on points without error ([`CovarianceFunction`]);
+//! - a band, for points along a line and a taper of compact support ([`Banded`]): linear in their number;
 //! - a dense matrix, through its Cholesky root ([`Dense`]) or, where it is singular, a root of truncated rank ([`Truncated`]);
 //! - a standard deviation per component ([`Diagonal`]);
 //! - an [`Ensemble`], localized ([`Localization`]), and its [`Hybrid`] with a static covariance;
@@ -14,8 +15,8 @@
 //!
 //! # When not to use it
 //!
-//! Roots are dense: n² numbers, n³/3 operations to build. Up to a few thousand points per block that is quick; beyond, B
-//! wants a sparse or spectral root, which this crate does not have. Implement [`Covariance`] for your own type: everything
+//! Roots are dense but for [`Banded`]: n² numbers, n³/3 operations to build. Up to a few thousand points per block that is quick;
+//! beyond, and in more than one dimension, B wants a sparse or spectral root, which this crate does not have. Implement [`Covariance`] for your own type: everything
 //! above this crate asks for the trait alone.
 //!
 //! # Example
@@ -53,6 +54,7 @@
 // `!(value > tolerance)` is how a NaN is made to fail.
 #![allow(clippy::neg_cmp_op_on_partial_ord)]
 
+mod banded;
 mod block;
 mod cholesky;
 mod dense;
@@ -64,6 +66,7 @@ mod kernel;
 mod operator;
 mod sample;
 
+pub use banded::Banded;
 pub use block::{BlockDiagonal, Interleaved};
 pub use dense::{Dense, Truncated};
 pub use diagnostics::Spectrum;

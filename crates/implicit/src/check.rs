@@ -62,10 +62,14 @@ pub struct Taylor {
 
 /// Condition beyond which a dot product says nothing.
 const WORST_CONDITION: f64 = 1e10;
+/// Relative error of a gradient that a minimizer can live with.
+const WORST_GRADIENT: f64 = 1e-4;
 /// Slope that a Taylor test asks for.
 const SLOPE: f64 = 1.95;
 /// Points a slope is fitted through, at most and at least.
 const POINTS: (usize, usize) = (10, 5);
+/// Below this step a remainder that grows as the step shrinks is rounding.
+const SMALL: f64 = 1e-5;
 /// A remainder counts where it is this many times the rounding seen.
 const ABOVE_ROUNDING: f64 = 100.0;
 
@@ -88,12 +92,27 @@ pub fn dot_product(
     let mut random = Random(seed);
     let dx: Vec<f64> = scale.iter().map(|s| s * random.draw()).collect();
     let lambda: Vec<f64> = scale.iter().map(|s| random.draw() / s).collect();
-    // ‖M‖ in scaled variables: power iteration with Mᵀ M
-    let (mut norm, mut v) = (0.0, dx.clone());
-    for _ in 0..12 {
-        let before = norm_of(&v, scale);
+    let norm = norm_by_powers(model, steps.clone(), dx.clone(), scale, 12)?;
+    let (mut m_dx, mut mt_lambda) = (dx.clone(), lambda.clone());
+    steps.clone().for_each(|k| model.tangent(k, &mut m_dx));
+    steps.rev().for_each(|k| model.adjoint(k, &mut mt_lambda));
+    compare(&dx, &m_dx, &lambda, &mt_lambda, norm, [scale, scale])
+}
+
+/// ‖M‖ in scaled variables from below, by `products` power iterations with MᵀM from v; the last one ends at M v.
+fn norm_by_powers(
+    model: &mut dyn Model,
+    steps: std::ops::Range<usize>,
+    mut v: Vec<f64>,
+    scale: &[f64],
+    products: usize,
+) -> Result<f64, Error> {
+    let mut norm = 0.0;
+    for _ in 0..products {
+        let size = norm_of(&v, scale);
+        v.iter_mut().for_each(|v| *v /= size);
         steps.clone().for_each(|k| model.tangent(k, &mut v));
-        norm = norm_of(&v, scale) / before;
+        norm = norm_of(&v, scale);
         v.iter_mut().zip(scale).for_each(|(v, s)| *v /= s * s);
         steps.clone().rev().for_each(|k| model.adjoint(k, &mut v));
         v.iter_mut().zip(scale).for_each(|(v, s)| *v *= s * s);
@@ -101,10 +120,54 @@ pub fn dot_product(
             return Err(Error::EmptyTest { what: "the tangent or the adjoint of a random vector is zero" });
         }
     }
-    let (mut m_dx, mut mt_lambda) = (dx.clone(), lambda.clone());
-    steps.clone().for_each(|k| model.tangent(k, &mut m_dx));
-    steps.rev().for_each(|k| model.adjoint(k, &mut mt_lambda));
-    compare(&dx, &m_dx, &lambda, &mt_lambda, norm, [scale, scale])
+    Ok(norm)
+}
+
+/// How much a window amplifies a perturbation, and what that leaves of a gradient taken over it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Amplification {
+    /// ‖M‖ of the window in scaled variables, an estimate from below.
+    pub norm: f64,
+    /// ε ‖M‖: rounding at the start of the window as it arrives at its end, the relative error of a gradient to a
+    /// factor of some ten (states are larger than `scale`, and every step rounds).
+    pub gradient_error: f64,
+    /// Whether `gradient_error` ≤ 1e-4: a minimizer can converge on such a gradient.
+    pub reliable: bool,
+}
+
+impl Amplification {
+    /// What to tell a user whose window is too long; `None` where the gradient can be relied on.
+    pub fn warning(&self) -> Option<String> {
+        (!self.reliable).then(|| {
+            format!(
+                "the window amplifies perturbations {:.0e} times: its gradient is right to {:.0e} at best; shorten the window, \
+                 or observe more often and let errors of the model in (weak constraint)",
+                self.norm, self.gradient_error
+            )
+        })
+    }
+}
+
+/// Estimates ‖M‖ of the linearized steps `steps` and with it the accuracy of gradients over them: six products with MᵀM from a
+/// vector drawn from `seed`. In a chaotic system ‖M‖ grows like exp(λ₁ T) with the window's length T, and ε ‖M‖ with it.
+///
+/// # Errors
+/// [`Error::EmptyTest`] where M is zero or so large that it is not finite.
+///
+/// # Panics
+/// If a step has not been linearized or `scale` (a typical perturbation of each component) has the wrong length.
+pub fn amplification(
+    model: &mut dyn Model,
+    steps: std::ops::Range<usize>,
+    scale: &[f64],
+    seed: u64,
+) -> Result<Amplification, Error> {
+    assert_eq!(scale.len(), model.dim(), "scale and state differ in length");
+    let mut random = Random(seed);
+    let v = scale.iter().map(|s| s * random.draw()).collect();
+    let norm = norm_by_powers(model, steps, v, scale, 6)?;
+    let gradient_error = f64::EPSILON * norm;
+    Ok(Amplification { norm, gradient_error, reliable: gradient_error <= WORST_GRADIENT })
 }
 
 /// Compares ⟨M dx, λ⟩ with ⟨dx, Mᵀ λ⟩ for products already made, and a norm of M in scaled variables (a larger one
@@ -317,7 +380,10 @@ fn fit(remainder: &mut dyn FnMut(f64) -> Result<(f64, f64), Error>) -> Result<Ta
         let points = points.iter().map(|p| (p.0, p.2)).collect();
         return Ok(Taylor { slope: f64::INFINITY, bound: SLOPE, points, pass: true });
     }
-    let rounding = points[points.len() - 8..].iter().fold(0.0_f64, |m, p| m.max(p.2));
+    // What is left at the smallest steps is rounding, and so is what grows as the step shrinks.
+    let last = points[points.len() - 8..].iter().map(|p| p.2);
+    let grown = points.windows(2).filter(|p| p[1].0 <= SMALL && p[1].2 > p[0].2).map(|p| p[1].2);
+    let rounding = last.chain(grown).fold(0.0_f64, f64::max);
     let above: Vec<(f64, f64)> = points
         .iter()
         .map(|&(h, _, rest)| (h, rest))

@@ -161,13 +161,36 @@ impl LinearSolver {
         shift: f64,
         factor: &mut Factor,
     ) -> Result<usize, BadPivot> {
+        self.factor_with(values, factor, |own, largest| shift * own.max(1e-8 * largest))
+    }
+
+    /// Factors the matrix with `share` times the largest |a_ii| added to every diagonal entry.
+    ///
+    /// # Errors
+    /// As [`factor`](Self::factor).
+    pub fn factor_lifted(
+        &mut self,
+        values: &[f64],
+        share: f64,
+        factor: &mut Factor,
+    ) -> Result<usize, BadPivot> {
+        self.factor_with(values, factor, |_, largest| share * largest)
+    }
+
+    /// Factors the matrix with `more(|a_ii|, max |a_jj|)` added to every diagonal entry.
+    fn factor_with(
+        &mut self,
+        values: &[f64],
+        factor: &mut Factor,
+        more: impl Fn(f64, f64) -> f64,
+    ) -> Result<usize, BadPivot> {
         let mut shifted = std::mem::take(&mut self.shifted);
         shifted.copy_from_slice(values);
         let largest = (0..self.n)
             .filter_map(|i| self.structure.diagonal(self.n, i))
             .fold(0.0_f64, |m, p| m.max(values[p].abs()));
         for p in (0..self.n).filter_map(|i| self.structure.diagonal(self.n, i)) {
-            shifted[p] += shift * values[p].abs().max(1e-8 * largest);
+            shifted[p] += more(values[p].abs(), largest);
         }
         let result = self.factor(&shifted, factor);
         self.shifted = shifted;

@@ -33,6 +33,8 @@ pub struct NewtonReport {
     pub backtracks: usize,
     /// The updates stopped shrinking above the threshold, with a residual that is all rounding (see [`solve`]).
     pub at_rounding: bool,
+    /// The minimum is not isolated: ∂G/∂u is singular there and has no negative eigenvalue (see [`solve`]).
+    pub neutral: bool,
 }
 
 /// Work space of [`solve`], made once for a step's structure and used for as many calls as one likes.
@@ -75,8 +77,10 @@ impl NewtonWork {
 
 /// Armijo's constant: the share of the predicted decrease that a step must bring.
 const DECREASE: f64 = 1e-4;
-/// Smallest shift of the diagonal, as a share of every row's own |diagonal|.
+/// First shift of the diagonal, as a share of every row's own |diagonal|.
 const FIRST_SHIFT: f64 = 1e-3;
+/// A shift that keeps being enough shrinks to this.
+const LEAST_SHIFT: f64 = 1e-12;
 /// A shift is given up beyond this.
 const LAST_SHIFT: f64 = 1e12;
 /// Two potentials that agree to this share of themselves cannot be told apart.
@@ -85,6 +89,8 @@ const POTENTIAL_ROUNDING: f64 = 1e-10;
 const STALLED: usize = 3;
 /// A saddle is left by a step this many times the trusted size, then halved as needed.
 const ESCAPE: f64 = 1e4;
+/// A matrix that this share of its largest diagonal entry makes positive definite is taken for semidefinite.
+const SEMIDEFINITE: f64 = 1e-13;
 /// A residual below this many roundings of the unknowns is rounding.
 const ROUNDINGS: f64 = 16.0;
 
@@ -99,7 +105,9 @@ const ROUNDINGS: f64 = 16.0;
 /// that du is a direction of descent; α is halved until Φ decreases by Armijo's rule or, where Φ cannot resolve it,
 /// until Φ is equal to rounding and its slope along du has shrunk (Hager and Zhang 2005). A saddle is not accepted: where
 /// the shifted update is tiny the iteration leaves along a direction of negative curvature. This needs the inertia, thus
-/// `Structure::SymmetricBand`; with other structures only descent along du is ensured.
+/// `Structure::SymmetricBand`; with other structures only descent along du is ensured. Where ∂G/∂u is singular to rounding but
+/// nowhere negative (a chain without tension, a column free to buckle to any side), the minimum is not isolated: shifted
+/// updates then count like unshifted ones, and the report says `neutral`.
 ///
 /// **Without a potential** α is halved until the simplified update has shrunk, the natural monotonicity test
 /// size(J⁻¹G(u ⊕ α du)) ≤ (1 − α/4) size(du) with the factor at hand (Deuflhard 2004, section 3.3): it has the units of u and
@@ -134,23 +142,30 @@ pub fn solve<S: ImplicitStep + ?Sized>(
     let refused = |reason| Error::Refused { step: at.index, reason };
     let (converged, trusted) = (step.converged_below(), step.trusted_below());
     let mut potential = step.assemble(at, x, u, &mut work.g, Some(&mut work.values)).map_err(refused)?;
-    let mut shift = 0.0;
+    // the last shift that was needed, kept over iterations that need none
+    let mut remembered = 0.0;
     let mut stalled = 0;
     for iteration in 1..=options.max_iterations {
         work.report.iterations = iteration;
-        shift = work.factor_descending(at, potential.is_some(), shift)?;
+        let shift = work.factor_descending(at, potential.is_some(), remembered)?;
+        if shift > 0.0 {
+            remembered = shift;
+        }
         work.newton_update();
         let size = step.size(&work.du);
         if !size.is_finite() {
             return Err(Error::NonFinite { step: at.index, what: "the Newton update" });
         }
         let previous = std::mem::replace(&mut work.report.last_update, size);
-        if shift == 0.0 && size <= converged {
+        let neutral = shift > 0.0 && size <= trusted && work.is_semidefinite();
+        let full = shift == 0.0 || neutral;
+        if full && size <= converged {
+            work.report.neutral = neutral;
             step.retract(at, x, u, &work.du, 1.0, &mut work.trial);
             u.copy_from_slice(&work.trial);
             return Ok(work.report);
         }
-        if shift == 0.0 && size <= trusted {
+        if full && size <= trusted {
             stalled = if size > 0.5 * previous { stalled + 1 } else { 0 };
             if stalled >= STALLED {
                 work.report.at_rounding = work.residual_is_rounding(u);
@@ -186,7 +201,8 @@ impl NewtonWork {
             }
             _ => {}
         }
-        let mut shift = FIRST_SHIFT.max(last / 4.0);
+        // shifts that were enough shrink, so that soft directions are not held back for long
+        let mut shift = if last > 0.0 { (last / 4.0).max(LEAST_SHIFT) } else { FIRST_SHIFT };
         while shift <= LAST_SHIFT {
             self.report.factorizations += 1;
             self.report.shifts += 1;
@@ -199,6 +215,12 @@ impl NewtonWork {
         let row =
             self.solver.factor_shifted(&self.values, shift, &mut self.factor).err().map_or(0, |bad| bad.row);
         Err(Error::SingularJacobian { step: at.index, row })
+    }
+
+    /// Whether ∂G/∂u has no negative eigenvalue beyond rounding. Leaves another factor.
+    fn is_semidefinite(&mut self) -> bool {
+        self.report.factorizations += 1;
+        self.solver.factor_lifted(&self.values, SEMIDEFINITE, &mut self.factor) == Ok(0)
     }
 
     /// du = −J⁻¹ g.

@@ -191,3 +191,33 @@ fn a_mutated_right_hand_side_fails_the_conformance_of_its_models() {
     let failed = |what: &str| outcomes.iter().any(|o| o.what.contains(what) && !o.pass);
     assert!(failed("dot product") && failed("Taylor"), "{outcomes:?}");
 }
+
+/// ‖M‖ lies between ‖M‖_F/√3 and ‖M‖_F, and six products find it; a window of 40 time units of Lorenz-63 is flagged.
+#[test]
+fn amplification_is_the_norm_of_the_window() {
+    let mut model = Rk4::new(Lorenz63::default(), 0, 0.01);
+    let mut run = |steps: usize| {
+        let (mut x, mut next) = (vec![1.2, -0.7, 10.3], vec![0.0; 3]);
+        for k in 0..steps {
+            model.step(k, &x, &mut next).unwrap();
+            model.linearize(k, &x, &next).unwrap();
+            std::mem::swap(&mut x, &mut next);
+        }
+        let found = check::amplification(&mut model, 0..steps, &[1.0; 3], 1).unwrap();
+        let mut squares = 0.0;
+        for i in 0..3 {
+            let mut dx = [0.0; 3];
+            dx[i] = 1.0;
+            (0..steps).for_each(|k| model.tangent(k, &mut dx));
+            squares += dx.iter().map(|d| d * d).sum::<f64>();
+        }
+        (found, squares.sqrt())
+    };
+    let (short, frobenius) = run(100);
+    assert!(short.norm <= frobenius * (1.0 + 1e-12) && short.norm >= frobenius / 3.0_f64.sqrt(), "{short:?}");
+    assert!(short.reliable && short.warning().is_none());
+    let (long, frobenius) = run(4000);
+    // one direction alone is left
+    assert!((long.norm / frobenius - 1.0).abs() < 1e-6, "{long:?} {frobenius:e}");
+    assert!(!long.reliable && long.warning().is_some_and(|w| w.contains("shorten the window")));
+}

@@ -79,11 +79,11 @@ impl RodStep {
             viscous: (damping.stiffness > 0.0).then(|| KelvinVoigt::new(&system, 1)),
             twist: (!system.layout.free_angles.is_empty()).then(|| TwistEquilibrium::new(&system)),
             carry: Carry::new(&system),
+            tolerance: 1e-11 * system.rod.length(),
             interval: None,
             start: vec![V3::zeros(); free],
             target: vec![V3::zeros(); free],
             end_angle: 0.0,
-            tolerance: 0.0,
             state: vec![0.0; system.layout.state()],
             displacement: vec![V3::zeros(); n + 1],
             psi: vec![0.0; n],
@@ -211,20 +211,11 @@ impl RodStep {
             viscous.fold_in(s, self.damping.stiffness / h);
         }
         s.place(stage.of.time)?;
-        let mut stiffest: f64 = 0.0;
-        for (f, &v) in s.layout.free_vertices.iter().enumerate() {
+        for f in 0..nf {
             let star = |i: usize| V3::from_fn(|c, _| mixed(from, x, own, 3 * i + c));
             self.start[f] = star(f);
             self.target[f] = self.start[f] + star(nf + f) * h;
-            for e in v.saturating_sub(1)..=v.min(s.rod.segments() - 1) {
-                let (ea, rest) = s.stretch[e];
-                stiffest = stiffest.max(ea / rest * h * h / s.rod.masses[v]);
-            }
         }
-        // Coordinates of size L carry an error of ε L; the stretch springs turn it into a force error of ε L EA/l̄, which
-        // moves a vertex held by its inertia M/η² alone by ε L (EA/l̄)(η²/M). No update can be smaller than that.
-        let length = s.rod.length();
-        self.tolerance = (1e-11 * length).max(f64::EPSILON * length * stiffest);
         self.interval = Some(*at);
         Ok(())
     }

@@ -17,6 +17,15 @@
 //! (Hooke's law) with large rotations; no contact. For stubby beams (length under about ten heights) shear matters at
 //! the per cent level and this is the wrong model; for a rod that never bends far, a linear beam is cheaper.
 //!
+//! # Range
+//!
+//! Measured by the suite `stiff` (`docs/results/stability.md`): a step of backward Euler ends within 1e-11 L of its root, mostly at
+//! rounding, for E from 1e5 to 1e12 Pa, L/r from 10 to 1e5, EA l²/EI from 1 to 1e10, 25 to 20 000 segments, clamps that move 0.1 to 10
+//! segments in a step, steps of 1e-6 to 10 periods of a pendulum, and starts with 15 % of random strain; its tangent and adjoint
+//! are those of that root. A turn within 1e-6 rad of π, an edge without length, a vertex without mass and a value that is not finite are
+//! errors that name it; from turns within 1e-5 rad of π a step may end as an error that names the step. At steps of 1e-6 s
+//! velocities, differences of places over Δt, carry 1e-10 m/s of rounding.
+//!
 //! What a rod does not need is left out: twist angles where they are provably zero (isotropic, naturally straight, one
 //! held director), bending for a chain, prescribed degrees of freedom; [`RodStep::left_out`] lists it.
 //!

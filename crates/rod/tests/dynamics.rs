@@ -100,3 +100,20 @@ fn hangs_as_its_weight_says(step: &RodStep) {
         assert!((rest.vertices[e + 1][2] - z).abs() < 1e-12, "vertex {}", e + 1);
     }
 }
+
+/// A chain without tension has no stiffness across: it is at rest as it lies, and Newton says that the minimum is not isolated.
+#[test]
+fn an_unstretched_chain_is_at_rest() {
+    let material = Material::new(1e6, 0.5, 1100.0);
+    let section = Section { ei1: 0.0, ei2: 0.0, gj: 0.0, ..Section::circle(&material, 0.01) };
+    let rod = Rod::uniform(1.0, 40, &section).unwrap();
+    let vertices: Vec<[f64; 3]> = rod.arc_lengths().iter().map(|s| [*s, 0.0, 0.0]).collect();
+    let held = |v: usize| -> (usize, Arc<dyn varda_rod::Motion>) { (v, Arc::new(vertices[v])) };
+    let supports = Supports { prescribed: vec![held(0), held(40)], ..Supports::default() };
+    let guess = varda_rod::Rest { vertices: vertices.clone(), theta: vec![0.0; 40] };
+    let (rest, report) = varda_rod::equilibrium(&rod, &supports, &Loads::default(), 0.0, &guess).unwrap();
+    assert!(report.neutral, "{report:?}");
+    for (a, b) in rest.vertices.iter().zip(&vertices) {
+        assert!((0..3).all(|c| (a[c] - b[c]).abs() < 1e-11), "{a:?} {b:?}");
+    }
+}

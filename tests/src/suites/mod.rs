@@ -7,6 +7,7 @@ mod golden;
 mod hessian;
 mod order;
 mod paper;
+mod stiff;
 mod taylor;
 
 use crate::Row;
@@ -17,6 +18,8 @@ use std::path::PathBuf;
 pub struct Options {
     /// Fewer seeds, fewer cases.
     pub quick: bool,
+    /// The longest cases too.
+    pub full: bool,
     /// Folder with `der`, `hanging-rod`, `twin` (any of them); our own copies where there is none.
     pub fixtures: Option<PathBuf>,
 }
@@ -53,6 +56,7 @@ pub const SUITES: &[Suite] = &[
     Suite { name: "order", run: |options| order::run(options).into() },
     Suite { name: "equivalence", run: |options| equivalence::run(options).into() },
     Suite { name: "paper", run: paper::run },
+    Suite { name: "stiff", run: stiff::run },
 ];
 
 /// Runs a suite.
@@ -62,4 +66,9 @@ pub const SUITES: &[Suite] = &[
 pub fn run(name: &str, options: &Options) -> Report {
     let suite = SUITES.iter().find(|s| s.name == name).expect("a suite of that name");
     (suite.run)(options)
+}
+
+/// The rows of suite stiff as a document: `docs/results/stability.md`.
+pub fn stability(rows: &[Row]) -> String {
+    stiff::document(rows)
 }

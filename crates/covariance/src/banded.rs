@@ -1,0 +1,257 @@
+//! A covariance of compact support along a line: B and its Cholesky root are bands.
+
+use crate::cholesky::{add_scaled, dot};
+use crate::error::Error;
+use crate::kernel::CovarianceFunction;
+use crate::operator::{Covariance, Precision, check_lengths};
+
+/// A covariance whose entries vanish further than w places from the diagonal, kept as its lower Cholesky factor, B = L Lᵀ, B^{1/2} = L,
+/// which vanishes there too (Golub and Van Loan 2013, section 4.3).
+///
+/// n (w + 1) numbers and n w² operations to build, n w for every product: linear in n for points of a given density. The
+/// same B as a [`Dense`](crate::Dense) one takes n² and n³/3.
+///
+/// ```
+/// use varda_covariance::{Banded, Covariance, CovarianceFunction, Kernel, Taper};
+///
+/// let places: Vec<f64> = (0..100_000).map(|i| 0.01 * i as f64).collect();
+/// let taper = Taper::GaspariCohn { support: 0.1 };
+/// let b = CovarianceFunction { sigma: 2.0, kernel: Kernel::Matern32 { length: 0.05 }, taper };
+/// let b = Banded::along(&b, &places)?;
+/// // ten points in the support, where rounding puts one at its very end
+/// assert!(b.dim() == 100_000 && b.half_bandwidth() <= 10);
+/// # Ok::<(), varda_covariance::Error>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct Banded {
+    n: usize,
+    w: usize,
+    /// Row i of L holds columns i − w … i; those left of column 0 are zero.
+    l: Vec<f64>,
+}
+
+impl Banded {
+    /// The covariance function at places that ascend along a line. The band is as wide as the support of its taper asks for.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Parameter`] for σ, L or L_loc that is not positive, a taper without a finite support, or a place that does not
+    /// ascend; [`Error::NonFinite`], [`Error::Singular`], [`Error::NotPositiveDefinite`] as [`Dense::new`](crate::Dense::new).
+    pub fn along(function: &CovarianceFunction, places: &[f64]) -> Result<Self, Error> {
+        function.validate()?;
+        let support = function.taper.support();
+        if !support.is_finite() {
+            return Err(Error::Parameter {
+                what: "taper support of a band",
+                value: support,
+                range: "finite",
+            });
+        }
+        if let Some(pair) = places.windows(2).find(|pair| !(pair[0] <= pair[1])) {
+            return Err(Error::Parameter {
+                what: "place along the line",
+                value: pair[1],
+                range: "ascending",
+            });
+        }
+        let first = |i: usize| places.partition_point(|s| places[i] - s >= support).min(i);
+        let w = (0..places.len()).map(|i| i - first(i)).max().unwrap_or(0);
+        let mut band = vec![0.0; places.len() * (w + 1)];
+        for i in 0..places.len() {
+            for j in first(i)..=i {
+                let d = places[i] - places[j];
+                let correlation = crate::kernel::correlation(function.kernel, function.taper, d);
+                band[i * (w + 1) + w + j - i] = function.sigma * function.sigma * correlation;
+            }
+        }
+        Self::new(places.len(), w, band)
+    }
+
+    /// From the lower band of a symmetric positive definite matrix: row i holds columns i − w … i, entry (i, j) at
+    /// `i (w + 1) + w + j − i`. Entries left of column 0 are not read.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Size`], [`Error::NonFinite`], [`Error::Singular`], [`Error::NotPositiveDefinite`] as
+    /// [`Dense::new`](crate::Dense::new).
+    pub fn new(n: usize, half_bandwidth: usize, band: Vec<f64>) -> Result<Self, Error> {
+        let w = half_bandwidth;
+        if n == 0 || band.len() != n * (w + 1) {
+            let expected = n.max(1) * (w + 1);
+            return Err(Error::Size { what: "the band of the covariance", expected, found: band.len() });
+        }
+        let mut l = band;
+        for i in 0..n {
+            let start = i.saturating_sub(w);
+            let (above, row) = l.split_at_mut(i * (w + 1));
+            // columns start … i of this row
+            let outside = w - (i - start);
+            row[..outside].fill(0.0);
+            if let Some(at) = row[outside..=w].iter().position(|v| !v.is_finite()) {
+                return Err(Error::NonFinite { row: i, column: start + at, value: row[outside + at] });
+            }
+            for j in start..i {
+                // columns max(start, j − w) … j − 1, all of them from start on as j < i
+                let pivot_row = &above[j * (w + 1)..(j + 1) * (w + 1)];
+                let (length, shift) = (j - start, w - (j - start));
+                let partial = dot(&row[outside..outside + length], &pivot_row[shift..w]);
+                row[outside + length] = (row[outside + length] - partial) / pivot_row[w];
+            }
+            let variance = row[w];
+            let value = variance - dot(&row[outside..w], &row[outside..w]);
+            row[w] = crate::cholesky::usable_pivot(w + 1, i, value, variance)?.sqrt();
+        }
+        Ok(Self { n, w, l })
+    }
+
+    /// w: entries further than this from the diagonal are zero.
+    pub fn half_bandwidth(&self) -> usize {
+        self.w
+    }
+
+    /// Row i of L without what lies left of column 0, and its first column.
+    fn row(&self, i: usize) -> (usize, &[f64]) {
+        let start = i.saturating_sub(self.w);
+        let row = &self.l[i * (self.w + 1)..(i + 1) * (self.w + 1)];
+        (start, &row[self.w - (i - start)..])
+    }
+}
+
+impl Covariance for Banded {
+    fn dim(&self) -> usize {
+        self.n
+    }
+
+    fn root_dim(&self) -> usize {
+        self.n
+    }
+
+    fn apply(&self, x: &[f64], y: &mut [f64]) {
+        self.root_transpose(x, y);
+        for i in (0..self.n).rev() {
+            let (start, row) = self.row(i);
+            y[i] = dot(row, &y[start..=i]);
+        }
+    }
+
+    fn root(&self, v: &[f64], x: &mut [f64]) {
+        check_lengths(v, self.n, x, self.n);
+        for (i, x) in x.iter_mut().enumerate() {
+            let (start, row) = self.row(i);
+            *x = dot(row, &v[start..=i]);
+        }
+    }
+
+    fn root_transpose(&self, x: &[f64], v: &mut [f64]) {
+        check_lengths(x, self.n, v, self.n);
+        v.fill(0.0);
+        for (i, x) in x.iter().enumerate() {
+            let (start, row) = self.row(i);
+            add_scaled(*x, row, &mut v[start..=i]);
+        }
+    }
+
+    fn variance(&self, variance: &mut [f64]) {
+        assert_eq!(variance.len(), self.n, "length of the variance");
+        for (i, variance) in variance.iter_mut().enumerate() {
+            let (_, row) = self.row(i);
+            *variance = dot(row, row);
+        }
+    }
+}
+
+impl Precision for Banded {
+    fn solve(&self, x: &[f64], y: &mut [f64]) {
+        self.whiten(x, y);
+        for i in (0..self.n).rev() {
+            let (start, row) = self.row(i);
+            y[i] /= row[i - start];
+            let y_i = y[i];
+            add_scaled(-y_i, &row[..i - start], &mut y[start..i]);
+        }
+    }
+
+    fn whiten(&self, x: &[f64], v: &mut [f64]) {
+        check_lengths(x, self.n, v, self.n);
+        for i in 0..self.n {
+            let (start, row) = self.row(i);
+            v[i] = (x[i] - dot(&row[..i - start], &v[start..i])) / row[i - start];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Dense, Kernel, Taper};
+
+    fn function(taper: Taper) -> CovarianceFunction {
+        CovarianceFunction { sigma: 0.7, kernel: Kernel::Gaussian { length: 0.3 }, taper }
+    }
+
+    /// Unequal places, two of them further apart than the support.
+    fn places() -> Vec<f64> {
+        (0..40)
+            .map(|i| 0.05 * i as f64 + 0.02 * (3.0 * i as f64).sin() + if i > 25 { 1.0 } else { 0.0 })
+            .collect()
+    }
+
+    #[test]
+    fn the_same_covariance_as_a_dense_one() {
+        for taper in [Taper::Triangle { support: 0.33 }, Taper::GaspariCohn { support: 0.5 }] {
+            let f = function(taper);
+            let places = places();
+            let (band, dense) =
+                (Banded::along(&f, &places).unwrap(), Dense::new(40, &f.matrix(&places).unwrap()).unwrap());
+            assert!((5..15).contains(&band.half_bandwidth()), "{}", band.half_bandwidth());
+            let x: Vec<f64> = (0..40).map(|i| (1.7 * i as f64).sin()).collect();
+            let (mut a, mut b) = (vec![0.0; 40], vec![0.0; 40]);
+            let mut same = |what: &str, product: &dyn Fn(&dyn Precision, &mut [f64]), tolerance: f64| {
+                product(&band, &mut a);
+                product(&dense, &mut b);
+                let size = b.iter().fold(0.0_f64, |m, b| m.max(b.abs()));
+                let gap = a.iter().zip(&b).fold(0.0_f64, |m, (a, b)| m.max((a - b).abs()));
+                assert!(gap <= tolerance * size, "{what}: {gap:e} of {size:e}");
+            };
+            same("apply", &|c, y| c.apply(&x, y), 1e-14);
+            same("root", &|c, y| c.root(&x, y), 1e-14);
+            same("root_transpose", &|c, y| c.root_transpose(&x, y), 1e-14);
+            same("variance", &|c, y| c.variance(y), 1e-14);
+            // conditions of up to some 1e5
+            same("solve", &|c, y| c.solve(&x, y), 1e-9);
+            same("whiten", &|c, y| c.whiten(&x, y), 1e-10);
+        }
+    }
+
+    #[test]
+    fn a_2_by_2_by_hand() {
+        // [[4, 2], [2, 5]] = L Lᵀ with L = [[2, 0], [1, 2]]; what lies left of column 0 is not read
+        let b = Banded::new(2, 1, vec![f64::NAN, 4.0, 2.0, 5.0]).unwrap();
+        let mut out = [0.0; 2];
+        b.root(&[1.0, 1.0], &mut out);
+        assert_eq!(out, [2.0, 3.0]);
+        b.solve(&[2.0, -3.0], &mut out);
+        assert_eq!(out, [1.0, -1.0]);
+    }
+
+    #[test]
+    fn bad_bands_are_typed_errors() {
+        let f = function(Taper::Triangle { support: 0.5 });
+        let along = |places: &[f64]| Banded::along(&f, places).unwrap_err();
+        assert!(matches!(along(&[0.0, 0.2, 0.1]), Error::Parameter { what: "place along the line", .. }));
+        assert!(matches!(along(&[0.0, f64::NAN]), Error::Parameter { what: "place along the line", .. }));
+        assert!(matches!(along(&[0.0, 0.2, 0.2]), Error::Singular { pivot: 2, .. }));
+        assert!(matches!(along(&[]), Error::Size { .. }));
+        let endless = Banded::along(&function(Taper::None), &[0.0, 1.0]);
+        assert!(matches!(endless, Err(Error::Parameter { what: "taper support of a band", .. })));
+        assert!(matches!(
+            Banded::new(2, 1, vec![0.0, 1.0, 2.0, 1.0]),
+            Err(Error::NotPositiveDefinite { pivot: 1, .. })
+        ));
+        assert!(matches!(
+            Banded::new(2, 1, vec![0.0, 1.0, f64::NAN, 1.0]),
+            Err(Error::NonFinite { row: 1, column: 0, .. })
+        ));
+        assert!(matches!(Banded::new(2, 1, vec![1.0; 3]), Err(Error::Size { expected: 4, found: 3, .. })));
+    }
+}

@@ -1,0 +1,675 @@
+//! Rods in extreme shapes, where the answer is known: free fall, straight, slack, buckled, nearly folded, twisted, without mass.
+
+use super::{condition, interval, refused, work};
+use crate::problems::{rod_scale, wave};
+use crate::row::{Outcome, Rows};
+use crate::suites::Options;
+use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
+use varda_implicit::{Counts, ImplicitModel, ImplicitStep, Model, check};
+use varda_rod::{
+    Clamp, Damping, Error, Framed, Loads, Marker, Markers, Material, Motion, Rest, Rod, RodStep, Section,
+    Supports, derivatives, equilibrium, straight_guess,
+};
+
+const SILICONE: Material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1100.0 };
+const DOWN: [f64; 3] = [0.0, 0.0, -1.0];
+
+fn weight() -> Loads {
+    Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() }
+}
+
+fn section() -> Section {
+    Section::circle(&SILICONE, 0.01)
+}
+
+fn chain() -> Section {
+    Section { ei1: 0.0, ei2: 0.0, gj: 0.0, ..section() }
+}
+
+fn fixed_clamp() -> Clamp {
+    Clamp::fixed([0.0; 3], DOWN, [1.0, 0.0, 0.0])
+}
+
+fn held(vertex: usize, place: [f64; 3]) -> (usize, Arc<dyn Motion>) {
+    (vertex, Arc::new(place))
+}
+
+fn model(rod: Rod, supports: Supports, loads: Loads, dt: f64) -> Result<ImplicitModel<RodStep>, Error> {
+    Ok(ImplicitModel::new(RodStep::new(rod, supports, loads, Damping::default())?, 0, dt))
+}
+
+/// The state after `steps` steps from places of all vertices (those of the free ones are taken), at rest.
+fn run_from(
+    model: &mut ImplicitModel<RodStep>,
+    vertices: &[[f64; 3]],
+    steps: usize,
+) -> Result<Vec<f64>, varda_implicit::Error> {
+    let mut z: Vec<f64> = model.step_ref().free_vertices().iter().flat_map(|&v| vertices[v]).collect();
+    z.resize(model.control_dim(), 0.0);
+    let mut x = vec![0.0; model.dim()];
+    model.initial_state(&z, &mut x)?;
+    let mut next = x.clone();
+    for k in 0..steps {
+        model.step(k, &x, &mut next)?;
+        std::mem::swap(&mut x, &mut next);
+    }
+    Ok(x)
+}
+
+/// Condition of ∂G/∂u at the step k from x to itself.
+fn condition_at(model: &mut ImplicitModel<RodStep>, k: usize, dt: f64, x: &[f64]) -> f64 {
+    let at = interval(k, model.time(k), dt);
+    let step = model.step_mut();
+    let (n, structure) = (step.unknowns(), step.structure());
+    let mut u = vec![0.0; n];
+    step.recover(&at, x, x, &mut u);
+    let mut values = vec![0.0; varda_implicit::LinearSolver::new(n, &structure).values_len()];
+    match step.assemble(&at, x, &u, &mut vec![0.0; n], Some(&mut values)) {
+        Ok(_) => condition(n, &structure, &values),
+        Err(_) => f64::NAN,
+    }
+}
+
+/// The note of a row: condition at step k, and the work done so far.
+fn figures(model: &mut ImplicitModel<RodStep>, k: usize, dt: f64, x: &[f64]) -> String {
+    let condition = condition_at(model, k, dt, x);
+    work(model, &Counts::default(), condition)
+}
+
+fn largest(values: impl Iterator<Item = f64>) -> f64 {
+    values.fold(0.0, |m: f64, v| if v.abs() <= m { m } else { v.abs() })
+}
+
+fn line(from: [f64; 3], along: [f64; 3], lengths: &[f64]) -> Vec<[f64; 3]> {
+    let mut at = from;
+    let mut all = vec![at];
+    for l in lengths {
+        at = std::array::from_fn(|c| at[c] + l * along[c]);
+        all.push(at);
+    }
+    all
+}
+
+pub(super) fn run(rows: &mut Rows, options: &Options) {
+    free_fall(rows);
+    straight(rows);
+    slack(rows);
+    buckled(rows);
+    nearly_folded(rows);
+    degenerate_edges(rows);
+    twisted(rows);
+    tips(rows);
+    tilt_loop(rows, if options.quick { 5_000 } else { 100_000 });
+}
+
+/// Without supports V_k = V₀ + k Δt g and X_k = X₀ + k Δt V₀ + k(k+1)/2 Δt² g, whatever the shape.
+fn free_fall(rows: &mut Rows) {
+    for (youngs, dt) in [(1e6, 0.01), (1e12, 0.01), (1e6, 1.0)] {
+        rows.case(&format!("free fall, E = {youngs:.0e} Pa, Δt = {dt} s"), |case| {
+            let material = Material { youngs_modulus: youngs, shear_modulus: youngs / 3.0, ..SILICONE };
+            let rod = Rod::uniform(1.0, 25, &Section::circle(&material, 0.01))?;
+            let start = line([0.0; 3], [0.6, 0.8, 0.0], &rod.rest_lengths);
+            let mut model = model(rod, Supports::default(), weight(), dt)?;
+            let steps = 50;
+            let x = run_from(&mut model, &start, steps)?;
+            let fallen = -9.81 * dt * dt * (steps * (steps + 1) / 2) as f64;
+            let error = largest(start.iter().enumerate().flat_map(|(v, s)| {
+                let x = &x[3 * v..3 * v + 3];
+                [x[0] - s[0], x[1] - s[1], x[2] - s[2] - fallen]
+            }));
+            let note = figures(&mut model, 0, dt, &x);
+            // fifty sums, each rounded at the size of what has been fallen, and solved to 1e-11 L
+            case.at_most("error of places over distance fallen", error / fallen.abs().max(1.0), 1e-11, "-")
+                .note(note);
+            Ok(())
+        });
+    }
+}
+
+/// Taut and straight: no bending, no stretch, nothing moves; at rest without a load even a chain.
+fn straight(rows: &mut Rows) {
+    for (name, section) in [("rod", section()), ("chain", chain())] {
+        rows.case(&format!("{name} held straight and unstretched at both ends"), |case| {
+            let rod = Rod::uniform(1.0, 40, &section)?;
+            let start = line([0.0; 3], [1.0, 0.0, 0.0], &rod.rest_lengths);
+            let ends = vec![held(0, start[0]), held(40, start[40])];
+            let supports = Supports { prescribed: ends, ..Supports::default() };
+            let mut model = model(rod.clone(), supports.clone(), Loads::default(), 0.01)?;
+            let x = run_from(&mut model, &start, 20)?;
+            let moved = largest(
+                (0..39)
+                    .flat_map(|f| (0..3).map(move |c| (f, c)))
+                    .map(|(f, c)| x[3 * f + c] - start[f + 1][c]),
+            );
+            let note = figures(&mut model, 0, 0.01, &x);
+            // coordinates of 1 m, built by forty sums
+            case.at_most("moved in 20 steps", moved, 1e-14, "m").note(note);
+            let guess = Rest { vertices: start.clone(), theta: vec![0.0; 40] };
+            let (rest, report) = equilibrium(&rod, &supports, &Loads::default(), 0.0, &guess)?;
+            let moved =
+                largest(rest.vertices.iter().zip(&start).flat_map(|(a, b)| (0..3).map(move |c| a[c] - b[c])));
+            case.at_most("moved by statics", moved, 1e-11, "m")
+                .note(format!("{} Newton iterations, {} shifts", report.iterations, report.shifts));
+            let gradient = {
+                let scale = rod_scale(model.step_ref());
+                check::window(&mut model, &x, 5, &scale, 3)?
+            };
+            case.at_most("dot product of five steps", gradient.value, gradient.bound, "-");
+            Ok(())
+        });
+        rows.case(&format!("{name} hanging straight from an unstretched guess"), |case| {
+            let rod = Rod::uniform(1.0, 40, &section)?;
+            let supports = Supports { prescribed: vec![held(0, [0.0; 3])], ..Supports::default() };
+            let guess = straight_guess(&rod, &supports, 0.0, DOWN)?;
+            let (rest, report) = equilibrium(&rod, &supports, &weight(), 0.0, &guess)?;
+            // the tension at edge e carries all masses below it
+            let mut z = 0.0;
+            let mut error: f64 = 0.0;
+            for e in 0..40 {
+                let below: f64 = rod.masses[e + 1..].iter().sum();
+                z -= rod.rest_lengths[e] * (1.0 + 9.81 * below / rod.ea[e]);
+                error = error.max((rest.vertices[e + 1][2] - z).abs());
+            }
+            // statics end with an update below 1e-11 L
+            case.at_most("error of places", error, 1e-11, "m")
+                .note(format!("{} Newton iterations, {} shifts", report.iterations, report.shifts));
+            Ok(())
+        });
+    }
+    rows.case("unstretched guess of a hanging chain, level", |case| {
+        let rod = Rod::uniform(1.0, 40, &chain())?;
+        let supports = Supports { prescribed: vec![held(0, [0.0; 3])], ..Supports::default() };
+        let guess = straight_guess(&rod, &supports, 0.0, [1.0, 0.0, 0.0])?;
+        let (rest, report) = equilibrium(&rod, &supports, &weight(), 0.0, &guess)?;
+        let aside = largest(rest.vertices.iter().flat_map(|v| [v[0], v[1]]));
+        // statics end with an update below 1e-11 L
+        case.at_most("distance from the plumb line", aside, 1e-11, "m")
+            .note(format!("{} Newton iterations, {} shifts", report.iterations, report.shifts));
+        Ok(())
+    });
+}
+
+/// A chain hung slack between two points: the discrete catenary. Its tension has one horizontal component H; with V₀ at the first
+/// edge and equal masses m the tension of edge e is (H, V₀ − e m g), which gives every place; H and V₀ are found by bisection.
+fn slack(rows: &mut Rows) {
+    for (name, ends) in [("chain", 0.6), ("nearly taut chain", 0.999), ("slack chain", 0.05)] {
+        rows.case(&format!("{name}, ends {ends} L apart"), |case| {
+            let n = 60;
+            let rod = Rod::uniform(1.0, n, &chain())?;
+            let supports = Supports {
+                prescribed: vec![held(0, [0.0; 3]), held(n, [ends, 0.0, 0.0])],
+                ..Supports::default()
+            };
+            // a V that hangs through, longer than the ends are apart
+            let depth = (0.25_f64 - 0.25 * ends * ends).sqrt();
+            let along = |e: usize| if e < n / 2 { -1.0 } else { 1.0 };
+            let mut guess = vec![[0.0; 3]];
+            for e in 0..n {
+                let last = guess[e];
+                guess.push([last[0] + ends / n as f64, 0.0, last[2] + along(e) * depth * 2.0 / n as f64]);
+            }
+            let guess = Rest { vertices: guess, theta: vec![0.0; n] };
+            let (rest, report) = equilibrium(&rod, &supports, &weight(), 0.0, &guess)?;
+            let (mg, l, ea) = (rod.masses[1] * 9.81, rod.rest_lengths[0], rod.ea[0]);
+            let vertical = 0.5 * (n - 1) as f64 * mg;
+            let span = |h: f64| {
+                (0..n).map(move |e| {
+                    let v = vertical - e as f64 * mg;
+                    let t = h.hypot(v);
+                    let stretched = l * (1.0 + t / ea);
+                    (stretched * h / t, -stretched * v / t)
+                })
+            };
+            let (mut low, mut high) = (1e-9, 1e4);
+            for _ in 0..200 {
+                let middle = 0.5 * (low + high);
+                if span(middle).map(|d| d.0).sum::<f64>() < ends { low = middle } else { high = middle }
+            }
+            let (mut x, mut z, mut error) = (0.0, 0.0, 0.0_f64);
+            for (e, (dx, dz)) in span(low).enumerate() {
+                (x, z) = (x + dx, z + dz);
+                let p = rest.vertices[e + 1];
+                error = error.max((p[0] - x).abs()).max((p[2] - z).abs());
+            }
+            // an update below 1e-11 L; sixty sums
+            case.at_most("distance from the discrete catenary", error, 1e-10, "m")
+                .note(format!("{} Newton iterations, {} shifts", report.iterations, report.shifts));
+            Ok(())
+        });
+    }
+}
+
+/// A column clamped at both ends and pushed together: it must leave the straight saddle. The elastica's first mode at a small
+/// end-shortening δ has the amplitude a = (2L/π) √(δ/L) (inextensible; next order 1 + O(δ/L)).
+fn buckled(rows: &mut Rows) {
+    for shortening in [0.01, 0.1, 0.3] {
+        rows.case(&format!("column pushed together by {:.0} %", 100.0 * shortening), |case| {
+            let n = 80;
+            let thin = Section::circle(&SILICONE, 0.001);
+            let rod = Rod::uniform(1.0, n, &thin)?;
+            let end = Clamp::fixed([0.0, 0.0, -(1.0 - shortening)], DOWN, [1.0, 0.0, 0.0]);
+            let supports = Supports { start: Some(fixed_clamp()), end: Some(end), ..Supports::default() };
+            let l = 1.0 / n as f64;
+            // evenly compressed, and exactly straight or bowed by a hundredth of L
+            let inner = (1.0 - shortening - 2.0 * l) / (n - 2) as f64;
+            let z = |v: usize| if v <= 1 { v as f64 * l } else { l + inner * (v - 1) as f64 };
+            let guess = |bow: f64| {
+                let aside = |v: usize| bow * 0.5 * (1.0 - (TAU * (v as f64 - 0.5) / (n - 1) as f64).cos());
+                let free = |v: usize| if (2..=n - 2).contains(&v) { aside(v) } else { 0.0 };
+                let vertices = (0..=n).map(|v| [free(v), 0.0, -z(v)]).collect();
+                Rest { vertices, theta: vec![0.0; n] }
+            };
+            let expected = clamped_elastica(shortening);
+            // from the straight saddle, up to thirty thousand times beyond the critical load: there, or an error
+            match equilibrium(&rod, &supports, &Loads::default(), 0.0, &guess(0.0)) {
+                Ok((rest, report)) => {
+                    let aside = rest.vertices.iter().map(|v| v[0].hypot(v[1])).fold(0.0, f64::max);
+                    case.at_most(
+                        "from the straight saddle: part of the first mode's amplitude missing",
+                        1.0 - aside / expected,
+                        1.0,
+                        "-",
+                    )
+                    .computed(aside)
+                    .note(format!("{} Newton iterations, {} shifts", report.iterations, report.shifts));
+                }
+                Err(error) => refused(
+                    case,
+                    "from the straight saddle: refused, naming the step",
+                    Err::<(), _>(error),
+                    "step 0",
+                ),
+            }
+            let (rest, report) = equilibrium(&rod, &supports, &Loads::default(), 0.0, &guess(0.01))?;
+            let aside = |v: &[f64; 3]| v[0].hypot(v[1]);
+            let amplitude = rest.vertices.iter().map(aside).fold(0.0, f64::max);
+            // 80 segments of which two are held: the discrete clamp is half a segment longer at either end, 1 to 2 %
+            case.at_most(
+                "amplitude, relative error against the elastica",
+                (amplitude / expected - 1.0).abs(),
+                0.03,
+                "-",
+            )
+            .computed(amplitude)
+            .note(format!("{} Newton iterations, {} shifts", report.iterations, report.shifts));
+            Ok(())
+        });
+    }
+}
+
+/// Amplitude over L of the first mode of an inextensible column clamped at both ends: four quarter waves of the elastica with
+/// modulus p, shortening 2 − 2 E(p)/K(p), amplitude p/K(p).
+fn clamped_elastica(shortening: f64) -> f64 {
+    let integrals = |p: f64| {
+        // midpoint sums over a period of smooth functions: exact to rounding at 200 points
+        let points = 400;
+        let step = 0.5 * PI / points as f64;
+        (0..points).fold((0.0, 0.0), |(k, e), i| {
+            let root = (1.0 - (p * (step * (i as f64 + 0.5)).sin()).powi(2)).sqrt();
+            (k + step / root, e + step * root)
+        })
+    };
+    let (mut low, mut high) = (1e-9_f64, 0.9999);
+    for _ in 0..100 {
+        let p = 0.5 * (low + high);
+        let (k, e) = integrals(p);
+        if 2.0 - 2.0 * e / k < shortening { low = p } else { high = p }
+    }
+    low / integrals(low).0
+}
+
+/// Two edges that turn by π − δ: E = 2 EI/(l̄ tan²(δ/2)) and its derivative, exact down to δ = 1e-6, an error below.
+fn nearly_folded(rows: &mut Rows) {
+    for delta in [1e-2_f64, 1e-3, 1e-4, 1e-5, 2e-6, 5e-7, 1e-7, 1e-8] {
+        rows.case(&format!("turning angle π − {delta:e}"), |case| {
+            let rod = Rod::uniform(0.2, 2, &section())?;
+            let vertices = [[0.0; 3], [0.1, 0.0, 0.0], [0.1 - 0.1 * delta.cos(), 0.1 * delta.sin(), 0.0]];
+            let framed = |vertices: &[[f64; 3]]| {
+                derivatives(
+                    &rod,
+                    &Framed {
+                        vertices,
+                        directors: &[[0.0, 0.0, 1.0]; 2],
+                        reference_twist: &[0.0],
+                        theta: &[0.0; 2],
+                    },
+                )
+            };
+            // within 1e-6 rad of π the description says fold
+            if delta < 1e-6 {
+                refused(case, "refused, naming the vertex", framed(&vertices), "vertex 1");
+                return Ok(());
+            }
+            let d = framed(&vertices)?;
+            let (ei, l) = (rod.ei[0][0], rod.voronoi_lengths[0]);
+            let energy = 2.0 * ei / (l * (0.5 * delta).tan().powi(2));
+            // rounding of the tangents over δ, twice in the square, and as much in the place of the tip
+            let bound = 50.0 * f64::EPSILON / delta;
+            let condition = 1.0 / delta;
+            case.at_most("relative error of the energy", (d.energy.bend / energy - 1.0).abs(), bound, "-")
+                .note(format!("condition {condition:.0e}"));
+            // the tip turns about vertex 1: ∂E/∂δ = −E·2/sin δ, along (sin δ, cos δ) at 0.1 m
+            let torque = 0.1 * (delta.sin() * d.gradient[6] + delta.cos() * d.gradient[7]);
+            let expected = -2.0 * energy / delta.sin();
+            case.at_most("relative error of the moment", (torque / expected - 1.0).abs(), bound, "-");
+            // released from there, a step solves it
+            let supports = Supports {
+                prescribed: vec![held(0, vertices[0]), held(1, vertices[1])],
+                ..Supports::default()
+            };
+            let mut model = model(rod.clone(), supports, Loads::default(), 1e-3)?;
+            let note = match run_from(&mut model, &vertices, 3) {
+                Ok(x) => {
+                    let speed2: f64 = x[3..].iter().map(|v| v * v).sum();
+                    let kinetic = 0.5 * model.step_ref().rod().masses[2] * speed2;
+                    let after = framed(&[vertices[0], vertices[1], [x[0], x[1], x[2]]])?;
+                    // backward Euler of a potential loses energy: what is left is part of what was there
+                    let left = (after.energy.total() + kinetic) / energy;
+                    case.at_most("energy left after three steps", left, 1.0, "-");
+                    work(&model, &Counts::default(), condition)
+                }
+                Err(error) => {
+                    let named = error.to_string().contains("step 0");
+                    case.at_most("refused, naming the step", if named { 0.0 } else { 1.0 }, 0.0, "-");
+                    error.to_string()
+                }
+            };
+            case.inform("released", condition, "-").note(note);
+            Ok(())
+        });
+    }
+}
+
+/// Edges without length are refused by name; very short ones are not.
+fn degenerate_edges(rows: &mut Rows) {
+    for length in [0.0, 1e-300, 1e-160] {
+        rows.case(&format!("edge of {length:e} m"), |case| {
+            let rod = Rod::uniform(0.5, 5, &section())?;
+            let mut vertices = line([0.0; 3], DOWN, &rod.rest_lengths);
+            vertices[4] = [vertices[3][0] + length, vertices[3][1], vertices[3][2]];
+            if length > 0.0 {
+                // so short that it vanishes beside a coordinate: put it at the origin
+                vertices.iter_mut().for_each(|v| v[2] += 0.3);
+                vertices[3] = [0.0; 3];
+                vertices[4] = [length, 0.0, 0.0];
+            }
+            let frame = Framed {
+                vertices: &vertices,
+                directors: &[[0.0, 1.0, 0.0]; 5],
+                reference_twist: &[0.0; 4],
+                theta: &[0.0; 5],
+            };
+            refused(case, "energy refused, naming the edge", derivatives(&rod, &frame), "edge 3");
+            let supports = Supports { prescribed: vec![held(0, vertices[0])], ..Supports::default() };
+            let mut model = model(rod, supports, weight(), 0.01)?;
+            // the step itself looks at the old shape only where it needs its strains
+            match run_from(&mut model, &vertices, 1) {
+                Ok(x) => {
+                    case.at_most(
+                        "step: values that are not finite",
+                        x.iter().filter(|v| !v.is_finite()).count() as f64,
+                        0.0,
+                        "-",
+                    );
+                }
+                Err(error) => {
+                    refused(case, "step refused, naming step and edge", Err::<(), _>(error), "step 0: edge 3")
+                }
+            }
+            Ok(())
+        });
+    }
+    rows.case("edge of rest length zero", |case| {
+        refused(
+            case,
+            "rod refused, naming the field",
+            Rod::with_segments(&[0.1, 0.0, 0.1], &section()),
+            "rest length",
+        );
+        refused(case, "not a number", Rod::with_segments(&[0.1, f64::NAN], &section()), "rest length");
+        Ok(())
+    });
+    rows.case("edge lengths 1 : 1e4 in turn", |case| {
+        let lengths: Vec<f64> = (0..20).map(|e| if e % 2 == 0 { 0.05 } else { 5e-6 }).collect();
+        let rod = Rod::with_segments(&lengths, &section())?;
+        let start = line([0.0; 3], DOWN, &lengths);
+        let drive = |t: f64| [0.5 * t, 0.0, 0.0];
+        let clamp =
+            Clamp { position: Arc::new(drive), tangent: Arc::new(DOWN), director: Arc::new([1.0, 0.0, 0.0]) };
+        let mut model = model(rod, Supports::clamped_start(clamp), weight(), 0.01)?;
+        let x = run_from(&mut model, &start, 20)?;
+        let mut next = x.clone();
+        model.step(20, &x, &mut next)?;
+        let note = figures(&mut model, 20, 0.01, &x);
+        // the whole step again in two models: a step is a function of (k, x) alone
+        model.linearize(20, &x, &next)?;
+        let scale = rod_scale(model.step_ref());
+        let dot = check::dot_product(&mut model, 20..21, &scale, 5)?;
+        case.at_most("dot product of step 20", dot.value, dot.bound, "-").note(note);
+        // a tenth of the short edges, and 0.1 m/s
+        let direction: Vec<f64> =
+            scale.iter().enumerate().map(|(i, s)| if *s < 1.0 { 5e-7 } else { 0.1 } * wave(i, 12)).collect();
+        let taylor = check::taylor_step(&mut model, 20, &x, &direction, &scale)?;
+        case.at_most("Taylor slope of step 20, 2 − slope", 2.0 - taylor.slope, 0.05, "-")
+            .computed(taylor.slope);
+        Ok(())
+    });
+}
+
+/// Many turns per vertex: τ counts them, E = ½ GJ τ²/l̄ exactly.
+fn twisted(rows: &mut Rows) {
+    for turns in [0.5, 1.0, 10.0, 1000.0] {
+        rows.case(&format!("{turns} turns per vertex"), |case| {
+            let n = 10;
+            let rod = Rod::uniform(1.0, n, &section())?;
+            let vertices = line([0.0; 3], DOWN, &rod.rest_lengths);
+            let theta: Vec<f64> = (0..n).map(|e| TAU * turns * e as f64).collect();
+            let d = derivatives(
+                &rod,
+                &Framed {
+                    vertices: &vertices,
+                    directors: &vec![[1.0, 0.0, 0.0]; n],
+                    reference_twist: &vec![0.0; n - 1],
+                    theta: &theta,
+                },
+            )?;
+            let expected = 0.5 * rod.gj[0] * (TAU * turns).powi(2) / 0.1 * (n - 1) as f64;
+            case.at_most("relative error of the energy", (d.energy.twist / expected - 1.0).abs(), 1e-13, "-");
+            // a rod that is naturally so: at rest as it lies
+            let natural = Rod::uniform(1.0, n, &Section::ellipse(&SILICONE, 0.012, 0.008))?
+                .naturally([0.0; 2], TAU * turns / 0.1);
+            let loads = Loads::default();
+            let supports = Supports::clamped_start(fixed_clamp());
+            let mut model = model(natural, supports, loads, 0.01)?;
+            let x = run_from(&mut model, &vertices, 10)?;
+            let free = model.step_ref().free_vertices().len();
+            let error = largest((0..free).map(|f| x[3 * f + 2] + 0.1 * (f + 2) as f64));
+            let note = figures(&mut model, 10, 0.01, &x);
+            // angles of 2π·turns·n carry ε of themselves: nothing else moves
+            case.at_most("naturally twisted: moved in ten steps", error, 1e-11, "m").note(note);
+            let angle =
+                x[6 * free..].iter().enumerate().map(|(f, t)| t / (TAU * turns * (f + 1) as f64) - 1.0);
+            case.at_most("naturally twisted: relative error of θ", largest(angle), 1e-12, "-");
+            let scale = rod_scale(model.step_ref());
+            let dot = check::window(&mut model, &x, 3, &scale, 4)?;
+            case.at_most("dot product of three steps", dot.value, dot.bound, "-");
+            Ok(())
+        });
+    }
+}
+
+/// Tips without mass are refused by name, light ones move; rods of one and two segments.
+fn tips(rows: &mut Rows) {
+    rows.case("massless tip", |case| {
+        let mut rod = Rod::uniform(1.0, 10, &section())?;
+        rod.masses[10] = 0.0;
+        let supports = Supports::clamped_start(fixed_clamp());
+        refused(case, "refused, naming the field", model(rod, supports, weight(), 0.01), "vertex mass");
+        Ok(())
+    });
+    for share in [1e-4, 1e-8, 1e-12] {
+        rows.case(&format!("tip of {share:e} of its mass"), |case| {
+            let mut rod = Rod::uniform(1.0, 10, &section())?;
+            rod.masses[10] *= share;
+            let guess = straight_guess(&rod, &Supports::clamped_start(fixed_clamp()), 0.0, DOWN)?;
+            let drive = |t: f64| [0.5 * t, 0.0, 0.0];
+            let clamp = Clamp {
+                position: Arc::new(drive),
+                tangent: Arc::new(DOWN),
+                director: Arc::new([1.0, 0.0, 0.0]),
+            };
+            let mut model = model(rod, Supports::clamped_start(clamp), weight(), 0.01)?;
+            let x = run_from(&mut model, &guess.vertices, 20)?;
+            let note = figures(&mut model, 20, 0.01, &x);
+            let scale = rod_scale(model.step_ref());
+            let dot = check::window(&mut model, &x, 1, &scale, 4)?;
+            case.at_most("dot product", dot.value, dot.bound, "-").note(note);
+            let direction: Vec<f64> = scale.iter().enumerate().map(|(i, s)| 0.1 * s * wave(i, 12)).collect();
+            let taylor = check::taylor_step(&mut model, 0, &x, &direction, &scale)?;
+            case.at_most("Taylor slope, 2 − slope", 2.0 - taylor.slope, 0.05, "-").computed(taylor.slope);
+            Ok(())
+        });
+    }
+    // two vertices: a spring pendulum; backward Euler of r̈ = −(k/m)(r − l)e − g e_z along the vertical
+    rows.case("two vertices", |case| {
+        let rod = Rod::uniform(0.5, 1, &section())?;
+        let (m, k) = (rod.masses[1], rod.ea[0] / 0.5);
+        let supports = Supports { prescribed: vec![held(0, [0.0; 3])], ..Supports::default() };
+        let dt = 0.01;
+        let mut model = model(rod, supports, weight(), dt)?;
+        let x = run_from(&mut model, &[[0.0; 3], [0.0, 0.0, -0.5]], 100)?;
+        let (mut z, mut v) = (-0.5, 0.0);
+        for _ in 0..100 {
+            // m (z' − z − Δt v)/Δt² = k (−z' − l) − m g, z' < 0
+            let next = (m / (dt * dt) * (z + dt * v) - k * 0.5 - m * 9.81) / (m / (dt * dt) + k);
+            (v, z) = ((next - z) / dt, next);
+        }
+        let note = figures(&mut model, 100, dt, &x);
+        case.at_most("error of the tip after 100 steps", (x[2] - z).abs(), 1e-11, "m").note(note);
+        Ok(())
+    });
+    rows.case("two vertices, both clamped", |case| {
+        let rod = Rod::uniform(0.5, 1, &section())?;
+        let mut model = model(rod, Supports::clamped_start(fixed_clamp()), weight(), 0.01)?;
+        // nothing is free: a state of no numbers, and steps that do nothing
+        case.count("length of the state", model.dim(), 0);
+        match run_from(&mut model, &[[0.0; 3], [0.0, 0.0, -0.5]], 3) {
+            Ok(_) => case.count("steps", model.counts().model_steps, 3),
+            Err(error) => case.at_most("steps", f64::NAN, 0.0, "-").note(error.to_string()),
+        };
+        Ok(())
+    });
+    rows.case("three vertices", |case| three_vertices(case));
+}
+
+/// One free vertex on a clamped edge; small motion: m ẍ = −(EI/l̄)(1/l²) x·… has one frequency, and backward Euler its own damping.
+fn three_vertices(case: &mut crate::row::Case) -> Outcome {
+    let rod = Rod::uniform(0.2, 2, &section())?;
+    let (m, l) = (rod.masses[2], 0.1);
+    // φ = x/l, E = 2 (EI/l̄) tan²(φ/2) ≈ ½ (EI/l̄) φ²
+    let omega2 = rod.ei[0][0] / (rod.voronoi_lengths[0] * l * l * m);
+    let dt = 1e-3;
+    let mut model = model(rod, Supports::clamped_start(fixed_clamp()), Loads::default(), dt)?;
+    let x = run_from(&mut model, &[[0.0; 3], [0.0, 0.0, -0.1], [1e-6, 0.0, -0.2]], 50)?;
+    let (mut a, mut v) = (1e-6, 0.0);
+    for _ in 0..50 {
+        let next = (a + dt * v) / (1.0 + dt * dt * omega2);
+        (v, a) = ((next - a) / dt, next);
+    }
+    let note = figures(&mut model, 50, dt, &x);
+    // a = 1e-6 m: terms of third order are 1e-10 of it, places solved to 1e-11 · 0.2 m
+    case.at_most("relative error of a small swing", ((x[0] - a) / 1e-6).abs(), 1e-5, "-").note(note);
+    Ok(())
+}
+
+/// A clamp that tilts round a cone, again and again: frames stay orthonormal, nothing drifts; and the frame carried along round
+/// the cone turns by the solid angle.
+fn tilt_loop(rows: &mut Rows, steps: usize) {
+    rows.case(&format!("tilt loop, {steps} steps"), |case| {
+        let (alpha, per_loop, dt) = (0.4_f64, 100, 0.01);
+        let rod = Rod::uniform(0.3, 6, &section())?;
+        let omega = TAU / (per_loop as f64 * dt);
+        let tangent = move |t: f64| {
+            let (s, c) = (omega * t).sin_cos();
+            [alpha.sin() * c, alpha.sin() * s, -alpha.cos()]
+        };
+        let clamp = Clamp {
+            position: Arc::new([0.0; 3]),
+            tangent: Arc::new(tangent),
+            director: Arc::new([0.0, 1.0, 0.2]),
+        };
+        let start = line([0.0; 3], tangent(0.0), &rod.rest_lengths);
+        // backward Euler damps the swing: a steady round is reached within a few loops
+        let mut model = model(rod, Supports::clamped_start(clamp), weight(), dt)?;
+        let tip = |offset| Marker { s: 0.28, offset };
+        let all = [tip([0.0; 3]), tip([1.0, 0.0, 0.0]), tip([0.0, 1.0, 0.0]), tip([0.0, 0.0, 1.0])];
+        let mut markers = Markers::new(model.step_ref(), &all)?;
+        let mut x = run_from(&mut model, &start, 0)?;
+        let (mut next, mut p, mut worst) = (x.clone(), [0.0; 12], 0.0_f64);
+        let mut early = Vec::new();
+        for k in 0..steps {
+            model.step(k, &x, &mut next)?;
+            std::mem::swap(&mut x, &mut next);
+            markers.places(model.time(k + 1), &x, &mut p)?;
+            let axis = |i: usize| -> [f64; 3] { std::array::from_fn(|c| p[3 * i + c] - p[c]) };
+            for i in 1..4 {
+                for j in 1..=i {
+                    let dot: f64 = (0..3).map(|c| axis(i)[c] * axis(j)[c]).sum();
+                    worst = worst.max((dot - f64::from(u8::from(i == j))).abs());
+                }
+            }
+            if k + 1 == steps / 2 {
+                early = x.clone();
+            }
+        }
+        let note = figures(&mut model, steps, dt, &x);
+        case.at_most("frames: departure from orthonormal", worst, 1e-12, "-").note(note);
+        let drift = largest(x.iter().zip(&early).map(|(a, b)| a - b));
+        // places are solved to 1e-11 L, velocities are differences of them over Δt = 0.01 s
+        case.at_most("drift from half way to the end", drift, 1e-9, "m, m/s");
+        Ok(())
+    });
+    rows.case("holonomy of a tilt loop", |case| {
+        let (alpha, pieces) = (0.4_f64, steps);
+        let rod = Rod::uniform(0.2, 2, &section())?;
+        let supports = Supports {
+            prescribed: vec![held(0, [0.0; 3])],
+            free_frame: (DOWN, [1.0, 0.0, 0.0]),
+            ..Supports::default()
+        };
+        let mut model = model(rod, supports, weight(), 0.01)?;
+        let along = |phi: f64| [alpha.sin() * phi.cos(), alpha.sin() * phi.sin(), -alpha.cos()];
+        let state = |phi: f64| -> Vec<f64> {
+            let t = along(phi);
+            let places = (1..=2).flat_map(|v| t.map(|t| 0.1 * v as f64 * t));
+            places.chain([0.0; 6]).collect()
+        };
+        let at = |offset| Marker { s: 0.05, offset };
+        let mut markers =
+            Markers::new(model.step_mut(), &[at([0.0; 3]), at([1.0, 0.0, 0.0]), at([0.0, 1.0, 0.0])])?;
+        let (mut turned, mut p, mut dp) = (0.0, [0.0; 9], [0.0; 9]);
+        let step = TAU / pieces as f64;
+        for i in 0..pieces {
+            // midpoint rule over a period of a smooth function
+            let phi = step * (i as f64 + 0.5);
+            let rate = [-alpha.sin() * phi.sin(), alpha.sin() * phi.cos(), 0.0];
+            let dx: Vec<f64> =
+                (1..=2).flat_map(|v| rate.map(|r| 0.1 * v as f64 * r)).chain([0.0; 6]).collect();
+            let x = state(phi);
+            markers.places(0.0, &x, &mut p)?;
+            markers.tangent(0.0, &x, &dx, &mut dp)?;
+            turned += step * (0..3).map(|c| (dp[3 + c] - dp[c]) * (p[6 + c] - p[c])).sum::<f64>();
+        }
+        let solid_angle = TAU * (1.0 - alpha.cos());
+        // sums of as many terms as pieces, each rounded
+        case.at_most(
+            "turn of the carried frame − solid angle",
+            (turned.abs() - solid_angle).abs(),
+            1e-12,
+            "rad",
+        )
+        .computed(turned);
+        Ok(())
+    });
+}
