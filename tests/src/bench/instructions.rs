@@ -45,7 +45,12 @@ fn counted(kernel: &str, repeats: usize) -> Result<usize> {
         .args(["--kernel", kernel, &repeats.to_string()])
         .output()?;
     let said = String::from_utf8_lossy(&output.stderr);
-    let number = said.lines().find_map(|l| l.split_once("I refs:")).map(|(_, n)| n.trim().replace(',', ""));
+    // Versions differ in the blanks: "I refs:", "I   refs:".
+    let instructions = |line: &str| {
+        let (head, number) = line.split_once("refs:")?;
+        head.trim_end().ends_with(" I").then(|| number.trim().replace(',', ""))
+    };
+    let number = said.lines().find_map(instructions);
     match number {
         Some(number) if output.status.success() => Ok(number.parse()?),
         _ => Err(format!("{kernel}: {said}").into()),
