@@ -15,7 +15,7 @@
 //!
 //! # Range
 //!
-//! Measured by the suite `stiff` (`docs/results/stability.md`): Cholesky roots up to condition numbers of some 1e13, beyond that a typed
+//! Measured by the suite `stiff` (`docs/results/stability.md`): Cholesky roots up to condition numbers of some 1e12, far beyond that a typed
 //! error; truncated roots at any (a Gaussian kernel as long as half the line), to n ε of the largest eigenvalue.
 //! [`Spectrum::reliable_condition_number`] tells only condition numbers that double precision knows. [`Banded`] takes 10⁵ points in
 //! 9 MB and some hundredths of a second.
