@@ -36,6 +36,11 @@
 //! The system is any `varda_implicit::Model`. Everything is minimised in the control variable v. Not for problems whose posterior has
 //! several modes that matter.
 //!
+//! Range, measured by the suite `stiff` (`docs/results/stability.md`): σ from 1e-6 to 1e6 of the background's and ratios of 1e8 within
+//! a window, a thousand identical or contradicting observations, redundant or zero rows of H: the analysis within a thousandth of
+//! its own σ by every second-order minimizer, incremental method and closed form; a first-order minimizer that cannot get there says so
+//! in its [`Status`]. A model that fails at a trial point is J = ∞, at the background an error that names the step.
+//!
 //! ```
 //! use std::ops::ControlFlow;
 //! use varda_assimilation::*;

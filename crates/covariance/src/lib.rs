@@ -13,6 +13,13 @@
 //!
 //! [`sample()`] draws from N(0, B); [`Spectrum`] says how well conditioned it is.
 //!
+//! # Range
+//!
+//! Measured by the suite `stiff` (`docs/results/stability.md`): Cholesky roots up to condition numbers of some 1e12, far beyond that a typed
+//! error; truncated roots at any (a Gaussian kernel as long as half the line), to n ε of the largest eigenvalue.
+//! [`Spectrum::reliable_condition_number`] tells only condition numbers that double precision knows. [`Banded`] takes 10⁵ points in
+//! 9 MB and some hundredths of a second.
+//!
 //! # When not to use it
 //!
 //! Roots are dense but for [`Banded`]: n² numbers, n³/3 operations to build. Up to a few thousand points per block that is quick;

@@ -9,7 +9,7 @@ const HEAD: &str = "\
 What happens at the edges: every line ends in the right answer within its bound, or in a typed error that names step, vertex or
 field. The bounds and their reasons stand in the code, `tests/src/suites/stiff`. Made by
 
-    cargo xtask verify stiff --full --stability docs/results/stability.md
+    cargo xtask verify stiff --stability docs/results/stability.md
 
 (one thread; seconds are wall-clock time of all checks of the case, derivatives included, on a machine shared with other work).
 
