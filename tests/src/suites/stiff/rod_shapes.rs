@@ -569,7 +569,7 @@ fn tips(rows: &mut Rows) {
         };
         Ok(())
     });
-    rows.case("three vertices", |case| three_vertices(case));
+    rows.case("three vertices", three_vertices);
 }
 
 /// One free vertex on a clamped edge; small motion: m ẍ = −(EI/l̄)(1/l²) x·… has one frequency, and backward Euler its own damping.
