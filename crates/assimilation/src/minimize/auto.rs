@@ -19,6 +19,8 @@ pub struct AutoOptions {
     pub ladders: Vec<Vec<f64>>,
     /// Runs from draws of the prior at most, after them: every other one down the first ladder.
     pub draws: usize,
+    /// Where the first run took more outer iterations than this, all runs are made, whether or not two agree.
+    pub rough: usize,
     /// Seed of the draws.
     pub seed: u64,
 }
@@ -26,10 +28,11 @@ pub struct AutoOptions {
 impl Default for AutoOptions {
     fn default() -> Self {
         Self {
-            trust_region: TrustRegionOptions::default(),
+            trust_region: TrustRegionOptions { beside: 60, ..TrustRegionOptions::default() },
             threshold: 10.0,
             ladders: vec![vec![10.0, 3.0, 1.0], vec![16.0, 8.0, 4.0, 2.0, 1.0]],
             draws: 6,
+            rough: 40,
             seed: 0,
         }
     }
@@ -40,7 +43,9 @@ impl Default for AutoOptions {
 ///
 /// One run is trusted where it converged and J_o ≤ 10 m at the first point (m observations). Else the same point is taken down two ladders of inflated
 /// errors ([`continuation`] through σ × 10, 3, 1 and σ × 16, 8, 4, 2, 1), then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down the
-/// first ladder and straight, at most six. It stops as soon as two runs have converged to the lowest J seen (to 10⁻⁶ of it). The lowest end is
+/// first ladder and straight, at most six. It stops as soon as two runs have converged to the lowest J seen (to 10⁻⁶ of it),
+/// unless the first took more than 40 outer iterations: then all are made. All look beside steps that a jump of J refuses
+/// ([`TrustRegionOptions::beside`]). The lowest end is
 /// returned; an end where the minimizer stalled (the edge of a jump of J) only where it is lower than every converged one by 10⁻³ of J. The tolerance of
 /// every run refers to the gradient at the first point. Rows of all runs are reported, each counting on from the one before.
 ///
@@ -90,6 +95,7 @@ pub(super) fn run(
     let mut best = minimizer.run(cost, v, &from, on_iteration)?;
     let mut ends = vec![(best.value, best.status)];
     (from.index, from.inner) = (best.outer_iterations, best.inner_iterations);
+    let rough = best.outer_iterations - start.index > options.rough;
     let mut interrupted = best.status == Status::Interrupted;
     if !hard && best.status == Status::Converged {
         return Ok(best);
@@ -99,7 +105,7 @@ pub(super) fn run(
     let mut other = first.clone();
     let straight = vec![1.0];
     for attempt in 0..options.ladders.len() + options.draws {
-        if interrupted || found_twice(&best, &ends) {
+        if interrupted || (!rough && found_twice(&best, &ends)) {
             break;
         }
         let scales = match attempt.checked_sub(options.ladders.len()) {
