@@ -57,7 +57,7 @@ impl Default for AutoOptions {
 /// region alone. Prior "plain": 92 converged and 93 are at the lowest known (88 both), against 88 and 81 for the trust region alone and 89 and 85 for the ladder alone;
 /// 0.84 s in the median, 20 s at most. Eight others did not converge: no run of any kind became stationary at their lowest J, mostly for the
 /// jumps of J there (a step from a wild state has several solutions, and which one Newton's method comes to changes without pattern nearby). Two runs that agree are no proof: three seeds (32, 57, 90)
-/// converged 0.2 to 1.3 % too high that way. Since then, redone on some seeds only: 45 and 46
+/// converged 0.2 to 1.3 % too high that way. Since then, redone on some seeds only: 45, 46 and 57
 /// converge to the lowest known, 32 still to the higher minimum, 14, 43 and 50 still stall. On Lorenz-63 over a long window ladders gain nothing: there the window must grow.
 ///
 /// Cost: that of the trust region where J_o ≤ 10 m, else two to nine times as much, and several times that where J jumps. Memory: that of the trust region.
