@@ -2,6 +2,8 @@
 
 use crate::{Error, cost::dot, cost::norm};
 use faer::{MatRef, Side};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
 
 /// q(p) = gᵀp + ½ pᵀ A p on the span of k orthonormal vectors z_i with zᵢᵀ A z_j = μ_i δ_ij.
 pub(super) struct Spectral {
@@ -50,10 +52,21 @@ impl Spectral {
 
     /// p = argmin q over ‖p‖ ≤ radius (Moré and Sorensen 1983, exactly, the eigenvalues being known).
     pub(super) fn step(&self, radius: f64, p: &mut [f64]) -> Step {
+        self.step_for(&self.slope, radius, p)
+    }
+
+    /// The step for a gradient that differs from g by `share` of its norm, in a direction drawn at random within the span; the decrease is that of q.
+    pub(super) fn step_beside(&self, share: f64, rng: &mut ChaCha8Rng, radius: f64, p: &mut [f64]) -> Step {
+        let mut other: Vec<f64> = self.slope.iter().map(|_| StandardNormal.sample(rng)).collect();
+        let scale = share * norm(&self.slope) / norm(&other);
+        other.iter_mut().zip(&self.slope).for_each(|(o, c)| *o = c + scale * *o);
+        self.step_for(&other, radius, p)
+    }
+
+    fn step_for(&self, slope: &[f64], radius: f64, p: &mut [f64]) -> Step {
         let lowest = self.values[0];
         let size = |lambda: f64| {
-            let sum: f64 =
-                self.values.iter().zip(&self.slope).map(|(mu, c)| (c / (mu + lambda)).powi(2)).sum();
+            let sum: f64 = self.values.iter().zip(slope).map(|(mu, c)| (c / (mu + lambda)).powi(2)).sum();
             sum.sqrt()
         };
         let scale = self.values[self.values.len() - 1].abs().max(lowest.abs());
@@ -61,9 +74,9 @@ impl Spectral {
         let floor = if lowest > 0.0 { 0.0 } else { -lowest + 1e-12 * scale.max(f64::MIN_POSITIVE) };
         let inside = size(floor) <= radius;
         let damping =
-            if inside { floor } else { boundary(floor, norm(&self.slope) / radius - lowest, radius, &size) };
+            if inside { floor } else { boundary(floor, norm(slope) / radius - lowest, radius, &size) };
         p.fill(0.0);
-        let mut along_lowest = -self.slope[0] / (lowest + damping);
+        let mut along_lowest = -slope[0] / (lowest + damping);
         if inside && lowest <= 0.0 && radius.is_finite() {
             // Hard case: the gradient has next to nothing along the lowest eigenvector; go along it to the boundary.
             let missing = radius * radius - size(damping).powi(2);
@@ -71,9 +84,9 @@ impl Spectral {
         }
         let mut decrease = 0.0;
         for (i, z) in self.vectors.chunks_exact(p.len()).enumerate() {
-            let (mu, c) = (self.values[i], self.slope[i]);
-            let h = if i == 0 { along_lowest } else { -c / (mu + damping) };
-            decrease -= h * (c + 0.5 * mu * h);
+            let mu = self.values[i];
+            let h = if i == 0 { along_lowest } else { -slope[i] / (mu + damping) };
+            decrease -= h * (self.slope[i] + 0.5 * mu * h);
             for (p, z) in p.iter_mut().zip(z) {
                 *p += h * z;
             }

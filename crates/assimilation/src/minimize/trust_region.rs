@@ -6,11 +6,19 @@ use super::spectral::Spectral;
 use super::{Iteration, Minimum, Progress, RitzPair, Start, Status, at_least_one, check_tolerance, forcing};
 use crate::cost::norm;
 use crate::{Error, GaussNewton};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 use std::ops::ControlFlow;
 
 /// A predicted decrease below this part of J cannot be seen in J (its trajectory is only as exact as the model's solver);
 /// steps are then judged by the gradient.
 pub(super) const NOISE: f64 = 1e-11;
+/// A convex J that rises along a step rises at half of it by half as much at most: more than this share of the rise before is a jump.
+const JUMP: f64 = 0.75;
+/// So is, where ‖∇J‖ has fallen to 10⁻³ of the first and the model holds, a rise of this many times the predicted decrease.
+const FAR_OFF: f64 = 10.0;
+/// A rise below this share of J is no jump.
+const RESOLVED: f64 = 1e-9;
 
 /// Settings of [`trust_region`].
 #[derive(Debug, Clone, PartialEq)]
@@ -27,6 +35,8 @@ pub struct TrustRegionOptions {
     pub max_inner: usize,
     /// Rank-one terms kept of the learnt second-order part; 0 leaves plain Gauss–Newton.
     pub secant_terms: usize,
+    /// Steps tried beside one that a jump of J refused, at most; 0 for none.
+    pub beside: usize,
 }
 
 impl Default for TrustRegionOptions {
@@ -38,6 +48,7 @@ impl Default for TrustRegionOptions {
             dense_limit: 100,
             max_inner: 100,
             secant_terms: 60,
+            beside: 0,
         }
     }
 }
@@ -55,6 +66,11 @@ impl Default for TrustRegionOptions {
 /// A step is taken when the true J falls by 10⁻⁴ of the predicted decrease. A model failure at a trial point is J = ∞: refused, and
 /// the radius shrinks. Where the predicted decrease is below what J resolves (10⁻¹¹ J), a step is taken when it lowers ‖∇J‖; where
 /// no such step exists the run has stalled at the accuracy of the model, and says so.
+///
+/// **Jumps of J.** An implicit step from a wild state may have several solutions, and which one is found may change from one point to the next
+/// without pattern: J then jumps between smooth sheets. With `beside` > 0 a step refused by a jump (a rise that does not shrink with the step, or late in the
+/// run one ten times the predicted decrease) is followed by that many others, each the step for a gradient changed at random by 40, 10, 2.5 and 0.6 per cent of its
+/// norm (a fixed seed), until one falls on the lower sheet.
 ///
 /// J never rises by more than its rounding. The minimum found is the one whose basin the path leads into; for costs
 /// with several see [`continuation`](crate::continuation).
@@ -101,6 +117,7 @@ pub(super) fn run(
         Inner::Krylov { lanczos: Lanczos::new(n), iterations: options.max_inner }
     };
     let mut secant = Secant::new(options.secant_terms);
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
     let mut ritz = Vec::new();
     let mut failure = None;
     let mut progress = Progress::start(cost, v, &mut g, start)?;
@@ -123,23 +140,33 @@ pub(super) fn run(
         progress.inner_total += progress.inner;
         progress.rejected = 0;
 
+        let widest = radius;
+        let mut rise = f64::INFINITY;
+        // steps tried beside the one refused
+        let mut beside = 0;
         loop {
-            let step = spectral.step(radius, &mut p);
+            let step = if beside == 0 {
+                spectral.step(radius, &mut p)
+            } else {
+                let share = 0.4 * 0.25f64.powi((beside % 4) as i32);
+                let length = widest * 0.5f64.powi((beside / 8) as i32);
+                spectral.step_beside(share, &mut rng, length, &mut p)
+            };
             trial.iter_mut().zip(v.iter().zip(&p)).for_each(|(t, (v, p))| *t = v + p);
             let by_gradient = step.decrease <= NOISE * progress.value;
-            let ratio = match cost.evaluate(&trial, by_gradient.then_some(&mut g_trial[..])) {
-                Ok(_) if by_gradient => {
-                    if norm(&g_trial) < progress.gradient_norm {
-                        1.0
-                    } else {
-                        -1.0
-                    }
-                }
-                Ok(value) => (progress.value - value) / step.decrease,
+            let value = match cost.evaluate(&trial, by_gradient.then_some(&mut g_trial[..])) {
+                Ok(value) => value,
                 Err(error) => {
                     failure = Some(error);
-                    f64::NEG_INFINITY
+                    f64::INFINITY
                 }
+            };
+            let ratio = if !by_gradient || !value.is_finite() {
+                (progress.value - value) / step.decrease
+            } else if norm(&g_trial) < progress.gradient_norm {
+                1.0
+            } else {
+                -1.0
             };
             if ratio > 1e-4 {
                 match cost.evaluate(&trial, Some(&mut g_trial)) {
@@ -158,9 +185,22 @@ pub(super) fn run(
                 }
             }
             progress.rejected += 1;
-            radius = step.norm * if ratio.is_finite() { (0.5 / (1.0 - ratio)).clamp(0.1, 0.5) } else { 0.25 };
             cost.evaluate(v, Some(&mut g))?;
-            if !(radius > 1e-13 * (1.0 + norm(v))) || (by_gradient && progress.rejected >= 8) {
+            let last_rise = std::mem::replace(&mut rise, value - progress.value);
+            let late = progress.gradient_norm <= 1e-3 * progress.gradient_norm_first;
+            let jump = rise.is_finite()
+                && (rise > JUMP * last_rise || (last_rise == f64::INFINITY && late && ratio < -FAR_OFF))
+                && rise > RESOLVED * progress.value;
+            if beside == 0 {
+                radius =
+                    step.norm * if ratio.is_finite() { (0.5 / (1.0 - ratio)).clamp(0.1, 0.5) } else { 0.25 };
+            }
+            beside = if (jump || beside > 0) && beside < options.beside { beside + 1 } else { 0 };
+            if beside > 0 {
+                continue;
+            }
+            if !(radius > 1e-13 * (1.0 + norm(v))) || (by_gradient && progress.rejected >= 8 + options.beside)
+            {
                 return Ok(progress.end(Status::Stalled, failure, ritz));
             }
             if secant.trusted() {

@@ -149,7 +149,8 @@ pub(crate) fn run(twin: Twin, way: Way) -> Result<Run, Box<dyn Error>> {
     let lm = TrustRegionOptions { gradient_tolerance: TOLERANCE, ..TrustRegionOptions::default() };
     let ended: Result<Minimum, varda_assimilation::Error> = match way {
         Way::Auto => {
-            let options = AutoOptions { trust_region: lm, ..AutoOptions::default() };
+            let mut options = AutoOptions::default();
+            options.trust_region.gradient_tolerance = TOLERANCE;
             Minimizer::Auto(options).minimize(&mut cost, &mut v, &mut note)
         }
         Way::Lm => Minimizer::TrustRegion(lm).minimize(&mut cost, &mut v, &mut note),
