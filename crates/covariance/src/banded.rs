@@ -213,11 +213,11 @@ mod tests {
                 let gap = a.iter().zip(&b).fold(0.0_f64, |m, (a, b)| m.max((a - b).abs()));
                 assert!(gap <= tolerance * size, "{what}: {gap:e} of {size:e}");
             };
+            // B = L Lᵀ is kept to ε; L itself, its inverse and B⁻¹ to ε times a condition of up to some 1e5
             same("apply", &|c, y| c.apply(&x, y), 1e-14);
-            same("root", &|c, y| c.root(&x, y), 1e-14);
-            same("root_transpose", &|c, y| c.root_transpose(&x, y), 1e-14);
+            same("root", &|c, y| c.root(&x, y), 1e-11);
+            same("root_transpose", &|c, y| c.root_transpose(&x, y), 1e-11);
             same("variance", &|c, y| c.variance(y), 1e-14);
-            // conditions of up to some 1e5
             same("solve", &|c, y| c.solve(&x, y), 1e-9);
             same("whiten", &|c, y| c.whiten(&x, y), 1e-10);
         }
