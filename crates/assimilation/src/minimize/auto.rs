@@ -1,7 +1,6 @@
 //! The trust region, and where it is likely to end in a wrong minimum other starts too.
 
 use super::{Iteration, Minimizer, Minimum, Start, Status, TrustRegionOptions, continuation};
-use crate::cost::norm;
 use crate::{Error, GaussNewton};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -88,14 +87,16 @@ pub(super) fn run(
     }
     let minimizer = Minimizer::TrustRegion(options.trust_region.clone());
     let first = v.to_vec();
-    let mut gradient = vec![0.0; v.len()];
-    cost.evaluate(v, Some(&mut gradient))?;
+    cost.evaluate(v, None)?;
     let hard = cost.terms().observation > options.threshold * cost.observation_dim() as f64;
-    let mut from = Start { gradient_norm: Some(start.gradient_norm.unwrap_or(norm(&gradient))), ..*start };
-
-    let mut best = minimizer.run(cost, v, &from, on_iteration)?;
+    let mut best = minimizer.run(cost, v, start, on_iteration)?;
     let mut ends = vec![(best.value, best.status)];
-    (from.index, from.inner) = (best.outer_iterations, best.inner_iterations);
+    let mut from = Start {
+        gradient_norm: Some(best.gradient_norm_first),
+        index: best.outer_iterations,
+        inner: best.inner_iterations,
+        ..*start
+    };
     let rough = best.outer_iterations - start.index > options.rough;
     let mut interrupted = best.status == Status::Interrupted;
     if !hard && best.status == Status::Converged {
@@ -135,7 +136,7 @@ pub(super) fn run(
         best.status = Status::Interrupted;
     }
     (best.outer_iterations, best.inner_iterations) = (from.index, from.inner);
-    cost.evaluate(v, Some(&mut gradient))?;
+    cost.evaluate(v, Some(&mut vec![0.0; v.len()]))?;
     Ok(best)
 }
 
