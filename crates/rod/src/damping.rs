@@ -150,7 +150,7 @@ impl KelvinVoigt {
                 state[3 * f..3 * f + 3].copy_from_slice(back[v].as_slice());
             }
             for (i, value) in state.iter().enumerate() {
-                mixed_add(past.of, dx, own, i, *value);
+                mixed_add(past.of, dx, own, i, [*value]);
             }
         }
     }

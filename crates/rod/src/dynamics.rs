@@ -405,10 +405,9 @@ impl ImplicitStep for RodStep {
         for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
             let [k, c] = inertia.map(|rate| rate * self.system.rod.masses[v]);
             let i = self.system.layout.unknown[self.system.layout.vertex(v)];
-            for a in 0..3 {
-                mixed_add(of.from, dx, own, 3 * f + a, -(k + c) * mu[i + a]);
-                mixed_add(of.from, dx, own, 3 * (nf + f) + a, -k * of.length * mu[i + a]);
-            }
+            let mu = [mu[i], mu[i + 1], mu[i + 2]];
+            mixed_add(of.from, dx, own, 3 * f, mu.map(|mu| -(k + c) * mu));
+            mixed_add(of.from, dx, own, 3 * (nf + f), mu.map(|mu| -k * of.length * mu));
         }
         if self.viscous.is_some() {
             self.prepare_and_shape(at, x, u);
@@ -457,19 +456,23 @@ impl ImplicitStep for RodStep {
         let rate = b0 / of.length;
         for (f, &v) in layout.free_vertices.iter().enumerate() {
             let i = layout.unknown[layout.vertex(v)];
+            let (place, speed) = (3 * f, 3 * (nf + f));
+            let at = |i: usize| [lambda[i], lambda[i + 1], lambda[i + 2]];
+            let (places, speeds) = (at(place), at(speed));
+            let back = speeds.map(|l| rate * l);
             for c in 0..3 {
-                let (place, speed) = (3 * f + c, 3 * (nf + f) + c);
-                let back = rate * lambda[speed];
-                du[i + c] = b0 * lambda[place] + back;
-                dx[place] += b1 * lambda[place];
-                dx[speed] += b1 * lambda[speed];
-                mixed_add(of.from, dx, own, place, -back);
+                du[i + c] = b0 * places[c] + back[c];
             }
+            if b1 != 0.0 {
+                mixed_add([b1, 0.0], dx, own, place, places);
+                mixed_add([b1, 0.0], dx, own, speed, speeds);
+            }
+            mixed_add(of.from, dx, own, place, back.map(|b| -b));
         }
         let angles = &lambda[6 * nf..];
         for (f, &e) in layout.free_angles.iter().enumerate() {
             du[layout.unknown[layout.angle(e)]] = angle[0] * angles[f];
-            mixed_add([angle[1], angle[2]], dx, own, 6 * nf + f, angles[f]);
+            mixed_add([angle[1], angle[2]], dx, own, 6 * nf + f, [angles[f]]);
         }
         // θ_{k+1} is read by nobody in most windows: then nothing comes back through the holonomy.
         if angles.iter().all(|a| *a == 0.0) {

@@ -56,10 +56,16 @@ pub(crate) fn mixed([a0, a1]: [f64; 2], x: &[f64], own: usize, i: usize) -> f64 
     a0 * x[i] + if a1 == 0.0 { 0.0 } else { a1 * x[own + i] }
 }
 
-/// The transpose of [`mixed`].
-pub(crate) fn mixed_add([a0, a1]: [f64; 2], dx: &mut [f64], own: usize, i: usize, value: f64) {
-    dx[i] += a0 * value;
+/// The transpose of [`mixed`], for components i … i+N−1 at once.
+pub(crate) fn mixed_add<const N: usize>(
+    [a0, a1]: [f64; 2],
+    dx: &mut [f64],
+    own: usize,
+    i: usize,
+    values: [f64; N],
+) {
+    dx[i..i + N].iter_mut().zip(values).for_each(|(dx, value)| *dx += a0 * value);
     if a1 != 0.0 {
-        dx[own + i] += a1 * value;
+        dx[own + i..own + i + N].iter_mut().zip(values).for_each(|(dx, value)| *dx += a1 * value);
     }
 }
