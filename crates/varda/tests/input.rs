@@ -57,6 +57,15 @@ fn base(i: usize) -> toml::Table {
     set(&["algorithm", "cycles", "spin_up"], 0);
     set(&["observations", "every"], 4);
     set(&["algorithm", "ensemble", "members"], 5);
+    set(&["algorithm", "model_error", "every"], 4);
+    // Lists of steps were written for a longer window.
+    let window = scene["time"]["window"].as_integer().unwrap();
+    if let Some(toml::Value::Array(steps)) = scene["observations"].get_mut("steps") {
+        steps.retain(|k| k.as_integer().is_some_and(|k| k <= window));
+    }
+    if let Some(algorithm) = scene.get_mut("algorithm").and_then(toml::Value::as_table_mut) {
+        algorithm.remove("window_growth");
+    }
     scene
 }
 
@@ -162,12 +171,11 @@ proptest! {
     }
 }
 
-/// Most of the small scenes the mutations start from are valid: else the properties would test refusals only.
+/// Most of the small scenes the mutations start from are built: else the properties would test refusals only.
 #[test]
 fn what_is_mutated_is_valid() {
-    let parse = |i: usize| SceneFile::parse("s", "s.toml", &toml::to_string(&base(i)).unwrap(), None, &[]);
-    let valid = (0..SHIPPED.len()).filter(|i| parse(*i).is_ok()).count();
-    // Growing windows and lists of steps belong to the window they were written for.
+    let built = |i: &usize| harness::scene(toml::to_string(&base(*i)).unwrap().as_bytes());
+    let valid = (0..SHIPPED.len()).filter(built).count();
     assert!(2 * valid > SHIPPED.len(), "{valid} of {}", SHIPPED.len());
 }
 

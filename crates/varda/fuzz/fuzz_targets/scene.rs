@@ -4,4 +4,6 @@
 #[path = "../../tests/support/harness.rs"]
 mod harness;
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| harness::scene(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    harness::scene(bytes);
+});

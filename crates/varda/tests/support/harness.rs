@@ -6,18 +6,12 @@ use varda::csv_input;
 use varda::problem::Problem;
 use varda::scene::{Covariance, SceneFile};
 
-/// Bytes as a scene: parsed, validated, planned, and built where it takes little.
-pub(crate) fn scene(bytes: &[u8]) {
-    let Ok(text) = std::str::from_utf8(bytes) else { return };
-    let Ok(file) = SceneFile::parse("fuzz", "fuzz.toml", text, None, &[]) else { return };
-    if !small(&file) {
-        return;
-    }
+/// Bytes as a scene: parsed, validated, planned, and built where it takes little. True where it came to a problem.
+pub(crate) fn scene(bytes: &[u8]) -> bool {
+    let Ok(text) = std::str::from_utf8(bytes) else { return false };
+    let Ok(file) = SceneFile::parse("fuzz", "fuzz.toml", text, None, &[]) else { return false };
     // Sizes are counted before anything is built, and an error is an answer.
-    let Ok(plan) = Plan::new(&file) else { return };
-    if plan.n_obs < 1000 {
-        let _ = Problem::from_scene(&file);
-    }
+    small(&file) && Plan::new(&file).is_ok_and(|plan| plan.n_obs < 1000) && Problem::from_scene(&file).is_ok()
 }
 
 /// Whether a scene is built in milliseconds.
