@@ -1,6 +1,8 @@
-//! Developer commands: `cargo xtask verify`, `cargo xtask bench`, `cargo xtask docs`, `cargo xtask ci`.
+//! Developer commands: `cargo xtask verify`, `cargo xtask bench`, `cargo xtask docs`, `cargo xtask deps`, `cargo xtask ci`.
+#![forbid(unsafe_code)]
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
+mod deps;
 mod docs;
 
 use std::path::{Path, PathBuf};
@@ -19,8 +21,10 @@ cargo xtask bench case4 [OPTION…]
     The study of minimizers on case 4 of the paper, 100 seeds of two priors: docs/results/case4.md. --help: its options.
 cargo xtask docs
     Documentation of all crates with an index page, in target/doc.
+cargo xtask deps
+    Licences and sources of all dependencies, offline, against deny.toml.
 cargo xtask ci
-    fmt, clippy with warnings denied, tests, verify, docs.
+    deps, fmt, clippy with warnings denied, tests, verify, docs.
 ";
 
 fn main() -> ExitCode {
@@ -31,6 +35,7 @@ fn main() -> ExitCode {
         ["bench", "case4", rest @ ..] => release("varda", ["--example", "case4_study"], rest),
         ["bench", rest @ ..] => release("tests", ["--bin", "bench"], rest),
         ["docs"] => docs::build(),
+        ["deps"] => deps::check(),
         ["ci"] => ci(),
         [] | ["help" | "--help" | "-h"] => {
             print!("{HELP}");
@@ -55,6 +60,7 @@ fn release(package: &str, target: [&str; 2], arguments: &[&str]) -> Result<(), S
 }
 
 fn ci() -> Result<(), String> {
+    deps::check()?;
     let steps: [&[&str]; 3] = [
         &["fmt", "--all", "--check"],
         &["clippy", "--workspace", "--all-targets", "--", "--deny", "warnings"],

@@ -58,6 +58,7 @@
 //! # Ok::<(), varda_covariance::Error>(())
 //! ```
 
+#![forbid(unsafe_code)]
 // `!(value > tolerance)` is how a NaN is made to fail.
 #![allow(clippy::neg_cmp_op_on_partial_ord)]
 

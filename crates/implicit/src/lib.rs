@@ -44,6 +44,8 @@
 //! # Ok::<(), varda_implicit::Error>(())
 //! ```
 
+#![forbid(unsafe_code)]
+
 mod adaptive;
 pub mod band;
 mod block;

@@ -136,6 +136,19 @@ pub fn main() -> ExitCode {
 /// 130 is what a shell reports for a program ended by Ctrl-C.
 const INTERRUPTED: u8 = 130;
 
+/// Becomes true at Ctrl-C, SIGTERM or SIGHUP; the run then ends with what it has. A second one ends the program at once.
+fn stop_on_signals() -> Arc<AtomicBool> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    // Without a handler a signal still ends the program, only less politely.
+    let _ = ctrlc::set_handler(move || {
+        if flag.swap(true, Ordering::SeqCst) {
+            std::process::exit(INTERRUPTED.into());
+        }
+    });
+    stop
+}
+
 fn run_scene(
     arguments: &SceneArguments,
     out: Option<&Path>,
@@ -148,10 +161,7 @@ fn run_scene(
     // Refuse an occupied folder before the work, not after it.
     drop(Output::begin(&folder)?);
 
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    // Without a handler Ctrl-C still ends the program, only less politely.
-    let _ = ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst));
+    let stop = stop_on_signals();
     let algorithm = &file.scene.algorithm;
     let mut progress = Progress::new(algorithm.gradient_tolerance, algorithm.max_iterations, quiet, started);
     let interrupted = || stop.load(Ordering::SeqCst);
@@ -215,10 +225,7 @@ fn compare_all(arguments: &SceneArguments, out: Option<&Path>) -> Result<ExitCod
     let default = || Path::new("out").join(format!("{}-compare", file.name));
     let folder = out.map_or_else(default, Path::to_path_buf);
     drop(Output::begin(&folder)?);
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    // As in a run: without a handler Ctrl-C ends the program, only less politely.
-    let _ = ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst));
+    let stop = stop_on_signals();
     let interrupted = || stop.load(Ordering::SeqCst);
     if file.scene.algorithm.cycles.is_some() {
         eprintln!("[algorithm.cycles] is left out: the methods are compared on the first window");

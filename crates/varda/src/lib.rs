@@ -33,6 +33,8 @@
 //! # Ok::<(), varda::Error>(())
 //! ```
 
+#![forbid(unsafe_code)]
+
 pub mod check;
 pub mod cli;
 pub mod climatology;

@@ -1,5 +1,6 @@
 //! The output folder: whole or absent.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crate::Error;
@@ -11,6 +12,9 @@ pub struct Output {
     temporary: PathBuf,
     published: bool,
 }
+
+/// How often [`Output::publish`] gives way to another run that puts its folder into the same place.
+const ATTEMPTS: usize = 100;
 
 impl Output {
     /// Starts a folder that will become `target`.
@@ -50,23 +54,38 @@ impl Output {
     /// # Errors
     /// [`Error::Occupied`], [`Error::Write`]; nothing is left half-written, and an earlier result stays.
     pub fn publish(mut self) -> Result<PathBuf, Error> {
-        replaceable(&self.target)?;
         let failed = |source| Error::Write { path: self.target.clone(), source };
-        let earlier = self.temporary.with_extension(format!("varda-{}-earlier", std::process::id()));
-        let replaces = self.target.exists();
-        if replaces {
-            std::fs::rename(&self.target, &earlier).map_err(failed)?;
-        }
-        if let Err(source) = std::fs::rename(&self.temporary, &self.target) {
-            if replaces {
-                std::fs::rename(&earlier, &self.target).map_err(failed)?;
+        let mut earlier = Vec::new();
+        // Another run may put its folder there between any two of these steps: then this one takes that one's place in turn.
+        let last = loop {
+            replaceable(&self.target)?;
+            if self.target.exists() {
+                let name = format!("varda-{}-earlier-{}", std::process::id(), earlier.len());
+                let aside = self.temporary.with_extension(name);
+                match std::fs::rename(&self.target, &aside) {
+                    Ok(()) => earlier.push(aside),
+                    Err(e) if e.kind() == ErrorKind::NotFound => {}
+                    Err(e) => break Err(e),
+                }
+            }
+            match std::fs::rename(&self.temporary, &self.target) {
+                Err(e) if matches!(e.kind(), ErrorKind::DirectoryNotEmpty | ErrorKind::AlreadyExists) => {
+                    if earlier.len() == ATTEMPTS {
+                        break Err(e);
+                    }
+                }
+                done => break done,
+            }
+        };
+        if let Err(source) = last {
+            if let Some(aside) = earlier.last().filter(|_| !self.target.exists()) {
+                std::fs::rename(aside, &self.target).map_err(failed)?;
             }
             return Err(failed(source));
         }
         self.published = true;
-        if replaces {
-            std::fs::remove_dir_all(&earlier)
-                .map_err(|source| Error::Write { path: earlier.clone(), source })?;
+        for aside in earlier {
+            std::fs::remove_dir_all(&aside).map_err(|source| Error::Write { path: aside.clone(), source })?;
         }
         Ok(self.target.clone())
     }

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! scene.json     the scene, overrides and defaults included
+//! data.json      a checksum of every file it names
 //! cycles.jsonl   the rows of the windows done, one a line
 //! state.json     what the next window starts from: replaced whole after every window, and what counts
 //! lock           held by the run that writes here
@@ -10,6 +11,7 @@
 //! The state is written beside its place and renamed, so that a run killed at any moment leaves that after its last finished window; a row
 //! beyond it is cut off when the run is taken up.
 
+use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
@@ -64,6 +66,7 @@ impl Partial {
             made => made.map_err(failed)?,
         }
         let lock = lock(&folder)?;
+        replace(&folder, "data.json", &json(&checksums(file)?))?;
         replace(&folder, "scene.json", &json(&file.scene))?;
         let rows = File::create_new(folder.join("cycles.jsonl")).map_err(failed)?;
         Ok(Partial { folder, rows, _lock: lock })
@@ -93,6 +96,12 @@ impl Partial {
                 "it belongs to another scene, seed or --set; only algorithm.cycles.count may differ",
             ));
         }
+        let text = read("data.json").unwrap_or_default();
+        let before: BTreeMap<String, u64> = serde_json::from_str(&text).map_err(|e| unfit("data.json", e))?;
+        let now = checksums(file)?;
+        if let Some(changed) = now.keys().find(|key| before.get(*key) != now.get(*key)) {
+            return Err(refuse(&format!("the file that {changed} names has changed since")));
+        }
         replace(&folder, "scene.json", &json(&file.scene))?;
         let failed = |source| Error::Write { path: folder.join("cycles.jsonl"), source };
         let mut rows = OpenOptions::new()
@@ -116,6 +125,12 @@ impl Partial {
                 return Err(refuse("cycles.jsonl has fewer rows than state.json says"));
             }
             let Stored { next, background, columns, .. } = stored;
+            let n = background.len();
+            let fits = |row: &Row| row.background.len() == n && row.analysis.len() == n;
+            let finite = background.iter().chain(&columns).all(|x| x.is_finite());
+            if n == 0 || columns.len() % n != 0 || !finite || !done.iter().all(fits) {
+                return Err(refuse("state.json and cycles.jsonl do not fit one another"));
+            }
             state = Some(CycleState { next, background, columns });
         }
         rows.set_len(length).and_then(|()| rows.seek(std::io::SeekFrom::End(0))).map_err(failed)?;
@@ -158,6 +173,17 @@ fn uncounted(scene: &Scene) -> String {
         cycles.count = 1;
     }
     json(&scene)
+}
+
+/// FNV-1a of every file a scene names, by the key that names it.
+fn checksums(file: &SceneFile) -> Result<BTreeMap<String, u64>, Error> {
+    let mut sums = BTreeMap::new();
+    for (key, name) in file.scene.files() {
+        let (_, text) = file.read(&key, &name)?;
+        let step = |sum: u64, byte: u8| (sum ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
+        sums.insert(key, text.bytes().fold(0xcbf2_9ce4_8422_2325, step));
+    }
+    Ok(sums)
 }
 
 fn json(value: &impl Serialize) -> String {

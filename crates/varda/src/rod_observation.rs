@@ -1,5 +1,7 @@
 //! Observations of a rod: where on it, when, in whose axes.
 
+use std::collections::HashMap;
+
 use varda_assimilation::{Observation, ObservationOperator};
 use varda_implicit::Refusal;
 use varda_rod::{Marker, Markers, RodStep};
@@ -111,6 +113,12 @@ impl Sightings {
                 used: m.used,
             })
             .collect();
+        // −0 is 0.
+        let bits = |s: f64| (s + 0.0).to_bits();
+        let mut site_of = HashMap::new();
+        for (i, site) in sites.iter().enumerate() {
+            site_of.entry(bits(site.marker.s)).or_insert(i);
+        }
         let rotation = recording.frame.rotation_rows();
         let shift: [f64; 3] =
             std::array::from_fn(|c| (0..3).map(|j| rotation[j][c] * recording.frame.translation[j]).sum());
@@ -129,7 +137,7 @@ impl Sightings {
                     if !(*s >= 0.0 && *s <= length * (1.0 + 1e-9)) {
                         return Err(bad(row, format!("s_m = {s} is off the rod (0 to {length} m)")));
                     }
-                    sites.iter().position(|site| site.marker.s == *s).unwrap_or_else(|| {
+                    *site_of.entry(bits(*s)).or_insert_with(|| {
                         let marker = Marker { s: *s, offset: [0.0; 3] };
                         sites.push(Site { label: format!("s = {s} m"), marker, used: Use::Assimilate });
                         sites.len() - 1

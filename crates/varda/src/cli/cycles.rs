@@ -31,7 +31,15 @@ pub(super) fn run(
     };
     let resumed = done.len();
     let count = sequence.cycles.count;
-    let state = state.unwrap_or_else(|| sequence.start());
+    let start = sequence.start();
+    let state = state.unwrap_or_else(|| start.clone());
+    let fits = state.next <= count
+        && state.background.len() == start.background.len()
+        && (start.columns.is_empty() || state.columns.len() == start.columns.len());
+    if !fits {
+        let reason = "state.json is not a state of this scene".to_string();
+        return Err(Error::Resume { path: Partial::folder(folder), reason });
+    }
     let mut listener = Listener {
         on_cycle: &mut |row, after| {
             progress.cycle(row, resumed, count);

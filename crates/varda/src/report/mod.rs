@@ -33,10 +33,11 @@ pub fn write(problem: &mut Problem, outcome: &Outcome, folder: &Path) -> Result<
         drawn.push((figure.name, figure.title, svg));
     }
     out.write("report.html", &html::page(problem, outcome, &summary, &drawn))?;
-    out.write("summary.json", &summary.to_json())?;
     out.write("analysis.csv", &tables::analysis(problem, outcome))?;
     out.write("convergence.csv", &tables::convergence(&outcome.convergence))?;
     out.write("trajectory.csv", &tables::trajectory(problem, &outcome.trajectories)?)?;
+    // Last: a folder without it is no result.
+    out.write("summary.json", &summary.to_json())?;
     out.publish()
 }
 

@@ -13,8 +13,8 @@ pub struct Algorithm {
     pub method: Method,
     /// The minimizer of methods 4dvar, 3dvar and weak-forcing. The others have a loop of their own.
     pub minimizer: Minimizer,
-    /// Most outer iterations.
-    #[schemars(extend("minimum" = 1))]
+    /// Most outer iterations, at most 1e6.
+    #[schemars(extend("minimum" = 1, "maximum" = 1000000))]
     pub max_iterations: usize,
     /// Converged when the gradient in the control variable is this much smaller than at the background.
     #[schemars(extend("exclusiveMinimum" = 0.0))]

@@ -4,6 +4,7 @@
 use serde_json::Value as Json;
 
 use super::Place;
+use super::sizes::{LARGEST, SMALLEST};
 use super::tree::{Node, Value};
 
 /// What is wrong, and where.
@@ -30,7 +31,11 @@ pub(super) fn check(node: &Node, path: &str, schema: &Json, root: &Json) -> Resu
         ("array", Value::Array(items)) => {
             let (min, max) = (schema["minItems"].as_u64(), schema["maxItems"].as_u64());
             if min.is_some_and(|m| (items.len() as u64) < m) || max.is_some_and(|m| items.len() as u64 > m) {
-                return wrong(format!("`{path}` has {} entries, expected {}", items.len(), min.unwrap_or(0)));
+                let expected = match (min, max) {
+                    (Some(m), _) => format!("{m}"),
+                    (None, m) => format!("at most {}", m.unwrap_or(0)),
+                };
+                return wrong(format!("`{path}` has {} entries, expected {expected}", items.len()));
             }
             for (i, item) in items.iter().enumerate() {
                 check(item, &format!("{path}[{i}]"), &schema["items"], root)?;
@@ -139,6 +144,8 @@ fn check_range(node: &Node, path: &str, value: f64, schema: &Json) -> Result<(),
     let limit = |key: &str| schema[key].as_f64();
     let expected = if !value.is_finite() {
         Some("finite".to_string())
+    } else if value != 0.0 && !(SMALLEST..=LARGEST).contains(&value.abs()) {
+        Some(format!("0, or between {SMALLEST:e} and {LARGEST:e} in size"))
     } else if let Some(m) = limit("exclusiveMinimum").filter(|m| value <= *m) {
         Some(format!("greater than {m}"))
     } else if let Some(m) = limit("minimum").filter(|m| value < *m) {

@@ -11,14 +11,14 @@ use super::{Method, Scene};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Cycles {
-    /// Number of windows.
+    /// Number of windows; 1e7 steps in all at most.
     #[schemars(extend("minimum" = 1, "maximum" = 10000000))]
     pub count: usize,
     /// Steps from the start of one window to that of the next. The default, the window's length (1 for a window of 0), puts windows end
     /// to end: they share the step at which one ends and the next begins. Fewer steps let windows overlap; one more tiles the
     /// time; a window of 0 may leave any number between.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("minimum" = 1))]
+    #[schemars(extend("minimum" = 1, "maximum" = 10000000))]
     pub shift: Option<usize>,
     /// Where B of the next window comes from. Left out: the ensemble where the method runs one, else static.
     #[serde(default, skip_serializing_if = "Option::is_none")]

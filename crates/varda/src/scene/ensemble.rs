@@ -9,7 +9,7 @@ use super::{Algorithm, Taper};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Ensemble {
-    /// Number of members N.
+    /// Number of members N; at most 1e9 numbers in all their runs together.
     #[schemars(extend("minimum" = 2, "maximum" = 10000))]
     pub members: usize,
     /// Distance beyond which the ensemble's covariances are not believed: [m] on a rod or a line, in components on

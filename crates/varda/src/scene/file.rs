@@ -1,10 +1,12 @@
 //! Where a scene comes from: a file or the binary, overrides, and the files it names.
 
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
+use super::sizes::{DATA_BYTES, SCENE_BYTES};
 use super::{Scene, check, shipped, tree, validate};
 use crate::Error;
 
@@ -59,7 +61,7 @@ impl SceneFile {
                 overrides,
             );
         }
-        let text = std::fs::read_to_string(path).map_err(|source| match source.kind() {
+        let text = read_text(path, SCENE_BYTES).map_err(|source| match source.kind() {
             std::io::ErrorKind::NotFound => {
                 let names: Vec<&str> = shipped::SHIPPED.iter().map(|s| s.name).collect();
                 let suggestion =
@@ -84,6 +86,10 @@ impl SceneFile {
         folder: Option<&Path>,
         overrides: &[String],
     ) -> Result<SceneFile, Error> {
+        if text.len() as u64 > SCENE_BYTES {
+            let message = format!("{} bytes: a scene has at most {SCENE_BYTES}", text.len());
+            return Err(Error::Scene { place: label.to_string(), message });
+        }
         let mut root = tree::parse(label, text)?;
         for assignment in overrides {
             tree::set(&mut root, assignment)?;
@@ -128,7 +134,7 @@ impl SceneFile {
                 };
             }
         };
-        match std::fs::read_to_string(&full) {
+        match read_text(&full, DATA_BYTES) {
             Ok(text) => Ok((full.display().to_string(), text)),
             Err(source) => {
                 Err(Error::Read { place: locate(&self.label, self.place(path)), path: full, source })
@@ -146,6 +152,17 @@ impl SceneFile {
             }
         }
     }
+}
+
+/// The text of a file, of which no more is read than `most` bytes.
+fn read_text(path: &Path, most: u64) -> std::io::Result<String> {
+    let mut text = String::new();
+    std::fs::File::open(path)?.take(most + 1).read_to_string(&mut text)?;
+    if text.len() as u64 > most {
+        let message = format!("it has more than {most} bytes");
+        return Err(std::io::Error::new(std::io::ErrorKind::FileTooLarge, message));
+    }
+    Ok(text)
 }
 
 fn locate(label: &str, place: Option<&Place>) -> String {

@@ -18,6 +18,7 @@ mod model;
 mod model_error;
 mod observations;
 mod shipped;
+mod sizes;
 mod tree;
 mod validate;
 mod validate_algorithm;
@@ -38,11 +39,13 @@ pub use model::{
 pub use model_error::ModelError;
 pub use observations::{Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, Use};
 pub use shipped::{SHIPPED, STARTER, Shipped};
+pub use sizes::{DATA_BYTES, NUMBERS, SCENE_BYTES, STEPS, VALUES};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A scene of Varda. SI units throughout.
+/// A scene of Varda. SI units throughout. A number is 0 or its size is between 1e-50 and 1e50; a scene has at most 1 MiB and a CSV file 256 MiB;
+/// the states of a run have at most 1e9 numbers, and at most 1e7 values are observed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Scene {
@@ -81,6 +84,32 @@ impl Scene {
         serde_json::to_string_pretty(&schema).expect("a schema is plain JSON")
     }
 
+    /// The data files it names, each with the key that does.
+    pub fn files(&self) -> Vec<(String, String)> {
+        let mut files = Vec::new();
+        let mut add = |key: &str, name: &Option<String>| {
+            files.extend(name.iter().map(|name| (key.to_string(), name.clone())));
+        };
+        add("background.file", &self.background.file);
+        if let Observations::File(recording) = &self.observations {
+            add("observations.file", &recording.file);
+        }
+        if let Model::Rod(rod) = &self.model {
+            let table = |motion: &Option<Motion>| match motion {
+                Some(Motion::Table { file }) => Some(file.clone()),
+                _ => None,
+            };
+            for (key, clamp) in [("model.start", &rod.start), ("model.end", &rod.end)] {
+                let motion = clamp.as_ref().and_then(|c| table(&c.motion));
+                add(&format!("{key}.motion.file"), &motion);
+            }
+            for (i, p) in rod.prescribed.iter().enumerate() {
+                add(&format!("model.prescribed.{i}.motion.file"), &table(&p.motion));
+            }
+        }
+        files
+    }
+
     /// The model is a rod: its control is in metres and metres per second.
     pub fn model_is_rod(&self) -> bool {
         matches!(self.model, Model::Rod(_))
@@ -97,19 +126,21 @@ pub struct Time {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "s"))]
     pub step: Option<f64>,
-    /// Steps in one period 2π/ω of the start clamp's ellipse drive. Give this or `step`.
+    /// Steps in one period 2π/ω of the start clamp's ellipse drive, at most 1e9. Give this or `step`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("minimum" = 1))]
+    #[schemars(extend("minimum" = 1, "maximum" = 1000000000))]
     pub steps_per_period: Option<usize>,
     /// Rods: divide every step so that the estimated error of its parts is at most this share of the rod's length (root mean
     /// square over coordinates). The parts are those the background's run needs and stay the same during a run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub tolerance: Option<f64>,
-    /// Length of the assimilation window, in steps.
+    /// Length of the assimilation window, in steps; at most 1e7.
+    #[schemars(extend("maximum" = 10000000))]
     pub window: usize,
-    /// Steps from the model's time 0 to the start of the window. A twin's truth is run through them.
+    /// Steps from the model's time 0 to the start of the window. A twin's truth is run through them. At most 1e7.
     #[serde(default)]
+    #[schemars(extend("maximum" = 10000000))]
     pub spin_up: usize,
 }
 
@@ -154,7 +185,7 @@ pub struct Report {
     /// Number of instants of the window drawn as snapshots of a rod.
     #[schemars(extend("minimum" = 1, "maximum" = 24))]
     pub snapshots: usize,
-    /// Forecast from the end of the window over this time [s], compared with what was recorded then. 0: none.
+    /// Forecast from the end of the window over this time [s], compared with what was recorded then. 0: none. At most 1e7 steps.
     #[schemars(extend("minimum" = 0.0, "x-unit" = "s"))]
     pub forecast: f64,
     /// Posterior standard deviations (one tangent run per control component).

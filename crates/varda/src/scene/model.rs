@@ -119,8 +119,8 @@ impl Default for Lorenz63 {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Lorenz96 {
-    /// Number of variables N.
-    #[schemars(extend("minimum" = 4))]
+    /// Number of variables N, at most 1e6.
+    #[schemars(extend("minimum" = 4, "maximum" = 1000000))]
     pub variables: usize,
     /// Forcing F.
     pub forcing: f64,
@@ -140,13 +140,13 @@ pub struct RodModel {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub length: Option<f64>,
-    /// Number of equal segments.
+    /// Number of equal segments, at most 20000 (B is dense).
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("minimum" = 2))]
+    #[schemars(extend("minimum" = 2, "maximum" = 20000))]
     pub segments: Option<usize>,
-    /// Rest length of every segment [m], where they differ.
+    /// Rest length of every segment [m], where they differ; at most 20000.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("x-unit" = "m"))]
+    #[schemars(extend("x-unit" = "m", "maxItems" = 20000))]
     pub segment_lengths: Option<Vec<f64>>,
     /// The cross-section, the same all along.
     pub section: Section,

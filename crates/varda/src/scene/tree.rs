@@ -35,7 +35,8 @@ pub(super) struct Entry {
 
 /// Parses a document; `label` is its name in messages.
 pub(super) fn parse(label: &str, text: &str) -> Result<Node, Error> {
-    let place = |span: std::ops::Range<usize>| line_column(text, span.start);
+    let lines = Lines::new(text);
+    let place = |span: std::ops::Range<usize>| lines.place(span.start);
     let table = DeTable::parse(text).map_err(|e| Error::Scene {
         place: format!("{label}{}", e.span().map_or(String::new(), |s| format!(":{}", place(s)))),
         message: format!("not TOML: {}", e.message().replace('\n', ", ")),
@@ -58,7 +59,8 @@ pub(super) fn set(root: &mut Node, assignment: &str) -> Result<(), Error> {
     };
     let mut node = root;
     let parts: Vec<&str> = key.trim().split('.').collect();
-    if parts.iter().any(|p| p.is_empty()) {
+    // No key of a scene is as deep as eight tables.
+    if parts.iter().any(|p| p.is_empty()) || parts.len() > 8 {
         return Err(bad(format!("{:?} is not a dotted key such as observations.sigma", key.trim())));
     }
     for part in parts {
@@ -147,9 +149,69 @@ fn convert(value: &DeValue<'_>, place: &impl Fn(std::ops::Range<usize>) -> Place
     }
 }
 
-/// Line and column (in characters), both from 1, of a byte offset.
-fn line_column(text: &str, offset: usize) -> Place {
-    let before = &text[..offset.min(text.len())];
-    let start = before.rfind('\n').map_or(0, |i| i + 1);
-    Place::Text { line: before.matches('\n').count() + 1, column: before[start..].chars().count() + 1 }
+/// Finds line and column of a byte offset without reading the text from its start.
+struct Lines<'a> {
+    text: &'a [u8],
+    /// Where lines begin.
+    starts: Vec<usize>,
+    /// Characters before every [`BLOCK`]th byte.
+    before: Vec<usize>,
+}
+
+const BLOCK: usize = 64;
+
+impl<'a> Lines<'a> {
+    fn new(text: &'a str) -> Self {
+        let breaks = text.bytes().enumerate().filter(|(_, b)| *b == b'\n').map(|(i, _)| i + 1);
+        let mut count = 0;
+        let before = text.as_bytes().chunks(BLOCK).map(|block| {
+            let here = count;
+            count += characters(block);
+            here
+        });
+        Lines {
+            text: text.as_bytes(),
+            before: before.collect(),
+            starts: std::iter::once(0).chain(breaks).collect(),
+        }
+    }
+
+    /// Line and column (in characters), both from 1.
+    fn place(&self, offset: usize) -> Place {
+        let offset = offset.min(self.text.len());
+        let line = self.starts.partition_point(|s| *s <= offset);
+        Place::Text { line, column: self.until(offset) - self.until(self.starts[line - 1]) + 1 }
+    }
+
+    /// Characters before a byte.
+    fn until(&self, offset: usize) -> usize {
+        let block = (offset / BLOCK).min(self.before.len().saturating_sub(1));
+        self.before.get(block).map_or(0, |n| n + characters(&self.text[block * BLOCK..offset]))
+    }
+}
+
+/// Bytes that are not a continuation of a UTF-8 character.
+fn characters(bytes: &[u8]) -> usize {
+    bytes.iter().filter(|b| **b & 0xC0 != 0x80).count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_are_those_counted_from_the_start() {
+        for text in ["", "a", "a = 1\nβ = 2\n\nγδ = 3", &"ω = \"∂\"\n".repeat(40), &"é".repeat(300)] {
+            let lines = Lines::new(text);
+            for (offset, _) in text.char_indices().chain([(text.len(), ' ')]) {
+                let before = &text[..offset];
+                let start = before.rfind('\n').map_or(0, |i| i + 1);
+                let place = Place::Text {
+                    line: before.matches('\n').count() + 1,
+                    column: before[start..].chars().count() + 1,
+                };
+                assert_eq!(lines.place(offset), place, "{text:?} {offset}");
+            }
+        }
+    }
 }

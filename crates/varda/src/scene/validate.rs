@@ -3,6 +3,7 @@
 use varda_implicit::line::{Ends, Line};
 
 use super::cycles::validate_cycles;
+use super::sizes::validate_sizes;
 use super::{
     Background, Clamp, Covariance, Frame, Integrator, KernelCovariance, Model, Motion, Observations, Origin,
     Recording, RodModel, Scene, Section, Synthetic, Taper, validate_algorithm::validate_algorithm,
@@ -92,10 +93,10 @@ pub(super) fn validate(scene: &Scene) -> Check {
         return invalid("limits.memory", message);
     }
     validate_algorithm(scene)?;
-    match &scene.algorithm.cycles {
-        Some(cycles) => validate_cycles(cycles, scene),
-        None => Ok(()),
+    if let Some(cycles) = &scene.algorithm.cycles {
+        validate_cycles(cycles, scene)?;
     }
+    validate_sizes(scene)
 }
 
 impl RodModel {
