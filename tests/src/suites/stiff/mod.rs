@@ -10,6 +10,7 @@ mod document;
 mod implicit;
 mod rod;
 mod rod_shapes;
+mod rod_statics;
 
 use super::{Options, Report};
 use crate::row::{Case, Row, Rows};
@@ -19,6 +20,7 @@ pub(super) fn run(options: &Options) -> Report {
     let mut rows = Rows::new("stiff");
     rod::run(&mut rows, options);
     rod_shapes::run(&mut rows, options);
+    rod_statics::run(&mut rows);
     implicit::run(&mut rows, options);
     chaos::run(&mut rows, options);
     covariance::run(&mut rows, options);
