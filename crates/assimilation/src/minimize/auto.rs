@@ -51,13 +51,11 @@ impl Default for AutoOptions {
 /// When to use: where the observations are much more precise than the background and the model is nonlinear, so that J may have several minima.
 /// When not: where one is known to exist, or where time matters more than the last per cent of J.
 ///
-/// Evidence, of the version that did not look beside refused steps and always stopped where two runs agreed: case 4 of the hanging rod, 100 seeds of either prior (docs/results/case4.md; "lowest known" is the best of the trust region from the background,
-/// the ladder, and five draws). Prior "clamp": all 100 converged to the lowest known, after the run and one ladder, 0.36 s of CPU in the median against 0.1 for the trust
-/// region alone. Prior "plain": 92 converged and 93 are at the lowest known (88 both), against 88 and 81 for the trust region alone and 89 and 85 for the ladder alone;
-/// 0.84 s in the median, 20 s at most. Eight others did not converge: no run of any kind became stationary at their lowest J, mostly for the
-/// jumps of J there (a step from a wild state has several solutions, and which one Newton's method comes to changes without pattern nearby). Two runs that agree are no proof: three seeds (32, 57, 90)
-/// converged 0.2 to 1.3 % too high that way. Since then, redone on some seeds only: 45, 46 and 57
-/// converge to the lowest known, 32 still to the higher minimum, 14, 43 and 50 still stall. On Lorenz-63 over a long window ladders gain nothing: there the window must grow.
+/// Evidence, case 4 of the hanging rod, 100 seeds of either prior (docs/results/case4.md; "lowest known" is the best of the trust region from the background,
+/// the ladder, and five draws). Prior "clamp": all 100 converge to the lowest known. Prior "plain": 94 converge and 97 are at the lowest known (93 both). The six others
+/// stall or run out of iterations where J jumps (a step from a wild state has several solutions, and which one Newton's method comes to changes without pattern
+/// nearby); of four of them no run of any kind was stationary near the lowest J. Runs that agree are no proof: one seed (32) converges 0.2 % too high.
+/// On Lorenz-63 over a long window ladders gain nothing: there the window must grow.
 ///
 /// Cost: that of the trust region where J_o ≤ 10 m, else two to nine times as much, and several times that where J jumps. Memory: that of the trust region.
 ///
