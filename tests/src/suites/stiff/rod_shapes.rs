@@ -99,7 +99,8 @@ pub(super) fn run(rows: &mut Rows, options: &Options) {
     degenerate_edges(rows);
     twisted(rows);
     tips(rows);
-    tilt_loop(rows, if options.quick { 5_000 } else { 100_000 });
+    // 5 000 steps are too few for what the start set off to die out.
+    tilt_loop(rows, if options.quick { 20_000 } else { 100_000 });
 }
 
 /// Without supports V_k = V₀ + k Δt g and X_k = X₀ + k Δt V₀ + k(k+1)/2 Δt² g, whatever the shape.
