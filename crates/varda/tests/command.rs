@@ -231,7 +231,7 @@ fn bad_input_is_one_message_and_no_folder() {
         (vec!["hanging-rod".into(), "--set".into(), "observations.places=[1.2]".into()], &["off the rod"]),
         (vec!["hanging-rod".into(), "--set".into(), "observations.steps=[101]".into()], &["not both"]),
         (
-            vec!["hanging-rod".into(), "--set".into(), "model.start.motion.radii=[1e160,1e160]".into()],
+            vec!["hanging-rod".into(), "--set".into(), "model.start.motion.radii=[1e40,1e40]".into()],
             &["spin-up of the truth: step 0", "Newton stopped"],
         ),
         (vec!["hanging-rod-csv".into(), "--set".into(), file("nan.csv")], &["nan.csv:3", "`y_m` is NaN"]),
@@ -338,8 +338,8 @@ fn compare_runs_every_method_and_minimizer_and_keeps_failures_as_rows() {
 #[test]
 fn a_method_that_fails_is_a_row_of_the_comparison_with_its_reason() {
     let folder = Folder::new("compare-failure");
-    // σ so small that 1/σ² overflows: no cost can be evaluated.
-    let sets = ["--set", "observations.sigma=1e-160", "--set", "algorithm.max_iterations=3"];
+    // A background so far off that the model overflows from it: no cost can be evaluated there.
+    let sets = ["--set", "background.covariance.sigma=1e40", "--set", "algorithm.max_iterations=3"];
     text(&folder.varda(&[&["compare", "lorenz63", "--out", "all"], &sets[..]].concat()));
     let csv = folder.read("all/compare.csv");
     assert_eq!(csv.lines().count(), 1 + 18, "{csv}");

@@ -153,11 +153,13 @@ fn check_range(node: &Node, path: &str, value: f64, schema: &Json) -> Result<(),
     } else {
         limit("maximum").filter(|m| value > *m).map(|m| format!("at most {m}"))
     };
+    let readable = value == 0.0 || (1e-4..1e10).contains(&value.abs());
+    let shown = if readable { format!("{value}") } else { format!("{value:e}") };
     match expected {
         None => Ok(()),
         Some(expected) => Err(Wrong {
             place: node.place.clone(),
-            message: format!("`{path}` = {value} is impossible: it must be {expected}{}", unit(schema)),
+            message: format!("`{path}` = {shown} is impossible: it must be {expected}{}", unit(schema)),
         }),
     }
 }
