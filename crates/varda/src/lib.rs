@@ -46,6 +46,7 @@ pub mod cycles;
 pub mod ensemble;
 mod error;
 pub mod fit;
+mod horizon;
 mod method;
 pub mod output;
 pub mod partial;

@@ -353,7 +353,7 @@ fn rod_models(parts: &RodParts, spin_up: usize, window: Window, times: Option<Ve
 /// The state after the spin-up from rest.
 fn spun_up(parts: &RodParts, window: &Window, steps: usize) -> Result<Vec<f64>, Error> {
     let mut model = ImplicitModel::new(parts.dynamics()?, 0, window.step);
-    let failed = |source| Error::Preparation { stage: "spin-up of the truth", source };
+    let failed = |reason| Error::Preparation { stage: "spin-up of the truth", reason };
     let mut x = vec![0.0; model.dim()];
     model.initial_state(&parts.at_rest(0.0)?, &mut x).map_err(failed)?;
     let mut next = x.clone();

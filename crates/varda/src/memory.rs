@@ -1,0 +1,154 @@
+//! The memory a run takes, counted before anything is built: what `varda check` prints, and `[limits] memory` is held against.
+//!
+//! Counted is what grows with a scene: B and Q with what building them takes, dense Hessians and Jacobians, states and linearizations of a
+//! window, the members of an ensemble, trajectories and their tables. The program itself is some ten megabytes more.
+
+use varda_implicit::{Footprint, ImplicitStep, Storage, Structure};
+use varda_rod::RodStep;
+
+use crate::Error;
+use crate::cycles::whole;
+use crate::problem::{observed_steps, sightings, window};
+use crate::rod_model::RodParts;
+use crate::scene::{Covariance, CycledCovariance, Integrator, Method, Minimizer, Model, Observations, Root};
+use crate::scene::{Origin, Scene, SceneFile};
+
+/// Bytes of a number.
+const NUMBER: usize = size_of::<f64>();
+
+/// Text of a number in a CSV file, about.
+const TEXT: usize = 20;
+
+/// Sizes of a scene, in numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sizes {
+    /// Length of the state.
+    pub state: usize,
+    /// Length of the control.
+    pub control: usize,
+    /// Observed values, in all windows of a sequence.
+    pub values: usize,
+    /// Times at which something is observed.
+    pub times: usize,
+    /// What the model keeps of the linearization of a step.
+    pub kept: usize,
+    /// Steps of a window (of the model; more than the window has where steps are divided).
+    pub steps: usize,
+}
+
+/// Bytes a run takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Memory {
+    /// B and Q: their roots.
+    pub covariance: usize,
+    /// What building them takes beyond that, for a time.
+    pub building: usize,
+    /// Dense Hessians and Jacobians of the method and of the posterior.
+    pub dense: usize,
+    /// Ensemble, trajectories, tables.
+    pub other: usize,
+    /// States and linearizations of the window.
+    pub window: usize,
+    /// How they are kept.
+    pub storage: Storage,
+}
+
+impl Memory {
+    /// What the scene of a file takes, with the limit it sets; `sizes` are its own.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] at `limits.memory` where it is more than that, naming what takes most.
+    pub fn within_limit(file: &SceneFile, sizes: &Sizes) -> Result<Memory, Error> {
+        let scene = &file.scene;
+        let limit = scene.limits.bytes().map_err(|message| file.invalid("limits.memory", message))?;
+        let mut memory = Memory::of(scene, sizes);
+        let (fixed, footprint) = (memory.total() - memory.window, footprint(scene, sizes));
+        // Only the strong constraint over one window knows how to keep less.
+        if scene.algorithm.method.is_strong() && scene.algorithm.cycles.is_none() && fixed < limit {
+            memory.storage = footprint
+                .within(limit - fixed)
+                .map_err(|e| file.invalid("limits.memory", format!("{e} beside {}", shown(fixed))))?;
+            memory.window = footprint.bytes(memory.storage);
+        }
+        if memory.total() <= limit {
+            return Ok(memory);
+        }
+        let mut parts = [
+            ("the background covariance (dense blocks)", memory.covariance + memory.building),
+            ("dense Hessians and Jacobians", memory.dense),
+            ("ensemble, trajectories and tables", memory.other),
+            ("states and linearizations", memory.window),
+        ];
+        parts.sort_by_key(|(_, bytes)| std::cmp::Reverse(*bytes));
+        let parts: Vec<String> =
+            parts.iter().filter(|p| p.1 > 0).map(|(what, bytes)| format!("{what} {}", shown(*bytes))).collect();
+        let remedy = match scene.report.posterior && memory.dense > limit / 2 {
+            true => "; the posterior takes dense matrices, report.posterior = false does without",
+            false => "",
+        };
+        let message = format!(
+            "this run takes about {} ({}), more than the limit of {}: raise it with [limits] memory, or make the scene smaller{remedy}",
+            shown(memory.total()),
+            parts.join(", "),
+            shown(limit)
+        );
+        Err(file.invalid("limits.memory", message))
+    }
+
+    /// The most that is held at a time.
+    pub fn total(&self) -> usize {
+        let run = self.dense.saturating_add(self.other).saturating_add(self.window);
+        self.covariance.saturating_add(self.building.max(run))
+    }
+
+    /// Where everything of a window is kept.
+    fn of(scene: &Scene, sizes: &Sizes) -> Memory {
+        let (algorithm, n, m) = (&scene.algorithm, sizes.control, sizes.values / windows(scene));
+        let [mut covariance, mut building] = covariance(scene, &scene.background.covariance, n);
+        let mut errors = 0;
+        if let Some(error) = &algorithm.model_error {
+            let q = self::covariance(scene, &error.covariance, n);
+            (covariance, building) = (covariance + q[0], building.max(q[1]));
+            errors = error_numbers(scene, n);
+        }
+        let cycled = algorithm.cycles.as_ref().map(|c| c.covariance_of(algorithm.method));
+        let posterior = match cycled {
+            Some(kind) => kind == CycledCovariance::Propagated,
+            None => scene.report.posterior,
+        };
+        let square = n.saturating_mul(n);
+        let dense = if algorithm.method.is_ensemble() {
+            0
+        } else if algorithm.method.is_weak() {
+            // G by parts, and I + G Gᵀ in the space of the observations.
+            if posterior { 4 * square + m * (2 * n + errors + m) } else { 0 }
+        } else if posterior || algorithm.minimizer == Minimizer::Newton || algorithm.method == Method::Blue {
+            // Hessian, its eigenvectors with what finding them takes, the root of P_a; G, and the columns under way through the model.
+            5 * square + m * n + m.min(n) * sizes.state
+        } else {
+            0
+        };
+        let mut other = 2 * (n + errors) * 8;
+        if let Some(ensemble) = algorithm.members() {
+            other += (ensemble.members + 1) * (sizes.steps + 1) * sizes.state;
+            other += 2 * ensemble.members * (m + n);
+        }
+        // Background, analysis and truth, and the table of their states.
+        let shown = whole_steps(scene) + window(scene).forecast + 1;
+        let tables = shown.saturating_mul(sizes.state).saturating_mul(3 * (NUMBER + TEXT));
+        let footprint = footprint(scene, sizes);
+        Memory {
+            covariance: NUMBER * covariance,
+            building: NUMBER * building,
+            dense: NUMBER.saturating_mul(dense),
+            other: (NUMBER * other).saturating_add(tables),
+            window: footprint.bytes(Storage::KeepAll),
+            storage: Storage::KeepAll,
+        }
+    }
+
+    /// What may be spent on the states and linearizations of a window.
+    pub fn left_for_window(&self, limit: usize) -> usize {
+        limit.saturating_sub(self.total() - self.window.min(self.total()))
+    }
+}
