@@ -20,6 +20,7 @@ use varda_implicit::check::Amplification;
 use crate::Error;
 use crate::ensemble;
 use crate::horizon;
+use crate::memory::{Memory, Sizes};
 use crate::method;
 use crate::problem::{Problem, View, run_states};
 use crate::run::{Status, Trajectories, WorkCounts, errors};
@@ -173,7 +174,8 @@ impl Sequence {
     pub fn from_scene(file: &SceneFile) -> Result<Option<Sequence>, Error> {
         let Some(cycles) = &file.scene.algorithm.cycles else { return Ok(None) };
         let window = file.scene.time.window;
-        let mut problem = Problem::from_scene(&whole(file))?;
+        let memory = Memory::within_limit(file, &Sizes::of(file)?)?;
+        let mut problem = Problem::build(&whole(file), memory.for_window)?;
         let steps = problem.window.steps;
         let truth = match &problem.truth {
             Some(truth) => run_states(problem.model.as_mut(), truth, steps)?,

@@ -47,6 +47,7 @@ pub mod ensemble;
 mod error;
 pub mod fit;
 mod horizon;
+pub mod memory;
 mod method;
 pub mod output;
 pub mod partial;

@@ -36,7 +36,7 @@ pub(crate) struct Task<'a> {
     /// Whether σ of the analysis is wanted.
     pub(crate) posterior: bool,
     /// Most bytes for the states and linearizations of a window (strong constraint).
-    pub(crate) memory: Option<usize>,
+    pub(crate) memory: usize,
 }
 
 /// What every method gives.
@@ -205,10 +205,7 @@ impl Task<'_> {
         if let Some(delta) = algorithm.robust {
             cost.set_huber(delta)?;
         }
-        if let Some(bytes) = self.memory {
-            cost.set_memory(bytes)?;
-        }
-        let storage = cost.storage();
+        let storage = cost.set_memory(self.memory)?;
         v.resize(cost.dim(), 0.0);
         let mut control = background.to_vec();
         let mut on_iteration = |iteration: &Iteration| {

@@ -295,7 +295,7 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
         ensemble: problem.ensemble.as_ref(),
         anchors: &problem.anchors,
         posterior: problem.scene.report.posterior,
-        memory: problem.scene.limits.bytes().unwrap_or_default(),
+        memory: problem.memory,
     };
     let none = ObservationSet::new(problem.window.steps, Vec::new(), Vec::new())?;
     let observations = std::mem::replace(&mut problem.observations, none);
