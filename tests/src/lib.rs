@@ -16,4 +16,4 @@ pub mod suites;
 pub mod windows;
 
 pub use row::{Case, Row, Rows, table};
-pub use suites::{Options, SUITES, run, stability};
+pub use suites::{Options, SUITES, read_fixture, run, stability};

@@ -63,8 +63,7 @@ impl Rows {
 
     /// Runs the checks of one case. An error or a panic in there is a failed row, not the end of the run.
     pub fn case(&mut self, name: &str, checks: impl FnOnce(&mut Case) -> Outcome) {
-        let mut case =
-            Case { suite: self.suite, name: name.to_string(), rows: &mut self.rows, since: Instant::now() };
+        let mut case = self.open(name);
         let reason = match catch_unwind(AssertUnwindSafe(|| checks(&mut case))) {
             Ok(Ok(())) => return,
             Ok(Err(error)) => error.to_string(),
@@ -74,6 +73,11 @@ impl Rows {
             }
         };
         case.at_most("completed", f64::NAN, 0.0, "-").note(reason);
+    }
+
+    /// A case that is not guarded: a panic in there is one.
+    pub fn open(&mut self, name: &str) -> Case<'_> {
+        Case { suite: self.suite, name: name.to_string(), rows: &mut self.rows, since: Instant::now() }
     }
 
     /// The rows.

@@ -136,6 +136,12 @@ pub struct Amplification {
 }
 
 impl Amplification {
+    /// Of a window whose ‖M‖ is known, or estimated.
+    pub fn of(norm: f64) -> Self {
+        let gradient_error = f64::EPSILON * norm;
+        Self { norm, gradient_error, reliable: gradient_error <= WORST_GRADIENT }
+    }
+
     /// What to tell a user whose window is too long; `None` where the gradient can be relied on.
     pub fn warning(&self) -> Option<String> {
         (!self.reliable).then(|| {
@@ -165,9 +171,7 @@ pub fn amplification(
     assert_eq!(scale.len(), model.dim(), "scale and state differ in length");
     let mut random = Random(seed);
     let v = scale.iter().map(|s| s * random.draw()).collect();
-    let norm = norm_by_powers(model, steps, v, scale, 6)?;
-    let gradient_error = f64::EPSILON * norm;
-    Ok(Amplification { norm, gradient_error, reliable: gradient_error <= WORST_GRADIENT })
+    Ok(Amplification::of(norm_by_powers(model, steps, v, scale, 6)?))
 }
 
 /// Compares ⟨M dx, λ⟩ with ⟨dx, Mᵀ λ⟩ for products already made, and a norm of M in scaled variables (a larger one

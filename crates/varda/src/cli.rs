@@ -19,6 +19,7 @@ use crate::check::Plan;
 use crate::compare::{Compared, compare};
 use crate::cycles::{Sequence, whole};
 use crate::output::Output;
+use crate::partial::Partial;
 use crate::problem::Problem;
 use crate::report;
 use crate::run::{self, Listener, Status, assimilate};
@@ -158,27 +159,28 @@ fn run_scene(
 ) -> Result<ExitCode, Error> {
     let file = arguments.open()?;
     let folder = out.map_or_else(|| Path::new("out").join(&file.name), Path::to_path_buf);
-    // Refuse an occupied folder before the work, not after it.
-    drop(Output::begin(&folder)?);
+    refuse_occupied(&folder, quiet)?;
 
     let stop = stop_on_signals();
     let algorithm = &file.scene.algorithm;
     let mut progress = Progress::new(algorithm.gradient_tolerance, algorithm.max_iterations, quiet, started);
     let interrupted = || stop.load(Ordering::SeqCst);
+    if resume && file.scene.algorithm.cycles.is_none() {
+        return Err(file.invalid("algorithm", "only a run with [algorithm.cycles] can be resumed"));
+    }
+    // Before anything is run: what it was begun with may have changed.
+    let taken_up = if resume { Some(Partial::resume(&folder, &file)?) } else { None };
     if let Some(mut sequence) = Sequence::from_scene(&file)? {
         return cycles::run(
             &file,
             &mut sequence,
             &folder,
-            resume,
+            taken_up,
             &mut progress,
             &interrupted,
             quiet,
             started,
         );
-    }
-    if resume {
-        return Err(file.invalid("algorithm", "only a run with [algorithm.cycles] can be resumed"));
     }
     let mut problem = Problem::from_scene(&file)?;
     let mut listener =
@@ -200,6 +202,20 @@ fn run_scene(
     })
 }
 
+/// Refuses an occupied folder before the work, not after it; says what killed runs had left there.
+fn refuse_occupied(folder: &Path, quiet: bool) -> Result<(), Error> {
+    let out = Output::begin(folder)?;
+    let found = out.found();
+    if !quiet && !found.removed.is_empty() {
+        let names: Vec<String> = found.removed.iter().map(|p| p.display().to_string()).collect();
+        eprintln!("removed what killed runs had left: {}", names.join(", "));
+    }
+    if !quiet && found.put_back {
+        eprintln!("{} is again the result that a killed run was about to replace", folder.display());
+    }
+    Ok(())
+}
+
 fn simulate(
     arguments: &SceneArguments,
     out: Option<&Path>,
@@ -209,7 +225,7 @@ fn simulate(
     let file = arguments.open()?;
     let default = || Path::new("out").join(format!("{}-simulation", file.name));
     let folder = out.map_or_else(default, Path::to_path_buf);
-    drop(Output::begin(&folder)?);
+    refuse_occupied(&folder, quiet)?;
     let mut problem = Problem::from_scene(&whole(&file))?;
     let simulation = run::simulate(&mut problem)?;
     let folder =
@@ -224,7 +240,7 @@ fn compare_all(arguments: &SceneArguments, out: Option<&Path>) -> Result<ExitCod
     let file = arguments.open()?;
     let default = || Path::new("out").join(format!("{}-compare", file.name));
     let folder = out.map_or_else(default, Path::to_path_buf);
-    drop(Output::begin(&folder)?);
+    refuse_occupied(&folder, false)?;
     let stop = stop_on_signals();
     let interrupted = || stop.load(Ordering::SeqCst);
     if file.scene.algorithm.cycles.is_some() {
@@ -244,7 +260,7 @@ fn check(file: &SceneFile) -> Result<ExitCode, Error> {
 
 fn new(name: &str) -> Result<ExitCode, Error> {
     let path = PathBuf::from(if name.ends_with(".toml") { name.to_string() } else { format!("{name}.toml") });
-    let failed = |source| Error::Write { path: path.clone(), source };
+    let failed = |reason| Error::Write { path: path.clone(), reason };
     let mut target = std::fs::OpenOptions::new().write(true).create_new(true).open(&path).map_err(failed)?;
     std::io::Write::write_all(&mut target, STARTER.as_bytes()).map_err(failed)?;
     println!("wrote {0}; try: varda check {0}", path.display());

@@ -35,7 +35,7 @@ pub fn covariance(
         if k < spin_up + steps {
             model
                 .step(k, &x, &mut next)
-                .map_err(|source| Error::Preparation { stage: "climatology", source })?;
+                .map_err(|reason| Error::Preparation { stage: "climatology", reason })?;
             std::mem::swap(&mut x, &mut next);
         }
     }

@@ -15,9 +15,12 @@ use varda_assimilation::{
     Observation, ObservationOperator, ObservationSet, cycle,
 };
 use varda_implicit::Refusal;
+use varda_implicit::check::Amplification;
 
 use crate::Error;
 use crate::ensemble;
+use crate::horizon;
+use crate::memory::{Memory, Sizes};
 use crate::method;
 use crate::problem::{Problem, View, run_states};
 use crate::run::{Status, Trajectories, WorkCounts, errors};
@@ -111,6 +114,8 @@ pub struct Outcome {
     pub means: Means,
     /// Seconds since the run began.
     pub seconds: f64,
+    /// How much the last window amplifies about its analysis; none for methods without a gradient along a run.
+    pub amplification: Option<Amplification>,
     /// What the user should know.
     pub warnings: Vec<String>,
 }
@@ -169,7 +174,8 @@ impl Sequence {
     pub fn from_scene(file: &SceneFile) -> Result<Option<Sequence>, Error> {
         let Some(cycles) = &file.scene.algorithm.cycles else { return Ok(None) };
         let window = file.scene.time.window;
-        let mut problem = Problem::from_scene(&whole(file))?;
+        let memory = Memory::within_limit(file, &Sizes::of(file)?)?;
+        let mut problem = Problem::build(&whole(file), memory.for_window)?;
         let steps = problem.window.steps;
         let truth = match &problem.truth {
             Some(truth) => run_states(problem.model.as_mut(), truth, steps)?,
@@ -321,8 +327,10 @@ impl Sequence {
             warnings.push("all cycles done are spin-up: there are no means".into());
         }
         let trajectories = self.trajectories(&rows, &mut warnings);
+        let amplification = self.amplification(&rows, &trajectories);
+        warnings.extend(amplification.and_then(|a| a.warning()));
         let seconds = listener.started.elapsed().as_secs_f64();
-        Ok(Outcome { status, cycles: rows, trajectories, means, seconds, warnings })
+        Ok(Outcome { status, cycles: rows, amplification, trajectories, means, seconds, warnings })
     }
 
     /// The true state at a step, where it is known.
@@ -387,6 +395,20 @@ impl Sequence {
             background: c.background.clone(),
             analysis: c.analysis.clone(),
         }
+    }
+
+    /// ‖M‖ of the last window about its analysis, for the methods that have a gradient along a run.
+    fn amplification(&self, rows: &[Row], runs: &Trajectories) -> Option<Amplification> {
+        let last =
+            rows.last().filter(|_| self.problem.scene.algorithm.method.is_strong() && self.window > 0)?;
+        let [from, to] = [last.first_step, last.first_step + self.window + 1].map(|k| k * runs.dim);
+        let states = runs.analysis.get(from..to)?;
+        let mut model = (self.problem.make_model)(last.first_step);
+        let b = self.problem.covariance.as_ref();
+        let mut sigma = vec![0.0; b.dim()];
+        b.variance(&mut sigma);
+        sigma.iter_mut().for_each(|s| *s = s.sqrt());
+        horizon::amplification(model.as_mut(), &last.analysis, &sigma, states, self.problem.scene.seed).ok()
     }
 
     /// Runs from every window's analysis to the next one's start, the last to its end; and the truth over the same steps.

@@ -1,4 +1,7 @@
 //! Errors: one clear message each, naming the file and line, the field or the step.
+//!
+//! As in the other crates, what caused an error is part of its message, hence not of its chain of sources as well: a printer of chains says
+//! nothing twice.
 
 use std::path::PathBuf;
 
@@ -23,14 +26,14 @@ pub enum Error {
         message: String,
     },
     /// A file cannot be read.
-    #[error("{place}: cannot read {path}: {source}")]
+    #[error("{place}: cannot read {path}: {reason}")]
     Read {
         /// Who asked for it.
         place: String,
         /// The file.
         path: PathBuf,
         /// Why.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// No shipped scene and no file of that name.
     #[error(
@@ -43,12 +46,12 @@ pub enum Error {
         suggestion: String,
     },
     /// A file or folder cannot be written.
-    #[error("cannot write {path}: {source}")]
+    #[error("cannot write {path}: {reason}")]
     Write {
         /// What was being written.
         path: PathBuf,
         /// Why.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// The output folder holds something that Varda did not write.
     #[error(
@@ -86,22 +89,75 @@ pub enum Error {
     },
     /// The rod refuses its description or state.
     #[error("rod: {0}")]
-    Rod(#[from] varda_rod::Error),
+    Rod(varda_rod::Error),
     /// The model stopped before the window began.
-    #[error("{stage}: {source}")]
+    #[error("{stage}: {reason}")]
     Preparation {
         /// The static equilibrium, or the spin-up of the truth; its steps count from rest.
         stage: &'static str,
         /// Where and why.
-        source: varda_implicit::Error,
+        reason: varda_implicit::Error,
     },
     /// The model stopped.
     #[error("model: {0}")]
-    Model(#[from] varda_implicit::Error),
+    Model(varda_implicit::Error),
     /// A covariance cannot be built.
     #[error("background covariance: {0}")]
-    Covariance(#[from] varda_covariance::Error),
+    Covariance(varda_covariance::Error),
     /// The assimilation stopped.
     #[error("assimilation: {0}")]
-    Assimilation(#[from] varda_assimilation::Error),
+    Assimilation(varda_assimilation::Error),
+}
+
+impl From<varda_rod::Error> for Error {
+    fn from(reason: varda_rod::Error) -> Self {
+        Error::Rod(reason)
+    }
+}
+
+impl From<varda_implicit::Error> for Error {
+    fn from(reason: varda_implicit::Error) -> Self {
+        Error::Model(reason)
+    }
+}
+
+impl From<varda_covariance::Error> for Error {
+    fn from(reason: varda_covariance::Error) -> Self {
+        Error::Covariance(reason)
+    }
+}
+
+impl From<varda_assimilation::Error> for Error {
+    fn from(reason: varda_assimilation::Error) -> Self {
+        Error::Assimilation(reason)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::error::Error as _;
+
+    #[test]
+    fn a_chain_of_causes_says_nothing_twice() {
+        let step = || varda_implicit::Error::SingularJacobian { step: 3, row: 1 };
+        let io = || std::io::Error::other("no room");
+        let all = [
+            Error::from(step()),
+            Error::from(varda_assimilation::Error::from(step())),
+            Error::from(varda_assimilation::Error::from(varda_covariance::Error::Zero)),
+            Error::from(varda_covariance::Error::Zero),
+            Error::Preparation { stage: "spin-up of the truth", reason: step() },
+            Error::Write { path: "r".into(), reason: io() },
+            Error::Read { place: "s.toml:1:2".into(), path: "r".into(), reason: io() },
+        ];
+        for error in all {
+            let message = error.to_string();
+            let mut cause = error.source();
+            while let Some(e) = cause {
+                assert!(!message.contains(&e.to_string()), "{message}: {e}");
+                cause = e.source();
+            }
+        }
+    }
 }

@@ -46,6 +46,8 @@ pub mod cycles;
 pub mod ensemble;
 mod error;
 pub mod fit;
+mod horizon;
+pub mod memory;
 mod method;
 pub mod output;
 pub mod partial;

@@ -36,7 +36,7 @@ pub(crate) struct Task<'a> {
     /// Whether σ of the analysis is wanted.
     pub(crate) posterior: bool,
     /// Most bytes for the states and linearizations of a window (strong constraint).
-    pub(crate) memory: Option<usize>,
+    pub(crate) memory: usize,
 }
 
 /// What every method gives.
@@ -49,6 +49,8 @@ pub(crate) struct Solved {
     pub(crate) sigma_background: Vec<f64>,
     /// Of the analysis; none where the run did not get there.
     pub(crate) spread: Option<Spread>,
+    /// Why there is none, where rounding has left nothing of it.
+    pub(crate) no_spread: Option<Error>,
     /// States x_0 … of the analysis where the model errs; elsewhere they are those of its run from z_a.
     pub(crate) states: Vec<f64>,
     /// Work of the model, the posterior's not included.
@@ -101,6 +103,7 @@ struct Ended {
     control: Vec<f64>,
     sigma_background: Vec<f64>,
     spread: Option<Spread>,
+    no_spread: Option<Error>,
     counts: WorkCounts,
     storage: Storage,
 }
@@ -142,16 +145,18 @@ pub(crate) fn solve(
                 before: (done[0], spent),
                 on_row,
             };
-            let Ended { minimum, control, sigma_background, spread, counts, storage } = task.stage(stage)?;
+            let Ended { minimum, control, sigma_background, spread, no_spread, counts, storage } =
+                task.stage(stage)?;
             done[0] += minimum.outer_iterations;
             done[1] += minimum.inner_iterations;
             spent = spent + counts;
             stages.push((window, minimum.status));
-            ended = Some((control, sigma_background, spread, storage));
+            ended = Some((control, sigma_background, spread, no_spread, storage));
             Ok(minimum)
         })?;
     stages.pop();
-    let (Some(last), Some((control, sigma_background, spread, storage))) = (minima.pop(), ended) else {
+    let (Some(last), Some((control, sigma_background, spread, no_spread, storage))) = (minima.pop(), ended)
+    else {
         unreachable!("there is one window at least");
     };
     let minimum = Minimum { outer_iterations: done[0], inner_iterations: done[1], ..last };
@@ -160,6 +165,7 @@ pub(crate) fn solve(
         control,
         sigma_background,
         spread,
+        no_spread,
         states,
         counts: spent,
         rejected,
@@ -199,10 +205,7 @@ impl Task<'_> {
         if let Some(delta) = algorithm.robust {
             cost.set_huber(delta)?;
         }
-        if let Some(bytes) = self.memory {
-            cost.set_memory(bytes)?;
-        }
-        let storage = cost.storage();
+        let storage = cost.set_memory(self.memory)?;
         v.resize(cost.dim(), 0.0);
         let mut control = background.to_vec();
         let mut on_iteration = |iteration: &Iteration| {
@@ -221,13 +224,13 @@ impl Task<'_> {
             _ => minimize(algorithm, &mut cost, v, &mut on_iteration)?,
         };
         let counts = WorkCounts::from(&cost.counts());
-        let spread = if posterior && is_whole(minimum.status) {
+        let (spread, no_spread) = if posterior && is_whole(minimum.status) {
             // BLUE's covariance is that of the background's linearization, (I + GᵀG)⁻¹ there.
             let linearized = if algorithm.method == Method::Blue { &start } else { &*v };
             cost.evaluate(linearized, Some(&mut vec![0.0; v.len()]))?;
-            Some(Spread::of(&Posterior::new(&mut cost)?, &transform))
+            Spread::of(Posterior::new(&mut cost), &transform)?
         } else {
-            None
+            (None, None)
         };
         transform.control(v, &mut control);
         Ok(Ended {
@@ -235,6 +238,7 @@ impl Task<'_> {
             control,
             sigma_background: deviations(covariance.as_ref()),
             spread,
+            no_spread,
             counts,
             storage,
         })
@@ -260,12 +264,12 @@ impl Task<'_> {
         })?;
         let counts = WorkCounts::from(&cost.counts());
         states.clear();
-        let mut spread = None;
+        let (mut spread, mut no_spread) = (None, None);
         if minimum.status != Status::Failed {
             cost.evaluate(v, Some(&mut vec![0.0; v.len()]))?;
             (0..=last).for_each(|k| states.extend_from_slice(cost.state(k)));
             if posterior && is_whole(minimum.status) {
-                spread = Some(Spread::of(&Posterior::of_initial_state(&mut cost)?, &transform));
+                (spread, no_spread) = Spread::of(Posterior::of_initial_state(&mut cost), &transform)?;
             }
         }
         transform.control(&v[..head], &mut control);
@@ -274,6 +278,7 @@ impl Task<'_> {
             control,
             sigma_background: deviations(covariance.as_ref()),
             spread,
+            no_spread,
             counts,
             storage: Storage::KeepAll,
         })
@@ -308,12 +313,12 @@ impl Task<'_> {
         })?;
         let counts = WorkCounts::from(&cost.counts()) + run;
         states.clear();
-        let mut spread = None;
+        let (mut spread, mut no_spread) = (None, None);
         if minimum.status != Status::Failed {
             cost.evaluate(v, Some(&mut vec![0.0; v.len()]))?;
             (0..=last).for_each(|k| states.extend_from_slice(cost.state(k)));
             if posterior && is_whole(minimum.status) {
-                spread = Some(Spread::of(&Posterior::of_initial_state(&mut cost)?, &transform));
+                (spread, no_spread) = Spread::of(Posterior::of_initial_state(&mut cost), &transform)?;
             }
         }
         control.copy_from_slice(&v[..n_z]);
@@ -322,6 +327,7 @@ impl Task<'_> {
             control,
             sigma_background: deviations(covariance.as_ref()),
             spread,
+            no_spread,
             counts,
             storage: Storage::KeepAll,
         })
@@ -373,7 +379,15 @@ impl Task<'_> {
         };
         transform.control(v, &mut control);
         let sigma_background = deviations(transform.covariance());
-        Ok(Ended { minimum, control, sigma_background, spread, counts, storage: Storage::KeepAll })
+        Ok(Ended {
+            minimum,
+            control,
+            sigma_background,
+            spread,
+            no_spread: None,
+            counts,
+            storage: Storage::KeepAll,
+        })
     }
 
     /// The observed values that are too far from the background, by the covariances the method believes in.
@@ -422,10 +436,19 @@ impl Members<'_> {
 }
 
 impl Spread {
-    fn of(posterior: &Posterior, transform: &ControlTransform) -> Spread {
-        Spread {
-            sigma: roots(posterior.variance(transform)),
-            degrees_of_freedom: posterior.degrees_of_freedom(),
+    /// Of a posterior; where its Hessian is indefinite by rounding, as over a window that amplifies beyond it, the reason alone.
+    fn of(
+        posterior: Result<Posterior, Error>,
+        transform: &ControlTransform,
+    ) -> Result<(Option<Spread>, Option<Error>), Error> {
+        match posterior {
+            Ok(posterior) => {
+                let sigma = roots(posterior.variance(transform));
+                let degrees_of_freedom = posterior.degrees_of_freedom();
+                Ok((Some(Spread { sigma, degrees_of_freedom }), None))
+            }
+            Err(reason @ Error::NotPositiveDefinite { .. }) => Ok((None, Some(reason))),
+            Err(error) => Err(error),
         }
     }
 }

@@ -1,7 +1,13 @@
 //! The output folder: whole or absent.
+//!
+//! A result `r` is made beside its place, in `.r.varda-<run>/`, and renamed; an earlier result is meanwhile `.r.varda-<run>-earlier-<n>/`. The run
+//! holds a lock on `.r.varda-<run>.lock` until nothing of it is left. A lock that nobody holds is that of a run that was killed: the next run into
+//! `r` removes what it left, and puts back the earlier result it had no time to replace.
 
+use std::fs::{File, OpenOptions};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use crate::Error;
 
@@ -11,30 +17,52 @@ pub struct Output {
     target: PathBuf,
     temporary: PathBuf,
     published: bool,
+    found: Found,
+    /// Its file goes when nothing else of the run is left.
+    _lock: Lock,
+}
+
+/// What killed runs into the same folder had left.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Found {
+    /// Folders that were removed.
+    pub removed: Vec<PathBuf>,
+    /// An earlier result was put back.
+    pub put_back: bool,
+}
+
+/// A file that is locked as long as its run lives, and removed at its end.
+#[derive(Debug)]
+struct Lock {
+    path: PathBuf,
+    _file: File,
 }
 
 /// How often [`Output::publish`] gives way to another run that puts its folder into the same place.
 const ATTEMPTS: usize = 100;
 
 impl Output {
-    /// Starts a folder that will become `target`.
+    /// Starts a folder that will become `target`. Clears away first what killed runs into it have left: see [`found`](Self::found).
     ///
     /// # Errors
     /// [`Error::Occupied`] where `target` exists and is not an earlier result of Varda; [`Error::Write`].
     pub fn begin(target: &Path) -> Result<Output, Error> {
         replaceable(target)?;
-        let name = target.file_name().map_or("varda".into(), |n| n.to_string_lossy());
         let parent = match target.parent() {
             Some(p) if !p.as_os_str().is_empty() => p.to_path_buf(),
             _ => PathBuf::from("."),
         };
-        let temporary = parent.join(format!(".{name}.varda-{}", std::process::id()));
-        let failed = |source| Error::Write { path: temporary.clone(), source };
-        if temporary.exists() {
-            std::fs::remove_dir_all(&temporary).map_err(failed)?;
-        }
-        std::fs::create_dir_all(&temporary).map_err(failed)?;
-        Ok(Output { target: target.to_path_buf(), temporary, published: false })
+        std::fs::create_dir_all(&parent).map_err(|reason| Error::Write { path: parent.clone(), reason })?;
+        let prefix = prefix(target);
+        let found = clear(&parent, &prefix, target)?;
+        let (temporary, lock) = Lock::new(&parent, &prefix)?;
+        std::fs::create_dir(&temporary).map_err(|reason| Error::Write { path: temporary.clone(), reason })?;
+        Ok(Output { target: target.to_path_buf(), temporary, published: false, found, _lock: lock })
+    }
+
+    /// What killed runs had left, and is no longer there.
+    pub fn found(&self) -> &Found {
+        &self.found
     }
 
     /// Writes one file; `name` is relative to the folder.
@@ -46,7 +74,7 @@ impl Output {
         let folder = path.parent().unwrap_or(&self.temporary);
         std::fs::create_dir_all(folder)
             .and_then(|()| std::fs::write(&path, text))
-            .map_err(|source| Error::Write { path: self.target.join(name), source })
+            .map_err(|reason| Error::Write { path: self.target.join(name), reason })
     }
 
     /// Puts the folder in its final place, replacing an earlier result.
@@ -54,14 +82,13 @@ impl Output {
     /// # Errors
     /// [`Error::Occupied`], [`Error::Write`]; nothing is left half-written, and an earlier result stays.
     pub fn publish(mut self) -> Result<PathBuf, Error> {
-        let failed = |source| Error::Write { path: self.target.clone(), source };
+        let failed = |reason| Error::Write { path: self.target.clone(), reason };
         let mut earlier = Vec::new();
         // Another run may put its folder there between any two of these steps: then this one takes that one's place in turn.
         let last = loop {
             replaceable(&self.target)?;
             if self.target.exists() {
-                let name = format!("varda-{}-earlier-{}", std::process::id(), earlier.len());
-                let aside = self.temporary.with_extension(name);
+                let aside = beside(&self.temporary, &format!("{EARLIER}{}", earlier.len()));
                 match std::fs::rename(&self.target, &aside) {
                     Ok(()) => earlier.push(aside),
                     Err(e) if e.kind() == ErrorKind::NotFound => {}
@@ -77,15 +104,15 @@ impl Output {
                 done => break done,
             }
         };
-        if let Err(source) = last {
+        if let Err(reason) = last {
             if let Some(aside) = earlier.last().filter(|_| !self.target.exists()) {
                 std::fs::rename(aside, &self.target).map_err(failed)?;
             }
-            return Err(failed(source));
+            return Err(failed(reason));
         }
         self.published = true;
         for aside in earlier {
-            std::fs::remove_dir_all(&aside).map_err(|source| Error::Write { path: aside.clone(), source })?;
+            std::fs::remove_dir_all(&aside).map_err(|reason| Error::Write { path: aside.clone(), reason })?;
         }
         Ok(self.target.clone())
     }
@@ -98,6 +125,95 @@ impl Drop for Output {
             let _ = std::fs::remove_dir_all(&self.temporary);
         }
     }
+}
+
+impl Lock {
+    /// A name for a run that no other has or had, and its lock.
+    fn new(parent: &Path, prefix: &str) -> Result<(PathBuf, Lock), Error> {
+        loop {
+            let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+            let temporary = parent.join(format!("{prefix}{}-{}", std::process::id(), since.as_nanos()));
+            let path = beside(&temporary, LOCK);
+            let file = match OpenOptions::new().write(true).create_new(true).open(&path) {
+                Err(e) if e.kind() == ErrorKind::AlreadyExists => continue,
+                made => made.map_err(|reason| Error::Write { path: path.clone(), reason })?,
+            };
+            // On a file system without locks what a killed run leaves stays.
+            let locked = file.lock().is_ok();
+            // Another run may have taken it for one left behind before it was locked.
+            if !locked || path.exists() {
+                return Ok((temporary, Lock { path, _file: file }));
+            }
+        }
+    }
+}
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        // One that stays is found unlocked by the next run.
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+const LOCK: &str = ".lock";
+const EARLIER: &str = "-earlier-";
+
+/// What the hidden names of a target begin with.
+fn prefix(target: &Path) -> String {
+    format!(".{}.varda-", target.file_name().map_or("varda".into(), |n| n.to_string_lossy()))
+}
+
+fn beside(temporary: &Path, ending: &str) -> PathBuf {
+    let mut name = temporary.file_name().unwrap_or_default().to_os_string();
+    name.push(ending);
+    temporary.with_file_name(name)
+}
+
+/// Removes what runs have left whose lock nobody holds; puts an earlier result back where there is none.
+fn clear(parent: &Path, prefix: &str, target: &Path) -> Result<Found, Error> {
+    let mut found = Found::default();
+    let names = || -> Vec<String> {
+        let entries = std::fs::read_dir(parent).into_iter().flatten().flatten();
+        let mut names: Vec<String> = entries.filter_map(|e| e.file_name().into_string().ok()).collect();
+        names.retain(|n| n.starts_with(prefix));
+        names.sort();
+        names
+    };
+    let is_run = |run: &str| {
+        let digits = |part: &str| !part.is_empty() && part.bytes().all(|b| b.is_ascii_digit());
+        run.split_once('-').is_some_and(|(process, time)| digits(process) && digits(time))
+    };
+    for lock in names() {
+        let Some(run) = lock.strip_suffix(LOCK) else { continue };
+        if !is_run(&run[prefix.len()..]) {
+            continue;
+        }
+        let path = parent.join(&lock);
+        let Ok(file) = OpenOptions::new().write(true).open(&path) else { continue };
+        if file.try_lock().is_err() {
+            continue;
+        }
+        for name in names() {
+            let folder = parent.join(&name);
+            let failed = |reason| Error::Write { path: folder.clone(), reason };
+            let ending = name.strip_prefix(run);
+            let earlier = ending.is_some_and(|e| e.starts_with(EARLIER));
+            if earlier && !target.exists() {
+                match std::fs::rename(&folder, target) {
+                    Ok(()) => found.put_back = true,
+                    // Another run was faster.
+                    Err(_) if target.exists() => std::fs::remove_dir_all(&folder).map_err(failed)?,
+                    Err(reason) => return Err(failed(reason)),
+                }
+            } else if earlier || ending == Some("") {
+                std::fs::remove_dir_all(&folder).map_err(failed)?;
+                found.removed.push(folder);
+            }
+        }
+        // The last, so that what could not be removed is found again.
+        let _ = std::fs::remove_file(&path);
+    }
+    Ok(found)
 }
 
 /// A result of Varda is a folder with a `summary.json` that has its keys `scene`, `version` and `status`.
@@ -166,6 +282,50 @@ mod tests {
         assert!(matches!(Output::begin(&target.join("chapter1.tex")), Err(Error::Occupied { .. })));
         assert_eq!(std::fs::read_to_string(target.join("chapter1.tex")).unwrap(), "years of work");
         assert_eq!(std::fs::read_dir(&parent).unwrap().count(), 1);
+        std::fs::remove_dir_all(&parent).unwrap();
+    }
+
+    fn names(parent: &Path) -> Vec<String> {
+        let mut names: Vec<String> = std::fs::read_dir(parent)
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    /// A killed run is one whose lock is free; here it is made by hand.
+    #[test]
+    fn what_a_killed_run_left_is_removed_and_nothing_else() {
+        let parent = folder("killed");
+        let target = parent.join("result");
+        let alive = Output::begin(&target).unwrap();
+        let left = [".result.varda-7-1", ".result.varda-7-1-earlier-0", ".result.varda-8-2"];
+        let others = [
+            ".other.varda-7-1",
+            ".result.varda-9-3",
+            ".result.varda-notes",
+            ".result.varda-7-1.txt",
+            ".result.varda-x-y.lock",
+        ];
+        for name in left.iter().chain(&others) {
+            std::fs::create_dir(parent.join(name)).unwrap();
+            std::fs::write(parent.join(name).join("summary.json"), SUMMARY).unwrap();
+        }
+        for lock in [".result.varda-7-1.lock", ".result.varda-8-2.lock", ".other.varda-7-1.lock"] {
+            std::fs::write(parent.join(lock), "").unwrap();
+        }
+        let out = Output::begin(&target).unwrap();
+        let removed = [left[0], left[2]].map(|name| parent.join(name));
+        assert_eq!(out.found(), &Found { removed: removed.to_vec(), put_back: true });
+        assert!(target.join("summary.json").is_file(), "the earlier result is back in its place");
+        drop(out);
+        alive.write("summary.json", SUMMARY).unwrap();
+        alive.publish().unwrap();
+        let mut expected = others.to_vec();
+        expected.extend([".other.varda-7-1.lock", "result"]);
+        expected.sort_unstable();
+        assert_eq!(names(&parent), expected);
         std::fs::remove_dir_all(&parent).unwrap();
     }
 

@@ -11,12 +11,13 @@
 //! The state is written beside its place and renamed, so that a run killed at any moment leaves that after its last finished window; a row
 //! beyond it is cut off when the run is taken up.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value as Json;
 use varda_assimilation::CycleState;
 
 use crate::Error;
@@ -55,7 +56,7 @@ impl Partial {
     /// [`Error::Unfinished`] where there is one already, [`Error::Write`].
     pub fn begin(result: &Path, file: &SceneFile) -> Result<Partial, Error> {
         let folder = Partial::folder(result);
-        let failed = |source| Error::Write { path: folder.clone(), source };
+        let failed = |reason| Error::Write { path: folder.clone(), reason };
         if let Some(parent) = folder.parent() {
             std::fs::create_dir_all(parent).map_err(failed)?;
         }
@@ -66,7 +67,8 @@ impl Partial {
             made => made.map_err(failed)?,
         }
         let lock = lock(&folder)?;
-        replace(&folder, "data.json", &json(&checksums(file)?))?;
+        let sums: BTreeMap<String, u64> = checksums(file)?.into_iter().map(|c| (c.key, c.sum)).collect();
+        replace(&folder, "data.json", &json(&sums))?;
         replace(&folder, "scene.json", &json(&file.scene))?;
         let rows = File::create_new(folder.join("cycles.jsonl")).map_err(failed)?;
         Ok(Partial { folder, rows, _lock: lock })
@@ -91,19 +93,20 @@ impl Partial {
             Ok(text) => serde_json::from_str(&text).map_err(|e| unfit("scene.json", e))?,
             Err(_) => return Err(refuse("it has no scene.json; remove it and begin again")),
         };
-        if uncounted(&scene) != uncounted(&file.scene) {
-            return Err(refuse(
-                "it belongs to another scene, seed or --set; only algorithm.cycles.count may differ",
-            ));
+        if let Some(difference) = difference("", &uncounted(&scene), &uncounted(&file.scene)) {
+            return Err(refuse(&format!(
+                "it belongs to another scene, seed or --set: {difference}; only algorithm.cycles.count may differ"
+            )));
         }
         let text = read("data.json").unwrap_or_default();
         let before: BTreeMap<String, u64> = serde_json::from_str(&text).map_err(|e| unfit("data.json", e))?;
-        let now = checksums(file)?;
-        if let Some(changed) = now.keys().find(|key| before.get(*key) != now.get(*key)) {
-            return Err(refuse(&format!("the file that {changed} names has changed since")));
+        for Checksum { key, file, sum } in checksums(file)? {
+            if before.get(&key) != Some(&sum) {
+                return Err(refuse(&format!("the file {file} ({key}) has changed since it was begun")));
+            }
         }
         replace(&folder, "scene.json", &json(&file.scene))?;
-        let failed = |source| Error::Write { path: folder.join("cycles.jsonl"), source };
+        let failed = |reason| Error::Write { path: folder.join("cycles.jsonl"), reason };
         let mut rows = OpenOptions::new()
             .create(true)
             .truncate(false)
@@ -146,7 +149,7 @@ impl Partial {
         line.push('\n');
         self.rows
             .write_all(line.as_bytes())
-            .map_err(|source| Error::Write { path: self.folder.join("cycles.jsonl"), source })?;
+            .map_err(|reason| Error::Write { path: self.folder.join("cycles.jsonl"), reason })?;
         let stored = Stored {
             version: env!("CARGO_PKG_VERSION").to_string(),
             next: state.next,
@@ -162,28 +165,53 @@ impl Partial {
     /// [`Error::Write`].
     pub fn remove(self) -> Result<(), Error> {
         std::fs::remove_dir_all(&self.folder)
-            .map_err(|source| Error::Write { path: self.folder.clone(), source })
+            .map_err(|reason| Error::Write { path: self.folder.clone(), reason })
     }
 }
 
 /// The scene with one window: what must be equal when a run is resumed.
-fn uncounted(scene: &Scene) -> String {
+fn uncounted(scene: &Scene) -> Json {
     let mut scene = scene.clone();
     if let Some(cycles) = &mut scene.algorithm.cycles {
         cycles.count = 1;
     }
-    json(&scene)
+    serde_json::to_value(&scene).expect("plain data")
 }
 
-/// FNV-1a of every file a scene names, by the key that names it.
-fn checksums(file: &SceneFile) -> Result<BTreeMap<String, u64>, Error> {
-    let mut sums = BTreeMap::new();
-    for (key, name) in file.scene.files() {
-        let (_, text) = file.read(&key, &name)?;
-        let step = |sum: u64, byte: u8| (sum ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
-        sums.insert(key, text.bytes().fold(0xcbf2_9ce4_8422_2325, step));
+/// The first key, dotted, at which two scenes differ, and how.
+fn difference(key: &str, before: &Json, now: &Json) -> Option<String> {
+    if let (Json::Object(b), Json::Object(n)) = (before, now) {
+        let below = |k: &String| if key.is_empty() { k.clone() } else { format!("{key}.{k}") };
+        let keys: BTreeSet<&String> = b.keys().chain(n.keys()).collect();
+        let of =
+            |table: &serde_json::Map<String, Json>, k: &String| table.get(k).cloned().unwrap_or_default();
+        return keys.into_iter().find_map(|k| difference(&below(k), &of(b, k), &of(n, k)));
     }
-    Ok(sums)
+    let shown = |value: &Json| match value.to_string() {
+        _ if value.is_null() => "not given".to_string(),
+        text if text.chars().count() > 40 => "another value".to_string(),
+        text => text,
+    };
+    (before != now).then(|| format!("{key} was {} and is {} now", shown(before), shown(now)))
+}
+
+/// A file that a scene names.
+struct Checksum {
+    /// The key that names it.
+    key: String,
+    /// Its path.
+    file: String,
+    /// FNV-1a of what is in it.
+    sum: u64,
+}
+
+fn checksums(file: &SceneFile) -> Result<Vec<Checksum>, Error> {
+    let step = |sum: u64, byte: u8| (sum ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
+    let of = |(key, name): (String, String)| {
+        let (file, text) = file.read(&key, &name)?;
+        Ok(Checksum { key, file, sum: text.bytes().fold(0xcbf2_9ce4_8422_2325, step) })
+    };
+    file.scene.files().into_iter().map(of).collect()
 }
 
 fn json(value: &impl Serialize) -> String {
@@ -195,12 +223,12 @@ fn replace(folder: &Path, name: &str, text: &str) -> Result<(), Error> {
     let (path, beside) = (folder.join(name), folder.join(format!("{name}.new")));
     std::fs::write(&beside, text)
         .and_then(|()| std::fs::rename(&beside, &path))
-        .map_err(|source| Error::Write { path, source })
+        .map_err(|reason| Error::Write { path, reason })
 }
 
 fn lock(folder: &Path) -> Result<File, Error> {
     let path = folder.join("lock");
-    let failed = |source| Error::Write { path: path.clone(), source };
+    let failed = |reason| Error::Write { path: path.clone(), reason };
     let file = OpenOptions::new().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
     match file.try_lock() {
         Ok(()) => Ok(file),

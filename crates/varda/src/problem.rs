@@ -10,6 +10,7 @@ use varda_rod::{Marker, RodStep};
 use crate::component_model;
 use crate::covariance::{self, Factored, Places};
 use crate::ensemble::{self, Geometry};
+use crate::memory::{Memory, Sizes};
 use crate::rod_model::RodParts;
 use crate::rod_observation::{RodObservation, Sighting, Sightings, Site, Window};
 use crate::scene::{
@@ -47,6 +48,8 @@ pub struct Problem {
     pub truth: Option<Vec<f64>>,
     /// What is assimilated.
     pub observations: ObservationSet,
+    /// Most bytes for the states and linearizations of a window: what `[limits] memory` leaves.
+    pub memory: usize,
     /// What the scene does not need and the run does not touch.
     pub left_out: Vec<String>,
 }
@@ -90,9 +93,15 @@ impl Problem {
     /// # Errors
     /// [`Error`] naming the key, the file's line, or the step.
     pub fn from_scene(file: &SceneFile) -> Result<Problem, Error> {
+        let memory = Memory::within_limit(file, &Sizes::of(file)?)?;
+        Problem::build(file, memory.for_window)
+    }
+
+    /// The problem, whose memory has been counted and leaves so many bytes for a window.
+    pub(crate) fn build(file: &SceneFile, memory: usize) -> Result<Problem, Error> {
         match &file.scene.model {
-            scene::Model::Rod(rod) => rod_problem(file, rod),
-            _ => component_problem(file),
+            scene::Model::Rod(rod) => rod_problem(file, rod, memory),
+            _ => component_problem(file, memory),
         }
     }
 
@@ -183,7 +192,7 @@ pub fn run_states(model: &mut dyn Model, x0: &[f64], steps: usize) -> Result<Vec
     Ok(states)
 }
 
-fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
+fn rod_problem(file: &SceneFile, rod: &RodModel, memory: usize) -> Result<Problem, Error> {
     let scene = &file.scene;
     let window = window(scene);
     let parts = RodParts::from_scene(file, rod)?;
@@ -306,6 +315,7 @@ fn rod_problem(file: &SceneFile, rod: &RodModel) -> Result<Problem, Error> {
         background,
         truth,
         observations,
+        memory,
         left_out,
     })
 }
@@ -353,7 +363,7 @@ fn rod_models(parts: &RodParts, spin_up: usize, window: Window, times: Option<Ve
 /// The state after the spin-up from rest.
 fn spun_up(parts: &RodParts, window: &Window, steps: usize) -> Result<Vec<f64>, Error> {
     let mut model = ImplicitModel::new(parts.dynamics()?, 0, window.step);
-    let failed = |source| Error::Preparation { stage: "spin-up of the truth", source };
+    let failed = |reason| Error::Preparation { stage: "spin-up of the truth", reason };
     let mut x = vec![0.0; model.dim()];
     model.initial_state(&parts.at_rest(0.0)?, &mut x).map_err(failed)?;
     let mut next = x.clone();
@@ -403,7 +413,7 @@ fn read_rod_background(file: &SceneFile, dynamics: &RodStep) -> Result<Vec<f64>,
     }
 }
 
-fn component_problem(file: &SceneFile) -> Result<Problem, Error> {
+fn component_problem(file: &SceneFile, memory: usize) -> Result<Problem, Error> {
     let scene = &file.scene;
     let window = window(scene);
     let first = scene.time.spin_up;
@@ -495,6 +505,7 @@ fn component_problem(file: &SceneFile) -> Result<Problem, Error> {
         background,
         truth,
         observations: ObservationSet::new(window.steps, vec![operator], seen)?,
+        memory,
         left_out,
     })
 }

@@ -88,7 +88,7 @@ impl RodParts {
         let direction = if along == [0.0; 3] { [0.0, 0.0, -1.0] } else { along };
         let guess: Rest = straight_guess(&self.rod, &self.supports, t, direction)?;
         let (rest, _) = equilibrium(&self.rod, &self.supports, &self.loads, t, &guess)
-            .map_err(|source| Error::Preparation { stage: "static equilibrium", source })?;
+            .map_err(|reason| Error::Preparation { stage: "static equilibrium", reason })?;
         let dynamics = self.dynamics()?;
         let mut control: Vec<f64> = dynamics.free_vertices().iter().flat_map(|&v| rest.vertices[v]).collect();
         control.resize(dynamics.control_len(), 0.0);

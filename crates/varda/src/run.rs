@@ -6,9 +6,11 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 use varda_assimilation::{Analysis, Counts, ObservationSet, huber};
 use varda_implicit::Model;
+use varda_implicit::check::Amplification;
 
 use crate::Error;
 use crate::fit::{self, Fit, Forecast, Withheld};
+use crate::horizon;
 use crate::method::{self, Solved, Task};
 use crate::problem::{Problem, View, run_states};
 use crate::timed::{Clock, Timed};
@@ -237,6 +239,8 @@ pub struct Outcome {
     pub withheld: Vec<Withheld>,
     /// Errors of the forecast.
     pub forecast: Vec<Forecast>,
+    /// How much the window amplifies about the analysis, up to the last observation; none for methods without a gradient along a run.
+    pub amplification: Option<Amplification>,
     /// Runs of the window.
     pub trajectories: Trajectories,
     /// What the user should know.
@@ -291,7 +295,7 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
         ensemble: problem.ensemble.as_ref(),
         anchors: &problem.anchors,
         posterior: problem.scene.report.posterior,
-        memory: problem.scene.limits.bytes().unwrap_or_default(),
+        memory: problem.memory,
     };
     let none = ObservationSet::new(problem.window.steps, Vec::new(), Vec::new())?;
     let observations = std::mem::replace(&mut problem.observations, none);
@@ -312,6 +316,8 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
     let mut warnings = remarks(problem, &solved, status);
     let analysis = analysis(problem, &solved);
     let trajectories = trajectories(problem, &analysis.analysis, solved.states, &mut warnings);
+    let amplification = amplification(problem, &analysis, &trajectories);
+    warnings.extend(amplification.and_then(|a| a.warning()));
     let fit = fit::fit(&mut problem.observations, &trajectories)?;
     let (withheld, forecast) = match &mut problem.view {
         View::Rod(rod) => fit::beyond(rod, &problem.window, &trajectories, problem.model.as_mut())?,
@@ -336,6 +342,7 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
         fit,
         withheld,
         forecast,
+        amplification,
         trajectories,
         warnings,
         analysis,
@@ -359,6 +366,9 @@ fn remarks(problem: &Problem, solved: &Solved, status: Status) -> Vec<String> {
         if *ended != varda_assimilation::Status::Converged {
             warnings.push(format!("the sub-window of {steps} steps did not converge ({ended:?})"));
         }
+    }
+    if let Some(reason) = &solved.no_spread {
+        warnings.push(format!("there is no posterior: {reason}"));
     }
     if let Some(failure) = &minimum.failure {
         warnings.push(match status {
@@ -394,6 +404,19 @@ fn analysis(problem: &Problem, solved: &Solved) -> Analysis {
         chi2: if m == 0 { 0.0 } else { 2.0 * minimum.value / m as f64 },
         degrees_of_freedom: solved.spread.as_ref().map_or(0.0, |s| s.degrees_of_freedom),
     }
+}
+
+/// ‖M‖ along the analysis up to the last observation, for methods whose gradient is an adjoint run along a trajectory of the model.
+fn amplification(problem: &Problem, analysis: &Analysis, runs: &Trajectories) -> Option<Amplification> {
+    if !problem.scene.algorithm.method.is_strong() {
+        return None;
+    }
+    let steps = problem.observations.last_step().filter(|k| *k > 0)?;
+    let states = runs.analysis.get(..(steps + 1) * runs.dim)?;
+    let (sigma, seed) = (&analysis.sigma_background, problem.scene.seed);
+    let mut model = (problem.make_model)(0);
+    // What was run can be linearized; where it cannot there is nothing to say.
+    horizon::amplification(model.as_mut(), &analysis.analysis, sigma, states, seed).ok()
 }
 
 /// The refused values, with their times.

@@ -16,6 +16,8 @@ pub enum Stream {
     Observations = 2,
     /// Ensemble perturbations.
     Ensemble = 3,
+    /// Directions followed through a window.
+    Directions = 4,
 }
 
 /// ChaCha with 8 rounds, one stream per purpose: the same numbers on every machine and in every version.

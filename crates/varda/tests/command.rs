@@ -84,6 +84,7 @@ const KEYS: &[&str] = &[
     "j_terms",
     "gradient_norm_first",
     "gradient_norm_last",
+    "amplification",
     "outer_iterations",
     "inner_iterations",
     "counts",

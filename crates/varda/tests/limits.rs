@@ -23,21 +23,134 @@ fn assimilated(memory: &str) -> (Vec<String>, Outcome) {
 fn a_memory_limit_changes_no_bit_of_the_analysis_and_is_reported() {
     let (left_out, unlimited) = assimilated("");
     assert!(!left_out.iter().any(|text| text.contains("limits.memory")));
-    let (left_out, limited) = assimilated("1.5 kB");
+    let (left_out, limited) = assimilated("16 kB");
     let said = left_out.iter().find(|text| text.contains("limits.memory")).unwrap();
     assert!(said.starts_with("all states but"), "{said}");
     assert_eq!(limited.analysis.analysis, unlimited.analysis.analysis);
     assert_eq!(limited.analysis.value.to_bits(), unlimited.analysis.value.to_bits());
     assert!(limited.counts.model_steps > unlimited.counts.model_steps);
-    let plan = Plan::new(&open("1.5 kB").unwrap()).unwrap();
+    let plan = Plan::new(&open("16 kB").unwrap()).unwrap();
     assert!(plan.left_out.iter().any(|text| text.contains("limits.memory")), "{:?}", plan.left_out);
     assert!(plan.bytes < Plan::new(&open("").unwrap()).unwrap().bytes);
+}
+
+/// ε‖M‖ ≤ 1e-4 is about 22 time units here (growth exp(0.9 T)): a window of half a unit is reliable, one of 35 is not, and says so
+/// wherever a run is reported.
+#[test]
+fn a_window_beyond_the_horizon_of_its_gradient_is_flagged() {
+    let folder = std::env::temp_dir().join(format!("varda-horizon-{}", std::process::id()));
+    for (window, reliable) in [(50, true), (3500, false)] {
+        let sets = [
+            &format!("time.window={window}")[..],
+            "algorithm.max_iterations=2",
+            "algorithm.minimizer=trust-region",
+        ]
+        .map(String::from);
+        let mut problem = Problem::from_scene(&SceneFile::open("lorenz63", &sets).unwrap()).unwrap();
+        let mut listener =
+            Listener { on_iteration: &mut |_| {}, interrupted: &|| false, started: Instant::now() };
+        let outcome = assimilate(&mut problem, &mut listener).unwrap();
+        let found = outcome.amplification.unwrap();
+        let exponent = found.norm.ln() / (0.01 * window as f64);
+        assert!(reliable || (0.7..1.2).contains(&exponent), "growth exp({exponent} T)");
+        assert_eq!(found.reliable, reliable, "{found:?}");
+        // Its Hessian has entries of 1e30 and is indefinite by rounding: no posterior, but an analysis and the reason.
+        assert_eq!(outcome.has_posterior, reliable);
+        assert_eq!(outcome.warnings.iter().any(|w| w.starts_with("there is no posterior")), !reliable);
+
+        varda::report::write(&mut problem, &outcome, &folder).unwrap();
+        let read = |file: &str| std::fs::read_to_string(folder.join(file)).unwrap();
+        let summary: serde_json::Value = serde_json::from_str(&read("summary.json")).unwrap();
+        assert_eq!(summary["amplification"]["reliable"], reliable);
+        for told in [&read("report.html"), &read("summary.json")] {
+            assert_eq!(told.contains("the window amplifies perturbations"), !reliable);
+        }
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
 }
 
 #[test]
 fn an_amount_that_is_none_or_too_small_is_refused() {
     let error = open("plenty").unwrap_err().to_string();
     assert!(error.contains("limits.memory") || error.contains("amount of memory"), "{error}");
+    // All but the window takes 14.4 kB, most of it the table of states; one checkpoint 112 bytes and a linearization 96.
     let error = Plan::new(&open("64 B").unwrap()).unwrap_err().to_string();
-    assert!(error.contains("64 bytes are too few"), "{error}");
+    assert!(
+        error.contains("this run takes about") && error.contains("more than the limit of 0.1 kB"),
+        "{error}"
+    );
+    let error = Plan::new(&open("14.5 kB").unwrap()).unwrap_err().to_string();
+    assert!(error.contains("bytes are too few for this window"), "{error}");
+}
+
+/// Dense blocks of B, and a posterior of 120 000 numbers, are refused before anything is built, by `check` and by `run` alike.
+#[test]
+fn a_scene_too_large_for_the_machine_is_refused_with_what_it_needs_and_the_limit() {
+    let set = |sets: &[&str]| {
+        let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
+        SceneFile::open("hanging-rod", &sets).unwrap()
+    };
+    let begun = Instant::now();
+    let large = set(&["model.segments=20000"]);
+    let planned = Plan::new(&large).unwrap_err().to_string();
+    let run = Problem::from_scene(&large).err().unwrap().to_string();
+    assert_eq!(planned, run);
+    for part in [
+        "takes about 584.",
+        "dense Hessians and Jacobians",
+        "limit of 8.0 GB",
+        "[limits] memory",
+        "report.posterior",
+    ] {
+        assert!(planned.contains(part), "{part:?} in {planned}");
+    }
+    // Without the posterior, B alone: two blocks of 3.2 GB, and seven while they are built and drawn from.
+    let planned =
+        Plan::new(&set(&["model.segments=20000", "report.posterior=false"])).unwrap_err().to_string();
+    assert!(planned.contains("takes about 28.8 GB (the background covariance"), "{planned}");
+    // Nothing of it was allocated: that would have taken minutes.
+    assert!(begun.elapsed().as_secs() < 20);
+    // A limit that is high enough is believed, for methods that cannot keep less too.
+    let raised = SceneFile::open("lorenz96-4denvar", &["limits.memory=\"2 GB\"".to_string()]).unwrap();
+    assert!(Plan::new(&raised).is_ok());
+}
+
+/// What `check` says is near what a run takes: the process holds some ten megabytes more.
+#[test]
+fn the_estimate_is_that_of_a_run() {
+    let folder = std::env::temp_dir().join(format!("varda-peak-{}", std::process::id()));
+    for sets in [
+        &["hanging-rod", "model.segments=100"][..],
+        &["hanging-rod", "model.segments=200", "report.posterior=false"],
+        &["lorenz96", "model.variables=600"],
+        &["burgers", "model.points=1000", "report.posterior=false"],
+    ] {
+        let all = [&sets[1..], &["algorithm.minimizer=trust-region", "algorithm.max_iterations=1"]].concat();
+        let file = SceneFile::open(sets[0], &all.iter().map(|s| s.to_string()).collect::<Vec<_>>()).unwrap();
+        let planned = Plan::new(&file).unwrap().bytes as f64;
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_varda"));
+        command.args(["run", sets[0], "--quiet", "--out"]).arg(&folder);
+        command.args(all.iter().flat_map(|s| ["--set", s]));
+        assert!(command.status().unwrap().success());
+        let text = std::fs::read_to_string(folder.join("summary.json")).unwrap();
+        let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
+        // Only Linux tells.
+        let Some(peak) = summary["peak_bytes"].as_f64() else { continue };
+        assert!(
+            (0.8 * planned..planned + 16e6).contains(&peak),
+            "{sets:?}: planned {planned:e}, held {peak:e}"
+        );
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+/// Into how many parts steps are divided shows a run only; what each takes is said.
+#[test]
+fn divided_steps_are_part_of_the_plan() {
+    let open = |sets: &[String]| Plan::new(&SceneFile::open("hanging-rod", sets).unwrap()).unwrap();
+    assert_eq!(open(&[]).bytes_per_part, None);
+    let divided = open(&["time.tolerance=1e-5".to_string()]);
+    // 100 steps of one part each are in the figure.
+    let part = divided.bytes_per_part.unwrap();
+    assert!(part > 0 && divided.bytes > 100 * part, "{part} of {}", divided.bytes);
 }

@@ -85,6 +85,67 @@ fn a_run_killed_at_any_moment_leaves_nothing_that_looks_finished() {
     }
     assert!(killed > 0, "not one of {kills} runs was killed before its end");
     assert!(run().status().unwrap().success(), "what the killed runs left is in nobody's way");
+    assert_eq!(folder.names(), ["r"], "and it is gone");
+}
+
+impl Folder {
+    fn names(&self) -> Vec<String> {
+        let mut names: Vec<String> = std::fs::read_dir(&self.0)
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    /// The hidden folders of runs that are writing, or were killed at it.
+    fn hidden(&self) -> Vec<String> {
+        let mut names = self.names();
+        names.retain(|n| n.starts_with(".r.varda-") && !n.ends_with(".lock"));
+        names
+    }
+
+    /// A run that is caught while it has a hidden folder, by a signal after which it does nothing more.
+    fn caught(&self, name: &str) -> Child {
+        for _ in 0..200 {
+            let mut child = self.command("lorenz63", &["time.window=1000"]).spawn().unwrap();
+            while self.hidden().is_empty() && child.try_wait().unwrap().is_none() {}
+            signal(&child, name);
+            std::thread::sleep(Duration::from_millis(2));
+            if !self.hidden().is_empty() {
+                return child;
+            }
+            let _ = child.kill();
+            child.wait().unwrap();
+        }
+        panic!("not one of 200 runs was caught writing");
+    }
+}
+
+/// Killed while it writes, a run leaves a hidden folder; the next one removes it and says so. That of a run that is only slow stays.
+#[test]
+fn what_a_killed_run_left_is_removed_by_the_next_but_not_what_a_live_one_writes() {
+    let folder = Folder::new("left");
+    folder.caught("-KILL").wait().unwrap();
+    let left = folder.hidden();
+    let program = env!("CARGO_BIN_EXE_varda");
+    let run =
+        || Command::new(program).args(["run", "lorenz63", "--out", "r"]).current_dir(&folder.0).output();
+    let output = run().unwrap();
+    let message = String::from_utf8_lossy(&output.stderr).to_string();
+    assert!(output.status.success() && message.contains("removed what killed runs had left"), "{message}");
+    assert!(left.iter().all(|name| message.contains(name)), "{left:?}: {message}");
+    assert_eq!(folder.names(), ["r"]);
+
+    let mut stopped = folder.caught("-STOP");
+    let held = folder.hidden();
+    let output = run().unwrap();
+    assert!(output.status.success() && !String::from_utf8_lossy(&output.stderr).contains("removed"));
+    assert_eq!(folder.hidden(), held, "a run that holds its lock is let alone");
+    signal(&stopped, "-CONT");
+    assert!(stopped.wait().unwrap().success());
+    assert_eq!(folder.names(), ["r"]);
+    whole(&folder.0.join("r"));
 }
 
 /// A limit on the size of a file stands for a full disk: a write in the middle of a file fails.
@@ -162,4 +223,56 @@ fn a_state_that_was_tampered_with_is_not_resumed() {
         assert_eq!(output.status.code(), Some(1), "{message}");
         assert!(message.contains("r.partial cannot be resumed"), "{message}");
     }
+}
+
+/// A run of a scene with files of its own, killed after its first window, goes on only where neither the scene nor a file has changed.
+#[test]
+fn a_run_whose_scene_or_data_have_changed_is_not_resumed() {
+    let folder = Folder::new("changed");
+    let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
+    let (scene, data) =
+        ("hanging-rod-csv.toml", ["hanging-rod-background.csv", "hanging-rod-observations.csv"]);
+    std::fs::create_dir(folder.0.join("data")).unwrap();
+    for file in [scene.to_string()].into_iter().chain(data.map(|d| format!("data/{d}"))) {
+        std::fs::copy(scenes.join(&file), folder.0.join(&file)).unwrap();
+    }
+    let sets = ["time.window=20", "algorithm.cycles.count=5", "algorithm.minimizer=trust-region"];
+    let mut child = folder.command(scene, &sets).spawn().unwrap();
+    let begun = Instant::now();
+    while !folder.0.join("r.partial/state.json").exists() && begun.elapsed() < Duration::from_secs(60) {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    assert!(!child.wait().unwrap().success() && !folder.0.join("r").exists());
+
+    let resume = || folder.command(scene, &sets).arg("--resume").output().unwrap();
+    let change = |file: &str, from: &str, to: &str, expected: &str| {
+        let path = folder.0.join(file);
+        let text = std::fs::read_to_string(&path).unwrap();
+        let changed = text.replacen(from, to, 1);
+        assert_ne!(changed, text, "{file} has no {from:?}");
+        std::fs::write(&path, changed).unwrap();
+        let output = resume();
+        let message = String::from_utf8_lossy(&output.stderr).to_string();
+        assert_eq!(output.status.code(), Some(1), "{message}");
+        assert!(message.contains("r.partial cannot be resumed") && message.contains(expected), "{message}");
+        std::fs::write(&path, text).unwrap();
+    };
+    change(
+        scene,
+        "density = 1100.0",
+        "density = 1101.0",
+        "model.material.density was 1100.0 and is 1101.0 now",
+    );
+    for (file, key) in data.iter().zip(["background.file", "observations.file"]) {
+        // The last digit of the last number.
+        let text = std::fs::read_to_string(folder.0.join("data").join(file)).unwrap();
+        let last = text.trim_end().lines().last().unwrap();
+        let (rest, digit) = last.split_at(last.len() - 1);
+        let other = format!("{rest}{}", if digit == "1" { 2 } else { 1 });
+        change(&format!("data/{file}"), last, &other, &format!("data/{file} ({key}) has changed"));
+    }
+    assert!(resume().status.success(), "as it was, it goes on");
+    assert_eq!(whole(&folder.0.join("r")), "converged");
+    assert!(!folder.0.join("r.partial").exists());
 }

@@ -68,6 +68,11 @@ pub fn run(name: &str, options: &Options) -> Report {
     (suite.run)(options)
 }
 
+/// Reads a text as every kind of file of suite golden: whatever it is, that ends in a fixture or an error, not in a panic.
+pub fn read_fixture(text: &str) {
+    golden::read_all(text);
+}
+
 /// The rows of suite stiff as a document: `docs/results/stability.md`.
 pub fn stability(rows: &[Row]) -> String {
     stiff::document(rows)

@@ -5,8 +5,10 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 
+use varda_assimilation::CycleState;
+
 use crate::Error;
-use crate::cycles::{Listener, Outcome, Sequence};
+use crate::cycles::{Listener, Outcome, Row, Sequence};
 use crate::partial::Partial;
 use crate::report;
 use crate::run::Status;
@@ -19,15 +21,15 @@ pub(super) fn run(
     file: &SceneFile,
     sequence: &mut Sequence,
     folder: &Path,
-    resume: bool,
+    taken_up: Option<(Partial, Option<CycleState>, Vec<Row>)>,
     progress: &mut Progress,
     interrupted: &dyn Fn() -> bool,
     quiet: bool,
     started: Instant,
 ) -> Result<ExitCode, Error> {
-    let (mut partial, state, done) = match resume {
-        true => Partial::resume(folder, file)?,
-        false => (Partial::begin(folder, file)?, None, Vec::new()),
+    let (mut partial, state, done) = match taken_up {
+        Some(taken_up) => taken_up,
+        None => (Partial::begin(folder, file)?, None, Vec::new()),
     };
     let resumed = done.len();
     let count = sequence.cycles.count;

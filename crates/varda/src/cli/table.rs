@@ -195,7 +195,17 @@ pub(super) fn plan(p: &Plan) -> String {
     if let Some([count, shift, steps]) = p.cycles {
         line("cycles", format!("{count} windows, {shift} steps apart: {steps} steps"));
     }
-    line("memory", format!("about {:.1} MB", p.bytes as f64 / 1e6));
+    let about = format!("about {:.1} MB", p.bytes as f64 / 1e6);
+    line(
+        "memory",
+        match p.bytes_per_part {
+            None => about,
+            Some(bytes) => format!(
+                "{about} with undivided steps; time.tolerance divides some, and every further part keeps {:.1} kB",
+                bytes as f64 / 1e3
+            ),
+        },
+    );
     for text in &p.left_out {
         line("left out", text.clone());
     }

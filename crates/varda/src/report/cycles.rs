@@ -10,7 +10,7 @@ use crate::run::WorkCounts;
 
 use super::html::{document, escape, list, numbers, short, status_words, tile_list};
 use super::plot::{Corner, Figure, Panel, Series, Style};
-use super::summary::peak_bytes;
+use super::summary::{Horizon, peak_bytes};
 use super::tables::{self, number, optional};
 
 /// Writes the result of a sequence to `folder`, whole or not at all: summary.json, cycles.csv, analysis.csv of the last window,
@@ -142,6 +142,7 @@ fn summary(sequence: &Sequence, outcome: &Outcome) -> serde_json::Value {
             "failures": failures(outcome),
             "seconds_each": means.seconds,
         },
+        "amplification": outcome.amplification.map(Horizon::from),
         "seconds": { "total": outcome.seconds },
         "peak_bytes": peak_bytes(),
         "left_out": problem.left_out,

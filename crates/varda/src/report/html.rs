@@ -178,6 +178,13 @@ fn table_section(problem: &Problem, s: &Summary) -> String {
             "m/s",
         ));
     }
+    if let Some(a) = &s.amplification {
+        rows.push((
+            "Amplification by the window, gradient right to about",
+            format!("{:.1e}, {:.0e}", a.norm, a.gradient_error),
+            "",
+        ));
+    }
     rows.extend([
         (
             "Model steps, tangent, adjoint",

@@ -8,7 +8,7 @@ mod summary;
 mod tables;
 
 pub use cycles::write_cycles;
-pub use summary::{Summary, Terms};
+pub use summary::{Horizon, Summary, Terms};
 
 use std::path::{Path, PathBuf};
 

@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 use varda_assimilation::CostTerms;
+use varda_implicit::check::Amplification;
 
 use crate::fit::{Fit, Forecast, Withheld};
 use crate::problem::Problem;
@@ -38,6 +39,8 @@ pub struct Summary {
     pub gradient_norm_first: f64,
     /// ‖∇J‖ at the last point.
     pub gradient_norm_last: f64,
+    /// How much the window amplifies and what that leaves of the gradient; `null` for methods without a gradient along a run.
+    pub amplification: Option<Horizon>,
     /// Outer iterations.
     pub outer_iterations: usize,
     /// Inner iterations, summed.
@@ -66,6 +69,23 @@ pub struct Summary {
     pub left_out: Vec<String>,
     /// What the user should know.
     pub warnings: Vec<String>,
+}
+
+/// A window's amplification, and whether its gradient can be relied on.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Horizon {
+    /// ‖M‖ about the analysis, relative to σ of the background; `null` where it is not finite.
+    pub norm: f64,
+    /// ε ‖M‖, the relative error of a gradient to a factor of some ten.
+    pub gradient_error: f64,
+    /// Whether that is at most 1e-4.
+    pub reliable: bool,
+}
+
+impl From<Amplification> for Horizon {
+    fn from(a: Amplification) -> Self {
+        Horizon { norm: a.norm, gradient_error: a.gradient_error, reliable: a.reliable }
+    }
 }
 
 /// J = J_b + J_o + J_q.
@@ -104,6 +124,7 @@ impl Summary {
             j_terms: outcome.analysis.terms.into(),
             gradient_norm_first: outcome.gradient_norms[0],
             gradient_norm_last: outcome.gradient_norms[1],
+            amplification: outcome.amplification.map(Horizon::from),
             outer_iterations: outcome.iterations[0],
             inner_iterations: outcome.iterations[1],
             counts: outcome.counts,

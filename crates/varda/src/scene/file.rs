@@ -61,14 +61,14 @@ impl SceneFile {
                 overrides,
             );
         }
-        let text = read_text(path, SCENE_BYTES).map_err(|source| match source.kind() {
+        let text = read_text(path, SCENE_BYTES).map_err(|reason| match reason.kind() {
             std::io::ErrorKind::NotFound => {
                 let names: Vec<&str> = shipped::SHIPPED.iter().map(|s| s.name).collect();
                 let suggestion =
                     check::nearest(name, &names).map_or(String::new(), |n| format!(", did you mean {n:?}?"));
                 Error::NoScene { name: name.to_string(), suggestion }
             }
-            _ => Error::Read { place: "scene".into(), path: path.to_path_buf(), source },
+            _ => Error::Read { place: "scene".into(), path: path.to_path_buf(), reason },
         })?;
         let stem = path.file_stem().map_or("scene".into(), |s| s.to_string_lossy());
         SceneFile::parse(&stem, name, &text, Some(path.parent().unwrap_or(Path::new(""))), overrides)
@@ -136,8 +136,8 @@ impl SceneFile {
         };
         match read_text(&full, DATA_BYTES) {
             Ok(text) => Ok((full.display().to_string(), text)),
-            Err(source) => {
-                Err(Error::Read { place: locate(&self.label, self.place(path)), path: full, source })
+            Err(reason) => {
+                Err(Error::Read { place: locate(&self.label, self.place(path)), path: full, reason })
             }
         }
     }

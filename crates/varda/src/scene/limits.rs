@@ -4,25 +4,29 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use varda_implicit::Storage;
 
+/// Most bytes a run may plan for where its scene says nothing: half of what an ordinary machine has.
+pub const DEFAULT_MEMORY: usize = 8_000_000_000;
+
 /// What a run may take of the machine.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Limits {
-    /// Most memory for the states and linearizations of a window, such as "200 MB" (B, kB, MB, GB; KiB, MiB, GiB). Where that is too
-    /// little to keep all, linearizations and then states are computed again: the same bits, in more time. Empty: no limit.
+    /// Most memory a run may plan for, such as "200 MB" (B, kB, MB, GB; KiB, MiB, GiB); "8 GB" where it is not given. What covariances, Hessians and
+    /// tables leave of it is for the states and linearizations of a window: where that is too little to keep all, a strong constraint computes
+    /// linearizations and then states again, the same bits in more time. A run that needs more than the limit is refused.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub memory: String,
 }
 
 impl Limits {
-    /// The limit in bytes; `None` where there is none.
+    /// The limit in bytes.
     ///
     /// # Errors
     /// What is wrong with the text.
-    pub fn bytes(&self) -> Result<Option<usize>, String> {
+    pub fn bytes(&self) -> Result<usize, String> {
         let text = self.memory.trim();
         if text.is_empty() {
-            return Ok(None);
+            return Ok(DEFAULT_MEMORY);
         }
         let unit = text.trim_start_matches(|c: char| c.is_ascii_digit() || c == '.');
         let number: f64 = text[..text.len() - unit.len()].parse().unwrap_or(f64::NAN);
@@ -38,7 +42,7 @@ impl Limits {
         };
         let bytes = number * factor;
         if (1.0..1e18).contains(&bytes) {
-            Ok(Some(bytes as usize))
+            Ok(bytes as usize)
         } else {
             Err(format!(
                 "{:?} is not an amount of memory; write a number and B, kB, MB or GB: \"200 MB\"",
@@ -49,7 +53,8 @@ impl Limits {
 
     /// What a storage leaves out of a window of `steps` steps, in words; nothing where all is kept.
     pub fn left_out(&self, storage: Storage, steps: usize) -> Option<String> {
-        let for_limit = format!("limits.memory = {:?}", self.memory);
+        let limit = if self.memory.is_empty() { "8 GB" } else { &self.memory };
+        let for_limit = format!("limits.memory = {limit:?}");
         match storage {
             Storage::States => Some(format!(
                 "linearizations of all steps but one: every sweep makes them again ({for_limit})"
@@ -71,11 +76,11 @@ mod tests {
     #[test]
     fn amounts_of_memory_are_read_with_their_units() {
         let bytes = |text: &str| Limits { memory: text.to_string() }.bytes();
-        assert_eq!(bytes(""), Ok(None));
+        assert_eq!(bytes(""), Ok(8_000_000_000));
         for (text, expected) in
             [("200 MB", 200_000_000), ("1.5GB", 1_500_000_000), ("64 KiB", 65_536), ("512", 512)]
         {
-            assert_eq!(bytes(text), Ok(Some(expected)), "{text}");
+            assert_eq!(bytes(text), Ok(expected), "{text}");
         }
         for text in ["200 mb", "MB", "-3 MB", "1.2.3 MB", "0 B", "much", "9e9 GB"] {
             assert!(bytes(text).is_err(), "{text}");

@@ -31,7 +31,7 @@ pub use background::{
 pub use cycles::{CycledCovariance, Cycles, EnsembleUpdate};
 pub use ensemble::Ensemble;
 pub use file::{Place, SceneFile};
-pub use limits::Limits;
+pub use limits::{DEFAULT_MEMORY, Limits};
 pub use model::{
     Burgers, Clamp, DampingValues, LinearAdvection, Lorenz63, Lorenz96, Material, Model, Motion, PointForce,
     PointMass, Prescribed, RodModel, Section,
@@ -45,7 +45,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// A scene of Varda. SI units throughout. A number is 0 or its size is between 1e-50 and 1e50; a scene has at most 1 MiB and a CSV file 256 MiB;
-/// the states of a run have at most 1e9 numbers, and at most 1e7 values are observed.
+/// the states of a run have at most 1e9 numbers, and at most 1e7 values are observed. A run that would take more memory than `[limits] memory`
+/// (8 GB unless the scene says otherwise) is refused before it begins.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Scene {

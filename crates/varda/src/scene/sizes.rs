@@ -14,7 +14,8 @@ pub const DATA_BYTES: u64 = 1 << 28;
 /// Most steps of a window, of a spin-up, of a forecast, of a sequence of windows.
 pub const STEPS: usize = 10_000_000;
 
-/// Most numbers in the states of one run (steps × state), of an ensemble's runs together, or in one dense matrix.
+/// Most numbers in the states of one run (steps × state), or of an ensemble's runs together. What else a run takes is held against
+/// `[limits] memory` ([`memory`](crate::memory)).
 pub const NUMBERS: usize = 1_000_000_000;
 
 /// Most observed values.

@@ -85,13 +85,7 @@ pub(super) fn validate(scene: &Scene) -> Check {
         Observations::Synthetic(s) => validate_synthetic(s, scene, rod)?,
         Observations::File(f) => validate_recording(f, rod)?,
     }
-    scene.limits.bytes().or_else(|message| invalid("limits.memory", message).map(|()| None))?;
-    let algorithm = &scene.algorithm;
-    if !(scene.limits.memory.is_empty() || algorithm.method.is_strong() && algorithm.cycles.is_none()) {
-        let message =
-            "only one window of a method whose trajectory is a run of the model can be kept in less";
-        return invalid("limits.memory", message);
-    }
+    scene.limits.bytes().or_else(|message| invalid("limits.memory", message).map(|()| 0))?;
     validate_algorithm(scene)?;
     if let Some(cycles) = &scene.algorithm.cycles {
         validate_cycles(cycles, scene)?;

@@ -1,13 +1,14 @@
 //! Windows of the hanging rod: cost, gradient, minimum and posterior variance against an independent program.
 
-use super::{expect_length, largest, largest_difference, norm, read_json};
+use super::{Fixture, expect_length, expect_size, largest, largest_difference, norm};
 use crate::problems::{HangingRod, Prior};
 use crate::row::{Case, Outcome};
 use serde::Deserialize;
 use std::error::Error;
 use std::f64::consts::TAU;
+use std::io::Read;
 use std::path::Path;
-use varda_assimilation::{ControlTransform, CostFunction, Observation, Posterior, StrongConstraint};
+use varda_assimilation::{ControlTransform, CostFunction, Posterior, StrongConstraint};
 use varda_covariance::{Diagonal, Precision};
 use varda_implicit::Model;
 use varda_rod::{EllipseDrive, Rod};
@@ -90,7 +91,7 @@ struct Observed {
 
 #[derive(Deserialize)]
 #[allow(non_snake_case)]
-struct Reference {
+pub(super) struct Reference {
     J_background: f64,
     gradient_background: Vec<f64>,
     J_star: f64,
@@ -98,17 +99,63 @@ struct Reference {
     posterior_variance_gauss_newton: Option<Vec<f64>>,
 }
 
+/// Most segments of a rod, and steps to the end of its window.
+const SEGMENTS: usize = 1000;
+const STEPS: usize = 1_000_000;
+
+impl Fixture for Problem {
+    fn validate(&self) -> Result<(), String> {
+        let n = self.rod.segments;
+        expect_size("rod.segments", n, SEGMENTS)?;
+        if n < 2 {
+            return Err(format!(
+                "rod.segments = {n}: two vertices are prescribed, at least one must be free"
+            ));
+        }
+        expect_length("rod.vertex_masses", self.rod.vertex_masses.len(), n + 1)?;
+        // The control: places and velocities of all vertices but the prescribed two.
+        expect_length("background_x", self.background_x.len(), 3 * (n - 1))?;
+        expect_length("background_v", self.background_v.len(), 3 * (n - 1))?;
+        for (what, steps) in
+            [("window.first_step", self.window.first_step), ("window.steps", self.window.steps)]
+        {
+            if steps > STEPS {
+                return Err(format!("{what} = {steps}, expected at most {STEPS}"));
+            }
+        }
+        expect_size("the number of observations.s_over_L", self.observations.s_over_L.len(), SEGMENTS)?;
+        match Path::new(&self.observations.csv).components().collect::<Vec<_>>()[..] {
+            [std::path::Component::Normal(_)] => Ok(()),
+            _ => Err(format!(
+                "observations.csv = {:?} is not the name of a file beside",
+                self.observations.csv
+            )),
+        }
+    }
+}
+
+impl Fixture for Reference {
+    /// Lengths are those of the problem beside it, checked there.
+    fn validate(&self) -> Result<(), String> {
+        expect_length("analysis and gradient_background", self.analysis.len(), self.gradient_background.len())
+    }
+}
+
+/// A text up to what is minimized.
+pub(super) fn prepare(text: &str) -> Outcome {
+    let rod = Problem::parse(text)?.hanging_rod()?;
+    let model = rod.model(rod.first_step)?;
+    rod.observation_set(model.dim(), Vec::new())?;
+    if rod.rod.segments() <= 50 {
+        rod.background_covariance()?;
+    }
+    Ok(())
+}
+
 impl Problem {
     fn hanging_rod(&self) -> Result<HangingRod, Box<dyn Error>> {
         let f = &self.rod;
         let n = f.segments;
-        if n < 2 {
-            return Err(format!(
-                "rod.segments = {n}: two vertices are prescribed, at least one must be free"
-            )
-            .into());
-        }
-        expect_length("rod.vertex_masses", f.vertex_masses.len(), n + 1)?;
         if f.natural_curvature != 0.0 || f.natural_twist != 0.0 {
             return Err("rod.natural_curvature and natural_twist: give them as natural_…_per_length".into());
         }
@@ -171,39 +218,48 @@ fn turned(d: [f64; 3], theta: f64) -> [f64; 3] {
     std::array::from_fn(|c| cos * d[c] + sin * across[c])
 }
 
-/// Rows `step,point,x,y,z`; an empty cell was not observed.
-fn read_observations(
-    path: &Path,
-    rod: &HangingRod,
+/// Rows `step,point,x,y,z`; an empty cell was not observed. Errors name the line.
+pub(super) fn read_rows<T>(
+    text: impl Read,
     steps: &[usize],
-) -> Result<Vec<Observation>, Box<dyn Error>> {
-    let named = |e: csv::Error| format!("{}: {e}", path.display());
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).map_err(named)?;
+    observe: &mut dyn FnMut(usize, usize, [Option<f64>; 3]) -> Result<T, Box<dyn Error>>,
+) -> Result<Vec<T>, Box<dyn Error>> {
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text);
     let mut all = Vec::new();
-    for record in reader.deserialize::<(usize, usize, Option<f64>, Option<f64>, Option<f64>)>() {
-        let (step, point, x, y, z) = record.map_err(named)?;
+    for (i, record) in
+        reader.deserialize::<(usize, usize, Option<f64>, Option<f64>, Option<f64>)>().enumerate()
+    {
+        let (step, point, x, y, z) = record?;
+        let named = |e: &dyn std::fmt::Display| format!("row {}: {e}", i + 1);
         if !steps.contains(&step) {
-            return Err(format!("{}: step {step} is not in observation_steps", path.display()).into());
+            return Err(named(&format!("step {step} is not in observation_steps")).into());
         }
-        all.push(rod.observation(step, point, [x, y, z])?);
+        if [x, y, z].iter().flatten().any(|x| !x.is_finite()) {
+            return Err(named(&"a value is not finite").into());
+        }
+        all.push(observe(step, point, [x, y, z]).map_err(|e| named(&e))?);
     }
     Ok(all)
 }
 
 pub(super) fn check(case: &mut Case, folder: &Path) -> Outcome {
-    let problem: Problem = read_json(&folder.join("problem.json"))?;
-    let reference: Reference = read_json(&folder.join("reference.json"))?;
+    let problem = Problem::read(&folder.join("problem.json"))?;
+    let reference = Reference::read(&folder.join("reference.json"))?;
     let rod = problem.hanging_rod()?;
     let csv = folder.join(&problem.observations.csv);
-    let observations = read_observations(&csv, &rod, &problem.window.observation_steps)?;
+    let named = |e: &dyn std::fmt::Display| format!("{}: {e}", csv.display());
+    let file = std::fs::File::open(&csv).map_err(|e| named(&e))?;
+    let steps = &problem.window.observation_steps;
+    let mut observe = |step, point, seen| rod.observation(step, point, seen);
+    let observations = read_rows(file.take(super::FILE_BYTES), steps, &mut observe).map_err(|e| named(&e))?;
 
     let mut model = rod.model(rod.first_step)?;
     let mut observations = rod.observation_set(model.dim(), observations)?;
     let n = model.control_dim();
     let background: Vec<f64> = problem.background_x.iter().chain(&problem.background_v).copied().collect();
     expect_length("background_x and background_v", background.len(), n)?;
-    expect_length("gradient_background", reference.gradient_background.len(), n)?;
-    expect_length("analysis", reference.analysis.len(), n)?;
+    let named = |e: String| format!("{}: {e}", folder.join("reference.json").display());
+    expect_length("analysis", reference.analysis.len(), n).map_err(named)?;
 
     // With B = I the control variable is z − z_b itself; at the background J and dJ/dz do not depend on B.
     {

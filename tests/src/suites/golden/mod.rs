@@ -7,6 +7,7 @@ pub(super) mod twin;
 
 use super::Options;
 use crate::row::{Case, Outcome, Row, Rows};
+use std::io::Read;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use varda_assimilation::{
@@ -79,11 +80,51 @@ fn describe(minimum: &Minimum, how: &str) -> String {
     format!("{status:?}, {outer_iterations} iterations, |g|/|g₀| {reduction:.1e}, {how}")
 }
 
-/// A file as a value; errors name the file.
-fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, String> {
-    let named = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
-    let text = std::fs::read_to_string(path).map_err(|e| named(&e))?;
-    serde_json::from_str(&text).map_err(|e| named(&e))
+/// Most bytes of a fixture's file.
+const FILE_BYTES: u64 = 1 << 26;
+
+/// What a file says, checked against itself before anything is computed with it.
+trait Fixture: serde::de::DeserializeOwned {
+    /// Whether sizes are sane and lists have the lengths they must have; an error names the field.
+    fn validate(&self) -> Result<(), String>;
+
+    fn parse(text: &str) -> Result<Self, String> {
+        let fixture: Self = serde_json::from_str(text).map_err(|e| e.to_string())?;
+        fixture.validate()?;
+        Ok(fixture)
+    }
+
+    /// Of a file, which errors name.
+    fn read(path: &Path) -> Result<Self, String> {
+        let named = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
+        let mut text = String::new();
+        let file = std::fs::File::open(path).map_err(|e| named(&e))?;
+        file.take(FILE_BYTES + 1).read_to_string(&mut text).map_err(|e| named(&e))?;
+        if text.len() as u64 > FILE_BYTES {
+            return Err(named(&format!("more than {FILE_BYTES} bytes")));
+        }
+        Self::parse(&text).map_err(|e| named(&e))
+    }
+}
+
+/// Reads a text as a fixture of every kind, up to what is computed with it where that is small. For property tests and fuzzing.
+pub(super) fn read_all(text: &str) {
+    let mut rows = Rows::new("read");
+    if let Ok(fixture) = <der::Given as Fixture>::parse(text)
+        && fixture.is_small()
+    {
+        // Not through `Rows::case`, which would catch a panic.
+        let _ = der::compare(&mut rows.open("der"), &fixture);
+    }
+    let _ = twin::prepare(text);
+    let _ = hanging_rod::prepare(text);
+    let _ = hanging_rod::Reference::parse(text);
+    let _ = hanging_rod::read_rows(text.as_bytes(), &[10, 20], &mut |_, _, _| Ok(()));
+}
+
+/// An error unless a size is at least 1 and at most what a fixture may have.
+fn expect_size(what: &str, found: usize, most: usize) -> Result<(), String> {
+    if (1..=most).contains(&found) { Ok(()) } else { Err(format!("{what} = {found}, expected 1 to {most}")) }
 }
 
 /// An error unless a list has the length it should have.
@@ -109,4 +150,135 @@ fn greater(a: f64, b: f64) -> f64 {
 
 fn norm(a: &[f64]) -> f64 {
     a.iter().map(|a| a * a).sum::<f64>().sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use serde_json::{Value, json};
+
+    /// One small fixture of every kind, as text.
+    fn texts() -> Vec<String> {
+        let read = |name: &str| std::fs::read_to_string(shipped().join(name)).unwrap();
+        let rod = "hanging-rod/aniso-case2-n12";
+        vec![
+            read("der/straight_rest_3.json"),
+            read("der/curved_iso_5.json"),
+            read("twin/l63.json"),
+            read(&format!("{rod}/problem.json")),
+            read(&format!("{rod}/reference.json")),
+        ]
+    }
+
+    /// The places of a tree, leaves and branches, one after the other.
+    fn places<'a>(value: &'a mut Value, visit: &mut dyn FnMut(&mut Value)) {
+        visit(value);
+        match value {
+            Value::Array(items) => items.iter_mut().for_each(|v| places(v, visit)),
+            Value::Object(entries) => entries.iter_mut().for_each(|(_, v)| places(v, visit)),
+            _ => {}
+        }
+    }
+
+    /// The `at`-th place (counted round) becomes another value, or its list loses or gains an entry.
+    fn changed(text: &str, at: usize, kind: usize) -> String {
+        let mut tree: Value = serde_json::from_str(text).unwrap();
+        let mut count = 0;
+        places(&mut tree, &mut |_| count += 1);
+        let (chosen, mut i) = (at % count, 0);
+        places(&mut tree, &mut |value| {
+            if i == chosen {
+                let list = value.as_array().cloned();
+                *value = match (kind, list) {
+                    (0, Some(mut list)) => {
+                        list.pop();
+                        json!(list)
+                    }
+                    (1, Some(mut list)) => {
+                        list.extend(list.last().cloned());
+                        json!(list)
+                    }
+                    (2, _) => json!(0),
+                    (3, _) => json!(-1.0),
+                    (4, _) => json!(usize::MAX),
+                    (5, _) => json!(1e300),
+                    (6, _) => json!(5e-324),
+                    (7, _) => json!([]),
+                    (8, _) => json!("text"),
+                    (9, _) => json!(1_000_000_000_000_u64),
+                    (_, _) => Value::Null,
+                };
+            }
+            i += 1;
+        });
+        tree.to_string()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn a_changed_fixture_is_read_or_refused(i in 0..5_usize, at in any::<usize>(), kind in 0..11_usize) {
+            read_all(&changed(&texts()[i], at, kind));
+        }
+
+        #[test]
+        fn a_cut_or_garbled_fixture_is_read_or_refused(i in 0..5_usize, at in any::<usize>(), byte in any::<u8>()) {
+            let mut bytes = texts()[i].clone().into_bytes();
+            let at = at % bytes.len();
+            read_all(&String::from_utf8_lossy(&bytes[..at]));
+            bytes[at] = byte;
+            read_all(&String::from_utf8_lossy(&bytes));
+        }
+
+        #[test]
+        fn any_text_is_no_panic(text in ".{0,200}") {
+            read_all(&text);
+        }
+    }
+
+    /// Without a change they are right, so that the properties are not about refusals only.
+    #[test]
+    fn what_is_changed_is_valid() {
+        let texts = texts();
+        for der in &texts[..2] {
+            assert!(der::Given::parse(der).unwrap().is_small());
+        }
+        twin::prepare(&texts[2]).unwrap();
+        hanging_rod::prepare(&texts[3]).unwrap();
+        hanging_rod::Reference::parse(&texts[4]).unwrap();
+    }
+
+    #[test]
+    fn a_malformed_fixture_is_an_error_that_names_file_and_field() {
+        let folder = std::env::temp_dir().join(format!("varda-fixtures-{}", std::process::id()));
+        let der = |change: &dyn Fn(&mut Value)| {
+            let text = std::fs::read_to_string(shipped().join("der/curved_iso_5.json")).unwrap();
+            let mut tree: Value = serde_json::from_str(&text).unwrap();
+            change(&mut tree);
+            std::fs::create_dir_all(folder.join("der")).unwrap();
+            std::fs::write(folder.join("der/changed.json"), tree.to_string()).unwrap();
+            let rows = run(&Options { fixtures: Some(folder.clone()), ..Options::default() });
+            let row = rows.into_iter().find(|r| r.case == "changed").unwrap();
+            assert!(!row.pass);
+            row.note
+        };
+        let cut = |name: &'static str| {
+            move |v: &mut Value| {
+                v[name].as_array_mut().unwrap().pop();
+            }
+        };
+        for field in ["rest_lengths", "voronoi_lengths", "EI", "kappa_bar", "vertices", "ref_d1", "theta"] {
+            let note = der(&cut(field));
+            assert!(note.contains("changed.json: ") && note.contains(field), "{field}: {note}");
+        }
+        let note = der(&|v| v["n_edges"] = json!(1_000_000_000_000_u64));
+        assert!(note.contains("changed.json: n_edges = 1000000000000"), "{note}");
+        let note = der(&|v| v["hessian_lower_coo"]["bend"][0][1] = json!(99));
+        assert!(note.contains("hessian_lower_coo names entry"), "{note}");
+        let note = der(&|v| v["theta"][0] = json!("north"));
+        assert!(note.contains("changed.json") && note.contains("expected f64"), "{note}");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
 }

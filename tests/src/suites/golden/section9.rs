@@ -31,11 +31,16 @@ fn flagship_truth(case: &mut Case) -> Outcome {
         vbar: f64,
         sigma_v: f64,
     }
-    let given: Given =
-        super::read_json(&super::shipped().join("hanging-rod/case1-clamp-seed0/problem.json"))?;
+    impl super::Fixture for Given {
+        fn validate(&self) -> Result<(), String> {
+            super::expect_length("truth_x", self.truth_x.len(), 72)?;
+            super::expect_length("truth_v", self.truth_v.len(), 72)
+        }
+    }
+    let path = super::shipped().join("hanging-rod/case1-clamp-seed0/problem.json");
+    let given = <Given as super::Fixture>::read(&path)?;
     let (rod, truth) = HangingRod::flagship(1, true)?;
     let (x, v) = truth.split_at(truth.len() / 2);
-    super::expect_length("truth_x", given.truth_x.len(), x.len())?;
     // Each of 150 steps is solved to 1e-11 m, a velocity to 1e-9 m/s; the motion is damped, so they do not pile up.
     case.at_most("positions", largest_difference(x, &given.truth_x), 1e-10, "m").computed(super::norm(x));
     case.at_most("velocities", largest_difference(v, &given.truth_v), 1e-8, "m/s").computed(super::norm(v));

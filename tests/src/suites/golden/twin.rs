@@ -1,6 +1,6 @@
 //! Small twin problems with known minima.
 
-use super::{expect_length, read_json};
+use super::{Fixture, expect_length, expect_size};
 use crate::row::{Case, Outcome};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -40,6 +40,45 @@ struct ModelFields {
 }
 
 type AnyModel = Option<Box<dyn Model>>;
+
+/// Most components of a state, and steps of a window.
+const COMPONENTS: usize = 2000;
+const STEPS: usize = 1_000_000;
+
+impl Fixture for Twin {
+    fn validate(&self) -> Result<(), String> {
+        let n = self.n;
+        expect_size("n", n, COMPONENTS)?;
+        if self.K > STEPS {
+            return Err(format!("K = {}, expected at most {STEPS}", self.K));
+        }
+        for (what, found) in [("xb", self.xb.len()), ("xa", self.xa.len()), ("B", self.B.len())] {
+            expect_length(what, found, n)?;
+        }
+        for (i, row) in self.B.iter().enumerate() {
+            expect_length(&format!("B[{i}]"), row.len(), n)?;
+        }
+        for (step, values) in &self.obs {
+            expect_length(&format!("obs at step {step}"), values.len(), self.H_rows.len())?;
+            if *step > self.K {
+                return Err(format!("obs at step {step}: the window has {} steps (K)", self.K));
+            }
+        }
+        match self.H_rows.iter().find(|row| **row >= n) {
+            Some(row) => Err(format!("H_rows names component {row} of {n}")),
+            None => Ok(()),
+        }
+    }
+}
+
+/// A text up to what is minimized.
+pub(super) fn prepare(text: &str) -> Outcome {
+    let twin = Twin::parse(text)?;
+    twin.model()?;
+    Dense::new(twin.n, &twin.B.concat())?;
+    twin.observations(twin.K)?;
+    Ok(())
+}
 
 impl Twin {
     /// The model; none where nothing moves.
@@ -89,17 +128,8 @@ impl Twin {
 }
 
 pub(super) fn check(case: &mut Case, path: &Path) -> Outcome {
-    let twin: Twin = read_json(path)?;
+    let twin = Twin::read(path)?;
     let n = twin.n;
-    for (what, found) in [("xb", twin.xb.len()), ("xa", twin.xa.len()), ("B", twin.B.len())] {
-        expect_length(what, found, n)?;
-    }
-    for row in &twin.B {
-        expect_length("a row of B", row.len(), n)?;
-    }
-    for (step, values) in &twin.obs {
-        expect_length(&format!("obs at step {step}"), values.len(), twin.H_rows.len())?;
-    }
     let mut model = twin.model()?;
     let b = Dense::new(n, &twin.B.concat())?;
     let transform = ControlTransform::new(twin.xb.clone(), &b)?;
@@ -132,7 +162,7 @@ pub(in crate::suites) fn shipped(
     name: &str,
     visit: &mut dyn FnMut(&mut StrongConstraint, &ControlTransform, f64) -> Outcome,
 ) -> Outcome {
-    let twin: Twin = read_json(&super::shipped().join("twin").join(name).with_extension("json"))?;
+    let twin = Twin::read(&super::shipped().join("twin").join(name).with_extension("json"))?;
     let mut model = twin.model()?;
     let b = Dense::new(twin.n, &twin.B.concat())?;
     let transform = ControlTransform::new(twin.xb.clone(), &b)?;
