@@ -55,11 +55,8 @@ pub fn accepted_times(
         "a tolerance and lengths must be positive"
     );
     let order = scheme.order();
-    let own = n - step.history();
-    let judged = scale[..own].iter().filter(|s| s.is_finite()).count().max(1) as f64;
-    let mut one = OneStep::new(step);
+    let mut judge = Judge::new(step, scheme, scale);
     let (mut x, mut times) = (x0.to_vec(), vec![through[0]]);
-    let [mut whole, mut half, mut halves] = [vec![0.0; n], vec![0.0; n], vec![0.0; n]];
     let (mut wanted, mut previous) = (first.clamp(shortest, longest), None);
     for end in &through[1..] {
         let mut start = times[times.len() - 1];
@@ -68,19 +65,8 @@ pub fn accepted_times(
             let left = end - start;
             let length = left / (left / wanted).ceil();
             let at = Interval { index: times.len() - 1, start, length, previous };
-            let first_half = Interval { length: 0.5 * length, ..at };
-            let second_half =
-                Interval { start: start + 0.5 * length, previous: Some(0.5 * length), ..first_half };
-            let taken = one
-                .take(&at, &x, &mut whole)
-                .and_then(|()| one.take(&first_half, &x, &mut half))
-                .and_then(|()| one.take(&second_half, &half, &mut halves));
-            let error = match taken {
-                Ok(()) => {
-                    let squares = (0..own).map(|i| ((halves[i] - whole[i]) / scale[i]).powi(2));
-                    let difference = (squares.sum::<f64>() / judged).sqrt();
-                    difference / (1.0 - 0.5_f64.powi(order))
-                }
+            let error = match judge.error(&at, &x) {
+                Ok(error) => error,
                 Err(error) if 0.5 * length < shortest => return Err(error),
                 Err(_) => {
                     wanted = 0.5 * length;
@@ -89,7 +75,7 @@ pub fn accepted_times(
             };
             let factor = 0.9 * (tolerance / error).powf(1.0 / f64::from(order + 1));
             if error <= tolerance {
-                x.copy_from_slice(&whole);
+                x.copy_from_slice(&judge.whole);
                 start = if length == left { *end } else { start + length };
                 times.push(start);
                 previous = Some(length);
@@ -102,6 +88,84 @@ pub fn accepted_times(
         }
     }
     Ok(times)
+}
+
+/// The largest estimated error of the steps between `times` from another state x₀: whether steps that were accepted along one trajectory
+/// still do along another. In the units of [`Adaptive::tolerance`], estimated as in [`accepted_times`]; three solves a step.
+///
+/// # Errors
+/// The error of Newton's method in a step or in one of its halves.
+///
+/// # Panics
+/// If `times` has fewer than two times or does not ascend, or lengths differ.
+pub fn largest_error(
+    step: &mut dyn ImplicitStep,
+    scheme: Scheme,
+    x0: &[f64],
+    scale: &[f64],
+    times: &[f64],
+) -> Result<f64, Error> {
+    let n = step.dim();
+    assert!(x0.len() == n && scale.len() == n, "a state and its scale have {n} values");
+    assert!(times.len() > 1 && times.windows(2).all(|t| t[0] < t[1]), "times must ascend, two or more");
+    let mut judge = Judge::new(step, scheme, scale);
+    let (mut x, mut previous, mut largest) = (x0.to_vec(), None, 0.0);
+    for (index, pair) in times.windows(2).enumerate() {
+        let length = pair[1] - pair[0];
+        let error = judge.error(&Interval { index, start: pair[0], length, previous }, &x)?;
+        if !(error <= largest) {
+            largest = error;
+        }
+        x.copy_from_slice(&judge.whole);
+        previous = Some(length);
+    }
+    Ok(largest)
+}
+
+/// Steps taken whole and in two halves.
+struct Judge<'a> {
+    one: OneStep<'a>,
+    /// 1 / (1 − 2^{−p}).
+    factor: f64,
+    scale: &'a [f64],
+    /// Components of the state that are not history.
+    own: usize,
+    /// How many of those matter.
+    judged: f64,
+    /// The state after the step last judged, taken whole.
+    whole: Vec<f64>,
+    half: Vec<f64>,
+    halves: Vec<f64>,
+}
+
+impl<'a> Judge<'a> {
+    fn new(step: &'a mut dyn ImplicitStep, scheme: Scheme, scale: &'a [f64]) -> Self {
+        let n = step.dim();
+        let own = n - step.history();
+        Self {
+            one: OneStep::new(step),
+            factor: 1.0 / (1.0 - 0.5_f64.powi(scheme.order())),
+            scale,
+            own,
+            judged: scale[..own].iter().filter(|s| s.is_finite()).count().max(1) as f64,
+            whole: vec![0.0; n],
+            half: vec![0.0; n],
+            halves: vec![0.0; n],
+        }
+    }
+
+    /// The estimated error of a step from x.
+    fn error(&mut self, at: &Interval, x: &[f64]) -> Result<f64, Error> {
+        let length = at.length;
+        let first_half = Interval { length: 0.5 * length, ..*at };
+        let second_half =
+            Interval { start: at.start + 0.5 * length, previous: Some(0.5 * length), ..first_half };
+        self.one.take(at, x, &mut self.whole)?;
+        self.one.take(&first_half, x, &mut self.half)?;
+        self.one.take(&second_half, &self.half, &mut self.halves)?;
+        let squares = (0..self.own).map(|i| ((self.halves[i] - self.whole[i]) / self.scale[i]).powi(2));
+        Ok((squares.sum::<f64>() / self.judged).sqrt() * self.factor)
+    }
 }
 
 /// Single steps on any interval.

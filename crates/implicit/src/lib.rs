@@ -65,7 +65,7 @@ mod step;
 mod storage;
 mod trajectory;
 
-pub use adaptive::{Adaptive, accepted_times};
+pub use adaptive::{Adaptive, accepted_times, largest_error};
 pub use error::{Error, Refusal};
 pub use explicit::Rk4;
 pub use factor::{Factor, LinearSolver};

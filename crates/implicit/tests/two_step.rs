@@ -3,7 +3,7 @@
 use varda_implicit::lorenz::Lorenz63;
 use varda_implicit::{
     Adaptive, Error, Grouped, ImplicitModel, Keep, Model, NewtonOptions, OneLeg, Rhs, Scheme, Trajectory,
-    accepted_times, check,
+    accepted_times, check, largest_error,
 };
 
 /// ẋ = −3x + cos 2t.
@@ -173,6 +173,9 @@ fn accepted_steps_follow_the_error() {
                 accepted_times(&mut step(), scheme, &x0, &scale, &[0.0, 0.25, 1.0], &options(tolerance))
                     .unwrap();
             assert!(times.contains(&0.25) && times.first() == Some(&0.0) && times.last() == Some(&1.0));
+            let along = |x0: &[f64]| largest_error(&mut step(), scheme, x0, &scale, &times).unwrap();
+            // as they were accepted; and from where the transient is ten thousand times as large they are not
+            assert!(along(&x0) <= tolerance && along(&vec![3e3; n]) > tolerance, "{scheme:?}");
             let length = |near: f64| {
                 let i = times.partition_point(|t| *t <= near);
                 times[i] - times[i - 1]

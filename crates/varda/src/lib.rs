@@ -43,6 +43,7 @@ mod component_model;
 pub mod covariance;
 pub mod csv_input;
 pub mod cycles;
+mod divided;
 pub mod ensemble;
 mod error;
 pub mod fit;

@@ -37,7 +37,13 @@ pub(crate) struct Task<'a> {
     pub(crate) posterior: bool,
     /// Most bytes for the states and linearizations of a window (strong constraint).
     pub(crate) memory: usize,
+    /// Another model of the same control, where that in force is not good enough about this analysis; the minimization then goes on with it
+    /// (strong constraint).
+    pub(crate) refresh: &'a mut Refresh<'a>,
 }
+
+/// See [`Task::refresh`].
+pub(crate) type Refresh<'a> = dyn FnMut(&[f64]) -> Option<Box<dyn Model + Send + 'a>> + 'a;
 
 /// What every method gives.
 pub(crate) struct Solved {
@@ -91,6 +97,8 @@ struct Stage<'s, 'r> {
     v: &'s mut Vec<f64>,
     /// What is known of the trajectory (weak-constraint forms).
     states: &'s mut Vec<f64>,
+    /// Whether it is the last, of the whole window.
+    whole: bool,
     /// Whether σ is wanted of it.
     posterior: bool,
     before: (usize, WorkCounts),
@@ -141,6 +149,7 @@ pub(crate) fn solve(
                 observations: seen,
                 v,
                 states: &mut states,
+                whole: window == whole,
                 posterior: task.posterior && window == whole,
                 before: (done[0], spent),
                 on_row,
@@ -195,53 +204,72 @@ impl Task<'_> {
         }
     }
 
-    /// The strong constraint. 3D-Var is 4D-Var where nothing is observed after step 0.
+    /// The strong constraint. 3D-Var is 4D-Var where nothing is observed after step 0. Where the model is refreshed at the end of the
+    /// window, the minimization goes on from there, to the gradient norm that was first asked for.
     fn strong(&mut self, stage: Stage) -> Result<Ended, Error> {
-        let (algorithm, background, covariance) = (self.algorithm, self.background, self.covariance);
+        let (background, covariance) = (self.background, self.covariance);
         let transform = ControlTransform::new(background.to_vec(), covariance.as_ref())?;
-        let Stage { observations, v, posterior, before, on_row, .. } = stage;
+        let Stage { observations, v, whole, posterior, before, on_row, .. } = stage;
         let window = observations.steps();
-        let mut cost = StrongConstraint::new(&mut *self.model, transform.clone(), observations)?;
-        if let Some(delta) = algorithm.robust {
-            cost.set_huber(delta)?;
-        }
-        let storage = cost.set_memory(self.memory)?;
-        v.resize(cost.dim(), 0.0);
+        let mut algorithm = self.algorithm.clone();
         let mut control = background.to_vec();
-        let mut on_iteration = |iteration: &Iteration| {
-            transform.control(iteration.v, &mut control);
-            on_row(&Row { iteration, control: &control, window, before })
-        };
-        let start = v.clone();
-        let minimum = match algorithm.method {
-            Method::FourDVarIncremental | Method::ThreeDVarIncremental => {
-                outer_loop(&mut cost, v, &outer(algorithm, InnerSolver::Primal), &mut on_iteration)?
+        let mut fresh: Option<Box<dyn Model + Send + '_>> = None;
+        let mut first: Option<Minimum> = None;
+        let (mut iterations, mut counts) = ([0, 0], WorkCounts::default());
+        loop {
+            let model: &mut dyn Model = match &mut fresh {
+                Some(model) => model.as_mut(),
+                None => &mut *self.model,
+            };
+            let mut cost = StrongConstraint::new(model, transform.clone(), &mut *observations)?;
+            if let Some(delta) = algorithm.robust {
+                cost.set_huber(delta)?;
             }
-            Method::FourDPsas | Method::Psas => {
-                outer_loop(&mut cost, v, &outer(algorithm, InnerSolver::Dual), &mut on_iteration)?
+            cost.set_memory(self.memory)?;
+            let storage = cost.storage();
+            v.resize(cost.dim(), 0.0);
+            if let Some(first) = &first {
+                let mut gradient = vec![0.0; v.len()];
+                cost.evaluate(v, Some(&mut gradient))?;
+                let wanted = self.algorithm.gradient_tolerance * first.gradient_norm_first;
+                // At least half: what a start too good would ask for is nothing.
+                algorithm.gradient_tolerance = (wanted / norm(&gradient)).clamp(f64::EPSILON, 0.5);
+                algorithm.sigma_stages.clear();
             }
-            Method::Blue => blue(algorithm, &mut cost, v, &mut on_iteration)?,
-            _ => minimize(algorithm, &mut cost, v, &mut on_iteration)?,
-        };
-        let counts = WorkCounts::from(&cost.counts());
-        let (spread, no_spread) = if posterior && is_whole(minimum.status) {
-            // BLUE's covariance is that of the background's linearization, (I + GᵀG)⁻¹ there.
-            let linearized = if algorithm.method == Method::Blue { &start } else { &*v };
-            cost.evaluate(linearized, Some(&mut vec![0.0; v.len()]))?;
-            Spread::of(Posterior::new(&mut cost), &transform)?
-        } else {
-            (None, None)
-        };
-        transform.control(v, &mut control);
-        Ok(Ended {
-            minimum,
-            control,
-            sigma_background: deviations(covariance.as_ref()),
-            spread,
-            no_spread,
-            counts,
-            storage,
-        })
+            let start = v.clone();
+            let so_far = (before.0 + iterations[0], before.1 + counts);
+            let mut on_iteration = |iteration: &Iteration| {
+                transform.control(iteration.v, &mut control);
+                on_row(&Row { iteration, control: &control, window, before: so_far })
+            };
+            let mut minimum = strong_minimum(&algorithm, &mut cost, v, &mut on_iteration)?;
+            transform.control(v, &mut control);
+            counts = counts + WorkCounts::from(&cost.counts());
+            iterations[0] += minimum.outer_iterations;
+            iterations[1] += minimum.inner_iterations;
+            let settled = matches!(minimum.status, Status::Converged | Status::Stalled);
+            let another = if whole && settled { (self.refresh)(&control) } else { None };
+            if let Some(model) = another {
+                drop(cost);
+                fresh = Some(model);
+                first.get_or_insert(minimum);
+                continue;
+            }
+            let (spread, no_spread) = if posterior && is_whole(minimum.status) {
+                // BLUE's covariance is that of the background's linearization, (I + GᵀG)⁻¹ there.
+                let linearized = if algorithm.method == Method::Blue { &start } else { &*v };
+                cost.evaluate(linearized, Some(&mut vec![0.0; v.len()]))?;
+                Spread::of(Posterior::new(&mut cost), &transform)?
+            } else {
+                (None, None)
+            };
+            if let Some(first) = first {
+                minimum.gradient_norm_first = first.gradient_norm_first;
+            }
+            [minimum.outer_iterations, minimum.inner_iterations] = iterations;
+            let sigma_background = deviations(covariance.as_ref());
+            return Ok(Ended { minimum, control, sigma_background, spread, no_spread, counts, storage });
+        }
     }
 
     fn weak_forcing(&mut self, stage: Stage) -> Result<Ended, Error> {
@@ -251,7 +279,7 @@ impl Task<'_> {
         let q: &dyn Covariance = self.model_error.ok_or(missing)?.as_ref();
         let forcing = self.forcing();
         let transform = ControlTransform::new(background.to_vec(), covariance.as_ref())?;
-        let Stage { observations, v, states, posterior, before, on_row } = stage;
+        let Stage { observations, v, states, posterior, before, on_row, .. } = stage;
         let (window, last) = (observations.steps(), observations.last_step().unwrap_or(0));
         let mut cost = WeakForcing::new(&mut *self.model, transform.clone(), q, forcing, observations)?;
         // What is added to the window begins without forcing.
@@ -293,7 +321,7 @@ impl Task<'_> {
         let b = covariance.precision().ok_or(singular("the inverse of a truncated B"))?;
         let q = self.model_error.and_then(Factored::precision);
         let q = q.ok_or(singular("the inverse of a truncated Q"))?;
-        let Stage { observations, v, states, posterior, before, on_row } = stage;
+        let Stage { observations, v, states, posterior, before, on_row, .. } = stage;
         let (window, last) = (observations.steps(), observations.last_step().unwrap_or(0));
         let run_before = WorkCounts::of(self.model.counts());
         if states.is_empty() {
@@ -467,6 +495,25 @@ fn roots(variance: Vec<f64>) -> Vec<f64> {
 /// A run that came to its own end has a posterior.
 fn is_whole(status: Status) -> bool {
     !matches!(status, Status::Interrupted | Status::Failed)
+}
+
+/// The minimum of the strong-constraint cost by the scene's method.
+fn strong_minimum(
+    algorithm: &Algorithm,
+    cost: &mut StrongConstraint,
+    v: &mut [f64],
+    on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+) -> Result<Minimum, Error> {
+    match algorithm.method {
+        Method::FourDVarIncremental | Method::ThreeDVarIncremental => {
+            outer_loop(cost, v, &outer(algorithm, InnerSolver::Primal), on_iteration)
+        }
+        Method::FourDPsas | Method::Psas => {
+            outer_loop(cost, v, &outer(algorithm, InnerSolver::Dual), on_iteration)
+        }
+        Method::Blue => blue(algorithm, cost, v, on_iteration),
+        _ => minimize(algorithm, cost, v, on_iteration),
+    }
 }
 
 /// By the scene's minimizer, through its σ stages where it has some.

@@ -4,11 +4,12 @@ use std::f64::consts::TAU;
 
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet, Selection};
 use varda_covariance::{Ensemble, sample};
-use varda_implicit::{Adaptive, Grouped, ImplicitModel, Model, accepted_times};
+use varda_implicit::{ImplicitModel, Model};
 use varda_rod::{Marker, RodStep};
 
 use crate::component_model;
 use crate::covariance::{self, Factored, Places};
+use crate::divided::{DividedSteps, rod_models};
 use crate::ensemble::{self, Geometry};
 use crate::memory::{Memory, Sizes};
 use crate::rod_model::RodParts;
@@ -32,6 +33,10 @@ pub struct Problem {
     pub model: Box<dyn Model>,
     /// Makes it anew, for runs beside one another.
     pub make_model: MakeModel,
+    /// Makes the model that runs the truth, where that is another: its steps are divided along itself.
+    pub make_truth: Option<MakeModel>,
+    /// The steps of `model`, where they are divided by their error.
+    pub(crate) divided: Option<DividedSteps>,
     /// What the numbers of a state mean.
     pub view: View,
     /// B.
@@ -256,11 +261,24 @@ fn rod_problem(file: &SceneFile, rod: &RodModel, memory: usize) -> Result<Proble
     let members =
         members.map(|e| ensemble::draw(file, &e, &background, covariance.as_ref(), &geometry)).transpose()?;
 
-    let times =
-        scene.time.tolerance.map(|t| divided_steps(&parts, scene, &window, &background, t)).transpose()?;
-    let mut model = rod_models(&parts, scene.time.spin_up, window, times.clone())(0);
+    let spin_up = scene.time.spin_up;
+    let divided = |control: &[f64]| {
+        let along = |tolerance| DividedSteps::along(&parts, spin_up, window, tolerance, control);
+        scene.time.tolerance.map(along).transpose()
+    };
+    // The truth has steps of its own; nothing of it depends on the background.
+    let make_truth = match &truth {
+        Some(truth) => divided(&truth[..n])?.map(|steps| steps.factory()),
+        None => None,
+    };
+    let divided = divided(&background)?;
+    let make_model = match &divided {
+        Some(steps) => steps.factory(),
+        None => rod_models(&parts, spin_up, window, None),
+    };
     let mut sites = RodObservation::new(&dynamics, &sightings, window)?;
     if let (Observations::Synthetic(synthetic), Some(truth)) = (&scene.observations, &truth) {
+        let mut model = make_truth.as_ref().unwrap_or(&make_model)(0);
         let steps = observed_steps(synthetic, &window);
         let sigma =
             synthetic.sigma.unwrap_or_else(|| synthetic.sigma_over_length.unwrap_or(f64::NAN) * length);
@@ -299,14 +317,14 @@ fn rod_problem(file: &SceneFile, rod: &RodModel, memory: usize) -> Result<Proble
     let mut left_out = dynamics.left_out();
     left_out.extend(sightings.left_out.iter().cloned());
     left_out.extend(no_derivatives(scene));
-    // The model that ran the truth starts again from nothing, so that counts are those of the assimilation.
-    let make_model = rod_models(&parts, scene.time.spin_up, window, times);
     Ok(Problem {
         name: file.name.clone(),
         scene: scene.clone(),
         window,
         model: make_model(0),
         make_model,
+        make_truth,
+        divided,
         view: View::Rod(Box::new(RodView { parts, dynamics, sightings, sites })),
         covariance,
         model_error,
@@ -317,46 +335,6 @@ fn rod_problem(file: &SceneFile, rod: &RodModel, memory: usize) -> Result<Proble
         observations,
         memory,
         left_out,
-    })
-}
-
-/// The times of all steps to the end of the forecast, from the error estimates of a run from `background`.
-fn divided_steps(
-    parts: &RodParts,
-    scene: &Scene,
-    window: &Window,
-    background: &[f64],
-    tolerance: f64,
-) -> Result<Vec<f64>, Error> {
-    let mut model = ImplicitModel::new(parts.dynamics()?, scene.time.spin_up, window.step);
-    let mut x0 = vec![0.0; model.dim()];
-    model.initial_state(background, &mut x0)?;
-    let mut scale = vec![f64::INFINITY; x0.len()];
-    scale[..background.len() / 2].fill(parts.rod.length());
-    let mut step = model.into_inner();
-    let options =
-        Adaptive { tolerance, first: window.step, shortest: window.step / 4096.0, longest: window.step };
-    Ok(accepted_times(&mut step, parts.scheme, &x0, &scale, &grid(window), &options)?)
-}
-
-/// Times of all steps of the window and its forecast.
-fn grid(window: &Window) -> Vec<f64> {
-    (0..=window.steps + window.forecast).map(|k| window.time(k)).collect()
-}
-
-/// Makes models that start at a step of the window, whose step k is the window's from there: one step, or those between `times` that make it up.
-fn rod_models(parts: &RodParts, spin_up: usize, window: Window, times: Option<Vec<f64>>) -> MakeModel {
-    let parts = parts.clone();
-    Box::new(move |first| {
-        let step = parts.dynamics().expect("the dynamics were made of these parts before");
-        match &times {
-            None => Box::new(ImplicitModel::new(step, spin_up + first, window.step)),
-            Some(times) => {
-                let from = times.partition_point(|t| *t < window.time(first));
-                let model = ImplicitModel::on_times(step, times[from..].to_vec());
-                Box::new(Grouped::through(model, &times[from..], &grid(&window)[first..]))
-            }
-        }
     })
 }
 
@@ -497,6 +475,8 @@ fn component_problem(file: &SceneFile, memory: usize) -> Result<Problem, Error> 
         window,
         model: make(first),
         make_model: Box::new(move |k| make(first + k)),
+        make_truth: None,
+        divided: None,
         view: View::Components(names),
         covariance,
         model_error,

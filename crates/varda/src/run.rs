@@ -9,6 +9,8 @@ use varda_implicit::Model;
 use varda_implicit::check::Amplification;
 
 use crate::Error;
+pub use crate::divided::AcceptedSteps;
+use crate::divided::DividedSteps;
 use crate::fit::{self, Fit, Forecast, Withheld};
 use crate::horizon;
 use crate::method::{self, Solved, Task};
@@ -241,6 +243,8 @@ pub struct Outcome {
     pub forecast: Vec<Forecast>,
     /// How much the window amplifies about the analysis, up to the last observation; none for methods without a gradient along a run.
     pub amplification: Option<Amplification>,
+    /// Steps divided by their error; `None` where they are the scene's.
+    pub accepted_steps: Option<AcceptedSteps>,
     /// Runs of the window.
     pub trajectories: Trajectories,
     /// What the user should know.
@@ -282,6 +286,7 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
         if (listener.interrupted)() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     let clock = Clock::default();
+    let mut divided = Divided::new(problem.divided.take());
     let mut timed = Timed::new(problem.model.as_mut(), &clock);
     let make = &problem.make_model;
     let make_timed = || -> Box<dyn Model + Send> { Box::new(Timed::new(make(0), &clock)) };
@@ -296,6 +301,10 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
         anchors: &problem.anchors,
         posterior: problem.scene.report.posterior,
         memory: problem.memory,
+        refresh: &mut |control| {
+            let model = divided.refresh(control)?;
+            Some(Box::new(Timed::new(model, &clock)))
+        },
     };
     let none = ObservationSet::new(problem.window.steps, Vec::new(), Vec::new())?;
     let observations = std::mem::replace(&mut problem.observations, none);
@@ -310,10 +319,19 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
         minimizer,
     };
     problem.observations = observations;
+    if divided.refreshed > 0
+        && let Some(steps) = &divided.steps
+    {
+        problem.make_model = steps.factory();
+        problem.model = (problem.make_model)(0);
+    }
+    let accepted_steps = divided.account(&solved.control);
+    problem.divided = divided.steps;
     problem.left_out.extend(problem.scene.limits.left_out(solved.storage, problem.window.steps));
 
     let status = Status::from(solved.minimum.status);
     let mut warnings = remarks(problem, &solved, status);
+    warnings.extend(divided.warnings);
     let analysis = analysis(problem, &solved);
     let trajectories = trajectories(problem, &analysis.analysis, solved.states, &mut warnings);
     let amplification = amplification(problem, &analysis, &trajectories);
@@ -343,10 +361,61 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
         withheld,
         forecast,
         amplification,
+        accepted_steps,
         trajectories,
         warnings,
         analysis,
     })
+}
+
+/// Refreshes at most. Each starts where the last ended, so that one or two are the rule.
+const REFRESHES: usize = 5;
+
+/// The divided steps of a run under way.
+struct Divided {
+    steps: Option<DividedSteps>,
+    refreshed: usize,
+    warnings: Vec<String>,
+}
+
+impl Divided {
+    fn new(steps: Option<DividedSteps>) -> Self {
+        Divided { steps, refreshed: 0, warnings: Vec::new() }
+    }
+
+    /// The model on steps divided along the run from a control, where those in force do not hold there.
+    fn refresh(&mut self, control: &[f64]) -> Option<Box<dyn Model + Send>> {
+        let steps = self.steps.as_mut()?;
+        let error = steps.largest_error(control).unwrap_or(f64::INFINITY);
+        if steps.hold(error) || self.refreshed == REFRESHES {
+            return None;
+        }
+        match steps.divide(control) {
+            Ok(()) => {
+                self.refreshed += 1;
+                Some(steps.factory()(0))
+            }
+            Err(e) => {
+                self.warnings.push(format!("the steps could not be divided anew along the analysis: {e}"));
+                None
+            }
+        }
+    }
+
+    /// What became of the steps; a warning where they do not hold along the analysis.
+    fn account(&mut self, control: &[f64]) -> Option<AcceptedSteps> {
+        let steps = self.steps.as_ref()?;
+        let error = steps.largest_error(control).ok();
+        let account = steps.report(self.refreshed, error);
+        if !error.is_some_and(|e| steps.hold(e)) {
+            self.warnings.push(format!(
+                "time.tolerance = {:e} is not met along the analysis: its largest estimated error of a step is {} of the rod's length",
+                account.tolerance,
+                error.map_or("not known".into(), |e| format!("{e:.1e}"))
+            ));
+        }
+        Some(account)
+    }
 }
 
 /// What the user should know of how a method went.
@@ -497,7 +566,11 @@ fn trajectories(
     }
     let mut truth = problem.truth.clone().unwrap_or_default();
     if !truth.is_empty() {
-        warn("truth", run_on(model, &mut truth, steps));
+        let run = match &problem.make_truth {
+            Some(make) => run_on(make(0).as_mut(), &mut truth, steps),
+            None => run_on(model, &mut truth, steps),
+        };
+        warn("truth", run);
     }
     Trajectories { dim, background, analysis: states, truth }
 }
@@ -540,6 +613,9 @@ pub struct Simulation {
 /// [`Error::Model`] naming the step that failed.
 pub fn simulate(problem: &mut Problem) -> Result<Simulation, Error> {
     let steps = problem.window.steps + problem.window.forecast;
+    if let (Some(_), Some(make)) = (&problem.truth, &problem.make_truth) {
+        problem.model = make(0);
+    }
     let model = problem.model.as_mut();
     let mut x0 = vec![0.0; model.dim()];
     let of = match &problem.truth {

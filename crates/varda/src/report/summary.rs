@@ -6,7 +6,7 @@ use varda_implicit::check::Amplification;
 
 use crate::fit::{Fit, Forecast, Withheld};
 use crate::problem::Problem;
-use crate::run::{Outcome, Rejected, Rmse, Seconds, WorkCounts};
+use crate::run::{AcceptedSteps, Outcome, Rejected, Rmse, Seconds, WorkCounts};
 
 /// The keys of summary.json, in their order.
 #[derive(Debug, Serialize)]
@@ -41,6 +41,8 @@ pub struct Summary {
     pub gradient_norm_last: f64,
     /// How much the window amplifies and what that leaves of the gradient; `null` for methods without a gradient along a run.
     pub amplification: Option<Horizon>,
+    /// Steps divided by `time.tolerance`; `null` without it.
+    pub accepted_steps: Option<AcceptedSteps>,
     /// Outer iterations.
     pub outer_iterations: usize,
     /// Inner iterations, summed.
@@ -125,6 +127,7 @@ impl Summary {
             gradient_norm_first: outcome.gradient_norms[0],
             gradient_norm_last: outcome.gradient_norms[1],
             amplification: outcome.amplification.map(Horizon::from),
+            accepted_steps: outcome.accepted_steps,
             outer_iterations: outcome.iterations[0],
             inner_iterations: outcome.iterations[1],
             counts: outcome.counts,
