@@ -262,7 +262,11 @@ fn new(name: &str) -> Result<ExitCode, Error> {
     let path = PathBuf::from(if name.ends_with(".toml") { name.to_string() } else { format!("{name}.toml") });
     let failed = |reason| Error::Write { path: path.clone(), reason };
     let mut target = std::fs::OpenOptions::new().write(true).create_new(true).open(&path).map_err(failed)?;
-    std::io::Write::write_all(&mut target, STARTER.as_bytes()).map_err(failed)?;
+    if let Err(reason) = std::io::Write::write_all(&mut target, STARTER.as_bytes()) {
+        // Half a scene is none; nothing more can be done where it will not go away either.
+        let _ = std::fs::remove_file(&path);
+        return Err(failed(reason));
+    }
     println!("wrote {0}; try: varda check {0}", path.display());
     Ok(ExitCode::SUCCESS)
 }

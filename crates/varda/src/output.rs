@@ -1,6 +1,6 @@
 //! The output folder: whole or absent.
 //!
-//! A result `r` is made beside its place, in `.r.varda-<run>/`, and renamed; an earlier result is meanwhile `.r.varda-<run>-earlier-<n>/`. The run
+//! A result `r` is made beside its place, in `.r.varda-<run>/`, and renamed; an earlier result is meanwhile `.r.varda-<run>-earlier-<n>/`, and `…-earlier-<n>-replaced/` while it is being deleted. The run
 //! holds a lock on `.r.varda-<run>.lock` until nothing of it is left. A lock that nobody holds is that of a run that was killed: the next run into
 //! `r` removes what it left, and puts back the earlier result it had no time to replace.
 
@@ -111,9 +111,7 @@ impl Output {
             return Err(failed(reason));
         }
         self.published = true;
-        for aside in earlier {
-            std::fs::remove_dir_all(&aside).map_err(|reason| Error::Write { path: aside.clone(), reason })?;
-        }
+        earlier.iter().try_for_each(|aside| discard(aside))?;
         Ok(self.target.clone())
     }
 }
@@ -157,6 +155,7 @@ impl Drop for Lock {
 
 const LOCK: &str = ".lock";
 const EARLIER: &str = "-earlier-";
+const REPLACED: &str = "-replaced";
 
 /// What the hidden names of a target begin with.
 fn prefix(target: &Path) -> String {
@@ -167,6 +166,14 @@ fn beside(temporary: &Path, ending: &str) -> PathBuf {
     let mut name = temporary.file_name().unwrap_or_default().to_os_string();
     name.push(ending);
     temporary.with_file_name(name)
+}
+
+/// Deletes an earlier result. Under another name first: what is half deleted is nothing to put back.
+fn discard(aside: &Path) -> Result<(), Error> {
+    let replaced = beside(aside, REPLACED);
+    std::fs::rename(aside, &replaced)
+        .and_then(|()| std::fs::remove_dir_all(&replaced))
+        .map_err(|reason| Error::Write { path: aside.to_path_buf(), reason })
 }
 
 /// Removes what runs have left whose lock nobody holds; puts an earlier result back where there is none.
@@ -197,15 +204,19 @@ fn clear(parent: &Path, prefix: &str, target: &Path) -> Result<Found, Error> {
             let folder = parent.join(&name);
             let failed = |reason| Error::Write { path: folder.clone(), reason };
             let ending = name.strip_prefix(run);
-            let earlier = ending.is_some_and(|e| e.starts_with(EARLIER));
+            let earlier = ending.is_some_and(|e| e.starts_with(EARLIER) && !e.ends_with(REPLACED));
+            let replaced = ending.is_some_and(|e| e.starts_with(EARLIER) && e.ends_with(REPLACED));
             if earlier && !target.exists() {
                 match std::fs::rename(&folder, target) {
                     Ok(()) => found.put_back = true,
                     // Another run was faster.
-                    Err(_) if target.exists() => std::fs::remove_dir_all(&folder).map_err(failed)?,
+                    Err(_) if target.exists() => discard(&folder)?,
                     Err(reason) => return Err(failed(reason)),
                 }
-            } else if earlier || ending == Some("") {
+            } else if earlier {
+                discard(&folder)?;
+                found.removed.push(folder);
+            } else if replaced || ending == Some("") {
                 std::fs::remove_dir_all(&folder).map_err(failed)?;
                 found.removed.push(folder);
             }
@@ -300,7 +311,12 @@ mod tests {
         let parent = folder("killed");
         let target = parent.join("result");
         let alive = Output::begin(&target).unwrap();
-        let left = [".result.varda-7-1", ".result.varda-7-1-earlier-0", ".result.varda-8-2"];
+        let left = [
+            ".result.varda-7-1",
+            ".result.varda-7-1-earlier-0",
+            ".result.varda-8-2",
+            ".result.varda-8-2-earlier-0-replaced",
+        ];
         let others = [
             ".other.varda-7-1",
             ".result.varda-9-3",
@@ -316,7 +332,7 @@ mod tests {
             std::fs::write(parent.join(lock), "").unwrap();
         }
         let out = Output::begin(&target).unwrap();
-        let removed = [left[0], left[2]].map(|name| parent.join(name));
+        let removed = [left[0], left[2], left[3]].map(|name| parent.join(name));
         assert_eq!(out.found(), &Found { removed: removed.to_vec(), put_back: true });
         assert!(target.join("summary.json").is_file(), "the earlier result is back in its place");
         drop(out);

@@ -58,13 +58,32 @@ fn ctrl_c_and_sigterm_leave_a_valid_partial_result() {
         signal(&child, name);
         assert_eq!(child.wait().unwrap().code(), Some(130), "{name}");
         assert_eq!(whole(&folder.0.join("r")), "interrupted");
+        // What is unfinished beside it goes on to the end.
+        let resumed = folder.command("lorenz96-cycling-4dvar", &CYCLES).arg("--resume").output().unwrap();
+        assert!(resumed.status.success(), "{}", String::from_utf8_lossy(&resumed.stderr));
+        assert_ne!(whole(&folder.0.join("r")), "interrupted");
+        assert_eq!(folder.names(), ["r"]);
+    }
+    // One window: the last accepted point is the result.
+    for name in ["-INT", "-TERM"] {
+        let folder = Folder::new(&format!("window{name}"));
+        // Some seconds of iterations.
+        let long =
+            ["model.segments=100", "algorithm.gradient_tolerance=1e-30", "algorithm.max_iterations=1000000"];
+        let child = folder.command("hanging-rod-case4", &long).spawn().unwrap();
+        std::thread::sleep(Duration::from_secs(1));
+        signal(&child, name);
+        let output = child.wait_with_output().unwrap();
+        assert_eq!(output.status.code(), Some(130), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+        assert_eq!(whole(&folder.0.join("r")), "interrupted");
+        assert_eq!(folder.names(), ["r"]);
     }
 }
 
-/// `VARDA_KILLS` sets how often; 10 without it.
+/// `VARDA_KILLS` sets how often; 50 without it. Every second time there is an earlier result, which is being replaced.
 #[test]
 fn a_run_killed_at_any_moment_leaves_nothing_that_looks_finished() {
-    let kills: u64 = std::env::var("VARDA_KILLS").ok().and_then(|k| k.parse().ok()).unwrap_or(10);
+    let kills: u64 = std::env::var("VARDA_KILLS").ok().and_then(|k| k.parse().ok()).unwrap_or(50);
     let folder = Folder::new("kill");
     let run = || folder.command("lorenz63", &[]);
     let begun = Instant::now();
@@ -72,7 +91,9 @@ fn a_run_killed_at_any_moment_leaves_nothing_that_looks_finished() {
     let takes = begun.elapsed();
     let mut killed = 0;
     for k in 0..kills {
-        let _ = std::fs::remove_dir_all(folder.0.join("r"));
+        if k % 2 == 0 {
+            let _ = std::fs::remove_dir_all(folder.0.join("r"));
+        }
         let mut child = run().spawn().unwrap();
         // Moments spread over the run and, more closely, over its end, where files are written.
         let part = (k as f64 + 0.5) / kills as f64;
@@ -153,12 +174,38 @@ fn what_a_killed_run_left_is_removed_by_the_next_but_not_what_a_live_one_writes(
 fn a_disk_without_room_is_an_error_that_names_the_file() {
     let folder = Folder::new("full");
     let program = env!("CARGO_BIN_EXE_varda");
-    let script = format!("trap '' XFSZ; ulimit -f 1; exec '{program}' run lorenz63 --quiet --out r");
-    let output = Command::new("sh").args(["-c", &script]).current_dir(&folder.0).output().unwrap();
-    let message = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{message}");
-    assert!(message.contains("cannot write r/"), "{message}");
-    assert_eq!(std::fs::read_dir(&folder.0).unwrap().count(), 0, "nothing is left");
+    let limited = |blocks: usize, arguments: &str| {
+        let script = format!("trap '' XFSZ; ulimit -f {blocks}; exec '{program}' {arguments}");
+        let output = Command::new("sh").args(["-c", &script]).current_dir(&folder.0).output().unwrap();
+        let message = String::from_utf8_lossy(&output.stderr).to_string();
+        assert_eq!(output.status.code(), Some(1), "{message}");
+        message
+    };
+    for arguments in ["run lorenz63 --quiet --out r", "simulate lorenz63 --quiet --out r"] {
+        let message = limited(1, arguments);
+        assert!(message.contains("cannot write r/"), "{message}");
+        assert_eq!(folder.names(), [""; 0], "nothing is left");
+    }
+    let message = limited(0, "new scene");
+    assert!(message.contains("cannot write scene.toml"), "{message}");
+    assert_eq!(folder.names(), [""; 0], "nothing is left");
+
+    // A sequence keeps the windows it has stored, and goes on when there is room again.
+    let sets = "--set background.covariance.steps=3000 --set algorithm.cycles.spin_up=0 --set algorithm.cycles.count=40";
+    let message = limited(50, &format!("run lorenz96-cycling-4dvar {sets} --quiet --out r"));
+    assert!(message.contains("cannot write r.partial/cycles.jsonl"), "{message}");
+    assert_eq!(folder.names(), ["r.partial"]);
+    let run = |more: &[&str]| {
+        let mut command = Command::new(program);
+        command.args(["run", "lorenz96-cycling-4dvar", "--quiet"]).args(sets.split(' ')).args(more);
+        assert!(command.current_dir(&folder.0).status().unwrap().success());
+    };
+    run(&["--out", "r", "--resume"]);
+    run(&["--out", "uninterrupted"]);
+    for file in ["analysis.csv", "trajectory.csv"] {
+        let read = |result: &str| std::fs::read_to_string(folder.0.join(result).join(file)).unwrap();
+        assert_eq!(read("r"), read("uninterrupted"), "{file}");
+    }
 }
 
 /// In /proc nobody can make a folder, not even root.
