@@ -9,6 +9,7 @@ pub mod machine;
 pub mod page;
 
 mod assimilation;
+mod build;
 mod gradient;
 mod instructions;
 mod leftout;
@@ -52,4 +53,5 @@ pub const BENCHES: &[Bench] = &[
     Bench { name: "scaling", run: scaling::run },
     Bench { name: "leftout", run: leftout::run },
     Bench { name: "instructions", run: instructions::run },
+    Bench { name: "build", run: build::run },
 ];
