@@ -123,6 +123,11 @@ impl Fixture for Problem {
                 return Err(format!("{what} = {steps}, expected at most {STEPS}"));
             }
         }
+        for (what, value) in [("drive.dt", self.drive.dt), ("drive.omega", self.drive.omega)] {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(format!("{what} = {value} is not a positive number"));
+            }
+        }
         expect_size("the number of observations.s_over_L", self.observations.s_over_L.len(), SEGMENTS)?;
         match Path::new(&self.observations.csv).components().collect::<Vec<_>>()[..] {
             [std::path::Component::Normal(_)] => Ok(()),

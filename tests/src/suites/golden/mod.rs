@@ -215,6 +215,39 @@ mod tests {
         tree.to_string()
     }
 
+    /// The numbers that are fields, not entries of lists.
+    fn fields(value: &mut Value, visit: &mut dyn FnMut(&mut Value)) {
+        match value {
+            Value::Array(items) => items.iter_mut().filter(|v| !v.is_number()).for_each(|v| fields(v, visit)),
+            Value::Object(entries) => entries.iter_mut().for_each(|(_, v)| fields(v, visit)),
+            Value::Number(_) => visit(value),
+            _ => {}
+        }
+    }
+
+    #[test]
+    fn every_field_changed_is_read_or_refused() {
+        for text in texts() {
+            let given: Value = serde_json::from_str(&text).unwrap();
+            for other in [json!(0), json!(-1.0), json!(usize::MAX), json!(1e300), json!(5e-324), json!(null)]
+            {
+                for chosen in 0.. {
+                    let (mut tree, mut i) = (given.clone(), 0_usize);
+                    fields(&mut tree, &mut |value| {
+                        if i == chosen {
+                            *value = other.clone();
+                        }
+                        i += 1;
+                    });
+                    if chosen >= i {
+                        break;
+                    }
+                    read_all(&tree.to_string());
+                }
+            }
+        }
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
 
