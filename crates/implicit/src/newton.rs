@@ -142,6 +142,9 @@ pub fn solve<S: ImplicitStep + ?Sized>(
     let refused = |reason| Error::Refused { step: at.index, reason };
     let (converged, trusted) = (step.converged_below(), step.trusted_below());
     let mut potential = step.assemble(at, x, u, &mut work.g, Some(&mut work.values)).map_err(refused)?;
+    if !work.g.iter().all(|g| g.is_finite()) {
+        return Err(Error::NonFinite { step: at.index, what: "the residual of the guess" });
+    }
     // the last shift that was needed, kept over iterations that need none
     let mut remembered = 0.0;
     let mut stalled = 0;
