@@ -54,7 +54,8 @@ pub fn equilibrium(
     system.gather(&mut u);
     let mut statics = Statics::new(system, end_angle, 1e-11 * rod.length());
     let mut work = NewtonWork::new(statics.unknowns(), &statics.structure());
-    let options = NewtonOptions { max_iterations: 500, ..NewtonOptions::default() };
+    // a stiff column far beyond its buckling load folds and unfolds its way from the straight saddle to the first mode
+    let options = NewtonOptions { max_iterations: 2000, ..NewtonOptions::default() };
     let report = solve(
         &mut statics,
         &Interval { index: 0, start: t, length: 0.0, previous: None },

@@ -108,3 +108,31 @@ fn refused<T>(case: &mut Case, what: &str, attempt: Result<T, impl std::fmt::Dis
     };
     case.at_most(what, value, 0.0, "-").note(note);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An error that names something else, and none at all, are failed rows.
+    #[test]
+    fn errors_must_name_what_they_should() {
+        let mut rows = Rows::new("stiff");
+        rows.case("errors", |case| {
+            refused(case, "right", Err::<(), _>("step 7: edge 3"), "step 7");
+            refused(case, "another step", Err::<(), _>("step 8: edge 3"), "step 7");
+            refused(case, "no error", Ok::<(), &str>(()), "step 7");
+            Ok(())
+        });
+        let pass: Vec<bool> = rows.finish().iter().map(|row| row.pass).collect();
+        assert_eq!(pass, [true, false, false]);
+    }
+
+    #[test]
+    fn the_condition_estimate_is_right_for_known_matrices() {
+        // diag(1, 1e-6) as a dense and as a band matrix; a singular one
+        let dense = condition(2, &Structure::Dense, &[1.0, 0.0, 0.0, 1e-6]);
+        let band = condition(2, &Structure::SymmetricBand { half_bandwidth: 1 }, &[0.0, 1.0, 0.0, 1e-6]);
+        assert!((dense / 1e6 - 1.0).abs() < 1e-12 && (band / 1e6 - 1.0).abs() < 1e-12, "{dense} {band}");
+        assert_eq!(condition(2, &Structure::Dense, &[1.0, 1.0, 1.0, 1.0]), f64::INFINITY);
+    }
+}

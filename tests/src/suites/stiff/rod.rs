@@ -8,7 +8,7 @@ use super::{condition, interval, work};
 use crate::problems::{rod_scale, wave};
 use crate::row::{Case, Outcome, Rows};
 use std::sync::Arc;
-use varda_implicit::{ImplicitModel, ImplicitStep, LinearSolver, Model, NewtonOptions, Scheme, check};
+use varda_implicit::{Error, ImplicitModel, ImplicitStep, LinearSolver, Model, NewtonOptions, Scheme, check};
 use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, TwistUnknowns};
 
 const GRAVITY: [f64; 3] = [0.0, 0.0, -9.81];
@@ -149,7 +149,7 @@ pub(super) fn run(rows: &mut Rows) {
     for (name, scheme) in
         [("backward Euler", Scheme::BackwardEuler), ("midpoint", Scheme::Midpoint), ("BDF2", Scheme::Bdf2)]
     {
-        let hanging = Hanging { scheme, twist: TwistUnknowns::Always, moved: 2.5, ..base.clone() };
+        let hanging = Hanging { scheme, twist: TwistUnknowns::Always, moved: 10.0, ..base.clone() };
         rows.case(&format!("steps forced into parts, {name} with twist"), |case| in_parts(case, &hanging));
     }
 }
@@ -185,7 +185,7 @@ fn stiff_ends(rows: &mut Rows, name: &str, base: &Hanging) {
 
 /// Too few Newton iterations for whole steps: they are taken in parts, and derivatives go through these.
 fn in_parts(case: &mut Case, hanging: &Hanging) -> Outcome {
-    let options = NewtonOptions { max_iterations: 5, ..NewtonOptions::default() };
+    let options = NewtonOptions { max_iterations: 4, ..NewtonOptions::default() };
     let mut model = hanging.model()?.with_options(options);
     let (mut x, mut next) = (vec![0.0; model.dim()], vec![0.0; model.dim()]);
     model.initial_state(&hanging.start(0.0, 0.0), &mut x)?;
@@ -200,7 +200,8 @@ fn in_parts(case: &mut Case, hanging: &Hanging) -> Outcome {
     case.at_most("step 3 is taken in parts, at least one more", split, 0.0, "-")
         .computed(parts as f64)
         .work(work(&model, f64::NAN));
-    derivatives(case, &mut model, hanging.dt, 3, &x, &next, 0.0)
+    dot_product(case, &mut model, hanging.dt, 3, &x, &next)?;
+    taylor(case, &mut model, 3, &x, 0.0)
 }
 
 fn swung(rows: &mut Rows, name: &str, hanging: &Hanging, steps: usize) {
@@ -230,19 +231,23 @@ fn from(rows: &mut Rows, name: &str, hanging: &Hanging, z: &[f64], steps: usize)
             .because(ROOT_REASON)
             .work(work(&model, worst.condition))
             .note(format!("{measured} of {steps} steps measured"));
-        derivatives(case, &mut model, hanging.dt, steps - 1, &x, &next, worst.condition)
+        let dt = hanging.dt;
+        dot_product(case, &mut model, dt, steps - 1, &x, &next)?;
+        // thirty more runs of the step: not for the largest
+        if hanging.segments > 1600 {
+            return Ok(());
+        }
+        taylor(case, &mut model, steps - 1, &x, worst.condition)
     });
 }
 
-/// Dot product and Taylor slope of step k from x to `next`.
-fn derivatives(
+fn dot_product(
     case: &mut Case,
     model: &mut ImplicitModel<RodStep>,
     dt: f64,
     k: usize,
     x: &[f64],
     next: &[f64],
-    condition: f64,
 ) -> Outcome {
     let scale = rod_scale(model.step_ref());
     model.linearize(k, x, next)?;
@@ -252,11 +257,31 @@ fn derivatives(
     case.at_most("dot product of the step", dot.value, dot.bound.max(divided), "-").because(
         "50 ε times ‖M‖ ‖δx‖/‖M δx‖, and as much for δX/Δt of the velocities, however well M itself is conditioned",
     );
+    Ok(())
+}
+
+/// Taylor slope of step k from x; where its condition hides that, the error of its tangent.
+fn taylor(
+    case: &mut Case,
+    model: &mut ImplicitModel<RodStep>,
+    k: usize,
+    x: &[f64],
+    condition: f64,
+) -> Outcome {
+    let scale = rod_scale(model.step_ref());
+    let parts = model.counts().substeps;
     // perturbations of a tenth of a segment, and 0.1 m/s
     let l = model.step_ref().rod().rest_lengths[0];
     let direction: Vec<f64> =
         scale.iter().enumerate().map(|(i, s)| if *s < 1.0 { 0.1 * l } else { 0.1 } * wave(i, 12)).collect();
-    let taylor = check::taylor_step(model, k, x, &direction, &scale)?;
+    let taylor = match check::taylor_step(model, k, x, &direction, &scale) {
+        Err(Error::EmptyTest { what }) if model.counts().substeps > parts => {
+            // the step jumps where the pattern of its parts changes, as documented
+            case.inform("Taylor slope of a step in parts", 0.0, "-").note(what);
+            return Ok(());
+        }
+        other => other?,
+    };
     // A solve errs by ε times the condition: beyond 1e9 the remainder falls like h before h² can be seen over ten halvings. Then
     // what is left of it at the smallest step, over h ‖M d‖, is that error.
     if condition > 1e9 && taylor.slope < 1.95 {
@@ -311,12 +336,13 @@ pub(super) fn distance(
     let (n, structure) = (step.unknowns(), step.structure());
     let mut solver = LinearSolver::new(n, &structure);
     let (mut u, mut g, mut values) = (vec![0.0; n], vec![0.0; n], vec![0.0; solver.values_len()]);
-    step.recover(&at, x, next, &mut u);
+    let own = step.dim() - step.history();
+    step.recover(&at, x, &next[..own], &mut u);
     if step.assemble(&at, x, &u, &mut g, Some(&mut values)).is_err() {
         return LOST;
     }
     // the stage: y = X* + η V_y, with X* and V* between the last states, and x_{k+1} between y and x_k
-    let (free, own) = (3 * step.free_vertices().len(), step.dim() - step.history());
+    let free = 3 * step.free_vertices().len();
     let star = |i: usize| {
         let past = if stage.from[1] == 0.0 { 0.0 } else { stage.from[1] * x[own + i] };
         stage.from[0] * x[i] + past
