@@ -317,7 +317,9 @@ fn indefinite(case: &mut Case) -> Outcome {
                         1e-4,
                         "-",
                     )
-                    .because("|∇J| fell to 1e-6 of the first at the least, and the wells have curvature 2 and 1");
+                    .because(
+                        "|∇J| fell to 1e-6 of the first at the least, and the wells have curvature 2 and 1",
+                    );
                 }
             }
             Ok(minimum) => {

@@ -39,7 +39,8 @@ fn plan(options: &Options) -> Vec<(f64, &'static [&'static str], u64)> {
     if !options.full {
         return [0.015, 0.005, 0.002, 0.001].into_iter().map(|sigma| (sigma, AUTO, 2)).collect();
     }
-    let mut plan = vec![(0.015, Minimizer::NAMES, 5), (0.005, AUTO, 5), (0.002, AUTO, 5), (0.001, Minimizer::NAMES, 5)];
+    let mut plan =
+        vec![(0.015, Minimizer::NAMES, 5), (0.005, AUTO, 5), (0.002, AUTO, 5), (0.001, Minimizer::NAMES, 5)];
     plan.extend([5e-4, 1e-4, 1e-5, 1e-6].map(|sigma| (sigma, AUTO, 5)));
     plan
 }
@@ -61,8 +62,13 @@ pub(super) fn run(rows: &mut Rows, options: &Options) {
                 let says: Vec<&str> = of_seeds.iter().map(|e| e.says.as_str()).collect();
                 let row = case
                     .at_most(&format!("{name}: |∇J| over the first where it converged"), worst, 1e-6, "-")
-                    .because("what converges is stationary, what does not says so; how many are solved is told")
-                    .work(Work { iterations: Some(of_seeds.iter().map(|e| e.iterations).sum()), ..Work::default() })
+                    .because(
+                        "what converges is stationary, what does not says so; how many are solved is told",
+                    )
+                    .work(Work {
+                        iterations: Some(of_seeds.iter().map(|e| e.iterations).sum()),
+                        ..Work::default()
+                    })
                     .computed(solved as f64)
                     .note(format!("solved {solved} of {seeds}; 2J/m of each: {}", says.join(", ")));
                 row.seconds = of_seeds.iter().map(|e| e.seconds).sum();

@@ -222,8 +222,9 @@ fn tapered(rows: &mut Rows, draws: usize) {
                 Err(error) => return Err(error.into()),
             }
         }
-        case.at_most("largest negative eigenvalue over λ₁ beyond rounding", worst, 0.0, "-")
-            .because("a product of two covariances is one (Schur 1911); `eigen` refuses what is below −n ε λ₁");
+        case.at_most("largest negative eigenvalue over λ₁ beyond rounding", worst, 0.0, "-").because(
+            "a product of two covariances is one (Schur 1911); `eigen` refuses what is below −n ε λ₁",
+        );
         Ok(())
     });
 }
@@ -255,15 +256,18 @@ fn one_large(case: &mut crate::row::Case, n: usize) -> Outcome {
     let (mut y, mut back) = (vec![0.0; n], vec![0.0; n]);
     b.apply(&x, &mut y);
     b.solve(&y, &mut back);
-    case.at_most("relative error of B⁻¹ B x", difference(&back, &x), 1e-10, "-").because("the taper bounds the condition, whatever n: some 1e4 at ten points in the support").note(format!(
-        "half-bandwidth {}, {:.1} MB",
-        b.half_bandwidth(),
-        8e-6 * (n * (b.half_bandwidth() + 1)) as f64
-    ));
+    case.at_most("relative error of B⁻¹ B x", difference(&back, &x), 1e-10, "-")
+        .because("the taper bounds the condition, whatever n: some 1e4 at ten points in the support")
+        .note(format!(
+            "half-bandwidth {}, {:.1} MB",
+            b.half_bandwidth(),
+            8e-6 * (n * (b.half_bandwidth() + 1)) as f64
+        ));
     let mut variance = vec![0.0; n];
     b.variance(&mut variance);
     let worst = variance.iter().fold(0.0_f64, |m, v| m.max((v - 1.0).abs()));
-    case.at_most("error of the variance", worst, 20.0 * f64::EPSILON, "-").because("w + 1 terms, each rounded");
+    case.at_most("error of the variance", worst, 20.0 * f64::EPSILON, "-")
+        .because("w + 1 terms, each rounded");
     case.at_most("half-bandwidth", b.half_bandwidth() as f64, 12.0, "-")
         .because("ten places in a support, 0.1 by 0.01 give or take 0.6 of a spacing: memory and operations are n times it");
     Ok(())

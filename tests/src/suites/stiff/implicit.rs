@@ -4,8 +4,7 @@ use super::{condition, interval, refused, work};
 use crate::row::{Case, Outcome, Rows};
 use num_dual::{Dual64, DualNum};
 use varda_implicit::{
-    ImplicitModel, ImplicitStep, Interval, Model, NewtonOptions, OneLeg, Refusal, Rhs, Structure,
-    check,
+    ImplicitModel, ImplicitStep, Interval, Model, NewtonOptions, OneLeg, Refusal, Rhs, Structure, check,
 };
 
 pub(super) fn run(rows: &mut Rows) {
@@ -101,10 +100,13 @@ fn singular(rows: &mut Rows) {
                     .because("a solve with pivoting is backward stable: some ε, whatever the condition")
                     .work(work(&model, cond));
                     case.at_most("relative error of the step", error, 4.0 * f64::EPSILON * cond, "-")
-                        .because("ε times the condition: all that the stored matrix determines (nothing at 1e-15)");
+                        .because(
+                            "ε times the condition: all that the stored matrix determines (nothing at 1e-15)",
+                        );
                     model.linearize(7, &x, &next)?;
                     let dot = check::dot_product(&mut model, 7..8, &[1.0; 2], 1)?;
-                    case.at_most("dot product", dot.value, dot.bound, "-").because("50 ε times ‖M‖ ‖δx‖/‖M δx‖");
+                    case.at_most("dot product", dot.value, dot.bound, "-")
+                        .because("50 ε times ‖M‖ ‖δx‖/‖M δx‖");
                 }
                 // a solution of 1/η cannot meet an absolute tolerance of 1e-13: refused rather than trusted
                 Err(error) => refused(case, "refused, naming the step", Err::<(), _>(error), "step 7"),

@@ -15,8 +15,7 @@ const GRAVITY: [f64; 3] = [0.0, 0.0, -9.81];
 
 /// Distance from the root over L that counts as solved.
 pub(super) const ROOT: f64 = 1e-11;
-pub(super) const ROOT_REASON: &str =
-    "a step ends when an update falls below 1e-11 L; convergence is quadratic there, so that mostly only rounding is left";
+pub(super) const ROOT_REASON: &str = "a step ends when an update falls below 1e-11 L; convergence is quadratic there, so that mostly only rounding is left";
 
 /// A rod of circular section hanging from a clamp that moves sideways at a constant speed.
 #[derive(Clone)]
@@ -124,7 +123,9 @@ pub(super) fn run(rows: &mut Rows) {
             swung(rows, &format!("{segments} segments, clamp moves {moved} of them in 0.02 s"), &hanging, 5);
         }
     }
-    for (segments, youngs) in [(25, 1e6), (100, 1e6), (400, 1e6), (1600, 1e6), (25, 1e9), (100, 1e9), (400, 1e9)] {
+    for (segments, youngs) in
+        [(25, 1e6), (100, 1e6), (400, 1e6), (1600, 1e6), (25, 1e9), (100, 1e9), (400, 1e9)]
+    {
         let hanging = Hanging { segments, section: round(youngs), ..base.clone() };
         let name = format!("15 % random strain, turned by 0.3, {segments} segments, E = {youngs:.0e} Pa");
         from(rows, &name, &hanging, &hanging.start(0.15, 0.3), 10);
@@ -367,7 +368,8 @@ pub(super) fn distance(
     };
     let mut correction = vec![0.0; n];
     for v in 0..free / 3 {
-        correction[stride * v + stride - 3..stride * (v + 1)].copy_from_slice(&residual[6 + 3 * v..9 + 3 * v]);
+        correction[stride * v + stride - 3..stride * (v + 1)]
+            .copy_from_slice(&residual[6 + 3 * v..9 + 3 * v]);
         if stride == 4 {
             correction[4 * v] = moment(v + 1) - moment(v + 2);
         }

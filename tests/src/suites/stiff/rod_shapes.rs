@@ -123,7 +123,9 @@ fn free_fall(rows: &mut Rows) {
             }));
             let work = figures(&mut model, 0, dt, &x);
             case.at_most("error of places over distance fallen", error / fallen.abs().max(1.0), 1e-11, "-")
-                .because("steps solved to 1e-11 L; fifty sums, each rounded at the size of what has been fallen")
+                .because(
+                    "steps solved to 1e-11 L; fifty sums, each rounded at the size of what has been fallen",
+                )
                 .work(work);
             Ok(())
         });
@@ -166,7 +168,8 @@ fn straight(rows: &mut Rows) {
                 let scale = rod_scale(model.step_ref());
                 check::window(&mut model, &x, 5, &scale, 3)?
             };
-            case.at_most("dot product of five steps", gradient.value, gradient.bound, "-").because(DOT_REASON);
+            case.at_most("dot product of five steps", gradient.value, gradient.bound, "-")
+                .because(DOT_REASON);
             Ok(())
         });
         rows.case(&format!("{name} hanging straight from an unstretched guess"), |case| {
@@ -228,14 +231,20 @@ fn nearly_folded(rows: &mut Rows) {
             if delta < 1e-6 {
                 refused(case, "refused, naming the vertex", framed(&vertices), "vertex 1");
                 let step = run_from(&mut model, &vertices, 1);
-                refused(case, "step refused, naming step and vertex", step, "step 0: edges 0 and 1 are folded onto each other at vertex 1");
+                refused(
+                    case,
+                    "step refused, naming step and vertex",
+                    step,
+                    "step 0: edges 0 and 1 are folded onto each other at vertex 1",
+                );
                 return Ok(());
             }
             let d = framed(&vertices)?;
             let (ei, l) = (rod.ei[0][0], rod.voronoi_lengths[0]);
             let energy = 2.0 * ei / (l * (0.5 * delta).tan().powi(2));
             let (bound, condition) = (50.0 * f64::EPSILON / delta, 1.0 / delta);
-            let reason = "roundings of the tangents over δ, twice in the square, and as many in the place of the tip";
+            let reason =
+                "roundings of the tangents over δ, twice in the square, and as many in the place of the tip";
             case.at_most("relative error of the energy", (d.energy.bend / energy - 1.0).abs(), bound, "-")
                 .because(reason)
                 .work(Work { condition: Some(condition), ..Work::default() });
@@ -349,8 +358,7 @@ fn degenerate_edges(rows: &mut Rows) {
         let scale = rod_scale(model.step_ref());
         let dot = check::dot_product(&mut model, 20..21, &scale, 5)?;
         case.at_most("dot product of step 20", dot.value, dot.bound, "-").because(DOT_REASON).work(work);
-        case.at_most("distance of step 20 from the root over L", root, ROOT, "-")
-            .because(ROOT_REASON);
+        case.at_most("distance of step 20 from the root over L", root, ROOT, "-").because(ROOT_REASON);
         // a tenth of the short edges, and 0.1 m/s
         let direction: Vec<f64> =
             scale.iter().enumerate().map(|(i, s)| if *s < 1.0 { 5e-7 } else { 0.1 } * wave(i, 12)).collect();

@@ -1,7 +1,7 @@
 //! Statics at the edges: slack and taut chains, columns pushed together.
 
-use super::{refused, statics};
 use super::rod_shapes::{DOWN, SILICONE, chain, fixed_clamp, held, weight};
+use super::{refused, statics};
 use crate::row::Rows;
 use std::f64::consts::{PI, TAU};
 use varda_rod::{Clamp, Loads, Rest, Rod, Section, Supports, equilibrium};
