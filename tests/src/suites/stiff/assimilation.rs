@@ -114,6 +114,8 @@ fn static_cases(rows: &mut Rows) {
         |sigma: f64| Static::direct(&[(0, 3.0, sigma), (1, -3.0, sigma), (2, 0.5, sigma), (3, 1.0, sigma)]);
     add("R = 1e-12", all(1e-6));
     add("R = 1e12", all(1e6));
+    add("σ_y/σ_b = 1e-8", all(1e-8));
+    add("σ_y/σ_b = 1e8", all(1e8));
     add("1000 identical observations", Static::direct(&[(0, 3.0, 2.0); 1000]));
     add("one observation of variance r/1000", Static::direct(&[(0, 3.0, 2.0 / 1000.0_f64.sqrt())]));
     add("σ ratios 1e8", Static::direct(&[(0, 3.0, 1e-4), (1, -3.0, 1.0), (2, 0.5, 1e4)]));

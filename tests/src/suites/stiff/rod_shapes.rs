@@ -41,7 +41,7 @@ fn model(rod: Rod, supports: Supports, loads: Loads, dt: f64) -> Result<Implicit
 }
 
 /// The state after `steps` steps from places of all vertices (those of the free ones are taken), at rest.
-fn run_from(
+pub(super) fn run_from(
     model: &mut ImplicitModel<RodStep>,
     vertices: &[[f64; 3]],
     steps: usize,
