@@ -41,7 +41,7 @@ fn plan(options: &Options) -> Vec<(f64, &'static [&'static str], u64)> {
     }
     let mut plan =
         vec![(0.015, Minimizer::NAMES, 5), (0.005, AUTO, 5), (0.002, AUTO, 5), (0.001, Minimizer::NAMES, 5)];
-    plan.extend([5e-4, 1e-4, 1e-5, 1e-6].map(|sigma| (sigma, AUTO, 5)));
+    plan.extend([1e-4, 1e-6, 1e-8, 1e-10].map(|sigma| (sigma, AUTO, 5)));
     plan
 }
 
@@ -52,7 +52,7 @@ pub(super) fn run(rows: &mut Rows, options: &Options) {
     }
     let mut ended = in_parallel(&jobs, |&(sigma, name, seed)| minimized(sigma, name, seed)).into_iter();
     for (sigma, names, seeds) in plan(options) {
-        rows.case(&format!("case 4, σ_y = {sigma} L"), |case| {
+        rows.case(&format!("case 4, σ_y = {sigma:e} L"), |case| {
             for name in names {
                 let of_seeds: Result<Vec<Ended>, String> = ended.by_ref().take(seeds as usize).collect();
                 let of_seeds = of_seeds?;

@@ -15,7 +15,7 @@ const GRAVITY: [f64; 3] = [0.0, 0.0, -9.81];
 
 /// Distance from the root over L that counts as solved.
 pub(super) const ROOT: f64 = 1e-11;
-pub(super) const ROOT_REASON: &str = "a step ends when an update falls below 1e-11 L; convergence is quadratic there, so that mostly only rounding is left";
+pub(super) const ROOT_REASON: &str = "a step ends at an update below 1e-11 L";
 
 /// A rod of circular section hanging from a clamp that moves sideways at a constant speed.
 #[derive(Clone)]
