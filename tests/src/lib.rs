@@ -15,5 +15,5 @@ pub mod row;
 pub mod suites;
 pub mod windows;
 
-pub use row::{Case, Row, Rows, table};
+pub use row::{Case, Row, Rows, Work, table};
 pub use suites::{Options, SUITES, read_fixture, run, stability};

@@ -30,12 +30,44 @@ pub struct Row {
     pub pass: bool,
     /// Our own number, where there is one: an energy, a cost, a trace, the norm of a vector.
     pub computed: Option<f64>,
+    /// Why the bound is what it is, where the suite says so.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub reason: String,
+    /// What it took, where that was counted.
+    #[serde(flatten)]
+    pub work: Work,
     /// A remark, or the reason of a failure.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub note: String,
 }
 
+/// What a number took. JSON has the columns that were counted.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Work {
+    /// Estimate of a condition number: of ∂G/∂u, of B, of a Hessian.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub condition: Option<f64>,
+    /// Newton iterations of all steps together; outer iterations of a minimizer.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub iterations: Option<usize>,
+    /// Extra parts that steps were cut into when Newton's method failed on the whole.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub extra_parts: Option<usize>,
+}
+
 impl Row {
+    /// Adds why the bound is what it is.
+    pub fn because(&mut self, reason: impl Into<String>) -> &mut Row {
+        self.reason = reason.into();
+        self
+    }
+
+    /// Adds what it took.
+    pub fn work(&mut self, work: Work) -> &mut Row {
+        self.work = work;
+        self
+    }
+
     /// Adds our own number.
     pub fn computed(&mut self, computed: f64) -> &mut Row {
         self.computed = Some(computed);
@@ -52,13 +84,19 @@ impl Row {
 /// The rows of one suite while they are collected.
 pub struct Rows {
     suite: &'static str,
+    area: &'static str,
     rows: Vec<Row>,
 }
 
 impl Rows {
     /// No rows yet.
     pub fn new(suite: &'static str) -> Rows {
-        Rows { suite, rows: Vec::new() }
+        Rows { suite, area: "", rows: Vec::new() }
+    }
+
+    /// The names of cases from here on begin with `area` and a colon.
+    pub fn area(&mut self, area: &'static str) {
+        self.area = area;
     }
 
     /// Runs the checks of one case. An error or a panic in there is a failed row, not the end of the run.
@@ -77,7 +115,8 @@ impl Rows {
 
     /// A case that is not guarded: a panic in there is one.
     pub fn open(&mut self, name: &str) -> Case<'_> {
-        Case { suite: self.suite, name: name.to_string(), rows: &mut self.rows, since: Instant::now() }
+        let name = if self.area.is_empty() { name.to_string() } else { format!("{}: {name}", self.area) };
+        Case { suite: self.suite, name, rows: &mut self.rows, since: Instant::now() }
     }
 
     /// The rows.
@@ -109,6 +148,8 @@ impl Case<'_> {
             seconds,
             pass: value <= bound,
             computed: None,
+            reason: String::new(),
+            work: Work::default(),
             note: String::new(),
         });
         self.rows.last_mut().expect("just pushed")
@@ -126,11 +167,31 @@ impl Case<'_> {
     }
 }
 
+/// Columns of the table; those from `condition` on only where some row has them.
+const HEAD: [&str; 13] = [
+    "suite",
+    "case",
+    "what",
+    "value",
+    "bound",
+    "unit",
+    "seconds",
+    "pass",
+    "condition",
+    "iterations",
+    "parts",
+    "note",
+    "reason of the bound",
+];
+const ALWAYS: usize = 8;
+
 /// The rows as text, aligned.
 pub fn table(rows: &[Row]) -> String {
-    let cells: Vec<[String; 9]> = rows.iter().map(cells).collect();
-    let head = ["suite", "case", "what", "value", "bound", "unit", "seconds", "pass", ""].map(str::to_string);
-    let mut width = [0; 9];
+    let cells: Vec<[String; 13]> = rows.iter().map(cells).collect();
+    let shown: Vec<usize> =
+        (0..HEAD.len()).filter(|&i| i < ALWAYS || cells.iter().any(|row| !row[i].is_empty())).collect();
+    let head = HEAD.map(str::to_string);
+    let mut width = [0; 13];
     for row in cells.iter().chain([&head]) {
         for (w, cell) in width.iter_mut().zip(row) {
             *w = (*w).max(cell.chars().count());
@@ -139,9 +200,10 @@ pub fn table(rows: &[Row]) -> String {
     let mut text = String::new();
     for row in [&head].into_iter().chain(&cells) {
         let mut line = String::new();
-        for (i, (cell, &w)) in row.iter().zip(&width).enumerate() {
+        for &i in &shown {
+            let (cell, w) = (&row[i], width[i]);
             // numbers to the right, words to the left
-            let numeric = matches!(i, 3 | 4 | 6);
+            let numeric = matches!(i, 3 | 4 | 6 | 8 | 9 | 10);
             let _ = if numeric { write!(line, "{cell:>w$}  ") } else { write!(line, "{cell:<w$}  ") };
         }
         text.push_str(line.trim_end());
@@ -150,8 +212,9 @@ pub fn table(rows: &[Row]) -> String {
     text
 }
 
-fn cells(row: &Row) -> [String; 9] {
+fn cells(row: &Row) -> [String; 13] {
     let number = |v: f64| if v == f64::INFINITY { "-".to_string() } else { format!("{v:.3e}") };
+    let count = |n: Option<usize>| n.map_or(String::new(), |n| n.to_string());
     let pass = if row.pass { "yes" } else { "NO" };
     [
         row.suite.to_string(),
@@ -162,7 +225,11 @@ fn cells(row: &Row) -> [String; 9] {
         row.unit.to_string(),
         format!("{:.3}", row.seconds),
         pass.to_string(),
+        row.work.condition.map_or(String::new(), |c| format!("{c:.0e}")),
+        count(row.work.iterations),
+        count(row.work.extra_parts),
         row.note.clone(),
+        row.reason.clone(),
     ]
 }
 
@@ -200,6 +267,8 @@ mod tests {
     #[test]
     fn json_has_no_nan_and_all_columns() {
         let rows: serde_json::Value = serde_json::from_str(&json(&sample())).unwrap();
+        let text = json(&sample());
+        assert!(!text.contains("condition") && !text.contains("reason"), "columns nobody filled");
         let columns = ["suite", "case", "what", "value", "bound", "unit", "seconds", "pass", "computed"];
         for row in rows.as_array().unwrap() {
             assert!(columns.iter().all(|c| row.get(c).is_some()), "{row}");
@@ -213,6 +282,7 @@ mod tests {
         let text = table(&sample());
         let at: Vec<usize> = text.lines().map(|l| l.chars().take_while(|c| *c != ' ').count()).collect();
         assert_eq!(text.lines().count(), 8);
+        assert!(!text.contains("condition") && !text.contains("reason of the bound"), "{text}");
         assert!(at.iter().all(|a| *a <= 6), "{text}");
         assert!(text.contains("NO"));
     }

@@ -21,7 +21,7 @@ pub struct ObservationSet {
     offsets: Vec<usize>,
     values: Vec<f64>,
     sigma: Vec<f64>,
-    /// One operator at one step, ordered by step; the samples of step k are `by_step[k]..by_step[k + 1]`.
+    /// One operator at one step, ordered by step; the samples of step k are `by_step[k]..by_step[k + 1]`, up to the last step with one.
     samples: Vec<Sample>,
     by_step: Vec<usize>,
     /// What each stacked row takes from the samples, ordered by sample.
@@ -126,7 +126,8 @@ impl ObservationSet {
                 _ => samples.push(Sample { operator, step, first: i, end: i + 1 }),
             }
         }
-        let by_step = (0..=steps + 1).map(|k| samples.partition_point(|s| s.step < k)).collect();
+        let end = samples.last().map_or(0, |last| last.step + 1);
+        let by_step = (0..=end).map(|k| samples.partition_point(|s| s.step < k)).collect();
         let widest = operators.iter().map(|o| o.dim()).max().unwrap_or(0);
         Ok(Self {
             values: observations.iter().flat_map(|o| o.values.iter().copied()).collect(),
@@ -168,6 +169,12 @@ impl ObservationSet {
         }
         observations.retain(|o| !o.rows.is_empty());
         Self::new(steps, operators, observations)
+    }
+
+    /// Where the samples of step k are.
+    fn samples_of(&self, k: usize) -> Range<usize> {
+        let none = self.samples.len()..self.samples.len();
+        self.by_step.get(k..).and_then(|b| b.get(..2)).map_or(none, |b| b[0]..b[1])
     }
 
     /// m, the number of stacked rows.
@@ -214,7 +221,7 @@ impl ObservationSet {
     /// If `y` is not of length `dim`.
     pub fn observe_add(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> Result<(), Error> {
         assert_eq!(y.len(), self.dim(), "length of y");
-        for sample in &self.samples[self.by_step[k]..self.by_step[k + 1]] {
+        for sample in &self.samples[self.samples_of(k)] {
             let operator = &mut self.operators[sample.operator];
             let seen = &mut self.buffer[..operator.dim()];
             operator.observe(k, x, seen).map_err(|reason| Error::Observe {
@@ -238,7 +245,7 @@ impl ObservationSet {
     /// If `dy` is not of length `dim`.
     pub fn tangent_add(&mut self, k: usize, x: &[f64], dx: &[f64], dy: &mut [f64]) {
         assert_eq!(dy.len(), self.dim(), "length of dy");
-        for sample in &self.samples[self.by_step[k]..self.by_step[k + 1]] {
+        for sample in &self.samples[self.samples_of(k)] {
             let operator = &mut self.operators[sample.operator];
             let seen = &mut self.tangent[..operator.dim()];
             operator.tangent(k, x, dx, seen);
@@ -254,7 +261,7 @@ impl ObservationSet {
     /// If `dy` is not of length `dim`.
     pub fn adjoint_add(&mut self, k: usize, x: &[f64], dy: &[f64], dx: &mut [f64]) {
         assert_eq!(dy.len(), self.dim(), "length of dy");
-        for sample in &self.samples[self.by_step[k]..self.by_step[k + 1]] {
+        for sample in &self.samples[self.samples_of(k)] {
             let operator = &mut self.operators[sample.operator];
             let seen = &mut self.tangent[..operator.dim()];
             seen.fill(0.0);
@@ -268,7 +275,7 @@ impl ObservationSet {
     /// The stacked rows with a share of state x_k. (They are neighbours: those of step k, and before them those of step k − 1 that lie
     /// between the two.)
     pub(crate) fn rows_at(&self, k: usize) -> Range<usize> {
-        let samples = &self.samples[self.by_step[k]..self.by_step[k + 1]];
+        let samples = &self.samples[self.samples_of(k)];
         let rows = || samples.iter().flat_map(|s| &self.parts[s.first..s.end]).map(|part| part.row);
         rows().min().map_or(self.dim()..self.dim(), |first| first..rows().max().unwrap_or(first) + 1)
     }

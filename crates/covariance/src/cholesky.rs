@@ -83,7 +83,8 @@ impl Cholesky {
 /// A pivot that came from `terms` products, if it can be trusted. At most terms · ε b_ii is singular: rounding alone changes it by that much
 /// (Higham 2002, theorem 10.3), whatever sign it comes out with.
 pub(crate) fn usable_pivot(terms: usize, pivot: usize, value: f64, variance: f64) -> Result<f64, Error> {
-    let tolerance = terms as f64 * f64::EPSILON * variance.abs();
+    // the inverse of a subnormal number overflows
+    let tolerance = (terms as f64 * f64::EPSILON * variance.abs()).max(f64::MIN_POSITIVE);
     if value > tolerance {
         return Ok(value);
     }

@@ -167,6 +167,12 @@ impl Ensemble {
         if let Some(at) = columns.iter().position(|x| !x.is_finite()) {
             return Err(Error::NonFinite { row: at % n, column: at / n, value: columns[at] });
         }
+        for p in 0..n {
+            let variance: f64 = columns.iter().skip(p).step_by(n).map(|x| x * x).sum();
+            if !variance.is_finite() {
+                return Err(Error::NonFinite { row: p, column: p, value: variance });
+            }
+        }
         let rows = (0..n).flat_map(|p| (0..members).map(move |i| columns[i * n + p])).collect();
         Ok(Self { n, rows, members, mean: vec![0.0; n], localization })
     }

@@ -183,7 +183,7 @@ impl<'a> OneStep<'a> {
 
     fn take(&mut self, at: &Interval, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
         let own = x.len() - self.step.history();
-        let refused = |reason| Error::Refused { step: at.index, reason };
+        let refused = |reason| Error::refused(at.index, reason);
         self.step.predict(at, x, &mut self.u).map_err(refused)?;
         newton::solve(&mut *self.step, at, x, &mut self.u, &mut self.work, &NewtonOptions::default())?;
         self.step.advance(at, x, &self.u, &mut x_next[..own]);

@@ -8,7 +8,8 @@
 //! intermediate values otherwise (Golub and Van Loan 2013, section 4.4); Sylvester's law makes the number of negative
 //! pivots that of negative eigenvalues.
 
-/// The first row at which a factorization found no usable pivot: zero, not finite, or nothing but rounding.
+/// The first row at which a factorization found no usable pivot: zero, subnormal (its inverse overflows), not finite, or nothing but
+/// rounding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("no usable pivot at row {row}")]
 pub struct BadPivot {
@@ -145,7 +146,7 @@ fn ldlt_factor_fixed<const W: usize, const S: usize>(a: &mut [f64]) -> Result<us
     for j in 0..n {
         let (head, below) = a[j * S..].split_at_mut(S);
         let d = head[W];
-        let usable = d.abs() > NEGLIGIBLE * diagonal[j % W] && d.is_finite();
+        let usable = d.abs() > NEGLIGIBLE * diagonal[j % W] && d.is_normal();
         if !usable {
             return Err(BadPivot { row: j });
         }
@@ -213,7 +214,7 @@ fn ldlt_factor_any(w: usize, a: &mut [f64]) -> Result<usize, BadPivot> {
             row[p] = v * above[(i + p - w) * s + w];
             d -= v * row[p];
         }
-        let usable = d.abs() > NEGLIGIBLE * row[w].abs() && d.is_finite();
+        let usable = d.abs() > NEGLIGIBLE * row[w].abs() && d.is_normal();
         if !usable {
             return Err(BadPivot { row: i });
         }
@@ -276,7 +277,7 @@ pub fn lu_factor(w: usize, a: &[f64], factor: &mut [f64], pivots: &mut [usize]) 
             largest = a[i * wide..(i + 1) * wide].iter().fold(largest, |m, v| m.max(v.abs()));
         }
         let pivot = factor[p * s];
-        let usable = pivot.abs() > NEGLIGIBLE * largest && pivot.is_finite();
+        let usable = pivot.abs() > NEGLIGIBLE * largest && pivot.is_normal();
         if !usable {
             return Err(BadPivot { row: k });
         }

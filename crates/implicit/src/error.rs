@@ -90,6 +90,14 @@ pub enum Error {
 }
 
 impl Error {
+    /// What a step's own equations refused; an error of this crate among it (of a solve within the step) is told as it is, once.
+    pub(crate) fn refused(step: usize, reason: Refusal) -> Error {
+        match reason.downcast::<Error>() {
+            Ok(error) => error.at_step(step),
+            Err(reason) => Error::Refused { step, reason },
+        }
+    }
+
     /// The same error under the number that step has for the caller.
     pub(crate) fn at_step(mut self, k: usize) -> Error {
         match &mut self {

@@ -361,7 +361,7 @@ impl LinearSolver {
         for k in 0..n {
             let largest = values[k * n..(k + 1) * n].iter().fold(0.0_f64, |m, v| m.max(v.abs()));
             let pivot = lu[k * (n + 1)];
-            let usable = pivot.abs() > f64::EPSILON * largest && pivot.is_finite();
+            let usable = pivot.abs() > f64::EPSILON * largest && pivot.is_normal();
             if !usable {
                 return Err(BadPivot { row: k });
             }

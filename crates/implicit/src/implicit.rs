@@ -240,17 +240,16 @@ impl<S: ImplicitStep> ImplicitModel<S> {
             let from = parts.len() * n;
             states.resize(from + 2 * n, 0.0);
             let (x, x_next) = states[from..].split_at_mut(n);
-            let solved = self
-                .step
-                .predict(&at, x, &mut self.u)
-                .map_err(|reason| Error::Refused { step: k, reason })
-                .and_then(|()| {
-                    let solved =
-                        newton::solve(&mut self.step, &at, x, &mut self.u, &mut self.work, &self.options);
-                    self.counts.newton_iterations += self.work.report().iterations;
-                    self.counts.factorizations += self.work.report().factorizations;
-                    solved
-                });
+            let solved =
+                self.step.predict(&at, x, &mut self.u).map_err(|reason| Error::refused(k, reason)).and_then(
+                    |()| {
+                        let solved =
+                            newton::solve(&mut self.step, &at, x, &mut self.u, &mut self.work, &self.options);
+                        self.counts.newton_iterations += self.work.report().iterations;
+                        self.counts.factorizations += self.work.report().factorizations;
+                        solved
+                    },
+                );
             match solved {
                 Ok(_) => {}
                 Err(_) if size > 1 => {
@@ -264,8 +263,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
             if !x_next.iter().all(|v| v.is_finite()) {
                 return Err(Error::NonFinite { step: k, what: "x_{k+1}" });
             }
-            let text =
-                self.step.accepted(&at, x, &self.u).map_err(|reason| Error::Refused { step: k, reason })?;
+            let text = self.step.accepted(&at, x, &self.u).map_err(|reason| Error::refused(k, reason))?;
             keep_warning(&mut self.warnings, k, text);
             parts.push(at);
             position += size;
@@ -285,10 +283,8 @@ impl<S: ImplicitStep> ImplicitModel<S> {
     /// Asks the step about the linearized part p of step k.
     fn ask_accepted(&mut self, k: usize, p: usize) -> Result<(), Error> {
         let part = &self.kept[k % self.places].parts[p];
-        let text = self
-            .step
-            .accepted(&part.at, &part.x, &part.u)
-            .map_err(|reason| Error::Refused { step: k, reason })?;
+        let text =
+            self.step.accepted(&part.at, &part.x, &part.u).map_err(|reason| Error::refused(k, reason))?;
         keep_warning(&mut self.warnings, k, text);
         Ok(())
     }
@@ -342,7 +338,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         let own = x.len() - step.history();
         step.recover(&at, x, &x_next[..own], &mut part.u);
         step.assemble(&at, x, &part.u, &mut work.g, Some(&mut work.values))
-            .map_err(|reason| Error::Refused { step: k, reason })?;
+            .map_err(|reason| Error::refused(k, reason))?;
         self.counts.factorizations += 1;
         work.solver
             .factor(&work.values, &mut part.factor)
@@ -489,7 +485,7 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
     fn initial_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), Error> {
         let t = self.time(0);
         let (own, history) = x.split_at_mut(x.len() - self.history.len());
-        self.step.initial_state(t, z, own).map_err(|reason| Error::Refused { step: 0, reason })?;
+        self.step.initial_state(t, z, own).map_err(|reason| Error::refused(0, reason))?;
         history.copy_from_slice(&own[..history.len()]);
         if !x.iter().all(|v| v.is_finite()) {
             return Err(Error::NonFinite { step: 0, what: "the initial state" });

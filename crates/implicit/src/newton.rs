@@ -139,9 +139,12 @@ pub fn solve<S: ImplicitStep + ?Sized>(
 ) -> Result<NewtonReport, Error> {
     assert_eq!(u.len(), work.g.len(), "the work space was made for another number of unknowns");
     work.report = NewtonReport { last_update: f64::INFINITY, ..NewtonReport::default() };
-    let refused = |reason| Error::Refused { step: at.index, reason };
+    let refused = |reason| Error::refused(at.index, reason);
     let (converged, trusted) = (step.converged_below(), step.trusted_below());
     let mut potential = step.assemble(at, x, u, &mut work.g, Some(&mut work.values)).map_err(refused)?;
+    if !work.g.iter().all(|g| g.is_finite()) {
+        return Err(Error::NonFinite { step: at.index, what: "the residual of the guess" });
+    }
     // the last shift that was needed, kept over iterations that need none
     let mut remembered = 0.0;
     let mut stalled = 0;

@@ -54,7 +54,8 @@ pub fn equilibrium(
     system.gather(&mut u);
     let mut statics = Statics::new(system, end_angle, 1e-11 * rod.length());
     let mut work = NewtonWork::new(statics.unknowns(), &statics.structure());
-    let options = NewtonOptions { max_iterations: 500, ..NewtonOptions::default() };
+    // a stiff column far beyond its buckling load folds and unfolds its way from the straight saddle to the first mode
+    let options = NewtonOptions { max_iterations: 2000, ..NewtonOptions::default() };
     let report = solve(
         &mut statics,
         &Interval { index: 0, start: t, length: 0.0, previous: None },
@@ -87,8 +88,10 @@ fn stretch_a_little(system: &mut System) {
 /// clamp) at time t along the clamp's tangent, or along `direction` where there is no start clamp.
 ///
 /// # Errors
-/// [`Error`] where a support is not usable at t, or `direction` is zero.
+/// [`Error`] where the rod or a support is not usable, or `direction` is zero or too large to be normalized.
 pub fn straight_guess(rod: &Rod, supports: &Supports, t: f64, direction: [f64; 3]) -> Result<Rest, Error> {
+    rod.check()?;
+    supports.prescribed_vertices(rod)?;
     let n = rod.segments();
     let s = rod.arc_lengths();
     let along = V3::from(direction);
@@ -104,7 +107,8 @@ pub fn straight_guess(rod: &Rod, supports: &Supports, t: f64, direction: [f64; 3
     } else {
         (0, V3::zeros(), along / length)
     };
-    if !tangent.iter().all(|c| c.is_finite()) {
+    // a length of zero, or one that overflowed, leaves no unit vector
+    if !(tangent.norm() > 0.5) {
         return Err(Error::Value { field: "direction", value: length, expected: "a direction" });
     }
     let vertices = s.iter().map(|si| (place + tangent * (si - s[anchor])).into()).collect();

@@ -73,6 +73,9 @@ impl System {
         rod.check()?;
         crate::material::not_negative("damping.stiffness", damping.stiffness)?;
         crate::material::not_negative("damping.mass", damping.mass)?;
+        if let Some(&value) = loads.gravity.iter().find(|g| !g.is_finite()) {
+            return Err(Error::Value { field: "gravity", value, expected: "a finite number" });
+        }
         for (s, _) in &loads.point_forces {
             rod.place("point force", *s)?;
         }

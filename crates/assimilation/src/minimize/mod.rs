@@ -290,6 +290,9 @@ impl Progress {
     ) -> Result<Self, Error> {
         let value = cost.evaluate(v, Some(gradient))?;
         let gradient_norm = norm(gradient);
+        if !gradient_norm.is_finite() {
+            return Err(Error::NonFinite { what: "the norm of the gradient", step: 0 });
+        }
         Ok(Self {
             index: start.index,
             inner_total: start.inner,
@@ -347,9 +350,10 @@ impl Progress {
             v,
         });
         let pull = v.iter().zip(gradient).map(|(v, g)| (g - v) * (g - v)).sum::<f64>().sqrt();
-        if self.gradient_norm <= tolerance * self.gradient_norm_first
-            || self.gradient_norm <= 64.0 * f64::EPSILON * (norm(v) + pull)
-        {
+        // a norm that overflowed is no larger than another one that did
+        let small = self.gradient_norm <= tolerance * self.gradient_norm_first
+            || self.gradient_norm <= 64.0 * f64::EPSILON * (norm(v) + pull);
+        if small && self.gradient_norm.is_finite() {
             Some(Status::Converged)
         } else if flow.is_break() {
             Some(Status::Interrupted)

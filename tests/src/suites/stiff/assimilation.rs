@@ -4,19 +4,15 @@
 //! typed error; those named in [`MUST`] have to get there.
 
 use super::refused;
-use crate::problems::HangingRod;
-use crate::row::{Case, Outcome, Rows};
-use crate::suites::Options;
-use crate::windows::{Linear, all_of, normals, observation, spanning};
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use crate::row::{Case, Outcome, Rows, Work};
+use crate::windows::{Linear, all_of, observation, spanning};
 use std::ops::ControlFlow;
 use varda_assimilation::{
     Blue, ControlTransform, CostFunction, CostTerms, Counts, EnVar, EnVarOptions, Error, Forcing, Gain,
     GaussNewton, InnerSolver, Iteration, LinearObservation, Minimizer, Observation, ObservationSet,
     OuterLoopOptions, Posterior, Status, StrongConstraint, WeakForcing, outer_loop,
 };
-use varda_covariance::{Covariance, Diagonal, Ensemble, Localization, sample};
+use varda_covariance::{Diagonal, Ensemble, Localization};
 use varda_implicit::{Counts as ModelCounts, Model, Rk4};
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
@@ -37,17 +33,12 @@ const MUST: [&str; 12] = [
     "4denvar",
 ];
 
-pub(super) fn run(rows: &mut Rows, options: &Options) {
+pub(super) fn run(rows: &mut Rows) {
     static_cases(rows);
     rows.case("cost with an indefinite Hessian", indefinite);
     for failure in [Failure::Refuses, Failure::NotANumber] {
         let name = if failure == Failure::Refuses { "returns an error" } else { "returns NaN" };
         rows.case(&format!("model that {name} at some trials"), |case| failing(case, failure));
-    }
-    let sigmas: &[f64] =
-        if options.quick { &[0.015, 0.005] } else { &[0.015, 0.005, 0.002, 0.001, 0.0005, 0.0001] };
-    for &sigma in sigmas {
-        rows.case(&format!("case 4 with σ_y = {sigma} L"), |case| case4(case, sigma, options));
     }
 }
 
@@ -123,6 +114,8 @@ fn static_cases(rows: &mut Rows) {
         |sigma: f64| Static::direct(&[(0, 3.0, sigma), (1, -3.0, sigma), (2, 0.5, sigma), (3, 1.0, sigma)]);
     add("R = 1e-12", all(1e-6));
     add("R = 1e12", all(1e6));
+    add("σ_y/σ_b = 1e-8", all(1e-8));
+    add("σ_y/σ_b = 1e8", all(1e8));
     add("1000 identical observations", Static::direct(&[(0, 3.0, 2.0); 1000]));
     add("one observation of variance r/1000", Static::direct(&[(0, 3.0, 2.0 / 1000.0_f64.sqrt())]));
     add("σ ratios 1e8", Static::direct(&[(0, 3.0, 1e-4), (1, -3.0, 1.0), (2, 0.5, 1e4)]));
@@ -228,7 +221,8 @@ fn judge(
     match ended {
         Ok((Status::Converged, iterations)) => {
             case.at_most(&format!("{name}: error in σ of the analysis"), error, 1e-3, "σ")
-                .note(format!("{iterations} outer iterations"));
+                .because("gradients fall by 1e-12, of which a condition of up to 1e8 may leave 1e-4 σ")
+                .work(Work { iterations: Some(iterations), ..Work::default() });
             // an ensemble and a closed form make their one step whatever they find
             if at_background && !["4denvar", "blue, observations", "blue, information"].contains(&name) {
                 case.count(&format!("{name}: outer iterations"), iterations, 0);
@@ -241,7 +235,11 @@ fn judge(
         }
         Err(error) => {
             let value = if MUST.contains(&name) { f64::NAN } else { 0.0 };
-            case.at_most(&format!("{name}: an error"), value, 0.0, "-").note(error.to_string());
+            let text = error.to_string();
+            // step, observation, eigenvalue or field: an error says where
+            let says = ["step ", "observation ", "eigenvalue ", " = "].iter().any(|word| text.contains(word));
+            let value = if says { value } else { f64::NAN };
+            case.at_most(&format!("{name}: an error that says where"), value, 0.0, "-").note(text);
         }
     }
 }
@@ -312,6 +310,7 @@ fn indefinite(case: &mut Case) -> Outcome {
                 if *name == "newton" {
                     let stationary = (v[0].powi(3) - v[0]).hypot(v[1]);
                     case.at_most("newton: gradient (any stationary point)", stationary, 1e-5, "-")
+                        .because("|∇J| fell to 1e-6 of the first at the least")
                         .note(format!("v = {v:?}"));
                 } else {
                     case.at_most(
@@ -319,6 +318,9 @@ fn indefinite(case: &mut Case) -> Outcome {
                         (v[0].abs() - 1.0).hypot(v[1]),
                         1e-4,
                         "-",
+                    )
+                    .because(
+                        "|∇J| fell to 1e-6 of the first at the least, and the wells have curvature 2 and 1",
                     );
                 }
             }
@@ -327,7 +329,7 @@ fn indefinite(case: &mut Case) -> Outcome {
                     .note(format!("{:?}, v = {v:?}", minimum.status));
             }
             Err(error) => {
-                case.at_most(&format!("{name}: an error"), 0.0, 0.0, "-").note(error.to_string());
+                refused(case, &format!("{name}: an error that says where"), Err::<(), _>(error), " = ");
             }
         }
     }
@@ -446,51 +448,6 @@ fn failing(case: &mut Case, failure: Failure) -> Outcome {
             ended,
             "step",
         );
-    }
-    Ok(())
-}
-
-/// Case 4 of the paper with observations better and better beside a background that is far off.
-fn case4(case: &mut Case, sigma: f64, options: &Options) -> Outcome {
-    let (mut problem, truth) = HangingRod::flagship(4, true)?;
-    problem.sigma_y = sigma;
-    let b = problem.background_covariance()?;
-    let seeds = if options.quick { 1 } else { 5 };
-    let names: &[&str] = if options.full { Minimizer::NAMES } else { &["auto"] };
-    for name in names {
-        let (mut solved, mut worst, mut notes) = (0, 0.0_f64, Vec::new());
-        for seed in 0..seeds {
-            let noise = normals(400 + seed, 4 * 3 * problem.steps);
-            let mut noise = noise.into_iter();
-            let seen = problem.observe(&truth, &mut || noise.next().unwrap_or(0.0))?;
-            let draw = sample(&b, &mut ChaCha8Rng::seed_from_u64(500 + seed));
-            let background: Vec<f64> = truth.iter().zip(&draw).map(|(t, d)| t + d).collect();
-            let mut model = problem.model(problem.first_step)?;
-            let mut set = problem.observation_set(model.dim(), seen)?;
-            let m = set.dim() as f64;
-            let transform = ControlTransform::new(background, &b)?;
-            let mut cost = StrongConstraint::new(&mut model, transform, &mut set)?;
-            let mut v = vec![0.0; b.root_dim()];
-            let minimizer = Minimizer::named(name).ok_or("a name it lists")?;
-            match minimizer.minimize(&mut cost, &mut v, &mut go_on) {
-                // 2J/m has mean 1 and standard deviation √(2/m) = 0.13 at the right minimum: 1.6 is beyond four of them
-                Ok(minimum) if minimum.status == Status::Converged => {
-                    let chi2 = 2.0 * minimum.value / m;
-                    solved += usize::from(chi2 < 1.6);
-                    worst = worst.max(minimum.gradient_norm / minimum.gradient_norm_first);
-                    notes.push(format!("{chi2:.2}"));
-                }
-                Ok(minimum) => notes.push(format!("{:?} at {:.1}", minimum.status, 2.0 * minimum.value / m)),
-                Err(error) => notes.push(error.to_string()),
-            }
-        }
-        let note = format!("solved {solved} of {seeds}; 2J/m of each: {}", notes.join(", "));
-        // what converges is stationary; what does not says so, and how many are solved is told
-        case.at_most(&format!("{name}: |∇J| over the first where converged"), worst, 1e-6, "-").note(note);
-        // the paper's own σ must work
-        if sigma == 0.015 && *name == "auto" {
-            case.count("auto: solved", solved, seeds as usize);
-        }
     }
     Ok(())
 }

@@ -1,9 +1,12 @@
 //! Stiff and extreme cases: the right answer, or an error that names step, vertex or field.
 //!
-//! Every case gives a measured error with its bound; condition, Newton iterations and extra parts of steps stand in the note,
-//! the run time in its own column. `docs/results/stability.md` is made of these rows.
+//! Every row has a measured error, its bound and the reason of the bound; condition, Newton iterations, extra parts of steps and run
+//! time have columns of their own. A bound of zero needs no reason: an exact count, or an error whose text names what it should.
+//! `docs/results/stability.md` is made of these rows.
 
 mod assimilation;
+mod beyond;
+mod case4;
 mod chaos;
 mod covariance;
 mod document;
@@ -13,18 +16,26 @@ mod rod_shapes;
 mod rod_statics;
 
 use super::{Options, Report};
-use crate::row::{Case, Row, Rows};
-use varda_implicit::{Counts, Interval, LinearSolver, Model, Structure};
+use crate::row::{Case, Row, Rows, Work};
+use varda_implicit::{Interval, LinearSolver, Model, NewtonReport, Structure};
 
 pub(super) fn run(options: &Options) -> Report {
     let mut rows = Rows::new("stiff");
-    rod::run(&mut rows, options);
-    rod_shapes::run(&mut rows, options);
+    rows.area("rod");
+    rod::run(&mut rows);
+    rod_shapes::run(&mut rows);
     rod_statics::run(&mut rows);
-    implicit::run(&mut rows, options);
+    rows.area("implicit");
+    implicit::run(&mut rows);
+    rows.area("chaos");
     chaos::run(&mut rows, options);
-    covariance::run(&mut rows, options);
-    assimilation::run(&mut rows, options);
+    rows.area("covariance");
+    covariance::run(&mut rows);
+    rows.area("assimilation");
+    assimilation::run(&mut rows);
+    case4::run(&mut rows, options);
+    rows.area("beyond");
+    beyond::run(&mut rows);
 
     rows.finish().into()
 }
@@ -40,15 +51,21 @@ fn interval(index: usize, start: f64, length: f64) -> Interval {
     Interval { index, start, length, previous: None }
 }
 
-/// "condition 1e5, 34 Newton iterations, 0 extra parts" since `before`; a condition that is NaN is not told.
-fn work(model: &dyn Model, before: &Counts, condition: f64) -> String {
-    let now = model.counts();
-    let condition = if condition.is_nan() { String::new() } else { format!("condition {condition:.0e}, ") };
-    format!(
-        "{condition}{} Newton iterations, {} extra parts",
-        now.newton_iterations - before.newton_iterations,
-        now.substeps - before.substeps
-    )
+/// The work of a model since it was made; a condition that is NaN is not told.
+fn work(model: &dyn Model, condition: f64) -> Work {
+    let counts = model.counts();
+    Work {
+        condition: (!condition.is_nan()).then_some(condition),
+        iterations: Some(counts.newton_iterations),
+        extra_parts: Some(counts.substeps),
+    }
+}
+
+/// The work of a static solution, and a note on how its Hessian was.
+fn statics(report: &NewtonReport) -> (Work, String) {
+    let neutral = if report.neutral { ", the minimum is not isolated" } else { "" };
+    let work = Work { iterations: Some(report.iterations), ..Work::default() };
+    (work, format!("{} shifts, {} halvings of an update{neutral}", report.shifts, report.backtracks))
 }
 
 /// An estimate of the condition number ‖A‖₁ ‖A⁻¹‖₁ of a matrix that was given by its values: Hager's estimator (Higham 2002,
@@ -90,4 +107,32 @@ fn refused<T>(case: &mut Case, what: &str, attempt: Result<T, impl std::fmt::Dis
         Err(error) => (if error.to_string().contains(names) { 0.0 } else { 1.0 }, error.to_string()),
     };
     case.at_most(what, value, 0.0, "-").note(note);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An error that names something else, and none at all, are failed rows.
+    #[test]
+    fn errors_must_name_what_they_should() {
+        let mut rows = Rows::new("stiff");
+        rows.case("errors", |case| {
+            refused(case, "right", Err::<(), _>("step 7: edge 3"), "step 7");
+            refused(case, "another step", Err::<(), _>("step 8: edge 3"), "step 7");
+            refused(case, "no error", Ok::<(), &str>(()), "step 7");
+            Ok(())
+        });
+        let pass: Vec<bool> = rows.finish().iter().map(|row| row.pass).collect();
+        assert_eq!(pass, [true, false, false]);
+    }
+
+    #[test]
+    fn the_condition_estimate_is_right_for_known_matrices() {
+        // diag(1, 1e-6) as a dense and as a band matrix; a singular one
+        let dense = condition(2, &Structure::Dense, &[1.0, 0.0, 0.0, 1e-6]);
+        let band = condition(2, &Structure::SymmetricBand { half_bandwidth: 1 }, &[0.0, 1.0, 0.0, 1e-6]);
+        assert!((dense / 1e6 - 1.0).abs() < 1e-12 && (band / 1e6 - 1.0).abs() < 1e-12, "{dense} {band}");
+        assert_eq!(condition(2, &Structure::Dense, &[1.0, 1.0, 1.0, 1.0]), f64::INFINITY);
+    }
 }
