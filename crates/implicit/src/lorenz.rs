@@ -101,14 +101,12 @@ impl Rhs for Lorenz96 {
         // Column i gathers what it gives to rows i−1, i, i+1 and i+2: five neighbours, from i−2 on.
         let n = self.n;
         let column = |x: [f64; 5], l: [f64; 5]| x[0] * l[1] - l[2] + (x[4] - x[1]) * l[3] - x[3] * l[4];
-        let at = |v: &[f64], i: [usize; 5]| [v[i[0]], v[i[1]], v[i[2]], v[i[3]], v[i[4]]];
-        for i in [
-            [n - 2, n - 1, 0, 1, 2],
-            [n - 1, 0, 1, 2, 3],
-            [n - 4, n - 3, n - 2, n - 1, 0],
-            [n - 3, n - 2, n - 1, 0, 1],
-        ] {
-            dx[i[2]] += column(at(x, i), at(l, i));
+        // Where the circle closes: columns n−2, n−1, 0 and 1 with their neighbours lie in a row of eight.
+        let seam = |v: &[f64]| [v[n - 4], v[n - 3], v[n - 2], v[n - 1], v[0], v[1], v[2], v[3]];
+        let five = |v: [f64; 8], i: usize| [v[i], v[i + 1], v[i + 2], v[i + 3], v[i + 4]];
+        let (x_seam, l_seam) = (seam(x), seam(l));
+        for (first, i) in [n - 2, n - 1, 0, 1].into_iter().enumerate() {
+            dx[i] += column(five(x_seam, first), five(l_seam, first));
         }
         for ((dx, x), l) in dx[2..n - 2].iter_mut().zip(x.windows(5)).zip(l.windows(5)) {
             *dx += column([x[0], x[1], x[2], x[3], x[4]], [l[0], l[1], l[2], l[3], l[4]]);

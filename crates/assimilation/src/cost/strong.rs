@@ -30,7 +30,8 @@ pub struct StrongConstraint<'a> {
     pub(super) observations: &'a mut ObservationSet,
     /// With model error: the engine of the weak-constraint costs.
     pub(super) errors: Option<Errors<'a>>,
-    pub(super) scale: f64,
+    /// R^{-1/2}, with the scale of σ in force.
+    pub(super) root_precision: Vec<f64>,
     /// δ of the Huber norm; infinite for squares.
     huber: f64,
     /// √ρ'' of every row at the point of the last gradient.
@@ -142,7 +143,7 @@ impl<'a> StrongConstraint<'a> {
         Self {
             model_before: model.as_ref().map(|m| m.counts()).unwrap_or_default(),
             model,
-            scale: 1.0,
+            root_precision: observations.sigma().iter().map(|sigma| 1.0 / sigma).collect(),
             huber: f64::INFINITY,
             root_weight: vec![1.0; m],
             last,
@@ -387,7 +388,25 @@ impl<'a> StrongConstraint<'a> {
 
     /// Entry i of √ρ'' R^{-1/2}.
     pub(super) fn whitening(&self, i: usize) -> f64 {
-        self.root_weight[i] / (self.scale * self.observations.sigma()[i])
+        self.root_weight[i] * self.root_precision[i]
+    }
+
+    /// J_o at the base point or at the trial point; with `derivatives` also dy = −R^{-1/2} ρ' and √ρ'' there.
+    fn observation_term(&mut self, at_base: bool, derivatives: bool) -> f64 {
+        let predicted = if at_base { &self.base.predicted } else { &self.trial.predicted };
+        let rows = self.observations.values().iter().zip(predicted).zip(&self.root_precision);
+        if !derivatives {
+            return rows.fold(0.0, |sum, ((y, hx), root)| sum + huber(self.huber, (y - hx) * root).0);
+        }
+        let mut sum = 0.0;
+        for ((((y, hx), root), dy), weight) in rows.zip(&mut self.dy).zip(&mut self.root_weight) {
+            let (rho, slope, curvature) = huber(self.huber, (y - hx) * root);
+            sum += rho;
+            *dy = -slope * root;
+            // ρ'' is 0 or 1
+            *weight = curvature;
+        }
+        sum
     }
 }
 
@@ -403,17 +422,12 @@ impl CostFunction for StrongConstraint<'_> {
         if !at_base && !at_trial {
             self.forward(v, if gradient.is_some() { Keep::Linearizations } else { Keep::States })?;
         }
+        let observation = self.observation_term(at_base, gradient.is_some());
         let point = if at_base { &self.base } else { &self.trial };
-        let mut sum = 0.0;
-        for i in 0..self.observations.dim() {
-            let sigma = self.scale * self.observations.sigma()[i];
-            let d = self.observations.values()[i] - point.predicted[i];
-            sum += huber(self.huber, d / sigma).0;
-        }
         let (background, errors) = point.prior.split_at(self.transform.dim());
         let terms = CostTerms {
             background: 0.5 * dot(background, background),
-            observation: sum,
+            observation,
             model_error: errors.iter().fold(0.0, |sum, e| sum + 0.5 * e * e),
         };
         if !terms.total().is_finite() {
@@ -429,13 +443,6 @@ impl CostFunction for StrongConstraint<'_> {
             self.linearize()?;
             self.based = true;
             self.return_to_base()?;
-            for i in 0..self.observations.dim() {
-                let sigma = self.scale * self.observations.sigma()[i];
-                let d = self.observations.values()[i] - self.base.predicted[i];
-                let (_, slope, curvature) = huber(self.huber, d / sigma);
-                self.dy[i] = -slope / sigma;
-                self.root_weight[i] = curvature.sqrt();
-            }
             self.counts.gradients += 1;
             if self.observations.dim() == 0 {
                 gradient.fill(0.0);
@@ -459,7 +466,9 @@ impl CostFunction for StrongConstraint<'_> {
 
     fn set_observation_scale(&mut self, scale: f64) {
         assert!(scale > 0.0 && scale.is_finite(), "observation scale {scale}");
-        self.scale = scale;
+        for (root, sigma) in self.root_precision.iter_mut().zip(self.observations.sigma()) {
+            *root = 1.0 / (scale * sigma);
+        }
     }
 
     fn counts(&self) -> Counts {
@@ -535,9 +544,7 @@ impl Incremental for StrongConstraint<'_> {
         assert!(self.based, "evaluate a gradient first");
         b.copy_from_slice(&self.base.prior);
         self.observations.innovations(&self.base.predicted, d);
-        for (d, sigma) in d.iter_mut().zip(self.observations.sigma()) {
-            *d /= self.scale * sigma;
-        }
+        d.iter_mut().zip(&self.root_precision).for_each(|(d, root)| *d *= root);
     }
 
     fn tangent(&mut self, p: &[f64], dy: &mut [f64]) -> Result<(), Error> {

@@ -113,7 +113,7 @@ fn column(
         transform,
         observations,
         base,
-        scale,
+        root_precision,
         ..
     } = window
     else {
@@ -150,7 +150,7 @@ fn column(
             model.tangent(k, dx);
         }
     }
-    for (r, (dy, sigma)) in dy.iter().zip(observations.sigma()).enumerate() {
-        c[(r, i)] = dy / (*scale * sigma);
+    for (r, (dy, root)) in dy.iter().zip(&*root_precision).enumerate() {
+        c[(r, i)] = dy * root;
     }
 }
