@@ -108,8 +108,17 @@ impl Rhs for Lorenz96 {
         for (first, i) in [n - 2, n - 1, 0, 1].into_iter().enumerate() {
             dx[i] += column(five(x_seam, first), five(l_seam, first));
         }
-        for ((dx, x), l) in dx[2..n - 2].iter_mut().zip(x.windows(5)).zip(l.windows(5)) {
-            *dx += column([x[0], x[1], x[2], x[3], x[4]], [l[0], l[1], l[2], l[3], l[4]]);
+        // Neighbours as shifted slices of one length: the compiler then needs no bounds checks and takes several columns at once.
+        let m = n - 4;
+        let ([x0, x1, x2, x3, x4], [l0, l1, l2, l3, l4]) = (shifted(x, m), shifted(l, m));
+        let dx = &mut dx[2..2 + m];
+        for i in 0..m {
+            dx[i] += column([x0[i], x1[i], x2[i], x3[i], x4[i]], [l0[i], l1[i], l2[i], l3[i], l4[i]]);
         }
     }
+}
+
+/// v from places 0 … 4 on, `m` values each.
+fn shifted(v: &[f64], m: usize) -> [&[f64]; 5] {
+    std::array::from_fn(|j| &v[j..j + m])
 }
