@@ -3,10 +3,16 @@
 
 use std::error::Error;
 use std::sync::Arc;
+use std::time::Instant;
 
 use tests::problems::HangingRod;
-use varda_assimilation::{ControlTransform, CostFunction, GaussNewton, StrongConstraint};
-use varda_implicit::{ImplicitModel, Keep, Linearization, Model, Storage, Trajectory};
+use varda_assimilation::{
+    ControlTransform, CostFunction, GaussNewton, Observation, ObservationSet, Selection, StrongConstraint,
+};
+use varda_covariance::Diagonal;
+use varda_implicit::{
+    ImplicitModel, Keep, Linearization, Model, OneLeg, Rk4, Storage, Trajectory, lorenz::Lorenz96,
+};
 use varda_rod::{Clamp, Damping, Loads, Material, Motion, Rod, RodStep, Section, Supports, TwistUnknowns};
 
 /// CPU seconds of this thread.
@@ -35,6 +41,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let only = std::env::args().nth(1).unwrap_or_default();
     if only.is_empty() || only == "flagship" {
         flagship()?;
+    }
+    if only.is_empty() || only == "workers" {
+        workers()?;
     }
     if only.is_empty() || only == "kernels" {
         kernels()?;
@@ -93,6 +102,76 @@ fn flagship() -> Result<(), Box<dyn Error>> {
         let product = median(&mut || cost.hessian_apply(&v, &mut g).expect("linearized"));
         println!("Hessian product {:.3} forward runs", product / plain[0]);
     }
+    Ok(())
+}
+
+/// Dense Hessians alone and with one further model, in seconds on the clock on the wall.
+fn workers() -> Result<(), Box<dyn Error>> {
+    let (rod, truth) = HangingRod::flagship(1, true)?;
+    let make_rod =
+        move || -> Box<dyn Model + Send> { Box::new(rod.model(rod.first_step).expect("made before")) };
+    let (rod, _) = HangingRod::flagship(1, true)?;
+    let b = rod.background_covariance()?;
+    let mut set = rod.observation_set(make_rod().dim(), rod.observe(&truth, &mut || 0.5)?)?;
+    shared("flagship, by rows", &make_rod, ControlTransform::new(truth, &b)?, &mut set)?;
+    for n in [40, 200] {
+        let b = Diagonal::uniform(n, 0.5)?;
+        let background: Vec<f64> = (0..n).map(|i| 3.0 + (1.7 * i as f64).sin()).collect();
+        let make_rk4 = || -> Box<dyn Model + Send> { Box::new(Rk4::new(Lorenz96::new(n, 8.0), 0, 0.01)) };
+        let make_midpoint = || -> Box<dyn Model + Send> {
+            Box::new(ImplicitModel::new(OneLeg::implicit_midpoint(Lorenz96::new(n, 8.0), 1e-11), 0, 0.01))
+        };
+        let makes: [(&str, MakeModel); 2] = [("RK4", &make_rk4), ("midpoint", &make_midpoint)];
+        for ((name, make), half) in makes.into_iter().flat_map(|m| [(m, true), (m, false)]) {
+            let (rows, steps) =
+                if half { ((0..n / 2).collect(), 2..=20) } else { ((0..n / 8).collect(), 20..=20) };
+            let rows: Vec<usize> = rows;
+            let seen = steps.step_by(2).map(|step| Observation {
+                operator: 0,
+                values: vec![3.0; rows.len()],
+                sigma: vec![0.5; rows.len()],
+                rows: rows.clone(),
+                step,
+                weight: 0.0,
+                label: String::new(),
+            });
+            let seen = seen.collect();
+            let all = Box::new(Selection::new((0..n).collect(), n)?);
+            let mut set = ObservationSet::new(20, vec![all], seen)?;
+            let by = if half { "columns" } else { "rows" };
+            let transform = ControlTransform::new(background.clone(), &b)?;
+            shared(&format!("Lorenz-96, {name}, n = {n}, by {by}"), make, transform, &mut set)?;
+        }
+    }
+    Ok(())
+}
+
+type MakeModel<'a> = &'a dyn Fn() -> Box<dyn Model + Send>;
+
+fn shared(
+    name: &str,
+    make: MakeModel,
+    transform: ControlTransform,
+    set: &mut ObservationSet,
+) -> Result<(), Box<dyn Error>> {
+    let mut model = make();
+    let mut cost = StrongConstraint::new(&mut *model, transform, set)?;
+    let n = cost.dim();
+    let mut hessian = vec![0.0; n * n];
+    cost.evaluate(&vec![0.0; n], Some(&mut vec![0.0; n]))?;
+    let mut least = [f64::INFINITY; 2];
+    // the least of many: other processes are about
+    let begun = Instant::now();
+    while begun.elapsed().as_secs_f64() < 1.0 {
+        for (count, least) in least.iter_mut().enumerate() {
+            cost.set_workers(make, count)?;
+            let since = Instant::now();
+            cost.hessian(&mut hessian)?;
+            *least = least.min(since.elapsed().as_secs_f64());
+        }
+    }
+    let [alone, with] = least;
+    println!("dense Hessian, {name}: {:.3} ms, with a worker {:.3} of that", 1e3 * alone, with / alone);
     Ok(())
 }
 

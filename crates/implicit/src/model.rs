@@ -1,6 +1,7 @@
 //! What assimilation sees of a dynamical system.
 
 use crate::Error;
+use std::ops::{Add, Sub};
 
 /// A discrete model x_{k+1} = M_k(x_k) with its tangent linear and its adjoint (paper 2.16, 2.24, 2.25).
 ///
@@ -118,6 +119,37 @@ pub struct Counts {
     pub factorizations: usize,
     /// Newton iterations.
     pub newton_iterations: usize,
+}
+
+impl Counts {
+    fn each(self, other: Self, f: fn(usize, usize) -> usize) -> Self {
+        Counts {
+            model_steps: f(self.model_steps, other.model_steps),
+            substeps: f(self.substeps, other.substeps),
+            tangent_steps: f(self.tangent_steps, other.tangent_steps),
+            adjoint_steps: f(self.adjoint_steps, other.adjoint_steps),
+            linearizations: f(self.linearizations, other.linearizations),
+            reused: f(self.reused, other.reused),
+            factorizations: f(self.factorizations, other.factorizations),
+            newton_iterations: f(self.newton_iterations, other.newton_iterations),
+        }
+    }
+}
+
+impl Add for Counts {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        self.each(other, usize::add)
+    }
+}
+
+impl Sub for Counts {
+    type Output = Self;
+
+    fn sub(self, other: Self) -> Self {
+        self.each(other, usize::sub)
+    }
 }
 
 /// Something a step went through that did not stop it. One is kept for every step and text.

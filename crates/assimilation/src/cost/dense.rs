@@ -1,5 +1,6 @@
 //! The dense Gauss–Newton Hessian, from G by rows or by columns.
 
+use super::workers::Product;
 use super::{CostFunction, StrongConstraint};
 use crate::Error;
 use faer::linalg::matmul::triangular::{BlockStructure, matmul};
@@ -62,7 +63,7 @@ impl StrongConstraint<'_> {
         let (n, m, head) = (self.dim(), self.observations.dim(), self.transform.dim());
         self.counts.adjoint_sweeps += m;
         let Dense { jacobian, block, dy, .. } = dense;
-        let Self { model, transform, observations, errors, base, state_dim, last, dz, .. } = self;
+        let Self { model, workers, transform, observations, errors, base, state_dim, last, dz, .. } = self;
         let (size, last) = (*state_dim, *last);
         block.clear();
         block.resize(m * size, 0.0);
@@ -84,14 +85,18 @@ impl StrongConstraint<'_> {
         };
         match model {
             Some(model) if last > 0 => {
-                let mut first = m;
+                let product: Product = |model, k, lambda| model.adjoint_block(k, lambda);
+                let (mut first, mut applied) = (m, Ok(()));
                 base.trajectory.for_each_step_reversed(&mut **model, &mut |model, k, [x, x_next]| {
                     if k + 1 == last {
                         first = add(last, x_next, block);
                     }
-                    model.adjoint_block(k, &mut block[first * size..]);
+                    if applied.is_ok() {
+                        applied = workers.apply(product, model, k, [x, x_next], &mut block[first * size..]);
+                    }
                     first = add(k, x, block);
                 })?;
+                applied?;
             }
             _ => {
                 add(0, base.trajectory.state(0), block);
@@ -119,7 +124,7 @@ impl StrongConstraint<'_> {
             return Ok(());
         }
         let Dense { jacobian, block, dv, .. } = dense;
-        let Self { model, transform, observations, errors, base, state_dim: size, dz, .. } = self;
+        let Self { model, workers, transform, observations, errors, base, state_dim: size, dz, .. } = self;
         block.clear();
         block.resize(n * *size, 0.0);
         for (j, dx) in block.chunks_exact_mut(*size).enumerate().take(head) {
@@ -143,10 +148,15 @@ impl StrongConstraint<'_> {
         };
         see(0, base.trajectory.state(0), block);
         if let Some(model) = model {
-            base.trajectory.for_each_step(&mut **model, &mut |model, k, [_, x_next]| {
-                model.tangent_block(k, block);
+            let product: Product = |model, k, dx| model.tangent_block(k, dx);
+            let mut applied = Ok(());
+            base.trajectory.for_each_step(&mut **model, &mut |model, k, [x, x_next]| {
+                if applied.is_ok() {
+                    applied = workers.apply(product, model, k, [x, x_next], block);
+                }
                 see(k + 1, x_next, block);
             })?;
+            applied?;
         }
         for (i, whitening) in (0..m).map(|i| (i, self.whitening(i))) {
             jacobian.iter_mut().skip(i).step_by(m).for_each(|g| *g *= whitening);

@@ -466,16 +466,7 @@ impl CostFunction for EnVar<'_> {
 
     /// The work of the models is summed over the control and the members.
     fn counts(&self) -> Counts {
-        let mut model = varda_implicit::Counts::default();
-        for counts in self.models.iter().map(|m| m.counts()) {
-            model.model_steps += counts.model_steps;
-            model.substeps += counts.substeps;
-            model.tangent_steps += counts.tangent_steps;
-            model.adjoint_steps += counts.adjoint_steps;
-            model.linearizations += counts.linearizations;
-            model.factorizations += counts.factorizations;
-            model.newton_iterations += counts.newton_iterations;
-        }
+        let model = self.models.iter().fold(varda_implicit::Counts::default(), |sum, m| sum + m.counts());
         Counts { model, ..self.counts }
     }
 }

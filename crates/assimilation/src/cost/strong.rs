@@ -3,6 +3,7 @@
 use super::dense::Dense;
 use super::model_error::{Errors, Over};
 use super::robust::huber;
+use super::workers::Workers;
 use super::{CostFunction, CostTerms, Counts, GaussNewton, Incremental, dot};
 use crate::{ControlTransform, Error, ObservationSet};
 use varda_implicit::{Footprint, Keep, Model, Storage, Trajectory};
@@ -26,6 +27,8 @@ use varda_implicit::{Footprint, Keep, Model, Storage, Trajectory};
 /// linearizations, m n for A; less, for more work and the same bits, by [`set_storage`](Self::set_storage).
 pub struct StrongConstraint<'a> {
     pub(super) model: Option<&'a mut (dyn Model + 'a)>,
+    /// Models that take a share of the columns of a dense Hessian.
+    pub(super) workers: Workers,
     pub(super) transform: ControlTransform<'a>,
     pub(super) observations: &'a mut ObservationSet,
     /// With model error: the engine of the weak-constraint costs.
@@ -47,6 +50,7 @@ pub struct StrongConstraint<'a> {
     /// The last point evaluated without one.
     pub(super) trial: Point,
     terms: CostTerms,
+    /// As for the model, the work of workers that are no more.
     pub(super) counts: Counts,
     model_before: varda_implicit::Counts,
     pub(super) lambda: Vec<f64>,
@@ -143,6 +147,7 @@ impl<'a> StrongConstraint<'a> {
         Self {
             model_before: model.as_ref().map(|m| m.counts()).unwrap_or_default(),
             model,
+            workers: Workers::default(),
             root_precision: observations.sigma().iter().map(|sigma| 1.0 / sigma).collect(),
             huber: f64::INFINITY,
             root_weight: vec![1.0; m],
@@ -192,6 +197,28 @@ impl<'a> StrongConstraint<'a> {
             point.trajectory = room(storage, self.state_dim, self.last);
         }
         self.based = false;
+    }
+
+    /// Shares the columns (or rows) of a dense Hessian with `count` further models from now on, which run in parallel: the same
+    /// bits, whatever the number of workers and of threads. Without the feature `rayon` (on by default) no model is made and nothing
+    /// changes. `make_model` makes the model of this cost once more. (One that linearizes by
+    /// [`LastFactor`](varda_implicit::Linearization::LastFactor) is no pure function of the states: its bits would differ.)
+    ///
+    /// Every worker linearizes every step for itself, under any storage, and keeps one linearization at a time. When to use: where a
+    /// product with its share of the columns, at least 16, takes longer than that. Their work is in
+    /// [`counts`](CostFunction::counts), which therefore depend on `count`.
+    ///
+    /// # Errors
+    /// A model of other states.
+    pub fn set_workers(
+        &mut self,
+        make_model: &dyn Fn() -> Box<dyn Model + Send>,
+        count: usize,
+    ) -> Result<(), Error> {
+        let workers = Workers::new(make_model, count, self.state_dim)?;
+        self.counts.model = self.counts.model + self.workers.counts();
+        self.workers = workers;
+        Ok(())
     }
 
     /// The storage of least work whose states and linearizations take no more than so many bytes ([`bytes`](Self::bytes)); sets and
@@ -472,11 +499,8 @@ impl CostFunction for StrongConstraint<'_> {
     }
 
     fn counts(&self) -> Counts {
-        let model = match &self.model {
-            Some(model) => difference(model.counts(), self.model_before),
-            None => varda_implicit::Counts::default(),
-        };
-        Counts { model, ..self.counts }
+        let model = self.model.as_ref().map(|m| m.counts() - self.model_before).unwrap_or_default();
+        Counts { model: self.counts.model + model + self.workers.counts(), ..self.counts }
     }
 }
 
@@ -561,17 +585,4 @@ fn room(storage: Storage, dim: usize, steps: usize) -> Trajectory {
     let mut trajectory = Trajectory::with_storage(storage);
     trajectory.start(dim, steps);
     trajectory
-}
-
-fn difference(now: varda_implicit::Counts, before: varda_implicit::Counts) -> varda_implicit::Counts {
-    varda_implicit::Counts {
-        model_steps: now.model_steps - before.model_steps,
-        substeps: now.substeps - before.substeps,
-        tangent_steps: now.tangent_steps - before.tangent_steps,
-        adjoint_steps: now.adjoint_steps - before.adjoint_steps,
-        linearizations: now.linearizations - before.linearizations,
-        reused: now.reused - before.reused,
-        factorizations: now.factorizations - before.factorizations,
-        newton_iterations: now.newton_iterations - before.newton_iterations,
-    }
 }

@@ -16,3 +16,4 @@ mod posteriors;
 mod robust;
 mod storage;
 mod weak;
+mod workers;
