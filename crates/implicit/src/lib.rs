@@ -59,6 +59,7 @@ pub mod line;
 pub mod lorenz;
 mod model;
 mod newton;
+mod registers;
 mod rhs;
 mod scheme;
 mod step;
