@@ -21,7 +21,7 @@ use crate::Error;
 use crate::ensemble;
 use crate::horizon;
 use crate::memory::{Memory, Sizes};
-use crate::method;
+use crate::minimum;
 use crate::problem::{Problem, View, run_states};
 use crate::run::{Status, Trajectories, WorkCounts, errors};
 use crate::scene::{self, Cycles, Observations, SceneFile};
@@ -294,7 +294,7 @@ impl Sequence {
                 }
             }
         };
-        let minimizer = method::minimizer(algorithm);
+        let minimizer = minimum::minimizer(algorithm);
         let ended = cycle(&cycling, &mut state, &covariance, &minimizer, &mut on_cycle);
         if let Some(error) = refused {
             return Err(error);

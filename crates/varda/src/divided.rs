@@ -108,6 +108,60 @@ impl DividedSteps {
     }
 }
 
+/// Refreshes at most. Each starts where the last ended, so that one or two are the rule.
+const REFRESHES: usize = 5;
+
+/// The divided steps of a run under way.
+pub(crate) struct Refreshing {
+    pub(crate) steps: Option<DividedSteps>,
+    pub(crate) refreshed: usize,
+    pub(crate) warnings: Vec<String>,
+    /// The largest estimated error along the control last asked about, where the steps are still those.
+    error: Option<f64>,
+}
+
+impl Refreshing {
+    pub(crate) fn new(steps: Option<DividedSteps>) -> Self {
+        Refreshing { steps, refreshed: 0, warnings: Vec::new(), error: None }
+    }
+
+    /// The model on steps divided along the run from a control, where those in force do not hold there. After `None` the control is the
+    /// analysis.
+    pub(crate) fn refresh(&mut self, control: &[f64]) -> Option<Box<dyn Model + Send>> {
+        let steps = self.steps.as_mut()?;
+        self.error = steps.largest_error(control).ok();
+        if self.error.is_some_and(|e| steps.hold(e)) || self.refreshed == REFRESHES {
+            return None;
+        }
+        match steps.divide(control) {
+            Ok(()) => {
+                self.error = None;
+                self.refreshed += 1;
+                Some(steps.factory()(0))
+            }
+            Err(e) => {
+                self.warnings.push(format!("the steps could not be divided anew along the analysis: {e}"));
+                None
+            }
+        }
+    }
+
+    /// What became of the steps; a warning where they do not hold along the analysis.
+    pub(crate) fn account(&mut self, analysis: &[f64]) -> Option<AcceptedSteps> {
+        let steps = self.steps.as_ref()?;
+        let error = self.error.or_else(|| steps.largest_error(analysis).ok());
+        let account = steps.report(self.refreshed, error);
+        if !error.is_some_and(|e| steps.hold(e)) {
+            self.warnings.push(format!(
+                "time.tolerance = {:e} is not met along the analysis: its largest estimated error of a step is {} of the rod's length",
+                account.tolerance,
+                error.map_or("not known".into(), |e| format!("{e:.1e}"))
+            ));
+        }
+        Some(account)
+    }
+}
+
 /// Makes models that start at a step of the window, whose step k is the window's from there: one step, or those between `times` that make it up.
 pub(crate) fn rod_models(
     parts: &RodParts,

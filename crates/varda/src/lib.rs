@@ -64,6 +64,7 @@ pub mod fit;
 mod horizon;
 pub mod memory;
 mod method;
+mod minimum;
 pub mod output;
 pub mod partial;
 pub mod problem;

@@ -4,15 +4,16 @@
 use std::ops::ControlFlow;
 
 use varda_assimilation::{
-    Blue, ControlTransform, CostFunction, EnVar, EnVarOptions, Error, Forcing, Gain, GaussNewton,
-    InnerSolver, Iteration, Minimizer, Minimum, ObservationSet, OuterLoopOptions, Posterior, Rejection,
-    Status, StrongConstraint, WeakForcing, WeakState, continuation, outer_loop, window_growth,
+    ControlTransform, CostFunction, EnVar, EnVarOptions, Error, Forcing, InnerSolver, Iteration, Minimum,
+    ObservationSet, Posterior, Rejection, Status, StrongConstraint, WeakForcing, WeakState, outer_loop,
+    window_growth,
 };
 use varda_covariance::{Covariance, Ensemble, Hybrid};
 use varda_implicit::{Model, Storage};
 
 use crate::covariance::Factored;
 use crate::ensemble::anchors;
+use crate::minimum;
 use crate::run::{WorkCounts, run_on};
 use crate::scene::{Algorithm, Method};
 
@@ -233,7 +234,7 @@ impl Task<'_> {
                 cost.evaluate(v, Some(&mut gradient))?;
                 let wanted = self.algorithm.gradient_tolerance * first.gradient_norm_first;
                 // At least half: what a start too good would ask for is nothing.
-                algorithm.gradient_tolerance = (wanted / norm(&gradient)).clamp(f64::EPSILON, 0.5);
+                algorithm.gradient_tolerance = (wanted / minimum::norm(&gradient)).clamp(f64::EPSILON, 0.5);
                 algorithm.sigma_stages.clear();
             }
             let start = v.clone();
@@ -242,7 +243,7 @@ impl Task<'_> {
                 transform.control(iteration.v, &mut control);
                 on_row(&Row { iteration, control: &control, window, before: so_far })
             };
-            let mut minimum = strong_minimum(&algorithm, &mut cost, v, &mut on_iteration)?;
+            let mut minimum = minimum::strong(&algorithm, &mut cost, v, &mut on_iteration)?;
             transform.control(v, &mut control);
             counts = counts + WorkCounts::from(&cost.counts());
             iterations[0] += minimum.outer_iterations;
@@ -286,7 +287,7 @@ impl Task<'_> {
         v.resize(cost.dim(), 0.0);
         let head = transform.dim();
         let mut control = background.to_vec();
-        let minimum = minimize(algorithm, &mut cost, v, &mut |iteration| {
+        let minimum = minimum::minimize(algorithm, &mut cost, v, &mut |iteration| {
             transform.control(&iteration.v[..head], &mut control);
             on_row(&Row { iteration, control: &control, window, before })
         })?;
@@ -323,18 +324,18 @@ impl Task<'_> {
         let q = q.ok_or(singular("the inverse of a truncated Q"))?;
         let Stage { observations, v, states, posterior, before, on_row, .. } = stage;
         let (window, last) = (observations.steps(), observations.last_step().unwrap_or(0));
-        let run_before = WorkCounts::of(self.model.counts());
+        let run_before = self.model.counts();
         if states.is_empty() {
             states.resize(self.model.dim(), 0.0);
             self.model.initial_state(background, states)?;
         }
         run_on(&mut *self.model, states, last)?;
-        let run = WorkCounts::of(self.model.counts()) - run_before;
+        let run = WorkCounts::of(self.model.counts() - run_before);
         let mut cost = WeakState::new(&mut *self.model, background.to_vec(), b, q, forcing, observations)?;
         let (n_z, n) = (background.len(), states.len() / (last + 1));
         let mut control = if v.is_empty() { background.to_vec() } else { v[..n_z].to_vec() };
         *v = cost.control(&control, &mut |k, x| x.copy_from_slice(&states[k * n..(k + 1) * n]));
-        let options = outer(algorithm, InnerSolver::Primal);
+        let options = minimum::outer(algorithm, InnerSolver::Primal);
         let before_this = (before.0, before.1 + run);
         let minimum = outer_loop(&mut cost, v, &options, &mut |iteration| {
             on_row(&Row { iteration, control: &iteration.v[..n_z], window, before: before_this })
@@ -397,7 +398,7 @@ impl Task<'_> {
         let counts = WorkCounts::from(&cost.counts());
         // The last step is not followed by a run of the ensemble, nor reported: nothing is left to interrupt.
         if matches!(minimum.status, Status::Converged | Status::MaxIterations) {
-            let _ = on_iteration(&row(&minimum, &cost, 0.0, v));
+            let _ = on_iteration(&minimum::row(&minimum, &cost, 0.0, v));
         }
         let spread = if posterior && is_whole(minimum.status) {
             let (variance, degrees_of_freedom) = cost.posterior_variance()?;
@@ -495,121 +496,4 @@ fn roots(variance: Vec<f64>) -> Vec<f64> {
 /// A run that came to its own end has a posterior.
 fn is_whole(status: Status) -> bool {
     !matches!(status, Status::Interrupted | Status::Failed)
-}
-
-/// The minimum of the strong-constraint cost by the scene's method.
-fn strong_minimum(
-    algorithm: &Algorithm,
-    cost: &mut StrongConstraint,
-    v: &mut [f64],
-    on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
-) -> Result<Minimum, Error> {
-    match algorithm.method {
-        Method::FourDVarIncremental | Method::ThreeDVarIncremental => {
-            outer_loop(cost, v, &outer(algorithm, InnerSolver::Primal), on_iteration)
-        }
-        Method::FourDPsas | Method::Psas => {
-            outer_loop(cost, v, &outer(algorithm, InnerSolver::Dual), on_iteration)
-        }
-        Method::Blue => blue(algorithm, cost, v, on_iteration),
-        _ => minimize(algorithm, cost, v, on_iteration),
-    }
-}
-
-/// By the scene's minimizer, through its σ stages where it has some.
-fn minimize(
-    algorithm: &Algorithm,
-    cost: &mut dyn GaussNewton,
-    v: &mut [f64],
-    on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
-) -> Result<Minimum, Error> {
-    let minimizer = minimizer(algorithm);
-    match algorithm.sigma_stages.as_slice() {
-        [] => minimizer.minimize(cost, v, on_iteration),
-        stages => continuation(&minimizer, cost, v, stages, on_iteration),
-    }
-}
-
-/// The minimizer a scene names.
-pub(crate) fn minimizer(algorithm: &Algorithm) -> Minimizer {
-    let mut minimizer =
-        Minimizer::named(algorithm.minimizer.name()).expect("every scene name is a minimizer's name");
-    *minimizer.gradient_tolerance_mut() = algorithm.gradient_tolerance;
-    *minimizer.max_iterations_mut() = algorithm.max_iterations;
-    minimizer
-}
-
-fn outer(algorithm: &Algorithm, inner: InnerSolver) -> OuterLoopOptions {
-    OuterLoopOptions {
-        gradient_tolerance: algorithm.gradient_tolerance,
-        max_iterations: algorithm.max_iterations,
-        inner,
-        ..OuterLoopOptions::default()
-    }
-}
-
-/// The closed form, linearized once at `v`. `Converged` only where the true gradient says so; `Failed`, with `v` as it was, where
-/// the model cannot be run from the estimate.
-fn blue(
-    algorithm: &Algorithm,
-    cost: &mut StrongConstraint,
-    v: &mut [f64],
-    on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
-) -> Result<Minimum, Error> {
-    let mut gradient = vec![0.0; v.len()];
-    let value = cost.evaluate(v, Some(&mut gradient))?;
-    let first = norm(&gradient);
-    let mut now = Minimum {
-        value,
-        terms: cost.terms(),
-        gradient_norm_first: first,
-        gradient_norm: first,
-        outer_iterations: 0,
-        inner_iterations: 0,
-        status: Status::Interrupted,
-        failure: None,
-        ritz: Vec::new(),
-        inverse_hessian: None,
-    };
-    if on_iteration(&row(&now, cost, 0.0, v)).is_break() {
-        return Ok(now);
-    }
-    let gain = if cost.observations().dim() < v.len() { Gain::Observation } else { Gain::Information };
-    let estimate = Blue::new(cost, v, gain)?.control_variable;
-    match cost.evaluate(&estimate, Some(&mut gradient)) {
-        Ok(value) => now.value = value,
-        Err(failure) => return Ok(Minimum { status: Status::Failed, failure: Some(failure), ..now }),
-    }
-    let step: Vec<f64> = estimate.iter().zip(&*v).map(|(a, b)| a - b).collect();
-    v.copy_from_slice(&estimate);
-    now.terms = cost.terms();
-    now.gradient_norm = norm(&gradient);
-    now.outer_iterations = 1;
-    now.status = match now.gradient_norm <= algorithm.gradient_tolerance * first {
-        true => Status::Converged,
-        false => Status::MaxIterations,
-    };
-    // The one iteration there is: nothing is left to interrupt.
-    let _ = on_iteration(&row(&now, cost, norm(&step), v));
-    Ok(now)
-}
-
-fn row<'a>(now: &Minimum, cost: &dyn CostFunction, step_norm: f64, v: &'a [f64]) -> Iteration<'a> {
-    Iteration {
-        index: now.outer_iterations,
-        value: now.value,
-        terms: now.terms,
-        gradient_norm: now.gradient_norm,
-        step_norm,
-        damping: 0.0,
-        rejected: 0,
-        inner_iterations: 0,
-        observation_scale: 1.0,
-        counts: cost.counts(),
-        v,
-    }
-}
-
-fn norm(v: &[f64]) -> f64 {
-    v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }

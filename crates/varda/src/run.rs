@@ -1,6 +1,6 @@
 //! The assimilation of a problem, as plain data: problem → outcome.
 
-use std::ops::{Add, ControlFlow, Sub};
+use std::ops::{Add, ControlFlow};
 use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
@@ -10,7 +10,7 @@ use varda_implicit::check::Amplification;
 
 use crate::Error;
 pub use crate::divided::AcceptedSteps;
-use crate::divided::DividedSteps;
+use crate::divided::Refreshing;
 use crate::fit::{self, Fit, Forecast, Withheld};
 use crate::horizon;
 use crate::method::{self, Solved, Task};
@@ -88,31 +88,19 @@ impl WorkCounts {
             newton_iterations: model.newton_iterations,
         }
     }
-
-    fn each(self, other: Self, f: fn(usize, usize) -> usize) -> Self {
-        WorkCounts {
-            model_steps: f(self.model_steps, other.model_steps),
-            tangent_steps: f(self.tangent_steps, other.tangent_steps),
-            adjoint_steps: f(self.adjoint_steps, other.adjoint_steps),
-            factorizations: f(self.factorizations, other.factorizations),
-            newton_iterations: f(self.newton_iterations, other.newton_iterations),
-        }
-    }
 }
 
 impl Add for WorkCounts {
     type Output = Self;
 
     fn add(self, other: Self) -> Self {
-        self.each(other, usize::add)
-    }
-}
-
-impl Sub for WorkCounts {
-    type Output = Self;
-
-    fn sub(self, other: Self) -> Self {
-        self.each(other, usize::sub)
+        WorkCounts {
+            model_steps: self.model_steps + other.model_steps,
+            tangent_steps: self.tangent_steps + other.tangent_steps,
+            adjoint_steps: self.adjoint_steps + other.adjoint_steps,
+            factorizations: self.factorizations + other.factorizations,
+            newton_iterations: self.newton_iterations + other.newton_iterations,
+        }
     }
 }
 
@@ -286,7 +274,7 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
         if (listener.interrupted)() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     let clock = Clock::default();
-    let mut divided = Divided::new(problem.divided.take());
+    let mut divided = Refreshing::new(problem.divided.take());
     let mut timed = Timed::new(problem.model.as_mut(), &clock);
     let make = &problem.make_model;
     let make_timed = || -> Box<dyn Model + Send> { Box::new(Timed::new(make(0), &clock)) };
@@ -366,56 +354,6 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
         warnings,
         analysis,
     })
-}
-
-/// Refreshes at most. Each starts where the last ended, so that one or two are the rule.
-const REFRESHES: usize = 5;
-
-/// The divided steps of a run under way.
-struct Divided {
-    steps: Option<DividedSteps>,
-    refreshed: usize,
-    warnings: Vec<String>,
-}
-
-impl Divided {
-    fn new(steps: Option<DividedSteps>) -> Self {
-        Divided { steps, refreshed: 0, warnings: Vec::new() }
-    }
-
-    /// The model on steps divided along the run from a control, where those in force do not hold there.
-    fn refresh(&mut self, control: &[f64]) -> Option<Box<dyn Model + Send>> {
-        let steps = self.steps.as_mut()?;
-        let error = steps.largest_error(control).unwrap_or(f64::INFINITY);
-        if steps.hold(error) || self.refreshed == REFRESHES {
-            return None;
-        }
-        match steps.divide(control) {
-            Ok(()) => {
-                self.refreshed += 1;
-                Some(steps.factory()(0))
-            }
-            Err(e) => {
-                self.warnings.push(format!("the steps could not be divided anew along the analysis: {e}"));
-                None
-            }
-        }
-    }
-
-    /// What became of the steps; a warning where they do not hold along the analysis.
-    fn account(&mut self, control: &[f64]) -> Option<AcceptedSteps> {
-        let steps = self.steps.as_ref()?;
-        let error = steps.largest_error(control).ok();
-        let account = steps.report(self.refreshed, error);
-        if !error.is_some_and(|e| steps.hold(e)) {
-            self.warnings.push(format!(
-                "time.tolerance = {:e} is not met along the analysis: its largest estimated error of a step is {} of the rod's length",
-                account.tolerance,
-                error.map_or("not known".into(), |e| format!("{e:.1e}"))
-            ));
-        }
-        Some(account)
-    }
 }
 
 /// What the user should know of how a method went.

@@ -157,13 +157,7 @@ fn failures(outcome: &Outcome) -> Vec<serde_json::Value> {
 }
 
 fn work(outcome: &Outcome) -> WorkCounts {
-    outcome.cycles.iter().fold(WorkCounts::default(), |sum, r| WorkCounts {
-        model_steps: sum.model_steps + r.counts.model_steps,
-        tangent_steps: sum.tangent_steps + r.counts.tangent_steps,
-        adjoint_steps: sum.adjoint_steps + r.counts.adjoint_steps,
-        factorizations: sum.factorizations + r.counts.factorizations,
-        newton_iterations: sum.newton_iterations + r.counts.newton_iterations,
-    })
+    outcome.cycles.iter().fold(WorkCounts::default(), |sum, r| sum + r.counts)
 }
 
 /// RMSE and spread against the cycle (of positions and of velocities for a rod), and χ² with its mean.

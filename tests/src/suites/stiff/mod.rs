@@ -12,6 +12,7 @@ mod covariance;
 mod document;
 mod implicit;
 mod rod;
+mod rod_frames;
 mod rod_shapes;
 mod rod_statics;
 
@@ -24,6 +25,7 @@ pub(super) fn run(options: &Options) -> Report {
     rows.area("rod");
     rod::run(&mut rows);
     rod_shapes::run(&mut rows);
+    rod_frames::run(&mut rows);
     rod_statics::run(&mut rows);
     rows.area("implicit");
     implicit::run(&mut rows);

@@ -1,0 +1,130 @@
+//! The minimizer a scene names, on the cost its method makes.
+
+use std::ops::ControlFlow;
+
+use varda_assimilation::{
+    Blue, CostFunction, Error, Gain, GaussNewton, InnerSolver, Iteration, Minimizer, Minimum,
+    OuterLoopOptions, Status, StrongConstraint, continuation, outer_loop,
+};
+
+use crate::scene::{Algorithm, Method};
+
+/// The minimum of the strong-constraint cost by the scene's method.
+pub(crate) fn strong(
+    algorithm: &Algorithm,
+    cost: &mut StrongConstraint,
+    v: &mut [f64],
+    on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+) -> Result<Minimum, Error> {
+    match algorithm.method {
+        Method::FourDVarIncremental | Method::ThreeDVarIncremental => {
+            outer_loop(cost, v, &outer(algorithm, InnerSolver::Primal), on_iteration)
+        }
+        Method::FourDPsas | Method::Psas => {
+            outer_loop(cost, v, &outer(algorithm, InnerSolver::Dual), on_iteration)
+        }
+        Method::Blue => blue(algorithm, cost, v, on_iteration),
+        _ => minimize(algorithm, cost, v, on_iteration),
+    }
+}
+
+/// By the scene's minimizer, through its σ stages where it has some.
+pub(crate) fn minimize(
+    algorithm: &Algorithm,
+    cost: &mut dyn GaussNewton,
+    v: &mut [f64],
+    on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+) -> Result<Minimum, Error> {
+    let minimizer = minimizer(algorithm);
+    match algorithm.sigma_stages.as_slice() {
+        [] => minimizer.minimize(cost, v, on_iteration),
+        stages => continuation(&minimizer, cost, v, stages, on_iteration),
+    }
+}
+
+/// The minimizer a scene names.
+pub(crate) fn minimizer(algorithm: &Algorithm) -> Minimizer {
+    let mut minimizer =
+        Minimizer::named(algorithm.minimizer.name()).expect("every scene name is a minimizer's name");
+    *minimizer.gradient_tolerance_mut() = algorithm.gradient_tolerance;
+    *minimizer.max_iterations_mut() = algorithm.max_iterations;
+    minimizer
+}
+
+/// Options of an outer loop with that solver of its inner problem.
+pub(crate) fn outer(algorithm: &Algorithm, inner: InnerSolver) -> OuterLoopOptions {
+    OuterLoopOptions {
+        gradient_tolerance: algorithm.gradient_tolerance,
+        max_iterations: algorithm.max_iterations,
+        inner,
+        ..OuterLoopOptions::default()
+    }
+}
+
+/// The closed form, linearized once at `v`. `Converged` only where the true gradient says so; `Failed`, with `v` as it was, where
+/// the model cannot be run from the estimate.
+fn blue(
+    algorithm: &Algorithm,
+    cost: &mut StrongConstraint,
+    v: &mut [f64],
+    on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+) -> Result<Minimum, Error> {
+    let mut gradient = vec![0.0; v.len()];
+    let value = cost.evaluate(v, Some(&mut gradient))?;
+    let first = norm(&gradient);
+    let mut now = Minimum {
+        value,
+        terms: cost.terms(),
+        gradient_norm_first: first,
+        gradient_norm: first,
+        outer_iterations: 0,
+        inner_iterations: 0,
+        status: Status::Interrupted,
+        failure: None,
+        ritz: Vec::new(),
+        inverse_hessian: None,
+    };
+    if on_iteration(&row(&now, cost, 0.0, v)).is_break() {
+        return Ok(now);
+    }
+    let gain = if cost.observations().dim() < v.len() { Gain::Observation } else { Gain::Information };
+    let estimate = Blue::new(cost, v, gain)?.control_variable;
+    match cost.evaluate(&estimate, Some(&mut gradient)) {
+        Ok(value) => now.value = value,
+        Err(failure) => return Ok(Minimum { status: Status::Failed, failure: Some(failure), ..now }),
+    }
+    let step: Vec<f64> = estimate.iter().zip(&*v).map(|(a, b)| a - b).collect();
+    v.copy_from_slice(&estimate);
+    now.terms = cost.terms();
+    now.gradient_norm = norm(&gradient);
+    now.outer_iterations = 1;
+    now.status = match now.gradient_norm <= algorithm.gradient_tolerance * first {
+        true => Status::Converged,
+        false => Status::MaxIterations,
+    };
+    // The one iteration there is: nothing is left to interrupt.
+    let _ = on_iteration(&row(&now, cost, norm(&step), v));
+    Ok(now)
+}
+
+/// A point of a convergence table that no minimizer reports.
+pub(crate) fn row<'a>(now: &Minimum, cost: &dyn CostFunction, step_norm: f64, v: &'a [f64]) -> Iteration<'a> {
+    Iteration {
+        index: now.outer_iterations,
+        value: now.value,
+        terms: now.terms,
+        gradient_norm: now.gradient_norm,
+        step_norm,
+        damping: 0.0,
+        rejected: 0,
+        inner_iterations: 0,
+        observation_scale: 1.0,
+        counts: cost.counts(),
+        v,
+    }
+}
+
+/// ‖v‖.
+pub(crate) fn norm(v: &[f64]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
