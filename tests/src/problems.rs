@@ -175,16 +175,16 @@ impl HangingRod {
     /// A place off the rod.
     pub fn operator(&self, state_dim: usize) -> Result<LinearObservation> {
         let points = self.s_over_length.len();
-        let mut entries = sprs::TriMat::new((3 * points, state_dim));
+        let mut entries = Vec::new();
         for p in 0..points {
             let (i, w) = self.point(p)?;
             for (vertex, weight) in [(i, 1.0 - w), (i + 1, w)] {
                 for c in (0..3).filter(|_| vertex >= 2 && weight != 0.0) {
-                    entries.add_triplet(3 * p + c, 3 * (vertex - 2) + c, weight);
+                    entries.push((3 * p + c, 3 * (vertex - 2) + c, weight));
                 }
             }
         }
-        Ok(LinearObservation::new(entries.to_csr())?)
+        Ok(LinearObservation::new(3 * points, state_dim, &entries)?)
     }
 
     /// Point p seen at `step` of the window; components that are `None` were not observed.

@@ -105,10 +105,12 @@ pub enum Error {
         value: f64,
     },
     /// An observation operator was given an entry it cannot use.
-    #[error("observation operator: entry {value} in row {row}, column {column} of {columns}")]
+    #[error("observation operator of {rows} × {columns}: entry {value} in row {row}, column {column}")]
     OperatorEntry {
         /// Row of the entry.
         row: usize,
+        /// Number of rows.
+        rows: usize,
         /// Column of the entry.
         column: usize,
         /// Number of columns, the length of the state.

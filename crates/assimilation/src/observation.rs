@@ -339,26 +339,38 @@ fn validate(
 /// # Panics
 /// Its methods panic if a slice has the wrong length.
 pub struct LinearObservation {
-    matrix: sprs::CsMat<f64>,
+    state_dim: usize,
+    /// Row i holds the entries from `starts[i]` to `starts[i + 1]`.
+    starts: Vec<usize>,
+    /// Column and value of each entry, row after row.
+    entries: Vec<(usize, f64)>,
 }
 
 impl LinearObservation {
-    /// From a matrix in compressed rows or columns.
+    /// From entries (row, column, value) in any order; those that name the same place add up.
     ///
     /// # Errors
-    /// An entry that is not finite.
-    pub fn new(matrix: sprs::CsMat<f64>) -> Result<Self, Error> {
-        let columns = matrix.cols();
-        if let Some((&value, (row, column))) = matrix.iter().find(|(value, _)| !value.is_finite()) {
-            return Err(Error::OperatorEntry { row, column, columns, value });
+    /// An entry outside of `rows` × `state_dim` or not finite.
+    pub fn new(rows: usize, state_dim: usize, entries: &[(usize, usize, f64)]) -> Result<Self, Error> {
+        let bad = |&&(i, j, h): &&(usize, usize, f64)| !(i < rows && j < state_dim && h.is_finite());
+        if let Some(&(row, column, value)) = entries.iter().find(bad) {
+            return Err(Error::OperatorEntry { row, rows, column, columns: state_dim, value });
         }
-        Ok(Self { matrix: if matrix.is_csr() { matrix } else { matrix.to_csr() } })
+        let mut sorted = entries.to_vec();
+        sorted.sort_by_key(|&(i, j, _)| (i, j));
+        let starts = (0..=rows).map(|i| sorted.partition_point(|entry| entry.0 < i)).collect();
+        Ok(Self { state_dim, starts, entries: sorted.into_iter().map(|(_, j, h)| (j, h)).collect() })
+    }
+
+    /// The entries of H, row by row.
+    fn rows(&self) -> impl Iterator<Item = &[(usize, f64)]> {
+        self.starts.windows(2).map(|row| &self.entries[row[0]..row[1]])
     }
 }
 
 impl ObservationOperator for LinearObservation {
     fn dim(&self) -> usize {
-        self.matrix.rows()
+        self.starts.len() - 1
     }
 
     fn observe(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
@@ -367,16 +379,16 @@ impl ObservationOperator for LinearObservation {
     }
 
     fn tangent(&mut self, _k: usize, _x: &[f64], dx: &[f64], dy: &mut [f64]) {
-        assert!(dx.len() == self.matrix.cols() && dy.len() == self.matrix.rows(), "lengths of dx and dy");
-        for (row, dy) in self.matrix.outer_iterator().zip(dy) {
-            *dy = row.iter().map(|(j, h)| h * dx[j]).sum();
+        assert!(dx.len() == self.state_dim && dy.len() == self.dim(), "lengths of dx and dy");
+        for (row, dy) in self.rows().zip(dy) {
+            *dy = row.iter().map(|&(j, h)| h * dx[j]).sum();
         }
     }
 
     fn adjoint_add(&mut self, _k: usize, _x: &[f64], dy: &[f64], dx: &mut [f64]) {
-        assert!(dx.len() == self.matrix.cols() && dy.len() == self.matrix.rows(), "lengths of dx and dy");
-        for (row, dy) in self.matrix.outer_iterator().zip(dy) {
-            for (j, h) in row.iter() {
+        assert!(dx.len() == self.state_dim && dy.len() == self.dim(), "lengths of dx and dy");
+        for (row, dy) in self.rows().zip(dy) {
+            for &(j, h) in row {
                 dx[j] += h * dy;
             }
         }
@@ -400,7 +412,8 @@ impl Selection {
     pub fn new(components: Vec<usize>, state_dim: usize) -> Result<Self, Error> {
         match components.iter().position(|&c| c >= state_dim) {
             Some(row) => {
-                Err(Error::OperatorEntry { row, column: components[row], columns: state_dim, value: 1.0 })
+                let (rows, column) = (components.len(), components[row]);
+                Err(Error::OperatorEntry { row, rows, column, columns: state_dim, value: 1.0 })
             }
             None => Ok(Self { components, state_dim }),
         }

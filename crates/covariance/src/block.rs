@@ -2,9 +2,9 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use crate::diagnostics::Spectrum;
-use crate::error::Error;
 use crate::operator::{Covariance, Precision, check_lengths};
+#[cfg(feature = "eigen")]
+use crate::{diagnostics::Spectrum, error::Error};
 
 /// B = C ⊗ I_c: the c components of every point are independent of each other and share the covariance C between points.
 ///
@@ -105,6 +105,7 @@ impl<C: Covariance> Covariance for Interleaved<C> {
     }
 
     /// The eigenvalues of C, each c times.
+    #[cfg(feature = "eigen")]
     fn spectrum(&self) -> Result<Spectrum, Error> {
         let part = self.part.spectrum()?.eigenvalues;
         Ok(Spectrum::new(
@@ -180,6 +181,7 @@ impl<T: Covariance> Covariance for BlockDiagonal<T> {
     }
 
     /// The eigenvalues of all blocks, sorted.
+    #[cfg(feature = "eigen")]
     fn spectrum(&self) -> Result<Spectrum, Error> {
         let mut eigenvalues = Vec::with_capacity(self.dim());
         for part in &self.parts {

@@ -1,9 +1,8 @@
 //! A dense covariance of full rank, with its Cholesky root; a dense covariance of truncated rank.
 
-use faer::{Mat, Side};
-
 use crate::cholesky::{Cholesky, add_scaled, dot};
-use crate::diagnostics::{Spectrum, eigenvalues_descending};
+#[cfg(feature = "eigen")]
+use crate::diagnostics::Spectrum;
 use crate::error::Error;
 use crate::operator::{Covariance, Precision, check_lengths};
 
@@ -85,51 +84,14 @@ impl Precision for Dense {
 }
 
 impl Truncated {
-    /// The eigen root of a symmetric positive semidefinite n × n matrix given row by row: with eigenvalues λ₁ ≥ λ₂ ≥ …
-    /// and eigenvectors e_k, column k of U is √λ_k e_k, for every λ_k > τ λ₁, τ = max(`tolerance`, n ε). The best
-    /// approximation of its rank (Eckart and Young 1936): |B − U Uᵀ|₂ ≤ τ λ₁.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Parameter`] for a tolerance outside [0, 1); [`Error::Size`], [`Error::NonFinite`],
-    /// [`Error::NotSymmetric`] for what is not such a matrix; [`Error::NotPositiveSemidefinite`] for an eigenvalue below
-    /// −τ λ₁; [`Error::Zero`] for a zero matrix; [`Error::Eigen`] if the eigenvalue iteration fails.
-    pub fn eigen(n: usize, matrix: &[f64], tolerance: f64) -> Result<Self, Error> {
-        check_matrix(n, matrix)?;
-        let tolerance = usable_tolerance(n, tolerance)?;
-        let decomposition = Mat::from_fn(n, n, |i, j| matrix[i * n + j])
-            .self_adjoint_eigen(Side::Lower)
-            .map_err(|_| Error::Eigen { dim: n })?;
-        let values = decomposition.S().column_vector();
-        let vectors = decomposition.U();
-        if !(0..n).all(|k| values[k].is_finite() && (0..n).all(|i| vectors[(i, k)].is_finite())) {
-            return Err(Error::Eigen { dim: n });
-        }
-
-        // Ascending, as faer gives them.
-        let (smallest, largest) = (values[0], values[n - 1]);
-        if smallest < -tolerance * largest.abs() {
-            return Err(Error::NotPositiveSemidefinite { value: smallest, largest });
-        }
-        if largest <= 0.0 {
-            return Err(Error::Zero);
-        }
-        let mut columns = Vec::new();
-        for k in (0..n).rev().take_while(|&k| values[k] > tolerance * largest) {
-            let root = values[k].sqrt();
-            columns.extend((0..n).map(|i| root * vectors[(i, k)]));
-        }
-        Ok(Self::from_columns(n, columns, matrix))
-    }
-
     /// The root of a pivoted Cholesky factorization stopped at the rank where no variance left exceeds τ times the
     /// largest variance, τ = max(`tolerance`, n ε) (Higham 2002, section 10.3): |B − U Uᵀ|_ij ≤ τ max b_ii. Costs n r²
-    /// against some 10 n³ of [`eigen`](Self::eigen). The same τ asks for more here, and keeps a higher rank: it is relative
+    /// against some 10 n³ of `eigen`. The same τ asks for more here, and keeps a higher rank: it is relative
     /// to a variance at one point, where that of `eigen` is relative to λ₁, up to n times as large.
     ///
     /// # Errors
     ///
-    /// As [`eigen`](Self::eigen), where a remaining variance below −τ max b_ii takes the place of the eigenvalue. A
+    /// As `eigen`, where a remaining variance below −τ max b_ii takes the place of the eigenvalue. A
     /// matrix that is indefinite without showing it on the diagonal is not found out: use `eigen` on data of doubtful origin.
     pub fn pivoted_cholesky(n: usize, matrix: &[f64], tolerance: f64) -> Result<Self, Error> {
         check_matrix(n, matrix)?;
@@ -168,7 +130,7 @@ impl Truncated {
         self.explained
     }
 
-    fn from_columns(n: usize, columns: Vec<f64>, matrix: &[f64]) -> Self {
+    pub(crate) fn from_columns(n: usize, columns: Vec<f64>, matrix: &[f64]) -> Self {
         let trace: f64 = (0..n).map(|i| matrix[i * n + i]).sum();
         let explained = dot(&columns, &columns) / trace;
         Self { n, columns, explained }
@@ -222,18 +184,18 @@ impl Covariance for Truncated {
     }
 
     /// The eigenvalues of the r × r matrix Uᵀ U, and n − r zeros.
+    #[cfg(feature = "eigen")]
     fn spectrum(&self) -> Result<Spectrum, Error> {
         let rank = self.root_dim();
         let column = |k: usize| &self.columns[k * self.n..][..self.n];
-        let mut eigenvalues =
-            eigenvalues_descending(Mat::from_fn(rank, rank, |i, j| dot(column(i), column(j))))?;
+        let mut eigenvalues = crate::eigen::values_descending(rank, |i, j| dot(column(i), column(j)))?;
         eigenvalues.resize(self.n, 0.0);
         Ok(Spectrum { eigenvalues })
     }
 }
 
 /// Size, finiteness and symmetry of a matrix that a user gave.
-fn check_matrix(n: usize, matrix: &[f64]) -> Result<(), Error> {
+pub(crate) fn check_matrix(n: usize, matrix: &[f64]) -> Result<(), Error> {
     if n == 0 {
         return Err(Error::Size { what: "the covariance", expected: 1, found: 0 });
     }
@@ -257,7 +219,7 @@ fn check_matrix(n: usize, matrix: &[f64]) -> Result<(), Error> {
 }
 
 /// max(tolerance, n ε): below n ε of the largest, rounding decides.
-fn usable_tolerance(n: usize, tolerance: f64) -> Result<f64, Error> {
+pub(crate) fn usable_tolerance(n: usize, tolerance: f64) -> Result<f64, Error> {
     if !(0.0..1.0).contains(&tolerance) {
         return Err(Error::Parameter {
             what: "truncation tolerance",

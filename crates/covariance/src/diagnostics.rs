@@ -1,11 +1,6 @@
 //! What a covariance is like: its spectrum, condition number and effective rank.
 
-use faer::{Mat, Side};
-
-use crate::error::Error;
-use crate::operator::Covariance;
-
-/// The eigenvalues λ₁ ≥ λ₂ ≥ … ≥ λ_n of a covariance. Get it from [`Covariance::spectrum`].
+/// The eigenvalues λ₁ ≥ λ₂ ≥ … ≥ λ_n of a covariance. Get it from `Covariance::spectrum` (feature `eigen`).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spectrum {
     /// All n eigenvalues, descending, in the square of the field's unit. Those of a singular covariance may be round-off of either sign.
@@ -53,39 +48,6 @@ impl Spectrum {
     }
 }
 
-/// The spectrum of B formed column by column through `apply`.
-pub(crate) fn spectrum_by_products<C: Covariance + ?Sized>(covariance: &C) -> Result<Spectrum, Error> {
-    let n = covariance.dim();
-    let mut matrix = Mat::zeros(n, n);
-    let mut unit = vec![0.0; n];
-    let mut column = vec![0.0; n];
-    for j in 0..n {
-        unit[j] = 1.0;
-        covariance.apply(&unit, &mut column);
-        unit[j] = 0.0;
-        for (i, &value) in column.iter().enumerate() {
-            if !value.is_finite() {
-                return Err(Error::NonFinite { row: i, column: j, value });
-            }
-            matrix[(i, j)] = value;
-        }
-    }
-    Ok(Spectrum { eigenvalues: eigenvalues_descending(matrix)? })
-}
-
-/// The eigenvalues of a symmetric matrix, of which the lower triangle is read.
-pub(crate) fn eigenvalues_descending(matrix: Mat<f64>) -> Result<Vec<f64>, Error> {
-    let failed = Error::Eigen { dim: matrix.nrows() };
-    match matrix.self_adjoint_eigenvalues(Side::Lower) {
-        // faer gives Ok with NaN for a matrix with NaN.
-        Ok(mut values) if values.iter().all(|value| value.is_finite()) => {
-            values.reverse();
-            Ok(values)
-        }
-        _ => Err(failed),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -103,25 +65,5 @@ mod tests {
         assert_eq!(spectrum.explained_variance(2), 7.0 / 8.0);
         assert_eq!(Spectrum::new(vec![1.0, 0.0]).condition_number(), f64::INFINITY);
         assert!(Spectrum::new(vec![]).condition_number().is_nan());
-    }
-
-    #[test]
-    fn a_product_that_is_not_finite_is_an_error() {
-        struct Broken;
-        impl Covariance for Broken {
-            fn dim(&self) -> usize {
-                2
-            }
-            fn root_dim(&self) -> usize {
-                2
-            }
-            fn apply(&self, _: &[f64], y: &mut [f64]) {
-                y.copy_from_slice(&[1.0, f64::NAN]);
-            }
-            fn root(&self, _: &[f64], _: &mut [f64]) {}
-            fn root_transpose(&self, _: &[f64], _: &mut [f64]) {}
-            fn variance(&self, _: &mut [f64]) {}
-        }
-        assert!(matches!(Broken.spectrum(), Err(Error::NonFinite { row: 1, column: 0, .. })));
     }
 }

@@ -1,5 +1,6 @@
 //! Uncorrelated components: R of independent observations, or B as white noise.
 
+#[cfg(feature = "eigen")]
 use crate::diagnostics::Spectrum;
 use crate::error::Error;
 use crate::operator::{Covariance, Precision, check_lengths};
@@ -72,6 +73,7 @@ impl Covariance for Diagonal {
     }
 
     /// The variances, sorted.
+    #[cfg(feature = "eigen")]
     fn spectrum(&self) -> Result<Spectrum, Error> {
         Ok(Spectrum::new(self.sigma.iter().map(|sigma| sigma * sigma).collect()))
     }

@@ -1,8 +1,10 @@
 //! Covariances of an ensemble: localized sample covariance, and its hybrid with a static one.
 
 use crate::cholesky::{add_scaled, dot};
+#[cfg(feature = "eigen")]
 use crate::dense::Truncated;
 use crate::error::Error;
+#[cfg(feature = "eigen")]
 use crate::kernel::Taper;
 use crate::operator::{Covariance, check_lengths};
 
@@ -60,6 +62,24 @@ impl Localization {
         Self { n, rank: 1, rows: vec![1.0; n] }
     }
 
+    /// r, the number of columns of the root.
+    pub fn rank(&self) -> usize {
+        self.rank
+    }
+
+    /// Row p of the root C^{1/2}: C(p, q) = row(p) · row(q).
+    ///
+    /// # Panics
+    ///
+    /// If p ≥ n.
+    pub fn row(&self, p: usize) -> &[f64] {
+        &self.rows[p * self.rank..][..self.rank]
+    }
+}
+
+/// Asks for the feature `eigen`.
+#[cfg(feature = "eigen")]
+impl Localization {
     /// From a symmetric positive semidefinite n × n matrix with a positive diagonal, row by row: its eigen root
     /// ([`Truncated::eigen`]) of the eigenvalues above `tolerance` times the largest, rows scaled to unit length.
     ///
@@ -112,20 +132,6 @@ impl Localization {
             }
         }
         Self::new(n, &matrix, tolerance)
-    }
-
-    /// r, the number of columns of the root.
-    pub fn rank(&self) -> usize {
-        self.rank
-    }
-
-    /// Row p of the root C^{1/2}: C(p, q) = row(p) · row(q).
-    ///
-    /// # Panics
-    ///
-    /// If p ≥ n.
-    pub fn row(&self, p: usize) -> &[f64] {
-        &self.rows[p * self.rank..][..self.rank]
     }
 }
 

@@ -13,6 +13,11 @@
 //!
 //! [`sample()`] draws from N(0, B); [`Spectrum`] says how well conditioned it is.
 //!
+//! # Features
+//!
+//! None by default. `eigen` adds what asks for eigenvalues, by faer, which is most of what building this crate then costs:
+//! `Covariance::spectrum`, `Truncated::eigen`, `Localization::{new, by_distance}`.
+//!
 //! # Range
 //!
 //! Measured by the suite `stiff` (`docs/results/stability.md`): Cholesky roots up to condition numbers of some 1e12, far beyond that a typed
@@ -68,6 +73,8 @@ mod cholesky;
 mod dense;
 mod diagnostics;
 mod diagonal;
+#[cfg(feature = "eigen")]
+mod eigen;
 mod ensemble;
 mod error;
 mod kernel;

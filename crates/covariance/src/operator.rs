@@ -1,7 +1,7 @@
 //! What a covariance is here: a product, a square root and its transpose; where it has full rank, an inverse.
 
-use crate::diagnostics::{self, Spectrum};
-use crate::error::Error;
+#[cfg(feature = "eigen")]
+use crate::{diagnostics::Spectrum, error::Error};
 
 /// A covariance operator B = U Uᵀ given by its square root U = B^{1/2} (n rows, r columns, r ≤ n).
 ///
@@ -25,13 +25,14 @@ pub trait Covariance {
     /// The diagonal of B: the variance of every component.
     fn variance(&self, variance: &mut [f64]);
 
-    /// The eigenvalues of B. Unless a type knows a shorter way, forms B by `dim` products: O(n³) time, O(n²) memory.
+    /// The eigenvalues of B. Unless a type knows a shorter way, forms B by `dim` products: O(n³) time, O(n²) memory. Asks for the feature `eigen`.
     ///
     /// # Errors
     ///
     /// [`Error::Eigen`] if the eigenvalue iteration fails, [`Error::NonFinite`] if `apply` gave a value that is not finite.
+    #[cfg(feature = "eigen")]
     fn spectrum(&self) -> Result<Spectrum, Error> {
-        diagnostics::spectrum_by_products(self)
+        crate::eigen::spectrum_by_products(self)
     }
 }
 
@@ -71,6 +72,7 @@ impl<C: Covariance + ?Sized> Covariance for Box<C> {
         (**self).variance(variance);
     }
 
+    #[cfg(feature = "eigen")]
     fn spectrum(&self) -> Result<Spectrum, Error> {
         (**self).spectrum()
     }

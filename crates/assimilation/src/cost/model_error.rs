@@ -65,7 +65,13 @@ impl<'a> Errors<'a> {
         let mut seen = vec![false; state_dim];
         for (row, &column) in forcing.components.iter().enumerate() {
             if column >= state_dim || std::mem::replace(&mut seen[column], true) {
-                return Err(Error::OperatorEntry { row, column, columns: state_dim, value: 1.0 });
+                return Err(Error::OperatorEntry {
+                    row,
+                    rows: found,
+                    column,
+                    columns: state_dim,
+                    value: 1.0,
+                });
             }
         }
         if forcing.steps == 0 {

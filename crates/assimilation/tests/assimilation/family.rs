@@ -44,10 +44,8 @@ impl Covariance for Thin {
 
 /// y = H x with a full H of 4 rows, for a state of 5.
 fn linear_3dvar() -> (Vec<f64>, ObservationSet) {
-    let mut h = sprs::TriMat::new((4, 5));
-    let entries = normals(40, 20);
-    entries.iter().enumerate().for_each(|(i, &e)| h.add_triplet(i / 5, i % 5, e));
-    let h = LinearObservation::new(h.to_csr()).unwrap();
+    let h: Vec<_> = normals(40, 20).iter().enumerate().map(|(i, &h)| (i / 5, i % 5, h)).collect();
+    let h = LinearObservation::new(4, 5, &h).unwrap();
     let mut seen = observation(&[0, 1, 2, 3], 0, 0.0, &normals(41, 4), 0.5);
     seen.sigma[2] = 0.1;
     (normals(42, 5), ObservationSet::new(0, vec![Box::new(h)], vec![seen]).unwrap())

@@ -36,13 +36,13 @@ fn a_time_between_steps_weighs_both_and_rows_left_out_are_not_predicted() {
 #[test]
 fn adjoint_is_the_transpose_of_the_tangent_with_shared_operators() {
     let (n, steps) = (4, 5);
-    let mut matrix = sprs::TriMat::new((3, n));
-    for (i, value) in normals(1, 7).into_iter().enumerate() {
-        matrix.add_triplet(i % 3, (2 * i) % n, value);
-    }
-    for matrix in [matrix.to_csr(), matrix.to_csc()] {
+    // Rows 0, 1, 2, 0, … of columns 0, 2, 0, 2, …: the seventh adds to the first.
+    let entries: Vec<_> =
+        normals(1, 7).into_iter().enumerate().map(|(i, h)| (i % 3, (2 * i) % n, h)).collect();
+    let reversed: Vec<_> = entries.iter().rev().copied().collect();
+    for entries in [entries, reversed] {
         let operators: Vec<Box<dyn ObservationOperator>> = vec![
-            Box::new(LinearObservation::new(matrix).unwrap()),
+            Box::new(LinearObservation::new(3, n, &entries).unwrap()),
             Box::new(Products),
             Box::new(Selection::new(vec![3, 0], n).unwrap()),
         ];
@@ -101,7 +101,11 @@ fn bad_observations_are_refused_by_name() {
     ));
     assert_eq!(refuse(&|o| o.rows[1] = 3).to_string(), "observation 1: row 3 of an operator with 3 rows");
     assert!(matches!(Selection::new(vec![0, 5], 3), Err(Error::OperatorEntry { row: 1, column: 5, .. })));
-    let mut matrix = sprs::TriMat::new((1, 2));
-    matrix.add_triplet(0, 1, f64::NAN);
-    assert!(matches!(LinearObservation::new(matrix.to_csr()), Err(Error::OperatorEntry { column: 1, .. })));
+    for entry in [(0, 1, f64::NAN), (1, 0, 1.0), (0, 2, 1.0)] {
+        let refused = LinearObservation::new(1, 2, &[(0, 0, 1.0), entry]).err();
+        let (row, column, _) = entry;
+        assert!(
+            matches!(refused, Some(Error::OperatorEntry { row: r, rows: 1, column: c, columns: 2, .. }) if (r, c) == (row, column))
+        );
+    }
 }

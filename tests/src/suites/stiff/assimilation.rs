@@ -48,7 +48,8 @@ fn go_on(_: &Iteration) -> ControlFlow<()> {
 
 /// A window on four variables that stay as they are, B = I, seen at step 0 only, and its analysis in closed form.
 struct Static {
-    operator: Option<sprs::CsMat<f64>>,
+    /// Rows of H and its entries.
+    operator: Option<(usize, Vec<(usize, usize, f64)>)>,
     seen: Vec<Observation>,
     expected: Vec<f64>,
     /// Standard deviations of the analysis.
@@ -81,16 +82,13 @@ impl Static {
         let along = h * (BACKGROUND[0] + BACKGROUND[1]);
         let weight = 4.0 * multiples.iter().map(|c| c * c).sum::<f64>();
         let pull = 4.0 * multiples.iter().zip(values).map(|(c, y)| c * (y - c * along)).sum::<f64>();
-        let mut entries = sprs::TriMat::new((multiples.len(), 4));
-        for (row, c) in multiples.iter().enumerate().filter(|(_, c)| **c != 0.0) {
-            entries.add_triplet(row, 0, c * h);
-            entries.add_triplet(row, 1, c * h);
-        }
+        let rows = multiples.iter().enumerate().filter(|(_, c)| **c != 0.0);
+        let entries = rows.flat_map(|(row, c)| [(row, 0, c * h), (row, 1, c * h)]).collect();
         let rows: Vec<usize> = (0..multiples.len()).collect();
         let mut expected = BACKGROUND.to_vec();
         expected[..2].iter_mut().for_each(|x| *x += h * pull / (1.0 + weight));
         Static {
-            operator: Some(entries.to_csr()),
+            operator: Some((multiples.len(), entries)),
             seen: vec![observation(&rows, 0, 0.0, values, 0.5)],
             expected,
             sigma: vec![(0.5 + 0.5 / (1.0 + weight)).sqrt(), (0.5 + 0.5 / (1.0 + weight)).sqrt(), 1.0, 1.0],
@@ -100,7 +98,7 @@ impl Static {
 
     fn set(&self) -> Result<ObservationSet> {
         let operator: Box<dyn varda_assimilation::ObservationOperator> = match &self.operator {
-            Some(matrix) => Box::new(LinearObservation::new(matrix.clone())?),
+            Some((rows, entries)) => Box::new(LinearObservation::new(*rows, 4, entries)?),
             None => all_of(4)?,
         };
         Ok(ObservationSet::new(0, vec![operator], self.seen.clone())?)
