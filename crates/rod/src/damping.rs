@@ -46,7 +46,7 @@ impl KelvinVoigt {
             share: 0.0,
             full: vec![0.0; system.layout.full()],
             state: vec![0.0; system.layout.state()],
-            displacement: vec![V3::zeros(); n + 1],
+            displacement: vec![V3::ZERO; n + 1],
             psi: vec![0.0; n],
         }
     }
@@ -99,7 +99,7 @@ impl KelvinVoigt {
             self.full.fill(0.0);
             for &v in &layout.free_vertices {
                 let i = layout.vertex(v);
-                self.full[i..i + 3].copy_from_slice(self.displacement[v].as_slice());
+                self.full[i..i + 3].copy_from_slice(self.displacement[v].as_ref());
             }
             if !layout.free_angles.is_empty() {
                 past.shape.holonomy(&self.displacement, &mut self.psi);
@@ -127,7 +127,7 @@ impl KelvinVoigt {
         let own = self.state.len();
         for past in &self.configurations[..self.used] {
             let (back, angles, state) = (&mut self.displacement, &mut self.psi, &mut self.state);
-            back.fill(V3::zeros());
+            back.fill(V3::ZERO);
             angles.fill(0.0);
             past.couple(self.share, &self.full, system, Direction::Transposed, |full, value| {
                 // The place of a degree of freedom within its stride tells a coordinate from an angle.
@@ -147,7 +147,7 @@ impl KelvinVoigt {
                 past.shape.holonomy_transpose_add(angles, back);
             }
             for (f, &v) in layout.free_vertices.iter().enumerate() {
-                state[3 * f..3 * f + 3].copy_from_slice(back[v].as_slice());
+                state[3 * f..3 * f + 3].copy_from_slice(back[v].as_ref());
             }
             for (i, value) in state.iter().enumerate() {
                 mixed_add(past.of, dx, own, i, [*value]);

@@ -81,11 +81,11 @@ impl RodStep {
             carry: Carry::new(&system),
             tolerance: 1e-11 * system.rod.length(),
             interval: None,
-            start: vec![V3::zeros(); free],
-            target: vec![V3::zeros(); free],
+            start: vec![V3::ZERO; free],
+            target: vec![V3::ZERO; free],
             end_angle: 0.0,
             state: vec![0.0; system.layout.state()],
-            displacement: vec![V3::zeros(); n + 1],
+            displacement: vec![V3::ZERO; n + 1],
             psi: vec![0.0; n],
             damping,
             system,
@@ -141,7 +141,7 @@ impl RodStep {
         let f = self.system.layout.free_vertices.len();
         assert!(state.len() >= 6 * f, "a state or control is at least {} long", 6 * f);
         for (i, &v) in self.system.layout.free_vertices.iter().enumerate() {
-            self.system.x[v] = V3::from_column_slice(&state[3 * i..3 * i + 3]);
+            self.system.x[v] = V3::from_slice(&state[3 * i..3 * i + 3]);
         }
         Ok(self.system.x.iter().map(|x| (*x).into()).collect())
     }
@@ -212,7 +212,7 @@ impl RodStep {
         }
         s.place(stage.of.time)?;
         for f in 0..nf {
-            let star = |i: usize| V3::from_fn(|c, _| mixed(from, x, own, 3 * i + c));
+            let star = |i: usize| V3::from([0, 1, 2].map(|c| mixed(from, x, own, 3 * i + c)));
             self.start[f] = star(f);
             self.target[f] = self.start[f] + star(nf + f) * h;
         }
@@ -295,7 +295,7 @@ impl ImplicitStep for RodStep {
             let (x, force) = (s.x[v], s.forces[v]);
             let (d, e) = (x - self.target[f], x - self.start[f]);
             // Forces act through the displacement of the step: F·X itself would drown Φ's decrease in rounding.
-            potential += 0.5 * k * d.norm_squared() + 0.5 * c * e.norm_squared() - force.dot(&e);
+            potential += 0.5 * k * d.length_squared() + 0.5 * c * e.length_squared() - force.dot(e);
             let i = s.layout.unknown[s.layout.vertex(v)];
             for a in 0..3 {
                 g[i + a] += k * d[a] + c * e[a] - force[a];
@@ -483,7 +483,7 @@ impl ImplicitStep for RodStep {
         for (f, &e) in self.system.layout.free_angles.iter().enumerate() {
             self.psi[e] = angle[0] * angles[f];
         }
-        self.displacement.fill(V3::zeros());
+        self.displacement.fill(V3::ZERO);
         self.system.shape.holonomy_transpose_add(&self.psi, &mut self.displacement);
         let layout = &self.system.layout;
         for &v in &layout.free_vertices {

@@ -6,7 +6,7 @@
 //! Derivatives are taken in the time-parallel gauge: as the vertices move, the director of an edge is carried along by
 //! parallel transport from where it is now (Bergou et al. 2010).
 
-use crate::geometry::{Edge, M3, Turn, V3, cross_matrix, symmetric_product};
+use crate::geometry::{Edge, M3, Turn, V3, cross_matrix, outer, symmetric_product};
 
 /// Energy, gradient and lower triangle of the Hessian of an element with N degrees of freedom.
 pub(crate) struct Element<const N: usize> {
@@ -24,7 +24,7 @@ pub(crate) fn stretch(edge: &Edge, rest: f64, ea: f64) -> (f64, f64, M3) {
     let k = ea / rest;
     let d = edge.l - rest;
     let s = k * d;
-    let hessian = edge.t * edge.t.transpose() * (k - s / edge.l) + M3::from_diagonal_element(s / edge.l);
+    let hessian = outer(edge.t, edge.t) * (k - s / edge.l) + M3::from_diagonal(V3::splat(s / edge.l));
     (0.5 * k * d * d, s, hessian)
 }
 
@@ -38,7 +38,7 @@ pub(crate) fn stretch(edge: &Edge, rest: f64, ea: f64) -> (f64, f64, M3) {
 pub(crate) fn isotropic_bend(a: &Edge, b: &Edge, turn: &Turn, k: f64) -> Element<9> {
     let (p, q, chi) = (a.t, b.t, turn.chi);
     let diff = q - p;
-    let one_minus_c = 0.5 * diff.norm_squared();
+    let one_minus_c = 0.5 * diff.length_squared();
     let c = 1.0 - one_minus_c;
     let d1 = -4.0 * k / (chi * chi);
     let d2 = -2.0 * d1 / chi;
@@ -46,14 +46,14 @@ pub(crate) fn isotropic_bend(a: &Edge, b: &Edge, turn: &Turn, k: f64) -> Element
     let ce = (diff + p * one_minus_c) / a.l;
     let cf = (q * one_minus_c - diff) / b.l;
     let (le2, lf2, lef) = (a.l * a.l, b.l * b.l, a.l * b.l);
-    let i3 = M3::identity();
-    let (pp, qq) = (p * p.transpose(), q * q.transpose());
-    let ee = ce * ce.transpose() * d2 - (symmetric_product(&ce, &p) / a.l + (i3 - pp) * (c / le2)) * d1;
-    let ff = cf * cf.transpose() * d2 - (symmetric_product(&cf, &q) / b.l + (i3 - qq) * (c / lf2)) * d1;
-    let ef = ce * cf.transpose() * d2 + (i3 - qq - pp + p * q.transpose() * c) * (d1 / lef);
+    let i3 = M3::IDENTITY;
+    let (pp, qq) = (outer(p, p), outer(q, q));
+    let ee = outer(ce, ce) * d2 - (symmetric_product(ce, p) / a.l + (i3 - pp) * (c / le2)) * d1;
+    let ff = outer(cf, cf) * d2 - (symmetric_product(cf, q) / b.l + (i3 - qq) * (c / lf2)) * d1;
+    let ef = outer(ce, cf) * d2 + (i3 - qq - pp + outer(p, q) * c) * (d1 / lef);
     let mut out = Element { energy: 2.0 * k * one_minus_c / chi, gradient: [0.0; 9], hessian: [[0.0; 9]; 9] };
-    vertex_gradient(&(ce * d1), &(cf * d1), [0, 3, 6], &mut out.gradient);
-    vertex_hessian(&ee, &ef, &ff, [0, 3, 6], &mut out.hessian);
+    vertex_gradient(ce * d1, cf * d1, [0, 3, 6], &mut out.gradient);
+    vertex_hessian(ee, ef, ff, [0, 3, 6], &mut out.hessian);
     out
 }
 
@@ -85,18 +85,18 @@ const X: [usize; 3] = [0, 4, 8];
 
 impl Strains {
     pub(crate) fn of(a: &Edge, b: &Edge, turn: &Turn, m: &Directors, tau: f64) -> Strains {
-        let part = |w: &V3| {
-            let h = 0.5 * w.dot(&turn.kb);
+        let part = |w: V3| {
+            let h = 0.5 * w.dot(turn.kb);
             let back = turn.tilde * h;
-            (h, (b.t.cross(w) / turn.chi - back) / a.l, (w.cross(&a.t) / turn.chi - back) / b.l)
+            (h, (b.t.cross(w) / turn.chi - back) / a.l, (w.cross(a.t) / turn.chi - back) / b.l)
         };
-        let parts = [part(&m.m1e), part(&m.m2e), part(&m.m1f), part(&m.m2f)];
+        let parts = [part(m.m1e), part(m.m2e), part(m.m1f), part(m.m2f)];
         let [p1e, p2e, p1f, p2f] = &parts;
         let mut gradient = [[0.0; 11]; 3];
-        vertex_gradient(&(p2e.1 + p2f.1), &(p2e.2 + p2f.2), X, &mut gradient[0]);
-        vertex_gradient(&-(p1e.1 + p1f.1), &-(p1e.2 + p1f.2), X, &mut gradient[1]);
+        vertex_gradient(p2e.1 + p2f.1, p2e.2 + p2f.2, X, &mut gradient[0]);
+        vertex_gradient(-(p1e.1 + p1f.1), -(p1e.2 + p1f.2), X, &mut gradient[1]);
         let half = turn.kb * 0.5;
-        vertex_gradient(&(half / a.l), &(half / b.l), X, &mut gradient[2]);
+        vertex_gradient(half / a.l, half / b.l, X, &mut gradient[2]);
         (gradient[0][3], gradient[0][7]) = (-p1e.0, -p1f.0);
         (gradient[1][3], gradient[1][7]) = (-p2e.0, -p2f.0);
         (gradient[2][3], gradient[2][7]) = (-1.0, 1.0);
@@ -180,7 +180,7 @@ pub(crate) fn bend_twist(
         }
     }
 
-    let (p, q, chi, kb, tilde) = (&a.t, &b.t, turn.chi, &turn.kb, &turn.tilde);
+    let (p, q, chi, kb, tilde) = (a.t, b.t, turn.chi, turn.kb, turn.tilde);
     let (le, lf) = (a.l, b.l);
     let [p1e, p2e, p1f, p2f] = &strains.parts;
     let (s1, s2, s3) = (s[0], s[1], s[2]);
@@ -189,23 +189,23 @@ pub(crate) fn bend_twist(
     let ks = s1 * strains.value[0] + s2 * strains.value[1];
     let ks_e = (p2e.1 + p2f.1) * s1 - (p1e.1 + p1f.1) * s2;
     let ks_f = (p2e.2 + p2f.2) * s1 - (p1e.2 + p1f.2) * s2;
-    let i3 = M3::identity();
-    let ee = (symmetric_product(&ks_e, tilde) / -le) - (i3 - p * p.transpose()) * (ks / (chi * le * le))
-        + symmetric_product(kb, &(we - (tilde + p) * s3)) / (4.0 * le * le);
-    let ff = (symmetric_product(&ks_f, tilde) / -lf) - (i3 - q * q.transpose()) * (ks / (chi * lf * lf))
-        + symmetric_product(kb, &(wf - (tilde + q) * s3)) / (4.0 * lf * lf);
-    let ef = cross_matrix(&(p * s3 - (we + wf))) / (le * lf * chi)
-        - ks_e * tilde.transpose() / lf
-        - tilde * ks_f.transpose() / le
-        - (i3 + p * q.transpose()) * (ks / (chi * le * lf))
-        - kb * tilde.transpose() * (s3 / (2.0 * le * lf));
-    vertex_hessian(&ee, &ef, &ff, X, &mut out.hessian);
+    let i3 = M3::IDENTITY;
+    let ee = (symmetric_product(ks_e, tilde) / -le) - (i3 - outer(p, p)) * (ks / (chi * le * le))
+        + symmetric_product(kb, we - (tilde + p) * s3) / (4.0 * le * le);
+    let ff = (symmetric_product(ks_f, tilde) / -lf) - (i3 - outer(q, q)) * (ks / (chi * lf * lf))
+        + symmetric_product(kb, wf - (tilde + q) * s3) / (4.0 * lf * lf);
+    let ef = cross_matrix(p * s3 - (we + wf)) / (le * lf * chi)
+        - outer(ks_e, tilde) / lf
+        - outer(tilde, ks_f) / le
+        - (i3 + outer(p, q)) * (ks / (chi * le * lf))
+        - outer(kb, tilde) * (s3 / (2.0 * le * lf));
+    vertex_hessian(ee, ef, ff, X, &mut out.hessian);
     // ∂κ₁/∂θ = −½ m₁·κb, ∂κ₂/∂θ = −½ m₂·κb; once more: −½ m₂·κb and ½ m₁·κb.
     let mixed = |m1: &(f64, V3, V3), m2: &(f64, V3, V3)| (m1.1 * -s1 - m2.1 * s2, m1.2 * -s1 - m2.2 * s2);
     let second = strains.angle_curvature(&s);
     for (row, (e, f), second) in [(3, mixed(p1e, p2e), second[0]), (7, mixed(p1f, p2f), second[1])] {
         let mut g = [0.0; 11];
-        vertex_gradient(&e, &f, X, &mut g);
+        vertex_gradient(e, f, X, &mut g);
         for j in 0..11 {
             if j != 3 && j != 7 {
                 out.hessian[row.max(j)][row.min(j)] += g[j];
@@ -217,7 +217,7 @@ pub(crate) fn bend_twist(
 }
 
 /// From derivatives in the edges e = x_i − x_{i−1}, f = x_{i+1} − x_i to those in the vertices, overwriting.
-fn vertex_gradient<const N: usize>(e: &V3, f: &V3, at: [usize; 3], gradient: &mut [f64; N]) {
+fn vertex_gradient<const N: usize>(e: V3, f: V3, at: [usize; 3], gradient: &mut [f64; N]) {
     for c in 0..3 {
         gradient[at[0] + c] = -e[c];
         gradient[at[1] + c] = e[c] - f[c];
@@ -226,17 +226,18 @@ fn vertex_gradient<const N: usize>(e: &V3, f: &V3, at: [usize; 3], gradient: &mu
 }
 
 /// The same for second derivatives (ee and ff symmetric, ef = ∂²/∂e∂f), adding to the lower triangle.
-fn vertex_hessian<const N: usize>(ee: &M3, ef: &M3, ff: &M3, at: [usize; 3], hessian: &mut [[f64; N]; N]) {
+fn vertex_hessian<const N: usize>(ee: M3, ef: M3, ff: M3, at: [usize; 3], hessian: &mut [[f64; N]; N]) {
+    let [ee, ef, ff] = [ee, ef, ff].map(|m| m.transpose().to_cols_array_2d());
     for i in 0..3 {
         for j in 0..3 {
             if j <= i {
-                hessian[at[0] + i][at[0] + j] += ee[(i, j)];
-                hessian[at[1] + i][at[1] + j] += ee[(i, j)] - ef[(i, j)] - ef[(j, i)] + ff[(i, j)];
-                hessian[at[2] + i][at[2] + j] += ff[(i, j)];
+                hessian[at[0] + i][at[0] + j] += ee[i][j];
+                hessian[at[1] + i][at[1] + j] += ee[i][j] - ef[i][j] - ef[j][i] + ff[i][j];
+                hessian[at[2] + i][at[2] + j] += ff[i][j];
             }
-            hessian[at[1] + i][at[0] + j] += ef[(j, i)] - ee[(i, j)];
-            hessian[at[2] + i][at[0] + j] -= ef[(j, i)];
-            hessian[at[2] + i][at[1] + j] += ef[(j, i)] - ff[(i, j)];
+            hessian[at[1] + i][at[0] + j] += ef[j][i] - ee[i][j];
+            hessian[at[2] + i][at[0] + j] -= ef[j][i];
+            hessian[at[2] + i][at[1] + j] += ef[j][i] - ff[i][j];
         }
     }
 }

@@ -68,7 +68,7 @@ pub fn derivatives(rod: &Rod, at: &Framed) -> Result<Derivatives, Error> {
     let mut shape = Shape::new(n);
     shape.set_edges(&x, true)?;
     for (e, d) in at.directors.iter().enumerate() {
-        shape.d1[e] = perpendicular(&V3::from(*d), &shape.edges[e].t);
+        shape.d1[e] = perpendicular(V3::from(*d), shape.edges[e].t);
     }
     shape.set_angles(at.theta, Some(at.reference_twist));
 
@@ -82,8 +82,8 @@ pub fn derivatives(rod: &Rod, at: &Framed) -> Result<Derivatives, Error> {
             for (a, sign) in [(3 * e, -1.0), (3 * e + 3, 1.0)] {
                 out.gradient[a + i] += sign * force * shape.edges[e].t[i];
                 for j in 0..3 {
-                    out.hessian[a + i + (3 * e + j) * full] -= sign * h[(i, j)];
-                    out.hessian[a + i + (3 * e + 3 + j) * full] += sign * h[(i, j)];
+                    out.hessian[a + i + (3 * e + j) * full] -= sign * h.col(j)[i];
+                    out.hessian[a + i + (3 * e + 3 + j) * full] += sign * h.col(j)[i];
                 }
             }
         }

@@ -74,7 +74,7 @@ pub fn equilibrium(
 /// one, the free vertices move away from the first held one by a thousandth.
 fn stretch_a_little(system: &mut System) {
     let mut edges = system.x.windows(2).zip(&system.rod.rest_lengths);
-    if edges.any(|(x, rest)| ((x[1] - x[0]).norm() - rest).abs() < 1e-9 * rest) {
+    if edges.any(|(x, rest)| ((x[1] - x[0]).length() - rest).abs() < 1e-9 * rest) {
         let free = &system.layout.free_vertices;
         let held = (0..system.x.len()).find(|v| !free.contains(v)).unwrap_or(0);
         let origin = system.x[held];
@@ -95,7 +95,7 @@ pub fn straight_guess(rod: &Rod, supports: &Supports, t: f64, direction: [f64; 3
     let n = rod.segments();
     let s = rod.arc_lengths();
     let along = V3::from(direction);
-    let length = along.norm();
+    let length = along.length();
     let (anchor, place, tangent) = if let Some(clamp) = &supports.start {
         let f = clamp.frame(t)?;
         (0, f.position, f.tangent)
@@ -105,10 +105,10 @@ pub fn straight_guess(rod: &Rod, supports: &Supports, t: f64, direction: [f64; 3
         let f = clamp.frame(t)?;
         (n, f.position, f.tangent)
     } else {
-        (0, V3::zeros(), along / length)
+        (0, V3::ZERO, along / length)
     };
     // a length of zero, or one that overflowed, leaves no unit vector
-    if !(tangent.norm() > 0.5) {
+    if !(tangent.length() > 0.5) {
         return Err(Error::Value { field: "direction", value: length, expected: "a direction" });
     }
     let vertices = s.iter().map(|si| (place + tangent * (si - s[anchor])).into()).collect();
@@ -127,7 +127,7 @@ struct Statics {
 impl Statics {
     fn new(system: System, end_angle: f64, tolerance: f64) -> Statics {
         let n = system.rod.segments();
-        Statics { end_angle, tolerance, displacement: vec![V3::zeros(); n + 1], psi: vec![0.0; n], system }
+        Statics { end_angle, tolerance, displacement: vec![V3::ZERO; n + 1], psi: vec![0.0; n], system }
     }
 }
 
@@ -170,7 +170,7 @@ impl ImplicitStep for Statics {
             }
         }
         for &v in &s.layout.free_vertices {
-            potential -= s.forces[v].dot(&s.x[v]);
+            potential -= s.forces[v].dot(s.x[v]);
             let i = s.layout.unknown[s.layout.vertex(v)];
             for c in 0..3 {
                 g[i + c] -= s.forces[v][c];
@@ -241,7 +241,7 @@ impl TwistEquilibrium {
             u: vec![0.0; angles],
             rhs: vec![0.0; angles],
             psi: vec![0.0; n],
-            displacement: vec![V3::zeros(); n + 1],
+            displacement: vec![V3::ZERO; n + 1],
             full: system.clone(),
         }
     }
@@ -251,7 +251,7 @@ impl TwistEquilibrium {
         let s = &mut self.statics.system;
         s.place(t)?;
         for (f, &v) in self.full.layout.free_vertices.iter().enumerate() {
-            s.x[v] = V3::from_column_slice(&positions[3 * f..3 * f + 3]);
+            s.x[v] = V3::from_slice(&positions[3 * f..3 * f + 3]);
         }
         s.theta.fill(0.0);
         let end_angle = s.end_angle_guess();
@@ -348,7 +348,7 @@ impl TwistEquilibrium {
         self.rhs.copy_from_slice(lambda);
         self.solve_angles();
         let mut displacement = std::mem::take(&mut self.displacement);
-        displacement.fill(V3::zeros());
+        displacement.fill(V3::ZERO);
         self.psi.fill(0.0);
         for (f, &e) in self.full.layout.free_angles.iter().enumerate() {
             self.psi[e] = lambda[f];

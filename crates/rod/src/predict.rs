@@ -14,7 +14,7 @@ struct Anchor {
 }
 
 impl Anchor {
-    fn carry(&self, x: &V3) -> V3 {
+    fn carry(&self, x: V3) -> V3 {
         self.to + self.rotation * (x - self.from)
     }
 }
@@ -46,7 +46,7 @@ impl Carry {
         }
         for (vertex, motion) in &system.supports.prescribed {
             let (from, to) = (V3::from(motion.at(from)), V3::from(motion.at(to)));
-            self.anchors.push(Anchor { vertex: *vertex, from, to, rotation: M3::identity() });
+            self.anchors.push(Anchor { vertex: *vertex, from, to, rotation: M3::IDENTITY });
         }
         if let Some(clamp) = &system.supports.end {
             self.anchors.push(between(n, &clamp.frame(from)?, &clamp.frame(to)?));
@@ -59,11 +59,11 @@ impl Carry {
             let x = system.x[v];
             system.x[v] = match (after.checked_sub(1).map(|i| self.anchors[i]), self.anchors.get(after)) {
                 (None, None) => x,
-                (Some(a), None) => a.carry(&x),
-                (None, Some(b)) => b.carry(&x),
+                (Some(a), None) => a.carry(x),
+                (None, Some(b)) => b.carry(x),
                 (Some(a), Some(b)) => {
                     let w = (v - a.vertex) as f64 / (b.vertex - a.vertex) as f64;
-                    a.carry(&x) * (1.0 - w) + b.carry(&x) * w
+                    a.carry(x) * (1.0 - w) + b.carry(x) * w
                 }
             };
         }
@@ -72,6 +72,6 @@ impl Carry {
 }
 
 fn between(vertex: usize, from: &ClampFrame, to: &ClampFrame) -> Anchor {
-    let axes = |f: &ClampFrame| M3::from_columns(&[f.tangent, f.director, f.tangent.cross(&f.director)]);
+    let axes = |f: &ClampFrame| M3::from_cols(f.tangent, f.director, f.tangent.cross(f.director));
     Anchor { vertex, from: from.position, to: to.position, rotation: axes(to) * axes(from).transpose() }
 }

@@ -40,7 +40,7 @@ pub(crate) struct Shape {
 
 impl Shape {
     pub(crate) fn new(segments: usize) -> Shape {
-        let (n, zero) = (segments, V3::zeros());
+        let (n, zero) = (segments, V3::ZERO);
         Shape {
             edges: vec![Edge::NONE; n],
             turns: vec![Turn { chi: 1.0, kb: zero, tilde: zero }; n],
@@ -72,9 +72,9 @@ impl Shape {
     /// Edges and turns of the vertices x. `bent` = whether turns are needed.
     pub(crate) fn set_edges(&mut self, x: &[V3], bent: bool) -> Result<(), Error> {
         for i in 0..self.edges.len() {
-            self.edges[i] = Edge::between(&x[i], &x[i + 1], i)?;
+            self.edges[i] = Edge::between(x[i], x[i + 1], i)?;
             if bent && i > 0 {
-                self.turns[i] = Turn::between(&self.edges[i - 1].t, &self.edges[i].t, i)?;
+                self.turns[i] = Turn::between(self.edges[i - 1].t, self.edges[i].t, i)?;
             }
         }
         Ok(())
@@ -85,15 +85,15 @@ impl Shape {
         let t0 = self.edges[0].t;
         self.carried = matches!(first, FirstFrame::Carried { .. });
         self.d1[0] = match first {
-            FirstFrame::Clamped(director) => perpendicular(director, &t0),
+            FirstFrame::Clamped(director) => perpendicular(*director, t0),
             FirstFrame::Carried { tangent, director } => {
-                self.turns[0] = Turn::between(tangent, &t0, 0).map_err(|_| Error::FrameUndefined)?;
-                perpendicular(&self.turns[0].transport(&t0, director), &t0)
+                self.turns[0] = Turn::between(*tangent, t0, 0).map_err(|_| Error::FrameUndefined)?;
+                perpendicular(self.turns[0].transport(t0, *director), t0)
             }
         };
         for i in 1..self.edges.len() {
             let t = self.edges[i].t;
-            self.d1[i] = perpendicular(&self.turns[i].transport(&t, &self.d1[i - 1]), &t);
+            self.d1[i] = perpendicular(self.turns[i].transport(t, self.d1[i - 1]), t);
         }
         Ok(())
     }
@@ -101,7 +101,7 @@ impl Shape {
     /// Directors m₁, m₂ from d₁ and θ, and twists τ_i = θ^i − θ^{i−1} + reference twist.
     pub(crate) fn set_angles(&mut self, theta: &[f64], reference_twist: Option<&[f64]>) {
         for i in 0..self.edges.len() {
-            let (d1, d2) = (self.d1[i], self.edges[i].t.cross(&self.d1[i]));
+            let (d1, d2) = (self.d1[i], self.edges[i].t.cross(self.d1[i]));
             let (sin, cos) = theta[i].sin_cos();
             self.m1[i] = d1 * cos + d2 * sin;
             self.m2[i] = d2 * cos - d1 * sin;
@@ -124,10 +124,10 @@ impl Shape {
     /// dψ of every edge for displacements dx of the vertices.
     pub(crate) fn holonomy(&self, dx: &[V3], psi: &mut [f64]) {
         let rate = |i: usize| (dx[i + 1] - dx[i]) / self.edges[i].l;
-        let mut sum = if self.carried { 0.5 * self.turns[0].kb.dot(&rate(0)) } else { 0.0 };
+        let mut sum = if self.carried { 0.5 * self.turns[0].kb.dot(rate(0)) } else { 0.0 };
         psi[0] = sum;
         for i in 1..self.edges.len() {
-            sum += 0.5 * self.turns[i].kb.dot(&(rate(i - 1) + rate(i)));
+            sum += 0.5 * self.turns[i].kb.dot(rate(i - 1) + rate(i));
             psi[i] = sum;
         }
     }

@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::element::{self, Stiffness, Strains};
-use crate::geometry::{V3, any_perpendicular, perpendicular, signed_angle};
+use crate::geometry::{M3, V3, any_perpendicular, perpendicular, signed_angle};
 use crate::layout::{Band, Layout};
 use crate::rod::Rod;
 use crate::shape::{FirstFrame, Shape};
@@ -42,20 +42,20 @@ impl Clamp {
         let position = V3::from(self.position.at(t));
         let tangent = V3::from(self.tangent.at(t));
         let director = V3::from(self.director.at(t));
-        let size = tangent.norm();
+        let size = tangent.length();
         if !(size > 0.0 && size.is_finite()) {
             return Err(bad("a clamp's tangent, component", 0));
         }
         let tangent = tangent / size;
-        let across = director - tangent * director.dot(&tangent);
-        if !(across.norm() > 1e-9 * director.norm()) {
+        let across = director - tangent * director.dot(tangent);
+        if !(across.length() > 1e-9 * director.length()) {
             return Err(Error::Value {
                 field: "a clamp's director",
-                value: across.norm(),
+                value: across.length(),
                 expected: "a direction not along its tangent",
             });
         }
-        if !position.iter().all(|v| v.is_finite()) {
+        if !position.is_finite() {
             return Err(bad("a clamp's position, component", 0));
         }
         Ok(ClampFrame { position, tangent, director: across.normalize() })
@@ -82,20 +82,20 @@ impl System {
         let layout = Layout::needed(&rod, &supports, damping, force_twist)?;
         let n = rod.segments();
         let tangent = V3::from(supports.free_frame.0);
-        let size = tangent.norm();
+        let size = tangent.length();
         if !(size > 0.0 && size.is_finite()) {
             return Err(Error::Value { field: "free_frame tangent", value: size, expected: "a direction" });
         }
         let tangent = tangent / size;
         let director = V3::from(supports.free_frame.1);
-        let across = director - tangent * director.dot(&tangent);
-        let director = if across.norm() > 1e-9 * director.norm() {
-            perpendicular(&director, &tangent)
+        let across = director - tangent * director.dot(tangent);
+        let director = if across.length() > 1e-9 * director.length() {
+            perpendicular(director, tangent)
         } else {
-            any_perpendicular(&tangent)
+            any_perpendicular(tangent)
         };
         let mut system = System {
-            x: vec![V3::zeros(); n + 1],
+            x: vec![V3::ZERO; n + 1],
             theta: vec![0.0; n],
             shape: Shape::new(n),
             first: FirstFrame::Carried { tangent, director },
@@ -103,7 +103,7 @@ impl System {
             stretch: Vec::with_capacity(n),
             bend: Vec::with_capacity(n),
             gradient: vec![0.0; layout.full()],
-            forces: vec![V3::zeros(); n + 1],
+            forces: vec![V3::ZERO; n + 1],
             rod,
             supports,
             loads,
@@ -158,7 +158,7 @@ impl System {
             self.x[n - 1] = f.position - f.tangent * self.rod.rest_lengths[n - 1];
             self.end_director = Some(f.director);
         }
-        self.forces.fill(V3::zeros());
+        self.forces.fill(V3::ZERO);
         for v in 0..=n {
             self.forces[v] = V3::from(self.loads.gravity) * self.rod.masses[v];
         }
@@ -188,7 +188,7 @@ impl System {
         let layout = &self.layout;
         for &v in &layout.free_vertices {
             let i = layout.unknown[layout.vertex(v)];
-            u[i..i + 3].copy_from_slice(self.x[v].as_slice());
+            u[i..i + 3].copy_from_slice(self.x[v].as_ref());
         }
         for &e in &layout.free_angles {
             u[layout.unknown[layout.angle(e)]] = self.theta[e];
@@ -199,7 +199,7 @@ impl System {
     pub(crate) fn scatter_state(&mut self, state: &[f64]) {
         let nf = self.layout.free_vertices.len();
         for (f, &v) in self.layout.free_vertices.iter().enumerate() {
-            self.x[v] = V3::from_column_slice(&state[3 * f..3 * f + 3]);
+            self.x[v] = V3::from_slice(&state[3 * f..3 * f + 3]);
         }
         for (f, &e) in self.layout.free_angles.iter().enumerate() {
             self.theta[e] = state[6 * nf + f];
@@ -219,9 +219,9 @@ impl System {
         self.shape.set_edges(&self.x, self.layout.bending || frames)?;
         if frames {
             self.shape.set_bishop(&self.first)?;
-            if let (Some(director), Some(last)) = (&self.end_director, self.rod.segments().checked_sub(1)) {
-                let t = &self.shape.edges[last].t;
-                let angle = signed_angle(&self.shape.d1[last], &perpendicular(director, t), t);
+            if let (Some(director), Some(last)) = (self.end_director, self.rod.segments().checked_sub(1)) {
+                let t = self.shape.edges[last].t;
+                let angle = signed_angle(self.shape.d1[last], perpendicular(director, t), t);
                 let turn = std::f64::consts::TAU;
                 self.theta[last] = angle + turn * ((end_angle - angle) / turn).round();
                 if !self.layout.twist {
@@ -251,9 +251,9 @@ impl System {
             if let Some(values) = jacobian.as_deref_mut() {
                 let mut band = Band { layout, values };
                 if layout.twist {
-                    band.add(a, &edge_hessian::<7>(&h, 4))
+                    band.add(a, &edge_hessian::<7>(h, 4))
                 } else {
-                    band.add(a, &edge_hessian::<6>(&h, 3))
+                    band.add(a, &edge_hessian::<6>(h, 3))
                 }
             }
         }
@@ -358,7 +358,7 @@ impl System {
 
     /// Displacements of all vertices from an increment of the unknowns.
     pub(crate) fn unknown_displacements(&self, du: &[f64], out: &mut [V3]) {
-        out.fill(V3::zeros());
+        out.fill(V3::ZERO);
         for &v in &self.layout.free_vertices {
             let i = self.layout.unknown[self.layout.vertex(v)];
             out[v] = V3::new(du[i], du[i + 1], du[i + 2]);
@@ -367,9 +367,9 @@ impl System {
 
     /// Displacements of all vertices from those of the free ones, taken from the first entries of a state-like vector.
     pub(crate) fn displacements(&self, dx: &[f64], out: &mut [V3]) {
-        out.fill(V3::zeros());
+        out.fill(V3::ZERO);
         for (f, &v) in self.layout.free_vertices.iter().enumerate() {
-            out[v] = V3::from_column_slice(&dx[3 * f..3 * f + 3]);
+            out[v] = V3::from_slice(&dx[3 * f..3 * f + 3]);
         }
     }
 }
@@ -388,15 +388,15 @@ fn add(target: &mut [f64], values: &[f64]) {
 }
 
 /// The Hessian of an edge with respect to both its vertices, `second` the place of the second one; an angle between is zero.
-fn edge_hessian<const N: usize>(h: &crate::geometry::M3, second: usize) -> [[f64; N]; N] {
+fn edge_hessian<const N: usize>(h: M3, second: usize) -> [[f64; N]; N] {
     let mut out = [[0.0; N]; N];
     for i in 0..3 {
         for j in 0..3 {
             if j <= i {
-                out[i][j] = h[(i, j)];
-                out[second + i][second + j] = h[(i, j)];
+                out[i][j] = h.col(j)[i];
+                out[second + i][second + j] = h.col(j)[i];
             }
-            out[second + i][j] = -h[(i, j)];
+            out[second + i][j] = -h.col(j)[i];
         }
     }
     out
