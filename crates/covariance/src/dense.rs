@@ -188,7 +188,8 @@ impl Covariance for Truncated {
     fn spectrum(&self) -> Result<Spectrum, Error> {
         let rank = self.root_dim();
         let column = |k: usize| &self.columns[k * self.n..][..self.n];
-        let mut eigenvalues = crate::eigen::values_descending(rank, |i, j| dot(column(i), column(j)))?;
+        let gram: Vec<f64> = (0..rank * rank).map(|ij| dot(column(ij / rank), column(ij % rank))).collect();
+        let mut eigenvalues = crate::eigen::values_descending(rank, &gram)?;
         eigenvalues.resize(self.n, 0.0);
         Ok(Spectrum { eigenvalues })
     }

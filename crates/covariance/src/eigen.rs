@@ -1,6 +1,6 @@
 //! What asks for eigenvalues: the spectrum of a covariance, and the root of truncated rank by eigenvectors (feature `eigen`).
 
-use faer::{Mat, Side};
+use faer::{MatRef, Side};
 
 use crate::dense::{Truncated, check_matrix, usable_tolerance};
 use crate::diagnostics::Spectrum;
@@ -21,7 +21,7 @@ impl Truncated {
     pub fn eigen(n: usize, matrix: &[f64], tolerance: f64) -> Result<Self, Error> {
         check_matrix(n, matrix)?;
         let tolerance = usable_tolerance(n, tolerance)?;
-        let decomposition = Mat::from_fn(n, n, |i, j| matrix[i * n + j])
+        let decomposition = MatRef::from_column_major_slice(matrix, n, n)
             .self_adjoint_eigen(Side::Lower)
             .map_err(|_| Error::Eigen { dim: n })?;
         let values = decomposition.S().column_vector();
@@ -60,12 +60,12 @@ pub(crate) fn spectrum_by_products<C: Covariance + ?Sized>(covariance: &C) -> Re
             return Err(Error::NonFinite { row: i, column: j, value: column[i] });
         }
     }
-    Ok(Spectrum { eigenvalues: values_descending(n, |i, j| matrix[j * n + i])? })
+    Ok(Spectrum { eigenvalues: values_descending(n, &matrix)? })
 }
 
-/// The eigenvalues of a symmetric n × n matrix given entry by entry, of which the lower triangle is read.
-pub(crate) fn values_descending(n: usize, entry: impl Fn(usize, usize) -> f64) -> Result<Vec<f64>, Error> {
-    match Mat::from_fn(n, n, entry).self_adjoint_eigenvalues(Side::Lower) {
+/// The eigenvalues of a symmetric n × n matrix.
+pub(crate) fn values_descending(n: usize, matrix: &[f64]) -> Result<Vec<f64>, Error> {
+    match MatRef::from_column_major_slice(matrix, n, n).self_adjoint_eigenvalues(Side::Lower) {
         // faer gives Ok with NaN for a matrix with NaN.
         Ok(mut values) if values.iter().all(|value| value.is_finite()) => {
             values.reverse();

@@ -1,6 +1,6 @@
 //! Transport along a line: linear advection–diffusion, and Burgers' equation.
 
-use crate::{Rhs, Structure};
+use crate::{ImplicitModel, Model, OneLeg, Rhs, Rk4, Scheme, Structure};
 
 /// The line that a field u is carried along, 0 ≤ s ≤ L, by points at equal distances h.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -107,6 +107,28 @@ impl Transport {
         assert!(speed.is_finite(), "a speed must be finite, not {speed}");
         assert!(diffusivity >= 0.0 && diffusivity.is_finite(), "ν must not be negative: {diffusivity}");
         Self { line, speed, steepening, diffusivity }
+    }
+
+    /// The model of this equation by [`Rk4`], compiled in this crate.
+    ///
+    /// # Panics
+    /// As [`Rk4::new`].
+    pub fn rk4(self, first_index: usize, length: f64) -> Box<dyn Model + Send> {
+        Box::new(Rk4::new(self, first_index, length))
+    }
+
+    /// The model of this equation by an implicit scheme, compiled in this crate. `tolerance` as for [`OneLeg::implicit_euler`].
+    ///
+    /// # Panics
+    /// As [`ImplicitModel::new`].
+    pub fn implicit(
+        self,
+        scheme: Scheme,
+        tolerance: f64,
+        first_index: usize,
+        length: f64,
+    ) -> Box<dyn Model + Send> {
+        Box::new(ImplicitModel::new(OneLeg::new(self, scheme, tolerance), first_index, length))
     }
 
     /// The line.

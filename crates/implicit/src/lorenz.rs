@@ -1,6 +1,6 @@
 //! Standard test models: the Lorenz equations of 1963 and 1996.
 
-use crate::Rhs;
+use crate::{Model, Rhs, Rk4};
 
 /// Lorenz 1963, three variables, chaotic for the classical parameters.
 ///
@@ -21,6 +21,16 @@ impl Default for Lorenz63 {
     /// σ = 10, ρ = 28, β = 8/3.
     fn default() -> Self {
         Self { sigma: 10.0, rho: 28.0, beta: 8.0 / 3.0 }
+    }
+}
+
+impl Lorenz63 {
+    /// The model of this system by [`Rk4`], compiled in this crate.
+    ///
+    /// # Panics
+    /// As [`Rk4::new`].
+    pub fn rk4(self, first_index: usize, length: f64) -> Box<dyn Model + Send> {
+        Box::new(Rk4::new(self, first_index, length))
     }
 }
 
@@ -67,6 +77,14 @@ impl Lorenz96 {
     pub fn new(n: usize, forcing: f64) -> Self {
         assert!(n >= 4, "the stencil of Lorenz 96 needs 4 variables, not {n}");
         Self { n, forcing }
+    }
+
+    /// The model of this system by [`Rk4`], compiled in this crate.
+    ///
+    /// # Panics
+    /// As [`Rk4::new`].
+    pub fn rk4(self, first_index: usize, length: f64) -> Box<dyn Model + Send> {
+        Box::new(Rk4::new(self, first_index, length))
     }
 }
 

@@ -1,6 +1,6 @@
 //! Time steps of the rod for the generic layer.
 
-use varda_implicit::{ImplicitStep, Interval, Refusal, Scheme, Structure};
+use varda_implicit::{Grouped, ImplicitModel, ImplicitStep, Interval, Model, Refusal, Scheme, Structure};
 
 use crate::Error;
 use crate::damping::KelvinVoigt;
@@ -31,7 +31,7 @@ use crate::system::System;
 ///
 /// State x = [X, V, θ] of the free vertices and angles (SI units: m, m/s, rad); under BDF2, and under midpoint with twist or
 /// Kelvin–Voigt damping, followed by the same of the step before. Control z = [X₀, V₀], θ₀ being the twist equilibrium of
-/// X₀ nearest to the untwisted frame. Use it inside [`varda_implicit::ImplicitModel`].
+/// X₀ nearest to the untwisted frame. Use it inside [`ImplicitModel`]; [`RodStep::model`] does.
 ///
 /// First guess of a step: X_k carried along rigidly with the supports, θ_k.
 pub struct RodStep {
@@ -100,6 +100,22 @@ impl RodStep {
         let count = past.iter().find(|p| p.0 == scheme).map_or(0, |p| p.1);
         self.viscous = self.viscous.map(|_| KelvinVoigt::new(&self.system, count));
         self
+    }
+
+    /// The model whose step k starts at (first_index + k) · length seconds, compiled in this crate.
+    ///
+    /// # Panics
+    /// As [`ImplicitModel::new`].
+    pub fn model(self, first_index: usize, length: f64) -> Box<dyn Model + Send> {
+        Box::new(ImplicitModel::new(self, first_index, length))
+    }
+
+    /// The model whose step k is all steps between `times` (s) from the k-th to the next time of `through`, compiled in this crate.
+    ///
+    /// # Panics
+    /// As [`ImplicitModel::on_times`] and [`Grouped::through`].
+    pub fn model_on_times(self, times: &[f64], through: &[f64]) -> Box<dyn Model + Send> {
+        Box::new(Grouped::through(ImplicitModel::on_times(self, times.to_vec()), times, through))
     }
 
     /// The scheme.

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use varda_implicit::line::{Ends, Line, Transport};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
-use varda_implicit::{ImplicitModel, Model, OneLeg, Rhs, Rk4};
+use varda_implicit::{Model, Scheme};
 
 use crate::scene::{self, Integrator, Scene};
 
@@ -47,11 +47,9 @@ pub(crate) fn factory(
     let size = start.iter().fold(0.0_f64, |size, u| size.max(u.abs()));
     let tolerance = TOLERANCE * if size > 0.0 { size } else { 1.0 };
     move |first| match (&model, model.line()) {
-        (scene::Model::Lorenz96(m), _) => {
-            Box::new(Rk4::new(Lorenz96::new(m.variables, m.forcing), first, step))
-        }
+        (scene::Model::Lorenz96(m), _) => Lorenz96::new(m.variables, m.forcing).rk4(first, step),
         (scene::Model::Lorenz63(m), _) => {
-            Box::new(Rk4::new(Lorenz63 { sigma: m.sigma, rho: m.rho, beta: m.beta }, first, step))
+            Lorenz63 { sigma: m.sigma, rho: m.rho, beta: m.beta }.rk4(first, step)
         }
         (scene::Model::LinearAdvection(m), Some(line)) => {
             let rhs = Transport::advection_diffusion(line, m.speed, m.diffusivity);
@@ -64,20 +62,16 @@ pub(crate) fn factory(
     }
 }
 
-fn stepped<R: Rhs + Send + 'static>(
-    rhs: R,
+fn stepped(
+    equation: Transport,
     integrator: Integrator,
     tolerance: f64,
     first: usize,
     step: f64,
 ) -> Box<dyn Model + Send> {
     match integrator {
-        Integrator::BackwardEuler => {
-            Box::new(ImplicitModel::new(OneLeg::implicit_euler(rhs, tolerance), first, step))
-        }
-        Integrator::Midpoint => {
-            Box::new(ImplicitModel::new(OneLeg::implicit_midpoint(rhs, tolerance), first, step))
-        }
-        _ => Box::new(Rk4::new(rhs, first, step)),
+        Integrator::BackwardEuler => equation.implicit(Scheme::BackwardEuler, tolerance, first, step),
+        Integrator::Midpoint => equation.implicit(Scheme::Midpoint, tolerance, first, step),
+        _ => equation.rk4(first, step),
     }
 }

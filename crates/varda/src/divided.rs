@@ -2,9 +2,9 @@
 //! where they no longer do.
 
 use serde::Serialize;
-use varda_implicit::{
-    Adaptive, Error, Grouped, ImplicitModel, ImplicitStep, Model, accepted_times, largest_error,
-};
+use varda_implicit::{Adaptive, Error, Model, accepted_times, largest_error};
+
+use varda_rod::RodStep;
 
 use crate::problem::MakeModel;
 use crate::rod_model::RodParts;
@@ -97,14 +97,14 @@ impl DividedSteps {
     }
 
     /// The dynamics, the state of a control at the start of the window, and the scale of its components.
-    fn start(&self, control: &[f64]) -> Result<(impl ImplicitStep + use<>, Vec<f64>, Vec<f64>), Error> {
-        let dynamics = self.parts.dynamics().expect("the dynamics were made of these parts before");
-        let mut model = ImplicitModel::new(dynamics, self.spin_up, self.window.step);
+    fn start(&self, control: &[f64]) -> Result<(RodStep, Vec<f64>, Vec<f64>), Error> {
+        let dynamics = || self.parts.dynamics().expect("the dynamics were made of these parts before");
+        let mut model = dynamics().model(self.spin_up, self.window.step);
         let mut x0 = vec![0.0; model.dim()];
         model.initial_state(control, &mut x0)?;
         let mut scale = vec![f64::INFINITY; x0.len()];
         scale[..control.len() / 2].fill(self.parts.rod.length());
-        Ok((model.into_inner(), x0, scale))
+        Ok((dynamics(), x0, scale))
     }
 }
 
@@ -173,11 +173,10 @@ pub(crate) fn rod_models(
     Box::new(move |first| {
         let step = parts.dynamics().expect("the dynamics were made of these parts before");
         match &times {
-            None => Box::new(ImplicitModel::new(step, spin_up + first, window.step)),
+            None => step.model(spin_up + first, window.step),
             Some(times) => {
                 let from = times.partition_point(|t| *t < window.time(first));
-                let model = ImplicitModel::on_times(step, times[from..].to_vec());
-                Box::new(Grouped::through(model, &times[from..], &grid(&window)[first..]))
+                step.model_on_times(&times[from..], &grid(&window)[first..])
             }
         }
     })

@@ -16,6 +16,7 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 use varda_assimilation::CycleState;
@@ -90,7 +91,7 @@ impl Partial {
         let read = |name: &str| std::fs::read_to_string(folder.join(name));
         let unfit = |name: &str, e: serde_json::Error| refuse(&format!("{name}: {e}"));
         let scene: Scene = match read("scene.json") {
-            Ok(text) => serde_json::from_str(&text).map_err(|e| unfit("scene.json", e))?,
+            Ok(text) => stored(&text).map_err(|e| unfit("scene.json", e))?,
             Err(_) => return Err(refuse("it has no scene.json; remove it and begin again")),
         };
         if let Some(difference) = difference("", &uncounted(&scene), &uncounted(&file.scene)) {
@@ -99,7 +100,7 @@ impl Partial {
             )));
         }
         let text = read("data.json").unwrap_or_default();
-        let before: BTreeMap<String, u64> = serde_json::from_str(&text).map_err(|e| unfit("data.json", e))?;
+        let before: BTreeMap<String, u64> = stored(&text).map_err(|e| unfit("data.json", e))?;
         for Checksum { key, file, sum } in checksums(file)? {
             if before.get(&key) != Some(&sum) {
                 return Err(refuse(&format!("the file {file} ({key}) has changed since it was begun")));
@@ -115,19 +116,19 @@ impl Partial {
             .map_err(failed)?;
         let (mut state, mut done, mut length) = (None, Vec::new(), 0);
         if let Ok(text) = read("state.json") {
-            let stored: Stored = serde_json::from_str(&text).map_err(|e| unfit("state.json", e))?;
-            if stored.version != env!("CARGO_PKG_VERSION") {
-                return Err(refuse(&format!("it was written by version {}", stored.version)));
+            let written: Stored = stored(&text).map_err(|e| unfit("state.json", e))?;
+            if written.version != env!("CARGO_PKG_VERSION") {
+                return Err(refuse(&format!("it was written by version {}", written.version)));
             }
             let text = read("cycles.jsonl").map_err(failed)?;
-            for line in text.split_inclusive('\n').take(stored.next) {
-                done.push(serde_json::from_str::<Row>(line).map_err(|e| unfit("cycles.jsonl", e))?);
+            for line in text.split_inclusive('\n').take(written.next) {
+                done.push(stored::<Row>(line).map_err(|e| unfit("cycles.jsonl", e))?);
                 length += line.len() as u64;
             }
-            if done.len() != stored.next {
+            if done.len() != written.next {
                 return Err(refuse("cycles.jsonl has fewer rows than state.json says"));
             }
-            let Stored { next, background, columns, .. } = stored;
+            let Stored { next, background, columns, .. } = written;
             let n = background.len();
             let fits = |row: &Row| row.background.len() == n && row.analysis.len() == n;
             let finite = background.iter().chain(&columns).all(|x| x.is_finite());
@@ -212,6 +213,11 @@ fn checksums(file: &SceneFile) -> Result<Vec<Checksum>, Error> {
         Ok(Checksum { key, file, sum: text.bytes().fold(0xcbf2_9ce4_8422_2325, step) })
     };
     file.scene.files().into_iter().map(of).collect()
+}
+
+/// What [`json`] wrote. By way of a [`Json`], as scenes are read: a second deserializer of every type doubled what this crate costs to build.
+fn stored<T: DeserializeOwned>(text: &str) -> Result<T, serde_json::Error> {
+    serde_json::from_value(serde_json::from_str(text)?)
 }
 
 fn json(value: &impl Serialize) -> String {

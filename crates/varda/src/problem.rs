@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet, Selection};
 use varda_covariance::{Ensemble, sample};
-use varda_implicit::{ImplicitModel, Model};
+use varda_implicit::Model;
 use varda_rod::{Marker, RodStep};
 
 use crate::component_model;
@@ -340,7 +340,7 @@ fn rod_problem(file: &SceneFile, rod: &RodModel, memory: usize) -> Result<Proble
 
 /// The state after the spin-up from rest.
 fn spun_up(parts: &RodParts, window: &Window, steps: usize) -> Result<Vec<f64>, Error> {
-    let mut model = ImplicitModel::new(parts.dynamics()?, 0, window.step);
+    let mut model = parts.dynamics()?.model(0, window.step);
     let failed = |reason| Error::Preparation { stage: "spin-up of the truth", reason };
     let mut x = vec![0.0; model.dim()];
     model.initial_state(&parts.at_rest(0.0)?, &mut x).map_err(failed)?;
