@@ -1,7 +1,7 @@
 //! Small windows on which methods are compared with each other.
 
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::error::Error;
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet, Selection};

@@ -1,8 +1,17 @@
-//! Dependencies, offline: every licence is one that deny.toml allows, every source is crates.io.
+//! Dependencies, offline: every licence is one that deny.toml allows, every source is crates.io, and no crate draws in what it does not need.
 
 use std::collections::BTreeSet;
 
 use crate::{cargo, root};
+
+/// What a crate does without, built alone with its default features.
+const WITHOUT: [(&str, &[&str]); 5] = [
+    ("varda-covariance", &["faer", "nalgebra", "rayon", "serde"]),
+    ("varda-implicit", &["nalgebra", "rayon", "rand", "serde"]),
+    ("varda-rod", &["nalgebra", "rayon", "rand", "serde"]),
+    ("varda-assimilation", &["nalgebra", "ndarray", "argmin", "serde", "varda-rod"]),
+    ("varda", &["nalgebra", "ndarray", "argmin"]),
+];
 
 const CRATES_IO: &str = "registry+https://github.com/rust-lang/crates.io-index";
 
@@ -10,13 +19,13 @@ pub(crate) fn check() -> Result<(), String> {
     let read = |name: &str| std::fs::read_to_string(root().join(name)).map_err(|e| format!("{name}: {e}"));
     let allowed = allowed(&read("deny.toml")?)?;
     sources(&read("Cargo.lock")?)?;
-    let tree = ["tree", "--offline", "--locked", "--workspace", "--target", "all", "--prefix", "none"];
-    let output = cargo().args(tree).args(["--format", "{l}\t{p}"]).current_dir(root()).output();
-    let output = output.map_err(|e| format!("cargo tree: {e}"))?;
-    if !output.status.success() {
-        return Err(format!("cargo tree: {}", String::from_utf8_lossy(&output.stderr)));
+    for (package, without) in WITHOUT {
+        let text = tree(&["-p", package, "-e", "normal", "--format", "{p}"])?;
+        if let Some(drawn) = text.lines().filter_map(|l| l.split(' ').next()).find(|p| without.contains(p)) {
+            return Err(format!("{package} draws in {drawn}, which it did without"));
+        }
     }
-    let text = String::from_utf8_lossy(&output.stdout);
+    let text = tree(&["--workspace", "--target", "all", "--format", "{l}\t{p}"])?;
     let packages: BTreeSet<&str> =
         text.lines().map(|l| l.trim_end_matches(" (*)")).filter(|l| !l.is_empty()).collect();
     for line in &packages {
@@ -27,6 +36,17 @@ pub(crate) fn check() -> Result<(), String> {
     }
     println!("{} packages: licences among {}, sources crates.io", packages.len(), allowed.join(", "));
     Ok(())
+}
+
+/// The lines of `cargo tree`.
+fn tree(arguments: &[&str]) -> Result<String, String> {
+    let tree = ["tree", "--offline", "--locked", "--prefix", "none"];
+    let output = cargo().args(tree).args(arguments).current_dir(root()).output();
+    let output = output.map_err(|e| format!("cargo tree: {e}"))?;
+    if !output.status.success() {
+        return Err(format!("cargo tree: {}", String::from_utf8_lossy(&output.stderr)));
+    }
+    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
 /// The licences of deny.toml's `allow = ["…"]`.

@@ -2,7 +2,7 @@
 #![allow(clippy::print_stdout)]
 
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use std::ops::ControlFlow;
 use varda_assimilation::*;
 use varda_covariance::{Diagonal, sample};

@@ -10,7 +10,7 @@
 #![allow(clippy::print_stdout)]
 
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::ops::ControlFlow;
 use std::time::Instant;

@@ -4,8 +4,8 @@
 //! `cargo run -p varda-covariance --example correlated_errors`
 #![allow(clippy::print_stdout)]
 
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
+use rand::SeedableRng;
+use rand::rngs::ChaCha8Rng;
 use varda_covariance::{Covariance, CovarianceFunction, Dense, Error, Kernel, Taper, Truncated, sample};
 
 fn main() -> Result<(), Error> {

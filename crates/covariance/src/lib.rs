@@ -50,8 +50,8 @@
 //!     Interleaved::new(Dense::new(21, &velocity.matrix(&places)?)?, 3),
 //! ]);
 //!
-//! let mut rng = rand_chacha::ChaCha8Rng::from_seed([7; 32]);
-//! # use rand_chacha::rand_core::SeedableRng;
+//! let mut rng = rand::rngs::ChaCha8Rng::from_seed([7; 32]);
+//! # use rand::SeedableRng;
 //! let error = sample(&b, &mut rng);
 //! assert_eq!(error.len(), 2 * 21 * 3);
 //!

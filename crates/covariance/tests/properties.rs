@@ -1,8 +1,8 @@
 //! What every covariance must do, checked on random ones.
 
 use proptest::prelude::*;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
+use rand::SeedableRng;
+use rand::rngs::ChaCha8Rng;
 use varda_covariance::{
     BlockDiagonal, Covariance, CovarianceFunction, Dense, Diagonal, Interleaved, Kernel, Precision, Taper,
     Truncated, sample,

@@ -215,13 +215,14 @@ fn checksums(file: &SceneFile) -> Result<Vec<Checksum>, Error> {
     file.scene.files().into_iter().map(of).collect()
 }
 
-/// What [`json`] wrote. By way of a [`Json`], as scenes are read: a second deserializer of every type doubled what this crate costs to build.
+/// What [`json`] wrote. Both by way of a [`Json`], as scenes are read: a second reader and writer of every type would be a large part of what
+/// building this crate costs.
 fn stored<T: DeserializeOwned>(text: &str) -> Result<T, serde_json::Error> {
     serde_json::from_value(serde_json::from_str(text)?)
 }
 
 fn json(value: &impl Serialize) -> String {
-    serde_json::to_string(value).expect("plain data")
+    serde_json::to_value(value).expect("plain data").to_string()
 }
 
 /// Writes a file beside its place and renames it.

@@ -1,7 +1,7 @@
 //! Truth, background error and observation error of a twin experiment, from one seed.
 
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 /// What a stream of random numbers is for. Streams of one seed are independent: more observations do not change the

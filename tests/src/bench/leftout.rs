@@ -7,7 +7,7 @@ use crate::cells;
 use crate::problems::{DrivenRod, HangingRod, wave};
 use crate::windows::difference;
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use varda_assimilation::{
     ControlTransform, CostFunction, GaussNewton, LanczosOptions, LowRankPosterior, ObservationSet, Posterior,
     StrongConstraint,

@@ -3,7 +3,7 @@
 use super::{Iteration, Minimizer, Minimum, Start, Status, TrustRegionOptions, continuation};
 use crate::{Error, GaussNewton};
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::ops::ControlFlow;
 

@@ -2,7 +2,7 @@
 
 use crate::{Error, cost::dot, cost::norm};
 use faer::{MatRef, Side};
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 /// q(p) = gᵀp + ½ pᵀ A p on the span of k orthonormal vectors z_i with zᵢᵀ A z_j = μ_i δ_ij.

@@ -7,7 +7,7 @@ use super::{Iteration, Minimum, Progress, RitzPair, Start, Status, at_least_one,
 use crate::cost::norm;
 use crate::{Error, GaussNewton};
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use std::ops::ControlFlow;
 
 /// A predicted decrease below this part of J cannot be seen in J (its trajectory is only as exact as the model's solver);

@@ -1,7 +1,7 @@
 //! Small models with hand-written derivatives, and problems made of them.
 
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet, Selection};
 use varda_implicit::{Counts, Error, Model};

@@ -4,7 +4,7 @@ use crate::cost::coupled;
 use crate::fixtures::numbers;
 use crate::models::*;
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use serde_json::Value;
 use std::ops::ControlFlow;
 use varda_assimilation::*;

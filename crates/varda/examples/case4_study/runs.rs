@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use varda::problem::{Problem, View, mean_speed, places, sigmas};
 use varda::scene::{self, Prior, SceneFile};

@@ -6,7 +6,7 @@ use crate::suites::golden::twin;
 use crate::windows::{RING, coupled, difference, dot, normals, ring, ring_model, spanning, states};
 use nalgebra::DMatrix;
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use std::error::Error;
 use varda_assimilation::{
     Analysis, ControlTransform, CostFunction, EnVar, EnsembleUpdate, GaussNewton, LanczosOptions,

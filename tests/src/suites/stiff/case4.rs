@@ -5,7 +5,7 @@ use crate::row::{Rows, Work};
 use crate::suites::Options;
 use crate::windows::normals;
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use std::ops::ControlFlow;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};

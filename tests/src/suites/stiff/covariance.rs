@@ -3,8 +3,8 @@
 use super::refused;
 use crate::row::{Outcome, Rows, Work};
 use crate::windows::{difference, normals};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use varda_covariance::{
     Banded, Covariance, CovarianceFunction, Dense, Diagonal, Kernel, Precision, Spectrum, Taper, Truncated,
 };
