@@ -21,7 +21,7 @@ pub fn description() -> String {
     let compiler = compiler.ok().and_then(|o| String::from_utf8(o.stdout).ok()).unwrap_or_default();
     // "rustc 1.95.0 (hash date)"
     let compiler = compiler.split(" (").next().unwrap_or_default().trim().to_string();
-    let profile = if cfg!(debug_assertions) { "debug" } else { "release, thin LTO" };
+    let profile = if cfg!(debug_assertions) { "debug" } else { "release" };
     format!(
         "{cpu}{frequency}, {cores} cores{memory}, {} {}; {compiler} ({profile}), one thread",
         std::env::consts::OS,
