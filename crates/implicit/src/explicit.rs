@@ -168,20 +168,17 @@ impl<R: Rhs> Model for Rk4<R> {
         let Self { rhs, kept, slope: mu, point: p, sum, .. } = self;
         let stage = |i: usize| &kept[place][i * n..(i + 1) * n];
 
-        p.fill(0.0);
-        rhs.adjoint_add(time[3], stage(3), lambda, p);
-        for (((mu, l), p), sum) in mu.iter_mut().zip(lambda.iter()).zip(p.iter_mut()).zip(sum.iter_mut()) {
-            *mu = weight[2] * l + after[2] * weight[3] * *p;
-            *sum = l + weight[3] * *p;
-            *p = 0.0;
+        rhs.adjoint(time[3], stage(3), lambda, p);
+        for (((mu, l), p), sum) in mu.iter_mut().zip(lambda.iter()).zip(p.iter()).zip(sum.iter_mut()) {
+            *mu = weight[2] * l + after[2] * weight[3] * p;
+            *sum = l + weight[3] * p;
         }
-        rhs.adjoint_add(time[2], stage(2), mu, p);
-        for (((mu, l), p), sum) in mu.iter_mut().zip(lambda.iter()).zip(p.iter_mut()).zip(sum.iter_mut()) {
-            *mu = weight[1] * l + after[1] * *p;
-            *sum += *p;
-            *p = 0.0;
+        rhs.adjoint(time[2], stage(2), mu, p);
+        for (((mu, l), p), sum) in mu.iter_mut().zip(lambda.iter()).zip(p.iter()).zip(sum.iter_mut()) {
+            *mu = weight[1] * l + after[1] * p;
+            *sum += p;
         }
-        rhs.adjoint_add(time[1], stage(1), mu, p);
+        rhs.adjoint(time[1], stage(1), mu, p);
         for (((mu, l), p), sum) in mu.iter_mut().zip(lambda.iter_mut()).zip(p.iter()).zip(sum.iter()) {
             *mu = weight[0] * *l + after[0] * p;
             *l = sum + p;

@@ -116,6 +116,17 @@ impl Rhs for Lorenz96 {
     }
 
     fn adjoint_add(&mut self, _t: f64, x: &[f64], l: &[f64], dx: &mut [f64]) {
+        self.columns(x, l, dx, |dx, column| *dx += column);
+    }
+
+    fn adjoint(&mut self, _t: f64, x: &[f64], l: &[f64], dx: &mut [f64]) {
+        self.columns(x, l, dx, |dx, column| *dx = column);
+    }
+}
+
+impl Lorenz96 {
+    /// (∂f/∂x)ᵀ λ, given to `put` place by place.
+    fn columns(&self, x: &[f64], l: &[f64], dx: &mut [f64], put: impl Fn(&mut f64, f64)) {
         // Column i gathers what it gives to rows i−1, i, i+1 and i+2: five neighbours, from i−2 on.
         let n = self.n;
         let column = |x: [f64; 5], l: [f64; 5]| x[0] * l[1] - l[2] + (x[4] - x[1]) * l[3] - x[3] * l[4];
@@ -124,14 +135,14 @@ impl Rhs for Lorenz96 {
         let five = |v: [f64; 8], i: usize| [v[i], v[i + 1], v[i + 2], v[i + 3], v[i + 4]];
         let (x_seam, l_seam) = (seam(x), seam(l));
         for (first, i) in [n - 2, n - 1, 0, 1].into_iter().enumerate() {
-            dx[i] += column(five(x_seam, first), five(l_seam, first));
+            put(&mut dx[i], column(five(x_seam, first), five(l_seam, first)));
         }
         // Neighbours as shifted slices of one length: the compiler then needs no bounds checks and takes several columns at once.
         let m = n - 4;
         let ([x0, x1, x2, x3, x4], [l0, l1, l2, l3, l4]) = (shifted(x, m), shifted(l, m));
         let dx = &mut dx[2..2 + m];
         for i in 0..m {
-            dx[i] += column([x0[i], x1[i], x2[i], x3[i], x4[i]], [l0[i], l1[i], l2[i], l3[i], l4[i]]);
+            put(&mut dx[i], column([x0[i], x1[i], x2[i], x3[i], x4[i]], [l0[i], l1[i], l2[i], l3[i], l4[i]]));
         }
     }
 }

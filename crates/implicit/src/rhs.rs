@@ -18,6 +18,12 @@ pub trait Rhs {
     /// dx += (∂f/∂x(t, x))ᵀ λ.
     fn adjoint_add(&mut self, t: f64, x: &[f64], lambda: &[f64], dx: &mut [f64]);
 
+    /// dx = (∂f/∂x(t, x))ᵀ λ. A right-hand side of many variables may save passes over memory by a definition of its own.
+    fn adjoint(&mut self, t: f64, x: &[f64], lambda: &[f64], dx: &mut [f64]) {
+        dx.fill(0.0);
+        self.adjoint_add(t, x, lambda, dx);
+    }
+
     /// Layout of ∂f/∂x for implicit steps; a sparse one must contain the diagonal.
     fn structure(&self) -> Structure {
         Structure::Dense
