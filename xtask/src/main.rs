@@ -15,7 +15,7 @@ cargo xtask verify [SUITE…] [--quick | --full] [--json FILE] [--stability FILE
     rows as one array. --stability: the rows of stiff as a document, docs/results/stability.md. --fixtures: check what is in
     DIR/der, DIR/hanging-rod and DIR/twin instead of the copies in tests/fixtures.
 cargo xtask bench [NAME…] [--quick] [--out DIR]
-    Error against run time (time, gradient, assimilation, scaling, leftout, instructions, build) in a release build: prints tables and
+    Error against run time (time, gradient, assimilation, scaling, leftout, instructions, workers, build) in a release build: prints tables and
     writes docs/results/NAME.md, .csv and .svg. --quick: few cases and samples, nothing written. --out: another folder.
 cargo xtask bench case4 [OPTION…]
     The study of minimizers on case 4 of the paper, 100 seeds of two priors: docs/results/case4.md. --help: its options.

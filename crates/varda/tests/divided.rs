@@ -50,6 +50,13 @@ fn steps_that_do_not_hold_along_the_analysis_are_divided_anew() {
         assert_eq!(x, anew.trajectories.state(&anew.trajectories.analysis, k + 1).unwrap(), "step {k}");
     }
 
+    let folder = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("divided");
+    let _ = std::fs::remove_dir_all(&folder);
+    varda::report::write(&mut given, &anew, &folder).unwrap();
+    let page = std::fs::read_to_string(folder.join("report.html")).unwrap();
+    assert!(page.contains(&format!("Steps by their error</dt><dd>{}</dd>", steps.accepted)));
+    assert!(page.contains("at a tolerance of 1e-4, divided anew: 1"));
+
     let twice = assimilated(&mut problem(6, &[]));
     assert_eq!(twice.analysis.analysis, anew.analysis.analysis, "the same bits");
 }

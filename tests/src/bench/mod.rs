@@ -15,6 +15,7 @@ mod instructions;
 mod leftout;
 mod scaling;
 mod time;
+mod workers;
 
 pub use page::{Cell, Page, Table};
 
@@ -53,5 +54,6 @@ pub const BENCHES: &[Bench] = &[
     Bench { name: "scaling", run: scaling::run },
     Bench { name: "leftout", run: leftout::run },
     Bench { name: "instructions", run: instructions::run },
+    Bench { name: "workers", run: workers::run },
     Bench { name: "build", run: build::run },
 ];

@@ -3,6 +3,7 @@
 use super::{Options, Page, Result, Table};
 use crate::cells;
 use crate::problems::HangingRod;
+use crate::windows::difference;
 use std::time::Instant;
 use varda_assimilation::{
     ControlTransform, CostFunction, GaussNewton, Observation, ObservationSet, Selection, StrongConstraint,
@@ -12,7 +13,7 @@ use varda_implicit::{ImplicitModel, Model, OneLeg, Rk4, lorenz::Lorenz96};
 
 const TEXT: &str = "\
 Dense Gauss–Newton Hessians by the cost's own model alone, and with one further model that takes its share of the rows or columns \
-(`StrongConstraint::set_workers`), which linearizes every step for itself. Seconds on the clock on the wall, the least of one second of calls by turns: here two cores are \
+(`StrongConstraint::set_workers`), which linearizes every step for itself. Time on the wall's clock, the least of one second of calls by turns: here two cores are \
 meant to work. The results are the same bits.";
 
 pub(super) fn run(options: &Options) -> Result<Page> {
@@ -88,7 +89,7 @@ fn row(
         }
     }
     let [alone, with] = least;
-    let difference = f64::from(u8::from(hessians[0] != hessians[1]));
-    table.push(cells![problem, n, 1e3 * alone, 1e3 * with, with / alone, difference]);
+    let differs = difference(&hessians[1], &hessians[0]);
+    table.push(cells![problem, n, 1e3 * alone, 1e3 * with, with / alone, differs]);
     Ok(())
 }

@@ -118,6 +118,17 @@ fn tiles(s: &Summary) -> String {
             format!("persistence {:.2}, static model {:.2} mm", 1e3 * f.persistence, 1e3 * f.static_model),
         ));
     }
+    if let Some(a) = &s.accepted_steps {
+        let largest = a.largest_error.map_or("not known".into(), |e| format!("{e:.1e}"));
+        tiles.push((
+            "Steps by their error".into(),
+            a.accepted.to_string(),
+            format!(
+                "largest error {largest} at a tolerance of {:e}, divided anew: {}",
+                a.tolerance, a.refreshed
+            ),
+        ));
+    }
     tiles.push((
         "Time".into(),
         format!("{:.2} s", s.seconds.total),
