@@ -56,7 +56,7 @@ impl Line {
 /// The mean ū_i over three points (Zabusky and Kruskal 1965) makes transport keep Σ u and Σ u² of a periodic line to
 /// rounding, so that a front sharper than the grid oscillates but does not blow up; that front is resolved where |u| h ≲ 2ν.
 ///
-/// For [`Rk4`](crate::Rk4) Δt is limited by ν Δt/h² ≲ 0.69 and |c + a u| Δt/h ≲ 2.8; implicit steps have no limit. Their Jacobian is
+/// For [`Rk4`] Δt is limited by ν Δt/h² ≲ 0.69 and |c + a u| Δt/h ≲ 2.8; implicit steps have no limit. Their Jacobian is
 /// sparse for a periodic line (three values in a row, two rows of them in the corners) and a band for fixed ends.
 ///
 /// ```
