@@ -52,7 +52,7 @@ pub(crate) fn spectrum_by_products<C: Covariance + ?Sized>(covariance: &C) -> Re
     let n = covariance.dim();
     let mut matrix = vec![0.0; n * n];
     let mut unit = vec![0.0; n];
-    for (j, column) in matrix.chunks_exact_mut(n).enumerate() {
+    for (j, column) in matrix.chunks_exact_mut(n.max(1)).enumerate() {
         unit[j] = 1.0;
         covariance.apply(&unit, column);
         unit[j] = 0.0;
@@ -81,21 +81,22 @@ mod tests {
 
     #[test]
     fn a_product_that_is_not_finite_is_an_error() {
-        struct Broken;
+        struct Broken(usize);
         impl Covariance for Broken {
             fn dim(&self) -> usize {
-                2
+                self.0
             }
             fn root_dim(&self) -> usize {
-                2
+                self.0
             }
             fn apply(&self, _: &[f64], y: &mut [f64]) {
-                y.copy_from_slice(&[1.0, f64::NAN]);
+                y.copy_from_slice(&[1.0, f64::NAN][..self.0]);
             }
             fn root(&self, _: &[f64], _: &mut [f64]) {}
             fn root_transpose(&self, _: &[f64], _: &mut [f64]) {}
             fn variance(&self, _: &mut [f64]) {}
         }
-        assert!(matches!(Broken.spectrum(), Err(Error::NonFinite { row: 1, column: 0, .. })));
+        assert!(matches!(Broken(2).spectrum(), Err(Error::NonFinite { row: 1, column: 0, .. })));
+        assert_eq!(Broken(0).spectrum().unwrap().eigenvalues, [0.0; 0]);
     }
 }
