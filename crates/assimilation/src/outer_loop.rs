@@ -152,7 +152,8 @@ pub fn outer_loop(
     };
     let (mut step_norm, mut rejected, mut inner) = (0.0, 0, 0);
     loop {
-        let flow = on_iteration(&report(problem, &now, step_norm, rejected, inner, v));
+        let here = now.iteration(step_norm, problem.counts(), v);
+        let flow = on_iteration(&Iteration { rejected, inner_iterations: inner, ..here });
         problem.departures(&mut b, &mut d);
         let pull = b.iter().zip(&g).map(|(b, g)| (g - b) * (g - b)).sum::<f64>().sqrt();
         let rounding = 64.0 * f64::EPSILON * (norm(&b) + pull);
@@ -230,28 +231,5 @@ pub fn outer_loop(
         now.value = value;
         now.terms = problem.terms();
         now.gradient_norm = norm(&g);
-    }
-}
-
-fn report<'a>(
-    problem: &dyn Incremental,
-    now: &Minimum,
-    step_norm: f64,
-    rejected: usize,
-    inner_iterations: usize,
-    v: &'a [f64],
-) -> Iteration<'a> {
-    Iteration {
-        index: now.outer_iterations,
-        value: now.value,
-        terms: now.terms,
-        gradient_norm: now.gradient_norm,
-        step_norm,
-        damping: 0.0,
-        rejected,
-        inner_iterations,
-        observation_scale: 1.0,
-        counts: problem.counts(),
-        v,
     }
 }

@@ -398,7 +398,7 @@ impl Task<'_> {
         let counts = WorkCounts::from(&cost.counts());
         // The last step is not followed by a run of the ensemble, nor reported: nothing is left to interrupt.
         if matches!(minimum.status, Status::Converged | Status::MaxIterations) {
-            let _ = on_iteration(&minimum::row(&minimum, &cost, 0.0, v));
+            let _ = on_iteration(&minimum.iteration(0.0, cost.counts(), v));
         }
         let spread = if posterior && is_whole(minimum.status) {
             let (variance, degrees_of_freedom) = cost.posterior_variance()?;

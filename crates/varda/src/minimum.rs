@@ -84,7 +84,7 @@ fn blue(
         ritz: Vec::new(),
         inverse_hessian: None,
     };
-    if on_iteration(&row(&now, cost, 0.0, v)).is_break() {
+    if on_iteration(&now.iteration(0.0, cost.counts(), v)).is_break() {
         return Ok(now);
     }
     let gain = if cost.observations().dim() < v.len() { Gain::Observation } else { Gain::Information };
@@ -103,25 +103,8 @@ fn blue(
         false => Status::MaxIterations,
     };
     // The one iteration there is: nothing is left to interrupt.
-    let _ = on_iteration(&row(&now, cost, norm(&step), v));
+    let _ = on_iteration(&now.iteration(norm(&step), cost.counts(), v));
     Ok(now)
-}
-
-/// A point of a convergence table that no minimizer reports.
-pub(crate) fn row<'a>(now: &Minimum, cost: &dyn CostFunction, step_norm: f64, v: &'a [f64]) -> Iteration<'a> {
-    Iteration {
-        index: now.outer_iterations,
-        value: now.value,
-        terms: now.terms,
-        gradient_norm: now.gradient_norm,
-        step_norm,
-        damping: 0.0,
-        rejected: 0,
-        inner_iterations: 0,
-        observation_scale: 1.0,
-        counts: cost.counts(),
-        v,
-    }
 }
 
 /// ‖v‖.

@@ -205,7 +205,7 @@ impl<'a> StrongConstraint<'a> {
     /// [`LastFactor`](varda_implicit::Linearization::LastFactor) is no pure function of the states: its bits would differ.)
     ///
     /// Every worker linearizes every step for itself, under any storage, and keeps one linearization at a time. When to use: where a
-    /// product with its share of the columns, at least 16, takes longer than that and than it takes to wake a thread, some 10 µs. Their work is in
+    /// product with its share of the columns, at least 16, takes longer than that (`docs/results/workers.md`). Their work is in
     /// [`counts`](CostFunction::counts), which therefore depend on `count`.
     ///
     /// # Errors

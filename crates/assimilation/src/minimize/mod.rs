@@ -233,6 +233,25 @@ pub struct Minimum {
     pub inverse_hessian: Option<InverseHessian>,
 }
 
+impl Minimum {
+    /// The iteration that led to this point v by a full step ‖Δv‖, after the given work: for methods that are no minimizer of this crate.
+    pub fn iteration<'a>(&self, step_norm: f64, counts: Counts, v: &'a [f64]) -> Iteration<'a> {
+        Iteration {
+            index: self.outer_iterations,
+            value: self.value,
+            terms: self.terms,
+            gradient_norm: self.gradient_norm,
+            step_norm,
+            damping: 0.0,
+            rejected: 0,
+            inner_iterations: 0,
+            observation_scale: 1.0,
+            counts,
+            v,
+        }
+    }
+}
+
 /// How a minimization ended. Only `Converged` claims a stationary point; a small step alone never does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Status {
