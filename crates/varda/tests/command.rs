@@ -149,6 +149,18 @@ fn the_flagship_writes_everything_it_promises() {
 }
 
 #[test]
+fn captions_name_the_runs_that_are_drawn() {
+    let folder = Folder::new("captions");
+    for (scene, caption) in [
+        ("hanging-rod-case2", "plane: truth, background, analysis and observations"),
+        ("hanging-rod-csv", "plane: background, analysis and observations"),
+    ] {
+        text(&folder.varda(&["run", scene, "--out", scene, "--quiet"]));
+        assert!(folder.read(&format!("{scene}/report.html")).contains(caption), "{scene}");
+    }
+}
+
+#[test]
 fn the_same_seed_gives_the_same_bits_and_another_one_others() {
     let folder = Folder::new("bits");
     for (out, seed) in [("a", "3"), ("b", "3"), ("c", "4")] {

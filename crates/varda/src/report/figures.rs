@@ -124,6 +124,12 @@ fn kinds(runs: &Trajectories) -> [(Style, &'static str, &[f64]); 3] {
     ]
 }
 
+/// The names of the runs there are.
+fn drawn_names(runs: &Trajectories) -> String {
+    let there = kinds(runs).into_iter().filter(|(_, _, states)| !states.is_empty());
+    there.map(|(_, name, _)| name).collect::<Vec<_>>().join(", ")
+}
+
 /// How a run is drawn, its name, and its points.
 type Drawn<Point> = (Style, &'static str, Vec<Point>);
 
@@ -205,8 +211,9 @@ fn shapes(rod: &mut RodView, outcome: &Outcome, window: &Window, count: usize) -
     Ok(Figure {
         name: "snapshots",
         title: format!(
-            "The rod at {count} instants of the window, {}-z plane: truth, background, analysis and observations",
-            ["x", "y"][across]
+            "The rod at {count} instants of the window, {}-z plane: {} and observations",
+            ["x", "y"][across],
+            drawn_names(runs)
         ),
         panels,
         columns,
@@ -351,7 +358,7 @@ fn components(problem: &Problem, outcome: &Outcome, names: &[String]) -> Figure 
     };
     Figure {
         name: "components",
-        title: "Components of the state against time: truth, background, analysis and observations".into(),
+        title: format!("Components of the state against time: {} and observations", drawn_names(runs)),
         panels: chosen.iter().enumerate().map(panel).collect(),
         columns: chosen.len().min(3),
         panel_size: (360, 270),
