@@ -2,8 +2,8 @@
 
 use super::clock::Timing;
 use super::{Cell, Options, Page, Result, Table};
-use varda::compare::{Compared, compare, lowest};
 use varda::report::plot::{Corner, Panel, Series, Style};
+use varda::run::compare::{Compared, compare, lowest};
 use varda::scene::SceneFile;
 
 /// Scenes, keys of their tables too. Those whose slow minimizers take long are run once after the warm-up.
@@ -37,7 +37,8 @@ pub(super) fn run(options: &Options) -> Result<Page> {
     let (mut tables, mut panels) = (Vec::new(), Vec::new());
     for &(scene, often) in scenes {
         let file = SceneFile::open(scene, &[])?;
-        let steps = varda::problem::Problem::from_scene(&file)?.observations.last_step().unwrap_or(0).max(1);
+        let steps =
+            varda::setup::problem::Problem::from_scene(&file)?.observations.last_step().unwrap_or(0).max(1);
         let mut rows = Vec::new();
         let mut seconds: Vec<Vec<f64>> = Vec::new();
         // The first run warms up.

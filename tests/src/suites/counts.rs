@@ -11,9 +11,9 @@ use crate::windows::{Thin, all_of, coupled, difference, localized, normals, obse
 use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::time::Instant;
-use varda::problem::Problem;
-use varda::run::{Listener, assimilate};
+use varda::run::window::{Listener, assimilate};
 use varda::scene::SceneFile;
+use varda::setup::problem::Problem;
 use varda_assimilation::{
     ControlTransform, CostFunction, EnVar, EnVarOptions, GaussNewton, Incremental, InnerSolver, Iteration,
     Minimizer, Observation, ObservationSet, OuterLoopOptions, Posterior, Selection, StrongConstraint,

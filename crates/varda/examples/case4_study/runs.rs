@@ -9,8 +9,8 @@ use std::time::Instant;
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use varda::problem::{Problem, View, mean_speed, places, sigmas};
 use varda::scene::{self, Prior, SceneFile};
+use varda::setup::problem::{Problem, View, mean_speed, places, sigmas};
 use varda_assimilation::{
     AdamOptions, AutoOptions, ControlTransform, CostFunction, Iteration, LbfgsOptions, Minimizer, Minimum,
     NewtonOptions, RawVariables, Status, StrongConstraint, TrustRegionOptions, adam, continuation,

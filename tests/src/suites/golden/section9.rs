@@ -3,8 +3,8 @@
 use super::largest_difference;
 use crate::problems::{DrivenRod, HangingRod, lorenz96_window};
 use crate::row::{Case, Outcome, Rows};
-use varda::problem::Problem;
 use varda::scene::SceneFile;
+use varda::setup::problem::Problem;
 use varda_assimilation::{ControlTransform, CostFunction, StrongConstraint};
 use varda_covariance::Diagonal;
 use varda_implicit::{Model, Rk4, lorenz::Lorenz96};

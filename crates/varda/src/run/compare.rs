@@ -5,9 +5,9 @@ use std::time::Instant;
 use serde::Serialize;
 
 use crate::Error;
-use crate::problem::Problem;
-use crate::run::{ConvergenceRow, Listener, Status, WorkCounts, assimilate};
+use crate::run::window::{ConvergenceRow, Listener, Status, WorkCounts, assimilate};
 use crate::scene::{Method, Minimizer, ModelError, SceneFile};
+use crate::setup::problem::Problem;
 
 /// How one method fared. What a method that failed did not reach is not there.
 #[derive(Debug, Clone, Serialize)]

@@ -6,9 +6,10 @@ use varda_assimilation::{Observation, ObservationOperator};
 use varda_implicit::Refusal;
 use varda_rod::{Marker, Markers, RodStep};
 
-use crate::csv_input::{Row, Subject};
+use crate::Error;
 use crate::scene::{Frame, OutsideWindow, Recording, SceneFile, Use};
-use crate::{Error, csv_input};
+use crate::setup::csv;
+use crate::setup::csv::{Row, Subject};
 
 /// A place on the rod that is looked at.
 #[derive(Debug, Clone, PartialEq)]
@@ -100,7 +101,7 @@ impl Sightings {
             );
         };
         let (label, text) = file.read(key, name)?;
-        let rows = csv_input::observations(&label, &text)?;
+        let rows = csv::observations(&label, &text)?;
         let bad =
             |row: &Row, message: String| Error::Data { place: format!("{label}:{}", row.line), message };
 

@@ -7,11 +7,11 @@ use varda_implicit::{Footprint, ImplicitStep, Storage, Structure};
 use varda_rod::RodStep;
 
 use crate::Error;
-use crate::cycles::whole;
-use crate::problem::{observed_steps, sightings, window};
-use crate::rod_model::RodParts;
+use crate::run::cycles::whole;
 use crate::scene::{Covariance, CycledCovariance, Integrator, Method, Minimizer, Model, Observations, Root};
 use crate::scene::{Origin, Scene, SceneFile};
+use crate::setup::problem::{observed_steps, sightings, window};
+use crate::setup::rod_model::RodParts;
 
 /// Bytes of a number.
 const NUMBER: usize = size_of::<f64>();

@@ -9,8 +9,9 @@ use varda_rod::{
     equilibrium, straight_guess,
 };
 
+use crate::Error;
 use crate::scene::{self, Integrator, RodModel, SceneFile};
-use crate::{Error, csv_input};
+use crate::setup::csv;
 
 /// A rod with what holds it and what pulls at it.
 #[derive(Clone)]
@@ -137,7 +138,7 @@ fn motion(
         Some(scene::Motion::Table { file: name }) => {
             let path = format!("{path}.motion.file");
             let (label, text) = file.read(&path, name)?;
-            let rows = csv_input::numbers(&label, &text, ["time_s", "x_m", "y_m", "z_m"])?;
+            let rows = csv::numbers(&label, &text, ["time_s", "x_m", "y_m", "z_m"])?;
             if rows.is_empty() || rows.windows(2).any(|w| w[0][0] >= w[1][0]) {
                 return Err(file.invalid(&path, format!("{label} must have rows, in order of time")));
             }

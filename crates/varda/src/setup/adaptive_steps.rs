@@ -6,9 +6,9 @@ use varda_implicit::{Adaptive, Error, Model, accepted_times, largest_error};
 
 use varda_rod::RodStep;
 
-use crate::problem::MakeModel;
-use crate::rod_model::RodParts;
-use crate::rod_observation::Window;
+use crate::setup::problem::MakeModel;
+use crate::setup::rod_model::RodParts;
+use crate::setup::rod_observations::Window;
 
 /// Steps hold along another trajectory as long as no estimate there exceeds the tolerance by this factor, which is as well as the estimate is known.
 const SLACK: f64 = 2.0;

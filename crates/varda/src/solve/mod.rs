@@ -1,6 +1,9 @@
 //! The member of the variational family a scene names: from its cost to a minimum, the analysed control, its spread and, where the
 //! analysis is not a run of the model, the analysed trajectory.
 
+pub(crate) mod minimizer;
+pub mod timed;
+
 use std::ops::ControlFlow;
 
 use varda_assimilation::{
@@ -11,11 +14,10 @@ use varda_assimilation::{
 use varda_covariance::{Covariance, Ensemble, Hybrid};
 use varda_implicit::{Model, Storage};
 
-use crate::covariance::Factored;
-use crate::ensemble::anchors;
-use crate::minimum;
-use crate::run::{WorkCounts, run_on};
+use crate::run::window::{WorkCounts, run_on};
 use crate::scene::{Algorithm, Method};
+use crate::setup::covariance::Factored;
+use crate::setup::ensemble::anchors;
 
 /// The first linearization of an ensemble takes the members themselves (4D-EnVar proper), later ones differences about the iterate of this
 /// part of their spread (the iterative ensemble smoother): a large spread would end where its own secants vanish, not the gradient.
@@ -234,7 +236,7 @@ impl Task<'_> {
                 cost.evaluate(v, Some(&mut gradient))?;
                 let wanted = self.algorithm.gradient_tolerance * first.gradient_norm_first;
                 // At least half: what a start too good would ask for is nothing.
-                algorithm.gradient_tolerance = (wanted / minimum::norm(&gradient)).clamp(f64::EPSILON, 0.5);
+                algorithm.gradient_tolerance = (wanted / minimizer::norm(&gradient)).clamp(f64::EPSILON, 0.5);
                 algorithm.sigma_stages.clear();
             }
             let start = v.clone();
@@ -243,7 +245,7 @@ impl Task<'_> {
                 transform.control(iteration.v, &mut control);
                 on_row(&Row { iteration, control: &control, window, before: so_far })
             };
-            let mut minimum = minimum::strong(&algorithm, &mut cost, v, &mut on_iteration)?;
+            let mut minimum = minimizer::strong(&algorithm, &mut cost, v, &mut on_iteration)?;
             transform.control(v, &mut control);
             counts = counts + WorkCounts::from(&cost.counts());
             iterations[0] += minimum.outer_iterations;
@@ -287,7 +289,7 @@ impl Task<'_> {
         v.resize(cost.dim(), 0.0);
         let head = transform.dim();
         let mut control = background.to_vec();
-        let minimum = minimum::minimize(algorithm, &mut cost, v, &mut |iteration| {
+        let minimum = minimizer::minimize(algorithm, &mut cost, v, &mut |iteration| {
             transform.control(&iteration.v[..head], &mut control);
             on_row(&Row { iteration, control: &control, window, before })
         })?;
@@ -335,7 +337,7 @@ impl Task<'_> {
         let (n_z, n) = (background.len(), states.len() / (last + 1));
         let mut control = if v.is_empty() { background.to_vec() } else { v[..n_z].to_vec() };
         *v = cost.control(&control, &mut |k, x| x.copy_from_slice(&states[k * n..(k + 1) * n]));
-        let options = minimum::outer(algorithm, InnerSolver::Primal);
+        let options = minimizer::outer(algorithm, InnerSolver::Primal);
         let before_this = (before.0, before.1 + run);
         let minimum = outer_loop(&mut cost, v, &options, &mut |iteration| {
             on_row(&Row { iteration, control: &iteration.v[..n_z], window, before: before_this })

@@ -5,10 +5,10 @@ use varda_assimilation::{Analysis, ObservationSet};
 use varda_implicit::Model;
 
 use crate::Error;
-use crate::problem::RodView;
-use crate::rod_observation::Window;
-use crate::run::Trajectories;
+use crate::run::window::Trajectories;
 use crate::scene::Use;
+use crate::setup::problem::RodView;
+use crate::setup::rod_observations::Window;
 
 /// Innovations d = y − H(x) of one marker, place or component.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -15,15 +15,15 @@ use std::time::Instant;
 use clap::{Args, Parser, Subcommand};
 
 use crate::Error;
-use crate::check::Plan;
-use crate::compare::{Compared, compare};
-use crate::cycles::{Sequence, whole};
-use crate::output::Output;
-use crate::partial::Partial;
-use crate::problem::Problem;
 use crate::report;
-use crate::run::{self, Listener, Status, assimilate};
+use crate::report::checkpoint::Partial;
+use crate::report::folder::Output;
+use crate::run::compare::{Compared, compare};
+use crate::run::cycles::{Sequence, whole};
+use crate::run::window::{self, Listener, Status, assimilate};
 use crate::scene::{SHIPPED, STARTER, Scene, SceneFile};
+use crate::setup::plan::Plan;
+use crate::setup::problem::Problem;
 use progress::Progress;
 
 #[derive(Parser)]
@@ -227,7 +227,7 @@ fn simulate(
     let folder = out.map_or_else(default, Path::to_path_buf);
     refuse_occupied(&folder, quiet)?;
     let mut problem = Problem::from_scene(&whole(&file))?;
-    let simulation = run::simulate(&mut problem)?;
+    let simulation = window::simulate(&mut problem)?;
     let folder =
         report::write_simulation(&mut problem, &simulation, started.elapsed().as_secs_f64(), &folder)?;
     if !quiet {

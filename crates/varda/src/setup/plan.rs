@@ -1,13 +1,13 @@
 //! What a run of a scene would take, without running anything.
 
 use crate::Error;
-use crate::covariance;
-use crate::cycles::whole;
-use crate::memory::{Memory, Sizes, error_numbers};
-use crate::problem::{no_derivatives, places, sightings, sigmas, window};
-use crate::rod_model::RodParts;
-use crate::rod_observation::Window;
+use crate::run::cycles::whole;
 use crate::scene::{Covariance, Integrator, Model, SceneFile};
+use crate::setup::covariance;
+use crate::setup::memory::{Memory, Sizes, error_numbers};
+use crate::setup::problem::{no_derivatives, places, sightings, sigmas, window};
+use crate::setup::rod_model::RodParts;
+use crate::setup::rod_observations::Window;
 
 /// Sizes of a scene, and what it leaves out.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,7 +48,7 @@ impl Plan {
     /// Reads everything a scene names, builds what can be built without a run, and counts.
     ///
     /// # Errors
-    /// Those of [`Problem::from_scene`](crate::problem::Problem::from_scene) that do not need a run to be seen.
+    /// Those of [`Problem::from_scene`](crate::setup::problem::Problem::from_scene) that do not need a run to be seen.
     pub fn new(file: &SceneFile) -> Result<Plan, Error> {
         let sizes = Sizes::of(file)?;
         let memory = Memory::within_limit(file, &sizes)?;

@@ -9,13 +9,13 @@ use varda_implicit::Model;
 use varda_implicit::check::Amplification;
 
 use crate::Error;
-pub use crate::divided::AcceptedSteps;
-use crate::divided::Refreshing;
-use crate::fit::{self, Fit, Forecast, Withheld};
-use crate::horizon;
-use crate::method::{self, Solved, Task};
-use crate::problem::{Problem, View, run_states};
-use crate::timed::{Clock, Timed};
+use crate::run::amplification;
+use crate::run::fit::{self, Fit, Forecast, Withheld};
+pub use crate::setup::adaptive_steps::AcceptedSteps;
+use crate::setup::adaptive_steps::Refreshing;
+use crate::setup::problem::{Problem, View, run_states};
+use crate::solve::timed::{Clock, Timed};
+use crate::solve::{self, Solved, Task};
 
 /// What the caller of a run wants to hear and may say.
 pub struct Listener<'a> {
@@ -252,7 +252,7 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
 
     let began = Instant::now();
     let mut convergence: Vec<ConvergenceRow> = Vec::new();
-    let mut on_row = |r: &method::Row| {
+    let mut on_row = |r: &solve::Row| {
         let [rmse_position, rmse_velocity] = errors(r.control, truth.as_deref(), is_rod);
         let i = r.iteration;
         let row = ConvergenceRow {
@@ -296,7 +296,7 @@ pub fn assimilate(problem: &mut Problem, listener: &mut Listener) -> Result<Outc
     };
     let none = ObservationSet::new(problem.window.steps, Vec::new(), Vec::new())?;
     let observations = std::mem::replace(&mut problem.observations, none);
-    let (solved, observations) = method::solve(&mut task, observations, &mut on_row)?;
+    let (solved, observations) = solve::solve(&mut task, observations, &mut on_row)?;
     // The posterior is not the minimization's.
     let minimizer = convergence.last().map_or(0.0, |row| row.seconds);
     let seconds = Seconds {
@@ -423,7 +423,7 @@ fn amplification(problem: &Problem, analysis: &Analysis, runs: &Trajectories) ->
     let (sigma, seed) = (&analysis.sigma_background, problem.scene.seed);
     let mut model = (problem.make_model)(0);
     // What was run can be linearized; where it cannot there is nothing to say.
-    horizon::amplification(model.as_mut(), &analysis.analysis, sigma, states, seed).ok()
+    amplification::amplification(model.as_mut(), &analysis.analysis, sigma, states, seed).ok()
 }
 
 /// The refused values, with their times.

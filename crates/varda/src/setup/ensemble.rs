@@ -5,9 +5,9 @@ use varda_covariance::{Covariance, Ensemble, Localization, sample};
 use varda_implicit::line::Line;
 
 use crate::Error;
-use crate::covariance::{line_distance, taper};
 use crate::scene::{self, SceneFile};
-use crate::twin::{Stream, stream};
+use crate::setup::covariance::{line_distance, taper};
+use crate::setup::random::{Stream, stream};
 
 /// Eigenvalues of a localization below this fraction of the largest are left out: its rank is a factor of the control's length.
 const TRUNCATION: f64 = 0.01;

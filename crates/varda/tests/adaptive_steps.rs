@@ -2,9 +2,9 @@
 
 use std::time::Instant;
 
-use varda::problem::Problem;
-use varda::run::{Listener, Outcome, Status, assimilate};
+use varda::run::window::{Listener, Outcome, Status, assimilate};
 use varda::scene::SceneFile;
+use varda::setup::problem::Problem;
 
 /// Ten segments over 40 steps, each step to 1e-4 of the length.
 fn problem(seed: u64, more: &[&str]) -> Problem {

@@ -7,19 +7,20 @@ use varda_covariance::{Ensemble, sample};
 use varda_implicit::Model;
 use varda_rod::{Marker, RodStep};
 
-use crate::component_model;
-use crate::covariance::{self, Factored, Places};
-use crate::divided::{DividedSteps, rod_models};
-use crate::ensemble::{self, Geometry};
-use crate::memory::{Memory, Sizes};
-use crate::rod_model::RodParts;
-use crate::rod_observation::{RodObservation, Sighting, Sightings, Site, Window};
+use crate::Error;
 use crate::scene::{
     self, Covariance as CovarianceKey, KernelCovariance, Observations, Origin, RodModel, Scene, SceneFile,
     Synthetic, Use,
 };
-use crate::twin::{Stream, normal, stream};
-use crate::{Error, climatology, csv_input};
+use crate::setup::adaptive_steps::{DividedSteps, rod_models};
+use crate::setup::component_model;
+use crate::setup::covariance::{self, Factored, Places};
+use crate::setup::ensemble::{self, Geometry};
+use crate::setup::memory::{Memory, Sizes};
+use crate::setup::random::{Stream, normal, stream};
+use crate::setup::rod_model::RodParts;
+use crate::setup::rod_observations::{RodObservation, Sighting, Sightings, Site, Window};
+use crate::setup::{climatology, csv};
 
 /// Everything an assimilation needs. Plain data but for the operators.
 pub struct Problem {
@@ -363,7 +364,7 @@ fn read_rod_background(file: &SceneFile, dynamics: &RodStep) -> Result<Vec<f64>,
     let name = file.scene.background.file.as_deref().unwrap_or("");
     let (label, text) = file.read("background.file", name)?;
     let columns = ["vertex", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"];
-    let rows = csv_input::numbers(&label, &text, columns)?;
+    let rows = csv::numbers(&label, &text, columns)?;
     let free = dynamics.free_vertices();
     let n = free.len();
     let mut control = vec![f64::NAN; 6 * n];
@@ -499,7 +500,7 @@ pub(crate) fn no_derivatives(scene: &Scene) -> Option<String> {
 fn read_component_background(file: &SceneFile, n: usize) -> Result<Vec<f64>, Error> {
     let name = file.scene.background.file.as_deref().unwrap_or("");
     let (label, text) = file.read("background.file", name)?;
-    let rows = csv_input::numbers(&label, &text, ["component", "value"])?;
+    let rows = csv::numbers(&label, &text, ["component", "value"])?;
     let in_order = rows.iter().enumerate().all(|(i, r)| r[0] == i as f64);
     if rows.len() != n || !in_order {
         return Err(Error::Data {

@@ -4,7 +4,7 @@ use rand_distr::{Distribution, StandardNormal};
 use varda_implicit::Model;
 use varda_implicit::check::Amplification;
 
-use crate::twin::{Stream, stream};
+use crate::setup::random::{Stream, stream};
 
 /// Directions that are followed through the window.
 const DIRECTIONS: usize = 4;

@@ -22,7 +22,7 @@ use serde_json::Value as Json;
 use varda_assimilation::CycleState;
 
 use crate::Error;
-use crate::cycles::Row;
+use crate::run::cycles::Row;
 use crate::scene::{Scene, SceneFile};
 
 /// The folder, open for the windows to come.

@@ -18,14 +18,14 @@ use varda_implicit::Refusal;
 use varda_implicit::check::Amplification;
 
 use crate::Error;
-use crate::ensemble;
-use crate::horizon;
-use crate::memory::{Memory, Sizes};
-use crate::minimum;
-use crate::problem::{Problem, View, run_states};
-use crate::run::{Status, Trajectories, WorkCounts, errors};
+use crate::run::amplification;
+use crate::run::window::{Status, Trajectories, WorkCounts, errors};
 use crate::scene::{self, Cycles, Observations, SceneFile};
-use crate::twin::{Stream, stream_of_window};
+use crate::setup::ensemble;
+use crate::setup::memory::{Memory, Sizes};
+use crate::setup::problem::{Problem, View, run_states};
+use crate::setup::random::{Stream, stream_of_window};
+use crate::solve::minimizer;
 
 /// A sequence of windows, ready to run.
 pub struct Sequence {
@@ -294,7 +294,7 @@ impl Sequence {
                 }
             }
         };
-        let minimizer = minimum::minimizer(algorithm);
+        let minimizer = minimizer::minimizer(algorithm);
         let ended = cycle(&cycling, &mut state, &covariance, &minimizer, &mut on_cycle);
         if let Some(error) = refused {
             return Err(error);
@@ -408,7 +408,8 @@ impl Sequence {
         let mut sigma = vec![0.0; b.dim()];
         b.variance(&mut sigma);
         sigma.iter_mut().for_each(|s| *s = s.sqrt());
-        horizon::amplification(model.as_mut(), &last.analysis, &sigma, states, self.problem.scene.seed).ok()
+        amplification::amplification(model.as_mut(), &last.analysis, &sigma, states, self.problem.scene.seed)
+            .ok()
     }
 
     /// Runs from every window's analysis to the next one's start, the last to its end; and the truth over the same steps.
