@@ -1,8 +1,8 @@
 //! Products of an implicit step with many columns at once: one pass over its factor for every few of them.
 
 use crate::ImplicitStep;
-use crate::band::BLOCK;
-use crate::factor::LinearSolver;
+use varda_linalg::band::BLOCK;
+use varda_linalg::LinearSolver;
 use crate::implicit::{Part, add};
 
 /// Work space, allocated by the first product.

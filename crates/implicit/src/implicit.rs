@@ -1,7 +1,7 @@
 //! A [`Model`] made from any [`ImplicitStep`].
 
 use crate::block::Block;
-use crate::factor::Factor;
+use varda_linalg::Factor;
 use crate::newton::{self, NewtonOptions, NewtonWork};
 use crate::{Counts, Error, ImplicitStep, Interval, Model, Warning};
 
@@ -355,7 +355,7 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
 
     fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
         assert!(x.len() == self.dim() && x_next.len() == self.dim(), "a state has {} values", self.dim());
-        crate::registers::narrow();
+        varda_linalg::clear_upper_registers();
         self.run(k, x)?;
         self.counts.model_steps += 1;
         let parts = self.last.at.len();
