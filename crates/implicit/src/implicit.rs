@@ -1,9 +1,9 @@
 //! A [`Model`] made from any [`ImplicitStep`].
 
 use crate::block::Block;
-use varda_linalg::Factor;
 use crate::newton::{self, NewtonOptions, NewtonWork};
 use crate::{Counts, Error, ImplicitStep, Interval, Model, Warning};
+use varda_linalg::Factor;
 
 /// Steps on a grid of time, each solved by Newton's method, with tangent and adjoint from kept factors (paper 2.24, 2.25).
 ///

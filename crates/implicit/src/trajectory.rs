@@ -1,8 +1,8 @@
 //! The states of a window, and sweeps along them.
 
-use varda_linalg::clear_upper_registers;
 use crate::storage::next_checkpoint;
 use crate::{Error, Model, Storage};
+use varda_linalg::clear_upper_registers;
 
 /// What a forward run leaves behind for sweeps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
