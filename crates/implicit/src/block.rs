@@ -1,9 +1,9 @@
 //! Products of an implicit step with many columns at once: one pass over its factor for every few of them.
 
 use crate::ImplicitStep;
-use crate::band::BLOCK;
-use crate::factor::LinearSolver;
 use crate::implicit::{Part, add};
+use varda_linalg::LinearSolver;
+use varda_linalg::band::BLOCK;
 
 /// Work space, allocated by the first product.
 #[derive(Debug, Default)]

@@ -1,9 +1,9 @@
 //! A [`Model`] made from any [`ImplicitStep`].
 
 use crate::block::Block;
-use crate::factor::Factor;
 use crate::newton::{self, NewtonOptions, NewtonWork};
 use crate::{Counts, Error, ImplicitStep, Interval, Model, Warning};
+use varda_linalg::Factor;
 
 /// Steps on a grid of time, each solved by Newton's method, with tangent and adjoint from kept factors (paper 2.24, 2.25).
 ///
@@ -355,7 +355,7 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
 
     fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
         assert!(x.len() == self.dim() && x_next.len() == self.dim(), "a state has {} values", self.dim());
-        crate::registers::narrow();
+        varda_linalg::clear_upper_registers();
         self.run(k, x)?;
         self.counts.model_steps += 1;
         let parts = self.last.at.len();

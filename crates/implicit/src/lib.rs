@@ -47,19 +47,16 @@
 #![forbid(unsafe_code)]
 
 mod adaptive;
-pub mod band;
 mod block;
 pub mod check;
 mod error;
 mod explicit;
-mod factor;
 mod grouped;
 mod implicit;
 pub mod line;
 pub mod lorenz;
 mod model;
 mod newton;
-mod registers;
 mod rhs;
 mod scheme;
 mod step;
@@ -69,13 +66,13 @@ mod trajectory;
 pub use adaptive::{Adaptive, accepted_times, largest_error};
 pub use error::{Error, Refusal};
 pub use explicit::Rk4;
-pub use factor::{Factor, LinearSolver};
 pub use grouped::Grouped;
 pub use implicit::{ImplicitModel, Linearization, MAX_HALVINGS};
 pub use model::{Counts, Model, Warning};
 pub use newton::{NewtonOptions, NewtonReport, NewtonWork, solve};
 pub use rhs::{OneLeg, Rhs};
 pub use scheme::{Scheme, Stage};
-pub use step::{ImplicitStep, Interval, Structure};
+pub use step::{ImplicitStep, Interval};
 pub use storage::{Footprint, Storage};
 pub use trajectory::{Keep, Trajectory};
+pub use varda_linalg::{BadPivot, Factor, LinearSolver, Structure, band};

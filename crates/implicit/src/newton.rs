@@ -1,7 +1,7 @@
 //! Newton's method for one implicit step, globalized.
 
-use crate::factor::{Factor, LinearSolver};
-use crate::{Error, ImplicitStep, Interval, Structure};
+use crate::{Error, ImplicitStep, Interval};
+use varda_linalg::{Factor, LinearSolver, Structure};
 
 /// Limits of the iteration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

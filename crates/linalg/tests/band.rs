@@ -3,8 +3,8 @@
 use faer::prelude::*;
 use faer::{Mat, Side};
 use proptest::prelude::*;
-use varda_implicit::band::*;
-use varda_implicit::{LinearSolver, Structure};
+use varda_linalg::band::*;
+use varda_linalg::{LinearSolver, Structure};
 
 /// The full matrix of a symmetric band.
 fn full_symmetric(n: usize, w: usize, a: &[f64]) -> Mat<f64> {

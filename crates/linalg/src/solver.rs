@@ -1,4 +1,4 @@
-//! One solver for every [`Structure`] of ∂G/∂u.
+//! One solver for every [`Structure`].
 
 use std::fmt;
 

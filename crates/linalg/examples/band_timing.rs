@@ -4,7 +4,7 @@
 use std::hint::black_box;
 use std::time::Instant;
 
-use varda_implicit::band::{ldlt_factor, ldlt_solve};
+use varda_linalg::band::{ldlt_factor, ldlt_solve};
 
 fn main() {
     println!("{:>7} {:>3} {:>19} {:>19}", "n", "w", "factor [µs]", "solve [µs]");
