@@ -2,12 +2,12 @@
 
 use super::Options;
 use super::equivalence::{closed_form, linear_3dvar};
-use crate::allocations::allocations;
-use crate::costs::for_each_cost;
-use crate::methods::{Assembled, for_each_method};
-use crate::problems::{HangingRod, rods, wave};
 use crate::row::{Case, Outcome, Row, Rows};
-use crate::windows::{Thin, all_of, coupled, difference, localized, normals, observation, ring};
+use problems::allocations::allocations;
+use problems::costs::for_each_cost;
+use problems::methods::{Assembled, for_each_method};
+use problems::rods::{HangingRod, rods, wave};
+use problems::small_problems::{Thin, all_of, coupled, difference, localized, normals, observation, ring};
 use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::time::Instant;
