@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::sizes::{DATA_BYTES, SCENE_BYTES};
 use super::place::Place;
+use super::sizes::{DATA_BYTES, SCENE_BYTES};
 use super::{Scene, schema_check, shipped, tree, validate};
 use crate::Error;
 
@@ -42,8 +42,8 @@ impl SceneFile {
         let text = read_text(path, SCENE_BYTES).map_err(|reason| match reason.kind() {
             std::io::ErrorKind::NotFound => {
                 let names: Vec<&str> = shipped::SHIPPED.iter().map(|s| s.name).collect();
-                let suggestion =
-                    schema_check::nearest(name, &names).map_or(String::new(), |n| format!(", did you mean {n:?}?"));
+                let suggestion = schema_check::nearest(name, &names)
+                    .map_or(String::new(), |n| format!(", did you mean {n:?}?"));
                 Error::NoScene { name: name.to_string(), suggestion }
             }
             _ => Error::Read { place: "scene".into(), path: path.to_path_buf(), reason },

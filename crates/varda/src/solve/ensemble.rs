@@ -1,8 +1,6 @@
 //! Ensemble methods: forward runs of the members take the place of tangent and adjoint.
 
-use varda_assimilation::{
-    CostFunction, EnVar, EnVarOptions, Error, Iteration, ObservationSet, Status,
-};
+use varda_assimilation::{CostFunction, EnVar, EnVarOptions, Error, Iteration, ObservationSet, Status};
 use varda_covariance::{Covariance, Ensemble, Hybrid};
 use varda_implicit::{Model, Storage};
 

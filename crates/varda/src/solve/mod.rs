@@ -9,14 +9,15 @@ pub mod timed;
 mod weak;
 
 use varda_assimilation::{
-    ControlTransform, CostFunction, Error, Minimum, ObservationSet, Rejection, StrongConstraint, WeakForcing, window_growth,
+    ControlTransform, CostFunction, Error, Minimum, ObservationSet, Rejection, StrongConstraint, WeakForcing,
+    window_growth,
 };
 
 use crate::run::window::WorkCounts;
 use crate::scene::Method;
 use crate::setup::ensemble::anchors;
-pub(crate) use task::{OnRow, Row, Solved, Task};
 use task::{Ended, Stage};
+pub(crate) use task::{OnRow, Row, Solved, Task};
 
 /// Checks the observations against the background where that is asked for, and minimises: the window at once or growing.
 ///

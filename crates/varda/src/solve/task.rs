@@ -108,7 +108,6 @@ pub(super) struct Ended {
     pub(super) storage: Storage,
 }
 
-
 impl Task<'_> {
     /// Where and how often the model errs: in the components of the control, which lead the state.
     pub(super) fn forcing(&self) -> Forcing {
