@@ -355,7 +355,6 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
 
     fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
         assert!(x.len() == self.dim() && x_next.len() == self.dim(), "a state has {} values", self.dim());
-        varda_linalg::clear_upper_registers();
         self.run(k, x)?;
         self.counts.model_steps += 1;
         let parts = self.last.at.len();
