@@ -1,19 +1,13 @@
-//! Verification suites and benchmarks of Varda.
+//! Verification suites of Varda.
 //!
 //! Every suite returns rows: one checked number each, with its bound. The binary prints them (`cargo xtask verify`), the tests
-//! assert that every row passes. Every benchmark ([`mod@bench`]) returns tables of error against run time (`cargo xtask bench`).
+//! assert that every row passes.
 
 // `!(value <= bound)` is how a NaN is made to fail.
 #![allow(clippy::neg_cmp_op_on_partial_ord)]
 
-pub mod allocations;
-pub mod bench;
-pub mod costs;
-pub mod methods;
-pub mod problems;
 pub mod row;
 pub mod suites;
-pub mod windows;
 
 pub use row::{Case, Row, Rows, Work, table};
 pub use suites::{Options, SUITES, read_fixture, run, stability};

@@ -19,6 +19,8 @@ cargo xtask bench [NAME…] [--quick] [--out DIR]
     writes docs/results/NAME.md, .csv and .svg. --quick: few cases and samples, nothing written. --out: another folder.
 cargo xtask bench case4 [OPTION…]
     The study of minimizers on case 4 of the paper, 100 seeds of two priors: docs/results/case4.md. --help: its options.
+cargo xtask bench lorenz96-cycling [SEEDS [PART OF A NAME]]
+    The table of cycling methods on Lorenz-96, docs/results/lorenz96-cycling.md.
 cargo xtask docs
     Documentation of all crates with an index page, in target/doc.
 cargo xtask deps
@@ -32,8 +34,7 @@ fn main() -> ExitCode {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let done = match words.as_slice() {
         ["verify", rest @ ..] => release("tests", ["--bin", "tests"], rest),
-        ["bench", "case4", rest @ ..] => release("varda", ["--example", "case4_study"], rest),
-        ["bench", rest @ ..] => release("tests", ["--bin", "bench"], rest),
+        ["bench", rest @ ..] => release("bench", ["--bin", "bench"], rest),
         ["docs"] => docs::build(),
         ["deps"] => deps::check(),
         ["ci"] => ci(),

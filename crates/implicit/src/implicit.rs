@@ -528,7 +528,7 @@ fn linearized(kept: &[Kept], places: usize, k: usize) -> &[Part] {
     &kept.parts[..kept.used]
 }
 
-/// Of one part, without faer's share for a sparse Jacobian.
+/// Of one part, without the factor's share for a sparse Jacobian.
 fn bytes(state: usize, unknowns: usize, factor: &Factor) -> usize {
     (state + unknowns) * size_of::<f64>() + factor.bytes() + size_of::<Part>()
 }

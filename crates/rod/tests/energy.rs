@@ -89,7 +89,7 @@ fn check(text: &str) {
 }
 
 macro_rules! fixtures {
-    ($($name:ident),*) => { $(#[test] fn $name() { check(include_str!(concat!("fixtures/", stringify!($name), ".json"))); })* };
+    ($($name:ident),*) => { $(#[test] fn $name() { check(include_str!(concat!("../../../tests/fixtures/der/", stringify!($name), ".json"))); })* };
 }
 
 fixtures!(

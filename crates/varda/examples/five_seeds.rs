@@ -3,9 +3,9 @@
 
 use std::time::Instant;
 
-use varda::problem::Problem;
-use varda::run::{Listener, assimilate};
+use varda::run::window::{Listener, assimilate};
 use varda::scene::SceneFile;
+use varda::setup::problem::Problem;
 
 fn main() -> Result<(), varda::Error> {
     println!("seed  status      J before      J after   position error left  velocity error left  seconds");

@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! scene ──> problem ──> outcome ──> report
-//! scene::SceneFile   problem::Problem   run::assimilate   report::write
+//! scene::SceneFile   setup::problem::Problem   run::window::assimilate   report::write
 //! ```
 //!
 //! Every stage is plain data and can be used alone; `main.rs` only calls [`cli::main`].
@@ -21,10 +21,10 @@
 //! line or step.
 //!
 //! - Numbers: 0, or between 1e-50 and 1e50 in size. A scene has at most 1 MiB, a CSV file 256 MiB.
-//! - Runs: at most 1e7 steps, 1e9 numbers in the states of a run, 1e7 observed values. Memory is counted before anything is built ([`memory`]) and held
+//! - Runs: at most 1e7 steps, 1e9 numbers in the states of a run, 1e7 observed values. Memory is counted before anything is built ([`memory`](setup::memory)) and held
 //!   against `[limits] memory`, 8 GB where it is not given: within some 10 MB of what a process takes. B of a rod is two dense blocks: 5000 segments
 //!   take 1.8 GB; σ of its analysis takes five dense matrices of the control, 0.8 GB for 700 segments, 8 GB for 2300.
-//! - Windows: a gradient is right to about ε‖M‖. Every run of a strong constraint estimates it ([`run::Outcome::amplification`]) and warns beyond 1e-4:
+//! - Windows: a gradient is right to about ε‖M‖. Every run of a strong constraint estimates it ([`run::window::Outcome::amplification`]) and warns beyond 1e-4:
 //!   some 22 time units of Lorenz-63, 16 of Lorenz-96. There the Hessian can be indefinite by rounding: an analysis without posterior, which says so.
 //! - Folders: a result is whole or absent, whatever ends the run and whenever; runs into one folder at a time replace one another. Renaming and locks
 //!   are those of a local file system; on one without locks the hidden folders of killed runs stay.
@@ -35,7 +35,7 @@
 //!
 //! ```
 //! use std::time::Instant;
-//! use varda::{problem::Problem, run::{Listener, Status, assimilate}, scene::SceneFile};
+//! use varda::{setup::problem::Problem, run::window::{Listener, Status, assimilate}, scene::SceneFile};
 //!
 //! let file = SceneFile::open("lorenz63", &["seed=3".to_string()])?;
 //! let mut problem = Problem::from_scene(&file)?;
@@ -49,32 +49,13 @@
 
 #![forbid(unsafe_code)]
 
-pub mod check;
 pub mod cli;
-pub mod climatology;
-pub mod compare;
-mod component_model;
-pub mod covariance;
-pub mod csv_input;
-pub mod cycles;
-mod divided;
-pub mod ensemble;
 mod error;
-pub mod fit;
-mod horizon;
-pub mod memory;
-mod method;
-mod minimum;
-pub mod output;
-pub mod partial;
-pub mod problem;
 pub mod report;
-pub mod rod_model;
-pub mod rod_observation;
 pub mod run;
 pub mod scene;
-pub mod timed;
-pub mod twin;
+pub mod setup;
+pub mod solve;
 
 pub use error::Error;
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-use varda::cycles::Sequence;
+use varda::run::cycles::Sequence;
 use varda::scene::SceneFile;
 
 /// A folder of its own for every test, removed at the end.

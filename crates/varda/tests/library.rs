@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use varda::problem::{Problem, View};
-use varda::rod_observation::RodObservation;
-use varda::run::{Listener, Outcome, Status, assimilate};
+use varda::run::window::{Listener, Outcome, Status, assimilate};
 use varda::scene::{SHIPPED, SceneFile};
+use varda::setup::problem::{Problem, View};
+use varda::setup::rod_observations::RodObservation;
 use varda_assimilation::ObservationOperator;
 
 fn assimilated(scene: &str, sets: &[String]) -> (Problem, Outcome) {

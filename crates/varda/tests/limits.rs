@@ -2,10 +2,10 @@
 
 use std::time::Instant;
 
-use varda::check::Plan;
-use varda::problem::Problem;
-use varda::run::{Listener, Outcome, assimilate};
+use varda::run::window::{Listener, Outcome, assimilate};
 use varda::scene::SceneFile;
+use varda::setup::plan::Plan;
+use varda::setup::problem::Problem;
 
 fn open(memory: &str) -> Result<SceneFile, varda::Error> {
     SceneFile::open("lorenz63", &[format!("limits.memory=\"{memory}\"")])

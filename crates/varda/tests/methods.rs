@@ -2,10 +2,10 @@
 
 use std::time::Instant;
 
-use varda::problem::Problem;
 use varda::report::Summary;
-use varda::run::{Listener, Outcome, Status, assimilate};
+use varda::run::window::{Listener, Outcome, Status, assimilate};
 use varda::scene::{Method, SceneFile};
+use varda::setup::problem::Problem;
 
 fn run(scene: &str, sets: &[&str]) -> (Problem, Outcome) {
     let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();

@@ -1,10 +1,10 @@
 //! Dot products: every adjoint is the transpose of its tangent.
 
 use super::Options;
-use crate::costs::for_each_cost;
-use crate::methods::{Assembled, for_each_method};
-use crate::problems::{HangingRod, rod_scale, rods, wave};
 use crate::row::{Case, Outcome, Row, Rows};
+use problems::costs::for_each_cost;
+use problems::methods::{Assembled, for_each_method};
+use problems::rods::{HangingRod, rod_scale, rods, wave};
 use varda_assimilation::{GaussNewton, Incremental};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 use varda_implicit::{Counts, Error, ImplicitModel, Keep, Model, OneLeg, Rk4, Trajectory, check};

@@ -2,18 +2,18 @@
 
 use super::Options;
 use super::equivalence::{closed_form, linear_3dvar};
-use crate::allocations::allocations;
-use crate::costs::for_each_cost;
-use crate::methods::{Assembled, for_each_method};
-use crate::problems::{HangingRod, rods, wave};
 use crate::row::{Case, Outcome, Row, Rows};
-use crate::windows::{Thin, all_of, coupled, difference, localized, normals, observation, ring};
+use problems::allocations::allocations;
+use problems::costs::for_each_cost;
+use problems::methods::{Assembled, for_each_method};
+use problems::rods::{HangingRod, rods, wave};
+use problems::small_problems::{Thin, all_of, coupled, difference, localized, normals, observation, ring};
 use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::time::Instant;
-use varda::problem::Problem;
-use varda::run::{Listener, assimilate};
+use varda::run::window::{Listener, assimilate};
 use varda::scene::SceneFile;
+use varda::setup::problem::Problem;
 use varda_assimilation::{
     ControlTransform, CostFunction, EnVar, EnVarOptions, GaussNewton, Incremental, InnerSolver, Iteration,
     Minimizer, Observation, ObservationSet, OuterLoopOptions, Posterior, Selection, StrongConstraint,

@@ -1,11 +1,11 @@
 //! Second derivatives of the rod's energy, and Gauss–Newton products.
 
 use super::Options;
-use crate::costs::for_each_cost;
-use crate::problems::wave;
 use crate::row::{Case, Outcome, Row, Rows};
 use nalgebra::{Rotation3, SVector, Unit, Vector3};
 use num_dual::DualNum;
+use problems::costs::for_each_cost;
+use problems::rods::wave;
 use varda_assimilation::GaussNewton;
 use varda_implicit::check;
 use varda_rod::{Derivatives, Error, Framed, Rod, derivatives};

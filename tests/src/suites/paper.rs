@@ -6,8 +6,8 @@ use crate::row::Rows;
 use std::error::Error;
 use std::fmt::Write;
 use std::ops::ControlFlow;
-use varda::problem::Problem;
 use varda::scene::SceneFile;
+use varda::setup::problem::Problem;
 use varda_assimilation::{
     ControlTransform, Iteration, Minimizer, Minimum, NewtonOptions, Status, StrongConstraint,
 };

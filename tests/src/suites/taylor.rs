@@ -1,10 +1,10 @@
 //! Taylor tests: what is called a derivative is one. The remainder of first order must fall like h².
 
 use super::Options;
-use crate::costs::for_each_cost;
-use crate::methods::for_each_method;
-use crate::problems::{rod_scale, rods, wave};
 use crate::row::{Case, Outcome, Row, Rows};
+use problems::costs::for_each_cost;
+use problems::methods::for_each_method;
+use problems::rods::{rod_scale, rods, wave};
 use varda_assimilation::CostFunction;
 use varda_implicit::check::{self, Taylor};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};

@@ -72,20 +72,28 @@ fn minimizers() -> Vec<Minimizer> {
 #[test]
 fn lin3dvar() {
     for minimizer in minimizers().into_iter().chain([Minimizer::Newton(NewtonOptions::default())]) {
-        check(include_str!("../fixtures/lin3dvar.json"), None, &minimizer);
+        check(include_str!("../../../../tests/fixtures/twin/lin3dvar.json"), None, &minimizer);
     }
 }
 
 #[test]
 fn l63() {
     for minimizer in minimizers() {
-        check(include_str!("../fixtures/l63.json"), Some(&mut Rk4::new(Lorenz63, 0.01)), &minimizer);
+        check(
+            include_str!("../../../../tests/fixtures/twin/l63.json"),
+            Some(&mut Rk4::new(Lorenz63, 0.01)),
+            &minimizer,
+        );
     }
 }
 
 #[test]
 fn l96() {
     for minimizer in minimizers() {
-        check(include_str!("../fixtures/l96.json"), Some(&mut Rk4::new(Lorenz96(40), 0.0125)), &minimizer);
+        check(
+            include_str!("../../../../tests/fixtures/twin/l96.json"),
+            Some(&mut Rk4::new(Lorenz96(40), 0.0125)),
+            &minimizer,
+        );
     }
 }

@@ -14,8 +14,8 @@ fn quiet(_: &Iteration) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
-const LORENZ96: &str = include_str!("../fixtures/l96.json");
-const LINEAR: &str = include_str!("../fixtures/lin3dvar.json");
+const LORENZ96: &str = include_str!("../../../../tests/fixtures/twin/l96.json");
+const LINEAR: &str = include_str!("../../../../tests/fixtures/twin/lin3dvar.json");
 
 type Check<'a> = dyn FnMut(&mut dyn GaussNewton, &ControlTransform, &[f64], Minimum) + 'a;
 

@@ -8,10 +8,10 @@ use std::time::Instant;
 use varda_assimilation::CycleState;
 
 use crate::Error;
-use crate::cycles::{Listener, Outcome, Row, Sequence};
-use crate::partial::Partial;
 use crate::report;
-use crate::run::Status;
+use crate::report::checkpoint::Partial;
+use crate::run::cycles::{Listener, Outcome, Row, Sequence};
+use crate::run::window::Status;
 use crate::scene::SceneFile;
 
 use super::INTERRUPTED;

@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use crate::cycles::Row;
-use crate::run::ConvergenceRow;
+use crate::run::cycles::Row;
+use crate::run::window::ConvergenceRow;
 
 /// A run shorter than this shows only its table.
 const PATIENCE: Duration = Duration::from_secs(2);

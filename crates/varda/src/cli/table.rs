@@ -3,10 +3,10 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use crate::check::Plan;
-use crate::compare::Compared;
-use crate::problem::Problem;
-use crate::run::{Outcome, Simulation, Status};
+use crate::run::compare::Compared;
+use crate::run::window::{Outcome, Simulation, Status};
+use crate::setup::plan::Plan;
+use crate::setup::problem::Problem;
 
 /// More than this many notes are for the report.
 const MOST_NOTES: usize = 6;

@@ -4,9 +4,9 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use crate::Error;
-use crate::cycles::{Outcome, Row, Sequence};
-use crate::output::Output;
-use crate::run::WorkCounts;
+use crate::report::folder::Output;
+use crate::run::cycles::{Outcome, Row, Sequence};
+use crate::run::window::WorkCounts;
 
 use super::html::{document, escape, list, numbers, short, status_words, tile_list};
 use super::plot::{Corner, Figure, Panel, Series, Style};
@@ -138,7 +138,7 @@ fn summary(sequence: &Sequence, outcome: &Outcome) -> serde_json::Value {
             "rmse_end": means.rmse_end[0],
             "spread": means.spread[0],
             "chi2": means.chi2,
-            "not_converged": outcome.cycles.iter().filter(|r| r.status != crate::run::Status::Converged).count(),
+            "not_converged": outcome.cycles.iter().filter(|r| r.status != crate::run::window::Status::Converged).count(),
             "failures": failures(outcome),
             "seconds_each": means.seconds,
         },

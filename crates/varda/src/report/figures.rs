@@ -1,11 +1,11 @@
 //! Which figures a run draws.
 
 use crate::Error;
-use crate::compare::{Compared, lowest};
-use crate::problem::{Problem, RodView, View};
-use crate::rod_observation::Window;
-use crate::run::{ConvergenceRow, Outcome, Trajectories};
+use crate::run::compare::{Compared, lowest};
+use crate::run::window::{ConvergenceRow, Outcome, Trajectories};
 use crate::scene::Use;
+use crate::setup::problem::{Problem, RodView, View};
+use crate::setup::rod_observations::Window;
 
 use super::plot::{Corner, Figure, Panel, Series, Style};
 

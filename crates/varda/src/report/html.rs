@@ -2,8 +2,8 @@
 
 use std::fmt::Write;
 
-use crate::problem::Problem;
-use crate::run::{Outcome, Status};
+use crate::run::window::{Outcome, Status};
+use crate::setup::problem::Problem;
 
 use super::Summary;
 
@@ -229,7 +229,7 @@ fn fit_section(problem: &Problem, s: &Summary) -> String {
     let mut out = String::from("<section><h2>What fits and what does not</h2>");
     if !s.innovations.is_empty() {
         let shown = s.innovations.len().min(40);
-        let row = |f: &crate::fit::Fit| {
+        let row = |f: &crate::run::fit::Fit| {
             let class = if f.ratio > 1.5 && f.count >= 10 { " class=\"bad\"" } else { "" };
             format!(
                 "<tr{class}><th scope=\"row\">{}</th><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.2}</td></tr>",
@@ -255,7 +255,7 @@ fn fit_section(problem: &Problem, s: &Summary) -> String {
         }
     }
     if !s.withheld.is_empty() {
-        let row = |w: &crate::fit::Withheld| {
+        let row = |w: &crate::run::fit::Withheld| {
             format!(
                 "<tr><th scope=\"row\">{}</th><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",
                 escape(&w.label),
@@ -273,7 +273,7 @@ fn fit_section(problem: &Problem, s: &Summary) -> String {
         );
     }
     if !s.forecast.is_empty() {
-        let row = |f: &crate::fit::Forecast| {
+        let row = |f: &crate::run::fit::Forecast| {
             let used = if f.assimilated { "assimilated" } else { "kept back" };
             format!(
                 "<tr><th scope=\"row\">{}</th><td>{used}</td><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",
@@ -304,7 +304,7 @@ fn fit_section(problem: &Problem, s: &Summary) -> String {
 }
 
 fn convergence_table(outcome: &Outcome) -> String {
-    let row = |r: &crate::run::ConvergenceRow| {
+    let row = |r: &crate::run::window::ConvergenceRow| {
         format!(
             "<tr><td>{}</td><td>{:.3}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.2e}</td>{}</tr>",
             r.iteration,

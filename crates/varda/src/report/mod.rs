@@ -1,7 +1,9 @@
 //! What a run leaves behind: summary.json, CSV files, figures and report.html.
 
+pub mod checkpoint;
 mod cycles;
 mod figures;
+pub mod folder;
 mod html;
 pub mod plot;
 mod summary;
@@ -13,11 +15,11 @@ pub use summary::{Horizon, Summary, Terms};
 use std::path::{Path, PathBuf};
 
 use crate::Error;
-use crate::compare::Compared;
-use crate::output::Output;
-use crate::problem::{Problem, View};
-use crate::run::{Outcome, Simulation, Trajectories};
+use crate::report::folder::Output;
+use crate::run::compare::Compared;
+use crate::run::window::{Outcome, Simulation, Trajectories};
 use crate::scene::{Origin, SceneFile};
+use crate::setup::problem::{Problem, View};
 
 /// Writes the result of a run to `folder`, whole or not at all.
 ///

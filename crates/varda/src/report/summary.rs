@@ -4,9 +4,9 @@ use serde::Serialize;
 use varda_assimilation::CostTerms;
 use varda_implicit::check::Amplification;
 
-use crate::fit::{Fit, Forecast, Withheld};
-use crate::problem::Problem;
-use crate::run::{AcceptedSteps, Outcome, Rejected, Rmse, Seconds, WorkCounts};
+use crate::run::fit::{Fit, Forecast, Withheld};
+use crate::run::window::{AcceptedSteps, Outcome, Rejected, Rmse, Seconds, WorkCounts};
+use crate::setup::problem::Problem;
 
 /// The keys of summary.json, in their order.
 #[derive(Debug, Serialize)]

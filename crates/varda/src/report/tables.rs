@@ -3,10 +3,10 @@
 use std::fmt::Write;
 
 use crate::Error;
-use crate::compare::Compared;
-use crate::problem::{Problem, RodView, View};
-use crate::rod_observation::Window;
-use crate::run::{ConvergenceRow, Outcome, Trajectories};
+use crate::run::compare::Compared;
+use crate::run::window::{ConvergenceRow, Outcome, Trajectories};
+use crate::setup::problem::{Problem, RodView, View};
+use crate::setup::rod_observations::Window;
 
 /// A number as the shortest text that reads back to the same bits; nothing for one that is not there.
 pub(super) fn number(value: f64) -> String {

@@ -15,7 +15,7 @@ pub const DATA_BYTES: u64 = 1 << 28;
 pub const STEPS: usize = 10_000_000;
 
 /// Most numbers in the states of one run (steps × state), or of an ensemble's runs together. What else a run takes is held against
-/// `[limits] memory` ([`memory`](crate::memory)).
+/// `[limits] memory` ([`memory`](crate::setup::memory)).
 pub const NUMBERS: usize = 1_000_000_000;
 
 /// Most observed values.
@@ -41,7 +41,7 @@ pub(super) fn validate_sizes(scene: &Scene) -> Check {
     if steps > STEPS {
         return invalid(key, format!("{steps} steps in all: at most {STEPS} can be run"));
     }
-    let forecast = scene.report.forecast / crate::problem::window(scene).step;
+    let forecast = scene.report.forecast / crate::setup::problem::window(scene).step;
     if !(forecast <= STEPS as f64) {
         let message = format!("a forecast of {forecast:.3e} steps: at most {STEPS} can be run");
         return invalid("report.forecast", message);

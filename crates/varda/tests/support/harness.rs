@@ -1,10 +1,10 @@
 //! What is done with bytes from outside: every reader of a scene and of its files, up to a problem ready to run where that is small. Shared by
 //! the property tests and the fuzz targets: none of these may panic.
 
-use varda::check::Plan;
-use varda::csv_input;
-use varda::problem::Problem;
 use varda::scene::{Covariance, SceneFile};
+use varda::setup::csv;
+use varda::setup::plan::Plan;
+use varda::setup::problem::Problem;
 
 /// Bytes as a scene: parsed, validated, planned, and built where it takes little. True where it came to a problem.
 pub(crate) fn scene(bytes: &[u8]) -> bool {
@@ -30,7 +30,7 @@ fn small(file: &SceneFile) -> bool {
     };
     let members = scene.algorithm.members().map_or(0, |e| e.members);
     let windows = scene.algorithm.cycles.as_ref().map_or(1, |c| c.count);
-    let forecast = scene.report.forecast / varda::problem::window(scene).step;
+    let forecast = scene.report.forecast / varda::setup::problem::window(scene).step;
     segments <= 50
         && steps.saturating_mul(windows) <= 100
         && run <= 2000
@@ -42,14 +42,14 @@ fn small(file: &SceneFile) -> bool {
 pub(crate) fn csv(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     let finite = |x: &f64| x.is_finite();
-    if let Ok(rows) = csv_input::observations("fuzz.csv", text) {
+    if let Ok(rows) = csv::observations("fuzz.csv", text) {
         assert!(rows.iter().all(|r| r.time.is_finite() && r.position.iter().flatten().all(finite)));
         assert!(rows.iter().all(|r| r.line <= text.len()), "more lines than bytes");
     }
     let background = ["vertex", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"];
-    if let Ok(rows) = csv_input::numbers("fuzz.csv", text, background) {
+    if let Ok(rows) = csv::numbers("fuzz.csv", text, background) {
         assert!(rows.iter().flatten().all(finite));
     }
-    let _ = csv_input::numbers("fuzz.csv", text, ["time_s", "x_m", "y_m", "z_m"]);
-    let _ = csv_input::numbers("fuzz.csv", text, ["component", "value"]);
+    let _ = csv::numbers("fuzz.csv", text, ["time_s", "x_m", "y_m", "z_m"]);
+    let _ = csv::numbers("fuzz.csv", text, ["component", "value"]);
 }

@@ -2,7 +2,7 @@
 
 use super::{gap, go_on};
 use crate::row::{Case, Outcome, Rows};
-use crate::windows::{
+use problems::small_problems::{
     RING, all_of, coupled, difference, localized, normals, observation, ring, ring_model, spanning,
 };
 use std::error::Error;

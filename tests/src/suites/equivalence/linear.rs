@@ -2,8 +2,8 @@
 
 use super::{gap, go_on, tight};
 use crate::row::{Case, Outcome, Rows};
-use crate::windows::{self, LINEAR_STEPS, Thin, coupled, difference, dot, normals, observation};
 use nalgebra::{DMatrix, DVector};
+use problems::small_problems::{self, LINEAR_STEPS, Thin, coupled, difference, dot, normals, observation};
 use std::error::Error;
 use varda_assimilation::{
     Blue, ControlTransform, CostFunction, Dual, Forcing, Gain, Incremental, InnerCost, InnerLimits,
@@ -26,23 +26,23 @@ pub(super) fn rows(rows: &mut Rows) {
         iterates(case, &mut StrongConstraint::without_model(transform, &mut set)?, 43)
     });
     rows.case("lorenz96, 6 variables, curved H", |case| {
-        let (mut model, background, mut set) = windows::curved()?;
+        let (mut model, background, mut set) = small_problems::curved()?;
         let b = coupled(6, 0.5)?;
         let transform = ControlTransform::new(background, &b)?;
         iterates(case, &mut StrongConstraint::new(&mut model, transform, &mut set)?, 7)
     });
     rows.case("lorenz96, 30 variables", |case| {
-        let (mut model, background, mut set) = windows::wide()?;
+        let (mut model, background, mut set) = small_problems::wide()?;
         let b = coupled(30, 1.0)?;
         let transform = ControlTransform::new(background, &b)?;
         iterates(case, &mut StrongConstraint::new(&mut model, transform, &mut set)?, 44)
     });
     rows.case("lorenz96, 30 variables, model error, many iterations", |case| {
-        let (mut model, background, _) = windows::wide()?;
+        let (mut model, background, _) = small_problems::wide()?;
         let values = normals(55, 120);
         let whole: Vec<usize> = (0..30).collect();
         let seen = (0..4).map(|j| observation(&whole, 2 * j, 0.0, &values[30 * j..30 * j + 30], 0.01));
-        let mut set = ObservationSet::new(6, vec![windows::all_of(30)?], seen.collect())?;
+        let mut set = ObservationSet::new(6, vec![small_problems::all_of(30)?], seen.collect())?;
         let (b, q) = (coupled(30, 1.0)?, coupled(30, 0.3)?);
         let transform = ControlTransform::new(background, &b)?;
         iterates(
@@ -201,7 +201,7 @@ impl<M: Model> Model for WrongAdjoint<M> {
 }
 
 fn wrong_adjoint(case: &mut Case) -> Outcome {
-    let (model, background, mut set) = windows::curved()?;
+    let (model, background, mut set) = small_problems::curved()?;
     let mut model = WrongAdjoint(model);
     let b = coupled(6, 0.5)?;
     let transform = ControlTransform::new(background, &b)?;
@@ -281,7 +281,7 @@ pub(super) fn step_matrix(model: &mut dyn Model) -> Result<DMatrix<f64>> {
 }
 
 fn filter_and_smoother(case: &mut Case) -> Outcome {
-    let (mut model, background, mut set) = windows::linear()?;
+    let (mut model, background, mut set) = small_problems::linear()?;
     let b = coupled(4, 0.8)?;
     let step = step_matrix(&mut model)?;
     let (filtered, smoothed) = kalman(&step, &dense(&b), &DMatrix::zeros(4, 4), &background, &set)?;
@@ -305,7 +305,7 @@ fn filter_and_smoother(case: &mut Case) -> Outcome {
 
 /// On a linear problem the inner cost is J, and one outer iteration is all.
 fn one_outer_loop(case: &mut Case) -> Outcome {
-    let (mut model, background, mut set) = windows::linear()?;
+    let (mut model, background, mut set) = small_problems::linear()?;
     let b = coupled(4, 0.8)?;
     let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(background, &b)?, &mut set)?;
     let mut full = [0.0; 4];
@@ -326,7 +326,7 @@ fn one_outer_loop(case: &mut Case) -> Outcome {
 
 /// A curved J: 4D-Var, incremental 4D-Var and 4D-PSAS end at one point.
 fn one_minimum(case: &mut Case) -> Outcome {
-    let (mut model, background, mut set) = windows::wide()?;
+    let (mut model, background, mut set) = small_problems::wide()?;
     let b = coupled(30, 0.5)?;
     let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(background, &b)?, &mut set)?;
     let mut full = vec![0.0; 30];

@@ -3,7 +3,7 @@
 use super::{gap, go_on};
 use crate::row::{Case, Outcome, Rows};
 use crate::suites::golden::twin;
-use crate::windows::{difference, long_lorenz63};
+use problems::small_problems::{difference, long_lorenz63};
 use std::error::Error;
 use varda_assimilation::{
     ControlTransform, CostFunction, InnerSolver, Minimizer, Minimum, NewtonCgOptions, OuterLoopOptions,

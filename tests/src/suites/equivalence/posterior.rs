@@ -3,8 +3,8 @@
 use super::go_on;
 use crate::row::{Case, Outcome, Rows};
 use crate::suites::golden::twin;
-use crate::windows::{RING, coupled, difference, dot, normals, ring, ring_model, spanning, states};
 use nalgebra::DMatrix;
+use problems::small_problems::{RING, coupled, difference, dot, normals, ring, ring_model, spanning, states};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use std::error::Error;

@@ -3,7 +3,7 @@
 use super::linear::{dense, kalman, step_matrix};
 use super::{gap, tight};
 use crate::row::{Case, Outcome, Rows};
-use crate::windows::{self, LINEAR_STEPS, coupled, difference};
+use problems::small_problems::{self, LINEAR_STEPS, coupled, difference};
 use varda_assimilation::{
     ControlTransform, CostFunction, Forcing, InnerSolver, Status, StrongConstraint, WeakForcing, WeakState,
 };
@@ -23,7 +23,7 @@ const SOLVERS: [(&str, InnerSolver); 3] =
 
 /// Every state of the window against the Rauch–Tung–Striebel smoother with Q.
 fn smoother(case: &mut Case) -> Outcome {
-    let (mut model, background, mut set) = windows::linear()?;
+    let (mut model, background, mut set) = small_problems::linear()?;
     let (b, q) = (coupled(4, 0.8)?, coupled(4, 0.3)?);
     let step = step_matrix(&mut model)?;
     let (_, smoothed) = kalman(&step, &dense(&b), &dense(&q), &background, &set)?;
@@ -50,7 +50,7 @@ fn smoother(case: &mut Case) -> Outcome {
 }
 
 fn forms(case: &mut Case, forcing: Forcing) -> Outcome {
-    let (mut model, background, mut set) = windows::curved()?;
+    let (mut model, background, mut set) = small_problems::curved()?;
     let (b, q) = (coupled(6, 0.5)?, coupled(forcing.components.len(), 0.2)?);
     let transform = ControlTransform::new(background.clone(), &b)?;
     let mut cost = WeakForcing::new(&mut model, transform, &q, forcing.clone(), &mut set)?;
@@ -80,7 +80,7 @@ fn forms(case: &mut Case, forcing: Forcing) -> Outcome {
 
 /// ‖v(weak) − v(strong)‖ falls like Q, that is like σ_q².
 fn vanishing(case: &mut Case) -> Outcome {
-    let (mut model, background, mut set) = windows::curved()?;
+    let (mut model, background, mut set) = small_problems::curved()?;
     let b = coupled(6, 0.5)?;
     let transform = ControlTransform::new(background, &b)?;
     let mut strong = vec![0.0; 6];

@@ -1,8 +1,8 @@
 //! Windows of the hanging rod: cost, gradient, minimum and posterior variance against an independent program.
 
 use super::{Fixture, expect_length, expect_size, largest, largest_difference, norm};
-use crate::problems::{HangingRod, Prior};
 use crate::row::{Case, Outcome};
+use problems::rods::{HangingRod, Prior};
 use serde::Deserialize;
 use std::error::Error;
 use std::f64::consts::TAU;

@@ -2,7 +2,7 @@
 
 mod der;
 mod hanging_rod;
-mod section9;
+mod reference_values;
 pub(super) mod twin;
 
 use super::Options;
@@ -27,7 +27,7 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
         let reason = format!("{}: no fixtures in der, hanging-rod or twin", folder.display());
         rows.case("fixtures", |_| Err(reason.into()));
     }
-    section9::run(&mut rows);
+    reference_values::run(&mut rows);
     rows.finish()
 }
 

@@ -218,7 +218,7 @@ fn minimize(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::problems::wave;
+    use problems::rods::wave;
 
     /// A Lorenz 1963 window of `steps` steps, all components seen every tenth step, with R = 2.
     fn lorenz63(steps: usize) -> Twin {

@@ -1,8 +1,8 @@
 //! Orders of the rod's step in time.
 
 use super::{extrapolated, slope_row};
-use crate::problems::{DT, DrivenRod, FIRST, rods};
 use crate::row::{Case, Outcome, Rows};
+use problems::rods::{DT, DrivenRod, FIRST, rods};
 use varda_implicit::{ImplicitModel, Model, Scheme};
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;

@@ -5,7 +5,7 @@
 
 use super::refused;
 use crate::row::{Case, Outcome, Rows, Work};
-use crate::windows::{Linear, all_of, observation, spanning};
+use problems::small_problems::{Linear, all_of, observation, spanning};
 use std::ops::ControlFlow;
 use varda_assimilation::{
     Blue, ControlTransform, CostFunction, CostTerms, Counts, EnVar, EnVarOptions, Error, Forcing, Gain,
@@ -397,7 +397,7 @@ fn failing(case: &mut Case, failure: Failure) -> Outcome {
     let set = || {
         ObservationSet::new(
             3,
-            vec![Box::new(crate::windows::Products)],
+            vec![Box::new(problems::small_problems::Products)],
             vec![observation(&[0], 2, 0.0, &[1.0], 0.01)],
         )
     };

@@ -6,7 +6,7 @@
 use super::rod_shapes::{DOWN, SILICONE, fixed_clamp, held, section, weight};
 use super::{condition, refused};
 use crate::row::{Case, Outcome, Rows, Work};
-use crate::windows::{Linear, all_of, observation};
+use problems::small_problems::{Linear, all_of, observation};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use varda_assimilation::{

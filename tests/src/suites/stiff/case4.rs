@@ -1,9 +1,9 @@
 //! Case 4 of the paper with observations better and better beside a background that is far off.
 
-use crate::problems::HangingRod;
 use crate::row::{Rows, Work};
 use crate::suites::Options;
-use crate::windows::normals;
+use problems::rods::HangingRod;
+use problems::small_problems::normals;
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use std::ops::ControlFlow;

@@ -2,7 +2,7 @@
 
 use crate::row::{Case, Outcome, Rows, Work};
 use crate::suites::Options;
-use crate::windows::{all_of, difference, normals, observation, states};
+use problems::small_problems::{all_of, difference, normals, observation, states};
 use std::ops::ControlFlow;
 use varda_assimilation::{
     ControlTransform, CostFunction, Error, Minimizer, ObservationSet, StrongConstraint, window_growth,

@@ -2,7 +2,7 @@
 
 use super::refused;
 use crate::row::{Outcome, Rows, Work};
-use crate::windows::{difference, normals};
+use problems::small_problems::{difference, normals};
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 use varda_covariance::{

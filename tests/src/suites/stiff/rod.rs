@@ -5,8 +5,8 @@
 //! Newton's correction for what they leave is taken with the step's own Jacobian.
 
 use super::{condition, interval, work};
-use crate::problems::{rod_scale, wave};
 use crate::row::{Case, Outcome, Rows};
+use problems::rods::{rod_scale, wave};
 use std::sync::Arc;
 use varda_implicit::{Error, ImplicitModel, ImplicitStep, LinearSolver, Model, NewtonOptions, Scheme, check};
 use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, TwistUnknowns};

@@ -3,8 +3,8 @@
 use super::rod_shapes::{
     DOT_REASON, DOWN, SILICONE, figures, fixed_clamp, held, largest, line, model, run_from, section, weight,
 };
-use crate::problems::rod_scale;
 use crate::row::Rows;
+use problems::rods::rod_scale;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 use varda_implicit::{Model, check};

@@ -2,8 +2,8 @@
 
 use super::rod::{ROOT, ROOT_REASON, distance};
 use super::{condition, interval, refused, statics, work};
-use crate::problems::{rod_scale, wave};
 use crate::row::{Outcome, Rows, Work};
+use problems::rods::{rod_scale, wave};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 use varda_implicit::{ImplicitModel, ImplicitStep, Model, check};

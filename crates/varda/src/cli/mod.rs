@@ -1,0 +1,282 @@
+//! The command line: commands, progress, the table, exit codes. The one place that prints.
+
+#![allow(clippy::print_stdout, clippy::print_stderr)]
+
+mod cycles;
+mod progress;
+mod table;
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use clap::{Args, Parser, Subcommand};
+
+use crate::Error;
+use crate::report;
+use crate::report::checkpoint::Partial;
+use crate::report::folder::Output;
+use crate::run::compare::{Compared, compare};
+use crate::run::cycles::{Sequence, whole};
+use crate::run::window::{self, Listener, Status, assimilate};
+use crate::scene::{SHIPPED, STARTER, Scene, SceneFile};
+use crate::setup::plan::Plan;
+use crate::setup::problem::Problem;
+use progress::Progress;
+
+#[derive(Parser)]
+#[command(
+    name = "varda",
+    version,
+    about = "Estimates the state of a dynamical system from noisy, sparse observations"
+)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Assimilate: minimise the cost of a scene and write a report
+    Run {
+        #[command(flatten)]
+        scene: SceneArguments,
+        /// Folder for the result [default: out/<scene name>]
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
+        /// Print nothing but errors
+        #[arg(long)]
+        quiet: bool,
+        /// Go on with an unfinished run of many windows ([algorithm.cycles]) after its last finished one
+        #[arg(long)]
+        resume: bool,
+    },
+    /// Run the model forward only: from the truth where there is one, else from the background
+    Simulate {
+        #[command(flatten)]
+        scene: SceneArguments,
+        /// Folder for the result [default: out/<scene name>-simulation]
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
+        /// Print nothing but errors
+        #[arg(long)]
+        quiet: bool,
+    },
+    /// Run every method and minimizer that applies; print and draw error against seconds
+    Compare {
+        #[command(flatten)]
+        scene: SceneArguments,
+        /// Folder for the result [default: out/<scene name>-compare]
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
+    },
+    /// Validate a scene; print sizes, memory and what will be left out; run nothing
+    Check {
+        #[command(flatten)]
+        scene: SceneArguments,
+    },
+    /// Write a commented starter scene to NAME.toml
+    New {
+        /// Name of the scene
+        name: String,
+    },
+    /// Print the JSON Schema of a scene
+    Schema,
+    /// List the scenes that come with the program
+    Scenes,
+}
+
+#[derive(Args)]
+struct SceneArguments {
+    /// A scene file, or the name of a shipped scene
+    scene: String,
+    /// Seed of every random number
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Set a key of the scene, for example --set observations.sigma=0.01
+    #[arg(long = "set", value_name = "key=value")]
+    sets: Vec<String>,
+}
+
+impl SceneArguments {
+    fn open(&self) -> Result<SceneFile, Error> {
+        let seed = self.seed.map(|s| format!("seed={s}"));
+        let sets: Vec<String> = self.sets.iter().cloned().chain(seed).collect();
+        SceneFile::open(&self.scene, &sets)
+    }
+}
+
+/// Runs the program: parses the arguments, does what they say, prints one message on error.
+pub fn main() -> ExitCode {
+    let started = Instant::now();
+    let done = match Cli::parse().command {
+        Command::Run { scene, out, quiet, resume } => {
+            run_scene(&scene, out.as_deref(), quiet, resume, started)
+        }
+        Command::Simulate { scene, out, quiet } => simulate(&scene, out.as_deref(), quiet, started),
+        Command::Compare { scene, out } => compare_all(&scene, out.as_deref()),
+        Command::Check { scene } => scene.open().and_then(|file| check(&file)),
+        Command::New { name } => new(&name),
+        Command::Schema => {
+            println!("{}", Scene::schema());
+            Ok(ExitCode::SUCCESS)
+        }
+        Command::Scenes => {
+            list();
+            Ok(ExitCode::SUCCESS)
+        }
+    };
+    done.unwrap_or_else(|error| {
+        eprintln!("error: {error}");
+        ExitCode::FAILURE
+    })
+}
+
+/// 130 is what a shell reports for a program ended by Ctrl-C.
+const INTERRUPTED: u8 = 130;
+
+/// Becomes true at Ctrl-C, SIGTERM or SIGHUP; the run then ends with what it has. A second one ends the program at once.
+fn stop_on_signals() -> Arc<AtomicBool> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    // Without a handler a signal still ends the program, only less politely.
+    let _ = ctrlc::set_handler(move || {
+        if flag.swap(true, Ordering::SeqCst) {
+            std::process::exit(INTERRUPTED.into());
+        }
+    });
+    stop
+}
+
+fn run_scene(
+    arguments: &SceneArguments,
+    out: Option<&Path>,
+    quiet: bool,
+    resume: bool,
+    started: Instant,
+) -> Result<ExitCode, Error> {
+    let file = arguments.open()?;
+    let folder = out.map_or_else(|| Path::new("out").join(&file.name), Path::to_path_buf);
+    refuse_occupied(&folder, quiet)?;
+
+    let stop = stop_on_signals();
+    let algorithm = &file.scene.algorithm;
+    let mut progress = Progress::new(algorithm.gradient_tolerance, algorithm.max_iterations, quiet, started);
+    let interrupted = || stop.load(Ordering::SeqCst);
+    if resume && file.scene.algorithm.cycles.is_none() {
+        return Err(file.invalid("algorithm", "only a run with [algorithm.cycles] can be resumed"));
+    }
+    // Before anything is run: what it was begun with may have changed.
+    let taken_up = if resume { Some(Partial::resume(&folder, &file)?) } else { None };
+    if let Some(mut sequence) = Sequence::from_scene(&file)? {
+        return cycles::run(
+            &file,
+            &mut sequence,
+            &folder,
+            taken_up,
+            &mut progress,
+            &interrupted,
+            quiet,
+            started,
+        );
+    }
+    let mut problem = Problem::from_scene(&file)?;
+    let mut listener =
+        Listener { on_iteration: &mut |row| progress.row(row), interrupted: &interrupted, started };
+    let outcome = assimilate(&mut problem, &mut listener)?;
+    progress.finish();
+    let folder = report::write(&mut problem, &outcome, &folder)?;
+    if !quiet {
+        print!("{}", table::outcome(&problem, &outcome, &folder, started.elapsed().as_secs_f64()));
+    }
+    Ok(match outcome.status {
+        Status::Interrupted => ExitCode::from(INTERRUPTED),
+        Status::Failed => {
+            let reason = outcome.warnings.iter().find(|w| w.contains("the model fails"));
+            eprintln!("error: {}", reason.map_or("the minimizer failed", String::as_str));
+            ExitCode::FAILURE
+        }
+        Status::Converged | Status::MaxIterations | Status::Stalled => ExitCode::SUCCESS,
+    })
+}
+
+/// Refuses an occupied folder before the work, not after it; says what killed runs had left there.
+fn refuse_occupied(folder: &Path, quiet: bool) -> Result<(), Error> {
+    let out = Output::begin(folder)?;
+    let found = out.found();
+    if !quiet && !found.removed.is_empty() {
+        let names: Vec<String> = found.removed.iter().map(|p| p.display().to_string()).collect();
+        eprintln!("removed what killed runs had left: {}", names.join(", "));
+    }
+    if !quiet && found.put_back {
+        eprintln!("{} is again the result that a killed run was about to replace", folder.display());
+    }
+    Ok(())
+}
+
+fn simulate(
+    arguments: &SceneArguments,
+    out: Option<&Path>,
+    quiet: bool,
+    started: Instant,
+) -> Result<ExitCode, Error> {
+    let file = arguments.open()?;
+    let default = || Path::new("out").join(format!("{}-simulation", file.name));
+    let folder = out.map_or_else(default, Path::to_path_buf);
+    refuse_occupied(&folder, quiet)?;
+    let mut problem = Problem::from_scene(&whole(&file))?;
+    let simulation = window::simulate(&mut problem)?;
+    let folder =
+        report::write_simulation(&mut problem, &simulation, started.elapsed().as_secs_f64(), &folder)?;
+    if !quiet {
+        print!("{}", table::simulation(&problem, &simulation, &folder, started.elapsed().as_secs_f64()));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn compare_all(arguments: &SceneArguments, out: Option<&Path>) -> Result<ExitCode, Error> {
+    let file = arguments.open()?;
+    let default = || Path::new("out").join(format!("{}-compare", file.name));
+    let folder = out.map_or_else(default, Path::to_path_buf);
+    refuse_occupied(&folder, false)?;
+    let stop = stop_on_signals();
+    let interrupted = || stop.load(Ordering::SeqCst);
+    if file.scene.algorithm.cycles.is_some() {
+        eprintln!("[algorithm.cycles] is left out: the methods are compared on the first window");
+    }
+    let mut on_row = |r: &Compared| eprintln!("{} {}: {}", r.method, r.solver, r.status);
+    let rows = compare(&file, &mut on_row, &interrupted)?;
+    let folder = report::write_comparison(&file, &rows, interrupted(), &folder)?;
+    print!("{}", table::comparison(&rows, &folder));
+    Ok(if interrupted() { ExitCode::from(INTERRUPTED) } else { ExitCode::SUCCESS })
+}
+
+fn check(file: &SceneFile) -> Result<ExitCode, Error> {
+    print!("{}", table::plan(&Plan::new(file)?));
+    Ok(ExitCode::SUCCESS)
+}
+
+fn new(name: &str) -> Result<ExitCode, Error> {
+    let path = PathBuf::from(if name.ends_with(".toml") { name.to_string() } else { format!("{name}.toml") });
+    let failed = |reason| Error::Write { path: path.clone(), reason };
+    let mut target = std::fs::OpenOptions::new().write(true).create_new(true).open(&path).map_err(failed)?;
+    if let Err(reason) = std::io::Write::write_all(&mut target, STARTER.as_bytes()) {
+        // Half a scene is none; nothing more can be done where it will not go away either.
+        let _ = std::fs::remove_file(&path);
+        return Err(failed(reason));
+    }
+    println!("wrote {0}; try: varda check {0}", path.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+fn list() {
+    let width = SHIPPED.iter().map(|s| s.name.len()).max().unwrap_or(0);
+    for shipped in SHIPPED {
+        let title =
+            shipped.text.lines().find_map(|l| l.strip_prefix("title = ")).unwrap_or("").trim_matches('"');
+        println!("{:width$}  {title}", shipped.name);
+    }
+    println!("\nhanging-rod is short for hanging-rod-case1.");
+}

@@ -1,0 +1,169 @@
+//! From `[model] kind = "rod"` to the rod of varda-rod.
+
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+use varda_implicit::Scheme;
+use varda_rod::{
+    Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rest, Rod, RodStep, Section, Supports,
+    equilibrium, straight_guess,
+};
+
+use crate::Error;
+use crate::scene::{self, Integrator, RodModel, SceneFile};
+use crate::setup::csv;
+
+/// A rod with what holds it and what pulls at it.
+#[derive(Clone)]
+pub struct RodParts {
+    /// The rod.
+    pub rod: Rod,
+    /// What holds it.
+    pub supports: Supports,
+    /// What pulls at it.
+    pub loads: Loads,
+    /// What damps it.
+    pub damping: Damping,
+    /// How it is integrated.
+    pub scheme: Scheme,
+}
+
+impl RodParts {
+    /// The rod a scene describes.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] pointing at the key, or the error of a file it names.
+    pub fn from_scene(file: &SceneFile, model: &RodModel) -> Result<RodParts, Error> {
+        let refuse = |path: &str| {
+            let path = path.to_string();
+            move |e: varda_rod::Error| file.invalid(&path, e.to_string())
+        };
+        let mut rod = Rod::with_segments(&model.rest_lengths(), &section(model))
+            .map_err(refuse("model"))?
+            .naturally(model.natural_curvature, model.natural_twist);
+        for (i, mass) in model.point_masses.iter().enumerate() {
+            rod.add_point_mass(mass.arc_length, mass.mass)
+                .map_err(refuse(&format!("model.point_masses.{i}")))?;
+        }
+        let mut supports = Supports::default();
+        if let Some(clamp) = &model.start {
+            supports.start = Some(self::clamp(file, "model.start", clamp)?);
+        }
+        if let Some(clamp) = &model.end {
+            supports.end = Some(self::clamp(file, "model.end", clamp)?);
+        }
+        for (i, p) in model.prescribed.iter().enumerate() {
+            let motion = motion(file, &format!("model.prescribed.{i}"), p.position, p.motion.as_ref())?;
+            supports.prescribed.push((p.vertex, motion));
+        }
+        let point_forces =
+            model.point_forces.iter().map(|f| (f.arc_length, Arc::new(f.force) as Arc<dyn Motion>));
+        let loads = Loads { gravity: model.gravity, point_forces: point_forces.collect() };
+        let damping = Damping { stiffness: model.damping.stiffness, mass: model.damping.mass };
+        let scheme = match file.scene.time.integrator {
+            Integrator::Midpoint => Scheme::Midpoint,
+            Integrator::Bdf2 => Scheme::Bdf2,
+            // Validation lets no rod through with an explicit integrator.
+            Integrator::BackwardEuler | Integrator::Rk4 => Scheme::BackwardEuler,
+        };
+        let parts = RodParts { rod, supports, loads, damping, scheme };
+        parts.dynamics().map_err(refuse("model"))?;
+        Ok(parts)
+    }
+
+    /// Its dynamics by the integrator of the scene.
+    ///
+    /// # Errors
+    /// What varda-rod finds impossible.
+    pub fn dynamics(&self) -> Result<RodStep, varda_rod::Error> {
+        let (rod, supports, loads) = (self.rod.clone(), self.supports.clone(), self.loads.clone());
+        Ok(RodStep::new(rod, supports, loads, self.damping)?.with_scheme(self.scheme))
+    }
+
+    /// The control [X, 0] of the rod at rest, supports where they are at time t \[s\].
+    ///
+    /// # Errors
+    /// [`Error::Preparation`] where no equilibrium is found.
+    pub fn at_rest(&self, t: f64) -> Result<Vec<f64>, Error> {
+        let along = self.loads.gravity;
+        let direction = if along == [0.0; 3] { [0.0, 0.0, -1.0] } else { along };
+        let guess: Rest = straight_guess(&self.rod, &self.supports, t, direction)?;
+        let (rest, _) = equilibrium(&self.rod, &self.supports, &self.loads, t, &guess)
+            .map_err(|reason| Error::Preparation { stage: "static equilibrium", reason })?;
+        let dynamics = self.dynamics()?;
+        let mut control: Vec<f64> = dynamics.free_vertices().iter().flat_map(|&v| rest.vertices[v]).collect();
+        control.resize(dynamics.control_len(), 0.0);
+        Ok(control)
+    }
+}
+
+fn section(model: &RodModel) -> Section {
+    // Validation has seen to it that there is a material wherever the section needs one.
+    let material = model.material.as_ref().map(|m| match (m.shear_modulus, m.poisson_ratio) {
+        (Some(shear_modulus), _) => {
+            Material { youngs_modulus: m.youngs_modulus, shear_modulus, density: m.density }
+        }
+        (None, ratio) => Material::new(m.youngs_modulus, ratio.unwrap_or(0.0), m.density),
+    });
+    let material = material.unwrap_or(Material { youngs_modulus: 0.0, shear_modulus: 0.0, density: 0.0 });
+    match model.section {
+        scene::Section::Circle { radius } => Section::circle(&material, radius),
+        scene::Section::Ellipse { semi_axes: [a1, a2] } => Section::ellipse(&material, a1, a2),
+        scene::Section::Rectangle { width, height } => Section::rectangle(&material, width, height),
+        scene::Section::Stiffness { ea, ei: [ei1, ei2], gj, mass_per_length } => {
+            Section { ea, ei1, ei2, gj, mass_per_length }
+        }
+    }
+}
+
+fn clamp(file: &SceneFile, path: &str, clamp: &scene::Clamp) -> Result<Clamp, Error> {
+    Ok(Clamp {
+        position: motion(file, path, clamp.position, clamp.motion.as_ref())?,
+        tangent: Arc::new(clamp.tangent),
+        director: Arc::new(clamp.director),
+    })
+}
+
+fn motion(
+    file: &SceneFile,
+    path: &str,
+    position: [f64; 3],
+    motion: Option<&scene::Motion>,
+) -> Result<Arc<dyn Motion>, Error> {
+    Ok(match motion {
+        None => Arc::new(position),
+        Some(&scene::Motion::Ellipse { radii, omega, ramp_periods }) => {
+            Arc::new(EllipseDrive { centre: position, radii, omega, ramp: ramp_periods * TAU / omega })
+        }
+        Some(scene::Motion::Table { file: name }) => {
+            let path = format!("{path}.motion.file");
+            let (label, text) = file.read(&path, name)?;
+            let rows = csv::numbers(&label, &text, ["time_s", "x_m", "y_m", "z_m"])?;
+            if rows.is_empty() || rows.windows(2).any(|w| w[0][0] >= w[1][0]) {
+                return Err(file.invalid(&path, format!("{label} must have rows, in order of time")));
+            }
+            Arc::new(move |t: f64| displaced(position, &rows, t))
+        }
+    })
+}
+
+/// A position displaced by a table of (time, displacement): linear between rows, constant outside them.
+fn displaced(position: [f64; 3], rows: &[[f64; 4]], t: f64) -> [f64; 3] {
+    let after = rows.partition_point(|r| r[0] <= t);
+    let (a, b) = (rows[after.saturating_sub(1)], rows[after.min(rows.len() - 1)]);
+    let w = if b[0] > a[0] { ((t - a[0]) / (b[0] - a[0])).clamp(0.0, 1.0) } else { 0.0 };
+    std::array::from_fn(|i| position[i] + (1.0 - w) * a[i + 1] + w * b[i + 1])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_is_linear_between_its_rows_and_constant_outside() {
+        let rows = [[1.0, 0.0, 0.0, 0.0], [3.0, 2.0, 0.0, -4.0]];
+        assert_eq!(displaced([1.0, 1.0, 1.0], &rows, 0.0), [1.0, 1.0, 1.0]);
+        assert_eq!(displaced([1.0, 1.0, 1.0], &rows, 2.0), [2.0, 1.0, -1.0]);
+        assert_eq!(displaced([1.0, 1.0, 1.0], &rows, 9.0), [3.0, 1.0, -3.0]);
+    }
+}

@@ -1,0 +1,61 @@
+//! Benchmarks: error against run time. Each gives a [`Page`], printed and written to docs/results.
+//!
+//! Times are CPU seconds of one thread, taken after a warm-up, given as the median and the least of several samples. They inform; only
+//! errors are checked, by the suites.
+
+pub mod case4;
+pub mod clock;
+pub mod cycling;
+pub mod kernels;
+pub mod machine;
+pub mod page;
+
+mod assimilation;
+mod build;
+mod gradient;
+mod instructions;
+mod leftout;
+mod scaling;
+mod time;
+mod workers;
+
+pub use page::{Cell, Page, Table};
+
+use std::error::Error;
+
+/// How a run is done.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Options {
+    /// Fewer cases, fewer samples: to see that it runs.
+    pub quick: bool,
+}
+
+impl Options {
+    /// Samples of every clock time.
+    pub fn samples(&self) -> usize {
+        if self.quick { 1 } else { 9 }
+    }
+}
+
+/// What a benchmark ends with.
+pub type Result<T> = std::result::Result<T, Box<dyn Error>>;
+
+/// A benchmark.
+pub struct Bench {
+    /// Its name on the command line, and of its files.
+    pub name: &'static str,
+    /// Runs it.
+    pub run: fn(&Options) -> Result<Page>,
+}
+
+/// All benchmarks, in the order they are run.
+pub const BENCHES: &[Bench] = &[
+    Bench { name: "time", run: time::run },
+    Bench { name: "gradient", run: gradient::run },
+    Bench { name: "assimilation", run: assimilation::run },
+    Bench { name: "scaling", run: scaling::run },
+    Bench { name: "leftout", run: leftout::run },
+    Bench { name: "instructions", run: instructions::run },
+    Bench { name: "workers", run: workers::run },
+    Bench { name: "build", run: build::run },
+];

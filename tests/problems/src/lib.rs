@@ -1,0 +1,8 @@
+//! Problems that the verification suites and the benchmarks of Varda share: hanging and driven rods, small windows, one assembled
+//! cost for every kind of model and for every method.
+
+pub mod allocations;
+pub mod costs;
+pub mod methods;
+pub mod rods;
+pub mod small_problems;
