@@ -6,7 +6,7 @@ use crate::{cargo, root};
 
 /// What a crate does without, built alone with its default features.
 const WITHOUT: [(&str, &[&str]); 5] = [
-    ("varda-covariance", &["faer", "nalgebra", "rayon", "serde"]),
+    ("varda-covariance", &["nalgebra", "rayon", "serde"]),
     ("varda-implicit", &["nalgebra", "rayon", "rand", "serde"]),
     ("varda-rod", &["nalgebra", "rayon", "rand", "serde"]),
     ("varda-assimilation", &["nalgebra", "ndarray", "argmin", "serde", "varda-rod"]),

@@ -3,7 +3,6 @@
 use super::clock::timed;
 use super::{Options, Page, Result, Table};
 use crate::cells;
-use faer::{MatRef, Side};
 use problems::rods::DrivenRod;
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -504,14 +503,12 @@ impl Mode {
                 }
             }
         }
-        let eigen = MatRef::from_column_major_slice(&a, f, f)
-            .self_adjoint_eigen(Side::Lower)
-            .map_err(|e| format!("{e:?}"))?;
-        let mode: Vec<f64> = (0..f).map(|i| eigen.U()[(i, 0)] / masses[i].sqrt()).collect();
+        let eigen = varda_linalg::Eigen::new(f, &a)?;
+        let mode: Vec<f64> = (0..f).map(|i| eigen.vectors[i] / masses[i].sqrt()).collect();
         let largest = mode.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
         let amplitude = 2e-5;
         let shape = mode.iter().flat_map(|m| [amplitude * m / largest, 0.0, 0.0]).collect();
-        Ok(Mode { omega: eigen.S()[0].sqrt(), rest, shape })
+        Ok(Mode { omega: eigen.values[0].sqrt(), rest, shape })
     }
 
     fn held() -> Supports {

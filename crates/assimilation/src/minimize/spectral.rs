@@ -1,9 +1,9 @@
 //! A quadratic model by its eigenpairs, in which the step for any trust radius costs O(n k).
 
 use crate::{Error, cost::dot, cost::norm};
-use faer::{MatRef, Side};
 use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use varda_linalg::Eigen;
 
 /// q(p) = gᵀp + ½ pᵀ A p on the span of k orthonormal vectors z_i with zᵢᵀ A z_j = μ_i δ_ij.
 pub(super) struct Spectral {
@@ -27,15 +27,9 @@ pub(super) struct Step {
 
 /// Eigenvalues, ascending, and eigenvectors by columns of a symmetric matrix given by columns.
 pub(crate) fn eigen(n: usize, matrix: &[f64]) -> Result<(Vec<f64>, Vec<f64>), Error> {
-    let failed = Error::NotPositiveDefinite { smallest: f64::NAN };
-    let Ok(eigen) = MatRef::from_column_major_slice(matrix, n, n).self_adjoint_eigen(Side::Lower) else {
-        return Err(failed);
-    };
-    let values: Vec<f64> = eigen.S().column_vector().iter().copied().collect();
-    let vectors: Vec<f64> =
-        (0..n).flat_map(|j| (0..n).map(move |i| (i, j))).map(|ij| eigen.U()[ij]).collect();
-    // The decomposition of a matrix with a NaN is Ok and NaN.
-    if values.iter().chain(&vectors).all(|x| x.is_finite()) { Ok((values, vectors)) } else { Err(failed) }
+    let Eigen { values, vectors } =
+        Eigen::new(n, matrix).map_err(|_| Error::NotPositiveDefinite { smallest: f64::NAN })?;
+    Ok((values, vectors))
 }
 
 impl Spectral {

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Cycles, Ensemble, ModelError};
+use super::{Cycles, Ensemble, Method, Minimizer, ModelError};
 
 /// How the cost is minimised.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -66,6 +66,11 @@ impl Default for Algorithm {
 }
 
 impl Algorithm {
+    /// The ensemble the method runs: that of the scene or the default one; `None` for methods that run none.
+    pub fn members(&self) -> Option<Ensemble> {
+        self.method.is_ensemble().then(|| self.ensemble.clone().unwrap_or_default())
+    }
+
     /// What solves the method's problem, for tables: its minimizer, or the loop of its own.
     pub fn solver_name(&self) -> &'static str {
         match self.method {
@@ -74,158 +79,6 @@ impl Algorithm {
             Method::FourDEnVar | Method::HybridFourDEnVar => "ensemble",
             Method::FourDPsas | Method::Psas => "outer-loop-dual",
             Method::Blue => "closed-form",
-        }
-    }
-}
-
-/// A member of the variational family.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub enum Method {
-    /// Strong-constraint 4D-Var.
-    #[serde(rename = "4dvar")]
-    FourDVar,
-    /// Incremental 4D-Var: quadratic inner problems in the control space, re-linearized in an outer loop.
-    #[serde(rename = "4dvar-incremental")]
-    FourDVarIncremental,
-    /// 4D-PSAS: the same inner problems solved in observation space (dual).
-    #[serde(rename = "4d-psas")]
-    FourDPsas,
-    /// BLUE, the closed form, linearized once at the background: exact where model and observations are linear; elsewhere one full
-    /// Gauss-Newton step, which says "max_iterations" where its gradient is not below the tolerance. Dense.
-    #[serde(rename = "blue")]
-    Blue,
-    /// 3D-Var: everything is observed at step 0.
-    #[serde(rename = "3dvar")]
-    ThreeDVar,
-    /// Incremental 3D-Var: everything is observed at step 0.
-    #[serde(rename = "3dvar-incremental")]
-    ThreeDVarIncremental,
-    /// PSAS, the dual of incremental 3D-Var: everything is observed at step 0.
-    #[serde(rename = "psas")]
-    Psas,
-    /// Weak-constraint 4D-Var over the initial state and the forcing η of the model.
-    #[serde(rename = "weak-forcing")]
-    WeakForcing,
-    /// Weak-constraint 4D-Var over the states at the ends of the sub-windows; B and Q need an inverse.
-    #[serde(rename = "weak-state")]
-    WeakState,
-    /// 4D-EnVar: forward runs of an ensemble in the place of tangent and adjoint, relinearized up to `max_iterations` times
-    /// (1: 4D-EnVar proper; more: the iterative ensemble smoother).
-    #[serde(rename = "4denvar")]
-    FourDEnVar,
-    /// Hybrid 4D-EnVar: a static part of B beside the ensemble's, its increments constant through the window. Linearized once.
-    #[serde(rename = "hybrid-4denvar")]
-    HybridFourDEnVar,
-}
-
-impl Method {
-    /// Its name in a scene.
-    pub fn name(self) -> &'static str {
-        match self {
-            Method::FourDVar => "4dvar",
-            Method::FourDVarIncremental => "4dvar-incremental",
-            Method::FourDPsas => "4d-psas",
-            Method::Blue => "blue",
-            Method::ThreeDVar => "3dvar",
-            Method::ThreeDVarIncremental => "3dvar-incremental",
-            Method::Psas => "psas",
-            Method::WeakForcing => "weak-forcing",
-            Method::WeakState => "weak-state",
-            Method::FourDEnVar => "4denvar",
-            Method::HybridFourDEnVar => "hybrid-4denvar",
-        }
-    }
-
-    /// All of them.
-    pub const ALL: [Method; 11] = [
-        Method::FourDVar,
-        Method::FourDVarIncremental,
-        Method::FourDPsas,
-        Method::Blue,
-        Method::ThreeDVar,
-        Method::ThreeDVarIncremental,
-        Method::Psas,
-        Method::WeakForcing,
-        Method::WeakState,
-        Method::FourDEnVar,
-        Method::HybridFourDEnVar,
-    ];
-
-    /// Takes a minimizer, and with it σ stages.
-    pub fn takes_minimizer(self) -> bool {
-        matches!(self, Method::FourDVar | Method::ThreeDVar | Method::WeakForcing)
-    }
-
-    /// Takes the Huber norm.
-    pub fn takes_robust(self) -> bool {
-        matches!(self, Method::FourDVar | Method::ThreeDVar)
-    }
-
-    /// Estimates the error of the model.
-    pub fn is_weak(self) -> bool {
-        matches!(self, Method::WeakForcing | Method::WeakState)
-    }
-
-    /// Its analysis is a run of the model, found with tangent or adjoint.
-    pub fn is_strong(self) -> bool {
-        !self.is_weak() && !self.is_ensemble()
-    }
-
-    /// Runs an ensemble.
-    pub fn is_ensemble(self) -> bool {
-        matches!(self, Method::FourDEnVar | Method::HybridFourDEnVar)
-    }
-
-    /// Can grow its window: a 4D method with a loop.
-    pub fn takes_window_growth(self) -> bool {
-        self != Method::Blue && !self.is_of_one_instant()
-    }
-
-    /// Analyses one instant: nothing may be observed after step 0.
-    pub fn is_of_one_instant(self) -> bool {
-        matches!(self, Method::ThreeDVar | Method::ThreeDVarIncremental | Method::Psas)
-    }
-}
-
-/// A minimizer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Minimizer {
-    /// The default: the trust region; where the observations are far from the background (J_o > 10 m) also through
-    /// enlarged σ × 10, 3, 1, of the two ends the lower.
-    Auto,
-    /// Gauss–Newton made safe by a trust region (Levenberg–Marquardt in the B⁻¹ norm).
-    TrustRegion,
-    /// The paper's Newton: dense Gauss–Newton Hessian (2.18), full steps. May diverge.
-    Newton,
-    /// Gauss–Newton with truncated conjugate gradients.
-    GaussNewtonCg,
-    /// Limited-memory BFGS: gradients only.
-    Lbfgs,
-    /// Adam, the paper's other minimizer: gradients only, slow.
-    Adam,
-}
-
-impl Minimizer {
-    /// All of them.
-    pub const ALL: [Minimizer; 6] = [
-        Minimizer::Auto,
-        Minimizer::TrustRegion,
-        Minimizer::Newton,
-        Minimizer::GaussNewtonCg,
-        Minimizer::Lbfgs,
-        Minimizer::Adam,
-    ];
-
-    /// Its name in a scene.
-    pub fn name(self) -> &'static str {
-        match self {
-            Minimizer::Auto => "auto",
-            Minimizer::TrustRegion => "trust-region",
-            Minimizer::Newton => "newton",
-            Minimizer::GaussNewtonCg => "gauss-newton-cg",
-            Minimizer::Lbfgs => "lbfgs",
-            Minimizer::Adam => "adam",
         }
     }
 }

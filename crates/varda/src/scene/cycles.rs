@@ -3,8 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::validate::{Check, invalid};
-use super::{Method, Scene};
+use super::Method;
 
 /// Cycling (methods 4dvar, 3dvar, 4denvar, hybrid-4denvar): every window starts from the analysis of the one before, run to its start.
 /// Windows are `time.window` steps long; an observation belongs to the first window that holds it.
@@ -92,73 +91,4 @@ impl Cycles {
         };
         self.covariance.unwrap_or(by_method)
     }
-}
-
-/// What `[algorithm.cycles]` must satisfy beyond the type of each key.
-pub(super) fn validate_cycles(cycles: &Cycles, scene: &Scene) -> Check {
-    let (algorithm, window) = (&scene.algorithm, scene.time.window);
-    let method = algorithm.method;
-    let refuse = |key: &str, message: String| invalid(format!("algorithm.cycles{key}"), message);
-    if !matches!(method, Method::FourDVar | Method::ThreeDVar) && !method.is_ensemble() {
-        let message = format!(
-            "method {:?} is not cycled; \"4dvar\", \"3dvar\", \"4denvar\" and \"hybrid-4denvar\" are",
-            method.name()
-        );
-        return refuse("", message);
-    }
-    if method.is_of_one_instant() && window > 0 {
-        let message = format!(
-            "cycled, method {:?} analyses one step, time.window = 0, and runs on to the next: that is cycles.shift",
-            method.name()
-        );
-        return invalid("time.window", message);
-    }
-    if window > 0 && cycles.shift_of(window) > window + 1 {
-        let message = format!(
-            "windows of {window} steps can be at most {} apart, or steps would be left out",
-            window + 1
-        );
-        return refuse(".shift", message);
-    }
-    let covariance = cycles.covariance_of(method);
-    if method.is_ensemble() != (covariance == CycledCovariance::Ensemble) {
-        let message = format!(
-            "method {:?} does not go with covariance {:?}: an ensemble is carried by \"4denvar\" and \"hybrid-4denvar\" and by no other",
-            method.name(),
-            covariance.name()
-        );
-        return refuse(".covariance", message);
-    }
-    let propagated = covariance == CycledCovariance::Propagated;
-    for (key, given, belongs, to) in [
-        ("inflation", cycles.inflation.is_some(), propagated, "covariance = \"propagated\""),
-        ("static_weight", cycles.static_weight.is_some(), propagated, "covariance = \"propagated\""),
-        ("update", cycles.update.is_some(), method.is_ensemble(), "covariance = \"ensemble\""),
-    ] {
-        if given && !belongs {
-            let instead = match (method.is_ensemble(), key) {
-                (true, "inflation" | "static_weight") => {
-                    format!("; an ensemble's is algorithm.ensemble.{key}")
-                }
-                _ => String::new(),
-            };
-            return refuse(&format!(".{key}"), format!("`{key}` belongs to {to}{instead}"));
-        }
-    }
-    if cycles.spin_up >= cycles.count {
-        let message = format!("all {} cycles would be left out of the means", cycles.count);
-        return refuse(".spin_up", message);
-    }
-    for (path, given) in [
-        ("algorithm.sigma_stages", !algorithm.sigma_stages.is_empty()),
-        ("algorithm.robust", algorithm.robust.is_some()),
-        ("algorithm.background_check", algorithm.background_check.is_some()),
-        ("algorithm.window_growth", !algorithm.window_growth.is_empty()),
-        ("report.forecast", scene.report.forecast > 0.0),
-    ] {
-        if given {
-            return invalid(path, "does not go with [algorithm.cycles]");
-        }
-    }
-    Ok(())
 }

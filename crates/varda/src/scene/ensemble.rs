@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Algorithm, Taper};
+use super::Taper;
 
 /// The ensemble of methods 4denvar and hybrid-4denvar. Its members are drawn from N(x_b, B) with the seed's stream for ensembles.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -50,12 +50,5 @@ impl Ensemble {
     /// β_s and β_e; √½ each, half of the covariance, where the scene is silent.
     pub fn weights(&self) -> [f64; 2] {
         [self.static_weight, self.ensemble_weight].map(|w| w.unwrap_or(std::f64::consts::FRAC_1_SQRT_2))
-    }
-}
-
-impl Algorithm {
-    /// The ensemble the method runs: that of the scene or the default one; `None` for methods that run none.
-    pub fn members(&self) -> Option<Ensemble> {
-        self.method.is_ensemble().then(|| self.ensemble.clone().unwrap_or_default())
     }
 }

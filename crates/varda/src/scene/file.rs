@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
+use super::place::Place;
 use super::sizes::{DATA_BYTES, SCENE_BYTES};
-use super::{Scene, check, shipped, tree, validate};
+use super::{Scene, schema_check, shipped, tree, validate};
 use crate::Error;
 
 /// A scene that has been read and checked, with what is needed to point at its lines and to find its files.
@@ -20,29 +21,6 @@ pub struct SceneFile {
     label: String,
     folder: Option<PathBuf>,
     places: BTreeMap<String, Place>,
-}
-
-/// Where something was written.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Place {
-    /// In the scene's text; both counted from 1.
-    Text {
-        /// Line.
-        line: usize,
-        /// Column, in characters.
-        column: usize,
-    },
-    /// On the command line: `key=value`.
-    Set(String),
-}
-
-impl std::fmt::Display for Place {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Place::Text { line, column } => write!(f, "{line}:{column}"),
-            Place::Set(assignment) => write!(f, "--set {assignment}"),
-        }
-    }
 }
 
 impl SceneFile {
@@ -64,8 +42,8 @@ impl SceneFile {
         let text = read_text(path, SCENE_BYTES).map_err(|reason| match reason.kind() {
             std::io::ErrorKind::NotFound => {
                 let names: Vec<&str> = shipped::SHIPPED.iter().map(|s| s.name).collect();
-                let suggestion =
-                    check::nearest(name, &names).map_or(String::new(), |n| format!(", did you mean {n:?}?"));
+                let suggestion = schema_check::nearest(name, &names)
+                    .map_or(String::new(), |n| format!(", did you mean {n:?}?"));
                 Error::NoScene { name: name.to_string(), suggestion }
             }
             _ => Error::Read { place: "scene".into(), path: path.to_path_buf(), reason },
@@ -97,7 +75,7 @@ impl SceneFile {
         let schema = serde_json::to_value(schemars::schema_for!(Scene)).expect("a schema is plain JSON");
         let wrong =
             |place: &Place, message: String| Error::Scene { place: locate(label, Some(place)), message };
-        check::check(&root, "", &schema, &schema).map_err(|w| wrong(&w.place, w.message))?;
+        schema_check::check(&root, "", &schema, &schema).map_err(|w| wrong(&w.place, w.message))?;
         let scene = Scene::deserialize(root.to_json()).map_err(|e| wrong(&root.place, e.to_string()))?;
         let mut places = BTreeMap::new();
         root.places("", &mut places);

@@ -9,35 +9,44 @@
 
 mod algorithm;
 mod background;
-mod check;
 mod cycles;
 mod ensemble;
 mod file;
+mod invalid;
 mod limits;
+mod method;
 mod model;
 mod model_error;
 mod observations;
+mod place;
+mod schema_check;
 mod shipped;
 mod sizes;
 mod tree;
 mod validate;
 mod validate_algorithm;
+mod validate_covariance;
+mod validate_cycles;
+mod validate_observations;
+mod validate_rod;
 
-pub use algorithm::{Algorithm, Method, Minimizer};
+pub use algorithm::Algorithm;
 pub use background::{
     Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Kernel, KernelCovariance,
     LineCovariance, Origin, Prior, Root, Taper,
 };
 pub use cycles::{CycledCovariance, Cycles, EnsembleUpdate};
 pub use ensemble::Ensemble;
-pub use file::{Place, SceneFile};
+pub use file::SceneFile;
 pub use limits::{DEFAULT_MEMORY, Limits};
+pub use method::{Method, Minimizer};
 pub use model::{
     Burgers, Clamp, DampingValues, LinearAdvection, Lorenz63, Lorenz96, Material, Model, Motion, PointForce,
     PointMass, Prescribed, RodModel, Section,
 };
 pub use model_error::ModelError;
 pub use observations::{Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, Use};
+pub use place::Place;
 pub use shipped::{SHIPPED, STARTER, Shipped};
 pub use sizes::{DATA_BYTES, NUMBERS, SCENE_BYTES, STEPS, VALUES};
 

@@ -185,6 +185,25 @@ pub struct RodModel {
     pub damping: DampingValues,
 }
 
+impl RodModel {
+    /// ω of the start clamp's ellipse drive [rad/s].
+    pub(crate) fn drive_frequency(&self) -> Option<f64> {
+        match self.start.as_ref()?.motion {
+            Some(Motion::Ellipse { omega, .. }) => Some(omega),
+            _ => None,
+        }
+    }
+
+    /// Rest length of every segment [m].
+    pub(crate) fn rest_lengths(&self) -> Vec<f64> {
+        match (&self.segment_lengths, self.length, self.segments) {
+            (Some(lengths), _, _) => lengths.clone(),
+            (None, Some(length), Some(n)) => vec![length / n as f64; n],
+            _ => Vec::new(),
+        }
+    }
+}
+
 fn standard_gravity() -> [f64; 3] {
     [0.0, 0.0, -9.81]
 }

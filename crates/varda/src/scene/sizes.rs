@@ -2,7 +2,7 @@
 //!
 //! Bounds of single keys stand in the schema (`maximum`); here are those of files and of what several keys ask for together.
 
-use super::validate::{Check, invalid};
+use super::invalid::{Check, invalid};
 use super::{Observations, Scene};
 
 /// Most bytes of a scene's TOML.

@@ -3,7 +3,7 @@
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::Place;
+use super::place::Place;
 use crate::Error;
 
 /// A value and where it was written.

@@ -1,7 +1,8 @@
 //! What `[algorithm]` must satisfy beyond the type of each key: keys that do not belong to the chosen method, and numbers that do
 //! not belong together.
 
-use super::validate::{Check, invalid, validate_covariance};
+use super::invalid::{Check, invalid};
+use super::validate_covariance::validate_covariance;
 use super::{Algorithm, Ensemble, Method, Minimizer, Model, ModelError, Observations, Root, Scene, Taper};
 
 pub(super) fn validate_algorithm(scene: &Scene) -> Check {

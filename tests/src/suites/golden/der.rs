@@ -2,8 +2,7 @@
 
 use super::{Fixture, expect_length, expect_size, largest, largest_difference, norm};
 use crate::row::{Case, Outcome};
-use faer::Mat;
-use faer::prelude::Solve;
+use nalgebra::{DMatrix, DVector};
 use serde::Deserialize;
 use std::path::Path;
 use varda_rod::{Derivatives, Energy, Framed, Rod, derivatives};
@@ -173,7 +172,7 @@ fn check_reduced(case: &mut Case, rod: &Rod, f: &Given, reduced: &Reduced, toler
         theta[e] = f.theta[e];
     }
     let block = |d: &Derivatives, rows: &[usize], columns: &[usize]| {
-        Mat::from_fn(rows.len(), columns.len(), |i, j| d.hessian[rows[i] + columns[j] * full])
+        DMatrix::from_fn(rows.len(), columns.len(), |i, j| d.hessian[rows[i] + columns[j] * full])
     };
     let x_dofs: Vec<usize> = (0..nx).collect();
     let theta_dofs: Vec<usize> = free.iter().map(|e| nx + e).collect();
@@ -182,9 +181,9 @@ fn check_reduced(case: &mut Case, rod: &Rod, f: &Given, reduced: &Reduced, toler
     let mut d = at(rod, f, &theta)?;
     let mut first = 0.0;
     for iteration in 0..10 {
-        let residual = Mat::from_fn(free.len(), 1, |i, _| d.gradient[theta_dofs[i]]);
-        let step = block(&d, &theta_dofs, &theta_dofs).partial_piv_lu().solve(&residual);
-        let size = (0..free.len()).fold(0.0, |m, i| super::greater(m, step[(i, 0)].abs()));
+        let residual = DVector::from_fn(free.len(), |i, _| d.gradient[theta_dofs[i]]);
+        let step = block(&d, &theta_dofs, &theta_dofs).lu().solve(&residual).ok_or("H_θθ is singular")?;
+        let size = (0..free.len()).fold(0.0, |m, i| super::greater(m, step[i].abs()));
         if iteration == 0 {
             first = size;
         }
@@ -196,7 +195,7 @@ fn check_reduced(case: &mut Case, rod: &Rod, f: &Given, reduced: &Reduced, toler
             break;
         }
         for (i, &e) in free.iter().enumerate() {
-            theta[e] -= step[(i, 0)];
+            theta[e] -= step[i];
         }
         d = at(rod, f, &theta)?;
     }
@@ -204,7 +203,7 @@ fn check_reduced(case: &mut Case, rod: &Rod, f: &Given, reduced: &Reduced, toler
     let note = format!("first Newton step from theta_star {first:.1e} rad");
     gradient_row(case, "reduced_gradient", &d.gradient[..nx], &reduced.gradient_x, rod, tolerance).note(note);
     let cross = block(&d, &theta_dofs, &x_dofs);
-    let solved = block(&d, &theta_dofs, &theta_dofs).partial_piv_lu().solve(&cross);
+    let solved = block(&d, &theta_dofs, &theta_dofs).lu().solve(&cross).ok_or("H_θθ is singular")?;
     let schur = block(&d, &x_dofs, &x_dofs) - cross.transpose() * solved;
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
     for (i, row) in reduced.hessian_x_lower.iter().enumerate() {

@@ -3,7 +3,7 @@
 
 use serde_json::Value as Json;
 
-use super::Place;
+use super::place::Place;
 use super::sizes::{LARGEST, SMALLEST};
 use super::tree::{Node, Value};
 

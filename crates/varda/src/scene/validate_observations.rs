@@ -1,0 +1,123 @@
+//! What `[observations]` must satisfy beyond the type of each key.
+
+use super::invalid::{Check, invalid, one_of};
+use super::validate_rod::on_rod;
+use super::{Frame, Origin, Recording, RodModel, Scene, Synthetic};
+
+pub(super) fn validate_synthetic(s: &Synthetic, scene: &Scene, rod: Option<&RodModel>) -> Check {
+    let section = "observations";
+    one_of(section, ("every", s.every.is_some()), ("steps", s.steps.is_some()))?;
+    one_of(section, ("sigma", s.sigma.is_some()), ("sigma_over_length", s.sigma_over_length.is_some()))?;
+    if scene.background.from != Origin::TruthPlusDraw {
+        return invalid(
+            section,
+            "synthetic observations need a truth: background.from = \"truth-plus-draw\"",
+        );
+    }
+    let window = scene.time.window;
+    if let Some(i) = s.steps.as_ref().and_then(|steps| steps.iter().position(|k| *k > window)) {
+        return invalid(
+            format!("{section}.steps.{i}"),
+            format!("outside the window, which has {window} steps"),
+        );
+    }
+    if s.every.is_some_and(|e| e > window) {
+        return invalid(
+            format!("{section}.every"),
+            format!("no observation falls in the window, which has {window} steps"),
+        );
+    }
+    match rod {
+        Some(rod) => {
+            let length = rod.rest_lengths().iter().sum();
+            if s.places.is_empty() {
+                return invalid(section, "a rod needs `places`, the observed arc lengths [m]");
+            }
+            if !s.components.is_empty() {
+                return invalid(
+                    format!("{section}.components"),
+                    "a rod is observed at `places` (arc lengths)",
+                );
+            }
+            s.places
+                .iter()
+                .enumerate()
+                .try_for_each(|(i, s)| on_rod(&format!("{section}.places.{i}"), *s, length))
+        }
+        None => {
+            let n = scene.model.components().unwrap_or(0);
+            if !s.places.is_empty() {
+                return invalid(format!("{section}.places"), "this model is observed in `components`");
+            }
+            if s.sigma_over_length.is_some() {
+                return invalid(
+                    format!("{section}.sigma_over_length"),
+                    "this model has no length; give `sigma`",
+                );
+            }
+            match s.components.iter().position(|c| *c >= n) {
+                Some(i) => invalid(
+                    format!("{section}.components.{i}"),
+                    format!("the model has components 0 to {}", n - 1),
+                ),
+                None => Ok(()),
+            }
+        }
+    }
+}
+
+pub(super) fn validate_recording(f: &Recording, rod: Option<&RodModel>) -> Check {
+    let Some(rod) = rod else {
+        return invalid(
+            "observations.kind",
+            "observations are read from a file for rods only; take kind = \"synthetic\"",
+        );
+    };
+    let length = rod.rest_lengths().iter().sum();
+    for (i, marker) in f.markers.iter().enumerate() {
+        on_rod(&format!("observations.markers.{i}.arc_length"), marker.arc_length, length)?;
+        if f.markers[..i].iter().any(|m| m.name == marker.name) || f.ignore.contains(&marker.name) {
+            return invalid(
+                format!("observations.markers.{i}.name"),
+                format!("marker {:?} is named twice", marker.name),
+            );
+        }
+    }
+    validate_frame(&f.frame)
+}
+
+fn validate_frame(frame: &Frame) -> Check {
+    let path = "observations.frame";
+    match (&frame.rotation, &frame.axis, &frame.angle) {
+        (Some(_), Some(_), _) | (Some(_), _, Some(_)) => {
+            invalid(format!("{path}.rotation"), "give `rotation`, or `axis` and `angle`")
+        }
+        (None, Some(_), None) | (None, None, Some(_)) => invalid(path, "`axis` and `angle` go together"),
+        (None, Some(axis), Some(_)) if !(axis.iter().map(|x| x * x).sum::<f64>() > 0.0) => {
+            invalid(format!("{path}.axis"), "an axis cannot be zero")
+        }
+        (Some(r), None, None) => {
+            for i in 0..3 {
+                for j in 0..3 {
+                    let product: f64 = (0..3).map(|k| r[i][k] * r[j][k]).sum();
+                    // Rows written with four digits are meant as a rotation; a mirrored or scaled frame is not.
+                    if !((product - f64::from(i == j)).abs() < 1e-3) {
+                        return invalid(
+                            format!("{path}.rotation"),
+                            "its rows are not perpendicular unit vectors",
+                        );
+                    }
+                }
+            }
+            let det = r[0][0] * (r[1][1] * r[2][2] - r[1][2] * r[2][1])
+                - r[0][1] * (r[1][0] * r[2][2] - r[1][2] * r[2][0])
+                + r[0][2] * (r[1][0] * r[2][1] - r[1][1] * r[2][0]);
+            if det > 0.0 {
+                Ok(())
+            } else {
+                invalid(format!("{path}.rotation"), "it mirrors: its determinant is −1")
+            }
+        }
+        _ => Ok(()),
+    }
+}

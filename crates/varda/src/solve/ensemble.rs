@@ -1,0 +1,96 @@
+//! Ensemble methods: forward runs of the members take the place of tangent and adjoint.
+
+use varda_assimilation::{CostFunction, EnVar, EnVarOptions, Error, Iteration, ObservationSet, Status};
+use varda_covariance::{Covariance, Ensemble, Hybrid};
+use varda_implicit::{Model, Storage};
+
+use super::task::{Ended, Row, Spread, Stage, Task, deviations, is_whole, roots};
+use crate::run::window::WorkCounts;
+use crate::scene::Method;
+use crate::setup::ensemble::anchors;
+
+/// The first linearization of an ensemble takes the members themselves (4D-EnVar proper), later ones differences about the iterate of this
+/// part of their spread (the iterative ensemble smoother): a large spread would end where its own secants vanish, not the gradient.
+const SPREAD: f64 = 1e-3;
+
+/// The ensemble, alone or beside B.
+pub(super) enum Members<'a> {
+    Pure(&'a Ensemble),
+    Hybrid(Box<Hybrid<'a>>),
+}
+
+impl Task<'_> {
+    /// The members of the scene's ensemble, alone or beside B.
+    pub(super) fn members(&self) -> Result<Members<'_>, Error> {
+        let what = "an ensemble of no members";
+        let ensemble = self.ensemble.ok_or(Error::Setting { what, value: 0.0 })?;
+        if self.algorithm.method == Method::FourDEnVar {
+            return Ok(Members::Pure(ensemble));
+        }
+        let [of_static, of_ensemble] = self.algorithm.members().unwrap_or_default().weights();
+        let b: &dyn Covariance = self.covariance.as_ref();
+        Ok(Members::Hybrid(Box::new(Hybrid::new(b, of_static, ensemble.clone(), of_ensemble)?)))
+    }
+
+    pub(super) fn ensemble(&mut self, stage: Stage) -> Result<Ended, Error> {
+        let members = self.members()?;
+        let Stage { observations, v, posterior, before, on_row, .. } = stage;
+        let window = observations.steps();
+        let anchors = anchors(observations, self.anchors);
+        let mut cost = members.cost(self.make_model, self.background, observations, &anchors)?;
+        cost.set_spread(SPREAD);
+        v.resize(cost.dim(), 0.0);
+        let transform = cost.transform().clone();
+        let mut control = self.background.to_vec();
+        let mut on_iteration = |iteration: &Iteration| {
+            transform.control(iteration.v, &mut control);
+            on_row(&Row { iteration, control: &control, window, before })
+        };
+        // The static part of a hybrid stays where it is through the window: relinearized, it has no minimum to end at.
+        let max_outer = match self.algorithm.method {
+            Method::HybridFourDEnVar => 1,
+            _ => self.algorithm.max_iterations,
+        };
+        let options = EnVarOptions { max_outer, ..EnVarOptions::default() };
+        let minimum = cost.minimize(v, &options, &mut on_iteration)?;
+        let counts = WorkCounts::from(&cost.counts());
+        // The last step is not followed by a run of the ensemble, nor reported: nothing is left to interrupt.
+        if matches!(minimum.status, Status::Converged | Status::MaxIterations) {
+            let _ = on_iteration(&minimum.iteration(0.0, cost.counts(), v));
+        }
+        let spread = if posterior && is_whole(minimum.status) {
+            let (variance, degrees_of_freedom) = cost.posterior_variance()?;
+            Some(Spread { sigma: roots(variance), degrees_of_freedom })
+        } else {
+            None
+        };
+        transform.control(v, &mut control);
+        let sigma_background = deviations(transform.covariance());
+        Ok(Ended {
+            minimum,
+            control,
+            sigma_background,
+            spread,
+            no_spread: None,
+            counts,
+            storage: Storage::KeepAll,
+        })
+    }
+}
+
+impl Members<'_> {
+    /// The cost of some observations.
+    pub(super) fn cost<'c>(
+        &'c self,
+        make: &dyn Fn() -> Box<dyn Model + Send>,
+        background: &[f64],
+        observations: &'c mut ObservationSet,
+        anchors: &[usize],
+    ) -> Result<EnVar<'c>, Error> {
+        let background = background.to_vec();
+        match self {
+            Members::Pure(ensemble) => EnVar::new(make, background, ensemble, observations, anchors),
+            Members::Hybrid(hybrid) => EnVar::hybrid(make, background, hybrid, observations, anchors),
+        }
+    }
+}

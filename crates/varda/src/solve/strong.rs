@@ -1,0 +1,81 @@
+//! Strong constraint: the analysis is a run of the model.
+
+use varda_assimilation::{
+    ControlTransform, CostFunction, Error, Iteration, Minimum, Posterior, Status, StrongConstraint,
+};
+use varda_implicit::Model;
+
+use super::minimizer;
+use super::task::{Ended, Row, Spread, Stage, Task, deviations, is_whole};
+use crate::run::window::WorkCounts;
+use crate::scene::Method;
+
+impl Task<'_> {
+    /// The strong constraint. 3D-Var is 4D-Var where nothing is observed after step 0. Where the model is refreshed at the end of the
+    /// window, the minimization goes on from there, to the gradient norm that was first asked for.
+    pub(super) fn strong(&mut self, stage: Stage) -> Result<Ended, Error> {
+        let (background, covariance) = (self.background, self.covariance);
+        let transform = ControlTransform::new(background.to_vec(), covariance.as_ref())?;
+        let Stage { observations, v, whole, posterior, before, on_row, .. } = stage;
+        let window = observations.steps();
+        let mut algorithm = self.algorithm.clone();
+        let mut control = background.to_vec();
+        let mut fresh: Option<Box<dyn Model + Send + '_>> = None;
+        let mut first: Option<Minimum> = None;
+        let (mut iterations, mut counts) = ([0, 0], WorkCounts::default());
+        loop {
+            let model: &mut dyn Model = match &mut fresh {
+                Some(model) => model.as_mut(),
+                None => &mut *self.model,
+            };
+            let mut cost = StrongConstraint::new(model, transform.clone(), &mut *observations)?;
+            if let Some(delta) = algorithm.robust {
+                cost.set_huber(delta)?;
+            }
+            cost.set_memory(self.memory)?;
+            let storage = cost.storage();
+            v.resize(cost.dim(), 0.0);
+            if let Some(first) = &first {
+                let mut gradient = vec![0.0; v.len()];
+                cost.evaluate(v, Some(&mut gradient))?;
+                let wanted = self.algorithm.gradient_tolerance * first.gradient_norm_first;
+                // At least half: what a start too good would ask for is nothing.
+                algorithm.gradient_tolerance = (wanted / minimizer::norm(&gradient)).clamp(f64::EPSILON, 0.5);
+                algorithm.sigma_stages.clear();
+            }
+            let start = v.clone();
+            let so_far = (before.0 + iterations[0], before.1 + counts);
+            let mut on_iteration = |iteration: &Iteration| {
+                transform.control(iteration.v, &mut control);
+                on_row(&Row { iteration, control: &control, window, before: so_far })
+            };
+            let mut minimum = minimizer::strong(&algorithm, &mut cost, v, &mut on_iteration)?;
+            transform.control(v, &mut control);
+            counts = counts + WorkCounts::from(&cost.counts());
+            iterations[0] += minimum.outer_iterations;
+            iterations[1] += minimum.inner_iterations;
+            let settled = matches!(minimum.status, Status::Converged | Status::Stalled);
+            let another = if whole && settled { (self.refresh)(&control) } else { None };
+            if let Some(model) = another {
+                drop(cost);
+                fresh = Some(model);
+                first.get_or_insert(minimum);
+                continue;
+            }
+            let (spread, no_spread) = if posterior && is_whole(minimum.status) {
+                // BLUE's covariance is that of the background's linearization, (I + GᵀG)⁻¹ there.
+                let linearized = if algorithm.method == Method::Blue { &start } else { &*v };
+                cost.evaluate(linearized, Some(&mut vec![0.0; v.len()]))?;
+                Spread::of(Posterior::new(&mut cost), &transform)?
+            } else {
+                (None, None)
+            };
+            if let Some(first) = first {
+                minimum.gradient_norm_first = first.gradient_norm_first;
+            }
+            [minimum.outer_iterations, minimum.inner_iterations] = iterations;
+            let sigma_background = deviations(covariance.as_ref());
+            return Ok(Ended { minimum, control, sigma_background, spread, no_spread, counts, storage });
+        }
+    }
+}
