@@ -56,7 +56,7 @@ pub(super) fn run(options: &Options) -> Result<Page> {
 }
 
 const TEXT: &str = "\
-Driven rod: 25 segments, L = 1 m, r = 5 mm, 1200 kg/m³, vertices 0 and 1 driven, one second a round, from rest, straight down and unstretched, two seconds (design.md section 9). Error: \
+[Driven rod](../reference-problems.md#driven-rod): 25 segments, L = 1 m, r = 5 mm, 1200 kg/m³, vertices 0 and 1 driven, one second a round, from rest, straight down and unstretched, two seconds. Error: \
 root mean square over the free vertices of the distance to the reference at 2 s, over L. Reference: the same discrete rod by explicit RK4, self-converged, its order and error below. \
 It shares the forces with the other methods and nothing of their time stepping; errors in space are not in these numbers.
 
@@ -229,7 +229,7 @@ impl Benchmark {
             off / squares(&mut mode.shape.iter().copied())
         };
         self.remarks.push(format!(
-            "First mode: {:.6} Hz for 25 segments; the continuous rod has 0.619921 Hz (design.md section 9).",
+            "First mode: {:.6} Hz for 25 segments; the continuous rod has 0.619921 Hz ([closed forms](../reference-problems.md#closed-forms-of-rods)).",
             mode.omega / TAU
         ));
         let implicit = |scheme| {

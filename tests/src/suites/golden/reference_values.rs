@@ -1,4 +1,4 @@
-//! Numbers that design.md, section 9, asks for, and the start of the flagship's window.
+//! Values of the reference problems "Lorenz-96 values", "Driven rod" and "Hanging rod" (docs/reference-problems.md).
 
 use super::largest_difference;
 use crate::row::{Case, Outcome, Rows};

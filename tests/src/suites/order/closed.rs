@@ -55,7 +55,7 @@ fn tip_load(n: usize, inside: f64, load: f64) -> Result<f64> {
     })
 }
 
-/// Bisshopp and Drucker 1945; numbers of design.md, section 9.
+/// Cantilever with a load at its tip (Bisshopp and Drucker 1945; docs/reference-problems.md, "Closed forms of rods").
 fn elastica(case: &mut Case, quick: bool) -> Outcome {
     let known = [(2.0, 0.493457), (1.0, 0.301721), (5.0, 0.713792), (10.0, 0.810609)];
     for (load, drop) in known.into_iter().take(if quick { 1 } else { 4 }) {
@@ -172,8 +172,8 @@ fn standing(case: &mut Case) -> Outcome {
     Ok(())
 }
 
-/// The rod of section 9, 0.96 m of it below the clamp, inextensible: its first three frequencies. Segments must be short
-/// beside √(EI/weight) = 2.3 cm, within which it bends below its clamp.
+/// The driven rod's section, 0.96 m of it below the clamp, inextensible: its first three frequencies. Segments must be short
+/// against √(EI/weight) = 2.3 cm, within which it bends below its clamp.
 fn hanging(case: &mut Case) -> Outcome {
     let material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1200.0 };
     // EA: a strain of 1e-6 under the weight, which rounding of lengths (1e-14 of a segment) does not reach.

@@ -21,7 +21,7 @@ pub(super) fn run(rows: &mut Rows, quick: bool) {
     }
 }
 
-/// Places of all vertices at the end of a run of `steps` steps of the rod of section 9, and Newton iterations.
+/// Places of all vertices at the end of a run of `steps` steps of the driven rod, and Newton iterations.
 fn end(scheme: Scheme, time: f64, steps: usize) -> Result<(Vec<f64>, usize)> {
     let (step, control) = DrivenRod::SOFT.step()?;
     let mut model = ImplicitModel::new(step.with_scheme(scheme), 0, time / steps as f64);
@@ -69,8 +69,8 @@ fn hanging_rod(case: &mut Case, quick: bool) -> Outcome {
     if quick {
         return Ok(());
     }
-    // What the usual steps cost and bring: section 9 says 5 % for backward Euler of 0.02 s, 0.3 to 0.6 % for midpoint of
-    // 0.01 s. The reference must be a thousand times better than what is judged by it.
+    // Errors of usual steps: docs/reference-problems.md ("Driven rod") states 5 % for backward Euler of 0.02 s, 0.3 to
+    // 0.6 % for midpoint of 0.01 s. The reference must be a thousand times better than what is judged by it.
     let (reference, doubt) = self::reference(2.0, 32768)?;
     case.at_most("reference: Richardson check over 2 s", doubt, 5e-6, "m");
     for (scheme, name, steps, bound) in [
