@@ -6,8 +6,9 @@
 // `!(value <= bound)` is how a NaN is made to fail.
 #![allow(clippy::neg_cmp_op_on_partial_ord)]
 
+pub mod command;
 pub mod row;
 pub mod suites;
 
-pub use row::{Case, Row, Rows, Work, table};
+pub use row::{Case, Row, Rows, Summary, Work, summary, table};
 pub use suites::{Options, SUITES, read_fixture, run, stability};

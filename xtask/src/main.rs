@@ -9,11 +9,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 const HELP: &str = "\
-cargo xtask verify [SUITE…] [--quick | --full] [--json FILE] [--stability FILE] [--fixtures DIR]
-    Runs the verification suites (adjoint, taylor, hessian, golden, counts, order, equivalence, paper, stiff) in a release build and
-    prints one row per check; fails if a row fails. --quick: fewer seeds. --full: the longest cases of stiff too. --json: the same
-    rows as one array. --stability: the rows of stiff as a document, docs/results/stability.md. --fixtures: check what is in
-    DIR/der, DIR/hanging-rod and DIR/twin instead of the copies in tests/fixtures.
+cargo xtask verify [SUITE…] [--quick | --full] [-v] [--json FILE] [--fixtures DIR] [--list] [--help]
+    Runs the verification suites in a release build and prints one line a suite and every row that failed. --list: what each
+    suite proves. --help: all options.
 cargo xtask bench [NAME…] [--quick] [--out DIR]
     Error against run time (time, gradient, assimilation, scaling, leftout, instructions, workers, build) in a release build: prints tables and
     writes docs/results/NAME.md, .csv and .svg. --quick: few cases and samples, nothing written. --out: another folder.
@@ -33,8 +31,8 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let done = match words.as_slice() {
-        ["verify", rest @ ..] => release("tests", ["--bin", "tests"], rest),
-        ["bench", rest @ ..] => release("bench", ["--bin", "bench"], rest),
+        ["verify", rest @ ..] => release("tests", rest),
+        ["bench", rest @ ..] => release("bench", rest),
         ["docs"] => docs::build(),
         ["deps"] => deps::check(),
         ["ci"] => ci(),
@@ -53,11 +51,13 @@ fn main() -> ExitCode {
     }
 }
 
-/// Runs a release build of a package's binary or example; paths are those of the caller's folder.
-fn release(package: &str, target: [&str; 2], arguments: &[&str]) -> Result<(), String> {
-    let mut command = cargo();
-    command.args(["run", "--quiet", "--release", "--package", package]).args(target).arg("--manifest-path");
-    run(command.arg(root().join("Cargo.toml")).arg("--").args(arguments))
+/// Builds the binary of a package, named like the package, with optimization and cargo's own progress, and runs it. Paths are
+/// those of the caller's folder.
+fn release(package: &str, arguments: &[&str]) -> Result<(), String> {
+    let manifest = root().join("Cargo.toml");
+    let target = ["--release", "--package", package, "--bin", package, "--manifest-path"];
+    run(cargo().arg("build").args(target).arg(&manifest))?;
+    run(cargo().args(["run", "--quiet"]).args(target).arg(&manifest).arg("--").args(arguments))
 }
 
 fn ci() -> Result<(), String> {
@@ -71,7 +71,7 @@ fn ci() -> Result<(), String> {
         println!("cargo {}", step.join(" "));
         run(cargo().args(step).current_dir(root()))?;
     }
-    release("tests", ["--bin", "tests"], &[])?;
+    release("tests", &[])?;
     docs::build()
 }
 
