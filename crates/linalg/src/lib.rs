@@ -8,6 +8,7 @@ mod convert;
 pub mod dense;
 mod eigen;
 mod error;
+pub mod krylov;
 mod registers;
 mod solver;
 mod sparse;
