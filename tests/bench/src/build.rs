@@ -36,7 +36,7 @@ pub(super) fn run(options: &Options) -> Result<Page> {
         text: "`cargo build --release --locked` into an empty target folder, sources of dependencies downloaded before; a package with a build script counts once. \
             CPU s: user and system time of cargo and all it starts, whatever the number of cores. Without arguments the workspace's default member is built: \
             `varda` and all crates below it.\n\n\
-            Targets of issue 4: the workspace < 150 CPU s, varda-covariance alone < 60."
+            Targets: the workspace < 150 CPU s, varda-covariance alone < 60."
             .into(),
         tables: vec![table],
         ..Page::default()

@@ -75,10 +75,10 @@ trajectory. Dense: A whole, a tangent sweep a column or an adjoint sweep a row, 
 \"Reuse\": the linearization of a step takes its last Newton factor, one iterate old (here only in the gradient: a sweep over states that lie ready factors again).
 
 Error: |g·d − D|/|g·d| for one random direction d, D the central difference of fourth order of J at the step (among 10⁻¹ … 10⁻⁵) that agrees best with the one before it, or that disagreement where it is larger; where a reference is \
-known (Lorenz-96: design.md section 9), | |g| − |g|_ref |/|g|_ref. The second table takes all n components by differences, error in the Euclidean norm against the \
+known (Lorenz-96: docs/reference-problems.md), | |g| − |g|_ref |/|g|_ref. The second table takes all n components by differences, error in the Euclidean norm against the \
 adjoint's gradient.
 
-Targets of issue 4: adjoint ≤ 0.05 (kept) and ≤ 0.35 (refactoring), gradient ≤ 1.3, dense Hessian of the flagship ≤ 2, forward window ≤ 3 ms; Lorenz-96: gradient ≤ 2.5, product ≤ 4.";
+Targets: adjoint ≤ 0.05 (kept) and ≤ 0.35 (refactoring), gradient ≤ 1.3, dense Hessian of the flagship ≤ 2, forward window ≤ 3 ms; Lorenz-96: gradient ≤ 2.5, product ≤ 4.";
 
 const COSTS: [&str; 14] = [
     "problem",

@@ -27,7 +27,7 @@ pub(super) fn run(options: &Options) -> Result<Page> {
         title: "Instructions of kernels",
         text: "Counted by valgrind (cachegrind without cache simulation), the difference between six calls and two, divided by four. Free of noise: \
             the same binary gives the same numbers, so a change here is a change in the code or the compiler. Valgrind offers AVX2, not AVX-512. \
-            Rod: the one of design.md section 9 (25 segments, 1 MPa) at 1 s, Δt = 0.02 s; \"rod\" without angles (3 unknowns a segment, half-bandwidth 8), \
+            Rod: the driven one of docs/reference-problems.md (25 segments, 1 MPa) at 1 s, Δt = 0.02 s; \"rod\" without angles (3 unknowns a segment, half-bandwidth 8), \
             \"twisting rod\" with them (4, 10). A step is a whole step with its Newton iterations; linearize is assembly and factor; the flagship window is the paper's case 1 \
             (144 controls, 100 steps, 120 observations). Clock times of the same kernels: `cargo bench -p bench`."
             .into(),

@@ -90,7 +90,7 @@ impl Benchmark {
     }
 
     fn steps(&mut self) -> Result<()> {
-        let task = "100 steps of the rod of design.md section 9";
+        let task = "100 steps of the driven rod";
         let run = |twist| -> Result<Vec<f64>> {
             let (mut model, mut x) = DrivenRod { twist, ..DrivenRod::SOFT }.model(0.02)?;
             let mut next = x.clone();

@@ -229,7 +229,7 @@ impl Benchmark {
             off / squares(&mut mode.shape.iter().copied())
         };
         self.remarks.push(format!(
-            "First mode: {:.6} Hz for 25 segments; the continuous rod has 0.619921 Hz (design.md section 9).",
+            "First mode: {:.6} Hz for 25 segments; the continuous rod has 0.619921 Hz (docs/reference-problems.md).",
             mode.omega / TAU
         ));
         let implicit = |scheme| {

@@ -1,4 +1,4 @@
-//! Numbers that design.md, section 9, asks for, and the start of the flagship's window.
+//! Numbers of docs/reference-problems.md, and the start of the flagship's window.
 
 use super::largest_difference;
 use crate::row::{Case, Outcome, Rows};

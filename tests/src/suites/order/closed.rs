@@ -55,7 +55,7 @@ fn tip_load(n: usize, inside: f64, load: f64) -> Result<f64> {
     })
 }
 
-/// Bisshopp and Drucker 1945; numbers of design.md, section 9.
+/// Bisshopp and Drucker 1945; numbers to six digits in docs/reference-problems.md.
 fn elastica(case: &mut Case, quick: bool) -> Outcome {
     let known = [(2.0, 0.493457), (1.0, 0.301721), (5.0, 0.713792), (10.0, 0.810609)];
     for (load, drop) in known.into_iter().take(if quick { 1 } else { 4 }) {
@@ -175,7 +175,7 @@ fn standing(case: &mut Case) -> Outcome {
     Ok(())
 }
 
-/// The rod of section 9, 0.96 m of it below the clamp, inextensible: its first three frequencies. Segments must be short
+/// The driven rod of docs/reference-problems.md, 0.96 m of it below the clamp, inextensible: its first three frequencies. Segments must be short
 /// beside √(EI/weight) = 2.3 cm, within which it bends below its clamp.
 fn hanging(case: &mut Case) -> Outcome {
     let material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1200.0 };

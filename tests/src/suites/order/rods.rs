@@ -21,7 +21,7 @@ pub(super) fn run(rows: &mut Rows, quick: bool) {
     }
 }
 
-/// Places of all vertices at the end of a run of `steps` steps of the rod of section 9, and Newton iterations.
+/// Places of all vertices at the end of a run of `steps` steps of the driven rod, and Newton iterations.
 fn end(scheme: Scheme, time: f64, steps: usize) -> Result<(Vec<f64>, usize)> {
     let (step, control) = DrivenRod::SOFT.step()?;
     let mut model = ImplicitModel::new(step.with_scheme(scheme), 0, time / steps as f64);

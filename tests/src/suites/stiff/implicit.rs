@@ -195,7 +195,7 @@ fn forced_failure(rows: &mut Rows) {
             worst = worst.max((lambda[i] / difference - 1.0).abs());
         }
         case.at_most("gradient through the parts, relative error", worst, 1e-8, "-")
-            .because("issue 5; the differences it is held against err by h⁴ = 1e-12 and ε/h = 1e-13");
+            .because("the differences it is held against err by h⁴ = 1e-12 and ε/h = 1e-13");
         Ok(())
     });
 }
@@ -346,7 +346,7 @@ fn robertson(case: &mut Case, mass: f64) -> Outcome {
     }
     let size = lambda.iter().fold(0.0_f64, |m, l| m.max(l.abs()));
     case.at_most("adjoint against complex step, relative", worst / size, 1e-12, "-")
-        .because("issue 5; 1600 solves backward stable row by row, so that conditions of 1e9 do not enter")
+        .because("1600 solves backward stable row by row, so that conditions of 1e9 do not enter")
         .computed(size);
     Ok(())
 }

@@ -102,7 +102,7 @@ fn tilt_loop(rows: &mut Rows, steps: usize) {
         }
         let work = figures(&mut model, steps, dt, &x);
         case.at_most("frames: departure from orthonormal", worst, 1e-12, "-")
-            .because("issue 5; a frame is made anew from the places at every step, by some twenty roundings an edge")
+            .because("a frame is made anew from the places at every step, by some twenty roundings an edge")
             .work(work);
         let drift = largest(x.iter().zip(&early).map(|(a, b)| a - b));
         case.at_most("drift from half way to the end", drift, 1e-9, "m, m/s")
