@@ -3,6 +3,8 @@
 #![forbid(unsafe_code)]
 
 pub mod band;
+#[cfg(any(feature = "nalgebra", feature = "sprs"))]
+mod convert;
 pub mod dense;
 mod eigen;
 mod error;
