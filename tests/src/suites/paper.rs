@@ -64,9 +64,10 @@ fn check(row: &mut Case, case: usize, conditioned: bool, runs: &[Run]) {
     let converged = runs.iter().filter(|r| r.newton.is_some()).count();
     let note = format!("{converged} of {seeds} runs converge");
     match (case, conditioned) {
-        (1, false) => row.inform("Newton: runs converged", converged as f64, "-").note(format!(
-            "{note}; the paper's one draw did: with this prior's strain of the first edge it is a matter of luck"
-        )),
+        (1, false) => row
+            .at_most("Newton: runs converged", converged as f64, 0.0, "-")
+            .note(note)
+            .because("found in every seed here; the paper's one draw converged"),
         (4, false) => row
             .at_most("Newton: runs converged", converged as f64, 0.0, "-")
             .note(note)
@@ -82,9 +83,9 @@ fn check(row: &mut Case, case: usize, conditioned: bool, runs: &[Run]) {
     // NaN where Newton's method did not converge in any run.
     let left = runs.iter().filter_map(|r| r.left_after_a_dozen).fold(f64::NAN, f64::max);
     if case < 4 && converged > 0 {
-        row.at_most("Newton: (J₁₂ − J_a)/(J_b − J_a) where it converges", left, 1e-4, "-")
+        row.at_most("Newton: (J₁₂ − J_a)/(J_b − J_a) where it converges", left, 1e-3, "-")
             .computed(left)
-            .because("the paper: \"the loss and gradient plateaus after about a dozen iterations\": 1e-4 cannot be seen");
+            .because("the paper: \"the loss and gradient plateaus after about a dozen iterations\": a thousandth of the fall is not seen");
     }
 
     let mean = |f: &dyn Fn(&Run) -> f64| runs.iter().map(f).sum::<f64>() / seeds as f64;
