@@ -189,7 +189,7 @@ fn dual_numbers(case: &mut Case, bent: &Bent) -> Outcome {
         },
         &q,
     );
-    // A few hundred operations each, little cancellation: 1e-12 is a thousand times their rounding.
+    case.reason("a few hundred operations with little cancellation: a thousand times their rounding");
     let total = ours.energy.total();
     case.at_most("energy", (total - energy).abs() / energy.abs(), 1e-12, "-").computed(total);
     let relative = |ours: &[f64], theirs: &[f64]| {
@@ -226,9 +226,11 @@ fn differences(case: &mut Case, bent: &Bent) -> Outcome {
         0.5 * (columns[i + j * n] + columns[j + i * n]) - here.hessian[at]
     }));
     let size = largest(here.hessian.iter().copied());
-    case.at_most("hessian against differences", error / size, 1e-7, "-").computed(error);
+    case.at_most("hessian against differences", error / size, 1e-7, "-")
+        .computed(error)
+        .because("h⁴ of the extrapolated differences is 1e-12, its constant up to 1e4 (an edge is 0.1 long); ten times that");
     let asymmetry = largest((0..n * n).map(|at| here.hessian[at] - here.hessian[at / n + at % n * n]));
-    case.at_most("symmetry", asymmetry / size, 0.0, "-");
+    case.at_most("symmetry", asymmetry / size, 0.0, "-").because("one half is copied from the other");
 
     let q: Vec<f64> =
         (0..n).map(|i| if i < n - bent.theta.len() { 0.01 } else { 0.1 } * wave(i, 51)).collect();
@@ -239,7 +241,9 @@ fn differences(case: &mut Case, bent: &Bent) -> Outcome {
     };
     let slope: f64 = here.gradient.iter().zip(&q).map(|(g, q)| g * q).sum();
     let taylor = check::taylor(&mut energy, &[slope], &[0.0], &[1.0])?;
-    case.at_most("gradient: Taylor slope", (taylor.slope - 2.0).abs(), 0.05, "-").computed(taylor.slope);
+    case.at_most("gradient: Taylor slope", (taylor.slope - 2.0).abs(), 0.05, "-")
+        .computed(taylor.slope)
+        .because("fitted over ten halvings, the term of third order moves a slope by less");
 
     // Remainder of second order: E(h) − E − h g·q − ½h² qᵀHq falls like h³.
     let curvature: f64 = (0..n)
@@ -251,7 +255,9 @@ fn differences(case: &mut Case, bent: &Bent) -> Outcome {
         Ok((there - here.energy.total() - s * slope - 0.5 * s * s * curvature).abs())
     };
     let order = (remainder(0.02)? / remainder(0.01)?).log2();
-    case.at_most("hessian: Taylor slope", (order - 3.0).abs(), 0.1, "-").computed(order);
+    case.at_most("hessian: Taylor slope", (order - 3.0).abs(), 0.1, "-")
+        .computed(order)
+        .because("two steps of 1 and 2 %: the term of fourth order moves the slope by a few per cent");
     Ok(())
 }
 
@@ -270,7 +276,7 @@ fn rigid_motion(case: &mut Case, bent: &Bent) -> Outcome {
     }
     .derivatives()?;
     let (e, f) = (here.energy.total(), there.energy.total());
-    // Coordinates of size 3 with edges of 0.1: rounding is 30 ε, times EA/EI-like ratios of about 1e2.
+    case.reason("coordinates of size 3 with edges of 0.1 round by 30 ε, times a ratio of stiffnesses of about 1e2, ten times");
     case.at_most("energy after a rigid motion", (f - e).abs() / e, 1e-11, "-").computed(f);
     let nx = 3 * bent.vertices.len();
     let n = here.gradient.len();
@@ -295,6 +301,7 @@ fn rigid_motion(case: &mut Case, bent: &Bent) -> Outcome {
     }
     case.at_most("hessian after a rigid motion", error, 1e-11, "-");
 
+    case.reason("no rounding of coordinates here: a few hundred operations, ε each, ten times");
     // Generators: a translation is a null vector of the Hessian; a turn ω (δx = ω × x, δθ = ω·t) meets no force.
     let (size, scale) = (largest(here.hessian.iter().copied()), largest(here.gradient.iter().copied()));
     let mut translation = vec![0.0; n];
@@ -337,7 +344,7 @@ fn products(case: &mut Case, cost: &mut dyn GaussNewton) -> Outcome {
     let columns = times(&dense, &a);
     let error =
         largest(product_a.iter().zip(&columns).map(|(p, c)| p - c)) / largest(columns.iter().copied());
-    // Two window sweeps against one, each good to about 1e-13.
+    case.reason("two window sweeps against one, each good to about 1e-13");
     case.at_most("product against columns", error, 1e-11, "-");
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let norm = |a: &[f64]| dot(a, a).sqrt();

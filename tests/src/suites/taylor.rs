@@ -10,11 +10,12 @@ use varda_implicit::check::{self, Taylor};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 use varda_implicit::{ImplicitModel, Model, OneLeg, Rk4};
 
-/// Fitted over ten halvings, truncation of third order moves a slope by less.
 const BOUND: f64 = 0.05;
+const REASON: &str = "fitted over ten halvings of the step, the term of third order moves a slope by less";
 
 pub(super) fn run(_options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("taylor");
+    rows.reason(REASON);
     let outcome = for_each_cost(&mut |name, cost| {
         rows.case(name, |case| gradient(case, &vec![0.0; cost.dim()], cost));
         Ok(())

@@ -4,6 +4,7 @@ mod der;
 mod hanging_rod;
 mod reference_values;
 pub(super) mod twin;
+mod upwind;
 
 use super::Options;
 use crate::row::{Case, Outcome, Row, Rows};
@@ -21,6 +22,7 @@ fn shipped() -> PathBuf {
 
 pub(super) fn run(options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("golden");
+    rows.reason("tolerance stated with the fixtures (their README)");
     let folder = options.fixtures.clone().unwrap_or_else(shipped);
     let found = fixtures(&mut rows, &folder);
     if found == 0 {
