@@ -1,60 +1,30 @@
-//! One test per suite, on the rows that `cargo xtask verify` prints.
+//! One test per suite, on the rows that `cargo xtask verify --quick` prints.
 
-use tests::{Options, Row, run, table};
+use tests::{Options, Row, SUITES, run, table};
 
-/// Every row passes, and there are rows.
-fn check(suite: &str) -> Vec<Row> {
+/// Every row passes, there are rows, and every bound that is not zero has its reason.
+fn check(suite: &str) {
     let report = run(suite, &Options { quick: true, ..Options::default() });
     assert!(!report.rows.is_empty(), "{suite} has no rows");
     let failed: Vec<Row> = report.rows.iter().filter(|row| !row.pass).cloned().collect();
     assert!(failed.is_empty(), "{} rows failed:\n{}", failed.len(), table(&failed));
-    report.rows
-}
-
-#[test]
-fn adjoint() {
-    check("adjoint");
-}
-
-#[test]
-fn taylor() {
-    check("taylor");
-}
-
-#[test]
-fn hessian() {
-    check("hessian");
-}
-
-#[test]
-fn golden() {
-    check("golden");
-}
-
-#[test]
-fn counts() {
-    check("counts");
-}
-
-#[test]
-fn order() {
-    check("order");
-}
-
-#[test]
-fn equivalence() {
-    check("equivalence");
-}
-
-#[test]
-fn paper() {
-    check("paper");
-}
-
-#[test]
-fn stiff() {
-    let rows = check("stiff");
-    let without: Vec<_> =
-        rows.into_iter().filter(|r| r.bound != 0.0 && r.bound.is_finite() && r.reason.is_empty()).collect();
+    let without = |r: &Row| r.bound != 0.0 && r.bound.is_finite() && r.reason.is_empty();
+    let without: Vec<Row> = report.rows.into_iter().filter(without).collect();
     assert!(without.is_empty(), "bounds without a reason:\n{}", table(&without));
+}
+
+/// A test of each suite, and their names.
+macro_rules! suites {
+    ($($name:ident),* $(,)?) => {
+        $(#[test] fn $name() { check(stringify!($name)); })*
+        const TESTED: &[&str] = &[$(stringify!($name)),*];
+    };
+}
+
+suites!(adjoint, taylor, hessian, golden, counts, order, equivalence, paper, stiff);
+
+#[test]
+fn every_suite_has_a_test() {
+    let names: Vec<&str> = SUITES.iter().map(|s| s.name).collect();
+    assert_eq!(names, TESTED);
 }

@@ -8,8 +8,8 @@ use std::time::Instant;
 /// What a check may end with instead of rows: a reason, shown in a failed row.
 pub type Outcome = Result<(), Box<dyn std::error::Error>>;
 
-/// One checked number. It passes where `value ≤ bound`; a NaN does not. A row that only informs has an infinite bound (null in
-/// JSON) and says so in its note.
+/// One checked number. It passes where `value ≤ bound`; a NaN does not. A row that only informs has an
+/// infinite bound (null in JSON) and says so in its note.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
     /// The suite it belongs to.
@@ -30,7 +30,7 @@ pub struct Row {
     pub pass: bool,
     /// Our own number, where there is one: an energy, a cost, a trace, the norm of a vector.
     pub computed: Option<f64>,
-    /// Why the bound is what it is, where the suite says so.
+    /// Why the bound is what it is. Rows that only inform have none.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub reason: String,
     /// What it took, where that was counted.
@@ -85,18 +85,24 @@ impl Row {
 pub struct Rows {
     suite: &'static str,
     area: &'static str,
+    reason: &'static str,
     rows: Vec<Row>,
 }
 
 impl Rows {
     /// No rows yet.
     pub fn new(suite: &'static str) -> Rows {
-        Rows { suite, area: "", rows: Vec::new() }
+        Rows { suite, area: "", reason: "", rows: Vec::new() }
     }
 
     /// The names of cases from here on begin with `area` and a colon.
     pub fn area(&mut self, area: &'static str) {
         self.area = area;
+    }
+
+    /// The reason of the bounds of all cases from here on, where a row gives none of its own.
+    pub fn reason(&mut self, reason: &'static str) {
+        self.reason = reason;
     }
 
     /// Runs the checks of one case. An error or a panic in there is a failed row, not the end of the run.
@@ -110,13 +116,14 @@ impl Rows {
                 format!("panicked: {}", text.or(panic.downcast_ref::<&str>().copied()).unwrap_or("?"))
             }
         };
-        case.at_most("completed", f64::NAN, 0.0, "-").note(reason);
+        case.at_most("completed", f64::NAN, 0.0, "-").note(reason).because("a case must come to its end");
     }
 
     /// A case that is not guarded: a panic in there is one.
     pub fn open(&mut self, name: &str) -> Case<'_> {
         let name = if self.area.is_empty() { name.to_string() } else { format!("{}: {name}", self.area) };
-        Case { suite: self.suite, name, rows: &mut self.rows, since: Instant::now() }
+        let reason = self.reason.to_string();
+        Case { suite: self.suite, name, reason, rows: &mut self.rows, since: Instant::now() }
     }
 
     /// The rows.
@@ -129,11 +136,17 @@ impl Rows {
 pub struct Case<'a> {
     suite: &'static str,
     name: String,
+    reason: String,
     rows: &'a mut Vec<Row>,
     since: Instant,
 }
 
 impl Case<'_> {
+    /// The reason of the bounds of all rows from here on, where a row gives none of its own.
+    pub fn reason(&mut self, reason: impl Into<String>) {
+        self.reason = reason.into();
+    }
+
     /// A row that passes where value ≤ bound.
     pub fn at_most(&mut self, what: &str, value: f64, bound: f64, unit: &'static str) -> &mut Row {
         let seconds = self.since.elapsed().as_secs_f64();
@@ -148,7 +161,7 @@ impl Case<'_> {
             seconds,
             pass: value <= bound,
             computed: None,
-            reason: String::new(),
+            reason: if bound == f64::INFINITY { String::new() } else { self.reason.clone() },
             work: Work::default(),
             note: String::new(),
         });
@@ -158,7 +171,7 @@ impl Case<'_> {
     /// A row that passes where a count is what it should be: value = |count − expected|, bound 0.
     pub fn count(&mut self, what: &str, count: usize, expected: usize) -> &mut Row {
         let row = self.at_most(what, count.abs_diff(expected) as f64, 0.0, "-");
-        row.computed(count as f64).note(format!("{count}, expected {expected}"))
+        row.computed(count as f64).note(format!("{count}, expected {expected}")).because("an exact count")
     }
 
     /// A row that only informs.
@@ -233,6 +246,31 @@ fn cells(row: &Row) -> [String; 13] {
     ]
 }
 
+/// One line on the rows of a suite: checks, failures, seconds, the share of its bound that the closest row
+/// uses.
+pub fn summary(rows: &[Row]) -> Summary {
+    let closest = rows.iter().filter(|r| r.bound.is_finite() && r.bound > 0.0).map(|r| r.value / r.bound);
+    Summary {
+        checks: rows.iter().filter(|r| r.bound != f64::INFINITY).count(),
+        failed: rows.iter().filter(|r| !r.pass).count(),
+        seconds: rows.iter().map(|r| r.seconds).sum(),
+        closest: closest.fold(f64::NAN, f64::max),
+    }
+}
+
+/// What [`summary()`] counts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Summary {
+    /// Rows with a bound.
+    pub checks: usize,
+    /// Rows that do not pass.
+    pub failed: usize,
+    /// Seconds of all rows.
+    pub seconds: f64,
+    /// Largest value / bound; NaN where no bound is above zero.
+    pub closest: f64,
+}
+
 /// The rows as one JSON array; numbers that are not finite are null.
 pub fn json(rows: &[Row]) -> String {
     serde_json::to_string_pretty(rows).expect("rows are plain data") + "\n"
@@ -268,7 +306,7 @@ mod tests {
     fn json_has_no_nan_and_all_columns() {
         let rows: serde_json::Value = serde_json::from_str(&json(&sample())).unwrap();
         let text = json(&sample());
-        assert!(!text.contains("condition") && !text.contains("reason"), "columns nobody filled");
+        assert!(!text.contains("condition"), "a column nobody filled");
         let columns = ["suite", "case", "what", "value", "bound", "unit", "seconds", "pass", "computed"];
         for row in rows.as_array().unwrap() {
             assert!(columns.iter().all(|c| row.get(c).is_some()), "{row}");
@@ -278,11 +316,34 @@ mod tests {
     }
 
     #[test]
+    fn a_row_has_its_own_reason_or_that_of_its_case_or_suite() {
+        let mut rows = Rows::new("golden");
+        rows.reason("of the suite");
+        rows.case("a", |case| {
+            case.at_most("inherited", 1.0, 2.0, "m");
+            case.reason("of the case");
+            case.at_most("of the case", 1.0, 2.0, "m");
+            case.at_most("own", 1.0, 2.0, "m").because("own");
+            case.inform("time", 0.1, "s");
+            Ok(())
+        });
+        rows.case("b", |case| {
+            case.at_most("inherited", 4.0, 2.0, "m");
+            Ok(())
+        });
+        let rows = rows.finish();
+        let reasons: Vec<&str> = rows.iter().map(|r| r.reason.as_str()).collect();
+        assert_eq!(reasons, ["of the suite", "of the case", "own", "", "of the suite"]);
+        let Summary { checks, failed, closest, .. } = summary(&rows);
+        assert_eq!((checks, failed, closest), (4, 1, 2.0));
+    }
+
+    #[test]
     fn columns_are_aligned() {
         let text = table(&sample());
         let at: Vec<usize> = text.lines().map(|l| l.chars().take_while(|c| *c != ' ').count()).collect();
         assert_eq!(text.lines().count(), 8);
-        assert!(!text.contains("condition") && !text.contains("reason of the bound"), "{text}");
+        assert!(!text.contains("condition"), "{text}");
         assert!(at.iter().all(|a| *a <= 6), "{text}");
         assert!(text.contains("NO"));
     }

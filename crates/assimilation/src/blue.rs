@@ -2,7 +2,7 @@
 
 use crate::cost::{columns, dot, solve_identity_plus};
 use crate::{ControlTransform, Error, Incremental};
-use faer::MatRef;
+use varda_linalg::dense::View;
 
 /// In which space the gain is computed; both forms are equal (paper 2.2).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -61,7 +61,7 @@ impl Blue {
                 let mut g = vec![0.0; m * n];
                 columns(n, &mut g, &mut |unit, column| problem.tangent(unit, column))?;
                 let mut k = transpose(m, &g);
-                solve_identity_plus(MatRef::from_column_major_slice(&g, m, n), &mut k, m)?;
+                solve_identity_plus(View::new(&g, m, n), &mut k)?;
                 (g, k)
             }
             Gain::Observation => {
@@ -70,7 +70,7 @@ impl Blue {
                 let g = transpose(n, &gt);
                 // Kᵀ = (G Gᵀ + I)⁻¹ G.
                 let mut kt = g.clone();
-                solve_identity_plus(MatRef::from_column_major_slice(&gt, n, m), &mut kt, n)?;
+                solve_identity_plus(View::new(&gt, n, m), &mut kt)?;
                 (g, transpose(m, &kt))
             }
         };
@@ -85,7 +85,7 @@ impl Blue {
         match gain {
             Gain::Information => {
                 (0..n).for_each(|i| covariance[i + i * n] = 1.0);
-                solve_identity_plus(MatRef::from_column_major_slice(&g, m, n), &mut covariance, n)?;
+                solve_identity_plus(View::new(&g, m, n), &mut covariance)?;
             }
             Gain::Observation => {
                 for (j, (column, g)) in covariance.chunks_exact_mut(n).zip(columns_of(&g, m)).enumerate() {

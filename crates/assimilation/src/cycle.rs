@@ -6,11 +6,10 @@ use crate::{
     ControlTransform, CostFunction, CostTerms, Counts, EnVar, EnVarOptions, EnsembleUpdate, Error,
     GaussNewton, Minimizer, Minimum, ObservationSet, Status, StrongConstraint,
 };
-use faer::linalg::matmul::matmul;
-use faer::{Accum, MatMut, MatRef, Par};
 use std::ops::ControlFlow;
 use varda_covariance::{Covariance, Ensemble, Hybrid, Localization};
 use varda_implicit::{Keep, Model, Trajectory};
+use varda_linalg::dense::{View, product};
 
 /// A sequence of windows. Window c covers the steps first + c S … first + c S + K of a long run.
 ///
@@ -440,9 +439,8 @@ fn posterior_root(
 /// A root of W Wᵀ with no more columns than rows: a hybrid B has more, and they would add up from window to window.
 fn square_root(n: usize, columns: &[f64]) -> Result<Vec<f64>, Error> {
     let mut covariance = vec![0.0; n * n];
-    let w = MatRef::from_column_major_slice(columns, n, columns.len() / n);
-    let product = MatMut::from_column_major_slice_mut(&mut covariance, n, n);
-    matmul(product, Accum::Replace, w, w.transpose(), 1.0, Par::Seq);
+    let w = View::new(columns, n, columns.len() / n);
+    product(w, w.transpose(), &mut covariance);
     let (values, mut vectors) = eigen(n, &covariance)?;
     for (z, lambda) in vectors.chunks_exact_mut(n).zip(values) {
         z.iter_mut().for_each(|z| *z *= lambda.max(0.0).sqrt());

@@ -3,10 +3,9 @@
 use crate::cost::solve_identity_plus;
 use crate::minimize::eigen;
 use crate::{ControlTransform, Error, GaussNewton, Incremental};
-use faer::linalg::matmul::matmul;
-use faer::{Accum, MatMut, MatRef, Par};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
+use varda_linalg::dense::{View, add_product};
 
 /// The posterior of a linear-Gaussian problem, or its Laplace approximation around the linearized point:
 ///
@@ -68,12 +67,10 @@ impl Posterior {
             g_q[a * q..(a + 1) * q].copy_from_slice(&row[n..]);
         }
         let mut weighted = g_b.clone();
-        solve_identity_plus(MatRef::from_column_major_slice(&g_q, q, m), &mut weighted, n)?;
+        solve_identity_plus(View::new(&g_q, q, m), &mut weighted)?;
         let mut hessian: Vec<f64> = (0..n * n).map(|i| f64::from(i % (n + 1) == 0)).collect();
-        let g = MatRef::from_column_major_slice(&g_b, m, n);
-        let w = MatRef::from_column_major_slice(&weighted, m, n);
-        let a = MatMut::from_column_major_slice_mut(&mut hessian, n, n);
-        matmul(a, Accum::Add, g.transpose(), w, 1.0, Par::Seq);
+        let g = View::new(&g_b, m, n);
+        add_product(1.0, g.transpose(), View::new(&weighted, m, n), &mut hessian);
         Self::from_hessian(n, &hessian)
     }
 

@@ -6,7 +6,9 @@
 
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
-use varda_covariance::{Covariance, CovarianceFunction, Dense, Error, Kernel, Taper, Truncated, sample};
+use varda_covariance::{
+    Covariance, CovarianceFunction, Dense, Error, Kernel, Spectrum, Taper, Truncated, sample,
+};
 
 fn main() -> Result<(), Error> {
     let place = |i: usize| i as f64 / 25.0;
@@ -39,7 +41,7 @@ fn main() -> Result<(), Error> {
     for (((s, a), b), x) in free.iter().zip(sigma(&plain)).zip(sigma(&conditioned)).zip(&draw) {
         println!("{s:7.2} {a:13.5} {b:15.5} {x:12.5}");
     }
-    for (name, spectrum) in [("plain", plain.spectrum()?), ("clamped", conditioned.spectrum()?)] {
+    for (name, spectrum) in [("plain", Spectrum::of(&plain)?), ("clamped", Spectrum::of(&conditioned)?)] {
         println!(
             "{name}: condition number {:.3e}, effective rank {:.2} of {n}",
             spectrum.condition_number(),

@@ -1,9 +1,11 @@
 //! A covariance of compact support along a line: B and its Cholesky root are bands.
 
-use crate::cholesky::{add_scaled, dot};
+use crate::check::check_lengths;
 use crate::error::Error;
 use crate::kernel::CovarianceFunction;
-use crate::operator::{Covariance, Precision, check_lengths};
+use crate::operator::{Covariance, Precision};
+use varda_linalg::band::Cholesky;
+use varda_linalg::dot_in_lanes;
 
 /// A covariance whose entries vanish further than w places from the diagonal, kept as its lower Cholesky factor, B = L Lᵀ, B^{1/2} = L,
 /// which vanishes there too (Golub and Van Loan 2013, section 4.3).
@@ -24,10 +26,7 @@ use crate::operator::{Covariance, Precision, check_lengths};
 /// ```
 #[derive(Debug, Clone)]
 pub struct Banded {
-    n: usize,
-    w: usize,
-    /// Row i of L holds columns i − w … i; those left of column 0 are zero.
-    l: Vec<f64>,
+    factor: Cholesky,
 }
 
 impl Banded {
@@ -80,103 +79,65 @@ impl Banded {
             let expected = n.max(1) * (w + 1);
             return Err(Error::Size { what: "the band of the covariance", expected, found: band.len() });
         }
-        let mut l = band;
-        for i in 0..n {
-            let start = i.saturating_sub(w);
-            let (above, row) = l.split_at_mut(i * (w + 1));
-            // columns start … i of this row
-            let outside = w - (i - start);
-            row[..outside].fill(0.0);
-            if let Some(at) = row[outside..=w].iter().position(|v| !v.is_finite()) {
-                return Err(Error::NonFinite { row: i, column: start + at, value: row[outside + at] });
-            }
-            for j in start..i {
-                // columns max(start, j − w) … j − 1, all of them from start on as j < i
-                let pivot_row = &above[j * (w + 1)..(j + 1) * (w + 1)];
-                let (length, shift) = (j - start, w - (j - start));
-                let partial = dot(&row[outside..outside + length], &pivot_row[shift..w]);
-                row[outside + length] = (row[outside + length] - partial) / pivot_row[w];
-            }
-            let variance = row[w];
-            let value = variance - dot(&row[outside..w], &row[outside..w]);
-            row[w] = crate::cholesky::usable_pivot(w + 1, i, value, variance)?.sqrt();
-        }
-        Ok(Self { n, w, l })
+        Ok(Self { factor: Cholesky::new(w, band)? })
     }
 
     /// w: entries further than this from the diagonal are zero.
     pub fn half_bandwidth(&self) -> usize {
-        self.w
-    }
-
-    /// Row i of L without what lies left of column 0, and its first column.
-    fn row(&self, i: usize) -> (usize, &[f64]) {
-        let start = i.saturating_sub(self.w);
-        let row = &self.l[i * (self.w + 1)..(i + 1) * (self.w + 1)];
-        (start, &row[self.w - (i - start)..])
+        self.factor.half_bandwidth()
     }
 }
 
 impl Covariance for Banded {
     fn dim(&self) -> usize {
-        self.n
+        self.factor.dim()
     }
 
     fn root_dim(&self) -> usize {
-        self.n
+        self.factor.dim()
     }
 
     fn apply(&self, x: &[f64], y: &mut [f64]) {
-        self.root_transpose(x, y);
-        for i in (0..self.n).rev() {
-            let (start, row) = self.row(i);
-            y[i] = dot(row, &y[start..=i]);
-        }
+        check_lengths(x, self.dim(), y, self.dim());
+        self.factor.apply(x, y);
     }
 
     fn root(&self, v: &[f64], x: &mut [f64]) {
-        check_lengths(v, self.n, x, self.n);
-        for (i, x) in x.iter_mut().enumerate() {
-            let (start, row) = self.row(i);
-            *x = dot(row, &v[start..=i]);
-        }
+        check_lengths(v, self.dim(), x, self.dim());
+        self.factor.product(v, x);
     }
 
     fn root_transpose(&self, x: &[f64], v: &mut [f64]) {
-        check_lengths(x, self.n, v, self.n);
-        v.fill(0.0);
-        for (i, x) in x.iter().enumerate() {
-            let (start, row) = self.row(i);
-            add_scaled(*x, row, &mut v[start..=i]);
-        }
+        check_lengths(x, self.dim(), v, self.dim());
+        self.factor.transpose_product(x, v);
     }
 
     fn variance(&self, variance: &mut [f64]) {
-        assert_eq!(variance.len(), self.n, "length of the variance");
+        assert_eq!(variance.len(), self.dim(), "length of the variance");
         for (i, variance) in variance.iter_mut().enumerate() {
-            let (_, row) = self.row(i);
-            *variance = dot(row, row);
+            let (_, row) = self.factor.row(i);
+            *variance = dot_in_lanes(row, row);
         }
     }
 }
 
 impl Precision for Banded {
     fn solve(&self, x: &[f64], y: &mut [f64]) {
-        self.whiten(x, y);
-        for i in (0..self.n).rev() {
-            let (start, row) = self.row(i);
-            y[i] /= row[i - start];
-            let y_i = y[i];
-            add_scaled(-y_i, &row[..i - start], &mut y[start..i]);
-        }
+        check_lengths(x, self.dim(), y, self.dim());
+        y.copy_from_slice(x);
+        self.factor.solve(y);
     }
 
     fn whiten(&self, x: &[f64], v: &mut [f64]) {
-        check_lengths(x, self.n, v, self.n);
-        for i in 0..self.n {
-            let (start, row) = self.row(i);
-            v[i] = (x[i] - dot(&row[..i - start], &v[start..i])) / row[i - start];
-        }
+        check_lengths(x, self.dim(), v, self.dim());
+        v.copy_from_slice(x);
+        self.factor.forward(v);
+    }
+
+    fn whiten_transpose(&self, v: &[f64], x: &mut [f64]) {
+        check_lengths(v, self.dim(), x, self.dim());
+        x.copy_from_slice(v);
+        self.factor.backward(x);
     }
 }
 
@@ -220,6 +181,7 @@ mod tests {
             same("variance", &|c, y| c.variance(y), 1e-14);
             same("solve", &|c, y| c.solve(&x, y), 1e-9);
             same("whiten", &|c, y| c.whiten(&x, y), 1e-10);
+            same("whiten_transpose", &|c, y| c.whiten_transpose(&x, y), 1e-10);
         }
     }
 

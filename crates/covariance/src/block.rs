@@ -2,9 +2,8 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use crate::operator::{Covariance, Precision, check_lengths};
-#[cfg(feature = "eigen")]
-use crate::{diagnostics::Spectrum, error::Error};
+use crate::check::check_lengths;
+use crate::operator::{Covariance, Precision};
 
 /// B = C ⊗ I_c: the c components of every point are independent of each other and share the covariance C between points.
 ///
@@ -103,15 +102,6 @@ impl<C: Covariance> Covariance for Interleaved<C> {
     fn variance(&self, variance: &mut [f64]) {
         self.each(&[], 0, variance, self.part.dim(), |_, variance| self.part.variance(variance));
     }
-
-    /// The eigenvalues of C, each c times.
-    #[cfg(feature = "eigen")]
-    fn spectrum(&self) -> Result<Spectrum, Error> {
-        let part = self.part.spectrum()?.eigenvalues;
-        Ok(Spectrum::new(
-            part.into_iter().flat_map(|value| std::iter::repeat_n(value, self.components)).collect(),
-        ))
-    }
 }
 
 impl<C: Precision> Precision for Interleaved<C> {
@@ -121,6 +111,10 @@ impl<C: Precision> Precision for Interleaved<C> {
 
     fn whiten(&self, x: &[f64], v: &mut [f64]) {
         self.each(x, self.part.dim(), v, self.part.dim(), |x, v| self.part.whiten(x, v));
+    }
+
+    fn whiten_transpose(&self, v: &[f64], x: &mut [f64]) {
+        self.each(v, self.part.dim(), x, self.part.dim(), |v, x| self.part.whiten_transpose(v, x));
     }
 }
 
@@ -179,16 +173,6 @@ impl<T: Covariance> Covariance for BlockDiagonal<T> {
     fn variance(&self, variance: &mut [f64]) {
         self.each(&[], |_| 0, variance, T::dim, |part, _, variance| part.variance(variance));
     }
-
-    /// The eigenvalues of all blocks, sorted.
-    #[cfg(feature = "eigen")]
-    fn spectrum(&self) -> Result<Spectrum, Error> {
-        let mut eigenvalues = Vec::with_capacity(self.dim());
-        for part in &self.parts {
-            eigenvalues.extend(part.spectrum()?.eigenvalues);
-        }
-        Ok(Spectrum::new(eigenvalues))
-    }
 }
 
 impl<T: Precision> Precision for BlockDiagonal<T> {
@@ -199,12 +183,16 @@ impl<T: Precision> Precision for BlockDiagonal<T> {
     fn whiten(&self, x: &[f64], v: &mut [f64]) {
         self.each(x, T::dim, v, T::dim, T::whiten);
     }
+
+    fn whiten_transpose(&self, v: &[f64], x: &mut [f64]) {
+        self.each(v, T::dim, x, T::dim, T::whiten_transpose);
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Dense, Diagonal, Truncated};
+    use crate::{Dense, Diagonal, Spectrum, Truncated};
 
     #[test]
     fn interleaved_by_hand() {
@@ -231,7 +219,7 @@ mod tests {
         for (out, expected) in out.iter().zip([2.0, 2.0, 2.0, 2.0, 9.0]) {
             assert!((out - expected).abs() < 1e-14);
         }
-        let values = b.spectrum().unwrap().eigenvalues;
+        let values = Spectrum::of(&b).unwrap().eigenvalues;
         for (value, expected) in values.iter().zip([9.0, 2.0, 2.0, 0.0, 0.0]) {
             assert!((value - expected).abs() < 1e-14);
         }
@@ -249,5 +237,7 @@ mod tests {
         assert_eq!(out, [1.0, 2.0, 1.0]);
         b.whiten(&[4.0, 8.0, 9.0], &mut out);
         assert_eq!(out, [2.0, 4.0, 3.0]);
+        b.whiten_transpose(&[2.0, 4.0, 3.0], &mut out);
+        assert_eq!(out, [1.0, 2.0, 1.0]);
     }
 }

@@ -1,9 +1,8 @@
 //! Uncorrelated components: R of independent observations, or B as white noise.
 
-#[cfg(feature = "eigen")]
-use crate::diagnostics::Spectrum;
+use crate::check::check_lengths;
 use crate::error::Error;
-use crate::operator::{Covariance, Precision, check_lengths};
+use crate::operator::{Covariance, Precision};
 
 /// B = diag(σ₁², …, σ_n²), B^{1/2} = diag(σ₁, …, σ_n).
 #[derive(Debug, Clone, PartialEq)]
@@ -71,12 +70,6 @@ impl Covariance for Diagonal {
     fn variance(&self, variance: &mut [f64]) {
         self.each(&self.sigma, variance, |sigma, _| sigma * sigma);
     }
-
-    /// The variances, sorted.
-    #[cfg(feature = "eigen")]
-    fn spectrum(&self) -> Result<Spectrum, Error> {
-        Ok(Spectrum::new(self.sigma.iter().map(|sigma| sigma * sigma).collect()))
-    }
 }
 
 impl Precision for Diagonal {
@@ -87,11 +80,16 @@ impl Precision for Diagonal {
     fn whiten(&self, x: &[f64], v: &mut [f64]) {
         self.each(x, v, |sigma, x| x / sigma);
     }
+
+    fn whiten_transpose(&self, v: &[f64], x: &mut [f64]) {
+        self.each(v, x, |sigma, v| v / sigma);
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Spectrum;
 
     #[test]
     fn every_operation_by_hand() {
@@ -107,9 +105,11 @@ mod tests {
         assert_eq!(out, [4.0, 2.0]);
         r.whiten(&[4.0, 2.0], &mut out);
         assert_eq!(out, [8.0, 1.0]);
+        r.whiten_transpose(&[4.0, 2.0], &mut out);
+        assert_eq!(out, [8.0, 1.0]);
         r.variance(&mut out);
         assert_eq!(out, [0.25, 4.0]);
-        assert_eq!(r.spectrum().unwrap().eigenvalues, [4.0, 0.25]);
+        assert_eq!(Spectrum::of(&r).unwrap().eigenvalues, [4.0, 0.25]);
     }
 
     #[test]

@@ -1,12 +1,11 @@
 //! Covariances of an ensemble: localized sample covariance, and its hybrid with a static one.
 
-use crate::cholesky::{add_scaled, dot};
-#[cfg(feature = "eigen")]
-use crate::dense::Truncated;
+use crate::check::check_lengths;
 use crate::error::Error;
-#[cfg(feature = "eigen")]
 use crate::kernel::Taper;
-use crate::operator::{Covariance, check_lengths};
+use crate::operator::Covariance;
+use crate::truncated::Truncated;
+use varda_linalg::{axpy, dot_in_lanes};
 
 /// The localized covariance of an ensemble of N members (Schur product, Houtekamer and Mitchell 2001):
 ///
@@ -77,8 +76,6 @@ impl Localization {
     }
 }
 
-/// Asks for the feature `eigen`.
-#[cfg(feature = "eigen")]
 impl Localization {
     /// From a symmetric positive semidefinite n × n matrix with a positive diagonal, row by row: its eigen root
     /// ([`Truncated::eigen`]) of the eigenvalues above `tolerance` times the largest, rows scaled to unit length.
@@ -98,7 +95,7 @@ impl Localization {
             column.iter().enumerate().for_each(|(p, c)| rows[p * rank + j] = *c);
         }
         for row in rows.chunks_exact_mut(rank) {
-            let length = dot(row, row).sqrt();
+            let length = dot_in_lanes(row, row).sqrt();
             if !(length > 1e-8) {
                 return Err(Error::Parameter {
                     what: "what a truncated localization leaves of a component",
@@ -150,7 +147,7 @@ impl Ensemble {
             return Err(Error::Size { what: "an ensemble", expected, found: members.len() });
         }
         let mut mean = vec![0.0; n];
-        members.chunks_exact(n).for_each(|x| add_scaled(1.0 / count as f64, x, &mut mean));
+        members.chunks_exact(n).for_each(|x| axpy(1.0 / count as f64, x, &mut mean));
         let scale = 1.0 / ((count - 1) as f64).sqrt();
         let columns: Vec<f64> =
             members.chunks_exact(n).flat_map(|x| x.iter().zip(&mean).map(|(x, m)| scale * (x - m))).collect();
@@ -214,7 +211,11 @@ impl Ensemble {
         let rank = self.localization.rank;
         for (p, (x, row)) in x.iter_mut().zip(self.rows.chunks_exact(self.members)).enumerate() {
             let c = self.localization.row(p);
-            *x += w * row.iter().zip(v.chunks_exact(rank)).map(|(x_i, v_i)| x_i * dot(c, v_i)).sum::<f64>();
+            *x += w * row
+                .iter()
+                .zip(v.chunks_exact(rank))
+                .map(|(x_i, v_i)| x_i * dot_in_lanes(c, v_i))
+                .sum::<f64>();
         }
     }
 
@@ -225,7 +226,7 @@ impl Ensemble {
         for (p, (x, row)) in x.iter().zip(self.rows.chunks_exact(self.members)).enumerate() {
             let c = self.localization.row(p);
             for (x_i, v_i) in row.iter().zip(v.chunks_exact_mut(rank)) {
-                add_scaled(w * x_i * x, c, v_i);
+                axpy(w * x_i * x, c, v_i);
             }
         }
     }
@@ -235,7 +236,7 @@ impl Ensemble {
         let row = |p: usize| &self.rows[p * self.members..][..self.members];
         for (p, y) in y.iter_mut().enumerate() {
             let c = self.localization.row(p);
-            let entry = |q: usize| dot(row(p), row(q)) * dot(c, self.localization.row(q));
+            let entry = |q: usize| dot_in_lanes(row(p), row(q)) * dot_in_lanes(c, self.localization.row(q));
             *y += w * x.iter().enumerate().map(|(q, x)| entry(q) * x).sum::<f64>();
         }
     }
@@ -245,7 +246,7 @@ impl Ensemble {
         for (p, (variance, row)) in variance.iter_mut().zip(self.rows.chunks_exact(self.members)).enumerate()
         {
             let c = self.localization.row(p);
-            *variance += w * dot(row, row) * dot(c, c);
+            *variance += w * dot_in_lanes(row, row) * dot_in_lanes(c, c);
         }
     }
 }

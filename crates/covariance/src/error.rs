@@ -95,6 +95,9 @@ pub enum Error {
         /// Size of the matrix.
         dim: usize,
     },
+    /// Another failure of linear algebra.
+    #[error(transparent)]
+    LinearAlgebra(varda_linalg::Error),
     /// The known points on which a kernel is conditioned are too close to tell apart, or coincide.
     #[error(
         "known point {point} says nothing new: given the known points before it, its variance (relative to 1) is {value:e}; \
@@ -106,4 +109,24 @@ pub enum Error {
         /// The variance left to it by those before it.
         value: f64,
     },
+}
+
+impl From<varda_linalg::Error> for Error {
+    fn from(error: varda_linalg::Error) -> Self {
+        use varda_linalg::Error as Linalg;
+        match error {
+            Linalg::NonFinite { row, column, value } => Error::NonFinite { row, column, value },
+            Linalg::NotPositiveDefinite { pivot, value, diagonal: variance } => {
+                Error::NotPositiveDefinite { pivot, value, variance }
+            }
+            Linalg::Singular { pivot, value, diagonal: variance, tolerance } => {
+                Error::Singular { pivot, value, variance, tolerance }
+            }
+            Linalg::NotSymmetric { row, column, value, mirror } => {
+                Error::NotSymmetric { row, column, value, mirror }
+            }
+            Linalg::Eigen { dim } => Error::Eigen { dim },
+            other => Error::LinearAlgebra(other),
+        }
+    }
 }

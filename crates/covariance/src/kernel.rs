@@ -1,7 +1,8 @@
 //! Correlation kernels, tapers, and the matrices they fill; exact conditioning on known points.
 
-use crate::cholesky::{Cholesky, dot};
 use crate::error::Error;
+use varda_linalg::dense::Cholesky;
+use varda_linalg::dot_in_lanes;
 
 /// A homogeneous covariance function: B(i, j) = σ² k(d_ij) t(d_ij), kernel k times taper t.
 ///
@@ -201,26 +202,26 @@ impl CovarianceFunction {
             let mut cc = vec![0.0; known * known];
             for i in 0..known {
                 for j in 0..=i {
-                    cc[i * known + j] = kernel(free + i, free + j)?;
+                    // column j, row i
+                    cc[i + j * known] = kernel(free + i, free + j)?;
                 }
             }
-            let factor = Cholesky::new(known, &cc).map_err(|error| match error {
+            let factor = Cholesky::well_determined(known, &cc).map_err(|error| match Error::from(error) {
                 Error::NotPositiveDefinite { pivot, value, .. } | Error::Singular { pivot, value, .. } => {
                     Error::KnownPoints { point: pivot, value }
                 }
                 other => other,
             })?;
             let mut w = vec![0.0; free * known];
-            let mut k_ci = vec![0.0; known];
             for (i, row) in w.chunks_exact_mut(known).enumerate() {
-                for (c, k) in k_ci.iter_mut().enumerate() {
+                for (c, k) in row.iter_mut().enumerate() {
                     *k = kernel(free + c, i)?;
                 }
-                factor.forward(&k_ci, row);
+                factor.forward(row);
             }
             for i in 0..free {
                 for j in 0..=i {
-                    matrix[i * free + j] -= dot(&w[i * known..][..known], &w[j * known..][..known]);
+                    matrix[i * free + j] -= dot_in_lanes(&w[i * known..][..known], &w[j * known..][..known]);
                 }
                 // At a known point the difference is round-off of either sign.
                 matrix[i * free + i] = matrix[i * free + i].max(0.0);

@@ -13,11 +13,6 @@
 //!
 //! [`sample()`] draws from N(0, B); [`Spectrum`] says how well conditioned it is.
 //!
-//! # Features
-//!
-//! None by default. `eigen` adds what asks for eigenvalues, by faer, which is most of what building this crate then costs:
-//! `Covariance::spectrum`, `Truncated::eigen`, `Localization::{new, by_distance}`.
-//!
 //! # Range
 //!
 //! Measured by the suite `stiff` (`docs/results/stability.md`): Cholesky roots up to condition numbers of some 1e12, far beyond that a typed
@@ -69,25 +64,25 @@
 
 mod banded;
 mod block;
-mod cholesky;
+mod check;
 mod dense;
-mod diagnostics;
 mod diagonal;
-#[cfg(feature = "eigen")]
-mod eigen;
 mod ensemble;
 mod error;
 mod kernel;
 mod operator;
 mod sample;
+mod spectrum;
+mod truncated;
 
 pub use banded::Banded;
 pub use block::{BlockDiagonal, Interleaved};
-pub use dense::{Dense, Truncated};
-pub use diagnostics::Spectrum;
+pub use dense::Dense;
 pub use diagonal::Diagonal;
 pub use ensemble::{Ensemble, Hybrid, Localization};
 pub use error::Error;
 pub use kernel::{CovarianceFunction, Kernel, Taper, correlation};
 pub use operator::{Covariance, Precision};
 pub use sample::sample;
+pub use spectrum::Spectrum;
+pub use truncated::Truncated;

@@ -1,11 +1,11 @@
 //! What a covariance is here: a product, a square root and its transpose; where it has full rank, an inverse.
 
-#[cfg(feature = "eigen")]
-use crate::{diagnostics::Spectrum, error::Error};
+use std::rc::Rc;
+use std::sync::Arc;
 
 /// A covariance operator B = U Uᵀ given by its square root U = B^{1/2} (n rows, r columns, r ≤ n).
 ///
-/// Vectors are slices; every method but `spectrum` overwrites its output, allocates nothing, and panics on a wrong length.
+/// Vectors are slices; every method overwrites its output, allocates nothing, and panics on a wrong length.
 pub trait Covariance {
     /// n, the length of the vectors B acts on.
     fn dim(&self) -> usize;
@@ -24,16 +24,6 @@ pub trait Covariance {
 
     /// The diagonal of B: the variance of every component.
     fn variance(&self, variance: &mut [f64]);
-
-    /// The eigenvalues of B. Unless a type knows a shorter way, forms B by `dim` products: O(n³) time, O(n²) memory. Asks for the feature `eigen`.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Eigen`] if the eigenvalue iteration fails, [`Error::NonFinite`] if `apply` gave a value that is not finite.
-    #[cfg(feature = "eigen")]
-    fn spectrum(&self) -> Result<Spectrum, Error> {
-        crate::eigen::spectrum_by_products(self)
-    }
 }
 
 /// A covariance of full rank: it has an inverse, and its square root does too.
@@ -45,51 +35,54 @@ pub trait Precision: Covariance {
 
     /// v = (B^{1/2})⁻¹ x, so that ‖v‖² = xᵀ B⁻¹ x.
     fn whiten(&self, x: &[f64], v: &mut [f64]);
+
+    /// x = (B^{1/2})⁻ᵀ v, the transpose of `whiten`: B⁻¹ = (B^{1/2})⁻ᵀ (B^{1/2})⁻¹.
+    fn whiten_transpose(&self, v: &[f64], x: &mut [f64]);
 }
 
-impl<C: Covariance + ?Sized> Covariance for Box<C> {
-    fn dim(&self) -> usize {
-        (**self).dim()
-    }
+/// A covariance behind a pointer is one.
+macro_rules! forward {
+    ($($pointer:ty),*) => {$(
+        impl<C: Covariance + ?Sized> Covariance for $pointer {
+            fn dim(&self) -> usize {
+                (**self).dim()
+            }
 
-    fn root_dim(&self) -> usize {
-        (**self).root_dim()
-    }
+            fn root_dim(&self) -> usize {
+                (**self).root_dim()
+            }
 
-    fn apply(&self, x: &[f64], y: &mut [f64]) {
-        (**self).apply(x, y);
-    }
+            fn apply(&self, x: &[f64], y: &mut [f64]) {
+                (**self).apply(x, y);
+            }
 
-    fn root(&self, v: &[f64], x: &mut [f64]) {
-        (**self).root(v, x);
-    }
+            fn root(&self, v: &[f64], x: &mut [f64]) {
+                (**self).root(v, x);
+            }
 
-    fn root_transpose(&self, x: &[f64], v: &mut [f64]) {
-        (**self).root_transpose(x, v);
-    }
+            fn root_transpose(&self, x: &[f64], v: &mut [f64]) {
+                (**self).root_transpose(x, v);
+            }
 
-    fn variance(&self, variance: &mut [f64]) {
-        (**self).variance(variance);
-    }
+            fn variance(&self, variance: &mut [f64]) {
+                (**self).variance(variance);
+            }
+        }
 
-    #[cfg(feature = "eigen")]
-    fn spectrum(&self) -> Result<Spectrum, Error> {
-        (**self).spectrum()
-    }
+        impl<C: Precision + ?Sized> Precision for $pointer {
+            fn solve(&self, x: &[f64], y: &mut [f64]) {
+                (**self).solve(x, y);
+            }
+
+            fn whiten(&self, x: &[f64], v: &mut [f64]) {
+                (**self).whiten(x, v);
+            }
+
+            fn whiten_transpose(&self, v: &[f64], x: &mut [f64]) {
+                (**self).whiten_transpose(v, x);
+            }
+        }
+    )*};
 }
 
-impl<C: Precision + ?Sized> Precision for Box<C> {
-    fn solve(&self, x: &[f64], y: &mut [f64]) {
-        (**self).solve(x, y);
-    }
-
-    fn whiten(&self, x: &[f64], v: &mut [f64]) {
-        (**self).whiten(x, v);
-    }
-}
-
-/// Panics unless the two slices of a product have the lengths of its input and output.
-pub(crate) fn check_lengths(input: &[f64], input_dim: usize, output: &[f64], output_dim: usize) {
-    assert_eq!(input.len(), input_dim, "length of the input vector");
-    assert_eq!(output.len(), output_dim, "length of the output vector");
-}
+forward!(&C, Box<C>, Rc<C>, Arc<C>);

@@ -4,8 +4,8 @@ use proptest::prelude::*;
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use varda_covariance::{
-    BlockDiagonal, Covariance, CovarianceFunction, Dense, Diagonal, Interleaved, Kernel, Precision, Taper,
-    Truncated, sample,
+    BlockDiagonal, Covariance, CovarianceFunction, Dense, Diagonal, Interleaved, Kernel, Precision, Spectrum,
+    Taper, Truncated, sample,
 };
 
 const EPS: f64 = f64::EPSILON;
@@ -73,7 +73,7 @@ fn worst_broken_promise(b: &dyn Covariance, seed: u64) -> f64 {
 /// Relative errors of B⁻¹ B x against n ε cond B, and of B^{-1/2} B^{1/2} v against n ε √cond B.
 fn inverse_errors(b: &dyn Precision, seed: u64) -> (f64, f64) {
     let n = b.dim();
-    let condition = b.spectrum().unwrap().condition_number();
+    let condition = Spectrum::of(b).unwrap().condition_number();
     let x = random_vector(n, seed);
     let error = |y: Vec<f64>| norm(&y.iter().zip(&x).map(|(y, x)| y - x).collect::<Vec<_>>()) / norm(&x);
     let bx = out(n, |y| b.apply(&x, y));
@@ -187,24 +187,23 @@ proptest! {
 
     #[test]
     fn structured_spectra_are_those_of_the_whole(n in 1_usize..8, length in 0.02..2.0, s in places(1..8)) {
-        struct Opaque<'a>(&'a dyn Covariance);
-        impl Covariance for Opaque<'_> {
-            fn dim(&self) -> usize { self.0.dim() }
-            fn root_dim(&self) -> usize { self.0.root_dim() }
-            fn apply(&self, x: &[f64], y: &mut [f64]) { self.0.apply(x, y) }
-            fn root(&self, v: &[f64], x: &mut [f64]) { self.0.root(v, x) }
-            fn root_transpose(&self, x: &[f64], v: &mut [f64]) { self.0.root_transpose(x, v) }
-            fn variance(&self, variance: &mut [f64]) { self.0.variance(variance) }
-        }
         let smooth = CovarianceFunction { sigma: 1.0, kernel: Kernel::Gaussian { length }, taper: Taper::None };
         let truncated = Truncated::eigen(s.len(), &smooth.matrix(&s).unwrap(), 0.05).unwrap();
+        let dense = Dense::new(n, &full_rank(n, 1.0, length)).unwrap();
+        let diagonal: Vec<f64> = (1..=n).map(|i| i as f64).collect();
+        // Interleaving repeats eigenvalues, blocks put them together.
+        let each = |values: Vec<f64>, times| values.into_iter().flat_map(move |v| std::iter::repeat_n(v, times));
+        let mut structured: Vec<f64> = each(truncated.spectrum().unwrap().eigenvalues, 2).collect();
+        structured.extend(each(Spectrum::of(&dense).unwrap().eigenvalues, 3));
+        structured.extend(diagonal.iter().map(|sigma| sigma * sigma));
+        let structured = Spectrum::new(structured).eigenvalues;
         let parts: Vec<Box<dyn Covariance>> = vec![
             Box::new(Interleaved::new(truncated, 2)),
-            Box::new(Interleaved::new(Dense::new(n, &full_rank(n, 1.0, length)).unwrap(), 3)),
-            Box::new(Diagonal::new((1..=n).map(|i| i as f64).collect()).unwrap()),
+            Box::new(Interleaved::new(dense, 3)),
+            Box::new(Diagonal::new(diagonal).unwrap()),
         ];
         let b = BlockDiagonal::new(parts);
-        let (structured, whole) = (b.spectrum().unwrap().eigenvalues, Opaque(&b).spectrum().unwrap().eigenvalues);
+        let whole = Spectrum::of(&b).unwrap().eigenvalues;
         prop_assert_eq!(structured.len(), b.dim());
         for (a, w) in structured.iter().zip(&whole) {
             // Weyl: eigenvalues are as good as the matrix and the iteration, some n ε of the largest.

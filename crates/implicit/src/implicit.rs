@@ -355,7 +355,6 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
 
     fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
         assert!(x.len() == self.dim() && x_next.len() == self.dim(), "a state has {} values", self.dim());
-        varda_linalg::clear_upper_registers();
         self.run(k, x)?;
         self.counts.model_steps += 1;
         let parts = self.last.at.len();
@@ -529,7 +528,7 @@ fn linearized(kept: &[Kept], places: usize, k: usize) -> &[Part] {
     &kept.parts[..kept.used]
 }
 
-/// Of one part, without faer's share for a sparse Jacobian.
+/// Of one part, without the factor's share for a sparse Jacobian.
 fn bytes(state: usize, unknowns: usize, factor: &Factor) -> usize {
     (state + unknowns) * size_of::<f64>() + factor.bytes() + size_of::<Part>()
 }

@@ -2,7 +2,6 @@
 
 use crate::storage::next_checkpoint;
 use crate::{Error, Model, Storage};
-use varda_linalg::clear_upper_registers;
 
 /// What a forward run leaves behind for sweeps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -127,7 +126,6 @@ impl Trajectory {
         keep: Keep,
         see: &mut dyn FnMut(usize, &mut [f64]) -> Result<(), E>,
     ) -> Result<(), E> {
-        clear_upper_registers();
         model.keep_at_most(self.storage.linearizations());
         let linearize = keep == Keep::Linearizations && self.storage == Storage::KeepAll;
         let n = self.dim;
@@ -170,7 +168,6 @@ impl Trajectory {
         model: &mut dyn Model,
         landing: &dyn Fn(usize) -> Option<&'l [f64]>,
     ) -> Result<(), Error> {
-        clear_upper_registers();
         model.keep_at_most(self.storage.linearizations());
         if self.storage == Storage::KeepAll && !self.linearized {
             for k in 0..self.steps {
@@ -265,7 +262,6 @@ impl Trajectory {
         model: &mut dyn Model,
         act: &mut dyn FnMut(&mut dyn Model, usize, [&[f64]; 2]),
     ) -> Result<(), Error> {
-        clear_upper_registers();
         model.keep_at_most(self.storage.linearizations());
         if let Storage::Checkpoints { .. } = self.storage {
             self.rewind();
@@ -288,7 +284,6 @@ impl Trajectory {
         model: &mut dyn Model,
         act: &mut dyn FnMut(&mut dyn Model, usize, [&[f64]; 2]),
     ) -> Result<(), Error> {
-        clear_upper_registers();
         model.keep_at_most(self.storage.linearizations());
         if let Storage::Checkpoints { .. } = self.storage {
             // After a forward run, or a sweep in its order, the last step is at hand and the checkpoints are in place.

@@ -1,14 +1,10 @@
 //! One solver for every [`Structure`].
 
-use std::fmt;
-
-use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
-use faer::sparse::linalg::{LuError, lu as sparse_lu};
-use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use faer::{ColMut, Conj, MatMut, Par};
-
 use crate::Structure;
 use crate::band::{self, BLOCK, BadPivot};
+use crate::dense::lu::LuWork;
+use crate::sparse::{NumericLu, SparseLu};
+use std::fmt;
 
 /// Factors and solves matrices of one structure.
 ///
@@ -19,12 +15,17 @@ use crate::band::{self, BLOCK, BadPivot};
 pub struct LinearSolver {
     n: usize,
     structure: Structure,
-    symbolic: Option<sparse_lu::SymbolicLu<usize>>,
-    scratch: MemBuffer,
+    work: Work,
     shifted: Vec<f64>,
-    permuted: Vec<f64>,
-    inverse: Vec<usize>,
     column: Vec<f64>,
+}
+
+/// What a structure's factorizations need beside the values.
+enum Work {
+    SymmetricBand { w: usize },
+    Band { w: usize },
+    Dense(LuWork),
+    Sparse(Box<SparseLu>),
 }
 
 /// The factor of one matrix; belongs to the [`LinearSolver`] that made it.
@@ -33,7 +34,7 @@ pub struct Factor {
     values: Vec<f64>,
     /// Band: the row swapped with row k. Dense: the row of A that came to place k.
     pivots: Vec<usize>,
-    sparse: sparse_lu::NumericLu<usize, f64>,
+    sparse: NumericLu,
 }
 
 impl Factor {
@@ -43,49 +44,27 @@ impl Factor {
     }
 }
 
-/// Dense matrices from this size on are factored by faer.
-const BLOCKED_FROM: usize = 32;
-
 impl LinearSolver {
     /// A solver for matrices of n rows and the given structure.
     ///
     /// # Panics
     /// If a sparse structure is not a pattern of n rows and columns.
     pub fn new(n: usize, structure: &Structure) -> Self {
-        let mut scratch = StackReq::new::<usize>(n);
-        let mut symbolic = None;
-        if let Structure::Sparse { columns, rows } = structure {
-            let pattern = SymbolicSparseColMatRef::new_checked(n, n, columns, None, rows);
-            let made = sparse_lu::factorize_symbolic_lu(pattern, Default::default())
-                .expect("room for the symbolic factor");
-            scratch = made
-                .factorize_numeric_lu_scratch::<f64>(Par::Seq, Default::default())
-                .or(made.solve_in_place_scratch::<f64>(1, Par::Seq))
-                .or(made.solve_transpose_in_place_scratch::<f64>(1, Par::Seq));
-            symbolic = Some(made);
-        }
-        let mut solver = Self {
-            n,
-            structure: structure.clone(),
-            symbolic,
-            scratch: MemBuffer::new(scratch),
-            shifted: Vec::new(),
-            permuted: vec![0.0; n],
-            inverse: vec![0; n],
-            column: vec![0.0; n],
+        let work = match structure {
+            Structure::SymmetricBand { half_bandwidth } => Work::SymmetricBand { w: *half_bandwidth },
+            Structure::Band { half_bandwidth } => Work::Band { w: *half_bandwidth },
+            Structure::Dense => Work::Dense(LuWork::new(n)),
+            Structure::Sparse { columns, rows } => Work::Sparse(Box::new(SparseLu::new(n, columns, rows))),
         };
+        let mut solver =
+            Self { n, structure: structure.clone(), work, shifted: Vec::new(), column: vec![0.0; n] };
         solver.shifted = vec![0.0; solver.values_len()];
         solver
     }
 
     /// Number of values of a matrix of this structure.
     pub fn values_len(&self) -> usize {
-        match &self.structure {
-            Structure::Dense => self.n * self.n,
-            Structure::SymmetricBand { half_bandwidth } => self.n * (half_bandwidth + 1),
-            Structure::Band { half_bandwidth } => self.n * (2 * half_bandwidth + 1),
-            Structure::Sparse { rows, .. } => rows.len(),
-        }
+        self.structure.values_len(self.n)
     }
 
     /// Room for a factor.
@@ -96,7 +75,7 @@ impl LinearSolver {
             Structure::Band { half_bandwidth } => (band::lu_len(self.n, half_bandwidth), self.n),
             Structure::Sparse { .. } => (0, 0),
         };
-        Factor { values: vec![0.0; values], pivots: vec![0; pivots], sparse: sparse_lu::NumericLu::new() }
+        Factor { values: vec![0.0; values], pivots: vec![0; pivots], sparse: NumericLu::new() }
     }
 
     /// Factors the matrix with these values. Returns the number of its negative eigenvalues for a symmetric band, 0 for the
@@ -108,44 +87,17 @@ impl LinearSolver {
     /// # Panics
     /// If `values` has not [`values_len`](Self::values_len) values or `factor` is of another solver.
     pub fn factor(&mut self, values: &[f64], factor: &mut Factor) -> Result<usize, BadPivot> {
-        match &self.structure {
-            Structure::SymmetricBand { half_bandwidth } => {
+        match &mut self.work {
+            Work::SymmetricBand { w } => {
                 factor.values.copy_from_slice(values);
-                return band::ldlt_factor(*half_bandwidth, &mut factor.values);
+                return band::ldlt_factor(*w, &mut factor.values);
             }
-            Structure::Band { half_bandwidth } => {
-                band::lu_factor(*half_bandwidth, values, &mut factor.values, &mut factor.pivots)?;
-            }
-            Structure::Dense => {
+            Work::Band { w } => band::lu_factor(*w, values, &mut factor.values, &mut factor.pivots)?,
+            Work::Dense(work) => {
                 factor.values.copy_from_slice(values);
-                self.factor_dense(values, factor)?;
+                work.factor(values, &mut factor.values, &mut factor.pivots)?;
             }
-            Structure::Sparse { columns, rows } => {
-                let pattern = SymbolicSparseColMatRef::new_checked(self.n, self.n, columns, None, rows);
-                self.symbolic
-                    .as_ref()
-                    .expect("made in new")
-                    .factorize_numeric_lu(
-                        &mut factor.sparse,
-                        SparseColMatRef::new(pattern, values),
-                        Par::Seq,
-                        MemStack::new(&mut self.scratch),
-                        Default::default(),
-                    )
-                    .map_err(|e| match e {
-                        LuError::SymbolicSingular { index } => BadPivot { row: index },
-                        LuError::Generic(_) => BadPivot { row: 0 },
-                    })?;
-                // faer factors a singular matrix without a word: its solutions are not finite
-                let mut probe = std::mem::take(&mut self.permuted);
-                probe.fill(1.0);
-                self.solve(factor, &mut probe);
-                let bad = probe.iter().position(|p| !p.is_finite());
-                self.permuted = probe;
-                if let Some(row) = bad {
-                    return Err(BadPivot { row });
-                }
-            }
+            Work::Sparse(work) => work.factor(values, &mut factor.sparse)?,
         }
         Ok(0)
     }
@@ -202,23 +154,12 @@ impl LinearSolver {
     /// # Panics
     /// If the length of `b` is not n.
     pub fn solve(&mut self, factor: &Factor, b: &mut [f64]) {
-        match self.structure {
-            Structure::SymmetricBand { half_bandwidth } => {
-                band::ldlt_solve(half_bandwidth, &factor.values, b)
-            }
-            Structure::Band { half_bandwidth } => {
-                band::lu_solve(half_bandwidth, &factor.values, &factor.pivots, b)
-            }
-            Structure::Dense => self.solve_dense(factor, b),
-            Structure::Sparse { .. } => {
-                let symbolic = self.symbolic.as_ref().expect("made in new");
-                sparse_lu::LuRef::new_unchecked(symbolic, &factor.sparse).solve_in_place_with_conj(
-                    Conj::No,
-                    ColMut::from_slice_mut(b).as_mat_mut(),
-                    Par::Seq,
-                    MemStack::new(&mut self.scratch),
-                );
-            }
+        let Factor { values, pivots, sparse } = factor;
+        match &mut self.work {
+            Work::SymmetricBand { w } => band::ldlt_solve(*w, values, b),
+            Work::Band { w } => band::lu_solve(*w, values, pivots, b),
+            Work::Dense(work) => work.solve(values, pivots, b),
+            Work::Sparse(work) => work.solve(sparse, b),
         }
     }
 
@@ -227,23 +168,12 @@ impl LinearSolver {
     /// # Panics
     /// If the length of `b` is not n.
     pub fn solve_transpose(&mut self, factor: &Factor, b: &mut [f64]) {
-        match self.structure {
-            Structure::SymmetricBand { half_bandwidth } => {
-                band::ldlt_solve(half_bandwidth, &factor.values, b)
-            }
-            Structure::Band { half_bandwidth } => {
-                band::lu_solve_transpose(half_bandwidth, &factor.values, &factor.pivots, b);
-            }
-            Structure::Dense => self.solve_dense_transpose(factor, b),
-            Structure::Sparse { .. } => {
-                let symbolic = self.symbolic.as_ref().expect("made in new");
-                sparse_lu::LuRef::new_unchecked(symbolic, &factor.sparse).solve_transpose_in_place_with_conj(
-                    Conj::No,
-                    ColMut::from_slice_mut(b).as_mat_mut(),
-                    Par::Seq,
-                    MemStack::new(&mut self.scratch),
-                );
-            }
+        let Factor { values, pivots, sparse } = factor;
+        match &mut self.work {
+            Work::SymmetricBand { w } => band::ldlt_solve(*w, values, b),
+            Work::Band { w } => band::lu_solve_transpose(*w, values, pivots, b),
+            Work::Dense(work) => work.solve_transpose(values, pivots, b),
+            Work::Sparse(work) => work.solve_transpose(sparse, b),
         }
     }
 
@@ -252,10 +182,8 @@ impl LinearSolver {
     /// # Panics
     /// If B has not n rows.
     pub fn solve_block(&mut self, factor: &Factor, b: &mut [[f64; BLOCK]]) {
-        match self.structure {
-            Structure::SymmetricBand { half_bandwidth } => {
-                band::ldlt_solve_block(half_bandwidth, &factor.values, b)
-            }
+        match self.work {
+            Work::SymmetricBand { w } => band::ldlt_solve_block(w, &factor.values, b),
             _ => self.each_column(b, &mut |solver, column| solver.solve(factor, column)),
         }
     }
@@ -265,10 +193,8 @@ impl LinearSolver {
     /// # Panics
     /// If B has not n rows.
     pub fn solve_transpose_block(&mut self, factor: &Factor, b: &mut [[f64; BLOCK]]) {
-        match self.structure {
-            Structure::SymmetricBand { half_bandwidth } => {
-                band::ldlt_solve_block(half_bandwidth, &factor.values, b)
-            }
+        match self.work {
+            Work::SymmetricBand { w } => band::ldlt_solve_block(w, &factor.values, b),
             _ => self.each_column(b, &mut |solver, column| solver.solve_transpose(factor, column)),
         }
     }
@@ -288,10 +214,8 @@ impl LinearSolver {
     /// # Panics
     /// If the length of `z` is not n.
     pub fn negative_curvature(&self, factor: &Factor, z: &mut [f64]) -> Option<f64> {
-        match self.structure {
-            Structure::SymmetricBand { half_bandwidth } => {
-                band::ldlt_negative_curvature(half_bandwidth, &factor.values, z)
-            }
+        match self.work {
+            Work::SymmetricBand { w } => band::ldlt_negative_curvature(w, &factor.values, z),
             _ => None,
         }
     }
@@ -339,72 +263,6 @@ impl LinearSolver {
             }
         }
     }
-
-    /// P A = L U, column by column in place, L with a unit diagonal.
-    fn factor_dense(&mut self, values: &[f64], factor: &mut Factor) -> Result<(), BadPivot> {
-        let n = self.n;
-        let Factor { values: lu, pivots, .. } = factor;
-        if n >= BLOCKED_FROM {
-            let matrix = MatMut::from_column_major_slice_mut(lu, n, n);
-            let stack = MemStack::new(&mut self.scratch);
-            faer::linalg::lu::partial_pivoting::factor::lu_in_place(
-                matrix,
-                pivots,
-                &mut self.inverse,
-                Par::Seq,
-                stack,
-                Default::default(),
-            );
-        } else {
-            lu_in_place(n, lu, pivots);
-        }
-        for k in 0..n {
-            let largest = values[k * n..(k + 1) * n].iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-            let pivot = lu[k * (n + 1)];
-            let usable = pivot.abs() > f64::EPSILON * largest && pivot.is_normal();
-            if !usable {
-                return Err(BadPivot { row: k });
-            }
-        }
-        Ok(())
-    }
-
-    fn solve_dense(&mut self, factor: &Factor, b: &mut [f64]) {
-        let (n, lu, x) = (self.n, &factor.values, &mut self.permuted);
-        for (x, &p) in x.iter_mut().zip(&factor.pivots) {
-            *x = b[p];
-        }
-        b.copy_from_slice(x);
-        for k in 0..n {
-            let y = b[k];
-            for (b, l) in b[k + 1..].iter_mut().zip(&lu[k * n + k + 1..(k + 1) * n]) {
-                *b -= l * y;
-            }
-        }
-        for k in (0..n).rev() {
-            b[k] /= lu[k * (n + 1)];
-            let y = b[k];
-            for (b, u) in b[..k].iter_mut().zip(&lu[k * n..k * n + k]) {
-                *b -= u * y;
-            }
-        }
-    }
-
-    fn solve_dense_transpose(&mut self, factor: &Factor, b: &mut [f64]) {
-        let (n, lu, x) = (self.n, &factor.values, &mut self.permuted);
-        for k in 0..n {
-            let dot: f64 = lu[k * n..k * n + k].iter().zip(&b[..k]).map(|(u, y)| u * y).sum();
-            b[k] = (b[k] - dot) / lu[k * (n + 1)];
-        }
-        for k in (0..n).rev() {
-            let dot: f64 = lu[k * n + k + 1..(k + 1) * n].iter().zip(&b[k + 1..]).map(|(l, y)| l * y).sum();
-            b[k] -= dot;
-        }
-        for (&y, &p) in b.iter().zip(&factor.pivots) {
-            x[p] = y;
-        }
-        b.copy_from_slice(x);
-    }
 }
 
 impl fmt::Debug for LinearSolver {
@@ -413,31 +271,5 @@ impl fmt::Debug for LinearSolver {
             .field("n", &self.n)
             .field("structure", &self.structure)
             .finish_non_exhaustive()
-    }
-}
-
-/// LU with partial pivoting of a small matrix stored column by column.
-fn lu_in_place(n: usize, a: &mut [f64], rows: &mut [usize]) {
-    for (i, row) in rows.iter_mut().enumerate() {
-        *row = i;
-    }
-    for k in 0..n {
-        let mut p = k;
-        for i in k + 1..n {
-            if a[k * n + i].abs() > a[k * n + p].abs() {
-                p = i;
-            }
-        }
-        rows.swap(k, p);
-        (0..n).for_each(|j| a.swap(j * n + k, j * n + p));
-        let reciprocal = 1.0 / a[k * (n + 1)];
-        a[k * (n + 1) + 1..(k + 1) * n].iter_mut().for_each(|l| *l *= reciprocal);
-        let (left, right) = a.split_at_mut((k + 1) * n);
-        for column in right.chunks_exact_mut(n) {
-            let y = column[k];
-            for (c, l) in column[k + 1..].iter_mut().zip(&left[k * (n + 1) + 1..]) {
-                *c -= l * y;
-            }
-        }
     }
 }

@@ -43,20 +43,60 @@ impl From<Vec<Row>> for Report {
 pub struct Suite {
     /// Its name on the command line.
     pub name: &'static str,
+    /// What it proves, in one sentence.
+    pub proves: &'static str,
     run: fn(&Options) -> Report,
 }
 
 /// All suites, in the order they are run.
 pub const SUITES: &[Suite] = &[
-    Suite { name: "adjoint", run: |options| adjoint::run(options).into() },
-    Suite { name: "taylor", run: |options| taylor::run(options).into() },
-    Suite { name: "hessian", run: |options| hessian::run(options).into() },
-    Suite { name: "golden", run: |options| golden::run(options).into() },
-    Suite { name: "counts", run: |options| counts::run(options).into() },
-    Suite { name: "order", run: |options| order::run(options).into() },
-    Suite { name: "equivalence", run: |options| equivalence::run(options).into() },
-    Suite { name: "paper", run: paper::run },
-    Suite { name: "stiff", run: stiff::run },
+    Suite {
+        name: "adjoint",
+        proves: "Every adjoint is the transpose of its tangent, to rounding: steps, windows, assembled \
+            costs.",
+        run: |options| adjoint::run(options).into(),
+    },
+    Suite {
+        name: "taylor",
+        proves: "Tangents and gradients are derivatives: the first-order remainder falls like h².",
+        run: |options| taylor::run(options).into(),
+    },
+    Suite {
+        name: "hessian",
+        proves: "The rod's second derivatives match dual numbers; Gauss–Newton products match their \
+            matrix.",
+        run: |options| hessian::run(options).into(),
+    },
+    Suite {
+        name: "golden",
+        proves: "Energies, costs, minima and posteriors match numbers computed by other programs.",
+        run: |options| golden::run(options).into(),
+    },
+    Suite {
+        name: "counts",
+        proves: "No run, sweep, factorization or allocation beyond those that are needed.",
+        run: |options| counts::run(options).into(),
+    },
+    Suite {
+        name: "order",
+        proves: "Errors fall with the order of the scheme, and rods converge to closed forms.",
+        run: |options| order::run(options).into(),
+    },
+    Suite {
+        name: "equivalence",
+        proves: "Methods that must agree do: closed form, 3D-Var, 4D-Var, duals, filters, ensembles.",
+        run: |options| equivalence::run(options).into(),
+    },
+    Suite {
+        name: "paper",
+        proves: "The paper's experiment: where full-step Newton converges and how much an analysis gains.",
+        run: paper::run,
+    },
+    Suite {
+        name: "stiff",
+        proves: "Extreme cases end in the right answer or in an error that names step, vertex or field.",
+        run: stiff::run,
+    },
 ];
 
 /// Runs a suite.
@@ -68,7 +108,8 @@ pub fn run(name: &str, options: &Options) -> Report {
     (suite.run)(options)
 }
 
-/// Reads a text as every kind of file of suite golden: whatever it is, that ends in a fixture or an error, not in a panic.
+/// Reads a text as every kind of file of suite golden: whatever it is, that ends in a fixture or an error,
+/// not in a panic.
 pub fn read_fixture(text: &str) {
     golden::read_all(text);
 }

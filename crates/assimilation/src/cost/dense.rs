@@ -3,8 +3,7 @@
 use super::workers::Product;
 use super::{CostFunction, StrongConstraint};
 use crate::Error;
-use faer::linalg::matmul::triangular::{BlockStructure, matmul};
-use faer::{Accum, MatMut, MatRef, Par};
+use varda_linalg::dense::{View, gram};
 
 /// Work space.
 #[derive(Default)]
@@ -31,29 +30,15 @@ impl StrongConstraint<'_> {
         dense.dv.resize(n, 0.0);
         let by_rows = self.observations.steps_of_rows() < n * self.last;
         let swept = if by_rows { self.rows(&mut dense) } else { self.columns(&mut dense) };
-        let stored = MatRef::from_column_major_slice(
-            &dense.jacobian,
-            if by_rows { n } else { m },
-            if by_rows { m } else { n },
-        );
-        let gt = if by_rows { stored } else { stored.transpose() };
-        matmul(
-            MatMut::from_column_major_slice_mut(out, n, n),
-            BlockStructure::TriangularLower,
-            Accum::Replace,
-            gt,
-            BlockStructure::Rectangular,
-            gt.transpose(),
-            BlockStructure::Rectangular,
-            1.0,
-            Par::Seq,
-        );
+        let gt = if by_rows {
+            View::new(&dense.jacobian, n, m)
+        } else {
+            View::new(&dense.jacobian, m, n).transpose()
+        };
+        gram(gt, out);
         self.dense = dense;
         for j in 0..n {
             out[j + j * n] += 1.0;
-            for i in 0..j {
-                out[i + j * n] = out[j + i * n];
-            }
         }
         swept
     }

@@ -6,12 +6,11 @@ pub use analysis::{EnVarOptions, EnsembleUpdate};
 
 use super::{CostFunction, CostTerms, Counts, GaussNewton, dot};
 use crate::{ControlTransform, Error, ObservationSet};
-use faer::linalg::matmul::matmul;
-use faer::{Accum, MatMut, MatRef, Par};
 #[cfg(feature = "rayon")]
 use rayon::prelude::*;
 use varda_covariance::{Covariance, Ensemble, Hybrid};
 use varda_implicit::Model;
+use varda_linalg::dense::{View, product};
 
 /// 4D-EnVar (Liu, Xiao and Wang 2008; Desroziers, Camino and Berre 2014) and hybrid 4D-EnVar (Lorenc et al. 2015), linearized about a control
 /// v₀:
@@ -367,9 +366,8 @@ impl<'a> EnVar<'a> {
     fn normal_matrix(&self, out: &mut [f64]) {
         let (n, m) = (self.dim(), self.observations.dim());
         let jacobian = self.jacobian();
-        let g = MatRef::from_column_major_slice(&jacobian, m, n);
-        let a = MatMut::from_column_major_slice_mut(out, n, n);
-        matmul(a, Accum::Replace, g.transpose(), g, 1.0, Par::Seq);
+        let g = View::new(&jacobian, m, n);
+        product(g.transpose(), g, out);
     }
 }
 

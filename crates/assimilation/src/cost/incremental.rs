@@ -2,9 +2,7 @@
 
 use super::{CostFunction, CostTerms, Counts, GaussNewton, dot};
 use crate::Error;
-use faer::linalg::matmul::matmul;
-use faer::linalg::solvers::Solve;
-use faer::{Accum, MatMut, MatRef, Par, Side};
+use varda_linalg::dense::{Cholesky, View, product};
 
 /// A cost that can be linearized around an outer iterate v, where it becomes a quadratic of an increment p:
 ///
@@ -84,7 +82,7 @@ pub trait Incremental: CostFunction {
         let mut g = vec![0.0; m * n];
         columns(n, &mut g, &mut |unit, column| self.tangent(unit, column))?;
         p.iter_mut().zip(gradient).for_each(|(p, g)| *p = -g);
-        solve_identity_plus(MatRef::from_column_major_slice(&g, m, n), p, 1)
+        solve_identity_plus(View::new(&g, m, n), p)
     }
 }
 
@@ -103,24 +101,19 @@ pub(crate) fn columns(inputs: usize, matrix: &mut [f64], map: &mut Map) -> Resul
     Ok(())
 }
 
-/// x ← (I + WᵀW)⁻¹ x for `columns` columns x, W with n columns: Cholesky.
-pub(crate) fn solve_identity_plus(w: MatRef<f64>, x: &mut [f64], columns: usize) -> Result<(), Error> {
-    let n = w.ncols();
+/// x ← (I + WᵀW)⁻¹ x for columns x one after the other, of length n for W with n columns: Cholesky.
+pub(crate) fn solve_identity_plus(w: View, x: &mut [f64]) -> Result<(), Error> {
+    let n = w.columns();
     if x.is_empty() {
         return Ok(());
     }
     let mut a = vec![0.0; n * n];
-    let into = MatMut::from_column_major_slice_mut(&mut a, n, n);
-    matmul(into, Accum::Replace, w.transpose(), w, 1.0, Par::Seq);
+    product(w.transpose(), w, &mut a);
     for i in 0..n {
         a[i + i * n] += 1.0;
     }
     let failed = || Error::NotPositiveDefinite { smallest: f64::NAN };
-    if !a.iter().all(|a| a.is_finite()) {
-        return Err(failed());
-    }
-    let factor = MatRef::from_column_major_slice(&a, n, n).llt(Side::Lower).map_err(|_| failed())?;
-    factor.solve_in_place(MatMut::from_column_major_slice_mut(x, n, columns));
+    Cholesky::new(n, &a).map_err(|_| failed())?.solve_columns(x);
     if x.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(failed()) }
 }
 

@@ -2,9 +2,9 @@
 
 use super::StrongConstraint;
 use crate::{Error, GaussNewton};
-use faer::linalg::solvers::{Llt, Solve};
-use faer::{Mat, Side};
 use varda_covariance::Precision;
+use varda_linalg::axpy;
+use varda_linalg::dense::{Cholesky, Matrix};
 
 /// p = −A⁻¹ g through the block-tridiagonal system in the whitened states s (z = B^{1/2} s_0, ξ_j = Q^{1/2} s_j), where p = T s:
 ///
@@ -33,52 +33,58 @@ pub(super) fn solve(
     }
     let size = |j: usize| if j == 0 { head } else { n };
     let start = |j: usize| if j == 0 { 0 } else { head + (j - 1) * n };
-    let g = |j: usize| Mat::from_fn(size(j), 1, |i, _| gradient[start(j) + i]);
+    let g = |j: usize, sign: f64| {
+        let part = gradient[start(j)..start(j) + size(j)].iter().map(|g| sign * g);
+        Matrix::from_columns(size(j), 1, part.collect())
+    };
 
     // Forward: s_j = inverse_j (y_j − below_jᵀ s_{j+1}), factors kept.
     let mut rows: Vec<Row> = Vec::new();
-    let (mut f, mut c) = (Mat::zeros(0, 0), Mat::zeros(m, head));
+    let (mut f, mut c) = (Matrix::zeros(0, 0), Matrix::zeros(m, head));
     for j in 0..=count {
-        let c_before = std::mem::replace(&mut c, Mat::zeros(m, size(j)));
-        let f_before = std::mem::replace(&mut f, Mat::zeros(if j < count { n } else { 0 }, size(j)));
+        let c_before = std::mem::replace(&mut c, Matrix::zeros(m, size(j)));
+        let f_before = std::mem::replace(&mut f, Matrix::zeros(if j < count { n } else { 0 }, size(j)));
         for i in 0..size(j) {
             column(window, q, j, i, &mut f, &mut c);
         }
-        let mut diagonal = Mat::<f64>::identity(size(j), size(j)) + f.transpose() * &f + c.transpose() * &c;
-        let mut y = -g(j);
+        let mut diagonal =
+            Matrix::identity(size(j)).plus(1.0, f.transpose(), f.view()).plus(1.0, c.transpose(), c.view());
+        let mut y = g(j, -1.0);
         if j < count {
-            y += f.transpose() * g(j + 1);
+            y = y.plus(1.0, f.transpose(), g(j + 1, 1.0).view());
         }
         if let Some(before) = rows.last_mut() {
-            let below = c.transpose() * &c_before - &f_before;
-            diagonal -= &below * before.factor.solve(below.transpose());
-            y -= &below * before.factor.solve(&before.y);
+            let mut below = Matrix::zeros(n, size(j - 1)).plus(1.0, c.transpose(), c_before.view());
+            axpy(-1.0, f_before.as_slice(), below.as_mut_slice());
+            let mut solved = below.transpose().to_matrix();
+            before.factor.solve_columns(solved.as_mut_slice());
+            diagonal = diagonal.plus(-1.0, below.view(), solved.view());
+            let mut solved = before.y.clone();
+            before.factor.solve_columns(solved.as_mut_slice());
+            y = y.plus(-1.0, below.view(), solved.view());
             (before.below, before.f) = (below, f_before);
         }
-        let failed = Error::NotPositiveDefinite { smallest: f64::NAN };
-        if !(diagonal.norm_max().is_finite()) {
-            return Err(failed);
-        }
-        let Ok(factor) = diagonal.llt(Side::Lower) else { return Err(failed) };
-        rows.push(Row { factor, y, below: Mat::zeros(0, size(j)), f: Mat::zeros(0, 0) });
+        let factor = Cholesky::new(size(j), diagonal.as_slice())
+            .map_err(|_| Error::NotPositiveDefinite { smallest: f64::NAN })?;
+        rows.push(Row { factor, y, below: Matrix::zeros(0, size(j)), f: Matrix::zeros(0, 0) });
     }
 
     // Backward, and p = T s.
-    let mut after: Option<Mat<f64>> = None;
+    let mut after: Option<Matrix> = None;
     for (j, row) in rows.iter().enumerate().rev() {
-        let s = match &after {
-            Some(after) => {
-                let s = row.factor.solve(&row.y - row.below.transpose() * after);
-                let carried = &row.f * &s;
-                (0..n).for_each(|i| p[start(j + 1) + i] = after[(i, 0)] - carried[(i, 0)]);
-                s
-            }
-            None => row.factor.solve(&row.y),
-        };
+        let mut s = row.y.clone();
+        if let Some(after) = &after {
+            s = s.plus(-1.0, row.below.transpose(), after.view());
+        }
+        row.factor.solve_columns(s.as_mut_slice());
+        if let Some(after) = &after {
+            let next = after.clone().plus(-1.0, row.f.view(), s.view());
+            p[start(j + 1)..start(j + 1) + n].copy_from_slice(next.as_slice());
+        }
         after = Some(s);
     }
     if let Some(s) = after {
-        (0..head).for_each(|i| p[i] = s[(i, 0)]);
+        p[..head].copy_from_slice(s.as_slice());
     }
     if p.iter().all(|p| p.is_finite()) {
         Ok(())
@@ -88,10 +94,10 @@ pub(super) fn solve(
 }
 
 struct Row {
-    factor: Llt<f64>,
-    y: Mat<f64>,
-    below: Mat<f64>,
-    f: Mat<f64>,
+    factor: Cholesky,
+    y: Matrix,
+    below: Matrix,
+    f: Matrix,
 }
 
 /// Column i of F_j and C_j: a tangent run of sub-window j from component i of its whitened start.
@@ -100,8 +106,8 @@ fn column(
     q: &dyn Precision,
     j: usize,
     i: usize,
-    f: &mut Mat<f64>,
-    c: &mut Mat<f64>,
+    f: &mut Matrix,
+    c: &mut Matrix,
 ) {
     let StrongConstraint {
         model: Some(model),

@@ -3,9 +3,8 @@
 use super::{Iteration, Minimum, Progress, Start, Status, check_tolerance};
 use crate::cost::norm;
 use crate::{Error, GaussNewton};
-use faer::linalg::solvers::Solve;
-use faer::{MatMut, MatRef, Side};
 use std::ops::ControlFlow;
+use varda_linalg::dense::Cholesky;
 
 /// Settings of [`newton`].
 #[derive(Debug, Clone, PartialEq)]
@@ -69,11 +68,11 @@ pub(super) fn run(
             break (status, None);
         }
         cost.hessian(&mut hessian)?;
-        let Ok(factor) = MatRef::from_column_major_slice(&hessian, n, n).llt(Side::Lower) else {
+        let Ok(factor) = Cholesky::new(n, &hessian) else {
             break (Status::Failed, Some(Error::NotPositiveDefinite { smallest: f64::NAN }));
         };
         p.copy_from_slice(&g);
-        factor.solve_in_place(MatMut::from_column_major_slice_mut(&mut p, n, 1));
+        factor.solve_columns(&mut p);
         v.iter_mut().zip(&p).for_each(|(v, p)| *v -= p);
         if let Err(error) = cost.evaluate(v, Some(&mut g)) {
             break (Status::Failed, Some(error));

@@ -2,8 +2,7 @@
 
 use super::{Fixture, expect_length, expect_size, largest, largest_difference, norm};
 use crate::row::{Case, Outcome};
-use faer::Mat;
-use faer::prelude::Solve;
+use nalgebra::{DMatrix, DVector};
 use serde::Deserialize;
 use std::path::Path;
 use varda_rod::{Derivatives, Energy, Framed, Rod, derivatives};
@@ -59,7 +58,8 @@ struct Reduced {
     hessian_x_lower: Vec<Vec<f64>>,
 }
 
-/// A turn this sharp (170° has 1.5e-2) is near a fold: coordinates given to 16 digits leave 1e-9 of the derivatives.
+/// A turn this sharp (170° has 1.5e-2) is near a fold: coordinates given to 16 digits leave 1e-9 of the
+/// derivatives.
 const NEAR_FOLD: f64 = 0.1;
 
 /// Most edges of a rod: its dense Hessian has (4n + 3)² entries.
@@ -173,7 +173,7 @@ fn check_reduced(case: &mut Case, rod: &Rod, f: &Given, reduced: &Reduced, toler
         theta[e] = f.theta[e];
     }
     let block = |d: &Derivatives, rows: &[usize], columns: &[usize]| {
-        Mat::from_fn(rows.len(), columns.len(), |i, j| d.hessian[rows[i] + columns[j] * full])
+        DMatrix::from_fn(rows.len(), columns.len(), |i, j| d.hessian[rows[i] + columns[j] * full])
     };
     let x_dofs: Vec<usize> = (0..nx).collect();
     let theta_dofs: Vec<usize> = free.iter().map(|e| nx + e).collect();
@@ -182,9 +182,9 @@ fn check_reduced(case: &mut Case, rod: &Rod, f: &Given, reduced: &Reduced, toler
     let mut d = at(rod, f, &theta)?;
     let mut first = 0.0;
     for iteration in 0..10 {
-        let residual = Mat::from_fn(free.len(), 1, |i, _| d.gradient[theta_dofs[i]]);
-        let step = block(&d, &theta_dofs, &theta_dofs).partial_piv_lu().solve(&residual);
-        let size = (0..free.len()).fold(0.0, |m, i| super::greater(m, step[(i, 0)].abs()));
+        let residual = DVector::from_fn(free.len(), |i, _| d.gradient[theta_dofs[i]]);
+        let step = block(&d, &theta_dofs, &theta_dofs).lu().solve(&residual).ok_or("H_θθ is singular")?;
+        let size = (0..free.len()).fold(0.0, |m, i| super::greater(m, step[i].abs()));
         if iteration == 0 {
             first = size;
         }
@@ -196,7 +196,7 @@ fn check_reduced(case: &mut Case, rod: &Rod, f: &Given, reduced: &Reduced, toler
             break;
         }
         for (i, &e) in free.iter().enumerate() {
-            theta[e] -= step[(i, 0)];
+            theta[e] -= step[i];
         }
         d = at(rod, f, &theta)?;
     }
@@ -204,7 +204,7 @@ fn check_reduced(case: &mut Case, rod: &Rod, f: &Given, reduced: &Reduced, toler
     let note = format!("first Newton step from theta_star {first:.1e} rad");
     gradient_row(case, "reduced_gradient", &d.gradient[..nx], &reduced.gradient_x, rod, tolerance).note(note);
     let cross = block(&d, &theta_dofs, &x_dofs);
-    let solved = block(&d, &theta_dofs, &theta_dofs).partial_piv_lu().solve(&cross);
+    let solved = block(&d, &theta_dofs, &theta_dofs).lu().solve(&cross).ok_or("H_θθ is singular")?;
     let schur = block(&d, &x_dofs, &x_dofs) - cross.transpose() * solved;
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
     for (i, row) in reduced.hessian_x_lower.iter().enumerate() {
@@ -223,7 +223,8 @@ fn at(rod: &Rod, f: &Given, theta: &[f64]) -> Result<Derivatives, varda_rod::Err
     derivatives(rod, &Framed { vertices, directors, reference_twist: &f.ref_twist, theta })
 }
 
-/// Errors count against the largest entry, or against the rounding of EA where that is larger (a straight rod has no forces).
+/// Errors count against the largest entry, or against the rounding of EA where that is larger (a straight rod
+/// has no forces).
 fn gradient_row<'a>(
     case: &'a mut Case,
     what: &str,

@@ -1,12 +1,16 @@
-//! Banded linear algebra: symmetric LDLᵀ without pivoting, and LU with partial pivoting.
+//! Band matrices: symmetric LDLᵀ without pivoting, LU with partial pivoting, Cholesky roots.
 //!
-//! Plain functions on slices in the layouts of [`Structure`](crate::Structure). Both factorizations cost O(n w²), every
+//! Plain functions on slices in the layouts of [`Structure`](crate::Structure). The factorizations cost O(n w²), every
 //! solve O(n w), and nothing allocates. The symmetric factorization is the hot loop of a rod: half-bandwidths 5, 8 and
 //! 10 (a chain, a rod without twist, a rod) have their own code, in which every loop over the band has a fixed length.
 //!
 //! LDLᵀ without pivoting is backward stable for a positive definite matrix, and exact up to the growth of its
 //! intermediate values otherwise (Golub and Van Loan 2013, section 4.4); Sylvester's law makes the number of negative
 //! pivots that of negative eigenvalues.
+
+mod cholesky;
+
+pub use cholesky::Cholesky;
 
 /// The first row at which a factorization found no usable pivot: zero, subnormal (its inverse overflows), not finite, or nothing but
 /// rounding.

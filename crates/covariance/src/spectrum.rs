@@ -1,6 +1,9 @@
 //! What a covariance is like: its spectrum, condition number and effective rank.
 
-/// The eigenvalues λ₁ ≥ λ₂ ≥ … ≥ λ_n of a covariance. Get it from `Covariance::spectrum` (feature `eigen`).
+use crate::error::Error;
+use crate::operator::Covariance;
+
+/// The eigenvalues λ₁ ≥ λ₂ ≥ … ≥ λ_n of a covariance. See [`Spectrum::of`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spectrum {
     /// All n eigenvalues, descending, in the square of the field's unit. Those of a singular covariance may be round-off of either sign.
@@ -8,6 +11,35 @@ pub struct Spectrum {
 }
 
 impl Spectrum {
+    /// The eigenvalues of a covariance, which is formed column by column: n products, O(n³) time, O(n²) memory. For a
+    /// covariance made of smaller ones, those of its parts are cheaper.
+    ///
+    /// ```
+    /// use varda_covariance::{Diagonal, Spectrum};
+    ///
+    /// let spectrum = Spectrum::of(&Diagonal::new(vec![1.0, 3.0])?)?;
+    /// assert_eq!(spectrum.condition_number(), 9.0);
+    /// # Ok::<(), varda_covariance::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Eigen`] if the eigenvalue iteration fails, [`Error::NonFinite`] if `apply` gave a value that is not finite.
+    pub fn of(covariance: &(impl Covariance + ?Sized)) -> Result<Self, Error> {
+        let n = covariance.dim();
+        let mut matrix = vec![0.0; n * n];
+        let mut unit = vec![0.0; n];
+        for (j, column) in matrix.chunks_exact_mut(n.max(1)).enumerate() {
+            unit[j] = 1.0;
+            covariance.apply(&unit, column);
+            unit[j] = 0.0;
+            if let Some(i) = column.iter().position(|value| !value.is_finite()) {
+                return Err(Error::NonFinite { row: i, column: j, value: column[i] });
+            }
+        }
+        Ok(Self::new(varda_linalg::eigenvalues(n, &matrix)?))
+    }
+
     /// Sorts the eigenvalues.
     pub fn new(mut eigenvalues: Vec<f64>) -> Self {
         eigenvalues.sort_by(|a, b| b.total_cmp(a));
@@ -65,5 +97,26 @@ mod tests {
         assert_eq!(spectrum.explained_variance(2), 7.0 / 8.0);
         assert_eq!(Spectrum::new(vec![1.0, 0.0]).condition_number(), f64::INFINITY);
         assert!(Spectrum::new(vec![]).condition_number().is_nan());
+    }
+
+    #[test]
+    fn a_product_that_is_not_finite_is_an_error() {
+        struct Broken(usize);
+        impl Covariance for Broken {
+            fn dim(&self) -> usize {
+                self.0
+            }
+            fn root_dim(&self) -> usize {
+                self.0
+            }
+            fn apply(&self, _: &[f64], y: &mut [f64]) {
+                y.copy_from_slice(&[1.0, f64::NAN][..self.0]);
+            }
+            fn root(&self, _: &[f64], _: &mut [f64]) {}
+            fn root_transpose(&self, _: &[f64], _: &mut [f64]) {}
+            fn variance(&self, _: &mut [f64]) {}
+        }
+        assert!(matches!(Spectrum::of(&Broken(2)), Err(Error::NonFinite { row: 1, column: 0, .. })));
+        assert_eq!(Spectrum::of(&Broken(0)).unwrap().eigenvalues, [0.0; 0]);
     }
 }

@@ -1,0 +1,86 @@
+//! Sparse matrices in compressed columns: LU (faer's).
+
+use crate::{BadPivot, clear_upper_registers};
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::sparse::linalg::{LuError, lu};
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
+use faer::{ColMut, Conj, Par};
+
+/// The numbers of one sparse LU factor.
+pub(crate) type NumericLu = lu::NumericLu<usize, f64>;
+
+/// LU factorizations of sparse matrices with one pattern.
+pub(crate) struct SparseLu {
+    columns: Vec<usize>,
+    rows: Vec<usize>,
+    symbolic: lu::SymbolicLu<usize>,
+    scratch: MemBuffer,
+    probe: Vec<f64>,
+}
+
+impl SparseLu {
+    /// # Panics
+    /// If this is not a pattern of n rows and columns.
+    pub(crate) fn new(n: usize, columns: &[usize], rows: &[usize]) -> Self {
+        let pattern = SymbolicSparseColMatRef::new_checked(n, n, columns, None, rows);
+        let symbolic =
+            lu::factorize_symbolic_lu(pattern, Default::default()).expect("room for the symbolic factor");
+        let scratch = symbolic
+            .factorize_numeric_lu_scratch::<f64>(Par::Seq, Default::default())
+            .or(symbolic.solve_in_place_scratch::<f64>(1, Par::Seq))
+            .or(symbolic.solve_transpose_in_place_scratch::<f64>(1, Par::Seq));
+        Self {
+            columns: columns.to_vec(),
+            rows: rows.to_vec(),
+            symbolic,
+            scratch: MemBuffer::new(scratch),
+            probe: vec![0.0; n],
+        }
+    }
+
+    pub(crate) fn factor(&mut self, values: &[f64], factor: &mut NumericLu) -> Result<(), BadPivot> {
+        let n = self.probe.len();
+        let pattern = SymbolicSparseColMatRef::new_checked(n, n, &self.columns, None, &self.rows);
+        let made = self.symbolic.factorize_numeric_lu(
+            factor,
+            SparseColMatRef::new(pattern, values),
+            Par::Seq,
+            MemStack::new(&mut self.scratch),
+            Default::default(),
+        );
+        clear_upper_registers();
+        made.map_err(|e| match e {
+            LuError::SymbolicSingular { index } => BadPivot { row: index },
+            LuError::Generic(_) => BadPivot { row: 0 },
+        })?;
+        // faer factors a singular matrix without an error: its solutions are not finite
+        let mut probe = std::mem::take(&mut self.probe);
+        probe.fill(1.0);
+        self.solve(factor, &mut probe);
+        let bad = probe.iter().position(|p| !p.is_finite());
+        self.probe = probe;
+        bad.map_or(Ok(()), |row| Err(BadPivot { row }))
+    }
+
+    /// b ← A⁻¹ b.
+    pub(crate) fn solve(&mut self, factor: &NumericLu, b: &mut [f64]) {
+        lu::LuRef::new_unchecked(&self.symbolic, factor).solve_in_place_with_conj(
+            Conj::No,
+            ColMut::from_slice_mut(b).as_mat_mut(),
+            Par::Seq,
+            MemStack::new(&mut self.scratch),
+        );
+        clear_upper_registers();
+    }
+
+    /// b ← A⁻ᵀ b.
+    pub(crate) fn solve_transpose(&mut self, factor: &NumericLu, b: &mut [f64]) {
+        lu::LuRef::new_unchecked(&self.symbolic, factor).solve_transpose_in_place_with_conj(
+            Conj::No,
+            ColMut::from_slice_mut(b).as_mat_mut(),
+            Par::Seq,
+            MemStack::new(&mut self.scratch),
+        );
+        clear_upper_registers();
+    }
+}
