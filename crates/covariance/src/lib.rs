@@ -96,3 +96,8 @@ pub use sparse_precision::SparsePrecision;
 pub use spectrum::Spectrum;
 pub use truncated::Truncated;
 pub use varda_linalg::sparse::Ordering;
+
+/// The example of README.md, compiled and run with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
