@@ -1,6 +1,6 @@
 //! Imports between the files of a crate, read from its sources.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 
 /// The files of a crate.
@@ -32,6 +32,10 @@ impl Tree {
 
     /// A crate of these files.
     pub(crate) fn of(files: BTreeMap<String, String>) -> Tree {
+        // A library's program is a crate of its own, which imports the library by its name.
+        let is_program = |name: &str| name == "main.rs" && files.contains_key("lib.rs");
+        let files: BTreeMap<String, String> =
+            files.clone().into_iter().filter(|(name, _)| !is_program(name)).collect();
         // A module that exists for tests alone, in a file of its own, does not count either.
         let for_tests: BTreeSet<Vec<String>> = files
             .iter()
@@ -61,11 +65,9 @@ impl Tree {
             for path in uses.iter().filter(|u| !u.is_public || names_word(&rest, &u.name)) {
                 self.add(name, &here, &path.path, &mut all);
             }
-            let depth = here.len();
-            let is_child = |m: &&Vec<String>| m.len() == depth + 1 && m.starts_with(&here);
-            let children = self.modules.keys().filter(is_child).map(|m| format!("{}::", m[depth]));
-            let starts = children.chain(["crate::", "super::", "self::"].map(String::from));
-            for path in starts.flat_map(|start| paths(&rest, &start)) {
+            // A call into a module below by its path, `child::f()`, is how a folder's front dispatches: not an import.
+            let starts = ["crate::", "super::"].into_iter();
+            for path in starts.flat_map(|start| paths(&rest, start)) {
                 self.add(name, &here, &path, &mut all);
             }
         }
@@ -123,30 +125,36 @@ impl Tree {
     }
 }
 
-/// The first circle of files, from one of them back to itself.
-pub(crate) fn circle(imports: &BTreeSet<(String, String)>) -> Option<Vec<String>> {
+/// Circles of files, each from its first file back to it: the shortest one through every file that is in one.
+pub(crate) fn circles(imports: &BTreeSet<(String, String)>) -> Vec<Vec<String>> {
     let starts: BTreeSet<&String> = imports.iter().map(|(from, _)| from).collect();
-    for start in starts {
-        // Breadth first: the shortest circle through this file.
-        let mut before: BTreeMap<&String, &String> = BTreeMap::new();
-        let mut open = std::collections::VecDeque::from([start]);
-        while let Some(file) = open.pop_front() {
-            for (_, to) in imports.iter().filter(|(from, _)| from == file) {
-                if to == start {
-                    let mut files = vec![start.clone()];
-                    let mut at = file;
-                    while at != start {
-                        files.push(at.clone());
-                        at = before[at];
-                    }
-                    files.push(start.clone());
-                    files.reverse();
-                    return Some(files);
+    let mut found: BTreeMap<BTreeSet<String>, Vec<String>> = BTreeMap::new();
+    for files in starts.into_iter().filter_map(|start| circle_through(start, imports)) {
+        found.entry(files.iter().cloned().collect()).or_insert(files);
+    }
+    found.into_values().collect()
+}
+
+/// The shortest circle through a file, found breadth first.
+fn circle_through(start: &String, imports: &BTreeSet<(String, String)>) -> Option<Vec<String>> {
+    let mut before: BTreeMap<&String, &String> = BTreeMap::new();
+    let mut open = VecDeque::from([start]);
+    while let Some(file) = open.pop_front() {
+        for (_, to) in imports.iter().filter(|(from, _)| from == file) {
+            if to == start {
+                let mut files = vec![start.clone()];
+                let mut at = file;
+                while at != start {
+                    files.push(at.clone());
+                    at = before[at];
                 }
-                if !before.contains_key(to) {
-                    before.insert(to, file);
-                    open.push_back(to);
-                }
+                files.push(start.clone());
+                files.reverse();
+                return Some(files);
+            }
+            if !before.contains_key(to) {
+                before.insert(to, file);
+                open.push_back(to);
             }
         }
     }
