@@ -8,9 +8,6 @@ fn check(suite: &str) {
     assert!(!report.rows.is_empty(), "{suite} has no rows");
     let failed: Vec<Row> = report.rows.iter().filter(|row| !row.pass).cloned().collect();
     assert!(failed.is_empty(), "{} rows failed:\n{}", failed.len(), table(&failed));
-    if suite != "stiff" {
-        return;
-    }
     let without = |r: &Row| r.bound != 0.0 && r.bound.is_finite() && r.reason.is_empty();
     let without: Vec<Row> = report.rows.into_iter().filter(without).collect();
     assert!(without.is_empty(), "bounds without a reason:\n{}", table(&without));

@@ -1,30 +1,44 @@
-//! Developer commands: `cargo xtask verify`, `cargo xtask bench`, `cargo xtask docs`, `cargo xtask deps`, `cargo xtask ci`.
+//! Developer commands: `cargo xtask --help` lists them.
 #![forbid(unsafe_code)]
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
+mod compare;
 mod deps;
 mod docs;
+mod lint;
+mod package;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 const HELP: &str = "\
 cargo xtask verify [SUITE…] [--quick | --full] [-v] [--json FILE] [--fixtures DIR] [--list] [--help]
-    Runs the verification suites in a release build and prints one line a suite and every row that failed. --list: what each
-    suite proves. --help: all options.
+    Runs the verification suites in a release build and prints one line a suite and every row that failed.
+    --list: what each suite proves. --help: all options.
 cargo xtask bench [NAME…] [--quick] [--out DIR]
-    Error against run time (time, gradient, assimilation, scaling, leftout, instructions, workers, build) in a release build: prints tables and
-    writes docs/results/NAME.md, .csv and .svg. --quick: few cases and samples, nothing written. --out: another folder.
+    Error against run time (time, gradient, assimilation, scaling, leftout, instructions, workers, build)
+    in a release build: prints tables and writes docs/results/NAME.md, .csv and .svg. --quick: few cases
+    and samples, nothing written. --out: another folder.
 cargo xtask bench case4 [OPTION…]
-    The study of minimizers on case 4 of the paper, 100 seeds of two priors: docs/results/case4.md. --help: its options.
+    The study of minimizers on case 4 of the paper, 100 seeds of two priors: docs/results/case4.md.
+    --help: its options.
 cargo xtask bench lorenz96-cycling [SEEDS [PART OF A NAME]]
     The table of cycling methods on Lorenz-96, docs/results/lorenz96-cycling.md.
 cargo xtask docs
     Documentation of all crates with an index page, in target/doc.
+cargo xtask compare OLD NEW [SCENE…]
+    The shipped scenes by two binaries of varda, number by number. --help: the rules and options.
+cargo xtask lint
+    Rules about the text of the sources: columns, lines of a file, references that a reader cannot open,
+    packages that only one crate may use.
 cargo xtask deps
-    Licences and sources of all dependencies, offline, against deny.toml.
+    What each crate does without; cargo-deny and cargo-semver-checks where they are installed.
+cargo xtask package
+    The crates as crates.io would get them, each with its licences and README.
+cargo xtask external
+    The programs of tests/external, built and run with the packaged crates.
 cargo xtask ci
-    deps, fmt, clippy with warnings denied, tests, verify, docs.
+    Everything that gates a change: .ci/run.
 ";
 
 fn main() -> ExitCode {
@@ -34,8 +48,12 @@ fn main() -> ExitCode {
         ["verify", rest @ ..] => release("tests", rest),
         ["bench", rest @ ..] => release("bench", rest),
         ["docs"] => docs::build(),
+        ["compare", rest @ ..] => compare::run(rest),
+        ["lint"] => lint::check(),
         ["deps"] => deps::check(),
-        ["ci"] => ci(),
+        ["package"] => package::package().map(|_| ()),
+        ["external"] => package::external(),
+        ["ci"] => run(Command::new("bash").arg(root().join(".ci/run"))),
         [] | ["help" | "--help" | "-h"] => {
             print!("{HELP}");
             Ok(())
@@ -51,28 +69,13 @@ fn main() -> ExitCode {
     }
 }
 
-/// Builds the binary of a package, named like the package, with optimization and cargo's own progress, and runs it. Paths are
-/// those of the caller's folder.
+/// Builds the binary of a package, named like the package, with optimization and cargo's own progress, and
+/// runs it. Paths are those of the caller's folder.
 fn release(package: &str, arguments: &[&str]) -> Result<(), String> {
     let manifest = root().join("Cargo.toml");
     let target = ["--release", "--package", package, "--bin", package, "--manifest-path"];
     run(cargo().arg("build").args(target).arg(&manifest))?;
     run(cargo().args(["run", "--quiet"]).args(target).arg(&manifest).arg("--").args(arguments))
-}
-
-fn ci() -> Result<(), String> {
-    deps::check()?;
-    let steps: [&[&str]; 3] = [
-        &["fmt", "--all", "--check"],
-        &["clippy", "--workspace", "--all-targets", "--", "--deny", "warnings"],
-        &["test", "--workspace"],
-    ];
-    for step in steps {
-        println!("cargo {}", step.join(" "));
-        run(cargo().args(step).current_dir(root()))?;
-    }
-    release("tests", &[])?;
-    docs::build()
 }
 
 /// The workspace's top folder.
@@ -83,6 +86,15 @@ fn root() -> PathBuf {
 /// The cargo that runs this.
 fn cargo() -> Command {
     Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+}
+
+/// Whether a subcommand of cargo is installed; where not, prints what goes without.
+fn installed(subcommand: &str, without: &str) -> bool {
+    let found = cargo().args([subcommand, "--version"]).output().is_ok_and(|o| o.status.success());
+    if !found {
+        println!("skipped: cargo-{subcommand} is not installed; {without}");
+    }
+    found
 }
 
 fn run(command: &mut Command) -> Result<(), String> {

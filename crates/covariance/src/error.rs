@@ -122,6 +122,9 @@ impl From<varda_linalg::Error> for Error {
             Linalg::Singular { pivot, value, diagonal: variance, tolerance } => {
                 Error::Singular { pivot, value, variance, tolerance }
             }
+            Linalg::NotSymmetric { row, column, value, mirror } => {
+                Error::NotSymmetric { row, column, value, mirror }
+            }
             Linalg::Eigen { dim } => Error::Eigen { dim },
             other => Error::LinearAlgebra(other),
         }

@@ -14,6 +14,18 @@ pub enum Error {
         /// The entry.
         value: f64,
     },
+    /// The matrix is not symmetric.
+    #[error("the matrix is not symmetric: entry ({row}, {column}) is {value:e}, its mirror image {mirror:e}")]
+    NotSymmetric {
+        /// Row of the entry.
+        row: usize,
+        /// Column of the entry.
+        column: usize,
+        /// The entry.
+        value: f64,
+        /// The entry with row and column exchanged.
+        mirror: f64,
+    },
     /// Cholesky met a negative pivot.
     #[error(
         "the matrix is not positive definite: pivot {pivot} is {value:e}, from a diagonal entry of {diagonal:e}"
@@ -40,6 +52,30 @@ pub enum Error {
         diagonal: f64,
         /// The value it had to exceed.
         tolerance: f64,
+    },
+    /// A product of an iterative method gave values that are not finite.
+    #[error("product {iteration} of an iterative method is not finite")]
+    NonFiniteProduct {
+        /// Index of the iteration.
+        iteration: usize,
+    },
+    /// Conjugate gradients met a direction p with pᵀ A p ≤ 0.
+    #[error("the operator is not positive definite: curvature {curvature:e} in iteration {iteration}")]
+    NegativeCurvature {
+        /// Index of the iteration.
+        iteration: usize,
+        /// pᵀ A p.
+        curvature: f64,
+    },
+    /// A sparse pattern that is none.
+    #[error("a pattern of {n} rows and columns cannot have {what}: {found}")]
+    Pattern {
+        /// Number of rows and columns.
+        n: usize,
+        /// What is wrong.
+        what: &'static str,
+        /// The number that is out of order.
+        found: usize,
     },
     /// The symmetric eigenvalue iteration failed, or gave values that are not finite.
     #[error("the eigenvalues of a {dim} × {dim} matrix could not be computed")]

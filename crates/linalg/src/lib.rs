@@ -3,9 +3,12 @@
 #![forbid(unsafe_code)]
 
 pub mod band;
+#[cfg(any(feature = "nalgebra", feature = "sprs"))]
+mod convert;
 pub mod dense;
 mod eigen;
 mod error;
+pub mod krylov;
 mod registers;
 mod solver;
 mod sparse;

@@ -64,12 +64,7 @@ impl LinearSolver {
 
     /// Number of values of a matrix of this structure.
     pub fn values_len(&self) -> usize {
-        match &self.structure {
-            Structure::Dense => self.n * self.n,
-            Structure::SymmetricBand { half_bandwidth } => self.n * (half_bandwidth + 1),
-            Structure::Band { half_bandwidth } => self.n * (2 * half_bandwidth + 1),
-            Structure::Sparse { rows, .. } => rows.len(),
-        }
+        self.structure.values_len(self.n)
     }
 
     /// Room for a factor.

@@ -9,6 +9,13 @@ use varda_assimilation::{GaussNewton, Incremental};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 use varda_implicit::{Counts, Error, ImplicitModel, Keep, Model, OneLeg, Rk4, Trajectory, check};
 
+/// Reason of the bound of every dot product.
+const ROUNDING: &str =
+    "50 ε times the condition of the product: a few roundings for every number that enters";
+
+/// Reason of the bound of the flagship's dot product.
+const WINDOW: &str = "100 steps of condition up to 50, 50 ε each: 1e-12 holds every sweep to its rounding";
+
 /// Steps of the short windows.
 const STEPS: usize = 8;
 
@@ -69,7 +76,7 @@ fn flagship(case: &mut Case) -> Outcome {
     let scale = rod_scale(model.step_ref());
     let test = check::window(&mut model, &truth, rod.steps, &scale, 1)?;
     let note = format!("condition {:.1e}", test.condition);
-    case.at_most("dot product", test.value, 1e-12, "-").computed(test.forward).note(note);
+    case.at_most("dot product", test.value, 1e-12, "-").computed(test.forward).note(note).because(WINDOW);
     Ok(())
 }
 
@@ -77,13 +84,16 @@ fn flagship(case: &mut Case) -> Outcome {
 fn model_rows(case: &mut Case, model: &mut dyn Model, x: &[f64], scale: &[f64]) -> Outcome {
     for outcome in check::conformance(model, 2, x, scale, 3)? {
         if !outcome.what.contains("Taylor") {
-            case.at_most(outcome.what, outcome.value, outcome.bound, "-");
+            case.at_most(outcome.what, outcome.value, outcome.bound, "-").because(ROUNDING);
         }
     }
     Trajectory::new().run(model, x, STEPS, Keep::Linearizations)?;
     let test = check::dot_product(model, 0..STEPS, scale, 5)?;
     let note = format!("condition {:.1e}", test.condition);
-    case.at_most("window: dot product", test.value, test.bound, "-").computed(test.forward).note(note);
+    case.at_most("window: dot product", test.value, test.bound, "-")
+        .computed(test.forward)
+        .note(note)
+        .because(ROUNDING);
     Ok(())
 }
 
@@ -143,7 +153,8 @@ fn increments(case: &mut Case, origin: &[f64], cost: &mut dyn Incremental) -> Ou
 
 type Map<'a> = dyn FnMut(&[f64], &mut [f64]) -> Outcome + 'a;
 
-/// |⟨A u, w⟩ − ⟨u, Aᵀ w⟩| / (‖A u‖ ‖w‖) against 50 ε times the condition ‖A‖ ‖u‖ / ‖A u‖ of the product, ‖A‖ by power iteration.
+/// |⟨A u, w⟩ − ⟨u, Aᵀ w⟩| / (‖A u‖ ‖w‖) against 50 ε times the condition
+/// ‖A‖ ‖u‖ / ‖A u‖ of the product, ‖A‖ by power iteration.
 fn dot_product_row(case: &mut Case, what: &str, n: usize, m: usize, a: &mut Map, at: &mut Map) -> Outcome {
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let norm = |a: &[f64]| dot(a, a).sqrt();
@@ -165,11 +176,15 @@ fn dot_product_row(case: &mut Case, what: &str, n: usize, m: usize, a: &mut Map,
     let (forward, backward) = (dot(&au, &w), dot(&u, &atw));
     let value = (forward - backward).abs() / (norm(&au) * norm(&w));
     let bound = 50.0 * f64::EPSILON * condition.max(1.0);
-    case.at_most(what, value, bound, "-").computed(forward).note(format!("condition {condition:.1e}"));
+    case.at_most(what, value, bound, "-")
+        .computed(forward)
+        .note(format!("condition {condition:.1e}"))
+        .because(ROUNDING);
     Ok(())
 }
 
-/// A model that forgets its state has a tangent and an adjoint of zero, which agree; the test must refuse to judge.
+/// A model that forgets its state has a tangent and an adjoint of zero, which agree; the test must refuse to
+/// judge.
 fn guard(case: &mut Case) -> Outcome {
     struct Forgetful;
     impl Model for Forgetful {

@@ -1,8 +1,8 @@
-//! The paper's experiment, from the shipped scenes, five seeds each: where its full-step Newton converges, where the default ends, and how good the
-//! analyses are.
+//! The paper's experiment, from the shipped scenes, five seeds each: where its full-step Newton converges,
+//! where the default ends, and how good the analyses are.
 
 use super::{Options, Report};
-use crate::row::Rows;
+use crate::row::{Case, Rows};
 use std::error::Error;
 use std::fmt::Write;
 use std::ops::ControlFlow;
@@ -14,15 +14,24 @@ use varda_assimilation::{
 
 /// What the paper says, and what is found here.
 const WORDS: &str = "\
-The paper, section 3.3: \"For Cases 1 to 3, Newton's method performed well\"; \"the 4th case led to divergence\";
-\"the initial velocities are assimilated much faster and more effectively than the initial positions, which undergo very
-little change\"; \"the loss and gradient plateaus after about a dozen iterations\". It has one draw a case, the plain prior.
-Newton: dense Hessian (2.18), full steps, at most 50; converged means |g| ≤ 1e-6 |g₀|. Default: that of scenes, a trust region on
-the true J; where J_o > 10 m at the background or it did not converge, also through inflated σ and from draws, until two runs agree. RMSE over components, mean over seeds, background → analysis.
+The paper, section 3.3: \"For Cases 1 to 3, Newton's method performed well\"; \"the 4th case led to \
+divergence\";
+\"the initial velocities are assimilated much faster and more effectively than the initial positions, which \
+undergo very
+little change\"; \"the loss and gradient plateaus after about a dozen iterations\". It has one draw a case, \
+the plain prior.
+Newton: dense Hessian (2.18), full steps, at most 50; converged means |g| ≤ 1e-6 |g₀|. Default: that of \
+scenes, a trust region on
+the true J; where J_o > 10 m at the background or it did not converge, also through inflated σ and from \
+draws, until two runs agree. RMSE over components, mean over seeds, background → analysis.
 ";
 
+/// Seeds of a full run.
+const SEEDS: u64 = 5;
+
 pub(super) fn run(options: &Options) -> Report {
-    let seeds = if options.quick { 2 } else { 5 };
+    // Seed 1: where the plain prior's first step fails least, so that a quick run stays quick.
+    let seeds: Vec<u64> = if options.quick { vec![1] } else { (0..SEEDS).collect() };
     let mut rows = Rows::new("paper");
     let mut text = format!("{WORDS}\n");
     let head =
@@ -33,39 +42,13 @@ pub(super) fn run(options: &Options) -> Report {
         for conditioned in [true, false] {
             let name = format!("case{case}-{}", if conditioned { "clamp" } else { "plain" });
             rows.case(&name, |row| {
-                let mut runs = Vec::new();
-                for seed in 0..seeds {
-                    runs.push(experiment(case, conditioned, seed)?);
-                }
-                let worst = runs.iter().map(|r| r.default.0).fold(0.0, f64::max);
-                let worst = if runs.iter().any(|r| r.default.0.is_nan()) { f64::NAN } else { worst };
-                row.at_most("default: worst |g|/|g₀|", worst, 1e-6, "-").computed(worst);
-                let converged = runs.iter().filter(|r| r.newton.is_some()).count();
-                row.inform("Newton: runs converged", converged as f64, "-")
-                    .note(format!("of {seeds}; informative"));
-                let mean = |f: &dyn Fn(&Run) -> f64| runs.iter().map(f).sum::<f64>() / runs.len() as f64;
-                let rmse: Vec<[f64; 2]> =
-                    (0..2).map(|q| [mean(&|r| r.before[q]), mean(&|r| r.after[q])]).collect();
-                row.inform("J at the analysis, mean", mean(&|r| r.value), "-")
-                    .note("expected m/2 = 60; informative");
-                row.inform("position RMSE of the background", rmse[0][0], "m");
-                row.inform("position RMSE of the analysis", rmse[0][1], "m");
-                row.inform("velocity RMSE of the background", rmse[1][0], "m/s");
-                row.inform("velocity RMSE of the analysis", rmse[1][1], "m/s");
-                let newton: Vec<String> =
-                    runs.iter().map(|r| r.newton.map_or("-".into(), |n| n.to_string())).collect();
-                let its: Vec<String> = runs.iter().map(|r| r.default.1.to_string()).collect();
-                let values: Vec<String> = runs.iter().map(|r| format!("{:.1}", r.value)).collect();
-                let cells = [
-                    name.clone(),
-                    format!("{converged} of {seeds}"),
-                    newton.join(" "),
-                    format!("{worst:.1e}"),
-                    its.join(" "),
-                    format!("{:.1} → {:.1}", 1e3 * rmse[0][0], 1e3 * rmse[0][1]),
-                    format!("{:.3} → {:.3}", rmse[1][0], rmse[1][1]),
-                ];
-                line(&mut text, cells, &values.join(" "));
+                let runs = seeds.iter().map(|&seed| experiment(case, conditioned, seed)).collect::<Result<
+                    Vec<Run>,
+                    _,
+                >>(
+                )?;
+                check(row, case, conditioned, &runs);
+                line(&mut text, summary(&name, &runs), &listed(&runs, |r| format!("{:.1}", r.value)));
                 all.extend(runs.into_iter().map(|run| (case, conditioned, run)));
                 Ok(())
             });
@@ -73,6 +56,97 @@ pub(super) fn run(options: &Options) -> Report {
     }
     text.push_str(&beside_the_paper(&all));
     Report { rows: rows.finish(), text }
+}
+
+/// The findings of one case as rows.
+fn check(row: &mut Case, case: usize, conditioned: bool, runs: &[Run]) {
+    let seeds = runs.len();
+    let worst = runs.iter().map(|r| r.default.0).fold(0.0, |m: f64, g| if g <= m { m } else { g });
+    row.at_most("default: worst |g|/|g₀|", worst, 1e-6, "-")
+        .computed(worst)
+        .because("the scene asks for 1e-8; a hundred times that is a minimum for every purpose here");
+
+    let converged = runs.iter().filter(|r| r.newton.is_some()).count();
+    let note = format!("{converged} of {seeds} runs converge");
+    match (case, conditioned) {
+        (1, false) => row
+            .at_most("Newton: runs converged", converged as f64, 0.0, "-")
+            .note(note)
+            .because("found in every seed here; the paper's one draw converged"),
+        (4, false) => row
+            .at_most("Newton: runs converged", converged as f64, 0.0, "-")
+            .note(note)
+            .because("the paper: \"the 4th case led to divergence\""),
+        (4, true) => row
+            .inform("Newton: runs converged", converged as f64, "-")
+            .note(format!("{note}; the paper has no such prior")),
+        _ => row
+            .at_most("Newton: runs that do not converge", (seeds - converged) as f64, 0.0, "-")
+            .note(note)
+            .because("the paper: \"for Cases 1 to 3, Newton's method performed well\""),
+    };
+    // NaN where Newton's method did not converge in any run.
+    let left = runs.iter().filter_map(|r| r.left_after_a_dozen).fold(f64::NAN, f64::max);
+    if case < 4 && converged > 0 {
+        row.at_most("Newton: (J₁₂ − J_a)/(J_b − J_a) where it converges", left, 1e-3, "-")
+            .computed(left)
+            .because(
+                "the paper: \"the loss and gradient plateaus after about a dozen iterations\": a \
+                thousandth of the fall is not seen",
+            );
+    }
+
+    let mean = |f: &dyn Fn(&Run) -> f64| runs.iter().map(f).sum::<f64>() / seeds as f64;
+    let value = mean(&|r| r.value);
+    row.at_most(
+        "|mean of J at the analysis − \
+        m/2|",
+        (value - 60.0).abs(),
+        31.0 / (seeds as f64).sqrt(),
+        "-",
+    )
+    .computed(value)
+    .because(
+        "2J has mean m = 120 and variance 2m: J has σ = 7.7; four standard errors of a mean over \
+            the seeds",
+    );
+    let of = |q: usize| mean(&|r| r.after[q]) / mean(&|r| r.before[q]);
+    let (position, velocity) = (of(0), of(1));
+    row.at_most("position RMSE, analysis / background", position, 1.0, "-")
+        .note(format!("{:.4} → {:.4} m", mean(&|r| r.before[0]), mean(&|r| r.after[0])))
+        .because("an analysis that is no better than its background is none");
+    row.at_most("velocity RMSE, analysis / background", velocity, 1.0, "-")
+        .note(format!("{:.3} → {:.3} m/s", mean(&|r| r.before[1]), mean(&|r| r.after[1])))
+        .because("an analysis that is no better than its background is none");
+    let gain = velocity / position;
+    if conditioned && case == 4 {
+        row.inform("share left of velocities / of positions", gain, "-")
+            .note("the paper has no such prior; with exact observations positions gain as much");
+    } else {
+        row.at_most("share left of velocities / of positions", gain, 1.0, "-")
+            .because("the paper: velocities are assimilated \"more effectively than the initial positions\"");
+    }
+}
+
+/// What a run gives, for each seed.
+fn listed(runs: &[Run], what: impl Fn(&Run) -> String) -> String {
+    runs.iter().map(what).collect::<Vec<String>>().join(" ")
+}
+
+/// The cells of a case's line.
+fn summary(name: &str, runs: &[Run]) -> [String; 7] {
+    let converged = runs.iter().filter(|r| r.newton.is_some()).count();
+    let worst = runs.iter().map(|r| r.default.0).fold(0.0, |m: f64, g| if g <= m { m } else { g });
+    let mean = |f: &dyn Fn(&Run) -> f64| runs.iter().map(f).sum::<f64>() / runs.len() as f64;
+    [
+        name.to_string(),
+        format!("{converged} of {}", runs.len()),
+        listed(runs, |r| r.newton.map_or("-".into(), |n| n.to_string())),
+        format!("{worst:.1e}"),
+        listed(runs, |r| r.default.1.to_string()),
+        format!("{:.1} → {:.1}", 1e3 * mean(&|r| r.before[0]), 1e3 * mean(&|r| r.after[0])),
+        format!("{:.3} → {:.3}", mean(&|r| r.before[1]), mean(&|r| r.after[1])),
+    ]
 }
 
 fn line(text: &mut String, cells: [String; 7], last: &str) {
@@ -94,9 +168,10 @@ fn beside_the_paper(all: &[(usize, bool, Run)]) -> String {
         100.0 * all.iter().map(ratio).sum::<f64>() / all.len() as f64
     };
     format!(
-        "\nHere: Newton converges in {} runs of cases 1 to 3 with the plain prior ({} in case 1 alone) and in {} of case 4 (the clamp \
-         prior: {} and {}).\nOf the background's RMSE the analysis leaves {:.0} % in positions and {:.0} % in velocities (mean ratio over all runs): velocities \
-         gain more, positions are not \"virtually unchanged\".\n",
+        "\nHere: Newton converges in {} runs of cases 1 to 3 with the plain prior ({} in case 1 alone) and \
+         in {} of case 4 (the clamp prior: {} and {}).\nOf the background's RMSE the analysis leaves {:.0} % \
+         in positions and {:.0} % in velocities (mean ratio over all runs): velocities gain more, positions \
+         are not \"virtually unchanged\".\n",
         newton(1..=3, false),
         newton(1..=1, false),
         newton(4..=4, false),
@@ -111,6 +186,9 @@ fn beside_the_paper(all: &[(usize, bool, Run)]) -> String {
 struct Run {
     /// Iterations of full-step Newton, where it converged.
     newton: Option<usize>,
+    /// (J₁₂ − J_a)/(J_b − J_a) of Newton's twelfth iterate (its last, where it needs fewer), where it
+    /// converged.
+    left_after_a_dozen: Option<f64>,
     /// |g|/|g₀| and iterations of the default.
     default: (f64, usize),
     /// J where the default ended.
@@ -134,8 +212,14 @@ fn experiment(case: usize, conditioned: bool, seed: u64) -> Result<Run, Box<dyn 
 
     let mut v = vec![0.0; transform.dim()];
     let newton = Minimizer::Newton(NewtonOptions { gradient_tolerance: 1e-6, max_iterations: 50 });
-    let found: Minimum = newton.minimize(&mut cost, &mut v, go_on)?;
+    let mut values = Vec::new();
+    let found: Minimum = newton.minimize(&mut cost, &mut v, &mut |at: &Iteration| {
+        values.push(at.value);
+        ControlFlow::Continue(())
+    })?;
     let newton = (found.status == Status::Converged).then_some(found.outer_iterations);
+    let after_a_dozen = values.get(12).copied().unwrap_or(found.value);
+    let left = (after_a_dozen - found.value) / (values.first().copied().unwrap_or(f64::NAN) - found.value);
 
     v.fill(0.0);
     let default = Minimizer::named(problem.scene.algorithm.minimizer.name())
@@ -145,6 +229,7 @@ fn experiment(case: usize, conditioned: bool, seed: u64) -> Result<Run, Box<dyn 
     transform.control(&v, &mut analysis);
     Ok(Run {
         newton,
+        left_after_a_dozen: newton.map(|_| left),
         default: (found.gradient_norm / found.gradient_norm_first, found.outer_iterations),
         value: found.value,
         before: rmse(&background, truth),

@@ -10,11 +10,12 @@ use varda_implicit::check::{self, Taylor};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 use varda_implicit::{ImplicitModel, Model, OneLeg, Rk4};
 
-/// Fitted over ten halvings, truncation of third order moves a slope by less.
 const BOUND: f64 = 0.05;
+const REASON: &str = "fitted over ten halvings of the step, the term of third order moves a slope by less";
 
 pub(super) fn run(_options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("taylor");
+    rows.reason(REASON);
     let outcome = for_each_cost(&mut |name, cost| {
         rows.case(name, |case| gradient(case, &vec![0.0; cost.dim()], cost));
         Ok(())
@@ -70,7 +71,8 @@ fn step(case: &mut Case, model: &mut dyn Model, x: &[f64], scale: &[f64]) -> Out
     Ok(())
 }
 
-/// The gradient of the assembled cost at two successive controls: state kept from the first must not leak into the second.
+/// The gradient of the assembled cost at two successive controls: state kept from the first must not leak
+/// into the second.
 fn gradient(case: &mut Case, origin: &[f64], cost: &mut dyn CostFunction) -> Outcome {
     let n = cost.dim();
     for (what, size) in [("gradient at the first control", 0.1), ("gradient at the second control", 0.5)] {

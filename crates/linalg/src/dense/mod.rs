@@ -102,6 +102,11 @@ impl Matrix {
     }
 
     /// The values, column by column.
+    pub fn into_columns(self) -> Vec<f64> {
+        self.values
+    }
+
+    /// The values, column by column.
     pub fn as_slice(&self) -> &[f64] {
         &self.values
     }

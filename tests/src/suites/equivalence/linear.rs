@@ -57,6 +57,10 @@ pub(super) fn rows(rows: &mut Rows) {
     rows.case("lorenz96, 30 variables", one_minimum);
 }
 
+/// Reason of the bounds of what ends by [`tight`].
+pub(super) const TIGHT: &str =
+    "both end at a gradient of 1e-11 of the first, and A ≥ I: a hundred times that";
+
 /// y = H x with a full H of 4 rows, for a state of 5.
 pub(in crate::suites) fn linear_3dvar() -> Result<(Vec<f64>, ObservationSet)> {
     let h: Vec<_> = normals(40, 20).iter().enumerate().map(|(i, &h)| (i / 5, i % 5, h)).collect();
@@ -124,6 +128,7 @@ fn static_methods(case: &mut Case, b: &dyn Covariance) -> Outcome {
     let minimum = newton_cg(&mut dual, &mut w, &options, &mut go_on)?;
     dual.increment(&w, &mut v)?;
     found.push(("dual cost (2.12)", control(&v), -minimum.value));
+    case.reason("small dense problems of condition up to 1e4, in either direction: 100 times their rounding");
     for (name, z, j) in found {
         case.at_most(&format!("{name}: analysis"), difference(&z, &expected), 1e-10, "-");
         case.at_most(&format!("{name}: J"), gap(j, value), 1e-10, "-").computed(j);
@@ -138,6 +143,9 @@ fn iterates(case: &mut Case, problem: &mut dyn Incremental, seed: u64) -> Outcom
     for (name, v) in [("background", vec![0.0; n]), ("second iterate", there)] {
         let (iterations, worst) = compare_iterates(problem, &v)?;
         case.at_most(&format!("primal = dual iterates, {name}"), worst, 1e-9, "-")
+            .because(
+                "iterates agree to the orthogonality that is kept: the residual asked for, 1e-10, ten times",
+            )
             .note(format!("{iterations} iterations"));
     }
     Ok(())
@@ -208,14 +216,16 @@ fn wrong_adjoint(case: &mut Case) -> Outcome {
     let mut cost = StrongConstraint::new(&mut model, transform, &mut set)?;
     let (_, worst) = compare_iterates(&mut cost, &normals(7, 6))?;
     case.at_most("guard: 1e-6 / |primal − dual| with a wrong adjoint", 1e-6 / worst, 1.0, "-")
-        .computed(worst);
+        .computed(worst)
+        .because("an adjoint wrong by 1e-3 must show a thousand times above the bound of the iterates");
     Ok(())
 }
 
 /// A mean and its covariance.
 type Estimate = (DVector<f64>, DMatrix<f64>);
 
-/// Filtered at every step, and smoothed over the window by Rauch, Tung and Striebel (1965), from whole states seen at whole steps.
+/// Filtered at every step, and smoothed over the window by Rauch, Tung and Striebel (1965), from whole states
+/// seen at whole steps.
 pub(super) fn kalman(
     step: &DMatrix<f64>,
     b: &DMatrix<f64>,
@@ -287,6 +297,7 @@ fn filter_and_smoother(case: &mut Case) -> Outcome {
     let (filtered, smoothed) = kalman(&step, &dense(&b), &DMatrix::zeros(4, 4), &background, &set)?;
     let transform = ControlTransform::new(background, &b)?;
     let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut set)?;
+    case.reason(TIGHT);
     for (name, inner) in [("4dvar", InnerSolver::Primal), ("4d-psas", InnerSolver::Dual)] {
         tight(&mut cost, &mut [0.0; 4], inner)?;
         let end = difference(cost.state(LINEAR_STEPS), filtered[LINEAR_STEPS].0.as_slice());
@@ -297,9 +308,11 @@ fn filter_and_smoother(case: &mut Case) -> Outcome {
     let blue = Blue::new(&mut cost, &[0.0; 4], Gain::Observation)?;
     let covariance = difference(&blue.control_covariance(&transform), smoothed[0].1.as_slice());
     case.at_most("posterior covariance = rts smoother's", covariance, 1e-9, "-");
-    // The filter at the start has not seen what comes later: an analysis that agreed with it would be wrong.
     let apart = difference(filtered[0].0.as_slice(), smoothed[0].0.as_slice());
-    case.at_most("guard: 1e-3 / |filter − smoother| at the start", 1e-3 / apart, 1.0, "-");
+    case.at_most("guard: 1e-3 / |filter − smoother| at the start", 1e-3 / apart, 1.0, "-").because(
+        "the filter at the start has not seen what comes later: an analysis that agreed with it \
+            would be wrong",
+    );
     Ok(())
 }
 
@@ -314,13 +327,16 @@ fn one_outer_loop(case: &mut Case) -> Outcome {
     let mut one = [0.0; 4];
     let minimum = tight(&mut cost, &mut one, InnerSolver::Primal)?;
     case.count("outer loops of incremental 4dvar", minimum.outer_iterations, 1);
-    case.at_most("incremental, one outer loop = full 4dvar", difference(&one, &full), 1e-10, "-");
+    case.at_most("incremental, one outer loop = full 4dvar", difference(&one, &full), 1e-10, "-")
+        .because("gradients of 1e-13 and 1e-11 of the first at the two ends, and A ≥ I");
     let (v, p) = (normals(50, 4), normals(51, 4));
     cost.linearize(&v, &mut [0.0; 4])?;
     let inner = InnerCost::new(&mut cost).evaluate(&p, None)?;
     let moved: Vec<f64> = v.iter().zip(&p).map(|(v, p)| v + p).collect();
     let value = cost.evaluate(&moved, None)?;
-    case.at_most("inner cost = J", gap(inner, value), 1e-12, "-").computed(value);
+    case.at_most("inner cost = J", gap(inner, value), 1e-12, "-")
+        .computed(value)
+        .because("the same sum of some tens of squares in another order: a thousand times its rounding");
     Ok(())
 }
 
@@ -337,11 +353,15 @@ fn one_minimum(case: &mut Case) -> Outcome {
         let found = tight(&mut cost, &mut v, inner)?;
         case.count(&format!("{name}: converged"), usize::from(found.status == Status::Converged), 1);
         case.at_most(&format!("{name} = 4dvar: J"), gap(found.value, minimum.value), 1e-10, "-")
-            .computed(found.value);
-        // A ≥ I, so that v is as near as the gradients are small.
+            .computed(found.value)
+            .because(
+                "J is flat to the square of the gradient that is left, 1e-11 of the first: rounding, a \
+                thousand times",
+            );
         let apart: Vec<f64> = v.iter().zip(&full).map(|(a, b)| a - b).collect();
         let bound = 2e-11 * minimum.gradient_norm_first;
-        case.at_most(&format!("{name} = 4dvar: |Δv|"), dot(&apart, &apart).sqrt(), bound, "-");
+        case.at_most(&format!("{name} = 4dvar: |Δv|"), dot(&apart, &apart).sqrt(), bound, "-")
+            .because("A ≥ I, so that v is as near as the gradients are small");
     }
     Ok(())
 }

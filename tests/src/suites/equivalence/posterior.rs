@@ -34,8 +34,11 @@ pub(super) fn rows(rows: &mut Rows) {
         // A B four times too small: the claims of the analysis must be found wrong.
         let tally = tally(0.5, &by_strong)?;
         let inside = tally.inside.iter().min().copied().unwrap_or(TWINS);
-        case.at_most("half the standard deviations: fewest inside of 200", inside as f64, 177.0, "-");
-        case.at_most("12 / mean of 2J", 12.0 / tally.chi2_mean, 0.9, "-").computed(tally.chi2_mean);
+        case.at_most("half the standard deviations: fewest inside of 200", inside as f64, 177.0, "-")
+            .because("below the 178 that a right claim may have: the guard must fail the test of coverage");
+        case.at_most("12 / mean of 2J", 12.0 / tally.chi2_mean, 0.9, "-").computed(tally.chi2_mean).because(
+            "four standard errors of the mean, 1.4, above 12: the guard must fail the test of the mean",
+        );
         Ok(())
     });
 }
@@ -52,8 +55,8 @@ fn error(posterior: &LowRankPosterior, inverse: &DMatrix<f64>) -> f64 {
     (DMatrix::from_vec(n, n, columns) - inverse).singular_values().max()
 }
 
-/// Dense, Lanczos and L-BFGS against the inverse of the dense Hessian by another library; Lanczos and the refined L-BFGS to a tolerance and
-/// with so many products at most.
+/// Dense, Lanczos and L-BFGS against the inverse of the dense Hessian by another library; Lanczos and the
+/// refined L-BFGS to a tolerance and with so many products at most.
 fn three_ways(
     case: &mut Case,
     cost: &mut StrongConstraint,
@@ -72,16 +75,27 @@ fn three_ways(
         DMatrix::from_vec(n, n, hessian).cholesky().ok_or("a Hessian that is not positive")?.inverse();
     let dense = Posterior::new(cost)?;
     let diagonal: Vec<f64> = inverse.diagonal().as_slice().to_vec();
-    // Both are backward stable, with a condition number of at most 1e4.
     let apart = difference(&dense.control_variable_variance(), &diagonal);
-    case.at_most("dense: variance of v", apart, 1e-11, "-");
+    case.at_most("dense: variance of v", apart, 1e-11, "-")
+        .because("both are backward stable, with a condition of at most 1e4");
     let mut scale = vec![0.0; n];
     transform.covariance().variance(&mut scale);
     let scale: f64 = scale.iter().sum();
     // The bound of ‖P_v − A⁻¹‖ times tr B is one of the trace.
     let compare = |case: &mut Case, what: &str, low: &LowRankPosterior, bound: f64, note: String| {
-        // 1e-11: the rounding of the two inverses that are compared.
-        case.at_most(&format!("{what}: |P_v − A⁻¹|"), error(low, &inverse), bound + 1e-11, "-").note(note);
+        case.reason(
+            "what the low rank claims as its own bound, and 1e-11 for the rounding of the two inverses",
+        );
+        case.at_most(
+            &format!(
+                "{what}: |P_v − \
+            A⁻¹|"
+            ),
+            error(low, &inverse),
+            bound + 1e-11,
+            "-",
+        )
+        .note(note);
         let (trace, full) = (low.trace(transform), dense.trace(transform));
         case.at_most(&format!("{what}: Δ tr P_a / tr B"), (trace - full).abs() / scale, bound + 1e-11, "-")
             .note(format!("tr P_a is {:.4} of the dense one", trace / full));
@@ -99,13 +113,15 @@ fn three_ways(
             let note = format!("{} products, its own bound", low.products());
             compare(case, &what, &low, bound, note);
             if max_products >= n {
-                case.at_most(&format!("{what}: its own bound"), bound, tolerance, "-");
+                case.at_most(&format!("{what}: its own bound"), bound, tolerance, "-")
+                    .because("the tolerance asked for");
             }
         }
     }
     let by_lbfgs = LowRankPosterior::from_inverse_hessian(&known)?;
     let estimate = by_lbfgs.error_estimate(cost, 20, &mut rng)?;
-    // The estimate is a mean of 20 squares: three standard deviations low at worst. P_v and A⁻¹ lie between 0 and I, 1 apart at most.
+    // The estimate is a mean of 20 squares: three standard deviations low at worst. P_v and A⁻¹ lie
+    // between 0 and I, 1 apart at most.
     let bound = (estimate / (1.0 - 3.0 * (2.0 / 20.0_f64).sqrt()).sqrt()).min(1.0);
     let note = if bound < 1.0 { "its own estimate" } else { "its own estimate promises nothing" };
     compare(case, "l-bfgs, no products", &by_lbfgs, bound, note.into());
@@ -113,7 +129,8 @@ fn three_ways(
 }
 
 const TWINS: usize = 200;
-/// 190 of 200 expected inside 95 % intervals, with a standard deviation of 3.08. The binomial distribution has 3e-4 below 178 and 4e-5 above 199.
+/// 190 of 200 expected inside 95 % intervals, with a standard deviation of 3.08. The binomial distribution
+/// has 3e-4 below 178 and 4e-5 above 199.
 const INSIDE: (f64, f64) = (188.5, 10.5);
 /// 2.5 and 97.5 % points of χ² with m = 12 degrees of freedom.
 const CHI2: std::ops::RangeInclusive<f64> = 4.404..=23.337;
@@ -129,7 +146,8 @@ struct Tally {
     chi2_mean: f64,
 }
 
-/// Truths are drawn around the background with B and observed with R; the analysis is told a B with `claimed` times its standard deviations.
+/// Truths are drawn around the background with B and observed with R; the analysis is told a B with `claimed`
+/// times its standard deviations.
 fn tally(claimed: f64, analyse: &Analyse) -> Result<Tally> {
     let (b, told) = (coupled(RING, 0.8)?, coupled(RING, 0.8 * claimed)?);
     let background = normals(1, RING);
@@ -164,6 +182,9 @@ fn tally(claimed: f64, analyse: &Analyse) -> Result<Tally> {
 fn coverage(case: &mut Case, analyse: &Analyse) -> Outcome {
     let tally = tally(1.0, analyse)?;
     let (middle, half) = INSIDE;
+    case.reason(
+        "190 of 200 expected with σ = 3.08: the binomial distribution has 3e-4 below 178 and 4e-5 above 199",
+    );
     for (i, &count) in tally.inside.iter().enumerate() {
         case.at_most(
             &format!("component {i}: |inside 95 % − 188.5|"),
@@ -175,9 +196,10 @@ fn coverage(case: &mut Case, analyse: &Analyse) -> Outcome {
     }
     let count = tally.chi2_inside as f64;
     case.at_most("2J: |inside 95 % of χ² − 188.5|", (count - middle).abs(), half, "-").computed(count);
-    // 2J has mean 12 and variance 24: four standard errors of a mean over 200.
     let bound = 4.0 * (24.0 / TWINS as f64).sqrt();
-    case.at_most("|mean of 2J − m|", (tally.chi2_mean - 12.0).abs(), bound, "-").computed(tally.chi2_mean);
+    case.at_most("|mean of 2J − m|", (tally.chi2_mean - 12.0).abs(), bound, "-")
+        .computed(tally.chi2_mean)
+        .because("2J has mean 12 and variance 24: four standard errors of a mean over 200");
     Ok(())
 }
 

@@ -1,4 +1,5 @@
-//! Numbers that design.md, section 9, asks for, and the start of the flagship's window.
+//! Values of the reference problems "Lorenz-96 values", "Driven rod" and "Hanging rod"
+//! (docs/reference-problems.md).
 
 use super::largest_difference;
 use crate::row::{Case, Outcome, Rows};
@@ -42,7 +43,7 @@ fn flagship_truth(case: &mut Case) -> Outcome {
     let given = <Given as super::Fixture>::read(&path)?;
     let (rod, truth) = HangingRod::flagship(1, true)?;
     let (x, v) = truth.split_at(truth.len() / 2);
-    // Each of 150 steps is solved to 1e-11 m, a velocity to 1e-9 m/s; the motion is damped, so they do not pile up.
+    case.reason("150 steps solved to 1e-11 m and 1e-9 m/s each, in a damped motion: ten times that");
     case.at_most("positions", largest_difference(x, &given.truth_x), 1e-10, "m").computed(super::norm(x));
     case.at_most("velocities", largest_difference(v, &given.truth_v), 1e-8, "m/s").computed(super::norm(v));
     let error = (rod.prior.sigma_v - given.prior.sigma_v).abs();
@@ -67,7 +68,10 @@ fn tip(case: &mut Case) -> Outcome {
     let vertices = model.step_mut().vertices(2.0, &x)?;
     let error = largest_difference(&vertices[25], &[0.291641, 0.071304, -0.925106]);
     let note = format!("tip {:.6?} m", vertices[25]);
-    case.at_most("tip", error, 2e-6, "m").computed(error).note(note);
+    case.at_most("tip", error, 2e-6, "m")
+        .computed(error)
+        .note(note)
+        .because("uncertainty stated with the value");
     Ok(())
 }
 
@@ -82,7 +86,7 @@ fn lorenz96(case: &mut Case, n: usize, [cost, gradient_norm]: [f64; 2], first: O
     // dJ/dx = (dJ/dv)/σ
     g.iter_mut().for_each(|g| *g *= 2.0);
     let size = super::norm(&g);
-    // Stated tolerance; 100 steps of a chaotic model amplify rounding by about 1e2.
+    case.reason("100 steps of a chaotic model amplify rounding by about 1e2; five hundred times that");
     case.at_most("j", (j - cost).abs() / cost, 1e-11, "-").computed(j);
     case.at_most("gradient", (size - gradient_norm).abs() / gradient_norm, 1e-11, "-").computed(size);
     if let Some(first) = first {

@@ -15,9 +15,9 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     rows.finish()
 }
 
-/// Fitted over halvings, terms of the next order move a slope by less: they are a tenth of the error at the first point
-/// and half of that at every further one.
 const SLOPE: f64 = 0.1;
+const SLOPE_REASON: &str =
+    "terms of the next order are a tenth of the error at the first point and halve with every further one";
 
 /// |slope − order| of (h, error); errors must fall in earnest to be judged.
 fn slope_row(case: &mut Case, what: &str, errors: &[(f64, f64)], order: f64) {
@@ -25,6 +25,7 @@ fn slope_row(case: &mut Case, what: &str, errors: &[(f64, f64)], order: f64) {
     let list: Vec<String> = errors.iter().map(|e| format!("{:.2e}", e.1)).collect();
     case.at_most(what, (slope - order).abs(), SLOPE, "-")
         .computed(slope)
+        .because(SLOPE_REASON)
         .note(format!("slope {slope:.3} of {}", list.join(" ")));
 }
 

@@ -60,8 +60,8 @@ fn twisted(rows: &mut Rows) {
     }
 }
 
-/// A clamp that tilts round a cone, again and again: frames stay orthonormal, nothing drifts; and the frame carried along round
-/// the cone turns by the solid angle.
+/// A clamp that tilts round a cone, again and again: frames stay orthonormal, nothing drifts; and the frame
+/// carried along round the cone turns by the solid angle.
 fn tilt_loop(rows: &mut Rows, steps: usize) {
     rows.case(&format!("tilt loop, {steps} steps"), |case| {
         let (alpha, per_loop, dt) = (0.4_f64, 100, 0.01);
@@ -102,7 +102,7 @@ fn tilt_loop(rows: &mut Rows, steps: usize) {
         }
         let work = figures(&mut model, steps, dt, &x);
         case.at_most("frames: departure from orthonormal", worst, 1e-12, "-")
-            .because("issue 5; a frame is made anew from the places at every step, by some twenty roundings an edge")
+            .because("a frame is made anew from the places at every step, by some twenty roundings an edge")
             .work(work);
         let drift = largest(x.iter().zip(&early).map(|(a, b)| a - b));
         case.at_most("drift from half way to the end", drift, 1e-9, "m, m/s")
