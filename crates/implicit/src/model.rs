@@ -29,7 +29,8 @@ pub trait Model {
     fn linearize(&mut self, slot: usize, k: usize, x: &[f64], x_next: &[f64]) -> Result<Work, Error>;
 
     /// dx ← M_k dx in place, with the linearization in the slot, for one column or several, one after the other (`dx` has
-    /// the length of the state times their number). A column's bits do not depend on the others.
+    /// the length of the state times their number). Among several, a
+    /// column's bits do not depend on the others; alone it may be rounded differently.
     ///
     /// # Panics
     /// If the slot is empty, or `dx.len()` is not a multiple of `dim()`.

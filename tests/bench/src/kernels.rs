@@ -171,14 +171,14 @@ fn step(user: User, twist: TwistUnknowns) -> Result<()> {
 
 fn linearize(user: User, twist: TwistUnknowns) -> Result<()> {
     let (mut model, x, next) = moving(twist)?;
-    model.linearize(50, &x, &next)?;
-    user(&mut || model.linearize(50, black_box(&x), &next).expect("linearized before"));
+    model.linearize(50, 50, &x, &next)?;
+    user(&mut || model.linearize(50, 50, black_box(&x), &next).expect("linearized before"));
     Ok(())
 }
 
 fn tangent(user: User, twist: TwistUnknowns) -> Result<()> {
     let (mut model, x, next) = moving(twist)?;
-    model.linearize(50, &x, &next)?;
+    model.linearize(50, 50, &x, &next)?;
     let start: Vec<f64> = (0..x.len()).map(|i| wave(i, 1)).collect();
     let mut dx = start.clone();
     user(&mut || {
@@ -190,7 +190,7 @@ fn tangent(user: User, twist: TwistUnknowns) -> Result<()> {
 
 fn adjoint(user: User, twist: TwistUnknowns) -> Result<()> {
     let (mut model, x, next) = moving(twist)?;
-    model.linearize(50, &x, &next)?;
+    model.linearize(50, 50, &x, &next)?;
     let start: Vec<f64> = (0..x.len()).map(|i| wave(i, 1)).collect();
     let mut lambda = start.clone();
     user(&mut || {

@@ -78,7 +78,7 @@ fn rods(options: &Options) -> Result<(Table, Vec<Series>)> {
                 Ok((model, x, next))
             });
             let (mut model, start, mut next) = model?;
-            let (kept, linearized) = heap(|| model.linearize(0, &start, &next));
+            let (kept, linearized) = heap(|| model.linearize(0, 0, &start, &next));
             linearized?;
             let mut iterations = 0;
             let mut x = start.clone();
@@ -132,7 +132,7 @@ fn lorenz96(options: &Options) -> Result<(Table, Series)> {
         let mut model = Rk4::new(Lorenz96::new(n, 8.0), 0, 0.01);
         let mut next = start.clone();
         model.step(0, &start, &mut next)?;
-        let (kept, linearized) = heap(|| model.linearize(0, &start, &next));
+        let (kept, linearized) = heap(|| model.linearize(0, 0, &start, &next));
         linearized?;
         let steps = 10;
         let mut x = start.clone();

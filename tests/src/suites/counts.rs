@@ -396,7 +396,7 @@ fn model_allocations(case: &mut Case, model: &mut dyn Model, z: &[f64]) -> Outco
         for k in 0..5 {
             let (step, outcome) = allocations(|| model.step(k, &current, &mut next));
             outcome?;
-            let (linearize, outcome) = allocations(|| model.linearize(k, &current, &next));
+            let (linearize, outcome) = allocations(|| model.linearize(k, k, &current, &next));
             outcome?;
             let (tangent, ()) = allocations(|| model.tangent(k, &mut lambda));
             let (adjoint, ()) = allocations(|| model.adjoint(k, &mut lambda));
@@ -479,7 +479,7 @@ fn timing(case: &mut Case) -> Outcome {
         forward.push(since.elapsed().as_secs_f64());
         for k in 0..steps {
             let (x, next) = states[k * n..(k + 2) * n].split_at(n);
-            model.linearize(k, x, next)?;
+            model.linearize(k, k, x, next)?;
         }
         let mut lambda = vec![1.0; n];
         let since = Instant::now();

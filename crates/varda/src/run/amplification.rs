@@ -44,7 +44,7 @@ pub(crate) fn amplification(
         model.initial_tangent(&dz, column);
     }
     for (k, pair) in states.windows(2 * n).step_by(n).enumerate() {
-        model.linearize(k, &pair[..n], &pair[n..])?;
+        model.linearize(k, k, &pair[..n], &pair[n..])?;
         model.tangent_block(k, &mut columns);
     }
     let mut sum = 0.0;
@@ -76,7 +76,7 @@ mod tests {
         for steps in [10, 400, 1200, 2400] {
             let seen = &states[..3 * (steps + 1)];
             for (k, pair) in seen.windows(6).step_by(3).enumerate() {
-                model.linearize(k, &pair[..3], &pair[3..]).unwrap();
+                model.linearize(k, k, &pair[..3], &pair[3..]).unwrap();
             }
             let norm = check::amplification(&mut model, 0..steps, &sigma, 1).unwrap().norm;
             let mut fresh = Rk4::new(Lorenz63::default(), 0, 0.01);

@@ -73,7 +73,7 @@ where
     }
 
     fn linearize(&mut self, k: usize, x: &[f64], x_next: &[f64]) -> Result<(), Error> {
-        timing(&self.clock.0.adjoint, || self.model.linearize(k, x, x_next))
+        timing(&self.clock.0.adjoint, || self.model.linearize(k, k, x, x_next))
     }
 
     fn tangent(&mut self, k: usize, dx: &mut [f64]) {

@@ -5,7 +5,8 @@ use super::{condition, interval, refused, work};
 use crate::row::{Case, Outcome, Rows};
 use num_dual::{Dual64, DualNum};
 use varda_implicit::{
-    ImplicitModel, ImplicitStep, Interval, Model, NewtonOptions, OneLeg, Refusal, Rhs, Structure, check,
+    Equations, ImplicitModel, ImplicitStep, Interval, Model, NewtonOptions, OneLeg, Refusal, Rhs, StepEquations,
+    Structure, check,
 };
 
 pub(super) fn run(rows: &mut Rows) {
@@ -27,38 +28,60 @@ struct Plain<G: FnMut(&[f64], &mut [f64], &mut [f64])> {
     equations: G,
 }
 
-impl<G: FnMut(&[f64], &mut [f64], &mut [f64])> ImplicitStep for Plain<G> {
-    fn dim(&self) -> usize {
-        2
-    }
-    fn structure(&self) -> Structure {
-        Structure::Dense
-    }
-    fn predict(&mut self, _at: &Interval, x: &[f64], u: &mut [f64]) -> Result<(), Refusal> {
-        u.copy_from_slice(x);
-        Ok(())
-    }
+/// The equations of one step.
+struct PlainEquations<'a, G: FnMut(&[f64], &mut [f64], &mut [f64])> {
+    step: &'a mut Plain<G>,
+    at: Interval,
+    x: &'a [f64],
+}
+
+impl<G: FnMut(&[f64], &mut [f64], &mut [f64])> Equations for PlainEquations<'_, G> {
     fn assemble(
         &mut self,
-        _at: &Interval,
-        x: &[f64],
         u: &[f64],
         g: &mut [f64],
         jacobian: Option<&mut [f64]>,
     ) -> Result<Option<f64>, Refusal> {
+        let x = self.x;
         let mut own = [0.0; 4];
-        (self.equations)(u, g, jacobian.unwrap_or(&mut own));
+        (self.step.equations)(u, g, jacobian.unwrap_or(&mut own));
         g.iter_mut().zip(x).for_each(|(g, x)| *g -= x);
         Ok(None)
     }
     fn converged_below(&self) -> f64 {
         1e-13
     }
+}
+
+impl<G: FnMut(&[f64], &mut [f64], &mut [f64])> StepEquations for PlainEquations<'_, G> {
+    fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal> {
+        let x = self.x;
+        u.copy_from_slice(x);
+        Ok(())
+    }
+}
+
+impl<G: FnMut(&[f64], &mut [f64], &mut [f64])> ImplicitStep for Plain<G> {
+    type Equations<'a> = PlainEquations<'a, G> where Self: 'a;
+
+    fn dim(&self) -> usize {
+        2
+    }
+    fn structure(&self) -> Structure {
+        Structure::Dense
+    }
     fn previous(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], dx: &[f64], dg: &mut [f64]) {
         dg.iter_mut().zip(dx).for_each(|(g, d)| *g = -d);
     }
     fn previous_transpose_add(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], mu: &[f64], dx: &mut [f64]) {
         dx.iter_mut().zip(mu).for_each(|(d, m)| *d -= m);
+    }
+    fn equations<'a>(
+        &'a mut self,
+        at: &Interval,
+        x: &'a [f64],
+    ) -> Result<Self::Equations<'a>, Refusal> {
+        Ok(PlainEquations { step: self, at: *at, x })
     }
 }
 
@@ -105,7 +128,7 @@ fn singular(rows: &mut Rows) {
                             "ε times the condition: all that the stored matrix determines (nothing at \
                                 1e-15)",
                         );
-                    model.linearize(7, &x, &next)?;
+                    model.linearize(7, 7, &x, &next)?;
                     let dot = check::dot_product(&mut model, 7..8, &[1.0; 2], 1)?;
                     case.at_most("dot product", dot.value, dot.bound, "-")
                         .because("50 ε times ‖M‖ ‖δx‖/‖M δx‖");
@@ -169,7 +192,7 @@ fn forced_failure(rows: &mut Rows) {
         let (mut states, mut next) = (vec![start.to_vec()], vec![0.0; 3]);
         for k in 0..steps {
             model.step(k, &states[k], &mut next)?;
-            model.linearize(k, &states[k], &next)?;
+            model.linearize(k, k, &states[k], &next)?;
             states.push(next.clone());
         }
         let work = work(&model, f64::NAN);
@@ -255,30 +278,27 @@ impl Robertson {
     }
 }
 
-impl ImplicitStep for Robertson {
-    fn dim(&self) -> usize {
-        3
-    }
-    fn structure(&self) -> Structure {
-        Structure::Dense
-    }
-    fn predict(&mut self, _at: &Interval, x: &[f64], u: &mut [f64]) -> Result<(), Refusal> {
-        u.copy_from_slice(x);
-        Ok(())
-    }
+/// The equations of one step.
+struct RobertsonEquations<'a> {
+    step: &'a mut Robertson,
+    at: Interval,
+    x: &'a [f64],
+}
+
+impl Equations for RobertsonEquations<'_> {
     fn assemble(
         &mut self,
-        at: &Interval,
-        x: &[f64],
         u: &[f64],
         g: &mut [f64],
         jacobian: Option<&mut [f64]>,
     ) -> Result<Option<f64>, Refusal> {
-        g.copy_from_slice(&self.equations(self.length(at), [x[0], x[1], x[2]], [u[0], u[1], u[2]]));
+        let at = &self.at;
+        let x = self.x;
+        g.copy_from_slice(&self.step.equations(self.step.length(at), [x[0], x[1], x[2]], [u[0], u[1], u[2]]));
         if let Some(j) = jacobian {
-            let h = self.length(at);
+            let h = self.step.length(at);
             let (slow, fast) = ([0.04 * h, -1e4 * u[2] * h, -1e4 * u[1] * h], 6e7 * u[1] * h);
-            let third = if self.mass == 0.0 { [1.0; 3] } else { [0.0, -fast, 1.0] };
+            let third = if self.step.mass == 0.0 { [1.0; 3] } else { [0.0, -fast, 1.0] };
             let rows = [[1.0 + slow[0], slow[1], slow[2]], [-slow[0], 1.0 - slow[1] + fast, -slow[2]], third];
             (0..9).for_each(|p| j[p] = rows[p % 3][p / 3]);
         }
@@ -292,6 +312,25 @@ impl ImplicitStep for Robertson {
     fn converged_below(&self) -> f64 {
         1e-13
     }
+}
+
+impl StepEquations for RobertsonEquations<'_> {
+    fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal> {
+        let x = self.x;
+        u.copy_from_slice(x);
+        Ok(())
+    }
+}
+
+impl ImplicitStep for Robertson {
+    type Equations<'a> = RobertsonEquations<'a>;
+
+    fn dim(&self) -> usize {
+        3
+    }
+    fn structure(&self) -> Structure {
+        Structure::Dense
+    }
     fn previous(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], dx: &[f64], dg: &mut [f64]) {
         (0..3).for_each(|i| dg[i] = -dx[i]);
         if self.mass == 0.0 {
@@ -303,6 +342,13 @@ impl ImplicitStep for Robertson {
         dx[0] -= mu[0] + all[0];
         dx[1] -= mu[1] + all[1];
         dx[2] -= all[2];
+    }
+    fn equations<'a>(
+        &'a mut self,
+        at: &Interval,
+        x: &'a [f64],
+    ) -> Result<Self::Equations<'a>, Refusal> {
+        Ok(RobertsonEquations { step: self, at: *at, x })
     }
 }
 
@@ -318,7 +364,7 @@ fn robertson(case: &mut Case, mass: f64) -> Outcome {
     for k in 0..steps {
         let mut next = [0.0; 3];
         model.step(k, &states[k], &mut next)?;
-        model.linearize(k, &states[k], &next)?;
+        model.linearize(k, k, &states[k], &next)?;
         states.push(next);
     }
     let last = states[steps];
@@ -449,7 +495,7 @@ fn decay(rows: &mut Rows, steps: usize) {
             trajectory.push(x.clone());
         }
         for k in 0..steps {
-            model.linearize(k, &trajectory[k], &trajectory[k + 1])?;
+            model.linearize(k, k, &trajectory[k], &trajectory[k + 1])?;
         }
         let clock = std::time::Instant::now();
         let mut lambda = vec![1.0; 7];

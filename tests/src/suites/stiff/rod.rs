@@ -252,7 +252,7 @@ fn dot_product(
     next: &[f64],
 ) -> Outcome {
     let scale = rod_scale(model.step_ref());
-    model.linearize(k, x, next)?;
+    model.linearize(k, k, x, next)?;
     let dot = check::dot_product(model, k..k + 1, &scale, 11)?;
     // V' = (X' − X)/Δt: a rounding ε of δX becomes ε δX/Δt in δV, however well M itself is
     // conditioned

@@ -359,7 +359,7 @@ fn degenerate_edges(rows: &mut Rows) {
         model.step(20, &x, &mut next)?;
         let root = distance(&mut model, 0.01, 20, &x, &next).root;
         let work = figures(&mut model, 20, 0.01, &x);
-        model.linearize(20, &x, &next)?;
+        model.linearize(20, 20, &x, &next)?;
         let scale = rod_scale(model.step_ref());
         let dot = check::dot_product(&mut model, 20..21, &scale, 5)?;
         case.at_most("dot product of step 20", dot.value, dot.bound, "-").because(DOT_REASON).work(work);
