@@ -78,3 +78,8 @@ pub use storage::{Footprint, Storage};
 pub use substepped::Substepped;
 pub use trajectory::{Keep, LinearizedStep, Trajectory};
 pub use varda_linalg::{BadPivot, Factor, LinearSolver, Structure, band};
+
+/// The example of README.md, compiled and run with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
