@@ -51,11 +51,13 @@
 
 pub mod cli;
 mod error;
+pub mod outcome;
 pub mod report;
 pub mod run;
 pub mod scene;
 pub mod setup;
 pub mod solve;
+pub mod state;
 
 pub use error::Error;
 
