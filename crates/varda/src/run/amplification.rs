@@ -32,7 +32,7 @@ pub(crate) fn estimate(
     let (n, m) = (model.dim(), control.len());
     let mut rng = stream(seed, Stream::Directions);
     let mut x = vec![0.0; n];
-    model.keep_at_most(1);
+    model.release(1);
     model.initial_state(control, &mut x)?;
     let mut columns = vec![0.0; DIRECTIONS * n];
     let mut dz = vec![0.0; m];
@@ -44,8 +44,8 @@ pub(crate) fn estimate(
         model.initial_tangent(&dz, column);
     }
     for (k, pair) in states.windows(2 * n).step_by(n).enumerate() {
-        model.linearize(k, k, &pair[..n], &pair[n..])?;
-        model.tangent_block(k, &mut columns);
+        model.linearize(0, k, &pair[..n], &pair[n..])?;
+        model.tangent(0, &mut columns);
     }
     let mut sum = 0.0;
     for column in columns.chunks_exact(n) {

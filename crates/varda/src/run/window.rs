@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::time::Instant;
 
 use varda_assimilation::{Analysis, ObservationSet, huber};
-use varda_implicit::Model;
+use varda_implicit::{Log, Model};
 use varda_implicit::check::Amplification;
 
 use super::{amplification, fit, shapes};
@@ -91,6 +91,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         },
     };
     let (solution, mut observations) = solve::solve(&mut task, problem.observations()?, &mut on_iterate)?;
+    let log = timed.log().clone();
     // The time of the posterior does not belong to the minimization.
     let minimizer = convergence.last().map_or(0.0, |row| row.seconds);
     let seconds = Seconds {
@@ -117,7 +118,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
 
     let status = Status::from(solution.minimum.status);
     let failure = failure(&solution, status);
-    let mut warnings = remarks(model.as_ref(), &solution, status, observations.dim(), failure.as_ref());
+    let mut warnings = remarks(&log, &solution, status, observations.dim(), failure.as_ref());
     warnings.extend(remarks_on_steps);
     let analysis = analysis(problem, &solution, observations.dim());
     let trajectories =
@@ -168,7 +169,7 @@ fn failure(solution: &Solution, status: Status) -> Option<Failure> {
 
 /// Remarks on how the minimization went.
 fn remarks(
-    model: &dyn Model,
+    log: &Log,
     solution: &Solution,
     status: Status,
     used: usize,
@@ -176,7 +177,7 @@ fn remarks(
 ) -> Vec<String> {
     let minimum = &solution.minimum;
     let mut warnings: Vec<String> =
-        model.warnings().iter().map(|w| format!("step {}: {}", w.step, w.text)).collect();
+        log.warnings.iter().map(|w| format!("step {}: {}", w.step, w.text)).collect();
     warnings.dedup();
     if !solution.rejected.is_empty() {
         let all = used + solution.rejected.len();
@@ -306,7 +307,7 @@ fn trajectories(
     let steps = problem.experiment.grid.last_step();
     let dim = model.dim();
     let mut x0 = vec![0.0; dim];
-    let mut warn = |what: &str, result: Result<(), varda_implicit::Error>| {
+    let mut warn = |what: &str, result: Result<Log, varda_implicit::Error>| {
         if let Err(e) = result {
             warnings.push(format!("the run of the {what} ends early: {e}"));
         }
@@ -357,7 +358,7 @@ pub fn simulate(problem: &Problem) -> Result<Simulation, Error> {
             "background"
         }
     };
-    run_on(model.as_mut(), &mut states, steps)?;
+    let log = run_on(model.as_mut(), &mut states, steps)?;
     let trajectories = Trajectories { dim, analysis: states, ..Trajectories::default() };
     let shapes = shapes::with_observations(problem, &trajectories)?;
     let is_twin_in_space = shapes.is_some() && problem.truth.is_some();
@@ -367,8 +368,8 @@ pub fn simulate(problem: &Problem) -> Result<Simulation, Error> {
         shapes,
         trajectories,
         steps,
-        counts: WorkCounts::of(model.counts()),
+        counts: WorkCounts::of(log.counts),
         twin: is_twin_in_space.then(|| TwinFiles { background: problem.background.clone() }),
-        warnings: model.warnings().iter().map(|w| format!("step {}: {}", w.step, w.text)).collect(),
+        warnings: log.warnings.iter().map(|w| format!("step {}: {}", w.step, w.text)).collect(),
     })
 }
