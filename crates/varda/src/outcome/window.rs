@@ -62,6 +62,8 @@ pub struct Outcome {
     pub convergence: Vec<ConvergenceRow>,
     /// Work of the minimization.
     pub counts: WorkCounts,
+    /// Work of one model of the window: its share of the minimization, and the runs that are reported.
+    pub model_counts: varda_implicit::Counts,
     /// Observed values that the background check refused.
     pub rejected: Vec<Rejected>,
     /// RMSE of the initial state against the truth.

@@ -157,6 +157,14 @@ impl Observed {
         Ok(ObservationSet::new(grid.steps, vec![(self.make_operator)()?], self.assimilated(grid))?)
     }
 
+    /// H, all sites stacked.
+    ///
+    /// # Errors
+    /// [`Error::Rod`] for a marker off the rod.
+    pub fn operator(&self) -> Result<Box<dyn ObservationOperator>, Error> {
+        (self.make_operator)()
+    }
+
     /// For each row of the operator the component of the control at the same place.
     pub fn anchors(&self) -> Vec<usize> {
         self.sites.iter().flat_map(|s| s.anchors.iter().copied()).collect()
