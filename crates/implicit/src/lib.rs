@@ -65,6 +65,7 @@ mod substeps;
 mod trajectory;
 
 pub use adaptive::{Adaptive, accepted_times, largest_error};
+pub use equations::Equations;
 pub use error::{Error, Refusal};
 pub use explicit::Rk4;
 pub use implicit::{ImplicitModel, Linearization, MAX_HALVINGS};
@@ -72,7 +73,6 @@ pub use model::{ControlMap, Counts, Log, Model, Warning, Work};
 pub use newton::{NewtonFailure, NewtonOptions, NewtonReport, NewtonWork, solve};
 pub use rhs::{OneLeg, OneLegEquations, Rhs};
 pub use scheme::{Scheme, Stage};
-pub use equations::Equations;
 pub use step::{ImplicitStep, Interval, StepEquations};
 pub use storage::{Footprint, Storage};
 pub use substepped::Substepped;

@@ -68,12 +68,7 @@ pub(crate) struct Products {
 impl Products {
     /// Work space for single columns; that for many is allocated by the first product with many.
     pub(crate) fn new(state: usize, unknowns: usize, history: usize) -> Self {
-        Self {
-            u: vec![0.0; unknowns],
-            rows: Vec::new(),
-            dx: vec![0.0; state],
-            history: vec![0.0; history],
-        }
+        Self { u: vec![0.0; unknowns], rows: Vec::new(), dx: vec![0.0; state], history: vec![0.0; history] }
     }
 
     fn resize_for_many(&mut self, state: usize, history: usize) {

@@ -1,7 +1,7 @@
 //! The checks themselves: what they refuse, and what they must not let pass.
 
 use varda_implicit::lorenz::Lorenz63;
-use varda_implicit::{ControlMap, Error, ImplicitModel, Log, Model, OneLeg, Rhs, Rk4, check, Work};
+use varda_implicit::{ControlMap, Error, ImplicitModel, Log, Model, OneLeg, Rhs, Rk4, Work, check};
 
 /// A model given by its three functions.
 struct Toy {

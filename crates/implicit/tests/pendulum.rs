@@ -135,11 +135,7 @@ impl ImplicitStep for Spring {
             dx[i] = -lambda[2 + i] / at.length;
         }
     }
-    fn equations<'a>(
-        &'a mut self,
-        at: &Interval,
-        x: &'a [f64],
-    ) -> Result<Self::Equations<'a>, Refusal> {
+    fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<Self::Equations<'a>, Refusal> {
         Ok(SpringEquations { step: self, at: *at, x })
     }
 }

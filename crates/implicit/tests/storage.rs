@@ -2,8 +2,8 @@
 
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 use varda_implicit::{
-    Equations, Error, Footprint, ImplicitModel, ImplicitStep, Interval, Keep, Linearization, Model, OneLeg, Refusal,
-    Rk4, StepEquations, Storage, Structure, Trajectory, check,
+    Equations, Error, Footprint, ImplicitModel, ImplicitStep, Interval, Keep, Linearization, Model, OneLeg,
+    Refusal, Rk4, StepEquations, Storage, Structure, Trajectory, check,
 };
 
 /// A swing that refuses to be solved in steps longer than a quarter of a second when it is far out: steps in parts.
@@ -64,11 +64,7 @@ impl ImplicitStep for Swing {
     fn previous_transpose_add(&mut self, _: &Interval, _: &[f64], _: &[f64], mu: &[f64], dx: &mut [f64]) {
         dx.iter_mut().zip(mu).for_each(|(d, m)| *d -= m);
     }
-    fn equations<'a>(
-        &'a mut self,
-        at: &Interval,
-        x: &'a [f64],
-    ) -> Result<Self::Equations<'a>, Refusal> {
+    fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<Self::Equations<'a>, Refusal> {
         Ok(SwingEquations { step: self, at: *at, x })
     }
 }
@@ -206,17 +202,17 @@ fn memory_is_bounded_by_the_budget_and_used_again() {
     let mut chosen = Vec::new();
     for budget in [10_000_000, 200_000, 40_000] {
         let mut model = ImplicitModel::new(step(), 0, 0.005);
-        let footprint = Footprint { steps, runs: 1, state: 8 * n, linearization: model.bytes_per_step() };
+        let footprint = Footprint { steps, runs: 1, state: 8 * n, linearization: model.slot_bytes() };
         let storage = footprint.within(budget).unwrap();
         chosen.push(storage);
         let mut trajectory = Trajectory::with_storage(storage);
         let bits = sweeps(&mut model, &mut trajectory, &x0, steps);
         assert!(reference.get_or_insert_with(|| bits.clone()) == &bits, "{storage:?}");
-        let held = trajectory.bytes() + model.bytes_kept();
+        let held = trajectory.bytes() + model.bytes();
         assert!(held <= budget, "{storage:?}: {held}");
         assert_eq!(held, footprint.bytes(storage), "{storage:?}");
         sweeps(&mut model, &mut trajectory, &x0, steps);
-        assert_eq!(trajectory.bytes() + model.bytes_kept(), held);
+        assert_eq!(trajectory.bytes() + model.bytes(), held);
     }
     assert!(matches!(chosen[..], [Storage::KeepAll, Storage::States, Storage::Checkpoints { states: 10.. }]));
     let footprint = Footprint { steps, runs: 1, state: 8 * n, linearization: 20_000 };

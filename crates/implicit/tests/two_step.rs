@@ -2,7 +2,7 @@
 
 use varda_implicit::lorenz::Lorenz63;
 use varda_implicit::{
-    Adaptive, Error, Substepped, ImplicitModel, Keep, Model, NewtonOptions, OneLeg, Rhs, Scheme, Trajectory,
+    Adaptive, Error, ImplicitModel, Keep, Model, NewtonOptions, OneLeg, Rhs, Scheme, Substepped, Trajectory,
     accepted_times, check, largest_error,
 };
 

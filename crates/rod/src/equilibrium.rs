@@ -132,10 +132,7 @@ impl Statics {
 
     fn work_space(&self) -> NewtonWork {
         let layout = &self.system.layout;
-        NewtonWork::new(
-            layout.unknowns,
-            &Structure::SymmetricBand { half_bandwidth: layout.half_bandwidth },
-        )
+        NewtonWork::new(layout.unknowns, &Structure::SymmetricBand { half_bandwidth: layout.half_bandwidth })
     }
 }
 

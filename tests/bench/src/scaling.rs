@@ -84,12 +84,11 @@ fn rods(options: &Options) -> Result<(Table, Vec<Series>)> {
             let mut x = start.clone();
             let timing = timed(options.samples(), || {
                 x.copy_from_slice(&start);
-                let before = model.counts().newton_iterations;
+                iterations = 0;
                 for k in 0..steps {
-                    model.step(k, &x, &mut next)?;
+                    iterations += model.step(k, &x, &mut next)?.newton_iterations;
                     std::mem::swap(&mut x, &mut next);
                 }
-                iterations = model.counts().newton_iterations - before;
                 Ok::<(), varda_implicit::Error>(())
             })?;
             let micro = 1e6 / (segments * iterations) as f64;

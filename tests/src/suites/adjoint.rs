@@ -7,7 +7,7 @@ use problems::methods::{Assembled, for_each_method};
 use problems::rods::{HangingRod, rod_scale, rods, wave};
 use varda_assimilation::{GaussNewton, Incremental};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
-use varda_implicit::{ControlMap, Error, ImplicitModel, Keep, Model, OneLeg, Rk4, Trajectory, check, Work};
+use varda_implicit::{ControlMap, Error, ImplicitModel, Keep, Model, OneLeg, Rk4, Trajectory, Work, check};
 
 /// Reason of the bound of every dot product.
 const ROUNDING: &str =

@@ -123,17 +123,6 @@ fn flagship(case: &mut Case) -> Outcome {
     // Twelve rows at each of the steps 10, 20 … 100; columns would take 144 tangent products a step.
     case.count("adjoint steps of the dense Hessian", of(|c| c.adjoint_steps), 12 * 550);
 
-    let make = || -> Box<dyn Model + Send> { Box::new(rod.model(rod.first_step).expect("made before")) };
-    cost.set_workers(&make, 1)?;
-    let mut shared = vec![0.0; n * n];
-    cost.hessian(&mut shared)?;
-    let with_worker = cost.counts();
-    let of = |f: fn(&Counts) -> usize| f(&with_worker.model) - f(&dense.model);
-    let different = hessian.iter().zip(&shared).filter(|(a, b)| a.to_bits() != b.to_bits()).count();
-    case.count("numbers of a Hessian shared with a worker that differ in a bit", different, 0);
-    case.count("adjoint steps of both", of(|c| c.adjoint_steps), 12 * 550);
-    // The twelve rows of the last ten steps are too few to share.
-    case.count("linearizations of the worker", of(|c| c.linearizations), 90);
     Ok(())
 }
 

@@ -132,7 +132,14 @@ impl<'a> WeakState<'a> {
         self.window.counts.adjoint_sweeps += 1;
         let Self { window, b, q, p, physical } = self;
         let StrongConstraint {
-            model: Some(model), errors: Some(errors), base, lambda, dz, last, transform, ..
+            model: Some(model),
+            errors: Some(errors),
+            base,
+            lambda,
+            dz,
+            last,
+            transform,
+            ..
         } = window
         else {
             unreachable!()
@@ -220,8 +227,9 @@ impl Incremental for WeakState<'_> {
     fn increment(&mut self, p: &[f64], dv: &mut [f64]) -> Result<(), Error> {
         self.window.return_to_base()?;
         self.window.counts.tangent_sweeps += 1;
-        let StrongConstraint { model: Some(model), errors: Some(errors), base, lambda, last, transform, .. } =
-            &mut self.window
+        let StrongConstraint {
+            model: Some(model), errors: Some(errors), base, lambda, last, transform, ..
+        } = &mut self.window
         else {
             unreachable!()
         };

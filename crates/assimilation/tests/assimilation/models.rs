@@ -117,13 +117,7 @@ pub(crate) struct Rk4<F> {
 
 impl<F: Field> Rk4<F> {
     pub(crate) fn new(field: F, dt: f64) -> Self {
-        Self {
-            field,
-            dt,
-            mutation: 0.0,
-            bound: 1e6,
-            kept: (0..1000).map(|_| None).collect(),
-        }
+        Self { field, dt, mutation: 0.0, bound: 1e6, kept: (0..1000).map(|_| None).collect() }
     }
 
     fn stages(&self, x: &[f64]) -> ([Vec<f64>; 4], [Vec<f64>; 4]) {

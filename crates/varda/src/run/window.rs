@@ -4,8 +4,8 @@ use std::ops::ControlFlow;
 use std::time::Instant;
 
 use varda_assimilation::{Analysis, ObservationSet, huber};
-use varda_implicit::{Log, Model};
 use varda_implicit::check::Amplification;
+use varda_implicit::{Log, Model};
 
 use super::{amplification, fit, shapes};
 use crate::Error;
@@ -91,7 +91,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         },
     };
     let (solution, mut observations) = solve::solve(&mut task, problem.observations()?, &mut on_iterate)?;
-    let log = timed.log().clone();
+    let mut log = timed.log().clone();
     // The time of the posterior does not belong to the minimization.
     let minimizer = convergence.last().map_or(0.0, |row| row.seconds);
     let seconds = Seconds {
@@ -122,7 +122,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     warnings.extend(remarks_on_steps);
     let analysis = analysis(problem, &solution, observations.dim());
     let trajectories =
-        trajectories(problem, model.as_mut(), &analysis.analysis, solution.states, &mut warnings);
+        trajectories(problem, model.as_mut(), &analysis.analysis, solution.states, &mut warnings, &mut log);
     let amplification = amplification(problem, make_model, &analysis, &observations, &trajectories);
     warnings.extend(amplification.and_then(|a| a.warning()));
     let fit = fit::fit(&mut observations, &trajectories)?;
@@ -142,7 +142,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         iterations: [solution.minimum.outer_iterations, solution.minimum.inner_iterations],
         convergence,
         counts: solution.counts,
-        model_counts: model.counts(),
+        model_counts: log.counts,
         rejected: rejected(experiment, &solution.rejected),
         rmse,
         seconds: Seconds { total: listener.started.elapsed().as_secs_f64(), ..seconds },
@@ -304,14 +304,14 @@ fn trajectories(
     analysis: &[f64],
     mut states: Vec<f64>,
     warnings: &mut Vec<String>,
+    log: &mut Log,
 ) -> Trajectories {
     let steps = problem.experiment.grid.last_step();
     let dim = model.dim();
     let mut x0 = vec![0.0; dim];
-    let mut warn = |what: &str, result: Result<Log, varda_implicit::Error>| {
-        if let Err(e) = result {
-            warnings.push(format!("the run of the {what} ends early: {e}"));
-        }
+    let mut warn = |what: &str, result: Result<Log, varda_implicit::Error>| match result {
+        Ok(run) => log.add(&run),
+        Err(e) => warnings.push(format!("the run of the {what} ends early: {e}")),
     };
     let mut from = |control: &[f64], states: &mut Vec<f64>| {
         let start = model.initial_state(control, &mut x0);
