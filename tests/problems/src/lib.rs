@@ -5,4 +5,5 @@ pub mod allocations;
 pub mod costs;
 pub mod methods;
 pub mod rods;
+mod scene;
 pub mod small_problems;
