@@ -66,6 +66,8 @@ mod banded;
 mod block;
 mod check;
 mod combine;
+#[cfg(any(feature = "nalgebra", feature = "sprs"))]
+mod convert;
 mod dense;
 mod diagonal;
 mod diffusion;
@@ -83,6 +85,8 @@ mod truncated;
 pub use banded::Banded;
 pub use block::{BlockDiagonal, Interleaved};
 pub use combine::{Kronecker, Scaled, Sum};
+#[cfg(feature = "nalgebra")]
+pub use convert::to_dmatrix;
 pub use dense::Dense;
 pub use diagonal::Diagonal;
 pub use diffusion::Diffusion;
