@@ -1,7 +1,7 @@
 //! Errors: one clear message each, naming the file and line, the field or the step.
 //!
-//! As in the other crates, what caused an error is part of its message, hence not of its chain of sources as well: a printer of chains says
-//! nothing twice.
+//! As in the other crates, what caused an error is part of its message, hence not of its chain of sources as
+//! well: a printer of chains says nothing twice.
 
 use std::path::PathBuf;
 
@@ -55,7 +55,8 @@ pub enum Error {
     },
     /// The output folder holds something that Varda did not write.
     #[error(
-        "{path} exists and is not a result of Varda ({reason}); choose another folder with --out, or move it away"
+        "{path} exists and is not a result of Varda ({reason}); choose another folder with --out, or move it \
+         away"
     )]
     Occupied {
         /// The folder.
@@ -65,7 +66,8 @@ pub enum Error {
     },
     /// A result has an unfinished run beside it.
     #[error(
-        "{path} holds an unfinished run; go on with it by --resume, remove it, or choose another folder with --out"
+        "{path} holds an unfinished run; go on with it by --resume, remove it, or choose another folder with \
+         --out"
     )]
     Unfinished {
         /// The folder of the unfinished run.

@@ -136,7 +136,8 @@ pub fn main() -> ExitCode {
     })
 }
 
-/// Becomes true at Ctrl-C, SIGTERM or SIGHUP; the run then ends with what it has. A second one ends the program at once.
+/// Becomes true at Ctrl-C, SIGTERM or SIGHUP; the run then ends with what it has. A second one ends the
+/// program at once.
 fn stop_on_signals() -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);

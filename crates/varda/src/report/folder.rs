@@ -1,8 +1,10 @@
 //! The output folder: whole or absent.
 //!
-//! A result `r` is made beside its place, in `.r.varda-<run>/`, and renamed; an earlier result is meanwhile `.r.varda-<run>-earlier-<n>/`, and `…-earlier-<n>-replaced/` while it is being deleted. The run
-//! holds a lock on `.r.varda-<run>.lock` until nothing of it is left. A lock that nobody holds is that of a run that was killed: the next run into
-//! `r` removes what it left, and puts back the earlier result it had no time to replace.
+//! A result `r` is made beside its place, in `.r.varda-<run>/`, and renamed; an earlier result is meanwhile
+//! `.r.varda-<run>-earlier-<n>/`, and `…-earlier-<n>-replaced/` while it is being deleted. The run holds a
+//! lock on `.r.varda-<run>.lock` until nothing of it is left. A lock that nobody holds is that of a run that
+//! was killed: the next run into `r` removes what it left, and puts back the earlier result it had no time to
+//! replace.
 
 use std::fs::{File, OpenOptions};
 use std::io::ErrorKind;
@@ -42,7 +44,8 @@ struct Lock {
 const ATTEMPTS: usize = 100;
 
 impl Output {
-    /// Starts a folder that will become `target`. Clears away first what killed runs into it have left: see [`found`](Self::found).
+    /// Starts a folder that will become `target`. Clears away first what killed runs into it have left: see
+    /// [`found`](Self::found).
     ///
     /// # Errors
     /// [`Error::Occupied`] where `target` exists and is not an earlier result of Varda; [`Error::Write`].
@@ -84,7 +87,8 @@ impl Output {
     pub fn publish(mut self) -> Result<PathBuf, Error> {
         let failed = |reason| Error::Write { path: self.target.clone(), reason };
         let mut earlier = Vec::new();
-        // Another run may put its folder there between any two of these steps: then this one takes that one's place in turn.
+        // Another run may put its folder there between any two of these steps: then this one takes that one's
+        // place in turn.
         let last = loop {
             replaceable(&self.target)?;
             if self.target.exists() {

@@ -6,7 +6,8 @@ use plotters::prelude::*;
 
 use crate::Error;
 
-/// Figures are drawn this much larger than they are shown: the SVG backend rounds coordinates to whole pixels.
+/// Figures are drawn this much larger than they are shown: the SVG backend rounds coordinates to whole
+/// pixels.
 const FINE: u32 = 4;
 
 type Drawing = DrawingAreaErrorKind<<SVGBackend<'static> as DrawingBackend>::ErrorType>;
@@ -70,8 +71,8 @@ pub struct Series {
     pub points: Vec<(f64, f64)>,
 }
 
-/// What a series looks like. Colours are Okabe and Ito's (2008), which stay apart for colour-blind eyes; lines differ in
-/// dash too.
+/// What a series looks like. Colours are Okabe and Ito's (2008), which stay apart for colour-blind eyes;
+/// lines differ in dash too.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Style {
     /// Dotted, grey.
@@ -331,7 +332,8 @@ fn accessible(svg: &str, (wide, high): (u32, u32), title: &str) -> String {
     let body = svg.find("<svg").map_or(svg, |i| &svg[i..]);
     let inner = body.find('>').map_or("", |i| &body[i + 1..]);
     format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {wide} {high}\" width=\"{width}\" height=\"{height}\" role=\"img\" \
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {wide} {high}\" width=\"{width}\" \
+         height=\"{height}\" role=\"img\" \
          aria-label=\"{0}\">\n<title>{0}</title>{inner}",
         super::html::escape(title)
     )

@@ -19,21 +19,22 @@ pub struct Algorithm {
     /// Converged when the gradient in the control variable is this much smaller than at the background.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub gradient_tolerance: f64,
-    /// Observation-error continuation: σ of the observations is multiplied by these factors in turn, each stage starting
-    /// where the last one ended. The last factor must be 1. Empty: none.
+    /// Observation-error continuation: σ of the observations is multiplied by these factors in turn, each
+    /// stage starting where the last one ended. The last factor must be 1. Empty: none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub sigma_stages: Vec<f64>,
-    /// Robust observations (methods 4dvar and 3dvar): departures beyond this many σ count linearly, not squared (Huber norm).
+    /// Robust observations (methods 4dvar and 3dvar): departures beyond this many σ count linearly, not
+    /// squared (Huber norm).
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub robust: Option<f64>,
-    /// Background check: observed values farther than this many √(HBHᵀ + R) from the background are refused before the
-    /// minimization, and listed.
+    /// Background check: observed values farther than this many √(HBHᵀ + R) from the background are
+    /// refused before the minimization, and listed.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub background_check: Option<f64>,
-    /// Growing window (4D methods): ends of sub-windows in steps, in turn, each started where the last one ended. The last
-    /// must be the window. Empty: the window at once.
+    /// Growing window (4D methods): ends of sub-windows in steps, in turn, each started where the last one
+    /// ended. The last must be the window. Empty: the window at once.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub window_growth: Vec<usize>,
     /// The error of the model (methods weak-forcing and weak-state).

@@ -1,19 +1,21 @@
-//! `[algorithm.ensemble]`: the members, for the methods that run an ensemble in the place of a tangent and an adjoint.
+//! `[algorithm.ensemble]`: the members, for the methods that run an ensemble in the place of a tangent and an
+//! adjoint.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Taper;
 
-/// The ensemble of methods 4denvar and hybrid-4denvar. Its members are drawn from N(x_b, B) with the seed's stream for ensembles.
+/// The ensemble of methods 4denvar and hybrid-4denvar. Its members are drawn from N(x_b, B) with the seed's
+/// stream for ensembles.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Ensemble {
     /// Number of members N; at most 1e9 numbers in all their runs together.
     #[schemars(extend("minimum" = 2, "maximum" = 10000))]
     pub members: usize,
-    /// Distance beyond which the ensemble's covariances are not believed: [m] on a rod or a line, in components on
-    /// lorenz96's ring. Left out: no localization.
+    /// Distance beyond which the ensemble's covariances are not believed: [m] on a rod or a line, in
+    /// components on lorenz96's ring. Left out: no localization.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub localization_length: Option<f64>,
@@ -23,11 +25,13 @@ pub struct Ensemble {
     /// The members' deviations from their mean are multiplied by this before a window.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub inflation: f64,
-    /// Weight β_s of the static part in β_s² B + β_e² B_e (method hybrid-4denvar): a factor on standard deviations.
+    /// Weight β_s of the static part in β_s² B + β_e² B_e (method hybrid-4denvar): a factor on standard
+    /// deviations.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("minimum" = 0.0))]
     pub static_weight: Option<f64>,
-    /// Weight β_e of the ensemble part in β_s² B + β_e² B_e (method hybrid-4denvar): a factor on standard deviations.
+    /// Weight β_e of the ensemble part in β_s² B + β_e² B_e (method hybrid-4denvar): a factor on
+    /// standard deviations.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("minimum" = 0.0))]
     pub ensemble_weight: Option<f64>,

@@ -122,8 +122,13 @@ impl SceneFile {
             None => {
                 return match shipped::data(file) {
                     Some(text) => Ok(Source::Shipped { name: file.to_string(), text }),
-                    None => Err(self
-                        .invalid(path, format!("no file {file:?} is shipped; give one with --set {path}=…"))),
+                    None => Err(self.invalid(
+                        path,
+                        format!(
+                            "no file {file:?} is shipped; give one with --set \
+                         {path}=…"
+                        ),
+                    )),
                 };
             }
         };

@@ -43,8 +43,9 @@ pub struct Synthetic {
     pub sigma_over_length: Option<f64>,
 }
 
-/// Observations of a rod read from a CSV file with the header `time_s,s_m,x_m,y_m,z_m` or `time_s,marker,x_m,y_m,z_m` and,
-/// if wanted, a column `sigma_m`. An empty cell or a missing row was not observed.
+/// Observations of a rod read from a CSV file with the header `time_s,s_m,x_m,y_m,z_m` or
+/// `time_s,marker,x_m,y_m,z_m` and, if wanted, a column `sigma_m`. An empty cell or a missing row was not
+/// observed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Recording {

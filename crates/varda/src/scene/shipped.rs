@@ -41,6 +41,7 @@ pub const SHIPPED: &[Shipped] = shipped![
 pub const STARTER: &str = include_str!("../../scenes/starter.toml");
 
 const DATA: &[(&str, &str)] = &[
+    ("data/beam-release.csv", include_str!("../../scenes/data/beam-release.csv")),
     ("data/hanging-rod-background.csv", include_str!("../../scenes/data/hanging-rod-background.csv")),
     ("data/hanging-rod-observations.csv", include_str!("../../scenes/data/hanging-rod-observations.csv")),
 ];

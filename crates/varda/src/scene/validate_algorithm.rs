@@ -1,5 +1,5 @@
-//! What `[algorithm]` must satisfy beyond the type of each key: keys that do not belong to the chosen method, and numbers that do
-//! not belong together.
+//! What `[algorithm]` must satisfy beyond the type of each key: keys that do not belong to the chosen method,
+//! and numbers that do not belong together.
 
 use super::invalid::{Check, invalid};
 use super::validate_covariance::validate_covariance;

@@ -98,7 +98,8 @@ pub struct Places {
     pub known: Vec<f64>,
 }
 
-/// The covariance of [X, V]: one block for the positions (σ_x \[m\]) and one for the velocities (σ_v [m/s]), each shared by x, y and z.
+/// The covariance of [X, V]: one block for the positions (σ_x \[m\]) and one for the velocities (σ_v
+/// [m/s]), each shared by x, y and z.
 ///
 /// # Errors
 /// [`Error::Scene`] where it has no root of the kind asked for.
@@ -123,8 +124,8 @@ pub fn localized(
     })
 }
 
-/// The covariance the paper draws its background errors from: the same kernel before localization. It is smooth, so
-/// singular to working precision; its root is truncated at rounding.
+/// The covariance the paper draws its background errors from: the same kernel before localization. It is
+/// smooth, so singular to working precision; its root is truncated at rounding.
 ///
 /// # Errors
 /// [`Error::Scene`].

@@ -28,8 +28,8 @@ pub enum Subject {
     Marker(String),
 }
 
-/// Reads observations: header `time_s,s_m,x_m,y_m,z_m` or `time_s,marker,x_m,y_m,z_m`, optionally `sigma_m`; columns in any
-/// order. `file` is its name in messages.
+/// Reads observations: header `time_s,s_m,x_m,y_m,z_m` or `time_s,marker,x_m,y_m,z_m`, optionally `sigma_m`;
+/// columns in any order. `file` is its name in messages.
 ///
 /// # Errors
 /// [`Error::Data`] naming file and line.

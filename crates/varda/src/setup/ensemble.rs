@@ -9,7 +9,8 @@ use crate::scene::{self, SceneFile};
 use crate::setup::covariance::line_distance;
 use crate::setup::random::{Stream, stream};
 
-/// Eigenvalues of a localization below this fraction of the largest are left out: its rank is a factor of the control's length.
+/// Eigenvalues of a localization below this fraction of the largest are left out: its rank is a factor of the
+/// control's length.
 const TRUNCATION: f64 = 0.01;
 
 /// Where the components of a control are.
@@ -64,8 +65,8 @@ pub fn draw(
     Ensemble::new(&members, localization).map_err(|e| file.invalid("algorithm.ensemble", e.to_string()))
 }
 
-/// For every stacked row of `observations` the component of the control at whose place it was measured; `by_row` has it for every row
-/// of the operator.
+/// For every stacked row of `observations` the component of the control at whose place it was measured;
+/// `by_row` has it for every row of the operator.
 pub fn anchors(observations: &ObservationSet, by_row: &[usize]) -> Vec<usize> {
     observations.observations().iter().flat_map(|o| o.rows.iter().map(|&row| by_row[row])).collect()
 }

@@ -9,8 +9,9 @@ use crate::outcome::WorkCounts;
 use crate::scene::Method;
 use crate::setup::ensemble::anchors;
 
-/// The first linearization of an ensemble takes the members themselves (4D-EnVar proper), later ones differences about the iterate of this
-/// part of their spread (the iterative ensemble smoother): a large spread would end where its own secants vanish, not the gradient.
+/// The first linearization of an ensemble takes the members themselves (4D-EnVar proper), later ones
+/// differences about the iterate of this part of their spread (the iterative ensemble smoother): a large
+/// spread would end where its own secants vanish, not the gradient.
 const SPREAD: f64 = 1e-3;
 
 /// The ensemble, alone or beside B.
@@ -46,7 +47,8 @@ impl Task<'_> {
             transform.control(iteration.v, &mut control);
             on_iterate(&Iterate { iteration, control: &control, window, before })
         };
-        // The static part of a hybrid stays where it is through the window: relinearized, it has no minimum to end at.
+        // The static part of a hybrid stays where it is through the window: relinearized, it has no minimum
+        // to end at.
         let max_outer = match self.algorithm.method {
             Method::HybridFourDEnVar => 1,
             _ => self.algorithm.max_iterations,

@@ -70,8 +70,8 @@ pub(crate) fn outer(algorithm: &Algorithm, inner: InnerSolver) -> OuterLoopOptio
     }
 }
 
-/// The closed form, linearized once at `v`. `Converged` only where the true gradient says so; `Failed`, with `v` as it was, where
-/// the model cannot be run from the estimate.
+/// The closed form, linearized once at `v`. `Converged` only where the true gradient says so; `Failed`, with
+/// `v` as it was, where the model cannot be run from the estimate.
 fn blue(
     algorithm: &Algorithm,
     cost: &mut StrongConstraint,

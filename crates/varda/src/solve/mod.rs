@@ -19,10 +19,12 @@ use crate::setup::ensemble::anchors;
 pub(crate) use task::{Iterate, OnIterate, Solution, Task};
 use task::{Stage, StageEnd};
 
-/// Checks the observations against the background where that is asked for, and minimises: the window at once or growing.
+/// Checks the observations against the background where that is asked for, and minimises: the window at once
+/// or growing.
 ///
 /// # Errors
-/// A cost that cannot be evaluated at the background, or cannot be made. How a minimization ended is a [`Status`].
+/// A cost that cannot be evaluated at the background, or cannot be made. How a minimization ended is a
+/// [`Status`].
 pub(crate) fn solve(
     task: &mut Task,
     mut observations: ObservationSet,

@@ -11,8 +11,9 @@ use crate::outcome::WorkCounts;
 use crate::scene::Method;
 
 impl Task<'_> {
-    /// The strong constraint. 3D-Var is 4D-Var where nothing is observed after step 0. Where the model is refreshed at the end of the
-    /// window, the minimization goes on from there, to the gradient norm that was first asked for.
+    /// The strong constraint. 3D-Var is 4D-Var where nothing is observed after step 0. Where the model is
+    /// refreshed at the end of the window, the minimization goes on from there, to the gradient norm that was
+    /// first asked for.
     pub(super) fn strong(&mut self, stage: Stage) -> Result<StageEnd, Error> {
         let (background, covariance) = (self.background, self.covariance);
         let transform = ControlTransform::new(background.to_vec(), covariance.as_ref())?;

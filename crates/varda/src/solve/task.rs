@@ -29,8 +29,8 @@ pub(crate) struct Task<'a> {
     pub(crate) posterior: bool,
     /// Most bytes for the states and linearizations of a window (strong constraint).
     pub(crate) memory: usize,
-    /// Another model of the same control, where that in force is not good enough about this analysis; the minimization then goes on with it
-    /// (strong constraint).
+    /// Another model of the same control, where that in force is not good enough about this analysis; the
+    /// minimization then goes on with it (strong constraint).
     pub(crate) refresh: &'a mut Refresh<'a>,
 }
 
@@ -121,7 +121,8 @@ impl Task<'_> {
 }
 
 impl PosteriorSpread {
-    /// Of a posterior; where its Hessian is indefinite by rounding, as over a window that amplifies beyond it, the reason alone.
+    /// Of a posterior; where its Hessian is indefinite by rounding, as over a window that amplifies beyond
+    /// it, the reason alone.
     pub(super) fn of(
         posterior: Result<Posterior, Error>,
         transform: &ControlTransform,

@@ -54,7 +54,8 @@ impl Task<'_> {
         })
     }
 
-    /// Started from the run of the background; where the window has grown, from the analysed states and the model's run from the last.
+    /// Started from the run of the background; where the window has grown, from the analysed states and the
+    /// model's run from the last.
     pub(super) fn weak_state(&mut self, stage: Stage) -> Result<StageEnd, Error> {
         let (algorithm, background, covariance) = (self.algorithm, self.background, self.covariance);
         let forcing = self.forcing();
