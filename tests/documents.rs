@@ -1,5 +1,5 @@
-//! Pages and comments agree: every citation has an entry in docs/references.md, and every numbered equation of the paper an
-//! item in docs/notation.md that carries its tag.
+//! Pages and comments agree: every citation has an entry in docs/references.md, and every numbered equation of
+//! the paper an item in docs/notation.md that carries its tag.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

@@ -8,15 +8,16 @@ use std::time::Instant;
 /// What `--help` prints.
 pub const HELP: &str = "\
 cargo xtask verify [SUITE…] [OPTION…]
-    Runs the verification suites in a release build, all of them unless some are named. Prints one line a suite and every
-    row that failed. Ends with 0 if every row passes, with 1 if one fails, with 2 for a mistake in the arguments.
+    Runs the verification suites in a release build, all of them unless some are named. Prints one line a
+    suite and every row that failed. Ends with 0 if every row passes, with 1 if one fails, with 2 for a
+    mistake in the arguments.
 
     --list            the suites, with a sentence on what each proves
     --quick           every kind of check on a fixed part of its grid, as `cargo test` runs it
     --full            everything; with all suites also writes docs/results/verification.md
     -v, --verbose     every row, with its bound and the reason of the bound
     --json FILE       the rows as one JSON array
-    --fixtures DIR    suite golden checks DIR/der, DIR/hanging-rod and DIR/twin instead of tests/fixtures
+    --fixtures DIR    suite golden checks DIR/der, DIR/hanging-rod and DIR/twin, not tests/fixtures
     --stability FILE  the rows of suite stiff as a document (docs/results/stability.md)
     --help            this text";
 
@@ -125,10 +126,11 @@ fn document(lines: &[Line], minutes: f64) -> String {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let mut text = format!(
         "# The last full verification\n\n\
-         Written by `cargo xtask verify --full`: {total} checks, {failed} failed, {minutes:.1} minutes on a machine with\n\
-         {threads} processors, one suite after the other. Rows with their bounds and the reasons of the bounds: `-v`.\n\n\
-         *Closest*: the largest share of its bound that a row of the suite uses.\n\n\
-         | suite | what it proves | checks | failed | closest | seconds |\n|---|---|--:|--:|--:|--:|\n"
+         Written by `cargo xtask verify --full`: {total} checks, {failed} failed, {minutes:.1} minutes on a \
+         machine with\n{threads} processors, one suite after the other. Rows with their bounds and the \
+         reasons of the bounds: `-v`.\n\n*Closest*: the largest share of its bound that a row of the suite \
+         uses.\n\n| suite | what it proves | checks | failed | closest | seconds \
+         |\n|---|---|--:|--:|--:|--:|\n"
     );
     for (suite, checks, failed, closest, seconds) in lines {
         let Suite { name, proves, .. } = suite;

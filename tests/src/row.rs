@@ -8,8 +8,8 @@ use std::time::Instant;
 /// What a check may end with instead of rows: a reason, shown in a failed row.
 pub type Outcome = Result<(), Box<dyn std::error::Error>>;
 
-/// One checked number. It passes where `value ≤ bound`; a NaN does not. A row that only informs has an infinite bound (null in
-/// JSON) and says so in its note.
+/// One checked number. It passes where `value ≤ bound`; a NaN does not. A row that only informs has an
+/// infinite bound (null in JSON) and says so in its note.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
     /// The suite it belongs to.
@@ -246,7 +246,8 @@ fn cells(row: &Row) -> [String; 13] {
     ]
 }
 
-/// One line on the rows of a suite: checks, failures, seconds, the share of its bound that the closest row uses.
+/// One line on the rows of a suite: checks, failures, seconds, the share of its bound that the closest row
+/// uses.
 pub fn summary(rows: &[Row]) -> Summary {
     let closest = rows.iter().filter(|r| r.bound.is_finite() && r.bound > 0.0).map(|r| r.value / r.bound);
     Summary {

@@ -8,10 +8,12 @@ use std::process::Command;
 /// What `cargo xtask compare --help` prints.
 pub(crate) const HELP: &str = "\
 cargo xtask compare OLD NEW [SCENE…] [--recording FILE] [-v]
-    Runs shipped scenes, all of them unless some are named, with two binaries of varda into temporary folders and prints what
-    differs. Where both take the same iterations, all numbers must agree to six digits and all counts exactly. Where the path
-    differs, J must agree to 1e-6 and the iterations within 2. Case 4 of the paper is held to its minimum alone.
-    --recording: the observations of scenes that ship without (beam-release). -v: every number, not the worst of each file.
+    Runs shipped scenes, all of them unless some are named, with two binaries of varda into temporary
+    folders and prints what differs. Where both take the same iterations, all numbers must agree to six
+    digits and all counts exactly. Where the path differs, J must agree to 1e-6 and the iterations within
+    2. Case 4 of the paper is held to its minimum alone.
+    --recording: the observations of scenes that ship without (beam-release). -v: every number, not the
+    worst of each file.
 ";
 
 /// Numbers agree to six digits.
@@ -98,7 +100,8 @@ fn result(binary: &Path, scene: &str, recording: Option<&Path>, out: &Path) -> R
         command.arg("--set").arg(format!("observations.file={}", recording.display()));
     }
     let output = command.output().map_err(|e| format!("{}: {e}", binary.display()))?;
-    // A run that does not fit or did not converge ends with a code of its own and leaves its folder all the same.
+    // A run that does not fit or did not converge ends with a code of its own and leaves its folder all the
+    // same.
     let file = out.join("summary.json");
     let Ok(text) = std::fs::read_to_string(&file) else {
         let said = String::from_utf8_lossy(&output.stderr);
@@ -166,8 +169,8 @@ impl Csv {
         self.columns.iter().filter(|c| c.0 == name).flat_map(|c| &c.1).sum()
     }
 
-    /// The largest difference of each column that both have, relative to its largest value. Infinite where rows are missing
-    /// or a number stands for none.
+    /// The largest difference of each column that both have, relative to its largest value. Infinite where
+    /// rows are missing or a number stands for none.
     fn differences(&self, other: &Csv) -> Vec<(String, f64)> {
         let mut found = Vec::new();
         for (name, ours) in self.columns.iter().filter(|c| !c.0.contains("seconds") && !is_count_column(&c.0))

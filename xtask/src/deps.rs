@@ -1,4 +1,5 @@
-//! Dependencies: no crate draws in what it does without; licences, sources and semantic versions by tools where they are installed.
+//! Dependencies: no crate draws in what it does without; licences, sources and semantic versions by tools
+//! where they are installed.
 
 use crate::{cargo, installed, root, run};
 use std::process::Command;

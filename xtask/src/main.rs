@@ -13,13 +13,15 @@ use std::process::{Command, ExitCode};
 
 const HELP: &str = "\
 cargo xtask verify [SUITE…] [--quick | --full] [-v] [--json FILE] [--fixtures DIR] [--list] [--help]
-    Runs the verification suites in a release build and prints one line a suite and every row that failed. --list: what each
-    suite proves. --help: all options.
+    Runs the verification suites in a release build and prints one line a suite and every row that failed.
+    --list: what each suite proves. --help: all options.
 cargo xtask bench [NAME…] [--quick] [--out DIR]
-    Error against run time (time, gradient, assimilation, scaling, leftout, instructions, workers, build) in a release build: prints tables and
-    writes docs/results/NAME.md, .csv and .svg. --quick: few cases and samples, nothing written. --out: another folder.
+    Error against run time (time, gradient, assimilation, scaling, leftout, instructions, workers, build)
+    in a release build: prints tables and writes docs/results/NAME.md, .csv and .svg. --quick: few cases
+    and samples, nothing written. --out: another folder.
 cargo xtask bench case4 [OPTION…]
-    The study of minimizers on case 4 of the paper, 100 seeds of two priors: docs/results/case4.md. --help: its options.
+    The study of minimizers on case 4 of the paper, 100 seeds of two priors: docs/results/case4.md.
+    --help: its options.
 cargo xtask bench lorenz96-cycling [SEEDS [PART OF A NAME]]
     The table of cycling methods on Lorenz-96, docs/results/lorenz96-cycling.md.
 cargo xtask docs [--check]
@@ -28,7 +30,8 @@ cargo xtask docs [--check]
 cargo xtask compare OLD NEW [SCENE…]
     The shipped scenes by two binaries of varda, number by number. --help: the rules and options.
 cargo xtask lint
-    Rules about the text of the sources: columns, lines of a file, references that a reader cannot open, who uses which package.
+    Rules about the text of the sources: columns, lines of a file, references that a reader cannot open,
+    packages that only one crate may use.
 cargo xtask deps
     What each crate does without; cargo-deny and cargo-semver-checks where they are installed.
 cargo xtask package
@@ -67,8 +70,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// Builds the binary of a package, named like the package, with optimization and cargo's own progress, and runs it. Paths are
-/// those of the caller's folder.
+/// Builds the binary of a package, named like the package, with optimization and cargo's own progress, and
+/// runs it. Paths are those of the caller's folder.
 fn release(package: &str, arguments: &[&str]) -> Result<(), String> {
     let manifest = root().join("Cargo.toml");
     let target = ["--release", "--package", package, "--bin", package, "--manifest-path"];

@@ -4,7 +4,8 @@ use crate::{cargo, root, run};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Packages the crates as crates.io would get them, and sees that each has its licences and its README inside.
+/// Packages the crates as crates.io would get them, and sees that each has its licences and its README
+/// inside.
 pub(crate) fn package() -> Result<Vec<PathBuf>, String> {
     let arguments = ["package", "--workspace", "--no-verify", "--allow-dirty", "--quiet"];
     run(cargo().args(arguments).current_dir(root()))?;

@@ -143,3 +143,17 @@ pub enum Error {
         smallest: f64,
     },
 }
+
+impl From<varda_linalg::Error> for Error {
+    fn from(error: varda_linalg::Error) -> Self {
+        match error {
+            varda_linalg::Error::NonFiniteProduct { .. } => {
+                Error::NonFinite { what: "a product with the Hessian", step: 0 }
+            }
+            varda_linalg::Error::NegativeCurvature { curvature, .. } => {
+                Error::NotPositiveDefinite { smallest: curvature }
+            }
+            _ => Error::NotPositiveDefinite { smallest: f64::NAN },
+        }
+    }
+}

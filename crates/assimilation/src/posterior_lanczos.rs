@@ -1,10 +1,11 @@
 //! The posterior covariance as the identity less a few directions: from Lanczos iterations or from what L-BFGS has learnt.
 
 use crate::cost::{dot, norm};
-use crate::minimize::{Lanczos, Product, at_least_one, eigen};
+use crate::minimize::{at_least_one, eigen};
 use crate::{ControlTransform, Error, GaussNewton, InverseHessian};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
+use varda_linalg::krylov::{Lanczos, Product, Ritz};
 
 /// A posterior of low rank around the prior, in the control variable:
 ///
@@ -85,16 +86,15 @@ impl LowRankPosterior {
         lanczos.begin(&normals(n, rng));
         let mut next_check = 1;
         loop {
-            lanczos.extend(&mut |p, out| cost.hessian_apply(p, out))?;
+            lanczos.extend(&mut |p: &[f64], out: &mut [f64]| cost.hessian_apply(p, out))?;
             let k = lanczos.iterations();
             let ended = lanczos.invariant() || k >= options.max_products;
             if k < next_check && !ended {
                 continue;
             }
             next_check = k + 1 + k / 8;
-            let values = lanczos.values()?;
-            let vectors = lanczos.largest(k)?;
-            let (q, coupling) = lanczos.coupling()?;
+            let Ritz { values, vectors, coupling } = lanczos.ritz()?;
+            let q = lanczos.extension();
             let residuals: Vec<f64> = coupling.iter().flat_map(|c| q.iter().map(move |q| c * q)).collect();
             let split = best_split(&values, &vectors, &residuals, &probes);
             if ended || split.bound <= options.tolerance {
@@ -373,7 +373,7 @@ impl Space {
     }
 
     /// Adds the direction of s with its image from a product.
-    fn add_measured(&mut self, s: &[f64], product: &mut Product) -> Result<bool, Error> {
+    fn add_measured(&mut self, s: &[f64], product: &mut Product<Error>) -> Result<bool, Error> {
         let new = self.add(s, s);
         if new {
             let last = self.basis.len() - self.n;

@@ -53,6 +53,20 @@ pub enum Error {
         /// The value it had to exceed.
         tolerance: f64,
     },
+    /// A product of an iterative method gave values that are not finite.
+    #[error("product {iteration} of an iterative method is not finite")]
+    NonFiniteProduct {
+        /// Index of the iteration.
+        iteration: usize,
+    },
+    /// Conjugate gradients met a direction p with pᵀ A p ≤ 0.
+    #[error("the operator is not positive definite: curvature {curvature:e} in iteration {iteration}")]
+    NegativeCurvature {
+        /// Index of the iteration.
+        iteration: usize,
+        /// pᵀ A p.
+        curvature: f64,
+    },
     /// A sparse pattern that is none.
     #[error("a pattern of {n} rows and columns cannot have {what}: {found}")]
     Pattern {

@@ -33,9 +33,10 @@ pub(super) fn run(options: &Options) -> Result<Page> {
     }
     Ok(Page {
         title: "What building costs",
-        text: "`cargo build --release --locked` into an empty target folder, sources of dependencies downloaded before; a package with a build script counts once. \
-            CPU s: user and system time of cargo and all it starts, whatever the number of cores. Without arguments the workspace's default member is built: \
-            `varda` and all crates below it."
+        text: "`cargo build --release --locked` into an empty target folder, sources of dependencies \
+            downloaded before; a package with a build script counts once. CPU s: user and system time of \
+            cargo and all it starts, whatever the number of cores. Without arguments the workspace's default \
+            member is built: `varda` and all crates below it."
             .into(),
         tables: vec![table],
         ..Page::default()
@@ -62,7 +63,8 @@ fn cold(target: &Path, arguments: &[&str]) -> Result<usize> {
 fn children() -> Result<f64> {
     let missing = "CPU time of children is read from /proc/self/stat: run this benchmark on Linux";
     let text = std::fs::read_to_string("/proc/self/stat").map_err(|_| missing)?;
-    // After the name in parentheses, which may hold blanks: cutime and cstime are fields 16 and 17 of proc(5), in hundredths.
+    // After the name in parentheses, which may hold blanks: cutime and cstime are fields 16 and 17 of
+    // proc(5), in hundredths.
     let fields = text.rsplit_once(')').map_or("", |(_, rest)| rest).split_whitespace();
     let ticks: Vec<f64> = fields.skip(13).take(2).map(str::parse).collect::<std::result::Result<_, _>>()?;
     Ok(0.01 * ticks.iter().sum::<f64>())

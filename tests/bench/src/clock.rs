@@ -1,4 +1,5 @@
-//! Times of a piece of code: seconds that its thread has a core, so that other programs on the machine count for little.
+//! Times of a piece of code: seconds that its thread has a core, so that other programs on the machine count
+//! for little.
 
 /// Seconds of one call.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,9 +1,10 @@
-//! Cycling on Lorenz-96, the benchmark of many filters: N = 40, F = 8, RK4 with Δt = 0.05, 1000 observation times 0.05 apart, the first 400 left
-//! out of the means; the error is that of the analysis at the last time of each window, windows do not overlap. Static B is 0.02 times the
-//! full climatological covariance, but where a row says otherwise.
+//! Cycling on Lorenz-96, the benchmark of many filters: N = 40, F = 8, RK4 with Δt = 0.05, 1000 observation
+//! times 0.05 apart, the first 400 left out of the means; the error is that of the analysis at the last time
+//! of each window, windows do not overlap. Static B is 0.02 times the full climatological covariance, but
+//! where a row says otherwise.
 //!
-//! `cargo xtask bench lorenz96-cycling [SEEDS [PART OF A NAME]]` prints the table of docs/results/lorenz96-cycling.md (6 seeds by
-//! default: 0 … 5).
+//! `cargo xtask bench lorenz96-cycling [SEEDS [PART OF A NAME]]` prints the table of
+//! docs/results/lorenz96-cycling.md (6 seeds by default: 0 … 5).
 #![allow(clippy::print_stdout)]
 
 use rand::SeedableRng;
@@ -34,7 +35,8 @@ enum Method<'a> {
     Static(&'a Dense),
     /// Strong 4D-Var, B from the propagated posterior and a little static B.
     Propagated { inflation: f64, static_weight: f64 },
-    /// The iterative ensemble smoother, carried by its square root; `support` localizes; `static_weight` makes it a hybrid.
+    /// The iterative ensemble smoother, carried by its square root; `support` localizes; `static_weight`
+    /// makes it a hybrid.
     Ensemble { members: usize, inflation: f64, support: Option<f64>, static_weight: f64, outer: usize },
 }
 
@@ -99,8 +101,8 @@ pub fn table(arguments: &[String]) -> Result<(), Failure> {
         case("hybrid 4D-EnVar, β_s = 0.05, at most 4", 4, hybrid(40, 1.05), 0.48),
     ];
     println!(
-        "| observed | method | window | members | inflation | RMSE, mean ± spread of seeds | bound | worst seed \
-         | RMSE at the start | expected spread | CPU ms a window | a time | not converged |"
+        "| observed | method | window | members | inflation | RMSE, mean ± spread of seeds | bound | worst \
+         seed | RMSE at the start | expected spread | CPU ms a window | a time | not converged |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|");
     for (network, cases) in [(&all, &dense[..]), (&half, &sparse[..])] {
@@ -133,7 +135,8 @@ fn row(network: &Network, case: &Case, seeds: u64, mean: &[f64], b: &Dense) -> R
     };
     let time = 1e3 * seconds / cycles as f64;
     println!(
-        "| {} | {} | {} | {members} | {inflation} | {average:.3} ± {:.3} | {} | {:.3} | {starts:.3} | {} | {time:.2} | {:.2} | {stopped} |",
+        "| {} | {} | {} | {members} | {inflation} | {average:.3} ± {:.3} | {} | {:.3} | {starts:.3} | {} | \
+            {time:.2} | {:.2} | {stopped} |",
         network.name,
         case.name,
         case.window,

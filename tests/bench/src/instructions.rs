@@ -5,8 +5,9 @@ use super::{Options, Page, Result, Table};
 use crate::cells;
 use std::process::Command;
 
-const MISSING: &str = "valgrind is not installed; it counts the instructions. Debian, Ubuntu: apt-get install valgrind; \
-    Fedora: dnf install valgrind; macOS and Windows: run this benchmark in a Linux container";
+const MISSING: &str = "valgrind is not installed; it counts the instructions. Debian, Ubuntu: apt-get \
+    install valgrind; Fedora: dnf install valgrind; macOS and Windows: run this benchmark in a Linux \
+    container";
 
 pub(super) fn run(options: &Options) -> Result<Page> {
     Command::new("valgrind").arg("--version").output().map_err(|_| MISSING)?;
@@ -25,11 +26,14 @@ pub(super) fn run(options: &Options) -> Result<Page> {
     }
     Ok(Page {
         title: "Instructions of kernels",
-        text: "Counted by valgrind (cachegrind without cache simulation), the difference between six calls and two, divided by four. Free of noise: \
-            the same binary gives the same numbers, so a change here is a change in the code or the compiler. Valgrind offers AVX2, not AVX-512. \
-            Rod: the [driven rod](../reference-problems.md#driven-rod) (25 segments, 1 MPa) at 1 s, Δt = 0.02 s; \"rod\" without angles (3 unknowns a segment, half-bandwidth 8), \
-            \"twisting rod\" with them (4, 10). A step is a whole step with its Newton iterations; linearize is assembly and factor; the flagship window is the paper's case 1 \
-            (144 controls, 100 steps, 120 observations). Clock times of the same kernels: `cargo bench -p bench`."
+        text: "Counted by valgrind (cachegrind without cache simulation), the difference between six calls \
+            and two, divided by four. Free of noise: the same binary gives the same numbers, so a change \
+            here is a change in the code or the compiler. Valgrind offers AVX2, not AVX-512. Rod: the \
+            [driven rod](../reference-problems.md#driven-rod) (25 segments, 1 MPa) at 1 s, Δt = 0.02 s; \
+            \"rod\" without angles (3 unknowns a segment, half-bandwidth 8), \"twisting rod\" with them (4, \
+            10). A step is a whole step with its Newton iterations; linearize is assembly and factor; the \
+            flagship window is the paper's case 1 (144 controls, 100 steps, 120 observations). Clock times \
+            of the same kernels: `cargo bench -p bench`."
             .into(),
         tables: vec![table],
         ..Page::default()

@@ -1,5 +1,5 @@
-//! The pieces of code that run time is spent in, each ready to be called again and again: for instruction counts and for the
-//! harness in benches/kernels.rs.
+//! The pieces of code that run time is spent in, each ready to be called again and again: for instruction
+//! counts and for the harness in benches/kernels.rs.
 
 use super::Result;
 use problems::rods::{DrivenRod, HangingRod, wave};
@@ -246,7 +246,8 @@ fn lorenz96_gradient(user: User) -> Result<()> {
     Ok(())
 }
 
-/// What is called on the cost of the flagship's window, at a v that may be moved; the last is as long as its Hessian.
+/// What is called on the cost of the flagship's window, at a v that may be moved; the last is as long as its
+/// Hessian.
 type OnCost = fn(&mut StrongConstraint, &mut [f64], &mut [f64]);
 
 /// Case 1 of the paper with the prior conditioned on the clamp, at a point of its prior.

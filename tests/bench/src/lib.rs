@@ -1,7 +1,7 @@
 //! Benchmarks: error against run time. Each gives a [`Page`], printed and written to docs/results.
 //!
-//! Times are CPU seconds of one thread, taken after a warm-up, given as the median and the least of several samples. They inform; only
-//! errors are checked, by the suites.
+//! Times are CPU seconds of one thread, taken after a warm-up, given as the median and the least of several
+//! samples. They inform; only errors are checked, by the suites.
 
 pub mod case4;
 pub mod clock;

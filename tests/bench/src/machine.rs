@@ -29,7 +29,8 @@ pub fn description() -> String {
     )
 }
 
-/// Processes that wanted a core during the last minute, this one included; `None` where the system does not say.
+/// Processes that wanted a core during the last minute, this one included; `None` where the system does not
+/// say.
 pub fn load() -> Option<f64> {
     read_to_string("/proc/loadavg").ok()?.split_whitespace().next()?.parse().ok()
 }

@@ -130,7 +130,8 @@ impl Table {
         self.rows.push(row);
     }
 
-    /// Lines of cells, aligned; numbers to the right. `between` stands between them; with `ruled` a line of dashes under the head.
+    /// Lines of cells, aligned; numbers to the right. `between` stands between them; with `ruled` a line of
+    /// dashes under the head.
     fn lines(&self, between: [&str; 3], ruled: bool) -> String {
         let head: Vec<String> = self.columns.iter().map(|c| c.to_string()).collect();
         let body: Vec<Vec<String>> = self.rows.iter().map(|r| r.iter().map(Cell::text).collect()).collect();

@@ -32,15 +32,20 @@ pub(super) fn run(options: &Options) -> Result<Page> {
 }
 
 const TEXT: &str = "\
-The [driven rod](../reference-problems.md#driven-rod) (1 m, r = 5 mm, 1 MPa, driven at the top, from rest, Δt = 0.02 s) with more and more segments; \"with angles\" keeps one angle a segment among the unknowns. Per segment and Newton \
-iteration: seconds of all steps/(segments × linear solves), where every Newton iteration is one solve. Working memory: heap of the model after its first step, description of the rod included; \
+The [driven rod](../reference-problems.md#driven-rod) (1 m, r = 5 mm, 1 MPa, driven at the top, from rest, \
+Δt = 0.02 s) with more and more segments; \"with angles\" keeps one angle a segment among the unknowns. Per \
+segment and Newton iteration: seconds of all steps/(segments × linear solves), where every Newton iteration \
+is one solve. Working memory: heap of the model after its first step, description of the rod included; \
 linearization: what one kept step adds, for tangent and adjoint sweeps. Both are counted by the allocator.
 
-[Targets](../reference-problems.md#targets): at most 0.25 µs without angles and 0.8 µs with them, at 100 000 segments at most twice what it is at 100; at 25 segments at most 0.1 ms a step.";
+[Targets](../reference-problems.md#targets): at most 0.25 µs without angles and 0.8 µs with them, at 100 \
+000 segments at most twice what it is at 100; at 25 segments at most 0.1 ms a step.";
 
 const PEERS: &str = "\
-Other programs, measured elsewhere on comparable machines ([targets](../reference-problems.md#targets)): the best C++ program 1.4 ms a step at 25 segments, 8 to 11 µs per segment and Newton iteration; a compiled reference 7 µs \
-per iteration without angles, 0.28 µs per segment; the flagship's window in JAX 34 ms forward.";
+Other programs, measured elsewhere on comparable machines ([targets](../reference-problems.md#targets)): the \
+best C++ program 1.4 ms a step at 25 segments, 8 to 11 µs per segment and Newton iteration; a compiled \
+reference 7 µs per iteration without angles, 0.28 µs per segment; the flagship's window in JAX 34 ms \
+forward.";
 
 fn rods(options: &Options) -> Result<(Table, Vec<Series>)> {
     let mut table = Table::new(

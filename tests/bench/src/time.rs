@@ -56,18 +56,23 @@ pub(super) fn run(options: &Options) -> Result<Page> {
 }
 
 const TEXT: &str = "\
-[Driven rod](../reference-problems.md#driven-rod): 25 segments, L = 1 m, r = 5 mm, 1200 kg/m³, vertices 0 and 1 driven, one second a round, from rest, straight down and unstretched, two seconds. Error: \
-root mean square over the free vertices of the distance to the reference at 2 s, over L. Reference: the same discrete rod by explicit RK4, self-converged, its order and error below. \
-It shares the forces with the other methods and nothing of their time stepping; errors in space are not in these numbers.
+[Driven rod](../reference-problems.md#driven-rod): 25 segments, L = 1 m, r = 5 mm, 1200 kg/m³, vertices 0 \
+and 1 driven, one second a round, from rest, straight down and unstretched, two seconds. Error: root mean \
+square over the free vertices of the distance to the reference at 2 s, over L. Reference: the same discrete \
+rod by explicit RK4, self-converged, its order and error below. It shares the forces with the other methods \
+and nothing of their time stepping; errors in space are not in these numbers.
 
-Steps chosen by their estimated error: `accepted_times` with a tolerance on the error of one step (root mean square over the positions, over L), 0.1 s at most. To choose takes \
-three solves a step tried; to run, one: an assimilation chooses once and runs them many times.
+Steps chosen by their estimated error: `accepted_times` with a tolerance on the error of one step (root mean \
+square over the positions, over L), 0.1 s at most. To choose takes three solves a step tried; to run, one: \
+an assimilation chooses once and runs them many times.
 
-Rod in its first mode: the same rod, 1 MPa, clamp at rest, released 0.02 mm out of equilibrium in the shape of its slowest sideways mode; exact solution a cos ωt of the linearized \
-discrete rod (from its Hessian, independent of any time stepping), for 2⅛ periods. Error: root mean square over that of the mode.
+Rod in its first mode: the same rod, 1 MPa, clamp at rest, released 0.02 mm out of equilibrium in the shape \
+of its slowest sideways mode; exact solution a cos ωt of the linearized discrete rod (from its Hessian, \
+independent of any time stepping), for 2⅛ periods. Error: root mean square over that of the mode.
 
-Lorenz-63 from (1, 1, 20) for one unit of time, against RK4 at Δt = 10⁻⁵; error ‖x − x_ref‖/‖x_ref‖. Prothero–Robinson (1974): ẋ = −10⁴ (x − cos t) − sin t from x = 1.5, ten units of time, exact \
-solution cos t + ½ exp(−10⁴ t); error |x − cos t|.";
+Lorenz-63 from (1, 1, 20) for one unit of time, against RK4 at Δt = 10⁻⁵; error ‖x − \
+x_ref‖/‖x_ref‖. Prothero–Robinson (1974): ẋ = −10⁴ (x − cos t) − sin t from x = 1.5, ten \
+units of time, exact solution cos t + ½ exp(−10⁴ t); error |x − cos t|.";
 
 const COLUMNS: [&str; 9] = [
     "problem",
@@ -125,8 +130,8 @@ impl Benchmark {
         let (coarse, middle, fine) = (coarse?, middle?, fine?);
         let (first, second) = (distance(&coarse, &middle), distance(&middle, &fine));
         self.remarks.push(format!(
-            "Reference of \"{name}\": RK4 at Δt = {:.0e} s; halving the step twice, to that, changes the end by {first:.1e} and {second:.1e} of L: order {:.2}, error \
-             left (Richardson) {:.1e}.",
+            "Reference of \"{name}\": RK4 at Δt = {:.0e} s; halving the step twice, to that, changes the \
+             end by {first:.1e} and {second:.1e} of L: order {:.2}, error left (Richardson) {:.1e}.",
             reference_step / 4.0,
             (first / second).log2(),
             second / 15.0
@@ -174,7 +179,8 @@ impl Benchmark {
         Ok(())
     }
 
-    /// The same by steps of every length: chosen once, which takes three solves a step tried, then run as they are.
+    /// The same by steps of every length: chosen once, which takes three solves a step tried, then run as
+    /// they are.
     fn divided(
         &mut self,
         name: &str,
@@ -229,7 +235,8 @@ impl Benchmark {
             off / squares(&mut mode.shape.iter().copied())
         };
         self.remarks.push(format!(
-            "First mode: {:.6} Hz for 25 segments; the continuous rod has 0.619921 Hz ([closed forms](../reference-problems.md#closed-forms-of-rods)).",
+            "First mode: {:.6} Hz for 25 segments; the continuous rod has 0.619921 Hz ([closed \
+                forms](../reference-problems.md#closed-forms-of-rods)).",
             mode.omega / TAU
         ));
         let implicit = |scheme| {
@@ -411,7 +418,8 @@ impl Rhs for RodMotion {
         self.step.dim()
     }
 
-    /// The potential of backward Euler's step from (X, 0) to X has no inertia left: its gradient is −F. Forces are those at the end.
+    /// The potential of backward Euler's step from (X, 0) to X has no inertia left: its gradient is −F.
+    /// Forces are those at the end.
     fn eval(&mut self, t: f64, x: &[f64], f: &mut [f64]) {
         let n = x.len() / 2;
         self.at_rest[..n].copy_from_slice(&x[..n]);

@@ -12,9 +12,10 @@ use varda_covariance::Diagonal;
 use varda_implicit::{ImplicitModel, Model, OneLeg, Rk4, lorenz::Lorenz96};
 
 const TEXT: &str = "\
-Dense Gauss–Newton Hessians by the cost's own model alone, and with one further model that takes its share of the rows or columns \
-(`StrongConstraint::set_workers`), which linearizes every step for itself. Time on the wall's clock, the least of one second of calls by turns: here two cores are \
-meant to work. The results are the same bits.";
+Dense Gauss–Newton Hessians by the cost's own model alone, and with one further model that takes its share \
+of the rows or columns (`StrongConstraint::set_workers`), which linearizes every step for itself. Time on \
+the wall's clock, the least of one second of calls by turns: here two cores are meant to work. The results \
+are the same bits.";
 
 pub(super) fn run(options: &Options) -> Result<Page> {
     let names = ["problem", "n", "alone ms", "with one more ms", "of the time alone", "difference"];
@@ -37,7 +38,8 @@ pub(super) fn run(options: &Options) -> Result<Page> {
 
 type MakeModel<'a> = &'a dyn Fn() -> Box<dyn Model + Send>;
 
-/// Windows of 20 steps: half of the variables seen at every second step (by columns), an eighth at the last (by rows).
+/// Windows of 20 steps: half of the variables seen at every second step (by columns), an eighth at the last
+/// (by rows).
 fn lorenz96(table: &mut Table, options: &Options, n: usize) -> Result<()> {
     let b = Diagonal::uniform(n, 0.5)?;
     let background: Vec<f64> = (0..n).map(|i| 3.0 + (1.7 * i as f64).sin()).collect();

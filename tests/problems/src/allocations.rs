@@ -6,7 +6,8 @@ use std::cell::Cell;
 
 thread_local! {
     static COUNT: Cell<usize> = const { Cell::new(0) };
-    // Bytes in use, and the most there have been; memory may be given back by another thread than the one that asked.
+    // Bytes in use, and the most there have been; memory may be given back by another thread than the one
+    // that asked.
     static LIVE: Cell<isize> = const { Cell::new(0) };
     static PEAK: Cell<isize> = const { Cell::new(0) };
 }
@@ -76,7 +77,8 @@ pub struct Heap {
     pub peak: usize,
 }
 
-/// Runs `code` and returns what this thread asked for meanwhile, with what it returned (still counted as kept).
+/// Runs `code` and returns what this thread asked for meanwhile, with what it returned (still counted as
+/// kept).
 pub fn heap<T>(code: impl FnOnce() -> T) -> (Heap, T) {
     let before = LIVE.with(Cell::get);
     PEAK.with(|p| p.set(before));

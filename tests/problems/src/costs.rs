@@ -50,8 +50,9 @@ impl ObservationOperator for MarkerOperator {
 /// What is done with each cost: its name, and the cost.
 pub type Visit<'v> = dyn FnMut(&str, &mut dyn GaussNewton) -> Result<()> + 'v;
 
-/// Makes one cost after the other and hands it to `visit`: the flagship's window, rods of every kind seen by markers, some of them
-/// between two steps, Lorenz 1963 and 1996, explicit and implicit, 3D-Var with and without a model.
+/// Makes one cost after the other and hands it to `visit`: the flagship's window, rods of every kind seen by
+/// markers, some of them between two steps, Lorenz 1963 and 1996, explicit and implicit, 3D-Var with and
+/// without a model.
 ///
 /// # Errors
 /// A problem that cannot be set up, or what `visit` returns.

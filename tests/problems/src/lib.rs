@@ -1,5 +1,5 @@
-//! Problems that the verification suites and the benchmarks of Varda share: hanging and driven rods, small windows, one assembled
-//! cost for every kind of model and for every method.
+//! Problems that the verification suites and the benchmarks of Varda share: hanging and driven rods, small
+//! windows, one assembled cost for every kind of model and for every method.
 
 pub mod allocations;
 pub mod costs;

@@ -1,4 +1,5 @@
-//! Problems that several suites and benchmarks use: the hanging rod of the paper, a driven one, rods of every kind, Lorenz 1996.
+//! Problems that several suites and benchmarks use: the hanging rod of the paper, a driven one, rods of every
+//! kind, Lorenz 1996.
 
 use std::error::Error;
 use std::f64::consts::TAU;
@@ -13,7 +14,8 @@ use varda_rod::{
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
-/// A rod hanging from a clamp that moves along an ellipse, with a prior and observed points (paper, section 3).
+/// A rod hanging from a clamp that moves along an ellipse, with a prior and observed points (paper, section
+/// 3).
 #[derive(Debug, Clone)]
 pub struct HangingRod {
     /// The rod, in equal segments.
@@ -63,7 +65,8 @@ pub const CASES: [(f64, f64, f64); 4] =
     [(0.05, 2.0, 0.10), (0.01, 0.4, 0.015), (0.01, 0.4, 0.05), (0.05, 2.0, 0.015)];
 
 impl HangingRod {
-    /// Case 1 … 4 of the paper with the flagship's numbers, and the true control at the start of the window.
+    /// Case 1 … 4 of the paper with the flagship's numbers, and the true control at the start of the
+    /// window.
     ///
     /// # Errors
     /// Where the rod cannot be run up to the window.
@@ -167,8 +170,8 @@ impl HangingRod {
         Ok((place.edge, place.fraction))
     }
 
-    /// What the points observe of a state of the model: rows 3p, 3p+1, 3p+2 for point p. Prescribed vertices have no column;
-    /// their known motion is taken off the observed values by [`HangingRod::observation`].
+    /// What the points observe of a state of the model: rows 3p, 3p+1, 3p+2 for point p. Prescribed vertices
+    /// have no column; their known motion is taken off the observed values by [`HangingRod::observation`].
     ///
     /// # Errors
     /// A place off the rod.
@@ -226,7 +229,8 @@ impl HangingRod {
         Ok(ObservationSet::new(self.steps, vec![Box::new(self.operator(state_dim)?)], observations)?)
     }
 
-    /// Observations of the window from the control `truth`, every tenth step, with errors from `noise` (in units of σ).
+    /// Observations of the window from the control `truth`, every tenth step, with errors from `noise` (in
+    /// units of σ).
     ///
     /// # Errors
     /// A model that cannot run.
@@ -256,7 +260,8 @@ impl HangingRod {
     }
 }
 
-/// A rod of 1 m and 5 mm radius, from rest, straight down and unstretched; its clamp goes round once a second.
+/// A rod of 1 m and 5 mm radius, from rest, straight down and unstretched; its clamp goes round once a
+/// second.
 #[derive(Debug, Clone, Copy)]
 pub struct DrivenRod {
     /// Equal segments.
@@ -339,8 +344,8 @@ pub struct RodCase {
     pub control: Vec<f64>,
 }
 
-/// Rods with every feature the step has: twist, both dampings, both ends clamped, pinned, no bending, everything at once,
-/// and by the second-order schemes, with and without a state before.
+/// Rods with every feature the step has: twist, both dampings, both ends clamped, pinned, no bending,
+/// everything at once, and by the second-order schemes, with and without a state before.
 ///
 /// # Errors
 /// A rod that cannot be made.
@@ -479,7 +484,8 @@ mod tests {
     use super::*;
     use varda_assimilation::{ControlTransform, CostFunction, StrongConstraint};
 
-    /// Points on the prescribed edge and beside it: the known motion is on the observed side, so that the truth fits exactly.
+    /// Points on the prescribed edge and beside it: the known motion is on the observed side, so that the
+    /// truth fits exactly.
     #[test]
     fn observed_points_may_touch_prescribed_vertices() {
         let (mut rod, truth) = HangingRod::flagship(1, true).unwrap();

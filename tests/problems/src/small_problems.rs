@@ -236,7 +236,8 @@ pub fn wide() -> Result<Window<Rk4<Lorenz96>>> {
     Ok((Rk4::new(Lorenz96::new(30, 8.0), 0, 0.05), background, set))
 }
 
-/// Lorenz 1963 over 100 steps, all seen every tenth with R = 2 I, a background drawn around the truth with B = I; the truth first.
+/// Lorenz 1963 over 100 steps, all seen every tenth with R = 2 I, a background drawn around the truth with
+/// B = I; the truth first.
 ///
 /// # Errors
 /// None in practice.
@@ -286,8 +287,8 @@ pub fn localized() -> Result<Ensemble> {
     Ok(Ensemble::new(&members, Localization::by_distance(taper, RING, distance, 0.0)?)?)
 }
 
-/// Lorenz 1996 with N variables over 100 steps of 0.01, every second variable seen every tenth step with R = I, B = 0.25 I: background,
-/// observations, and the point x_b + 0.1 sin i in the control variable.
+/// Lorenz 1996 with N variables over 100 steps of 0.01, every second variable seen every tenth step with R =
+/// I, B = 0.25 I: background, observations, and the point x_b + 0.1 sin i in the control variable.
 ///
 /// # Errors
 /// None in practice.

@@ -153,7 +153,8 @@ fn increments(case: &mut Case, origin: &[f64], cost: &mut dyn Incremental) -> Ou
 
 type Map<'a> = dyn FnMut(&[f64], &mut [f64]) -> Outcome + 'a;
 
-/// |⟨A u, w⟩ − ⟨u, Aᵀ w⟩| / (‖A u‖ ‖w‖) against 50 ε times the condition ‖A‖ ‖u‖ / ‖A u‖ of the product, ‖A‖ by power iteration.
+/// |⟨A u, w⟩ − ⟨u, Aᵀ w⟩| / (‖A u‖ ‖w‖) against 50 ε times the condition
+/// ‖A‖ ‖u‖ / ‖A u‖ of the product, ‖A‖ by power iteration.
 fn dot_product_row(case: &mut Case, what: &str, n: usize, m: usize, a: &mut Map, at: &mut Map) -> Outcome {
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let norm = |a: &[f64]| dot(a, a).sqrt();
@@ -182,7 +183,8 @@ fn dot_product_row(case: &mut Case, what: &str, n: usize, m: usize, a: &mut Map,
     Ok(())
 }
 
-/// A model that forgets its state has a tangent and an adjoint of zero, which agree; the test must refuse to judge.
+/// A model that forgets its state has a tangent and an adjoint of zero, which agree; the test must refuse to
+/// judge.
 fn guard(case: &mut Case) -> Outcome {
     struct Forgetful;
     impl Model for Forgetful {

@@ -137,7 +137,8 @@ fn flagship(case: &mut Case) -> Outcome {
     Ok(())
 }
 
-/// The flagship's gradient and a Hessian product under every storage policy: bits, steps run, bytes held, requests for memory.
+/// The flagship's gradient and a Hessian product under every storage policy: bits, steps run, bytes held,
+/// requests for memory.
 fn storage(case: &mut Case) -> Outcome {
     let (rod, truth) = HangingRod::flagship(1, true)?;
     let b = rod.background_covariance()?;
@@ -200,7 +201,10 @@ fn storage(case: &mut Case) -> Outcome {
             },
             "-",
         )
-        .because("states are a quarter of what linearizations and states take; s checkpoints are s % of 100 states, and two linearizations");
+        .because(
+            "states are a quarter of what linearizations and states take; s checkpoints are s % of 100 \
+            states, and two linearizations",
+        );
     }
     Ok(())
 }
@@ -316,7 +320,8 @@ fn no_model(case: &mut Case) -> Outcome {
     Ok(())
 }
 
-/// B is known by its root alone and has no `Precision`: with its products the dual still ends at the analysis of (2.2).
+/// B is known by its root alone and has no `Precision`: with its products the dual still ends at the analysis
+/// of (2.2).
 fn no_inverse(case: &mut Case) -> Outcome {
     let (expected, _) = closed_form(&Thin)?;
     let (background, mut set) = linear_3dvar()?;

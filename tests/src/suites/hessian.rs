@@ -82,7 +82,8 @@ impl Bent {
         derivatives(rod, &Framed { vertices, directors, reference_twist, theta })
     }
 
-    /// The same rod after the degrees of freedom (x, then θ) have moved by h q, its frames carried along in parallel.
+    /// The same rod after the degrees of freedom (x, then θ) have moved by h q, its frames carried along in
+    /// parallel.
     fn moved(&self, q: &[f64], h: f64) -> Bent {
         let nx = 3 * self.vertices.len();
         let vertices: Vec<[f64; 3]> = self
@@ -175,7 +176,8 @@ fn largest(a: impl Iterator<Item = f64>) -> f64 {
     a.fold(0.0, |m: f64, a| if a.is_nan() || m.is_nan() { f64::NAN } else { m.max(a.abs()) })
 }
 
-/// Energy, gradient and Hessian of one bent vertex, eleven degrees of freedom, against second-order dual numbers.
+/// Energy, gradient and Hessian of one bent vertex, eleven degrees of freedom, against second-order dual
+/// numbers.
 fn dual_numbers(case: &mut Case, bent: &Bent) -> Outcome {
     let ours = bent.derivatives()?;
     let mut q = SVector::<f64, 11>::zeros();
@@ -200,13 +202,14 @@ fn dual_numbers(case: &mut Case, bent: &Bent) -> Outcome {
     Ok(())
 }
 
-/// The Hessian of a longer rod against symmetric differences of its gradient, and the gradient against the energy.
+/// The Hessian of a longer rod against symmetric differences of its gradient, and the gradient against the
+/// energy.
 fn differences(case: &mut Case, bent: &Bent) -> Outcome {
     let here = bent.derivatives()?;
     let n = here.gradient.len();
     let h = 1e-3;
-    // Each gradient is taken in the gauge of its own place, which turns, to first order antisymmetrically, as the
-    // place moves: the symmetric part of the differences is the Hessian of the given gauge.
+    // Each gradient is taken in the gauge of its own place, which turns, to first order antisymmetrically, as
+    // the place moves: the symmetric part of the differences is the Hessian of the given gauge.
     let mut columns = vec![0.0; n * n];
     let mut unit = vec![0.0; n];
     for j in 0..n {
@@ -226,9 +229,10 @@ fn differences(case: &mut Case, bent: &Bent) -> Outcome {
         0.5 * (columns[i + j * n] + columns[j + i * n]) - here.hessian[at]
     }));
     let size = largest(here.hessian.iter().copied());
-    case.at_most("hessian against differences", error / size, 1e-7, "-")
-        .computed(error)
-        .because("h⁴ of the extrapolated differences is 1e-12, its constant up to 1e4 (an edge is 0.1 long); ten times that");
+    case.at_most("hessian against differences", error / size, 1e-7, "-").computed(error).because(
+        "h⁴ of the extrapolated differences is 1e-12, its constant up to 1e4 (an edge is 0.1 \
+            long); ten times that",
+    );
     let asymmetry = largest((0..n * n).map(|at| here.hessian[at] - here.hessian[at / n + at % n * n]));
     case.at_most("symmetry", asymmetry / size, 0.0, "-").because("one half is copied from the other");
 
@@ -276,7 +280,10 @@ fn rigid_motion(case: &mut Case, bent: &Bent) -> Outcome {
     }
     .derivatives()?;
     let (e, f) = (here.energy.total(), there.energy.total());
-    case.reason("coordinates of size 3 with edges of 0.1 round by 30 ε, times a ratio of stiffnesses of about 1e2, ten times");
+    case.reason(
+        "coordinates of size 3 with edges of 0.1 round by 30 ε, times a ratio of stiffnesses of \
+        about 1e2, ten times",
+    );
     case.at_most("energy after a rigid motion", (f - e).abs() / e, 1e-11, "-").computed(f);
     let nx = 3 * bent.vertices.len();
     let n = here.gradient.len();
@@ -302,7 +309,8 @@ fn rigid_motion(case: &mut Case, bent: &Bent) -> Outcome {
     case.at_most("hessian after a rigid motion", error, 1e-11, "-");
 
     case.reason("no rounding of coordinates here: a few hundred operations, ε each, ten times");
-    // Generators: a translation is a null vector of the Hessian; a turn ω (δx = ω × x, δθ = ω·t) meets no force.
+    // Generators: a translation is a null vector of the Hessian; a turn ω (δx = ω × x, δθ = ω·t)
+    // meets no force.
     let (size, scale) = (largest(here.hessian.iter().copied()), largest(here.gradient.iter().copied()));
     let mut translation = vec![0.0; n];
     translation[..nx].chunks_exact_mut(3).for_each(|x| x.copy_from_slice(&[0.6, -0.3, 0.7]));

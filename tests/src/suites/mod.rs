@@ -52,7 +52,8 @@ pub struct Suite {
 pub const SUITES: &[Suite] = &[
     Suite {
         name: "adjoint",
-        proves: "Every adjoint is the transpose of its tangent, to rounding: steps, windows, assembled costs.",
+        proves: "Every adjoint is the transpose of its tangent, to rounding: steps, windows, assembled \
+            costs.",
         run: |options| adjoint::run(options).into(),
     },
     Suite {
@@ -62,7 +63,8 @@ pub const SUITES: &[Suite] = &[
     },
     Suite {
         name: "hessian",
-        proves: "The rod's second derivatives match dual numbers; Gauss–Newton products match their matrix.",
+        proves: "The rod's second derivatives match dual numbers; Gauss–Newton products match their \
+            matrix.",
         run: |options| hessian::run(options).into(),
     },
     Suite {
@@ -106,7 +108,8 @@ pub fn run(name: &str, options: &Options) -> Report {
     (suite.run)(options)
 }
 
-/// Reads a text as every kind of file of suite golden: whatever it is, that ends in a fixture or an error, not in a panic.
+/// Reads a text as every kind of file of suite golden: whatever it is, that ends in a fixture or an error,
+/// not in a panic.
 pub fn read_fixture(text: &str) {
     golden::read_all(text);
 }

@@ -1,5 +1,5 @@
-//! The paper's experiment, from the shipped scenes, five seeds each: where its full-step Newton converges, where the default ends, and how good the
-//! analyses are.
+//! The paper's experiment, from the shipped scenes, five seeds each: where its full-step Newton converges,
+//! where the default ends, and how good the analyses are.
 
 use super::{Options, Report};
 use crate::row::{Case, Rows};
@@ -14,11 +14,16 @@ use varda_assimilation::{
 
 /// What the paper says, and what is found here.
 const WORDS: &str = "\
-The paper, section 3.3: \"For Cases 1 to 3, Newton's method performed well\"; \"the 4th case led to divergence\";
-\"the initial velocities are assimilated much faster and more effectively than the initial positions, which undergo very
-little change\"; \"the loss and gradient plateaus after about a dozen iterations\". It has one draw a case, the plain prior.
-Newton: dense Hessian (2.18), full steps, at most 50; converged means |g| ≤ 1e-6 |g₀|. Default: that of scenes, a trust region on
-the true J; where J_o > 10 m at the background or it did not converge, also through inflated σ and from draws, until two runs agree. RMSE over components, mean over seeds, background → analysis.
+The paper, section 3.3: \"For Cases 1 to 3, Newton's method performed well\"; \"the 4th case led to \
+divergence\";
+\"the initial velocities are assimilated much faster and more effectively than the initial positions, which \
+undergo very
+little change\"; \"the loss and gradient plateaus after about a dozen iterations\". It has one draw a case, \
+the plain prior.
+Newton: dense Hessian (2.18), full steps, at most 50; converged means |g| ≤ 1e-6 |g₀|. Default: that of \
+scenes, a trust region on
+the true J; where J_o > 10 m at the background or it did not converge, also through inflated σ and from \
+draws, until two runs agree. RMSE over components, mean over seeds, background → analysis.
 ";
 
 /// Seeds of a full run.
@@ -85,14 +90,26 @@ fn check(row: &mut Case, case: usize, conditioned: bool, runs: &[Run]) {
     if case < 4 && converged > 0 {
         row.at_most("Newton: (J₁₂ − J_a)/(J_b − J_a) where it converges", left, 1e-3, "-")
             .computed(left)
-            .because("the paper: \"the loss and gradient plateaus after about a dozen iterations\": a thousandth of the fall is not seen");
+            .because(
+                "the paper: \"the loss and gradient plateaus after about a dozen iterations\": a \
+                thousandth of the fall is not seen",
+            );
     }
 
     let mean = |f: &dyn Fn(&Run) -> f64| runs.iter().map(f).sum::<f64>() / seeds as f64;
     let value = mean(&|r| r.value);
-    row.at_most("|mean of J at the analysis − m/2|", (value - 60.0).abs(), 31.0 / (seeds as f64).sqrt(), "-")
-        .computed(value)
-        .because("2J has mean m = 120 and variance 2m: J has σ = 7.7; four standard errors of a mean over the seeds");
+    row.at_most(
+        "|mean of J at the analysis − \
+        m/2|",
+        (value - 60.0).abs(),
+        31.0 / (seeds as f64).sqrt(),
+        "-",
+    )
+    .computed(value)
+    .because(
+        "2J has mean m = 120 and variance 2m: J has σ = 7.7; four standard errors of a mean over \
+            the seeds",
+    );
     let of = |q: usize| mean(&|r| r.after[q]) / mean(&|r| r.before[q]);
     let (position, velocity) = (of(0), of(1));
     row.at_most("position RMSE, analysis / background", position, 1.0, "-")
@@ -151,9 +168,10 @@ fn beside_the_paper(all: &[(usize, bool, Run)]) -> String {
         100.0 * all.iter().map(ratio).sum::<f64>() / all.len() as f64
     };
     format!(
-        "\nHere: Newton converges in {} runs of cases 1 to 3 with the plain prior ({} in case 1 alone) and in {} of case 4 (the clamp \
-         prior: {} and {}).\nOf the background's RMSE the analysis leaves {:.0} % in positions and {:.0} % in velocities (mean ratio over all runs): velocities \
-         gain more, positions are not \"virtually unchanged\".\n",
+        "\nHere: Newton converges in {} runs of cases 1 to 3 with the plain prior ({} in case 1 alone) and \
+         in {} of case 4 (the clamp prior: {} and {}).\nOf the background's RMSE the analysis leaves {:.0} % \
+         in positions and {:.0} % in velocities (mean ratio over all runs): velocities gain more, positions \
+         are not \"virtually unchanged\".\n",
         newton(1..=3, false),
         newton(1..=1, false),
         newton(4..=4, false),
@@ -168,7 +186,8 @@ fn beside_the_paper(all: &[(usize, bool, Run)]) -> String {
 struct Run {
     /// Iterations of full-step Newton, where it converged.
     newton: Option<usize>,
-    /// (J₁₂ − J_a)/(J_b − J_a) of Newton's twelfth iterate (its last, where it needs fewer), where it converged.
+    /// (J₁₂ − J_a)/(J_b − J_a) of Newton's twelfth iterate (its last, where it needs fewer), where it
+    /// converged.
     left_after_a_dozen: Option<f64>,
     /// |g|/|g₀| and iterations of the default.
     default: (f64, usize),

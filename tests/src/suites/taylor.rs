@@ -71,7 +71,8 @@ fn step(case: &mut Case, model: &mut dyn Model, x: &[f64], scale: &[f64]) -> Out
     Ok(())
 }
 
-/// The gradient of the assembled cost at two successive controls: state kept from the first must not leak into the second.
+/// The gradient of the assembled cost at two successive controls: state kept from the first must not leak
+/// into the second.
 fn gradient(case: &mut Case, origin: &[f64], cost: &mut dyn CostFunction) -> Outcome {
     let n = cost.dim();
     for (what, size) in [("gradient at the first control", 0.1), ("gradient at the second control", 0.5)] {

@@ -24,6 +24,7 @@ pub use weak_forcing::WeakForcing;
 pub use weak_state::WeakState;
 
 use crate::Error;
+pub(crate) use varda_linalg::{dot, norm};
 
 /// A cost J(v) with its gradient.
 ///
@@ -139,12 +140,4 @@ pub struct Counts {
     pub adjoint_sweeps: usize,
     /// Work of the model since the cost was made; zero where there is none.
     pub model: varda_implicit::Counts,
-}
-
-pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-pub(crate) fn norm(a: &[f64]) -> f64 {
-    dot(a, a).sqrt()
 }

@@ -5,7 +5,6 @@ mod adam;
 mod argmin;
 mod auto;
 mod continuation;
-mod lanczos;
 mod lbfgs;
 mod newton;
 mod newton_cg;
@@ -15,7 +14,6 @@ mod secant;
 mod spectral;
 mod trust_region;
 
-pub(crate) use lanczos::{Lanczos, Product};
 pub(crate) use spectral::eigen;
 
 pub use adam::{AdamOptions, adam};
@@ -23,12 +21,12 @@ pub use adam::{AdamOptions, adam};
 pub use argmin::{ArgminOptions, argmin_lbfgs, argmin_trust_region};
 pub use auto::{AutoOptions, auto};
 pub use continuation::continuation;
-pub use lanczos::RitzPair;
 pub use lbfgs::{InverseHessian, LbfgsOptions, lbfgs};
 pub use newton::{NewtonOptions, newton};
 pub use newton_cg::{NewtonCgOptions, newton_cg};
 pub use raw::RawVariables;
 pub use trust_region::{TrustRegionOptions, trust_region};
+pub use varda_linalg::krylov::RitzPair;
 
 use crate::cost::norm;
 use crate::{CostFunction, CostTerms, Counts, Error, GaussNewton};

@@ -1,11 +1,12 @@
 //! Gauss–Newton with truncated conjugate gradients and a line search.
 
-use super::lanczos::{Lanczos, Limits};
 use super::preconditioner::Preconditioner;
+use super::spectral::Spectral;
 use super::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance, forcing};
 use crate::cost::{dot, norm};
 use crate::{Error, GaussNewton};
 use std::ops::ControlFlow;
+use varda_linalg::krylov::{Lanczos, LanczosLimits};
 
 /// Settings of [`newton_cg`].
 #[derive(Debug, Clone, PartialEq)]
@@ -75,8 +76,11 @@ pub(super) fn run(
         if let Some(status) = progress.report(cost, v, &g, options.gradient_tolerance, last, on_iteration) {
             return Ok(progress.end(status, None, ritz));
         }
-        let limits =
-            Limits { residual: forcing(&progress), radius: f64::INFINITY, iterations: options.max_inner };
+        let limits = LanczosLimits {
+            residual: forcing(&progress),
+            radius: f64::INFINITY,
+            iterations: options.max_inner,
+        };
         rhs.copy_from_slice(&g);
         preconditioner.apply_transpose(&mut rhs);
         let mut product = |p: &[f64], out: &mut [f64]| {
@@ -84,18 +88,19 @@ pub(super) fn run(
             preconditioner.apply(&mut mapped);
             cost.hessian_apply(&mapped, out)?;
             preconditioner.apply_transpose(out);
-            Ok(())
+            Ok::<(), Error>(())
         };
-        let spectral = lanczos.run(&mut product, &rhs, &limits)?;
+        lanczos.run(&mut product, &rhs, &limits)?;
+        let spectral = Spectral::of(lanczos.ritz()?, &rhs);
         progress.inner = lanczos.iterations();
         progress.inner_total += progress.inner;
         progress.rejected = 0;
         spectral.step(f64::INFINITY, &mut p);
         preconditioner.apply(&mut p);
         if options.preconditioner_pairs > 0 {
-            preconditioner.learn(lanczos.ritz(&spectral)?);
+            preconditioner.learn(spectral.pairs());
         } else {
-            ritz = lanczos.ritz(&spectral)?;
+            ritz = spectral.pairs();
         }
         let slope = dot(&g, &p);
 

@@ -4,6 +4,7 @@ use crate::{Error, cost::dot, cost::norm};
 use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use varda_linalg::Eigen;
+use varda_linalg::krylov::{Ritz, RitzPair};
 
 /// q(p) = gᵀp + ½ pᵀ A p on the span of k orthonormal vectors z_i with zᵢᵀ A z_j = μ_i δ_ij.
 pub(super) struct Spectral {
@@ -13,6 +14,8 @@ pub(super) struct Spectral {
     pub(super) vectors: Vec<f64>,
     /// c_i = zᵢᵀ g.
     slope: Vec<f64>,
+    /// ‖A z_i − μ_i z_i‖; empty for a dense matrix, whose pairs are exact.
+    residuals: Vec<f64>,
 }
 
 /// The minimizer of q within a ball.
@@ -27,8 +30,7 @@ pub(super) struct Step {
 
 /// Eigenvalues, ascending, and eigenvectors by columns of a symmetric matrix given by columns.
 pub(crate) fn eigen(n: usize, matrix: &[f64]) -> Result<(Vec<f64>, Vec<f64>), Error> {
-    let Eigen { values, vectors } =
-        Eigen::new(n, matrix).map_err(|_| Error::NotPositiveDefinite { smallest: f64::NAN })?;
+    let Eigen { values, vectors } = Eigen::new(n, matrix)?;
     Ok((values, vectors))
 }
 
@@ -39,9 +41,22 @@ impl Spectral {
         Ok(Self::new(values, vectors, g))
     }
 
-    pub(super) fn new(values: Vec<f64>, vectors: Vec<f64>, g: &[f64]) -> Self {
+    /// On a Krylov space.
+    pub(super) fn of(ritz: Ritz, g: &[f64]) -> Self {
+        let residuals = ritz.coupling.iter().map(|e| e.abs()).collect();
+        Self { residuals, ..Self::new(ritz.values, ritz.vectors, g) }
+    }
+
+    fn new(values: Vec<f64>, vectors: Vec<f64>, g: &[f64]) -> Self {
         let slope = vectors.chunks_exact(g.len()).map(|z| dot(z, g)).collect();
-        Self { values, vectors, slope }
+        Self { values, vectors, slope, residuals: Vec::new() }
+    }
+
+    /// The Ritz pairs, largest first; none for a dense matrix.
+    pub(super) fn pairs(&self) -> Vec<RitzPair> {
+        let n = self.vectors.len() / self.values.len().max(1);
+        let pairs = self.values.iter().zip(self.vectors.chunks_exact(n.max(1))).zip(&self.residuals).rev();
+        pairs.map(|((&value, z), &residual)| RitzPair { value, vector: z.to_vec(), residual }).collect()
     }
 
     /// p = argmin q over ‖p‖ ≤ radius (Moré and Sorensen 1983, exactly, the eigenvalues being known).

@@ -1,14 +1,14 @@
 //! The default minimizer: a trust region in the control space, on the true J.
 
-use super::lanczos::{Lanczos, Limits};
 use super::secant::Secant;
 use super::spectral::Spectral;
-use super::{Iteration, Minimum, Progress, RitzPair, Start, Status, at_least_one, check_tolerance, forcing};
+use super::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance, forcing};
 use crate::cost::norm;
 use crate::{Error, GaussNewton};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use std::ops::ControlFlow;
+use varda_linalg::krylov::{Lanczos, LanczosLimits};
 
 /// A predicted decrease below this part of J cannot be seen in J (its trajectory is only as exact as the model's solver);
 /// steps are then judged by the gradient.
@@ -211,7 +211,7 @@ pub(super) fn run(
                 progress.inner_total += more;
             }
         }
-        ritz = inner.ritz(&spectral)?;
+        ritz = spectral.pairs();
     }
 }
 
@@ -270,20 +270,13 @@ impl Inner {
                     if secant.trusted() {
                         secant.apply_add(p, out);
                     }
-                    Ok(())
+                    Ok::<(), Error>(())
                 };
-                let spectral =
-                    lanczos.run(&mut product, g, &Limits { residual, radius, iterations: *iterations })?;
+                let limits = LanczosLimits { residual, radius, iterations: *iterations };
+                lanczos.run(&mut product, g, &limits)?;
                 *inner_iterations = lanczos.iterations();
-                Ok(spectral)
+                Ok(Spectral::of(lanczos.ritz()?, g))
             }
-        }
-    }
-
-    fn ritz(&self, spectral: &Spectral) -> Result<Vec<RitzPair>, Error> {
-        match self {
-            Self::Dense { .. } => Ok(Vec::new()),
-            Self::Krylov { lanczos, .. } => lanczos.ritz(spectral),
         }
     }
 }

@@ -17,10 +17,12 @@ use runs::{Run, Twin, Way};
 const WORDS: &str = include_str!("words.md");
 
 const HELP: &str = "\
-cargo xtask bench case4 [--seeds N] [--first N] [--threads N] [--priors clamp,plain] [--adam N] [--only NAME,…] [--again NAME,…] [--out DIR]
-    Runs the default, the paper's minimizers and the reference on N seeds (100; Adam on the first 5) of either prior and writes
-    DIR/case4.md, .csv and .svg (docs/results). Runs already in target/case4/runs.csv are not repeated but for those of --again; --only runs nothing else, and
-    writes no report; --threads 0 runs nothing and reports what is there.
+cargo xtask bench case4 [--seeds N] [--first N] [--threads N] [--priors clamp,plain] [--adam N]
+                        [--only NAME,…] [--again NAME,…] [--out DIR]
+    Runs the default, the paper's minimizers and the reference on N seeds (100; Adam on the first 5) of
+    either prior and writes DIR/case4.md, .csv and .svg (docs/results). Runs already in
+    target/case4/runs.csv are not repeated but for those of --again; --only runs nothing else, and writes
+    no report; --threads 0 runs nothing and reports what is there.
 ";
 
 struct Options {

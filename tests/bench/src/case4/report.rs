@@ -7,7 +7,8 @@ use super::runs::{Run, SAMPLES, Twin, Way, sample_time};
 /// At the lowest known: within this share of J.
 const SAME: f64 = 1e-6;
 
-/// The runs with the lowest J known of every draw: of Levenberg–Marquardt from the background, through the ladder, and from draws of the prior.
+/// The runs with the lowest J known of every draw: of Levenberg–Marquardt from the background, through the
+/// ladder, and from draws of the prior.
 pub(crate) struct Study {
     pub(crate) runs: Vec<Run>,
     pub(crate) words: &'static str,
@@ -36,8 +37,9 @@ impl Study {
             let _ = write!(
                 text,
                 "\n## Prior \"{prior}\"\n\n\
-                 | minimizer | seeds | converged | at the lowest J known | both | median gap | worst gap | model failure | median CPU s | \
-                 median forward runs | median gradients |\n|---|---|---|---|---|---|---|---|---|---|---|\n"
+                 | minimizer | seeds | converged | at the lowest J known | both | median gap | worst gap | \
+                 model failure | median CPU s | median forward runs | median gradients \
+                 |\n|---|---|---|---|---|---|---|---|---|---|---|\n"
             );
             for way in Way::ALL {
                 let runs = self.of(prior, way);
@@ -80,7 +82,8 @@ impl Study {
         }
         text.push_str(
             "Seeds where it did not converge or is not at the lowest J known:\n\n\
-             | seed | ended | J | lowest J known | a stationary point known there | gap | ‖∇J‖ / first |\n|---|---|---|---|---|---|---|\n",
+             | seed | ended | J | lowest J known | a stationary point known there | gap | ‖∇J‖ / first \
+             |\n|---|---|---|---|---|---|---|\n",
         );
         for run in wrong {
             let (lowest, stationary) = self.lowest(run.twin);
@@ -100,7 +103,8 @@ impl Study {
 
     pub(crate) fn csv(&self) -> String {
         let mut text = String::from(
-            "prior,seed,minimizer,status,j_background,j,lowest_known,gap,relative_gradient,cpu_seconds,forward_runs,gradients\n",
+            "prior,seed,minimizer,status,j_background,j,lowest_known,gap,relative_gradient,cpu_seconds,\
+             forward_runs,gradients\n",
         );
         for r in &self.runs {
             let _ = writeln!(
@@ -127,9 +131,9 @@ impl Study {
     pub(crate) fn svg(&self) -> String {
         let (wide, high) = (440.0, 380.0);
         let mut text = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {} {high}\" width=\"{}\" height=\"{high}\" \
-             font-family=\"sans-serif\" font-size=\"11\" role=\"img\">\n<title>Case 4: error against seconds</title>\n\
-             <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n",
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {} {high}\" width=\"{}\" \
+             height=\"{high}\" font-family=\"sans-serif\" font-size=\"11\" role=\"img\">\n<title>Case 4: \
+             error against seconds</title>\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n",
             2.0 * wide + 170.0,
             2.0 * wide + 170.0
         );
@@ -141,8 +145,8 @@ impl Study {
             let at = panel as f64;
             let _ = writeln!(
                 text,
-                "<text x=\"{:.0}\" y=\"24\" font-size=\"13\">prior {prior}: median over seeds of (J − J*)/(J₀ − J*)</text>\
-                 <text x=\"{:.0}\" y=\"{:.0}\">CPU seconds</text>",
+                "<text x=\"{:.0}\" y=\"24\" font-size=\"13\">prior {prior}: median over seeds of (J − \
+                 J*)/(J₀ − J*)</text><text x=\"{:.0}\" y=\"{:.0}\">CPU seconds</text>",
                 x(at, t0),
                 x(at, -0.6),
                 high - 12.0
@@ -151,7 +155,8 @@ impl Study {
                 let (px, low) = (x(at, f64::from(t)), y(y0));
                 let _ = writeln!(
                     text,
-                    "<path d=\"M{px:.1} {:.1}V{low:.1}\" stroke=\"#ddd\"/><text x=\"{px:.1}\" y=\"{:.1}\" text-anchor=\"middle\">1e{t}</text>",
+                    "<path d=\"M{px:.1} {:.1}V{low:.1}\" stroke=\"#ddd\"/><text x=\"{px:.1}\" y=\"{:.1}\" \
+                        text-anchor=\"middle\">1e{t}</text>",
                     y(y1),
                     low + 16.0
                 );
@@ -160,7 +165,8 @@ impl Study {
                 let py = y(f64::from(decade));
                 let _ = writeln!(
                     text,
-                    "<path d=\"M{:.1} {py:.1}H{:.1}\" stroke=\"#ddd\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">1e{decade}</text>",
+                    "<path d=\"M{:.1} {py:.1}H{:.1}\" stroke=\"#ddd\"/><text x=\"{:.1}\" y=\"{:.1}\" \
+                        text-anchor=\"end\">1e{decade}</text>",
                     x(at, t0),
                     x(at, t1),
                     x(at, t0) - 5.0,
@@ -192,7 +198,8 @@ impl Study {
             let (px, py) = (2.0 * wide + 5.0, 60.0 + 20.0 * i as f64);
             let _ = writeln!(
                 text,
-                "<path d=\"M{px} {py}h20\" stroke=\"{colour}\" stroke-width=\"2\"/><text x=\"{}\" y=\"{}\">{}</text>",
+                "<path d=\"M{px} {py}h20\" stroke=\"{colour}\" stroke-width=\"2\"/><text x=\"{}\" \
+                    y=\"{}\">{}</text>",
                 px + 26.0,
                 py + 4.0,
                 way.name()

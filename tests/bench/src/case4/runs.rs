@@ -154,7 +154,8 @@ pub(crate) fn run(twin: Twin, way: Way) -> Result<Run, Box<dyn Error>> {
             Minimizer::Auto(options).minimize(&mut cost, &mut v, &mut note)
         }
         Way::Lm => Minimizer::TrustRegion(lm).minimize(&mut cost, &mut v, &mut note),
-        // A draw may start with a gradient many times that at the background: the tolerance is that of the background.
+        // A draw may start with a gradient many times that at the background: the tolerance is that of the
+        // background.
         Way::Draw(_) => match cost.evaluate(&v, Some(&mut gradient)) {
             Ok(_) => {
                 let tolerance = (TOLERANCE * first / norm(&gradient)).min(TOLERANCE);

@@ -88,7 +88,8 @@ fn ends(case: &mut Case) -> Outcome {
     case.reason(LINEARIZED);
     case.at_most("hybrid at weights 0, 1 = 4denvar", difference(&hybrid(0.0, 1.0)?.0, &pure), 1e-8, "-");
 
-    // Nothing moves with the window but the innovations: 3D-Var of the increment with those of the run (3D-FGAT).
+    // Nothing moves with the window but the innovations: 3D-Var of the increment with those of the run
+    // (3D-FGAT).
     let (found, innovations) = hybrid(1.0, 0.0)?;
     let sigma: Vec<f64> = (0..12).map(|i| 0.3 + 0.1 * f64::from(i / 3)).collect();
     let values: Vec<f64> = innovations.iter().zip(&sigma).map(|(d, s)| d * s).collect();

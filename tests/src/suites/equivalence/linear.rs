@@ -224,7 +224,8 @@ fn wrong_adjoint(case: &mut Case) -> Outcome {
 /// A mean and its covariance.
 type Estimate = (DVector<f64>, DMatrix<f64>);
 
-/// Filtered at every step, and smoothed over the window by Rauch, Tung and Striebel (1965), from whole states seen at whole steps.
+/// Filtered at every step, and smoothed over the window by Rauch, Tung and Striebel (1965), from whole states
+/// seen at whole steps.
 pub(super) fn kalman(
     step: &DMatrix<f64>,
     b: &DMatrix<f64>,
@@ -308,8 +309,10 @@ fn filter_and_smoother(case: &mut Case) -> Outcome {
     let covariance = difference(&blue.control_covariance(&transform), smoothed[0].1.as_slice());
     case.at_most("posterior covariance = rts smoother's", covariance, 1e-9, "-");
     let apart = difference(filtered[0].0.as_slice(), smoothed[0].0.as_slice());
-    case.at_most("guard: 1e-3 / |filter − smoother| at the start", 1e-3 / apart, 1.0, "-")
-        .because("the filter at the start has not seen what comes later: an analysis that agreed with it would be wrong");
+    case.at_most("guard: 1e-3 / |filter − smoother| at the start", 1e-3 / apart, 1.0, "-").because(
+        "the filter at the start has not seen what comes later: an analysis that agreed with it \
+            would be wrong",
+    );
     Ok(())
 }
 
@@ -351,7 +354,10 @@ fn one_minimum(case: &mut Case) -> Outcome {
         case.count(&format!("{name}: converged"), usize::from(found.status == Status::Converged), 1);
         case.at_most(&format!("{name} = 4dvar: J"), gap(found.value, minimum.value), 1e-10, "-")
             .computed(found.value)
-            .because("J is flat to the square of the gradient that is left, 1e-11 of the first: rounding, a thousand times");
+            .because(
+                "J is flat to the square of the gradient that is left, 1e-11 of the first: rounding, a \
+                thousand times",
+            );
         let apart: Vec<f64> = v.iter().zip(&full).map(|(a, b)| a - b).collect();
         let bound = 2e-11 * minimum.gradient_norm_first;
         case.at_most(&format!("{name} = 4dvar: |Δv|"), dot(&apart, &apart).sqrt(), bound, "-")

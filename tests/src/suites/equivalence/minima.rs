@@ -1,4 +1,5 @@
-//! Every minimizer that claims convergence is at the minimum; a growing window finds the right one of several.
+//! Every minimizer that claims convergence is at the minimum; a growing window finds the right one of
+//! several.
 
 use super::{gap, go_on};
 use crate::row::{Case, Outcome, Rows};

@@ -55,8 +55,8 @@ fn error(posterior: &LowRankPosterior, inverse: &DMatrix<f64>) -> f64 {
     (DMatrix::from_vec(n, n, columns) - inverse).singular_values().max()
 }
 
-/// Dense, Lanczos and L-BFGS against the inverse of the dense Hessian by another library; Lanczos and the refined L-BFGS to a tolerance and
-/// with so many products at most.
+/// Dense, Lanczos and L-BFGS against the inverse of the dense Hessian by another library; Lanczos and the
+/// refined L-BFGS to a tolerance and with so many products at most.
 fn three_ways(
     case: &mut Case,
     cost: &mut StrongConstraint,
@@ -86,7 +86,16 @@ fn three_ways(
         case.reason(
             "what the low rank claims as its own bound, and 1e-11 for the rounding of the two inverses",
         );
-        case.at_most(&format!("{what}: |P_v − A⁻¹|"), error(low, &inverse), bound + 1e-11, "-").note(note);
+        case.at_most(
+            &format!(
+                "{what}: |P_v − \
+            A⁻¹|"
+            ),
+            error(low, &inverse),
+            bound + 1e-11,
+            "-",
+        )
+        .note(note);
         let (trace, full) = (low.trace(transform), dense.trace(transform));
         case.at_most(&format!("{what}: Δ tr P_a / tr B"), (trace - full).abs() / scale, bound + 1e-11, "-")
             .note(format!("tr P_a is {:.4} of the dense one", trace / full));
@@ -111,7 +120,8 @@ fn three_ways(
     }
     let by_lbfgs = LowRankPosterior::from_inverse_hessian(&known)?;
     let estimate = by_lbfgs.error_estimate(cost, 20, &mut rng)?;
-    // The estimate is a mean of 20 squares: three standard deviations low at worst. P_v and A⁻¹ lie between 0 and I, 1 apart at most.
+    // The estimate is a mean of 20 squares: three standard deviations low at worst. P_v and A⁻¹ lie
+    // between 0 and I, 1 apart at most.
     let bound = (estimate / (1.0 - 3.0 * (2.0 / 20.0_f64).sqrt()).sqrt()).min(1.0);
     let note = if bound < 1.0 { "its own estimate" } else { "its own estimate promises nothing" };
     compare(case, "l-bfgs, no products", &by_lbfgs, bound, note.into());
@@ -119,7 +129,8 @@ fn three_ways(
 }
 
 const TWINS: usize = 200;
-/// 190 of 200 expected inside 95 % intervals, with a standard deviation of 3.08. The binomial distribution has 3e-4 below 178 and 4e-5 above 199.
+/// 190 of 200 expected inside 95 % intervals, with a standard deviation of 3.08. The binomial distribution
+/// has 3e-4 below 178 and 4e-5 above 199.
 const INSIDE: (f64, f64) = (188.5, 10.5);
 /// 2.5 and 97.5 % points of χ² with m = 12 degrees of freedom.
 const CHI2: std::ops::RangeInclusive<f64> = 4.404..=23.337;
@@ -135,7 +146,8 @@ struct Tally {
     chi2_mean: f64,
 }
 
-/// Truths are drawn around the background with B and observed with R; the analysis is told a B with `claimed` times its standard deviations.
+/// Truths are drawn around the background with B and observed with R; the analysis is told a B with `claimed`
+/// times its standard deviations.
 fn tally(claimed: f64, analyse: &Analyse) -> Result<Tally> {
     let (b, told) = (coupled(RING, 0.8)?, coupled(RING, 0.8 * claimed)?);
     let background = normals(1, RING);

@@ -60,7 +60,10 @@ fn forms(case: &mut Case, forcing: Forcing) -> Outcome {
     case.count("weak-forcing: converged", usize::from(one.status == Status::Converged), 1);
     let reference: Vec<f64> = (0..=12).flat_map(|k| cost.state(k).to_vec()).collect();
     drop(cost);
-    case.reason("gradients of 1e-11 of the first in two variables that Q of 0.2² and a curved model lie between: a thousand times");
+    case.reason(
+        "gradients of 1e-11 of the first in two variables that Q of 0.2² and a curved model lie \
+        between: a thousand times",
+    );
     for (name, inner) in [("primal", InnerSolver::Primal), ("dual", InnerSolver::Dual)] {
         let mut cost = WeakState::new(&mut model, background.clone(), &b, &q, forcing.clone(), &mut set)?;
         let mut x = cost.background()?;
@@ -108,7 +111,10 @@ fn vanishing(case: &mut Case) -> Outcome {
     let largest = points[0].1.exp();
     case.at_most("weak → strong as Q → 0: |rate − 2|", (rate - 2.0).abs(), 0.1, "-")
         .computed(rate)
-        .because("the next term of the expansion in σ_q² moves the slope over two decades by a few per cent")
+        .because(
+            "the next term of the expansion in σ_q² moves the slope over two decades by a few per \
+            cent",
+        )
         .note(format!("|Δv| = {largest:.1e} at σ_q = 1e-2"));
     Ok(())
 }

@@ -58,7 +58,8 @@ struct Reduced {
     hessian_x_lower: Vec<Vec<f64>>,
 }
 
-/// A turn this sharp (170° has 1.5e-2) is near a fold: coordinates given to 16 digits leave 1e-9 of the derivatives.
+/// A turn this sharp (170° has 1.5e-2) is near a fold: coordinates given to 16 digits leave 1e-9 of the
+/// derivatives.
 const NEAR_FOLD: f64 = 0.1;
 
 /// Most edges of a rod: its dense Hessian has (4n + 3)² entries.
@@ -222,7 +223,8 @@ fn at(rod: &Rod, f: &Given, theta: &[f64]) -> Result<Derivatives, varda_rod::Err
     derivatives(rod, &Framed { vertices, directors, reference_twist: &f.ref_twist, theta })
 }
 
-/// Errors count against the largest entry, or against the rounding of EA where that is larger (a straight rod has no forces).
+/// Errors count against the largest entry, or against the rounding of EA where that is larger (a straight rod
+/// has no forces).
 fn gradient_row<'a>(
     case: &'a mut Case,
     what: &str,

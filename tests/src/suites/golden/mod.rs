@@ -55,8 +55,8 @@ fn fixtures(rows: &mut Rows, folder: &Path) -> usize {
     found
 }
 
-/// A cost may have several minima. Minimizes it twice, straight from `v` and through larger observation errors (σ × 10, 3, 1), and keeps
-/// the lower end in `v`; says which that was.
+/// A cost may have several minima. Minimizes it twice, straight from `v` and through larger observation
+/// errors (σ × 10, 3, 1), and keeps the lower end in `v`; says which that was.
 fn minimize(cost: &mut dyn GaussNewton, v: &mut [f64]) -> Result<(Minimum, String), Error> {
     // Tighter than the default: reference minima are compared to eight digits.
     let tight = TrustRegionOptions { gradient_tolerance: 1e-9, ..TrustRegionOptions::default() };
@@ -66,7 +66,8 @@ fn minimize(cost: &mut dyn GaussNewton, v: &mut [f64]) -> Result<(Minimum, Strin
     let mut best = minimizer.minimize(cost, v, go_on)?;
     let mut how = "from the background";
     let found = continuation(&minimizer, cost, &mut staged, &[10.0, 3.0, 1.0], go_on)?;
-    // Two ends of one minimum differ by rounding; an end that is not a minimum is worth less than one that is.
+    // Two ends of one minimum differ by rounding; an end that is not a minimum is worth less than one that
+    // is.
     let lower = found.value < best.value * (1.0 - 1e-9);
     if lower || (best.status != Status::Converged && found.status == Status::Converged) {
         (best, how) = (found, "through larger observation errors");
@@ -109,7 +110,8 @@ trait Fixture: serde::de::DeserializeOwned {
     }
 }
 
-/// Reads a text as a fixture of every kind, up to what is computed with it where that is small. For property tests and fuzzing.
+/// Reads a text as a fixture of every kind, up to what is computed with it where that is small. For property
+/// tests and fuzzing.
 pub(super) fn read_all(text: &str) {
     let mut rows = Rows::new("read");
     if let Ok(fixture) = <der::Given as Fixture>::parse(text)
@@ -251,7 +253,11 @@ mod tests {
     }
 
     proptest! {
-        #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
+        #![proptest_config(ProptestConfig {
+            cases: 400,
+            failure_persistence: None,
+            ..ProptestConfig::default()
+        })]
 
         #[test]
         fn a_changed_fixture_is_read_or_refused(i in 0..5_usize, at in any::<usize>(), kind in 0..11_usize) {
@@ -259,7 +265,11 @@ mod tests {
         }
 
         #[test]
-        fn a_cut_or_garbled_fixture_is_read_or_refused(i in 0..5_usize, at in any::<usize>(), byte in any::<u8>()) {
+        fn a_cut_or_garbled_fixture_is_read_or_refused(
+            i in 0..5_usize,
+            at in any::<usize>(),
+            byte in any::<u8>(),
+        ) {
             let mut bytes = texts()[i].clone().into_bytes();
             let at = at % bytes.len();
             read_all(&String::from_utf8_lossy(&bytes[..at]));

@@ -1,4 +1,5 @@
-//! Values of the reference problems "Lorenz-96 values", "Driven rod" and "Hanging rod" (docs/reference-problems.md).
+//! Values of the reference problems "Lorenz-96 values", "Driven rod" and "Hanging rod"
+//! (docs/reference-problems.md).
 
 use super::largest_difference;
 use crate::row::{Case, Outcome, Rows};

@@ -200,9 +200,9 @@ fn cost<'a>(
 
 /// Minimizes from the background, into `v`; says how it was found.
 ///
-/// At the right minimum 2J is about m, give or take a few √(2m). A minimum that fails this is a false one, as chaotic models
-/// have in long windows; then windows that grow by one observation time (Pires, Vautard and Talagrand 1996) are tried too, and the
-/// lower J is kept.
+/// At the right minimum 2J is about m, give or take a few √(2m). A minimum that fails this is a false one,
+/// as chaotic models have in long windows; then windows that grow by one observation time (Pires, Vautard and
+/// Talagrand 1996) are tried too, and the lower J is kept.
 fn minimize(
     twin: &Twin,
     model: &mut AnyModel,
@@ -272,7 +272,8 @@ mod tests {
         twin
     }
 
-    /// Advection–diffusion seen without noise from the background: the minimum is the background, with J = 0 there.
+    /// Advection–diffusion seen without noise from the background: the minimum is the background, with J =
+    /// 0 there.
     fn advection(courant: serde_json::Value) -> Twin {
         let n = 8;
         let xb: Vec<f64> = (0..n).map(|i| wave(i, 3)).collect();

@@ -1,9 +1,9 @@
 //! Closed forms of inextensible rods, from segments extrapolated to none.
 //!
-//! A clamp holds an edge, that is the middle of it: rods start half a segment inside their clamps. Then all errors are of
-//! even order in the length of a segment (curvature sits at vertices, each standing for half a segment on either side),
-//! and Richardson's extrapolation from three of them leaves the sixth order. With the clamp's edge within the length the rod
-//! is half a segment too short, an error of first order.
+//! A clamp holds an edge, that is the middle of it: rods start half a segment inside their clamps. Then all
+//! errors are of even order in the length of a segment (curvature sits at vertices, each standing for half a
+//! segment on either side), and Richardson's extrapolation from three of them leaves the sixth order. With
+//! the clamp's edge within the length the rod is half a segment too short, an error of first order.
 
 use super::{extrapolated, slope_row};
 use crate::row::{Case, Outcome, Rows};
@@ -26,8 +26,8 @@ pub(super) fn run(rows: &mut Rows, quick: bool) {
 /// EI = 1 N m², length 1 m, mass 1 kg/m; EA L²/EI = 1e8.
 const SECTION: Section = Section { ea: 1e8, ei1: 1.0, ei2: 1.0, gj: 1.0, mass_per_length: 1.0 };
 
-/// A rod of which `length` stands out of a clamp, in n segments, the first of them half inside (`inside` ½) or wholly
-/// outside (0).
+/// A rod of which `length` stands out of a clamp, in n segments, the first of them half inside (`inside` ½)
+/// or wholly outside (0).
 fn clamped(length: f64, n: usize, inside: f64) -> Result<Rod> {
     let segment = length / (n as f64 - inside);
     Ok(Rod::uniform(n as f64 * segment, n, &SECTION)?)
@@ -55,7 +55,8 @@ fn tip_load(n: usize, inside: f64, load: f64) -> Result<f64> {
     })
 }
 
-/// Cantilever with a load at its tip (Bisshopp and Drucker 1945; docs/reference-problems.md, "Closed forms of rods").
+/// Cantilever with a load at its tip (Bisshopp and Drucker 1945; docs/reference-problems.md, "Closed forms of
+/// rods").
 fn elastica(case: &mut Case, quick: bool) -> Outcome {
     let known = [(2.0, 0.493457), (1.0, 0.301721), (5.0, 0.713792), (10.0, 0.810609)];
     for (load, drop) in known.into_iter().take(if quick { 1 } else { 4 }) {
@@ -91,7 +92,8 @@ fn drop_row(case: &mut Case, what: &str, ours: f64, drop: f64) {
 /// Numbers of segments to extrapolate from.
 const SEGMENTS: [usize; 3] = [20, 40, 80];
 
-/// Extrapolated to no segment length, `inside` of a segment being in the clamp; and the (h, values) it is done from.
+/// Extrapolated to no segment length, `inside` of a segment being in the clamp; and the (h, values) it is
+/// done from.
 fn limit(
     segments: &[usize],
     inside: f64,
@@ -109,8 +111,8 @@ fn space_row(case: &mut Case, what: &str, points: &[(f64, f64)], exact: f64, ord
     slope_row(case, what, &errors, order);
 }
 
-/// ∂²E/∂x² of a straight vertical rod under its own weight across it (`up`: standing on its clamp, else hanging), as a band of
-/// half-bandwidth 2 of the x coordinates of the free vertices; and their masses.
+/// ∂²E/∂x² of a straight vertical rod under its own weight across it (`up`: standing on its clamp, else
+/// hanging), as a band of half-bandwidth 2 of the x coordinates of the free vertices; and their masses.
 fn lateral(rod: &Rod, gravity: f64, up: bool) -> Result<(Vec<f64>, Vec<f64>)> {
     let n = rod.segments();
     let sign = if up { 1.0 } else { -1.0 };
@@ -175,8 +177,8 @@ fn standing(case: &mut Case) -> Outcome {
     Ok(())
 }
 
-/// The driven rod's section, 0.96 m of it below the clamp, inextensible: its first three frequencies. Segments must be short
-/// against √(EI/weight) = 2.3 cm, within which it bends below its clamp.
+/// The driven rod's section, 0.96 m of it below the clamp, inextensible: its first three frequencies.
+/// Segments must be short against √(EI/weight) = 2.3 cm, within which it bends below its clamp.
 fn hanging(case: &mut Case) -> Outcome {
     let material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1200.0 };
     // EA: a strain of 1e-6 under the weight, which rounding of lengths (1e-14 of a segment) does not reach.
@@ -212,7 +214,8 @@ fn ring(case: &mut Case) -> Outcome {
         let (full, angle) = (4 * (n + 1) + 3, 3 * (n + 2));
         let mut free = Vec::new();
         for e in 1..n {
-            // Turned about the tangent of its clamp the ring has the same energy: its farthest point stays in the plane.
+            // Turned about the tangent of its clamp the ring has the same energy: its farthest point stays in
+            // the plane.
             let held = if e == n / 2 { 1 } else { 0 };
             if e > 1 {
                 free.extend(3 * e..3 * e + 3 - held);
@@ -227,9 +230,10 @@ fn ring(case: &mut Case) -> Outcome {
     };
     let exact = std::f64::consts::TAU * 3.0_f64.sqrt();
     let (ours, points) = limit(&[32, 64, 128], 0.0, &critical)?;
-    case.at_most("inserted angle", (ours - exact).abs() / exact, 1e-5, "-")
-        .computed(ours)
-        .because("extrapolated from 32, 64 and 128 edges: what is left is of order (2π/128)⁶ = 1e-8, times the bending that EA = 1e6 lets through, 1e-6; ten times");
+    case.at_most("inserted angle", (ours - exact).abs() / exact, 1e-5, "-").computed(ours).because(
+        "extrapolated from 32, 64 and 128 edges: what is left is of order (2π/128)⁶ = 1e-8, \
+            times the bending that EA = 1e6 lets through, 1e-6; ten times",
+    );
     space_row(case, "space", &points, exact, 2.0);
     Ok(())
 }

@@ -28,8 +28,8 @@ impl Rhs for Pendulum {
     }
 }
 
-/// Let go at 2 rad, it is at the bottom after a quarter of its period 2π / agm(1, cos 1) (Gauss), there with the speed that
-/// energy gives. Followed for five quarters.
+/// Let go at 2 rad, it is at the bottom after a quarter of its period 2π / agm(1, cos 1) (Gauss), there with
+/// the speed that energy gives. Followed for five quarters.
 fn pendulum(case: &mut Case) -> Outcome {
     let start = 2.0_f64;
     let (mut a, mut b) = (1.0, (0.5 * start).cos());

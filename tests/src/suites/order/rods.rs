@@ -51,11 +51,12 @@ fn rms(a: &[f64], b: &[f64]) -> f64 {
     (3.0 * squares / a.len() as f64).sqrt()
 }
 
-/// Reference: midpoint of 2⁻¹⁶ s and twice that, extrapolated, against the same of twice the lengths (Richardson's check).
+/// Reference: midpoint of 2⁻¹⁶ s and twice that, extrapolated, against the same of twice the lengths
+/// (Richardson's check).
 ///
-/// The rod starts straight and unstretched: gravity sets off stretching waves of up to 1450 rad/s, which backward Euler damps
-/// within a few of the usual steps. Its error is of first order only where steps of that scheme are short enough to
-/// follow them, below 1e-4 s; orders are fitted over the first 1/8 s.
+/// The rod starts straight and unstretched: gravity sets off stretching waves of up to 1450 rad/s, which
+/// backward Euler damps within a few of the usual steps. Its error is of first order only where steps of that
+/// scheme are short enough to follow them, below 1e-4 s; orders are fitted over the first 1/8 s.
 fn hanging_rod(case: &mut Case, quick: bool) -> Outcome {
     let (time, finest) = (0.125, 8192);
     let (reference, doubt) = reference(time, finest)?;
@@ -70,8 +71,9 @@ fn hanging_rod(case: &mut Case, quick: bool) -> Outcome {
     if quick {
         return Ok(());
     }
-    // Errors of usual steps: docs/reference-problems.md ("Driven rod") states 5 % for backward Euler of 0.02 s, 0.3 to
-    // 0.6 % for midpoint of 0.01 s. The reference must be a thousand times better than what is judged by it.
+    // Errors of usual steps: docs/reference-problems.md ("Driven rod") states 5 % for backward Euler of 0.02
+    // s, 0.3 to 0.6 % for midpoint of 0.01 s. The reference must be a thousand times better than what is
+    // judged by it.
     let (reference, doubt) = self::reference(2.0, 32768)?;
     case.at_most("reference: Richardson check over 2 s", doubt, 5e-6, "m")
         .because("a thousandth of the least error that is judged by it");
@@ -83,9 +85,10 @@ fn hanging_rod(case: &mut Case, quick: bool) -> Outcome {
     ] {
         let (vertices, iterations) = end(scheme, 2.0, steps)?;
         let note = format!("{:.2} Newton iterations a step", iterations as f64 / steps as f64);
-        case.at_most(name, rms(&vertices, &reference), bound, "L")
-            .note(note)
-            .because("measured elsewhere: about 5 % of L by backward Euler of 0.02 s, 0.3 to 0.6 % by midpoint of 0.01 s; a fifth more");
+        case.at_most(name, rms(&vertices, &reference), bound, "L").note(note).because(
+            "measured elsewhere: about 5 % of L by backward Euler of 0.02 s, 0.3 to 0.6 % by \
+                midpoint of 0.01 s; a fifth more",
+        );
     }
     Ok(())
 }
@@ -103,7 +106,8 @@ fn reference(time: f64, n: usize) -> Result<(Vec<f64>, f64)> {
     Ok((best, doubt))
 }
 
-/// Angles, strain-rate damping, clamps that move: against the same scheme of second order with much shorter steps.
+/// Angles, strain-rate damping, clamps that move: against the same scheme of second order with much shorter
+/// steps.
 fn twisted(case: &mut Case, name: &str) -> Outcome {
     let time = 0.04;
     let end = |scheme, steps: usize| -> Result<(Vec<f64>, Vec<f64>)> {

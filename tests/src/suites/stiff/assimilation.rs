@@ -1,7 +1,8 @@
-//! Assimilation at its limits: nothing seen, everything seen, contradictions, useless operators, models that fail.
+//! Assimilation at its limits: nothing seen, everything seen, contradictions, useless operators, models that
+//! fail.
 //!
-//! Every minimizer and method that applies is tried. One that cannot get there must say so: a status other than `Converged`, or a
-//! typed error; those named in [`MUST`] have to get there.
+//! Every minimizer and method that applies is tried. One that cannot get there must say so: a status other
+//! than `Converged`, or a typed error; those named in [`MUST`] have to get there.
 
 use super::refused;
 use crate::row::{Case, Outcome, Rows, Work};
@@ -46,7 +47,8 @@ fn go_on(_: &Iteration) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
-/// A window on four variables that stay as they are, B = I, seen at step 0 only, and its analysis in closed form.
+/// A window on four variables that stay as they are, B = I, seen at step 0 only, and its analysis in closed
+/// form.
 struct Static {
     /// Rows of H and its entries.
     operator: Option<(usize, Vec<(usize, usize, f64)>)>,
@@ -207,8 +209,8 @@ fn every_way(case: &mut Case, problem: &Static) -> Outcome {
 
 /// One way's row: converged and right, or honest about it.
 ///
-/// Right is a thousandth of the analysis' own standard deviation: gradients fall by 1e-12, of which a condition of up to 1e8 may leave
-/// 1e-4 of a standard deviation.
+/// Right is a thousandth of the analysis' own standard deviation: gradients fall by 1e-12, of which a
+/// condition of up to 1e8 may leave 1e-4 of a standard deviation.
 fn judge(
     case: &mut Case,
     name: &str,
@@ -242,8 +244,8 @@ fn judge(
     }
 }
 
-/// J = ¼v₀⁴ − ½v₀² + ½v₁²: two wells at v₀ = ±1, J = −¼, a saddle at the origin. Its "Gauss–Newton" products are those of the
-/// true Hessian, which is indefinite between the wells.
+/// J = ¼v₀⁴ − ½v₀² + ½v₁²: two wells at v₀ = ±1, J = −¼, a saddle at the origin. Its
+/// "Gauss–Newton" products are those of the true Hessian, which is indefinite between the wells.
 struct Wells {
     base: [f64; 2],
     terms: CostTerms,
@@ -296,7 +298,8 @@ impl GaussNewton for Wells {
     }
 }
 
-/// A user's cost between its wells: down into one, or a status or an error that says why not; never a saddle called a minimum.
+/// A user's cost between its wells: down into one, or a status or an error that says why not; never a saddle
+/// called a minimum.
 fn indefinite(case: &mut Case) -> Outcome {
     for name in Minimizer::NAMES {
         let minimizer = Minimizer::named(name).ok_or("a name it lists")?;
@@ -304,7 +307,8 @@ fn indefinite(case: &mut Case) -> Outcome {
         let mut v = [0.1, 1.0];
         match minimizer.minimize(&mut cost, &mut v, &mut go_on) {
             Ok(minimum) if minimum.status == Status::Converged => {
-                // |∇J| fell to 1e-6 at the least, and the wells have curvature 2; full-step Newton goes to the saddle, as it must
+                // |∇J| fell to 1e-6 at the least, and the wells have curvature 2; full-step Newton goes to
+                // the saddle, as it must
                 if *name == "newton" {
                     let stationary = (v[0].powi(3) - v[0]).hypot(v[1]);
                     case.at_most("newton: gradient (any stationary point)", stationary, 1e-5, "-")
@@ -391,7 +395,8 @@ impl Model for Brittle {
     }
 }
 
-/// x₀² seen at step 2 as 1 from a background of 0.1: the first Gauss–Newton step goes to 5, where the model fails.
+/// x₀² seen at step 2 as 1 from a background of 0.1: the first Gauss–Newton step goes to 5, where the
+/// model fails.
 fn failing(case: &mut Case, failure: Failure) -> Outcome {
     let b = Diagonal::uniform(2, 10.0)?;
     let set = || {
@@ -401,7 +406,8 @@ fn failing(case: &mut Case, failure: Failure) -> Outcome {
             vec![observation(&[0], 2, 0.0, &[1.0], 0.01)],
         )
     };
-    // minimize ½((x − 0.1)/10)² + ½((x² − 1)/0.01)² near 1: x = 1 − (0.9/100)(1e-4)/4 to first order
+    // minimize ½((x − 0.1)/10)² + ½((x² − 1)/0.01)² near 1: x = 1 − (0.9/100)(1e-4)/4 to first
+    // order
     let expected = 1.0 - 0.9e-2 * 1e-4 / 4.0;
     let transform = ControlTransform::new(vec![0.1, 0.5], &b)?;
     for name in Minimizer::NAMES {

@@ -1,7 +1,7 @@
 //! Beyond the list: absurd numbers, empty and tiny problems, through the public interface alone.
 //!
-//! What is refused must say where; what is answered must be right. Each of those marked "found" once ended in a NaN, a wrong answer
-//! or a panic.
+//! What is refused must say where; what is answered must be right. Each of those marked "found" once ended in
+//! a NaN, a wrong answer or a panic.
 
 use super::rod_shapes::{DOWN, SILICONE, fixed_clamp, held, section, weight};
 use super::{condition, refused};
@@ -33,7 +33,8 @@ pub(super) fn run(rows: &mut Rows) {
 const SCHEMES: [(&str, Scheme); 3] =
     [("backward Euler", Scheme::BackwardEuler), ("midpoint", Scheme::Midpoint), ("BDF2", Scheme::Bdf2)];
 
-/// Ten segments hanging from a clamp, angles kept; three steps there and their adjoint back. The last state, and the adjoint of ones.
+/// Ten segments hanging from a clamp, angles kept; three steps there and their adjoint back. The last state,
+/// and the adjoint of ones.
 fn there_and_back(
     section: &Section,
     (loads, damping): (Loads, Damping),

@@ -27,7 +27,8 @@ struct Ended {
     says: String,
 }
 
-/// 2J/m has mean 1 and standard deviation √(2/m) = 0.04 to 0.13 at the right minimum; the next best ones seen have 2 and more.
+/// 2J/m has mean 1 and standard deviation √(2/m) = 0.04 to 0.13 at the right minimum; the next best ones
+/// seen have 2 and more.
 const RIGHT: f64 = 1.6;
 
 /// σ_y/L, the minimizers, and the number of seeds.
@@ -126,7 +127,8 @@ fn one(sigma: f64, name: &str, seed: u64) -> Result<Ended, Box<dyn std::error::E
     })
 }
 
-/// The results of all jobs in their order, by as many threads as there are cores. Bits do not depend on how many.
+/// The results of all jobs in their order, by as many threads as there are cores. Bits do not depend on how
+/// many.
 fn in_parallel<J: Sync, R: Send>(jobs: &[J], act: impl Fn(&J) -> R + Sync) -> Vec<R> {
     let next = AtomicUsize::new(0);
     let results = Mutex::new(Vec::new());

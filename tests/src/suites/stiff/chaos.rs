@@ -35,7 +35,8 @@ pub(super) fn run(rows: &mut Rows, options: &Options) {
 
 /// Measures the relative error of the gradient of ½‖x_N‖² and holds it against the estimate ε‖M‖.
 ///
-/// The reference is the same gradient in variables three times as large: the same numbers with other roundings.
+/// The reference is the same gradient in variables three times as large: the same numbers with other
+/// roundings.
 fn accuracy<R: Rhs + Clone + 'static>(case: &mut Case, rhs: &R, x0: &[f64], dt: f64, length: f64) -> Outcome {
     let steps = (length / dt).round() as usize;
     let mut plain = Rk4::new(rhs.clone(), 0, dt);
@@ -54,7 +55,8 @@ fn accuracy<R: Rhs + Clone + 'static>(case: &mut Case, rhs: &R, x0: &[f64], dt: 
     );
     case.at_most("measured error over its estimate", measured / amplification.gradient_error, 1e3, "-")
         .because(
-            "states are ten to fifty times the unit perturbation that ‖M‖ speaks of, and some hundred roundings add up",
+            "states are ten to fifty times the unit perturbation that ‖M‖ speaks of, and some hundred \
+                roundings add up",
         )
         .work(Work { condition: Some(amplification.norm), ..Work::default() })
         .computed(measured)
@@ -116,8 +118,8 @@ const DT: f64 = 0.01;
 /// σ of all three components, seen every 0.1.
 const SIGMA: f64 = 0.5;
 
-/// Local minima of J along the line truth + s (1, 1, 1)/√3, |s| ≤ 5, as the window grows; growth of the window against a direct
-/// minimization from s = 3.
+/// Local minima of J along the line truth + s (1, 1, 1)/√3, |s| ≤ 5, as the window grows; growth of the
+/// window against a direct minimization from s = 3.
 fn minima(case: &mut Case, seed: u64, quick: bool) -> Outcome {
     let whole = 800;
     let mut model = Rk4::new(Lorenz63::default(), 0, DT);
@@ -159,7 +161,14 @@ fn minima(case: &mut Case, seed: u64, quick: bool) -> Outcome {
         case.inform(&format!("local minima along the line, T = {length}"), count as f64, "-");
         counts.push(count);
     }
-    case.at_most("minima at T = 2 over those at T = 8", counts[0] as f64 / counts[3] as f64, 0.5, "-").because(
+    case.at_most(
+        "minima at T = 2 over those at T = \
+        8",
+        counts[0] as f64 / counts[3] as f64,
+        0.5,
+        "-",
+    )
+    .because(
         "errors grow by e^0.9 per unit of time, so that J folds e^5.4 times as often: a half is a weak bound",
     );
 
@@ -187,7 +196,8 @@ fn minima(case: &mut Case, seed: u64, quick: bool) -> Outcome {
         .because("the right minimum lies below J at the truth, which is not a minimum")
         .note(format!("directly from the background: J = {direct:.1}, at the truth {at_truth:.1}"));
     drop(cost);
-    // The start is little known along the direction that contracts (e^-1.5 before the first observation); the end is known well.
+    // The start is little known along the direction that contracts (e^-1.5 before the first observation); the
+    // end is known well.
     let end = states(&mut model, &analysis, whole)?.swap_remove(whole);
     let error = end.iter().zip(&run[whole]).fold(0.0_f64, |m, (a, t)| m.max((a - t).abs()));
     case.at_most("error of the grown analysis at the end of the window", error, SIGMA, "-")

@@ -62,7 +62,10 @@ fn smooth_kernels(rows: &mut Rows) {
                 None => f64::NAN,
             };
             case.at_most("condition reported: |ln(reported/exact)|, or said to be beyond", error, 1.0, "-")
-                .because("eigenvalues carry ε λ₁: a condition of 1e16 ε is right within e, or it is not told")
+                .because(
+                    "eigenvalues carry ε λ₁: a condition of 1e16 ε is right within e, or it is not \
+                    told",
+                )
                 .computed(found);
             match Dense::new(n, &matrix) {
                 Ok(dense) => {
@@ -90,9 +93,10 @@ fn smooth_kernels(rows: &mut Rows) {
 
 /// Condition number of the kernel matrix, exact to rounding at any size.
 fn exact_condition(length: f64, n: usize) -> f64 {
-    // On equally spaced points B is Toeplitz with entries q^((i−j)²), q = exp(−h²/2ℓ²): a Vandermonde-like kernel whose LDLᵀ is known in
-    // closed form, d_k = Π_{j=1..k} (1 − q^(2j)). ‖B⁻¹‖ follows from B⁻¹ = L⁻ᵀ D⁻¹ L⁻¹ with L⁻¹ of Gaussian binomials; all terms of
-    // one row alternate in sign, so that |B⁻¹| = |L⁻ᵀ| D⁻¹ |L⁻¹| loses no digit.
+    // On equally spaced points B is Toeplitz with entries q^((i−j)²), q = exp(−h²/2ℓ²): a
+    // Vandermonde-like kernel whose LDLᵀ is known in closed form, d_k = Π_{j=1..k} (1 − q^(2j)).
+    // ‖B⁻¹‖ follows from B⁻¹ = L⁻ᵀ D⁻¹ L⁻¹ with L⁻¹ of Gaussian binomials; all terms
+    // of one row alternate in sign, so that |B⁻¹| = |L⁻ᵀ| D⁻¹ |L⁻¹| loses no digit.
     let h = 1.0 / (n - 1) as f64;
     let q = (-0.5 * (h / length).powi(2)).exp();
     let apply = |x: &[f64], y: &mut [f64]| {
@@ -100,7 +104,8 @@ fn exact_condition(length: f64, n: usize) -> f64 {
             y[i] = (0..n).map(|j| q.powi((i.abs_diff(j) * i.abs_diff(j)) as i32) * x[j]).sum();
         }
     };
-    // With p = q², row i of |L⁻¹| holds q^(i−j) [i choose j]_p, j ≤ i; 1 − p^k by expm1, exact for p near 1.
+    // With p = q², row i of |L⁻¹| holds q^(i−j) [i choose j]_p, j ≤ i; 1 − p^k by expm1, exact for
+    // p near 1.
     let one_minus = |k: usize| -((2.0 * k as f64) * q.ln()).exp_m1();
     let mut inverse = vec![vec![0.0; n]; n];
     for i in 0..n {
@@ -242,8 +247,9 @@ fn large(rows: &mut Rows, sizes: &[usize]) {
     }
     rows.case("compact taper, growth", |case| {
         let (first, last) = (times[0], times[times.len() - 1]);
-        // linear: the time per point stays; quadratic would be the ratio of the sizes, 8. Clocks inform, they never gate: what does is
-        // the half-bandwidth, which does not grow, so that memory and operations are n times it.
+        // linear: the time per point stays; quadratic would be the ratio of the sizes, 8. Clocks inform, they
+        // never gate: what does is the half-bandwidth, which does not grow, so that memory and operations are
+        // n times it.
         case.inform("time per point, largest over smallest n", last / first, "-").computed(last);
         Ok(())
     });
@@ -268,7 +274,9 @@ fn one_large(case: &mut crate::row::Case, n: usize) -> Outcome {
     let worst = variance.iter().fold(0.0_f64, |m, v| m.max((v - 1.0).abs()));
     case.at_most("error of the variance", worst, 20.0 * f64::EPSILON, "-")
         .because("w + 1 terms, each rounded");
-    case.at_most("half-bandwidth", b.half_bandwidth() as f64, 12.0, "-")
-        .because("ten places in a support, 0.1 by 0.01 give or take 0.6 of a spacing: memory and operations are n times it");
+    case.at_most("half-bandwidth", b.half_bandwidth() as f64, 12.0, "-").because(
+        "ten places in a support, 0.1 by 0.01 give or take 0.6 of a spacing: memory and operations \
+            are n times it",
+    );
     Ok(())
 }

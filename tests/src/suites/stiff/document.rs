@@ -6,30 +6,39 @@ use std::fmt::Write;
 const HEAD: &str = "\
 # Stiff and extreme cases
 
-What happens at the edges: every case ends in the right answer within a bound that has its reason beside it, or in a typed error that
+What happens at the edges: every case ends in the right answer within a bound that has its reason beside it, \
+or in a typed error that
 names step, vertex or field. Made by
 
     cargo xtask verify stiff --full --stability docs/results/stability.md
 
-on a machine of two cores shared with other work: seconds are wall-clock time of all checks of the case, derivatives included, on one
+on a machine of two cores shared with other work: seconds are wall-clock time of all checks of the case, \
+derivatives included, on one
 thread (those of case 4 are sums over its minimizations, two of which run at a time).
 
 ## What others do, where that is known
 
 | case | peer | here |
 |---|---|---|
-| 25 segments, steps above 2e-4 s | PyElastica (explicit, position Verlet): NaN | steps of 1.6e-6 s to 16 s (1e-6 to 10 periods) give the root of the step's equations, with its tangent and adjoint, by three schemes |
-| 400 segments, 0.02 s, clamp moves 2.5 segments in a step | dismech (implicit, no globalization): diverges | 0.1 to 10 segments in a step, at 25, 400 and 1600 segments, by three schemes |
+| 25 segments, steps above 2e-4 s | PyElastica (explicit, position Verlet): NaN | steps of 1.6e-6 s to 16 s \
+(1e-6 to 10 periods) give the root of the step's equations, with its tangent and adjoint, by three schemes |
+| 400 segments, 0.02 s, clamp moves 2.5 segments in a step | dismech (implicit, no globalization): diverges \
+| 0.1 to 10 segments in a step, at 25, 400 and 1600 segments, by three schemes |
 
 ## How to read the tables
 
-One line per case. *Measured*, *error*, *bound* and *why this bound* are those of its first check; *others* says how many further checks
-the case has and how much of its bound the closest of them uses (all passed unless it says FAILED). A bound of 0 is exact: a count, or
-the text of an error that must name what it should. *Condition* is that of ∂G/∂u in the step's own units (Hager's estimate, Higham 2002),
-of B, or ‖M‖ of a chaotic window. *Iterations* are Newton's, of all steps together, or outer ones of a minimizer; *parts* the extra parts that
+One line per case. *Measured*, *error*, *bound* and *why this bound* are those of its first check; *others* \
+says how many further checks
+the case has and how much of its bound the closest of them uses (all passed unless it says FAILED). A bound \
+of 0 is exact: a count, or
+the text of an error that must name what it should. *Condition* is that of ∂G/∂u in the step's own units \
+(Hager's estimate, Higham 2002),
+of B, or ‖M‖ of a chaotic window. *Iterations* are Newton's, of all steps together, or outer ones of a \
+minimizer; *parts* the extra parts that
 steps were cut into.
 
-`unsafe` is forbidden in the library crates, `varda` and `xtask`, so that neither Miri nor sanitizers are needed; test builds check integer
+`unsafe` is forbidden in the library crates, `varda` and `xtask`, so that neither Miri nor sanitizers are \
+needed; test builds check integer
 overflow.
 ";
 
@@ -37,23 +46,26 @@ const AREAS: [(&str, &str, &str); 6] = [
     (
         "rod",
         "Rod",
-        "The distance from the root is that of the accepted state: forces computed anew by formulas that share no code with the library, \
-         times the inverse of the step's Jacobian. Convergence being quadratic where a step ends, mostly rounding alone is left. \
-         Rods have 25 segments, E = 1e6 Pa and steps of 0.01 s by backward Euler unless said.",
+        "The distance from the root is that of the accepted state: forces computed anew by formulas that \
+         share no code with the library, times the inverse of the step's Jacobian. Convergence being \
+         quadratic where a step ends, mostly rounding alone is left. Rods have 25 segments, E = 1e6 Pa and \
+         steps of 0.01 s by backward Euler unless said.",
     ),
     ("implicit", "Implicit layer", ""),
     (
         "chaos",
         "Chaos",
-        "Minima are counted along the line truth + s (1, 1, 1)/√3, |s| ≤ 5; every case shows the count at T = 2 first, the others in the rows.",
+        "Minima are counted along the line truth + s (1, 1, 1)/√3, |s| ≤ 5; every case shows the count \
+            at T = 2 first, the others in the rows.",
     ),
     ("covariance", "Covariance", ""),
     (
         "assimilation",
         "Assimilation",
-        "Every minimizer and method that applies is tried on every case. Case 4 is solved where it converged to 2J/m < 1.6: \
-         down to σ_y = 1e-6 L, but for one seed in five at 1e-3 L, which says that it stalled. From 1e-8 L on it is not: ‖∇J‖ falls to \
-         1e-8 of the first, which is what was asked for and is called converged, and leaves 2J/m in the hundreds and more.",
+        "Every minimizer and method that applies is tried on every case. Case 4 is solved where it converged \
+         to 2J/m < 1.6: down to σ_y = 1e-6 L, but for one seed in five at 1e-3 L, which says that it \
+         stalled. From 1e-8 L on it is not: ‖∇J‖ falls to 1e-8 of the first, which is what was asked \
+         for and is called converged, and leaves 2J/m in the hundreds and more.",
     ),
     ("beyond", "Beyond the list", "Found by trying to break the libraries through their public interface."),
 ];
@@ -68,14 +80,17 @@ pub(super) fn document(rows: &[Row]) -> String {
             let _ = write!(text, "{remark}\n\n");
         }
         text.push_str(
-            "| case | measured | error | bound | why this bound | others | condition | iterations | parts | s | notes |\n\
-             |---|---|---|---|---|---|---|---|---|---|---|\n",
+            "| case | measured | error | bound | why this bound | others | condition | iterations | parts | \
+             s | notes |\n|---|---|---|---|---|---|---|---|---|---|---|\n",
         );
         for case in own.chunk_by(|a, b| a.case == b.case) {
             text.push_str(&line(case));
         }
     }
-    text.push_str("\n## Word for word\n\nWhat ends in an error, or says that it did not converge:\n\n| case | what | it says |\n|---|---|---|\n");
+    text.push_str(
+        "\n## Word for word\n\nWhat ends in an error, or says that it did not converge:\n\n| case \
+        | what | it says |\n|---|---|---|\n",
+    );
     for row in rows.iter().filter(|r| {
         let ends = ["refused", "did not converge", "an error"];
         ends.iter().any(|end| r.what.contains(end))

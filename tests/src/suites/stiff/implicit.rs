@@ -1,4 +1,5 @@
-//! The generic layer: singular Jacobians, overflow, forced failures of Newton's method, Robertson's kinetics, long decay.
+//! The generic layer: singular Jacobians, overflow, forced failures of Newton's method, Robertson's kinetics,
+//! long decay.
 
 use super::{condition, interval, refused, work};
 use crate::row::{Case, Outcome, Rows};
@@ -101,7 +102,8 @@ fn singular(rows: &mut Rows) {
                     .work(work(&model, cond));
                     case.at_most("relative error of the step", error, 4.0 * f64::EPSILON * cond, "-")
                         .because(
-                            "ε times the condition: all that the stored matrix determines (nothing at 1e-15)",
+                            "ε times the condition: all that the stored matrix determines (nothing at \
+                                1e-15)",
                         );
                     model.linearize(7, &x, &next)?;
                     let dot = check::dot_product(&mut model, 7..8, &[1.0; 2], 1)?;
@@ -116,7 +118,8 @@ fn singular(rows: &mut Rows) {
     }
 }
 
-/// A residual that overflows: at the first full update, which must be halved until it is finite; at the guess; everywhere.
+/// A residual that overflows: at the first full update, which must be halved until it is finite; at the
+/// guess; everywhere.
 fn overflow(rows: &mut Rows) {
     // exp(u) − 15 = x from u = x
     let steep = |u: &[f64], g: &mut [f64], j: &mut [f64]| {
@@ -154,7 +157,8 @@ fn overflow(rows: &mut Rows) {
     });
 }
 
-/// ẋ = −20 x³ by implicit Euler with too few Newton iterations for a whole step: taken in parts, the gradient through them right.
+/// ẋ = −20 x³ by implicit Euler with too few Newton iterations for a whole step: taken in parts, the
+/// gradient through them right.
 fn forced_failure(rows: &mut Rows) {
     rows.case("forced Newton failure in one step", |case| {
         let options = NewtonOptions { max_iterations: 7, ..NewtonOptions::default() };
@@ -221,10 +225,11 @@ impl Rhs for Cubic {
 ///
 /// ```text
 /// f = (−0.04 y₁ + 1e4 y₂ y₃,  0.04 y₁ − 1e4 y₂ y₃ − 3e7 y₂²,  3e7 y₂²)   M = I
-/// third equation y₁ + y₂ + y₃ = total                                       M = diag(1, 1, 0), total kept in the state
+/// third equation y₁ + y₂ + y₃ = total     M = diag(1, 1, 0), total kept in the state
 /// ```
 ///
-/// Steps of a model are of equal length: here the length is a part of the step, h_k = h₀ qᵏ, in a time s = k.
+/// Steps of a model are of equal length: here the length is a part of the step, h_k = h₀ qᵏ, in a time
+/// s = k.
 struct Robertson {
     /// Last entry of M.
     mass: f64,
@@ -301,7 +306,8 @@ impl ImplicitStep for Robertson {
     }
 }
 
-/// Robertson to t = 4e6: y against a reference, and the discrete adjoint against a complex step of length zero through the same steps.
+/// Robertson to t = 4e6: y against a reference, and the discrete adjoint against a complex step of length
+/// zero through the same steps.
 fn robertson(case: &mut Case, mass: f64) -> Outcome {
     // 1600 steps from 1e-6 s, growing by 1.6 %: their sum is 4e6 s
     let (first, steps) = (1e-6, 1600);
@@ -325,14 +331,25 @@ fn robertson(case: &mut Case, mass: f64) -> Outcome {
     case.at_most("total, departure from 1", (last.iter().sum::<f64>() - 1.0).abs(), 4e-13, "-")
         .because("y₁ + y₂ + y₃ = 1 is kept by every step: 1600 roundings")
         .work(work);
-    // In quasi-steady state 0.04 y₁ = 1e4 y₂ y₃ + 3e7 y₂², but for what flows on: d y₃/dt over the fluxes, about y₂/t.
+    // In quasi-steady state 0.04 y₁ = 1e4 y₂ y₃ + 3e7 y₂², but for what flows on: d y₃/dt over the
+    // fluxes, about y₂/t.
     let (y2, y3) = (last[1], last[2]);
     let balance = 0.04 * last[0] - 1e4 * y2 * y3 - 3e7 * y2 * y2;
-    case.at_most("quasi-steady balance over 0.04 y₁", (balance / (0.04 * last[0])).abs(), 1e-4, "-")
-        .because("y₂ lags behind its balance by its own 1/(1e4 y₃) s, 1e-4 s of 4e6 s, and what y₂/t adds");
+    case.at_most(
+        "quasi-steady balance over 0.04 \
+        y₁",
+        (balance / (0.04 * last[0])).abs(),
+        1e-4,
+        "-",
+    )
+    .because(
+        "y₂ lags behind its balance by its own 1/(1e4 y₃) s, 1e-4 s of 4e6 s, and what y₂/t \
+            adds",
+    );
     case.at_most("y₁(4e6), relative error", (last[0] / 5.168e-4 - 1.0).abs(), 0.05, "-")
         .because(
-            "against CVODE's 5.168e-4 (cvRoberts_dns, Hindmarsh et al. 2005): implicit Euler errs by about what t grows by in a step, 1.6 %",
+            "against CVODE's 5.168e-4 (cvRoberts_dns, Hindmarsh et al. 2005): implicit Euler errs by about \
+                what t grows by in a step, 1.6 %",
         )
         .computed(last[0]);
 
@@ -362,8 +379,8 @@ fn growth_to(total: f64, first: f64, steps: usize) -> f64 {
     low
 }
 
-/// ∂J/∂y_i(0) by dual numbers through all steps: a complex step of length zero. Newton's method on duals; the dual part is right
-/// one iteration after the real one.
+/// ∂J/∂y_i(0) by dual numbers through all steps: a complex step of length zero. Newton's method on duals;
+/// the dual part is right one iteration after the real one.
 fn complex_step(step: &Robertson, steps: usize, i: usize) -> f64 {
     let zero = Dual64::from(0.0);
     let mut x = [Dual64::from(1.0), zero, zero];
@@ -419,7 +436,8 @@ fn solve3(mut a: [[Dual64; 3]; 3], mut b: [Dual64; 3]) -> [Dual64; 3] {
     b
 }
 
-/// ẋ_i = −λ_i x_i, λ = 1 … 1e6, over many steps: adjoints decay to nothing, without overflow, NaN or a slow crawl among denormals.
+/// ẋ_i = −λ_i x_i, λ = 1 … 1e6, over many steps: adjoints decay to nothing, without overflow, NaN or
+/// a slow crawl among denormals.
 fn decay(rows: &mut Rows, steps: usize) {
     rows.case(&format!("adjoint of decay over {steps} steps"), |case| {
         let mut model = ImplicitModel::new(OneLeg::implicit_euler(Decay, 1e-13), 0, 0.01);
@@ -440,7 +458,8 @@ fn decay(rows: &mut Rows, steps: usize) {
         let clock = std::time::Instant::now();
         (0..steps / 2).rev().for_each(|k| model.adjoint(k, &mut lambda));
         let second = clock.elapsed().as_secs_f64();
-        // the slowest decays by 1/(1 + 0.01) a step: (1/1.01)^steps, below the smallest number from 75 000 steps on
+        // the slowest decays by 1/(1 + 0.01) a step: (1/1.01)^steps, below the smallest number from 75 000
+        // steps on
         let expected = (-(steps as f64) * 1.01_f64.ln()).exp();
         let error = if expected > 1e-300 { (lambda[0] / expected - 1.0).abs() } else { lambda[0].abs() };
         case.at_most("error of the slowest", error, 2.0 * f64::EPSILON * steps as f64, "-")
@@ -450,9 +469,16 @@ fn decay(rows: &mut Rows, steps: usize) {
         let wild = lambda.iter().filter(|l| !l.is_finite()).count();
         case.count("adjoints that are not finite", wild, 0);
         let subnormal = lambda.iter().filter(|l| l.is_subnormal()).count();
-        case.inform("time of an adjoint step, second half of the steps over the first", second / first, "-").note(
-            format!("{subnormal} of 7 adjoints end subnormal, where λ/1.01 rounds to λ again; clocks inform, they never gate: 1 says that such numbers cost nothing, a trap would cost 100"),
-        );
+        case.inform(
+            "time of an adjoint step, second half of the steps over the \
+            first",
+            second / first,
+            "-",
+        )
+        .note(format!(
+            "{subnormal} of 7 adjoints end subnormal, where λ/1.01 rounds to λ again; clocks \
+                inform, they never gate: 1 says that such numbers cost nothing, a trap would cost 100"
+        ));
         Ok(())
     });
 }

@@ -1,8 +1,8 @@
 //! Stiff and extreme cases: the right answer, or an error that names step, vertex or field.
 //!
-//! Every row has a measured error, its bound and the reason of the bound; condition, Newton iterations, extra parts of steps and run
-//! time have columns of their own. A bound of zero needs no reason: an exact count, or an error whose text names what it should.
-//! `docs/results/stability.md` is made of these rows.
+//! Every row has a measured error, its bound and the reason of the bound; condition, Newton iterations, extra
+//! parts of steps and run time have columns of their own. A bound of zero needs no reason: an exact count, or
+//! an error whose text names what it should. `docs/results/stability.md` is made of these rows.
 
 mod assimilation;
 mod beyond;
@@ -70,8 +70,9 @@ fn statics(report: &NewtonReport) -> (Work, String) {
     (work, format!("{} shifts, {} halvings of an update{neutral}", report.shifts, report.backtracks))
 }
 
-/// An estimate of the condition number ‖A‖₁ ‖A⁻¹‖₁ of a matrix that was given by its values: Hager's estimator (Higham 2002,
-/// algorithm 15.1), right within a small factor nearly always. Infinite for a singular matrix.
+/// An estimate of the condition number ‖A‖₁ ‖A⁻¹‖₁ of a matrix that was given by its values:
+/// Hager's estimator (Higham 2002, algorithm 15.1), right within a small factor nearly always. Infinite for a
+/// singular matrix.
 fn condition(n: usize, structure: &Structure, values: &[f64]) -> f64 {
     let mut solver = LinearSolver::new(n, structure);
     let mut factor = solver.empty_factor();

@@ -1,8 +1,8 @@
 //! Rods in motion: stiff, slender, cut fine, driven hard, wildly strained.
 //!
-//! The measured error of a step is its distance from the root: the forces at the accepted state are computed anew by the
-//! formulas below (stretching by length, bending of an isotropic rod by the angle φ alone, E = 2 EI tan²(φ/2)/l̄), and
-//! Newton's correction for what they leave is taken with the step's own Jacobian.
+//! The measured error of a step is its distance from the root: the forces at the accepted state are computed
+//! anew by the formulas below (stretching by length, bending of an isotropic rod by the angle φ alone, E = 2
+//! EI tan²(φ/2)/l̄), and Newton's correction for what they leave is taken with the step's own Jacobian.
 
 use super::{condition, interval, work};
 use crate::row::{Case, Outcome, Rows};
@@ -74,7 +74,8 @@ impl Hanging {
         Ok(ImplicitModel::new(step.with_scheme(self.scheme), 0, self.dt))
     }
 
-    /// Straight down, unstretched, at rest; each segment strained by up to `strain` and turned by up to `turn`, at random.
+    /// Straight down, unstretched, at rest; each segment strained by up to `strain` and turned by up to
+    /// `turn`, at random.
     fn start(&self, strain: f64, turn: f64) -> Vec<f64> {
         let l = self.length / self.segments as f64;
         let mut z = vec![0.0; 6 * (self.segments - 1)];
@@ -253,10 +254,12 @@ fn dot_product(
     let scale = rod_scale(model.step_ref());
     model.linearize(k, x, next)?;
     let dot = check::dot_product(model, k..k + 1, &scale, 11)?;
-    // V' = (X' − X)/Δt: a rounding ε of δX becomes ε δX/Δt in δV, however well M itself is conditioned
+    // V' = (X' − X)/Δt: a rounding ε of δX becomes ε δX/Δt in δV, however well M itself is
+    // conditioned
     let divided = 50.0 * f64::EPSILON * scale[0] / (dt * scale[scale.len() / 2]);
     case.at_most("dot product of the step", dot.value, dot.bound.max(divided), "-").because(
-        "50 ε times ‖M‖ ‖δx‖/‖M δx‖, and as much for δX/Δt of the velocities, however well M itself is conditioned",
+        "50 ε times ‖M‖ ‖δx‖/‖M δx‖, and as much for δX/Δt of the velocities, however well \
+            M itself is conditioned",
     );
     Ok(())
 }
@@ -283,8 +286,8 @@ fn taylor(
         }
         other => other?,
     };
-    // A solve errs by ε times the condition: beyond 1e9 the remainder falls like h before h² can be seen over ten halvings. Then
-    // what is left of it at the smallest step, over h ‖M d‖, is that error.
+    // A solve errs by ε times the condition: beyond 1e9 the remainder falls like h before h² can be seen
+    // over ten halvings. Then what is left of it at the smallest step, over h ‖M d‖, is that error.
     if condition > 1e9 && taylor.slope < 1.95 {
         let mut tangent = direction;
         model.tangent(k, &mut tangent);
@@ -320,8 +323,8 @@ fn larger(a: f64, b: f64) -> f64 {
     if a.is_nan() || a >= b { a } else { b }
 }
 
-/// Of the step k from x to `next` of a round rod clamped at its start under its own weight: Newton's correction for the residual
-/// of its stage, and what is left of V's equation.
+/// Of the step k from x to `next` of a round rod clamped at its start under its own weight: Newton's
+/// correction for the residual of its stage, and what is left of V's equation.
 pub(super) fn distance(
     model: &mut ImplicitModel<RodStep>,
     dt: f64,
@@ -359,7 +362,8 @@ pub(super) fn distance(
         residual[6 + i] += rod.masses[i / 3 + 2] * inertia;
         root = larger(root, (y[free + i] - moved).abs() * dt);
     }
-    // Along the rod every vertex follows an angle where there are any: θ^1, x_2, θ^2, … of the clamped rod, E = ½ GJ (Δθ)²/l̄.
+    // Along the rod every vertex follows an angle where there are any: θ^1, x_2, θ^2, … of the clamped
+    // rod, E = ½ GJ (Δθ)²/l̄.
     let stride = n / (free / 3);
     let angle = |e: usize| if stride == 3 || e == 0 { 0.0 } else { u[stride * (e - 1)] };
     let moment = |i: usize| match rod.gj.get(i - 1) {
@@ -387,7 +391,8 @@ pub(super) fn distance(
     Distance { root: root / step.rod().length(), condition: condition(n, &structure, &values) }
 }
 
-/// ∂E/∂x of an isotropic, naturally straight rod, three numbers per vertex: with c = t·t', |κb|² = 4 (1 − c)/(1 + c).
+/// ∂E/∂x of an isotropic, naturally straight rod, three numbers per vertex: with c = t·t', |κb|² = 4
+/// (1 − c)/(1 + c).
 fn forces(rod: &Rod, x: &[[f64; 3]]) -> Vec<f64> {
     let n = rod.segments();
     let mut out = vec![0.0; 3 * (n + 1)];

@@ -60,8 +60,8 @@ fn twisted(rows: &mut Rows) {
     }
 }
 
-/// A clamp that tilts round a cone, again and again: frames stay orthonormal, nothing drifts; and the frame carried along round
-/// the cone turns by the solid angle.
+/// A clamp that tilts round a cone, again and again: frames stay orthonormal, nothing drifts; and the frame
+/// carried along round the cone turns by the solid angle.
 fn tilt_loop(rows: &mut Rows, steps: usize) {
     rows.case(&format!("tilt loop, {steps} steps"), |case| {
         let (alpha, per_loop, dt) = (0.4_f64, 100, 0.01);

@@ -1,4 +1,5 @@
-//! Rods in extreme shapes, where the answer is known: free fall, straight, slack, buckled, nearly folded, without mass.
+//! Rods in extreme shapes, where the answer is known: free fall, straight, slack, buckled, nearly folded,
+//! without mass.
 
 use super::rod::{ROOT, ROOT_REASON, distance};
 use super::{condition, interval, refused, statics, work};
@@ -208,7 +209,8 @@ fn straight(rows: &mut Rows) {
     });
 }
 
-/// Two edges that turn by π − δ: E = 2 EI/(l̄ tan²(δ/2)) and its derivative, exact down to δ = 1e-6, an error below.
+/// Two edges that turn by π − δ: E = 2 EI/(l̄ tan²(δ/2)) and its derivative, exact down to δ = 1e-6,
+/// an error below.
 fn nearly_folded(rows: &mut Rows) {
     for delta in [1e-2_f64, 1e-3, 1e-4, 1e-5, 2e-6, 5e-7, 1e-7, 1e-8] {
         rows.case(&format!("turning angle π − {delta:e}"), |case| {
@@ -413,7 +415,8 @@ fn tips(rows: &mut Rows) {
             Ok(())
         });
     }
-    // two vertices: a spring pendulum; backward Euler of r̈ = −(k/m)(r − l)e − g e_z along the vertical
+    // two vertices: a spring pendulum; backward Euler of r̈ = −(k/m)(r − l)e − g e_z along the
+    // vertical
     rows.case("two vertices", |case| {
         let rod = Rod::uniform(0.5, 1, &section())?;
         let (m, k) = (rod.masses[1], rod.ea[0] / 0.5);
@@ -445,7 +448,8 @@ fn tips(rows: &mut Rows) {
     rows.case("three vertices", three_vertices);
 }
 
-/// One free vertex on a clamped edge; small motion: m ẍ = −(EI/l̄)(1/l²) x·… has one frequency, and backward Euler its own damping.
+/// One free vertex on a clamped edge; small motion: m ẍ = −(EI/l̄)(1/l²) x·… has one frequency, and
+/// backward Euler its own damping.
 fn three_vertices(case: &mut crate::row::Case) -> Outcome {
     let rod = Rod::uniform(0.2, 2, &section())?;
     let (m, l) = (rod.masses[2], 0.1);

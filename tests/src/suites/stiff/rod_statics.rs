@@ -14,8 +14,9 @@ pub(super) fn run(rows: &mut Rows) {
     pushed(rows);
 }
 
-/// A chain hung slack between two points: the discrete catenary. Its tension has one horizontal component H; with V₀ at the first
-/// edge and equal masses m the tension of edge e is (H, V₀ − e m g), which gives every place; H and V₀ are found by bisection.
+/// A chain hung slack between two points: the discrete catenary. Its tension has one horizontal component H;
+/// with V₀ at the first edge and equal masses m the tension of edge e is (H, V₀ − e m g), which gives
+/// every place; H and V₀ are found by bisection.
 fn slack(rows: &mut Rows) {
     for (name, ends) in [("chain", 0.6), ("nearly taut chain", 0.999), ("slack chain", 0.05)] {
         rows.case(&format!("{name}, ends {ends} L apart"), |case| {
@@ -66,8 +67,9 @@ fn slack(rows: &mut Rows) {
     }
 }
 
-/// A column clamped at both ends and pushed together: it must leave the straight saddle. The elastica's first mode at a small
-/// end-shortening δ has the amplitude a = (2L/π) √(δ/L) (inextensible; next order 1 + O(δ/L)).
+/// A column clamped at both ends and pushed together: it must leave the straight saddle. The elastica's first
+/// mode at a small end-shortening δ has the amplitude a = (2L/π) √(δ/L) (inextensible; next order 1 +
+/// O(δ/L)).
 fn buckled(rows: &mut Rows) {
     for shortening in [0.01, 0.1, 0.3] {
         rows.case(&format!("column pushed together by {:.0} %", 100.0 * shortening), |case| {
@@ -87,7 +89,8 @@ fn buckled(rows: &mut Rows) {
                 Rest { vertices, theta: vec![0.0; n] }
             };
             let expected = clamped_elastica(shortening);
-            let reason = "the discrete clamps reach half a segment further in than clamps do: some 0.6/n of the amplitude, twice that allowed";
+            let reason = "the discrete clamps reach half a segment further in than clamps do: some 0.6/n of \
+                the amplitude, twice that allowed";
             // from the straight saddle, up to thirty thousand times beyond the critical load, and from a bow
             for (from, bow) in [("from the straight saddle", 0.0), ("from a bow", expected)] {
                 match equilibrium(&rod, &supports, &Loads::default(), 0.0, &guess(bow)) {
@@ -102,10 +105,19 @@ fn buckled(rows: &mut Rows) {
                             .work(work)
                             .note(note);
                     }
-                    // Newton's way from the saddle may be longer than it is allowed to be, from a bow it is not
+                    // Newton's way from the saddle may be longer than it is allowed to be, from a bow it is
+                    // not
                     Err(error) => {
                         let names = if bow == 0.0 { "step 0" } else { "no error" };
-                        refused(case, &format!("{from}: refused, naming the step"), Err::<(), _>(error), names);
+                        refused(
+                            case,
+                            &format!(
+                                "{from}: refused, naming the \
+                            step"
+                            ),
+                            Err::<(), _>(error),
+                            names,
+                        );
                     }
                 }
             }
@@ -114,8 +126,9 @@ fn buckled(rows: &mut Rows) {
     }
 }
 
-/// The same column in motion: its end clamp moves in within a second, the rod is exactly straight, and what follows is damped
-/// (α = 2/s). It must leave the straight saddle, and all others in time, and end in the first mode.
+/// The same column in motion: its end clamp moves in within a second, the rod is exactly straight, and what
+/// follows is damped (α = 2/s). It must leave the straight saddle, and all others in time, and end in the
+/// first mode.
 fn pushed(rows: &mut Rows) {
     for (shortening, dt) in [(0.01, 1.0), (0.1, 1.0), (0.3, 1.0), (0.01, 0.02), (0.1, 0.02), (0.3, 0.02)] {
         let name =
@@ -138,12 +151,19 @@ fn pushed(rows: &mut Rows) {
                     let places = x[..3 * (n - 3)].chunks_exact(3);
                     let amplitude = places.map(|x| x[0].hypot(x[1])).fold(0.0, f64::max);
                     let error = (amplitude / clamped_elastica(shortening) - 1.0).abs();
-                    case.at_most("amplitude after 100 s, relative error against the elastica", error, 0.03, "-")
-                        .because(
-                            "the discrete clamps reach half a segment further in than clamps do: some 0.6/n of the amplitude, twice that allowed",
-                        )
-                        .computed(amplitude)
-                        .work(work(&model, f64::NAN));
+                    case.at_most(
+                        "amplitude after 100 s, relative error against the \
+                        elastica",
+                        error,
+                        0.03,
+                        "-",
+                    )
+                    .because(
+                        "the discrete clamps reach half a segment further in than clamps do: some 0.6/n \
+                                of the amplitude, twice that allowed",
+                    )
+                    .computed(amplitude)
+                    .work(work(&model, f64::NAN));
                 }
                 Err(error) => refused(case, "refused, naming the step", Err::<(), _>(error), "step 0"),
             }
@@ -152,8 +172,8 @@ fn pushed(rows: &mut Rows) {
     }
 }
 
-/// Amplitude over L of the first mode of an inextensible column clamped at both ends: four quarter waves of the elastica with
-/// modulus p, shortening 2 − 2 E(p)/K(p), amplitude p/K(p).
+/// Amplitude over L of the first mode of an inextensible column clamped at both ends: four quarter waves of
+/// the elastica with modulus p, shortening 2 − 2 E(p)/K(p), amplitude p/K(p).
 fn clamped_elastica(shortening: f64) -> f64 {
     let integrals = |p: f64| {
         // midpoint sums over a period of smooth functions: exact to rounding at 200 points
