@@ -1,5 +1,5 @@
-//! Pages and comments agree: every citation has an entry in docs/references.md, and every numbered equation of
-//! the paper an item in docs/notation.md that carries its tag.
+//! Pages and comments agree: every citation has an entry in docs/references.md, and every numbered equation
+//! of the paper an item in docs/notation.md that carries its tag.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -38,7 +38,7 @@ fn texts() -> Vec<(PathBuf, String)> {
     found.into_iter().map(|path| (path.clone(), read(&path))).collect()
 }
 
-/// The running text of a file: whole for pages, else each block of comments joined to one line, code line by line.
+/// The running text of a file: whole for pages, else each block of comments in one line, code line by line.
 fn prose(path: &Path, text: &str) -> String {
     let marker = match path.extension().and_then(|e| e.to_str()) {
         Some("rs") => "//",

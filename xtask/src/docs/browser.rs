@@ -1,7 +1,8 @@
-//! The pages in a headless browser: formulas rendered, pictures there, nothing wider than the window, text large enough.
+//! The pages in a headless browser: formulas rendered, pictures there, nothing wider than the window, text
+//! large enough.
 //!
-//! The pages are served on a port of this machine; a page of ours opens each in a frame of two widths, looks, and sends back
-//! what it found. No other program is needed than the browser.
+//! The pages are served on a port of this machine; a page of ours opens each in a frame of two widths, looks,
+//! and sends back what it found. No other program is needed than the browser.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -15,7 +16,7 @@ const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "chro
 /// The longest that all pages may take.
 const PATIENCE: Duration = Duration::from_secs(240);
 
-/// What is wrong with pages as a reader sees them; nothing, and a word about it, where no browser is installed.
+/// What is wrong with pages as a reader sees them; where no browser is installed nothing, and a word about it.
 pub(crate) fn check(site: &Path, pages: &[String]) -> Result<Vec<String>, String> {
     let listener = TcpListener::bind("127.0.0.1:0").map_err(|e| format!("no port to serve pages on: {e}"))?;
     let port = listener.local_addr().map_err(|e| e.to_string())?.port();
@@ -69,7 +70,7 @@ fn serve(listener: &TcpListener, site: &Path, pages: &[String]) -> Result<String
             Ok((stream, _)) => {
                 let _ = stream.set_nonblocking(false);
                 let _ = stream.set_read_timeout(Some(Duration::from_secs(5)));
-                // A connection that breaks is the browser's business: it asks again, or the report never comes.
+                // After a broken connection the browser asks again, or the report never comes.
                 if let Ok(Some(report)) = answer(stream, site, pages) {
                     return Ok(report);
                 }

@@ -1,4 +1,5 @@
-//! The pages of the package `guide` after rustdoc: links between .md files, pictures and tables beside the pages, formulas.
+//! The pages of the package `guide` after rustdoc: links between .md files, pictures and tables beside the
+//! pages, formulas.
 
 use super::html::{self, external, normal, relative};
 use super::{copy, read, write};
@@ -129,7 +130,8 @@ fn with_formulas(text: &str, katex: &str) -> String {
     }
     let head = format!(
         "<link rel=\"stylesheet\" href=\"{katex}/katex.css\"><style>{STYLE}</style>\
-         <script defer src=\"{katex}/katex.js\"></script><script defer src=\"{katex}/render.js\"></script></head>"
+         <script defer src=\"{katex}/katex.js\"></script>\
+         <script defer src=\"{katex}/render.js\"></script></head>"
     );
     text.replacen("</head>", &head, 1)
 }
@@ -175,7 +177,8 @@ mod tests {
 
     #[test]
     fn formulas_are_marked_and_bring_their_scripts() {
-        let page = "<head></head>a $<code>x_k</code>$ b <div class=\"example-wrap\"><pre class=\"language-math\">\
+        let page = "<head></head>a $<code>x_k</code>$ b \
+                    <div class=\"example-wrap\"><pre class=\"language-math\">\
                     <code>y^2</code></pre></div> <code>$z</code>";
         let done = with_formulas(page, "../math");
         assert!(done.contains(
