@@ -55,7 +55,7 @@ pub(crate) fn finish(site: &Path) -> Result<(), String> {
         let path = site.join(&page.html);
         let mut text = read(&path)?;
         text = linked(&text, page, &pages, site)?;
-        text = with_formulas(&text, &relative(&page.html, "math"));
+        text = with_formulas(&text, &relative(&page.html, "math")).replacen("</head>", TABLES, 1);
         write(&path, &text)?;
     }
     for file in super::links::pages_of(site)? {
@@ -139,6 +139,10 @@ fn with_formulas(text: &str, katex: &str) -> String {
 /// Long formulas scroll in themselves, not the page.
 const STYLE: &str = "div.formula{overflow-x:auto;overflow-y:hidden;padding:.2em 0}\
     td .katex,th .katex{white-space:nowrap}";
+
+/// Words of code in a table stay whole on a narrow window; the table scrolls in itself.
+const TABLES: &str = "<style>@media(max-width:700px){.docblock td code{overflow-wrap:normal;word-break:normal}\
+    .docblock td{min-width:7em}}</style></head>";
 
 /// `B^{1/2}` and `x_{k+1}` in running text as raised and lowered text.
 fn with_scripts(text: &str) -> String {
