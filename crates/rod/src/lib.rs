@@ -85,7 +85,7 @@ mod stage;
 mod support;
 mod system;
 
-pub use dynamics::{RodStep, TwistUnknowns};
+pub use dynamics::{RodEquations, RodStep, TwistUnknowns};
 pub use energy::{Derivatives, Energy, Framed, derivatives};
 pub use equilibrium::{Rest, equilibrium, straight_guess};
 pub use error::Error;

@@ -3,6 +3,7 @@
 
 pub mod allocations;
 pub mod costs;
+pub mod counted;
 pub mod methods;
 pub mod rods;
 pub mod small_problems;

@@ -400,7 +400,7 @@ fn rod_case(name: &'static str, rod: Rod, supports: Supports, damping: Damping) 
     if clamps == 2 {
         shape = equilibrium(&rod, &supports, &loads, start, &shape)?.0;
     }
-    let model = ImplicitModel::new(RodStep::new(rod, supports, loads, damping)?, FIRST, DT);
+    let mut model = ImplicitModel::new(RodStep::new(rod, supports, loads, damping)?, FIRST, DT);
     let free = model.step_ref().free_vertices();
     let mut control: Vec<f64> = free.iter().flat_map(|&v| shape.vertices[v]).collect();
     let positions = control.len();

@@ -10,7 +10,6 @@ mod strong;
 mod tridiagonal;
 mod weak_forcing;
 mod weak_state;
-mod workers;
 
 pub use dual::Dual;
 pub(crate) use ensemble::run_all;
