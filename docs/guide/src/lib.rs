@@ -59,6 +59,4 @@ pub mod results {
     pub mod stability {}
     #[doc = include_str!("../../results/time.md")]
     pub mod time {}
-    #[doc = include_str!("../../results/workers.md")]
-    pub mod workers {}
 }
