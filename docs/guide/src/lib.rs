@@ -59,4 +59,6 @@ pub mod results {
     pub mod stability {}
     #[doc = include_str!("../../results/time.md")]
     pub mod time {}
+    #[doc = include_str!("../../results/verification.md")]
+    pub mod verification {}
 }
