@@ -119,16 +119,22 @@ fn one_wrong_entry_of_a_jacobian_is_an_error_at_the_first_step() {
         }
         let mut model = model(ring, &structure, Some(1e-3));
         let error = model.step(0, &start(), &mut [0.0; N]).unwrap_err();
-        let Error::JacobianDisagrees { step: 0, row: 3, .. } = error else { panic!("{structure:?}: {error}") };
+        let Error::JacobianDisagrees { step: 0, row: 3, .. } = error else {
+            panic!("{structure:?}: {error}")
+        };
     }
 }
 
 #[test]
 fn a_structure_that_leaves_out_an_entry_is_an_error_at_the_first_step() {
-    for (ring, structure) in [(true, Structure::tridiagonal()), (true, pairs(false)), (false, {
-        let diagonal = (0..N).map(|i| (i, i));
-        Structure::from_pairs(N, diagonal).unwrap()
-    })] {
+    for (ring, structure) in [
+        (true, Structure::tridiagonal()),
+        (true, pairs(false)),
+        (false, {
+            let diagonal = (0..N).map(|i| (i, i));
+            Structure::from_pairs(N, diagonal).unwrap()
+        }),
+    ] {
         let mut model = model(ring, &structure, None);
         let error = model.step(7, &start(), &mut [0.0; N]).unwrap_err();
         assert!(matches!(error, Error::JacobianDisagrees { step: 7, .. }), "{structure:?}: {error}");

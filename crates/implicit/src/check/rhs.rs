@@ -68,11 +68,7 @@ pub fn rhs<R: Rhs>(f: &mut R, t: f64, x: &[f64], scale: &[f64], seed: u64) -> Re
 
     let structure = f.structure();
     let usable = structure.check(n).is_ok() && (0..n).all(|i| structure.diagonal(n, i).is_some());
-    findings.push(Finding::at_most(
-        "structure: faults of the pattern",
-        if usable { 0.0 } else { 1.0 },
-        0.0,
-    ));
+    findings.push(Finding::at_most("structure: faults of the pattern", if usable { 0.0 } else { 1.0 }, 0.0));
     if usable {
         let worst = crate::rhs::largest_disagreement(f, t, x, &structure);
         findings.push(Finding::at_most("jacobian: disagreement with the tangent", worst, 1e-8));
