@@ -231,7 +231,7 @@ impl Rhs for Transport {
         Structure::Sparse { columns, rows }
     }
 
-    fn jacobian(&mut self, _t: f64, u: &[f64], _unit: &mut [f64], values: &mut [f64]) {
+    fn jacobian(&mut self, _t: f64, u: &[f64], values: &mut [f64]) -> bool {
         let (n, beyond, scales) = (u.len(), self.beyond(u), self.scales());
         for i in 0..n {
             let row = self.row(scales, near(u, beyond, i));
@@ -250,5 +250,6 @@ impl Rhs for Transport {
             values[0] = 0.0;
             values[3 * n - 1] = 0.0;
         }
+        true
     }
 }

@@ -1,6 +1,6 @@
 //! Ordinary differential equations ẋ = f(t, x), and implicit steps for any of them.
 
-use crate::{Equations, ImplicitStep, Interval, Refusal, Scheme, Stage, StepEquations, Structure};
+use crate::{Equations, Error, ImplicitStep, Interval, Refusal, Scheme, Stage, StepEquations, Structure};
 
 /// The right-hand side f of ẋ = f(t, x) (paper 2.21), with its derivative as products: those of the
 /// sensitivity equation d(δx)/dt = ∂f/∂x δx (paper 2.22) and of its transpose.
@@ -25,19 +25,17 @@ pub trait Rhs {
         self.adjoint_add(t, x, lambda, dx);
     }
 
-    /// Layout of ∂f/∂x for implicit steps; a sparse one must contain the diagonal.
+    /// Layout of ∂f/∂x for implicit steps; a sparse one must contain the diagonal. Helpers make the usual ones:
+    /// [`Structure::tridiagonal`], [`Structure::periodic_band`], [`Structure::from_pairs`].
     fn structure(&self) -> Structure {
         Structure::Dense
     }
 
-    /// All values of ∂f/∂x in the layout of `structure`. By default column by column from `tangent`, which is right for
-    /// a dense matrix; `unit` is work space of length `dim`.
-    fn jacobian(&mut self, t: f64, x: &[f64], unit: &mut [f64], values: &mut [f64]) {
-        for (j, column) in values.chunks_exact_mut(x.len()).enumerate() {
-            unit.fill(0.0);
-            unit[j] = 1.0;
-            self.tangent(t, x, unit, column);
-        }
+    /// Fills in all values of ∂f/∂x in the layout of `structure`, and returns true. By default it returns false: the
+    /// values are then made from `tangent`, one product for every colour of the structure
+    /// ([`Structure::colouring`]: three for a tridiagonal one, n for a dense one).
+    fn jacobian(&mut self, _t: f64, _x: &[f64], _values: &mut [f64]) -> bool {
+        false
     }
 }
 
@@ -48,13 +46,120 @@ pub trait Rhs {
 /// ```
 ///
 /// The state of BDF2 is [x_k, x_{k−1}], its control x₀.
+///
+/// The first Jacobian that is assembled is held against `tangent` along one direction: a [`Rhs::jacobian`] that disagrees, or a
+/// [`Rhs::structure`] that leaves out an entry, is an error before the first step is taken
+/// ([`Error::JacobianDisagrees`](crate::Error::JacobianDisagrees)).
 #[derive(Debug, Clone)]
 pub struct OneLeg<R> {
     rhs: R,
     scheme: Scheme,
-    structure: Structure,
     tolerance: f64,
+    jacobian: Jacobian,
+}
+
+/// How the values of ∂f/∂x come about.
+#[derive(Debug, Clone)]
+struct Jacobian {
+    structure: Structure,
+    /// Columns that share no row.
+    groups: Vec<Vec<usize>>,
+    /// Whether the values have been held against the tangent.
+    checked: bool,
+    direction: Vec<f64>,
     product: Vec<f64>,
+}
+
+/// Share of the size of its terms by which an entry of ∂f/∂x dx may differ between Jacobian and tangent: rounding of two
+/// formulas for one thing, and far below the effect of a wrong entry.
+const SAME_DERIVATIVE: f64 = 1e-8;
+
+impl Jacobian {
+    fn new(n: usize, structure: Structure) -> Self {
+        let groups = structure.colouring(n);
+        Self { structure, groups, checked: false, direction: vec![0.0; n], product: vec![0.0; n] }
+    }
+
+    /// All values of ∂f/∂x at (t, x).
+    fn fill<R: Rhs>(
+        &mut self,
+        rhs: &mut R,
+        step: usize,
+        t: f64,
+        x: &[f64],
+        values: &mut [f64],
+    ) -> Result<(), Error> {
+        if !rhs.jacobian(t, x, values) {
+            self.by_tangents(rhs, t, x, values);
+        }
+        if self.checked { Ok(()) } else { self.check(rhs, step, t, x, values) }
+    }
+
+    /// One tangent product for every group of columns that share no row (Curtis, Powell and Reid 1974).
+    fn by_tangents<R: Rhs>(&mut self, rhs: &mut R, t: f64, x: &[f64], values: &mut [f64]) {
+        values.fill(0.0);
+        for group in &self.groups {
+            self.direction.fill(0.0);
+            group.iter().for_each(|&j| self.direction[j] = 1.0);
+            rhs.tangent(t, x, &self.direction, &mut self.product);
+            for &j in group {
+                self.structure.column(x.len(), j).for_each(|(i, place)| values[place] = self.product[i]);
+            }
+        }
+    }
+
+    /// Holds the values against the tangent, once, as soon as both are finite.
+    fn check<R: Rhs>(
+        &mut self,
+        rhs: &mut R,
+        step: usize,
+        t: f64,
+        x: &[f64],
+        values: &[f64],
+    ) -> Result<(), Error> {
+        let Some(rows) = self.rows(rhs, t, x, values) else { return Ok(()) };
+        for (row, [jacobian, tangent, size]) in rows.into_iter().enumerate() {
+            if !((tangent - jacobian).abs() <= SAME_DERIVATIVE * size) {
+                return Err(Error::JacobianDisagrees { step, row, jacobian, tangent });
+            }
+        }
+        self.checked = true;
+        Ok(())
+    }
+
+    /// Of every row of ∂f/∂x dx along one direction: its value by the Jacobian, by the tangent, and the size of its terms.
+    /// `None` where a value is not finite.
+    fn rows<R: Rhs>(&mut self, rhs: &mut R, t: f64, x: &[f64], values: &[f64]) -> Option<Vec<[f64; 3]>> {
+        let n = x.len();
+        for (j, d) in self.direction.iter_mut().enumerate() {
+            *d = 1.0 + 0.5 * (1.0 + 1.7 * j as f64).sin();
+        }
+        rhs.tangent(t, x, &self.direction, &mut self.product);
+        let (mut sums, mut sizes) = (vec![0.0; n], vec![0.0; n]);
+        self.structure.product(values, &self.direction, &mut sums);
+        let absolute: Vec<f64> = values.iter().map(|v| v.abs()).collect();
+        self.structure.product(&absolute, &self.direction, &mut sizes);
+        let rows = self.product.iter().zip(&sums).zip(&sizes);
+        let rows: Vec<[f64; 3]> =
+            rows.map(|((tangent, sum), size)| [*sum, *tangent, size + tangent.abs()]).collect();
+        rows.iter().flatten().all(|v| v.is_finite()).then_some(rows)
+    }
+}
+
+/// The largest share of the size of its terms by which an entry of ∂f/∂x dx differs between the Jacobian, given or made
+/// from tangents, and the tangent; NaN where one is not finite.
+pub(crate) fn largest_disagreement<R: Rhs>(rhs: &mut R, t: f64, x: &[f64], structure: &Structure) -> f64 {
+    let n = x.len();
+    let mut jacobian = Jacobian::new(n, structure.clone());
+    let mut values = vec![0.0; structure.values_len(n)];
+    if !rhs.jacobian(t, x, &mut values) {
+        jacobian.by_tangents(rhs, t, x, &mut values);
+    }
+    let Some(rows) = jacobian.rows(rhs, t, x, &values) else { return f64::NAN };
+    let share = |[sum, tangent, size]: [f64; 3]| {
+        if sum == tangent { 0.0 } else { (sum - tangent).abs() / size }
+    };
+    rows.into_iter().map(share).fold(0.0, |worst: f64, d| if d <= worst { worst } else { d })
 }
 
 impl<R: Rhs> OneLeg<R> {
@@ -93,7 +198,7 @@ impl<R: Rhs> OneLeg<R> {
         let structure = rhs.structure();
         let on_diagonal = (0..n).all(|i| structure.diagonal(n, i).is_some());
         assert!(on_diagonal, "the pattern of ∂f/∂x must contain its diagonal");
-        Self { rhs, scheme, structure, tolerance, product: vec![0.0; n] }
+        Self { rhs, scheme, tolerance, jacobian: Jacobian::new(n, structure) }
     }
 
     /// The right-hand side.
@@ -111,6 +216,7 @@ impl<R: Rhs> OneLeg<R> {
 #[derive(Debug)]
 pub struct OneLegEquations<'a, R> {
     step: &'a mut OneLeg<R>,
+    index: usize,
     stage: Stage,
     x: &'a [f64],
 }
@@ -122,7 +228,7 @@ impl<R: Rhs> Equations for OneLegEquations<'_, R> {
         g: &mut [f64],
         jacobian: Option<&mut [f64]>,
     ) -> Result<Option<f64>, Refusal> {
-        let Self { step, stage, x } = self;
+        let Self { step, index, stage, x } = self;
         step.rhs.eval(stage.time, u, g);
         let n = u.len();
         for i in 0..n {
@@ -132,10 +238,10 @@ impl<R: Rhs> Equations for OneLegEquations<'_, R> {
             g.iter_mut().zip(&x[n..]).for_each(|(g, x)| *g -= stage.from[1] * x);
         }
         if let Some(values) = jacobian {
-            step.rhs.jacobian(stage.time, u, &mut step.product, values);
+            step.jacobian.fill(&mut step.rhs, *index, stage.time, u, values)?;
             values.iter_mut().for_each(|v| *v *= -stage.length);
             for i in 0..n {
-                values[step.structure.diagonal(n, i).expect("checked in new")] += 1.0;
+                values[step.jacobian.structure.diagonal(n, i).expect("checked in new")] += 1.0;
             }
         }
         Ok(None)
@@ -169,11 +275,11 @@ impl<R: Rhs> ImplicitStep for OneLeg<R> {
     }
 
     fn structure(&self) -> Structure {
-        self.structure.clone()
+        self.jacobian.structure.clone()
     }
 
     fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<Self::Equations<'a>, Refusal> {
-        Ok(OneLegEquations { stage: self.scheme.stage(at), step: self, x })
+        Ok(OneLegEquations { index: at.index, stage: self.scheme.stage(at), step: self, x })
     }
 
     fn advance(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
