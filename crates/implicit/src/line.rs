@@ -1,6 +1,8 @@
 //! Transport along a line: linear advection–diffusion, and Burgers' equation.
 
-use crate::{ImplicitModel, Model, OneLeg, Rhs, Rk4, Scheme, Structure};
+#[cfg(feature = "implicit")]
+use crate::{ImplicitModel, OneLeg, Scheme};
+use crate::{Model, Rhs, Rk4, Structure};
 
 /// The line that a field u is carried along, 0 ≤ s ≤ L, by points at equal distances h.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -121,6 +123,7 @@ impl Transport {
     ///
     /// # Panics
     /// As [`ImplicitModel::new`].
+    #[cfg(feature = "implicit")]
     pub fn implicit(
         self,
         scheme: Scheme,
