@@ -86,3 +86,8 @@ pub use operator::{Covariance, Precision};
 pub use sample::sample;
 pub use spectrum::Spectrum;
 pub use truncated::Truncated;
+
+/// The example of README.md, compiled and run with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -76,3 +76,8 @@ pub use step::{ImplicitStep, Interval};
 pub use storage::{Footprint, Storage};
 pub use trajectory::{Keep, Trajectory};
 pub use varda_linalg::{BadPivot, Factor, LinearSolver, Structure, band};
+
+/// The example of README.md, compiled and run with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -22,3 +22,8 @@ pub use registers::clear_upper_registers;
 pub use solver::{Factor, LinearSolver};
 pub use structure::Structure;
 pub use vector::{axpy, dot, dot_in_lanes, norm};
+
+/// The example of README.md, compiled and run with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

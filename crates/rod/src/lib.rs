@@ -95,3 +95,8 @@ pub use material::{Material, Section};
 pub use rod::{Place, Rod};
 pub use scalar::Real;
 pub use support::{Clamp, Damping, EllipseDrive, Loads, Motion, Supports};
+
+/// The example of README.md, compiled and run with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

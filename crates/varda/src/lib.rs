@@ -1,49 +1,60 @@
-//! Scenes, twin experiments, real observations and reports for variational data assimilation; the command line `varda`.
+//! Scenes, twin experiments, real observations and reports for variational data assimilation; the command line
+//! `varda`.
 //!
-//! The crate is the one that knows all the others. It reads a scene (TOML), builds a model, a background, its covariance and
-//! the observations from it, minimises the cost, and writes numbers, figures and a report:
+//! This crate knows all the others. It reads a scene (TOML), builds models, a background, its covariance and the
+//! observations from it, minimises the cost, and writes numbers, figures and a report. Its stages follow one another,
+//! and a stage imports only those above it:
 //!
-//! ```text
-//! scene ──> problem ──> outcome ──> report
-//! scene::SceneFile   setup::problem::Problem   run::window::assimilate   report::write
-//! ```
+//! | stage | from | to |
+//! |---|---|---|
+//! | [`scene`] | a TOML file | [`SceneFile`](scene::SceneFile): plain data, checked |
+//! | [`setup`] | a scene and its files, each read once | [`Problem`](setup::Problem): models, x_b, B, observations |
+//! | [`solve`] | a problem | the minimum of its cost over one window |
+//! | [`run`] | a problem | [`Outcome`](outcome::Outcome): all that a report needs, plain data |
+//! | [`report`] | an outcome | a folder with tables, figures and a page |
+//! | [`cli`] | arguments | all of these, and messages |
 //!
-//! Every stage is plain data and can be used alone; `main.rs` only calls [`cli::main`].
+//! Every stage can be used alone; `main.rs` only calls [`cli::main`].
 //!
 //! # When not to use it
 //!
-//! To assimilate into a model of your own, take `varda-assimilation` and implement `Model`: no scene is needed, and nothing
-//! here is. To simulate a rod, take `varda-rod`.
+//! To assimilate into a model of your own, use `varda-assimilation` and implement `Model`: you need no scene, and
+//! nothing of this crate. To simulate a rod, use `varda-rod`.
 //!
-//! # Range
+//! # Limits
 //!
-//! What is accurate is what the crates below say of themselves; here are the bounds of scenes. Beyond them is an [`Error`] that names the key, file,
-//! line or step.
+//! How accurate a method is stands with the crate that has it; here are the limits of scenes. Beyond them is an
+//! [`Error`] that names the key, file, line or step.
 //!
 //! - Numbers: 0, or between 1e-50 and 1e50 in size. A scene has at most 1 MiB, a CSV file 256 MiB.
-//! - Runs: at most 1e7 steps, 1e9 numbers in the states of a run, 1e7 observed values. Memory is counted before anything is built ([`memory`](setup::memory)) and held
-//!   against `[limits] memory`, 8 GB where it is not given: within some 10 MB of what a process takes. B of a rod is two dense blocks: 5000 segments
-//!   take 1.8 GB; σ of its analysis takes five dense matrices of the control, 0.8 GB for 700 segments, 8 GB for 2300.
-//! - Windows: a gradient is right to about ε‖M‖. Every run of a strong constraint estimates it ([`run::window::Outcome::amplification`]) and warns beyond 1e-4:
-//!   some 22 time units of Lorenz-63, 16 of Lorenz-96. There the Hessian can be indefinite by rounding: an analysis without posterior, which says so.
-//! - Folders: a result is whole or absent, whatever ends the run and whenever; runs into one folder at a time replace one another. Renaming and locks
-//!   are those of a local file system; on one without locks the hidden folders of killed runs stay.
+//! - Runs: at most 1e7 steps, 1e9 numbers in the states of a run, 1e7 observed values. Memory is counted before anything
+//!   is built ([`memory`](setup::memory)) and compared with `[limits] memory`, 8 GB by default; a process takes some 10 MB
+//!   more. B of a rod is two dense blocks: 5000 segments take 1.8 GB; σ of its analysis takes five dense matrices of the
+//!   control, 0.8 GB for 700 segments, 8 GB for 2300.
+//! - Windows: the relative error of a gradient is about ε‖M‖. Every run of a strong constraint estimates it
+//!   ([`amplification`](outcome::Outcome::amplification)) and warns beyond 1e-4: some 22 time units of Lorenz-63, 16 of
+//!   Lorenz-96. There the Hessian can be indefinite by rounding; the run then ends without a posterior and says why.
+//! - Folders: a result is whole or absent, however and whenever a run ends; runs into one folder at the same time replace
+//!   one another. This needs a local file system with renaming and locks; without locks the hidden folders of killed runs
+//!   are not removed.
 //!
 //! # Example
 //!
-//! A twin experiment with Lorenz's three equations, without files:
+//! A twin experiment with Lorenz's three equations:
 //!
 //! ```
-//! use std::time::Instant;
-//! use varda::{setup::problem::Problem, run::window::{Listener, Status, assimilate}, scene::SceneFile};
+//! use varda::outcome::Status;
+//! use varda::run::{Listener, assimilate};
+//! use varda::scene::SceneFile;
+//! use varda::setup::Problem;
 //!
 //! let file = SceneFile::open("lorenz63", &["seed=3".to_string()])?;
-//! let mut problem = Problem::from_scene(&file)?;
-//! let mut listener = Listener { on_iteration: &mut |_| {}, interrupted: &|| false, started: Instant::now() };
-//! let outcome = assimilate(&mut problem, &mut listener)?;
+//! let problem = Problem::from_scene(&file)?;
+//! let outcome = assimilate(&problem, &mut Listener::silent())?;
 //!
 //! assert_eq!(outcome.status, Status::Converged);
-//! assert!(outcome.rmse.position_analysis < outcome.rmse.position_background);
+//! let rmse = outcome.rmse.of("state").expect("a Lorenz model has one group, its state");
+//! assert!(rmse.analysis < rmse.background);
 //! # Ok::<(), varda::Error>(())
 //! ```
 
@@ -51,11 +62,13 @@
 
 pub mod cli;
 mod error;
+pub mod outcome;
 pub mod report;
 pub mod run;
 pub mod scene;
 pub mod setup;
 pub mod solve;
+pub mod state;
 
 pub use error::Error;
 

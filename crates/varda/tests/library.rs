@@ -3,18 +3,16 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use varda::run::window::{Listener, Outcome, Status, assimilate};
+use varda::outcome::{Outcome, Status};
+use varda::run::{Listener, assimilate};
 use varda::scene::{SHIPPED, SceneFile};
-use varda::setup::problem::{Problem, View};
-use varda::setup::rod_observations::RodObservation;
+use varda::setup::Problem;
 use varda_assimilation::ObservationOperator;
 
 fn assimilated(scene: &str, sets: &[String]) -> (Problem, Outcome) {
     let file = SceneFile::open(scene, sets).unwrap();
-    let mut problem = Problem::from_scene(&file).unwrap();
-    let mut listener =
-        Listener { on_iteration: &mut |_| {}, interrupted: &|| false, started: Instant::now() };
-    let outcome = assimilate(&mut problem, &mut listener).unwrap();
+    let problem = Problem::from_scene(&file).unwrap();
+    let outcome = assimilate(&problem, &mut Listener::silent()).unwrap();
     (problem, outcome)
 }
 
@@ -26,14 +24,14 @@ fn temporary(name: &str, text: &str) -> PathBuf {
 
 #[test]
 fn an_interrupted_run_ends_with_what_is_done() {
-    let mut problem = Problem::from_scene(&SceneFile::open("hanging-rod-case4", &[]).unwrap()).unwrap();
+    let problem = Problem::from_scene(&SceneFile::open("hanging-rod-case4", &[]).unwrap()).unwrap();
     let rows = std::cell::Cell::new(0);
     let mut listener = Listener {
-        on_iteration: &mut |_| rows.set(rows.get() + 1),
-        interrupted: &|| rows.get() >= 3,
+        on_iteration: Box::new(|_| rows.set(rows.get() + 1)),
+        interrupted: Box::new(|| rows.get() >= 3),
         started: Instant::now(),
     };
-    let outcome = assimilate(&mut problem, &mut listener).unwrap();
+    let outcome = assimilate(&problem, &mut listener).unwrap();
     assert_eq!((outcome.status, outcome.convergence.len()), (Status::Interrupted, 3));
     assert!(outcome.analysis.value < outcome.j_background && !outcome.has_posterior);
     assert_eq!(outcome.analysis.value, outcome.convergence[2].j, "the last accepted point is the result");
@@ -99,9 +97,8 @@ fn the_observation_operator_has_its_tangent_and_its_adjoint() {
     let sets = [format!("observations.file={}", path.display())];
     let problem = Problem::from_scene(&SceneFile::open("beam-release", &sets).unwrap()).unwrap();
     std::fs::remove_file(path).unwrap();
-    let View::Rod(rod) = &problem.view else { panic!("a rod") };
-    let mut h = RodObservation::new(&rod.dynamics, &rod.sightings, problem.window).unwrap();
-    let (n, m, k) = (problem.model.dim(), h.dim(), 4);
+    let mut h = problem.observed.operator().unwrap();
+    let (n, m, k) = (problem.experiment.n_state, h.dim(), 4);
     assert_eq!(m, 9);
     let wave = |n: usize, a: f64| -> Vec<f64> { (0..n).map(|i| (a * (i + 1) as f64).sin()).collect() };
     let mut x: Vec<f64> = wave(n, 0.9).iter().map(|w| 2e-3 * w).collect();
@@ -118,14 +115,14 @@ fn the_observation_operator_has_its_tangent_and_its_adjoint() {
     // Sums of a few hundred terms of size up to 10: a thousand ε covers their rounding.
     assert!((left - right).abs() < 1e-12 * left.abs().max(1.0), "{left} {right}");
 
-    let remainder = |e: f64, h: &mut RodObservation| {
+    let remainder = |e: f64, h: &mut dyn ObservationOperator| {
         let moved: Vec<f64> = x.iter().zip(&dx).map(|(x, d)| x + e * d).collect();
         let mut other = vec![0.0; m];
         h.observe(k, &moved, &mut other).unwrap();
         (0..m).map(|i| (other[i] - y[i] - e * dy[i]).powi(2)).sum::<f64>().sqrt()
     };
     // Edges are 1 cm: displacements of 1e-5 and 1e-6 are small against them and large against rounding.
-    let slope = (remainder(1e-5, &mut h) / remainder(1e-6, &mut h)).log10();
+    let slope = (remainder(1e-5, h.as_mut()) / remainder(1e-6, h.as_mut())).log10();
     assert!((slope - 2.0).abs() < 0.05, "{slope}");
 }
 
@@ -238,7 +235,7 @@ fn every_integrator_assimilates_a_rod() {
     ] {
         let sets: Vec<String> = sets.into_iter().map(String::from).collect();
         let (problem, outcome) = assimilated("hanging-rod", &sets);
-        assert_eq!((problem.model.dim(), problem.control_dim()), (states, 144), "{sets:?}");
+        assert_eq!((problem.experiment.n_state, problem.control_dim()), (states, 144), "{sets:?}");
         assert_eq!(outcome.status, Status::Converged, "{sets:?}");
         let analysis = &outcome.analysis;
         // χ² is about 1 with a standard deviation of √(2/120): 2 is beyond chance.

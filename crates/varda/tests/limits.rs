@@ -2,21 +2,20 @@
 
 use std::time::Instant;
 
-use varda::run::window::{Listener, Outcome, assimilate};
+use varda::outcome::Outcome;
+use varda::run::{Listener, assimilate};
 use varda::scene::SceneFile;
-use varda::setup::plan::Plan;
-use varda::setup::problem::Problem;
+use varda::setup::Plan;
+use varda::setup::Problem;
 
 fn open(memory: &str) -> Result<SceneFile, varda::Error> {
     SceneFile::open("lorenz63", &[format!("limits.memory=\"{memory}\"")])
 }
 
 fn assimilated(memory: &str) -> (Vec<String>, Outcome) {
-    let mut problem = Problem::from_scene(&open(memory).unwrap()).unwrap();
-    let mut listener =
-        Listener { on_iteration: &mut |_| {}, interrupted: &|| false, started: Instant::now() };
-    let outcome = assimilate(&mut problem, &mut listener).unwrap();
-    (problem.left_out, outcome)
+    let problem = Problem::from_scene(&open(memory).unwrap()).unwrap();
+    let outcome = assimilate(&problem, &mut Listener::silent()).unwrap();
+    (outcome.experiment.left_out.clone(), outcome)
 }
 
 #[test]
@@ -46,10 +45,8 @@ fn a_window_beyond_the_horizon_of_its_gradient_is_flagged() {
             "algorithm.minimizer=trust-region",
         ]
         .map(String::from);
-        let mut problem = Problem::from_scene(&SceneFile::open("lorenz63", &sets).unwrap()).unwrap();
-        let mut listener =
-            Listener { on_iteration: &mut |_| {}, interrupted: &|| false, started: Instant::now() };
-        let outcome = assimilate(&mut problem, &mut listener).unwrap();
+        let problem = Problem::from_scene(&SceneFile::open("lorenz63", &sets).unwrap()).unwrap();
+        let outcome = assimilate(&problem, &mut Listener::silent()).unwrap();
         let found = outcome.amplification.unwrap();
         let exponent = found.norm.ln() / (0.01 * window as f64);
         assert!(reliable || (0.7..1.2).contains(&exponent), "growth exp({exponent} T)");
@@ -58,7 +55,7 @@ fn a_window_beyond_the_horizon_of_its_gradient_is_flagged() {
         assert_eq!(outcome.has_posterior, reliable);
         assert_eq!(outcome.warnings.iter().any(|w| w.starts_with("there is no posterior")), !reliable);
 
-        varda::report::write(&mut problem, &outcome, &folder).unwrap();
+        varda::report::write(&outcome, &folder).unwrap();
         let read = |file: &str| std::fs::read_to_string(folder.join(file)).unwrap();
         let summary: serde_json::Value = serde_json::from_str(&read("summary.json")).unwrap();
         assert_eq!(summary["amplification"]["reliable"], reliable);

@@ -1,7 +1,7 @@
 //! Scenes: those that ship, and what is said about wrong ones.
 
 use varda::scene::{Observations, SHIPPED, STARTER, Scene, SceneFile};
-use varda::setup::plan::Plan;
+use varda::setup::Plan;
 
 fn parse(text: &str, sets: &[&str]) -> Result<SceneFile, varda::Error> {
     let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();

@@ -37,8 +37,7 @@ pub(super) fn run(options: &Options) -> Result<Page> {
     let (mut tables, mut panels) = (Vec::new(), Vec::new());
     for &(scene, often) in scenes {
         let file = SceneFile::open(scene, &[])?;
-        let steps =
-            varda::setup::problem::Problem::from_scene(&file)?.observations.last_step().unwrap_or(0).max(1);
+        let steps = varda::setup::Problem::from_scene(&file)?.observations()?.last_step().unwrap_or(0).max(1);
         let mut rows = Vec::new();
         let mut seconds: Vec<Vec<f64>> = Vec::new();
         // The first run warms up.

@@ -11,9 +11,9 @@ use problems::small_problems::{Thin, all_of, coupled, difference, localized, nor
 use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::time::Instant;
-use varda::run::window::{Listener, assimilate};
+use varda::run::{Listener, assimilate};
 use varda::scene::SceneFile;
-use varda::setup::problem::Problem;
+use varda::setup::Problem;
 use varda_assimilation::{
     ControlTransform, CostFunction, EnVar, EnVarOptions, GaussNewton, Incremental, InnerSolver, Iteration,
     Minimizer, Observation, ObservationSet, OuterLoopOptions, Posterior, Selection, StrongConstraint,
@@ -253,17 +253,15 @@ fn no_derivatives_in_a_scene(case: &mut Case, scene: &str) -> Outcome {
     let sets =
         ["algorithm.method=4denvar", "algorithm.ensemble.members=10", "algorithm.background_check=9.0"];
     let file = SceneFile::open(scene, &sets.map(String::from))?;
-    let mut problem = Problem::from_scene(&file)?;
-    let mut listener =
-        Listener { on_iteration: &mut |_| {}, interrupted: &|| false, started: Instant::now() };
-    let outcome = assimilate(&mut problem, &mut listener)?;
+    let problem = Problem::from_scene(&file)?;
+    let outcome = assimilate(&problem, &mut Listener::silent())?;
     case.count("tangent steps", outcome.counts.tangent_steps, 0);
     case.count("adjoint steps", outcome.counts.adjoint_steps, 0);
-    let model = problem.model.counts();
+    let model = outcome.model_counts;
     let after = model.tangent_steps + model.adjoint_steps + model.linearizations;
     case.count("tangent and adjoint steps and linearizations of the reported runs", after, 0);
     case.count("σ of the analysis is there all the same", usize::from(outcome.has_posterior), 1);
-    let last = problem.observations.last_step().unwrap_or(0);
+    let last = problem.observations()?.last_step().unwrap_or(0);
     let ran = outcome.counts.model_steps >= 2 * 11 * last;
     case.count("members were run for the check and for the analysis", usize::from(ran), 1);
     Ok(())

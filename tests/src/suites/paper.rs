@@ -7,7 +7,7 @@ use std::error::Error;
 use std::fmt::Write;
 use std::ops::ControlFlow;
 use varda::scene::SceneFile;
-use varda::setup::problem::Problem;
+use varda::setup::Problem;
 use varda_assimilation::{
     ControlTransform, Iteration, Minimizer, Minimum, NewtonOptions, Status, StrongConstraint,
 };
@@ -201,13 +201,13 @@ struct Run {
 fn experiment(case: usize, conditioned: bool, seed: u64) -> Result<Run, Box<dyn Error>> {
     let prior = if conditioned { "clamp" } else { "plain" };
     let set = [format!("seed={seed}"), format!("background.covariance.prior={prior}")];
-    let mut problem = Problem::from_scene(&SceneFile::open(&format!("hanging-rod-case{case}"), &set)?)?;
+    let problem = Problem::from_scene(&SceneFile::open(&format!("hanging-rod-case{case}"), &set)?)?;
     let background = problem.background.clone();
-    let truth = problem.truth.ok_or("a twin experiment knows its truth")?;
+    let truth = problem.truth.as_ref().ok_or("a twin experiment knows its truth")?;
     let truth = &truth[..background.len()];
     let transform = ControlTransform::new(background.clone(), problem.covariance.as_ref())?;
-    let observations = &mut problem.observations;
-    let mut cost = StrongConstraint::new(problem.model.as_mut(), transform.clone(), observations)?;
+    let (mut model, mut observations) = (problem.model(), problem.observations()?);
+    let mut cost = StrongConstraint::new(model.as_mut(), transform.clone(), &mut observations)?;
     let go_on = &mut |_: &Iteration| ControlFlow::Continue(());
 
     let mut v = vec![0.0; transform.dim()];
@@ -222,7 +222,7 @@ fn experiment(case: usize, conditioned: bool, seed: u64) -> Result<Run, Box<dyn 
     let left = (after_a_dozen - found.value) / (values.first().copied().unwrap_or(f64::NAN) - found.value);
 
     v.fill(0.0);
-    let default = Minimizer::named(problem.scene.algorithm.minimizer.name())
+    let default = Minimizer::named(problem.experiment.scene.algorithm.minimizer.name())
         .ok_or("the scene's minimizer has a name")?;
     let found = default.minimize(&mut cost, &mut v, go_on)?;
     let mut analysis = vec![0.0; truth.len()];

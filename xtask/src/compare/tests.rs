@@ -9,7 +9,8 @@ fn outcome(json: &str, analysis: &str) -> Outcome {
 fn sample(j: f64, iterations: usize, steps: usize, x: f64) -> Outcome {
     let json = format!(
         r#"{{"status": "converged", "j_background": 100.0, "j_analysis": {j},
-            "outer_iterations": {iterations}, "counts": {{"model_steps": {steps}}}, "gradient_norm_last": 1e-9,
+            "outer_iterations": {iterations}, "counts": {{"model_steps": {steps}}},
+            "gradient_norm_last": 1e-9,
             "peak_bytes": {steps},
             "rmse": {{"position_analysis": 0.5, "velocity_analysis": null}}}}"#
     );

@@ -5,31 +5,42 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 
-use varda_assimilation::CycleState;
-
 use crate::Error;
+use crate::outcome::{CyclesOutcome, Status};
 use crate::report;
-use crate::report::checkpoint::Partial;
-use crate::run::cycles::{Listener, Outcome, Row, Sequence};
-use crate::run::window::Status;
+use crate::report::checkpoint::{Checkpoint, Resumed};
+use crate::run::cycles::{CycleListener, Sequence};
 use crate::scene::SceneFile;
+use crate::setup::files::InputFile;
 
-use super::INTERRUPTED;
 use super::progress::Progress;
 
+/// Where a sequence starts and where its result goes.
+pub(super) struct Start<'a> {
+    pub(super) file: &'a SceneFile,
+    /// The files that the scene names.
+    pub(super) files: &'a [InputFile],
+    /// Folder of the result.
+    pub(super) folder: &'a Path,
+    /// An unfinished run that is continued.
+    pub(super) resumed: Option<Resumed>,
+}
+
 pub(super) fn run(
-    file: &SceneFile,
-    sequence: &mut Sequence,
-    folder: &Path,
-    taken_up: Option<(Partial, Option<CycleState>, Vec<Row>)>,
+    sequence: &Sequence,
+    start: Start,
     progress: &mut Progress,
     interrupted: &dyn Fn() -> bool,
     quiet: bool,
     started: Instant,
 ) -> Result<ExitCode, Error> {
-    let (mut partial, state, done) = match taken_up {
-        Some(taken_up) => taken_up,
-        None => (Partial::begin(folder, file)?, None, Vec::new()),
+    let Start { file, files, folder, resumed } = start;
+    let Resumed { mut checkpoint, state, done } = match resumed {
+        Some(resumed) => resumed,
+        None => {
+            let checkpoint = Checkpoint::begin(folder, file, files)?;
+            Resumed { checkpoint, state: None, done: Vec::new() }
+        }
     };
     let resumed = done.len();
     let count = sequence.cycles.count;
@@ -40,89 +51,83 @@ pub(super) fn run(
         && (start.columns.is_empty() || state.columns.len() == start.columns.len());
     if !fits {
         let reason = "state.json is not a state of this scene".to_string();
-        return Err(Error::Resume { path: Partial::folder(folder), reason });
+        return Err(Error::Resume { path: Checkpoint::folder(folder), reason });
     }
-    let mut listener = Listener {
-        on_cycle: &mut |row, after| {
+    let mut listener = CycleListener {
+        on_cycle: Box::new(|row, after| {
             progress.cycle(row, resumed, count);
-            partial.store(row, after)
-        },
-        interrupted,
+            checkpoint.store(row, after)
+        }),
+        interrupted: Box::new(interrupted),
         started,
     };
-    let outcome = match sequence.run(state, done, &mut listener) {
+    let outcome = sequence.run(state, done, &mut listener);
+    drop(listener);
+    let outcome = match outcome {
         Ok(outcome) => outcome,
         Err(error) => {
-            // Not one window was done: nothing is worth resuming.
+            // No window was done: there is nothing to resume.
             if !matches!(error, Error::Write { .. }) {
-                partial.remove()?;
+                checkpoint.remove()?;
             }
             return Err(error);
         }
     };
     progress.finish();
-    let shown = report::write_cycles(sequence, &outcome, folder)?;
+    let shown = report::write_cycles(&outcome, folder)?;
     if outcome.cycles.len() == count || outcome.status == Status::Failed {
-        partial.remove()?;
+        checkpoint.remove()?;
     }
     if !quiet {
-        print!("{}", table(sequence, &outcome, &shown, started.elapsed().as_secs_f64()));
+        print!("{}", table(&outcome, &shown, started.elapsed().as_secs_f64()));
     }
     Ok(match outcome.status {
         Status::Interrupted => {
             if !quiet {
                 println!("{:<14} add --resume to the same command", "to go on");
             }
-            ExitCode::from(INTERRUPTED)
+            ExitCode::from(super::INTERRUPTED)
         }
         Status::Failed => {
-            let reason = outcome.warnings.first().map_or("a minimization failed", String::as_str);
-            eprintln!("error: {reason}");
+            eprintln!("error: {}", outcome.failure.as_deref().unwrap_or("a minimization failed"));
             ExitCode::FAILURE
         }
         Status::Converged | Status::MaxIterations | Status::Stalled => ExitCode::SUCCESS,
     })
 }
 
-fn table(sequence: &Sequence, o: &Outcome, folder: &Path, seconds: f64) -> String {
-    let (problem, means) = (&sequence.problem, &o.means);
-    let algorithm = &problem.scene.algorithm;
+fn table(o: &CyclesOutcome, folder: &Path, seconds: f64) -> String {
+    let (experiment, means) = (&o.experiment, &o.means);
+    let algorithm = &experiment.scene.algorithm;
     let mut out = String::new();
     let mut line = |name: &str, text: String| {
         let _ = writeln!(out, "{name:<14} {text}");
     };
-    line("scene", format!("{} (seed {})", problem.name, problem.scene.seed));
+    line("scene", format!("{} (seed {})", experiment.name, experiment.scene.seed));
     line("method", format!("{}, {}: {}", algorithm.method.name(), algorithm.solver_name(), o.status.name()));
     line(
         "cycles",
         format!(
             "{} windows of {} steps, {} apart, B {}; {} in the means",
             o.cycles.len(),
-            sequence.window,
-            sequence.shift,
-            sequence.cycles.covariance_of(algorithm.method).name(),
+            o.window,
+            o.shift,
+            o.covariance,
             means.count
         ),
     );
     line(
         "sizes",
-        format!(
-            "{} unknowns, {} observed values in all",
-            problem.control_dim(),
-            o.cycles.iter().map(|r| r.observations).sum::<usize>()
-        ),
+        format!("{} unknowns, {} observed values in all", experiment.n_control(), o.observed_values()),
     );
-    let names: &[(&str, &str)] = match problem.scene.model_is_rod() {
-        true => &[("RMSE position", " m"), ("RMSE velocity", " m/s")],
-        false => &[("RMSE", "")],
-    };
-    for (i, (name, unit)) in names.iter().enumerate() {
+    for (i, group) in experiment.state.groups.iter().enumerate() {
         if let (Some(b), Some(s), Some(e)) =
             (means.rmse_background[i], means.rmse_start[i], means.rmse_end[i])
         {
+            let unit = group.unit_after();
             let spread = means.spread[i].map_or(String::new(), |s| format!("; spread {s:.4}{unit}"));
             line(
-                name,
+                &group.labelled("RMSE"),
                 format!("background {b:.4}, analysis {s:.4}, at the window's end {e:.4}{unit}{spread}"),
             );
         }

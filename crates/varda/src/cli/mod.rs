@@ -15,15 +15,15 @@ use std::time::Instant;
 use clap::{Args, Parser, Subcommand};
 
 use crate::Error;
+use crate::outcome::{Outcome, Status};
 use crate::report;
-use crate::report::checkpoint::Partial;
+use crate::report::checkpoint::Checkpoint;
 use crate::report::folder::Output;
 use crate::run::compare::{Compared, compare};
-use crate::run::cycles::{Sequence, whole};
-use crate::run::window::{self, Listener, Status, assimilate};
+use crate::run::cycles::Sequence;
+use crate::run::{self, Listener, assimilate};
 use crate::scene::{SHIPPED, STARTER, Scene, SceneFile};
-use crate::setup::plan::Plan;
-use crate::setup::problem::Problem;
+use crate::setup::{Inputs, Plan, Problem};
 use progress::Progress;
 
 #[derive(Parser)]
@@ -168,41 +168,44 @@ fn run_scene(
     if resume && file.scene.algorithm.cycles.is_none() {
         return Err(file.invalid("algorithm", "only a run with [algorithm.cycles] can be resumed"));
     }
-    // Before anything is run: what it was begun with may have changed.
-    let taken_up = if resume { Some(Partial::resume(&folder, &file)?) } else { None };
-    if let Some(mut sequence) = Sequence::from_scene(&file)? {
-        return cycles::run(
-            &file,
-            &mut sequence,
-            &folder,
-            taken_up,
-            &mut progress,
-            &interrupted,
-            quiet,
-            started,
-        );
+    let inputs = Inputs::read(&file)?;
+    if let Some(settings) = &file.scene.algorithm.cycles {
+        // Before anything is run: the scene or its files may have changed since the run began.
+        let resumed = if resume { Some(Checkpoint::resume(&folder, &file, &inputs.files)?) } else { None };
+        let files = inputs.files.clone();
+        let sequence = Sequence::new(settings.clone(), inputs)?;
+        let start = cycles::Start { file: &file, files: &files, folder: &folder, resumed };
+        return cycles::run(&sequence, start, &mut progress, &interrupted, quiet, started);
     }
-    let mut problem = Problem::from_scene(&file)?;
-    let mut listener =
-        Listener { on_iteration: &mut |row| progress.row(row), interrupted: &interrupted, started };
-    let outcome = assimilate(&mut problem, &mut listener)?;
+    let problem = Problem::new(inputs)?;
+    let mut listener = Listener {
+        on_iteration: Box::new(|row| progress.row(row)),
+        interrupted: Box::new(interrupted),
+        started,
+    };
+    let outcome = assimilate(&problem, &mut listener)?;
+    drop(listener);
     progress.finish();
-    let folder = report::write(&mut problem, &outcome, &folder)?;
+    let folder = report::write(&outcome, &folder)?;
     if !quiet {
-        print!("{}", table::outcome(&problem, &outcome, &folder, started.elapsed().as_secs_f64()));
+        print!("{}", table::outcome(&outcome, &folder, started.elapsed().as_secs_f64()));
     }
-    Ok(match outcome.status {
+    Ok(exit_code(&outcome))
+}
+
+fn exit_code(outcome: &Outcome) -> ExitCode {
+    match outcome.status {
         Status::Interrupted => ExitCode::from(INTERRUPTED),
         Status::Failed => {
-            let reason = outcome.warnings.iter().find(|w| w.contains("the model fails"));
-            eprintln!("error: {}", reason.map_or("the minimizer failed", String::as_str));
+            let reason = outcome.failure.as_ref().map(ToString::to_string);
+            eprintln!("error: {}", reason.as_deref().unwrap_or("the minimizer failed"));
             ExitCode::FAILURE
         }
         Status::Converged | Status::MaxIterations | Status::Stalled => ExitCode::SUCCESS,
-    })
+    }
 }
 
-/// Refuses an occupied folder before the work, not after it; says what killed runs had left there.
+/// Refuses an occupied folder before the work, not after it; reports what killed runs had left there.
 fn refuse_occupied(folder: &Path, quiet: bool) -> Result<(), Error> {
     let out = Output::begin(folder)?;
     let found = out.found();
@@ -226,12 +229,11 @@ fn simulate(
     let default = || Path::new("out").join(format!("{}-simulation", file.name));
     let folder = out.map_or_else(default, Path::to_path_buf);
     refuse_occupied(&folder, quiet)?;
-    let mut problem = Problem::from_scene(&whole(&file))?;
-    let simulation = window::simulate(&mut problem)?;
-    let folder =
-        report::write_simulation(&mut problem, &simulation, started.elapsed().as_secs_f64(), &folder)?;
+    let problem = Problem::new(Inputs::read(&file.as_one_window())?)?;
+    let simulation = run::simulate(&problem)?;
+    let folder = report::write_simulation(&simulation, started.elapsed().as_secs_f64(), &folder)?;
     if !quiet {
-        print!("{}", table::simulation(&problem, &simulation, &folder, started.elapsed().as_secs_f64()));
+        print!("{}", table::simulation(&simulation, &folder, started.elapsed().as_secs_f64()));
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -263,7 +265,7 @@ fn new(name: &str) -> Result<ExitCode, Error> {
     let failed = |reason| Error::Write { path: path.clone(), reason };
     let mut target = std::fs::OpenOptions::new().write(true).create_new(true).open(&path).map_err(failed)?;
     if let Err(reason) = std::io::Write::write_all(&mut target, STARTER.as_bytes()) {
-        // Half a scene is none; nothing more can be done where it will not go away either.
+        // Half a scene is of no use; if it cannot be removed either, nothing more can be done.
         let _ = std::fs::remove_file(&path);
         return Err(failed(reason));
     }

@@ -5,8 +5,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use crate::run::cycles::Row;
-use crate::run::window::ConvergenceRow;
+use crate::outcome::{ConvergenceRow, CycleRow};
 
 /// A run shorter than this shows only its table.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -39,9 +38,9 @@ impl Progress {
     }
 
     /// A window of a sequence is done; the first `resumed` ones were done before.
-    pub(super) fn cycle(&mut self, row: &Row, resumed: usize, count: usize) {
+    pub(super) fn cycle(&mut self, row: &CycleRow, resumed: usize, count: usize) {
         let now = row.cycle + 1;
-        let rmse = row.rmse_end[0].map_or(String::new(), |e| format!("  RMSE {e:.4}"));
+        let rmse = row.rmse_end.first().map_or(String::new(), |e| format!("  RMSE {e:.4}"));
         let share = (now - resumed) as f64 / (count - resumed).max(1) as f64;
         self.show(self.started, share, format!("cycle {now} of {count}  2J/m {:.3}{rmse}", row.chi2));
     }

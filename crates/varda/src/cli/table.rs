@@ -3,29 +3,29 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use crate::outcome::{Outcome, Simulation, Status};
 use crate::run::compare::Compared;
-use crate::run::window::{Outcome, Simulation, Status};
-use crate::setup::plan::Plan;
-use crate::setup::problem::Problem;
+use crate::setup::Plan;
 
-/// More than this many notes are for the report.
+/// Most notes in a table; the report has all of them.
 const MOST_NOTES: usize = 6;
 
-pub(super) fn outcome(problem: &Problem, o: &Outcome, folder: &Path, seconds: f64) -> String {
+pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
+    let experiment = &o.experiment;
     let mut out = String::new();
     let mut line = |name: &str, text: String| {
         let _ = writeln!(out, "{name:<14} {text}");
     };
-    let algorithm = &problem.scene.algorithm;
-    line("scene", format!("{} (seed {})", problem.name, problem.scene.seed));
+    let algorithm = &experiment.scene.algorithm;
+    line("scene", format!("{} (seed {})", experiment.name, experiment.scene.seed));
     line("method", format!("{}, {}: {}", algorithm.method.name(), algorithm.solver_name(), o.status.name()));
     line(
         "sizes",
         format!(
             "{} unknowns, {} observed values, {} steps",
-            problem.control_dim(),
+            experiment.n_control(),
             o.analysis.observations,
-            problem.window.steps
+            experiment.grid.steps
         ),
     );
     line(
@@ -51,18 +51,11 @@ pub(super) fn outcome(problem: &Problem, o: &Outcome, folder: &Path, seconds: f6
             o.gradient_norms[0], o.gradient_norms[1], o.iterations[0]
         ),
     );
-    let rmse = |b: Option<f64>, a: Option<f64>, unit: &str| match (b, a) {
-        (Some(b), Some(a)) => Some(format!("{b:.4e} -> {a:.4e}{unit}  (x {:.3})", a / b)),
-        _ => None,
-    };
-    let is_rod = o.rmse.velocity_background.is_some();
-    if let Some(text) =
-        rmse(o.rmse.position_background, o.rmse.position_analysis, if is_rod { " m" } else { "" })
-    {
-        line(if is_rod { "RMSE position" } else { "RMSE" }, text);
-    }
-    if let Some(text) = rmse(o.rmse.velocity_background, o.rmse.velocity_analysis, " m/s") {
-        line("RMSE velocity", text);
+    for (group, rmse) in experiment.state.groups.iter().zip(&o.rmse.0) {
+        if let Some([b, a]) = rmse.known() {
+            let text = format!("{b:.4e} -> {a:.4e}{}  (x {:.3})", group.unit_after(), a / b);
+            line(&group.labelled("RMSE"), text);
+        }
     }
     for w in &o.withheld {
         line(
@@ -141,15 +134,16 @@ pub(super) fn comparison(rows: &[Compared], folder: &Path) -> String {
     out
 }
 
-pub(super) fn simulation(problem: &Problem, s: &Simulation, folder: &Path, seconds: f64) -> String {
+pub(super) fn simulation(s: &Simulation, folder: &Path, seconds: f64) -> String {
+    let experiment = &s.experiment;
     let mut out = String::new();
     let mut line = |name: &str, text: String| {
         let _ = writeln!(out, "{name:<14} {text}");
     };
-    let w = &problem.window;
-    line("scene", format!("{} (seed {})", problem.name, problem.scene.seed));
+    let w = &experiment.grid;
+    line("scene", format!("{} (seed {})", experiment.name, experiment.scene.seed));
     line("run", format!("of the {}: {} steps of {:.6} s from t = {:.6} s", s.of, s.steps, w.step, w.start));
-    if let Some(tip) = s.tip {
+    if let Some(tip) = s.tip() {
         line("tip at the end", format!("({:.6}, {:.6}, {:.6}) m", tip[0], tip[1], tip[2]));
     }
     line(
@@ -201,7 +195,7 @@ pub(super) fn plan(p: &Plan) -> String {
         match p.bytes_per_part {
             None => about,
             Some(bytes) => format!(
-                "{about} with undivided steps; time.tolerance divides some, and every further part keeps {:.1} kB",
+                "{about} without adaptive steps; each step that time.tolerance adds takes {:.1} kB more",
                 bytes as f64 / 1e3
             ),
         },

@@ -1,15 +1,16 @@
-//! A sequence of windows as it is being done: a folder `<result>.partial` beside the result, from which a run can be resumed.
+//! The checkpoint of a sequence of windows: a folder `<result>.partial` next to the result, from which a run can be
+//! resumed.
 //!
 //! ```text
 //! scene.json     the scene, overrides and defaults included
 //! data.json      a checksum of every file it names
-//! cycles.jsonl   the rows of the windows done, one a line
-//! state.json     what the next window starts from: replaced whole after every window, and what counts
-//! lock           held by the run that writes here
+//! cycles.jsonl   the rows of the windows done, one on a line
+//! state.json     the start of the next window; it decides which rows count
+//! lock           locked by the run that writes here
 //! ```
 //!
-//! The state is written beside its place and renamed, so that a run killed at any moment leaves that after its last finished window; a row
-//! beyond it is cut off when the run is taken up.
+//! The state is written under another name and renamed, so that a run killed at any moment leaves the state after its
+//! last finished window; a row after it is removed when the run is resumed.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, OpenOptions, TryLockError};
@@ -22,16 +23,28 @@ use serde_json::Value as Json;
 use varda_assimilation::CycleState;
 
 use crate::Error;
-use crate::run::cycles::Row;
+use crate::outcome::CycleRow;
 use crate::scene::{Scene, SceneFile};
+use crate::setup::files::InputFile;
 
 /// The folder, open for the windows to come.
 #[derive(Debug)]
-pub struct Partial {
+pub struct Checkpoint {
     folder: PathBuf,
     rows: File,
     /// Freed with the process, however it ends.
     _lock: File,
+}
+
+/// An unfinished run, taken up.
+#[derive(Debug)]
+pub struct Resumed {
+    /// The folder.
+    pub checkpoint: Checkpoint,
+    /// The state after the last finished window; `None` where no window was finished.
+    pub state: Option<CycleState>,
+    /// The rows of the finished windows.
+    pub done: Vec<CycleRow>,
 }
 
 /// [`CycleState`] with the version that wrote it.
@@ -43,7 +56,7 @@ struct Stored {
     columns: Vec<f64>,
 }
 
-impl Partial {
+impl Checkpoint {
     /// The folder of a result.
     pub fn folder(result: &Path) -> PathBuf {
         let mut name = result.file_name().unwrap_or("varda".as_ref()).to_os_string();
@@ -55,8 +68,8 @@ impl Partial {
     ///
     /// # Errors
     /// [`Error::Unfinished`] where there is one already, [`Error::Write`].
-    pub fn begin(result: &Path, file: &SceneFile) -> Result<Partial, Error> {
-        let folder = Partial::folder(result);
+    pub fn begin(result: &Path, file: &SceneFile, inputs: &[InputFile]) -> Result<Checkpoint, Error> {
+        let folder = Checkpoint::folder(result);
         let failed = |reason| Error::Write { path: folder.clone(), reason };
         if let Some(parent) = folder.parent() {
             std::fs::create_dir_all(parent).map_err(failed)?;
@@ -68,21 +81,21 @@ impl Partial {
             made => made.map_err(failed)?,
         }
         let lock = lock(&folder)?;
-        let sums: BTreeMap<String, u64> = checksums(file)?.into_iter().map(|c| (c.key, c.sum)).collect();
+        let sums: BTreeMap<&str, u64> = inputs.iter().map(|i| (i.key.as_str(), i.checksum)).collect();
         replace(&folder, "data.json", &json(&sums))?;
         replace(&folder, "scene.json", &json(&file.scene))?;
         let rows = File::create_new(folder.join("cycles.jsonl")).map_err(failed)?;
-        Ok(Partial { folder, rows, _lock: lock })
+        Ok(Checkpoint { folder, rows, _lock: lock })
     }
 
-    /// Takes up the run of a scene: the folder, the state after its last finished window, and the rows up to it. Nothing is there of a run
-    /// that was ended within its first window: that begins anew, without a state. The number of windows may be another than before.
+    /// Resumes the run of a scene. A run that ended within its first window begins again, without a state. The number of
+    /// windows may differ from before; the scene, and `inputs`, the files it names, may not.
     ///
     /// # Errors
-    /// [`Error::Resume`] where there is nothing to resume, or it belongs to another scene or version or to a run that goes on;
-    /// [`Error::Write`].
-    pub fn resume(result: &Path, file: &SceneFile) -> Result<(Partial, Option<CycleState>, Vec<Row>), Error> {
-        let folder = Partial::folder(result);
+    /// [`Error::Resume`] where there is nothing to resume, or it belongs to another scene or version, or to a run that has
+    /// not ended; [`Error::Write`].
+    pub fn resume(result: &Path, file: &SceneFile, inputs: &[InputFile]) -> Result<Resumed, Error> {
+        let folder = Checkpoint::folder(result);
         let refuse = |reason: &str| Error::Resume { path: folder.clone(), reason: reason.to_string() };
         if !folder.is_dir() {
             return Err(refuse("there is no unfinished run"));
@@ -101,9 +114,9 @@ impl Partial {
         }
         let text = read("data.json").unwrap_or_default();
         let before: BTreeMap<String, u64> = stored(&text).map_err(|e| unfit("data.json", e))?;
-        for Checksum { key, file, sum } in checksums(file)? {
-            if before.get(&key) != Some(&sum) {
-                return Err(refuse(&format!("the file {file} ({key}) has changed since it was begun")));
+        for InputFile { key, path, checksum } in inputs {
+            if before.get(key) != Some(checksum) {
+                return Err(refuse(&format!("the file {path} ({key}) has changed since it was begun")));
             }
         }
         replace(&folder, "scene.json", &json(&file.scene))?;
@@ -122,7 +135,7 @@ impl Partial {
             }
             let text = read("cycles.jsonl").map_err(failed)?;
             for line in text.split_inclusive('\n').take(written.next) {
-                done.push(stored::<Row>(line).map_err(|e| unfit("cycles.jsonl", e))?);
+                done.push(stored::<CycleRow>(line).map_err(|e| unfit("cycles.jsonl", e))?);
                 length += line.len() as u64;
             }
             if done.len() != written.next {
@@ -130,7 +143,7 @@ impl Partial {
             }
             let Stored { next, background, columns, .. } = written;
             let n = background.len();
-            let fits = |row: &Row| row.background.len() == n && row.analysis.len() == n;
+            let fits = |row: &CycleRow| row.background.len() == n && row.analysis.len() == n;
             let finite = background.iter().chain(&columns).all(|x| x.is_finite());
             if n == 0 || columns.len() % n != 0 || !finite || !done.iter().all(fits) {
                 return Err(refuse("state.json and cycles.jsonl do not fit one another"));
@@ -138,14 +151,14 @@ impl Partial {
             state = Some(CycleState { next, background, columns });
         }
         rows.set_len(length).and_then(|()| rows.seek(std::io::SeekFrom::End(0))).map_err(failed)?;
-        Ok((Partial { folder, rows, _lock: lock }, state, done))
+        Ok(Resumed { checkpoint: Checkpoint { folder, rows, _lock: lock }, state, done })
     }
 
     /// Stores a window that is done and what the next one starts from.
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn store(&mut self, row: &Row, state: &CycleState) -> Result<(), Error> {
+    pub fn store(&mut self, row: &CycleRow, state: &CycleState) -> Result<(), Error> {
         let mut line = json(row);
         line.push('\n');
         self.rows
@@ -196,27 +209,8 @@ fn difference(key: &str, before: &Json, now: &Json) -> Option<String> {
     (before != now).then(|| format!("{key} was {} and is {} now", shown(before), shown(now)))
 }
 
-/// A file that a scene names.
-struct Checksum {
-    /// The key that names it.
-    key: String,
-    /// Its path.
-    file: String,
-    /// FNV-1a of what is in it.
-    sum: u64,
-}
-
-fn checksums(file: &SceneFile) -> Result<Vec<Checksum>, Error> {
-    let step = |sum: u64, byte: u8| (sum ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
-    let of = |(key, name): (String, String)| {
-        let (file, text) = file.read(&key, &name)?;
-        Ok(Checksum { key, file, sum: text.bytes().fold(0xcbf2_9ce4_8422_2325, step) })
-    };
-    file.scene.files().into_iter().map(of).collect()
-}
-
-/// What [`json`] wrote. Both by way of a [`Json`], as scenes are read: a second reader and writer of every type would be a large part of what
-/// building this crate costs.
+/// Reads what [`json`] wrote. Both use a [`Json`] value, as scenes do: a second reader and writer for every type would
+/// add much to the time that building this crate takes.
 fn stored<T: DeserializeOwned>(text: &str) -> Result<T, serde_json::Error> {
     serde_json::from_value(serde_json::from_str(text)?)
 }

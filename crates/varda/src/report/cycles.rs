@@ -1,67 +1,65 @@
-//! What a sequence of windows leaves behind.
+//! The report of a sequence of windows.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use crate::Error;
-use crate::report::folder::Output;
-use crate::run::cycles::{Outcome, Row, Sequence};
-use crate::run::window::WorkCounts;
+use crate::outcome::{CycleRow, CyclesOutcome, Status};
+use crate::state::StateGroup;
 
-use super::html::{document, escape, list, numbers, short, status_words, tile_list};
+use super::folder::Output;
+use super::html::{document, error_name, escape, list, numbers, short, status_words, tile_list};
 use super::plot::{Corner, Figure, Panel, Series, Style};
-use super::summary::{Horizon, peak_bytes};
+use super::summary::{WindowAmplification, peak_bytes};
 use super::tables::{self, number, optional};
 
-/// Writes the result of a sequence to `folder`, whole or not at all: summary.json, cycles.csv, analysis.csv of the last window,
-/// trajectory.csv of the sequence, report.html and its figures.
+/// Writes the result of a sequence to `folder`, whole or not at all: summary.json, cycles.csv, analysis.csv of the last
+/// window, trajectory.csv of the sequence, report.html and its figures.
 ///
 /// # Errors
 /// [`Error::Occupied`], [`Error::Write`], [`Error::Plot`].
-pub fn write_cycles(sequence: &mut Sequence, outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
+pub fn write_cycles(outcome: &CyclesOutcome, folder: &Path) -> Result<PathBuf, Error> {
     let out = Output::begin(folder)?;
-    // The grid of what was done, which may be less than was asked for.
-    sequence.problem.window.steps = outcome.cycles.last().map_or(0, |r| r.first_step + sequence.window);
     let mut drawn = Vec::new();
-    for figure in figures(sequence, outcome) {
+    for figure in figures(outcome) {
         let svg = figure.svg()?;
         out.write(&format!("figures/{}.svg", figure.name), &svg)?;
         drawn.push((figure.title, svg));
     }
-    let summary = summary(sequence, outcome);
-    out.write("report.html", &page(sequence, outcome, &drawn))?;
+    let summary = summary(outcome);
+    out.write("report.html", &page(outcome, &drawn))?;
     out.write("summary.json", &format!("{summary:#}\n"))?;
-    out.write("cycles.csv", &rows(sequence, &outcome.cycles))?;
-    out.write("analysis.csv", &analysis(sequence, outcome))?;
-    out.write("trajectory.csv", &tables::trajectory(&mut sequence.problem, &outcome.trajectories)?)?;
+    out.write("cycles.csv", &rows(outcome))?;
+    out.write("analysis.csv", &analysis(outcome))?;
+    let shapes = outcome.shapes.as_ref();
+    out.write("trajectory.csv", &tables::trajectory(&outcome.experiment, &outcome.trajectories, shapes))?;
     out.publish()
 }
 
-fn is_rod(sequence: &Sequence) -> bool {
-    sequence.problem.scene.model_is_rod()
-}
+/// Errors and spread of a group of the state, by column of cycles.csv.
+type Columns<'a> = [(&'static str, &'a dyn Fn(&CycleRow) -> &[f64]); 4];
 
-/// The four numbers of an error or a spread, by column of cycles.csv.
-type Pairs<'a> = [(&'static str, &'a dyn Fn(&Row) -> [Option<f64>; 2]); 4];
-
-const PAIRS: Pairs = [
-    ("spread", &|r| r.spread),
-    ("rmse_background", &|r| r.rmse_background),
-    ("rmse_start", &|r| r.rmse_start),
-    ("rmse_end", &|r| r.rmse_end),
+const COLUMNS: Columns = [
+    ("spread", &|r| &r.spread),
+    ("rmse_background", &|r| &r.rmse_background),
+    ("rmse_start", &|r| &r.rmse_start),
+    ("rmse_end", &|r| &r.rmse_end),
 ];
 
-/// cycles.csv. A rod's RMSE and spread are those of positions \[m\]; those of velocities [m/s] are columns of their own.
-fn rows(sequence: &Sequence, rows: &[Row]) -> String {
+/// cycles.csv. The columns of the first group of the state have no prefix, those of others their name: RMSE and spread
+/// are those of positions \[m\] of a rod, `velocity_` columns those of velocities [m/s].
+fn rows(outcome: &CyclesOutcome) -> String {
     let mut out = String::from(
-        "cycle,first_step,time_s,j,j_b,j_o,observations,chi2,status,outer_iterations,model_steps,tangent_steps,adjoint_steps",
+        "cycle,first_step,time_s,j,j_b,j_o,observations,chi2,status,outer_iterations,model_steps,tangent_steps,\
+         adjoint_steps",
     );
-    let kinds = if is_rod(sequence) { 2 } else { 1 };
-    for kind in &["", "velocity_"][..kinds] {
-        PAIRS.iter().for_each(|(name, _)| out.push_str(&format!(",{kind}{name}")));
+    let groups = &outcome.experiment.state.groups;
+    for (i, group) in groups.iter().enumerate() {
+        let prefix = if i == 0 { String::new() } else { format!("{}_", group.name) };
+        COLUMNS.iter().for_each(|(name, _)| out.push_str(&format!(",{prefix}{name}")));
     }
     out.push_str(",seconds\n");
-    for r in rows {
+    for r in &outcome.cycles {
         let costs = [r.time, r.j, r.j_b, r.j_o].map(number).join(",");
         let c = &r.counts;
         let _ = write!(
@@ -77,8 +75,10 @@ fn rows(sequence: &Sequence, rows: &[Row]) -> String {
             c.tangent_steps,
             c.adjoint_steps
         );
-        for kind in 0..kinds {
-            PAIRS.iter().for_each(|(_, of)| out.push_str(&format!(",{}", optional(of(r)[kind]))));
+        for i in 0..groups.len() {
+            COLUMNS.iter().for_each(|(_, of)| {
+                out.push_str(&format!(",{}", optional(of(r).get(i).copied())));
+            });
         }
         let _ = writeln!(out, ",{}", number(r.seconds));
     }
@@ -86,12 +86,12 @@ fn rows(sequence: &Sequence, rows: &[Row]) -> String {
 }
 
 /// analysis.csv: x_b, x_a and, where it is known, the truth at the start of the last window.
-fn analysis(sequence: &Sequence, outcome: &Outcome) -> String {
+fn analysis(outcome: &CyclesOutcome) -> String {
     let Some(last) = outcome.cycles.last() else { return String::new() };
-    let truth = sequence.true_state(last.first_step);
+    let truth = outcome.truth_at(last);
     let mut out = String::from("index,name,unit,x_b,x_a");
     out.push_str(if truth.is_some() { ",truth\n" } else { "\n" });
-    for (i, (name, unit)) in tables::components(&sequence.problem).iter().enumerate() {
+    for (i, (name, unit)) in outcome.experiment.state.components().enumerate() {
         let _ = write!(out, "{i},{name},{unit},{},{}", number(last.background[i]), number(last.analysis[i]));
         if let Some(truth) = truth {
             let _ = write!(out, ",{}", number(truth[i]));
@@ -101,70 +101,67 @@ fn analysis(sequence: &Sequence, outcome: &Outcome) -> String {
     out
 }
 
-fn summary(sequence: &Sequence, outcome: &Outcome) -> serde_json::Value {
-    let (problem, cycles) = (&sequence.problem, &sequence.cycles);
-    let algorithm = &problem.scene.algorithm;
+fn summary(outcome: &CyclesOutcome) -> serde_json::Value {
+    let experiment = &outcome.experiment;
+    let algorithm = &experiment.scene.algorithm;
     let means = &outcome.means;
     let mut rmse = serde_json::Map::new();
-    for (i, kind) in ["position", "velocity"].iter().enumerate() {
-        rmse.insert(format!("{kind}_background"), means.rmse_background[i].into());
-        rmse.insert(format!("{kind}_analysis"), means.rmse_start[i].into());
-        rmse.insert(format!("{kind}_end"), means.rmse_end[i].into());
-        rmse.insert(format!("{kind}_spread"), means.spread[i].into());
+    for (i, group) in experiment.state.groups.iter().enumerate() {
+        let name = group.name;
+        rmse.insert(format!("{name}_background"), means.rmse_background[i].into());
+        rmse.insert(format!("{name}_analysis"), means.rmse_start[i].into());
+        rmse.insert(format!("{name}_end"), means.rmse_end[i].into());
+        rmse.insert(format!("{name}_spread"), means.spread[i].into());
     }
+    let first = |all: &[Option<f64>]| all.first().copied().flatten();
     serde_json::json!({
-        "scene": problem.name,
-        "seed": problem.scene.seed,
+        "scene": experiment.name,
+        "seed": experiment.scene.seed,
         "version": env!("CARGO_PKG_VERSION"),
         "method": algorithm.method.name(),
         "minimizer": algorithm.solver_name(),
         "status": outcome.status.name(),
-        "n_state": outcome.trajectories.dim,
-        "n_control": problem.control_dim(),
-        "n_obs": outcome.cycles.iter().map(|r| r.observations).sum::<usize>(),
-        "counts": work(outcome),
+        "n_state": experiment.n_state,
+        "n_control": experiment.n_control(),
+        "n_obs": outcome.observed_values(),
+        "counts": outcome.counts(),
         "chi2": means.chi2,
         "rmse": rmse,
         "cycles": {
             "count": outcome.cycles.len(),
-            "asked_for": cycles.count,
-            "window": sequence.window,
-            "shift": sequence.shift,
-            "covariance": cycles.covariance_of(algorithm.method).name(),
-            "spin_up": cycles.spin_up,
+            "asked_for": outcome.asked_for,
+            "window": outcome.window,
+            "shift": outcome.shift,
+            "covariance": outcome.covariance,
+            "spin_up": outcome.spin_up,
             "counted": means.count,
-            "rmse_background": means.rmse_background[0],
-            "rmse_start": means.rmse_start[0],
-            "rmse_end": means.rmse_end[0],
-            "spread": means.spread[0],
+            "rmse_background": first(&means.rmse_background),
+            "rmse_start": first(&means.rmse_start),
+            "rmse_end": first(&means.rmse_end),
+            "spread": first(&means.spread),
             "chi2": means.chi2,
-            "not_converged": outcome.cycles.iter().filter(|r| r.status != crate::run::window::Status::Converged).count(),
+            "not_converged": outcome.cycles.iter().filter(|r| r.status != Status::Converged).count(),
             "failures": failures(outcome),
             "seconds_each": means.seconds,
         },
-        "amplification": outcome.amplification.map(Horizon::from),
+        "amplification": outcome.amplification.map(WindowAmplification::from),
         "seconds": { "total": outcome.seconds },
         "peak_bytes": peak_bytes(),
-        "left_out": problem.left_out,
+        "left_out": experiment.left_out,
         "warnings": outcome.warnings,
     })
 }
 
 /// Minimizations that failed or stalled because the model did.
-fn failures(outcome: &Outcome) -> Vec<serde_json::Value> {
+fn failures(outcome: &CyclesOutcome) -> Vec<serde_json::Value> {
     let failed = outcome.cycles.iter().filter_map(|r| Some((r.cycle, r.failure.as_ref()?)));
     failed.map(|(cycle, reason)| serde_json::json!({ "cycle": cycle, "reason": reason })).collect()
 }
 
-fn work(outcome: &Outcome) -> WorkCounts {
-    outcome.cycles.iter().fold(WorkCounts::default(), |sum, r| sum + r.counts)
-}
-
-/// RMSE and spread against the cycle (of positions and of velocities for a rod), and χ² with its mean.
-fn figures(sequence: &Sequence, outcome: &Outcome) -> Vec<Figure> {
+/// RMSE and spread against the cycle, a panel for each group of the state, and χ² with its mean.
+fn figures(outcome: &CyclesOutcome) -> Vec<Figure> {
     let rows = &outcome.cycles;
-    let spin_up = sequence.cycles.spin_up;
-    let line = |label: &str, style, of: &dyn Fn(&Row) -> Option<f64>| Series {
+    let line = |label: &str, style, of: &dyn Fn(&CycleRow) -> Option<f64>| Series {
         label: label.into(),
         style,
         points: rows.iter().filter_map(|r| Some((r.cycle as f64, of(r)?))).collect(),
@@ -176,31 +173,30 @@ fn figures(sequence: &Sequence, outcome: &Outcome) -> Vec<Figure> {
         series: series.into_iter().filter(|s| !s.points.is_empty()).collect(),
         ..Panel::default()
     };
-    let units: &[(usize, &str)] =
-        if is_rod(sequence) { &[(0, " of position [m]"), (1, " of velocity [m/s]")] } else { &[(0, "")] };
-    let errors: Vec<Panel> = units
-        .iter()
-        .map(|(i, unit)| {
-            panel(
-                format!("RMSE, spread{unit}"),
-                vec![
-                    line("background, start of the window", Style::Background, &|r| r.rmse_background[*i]),
-                    line("analysis, start of the window", Style::Line(2), &|r| r.rmse_start[*i]),
-                    line("analysis, end of the window", Style::Analysis, &|r| r.rmse_end[*i]),
-                    line("spread expected at the end", Style::Truth, &|r| r.spread[*i]),
-                ],
-            )
-        })
-        .filter(|p| !p.series.is_empty())
-        .collect();
-    let observed = |r: &Row| (r.observations > 0).then_some(r.chi2);
+    let of_group = |(i, group): (usize, &StateGroup)| {
+        let unit = group.part().map_or(String::new(), |n| format!(" of {n}{}", group.unit_in_heading()));
+        panel(
+            format!("RMSE, spread{unit}"),
+            vec![
+                line("background, start of the window", Style::Background, &|r| {
+                    r.rmse_background.get(i).copied()
+                }),
+                line("analysis, start of the window", Style::Line(2), &|r| r.rmse_start.get(i).copied()),
+                line("analysis, end of the window", Style::Analysis, &|r| r.rmse_end.get(i).copied()),
+                line("spread expected at the end", Style::Truth, &|r| r.spread.get(i).copied()),
+            ],
+        )
+    };
+    let groups = outcome.experiment.state.groups.iter().enumerate();
+    let errors: Vec<Panel> = groups.map(of_group).filter(|p| !p.series.is_empty()).collect();
+    let observed = |r: &CycleRow| (r.observations > 0).then_some(r.chi2);
     let mut chi2 = vec![
         line("2J/m", Style::Analysis, &observed),
         line("expected: 1", Style::Truth, &|r| observed(r).map(|_| 1.0)),
     ];
     if let Some(mean) = outcome.means.chi2 {
         let label = format!("mean {mean:.3}");
-        chi2.push(line(&label, Style::Background, &|r| (r.cycle >= spin_up).then_some(mean)));
+        chi2.push(line(&label, Style::Background, &|r| (r.cycle >= outcome.spin_up).then_some(mean)));
     }
     let wide = |columns: usize| (if columns > 1 { 460 } else { 920 }, 320);
     let mut figures = Vec::new();
@@ -224,23 +220,23 @@ fn figures(sequence: &Sequence, outcome: &Outcome) -> Vec<Figure> {
     figures
 }
 
-fn page(sequence: &Sequence, outcome: &Outcome, figures: &[(String, String)]) -> String {
-    let problem = &sequence.problem;
-    let scene = &problem.scene;
-    let title = if scene.title.is_empty() { &problem.name } else { &scene.title };
-    let (done, asked) = (outcome.cycles.len(), sequence.cycles.count);
+fn page(outcome: &CyclesOutcome, figures: &[(String, String)]) -> String {
+    let experiment = &outcome.experiment;
+    let scene = &experiment.scene;
+    let title = if scene.title.is_empty() { &experiment.name } else { &scene.title };
+    let (done, asked) = (outcome.cycles.len(), outcome.asked_for);
     let mut body = format!(
         "<header><h1>{}</h1><p class=\"sub\">scene <code>{}</code> · seed {} · {} by {}, {done} of {asked} cycles, B {} · <span class=\"status {}\">{}</span></p></header>",
         escape(title),
-        escape(&problem.name),
+        escape(&experiment.name),
         scene.seed,
         scene.algorithm.method.name(),
         scene.algorithm.solver_name(),
-        sequence.cycles.covariance_of(scene.algorithm.method).name(),
+        outcome.covariance,
         outcome.status.name(),
         status_words(outcome.status),
     );
-    body.push_str(&tiles(sequence, outcome));
+    body.push_str(&tiles(outcome));
     if !outcome.warnings.is_empty() {
         let _ = write!(
             body,
@@ -255,34 +251,31 @@ fn page(sequence: &Sequence, outcome: &Outcome, figures: &[(String, String)]) ->
             escape(title)
         );
     }
-    body.push_str(&in_numbers(sequence, outcome));
+    body.push_str(&in_numbers(outcome));
     let toml = toml::to_string(scene).unwrap_or_default();
     let _ = write!(
         body,
         "<section><h2>What was left out</h2>{}</section>\
          <section><h2>The scene as it was run</h2><details><summary>TOML, overrides and defaults included</summary><pre>{}</pre></details></section>\
          <footer><p>Made by Varda {}. Files beside this page: summary.json, cycles.csv, analysis.csv (last window), trajectory.csv (whole sequence), figures/.</p></footer>",
-        list(&problem.left_out),
+        list(&experiment.left_out),
         escape(&toml),
         env!("CARGO_PKG_VERSION"),
     );
     document(title, &body)
 }
 
-fn tiles(sequence: &Sequence, outcome: &Outcome) -> String {
+fn tiles(outcome: &CyclesOutcome) -> String {
     let means = &outcome.means;
     let mut tiles = Vec::new();
-    let kinds: &[(&str, &str)] = match is_rod(sequence) {
-        true => &[("Position error (RMSE)", " m"), ("Velocity error (RMSE)", " m/s")],
-        false => &[("Error (RMSE)", "")],
-    };
-    for (i, (name, unit)) in kinds.iter().enumerate() {
+    for (i, group) in outcome.experiment.state.groups.iter().enumerate() {
         if let (Some(b), Some(e)) = (means.rmse_background[i], means.rmse_end[i]) {
             let note = match means.spread[i] {
                 Some(spread) => format!("background, analysis at the end; spread {}", short(spread)),
                 None => "background, analysis at the end of a window".into(),
             };
-            tiles.push((name.to_string(), format!("{}, {}{unit}", short(b), short(e)), note));
+            let value = format!("{}, {}{}", short(b), short(e), group.unit_after());
+            tiles.push((error_name(group), value, note));
         }
     }
     if let Some(chi2) = means.chi2 {
@@ -298,33 +291,25 @@ fn tiles(sequence: &Sequence, outcome: &Outcome) -> String {
     tile_list(&tiles)
 }
 
-fn in_numbers(sequence: &Sequence, outcome: &Outcome) -> String {
-    let (problem, means) = (&sequence.problem, &outcome.means);
+fn in_numbers(outcome: &CyclesOutcome) -> String {
+    let (experiment, means) = (&outcome.experiment, &outcome.means);
     let shown = |v: Option<f64>| v.map_or("–".to_string(), short);
-    let c = work(outcome);
+    let c = outcome.counts();
     let mut rows: Vec<(&str, String, &str)> = vec![
-        ("State, control", format!("{}, {}", outcome.trajectories.dim, problem.control_dim()), "numbers"),
+        ("State, control", format!("{}, {}", experiment.n_state, experiment.n_control()), "numbers"),
         (
             "Window, shift",
-            format!("{}, {} steps of {}", sequence.window, sequence.shift, short(problem.window.step)),
+            format!("{}, {} steps of {}", outcome.window, outcome.shift, short(experiment.grid.step)),
             "s",
         ),
         ("Cycles done, in the means", format!("{}, {}", outcome.cycles.len(), means.count), ""),
-        (
-            "Observed values m, in all",
-            outcome.cycles.iter().map(|r| r.observations).sum::<usize>().to_string(),
-            "",
-        ),
+        ("Observed values m, in all", outcome.observed_values().to_string(), ""),
         ("2J/m, mean", shown(means.chi2), ""),
     ];
-    let kinds: &[(&str, &str, &str)] = match is_rod(sequence) {
-        true => &[
-            ("RMSE of position: background, start, end", "Spread of position", "m"),
-            ("RMSE of velocity: background, start, end", "Spread of velocity", "m/s"),
-        ],
-        false => &[("RMSE: background, start, end", "Spread", "")],
-    };
-    for (i, (rmse, spread, unit)) in kinds.iter().enumerate() {
+    let groups = &experiment.state.groups;
+    let labels: Vec<[String; 2]> = groups.iter().map(labels).collect();
+    for (i, (group, [rmse, spread])) in groups.iter().zip(&labels).enumerate() {
+        let unit = if group.unit == "1" { "" } else { group.unit };
         if means.rmse_end[i].is_some() {
             let three = [means.rmse_background[i], means.rmse_start[i], means.rmse_end[i]].map(shown);
             rows.push((rmse, three.join(", "), unit));
@@ -344,4 +329,10 @@ fn in_numbers(sequence: &Sequence, outcome: &Outcome) -> String {
         ("Peak memory", peak_bytes().map_or("–".into(), |b| format!("{:.1}", b as f64 / 1e6)), "MB"),
     ]);
     numbers(&rows)
+}
+
+/// Names of the RMSE and of the spread of a group.
+fn labels(group: &StateGroup) -> [String; 2] {
+    let of = group.part().map_or(String::new(), |name| format!(" of {name}"));
+    [format!("RMSE{of}: background, start, end"), format!("Spread{of}")]
 }

@@ -1,39 +1,27 @@
 //! Which figures a run draws.
 
-use crate::Error;
+use crate::outcome::{ConvergenceRow, Outcome, Shapes, Sight, Track, Trajectories};
 use crate::run::compare::{Compared, lowest};
-use crate::run::window::{ConvergenceRow, Outcome, Trajectories};
-use crate::scene::Use;
-use crate::setup::problem::{Problem, RodView, View};
-use crate::setup::rod_observations::Window;
+use crate::scene::TimeGrid;
+use crate::state::{Geometry, StateGroup};
 
 use super::plot::{Corner, Figure, Panel, Series, Style};
 
 /// All figures of a run, in the order of the report.
-pub(super) fn all(problem: &mut Problem, outcome: &Outcome) -> Result<Vec<Figure>, Error> {
+pub(super) fn all(outcome: &Outcome) -> Vec<Figure> {
     let mut figures = vec![convergence(outcome)];
-    let window = problem.window;
-    let snapshots = problem.scene.report.snapshots;
-    let names: Vec<String> = match &problem.view {
-        View::Components(names) => names.clone(),
-        View::Rod(_) => Vec::new(),
-    };
-    match &mut problem.view {
-        View::Rod(rod) => {
-            figures.push(shapes(rod, outcome, &window, snapshots)?);
-            figures.push(tracks(rod, outcome, &window)?);
-            if outcome.has_posterior {
-                figures.push(rod_spread(rod, outcome));
-            }
+    match &outcome.shapes {
+        Some(shapes) => {
+            figures.push(snapshots(shapes, outcome));
+            figures
+                .extend(shapes.track.as_ref().map(|track| tracks(track, shapes, &outcome.experiment.grid)));
         }
-        View::Components(_) => {
-            figures.push(components(problem, outcome, &names));
-            if outcome.has_posterior {
-                figures.push(component_spread(outcome));
-            }
-        }
+        None => figures.push(components(outcome)),
     }
-    Ok(figures)
+    if outcome.has_posterior {
+        figures.push(spread(outcome));
+    }
+    figures
 }
 
 /// Error against seconds, of every method that got under way.
@@ -57,7 +45,7 @@ pub(super) fn comparison(rows: &[Compared]) -> Figure {
     };
     let gap = panel("(J − J*)/(J₀ − J*)", &|r| r.gaps(lowest));
     let rmse = panel("RMSE", &|r| {
-        r.convergence.iter().filter_map(|c| Some((c.seconds, c.rmse_position?))).collect()
+        r.convergence.iter().filter_map(|c| Some((c.seconds, *c.rmse.first()?))).collect()
     });
     let mut panels = vec![gap];
     if rmse.series.iter().any(|s| !s.points.is_empty()) {
@@ -77,7 +65,6 @@ pub(super) fn comparison(rows: &[Compared]) -> Figure {
 /// J, ‖∇J‖ and RMSE against iteration and against seconds, relative to their first values.
 fn convergence(outcome: &Outcome) -> Figure {
     let rows = &outcome.convergence;
-    let is_rod = outcome.rmse.velocity_background.is_some();
     let panel = |x_label: &str, x: &dyn Fn(&ConvergenceRow) -> f64, legend: Option<Corner>| {
         let series = |label: &str, style, y: &dyn Fn(&ConvergenceRow) -> f64| {
             let first = rows.first().map_or(1.0, y);
@@ -87,12 +74,11 @@ fn convergence(outcome: &Outcome) -> Figure {
             series("J", Style::Line(0), &|r| r.j),
             series("gradient norm", Style::Line(1), &|r| r.gradient_norm),
         ];
-        if rows.iter().any(|r| r.rmse_position.is_some()) {
-            let name = if is_rod { "RMSE position" } else { "RMSE" };
-            all.push(series(name, Style::Line(2), &|r| r.rmse_position.unwrap_or(f64::NAN)));
-        }
-        if is_rod {
-            all.push(series("RMSE velocity", Style::Line(3), &|r| r.rmse_velocity.unwrap_or(f64::NAN)));
+        if outcome.truth.is_some() {
+            for (i, group) in outcome.experiment.state.groups.iter().enumerate() {
+                let error = move |r: &ConvergenceRow| r.rmse.get(i).copied().unwrap_or(f64::NAN);
+                all.push(series(&group.labelled("RMSE"), Style::Line(2 + i), &error));
+            }
         }
         Panel {
             x_label: x_label.into(),
@@ -115,52 +101,41 @@ fn convergence(outcome: &Outcome) -> Figure {
     }
 }
 
-/// The runs there are, as they are drawn; a run that is not there is empty.
-fn kinds(runs: &Trajectories) -> [(Style, &'static str, &[f64]); 3] {
-    [
-        (Style::Truth, "truth", &runs.truth),
-        (Style::Background, "background", &runs.background),
-        (Style::Analysis, "analysis", &runs.analysis),
-    ]
+/// The runs as they are drawn: style and name.
+const KINDS: [(Style, &str); 3] =
+    [(Style::Truth, "truth"), (Style::Background, "background"), (Style::Analysis, "analysis")];
+
+/// The runs that exist, each with its style and name.
+fn drawn<T>(truth: T, background: T, analysis: T, is_empty: fn(&T) -> bool) -> Vec<(Style, &'static str, T)> {
+    let runs = KINDS.into_iter().zip([truth, background, analysis]);
+    runs.filter(|(_, run)| !is_empty(run)).map(|((style, name), run)| (style, name, run)).collect()
 }
 
-/// The names of the runs there are.
-fn drawn_names(runs: &Trajectories) -> String {
-    let there = kinds(runs).into_iter().filter(|(_, _, states)| !states.is_empty());
-    there.map(|(_, name, _)| name).collect::<Vec<_>>().join(", ")
+/// Their names in a title.
+fn names<T>(runs: &[(Style, &'static str, T)]) -> String {
+    runs.iter().map(|(_, name, _)| *name).collect::<Vec<_>>().join(", ")
 }
 
 /// How a run is drawn, its name, and its points.
 type Drawn<Point> = (Style, &'static str, Vec<Point>);
 
 /// Snapshots of a rod, seen from the side: the vertical against the horizontal in which it extends most.
-fn shapes(rod: &mut RodView, outcome: &Outcome, window: &Window, count: usize) -> Result<Figure, Error> {
-    let runs = &outcome.trajectories;
-    let count = count.min(window.steps + 1);
+fn snapshots(shapes: &Shapes, outcome: &Outcome) -> Figure {
+    let grid = &outcome.experiment.grid;
+    let count = outcome.experiment.scene.report.snapshots.min(grid.steps + 1);
     let steps: Vec<usize> =
-        (0..count).map(|i| if count > 1 { i * window.steps / (count - 1) } else { 0 }).collect();
-    let mut drawn: Vec<(usize, Vec<Drawn<[f64; 3]>>)> = Vec::new();
-    for &k in &steps {
-        let mut here = Vec::new();
-        for (style, label, states) in kinds(runs) {
-            if let Some(state) = runs.state(states, k) {
-                here.push((style, label, rod.vertices(window, k, state)?));
-            }
-        }
-        drawn.push((k, here));
-    }
-    let seen: Vec<(usize, Use, [f64; 3])> = rod
-        .sightings
-        .seen
-        .iter()
-        .filter_map(|s| {
-            let k = steps.iter().copied().find(|k| (s.at() - *k as f64).abs() < 0.5)?;
-            Some((k, rod.sightings.sites[s.site].used, s.position(&rod.sightings.rotation)?))
-        })
-        .collect();
+        (0..count).map(|i| if count > 1 { i * grid.steps / (count - 1) } else { 0 }).collect();
+    let runs = drawn(&shapes.truth, &shapes.background, &shapes.analysis, |run| run.is_empty());
+    let at = |k: usize| -> Vec<Drawn<[f64; 3]>> {
+        runs.iter().filter_map(|(style, name, run)| Some((*style, *name, run.get(k)?.clone()))).collect()
+    };
+    let instants: Vec<(usize, Vec<Drawn<[f64; 3]>>)> = steps.iter().map(|&k| (k, at(k))).collect();
+    let near = |s: &Sight| steps.iter().copied().find(|k| (s.at() - *k as f64).abs() < 0.5);
+    let seen: Vec<(usize, bool, [f64; 3])> =
+        shapes.seen.iter().filter_map(|s| Some((near(s)?, s.withheld, s.position))).collect();
     let extent = |c: usize| {
-        let shapes = drawn.iter().flat_map(|(_, here)| here).flat_map(|(_, _, shape)| shape).copied();
-        let all = shapes.chain(seen.iter().map(|(_, _, p)| *p)).map(move |p| p[c]);
+        let vertices = instants.iter().flat_map(|(_, here)| here).flat_map(|(_, _, shape)| shape).copied();
+        let all = vertices.chain(seen.iter().map(|(_, _, p)| *p)).map(move |p| p[c]);
         let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
         (low, high)
     };
@@ -177,7 +152,7 @@ fn shapes(rod: &mut RodView, outcome: &Outcome, window: &Window, count: usize) -
         (middle - 0.5 * scale * pixels, middle + 0.5 * scale * pixels)
     };
     let ranges = [around(x, inner.0), around(z, inner.1)];
-    let panels = drawn
+    let panels = instants
         .into_iter()
         .enumerate()
         .map(|(i, (k, here))| {
@@ -187,18 +162,17 @@ fn shapes(rod: &mut RodView, outcome: &Outcome, window: &Window, count: usize) -
                 points: shape.iter().map(|p| (p[across], p[2])).collect(),
             };
             let mut series: Vec<Series> = here.into_iter().map(line).collect();
-            for (used, style, label) in [
-                (Use::Assimilate, Style::Observation, "observed"),
-                (Use::Withhold, Style::Withheld, "kept back"),
-            ] {
-                let here = seen.iter().filter(|(at, kind, _)| *at == k && *kind == used);
+            for (withheld, style, label) in
+                [(false, Style::Observation, "observed"), (true, Style::Withheld, "kept back")]
+            {
+                let here = seen.iter().filter(|(at, kind, _)| *at == k && *kind == withheld);
                 let points: Vec<(f64, f64)> = here.map(|(_, _, p)| (p[across], p[2])).collect();
                 if !points.is_empty() {
                     series.push(Series { label: label.into(), style, points });
                 }
             }
             Panel {
-                title: format!("t = {:.3} s", window.time(k)),
+                title: format!("t = {:.3} s", grid.time(k)),
                 x_label: format!("{} [m]", ["x", "y"][across]),
                 y_label: if i % columns == 0 { "z [m]".into() } else { String::new() },
                 equal: Some(ranges),
@@ -208,60 +182,35 @@ fn shapes(rod: &mut RodView, outcome: &Outcome, window: &Window, count: usize) -
             }
         })
         .collect();
-    Ok(Figure {
+    Figure {
         name: "snapshots",
         title: format!(
             "The rod at {count} instants of the window, {}-z plane: {} and observations",
             ["x", "y"][across],
-            drawn_names(runs)
+            names(&runs)
         ),
         panels,
         columns,
         panel_size,
-    })
+    }
 }
 
-/// Where the site with the most observations is, coordinate by coordinate, against time, forecast included.
-fn tracks(rod: &mut RodView, outcome: &Outcome, window: &Window) -> Result<Figure, Error> {
-    let runs = &outcome.trajectories;
-    let sites = rod.sightings.sites.len();
-    // The last site is the free end in most scenes; a marker kept back says more.
-    let site =
-        rod.sightings.sites.iter().position(|s| s.used == Use::Withhold).unwrap_or(sites.saturating_sub(1));
-    let name = rod.sightings.sites.get(site).map_or("?".into(), |s| s.label.clone());
-    let mut lines: Vec<Drawn<(f64, [f64; 3])>> = Vec::new();
-    let mut places = vec![0.0; 3 * sites];
-    for (style, label, states) in kinds(runs) {
-        let mut line = Vec::new();
-        for k in 0..=window.steps + window.forecast {
-            let Some(state) = runs.state(states, k).filter(|_| sites > 0) else { break };
-            rod.sites.places(k, state, &mut places)?;
-            line.push((window.time(k), [places[3 * site], places[3 * site + 1], places[3 * site + 2]]));
-        }
-        if !line.is_empty() {
-            lines.push((style, label, line));
-        }
-    }
-    let withheld = rod.sightings.sites.get(site).is_some_and(|s| s.used == Use::Withhold);
-    let seen: Vec<(f64, [f64; 3])> = rod
-        .sightings
-        .seen
-        .iter()
-        .filter(|s| s.site == site)
-        .filter_map(|s| s.position(&rod.sightings.rotation).map(|p| (window.start + s.at() * window.step, p)))
-        .collect();
+/// The coordinates of one marker against time, forecast included.
+fn tracks(track: &Track, shapes: &Shapes, grid: &TimeGrid) -> Figure {
+    let runs = drawn(&track.truth, &track.background, &track.analysis, |run| run.is_empty());
+    let name = &track.label;
+    let of_site = shapes.seen.iter().filter(|s| s.site == track.site);
+    let seen: Vec<(f64, [f64; 3])> = of_site.map(|s| (grid.start + s.at() * grid.step, s.position)).collect();
     let panel = |c: usize| {
-        let mut series: Vec<Series> = lines
-            .iter()
-            .map(|(style, label, line)| Series {
-                label: label.to_string(),
-                style: *style,
-                points: line.iter().map(|(t, p)| (*t, p[c])).collect(),
-            })
-            .collect();
+        let line = |(style, label, run): &(Style, &str, &Vec<[f64; 3]>)| Series {
+            label: label.to_string(),
+            style: *style,
+            points: run.iter().enumerate().map(|(k, p)| (grid.time(k), p[c])).collect(),
+        };
+        let mut series: Vec<Series> = runs.iter().map(line).collect();
         series.push(Series {
-            label: if withheld { "kept back" } else { "observed" }.into(),
-            style: if withheld { Style::Withheld } else { Style::Observation },
+            label: if track.withheld { "kept back" } else { "observed" }.into(),
+            style: if track.withheld { Style::Withheld } else { Style::Observation },
             points: seen.iter().map(|(t, p)| (*t, p[c])).collect(),
         });
         Panel {
@@ -272,85 +221,41 @@ fn tracks(rod: &mut RodView, outcome: &Outcome, window: &Window) -> Result<Figur
             ..Panel::default()
         }
     };
-    let after = if window.forecast > 0 {
-        format!("; the window ends at {:.3} s, the rest is forecast", window.time(window.steps))
+    let after = if grid.forecast > 0 {
+        format!("; the window ends at {:.3} s, the rest is forecast", grid.time(grid.steps))
     } else {
         String::new()
     };
-    Ok(Figure {
+    Figure {
         name: "tracks",
         title: format!("Coordinates of {name} against time{after}"),
         panels: (0..3).map(panel).collect(),
         columns: 3,
         panel_size: (360, 290),
-    })
-}
-
-/// σ_b and σ_a along the rod: the root mean square over x, y and z.
-fn rod_spread(rod: &RodView, outcome: &Outcome) -> Figure {
-    let s = rod.parts.rod.arc_lengths();
-    let free = rod.dynamics.free_vertices();
-    let half = 3 * free.len();
-    let panel = |from: usize, y_label: &str, legend: Option<Corner>| {
-        let series = |label: &str, style, sigma: &[f64]| Series {
-            label: label.into(),
-            style,
-            points: free
-                .iter()
-                .zip(sigma[from..from + half].chunks_exact(3))
-                .map(|(&v, c)| (s[v], (c.iter().map(|x| x * x).sum::<f64>() / 3.0).sqrt()))
-                .collect(),
-        };
-        Panel {
-            x_label: "arc length [m]".into(),
-            y_label: y_label.into(),
-            legend,
-            series: vec![
-                series("before (background)", Style::Background, &outcome.analysis.sigma_background),
-                series("after (analysis)", Style::Analysis, &outcome.analysis.sigma_analysis),
-            ],
-            ..Panel::default()
-        }
-    };
-    Figure {
-        name: "spread",
-        title: "Standard deviation of initial position and velocity along the rod, before and after".into(),
-        panels: vec![
-            panel(0, "σ of position [m]", Some(Corner::LowerRight)),
-            panel(half, "σ of velocity [m/s]", None),
-        ],
-        columns: 2,
-        panel_size: (460, 300),
     }
 }
 
 /// Up to six components against time.
-fn components(problem: &Problem, outcome: &Outcome, names: &[String]) -> Figure {
-    let runs = &outcome.trajectories;
-    let window = problem.window;
-    let chosen: Vec<usize> = (0..names.len()).step_by(names.len().div_ceil(6).max(1)).collect();
+fn components(outcome: &Outcome) -> Figure {
+    let all = &outcome.trajectories;
+    let runs = drawn(&all.truth, &all.background, &all.analysis, |run| run.is_empty());
+    let (grid, names_of) = (&outcome.experiment.grid, &outcome.experiment.state.names);
+    let chosen: Vec<usize> = (0..names_of.len()).step_by(names_of.len().div_ceil(6).max(1)).collect();
     let panel = |(i, &c): (usize, &usize)| {
-        let mut series: Vec<Series> = kinds(runs)
-            .into_iter()
-            .filter(|(_, _, states)| !states.is_empty())
-            .map(|(style, label, states)| Series {
-                label: label.into(),
-                style,
-                points: states
-                    .chunks_exact(runs.dim)
-                    .enumerate()
-                    .map(|(k, x)| (window.time(k), x[c]))
-                    .collect(),
-            })
-            .collect();
-        let seen = problem.observations.observations().iter().filter(|o| o.label == names[c]);
-        let points: Vec<(f64, f64)> = seen.map(|o| (window.time(o.step), o.values[0])).collect();
+        let line = |(style, label, states): &(Style, &str, &Vec<f64>)| Series {
+            label: label.to_string(),
+            style: *style,
+            points: values(all, states, c, grid),
+        };
+        let mut series: Vec<Series> = runs.iter().map(line).collect();
+        let seen = outcome.seen.iter().filter(|s| s.component == c);
+        let points: Vec<(f64, f64)> = seen.map(|s| (s.time, s.value)).collect();
         if !points.is_empty() {
             series.push(Series { label: "observed".into(), style: Style::Observation, points });
         }
         Panel {
             x_label: "time".into(),
-            y_label: names[c].clone(),
+            y_label: names_of[c].clone(),
             legend: (i == 0).then_some(Corner::Top),
             series,
             ..Panel::default()
@@ -358,34 +263,63 @@ fn components(problem: &Problem, outcome: &Outcome, names: &[String]) -> Figure 
     };
     Figure {
         name: "components",
-        title: format!("Components of the state against time: {} and observations", drawn_names(runs)),
+        title: format!("Components of the state against time: {} and observations", names(&runs)),
         panels: chosen.iter().enumerate().map(panel).collect(),
         columns: chosen.len().min(3),
         panel_size: (360, 270),
     }
 }
 
-/// σ_b and σ_a of every component.
-fn component_spread(outcome: &Outcome) -> Figure {
-    let series = |label: &str, style, sigma: &[f64]| Series {
-        label: label.into(),
-        style,
-        points: sigma.iter().enumerate().map(|(i, s)| (i as f64, *s)).collect(),
-    };
-    Figure {
-        name: "spread",
-        title: "Standard deviation of every component of the initial state, before and after".into(),
-        panels: vec![Panel {
-            x_label: "component".into(),
-            y_label: "σ".into(),
-            legend: Some(Corner::Top),
+/// Component c of a run against time.
+fn values(runs: &Trajectories, states: &[f64], c: usize, grid: &TimeGrid) -> Vec<(f64, f64)> {
+    states.chunks_exact(runs.dim).enumerate().map(|(k, x)| (grid.time(k), x[c])).collect()
+}
+
+/// σ_b and σ_a of every group of the state: along the curve for models in space, by component for others.
+fn spread(outcome: &Outcome) -> Figure {
+    let layout = &outcome.experiment.state;
+    let geometry = layout.geometry.as_ref();
+    let panel = |(i, group): (usize, &StateGroup)| {
+        let series = |label: &str, style, sigma: &[f64]| Series {
+            label: label.into(),
+            style,
+            points: deviations(group, geometry, sigma),
+        };
+        let corner = if geometry.is_some() { Corner::LowerRight } else { Corner::Top };
+        Panel {
+            x_label: if geometry.is_some() { "arc length [m]" } else { "component" }.into(),
+            y_label: match group.part() {
+                Some(name) => format!("σ of {name}{}", group.unit_in_heading()),
+                None => "σ".to_string(),
+            },
+            legend: (i == 0).then_some(corner),
             series: vec![
                 series("before (background)", Style::Background, &outcome.analysis.sigma_background),
                 series("after (analysis)", Style::Analysis, &outcome.analysis.sigma_analysis),
             ],
             ..Panel::default()
-        }],
-        columns: 1,
-        panel_size: (760, 300),
+        }
+    };
+    let parts: Vec<&str> = layout.groups.iter().filter_map(StateGroup::part).collect();
+    let title = if geometry.is_some() {
+        format!("Standard deviation of initial {} along the rod, before and after", parts.join(" and "))
+    } else {
+        "Standard deviation of every component of the initial state, before and after".to_string()
+    };
+    let columns = layout.groups.len();
+    Figure {
+        name: "spread",
+        title,
+        panels: layout.groups.iter().enumerate().map(panel).collect(),
+        columns,
+        panel_size: if columns > 1 { (460, 300) } else { (760, 300) },
     }
+}
+
+/// The root mean square of σ over each vector of a group, against arc length or index.
+fn deviations(group: &StateGroup, geometry: Option<&Geometry>, sigma: &[f64]) -> Vec<(f64, f64)> {
+    let place = |i: usize| geometry.map_or(i as f64, |g| g.arc_lengths[g.free[i]]);
+    let rms = |v: &[f64]| (v.iter().map(|x| x * x).sum::<f64>() / group.width as f64).sqrt();
+    let vectors = sigma[group.range.clone()].chunks_exact(group.width).enumerate();
+    vectors.map(|(i, v)| (place(i), rms(v))).collect()
 }

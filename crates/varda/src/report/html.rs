@@ -2,8 +2,8 @@
 
 use std::fmt::Write;
 
-use crate::run::window::{Outcome, Status};
-use crate::setup::problem::Problem;
+use crate::outcome::{ConvergenceRow, Fit, Forecast, Outcome, Status, Withheld};
+use crate::state::{StateGroup, StateLayout};
 
 use super::Summary;
 
@@ -11,9 +11,10 @@ use super::Summary;
 pub(super) type Drawn = (&'static str, String, String);
 
 /// The page.
-pub(super) fn page(problem: &Problem, outcome: &Outcome, summary: &Summary, figures: &[Drawn]) -> String {
-    let title = match problem.scene.title.as_str() {
-        "" => problem.name.as_str(),
+pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[Drawn]) -> String {
+    let experiment = &outcome.experiment;
+    let title = match experiment.scene.title.as_str() {
+        "" => experiment.name.as_str(),
         title => title,
     };
     let mut body = String::new();
@@ -21,14 +22,14 @@ pub(super) fn page(problem: &Problem, outcome: &Outcome, summary: &Summary, figu
         body,
         "<header><h1>{}</h1><p class=\"sub\">scene <code>{}</code> · seed {} · {} by {} · <span class=\"status {}\">{}</span></p></header>",
         escape(title),
-        escape(&problem.name),
+        escape(&experiment.name),
         summary.seed,
         summary.method,
         summary.minimizer,
         summary.status,
         status_words(outcome.status),
     );
-    body.push_str(&tiles(summary));
+    body.push_str(&tiles(summary, &experiment.state));
     if !summary.warnings.is_empty() {
         let _ = write!(
             body,
@@ -36,7 +37,7 @@ pub(super) fn page(problem: &Problem, outcome: &Outcome, summary: &Summary, figu
             list(&summary.warnings)
         );
     }
-    body.push_str(&table_section(problem, summary));
+    body.push_str(&table_section(outcome, summary));
     for (_, title, svg) in figures {
         let _ = write!(
             body,
@@ -44,8 +45,8 @@ pub(super) fn page(problem: &Problem, outcome: &Outcome, summary: &Summary, figu
             escape(title)
         );
     }
-    body.push_str(&fit_section(problem, summary));
-    let scene = toml::to_string(&problem.scene).unwrap_or_default();
+    body.push_str(&fit_section(outcome, summary));
+    let scene = toml::to_string(&experiment.scene).unwrap_or_default();
     let _ = write!(
         body,
         "<section><h2>What was left out</h2><p>Not needed by this scene, and not computed:</p>{}</section>\
@@ -81,29 +82,21 @@ pub(super) fn status_words(status: Status) -> &'static str {
 }
 
 /// The numbers one looks for first.
-fn tiles(s: &Summary) -> String {
+fn tiles(s: &Summary, layout: &StateLayout) -> String {
     let mut tiles = vec![(
         "Cost J".to_string(),
         format!("{} → {}", short(s.j_background), short(s.j_analysis)),
         format!("2J/m = {:.3}, about 1 is expected", s.chi2),
     )];
-    let mut ratio = |name: &str, before: Option<f64>, after: Option<f64>, unit: &str| {
-        if let (Some(b), Some(a)) = (before, after) {
+    for (group, rmse) in layout.groups.iter().zip(&s.rmse.0) {
+        if let Some([b, a]) = rmse.known() {
             tiles.push((
-                name.to_string(),
-                format!("{} → {}{unit}", short(b), short(a)),
+                error_name(group),
+                format!("{} → {}{}", short(b), short(a), group.unit_after()),
                 format!("{:.0} % of the background's error left", 100.0 * a / b),
             ));
         }
-    };
-    let is_rod = s.rmse.velocity_background.is_some();
-    ratio(
-        if is_rod { "Position error (RMSE)" } else { "Error (RMSE)" },
-        s.rmse.position_background,
-        s.rmse.position_analysis,
-        if is_rod { " m" } else { "" },
-    );
-    ratio("Velocity error (RMSE)", s.rmse.velocity_background, s.rmse.velocity_analysis, " m/s");
+    }
     for w in &s.withheld {
         tiles.push((
             format!("Kept back: {}", w.label),
@@ -121,10 +114,10 @@ fn tiles(s: &Summary) -> String {
     if let Some(a) = &s.accepted_steps {
         let largest = a.largest_error.map_or("not known".into(), |e| format!("{e:.1e}"));
         tiles.push((
-            "Steps by their error".into(),
+            "Adaptive time steps".into(),
             a.accepted.to_string(),
             format!(
-                "largest error {largest} at a tolerance of {:e}, divided anew: {}",
+                "largest error {largest} at a tolerance of {:e}, chosen again: {}",
                 a.tolerance, a.refreshed
             ),
         ));
@@ -135,6 +128,13 @@ fn tiles(s: &Summary) -> String {
         format!("{} outer iterations", s.outer_iterations),
     ));
     tile_list(&tiles)
+}
+
+/// The name of the error of a group of the state: "Position error (RMSE)".
+pub(super) fn error_name(group: &StateGroup) -> String {
+    let Some(name) = group.part() else { return "Error (RMSE)".to_string() };
+    let (first, rest) = name.split_at(1);
+    format!("{}{rest} error (RMSE)", first.to_uppercase())
 }
 
 /// Tiles of name, value and note.
@@ -150,15 +150,15 @@ pub(super) fn tile_list(tiles: &[(String, String, String)]) -> String {
     format!("<dl class=\"tiles\">{}</dl>", tiles.iter().map(tile).collect::<String>())
 }
 
-fn table_section(problem: &Problem, s: &Summary) -> String {
+fn table_section(outcome: &Outcome, s: &Summary) -> String {
     let optional = |v: Option<f64>| v.map_or("–".to_string(), short);
     let t = &s.j_terms;
     let c = &s.counts;
-    let is_rod = s.rmse.velocity_background.is_some();
+    let grid = &outcome.experiment.grid;
     let mut rows: Vec<(&str, String, &str)> = vec![
         ("State, control", format!("{}, {}", s.n_state, s.n_control), "numbers"),
         ("Observed values m", s.n_obs.to_string(), ""),
-        ("Window", format!("{} steps of {}", problem.window.steps, short(problem.window.step)), "s"),
+        ("Window", format!("{} steps of {}", grid.steps, short(grid.step)), "s"),
         ("J at the background", short(s.j_background), ""),
         ("J at the analysis", short(s.j_analysis), ""),
         (
@@ -175,19 +175,12 @@ fn table_section(problem: &Problem, s: &Summary) -> String {
         ("2J/m", format!("{:.4}", s.chi2), ""),
         ("Degrees of freedom for signal", optional(s.degrees_of_freedom), ""),
     ];
-    if s.rmse.position_background.is_some() {
-        rows.push((
-            "RMSE before and after",
-            format!("{}, {}", optional(s.rmse.position_background), optional(s.rmse.position_analysis)),
-            if is_rod { "m" } else { "" },
-        ));
-    }
-    if is_rod {
-        rows.push((
-            "RMSE of velocity before and after",
-            format!("{}, {}", optional(s.rmse.velocity_background), optional(s.rmse.velocity_analysis)),
-            "m/s",
-        ));
+    let labels: Vec<String> = outcome.experiment.state.groups.iter().map(rmse_label).collect();
+    for ((group, rmse), label) in outcome.experiment.state.groups.iter().zip(&s.rmse.0).zip(&labels) {
+        if let Some(pair) = rmse.known() {
+            let unit = if group.unit == "1" { "" } else { group.unit };
+            rows.push((label, pair.map(short).join(", "), unit));
+        }
     }
     if let Some(a) = &s.amplification {
         rows.push((
@@ -214,6 +207,13 @@ fn table_section(problem: &Problem, s: &Summary) -> String {
     numbers(&rows)
 }
 
+fn rmse_label(group: &StateGroup) -> String {
+    match group.part() {
+        None | Some("position") => "RMSE before and after".to_string(),
+        Some(name) => format!("RMSE of {name} before and after"),
+    }
+}
+
 /// A table of quantities, their values and units.
 pub(super) fn numbers(rows: &[(&str, String, &str)]) -> String {
     let row = |(name, value, unit): &(&str, String, &str)| {
@@ -225,12 +225,12 @@ pub(super) fn numbers(rows: &[(&str, String, &str)]) -> String {
     )
 }
 
-fn fit_section(problem: &Problem, s: &Summary) -> String {
+fn fit_section(outcome: &Outcome, s: &Summary) -> String {
     let mut out = String::from("<section><h2>What fits and what does not</h2>");
     if !s.innovations.is_empty() {
         let shown = s.innovations.len().min(40);
-        let row = |f: &crate::run::fit::Fit| {
-            let class = if f.ratio > 1.5 && f.count >= 10 { " class=\"bad\"" } else { "" };
+        let row = |f: &Fit| {
+            let class = if f.is_bad() { " class=\"bad\"" } else { "" };
             format!(
                 "<tr{class}><th scope=\"row\">{}</th><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.2}</td></tr>",
                 escape(&f.label),
@@ -242,7 +242,7 @@ fn fit_section(problem: &Problem, s: &Summary) -> String {
                 f.ratio
             )
         };
-        let unit = if problem.scene.model_is_rod() { " [m]" } else { "" };
+        let unit = if outcome.shapes.is_some() { " [m]" } else { "" };
         let _ = write!(
             out,
             "<p>Innovations d = y − H(x) against the σ that was assumed for them. An rms of d/σ near 1 at the analysis says that both are right.</p>\
@@ -255,7 +255,7 @@ fn fit_section(problem: &Problem, s: &Summary) -> String {
         }
     }
     if !s.withheld.is_empty() {
-        let row = |w: &crate::run::fit::Withheld| {
+        let row = |w: &Withheld| {
             format!(
                 "<tr><th scope=\"row\">{}</th><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",
                 escape(&w.label),
@@ -273,7 +273,7 @@ fn fit_section(problem: &Problem, s: &Summary) -> String {
         );
     }
     if !s.forecast.is_empty() {
-        let row = |f: &crate::run::fit::Forecast| {
+        let row = |f: &Forecast| {
             let used = if f.assimilated { "assimilated" } else { "kept back" };
             format!(
                 "<tr><th scope=\"row\">{}</th><td>{used}</td><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",
@@ -295,7 +295,7 @@ fn fit_section(problem: &Problem, s: &Summary) -> String {
              <div class=\"scroll\"><table><thead><tr><th scope=\"col\">Marker</th><th scope=\"col\">in the window</th><th scope=\"col\">times</th><th scope=\"col\">analysis [mm]</th><th scope=\"col\">persistence [mm]</th>\
              <th scope=\"col\">static model [mm]</th><th scope=\"col\">background [mm]</th>\
              <th scope=\"col\">analysis, offset aside [mm]</th><th scope=\"col\">best constant [mm]</th></tr></thead><tbody>{}</tbody></table></div>",
-            problem.scene.report.forecast,
+            outcome.experiment.scene.report.forecast,
             s.forecast.iter().map(row).collect::<String>()
         );
     }
@@ -304,7 +304,7 @@ fn fit_section(problem: &Problem, s: &Summary) -> String {
 }
 
 fn convergence_table(outcome: &Outcome) -> String {
-    let row = |r: &crate::run::window::ConvergenceRow| {
+    let row = |r: &ConvergenceRow| {
         format!(
             "<tr><td>{}</td><td>{:.3}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.2e}</td>{}</tr>",
             r.iteration,
@@ -313,19 +313,15 @@ fn convergence_table(outcome: &Outcome) -> String {
             short(r.j_b),
             short(r.j_o),
             r.gradient_norm,
-            [r.rmse_position, r.rmse_velocity]
-                .iter()
-                .flatten()
-                .map(|e| format!("<td>{}</td>", short(*e)))
-                .collect::<String>()
+            r.rmse.iter().map(|e| format!("<td>{}</td>", short(*e))).collect::<String>()
         )
     };
-    let errors = match (outcome.rmse.position_background, outcome.rmse.velocity_background) {
-        (Some(_), Some(_)) => {
-            "<th scope=\"col\">RMSE position [m]</th><th scope=\"col\">RMSE velocity [m/s]</th>"
-        }
-        (Some(_), None) => "<th scope=\"col\">RMSE</th>",
-        (None, _) => "",
+    let heading = |group: &StateGroup| {
+        format!("<th scope=\"col\">{}{}</th>", group.labelled("RMSE"), group.unit_in_heading())
+    };
+    let errors: String = match &outcome.truth {
+        Some(_) => outcome.experiment.state.groups.iter().map(heading).collect(),
+        None => String::new(),
     };
     format!(
         "<details><summary>Iteration by iteration</summary><div class=\"scroll\"><table><thead><tr><th scope=\"col\">iteration</th><th scope=\"col\">seconds</th><th scope=\"col\">J</th>\

@@ -1,4 +1,4 @@
-//! What a run leaves behind: summary.json, CSV files, figures and report.html.
+//! Reports of results: summary.json, CSV files, figures and report.html.
 
 pub mod checkpoint;
 mod cycles;
@@ -10,35 +10,36 @@ mod summary;
 mod tables;
 
 pub use cycles::write_cycles;
-pub use summary::{Horizon, Summary, Terms};
+pub use summary::{Summary, Terms, WindowAmplification};
 
 use std::path::{Path, PathBuf};
 
 use crate::Error;
+use crate::outcome::{Outcome, Simulation};
 use crate::report::folder::Output;
 use crate::run::compare::Compared;
-use crate::run::window::{Outcome, Simulation, Trajectories};
-use crate::scene::{Origin, SceneFile};
-use crate::setup::problem::{Problem, View};
+use crate::scene::SceneFile;
 
 /// Writes the result of a run to `folder`, whole or not at all.
 ///
 /// # Errors
 /// [`Error::Occupied`], [`Error::Write`], [`Error::Plot`].
-pub fn write(problem: &mut Problem, outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
+pub fn write(outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
     let out = Output::begin(folder)?;
-    let summary = Summary::new(problem, outcome);
+    let summary = Summary::new(outcome);
     let mut drawn = Vec::new();
-    for figure in figures::all(problem, outcome)? {
+    for figure in figures::all(outcome) {
         let svg = figure.svg()?;
         out.write(&format!("figures/{}.svg", figure.name), &svg)?;
         drawn.push((figure.name, figure.title, svg));
     }
-    out.write("report.html", &html::page(problem, outcome, &summary, &drawn))?;
-    out.write("analysis.csv", &tables::analysis(problem, outcome))?;
+    let experiment = &outcome.experiment;
+    out.write("report.html", &html::page(outcome, &summary, &drawn))?;
+    out.write("analysis.csv", &tables::analysis(outcome))?;
     out.write("convergence.csv", &tables::convergence(&outcome.convergence))?;
-    out.write("trajectory.csv", &tables::trajectory(problem, &outcome.trajectories)?)?;
-    // Last: a folder without it is no result.
+    let trajectory = tables::trajectory(experiment, &outcome.trajectories, outcome.shapes.as_ref());
+    out.write("trajectory.csv", &trajectory)?;
+    // Last: a folder without it is not a result.
     out.write("summary.json", &summary.to_json())?;
     out.publish()
 }
@@ -68,44 +69,37 @@ pub fn write_comparison(
     out.publish()
 }
 
-/// Writes a forward run to `folder`, whole or not at all: summary.json and trajectory.csv, in which the run stands alone. A rod's twin
-/// experiment also leaves its background.csv and observations.csv, as a scene that reads files takes them.
+/// Writes a forward run to `folder`, whole or not at all: summary.json and trajectory.csv with this run alone. For a twin
+/// experiment with a rod also background.csv and observations.csv, in the form that a scene reads.
 ///
 /// # Errors
 /// As [`write()`].
-pub fn write_simulation(
-    problem: &mut Problem,
-    simulation: &Simulation,
-    seconds: f64,
-    folder: &Path,
-) -> Result<PathBuf, Error> {
+pub fn write_simulation(simulation: &Simulation, seconds: f64, folder: &Path) -> Result<PathBuf, Error> {
     let out = Output::begin(folder)?;
+    let experiment = &simulation.experiment;
     let summary = serde_json::json!({
-        "scene": problem.name,
-        "seed": problem.scene.seed,
+        "scene": experiment.name,
+        "seed": experiment.scene.seed,
         "version": env!("CARGO_PKG_VERSION"),
         "method": "simulate",
         "status": "converged",
         "of": simulation.of,
-        "n_state": problem.model.dim(),
-        "n_control": problem.control_dim(),
+        "n_state": experiment.n_state,
+        "n_control": experiment.n_control(),
         "steps": simulation.steps,
         "counts": simulation.counts,
-        "tip_m": simulation.tip,
+        "tip_m": simulation.tip(),
         "seconds": { "total": seconds },
-        "left_out": problem.left_out,
+        "left_out": experiment.left_out,
         "warnings": simulation.warnings,
     });
     out.write("summary.json", &format!("{summary:#}\n"))?;
-    let runs = Trajectories {
-        dim: problem.model.dim(),
-        analysis: simulation.states.clone(),
-        ..Trajectories::default()
-    };
-    out.write("trajectory.csv", &tables::trajectory(problem, &runs)?)?;
-    if let (View::Rod(rod), Origin::TruthPlusDraw) = (&problem.view, problem.scene.background.from) {
-        out.write("background.csv", &tables::background(rod, &problem.background))?;
-        out.write("observations.csv", &tables::observations(rod, &problem.window))?;
+    let shapes = simulation.shapes.as_ref();
+    out.write("trajectory.csv", &tables::trajectory(experiment, &simulation.trajectories, shapes))?;
+    if let (Some(twin), Some(shapes), Some(geometry)) = (&simulation.twin, shapes, &experiment.state.geometry)
+    {
+        out.write("background.csv", &tables::background(geometry, &twin.background))?;
+        out.write("observations.csv", &tables::observations(shapes, &experiment.grid))?;
     }
     out.publish()
 }

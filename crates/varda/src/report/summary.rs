@@ -4,9 +4,7 @@ use serde::Serialize;
 use varda_assimilation::CostTerms;
 use varda_implicit::check::Amplification;
 
-use crate::run::fit::{Fit, Forecast, Withheld};
-use crate::run::window::{AcceptedSteps, Outcome, Rejected, Rmse, Seconds, WorkCounts};
-use crate::setup::problem::Problem;
+use crate::outcome::{AcceptedSteps, Fit, Forecast, Outcome, Rejected, Rmse, Seconds, Withheld, WorkCounts};
 
 /// The keys of summary.json, in their order.
 #[derive(Debug, Serialize)]
@@ -39,9 +37,9 @@ pub struct Summary {
     pub gradient_norm_first: f64,
     /// ‖∇J‖ at the last point.
     pub gradient_norm_last: f64,
-    /// How much the window amplifies and what that leaves of the gradient; `null` for methods without a gradient along a run.
-    pub amplification: Option<Horizon>,
-    /// Steps divided by `time.tolerance`; `null` without it.
+    /// How much the window amplifies and the error of its gradient; `null` for methods without a gradient along a run.
+    pub amplification: Option<WindowAmplification>,
+    /// The adaptive time steps; `null` without `time.tolerance`.
     pub accepted_steps: Option<AcceptedSteps>,
     /// Outer iterations.
     pub outer_iterations: usize,
@@ -59,7 +57,7 @@ pub struct Summary {
     pub rmse: Rmse,
     /// Where the time went \[s\].
     pub seconds: Seconds,
-    /// Most memory the process held \[bytes\]; `null` where the system does not tell.
+    /// Most memory the process used \[bytes\]; `null` where the system does not tell.
     pub peak_bytes: Option<u64>,
     /// Innovations against their σ.
     pub innovations: Vec<Fit>,
@@ -67,15 +65,15 @@ pub struct Summary {
     pub withheld: Vec<Withheld>,
     /// Errors of the forecast after the window \[m\].
     pub forecast: Vec<Forecast>,
-    /// What was not needed and therefore not done.
+    /// What was not needed and therefore not computed.
     pub left_out: Vec<String>,
-    /// What the user should know.
+    /// Remarks for the user.
     pub warnings: Vec<String>,
 }
 
 /// A window's amplification, and whether its gradient can be relied on.
 #[derive(Debug, Clone, Copy, Serialize)]
-pub struct Horizon {
+pub struct WindowAmplification {
     /// ‖M‖ about the analysis, relative to σ of the background; `null` where it is not finite.
     pub norm: f64,
     /// ε ‖M‖, the relative error of a gradient to a factor of some ten.
@@ -84,9 +82,9 @@ pub struct Horizon {
     pub reliable: bool,
 }
 
-impl From<Amplification> for Horizon {
+impl From<Amplification> for WindowAmplification {
     fn from(a: Amplification) -> Self {
-        Horizon { norm: a.norm, gradient_error: a.gradient_error, reliable: a.reliable }
+        WindowAmplification { norm: a.norm, gradient_error: a.gradient_error, reliable: a.reliable }
     }
 }
 
@@ -109,38 +107,39 @@ impl From<CostTerms> for Terms {
 
 impl Summary {
     /// The summary of a run.
-    pub fn new(problem: &Problem, outcome: &Outcome) -> Summary {
-        let scene = &problem.scene;
+    pub fn new(outcome: &Outcome) -> Summary {
+        let experiment = &outcome.experiment;
+        let scene = &experiment.scene;
         Summary {
-            scene: problem.name.clone(),
+            scene: experiment.name.clone(),
             seed: scene.seed,
             version: env!("CARGO_PKG_VERSION"),
             method: scene.algorithm.method.name(),
             minimizer: scene.algorithm.solver_name(),
             status: outcome.status.name(),
             n_state: outcome.trajectories.dim,
-            n_control: problem.control_dim(),
+            n_control: experiment.n_control(),
             n_obs: outcome.analysis.observations,
             j_background: outcome.j_background,
             j_analysis: outcome.analysis.value,
             j_terms: outcome.analysis.terms.into(),
             gradient_norm_first: outcome.gradient_norms[0],
             gradient_norm_last: outcome.gradient_norms[1],
-            amplification: outcome.amplification.map(Horizon::from),
-            accepted_steps: outcome.accepted_steps,
+            amplification: outcome.amplification.map(WindowAmplification::from),
+            accepted_steps: outcome.accepted_steps.clone(),
             outer_iterations: outcome.iterations[0],
             inner_iterations: outcome.iterations[1],
             counts: outcome.counts,
             rejected: outcome.rejected.clone(),
             chi2: outcome.analysis.chi2,
             degrees_of_freedom: outcome.has_posterior.then_some(outcome.analysis.degrees_of_freedom),
-            rmse: outcome.rmse,
+            rmse: outcome.rmse.clone(),
             seconds: outcome.seconds,
             peak_bytes: peak_bytes(),
             innovations: outcome.fit.clone(),
             withheld: outcome.withheld.clone(),
             forecast: outcome.forecast.clone(),
-            left_out: problem.left_out.clone(),
+            left_out: experiment.left_out.clone(),
             warnings: outcome.warnings.clone(),
         }
     }

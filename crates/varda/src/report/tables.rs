@@ -2,11 +2,10 @@
 
 use std::fmt::Write;
 
-use crate::Error;
+use crate::outcome::{ConvergenceRow, Experiment, Outcome, Shapes, Trajectories};
 use crate::run::compare::Compared;
-use crate::run::window::{ConvergenceRow, Outcome, Trajectories};
-use crate::setup::problem::{Problem, RodView, View};
-use crate::setup::rod_observations::Window;
+use crate::scene::TimeGrid;
+use crate::state::Geometry;
 
 /// A number as the shortest text that reads back to the same bits; nothing for one that is not there.
 pub(super) fn number(value: f64) -> String {
@@ -20,20 +19,6 @@ pub(super) fn number(value: f64) -> String {
 
 pub(super) fn optional(value: Option<f64>) -> String {
     value.map_or(String::new(), number)
-}
-
-/// Name and unit of every component of the control.
-pub(super) fn components(problem: &Problem) -> Vec<(String, &'static str)> {
-    match &problem.view {
-        View::Components(names) => names.iter().map(|n| (n.clone(), "1")).collect(),
-        View::Rod(rod) => {
-            let free = rod.dynamics.free_vertices();
-            let of = |prefix: &'static str, unit: &'static str| {
-                free.iter().flat_map(move |v| ["x", "y", "z"].map(|c| (format!("{prefix}{c}[{v}]"), unit)))
-            };
-            of("", "m").chain(of("v", "m/s")).collect()
-        }
-    }
 }
 
 /// compare.csv: one row for every method and minimizer.
@@ -55,11 +40,11 @@ pub(super) fn comparison(rows: &[Compared]) -> String {
 }
 
 /// analysis.csv: x_b, x_a, σ_b, σ_a and, where it is known, the truth.
-pub(super) fn analysis(problem: &Problem, outcome: &Outcome) -> String {
+pub(super) fn analysis(outcome: &Outcome) -> String {
     let a = &outcome.analysis;
     let mut out = String::from("index,name,unit,x_b,x_a,sigma_b,sigma_a");
     out.push_str(if outcome.truth.is_some() { ",truth\n" } else { "\n" });
-    for (i, (name, unit)) in components(problem).iter().enumerate() {
+    for (i, (name, unit)) in outcome.experiment.state.components().enumerate() {
         let sigma_a = outcome.has_posterior.then(|| a.sigma_analysis[i]);
         let fields = [
             number(a.background[i]),
@@ -76,7 +61,8 @@ pub(super) fn analysis(problem: &Problem, outcome: &Outcome) -> String {
     out
 }
 
-/// convergence.csv.
+/// convergence.csv. Its two columns of RMSE keep their names for all models: the first group of the state (positions of
+/// a rod) and the second (velocities).
 pub(super) fn convergence(rows: &[ConvergenceRow]) -> String {
     let mut out = String::from(
         "iteration,seconds,j,j_b,j_o,j_q,gradient_norm,rmse_position,rmse_velocity,sigma_factor,window,\
@@ -89,8 +75,8 @@ pub(super) fn convergence(rows: &[ConvergenceRow]) -> String {
             out,
             "{},{values},{},{},{},{},{},{},{},{},{}",
             r.iteration,
-            optional(r.rmse_position),
-            optional(r.rmse_velocity),
+            optional(r.rmse.first().copied()),
+            optional(r.rmse.get(1).copied()),
             number(r.sigma_factor),
             r.window,
             c.model_steps,
@@ -103,64 +89,65 @@ pub(super) fn convergence(rows: &[ConvergenceRow]) -> String {
     out
 }
 
-/// trajectory.csv: the analysis, the background and, where it is known, the truth, step by step. Vertices of a rod
-/// \[m\], or components.
-pub(super) fn trajectory(problem: &mut Problem, runs: &Trajectories) -> Result<String, Error> {
-    let window = problem.window;
-    let all =
-        [("", "x_a", &runs.analysis), ("b_", "x_b", &runs.background), ("truth_", "truth", &runs.truth)];
-    let series: Vec<_> = all.iter().filter(|(_, _, states)| !states.is_empty()).collect();
-    let mut out = String::from(match problem.view {
-        View::Rod(_) => "step,time_s,vertex,s_m",
-        View::Components(_) => "step,time_s,component",
-    });
-    for (prefix, name, _) in &series {
-        let _ = match problem.view {
-            View::Rod(_) => write!(out, ",x_{prefix}m,y_{prefix}m,z_{prefix}m"),
-            View::Components(_) => write!(out, ",{name}"),
-        };
+/// trajectory.csv: the analysis, the background and, where it is known, the truth, step by step. Vertices \[m\] of models
+/// in space, or components.
+pub(super) fn trajectory(experiment: &Experiment, runs: &Trajectories, shapes: Option<&Shapes>) -> String {
+    match (shapes, &experiment.state.geometry) {
+        (Some(shapes), Some(geometry)) => vertices(&experiment.grid, shapes, &geometry.arc_lengths),
+        _ => components(&experiment.grid, runs, &experiment.state.names),
+    }
+}
+
+fn vertices(grid: &TimeGrid, shapes: &Shapes, arc_lengths: &[f64]) -> String {
+    let all = [("", &shapes.analysis), ("b_", &shapes.background), ("truth_", &shapes.truth)];
+    let series: Vec<_> = all.iter().filter(|(_, run)| !run.is_empty()).collect();
+    let mut out = String::from("step,time_s,vertex,s_m");
+    for (prefix, _) in &series {
+        let _ = write!(out, ",x_{prefix}m,y_{prefix}m,z_{prefix}m");
     }
     out.push('\n');
-    for k in 0..=window.steps + window.forecast {
-        let states: Vec<Option<&[f64]>> = series.iter().map(|(_, _, s)| runs.state(s, k)).collect();
-        let time = number(window.time(k));
-        match &mut problem.view {
-            View::Rod(rod) => {
-                let s = rod.parts.rod.arc_lengths();
-                let mut shapes = Vec::new();
-                for state in &states {
-                    shapes.push(state.map(|x| rod.vertices(&window, k, x)).transpose()?);
-                }
-                for (v, s) in s.iter().enumerate() {
-                    let _ = write!(out, "{k},{time},{v},{}", number(*s));
-                    for shape in &shapes {
-                        for c in 0..3 {
-                            let _ = write!(out, ",{}", optional(shape.as_ref().map(|x| x[v][c])));
-                        }
-                    }
-                    out.push('\n');
+    for k in 0..=grid.last_step() {
+        let time = number(grid.time(k));
+        for (v, s) in arc_lengths.iter().enumerate() {
+            let _ = write!(out, "{k},{time},{v},{}", number(*s));
+            for (_, run) in &series {
+                for c in 0..3 {
+                    let _ = write!(out, ",{}", optional(run.get(k).map(|shape| shape[v][c])));
                 }
             }
-            View::Components(names) => {
-                for (i, name) in names.iter().enumerate() {
-                    let _ = write!(out, "{k},{time},{name}");
-                    for state in &states {
-                        let _ = write!(out, ",{}", optional(state.map(|x| x[i])));
-                    }
-                    out.push('\n');
-                }
-            }
+            out.push('\n');
         }
     }
-    Ok(out)
+    out
+}
+
+fn components(grid: &TimeGrid, runs: &Trajectories, names: &[String]) -> String {
+    let all = [("x_a", &runs.analysis), ("x_b", &runs.background), ("truth", &runs.truth)];
+    let series: Vec<_> = all.iter().filter(|(_, states)| !states.is_empty()).collect();
+    let mut out = String::from("step,time_s,component");
+    for (name, _) in &series {
+        let _ = write!(out, ",{name}");
+    }
+    out.push('\n');
+    for k in 0..=grid.last_step() {
+        let states: Vec<Option<&[f64]>> = series.iter().map(|(_, s)| runs.state(s, k)).collect();
+        let time = number(grid.time(k));
+        for (i, name) in names.iter().enumerate() {
+            let _ = write!(out, "{k},{time},{name}");
+            for state in &states {
+                let _ = write!(out, ",{}", optional(state.map(|x| x[i])));
+            }
+            out.push('\n');
+        }
+    }
+    out
 }
 
 /// background.csv: the background of a rod, in the form `[background] file` reads.
-pub(super) fn background(rod: &RodView, background: &[f64]) -> String {
+pub(super) fn background(geometry: &Geometry, background: &[f64]) -> String {
     let mut out = String::from("vertex,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s\n");
     let (x, v) = background.split_at(background.len() / 2);
-    for ((vertex, x), v) in rod.dynamics.free_vertices().iter().zip(x.chunks_exact(3)).zip(v.chunks_exact(3))
-    {
+    for ((vertex, x), v) in geometry.free.iter().zip(x.chunks_exact(3)).zip(v.chunks_exact(3)) {
         let values: Vec<String> = x.iter().chain(v).map(|c| number(*c)).collect();
         let _ = writeln!(out, "{vertex},{}", values.join(","));
     }
@@ -168,15 +155,12 @@ pub(super) fn background(rod: &RodView, background: &[f64]) -> String {
 }
 
 /// observations.csv: what was seen of a rod in the model's axes and time, in the form `[observations] file` reads.
-pub(super) fn observations(rod: &RodView, window: &Window) -> String {
+pub(super) fn observations(shapes: &Shapes, grid: &TimeGrid) -> String {
     let mut out = String::from("time_s,s_m,x_m,y_m,z_m,sigma_m\n");
-    for seen in &rod.sightings.seen {
-        if let Some(p) = seen.position(&rod.sightings.rotation) {
-            let s = rod.sightings.sites[seen.site].marker.s;
-            let fields =
-                [window.start + seen.at() * window.step, s, p[0], p[1], p[2], seen.sigma].map(number);
-            let _ = writeln!(out, "{}", fields.join(","));
-        }
+    for s in &shapes.seen {
+        let p = s.position;
+        let fields = [grid.start + s.at() * grid.step, s.arc_length, p[0], p[1], p[2], s.sigma];
+        let _ = writeln!(out, "{}", fields.map(number).join(","));
     }
     out
 }

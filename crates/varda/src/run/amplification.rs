@@ -1,4 +1,4 @@
-//! How much a window amplifies what it starts with, and what that leaves of the gradient taken over it.
+//! How much a window amplifies perturbations of its start, and the error of a gradient taken over it.
 
 use rand_distr::{Distribution, StandardNormal};
 use varda_implicit::Model;
@@ -6,23 +6,23 @@ use varda_implicit::check::Amplification;
 
 use crate::setup::random::{Stream, stream};
 
-/// Directions that are followed through the window.
+/// Number of directions followed through the window.
 const DIRECTIONS: usize = 4;
 
-/// ‖M‖ of the steps between `states` (x₀, x₁, … one after the other), from `control` and relative to `sigma`, the standard deviations of
-/// the background: with S = diag σ and P the components of the control, which lead the state,
+/// ‖M‖ of the steps between `states` (x₀, x₁, … one after the other), from `control` and relative to `sigma`, the
+/// standard deviations of the background: with S = diag σ and P the components of the control, which lead the state,
 ///
 /// ```text
 /// ‖M‖² ≈ mean over random ξ of |S⁻¹ P M_{N−1} ⋯ M₀ (∂x₀/∂z) S ξ|²,   ξ ~ N(0, I)
 /// ```
 ///
-/// the estimate of the Frobenius norm by Hutchinson (1989), from [`DIRECTIONS`] directions: at most the root of the number of growing directions
-/// above the largest singular value. One linearization and as many tangent products a step; no linearization is kept. Where a product overflows the
-/// norm is infinite.
+/// the estimate of the Frobenius norm by Hutchinson (1989), from [`DIRECTIONS`] directions: above the largest singular
+/// value by at most the root of the number of growing directions. Each step takes one linearization and as many
+/// tangent products; no linearization is kept. The norm is infinite where a product overflows.
 ///
 /// # Errors
 /// A step that cannot be linearized.
-pub(crate) fn amplification(
+pub(crate) fn estimate(
     model: &mut dyn Model,
     control: &[f64],
     sigma: &[f64],
@@ -49,7 +49,7 @@ pub(crate) fn amplification(
     }
     let mut sum = 0.0;
     for column in columns.chunks_exact(n) {
-        // A component without error is no direction.
+        // A component without error does not count.
         let scaled = column.iter().zip(sigma).filter(|(_, s)| **s > 0.0).map(|(dx, s)| dx / s);
         sum += scaled.map(|dx| dx * dx).sum::<f64>();
     }
@@ -80,7 +80,7 @@ mod tests {
             }
             let norm = check::amplification(&mut model, 0..steps, &sigma, 1).unwrap().norm;
             let mut fresh = Rk4::new(Lorenz63::default(), 0, 0.01);
-            let found = amplification(&mut fresh, &states[..3], &sigma, seen, 0).unwrap();
+            let found = estimate(&mut fresh, &states[..3], &sigma, seen, 0).unwrap();
             // Four draws of one Gaussian; at most √3 directions.
             assert!((0.3..3.0).contains(&(found.norm / norm)), "{} and {norm}", found.norm);
         }
@@ -90,7 +90,7 @@ mod tests {
     fn units_do_not_matter_and_an_overflow_is_flagged() {
         let states = [1.0, 2.0, 3.0, 1.0, 2.0, 3.0];
         let mut model = Rk4::new(Lorenz63::default(), 0, 0.01);
-        let mut of = |sigma: [f64; 3]| amplification(&mut model, &states[..3], &sigma, &states, 0).unwrap();
+        let mut of = |sigma: [f64; 3]| estimate(&mut model, &states[..3], &sigma, &states, 0).unwrap();
         let [one, thousand] = [of([1.0; 3]), of([1e3; 3])];
         assert!((one.norm - thousand.norm).abs() < 1e-12 * one.norm && one.reliable);
         let overflown = of([1e300, 1e-300, 1.0]);

@@ -1,29 +1,28 @@
 //! Every method and minimizer that applies to a scene, side by side.
 
-use std::time::Instant;
-
 use serde::Serialize;
 
+use super::window::{Listener, assimilate};
 use crate::Error;
-use crate::run::window::{ConvergenceRow, Listener, Status, WorkCounts, assimilate};
+use crate::outcome::{ConvergenceRow, Failure, WorkCounts};
 use crate::scene::{Method, Minimizer, ModelError, SceneFile};
-use crate::setup::problem::Problem;
+use crate::setup::Problem;
 
-/// How one method fared. What a method that failed did not reach is not there.
+/// The result of one method. A method that failed has no numbers.
 #[derive(Debug, Clone, Serialize)]
 pub struct Compared {
     /// The method.
     pub method: &'static str,
-    /// Its minimizer, or the loop of its own.
+    /// Its minimizer, or the name of its own loop.
     pub solver: String,
-    /// How it ended; "failed" where it could not even begin, "left_out" where it was not tried.
+    /// How it ended; "failed" if it could not begin, "left_out" if it was not tried.
     pub status: &'static str,
     /// J at the end.
     pub j: Option<f64>,
-    /// (J − J*)/(J₀ − J*), J₀ at the background and J* the lowest J any row found. Not for the weak-constraint and ensemble methods, whose
-    /// J is another function.
+    /// (J − J*)/(J₀ − J*), J₀ at the background and J* the lowest J of any row. Not for the weak-constraint and ensemble
+    /// methods, whose J is another function.
     pub gap: Option<f64>,
-    /// RMSE of positions \[m\] (of the state, for other models), where the truth is known.
+    /// RMSE of the first group of the state (positions of a rod), where the truth is known.
     pub rmse: Option<f64>,
     /// Seconds of the minimization.
     pub seconds: Option<f64>,
@@ -86,19 +85,21 @@ pub fn lowest(rows: &[Compared]) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// Where the scene has no Q, the weak-constraint methods are given σ_q = 0.1 σ_b, so Q = 0.01 B, with one η every tenth of the window.
+/// If the scene has no Q, the weak-constraint methods take σ_q = 0.1 σ_b, so Q = 0.01 B, with one η every tenth of the
+/// window.
 const ASSUMED_ERROR: f64 = 0.1;
 
-/// A dense Hessian of more unknowns is not waited for.
+/// Dense Newton is skipped above this many unknowns: it would dominate the run time.
 const MOST_DENSE: usize = 1000;
 
-/// Runs every method that applies to the scene, those that take a minimizer with every minimizer, from the scene's own background, without
-/// posterior, σ stages and growing windows; where the scene has any of the latter two, its own algorithm also as it is. Where nothing
-/// is observed after step 0 the 3D names stand for their 4D twins, which are then the same.
+/// Runs every method that applies to the scene, those that take a minimizer with every minimizer, from the scene's own
+/// background, without posterior, σ stages and growing windows. If the scene has σ stages or a growing window, its own
+/// algorithm also runs as it is. If nothing is observed after step 0, the 3D names stand for the equivalent 4D methods.
 ///
-/// All minimise the same J (with `robust`, only methods that take it apply), but the weak-constraint and the ensemble methods: those have no
-/// gap and are compared by RMSE. Weak-constraint methods take the scene's Q, or Q = 0.01 B; ensembles the scene's or the default one.
-/// `on_row` hears of every row as it is done, its gap still open; `interrupted` ends the comparison with what is done.
+/// All minimise the same J (with `robust`, only methods that take it apply), except the weak-constraint and the ensemble
+/// methods: those have no gap and are compared by RMSE. Weak-constraint methods take the scene's Q, or Q = 0.01 B;
+/// ensembles the scene's or the default one. `on_row` is called with every row as it is done, its gap not yet known;
+/// `interrupted` ends the comparison with the rows so far.
 ///
 /// # Errors
 /// [`Error`] where the scene itself makes no problem. A method that fails is a row.
@@ -108,7 +109,7 @@ pub fn compare(
     interrupted: &dyn Fn() -> bool,
 ) -> Result<Vec<Compared>, Error> {
     let problem = Problem::from_scene(file)?;
-    let last_observed = problem.observations.last_step();
+    let last_observed = problem.observations()?.last_step();
     let mut rows = Vec::new();
     let mut add = |row: Compared| {
         on_row(&row);
@@ -152,7 +153,7 @@ pub fn compare(
             file.scene.algorithm.minimizer = minimizer;
             let blank = Compared::blank(method, file.scene.algorithm.solver_name().to_string());
             if method.is_weak() && minimizer == Minimizer::Newton && unknowns > MOST_DENSE {
-                let reason = format!("a dense Hessian of {unknowns} unknowns is not waited for");
+                let reason = format!("a dense Hessian of {unknowns} unknowns would take too long");
                 add(Compared { status: "left_out", reason, ..blank });
             } else {
                 add(one(&file, Compared { reason: note.clone(), ..blank }, interrupted));
@@ -168,19 +169,17 @@ pub fn compare(
 
 /// Fills in a row that is blank but for its names and its note.
 fn one(file: &SceneFile, mut row: Compared, interrupted: &dyn Fn() -> bool) -> Compared {
-    let mut listener = Listener { on_iteration: &mut |_| {}, interrupted, started: Instant::now() };
-    let outcome = Problem::from_scene(file).and_then(|mut p| assimilate(&mut p, &mut listener));
+    let mut listener = Listener { interrupted: Box::new(interrupted), ..Listener::silent() };
+    let outcome = Problem::from_scene(file).and_then(|p| assimilate(&p, &mut listener));
     match outcome {
         Ok(o) => {
             row.status = o.status.name();
             row.j = Some(o.analysis.value);
-            row.rmse = o.rmse.position_analysis;
+            row.rmse = o.rmse.first().and_then(|g| g.analysis);
             row.seconds = Some(o.seconds.minimizer);
             row.counts = o.counts;
-            if o.status == Status::Failed
-                && let Some(why) = o.warnings.into_iter().find(|w| w.contains("the model fails"))
-            {
-                row.reason = why;
+            if let Some(failure @ Failure::Ended { .. }) = &o.failure {
+                row.reason = failure.to_string();
             }
             row.convergence = o.convergence;
             row.j_background = Some(o.j_background);

@@ -1,7 +1,7 @@
-//! Cycling: a scene with `[algorithm.cycles]`, window after window, as plain data.
+//! Cycling: a scene with `[algorithm.cycles]`, window after window.
 //!
-//! The windows are cut out of one long [`Problem`], whose only window is the whole sequence: one run of the truth, one draw of observations in
-//! the order of time, one recording read. So more cycles do not change the first ones.
+//! The windows are cut out of one long [`Problem`], whose only window is the whole sequence: one run of the truth, one
+//! draw of observations in the order of time, one recording read. So more cycles do not change the first ones.
 
 use std::cell::RefCell;
 use std::ops::ControlFlow;
@@ -9,7 +9,6 @@ use std::rc::Rc;
 use std::time::Instant;
 
 use rand_distr::{Distribution, StandardNormal};
-use serde::{Deserialize, Serialize};
 use varda_assimilation::{
     Cycle, CycleState, CycledCovariance, CycledEnsemble, CycledUpdate, Cycling, EnVarOptions, Normals,
     Observation, ObservationOperator, ObservationSet, cycle,
@@ -17,17 +16,16 @@ use varda_assimilation::{
 use varda_implicit::Refusal;
 use varda_implicit::check::Amplification;
 
+use super::{amplification, shapes};
 use crate::Error;
-use crate::run::amplification;
-use crate::run::window::{Status, Trajectories, WorkCounts, errors};
-use crate::scene::{self, Cycles, Observations, SceneFile};
-use crate::setup::ensemble;
-use crate::setup::memory::{Memory, Sizes};
-use crate::setup::problem::{Problem, View, run_states};
+use crate::outcome::{CycleRow, CyclesOutcome, Experiment, Means, Status, Trajectories, WorkCounts};
+use crate::scene::{self, Cycles, SceneFile, TimeGrid};
 use crate::setup::random::{Stream, stream_of_window};
+use crate::setup::runs::run_states;
+use crate::setup::{Inputs, Problem, ensemble};
 use crate::solve::minimizer;
 
-/// A sequence of windows, ready to run.
+/// A sequence of windows, ready to run. It does not change.
 pub struct Sequence {
     /// Its settings.
     pub cycles: Cycles,
@@ -35,174 +33,73 @@ pub struct Sequence {
     pub window: usize,
     /// S, steps from one window to the next.
     pub shift: usize,
-    /// Everything about the whole sequence: its window is all the steps, its truth and background are at the first.
+    /// The whole sequence as one window: its truth and background are at the first step.
     pub problem: Problem,
     /// The states of the truth, step by step; empty where there is none.
     pub truth: Vec<f64>,
     /// What was observed, in the order of time, steps counted from the start of the sequence.
     observations: Vec<Observation>,
-    operators: Vec<Shared>,
 }
 
 /// An observation operator that the windows of a sequence share.
 type Shared = Rc<RefCell<Box<dyn ObservationOperator>>>;
 
-/// What one window gave: a row of cycles.csv, and where it began. RMSE and spread are pairs: of positions \[m\] and velocities [m/s] of
-/// a rod; of the state of another model, with nothing second.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Row {
-    /// Index from 0.
-    pub cycle: usize,
-    /// First step of the window, counted from the start of the sequence.
-    pub first_step: usize,
-    /// Model time there \[s\].
-    pub time: f64,
-    /// J at the analysis.
-    pub j: f64,
-    /// J_b.
-    pub j_b: f64,
-    /// J_o.
-    pub j_o: f64,
-    /// m, the number of observed values.
-    pub observations: usize,
-    /// 2J/m; 0 where nothing was observed.
-    pub chi2: f64,
-    /// How the minimization ended.
-    pub status: Status,
-    /// Why, where a failing model ended it.
-    pub failure: Option<String>,
-    /// Outer iterations.
-    pub outer_iterations: usize,
-    /// Work of the minimization.
-    pub counts: WorkCounts,
-    /// Standard deviation expected of the analysis at the window's end (of the next background, for a propagated posterior).
-    pub spread: [Option<f64>; 2],
-    /// RMSE of the background at the window's start.
-    pub rmse_background: [Option<f64>; 2],
-    /// RMSE of the analysis at the window's start.
-    pub rmse_start: [Option<f64>; 2],
-    /// RMSE of the analysis at the window's end.
-    pub rmse_end: [Option<f64>; 2],
-    /// Seconds the window took.
-    pub seconds: f64,
-    /// x_b at the window's start.
-    pub background: Vec<f64>,
-    /// x_a at the window's start.
-    pub analysis: Vec<f64>,
-}
-
-/// What the caller of a sequence wants to hear and may say.
-pub struct Listener<'a> {
-    /// Called after every window, with what the next one starts from.
-    pub on_cycle: &'a mut dyn FnMut(&Row, &CycleState) -> Result<(), Error>,
-    /// Asked after every window: true ends the run with what is done.
-    pub interrupted: &'a dyn Fn() -> bool,
+/// Progress and cancellation callbacks of a sequence.
+pub struct CycleListener<'a> {
+    /// Called after every window, with the start of the next one.
+    pub on_cycle: Box<dyn FnMut(&CycleRow, &CycleState) -> Result<(), Error> + 'a>,
+    /// Called after every window: true ends the run with the result so far.
+    pub interrupted: Box<dyn Fn() -> bool + 'a>,
     /// When the run began.
     pub started: Instant,
 }
 
-/// What a sequence gives.
-#[derive(Debug)]
-pub struct Outcome {
-    /// How it ended: failed or interrupted before its last window; else the worst end of a minimization.
-    pub status: Status,
-    /// The windows that were done.
-    pub cycles: Vec<Row>,
-    /// Analysis and truth over all steps of these windows; every window's analysis from its start to that of the next.
-    pub trajectories: Trajectories,
-    /// Means over the windows after `spin_up`.
-    pub means: Means,
-    /// Seconds since the run began.
-    pub seconds: f64,
-    /// How much the last window amplifies about its analysis; none for methods without a gradient along a run.
-    pub amplification: Option<Amplification>,
-    /// What the user should know.
-    pub warnings: Vec<String>,
-}
-
-/// Means over the windows that count.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Means {
-    /// How many these are.
-    pub count: usize,
-    /// RMSE of the background at the start of a window.
-    pub rmse_background: [Option<f64>; 2],
-    /// RMSE of the analysis there.
-    pub rmse_start: [Option<f64>; 2],
-    /// RMSE of the analysis at the end of a window.
-    pub rmse_end: [Option<f64>; 2],
-    /// Spread.
-    pub spread: [Option<f64>; 2],
-    /// 2J/m, over the windows in which something was observed.
-    pub chi2: Option<f64>,
-    /// Seconds.
-    pub seconds: Option<f64>,
-}
-
-/// The scene whose only window is the whole sequence; a scene without cycles as it is.
-pub fn whole(file: &SceneFile) -> SceneFile {
-    let mut file = file.clone();
-    let Some(cycles) = file.scene.algorithm.cycles.take() else { return file };
-    let window = file.scene.time.window;
-    let shift = cycles.shift_of(window);
-    file.scene.time.window = cycles.steps(window);
-    if let Observations::Synthetic(synthetic) = &mut file.scene.observations
-        && let Some(steps) = &mut synthetic.steps
-    {
-        let in_all = |c: usize| steps.iter().map(move |k| c * shift + k);
-        let mut all: Vec<usize> = (0..cycles.count).flat_map(in_all).collect();
-        all.sort_unstable();
-        all.dedup();
-        *steps = all;
+impl CycleListener<'_> {
+    /// A listener that does nothing; the run begins now.
+    pub fn silent() -> Self {
+        CycleListener {
+            on_cycle: Box::new(|_, _| Ok(())),
+            interrupted: Box::new(|| false),
+            started: Instant::now(),
+        }
     }
-    if let Some(ensemble) = &mut file.scene.algorithm.ensemble {
-        // Every window inflates, the first too.
-        ensemble.inflation = 1.0;
-    }
-    if file.scene.algorithm.method.is_of_one_instant() {
-        // One instant a window are many in the sequence; what is built is the same.
-        file.scene.algorithm.method = scene::Method::FourDVar;
-    }
-    file
 }
 
 impl Sequence {
-    /// The sequence a scene describes; `None` for a scene without `[algorithm.cycles]`. Runs the truth from end to end where there is one.
+    /// The sequence that a scene describes; `None` for a scene without `[algorithm.cycles]`. Runs the truth from end to
+    /// end where there is one.
     ///
     /// # Errors
     /// Those of [`Problem::from_scene`].
     pub fn from_scene(file: &SceneFile) -> Result<Option<Sequence>, Error> {
-        let Some(cycles) = &file.scene.algorithm.cycles else { return Ok(None) };
-        let window = file.scene.time.window;
-        let memory = Memory::within_limit(file, &Sizes::of(file)?)?;
-        let mut problem = Problem::build(&whole(file), memory.for_window)?;
-        let steps = problem.window.steps;
-        let truth = match &problem.truth {
-            Some(truth) => run_states(problem.model.as_mut(), truth, steps)?,
-            None => Vec::new(),
-        };
-        let taken =
-            std::mem::replace(&mut problem.observations, ObservationSet::new(0, Vec::new(), Vec::new())?);
-        let (operators, mut observations) = taken.into_parts();
-        observations.sort_by(|a, b| at(a).total_cmp(&at(b)));
-        problem.scene = file.scene.clone();
-        let mut sequence = Sequence {
-            cycles: cycles.clone(),
-            window,
-            shift: cycles.shift_of(window),
-            problem,
-            truth,
-            observations,
-            operators: operators.into_iter().map(|o| Rc::new(RefCell::new(o))).collect(),
-        };
-        let unused = sequence.unused();
-        if unused > 0 {
-            sequence.problem.left_out.push(format!("{unused} observed values between two windows"));
+        match &file.scene.algorithm.cycles {
+            Some(cycles) => Sequence::new(cycles.clone(), Inputs::read(file)?).map(Some),
+            None => Ok(None),
         }
-        Ok(Some(sequence))
     }
 
-    /// Before the first window: the background, and the members of an ensemble about it, their mean.
+    /// The sequence of a scene that has been read.
+    ///
+    /// # Errors
+    /// Those of [`Problem::new`].
+    pub fn new(cycles: Cycles, inputs: Inputs) -> Result<Sequence, Error> {
+        let mut problem = Problem::new(inputs)?;
+        let window = problem.experiment.scene.time.window;
+        let truth = match &problem.truth {
+            Some(truth) => run_states(problem.model().as_mut(), truth, problem.experiment.grid.steps)?,
+            None => Vec::new(),
+        };
+        let mut observations = problem.observed.assimilated(&problem.experiment.grid);
+        observations.sort_by(|a, b| at(a).total_cmp(&at(b)));
+        let shift = cycles.shift_of(window);
+        let unused = unused(&observations, &cycles, window);
+        if unused > 0 {
+            problem.experiment.left_out.push(format!("{unused} observed values between two windows"));
+        }
+        Ok(Sequence { cycles, window, shift, problem, truth, observations })
+    }
+
+    /// The state before the first window: the background, and the members of an ensemble about it, their mean.
     pub fn start(&self) -> CycleState {
         let background = self.problem.background.clone();
         let Some(ensemble) = &self.problem.ensemble else { return CycleState::new(background) };
@@ -216,26 +113,27 @@ impl Sequence {
         CycleState { next: 0, background, columns }
     }
 
-    /// Assimilates window after window, from `state` on: that of [`start`](Self::start), with no `done` rows, or one that a sequence left behind
-    /// after the rows `done`.
+    /// Assimilates window after window: from the state [`start`](Self::start), with no `done` rows, or from the state
+    /// that a sequence left behind after the rows `done`.
     ///
     /// # Errors
-    /// [`Error::Assimilation`] where the first window cannot be assimilated; an error of `on_cycle`. A later window that fails ends the
-    /// sequence as [`Status::Failed`] with what was done before it.
+    /// [`Error::Assimilation`] where the first window cannot be assimilated; an error of `on_cycle`. A later window that
+    /// fails ends the sequence as [`Status::Failed`] with the windows before it.
     pub fn run(
-        &mut self,
+        &self,
         mut state: CycleState,
-        done: Vec<Row>,
-        listener: &mut Listener,
-    ) -> Result<Outcome, Error> {
+        done: Vec<CycleRow>,
+        listener: &mut CycleListener,
+    ) -> Result<CyclesOutcome, Error> {
         let mut rows = done;
         let (mut refused, mut interrupted) = (None, false);
         let mut began = Instant::now();
         let make_model = &self.problem.make_model;
-        let observations = |first: usize| self.of_window(first);
+        let operators = [Rc::new(RefCell::new((self.problem.observed.make_operator)()?))];
+        let observations = |first: usize| self.of_window(&operators, first);
         let anchors = |set: &ObservationSet| ensemble::anchors(set, &self.problem.anchors);
-        let algorithm = &self.problem.scene.algorithm;
-        let seed = self.problem.scene.seed;
+        let algorithm = &self.problem.experiment.scene.algorithm;
+        let seed = self.problem.experiment.scene.seed;
         let normals = |c: usize| -> Normals {
             let mut rng = stream_of_window(seed, Stream::Ensemble, c);
             Box::new(move || StandardNormal.sample(&mut rng))
@@ -299,14 +197,16 @@ impl Sequence {
         if let Some(error) = refused {
             return Err(error);
         }
-        let mut warnings = Vec::new();
+        let (mut warnings, mut failure) = (Vec::new(), None);
         let mut status =
             rows.iter().map(|r| r.status).max_by_key(|s| severity(*s)).unwrap_or(Status::Converged);
         if let Err(error) = ended {
             if rows.is_empty() {
                 return Err(error.into());
             }
-            warnings.push(format!("cycle {} could not be done: {error}", state.next));
+            let reason = format!("cycle {} could not be done: {error}", state.next);
+            failure = Some(reason.clone());
+            warnings.push(reason);
             status = Status::Failed;
         } else if interrupted {
             warnings.push(format!("interrupted after {} of {} cycles", rows.len(), self.cycles.count));
@@ -319,18 +219,41 @@ impl Sequence {
             (Status::Failed, "failed"),
         ] {
             if of(s) > 0 {
-                warnings.push(format!("{} of {} minimizations {what}", of(s), rows.len()));
+                let remark = format!("{} of {} minimizations {what}", of(s), rows.len());
+                if s == Status::Failed {
+                    failure.get_or_insert_with(|| remark.clone());
+                }
+                warnings.push(remark);
             }
         }
-        let means = means(&rows, self.cycles.spin_up);
+        let groups = self.problem.experiment.state.groups.len();
+        let means = means(&rows, self.cycles.spin_up, groups);
         if means.count == 0 {
             warnings.push("all cycles done are spin-up: there are no means".into());
         }
         let trajectories = self.trajectories(&rows, &mut warnings);
         let amplification = self.amplification(&rows, &trajectories);
         warnings.extend(amplification.and_then(|a| a.warning()));
-        let seconds = listener.started.elapsed().as_secs_f64();
-        Ok(Outcome { status, cycles: rows, amplification, trajectories, means, seconds, warnings })
+        let experiment = &self.problem.experiment;
+        // The grid of the windows that were done, which may be fewer than were asked for.
+        let steps = rows.last().map_or(0, |r| r.first_step + self.window);
+        Ok(CyclesOutcome {
+            experiment: Experiment { grid: TimeGrid { steps, ..experiment.grid }, ..experiment.clone() },
+            status,
+            failure: failure.filter(|_| status == Status::Failed),
+            asked_for: self.cycles.count,
+            window: self.window,
+            shift: self.shift,
+            covariance: self.cycles.covariance_of(algorithm.method).name(),
+            spin_up: self.cycles.spin_up,
+            shapes: shapes::vertices(&self.problem, &trajectories)?,
+            cycles: rows,
+            trajectories,
+            means,
+            seconds: listener.started.elapsed().as_secs_f64(),
+            amplification,
+            warnings,
+        })
     }
 
     /// The true state at a step, where it is known.
@@ -342,21 +265,16 @@ impl Sequence {
     /// Observed values that fall into windows, and those that fall between two.
     pub fn values(&self) -> [usize; 2] {
         let all: usize = self.observations.iter().map(|o| o.rows.len()).sum();
-        let unused = self.unused();
+        let unused = unused(&self.observations, &self.cycles, self.window);
         [all - unused, unused]
     }
 
-    fn unused(&self) -> usize {
-        let held = |o: &&Observation| {
-            // The last window that starts no later than the observation.
-            let c = (o.step / self.shift).min(self.cycles.count - 1);
-            at(o) <= (c * self.shift + self.window) as f64
-        };
-        self.observations.iter().filter(|o| !held(o)).map(|o| o.rows.len()).sum()
-    }
-
-    /// What was observed in the window that starts at a step, those that an earlier window has used included.
-    fn of_window(&self, first: usize) -> Result<ObservationSet, varda_assimilation::Error> {
+    /// What was observed in the window that starts at a step, including what an earlier window has used.
+    fn of_window(
+        &self,
+        operators: &[Shared],
+        first: usize,
+    ) -> Result<ObservationSet, varda_assimilation::Error> {
         let last = (first + self.window) as f64;
         let from = self.observations.partition_point(|o| o.step < first);
         let inside = self.observations[from..].iter().take_while(|o| at(o) <= last);
@@ -364,20 +282,19 @@ impl Sequence {
         let operator = |operator: &Shared| -> Box<dyn ObservationOperator> {
             Box::new(FromStep { operator: Rc::clone(operator), first })
         };
-        ObservationSet::new(self.window, self.operators.iter().map(operator).collect(), seen)
+        ObservationSet::new(self.window, operators.iter().map(operator).collect(), seen)
     }
 
-    fn row(&self, c: &Cycle, seconds: f64) -> Row {
-        let is_rod = matches!(self.problem.view, View::Rod(_));
+    fn row(&self, c: &Cycle, seconds: f64) -> CycleRow {
+        let layout = &self.problem.experiment.state;
         let rmse = |x: &[f64], k: usize| {
-            let n = self.problem.background.len();
-            errors(&x[..n], self.true_state(k).map(|t| &t[..n]), is_rod)
+            self.true_state(k).map_or(Vec::new(), |truth| layout.rms_difference(x, truth))
         };
-        let spread = |sigma: &Vec<f64>| errors(sigma, Some(&vec![0.0; sigma.len()]), is_rod);
-        Row {
+        let spread = |sigma: &Vec<f64>| layout.rms_difference(sigma, &vec![0.0; sigma.len()]);
+        CycleRow {
             cycle: c.index,
             first_step: c.first_step,
-            time: self.problem.window.time(c.first_step),
+            time: self.problem.experiment.grid.time(c.first_step),
             j: c.value,
             j_b: c.terms.background,
             j_o: c.terms.observation,
@@ -387,7 +304,7 @@ impl Sequence {
             failure: c.failure.clone(),
             outer_iterations: c.outer_iterations,
             counts: WorkCounts::from(&c.counts),
-            spread: c.sigma.as_ref().map_or([None; 2], spread),
+            spread: c.sigma.as_ref().map_or(Vec::new(), spread),
             rmse_background: rmse(&c.background, c.first_step),
             rmse_start: rmse(&c.analysis, c.first_step),
             rmse_end: rmse(&c.end, c.first_step + self.window),
@@ -397,10 +314,10 @@ impl Sequence {
         }
     }
 
-    /// ‖M‖ of the last window about its analysis, for the methods that have a gradient along a run.
-    fn amplification(&self, rows: &[Row], runs: &Trajectories) -> Option<Amplification> {
-        let last =
-            rows.last().filter(|_| self.problem.scene.algorithm.method.is_strong() && self.window > 0)?;
+    /// ‖M‖ of the last window about its analysis, for methods that have a gradient along a run.
+    fn amplification(&self, rows: &[CycleRow], runs: &Trajectories) -> Option<Amplification> {
+        let scene = &self.problem.experiment.scene;
+        let last = rows.last().filter(|_| scene.algorithm.method.is_strong() && self.window > 0)?;
         let [from, to] = [last.first_step, last.first_step + self.window + 1].map(|k| k * runs.dim);
         let states = runs.analysis.get(from..to)?;
         let mut model = (self.problem.make_model)(last.first_step);
@@ -408,13 +325,13 @@ impl Sequence {
         let mut sigma = vec![0.0; b.dim()];
         b.variance(&mut sigma);
         sigma.iter_mut().for_each(|s| *s = s.sqrt());
-        amplification::amplification(model.as_mut(), &last.analysis, &sigma, states, self.problem.scene.seed)
-            .ok()
+        amplification::estimate(model.as_mut(), &last.analysis, &sigma, states, scene.seed).ok()
     }
 
-    /// Runs from every window's analysis to the next one's start, the last to its end; and the truth over the same steps.
-    fn trajectories(&mut self, rows: &[Row], warnings: &mut Vec<String>) -> Trajectories {
-        let dim = self.problem.model.dim();
+    /// Runs from every window's analysis to the next one's start, the last to its end; and the truth over the same
+    /// steps.
+    fn trajectories(&self, rows: &[CycleRow], warnings: &mut Vec<String>) -> Trajectories {
+        let dim = self.problem.experiment.n_state;
         let mut analysis = Vec::new();
         for (i, row) in rows.iter().enumerate() {
             let last = i + 1 == rows.len();
@@ -443,7 +360,7 @@ fn at(o: &Observation) -> f64 {
     o.step as f64 + o.weight
 }
 
-/// The worse, the higher.
+/// Higher for worse ends.
 fn severity(status: Status) -> usize {
     match status {
         Status::Converged => 0,
@@ -454,19 +371,31 @@ fn severity(status: Status) -> usize {
     }
 }
 
-fn means(rows: &[Row], spin_up: usize) -> Means {
-    let counted: Vec<&Row> = rows.iter().filter(|r| r.cycle >= spin_up).collect();
+/// Observed values that fall between two windows.
+fn unused(observations: &[Observation], cycles: &Cycles, window: usize) -> usize {
+    let shift = cycles.shift_of(window);
+    let is_used = |o: &&Observation| {
+        // The last window that starts no later than the observation.
+        let c = (o.step / shift).min(cycles.count - 1);
+        at(o) <= (c * shift + window) as f64
+    };
+    observations.iter().filter(|o| !is_used(o)).map(|o| o.rows.len()).sum()
+}
+
+fn means(rows: &[CycleRow], spin_up: usize, groups: usize) -> Means {
+    let counted: Vec<&CycleRow> = rows.iter().filter(|r| r.cycle >= spin_up).collect();
     let mean =
         |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
-    let pair = |of: &dyn Fn(&Row) -> [Option<f64>; 2]| {
-        [0, 1].map(|i| mean(counted.iter().filter_map(|r| of(r)[i]).collect()))
+    let of_groups = |of: &dyn Fn(&CycleRow) -> &[f64]| {
+        let of_group = |i: usize| mean(counted.iter().filter_map(|r| of(r).get(i).copied()).collect());
+        (0..groups).map(of_group).collect()
     };
     Means {
         count: counted.len(),
-        rmse_background: pair(&|r| r.rmse_background),
-        rmse_start: pair(&|r| r.rmse_start),
-        rmse_end: pair(&|r| r.rmse_end),
-        spread: pair(&|r| r.spread),
+        rmse_background: of_groups(&|r| &r.rmse_background),
+        rmse_start: of_groups(&|r| &r.rmse_start),
+        rmse_end: of_groups(&|r| &r.rmse_end),
+        spread: of_groups(&|r| &r.spread),
         chi2: mean(counted.iter().filter(|r| r.observations > 0).map(|r| r.chi2).collect()),
         seconds: mean(counted.iter().map(|r| r.seconds).collect()),
     }

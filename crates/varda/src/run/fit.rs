@@ -1,77 +1,17 @@
-//! What fits and what does not: innovations against the assumed σ, markers kept back, forecasts beside simple ones.
+//! How well the analysis fits: innovations against the assumed σ, markers kept back, forecasts beside simpler ones.
 
-use serde::Serialize;
-use varda_assimilation::{Analysis, ObservationSet};
+use varda_assimilation::{Analysis, ObservationOperator, ObservationSet};
 use varda_implicit::Model;
 
 use crate::Error;
-use crate::run::window::Trajectories;
-use crate::scene::Use;
-use crate::setup::problem::RodView;
-use crate::setup::rod_observations::Window;
-
-/// Innovations d = y − H(x) of one marker, place or component.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Fit {
-    /// Whose.
-    pub label: String,
-    /// Number of observed values.
-    pub count: usize,
-    /// Assumed σ (root mean square over the values).
-    pub sigma: f64,
-    /// Root mean square of d at the background.
-    pub rms_background: f64,
-    /// Root mean square of d at the analysis.
-    pub rms_analysis: f64,
-    /// Mean of d at the analysis.
-    pub mean_analysis: f64,
-    /// Root mean square of d/σ at the analysis: about 1 where model and σ are right.
-    pub ratio: f64,
-}
-
-/// Distances \[m\] between a marker that was kept back and where the model has it, root mean square over the window.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Withheld {
-    /// Which marker.
-    pub label: String,
-    /// Number of times.
-    pub count: usize,
-    /// From x_b \[m\].
-    pub rms_background: f64,
-    /// From x_a \[m\].
-    pub rms_analysis: f64,
-    /// From x_a, less the mean error: what is left when the marker's place in the scene is a constant off \[m\].
-    pub moving_analysis: f64,
-}
-
-/// Distances \[m\] between a marker and its forecast, root mean square over the time after the window.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Forecast {
-    /// Which marker.
-    pub label: String,
-    /// Whether it was assimilated before.
-    pub assimilated: bool,
-    /// Number of times.
-    pub count: usize,
-    /// The model from x_a \[m\].
-    pub analysis: f64,
-    /// The model from x_b \[m\].
-    pub background: f64,
-    /// Persistence: the marker stays where it was last seen in the window \[m\].
-    pub persistence: f64,
-    /// The model at rest in its static equilibrium \[m\].
-    pub static_model: f64,
-    /// The model from x_a, less its mean error \[m\].
-    pub moving_analysis: f64,
-    /// The best constant forecast there is: how far the marker moves about its mean place \[m\].
-    pub moving_constant: f64,
-}
+use crate::outcome::{Fit, Forecast, Sight, Trajectories, Withheld};
+use crate::setup::Problem;
 
 /// Innovations at background and analysis, label by label in the order of their first appearance.
 ///
 /// # Errors
 /// [`Error::Assimilation`] where a state cannot be observed.
-pub fn fit(observations: &mut ObservationSet, runs: &Trajectories) -> Result<Vec<Fit>, Error> {
+pub(crate) fn fit(observations: &mut ObservationSet, runs: &Trajectories) -> Result<Vec<Fit>, Error> {
     let at_background = innovations(observations, runs, &runs.background)?;
     let at_analysis = innovations(observations, runs, &runs.analysis)?;
     let mut labels: Vec<&str> = Vec::new();
@@ -123,11 +63,11 @@ pub(crate) fn innovations(
     Ok(d)
 }
 
-/// Sentences about what does not fit.
-pub fn remarks(fit: &[Fit], analysis: &Analysis) -> Vec<String> {
+/// Remarks on what does not fit.
+pub(crate) fn remarks(fit: &[Fit], analysis: &Analysis) -> Vec<String> {
     let mut out = Vec::new();
     let m = analysis.observations as f64;
-    // At the minimum 2J is χ² with m degrees of freedom: 4 of its standard deviations, √(2/m) of 1 each.
+    // At the minimum 2J is χ² with m degrees of freedom: 4 of its standard deviations, each √(2/m).
     let spread = 4.0 * (2.0 / m).sqrt();
     if m > 0.0 && (analysis.chi2 - 1.0).abs() > spread {
         let why = if analysis.chi2 > 1.0 {
@@ -137,7 +77,7 @@ pub fn remarks(fit: &[Fit], analysis: &Analysis) -> Vec<String> {
         };
         out.push(format!("2J/m = {:.2} is not within 1 ± {spread:.2}: {why}", analysis.chi2));
     }
-    for f in fit.iter().filter(|f| f.count >= 10 && f.ratio > 1.5) {
+    for f in fit.iter().filter(|f| f.is_bad()) {
         out.push(format!(
             "{}: innovations after the analysis are {:.1} times their assumed σ ({:.3e}): this does not fit",
             f.label, f.ratio, f.sigma
@@ -146,53 +86,51 @@ pub fn remarks(fit: &[Fit], analysis: &Analysis) -> Vec<String> {
     out
 }
 
-/// What the analysis says about markers kept back, and about the time after the window.
+/// The errors of the analysis at markers that were kept back, and of its forecast after the window. Nothing for models
+/// that are not in space.
 ///
 /// # Errors
-/// [`Error::Rod`] where a state has no markers, [`Error::Model`] where the rod has no static equilibrium.
-pub fn beyond(
-    rod: &mut RodView,
-    window: &Window,
+/// [`Error::Assimilation`] where a marker has no place in a state, [`Error::Preparation`] where the rod has no static
+/// equilibrium.
+pub(crate) fn beyond(
+    problem: &Problem,
     runs: &Trajectories,
     model: &mut dyn Model,
 ) -> Result<(Vec<Withheld>, Vec<Forecast>), Error> {
-    let end = window.steps as f64;
-    let mut withheld = Vec::new();
-    let mut forecasts = Vec::new();
-    let later = rod.sightings.seen.iter().any(|s| s.at() > end);
-    let at_rest = if later {
-        let control = rod.parts.at_rest(window.time(window.steps))?;
+    let (mut withheld, mut forecasts) = (Vec::new(), Vec::new());
+    let (Some(rod), Some(space)) = (problem.system.rod(), &problem.observed.space) else {
+        return Ok((withheld, forecasts));
+    };
+    let grid = &problem.experiment.grid;
+    let end = grid.steps as f64;
+    let sights = problem.observed.sights();
+    let mut places = Places::of((space.make_places)()?);
+    let at_rest = if sights.iter().any(|s| s.at() > end) {
+        let control = rod.parts.at_rest(grid.time(grid.steps))?;
         let mut state = vec![0.0; model.dim()];
         model.initial_state(&control, &mut state)?;
         state
     } else {
         Vec::new()
     };
-    for (site, place) in rod.sightings.sites.clone().iter().enumerate() {
-        let seen: Vec<(f64, usize, f64, [f64; 3])> = rod
-            .sightings
-            .seen
-            .iter()
-            .filter(|s| s.site == site)
-            .filter_map(|s| s.position(&rod.sightings.rotation).map(|p| (s.at(), s.step, s.weight, p)))
-            .collect();
-        let inside: Vec<_> = seen.iter().filter(|s| s.0 <= end).copied().collect();
-        let after: Vec<_> = seen.iter().filter(|s| s.0 > end).copied().collect();
-        let mut miss = |states: &[f64], seen: &[(f64, usize, f64, [f64; 3])]| -> Result<Spread, Error> {
+    for (i, site) in problem.observed.sites.iter().enumerate() {
+        let (inside, after): (Vec<&Sight>, Vec<&Sight>) =
+            sights.iter().filter(|s| s.site == i).partition(|s| s.at() <= end);
+        let mut miss = |states: &[f64], seen: &[&Sight]| -> Result<MeanErrors, Error> {
             let mut errors = Vec::with_capacity(seen.len());
-            for &(_, k, w, p) in seen {
-                match place_at(rod, runs, states, site, k, w)? {
-                    Some(q) => errors.push(std::array::from_fn(|i| p[i] - q[i])),
+            for sight in seen {
+                match places.at(runs, states, sight)? {
+                    Some(q) => errors.push(std::array::from_fn(|c| sight.position[c] - q[c])),
                     // A run that ended early has no error; its warning says so.
-                    None => return Ok(Spread { rms: f64::NAN, moving: f64::NAN }),
+                    None => return Ok(MeanErrors { rms: f64::NAN, moving: f64::NAN }),
                 }
             }
-            Ok(Spread::of(&errors))
+            Ok(MeanErrors::of(&errors))
         };
-        if place.used == Use::Withhold && !inside.is_empty() {
+        if site.withheld && !inside.is_empty() {
             let analysis = miss(&runs.analysis, &inside)?;
             withheld.push(Withheld {
-                label: place.label.clone(),
+                label: site.label.clone(),
                 count: inside.len(),
                 rms_background: miss(&runs.background, &inside)?.rms,
                 rms_analysis: analysis.rms,
@@ -202,19 +140,19 @@ pub fn beyond(
         if !after.is_empty() {
             let analysis = miss(&runs.analysis, &after)?;
             let background = miss(&runs.background, &after)?;
-            let still = place_of(rod, &at_rest, site, window.steps)?;
+            let still = places.of_site(&at_rest, i, grid.steps)?;
             let constant = |q: &[f64; 3]| {
                 let errors: Vec<[f64; 3]> =
-                    after.iter().map(|s| std::array::from_fn(|i| s.3[i] - q[i])).collect();
-                Spread::of(&errors)
+                    after.iter().map(|s| std::array::from_fn(|c| s.position[c] - q[c])).collect();
+                MeanErrors::of(&errors)
             };
             forecasts.push(Forecast {
-                label: place.label.clone(),
-                assimilated: place.used == Use::Assimilate,
+                label: site.label.clone(),
+                assimilated: !site.withheld,
                 count: after.len(),
                 analysis: analysis.rms,
                 background: background.rms,
-                persistence: inside.last().map_or(f64::NAN, |s| constant(&s.3).rms),
+                persistence: inside.last().map_or(f64::NAN, |s| constant(&s.position).rms),
                 static_model: constant(&still).rms,
                 moving_analysis: analysis.moving,
                 moving_constant: constant(&still).moving,
@@ -224,45 +162,53 @@ pub fn beyond(
     Ok((withheld, forecasts))
 }
 
-/// Where a run has a site at step k + w; `None` where the run ended before.
-fn place_at(
-    rod: &mut RodView,
-    runs: &Trajectories,
-    states: &[f64],
-    site: usize,
-    k: usize,
-    w: f64,
-) -> Result<Option<[f64; 3]>, Error> {
-    let Some(x) = runs.state(states, k) else { return Ok(None) };
-    let p = place_of(rod, x, site, k)?;
-    if w == 0.0 {
-        return Ok(Some(p));
-    }
-    let Some(next) = runs.state(states, k + 1) else { return Ok(None) };
-    let q = place_of(rod, next, site, k + 1)?;
-    Ok(Some(std::array::from_fn(|i| (1.0 - w) * p[i] + w * q[i])))
+/// Places of all sites in the model's axes.
+struct Places {
+    operator: Box<dyn ObservationOperator>,
+    values: Vec<f64>,
 }
 
-fn place_of(rod: &mut RodView, state: &[f64], site: usize, k: usize) -> Result<[f64; 3], Error> {
-    let mut places = vec![0.0; 3 * rod.sightings.sites.len()];
-    rod.sites.places(k, state, &mut places)?;
-    Ok([places[3 * site], places[3 * site + 1], places[3 * site + 2]])
+impl Places {
+    fn of(operator: Box<dyn ObservationOperator>) -> Self {
+        Places { values: vec![0.0; operator.dim()], operator }
+    }
+
+    /// The place of a site in a state at step k.
+    fn of_site(&mut self, state: &[f64], site: usize, step: usize) -> Result<[f64; 3], Error> {
+        self.operator
+            .observe(step, state, &mut self.values)
+            .map_err(|reason| varda_assimilation::Error::Observe { operator: 0, step, reason })?;
+        Ok(std::array::from_fn(|c| self.values[3 * site + c]))
+    }
+
+    /// The place in a run where and when a site was seen; `None` where the run ended before.
+    fn at(&mut self, runs: &Trajectories, states: &[f64], sight: &Sight) -> Result<Option<[f64; 3]>, Error> {
+        let Sight { site, step: k, weight: w, .. } = *sight;
+        let Some(x) = runs.state(states, k) else { return Ok(None) };
+        let p = self.of_site(x, site, k)?;
+        if w == 0.0 {
+            return Ok(Some(p));
+        }
+        let Some(next) = runs.state(states, k + 1) else { return Ok(None) };
+        let q = self.of_site(next, site, k + 1)?;
+        Ok(Some(std::array::from_fn(|i| (1.0 - w) * p[i] + w * q[i])))
+    }
 }
 
 /// Root mean square of some error vectors, with their mean and without it.
-struct Spread {
+struct MeanErrors {
     rms: f64,
     moving: f64,
 }
 
-impl Spread {
-    fn of(errors: &[[f64; 3]]) -> Spread {
+impl MeanErrors {
+    fn of(errors: &[[f64; 3]]) -> MeanErrors {
         let n = errors.len() as f64;
         let mean: [f64; 3] = std::array::from_fn(|i| errors.iter().map(|e| e[i]).sum::<f64>() / n);
         let rms = |about: [f64; 3]| {
             let squares = errors.iter().flat_map(|e| (0..3).map(move |i| (e[i] - about[i]).powi(2)));
             (squares.sum::<f64>() / n).sqrt()
         };
-        Spread { rms: rms([0.0; 3]), moving: rms(mean) }
+        MeanErrors { rms: rms([0.0; 3]), moving: rms(mean) }
     }
 }

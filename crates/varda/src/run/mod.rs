@@ -1,7 +1,10 @@
-//! What is done with a problem: one window assimilated or simulated, many windows in turn, methods compared.
+//! What is done with a problem: one window assimilated or run forward, many windows in turn, methods compared.
 
-pub(crate) mod amplification;
+mod amplification;
 pub mod compare;
 pub mod cycles;
-pub mod fit;
+mod fit;
+mod shapes;
 pub mod window;
+
+pub use window::{Listener, assimilate, simulate};

@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
+use super::grid::TimeGrid;
+use super::invalid::Invalid;
 use super::place::Place;
 use super::sizes::{DATA_BYTES, SCENE_BYTES};
 use super::{Scene, schema_check, shipped, tree, validate};
@@ -86,7 +88,7 @@ impl SceneFile {
             folder: folder.map(Path::to_path_buf),
             places,
         };
-        validate::validate(&file.scene).map_err(|i| file.invalid(&i.path, i.message))?;
+        file.checked(validate::validate(&file.scene))?;
         Ok(file)
     }
 
@@ -95,29 +97,37 @@ impl SceneFile {
         Error::Scene { place: locate(&self.label, self.place(path)), message: message.into() }
     }
 
-    /// The text of a file that the key `path` names, and its name for messages.
+    /// What was read from the scene's keys, or the error that points at the key.
+    pub(crate) fn checked<T>(&self, read: Result<T, Invalid>) -> Result<T, Error> {
+        read.map_err(|i| self.invalid(&i.path, i.message))
+    }
+
+    /// The grid of time of the window.
     ///
     /// # Errors
-    /// [`Error::Read`], or [`Error::Scene`] where a shipped scene names a file that is not shipped.
-    pub fn read(&self, path: &str, file: &str) -> Result<(String, String), Error> {
+    /// [`Error::Scene`] where `[time]` does not say the length of a step.
+    pub fn grid(&self) -> Result<TimeGrid, Error> {
+        self.checked(TimeGrid::of(&self.scene))
+    }
+
+    /// Where the file that the key `path` names is.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] where a shipped scene names a file that is not shipped.
+    pub(crate) fn source(&self, path: &str, file: &str) -> Result<Source, Error> {
         let from_command_line = matches!(self.place(path), Some(Place::Set(_)));
         let full = match &self.folder {
             _ if from_command_line => PathBuf::from(file),
             Some(folder) => folder.join(file),
             None => {
                 return match shipped::data(file) {
-                    Some(text) => Ok((file.to_string(), text.to_string())),
+                    Some(text) => Ok(Source::Shipped { name: file.to_string(), text }),
                     None => Err(self
                         .invalid(path, format!("no file {file:?} is shipped; give one with --set {path}=…"))),
                 };
             }
         };
-        match read_text(&full, DATA_BYTES) {
-            Ok(text) => Ok((full.display().to_string(), text)),
-            Err(reason) => {
-                Err(Error::Read { place: locate(&self.label, self.place(path)), path: full, reason })
-            }
-        }
+        Ok(Source::File { place: locate(&self.label, self.place(path)), path: full })
     }
 
     fn place(&self, path: &str) -> Option<&Place> {
@@ -127,6 +137,37 @@ impl SceneFile {
                 (Some(place), _) => return Some(place),
                 (None, Some(dot)) => path = &path[..dot],
                 (None, None) => return None,
+            }
+        }
+    }
+}
+
+/// Where a data file is.
+pub(crate) enum Source {
+    /// In the program.
+    Shipped { name: String, text: &'static str },
+    /// In the file system; `place` is that of the key that names it.
+    File { place: String, path: PathBuf },
+}
+
+impl Source {
+    /// Its name in messages.
+    pub(crate) fn label(&self) -> String {
+        match self {
+            Source::Shipped { name, .. } => name.clone(),
+            Source::File { path, .. } => path.display().to_string(),
+        }
+    }
+
+    /// Its text.
+    ///
+    /// # Errors
+    /// [`Error::Read`].
+    pub(crate) fn read(self) -> Result<String, Error> {
+        match self {
+            Source::Shipped { text, .. } => Ok(text.to_string()),
+            Source::File { place, path } => {
+                read_text(&path, DATA_BYTES).map_err(|reason| Error::Read { place, path, reason })
             }
         }
     }

@@ -1,25 +1,38 @@
-//! A key of a scene that is wrong, and the refusal itself.
+//! A key of a scene that is wrong, and choices between two keys.
 
 /// What is wrong with which key (dotted path).
 #[derive(Debug)]
-pub(super) struct Invalid {
-    pub(super) path: String,
-    pub(super) message: String,
+pub(crate) struct Invalid {
+    pub(crate) path: String,
+    pub(crate) message: String,
 }
 
 pub(super) type Check = Result<(), Invalid>;
 
-pub(super) fn invalid(path: impl Into<String>, message: impl Into<String>) -> Check {
+pub(super) fn invalid<T>(path: impl Into<String>, message: impl Into<String>) -> Result<T, Invalid> {
     Err(Invalid { path: path.into(), message: message.into() })
 }
 
-/// Exactly one of two keys must be there.
-pub(super) fn one_of(section: &str, a: (&str, bool), b: (&str, bool)) -> Check {
-    match (a.1, b.1) {
-        (true, true) => {
-            invalid(format!("{section}.{}", b.0), format!("give `{}` or `{}`, not both", a.0, b.0))
+/// One of two alternatives.
+pub(crate) enum Either<A, B> {
+    /// The first key was given.
+    First(A),
+    /// The second key was given.
+    Second(B),
+}
+
+/// The one of two keys that is given; it is an error to give both or neither.
+pub(super) fn one_of<A, B>(
+    section: &str,
+    (first, a): (&str, Option<A>),
+    (second, b): (&str, Option<B>),
+) -> Result<Either<A, B>, Invalid> {
+    match (a, b) {
+        (Some(a), None) => Ok(Either::First(a)),
+        (None, Some(b)) => Ok(Either::Second(b)),
+        (Some(_), Some(_)) => {
+            invalid(format!("{section}.{second}"), format!("give `{first}` or `{second}`, not both"))
         }
-        (false, false) => invalid(section, format!("[{section}] needs `{}` or `{}`", a.0, b.0)),
-        _ => Ok(()),
+        (None, None) => invalid(section, format!("[{section}] needs `{first}` or `{second}`")),
     }
 }

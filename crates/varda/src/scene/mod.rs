@@ -12,14 +12,17 @@ mod background;
 mod cycles;
 mod ensemble;
 mod file;
+mod grid;
 mod invalid;
 mod limits;
 mod method;
 mod model;
 mod model_error;
 mod observations;
+mod parsed;
 mod place;
 mod schema_check;
+mod sequence;
 mod shipped;
 mod sizes;
 mod tree;
@@ -38,6 +41,8 @@ pub use background::{
 pub use cycles::{CycledCovariance, Cycles, EnsembleUpdate};
 pub use ensemble::Ensemble;
 pub use file::SceneFile;
+pub use grid::TimeGrid;
+pub(crate) use invalid::Invalid;
 pub use limits::{DEFAULT_MEMORY, Limits};
 pub use method::{Method, Minimizer};
 pub use model::{
@@ -46,6 +51,7 @@ pub use model::{
 };
 pub use model_error::ModelError;
 pub use observations::{Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, Use};
+pub(crate) use parsed::{BackgroundSource, ComponentCovariance, LineStep, Shear};
 pub use place::Place;
 pub use shipped::{SHIPPED, STARTER, Shipped};
 pub use sizes::{DATA_BYTES, NUMBERS, SCENE_BYTES, STEPS, VALUES};
@@ -92,37 +98,6 @@ impl Scene {
     pub fn schema() -> String {
         let schema = schemars::schema_for!(Scene);
         serde_json::to_string_pretty(&schema).expect("a schema is plain JSON")
-    }
-
-    /// The data files it names, each with the key that does.
-    pub fn files(&self) -> Vec<(String, String)> {
-        let mut files = Vec::new();
-        let mut add = |key: &str, name: &Option<String>| {
-            files.extend(name.iter().map(|name| (key.to_string(), name.clone())));
-        };
-        add("background.file", &self.background.file);
-        if let Observations::File(recording) = &self.observations {
-            add("observations.file", &recording.file);
-        }
-        if let Model::Rod(rod) = &self.model {
-            let table = |motion: &Option<Motion>| match motion {
-                Some(Motion::Table { file }) => Some(file.clone()),
-                _ => None,
-            };
-            for (key, clamp) in [("model.start", &rod.start), ("model.end", &rod.end)] {
-                let motion = clamp.as_ref().and_then(|c| table(&c.motion));
-                add(&format!("{key}.motion.file"), &motion);
-            }
-            for (i, p) in rod.prescribed.iter().enumerate() {
-                add(&format!("model.prescribed.{i}.motion.file"), &table(&p.motion));
-            }
-        }
-        files
-    }
-
-    /// The model is a rod: its control is in metres and metres per second.
-    pub fn model_is_rod(&self) -> bool {
-        matches!(self.model, Model::Rod(_))
     }
 }
 

@@ -35,14 +35,17 @@ impl Model {
 
     /// The line of a field along one.
     pub fn line(&self) -> Option<Line> {
-        let (points, length, fixed_ends) = match self {
-            Model::LinearAdvection(m) => (m.points, m.length, m.fixed_ends),
-            Model::Burgers(m) => (m.points, m.length, m.fixed_ends),
-            Model::Rod(_) | Model::Lorenz63(_) | Model::Lorenz96(_) => return None,
-        };
-        let ends = fixed_ends.map_or(Ends::Periodic, |[left, right]| Ends::Fixed { left, right });
-        Some(Line { points, length, ends })
+        match self {
+            Model::LinearAdvection(m) => Some(m.line()),
+            Model::Burgers(m) => Some(m.line()),
+            Model::Rod(_) | Model::Lorenz63(_) | Model::Lorenz96(_) => None,
+        }
     }
+}
+
+fn line(points: usize, length: f64, fixed_ends: Option<[f64; 2]>) -> Line {
+    let ends = fixed_ends.map_or(Ends::Periodic, |[left, right]| Ends::Fixed { left, right });
+    Line { points, length, ends }
 }
 
 /// ∂u/∂t + c ∂u/∂s = ν ∂²u/∂s² along a line of points at equal distances.
@@ -64,6 +67,13 @@ pub struct LinearAdvection {
     /// Diffusivity ν [m²/s].
     #[schemars(extend("minimum" = 0.0, "x-unit" = "m²/s"))]
     pub diffusivity: f64,
+}
+
+impl LinearAdvection {
+    /// Its line.
+    pub fn line(&self) -> Line {
+        line(self.points, self.length, self.fixed_ends)
+    }
 }
 
 impl Default for LinearAdvection {
@@ -89,6 +99,13 @@ pub struct Burgers {
     /// Viscosity ν [m²/s].
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m²/s"))]
     pub viscosity: f64,
+}
+
+impl Burgers {
+    /// Its line.
+    pub fn line(&self) -> Line {
+        line(self.points, self.length, self.fixed_ends)
+    }
 }
 
 impl Default for Burgers {
@@ -191,15 +208,6 @@ impl RodModel {
         match self.start.as_ref()?.motion {
             Some(Motion::Ellipse { omega, .. }) => Some(omega),
             _ => None,
-        }
-    }
-
-    /// Rest length of every segment [m].
-    pub(crate) fn rest_lengths(&self) -> Vec<f64> {
-        match (&self.segment_lengths, self.length, self.segments) {
-            (Some(lengths), _, _) => lengths.clone(),
-            (None, Some(length), Some(n)) => vec![length / n as f64; n],
-            _ => Vec::new(),
         }
     }
 }

@@ -2,6 +2,7 @@
 //!
 //! Bounds of single keys stand in the schema (`maximum`); here are those of files and of what several keys ask for together.
 
+use super::grid::TimeGrid;
 use super::invalid::{Check, invalid};
 use super::{Observations, Scene};
 
@@ -14,8 +15,8 @@ pub const DATA_BYTES: u64 = 1 << 28;
 /// Most steps of a window, of a spin-up, of a forecast, of a sequence of windows.
 pub const STEPS: usize = 10_000_000;
 
-/// Most numbers in the states of one run (steps × state), or of an ensemble's runs together. What else a run takes is held against
-/// `[limits] memory` ([`memory`](crate::setup::memory)).
+/// Most numbers in the states of one run (steps × state), or of an ensemble's runs together. What else a run takes is
+/// compared with `[limits] memory` before it begins.
 pub const NUMBERS: usize = 1_000_000_000;
 
 /// Most observed values.
@@ -30,7 +31,7 @@ pub(super) fn validate_sizes(scene: &Scene) -> Check {
     let time = &scene.time;
     let state = match &scene.model {
         // Three coordinates and velocities a vertex and an angle an edge.
-        super::Model::Rod(rod) => 7 * (rod.rest_lengths().len() + 1),
+        super::Model::Rod(rod) => 7 * (rod.rest_lengths()?.len() + 1),
         model => model.components().unwrap_or(0),
     };
     let cycles = scene.algorithm.cycles.as_ref();
@@ -41,7 +42,7 @@ pub(super) fn validate_sizes(scene: &Scene) -> Check {
     if steps > STEPS {
         return invalid(key, format!("{steps} steps in all: at most {STEPS} can be run"));
     }
-    let forecast = scene.report.forecast / crate::setup::problem::window(scene).step;
+    let forecast = scene.report.forecast / TimeGrid::of(scene)?.step;
     if !(forecast <= STEPS as f64) {
         let message = format!("a forecast of {forecast:.3e} steps: at most {STEPS} can be run");
         return invalid("report.forecast", message);

@@ -2,14 +2,15 @@
 
 use varda_implicit::line::Line;
 
-use super::invalid::{Check, invalid, one_of};
+use super::grid::TimeGrid;
+use super::invalid::{Check, invalid};
 use super::sizes::validate_sizes;
 use super::validate_algorithm::validate_algorithm;
 use super::validate_covariance::validate_covariance;
 use super::validate_cycles::validate_cycles;
-use super::validate_observations::{validate_recording, validate_synthetic};
+use super::validate_observations::{validate_components, validate_places, validate_recording};
 use super::validate_rod::validate_rod;
-use super::{Background, Integrator, Model, Observations, Origin, RodModel, Scene};
+use super::{Background, Integrator, Model, Observations, Scene};
 
 pub(super) fn validate(scene: &Scene) -> Check {
     let rod = match &scene.model {
@@ -19,31 +20,16 @@ pub(super) fn validate(scene: &Scene) -> Check {
     if let Some(rod) = rod {
         validate_rod(rod)?;
     }
-    let (what, integrators): (_, &[Integrator]) = match &scene.model {
-        Model::Rod(_) => ("rods are", &[Integrator::BackwardEuler, Integrator::Midpoint, Integrator::Bdf2]),
-        Model::Lorenz63(_) | Model::Lorenz96(_) => ("Lorenz models are", &[Integrator::Rk4]),
-        Model::LinearAdvection(_) | Model::Burgers(_) => {
-            ("fields along a line are", &[Integrator::BackwardEuler, Integrator::Midpoint, Integrator::Rk4])
-        }
-    };
-    if !integrators.contains(&scene.time.integrator) {
-        let names: Vec<String> = integrators.iter().map(|i| format!("{:?}", i.name())).collect();
-        return invalid("time.integrator", format!("{what} integrated with {}", names.join(" or ")));
+    let integrator = scene.time.integrator;
+    match &scene.model {
+        Model::Rod(_) => integrator.of_rod().map(|_| ())?,
+        Model::Lorenz63(_) | Model::Lorenz96(_) => integrator.of_lorenz()?,
+        Model::LinearAdvection(_) | Model::Burgers(_) => integrator.of_line().map(|_| ())?,
     }
     if rod.is_none() && scene.time.tolerance.is_some() {
-        return invalid("time.tolerance", "steps are divided by their error for rods only");
+        return invalid("time.tolerance", "time steps are adapted to their error for rods only");
     }
-    one_of(
-        "time",
-        ("step", scene.time.step.is_some()),
-        ("steps_per_period", scene.time.steps_per_period.is_some()),
-    )?;
-    if scene.time.steps_per_period.is_some() && rod.and_then(RodModel::drive_frequency).is_none() {
-        return invalid(
-            "time.steps_per_period",
-            "a period is that of the drive [model.start.motion] kind = \"ellipse\", which is not there",
-        );
-    }
+    TimeGrid::of(scene)?;
     if let (Some(line), Some(step)) = (scene.model.line(), scene.time.step) {
         validate_line(&scene.model, &line, scene.time.integrator, step)?;
     }
@@ -59,11 +45,12 @@ pub(super) fn validate(scene: &Scene) -> Check {
         }
     }
     validate_background(&scene.background, &scene.model)?;
-    match &scene.observations {
-        Observations::Synthetic(s) => validate_synthetic(s, scene, rod)?,
-        Observations::File(f) => validate_recording(f, rod)?,
+    match (&scene.observations, rod) {
+        (Observations::File(recording), Some(rod)) => validate_recording(recording, rod)?,
+        (Observations::Synthetic(keys), Some(rod)) => validate_places(keys, scene, rod)?,
+        (observations, None) => validate_components(observations.of_components()?, scene)?,
     }
-    scene.limits.bytes().or_else(|message| invalid("limits.memory", message).map(|()| 0))?;
+    scene.limits.bytes().or_else(|message| invalid("limits.memory", message))?;
     validate_algorithm(scene)?;
     if let Some(cycles) = &scene.algorithm.cycles {
         validate_cycles(cycles, scene)?;
@@ -72,15 +59,9 @@ pub(super) fn validate(scene: &Scene) -> Check {
 }
 
 fn validate_background(background: &Background, model: &Model) -> Check {
-    match (&background.file, background.from) {
-        (None, Origin::File) => return invalid("background", "from = \"file\" needs the key `file`"),
-        (Some(_), Origin::TruthPlusDraw | Origin::StaticEquilibrium) => {
-            return invalid("background.file", "a file is read only with from = \"file\"");
-        }
-        _ => {}
-    }
-    if background.from == Origin::StaticEquilibrium && !matches!(model, Model::Rod(_)) {
-        return invalid("background.from", "only rods have a static equilibrium");
+    background.source()?;
+    if !matches!(model, Model::Rod(_)) {
+        background.file_of_components()?;
     }
     validate_covariance(&background.covariance, "background.covariance", model)
 }

@@ -3,7 +3,7 @@
 
 use super::invalid::{Check, invalid};
 use super::validate_covariance::validate_covariance;
-use super::{Algorithm, Ensemble, Method, Minimizer, Model, ModelError, Observations, Root, Scene, Taper};
+use super::{Algorithm, Ensemble, Method, Minimizer, Model, ModelError, Observations, Root, Scene};
 
 pub(super) fn validate_algorithm(scene: &Scene) -> Check {
     let algorithm = &scene.algorithm;
@@ -151,17 +151,11 @@ fn validate_ensemble(ensemble: &Ensemble, method: Method, model: &Model) -> Chec
     if ensemble.weights() == [0.0, 0.0] {
         return invalid(format!("{path}.static_weight"), "both weights are 0: nothing is left of B");
     }
-    match (ensemble.localization_length, ensemble.taper) {
-        (Some(_), Some(Taper::None)) => {
-            invalid(format!("{path}.localization_length"), "there is no taper to use it")
-        }
-        (None, Some(Taper::Triangle | Taper::GaspariCohn)) => {
-            invalid(format!("{path}.taper"), "a taper needs `localization_length`")
-        }
-        (Some(_), _) if matches!(model, Model::Lorenz63(_)) => invalid(
+    if ensemble.localization()?.is_some() && matches!(model, Model::Lorenz63(_)) {
+        return invalid(
             format!("{path}.localization_length"),
             "the three variables of lorenz63 have no distances: leave it out",
-        ),
-        _ => Ok(()),
+        );
     }
+    Ok(())
 }

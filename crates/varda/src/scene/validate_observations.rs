@@ -1,13 +1,44 @@
 //! What `[observations]` must satisfy beyond the type of each key.
 
-use super::invalid::{Check, invalid, one_of};
+use super::invalid::{Check, invalid};
 use super::validate_rod::on_rod;
 use super::{Frame, Origin, Recording, RodModel, Scene, Synthetic};
 
-pub(super) fn validate_synthetic(s: &Synthetic, scene: &Scene, rod: Option<&RodModel>) -> Check {
+/// Observations of a twin experiment with a rod.
+pub(super) fn validate_places(s: &Synthetic, scene: &Scene, rod: &RodModel) -> Check {
+    s.sigma()?;
+    validate_times(s, scene)?;
+    let length = rod.rest_lengths()?.iter().sum();
+    if s.places.is_empty() {
+        return invalid("observations", "a rod needs `places`, the observed arc lengths [m]");
+    }
+    if !s.components.is_empty() {
+        return invalid("observations.components", "a rod is observed at `places` (arc lengths)");
+    }
+    s.places.iter().enumerate().try_for_each(|(i, s)| on_rod(&format!("observations.places.{i}"), *s, length))
+}
+
+/// Observations of a twin experiment with another model.
+pub(super) fn validate_components(s: &Synthetic, scene: &Scene) -> Check {
+    s.sigma()?;
+    validate_times(s, scene)?;
+    if !s.places.is_empty() {
+        return invalid("observations.places", "this model is observed in `components`");
+    }
+    s.component_sigma()?;
+    let n = scene.model.components().unwrap_or(0);
+    match s.components.iter().position(|c| *c >= n) {
+        Some(i) => {
+            let message = format!("the model has components 0 to {}", n - 1);
+            invalid(format!("observations.components.{i}"), message)
+        }
+        None => Ok(()),
+    }
+}
+
+fn validate_times(s: &Synthetic, scene: &Scene) -> Check {
     let section = "observations";
-    one_of(section, ("every", s.every.is_some()), ("steps", s.steps.is_some()))?;
-    one_of(section, ("sigma", s.sigma.is_some()), ("sigma_over_length", s.sigma_over_length.is_some()))?;
+    s.observed_steps(scene.time.window)?;
     if scene.background.from != Origin::TruthPlusDraw {
         return invalid(
             section,
@@ -27,53 +58,12 @@ pub(super) fn validate_synthetic(s: &Synthetic, scene: &Scene, rod: Option<&RodM
             format!("no observation falls in the window, which has {window} steps"),
         );
     }
-    match rod {
-        Some(rod) => {
-            let length = rod.rest_lengths().iter().sum();
-            if s.places.is_empty() {
-                return invalid(section, "a rod needs `places`, the observed arc lengths [m]");
-            }
-            if !s.components.is_empty() {
-                return invalid(
-                    format!("{section}.components"),
-                    "a rod is observed at `places` (arc lengths)",
-                );
-            }
-            s.places
-                .iter()
-                .enumerate()
-                .try_for_each(|(i, s)| on_rod(&format!("{section}.places.{i}"), *s, length))
-        }
-        None => {
-            let n = scene.model.components().unwrap_or(0);
-            if !s.places.is_empty() {
-                return invalid(format!("{section}.places"), "this model is observed in `components`");
-            }
-            if s.sigma_over_length.is_some() {
-                return invalid(
-                    format!("{section}.sigma_over_length"),
-                    "this model has no length; give `sigma`",
-                );
-            }
-            match s.components.iter().position(|c| *c >= n) {
-                Some(i) => invalid(
-                    format!("{section}.components.{i}"),
-                    format!("the model has components 0 to {}", n - 1),
-                ),
-                None => Ok(()),
-            }
-        }
-    }
+    Ok(())
 }
 
-pub(super) fn validate_recording(f: &Recording, rod: Option<&RodModel>) -> Check {
-    let Some(rod) = rod else {
-        return invalid(
-            "observations.kind",
-            "observations are read from a file for rods only; take kind = \"synthetic\"",
-        );
-    };
-    let length = rod.rest_lengths().iter().sum();
+/// Observations of a rod read from a file.
+pub(super) fn validate_recording(f: &Recording, rod: &RodModel) -> Check {
+    let length = rod.rest_lengths()?.iter().sum();
     for (i, marker) in f.markers.iter().enumerate() {
         on_rod(&format!("observations.markers.{i}.arc_length"), marker.arc_length, length)?;
         if f.markers[..i].iter().any(|m| m.name == marker.name) || f.ignore.contains(&marker.name) {

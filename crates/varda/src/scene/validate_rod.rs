@@ -1,20 +1,10 @@
 //! What `[model]` of a rod must satisfy beyond the type of each key.
 
-use super::invalid::{Check, invalid, one_of};
+use super::invalid::{Check, invalid};
 use super::{Clamp, RodModel, Section};
 
 pub(super) fn validate_rod(rod: &RodModel) -> Check {
-    one_of("model", ("segment_lengths", rod.segment_lengths.is_some()), ("length", rod.length.is_some()))?;
-    if rod.length.is_some() != rod.segments.is_some() {
-        return invalid("model", "`length` and `segments` go together");
-    }
-    if let Some(i) = rod.segment_lengths.as_ref().and_then(|l| l.iter().position(|v| !(*v > 0.0))) {
-        return invalid(format!("model.segment_lengths.{i}"), "a segment must be longer than 0 [m]");
-    }
-    let lengths = rod.rest_lengths();
-    if lengths.len() < 2 {
-        return invalid("model.segment_lengths", "a rod needs at least 2 segments");
-    }
+    let lengths = rod.rest_lengths()?;
     let total: f64 = lengths.iter().sum();
     let (thickest, key) = match &rod.section {
         Section::Circle { radius } => (*radius, "radius"),
@@ -31,25 +21,15 @@ pub(super) fn validate_rod(rod: &RodModel) -> Check {
             ),
         );
     }
-    match (&rod.material, &rod.section) {
-        (None, Section::Stiffness { .. }) => {}
-        (Some(_), Section::Stiffness { .. }) => {
-            return invalid(
-                "model.material",
-                "the section gives its stiffnesses and mass directly; leave [model.material] out",
-            );
+    match &rod.section {
+        Section::Circle { .. } | Section::Ellipse { .. } | Section::Rectangle { .. } => {
+            rod.solid_material()?;
         }
-        (None, _) => {
-            return invalid(
-                "model",
-                "[model.material] is missing: the section needs youngs_modulus, density and poisson_ratio or shear_modulus",
-            );
+        Section::Stiffness { .. } if rod.material.is_some() => {
+            let message = "the section gives its stiffnesses and mass directly; leave [model.material] out";
+            return invalid("model.material", message);
         }
-        (Some(m), _) => one_of(
-            "model.material",
-            ("poisson_ratio", m.poisson_ratio.is_some()),
-            ("shear_modulus", m.shear_modulus.is_some()),
-        )?,
+        Section::Stiffness { .. } => {}
     }
     for (clamp, path) in [(&rod.start, "model.start"), (&rod.end, "model.end")] {
         if let Some(clamp) = clamp {

@@ -53,7 +53,7 @@ pub fn covariance(
 #[cfg(test)]
 mod tests {
     use super::covariance;
-    use crate::setup::problem::run_states;
+    use crate::setup::runs::run_states;
     use varda_implicit::{Rk4, lorenz::Lorenz63};
 
     #[test]

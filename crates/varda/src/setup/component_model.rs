@@ -2,29 +2,81 @@
 
 use std::f64::consts::TAU;
 
+use varda_implicit::Model;
 use varda_implicit::line::{Ends, Line, Transport};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
-use varda_implicit::{Model, Scheme};
 
-use crate::scene::{self, Integrator, Scene};
+use crate::scene::LineStep;
 
-/// Newton's method ends at an update of this part of the field's size.
+/// Newton's method ends at an update of this fraction of the field's size.
 const TOLERANCE: f64 = 1e-11;
 
-/// The state the truth starts from: the scene's, or one that is usual for the model.
-pub(crate) fn start(scene: &Scene) -> Vec<f64> {
-    if let Some(truth) = &scene.truth {
-        return truth.state.clone();
-    }
-    match (&scene.model, scene.model.line()) {
-        (scene::Model::Lorenz96(m), _) => {
-            // Lorenz's own start: the unstable equilibrium, one component a little off.
-            let mut x = vec![m.forcing; m.variables];
-            x[m.variables / 2] += 0.008;
-            x
+/// The equation of a model and how it is stepped.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Equation {
+    /// Lorenz's three equations.
+    Lorenz63(Lorenz63),
+    /// Lorenz's ring.
+    Lorenz96 { variables: usize, forcing: f64 },
+    /// A field along a line.
+    AlongLine { line: Line, transport: Transport, step: LineStep },
+}
+
+impl Equation {
+    /// Length of the state.
+    pub(crate) fn dim(&self) -> usize {
+        match self {
+            Equation::Lorenz63(_) => 3,
+            Equation::Lorenz96 { variables, .. } => *variables,
+            Equation::AlongLine { line, .. } => line.points,
         }
-        (_, Some(line)) => (0..line.points).map(|i| hump(&line, line.position(i))).collect(),
-        (_, None) => vec![1.508870, -1.531271, 25.46091],
+    }
+
+    /// The line of a field along one.
+    pub(crate) fn line(&self) -> Option<Line> {
+        match self {
+            Equation::AlongLine { line, .. } => Some(*line),
+            Equation::Lorenz63(_) | Equation::Lorenz96 { .. } => None,
+        }
+    }
+
+    /// Whether its steps are explicit.
+    pub(crate) fn is_explicit(&self) -> bool {
+        !matches!(self, Equation::AlongLine { step: LineStep::Implicit(_), .. })
+    }
+
+    /// The state that is usual for the model at its time 0.
+    pub(crate) fn start(&self) -> Vec<f64> {
+        match self {
+            Equation::Lorenz63(_) => vec![1.508870, -1.531271, 25.46091],
+            Equation::Lorenz96 { variables, forcing } => {
+                // Lorenz's own start: the unstable equilibrium, one component a little off.
+                let mut x = vec![*forcing; *variables];
+                x[variables / 2] += 0.008;
+                x
+            }
+            Equation::AlongLine { line, .. } => {
+                (0..line.points).map(|i| hump(line, line.position(i))).collect()
+            }
+        }
+    }
+
+    /// Makes the model, its step 0 being step `first` of the model's time; `start` is a state of usual size.
+    pub(crate) fn factory(
+        self,
+        start: &[f64],
+        length: f64,
+    ) -> impl Fn(usize) -> Box<dyn Model + Send> + 'static {
+        let size = start.iter().fold(0.0_f64, |size, u| size.max(u.abs()));
+        let tolerance = TOLERANCE * if size > 0.0 { size } else { 1.0 };
+        move |first| match self {
+            Equation::Lorenz63(equation) => equation.rk4(first, length),
+            Equation::Lorenz96 { variables, forcing } => Lorenz96::new(variables, forcing).rk4(first, length),
+            Equation::AlongLine { transport, step: LineStep::Rk4, .. } => transport.rk4(first, length),
+            Equation::AlongLine { transport, step: LineStep::Implicit(scheme), .. } => {
+                transport.implicit(scheme, tolerance, first, length)
+            }
+        }
     }
 }
 
@@ -34,44 +86,5 @@ fn hump(line: &Line, s: f64) -> f64 {
     match line.ends {
         Ends::Periodic => 0.5 + 0.5 * turn.sin() + 0.2 * (3.0 * turn + 1.0).cos(),
         Ends::Fixed { left, right } => left + (right - left) * s / line.length + (0.5 * turn).sin(),
-    }
-}
-
-/// Makes the model of a scene, its step 0 being step `first` of the model's time.
-pub(crate) fn factory(
-    scene: &Scene,
-    start: &[f64],
-    step: f64,
-) -> impl Fn(usize) -> Box<dyn Model + Send> + 'static {
-    let (model, integrator) = (scene.model.clone(), scene.time.integrator);
-    let size = start.iter().fold(0.0_f64, |size, u| size.max(u.abs()));
-    let tolerance = TOLERANCE * if size > 0.0 { size } else { 1.0 };
-    move |first| match (&model, model.line()) {
-        (scene::Model::Lorenz96(m), _) => Lorenz96::new(m.variables, m.forcing).rk4(first, step),
-        (scene::Model::Lorenz63(m), _) => {
-            Lorenz63 { sigma: m.sigma, rho: m.rho, beta: m.beta }.rk4(first, step)
-        }
-        (scene::Model::LinearAdvection(m), Some(line)) => {
-            let rhs = Transport::advection_diffusion(line, m.speed, m.diffusivity);
-            stepped(rhs, integrator, tolerance, first, step)
-        }
-        (scene::Model::Burgers(m), Some(line)) => {
-            stepped(Transport::burgers(line, m.viscosity), integrator, tolerance, first, step)
-        }
-        _ => unreachable!("rods have their own problem"),
-    }
-}
-
-fn stepped(
-    equation: Transport,
-    integrator: Integrator,
-    tolerance: f64,
-    first: usize,
-    step: f64,
-) -> Box<dyn Model + Send> {
-    match integrator {
-        Integrator::BackwardEuler => equation.implicit(Scheme::BackwardEuler, tolerance, first, step),
-        Integrator::Midpoint => equation.implicit(Scheme::Midpoint, tolerance, first, step),
-        _ => equation.rk4(first, step),
     }
 }

@@ -36,25 +36,13 @@ impl AsRef<dyn Covariance> for Factored {
     }
 }
 
-/// The covariance the key `path` of a scene describes, of a state of `n` components (on `line`, for a field along one).
+/// Independent errors of one σ in `n` components.
 ///
 /// # Errors
 /// [`Error::Scene`].
-pub fn of_components(
-    file: &SceneFile,
-    path: &str,
-    covariance: &scene::Covariance,
-    n: usize,
-    line: Option<&Line>,
-) -> Result<Factored, Error> {
-    match (covariance, line) {
-        (scene::Covariance::Diagonal(d), _) => {
-            let c = Diagonal::uniform(n, d.sigma).map_err(|e| file.invalid(path, e.to_string()))?;
-            Ok(Factored::Full(Box::new(c)))
-        }
-        (scene::Covariance::Line(k), Some(line)) => along_line(file, path, k, line),
-        _ => Err(file.invalid(&format!("{path}.kind"), "not a covariance of this model")),
-    }
+pub(crate) fn diagonal(file: &SceneFile, path: &str, n: usize, sigma: f64) -> Result<Factored, Error> {
+    let c = Diagonal::uniform(n, sigma).map_err(|e| file.invalid(path, e.to_string()))?;
+    Ok(Factored::Full(Box::new(c)))
 }
 
 /// `scale` × a symmetric n × n matrix, by rows.
@@ -77,8 +65,17 @@ pub fn line_distance(line: &Line, i: usize, j: usize) -> f64 {
     }
 }
 
-fn along_line(file: &SceneFile, path: &str, k: &LineCovariance, line: &Line) -> Result<Factored, Error> {
-    let (kernel, taper) = (kernel(k.kernel, k.correlation_length), taper(k.taper, k.localization_length));
+/// A kernel times a taper of the distance along a line.
+///
+/// # Errors
+/// [`Error::Scene`] where it has no root of the kind asked for.
+pub(crate) fn along_line(
+    file: &SceneFile,
+    path: &str,
+    k: &LineCovariance,
+    line: &Line,
+) -> Result<Factored, Error> {
+    let (kernel, taper) = (kernel(k.kernel, k.correlation_length), file.checked(k.taper(path))?);
     let n = line.points;
     let mut matrix = vec![0.0; n * n];
     for i in 0..n {
@@ -110,10 +107,10 @@ pub fn localized(
     path: &str,
     k: &KernelCovariance,
     places: &Places,
-    sigmas: (f64, f64),
+    sigmas: [f64; 2],
 ) -> Result<Factored, Error> {
     let n = places.free.len();
-    let taper = taper(k.taper, k.localization_length);
+    let taper = file.checked(k.taper(path))?;
     Ok(match k.root {
         Root::Cholesky => {
             let root = |matrix: &[f64]| cholesky(file, path, n, matrix);
@@ -136,7 +133,7 @@ pub fn unlocalized(
     path: &str,
     k: &KernelCovariance,
     places: &Places,
-    sigmas: (f64, f64),
+    sigmas: [f64; 2],
 ) -> Result<Box<dyn Covariance>, Error> {
     let root = |matrix: &[f64]| truncated(file, path, places.free.len(), matrix, 1e-14);
     Ok(Box::new(blocks(file, path, k, places, sigmas, Taper::None, root)?))
@@ -147,7 +144,7 @@ fn blocks<C: Covariance>(
     path: &str,
     k: &KernelCovariance,
     places: &Places,
-    (sigma_x, sigma_v): (f64, f64),
+    [sigma_x, sigma_v]: [f64; 2],
     taper: Taper,
     root: impl Fn(&[f64]) -> Result<C, Error>,
 ) -> Result<BlockDiagonal<Interleaved<C>>, Error> {
@@ -186,15 +183,5 @@ fn kernel(kernel: scene::Kernel, length: f64) -> Kernel {
         scene::Kernel::Matern12 => Kernel::Matern12 { length },
         scene::Kernel::Matern32 => Kernel::Matern32 { length },
         scene::Kernel::Matern52 => Kernel::Matern52 { length },
-    }
-}
-
-/// A taper; `length` has been validated to be there where one is needed.
-pub(crate) fn taper(taper: scene::Taper, length: Option<f64>) -> Taper {
-    let support = length.unwrap_or(f64::INFINITY);
-    match taper {
-        scene::Taper::Triangle => Taper::Triangle { support },
-        scene::Taper::GaspariCohn => Taper::GaspariCohn { support },
-        scene::Taper::None => Taper::None,
     }
 }

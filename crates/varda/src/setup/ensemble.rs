@@ -6,7 +6,7 @@ use varda_implicit::line::Line;
 
 use crate::Error;
 use crate::scene::{self, SceneFile};
-use crate::setup::covariance::{line_distance, taper};
+use crate::setup::covariance::line_distance;
 use crate::setup::random::{Stream, stream};
 
 /// Eigenvalues of a localization below this fraction of the largest are left out: its rank is a factor of the control's length.
@@ -14,7 +14,7 @@ const TRUNCATION: f64 = 0.01;
 
 /// Where the components of a control are.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Geometry {
+pub enum ComponentPositions {
     /// Nowhere: lorenz63's three variables.
     Nowhere,
     /// On a ring of n, a distance of 1 apart.
@@ -25,22 +25,15 @@ pub enum Geometry {
     Rod(Vec<f64>),
 }
 
-impl Geometry {
+impl ComponentPositions {
     /// Distance of components i and j of the control.
     fn distance(&self, i: usize, j: usize) -> f64 {
         match self {
-            Geometry::Nowhere => 0.0,
-            Geometry::Ring(n) => i.abs_diff(j).min(n - i.abs_diff(j)) as f64,
-            Geometry::Line(line) => line_distance(line, i, j),
-            Geometry::Rod(s) => (s[(i / 3) % s.len()] - s[(j / 3) % s.len()]).abs(),
+            ComponentPositions::Nowhere => 0.0,
+            ComponentPositions::Ring(n) => i.abs_diff(j).min(n - i.abs_diff(j)) as f64,
+            ComponentPositions::Line(line) => line_distance(line, i, j),
+            ComponentPositions::Rod(s) => (s[(i / 3) % s.len()] - s[(j / 3) % s.len()]).abs(),
         }
-    }
-
-    /// The component of the control nearest to arc length s of a rod.
-    pub(crate) fn nearest(&self, s: f64) -> usize {
-        let Geometry::Rod(places) = self else { return 0 };
-        let off = |i: &usize| (places[*i] - s).abs();
-        3 * (0..places.len()).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0)
     }
 }
 
@@ -53,18 +46,14 @@ pub fn draw(
     ensemble: &scene::Ensemble,
     background: &[f64],
     covariance: &dyn Covariance,
-    geometry: &Geometry,
+    positions: &ComponentPositions,
 ) -> Result<Ensemble, Error> {
     let n = background.len();
     let path = "algorithm.ensemble.localization_length";
-    let localization = match ensemble.localization_length {
+    let localization = match file.checked(ensemble.localization())? {
         None => Localization::none(n),
-        Some(_) => {
-            let shape = ensemble.taper.unwrap_or(scene::Taper::GaspariCohn);
-            let taper = taper(shape, ensemble.localization_length);
-            Localization::by_distance(taper, n, |i, j| geometry.distance(i, j), TRUNCATION)
-                .map_err(|e| file.invalid(path, e.to_string()))?
-        }
+        Some(taper) => Localization::by_distance(taper, n, |i, j| positions.distance(i, j), TRUNCATION)
+            .map_err(|e| file.invalid(path, e.to_string()))?,
     };
     let mut rng = stream(file.scene.seed, Stream::Ensemble);
     let mut members = Vec::with_capacity(ensemble.members * n);

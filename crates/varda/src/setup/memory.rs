@@ -1,17 +1,15 @@
-//! The memory a run takes, counted before anything is built: what `varda check` prints, and `[limits] memory` is held against.
+//! The memory a run takes, counted before anything is built: `varda check` prints it, and it must be below
+//! `[limits] memory`.
 //!
-//! Counted is what grows with a scene: B and Q with what building them takes, dense Hessians and Jacobians, states and linearizations of a
-//! window, the members of an ensemble, trajectories and their tables. The program itself is some ten megabytes more.
+//! Counted is what grows with a scene: B and Q with what building them takes, dense Hessians and Jacobians, states
+//! and linearizations of a window, the members of an ensemble, trajectories and their tables. The program itself
+//! takes some ten megabytes more.
 
-use varda_implicit::{Footprint, ImplicitStep, Storage, Structure};
-use varda_rod::RodStep;
+use varda_implicit::{Footprint, Storage};
 
+use super::inputs::Inputs;
 use crate::Error;
-use crate::run::cycles::whole;
-use crate::scene::{Covariance, CycledCovariance, Integrator, Method, Minimizer, Model, Observations, Root};
-use crate::scene::{Origin, Scene, SceneFile};
-use crate::setup::problem::{observed_steps, sightings, window};
-use crate::setup::rod_model::RodParts;
+use crate::scene::{Covariance, CycledCovariance, Method, Minimizer, Origin, Root, Scene, SceneFile};
 
 /// Bytes of a number.
 const NUMBER: usize = size_of::<f64>();
@@ -32,8 +30,10 @@ pub struct Sizes {
     pub times: usize,
     /// What the model keeps of the linearization of a step.
     pub kept: usize,
-    /// Steps of a window (of the model; more than the window has where steps are divided).
+    /// Steps of a window.
     pub steps: usize,
+    /// Steps of all windows and of the forecast.
+    pub shown: usize,
 }
 
 /// Bytes a run takes.
@@ -142,7 +142,7 @@ impl Memory {
             other += 2 * ensemble.members * (m + n);
         }
         // Background, analysis and truth, and the table of their states.
-        let shown = whole_steps(scene) + window(scene).forecast + 1;
+        let shown = sizes.shown + 1;
         let tables = shown.saturating_mul(sizes.state).saturating_mul(3 * (NUMBER + TEXT));
         let footprint = footprint(scene, sizes);
         Memory {
@@ -158,64 +158,21 @@ impl Memory {
 }
 
 impl Sizes {
-    /// Of a scene, from its keys and files; steps that `time.tolerance` divides count as one part.
-    ///
-    /// # Errors
-    /// Those of what it reads.
-    pub fn of(file: &SceneFile) -> Result<Sizes, Error> {
-        let steps = file.scene.time.window;
-        let file = &whole(file);
-        let scene = &file.scene;
-        let window = window(scene);
-        let synthetic_times = match &scene.observations {
-            Observations::Synthetic(s) => observed_steps(s, &window).len(),
-            Observations::File(_) => 0,
-        };
-        match &scene.model {
-            Model::Rod(rod) => {
-                let parts = RodParts::from_scene(file, rod)?;
-                let dynamics = parts.dynamics()?;
-                let sightings = sightings(file, parts.rod.length(), &window)?;
-                let (values, times) = match &scene.observations {
-                    Observations::Synthetic(s) => (3 * s.places.len() * synthetic_times, synthetic_times),
-                    Observations::File(_) => {
-                        let used = sightings.assimilated(&window);
-                        let mut times: Vec<f64> = used.iter().map(|o| o.step as f64 + o.weight).collect();
-                        times.sort_by(f64::total_cmp);
-                        times.dedup();
-                        (used.iter().map(|o| o.rows.len()).sum(), times.len())
-                    }
-                };
-                let [state, control, kept] = [dynamics.dim(), dynamics.control_len(), kept_of_rod(&dynamics)];
-                Ok(Sizes { state, control, values, times, kept, steps })
-            }
-            model => {
-                let n = model.components().unwrap_or(0);
-                let rows = match &scene.observations {
-                    Observations::Synthetic(s) if s.components.is_empty() => n,
-                    Observations::Synthetic(s) => s.components.len(),
-                    Observations::File(_) => 0,
-                };
-                let kept = match scene.time.integrator {
-                    Integrator::Rk4 => 4 * n,
-                    // The states and a factor of about six numbers a row: bands, and circles with little fill.
-                    _ => 8 * n,
-                };
-                let (values, times) = (rows * synthetic_times, synthetic_times);
-                Ok(Sizes { state: n, control: n, values, times, kept, steps })
-            }
+    /// The sizes of a scene that has been read; adaptive time steps count as if none were divided.
+    pub fn of(inputs: &Inputs) -> Sizes {
+        let [values, times] = inputs.observed.sizes(&inputs.grid);
+        let [state, kept] = inputs.system.sizes();
+        let control = inputs.system.layout().len();
+        Sizes {
+            state,
+            control,
+            values,
+            times,
+            kept,
+            steps: inputs.file.scene.time.window,
+            shown: inputs.grid.last_step(),
         }
     }
-}
-
-/// Numbers that the linearization of a step of a rod keeps.
-fn kept_of_rod(dynamics: &RodStep) -> usize {
-    let band = match dynamics.structure() {
-        Structure::SymmetricBand { half_bandwidth } => half_bandwidth + 1,
-        Structure::Band { half_bandwidth } => 2 * half_bandwidth + 1,
-        Structure::Dense | Structure::Sparse { .. } => dynamics.unknowns(),
-    };
-    dynamics.unknowns() * (band + 1) + dynamics.dim()
 }
 
 fn footprint(scene: &Scene, sizes: &Sizes) -> Footprint {
@@ -230,14 +187,14 @@ fn footprint(scene: &Scene, sizes: &Sizes) -> Footprint {
 
 /// Numbers that a covariance of `n` components keeps, and those that building it takes beyond them.
 fn covariance(scene: &Scene, covariance: &Covariance, n: usize) -> [usize; 2] {
-    let (edge, blocks) = match covariance {
+    let drawn_around_truth = scene.background.from == Origin::TruthPlusDraw;
+    let (edge, blocks, drawn) = match covariance {
         Covariance::Diagonal(_) => return [2 * n, 0],
-        // Positions and velocities, each shared by x, y and z.
-        Covariance::Kernel(_) => (n / 6, 2),
-        Covariance::Line(_) | Covariance::Climatology(_) => (n, 1),
+        // Positions and velocities of a rod, each shared by x, y and z.
+        Covariance::Kernel(_) => (n / 6, 2, drawn_around_truth),
+        Covariance::Line(_) | Covariance::Climatology(_) => (n, 1, false),
     };
     let square = edge.saturating_mul(edge);
-    let drawn = scene.model_is_rod() && scene.background.from == Origin::TruthPlusDraw;
     let building = match covariance.root() {
         // Matrix, its copy, eigenvectors and what finding them takes; a drawn background has a covariance without taper of its own.
         Root::Truncated => 5,
@@ -257,12 +214,6 @@ pub(crate) fn error_numbers(scene: &Scene, control: usize) -> usize {
 
 fn windows(scene: &Scene) -> usize {
     scene.algorithm.cycles.as_ref().map_or(1, |c| c.count)
-}
-
-/// Steps of a window, or of a sequence of them.
-fn whole_steps(scene: &Scene) -> usize {
-    let window = scene.time.window;
-    scene.algorithm.cycles.as_ref().map_or(window, |c| c.steps(window))
 }
 
 /// Bytes in words.

@@ -1,14 +1,26 @@
-//! From a scene to a [`Problem`](problem::Problem): model, background, covariance, observations.
+//! From a scene to a [`Problem`](problem::Problem): models, background, covariance, observations.
 
 pub(crate) mod adaptive_steps;
 pub mod climatology;
 mod component_model;
+mod component_observations;
+pub mod components;
 pub mod covariance;
 pub mod csv;
 pub mod ensemble;
+pub mod files;
+pub mod inputs;
 pub mod memory;
+pub mod observations;
 pub mod plan;
 pub mod problem;
 pub mod random;
+pub mod rod;
 pub mod rod_model;
 pub mod rod_observations;
+pub mod runs;
+pub mod system;
+
+pub use inputs::Inputs;
+pub use plan::Plan;
+pub use problem::Problem;

@@ -1,13 +1,10 @@
 //! What a run of a scene would take, without running anything.
 
+use super::inputs::Inputs;
+use super::memory::{Memory, Sizes, error_numbers};
+use super::problem::without_derivatives;
 use crate::Error;
-use crate::run::cycles::whole;
-use crate::scene::{Covariance, Integrator, Model, SceneFile};
-use crate::setup::covariance;
-use crate::setup::memory::{Memory, Sizes, error_numbers};
-use crate::setup::problem::{no_derivatives, places, sightings, sigmas, window};
-use crate::setup::rod_model::RodParts;
-use crate::setup::rod_observations::Window;
+use crate::scene::{SceneFile, TimeGrid};
 
 /// Sizes of a scene, and what it leaves out.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,14 +28,15 @@ pub struct Plan {
     /// Number of times at which something is observed.
     pub times: usize,
     /// The window; the first of a sequence.
-    pub window: Window,
+    pub window: TimeGrid,
     /// Of a sequence: how many windows, steps from one to the next, steps in all.
     pub cycles: Option<[usize; 3]>,
     /// Steps before it.
     pub spin_up: usize,
     /// Estimate of the memory the run needs \[bytes\].
     pub bytes: usize,
-    /// Where `time.tolerance` divides steps: what every part of a step beyond the first adds to that \[bytes\]. Into how many parts a run shows.
+    /// With adaptive time steps: what each step beyond one in a step of the window adds to `bytes`. Their number is
+    /// known only after a run.
     pub bytes_per_part: Option<usize>,
     /// What is left out.
     pub left_out: Vec<String>,
@@ -50,41 +48,19 @@ impl Plan {
     /// # Errors
     /// Those of [`Problem::from_scene`](crate::setup::problem::Problem::from_scene) that do not need a run to be seen.
     pub fn new(file: &SceneFile) -> Result<Plan, Error> {
-        let sizes = Sizes::of(file)?;
+        let inputs = Inputs::read(file)?;
+        let sizes = Sizes::of(&inputs);
         let memory = Memory::within_limit(file, &sizes)?;
         let settings = &file.scene.algorithm.cycles;
         let steps = file.scene.time.window;
-        let file = &whole(file);
-        let scene = &file.scene;
-        let window = window(scene);
-        let mut left_out = Vec::new();
+        let scene = &inputs.one_window.scene;
         let (path, b) = ("background.covariance", &scene.background.covariance);
-        match &scene.model {
-            Model::Rod(rod) => {
-                let parts = RodParts::from_scene(file, rod)?;
-                let dynamics = parts.dynamics()?;
-                let sightings = sightings(file, parts.rod.length(), &window)?;
-                if let Covariance::Kernel(k) = b {
-                    // v̄ needs a run; whether B has a root does not depend on it.
-                    let sigmas = sigmas(k, parts.rod.length(), 1.0);
-                    covariance::localized(file, path, k, &places(&parts, &dynamics), sigmas)?;
-                }
-                left_out = dynamics.left_out();
-                left_out.extend(sightings.left_out);
-            }
-            model => {
-                // A climatology needs a run.
-                if !matches!(b, Covariance::Climatology(_)) {
-                    covariance::of_components(file, path, b, sizes.state, model.line().as_ref())?;
-                }
-                if scene.time.integrator == Integrator::Rk4 {
-                    left_out.push("factorizations: the steps are explicit".to_string());
-                }
-            }
-        }
+        inputs.system.check_covariance(&inputs.one_window, path, b)?;
+        let mut left_out = inputs.system.left_out();
+        left_out.extend(inputs.observed.left_out.iter().cloned());
         let algorithm = &scene.algorithm;
         left_out.extend(scene.limits.left_out(memory.storage, steps));
-        left_out.extend(no_derivatives(scene));
+        left_out.extend(without_derivatives(scene));
         Ok(Plan {
             name: file.name.clone(),
             title: scene.title.clone(),
@@ -95,8 +71,8 @@ impl Plan {
             members: algorithm.members().map_or(0, |e| e.members),
             n_obs: sizes.values,
             times: sizes.times,
-            window: Window { steps, ..window },
-            cycles: settings.as_ref().map(|c| [c.count, c.shift_of(steps), window.steps]),
+            window: TimeGrid { steps, ..inputs.grid },
+            cycles: settings.as_ref().map(|c| [c.count, c.shift_of(steps), inputs.grid.steps]),
             spin_up: scene.time.spin_up,
             bytes: memory.total(),
             bytes_per_part: scene.time.tolerance.map(|_| 8 * sizes.kept),

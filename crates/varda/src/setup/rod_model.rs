@@ -10,8 +10,9 @@ use varda_rod::{
 };
 
 use crate::Error;
-use crate::scene::{self, Integrator, RodModel, SceneFile};
+use crate::scene::{self, RodModel, SceneFile, Shear};
 use crate::setup::csv;
+use crate::setup::files::Files;
 
 /// A rod with what holds it and what pulls at it.
 #[derive(Clone)]
@@ -33,12 +34,13 @@ impl RodParts {
     ///
     /// # Errors
     /// [`Error::Scene`] pointing at the key, or the error of a file it names.
-    pub fn from_scene(file: &SceneFile, model: &RodModel) -> Result<RodParts, Error> {
+    pub(crate) fn read(files: &Files, model: &RodModel) -> Result<RodParts, Error> {
+        let file = files.scene;
         let refuse = |path: &str| {
             let path = path.to_string();
             move |e: varda_rod::Error| file.invalid(&path, e.to_string())
         };
-        let mut rod = Rod::with_segments(&model.rest_lengths(), &section(model))
+        let mut rod = Rod::with_segments(&file.checked(model.rest_lengths())?, &section(file, model)?)
             .map_err(refuse("model"))?
             .naturally(model.natural_curvature, model.natural_twist);
         for (i, mass) in model.point_masses.iter().enumerate() {
@@ -47,25 +49,20 @@ impl RodParts {
         }
         let mut supports = Supports::default();
         if let Some(clamp) = &model.start {
-            supports.start = Some(self::clamp(file, "model.start", clamp)?);
+            supports.start = Some(self::clamp(files, "model.start", clamp)?);
         }
         if let Some(clamp) = &model.end {
-            supports.end = Some(self::clamp(file, "model.end", clamp)?);
+            supports.end = Some(self::clamp(files, "model.end", clamp)?);
         }
         for (i, p) in model.prescribed.iter().enumerate() {
-            let motion = motion(file, &format!("model.prescribed.{i}"), p.position, p.motion.as_ref())?;
+            let motion = motion(files, &format!("model.prescribed.{i}"), p.position, p.motion.as_ref())?;
             supports.prescribed.push((p.vertex, motion));
         }
         let point_forces =
             model.point_forces.iter().map(|f| (f.arc_length, Arc::new(f.force) as Arc<dyn Motion>));
         let loads = Loads { gravity: model.gravity, point_forces: point_forces.collect() };
         let damping = Damping { stiffness: model.damping.stiffness, mass: model.damping.mass };
-        let scheme = match file.scene.time.integrator {
-            Integrator::Midpoint => Scheme::Midpoint,
-            Integrator::Bdf2 => Scheme::Bdf2,
-            // Validation lets no rod through with an explicit integrator.
-            Integrator::BackwardEuler | Integrator::Rk4 => Scheme::BackwardEuler,
-        };
+        let scheme = file.checked(file.scene.time.integrator.of_rod())?;
         let parts = RodParts { rod, supports, loads, damping, scheme };
         parts.dynamics().map_err(refuse("model"))?;
         Ok(parts)
@@ -97,35 +94,36 @@ impl RodParts {
     }
 }
 
-fn section(model: &RodModel) -> Section {
-    // Validation has seen to it that there is a material wherever the section needs one.
-    let material = model.material.as_ref().map(|m| match (m.shear_modulus, m.poisson_ratio) {
-        (Some(shear_modulus), _) => {
-            Material { youngs_modulus: m.youngs_modulus, shear_modulus, density: m.density }
-        }
-        (None, ratio) => Material::new(m.youngs_modulus, ratio.unwrap_or(0.0), m.density),
-    });
-    let material = material.unwrap_or(Material { youngs_modulus: 0.0, shear_modulus: 0.0, density: 0.0 });
-    match model.section {
-        scene::Section::Circle { radius } => Section::circle(&material, radius),
-        scene::Section::Ellipse { semi_axes: [a1, a2] } => Section::ellipse(&material, a1, a2),
-        scene::Section::Rectangle { width, height } => Section::rectangle(&material, width, height),
+fn section(file: &SceneFile, model: &RodModel) -> Result<Section, Error> {
+    let material = || {
+        let m = file.checked(model.solid_material())?;
+        Ok::<Material, Error>(match m.shear {
+            Shear::Modulus(shear_modulus) => {
+                Material { youngs_modulus: m.youngs_modulus, shear_modulus, density: m.density }
+            }
+            Shear::PoissonRatio(ratio) => Material::new(m.youngs_modulus, ratio, m.density),
+        })
+    };
+    Ok(match model.section {
+        scene::Section::Circle { radius } => Section::circle(&material()?, radius),
+        scene::Section::Ellipse { semi_axes: [a1, a2] } => Section::ellipse(&material()?, a1, a2),
+        scene::Section::Rectangle { width, height } => Section::rectangle(&material()?, width, height),
         scene::Section::Stiffness { ea, ei: [ei1, ei2], gj, mass_per_length } => {
             Section { ea, ei1, ei2, gj, mass_per_length }
         }
-    }
+    })
 }
 
-fn clamp(file: &SceneFile, path: &str, clamp: &scene::Clamp) -> Result<Clamp, Error> {
+fn clamp(files: &Files, path: &str, clamp: &scene::Clamp) -> Result<Clamp, Error> {
     Ok(Clamp {
-        position: motion(file, path, clamp.position, clamp.motion.as_ref())?,
+        position: motion(files, path, clamp.position, clamp.motion.as_ref())?,
         tangent: Arc::new(clamp.tangent),
         director: Arc::new(clamp.director),
     })
 }
 
 fn motion(
-    file: &SceneFile,
+    files: &Files,
     path: &str,
     position: [f64; 3],
     motion: Option<&scene::Motion>,
@@ -137,10 +135,10 @@ fn motion(
         }
         Some(scene::Motion::Table { file: name }) => {
             let path = format!("{path}.motion.file");
-            let (label, text) = file.read(&path, name)?;
+            let (label, text) = files.text(&path, name)?;
             let rows = csv::numbers(&label, &text, ["time_s", "x_m", "y_m", "z_m"])?;
             if rows.is_empty() || rows.windows(2).any(|w| w[0][0] >= w[1][0]) {
-                return Err(file.invalid(&path, format!("{label} must have rows, in order of time")));
+                return Err(files.scene.invalid(&path, format!("{label} must have rows, in order of time")));
             }
             Arc::new(move |t: f64| displaced(position, &rows, t))
         }

@@ -1,210 +1,177 @@
-//! Observations of a rod: where on it, when, in whose axes.
+//! Observations of a rod: points on it at times, in the axes of a recording.
 
 use std::collections::HashMap;
+use std::rc::Rc;
 
-use varda_assimilation::{Observation, ObservationOperator};
+use varda_assimilation::ObservationOperator;
 use varda_implicit::Refusal;
 use varda_rod::{Marker, Markers, RodStep};
 
+use super::csv::{self, Row, Subject};
+use super::files::Files;
+use super::observations::{Draws, MakeOperator, Observed, ObservedSpace, Seen, Site};
+use super::rod::RodSystem;
 use crate::Error;
-use crate::scene::{Frame, OutsideWindow, Recording, SceneFile, Use};
-use crate::setup::csv;
-use crate::setup::csv::{Row, Subject};
+use crate::scene::{Frame, OutsideWindow, Recording, Synthetic, TimeGrid, Use};
 
-/// A place on the rod that is looked at.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Site {
-    /// Name in reports: "marker …", or the arc length.
-    pub label: String,
-    /// Where.
-    pub marker: Marker,
-    /// What it is used for.
-    pub used: Use,
+/// A site and its place on the rod.
+#[derive(Debug, Clone)]
+struct Placed {
+    label: String,
+    marker: Marker,
+    withheld: bool,
 }
 
-/// What was seen of one site at one time.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Sighting {
-    /// Index of the site.
-    pub site: usize,
-    /// Step k of the window; may lie beyond its end (then it judges the forecast).
-    pub step: usize,
-    /// Share of step k + 1, in [0, 1).
-    pub weight: f64,
-    /// The coordinates in the recording's axes (turned, not displaced: Rᵀ p) \[m\]; `None` was not observed.
-    pub values: [Option<f64>; 3],
-    /// Standard deviation of each \[m\].
-    pub sigma: f64,
-}
-
-/// All that was seen of a rod.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Sightings {
-    /// The places.
-    pub sites: Vec<Site>,
-    /// What was seen, in the order of the file.
-    pub seen: Vec<Sighting>,
-    /// The rotation R from the recording's axes to the model's, by rows.
-    pub rotation: [[f64; 3]; 3],
-    /// What was left out on request.
-    pub left_out: Vec<String>,
-}
-
-/// The grid of the window: step k is at `start + k · step` seconds.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Window {
-    /// Model time at the start \[s\].
-    pub start: f64,
-    /// Δt \[s\].
-    pub step: f64,
-    /// Steps in the window.
-    pub steps: usize,
-    /// Steps of the forecast beyond it.
-    pub forecast: usize,
-}
-
-impl Window {
-    /// Model time of step k \[s\].
-    pub fn time(&self, k: usize) -> f64 {
-        self.start + k as f64 * self.step
+impl Placed {
+    fn at_arc_length(s: f64) -> Self {
+        Placed { label: format!("s = {s} m"), marker: Marker { s, offset: [0.0; 3] }, withheld: false }
     }
 }
 
-impl Sighting {
-    /// The place in the model's axes \[m\], where all three coordinates were seen.
-    pub fn position(&self, rotation: &[[f64; 3]; 3]) -> Option<[f64; 3]> {
-        let [Some(a), Some(b), Some(c)] = self.values else { return None };
-        Some(std::array::from_fn(|i| rotation[i][0] * a + rotation[i][1] * b + rotation[i][2] * c))
-    }
-
-    /// Time within the window, in steps.
-    pub fn at(&self) -> f64 {
-        self.step as f64 + self.weight
-    }
+/// Points at the arc lengths that a twin experiment observes; their values are not yet drawn.
+pub(crate) fn synthetic(
+    files: &Files,
+    keys: &Synthetic,
+    rod: &RodSystem,
+    grid: TimeGrid,
+) -> Result<Observed, Error> {
+    let sites = keys.places.iter().map(|s| Placed::at_arc_length(*s)).collect();
+    let steps = files.scene.checked(keys.observed_steps(grid.steps))?;
+    let sigma = files.scene.checked(keys.sigma())?.of(rod.length());
+    let draws = Draws { steps, sigma };
+    Ok(observed(rod, sites, Frame::default().rotation_rows(), grid, Vec::new(), Some(draws), Vec::new()))
 }
 
-impl Sightings {
-    /// What a recording saw, in the model's time.
-    ///
-    /// # Errors
-    /// [`Error::Data`] or [`Error::Scene`] naming the line or the key.
-    pub fn from_recording(
-        file: &SceneFile,
-        recording: &Recording,
-        length: f64,
-        window: &Window,
-    ) -> Result<Self, Error> {
-        let key = "observations.file";
-        let Some(name) = &recording.file else {
-            return Err(
-                file.invalid("observations", "no file is named: give one with --set observations.file=…")
-            );
-        };
-        let (label, text) = file.read(key, name)?;
-        let rows = csv::observations(&label, &text)?;
-        let bad =
-            |row: &Row, message: String| Error::Data { place: format!("{label}:{}", row.line), message };
-
-        let mut sites: Vec<Site> = recording
-            .markers
-            .iter()
-            .map(|m| Site {
-                label: format!("marker {}", m.name),
-                marker: Marker { s: m.arc_length, offset: m.offset },
-                used: m.used,
-            })
-            .collect();
-        // −0 is 0.
-        let bits = |s: f64| (s + 0.0).to_bits();
-        let mut site_of = HashMap::new();
-        for (i, site) in sites.iter().enumerate() {
-            site_of.entry(bits(site.marker.s)).or_insert(i);
-        }
-        let rotation = recording.frame.rotation_rows();
-        let shift: [f64; 3] =
-            std::array::from_fn(|c| (0..3).map(|j| rotation[j][c] * recording.frame.translation[j]).sum());
-        let (mut before, mut after, mut ignored) = (0, 0, 0);
-        let mut seen = Vec::new();
-        for row in &rows {
-            let site = match &row.subject {
-                Subject::Marker(name) if recording.ignore.contains(name) => {
-                    ignored += 1;
-                    continue;
-                }
-                Subject::Marker(name) => recording.markers.iter().position(|m| m.name == *name).ok_or_else(|| {
-                    bad(row, format!("marker {name:?} has no place: add it to [[observations.markers]] or to observations.ignore"))
-                })?,
-                Subject::ArcLength(s) => {
-                    if !(*s >= 0.0 && *s <= length * (1.0 + 1e-9)) {
-                        return Err(bad(row, format!("s_m = {s} is off the rod (0 to {length} m)")));
-                    }
-                    *site_of.entry(bits(*s)).or_insert_with(|| {
-                        let marker = Marker { s: *s, offset: [0.0; 3] };
-                        sites.push(Site { label: format!("s = {s} m"), marker, used: Use::Assimilate });
-                        sites.len() - 1
-                    })
-                }
-            };
-            let time = row.time - recording.time_zero;
-            // A time within a thousandth of a step of an end of the window was meant to be that end.
-            let slack = 1e-3;
-            let at = (time - window.start) / window.step;
-            let beyond = at > window.steps as f64 + slack;
-            if at < -slack || beyond {
-                if recording.outside_window == OutsideWindow::Error {
-                    let (from, to) =
-                        (window.start + recording.time_zero, window.time(window.steps) + recording.time_zero);
-                    return Err(bad(
-                        row,
-                        format!("time_s = {} is outside the window ({from} to {to} s)", row.time),
-                    ));
-                }
-                if !beyond || at > (window.steps + window.forecast) as f64 + slack {
-                    *(if beyond { &mut after } else { &mut before }) += 1;
-                    continue;
-                }
+/// What a recording saw, in the model's time.
+///
+/// # Errors
+/// [`Error::Data`] or [`Error::Scene`] naming the line or the key.
+pub(crate) fn recorded(
+    files: &Files,
+    recording: &Recording,
+    rod: &RodSystem,
+    grid: TimeGrid,
+) -> Result<Observed, Error> {
+    let Some(name) = &recording.file else {
+        let message = "no file is named: give one with --set observations.file=…";
+        return Err(files.scene.invalid("observations", message));
+    };
+    let (label, text) = files.text("observations.file", name)?;
+    let rows = csv::observations(&label, &text)?;
+    let bad = |row: &Row, message: String| Error::Data { place: format!("{label}:{}", row.line), message };
+    let length = rod.length();
+    let mut sites: Vec<Placed> = recording
+        .markers
+        .iter()
+        .map(|m| Placed {
+            label: format!("marker {}", m.name),
+            marker: Marker { s: m.arc_length, offset: m.offset },
+            withheld: m.used == Use::Withhold,
+        })
+        .collect();
+    // −0 is 0.
+    let bits = |s: f64| (s + 0.0).to_bits();
+    let mut site_of = HashMap::new();
+    for (i, site) in sites.iter().enumerate() {
+        site_of.entry(bits(site.marker.s)).or_insert(i);
+    }
+    let rotation = recording.frame.rotation_rows();
+    let shift: [f64; 3] =
+        std::array::from_fn(|c| (0..3).map(|j| rotation[j][c] * recording.frame.translation[j]).sum());
+    let (mut before, mut after, mut ignored) = (0, 0, 0);
+    let mut seen = Vec::new();
+    for row in &rows {
+        let site = match &row.subject {
+            Subject::Marker(name) if recording.ignore.contains(name) => {
+                ignored += 1;
+                continue;
             }
-            let at = at.clamp(0.0, if beyond { f64::INFINITY } else { window.steps as f64 });
-            // Closer to a step than rounding of the file's times can tell.
-            let at = if (at - at.round()).abs() < 1e-6 { at.round() } else { at };
-            let sigma = row.sigma.or(recording.sigma).ok_or_else(|| {
-                bad(row, "no standard deviation: fill `sigma_m`, or give observations.sigma".to_string())
-            })?;
-            let values = std::array::from_fn(|c| row.position[c].map(|v| v + shift[c]));
-            seen.push(Sighting { site, step: at.floor() as usize, weight: at.fract(), values, sigma });
-        }
-        let mut left_out = Vec::new();
-        for (count, what) in [
-            (ignored, "rows of ignored markers"),
-            (before, "rows before the window"),
-            (after, "rows after the window and its forecast"),
-        ] {
-            if count > 0 {
-                left_out.push(format!("{count} {what}"));
+            Subject::Marker(name) => {
+                recording.markers.iter().position(|m| m.name == *name).ok_or_else(|| {
+                    let remedy = "add it to [[observations.markers]] or to observations.ignore";
+                    bad(row, format!("marker {name:?} has no place: {remedy}"))
+                })?
             }
-        }
-        Ok(Sightings { sites, seen, rotation, left_out })
-    }
-
-    /// Those that are assimilated, for an [`ObservationSet`](varda_assimilation::ObservationSet) whose operator 0 is
-    /// [`RodObservation`] over all sites.
-    pub fn assimilated(&self, window: &Window) -> Vec<Observation> {
-        let used =
-            |s: &&Sighting| self.sites[s.site].used == Use::Assimilate && s.at() <= window.steps as f64;
-        let observation = |s: &Sighting| {
-            let present: Vec<(usize, f64)> =
-                (0..3).filter_map(|c| s.values[c].map(|v| (3 * s.site + c, v))).collect();
-            Observation {
-                operator: 0,
-                step: s.step,
-                weight: s.weight,
-                sigma: vec![s.sigma; present.len()],
-                rows: present.iter().map(|p| p.0).collect(),
-                values: present.iter().map(|p| p.1).collect(),
-                label: self.sites[s.site].label.clone(),
+            Subject::ArcLength(s) => {
+                if !(*s >= 0.0 && *s <= length * (1.0 + 1e-9)) {
+                    return Err(bad(row, format!("s_m = {s} is off the rod (0 to {length} m)")));
+                }
+                *site_of.entry(bits(*s)).or_insert_with(|| {
+                    sites.push(Placed::at_arc_length(*s));
+                    sites.len() - 1
+                })
             }
         };
-        self.seen.iter().filter(used).map(observation).filter(|o| !o.rows.is_empty()).collect()
+        let time = row.time - recording.time_zero;
+        // A time within a thousandth of a step of an end of the window was meant to be that end.
+        let slack = 1e-3;
+        let at = (time - grid.start) / grid.step;
+        let beyond = at > grid.steps as f64 + slack;
+        if at < -slack || beyond {
+            if recording.outside_window == OutsideWindow::Error {
+                let (from, to) =
+                    (grid.start + recording.time_zero, grid.time(grid.steps) + recording.time_zero);
+                let message = format!("time_s = {} is outside the window ({from} to {to} s)", row.time);
+                return Err(bad(row, message));
+            }
+            if !beyond || at > grid.last_step() as f64 + slack {
+                *(if beyond { &mut after } else { &mut before }) += 1;
+                continue;
+            }
+        }
+        let at = at.clamp(0.0, if beyond { f64::INFINITY } else { grid.steps as f64 });
+        // Closer to a step than rounding of the file's times can tell.
+        let at = if (at - at.round()).abs() < 1e-6 { at.round() } else { at };
+        let sigma = row.sigma.or(recording.sigma).ok_or_else(|| {
+            bad(row, "no standard deviation: fill `sigma_m`, or give observations.sigma".to_string())
+        })?;
+        let values = (0..3).map(|c| row.position[c].map(|v| v + shift[c])).collect();
+        seen.push(Seen { site, step: at.floor() as usize, weight: at.fract(), values, sigma });
+    }
+    let mut left_out = Vec::new();
+    for (count, what) in [
+        (ignored, "rows of ignored markers"),
+        (before, "rows before the window"),
+        (after, "rows after the window and its forecast"),
+    ] {
+        if count > 0 {
+            left_out.push(format!("{count} {what}"));
+        }
+    }
+    Ok(observed(rod, sites, rotation, grid, seen, None, left_out))
+}
+
+fn observed(
+    rod: &RodSystem,
+    sites: Vec<Placed>,
+    rotation: [[f64; 3]; 3],
+    grid: TimeGrid,
+    seen: Vec<Seen>,
+    draws: Option<Draws>,
+    left_out: Vec<String>,
+) -> Observed {
+    let markers: Rc<[Marker]> = sites.iter().map(|s| s.marker).collect();
+    let operator = |rotation| -> MakeOperator {
+        let (markers, parts) = (Rc::clone(&markers), rod.parts.clone());
+        Box::new(move || Ok(Box::new(RodObservation::new(&parts.dynamics()?, &markers, rotation, grid)?)))
+    };
+    let site = |(i, site): (usize, Placed)| Site {
+        label: site.label,
+        rows: 3 * i..3 * i + 3,
+        anchors: [0, 1, 2].map(|c| rod.nearest_position(site.marker.s) + c).to_vec(),
+        withheld: site.withheld,
+    };
+    Observed {
+        space: Some(ObservedSpace {
+            arc_lengths: markers.iter().map(|m| m.s).collect(),
+            rotation,
+            make_places: operator(Frame::default().rotation_rows()),
+        }),
+        make_operator: operator(rotation),
+        sites: sites.into_iter().enumerate().map(site).collect(),
+        seen,
+        left_out,
+        draws,
     }
 }
 
@@ -236,30 +203,23 @@ impl Frame {
 pub struct RodObservation {
     markers: Markers,
     rotation: [[f64; 3]; 3],
-    window: Window,
+    grid: TimeGrid,
     places: Vec<f64>,
 }
 
 impl RodObservation {
-    /// # Errors
-    /// A place off the rod.
-    pub fn new(rod: &RodStep, sightings: &Sightings, window: Window) -> Result<Self, varda_rod::Error> {
-        let markers: Vec<Marker> = sightings.sites.iter().map(|s| s.marker).collect();
-        let places = vec![0.0; 3 * markers.len()];
-        Ok(RodObservation {
-            markers: Markers::new(rod, &markers)?,
-            rotation: sightings.rotation,
-            window,
-            places,
-        })
-    }
-
-    /// Where the sites are at step k \[m\], in the model's axes; three numbers a site.
+    /// The operator of some markers; `rotation` is R, by rows.
     ///
     /// # Errors
-    /// A state without frames: a fold, a zero edge, a value that is not finite.
-    pub fn places(&mut self, k: usize, x: &[f64], places: &mut [f64]) -> Result<(), varda_rod::Error> {
-        self.markers.places(self.window.time(k), x, places)
+    /// A marker off the rod.
+    pub fn new(
+        rod: &RodStep,
+        markers: &[Marker],
+        rotation: [[f64; 3]; 3],
+        grid: TimeGrid,
+    ) -> Result<Self, varda_rod::Error> {
+        let places = vec![0.0; 3 * markers.len()];
+        Ok(RodObservation { markers: Markers::new(rod, markers)?, rotation, grid, places })
     }
 
     /// y = Rᵀ p, site by site.
@@ -279,13 +239,13 @@ impl ObservationOperator for RodObservation {
     }
 
     fn observe(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
-        self.markers.places(self.window.time(k), x, &mut self.places)?;
+        self.markers.places(self.grid.time(k), x, &mut self.places)?;
         self.turn(y);
         Ok(())
     }
 
     fn tangent(&mut self, k: usize, x: &[f64], dx: &[f64], dy: &mut [f64]) {
-        let seen = self.markers.tangent(self.window.time(k), x, dx, &mut self.places);
+        let seen = self.markers.tangent(self.grid.time(k), x, dx, &mut self.places);
         seen.expect("this state was observed before");
         self.turn(dy);
     }
@@ -297,7 +257,7 @@ impl ObservationOperator for RodObservation {
                 p[i] = r[i][0] * y[0] + r[i][1] * y[1] + r[i][2] * y[2];
             }
         }
-        let seen = self.markers.adjoint_add(self.window.time(k), x, &self.places, dx);
+        let seen = self.markers.adjoint_add(self.grid.time(k), x, &self.places, dx);
         seen.expect("this state was observed before");
     }
 }

@@ -4,8 +4,8 @@ use varda_assimilation::{CostFunction, EnVar, EnVarOptions, Error, Iteration, Ob
 use varda_covariance::{Covariance, Ensemble, Hybrid};
 use varda_implicit::{Model, Storage};
 
-use super::task::{Ended, Row, Spread, Stage, Task, deviations, is_whole, roots};
-use crate::run::window::WorkCounts;
+use super::task::{Iterate, PosteriorSpread, Stage, StageEnd, Task, deviations, is_whole, roots};
+use crate::outcome::WorkCounts;
 use crate::scene::Method;
 use crate::setup::ensemble::anchors;
 
@@ -32,9 +32,9 @@ impl Task<'_> {
         Ok(Members::Hybrid(Box::new(Hybrid::new(b, of_static, ensemble.clone(), of_ensemble)?)))
     }
 
-    pub(super) fn ensemble(&mut self, stage: Stage) -> Result<Ended, Error> {
+    pub(super) fn ensemble(&mut self, stage: Stage) -> Result<StageEnd, Error> {
         let members = self.members()?;
-        let Stage { observations, v, posterior, before, on_row, .. } = stage;
+        let Stage { observations, v, posterior, before, on_iterate, .. } = stage;
         let window = observations.steps();
         let anchors = anchors(observations, self.anchors);
         let mut cost = members.cost(self.make_model, self.background, observations, &anchors)?;
@@ -44,7 +44,7 @@ impl Task<'_> {
         let mut control = self.background.to_vec();
         let mut on_iteration = |iteration: &Iteration| {
             transform.control(iteration.v, &mut control);
-            on_row(&Row { iteration, control: &control, window, before })
+            on_iterate(&Iterate { iteration, control: &control, window, before })
         };
         // The static part of a hybrid stays where it is through the window: relinearized, it has no minimum to end at.
         let max_outer = match self.algorithm.method {
@@ -60,13 +60,13 @@ impl Task<'_> {
         }
         let spread = if posterior && is_whole(minimum.status) {
             let (variance, degrees_of_freedom) = cost.posterior_variance()?;
-            Some(Spread { sigma: roots(variance), degrees_of_freedom })
+            Some(PosteriorSpread { sigma: roots(variance), degrees_of_freedom })
         } else {
             None
         };
         transform.control(v, &mut control);
         let sigma_background = deviations(transform.covariance());
-        Ok(Ended {
+        Ok(StageEnd {
             minimum,
             control,
             sigma_background,

@@ -13,11 +13,11 @@ use varda_assimilation::{
     window_growth,
 };
 
-use crate::run::window::WorkCounts;
+use crate::outcome::WorkCounts;
 use crate::scene::Method;
 use crate::setup::ensemble::anchors;
-use task::{Ended, Stage};
-pub(crate) use task::{OnRow, Row, Solved, Task};
+pub(crate) use task::{Iterate, OnIterate, Solution, Task};
+use task::{Stage, StageEnd};
 
 /// Checks the observations against the background where that is asked for, and minimises: the window at once or growing.
 ///
@@ -26,8 +26,8 @@ pub(crate) use task::{OnRow, Row, Solved, Task};
 pub(crate) fn solve(
     task: &mut Task,
     mut observations: ObservationSet,
-    on_row: &mut OnRow,
-) -> Result<(Solved, ObservationSet), crate::Error> {
+    on_iterate: &mut OnIterate,
+) -> Result<(Solution, ObservationSet), crate::Error> {
     let mut spent = WorkCounts::default();
     let mut rejected = Vec::new();
     if let Some(limit) = task.algorithm.background_check {
@@ -49,9 +49,9 @@ pub(crate) fn solve(
                 whole: window == whole,
                 posterior: task.posterior && window == whole,
                 before: (done[0], spent),
-                on_row,
+                on_iterate,
             };
-            let Ended { minimum, control, sigma_background, spread, no_spread, counts, storage } =
+            let StageEnd { minimum, control, sigma_background, spread, no_spread, counts, storage } =
                 task.stage(stage)?;
             done[0] += minimum.outer_iterations;
             done[1] += minimum.inner_iterations;
@@ -66,7 +66,7 @@ pub(crate) fn solve(
         unreachable!("there is one window at least");
     };
     let minimum = Minimum { outer_iterations: done[0], inner_iterations: done[1], ..last };
-    let solved = Solved {
+    let solved = Solution {
         minimum,
         control,
         sigma_background,
@@ -81,7 +81,7 @@ pub(crate) fn solve(
     Ok((solved, observations))
 }
 impl Task<'_> {
-    fn stage(&mut self, stage: Stage) -> Result<Ended, Error> {
+    fn stage(&mut self, stage: Stage) -> Result<StageEnd, Error> {
         match self.algorithm.method {
             Method::WeakForcing => self.weak_forcing(stage),
             Method::WeakState => self.weak_state(stage),

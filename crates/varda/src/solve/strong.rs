@@ -6,17 +6,17 @@ use varda_assimilation::{
 use varda_implicit::Model;
 
 use super::minimizer;
-use super::task::{Ended, Row, Spread, Stage, Task, deviations, is_whole};
-use crate::run::window::WorkCounts;
+use super::task::{Iterate, PosteriorSpread, Stage, StageEnd, Task, deviations, is_whole};
+use crate::outcome::WorkCounts;
 use crate::scene::Method;
 
 impl Task<'_> {
     /// The strong constraint. 3D-Var is 4D-Var where nothing is observed after step 0. Where the model is refreshed at the end of the
     /// window, the minimization goes on from there, to the gradient norm that was first asked for.
-    pub(super) fn strong(&mut self, stage: Stage) -> Result<Ended, Error> {
+    pub(super) fn strong(&mut self, stage: Stage) -> Result<StageEnd, Error> {
         let (background, covariance) = (self.background, self.covariance);
         let transform = ControlTransform::new(background.to_vec(), covariance.as_ref())?;
-        let Stage { observations, v, whole, posterior, before, on_row, .. } = stage;
+        let Stage { observations, v, whole, posterior, before, on_iterate, .. } = stage;
         let window = observations.steps();
         let mut algorithm = self.algorithm.clone();
         let mut control = background.to_vec();
@@ -47,7 +47,7 @@ impl Task<'_> {
             let so_far = (before.0 + iterations[0], before.1 + counts);
             let mut on_iteration = |iteration: &Iteration| {
                 transform.control(iteration.v, &mut control);
-                on_row(&Row { iteration, control: &control, window, before: so_far })
+                on_iterate(&Iterate { iteration, control: &control, window, before: so_far })
             };
             let mut minimum = minimizer::strong(&algorithm, &mut cost, v, &mut on_iteration)?;
             transform.control(v, &mut control);
@@ -66,7 +66,7 @@ impl Task<'_> {
                 // BLUE's covariance is that of the background's linearization, (I + GᵀG)⁻¹ there.
                 let linearized = if algorithm.method == Method::Blue { &start } else { &*v };
                 cost.evaluate(linearized, Some(&mut vec![0.0; v.len()]))?;
-                Spread::of(Posterior::new(&mut cost), &transform)?
+                PosteriorSpread::of(Posterior::new(&mut cost), &transform)?
             } else {
                 (None, None)
             };
@@ -75,7 +75,7 @@ impl Task<'_> {
             }
             [minimum.outer_iterations, minimum.inner_iterations] = iterations;
             let sigma_background = deviations(covariance.as_ref());
-            return Ok(Ended { minimum, control, sigma_background, spread, no_spread, counts, storage });
+            return Ok(StageEnd { minimum, control, sigma_background, spread, no_spread, counts, storage });
         }
     }
 }

@@ -8,7 +8,7 @@ use varda_assimilation::{
 use varda_covariance::{Covariance, Ensemble};
 use varda_implicit::{Model, Storage};
 
-use crate::run::window::WorkCounts;
+use crate::outcome::WorkCounts;
 use crate::scene::Algorithm;
 use crate::setup::covariance::Factored;
 
@@ -38,7 +38,7 @@ pub(crate) struct Task<'a> {
 pub(crate) type Refresh<'a> = dyn FnMut(&[f64]) -> Option<Box<dyn Model + Send + 'a>> + 'a;
 
 /// What every method gives.
-pub(crate) struct Solved {
+pub(crate) struct Solution {
     /// Of the whole window; iterations are those of all sub-windows.
     pub(crate) minimum: Minimum,
     /// z_a.
@@ -46,7 +46,7 @@ pub(crate) struct Solved {
     /// σ of the control before: that of B, or of the ensemble.
     pub(crate) sigma_background: Vec<f64>,
     /// Of the analysis; none where the run did not get there.
-    pub(crate) spread: Option<Spread>,
+    pub(crate) spread: Option<PosteriorSpread>,
     /// Why there is none, where rounding has left nothing of it.
     pub(crate) no_spread: Option<Error>,
     /// States x_0 … of the analysis where the model errs; elsewhere they are those of its run from z_a.
@@ -62,14 +62,14 @@ pub(crate) struct Solved {
 }
 
 /// The posterior of the control.
-pub(crate) struct Spread {
+pub(crate) struct PosteriorSpread {
     pub(crate) sigma: Vec<f64>,
     /// Degrees of freedom for signal (of the initial state, where the model errs).
     pub(crate) degrees_of_freedom: f64,
 }
 
 /// One line of a convergence table.
-pub(crate) struct Row<'a> {
+pub(crate) struct Iterate<'a> {
     pub(crate) iteration: &'a Iteration<'a>,
     /// z at that point.
     pub(crate) control: &'a [f64],
@@ -80,7 +80,7 @@ pub(crate) struct Row<'a> {
 }
 
 /// Told of every iteration; says whether to go on.
-pub(crate) type OnRow<'a> = dyn FnMut(&Row) -> ControlFlow<()> + 'a;
+pub(crate) type OnIterate<'a> = dyn FnMut(&Iterate) -> ControlFlow<()> + 'a;
 
 /// A stage: one sub-window, from the point the last one ended at.
 pub(super) struct Stage<'s, 'r> {
@@ -94,15 +94,15 @@ pub(super) struct Stage<'s, 'r> {
     /// Whether σ is wanted of it.
     pub(super) posterior: bool,
     pub(super) before: (usize, WorkCounts),
-    pub(super) on_row: &'s mut OnRow<'r>,
+    pub(super) on_iterate: &'s mut OnIterate<'r>,
 }
 
 /// A stage's end.
-pub(super) struct Ended {
+pub(super) struct StageEnd {
     pub(super) minimum: Minimum,
     pub(super) control: Vec<f64>,
     pub(super) sigma_background: Vec<f64>,
-    pub(super) spread: Option<Spread>,
+    pub(super) spread: Option<PosteriorSpread>,
     pub(super) no_spread: Option<Error>,
     pub(super) counts: WorkCounts,
     pub(super) storage: Storage,
@@ -120,17 +120,17 @@ impl Task<'_> {
     }
 }
 
-impl Spread {
+impl PosteriorSpread {
     /// Of a posterior; where its Hessian is indefinite by rounding, as over a window that amplifies beyond it, the reason alone.
     pub(super) fn of(
         posterior: Result<Posterior, Error>,
         transform: &ControlTransform,
-    ) -> Result<(Option<Spread>, Option<Error>), Error> {
+    ) -> Result<(Option<PosteriorSpread>, Option<Error>), Error> {
         match posterior {
             Ok(posterior) => {
                 let sigma = roots(posterior.variance(transform));
                 let degrees_of_freedom = posterior.degrees_of_freedom();
-                Ok((Some(Spread { sigma, degrees_of_freedom }), None))
+                Ok((Some(PosteriorSpread { sigma, degrees_of_freedom }), None))
             }
             Err(reason @ Error::NotPositiveDefinite { .. }) => Ok((None, Some(reason))),
             Err(error) => Err(error),

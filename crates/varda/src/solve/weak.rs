@@ -7,19 +7,20 @@ use varda_covariance::Covariance;
 use varda_implicit::Storage;
 
 use super::minimizer;
-use super::task::{Ended, Row, Spread, Stage, Task, deviations, is_whole};
-use crate::run::window::{WorkCounts, run_on};
+use super::task::{Iterate, PosteriorSpread, Stage, StageEnd, Task, deviations, is_whole};
+use crate::outcome::WorkCounts;
 use crate::setup::covariance::Factored;
+use crate::setup::runs::run_on;
 
 impl Task<'_> {
-    pub(super) fn weak_forcing(&mut self, stage: Stage) -> Result<Ended, Error> {
+    pub(super) fn weak_forcing(&mut self, stage: Stage) -> Result<StageEnd, Error> {
         let (algorithm, background, covariance) = (self.algorithm, self.background, self.covariance);
         let missing =
             Error::Setting { what: "the covariance of a model error that is not there", value: 0.0 };
         let q: &dyn Covariance = self.model_error.ok_or(missing)?.as_ref();
         let forcing = self.forcing();
         let transform = ControlTransform::new(background.to_vec(), covariance.as_ref())?;
-        let Stage { observations, v, states, posterior, before, on_row, .. } = stage;
+        let Stage { observations, v, states, posterior, before, on_iterate, .. } = stage;
         let (window, last) = (observations.steps(), observations.last_step().unwrap_or(0));
         let mut cost = WeakForcing::new(&mut *self.model, transform.clone(), q, forcing, observations)?;
         // What is added to the window begins without forcing.
@@ -28,7 +29,7 @@ impl Task<'_> {
         let mut control = background.to_vec();
         let minimum = minimizer::minimize(algorithm, &mut cost, v, &mut |iteration| {
             transform.control(&iteration.v[..head], &mut control);
-            on_row(&Row { iteration, control: &control, window, before })
+            on_iterate(&Iterate { iteration, control: &control, window, before })
         })?;
         let counts = WorkCounts::from(&cost.counts());
         states.clear();
@@ -37,11 +38,12 @@ impl Task<'_> {
             cost.evaluate(v, Some(&mut vec![0.0; v.len()]))?;
             (0..=last).for_each(|k| states.extend_from_slice(cost.state(k)));
             if posterior && is_whole(minimum.status) {
-                (spread, no_spread) = Spread::of(Posterior::of_initial_state(&mut cost), &transform)?;
+                (spread, no_spread) =
+                    PosteriorSpread::of(Posterior::of_initial_state(&mut cost), &transform)?;
             }
         }
         transform.control(&v[..head], &mut control);
-        Ok(Ended {
+        Ok(StageEnd {
             minimum,
             control,
             sigma_background: deviations(covariance.as_ref()),
@@ -53,7 +55,7 @@ impl Task<'_> {
     }
 
     /// Started from the run of the background; where the window has grown, from the analysed states and the model's run from the last.
-    pub(super) fn weak_state(&mut self, stage: Stage) -> Result<Ended, Error> {
+    pub(super) fn weak_state(&mut self, stage: Stage) -> Result<StageEnd, Error> {
         let (algorithm, background, covariance) = (self.algorithm, self.background, self.covariance);
         let forcing = self.forcing();
         let transform = ControlTransform::new(background.to_vec(), covariance.as_ref())?;
@@ -61,7 +63,7 @@ impl Task<'_> {
         let b = covariance.precision().ok_or(singular("the inverse of a truncated B"))?;
         let q = self.model_error.and_then(Factored::precision);
         let q = q.ok_or(singular("the inverse of a truncated Q"))?;
-        let Stage { observations, v, states, posterior, before, on_row, .. } = stage;
+        let Stage { observations, v, states, posterior, before, on_iterate, .. } = stage;
         let (window, last) = (observations.steps(), observations.last_step().unwrap_or(0));
         let run_before = self.model.counts();
         if states.is_empty() {
@@ -77,7 +79,7 @@ impl Task<'_> {
         let options = minimizer::outer(algorithm, InnerSolver::Primal);
         let before_this = (before.0, before.1 + run);
         let minimum = outer_loop(&mut cost, v, &options, &mut |iteration| {
-            on_row(&Row { iteration, control: &iteration.v[..n_z], window, before: before_this })
+            on_iterate(&Iterate { iteration, control: &iteration.v[..n_z], window, before: before_this })
         })?;
         let counts = WorkCounts::from(&cost.counts()) + run;
         states.clear();
@@ -86,11 +88,12 @@ impl Task<'_> {
             cost.evaluate(v, Some(&mut vec![0.0; v.len()]))?;
             (0..=last).for_each(|k| states.extend_from_slice(cost.state(k)));
             if posterior && is_whole(minimum.status) {
-                (spread, no_spread) = Spread::of(Posterior::of_initial_state(&mut cost), &transform)?;
+                (spread, no_spread) =
+                    PosteriorSpread::of(Posterior::of_initial_state(&mut cost), &transform)?;
             }
         }
         control.copy_from_slice(&v[..n_z]);
-        Ok(Ended {
+        Ok(StageEnd {
             minimum,
             control,
             sigma_background: deviations(covariance.as_ref()),

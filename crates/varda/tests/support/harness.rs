@@ -2,9 +2,9 @@
 //! the property tests and the fuzz targets: none of these may panic.
 
 use varda::scene::{Covariance, SceneFile};
+use varda::setup::Plan;
+use varda::setup::Problem;
 use varda::setup::csv;
-use varda::setup::plan::Plan;
-use varda::setup::problem::Problem;
 
 /// Bytes as a scene: parsed, validated, planned, and built where it takes little. True where it came to a problem.
 pub(crate) fn scene(bytes: &[u8]) -> bool {
@@ -30,7 +30,8 @@ fn small(file: &SceneFile) -> bool {
     };
     let members = scene.algorithm.members().map_or(0, |e| e.members);
     let windows = scene.algorithm.cycles.as_ref().map_or(1, |c| c.count);
-    let forecast = scene.report.forecast / varda::setup::problem::window(scene).step;
+    let Ok(grid) = file.grid() else { return false };
+    let forecast = scene.report.forecast / grid.step;
     segments <= 50
         && steps.saturating_mul(windows) <= 100
         && run <= 2000

@@ -9,13 +9,12 @@ use std::time::Instant;
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use varda::scene::{self, Prior, SceneFile};
-use varda::setup::problem::{Problem, View, mean_speed, places, sigmas};
+use varda::scene::SceneFile;
+use varda::setup::Problem;
 use varda_assimilation::{
     AdamOptions, AutoOptions, ControlTransform, CostFunction, Iteration, LbfgsOptions, Minimizer, Minimum,
     NewtonOptions, RawVariables, Status, StrongConstraint, TrustRegionOptions, adam, continuation,
 };
-use varda_covariance::{BlockDiagonal, CovarianceFunction, Dense, Interleaved, Kernel, Taper};
 
 /// Relative gradient at which every run ends: that of scenes.
 const TOLERANCE: f64 = 1e-8;
@@ -122,11 +121,12 @@ impl Run {
 pub(crate) fn run(twin: Twin, way: Way) -> Result<Run, Box<dyn Error>> {
     let name = if twin.prior == "clamp" { "hanging-rod-case4" } else { "hanging-rod-case4-plain" };
     let file = SceneFile::open(name, &[format!("seed={}", twin.seed)])?;
-    let mut problem = Problem::from_scene(&file)?;
-    let precision = precision(&problem)?;
+    let problem = Problem::from_scene(&file)?;
+    // For the raw variables.
+    let precision = problem.covariance.precision().ok_or("B of case 4 has an inverse")?;
     let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref())?;
-    let observations = &mut problem.observations;
-    let mut cost = StrongConstraint::new(problem.model.as_mut(), transform.clone(), observations)?;
+    let (mut model, mut observations) = (problem.model(), problem.observations()?);
+    let mut cost = StrongConstraint::new(model.as_mut(), transform.clone(), &mut observations)?;
     let n = transform.dim();
     let mut v = vec![0.0; n];
     let mut gradient = vec![0.0; n];
@@ -184,7 +184,7 @@ pub(crate) fn run(twin: Twin, way: Way) -> Result<Run, Box<dyn Error>> {
             let options =
                 AdamOptions { gradient_tolerance: TOLERANCE, learning_rate: 1e-3, ..AdamOptions::default() };
             let mut z = transform.background().to_vec();
-            let mut raw = RawVariables::new(&mut cost, &transform, &precision)?;
+            let mut raw = RawVariables::new(&mut cost, &transform, precision)?;
             adam(&mut raw, &mut z, &options, &mut note)
         }
     };
@@ -210,27 +210,6 @@ pub(crate) fn run(twin: Twin, way: Way) -> Result<Run, Box<dyn Error>> {
         gradients: counts.gradients - before.gradients,
         curve: curve.end(),
     })
-}
-
-/// B of the scene as something that can be inverted, for the raw variables.
-fn precision(problem: &Problem) -> Result<BlockDiagonal<Interleaved<Dense>>, Box<dyn Error>> {
-    let View::Rod(rod) = &problem.view else { return Err("case 4 is a rod".into()) };
-    let scene::Covariance::Kernel(k) = &problem.scene.background.covariance else {
-        return Err("case 4 has a kernel".into());
-    };
-    let at = places(&rod.parts, &rod.dynamics);
-    let truth = problem.truth.as_deref().ok_or("a twin experiment knows its truth")?;
-    let speed = mean_speed(&truth[..problem.background.len()]);
-    let (sigma_x, sigma_v) = sigmas(k, rod.parts.rod.length(), speed);
-    let taper = Taper::Triangle { support: k.localization_length.ok_or("case 4 is localized")? };
-    let known: &[f64] = if k.prior == Prior::Clamp { &at.known } else { &[] };
-    let block = |sigma: f64, length: f64| -> Result<Interleaved<Dense>, Box<dyn Error>> {
-        let function = CovarianceFunction { sigma, kernel: Kernel::Gaussian { length }, taper };
-        let matrix = function.conditioned_matrix(&at.free, known)?;
-        Ok(Interleaved::new(Dense::new(at.free.len(), &matrix)?, 3))
-    };
-    let parts = vec![block(sigma_x, k.correlation_length_x)?, block(sigma_v, k.correlation_length_v)?];
-    Ok(BlockDiagonal::new(parts))
 }
 
 /// CPU seconds of this thread where the system tells them (Linux), else the clock's.

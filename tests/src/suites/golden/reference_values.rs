@@ -6,7 +6,7 @@ use crate::row::{Case, Outcome, Rows};
 use problems::rods::{DrivenRod, HangingRod};
 use problems::small_problems::lorenz96_window;
 use varda::scene::SceneFile;
-use varda::setup::problem::Problem;
+use varda::setup::Problem;
 use varda_assimilation::{ControlTransform, CostFunction, StrongConstraint};
 use varda_covariance::Diagonal;
 use varda_implicit::{Model, Rk4, lorenz::Lorenz96};

@@ -1,0 +1,123 @@
+//! How a minimization went, row by row, and how it ended.
+
+use std::ops::Add;
+
+use serde::{Deserialize, Serialize};
+use varda_assimilation::Counts;
+
+/// One row of the convergence table.
+#[derive(Debug, Clone, Serialize)]
+pub struct ConvergenceRow {
+    /// Outer iterations done.
+    pub iteration: usize,
+    /// Seconds since the minimization began.
+    pub seconds: f64,
+    /// J.
+    pub j: f64,
+    /// J_b.
+    pub j_b: f64,
+    /// J_o.
+    pub j_o: f64,
+    /// J_q.
+    pub j_q: f64,
+    /// ‖∇J‖ in the control variable.
+    pub gradient_norm: f64,
+    /// RMSE of the initial state for each group of the state; empty where the truth is not known.
+    pub rmse: Vec<f64>,
+    /// The factor on σ of the observations at this stage.
+    pub sigma_factor: f64,
+    /// Steps of the sub-window; J is that of its observations.
+    pub window: usize,
+    /// Work of the model so far.
+    pub counts: WorkCounts,
+}
+
+/// Work of the model.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WorkCounts {
+    /// Steps taken.
+    pub model_steps: usize,
+    /// Products with M_k.
+    pub tangent_steps: usize,
+    /// Products with M_kᵀ.
+    pub adjoint_steps: usize,
+    /// Numerical factorizations.
+    pub factorizations: usize,
+    /// Newton iterations of the steps.
+    pub newton_iterations: usize,
+}
+
+impl From<&Counts> for WorkCounts {
+    fn from(counts: &Counts) -> Self {
+        WorkCounts::of(counts.model)
+    }
+}
+
+impl WorkCounts {
+    /// The work that a model counted.
+    pub fn of(model: varda_implicit::Counts) -> Self {
+        WorkCounts {
+            model_steps: model.model_steps,
+            tangent_steps: model.tangent_steps,
+            adjoint_steps: model.adjoint_steps,
+            factorizations: model.factorizations,
+            newton_iterations: model.newton_iterations,
+        }
+    }
+}
+
+impl Add for WorkCounts {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        WorkCounts {
+            model_steps: self.model_steps + other.model_steps,
+            tangent_steps: self.tangent_steps + other.tangent_steps,
+            adjoint_steps: self.adjoint_steps + other.adjoint_steps,
+            factorizations: self.factorizations + other.factorizations,
+            newton_iterations: self.newton_iterations + other.newton_iterations,
+        }
+    }
+}
+
+/// How a run ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Status {
+    /// At a stationary point of J.
+    Converged,
+    /// Out of iterations.
+    MaxIterations,
+    /// No step decreases J any more.
+    Stalled,
+    /// The caller asked to stop.
+    Interrupted,
+    /// The model failed and the minimizer had no safeguard against that.
+    Failed,
+}
+
+impl Status {
+    /// Its name in summary.json.
+    pub fn name(self) -> &'static str {
+        match self {
+            Status::Converged => "converged",
+            Status::MaxIterations => "max_iterations",
+            Status::Stalled => "stalled",
+            Status::Interrupted => "interrupted",
+            Status::Failed => "failed",
+        }
+    }
+}
+
+impl From<varda_assimilation::Status> for Status {
+    fn from(status: varda_assimilation::Status) -> Self {
+        use varda_assimilation::Status as S;
+        match status {
+            S::Converged => Status::Converged,
+            S::MaxIterations => Status::MaxIterations,
+            S::Stalled => Status::Stalled,
+            S::Interrupted => Status::Interrupted,
+            S::Failed => Status::Failed,
+        }
+    }
+}

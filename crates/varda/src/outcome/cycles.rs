@@ -1,0 +1,123 @@
+//! A sequence of windows.
+
+use serde::{Deserialize, Serialize};
+use varda_implicit::check::Amplification;
+
+use super::{Experiment, Shapes, Status, Trajectories, WorkCounts};
+
+/// The result of one window: a row of cycles.csv, and the start of the window. RMSE and spread have a number for
+/// each group of the state; they are empty where the truth, or the spread, is not known.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CycleRow {
+    /// Index from 0.
+    pub cycle: usize,
+    /// First step of the window, counted from the start of the sequence.
+    pub first_step: usize,
+    /// Model time at the first step \[s\].
+    pub time: f64,
+    /// J at the analysis.
+    pub j: f64,
+    /// J_b.
+    pub j_b: f64,
+    /// J_o.
+    pub j_o: f64,
+    /// m, the number of observed values.
+    pub observations: usize,
+    /// 2J/m; 0 where nothing was observed.
+    pub chi2: f64,
+    /// How the minimization ended.
+    pub status: Status,
+    /// The failure of the model that ended it, if one did.
+    pub failure: Option<String>,
+    /// Outer iterations.
+    pub outer_iterations: usize,
+    /// Work of the minimization.
+    pub counts: WorkCounts,
+    /// Standard deviation expected of the analysis at the window's end (of the next background, for a propagated
+    /// posterior).
+    pub spread: Vec<f64>,
+    /// RMSE of the background at the window's start.
+    pub rmse_background: Vec<f64>,
+    /// RMSE of the analysis at the window's start.
+    pub rmse_start: Vec<f64>,
+    /// RMSE of the analysis at the window's end.
+    pub rmse_end: Vec<f64>,
+    /// Seconds the window took.
+    pub seconds: f64,
+    /// x_b at the window's start.
+    pub background: Vec<f64>,
+    /// x_a at the window's start.
+    pub analysis: Vec<f64>,
+}
+
+/// The result of a sequence.
+#[derive(Debug)]
+pub struct CyclesOutcome {
+    /// What was run; its grid ends with the last window that was done.
+    pub experiment: Experiment,
+    /// Failed or interrupted before its last window; else the worst end of a minimization.
+    pub status: Status,
+    /// Why it failed.
+    pub failure: Option<String>,
+    /// The windows that were done.
+    pub cycles: Vec<CycleRow>,
+    /// Number of windows that were asked for.
+    pub asked_for: usize,
+    /// Steps of a window.
+    pub window: usize,
+    /// Steps from one window to the next.
+    pub shift: usize,
+    /// Where the covariance of a window comes from, as in a scene.
+    pub covariance: &'static str,
+    /// Windows at the start that do not count in the means.
+    pub spin_up: usize,
+    /// Analysis and truth over all steps of these windows; every window's analysis from its start to that of the
+    /// next.
+    pub trajectories: Trajectories,
+    /// The vertices of these runs, for models in space.
+    pub shapes: Option<Shapes>,
+    /// Means over the windows after `spin_up`.
+    pub means: Means,
+    /// Seconds since the run began.
+    pub seconds: f64,
+    /// How much the last window amplifies about its analysis; `None` for methods without a gradient along a run.
+    pub amplification: Option<Amplification>,
+    /// Remarks for the user.
+    pub warnings: Vec<String>,
+}
+
+impl CyclesOutcome {
+    /// The truth at the first step of a window, where it is known.
+    pub fn truth_at(&self, row: &CycleRow) -> Option<&[f64]> {
+        self.trajectories.state(&self.trajectories.truth, row.first_step)
+    }
+
+    /// Observed values in all windows.
+    pub fn observed_values(&self) -> usize {
+        self.cycles.iter().map(|r| r.observations).sum()
+    }
+
+    /// Work of all windows.
+    pub fn counts(&self) -> WorkCounts {
+        self.cycles.iter().fold(WorkCounts::default(), |sum, r| sum + r.counts)
+    }
+}
+
+/// Means over the windows that count; RMSE and spread have a number for each group of the state, where known.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Means {
+    /// Number of these windows.
+    pub count: usize,
+    /// RMSE of the background at the start of a window.
+    pub rmse_background: Vec<Option<f64>>,
+    /// RMSE of the analysis at the start of a window.
+    pub rmse_start: Vec<Option<f64>>,
+    /// RMSE of the analysis at the end of a window.
+    pub rmse_end: Vec<Option<f64>>,
+    /// Spread.
+    pub spread: Vec<Option<f64>>,
+    /// 2J/m, over the windows in which something was observed.
+    pub chi2: Option<f64>,
+    /// Seconds.
+    pub seconds: Option<f64>,
+}

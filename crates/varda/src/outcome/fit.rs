@@ -1,0 +1,82 @@
+//! How well the analysis fits what was observed, kept back, and observed later.
+
+use serde::Serialize;
+
+/// Innovations d = y − H(x) of one marker, place or component.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Fit {
+    /// The marker, place or component.
+    pub label: String,
+    /// Number of observed values.
+    pub count: usize,
+    /// Assumed σ (root mean square over the values).
+    pub sigma: f64,
+    /// Root mean square of d at the background.
+    pub rms_background: f64,
+    /// Root mean square of d at the analysis.
+    pub rms_analysis: f64,
+    /// Mean of d at the analysis.
+    pub mean_analysis: f64,
+    /// Root mean square of d/σ at the analysis: about 1 where model and σ are right.
+    pub ratio: f64,
+}
+
+impl Fit {
+    /// Whether the innovations are clearly larger than their assumed σ.
+    pub fn is_bad(&self) -> bool {
+        self.count >= 10 && self.ratio > 1.5
+    }
+}
+
+/// Distances \[m\] between a marker that was kept back and its place in the model, root mean square over the window.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Withheld {
+    /// The marker.
+    pub label: String,
+    /// Number of times.
+    pub count: usize,
+    /// From x_b \[m\].
+    pub rms_background: f64,
+    /// From x_a \[m\].
+    pub rms_analysis: f64,
+    /// From x_a, less the mean error \[m\]: what remains if the marker's place in the scene is a constant off.
+    pub moving_analysis: f64,
+}
+
+/// Distances \[m\] between a marker and its forecast, root mean square over the time after the window.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Forecast {
+    /// The marker.
+    pub label: String,
+    /// Whether it was assimilated in the window.
+    pub assimilated: bool,
+    /// Number of times.
+    pub count: usize,
+    /// The model from x_a \[m\].
+    pub analysis: f64,
+    /// The model from x_b \[m\].
+    pub background: f64,
+    /// Persistence: the marker stays where it was last seen in the window \[m\].
+    pub persistence: f64,
+    /// The model at rest in its static equilibrium \[m\].
+    pub static_model: f64,
+    /// The model from x_a, less its mean error \[m\].
+    pub moving_analysis: f64,
+    /// The best constant forecast: how far the marker moves about its mean place \[m\].
+    pub moving_constant: f64,
+}
+
+/// An observed value that the background check refused.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Rejected {
+    /// The marker, place or component.
+    pub label: String,
+    /// Step of the window (the earlier one, where it was seen between two).
+    pub step: usize,
+    /// Model time of that step \[s\].
+    pub time: f64,
+    /// d = y − H(x_b), in the unit of the value.
+    pub departure: f64,
+    /// √(HBHᵀ + R), the size expected of d.
+    pub expected: f64,
+}

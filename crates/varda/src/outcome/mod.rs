@@ -1,0 +1,17 @@
+//! Results as plain data: what a run found, and all that a report needs of it.
+
+mod convergence;
+mod cycles;
+mod fit;
+mod simulation;
+mod space;
+mod window;
+
+pub use convergence::{ConvergenceRow, Status, WorkCounts};
+pub use cycles::{CycleRow, CyclesOutcome, Means};
+pub use fit::{Fit, Forecast, Rejected, Withheld};
+pub use simulation::{Simulation, TwinFiles};
+pub use space::{Shapes, Sight, Track};
+pub use window::{
+    AcceptedSteps, Experiment, Failure, GroupRmse, Outcome, Rmse, Seconds, SeenComponent, Trajectories,
+};

@@ -1,0 +1,38 @@
+//! A forward run.
+
+use super::{Experiment, Shapes, Trajectories, WorkCounts};
+
+/// A forward run over the window and its forecast.
+#[derive(Debug)]
+pub struct Simulation {
+    /// What was run.
+    pub experiment: Experiment,
+    /// Where the run started: "truth" or "background".
+    pub of: &'static str,
+    /// Its states, in the place of an analysis.
+    pub trajectories: Trajectories,
+    /// Its vertices, for models in space.
+    pub shapes: Option<Shapes>,
+    /// Steps taken.
+    pub steps: usize,
+    /// Work of the model.
+    pub counts: WorkCounts,
+    /// For a twin experiment in space: the files from which its problem can be read again.
+    pub twin: Option<TwinFiles>,
+    /// Remarks for the user.
+    pub warnings: Vec<String>,
+}
+
+impl Simulation {
+    /// The last vertex at the end of the run \[m\]: the free end of a hanging rod.
+    pub fn tip(&self) -> Option<[f64; 3]> {
+        self.shapes.as_ref()?.analysis.last()?.last().copied()
+    }
+}
+
+/// What a twin experiment drew.
+#[derive(Debug)]
+pub struct TwinFiles {
+    /// x_b, in the control.
+    pub background: Vec<f64>,
+}

@@ -1,0 +1,67 @@
+//! Runs of a rod in space: its vertices step by step, what was seen of it, and one marker followed through all runs.
+
+use crate::Error;
+use crate::outcome::{Shapes, Track, Trajectories};
+use crate::setup::Problem;
+use crate::setup::observations::{Observed, ObservedSpace};
+
+/// Vertices of all runs; `None` for models that are not in space.
+///
+/// # Errors
+/// [`Error::Rod`].
+pub(crate) fn vertices(problem: &Problem, runs: &Trajectories) -> Result<Option<Shapes>, Error> {
+    let Some(rod) = problem.system.rod() else { return Ok(None) };
+    let mut dynamics = rod.parts.dynamics()?;
+    let grid = &problem.experiment.grid;
+    let mut of = |states: &[f64]| {
+        let states = states.chunks_exact(runs.dim).enumerate();
+        states.map(|(k, x)| dynamics.vertices(grid.time(k), x)).collect::<Result<Vec<_>, _>>()
+    };
+    Ok(Some(Shapes {
+        background: of(&runs.background)?,
+        analysis: of(&runs.analysis)?,
+        truth: of(&runs.truth)?,
+        ..Shapes::default()
+    }))
+}
+
+/// Vertices of all runs, what was seen, and the track of one marker; `None` for models that are not in space.
+///
+/// # Errors
+/// [`Error::Rod`], [`Error::Assimilation`] where a marker has no place in a state.
+pub(crate) fn with_observations(problem: &Problem, runs: &Trajectories) -> Result<Option<Shapes>, Error> {
+    let Some(shapes) = vertices(problem, runs)? else { return Ok(None) };
+    let observed = &problem.observed;
+    let track = observed.space.as_ref().map(|space| track(observed, space, runs)).transpose()?;
+    Ok(Some(Shapes { seen: observed.sights(), track: track.flatten(), ..shapes }))
+}
+
+/// The track of the first marker that was kept back, which says most; else of the last site, which is the free end in
+/// most scenes.
+fn track(observed: &Observed, space: &ObservedSpace, runs: &Trajectories) -> Result<Option<Track>, Error> {
+    let sites = &observed.sites;
+    let Some(last) = sites.len().checked_sub(1) else { return Ok(None) };
+    let site = sites.iter().position(|s| s.withheld).unwrap_or(last);
+    let rows = sites[site].rows.clone();
+    let mut operator = (space.make_places)()?;
+    let mut places = vec![0.0; operator.dim()];
+    let mut of =
+        |states: &[f64]| -> Result<Vec<[f64; 3]>, Error> {
+            let mut line = Vec::new();
+            for (step, x) in states.chunks_exact(runs.dim).enumerate() {
+                operator
+                    .observe(step, x, &mut places)
+                    .map_err(|reason| varda_assimilation::Error::Observe { operator: 0, step, reason })?;
+                line.push([places[rows.start], places[rows.start + 1], places[rows.start + 2]]);
+            }
+            Ok(line)
+        };
+    Ok(Some(Track {
+        label: sites[site].label.clone(),
+        site,
+        withheld: sites[site].withheld,
+        background: of(&runs.background)?,
+        analysis: of(&runs.analysis)?,
+        truth: of(&runs.truth)?,
+    }))
+}

@@ -1,0 +1,318 @@
+//! Keys of a scene as values that cannot be wrong: each choice between keys is read, and refused, in one place.
+
+use varda_implicit::Scheme;
+use varda_implicit::line::Line;
+
+use super::invalid::{Either, Invalid, invalid, one_of};
+use super::{
+    Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Ensemble, Integrator,
+    KernelCovariance, LineCovariance, Observations, Origin, RodModel, Synthetic, Taper,
+};
+
+/// A standard deviation, given as it is or relative to another quantity.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Sigma {
+    /// In its own unit.
+    Value(f64),
+    /// As a fraction of a scale: the length of a rod, a mean speed.
+    Relative(f64),
+}
+
+impl Sigma {
+    fn from_keys(given: Either<f64, f64>) -> Sigma {
+        match given {
+            Either::First(value) => Sigma::Value(value),
+            Either::Second(fraction) => Sigma::Relative(fraction),
+        }
+    }
+
+    /// Its value, given the scale.
+    pub(crate) fn of(self, scale: f64) -> f64 {
+        match self {
+            Sigma::Value(value) => value,
+            Sigma::Relative(fraction) => fraction * scale,
+        }
+    }
+}
+
+impl KernelCovariance {
+    /// σ of positions (relative to the length of the rod) and of velocities (relative to the mean speed).
+    pub(crate) fn sigmas(&self, section: &str) -> Result<[Sigma; 2], Invalid> {
+        let x =
+            one_of(section, ("sigma_x", self.sigma_x), ("sigma_x_over_length", self.sigma_x_over_length))?;
+        let v = one_of(
+            section,
+            ("sigma_v", self.sigma_v),
+            ("sigma_v_over_mean_speed", self.sigma_v_over_mean_speed),
+        )?;
+        Ok([Sigma::from_keys(x), Sigma::from_keys(v)])
+    }
+
+    /// Its taper.
+    pub(crate) fn taper(&self, section: &str) -> Result<varda_covariance::Taper, Invalid> {
+        taper(self.taper, self.localization_length, section)
+    }
+}
+
+impl LineCovariance {
+    /// Its taper.
+    pub(crate) fn taper(&self, section: &str) -> Result<varda_covariance::Taper, Invalid> {
+        taper(self.taper, self.localization_length, section)
+    }
+}
+
+fn taper(shape: Taper, length: Option<f64>, section: &str) -> Result<varda_covariance::Taper, Invalid> {
+    match (shape, length) {
+        (Taper::None, None) => Ok(varda_covariance::Taper::None),
+        (Taper::None, Some(_)) => {
+            invalid(format!("{section}.localization_length"), "there is no taper to use it")
+        }
+        (Taper::Triangle, Some(support)) => Ok(varda_covariance::Taper::Triangle { support }),
+        (Taper::GaspariCohn, Some(support)) => Ok(varda_covariance::Taper::GaspariCohn { support }),
+        (Taper::Triangle | Taper::GaspariCohn, None) => {
+            invalid(section, "a taper needs `localization_length` [m]")
+        }
+    }
+}
+
+impl Ensemble {
+    /// The taper that localizes it; `None` without localization.
+    pub(crate) fn localization(&self) -> Result<Option<varda_covariance::Taper>, Invalid> {
+        let path = "algorithm.ensemble";
+        match (self.localization_length, self.taper) {
+            (None, None | Some(Taper::None)) => Ok(None),
+            (None, Some(Taper::Triangle | Taper::GaspariCohn)) => {
+                invalid(format!("{path}.taper"), "a taper needs `localization_length`")
+            }
+            (Some(_), Some(Taper::None)) => {
+                invalid(format!("{path}.localization_length"), "there is no taper to use it")
+            }
+            (Some(support), Some(Taper::Triangle)) => Ok(Some(varda_covariance::Taper::Triangle { support })),
+            (Some(support), None | Some(Taper::GaspariCohn)) => {
+                Ok(Some(varda_covariance::Taper::GaspariCohn { support }))
+            }
+        }
+    }
+}
+
+/// A covariance of a model that is not a rod.
+pub(crate) enum ComponentCovariance<'a> {
+    /// Independent errors.
+    Diagonal(&'a DiagonalCovariance),
+    /// That of the states the model passes through.
+    Climatology(&'a ClimatologyCovariance),
+    /// A kernel along a line.
+    Line(&'a LineCovariance, Line),
+}
+
+impl Covariance {
+    /// The covariance of a rod's control.
+    pub(crate) fn of_rod(&self, path: &str) -> Result<&KernelCovariance, Invalid> {
+        match self {
+            Covariance::Kernel(k) => Ok(k),
+            _ => invalid(format!("{path}.kind"), "rods take kind = \"kernel\""),
+        }
+    }
+
+    /// The covariance of a Lorenz model's state.
+    pub(crate) fn of_lorenz(&self, path: &str) -> Result<ComponentCovariance<'_>, Invalid> {
+        match self {
+            Covariance::Diagonal(d) => Ok(ComponentCovariance::Diagonal(d)),
+            Covariance::Climatology(c) => Ok(ComponentCovariance::Climatology(c)),
+            Covariance::Kernel(_) | Covariance::Line(_) => {
+                invalid(format!("{path}.kind"), "Lorenz models take kind = \"diagonal\" or \"climatology\"")
+            }
+        }
+    }
+
+    /// The covariance of a field along a line.
+    pub(crate) fn of_line(&self, path: &str, line: Line) -> Result<ComponentCovariance<'_>, Invalid> {
+        match self {
+            Covariance::Diagonal(d) => Ok(ComponentCovariance::Diagonal(d)),
+            Covariance::Line(k) => Ok(ComponentCovariance::Line(k, line)),
+            Covariance::Kernel(_) | Covariance::Climatology(_) => {
+                invalid(format!("{path}.kind"), "a field along a line takes kind = \"line\" or \"diagonal\"")
+            }
+        }
+    }
+}
+
+/// Where x_b comes from, with the file where it is one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum BackgroundSource<'a> {
+    /// The truth of a twin experiment plus a drawn error.
+    TruthPlusDraw,
+    /// The static equilibrium of a rod.
+    StaticEquilibrium,
+    /// A CSV file.
+    File(&'a str),
+}
+
+impl Background {
+    /// Where x_b comes from.
+    pub(crate) fn source(&self) -> Result<BackgroundSource<'_>, Invalid> {
+        match (self.from, &self.file) {
+            (Origin::File, Some(file)) => Ok(BackgroundSource::File(file)),
+            (Origin::TruthPlusDraw, None) => Ok(BackgroundSource::TruthPlusDraw),
+            (Origin::StaticEquilibrium, None) => Ok(BackgroundSource::StaticEquilibrium),
+            (Origin::File, None) => invalid("background", "from = \"file\" needs the key `file`"),
+            (_, Some(_)) => invalid("background.file", "a file is read only with from = \"file\""),
+        }
+    }
+}
+
+impl Background {
+    /// The file of x_b for a model that is not a rod; `None` for that of a twin experiment.
+    pub(crate) fn file_of_components(&self) -> Result<Option<&str>, Invalid> {
+        match self.source()? {
+            BackgroundSource::TruthPlusDraw => Ok(None),
+            BackgroundSource::File(name) => Ok(Some(name)),
+            BackgroundSource::StaticEquilibrium => {
+                invalid("background.from", "only rods have a static equilibrium")
+            }
+        }
+    }
+}
+
+impl Observations {
+    /// The observations of a model that is not a rod.
+    pub(crate) fn of_components(&self) -> Result<&Synthetic, Invalid> {
+        match self {
+            Observations::Synthetic(keys) => Ok(keys),
+            Observations::File(_) => invalid(
+                "observations.kind",
+                "observations are read from a file for rods only; take kind = \"synthetic\"",
+            ),
+        }
+    }
+}
+
+impl Synthetic {
+    /// The steps of a window at which something is observed.
+    pub(crate) fn observed_steps(&self, window: usize) -> Result<Vec<usize>, Invalid> {
+        let given = one_of("observations", ("every", self.every), ("steps", self.steps.as_ref()))?;
+        Ok(match given {
+            Either::First(every) => (1..=window / every).map(|i| i * every).collect(),
+            Either::Second(steps) => steps.clone(),
+        })
+    }
+
+    /// σ of an observed component, which cannot be relative to a length.
+    pub(crate) fn component_sigma(&self) -> Result<f64, Invalid> {
+        match self.sigma()? {
+            Sigma::Value(sigma) => Ok(sigma),
+            Sigma::Relative(_) => {
+                invalid("observations.sigma_over_length", "this model has no length; give `sigma`")
+            }
+        }
+    }
+
+    /// σ of an observed value (relative to the length of the rod).
+    pub(crate) fn sigma(&self) -> Result<Sigma, Invalid> {
+        let given =
+            one_of("observations", ("sigma", self.sigma), ("sigma_over_length", self.sigma_over_length))?;
+        Ok(Sigma::from_keys(given))
+    }
+}
+
+/// How the material of a rod answers to shear.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Shear {
+    /// Poisson's ratio ν.
+    PoissonRatio(f64),
+    /// The shear modulus G \[Pa\].
+    Modulus(f64),
+}
+
+/// The material of a solid section.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct SolidMaterial {
+    pub(crate) youngs_modulus: f64,
+    pub(crate) shear: Shear,
+    pub(crate) density: f64,
+}
+
+impl RodModel {
+    /// Rest length of every segment \[m\].
+    pub(crate) fn rest_lengths(&self) -> Result<Vec<f64>, Invalid> {
+        let given =
+            one_of("model", ("segment_lengths", self.segment_lengths.as_ref()), ("length", self.length))?;
+        let lengths = match (given, self.segments) {
+            (Either::First(lengths), None) => lengths.clone(),
+            (Either::Second(length), Some(n)) => vec![length / n as f64; n],
+            (Either::First(_), Some(_)) | (Either::Second(_), None) => {
+                return invalid("model", "`length` and `segments` go together");
+            }
+        };
+        if let Some(i) = lengths.iter().position(|l| !(*l > 0.0)) {
+            return invalid(format!("model.segment_lengths.{i}"), "a segment must be longer than 0 [m]");
+        }
+        if lengths.len() < 2 {
+            return invalid("model.segment_lengths", "a rod needs at least 2 segments");
+        }
+        Ok(lengths)
+    }
+
+    /// The material of a section that needs one.
+    pub(crate) fn solid_material(&self) -> Result<SolidMaterial, Invalid> {
+        let Some(m) = &self.material else {
+            let message = "[model.material] is missing: the section needs youngs_modulus, density and \
+                           poisson_ratio or shear_modulus";
+            return invalid("model", message);
+        };
+        let shear = match one_of(
+            "model.material",
+            ("poisson_ratio", m.poisson_ratio),
+            ("shear_modulus", m.shear_modulus),
+        )? {
+            Either::First(ratio) => Shear::PoissonRatio(ratio),
+            Either::Second(modulus) => Shear::Modulus(modulus),
+        };
+        Ok(SolidMaterial { youngs_modulus: m.youngs_modulus, shear, density: m.density })
+    }
+}
+
+/// How a field along a line is stepped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum LineStep {
+    /// Explicit Runge–Kutta of fourth order.
+    Rk4,
+    /// An implicit scheme.
+    Implicit(Scheme),
+}
+
+impl Integrator {
+    /// The scheme of a rod.
+    pub(crate) fn of_rod(self) -> Result<Scheme, Invalid> {
+        match self {
+            Integrator::BackwardEuler => Ok(Scheme::BackwardEuler),
+            Integrator::Midpoint => Ok(Scheme::Midpoint),
+            Integrator::Bdf2 => Ok(Scheme::Bdf2),
+            Integrator::Rk4 => unsupported("rods are", "\"backward-euler\" or \"midpoint\" or \"bdf2\""),
+        }
+    }
+
+    /// The step of a field along a line.
+    pub(crate) fn of_line(self) -> Result<LineStep, Invalid> {
+        match self {
+            Integrator::BackwardEuler => Ok(LineStep::Implicit(Scheme::BackwardEuler)),
+            Integrator::Midpoint => Ok(LineStep::Implicit(Scheme::Midpoint)),
+            Integrator::Rk4 => Ok(LineStep::Rk4),
+            Integrator::Bdf2 => {
+                unsupported("fields along a line are", "\"backward-euler\" or \"midpoint\" or \"rk4\"")
+            }
+        }
+    }
+
+    /// Lorenz models have one step.
+    pub(crate) fn of_lorenz(self) -> Result<(), Invalid> {
+        match self {
+            Integrator::Rk4 => Ok(()),
+            _ => unsupported("Lorenz models are", "\"rk4\""),
+        }
+    }
+}
+
+fn unsupported<T>(what: &str, names: &str) -> Result<T, Invalid> {
+    invalid("time.integrator", format!("{what} integrated with {names}"))
+}

@@ -1,0 +1,151 @@
+//! A model that is not a rod as the system of a problem: its truth, background, covariance and models.
+
+use std::rc::Rc;
+
+use varda_implicit::Model;
+use varda_implicit::line::Line;
+
+use super::climatology;
+use super::component_model::Equation;
+use super::covariance::{self, Factored};
+use super::csv;
+use super::ensemble::ComponentPositions;
+use super::files::Files;
+use super::runs::{MakeModel, run_states};
+use crate::Error;
+use crate::scene::{self, ComponentCovariance, Invalid, Scene, SceneFile, TimeGrid};
+use crate::state::StateLayout;
+
+/// A model whose state is a list of components of one kind.
+pub struct ComponentSystem {
+    /// Names of the components.
+    pub names: Vec<String>,
+    /// Numbers that the linearization of a step keeps.
+    pub(crate) kept: usize,
+    /// Whether its steps are explicit.
+    pub(crate) is_explicit: bool,
+    /// The line of a field along one.
+    line: Option<Line>,
+    positions: ComponentPositions,
+    start: Vec<f64>,
+    /// Makes the model, its step 0 being the given step of the model's time.
+    make: Rc<dyn Fn(usize) -> Box<dyn Model + Send>>,
+    spin_up: usize,
+}
+
+impl ComponentSystem {
+    /// The model of a scene with this equation.
+    pub(crate) fn new(scene: &Scene, equation: Equation, grid: TimeGrid) -> Self {
+        let n = equation.dim();
+        let numbered = |letter: &str| (0..n).map(|i| format!("{letter}{i}")).collect();
+        let (names, positions) = match &equation {
+            Equation::Lorenz63(_) => {
+                (["x", "y", "z"].map(String::from).to_vec(), ComponentPositions::Nowhere)
+            }
+            Equation::Lorenz96 { .. } => (numbered("x"), ComponentPositions::Ring(n)),
+            Equation::AlongLine { line, .. } => (numbered("u"), ComponentPositions::Line(*line)),
+        };
+        let line = equation.line();
+        let is_explicit = equation.is_explicit();
+        let start = scene.truth.as_ref().map_or_else(|| equation.start(), |truth| truth.state.clone());
+        let make = equation.factory(&start, grid.step);
+        ComponentSystem {
+            names,
+            // Explicit: four stages. Implicit: the states and a factor of about six numbers a row.
+            kept: if is_explicit { 4 * n } else { 8 * n },
+            is_explicit,
+            line,
+            positions,
+            start,
+            make: Rc::new(make),
+            spin_up: scene.time.spin_up,
+        }
+    }
+
+    /// The layout of its state.
+    pub(crate) fn layout(&self) -> StateLayout {
+        StateLayout::of_components(self.names.clone())
+    }
+
+    /// Where its components are.
+    pub(crate) fn positions(&self) -> ComponentPositions {
+        self.positions.clone()
+    }
+
+    /// What explicit steps do without.
+    pub(crate) fn left_out(&self) -> Option<String> {
+        self.is_explicit.then(|| "factorizations: the steps are explicit".to_string())
+    }
+
+    /// The truth of a twin experiment: the state after the spin-up from the start.
+    pub(crate) fn truth(&self) -> Result<Vec<f64>, Error> {
+        let mut model = (self.make)(0);
+        let states = run_states(model.as_mut(), &self.start, self.spin_up)?;
+        Ok(states[self.spin_up * self.start.len()..].to_vec())
+    }
+
+    /// The state in a CSV file with one row for each component.
+    pub(crate) fn read_background(&self, files: &Files, name: &str) -> Result<Vec<f64>, Error> {
+        let n = self.names.len();
+        let (label, text) = files.text("background.file", name)?;
+        let rows = csv::numbers(&label, &text, ["component", "value"])?;
+        let in_order = rows.iter().enumerate().all(|(i, r)| r[0] == i as f64);
+        if rows.len() != n || !in_order {
+            return Err(Error::Data {
+                place: label,
+                message: format!("expected one row for each component 0 to {}, in order", n - 1),
+            });
+        }
+        Ok(rows.iter().map(|r| r[1]).collect())
+    }
+
+    /// The covariance that the key `path` describes. A climatology runs the model.
+    pub(crate) fn covariance(
+        &self,
+        file: &SceneFile,
+        path: &str,
+        keys: &scene::Covariance,
+    ) -> Result<Factored, Error> {
+        let n = self.names.len();
+        match file.checked(self.covariance_keys(path, keys))? {
+            ComponentCovariance::Line(k, line) => covariance::along_line(file, path, k, &line),
+            ComponentCovariance::Diagonal(d) => covariance::diagonal(file, path, n, d.sigma),
+            ComponentCovariance::Climatology(c) => {
+                let mut model = (self.make)(0);
+                let matrix = climatology::covariance(model.as_mut(), &self.start, self.spin_up, c.steps)?;
+                covariance::scaled(file, path, n, c.scale, &matrix)
+            }
+        }
+    }
+
+    /// Fails where the covariance that the key `path` describes has no root. A climatology needs a run and is not
+    /// checked.
+    pub(crate) fn check_covariance(
+        &self,
+        file: &SceneFile,
+        path: &str,
+        keys: &scene::Covariance,
+    ) -> Result<(), Error> {
+        match file.checked(self.covariance_keys(path, keys))? {
+            ComponentCovariance::Climatology(_) => Ok(()),
+            _ => self.covariance(file, path, keys).map(|_| ()),
+        }
+    }
+
+    fn covariance_keys<'k>(
+        &self,
+        path: &str,
+        keys: &'k scene::Covariance,
+    ) -> Result<ComponentCovariance<'k>, Invalid> {
+        match self.line {
+            Some(line) => keys.of_line(path, line),
+            None => keys.of_lorenz(path),
+        }
+    }
+
+    /// Makes models.
+    pub(crate) fn models(&self) -> MakeModel {
+        let (make, first) = (Rc::clone(&self.make), self.spin_up);
+        Box::new(move |k| make(first + k))
+    }
+}

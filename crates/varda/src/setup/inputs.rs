@@ -1,0 +1,83 @@
+//! Everything that a scene and its files say, read once, before anything is run.
+
+use super::files::{Files, InputFile};
+use super::observations::Observed;
+use super::runs::MakeControl;
+use super::system::System;
+use super::{component_observations, rod_observations};
+use crate::Error;
+use crate::scene::{BackgroundSource, Observations, SceneFile, TimeGrid};
+
+/// A scene and its files, read.
+pub struct Inputs {
+    /// The scene.
+    pub file: SceneFile,
+    /// The scene with the whole sequence of `[algorithm.cycles]` as its window.
+    pub(crate) one_window: SceneFile,
+    /// The grid of that window.
+    pub grid: TimeGrid,
+    /// What is modelled.
+    pub system: System,
+    /// What is observed; values of a twin experiment are not drawn yet.
+    pub observed: Observed,
+    /// The background.
+    pub(crate) background: Background,
+    /// The files that were read.
+    pub files: Vec<InputFile>,
+}
+
+/// The background, as far as it is known without a run.
+pub(crate) enum Background {
+    /// Drawn around the truth of a twin experiment.
+    Drawn,
+    /// Read from a file.
+    Read(Vec<f64>),
+    /// Computed: a static equilibrium.
+    Computed(MakeControl),
+}
+
+impl Inputs {
+    /// Reads the files of a scene.
+    ///
+    /// # Errors
+    /// [`Error::Read`], [`Error::Data`] or [`Error::Scene`], naming the key or the line.
+    pub fn read(file: &SceneFile) -> Result<Inputs, Error> {
+        let one_window = file.as_one_window();
+        let grid = one_window.grid()?;
+        let files = Files::of(&one_window);
+        let system = System::read(&files, grid)?;
+        let observed = observed(&files, &system, grid)?;
+        let background = background(&files, &system)?;
+        let files = files.into_read();
+        Ok(Inputs { file: file.clone(), grid, system, observed, background, files, one_window })
+    }
+}
+
+/// The observations of a scene, by their kind and that of the model.
+fn observed(files: &Files, system: &System, grid: TimeGrid) -> Result<Observed, Error> {
+    let keys = &files.scene.scene.observations;
+    match (system, keys) {
+        (System::Rod(rod), Observations::Synthetic(keys)) => {
+            rod_observations::synthetic(files, keys, rod, grid)
+        }
+        (System::Rod(rod), Observations::File(keys)) => rod_observations::recorded(files, keys, rod, grid),
+        (System::Components(model), keys) => {
+            component_observations::synthetic(files, files.scene.checked(keys.of_components())?, model, grid)
+        }
+    }
+}
+
+fn background(files: &Files, system: &System) -> Result<Background, Error> {
+    let keys = &files.scene.scene.background;
+    match system {
+        System::Rod(rod) => Ok(match files.scene.checked(keys.source())? {
+            BackgroundSource::TruthPlusDraw => Background::Drawn,
+            BackgroundSource::File(name) => Background::Read(rod.read_background(files, name)?),
+            BackgroundSource::StaticEquilibrium => Background::Computed(rod.at_rest()),
+        }),
+        System::Components(model) => Ok(match files.scene.checked(keys.file_of_components())? {
+            None => Background::Drawn,
+            Some(name) => Background::Read(model.read_background(files, name)?),
+        }),
+    }
+}

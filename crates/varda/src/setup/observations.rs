@@ -1,0 +1,191 @@
+//! What is observed, whatever its kind.
+//!
+//! A kind of observations is one variant of [`Observations`](crate::scene::Observations) and one file of this
+//! folder, which makes an [`Observed`] of it. Later stages know nothing else of it: sites are groups of rows of the
+//! observation operator, and values are read, or drawn around the truth of a twin experiment.
+
+use std::ops::Range;
+
+use varda_assimilation::{Observation, ObservationOperator, ObservationSet};
+use varda_implicit::Model;
+
+use super::random::{Stream, normal, stream};
+use super::runs::run_states;
+use crate::Error;
+use crate::outcome::Sight;
+use crate::scene::TimeGrid;
+
+/// Makes an observation operator.
+pub type MakeOperator = Box<dyn Fn() -> Result<Box<dyn ObservationOperator>, Error>>;
+
+/// Everything that is observed.
+pub struct Observed {
+    /// The sites, in the order of their rows.
+    pub sites: Vec<Site>,
+    /// What was seen of them, in the order of the file or of time.
+    pub seen: Vec<Seen>,
+    /// Where they are in space, for models in space.
+    pub space: Option<ObservedSpace>,
+    /// What was left out on request.
+    pub left_out: Vec<String>,
+    /// Makes H, all sites stacked.
+    pub(crate) make_operator: MakeOperator,
+    /// The values of a twin experiment that are still to be drawn.
+    pub(crate) draws: Option<Draws>,
+}
+
+/// A marker, place or component that is observed: some rows of the observation operator.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Site {
+    /// Name in reports: "marker …", an arc length, the name of a component.
+    pub label: String,
+    /// Its rows of H.
+    pub rows: Range<usize>,
+    /// For each row the component of the control at the same place (localization of ensembles).
+    pub anchors: Vec<usize>,
+    /// Whether it is kept back from the assimilation.
+    pub withheld: bool,
+}
+
+/// What was seen of one site at one time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Seen {
+    /// Index of the site.
+    pub site: usize,
+    /// Step k of the window; may lie after its end, in the forecast.
+    pub step: usize,
+    /// Fraction of the way to step k + 1, in [0, 1).
+    pub weight: f64,
+    /// A value for each row of the site; `None` was not observed.
+    pub values: Vec<Option<f64>>,
+    /// Standard deviation of each value.
+    pub sigma: f64,
+}
+
+/// Sites in space, with three rows each.
+pub struct ObservedSpace {
+    /// Arc length of every site \[m\].
+    pub arc_lengths: Vec<f64>,
+    /// The rotation R from the axes of the values to those of the model, by rows.
+    pub rotation: [[f64; 3]; 3],
+    /// Makes the operator that gives the places of all sites in the model's axes.
+    pub(crate) make_places: MakeOperator,
+}
+
+/// Values to be drawn around the truth.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Draws {
+    /// Steps of the window.
+    pub(crate) steps: Vec<usize>,
+    /// Standard deviation of a value.
+    pub(crate) sigma: f64,
+}
+
+impl Seen {
+    /// Time within the window, in steps.
+    pub fn at(&self) -> f64 {
+        self.step as f64 + self.weight
+    }
+}
+
+impl Observed {
+    /// Numbers of the values that are assimilated and of the times they belong to.
+    pub fn sizes(&self, grid: &TimeGrid) -> [usize; 2] {
+        if let Some(draws) = &self.draws {
+            let rows: usize = self.sites.iter().map(|s| s.rows.len()).sum();
+            return [rows * draws.steps.len(), draws.steps.len()];
+        }
+        let used = || self.seen.iter().filter(|s| self.is_assimilated(s, grid));
+        let values = |s: &Seen| s.values.iter().flatten().count();
+        let mut times: Vec<f64> = used().filter(|s| values(s) > 0).map(Seen::at).collect();
+        times.sort_by(f64::total_cmp);
+        times.dedup();
+        [used().map(values).sum(), times.len()]
+    }
+
+    /// Draws the values of a twin experiment: H of the truth at the observed steps, in the order of time, plus
+    /// independent errors. Nothing for observations that were read.
+    pub(crate) fn draw(&mut self, model: &mut dyn Model, truth: &[f64], seed: u64) -> Result<(), Error> {
+        let Some(Draws { steps, sigma }) = self.draws.take() else { return Ok(()) };
+        let last = steps.iter().copied().max().unwrap_or(0);
+        let states = run_states(model, truth, last)?;
+        let mut operator = (self.make_operator)()?;
+        let mut rng = stream(seed, Stream::Observations);
+        let mut y = vec![0.0; operator.dim()];
+        let n = model.dim();
+        for step in steps {
+            operator
+                .observe(step, &states[step * n..(step + 1) * n], &mut y)
+                .map_err(|reason| varda_assimilation::Error::Observe { operator: 0, step, reason })?;
+            for (site, place) in self.sites.iter().enumerate() {
+                let values = y[place.rows.clone()].iter().map(|y| Some(y + normal(&mut rng, sigma)));
+                self.seen.push(Seen { site, step, weight: 0.0, values: values.collect(), sigma });
+            }
+        }
+        Ok(())
+    }
+
+    fn is_assimilated(&self, seen: &Seen, grid: &TimeGrid) -> bool {
+        !self.sites[seen.site].withheld && seen.at() <= grid.steps as f64
+    }
+
+    /// The observations that are assimilated, for operator 0.
+    pub fn assimilated(&self, grid: &TimeGrid) -> Vec<Observation> {
+        let observation = |s: &Seen| {
+            let site = &self.sites[s.site];
+            let present: Vec<(usize, f64)> =
+                site.rows.clone().zip(&s.values).filter_map(|(row, v)| v.map(|v| (row, v))).collect();
+            Observation {
+                operator: 0,
+                step: s.step,
+                weight: s.weight,
+                sigma: vec![s.sigma; present.len()],
+                rows: present.iter().map(|p| p.0).collect(),
+                values: present.iter().map(|p| p.1).collect(),
+                label: site.label.clone(),
+            }
+        };
+        let used = self.seen.iter().filter(|s| self.is_assimilated(s, grid));
+        used.map(observation).filter(|o| !o.rows.is_empty()).collect()
+    }
+
+    /// The set of the observations that are assimilated, with an operator of its own.
+    ///
+    /// # Errors
+    /// [`Error::Assimilation`].
+    pub fn set(&self, grid: &TimeGrid) -> Result<ObservationSet, Error> {
+        Ok(ObservationSet::new(grid.steps, vec![(self.make_operator)()?], self.assimilated(grid))?)
+    }
+
+    /// H, all sites stacked.
+    ///
+    /// # Errors
+    /// [`Error::Rod`] for a marker off the rod.
+    pub fn operator(&self) -> Result<Box<dyn ObservationOperator>, Error> {
+        (self.make_operator)()
+    }
+
+    /// For each row of the operator the component of the control at the same place.
+    pub fn anchors(&self) -> Vec<usize> {
+        self.sites.iter().flat_map(|s| s.anchors.iter().copied()).collect()
+    }
+
+    /// What was seen whole of sites in space, in the model's axes.
+    pub fn sights(&self) -> Vec<Sight> {
+        let Some(space) = &self.space else { return Vec::new() };
+        let r = &space.rotation;
+        let sight = |s: &Seen| {
+            let [Some(a), Some(b), Some(c)] = s.values[..] else { return None };
+            Some(Sight {
+                site: s.site,
+                arc_length: space.arc_lengths[s.site],
+                withheld: self.sites[s.site].withheld,
+                step: s.step,
+                weight: s.weight,
+                position: std::array::from_fn(|i| r[i][0] * a + r[i][1] * b + r[i][2] * c),
+                sigma: s.sigma,
+            })
+        };
+        self.seen.iter().filter_map(sight).collect()
+    }
+}

@@ -1,0 +1,225 @@
+//! A rod as the system of a problem: its truth, background, covariance and models.
+
+use varda_covariance::Covariance;
+use varda_implicit::{ImplicitStep, Structure};
+use varda_rod::RodStep;
+
+use super::adaptive_steps::{AdaptiveSteps, rod_models};
+use super::covariance::{self, Factored, Places};
+use super::csv;
+use super::ensemble::ComponentPositions;
+use super::files::Files;
+use super::rod_model::RodParts;
+use super::runs::{MakeControl, MakeModel};
+use crate::Error;
+use crate::scene::{self, RodModel, SceneFile, TimeGrid};
+use crate::state::{Geometry, StateLayout};
+
+/// A rod, read from a scene and its files.
+pub struct RodSystem {
+    /// The rod, its supports and loads.
+    pub parts: RodParts,
+    /// Arc lengths of its free and of its prescribed vertices.
+    pub places: Places,
+    /// Length of a state.
+    pub state: usize,
+    /// Length of the control.
+    pub control: usize,
+    /// Numbers that the linearization of a step keeps.
+    pub(crate) kept: usize,
+    free: Vec<usize>,
+    left_out: Vec<String>,
+    grid: TimeGrid,
+    spin_up: usize,
+}
+
+impl RodSystem {
+    /// Reads the rod of a scene.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] pointing at the key, or the error of a file it names.
+    pub(crate) fn read(files: &Files, model: &RodModel, grid: TimeGrid) -> Result<Self, Error> {
+        let parts = RodParts::read(files, model)?;
+        let dynamics = parts.dynamics()?;
+        let s = parts.rod.arc_lengths();
+        let free = dynamics.free_vertices().to_vec();
+        let places = Places {
+            free: free.iter().map(|&v| s[v]).collect(),
+            known: (0..s.len()).filter(|v| !free.contains(v)).map(|v| s[v]).collect(),
+        };
+        Ok(RodSystem {
+            places,
+            state: dynamics.dim(),
+            control: dynamics.control_len(),
+            kept: kept(&dynamics),
+            left_out: dynamics.left_out(),
+            free,
+            parts,
+            grid,
+            spin_up: files.scene.scene.time.spin_up,
+        })
+    }
+
+    /// Length of the rod \[m\].
+    pub fn length(&self) -> f64 {
+        self.parts.rod.length()
+    }
+
+    /// What the dynamics do without.
+    pub(crate) fn left_out(&self) -> &[String] {
+        &self.left_out
+    }
+
+    /// The layout of its control.
+    pub(crate) fn layout(&self) -> StateLayout {
+        StateLayout::of_rod(Geometry { arc_lengths: self.parts.rod.arc_lengths(), free: self.free.clone() })
+    }
+
+    /// Where the components of its control are.
+    pub(crate) fn positions(&self) -> ComponentPositions {
+        ComponentPositions::Rod(self.places.free.clone())
+    }
+
+    /// The first of the three components of the control nearest to an arc length.
+    pub(crate) fn nearest_position(&self, s: f64) -> usize {
+        let off = |i: &usize| (self.places.free[*i] - s).abs();
+        3 * (0..self.places.free.len()).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0)
+    }
+
+    /// The truth of a twin experiment: the state after the spin-up from rest.
+    pub(crate) fn truth(&self) -> Result<Vec<f64>, Error> {
+        let mut model = self.parts.dynamics()?.model(0, self.grid.step);
+        let failed = |reason| Error::Preparation { stage: "spin-up of the truth", reason };
+        let mut x = vec![0.0; model.dim()];
+        model.initial_state(&self.parts.at_rest(0.0)?, &mut x).map_err(failed)?;
+        let mut next = x.clone();
+        for k in 0..self.spin_up {
+            model.step(k, &x, &mut next).map_err(failed)?;
+            std::mem::swap(&mut x, &mut next);
+        }
+        Ok(x)
+    }
+
+    /// Computes the control of the rod at rest at the start of the window.
+    pub(crate) fn at_rest(&self) -> MakeControl {
+        let (parts, start) = (self.parts.clone(), self.grid.start);
+        Box::new(move || parts.at_rest(start))
+    }
+
+    /// The control in a CSV file with one row for each free vertex.
+    pub(crate) fn read_background(&self, files: &Files, name: &str) -> Result<Vec<f64>, Error> {
+        let (label, text) = files.text("background.file", name)?;
+        let columns = ["vertex", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"];
+        let rows = csv::numbers(&label, &text, columns)?;
+        let n = self.free.len();
+        let mut found: Vec<Option<[f64; 6]>> = vec![None; n];
+        for (i, row) in rows.iter().enumerate() {
+            let bad = |message: String| Error::Data { place: format!("{label}, row {}", i + 1), message };
+            let [vertex, values @ ..] = row;
+            let Some(at) = self.free.iter().position(|&v| v as f64 == *vertex) else {
+                let (first, last) = (self.free[0], self.free[n - 1]);
+                let message = format!("vertex {vertex} is not a free vertex of the rod ({first} to {last})");
+                return Err(bad(message));
+            };
+            if found[at].replace(*values).is_some() {
+                return Err(bad(format!("vertex {vertex} is there twice")));
+            }
+        }
+        let mut control = vec![0.0; 6 * n];
+        for (at, (vertex, values)) in self.free.iter().zip(found).enumerate() {
+            let Some(values) = values else {
+                return Err(Error::Data { place: label, message: format!("vertex {vertex} is missing") });
+            };
+            control[3 * at..3 * at + 3].copy_from_slice(&values[..3]);
+            control[3 * (n + at)..3 * (n + at) + 3].copy_from_slice(&values[3..]);
+        }
+        Ok(control)
+    }
+
+    /// σ of positions and velocities that the covariance at `path` names; `reference` is a control whose mean speed
+    /// scales those of velocities.
+    fn sigmas(
+        &self,
+        file: &SceneFile,
+        path: &str,
+        kernel: &scene::KernelCovariance,
+        reference: &[f64],
+    ) -> Result<[f64; 2], Error> {
+        let [x, v] = file.checked(kernel.sigmas(path))?;
+        let sigmas = [x.of(self.length()), v.of(mean_speed(reference))];
+        if sigmas[1] > 0.0 {
+            return Ok(sigmas);
+        }
+        Err(file.invalid(
+            &format!("{path}.sigma_v_over_mean_speed"),
+            "nothing moves at the start of the window, so this σ would be 0: give sigma_v [m/s]",
+        ))
+    }
+
+    /// The covariance that the key `path` describes.
+    pub(crate) fn covariance(
+        &self,
+        file: &SceneFile,
+        path: &str,
+        keys: &scene::Covariance,
+        reference: &[f64],
+    ) -> Result<Factored, Error> {
+        let kernel = file.checked(keys.of_rod(path))?;
+        let sigmas = self.sigmas(file, path, kernel, reference)?;
+        covariance::localized(file, path, kernel, &self.places, sigmas)
+    }
+
+    /// Fails where the covariance that the key `path` describes has no root; that does not depend on how fast the
+    /// rod moves, which only a run shows.
+    pub(crate) fn check_covariance(
+        &self,
+        file: &SceneFile,
+        path: &str,
+        keys: &scene::Covariance,
+    ) -> Result<(), Error> {
+        let kernel = file.checked(keys.of_rod(path))?;
+        let [x, v] = file.checked(kernel.sigmas(path))?;
+        covariance::localized(file, path, kernel, &self.places, [x.of(self.length()), v.of(1.0)])?;
+        Ok(())
+    }
+
+    /// The covariance from which the error of the background is drawn.
+    pub(crate) fn drawn_from(
+        &self,
+        file: &SceneFile,
+        path: &str,
+        keys: &scene::Covariance,
+        reference: &[f64],
+    ) -> Result<Box<dyn Covariance>, Error> {
+        let kernel = file.checked(keys.of_rod(path))?;
+        let sigmas = self.sigmas(file, path, kernel, reference)?;
+        covariance::unlocalized(file, path, kernel, &self.places, sigmas)
+    }
+
+    /// Adaptive time steps along the run from a control.
+    pub(crate) fn adaptive_steps(&self, tolerance: f64, control: &[f64]) -> Result<AdaptiveSteps, Error> {
+        AdaptiveSteps::along(&self.parts, self.spin_up, self.grid, tolerance, control)
+    }
+
+    /// Makes models with steps of the scene's length.
+    pub(crate) fn models(&self) -> MakeModel {
+        rod_models(&self.parts, self.spin_up, self.grid, None)
+    }
+}
+
+/// v̄: the mean speed of the free vertices in a control [X, V] [m/s].
+pub fn mean_speed(control: &[f64]) -> f64 {
+    let v = &control[control.len() / 2..];
+    let speeds: Vec<f64> = v.chunks_exact(3).map(|v| v.iter().map(|c| c * c).sum::<f64>().sqrt()).collect();
+    speeds.iter().sum::<f64>() / speeds.len().max(1) as f64
+}
+
+/// Numbers that the linearization of a step keeps.
+fn kept(dynamics: &RodStep) -> usize {
+    let band = match dynamics.structure() {
+        Structure::SymmetricBand { half_bandwidth } => half_bandwidth + 1,
+        Structure::Band { half_bandwidth } => 2 * half_bandwidth + 1,
+        Structure::Dense | Structure::Sparse { .. } => dynamics.unknowns(),
+    };
+    dynamics.unknowns() * (band + 1) + dynamics.dim()
+}

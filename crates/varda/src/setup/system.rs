@@ -1,0 +1,156 @@
+//! What is modelled: a rod or a model of another kind.
+
+use varda_covariance::Covariance;
+use varda_implicit::line::Transport;
+use varda_implicit::lorenz::Lorenz63;
+
+use super::adaptive_steps::AdaptiveSteps;
+use super::component_model::Equation;
+use super::components::ComponentSystem;
+use super::covariance::Factored;
+use super::ensemble::ComponentPositions;
+use super::files::Files;
+use super::rod::RodSystem;
+use super::runs::MakeModel;
+use crate::Error;
+use crate::scene::{self, Model, SceneFile, TimeGrid};
+use crate::state::StateLayout;
+
+/// What is modelled.
+pub enum System {
+    /// A rod.
+    Rod(Box<RodSystem>),
+    /// Another model.
+    Components(ComponentSystem),
+}
+
+impl System {
+    /// Reads `[model]` and the files it names.
+    pub(crate) fn read(files: &Files, grid: TimeGrid) -> Result<System, Error> {
+        let scene = &files.scene.scene;
+        let line_step = || files.scene.checked(scene.time.integrator.of_line());
+        let equation = match &scene.model {
+            Model::Rod(rod) => return Ok(System::Rod(Box::new(RodSystem::read(files, rod, grid)?))),
+            Model::Lorenz63(m) => Equation::Lorenz63(Lorenz63 { sigma: m.sigma, rho: m.rho, beta: m.beta }),
+            Model::Lorenz96(m) => Equation::Lorenz96 { variables: m.variables, forcing: m.forcing },
+            Model::LinearAdvection(m) => {
+                let transport = Transport::advection_diffusion(m.line(), m.speed, m.diffusivity);
+                Equation::AlongLine { line: m.line(), transport, step: line_step()? }
+            }
+            Model::Burgers(m) => {
+                let transport = Transport::burgers(m.line(), m.viscosity);
+                Equation::AlongLine { line: m.line(), transport, step: line_step()? }
+            }
+        };
+        Ok(System::Components(ComponentSystem::new(scene, equation, grid)))
+    }
+
+    /// The rod, for models in space.
+    pub fn rod(&self) -> Option<&RodSystem> {
+        match self {
+            System::Rod(rod) => Some(rod),
+            System::Components(_) => None,
+        }
+    }
+
+    /// The meaning of the numbers of the control.
+    pub(crate) fn layout(&self) -> StateLayout {
+        match self {
+            System::Rod(rod) => rod.layout(),
+            System::Components(model) => model.layout(),
+        }
+    }
+
+    /// Where the components of the control are.
+    pub(crate) fn positions(&self) -> ComponentPositions {
+        match self {
+            System::Rod(rod) => rod.positions(),
+            System::Components(model) => model.positions(),
+        }
+    }
+
+    /// Length of a state, and the numbers that the linearization of a step keeps.
+    pub(crate) fn sizes(&self) -> [usize; 2] {
+        match self {
+            System::Rod(rod) => [rod.state, rod.kept],
+            System::Components(model) => [model.names.len(), model.kept],
+        }
+    }
+
+    /// What the model does without.
+    pub(crate) fn left_out(&self) -> Vec<String> {
+        match self {
+            System::Rod(rod) => rod.left_out().to_vec(),
+            System::Components(model) => model.left_out().into_iter().collect(),
+        }
+    }
+
+    /// The state of the truth of a twin experiment at the start of the window.
+    pub(crate) fn truth(&self) -> Result<Vec<f64>, Error> {
+        match self {
+            System::Rod(rod) => rod.truth(),
+            System::Components(model) => model.truth(),
+        }
+    }
+
+    /// The covariance that the key `path` describes; `reference` is a control of usual speeds.
+    pub(crate) fn covariance(
+        &self,
+        file: &SceneFile,
+        path: &str,
+        keys: &scene::Covariance,
+        reference: &[f64],
+    ) -> Result<Factored, Error> {
+        match self {
+            System::Rod(rod) => rod.covariance(file, path, keys, reference),
+            System::Components(model) => model.covariance(file, path, keys),
+        }
+    }
+
+    /// Fails where the covariance that the key `path` describes has no root, as far as that shows without a run.
+    pub(crate) fn check_covariance(
+        &self,
+        file: &SceneFile,
+        path: &str,
+        keys: &scene::Covariance,
+    ) -> Result<(), Error> {
+        match self {
+            System::Rod(rod) => rod.check_covariance(file, path, keys),
+            System::Components(model) => model.check_covariance(file, path, keys),
+        }
+    }
+
+    /// The covariance from which the error of the background is drawn, if that is not B.
+    pub(crate) fn drawn_from(
+        &self,
+        file: &SceneFile,
+        path: &str,
+        keys: &scene::Covariance,
+        reference: &[f64],
+    ) -> Result<Option<Box<dyn Covariance>>, Error> {
+        match self {
+            System::Rod(rod) => rod.drawn_from(file, path, keys, reference).map(Some),
+            System::Components(_) => Ok(None),
+        }
+    }
+
+    /// Adaptive time steps along the run from a control, if the scene asks for them.
+    pub(crate) fn adaptive_steps(
+        &self,
+        file: &SceneFile,
+        control: &[f64],
+    ) -> Result<Option<AdaptiveSteps>, Error> {
+        match (self, file.scene.time.tolerance) {
+            (System::Rod(rod), Some(tolerance)) => rod.adaptive_steps(tolerance, control).map(Some),
+            _ => Ok(None),
+        }
+    }
+
+    /// Makes models with steps of the scene's length.
+    pub(crate) fn models(&self) -> MakeModel {
+        match self {
+            System::Rod(rod) => rod.models(),
+            System::Components(model) => model.models(),
+        }
+    }
+}
