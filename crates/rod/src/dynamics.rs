@@ -5,7 +5,7 @@ use varda_implicit::{Grouped, ImplicitModel, ImplicitStep, Interval, Model, Refu
 
 use crate::Error;
 use crate::damping::KelvinVoigt;
-use crate::equilibrium::TwistEquilibrium;
+use crate::equilibrium::{Rest, TwistEquilibrium};
 use crate::predict::Carry;
 use crate::rod::Rod;
 use crate::stage::{RodStage, mixed, mixed_add};
@@ -146,6 +146,18 @@ impl RodStep {
     /// Length of the control z = [X₀, V₀].
     pub fn control_len(&self) -> usize {
         6 * self.system.layout.free_vertices.len()
+    }
+
+    /// The control z = [X₀, 0] of the rod at rest in this shape.
+    ///
+    /// # Panics
+    /// If the shape has fewer vertices than the rod.
+    pub fn control_at_rest(&self, shape: &Rest) -> Vec<f64> {
+        let mut z = vec![0.0; self.control_len()];
+        for (x, &v) in z.chunks_exact_mut(3).zip(self.free_vertices()) {
+            x.copy_from_slice(shape.vertices[v].as_slice());
+        }
+        z
     }
 
     /// Places of all vertices at time t in a state or control, prescribed ones included \[m\].

@@ -56,11 +56,8 @@ pub(crate) fn isotropic_bend<T: Real>(a: &Edge<T>, b: &Edge<T>, turn: &Turn<T>, 
     let ff = outer(&cf, &cf) * d2 - (symmetric_product(&cf, q) / b.l + (i3 - qq) * (c / lf2)) * d1;
     let ef = outer(&ce, &cf) * d2 + (i3 - qq - pp + outer(p, q) * c) * (d1 / lef);
     let zero = T::zero();
-    let mut out = Element {
-        energy: T::of(2.0) * k * one_minus_c / chi,
-        gradient: [zero; 9],
-        hessian: [[zero; 9]; 9],
-    };
+    let mut out =
+        Element { energy: T::of(2.0) * k * one_minus_c / chi, gradient: [zero; 9], hessian: [[zero; 9]; 9] };
     vertex_gradient(&(ce * d1), &(cf * d1), [0, 3, 6], &mut out.gradient);
     vertex_hessian(&ee, &ef, &ff, [0, 3, 6], &mut out.hessian);
     out

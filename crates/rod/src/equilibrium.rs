@@ -87,7 +87,13 @@ fn stretch_a_little(system: &mut System) {
 ///
 /// # Errors
 /// [`Error`] where the rod or a support is not usable, or `direction` is zero or too large to be normalized.
-pub fn straight_guess(rod: &Rod, supports: &Supports, t: f64, direction: Vector3<f64>) -> Result<Rest, Error> {
+pub fn straight_guess(
+    rod: &Rod,
+    supports: &Supports,
+    t: f64,
+    direction: impl Into<Vector3<f64>>,
+) -> Result<Rest, Error> {
+    let direction = direction.into();
     rod.check()?;
     supports.prescribed_vertices(rod)?;
     let n = rod.segments();
@@ -124,7 +130,13 @@ struct Statics {
 impl Statics {
     fn new(system: System, end_angle: f64, tolerance: f64) -> Statics {
         let n = system.rod.segments();
-        Statics { end_angle, tolerance, displacement: vec![Vector3::zeros(); n + 1], psi: vec![0.0; n], system }
+        Statics {
+            end_angle,
+            tolerance,
+            displacement: vec![Vector3::zeros(); n + 1],
+            psi: vec![0.0; n],
+            system,
+        }
     }
 }
 

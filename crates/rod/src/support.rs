@@ -97,12 +97,7 @@ pub struct Supports {
 
 impl Default for Supports {
     fn default() -> Supports {
-        Supports {
-            start: None,
-            end: None,
-            prescribed: Vec::new(),
-            free_frame: (Vector3::x(), Vector3::y()),
-        }
+        Supports { start: None, end: None, prescribed: Vec::new(), free_frame: (Vector3::x(), Vector3::y()) }
     }
 }
 
