@@ -4,9 +4,10 @@ use problems::rods::{HangingRod, rod_scale};
 use std::path::Path;
 use std::process::Command;
 use varda_implicit::{
-    Counts, Error, ImplicitModel, ImplicitStep, Interval, Model, Refusal, Structure, check,
+    ControlMap, Equations, Error, ImplicitModel, ImplicitStep, Interval, Model, Refusal, StepEquations,
+    Structure, Work, check,
 };
-use varda_rod::RodStep;
+use varda_rod::{RodEquations, RodStep};
 
 /// Which entry is wrong, by one part in a thousand.
 #[derive(Clone, Copy, PartialEq)]
@@ -23,7 +24,48 @@ const OFF: f64 = 1e-3;
 /// The flagship's step with one wrong entry.
 struct Mutated(RodStep, Wrong);
 
+/// Its equations, and where in the Jacobian a wrong entry goes.
+struct MutatedEquations<'a> {
+    inner: RodEquations<'a>,
+    wrong: Option<usize>,
+}
+
+impl Equations for MutatedEquations<'_> {
+    fn assemble(
+        &mut self,
+        u: &[f64],
+        g: &mut [f64],
+        mut jacobian: Option<&mut [f64]>,
+    ) -> Result<Option<f64>, Refusal> {
+        let potential = self.inner.assemble(u, g, jacobian.as_deref_mut())?;
+        if let (Some(values), Some(place)) = (jacobian, self.wrong) {
+            values[place] *= 1.0 + OFF;
+        }
+        Ok(potential)
+    }
+    fn retract(&mut self, u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
+        self.inner.retract(u, du, alpha, trial);
+    }
+    fn size(&self, du: &[f64]) -> f64 {
+        self.inner.size(du)
+    }
+    fn converged_below(&self) -> f64 {
+        self.inner.converged_below()
+    }
+    fn trusted_below(&self) -> f64 {
+        self.inner.trusted_below()
+    }
+}
+
+impl StepEquations for MutatedEquations<'_> {
+    fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal> {
+        self.inner.predict(u)
+    }
+}
+
 impl ImplicitStep for Mutated {
+    type Equations<'a> = MutatedEquations<'a>;
+
     fn dim(&self) -> usize {
         self.0.dim()
     }
@@ -33,34 +75,12 @@ impl ImplicitStep for Mutated {
     fn structure(&self) -> Structure {
         self.0.structure()
     }
-    fn predict(&mut self, at: &Interval, x: &[f64], u: &mut [f64]) -> Result<(), Refusal> {
-        self.0.predict(at, x, u)
-    }
-    fn assemble(
-        &mut self,
-        at: &Interval,
-        x: &[f64],
-        u: &[f64],
-        g: &mut [f64],
-        mut jacobian: Option<&mut [f64]>,
-    ) -> Result<Option<f64>, Refusal> {
-        let potential = self.0.assemble(at, x, u, g, jacobian.as_deref_mut())?;
-        if let (Some(values), Wrong::Jacobian) = (jacobian, self.1) {
-            let Structure::SymmetricBand { half_bandwidth: w } = self.0.structure() else { panic!("a band") };
-            // z of a vertex half way down, on the diagonal
-            let row = self.0.unknowns() / 2 / 3 * 3 + 2;
-            values[row * (w + 1) + w] *= 1.0 + OFF;
-        }
-        Ok(potential)
-    }
-    fn size(&self, du: &[f64]) -> f64 {
-        self.0.size(du)
-    }
-    fn converged_below(&self) -> f64 {
-        self.0.converged_below()
-    }
-    fn trusted_below(&self) -> f64 {
-        self.0.trusted_below()
+    fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<MutatedEquations<'a>, Refusal> {
+        let Structure::SymmetricBand { half_bandwidth: w } = self.0.structure() else { panic!("a band") };
+        // z of a vertex half way down, on the diagonal
+        let row = self.0.unknowns() / 2 / 3 * 3 + 2;
+        let wrong = (self.1 == Wrong::Jacobian).then_some(row * (w + 1) + w);
+        Ok(MutatedEquations { inner: self.0.equations(at, x)?, wrong })
     }
     fn advance(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
         self.0.advance(at, x, u, x_next);
@@ -142,22 +162,33 @@ impl<M: Model> Model for WrongTangent<M> {
     fn dim(&self) -> usize {
         self.0.dim()
     }
-    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
+    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<Work, Error> {
         self.0.step(k, x, x_next)
     }
-    fn linearize(&mut self, k: usize, x: &[f64], x_next: &[f64]) -> Result<(), Error> {
-        self.0.linearize(k, x, x_next)
+    fn linearize(&mut self, slot: usize, k: usize, x: &[f64], x_next: &[f64]) -> Result<Work, Error> {
+        self.0.linearize(slot, k, x, x_next)
     }
-    fn tangent(&mut self, k: usize, dx: &mut [f64]) {
-        let extra = OFF * dx[2];
-        self.0.tangent(k, dx);
-        dx[1] += extra;
+    fn tangent(&mut self, slot: usize, dx: &mut [f64]) {
+        for dx in dx.chunks_exact_mut(self.0.dim()) {
+            let extra = OFF * dx[2];
+            self.0.tangent(slot, dx);
+            dx[1] += extra;
+        }
     }
-    fn adjoint(&mut self, k: usize, lambda: &mut [f64]) {
-        self.0.adjoint(k, lambda);
+    fn adjoint(&mut self, slot: usize, lambda: &mut [f64]) {
+        self.0.adjoint(slot, lambda);
     }
-    fn counts(&self) -> Counts {
-        self.0.counts()
+    fn release(&mut self, from_slot: usize) {
+        self.0.release(from_slot);
+    }
+    fn slot_bytes(&self) -> usize {
+        self.0.slot_bytes()
+    }
+    fn bytes(&self) -> usize {
+        self.0.bytes()
+    }
+    fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
+        self.0.control_map()
     }
 }
 

@@ -8,7 +8,7 @@ use crate::{
 };
 use std::ops::ControlFlow;
 use varda_covariance::{Covariance, Ensemble, Hybrid, Localization};
-use varda_implicit::{Keep, Model, Trajectory};
+use varda_implicit::{Keep, Log, Model, Trajectory};
 use varda_linalg::dense::{View, product};
 
 /// A sequence of windows. Window c covers the steps first + c S … first + c S + K of a long run.
@@ -285,7 +285,7 @@ impl Cycling<'_> {
             let mut dx = vec![0.0; model.dim()];
             for column in columns.chunks_exact_mut(n_z) {
                 model.initial_tangent(column, &mut dx);
-                (0..self.shift).for_each(|k| model.tangent(k, &mut dx));
+                (0..self.shift).for_each(|k| trajectory.tangent_of_step(&mut *model, k, &mut dx));
                 column.iter_mut().zip(&dx).for_each(|(w, dx)| *w = inflation * dx);
             }
             let variance = |i: usize| columns.chunks_exact(n_z).map(|w| w[i] * w[i]).sum::<f64>();
@@ -347,7 +347,7 @@ impl Cycling<'_> {
         models[0].initial_state(z_b, &mut x_b)?;
         models[0].initial_state(&z, &mut x_a)?;
         let mut states = vec![0.0; count * (steps + 1) * n];
-        run_all(&mut models, &members, &mut states, steps)?;
+        run_all(&mut models, &members, &mut states, steps, &mut Log::default())?;
         let at = |k: usize| -> Vec<f64> {
             states.chunks_exact((steps + 1) * n).flat_map(|run| &run[k * n..][..n]).copied().collect()
         };

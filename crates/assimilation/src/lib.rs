@@ -80,6 +80,8 @@ mod analysis;
 mod blue;
 mod consistency;
 mod control;
+#[cfg(any(feature = "nalgebra", feature = "sprs"))]
+mod convert;
 mod cost;
 mod cycle;
 mod error;

@@ -1,9 +1,8 @@
 //! Covariances made of smaller ones: the same for every component of a vector field, and several side by side.
 
-use std::sync::{Mutex, PoisonError};
-
 use crate::check::check_lengths;
 use crate::operator::{Covariance, Precision};
+use crate::scratch::Scratch;
 
 /// B = C ⊗ I_c: the c components of every point are independent of each other and share the covariance C between points.
 ///
@@ -11,12 +10,12 @@ use crate::operator::{Covariance, Precision};
 /// point i is entry i c + k; of the control likewise. B is never formed: each component is gathered into a buffer, C applied, and
 /// the result scattered. One lock guards the buffer during a call: share a covariance between threads freely, clone it
 /// where they would wait for each other.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Interleaved<C> {
     part: C,
     components: usize,
     /// One component of the input, then one of the output.
-    buffer: Mutex<Vec<f64>>,
+    buffer: Scratch,
 }
 
 /// B = diag(B₁, B₂, …): independent vectors one after the other, such as positions and velocities.
@@ -35,7 +34,7 @@ impl<C: Covariance> Interleaved<C> {
     /// If `components` is zero.
     pub fn new(part: C, components: usize) -> Self {
         assert!(components > 0, "a field has at least one component");
-        let buffer = Mutex::new(vec![0.0; 2 * part.dim().max(part.root_dim())]);
+        let buffer = Scratch::new(2 * part.dim().max(part.root_dim()));
         Self { part, components, buffer }
     }
 
@@ -55,26 +54,20 @@ impl<C: Covariance> Interleaved<C> {
     ) {
         let c = self.components;
         check_lengths(x, rows * c, y, columns * c);
-        // Nothing in the buffer outlives a call, so that a panic in another one did no harm.
-        let mut buffer = self.buffer.lock().unwrap_or_else(PoisonError::into_inner);
-        let half = buffer.len() / 2;
-        let (input, output) = buffer.split_at_mut(half);
-        let (input, output) = (&mut input[..rows], &mut output[..columns]);
-        for k in 0..c {
-            for (value, point) in input.iter_mut().zip(x.chunks_exact(c)) {
-                *value = point[k];
+        self.buffer.with(|buffer| {
+            let half = buffer.len() / 2;
+            let (input, output) = buffer.split_at_mut(half);
+            let (input, output) = (&mut input[..rows], &mut output[..columns]);
+            for k in 0..c {
+                for (value, point) in input.iter_mut().zip(x.chunks_exact(c)) {
+                    *value = point[k];
+                }
+                product(input, output);
+                for (point, value) in y.chunks_exact_mut(c).zip(output.iter()) {
+                    point[k] = *value;
+                }
             }
-            product(input, output);
-            for (point, value) in y.chunks_exact_mut(c).zip(output.iter()) {
-                point[k] = *value;
-            }
-        }
-    }
-}
-
-impl<C: Covariance + Clone> Clone for Interleaved<C> {
-    fn clone(&self) -> Self {
-        Self::new(self.part.clone(), self.components)
+        });
     }
 }
 

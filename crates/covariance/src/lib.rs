@@ -65,27 +65,41 @@
 mod banded;
 mod block;
 mod check;
+mod combine;
+#[cfg(any(feature = "nalgebra", feature = "sprs"))]
+mod convert;
 mod dense;
 mod diagonal;
+mod diffusion;
 mod ensemble;
 mod error;
+mod grid;
 mod kernel;
 mod operator;
 mod sample;
+mod scratch;
+mod sparse_precision;
 mod spectrum;
 mod truncated;
 
 pub use banded::Banded;
 pub use block::{BlockDiagonal, Interleaved};
+pub use combine::{Kronecker, Scaled, Sum};
+#[cfg(feature = "nalgebra")]
+pub use convert::to_dmatrix;
 pub use dense::Dense;
 pub use diagonal::Diagonal;
+pub use diffusion::Diffusion;
 pub use ensemble::{Ensemble, Hybrid, Localization};
 pub use error::Error;
+pub use grid::Grid;
 pub use kernel::{CovarianceFunction, Kernel, Taper, correlation};
 pub use operator::{Covariance, Precision};
 pub use sample::sample;
+pub use sparse_precision::SparsePrecision;
 pub use spectrum::Spectrum;
 pub use truncated::Truncated;
+pub use varda_linalg::sparse::Ordering;
 
 /// The example of README.md, compiled and run with the tests.
 #[cfg(doctest)]

@@ -1,7 +1,7 @@
 //! Lengths of steps from an estimate of their error.
 
 use crate::newton::{self, NewtonOptions, NewtonWork};
-use crate::{Error, ImplicitStep, Interval, Scheme};
+use crate::{Error, ImplicitStep, Interval, Scheme, StepEquations};
 
 /// What [`accepted_times`] aims at.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -35,8 +35,8 @@ pub struct Adaptive {
 /// # Panics
 /// If `through` has fewer than two times or does not ascend, lengths differ, or a length or the tolerance of `options` is not
 /// positive.
-pub fn accepted_times(
-    step: &mut dyn ImplicitStep,
+pub fn accepted_times<S: ImplicitStep>(
+    step: &mut S,
     scheme: Scheme,
     x0: &[f64],
     scale: &[f64],
@@ -98,8 +98,8 @@ pub fn accepted_times(
 ///
 /// # Panics
 /// If `times` has fewer than two times or does not ascend, or lengths differ.
-pub fn largest_error(
-    step: &mut dyn ImplicitStep,
+pub fn largest_error<S: ImplicitStep>(
+    step: &mut S,
     scheme: Scheme,
     x0: &[f64],
     scale: &[f64],
@@ -123,8 +123,8 @@ pub fn largest_error(
 }
 
 /// Steps taken whole and in two halves.
-struct Judge<'a> {
-    one: OneStep<'a>,
+struct Judge<'a, S> {
+    one: OneStep<'a, S>,
     /// 1 / (1 − 2^{−p}).
     factor: f64,
     scale: &'a [f64],
@@ -138,8 +138,8 @@ struct Judge<'a> {
     halves: Vec<f64>,
 }
 
-impl<'a> Judge<'a> {
-    fn new(step: &'a mut dyn ImplicitStep, scheme: Scheme, scale: &'a [f64]) -> Self {
+impl<'a, S: ImplicitStep> Judge<'a, S> {
+    fn new(step: &'a mut S, scheme: Scheme, scale: &'a [f64]) -> Self {
         let n = step.dim();
         let own = n - step.history();
         Self {
@@ -169,14 +169,14 @@ impl<'a> Judge<'a> {
 }
 
 /// Single steps on any interval.
-struct OneStep<'a> {
-    step: &'a mut dyn ImplicitStep,
+struct OneStep<'a, S> {
+    step: &'a mut S,
     work: NewtonWork,
     u: Vec<f64>,
 }
 
-impl<'a> OneStep<'a> {
-    fn new(step: &'a mut dyn ImplicitStep) -> Self {
+impl<'a, S: ImplicitStep> OneStep<'a, S> {
+    fn new(step: &'a mut S) -> Self {
         let work = NewtonWork::new(step.unknowns(), &step.structure());
         Self { work, u: vec![0.0; step.unknowns()], step }
     }
@@ -184,8 +184,12 @@ impl<'a> OneStep<'a> {
     fn take(&mut self, at: &Interval, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
         let own = x.len() - self.step.history();
         let refused = |reason| Error::refused(at.index, reason);
-        self.step.predict(at, x, &mut self.u).map_err(refused)?;
-        newton::solve(&mut *self.step, at, x, &mut self.u, &mut self.work, &NewtonOptions::default())?;
+        {
+            let mut equations = self.step.equations(at, x).map_err(refused)?;
+            equations.predict(&mut self.u).map_err(refused)?;
+            newton::solve(&mut equations, &mut self.u, &mut self.work, &NewtonOptions::default())
+                .map_err(|failure| failure.in_step(at))?;
+        }
         self.step.advance(at, x, &self.u, &mut x_next[..own]);
         x_next[own..].copy_from_slice(&x[..x.len() - own]);
         Ok(())

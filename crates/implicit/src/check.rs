@@ -73,17 +73,17 @@ const SMALL: f64 = 1e-5;
 /// A remainder counts where it is this many times the rounding seen.
 const ABOVE_ROUNDING: f64 = 100.0;
 
-/// The dot-product test of the linearization of the steps `steps` that the model keeps, with random vectors drawn from
+/// The dot-product test of the linearizations in the given slots, one after the other, with random vectors drawn from
 /// `seed`.
 ///
 /// # Errors
 /// [`Error::EmptyTest`] where M dx or Mᵀ λ is zero, or so small beside ‖M‖ that rounding rules it.
 ///
 /// # Panics
-/// If a step has not been linearized or `scale` has the wrong length.
+/// If a slot holds no linearization or `scale` has the wrong length.
 pub fn dot_product(
     model: &mut dyn Model,
-    steps: std::ops::Range<usize>,
+    slots: std::ops::Range<usize>,
     scale: &[f64],
     seed: u64,
 ) -> Result<DotProduct, Error> {
@@ -92,17 +92,17 @@ pub fn dot_product(
     let mut random = Random(seed);
     let dx: Vec<f64> = scale.iter().map(|s| s * random.draw()).collect();
     let lambda: Vec<f64> = scale.iter().map(|s| random.draw() / s).collect();
-    let norm = norm_by_powers(model, steps.clone(), dx.clone(), scale, 12)?;
+    let norm = norm_by_powers(model, slots.clone(), dx.clone(), scale, 12)?;
     let (mut m_dx, mut mt_lambda) = (dx.clone(), lambda.clone());
-    steps.clone().for_each(|k| model.tangent(k, &mut m_dx));
-    steps.rev().for_each(|k| model.adjoint(k, &mut mt_lambda));
+    slots.clone().for_each(|k| model.tangent(k, &mut m_dx));
+    slots.rev().for_each(|k| model.adjoint(k, &mut mt_lambda));
     compare(&dx, &m_dx, &lambda, &mt_lambda, norm, [scale, scale])
 }
 
 /// ‖M‖ in scaled variables from below, by `products` power iterations with MᵀM from v; the last one ends at M v.
 fn norm_by_powers(
     model: &mut dyn Model,
-    steps: std::ops::Range<usize>,
+    slots: std::ops::Range<usize>,
     mut v: Vec<f64>,
     scale: &[f64],
     products: usize,
@@ -111,10 +111,10 @@ fn norm_by_powers(
     for _ in 0..products {
         let size = norm_of(&v, scale);
         v.iter_mut().for_each(|v| *v /= size);
-        steps.clone().for_each(|k| model.tangent(k, &mut v));
+        slots.clone().for_each(|k| model.tangent(k, &mut v));
         norm = norm_of(&v, scale);
         v.iter_mut().zip(scale).for_each(|(v, s)| *v /= s * s);
-        steps.clone().rev().for_each(|k| model.adjoint(k, &mut v));
+        slots.clone().rev().for_each(|k| model.adjoint(k, &mut v));
         v.iter_mut().zip(scale).for_each(|(v, s)| *v *= s * s);
         if !(norm > 0.0 && norm.is_finite() && norm_of(&v, scale) > 0.0) {
             return Err(Error::EmptyTest { what: "the tangent or the adjoint of a random vector is zero" });
@@ -154,24 +154,24 @@ impl Amplification {
     }
 }
 
-/// Estimates ‖M‖ of the linearized steps `steps` and with it the accuracy of gradients over them: six products with MᵀM from a
+/// Estimates ‖M‖ of the linearizations in the given slots and with it the accuracy of gradients over them: six products with MᵀM from a
 /// vector drawn from `seed`. In a chaotic system ‖M‖ grows like exp(λ₁ T) with the window's length T, and ε ‖M‖ with it.
 ///
 /// # Errors
 /// [`Error::EmptyTest`] where M is zero or so large that it is not finite.
 ///
 /// # Panics
-/// If a step has not been linearized or `scale` (a typical perturbation of each component) has the wrong length.
+/// If a slot holds no linearization or `scale` (a typical perturbation of each component) has the wrong length.
 pub fn amplification(
     model: &mut dyn Model,
-    steps: std::ops::Range<usize>,
+    slots: std::ops::Range<usize>,
     scale: &[f64],
     seed: u64,
 ) -> Result<Amplification, Error> {
     assert_eq!(scale.len(), model.dim(), "scale and state differ in length");
     let mut random = Random(seed);
     let v = scale.iter().map(|s| s * random.draw()).collect();
-    Ok(Amplification::of(norm_by_powers(model, steps, v, scale, 6)?))
+    Ok(Amplification::of(norm_by_powers(model, slots, v, scale, 6)?))
 }
 
 /// Compares ⟨M dx, λ⟩ with ⟨dx, Mᵀ λ⟩ for products already made, and a norm of M in scaled variables (a larger one
@@ -255,9 +255,9 @@ pub fn taylor_step(
     assert!(x.len() == n && direction.len() == n && scale.len() == n, "lengths differ");
     let (mut base, mut moved, mut next) = (vec![0.0; n], vec![0.0; n], vec![0.0; n]);
     model.step(k, x, &mut base)?;
-    model.linearize(k, x, &base)?;
+    model.linearize(0, k, x, &base)?;
     let mut tangent = direction.to_vec();
-    model.tangent(k, &mut tangent);
+    model.tangent(0, &mut tangent);
     fit(&mut |h| {
         for ((m, x), d) in moved.iter_mut().zip(x).zip(direction) {
             *m = x + h * d;
@@ -300,10 +300,10 @@ pub fn conformance(
     model.step(k, x, &mut again)?;
     outcomes.push(Outcome::at_most("step: values that differ when run again", differing(&next, &again), 0.0));
 
-    model.linearize(k, x, &next)?;
+    model.linearize(0, k, x, &next)?;
     let tangent = |model: &mut dyn Model, v: &[f64]| {
         let mut out = v.to_vec();
-        model.tangent(k, &mut out);
+        model.tangent(0, &mut out);
         out
     };
     let zero = vec![0.0; n];
@@ -315,7 +315,7 @@ pub fn conformance(
     let left: Vec<f64> =
         tangent(model, &mixed).iter().zip(&m_a).zip(&m_b).map(|((m, a), b)| m - 0.75 * a + 1.5 * b).collect();
 
-    let test = dot_product(model, k..k + 1, scale, seed)?;
+    let test = dot_product(model, 0..1, scale, seed)?;
     let largest = norm_of(&m_a, scale).max(norm_of(&m_b, scale));
     outcomes.push(Outcome::at_most(
         "tangent: departure from linearity",
@@ -324,8 +324,8 @@ pub fn conformance(
     ));
     outcomes.push(Outcome::at_most("adjoint: dot product", test.value, test.bound));
 
-    model.linearize(k, &moved, &elsewhere)?;
-    model.linearize(k, x, &next)?;
+    model.linearize(0, k, &moved, &elsewhere)?;
+    model.linearize(0, k, x, &next)?;
     let repeated = tangent(model, &a);
     outcomes.push(Outcome::at_most(
         "linearize: values that differ when run again",

@@ -1,6 +1,6 @@
 //! The classical explicit Runge–Kutta method, with its exact discrete adjoint.
 
-use crate::{Counts, Error, Model, Rhs};
+use crate::{ControlMap, Error, Model, Rhs, Work};
 
 /// ẋ = f(t, x) by the classical Runge–Kutta method of order four on a uniform grid of time.
 ///
@@ -23,11 +23,14 @@ pub struct Rk4<R> {
     slope: Vec<f64>,
     sum: Vec<f64>,
     point: Vec<f64>,
-    /// The stages of linearized steps, and whose they are; step k is kept in place k mod `places`.
-    kept: Vec<Vec<f64>>,
-    linearized: Vec<Option<usize>>,
-    places: usize,
-    counts: Counts,
+    slots: Vec<Stages>,
+}
+
+/// The linearization of a step: its stages X₁ … X₄, one after the other; none in an empty slot.
+#[derive(Debug, Clone, Default)]
+struct Stages {
+    step: usize,
+    values: Vec<f64>,
 }
 
 /// Place of the stages in the step.
@@ -52,10 +55,7 @@ impl<R: Rhs> Rk4<R> {
             slope: vec![0.0; n],
             sum: vec![0.0; n],
             point: vec![0.0; n],
-            kept: Vec::new(),
-            linearized: Vec::new(),
-            places: usize::MAX,
-            counts: Counts::default(),
+            slots: Vec::new(),
         }
     }
 
@@ -67,13 +67,6 @@ impl<R: Rhs> Rk4<R> {
     /// Time at stage i of step k [s].
     fn time(&self, k: usize, i: usize) -> f64 {
         (self.first + k) as f64 * self.length + PLACE[i] * self.length
-    }
-
-    /// Where the linearization of step k is.
-    fn place(&self, k: usize) -> usize {
-        let place = k % self.places;
-        assert!(self.linearized.get(place) == Some(&Some(k)), "step {k} has not been linearized");
-        place
     }
 
     /// Fills `stages` and, up to the slope of the last stage asked for, `sum` = Σ w_i k_i.
@@ -102,49 +95,83 @@ impl<R: Rhs> Model for Rk4<R> {
         self.slope.len()
     }
 
-    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
+    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<Work, Error> {
         assert!(x.len() == self.dim() && x_next.len() == self.dim(), "a state has {} values", self.dim());
         self.run(k, x, 4);
         for ((next, x), s) in x_next.iter_mut().zip(x).zip(&self.sum) {
             *next = x + self.length * s;
         }
-        self.counts.model_steps += 1;
         // a sum is finite only if all its terms are; one that overflows is looked at more closely
         if !x_next.iter().sum::<f64>().is_finite() && !x_next.iter().all(|v| v.is_finite()) {
             self.last = None;
             return Err(Error::NonFinite { step: k, what: "x_{k+1}" });
         }
-        Ok(())
+        Ok(Work::default())
     }
 
-    fn linearize(&mut self, k: usize, x: &[f64], x_next: &[f64]) -> Result<(), Error> {
+    fn linearize(&mut self, slot: usize, k: usize, x: &[f64], x_next: &[f64]) -> Result<Work, Error> {
         let n = self.dim();
         assert!(x.len() == n && x_next.len() == n, "a state has {n} values");
-        self.counts.linearizations += 1;
         if self.last != Some(k) || !same_bits(&self.stages[..n], x) {
             self.run(k, x, 3);
         }
-        let place = k % self.places;
-        if self.kept.len() <= place {
-            self.kept.resize_with(place + 1, Vec::new);
-            self.linearized.resize(place + 1, None);
+        if self.slots.len() <= slot {
+            self.slots.resize_with(slot + 1, Stages::default);
         }
-        self.linearized[place] = Some(k);
-        self.kept[place].resize(4 * n, 0.0);
-        std::mem::swap(&mut self.kept[place], &mut self.stages);
+        let kept = &mut self.slots[slot];
+        kept.step = k;
+        kept.values.resize(4 * n, 0.0);
+        std::mem::swap(&mut kept.values, &mut self.stages);
         self.last = None;
-        Ok(())
+        Ok(Work::default())
     }
 
-    fn tangent(&mut self, k: usize, dx: &mut [f64]) {
-        let place = self.place(k);
-        self.counts.tangent_steps += 1;
+    fn tangent(&mut self, slot: usize, dx: &mut [f64]) {
+        self.check(slot, dx);
+        dx.chunks_exact_mut(self.slope.len()).for_each(|dx| self.tangent_of_one(slot, dx));
+    }
+
+    fn adjoint(&mut self, slot: usize, lambda: &mut [f64]) {
+        self.check(slot, lambda);
+        lambda.chunks_exact_mut(self.slope.len()).for_each(|lambda| self.adjoint_of_one(slot, lambda));
+    }
+
+    fn release(&mut self, from_slot: usize) {
+        self.slots.truncate(from_slot);
+        self.slots.shrink_to(from_slot);
+    }
+
+    fn slot_bytes(&self) -> usize {
+        size_of_val(self.stages.as_slice()) + size_of::<Stages>()
+    }
+
+    fn bytes(&self) -> usize {
+        self.slots.iter().map(|s| size_of_val(s.values.as_slice()) + size_of::<Stages>()).sum()
+    }
+
+    fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
+        None
+    }
+}
+
+impl<R: Rhs> Rk4<R> {
+    /// The slot must hold a linearization, and the columns be whole.
+    fn check(&self, slot: usize, columns: &[f64]) {
+        let n = self.slope.len();
+        assert!(columns.len().is_multiple_of(n), "a column has {n} values");
+        let held = self.slots.get(slot).is_some_and(|kept| !kept.values.is_empty());
+        assert!(held, "slot {slot} holds no linearization");
+    }
+
+    fn tangent_of_one(&mut self, slot: usize, dx: &mut [f64]) {
         let n = dx.len();
+        let k = self.slots[slot].step;
         self.sum.fill(0.0);
         self.point.copy_from_slice(dx);
         for i in 0..4 {
             let t = self.time(k, i);
-            self.rhs.tangent(t, &self.kept[place][i * n..(i + 1) * n], &self.point, &mut self.slope);
+            let stage = &self.slots[slot].values[i * n..(i + 1) * n];
+            self.rhs.tangent(t, stage, &self.point, &mut self.slope);
             let h = PLACE.get(i + 1).unwrap_or(&0.0) * self.length;
             for (((p, d), s), sum) in self.point.iter_mut().zip(dx.iter()).zip(&self.slope).zip(&mut self.sum)
             {
@@ -155,18 +182,17 @@ impl<R: Rhs> Model for Rk4<R> {
         add(self.length, &self.sum, dx);
     }
 
-    fn adjoint(&mut self, k: usize, lambda: &mut [f64]) {
-        let place = self.place(k);
-        self.counts.adjoint_steps += 1;
+    fn adjoint_of_one(&mut self, slot: usize, lambda: &mut [f64]) {
         // With p_i = (∂f/∂X_i)ᵀ μ_i:
         //   μ₄ = Δt/6 λ,  μ₃ = Δt/3 λ + Δt p₄,  μ₂ = Δt/3 λ + Δt/2 p₃,  μ₁ = Δt/6 λ + Δt/2 p₂,  Mᵀλ = λ + p₄ + p₃ + p₂ + p₁,
         // in as few passes over memory as that allows: p₄ goes without its factor Δt/6, p₁ straight into the result.
         let n = lambda.len();
+        let k = self.slots[slot].step;
         let time = [0, 1, 2, 3].map(|i| self.time(k, i));
         let weight = WEIGHT.map(|w| self.length * w);
         let after = [1, 2, 3].map(|i| self.length * PLACE[i]);
-        let Self { rhs, kept, slope: mu, point: p, sum, .. } = self;
-        let stage = |i: usize| &kept[place][i * n..(i + 1) * n];
+        let Self { rhs, slots, slope: mu, point: p, sum, .. } = self;
+        let stage = |i: usize| &slots[slot].values[i * n..(i + 1) * n];
 
         rhs.adjoint(time[3], stage(3), lambda, p);
         for (((mu, l), p), sum) in mu.iter_mut().zip(lambda.iter()).zip(p.iter()).zip(sum.iter_mut()) {
@@ -184,27 +210,6 @@ impl<R: Rhs> Model for Rk4<R> {
             *l = sum + p;
         }
         rhs.adjoint_add(time[0], stage(0), mu, lambda);
-    }
-
-    fn keep_at_most(&mut self, steps: usize) {
-        assert!(steps > 0, "a step must be kept to be of use");
-        if steps != self.places {
-            self.places = steps;
-            self.kept = Vec::new();
-            self.linearized = Vec::new();
-        }
-    }
-
-    fn bytes_per_step(&self) -> usize {
-        size_of_val(self.stages.as_slice()) + size_of::<Vec<f64>>() + size_of::<Option<usize>>()
-    }
-
-    fn bytes_kept(&self) -> usize {
-        self.kept.len() * self.bytes_per_step()
-    }
-
-    fn counts(&self) -> Counts {
-        self.counts
     }
 }
 

@@ -1,9 +1,8 @@
 //! A [`Model`] made from any [`ImplicitStep`].
 
-use crate::block::Block;
 use crate::newton::{self, NewtonOptions, NewtonWork};
-use crate::{Counts, Error, ImplicitStep, Interval, Model, Warning};
-use varda_linalg::Factor;
+use crate::substeps::{Linearized, Products, add, substep_bytes};
+use crate::{ControlMap, Equations, Error, ImplicitStep, Interval, Model, StepEquations, Work};
 
 /// Steps on a grid of time, each solved by Newton's method, with tangent and adjoint from kept factors (paper 2.24, 2.25).
 ///
@@ -17,8 +16,8 @@ use varda_linalg::Factor;
 /// ```
 ///
 /// **Halving.** Where Newton's method fails on a step, the step is taken in two halves, each of which may be halved again, down
-/// to 1/64 of Δt; the parts are full states of the model, a [`Warning`] tells of them, and tangent and adjoint go through
-/// every one. M_k is discontinuous where that pattern changes.
+/// to 1/64 of Δt; the substeps end in full states of the model, a warning tells of them, and tangent and adjoint go
+/// through every one. M_k is discontinuous where that pattern changes.
 ///
 /// **Two-step schemes** ([`ImplicitStep::history`]). x₀ has itself for a history, which step 0 does not read
 /// (`Interval::previous` is `None` there). After a step in parts the history is that of the whole step again, so that M_k
@@ -35,19 +34,14 @@ pub struct ImplicitModel<S> {
     options: NewtonOptions,
     linearization: Linearization,
     work: NewtonWork,
-    last: Parts,
+    last: Substeps,
     /// Whether `work` still holds the last factor of the last step.
     last_factor: bool,
-    kept: Vec<Kept>,
-    /// Step k is kept in place k mod `places`.
-    places: usize,
+    slots: Vec<Linearized>,
     u: Vec<f64>,
-    dx: Vec<f64>,
-    block: Block,
-    /// The history that leaves a step: the first components of x_k, dx or λ.
-    history: Vec<f64>,
-    counts: Counts,
-    warnings: Vec<Warning>,
+    /// λ of the initial state without the history.
+    sum: Vec<f64>,
+    products: Products,
 }
 
 /// Where the steps are in time.
@@ -81,9 +75,9 @@ impl Grid {
     }
 }
 
-/// The parts of one step: where they are in time, and the states between them (one more than parts).
+/// The substeps of one step: where they are in time, and the states between them (one more than substeps).
 #[derive(Debug, Default)]
-struct Parts {
+struct Substeps {
     step: Option<usize>,
     at: Vec<Interval>,
     states: Vec<f64>,
@@ -102,30 +96,11 @@ pub enum Linearization {
     LastFactor,
 }
 
-/// The place of the linearization of one step: whose it is, and how many of its parts are in use.
-#[derive(Debug, Default)]
-struct Kept {
-    step: usize,
-    used: usize,
-    parts: Vec<Part>,
-}
-
-/// The linearization of a step or of a part of one.
-#[derive(Debug)]
-pub(crate) struct Part {
-    pub(crate) at: Interval,
-    pub(crate) x: Vec<f64>,
-    pub(crate) u: Vec<f64>,
-    pub(crate) factor: Factor,
-}
-
 /// A step may be halved this many times.
 pub const MAX_HALVINGS: u32 = 6;
 /// A pair of states solves the whole step if Newton's method asks for no more than this many times its threshold.
 const SOLVED: f64 = 100.0;
-/// Most warnings kept.
-const MAX_WARNINGS: usize = 1000;
-/// Parts of the shortest length in a step.
+/// Substeps of the shortest length in a step.
 const SHORTEST: usize = 1 << MAX_HALVINGS;
 
 impl<S: ImplicitStep> ImplicitModel<S> {
@@ -149,23 +124,19 @@ impl<S: ImplicitStep> ImplicitModel<S> {
     }
 
     fn on(grid: Grid, step: S) -> Self {
-        let (n, unknowns) = (step.dim(), step.unknowns());
+        let (n, unknowns, history) = (step.dim(), step.unknowns(), step.history());
         Self {
             work: NewtonWork::new(unknowns, &step.structure()),
-            history: vec![0.0; step.history()],
             step,
             grid,
             options: NewtonOptions::default(),
             linearization: Linearization::default(),
-            last: Parts::default(),
+            last: Substeps::default(),
             last_factor: false,
-            kept: Vec::new(),
-            places: usize::MAX,
+            slots: Vec::new(),
             u: vec![0.0; unknowns],
-            dx: vec![0.0; n],
-            block: Block::default(),
-            counts: Counts::default(),
-            warnings: Vec::new(),
+            sum: vec![0.0; n],
+            products: Products::new(n, unknowns, history),
         }
     }
 
@@ -210,62 +181,61 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         self.grid.time(k)
     }
 
-    /// Allocates now what the linearizations of steps 0 … steps−1 need, one part each.
-    pub fn reserve(&mut self, steps: usize) {
-        for k in 0..steps.min(self.places) {
-            self.part(k, 0);
+    /// Allocates now what the linearizations in slots 0 … slots−1 need, one substep each.
+    pub fn reserve(&mut self, slots: usize) {
+        for slot in 0..slots {
+            self.slot(slot);
         }
     }
 
+    /// The slot, with room for one substep at least.
+    fn slot(&mut self, slot: usize) -> &mut Linearized {
+        if self.slots.len() <= slot {
+            self.slots.resize_with(slot + 1, Linearized::default);
+        }
+        self.slots[slot].place(0, self.sum.len(), self.u.len(), &self.work.solver);
+        &mut self.slots[slot]
+    }
+
     /// Runs step k into `self.last`.
-    fn run(&mut self, k: usize, x: &[f64]) -> Result<(), Error> {
+    fn run(&mut self, k: usize, x: &[f64], did: &mut Work) -> Result<(), Error> {
         let n = x.len();
         self.last_factor = false;
-        let Parts { step, at: parts, states } = &mut self.last;
-        *step = None;
-        parts.clear();
+        let own = n - self.step.history();
+        let Self { step, grid, options, work, last, u, .. } = self;
+        let Substeps { step: last_step, at: substeps, states } = last;
+        *last_step = None;
+        substeps.clear();
         states.clear();
         states.extend_from_slice(x);
-        let whole = self.grid.step(k);
-        let own = n - self.history.len();
-        // in units of the shortest part: where the next part begins, and how long it is to be
+        let whole = grid.step(k);
+        // in units of the shortest substep: where the next one begins, and how long it is to be
         let (mut position, mut size) = (0, SHORTEST);
         while position < SHORTEST {
             let at = Interval {
                 index: k,
                 start: whole.start + whole.length * position as f64 / SHORTEST as f64,
                 length: whole.length * size as f64 / SHORTEST as f64,
-                previous: parts.last().map_or(whole.previous, |before| Some(before.length)),
+                previous: substeps.last().map_or(whole.previous, |before| Some(before.length)),
             };
-            let from = parts.len() * n;
+            let from = substeps.len() * n;
             states.resize(from + 2 * n, 0.0);
             let (x, x_next) = states[from..].split_at_mut(n);
-            let solved =
-                self.step.predict(&at, x, &mut self.u).map_err(|reason| Error::refused(k, reason)).and_then(
-                    |()| {
-                        let solved =
-                            newton::solve(&mut self.step, &at, x, &mut self.u, &mut self.work, &self.options);
-                        self.counts.newton_iterations += self.work.report().iterations;
-                        self.counts.factorizations += self.work.report().factorizations;
-                        solved
-                    },
-                );
-            match solved {
-                Ok(_) => {}
-                Err(_) if size > 1 => {
+            let warning = match solve_substep(step, &at, x, u, work, options, did) {
+                Ok(warning) => warning,
+                Err(Unsolved::Newton(_)) if size > 1 => {
                     size /= 2;
                     continue;
                 }
-                Err(error) => return Err(error),
-            }
-            self.step.advance(&at, x, &self.u, &mut x_next[..own]);
+                Err(Unsolved::Newton(error) | Unsolved::Refused(error)) => return Err(error),
+            };
+            step.advance(&at, x, u, &mut x_next[..own]);
             x_next[own..].copy_from_slice(&x[..n - own]);
             if !x_next.iter().all(|v| v.is_finite()) {
                 return Err(Error::NonFinite { step: k, what: "x_{k+1}" });
             }
-            let text = self.step.accepted(&at, x, &self.u).map_err(|reason| Error::refused(k, reason))?;
-            keep_warning(&mut self.warnings, k, text);
-            parts.push(at);
+            did.warnings.extend(warning);
+            substeps.push(at);
             position += size;
             // after the second half of an interval comes the next whole one
             while position < SHORTEST && position.is_multiple_of(2 * size) {
@@ -275,17 +245,8 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         // to the next step, the step before it is the whole of this one
         let end = states.len() - n;
         states.copy_within(..n - own, end + own);
-        self.last.step = Some(k);
+        *last_step = Some(k);
         self.last_factor = true;
-        Ok(())
-    }
-
-    /// Asks the step about the linearized part p of step k.
-    fn ask_accepted(&mut self, k: usize, p: usize) -> Result<(), Error> {
-        let part = &self.kept[k % self.places].parts[p];
-        let text =
-            self.step.accepted(&part.at, &part.x, &part.u).map_err(|reason| Error::refused(k, reason))?;
-        keep_warning(&mut self.warnings, k, text);
         Ok(())
     }
 
@@ -295,196 +256,197 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         self.last.step == Some(k) && states.starts_with(x) && states.ends_with(x_next)
     }
 
-    /// The place of part p of step k.
-    fn part(&mut self, k: usize, p: usize) -> &mut Part {
-        let place = k % self.places;
-        if self.kept.len() <= place {
-            self.kept.resize_with(place + 1, Kept::default);
-        }
-        let (n, unknowns) = (self.dx.len(), self.u.len());
-        let parts = &mut self.kept[place].parts;
-        if parts.len() == p {
-            parts.push(Part {
-                at: Interval { index: k, start: 0.0, length: 0.0, previous: None },
-                x: vec![0.0; n],
-                u: vec![0.0; unknowns],
-                factor: self.work.solver.empty_factor(),
-            });
-        }
-        &mut parts[p]
-    }
-
-    /// Takes over the last factor of Newton's method for a step just taken in one part.
-    fn take_last_factor(&mut self, k: usize, x: &[f64], x_next: &[f64]) {
-        self.part(k, 0);
-        let Self { step, work, kept, places, last, .. } = self;
-        let part = &mut kept[k % *places].parts[0];
-        part.at = last.at[0];
-        part.x.copy_from_slice(x);
-        step.recover(&part.at, x, &x_next[..x.len() - step.history()], &mut part.u);
-        std::mem::swap(&mut part.factor, &mut work.factor);
+    /// Takes over the last factor of Newton's method for a step just taken in one piece.
+    fn take_last_factor(
+        &mut self,
+        slot: usize,
+        x: &[f64],
+        x_next: &[f64],
+        did: &mut Work,
+    ) -> Result<(), Error> {
+        let Self { step, work, slots, last, .. } = self;
+        let substep = &mut slots[slot].substeps[0];
+        substep.at = last.at[0];
+        substep.x.copy_from_slice(x);
+        step.recover(&substep.at, x, &x_next[..x.len() - step.history()], &mut substep.u);
+        std::mem::swap(&mut substep.factor, &mut work.factor);
         self.last_factor = false;
-        self.counts.reused += 1;
+        did.reused += 1;
+        let refused = |reason| Error::refused(substep.at.index, reason);
+        let mut equations = step.equations(&substep.at, x).map_err(refused)?;
+        did.warnings.extend(equations.accepted(&substep.u).map_err(refused)?);
+        Ok(())
     }
 
-    /// Linearizes one part. Returns the size of the Newton update that its equations still ask for.
-    fn linearize_part(&mut self, p: usize, at: Interval, x: &[f64], x_next: &[f64]) -> Result<f64, Error> {
+    /// Linearizes substep p in a slot. Returns whether x_next solves its equations: the Newton update that they still ask
+    /// for is small. A `known` substep was run before and is a solution.
+    fn linearize_substep(
+        &mut self,
+        slot: usize,
+        p: usize,
+        known: bool,
+        at: Interval,
+        x: &[f64],
+        x_next: &[f64],
+        did: &mut Work,
+    ) -> Result<bool, Error> {
         let k = at.index;
-        self.part(k, p);
-        let Self { step, work, kept, places, .. } = self;
-        let part = &mut kept[k % *places].parts[p];
-        part.at = at;
-        part.x.copy_from_slice(x);
+        let refused = |reason| Error::refused(k, reason);
+        let Self { step, work, slots, .. } = self;
+        let substep = slots[slot].place(p, x.len(), self.u.len(), &work.solver);
+        substep.at = at;
+        substep.x.copy_from_slice(x);
         let own = x.len() - step.history();
-        step.recover(&at, x, &x_next[..own], &mut part.u);
-        step.assemble(&at, x, &part.u, &mut work.g, Some(&mut work.values))
-            .map_err(|reason| Error::refused(k, reason))?;
-        self.counts.factorizations += 1;
+        step.recover(&at, x, &x_next[..own], &mut substep.u);
+        let mut equations = step.equations(&at, x).map_err(refused)?;
+        equations.assemble(&substep.u, &mut work.g, Some(&mut work.values)).map_err(refused)?;
+        did.factorizations += 1;
         work.solver
-            .factor(&work.values, &mut part.factor)
+            .factor(&work.values, &mut substep.factor)
             .map_err(|bad| Error::SingularJacobian { step: k, row: bad.row })?;
-        work.solver.solve(&part.factor, &mut work.g);
-        Ok(step.size(&work.g))
+        work.solver.solve(&substep.factor, &mut work.g);
+        let solved = equations.size(&work.g) <= SOLVED * equations.converged_below();
+        if solved || known {
+            did.warnings.extend(equations.accepted(&substep.u).map_err(refused)?);
+        }
+        Ok(solved)
     }
+}
+
+/// Why a substep was not taken.
+enum Unsolved {
+    /// Newton's method found no solution: half the interval may have one.
+    Newton(Error),
+    /// The solution was refused.
+    Refused(Error),
+}
+
+/// Solves the equations of one substep for u; returns the step's warning.
+fn solve_substep<S: ImplicitStep>(
+    step: &mut S,
+    at: &Interval,
+    x: &[f64],
+    u: &mut [f64],
+    work: &mut NewtonWork,
+    options: &NewtonOptions,
+    did: &mut Work,
+) -> Result<Option<String>, Unsolved> {
+    let refused = |reason| Error::refused(at.index, reason);
+    let mut equations = step.equations(at, x).map_err(|reason| Unsolved::Newton(refused(reason)))?;
+    equations.predict(u).map_err(|reason| Unsolved::Newton(refused(reason)))?;
+    let solved = newton::solve(&mut equations, u, work, options);
+    did.newton_iterations += work.report().iterations;
+    did.factorizations += work.report().factorizations;
+    solved.map_err(|failure| Unsolved::Newton(failure.in_step(at)))?;
+    equations.accepted(u).map_err(|reason| Unsolved::Refused(refused(reason)))
 }
 
 impl<S: ImplicitStep> Model for ImplicitModel<S> {
     fn dim(&self) -> usize {
-        self.dx.len()
+        self.sum.len()
     }
 
-    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
+    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<Work, Error> {
         assert!(x.len() == self.dim() && x_next.len() == self.dim(), "a state has {} values", self.dim());
-        self.run(k, x)?;
-        self.counts.model_steps += 1;
-        let parts = self.last.at.len();
-        if parts > 1 {
-            self.counts.substeps += parts - 1;
-            keep_warning(
-                &mut self.warnings,
-                k,
-                Some(format!("taken in {parts} parts: Newton's method failed on the whole")),
-            );
+        let mut did = Work::default();
+        self.run(k, x, &mut did)?;
+        let substeps = self.last.at.len();
+        if substeps > 1 {
+            did.substeps += substeps - 1;
+            did.warnings.push(format!("taken in {substeps} parts: Newton's method failed on the whole"));
         }
         let n = x.len();
-        x_next.copy_from_slice(&self.last.states[parts * n..]);
-        Ok(())
+        x_next.copy_from_slice(&self.last.states[substeps * n..]);
+        Ok(did)
     }
 
-    fn linearize(&mut self, k: usize, x: &[f64], x_next: &[f64]) -> Result<(), Error> {
+    fn linearize(&mut self, slot: usize, k: usize, x: &[f64], x_next: &[f64]) -> Result<Work, Error> {
         assert!(x.len() == self.dim() && x_next.len() == self.dim(), "a state has {} values", self.dim());
-        self.counts.linearizations += 1;
-        self.part(k, 0);
-        let place = k % self.places;
-        (self.kept[place].step, self.kept[place].used) = (k, 0);
+        let mut did = Work::default();
+        self.slot(slot).used = 0;
         if self.linearization == Linearization::LastFactor
             && self.last_factor
             && self.last.at.len() == 1
             && self.is_last(k, x, x_next)
         {
-            self.take_last_factor(k, x, x_next);
-            self.kept[place].used = 1;
-            return self.ask_accepted(k, 0);
+            self.take_last_factor(slot, x, x_next, &mut did)?;
+            self.slots[slot].used = 1;
+            return Ok(did);
         }
         let whole = self.grid.step(k);
-        let left = self.linearize_part(0, whole, x, x_next);
-        if left.as_ref().is_ok_and(|left| *left <= SOLVED * self.step.converged_below()) {
-            self.kept[place].used = 1;
-            return self.ask_accepted(k, 0);
+        let solved = self.linearize_substep(slot, 0, false, whole, x, x_next, &mut did);
+        if let Ok(true) = solved {
+            self.slots[slot].used = 1;
+            return Ok(did);
         }
-        // not a solution over the whole step: it was taken in parts
+        // not a solution over the whole step: it was taken in substeps
         if !self.is_last(k, x, x_next) {
-            self.run(k, x)?;
+            self.run(k, x, &mut did)?;
             if !self.is_last(k, x, x_next) {
-                return left.and(Err(Error::NotAStep { step: k }));
+                return solved.and(Err(Error::NotAStep { step: k }));
             }
         }
-        let parts = std::mem::take(&mut self.last);
+        let last = std::mem::take(&mut self.last);
         let n = x.len();
-        for (p, at) in parts.at.iter().enumerate() {
-            let (x, x_next) = parts.states[p * n..(p + 2) * n].split_at(n);
-            self.linearize_part(p, *at, x, x_next)?;
-            self.ask_accepted(k, p)?;
+        for (p, at) in last.at.iter().enumerate() {
+            let (x, x_next) = last.states[p * n..(p + 2) * n].split_at(n);
+            self.linearize_substep(slot, p, true, *at, x, x_next, &mut did)?;
         }
-        self.kept[place].used = parts.at.len();
-        self.last = parts;
-        Ok(())
+        self.slots[slot].used = last.at.len();
+        self.last = last;
+        Ok(did)
     }
 
-    fn tangent(&mut self, k: usize, dx: &mut [f64]) {
-        self.counts.tangent_steps += 1;
-        let Self { step, work, kept, places, u: du, dx: dx_next, history, .. } = self;
-        let (past, own) = (history.len(), dx.len() - history.len());
-        history.copy_from_slice(&dx[..past]);
-        for part in linearized(kept, *places, k) {
-            step.previous(&part.at, &part.x, &part.u, dx, du);
-            work.solver.solve(&part.factor, du);
-            du.iter_mut().for_each(|d| *d = -*d);
-            step.advance_tangent(&part.at, &part.x, &part.u, dx, du, &mut dx_next[..own]);
-            dx_next[own..].copy_from_slice(&dx[..past]);
-            dx.copy_from_slice(dx_next);
-        }
-        dx[own..].copy_from_slice(history);
-    }
-
-    fn adjoint(&mut self, k: usize, lambda: &mut [f64]) {
-        self.counts.adjoint_steps += 1;
-        let Self { step, work, kept, places, u: mu, dx, history, .. } = self;
-        let (past, own) = (history.len(), lambda.len() - history.len());
-        history.copy_from_slice(&lambda[own..]);
-        lambda[own..].fill(0.0);
-        for part in linearized(kept, *places, k).iter().rev() {
-            step.advance_adjoint(&part.at, &part.x, &part.u, &lambda[..own], dx, mu);
-            work.solver.solve_transpose(&part.factor, mu);
-            mu.iter_mut().for_each(|m| *m = -*m);
-            step.previous_transpose_add(&part.at, &part.x, &part.u, mu, dx);
-            add(&mut dx[..past], &lambda[own..]);
-            lambda.copy_from_slice(dx);
-        }
-        add(&mut lambda[..past], history);
-    }
-
-    fn tangent_block(&mut self, k: usize, dx: &mut [f64]) {
+    fn tangent(&mut self, slot: usize, dx: &mut [f64]) {
         let n = self.dim();
         assert!(dx.len().is_multiple_of(n), "a column has {n} values");
-        self.counts.tangent_steps += dx.len() / n;
-        let parts = linearized(&self.kept, self.places, k);
-        self.block.tangent(&mut self.step, &mut self.work.solver, parts, n, dx);
-    }
-
-    fn adjoint_block(&mut self, k: usize, lambda: &mut [f64]) {
-        let n = self.dim();
-        assert!(lambda.len().is_multiple_of(n), "a column has {n} values");
-        self.counts.adjoint_steps += lambda.len() / n;
-        let parts = linearized(&self.kept, self.places, k);
-        self.block.adjoint(&mut self.step, &mut self.work.solver, parts, n, lambda);
-    }
-
-    fn keep_at_most(&mut self, steps: usize) {
-        assert!(steps > 0, "a step must be kept to be of use");
-        if steps != self.places {
-            self.places = steps;
-            self.kept = Vec::new();
+        let Self { step, work, slots, products, .. } = self;
+        let substeps = linearized(slots, slot);
+        if dx.len() == n {
+            products.tangent(step, &mut work.solver, substeps, dx);
+        } else {
+            products.tangent_of_many(step, &mut work.solver, substeps, n, dx);
         }
     }
 
-    fn bytes_per_step(&self) -> usize {
-        size_of::<Kept>() + bytes(self.dim(), self.u.len(), &self.work.factor)
+    fn adjoint(&mut self, slot: usize, lambda: &mut [f64]) {
+        let n = self.dim();
+        assert!(lambda.len().is_multiple_of(n), "a column has {n} values");
+        let Self { step, work, slots, products, .. } = self;
+        let substeps = linearized(slots, slot);
+        if lambda.len() == n {
+            products.adjoint(step, &mut work.solver, substeps, lambda);
+        } else {
+            products.adjoint_of_many(step, &mut work.solver, substeps, n, lambda);
+        }
     }
 
-    fn bytes_kept(&self) -> usize {
-        let part = |p: &Part| bytes(p.x.len(), p.u.len(), &p.factor);
-        let kept = |k: &Kept| size_of::<Kept>() + k.parts.iter().map(part).sum::<usize>();
-        self.kept.iter().map(kept).sum()
+    fn release(&mut self, from_slot: usize) {
+        self.slots.truncate(from_slot);
+        self.slots.shrink_to(from_slot);
     }
 
-    fn control_dim(&self) -> usize {
+    fn slot_bytes(&self) -> usize {
+        size_of::<Linearized>() + substep_bytes(self.dim(), self.u.len(), &self.work.factor)
+    }
+
+    fn bytes(&self) -> usize {
+        self.slots.iter().map(Linearized::bytes).sum()
+    }
+
+    fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
+        Some(self)
+    }
+}
+
+impl<S: ImplicitStep> ControlMap for ImplicitModel<S> {
+    fn control_len(&self) -> usize {
         self.step.control_dim()
     }
 
-    fn initial_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), Error> {
+    fn to_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), Error> {
         let t = self.time(0);
-        let (own, history) = x.split_at_mut(x.len() - self.history.len());
+        let (own, history) = x.split_at_mut(x.len() - self.step.history());
         self.step.initial_state(t, z, own).map_err(|reason| Error::refused(0, reason))?;
         history.copy_from_slice(&own[..history.len()]);
         if !x.iter().all(|v| v.is_finite()) {
@@ -493,51 +455,25 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
         Ok(())
     }
 
-    fn initial_tangent(&mut self, dz: &[f64], dx: &mut [f64]) {
+    fn to_state_tangent(&mut self, dz: &[f64], dx: &mut [f64]) {
         let t = self.time(0);
-        let (own, history) = dx.split_at_mut(dx.len() - self.history.len());
+        let (own, history) = dx.split_at_mut(dx.len() - self.step.history());
         self.step.initial_tangent(t, dz, own);
         history.copy_from_slice(&own[..history.len()]);
     }
 
-    fn initial_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]) {
+    fn to_state_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]) {
         let t = self.time(0);
-        let (own, history) = lambda.split_at(lambda.len() - self.history.len());
-        let sum = &mut self.dx[..own.len()];
+        let (own, history) = lambda.split_at(lambda.len() - self.step.history());
+        let sum = &mut self.sum[..own.len()];
         sum.copy_from_slice(own);
         add(&mut sum[..history.len()], history);
         self.step.initial_adjoint(t, sum, dz);
     }
-
-    fn counts(&self) -> Counts {
-        self.counts
-    }
-
-    fn warnings(&self) -> &[Warning] {
-        &self.warnings
-    }
 }
 
-pub(crate) fn add(target: &mut [f64], values: &[f64]) {
-    target.iter_mut().zip(values).for_each(|(t, v)| *t += v);
-}
-
-fn linearized(kept: &[Kept], places: usize, k: usize) -> &[Part] {
-    let kept = kept.get(k % places).filter(|kept| kept.step == k && kept.used > 0);
-    let kept = kept.unwrap_or_else(|| panic!("step {k} has not been linearized"));
-    &kept.parts[..kept.used]
-}
-
-/// Of one part, without the factor's share for a sparse Jacobian.
-fn bytes(state: usize, unknowns: usize, factor: &Factor) -> usize {
-    (state + unknowns) * size_of::<f64>() + factor.bytes() + size_of::<Part>()
-}
-
-fn keep_warning(warnings: &mut Vec<Warning>, step: usize, text: Option<String>) {
-    if let Some(text) = text
-        && warnings.len() < MAX_WARNINGS
-        && !warnings.iter().any(|w| w.step == step && w.text == text)
-    {
-        warnings.push(Warning { step, text });
-    }
+fn linearized(slots: &[Linearized], slot: usize) -> &[crate::substeps::Substep] {
+    let kept = slots.get(slot).filter(|kept| kept.used > 0);
+    let kept = kept.unwrap_or_else(|| panic!("slot {slot} holds no linearization"));
+    &kept.substeps[..kept.used]
 }

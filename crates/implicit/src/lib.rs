@@ -2,7 +2,7 @@
 //!
 //! Write the equations of one step and their derivatives as an [`ImplicitStep`]; [`ImplicitModel`] makes of it a
 //! [`Model`]: Newton's method with a line search, halved steps where that fails, and the tangent linear and adjoint of the
-//! step from a kept factorization (paper 2.23 to 2.25). [`OneLeg`] (implicit Euler, midpoint, BDF2) and [`Rk4`] are ready-made steps for any ẋ = f(t, x),
+//! step from a kept factorization (paper 2.23, 2.24, 2.25). [`OneLeg`] (implicit Euler, midpoint, BDF2) and [`Rk4`] are ready-made steps for any ẋ = f(t, x),
 //! [`Trajectory`] runs a window and sweeps along it, [`check`] tests the derivatives of any [`Model`]. [`lorenz`] and [`mod@line`]
 //! hold models to try things on; one of your own is an [`Rhs`] of three functions.
 //!
@@ -47,11 +47,10 @@
 #![forbid(unsafe_code)]
 
 mod adaptive;
-mod block;
 pub mod check;
+mod equations;
 mod error;
 mod explicit;
-mod grouped;
 mod implicit;
 pub mod line;
 pub mod lorenz;
@@ -61,20 +60,23 @@ mod rhs;
 mod scheme;
 mod step;
 mod storage;
+mod substepped;
+mod substeps;
 mod trajectory;
 
 pub use adaptive::{Adaptive, accepted_times, largest_error};
+pub use equations::Equations;
 pub use error::{Error, Refusal};
 pub use explicit::Rk4;
-pub use grouped::Grouped;
 pub use implicit::{ImplicitModel, Linearization, MAX_HALVINGS};
-pub use model::{Counts, Model, Warning};
-pub use newton::{NewtonOptions, NewtonReport, NewtonWork, solve};
-pub use rhs::{OneLeg, Rhs};
+pub use model::{ControlMap, Counts, Log, Model, Warning, Work};
+pub use newton::{NewtonFailure, NewtonOptions, NewtonReport, NewtonWork, solve};
+pub use rhs::{OneLeg, OneLegEquations, Rhs};
 pub use scheme::{Scheme, Stage};
-pub use step::{ImplicitStep, Interval};
+pub use step::{ImplicitStep, Interval, StepEquations};
 pub use storage::{Footprint, Storage};
-pub use trajectory::{Keep, Trajectory};
+pub use substepped::Substepped;
+pub use trajectory::{Keep, LinearizedStep, Trajectory};
 pub use varda_linalg::{BadPivot, Factor, LinearSolver, Structure, band};
 
 /// The example of README.md, compiled and run with the tests.

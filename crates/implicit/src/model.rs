@@ -5,115 +5,168 @@ use std::ops::{Add, Sub};
 
 /// A discrete model x_{k+1} = M_k(x_k) with its tangent linear and its adjoint (paper 2.16, 2.24, 2.25).
 ///
-/// The linearization of step k is *defined* as that at the accepted pair (x_k, x_{k+1}): a function of the stored states
-/// alone, so that keeping it, or forgetting and recomputing it, gives the same bits.
+/// The linearization of step k is *defined* as that at the accepted pair (x_k, x_{k+1}): a function of the stored
+/// states alone, so that keeping it, or forgetting and recomputing it, gives the same bits. It goes into a slot that
+/// the caller names ([`Trajectory`](crate::Trajectory) does); products are made with what a slot holds.
 ///
-/// The control z (length `control_dim`) is what is estimated; the initial state follows from it. By default they are
-/// the same vector.
+/// A model counts nothing and decides nothing about storage: it says what a call did ([`Work`]), and its caller adds
+/// that up. Every method is required but those of the control, which follow from [`control_map`](Self::control_map):
+/// a wrapper that forgets a method does not compile.
 pub trait Model {
     /// Length of the state x.
     fn dim(&self) -> usize;
 
     /// x_next = M_k(x). Pure: the result depends on k and x only.
-    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), Error>;
+    ///
+    /// # Errors
+    /// A step that cannot be taken; the error names it.
+    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<Work, Error>;
 
-    /// Linearizes step k at the accepted pair (x_k, x_{k+1}) and keeps the result until step k is linearized again.
-    fn linearize(&mut self, k: usize, x: &[f64], x_next: &[f64]) -> Result<(), Error>;
+    /// Linearizes step k at the accepted pair (x_k, x_{k+1}) into a slot (0, 1, 2 …), in place of what was there.
+    ///
+    /// # Errors
+    /// A pair that is no step of the model, or a Jacobian without a factorization. The slot is then empty.
+    fn linearize(&mut self, slot: usize, k: usize, x: &[f64], x_next: &[f64]) -> Result<Work, Error>;
 
-    /// dx ← M_k dx, in place, with the kept linearization of step k.
+    /// dx ← M_k dx in place, with the linearization in the slot, for one column or several, one after the other (`dx` has
+    /// the length of the state times their number). Among several, a
+    /// column's bits do not depend on the others; alone it may be rounded differently.
     ///
     /// # Panics
-    /// If step k has not been linearized.
-    fn tangent(&mut self, k: usize, dx: &mut [f64]);
+    /// If the slot is empty, or `dx.len()` is not a multiple of `dim()`.
+    fn tangent(&mut self, slot: usize, dx: &mut [f64]);
 
-    /// λ ← M_kᵀ λ, in place, with the kept linearization of step k. No hidden minus.
+    /// λ ← M_kᵀ λ in place, for one column or several, as for `tangent`. No hidden minus.
     ///
     /// # Panics
-    /// If step k has not been linearized.
-    fn adjoint(&mut self, k: usize, lambda: &mut [f64]);
+    /// As for `tangent`.
+    fn adjoint(&mut self, slot: usize, lambda: &mut [f64]);
 
-    /// dx ← M_k dx for every column of a block, one after the other (`dx` has the length of the state times their number).
-    /// A column's bits do not depend on the others. By default one by one.
-    ///
-    /// # Panics
-    /// If step k has not been linearized, or there is a part of a column.
-    fn tangent_block(&mut self, k: usize, dx: &mut [f64]) {
-        let n = self.dim();
-        assert!(dx.len().is_multiple_of(n), "a column has {n} values");
-        dx.chunks_exact_mut(n).for_each(|dx| self.tangent(k, dx));
-    }
+    /// Forgets what the slots from this one on hold, and gives their memory back.
+    fn release(&mut self, from_slot: usize);
 
-    /// λ ← M_kᵀ λ for every column of a block, as for `tangent_block`.
-    ///
-    /// # Panics
-    /// As for `tangent_block`.
-    fn adjoint_block(&mut self, k: usize, lambda: &mut [f64]) {
-        let n = self.dim();
-        assert!(lambda.len().is_multiple_of(n), "a column has {n} values");
-        lambda.chunks_exact_mut(n).for_each(|lambda| self.adjoint(k, lambda));
-    }
+    /// Bytes that the linearization of one step takes.
+    fn slot_bytes(&self) -> usize;
 
-    /// Keeps the linearizations of no more than `steps` steps from now on (at first of all): those linearized last in a
-    /// window that is swept in order, either way. Memory beyond that is given back. By default nothing happens: a model that
-    /// keeps every linearization is right, only larger.
-    fn keep_at_most(&mut self, steps: usize) {
-        let _ = steps;
-    }
+    /// Bytes of all linearizations held now.
+    fn bytes(&self) -> usize;
 
-    /// Bytes that keeping the linearization of one step takes; zero where a model does not say.
-    fn bytes_per_step(&self) -> usize {
-        0
-    }
-
-    /// Bytes of all linearizations held now; zero where a model does not say.
-    fn bytes_kept(&self) -> usize {
-        0
-    }
+    /// The map from the control z, what is estimated, to the initial state; `None` where they are the same vector.
+    fn control_map(&mut self) -> Option<&mut dyn ControlMap>;
 
     /// Length of the control z.
-    fn control_dim(&self) -> usize {
-        self.dim()
+    fn control_dim(&mut self) -> usize {
+        let dim = self.dim();
+        self.control_map().map_or(dim, |map| map.control_len())
     }
 
-    /// x₀ from the control z. Keeps what the two derivatives below need.
+    /// x₀ from the control z.
+    ///
+    /// # Errors
+    /// As [`ControlMap::to_state`].
     fn initial_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), Error> {
-        x.copy_from_slice(z);
-        Ok(())
+        match self.control_map() {
+            Some(map) => map.to_state(z, x),
+            None => {
+                x.copy_from_slice(z);
+                Ok(())
+            }
+        }
     }
 
     /// dx₀ = ∂x₀/∂z dz at the control of the last `initial_state`.
     fn initial_tangent(&mut self, dz: &[f64], dx: &mut [f64]) {
-        dx.copy_from_slice(dz);
+        match self.control_map() {
+            Some(map) => map.to_state_tangent(dz, dx),
+            None => dx.copy_from_slice(dz),
+        }
     }
 
     /// dz = (∂x₀/∂z)ᵀ λ₀ at the control of the last `initial_state`.
     fn initial_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]) {
-        dz.copy_from_slice(lambda);
-    }
-
-    /// Work done since the model was made.
-    fn counts(&self) -> Counts;
-
-    /// What happened that the user should know: substeps taken, a pivot near zero.
-    fn warnings(&self) -> &[Warning] {
-        &[]
+        match self.control_map() {
+            Some(map) => map.to_state_adjoint(lambda, dz),
+            None => dz.copy_from_slice(lambda),
+        }
     }
 }
 
-/// Work done by a model. Integers, exact, the same on every run.
+/// The map z ↦ x₀ from the control to the initial state, with its derivative.
+pub trait ControlMap {
+    /// Length of the control z.
+    fn control_len(&self) -> usize;
+
+    /// x₀ from z. Keeps what the two derivatives need.
+    ///
+    /// # Errors
+    /// A control from which no state follows.
+    fn to_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), Error>;
+
+    /// dx₀ = ∂x₀/∂z dz at the control of the last `to_state`.
+    fn to_state_tangent(&mut self, dz: &[f64], dx: &mut [f64]);
+
+    /// dz = (∂x₀/∂z)ᵀ λ₀ at the control of the last `to_state`.
+    fn to_state_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]);
+}
+
+/// What one call of [`Model::step`] or [`Model::linearize`] did. The default is one step without a solve.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Work {
+    /// Steps of the innermost model: 1, but where one step stands for several
+    /// ([`Substepped`](crate::Substepped)).
+    pub steps: usize,
+    /// Extra substeps of a step that had to be split.
+    pub substeps: usize,
+    /// Newton iterations.
+    pub newton_iterations: usize,
+    /// Numerical factorizations of ∂G/∂u.
+    pub factorizations: usize,
+    /// Linearizations that took over the last factor of Newton's method (see
+    /// [`Linearization`](crate::Linearization)).
+    pub reused: usize,
+    /// What the user should know: substeps taken, a pivot near zero.
+    pub warnings: Vec<String>,
+}
+
+impl Default for Work {
+    fn default() -> Self {
+        Self {
+            steps: 1,
+            substeps: 0,
+            newton_iterations: 0,
+            factorizations: 0,
+            reused: 0,
+            warnings: Vec::new(),
+        }
+    }
+}
+
+impl Work {
+    /// Adds what a further step of the innermost model did.
+    pub fn add(&mut self, other: Work) {
+        self.steps += other.steps;
+        self.substeps += other.substeps;
+        self.newton_iterations += other.newton_iterations;
+        self.factorizations += other.factorizations;
+        self.reused += other.reused;
+        self.warnings.extend(other.warnings);
+    }
+}
+
+/// Work of a model, added up by its caller. Integers, exact, the same on every run.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Steps taken (a step taken in parts counts once).
+    /// Steps taken (one that was split counts once).
     pub model_steps: usize,
-    /// Extra parts of steps that had to be split.
+    /// Extra substeps of steps that had to be split.
     pub substeps: usize,
-    /// Products with M_k.
+    /// Products with M_k, one a column.
     pub tangent_steps: usize,
-    /// Products with M_kᵀ.
+    /// Products with M_kᵀ, one a column.
     pub adjoint_steps: usize,
     /// Linearizations of a step.
     pub linearizations: usize,
-    /// Those of them that took over the last factor of Newton's method (see [`Linearization`](crate::Linearization)).
+    /// Those of them that took over the last factor of Newton's method.
     pub reused: usize,
     /// Numerical factorizations of ∂G/∂u, in steps and in linearizations.
     pub factorizations: usize,
@@ -134,6 +187,13 @@ impl Counts {
             newton_iterations: f(self.newton_iterations, other.newton_iterations),
         }
     }
+
+    fn add_solves(&mut self, work: &Work) {
+        self.substeps += work.substeps;
+        self.newton_iterations += work.newton_iterations;
+        self.factorizations += work.factorizations;
+        self.reused += work.reused;
+    }
 }
 
 impl Add for Counts {
@@ -152,11 +212,56 @@ impl Sub for Counts {
     }
 }
 
-/// Something a step went through that did not stop it. One is kept for every step and text.
+/// Something a step went through that did not stop it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Warning {
     /// Index k of the step.
     pub step: usize,
     /// What happened.
     pub text: String,
+}
+
+/// What a caller of a model keeps of all its calls: their counts, and each warning once.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Log {
+    /// The work done.
+    pub counts: Counts,
+    /// What steps went through, in the order it first happened; at most a thousand.
+    pub warnings: Vec<Warning>,
+}
+
+/// Most warnings kept.
+const MAX_WARNINGS: usize = 1000;
+
+impl Log {
+    /// Notes a step taken.
+    pub fn step(&mut self, k: usize, work: Work) {
+        self.counts.model_steps += work.steps;
+        self.counts.add_solves(&work);
+        self.warn(k, work.warnings);
+    }
+
+    /// Notes a step linearized.
+    pub fn linearization(&mut self, k: usize, work: Work) {
+        self.counts.linearizations += work.steps;
+        self.counts.add_solves(&work);
+        self.warn(k, work.warnings);
+    }
+
+    /// Adds another log.
+    pub fn add(&mut self, other: &Log) {
+        self.counts = self.counts + other.counts;
+        for warning in &other.warnings {
+            self.warn(warning.step, vec![warning.text.clone()]);
+        }
+    }
+
+    fn warn(&mut self, step: usize, texts: Vec<String>) {
+        for text in texts {
+            let known = self.warnings.iter().any(|w| w.step == step && w.text == text);
+            if self.warnings.len() < MAX_WARNINGS && !known {
+                self.warnings.push(Warning { step, text });
+            }
+        }
+    }
 }

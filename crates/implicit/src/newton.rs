@@ -1,6 +1,6 @@
 //! Newton's method for one implicit step, globalized.
 
-use crate::{Error, ImplicitStep, Interval};
+use crate::{Equations, Error, Interval, Refusal};
 use varda_linalg::{Factor, LinearSolver, Structure};
 
 /// Limits of the iteration.
@@ -75,6 +75,57 @@ impl NewtonWork {
     }
 }
 
+/// Why a call of [`solve`] found no solution.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum NewtonFailure {
+    /// The iterations or the halvings ran out, or the updates stalled.
+    #[error("Newton stopped after {iterations} iterations with |du| = {update:e} (wanted {tolerance:e})")]
+    Diverged {
+        /// Iterations done.
+        iterations: usize,
+        /// Size of the last update, in the norm of the equations.
+        update: f64,
+        /// The size that was asked for.
+        tolerance: f64,
+    },
+    /// ∂G/∂u has no usable factorization.
+    #[error("the Jacobian ∂G/∂u is singular at row {row}")]
+    SingularJacobian {
+        /// Row of the first unusable pivot.
+        row: usize,
+    },
+    /// A value that is not finite.
+    #[error("{what} is not finite")]
+    NonFinite {
+        /// Which vector.
+        what: &'static str,
+    },
+    /// The equations refused the guess, or a trusted update.
+    #[error(transparent)]
+    Refused(#[from] Refusal),
+}
+
+impl NewtonFailure {
+    /// The error of the step whose equations these were.
+    pub fn in_step(self, at: &Interval) -> Error {
+        let step = at.index;
+        match self {
+            NewtonFailure::Diverged { iterations, update, tolerance } => Error::NewtonDiverged {
+                step,
+                time: at.start,
+                length: at.length,
+                iterations,
+                update,
+                tolerance,
+            },
+            NewtonFailure::SingularJacobian { row } => Error::SingularJacobian { step, row },
+            NewtonFailure::NonFinite { what } => Error::NonFinite { step, what },
+            NewtonFailure::Refused(reason) => Error::refused(step, reason),
+        }
+    }
+}
+
 /// Armijo's constant: the share of the predicted decrease that a step must bring.
 const DECREASE: f64 = 1e-4;
 /// First shift of the diagonal, as a share of every row's own |diagonal|.
@@ -94,7 +145,7 @@ const SEMIDEFINITE: f64 = 1e-13;
 /// A residual below this many roundings of the unknowns is rounding.
 const ROUNDINGS: f64 = 16.0;
 
-/// Solves G(x, u) = 0 for u, from the guess in `u`; statics pass an empty `x`.
+/// Solves G(u) = 0 for u, from the guess in `u`.
 ///
 /// ```text
 /// ∂G/∂u du = −G,   u ← u ⊕ α du
@@ -114,7 +165,7 @@ const ROUNDINGS: f64 = 16.0;
 /// does not see the scaling of the equations.
 ///
 /// A trial point is assembled with its Jacobian, so that an accepted full step costs one assembly and one factorization. A
-/// trial point that the step refuses is too far: the update is halved. Full unshifted updates no larger than
+/// trial point that the equations refuse is too far: the update is halved. Full unshifted updates no larger than
 /// `trusted_below` are taken without a test, and one below `converged_below` is applied and ends the iteration.
 ///
 /// **Rounding.** Where trusted updates stop shrinking before that, the iteration ends only if the residual cannot be told
@@ -122,49 +173,46 @@ const ROUNDINGS: f64 = 16.0;
 /// 1964: u is then the exact root of equations as close as the machine can state them); the report says so. Else it fails.
 ///
 /// # Errors
-/// - [`Error::Refused`] if the step refuses the guess, or a trusted update.
-/// - [`Error::SingularJacobian`] if there is no usable factorization.
-/// - [`Error::NonFinite`] if an update or a residual is not finite.
-/// - [`Error::NewtonDiverged`] if the iterations or the halvings run out, or the updates stall.
+/// - [`NewtonFailure::Refused`] if the equations refuse the guess, or a trusted update.
+/// - [`NewtonFailure::SingularJacobian`] if there is no usable factorization.
+/// - [`NewtonFailure::NonFinite`] if an update or a residual is not finite.
+/// - [`NewtonFailure::Diverged`] if the iterations or the halvings run out, or the updates stall.
 ///
 /// # Panics
-/// If the length of `u` is not that of `work`, or the step's structure differs from it.
-pub fn solve<S: ImplicitStep + ?Sized>(
-    step: &mut S,
-    at: &Interval,
-    x: &[f64],
+/// If the length of `u` is not that of `work`.
+pub fn solve<E: Equations + ?Sized>(
+    equations: &mut E,
     u: &mut [f64],
     work: &mut NewtonWork,
     options: &NewtonOptions,
-) -> Result<NewtonReport, Error> {
+) -> Result<NewtonReport, NewtonFailure> {
     assert_eq!(u.len(), work.g.len(), "the work space was made for another number of unknowns");
     work.report = NewtonReport { last_update: f64::INFINITY, ..NewtonReport::default() };
-    let refused = |reason| Error::refused(at.index, reason);
-    let (converged, trusted) = (step.converged_below(), step.trusted_below());
-    let mut potential = step.assemble(at, x, u, &mut work.g, Some(&mut work.values)).map_err(refused)?;
+    let (converged, trusted) = (equations.converged_below(), equations.trusted_below());
+    let mut potential = equations.assemble(u, &mut work.g, Some(&mut work.values))?;
     if !work.g.iter().all(|g| g.is_finite()) {
-        return Err(Error::NonFinite { step: at.index, what: "the residual of the guess" });
+        return Err(NewtonFailure::NonFinite { what: "the residual of the guess" });
     }
     // the last shift that was needed, kept over iterations that need none
     let mut remembered = 0.0;
     let mut stalled = 0;
     for iteration in 1..=options.max_iterations {
         work.report.iterations = iteration;
-        let shift = work.factor_descending(at, potential.is_some(), remembered)?;
+        let shift = work.factor_descending(potential.is_some(), remembered)?;
         if shift > 0.0 {
             remembered = shift;
         }
         work.newton_update();
-        let size = step.size(&work.du);
+        let size = equations.size(&work.du);
         if !size.is_finite() {
-            return Err(Error::NonFinite { step: at.index, what: "the Newton update" });
+            return Err(NewtonFailure::NonFinite { what: "the Newton update" });
         }
         let previous = std::mem::replace(&mut work.report.last_update, size);
         let neutral = shift > 0.0 && size <= trusted && work.is_semidefinite();
         let full = shift == 0.0 || neutral;
         if full && size <= converged {
             work.report.neutral = neutral;
-            step.retract(at, x, u, &work.du, 1.0, &mut work.trial);
+            equations.retract(u, &work.du, 1.0, &mut work.trial);
             u.copy_from_slice(&work.trial);
             return Ok(work.report);
         }
@@ -172,35 +220,34 @@ pub fn solve<S: ImplicitStep + ?Sized>(
             stalled = if size > 0.5 * previous { stalled + 1 } else { 0 };
             if stalled >= STALLED {
                 work.report.at_rounding = work.residual_is_rounding(u);
-                return if work.report.at_rounding { Ok(work.report) } else { Err(work.diverged(step, at)) };
+                return if work.report.at_rounding { Ok(work.report) } else { Err(work.diverged(equations)) };
             }
-            step.retract(at, x, u, &work.du, 1.0, &mut work.trial);
-            potential =
-                step.assemble(at, x, &work.trial, &mut work.g, Some(&mut work.values)).map_err(refused)?;
+            equations.retract(u, &work.du, 1.0, &mut work.trial);
+            potential = equations.assemble(&work.trial, &mut work.g, Some(&mut work.values))?;
         } else {
             let test = match potential {
                 Some(phi) if shift > 0.0 && size <= trusted => {
-                    work.negative_curvature(step, ESCAPE * trusted, phi)
+                    work.negative_curvature(equations, ESCAPE * trusted, phi)
                 }
                 Some(phi) => Some(work.descent(phi)),
                 None => Some(Test::Contraction { size }),
             };
-            let accepted = test.and_then(|test| work.backtrack(step, at, x, u, &test, options));
-            potential = accepted.ok_or_else(|| work.diverged(step, at))?;
+            let accepted = test.and_then(|test| work.backtrack(equations, u, &test, options));
+            potential = accepted.ok_or_else(|| work.diverged(equations))?;
         }
         u.copy_from_slice(&work.trial);
     }
-    Err(work.diverged(step, at))
+    Err(work.diverged(equations))
 }
 
 impl NewtonWork {
     /// Factors ∂G/∂u; with a potential, shifted until positive definite. Returns the shift.
-    fn factor_descending(&mut self, at: &Interval, has_potential: bool, last: f64) -> Result<f64, Error> {
+    fn factor_descending(&mut self, has_potential: bool, last: f64) -> Result<f64, NewtonFailure> {
         self.report.factorizations += 1;
         match self.solver.factor(&self.values, &mut self.factor) {
             Ok(negative) if !has_potential || negative == 0 => return Ok(0.0),
             Err(bad) if !has_potential => {
-                return Err(Error::SingularJacobian { step: at.index, row: bad.row });
+                return Err(NewtonFailure::SingularJacobian { row: bad.row });
             }
             _ => {}
         }
@@ -217,7 +264,7 @@ impl NewtonWork {
         // only a Jacobian that is zero or not finite in some row withstands every shift
         let row =
             self.solver.factor_shifted(&self.values, shift, &mut self.factor).err().map_or(0, |bad| bad.row);
-        Err(Error::SingularJacobian { step: at.index, row })
+        Err(NewtonFailure::SingularJacobian { row })
     }
 
     /// Whether ∂G/∂u has no negative eigenvalue beyond rounding. Leaves another factor.
@@ -246,16 +293,16 @@ impl NewtonWork {
     }
 
     /// du becomes a direction of negative curvature of the given size, downhill. `None` where there is none to be had.
-    fn negative_curvature<S: ImplicitStep + ?Sized>(
+    fn negative_curvature<E: Equations + ?Sized>(
         &mut self,
-        step: &S,
+        equations: &E,
         size: f64,
         phi: f64,
     ) -> Option<Test> {
         self.report.factorizations += 1;
         self.solver.factor(&self.values, &mut self.factor).ok()?;
         let curvature = self.solver.negative_curvature(&self.factor, &mut self.du)?;
-        let scale = size / step.size(&self.du);
+        let scale = size / equations.size(&self.du);
         let scale = if dot(&self.g, &self.du) > 0.0 { -scale } else { scale };
         self.du.iter_mut().for_each(|d| *d *= scale);
         Some(Test::Curvature { phi, slope: dot(&self.g, &self.du), curvature: curvature * scale * scale })
@@ -263,21 +310,19 @@ impl NewtonWork {
 
     /// Halves α until the test holds at u ⊕ α du, and leaves that point in `trial`, its equations in `g` and `values`.
     /// Returns its potential; `None` where the halvings ran out.
-    fn backtrack<S: ImplicitStep + ?Sized>(
+    fn backtrack<E: Equations + ?Sized>(
         &mut self,
-        step: &mut S,
-        at: &Interval,
-        x: &[f64],
+        equations: &mut E,
         u: &[f64],
         test: &Test,
         options: &NewtonOptions,
     ) -> Option<Option<f64>> {
         let mut alpha = 1.0;
         for _ in 0..=options.max_backtracks {
-            step.retract(at, x, u, &self.du, alpha, &mut self.trial);
-            let assembled = step.assemble(at, x, &self.trial, &mut self.g, Some(&mut self.values));
+            equations.retract(u, &self.du, alpha, &mut self.trial);
+            let assembled = equations.assemble(&self.trial, &mut self.g, Some(&mut self.values));
             if let Ok(potential) = assembled
-                && self.holds(step, test, alpha, potential)
+                && self.holds(equations, test, alpha, potential)
             {
                 return Some(potential);
             }
@@ -288,9 +333,9 @@ impl NewtonWork {
     }
 
     /// Whether the point just assembled passes. False for anything that is not a number.
-    fn holds<S: ImplicitStep + ?Sized>(
+    fn holds<E: Equations + ?Sized>(
         &mut self,
-        step: &S,
+        equations: &E,
         test: &Test,
         alpha: f64,
         potential: Option<f64>,
@@ -308,7 +353,7 @@ impl NewtonWork {
             (&Test::Contraction { size }, None) => {
                 self.probe.copy_from_slice(&self.g);
                 self.solver.solve(&self.factor, &mut self.probe);
-                step.size(&self.probe) <= (1.0 - 0.25 * alpha) * size
+                equations.size(&self.probe) <= (1.0 - 0.25 * alpha) * size
             }
             _ => false,
         }
@@ -320,14 +365,11 @@ impl NewtonWork {
         self.g.iter().zip(&self.probe).all(|(g, scale)| g.abs() <= ROUNDINGS * f64::EPSILON * scale)
     }
 
-    fn diverged<S: ImplicitStep + ?Sized>(&self, step: &S, at: &Interval) -> Error {
-        Error::NewtonDiverged {
-            step: at.index,
-            time: at.start,
-            length: at.length,
+    fn diverged<E: Equations + ?Sized>(&self, equations: &E) -> NewtonFailure {
+        NewtonFailure::Diverged {
             iterations: self.report.iterations,
             update: self.report.last_update,
-            tolerance: step.converged_below(),
+            tolerance: equations.converged_below(),
         }
     }
 }

@@ -1,8 +1,9 @@
 //! Ordinary differential equations ẋ = f(t, x), and implicit steps for any of them.
 
-use crate::{ImplicitStep, Interval, Refusal, Scheme, Structure};
+use crate::{Equations, ImplicitStep, Interval, Refusal, Scheme, Stage, StepEquations, Structure};
 
-/// The right-hand side f of ẋ = f(t, x), with its derivative as products.
+/// The right-hand side f of ẋ = f(t, x) (paper 2.21), with its derivative as products: those of the
+/// sensitivity equation d(δx)/dt = ∂f/∂x δx (paper 2.22) and of its transpose.
 ///
 /// `&mut self` is for work space: every result is a function of the arguments alone.
 pub trait Rhs {
@@ -106,7 +107,59 @@ impl<R: Rhs> OneLeg<R> {
     }
 }
 
+/// The equations of one step of [`OneLeg`].
+#[derive(Debug)]
+pub struct OneLegEquations<'a, R> {
+    step: &'a mut OneLeg<R>,
+    stage: Stage,
+    x: &'a [f64],
+}
+
+impl<R: Rhs> Equations for OneLegEquations<'_, R> {
+    fn assemble(
+        &mut self,
+        u: &[f64],
+        g: &mut [f64],
+        jacobian: Option<&mut [f64]>,
+    ) -> Result<Option<f64>, Refusal> {
+        let Self { step, stage, x } = self;
+        step.rhs.eval(stage.time, u, g);
+        let n = u.len();
+        for i in 0..n {
+            g[i] = u[i] - stage.from[0] * x[i] - stage.length * g[i];
+        }
+        if stage.from[1] != 0.0 {
+            g.iter_mut().zip(&x[n..]).for_each(|(g, x)| *g -= stage.from[1] * x);
+        }
+        if let Some(values) = jacobian {
+            step.rhs.jacobian(stage.time, u, &mut step.product, values);
+            values.iter_mut().for_each(|v| *v *= -stage.length);
+            for i in 0..n {
+                values[step.structure.diagonal(n, i).expect("checked in new")] += 1.0;
+            }
+        }
+        Ok(None)
+    }
+
+    fn converged_below(&self) -> f64 {
+        self.step.tolerance
+    }
+}
+
+impl<R: Rhs> StepEquations for OneLegEquations<'_, R> {
+    /// No change: what is stiff enough for an implicit step is too stiff for an explicit guess.
+    fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal> {
+        u.copy_from_slice(&self.x[..u.len()]);
+        Ok(())
+    }
+}
+
 impl<R: Rhs> ImplicitStep for OneLeg<R> {
+    type Equations<'a>
+        = OneLegEquations<'a, R>
+    where
+        R: 'a;
+
     fn dim(&self) -> usize {
         self.rhs.dim() + self.history()
     }
@@ -119,41 +172,8 @@ impl<R: Rhs> ImplicitStep for OneLeg<R> {
         self.structure.clone()
     }
 
-    /// No change: what is stiff enough for an implicit step is too stiff for an explicit guess.
-    fn predict(&mut self, _at: &Interval, x: &[f64], u: &mut [f64]) -> Result<(), Refusal> {
-        u.copy_from_slice(&x[..u.len()]);
-        Ok(())
-    }
-
-    fn assemble(
-        &mut self,
-        at: &Interval,
-        x: &[f64],
-        u: &[f64],
-        g: &mut [f64],
-        jacobian: Option<&mut [f64]>,
-    ) -> Result<Option<f64>, Refusal> {
-        let stage = self.scheme.stage(at);
-        self.rhs.eval(stage.time, u, g);
-        let n = u.len();
-        for i in 0..n {
-            g[i] = u[i] - stage.from[0] * x[i] - stage.length * g[i];
-        }
-        if stage.from[1] != 0.0 {
-            g.iter_mut().zip(&x[n..]).for_each(|(g, x)| *g -= stage.from[1] * x);
-        }
-        if let Some(values) = jacobian {
-            self.rhs.jacobian(stage.time, u, &mut self.product, values);
-            values.iter_mut().for_each(|v| *v *= -stage.length);
-            for i in 0..n {
-                values[self.structure.diagonal(n, i).expect("checked in new")] += 1.0;
-            }
-        }
-        Ok(None)
-    }
-
-    fn converged_below(&self) -> f64 {
-        self.tolerance
+    fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<Self::Equations<'a>, Refusal> {
+        Ok(OneLegEquations { stage: self.scheme.stage(at), step: self, x })
     }
 
     fn advance(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {

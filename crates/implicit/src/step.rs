@@ -1,6 +1,6 @@
 //! One step of a discrete model, given by the equations it satisfies.
 
-use crate::{Refusal, Structure};
+use crate::{Equations, Refusal, Structure};
 
 /// The time interval of one step, or of a part of one: from `start` to `start + length`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,13 +28,18 @@ impl Interval {
 ///
 /// The unknowns are what must be solved for and nothing else: backward Euler of ẍ = f needs the new positions only, the
 /// velocities being (X_{k+1} − X_k)/Δt. Where u = x_{k+1} (the default of the mapping methods) G is the paper's
-/// G(x_k, x_{k+1}) (2.23). A step is a pure function of the interval and x_k: no memory of earlier calls may show.
+/// G(x_k, x_{k+1}) (paper 2.23). A step is a pure function of the interval and x_k: no memory of earlier calls may show.
 ///
 /// **Two-step schemes** need the state before: their x_k is [its own components, `history` of the first ones of x_{k−1}].
 /// Every method is given the whole x_k, dx or (∂G/∂x_k)ᵀμ; what they write or read of the *next* state (`advance`,
 /// `recover`, `advance_tangent`, `advance_adjoint`) and of the initial one is without the history, which
 /// [`ImplicitModel`](crate::ImplicitModel) hands on.
 pub trait ImplicitStep {
+    /// The step's equations, prepared for an interval and a state.
+    type Equations<'a>: StepEquations
+    where
+        Self: 'a;
+
     /// Length of the state x, history included.
     fn dim(&self) -> usize;
 
@@ -51,40 +56,11 @@ pub trait ImplicitStep {
     /// Layout of ∂G/∂u.
     fn structure(&self) -> Structure;
 
-    /// First guess of u.
-    fn predict(&mut self, at: &Interval, x: &[f64], u: &mut [f64]) -> Result<(), Refusal>;
-
-    /// g = G(x, u); where asked for, all values of ∂G/∂u in the layout of `structure` (symmetric where that says so).
+    /// Prepares everything of G(x_k, ·) that does not depend on u.
     ///
-    /// Returns Φ(u) where G = ∂Φ/∂u (a minimum of Φ is then looked for), `None` where there is no potential.
-    fn assemble(
-        &mut self,
-        at: &Interval,
-        x: &[f64],
-        u: &[f64],
-        g: &mut [f64],
-        jacobian: Option<&mut [f64]>,
-    ) -> Result<Option<f64>, Refusal>;
-
-    /// `trial` = u ⊕ α du, where du solved ∂G/∂u du = −G. A plain sum unless u lives on a curved set.
-    fn retract(&mut self, _at: &Interval, _x: &[f64], u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
-        for ((t, u), d) in trial.iter_mut().zip(u).zip(du) {
-            *t = u + alpha * d;
-        }
-    }
-
-    /// Size of an update du, in the norm the two thresholds below are stated in.
-    fn size(&self, du: &[f64]) -> f64 {
-        du.iter().fold(0.0, |m: f64, d| if d.is_nan() { f64::NAN } else { m.max(d.abs()) })
-    }
-
-    /// Newton ends when a full step was no larger than this.
-    fn converged_below(&self) -> f64;
-
-    /// Full steps no larger than this are accepted without a decrease test (a test on Φ stalls at rounding).
-    fn trusted_below(&self) -> f64 {
-        1e5 * self.converged_below()
-    }
+    /// # Errors
+    /// A state or a time for which the step has no equations.
+    fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<Self::Equations<'a>, Refusal>;
 
     /// x_{k+1} = S(x_k, u), without the history.
     fn advance(&mut self, _at: &Interval, _x: &[f64], u: &[f64], x_next: &mut [f64]) {
@@ -149,10 +125,22 @@ pub trait ImplicitStep {
     fn initial_adjoint(&mut self, _t: f64, lambda: &[f64], dz: &mut [f64]) {
         dz.copy_from_slice(lambda);
     }
+}
 
-    /// Called once after a step was accepted (and again when it is linearized): a step may watch a pivot here and
-    /// return a warning to keep, or refuse the state.
-    fn accepted(&mut self, _at: &Interval, _x: &[f64], _u: &[f64]) -> Result<Option<String>, Refusal> {
+/// The equations G(x_k, u) = 0 of one interval and one x_k: what only holds once a step has been prepared.
+pub trait StepEquations: Equations {
+    /// First guess of u.
+    ///
+    /// # Errors
+    /// Where there is none.
+    fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal>;
+
+    /// Asked once when u was accepted, and again when the step is linearized there: a step may watch a pivot here, and
+    /// return a warning or refuse the state.
+    ///
+    /// # Errors
+    /// A state at which the step has no derivative.
+    fn accepted(&mut self, _u: &[f64]) -> Result<Option<String>, Refusal> {
         Ok(None)
     }
 }

@@ -1,7 +1,7 @@
 //! The states of a window, and sweeps along them.
 
 use crate::storage::next_checkpoint;
-use crate::{Error, Model, Storage};
+use crate::{Error, Log, Model, Storage};
 
 /// What a forward run leaves behind for sweeps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -15,8 +15,9 @@ pub enum Keep {
 
 /// The states x₀ … x_N of a window, or those of them that its [`Storage`] keeps, and tangent and adjoint sweeps along them.
 ///
-/// The linearizations live in the model; a trajectory knows whether they are those of its states as long as nothing
-/// else linearizes the same model. Buffers are reused from run to run.
+/// The linearizations live in slots of the model that the trajectory names: slot k for step k where all are kept, else slot 0.
+/// It knows whether they are those of its states as long as nothing else linearizes the same model. What the model did in all
+/// runs and sweeps is in the [`log`](Self::log). Buffers are reused from run to run.
 ///
 /// ```
 /// use varda_implicit::{Keep, Rk4, Storage, Trajectory, lorenz::Lorenz63};
@@ -52,6 +53,34 @@ pub struct Trajectory {
     x: Vec<f64>,
     x_next: Vec<f64>,
     front: Option<usize>,
+    log: Log,
+}
+
+/// A step of a window in a sweep, linearized: products with M_k and M_kᵀ.
+pub struct LinearizedStep<'a> {
+    model: &'a mut dyn Model,
+    slot: usize,
+    log: &'a mut Log,
+    /// k.
+    pub k: usize,
+    /// x_k.
+    pub x: &'a [f64],
+    /// x_{k+1}.
+    pub x_next: &'a [f64],
+}
+
+impl LinearizedStep<'_> {
+    /// dx ← M_k dx, for one column or several.
+    pub fn tangent(&mut self, dx: &mut [f64]) {
+        self.log.counts.tangent_steps += dx.len() / self.x.len().max(1);
+        self.model.tangent(self.slot, dx);
+    }
+
+    /// λ ← M_kᵀ λ, for one column or several.
+    pub fn adjoint(&mut self, lambda: &mut [f64]) {
+        self.log.counts.adjoint_steps += lambda.len() / self.x.len().max(1);
+        self.model.adjoint(self.slot, lambda);
+    }
 }
 
 impl Trajectory {
@@ -74,7 +103,7 @@ impl Trajectory {
         self.storage
     }
 
-    /// Heap memory held, in bytes: the states, not the linearizations (see [`Model::bytes_kept`]).
+    /// Heap memory held, in bytes: the states, not the linearizations (see [`Model::bytes`]).
     pub fn bytes(&self) -> usize {
         let words = self.states.capacity() + self.x.capacity() + self.x_next.capacity();
         words * size_of::<f64>() + self.placed.capacity() * size_of::<usize>()
@@ -91,6 +120,11 @@ impl Trajectory {
         assert_eq!(x0.len(), model.dim(), "the initial state has the wrong length");
         self.start(x0.len(), steps).copy_from_slice(x0);
         self.forward(model, keep, &mut |_, _| Ok::<(), Error>(()))
+    }
+
+    /// The work of the model in all runs and sweeps of this trajectory, and what its steps went through.
+    pub fn log(&self) -> &Log {
+        &self.log
     }
 
     /// Makes room for a window of `steps` steps of states of length `dim`; the place of x₀, to be filled before
@@ -126,7 +160,7 @@ impl Trajectory {
         keep: Keep,
         see: &mut dyn FnMut(usize, &mut [f64]) -> Result<(), E>,
     ) -> Result<(), E> {
-        model.keep_at_most(self.storage.linearizations());
+        self.release(model);
         let linearize = keep == Keep::Linearizations && self.storage == Storage::KeepAll;
         let n = self.dim;
         let mut result = see(0, &mut self.states[..n]);
@@ -134,9 +168,9 @@ impl Trajectory {
             result = match self.storage {
                 Storage::KeepAll | Storage::States => (0..self.steps).try_for_each(|k| {
                     let (x, x_next) = self.states[k * n..(k + 2) * n].split_at_mut(n);
-                    model.step(k, x, x_next)?;
+                    self.log.step(k, model.step(k, x, x_next)?);
                     if linearize {
-                        model.linearize(k, x, x_next)?;
+                        self.log.linearization(k, model.linearize(k, k, x, x_next)?);
                     }
                     see(k + 1, x_next)
                 }),
@@ -168,10 +202,12 @@ impl Trajectory {
         model: &mut dyn Model,
         landing: &dyn Fn(usize) -> Option<&'l [f64]>,
     ) -> Result<(), Error> {
-        model.keep_at_most(self.storage.linearizations());
+        self.release(model);
         if self.storage == Storage::KeepAll && !self.linearized {
             for k in 0..self.steps {
-                model.linearize(k, self.state(k), landing(k).unwrap_or_else(|| self.state(k + 1)))?;
+                let x_next = landing(k).unwrap_or_else(|| self.state(k + 1));
+                let work = model.linearize(k, k, self.state(k), x_next)?;
+                self.log.linearization(k, work);
             }
             self.linearized = true;
         }
@@ -218,9 +254,9 @@ impl Trajectory {
     ) -> Result<(), Error> {
         self.check(dx);
         see(0, &self.states[..self.dim], dx);
-        self.for_each_step(model, &mut |model, k, [_, x_next]| {
-            model.tangent(k, dx);
-            see(k + 1, x_next, dx);
+        self.for_each_step(model, &mut |step| {
+            step.tangent(dx);
+            see(step.k + 1, step.x_next, dx);
         })
     }
 
@@ -244,30 +280,30 @@ impl Trajectory {
         if steps == 0 {
             add(0, &self.states[..self.dim], lambda);
         }
-        self.for_each_step_reversed(model, &mut |model, k, [x, x_next]| {
-            if k + 1 == steps {
-                add(steps, x_next, lambda);
+        self.for_each_step_reversed(model, &mut |step| {
+            if step.k + 1 == steps {
+                add(steps, step.x_next, lambda);
             }
-            model.adjoint(k, lambda);
-            add(k, x, lambda);
+            step.adjoint(lambda);
+            add(step.k, step.x, lambda);
         })
     }
 
-    /// `act(model, k, [x_k, x_{k+1}])` for k = 0 … N−1, with step k linearized in the model.
+    /// `act` on every step, linearized, for k = 0 … N−1.
     ///
     /// # Errors
     /// Of a step that is linearized or run again, as the storage asks.
     pub fn for_each_step(
         &mut self,
         model: &mut dyn Model,
-        act: &mut dyn FnMut(&mut dyn Model, usize, [&[f64]; 2]),
+        act: &mut dyn FnMut(&mut LinearizedStep<'_>),
     ) -> Result<(), Error> {
-        model.keep_at_most(self.storage.linearizations());
+        self.release(model);
         if let Storage::Checkpoints { .. } = self.storage {
             self.rewind();
-            return self.advance(model, self.steps, &mut |model, k, x, x_next| {
-                model.linearize(k, x, x_next)?;
-                act(model, k, [x, x_next]);
+            return self.advance(model, self.steps, &mut |model, log, k, x, x_next| {
+                log.linearization(k, model.linearize(0, k, x, x_next)?);
+                act(&mut LinearizedStep { model, slot: 0, log, k, x, x_next });
                 Ok(())
             });
         }
@@ -282,9 +318,9 @@ impl Trajectory {
     pub fn for_each_step_reversed(
         &mut self,
         model: &mut dyn Model,
-        act: &mut dyn FnMut(&mut dyn Model, usize, [&[f64]; 2]),
+        act: &mut dyn FnMut(&mut LinearizedStep<'_>),
     ) -> Result<(), Error> {
-        model.keep_at_most(self.storage.linearizations());
+        self.release(model);
         if let Storage::Checkpoints { .. } = self.storage {
             // After a forward run, or a sweep in its order, the last step is at hand and the checkpoints are in place.
             if self.front.map(|k| k + 1) != Some(self.steps) {
@@ -294,8 +330,9 @@ impl Trajectory {
                 if self.front != Some(k) {
                     self.run_to(model, k + 1, &mut |_, _| Ok::<(), Error>(()))?;
                 }
-                model.linearize(k, &self.x, &self.x_next)?;
-                act(model, k, [&self.x, &self.x_next]);
+                let Self { x, x_next, log, .. } = self;
+                log.linearization(k, model.linearize(0, k, x, x_next)?);
+                act(&mut LinearizedStep { model, slot: 0, log, k, x, x_next });
                 if k > 0 && self.placed.last() == Some(&k) {
                     self.placed.pop();
                 }
@@ -306,18 +343,51 @@ impl Trajectory {
         (0..self.steps).rev().try_for_each(|k| self.act_on(model, k, act))
     }
 
+    /// dx ← M_k dx for one step, whose linearization is kept.
+    ///
+    /// # Panics
+    /// If the window has not been linearized, or the storage does not keep all linearizations.
+    pub fn tangent_of_step(&mut self, model: &mut dyn Model, k: usize, dx: &mut [f64]) {
+        self.kept_step(model, k).tangent(dx);
+    }
+
+    /// λ ← M_kᵀ λ for one step, whose linearization is kept.
+    ///
+    /// # Panics
+    /// If the window has not been linearized, or the storage does not keep all linearizations.
+    pub fn adjoint_of_step(&mut self, model: &mut dyn Model, k: usize, lambda: &mut [f64]) {
+        self.kept_step(model, k).adjoint(lambda);
+    }
+
+    fn kept_step<'a>(&'a mut self, model: &'a mut dyn Model, k: usize) -> LinearizedStep<'a> {
+        assert!(self.linearized && k < self.steps, "step {k} has not been linearized");
+        let n = self.dim;
+        let (x, x_next) = self.states[k * n..(k + 2) * n].split_at(n);
+        LinearizedStep { model, slot: k, log: &mut self.log, k, x, x_next }
+    }
+
+    /// Gives back the memory of linearizations that the storage does not keep.
+    fn release(&self, model: &mut dyn Model) {
+        if self.storage != Storage::KeepAll {
+            model.release(1);
+        }
+    }
+
     /// One step of a sweep where all states are kept.
     fn act_on(
-        &self,
+        &mut self,
         model: &mut dyn Model,
         k: usize,
-        act: &mut dyn FnMut(&mut dyn Model, usize, [&[f64]; 2]),
+        act: &mut dyn FnMut(&mut LinearizedStep<'_>),
     ) -> Result<(), Error> {
-        let (x, x_next) = (self.state(k), self.state(k + 1));
-        if !self.linearized {
-            model.linearize(k, x, x_next)?;
+        let (n, linearized) = (self.dim, self.linearized);
+        let Self { states, log, .. } = self;
+        let (x, x_next) = states[k * n..(k + 2) * n].split_at(n);
+        let slot = if linearized { k } else { 0 };
+        if !linearized {
+            log.linearization(k, model.linearize(slot, k, x, x_next)?);
         }
-        act(model, k, [x, x_next]);
+        act(&mut LinearizedStep { model, slot, log, k, x, x_next });
         Ok(())
     }
 
@@ -334,16 +404,16 @@ impl Trajectory {
         to: usize,
         see: &mut dyn FnMut(usize, &mut [f64]) -> Result<(), E>,
     ) -> Result<(), E> {
-        self.advance(model, to, &mut |_, k, _, x_next| see(k + 1, x_next))
+        self.advance(model, to, &mut |_, _, k, _, x_next| see(k + 1, x_next))
     }
 
     /// Runs from the last checkpoint to the end of step `to` − 1 and keeps states on the way as the schedule has it;
-    /// `after(model, k, x_k, x_{k+1})` is called after every step.
+    /// `after(model, log, k, x_k, x_{k+1})` is called after every step.
     fn advance<E: From<Error>>(
         &mut self,
         model: &mut dyn Model,
         to: usize,
-        after: &mut dyn FnMut(&mut dyn Model, usize, &[f64], &mut [f64]) -> Result<(), E>,
+        after: &mut dyn FnMut(&mut dyn Model, &mut Log, usize, &[f64], &mut [f64]) -> Result<(), E>,
     ) -> Result<(), E> {
         self.front = None;
         let n = self.dim;
@@ -358,8 +428,8 @@ impl Trajectory {
                 self.placed.push(k);
                 next = next_checkpoint(k, to, room - slot);
             }
-            model.step(k, &self.x, &mut self.x_next)?;
-            after(model, k, &self.x, &mut self.x_next)?;
+            self.log.step(k, model.step(k, &self.x, &mut self.x_next)?);
+            after(model, &mut self.log, k, &self.x, &mut self.x_next)?;
             if k + 1 < to {
                 std::mem::swap(&mut self.x, &mut self.x_next);
             }

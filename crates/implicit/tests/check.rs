@@ -1,7 +1,7 @@
 //! The checks themselves: what they refuse, and what they must not let pass.
 
 use varda_implicit::lorenz::Lorenz63;
-use varda_implicit::{Counts, Error, ImplicitModel, Model, OneLeg, Rhs, Rk4, check};
+use varda_implicit::{ControlMap, Error, ImplicitModel, Log, Model, OneLeg, Rhs, Rk4, Work, check};
 
 /// A model given by its three functions.
 struct Toy {
@@ -14,12 +14,12 @@ impl Model for Toy {
     fn dim(&self) -> usize {
         2
     }
-    fn step(&mut self, _: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
+    fn step(&mut self, _: usize, x: &[f64], x_next: &mut [f64]) -> Result<Work, Error> {
         (self.step)(x, x_next);
-        Ok(())
+        Ok(Work::default())
     }
-    fn linearize(&mut self, _: usize, _: &[f64], _: &[f64]) -> Result<(), Error> {
-        Ok(())
+    fn linearize(&mut self, _: usize, _: usize, _: &[f64], _: &[f64]) -> Result<Work, Error> {
+        Ok(Work::default())
     }
     fn tangent(&mut self, _: usize, dx: &mut [f64]) {
         (self.tangent)(dx);
@@ -27,8 +27,15 @@ impl Model for Toy {
     fn adjoint(&mut self, _: usize, lambda: &mut [f64]) {
         (self.adjoint)(lambda);
     }
-    fn counts(&self) -> Counts {
-        Counts::default()
+    fn release(&mut self, _: usize) {}
+    fn slot_bytes(&self) -> usize {
+        0
+    }
+    fn bytes(&self) -> usize {
+        0
+    }
+    fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
+        None
     }
 }
 
@@ -151,18 +158,18 @@ fn stiff_steps_without_a_potential_go_through_the_contraction_test() {
     // over the jumps of the relaxation cycle, which last about 1/μ, with steps fifty times as long
     let mut model = ImplicitModel::new(OneLeg::implicit_euler(VanDerPol, 1e-10), 0, 0.05);
     let mut x = vec![2.0, 0.0];
-    let mut turns = 0;
+    let (mut turns, mut log) = (0, Log::default());
     for k in 0..36_000 {
         let mut next = vec![0.0; 2];
-        model.step(k, &x, &mut next).unwrap();
+        log.step(k, model.step(k, &x, &mut next).unwrap());
         assert!(next[0].abs() <= 2.1, "{next:?}");
         turns += usize::from(next[0] * x[0] < 0.0);
         x = next;
     }
     // a turn takes (3 − 2 ln 2) μ/2 = 807 s and less where a long step lands short of the slow branch: two at least. The
     // jumps themselves have no root near the guess, and are halved.
-    assert!(turns >= 2 && model.counts().substeps > 0, "{turns} {:?}", model.counts());
-    assert!(model.warnings().len() < 40, "{:?}", model.warnings());
+    assert!(turns >= 2 && log.counts.substeps > 0, "{turns} {:?}", log.counts);
+    assert!(log.warnings.len() < 40, "{:?}", log.warnings);
     let window = check::window(&mut model, &[2.0, 0.0], 100, &[1.0, 1e-3], 3).unwrap();
     assert!(window.pass, "{window:?}");
 }
@@ -200,7 +207,7 @@ fn amplification_is_the_norm_of_the_window() {
         let (mut x, mut next) = (vec![1.2, -0.7, 10.3], vec![0.0; 3]);
         for k in 0..steps {
             model.step(k, &x, &mut next).unwrap();
-            model.linearize(k, &x, &next).unwrap();
+            model.linearize(k, k, &x, &next).unwrap();
             std::mem::swap(&mut x, &mut next);
         }
         let found = check::amplification(&mut model, 0..steps, &[1.0; 3], 1).unwrap();

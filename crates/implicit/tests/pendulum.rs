@@ -2,8 +2,8 @@
 //! whole and halved steps.
 
 use varda_implicit::{
-    Error, ImplicitModel, ImplicitStep, Interval, Keep, Model, NewtonOptions, NewtonWork, Refusal, Structure,
-    Trajectory, check, solve,
+    Equations, Error, ImplicitModel, ImplicitStep, Interval, Keep, Model, NewtonOptions, NewtonWork, Refusal,
+    StepEquations, Structure, Trajectory, check, solve,
 };
 
 /// A unit mass on a spring of unit length, hung at the origin; x = [X, Y, Ẋ, Ẏ], u = [X, Y].
@@ -18,36 +18,28 @@ struct Spring {
 const SPRING: Spring = Spring { stiffness: 1e4, mutation: 0.0, reach: f64::INFINITY };
 const SCALE: [f64; 4] = [0.1, 0.1, 1.0, 1.0];
 
-impl ImplicitStep for Spring {
-    fn dim(&self) -> usize {
-        4
-    }
-    fn unknowns(&self) -> usize {
-        2
-    }
-    fn structure(&self) -> Structure {
-        Structure::SymmetricBand { half_bandwidth: 1 }
-    }
-    fn predict(&mut self, at: &Interval, x: &[f64], u: &mut [f64]) -> Result<(), Refusal> {
-        for i in 0..2 {
-            u[i] = x[i] + at.length * x[2 + i];
-        }
-        Ok(())
-    }
+/// The equations of one step.
+struct SpringEquations<'a> {
+    step: &'a mut Spring,
+    at: Interval,
+    x: &'a [f64],
+}
+
+impl Equations for SpringEquations<'_> {
     fn assemble(
         &mut self,
-        at: &Interval,
-        x: &[f64],
         u: &[f64],
         g: &mut [f64],
         jacobian: Option<&mut [f64]>,
     ) -> Result<Option<f64>, Refusal> {
+        let at = &self.at;
+        let x = self.x;
         let h = at.length;
         let r = u[0].hypot(u[1]);
-        if r > self.reach {
+        if r > self.step.reach {
             return Err(format!("{r} m is out of reach").into());
         }
-        let (e, k) = ([u[0] / r, u[1] / r], self.stiffness);
+        let (e, k) = ([u[0] / r, u[1] / r], self.step.stiffness);
         let mut phi = 0.5 * k * (r - 1.0).powi(2) + 9.81 * u[1];
         for i in 0..2 {
             let inertia = u[i] - x[i] - h * x[2 + i];
@@ -60,12 +52,37 @@ impl ImplicitStep for Spring {
                 let same = if a == b { 1.0 } else { 0.0 };
                 same / (h * h) + along * e[a] * e[b] + across * (same - e[a] * e[b])
             };
-            j.copy_from_slice(&[0.0, entry(0, 0), entry(1, 0), entry(1, 1) + self.mutation]);
+            j.copy_from_slice(&[0.0, entry(0, 0), entry(1, 0), entry(1, 1) + self.step.mutation]);
         }
         Ok(Some(phi))
     }
     fn converged_below(&self) -> f64 {
         1e-11
+    }
+}
+
+impl StepEquations for SpringEquations<'_> {
+    fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal> {
+        let at = &self.at;
+        let x = self.x;
+        for i in 0..2 {
+            u[i] = x[i] + at.length * x[2 + i];
+        }
+        Ok(())
+    }
+}
+
+impl ImplicitStep for Spring {
+    type Equations<'a> = SpringEquations<'a>;
+
+    fn dim(&self) -> usize {
+        4
+    }
+    fn unknowns(&self) -> usize {
+        2
+    }
+    fn structure(&self) -> Structure {
+        Structure::SymmetricBand { half_bandwidth: 1 }
     }
     fn advance(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
         for i in 0..2 {
@@ -118,6 +135,9 @@ impl ImplicitStep for Spring {
             dx[i] = -lambda[2 + i] / at.length;
         }
     }
+    fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<Self::Equations<'a>, Refusal> {
+        Ok(SpringEquations { step: self, at: *at, x })
+    }
 }
 
 /// A model whose Newton iteration is cut so short that wild steps must be halved.
@@ -137,18 +157,18 @@ fn whole_steps_conform_and_their_window_is_adjoint() {
     }
     let window = check::window(&mut model, &x0, 50, &SCALE, 5).unwrap();
     assert!(window.pass, "{window:?}");
-    assert!(model.warnings().is_empty(), "{:?}", model.warnings());
+    let mut trajectory = Trajectory::new();
+    trajectory.run(&mut model, &x0, 50, Keep::Linearizations).unwrap();
+    assert!(trajectory.log().warnings.is_empty(), "{:?}", trajectory.log().warnings);
 }
 
 #[test]
 fn halved_steps_conform_too_and_say_so() {
     let mut model = halving();
     let mut next = [0.0; 4];
-    model.step(2, &WILD, &mut next).unwrap();
-    let parts = model.counts().substeps + 1;
-    assert!(parts > 1, "the step was to be halved");
-    assert_eq!(model.warnings().len(), 1);
-    assert_eq!(model.warnings()[0].step, 2);
+    let work = model.step(2, &WILD, &mut next).unwrap();
+    assert!(work.substeps > 0, "the step was to be halved");
+    assert_eq!(work.warnings.len(), 1);
     for outcome in check::conformance(&mut model, 2, &WILD, &[1e-3, 1e-3, 1e-2, 1e-2], 5).unwrap() {
         assert!(outcome.pass, "{outcome:?}");
     }
@@ -159,35 +179,35 @@ fn halved_steps_conform_too_and_say_so() {
 #[test]
 fn a_halved_step_is_linearized_alike_on_record_and_from_its_states() {
     let (mut fresh, mut next, mut other) = (halving(), [0.0; 4], [0.0; 4]);
-    fresh.step(2, &WILD, &mut next).unwrap();
-    assert!(fresh.counts().substeps > 0);
-    fresh.linearize(2, &WILD, &next).unwrap();
+    assert!(fresh.step(2, &WILD, &mut next).unwrap().substeps > 0);
+    fresh.linearize(2, 2, &WILD, &next).unwrap();
     let mut on_record = [1.0, -2.0, 0.5, 3.0];
     fresh.tangent(2, &mut on_record);
     // another step in between: the parts are forgotten and found again
     fresh.step(3, &next, &mut other).unwrap();
-    fresh.linearize(2, &WILD, &next).unwrap();
+    fresh.linearize(2, 2, &WILD, &next).unwrap();
     let mut from_states = [1.0, -2.0, 0.5, 3.0];
     fresh.tangent(2, &mut from_states);
     assert_eq!(on_record, from_states);
     // a pair that is no step at all
-    assert!(matches!(fresh.linearize(2, &WILD, &WILD), Err(Error::NotAStep { step: 2 })));
+    assert!(matches!(fresh.linearize(2, 2, &WILD, &WILD), Err(Error::NotAStep { step: 2 })));
 }
 
 #[test]
 fn kept_memory_is_reused_and_reported() {
     let mut model = ImplicitModel::new(SPRING, 0, 0.02);
     model.reserve(20);
-    let bytes = model.bytes_kept();
+    let bytes = model.bytes();
     let mut trajectory = Trajectory::new();
     for _ in 0..2 {
         trajectory.run(&mut model, &[0.8, -0.5, 0.3, 0.9], 20, Keep::States).unwrap();
         trajectory.linearize(&mut model).unwrap();
     }
     assert!(bytes > 20 * 8 * (4 + 2 + 4));
-    assert_eq!(model.bytes_kept(), bytes);
-    assert_eq!(model.counts().linearizations, 40);
-    assert_eq!(model.counts().factorizations, model.counts().newton_iterations + 40);
+    assert_eq!(model.bytes(), bytes);
+    let counts = trajectory.log().counts;
+    assert_eq!(counts.linearizations, 40);
+    assert_eq!(counts.factorizations, counts.newton_iterations + 40);
 }
 
 #[test]
@@ -223,12 +243,13 @@ fn newton_leaves_a_saddle_for_the_minimum() {
     let x = [0.0, top, 0.0, 0.0];
     let mut u = [0.0, top];
     let mut work = NewtonWork::new(2, &step.structure());
-    let report = solve(&mut step, &at, &x, &mut u, &mut work, &NewtonOptions::default()).unwrap();
+    let mut equations = step.equations(&at, &x).unwrap();
+    let report = solve(&mut equations, &mut u, &mut work, &NewtonOptions::default()).unwrap();
     assert!(report.shifts > 0 && !report.at_rounding, "{report:?}");
     // inertia over ten seconds is next to nothing: it hangs below
     assert!(u[1] < -1.0, "{u:?}");
     let mut g = [0.0; 2];
-    step.assemble(&at, &x, &u, &mut g, None).unwrap();
+    equations.assemble(&u, &mut g, None).unwrap();
     // converged to 1e-11 m times the stiffness of 100 N/m
     assert!(g[0].abs().max(g[1].abs()) <= 1e-9, "{g:?}");
 }
@@ -240,20 +261,9 @@ fn updates_that_stall_at_rounding_end_the_iteration_and_others_do_not() {
         noise: f64,
         calls: usize,
     }
-    impl ImplicitStep for Far {
-        fn dim(&self) -> usize {
-            1
-        }
-        fn structure(&self) -> Structure {
-            Structure::SymmetricBand { half_bandwidth: 0 }
-        }
-        fn predict(&mut self, _: &Interval, _: &[f64], _: &mut [f64]) -> Result<(), Refusal> {
-            Ok(())
-        }
+    impl Equations for Far {
         fn assemble(
             &mut self,
-            _: &Interval,
-            _: &[f64],
             u: &[f64],
             g: &mut [f64],
             jacobian: Option<&mut [f64]>,
@@ -272,15 +282,12 @@ fn updates_that_stall_at_rounding_end_the_iteration_and_others_do_not() {
         fn trusted_below(&self) -> f64 {
             1.0
         }
-        fn previous(&mut self, _: &Interval, _: &[f64], _: &[f64], _: &[f64], _: &mut [f64]) {}
-        fn previous_transpose_add(&mut self, _: &Interval, _: &[f64], _: &[f64], _: &[f64], _: &mut [f64]) {}
     }
-    let at = Interval { index: 0, start: 0.0, length: 1.0, previous: None };
     // ε · 3e5 is 7e-11: the first noise is within rounding of u, the second is not
     for (noise, fine) in [(2e-10, true), (1e-6, false)] {
         let mut step = Far { noise, calls: 0 };
-        let mut work = NewtonWork::new(1, &step.structure());
-        let result = solve(&mut step, &at, &[], &mut [333_333.0], &mut work, &NewtonOptions::default());
+        let mut work = NewtonWork::new(1, &Structure::SymmetricBand { half_bandwidth: 0 });
+        let result = solve(&mut step, &mut [333_333.0], &mut work, &NewtonOptions::default());
         assert_eq!(result.is_ok(), fine, "{result:?}");
         assert!(result.map_or(true, |report| report.at_rounding && report.iterations < 10));
     }

@@ -2,7 +2,7 @@
 
 use varda_implicit::lorenz::Lorenz63;
 use varda_implicit::{
-    Adaptive, Error, Grouped, ImplicitModel, Keep, Model, NewtonOptions, OneLeg, Rhs, Scheme, Trajectory,
+    Adaptive, Error, ImplicitModel, Keep, Model, NewtonOptions, OneLeg, Rhs, Scheme, Substepped, Trajectory,
     accepted_times, check, largest_error,
 };
 
@@ -101,8 +101,8 @@ fn steps_in_parts_conform_and_hand_on_whole_steps() {
         ImplicitModel::new(OneLeg::bdf2(Lorenz63::default(), 1e-11), 0, 0.1).with_options(options);
     let x = [1.0, 3.0, 20.0, 1.1, 2.6, 21.0];
     let mut next = [0.0; 6];
-    model.step(3, &x, &mut next).unwrap();
-    assert!(model.counts().substeps > 0, "the step was to be halved");
+    let work = model.step(3, &x, &mut next).unwrap();
+    assert!(work.substeps > 0, "the step was to be halved");
     assert_eq!(next[3..], x[..3], "the step before the next one is the whole of this one");
     for outcome in check::conformance(&mut model, 3, &x, &[1e-3; 6], 5).unwrap() {
         assert!(outcome.pass, "{outcome:?}");
@@ -198,7 +198,7 @@ fn grouped_steps_are_one_step_with_exact_derivatives() {
     let times: Vec<f64> = (0..12).map(|k| 0.002 * f64::from(k * (k + 3))).collect();
     let through = [times[0], times[3], times[4], times[11]];
     let inner = || ImplicitModel::on_times(OneLeg::bdf2(Lorenz63::default(), 1e-12), times.clone());
-    let mut model = Grouped::through(inner(), &times, &through);
+    let mut model = Substepped::through(inner(), &times, &through);
     let (x, scale) = ([1.2, -0.7, 10.3, 1.2, -0.7, 10.3], [0.1; 6]);
     let mut trajectory = Trajectory::new();
     trajectory.run(&mut model, &x, 3, Keep::States).unwrap();
@@ -213,5 +213,5 @@ fn grouped_steps_are_one_step_with_exact_derivatives() {
     }
     let window = check::window(&mut model, &x, 3, &scale, 11).unwrap();
     assert!(window.pass, "{window:?}");
-    assert!(matches!(model.linearize(1, &x, &x), Err(Error::NotAStep { step: 1 })));
+    assert!(matches!(model.linearize(1, 1, &x, &x), Err(Error::NotAStep { step: 1 })));
 }

@@ -11,7 +11,7 @@ mod error;
 pub mod krylov;
 mod registers;
 mod solver;
-mod sparse;
+pub mod sparse;
 mod structure;
 mod vector;
 

@@ -155,6 +155,23 @@ impl Structure {
         })
     }
 
+    /// The values of the n × n matrix with these entries, asked for where the structure has some: of a symmetric band j ≤ i.
+    ///
+    /// ```
+    /// let values = varda_linalg::Structure::tridiagonal().values(2, |i, j| (10 * i + j) as f64);
+    /// assert_eq!(values, [0.0, 0.0, 1.0, 10.0, 11.0, 0.0]);
+    /// ```
+    pub fn values(&self, n: usize, entry: impl Fn(usize, usize) -> f64) -> Vec<f64> {
+        let mut values = vec![0.0; self.values_len(n)];
+        let symmetric = matches!(self, Structure::SymmetricBand { .. });
+        for j in 0..n {
+            self.column(n, j)
+                .filter(|(i, _)| !symmetric || *i >= j)
+                .for_each(|(i, p)| values[p] = entry(i, j));
+        }
+        values
+    }
+
     /// y = A x for the n × n matrix with these values.
     ///
     /// # Panics

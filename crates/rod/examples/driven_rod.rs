@@ -30,20 +30,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
         let mut model = ImplicitModel::new(step, 0, 0.02);
         let mut best = f64::INFINITY;
-        let mut tip = Vec::new();
+        let (mut tip, mut iterations) = (Vec::new(), 0);
         for _ in 0..9 {
             let started = Instant::now();
             let mut x = vec![0.0; model.dim()];
             model.initial_state(&z, &mut x)?;
             let mut next = x.clone();
             for k in 0..100 {
-                model.step(k, &x, &mut next)?;
+                iterations += model.step(k, &x, &mut next)?.newton_iterations;
                 std::mem::swap(&mut x, &mut next);
             }
             best = best.min(started.elapsed().as_secs_f64());
             tip = x[3 * segments - 6..3 * segments - 3].to_vec();
         }
-        let iterations = model.counts().newton_iterations / 9;
+        let iterations = iterations / 9;
         println!(
             "{segments} segments, twist {twist:?}: tip {tip:.6?} m, {:.2} ms for 100 steps, {iterations} iterations, {:.3} µs per segment and iteration",
             1e3 * best,

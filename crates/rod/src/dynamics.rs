@@ -1,7 +1,10 @@
 //! Time steps of the rod for the generic layer.
 
 use nalgebra::Vector3;
-use varda_implicit::{Grouped, ImplicitModel, ImplicitStep, Interval, Model, Refusal, Scheme, Structure};
+use varda_implicit::{
+    Equations, ImplicitModel, ImplicitStep, Interval, Model, Refusal, Scheme, StepEquations, Structure,
+    Substepped,
+};
 
 use crate::Error;
 use crate::damping::KelvinVoigt;
@@ -41,7 +44,6 @@ pub struct RodStep {
     viscous: Option<KelvinVoigt>,
     twist: Option<TwistEquilibrium>,
     carry: Carry,
-    interval: Option<Interval>,
     /// X* and X* + η V* of the free vertices in the step being worked on.
     start: Vec<Vector3<f64>>,
     target: Vec<Vector3<f64>>,
@@ -80,7 +82,6 @@ impl RodStep {
             twist: (!system.layout.free_angles.is_empty()).then(|| TwistEquilibrium::new(&system)),
             carry: Carry::new(&system),
             tolerance: 1e-11 * system.rod.length(),
-            interval: None,
             start: vec![Vector3::zeros(); free],
             target: vec![Vector3::zeros(); free],
             end_angle: 0.0,
@@ -113,9 +114,9 @@ impl RodStep {
     /// The model whose step k is all steps between `times` (s) from the k-th to the next time of `through`, compiled in this crate.
     ///
     /// # Panics
-    /// As [`ImplicitModel::on_times`] and [`Grouped::through`].
+    /// As [`ImplicitModel::on_times`] and [`Substepped::through`].
     pub fn model_on_times(self, times: &[f64], through: &[f64]) -> Box<dyn Model + Send> {
-        Box::new(Grouped::through(ImplicitModel::on_times(self, times.to_vec()), times, through))
+        Box::new(Substepped::through(ImplicitModel::on_times(self, times.to_vec()), times, through))
     }
 
     /// The scheme.
@@ -244,7 +245,6 @@ impl RodStep {
             self.start[f] = star(f);
             self.target[f] = self.start[f] + star(nf + f) * h;
         }
-        self.interval = Some(*at);
         Ok(())
     }
 
@@ -263,7 +263,119 @@ pub enum TwistUnknowns {
     Always,
 }
 
+/// The equations of one step of a rod: supports are placed, strains and places before the step are known.
+pub struct RodEquations<'a> {
+    step: &'a mut RodStep,
+    at: Interval,
+    x: &'a [f64],
+}
+
+impl Equations for RodEquations<'_> {
+    fn assemble(
+        &mut self,
+        u: &[f64],
+        g: &mut [f64],
+        mut jacobian: Option<&mut [f64]>,
+    ) -> Result<Option<f64>, Refusal> {
+        let step = &mut *self.step;
+        let h = step.scheme.stage(&self.at).length;
+        let s = &mut step.system;
+        s.scatter(u);
+        let twist = s.layout.twist;
+        s.update_shape(twist, step.end_angle)?;
+        if let Some(values) = jacobian.as_deref_mut() {
+            values.fill(0.0);
+        }
+        let mut potential = s.elastic(jacobian.as_deref_mut());
+        for (full, &unknown) in s.layout.unknown.iter().enumerate() {
+            if let Some(g) = g.get_mut(unknown) {
+                *g = s.gradient[full];
+            }
+        }
+        let width = step.system.layout.half_bandwidth + 1;
+        let inertia = step.inertia(h);
+        for (f, &v) in step.system.layout.free_vertices.iter().enumerate() {
+            let [k, c] = inertia.map(|rate| rate * step.system.rod.masses[v]);
+            let s = &step.system;
+            let (x, force) = (s.x[v], s.forces[v]);
+            let (d, e) = (x - step.target[f], x - step.start[f]);
+            // Forces act through the displacement of the step: F·X itself would drown Φ's decrease in rounding.
+            potential += 0.5 * k * d.dot(&d) + 0.5 * c * e.dot(&e) - force.dot(&e);
+            let i = s.layout.unknown[s.layout.vertex(v)];
+            for a in 0..3 {
+                g[i + a] += k * d[a] + c * e[a] - force[a];
+                if let Some(values) = jacobian.as_deref_mut() {
+                    values[(i + a) * width + width - 1] += k + c;
+                }
+            }
+        }
+        Ok(Some(potential))
+    }
+
+    fn retract(&mut self, u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
+        for ((t, u), d) in trial.iter_mut().zip(u).zip(du) {
+            *t = u + alpha * d;
+        }
+        if self.step.system.layout.twist {
+            self.step.angles_to_stored(&self.at, u, du, alpha, trial);
+        }
+    }
+
+    fn size(&self, du: &[f64]) -> f64 {
+        let layout = &self.step.system.layout;
+        let mut size: f64 = 0.0;
+        let mut grow = |v: f64| size = if v.is_nan() || size.is_nan() { f64::NAN } else { size.max(v.abs()) };
+        for &v in &layout.free_vertices {
+            let i = layout.unknown[layout.vertex(v)];
+            du[i..i + 3].iter().for_each(|d| grow(*d));
+        }
+        for &e in &layout.free_angles {
+            grow(du[layout.unknown[layout.angle(e)]] * self.step.system.rod.rest_lengths[e]);
+        }
+        size
+    }
+
+    fn converged_below(&self) -> f64 {
+        self.step.tolerance
+    }
+
+    fn trusted_below(&self) -> f64 {
+        let shortest = self.step.system.rod.rest_lengths.iter().fold(f64::INFINITY, |m: f64, l| m.min(*l));
+        (1e-6 * shortest).max(10.0 * self.step.tolerance)
+    }
+}
+
+impl StepEquations for RodEquations<'_> {
+    fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal> {
+        let step = &mut *self.step;
+        let to = step.scheme.stage(&self.at).time;
+        step.carry.guess(&mut step.system, self.at.start, to, self.x)?;
+        step.system.gather(u);
+        Ok(())
+    }
+
+    fn accepted(&mut self, u: &[f64]) -> Result<Option<String>, Refusal> {
+        let step = &mut *self.step;
+        if step.system.layout.free_angles.is_empty() {
+            return Ok(None);
+        }
+        step.system.scatter(u);
+        step.system.update_shape(true, step.end_angle)?;
+        let (edge, pivot) = step.system.smallest_twist_pivot();
+        if !(pivot > 1e-9) {
+            return Err(Error::TwistFold { edge, pivot }.into());
+        }
+        Ok((pivot < 1e-2).then(|| {
+            format!(
+                "the twist equilibrium is close to folding at edge {edge} (pivot {pivot:.1e} of its natural size)"
+            )
+        }))
+    }
+}
+
 impl ImplicitStep for RodStep {
+    type Equations<'a> = RodEquations<'a>;
+
     fn dim(&self) -> usize {
         self.system.layout.state() + self.history()
     }
@@ -285,86 +397,9 @@ impl ImplicitStep for RodStep {
         Structure::SymmetricBand { half_bandwidth: self.system.layout.half_bandwidth }
     }
 
-    fn predict(&mut self, at: &Interval, x: &[f64], u: &mut [f64]) -> Result<(), Refusal> {
+    fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<RodEquations<'a>, Refusal> {
         self.prepare(at, x)?;
-        self.carry.guess(&mut self.system, at.start, self.scheme.stage(at).time, x)?;
-        self.system.gather(u);
-        Ok(())
-    }
-
-    fn assemble(
-        &mut self,
-        at: &Interval,
-        _x: &[f64],
-        u: &[f64],
-        g: &mut [f64],
-        mut jacobian: Option<&mut [f64]>,
-    ) -> Result<Option<f64>, Refusal> {
-        debug_assert_eq!(self.interval.as_ref(), Some(at), "predict or recover comes before assemble");
-        let h = self.scheme.stage(at).length;
-        let s = &mut self.system;
-        s.scatter(u);
-        let twist = s.layout.twist;
-        s.update_shape(twist, self.end_angle)?;
-        if let Some(values) = jacobian.as_deref_mut() {
-            values.fill(0.0);
-        }
-        let mut potential = s.elastic(jacobian.as_deref_mut());
-        for (full, &unknown) in s.layout.unknown.iter().enumerate() {
-            if let Some(g) = g.get_mut(unknown) {
-                *g = s.gradient[full];
-            }
-        }
-        let width = self.system.layout.half_bandwidth + 1;
-        let inertia = self.inertia(h);
-        for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
-            let [k, c] = inertia.map(|rate| rate * self.system.rod.masses[v]);
-            let s = &self.system;
-            let (x, force) = (s.x[v], s.forces[v]);
-            let (d, e) = (x - self.target[f], x - self.start[f]);
-            // Forces act through the displacement of the step: F·X itself would drown Φ's decrease in rounding.
-            potential += 0.5 * k * d.dot(&d) + 0.5 * c * e.dot(&e) - force.dot(&e);
-            let i = s.layout.unknown[s.layout.vertex(v)];
-            for a in 0..3 {
-                g[i + a] += k * d[a] + c * e[a] - force[a];
-                if let Some(values) = jacobian.as_deref_mut() {
-                    values[(i + a) * width + width - 1] += k + c;
-                }
-            }
-        }
-        Ok(Some(potential))
-    }
-
-    fn retract(&mut self, at: &Interval, _x: &[f64], u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
-        for ((t, u), d) in trial.iter_mut().zip(u).zip(du) {
-            *t = u + alpha * d;
-        }
-        if self.system.layout.twist {
-            self.angles_to_stored(at, u, du, alpha, trial);
-        }
-    }
-
-    fn size(&self, du: &[f64]) -> f64 {
-        let layout = &self.system.layout;
-        let mut size: f64 = 0.0;
-        let mut grow = |v: f64| size = if v.is_nan() || size.is_nan() { f64::NAN } else { size.max(v.abs()) };
-        for &v in &layout.free_vertices {
-            let i = layout.unknown[layout.vertex(v)];
-            du[i..i + 3].iter().for_each(|d| grow(*d));
-        }
-        for &e in &layout.free_angles {
-            grow(du[layout.unknown[layout.angle(e)]] * self.system.rod.rest_lengths[e]);
-        }
-        size
-    }
-
-    fn converged_below(&self) -> f64 {
-        self.tolerance
-    }
-
-    fn trusted_below(&self) -> f64 {
-        let shortest = self.system.rod.rest_lengths.iter().fold(f64::INFINITY, |m: f64, l| m.min(*l));
-        (1e-6 * shortest).max(10.0 * self.tolerance)
+        Ok(RodEquations { step: self, at: *at, x })
     }
 
     fn advance(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
@@ -387,11 +422,6 @@ impl ImplicitStep for RodStep {
     }
 
     fn recover(&mut self, at: &Interval, x: &[f64], x_next: &[f64], u: &mut [f64]) {
-        // The step was accepted with these states, so its supports and shape are usable; an error shows in `assemble`.
-        if self.prepare(at, x).is_err() {
-            u.fill(f64::NAN);
-            return;
-        }
         let RodStage { of, angle, .. } = self.stage(at);
         let own = x_next.len();
         let angles = 6 * self.system.layout.free_vertices.len();
@@ -520,19 +550,6 @@ impl ImplicitStep for RodStep {
                 du[i + c] += self.displacement[v][c];
             }
         }
-    }
-
-    fn accepted(&mut self, _at: &Interval, _x: &[f64], u: &[f64]) -> Result<Option<String>, Refusal> {
-        if self.system.layout.free_angles.is_empty() {
-            return Ok(None);
-        }
-        self.system.scatter(u);
-        self.system.update_shape(true, self.end_angle)?;
-        let (edge, pivot) = self.system.smallest_twist_pivot();
-        if !(pivot > 1e-9) {
-            return Err(Error::TwistFold { edge, pivot }.into());
-        }
-        Ok((pivot < 1e-2).then(|| format!("the twist equilibrium is close to folding at edge {edge} (pivot {pivot:.1e} of its natural size)")))
     }
 
     fn control_dim(&self) -> usize {

@@ -91,7 +91,7 @@ fn stiffness<T: Real>(rod: &Rod, i: usize) -> Stiffness<T> {
     }
 }
 
-/// Elastic energy (paper 5.2) at `vertices` and `theta`, the frames of `at` carried there: every director by parallel
+/// Elastic energy (paper, section 5.2) at `vertices` and `theta`, the frames of `at` carried there: every director by parallel
 /// transport from its edge in `at` to its edge now, every reference twist by the change of the angle between them.
 ///
 /// This is the function of which [`derivatives`] gives the derivatives at `at`. It is written over the scalar, so that
@@ -169,9 +169,11 @@ fn angle_between<T: Real>(shape: &Shape<T>, i: usize) -> T {
     signed_angle(&shape.turn(i).transport(t, &shape.d1[i - 1]), &shape.d1[i], t)
 }
 
-/// Exact derivatives of the elastic [`energy`] in the time-parallel gauge: as the vertices move, the director of an
-/// edge is carried from its present tangent by parallel transport, and the reference twist changes continuously (Bergou
-/// et al. 2008, 2010).
+/// Exact derivatives of the elastic [`energy`]; forces and twisting moments are minus its gradient
+/// (paper 3.1, 3.2).
+///
+/// The gauge is the time-parallel one: as the vertices move, the director of an edge is carried from its present tangent
+/// by parallel transport, and the reference twist changes continuously (Bergou et al. 2008, 2010).
 ///
 /// # Errors
 /// [`Error`] for a fold, an edge without length, a value that is not finite, or arrays of the wrong length.

@@ -1,8 +1,9 @@
 //! Static equilibrium of the whole rod, and of the twist alone, by the same Newton's method.
 
 use nalgebra::Vector3;
-use varda_implicit::{ImplicitStep, Interval, Refusal, Structure};
-use varda_implicit::{NewtonOptions, NewtonReport, NewtonWork, solve};
+use varda_implicit::{
+    Equations, Interval, NewtonOptions, NewtonReport, NewtonWork, Refusal, Structure, solve,
+};
 
 use crate::Error;
 use crate::layout::FIXED;
@@ -51,17 +52,11 @@ pub fn equilibrium(
     let mut u = vec![0.0; system.layout.unknowns];
     system.gather(&mut u);
     let mut statics = Statics::new(system, end_angle, 1e-11 * rod.length());
-    let mut work = NewtonWork::new(statics.unknowns(), &statics.structure());
+    let mut work = statics.work_space();
     // a stiff column far beyond its buckling load folds and unfolds its way from the straight saddle to the first mode
     let options = NewtonOptions { max_iterations: 2000, ..NewtonOptions::default() };
-    let report = solve(
-        &mut statics,
-        &Interval { index: 0, start: t, length: 0.0, previous: None },
-        &[],
-        &mut u,
-        &mut work,
-        &options,
-    )?;
+    let report =
+        solve(&mut statics, &mut u, &mut work, &options).map_err(|failure| failure.in_step(&at_rest(t)))?;
     let mut system = statics.system;
     system.scatter(&u);
     system.update_shape(system.layout.twist, end_angle).map_err(refuse)?;
@@ -118,7 +113,12 @@ pub fn straight_guess(
     Ok(Rest { vertices, theta: vec![0.0; n] })
 }
 
-/// The total potential energy of a system as a function of its unknowns; a step without a past.
+/// The moment t, for errors of an equilibrium at that time.
+fn at_rest(t: f64) -> Interval {
+    Interval { index: 0, start: t, length: 0.0, previous: None }
+}
+
+/// The total potential energy of a system as a function of its unknowns.
 struct Statics {
     system: System,
     end_angle: f64,
@@ -130,37 +130,18 @@ struct Statics {
 impl Statics {
     fn new(system: System, end_angle: f64, tolerance: f64) -> Statics {
         let n = system.rod.segments();
-        Statics {
-            end_angle,
-            tolerance,
-            displacement: vec![Vector3::zeros(); n + 1],
-            psi: vec![0.0; n],
-            system,
-        }
+        Statics { end_angle, tolerance, displacement: vec![Vector3::zeros(); n + 1], psi: vec![0.0; n], system }
+    }
+
+    fn work_space(&self) -> NewtonWork {
+        let layout = &self.system.layout;
+        NewtonWork::new(layout.unknowns, &Structure::SymmetricBand { half_bandwidth: layout.half_bandwidth })
     }
 }
 
-impl ImplicitStep for Statics {
-    fn dim(&self) -> usize {
-        0
-    }
-
-    fn unknowns(&self) -> usize {
-        self.system.layout.unknowns
-    }
-
-    fn structure(&self) -> Structure {
-        Structure::SymmetricBand { half_bandwidth: self.system.layout.half_bandwidth }
-    }
-
-    fn predict(&mut self, _at: &Interval, _x: &[f64], _u: &mut [f64]) -> Result<(), Refusal> {
-        Ok(())
-    }
-
+impl Equations for Statics {
     fn assemble(
         &mut self,
-        _at: &Interval,
-        _x: &[f64],
         u: &[f64],
         g: &mut [f64],
         mut jacobian: Option<&mut [f64]>,
@@ -188,7 +169,7 @@ impl ImplicitStep for Statics {
         Ok(Some(potential))
     }
 
-    fn retract(&mut self, _at: &Interval, _x: &[f64], u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
+    fn retract(&mut self, u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
         for ((t, u), d) in trial.iter_mut().zip(u).zip(du) {
             *t = u + alpha * d;
         }
@@ -203,18 +184,6 @@ impl ImplicitStep for Statics {
 
     fn converged_below(&self) -> f64 {
         self.tolerance
-    }
-
-    fn previous(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], _dx: &[f64], _dg: &mut [f64]) {}
-
-    fn previous_transpose_add(
-        &mut self,
-        _at: &Interval,
-        _x: &[f64],
-        _u: &[f64],
-        _mu: &[f64],
-        _dx: &mut [f64],
-    ) {
     }
 }
 
@@ -242,7 +211,7 @@ impl TwistEquilibrium {
         let angles = system.layout.free_angles.len();
         let statics = Statics::new(held, 0.0, 1e-12);
         TwistEquilibrium {
-            work: NewtonWork::new(statics.unknowns(), &statics.structure()),
+            work: statics.work_space(),
             statics,
             band: vec![0.0; system.layout.unknowns * (system.layout.half_bandwidth + 1)],
             diagonal: vec![0.0; angles],
@@ -266,9 +235,9 @@ impl TwistEquilibrium {
         let end_angle = s.end_angle_guess();
         self.statics.end_angle = end_angle;
         self.u.fill(0.0);
-        let at = Interval { index: 0, start: t, length: 0.0, previous: None };
         let options = NewtonOptions { max_iterations: 200, ..NewtonOptions::default() };
-        solve(&mut self.statics, &at, &[], &mut self.u, &mut self.work, &options)?;
+        solve(&mut self.statics, &mut self.u, &mut self.work, &options)
+            .map_err(|failure| failure.in_step(&at_rest(t)))?;
         theta.copy_from_slice(&self.u);
 
         self.full.place(t)?;

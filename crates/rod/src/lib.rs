@@ -81,9 +81,7 @@ mod stage;
 mod support;
 mod system;
 
-pub use dynamics::{RodStep, TwistUnknowns};
-pub use nalgebra::{Matrix3, Vector3};
-
+pub use dynamics::{RodEquations, RodStep, TwistUnknowns};
 pub use energy::{Derivatives, Energy, Framed, derivatives, energy};
 pub use equilibrium::{Rest, equilibrium, straight_guess};
 pub use error::Error;
@@ -91,6 +89,7 @@ pub use marker::{Marker, Markers};
 pub use material::{Material, Section};
 pub use rod::{Place, Rod};
 pub use scalar::Real;
+pub use nalgebra::{Matrix3, Vector3};
 pub use support::{Clamp, Damping, EllipseDrive, Loads, Motion, Supports};
 
 /// The example of README.md, compiled and run with the tests.

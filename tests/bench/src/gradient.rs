@@ -168,8 +168,11 @@ impl Benchmark {
         let dim = model.dim();
         let mut states = vec![0.0; (steps + 1) * dim];
         model.initial_state(&z, &mut states[..dim])?;
-        let forward = timed(samples, || along(&mut states, dim, |k, x, next| model.step(k, x, next)))?;
-        let linearize = timed(samples, || along(&mut states, dim, |k, x, next| model.linearize(k, x, next)))?;
+        let forward =
+            timed(samples, || along(&mut states, dim, |k, x, next| model.step(k, x, next).map(drop)))?;
+        let linearize = timed(samples, || {
+            along(&mut states, dim, |k, x, next| model.linearize(k, k, x, next).map(drop))
+        })?;
         let mut lambda = vec![0.0; dim];
         let adjoint = timed(samples, || {
             lambda.fill(1e-3);

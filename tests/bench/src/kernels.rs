@@ -10,7 +10,7 @@ use varda_covariance::Diagonal;
 use varda_implicit::line::{Ends, Line, Transport};
 use varda_implicit::lorenz::Lorenz96;
 use varda_implicit::{
-    ImplicitModel, ImplicitStep, Interval, LinearSolver, Model, OneLeg, Rk4, Structure, band,
+    Equations, ImplicitModel, ImplicitStep, Interval, LinearSolver, Model, OneLeg, Rk4, Structure, band,
 };
 use varda_rod::{RodStep, TwistUnknowns};
 
@@ -127,15 +127,18 @@ fn assembled(twist: TwistUnknowns) -> Result<Assembled> {
     step.recover(&at, &x, &next, &mut u);
     let solver = LinearSolver::new(n, &step.structure());
     let mut values = vec![0.0; solver.values_len()];
-    step.assemble(&at, &x, &u, &mut g, Some(&mut values)).map_err(|e| format!("{e:?}"))?;
+    step.equations(&at, &x)
+        .and_then(|mut equations| equations.assemble(&u, &mut g, Some(&mut values)))
+        .map_err(|e| format!("{e:?}"))?;
     Ok(Assembled { step, at, x, u, g, values, solver })
 }
 
 fn assemble(user: User, twist: TwistUnknowns, with_hessian: bool) -> Result<()> {
     let Assembled { mut step, at, x, u, mut g, mut values, .. } = assembled(twist)?;
+    let mut equations = step.equations(&at, &x).map_err(|e| format!("{e:?}"))?;
     user(&mut || {
         let values = with_hessian.then_some(values.as_mut_slice());
-        step.assemble(&at, &x, black_box(&u), &mut g, values).expect("assembled before");
+        equations.assemble(black_box(&u), &mut g, values).expect("assembled before");
     });
     Ok(())
 }
@@ -165,20 +168,20 @@ fn solve(user: User, twist: TwistUnknowns) -> Result<()> {
 
 fn step(user: User, twist: TwistUnknowns) -> Result<()> {
     let (mut model, x, mut next) = moving(twist)?;
-    user(&mut || model.step(50, black_box(&x), &mut next).expect("stepped before"));
+    user(&mut || drop(model.step(50, black_box(&x), &mut next).expect("stepped before")));
     Ok(())
 }
 
 fn linearize(user: User, twist: TwistUnknowns) -> Result<()> {
     let (mut model, x, next) = moving(twist)?;
-    model.linearize(50, &x, &next)?;
-    user(&mut || model.linearize(50, black_box(&x), &next).expect("linearized before"));
+    model.linearize(50, 50, &x, &next)?;
+    user(&mut || drop(model.linearize(50, 50, black_box(&x), &next).expect("linearized before")));
     Ok(())
 }
 
 fn tangent(user: User, twist: TwistUnknowns) -> Result<()> {
     let (mut model, x, next) = moving(twist)?;
-    model.linearize(50, &x, &next)?;
+    model.linearize(50, 50, &x, &next)?;
     let start: Vec<f64> = (0..x.len()).map(|i| wave(i, 1)).collect();
     let mut dx = start.clone();
     user(&mut || {
@@ -190,7 +193,7 @@ fn tangent(user: User, twist: TwistUnknowns) -> Result<()> {
 
 fn adjoint(user: User, twist: TwistUnknowns) -> Result<()> {
     let (mut model, x, next) = moving(twist)?;
-    model.linearize(50, &x, &next)?;
+    model.linearize(50, 50, &x, &next)?;
     let start: Vec<f64> = (0..x.len()).map(|i| wave(i, 1)).collect();
     let mut lambda = start.clone();
     user(&mut || {
@@ -224,7 +227,7 @@ fn burgers(user: User) -> Result<()> {
         ImplicitModel::new(OneLeg::implicit_midpoint(Transport::burgers(line, 0.01), 1e-11), 0, 0.01);
     debug_assert!(matches!(model.step_ref().structure(), Structure::Sparse { .. }));
     let mut next = x.clone();
-    user(&mut || model.step(0, black_box(&x), &mut next).expect("a smooth wave"));
+    user(&mut || drop(model.step(0, black_box(&x), &mut next).expect("a smooth wave")));
     Ok(())
 }
 
@@ -232,7 +235,7 @@ fn lorenz96_step(user: User) -> Result<()> {
     let x: Vec<f64> = (0..40).map(|i| 8.0 + 4.0 * (0.9 * i as f64).sin()).collect();
     let mut model = Rk4::new(Lorenz96::new(40, 8.0), 0, 0.01);
     let mut next = x.clone();
-    user(&mut || model.step(0, black_box(&x), &mut next).expect("a finite step"));
+    user(&mut || drop(model.step(0, black_box(&x), &mut next).expect("a finite step")));
     Ok(())
 }
 

@@ -17,7 +17,6 @@ mod instructions;
 mod leftout;
 mod scaling;
 mod time;
-mod workers;
 
 pub use page::{Cell, Page, Table};
 
@@ -56,6 +55,5 @@ pub const BENCHES: &[Bench] = &[
     Bench { name: "scaling", run: scaling::run },
     Bench { name: "leftout", run: leftout::run },
     Bench { name: "instructions", run: instructions::run },
-    Bench { name: "workers", run: workers::run },
     Bench { name: "build", run: build::run },
 ];

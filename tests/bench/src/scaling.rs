@@ -78,18 +78,17 @@ fn rods(options: &Options) -> Result<(Table, Vec<Series>)> {
                 Ok((model, x, next))
             });
             let (mut model, start, mut next) = model?;
-            let (kept, linearized) = heap(|| model.linearize(0, &start, &next));
+            let (kept, linearized) = heap(|| model.linearize(0, 0, &start, &next));
             linearized?;
             let mut iterations = 0;
             let mut x = start.clone();
             let timing = timed(options.samples(), || {
                 x.copy_from_slice(&start);
-                let before = model.counts().newton_iterations;
+                iterations = 0;
                 for k in 0..steps {
-                    model.step(k, &x, &mut next)?;
+                    iterations += model.step(k, &x, &mut next)?.newton_iterations;
                     std::mem::swap(&mut x, &mut next);
                 }
-                iterations = model.counts().newton_iterations - before;
                 Ok::<(), varda_implicit::Error>(())
             })?;
             let micro = 1e6 / (segments * iterations) as f64;
@@ -132,7 +131,7 @@ fn lorenz96(options: &Options) -> Result<(Table, Series)> {
         let mut model = Rk4::new(Lorenz96::new(n, 8.0), 0, 0.01);
         let mut next = start.clone();
         model.step(0, &start, &mut next)?;
-        let (kept, linearized) = heap(|| model.linearize(0, &start, &next));
+        let (kept, linearized) = heap(|| model.linearize(0, 0, &start, &next));
         linearized?;
         let steps = 10;
         let mut x = start.clone();

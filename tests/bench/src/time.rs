@@ -8,7 +8,8 @@ use std::f64::consts::TAU;
 use varda::report::plot::{Corner, Panel, Series, Style};
 use varda_implicit::lorenz::Lorenz63;
 use varda_implicit::{
-    Adaptive, Counts, ImplicitModel, ImplicitStep, Interval, Model, OneLeg, Rhs, Rk4, Scheme, accepted_times,
+    Adaptive, Counts, Equations, ImplicitModel, ImplicitStep, Interval, Log, Model, OneLeg, Rhs, Rk4, Scheme,
+    accepted_times,
 };
 use varda_rod::{Clamp, Damping, RodStep, Supports, equilibrium, straight_guess};
 
@@ -382,11 +383,12 @@ fn run_to_end(make: Make, duration: f64, steps: usize) -> Result<(Vec<f64>, Coun
 /// The state after so many steps of a model from x₀.
 fn along(model: &mut dyn Model, x0: &[f64], steps: usize) -> Result<(Vec<f64>, Counts)> {
     let (mut x, mut next) = (x0.to_vec(), x0.to_vec());
+    let mut log = Log::default();
     for k in 0..steps {
-        model.step(k, &x, &mut next)?;
+        log.step(k, model.step(k, &x, &mut next)?);
         std::mem::swap(&mut x, &mut next);
     }
-    Ok((x, model.counts()))
+    Ok((x, log.counts))
 }
 
 /// M Ẍ = F(t, X) of an undamped rod without angles, as a system of first order in [X, V].
@@ -424,7 +426,11 @@ impl Rhs for RodMotion {
         self.at_rest[..n].copy_from_slice(&x[..n]);
         let at = Interval { index: 0, start: t - 1.0, length: 1.0, previous: None };
         self.step.recover(&at, &self.at_rest, &self.at_rest, &mut self.u);
-        match self.step.assemble(&at, &self.at_rest, &self.u, &mut self.gradient, None) {
+        let assembled = self
+            .step
+            .equations(&at, &self.at_rest)
+            .and_then(|mut equations| equations.assemble(&self.u, &mut self.gradient, None));
+        match assembled {
             Ok(_) => {
                 f[..n].copy_from_slice(&x[n..]);
                 for (f, g) in f[n..]
@@ -496,7 +502,9 @@ impl Mode {
         let (n, width) = (step.unknowns(), step.half_bandwidth() + 1);
         let (mut u, mut g, mut values) = (vec![0.0; n], vec![0.0; n], vec![0.0; n * width]);
         step.recover(&at, &x, &x, &mut u);
-        step.assemble(&at, &x, &u, &mut g, Some(&mut values)).map_err(|e| format!("{e:?}"))?;
+        step.equations(&at, &x)
+            .and_then(|mut equations| equations.assemble(&u, &mut g, Some(&mut values)))
+            .map_err(|e| format!("{e:?}"))?;
         // Sideways motion in x stays apart: M^{-1/2} K_xx M^{-1/2}.
         let f = masses.len();
         let mut a = vec![0.0; f * f];

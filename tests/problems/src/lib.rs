@@ -3,6 +3,8 @@
 
 pub mod allocations;
 pub mod costs;
+pub mod counted;
 pub mod methods;
 pub mod rods;
+mod scene;
 pub mod small_problems;

@@ -1,6 +1,7 @@
 //! Problems that several suites and benchmarks use: the hanging rod of the paper, a driven one, rods of every
 //! kind, Lorenz 1996.
 
+use crate::scene::{Motion, SCENES, Scene, Shape};
 use std::error::Error;
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -8,8 +9,8 @@ use varda_assimilation::{LinearObservation, Observation, ObservationSet};
 use varda_covariance::{BlockDiagonal, CovarianceFunction, Dense, Interleaved, Kernel, Taper};
 use varda_implicit::{ImplicitModel, ImplicitStep, Model, Scheme};
 use varda_rod::{
-    Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rod, RodStep, Section, Supports, TwistUnknowns,
-    equilibrium, straight_guess,
+    Clamp, Damping, EllipseDrive, Loads, Material, Motion as _, Rod, RodStep, Section, Supports,
+    TwistUnknowns, equilibrium, straight_guess,
 };
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -60,31 +61,39 @@ pub struct Prior {
 /// The localized background error covariance.
 pub type Background = BlockDiagonal<Interleaved<Dense>>;
 
-/// (σ_x/L, σ_v/v̄, σ_y/L) of the cases 1 to 4 of the paper's Table 3.3.
-pub const CASES: [(f64, f64, f64); 4] =
-    [(0.05, 2.0, 0.10), (0.01, 0.4, 0.015), (0.01, 0.4, 0.05), (0.05, 2.0, 0.015)];
-
 impl HangingRod {
-    /// Case 1 … 4 of the paper with the flagship's numbers, and the true control at the start of the
+    /// Case 1 … 4 of the paper's Table 3.3, read from the shipped scene, and the true control at the start of the
     /// window.
     ///
     /// # Errors
     /// Where the rod cannot be run up to the window.
+    ///
+    /// # Panics
+    /// If there is no such case.
     pub fn flagship(case: usize, conditioned: bool) -> Result<(HangingRod, Vec<f64>)> {
-        let omega = 12.0;
-        let material = Material::new(1e6, 0.5, 1100.0);
-        let (sigma_x, sigma_v, sigma_y) = CASES[case - 1];
+        let Scene { model, time, background, observations } = toml::from_str(SCENES[case - 1])?;
+        let (Shape { radius }, Motion { radii, omega, ramp_periods }) = (model.section, model.start.motion);
+        let material = model.material;
+        let material = Material::new(material.youngs_modulus, material.poisson_ratio, material.density);
+        let prior = background.covariance;
         let mut problem = HangingRod {
-            rod: Rod::uniform(1.0, 25, &Section::circle(&material, 0.01))?,
-            drive: EllipseDrive { centre: [0.0; 3].into(), radii: [0.10, 0.06], omega, ramp: TAU / omega },
-            director: [1.0, 0.0, 0.0],
-            gravity: [0.0, 0.0, -9.81].into(),
-            dt: TAU / (50.0 * omega),
-            first_step: 150,
-            steps: 100,
-            prior: Prior { sigma_x, sigma_v, length_x: 0.5, length_v: 0.5, support: 1.0, conditioned },
-            s_over_length: vec![0.25, 0.5, 0.75, 1.0],
-            sigma_y,
+            rod: Rod::uniform(model.length, model.segments, &Section::circle(&material, radius))?,
+            drive: EllipseDrive { centre: [0.0; 3].into(), radii, omega, ramp: ramp_periods * TAU / omega },
+            director: model.start.director,
+            gravity: model.gravity,
+            dt: TAU / (time.steps_per_period * omega),
+            first_step: time.spin_up,
+            steps: time.window,
+            prior: Prior {
+                sigma_x: prior.sigma_x_over_length * model.length,
+                sigma_v: prior.sigma_v_over_mean_speed,
+                length_x: prior.correlation_length_x,
+                length_v: prior.correlation_length_v,
+                support: prior.localization_length,
+                conditioned,
+            },
+            s_over_length: observations.places.iter().map(|s| s / model.length).collect(),
+            sigma_y: observations.sigma_over_length * model.length,
         };
         let truth = problem.spin_up()?;
         let velocities = &truth[truth.len() / 2..];

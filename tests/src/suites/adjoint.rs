@@ -7,7 +7,7 @@ use problems::methods::{Assembled, for_each_method};
 use problems::rods::{HangingRod, rod_scale, rods, wave};
 use varda_assimilation::{GaussNewton, Incremental};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
-use varda_implicit::{Counts, Error, ImplicitModel, Keep, Model, OneLeg, Rk4, Trajectory, check};
+use varda_implicit::{ControlMap, Error, ImplicitModel, Keep, Model, OneLeg, Rk4, Trajectory, Work, check};
 
 /// Reason of the bound of every dot product.
 const ROUNDING: &str =
@@ -191,12 +191,12 @@ fn guard(case: &mut Case) -> Outcome {
         fn dim(&self) -> usize {
             3
         }
-        fn step(&mut self, _: usize, _: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
+        fn step(&mut self, _: usize, _: &[f64], x_next: &mut [f64]) -> Result<Work, Error> {
             x_next.fill(1.0);
-            Ok(())
+            Ok(Work::default())
         }
-        fn linearize(&mut self, _: usize, _: &[f64], _: &[f64]) -> Result<(), Error> {
-            Ok(())
+        fn linearize(&mut self, _: usize, _: usize, _: &[f64], _: &[f64]) -> Result<Work, Error> {
+            Ok(Work::default())
         }
         fn tangent(&mut self, _: usize, dx: &mut [f64]) {
             dx.fill(0.0);
@@ -204,8 +204,15 @@ fn guard(case: &mut Case) -> Outcome {
         fn adjoint(&mut self, _: usize, lambda: &mut [f64]) {
             lambda.fill(0.0);
         }
-        fn counts(&self) -> Counts {
-            Counts::default()
+        fn release(&mut self, _: usize) {}
+        fn slot_bytes(&self) -> usize {
+            0
+        }
+        fn bytes(&self) -> usize {
+            0
+        }
+        fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
+            None
         }
     }
     let refused = matches!(

@@ -123,17 +123,6 @@ fn flagship(case: &mut Case) -> Outcome {
     // Twelve rows at each of the steps 10, 20 … 100; columns would take 144 tangent products a step.
     case.count("adjoint steps of the dense Hessian", of(|c| c.adjoint_steps), 12 * 550);
 
-    let make = || -> Box<dyn Model + Send> { Box::new(rod.model(rod.first_step).expect("made before")) };
-    cost.set_workers(&make, 1)?;
-    let mut shared = vec![0.0; n * n];
-    cost.hessian(&mut shared)?;
-    let with_worker = cost.counts();
-    let of = |f: fn(&Counts) -> usize| f(&with_worker.model) - f(&dense.model);
-    let different = hessian.iter().zip(&shared).filter(|(a, b)| a.to_bits() != b.to_bits()).count();
-    case.count("numbers of a Hessian shared with a worker that differ in a bit", different, 0);
-    case.count("adjoint steps of both", of(|c| c.adjoint_steps), 12 * 550);
-    // The twelve rows of the last ten steps are too few to share.
-    case.count("linearizations of the worker", of(|c| c.linearizations), 90);
     Ok(())
 }
 
@@ -394,7 +383,7 @@ fn model_allocations(case: &mut Case, model: &mut dyn Model, z: &[f64]) -> Outco
         for k in 0..5 {
             let (step, outcome) = allocations(|| model.step(k, &current, &mut next));
             outcome?;
-            let (linearize, outcome) = allocations(|| model.linearize(k, &current, &next));
+            let (linearize, outcome) = allocations(|| model.linearize(k, k, &current, &next));
             outcome?;
             let (tangent, ()) = allocations(|| model.tangent(k, &mut lambda));
             let (adjoint, ()) = allocations(|| model.adjoint(k, &mut lambda));
@@ -477,7 +466,7 @@ fn timing(case: &mut Case) -> Outcome {
         forward.push(since.elapsed().as_secs_f64());
         for k in 0..steps {
             let (x, next) = states[k * n..(k + 2) * n].split_at(n);
-            model.linearize(k, x, next)?;
+            model.linearize(k, k, x, next)?;
         }
         let mut lambda = vec![1.0; n];
         let since = Instant::now();

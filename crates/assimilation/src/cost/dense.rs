@@ -1,6 +1,5 @@
 //! The dense Gauss–Newton Hessian, from G by rows or by columns.
 
-use super::workers::Product;
 use super::{CostFunction, StrongConstraint};
 use crate::Error;
 use varda_linalg::dense::{View, gram};
@@ -48,7 +47,7 @@ impl StrongConstraint<'_> {
         let (n, m, head) = (self.dim(), self.observations.dim(), self.transform.dim());
         self.counts.adjoint_sweeps += m;
         let Dense { jacobian, block, dy, .. } = dense;
-        let Self { model, workers, transform, observations, errors, base, state_dim, last, dz, .. } = self;
+        let Self { model, transform, observations, errors, base, state_dim, last, dz, .. } = self;
         let (size, last) = (*state_dim, *last);
         block.clear();
         block.resize(m * size, 0.0);
@@ -70,18 +69,14 @@ impl StrongConstraint<'_> {
         };
         match model {
             Some(model) if last > 0 => {
-                let product: Product = |model, k, lambda| model.adjoint_block(k, lambda);
-                let (mut first, mut applied) = (m, Ok(()));
-                base.trajectory.for_each_step_reversed(&mut **model, &mut |model, k, [x, x_next]| {
-                    if k + 1 == last {
-                        first = add(last, x_next, block);
+                let mut first = m;
+                base.trajectory.for_each_step_reversed(&mut **model, &mut |step| {
+                    if step.k + 1 == last {
+                        first = add(last, step.x_next, block);
                     }
-                    if applied.is_ok() {
-                        applied = workers.apply(product, model, k, [x, x_next], &mut block[first * size..]);
-                    }
-                    first = add(k, x, block);
+                    step.adjoint(&mut block[first * size..]);
+                    first = add(step.k, step.x, block);
                 })?;
-                applied?;
             }
             _ => {
                 add(0, base.trajectory.state(0), block);
@@ -109,7 +104,7 @@ impl StrongConstraint<'_> {
             return Ok(());
         }
         let Dense { jacobian, block, dv, .. } = dense;
-        let Self { model, workers, transform, observations, errors, base, state_dim: size, dz, .. } = self;
+        let Self { model, transform, observations, errors, base, state_dim: size, dz, .. } = self;
         block.clear();
         block.resize(n * *size, 0.0);
         for (j, dx) in block.chunks_exact_mut(*size).enumerate().take(head) {
@@ -133,15 +128,10 @@ impl StrongConstraint<'_> {
         };
         see(0, base.trajectory.state(0), block);
         if let Some(model) = model {
-            let product: Product = |model, k, dx| model.tangent_block(k, dx);
-            let mut applied = Ok(());
-            base.trajectory.for_each_step(&mut **model, &mut |model, k, [x, x_next]| {
-                if applied.is_ok() {
-                    applied = workers.apply(product, model, k, [x, x_next], block);
-                }
-                see(k + 1, x_next, block);
+            base.trajectory.for_each_step(&mut **model, &mut |step| {
+                step.tangent(block);
+                see(step.k + 1, step.x_next, block);
             })?;
-            applied?;
         }
         for (i, whitening) in (0..m).map(|i| (i, self.whitening(i))) {
             jacobian.iter_mut().skip(i).step_by(m).for_each(|g| *g *= whitening);

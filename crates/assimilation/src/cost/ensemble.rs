@@ -9,7 +9,7 @@ use crate::{ControlTransform, Error, ObservationSet};
 #[cfg(feature = "rayon")]
 use rayon::prelude::*;
 use varda_covariance::{Covariance, Ensemble, Hybrid};
-use varda_implicit::Model;
+use varda_implicit::{Log, Model};
 use varda_linalg::dense::{View, product};
 
 /// 4D-EnVar (Liu, Xiao and Wang 2008; Desroziers, Camino and Berre 2014) and hybrid 4D-EnVar (Lorenc et al. 2015), linearized about a control
@@ -47,6 +47,8 @@ use varda_linalg::dense::{View, product};
 pub struct EnVar<'a> {
     /// The first runs the control, the others a member each.
     models: Vec<Box<dyn Model + Send + 'a>>,
+    /// Work of all models, and what their steps went through.
+    log: Log,
     transform: ControlTransform<'a>,
     ensemble: &'a Ensemble,
     ensemble_weight: f64,
@@ -158,6 +160,7 @@ impl<'a> EnVar<'a> {
             controls: vec![0.0; (members + 1) * n_z],
             states: vec![0.0; (members + 1) * (last + 1) * state_dim],
             models,
+            log: Log::default(),
             centred: is_centred(ensemble, n_z),
             ensemble,
             ensemble_weight,
@@ -297,7 +300,7 @@ impl<'a> EnVar<'a> {
             return Err(Error::NonFinite { what: "a control of the ensemble", step: 0 });
         }
         self.counts.forward_runs += runs;
-        run_all(&mut self.models[..runs], &self.controls, &mut self.states, self.last)
+        run_all(&mut self.models[..runs], &self.controls, &mut self.states, self.last, &mut self.log)
     }
 
     /// Predicts the observations of run `run`.
@@ -378,24 +381,28 @@ pub(crate) fn run_all<'m>(
     controls: &[f64],
     states: &mut [f64],
     steps: usize,
+    log: &mut Log,
 ) -> Result<(), Error> {
     let (n, n_z) = (models[0].dim(), models[0].control_dim());
     let length = (steps + 1) * n;
     #[cfg(feature = "rayon")]
-    let ended: Vec<Result<(), varda_implicit::Error>> = models
+    let ended: Vec<(Log, Result<(), varda_implicit::Error>)> = models
         .par_iter_mut()
         .zip(controls.par_chunks_exact(n_z))
         .zip(states.par_chunks_exact_mut(length))
         .map(|((model, z), states)| run_one(&mut **model, z, states, n))
         .collect();
     #[cfg(not(feature = "rayon"))]
-    let ended: Vec<Result<(), varda_implicit::Error>> = models
+    let ended: Vec<(Log, Result<(), varda_implicit::Error>)> = models
         .iter_mut()
         .zip(controls.chunks_exact(n_z))
         .zip(states.chunks_exact_mut(length))
         .map(|((model, z), states)| run_one(&mut **model, z, states, n))
         .collect();
-    Ok(ended.into_iter().collect::<Result<(), _>>()?)
+    for (run, _) in &ended {
+        log.add(run);
+    }
+    Ok(ended.into_iter().map(|(_, ended)| ended).collect::<Result<(), _>>()?)
 }
 
 /// Fills `states`, x₀ first, with the run from the control z.
@@ -404,12 +411,16 @@ fn run_one(
     z: &[f64],
     states: &mut [f64],
     n: usize,
-) -> Result<(), varda_implicit::Error> {
-    model.initial_state(z, &mut states[..n])?;
-    (0..states.len() / n - 1).try_for_each(|k| {
-        let (x, x_next) = states[k * n..(k + 2) * n].split_at_mut(n);
-        model.step(k, x, x_next)
-    })
+) -> (Log, Result<(), varda_implicit::Error>) {
+    let mut log = Log::default();
+    let ended = model.initial_state(z, &mut states[..n]).and_then(|()| {
+        (0..states.len() / n - 1).try_for_each(|k| {
+            let (x, x_next) = states[k * n..(k + 2) * n].split_at_mut(n);
+            log.step(k, model.step(k, x, x_next)?);
+            Ok(())
+        })
+    });
+    (log, ended)
 }
 
 /// Whether the columns of X sum to zero.
@@ -464,8 +475,7 @@ impl CostFunction for EnVar<'_> {
 
     /// The work of the models is summed over the control and the members.
     fn counts(&self) -> Counts {
-        let model = self.models.iter().fold(varda_implicit::Counts::default(), |sum, m| sum + m.counts());
-        Counts { model, ..self.counts }
+        Counts { model: self.log.counts, ..self.counts }
     }
 }
 

@@ -3,10 +3,9 @@
 use super::dense::Dense;
 use super::model_error::{Errors, Over};
 use super::robust::huber;
-use super::workers::Workers;
 use super::{CostFunction, CostTerms, Counts, GaussNewton, Incremental, dot};
 use crate::{ControlTransform, Error, ObservationSet};
-use varda_implicit::{Footprint, Keep, Model, Storage, Trajectory};
+use varda_implicit::{Footprint, Keep, Log, Model, Storage, Trajectory};
 
 /// Strong-constraint 4D-Var in the control variable (paper 2.15, with z = z_b + B^{1/2} v; Courtier, Thépaut and Hollingsworth 1994):
 ///
@@ -15,9 +14,11 @@ use varda_implicit::{Footprint, Keep, Model, Storage, Trajectory};
 ///     ∇J(v) = v − Gᵀ R^{-1/2} d,    A = I + GᵀG,    G = R^{-1/2} H M B^{1/2}
 /// ```
 ///
-/// The gradient is one forward run, one linearization of every step, and one adjoint sweep in Horner's form (2.26, 2.27):
+/// The gradient is one forward run, one linearization of every step, and one adjoint sweep in Horner's form
+/// (paper 2.17, 2.26, 2.27):
 /// λ ← H_kᵀ R_k⁻¹ d_k + M_kᵀ λ from the last observed step down to the first. Steps after the last observation are not run. Where the
-/// last observation is at step 0, or there is no model at all, this is 3D-Var and no step is called.
+/// last observation is at step 0, or there is no model at all, this is 3D-Var and no step is called
+/// (paper 2.5, 2.6, 2.9).
 ///
 /// When to use: the default, where the model has a tangent and an adjoint. When not: a model in error ([`WeakForcing`](super::WeakForcing)), no
 /// adjoint ([`EnVar`](super::EnVar)), chaos over a window of many e-foldings ([`window_growth`](crate::window_growth)).
@@ -27,8 +28,6 @@ use varda_implicit::{Footprint, Keep, Model, Storage, Trajectory};
 /// linearizations, m n for A; less, for more work and the same bits, by [`set_storage`](Self::set_storage).
 pub struct StrongConstraint<'a> {
     pub(super) model: Option<&'a mut (dyn Model + 'a)>,
-    /// Models that take a share of the columns of a dense Hessian.
-    pub(super) workers: Workers,
     pub(super) transform: ControlTransform<'a>,
     pub(super) observations: &'a mut ObservationSet,
     /// With model error: the engine of the weak-constraint costs.
@@ -50,9 +49,9 @@ pub struct StrongConstraint<'a> {
     /// The last point evaluated without one.
     pub(super) trial: Point,
     terms: CostTerms,
-    /// As for the model, the work of workers that are no more.
     pub(super) counts: Counts,
-    model_before: varda_implicit::Counts,
+    /// Work of the model outside the present trajectories: of those before a change of storage, and of single steps.
+    pub(super) log: Log,
     pub(super) lambda: Vec<f64>,
     pub(super) dz: Vec<f64>,
     pub(super) dy: Vec<f64>,
@@ -145,9 +144,8 @@ impl<'a> StrongConstraint<'a> {
             predicted: vec![0.0; m],
         };
         Self {
-            model_before: model.as_ref().map(|m| m.counts()).unwrap_or_default(),
             model,
-            workers: Workers::default(),
+            log: Log::default(),
             root_precision: observations.sigma().iter().map(|sigma| 1.0 / sigma).collect(),
             huber: f64::INFINITY,
             root_weight: vec![1.0; m],
@@ -194,31 +192,10 @@ impl<'a> StrongConstraint<'a> {
     pub fn set_storage(&mut self, storage: Storage) {
         for point in [&mut self.base, &mut self.trial] {
             point.valid = false;
+            self.log.add(point.trajectory.log());
             point.trajectory = room(storage, self.state_dim, self.last);
         }
         self.based = false;
-    }
-
-    /// Shares the columns (or rows) of a dense Hessian with `count` further models from now on, which run in parallel: the same
-    /// bits, whatever the number of workers and of threads. Without the feature `rayon` (on by default) no model is made and nothing
-    /// changes. `make_model` makes the model of this cost once more. (One that linearizes by
-    /// [`LastFactor`](varda_implicit::Linearization::LastFactor) is no pure function of the states: its bits would differ.)
-    ///
-    /// Every worker linearizes every step for itself, under any storage, and keeps one linearization at a time. When to use: where a
-    /// product with its share of the columns, at least 16, takes longer than that (`docs/results/workers.md`). Their work is in
-    /// [`counts`](CostFunction::counts), which therefore depend on `count`.
-    ///
-    /// # Errors
-    /// A model of other states.
-    pub fn set_workers(
-        &mut self,
-        make_model: &dyn Fn() -> Box<dyn Model + Send>,
-        count: usize,
-    ) -> Result<(), Error> {
-        let workers = Workers::new(make_model, count, self.state_dim)?;
-        self.counts.model = self.counts.model + self.workers.counts();
-        self.workers = workers;
-        Ok(())
     }
 
     /// The storage of least work whose states and linearizations take no more than so many bytes ([`bytes`](Self::bytes)); sets and
@@ -231,7 +208,7 @@ impl<'a> StrongConstraint<'a> {
             steps: self.last,
             runs: 2,
             state: self.state_dim * size_of::<f64>(),
-            linearization: self.model.as_ref().map_or(0, |m| m.bytes_per_step()),
+            linearization: self.model.as_ref().map_or(0, |m| m.slot_bytes()),
         };
         let storage = footprint.within(bytes)?;
         self.set_storage(storage);
@@ -245,8 +222,16 @@ impl<'a> StrongConstraint<'a> {
 
     /// Bytes held at present: the states of two runs, and the linearizations in the model.
     pub fn bytes(&self) -> usize {
-        let model = self.model.as_ref().map_or(0, |m| m.bytes_kept());
+        let model = self.model.as_ref().map_or(0, |m| m.bytes());
         self.base.trajectory.bytes() + self.trial.trajectory.bytes() + model
+    }
+
+    /// What the model did for this cost, and what its steps went through.
+    pub fn log(&self) -> Log {
+        let mut log = self.log.clone();
+        log.add(self.base.trajectory.log());
+        log.add(self.trial.trajectory.log());
+        log
     }
 
     /// The control variable transform.
@@ -499,8 +484,8 @@ impl CostFunction for StrongConstraint<'_> {
     }
 
     fn counts(&self) -> Counts {
-        let model = self.model.as_ref().map(|m| m.counts() - self.model_before).unwrap_or_default();
-        Counts { model: self.counts.model + model + self.workers.counts(), ..self.counts }
+        let runs = self.base.trajectory.log().counts + self.trial.trajectory.log().counts;
+        Counts { model: self.log.counts + runs, ..self.counts }
     }
 }
 

@@ -153,7 +153,7 @@ fn column(
         }
         observations.tangent_add(k, base.trajectory.state(k), dx, dy);
         if k < *last {
-            model.tangent(k, dx);
+            base.trajectory.tangent_of_step(&mut **model, k, dx);
         }
     }
     for (r, (dy, root)) in dy.iter().zip(&*root_precision).enumerate() {

@@ -79,6 +79,11 @@ impl<'a> WeakForcing<'a> {
     pub fn predicted(&self) -> &[f64] {
         self.window.predicted()
     }
+
+    /// What the model did for this cost, and what its steps went through.
+    pub fn log(&self) -> varda_implicit::Log {
+        self.window.log()
+    }
 }
 
 impl CostFunction for WeakForcing<'_> {

@@ -81,7 +81,7 @@ impl<'a> WeakState<'a> {
         self.window.trial.initial = false;
         model.initial_state(&v, &mut x)?;
         for k in 0..self.window.last {
-            model.step(k, &x, &mut x_next)?;
+            self.window.log.step(k, model.step(k, &x, &mut x_next)?);
             std::mem::swap(&mut x, &mut x_next);
             if errors.index(k).is_some() {
                 v.extend(errors.forcing().components.iter().map(|&c| x[c]));
@@ -121,13 +121,25 @@ impl<'a> WeakState<'a> {
         self.window.predicted()
     }
 
+    /// What the model did for this cost, and what its steps went through.
+    pub fn log(&self) -> varda_implicit::Log {
+        self.window.log()
+    }
+
     /// From a gradient in p to one in the states: (D^{-1/2} L)ᵀ, one adjoint sweep without observations.
     fn state_gradient(&mut self, gradient: &mut [f64]) -> Result<(), Error> {
         self.window.return_to_base()?;
         self.window.counts.adjoint_sweeps += 1;
         let Self { window, b, q, p, physical } = self;
         let StrongConstraint {
-            model: Some(model), errors: Some(errors), lambda, dz, last, transform, ..
+            model: Some(model),
+            errors: Some(errors),
+            base,
+            lambda,
+            dz,
+            last,
+            transform,
+            ..
         } = window
         else {
             unreachable!()
@@ -147,7 +159,7 @@ impl<'a> WeakState<'a> {
                     lambda[c] = -s;
                 }
             }
-            model.adjoint(k, lambda);
+            base.trajectory.adjoint_of_step(&mut **model, k, lambda);
         }
         model.initial_adjoint(lambda, dz);
         b.root(&p[..head], &mut physical[..head]);
@@ -215,8 +227,9 @@ impl Incremental for WeakState<'_> {
     fn increment(&mut self, p: &[f64], dv: &mut [f64]) -> Result<(), Error> {
         self.window.return_to_base()?;
         self.window.counts.tangent_sweeps += 1;
-        let StrongConstraint { model: Some(model), errors: Some(errors), lambda, last, transform, .. } =
-            &mut self.window
+        let StrongConstraint {
+            model: Some(model), errors: Some(errors), base, lambda, last, transform, ..
+        } = &mut self.window
         else {
             unreachable!()
         };
@@ -225,7 +238,7 @@ impl Incremental for WeakState<'_> {
         transform.tangent(first, dz);
         model.initial_tangent(dz, lambda);
         for k in 0..*last {
-            model.tangent(k, lambda);
+            base.trajectory.tangent_of_step(&mut **model, k, lambda);
             errors.tangent_add(k, rest, lambda);
             if let Some(j) = errors.index(k) {
                 let n = errors.block();

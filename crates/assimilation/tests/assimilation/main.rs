@@ -16,4 +16,3 @@ mod posteriors;
 mod robust;
 mod storage;
 mod weak;
-mod workers;

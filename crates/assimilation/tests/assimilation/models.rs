@@ -4,7 +4,7 @@ use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet, Selection};
-use varda_implicit::{Counts, Error, Model};
+use varda_implicit::{ControlMap, Error, Model, Work};
 
 pub(crate) fn normals(seed: u64, n: usize) -> Vec<f64> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -111,20 +111,13 @@ pub(crate) struct Rk4<F> {
     dt: f64,
     pub(crate) mutation: f64,
     pub(crate) bound: f64,
-    kept: Vec<Option<[Vec<f64>; 4]>>,
-    counts: Counts,
+    /// The step and the stages of every slot.
+    kept: Vec<Option<(usize, [Vec<f64>; 4])>>,
 }
 
 impl<F: Field> Rk4<F> {
     pub(crate) fn new(field: F, dt: f64) -> Self {
-        Self {
-            field,
-            dt,
-            mutation: 0.0,
-            bound: 1e6,
-            kept: (0..1000).map(|_| None).collect(),
-            counts: Counts::default(),
-        }
+        Self { field, dt, mutation: 0.0, bound: 1e6, kept: (0..1000).map(|_| None).collect() }
     }
 
     fn stages(&self, x: &[f64]) -> ([Vec<f64>; 4], [Vec<f64>; 4]) {
@@ -151,8 +144,7 @@ impl<F: Field> Model for Rk4<F> {
         self.field.dim()
     }
 
-    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
-        self.counts.model_steps += 1;
+    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<Work, Error> {
         let (_, slopes) = self.stages(x);
         for i in 0..x.len() {
             x_next[i] = x[i] + self.dt * (0..4).map(|s| WEIGHTS[s] * slopes[s][i]).sum::<f64>();
@@ -160,18 +152,42 @@ impl<F: Field> Model for Rk4<F> {
                 return Err(Error::NonFinite { step: k, what: "the state" });
             }
         }
-        Ok(())
+        Ok(Work::default())
     }
 
-    fn linearize(&mut self, k: usize, x: &[f64], _x_next: &[f64]) -> Result<(), Error> {
-        self.counts.linearizations += 1;
-        self.kept[k] = Some(self.stages(x).0);
-        Ok(())
+    fn linearize(&mut self, slot: usize, k: usize, x: &[f64], _x_next: &[f64]) -> Result<Work, Error> {
+        self.kept[slot] = Some((k, self.stages(x).0));
+        Ok(Work::default())
     }
 
-    fn tangent(&mut self, k: usize, dx: &mut [f64]) {
-        self.counts.tangent_steps += 1;
-        let at = self.kept[k].as_ref().expect("linearized");
+    fn tangent(&mut self, slot: usize, dx: &mut [f64]) {
+        dx.chunks_exact_mut(self.field.dim()).for_each(|dx| self.tangent_of_one(slot, dx));
+    }
+
+    fn adjoint(&mut self, slot: usize, lambda: &mut [f64]) {
+        lambda.chunks_exact_mut(self.field.dim()).for_each(|lambda| self.adjoint_of_one(slot, lambda));
+    }
+
+    fn release(&mut self, from_slot: usize) {
+        self.kept[from_slot..].fill(None);
+    }
+
+    fn slot_bytes(&self) -> usize {
+        4 * self.dim() * size_of::<f64>()
+    }
+
+    fn bytes(&self) -> usize {
+        self.kept.iter().flatten().count() * self.slot_bytes()
+    }
+
+    fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
+        None
+    }
+}
+
+impl<F: Field> Rk4<F> {
+    fn tangent_of_one(&self, slot: usize, dx: &mut [f64]) {
+        let (_, at) = self.kept[slot].as_ref().expect("linearized");
         let (mut slope, mut sum) = (vec![0.0; dx.len()], dx.to_vec());
         for s in 0..4 {
             let stage: Vec<f64> = dx.iter().zip(&slope).map(|(d, k)| d + NODES[s] * self.dt * k).collect();
@@ -181,9 +197,8 @@ impl<F: Field> Model for Rk4<F> {
         dx.copy_from_slice(&sum);
     }
 
-    fn adjoint(&mut self, k: usize, lambda: &mut [f64]) {
-        self.counts.adjoint_steps += 1;
-        let at = self.kept[k].as_ref().expect("linearized");
+    fn adjoint_of_one(&self, slot: usize, lambda: &mut [f64]) {
+        let (k, at) = self.kept[slot].as_ref().expect("linearized");
         let (mut sum, mut carried, mut back) = (lambda.to_vec(), vec![0.0; lambda.len()], lambda.to_vec());
         for s in (0..4).rev() {
             let mu: Vec<f64> =
@@ -193,13 +208,9 @@ impl<F: Field> Model for Rk4<F> {
             carried.iter_mut().zip(&back).for_each(|(c, b)| *c = NODES[s] * self.dt * b);
         }
         lambda.copy_from_slice(&sum);
-        if k == 0 {
+        if *k == 0 {
             lambda[0] *= 1.0 + self.mutation;
         }
-    }
-
-    fn counts(&self) -> Counts {
-        self.counts
     }
 }
 

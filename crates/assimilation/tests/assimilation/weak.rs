@@ -6,7 +6,7 @@ use crate::matrix::*;
 use crate::models::*;
 use varda_assimilation::*;
 use varda_covariance::{Covariance, Dense, Diagonal, Precision};
-use varda_implicit::Model;
+use varda_implicit::{ControlMap, Model, Work};
 
 /// Every second component, error every third step.
 fn partial(n: usize) -> Forcing {
@@ -311,50 +311,72 @@ impl Model for Carrying {
     fn dim(&self) -> usize {
         7
     }
-    fn control_dim(&self) -> usize {
-        6
-    }
-    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), varda_implicit::Error> {
+    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<Work, varda_implicit::Error> {
         x_next[6] = 0.5 * x[6] + 0.1 * x[0] * x[0];
         self.inner.step(k, &x[..6], &mut x_next[..6])
     }
-    fn linearize(&mut self, k: usize, x: &[f64], x_next: &[f64]) -> Result<(), varda_implicit::Error> {
+    fn linearize(
+        &mut self,
+        slot: usize,
+        k: usize,
+        x: &[f64],
+        x_next: &[f64],
+    ) -> Result<Work, varda_implicit::Error> {
         // As strict as an implicit model: the pair must be a step, bit for bit.
         let mut landed = vec![0.0; 7];
         self.step(k, x, &mut landed)?;
         if landed != x_next {
             return Err(varda_implicit::Error::NotAStep { step: k });
         }
-        self.first.resize(self.first.len().max(k + 1), 0.0);
-        self.first[k] = x[0];
-        self.inner.linearize(k, &x[..6], &x_next[..6])
+        self.first.resize(self.first.len().max(slot + 1), 0.0);
+        self.first[slot] = x[0];
+        self.inner.linearize(slot, k, &x[..6], &x_next[..6])
     }
-    fn tangent(&mut self, k: usize, dx: &mut [f64]) {
-        dx[6] = 0.5 * dx[6] + 0.2 * self.first[k] * dx[0];
-        self.inner.tangent(k, &mut dx[..6]);
+    fn tangent(&mut self, slot: usize, dx: &mut [f64]) {
+        for dx in dx.chunks_exact_mut(7) {
+            dx[6] = 0.5 * dx[6] + 0.2 * self.first[slot] * dx[0];
+            self.inner.tangent(slot, &mut dx[..6]);
+        }
     }
-    fn adjoint(&mut self, k: usize, lambda: &mut [f64]) {
-        self.inner.adjoint(k, &mut lambda[..6]);
-        lambda[0] += 0.2 * self.first[k] * lambda[6];
-        lambda[6] *= 0.5;
+    fn adjoint(&mut self, slot: usize, lambda: &mut [f64]) {
+        for lambda in lambda.chunks_exact_mut(7) {
+            self.inner.adjoint(slot, &mut lambda[..6]);
+            lambda[0] += 0.2 * self.first[slot] * lambda[6];
+            lambda[6] *= 0.5;
+        }
     }
-    fn initial_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), varda_implicit::Error> {
+    fn release(&mut self, from_slot: usize) {
+        self.inner.release(from_slot);
+    }
+    fn slot_bytes(&self) -> usize {
+        self.inner.slot_bytes()
+    }
+    fn bytes(&self) -> usize {
+        self.inner.bytes()
+    }
+    fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
+        Some(self)
+    }
+}
+
+impl ControlMap for Carrying {
+    fn control_len(&self) -> usize {
+        6
+    }
+    fn to_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), varda_implicit::Error> {
         self.z = z.to_vec();
         x[..6].copy_from_slice(z);
         x[6] = z[1] * z[2];
         Ok(())
     }
-    fn initial_tangent(&mut self, dz: &[f64], dx: &mut [f64]) {
+    fn to_state_tangent(&mut self, dz: &[f64], dx: &mut [f64]) {
         dx[..6].copy_from_slice(dz);
         dx[6] = self.z[1] * dz[2] + self.z[2] * dz[1];
     }
-    fn initial_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]) {
+    fn to_state_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]) {
         dz.copy_from_slice(&lambda[..6]);
         dz[1] += self.z[2] * lambda[6];
         dz[2] += self.z[1] * lambda[6];
-    }
-    fn counts(&self) -> varda_implicit::Counts {
-        self.inner.counts()
     }
 }
 

@@ -32,7 +32,7 @@ pub(crate) fn estimate(
     let (n, m) = (model.dim(), control.len());
     let mut rng = stream(seed, Stream::Directions);
     let mut x = vec![0.0; n];
-    model.keep_at_most(1);
+    model.release(1);
     model.initial_state(control, &mut x)?;
     let mut columns = vec![0.0; DIRECTIONS * n];
     let mut dz = vec![0.0; m];
@@ -44,8 +44,8 @@ pub(crate) fn estimate(
         model.initial_tangent(&dz, column);
     }
     for (k, pair) in states.windows(2 * n).step_by(n).enumerate() {
-        model.linearize(k, &pair[..n], &pair[n..])?;
-        model.tangent_block(k, &mut columns);
+        model.linearize(0, k, &pair[..n], &pair[n..])?;
+        model.tangent(0, &mut columns);
     }
     let mut sum = 0.0;
     for column in columns.chunks_exact(n) {
@@ -76,7 +76,7 @@ mod tests {
         for steps in [10, 400, 1200, 2400] {
             let seen = &states[..3 * (steps + 1)];
             for (k, pair) in seen.windows(6).step_by(3).enumerate() {
-                model.linearize(k, &pair[..3], &pair[3..]).unwrap();
+                model.linearize(k, k, &pair[..3], &pair[3..]).unwrap();
             }
             let norm = check::amplification(&mut model, 0..steps, &sigma, 1).unwrap().norm;
             let mut fresh = Rk4::new(Lorenz63::default(), 0, 0.01);

@@ -4,8 +4,8 @@ use std::ops::ControlFlow;
 use std::time::Instant;
 
 use varda_assimilation::{Analysis, ObservationSet, huber};
-use varda_implicit::Model;
 use varda_implicit::check::Amplification;
+use varda_implicit::{Log, Model};
 
 use super::{amplification, fit, shapes};
 use crate::Error;
@@ -91,6 +91,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         },
     };
     let (solution, mut observations) = solve::solve(&mut task, problem.observations()?, &mut on_iterate)?;
+    let mut log = timed.log().clone();
     // The time of the posterior does not belong to the minimization.
     let minimizer = convergence.last().map_or(0.0, |row| row.seconds);
     let seconds = Seconds {
@@ -117,11 +118,11 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
 
     let status = Status::from(solution.minimum.status);
     let failure = failure(&solution, status);
-    let mut warnings = remarks(model.as_ref(), &solution, status, observations.dim(), failure.as_ref());
+    let mut warnings = remarks(&log, &solution, status, observations.dim(), failure.as_ref());
     warnings.extend(remarks_on_steps);
     let analysis = analysis(problem, &solution, observations.dim());
     let trajectories =
-        trajectories(problem, model.as_mut(), &analysis.analysis, solution.states, &mut warnings);
+        trajectories(problem, model.as_mut(), &analysis.analysis, solution.states, &mut warnings, &mut log);
     let amplification = amplification(problem, make_model, &analysis, &observations, &trajectories);
     warnings.extend(amplification.and_then(|a| a.warning()));
     let fit = fit::fit(&mut observations, &trajectories)?;
@@ -141,7 +142,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         iterations: [solution.minimum.outer_iterations, solution.minimum.inner_iterations],
         convergence,
         counts: solution.counts,
-        model_counts: model.counts(),
+        model_counts: log.counts,
         rejected: rejected(experiment, &solution.rejected),
         rmse,
         seconds: Seconds { total: listener.started.elapsed().as_secs_f64(), ..seconds },
@@ -169,7 +170,7 @@ fn failure(solution: &Solution, status: Status) -> Option<Failure> {
 
 /// Remarks on how the minimization went.
 fn remarks(
-    model: &dyn Model,
+    log: &Log,
     solution: &Solution,
     status: Status,
     used: usize,
@@ -177,7 +178,7 @@ fn remarks(
 ) -> Vec<String> {
     let minimum = &solution.minimum;
     let mut warnings: Vec<String> =
-        model.warnings().iter().map(|w| format!("step {}: {}", w.step, w.text)).collect();
+        log.warnings.iter().map(|w| format!("step {}: {}", w.step, w.text)).collect();
     warnings.dedup();
     if !solution.rejected.is_empty() {
         let all = used + solution.rejected.len();
@@ -303,14 +304,14 @@ fn trajectories(
     analysis: &[f64],
     mut states: Vec<f64>,
     warnings: &mut Vec<String>,
+    log: &mut Log,
 ) -> Trajectories {
     let steps = problem.experiment.grid.last_step();
     let dim = model.dim();
     let mut x0 = vec![0.0; dim];
-    let mut warn = |what: &str, result: Result<(), varda_implicit::Error>| {
-        if let Err(e) = result {
-            warnings.push(format!("the run of the {what} ends early: {e}"));
-        }
+    let mut warn = |what: &str, result: Result<Log, varda_implicit::Error>| match result {
+        Ok(run) => log.add(&run),
+        Err(e) => warnings.push(format!("the run of the {what} ends early: {e}")),
     };
     let mut from = |control: &[f64], states: &mut Vec<f64>| {
         let start = model.initial_state(control, &mut x0);
@@ -358,7 +359,7 @@ pub fn simulate(problem: &Problem) -> Result<Simulation, Error> {
             "background"
         }
     };
-    run_on(model.as_mut(), &mut states, steps)?;
+    let log = run_on(model.as_mut(), &mut states, steps)?;
     let trajectories = Trajectories { dim, analysis: states, ..Trajectories::default() };
     let shapes = shapes::with_observations(problem, &trajectories)?;
     let is_twin_in_space = shapes.is_some() && problem.truth.is_some();
@@ -368,8 +369,8 @@ pub fn simulate(problem: &Problem) -> Result<Simulation, Error> {
         shapes,
         trajectories,
         steps,
-        counts: WorkCounts::of(model.counts()),
+        counts: WorkCounts::of(log.counts),
         twin: is_twin_in_space.then(|| TwinFiles { background: problem.background.clone() }),
-        warnings: model.warnings().iter().map(|w| format!("step {}: {}", w.step, w.text)).collect(),
+        warnings: log.warnings.iter().map(|w| format!("step {}: {}", w.step, w.text)).collect(),
     })
 }

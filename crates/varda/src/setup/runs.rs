@@ -1,6 +1,6 @@
 //! Runs of a model.
 
-use varda_implicit::Model;
+use varda_implicit::{Log, Model};
 
 use crate::Error;
 
@@ -22,7 +22,7 @@ pub fn run_states(model: &mut dyn Model, x0: &[f64], steps: usize) -> Result<Vec
     Ok(states)
 }
 
-/// Continues a run from the last of its `states` to step `steps`. After an error the states before the step that
+/// Continues a run from the last of its `states` to step `steps`, and returns what the model did. After an error the states before the step that
 /// failed are there.
 ///
 /// # Errors
@@ -31,12 +31,13 @@ pub fn run_on(
     model: &mut dyn Model,
     states: &mut Vec<f64>,
     steps: usize,
-) -> Result<(), varda_implicit::Error> {
+) -> Result<Log, varda_implicit::Error> {
     let dim = model.dim();
     let mut next = vec![0.0; dim];
+    let mut log = Log::default();
     for k in states.len() / dim - 1..steps {
-        model.step(k, &states[k * dim..], &mut next)?;
+        log.step(k, model.step(k, &states[k * dim..], &mut next)?);
         states.extend_from_slice(&next);
     }
-    Ok(())
+    Ok(log)
 }

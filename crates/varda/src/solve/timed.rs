@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-use varda_implicit::{Counts, Error, Model, Warning};
+use varda_implicit::{ControlMap, Error, Log, Model, Work};
 
 /// Seconds that models have taken, summed over those that share it (and so over threads).
 #[derive(Debug, Clone, Default)]
@@ -47,16 +47,29 @@ fn timing<T>(total: &AtomicU64, work: impl FnOnce() -> T) -> T {
     result
 }
 
-/// A model, borrowed or boxed, whose calls a clock times.
+/// A model, borrowed or boxed, whose calls a clock times and a log counts.
 pub struct Timed<M> {
     model: M,
+    /// Length of the model's control.
+    control: usize,
     clock: Clock,
+    log: Log,
+}
+
+impl<M: DerefMut> Timed<M>
+where
+    M::Target: Model,
+{
+    /// `model`, timed by `clock`.
+    pub fn new(mut model: M, clock: &Clock) -> Self {
+        Timed { control: model.control_dim(), model, clock: clock.clone(), log: Log::default() }
+    }
 }
 
 impl<M> Timed<M> {
-    /// `model`, timed by `clock`.
-    pub fn new(model: M, clock: &Clock) -> Self {
-        Timed { model, clock: clock.clone() }
+    /// What the model did, and what its steps went through.
+    pub fn log(&self) -> &Log {
+        &self.log
     }
 }
 
@@ -68,63 +81,63 @@ where
         self.model.dim()
     }
 
-    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
-        timing(&self.clock.0.forward, || self.model.step(k, x, x_next))
+    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<Work, Error> {
+        let work = timing(&self.clock.0.forward, || self.model.step(k, x, x_next))?;
+        self.log.step(k, work.clone());
+        Ok(work)
     }
 
-    fn linearize(&mut self, k: usize, x: &[f64], x_next: &[f64]) -> Result<(), Error> {
-        timing(&self.clock.0.adjoint, || self.model.linearize(k, x, x_next))
+    fn linearize(&mut self, slot: usize, k: usize, x: &[f64], x_next: &[f64]) -> Result<Work, Error> {
+        let work = timing(&self.clock.0.adjoint, || self.model.linearize(slot, k, x, x_next))?;
+        self.log.linearization(k, work.clone());
+        Ok(work)
     }
 
-    fn tangent(&mut self, k: usize, dx: &mut [f64]) {
-        timing(&self.clock.0.tangent, || self.model.tangent(k, dx));
+    fn tangent(&mut self, slot: usize, dx: &mut [f64]) {
+        self.log.counts.tangent_steps += dx.len() / self.model.dim().max(1);
+        timing(&self.clock.0.tangent, || self.model.tangent(slot, dx));
     }
 
-    fn adjoint(&mut self, k: usize, lambda: &mut [f64]) {
-        timing(&self.clock.0.adjoint, || self.model.adjoint(k, lambda));
+    fn adjoint(&mut self, slot: usize, lambda: &mut [f64]) {
+        self.log.counts.adjoint_steps += lambda.len() / self.model.dim().max(1);
+        timing(&self.clock.0.adjoint, || self.model.adjoint(slot, lambda));
     }
 
-    fn tangent_block(&mut self, k: usize, dx: &mut [f64]) {
-        timing(&self.clock.0.tangent, || self.model.tangent_block(k, dx));
+    fn release(&mut self, from_slot: usize) {
+        self.model.release(from_slot);
     }
 
-    fn adjoint_block(&mut self, k: usize, lambda: &mut [f64]) {
-        timing(&self.clock.0.adjoint, || self.model.adjoint_block(k, lambda));
+    fn slot_bytes(&self) -> usize {
+        self.model.slot_bytes()
     }
 
-    fn keep_at_most(&mut self, steps: usize) {
-        self.model.keep_at_most(steps);
+    fn bytes(&self) -> usize {
+        self.model.bytes()
     }
 
-    fn bytes_per_step(&self) -> usize {
-        self.model.bytes_per_step()
+    fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
+        if self.model.control_map().is_some() { Some(self) } else { None }
+    }
+}
+
+/// The map of the model: its initial states are timed too.
+impl<M: DerefMut> ControlMap for Timed<M>
+where
+    M::Target: Model,
+{
+    fn control_len(&self) -> usize {
+        self.control
     }
 
-    fn bytes_kept(&self) -> usize {
-        self.model.bytes_kept()
-    }
-
-    fn control_dim(&self) -> usize {
-        self.model.control_dim()
-    }
-
-    fn initial_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), Error> {
+    fn to_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), Error> {
         timing(&self.clock.0.forward, || self.model.initial_state(z, x))
     }
 
-    fn initial_tangent(&mut self, dz: &[f64], dx: &mut [f64]) {
+    fn to_state_tangent(&mut self, dz: &[f64], dx: &mut [f64]) {
         self.model.initial_tangent(dz, dx);
     }
 
-    fn initial_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]) {
+    fn to_state_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]) {
         self.model.initial_adjoint(lambda, dz);
-    }
-
-    fn counts(&self) -> Counts {
-        self.model.counts()
-    }
-
-    fn warnings(&self) -> &[Warning] {
-        self.model.warnings()
     }
 }

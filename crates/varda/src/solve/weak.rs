@@ -65,13 +65,11 @@ impl Task<'_> {
         let q = q.ok_or(singular("the inverse of a truncated Q"))?;
         let Stage { observations, v, states, posterior, before, on_iterate, .. } = stage;
         let (window, last) = (observations.steps(), observations.last_step().unwrap_or(0));
-        let run_before = self.model.counts();
         if states.is_empty() {
             states.resize(self.model.dim(), 0.0);
             self.model.initial_state(background, states)?;
         }
-        run_on(&mut *self.model, states, last)?;
-        let run = WorkCounts::of(self.model.counts() - run_before);
+        let run = WorkCounts::of(run_on(&mut *self.model, states, last)?.counts);
         let mut cost = WeakState::new(&mut *self.model, background.to_vec(), b, q, forcing, observations)?;
         let (n_z, n) = (background.len(), states.len() / (last + 1));
         let mut control = if v.is_empty() { background.to_vec() } else { v[..n_z].to_vec() };

@@ -12,7 +12,7 @@ use varda_assimilation::{
     trust_region,
 };
 use varda_covariance::Covariance;
-use varda_implicit::Model;
+use varda_implicit::{ControlMap, Model, Work};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -185,26 +185,36 @@ impl<M: Model> Model for WrongAdjoint<M> {
         k: usize,
         x: &[f64],
         x_next: &mut [f64],
-    ) -> std::result::Result<(), varda_implicit::Error> {
+    ) -> std::result::Result<Work, varda_implicit::Error> {
         self.0.step(k, x, x_next)
     }
     fn linearize(
         &mut self,
+        slot: usize,
         k: usize,
         x: &[f64],
         x_next: &[f64],
-    ) -> std::result::Result<(), varda_implicit::Error> {
-        self.0.linearize(k, x, x_next)
+    ) -> std::result::Result<Work, varda_implicit::Error> {
+        self.0.linearize(slot, k, x, x_next)
     }
-    fn tangent(&mut self, k: usize, dx: &mut [f64]) {
-        self.0.tangent(k, dx);
+    fn tangent(&mut self, slot: usize, dx: &mut [f64]) {
+        self.0.tangent(slot, dx);
     }
-    fn adjoint(&mut self, k: usize, lambda: &mut [f64]) {
-        self.0.adjoint(k, lambda);
-        lambda[0] *= if k == 0 { 1.001 } else { 1.0 };
+    fn adjoint(&mut self, slot: usize, lambda: &mut [f64]) {
+        self.0.adjoint(slot, lambda);
+        lambda[0] *= if slot == 0 { 1.001 } else { 1.0 };
     }
-    fn counts(&self) -> varda_implicit::Counts {
-        self.0.counts()
+    fn release(&mut self, from_slot: usize) {
+        self.0.release(from_slot);
+    }
+    fn slot_bytes(&self) -> usize {
+        self.0.slot_bytes()
+    }
+    fn bytes(&self) -> usize {
+        self.0.bytes()
+    }
+    fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
+        self.0.control_map()
     }
 }
 

@@ -1,6 +1,6 @@
 //! Linear advection–diffusion on a circle by explicit upwind steps: a model of the twin fixtures.
 
-use varda_implicit::{Counts, Error, Model};
+use varda_implicit::{ControlMap, Error, Model, Work};
 
 /// x_i ← (1 − c − 2ν) x_i + (c + ν) x_{i−1} + ν x_{i+1}, periodic.
 pub(super) struct Upwind {
@@ -31,23 +31,34 @@ impl Model for Upwind {
     fn dim(&self) -> usize {
         self.n
     }
-    fn step(&mut self, _: usize, x: &[f64], x_next: &mut [f64]) -> Result<(), Error> {
+    fn step(&mut self, _: usize, x: &[f64], x_next: &mut [f64]) -> Result<Work, Error> {
         self.product(x, false, x_next);
-        Ok(())
+        Ok(Work::default())
     }
-    fn linearize(&mut self, _: usize, _: &[f64], _: &[f64]) -> Result<(), Error> {
-        Ok(())
+    fn linearize(&mut self, _: usize, _: usize, _: &[f64], _: &[f64]) -> Result<Work, Error> {
+        Ok(Work::default())
     }
     fn tangent(&mut self, _: usize, dx: &mut [f64]) {
         let given = dx.to_vec();
-        self.product(&given, false, dx);
+        for (given, dx) in given.chunks_exact(self.n).zip(dx.chunks_exact_mut(self.n)) {
+            self.product(given, false, dx);
+        }
     }
     fn adjoint(&mut self, _: usize, lambda: &mut [f64]) {
         let given = lambda.to_vec();
-        self.product(&given, true, lambda);
+        for (given, lambda) in given.chunks_exact(self.n).zip(lambda.chunks_exact_mut(self.n)) {
+            self.product(given, true, lambda);
+        }
     }
-    fn counts(&self) -> Counts {
-        Counts::default()
+    fn release(&mut self, _: usize) {}
+    fn slot_bytes(&self) -> usize {
+        0
+    }
+    fn bytes(&self) -> usize {
+        0
+    }
+    fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
+        None
     }
 }
 

@@ -25,24 +25,24 @@ pub(super) fn run(rows: &mut Rows, quick: bool) {
 fn end(scheme: Scheme, time: f64, steps: usize) -> Result<(Vec<f64>, usize)> {
     let (step, control) = DrivenRod::SOFT.step()?;
     let mut model = ImplicitModel::new(step.with_scheme(scheme), 0, time / steps as f64);
-    let x = run_to(&mut model, &control, steps)?;
+    let (x, iterations) = run_to(&mut model, &control, steps)?;
     let vertices = model.step_mut().vertices(time, &x)?;
-    Ok((vertices.iter().flatten().copied().collect(), model.counts().newton_iterations))
+    Ok((vertices.iter().flatten().copied().collect(), iterations))
 }
 
 fn run_to<S: varda_implicit::ImplicitStep>(
     model: &mut ImplicitModel<S>,
     control: &[f64],
     steps: usize,
-) -> Result<Vec<f64>> {
+) -> Result<(Vec<f64>, usize)> {
     let mut x = vec![0.0; model.dim()];
     model.initial_state(control, &mut x)?;
-    let mut next = x.clone();
+    let (mut next, mut iterations) = (x.clone(), 0);
     for k in 0..steps {
-        model.step(k, &x, &mut next)?;
+        iterations += model.step(k, &x, &mut next)?.newton_iterations;
         std::mem::swap(&mut x, &mut next);
     }
-    Ok(x)
+    Ok((x, iterations))
 }
 
 /// Root mean square over vertices of the distance.
@@ -116,7 +116,7 @@ fn twisted(case: &mut Case, name: &str) -> Outcome {
         let step = rod.model.into_inner().with_scheme(scheme);
         let (half, angles) = (step.control_len() / 2, step.free_angles().len());
         let mut model = ImplicitModel::new(step, first, time / steps as f64);
-        let x = run_to(&mut model, &rod.control, steps)?;
+        let (x, _) = run_to(&mut model, &rod.control, steps)?;
         Ok((x[..half].to_vec(), x[2 * half..2 * half + angles].to_vec()))
     };
     let reference = end(Scheme::Midpoint, 12800)?;

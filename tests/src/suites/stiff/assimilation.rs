@@ -14,7 +14,7 @@ use varda_assimilation::{
     OuterLoopOptions, Posterior, Status, StrongConstraint, WeakForcing, outer_loop,
 };
 use varda_covariance::{Diagonal, Ensemble, Localization};
-use varda_implicit::{Counts as ModelCounts, Model, Rk4};
+use varda_implicit::{ControlMap, Model, Rk4};
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
@@ -355,7 +355,6 @@ enum Failure {
 /// x_{k+1} = x_k, but not where x₀ exceeds 3.
 struct Brittle {
     failure: Failure,
-    counts: ModelCounts,
 }
 
 impl Model for Brittle {
@@ -367,8 +366,7 @@ impl Model for Brittle {
         k: usize,
         x: &[f64],
         x_next: &mut [f64],
-    ) -> std::result::Result<(), varda_implicit::Error> {
-        self.counts.model_steps += 1;
+    ) -> std::result::Result<varda_implicit::Work, varda_implicit::Error> {
         x_next.copy_from_slice(x);
         if x[0].abs() > 3.0 {
             match self.failure {
@@ -378,20 +376,28 @@ impl Model for Brittle {
                 Failure::NotANumber => x_next.fill(f64::NAN),
             }
         }
-        Ok(())
+        Ok(varda_implicit::Work::default())
     }
     fn linearize(
         &mut self,
+        _slot: usize,
         _k: usize,
         _x: &[f64],
         _x_next: &[f64],
-    ) -> std::result::Result<(), varda_implicit::Error> {
-        Ok(())
+    ) -> std::result::Result<varda_implicit::Work, varda_implicit::Error> {
+        Ok(varda_implicit::Work::default())
     }
     fn tangent(&mut self, _k: usize, _dx: &mut [f64]) {}
     fn adjoint(&mut self, _k: usize, _lambda: &mut [f64]) {}
-    fn counts(&self) -> ModelCounts {
-        self.counts
+    fn release(&mut self, _from_slot: usize) {}
+    fn slot_bytes(&self) -> usize {
+        0
+    }
+    fn bytes(&self) -> usize {
+        0
+    }
+    fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
+        None
     }
 }
 
@@ -412,8 +418,7 @@ fn failing(case: &mut Case, failure: Failure) -> Outcome {
     let transform = ControlTransform::new(vec![0.1, 0.5], &b)?;
     for name in Minimizer::NAMES {
         let minimizer = Minimizer::named(name).ok_or("a name it lists")?;
-        let (mut model, mut seen, mut v) =
-            (Brittle { failure, counts: ModelCounts::default() }, set()?, [0.0; 2]);
+        let (mut model, mut seen, mut v) = (Brittle { failure }, set()?, [0.0; 2]);
         let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut seen)?;
         let ended = minimizer.minimize(&mut cost, &mut v, &mut go_on).map(|m| (m.status, m.outer_iterations));
         let error = (0.1 + 10.0 * v[0]).abs() - expected;
@@ -430,8 +435,7 @@ fn failing(case: &mut Case, failure: Failure) -> Outcome {
         ("4d-psas", InnerSolver::Dual),
         ("direct", InnerSolver::Direct),
     ] {
-        let (mut model, mut seen, mut v) =
-            (Brittle { failure, counts: ModelCounts::default() }, set()?, [0.0; 2]);
+        let (mut model, mut seen, mut v) = (Brittle { failure }, set()?, [0.0; 2]);
         let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut seen)?;
         let options = OuterLoopOptions { inner, ..Default::default() };
         let ended =
@@ -442,8 +446,7 @@ fn failing(case: &mut Case, failure: Failure) -> Outcome {
     let beyond = ControlTransform::new(vec![5.0, 0.5], &b)?;
     for name in Minimizer::NAMES {
         let minimizer = Minimizer::named(name).ok_or("a name it lists")?;
-        let (mut model, mut seen, mut v) =
-            (Brittle { failure, counts: ModelCounts::default() }, set()?, [0.0; 2]);
+        let (mut model, mut seen, mut v) = (Brittle { failure }, set()?, [0.0; 2]);
         let mut cost = StrongConstraint::new(&mut model, beyond.clone(), &mut seen)?;
         let ended = minimizer.minimize(&mut cost, &mut v, &mut go_on);
         refused(

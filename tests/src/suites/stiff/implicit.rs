@@ -4,8 +4,10 @@
 use super::{condition, interval, refused, work};
 use crate::row::{Case, Outcome, Rows};
 use num_dual::{Dual64, DualNum};
+use problems::counted::Counted;
 use varda_implicit::{
-    ImplicitModel, ImplicitStep, Interval, Model, NewtonOptions, OneLeg, Refusal, Rhs, Structure, check,
+    Equations, ImplicitModel, ImplicitStep, Interval, Model, NewtonOptions, OneLeg, Refusal, Rhs,
+    StepEquations, Structure, check,
 };
 
 pub(super) fn run(rows: &mut Rows) {
@@ -27,38 +29,59 @@ struct Plain<G: FnMut(&[f64], &mut [f64], &mut [f64])> {
     equations: G,
 }
 
-impl<G: FnMut(&[f64], &mut [f64], &mut [f64])> ImplicitStep for Plain<G> {
-    fn dim(&self) -> usize {
-        2
-    }
-    fn structure(&self) -> Structure {
-        Structure::Dense
-    }
-    fn predict(&mut self, _at: &Interval, x: &[f64], u: &mut [f64]) -> Result<(), Refusal> {
-        u.copy_from_slice(x);
-        Ok(())
-    }
+/// The equations of one step.
+struct PlainEquations<'a, G: FnMut(&[f64], &mut [f64], &mut [f64])> {
+    step: &'a mut Plain<G>,
+    at: Interval,
+    x: &'a [f64],
+}
+
+impl<G: FnMut(&[f64], &mut [f64], &mut [f64])> Equations for PlainEquations<'_, G> {
     fn assemble(
         &mut self,
-        _at: &Interval,
-        x: &[f64],
         u: &[f64],
         g: &mut [f64],
         jacobian: Option<&mut [f64]>,
     ) -> Result<Option<f64>, Refusal> {
+        let x = self.x;
         let mut own = [0.0; 4];
-        (self.equations)(u, g, jacobian.unwrap_or(&mut own));
+        (self.step.equations)(u, g, jacobian.unwrap_or(&mut own));
         g.iter_mut().zip(x).for_each(|(g, x)| *g -= x);
         Ok(None)
     }
     fn converged_below(&self) -> f64 {
         1e-13
     }
+}
+
+impl<G: FnMut(&[f64], &mut [f64], &mut [f64])> StepEquations for PlainEquations<'_, G> {
+    fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal> {
+        let x = self.x;
+        u.copy_from_slice(x);
+        Ok(())
+    }
+}
+
+impl<G: FnMut(&[f64], &mut [f64], &mut [f64])> ImplicitStep for Plain<G> {
+    type Equations<'a>
+        = PlainEquations<'a, G>
+    where
+        Self: 'a;
+
+    fn dim(&self) -> usize {
+        2
+    }
+    fn structure(&self) -> Structure {
+        Structure::Dense
+    }
     fn previous(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], dx: &[f64], dg: &mut [f64]) {
         dg.iter_mut().zip(dx).for_each(|(g, d)| *g = -d);
     }
     fn previous_transpose_add(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], mu: &[f64], dx: &mut [f64]) {
         dx.iter_mut().zip(mu).for_each(|(d, m)| *d -= m);
+    }
+    fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<Self::Equations<'a>, Refusal> {
+        Ok(PlainEquations { step: self, at: *at, x })
     }
 }
 
@@ -71,7 +94,7 @@ fn singular(rows: &mut Rows) {
                 (g[0], g[1]) = (a[0] * u[0] + a[2] * u[1], a[1] * u[0] + a[3] * u[1]);
                 j.copy_from_slice(&a);
             };
-            let mut model = ImplicitModel::new(Plain { equations }, 0, 1.0);
+            let mut model = Counted::new(ImplicitModel::new(Plain { equations }, 0, 1.0));
             let (x, mut next) = ([1.0, 2.0], [0.0; 2]);
             if eta == 0.0 {
                 refused(
@@ -87,7 +110,7 @@ fn singular(rows: &mut Rows) {
             let answer = [1.0 - 1.0 / exact, 1.0 / exact];
             let cond = condition(2, &Structure::Dense, &a);
             match model.step(7, &x, &mut next) {
-                Ok(()) => {
+                Ok(_) => {
                     let error = (0..2).map(|i| (next[i] / answer[i] - 1.0).abs()).fold(0.0, f64::max);
                     // what is left of G, over what its terms are: right whatever the condition
                     let left = (0..2).map(|i| (a[i] * next[0] + a[2 + i] * next[1] - x[i]).abs());
@@ -105,7 +128,7 @@ fn singular(rows: &mut Rows) {
                             "ε times the condition: all that the stored matrix determines (nothing at \
                                 1e-15)",
                         );
-                    model.linearize(7, &x, &next)?;
+                    model.linearize(7, 7, &x, &next)?;
                     let dot = check::dot_product(&mut model, 7..8, &[1.0; 2], 1)?;
                     case.at_most("dot product", dot.value, dot.bound, "-")
                         .because("50 ε times ‖M‖ ‖δx‖/‖M δx‖");
@@ -130,7 +153,7 @@ fn overflow(rows: &mut Rows) {
         }
     };
     rows.case("residual that overflows at the first update", |case| {
-        let mut model = ImplicitModel::new(Plain { equations: steep }, 0, 1.0);
+        let mut model = Counted::new(ImplicitModel::new(Plain { equations: steep }, 0, 1.0));
         // the first update is 5 e^10 = 1e5 long, and exp(1e5) is beyond all numbers
         let (x, mut next) = ([-10.0, -12.0], [0.0; 2]);
         model.step(3, &x, &mut next)?;
@@ -141,7 +164,7 @@ fn overflow(rows: &mut Rows) {
         Ok(())
     });
     rows.case("residual that overflows at the guess", |case| {
-        let mut model = ImplicitModel::new(Plain { equations: steep }, 0, 1.0);
+        let mut model = Counted::new(ImplicitModel::new(Plain { equations: steep }, 0, 1.0));
         let attempt = model.step(3, &[800.0, 20.0], &mut [0.0; 2]);
         refused(case, "refused, naming the step", attempt, "step 3: the residual of the guess is not finite");
         Ok(())
@@ -151,7 +174,7 @@ fn overflow(rows: &mut Rows) {
             g.fill(f64::INFINITY);
             j.copy_from_slice(&[1.0, 0.0, 0.0, 1.0]);
         };
-        let mut model = ImplicitModel::new(Plain { equations }, 0, 1.0);
+        let mut model = Counted::new(ImplicitModel::new(Plain { equations }, 0, 1.0));
         refused(case, "refused, naming the step", model.step(3, &[1.0; 2], &mut [0.0; 2]), "step 3");
         Ok(())
     });
@@ -163,13 +186,14 @@ fn forced_failure(rows: &mut Rows) {
     rows.case("forced Newton failure in one step", |case| {
         let options = NewtonOptions { max_iterations: 7, ..NewtonOptions::default() };
         let start = [4.0, 1.5, 0.1];
-        let mut model =
-            ImplicitModel::new(OneLeg::implicit_euler(Cubic, 1e-12), 0, 0.5).with_options(options);
+        let mut model = Counted::new(
+            ImplicitModel::new(OneLeg::implicit_euler(Cubic, 1e-12), 0, 0.5).with_options(options),
+        );
         let steps = 4;
         let (mut states, mut next) = (vec![start.to_vec()], vec![0.0; 3]);
         for k in 0..steps {
             model.step(k, &states[k], &mut next)?;
-            model.linearize(k, &states[k], &next)?;
+            model.linearize(k, k, &states[k], &next)?;
             states.push(next.clone());
         }
         let work = work(&model, f64::NAN);
@@ -246,7 +270,7 @@ impl Robertson {
     }
 
     /// G(x, u), for any kind of number.
-    fn equations<T: DualNum<Primitive = f64> + Copy>(&self, h: f64, x: [T; 3], u: [T; 3]) -> [T; 3] {
+    fn residual<T: DualNum<Primitive = f64> + Copy>(&self, h: f64, x: [T; 3], u: [T; 3]) -> [T; 3] {
         let ([a, b, c], [p, q, r]) = (u, x);
         let slow = a * 0.04 - b * c * 1e4;
         let fast = b * b * 3e7;
@@ -255,30 +279,27 @@ impl Robertson {
     }
 }
 
-impl ImplicitStep for Robertson {
-    fn dim(&self) -> usize {
-        3
-    }
-    fn structure(&self) -> Structure {
-        Structure::Dense
-    }
-    fn predict(&mut self, _at: &Interval, x: &[f64], u: &mut [f64]) -> Result<(), Refusal> {
-        u.copy_from_slice(x);
-        Ok(())
-    }
+/// The equations of one step.
+struct RobertsonEquations<'a> {
+    step: &'a mut Robertson,
+    at: Interval,
+    x: &'a [f64],
+}
+
+impl Equations for RobertsonEquations<'_> {
     fn assemble(
         &mut self,
-        at: &Interval,
-        x: &[f64],
         u: &[f64],
         g: &mut [f64],
         jacobian: Option<&mut [f64]>,
     ) -> Result<Option<f64>, Refusal> {
-        g.copy_from_slice(&self.equations(self.length(at), [x[0], x[1], x[2]], [u[0], u[1], u[2]]));
+        let at = &self.at;
+        let x = self.x;
+        g.copy_from_slice(&self.step.residual(self.step.length(at), [x[0], x[1], x[2]], [u[0], u[1], u[2]]));
         if let Some(j) = jacobian {
-            let h = self.length(at);
+            let h = self.step.length(at);
             let (slow, fast) = ([0.04 * h, -1e4 * u[2] * h, -1e4 * u[1] * h], 6e7 * u[1] * h);
-            let third = if self.mass == 0.0 { [1.0; 3] } else { [0.0, -fast, 1.0] };
+            let third = if self.step.mass == 0.0 { [1.0; 3] } else { [0.0, -fast, 1.0] };
             let rows = [[1.0 + slow[0], slow[1], slow[2]], [-slow[0], 1.0 - slow[1] + fast, -slow[2]], third];
             (0..9).for_each(|p| j[p] = rows[p % 3][p / 3]);
         }
@@ -292,6 +313,25 @@ impl ImplicitStep for Robertson {
     fn converged_below(&self) -> f64 {
         1e-13
     }
+}
+
+impl StepEquations for RobertsonEquations<'_> {
+    fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal> {
+        let x = self.x;
+        u.copy_from_slice(x);
+        Ok(())
+    }
+}
+
+impl ImplicitStep for Robertson {
+    type Equations<'a> = RobertsonEquations<'a>;
+
+    fn dim(&self) -> usize {
+        3
+    }
+    fn structure(&self) -> Structure {
+        Structure::Dense
+    }
     fn previous(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], dx: &[f64], dg: &mut [f64]) {
         (0..3).for_each(|i| dg[i] = -dx[i]);
         if self.mass == 0.0 {
@@ -304,6 +344,9 @@ impl ImplicitStep for Robertson {
         dx[1] -= mu[1] + all[1];
         dx[2] -= all[2];
     }
+    fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<Self::Equations<'a>, Refusal> {
+        Ok(RobertsonEquations { step: self, at: *at, x })
+    }
 }
 
 /// Robertson to t = 4e6: y against a reference, and the discrete adjoint against a complex step of length
@@ -313,19 +356,20 @@ fn robertson(case: &mut Case, mass: f64) -> Outcome {
     let (first, steps) = (1e-6, 1600);
     let growth = growth_to(4e6, first, steps);
     let step = || Robertson { mass, first, growth };
-    let mut model = ImplicitModel::new(step(), 0, 1.0);
+    let mut model = Counted::new(ImplicitModel::new(step(), 0, 1.0));
     let mut states = vec![[1.0, 0.0, 0.0]];
     for k in 0..steps {
         let mut next = [0.0; 3];
         model.step(k, &states[k], &mut next)?;
-        model.linearize(k, &states[k], &next)?;
+        model.linearize(k, k, &states[k], &next)?;
         states.push(next);
     }
     let last = states[steps];
     let at = interval(steps - 1, 0.0, 1.0);
     let mut jacobian = [0.0; 9];
     step()
-        .assemble(&at, &states[steps - 1], &last, &mut [0.0; 3], Some(&mut jacobian))
+        .equations(&at, &states[steps - 1])
+        .and_then(|mut equations| equations.assemble(&last, &mut [0.0; 3], Some(&mut jacobian)))
         .map_err(|e| e.to_string())?;
     let work = work(&model, condition(3, &Structure::Dense, &jacobian));
     case.at_most("total, departure from 1", (last.iter().sum::<f64>() - 1.0).abs(), 4e-13, "-")
@@ -389,7 +433,7 @@ fn complex_step(step: &Robertson, steps: usize, i: usize) -> f64 {
         let h = step.length(&interval(k, 0.0, 1.0));
         let (mut u, mut after) = (x, 0);
         for _ in 0..100 {
-            let du = solve3(jacobian_of_duals(step, h, u), step.equations(h, x, u));
+            let du = solve3(jacobian_of_duals(step, h, u), step.residual(h, x, u));
             (0..3).for_each(|c| u[c] -= du[c]);
             after += usize::from((0..3).all(|c| (du[c].re / SCALE[c]).abs() < 1e-14));
             if after == 3 {
@@ -440,7 +484,7 @@ fn solve3(mut a: [[Dual64; 3]; 3], mut b: [Dual64; 3]) -> [Dual64; 3] {
 /// a slow crawl among denormals.
 fn decay(rows: &mut Rows, steps: usize) {
     rows.case(&format!("adjoint of decay over {steps} steps"), |case| {
-        let mut model = ImplicitModel::new(OneLeg::implicit_euler(Decay, 1e-13), 0, 0.01);
+        let mut model = Counted::new(ImplicitModel::new(OneLeg::implicit_euler(Decay, 1e-13), 0, 0.01));
         let (mut x, mut next) = (vec![1.0; 7], vec![0.0; 7]);
         let mut trajectory = vec![x.clone()];
         for k in 0..steps {
@@ -449,7 +493,7 @@ fn decay(rows: &mut Rows, steps: usize) {
             trajectory.push(x.clone());
         }
         for k in 0..steps {
-            model.linearize(k, &trajectory[k], &trajectory[k + 1])?;
+            model.linearize(k, k, &trajectory[k], &trajectory[k + 1])?;
         }
         let clock = std::time::Instant::now();
         let mut lambda = vec![1.0; 7];

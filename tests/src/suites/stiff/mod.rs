@@ -18,7 +18,8 @@ mod rod_statics;
 
 use super::{Options, Report};
 use crate::row::{Case, Row, Rows, Work};
-use varda_implicit::{Interval, LinearSolver, Model, NewtonReport, Structure};
+use problems::counted::Counted;
+use varda_implicit::{Interval, LinearSolver, NewtonReport, Structure};
 
 pub(super) fn run(options: &Options) -> Report {
     let mut rows = Rows::new("stiff");
@@ -54,7 +55,7 @@ fn interval(index: usize, start: f64, length: f64) -> Interval {
 }
 
 /// The work of a model since it was made; a condition that is NaN is not told.
-fn work(model: &dyn Model, condition: f64) -> Work {
+fn work<M>(model: &Counted<M>, condition: f64) -> Work {
     let counts = model.counts();
     Work {
         condition: (!condition.is_nan()).then_some(condition),

@@ -6,8 +6,11 @@
 
 use super::{condition, interval, work};
 use crate::row::{Case, Outcome, Rows};
+use problems::counted::Counted;
 use problems::rods::{rod_scale, wave};
-use varda_implicit::{Error, ImplicitModel, ImplicitStep, LinearSolver, Model, NewtonOptions, Scheme, check};
+use varda_implicit::{
+    Equations, Error, ImplicitModel, ImplicitStep, LinearSolver, Model, NewtonOptions, Scheme, check,
+};
 use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, TwistUnknowns, Vector3};
 
 const GRAVITY: [f64; 3] = [0.0, 0.0, -9.81];
@@ -59,14 +62,14 @@ impl Hanging {
         self
     }
 
-    fn model(&self) -> Result<ImplicitModel<RodStep>, varda_rod::Error> {
+    fn model(&self) -> Result<Counted<ImplicitModel<RodStep>>, varda_rod::Error> {
         let rod = Rod::uniform(self.length, self.segments, &self.section)?;
         let speed = self.moved * self.length / self.segments as f64 / self.dt;
         let clamp = Clamp::new(move |t: f64| [speed * t, 0.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]);
         let loads = Loads { gravity: GRAVITY.into(), ..Loads::default() };
         let supports = Supports::clamped_start(clamp);
         let step = RodStep::with_twist(rod, supports, loads, Damping::default(), self.twist)?;
-        Ok(ImplicitModel::new(step.with_scheme(self.scheme), 0, self.dt))
+        Ok(Counted::new(ImplicitModel::new(step.with_scheme(self.scheme), 0, self.dt)))
     }
 
     /// Straight down, unstretched, at rest; each segment strained by up to `strain` and turned by up to
@@ -183,7 +186,7 @@ fn stiff_ends(rows: &mut Rows, name: &str, base: &Hanging) {
 /// Too few Newton iterations for whole steps: they are taken in parts, and derivatives go through these.
 fn in_parts(case: &mut Case, hanging: &Hanging) -> Outcome {
     let options = NewtonOptions { max_iterations: 4, ..NewtonOptions::default() };
-    let mut model = hanging.model()?.with_options(options);
+    let mut model = Counted::new(hanging.model()?.into_inner().with_options(options));
     let (mut x, mut next) = (vec![0.0; model.dim()], vec![0.0; model.dim()]);
     model.initial_state(&hanging.start(0.0, 0.0), &mut x)?;
     for k in 0..3 {
@@ -240,14 +243,14 @@ fn from(rows: &mut Rows, name: &str, hanging: &Hanging, z: &[f64], steps: usize)
 
 fn dot_product(
     case: &mut Case,
-    model: &mut ImplicitModel<RodStep>,
+    model: &mut Counted<ImplicitModel<RodStep>>,
     dt: f64,
     k: usize,
     x: &[f64],
     next: &[f64],
 ) -> Outcome {
     let scale = rod_scale(model.step_ref());
-    model.linearize(k, x, next)?;
+    model.linearize(k, k, x, next)?;
     let dot = check::dot_product(model, k..k + 1, &scale, 11)?;
     // V' = (X' − X)/Δt: a rounding ε of δX becomes ε δX/Δt in δV, however well M itself is
     // conditioned
@@ -262,7 +265,7 @@ fn dot_product(
 /// Taylor slope of step k from x; where its condition hides that, the error of its tangent.
 fn taylor(
     case: &mut Case,
-    model: &mut ImplicitModel<RodStep>,
+    model: &mut Counted<ImplicitModel<RodStep>>,
     k: usize,
     x: &[f64],
     condition: f64,
@@ -321,7 +324,7 @@ fn larger(a: f64, b: f64) -> f64 {
 /// Of the step k from x to `next` of a round rod clamped at its start under its own weight: Newton's
 /// correction for the residual of its stage, and what is left of V's equation.
 pub(super) fn distance(
-    model: &mut ImplicitModel<RodStep>,
+    model: &mut Counted<ImplicitModel<RodStep>>,
     dt: f64,
     k: usize,
     x: &[f64],
@@ -337,7 +340,9 @@ pub(super) fn distance(
     let (mut u, mut g, mut values) = (vec![0.0; n], vec![0.0; n], vec![0.0; solver.values_len()]);
     let own = step.dim() - step.history();
     step.recover(&at, x, &next[..own], &mut u);
-    if step.assemble(&at, x, &u, &mut g, Some(&mut values)).is_err() {
+    let assembled =
+        step.equations(&at, x).and_then(|mut equations| equations.assemble(&u, &mut g, Some(&mut values)));
+    if assembled.is_err() {
         return LOST;
     }
     // the stage: y = X* + η V_y, with X* and V* between the last states, and x_{k+1} between y and x_k

@@ -4,10 +4,11 @@
 use super::rod::{ROOT, ROOT_REASON, distance};
 use super::{condition, interval, refused, statics, work};
 use crate::row::{Outcome, Rows, Work};
+use problems::counted::Counted;
 use problems::rods::{rod_scale, wave};
 use std::f64::consts::TAU;
 use std::sync::Arc;
-use varda_implicit::{ImplicitModel, ImplicitStep, Model, check};
+use varda_implicit::{Equations, ImplicitModel, ImplicitStep, Model, check};
 use varda_rod::{
     Clamp, Damping, Error, Framed, Loads, Material, Motion, Rest, Rod, RodStep, Section, Supports, Vector3,
     derivatives, equilibrium, straight_guess,
@@ -42,13 +43,14 @@ pub(super) fn model(
     supports: Supports,
     loads: Loads,
     dt: f64,
-) -> Result<ImplicitModel<RodStep>, Error> {
-    Ok(ImplicitModel::new(RodStep::new(rod, supports, loads, Damping::default())?, 0, dt))
+) -> Result<Counted<ImplicitModel<RodStep>>, Error> {
+    let step = RodStep::new(rod, supports, loads, Damping::default())?;
+    Ok(Counted::new(ImplicitModel::new(step, 0, dt)))
 }
 
 /// The state after `steps` steps from places of all vertices (those of the free ones are taken), at rest.
 pub(super) fn run_from(
-    model: &mut ImplicitModel<RodStep>,
+    model: &mut Counted<ImplicitModel<RodStep>>,
     vertices: &[impl Into<Vector3<f64>> + Copy],
     steps: usize,
 ) -> Result<Vec<f64>, varda_implicit::Error> {
@@ -65,21 +67,24 @@ pub(super) fn run_from(
 }
 
 /// Condition of ∂G/∂u at the step k from x to itself.
-fn condition_at(model: &mut ImplicitModel<RodStep>, k: usize, dt: f64, x: &[f64]) -> f64 {
+fn condition_at(model: &mut Counted<ImplicitModel<RodStep>>, k: usize, dt: f64, x: &[f64]) -> f64 {
     let at = interval(k, model.time(k), dt);
     let step = model.step_mut();
     let (n, structure) = (step.unknowns(), step.structure());
     let mut u = vec![0.0; n];
     step.recover(&at, x, x, &mut u);
     let mut values = vec![0.0; varda_implicit::LinearSolver::new(n, &structure).values_len()];
-    match step.assemble(&at, x, &u, &mut vec![0.0; n], Some(&mut values)) {
+    let assembled = step
+        .equations(&at, x)
+        .and_then(|mut equations| equations.assemble(&u, &mut vec![0.0; n], Some(&mut values)));
+    match assembled {
         Ok(_) => condition(n, &structure, &values),
         Err(_) => f64::NAN,
     }
 }
 
 /// Condition at step k, and the work done so far.
-pub(super) fn figures(model: &mut ImplicitModel<RodStep>, k: usize, dt: f64, x: &[f64]) -> Work {
+pub(super) fn figures(model: &mut Counted<ImplicitModel<RodStep>>, k: usize, dt: f64, x: &[f64]) -> Work {
     let condition = condition_at(model, k, dt, x);
     work(model, condition)
 }
@@ -359,7 +364,7 @@ fn degenerate_edges(rows: &mut Rows) {
         model.step(20, &x, &mut next)?;
         let root = distance(&mut model, 0.01, 20, &x, &next).root;
         let work = figures(&mut model, 20, 0.01, &x);
-        model.linearize(20, &x, &next)?;
+        model.linearize(20, 20, &x, &next)?;
         let scale = rod_scale(model.step_ref());
         let dot = check::dot_product(&mut model, 20..21, &scale, 5)?;
         case.at_most("dot product of step 20", dot.value, dot.bound, "-").because(DOT_REASON).work(work);

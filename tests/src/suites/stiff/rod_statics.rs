@@ -3,6 +3,7 @@
 use super::rod_shapes::{DOWN, SILICONE, chain, fixed_clamp, held, run_from, weight};
 use super::{refused, statics, work};
 use crate::row::Rows;
+use problems::counted::Counted;
 use std::f64::consts::{PI, TAU};
 use varda_implicit::ImplicitModel;
 use varda_rod::{Clamp, Damping, Loads, Rest, Rod, RodStep, Section, Supports, Vector3, equilibrium};
@@ -140,7 +141,7 @@ fn pushed(rows: &mut Rows) {
             let supports = Supports { start: Some(fixed_clamp()), end: Some(end), ..Supports::default() };
             let damping = Damping { mass: 2.0, ..Damping::default() };
             let step = RodStep::new(rod, supports, Loads::default(), damping)?;
-            let mut model = ImplicitModel::new(step, 0, dt);
+            let mut model = Counted::new(ImplicitModel::new(step, 0, dt));
             let straight: Vec<[f64; 3]> = (0..=n).map(|v| [0.0, 0.0, -(v as f64) / n as f64]).collect();
             match run_from(&mut model, &straight, (100.0 / dt) as usize) {
                 Ok(x) => {

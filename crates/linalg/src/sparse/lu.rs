@@ -1,4 +1,4 @@
-//! Sparse matrices in compressed columns: LU (faer's).
+//! P A Q = L U for a sparse pattern.
 
 use crate::{BadPivot, clear_upper_registers};
 use faer::dyn_stack::{MemBuffer, MemStack};
