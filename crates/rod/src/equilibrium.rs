@@ -130,7 +130,13 @@ struct Statics {
 impl Statics {
     fn new(system: System, end_angle: f64, tolerance: f64) -> Statics {
         let n = system.rod.segments();
-        Statics { end_angle, tolerance, displacement: vec![Vector3::zeros(); n + 1], psi: vec![0.0; n], system }
+        Statics {
+            end_angle,
+            tolerance,
+            displacement: vec![Vector3::zeros(); n + 1],
+            psi: vec![0.0; n],
+            system,
+        }
     }
 
     fn work_space(&self) -> NewtonWork {

@@ -87,9 +87,9 @@ pub use equilibrium::{Rest, equilibrium, straight_guess};
 pub use error::Error;
 pub use marker::{Marker, Markers};
 pub use material::{Material, Section};
+pub use nalgebra::{Matrix3, Vector3};
 pub use rod::{Place, Rod};
 pub use scalar::Real;
-pub use nalgebra::{Matrix3, Vector3};
 pub use support::{Clamp, Damping, EllipseDrive, Loads, Motion, Supports};
 
 /// The example of README.md, compiled and run with the tests.
