@@ -31,12 +31,7 @@ pub(super) fn run(options: &Options) -> Result<Page> {
         std::fs::remove_dir_all(&target)?;
         table.push(cells![*name, built?, after - before, seconds]);
     }
-    Ok(Page {
-        title: "What building costs",
-        text: TEXT.into(),
-        tables: vec![table],
-        ..Page::default()
-    })
+    Ok(Page { title: "What building costs", text: TEXT.into(), tables: vec![table], ..Page::default() })
 }
 
 /// Builds into a folder; how many packages were compiled.

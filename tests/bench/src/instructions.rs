@@ -24,12 +24,7 @@ pub(super) fn run(options: &Options) -> Result<Page> {
         let (parts, unit) = kernel.per;
         table.push(cells![kernel.name, count, format!("{unit} ({parts})"), count as f64 / parts as f64]);
     }
-    Ok(Page {
-        title: "Instructions of kernels",
-        text: TEXT.into(),
-        tables: vec![table],
-        ..Page::default()
-    })
+    Ok(Page { title: "Instructions of kernels", text: TEXT.into(), tables: vec![table], ..Page::default() })
 }
 
 /// Instructions of a process that calls a kernel `repeats` times.
