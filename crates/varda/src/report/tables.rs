@@ -7,7 +7,7 @@ use crate::run::compare::Compared;
 use crate::scene::TimeGrid;
 use crate::state::Geometry;
 
-/// A number as the shortest text that reads back to the same bits; nothing for one that is not there.
+/// A number as the shortest text that reads back to the same bits; nothing for one that is not finite.
 pub(super) fn number(value: f64) -> String {
     let size = value.abs();
     match size {

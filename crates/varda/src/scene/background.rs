@@ -46,7 +46,7 @@ pub enum Covariance {
 }
 
 impl Covariance {
-    /// The same with every σ multiplied by `factor`.
+    /// This covariance with every σ multiplied by `factor`.
     pub(crate) fn scaled(&self, factor: f64) -> Covariance {
         let by = |sigma: Option<f64>| sigma.map(|s| factor * s);
         match self.clone() {
@@ -118,8 +118,8 @@ pub struct KernelCovariance {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m/s"))]
     pub sigma_v: Option<f64>,
-    /// σ_v over v̄, the mean speed of the free vertices at the start of the window (of the truth; of x_b
-    /// without one).
+    /// σ_v over v̄, the mean speed of the free vertices at the start of the window (of the truth, or of x_b
+    /// if there is no truth).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub sigma_v_over_mean_speed: Option<f64>,

@@ -11,7 +11,7 @@ use super::Method;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Cycles {
-    /// Number of windows; 1e7 steps in all at most.
+    /// Number of windows; at most 1e7 steps in all.
     #[schemars(extend("minimum" = 1, "maximum" = 10000000))]
     pub count: usize,
     /// Steps from the start of one window to that of the next. The default, the window's length (1 for a
@@ -28,8 +28,8 @@ pub struct Cycles {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub inflation: Option<f64>,
-    /// Weight β of the scene's own B beside the propagated posterior, P + β² B: a factor on standard
-    /// deviations.
+    /// Weight β of the scene's own B that is added to the propagated posterior, P + β² B: a factor on
+    /// standard deviations.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("minimum" = 0.0))]
     pub static_weight: Option<f64>,

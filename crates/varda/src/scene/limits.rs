@@ -1,13 +1,13 @@
-//! `[limits]`: what a run may take of the machine.
+//! `[limits]`: how much of the machine a run may use.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use varda_implicit::Storage;
 
-/// Most bytes a run may plan for where its scene says nothing: half of what an ordinary machine has.
+/// Most bytes a run may plan for by default: half of the memory of an ordinary machine.
 pub const DEFAULT_MEMORY: usize = 8_000_000_000;
 
-/// What a run may take of the machine.
+/// How much of the machine a run may use.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Limits {

@@ -16,7 +16,7 @@ pub enum Method {
     #[serde(rename = "4d-psas")]
     FourDPsas,
     /// BLUE, the closed form, linearized once at the background: exact where model and observations are
-    /// linear; elsewhere one full Gauss-Newton step, which says "max_iterations" where its gradient is not
+    /// linear; otherwise one full Gauss-Newton step, with status "max_iterations" if its gradient is not
     /// below the tolerance. Dense.
     #[serde(rename = "blue")]
     Blue,

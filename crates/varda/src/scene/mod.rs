@@ -88,7 +88,7 @@ pub struct Scene {
     /// How the cost is minimised.
     #[serde(default)]
     pub algorithm: Algorithm,
-    /// What a run may take of the machine.
+    /// How much of the machine a run may use.
     #[serde(default)]
     pub limits: Limits,
     /// What the report shows.

@@ -60,7 +60,7 @@ pub struct Recording {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub sigma: Option<f64>,
-    /// Where the recording's axes sit in the model's.
+    /// The recording's axes in those of the model.
     #[serde(default, skip_serializing_if = "is_default")]
     pub frame: Frame,
     /// What to do with rows outside the window.
@@ -74,7 +74,7 @@ pub struct Recording {
     pub ignore: Vec<String>,
 }
 
-/// x_model = R x_recorded + t, with R given by its rows or as a turn about an axis. σ stays.
+/// x_model = R x_recorded + t, with R given by its rows or as a rotation about an axis. σ does not change.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Frame {

@@ -1,6 +1,6 @@
 //! The scenes that come with the binary, and the data they name.
 
-/// A scene in the binary.
+/// A scene that comes with the binary.
 #[derive(Debug, Clone, Copy)]
 pub struct Shipped {
     /// Its name on the command line.

@@ -1,7 +1,6 @@
-//! How large a scene may be: what a few digits ask for must not be more than a machine has.
+//! How large a scene may be: a few digits must not ask for more than a machine has.
 //!
-//! Bounds of single keys stand in the schema (`maximum`); here are those of files and of what several keys
-//! ask for together.
+//! Bounds of single keys are in the schema (`maximum`); here are those of files and of several keys together.
 
 use super::grid::TimeGrid;
 use super::invalid::{Check, invalid};
@@ -28,7 +27,7 @@ pub const VALUES: usize = 10_000_000;
 pub(super) const SMALLEST: f64 = 1e-50;
 pub(super) const LARGEST: f64 = 1e50;
 
-/// Sizes that come of several keys. Every key was found within its own bounds before.
+/// Checks sizes that depend on several keys, each already within its own bounds.
 pub(super) fn validate_sizes(scene: &Scene) -> Check {
     let time = &scene.time;
     let state = match &scene.model {

@@ -36,7 +36,7 @@ pub(super) fn validate_algorithm(scene: &Scene) -> Check {
 /// Which methods take a key.
 type Takes = fn(Method) -> bool;
 
-/// Keys that the method has no use for.
+/// Refuses keys that the method does not use.
 fn validate_keys(algorithm: &Algorithm) -> Check {
     let method = algorithm.method;
     let keys: [(&str, bool, Takes); 8] = [

@@ -1,4 +1,4 @@
-//! Mean and covariance of the states a model passes through.
+//! The covariance of the states that a model passes through.
 
 use varda_implicit::Model;
 
@@ -20,8 +20,7 @@ pub fn covariance(
     steps: usize,
 ) -> Result<Vec<f64>, Error> {
     let n = start.len();
-    // Sums about the start: what they lose to cancellation is (distance of the start from the mean / σ)²
-    // ε.
+    // Sums about the start: they lose (distance of the start from the mean / σ)² ε by cancellation.
     let (mut sum, mut products) = (vec![0.0; n], vec![0.0; n * n]);
     let (mut x, mut next, mut d) = (start.to_vec(), vec![0.0; n], vec![0.0; n]);
     for k in 0..=spin_up + steps {

@@ -9,14 +9,14 @@ use crate::scene::{self, SceneFile};
 use crate::setup::covariance::line_distance;
 use crate::setup::random::{Stream, stream};
 
-/// Eigenvalues of a localization below this fraction of the largest are left out: its rank is a factor of the
-/// control's length.
+/// Eigenvalues of a localization below this fraction of the largest are left out: the length of the control
+/// is proportional to its rank.
 const TRUNCATION: f64 = 0.01;
 
 /// Where the components of a control are.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ComponentPositions {
-    /// Nowhere: lorenz63's three variables.
+    /// Without places: lorenz63's three variables.
     Nowhere,
     /// On a ring of n, a distance of 1 apart.
     Ring(usize),
@@ -41,7 +41,7 @@ impl ComponentPositions {
 /// The ensemble of a scene: members drawn from N(x_b, B), inflated.
 ///
 /// # Errors
-/// [`Error::Scene`] for a localization that is no covariance over these distances.
+/// [`Error::Scene`] for a localization that is not a covariance for these distances.
 pub fn draw(
     file: &SceneFile,
     ensemble: &scene::Ensemble,
