@@ -5,7 +5,6 @@ use super::{Options, Page, Result, Table};
 use crate::cells;
 use problems::rods::DrivenRod;
 use std::f64::consts::TAU;
-use std::sync::Arc;
 use varda::report::plot::{Corner, Panel, Series, Style};
 use varda_implicit::lorenz::Lorenz63;
 use varda_implicit::{
@@ -492,7 +491,8 @@ impl Mode {
         let guess = straight_guess(&rod, &held, 0.0, [0.0, 0.0, -1.0])?;
         let (shape, _) = equilibrium(&rod, &held, &loads, 0.0, &guess)?;
         let mut step = RodStep::new(rod, held, loads, Damping::default())?;
-        let rest: Vec<f64> = step.free_vertices().iter().flat_map(|&v| shape.vertices[v]).collect();
+        let mut rest = step.control_at_rest(&shape);
+        rest.truncate(step.control_len() / 2);
         let masses: Vec<f64> = step.free_vertices().iter().map(|&v| step.rod().masses[v]).collect();
 
         // ∂G/∂u = M/Δt² + K with Δt = 1 s.
@@ -528,11 +528,7 @@ impl Mode {
     }
 
     fn held() -> Supports {
-        Supports::clamped_start(Clamp {
-            position: Arc::new([0.0; 3]),
-            tangent: Arc::new([0.0, 0.0, -1.0]),
-            director: Arc::new([1.0, 0.0, 0.0]),
-        })
+        Supports::clamped_start(Clamp::new([0.0; 3], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
     }
 
     fn at(&self, t: f64) -> Vec<f64> {

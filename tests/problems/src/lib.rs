@@ -6,4 +6,5 @@ pub mod costs;
 pub mod counted;
 pub mod methods;
 pub mod rods;
+mod scene;
 pub mod small_problems;

@@ -1,6 +1,7 @@
 //! Problems that several suites and benchmarks use: the hanging rod of the paper, a driven one, rods of every
 //! kind, Lorenz 1996.
 
+use crate::scene::{Motion, SCENES, Scene, Shape};
 use std::error::Error;
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -8,8 +9,8 @@ use varda_assimilation::{LinearObservation, Observation, ObservationSet};
 use varda_covariance::{BlockDiagonal, CovarianceFunction, Dense, Interleaved, Kernel, Taper};
 use varda_implicit::{ImplicitModel, ImplicitStep, Model, Scheme};
 use varda_rod::{
-    Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rod, RodStep, Section, Supports, TwistUnknowns,
-    equilibrium, straight_guess,
+    Clamp, Damping, EllipseDrive, Loads, Material, Motion as _, Rod, RodStep, Section, Supports,
+    TwistUnknowns, equilibrium, straight_guess,
 };
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -60,31 +61,39 @@ pub struct Prior {
 /// The localized background error covariance.
 pub type Background = BlockDiagonal<Interleaved<Dense>>;
 
-/// (σ_x/L, σ_v/v̄, σ_y/L) of the cases 1 to 4 of the paper's Table 3.3.
-pub const CASES: [(f64, f64, f64); 4] =
-    [(0.05, 2.0, 0.10), (0.01, 0.4, 0.015), (0.01, 0.4, 0.05), (0.05, 2.0, 0.015)];
-
 impl HangingRod {
-    /// Case 1 … 4 of the paper with the flagship's numbers, and the true control at the start of the
+    /// Case 1 … 4 of the paper's Table 3.3, read from the shipped scene, and the true control at the start of the
     /// window.
     ///
     /// # Errors
     /// Where the rod cannot be run up to the window.
+    ///
+    /// # Panics
+    /// If there is no such case.
     pub fn flagship(case: usize, conditioned: bool) -> Result<(HangingRod, Vec<f64>)> {
-        let omega = 12.0;
-        let material = Material::new(1e6, 0.5, 1100.0);
-        let (sigma_x, sigma_v, sigma_y) = CASES[case - 1];
+        let Scene { model, time, background, observations } = toml::from_str(SCENES[case - 1])?;
+        let (Shape { radius }, Motion { radii, omega, ramp_periods }) = (model.section, model.start.motion);
+        let material = model.material;
+        let material = Material::new(material.youngs_modulus, material.poisson_ratio, material.density);
+        let prior = background.covariance;
         let mut problem = HangingRod {
-            rod: Rod::uniform(1.0, 25, &Section::circle(&material, 0.01))?,
-            drive: EllipseDrive { centre: [0.0; 3], radii: [0.10, 0.06], omega, ramp: TAU / omega },
-            director: [1.0, 0.0, 0.0],
-            gravity: [0.0, 0.0, -9.81],
-            dt: TAU / (50.0 * omega),
-            first_step: 150,
-            steps: 100,
-            prior: Prior { sigma_x, sigma_v, length_x: 0.5, length_v: 0.5, support: 1.0, conditioned },
-            s_over_length: vec![0.25, 0.5, 0.75, 1.0],
-            sigma_y,
+            rod: Rod::uniform(model.length, model.segments, &Section::circle(&material, radius))?,
+            drive: EllipseDrive { centre: [0.0; 3].into(), radii, omega, ramp: ramp_periods * TAU / omega },
+            director: model.start.director,
+            gravity: model.gravity,
+            dt: TAU / (time.steps_per_period * omega),
+            first_step: time.spin_up,
+            steps: time.window,
+            prior: Prior {
+                sigma_x: prior.sigma_x_over_length * model.length,
+                sigma_v: prior.sigma_v_over_mean_speed,
+                length_x: prior.correlation_length_x,
+                length_v: prior.correlation_length_v,
+                support: prior.localization_length,
+                conditioned,
+            },
+            s_over_length: observations.places.iter().map(|s| s / model.length).collect(),
+            sigma_y: observations.sigma_over_length * model.length,
         };
         let truth = problem.spin_up()?;
         let velocities = &truth[truth.len() / 2..];
@@ -107,7 +116,7 @@ impl HangingRod {
     /// # Errors
     /// Impossible numbers.
     pub fn model_with(&self, first: usize, twist: TwistUnknowns) -> Result<ImplicitModel<RodStep>> {
-        let loads = Loads { gravity: self.gravity, ..Loads::default() };
+        let loads = Loads { gravity: self.gravity.into(), ..Loads::default() };
         let step = RodStep::with_twist(self.rod.clone(), self.supports(), loads, Damping::default(), twist)?;
         Ok(ImplicitModel::new(step, first, self.dt))
     }
@@ -121,12 +130,10 @@ impl HangingRod {
     /// The control [X, V] at the start of the window, from hanging at rest at time 0.
     fn spin_up(&self) -> Result<Vec<f64>> {
         let mut model = self.model(0)?;
-        let loads = Loads { gravity: self.gravity, ..Loads::default() };
+        let loads = Loads { gravity: self.gravity.into(), ..Loads::default() };
         let guess = straight_guess(&self.rod, &self.supports(), 0.0, [0.0, 0.0, -1.0])?;
         let (rest, _) = equilibrium(&self.rod, &self.supports(), &loads, 0.0, &guess)?;
-        let free = model.step_ref().free_vertices();
-        let mut z: Vec<f64> = free.iter().flat_map(|&v| rest.vertices[v]).collect();
-        z.resize(model.control_dim(), 0.0);
+        let z = model.step_ref().control_at_rest(&rest);
         let mut x = vec![0.0; model.dim()];
         model.initial_state(&z, &mut x)?;
         let mut next = x.clone();
@@ -290,16 +297,12 @@ impl DrivenRod {
     /// How it is held: vertices 0 and 1 driven.
     pub fn supports(&self) -> Supports {
         let drive = |t: f64| [0.10 * (1.0 - (TAU * t).cos()), 0.05 * (TAU * t).sin(), 0.0];
-        Supports::clamped_start(Clamp {
-            position: Arc::new(drive),
-            tangent: Arc::new([0.0, 0.0, -1.0]),
-            director: Arc::new([1.0, 0.0, 0.0]),
-        })
+        Supports::clamped_start(Clamp::new(drive, [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
     }
 
     /// Its weight.
     pub fn loads(&self) -> Loads {
-        Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() }
+        Loads { gravity: [0.0, 0.0, -9.81].into(), ..Loads::default() }
     }
 
     /// Its step, and the control at rest, straight down and unstretched.
@@ -310,8 +313,7 @@ impl DrivenRod {
         let (rod, supports) = (self.rod()?, self.supports());
         let start = straight_guess(&rod, &supports, 0.0, [0.0, 0.0, -1.0])?;
         let step = RodStep::with_twist(rod, supports, self.loads(), Damping::default(), self.twist)?;
-        let mut control: Vec<f64> = step.free_vertices().iter().flat_map(|&v| start.vertices[v]).collect();
-        control.resize(step.control_len(), 0.0);
+        let control = step.control_at_rest(&start);
         Ok((step.with_scheme(self.scheme), control))
     }
 
@@ -387,22 +389,20 @@ pub const FIRST: usize = 3;
 
 fn rod_case(name: &'static str, rod: Rod, supports: Supports, damping: Damping) -> Result<RodCase> {
     let force = |t: f64| [0.02 * t.cos(), 0.01, 0.0];
-    let loads = Loads { gravity: [0.0, 0.0, -9.81], point_forces: vec![(0.61, Arc::new(force))] };
+    let loads = Loads { gravity: [0.0, 0.0, -9.81].into(), point_forces: vec![(0.61, Arc::new(force))] };
     let start = FIRST as f64 * DT;
     let clamps = supports.start.iter().count() + supports.end.iter().count();
     let mut shape = straight_guess(&rod, &supports, start, [0.0, 0.0, -1.0])?;
     if clamps == 2 {
         shape = equilibrium(&rod, &supports, &loads, start, &shape)?.0;
     }
-    let mut model = ImplicitModel::new(RodStep::new(rod, supports, loads, damping)?, FIRST, DT);
-    let free = model.step_ref().free_vertices();
-    let mut control: Vec<f64> = free.iter().flat_map(|&v| shape.vertices[v]).collect();
-    let positions = control.len();
+    let model = ImplicitModel::new(RodStep::new(rod, supports, loads, damping)?, FIRST, DT);
+    let mut control = model.step_ref().control_at_rest(&shape);
+    let positions = control.len() / 2;
     if clamps == 0 {
         // Bowed, so that a curved rod free to spin has one stable angle.
-        control.chunks_exact_mut(3).for_each(|x| x[0] += 0.4 * x[2] * x[2]);
+        control[..positions].chunks_exact_mut(3).for_each(|x| x[0] += 0.4 * x[2] * x[2]);
     }
-    control.resize(model.control_dim(), 0.0);
     for (i, z) in control.iter_mut().enumerate() {
         // 4 mm and 0.2 m/s of smooth noise
         *z += if i < positions { 0.004 } else { 0.2 } * wave(i, 1);
@@ -444,23 +444,23 @@ fn curved() -> Result<Rod> {
 
 /// A clamp that moves, swings and turns about itself.
 fn swinging() -> Clamp {
-    Clamp {
-        position: Arc::new(drive()),
-        tangent: Arc::new(|t: f64| [0.3 * (3.0 * t).sin(), 0.1, -1.0]),
-        director: Arc::new(|t: f64| [(4.0 * t).cos(), (4.0 * t).sin(), 0.0]),
-    }
+    Clamp::new(
+        drive(),
+        |t: f64| [0.3 * (3.0 * t).sin(), 0.1, -1.0],
+        |t: f64| [(4.0 * t).cos(), (4.0 * t).sin(), 0.0],
+    )
 }
 
 fn drive() -> EllipseDrive {
-    EllipseDrive { centre: [0.0; 3], radii: [0.06, 0.03], omega: 10.0, ramp: 0.1 }
+    EllipseDrive { centre: [0.0; 3].into(), radii: [0.06, 0.03], omega: 10.0, ramp: 0.1 }
 }
 
 fn both_ends() -> Supports {
-    let end = Clamp {
-        position: Arc::new(|t: f64| [0.35 + 0.05 * t, 0.1, -0.4]),
-        tangent: Arc::new([0.8, 0.2, 0.6]),
-        director: Arc::new(|t: f64| [(2.0 * t).sin(), (2.0 * t).cos(), 0.3]),
-    };
+    let end = Clamp::new(
+        |t: f64| [0.35 + 0.05 * t, 0.1, -0.4],
+        [0.8, 0.2, 0.6],
+        |t: f64| [(2.0 * t).sin(), (2.0 * t).cos(), 0.3],
+    );
     Supports { start: Some(swinging()), end: Some(end), ..Supports::default() }
 }
 
@@ -468,7 +468,7 @@ fn both_ends() -> Supports {
 fn pinned() -> Supports {
     Supports {
         prescribed: vec![(0, Arc::new(drive())), (5, Arc::new([0.1, 0.0, -0.505]))],
-        free_frame: ([0.0, 0.0, -1.0], [1.0, 0.0, 0.0]),
+        free_frame: ([0.0, 0.0, -1.0].into(), [1.0, 0.0, 0.0].into()),
         ..Supports::default()
     }
 }

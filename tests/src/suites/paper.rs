@@ -30,8 +30,8 @@ draws, until two runs agree. RMSE over components, mean over seeds, background â
 const SEEDS: u64 = 5;
 
 pub(super) fn run(options: &Options) -> Report {
-    // Seed 1: where the plain prior's first step fails least, so that a quick run stays quick.
-    let seeds: Vec<u64> = if options.quick { vec![1] } else { (0..SEEDS).collect() };
+    // Seeds on which the default takes few iterations with the plain prior, so that a quick run stays quick.
+    let seeds: Vec<u64> = if options.quick { vec![1, 3] } else { (0..SEEDS).collect() };
     let mut rows = Rows::new("paper");
     let mut text = format!("{WORDS}\n");
     let head =
@@ -54,6 +54,14 @@ pub(super) fn run(options: &Options) -> Report {
             });
         }
     }
+    rows.case("all cases", |row| {
+        let share =
+            |q: usize| all.iter().map(|(.., r)| r.after[q] / r.before[q]).sum::<f64>() / all.len() as f64;
+        row.at_most(GAIN, share(1) / share(0), 1.0, "-")
+            .note(format!("{:.0} % of {:.0} %", 100.0 * share(1), 100.0 * share(0)))
+            .because(MORE_EFFECTIVELY);
+        Ok(())
+    });
     text.push_str(&beside_the_paper(&all));
     Report { rows: rows.finish(), text }
 }
@@ -119,14 +127,21 @@ fn check(row: &mut Case, case: usize, conditioned: bool, runs: &[Run]) {
         .note(format!("{:.3} â†’ {:.3} m/s", mean(&|r| r.before[1]), mean(&|r| r.after[1])))
         .because("an analysis that is no better than its background is none");
     let gain = velocity / position;
-    if conditioned && case == 4 {
-        row.inform("share left of velocities / of positions", gain, "-")
-            .note("the paper has no such prior; with exact observations positions gain as much");
+    if seeds < SEEDS as usize {
+        row.inform(GAIN, gain, "-").note("a mean over fewer seeds than its bound is for");
+    } else if conditioned && case == 4 {
+        row.inform(GAIN, gain, "-").note(
+            "the paper has no such prior; exact observations help positions as \
+            much",
+        );
     } else {
-        row.at_most("share left of velocities / of positions", gain, 1.0, "-")
-            .because("the paper: velocities are assimilated \"more effectively than the initial positions\"");
+        row.at_most(GAIN, gain, 1.0, "-").because(MORE_EFFECTIVELY);
     }
 }
+
+const GAIN: &str = "share left of velocities / of positions";
+const MORE_EFFECTIVELY: &str =
+    "the paper: velocities are assimilated \"more effectively than the initial positions\"";
 
 /// What a run gives, for each seed.
 fn listed(runs: &[Run], what: impl Fn(&Run) -> String) -> String {
