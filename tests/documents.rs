@@ -1,6 +1,5 @@
-//! Pages and comments agree: every citation has an entry in docs/references.md, every numbered equation of
-//! the paper an item in docs/notation.md that carries its tag, and nothing refers to documents that a reader
-//! does not have.
+//! Pages and comments agree: every citation has an entry in docs/references.md, and every numbered equation
+//! of the paper an item in docs/notation.md that carries its tag.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -39,8 +38,7 @@ fn texts() -> Vec<(PathBuf, String)> {
     found.into_iter().map(|path| (path.clone(), read(&path))).collect()
 }
 
-/// The running text of a file: whole for pages, else each block of comments joined to one line, code line by
-/// line.
+/// The running text of a file: whole for pages, else each block of comments in one line, code line by line.
 fn prose(path: &Path, text: &str) -> String {
     let marker = match path.extension().and_then(|e| e.to_str()) {
         Some("rs") => "//",
@@ -176,25 +174,132 @@ fn citations_are_found_in_all_their_forms() {
     assert_eq!(names("in 1000 steps of 2000 members"), vec![]);
 }
 
-#[test]
-fn nothing_refers_to_documents_that_a_reader_does_not_have() {
-    // Written in two parts, so that this file does not find itself.
-    let private = [
-        ["design", ".md"],
-        ["house", ".md"],
-        ["stack", ".md"],
-        ["style", ".md"],
-        ["issue", " 1"],
-        ["issue", " 4"],
-        ["issue", " 5"],
-    ];
+/// The numbers of the paper's equations.
+fn numbered() -> BTreeSet<String> {
+    let second = (1..=27).filter(|n| ![3, 4, 11, 14].contains(n)).map(|n| format!("2.{n}"));
+    second.chain(["3.1", "3.2", "4.1", "5.1"].map(String::from)).collect()
+}
+
+/// Numbers of equations in tags such as "(paper 2.24, 2.25)" and "paper 2.10, 2.19 with …".
+fn tags(prose: &str) -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    for tag in prose.split("paper ").skip(1) {
+        let mut rest = tag;
+        while let Some(number) = leading_number(rest) {
+            rest = &rest[number.len()..];
+            found.insert(number.to_string());
+            let separator = [", ", " and ", "; "].into_iter().find(|s| rest.starts_with(s));
+            let Some(separator) = separator else { break };
+            rest = &rest[separator.len()..];
+        }
+    }
+    found
+}
+
+/// "2.15" at the start of a text.
+fn leading_number(text: &str) -> Option<&str> {
+    let length = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let number = text[..length].trim_end_matches('.');
+    let (section, equation) = number.split_once('.')?;
+    (section.len() == 1 && !equation.is_empty() && equation.len() <= 2).then_some(number)
+}
+
+/// The rows of the index: equation, item, file and name of the test.
+fn index() -> Vec<[String; 4]> {
+    let text = read(&root().join("docs/notation.md"));
+    let start = text.find("## Index of the paper's equations").expect("the index has its heading");
+    let section = text[start..].split("\n## ").next().unwrap_or("");
+    let mut rows = Vec::new();
+    for line in section.lines().filter(|line| leading_number(line.trim_start_matches("| ")).is_some()) {
+        let cells: Vec<&str> = line.trim_matches('|').split(" | ").map(str::trim).collect();
+        assert_eq!(cells.len(), 5, "{line}");
+        let code = |cell: &str| -> Vec<String> {
+            cell.split('`').skip(1).step_by(2).map(|text| text.trim_matches(['[', ']']).to_string()).collect()
+        };
+        let (item, test) = (code(cells[3]), code(cells[4]));
+        assert_eq!((item.len(), test.len()), (1, 2), "{line}");
+        rows.push([cells[0].to_string(), item[0].clone(), test[0].clone(), test[1].clone()]);
+    }
+    rows
+}
+
+/// The comments above every definition of an item of this name in a crate's sources.
+fn documentation(crate_name: &str, item: &str) -> Vec<String> {
+    let folder = crate_name.strip_prefix("varda_").unwrap_or(crate_name);
+    let mut sources = Vec::new();
+    files(&root().join("crates").join(folder).join("src"), &["rs"], &mut sources);
     let mut found = Vec::new();
-    for (path, text) in texts() {
-        for (i, line) in text.lines().enumerate() {
-            if private.iter().any(|name| line.contains(&name.concat())) {
-                found.push(format!("{}:{}: {}", path.display(), i + 1, line.trim()));
+    for source in sources {
+        let text = read(&source);
+        let mut comment = String::new();
+        for line in text.lines().map(str::trim) {
+            if let Some(words) = line.strip_prefix("///") {
+                comment.push_str(words.trim());
+                comment.push(' ');
+            } else if !line.starts_with("#[") {
+                let mut words = line
+                    .split(|c: char| !c.is_alphanumeric() && c != '_')
+                    .skip_while(|w| !["struct", "enum", "trait", "fn", "type", "const"].contains(w));
+                if words.next().is_some() && words.next() == Some(item) {
+                    found.push(comment.clone());
+                }
+                comment.clear();
             }
         }
     }
-    assert!(found.is_empty(), "{found:#?}");
+    found
+}
+
+#[test]
+fn every_numbered_equation_has_an_item_that_carries_its_tag_and_a_test() {
+    let rows = index();
+    let listed: Vec<&String> = rows.iter().map(|row| &row[0]).collect();
+    assert_eq!(listed.len(), 27, "one row an equation: {listed:?}");
+    assert_eq!(listed.into_iter().cloned().collect::<BTreeSet<_>>(), numbered());
+    let mut faults = Vec::new();
+    for [equation, item, file, test] in &rows {
+        let mut path = item.split("::");
+        let (first, last) = (path.next().unwrap_or(""), path.last().unwrap_or(""));
+        let found = documentation(first, last);
+        if found.is_empty() {
+            faults.push(format!("{equation}: no definition of {item}"));
+        } else if !found.iter().any(|comment| tags(comment).contains(equation)) {
+            faults.push(format!("{equation}: {item} is not tagged (paper {equation})"));
+        }
+        let file = root().join(file);
+        if !file.is_file() || !read(&file).contains(&format!("fn {test}(")) {
+            faults.push(format!("{equation}: no test {test} in {}", file.display()));
+        }
+    }
+    assert!(faults.is_empty(), "{faults:#?}");
+}
+
+#[test]
+fn every_tag_in_the_code_is_in_the_index() {
+    let known = numbered();
+    let mut faults = Vec::new();
+    let mut count = 0;
+    for (path, text) in texts() {
+        if path.extension().is_some_and(|e| e == "rs") && !path.ends_with("tests/documents.rs") {
+            for tag in tags(&prose(&path, &text)) {
+                count += 1;
+                if !known.contains(&tag) {
+                    faults.push(format!("{}: {tag}", path.display()));
+                }
+            }
+        }
+    }
+    assert!(count > 20, "{count} tags");
+    assert!(
+        faults.is_empty(),
+        "no such equation (a section is cited as \"paper, section 2.5\"): {faults:#?}"
+    );
+}
+
+#[test]
+fn tags_are_read_in_all_their_forms() {
+    let set = |numbers: &[&str]| numbers.iter().map(|n| n.to_string()).collect::<BTreeSet<_>>();
+    assert_eq!(tags("(paper 2.24, 2.25)"), set(&["2.24", "2.25"]));
+    assert_eq!(tags("(paper 2.10 and 2.19; Courtier 1997)"), set(&["2.10", "2.19"]));
+    assert_eq!(tags("as in the paper, section 3.1, and in a paper 3 pages long"), set(&[]));
 }

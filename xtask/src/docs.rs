@@ -1,37 +1,98 @@
-//! `cargo xtask docs`.
+//! `cargo xtask docs`: the documentation of all crates, guides and pages with formulas, and an index page;
+//! `--check` judges it.
+//!
+//! Pages are modules of the package `guide`, so that rustdoc renders them and `cargo test` runs their code.
+//! Afterwards links between .md files are turned into links between pages, and formulas (`` $`…`$ `` and blocks
+//! marked `math`, as GitHub writes them) are marked for KaTeX, which stands beside the pages.
+
+mod browser;
+mod front;
+mod html;
+mod links;
+mod pages;
 
 use crate::{cargo, root, run};
-use std::fmt::Write;
+use std::path::{Path, PathBuf};
 
-/// Crates of the index, in suggested reading order, with a line on each.
-const CRATES: [(&str, &str); 5] = [
-    ("varda_covariance", "background and observation errors: products, square roots, inverses"),
-    ("varda_implicit", "steps given implicitly, with tangent and adjoint; checks of both"),
-    ("varda_rod", "discrete elastic rods: energies, dynamics, statics, markers"),
-    ("varda_assimilation", "4D-Var: costs, observation operators, minimizers, posterior"),
-    ("varda", "scenes, twin experiments, reports, the command line"),
+/// Libraries that are documented.
+const CRATES: [&str; 7] = [
+    "varda-linalg",
+    "varda-covariance",
+    "varda-implicit",
+    "varda-rod",
+    "varda-assimilation",
+    "varda",
+    "guide",
 ];
 
-/// Builds the documentation of all crates, warnings denied, and an index page beside them.
-pub(crate) fn build() -> Result<(), String> {
-    let mut command = cargo();
-    command.args(["doc", "--workspace", "--no-deps", "--lib"]).env("RUSTDOCFLAGS", "--deny warnings");
-    run(command.current_dir(root()))?;
-    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), Into::into);
-    let folder = target.join("doc");
-    let mut list = String::new();
-    for (name, what) in CRATES {
-        if !folder.join(name).join("index.html").is_file() {
-            return Err(format!("{}: no documentation of {name}", folder.display()));
-        }
-        let _ = writeln!(list, "<li><a href=\"{name}/index.html\">{name}</a>: {what}</li>");
+/// `cargo xtask docs [--check]`.
+pub(crate) fn command(arguments: &[&str]) -> Result<(), String> {
+    match arguments {
+        [] => build().map(|_| ()),
+        ["--check"] => check(),
+        other => Err(format!("unknown arguments of docs: {}", other.join(" "))),
     }
-    let page = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\"><meta charset=\"utf-8\"><title>Varda</title>\n\
-         <h1>Varda</h1>\n<p>Variational data assimilation.</p>\n<ul>\n{list}</ul>\n</html>\n"
+}
+
+/// Builds everything, warnings denied; the folder of the pages.
+fn build() -> Result<PathBuf, String> {
+    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from);
+    let site = target.join("doc");
+    if site.exists() {
+        // Pages of items that are no more.
+        std::fs::remove_dir_all(&site).map_err(|e| format!("{}: {e}", site.display()))?;
+    }
+    let mut command = cargo();
+    command.args(["doc", "--quiet", "--no-deps", "--lib", "--all-features"]);
+    for name in CRATES {
+        // rustdoc links to another crate only where that crate's folder is there already.
+        let folder = site.join(name.replace('-', "_"));
+        std::fs::create_dir_all(&folder).map_err(|e| format!("{}: {e}", folder.display()))?;
+        command.args(["-p", name]);
+    }
+    run(command.env("RUSTDOCFLAGS", "--deny warnings").current_dir(root()))?;
+    pages::finish(&site)?;
+    front::write_index(&site)?;
+    println!("{}", site.join("index.html").display());
+    Ok(site)
+}
+
+/// Builds, then looks for broken links and formulas that are not rendered.
+fn check() -> Result<(), String> {
+    let site = build()?;
+    let mut faults = links::check(&site)?;
+    faults.extend(browser::check(&site, &browser_pages(&site)?)?);
+    faults.iter().for_each(|fault| println!("{fault}"));
+    if faults.is_empty() { Ok(()) } else { Err(format!("{} faults in the documentation", faults.len())) }
+}
+
+/// Pages that the browser opens: the index, all of the guide, the front page of every crate.
+fn browser_pages(site: &Path) -> Result<Vec<String>, String> {
+    let mut found = vec!["index.html".to_string()];
+    found.extend(pages::list()?.into_iter().map(|page| page.html));
+    found.extend(
+        CRATES.iter().filter(|c| **c != "guide").map(|c| format!("{}/index.html", c.replace('-', "_"))),
     );
-    let file = folder.join("index.html");
-    std::fs::write(&file, page).map_err(|e| format!("{}: {e}", file.display()))?;
-    println!("{}", file.display());
-    Ok(())
+    match found.iter().find(|page| !site.join(page).is_file()) {
+        Some(page) => Err(format!("{}: no page {page}", site.display())),
+        None => Ok(found),
+    }
+}
+
+fn read(path: &Path) -> Result<String, String> {
+    std::fs::read_to_string(path).map_err(|e| format!("{}: {e}", path.display()))
+}
+
+fn write(path: &Path, text: &str) -> Result<(), String> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(|e| format!("{}: {e}", folder.display()))?;
+    }
+    std::fs::write(path, text).map_err(|e| format!("{}: {e}", path.display()))
+}
+
+fn copy(from: &Path, to: &Path) -> Result<(), String> {
+    if let Some(folder) = to.parent() {
+        std::fs::create_dir_all(folder).map_err(|e| format!("{}: {e}", folder.display()))?;
+    }
+    std::fs::copy(from, to).map(|_| ()).map_err(|e| format!("{}: {e}", from.display()))
 }

@@ -13,7 +13,7 @@ pub enum Gain {
     Information,
 }
 
-/// The best linear unbiased estimate in closed form (paper 2.2; the Kalman update), for a window too:
+/// The best linear unbiased estimate in closed form (the Kalman update, paper 2.1, 2.2), for a window too:
 ///
 /// ```text
 ///     v_a = K (d + G b),    K = Gᵀ (G Gᵀ + I)⁻¹ = (I + GᵀG)⁻¹ Gᵀ,    P_v = I − K G = (I + GᵀG)⁻¹

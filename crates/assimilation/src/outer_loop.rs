@@ -52,7 +52,8 @@ impl Default for OuterLoopOptions {
 /// A predicted decrease below this part of J cannot be seen in J; steps are then judged by the gradient.
 const NOISE: f64 = 1e-11;
 
-/// Incremental minimization (paper 2.2, 2.5; Courtier, Thépaut and Hollingsworth 1994; Gauss–Newton, Lawless et al. 2005):
+/// Incremental minimization (paper, sections 2.2 and 2.5; Courtier, Thépaut and Hollingsworth 1994;
+/// Gauss–Newton: Lawless et al. 2005):
 ///
 /// ```text
 ///     repeat:  x = trajectory of v,  d = y − H(x),  G around x

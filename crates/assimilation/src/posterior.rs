@@ -10,7 +10,7 @@ use varda_linalg::dense::{View, add_product};
 /// The posterior of a linear-Gaussian problem, or its Laplace approximation around the linearized point:
 ///
 /// ```text
-///     P_v = A⁻¹ = (I + GᵀG)⁻¹,    P_z = U P_v Uᵀ = (B⁻¹ + MᵀHᵀR⁻¹HM)⁻¹    (paper 2.18)
+///     P_v = A⁻¹ = (I + GᵀG)⁻¹,    P_z = U P_v Uᵀ = (B⁻¹ + MᵀHᵀR⁻¹HM)⁻¹    (paper 2.7, 2.18)
 /// ```
 ///
 /// kept as the eigenpairs of A.

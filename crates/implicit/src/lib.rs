@@ -2,7 +2,7 @@
 //!
 //! Write the equations of one step and their derivatives as an [`ImplicitStep`]; [`ImplicitModel`] makes of it a
 //! [`Model`]: Newton's method with a line search, halved steps where that fails, and the tangent linear and adjoint of the
-//! step from a kept factorization (paper 2.23 to 2.25). [`OneLeg`] (implicit Euler, midpoint, BDF2) and [`Rk4`] are ready-made steps for any ẋ = f(t, x),
+//! step from a kept factorization (paper 2.23, 2.24, 2.25). [`OneLeg`] (implicit Euler, midpoint, BDF2) and [`Rk4`] are ready-made steps for any ẋ = f(t, x),
 //! [`Trajectory`] runs a window and sweeps along it, [`check`] tests the derivatives of any [`Model`]. [`lorenz`] and [`mod@line`]
 //! hold models to try things on; one of your own is an [`Rhs`] of three functions.
 //!

@@ -2,7 +2,8 @@
 
 use crate::{Equations, ImplicitStep, Interval, Refusal, Scheme, Stage, StepEquations, Structure};
 
-/// The right-hand side f of ẋ = f(t, x), with its derivative as products.
+/// The right-hand side f of ẋ = f(t, x) (paper 2.21), with its derivative as products: those of the
+/// sensitivity equation d(δx)/dt = ∂f/∂x δx (paper 2.22) and of its transpose.
 ///
 /// `&mut self` is for work space: every result is a function of the arguments alone.
 pub trait Rhs {

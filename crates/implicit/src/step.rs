@@ -28,7 +28,7 @@ impl Interval {
 ///
 /// The unknowns are what must be solved for and nothing else: backward Euler of ẍ = f needs the new positions only, the
 /// velocities being (X_{k+1} − X_k)/Δt. Where u = x_{k+1} (the default of the mapping methods) G is the paper's
-/// G(x_k, x_{k+1}) (2.23). A step is a pure function of the interval and x_k: no memory of earlier calls may show.
+/// G(x_k, x_{k+1}) (paper 2.23). A step is a pure function of the interval and x_k: no memory of earlier calls may show.
 ///
 /// **Two-step schemes** need the state before: their x_k is [its own components, `history` of the first ones of x_{k−1}].
 /// Every method is given the whole x_k, dx or (∂G/∂x_k)ᵀμ; what they write or read of the *next* state (`advance`,

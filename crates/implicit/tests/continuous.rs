@@ -1,4 +1,4 @@
-//! The continuous tangent and adjoint equations (paper 2.21, 2.22; the latter with its minus, run backwards) beside the
+//! The continuous tangent equation (paper 2.22) and its adjoint (with its minus, run backwards) beside the
 //! discrete ones: of the same order as the integrator, and no better.
 
 use varda_implicit::lorenz::Lorenz63;
@@ -50,7 +50,7 @@ fn one_step(order: u32, h: f64, x: [&[f64]; 2], v: &mut [f64; 3], apply: fn(&[f6
     };
 }
 
-/// dδx/dt = ∂f/∂x δx (2.21).
+/// dδx/dt = ∂f/∂x δx (paper 2.22).
 fn continuous_tangent(order: u32, trajectory: &Trajectory, dx: &mut [f64; 3]) {
     let steps = trajectory.steps();
     for k in 0..steps {
@@ -62,7 +62,7 @@ fn continuous_tangent(order: u32, trajectory: &Trajectory, dx: &mut [f64; 3]) {
     }
 }
 
-/// dλ/dt = −(∂f/∂x)ᵀ λ (2.22), from the end of the window to its start.
+/// dλ/dt = −(∂f/∂x)ᵀ λ, from the end of the window to its start.
 fn continuous_adjoint(order: u32, trajectory: &Trajectory, lambda: &mut [f64; 3]) {
     let steps = trajectory.steps();
     for k in (0..steps).rev() {

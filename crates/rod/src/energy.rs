@@ -48,7 +48,10 @@ pub struct Derivatives {
     pub hessian: Vec<f64>,
 }
 
-/// Exact derivatives of the elastic energy in the time-parallel gauge: as the vertices move, the director of an edge is
+/// Exact derivatives of the elastic energy; forces and twisting moments are minus its gradient
+/// (paper 3.1, 3.2).
+///
+/// The gauge is the time-parallel one: as the vertices move, the director of an edge is
 /// carried from its present tangent by parallel transport, and the reference twist changes continuously (Bergou et al.
 /// 2008, 2010).
 ///

@@ -33,7 +33,8 @@ impl Edge {
     }
 }
 
-/// Curvature at a vertex between unit tangents p = t^{i−1} and q = t^i (Bergou et al. 2008):
+/// Curvature at a vertex between unit tangents p = t^{i−1} and q = t^i (paper 5.1 with the opposite
+/// orientation, that of Bergou et al. 2008):
 ///
 /// ```text
 /// κb = 2 p×q / χ,   χ = 1 + p·q = |p+q|²/2,   t̃ = (p+q)/χ

@@ -5,7 +5,7 @@ use crate::material::{Section, not_negative, positive};
 
 /// A discrete elastic rod of n segments (edges 0 … n−1, vertices 0 … n, interior vertices 1 … n−1).
 ///
-/// Strains are integrated over the vertex (no division by a length), energies (paper 5.2) are
+/// Strains are integrated over the vertex (no division by a length), energies (paper, section 5.2) are
 ///
 /// ```text
 /// E_ε = ½ Σ_e EA_e (l_e − l̄_e)² / l̄_e                         per edge

@@ -118,7 +118,8 @@ pub(crate) fn solve_identity_plus(w: View, x: &mut [f64]) -> Result<(), Error> {
 }
 
 /// The quadratic inner cost q(p) of [`Incremental`] around the outer iterate last linearized, as a cost function of its own
-/// (paper 2.10; 2.19 with d = y − H(x_b); Courtier, Thépaut and Hollingsworth 1994): any minimizer can be run on it.
+/// (paper 2.10, 2.19 with d = y − H(x_b); gradient: paper 2.20; Courtier, Thépaut and Hollingsworth 1994): any
+/// minimizer can be run on it.
 ///
 /// q(0) = J at the outer iterate, ∇q(0) = ∇J there, and where model and observations are linear q(p) = J(v + p) everywhere.
 ///

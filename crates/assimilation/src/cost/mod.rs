@@ -25,7 +25,8 @@ pub use weak_state::WeakState;
 use crate::Error;
 pub(crate) use varda_linalg::{dot, norm};
 
-/// A cost J(v) with its gradient.
+/// A cost J(v) with its gradient: minus the logarithm of a probability density up to a constant
+/// (paper 2.8, with the minus that its exponents lack).
 ///
 /// Deterministic: the same v (and observation scale) gives the same bits, whatever was evaluated before.
 pub trait CostFunction {

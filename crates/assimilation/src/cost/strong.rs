@@ -14,9 +14,11 @@ use varda_implicit::{Footprint, Keep, Log, Model, Storage, Trajectory};
 ///     ∇J(v) = v − Gᵀ R^{-1/2} d,    A = I + GᵀG,    G = R^{-1/2} H M B^{1/2}
 /// ```
 ///
-/// The gradient is one forward run, one linearization of every step, and one adjoint sweep in Horner's form (2.26, 2.27):
+/// The gradient is one forward run, one linearization of every step, and one adjoint sweep in Horner's form
+/// (paper 2.17, 2.26, 2.27):
 /// λ ← H_kᵀ R_k⁻¹ d_k + M_kᵀ λ from the last observed step down to the first. Steps after the last observation are not run. Where the
-/// last observation is at step 0, or there is no model at all, this is 3D-Var and no step is called.
+/// last observation is at step 0, or there is no model at all, this is 3D-Var and no step is called
+/// (paper 2.5, 2.6, 2.9).
 ///
 /// When to use: the default, where the model has a tangent and an adjoint. When not: a model in error ([`WeakForcing`](super::WeakForcing)), no
 /// adjoint ([`EnVar`](super::EnVar)), chaos over a window of many e-foldings ([`window_growth`](crate::window_growth)).

@@ -21,7 +21,8 @@ impl Default for NewtonOptions {
     }
 }
 
-/// The paper's Newton method: v ← v − A⁻¹∇J with the dense Gauss–Newton Hessian A (2.18) by Cholesky, full steps, no safeguard.
+/// The paper's Newton method: v ← v − A⁻¹∇J with the dense Gauss–Newton Hessian A (paper 2.18) by Cholesky,
+/// full steps, no safeguard.
 ///
 /// Exact in one step where model and observations are linear. Elsewhere J may rise and the model may be driven to a state it cannot
 /// step from (`Status::Failed` with the reason); where the dropped second derivatives exceed A, it is repelled from the minimum.

@@ -13,6 +13,7 @@ use crate::run::cycles::{CycleListener, Sequence};
 use crate::scene::SceneFile;
 use crate::setup::files::InputFile;
 
+use super::exit::INTERRUPTED;
 use super::progress::Progress;
 
 /// Where a sequence starts and where its result goes.
@@ -86,7 +87,7 @@ pub(super) fn run(
             if !quiet {
                 println!("{:<14} add --resume to the same command", "to go on");
             }
-            ExitCode::from(super::INTERRUPTED)
+            ExitCode::from(INTERRUPTED)
         }
         Status::Failed => {
             eprintln!("error: {}", outcome.failure.as_deref().unwrap_or("a minimization failed"));

@@ -3,6 +3,7 @@
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod cycles;
+mod exit;
 mod progress;
 mod table;
 
@@ -24,6 +25,7 @@ use crate::run::cycles::Sequence;
 use crate::run::{self, Listener, assimilate};
 use crate::scene::{SHIPPED, STARTER, Scene, SceneFile};
 use crate::setup::{Inputs, Plan, Problem};
+use exit::INTERRUPTED;
 use progress::Progress;
 
 #[derive(Parser)]
@@ -133,9 +135,6 @@ pub fn main() -> ExitCode {
         ExitCode::FAILURE
     })
 }
-
-/// 130 is what a shell reports for a program ended by Ctrl-C.
-const INTERRUPTED: u8 = 130;
 
 /// Becomes true at Ctrl-C, SIGTERM or SIGHUP; the run then ends with what it has. A second one ends the program at once.
 fn stop_on_signals() -> Arc<AtomicBool> {

@@ -116,10 +116,12 @@ impl Method {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Minimizer {
-    /// The default: the trust region; where the observations are far from the background (J_o > 10 m) also through
-    /// enlarged σ × 10, 3, 1, of the two ends the lower.
+    /// The default: the trust region, and further runs of it if one is not to be trusted. One run is enough if it
+    /// converges and J_o ≤ 10 m at the background (m observed values). Otherwise the trust region starts again through
+    /// enlarged σ (× 10, 3, 1 and × 16, 8, 4, 2, 1) and from up to six draws of the prior, until two runs agree on the
+    /// lowest J; if the first one took more than 40 iterations, all of these are run. The lowest end is the result.
     Auto,
-    /// Gauss–Newton made safe by a trust region (Levenberg–Marquardt in the B⁻¹ norm).
+    /// Gauss–Newton with a trust region (Levenberg–Marquardt in the B⁻¹ norm).
     TrustRegion,
     /// The paper's Newton: dense Gauss–Newton Hessian (2.18), full steps. May diverge.
     Newton,
@@ -129,17 +131,23 @@ pub enum Minimizer {
     Lbfgs,
     /// Adam, the paper's other minimizer: gradients only, slow.
     Adam,
+    /// L-BFGS of the argmin crate, for comparison.
+    ArgminLbfgs,
+    /// Trust region of the argmin crate, for comparison.
+    ArgminTrustRegion,
 }
 
 impl Minimizer {
     /// All of them.
-    pub const ALL: [Minimizer; 6] = [
+    pub const ALL: [Minimizer; 8] = [
         Minimizer::Auto,
         Minimizer::TrustRegion,
         Minimizer::Newton,
         Minimizer::GaussNewtonCg,
         Minimizer::Lbfgs,
         Minimizer::Adam,
+        Minimizer::ArgminLbfgs,
+        Minimizer::ArgminTrustRegion,
     ];
 
     /// Its name in a scene.
@@ -151,6 +159,8 @@ impl Minimizer {
             Minimizer::GaussNewtonCg => "gauss-newton-cg",
             Minimizer::Lbfgs => "lbfgs",
             Minimizer::Adam => "adam",
+            Minimizer::ArgminLbfgs => "argmin-lbfgs",
+            Minimizer::ArgminTrustRegion => "argmin-trust-region",
         }
     }
 }

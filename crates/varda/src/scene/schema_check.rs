@@ -1,5 +1,5 @@
-//! A scene's tree against the scene's own JSON Schema: unknown keys, missing keys, wrong types and impossible values,
-//! each with its place and with what was meant.
+//! Checks a scene against its own JSON Schema: unknown keys, missing keys, wrong types and impossible values, each
+//! with its place and with what was meant.
 
 use serde_json::Value as Json;
 
@@ -213,7 +213,7 @@ fn describe(value: &Value) -> String {
 pub(crate) fn nearest<'a>(word: &str, names: &[&'a str]) -> Option<&'a str> {
     let word = word.to_lowercase();
     let related = |n: &str| word.len() > 2 && n.len() > 2 && (n.starts_with(&word) || word.starts_with(n));
-    let score = |n: &str| if related(n) { 1 } else { distance(&word, &n.to_lowercase()) };
+    let score = |n: &str| if related(n) { 1 } else { strsim::levenshtein(&word, &n.to_lowercase()) };
     let allowed = 2.max(word.chars().count() / 3);
     names
         .iter()
@@ -222,20 +222,4 @@ pub(crate) fn nearest<'a>(word: &str, names: &[&'a str]) -> Option<&'a str> {
         .filter(|(d, _)| *d <= allowed)
         .min_by_key(|(d, _)| *d)
         .map(|(_, n)| n)
-}
-
-/// Edit distance (Levenshtein 1966).
-fn distance(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, ca) in a.chars().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, cb) in b.iter().enumerate() {
-            let substituted = diagonal + usize::from(ca != *cb);
-            diagonal = row[j + 1];
-            row[j + 1] = substituted.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.len()]
 }

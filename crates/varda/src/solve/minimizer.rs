@@ -1,13 +1,14 @@
-//! The minimizer a scene names, on the cost its method makes.
+//! The minimizer that a scene names, applied to the cost of its method.
 
 use std::ops::ControlFlow;
 
 use varda_assimilation::{
-    Blue, CostFunction, Error, Gain, GaussNewton, InnerSolver, Iteration, Minimizer, Minimum,
-    OuterLoopOptions, Status, StrongConstraint, continuation, outer_loop,
+    AdamOptions, ArgminOptions, AutoOptions, Blue, CostFunction, Error, Gain, GaussNewton, InnerSolver,
+    Iteration, LbfgsOptions, Minimizer, Minimum, NewtonCgOptions, NewtonOptions, OuterLoopOptions, Status,
+    StrongConstraint, TrustRegionOptions, continuation, outer_loop,
 };
 
-use crate::scene::{Algorithm, Method};
+use crate::scene::{Algorithm, Method, Minimizer as Choice};
 
 /// The minimum of the strong-constraint cost by the scene's method.
 pub(crate) fn strong(
@@ -42,10 +43,18 @@ pub(crate) fn minimize(
     }
 }
 
-/// The minimizer a scene names.
+/// The minimizer that a scene names, with the scene's tolerance and number of iterations.
 pub(crate) fn minimizer(algorithm: &Algorithm) -> Minimizer {
-    let mut minimizer =
-        Minimizer::named(algorithm.minimizer.name()).expect("every scene name is a minimizer's name");
+    let mut minimizer = match algorithm.minimizer {
+        Choice::Auto => Minimizer::Auto(AutoOptions::default()),
+        Choice::TrustRegion => Minimizer::TrustRegion(TrustRegionOptions::default()),
+        Choice::Newton => Minimizer::Newton(NewtonOptions::default()),
+        Choice::GaussNewtonCg => Minimizer::NewtonCg(NewtonCgOptions::default()),
+        Choice::Lbfgs => Minimizer::Lbfgs(LbfgsOptions::default()),
+        Choice::Adam => Minimizer::Adam(AdamOptions::default()),
+        Choice::ArgminLbfgs => Minimizer::ArgminLbfgs(ArgminOptions::default()),
+        Choice::ArgminTrustRegion => Minimizer::ArgminTrustRegion(ArgminOptions::default()),
+    };
     *minimizer.gradient_tolerance_mut() = algorithm.gradient_tolerance;
     *minimizer.max_iterations_mut() = algorithm.max_iterations;
     minimizer

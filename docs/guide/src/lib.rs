@@ -1,0 +1,64 @@
+#![doc = include_str!("../front.md")]
+#![forbid(unsafe_code)]
+
+// One line of documentation, one module: `cargo xtask docs` reads this file to know which page a link to a .md
+// file means.
+
+#[doc = include_str!("../own-model.md")]
+pub mod own_model {}
+#[doc = include_str!("../own-operator.md")]
+pub mod own_operator {}
+#[doc = include_str!("../own-covariance.md")]
+pub mod own_covariance {}
+#[doc = include_str!("../rod-without-scenes.md")]
+pub mod rod_without_scenes {}
+#[doc = include_str!("../report.md")]
+pub mod report {}
+#[doc = include_str!("../../theory/README.md")]
+pub mod theory {
+    #[doc = include_str!("../../theory/covariance.md")]
+    pub mod covariance {}
+    #[doc = include_str!("../../theory/adjoints.md")]
+    pub mod adjoints {}
+    #[doc = include_str!("../../theory/rod.md")]
+    pub mod rod {}
+    #[doc = include_str!("../../theory/algorithms.md")]
+    pub mod algorithms {}
+}
+#[doc = include_str!("../../notation.md")]
+pub mod notation {}
+#[doc = include_str!("../../references.md")]
+pub mod references {}
+#[doc = include_str!("../../reference-problems.md")]
+pub mod reference_problems {}
+#[doc = include_str!("../../ARCHITECTURE.md")]
+pub mod architecture {}
+#[doc = include_str!("../../CHANGELOG.md")]
+pub mod changelog {}
+#[doc = include_str!("../../results/README.md")]
+// Tables give units in brackets.
+#[allow(rustdoc::broken_intra_doc_links)]
+pub mod results {
+    #[doc = include_str!("../../results/assimilation.md")]
+    pub mod assimilation {}
+    #[doc = include_str!("../../results/build.md")]
+    pub mod build {}
+    #[doc = include_str!("../../results/case4.md")]
+    pub mod case4 {}
+    #[doc = include_str!("../../results/gradient.md")]
+    pub mod gradient {}
+    #[doc = include_str!("../../results/instructions.md")]
+    pub mod instructions {}
+    #[doc = include_str!("../../results/leftout.md")]
+    pub mod leftout {}
+    #[doc = include_str!("../../results/lorenz96-cycling.md")]
+    pub mod lorenz96_cycling {}
+    #[doc = include_str!("../../results/scaling.md")]
+    pub mod scaling {}
+    #[doc = include_str!("../../results/stability.md")]
+    pub mod stability {}
+    #[doc = include_str!("../../results/time.md")]
+    pub mod time {}
+    #[doc = include_str!("../../results/verification.md")]
+    pub mod verification {}
+}
