@@ -47,7 +47,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut model = ImplicitModel::new(OneLeg::implicit_midpoint(Heat { points: 200 }, 1e-11), 0, 0.01);
     let mut trajectory = Trajectory::new();
     trajectory.run(&mut model, &u0, 20, Keep::Linearizations)?;
-    let iterations = trajectory.counts().newton_iterations;
+    let iterations = trajectory.log().counts.newton_iterations;
     println!("{iterations} Newton iterations for 20 steps");
     assert!(iterations <= 4 * 20, "Newton converges quadratically: {iterations}");
     let all_pass = check::conformance(&mut model, 0, &u0, &[1.0; 200], 1)?.iter().all(|o| o.pass);

@@ -11,7 +11,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let shape = Dense::new(30, &function.matrix(&places)?)?;
 
     // Both blocks borrow the one root of `shape`, which is still ours.
-    let b = BlockDiagonal::new(vec![Scaled::new(&shape, 0.01)?, Scaled::new(&shape, 0.5)?]);
+    let b = BlockDiagonal::new(vec![Scaled::uniform(&shape, 0.01)?, Scaled::uniform(&shape, 0.5)?]);
     let mut variance = vec![0.0; b.dim()];
     b.variance(&mut variance);
     assert!((variance[0] - 1e-4).abs() < 1e-12 && (variance[59] - 0.25).abs() < 1e-9);
