@@ -219,7 +219,8 @@ fn check_reduced(case: &mut Case, rod: &Rod, f: &Given, reduced: &Reduced, toler
 }
 
 fn at(rod: &Rod, f: &Given, theta: &[f64]) -> Result<Derivatives, varda_rod::Error> {
-    let (vertices, directors) = (&f.vertices, &f.ref_d1);
+    let vectors = |all: &[[f64; 3]]| all.iter().map(|v| (*v).into()).collect::<Vec<_>>();
+    let (vertices, directors) = (&vectors(&f.vertices), &vectors(&f.ref_d1));
     derivatives(rod, &Framed { vertices, directors, reference_twist: &f.ref_twist, theta })
 }
 

@@ -192,7 +192,7 @@ impl Problem {
         Ok(HangingRod {
             rod: rod.naturally(curvature, twist),
             drive: EllipseDrive {
-                centre: [0.0; 3],
+                centre: [0.0; 3].into(),
                 radii: [d.rx, d.ry],
                 omega: d.omega,
                 ramp: d.ramp_periods * TAU / d.omega,

@@ -68,7 +68,7 @@ fn tip(case: &mut Case) -> Outcome {
         std::mem::swap(&mut x, &mut next);
     }
     let vertices = model.step_mut().vertices(2.0, &x)?;
-    let error = largest_difference(&vertices[25], &[0.291641, 0.071304, -0.925106]);
+    let error = largest_difference(vertices[25].as_slice(), &[0.291641, 0.071304, -0.925106]);
     let note = format!("tip {:.6?} m", vertices[25]);
     case.at_most("tip", error, 2e-6, "m")
         .computed(error)

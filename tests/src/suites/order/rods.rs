@@ -27,7 +27,7 @@ fn end(scheme: Scheme, time: f64, steps: usize) -> Result<(Vec<f64>, usize)> {
     let mut model = ImplicitModel::new(step.with_scheme(scheme), 0, time / steps as f64);
     let (x, iterations) = run_to(&mut model, &control, steps)?;
     let vertices = model.step_mut().vertices(time, &x)?;
-    Ok((vertices.concat(), iterations))
+    Ok((vertices.iter().flatten().copied().collect(), iterations))
 }
 
 fn run_to<S: varda_implicit::ImplicitStep>(
