@@ -371,11 +371,10 @@ impl ObservationSet {
 
 fn check_times(times: &[f64]) -> Result<(), Error> {
     let ascend = |pair: &&[f64]| !(pair[0] < pair[1]);
-    match times.windows(2).find(ascend).map(|pair| pair[1]).or(times.iter().copied().find(|t| !t.is_finite())) {
+    match times.windows(2).find(ascend).map(|pair| pair[1]).or(times.iter().copied().find(|t| !t.is_finite()))
+    {
         Some(value) => Err(Error::Setting { what: "a time of the window, after the one before it,", value }),
-        None if times.is_empty() => {
-            Err(Error::Length { what: "the grid of time", expected: 1, found: 0 })
-        }
+        None if times.is_empty() => Err(Error::Length { what: "the grid of time", expected: 1, found: 0 }),
         None => Ok(()),
     }
 }

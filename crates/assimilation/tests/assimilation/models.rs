@@ -3,7 +3,7 @@
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use varda_assimilation::{At, Observation, ObservationOperator, Refusal, ObservationSet, Selection};
+use varda_assimilation::{At, Observation, ObservationOperator, ObservationSet, Refusal, Selection};
 use varda_implicit::{ControlMap, Error, Model, Work};
 
 pub(crate) fn normals(seed: u64, n: usize) -> Vec<f64> {

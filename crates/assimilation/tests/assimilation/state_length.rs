@@ -14,8 +14,9 @@ fn a_state_of_another_length_is_refused_before_a_run() {
     let b = Diagonal::uniform(3, 1.0).unwrap();
     let mut model = Rk4::new(Lorenz63::default(), 0, 0.01);
     let transform = || ControlTransform::new(vec![1.5, 1.7, 20.0], &b).unwrap();
-    let wrong =
-        |error: Option<Error>| matches!(error, Some(Error::StateLength { operator: 0, expected: 3, found: 4 }));
+    let wrong = |error: Option<Error>| {
+        matches!(error, Some(Error::StateLength { operator: 0, expected: 3, found: 4 }))
+    };
     assert!(wrong(StrongConstraint::new(&mut model, transform(), &mut set).err()));
     let columns = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0];
     let ensemble = Ensemble::from_perturbations(&columns, Localization::none(3)).unwrap();

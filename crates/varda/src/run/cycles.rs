@@ -13,8 +13,8 @@ use varda_assimilation::{
     Cycle, CycleState, CycledCovariance, CycledEnsemble, CycledUpdate, Cycling, EnVarOptions, Normals,
     Observation, ObservationOperator, ObservationSet, cycle,
 };
-use varda_implicit::{At, Refusal};
 use varda_implicit::check::Amplification;
+use varda_implicit::{At, Refusal};
 
 use super::{amplification, shapes};
 use crate::Error;

@@ -153,7 +153,11 @@ impl Observed {
     /// # Errors
     /// [`Error::Assimilation`].
     pub fn set(&self, grid: &TimeGrid) -> Result<ObservationSet, Error> {
-        Ok(ObservationSet::on_times(grid.times_of_window(), vec![(self.make_operator)()?], self.assimilated(grid))?)
+        Ok(ObservationSet::on_times(
+            grid.times_of_window(),
+            vec![(self.make_operator)()?],
+            self.assimilated(grid),
+        )?)
     }
 
     /// H, all sites stacked.

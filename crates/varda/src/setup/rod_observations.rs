@@ -211,11 +211,7 @@ impl RodObservation {
     ///
     /// # Errors
     /// A marker off the rod.
-    pub fn new(
-        rod: &RodStep,
-        markers: &[Marker],
-        rotation: [[f64; 3]; 3],
-    ) -> Result<Self, varda_rod::Error> {
+    pub fn new(rod: &RodStep, markers: &[Marker], rotation: [[f64; 3]; 3]) -> Result<Self, varda_rod::Error> {
         let places = vec![0.0; 3 * markers.len()];
         Ok(RodObservation { markers: Markers::new(rod, markers)?, rotation, state_dim: rod.dim(), places })
     }
