@@ -7,7 +7,7 @@ use std::error::Error;
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet, Selection};
 use varda_covariance::{Covariance, Dense, Ensemble, Localization, Taper};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
-use varda_implicit::{Model, Refusal, Rhs, Rk4};
+use varda_implicit::{At, Model, Refusal, Rhs, Rk4};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
