@@ -244,8 +244,8 @@ fn fit_section(outcome: &Outcome, s: &Summary) -> String {
         let headings = ["Observed", "values", &sigma, &background, &analysis, &mean, "rms d/σ"];
         let _ = write!(
             out,
-            "<p>Innovations d = y − H(x) compared with their assumed σ. An rms of d/σ near 1 at the analysis \
-             means that both are right.</p>{}",
+            "<p>Innovations d = y − H(x) compared with their assumed σ. An rms of d/σ near 1 at the \
+             analysis means that both are right.</p>{}",
             table(&headings, &s.innovations[..shown].iter().map(row).collect::<String>())
         );
         if shown < s.innovations.len() {
