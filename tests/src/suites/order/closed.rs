@@ -5,7 +5,7 @@
 //! segment on either side), and Richardson's extrapolation from three of them leaves the sixth order. With
 //! the clamp's edge within the length the rod is half a segment too short, an error of first order.
 
-use super::{extrapolated, slope_row};
+use super::slopes::{extrapolated, slope_row};
 use crate::row::{Case, Outcome, Rows};
 use std::sync::Arc;
 use varda_implicit::band;

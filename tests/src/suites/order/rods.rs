@@ -1,6 +1,6 @@
 //! Orders of the rod's step in time.
 
-use super::{extrapolated, slope_row};
+use super::slopes::{extrapolated, slope_row};
 use crate::row::{Case, Outcome, Rows};
 use problems::rods::{DT, DrivenRod, FIRST, rods};
 use varda_implicit::{ImplicitModel, Model, Scheme};

@@ -4,7 +4,7 @@
 //! Every minimizer and method that applies is tried. One that cannot get there must say so: a status other
 //! than `Converged`, or a typed error; those named in [`MUST`] have to get there.
 
-use super::refused;
+use super::common::refused;
 use crate::row::{Case, Outcome, Rows, Work};
 use problems::small_problems::{Linear, all_of, observation, spanning};
 use std::ops::ControlFlow;
@@ -408,7 +408,7 @@ fn failing(case: &mut Case, failure: Failure) -> Outcome {
     let set = || {
         ObservationSet::new(
             3,
-            vec![Box::new(problems::small_problems::Products)],
+            vec![Box::new(problems::small_problems::Products { state_dim: 2 })],
             vec![observation(&[0], 2, 0.0, &[1.0], 0.01)],
         )
     };

@@ -3,8 +3,8 @@
 //! What is refused must say where; what is answered must be right. Each of those marked "found" once ended in
 //! a NaN, a wrong answer or a panic.
 
+use super::common::{condition, refused};
 use super::rod_shapes::{DOWN, SILICONE, fixed_clamp, held, section, weight};
-use super::{condition, refused};
 use crate::row::{Case, Outcome, Rows, Work};
 use problems::small_problems::{Linear, all_of, observation};
 use std::ops::ControlFlow;

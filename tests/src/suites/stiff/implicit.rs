@@ -1,7 +1,7 @@
 //! The generic layer: singular Jacobians, overflow, forced failures of Newton's method, Robertson's kinetics,
 //! long decay.
 
-use super::{condition, interval, refused, work};
+use super::common::{condition, interval, refused, work};
 use crate::row::{Case, Outcome, Rows};
 use num_dual::{Dual64, DualNum};
 use problems::counted::Counted;

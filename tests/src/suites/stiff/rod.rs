@@ -4,7 +4,7 @@
 //! anew by the formulas below (stretching by length, bending of an isotropic rod by the angle φ alone, E = 2
 //! EI tan²(φ/2)/l̄), and Newton's correction for what they leave is taken with the step's own Jacobian.
 
-use super::{condition, interval, work};
+use super::common::{condition, interval, work};
 use crate::row::{Case, Outcome, Rows};
 use problems::counted::Counted;
 use problems::rods::{rod_scale, wave};

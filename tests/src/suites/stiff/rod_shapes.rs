@@ -1,8 +1,8 @@
 //! Rods in extreme shapes, where the answer is known: free fall, straight, slack, buckled, nearly folded,
 //! without mass.
 
+use super::common::{condition, interval, refused, statics, work};
 use super::rod::{ROOT, ROOT_REASON, distance};
-use super::{condition, interval, refused, statics, work};
 use crate::row::{Outcome, Rows, Work};
 use problems::counted::Counted;
 use problems::rods::{rod_scale, wave};

@@ -1,7 +1,7 @@
 //! Statics at the edges: slack and taut chains, columns pushed together.
 
+use super::common::{refused, statics, work};
 use super::rod_shapes::{DOWN, SILICONE, chain, fixed_clamp, held, run_from, weight};
-use super::{refused, statics, work};
 use crate::row::Rows;
 use problems::counted::Counted;
 use std::f64::consts::{PI, TAU};
