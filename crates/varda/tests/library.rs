@@ -98,7 +98,7 @@ fn the_observation_operator_has_its_tangent_and_its_adjoint() {
     let problem = Problem::from_scene(&SceneFile::open("beam-release", &sets).unwrap()).unwrap();
     std::fs::remove_file(path).unwrap();
     let mut h = problem.observed.operator().unwrap();
-    let (n, m, k) = (problem.experiment.n_state, h.dim(), 4);
+    let (n, m, k) = (problem.experiment.n_state, h.dim(), problem.experiment.grid.at(4));
     assert_eq!(m, 9);
     let wave = |n: usize, a: f64| -> Vec<f64> { (0..n).map(|i| (a * (i + 1) as f64).sin()).collect() };
     let mut x: Vec<f64> = wave(n, 0.9).iter().map(|w| 2e-3 * w).collect();

@@ -213,15 +213,9 @@ impl HangingRod {
             _ => 0.0,
         };
         let rows: Vec<usize> = (0..3).filter(|&c| seen[c].is_some()).collect();
-        Ok(Observation {
-            operator: 0,
-            values: rows.iter().filter_map(|&c| seen[c].map(|y| y - known(c))).collect(),
-            sigma: vec![self.sigma_y; rows.len()],
-            rows: rows.iter().map(|c| 3 * p + c).collect(),
-            step,
-            weight: 0.0,
-            label: format!("point {p}"),
-        })
+        let values = rows.iter().filter_map(|&c| seen[c].map(|y| y - known(c))).collect();
+        let rows = rows.iter().map(|c| 3 * p + c).collect();
+        Ok(Observation::new(step, rows, values, self.sigma_y).label(format!("point {p}")))
     }
 
     /// All observations of the window.

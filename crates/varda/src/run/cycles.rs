@@ -13,8 +13,8 @@ use varda_assimilation::{
     Cycle, CycleState, CycledCovariance, CycledEnsemble, CycledUpdate, Cycling, EnVarOptions, Normals,
     Observation, ObservationOperator, ObservationSet, cycle,
 };
-use varda_implicit::Refusal;
 use varda_implicit::check::Amplification;
+use varda_implicit::{At, Refusal};
 
 use super::{amplification, shapes};
 use crate::Error;
@@ -278,11 +278,13 @@ impl Sequence {
         let last = (first + self.window) as f64;
         let from = self.observations.partition_point(|o| o.step < first);
         let inside = self.observations[from..].iter().take_while(|o| at(o) <= last);
-        let seen = inside.map(|o| Observation { step: o.step - first, ..o.clone() }).collect();
+        let seen = inside.map(|o| o.clone().at_step(o.step - first)).collect();
         let operator = |operator: &Shared| -> Box<dyn ObservationOperator> {
             Box::new(FromStep { operator: Rc::clone(operator), first })
         };
-        ObservationSet::new(self.window, operators.iter().map(operator).collect(), seen)
+        let grid = &self.problem.experiment.grid;
+        let times = (first..=first + self.window).map(|k| grid.time(k)).collect();
+        ObservationSet::on_times(times, operators.iter().map(operator).collect(), seen)
     }
 
     fn row(&self, c: &Cycle, seconds: f64) -> CycleRow {
@@ -407,20 +409,30 @@ struct FromStep {
     first: usize,
 }
 
+impl FromStep {
+    fn moved(&self, at: At) -> At {
+        At { step: self.first + at.step, ..at }
+    }
+}
+
 impl ObservationOperator for FromStep {
     fn dim(&self) -> usize {
         self.operator.borrow().dim()
     }
 
-    fn observe(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
-        self.operator.borrow_mut().observe(self.first + k, x, y)
+    fn state_dim(&self) -> usize {
+        self.operator.borrow().state_dim()
     }
 
-    fn tangent(&mut self, k: usize, x: &[f64], dx: &[f64], dy: &mut [f64]) {
-        self.operator.borrow_mut().tangent(self.first + k, x, dx, dy);
+    fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
+        self.operator.borrow_mut().observe(self.moved(at), x, y)
     }
 
-    fn adjoint_add(&mut self, k: usize, x: &[f64], dy: &[f64], dx: &mut [f64]) {
-        self.operator.borrow_mut().adjoint_add(self.first + k, x, dy, dx);
+    fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+        self.operator.borrow_mut().tangent(self.moved(at), x, dx, dy);
+    }
+
+    fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+        self.operator.borrow_mut().adjoint_add(self.moved(at), x, dy, dx);
     }
 }

@@ -5,6 +5,7 @@ use varda_implicit::Model;
 
 use crate::Error;
 use crate::outcome::{Fit, Forecast, Sight, Trajectories, Withheld};
+use crate::scene::TimeGrid;
 use crate::setup::Problem;
 
 /// Innovations at background and analysis, label by label in the order of their first appearance.
@@ -104,7 +105,7 @@ pub(crate) fn beyond(
     let grid = &problem.experiment.grid;
     let end = grid.steps as f64;
     let sights = problem.observed.sights();
-    let mut places = Places::of((space.make_places)()?);
+    let mut places = Places::of((space.make_places)()?, *grid);
     let at_rest = if sights.iter().any(|s| s.at() > end) {
         let control = rod.parts.at_rest(grid.time(grid.steps))?;
         let mut state = vec![0.0; model.dim()];
@@ -165,18 +166,19 @@ pub(crate) fn beyond(
 /// Places of all sites in the model's axes.
 struct Places {
     operator: Box<dyn ObservationOperator>,
+    grid: TimeGrid,
     values: Vec<f64>,
 }
 
 impl Places {
-    fn of(operator: Box<dyn ObservationOperator>) -> Self {
-        Places { values: vec![0.0; operator.dim()], operator }
+    fn of(operator: Box<dyn ObservationOperator>, grid: TimeGrid) -> Self {
+        Places { values: vec![0.0; operator.dim()], operator, grid }
     }
 
     /// The place of a site in a state at step k.
     fn of_site(&mut self, state: &[f64], site: usize, step: usize) -> Result<[f64; 3], Error> {
         self.operator
-            .observe(step, state, &mut self.values)
+            .observe(self.grid.at(step), state, &mut self.values)
             .map_err(|reason| varda_assimilation::Error::Observe { operator: 0, step, reason })?;
         Ok(std::array::from_fn(|c| self.values[3 * site + c]))
     }

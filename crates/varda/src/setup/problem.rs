@@ -110,7 +110,7 @@ impl Problem {
         let make_model = adaptive_steps.as_ref().map_or_else(|| system.models(), |steps| steps.factory());
         if let Some(truth) = &truth {
             let mut model = make_truth.as_ref().unwrap_or(&make_model)(0);
-            observed.draw(model.as_mut(), truth, scene.seed)?;
+            observed.draw(model.as_mut(), &grid, truth, scene.seed)?;
         }
         let mut left_out = system.left_out();
         left_out.extend(observed.left_out.iter().cloned());
