@@ -197,8 +197,8 @@ impl Frame {
 
 /// H_k(x): the coordinates of all sites at step k, in the recording's axes, three rows a site: y = Rᵀ p.
 ///
-/// On the centreline p is linear in arc length between two vertices (a prescribed vertex enters as a known function of
-/// the step's time); off it p is carried by the section.
+/// On the centreline p is linear in arc length between two vertices (a prescribed vertex enters as a known
+/// function of the step's time); off it p is carried by the section.
 pub struct RodObservation {
     markers: Markers,
     rotation: [[f64; 3]; 3],
