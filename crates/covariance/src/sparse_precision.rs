@@ -35,7 +35,7 @@ use varda_linalg::sparse::{Cholesky, Ordering};
 /// ```
 /// use varda_covariance::{Covariance, Grid, SparsePrecision};
 ///
-/// let grid = Grid::rectangle([60, 40], [0.1, 0.1])?;
+/// let grid = Grid::rectangle([60, 40], [0.05, 0.05])?;
 /// let b = SparsePrecision::matern(grid, 2.0, 0.5, 2)?; // σ = 2, L = 0.5, ν = 1
 /// let mut variance = vec![0.0; 2400];
 /// b.variance(&mut variance);
