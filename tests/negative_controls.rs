@@ -197,7 +197,7 @@ fn a_mutated_tangent_entry_is_caught_by_both() {
     let model = varda_implicit::Rk4::new(varda_implicit::lorenz::Lorenz63::default(), 0, 0.01);
     let mut model = WrongTangent(model);
     let outcomes = check::conformance(&mut model, 0, &[1.2, -0.7, 10.3], &[1.0; 3], 1).unwrap();
-    let failed: Vec<&str> = outcomes.iter().filter(|o| !o.pass).map(|o| o.what).collect();
+    let failed: Vec<&str> = outcomes.iter().filter(|o| !o.pass).map(|o| o.what.as_str()).collect();
     assert!(failed.iter().any(|w| w.contains("dot product")), "{failed:?}");
     assert!(failed.iter().any(|w| w.contains("Taylor")), "{failed:?}");
 }

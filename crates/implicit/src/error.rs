@@ -35,6 +35,21 @@ pub enum Error {
         /// Row of the first unusable pivot.
         row: usize,
     },
+    /// The Jacobian of a right-hand side is not the derivative that its tangent is, or its structure leaves out an entry.
+    #[error(
+        "step {step}: row {row} of ∂f/∂x dx is {jacobian:e} by the Jacobian and {tangent:e} by the tangent; \
+         one of them is wrong, or the structure leaves out an entry"
+    )]
+    JacobianDisagrees {
+        /// Index k of the step at which they were compared.
+        step: usize,
+        /// The first row that differs.
+        row: usize,
+        /// What the Jacobian gives there.
+        jacobian: f64,
+        /// What the tangent gives there.
+        tangent: f64,
+    },
     /// A pair of states to linearize at is not a step of the model.
     #[error(
         "step {step}: x_{{k+1}} does not follow from x_k; a step is linearized at a pair it was taken between"
@@ -104,6 +119,7 @@ impl Error {
             Error::NewtonDiverged { step, .. }
             | Error::SingularJacobian { step, .. }
             | Error::NotAStep { step }
+            | Error::JacobianDisagrees { step, .. }
             | Error::NonFinite { step, .. }
             | Error::Refused { step, .. } => *step = k,
             Error::EmptyTest { .. } | Error::ToleranceNotMet { .. } | Error::Memory { .. } => {}

@@ -46,38 +46,57 @@
 
 #![forbid(unsafe_code)]
 
+#[cfg(feature = "implicit")]
 mod adaptive;
 pub mod check;
+#[cfg(feature = "implicit")]
 mod equations;
 mod error;
 mod explicit;
+#[cfg(feature = "implicit")]
 mod implicit;
 pub mod line;
 pub mod lorenz;
 mod model;
+#[cfg(feature = "implicit")]
 mod newton;
+#[cfg(feature = "implicit")]
+mod one_leg;
 mod rhs;
+#[cfg(feature = "implicit")]
 mod scheme;
+#[cfg(feature = "implicit")]
 mod step;
 mod storage;
 mod substepped;
+#[cfg(feature = "implicit")]
 mod substeps;
 mod trajectory;
 
+#[cfg(feature = "implicit")]
 pub use adaptive::{Adaptive, accepted_times, largest_error};
+#[cfg(feature = "implicit")]
 pub use equations::Equations;
 pub use error::{Error, Refusal};
 pub use explicit::Rk4;
+#[cfg(feature = "implicit")]
 pub use implicit::{ImplicitModel, Linearization, MAX_HALVINGS};
 pub use model::{ControlMap, Counts, Log, Model, Warning, Work};
+#[cfg(feature = "implicit")]
 pub use newton::{NewtonFailure, NewtonOptions, NewtonReport, NewtonWork, solve};
-pub use rhs::{OneLeg, OneLegEquations, Rhs};
+#[cfg(feature = "implicit")]
+pub use one_leg::{OneLeg, OneLegEquations};
+pub use rhs::Rhs;
+#[cfg(feature = "implicit")]
 pub use scheme::{Scheme, Stage};
+#[cfg(feature = "implicit")]
 pub use step::{ImplicitStep, Interval, StepEquations};
 pub use storage::{Footprint, Storage};
 pub use substepped::Substepped;
 pub use trajectory::{Keep, LinearizedStep, Trajectory};
-pub use varda_linalg::{BadPivot, Factor, LinearSolver, Structure, band};
+#[cfg(feature = "implicit")]
+pub use varda_linalg::{BadPivot, Factor, LinearSolver};
+pub use varda_linalg::{Structure, band};
 
 /// The example of README.md, compiled and run with the tests.
 #[cfg(doctest)]

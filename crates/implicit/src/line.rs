@@ -1,6 +1,8 @@
 //! Transport along a line: linear advection–diffusion, and Burgers' equation.
 
-use crate::{ImplicitModel, Model, OneLeg, Rhs, Rk4, Scheme, Structure};
+#[cfg(feature = "implicit")]
+use crate::{ImplicitModel, OneLeg, Scheme};
+use crate::{Model, Rhs, Rk4, Structure};
 
 /// The line that a field u is carried along, 0 ≤ s ≤ L, by points at equal distances h.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -121,6 +123,7 @@ impl Transport {
     ///
     /// # Panics
     /// As [`ImplicitModel::new`].
+    #[cfg(feature = "implicit")]
     pub fn implicit(
         self,
         scheme: Scheme,
@@ -231,7 +234,7 @@ impl Rhs for Transport {
         Structure::Sparse { columns, rows }
     }
 
-    fn jacobian(&mut self, _t: f64, u: &[f64], _unit: &mut [f64], values: &mut [f64]) {
+    fn jacobian(&mut self, _t: f64, u: &[f64], values: &mut [f64]) -> bool {
         let (n, beyond, scales) = (u.len(), self.beyond(u), self.scales());
         for i in 0..n {
             let row = self.row(scales, near(u, beyond, i));
@@ -250,5 +253,6 @@ impl Rhs for Transport {
             values[0] = 0.0;
             values[3 * n - 1] = 0.0;
         }
+        true
     }
 }

@@ -1,7 +1,9 @@
 //! The checks themselves: what they refuse, and what they must not let pass.
 
 use varda_implicit::lorenz::Lorenz63;
-use varda_implicit::{ControlMap, Error, ImplicitModel, Log, Model, OneLeg, Rhs, Rk4, Work, check};
+use varda_implicit::{
+    ControlMap, Error, ImplicitModel, Log, Model, OneLeg, Rhs, Rk4, Structure, Work, check,
+};
 
 /// A model given by its three functions.
 struct Toy {
@@ -22,10 +24,10 @@ impl Model for Toy {
         Ok(Work::default())
     }
     fn tangent(&mut self, _: usize, dx: &mut [f64]) {
-        (self.tangent)(dx);
+        dx.chunks_exact_mut(2).for_each(self.tangent);
     }
     fn adjoint(&mut self, _: usize, lambda: &mut [f64]) {
-        (self.adjoint)(lambda);
+        lambda.chunks_exact_mut(2).for_each(self.adjoint);
     }
     fn release(&mut self, _: usize) {}
     fn slot_bytes(&self) -> usize {
@@ -227,4 +229,143 @@ fn amplification_is_the_norm_of_the_window() {
     // one direction alone is left
     assert!((long.norm / frobenius - 1.0).abs() < 1e-6, "{long:?} {frobenius:e}");
     assert!(!long.reliable && long.warning().is_some_and(|w| w.contains("shorten the window")));
+}
+
+/// x_{k+1} = c_k x_k (1 − 0.1 x_k) with c_0 = 0.9 and c_k = 0.8 after; the control is z = ln x₀.
+struct Decay {
+    z: f64,
+    slopes: Vec<f64>,
+    fault: Fault,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Fault {
+    None,
+    InitialAdjoint,
+    InitialTangent,
+    ManyColumns,
+    /// c_0 in the tangent and the adjoint of every step.
+    LaterSteps,
+    /// One linearization for all slots.
+    OneSlot,
+}
+
+impl Model for Decay {
+    fn dim(&self) -> usize {
+        1
+    }
+    fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<Work, Error> {
+        x_next[0] = if k == 0 { 0.9 } else { 0.8 } * x[0] * (1.0 - 0.1 * x[0]);
+        Ok(Work::default())
+    }
+    fn linearize(&mut self, slot: usize, k: usize, x: &[f64], _: &[f64]) -> Result<Work, Error> {
+        let c = if k == 0 || self.fault == Fault::LaterSteps { 0.9 } else { 0.8 };
+        let slot = if self.fault == Fault::OneSlot { 0 } else { slot };
+        self.slopes.resize(self.slopes.len().max(slot + 1), 0.0);
+        self.slopes[slot] = c * (1.0 - 0.2 * x[0]);
+        Ok(Work::default())
+    }
+    fn tangent(&mut self, slot: usize, dx: &mut [f64]) {
+        let off = if self.fault == Fault::ManyColumns && dx.len() > 1 { 3.0 } else { 1.0 };
+        dx.iter_mut().for_each(|d| *d *= off * self.slopes[slot]);
+    }
+    fn adjoint(&mut self, slot: usize, lambda: &mut [f64]) {
+        lambda.iter_mut().for_each(|l| *l *= self.slopes[slot]);
+    }
+    fn release(&mut self, from_slot: usize) {
+        self.slopes.truncate(from_slot);
+    }
+    fn slot_bytes(&self) -> usize {
+        8
+    }
+    fn bytes(&self) -> usize {
+        8 * self.slopes.len()
+    }
+    fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
+        Some(self)
+    }
+}
+
+impl ControlMap for Decay {
+    fn control_len(&self) -> usize {
+        1
+    }
+    fn to_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), Error> {
+        (self.z, x[0]) = (z[0], z[0].exp());
+        Ok(())
+    }
+    fn to_state_tangent(&mut self, dz: &[f64], dx: &mut [f64]) {
+        dx[0] = if self.fault == Fault::InitialTangent { dz[0] } else { self.z.exp() * dz[0] };
+    }
+    fn to_state_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]) {
+        dz[0] = if self.fault == Fault::InitialAdjoint { lambda[0] } else { self.z.exp() * lambda[0] };
+    }
+}
+
+#[test]
+fn every_part_of_a_model_is_checked() {
+    let check = |fault| {
+        let mut decay = Decay { z: 0.0, slopes: Vec::new(), fault };
+        check::model(&mut decay, &[0.5], 3, &[1.0], 1).unwrap()
+    };
+    let right = check(Fault::None);
+    assert!(right.passed(), "{right}");
+    for (fault, what) in [
+        (Fault::InitialAdjoint, "dot product of its adjoint"),
+        (Fault::InitialTangent, "Taylor slope of its tangent"),
+        (Fault::ManyColumns, "three columns"),
+        (Fault::LaterSteps, "step 2: tangent: 2 − Taylor slope"),
+        (Fault::OneSlot, "slot 0"),
+    ] {
+        let report = check(fault);
+        assert!(report.failed().any(|f| f.what.contains(what)), "{what} is not in\n{report}");
+    }
+    let mut decay = Decay { z: 0.0, slopes: Vec::new(), fault: Fault::None };
+    assert!(matches!(check::model(&mut decay, &[0.5], 1, &[1.0], 1), Err(Error::EmptyTest { .. })));
+    assert!(!check::Report::default().passed());
+}
+
+/// ẋ = (x₁, −sin x₀) with a mistake in one of its parts.
+struct Pendulum(&'static str);
+
+impl Rhs for Pendulum {
+    fn dim(&self) -> usize {
+        2
+    }
+    fn eval(&mut self, _: f64, x: &[f64], f: &mut [f64]) {
+        (f[0], f[1]) = (x[1], -x[0].sin());
+    }
+    fn tangent(&mut self, _: f64, x: &[f64], dx: &[f64], df: &mut [f64]) {
+        let off = if self.0 == "tangent" { 1.001 } else { 1.0 };
+        (df[0], df[1]) = (dx[1], -off * x[0].cos() * dx[0]);
+    }
+    fn adjoint_add(&mut self, _: f64, x: &[f64], l: &[f64], dx: &mut [f64]) {
+        let off = if self.0 == "adjoint" { 1.001 } else { 1.0 };
+        dx[0] -= off * x[0].cos() * l[1];
+        dx[1] += l[0];
+    }
+    fn adjoint(&mut self, t: f64, x: &[f64], l: &[f64], dx: &mut [f64]) {
+        dx.fill(if self.0 == "adjoint_add" { 1e-3 } else { 0.0 });
+        self.adjoint_add(t, x, l, dx);
+    }
+    fn structure(&self) -> Structure {
+        match self.0 {
+            "structure" => Structure::from_pairs(2, [(0, 1), (1, 0)]).unwrap(),
+            _ => Structure::Dense,
+        }
+    }
+    fn jacobian(&mut self, _: f64, x: &[f64], values: &mut [f64]) -> bool {
+        values.copy_from_slice(&[0.0, -x[0].cos(), if self.0 == "jacobian" { 1.001 } else { 1.0 }, 0.0]);
+        self.0 != "structure"
+    }
+}
+
+#[test]
+fn every_part_of_a_right_hand_side_is_checked() {
+    let check = |part| check::rhs(&mut Pendulum(part), 0.0, &[0.7, 0.4], &[1.0; 2], 3).unwrap();
+    assert!(check("").passed(), "{}", check(""));
+    for part in ["tangent", "adjoint", "adjoint_add", "structure", "jacobian"] {
+        let report = check(part);
+        assert!(report.failed().any(|f| f.what.contains(part)), "{part} is not in\n{report}");
+    }
 }

@@ -11,7 +11,6 @@ struct Swing;
 
 /// The equations of one step.
 struct SwingEquations<'a> {
-    step: &'a mut Swing,
     at: Interval,
     x: &'a [f64],
 }
@@ -65,7 +64,7 @@ impl ImplicitStep for Swing {
         dx.iter_mut().zip(mu).for_each(|(d, m)| *d -= m);
     }
     fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<Self::Equations<'a>, Refusal> {
-        Ok(SwingEquations { step: self, at: *at, x })
+        Ok(SwingEquations { at: *at, x })
     }
 }
 

@@ -18,8 +18,8 @@ pub struct Eigen {
 impl Eigen {
     /// Of the n × n matrix whose lower triangle is given column by column (the upper one, if row by row).
     ///
-    /// Some 9 n³ operations. The eigenvalues are right to n ε of the largest in magnitude; those far smaller have no
-    /// correct digits.
+    /// Some 9 n³ operations. The eigenvalues are right to n ε of the largest in magnitude; those far
+    /// smaller have no correct digits.
     ///
     /// ```
     /// let eigen = varda_linalg::Eigen::new(2, &[2.0, 1.0, 1.0, 2.0])?;

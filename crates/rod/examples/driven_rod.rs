@@ -2,7 +2,6 @@
 #![allow(clippy::print_stdout)]
 
 use std::f64::consts::PI;
-use std::sync::Arc;
 use std::time::Instant;
 
 use varda_implicit::{ImplicitModel, Model};
@@ -19,12 +18,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let rod = Rod::uniform(1.0, segments, &Section::circle(&material, 0.005))?;
         let omega = 2.0 * PI;
         let drive = move |t: f64| [0.10 * (1.0 - (omega * t).cos()), 0.05 * (omega * t).sin(), 0.0];
-        let clamp = Clamp {
-            position: Arc::new(drive),
-            tangent: Arc::new([0.0, 0.0, -1.0]),
-            director: Arc::new([1.0, 0.0, 0.0]),
-        };
-        let loads = Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() };
+        let clamp = Clamp::new(drive, [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]);
+        let loads = Loads { gravity: [0.0, 0.0, -9.81].into(), ..Loads::default() };
         let step =
             RodStep::with_twist(rod, Supports::clamped_start(clamp), loads, Damping::default(), twist)?;
 

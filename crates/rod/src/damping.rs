@@ -5,8 +5,9 @@
 //! symmetry stay. Here are the products with ∂G/∂x_k = −(β/η) Σ_j w_j ∇ε(y) k ∇ε(past j)ᵀ ∂(past j)/∂x_k. Strains do
 //! not change in a rigid motion, so neither does ε*.
 
+use nalgebra::Vector3;
+
 use crate::element::Strains;
-use crate::geometry::V3;
 use crate::layout::FIXED;
 use crate::shape::Shape;
 use crate::stage::{mixed, mixed_add};
@@ -22,7 +23,7 @@ pub(crate) struct KelvinVoigt {
     share: f64,
     full: Vec<f64>,
     state: Vec<f64>,
-    displacement: Vec<V3>,
+    displacement: Vec<Vector3<f64>>,
     psi: Vec<f64>,
 }
 
@@ -46,7 +47,7 @@ impl KelvinVoigt {
             share: 0.0,
             full: vec![0.0; system.layout.full()],
             state: vec![0.0; system.layout.state()],
-            displacement: vec![V3::ZERO; n + 1],
+            displacement: vec![Vector3::zeros(); n + 1],
             psi: vec![0.0; n],
         }
     }
@@ -72,7 +73,7 @@ impl KelvinVoigt {
         past.strains.clear();
         if system.layout.bending {
             for vertex in 1..system.rod.segments() {
-                let strains = system.strains(vertex);
+                let strains = system.shape.strains(vertex);
                 for (sum, value) in self.past.bend[vertex - 1].iter_mut().zip(strains.value) {
                     *sum += weight * value;
                 }
@@ -99,7 +100,7 @@ impl KelvinVoigt {
             self.full.fill(0.0);
             for &v in &layout.free_vertices {
                 let i = layout.vertex(v);
-                self.full[i..i + 3].copy_from_slice(self.displacement[v].as_ref());
+                self.full[i..i + 3].copy_from_slice(self.displacement[v].as_slice());
             }
             if !layout.free_angles.is_empty() {
                 past.shape.holonomy(&self.displacement, &mut self.psi);
@@ -127,7 +128,7 @@ impl KelvinVoigt {
         let own = self.state.len();
         for past in &self.configurations[..self.used] {
             let (back, angles, state) = (&mut self.displacement, &mut self.psi, &mut self.state);
-            back.fill(V3::ZERO);
+            back.fill(Vector3::zeros());
             angles.fill(0.0);
             past.couple(self.share, &self.full, system, Direction::Transposed, |full, value| {
                 // The place of a degree of freedom within its stride tells a coordinate from an angle.
@@ -147,7 +148,7 @@ impl KelvinVoigt {
                 past.shape.holonomy_transpose_add(angles, back);
             }
             for (f, &v) in layout.free_vertices.iter().enumerate() {
-                state[3 * f..3 * f + 3].copy_from_slice(back[v].as_ref());
+                state[3 * f..3 * f + 3].copy_from_slice(back[v].as_slice());
             }
             for (i, value) in state.iter().enumerate() {
                 mixed_add(past.of, dx, own, i, [*value]);
@@ -183,7 +184,7 @@ impl Past {
             return;
         }
         for vertex in 1..layout.segments {
-            let new = system.strains(vertex);
+            let new = system.shape.strains(vertex);
             let old = &self.strains[vertex - 1];
             let first = layout.vertex(vertex - 1);
             let local = &full[first..first + 11];

@@ -1,5 +1,6 @@
 //! Time steps of the rod for the generic layer.
 
+use nalgebra::Vector3;
 use varda_implicit::{
     Equations, ImplicitModel, ImplicitStep, Interval, Model, Refusal, Scheme, StepEquations, Structure,
     Substepped,
@@ -7,8 +8,7 @@ use varda_implicit::{
 
 use crate::Error;
 use crate::damping::KelvinVoigt;
-use crate::equilibrium::TwistEquilibrium;
-use crate::geometry::V3;
+use crate::equilibrium::{Rest, TwistEquilibrium};
 use crate::predict::Carry;
 use crate::rod::Rod;
 use crate::stage::{RodStage, mixed, mixed_add};
@@ -45,12 +45,12 @@ pub struct RodStep {
     twist: Option<TwistEquilibrium>,
     carry: Carry,
     /// X* and X* + η V* of the free vertices in the step being worked on.
-    start: Vec<V3>,
-    target: Vec<V3>,
+    start: Vec<Vector3<f64>>,
+    target: Vec<Vector3<f64>>,
     end_angle: f64,
     tolerance: f64,
     state: Vec<f64>,
-    displacement: Vec<V3>,
+    displacement: Vec<Vector3<f64>>,
     psi: Vec<f64>,
 }
 
@@ -82,11 +82,11 @@ impl RodStep {
             twist: (!system.layout.free_angles.is_empty()).then(|| TwistEquilibrium::new(&system)),
             carry: Carry::new(&system),
             tolerance: 1e-11 * system.rod.length(),
-            start: vec![V3::ZERO; free],
-            target: vec![V3::ZERO; free],
+            start: vec![Vector3::zeros(); free],
+            target: vec![Vector3::zeros(); free],
             end_angle: 0.0,
             state: vec![0.0; system.layout.state()],
-            displacement: vec![V3::ZERO; n + 1],
+            displacement: vec![Vector3::zeros(); n + 1],
             psi: vec![0.0; n],
             damping,
             system,
@@ -149,18 +149,30 @@ impl RodStep {
         6 * self.system.layout.free_vertices.len()
     }
 
+    /// The control z = [X₀, 0] of the rod at rest in this shape.
+    ///
+    /// # Panics
+    /// If the shape has fewer vertices than the rod.
+    pub fn control_at_rest(&self, shape: &Rest) -> Vec<f64> {
+        let mut z = vec![0.0; self.control_len()];
+        for (x, &v) in z.chunks_exact_mut(3).zip(self.free_vertices()) {
+            x.copy_from_slice(shape.vertices[v].as_slice());
+        }
+        z
+    }
+
     /// Places of all vertices at time t in a state or control, prescribed ones included \[m\].
     ///
     /// # Errors
     /// [`Error`] where a support's motion is not usable at t.
-    pub fn vertices(&mut self, t: f64, state: &[f64]) -> Result<Vec<[f64; 3]>, Error> {
+    pub fn vertices(&mut self, t: f64, state: &[f64]) -> Result<Vec<Vector3<f64>>, Error> {
         self.system.place(t)?;
         let f = self.system.layout.free_vertices.len();
         assert!(state.len() >= 6 * f, "a state or control is at least {} long", 6 * f);
         for (i, &v) in self.system.layout.free_vertices.iter().enumerate() {
-            self.system.x[v] = V3::from_slice(&state[3 * i..3 * i + 3]);
+            self.system.x[v] = Vector3::from_column_slice(&state[3 * i..3 * i + 3]);
         }
-        Ok(self.system.x.iter().map(|x| (*x).into()).collect())
+        Ok(self.system.x.clone())
     }
 
     /// What this rod does not need and therefore does not have.
@@ -229,7 +241,7 @@ impl RodStep {
         }
         s.place(stage.of.time)?;
         for f in 0..nf {
-            let star = |i: usize| V3::from([0, 1, 2].map(|c| mixed(from, x, own, 3 * i + c)));
+            let star = |i: usize| Vector3::from_fn(|c, _| mixed(from, x, own, 3 * i + c));
             self.start[f] = star(f);
             self.target[f] = self.start[f] + star(nf + f) * h;
         }
@@ -288,7 +300,7 @@ impl Equations for RodEquations<'_> {
             let (x, force) = (s.x[v], s.forces[v]);
             let (d, e) = (x - step.target[f], x - step.start[f]);
             // Forces act through the displacement of the step: F·X itself would drown Φ's decrease in rounding.
-            potential += 0.5 * k * d.length_squared() + 0.5 * c * e.length_squared() - force.dot(e);
+            potential += 0.5 * k * d.dot(&d) + 0.5 * c * e.dot(&e) - force.dot(&e);
             let i = s.layout.unknown[s.layout.vertex(v)];
             for a in 0..3 {
                 g[i + a] += k * d[a] + c * e[a] - force[a];
@@ -529,7 +541,7 @@ impl ImplicitStep for RodStep {
         for (f, &e) in self.system.layout.free_angles.iter().enumerate() {
             self.psi[e] = angle[0] * angles[f];
         }
-        self.displacement.fill(V3::ZERO);
+        self.displacement.fill(Vector3::zeros());
         self.system.shape.holonomy_transpose_add(&self.psi, &mut self.displacement);
         let layout = &self.system.layout;
         for &v in &layout.free_vertices {

@@ -1,11 +1,11 @@
 //! Static equilibrium of the whole rod, and of the twist alone, by the same Newton's method.
 
+use nalgebra::Vector3;
 use varda_implicit::{
     Equations, Interval, NewtonOptions, NewtonReport, NewtonWork, Refusal, Structure, solve,
 };
 
 use crate::Error;
-use crate::geometry::V3;
 use crate::layout::FIXED;
 use crate::rod::Rod;
 use crate::support::{Damping, Loads, Supports};
@@ -15,7 +15,7 @@ use crate::system::System;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rest {
     /// x_0 … x_n \[m\].
-    pub vertices: Vec<[f64; 3]>,
+    pub vertices: Vec<Vector3<f64>>,
     /// θ^0 … θ^{n−1} \[rad\]; zero where the rod has no twist unknowns.
     pub theta: Vec<f64>,
 }
@@ -42,9 +42,7 @@ pub fn equilibrium(
     let refuse = |e: Error| varda_implicit::Error::Refused { step: 0, reason: e.into() };
     let mut system = System::new(rod.clone(), supports.clone(), loads.clone(), &Damping::default(), false)
         .map_err(refuse)?;
-    for (x, g) in system.x.iter_mut().zip(&guess.vertices) {
-        *x = V3::from(*g);
-    }
+    system.x.copy_from_slice(&guess.vertices);
     system.theta.copy_from_slice(&guess.theta);
     system.place(t).map_err(refuse)?;
     if !system.layout.bending {
@@ -62,14 +60,14 @@ pub fn equilibrium(
     let mut system = statics.system;
     system.scatter(&u);
     system.update_shape(system.layout.twist, end_angle).map_err(refuse)?;
-    Ok((Rest { vertices: system.x.iter().map(|x| (*x).into()).collect(), theta: system.theta }, report))
+    Ok((Rest { vertices: system.x, theta: system.theta }, report))
 }
 
 /// An edge of a chain at its rest length has no stiffness across itself, which leaves zero rows in the Hessian: where there is
 /// one, the free vertices move away from the first held one by a thousandth.
 fn stretch_a_little(system: &mut System) {
     let mut edges = system.x.windows(2).zip(&system.rod.rest_lengths);
-    if edges.any(|(x, rest)| ((x[1] - x[0]).length() - rest).abs() < 1e-9 * rest) {
+    if edges.any(|(x, rest)| ((x[1] - x[0]).norm() - rest).abs() < 1e-9 * rest) {
         let free = &system.layout.free_vertices;
         let held = (0..system.x.len()).find(|v| !free.contains(v)).unwrap_or(0);
         let origin = system.x[held];
@@ -84,29 +82,34 @@ fn stretch_a_little(system: &mut System) {
 ///
 /// # Errors
 /// [`Error`] where the rod or a support is not usable, or `direction` is zero or too large to be normalized.
-pub fn straight_guess(rod: &Rod, supports: &Supports, t: f64, direction: [f64; 3]) -> Result<Rest, Error> {
+pub fn straight_guess(
+    rod: &Rod,
+    supports: &Supports,
+    t: f64,
+    direction: impl Into<Vector3<f64>>,
+) -> Result<Rest, Error> {
+    let direction = direction.into();
     rod.check()?;
     supports.prescribed_vertices(rod)?;
     let n = rod.segments();
     let s = rod.arc_lengths();
-    let along = V3::from(direction);
-    let length = along.length();
+    let length = direction.norm();
     let (anchor, place, tangent) = if let Some(clamp) = &supports.start {
         let f = clamp.frame(t)?;
         (0, f.position, f.tangent)
     } else if let Some((vertex, motion)) = supports.prescribed.first() {
-        (*vertex, V3::from(motion.at(t)), along / length)
+        (*vertex, motion.at(t), direction / length)
     } else if let Some(clamp) = &supports.end {
         let f = clamp.frame(t)?;
         (n, f.position, f.tangent)
     } else {
-        (0, V3::ZERO, along / length)
+        (0, Vector3::zeros(), direction / length)
     };
     // a length of zero, or one that overflowed, leaves no unit vector
-    if !(tangent.length() > 0.5) {
+    if !(tangent.norm() > 0.5) {
         return Err(Error::Value { field: "direction", value: length, expected: "a direction" });
     }
-    let vertices = s.iter().map(|si| (place + tangent * (si - s[anchor])).into()).collect();
+    let vertices = s.iter().map(|si| place + tangent * (si - s[anchor])).collect();
     Ok(Rest { vertices, theta: vec![0.0; n] })
 }
 
@@ -120,14 +123,20 @@ struct Statics {
     system: System,
     end_angle: f64,
     tolerance: f64,
-    displacement: Vec<V3>,
+    displacement: Vec<Vector3<f64>>,
     psi: Vec<f64>,
 }
 
 impl Statics {
     fn new(system: System, end_angle: f64, tolerance: f64) -> Statics {
         let n = system.rod.segments();
-        Statics { end_angle, tolerance, displacement: vec![V3::ZERO; n + 1], psi: vec![0.0; n], system }
+        Statics {
+            end_angle,
+            tolerance,
+            displacement: vec![Vector3::zeros(); n + 1],
+            psi: vec![0.0; n],
+            system,
+        }
     }
 
     fn work_space(&self) -> NewtonWork {
@@ -157,7 +166,7 @@ impl Equations for Statics {
             }
         }
         for &v in &s.layout.free_vertices {
-            potential -= s.forces[v].dot(s.x[v]);
+            potential -= s.forces[v].dot(&s.x[v]);
             let i = s.layout.unknown[s.layout.vertex(v)];
             for c in 0..3 {
                 g[i + c] -= s.forces[v][c];
@@ -197,7 +206,7 @@ pub(crate) struct TwistEquilibrium {
     u: Vec<f64>,
     rhs: Vec<f64>,
     psi: Vec<f64>,
-    displacement: Vec<V3>,
+    displacement: Vec<Vector3<f64>>,
 }
 
 impl TwistEquilibrium {
@@ -216,7 +225,7 @@ impl TwistEquilibrium {
             u: vec![0.0; angles],
             rhs: vec![0.0; angles],
             psi: vec![0.0; n],
-            displacement: vec![V3::ZERO; n + 1],
+            displacement: vec![Vector3::zeros(); n + 1],
             full: system.clone(),
         }
     }
@@ -226,7 +235,7 @@ impl TwistEquilibrium {
         let s = &mut self.statics.system;
         s.place(t)?;
         for (f, &v) in self.full.layout.free_vertices.iter().enumerate() {
-            s.x[v] = V3::from_slice(&positions[3 * f..3 * f + 3]);
+            s.x[v] = Vector3::from_column_slice(&positions[3 * f..3 * f + 3]);
         }
         s.theta.fill(0.0);
         let end_angle = s.end_angle_guess();
@@ -323,7 +332,7 @@ impl TwistEquilibrium {
         self.rhs.copy_from_slice(lambda);
         self.solve_angles();
         let mut displacement = std::mem::take(&mut self.displacement);
-        displacement.fill(V3::ZERO);
+        displacement.fill(Vector3::zeros());
         self.psi.fill(0.0);
         for (f, &e) in self.full.layout.free_angles.iter().enumerate() {
             self.psi[e] = lambda[f];

@@ -1,30 +1,33 @@
 //! Edges, curvature and parallel transport.
 
-use crate::Error;
+use nalgebra::{Matrix3, Vector3};
 
-pub(crate) type V3 = glam::DVec3;
-pub(crate) type M3 = glam::DMat3;
+use crate::Error;
+use crate::scalar::{Real, length, square, unit};
 
 /// 1 + t·t' below this is a fold: the turning angle is within 1e-6 rad of π, where 1 + t·t' = (1e-6)²/2.
 const FOLD: f64 = 0.5e-12;
 
 /// Unit tangent and length of an edge.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Edge {
-    pub(crate) t: V3,
-    pub(crate) l: f64,
+pub(crate) struct Edge<T = f64> {
+    pub(crate) t: Vector3<T>,
+    pub(crate) l: T,
 }
 
-impl Edge {
-    pub(crate) const NONE: Edge = Edge { t: V3::new(0.0, 0.0, 0.0), l: 0.0 };
+impl<T: Real> Edge<T> {
+    pub(crate) fn none() -> Edge<T> {
+        Edge { t: Vector3::zeros(), l: T::zero() }
+    }
 
-    pub(crate) fn between(a: V3, b: V3, index: usize) -> Result<Edge, Error> {
+    pub(crate) fn between(a: &Vector3<T>, b: &Vector3<T>, index: usize) -> Result<Edge<T>, Error> {
         let e = b - a;
-        let l = e.length();
+        let l = length(&e);
         // Also catches NaN and overflow; 1e-150 keeps 1/l² finite.
-        if !(l > 1e-150 && l < 1e150) {
-            return Err(if l.is_finite() {
-                Error::ZeroEdge { edge: index, length: l }
+        if !(l > T::of(1e-150) && l < T::of(1e150)) {
+            let length = l.value();
+            return Err(if length.is_finite() {
+                Error::ZeroEdge { edge: index, length }
             } else {
                 Error::NonFinite { what: "the length of edge", index }
             });
@@ -42,55 +45,59 @@ impl Edge {
 ///
 /// χ is taken from |p+q|², which keeps nine digits near a fold where 1 + p·q loses all of them.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Turn {
-    pub(crate) chi: f64,
-    pub(crate) kb: V3,
-    pub(crate) tilde: V3,
+pub(crate) struct Turn<T = f64> {
+    pub(crate) chi: T,
+    pub(crate) kb: Vector3<T>,
+    pub(crate) tilde: Vector3<T>,
 }
 
-impl Turn {
-    pub(crate) fn between(p: V3, q: V3, vertex: usize) -> Result<Turn, Error> {
+impl<T: Real> Turn<T> {
+    pub(crate) fn none() -> Turn<T> {
+        Turn { chi: T::one(), kb: Vector3::zeros(), tilde: Vector3::zeros() }
+    }
+
+    pub(crate) fn between(p: &Vector3<T>, q: &Vector3<T>, vertex: usize) -> Result<Turn<T>, Error> {
         let sum = p + q;
-        let chi = 0.5 * sum.length_squared();
-        if !(chi > FOLD) {
+        let chi = T::of(0.5) * square(&sum);
+        if !(chi > T::of(FOLD)) {
             return Err(Error::Fold { vertex });
         }
         // p × q = p × (q − p): the difference is exact for nearly parallel tangents.
-        Ok(Turn { chi, kb: p.cross(q - p) * (2.0 / chi), tilde: sum / chi })
+        Ok(Turn { chi, kb: p.cross(&(q - p)) * (T::of(2.0) / chi), tilde: sum / chi })
     }
 
     /// Parallel transport of w ⟂ p from p to q: w − (w·q) t̃.
-    pub(crate) fn transport(&self, q: V3, w: V3) -> V3 {
+    pub(crate) fn transport(&self, q: &Vector3<T>, w: &Vector3<T>) -> Vector3<T> {
         w - self.tilde * w.dot(q)
     }
 }
 
 /// The part of w perpendicular to the unit vector t, normalized.
-pub(crate) fn perpendicular(w: V3, t: V3) -> V3 {
-    (w - t * w.dot(t)).normalize()
+pub(crate) fn perpendicular<T: Real>(w: &Vector3<T>, t: &Vector3<T>) -> Vector3<T> {
+    unit(&(w - t * w.dot(t)))
 }
 
 /// Some unit vector perpendicular to the unit vector t: the coordinate axis least aligned with it, projected.
-pub(crate) fn any_perpendicular(t: V3) -> V3 {
-    perpendicular(V3::AXES[t.abs().min_position()], t)
+pub(crate) fn any_perpendicular(t: &Vector3<f64>) -> Vector3<f64> {
+    let mut axis = Vector3::zeros();
+    axis[t.iamin()] = 1.0;
+    perpendicular(&axis, t)
 }
 
 /// Signed angle from u to w about t, in (−π, π]; u, w ⟂ t.
-pub(crate) fn signed_angle(u: V3, w: V3, t: V3) -> f64 {
+pub(crate) fn signed_angle<T: Real>(u: &Vector3<T>, w: &Vector3<T>, t: &Vector3<T>) -> T {
     u.cross(w).dot(t).atan2(u.dot(w))
 }
 
-/// [w]×, the matrix of w × ·.
-pub(crate) fn cross_matrix(w: V3) -> M3 {
-    M3::from_cols(V3::new(0.0, w.z, -w.y), V3::new(-w.z, 0.0, w.x), V3::new(w.y, -w.x, 0.0))
-}
-
 /// a bᵀ.
-pub(crate) fn outer(a: V3, b: V3) -> M3 {
-    M3::from_cols(a * b.x, a * b.y, a * b.z)
+#[inline(always)]
+pub(crate) fn outer<T: Real>(a: &Vector3<T>, b: &Vector3<T>) -> Matrix3<T> {
+    let (x, y, z) = (a * b.x, a * b.y, a * b.z);
+    Matrix3::new(x.x, y.x, z.x, x.y, y.y, z.y, x.z, y.z, z.z)
 }
 
 /// a bᵀ + b aᵀ.
-pub(crate) fn symmetric_product(a: V3, b: V3) -> M3 {
+#[inline(always)]
+pub(crate) fn symmetric_product<T: Real>(a: &Vector3<T>, b: &Vector3<T>) -> Matrix3<T> {
     outer(a, b) + outer(b, a)
 }

@@ -34,18 +34,13 @@
 //! A rod of silicone hangs from a clamp that moves sideways; where is its tip after one second?
 //!
 //! ```
-//! use std::sync::Arc;
 //! use varda_implicit::{ImplicitModel, Model};
-//! use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports};
+//! use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, Vector3};
 //!
 //! let material = Material::new(1e6, 0.5, 1100.0);
 //! let rod = Rod::uniform(1.0, 20, &Section::circle(&material, 0.01))?;
-//! let clamp = Clamp {
-//!     position: Arc::new(|t: f64| [0.1 * t * t, 0.0, 0.0]),
-//!     tangent: Arc::new([0.0, 0.0, -1.0]),
-//!     director: Arc::new([1.0, 0.0, 0.0]),
-//! };
-//! let loads = Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() };
+//! let clamp = Clamp::new(|t: f64| [0.1 * t * t, 0.0, 0.0], -Vector3::z(), Vector3::x());
+//! let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
 //! let step = RodStep::new(rod, Supports::clamped_start(clamp), loads, Damping::default())?;
 //!
 //! // Hanging straight down, at rest: control z = [X₀, V₀] of the free vertices.
@@ -80,18 +75,21 @@ mod marker;
 mod material;
 mod predict;
 mod rod;
+mod scalar;
 mod shape;
 mod stage;
 mod support;
 mod system;
 
 pub use dynamics::{RodEquations, RodStep, TwistUnknowns};
-pub use energy::{Derivatives, Energy, Framed, derivatives};
+pub use energy::{Derivatives, Energy, Framed, derivatives, energy};
 pub use equilibrium::{Rest, equilibrium, straight_guess};
 pub use error::Error;
 pub use marker::{Marker, Markers};
 pub use material::{Material, Section};
+pub use nalgebra::{Matrix3, Vector3};
 pub use rod::{Place, Rod};
+pub use scalar::Real;
 pub use support::{Clamp, Damping, EllipseDrive, Loads, Motion, Supports};
 
 /// The example of README.md, compiled and run with the tests.

@@ -1,10 +1,10 @@
 //! Points carried by the rod: on the centreline, or off it in the frame of the section.
 
+use nalgebra::Vector3;
 use varda_implicit::ImplicitStep;
 
 use crate::Error;
 use crate::dynamics::RodStep;
-use crate::geometry::V3;
 use crate::rod::Place;
 use crate::system::System;
 
@@ -14,7 +14,7 @@ pub struct Marker {
     /// Rest arc length \[m\].
     pub s: f64,
     /// Offset in the frame of the section \[m\]; zero for a point of the centreline.
-    pub offset: [f64; 3],
+    pub offset: Vector3<f64>,
 }
 
 /// Where markers are, as a function of time and state, with tangent and adjoint:
@@ -29,10 +29,10 @@ pub struct Marker {
 pub struct Markers {
     system: System,
     state_dim: usize,
-    markers: Vec<(Place, [f64; 3])>,
+    markers: Vec<(Place, Vector3<f64>)>,
     /// A marker is off the centreline.
     frames: bool,
-    displacement: Vec<V3>,
+    displacement: Vec<Vector3<f64>>,
     psi: Vec<f64>,
     angle: Vec<f64>,
 }
@@ -56,7 +56,7 @@ impl Markers {
             state_dim: rod.dim(),
             markers: placed,
             frames,
-            displacement: vec![V3::ZERO; n + 1],
+            displacement: vec![Vector3::zeros(); n + 1],
             psi: vec![0.0; n],
             angle: vec![0.0; n],
         })
@@ -93,7 +93,7 @@ impl Markers {
             if self.frames {
                 p += s.shape.m1[i] * o[0] + s.shape.m2[i] * o[1];
             }
-            out.copy_from_slice(p.as_ref());
+            out.copy_from_slice(p.as_slice());
         }
         Ok(())
     }
@@ -117,14 +117,14 @@ impl Markers {
             let (i, w, tangent) = (place.edge, place.fraction, s.shape.edges[place.edge].t);
             let (a, b) = (&self.displacement[i], &self.displacement[i + 1]);
             let rate = (b - a) / s.shape.edges[i].l;
-            let dt = rate - tangent * rate.dot(tangent);
+            let dt = rate - tangent * rate.dot(&tangent);
             let mut d = a * (1.0 - w) + b * w + dt * o[2];
             if self.frames {
                 let (m1, m2) = (&s.shape.m1[i], &s.shape.m2[i]);
-                d -= tangent * (o[0] * m1.dot(dt) + o[1] * m2.dot(dt));
+                d -= tangent * (o[0] * m1.dot(&dt) + o[1] * m2.dot(&dt));
                 d += (m2 * o[0] - m1 * o[1]) * self.angle[i];
             }
-            out.copy_from_slice(d.as_ref());
+            out.copy_from_slice(d.as_slice());
         }
         Ok(())
     }
@@ -139,19 +139,19 @@ impl Markers {
     pub fn adjoint_add(&mut self, t: f64, state: &[f64], dp: &[f64], dx: &mut [f64]) -> Result<(), Error> {
         assert_eq!(dp.len(), 3 * self.markers.len(), "three numbers for every marker");
         self.set(t, state)?;
-        self.displacement.fill(V3::ZERO);
+        self.displacement.fill(Vector3::zeros());
         self.angle.fill(0.0);
         let s = &self.system;
         for ((place, o), dp) in self.markers.iter().zip(dp.chunks_exact(3)) {
             let (i, w, edge) = (place.edge, place.fraction, &s.shape.edges[place.edge]);
-            let dp = V3::from_slice(dp);
+            let dp = Vector3::from_column_slice(dp);
             let mut dt = dp * o[2];
             if self.frames {
                 let (m1, m2) = (&s.shape.m1[i], &s.shape.m2[i]);
-                dt -= (m1 * o[0] + m2 * o[1]) * edge.t.dot(dp);
-                self.angle[i] += (m2 * o[0] - m1 * o[1]).dot(dp);
+                dt -= (m1 * o[0] + m2 * o[1]) * edge.t.dot(&dp);
+                self.angle[i] += (m2 * o[0] - m1 * o[1]).dot(&dp);
             }
-            let rate = (dt - edge.t * dt.dot(edge.t)) / edge.l;
+            let rate = (dt - edge.t * dt.dot(&edge.t)) / edge.l;
             self.displacement[i] += dp * (1.0 - w) - rate;
             self.displacement[i + 1] += dp * w + rate;
         }

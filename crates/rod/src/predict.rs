@@ -1,20 +1,21 @@
 //! First guess of a step: the old shape carried along with the supports.
 
+use nalgebra::{Matrix3, Vector3};
+
 use crate::Error;
-use crate::geometry::{M3, V3};
 use crate::system::{ClampFrame, System};
 
 /// A support moves a part of the rod rigidly from one time to the next.
 #[derive(Clone, Copy)]
 struct Anchor {
     vertex: usize,
-    from: V3,
-    to: V3,
-    rotation: M3,
+    from: Vector3<f64>,
+    to: Vector3<f64>,
+    rotation: Matrix3<f64>,
 }
 
 impl Anchor {
-    fn carry(&self, x: V3) -> V3 {
+    fn carry(&self, x: Vector3<f64>) -> Vector3<f64> {
         self.to + self.rotation * (x - self.from)
     }
 }
@@ -45,8 +46,8 @@ impl Carry {
             self.anchors.push(between(0, &clamp.frame(from)?, &clamp.frame(to)?));
         }
         for (vertex, motion) in &system.supports.prescribed {
-            let (from, to) = (V3::from(motion.at(from)), V3::from(motion.at(to)));
-            self.anchors.push(Anchor { vertex: *vertex, from, to, rotation: M3::IDENTITY });
+            let (from, to) = (motion.at(from), motion.at(to));
+            self.anchors.push(Anchor { vertex: *vertex, from, to, rotation: Matrix3::identity() });
         }
         if let Some(clamp) = &system.supports.end {
             self.anchors.push(between(n, &clamp.frame(from)?, &clamp.frame(to)?));
@@ -72,6 +73,6 @@ impl Carry {
 }
 
 fn between(vertex: usize, from: &ClampFrame, to: &ClampFrame) -> Anchor {
-    let axes = |f: &ClampFrame| M3::from_cols(f.tangent, f.director, f.tangent.cross(f.director));
+    let axes = |f: &ClampFrame| Matrix3::from_columns(&[f.tangent, f.director, f.tangent.cross(&f.director)]);
     Anchor { vertex, from: from.position, to: to.position, rotation: axes(to) * axes(from).transpose() }
 }

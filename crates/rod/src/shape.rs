@@ -10,55 +10,58 @@
 //!
 //! with dψ⁰ = 0 where the first edge is clamped.
 
+use nalgebra::Vector3;
+
 use crate::Error;
-use crate::element::Directors;
-use crate::geometry::{Edge, Turn, V3, perpendicular};
+use crate::element::{Directors, Strains};
+use crate::geometry::{Edge, Turn, perpendicular};
+use crate::scalar::Real;
 
 /// How the first edge gets its director d₁.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum FirstFrame {
+pub(crate) enum FirstFrame<T = f64> {
     /// Given: the edge is clamped in this director.
-    Clamped(V3),
+    Clamped(Vector3<T>),
     /// Carried by parallel transport from a fixed tangent and director: a function of the first tangent alone.
-    Carried { tangent: V3, director: V3 },
+    Carried { tangent: Vector3<T>, director: Vector3<T> },
 }
 
 /// One configuration of the rod: everything energies and markers need. Buffers are reused.
 #[derive(Debug, Clone)]
-pub(crate) struct Shape {
-    pub(crate) edges: Vec<Edge>,
+pub(crate) struct Shape<T = f64> {
+    pub(crate) edges: Vec<Edge<T>>,
     /// Turn at vertex i, i = 1 … n−1; entry 0 is that between the reference tangent and the first edge where the first
     /// frame is carried.
-    turns: Vec<Turn>,
+    turns: Vec<Turn<T>>,
     carried: bool,
-    pub(crate) d1: Vec<V3>,
-    pub(crate) m1: Vec<V3>,
-    pub(crate) m2: Vec<V3>,
+    pub(crate) d1: Vec<Vector3<T>>,
+    pub(crate) m1: Vec<Vector3<T>>,
+    pub(crate) m2: Vec<Vector3<T>>,
     /// τ_i at vertex i; entry 0 unused.
-    pub(crate) tau: Vec<f64>,
+    pub(crate) tau: Vec<T>,
 }
 
-impl Shape {
-    pub(crate) fn new(segments: usize) -> Shape {
-        let (n, zero) = (segments, V3::ZERO);
+impl<T: Real> Shape<T> {
+    pub(crate) fn new(segments: usize) -> Shape<T> {
+        let (n, zero) = (segments, Vector3::zeros());
         Shape {
-            edges: vec![Edge::NONE; n],
-            turns: vec![Turn { chi: 1.0, kb: zero, tilde: zero }; n],
+            edges: vec![Edge::none(); n],
+            turns: vec![Turn::none(); n],
             carried: false,
             d1: vec![zero; n],
             m1: vec![zero; n],
             m2: vec![zero; n],
-            tau: vec![0.0; n],
+            tau: vec![T::zero(); n],
         }
     }
 
-    pub(crate) fn turn(&self, vertex: usize) -> &Turn {
+    pub(crate) fn turn(&self, vertex: usize) -> &Turn<T> {
         debug_assert!(vertex > 0);
         &self.turns[vertex]
     }
 
     /// Takes over another shape of the same rod, without asking for memory.
-    pub(crate) fn copy_from(&mut self, other: &Shape) {
+    pub(crate) fn copy_from(&mut self, other: &Shape<T>) {
         let Shape { edges, turns, carried, d1, m1, m2, tau } = other;
         self.edges.copy_from_slice(edges);
         self.turns.copy_from_slice(turns);
@@ -70,49 +73,49 @@ impl Shape {
     }
 
     /// Edges and turns of the vertices x. `bent` = whether turns are needed.
-    pub(crate) fn set_edges(&mut self, x: &[V3], bent: bool) -> Result<(), Error> {
+    pub(crate) fn set_edges(&mut self, x: &[Vector3<T>], bent: bool) -> Result<(), Error> {
         for i in 0..self.edges.len() {
-            self.edges[i] = Edge::between(x[i], x[i + 1], i)?;
+            self.edges[i] = Edge::between(&x[i], &x[i + 1], i)?;
             if bent && i > 0 {
-                self.turns[i] = Turn::between(self.edges[i - 1].t, self.edges[i].t, i)?;
+                self.turns[i] = Turn::between(&self.edges[i - 1].t, &self.edges[i].t, i)?;
             }
         }
         Ok(())
     }
 
     /// Bishop directors d₁ of all edges; needs edges and turns.
-    pub(crate) fn set_bishop(&mut self, first: &FirstFrame) -> Result<(), Error> {
+    pub(crate) fn set_bishop(&mut self, first: &FirstFrame<T>) -> Result<(), Error> {
         let t0 = self.edges[0].t;
         self.carried = matches!(first, FirstFrame::Carried { .. });
         self.d1[0] = match first {
-            FirstFrame::Clamped(director) => perpendicular(*director, t0),
+            FirstFrame::Clamped(director) => perpendicular(director, &t0),
             FirstFrame::Carried { tangent, director } => {
-                self.turns[0] = Turn::between(*tangent, t0, 0).map_err(|_| Error::FrameUndefined)?;
-                perpendicular(self.turns[0].transport(t0, *director), t0)
+                self.turns[0] = Turn::between(tangent, &t0, 0).map_err(|_| Error::FrameUndefined)?;
+                perpendicular(&self.turns[0].transport(&t0, director), &t0)
             }
         };
         for i in 1..self.edges.len() {
             let t = self.edges[i].t;
-            self.d1[i] = perpendicular(self.turns[i].transport(t, self.d1[i - 1]), t);
+            self.d1[i] = perpendicular(&self.turns[i].transport(&t, &self.d1[i - 1]), &t);
         }
         Ok(())
     }
 
     /// Directors m₁, m₂ from d₁ and θ, and twists τ_i = θ^i − θ^{i−1} + reference twist.
-    pub(crate) fn set_angles(&mut self, theta: &[f64], reference_twist: Option<&[f64]>) {
+    pub(crate) fn set_angles(&mut self, theta: &[T], reference_twist: Option<&[T]>) {
         for i in 0..self.edges.len() {
-            let (d1, d2) = (self.d1[i], self.edges[i].t.cross(self.d1[i]));
+            let (d1, d2) = (self.d1[i], self.edges[i].t.cross(&self.d1[i]));
             let (sin, cos) = theta[i].sin_cos();
             self.m1[i] = d1 * cos + d2 * sin;
             self.m2[i] = d2 * cos - d1 * sin;
             if i > 0 {
-                self.tau[i] = theta[i] - theta[i - 1] + reference_twist.map_or(0.0, |r| r[i - 1]);
+                self.tau[i] = theta[i] - theta[i - 1] + reference_twist.map_or(T::zero(), |r| r[i - 1]);
             }
         }
     }
 
     /// Directors of the two edges at an interior vertex.
-    pub(crate) fn directors(&self, vertex: usize) -> Directors {
+    pub(crate) fn directors(&self, vertex: usize) -> Directors<T> {
         Directors {
             m1e: self.m1[vertex - 1],
             m2e: self.m2[vertex - 1],
@@ -121,26 +124,33 @@ impl Shape {
         }
     }
 
+    /// Strains at an interior vertex, with gradients.
+    pub(crate) fn strains(&self, vertex: usize) -> Strains<T> {
+        let (a, b) = (&self.edges[vertex - 1], &self.edges[vertex]);
+        Strains::of(a, b, self.turn(vertex), &self.directors(vertex), self.tau[vertex])
+    }
+
     /// dψ of every edge for displacements dx of the vertices.
-    pub(crate) fn holonomy(&self, dx: &[V3], psi: &mut [f64]) {
+    pub(crate) fn holonomy(&self, dx: &[Vector3<T>], psi: &mut [T]) {
         let rate = |i: usize| (dx[i + 1] - dx[i]) / self.edges[i].l;
-        let mut sum = if self.carried { 0.5 * self.turns[0].kb.dot(rate(0)) } else { 0.0 };
+        let half = T::of(0.5);
+        let mut sum = if self.carried { half * self.turns[0].kb.dot(&rate(0)) } else { T::zero() };
         psi[0] = sum;
         for i in 1..self.edges.len() {
-            sum += 0.5 * self.turns[i].kb.dot(rate(i - 1) + rate(i));
+            sum += half * self.turns[i].kb.dot(&(rate(i - 1) + rate(i)));
             psi[i] = sum;
         }
     }
 
     /// The transpose: dx += (∂ψ/∂x)ᵀ μ, μ one number per edge.
-    pub(crate) fn holonomy_transpose_add(&self, mu: &[f64], dx: &mut [V3]) {
-        let mut sum = 0.0;
+    pub(crate) fn holonomy_transpose_add(&self, mu: &[T], dx: &mut [Vector3<T>]) {
+        let mut sum = T::zero();
         for i in (0..self.edges.len()).rev() {
             sum += mu[i];
             if i == 0 && !self.carried {
                 break;
             }
-            let half = self.turns[i].kb * (0.5 * sum);
+            let half = self.turns[i].kb * (T::of(0.5) * sum);
             for edge in i.saturating_sub(1)..=i {
                 let v = half / self.edges[edge].l;
                 dx[edge + 1] += v;

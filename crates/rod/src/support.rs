@@ -2,25 +2,33 @@
 
 use std::sync::Arc;
 
+use nalgebra::Vector3;
+
 use crate::{Error, Rod};
 
 /// A vector that depends on time: the place of a vertex \[m\], a direction, a force \[N\].
 ///
-/// Constant arrays and closures `|t| [x, y, z]` are motions.
+/// Constant vectors and arrays are motions, and so are closures that return either: `|t| [x, y, z]`.
 pub trait Motion: Send + Sync {
     /// Its value at time t \[s\].
-    fn at(&self, t: f64) -> [f64; 3];
+    fn at(&self, t: f64) -> Vector3<f64>;
 }
 
-impl Motion for [f64; 3] {
-    fn at(&self, _t: f64) -> [f64; 3] {
+impl Motion for Vector3<f64> {
+    fn at(&self, _t: f64) -> Vector3<f64> {
         *self
     }
 }
 
-impl<F: Fn(f64) -> [f64; 3] + Send + Sync> Motion for F {
-    fn at(&self, t: f64) -> [f64; 3] {
-        self(t)
+impl Motion for [f64; 3] {
+    fn at(&self, _t: f64) -> Vector3<f64> {
+        (*self).into()
+    }
+}
+
+impl<V: Into<Vector3<f64>>, F: Fn(f64) -> V + Send + Sync> Motion for F {
+    fn at(&self, t: f64) -> Vector3<f64> {
+        self(t).into()
     }
 }
 
@@ -32,7 +40,7 @@ impl<F: Fn(f64) -> [f64; 3] + Send + Sync> Motion for F {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EllipseDrive {
     /// Centre c \[m\].
-    pub centre: [f64; 3],
+    pub centre: Vector3<f64>,
     /// Semi-axes r_x, r_y \[m\].
     pub radii: [f64; 2],
     /// Angular frequency ω [rad/s].
@@ -42,12 +50,11 @@ pub struct EllipseDrive {
 }
 
 impl Motion for EllipseDrive {
-    fn at(&self, t: f64) -> [f64; 3] {
+    fn at(&self, t: f64) -> Vector3<f64> {
         let u = if self.ramp > 0.0 { (t / self.ramp).clamp(0.0, 1.0) } else { 1.0 };
         let a = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u);
         let (sin, cos) = (self.omega * t).sin_cos();
-        let c = self.centre;
-        [c[0] + a * self.radii[0] * cos, c[1] + a * self.radii[1] * sin, c[2]]
+        self.centre + Vector3::new(a * self.radii[0] * cos, a * self.radii[1] * sin, 0.0)
     }
 }
 
@@ -64,8 +71,12 @@ pub struct Clamp {
 }
 
 impl Clamp {
-    /// A clamp at a fixed place in fixed directions.
-    pub fn fixed(position: [f64; 3], tangent: [f64; 3], director: [f64; 3]) -> Clamp {
+    /// A clamp of these motions; constant vectors are motions too.
+    pub fn new(
+        position: impl Motion + 'static,
+        tangent: impl Motion + 'static,
+        director: impl Motion + 'static,
+    ) -> Clamp {
         Clamp { position: Arc::new(position), tangent: Arc::new(tangent), director: Arc::new(director) }
     }
 }
@@ -81,17 +92,12 @@ pub struct Supports {
     pub prescribed: Vec<(usize, Arc<dyn Motion>)>,
     /// Frame of the first edge where no clamp gives it: a tangent and a director d₁, carried from that tangent to the first
     /// edge by parallel transport. The first edge may point anywhere but against the tangent.
-    pub free_frame: ([f64; 3], [f64; 3]),
+    pub free_frame: (Vector3<f64>, Vector3<f64>),
 }
 
 impl Default for Supports {
     fn default() -> Supports {
-        Supports {
-            start: None,
-            end: None,
-            prescribed: Vec::new(),
-            free_frame: ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]),
-        }
+        Supports { start: None, end: None, prescribed: Vec::new(), free_frame: (Vector3::x(), Vector3::y()) }
     }
 }
 
@@ -129,7 +135,7 @@ impl Supports {
 #[derive(Clone, Default)]
 pub struct Loads {
     /// Gravity \[m/s²\], for example (0, 0, −9.81).
-    pub gravity: [f64; 3],
+    pub gravity: Vector3<f64>,
     /// Forces \[N\] at arc lengths s \[m\], shared linearly by the two vertices beside s.
     pub point_forces: Vec<(f64, Arc<dyn Motion>)>,
 }

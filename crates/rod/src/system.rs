@@ -1,10 +1,13 @@
 //! One rod with its supports and loads: places the prescribed parts, sums the elements.
 
+use nalgebra::{Matrix3, Vector3};
+
 use crate::Error;
-use crate::element::{self, Stiffness, Strains};
-use crate::geometry::{M3, V3, any_perpendicular, perpendicular, signed_angle};
+use crate::element::{self, Stiffness};
+use crate::geometry::{any_perpendicular, perpendicular, signed_angle};
 use crate::layout::{Band, Layout};
 use crate::rod::Rod;
+use crate::scalar::{length, unit};
 use crate::shape::{FirstFrame, Shape};
 use crate::support::{Clamp, Damping, Loads, Supports};
 
@@ -16,49 +19,49 @@ pub(crate) struct System {
     pub(crate) loads: Loads,
     pub(crate) layout: Layout,
     /// Prescribed vertices with their motion's origin resolved at the last `place`.
-    pub(crate) x: Vec<V3>,
+    pub(crate) x: Vec<Vector3<f64>>,
     pub(crate) theta: Vec<f64>,
     pub(crate) shape: Shape,
     first: FirstFrame,
-    end_director: Option<V3>,
+    end_director: Option<Vector3<f64>>,
     /// Stiffness and rest strain of every edge (EA, l̄) and interior vertex, with the damping of the present step in it.
     pub(crate) stretch: Vec<(f64, f64)>,
     pub(crate) bend: Vec<Stiffness>,
     /// ∂E/∂(x, θ) in the full order.
     pub(crate) gradient: Vec<f64>,
-    pub(crate) forces: Vec<V3>,
+    pub(crate) forces: Vec<Vector3<f64>>,
 }
 
 /// Position, tangent and director of a clamp at one time.
 pub(crate) struct ClampFrame {
-    pub(crate) position: V3,
-    pub(crate) tangent: V3,
-    pub(crate) director: V3,
+    pub(crate) position: Vector3<f64>,
+    pub(crate) tangent: Vector3<f64>,
+    pub(crate) director: Vector3<f64>,
 }
 
 impl Clamp {
     pub(crate) fn frame(&self, t: f64) -> Result<ClampFrame, Error> {
         let bad = |what, index| Error::NonFinite { what, index };
-        let position = V3::from(self.position.at(t));
-        let tangent = V3::from(self.tangent.at(t));
-        let director = V3::from(self.director.at(t));
-        let size = tangent.length();
+        let position = self.position.at(t);
+        let tangent = self.tangent.at(t);
+        let director = self.director.at(t);
+        let size = length(&tangent);
         if !(size > 0.0 && size.is_finite()) {
             return Err(bad("a clamp's tangent, component", 0));
         }
         let tangent = tangent / size;
-        let across = director - tangent * director.dot(tangent);
-        if !(across.length() > 1e-9 * director.length()) {
+        let across = director - tangent * director.dot(&tangent);
+        if !(length(&across) > 1e-9 * length(&director)) {
             return Err(Error::Value {
                 field: "a clamp's director",
-                value: across.length(),
+                value: length(&across),
                 expected: "a direction not along its tangent",
             });
         }
-        if !position.is_finite() {
+        if !position.iter().all(|p| p.is_finite()) {
             return Err(bad("a clamp's position, component", 0));
         }
-        Ok(ClampFrame { position, tangent, director: across.normalize() })
+        Ok(ClampFrame { position, tangent, director: unit(&across) })
     }
 }
 
@@ -81,21 +84,20 @@ impl System {
         }
         let layout = Layout::needed(&rod, &supports, damping, force_twist)?;
         let n = rod.segments();
-        let tangent = V3::from(supports.free_frame.0);
-        let size = tangent.length();
+        let (tangent, director) = supports.free_frame;
+        let size = length(&tangent);
         if !(size > 0.0 && size.is_finite()) {
             return Err(Error::Value { field: "free_frame tangent", value: size, expected: "a direction" });
         }
         let tangent = tangent / size;
-        let director = V3::from(supports.free_frame.1);
-        let across = director - tangent * director.dot(tangent);
-        let director = if across.length() > 1e-9 * director.length() {
-            perpendicular(director, tangent)
+        let across = director - tangent * director.dot(&tangent);
+        let director = if length(&across) > 1e-9 * length(&director) {
+            perpendicular(&director, &tangent)
         } else {
-            any_perpendicular(tangent)
+            any_perpendicular(&tangent)
         };
         let mut system = System {
-            x: vec![V3::ZERO; n + 1],
+            x: vec![Vector3::zeros(); n + 1],
             theta: vec![0.0; n],
             shape: Shape::new(n),
             first: FirstFrame::Carried { tangent, director },
@@ -103,7 +105,7 @@ impl System {
             stretch: Vec::with_capacity(n),
             bend: Vec::with_capacity(n),
             gradient: vec![0.0; layout.full()],
-            forces: vec![V3::ZERO; n + 1],
+            forces: vec![Vector3::zeros(); n + 1],
             rod,
             supports,
             loads,
@@ -143,7 +145,7 @@ impl System {
     pub(crate) fn place(&mut self, t: f64) -> Result<(), Error> {
         let n = self.rod.segments();
         for (vertex, motion) in &self.supports.prescribed {
-            self.x[*vertex] = V3::from(motion.at(t));
+            self.x[*vertex] = motion.at(t);
         }
         if let Some(clamp) = &self.supports.start {
             let f = clamp.frame(t)?;
@@ -158,13 +160,13 @@ impl System {
             self.x[n - 1] = f.position - f.tangent * self.rod.rest_lengths[n - 1];
             self.end_director = Some(f.director);
         }
-        self.forces.fill(V3::ZERO);
+        self.forces.fill(Vector3::zeros());
         for v in 0..=n {
-            self.forces[v] = V3::from(self.loads.gravity) * self.rod.masses[v];
+            self.forces[v] = self.loads.gravity * self.rod.masses[v];
         }
         for (s, force) in &self.loads.point_forces {
             let place = self.rod.place("point force", *s)?;
-            let f = V3::from(force.at(t));
+            let f = force.at(t);
             self.forces[place.edge] += f * (1.0 - place.fraction);
             self.forces[place.edge + 1] += f * place.fraction;
         }
@@ -176,7 +178,7 @@ impl System {
         let layout = &self.layout;
         for &v in &layout.free_vertices {
             let i = layout.unknown[layout.vertex(v)];
-            self.x[v] = V3::new(u[i], u[i + 1], u[i + 2]);
+            self.x[v] = Vector3::new(u[i], u[i + 1], u[i + 2]);
         }
         for &e in &layout.free_angles {
             self.theta[e] = u[layout.unknown[layout.angle(e)]];
@@ -188,7 +190,7 @@ impl System {
         let layout = &self.layout;
         for &v in &layout.free_vertices {
             let i = layout.unknown[layout.vertex(v)];
-            u[i..i + 3].copy_from_slice(self.x[v].as_ref());
+            u[i..i + 3].copy_from_slice(self.x[v].as_slice());
         }
         for &e in &layout.free_angles {
             u[layout.unknown[layout.angle(e)]] = self.theta[e];
@@ -199,7 +201,7 @@ impl System {
     pub(crate) fn scatter_state(&mut self, state: &[f64]) {
         let nf = self.layout.free_vertices.len();
         for (f, &v) in self.layout.free_vertices.iter().enumerate() {
-            self.x[v] = V3::from_slice(&state[3 * f..3 * f + 3]);
+            self.x[v] = Vector3::from_column_slice(&state[3 * f..3 * f + 3]);
         }
         for (f, &e) in self.layout.free_angles.iter().enumerate() {
             self.theta[e] = state[6 * nf + f];
@@ -221,7 +223,7 @@ impl System {
             self.shape.set_bishop(&self.first)?;
             if let (Some(director), Some(last)) = (self.end_director, self.rod.segments().checked_sub(1)) {
                 let t = self.shape.edges[last].t;
-                let angle = signed_angle(self.shape.d1[last], perpendicular(director, t), t);
+                let angle = signed_angle(&self.shape.d1[last], &perpendicular(&director, &t), &t);
                 let turn = std::f64::consts::TAU;
                 self.theta[last] = angle + turn * ((end_angle - angle) / turn).round();
                 if !self.layout.twist {
@@ -251,9 +253,9 @@ impl System {
             if let Some(values) = jacobian.as_deref_mut() {
                 let mut band = Band { layout, values };
                 if layout.twist {
-                    band.add(a, &edge_hessian::<7>(h, 4))
+                    band.add(a, &edge_hessian::<7>(&h, 4))
                 } else {
-                    band.add(a, &edge_hessian::<6>(h, 3))
+                    band.add(a, &edge_hessian::<6>(&h, 3))
                 }
             }
         }
@@ -265,7 +267,7 @@ impl System {
             let first = layout.vertex(i - 1);
             if layout.twist {
                 let m = shape.directors(i);
-                let strains = Strains::of(a, b, turn, &m, shape.tau[i]);
+                let strains = shape.strains(i);
                 let el = element::bend_twist(a, b, turn, &m, &strains, k);
                 energy += el.energy;
                 add(&mut gradient[first..], &el.gradient);
@@ -293,24 +295,12 @@ impl System {
         }
     }
 
-    /// Strains of the present shape at an interior vertex, with gradients.
-    pub(crate) fn strains(&self, vertex: usize) -> Strains {
-        let shape = &self.shape;
-        Strains::of(
-            &shape.edges[vertex - 1],
-            &shape.edges[vertex],
-            shape.turn(vertex),
-            &shape.directors(vertex),
-            shape.tau[vertex],
-        )
-    }
-
     /// Edge and size of the smallest pivot of E_θθ (free angles, in order), in units of the stiffness of its neighbours.
     /// As it goes to zero the twist equilibrium folds: it stops being a smooth function of the vertices.
     pub(crate) fn smallest_twist_pivot(&self) -> (usize, f64) {
         let n = self.layout.segments;
         let vertex = |i: usize| {
-            if i == 0 || i == n { [0.0; 3] } else { self.strains(i).angle_hessian(&self.bend[i - 1]) }
+            if i == 0 || i == n { [0.0; 3] } else { self.shape.strains(i).angle_hessian(&self.bend[i - 1]) }
         };
         let scale = |i: usize| {
             if i == 0 || i == n {
@@ -344,7 +334,7 @@ impl System {
         &self,
         du: &[f64],
         alpha: f64,
-        displacement: &mut [V3],
+        displacement: &mut [Vector3<f64>],
         psi: &mut [f64],
         trial: &mut [f64],
     ) {
@@ -357,19 +347,19 @@ impl System {
     }
 
     /// Displacements of all vertices from an increment of the unknowns.
-    pub(crate) fn unknown_displacements(&self, du: &[f64], out: &mut [V3]) {
-        out.fill(V3::ZERO);
+    pub(crate) fn unknown_displacements(&self, du: &[f64], out: &mut [Vector3<f64>]) {
+        out.fill(Vector3::zeros());
         for &v in &self.layout.free_vertices {
             let i = self.layout.unknown[self.layout.vertex(v)];
-            out[v] = V3::new(du[i], du[i + 1], du[i + 2]);
+            out[v] = Vector3::new(du[i], du[i + 1], du[i + 2]);
         }
     }
 
     /// Displacements of all vertices from those of the free ones, taken from the first entries of a state-like vector.
-    pub(crate) fn displacements(&self, dx: &[f64], out: &mut [V3]) {
-        out.fill(V3::ZERO);
+    pub(crate) fn displacements(&self, dx: &[f64], out: &mut [Vector3<f64>]) {
+        out.fill(Vector3::zeros());
         for (f, &v) in self.layout.free_vertices.iter().enumerate() {
-            out[v] = V3::from_slice(&dx[3 * f..3 * f + 3]);
+            out[v] = Vector3::from_column_slice(&dx[3 * f..3 * f + 3]);
         }
     }
 }
@@ -388,15 +378,15 @@ fn add(target: &mut [f64], values: &[f64]) {
 }
 
 /// The Hessian of an edge with respect to both its vertices, `second` the place of the second one; an angle between is zero.
-fn edge_hessian<const N: usize>(h: M3, second: usize) -> [[f64; N]; N] {
+fn edge_hessian<const N: usize>(h: &Matrix3<f64>, second: usize) -> [[f64; N]; N] {
     let mut out = [[0.0; N]; N];
     for i in 0..3 {
         for j in 0..3 {
             if j <= i {
-                out[i][j] = h.col(j)[i];
-                out[second + i][second + j] = h.col(j)[i];
+                out[i][j] = h[(i, j)];
+                out[second + i][second + j] = h[(i, j)];
             }
-            out[second + i][j] = -h.col(j)[i];
+            out[second + i][j] = -h[(i, j)];
         }
     }
     out

@@ -12,7 +12,7 @@ const MATERIAL: Material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 
 
 fn loads() -> Loads {
     Loads {
-        gravity: [0.0, 0.0, -9.81],
+        gravity: [0.0, 0.0, -9.81].into(),
         point_forces: vec![(0.61, Arc::new(|t: f64| [0.02 * t.cos(), 0.01, 0.0]))],
     }
 }
@@ -22,11 +22,11 @@ fn clamp(
     tangent: impl Motion + 'static,
     director: impl Motion + 'static,
 ) -> Clamp {
-    Clamp { position: Arc::new(position), tangent: Arc::new(tangent), director: Arc::new(director) }
+    Clamp::new(position, tangent, director)
 }
 
 fn drive() -> EllipseDrive {
-    EllipseDrive { centre: [0.0; 3], radii: [0.06, 0.03], omega: 10.0, ramp: 0.1 }
+    EllipseDrive { centre: [0.0; 3].into(), radii: [0.06, 0.03], omega: 10.0, ramp: 0.1 }
 }
 
 /// A rod with everything: anisotropic, naturally curved and twisted, unequal segments, a point mass.
@@ -63,7 +63,7 @@ fn both_ends() -> Supports {
 fn pinned() -> Supports {
     Supports {
         prescribed: vec![(0, Arc::new(drive())), (5, Arc::new([0.1, 0.0, -0.45]))],
-        free_frame: ([0.0, 0.0, -1.0], [1.0, 0.0, 0.0]),
+        free_frame: ([0.0, 0.0, -1.0].into(), [1.0, 0.0, 0.0].into()),
         ..Supports::default()
     }
 }
@@ -71,7 +71,7 @@ fn pinned() -> Supports {
 fn end_clamp() -> Supports {
     Supports {
         end: Some(clamp([0.0, 0.0, -0.9], |t: f64| [0.2 * t.sin(), 0.0, -1.0], [0.0, 1.0, 0.2])),
-        free_frame: ([0.0, 0.0, -1.0], [1.0, 0.0, 0.0]),
+        free_frame: ([0.0, 0.0, -1.0].into(), [1.0, 0.0, 0.0].into()),
         ..Supports::default()
     }
 }
@@ -105,7 +105,7 @@ fn cases() -> Vec<(&'static str, Rod, Supports, Damping)> {
         (
             "curved, free, damped",
             curved(),
-            Supports { free_frame: ([0.0, 0.0, -1.0], [1.0, 0.0, 0.0]), ..Supports::default() },
+            Supports { free_frame: ([0.0, 0.0, -1.0].into(), [1.0, 0.0, 0.0].into()), ..Supports::default() },
             both,
         ),
         ("chain, damped", chain(), Supports::clamped_start(swinging()), both),
@@ -141,8 +141,7 @@ fn control(step: &RodStep) -> Vec<f64> {
     if held_twice {
         guess = equilibrium(step.rod(), step.supports(), &loads(), 0.03, &guess).unwrap().0;
     }
-    let mut z: Vec<f64> = step.free_vertices().iter().flat_map(|&v| guess.vertices[v]).collect();
-    z.resize(step.control_len(), 0.0);
+    let mut z = step.control_at_rest(&guess);
     // Bowed, so that a rod whose ends are free to spin has one stable angle: its own curve looks for the bow.
     let n = z.len() / 2;
     for i in (0..n / 3).filter(|_| step.supports().start.is_none() && step.supports().end.is_none()) {
@@ -244,8 +243,8 @@ fn markers() {
         let mut x = vec![0.0; n];
         model.initial_state(&control(model.step_ref()), &mut x).unwrap();
         let length = model.step_ref().rod().length();
-        let places = [0.0, 0.33, 0.5, length].map(|s| Marker { s, offset: [0.02, -0.015, 0.01] });
-        let points = [0.2, length].map(|s| Marker { s, offset: [0.0; 3] });
+        let places = [0.0, 0.33, 0.5, length].map(|s| Marker { s, offset: [0.02, -0.015, 0.01].into() });
+        let points = [0.2, length].map(|s| Marker { s, offset: [0.0; 3].into() });
         for (what, list) in [("off", places.to_vec()), ("on", points.to_vec())] {
             let mut markers = Markers::new(model.step_ref(), &list).unwrap();
             let m = 3 * markers.len();

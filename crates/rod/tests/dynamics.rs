@@ -5,19 +5,15 @@ use std::sync::Arc;
 
 use varda_implicit::{ImplicitModel, Model};
 use varda_rod::{
-    Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, TwistUnknowns, equilibrium,
+    Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, TwistUnknowns, Vector3, equilibrium,
     straight_guess,
 };
 
-const DOWN: Loads = Loads { gravity: [0.0, 0.0, -9.81], point_forces: Vec::new() };
+const DOWN: Loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), point_forces: Vec::new() };
 
 /// Clamped at its start, hanging down, the clamp moving as given.
 fn hanging(position: impl varda_rod::Motion + 'static) -> Supports {
-    Supports::clamped_start(Clamp {
-        position: Arc::new(position),
-        tangent: Arc::new([0.0, 0.0, -1.0]),
-        director: Arc::new([1.0, 0.0, 0.0]),
-    })
+    Supports::clamped_start(Clamp::new(position, [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
 }
 
 fn driven_25(twist: TwistUnknowns) -> ImplicitModel<RodStep> {
@@ -31,12 +27,7 @@ fn driven_25(twist: TwistUnknowns) -> ImplicitModel<RodStep> {
 
 fn straight_down(step: &RodStep) -> Vec<f64> {
     let guess = straight_guess(step.rod(), step.supports(), 0.0, [0.0, 0.0, -1.0]).unwrap();
-    let mut z = Vec::new();
-    for &v in step.free_vertices() {
-        z.extend(guess.vertices[v]);
-    }
-    z.resize(step.control_len(), 0.0);
-    z
+    step.control_at_rest(&guess)
 }
 
 fn run(model: &mut ImplicitModel<RodStep>, z: &[f64], steps: usize) -> Vec<f64> {
@@ -107,7 +98,7 @@ fn an_unstretched_chain_is_at_rest() {
     let material = Material::new(1e6, 0.5, 1100.0);
     let section = Section { ei1: 0.0, ei2: 0.0, gj: 0.0, ..Section::circle(&material, 0.01) };
     let rod = Rod::uniform(1.0, 40, &section).unwrap();
-    let vertices: Vec<[f64; 3]> = rod.arc_lengths().iter().map(|s| [*s, 0.0, 0.0]).collect();
+    let vertices: Vec<Vector3<f64>> = rod.arc_lengths().iter().map(|s| Vector3::x() * *s).collect();
     let held = |v: usize| -> (usize, Arc<dyn varda_rod::Motion>) { (v, Arc::new(vertices[v])) };
     let supports = Supports { prescribed: vec![held(0), held(40)], ..Supports::default() };
     let guess = varda_rod::Rest { vertices: vertices.clone(), theta: vec![0.0; 40] };

@@ -1,14 +1,14 @@
 //! Energy, gradient and Hessian against 50-digit fixtures.
 
 use serde_json::Value;
-use varda_rod::{Framed, Rod, derivatives};
+use varda_rod::{Framed, Rod, Vector3, derivatives};
 
 fn numbers(v: &Value) -> Vec<f64> {
     v.as_array().expect("an array").iter().map(|x| x.as_f64().expect("a number")).collect()
 }
 
-fn triples(v: &Value) -> Vec<[f64; 3]> {
-    v.as_array().expect("an array").iter().map(|x| numbers(x).try_into().expect("three")).collect()
+fn triples(v: &Value) -> Vec<Vector3<f64>> {
+    v.as_array().expect("an array").iter().map(|x| Vector3::from_vec(numbers(x))).collect()
 }
 
 fn largest(v: &[f64]) -> f64 {

@@ -2,32 +2,16 @@
 
 use std::sync::Arc;
 
+use nalgebra::{Rotation3, SVector, Unit};
+use num_dual::Dual2SVec64;
 use proptest::prelude::*;
 use varda_implicit::{Error as StepError, ImplicitModel, Model, Scheme};
 use varda_rod::{
-    Clamp, Damping, Error, Framed, Loads, Material, Motion, Rod, RodStep, Section, Supports, derivatives,
+    Clamp, Damping, Error, Framed, Loads, Material, Motion, Rod, RodStep, Section, Supports, Vector3,
+    derivatives, energy,
 };
 
-type V = [f64; 3];
-
-fn sub(a: V, b: V) -> V {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-fn cross(a: V, b: V) -> V {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-fn dot(a: V, b: V) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-/// Rotation of v about the unit axis by the angle (Rodrigues).
-fn rotate(v: V, axis: V, angle: f64) -> V {
-    let (s, c) = angle.sin_cos();
-    let (w, d) = (cross(axis, v), dot(axis, v));
-    std::array::from_fn(|i| v[i] * c + w[i] * s + axis[i] * d * (1.0 - c))
-}
+type V = Vector3<f64>;
 
 fn rod() -> Rod {
     let material = Material::new(2e6, 0.4, 1000.0);
@@ -35,43 +19,73 @@ fn rod() -> Rod {
 }
 
 /// A crooked rod from numbers in [−1, 1]: edges turn by up to about a radian.
-fn crooked(noise: &[f64]) -> (Vec<V>, Vec<V>, Vec<f64>) {
-    let mut x = vec![[0.0; 3]];
-    for e in noise[..18].chunks(3) {
-        let last = *x.last().unwrap();
-        x.push([last[0] + 0.04 * e[0], last[1] + 0.04 * e[1], last[2] - 0.1 + 0.02 * e[2]]);
+fn crooked(segments: usize, noise: &[f64]) -> (Vec<V>, Vec<V>, Vec<f64>) {
+    let mut x = vec![V::zeros()];
+    for e in noise[..3 * segments].chunks(3) {
+        x.push(x[x.len() - 1] + V::new(0.04 * e[0], 0.04 * e[1], -0.1 + 0.02 * e[2]));
     }
-    let directors = (0..6)
-        .map(|i| {
-            let t = sub(x[i + 1], x[i]);
-            let d = cross(t, [noise[18 + i], 1.0, 0.3]);
-            let size = dot(d, d).sqrt();
-            d.map(|v| v / size)
-        })
-        .collect();
-    (x, directors, noise[24..30].to_vec())
+    let rest = &noise[3 * segments..];
+    let directors = (0..segments).map(|i| (x[i + 1] - x[i]).cross(&V::new(rest[i], 1.0, 0.3)).normalize());
+    (x.clone(), directors.collect(), rest[segments..2 * segments].to_vec())
 }
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
+    /// The analytic gradient and Hessian are those of the energy, differentiated by second-order dual numbers.
+    #[test]
+    fn derivatives_are_those_of_the_energy(noise in prop::collection::vec(-1.0..1.0f64, 10), turns in -2..3i32) {
+        let lengths = [0.11, 0.09];
+        let material = Material::new(2e6, 0.4, 1000.0);
+        let mut rod = Rod::with_segments(&lengths, &Section::ellipse(&material, 0.02, 0.012)).unwrap();
+        rod = rod.naturally([0.4, -0.7], 0.5);
+        rod.ei[0][1] = 0.3 * rod.ei[0][2];
+        let (x, d, theta) = crooked(2, &noise);
+        let twist = [0.3 + f64::from(turns) * std::f64::consts::TAU];
+        let at = Framed { vertices: &x, directors: &d, reference_twist: &twist, theta: &theta };
+        let ours = derivatives(&rod, &at).unwrap();
+        let q = SVector::<f64, 11>::from_iterator(x.iter().flatten().chain(&theta).copied());
+        let (value, gradient, hessian) = num_dual::hessian(
+            |q: SVector<Dual2SVec64<11>, 11>| {
+                let x: [_; 3] = std::array::from_fn(|v| q.fixed_rows::<3>(3 * v).into_owned());
+                energy(&rod, &at, &x, &[q[9], q[10]]).unwrap().total()
+            },
+            &q,
+        );
+        // a few hundred operations, of terms up to EA l̄ of strain and of EA/l̄: a thousand roundings
+        let size = |v: &[f64]| v.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+        let off = |a: &[f64], b: &[f64]| a.iter().zip(b).fold(0.0, |m: f64, (a, b)| m.max((a - b).abs()));
+        prop_assert!((ours.energy.total() - value).abs() <= 1e-12 * value.abs());
+        prop_assert!(off(&ours.gradient, gradient.as_slice()) <= 1e-12 * size(&ours.gradient));
+        prop_assert!(off(&ours.hessian, hessian.as_slice()) <= 1e-12 * size(&ours.hessian));
+        // it can fail: an entry off by a thousandth is seen
+        let mut wrong = ours.hessian.clone();
+        wrong[12] *= 1.001;
+        prop_assert!(!(off(&wrong, hessian.as_slice()) <= 1e-12 * size(&ours.hessian)));
+    }
+
     /// Energy does not change when the whole rod moves rigidly; forces turn with it; the Hessian is symmetric.
     #[test]
-    fn rigid_motion(noise in prop::collection::vec(-1.0..1.0f64, 30), axis in prop::array::uniform3(-1.0..1.0f64), angle in -3.0..3.0f64) {
-        let size = dot(axis, axis).sqrt();
-        prop_assume!(size > 0.1);
-        let axis = axis.map(|v| v / size);
-        let (x, d, theta) = crooked(&noise);
+    fn rigid_motion(
+        noise in prop::collection::vec(-1.0..1.0f64, 30),
+        axis in prop::array::uniform3(-1.0..1.0f64),
+        angle in -3.0..3.0f64,
+    ) {
+        let axis = V::from(axis);
+        prop_assume!(axis.norm() > 0.1);
+        let turn = Rotation3::from_axis_angle(&Unit::new_normalize(axis), angle);
+        let (x, d, theta) = crooked(6, &noise);
         let twist = vec![0.3; 5];
-        let still = derivatives(&rod(), &Framed { vertices: &x, directors: &d, reference_twist: &twist, theta: &theta }).unwrap();
-        let turn = |v: V| rotate(v, axis, angle);
-        let (xr, dr): (Vec<V>, Vec<V>) = (x.iter().map(|v| { let w = turn(*v); [w[0] + 1.0, w[1] - 2.0, w[2]] }).collect(), d.iter().map(|v| turn(*v)).collect());
-        let moved = derivatives(&rod(), &Framed { vertices: &xr, directors: &dr, reference_twist: &twist, theta: &theta }).unwrap();
+        let at = Framed { vertices: &x, directors: &d, reference_twist: &twist, theta: &theta };
+        let still = derivatives(&rod(), &at).unwrap();
+        let xr: Vec<V> = x.iter().map(|v| turn * v + V::new(1.0, -2.0, 0.0)).collect();
+        let dr: Vec<V> = d.iter().map(|v| turn * v).collect();
+        let moved = derivatives(&rod(), &Framed { vertices: &xr, directors: &dr, ..at }).unwrap();
         // Coordinates of size 2 m carry 4e-16 m; the stiffest spring has EA/l̄ = 1.5e4 N/m.
         let scale = still.gradient.iter().fold(1.0, |m: f64, g| m.max(g.abs()));
         prop_assert!((still.energy.total() - moved.energy.total()).abs() <= 1e-12 * scale);
         for i in 0..=6 {
-            let f = turn([still.gradient[3 * i], still.gradient[3 * i + 1], still.gradient[3 * i + 2]]);
+            let f = turn * V::from_column_slice(&still.gradient[3 * i..3 * i + 3]);
             for c in 0..3 {
                 prop_assert!((f[c] - moved.gradient[3 * i + c]).abs() <= 1e-10 * scale);
             }
@@ -93,12 +107,8 @@ proptest! {
 fn hanging(segments: usize, position: impl Motion + 'static, damping: Damping) -> ImplicitModel<RodStep> {
     let material = Material::new(1e6, 0.5, 1100.0);
     let rod = Rod::uniform(1.0, segments, &Section::circle(&material, 0.01)).unwrap();
-    let clamp = Clamp {
-        position: Arc::new(position),
-        tangent: Arc::new([0.0, 0.0, -1.0]),
-        director: Arc::new([1.0, 0.0, 0.0]),
-    };
-    let loads = Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() };
+    let clamp = Clamp::new(position, [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]);
+    let loads = Loads { gravity: [0.0, 0.0, -9.81].into(), ..Loads::default() };
     ImplicitModel::new(RodStep::new(rod, Supports::clamped_start(clamp), loads, damping).unwrap(), 0, 0.02)
 }
 
@@ -112,18 +122,14 @@ fn at_rest(model: &ImplicitModel<RodStep>) -> Vec<f64> {
 }
 
 /// ∂E/∂x of a hanging rod by the public energy. Any frames do for an isotropic straight rod: parallel ones, untwisted.
-fn elastic_gradient(rod: &Rod, vertices: &[[f64; 3]]) -> Vec<f64> {
+fn elastic_gradient(rod: &Rod, vertices: &[V]) -> Vec<f64> {
     let n = rod.segments();
-    let mut d = vec![[1.0, 0.0, 0.0]; n];
-    let tangent = |e: usize| {
-        let t = sub(vertices[e + 1], vertices[e]);
-        let l = dot(t, t).sqrt();
-        t.map(|v| v / l)
-    };
+    let mut d = vec![V::x(); n];
+    let tangent = |e: usize| (vertices[e + 1] - vertices[e]).normalize();
     for e in 1..n {
         let (p, t) = (tangent(e - 1), tangent(e));
-        let share = dot(d[e - 1], t) / (1.0 + dot(p, t));
-        d[e] = std::array::from_fn(|c| d[e - 1][c] - share * (p[c] + t[c]));
+        let share = d[e - 1].dot(&t) / (1.0 + p.dot(&t));
+        d[e] = d[e - 1] - (p + t) * share;
     }
     let theta = vec![0.0; n];
     let at = Framed { vertices, directors: &d, reference_twist: &theta[1..], theta: &theta };
@@ -219,13 +225,13 @@ fn impossible_input_is_named() {
     assert!(matches!(rod.place("marker", 1.2), Err(Error::OffRod { .. })));
     let twice = Supports {
         prescribed: vec![(1, Arc::new([0.0; 3]))],
-        ..Supports::clamped_start(Clamp::fixed([0.0; 3], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
+        ..Supports::clamped_start(Clamp::new([0.0; 3], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
     };
     assert!(matches!(
         RodStep::new(rod.clone(), twice, Loads::default(), Damping::default()),
         Err(Error::Support { vertex: 1, .. })
     ));
-    let along = Supports::clamped_start(Clamp::fixed([0.0; 3], [0.0, 0.0, -1.0], [0.0, 0.0, 2.0]));
+    let along = Supports::clamped_start(Clamp::new([0.0; 3], [0.0, 0.0, -1.0], [0.0, 0.0, 2.0]));
     assert!(matches!(
         RodStep::new(rod, along, Loads::default(), Damping::default()),
         Err(Error::Value { field: "a clamp's director", .. })

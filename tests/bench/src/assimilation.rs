@@ -60,14 +60,18 @@ pub(super) fn run(options: &Options) -> Result<Page> {
 }
 
 const TEXT: &str = "\
-What `varda compare SCENE` runs, after a warm-up: every method and minimizer from the scene's own background \
-to its own end. Seconds: of the minimization, by the wall's clock, as varda reports them (the other pages \
-give CPU time). Gap: (J − J*)/(J₀ − J*), J₀ at the background, J* the lowest J of any row of the \
-scene. RMSE: of initial positions [m] (of the state, for the Lorenz models) against the truth; observations \
-have errors, so it does not vanish at the minimum. Runs: steps over the steps of the window; linearizations \
-are not counted as runs. `converged`: the gradient fell by the scene's tolerance.
+Each table is `varda compare SCENE` after a warm-up: every method and minimizer from the scene's \
+background to its own end.
 
-Curves: gap after every outer iteration of the last sample; the end at gap 0 is not on the axis. \
+- *Seconds*: wall-clock time of the minimization, as varda reports it (other pages give CPU time).
+- *Gap*: (J − J*)/(J₀ − J*), with J₀ at the background and J* the lowest J of any row of the \
+scene.
+- *RMSE*: of the initial positions [m] (for Lorenz models of the state) against the truth. Observations \
+have errors, so it does not vanish at the minimum.
+- *Runs*: steps divided by the steps of the window; linearizations are not counted.
+- *converged*: the gradient fell by the scene's tolerance.
+
+Curves show the gap after every outer iteration of the last sample; the end at gap 0 is not on the axis. \
 [Target](../reference-problems.md#targets): the default (4dvar, auto) on case 1 ≤ 0.5 s.";
 
 fn table(scene: &'static str, title: String, steps: usize, rows: &[Compared], seconds: &[Vec<f64>]) -> Table {

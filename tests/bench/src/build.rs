@@ -31,16 +31,7 @@ pub(super) fn run(options: &Options) -> Result<Page> {
         std::fs::remove_dir_all(&target)?;
         table.push(cells![*name, built?, after - before, seconds]);
     }
-    Ok(Page {
-        title: "What building costs",
-        text: "`cargo build --release --locked` into an empty target folder, sources of dependencies \
-            downloaded before; a package with a build script counts once. CPU s: user and system time of \
-            cargo and all it starts, whatever the number of cores. Without arguments the workspace's default \
-            member is built: `varda` and all crates below it."
-            .into(),
-        tables: vec![table],
-        ..Page::default()
-    })
+    Ok(Page { title: "What building costs", text: TEXT.into(), tables: vec![table], ..Page::default() })
 }
 
 /// Builds into a folder; how many packages were compiled.
@@ -69,3 +60,8 @@ fn children() -> Result<f64> {
     let ticks: Vec<f64> = fields.skip(13).take(2).map(str::parse).collect::<std::result::Result<_, _>>()?;
     Ok(0.01 * ticks.iter().sum::<f64>())
 }
+
+const TEXT: &str = "\
+`cargo build --release --locked` into an empty target folder, with the sources of dependencies already \
+downloaded. A package with a build script counts once. *CPU s*: user and system time of cargo and all it \
+starts, whatever the number of cores. The default member builds `varda` and all crates below it.";

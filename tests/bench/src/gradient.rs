@@ -68,24 +68,26 @@ pub(super) fn run(options: &Options) -> Result<Page> {
 }
 
 const TEXT: &str = "\
-Forward run: the plain window, nothing kept, same tolerance. Adjoint sweep: with the linearizations kept. \
-Refactoring: every step linearized (assembled and factored) again, and the sweep. Gradient: J and ∇J from \
-a new v, its own forward run included. Product: A v, one tangent and one adjoint sweep on the kept \
-trajectory. Dense: A whole, a tangent sweep a column or an adjoint sweep a row, whichever take fewer steps. \
-All but \"ms\" are ratios of the least times to that of the forward run.
+Columns, all but \"ms\" as ratios of least times to that of the forward run:
 
-\"Reuse\": the linearization of a step takes its last Newton factor, one iterate old (here only in the \
-gradient: a sweep over states that lie ready factors again).
+- *forward run*: the plain window, nothing kept, same tolerance;
+- *adjoint sweep*: with linearizations kept; *refactoring*: with every step assembled and factored \
+again;
+- *gradient*: J and ∇J from a new v, its own forward run included; *reuse*: the same with the last \
+Newton factor of each step, one iterate old, as its linearization;
+- *product*: A v, a tangent and an adjoint sweep on the kept trajectory;
+- *dense*: all of A, by columns (tangent sweeps) or rows (adjoint sweeps), whichever take fewer steps.
 
-Error: |g·d − D|/|g·d| for one random direction d, D the central difference of fourth order of J at the \
-step (among 10⁻¹ … 10⁻⁵) that agrees best with the one before it, or that disagreement where it is \
-larger; where a reference is known ([Lorenz-96 values](../reference-problems.md#lorenz-96-values)), | |g| \
-− |g|_ref |/|g|_ref. The second table takes all n components by differences, error in the Euclidean norm \
-against the adjoint's gradient.
+*Error*: |g·d − D|/|g·d| for one random direction d. D is a central difference of J of fourth order, \
+at the step size (10⁻¹ … 10⁻⁵) that agrees best with the one before it; where that disagreement \
+is larger, it is the error. Where a reference is known ([Lorenz-96 \
+values](../reference-problems.md#lorenz-96-values)) the error is | |g| − |g|_ref |/|g|_ref. The second \
+table takes all n components by differences; its error is the Euclidean distance to the adjoint's \
+gradient, relative.
 
-[Targets](../reference-problems.md#targets): adjoint ≤ 0.05 (kept) and ≤ 0.35 (refactoring), gradient \
-≤ 1.3, dense Hessian of the flagship ≤ 2, forward window ≤ 3 ms; Lorenz-96: gradient ≤ 2.5, product \
-≤ 4.";
+[Targets](../reference-problems.md#targets): adjoint ≤ 0.05 (kept) and ≤ 0.35 (refactoring), \
+gradient ≤ 1.3, dense Hessian of the flagship ≤ 2, forward window ≤ 3 ms; Lorenz-96: gradient ≤ \
+2.5, product ≤ 4.";
 
 const COSTS: [&str; 14] = [
     "problem",

@@ -49,10 +49,10 @@ pub(super) fn run(options: &Options) -> Result<Page> {
 }
 
 const TEXT: &str = "\
-Each task is done as a scene does it (first row) and in the ways it could have been done. Heap: the most \
-that was in use at once while the task was set up and done once, counted by the allocator. \"What differs\": \
-relative difference of the results. Flagship: the paper's case 1, 25 segments, 100 steps, 144 controls, 120 \
-observations.";
+The first row of each task is how a scene does it, the others are alternatives. *Heap*: the most memory \
+in use at once while the task was set up and done once, counted by the allocator. *What differs*: \
+relative difference of the results. Flagship: the [hanging rod](../reference-problems.md#hanging-rod), \
+case 1, with 144 controls and 120 observations.";
 
 struct Benchmark {
     samples: usize,

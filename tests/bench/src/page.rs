@@ -208,7 +208,7 @@ impl Page {
     ///
     /// # Errors
     /// A file that cannot be written, a figure that cannot be drawn.
-    pub fn write(&self, name: &'static str, folder: &Path) -> super::Result<()> {
+    pub fn write(&self, name: &'static str, folder: &Path) -> crate::options::Result<()> {
         let write = |file: &str, text: &str| {
             let path = folder.join(file);
             std::fs::write(&path, text).map_err(|e| format!("{}: {e}", path.display()))

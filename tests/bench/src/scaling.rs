@@ -32,14 +32,14 @@ pub(super) fn run(options: &Options) -> Result<Page> {
 }
 
 const TEXT: &str = "\
-The [driven rod](../reference-problems.md#driven-rod) (1 m, r = 5 mm, 1 MPa, driven at the top, from rest, \
-Δt = 0.02 s) with more and more segments; \"with angles\" keeps one angle a segment among the unknowns. Per \
-segment and Newton iteration: seconds of all steps/(segments × linear solves), where every Newton iteration \
-is one solve. Working memory: heap of the model after its first step, description of the rod included; \
-linearization: what one kept step adds, for tangent and adjoint sweeps. Both are counted by the allocator.
+The [driven rod](../reference-problems.md#driven-rod) with more and more segments; \"with angles\" keeps \
+one angle for each segment among the unknowns. *Per segment and Newton iteration*: seconds of all \
+steps/(segments × linear solves); every Newton iteration is one solve. *Working memory*: heap of the \
+model after its first step, the description of the rod included. *Linearization*: what one kept step \
+adds, for tangent and adjoint sweeps. Both are counted by the allocator.
 
-[Targets](../reference-problems.md#targets): at most 0.25 µs without angles and 0.8 µs with them, at 100 \
-000 segments at most twice what it is at 100; at 25 segments at most 0.1 ms a step.";
+[Targets](../reference-problems.md#targets): at most 0.25 µs without angles and 0.8 µs with them; at \
+100 000 segments at most twice the value at 100; at 25 segments at most 0.1 ms a step.";
 
 const PEERS: &str = "\
 Other programs, measured elsewhere on comparable machines ([targets](../reference-problems.md#targets)): the \

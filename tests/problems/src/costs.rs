@@ -9,7 +9,7 @@ use varda_assimilation::{
 use varda_covariance::{Covariance, Dense, Diagonal};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 use varda_implicit::{ImplicitModel, Model, OneLeg, Refusal, Rk4};
-use varda_rod::{Marker, Markers};
+use varda_rod::{Marker, Markers, Vector3};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -94,16 +94,16 @@ pub fn for_each_cost(visit: &mut Visit) -> Result<()> {
 }
 
 const CENTRELINE: [Marker; 3] = [
-    Marker { s: 0.31, offset: [0.0; 3] },
-    Marker { s: 0.62, offset: [0.0; 3] },
-    Marker { s: 0.88, offset: [0.0; 3] },
+    Marker { s: 0.31, offset: Vector3::new(0.0, 0.0, 0.0) },
+    Marker { s: 0.62, offset: Vector3::new(0.0, 0.0, 0.0) },
+    Marker { s: 0.88, offset: Vector3::new(0.0, 0.0, 0.0) },
 ];
 
 /// Beside the rod in every direction; the first sits on a segment that a clamp may hold.
 const OFF_CENTRELINE: [Marker; 3] = [
-    Marker { s: 0.15, offset: [0.02, -0.01, 0.0] },
-    Marker { s: 0.55, offset: [-0.015, 0.025, 0.01] },
-    Marker { s: 0.85, offset: [0.0, 0.03, -0.02] },
+    Marker { s: 0.15, offset: Vector3::new(0.02, -0.01, 0.0) },
+    Marker { s: 0.55, offset: Vector3::new(-0.015, 0.025, 0.01) },
+    Marker { s: 0.85, offset: Vector3::new(0.0, 0.03, -0.02) },
 ];
 
 /// The window of case 2 with the prior conditioned on the clamp.

@@ -78,7 +78,7 @@ impl HangingRod {
         let prior = background.covariance;
         let mut problem = HangingRod {
             rod: Rod::uniform(model.length, model.segments, &Section::circle(&material, radius))?,
-            drive: EllipseDrive { centre: [0.0; 3], radii, omega, ramp: ramp_periods * TAU / omega },
+            drive: EllipseDrive { centre: [0.0; 3].into(), radii, omega, ramp: ramp_periods * TAU / omega },
             director: model.start.director,
             gravity: model.gravity,
             dt: TAU / (time.steps_per_period * omega),
@@ -116,7 +116,7 @@ impl HangingRod {
     /// # Errors
     /// Impossible numbers.
     pub fn model_with(&self, first: usize, twist: TwistUnknowns) -> Result<ImplicitModel<RodStep>> {
-        let loads = Loads { gravity: self.gravity, ..Loads::default() };
+        let loads = Loads { gravity: self.gravity.into(), ..Loads::default() };
         let step = RodStep::with_twist(self.rod.clone(), self.supports(), loads, Damping::default(), twist)?;
         Ok(ImplicitModel::new(step, first, self.dt))
     }
@@ -130,12 +130,10 @@ impl HangingRod {
     /// The control [X, V] at the start of the window, from hanging at rest at time 0.
     fn spin_up(&self) -> Result<Vec<f64>> {
         let mut model = self.model(0)?;
-        let loads = Loads { gravity: self.gravity, ..Loads::default() };
+        let loads = Loads { gravity: self.gravity.into(), ..Loads::default() };
         let guess = straight_guess(&self.rod, &self.supports(), 0.0, [0.0, 0.0, -1.0])?;
         let (rest, _) = equilibrium(&self.rod, &self.supports(), &loads, 0.0, &guess)?;
-        let free = model.step_ref().free_vertices();
-        let mut z: Vec<f64> = free.iter().flat_map(|&v| rest.vertices[v]).collect();
-        z.resize(model.control_dim(), 0.0);
+        let z = model.step_ref().control_at_rest(&rest);
         let mut x = vec![0.0; model.dim()];
         model.initial_state(&z, &mut x)?;
         let mut next = x.clone();
@@ -305,16 +303,12 @@ impl DrivenRod {
     /// How it is held: vertices 0 and 1 driven.
     pub fn supports(&self) -> Supports {
         let drive = |t: f64| [0.10 * (1.0 - (TAU * t).cos()), 0.05 * (TAU * t).sin(), 0.0];
-        Supports::clamped_start(Clamp {
-            position: Arc::new(drive),
-            tangent: Arc::new([0.0, 0.0, -1.0]),
-            director: Arc::new([1.0, 0.0, 0.0]),
-        })
+        Supports::clamped_start(Clamp::new(drive, [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
     }
 
     /// Its weight.
     pub fn loads(&self) -> Loads {
-        Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() }
+        Loads { gravity: [0.0, 0.0, -9.81].into(), ..Loads::default() }
     }
 
     /// Its step, and the control at rest, straight down and unstretched.
@@ -325,8 +319,7 @@ impl DrivenRod {
         let (rod, supports) = (self.rod()?, self.supports());
         let start = straight_guess(&rod, &supports, 0.0, [0.0, 0.0, -1.0])?;
         let step = RodStep::with_twist(rod, supports, self.loads(), Damping::default(), self.twist)?;
-        let mut control: Vec<f64> = step.free_vertices().iter().flat_map(|&v| start.vertices[v]).collect();
-        control.resize(step.control_len(), 0.0);
+        let control = step.control_at_rest(&start);
         Ok((step.with_scheme(self.scheme), control))
     }
 
@@ -402,22 +395,20 @@ pub const FIRST: usize = 3;
 
 fn rod_case(name: &'static str, rod: Rod, supports: Supports, damping: Damping) -> Result<RodCase> {
     let force = |t: f64| [0.02 * t.cos(), 0.01, 0.0];
-    let loads = Loads { gravity: [0.0, 0.0, -9.81], point_forces: vec![(0.61, Arc::new(force))] };
+    let loads = Loads { gravity: [0.0, 0.0, -9.81].into(), point_forces: vec![(0.61, Arc::new(force))] };
     let start = FIRST as f64 * DT;
     let clamps = supports.start.iter().count() + supports.end.iter().count();
     let mut shape = straight_guess(&rod, &supports, start, [0.0, 0.0, -1.0])?;
     if clamps == 2 {
         shape = equilibrium(&rod, &supports, &loads, start, &shape)?.0;
     }
-    let mut model = ImplicitModel::new(RodStep::new(rod, supports, loads, damping)?, FIRST, DT);
-    let free = model.step_ref().free_vertices();
-    let mut control: Vec<f64> = free.iter().flat_map(|&v| shape.vertices[v]).collect();
-    let positions = control.len();
+    let model = ImplicitModel::new(RodStep::new(rod, supports, loads, damping)?, FIRST, DT);
+    let mut control = model.step_ref().control_at_rest(&shape);
+    let positions = control.len() / 2;
     if clamps == 0 {
         // Bowed, so that a curved rod free to spin has one stable angle.
-        control.chunks_exact_mut(3).for_each(|x| x[0] += 0.4 * x[2] * x[2]);
+        control[..positions].chunks_exact_mut(3).for_each(|x| x[0] += 0.4 * x[2] * x[2]);
     }
-    control.resize(model.control_dim(), 0.0);
     for (i, z) in control.iter_mut().enumerate() {
         // 4 mm and 0.2 m/s of smooth noise
         *z += if i < positions { 0.004 } else { 0.2 } * wave(i, 1);
@@ -459,23 +450,23 @@ fn curved() -> Result<Rod> {
 
 /// A clamp that moves, swings and turns about itself.
 fn swinging() -> Clamp {
-    Clamp {
-        position: Arc::new(drive()),
-        tangent: Arc::new(|t: f64| [0.3 * (3.0 * t).sin(), 0.1, -1.0]),
-        director: Arc::new(|t: f64| [(4.0 * t).cos(), (4.0 * t).sin(), 0.0]),
-    }
+    Clamp::new(
+        drive(),
+        |t: f64| [0.3 * (3.0 * t).sin(), 0.1, -1.0],
+        |t: f64| [(4.0 * t).cos(), (4.0 * t).sin(), 0.0],
+    )
 }
 
 fn drive() -> EllipseDrive {
-    EllipseDrive { centre: [0.0; 3], radii: [0.06, 0.03], omega: 10.0, ramp: 0.1 }
+    EllipseDrive { centre: [0.0; 3].into(), radii: [0.06, 0.03], omega: 10.0, ramp: 0.1 }
 }
 
 fn both_ends() -> Supports {
-    let end = Clamp {
-        position: Arc::new(|t: f64| [0.35 + 0.05 * t, 0.1, -0.4]),
-        tangent: Arc::new([0.8, 0.2, 0.6]),
-        director: Arc::new(|t: f64| [(2.0 * t).sin(), (2.0 * t).cos(), 0.3]),
-    };
+    let end = Clamp::new(
+        |t: f64| [0.35 + 0.05 * t, 0.1, -0.4],
+        [0.8, 0.2, 0.6],
+        |t: f64| [(2.0 * t).sin(), (2.0 * t).cos(), 0.3],
+    );
     Supports { start: Some(swinging()), end: Some(end), ..Supports::default() }
 }
 
@@ -483,7 +474,7 @@ fn both_ends() -> Supports {
 fn pinned() -> Supports {
     Supports {
         prescribed: vec![(0, Arc::new(drive())), (5, Arc::new([0.1, 0.0, -0.505]))],
-        free_frame: ([0.0, 0.0, -1.0], [1.0, 0.0, 0.0]),
+        free_frame: ([0.0, 0.0, -1.0].into(), [1.0, 0.0, 0.0].into()),
         ..Supports::default()
     }
 }

@@ -84,7 +84,7 @@ fn flagship(case: &mut Case) -> Outcome {
 fn model_rows(case: &mut Case, model: &mut dyn Model, x: &[f64], scale: &[f64]) -> Outcome {
     for outcome in check::conformance(model, 2, x, scale, 3)? {
         if !outcome.what.contains("Taylor") {
-            case.at_most(outcome.what, outcome.value, outcome.bound, "-").because(ROUNDING);
+            case.at_most(&outcome.what, outcome.value, outcome.bound, "-").because(ROUNDING);
         }
     }
     Trajectory::new().run(model, x, STEPS, Keep::Linearizations)?;

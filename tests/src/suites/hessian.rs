@@ -3,12 +3,11 @@
 use super::Options;
 use crate::row::{Case, Outcome, Row, Rows};
 use nalgebra::{Rotation3, SVector, Unit, Vector3};
-use num_dual::DualNum;
 use problems::costs::for_each_cost;
 use problems::rods::wave;
 use varda_assimilation::GaussNewton;
 use varda_implicit::check;
-use varda_rod::{Derivatives, Error, Framed, Rod, derivatives};
+use varda_rod::{Derivatives, Error, Framed, Rod, derivatives, energy};
 
 pub(super) fn run(_options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("hessian");
@@ -37,8 +36,8 @@ pub(super) fn run(_options: &Options) -> Vec<Row> {
 /// An anisotropic rod bent, twisted and stretched, naturally curved, with segments of different length.
 struct Bent {
     rod: Rod,
-    vertices: Vec<[f64; 3]>,
-    directors: Vec<[f64; 3]>,
+    vertices: Vec<Vector3<f64>>,
+    directors: Vec<Vector3<f64>>,
     reference_twist: Vec<f64>,
     theta: Vec<f64>,
 }
@@ -60,14 +59,14 @@ impl Bent {
         };
         // Each edge turns by up to about a radian and a half from the one before.
         let mut x = Vector3::zeros();
-        let mut vertices = vec![x.into()];
+        let mut vertices = vec![x];
         let mut directors = Vec::new();
         for e in 0..n {
             let t = Vector3::new(noise(e, 9), noise(e, 10), 1.2).normalize();
             x += t * (rod.rest_lengths[e] * (1.0 + 0.05 * noise(e, 11)));
-            vertices.push(x.into());
+            vertices.push(x);
             let across = Vector3::new(noise(e, 12), noise(e, 13), noise(e, 14));
-            directors.push((across - t * across.dot(&t)).normalize().into());
+            directors.push((across - t * across.dot(&t)).normalize());
         }
         let theta = (0..n).map(|e| 2.0 * noise(e, 15)).collect();
         let mut bent = Bent { rod, vertices, directors, reference_twist: vec![0.0; inner], theta };
@@ -78,20 +77,20 @@ impl Bent {
     }
 
     fn derivatives(&self) -> Result<Derivatives, Error> {
-        let Bent { rod, vertices, directors, reference_twist, theta } = self;
-        derivatives(rod, &Framed { vertices, directors, reference_twist, theta })
+        derivatives(&self.rod, &self.framed())
+    }
+
+    fn framed(&self) -> Framed<'_> {
+        let Bent { vertices, directors, reference_twist, theta, .. } = self;
+        Framed { vertices, directors, reference_twist, theta }
     }
 
     /// The same rod after the degrees of freedom (x, then θ) have moved by h q, its frames carried along in
     /// parallel.
     fn moved(&self, q: &[f64], h: f64) -> Bent {
         let nx = 3 * self.vertices.len();
-        let vertices: Vec<[f64; 3]> = self
-            .vertices
-            .iter()
-            .enumerate()
-            .map(|(v, x)| std::array::from_fn(|c| x[c] + h * q[3 * v + c]))
-            .collect();
+        let step = |v: usize| Vector3::from_column_slice(&q[3 * v..3 * v + 3]) * h;
+        let vertices: Vec<_> = self.vertices.iter().enumerate().map(|(v, x)| x + step(v)).collect();
         let theta = self.theta.iter().zip(&q[nx..]).map(|(t, q)| t + h * q).collect();
         let directors = (0..self.theta.len()).map(|e| self.director(&vertices, e)).collect();
         let twist = |i: usize| {
@@ -103,73 +102,27 @@ impl Bent {
     }
 
     /// d₁ of an edge where the vertices are `x`, carried from where it is given by parallel transport.
-    fn director<T: DualNum<Primitive = f64> + Copy>(&self, x: &[[T; 3]], e: usize) -> [T; 3] {
-        let given = tangent(&self.vertices, e).0;
-        transport(&given.map(T::from), &tangent(x, e).0, &self.directors[e].map(T::from))
+    fn director(&self, x: &[Vector3<f64>], e: usize) -> Vector3<f64> {
+        transport(&tangent(&self.vertices, e), &tangent(x, e), &self.directors[e])
     }
 
     /// Angle at inner vertex i from d₁ before, carried over the vertex, to d₁ after it.
-    fn frame_angle<T: DualNum<Primitive = f64> + Copy>(&self, x: &[[T; 3]], i: usize) -> T {
-        let (p, q) = (tangent(x, i).0, tangent(x, i + 1).0);
+    fn frame_angle(&self, x: &[Vector3<f64>], i: usize) -> f64 {
+        let (p, q) = (tangent(x, i), tangent(x, i + 1));
         let carried = transport(&p, &q, &self.director(x, i));
         let there = self.director(x, i + 1);
-        dot(&cross(&carried, &there), &q).atan2(dot(&carried, &there))
-    }
-
-    /// Stretch, bend and twist energy, written out plainly for any kind of number.
-    fn energy<T: DualNum<Primitive = f64> + Copy>(&self, x: &[[T; 3]], theta: &[T]) -> T {
-        let rod = &self.rod;
-        let mut energy = T::from(0.0);
-        for e in 0..theta.len() {
-            let stretch = tangent(x, e).1 - rod.rest_lengths[e];
-            energy += stretch * stretch * (0.5 * rod.ea[e] / rod.rest_lengths[e]);
-        }
-        let frame = |e: usize| {
-            let (t, d1) = (tangent(x, e).0, self.director(x, e));
-            let d2 = cross(&t, &d1);
-            let (sin, cos) = theta[e].sin_cos();
-            let m1: [T; 3] = std::array::from_fn(|c| cos * d1[c] + sin * d2[c]);
-            let m2: [T; 3] = std::array::from_fn(|c| cos * d2[c] - sin * d1[c]);
-            (t, m1, m2)
-        };
-        for i in 0..theta.len() - 1 {
-            let ((p, m1p, m2p), (q, m1q, m2q)) = (frame(i), frame(i + 1));
-            let twice = T::from(2.0) / (dot(&p, &q) + 1.0);
-            let kb = cross(&p, &q).map(|c| c * twice);
-            let kappa = [(dot(&m2p, &kb) + dot(&m2q, &kb)) * 0.5, (dot(&m1p, &kb) + dot(&m1q, &kb)) * -0.5];
-            let d = [kappa[0] - rod.natural_curvature[i][0], kappa[1] - rod.natural_curvature[i][1]];
-            let [e11, e12, e22] = rod.ei[i];
-            let over = 0.5 / rod.voronoi_lengths[i];
-            energy += (d[0] * d[0] * e11 + d[0] * d[1] * (2.0 * e12) + d[1] * d[1] * e22) * over;
-            // the angle at the given place drops out but for its derivatives: whole turns stay
-            let turned =
-                self.frame_angle(x, i) - self.frame_angle(&self.vertices, i) + self.reference_twist[i];
-            let tau = theta[i + 1] - theta[i] + turned - rod.natural_twist[i];
-            energy += tau * tau * (rod.gj[i] * over);
-        }
-        energy
+        carried.cross(&there).dot(&q).atan2(carried.dot(&there))
     }
 }
 
-fn dot<T: DualNum<Primitive = f64> + Copy>(a: &[T; 3], b: &[T; 3]) -> T {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross<T: DualNum<Primitive = f64> + Copy>(a: &[T; 3], b: &[T; 3]) -> [T; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-/// Unit tangent and length of an edge.
-fn tangent<T: DualNum<Primitive = f64> + Copy>(x: &[[T; 3]], e: usize) -> ([T; 3], T) {
-    let edge: [T; 3] = std::array::from_fn(|c| x[e + 1][c] - x[e][c]);
-    let length = dot(&edge, &edge).sqrt();
-    (edge.map(|c| c / length), length)
+/// Unit tangent of an edge.
+fn tangent(x: &[Vector3<f64>], e: usize) -> Vector3<f64> {
+    (x[e + 1] - x[e]).normalize()
 }
 
 /// w − (w·q) (p + q)/(1 + p·q), for w ⟂ p.
-fn transport<T: DualNum<Primitive = f64> + Copy>(p: &[T; 3], q: &[T; 3], w: &[T; 3]) -> [T; 3] {
-    let share = dot(w, q) / (dot(p, q) + 1.0);
-    std::array::from_fn(|c| w[c] - (p[c] + q[c]) * share)
+fn transport(p: &Vector3<f64>, q: &Vector3<f64>, w: &Vector3<f64>) -> Vector3<f64> {
+    w - (p + q) * (w.dot(q) / (1.0 + p.dot(q)))
 }
 
 fn largest(a: impl Iterator<Item = f64>) -> f64 {
@@ -177,23 +130,20 @@ fn largest(a: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Energy, gradient and Hessian of one bent vertex, eleven degrees of freedom, against second-order dual
-/// numbers.
+/// numbers in the energy.
 fn dual_numbers(case: &mut Case, bent: &Bent) -> Outcome {
     let ours = bent.derivatives()?;
-    let mut q = SVector::<f64, 11>::zeros();
-    for (i, x) in bent.vertices.as_flattened().iter().chain(&bent.theta).enumerate() {
-        q[i] = *x;
-    }
-    let (energy, gradient, hessian) = num_dual::hessian(
+    let coordinates = bent.vertices.iter().flatten().chain(&bent.theta);
+    let (total, gradient, hessian) = num_dual::hessian(
         |q: SVector<num_dual::Dual2SVec64<11>, 11>| {
-            let x: [[_; 3]; 3] = std::array::from_fn(|v| std::array::from_fn(|c| q[3 * v + c]));
-            bent.energy(&x, &[q[9], q[10]])
+            let x: [_; 3] = std::array::from_fn(|v| q.fixed_rows::<3>(3 * v).into_owned());
+            energy(&bent.rod, &bent.framed(), &x, &[q[9], q[10]]).map(|energy| energy.total())
         },
-        &q,
-    );
+        &SVector::from_iterator(coordinates.copied()),
+    )?;
     case.reason("a few hundred operations with little cancellation: a thousand times their rounding");
-    let total = ours.energy.total();
-    case.at_most("energy", (total - energy).abs() / energy.abs(), 1e-12, "-").computed(total);
+    let value = ours.energy.total();
+    case.at_most("energy", (value - total).abs() / total.abs(), 1e-12, "-").computed(value);
     let relative = |ours: &[f64], theirs: &[f64]| {
         largest(ours.iter().zip(theirs).map(|(a, b)| a - b)) / largest(theirs.iter().copied())
     };
@@ -273,8 +223,8 @@ fn rigid_motion(case: &mut Case, bent: &Bent) -> Outcome {
     let shift = Vector3::new(3.0, -1.0, 2.0);
     let there = Bent {
         rod: bent.rod.clone(),
-        vertices: bent.vertices.iter().map(|x| (turn * Vector3::from(*x) + shift).into()).collect(),
-        directors: bent.directors.iter().map(|d| (turn * Vector3::from(*d)).into()).collect(),
+        vertices: bent.vertices.iter().map(|x| turn * x + shift).collect(),
+        directors: bent.directors.iter().map(|d| turn * d).collect(),
         reference_twist: bent.reference_twist.clone(),
         theta: bent.theta.clone(),
     }
@@ -322,8 +272,8 @@ fn rigid_motion(case: &mut Case, bent: &Bent) -> Outcome {
     );
     let omega = axis.into_inner();
     let mut rotation = Vec::new();
-    bent.vertices.iter().for_each(|x| rotation.extend_from_slice(omega.cross(&Vector3::from(*x)).as_slice()));
-    rotation.extend((0..bent.theta.len()).map(|e| omega.dot(&Vector3::from(tangent(&bent.vertices, e).0))));
+    bent.vertices.iter().for_each(|x| rotation.extend_from_slice(omega.cross(x).as_slice()));
+    rotation.extend((0..bent.theta.len()).map(|e| omega.dot(&tangent(&bent.vertices, e))));
     let power: f64 = here.gradient.iter().zip(&rotation).map(|(g, q)| g * q).sum();
     case.at_most("work of a rotation", power.abs() / scale, 1e-12, "-").computed(power);
     Ok(())

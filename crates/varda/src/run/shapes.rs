@@ -15,7 +15,9 @@ pub(crate) fn vertices(problem: &Problem, runs: &Trajectories) -> Result<Option<
     let grid = &problem.experiment.grid;
     let mut of = |states: &[f64]| {
         let states = states.chunks_exact(runs.dim).enumerate();
-        states.map(|(k, x)| dynamics.vertices(grid.time(k), x)).collect::<Result<Vec<_>, _>>()
+        let mut points =
+            |k, x| dynamics.vertices(grid.time(k), x).map(|v| v.into_iter().map(Into::into).collect());
+        states.map(|(k, x)| points(k, x)).collect::<Result<Vec<_>, _>>()
     };
     Ok(Some(Shapes {
         background: of(&runs.background)?,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use varda_implicit::Scheme;
 use varda_rod::{
-    Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rest, Rod, RodStep, Section, Supports,
+    Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rest, Rod, RodStep, Section, Supports, Vector3,
     equilibrium, straight_guess,
 };
 
@@ -60,7 +60,7 @@ impl RodParts {
         }
         let point_forces =
             model.point_forces.iter().map(|f| (f.arc_length, Arc::new(f.force) as Arc<dyn Motion>));
-        let loads = Loads { gravity: model.gravity, point_forces: point_forces.collect() };
+        let loads = Loads { gravity: model.gravity.into(), point_forces: point_forces.collect() };
         let damping = Damping { stiffness: model.damping.stiffness, mass: model.damping.mass };
         let scheme = file.checked(file.scene.time.integrator.of_rod())?;
         let parts = RodParts { rod, supports, loads, damping, scheme };
@@ -83,14 +83,11 @@ impl RodParts {
     /// [`Error::Preparation`] where no equilibrium is found.
     pub fn at_rest(&self, t: f64) -> Result<Vec<f64>, Error> {
         let along = self.loads.gravity;
-        let direction = if along == [0.0; 3] { [0.0, 0.0, -1.0] } else { along };
+        let direction = if along == Vector3::zeros() { -Vector3::z() } else { along };
         let guess: Rest = straight_guess(&self.rod, &self.supports, t, direction)?;
         let (rest, _) = equilibrium(&self.rod, &self.supports, &self.loads, t, &guess)
             .map_err(|reason| Error::Preparation { stage: "static equilibrium", reason })?;
-        let dynamics = self.dynamics()?;
-        let mut control: Vec<f64> = dynamics.free_vertices().iter().flat_map(|&v| rest.vertices[v]).collect();
-        control.resize(dynamics.control_len(), 0.0);
-        Ok(control)
+        Ok(self.dynamics()?.control_at_rest(&rest))
     }
 }
 
@@ -131,7 +128,7 @@ fn motion(
     Ok(match motion {
         None => Arc::new(position),
         Some(&scene::Motion::Ellipse { radii, omega, ramp_periods }) => {
-            Arc::new(EllipseDrive { centre: position, radii, omega, ramp: ramp_periods * TAU / omega })
+            Arc::new(EllipseDrive { centre: position.into(), radii, omega, ramp: ramp_periods * TAU / omega })
         }
         Some(scene::Motion::Table { file: name }) => {
             let path = format!("{path}.motion.file");

@@ -24,7 +24,7 @@ struct Placed {
 
 impl Placed {
     fn at_arc_length(s: f64) -> Self {
-        Placed { label: format!("s = {s} m"), marker: Marker { s, offset: [0.0; 3] }, withheld: false }
+        Placed { label: format!("s = {s} m"), marker: Marker { s, offset: [0.0; 3].into() }, withheld: false }
     }
 }
 
@@ -65,7 +65,7 @@ pub(crate) fn recorded(
         .iter()
         .map(|m| Placed {
             label: format!("marker {}", m.name),
-            marker: Marker { s: m.arc_length, offset: m.offset },
+            marker: Marker { s: m.arc_length, offset: m.offset.into() },
             withheld: m.used == Use::Withhold,
         })
         .collect();

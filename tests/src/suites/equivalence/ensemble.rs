@@ -1,6 +1,6 @@
 //! 4D-EnVar with an ensemble that spans is linear 4D-Var; the hybrid at weights 0 and 1 is its pure ends.
 
-use super::{gap, go_on};
+use super::common::{gap, go_on};
 use crate::row::{Case, Outcome, Rows};
 use problems::small_problems::{
     RING, all_of, coupled, difference, localized, normals, observation, ring, ring_model, spanning,

@@ -1,6 +1,6 @@
 //! Closed form, 3D-Var, incremental, dual, strong 4D-Var, the Kalman filter and the smoother.
 
-use super::{gap, go_on, tight};
+use super::common::{gap, go_on, tight};
 use crate::row::{Case, Outcome, Rows};
 use nalgebra::{DMatrix, DVector};
 use problems::small_problems::{self, LINEAR_STEPS, Thin, coupled, difference, dot, normals, observation};

@@ -1,7 +1,7 @@
 //! Every minimizer that claims convergence is at the minimum; a growing window finds the right one of
 //! several.
 
-use super::{gap, go_on};
+use super::common::{gap, go_on};
 use crate::row::{Case, Outcome, Rows};
 use crate::suites::golden::twin;
 use problems::small_problems::{difference, long_lorenz63};

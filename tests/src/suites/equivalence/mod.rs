@@ -1,5 +1,6 @@
 //! Methods that must agree, on problems where they must.
 
+mod common;
 mod ensemble;
 mod linear;
 mod minima;
@@ -10,8 +11,6 @@ pub(super) use linear::{closed_form, linear_3dvar};
 
 use super::Options;
 use crate::row::{Row, Rows};
-use std::ops::ControlFlow;
-use varda_assimilation::{Error, Incremental, InnerSolver, Iteration, Minimum, OuterLoopOptions, outer_loop};
 
 pub(super) fn run(_options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("equivalence");
@@ -21,26 +20,4 @@ pub(super) fn run(_options: &Options) -> Vec<Row> {
     posterior::rows(&mut rows);
     minima::rows(&mut rows);
     rows.finish()
-}
-
-fn go_on(_: &Iteration) -> ControlFlow<()> {
-    ControlFlow::Continue(())
-}
-
-/// The outer loop, tightly: a gradient of 1e-11 of the first.
-fn tight(problem: &mut dyn Incremental, v: &mut [f64], inner: InnerSolver) -> Result<Minimum, Error> {
-    let options = OuterLoopOptions {
-        inner,
-        gradient_tolerance: 1e-11,
-        inner_tolerance: 1e-12,
-        max_inner: 1000,
-        max_iterations: 500,
-        ..Default::default()
-    };
-    outer_loop(problem, v, &options, &mut go_on)
-}
-
-/// |a − b| / |b|.
-fn gap(a: f64, b: f64) -> f64 {
-    (a - b).abs() / b.abs()
 }

@@ -1,6 +1,6 @@
 //! The posterior three ways, and whether errors are as large as it says.
 
-use super::go_on;
+use super::common::go_on;
 use crate::row::{Case, Outcome, Rows};
 use crate::suites::golden::twin;
 use nalgebra::DMatrix;

@@ -1,7 +1,7 @@
 //! Weak constraint: over forcing, over states, by a direct solve, and in the limit of no model error.
 
+use super::common::{gap, tight};
 use super::linear::{TIGHT, dense, kalman, step_matrix};
-use super::{gap, tight};
 use crate::row::{Case, Outcome, Rows};
 use problems::small_problems::{self, LINEAR_STEPS, coupled, difference};
 use varda_assimilation::{

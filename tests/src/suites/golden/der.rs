@@ -1,6 +1,6 @@
 //! Energy, gradient and Hessian of rods in given frames.
 
-use super::{Fixture, expect_length, expect_size, largest, largest_difference, norm};
+use super::fixture::{Fixture, expect_length, expect_size, largest, largest_difference, norm};
 use crate::row::{Case, Outcome};
 use nalgebra::{DMatrix, DVector};
 use serde::Deserialize;
@@ -139,7 +139,7 @@ pub(super) fn compare(case: &mut Case, f: &Given) -> Outcome {
     let mut error = (ours.energy.total() - e.total).abs();
     for (ours, theirs) in [(stretch, e.stretch), (bend, e.bend), (twist, e.twist)] {
         if theirs.abs() > 1e-12 * e.total.abs() {
-            error = super::greater(error, (ours - theirs).abs());
+            error = super::fixture::greater(error, (ours - theirs).abs());
         }
     }
     let relative = error / e.total.abs().max(1e-12 * scale);
@@ -184,7 +184,7 @@ fn check_reduced(case: &mut Case, rod: &Rod, f: &Given, reduced: &Reduced, toler
     for iteration in 0..10 {
         let residual = DVector::from_fn(free.len(), |i, _| d.gradient[theta_dofs[i]]);
         let step = block(&d, &theta_dofs, &theta_dofs).lu().solve(&residual).ok_or("H_θθ is singular")?;
-        let size = (0..free.len()).fold(0.0, |m, i| super::greater(m, step[i].abs()));
+        let size = (0..free.len()).fold(0.0, |m, i| super::fixture::greater(m, step[i].abs()));
         if iteration == 0 {
             first = size;
         }
@@ -219,7 +219,8 @@ fn check_reduced(case: &mut Case, rod: &Rod, f: &Given, reduced: &Reduced, toler
 }
 
 fn at(rod: &Rod, f: &Given, theta: &[f64]) -> Result<Derivatives, varda_rod::Error> {
-    let (vertices, directors) = (&f.vertices, &f.ref_d1);
+    let vectors = |all: &[[f64; 3]]| all.iter().map(|v| (*v).into()).collect::<Vec<_>>();
+    let (vertices, directors) = (&vectors(&f.vertices), &vectors(&f.ref_d1));
     derivatives(rod, &Framed { vertices, directors, reference_twist: &f.ref_twist, theta })
 }
 

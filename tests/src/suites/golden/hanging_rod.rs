@@ -1,6 +1,6 @@
 //! Windows of the hanging rod: cost, gradient, minimum and posterior variance against an independent program.
 
-use super::{Fixture, expect_length, expect_size, largest, largest_difference, norm};
+use super::fixture::{Fixture, expect_length, expect_size, largest, largest_difference, norm};
 use crate::row::{Case, Outcome};
 use problems::rods::{HangingRod, Prior};
 use serde::Deserialize;
@@ -192,7 +192,7 @@ impl Problem {
         Ok(HangingRod {
             rod: rod.naturally(curvature, twist),
             drive: EllipseDrive {
-                centre: [0.0; 3],
+                centre: [0.0; 3].into(),
                 radii: [d.rx, d.ry],
                 omega: d.omega,
                 ramp: d.ramp_periods * TAU / d.omega,
@@ -256,7 +256,8 @@ pub(super) fn check(case: &mut Case, folder: &Path) -> Outcome {
     let file = std::fs::File::open(&csv).map_err(|e| named(&e))?;
     let steps = &problem.window.observation_steps;
     let mut observe = |step, point, seen| rod.observation(step, point, seen);
-    let observations = read_rows(file.take(super::FILE_BYTES), steps, &mut observe).map_err(|e| named(&e))?;
+    let observations =
+        read_rows(file.take(super::fixture::FILE_BYTES), steps, &mut observe).map_err(|e| named(&e))?;
 
     let mut model = rod.model(rod.first_step)?;
     let mut observations = rod.observation_set(model.dim(), observations)?;
@@ -299,7 +300,7 @@ pub(super) fn check(case: &mut Case, folder: &Path) -> Outcome {
     }
 
     let mut v = vec![0.0; n];
-    let (minimum, how) = super::minimize(&mut cost, &mut v)?;
+    let (minimum, how) = super::minimum::minimize(&mut cost, &mut v)?;
     let gap = (minimum.value - reference.J_star) / reference.J_star.abs();
     if problem.case == Some(4) && !rod.prior.conditioned {
         // Several local minima: any stationary point will do.

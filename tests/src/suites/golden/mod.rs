@@ -1,24 +1,17 @@
 //! Fixtures made elsewhere: rods with 50-digit derivatives, assimilation windows and twins with known minima.
 
 mod der;
+mod fixture;
 mod hanging_rod;
+mod minimum;
 mod reference_values;
 pub(super) mod twin;
 mod upwind;
 
 use super::Options;
 use crate::row::{Case, Outcome, Row, Rows};
-use std::io::Read;
-use std::ops::ControlFlow;
+use fixture::{Fixture, shipped};
 use std::path::{Path, PathBuf};
-use varda_assimilation::{
-    Error, GaussNewton, Iteration, Minimizer, Minimum, Status, TrustRegionOptions, continuation,
-};
-
-/// Our own copies.
-fn shipped() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures")
-}
 
 pub(super) fn run(options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("golden");
@@ -55,61 +48,6 @@ fn fixtures(rows: &mut Rows, folder: &Path) -> usize {
     found
 }
 
-/// A cost may have several minima. Minimizes it twice, straight from `v` and through larger observation
-/// errors (σ × 10, 3, 1), and keeps the lower end in `v`; says which that was.
-fn minimize(cost: &mut dyn GaussNewton, v: &mut [f64]) -> Result<(Minimum, String), Error> {
-    // Tighter than the default: reference minima are compared to eight digits.
-    let tight = TrustRegionOptions { gradient_tolerance: 1e-9, ..TrustRegionOptions::default() };
-    let minimizer = Minimizer::TrustRegion(tight);
-    let go_on = &mut |_: &Iteration| ControlFlow::Continue(());
-    let mut staged = v.to_vec();
-    let mut best = minimizer.minimize(cost, v, go_on)?;
-    let mut how = "from the background";
-    let found = continuation(&minimizer, cost, &mut staged, &[10.0, 3.0, 1.0], go_on)?;
-    // Two ends of one minimum differ by rounding; an end that is not a minimum is worth less than one that
-    // is.
-    let lower = found.value < best.value * (1.0 - 1e-9);
-    if lower || (best.status != Status::Converged && found.status == Status::Converged) {
-        (best, how) = (found, "through larger observation errors");
-        v.copy_from_slice(&staged);
-    }
-    let how = describe(&best, how);
-    Ok((best, how))
-}
-
-fn describe(minimum: &Minimum, how: &str) -> String {
-    let reduction = minimum.gradient_norm / minimum.gradient_norm_first;
-    let Minimum { status, outer_iterations, .. } = minimum;
-    format!("{status:?}, {outer_iterations} iterations, |g|/|g₀| {reduction:.1e}, {how}")
-}
-
-/// Most bytes of a fixture's file.
-const FILE_BYTES: u64 = 1 << 26;
-
-/// What a file says, checked against itself before anything is computed with it.
-trait Fixture: serde::de::DeserializeOwned {
-    /// Whether sizes are sane and lists have the lengths they must have; an error names the field.
-    fn validate(&self) -> Result<(), String>;
-
-    fn parse(text: &str) -> Result<Self, String> {
-        let fixture: Self = serde_json::from_str(text).map_err(|e| e.to_string())?;
-        fixture.validate()?;
-        Ok(fixture)
-    }
-
-    /// Of a file, which errors name.
-    fn read(path: &Path) -> Result<Self, String> {
-        let named = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
-        let mut text = String::new();
-        let file = std::fs::File::open(path).map_err(|e| named(&e))?;
-        file.take(FILE_BYTES + 1).read_to_string(&mut text).map_err(|e| named(&e))?;
-        if text.len() as u64 > FILE_BYTES {
-            return Err(named(&format!("more than {FILE_BYTES} bytes")));
-        }
-        Self::parse(&text).map_err(|e| named(&e))
-    }
-}
-
 /// Reads a text as a fixture of every kind, up to what is computed with it where that is small. For property
 /// tests and fuzzing.
 pub(super) fn read_all(text: &str) {
@@ -124,36 +62,6 @@ pub(super) fn read_all(text: &str) {
     let _ = hanging_rod::prepare(text);
     let _ = hanging_rod::Reference::parse(text);
     let _ = hanging_rod::read_rows(text.as_bytes(), &[10, 20], &mut |_, _, _| Ok(()));
-}
-
-/// An error unless a size is at least 1 and at most what a fixture may have.
-fn expect_size(what: &str, found: usize, most: usize) -> Result<(), String> {
-    if (1..=most).contains(&found) { Ok(()) } else { Err(format!("{what} = {found}, expected 1 to {most}")) }
-}
-
-/// An error unless a list has the length it should have.
-fn expect_length(what: &str, found: usize, expected: usize) -> Result<(), String> {
-    if found == expected { Ok(()) } else { Err(format!("{what} has {found} entries, expected {expected}")) }
-}
-
-/// max |a_i − b_i|, NaN if any is.
-fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
-    assert_eq!(a.len(), b.len(), "lengths of the vectors compared");
-    a.iter().zip(b).fold(0.0, |m: f64, (a, b)| greater(m, (a - b).abs()))
-}
-
-/// max |a_i|, NaN if any is.
-fn largest(a: &[f64]) -> f64 {
-    a.iter().fold(0.0, |m: f64, a| greater(m, a.abs()))
-}
-
-/// The greater of two; NaN stays (`f64::max` would drop it).
-fn greater(a: f64, b: f64) -> f64 {
-    if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b) }
-}
-
-fn norm(a: &[f64]) -> f64 {
-    a.iter().map(|a| a * a).sum::<f64>().sqrt()
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Values of the reference problems "Lorenz-96 values", "Driven rod" and "Hanging rod"
 //! (docs/reference-problems.md).
 
-use super::largest_difference;
+use super::fixture::largest_difference;
 use crate::row::{Case, Outcome, Rows};
 use problems::rods::{DrivenRod, HangingRod};
 use problems::small_problems::lorenz96_window;
@@ -33,19 +33,21 @@ fn flagship_truth(case: &mut Case) -> Outcome {
         vbar: f64,
         sigma_v: f64,
     }
-    impl super::Fixture for Given {
+    impl super::fixture::Fixture for Given {
         fn validate(&self) -> Result<(), String> {
-            super::expect_length("truth_x", self.truth_x.len(), 72)?;
-            super::expect_length("truth_v", self.truth_v.len(), 72)
+            super::fixture::expect_length("truth_x", self.truth_x.len(), 72)?;
+            super::fixture::expect_length("truth_v", self.truth_v.len(), 72)
         }
     }
     let path = super::shipped().join("hanging-rod/case1-clamp-seed0/problem.json");
-    let given = <Given as super::Fixture>::read(&path)?;
+    let given = <Given as super::fixture::Fixture>::read(&path)?;
     let (rod, truth) = HangingRod::flagship(1, true)?;
     let (x, v) = truth.split_at(truth.len() / 2);
     case.reason("150 steps solved to 1e-11 m and 1e-9 m/s each, in a damped motion: ten times that");
-    case.at_most("positions", largest_difference(x, &given.truth_x), 1e-10, "m").computed(super::norm(x));
-    case.at_most("velocities", largest_difference(v, &given.truth_v), 1e-8, "m/s").computed(super::norm(v));
+    case.at_most("positions", largest_difference(x, &given.truth_x), 1e-10, "m")
+        .computed(super::fixture::norm(x));
+    case.at_most("velocities", largest_difference(v, &given.truth_v), 1e-8, "m/s")
+        .computed(super::fixture::norm(v));
     let error = (rod.prior.sigma_v - given.prior.sigma_v).abs();
     case.at_most("sigma_v = 2 mean speed", error, 1e-8, "m/s").computed(rod.prior.sigma_v);
     let scene = Problem::from_scene(&SceneFile::open("hanging-rod", &[])?)?;
@@ -66,7 +68,7 @@ fn tip(case: &mut Case) -> Outcome {
         std::mem::swap(&mut x, &mut next);
     }
     let vertices = model.step_mut().vertices(2.0, &x)?;
-    let error = largest_difference(&vertices[25], &[0.291641, 0.071304, -0.925106]);
+    let error = largest_difference(vertices[25].as_slice(), &[0.291641, 0.071304, -0.925106]);
     let note = format!("tip {:.6?} m", vertices[25]);
     case.at_most("tip", error, 2e-6, "m")
         .computed(error)
@@ -85,7 +87,7 @@ fn lorenz96(case: &mut Case, n: usize, [cost, gradient_norm]: [f64; 2], first: O
     let j = problem.evaluate(&v, Some(&mut g))?;
     // dJ/dx = (dJ/dv)/σ
     g.iter_mut().for_each(|g| *g *= 2.0);
-    let size = super::norm(&g);
+    let size = super::fixture::norm(&g);
     case.reason("100 steps of a chaotic model amplify rounding by about 1e2; five hundred times that");
     case.at_most("j", (j - cost).abs() / cost, 1e-11, "-").computed(j);
     case.at_most("gradient", (size - gradient_norm).abs() / gradient_norm, 1e-11, "-").computed(size);

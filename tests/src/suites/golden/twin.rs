@@ -1,7 +1,7 @@
 //! Small twin problems with known minima.
 
+use super::fixture::{Fixture, expect_length, expect_size};
 use super::upwind::Upwind;
-use super::{Fixture, expect_length, expect_size};
 use crate::row::{Case, Outcome};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -166,7 +166,7 @@ pub(super) fn check(case: &mut Case, path: &Path) -> Outcome {
     let difference: Vec<f64> = z.iter().zip(&twin.xa).map(|(a, b)| a - b).collect();
     let mut whitened = vec![0.0; n];
     b.whiten(&difference, &mut whitened);
-    let distance = super::norm(&whitened);
+    let distance = super::fixture::norm(&whitened);
     case.at_most("analysis", distance, 1e-4, "-").computed(distance);
 
     let trace = Posterior::new(&mut cost)?.trace(&transform);
@@ -179,7 +179,7 @@ pub(in crate::suites) fn shipped(
     name: &str,
     visit: &mut dyn FnMut(&mut StrongConstraint, &ControlTransform, f64) -> Outcome,
 ) -> Outcome {
-    let twin = Twin::read(&super::shipped().join("twin").join(name).with_extension("json"))?;
+    let twin = Twin::read(&super::fixture::shipped().join("twin").join(name).with_extension("json"))?;
     let mut model = twin.model()?;
     let b = Dense::new(twin.n, &twin.B.concat())?;
     let transform = ControlTransform::new(twin.xb.clone(), &b)?;
@@ -212,7 +212,7 @@ fn minimize(
     let mut growing = v.clone();
     let mut all = twin.observations(twin.K)?;
     let m = all.dim() as f64;
-    let (best, how) = super::minimize(&mut cost(model, transform, &mut all)?, v)?;
+    let (best, how) = super::minimum::minimize(&mut cost(model, transform, &mut all)?, v)?;
     if best.value < 0.5 * m + 5.0 * (0.5 * m).sqrt() {
         return Ok(how);
     }
@@ -226,7 +226,7 @@ fn minimize(
     match found.filter(|f| f.value < best.value) {
         Some(found) => {
             *v = growing;
-            Ok(super::describe(&found, "through growing windows"))
+            Ok(super::minimum::describe(&found, "through growing windows"))
         }
         None => Ok(how),
     }
@@ -357,14 +357,17 @@ mod tests {
         let mut reference = vec![0.0; 3];
         b.whiten(&increment, &mut reference);
         let mut set = twin.observations(twin.K).unwrap();
-        let (best, _) =
-            super::super::minimize(&mut cost(&mut model, &transform, &mut set).unwrap(), &mut reference)
-                .unwrap();
+        let (best, _) = super::super::minimum::minimize(
+            &mut cost(&mut model, &transform, &mut set).unwrap(),
+            &mut reference,
+        )
+        .unwrap();
 
         // Straight from the background this problem ends elsewhere: it is a test of what follows.
         let mut v = vec![0.0; 3];
         let (straight, _) =
-            super::super::minimize(&mut cost(&mut model, &transform, &mut set).unwrap(), &mut v).unwrap();
+            super::super::minimum::minimize(&mut cost(&mut model, &transform, &mut set).unwrap(), &mut v)
+                .unwrap();
         assert!(straight.value > 2.0 * best.value, "{} and {}", straight.value, best.value);
 
         let mut v = vec![0.0; 3];

@@ -5,12 +5,13 @@
 //! segment on either side), and Richardson's extrapolation from three of them leaves the sixth order. With
 //! the clamp's edge within the length the rod is half a segment too short, an error of first order.
 
-use super::{extrapolated, slope_row};
+use super::slopes::{extrapolated, slope_row};
 use crate::row::{Case, Outcome, Rows};
 use std::sync::Arc;
 use varda_implicit::band;
 use varda_rod::{
-    Clamp, Framed, Loads, Material, Rest, Rod, Section, Supports, derivatives, equilibrium, straight_guess,
+    Clamp, Framed, Loads, Material, Rest, Rod, Section, Supports, Vector3, derivatives, equilibrium,
+    straight_guess,
 };
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
@@ -38,7 +39,7 @@ fn sag(n: usize, inside: f64, loads: &dyn Fn(f64) -> Loads) -> Result<f64> {
     let rod = clamped(1.0, n, inside)?;
     let along = [1.0, 0.0, 0.0];
     let start = [-inside * rod.rest_lengths[0], 0.0, 0.0];
-    let supports = Supports::clamped_start(Clamp::fixed(start, along, [0.0, 1.0, 0.0]));
+    let supports = Supports::clamped_start(Clamp::new(start, along, [0.0, 1.0, 0.0]));
     let mut shape: Rest = straight_guess(&rod, &supports, 0.0, along)?;
     for stage in 1..=10 {
         let share = f64::from(stage) / 10.0;
@@ -75,7 +76,7 @@ fn elastica(case: &mut Case, quick: bool) -> Outcome {
 fn own_weight(case: &mut Case, quick: bool) -> Outcome {
     let known = [(10.0, 0.700200), (1.0, 0.123471), (2.0, 0.238507), (5.0, 0.495905), (50.0, 0.907917)];
     for (weight, drop) in known.into_iter().take(if quick { 1 } else { 5 }) {
-        let loads = |share: f64| Loads { gravity: [0.0, 0.0, -share * weight], ..Loads::default() };
+        let loads = |share: f64| Loads { gravity: [0.0, 0.0, -share * weight].into(), ..Loads::default() };
         let ours = limit(&SEGMENTS, 0.5, &|n| sag(n, 0.5, &loads))?.0;
         drop_row(case, &format!("drop at wL³/EI = {weight}"), ours, drop);
     }
@@ -116,18 +117,23 @@ fn space_row(case: &mut Case, what: &str, points: &[(f64, f64)], exact: f64, ord
 fn lateral(rod: &Rod, gravity: f64, up: bool) -> Result<(Vec<f64>, Vec<f64>)> {
     let n = rod.segments();
     let sign = if up { 1.0 } else { -1.0 };
-    let mut vertices = vec![[0.0; 3]; n + 1];
+    let mut vertices = vec![Vector3::zeros(); n + 1];
     for e in 0..n {
         let load: f64 = rod.masses[e + 1..].iter().sum::<f64>() * gravity;
         let length = rod.rest_lengths[e] * (1.0 - sign * load / rod.ea[e]);
         vertices[e + 1][2] = vertices[e][2] + sign * length;
     }
     let free: Vec<usize> = (2..=n).map(|v| 3 * v).collect();
-    let hessian = hessian(rod, &vertices, &vec![[1.0, 0.0, 0.0]; n], &vec![0.0; n])?;
+    let hessian = hessian(rod, &vertices, &vec![Vector3::x(); n], &vec![0.0; n])?;
     Ok((band_of(&hessian, 4 * n + 3, &free, 2), rod.masses[2..].to_vec()))
 }
 
-fn hessian(rod: &Rod, vertices: &[[f64; 3]], directors: &[[f64; 3]], theta: &[f64]) -> Result<Vec<f64>> {
+fn hessian(
+    rod: &Rod,
+    vertices: &[Vector3<f64>],
+    directors: &[Vector3<f64>],
+    theta: &[f64],
+) -> Result<Vec<f64>> {
     let still = vec![0.0; theta.len() - 1];
     Ok(derivatives(rod, &Framed { vertices, directors, reference_twist: &still, theta })?.hessian)
 }
@@ -208,7 +214,8 @@ fn ring(case: &mut Case) -> Outcome {
     let critical = |n: usize| -> Result<f64> {
         // n edges once round, and the first again
         let around = |i: usize| std::f64::consts::TAU * i as f64 / n as f64;
-        let vertices: Vec<[f64; 3]> = (0..n + 2).map(|i| [around(i).cos(), around(i).sin(), 0.0]).collect();
+        let place = |i: usize| Vector3::new(around(i).cos(), around(i).sin(), 0.0);
+        let vertices: Vec<_> = (0..n + 2).map(place).collect();
         let side = 2.0 * (0.5 * around(1)).sin();
         let rod = Rod::uniform((n + 1) as f64 * side, n + 1, &Section { ea: 1e6, ..SECTION })?;
         let (full, angle) = (4 * (n + 1) + 3, 3 * (n + 2));
@@ -224,7 +231,7 @@ fn ring(case: &mut Case) -> Outcome {
         }
         bisect(1.0, 20.0, 0, &|inserted| {
             let theta: Vec<f64> = (0..=n).map(|e| inserted * e as f64 / n as f64).collect();
-            let hessian = hessian(&rod, &vertices, &vec![[0.0, 0.0, 1.0]; n + 1], &theta)?;
+            let hessian = hessian(&rod, &vertices, &vec![Vector3::z(); n + 1], &theta)?;
             negative(10, band_of(&hessian, full, &free, 10))
         })
     };

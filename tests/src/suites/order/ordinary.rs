@@ -1,6 +1,6 @@
 //! Ready-made steps on a pendulum, whose passage through the bottom is known in closed form.
 
-use super::slope_row;
+use super::slopes::slope_row;
 use crate::row::{Case, Outcome, Rows};
 use varda_implicit::{ImplicitModel, Model, OneLeg, Rhs, Rk4, Scheme};
 

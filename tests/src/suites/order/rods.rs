@@ -1,6 +1,6 @@
 //! Orders of the rod's step in time.
 
-use super::{extrapolated, slope_row};
+use super::slopes::{extrapolated, slope_row};
 use crate::row::{Case, Outcome, Rows};
 use problems::rods::{DT, DrivenRod, FIRST, rods};
 use varda_implicit::{ImplicitModel, Model, Scheme};
@@ -27,7 +27,7 @@ fn end(scheme: Scheme, time: f64, steps: usize) -> Result<(Vec<f64>, usize)> {
     let mut model = ImplicitModel::new(step.with_scheme(scheme), 0, time / steps as f64);
     let (x, iterations) = run_to(&mut model, &control, steps)?;
     let vertices = model.step_mut().vertices(time, &x)?;
-    Ok((vertices.concat(), iterations))
+    Ok((vertices.iter().flatten().copied().collect(), iterations))
 }
 
 fn run_to<S: varda_implicit::ImplicitStep>(

@@ -4,7 +4,7 @@
 //! Every minimizer and method that applies is tried. One that cannot get there must say so: a status other
 //! than `Converged`, or a typed error; those named in [`MUST`] have to get there.
 
-use super::refused;
+use super::common::refused;
 use crate::row::{Case, Outcome, Rows, Work};
 use problems::small_problems::{Linear, all_of, observation, spanning};
 use std::ops::ControlFlow;

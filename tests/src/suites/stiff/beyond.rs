@@ -3,8 +3,8 @@
 //! What is refused must say where; what is answered must be right. Each of those marked "found" once ended in
 //! a NaN, a wrong answer or a panic.
 
+use super::common::{condition, refused};
 use super::rod_shapes::{DOWN, SILICONE, fixed_clamp, held, section, weight};
-use super::{condition, refused};
 use crate::row::{Case, Outcome, Rows, Work};
 use problems::small_problems::{Linear, all_of, observation};
 use std::ops::ControlFlow;
@@ -67,7 +67,7 @@ fn rod_numbers(rows: &mut Rows) {
         Section::circle(&Material { youngs_modulus, shear_modulus: youngs_modulus / 3.0, density }, 0.01)
     };
     let usual = || (weight(), Damping::default());
-    let pulled = |g: f64| (Loads { gravity: [0.0, 0.0, g], ..Loads::default() }, Damping::default());
+    let pulled = |g: f64| (Loads { gravity: [0.0, 0.0, g].into(), ..Loads::default() }, Damping::default());
     let damped = |stiffness: f64, mass: f64| (weight(), Damping { stiffness, mass });
     for (name, scheme) in SCHEMES {
         rows.case(&format!("absurd numbers, {name}"), |case| {
@@ -155,10 +155,10 @@ fn rod_numbers(rows: &mut Rows) {
         refused(
             case,
             "marker at NaN",
-            Markers::new(&step, &[Marker { s: f64::NAN, offset: [0.0; 3] }]),
+            Markers::new(&step, &[Marker { s: f64::NAN, offset: [0.0; 3].into() }]),
             "marker",
         );
-        let aside = Marker { s: 0.5, offset: [f64::NAN; 3] };
+        let aside = Marker { s: 0.5, offset: [f64::NAN; 3].into() };
         refused(case, "marker aside by NaN", Markers::new(&step, &[aside]), "marker 0");
         // found: a direction whose length overflows gave all vertices at one place
         let free = Supports::default();
@@ -168,9 +168,9 @@ fn rod_numbers(rows: &mut Rows) {
         // found: an index out of bounds
         refused(case, "guess from vertex 99 of 3", straight_guess(&rod, &beyond, 0.0, DOWN), "vertex 99");
         for (what, clamp, names) in [
-            ("clamp without tangent", Clamp::fixed([0.0; 3], [0.0; 3], [1.0, 0.0, 0.0]), "tangent"),
-            ("director along the tangent", Clamp::fixed([0.0; 3], DOWN, DOWN), "director"),
-            ("clamp at NaN", Clamp::fixed([f64::NAN; 3], DOWN, [1.0, 0.0, 0.0]), "position"),
+            ("clamp without tangent", Clamp::new([0.0; 3], [0.0; 3], [1.0, 0.0, 0.0]), "tangent"),
+            ("director along the tangent", Clamp::new([0.0; 3], DOWN, DOWN), "director"),
+            ("clamp at NaN", Clamp::new([f64::NAN; 3], DOWN, [1.0, 0.0, 0.0]), "position"),
         ] {
             let supports = Supports::clamped_start(clamp);
             refused(case, what, straight_guess(&rod, &supports, 0.0, DOWN), names);
@@ -179,11 +179,7 @@ fn rod_numbers(rows: &mut Rows) {
     });
     rows.case("clamp that is not a number from step 1 on", |case| {
         let position = |t: f64| if t < 0.015 { [0.0; 3] } else { [f64::NAN; 3] };
-        let clamp = Clamp {
-            position: Arc::new(position),
-            tangent: Arc::new(DOWN),
-            director: Arc::new([1.0, 0.0, 0.0]),
-        };
+        let clamp = Clamp::new(position, DOWN, [1.0, 0.0, 0.0]);
         let rod = Rod::uniform(1.0, 5, &Section::circle(&SILICONE, 0.01))?;
         let step = RodStep::new(rod, Supports::clamped_start(clamp), weight(), Damping::default())?;
         let mut model = ImplicitModel::new(step, 0, 0.01);

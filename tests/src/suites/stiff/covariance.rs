@@ -1,6 +1,6 @@
 //! Covariances near and beyond singular, and one of 10⁵ points.
 
-use super::refused;
+use super::common::refused;
 use crate::row::{Outcome, Rows, Work};
 use problems::small_problems::{difference, normals};
 use rand::rngs::ChaCha8Rng;

@@ -1,7 +1,7 @@
 //! The generic layer: singular Jacobians, overflow, forced failures of Newton's method, Robertson's kinetics,
 //! long decay.
 
-use super::{condition, interval, refused, work};
+use super::common::{condition, interval, refused, work};
 use crate::row::{Case, Outcome, Rows};
 use num_dual::{Dual64, DualNum};
 use problems::counted::Counted;
@@ -32,7 +32,6 @@ struct Plain<G: FnMut(&[f64], &mut [f64], &mut [f64])> {
 /// The equations of one step.
 struct PlainEquations<'a, G: FnMut(&[f64], &mut [f64], &mut [f64])> {
     step: &'a mut Plain<G>,
-    at: Interval,
     x: &'a [f64],
 }
 
@@ -80,8 +79,8 @@ impl<G: FnMut(&[f64], &mut [f64], &mut [f64])> ImplicitStep for Plain<G> {
     fn previous_transpose_add(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], mu: &[f64], dx: &mut [f64]) {
         dx.iter_mut().zip(mu).for_each(|(d, m)| *d -= m);
     }
-    fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<Self::Equations<'a>, Refusal> {
-        Ok(PlainEquations { step: self, at: *at, x })
+    fn equations<'a>(&'a mut self, _at: &Interval, x: &'a [f64]) -> Result<Self::Equations<'a>, Refusal> {
+        Ok(PlainEquations { step: self, x })
     }
 }
 

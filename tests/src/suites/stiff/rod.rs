@@ -4,15 +4,14 @@
 //! anew by the formulas below (stretching by length, bending of an isotropic rod by the angle φ alone, E = 2
 //! EI tan²(φ/2)/l̄), and Newton's correction for what they leave is taken with the step's own Jacobian.
 
-use super::{condition, interval, work};
+use super::common::{condition, interval, work};
 use crate::row::{Case, Outcome, Rows};
 use problems::counted::Counted;
 use problems::rods::{rod_scale, wave};
-use std::sync::Arc;
 use varda_implicit::{
     Equations, Error, ImplicitModel, ImplicitStep, LinearSolver, Model, NewtonOptions, Scheme, check,
 };
-use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, TwistUnknowns};
+use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, TwistUnknowns, Vector3};
 
 const GRAVITY: [f64; 3] = [0.0, 0.0, -9.81];
 
@@ -66,12 +65,8 @@ impl Hanging {
     fn model(&self) -> Result<Counted<ImplicitModel<RodStep>>, varda_rod::Error> {
         let rod = Rod::uniform(self.length, self.segments, &self.section)?;
         let speed = self.moved * self.length / self.segments as f64 / self.dt;
-        let clamp = Clamp {
-            position: Arc::new(move |t: f64| [speed * t, 0.0, 0.0]),
-            tangent: Arc::new([0.0, 0.0, -1.0]),
-            director: Arc::new([1.0, 0.0, 0.0]),
-        };
-        let loads = Loads { gravity: GRAVITY, ..Loads::default() };
+        let clamp = Clamp::new(move |t: f64| [speed * t, 0.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]);
+        let loads = Loads { gravity: GRAVITY.into(), ..Loads::default() };
         let supports = Supports::clamped_start(clamp);
         let step = RodStep::with_twist(rod, supports, loads, Damping::default(), self.twist)?;
         Ok(Counted::new(ImplicitModel::new(step.with_scheme(self.scheme), 0, self.dt)))
@@ -398,7 +393,7 @@ pub(super) fn distance(
 
 /// ∂E/∂x of an isotropic, naturally straight rod, three numbers per vertex: with c = t·t', |κb|² = 4
 /// (1 − c)/(1 + c).
-fn forces(rod: &Rod, x: &[[f64; 3]]) -> Vec<f64> {
+fn forces(rod: &Rod, x: &[Vector3<f64>]) -> Vec<f64> {
     let n = rod.segments();
     let mut out = vec![0.0; 3 * (n + 1)];
     let edge = |e: usize| -> ([f64; 3], f64) {

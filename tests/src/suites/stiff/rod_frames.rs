@@ -6,9 +6,8 @@ use super::rod_shapes::{
 use crate::row::Rows;
 use problems::rods::rod_scale;
 use std::f64::consts::TAU;
-use std::sync::Arc;
 use varda_implicit::{Model, check};
-use varda_rod::{Clamp, Framed, Loads, Marker, Markers, Rod, Section, Supports, derivatives};
+use varda_rod::{Clamp, Framed, Loads, Marker, Markers, Rod, Section, Supports, Vector3, derivatives};
 
 pub(super) fn run(rows: &mut Rows) {
     twisted(rows);
@@ -27,7 +26,7 @@ fn twisted(rows: &mut Rows) {
                 &rod,
                 &Framed {
                     vertices: &vertices,
-                    directors: &vec![[1.0, 0.0, 0.0]; n],
+                    directors: &vec![Vector3::x(); n],
                     reference_twist: &vec![0.0; n - 1],
                     theta: &theta,
                 },
@@ -71,15 +70,11 @@ fn tilt_loop(rows: &mut Rows, steps: usize) {
             let (s, c) = (omega * t).sin_cos();
             [alpha.sin() * c, alpha.sin() * s, -alpha.cos()]
         };
-        let clamp = Clamp {
-            position: Arc::new([0.0; 3]),
-            tangent: Arc::new(tangent),
-            director: Arc::new([0.0, 1.0, 0.2]),
-        };
+        let clamp = Clamp::new([0.0; 3], tangent, [0.0, 1.0, 0.2]);
         let start = line([0.0; 3], tangent(0.0), &rod.rest_lengths);
         // backward Euler damps the swing: a steady round is reached within a few loops
         let mut model = model(rod, Supports::clamped_start(clamp), weight(), dt)?;
-        let tip = |offset| Marker { s: 0.28, offset };
+        let tip = |offset: [f64; 3]| Marker { s: 0.28, offset: offset.into() };
         let all = [tip([0.0; 3]), tip([1.0, 0.0, 0.0]), tip([0.0, 1.0, 0.0]), tip([0.0, 0.0, 1.0])];
         let mut markers = Markers::new(model.step_ref(), &all)?;
         let mut x = run_from(&mut model, &start, 0)?;
@@ -114,7 +109,7 @@ fn tilt_loop(rows: &mut Rows, steps: usize) {
         let rod = Rod::uniform(0.2, 2, &section())?;
         let supports = Supports {
             prescribed: vec![held(0, [0.0; 3])],
-            free_frame: (DOWN, [1.0, 0.0, 0.0]),
+            free_frame: (DOWN.into(), [1.0, 0.0, 0.0].into()),
             ..Supports::default()
         };
         let mut model = model(rod, supports, weight(), 0.01)?;
@@ -124,7 +119,7 @@ fn tilt_loop(rows: &mut Rows, steps: usize) {
             let places = (1..=2).flat_map(|v| t.map(|t| 0.1 * v as f64 * t));
             places.chain([0.0; 6]).collect()
         };
-        let at = |offset| Marker { s: 0.05, offset };
+        let at = |offset: [f64; 3]| Marker { s: 0.05, offset: offset.into() };
         let mut markers =
             Markers::new(model.step_mut(), &[at([0.0; 3]), at([1.0, 0.0, 0.0]), at([0.0, 1.0, 0.0])])?;
         let (mut turned, mut p, mut dp) = (0.0, [0.0; 9], [0.0; 9]);

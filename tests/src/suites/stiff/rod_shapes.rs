@@ -1,8 +1,8 @@
 //! Rods in extreme shapes, where the answer is known: free fall, straight, slack, buckled, nearly folded,
 //! without mass.
 
+use super::common::{condition, interval, refused, statics, work};
 use super::rod::{ROOT, ROOT_REASON, distance};
-use super::{condition, interval, refused, statics, work};
 use crate::row::{Outcome, Rows, Work};
 use problems::counted::Counted;
 use problems::rods::{rod_scale, wave};
@@ -10,7 +10,7 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 use varda_implicit::{Equations, ImplicitModel, ImplicitStep, Model, check};
 use varda_rod::{
-    Clamp, Damping, Error, Framed, Loads, Material, Motion, Rest, Rod, RodStep, Section, Supports,
+    Clamp, Damping, Error, Framed, Loads, Material, Motion, Rest, Rod, RodStep, Section, Supports, Vector3,
     derivatives, equilibrium, straight_guess,
 };
 
@@ -19,7 +19,7 @@ pub(super) const SILICONE: Material =
 pub(super) const DOWN: [f64; 3] = [0.0, 0.0, -1.0];
 
 pub(super) fn weight() -> Loads {
-    Loads { gravity: [0.0, 0.0, -9.81], ..Loads::default() }
+    Loads { gravity: [0.0, 0.0, -9.81].into(), ..Loads::default() }
 }
 
 pub(super) fn section() -> Section {
@@ -31,10 +31,10 @@ pub(super) fn chain() -> Section {
 }
 
 pub(super) fn fixed_clamp() -> Clamp {
-    Clamp::fixed([0.0; 3], DOWN, [1.0, 0.0, 0.0])
+    Clamp::new([0.0; 3], DOWN, [1.0, 0.0, 0.0])
 }
 
-pub(super) fn held(vertex: usize, place: [f64; 3]) -> (usize, Arc<dyn Motion>) {
+pub(super) fn held(vertex: usize, place: impl Motion + 'static) -> (usize, Arc<dyn Motion>) {
     (vertex, Arc::new(place))
 }
 
@@ -51,11 +51,11 @@ pub(super) fn model(
 /// The state after `steps` steps from places of all vertices (those of the free ones are taken), at rest.
 pub(super) fn run_from(
     model: &mut Counted<ImplicitModel<RodStep>>,
-    vertices: &[[f64; 3]],
+    vertices: &[impl Into<Vector3<f64>> + Copy],
     steps: usize,
 ) -> Result<Vec<f64>, varda_implicit::Error> {
-    let mut z: Vec<f64> = model.step_ref().free_vertices().iter().flat_map(|&v| vertices[v]).collect();
-    z.resize(model.control_dim(), 0.0);
+    let vertices = vertices.iter().map(|v| (*v).into()).collect();
+    let z = model.step_ref().control_at_rest(&Rest { vertices, theta: Vec::new() });
     let mut x = vec![0.0; model.dim()];
     model.initial_state(&z, &mut x)?;
     let mut next = x.clone();
@@ -93,11 +93,11 @@ pub(super) fn largest(values: impl Iterator<Item = f64>) -> f64 {
     values.fold(0.0, |m: f64, v| if v.abs() <= m { m } else { v.abs() })
 }
 
-pub(super) fn line(from: [f64; 3], along: [f64; 3], lengths: &[f64]) -> Vec<[f64; 3]> {
-    let mut at = from;
+pub(super) fn line(from: [f64; 3], along: [f64; 3], lengths: &[f64]) -> Vec<Vector3<f64>> {
+    let (mut at, along) = (Vector3::from(from), Vector3::from(along));
     let mut all = vec![at];
     for l in lengths {
-        at = std::array::from_fn(|c| at[c] + l * along[c]);
+        at += along * *l;
         all.push(at);
     }
     all
@@ -220,13 +220,14 @@ fn nearly_folded(rows: &mut Rows) {
     for delta in [1e-2_f64, 1e-3, 1e-4, 1e-5, 2e-6, 5e-7, 1e-7, 1e-8] {
         rows.case(&format!("turning angle π − {delta:e}"), |case| {
             let rod = Rod::uniform(0.2, 2, &section())?;
-            let vertices = [[0.0; 3], [0.1, 0.0, 0.0], [0.1 - 0.1 * delta.cos(), 0.1 * delta.sin(), 0.0]];
-            let framed = |vertices: &[[f64; 3]]| {
+            let tip = Vector3::new(0.1 - 0.1 * delta.cos(), 0.1 * delta.sin(), 0.0);
+            let vertices = [Vector3::zeros(), Vector3::x() * 0.1, tip];
+            let framed = |vertices: &[Vector3<f64>]| {
                 derivatives(
                     &rod,
                     &Framed {
                         vertices,
-                        directors: &[[0.0, 0.0, 1.0]; 2],
+                        directors: &[Vector3::z(); 2],
                         reference_twist: &[0.0],
                         theta: &[0.0; 2],
                     },
@@ -268,7 +269,7 @@ fn nearly_folded(rows: &mut Rows) {
                 Ok(x) => {
                     let speed2: f64 = x[3..].iter().map(|v| v * v).sum();
                     let kinetic = 0.5 * model.step_ref().rod().masses[2] * speed2;
-                    let after = framed(&[vertices[0], vertices[1], [x[0], x[1], x[2]]])?;
+                    let after = framed(&[vertices[0], vertices[1], Vector3::new(x[0], x[1], x[2])])?;
                     let left = (after.energy.total() + kinetic) / energy;
                     case.at_most("released: energy left after three steps", left, 1.0, "-")
                         .because("backward Euler of a potential never gains energy")
@@ -289,16 +290,16 @@ fn degenerate_edges(rows: &mut Rows) {
         rows.case(&format!("edge of {length:e} m"), |case| {
             let rod = Rod::uniform(0.5, 5, &section())?;
             let mut vertices = line([0.0; 3], DOWN, &rod.rest_lengths);
-            vertices[4] = [vertices[3][0] + length, vertices[3][1], vertices[3][2]];
+            vertices[4] = vertices[3] + Vector3::x() * length;
             if length > 0.0 {
                 // so short that it vanishes beside a coordinate: put it at the origin
                 vertices.iter_mut().for_each(|v| v[2] += 0.3);
-                vertices[3] = [0.0; 3];
-                vertices[4] = [length, 0.0, 0.0];
+                vertices[3] = Vector3::zeros();
+                vertices[4] = Vector3::x() * length;
             }
             let frame = Framed {
                 vertices: &vertices,
-                directors: &[[0.0, 1.0, 0.0]; 5],
+                directors: &[Vector3::y(); 5],
                 reference_twist: &[0.0; 4],
                 theta: &[0.0; 5],
             };
@@ -316,13 +317,13 @@ fn degenerate_edges(rows: &mut Rows) {
         let n = 12;
         let rod = Rod::uniform(1.2, n, &section())?;
         let radius = 0.05 / (0.5 * TAU / n as f64).sin();
-        let vertices: Vec<[f64; 3]> = (0..=n)
+        let vertices: Vec<_> = (0..=n)
             .map(|v| TAU * (v % n) as f64 / n as f64)
-            .map(|phi| [radius * phi.cos(), radius * phi.sin(), 0.0])
+            .map(|phi| Vector3::new(radius * phi.cos(), radius * phi.sin(), 0.0))
             .collect();
         let frame = Framed {
             vertices: &vertices,
-            directors: &vec![[0.0, 0.0, 1.0]; n],
+            directors: &vec![Vector3::z(); n],
             reference_twist: &vec![0.0; n - 1],
             theta: &vec![0.0; n],
         };
@@ -356,8 +357,7 @@ fn degenerate_edges(rows: &mut Rows) {
         let rod = Rod::with_segments(&lengths, &section())?;
         let start = line([0.0; 3], DOWN, &lengths);
         let drive = |t: f64| [0.5 * t, 0.0, 0.0];
-        let clamp =
-            Clamp { position: Arc::new(drive), tangent: Arc::new(DOWN), director: Arc::new([1.0, 0.0, 0.0]) };
+        let clamp = Clamp::new(drive, DOWN, [1.0, 0.0, 0.0]);
         let mut model = model(rod, Supports::clamped_start(clamp), weight(), 0.01)?;
         let x = run_from(&mut model, &start, 20)?;
         let mut next = x.clone();
@@ -395,11 +395,7 @@ fn tips(rows: &mut Rows) {
             rod.masses[10] *= share;
             let guess = straight_guess(&rod, &Supports::clamped_start(fixed_clamp()), 0.0, DOWN)?;
             let drive = |t: f64| [0.5 * t, 0.0, 0.0];
-            let clamp = Clamp {
-                position: Arc::new(drive),
-                tangent: Arc::new(DOWN),
-                director: Arc::new([1.0, 0.0, 0.0]),
-            };
+            let clamp = Clamp::new(drive, DOWN, [1.0, 0.0, 0.0]);
             let mut model = model(rod, Supports::clamped_start(clamp), weight(), 0.01)?;
             let x = run_from(&mut model, &guess.vertices, 20)?;
             let work = figures(&mut model, 20, 0.01, &x);

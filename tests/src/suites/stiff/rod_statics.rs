@@ -1,13 +1,12 @@
 //! Statics at the edges: slack and taut chains, columns pushed together.
 
+use super::common::{refused, statics, work};
 use super::rod_shapes::{DOWN, SILICONE, chain, fixed_clamp, held, run_from, weight};
-use super::{refused, statics, work};
 use crate::row::Rows;
 use problems::counted::Counted;
 use std::f64::consts::{PI, TAU};
-use std::sync::Arc;
 use varda_implicit::ImplicitModel;
-use varda_rod::{Clamp, Damping, Loads, Rest, Rod, RodStep, Section, Supports, equilibrium};
+use varda_rod::{Clamp, Damping, Loads, Rest, Rod, RodStep, Section, Supports, Vector3, equilibrium};
 
 pub(super) fn run(rows: &mut Rows) {
     slack(rows);
@@ -30,10 +29,10 @@ fn slack(rows: &mut Rows) {
             // a V that hangs through, longer than the ends are apart
             let depth = (0.25_f64 - 0.25 * ends * ends).sqrt();
             let along = |e: usize| if e < n / 2 { -1.0 } else { 1.0 };
-            let mut guess = vec![[0.0; 3]];
+            let mut guess = vec![Vector3::zeros()];
             for e in 0..n {
                 let last = guess[e];
-                guess.push([last[0] + ends / n as f64, 0.0, last[2] + along(e) * depth * 2.0 / n as f64]);
+                guess.push(last + Vector3::new(ends / n as f64, 0.0, along(e) * depth * 2.0 / n as f64));
             }
             let guess = Rest { vertices: guess, theta: vec![0.0; n] };
             let (rest, report) = equilibrium(&rod, &supports, &weight(), 0.0, &guess)?;
@@ -77,7 +76,7 @@ fn buckled(rows: &mut Rows) {
             let n = 80;
             let thin = Section::circle(&SILICONE, 0.001);
             let rod = Rod::uniform(1.0, n, &thin)?;
-            let end = Clamp::fixed([0.0, 0.0, -(1.0 - shortening)], DOWN, [1.0, 0.0, 0.0]);
+            let end = Clamp::new([0.0, 0.0, -(1.0 - shortening)], DOWN, [1.0, 0.0, 0.0]);
             let supports = Supports { start: Some(fixed_clamp()), end: Some(end), ..Supports::default() };
             let l = 1.0 / n as f64;
             // evenly compressed, and exactly straight or bowed as far as the elastica is
@@ -86,7 +85,7 @@ fn buckled(rows: &mut Rows) {
             let guess = |bow: f64| {
                 let aside = |v: usize| bow * 0.5 * (1.0 - (TAU * (v as f64 - 0.5) / (n - 1) as f64).cos());
                 let free = |v: usize| if (2..=n - 2).contains(&v) { aside(v) } else { 0.0 };
-                let vertices = (0..=n).map(|v| [free(v), 0.0, -z(v)]).collect();
+                let vertices = (0..=n).map(|v| Vector3::new(free(v), 0.0, -z(v))).collect();
                 Rest { vertices, theta: vec![0.0; n] }
             };
             let expected = clamped_elastica(shortening);
@@ -137,11 +136,8 @@ fn pushed(rows: &mut Rows) {
         rows.case(&name, |case| {
             let n = 40;
             let rod = Rod::uniform(1.0, n, &Section::circle(&SILICONE, 0.001))?;
-            let end = Clamp {
-                position: Arc::new(move |t: f64| [0.0, 0.0, shortening * t.min(1.0) - 1.0]),
-                tangent: Arc::new(DOWN),
-                director: Arc::new([1.0, 0.0, 0.0]),
-            };
+            let end =
+                Clamp::new(move |t: f64| [0.0, 0.0, shortening * t.min(1.0) - 1.0], DOWN, [1.0, 0.0, 0.0]);
             let supports = Supports { start: Some(fixed_clamp()), end: Some(end), ..Supports::default() };
             let damping = Damping { mass: 2.0, ..Damping::default() };
             let step = RodStep::new(rod, supports, Loads::default(), damping)?;

@@ -1,0 +1,207 @@
+//! Implicit steps of any ẋ = f(t, x).
+
+use crate::rhs::Jacobian;
+use crate::{Equations, ImplicitStep, Interval, Refusal, Rhs, Scheme, Stage, StepEquations, Structure};
+
+/// A one-leg step of ẋ = f(t, x) by one of the schemes of [`Scheme`]: f is taken once, at the stage y.
+///
+/// ```text
+/// G(x_k, u) = u − x* − η f(t*, u),   x_{k+1} = b₀ u + b₁ x_k
+/// ```
+///
+/// The state of BDF2 is [x_k, x_{k−1}], its control x₀.
+///
+/// The first Jacobian that is assembled is held against `tangent` along one direction: a [`Rhs::jacobian`] that disagrees, or a
+/// [`Rhs::structure`] that leaves out an entry, is an error before the first step is taken
+/// ([`Error::JacobianDisagrees`](crate::Error::JacobianDisagrees)).
+#[derive(Debug, Clone)]
+pub struct OneLeg<R> {
+    rhs: R,
+    scheme: Scheme,
+    tolerance: f64,
+    jacobian: Jacobian,
+}
+
+impl<R: Rhs> OneLeg<R> {
+    /// Implicit Euler, x_{k+1} = x_k + Δt f(t_{k+1}, x_{k+1}). Newton's method ends when an update is below `tolerance` in
+    /// its largest component.
+    ///
+    /// # Panics
+    /// If a sparse pattern of ∂f/∂x leaves out the diagonal.
+    pub fn implicit_euler(rhs: R, tolerance: f64) -> Self {
+        Self::new(rhs, Scheme::BackwardEuler, tolerance)
+    }
+
+    /// The implicit midpoint rule, x_{k+1} = x_k + Δt f(t_{k+½}, ½(x_k + x_{k+1})). `tolerance` as for implicit Euler.
+    ///
+    /// # Panics
+    /// If a sparse pattern of ∂f/∂x leaves out the diagonal.
+    pub fn implicit_midpoint(rhs: R, tolerance: f64) -> Self {
+        Self::new(rhs, Scheme::Midpoint, tolerance)
+    }
+
+    /// BDF2, (3 x_{k+1} − 4 x_k + x_{k−1})/(2Δt) = f(t_{k+1}, x_{k+1}), after one midpoint step. `tolerance` as for implicit
+    /// Euler.
+    ///
+    /// # Panics
+    /// If a sparse pattern of ∂f/∂x leaves out the diagonal.
+    pub fn bdf2(rhs: R, tolerance: f64) -> Self {
+        Self::new(rhs, Scheme::Bdf2, tolerance)
+    }
+
+    /// Any of the three.
+    ///
+    /// # Panics
+    /// If a sparse pattern of ∂f/∂x leaves out the diagonal.
+    pub fn new(rhs: R, scheme: Scheme, tolerance: f64) -> Self {
+        let n = rhs.dim();
+        let structure = rhs.structure();
+        let on_diagonal = (0..n).all(|i| structure.diagonal(n, i).is_some());
+        assert!(on_diagonal, "the pattern of ∂f/∂x must contain its diagonal");
+        Self { rhs, scheme, tolerance, jacobian: Jacobian::new(n, structure) }
+    }
+
+    /// The right-hand side.
+    pub fn rhs(&self) -> &R {
+        &self.rhs
+    }
+
+    /// The scheme.
+    pub fn scheme(&self) -> Scheme {
+        self.scheme
+    }
+}
+
+/// The equations of one step of [`OneLeg`].
+#[derive(Debug)]
+pub struct OneLegEquations<'a, R> {
+    step: &'a mut OneLeg<R>,
+    index: usize,
+    stage: Stage,
+    x: &'a [f64],
+}
+
+impl<R: Rhs> Equations for OneLegEquations<'_, R> {
+    fn assemble(
+        &mut self,
+        u: &[f64],
+        g: &mut [f64],
+        jacobian: Option<&mut [f64]>,
+    ) -> Result<Option<f64>, Refusal> {
+        let Self { step, index, stage, x } = self;
+        step.rhs.eval(stage.time, u, g);
+        let n = u.len();
+        for i in 0..n {
+            g[i] = u[i] - stage.from[0] * x[i] - stage.length * g[i];
+        }
+        if stage.from[1] != 0.0 {
+            g.iter_mut().zip(&x[n..]).for_each(|(g, x)| *g -= stage.from[1] * x);
+        }
+        if let Some(values) = jacobian {
+            step.jacobian.fill(&mut step.rhs, *index, stage.time, u, values)?;
+            values.iter_mut().for_each(|v| *v *= -stage.length);
+            for i in 0..n {
+                values[step.jacobian.structure.diagonal(n, i).expect("checked in new")] += 1.0;
+            }
+        }
+        Ok(None)
+    }
+
+    fn converged_below(&self) -> f64 {
+        self.step.tolerance
+    }
+}
+
+impl<R: Rhs> StepEquations for OneLegEquations<'_, R> {
+    /// No change: what is stiff enough for an implicit step is too stiff for an explicit guess.
+    fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal> {
+        u.copy_from_slice(&self.x[..u.len()]);
+        Ok(())
+    }
+}
+
+impl<R: Rhs> ImplicitStep for OneLeg<R> {
+    type Equations<'a>
+        = OneLegEquations<'a, R>
+    where
+        R: 'a;
+
+    fn dim(&self) -> usize {
+        self.rhs.dim() + self.history()
+    }
+
+    fn history(&self) -> usize {
+        if self.scheme == Scheme::Bdf2 { self.rhs.dim() } else { 0 }
+    }
+
+    fn structure(&self) -> Structure {
+        self.jacobian.structure.clone()
+    }
+
+    fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<Self::Equations<'a>, Refusal> {
+        Ok(OneLegEquations { index: at.index, stage: self.scheme.stage(at), step: self, x })
+    }
+
+    fn advance(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
+        let [b0, b1] = self.scheme.stage(at).to;
+        for ((next, u), x) in x_next.iter_mut().zip(u).zip(x) {
+            *next = b0 * u + b1 * x;
+        }
+    }
+
+    fn recover(&mut self, at: &Interval, x: &[f64], x_next: &[f64], u: &mut [f64]) {
+        let [b0, b1] = self.scheme.stage(at).to;
+        for ((u, next), x) in u.iter_mut().zip(x_next).zip(x) {
+            *u = (next - b1 * x) / b0;
+        }
+    }
+
+    fn previous(&mut self, at: &Interval, _x: &[f64], _u: &[f64], dx: &[f64], dg: &mut [f64]) {
+        let [a0, a1] = self.scheme.stage(at).from;
+        dg.iter_mut().zip(dx).for_each(|(g, d)| *g = -a0 * d);
+        if a1 != 0.0 {
+            let before = &dx[dg.len()..];
+            dg.iter_mut().zip(before).for_each(|(g, d)| *g -= a1 * d);
+        }
+    }
+
+    fn previous_transpose_add(&mut self, at: &Interval, _x: &[f64], _u: &[f64], mu: &[f64], dx: &mut [f64]) {
+        let [a0, a1] = self.scheme.stage(at).from;
+        dx.iter_mut().zip(mu).for_each(|(d, m)| *d -= a0 * m);
+        if a1 != 0.0 {
+            dx[mu.len()..].iter_mut().zip(mu).for_each(|(d, m)| *d -= a1 * m);
+        }
+    }
+
+    fn advance_tangent(
+        &mut self,
+        at: &Interval,
+        _x: &[f64],
+        _u: &[f64],
+        dx: &[f64],
+        du: &[f64],
+        dx_next: &mut [f64],
+    ) {
+        let [b0, b1] = self.scheme.stage(at).to;
+        for ((next, du), dx) in dx_next.iter_mut().zip(du).zip(dx) {
+            *next = b0 * du + b1 * dx;
+        }
+    }
+
+    fn advance_adjoint(
+        &mut self,
+        at: &Interval,
+        _x: &[f64],
+        _u: &[f64],
+        lambda: &[f64],
+        dx: &mut [f64],
+        du: &mut [f64],
+    ) {
+        let [b0, b1] = self.scheme.stage(at).to;
+        dx.fill(0.0);
+        for ((l, du), dx) in lambda.iter().zip(du).zip(dx) {
+            *du = b0 * l;
+            *dx = b1 * l;
+        }
+    }
+}

@@ -1,0 +1,41 @@
+//! The numbers that geometry and elements are written over.
+
+use nalgebra::{RealField, Vector3};
+
+/// A number that the energy of a rod can be computed with: f64, or a dual number that carries derivatives along
+/// (those of the package `num-dual` are such numbers).
+///
+/// Implemented for every `Copy` type that is a [`nalgebra::RealField`]; nothing else is asked for.
+pub trait Real: RealField + Copy {
+    /// The constant `value`.
+    #[inline(always)]
+    fn of(value: f64) -> Self {
+        nalgebra::convert(value)
+    }
+
+    /// Its value, without any derivatives.
+    #[inline(always)]
+    fn value(self) -> f64 {
+        nalgebra::convert_unchecked(self)
+    }
+}
+
+impl<T: RealField + Copy> Real for T {}
+
+/// |v|².
+#[inline(always)]
+pub(crate) fn square<T: Real>(v: &Vector3<T>) -> T {
+    v.dot(v)
+}
+
+/// |v|.
+#[inline(always)]
+pub(crate) fn length<T: Real>(v: &Vector3<T>) -> T {
+    square(v).sqrt()
+}
+
+/// v/|v|.
+#[inline(always)]
+pub(crate) fn unit<T: Real>(v: &Vector3<T>) -> Vector3<T> {
+    v * (T::one() / length(v))
+}

@@ -1,0 +1,30 @@
+//! How methods are run and compared here.
+
+use std::ops::ControlFlow;
+use varda_assimilation::{Error, Incremental, InnerSolver, Iteration, Minimum, OuterLoopOptions, outer_loop};
+
+pub(super) fn go_on(_: &Iteration) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+/// The outer loop, tightly: a gradient of 1e-11 of the first.
+pub(super) fn tight(
+    problem: &mut dyn Incremental,
+    v: &mut [f64],
+    inner: InnerSolver,
+) -> Result<Minimum, Error> {
+    let options = OuterLoopOptions {
+        inner,
+        gradient_tolerance: 1e-11,
+        inner_tolerance: 1e-12,
+        max_inner: 1000,
+        max_iterations: 500,
+        ..Default::default()
+    };
+    outer_loop(problem, v, &options, &mut go_on)
+}
+
+/// |a − b| / |b|.
+pub(super) fn gap(a: f64, b: f64) -> f64 {
+    (a - b).abs() / b.abs()
+}
