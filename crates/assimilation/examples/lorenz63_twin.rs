@@ -18,14 +18,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let truth = [1.5, 1.7, 20.0];
     let mut trajectory = Trajectory::new();
     trajectory.run(&mut model, &truth, steps, Keep::States)?;
-    let seen = (1..=steps / 5).map(|j| Observation {
-        operator: 0,
-        rows: vec![0, 1, 2],
-        step: 5 * j,
-        weight: 0.0,
-        values: trajectory.state(5 * j).iter().zip(sample(&r, &mut rng)).map(|(x, e)| x + e).collect(),
-        sigma: vec![sigma; 3],
-        label: String::new(),
+    let seen = (1..=steps / 5).map(|j| {
+        let errors = sample(&r, &mut rng);
+        let values = trajectory.state(5 * j).iter().zip(errors).map(|(x, e)| x + e).collect();
+        Observation::new(5 * j, vec![0, 1, 2], values, sigma)
     });
     let all = Box::new(Selection::new(vec![0, 1, 2], 3)?);
     let mut observations = ObservationSet::new(steps, vec![all], seen.collect())?;

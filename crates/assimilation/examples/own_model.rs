@@ -39,8 +39,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // The share i every fifth day, with errors of 0.5 %.
     run.run(&mut model, &truth, steps, Keep::States)?;
     let observe = |step: usize| {
-        let (values, sigma) = (vec![run.state(step)[1] + 0.005 * (2.0 * step as f64).sin()], vec![0.005]);
-        Observation { operator: 0, rows: vec![0], step, weight: 0.0, values, sigma, label: "i".into() }
+        let value = run.state(step)[1] + 0.005 * (2.0 * step as f64).sin();
+        Observation::new(step, vec![0], vec![value], 0.005)
     };
     let infected = Box::new(Selection::new(vec![1], 4)?);
     let mut set = ObservationSet::new(steps, vec![infected], (1..=12).map(|j| observe(5 * j)).collect())?;

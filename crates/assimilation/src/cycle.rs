@@ -240,10 +240,10 @@ impl Cycling<'_> {
         if c == 0 || self.shift > self.window {
             return Ok(set);
         }
-        let (steps, seen) = (set.steps(), (self.window - self.shift) as f64);
+        let (times, seen) = (set.times().to_vec(), (self.window - self.shift) as f64);
         let (operators, observations) = set.into_parts();
         let unseen = observations.into_iter().filter(|o| o.step as f64 + o.weight > seen).collect();
-        ObservationSet::new(steps, operators, unseen)
+        ObservationSet::on_times(times, operators, unseen)
     }
 
     /// Steps to run from the analysis: to the end of this window and the start of the next.

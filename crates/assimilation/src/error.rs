@@ -118,6 +118,16 @@ pub enum Error {
         /// The entry.
         value: f64,
     },
+    /// An observation operator reads a state of another length than the model's, or than the other operators'.
+    #[error("observation operator {operator} reads a state of length {found}, not {expected}")]
+    StateLength {
+        /// Index of the operator.
+        operator: usize,
+        /// Length of the state.
+        expected: usize,
+        /// Length of the state that the operator reads.
+        found: usize,
+    },
     /// Two parts of a problem disagree about a length.
     #[error("{what} has length {found}, expected {expected}")]
     Length {

@@ -27,15 +27,7 @@ pub type Assimilate<'a> = dyn FnMut(&mut ObservationSet, &mut Vec<f64>) -> Resul
 /// use varda_implicit::{Rk4, lorenz::Lorenz63};
 ///
 /// let all = Selection::new(vec![0, 1, 2], 3)?;
-/// let see = |step, values: [f64; 3]| Observation {
-///     operator: 0,
-///     rows: vec![0, 1, 2],
-///     step,
-///     weight: 0.0,
-///     values: values.to_vec(),
-///     sigma: vec![1.0; 3],
-///     label: String::new(),
-/// };
+/// let see = |step, values: [f64; 3]| Observation::new(step, vec![0, 1, 2], values.to_vec(), 1.0);
 /// let set = ObservationSet::new(
 ///     40,
 ///     vec![Box::new(all)],
@@ -69,13 +61,14 @@ pub fn window_growth(
         let value = windows.last().map_or(f64::NAN, |&w| w as f64);
         return Err(Error::Setting { what: "the last of window_growth", value });
     }
+    let times = observations.times().to_vec();
     let (mut operators, all) = observations.into_parts();
     let mut minima = Vec::new();
     for &window in windows {
         let seen = all.iter().filter(|o| o.step as f64 + o.weight <= window as f64).cloned().collect();
-        let mut set = ObservationSet::new(window, operators, seen)?;
+        let mut set = ObservationSet::on_times(times[..=window].to_vec(), operators, seen)?;
         minima.push(assimilate(&mut set, v)?);
         operators = set.into_parts().0;
     }
-    Ok((ObservationSet::new(whole, operators, all)?, minima))
+    Ok((ObservationSet::on_times(times, operators, all)?, minima))
 }

@@ -49,17 +49,11 @@
 //!
 //! let mut model = Rk4::new(Lorenz63::default(), 0, 0.01);
 //! // x₀ and x₂ were seen at step 20, x₀ again between steps 30 and 31.
-//! let see = |rows: &[usize], step, weight, values: &[f64]| Observation {
-//!     operator: 0,
-//!     rows: rows.to_vec(),
-//!     step,
-//!     weight,
-//!     values: values.to_vec(),
-//!     sigma: vec![0.1; rows.len()],
-//!     label: String::new(),
-//! };
 //! let all = Selection::new(vec![0, 1, 2], 3)?;
-//! let seen = vec![see(&[0, 2], 20, 0.0, &[8.1, 14.9]), see(&[0], 30, 0.5, &[15.4])];
+//! let seen = vec![
+//!     Observation::new(20, vec![0, 2], vec![8.1, 14.9], 0.1),
+//!     Observation::new(30, vec![0], vec![15.4], 0.1).between(0.5),
+//! ];
 //! let mut observations = ObservationSet::new(40, vec![Box::new(all)], seen)?;
 //! let b = Diagonal::uniform(3, 1.0)?;
 //! let transform = ControlTransform::new(vec![1.5, 1.7, 20.0], &b)?;
@@ -89,6 +83,7 @@ mod growth;
 mod inner;
 mod minimize;
 mod observation;
+mod operators;
 mod outer_loop;
 mod posterior;
 mod posterior_lanczos;
@@ -114,7 +109,9 @@ pub use minimize::{
 };
 #[cfg(feature = "argmin")]
 pub use minimize::{ArgminOptions, argmin_lbfgs, argmin_trust_region};
-pub use observation::{LinearObservation, Observation, ObservationOperator, ObservationSet, Selection};
+pub use observation::{Observation, ObservationSet};
+pub use operators::{LinearObservation, Selection};
 pub use outer_loop::{InnerSolver, OuterLoopOptions, outer_loop};
 pub use posterior::Posterior;
 pub use posterior_lanczos::{LanczosOptions, LowRankPosterior};
+pub use varda_implicit::{At, ObservationOperator, Refusal};

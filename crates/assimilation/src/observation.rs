@@ -2,7 +2,7 @@
 
 use crate::Error;
 use std::ops::Range;
-use varda_implicit::Refusal;
+use varda_implicit::{At, ObservationOperator};
 
 /// All observations of a window of K steps, with the operators that predict them.
 ///
@@ -16,7 +16,8 @@ use varda_implicit::Refusal;
 pub struct ObservationSet {
     operators: Vec<Box<dyn ObservationOperator>>,
     observations: Vec<Observation>,
-    steps: usize,
+    /// t_0 … t_K.
+    times: Vec<f64>,
     /// Offset of every observation in the stacked vector, and m.
     offsets: Vec<usize>,
     values: Vec<f64>,
@@ -33,7 +34,18 @@ pub struct ObservationSet {
 /// What was measured at one time by one operator: some of its rows, each with its value and standard deviation.
 ///
 /// A time between two steps is a weight on each. A component that was not measured is a row left out.
+///
+/// ```
+/// use varda_assimilation::Observation;
+///
+/// // Rows 0 and 2 of operator 0 at step 20, both with σ = 0.1.
+/// let first = Observation::new(20, vec![0, 2], vec![8.1, 14.9], 0.1);
+/// // Row 0 of operator 1, half way between steps 30 and 31.
+/// let second = Observation::new(30, vec![0], vec![15.4], 0.2).between(0.5).operator(1).label("tip");
+/// assert_eq!((first.weight, second.weight), (0.0, 0.5));
+/// ```
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Observation {
     /// Index of the operator in the set.
     pub operator: usize,
@@ -47,29 +59,43 @@ pub struct Observation {
     pub values: Vec<f64>,
     /// σ > 0, one for each row, in the unit of the value.
     pub sigma: Vec<f64>,
-    /// Whose measurement it is; for reports only.
+    /// The name of the instrument or place; for reports only.
     pub label: String,
 }
 
-/// An observation operator y = H_k(x) with its tangent H'_k and its transpose, at a step k of the window.
-///
-/// The step is passed because what is seen may depend on time (a frame carried by a driven clamp). All three are functions of
-/// (k, x) alone.
-pub trait ObservationOperator {
-    /// Number of rows: the length of y.
-    fn dim(&self) -> usize;
-
-    /// y = H_k(x).
+impl Observation {
+    /// Some rows of operator 0, measured at a step of the window with independent errors of one standard deviation σ.
     ///
-    /// # Errors
-    /// Where the state cannot be observed; the operator's own typed error.
-    fn observe(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> Result<(), Refusal>;
+    /// Nothing is checked here: [`ObservationSet::new`] checks all observations of a window.
+    pub fn new(step: usize, rows: Vec<usize>, values: Vec<f64>, sigma: f64) -> Self {
+        let sigma = vec![sigma; rows.len()];
+        Self { operator: 0, rows, step, weight: 0.0, values, sigma, label: String::new() }
+    }
 
-    /// dy = H'_k(x) dx. Called only at states that `observe` accepted.
-    fn tangent(&mut self, k: usize, x: &[f64], dx: &[f64], dy: &mut [f64]);
+    /// With a standard deviation σ for each row.
+    pub fn sigmas(self, sigma: Vec<f64>) -> Self {
+        Self { sigma, ..self }
+    }
 
-    /// dx += H'_k(x)ᵀ dy. Called only at states that `observe` accepted.
-    fn adjoint_add(&mut self, k: usize, x: &[f64], dy: &[f64], dx: &mut [f64]);
+    /// At another step.
+    pub fn at_step(self, step: usize) -> Self {
+        Self { step, ..self }
+    }
+
+    /// Between its step k and step k + 1: `weight` w ∈ [0, 1) is the share of step k + 1.
+    pub fn between(self, weight: f64) -> Self {
+        Self { weight, ..self }
+    }
+
+    /// Through another operator of the set than the first.
+    pub fn operator(self, operator: usize) -> Self {
+        Self { operator, ..self }
+    }
+
+    /// With a name for reports.
+    pub fn label(self, label: impl Into<String>) -> Self {
+        Self { label: label.into(), ..self }
+    }
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -89,16 +115,36 @@ struct Part {
 }
 
 impl ObservationSet {
-    /// The observations of a window of `steps` steps, in any order.
+    /// The observations of a window of `steps` steps, in any order. Operators are given k as the time of step k; for
+    /// operators that depend on time see [`on_times`](Self::on_times).
     ///
     /// # Errors
-    /// An observation with an unknown operator or row, outside the window, with a weight outside [0, 1), a value that is
-    /// not finite or a σ that is not positive and finite; each error names the observation by its index in `observations`.
+    /// As for [`on_times`](Self::on_times).
     pub fn new(
         steps: usize,
         operators: Vec<Box<dyn ObservationOperator>>,
+        observations: Vec<Observation>,
+    ) -> Result<Self, Error> {
+        Self::on_times((0..=steps).map(|k| k as f64).collect(), operators, observations)
+    }
+
+    /// The observations of a window whose steps have the times t_0 … t_K, in any order.
+    ///
+    /// # Errors
+    /// Times that do not ascend; operators of states of different lengths; an observation with an unknown operator or row, outside the window, with a weight outside [0, 1), a value that is
+    /// not finite or a σ that is not positive and finite; each error names the observation by its index in `observations`.
+    pub fn on_times(
+        times: Vec<f64>,
+        operators: Vec<Box<dyn ObservationOperator>>,
         mut observations: Vec<Observation>,
     ) -> Result<Self, Error> {
+        check_times(&times)?;
+        let steps = times.len() - 1;
+        let lengths = || operators.iter().map(|o| o.state_dim());
+        if let Some((operator, found)) = lengths().enumerate().find(|&(_, n)| Some(n) != lengths().next()) {
+            let expected = operators[0].state_dim();
+            return Err(Error::StateLength { operator, expected, found });
+        }
         for (index, observation) in observations.iter().enumerate() {
             validate(index, observation, steps, &operators)?;
         }
@@ -134,7 +180,7 @@ impl ObservationSet {
             sigma: observations.iter().flat_map(|o| o.sigma.iter().copied()).collect(),
             operators,
             observations,
-            steps,
+            times,
             offsets,
             samples,
             by_step,
@@ -159,7 +205,7 @@ impl ObservationSet {
     pub fn without(self, rows: &[usize]) -> Result<Self, Error> {
         let mut keep = vec![true; self.dim()];
         rows.iter().for_each(|&row| keep[row] = false);
-        let (steps, offsets) = (self.steps, self.offsets.clone());
+        let (times, offsets) = (self.times.clone(), self.offsets.clone());
         let (operators, mut observations) = self.into_parts();
         for (o, at) in observations.iter_mut().zip(offsets) {
             let kept: Vec<usize> = (0..o.rows.len()).filter(|i| keep[at + i]).collect();
@@ -168,7 +214,12 @@ impl ObservationSet {
             o.sigma = kept.iter().map(|&i| o.sigma[i]).collect();
         }
         observations.retain(|o| !o.rows.is_empty());
-        Self::new(steps, operators, observations)
+        Self::on_times(times, operators, observations)
+    }
+
+    /// Step k and its time.
+    fn at(&self, k: usize) -> At {
+        At { step: k, time: self.times.get(k).copied().unwrap_or(f64::NAN) }
     }
 
     /// Where the samples of step k are.
@@ -184,7 +235,25 @@ impl ObservationSet {
 
     /// K, the length of the window in steps.
     pub fn steps(&self) -> usize {
-        self.steps
+        self.times.len() - 1
+    }
+
+    /// t_0 … t_K, the times of the steps.
+    pub fn times(&self) -> &[f64] {
+        &self.times
+    }
+
+    /// Refuses a model whose state has another length than the state that the operators read.
+    ///
+    /// # Errors
+    /// [`Error::StateLength`].
+    pub fn check_state(&self, state_dim: usize) -> Result<(), Error> {
+        match self.operators.first().map(|o| o.state_dim()) {
+            Some(found) if found != state_dim => {
+                Err(Error::StateLength { operator: 0, expected: state_dim, found })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// The last step whose state is needed; `None` where nothing is observed.
@@ -221,10 +290,11 @@ impl ObservationSet {
     /// If `y` is not of length `dim`.
     pub fn observe_add(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> Result<(), Error> {
         assert_eq!(y.len(), self.dim(), "length of y");
+        let at = self.at(k);
         for sample in &self.samples[self.samples_of(k)] {
             let operator = &mut self.operators[sample.operator];
             let seen = &mut self.buffer[..operator.dim()];
-            operator.observe(k, x, seen).map_err(|reason| Error::Observe {
+            operator.observe(at, x, seen).map_err(|reason| Error::Observe {
                 operator: sample.operator,
                 step: k,
                 reason,
@@ -245,10 +315,11 @@ impl ObservationSet {
     /// If `dy` is not of length `dim`.
     pub fn tangent_add(&mut self, k: usize, x: &[f64], dx: &[f64], dy: &mut [f64]) {
         assert_eq!(dy.len(), self.dim(), "length of dy");
+        let at = self.at(k);
         for sample in &self.samples[self.samples_of(k)] {
             let operator = &mut self.operators[sample.operator];
             let seen = &mut self.tangent[..operator.dim()];
-            operator.tangent(k, x, dx, seen);
+            operator.tangent(at, x, dx, seen);
             for part in &self.parts[sample.first..sample.end] {
                 dy[part.row] += part.weight * seen[part.operator_row];
             }
@@ -261,6 +332,7 @@ impl ObservationSet {
     /// If `dy` is not of length `dim`.
     pub fn adjoint_add(&mut self, k: usize, x: &[f64], dy: &[f64], dx: &mut [f64]) {
         assert_eq!(dy.len(), self.dim(), "length of dy");
+        let at = self.at(k);
         for sample in &self.samples[self.samples_of(k)] {
             let operator = &mut self.operators[sample.operator];
             let seen = &mut self.tangent[..operator.dim()];
@@ -268,7 +340,7 @@ impl ObservationSet {
             for part in &self.parts[sample.first..sample.end] {
                 seen[part.operator_row] += part.weight * dy[part.row];
             }
-            operator.adjoint_add(k, x, seen, dx);
+            operator.adjoint_add(at, x, seen, dx);
         }
     }
 
@@ -294,6 +366,16 @@ impl ObservationSet {
         for ((d, y), p) in d.iter_mut().zip(&self.values).zip(predicted) {
             *d = y - p;
         }
+    }
+}
+
+fn check_times(times: &[f64]) -> Result<(), Error> {
+    let ascend = |pair: &&[f64]| !(pair[0] < pair[1]);
+    match times.windows(2).find(ascend).map(|pair| pair[1]).or(times.iter().copied().find(|t| !t.is_finite()))
+    {
+        Some(value) => Err(Error::Setting { what: "a time of the window, after the one before it,", value }),
+        None if times.is_empty() => Err(Error::Length { what: "the grid of time", expected: 1, found: 0 }),
+        None => Ok(()),
     }
 }
 
@@ -332,115 +414,4 @@ fn validate(
         return Err(Error::Sigma { observation: index, entry, sigma: sigma[entry] });
     }
     Ok(())
-}
-
-/// y = H x with a sparse matrix H (rows × length of the state).
-///
-/// # Panics
-/// Its methods panic if a slice has the wrong length.
-pub struct LinearObservation {
-    state_dim: usize,
-    /// Row i holds the entries from `starts[i]` to `starts[i + 1]`.
-    starts: Vec<usize>,
-    /// Column and value of each entry, row after row.
-    entries: Vec<(usize, f64)>,
-}
-
-impl LinearObservation {
-    /// From entries (row, column, value) in any order; those that name the same place add up.
-    ///
-    /// # Errors
-    /// An entry outside of `rows` × `state_dim` or not finite.
-    pub fn new(rows: usize, state_dim: usize, entries: &[(usize, usize, f64)]) -> Result<Self, Error> {
-        let bad = |&&(i, j, h): &&(usize, usize, f64)| !(i < rows && j < state_dim && h.is_finite());
-        if let Some(&(row, column, value)) = entries.iter().find(bad) {
-            return Err(Error::OperatorEntry { row, rows, column, columns: state_dim, value });
-        }
-        let mut sorted = entries.to_vec();
-        sorted.sort_by_key(|&(i, j, _)| (i, j));
-        let starts = (0..=rows).map(|i| sorted.partition_point(|entry| entry.0 < i)).collect();
-        Ok(Self { state_dim, starts, entries: sorted.into_iter().map(|(_, j, h)| (j, h)).collect() })
-    }
-
-    /// The entries of H, row by row.
-    fn rows(&self) -> impl Iterator<Item = &[(usize, f64)]> {
-        self.starts.windows(2).map(|row| &self.entries[row[0]..row[1]])
-    }
-}
-
-impl ObservationOperator for LinearObservation {
-    fn dim(&self) -> usize {
-        self.starts.len() - 1
-    }
-
-    fn observe(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
-        self.tangent(k, x, x, y);
-        Ok(())
-    }
-
-    fn tangent(&mut self, _k: usize, _x: &[f64], dx: &[f64], dy: &mut [f64]) {
-        assert!(dx.len() == self.state_dim && dy.len() == self.dim(), "lengths of dx and dy");
-        for (row, dy) in self.rows().zip(dy) {
-            *dy = row.iter().map(|&(j, h)| h * dx[j]).sum();
-        }
-    }
-
-    fn adjoint_add(&mut self, _k: usize, _x: &[f64], dy: &[f64], dx: &mut [f64]) {
-        assert!(dx.len() == self.state_dim && dy.len() == self.dim(), "lengths of dx and dy");
-        for (row, dy) in self.rows().zip(dy) {
-            for &(j, h) in row {
-                dx[j] += h * dy;
-            }
-        }
-    }
-}
-
-/// y_i = x_{c_i}: some components of the state, seen directly.
-///
-/// # Panics
-/// Its methods panic if a slice has the wrong length.
-pub struct Selection {
-    components: Vec<usize>,
-    state_dim: usize,
-}
-
-impl Selection {
-    /// The given components of a state of length `state_dim`, in the given order.
-    ///
-    /// # Errors
-    /// A component the state does not have.
-    pub fn new(components: Vec<usize>, state_dim: usize) -> Result<Self, Error> {
-        match components.iter().position(|&c| c >= state_dim) {
-            Some(row) => {
-                let (rows, column) = (components.len(), components[row]);
-                Err(Error::OperatorEntry { row, rows, column, columns: state_dim, value: 1.0 })
-            }
-            None => Ok(Self { components, state_dim }),
-        }
-    }
-}
-
-impl ObservationOperator for Selection {
-    fn dim(&self) -> usize {
-        self.components.len()
-    }
-
-    fn observe(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
-        self.tangent(k, x, x, y);
-        Ok(())
-    }
-
-    fn tangent(&mut self, _k: usize, _x: &[f64], dx: &[f64], dy: &mut [f64]) {
-        assert!(dx.len() == self.state_dim && dy.len() == self.dim(), "lengths of dx and dy");
-        for (dy, &c) in dy.iter_mut().zip(&self.components) {
-            *dy = dx[c];
-        }
-    }
-
-    fn adjoint_add(&mut self, _k: usize, _x: &[f64], dy: &[f64], dx: &mut [f64]) {
-        assert!(dx.len() == self.state_dim && dy.len() == self.dim(), "lengths of dx and dy");
-        for (dy, &c) in dy.iter().zip(&self.components) {
-            dx[c] += dy;
-        }
-    }
 }

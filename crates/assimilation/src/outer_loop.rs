@@ -84,14 +84,15 @@ const NOISE: f64 = 1e-11;
 /// # struct Square;
 /// # impl ObservationOperator for Square {
 /// #     fn dim(&self) -> usize { 50 }
-/// #     fn observe(&mut self, _: usize, x: &[f64], y: &mut [f64]) -> Result<(), varda_implicit::Refusal> {
+/// #     fn state_dim(&self) -> usize { 50 }
+/// #     fn observe(&mut self, _: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
 /// #         y.iter_mut().zip(x).for_each(|(y, x)| *y = x * x);
 /// #         Ok(())
 /// #     }
-/// #     fn tangent(&mut self, _: usize, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+/// #     fn tangent(&mut self, _: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
 /// #         (0..50).for_each(|i| dy[i] = 2.0 * x[i] * dx[i]);
 /// #     }
-/// #     fn adjoint_add(&mut self, _: usize, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+/// #     fn adjoint_add(&mut self, _: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
 /// #         (0..50).for_each(|i| dx[i] += 2.0 * x[i] * dy[i]);
 /// #     }
 /// # }
@@ -101,15 +102,7 @@ const NOISE: f64 = 1e-11;
 /// let b = CovarianceFunction { sigma: 0.3, kernel, taper: Taper::Triangle { support: 1.0 } };
 /// let b = Dense::new(50, &b.matrix(&places)?)?;
 /// let transform = ControlTransform::new(vec![1.0; 50], &b)?;
-/// let seen = Observation {
-///     operator: 0,
-///     rows: vec![10, 30],
-///     step: 0,
-///     weight: 0.0,
-///     values: vec![1.44, 0.81],
-///     sigma: vec![0.01; 2],
-///     label: String::new(),
-/// };
+/// let seen = Observation::new(0, vec![10, 30], vec![1.44, 0.81], 0.01);
 /// let mut observations = ObservationSet::new(0, vec![Box::new(Square)], vec![seen])?;
 /// let mut cost = StrongConstraint::without_model(transform, &mut observations)?;
 /// let options = OuterLoopOptions { inner: InnerSolver::Dual, ..Default::default() };

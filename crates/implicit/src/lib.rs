@@ -60,6 +60,7 @@ pub mod lorenz;
 mod model;
 #[cfg(feature = "implicit")]
 mod newton;
+mod observation;
 #[cfg(feature = "implicit")]
 mod one_leg;
 mod rhs;
@@ -84,6 +85,7 @@ pub use implicit::{ImplicitModel, Linearization, MAX_HALVINGS};
 pub use model::{ControlMap, Counts, Log, Model, Warning, Work};
 #[cfg(feature = "implicit")]
 pub use newton::{NewtonFailure, NewtonOptions, NewtonReport, NewtonWork, solve};
+pub use observation::{At, ObservationOperator};
 #[cfg(feature = "implicit")]
 pub use one_leg::{OneLeg, OneLegEquations};
 pub use rhs::Rhs;

@@ -206,15 +206,8 @@ fn run(network: &Network, case: &Case, seed: u64, mean: &[f64], b: &Dense) -> Re
         let steps = case.window;
         let seen =
             (0..=steps).filter(|k| (1..=TIMES).contains(&(first + k)) && (*k > 0 || steps == 0)).map(|k| {
-                Observation {
-                    operator: 0,
-                    rows: (0..network.rows.len()).collect(),
-                    step: k,
-                    weight: 0.0,
-                    values: values[first + k].clone(),
-                    sigma: vec![network.sigma; network.rows.len()],
-                    label: String::new(),
-                }
+                let rows = (0..network.rows.len()).collect();
+                Observation::new(k, rows, values[first + k].clone(), network.sigma)
             });
         ObservationSet::new(steps, vec![Box::new(Selection::new(network.rows.clone(), N)?)], seen.collect())
     };

@@ -8,7 +8,7 @@ use varda_assimilation::{
 };
 use varda_covariance::{Covariance, Dense, Diagonal};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
-use varda_implicit::{ImplicitModel, Model, OneLeg, Refusal, Rk4};
+use varda_implicit::{At, ImplicitModel, Model, OneLeg, Refusal, Rk4};
 use varda_rod::{Marker, Markers, Vector3};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -17,6 +17,8 @@ type Result<T> = std::result::Result<T, Box<dyn Error>>;
 pub struct MarkerOperator {
     /// The markers.
     pub markers: Markers,
+    /// Length of the state.
+    pub state_dim: usize,
     /// Index of the first step.
     pub first: usize,
     /// Δt \[s\].
@@ -34,16 +36,20 @@ impl ObservationOperator for MarkerOperator {
         3 * self.markers.len()
     }
 
-    fn observe(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> std::result::Result<(), Refusal> {
-        Ok(self.markers.places(self.time(k), x, y)?)
+    fn state_dim(&self) -> usize {
+        self.state_dim
     }
 
-    fn tangent(&mut self, k: usize, x: &[f64], dx: &[f64], dy: &mut [f64]) {
-        self.markers.tangent(self.time(k), x, dx, dy).expect("a state that was observed");
+    fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> std::result::Result<(), Refusal> {
+        Ok(self.markers.places(self.time(at.step), x, y)?)
     }
 
-    fn adjoint_add(&mut self, k: usize, x: &[f64], dy: &[f64], dx: &mut [f64]) {
-        self.markers.adjoint_add(self.time(k), x, dy, dx).expect("a state that was observed");
+    fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+        self.markers.tangent(self.time(at.step), x, dx, dy).expect("a state that was observed");
+    }
+
+    fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+        self.markers.adjoint_add(self.time(at.step), x, dy, dx).expect("a state that was observed");
     }
 }
 
@@ -62,7 +68,7 @@ pub fn for_each_cost(visit: &mut Visit) -> Result<()> {
     for (seen, markers) in places {
         for mut case in rods()? {
             let markers = Markers::new(case.model.step_ref(), markers)?;
-            let operator = MarkerOperator { markers, first: FIRST, dt: DT };
+            let operator = MarkerOperator { markers, state_dim: case.model.dim(), first: FIRST, dt: DT };
             // At the very start, between steps, on a step.
             let when = [(0, 0.0), (3, 0.25), (5, 0.0), (7, 0.6)];
             let mut sigma = rod_scale(case.model.step_ref());
@@ -137,19 +143,13 @@ fn problem(
     let mut x = vec![0.0; model.dim()];
     model.initial_state(z, &mut x)?;
     let mut y = vec![0.0; rows];
-    operator.observe(0, &x, &mut y).map_err(|e| e.to_string())?;
+    operator.observe(At { step: 0, time: 0.0 }, &x, &mut y).map_err(|e| e.to_string())?;
     let observation = |(i, &(step, weight)): (usize, &(usize, f64))| {
         // every second observation lacks a row
         let seen: Vec<usize> = (0..rows).filter(|r| i % 2 == 0 || *r != 1).collect();
-        Observation {
-            operator: 0,
-            step,
-            weight,
-            values: seen.iter().map(|&r| y[r] + 3.0 * sigma * wave(r, i)).collect(),
-            sigma: seen.iter().map(|&r| sigma * (1.0 + 0.5 * wave(r, 7))).collect(),
-            rows: seen,
-            label: String::new(),
-        }
+        let values = seen.iter().map(|&r| y[r] + 3.0 * sigma * wave(r, i)).collect();
+        let sigmas = seen.iter().map(|&r| sigma * (1.0 + 0.5 * wave(r, 7))).collect();
+        Observation::new(step, seen, values, sigma).between(weight).sigmas(sigmas)
     };
     let observations = when.iter().enumerate().map(observation).collect();
     let last = when.last().map_or(0, |w| w.0 + usize::from(w.1 > 0.0));

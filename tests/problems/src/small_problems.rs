@@ -7,7 +7,7 @@ use std::error::Error;
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet, Selection};
 use varda_covariance::{Covariance, Dense, Ensemble, Localization, Taper};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
-use varda_implicit::{Model, Refusal, Rhs, Rk4};
+use varda_implicit::{At, Model, Refusal, Rhs, Rk4};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -103,20 +103,26 @@ impl Rhs for Linear {
 }
 
 /// y = (x₀², x₀ x₁).
-pub struct Products;
+pub struct Products {
+    /// Length of the state.
+    pub state_dim: usize,
+}
 
 impl ObservationOperator for Products {
     fn dim(&self) -> usize {
         2
     }
-    fn observe(&mut self, _k: usize, x: &[f64], y: &mut [f64]) -> std::result::Result<(), Refusal> {
+    fn state_dim(&self) -> usize {
+        self.state_dim
+    }
+    fn observe(&mut self, _at: At, x: &[f64], y: &mut [f64]) -> std::result::Result<(), Refusal> {
         (y[0], y[1]) = (x[0] * x[0], x[0] * x[1]);
         Ok(())
     }
-    fn tangent(&mut self, _k: usize, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+    fn tangent(&mut self, _at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
         (dy[0], dy[1]) = (2.0 * x[0] * dx[0], x[0] * dx[1] + x[1] * dx[0]);
     }
-    fn adjoint_add(&mut self, _k: usize, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+    fn adjoint_add(&mut self, _at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
         dx[0] += 2.0 * x[0] * dy[0] + x[1] * dy[1];
         dx[1] += x[0] * dy[1];
     }
@@ -132,15 +138,7 @@ pub fn all_of(n: usize) -> Result<Box<dyn ObservationOperator>> {
 
 /// Rows of the first operator, seen with one σ.
 pub fn observation(rows: &[usize], step: usize, weight: f64, values: &[f64], sigma: f64) -> Observation {
-    Observation {
-        operator: 0,
-        rows: rows.to_vec(),
-        step,
-        weight,
-        values: values.to_vec(),
-        sigma: vec![sigma; rows.len()],
-        label: String::new(),
-    }
+    Observation::new(step, rows.to_vec(), values.to_vec(), sigma).between(weight)
 }
 
 /// The states after 0 … `steps` steps.
@@ -213,7 +211,7 @@ pub fn curved() -> Result<Window<Rk4<Lorenz96>>> {
         (o.operator, o.rows, o.weight, o.step) = (1, vec![1, 0, 1], 0.0, (step + 1).min(12));
         seen.push(o);
     }
-    let set = ObservationSet::new(14, vec![all_of(6)?, Box::new(Products)], seen)?;
+    let set = ObservationSet::new(14, vec![all_of(6)?, Box::new(Products { state_dim: 6 })], seen)?;
     Ok((Rk4::new(Lorenz96::new(6, 8.0), 0, 0.03), background, set))
 }
 
@@ -305,15 +303,8 @@ pub fn lorenz96_window(n: usize) -> Result<(Vec<f64>, ObservationSet, Vec<f64>)>
         let step = k + 1;
         if step % 10 == 0 {
             let y = |j: usize| x[2 * j] + (12.9898 * (step * n + j) as f64).sin();
-            observations.push(Observation {
-                operator: 0,
-                rows: (0..n / 2).collect(),
-                step,
-                weight: 0.0,
-                values: (0..n / 2).map(y).collect(),
-                sigma: vec![1.0; n / 2],
-                label: String::new(),
-            });
+            let (rows, values) = ((0..n / 2).collect(), (0..n / 2).map(y).collect());
+            observations.push(Observation::new(step, rows, values, 1.0));
         }
     }
     let even = Selection::new((0..n).step_by(2).collect(), n)?;

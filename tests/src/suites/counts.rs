@@ -202,15 +202,7 @@ fn storage(case: &mut Case) -> Outcome {
 fn lorenz_counts(last: usize, steps: usize) -> Result<Counts, Box<dyn std::error::Error>> {
     let mut model = Rk4::new(Lorenz96::new(40, 8.0), 0, 0.0125);
     let x: Vec<f64> = (0..40).map(|i| 8.0 + 4.0 * wave(i, 0)).collect();
-    let seen = Observation {
-        operator: 0,
-        rows: (0..40).collect(),
-        step: last,
-        weight: 0.0,
-        values: x.clone(),
-        sigma: vec![1.0; 40],
-        label: String::new(),
-    };
+    let seen = Observation::new(last, (0..40).collect(), x.clone(), 1.0);
     let all = Selection::new((0..40).collect(), 40)?;
     let mut set = ObservationSet::new(steps, vec![Box::new(all)], vec![seen])?;
     let b = Diagonal::uniform(40, 0.5)?;

@@ -137,6 +137,7 @@ impl<'a> EnVar<'a> {
         if expected != n_z {
             return Err(Error::Length { what: "the background", expected, found: n_z });
         }
+        observations.check_state(state_dim)?;
         let anchors = if anchors.is_empty() && ensemble.localization().rank() == 1 {
             vec![0; m]
         } else {

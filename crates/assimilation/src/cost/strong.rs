@@ -78,7 +78,8 @@ impl<'a> StrongConstraint<'a> {
     /// The cost of a window of `observations.steps()` steps of a model whose control is that of `transform`.
     ///
     /// # Errors
-    /// A model whose control has another length than B.
+    /// A model whose control has another length than B, or whose state has another length than that which the observation
+    /// operators read ([`Error::StateLength`]).
     pub fn new(
         model: &'a mut (dyn Model + 'a),
         transform: ControlTransform<'a>,
@@ -92,13 +93,14 @@ impl<'a> StrongConstraint<'a> {
             });
         }
         let state_dim = model.dim();
+        observations.check_state(state_dim)?;
         Ok(Self::with(Some(model), state_dim, transform, observations, None))
     }
 
     /// 3D-Var: no model, the control is the state.
     ///
     /// # Errors
-    /// Observations after step 0.
+    /// Observations after step 0; operators that read a state of another length.
     pub fn without_model(
         transform: ControlTransform<'a>,
         observations: &'a mut ObservationSet,
@@ -107,6 +109,7 @@ impl<'a> StrongConstraint<'a> {
             return Err(Error::Length { what: "a window without a model", expected: 0, found: step });
         }
         let state_dim = transform.control_dim();
+        observations.check_state(state_dim)?;
         Ok(Self::with(None, state_dim, transform, observations, None))
     }
 

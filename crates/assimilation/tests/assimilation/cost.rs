@@ -30,7 +30,7 @@ pub(crate) fn curved_problem() -> (Rk4<Lorenz96>, Vec<f64>, ObservationSet) {
         o.step = (step + 1).min(12);
         observations.push(o);
     }
-    let set = ObservationSet::new(14, vec![all_of(6), Box::new(Products)], observations).unwrap();
+    let set = ObservationSet::new(14, vec![all_of(6), Box::new(Products(6))], observations).unwrap();
     (Rk4::new(Lorenz96(6), 0.03), background, set)
 }
 

@@ -349,7 +349,7 @@ fn the_same_minimum_of_a_curved_cost_by_every_method() {
 
     let b = coupled(3, 0.4);
     let seen = observation(&[0, 1], 0, 0.0, &[2.3, 1.1], 0.2);
-    let mut set = ObservationSet::new(0, vec![Box::new(Products)], vec![seen]).unwrap();
+    let mut set = ObservationSet::new(0, vec![Box::new(Products(3))], vec![seen]).unwrap();
     let transform = ControlTransform::new(vec![1.2, 0.7, -0.3], &b).unwrap();
     let mut cost = StrongConstraint::without_model(transform, &mut set).unwrap();
     solve(&mut cost, 3);
@@ -362,7 +362,7 @@ fn step_control_ends_where_full_steps_are_repelled_and_failures_are_reported() {
     // The dropped second derivatives are eight times A at this minimum.
     let b = Diagonal::uniform(2, 1.0).unwrap();
     let seen = observation(&[0, 1], 0, 0.0, &[-4.0, 0.5], 1.0);
-    let mut set = ObservationSet::new(0, vec![Box::new(Products)], vec![seen]).unwrap();
+    let mut set = ObservationSet::new(0, vec![Box::new(Products(2))], vec![seen]).unwrap();
     let transform = ControlTransform::new(vec![1.0, 0.5], &b).unwrap();
     let mut cost = StrongConstraint::without_model(transform, &mut set).unwrap();
     let full = OuterLoopOptions { step_control: false, ..Default::default() };

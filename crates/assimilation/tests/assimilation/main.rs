@@ -14,5 +14,6 @@ mod models;
 mod observations;
 mod posteriors;
 mod robust;
+mod state_length;
 mod storage;
 mod weak;

@@ -11,7 +11,7 @@ fn repelling() -> (Diagonal, ObservationSet) {
     let b = Diagonal::uniform(2, 1.0).unwrap();
     let set = ObservationSet::new(
         0,
-        vec![Box::new(Products)],
+        vec![Box::new(Products(2))],
         vec![observation(&[0, 1], 0, 0.0, &[-4.0, 0.5], 1.0)],
     );
     (b, set.unwrap())

@@ -3,7 +3,7 @@
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use varda_assimilation::{Observation, ObservationOperator, ObservationSet, Selection};
+use varda_assimilation::{At, Observation, ObservationOperator, ObservationSet, Refusal, Selection};
 use varda_implicit::{ControlMap, Error, Model, Work};
 
 pub(crate) fn normals(seed: u64, n: usize) -> Vec<f64> {
@@ -230,23 +230,26 @@ pub(crate) fn all_of(n: usize) -> Box<dyn ObservationOperator> {
 }
 
 /// y = (x₀², x₀ x₁): a curved operator, to be told from its linearization.
-pub(crate) struct Products;
+pub(crate) struct Products(pub(crate) usize);
 
 impl ObservationOperator for Products {
     fn dim(&self) -> usize {
         2
     }
-    fn observe(&mut self, _k: usize, x: &[f64], y: &mut [f64]) -> Result<(), varda_implicit::Refusal> {
+    fn state_dim(&self) -> usize {
+        self.0
+    }
+    fn observe(&mut self, _at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
         if x[0] > 100.0 {
             return Err("too far".into());
         }
         (y[0], y[1]) = (x[0] * x[0], x[0] * x[1]);
         Ok(())
     }
-    fn tangent(&mut self, _k: usize, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+    fn tangent(&mut self, _at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
         (dy[0], dy[1]) = (2.0 * x[0] * dx[0], x[0] * dx[1] + x[1] * dx[0]);
     }
-    fn adjoint_add(&mut self, _k: usize, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+    fn adjoint_add(&mut self, _at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
         dx[0] += 2.0 * x[0] * dy[0] + x[1] * dy[1];
         dx[1] += x[0] * dy[1];
     }
@@ -259,15 +262,7 @@ pub(crate) fn observation(
     values: &[f64],
     sigma: f64,
 ) -> Observation {
-    Observation {
-        operator: 0,
-        rows: rows.to_vec(),
-        step,
-        weight,
-        values: values.to_vec(),
-        sigma: vec![sigma; rows.len()],
-        label: String::new(),
-    }
+    Observation::new(step, rows.to_vec(), values.to_vec(), sigma).between(weight)
 }
 
 /// A twin on Lorenz-63: a truth on the attractor, a background drawn around it with B = I, all three components seen every `every`

@@ -43,7 +43,7 @@ fn adjoint_is_the_transpose_of_the_tangent_with_shared_operators() {
     for entries in [entries, reversed] {
         let operators: Vec<Box<dyn ObservationOperator>> = vec![
             Box::new(LinearObservation::new(3, n, &entries).unwrap()),
-            Box::new(Products),
+            Box::new(Products(n)),
             Box::new(Selection::new(vec![3, 0], n).unwrap()),
         ];
         let mut observations = Vec::new();

@@ -1,7 +1,8 @@
 //! Cycling: a scene with `[algorithm.cycles]`, window after window.
 //!
-//! The windows are cut out of one long [`Problem`], whose only window is the whole sequence: one run of the truth, one
-//! draw of observations in the order of time, one recording read. So more cycles do not change the first ones.
+//! The windows are cut out of one long [`Problem`], whose only window is the whole sequence: one run of the
+//! truth, one draw of observations in the order of time, one recording read. So more cycles do not change the
+//! first ones.
 
 use std::cell::RefCell;
 use std::ops::ControlFlow;
@@ -13,8 +14,8 @@ use varda_assimilation::{
     Cycle, CycleState, CycledCovariance, CycledEnsemble, CycledUpdate, Cycling, EnVarOptions, Normals,
     Observation, ObservationOperator, ObservationSet, cycle,
 };
-use varda_implicit::Refusal;
 use varda_implicit::check::Amplification;
+use varda_implicit::{At, Refusal};
 
 use super::{amplification, shapes};
 use crate::Error;
@@ -66,8 +67,8 @@ impl CycleListener<'_> {
 }
 
 impl Sequence {
-    /// The sequence that a scene describes; `None` for a scene without `[algorithm.cycles]`. Runs the truth from end to
-    /// end where there is one.
+    /// The sequence that a scene describes; `None` for a scene without `[algorithm.cycles]`. Runs the truth
+    /// from end to end where there is one.
     ///
     /// # Errors
     /// Those of [`Problem::from_scene`].
@@ -99,7 +100,8 @@ impl Sequence {
         Ok(Sequence { cycles, window, shift, problem, truth, observations })
     }
 
-    /// The state before the first window: the background, and the members of an ensemble about it, their mean.
+    /// The state before the first window: the background, and the members of an ensemble about it, their
+    /// mean.
     pub fn start(&self) -> CycleState {
         let background = self.problem.background.clone();
         let Some(ensemble) = &self.problem.ensemble else { return CycleState::new(background) };
@@ -113,12 +115,12 @@ impl Sequence {
         CycleState { next: 0, background, columns }
     }
 
-    /// Assimilates window after window: from the state [`start`](Self::start), with no `done` rows, or from the state
-    /// that a sequence left behind after the rows `done`.
+    /// Assimilates window after window: from the state [`start`](Self::start), with no `done` rows, or from
+    /// the state that a sequence left behind after the rows `done`.
     ///
     /// # Errors
-    /// [`Error::Assimilation`] where the first window cannot be assimilated; an error of `on_cycle`. A later window that
-    /// fails ends the sequence as [`Status::Failed`] with the windows before it.
+    /// [`Error::Assimilation`] where the first window cannot be assimilated; an error of `on_cycle`. A later
+    /// window that fails ends the sequence as [`Status::Failed`] with the windows before it.
     pub fn run(
         &self,
         mut state: CycleState,
@@ -278,11 +280,13 @@ impl Sequence {
         let last = (first + self.window) as f64;
         let from = self.observations.partition_point(|o| o.step < first);
         let inside = self.observations[from..].iter().take_while(|o| at(o) <= last);
-        let seen = inside.map(|o| Observation { step: o.step - first, ..o.clone() }).collect();
+        let seen = inside.map(|o| o.clone().at_step(o.step - first)).collect();
         let operator = |operator: &Shared| -> Box<dyn ObservationOperator> {
             Box::new(FromStep { operator: Rc::clone(operator), first })
         };
-        ObservationSet::new(self.window, operators.iter().map(operator).collect(), seen)
+        let grid = &self.problem.experiment.grid;
+        let times = (first..=first + self.window).map(|k| grid.time(k)).collect();
+        ObservationSet::on_times(times, operators.iter().map(operator).collect(), seen)
     }
 
     fn row(&self, c: &Cycle, seconds: f64) -> CycleRow {
@@ -328,8 +332,8 @@ impl Sequence {
         amplification::estimate(model.as_mut(), &last.analysis, &sigma, states, scene.seed).ok()
     }
 
-    /// Runs from every window's analysis to the next one's start, the last to its end; and the truth over the same
-    /// steps.
+    /// Runs from every window's analysis to the next one's start, the last to its end; and the truth over the
+    /// same steps.
     fn trajectories(&self, rows: &[CycleRow], warnings: &mut Vec<String>) -> Trajectories {
         let dim = self.problem.experiment.n_state;
         let mut analysis = Vec::new();
@@ -407,20 +411,30 @@ struct FromStep {
     first: usize,
 }
 
+impl FromStep {
+    fn moved(&self, at: At) -> At {
+        At { step: self.first + at.step, ..at }
+    }
+}
+
 impl ObservationOperator for FromStep {
     fn dim(&self) -> usize {
         self.operator.borrow().dim()
     }
 
-    fn observe(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
-        self.operator.borrow_mut().observe(self.first + k, x, y)
+    fn state_dim(&self) -> usize {
+        self.operator.borrow().state_dim()
     }
 
-    fn tangent(&mut self, k: usize, x: &[f64], dx: &[f64], dy: &mut [f64]) {
-        self.operator.borrow_mut().tangent(self.first + k, x, dx, dy);
+    fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
+        self.operator.borrow_mut().observe(self.moved(at), x, y)
     }
 
-    fn adjoint_add(&mut self, k: usize, x: &[f64], dy: &[f64], dx: &mut [f64]) {
-        self.operator.borrow_mut().adjoint_add(self.first + k, x, dy, dx);
+    fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+        self.operator.borrow_mut().tangent(self.moved(at), x, dx, dy);
+    }
+
+    fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+        self.operator.borrow_mut().adjoint_add(self.moved(at), x, dy, dx);
     }
 }

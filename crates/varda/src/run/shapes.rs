@@ -1,7 +1,9 @@
-//! Runs of a rod in space: its vertices step by step, what was seen of it, and one marker followed through all runs.
+//! Runs of a rod in space: its vertices step by step, what was seen of it, and one marker followed through
+//! all runs.
 
 use crate::Error;
 use crate::outcome::{Shapes, Track, Trajectories};
+use crate::scene::TimeGrid;
 use crate::setup::Problem;
 use crate::setup::observations::{Observed, ObservedSpace};
 
@@ -34,30 +36,38 @@ pub(crate) fn vertices(problem: &Problem, runs: &Trajectories) -> Result<Option<
 pub(crate) fn with_observations(problem: &Problem, runs: &Trajectories) -> Result<Option<Shapes>, Error> {
     let Some(shapes) = vertices(problem, runs)? else { return Ok(None) };
     let observed = &problem.observed;
-    let track = observed.space.as_ref().map(|space| track(observed, space, runs)).transpose()?;
+    let track = observed
+        .space
+        .as_ref()
+        .map(|space| track(observed, space, &problem.experiment.grid, runs))
+        .transpose()?;
     Ok(Some(Shapes { seen: observed.sights(), track: track.flatten(), ..shapes }))
 }
 
-/// The track of the first marker that was kept back, which says most; else of the last site, which is the free end in
-/// most scenes.
-fn track(observed: &Observed, space: &ObservedSpace, runs: &Trajectories) -> Result<Option<Track>, Error> {
+/// The track of the first marker that was kept back, which says most; else of the last site, which is the
+/// free end in most scenes.
+fn track(
+    observed: &Observed,
+    space: &ObservedSpace,
+    grid: &TimeGrid,
+    runs: &Trajectories,
+) -> Result<Option<Track>, Error> {
     let sites = &observed.sites;
     let Some(last) = sites.len().checked_sub(1) else { return Ok(None) };
     let site = sites.iter().position(|s| s.withheld).unwrap_or(last);
     let rows = sites[site].rows.clone();
     let mut operator = (space.make_places)()?;
     let mut places = vec![0.0; operator.dim()];
-    let mut of =
-        |states: &[f64]| -> Result<Vec<[f64; 3]>, Error> {
-            let mut line = Vec::new();
-            for (step, x) in states.chunks_exact(runs.dim).enumerate() {
-                operator
-                    .observe(step, x, &mut places)
-                    .map_err(|reason| varda_assimilation::Error::Observe { operator: 0, step, reason })?;
-                line.push([places[rows.start], places[rows.start + 1], places[rows.start + 2]]);
-            }
-            Ok(line)
-        };
+    let mut of = |states: &[f64]| -> Result<Vec<[f64; 3]>, Error> {
+        let mut line = Vec::new();
+        for (step, x) in states.chunks_exact(runs.dim).enumerate() {
+            operator
+                .observe(grid.at(step), x, &mut places)
+                .map_err(|reason| varda_assimilation::Error::Observe { operator: 0, step, reason })?;
+            line.push([places[rows.start], places[rows.start + 1], places[rows.start + 2]]);
+        }
+        Ok(line)
+    };
     Ok(Some(Track {
         label: sites[site].label.clone(),
         site,

@@ -2,6 +2,8 @@
 
 use std::f64::consts::TAU;
 
+use varda_implicit::At;
+
 use super::invalid::{Either, Invalid, invalid, one_of};
 use super::{Model, Scene};
 
@@ -32,7 +34,8 @@ impl TimeGrid {
                 let Some(omega) = omega else {
                     return invalid(
                         "time.steps_per_period",
-                        "a period is that of the drive [model.start.motion] kind = \"ellipse\", which is not there",
+                        "a period is that of the drive [model.start.motion] kind = \"ellipse\", which is not \
+                         there",
                     );
                 };
                 TAU / (omega * n as f64)
@@ -54,6 +57,16 @@ impl TimeGrid {
     /// Times of all steps of the window and its forecast \[s\].
     pub fn times(&self) -> Vec<f64> {
         (0..=self.last_step()).map(|k| self.time(k)).collect()
+    }
+
+    /// Step k with its time, as observation operators want it.
+    pub fn at(&self, k: usize) -> At {
+        At { step: k, time: self.time(k) }
+    }
+
+    /// Times of the steps of the window, 0 … `steps` \[s\].
+    pub fn times_of_window(&self) -> Vec<f64> {
+        (0..=self.steps).map(|k| self.time(k)).collect()
     }
 
     /// The last step of the forecast; of the window, where there is none.

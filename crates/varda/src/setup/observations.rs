@@ -1,8 +1,8 @@
 //! What is observed, whatever its kind.
 //!
 //! A kind of observations is one variant of [`Observations`](crate::scene::Observations) and one file of this
-//! folder, which makes an [`Observed`] of it. Later stages know nothing else of it: sites are groups of rows of the
-//! observation operator, and values are read, or drawn around the truth of a twin experiment.
+//! folder, which makes an [`Observed`] of it. Later stages know nothing else of it: sites are groups of rows
+//! of the observation operator, and values are read, or drawn around the truth of a twin experiment.
 
 use std::ops::Range;
 
@@ -103,9 +103,15 @@ impl Observed {
         [used().map(values).sum(), times.len()]
     }
 
-    /// Draws the values of a twin experiment: H of the truth at the observed steps, in the order of time, plus
-    /// independent errors. Nothing for observations that were read.
-    pub(crate) fn draw(&mut self, model: &mut dyn Model, truth: &[f64], seed: u64) -> Result<(), Error> {
+    /// Draws the values of a twin experiment: H of the truth at the observed steps, in the order of time,
+    /// plus independent errors. Nothing for observations that were read.
+    pub(crate) fn draw(
+        &mut self,
+        model: &mut dyn Model,
+        grid: &TimeGrid,
+        truth: &[f64],
+        seed: u64,
+    ) -> Result<(), Error> {
         let Some(Draws { steps, sigma }) = self.draws.take() else { return Ok(()) };
         let last = steps.iter().copied().max().unwrap_or(0);
         let states = run_states(model, truth, last)?;
@@ -115,7 +121,7 @@ impl Observed {
         let n = model.dim();
         for step in steps {
             operator
-                .observe(step, &states[step * n..(step + 1) * n], &mut y)
+                .observe(grid.at(step), &states[step * n..(step + 1) * n], &mut y)
                 .map_err(|reason| varda_assimilation::Error::Observe { operator: 0, step, reason })?;
             for (site, place) in self.sites.iter().enumerate() {
                 let values = y[place.rows.clone()].iter().map(|y| Some(y + normal(&mut rng, sigma)));
@@ -135,15 +141,8 @@ impl Observed {
             let site = &self.sites[s.site];
             let present: Vec<(usize, f64)> =
                 site.rows.clone().zip(&s.values).filter_map(|(row, v)| v.map(|v| (row, v))).collect();
-            Observation {
-                operator: 0,
-                step: s.step,
-                weight: s.weight,
-                sigma: vec![s.sigma; present.len()],
-                rows: present.iter().map(|p| p.0).collect(),
-                values: present.iter().map(|p| p.1).collect(),
-                label: site.label.clone(),
-            }
+            let (rows, values) = present.into_iter().unzip();
+            Observation::new(s.step, rows, values, s.sigma).between(s.weight).label(site.label.clone())
         };
         let used = self.seen.iter().filter(|s| self.is_assimilated(s, grid));
         used.map(observation).filter(|o| !o.rows.is_empty()).collect()
@@ -154,7 +153,11 @@ impl Observed {
     /// # Errors
     /// [`Error::Assimilation`].
     pub fn set(&self, grid: &TimeGrid) -> Result<ObservationSet, Error> {
-        Ok(ObservationSet::new(grid.steps, vec![(self.make_operator)()?], self.assimilated(grid))?)
+        Ok(ObservationSet::on_times(
+            grid.times_of_window(),
+            vec![(self.make_operator)()?],
+            self.assimilated(grid),
+        )?)
     }
 
     /// H, all sites stacked.

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::rc::Rc;
 
 use varda_assimilation::ObservationOperator;
-use varda_implicit::Refusal;
+use varda_implicit::{At, ImplicitStep, Refusal};
 use varda_rod::{Marker, Markers, RodStep};
 
 use super::csv::{self, Row, Subject};
@@ -39,7 +39,7 @@ pub(crate) fn synthetic(
     let steps = files.scene.checked(keys.observed_steps(grid.steps))?;
     let sigma = files.scene.checked(keys.sigma())?.of(rod.length());
     let draws = Draws { steps, sigma };
-    Ok(observed(rod, sites, Frame::default().rotation_rows(), grid, Vec::new(), Some(draws), Vec::new()))
+    Ok(observed(rod, sites, Frame::default().rotation_rows(), Vec::new(), Some(draws), Vec::new()))
 }
 
 /// What a recording saw, in the model's time.
@@ -138,14 +138,13 @@ pub(crate) fn recorded(
             left_out.push(format!("{count} {what}"));
         }
     }
-    Ok(observed(rod, sites, rotation, grid, seen, None, left_out))
+    Ok(observed(rod, sites, rotation, seen, None, left_out))
 }
 
 fn observed(
     rod: &RodSystem,
     sites: Vec<Placed>,
     rotation: [[f64; 3]; 3],
-    grid: TimeGrid,
     seen: Vec<Seen>,
     draws: Option<Draws>,
     left_out: Vec<String>,
@@ -153,7 +152,7 @@ fn observed(
     let markers: Rc<[Marker]> = sites.iter().map(|s| s.marker).collect();
     let operator = |rotation| -> MakeOperator {
         let (markers, parts) = (Rc::clone(&markers), rod.parts.clone());
-        Box::new(move || Ok(Box::new(RodObservation::new(&parts.dynamics()?, &markers, rotation, grid)?)))
+        Box::new(move || Ok(Box::new(RodObservation::new(&parts.dynamics()?, &markers, rotation)?)))
     };
     let site = |(i, site): (usize, Placed)| Site {
         label: site.label,
@@ -198,12 +197,12 @@ impl Frame {
 
 /// H_k(x): the coordinates of all sites at step k, in the recording's axes, three rows a site: y = Rᵀ p.
 ///
-/// On the centreline p is linear in arc length between two vertices (a prescribed vertex enters as a known function of
-/// the step's time); off it p is carried by the section.
+/// On the centreline p is linear in arc length between two vertices (a prescribed vertex enters as a known
+/// function of the step's time); off it p is carried by the section.
 pub struct RodObservation {
     markers: Markers,
     rotation: [[f64; 3]; 3],
-    grid: TimeGrid,
+    state_dim: usize,
     places: Vec<f64>,
 }
 
@@ -212,14 +211,9 @@ impl RodObservation {
     ///
     /// # Errors
     /// A marker off the rod.
-    pub fn new(
-        rod: &RodStep,
-        markers: &[Marker],
-        rotation: [[f64; 3]; 3],
-        grid: TimeGrid,
-    ) -> Result<Self, varda_rod::Error> {
+    pub fn new(rod: &RodStep, markers: &[Marker], rotation: [[f64; 3]; 3]) -> Result<Self, varda_rod::Error> {
         let places = vec![0.0; 3 * markers.len()];
-        Ok(RodObservation { markers: Markers::new(rod, markers)?, rotation, grid, places })
+        Ok(RodObservation { markers: Markers::new(rod, markers)?, rotation, state_dim: rod.dim(), places })
     }
 
     /// y = Rᵀ p, site by site.
@@ -238,26 +232,30 @@ impl ObservationOperator for RodObservation {
         3 * self.markers.len()
     }
 
-    fn observe(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
-        self.markers.places(self.grid.time(k), x, &mut self.places)?;
+    fn state_dim(&self) -> usize {
+        self.state_dim
+    }
+
+    fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
+        self.markers.places(at.time, x, &mut self.places)?;
         self.turn(y);
         Ok(())
     }
 
-    fn tangent(&mut self, k: usize, x: &[f64], dx: &[f64], dy: &mut [f64]) {
-        let seen = self.markers.tangent(self.grid.time(k), x, dx, &mut self.places);
+    fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+        let seen = self.markers.tangent(at.time, x, dx, &mut self.places);
         seen.expect("this state was observed before");
         self.turn(dy);
     }
 
-    fn adjoint_add(&mut self, k: usize, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+    fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
         let r = &self.rotation;
         for (y, p) in dy.chunks_exact(3).zip(self.places.chunks_exact_mut(3)) {
             for i in 0..3 {
                 p[i] = r[i][0] * y[0] + r[i][1] * y[1] + r[i][2] * y[2];
             }
         }
-        let seen = self.markers.adjoint_add(self.grid.time(k), x, &self.places, dx);
+        let seen = self.markers.adjoint_add(at.time, x, &self.places, dx);
         seen.expect("this state was observed before");
     }
 }

@@ -129,14 +129,9 @@ impl Twin {
 
     /// The observations up to and including step `last`.
     fn observations(&self, last: usize) -> Result<ObservationSet, Box<dyn Error>> {
-        let observation = |(&step, values): (&usize, &Vec<f64>)| Observation {
-            operator: 0,
-            rows: (0..values.len()).collect(),
-            step,
-            weight: 0.0,
-            values: values.clone(),
-            sigma: vec![self.R_diag.sqrt(); values.len()],
-            label: String::new(),
+        let observation = |(&step, values): (&usize, &Vec<f64>)| {
+            let rows = (0..values.len()).collect();
+            Observation::new(step, rows, values.clone(), self.R_diag.sqrt())
         };
         let operator = Selection::new(self.H_rows.clone(), self.n)?;
         let all = self.obs.range(..=last).map(observation).collect();

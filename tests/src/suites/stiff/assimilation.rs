@@ -408,7 +408,7 @@ fn failing(case: &mut Case, failure: Failure) -> Outcome {
     let set = || {
         ObservationSet::new(
             3,
-            vec![Box::new(problems::small_problems::Products)],
+            vec![Box::new(problems::small_problems::Products { state_dim: 2 })],
             vec![observation(&[0], 2, 0.0, &[1.0], 0.01)],
         )
     };

@@ -1,0 +1,72 @@
+//! What an observation of a state is: values predicted from it, with a tangent and a transpose.
+
+use crate::Refusal;
+
+/// A step of a window and its time: where a state belongs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct At {
+    /// Index k of the step; 0 is the initial state.
+    pub step: usize,
+    /// Time t_k of the step, in the unit of the grid of time (s, as a rule; steps, where no grid was given).
+    pub time: f64,
+}
+
+/// An observation operator y = H(t_k, x_k) with its tangent H' and its transpose.
+///
+/// Step and time are arguments because the prediction may depend on them (a frame carried by a driven clamp).
+/// All three maps are functions of (k, t_k, x) alone. An observation between two steps is a weighted mean of the
+/// predictions at both: an operator is called at steps only.
+///
+/// ```
+/// use varda_implicit::{At, ObservationOperator, Refusal};
+///
+/// /// y = x₀ / x₁.
+/// struct Ratio;
+///
+/// impl ObservationOperator for Ratio {
+///     fn dim(&self) -> usize {
+///         1
+///     }
+///     fn state_dim(&self) -> usize {
+///         2
+///     }
+///     fn observe(&mut self, _: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
+///         if x[1] == 0.0 {
+///             return Err("x₁ is zero".into());
+///         }
+///         y[0] = x[0] / x[1];
+///         Ok(())
+///     }
+///     fn tangent(&mut self, _: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+///         dy[0] = (dx[0] - x[0] / x[1] * dx[1]) / x[1];
+///     }
+///     fn adjoint_add(&mut self, _: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+///         dx[0] += dy[0] / x[1];
+///         dx[1] -= x[0] / x[1] * dy[0] / x[1];
+///     }
+/// }
+///
+/// let mut y = [0.0];
+/// Ratio.observe(At { step: 0, time: 0.0 }, &[3.0, 2.0], &mut y)?;
+/// assert_eq!(y, [1.5]);
+/// # Ok::<(), Refusal>(())
+/// ```
+pub trait ObservationOperator {
+    /// Number of rows: the length of y.
+    fn dim(&self) -> usize;
+
+    /// Length of the state x. A cost refuses an operator whose state has another length than the model's.
+    fn state_dim(&self) -> usize;
+
+    /// y = H(t_k, x).
+    ///
+    /// # Errors
+    /// If the state cannot be observed; the operator's own typed error.
+    fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal>;
+
+    /// dy = H'(t_k, x) dx. Called only at states that `observe` accepted.
+    fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]);
+
+    /// dx += H'(t_k, x)ᵀ dy. Called only at states that `observe` accepted.
+    fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]);
+}
