@@ -32,7 +32,7 @@ pub struct Marker {
 /// # Examples
 ///
 /// ```
-/// use varda_implicit::{At, ObservationOperator};
+/// use varda_implicit::{At, ObservationOperator, Refusal};
 /// use varda_rod::{Clamp, Damping, Loads, Marker, Markers, Material, Rod, RodStep, Section, Supports, Vector3};
 ///
 /// let rod = Rod::uniform(1.0, 10, &Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.01))?;
@@ -44,7 +44,7 @@ pub struct Marker {
 /// let mut y = [0.0; 3];
 /// markers.observe(At { step: 0, time: 0.0 }, &straight, &mut y)?;
 /// assert!((Vector3::from(y) - Vector3::new(0.05, 0.0, 0.02)).norm() < 1e-15);
-/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// # Ok::<(), Refusal>(())
 /// ```
 pub struct Markers {
     system: System,

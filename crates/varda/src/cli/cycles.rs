@@ -85,7 +85,7 @@ pub(super) fn run(
     Ok(match outcome.status {
         Status::Interrupted => {
             if !quiet {
-                println!("{:<14} add --resume to the same command", "to go on");
+                println!("{:<14} add --resume to the same command", "to continue");
             }
             ExitCode::from(INTERRUPTED)
         }

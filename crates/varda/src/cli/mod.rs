@@ -1,4 +1,4 @@
-//! The command line: commands, progress, the table, exit codes. The one place that prints.
+//! The command line: commands, progress, tables, exit codes. Only this module prints.
 
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
@@ -51,7 +51,7 @@ enum Command {
         /// Print nothing but errors
         #[arg(long)]
         quiet: bool,
-        /// Go on with an unfinished run of many windows ([algorithm.cycles]) after its last finished one
+        /// Continue an unfinished run of many windows ([algorithm.cycles]) after its last finished window
         #[arg(long)]
         resume: bool,
     },
@@ -74,7 +74,7 @@ enum Command {
         #[arg(long, value_name = "DIR")]
         out: Option<PathBuf>,
     },
-    /// Validate a scene; print sizes, memory and what will be left out; run nothing
+    /// Check a scene; print sizes, memory and what will be left out; run nothing
     Check {
         #[command(flatten)]
         scene: SceneArguments,
@@ -136,11 +136,12 @@ pub fn main() -> ExitCode {
     })
 }
 
-/// Becomes true at Ctrl-C, SIGTERM or SIGHUP; the run then ends with what it has. A second one ends the program at once.
+/// Becomes true at Ctrl-C, SIGTERM or SIGHUP; the run then ends with the result so far. A second signal ends
+/// the program at once.
 fn stop_on_signals() -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
-    // Without a handler a signal still ends the program, only less politely.
+    // Without a handler a signal still ends the program, but without a result.
     let _ = ctrlc::set_handler(move || {
         if flag.swap(true, Ordering::SeqCst) {
             std::process::exit(INTERRUPTED.into());
@@ -213,7 +214,7 @@ fn refuse_occupied(folder: &Path, quiet: bool) -> Result<(), Error> {
         eprintln!("removed what killed runs had left: {}", names.join(", "));
     }
     if !quiet && found.put_back {
-        eprintln!("{} is again the result that a killed run was about to replace", folder.display());
+        eprintln!("{} is restored: a killed run was about to replace it", folder.display());
     }
     Ok(())
 }

@@ -1,8 +1,10 @@
 //! The output folder: whole or absent.
 //!
-//! A result `r` is made beside its place, in `.r.varda-<run>/`, and renamed; an earlier result is meanwhile `.r.varda-<run>-earlier-<n>/`, and `…-earlier-<n>-replaced/` while it is being deleted. The run
-//! holds a lock on `.r.varda-<run>.lock` until nothing of it is left. A lock that nobody holds is that of a run that was killed: the next run into
-//! `r` removes what it left, and puts back the earlier result it had no time to replace.
+//! A result `r` is made next to its place, in `.r.varda-<run>/`, and renamed; an earlier result is meanwhile
+//! `.r.varda-<run>-earlier-<n>/`, and `…-earlier-<n>-replaced/` while it is being deleted. The run holds a
+//! lock on `.r.varda-<run>.lock` until nothing of it is left. A lock that nobody holds is that of a run that
+//! was killed: the next run into `r` removes what it left, and puts back the earlier result it had no time to
+//! replace.
 
 use std::fs::{File, OpenOptions};
 use std::io::ErrorKind;
@@ -42,7 +44,8 @@ struct Lock {
 const ATTEMPTS: usize = 100;
 
 impl Output {
-    /// Starts a folder that will become `target`. Clears away first what killed runs into it have left: see [`found`](Self::found).
+    /// Starts a folder that will become `target`. Clears away first what killed runs into it have left: see
+    /// [`found`](Self::found).
     ///
     /// # Errors
     /// [`Error::Occupied`] where `target` exists and is not an earlier result of Varda; [`Error::Write`].
@@ -84,7 +87,8 @@ impl Output {
     pub fn publish(mut self) -> Result<PathBuf, Error> {
         let failed = |reason| Error::Write { path: self.target.clone(), reason };
         let mut earlier = Vec::new();
-        // Another run may put its folder there between any two of these steps: then this one takes that one's place in turn.
+        // Another run may put its folder there between any two of these steps: then this one takes that one's
+        // place in turn.
         let last = loop {
             replaceable(&self.target)?;
             if self.target.exists() {
@@ -136,9 +140,9 @@ impl Lock {
                 Err(e) if e.kind() == ErrorKind::AlreadyExists => continue,
                 made => made.map_err(|reason| Error::Write { path: path.clone(), reason })?,
             };
-            // On a file system without locks what a killed run leaves stays.
+            // Without locks in the file system the folders of killed runs are not removed.
             let locked = file.lock().is_ok();
-            // Another run may have taken it for one left behind before it was locked.
+            // Another run may have removed it before it was locked.
             if !locked || path.exists() {
                 return Ok((temporary, Lock { path, _file: file }));
             }
@@ -148,7 +152,7 @@ impl Lock {
 
 impl Drop for Lock {
     fn drop(&mut self) {
-        // One that stays is found unlocked by the next run.
+        // If it cannot be removed, the next run finds it unlocked.
         let _ = std::fs::remove_file(&self.path);
     }
 }
@@ -157,7 +161,7 @@ const LOCK: &str = ".lock";
 const EARLIER: &str = "-earlier-";
 const REPLACED: &str = "-replaced";
 
-/// What the hidden names of a target begin with.
+/// The beginning of the hidden names of a target.
 fn prefix(target: &Path) -> String {
     format!(".{}.varda-", target.file_name().map_or("varda".into(), |n| n.to_string_lossy()))
 }
@@ -168,7 +172,7 @@ fn beside(temporary: &Path, ending: &str) -> PathBuf {
     temporary.with_file_name(name)
 }
 
-/// Deletes an earlier result. Under another name first: what is half deleted is nothing to put back.
+/// Deletes an earlier result, under another name first: a half-deleted result must not be put back.
 fn discard(aside: &Path) -> Result<(), Error> {
     let replaced = beside(aside, REPLACED);
     std::fs::rename(aside, &replaced)
@@ -176,7 +180,7 @@ fn discard(aside: &Path) -> Result<(), Error> {
         .map_err(|reason| Error::Write { path: aside.to_path_buf(), reason })
 }
 
-/// Removes what runs have left whose lock nobody holds; puts an earlier result back where there is none.
+/// Removes the folders of runs whose lock is free; puts an earlier result back if there is none.
 fn clear(parent: &Path, prefix: &str, target: &Path) -> Result<Found, Error> {
     let mut found = Found::default();
     let names = || -> Vec<String> {
@@ -221,7 +225,7 @@ fn clear(parent: &Path, prefix: &str, target: &Path) -> Result<Found, Error> {
                 found.removed.push(folder);
             }
         }
-        // The last, so that what could not be removed is found again.
+        // Last, so that a folder that could not be removed is found again.
         let _ = std::fs::remove_file(&path);
     }
     Ok(found)

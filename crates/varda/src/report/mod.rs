@@ -69,8 +69,9 @@ pub fn write_comparison(
     out.publish()
 }
 
-/// Writes a forward run to `folder`, whole or not at all: summary.json and trajectory.csv with this run alone. For a twin
-/// experiment with a rod also background.csv and observations.csv, in the form that a scene reads.
+/// Writes a forward run to `folder`, whole or not at all: summary.json and trajectory.csv with this run
+/// alone. For a twin experiment with a rod also background.csv and observations.csv, in the form that a scene
+/// reads.
 ///
 /// # Errors
 /// As [`write()`].

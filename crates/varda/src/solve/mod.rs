@@ -19,10 +19,12 @@ use crate::setup::ensemble::anchors;
 pub(crate) use task::{Iterate, OnIterate, Solution, Task};
 use task::{Stage, StageEnd};
 
-/// Checks the observations against the background where that is asked for, and minimises: the window at once or growing.
+/// Checks the observations against the background if the scene asks for that, and minimises: the whole window
+/// at once, or growing sub-windows.
 ///
 /// # Errors
-/// A cost that cannot be evaluated at the background, or cannot be made. How a minimization ended is a [`Status`].
+/// A cost that cannot be built, or cannot be evaluated at the background. How a minimization ended is part of
+/// the solution.
 pub(crate) fn solve(
     task: &mut Task,
     mut observations: ObservationSet,
@@ -63,7 +65,7 @@ pub(crate) fn solve(
     stages.pop();
     let (Some(last), Some((control, sigma_background, spread, no_spread, storage))) = (minima.pop(), ended)
     else {
-        unreachable!("there is one window at least");
+        return Err(Error::Setting { what: "a window of no sub-windows", value: 0.0 }.into());
     };
     let minimum = Minimum { outer_iterations: done[0], inner_iterations: done[1], ..last };
     let solved = Solution {
@@ -90,7 +92,7 @@ impl Task<'_> {
         }
     }
 
-    /// The observed values that are too far from the background, by the covariances the method believes in.
+    /// The observed values that are too far from the background, judged by the covariances of the method.
     fn background_check(
         &mut self,
         observations: &mut ObservationSet,

@@ -23,7 +23,7 @@ impl Task<'_> {
         let Stage { observations, v, states, posterior, before, on_iterate, .. } = stage;
         let (window, last) = (observations.steps(), observations.last_step().unwrap_or(0));
         let mut cost = WeakForcing::new(&mut *self.model, transform.clone(), q, forcing, observations)?;
-        // What is added to the window begins without forcing.
+        // The added part of the window starts without forcing.
         v.resize(cost.dim(), 0.0);
         let head = transform.dim();
         let mut control = background.to_vec();
@@ -54,7 +54,8 @@ impl Task<'_> {
         })
     }
 
-    /// Started from the run of the background; where the window has grown, from the analysed states and the model's run from the last.
+    /// Starts from the run of the background; after the window has grown, from the analysed states and the
+    /// model's run from the last of them.
     pub(super) fn weak_state(&mut self, stage: Stage) -> Result<StageEnd, Error> {
         let (algorithm, background, covariance) = (self.algorithm, self.background, self.covariance);
         let forcing = self.forcing();
