@@ -1,19 +1,17 @@
 //! Time steps of the rod for the generic layer.
 
 use nalgebra::Vector3;
-use varda_implicit::{
-    Equations, ImplicitModel, ImplicitStep, Interval, Model, Refusal, Scheme, StepEquations, Structure,
-    Substepped,
-};
+use varda_implicit::{Interval, Refusal, Scheme};
 
 use crate::Error;
 use crate::damping::KelvinVoigt;
-use crate::equilibrium::{Rest, TwistEquilibrium};
+use crate::equilibrium::Rest;
 use crate::predict::Carry;
 use crate::rod::Rod;
-use crate::stage::{RodStage, mixed, mixed_add};
+use crate::stage::{RodStage, mixed};
 use crate::support::{Damping, Loads, Supports};
-use crate::system::System;
+use crate::system::{StageStart, System};
+use crate::twist_equilibrium::TwistEquilibrium;
 
 /// A step of a rod with massless twist (paper, section 3), by backward Euler or one of the second-order schemes.
 ///
@@ -39,19 +37,22 @@ use crate::system::System;
 /// First guess of a step: X_k carried along rigidly with the supports, θ_k.
 pub struct RodStep {
     pub(crate) system: System,
-    scheme: Scheme,
-    damping: Damping,
-    viscous: Option<KelvinVoigt>,
-    twist: Option<TwistEquilibrium>,
-    carry: Carry,
+    pub(crate) scheme: Scheme,
+    pub(crate) damping: Damping,
+    pub(crate) viscous: Option<KelvinVoigt>,
+    pub(crate) twist: Option<TwistEquilibrium>,
+    pub(crate) carry: Carry,
     /// X* and X* + η V* of the free vertices in the step being worked on.
-    start: Vec<Vector3<f64>>,
-    target: Vec<Vector3<f64>>,
-    end_angle: f64,
-    tolerance: f64,
-    state: Vec<f64>,
-    displacement: Vec<Vector3<f64>>,
-    psi: Vec<f64>,
+    pub(crate) start: Vec<Vector3<f64>>,
+    pub(crate) target: Vec<Vector3<f64>>,
+    /// X* of all vertices, where a load depends on the motion, and δX* by unknowns.
+    start_of_all: Vec<Vector3<f64>>,
+    pub(crate) star: Vec<f64>,
+    pub(crate) end_angle: f64,
+    pub(crate) tolerance: f64,
+    pub(crate) state: Vec<f64>,
+    pub(crate) displacement: Vec<Vector3<f64>>,
+    pub(crate) psi: Vec<f64>,
 }
 
 impl RodStep {
@@ -84,6 +85,8 @@ impl RodStep {
             tolerance: 1e-11 * system.rod.length(),
             start: vec![Vector3::zeros(); free],
             target: vec![Vector3::zeros(); free],
+            start_of_all: vec![Vector3::zeros(); n + 1],
+            star: vec![0.0; system.layout.unknowns],
             end_angle: 0.0,
             state: vec![0.0; system.layout.state()],
             displacement: vec![Vector3::zeros(); n + 1],
@@ -101,22 +104,6 @@ impl RodStep {
         let count = past.iter().find(|p| p.0 == scheme).map_or(0, |p| p.1);
         self.viscous = self.viscous.map(|_| KelvinVoigt::new(&self.system, count));
         self
-    }
-
-    /// The model whose step k starts at (first_index + k) · length seconds, compiled in this crate.
-    ///
-    /// # Panics
-    /// As [`ImplicitModel::new`].
-    pub fn model(self, first_index: usize, length: f64) -> Box<dyn Model + Send> {
-        Box::new(ImplicitModel::new(self, first_index, length))
-    }
-
-    /// The model whose step k is all steps between `times` (s) from the k-th to the next time of `through`, compiled in this crate.
-    ///
-    /// # Panics
-    /// As [`ImplicitModel::on_times`] and [`Substepped::through`].
-    pub fn model_on_times(self, times: &[f64], through: &[f64]) -> Box<dyn Model + Send> {
-        Box::new(Substepped::through(ImplicitModel::on_times(self, times.to_vec()), times, through))
     }
 
     /// The scheme.
@@ -204,12 +191,12 @@ impl RodStep {
         self.system.layout.half_bandwidth
     }
 
-    fn stage(&self, at: &Interval) -> RodStage {
-        RodStage::new(self.scheme, at, self.viscous.is_some(), self.history() > 0)
+    pub(crate) fn stage(&self, at: &Interval) -> RodStage {
+        RodStage::new(self.scheme, at, self.viscous.is_some(), self.repeated() > 0)
     }
 
     /// Sets everything that depends on the interval and x_k but not on u.
-    fn prepare(&mut self, at: &Interval, x: &[f64]) -> Result<(), Refusal> {
+    pub(crate) fn prepare(&mut self, at: &Interval, x: &[f64]) -> Result<(), Refusal> {
         let stage = self.stage(at);
         let (h, from) = (stage.of.length, stage.of.from);
         let s = &mut self.system;
@@ -239,6 +226,17 @@ impl RodStep {
             }
             viscous.fold_in(s, self.damping.stiffness / h);
         }
+        if !s.loads.of_motion.is_empty() {
+            self.start_of_all.fill(Vector3::zeros());
+            let times = [at.start, at.start - at.previous.unwrap_or(0.0)];
+            for (share, time) in from.into_iter().zip(times).filter(|(share, _)| *share != 0.0) {
+                s.place(time)?;
+                self.start_of_all.iter_mut().zip(&s.x).for_each(|(start, x)| *start += x * share);
+            }
+            for (f, &v) in s.layout.free_vertices.iter().enumerate() {
+                self.start_of_all[v] = Vector3::from_fn(|c, _| mixed(from, x, own, 3 * f + c));
+            }
+        }
         s.place(stage.of.time)?;
         for f in 0..nf {
             let star = |i: usize| Vector3::from_fn(|c, _| mixed(from, x, own, 3 * i + c));
@@ -248,9 +246,52 @@ impl RodStep {
         Ok(())
     }
 
+    /// Where the stage of length η starts, for the velocities that loads see.
+    pub(crate) fn stage_start(&self, length: f64) -> StageStart<'_> {
+        StageStart { places: &self.start_of_all, length }
+    }
+
+    /// `star` = δX* by unknowns, from an increment of the state.
+    pub(crate) fn star(&mut self, from: [f64; 2], dx: &[f64]) {
+        let layout = &self.system.layout;
+        self.star.fill(0.0);
+        for (f, &v) in layout.free_vertices.iter().enumerate() {
+            let i = layout.unknown[layout.vertex(v)];
+            for c in 0..3 {
+                self.star[i + c] = mixed(from, dx, layout.state(), 3 * f + c);
+            }
+        }
+    }
+
     /// What M is multiplied by in the stage's equations: 1/η² and α/η.
-    fn inertia(&self, h: f64) -> [f64; 2] {
+    pub(crate) fn inertia(&self, h: f64) -> [f64; 2] {
         [1.0 / (h * h), self.damping.mass / h]
+    }
+
+    /// How many components at the end of the state repeat the first ones of the state before.
+    pub(crate) fn repeated(&self) -> usize {
+        let layout = &self.system.layout;
+        match self.scheme {
+            Scheme::BackwardEuler => 0,
+            Scheme::Midpoint if self.viscous.is_none() && layout.free_angles.is_empty() => 0,
+            Scheme::Midpoint | Scheme::Bdf2 => layout.state(),
+        }
+    }
+
+    /// Edges and turns at u. The point was assembled before, so its geometry is sound.
+    ///
+    /// Places the supports first: products of other steps may have been asked for in between.
+    pub(crate) fn set_edges_of(&mut self, at: &Interval, u: &[f64]) {
+        self.system.place(self.scheme.stage(at).time).expect("the step was accepted before");
+        self.system.scatter(u);
+        self.system.update_shape(true, self.end_angle).expect("u was assembled before");
+    }
+
+    /// The present step's strains and shapes at x and u, for the products with ∂G/∂x_k.
+    pub(crate) fn prepare_and_shape(&mut self, at: &Interval, x: &[f64], u: &[f64]) {
+        self.prepare(at, x).expect("the step was accepted before");
+        self.system.scatter(u);
+        self.system.update_shape(true, self.end_angle).expect("the step was accepted before");
     }
 }
 
@@ -261,347 +302,4 @@ pub enum TwistUnknowns {
     WhereNeeded,
     /// Kept wherever the rod bends.
     Always,
-}
-
-/// The equations of one step of a rod: supports are placed, strains and places before the step are known.
-pub struct RodEquations<'a> {
-    step: &'a mut RodStep,
-    at: Interval,
-    x: &'a [f64],
-}
-
-impl Equations for RodEquations<'_> {
-    fn assemble(
-        &mut self,
-        u: &[f64],
-        g: &mut [f64],
-        mut jacobian: Option<&mut [f64]>,
-    ) -> Result<Option<f64>, Refusal> {
-        let step = &mut *self.step;
-        let h = step.scheme.stage(&self.at).length;
-        let s = &mut step.system;
-        s.scatter(u);
-        let twist = s.layout.twist;
-        s.update_shape(twist, step.end_angle)?;
-        if let Some(values) = jacobian.as_deref_mut() {
-            values.fill(0.0);
-        }
-        let mut potential = s.elastic(jacobian.as_deref_mut());
-        for (full, &unknown) in s.layout.unknown.iter().enumerate() {
-            if let Some(g) = g.get_mut(unknown) {
-                *g = s.gradient[full];
-            }
-        }
-        let width = step.system.layout.half_bandwidth + 1;
-        let inertia = step.inertia(h);
-        for (f, &v) in step.system.layout.free_vertices.iter().enumerate() {
-            let [k, c] = inertia.map(|rate| rate * step.system.rod.masses[v]);
-            let s = &step.system;
-            let (x, force) = (s.x[v], s.forces[v]);
-            let (d, e) = (x - step.target[f], x - step.start[f]);
-            // Forces act through the displacement of the step: F·X itself would drown Φ's decrease in rounding.
-            potential += 0.5 * k * d.dot(&d) + 0.5 * c * e.dot(&e) - force.dot(&e);
-            let i = s.layout.unknown[s.layout.vertex(v)];
-            for a in 0..3 {
-                g[i + a] += k * d[a] + c * e[a] - force[a];
-                if let Some(values) = jacobian.as_deref_mut() {
-                    values[(i + a) * width + width - 1] += k + c;
-                }
-            }
-        }
-        Ok(Some(potential))
-    }
-
-    fn retract(&mut self, u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
-        for ((t, u), d) in trial.iter_mut().zip(u).zip(du) {
-            *t = u + alpha * d;
-        }
-        if self.step.system.layout.twist {
-            self.step.angles_to_stored(&self.at, u, du, alpha, trial);
-        }
-    }
-
-    fn size(&self, du: &[f64]) -> f64 {
-        let layout = &self.step.system.layout;
-        let mut size: f64 = 0.0;
-        let mut grow = |v: f64| size = if v.is_nan() || size.is_nan() { f64::NAN } else { size.max(v.abs()) };
-        for &v in &layout.free_vertices {
-            let i = layout.unknown[layout.vertex(v)];
-            du[i..i + 3].iter().for_each(|d| grow(*d));
-        }
-        for &e in &layout.free_angles {
-            grow(du[layout.unknown[layout.angle(e)]] * self.step.system.rod.rest_lengths[e]);
-        }
-        size
-    }
-
-    fn converged_below(&self) -> f64 {
-        self.step.tolerance
-    }
-
-    fn trusted_below(&self) -> f64 {
-        let shortest = self.step.system.rod.rest_lengths.iter().fold(f64::INFINITY, |m: f64, l| m.min(*l));
-        (1e-6 * shortest).max(10.0 * self.step.tolerance)
-    }
-}
-
-impl StepEquations for RodEquations<'_> {
-    fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal> {
-        let step = &mut *self.step;
-        let to = step.scheme.stage(&self.at).time;
-        step.carry.guess(&mut step.system, self.at.start, to, self.x)?;
-        step.system.gather(u);
-        Ok(())
-    }
-
-    fn accepted(&mut self, u: &[f64]) -> Result<Option<String>, Refusal> {
-        let step = &mut *self.step;
-        if step.system.layout.free_angles.is_empty() {
-            return Ok(None);
-        }
-        step.system.scatter(u);
-        step.system.update_shape(true, step.end_angle)?;
-        let (edge, pivot) = step.system.smallest_twist_pivot();
-        if !(pivot > 1e-9) {
-            return Err(Error::TwistFold { edge, pivot }.into());
-        }
-        Ok((pivot < 1e-2).then(|| {
-            format!(
-                "the twist equilibrium is close to folding at edge {edge} (pivot {pivot:.1e} of its natural size)"
-            )
-        }))
-    }
-}
-
-impl ImplicitStep for RodStep {
-    type Equations<'a> = RodEquations<'a>;
-
-    fn dim(&self) -> usize {
-        self.system.layout.state() + self.history()
-    }
-
-    fn history(&self) -> usize {
-        let layout = &self.system.layout;
-        match self.scheme {
-            Scheme::BackwardEuler => 0,
-            Scheme::Midpoint if self.viscous.is_none() && layout.free_angles.is_empty() => 0,
-            Scheme::Midpoint | Scheme::Bdf2 => layout.state(),
-        }
-    }
-
-    fn unknowns(&self) -> usize {
-        self.system.layout.unknowns
-    }
-
-    fn structure(&self) -> Structure {
-        Structure::SymmetricBand { half_bandwidth: self.system.layout.half_bandwidth }
-    }
-
-    fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<RodEquations<'a>, Refusal> {
-        self.prepare(at, x)?;
-        Ok(RodEquations { step: self, at: *at, x })
-    }
-
-    fn advance(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
-        let RodStage { of, angle, .. } = self.stage(at);
-        let ([b0, b1], layout) = (of.to, &self.system.layout);
-        let (own, nf) = (layout.state(), layout.free_vertices.len());
-        for (f, &v) in layout.free_vertices.iter().enumerate() {
-            let i = layout.unknown[layout.vertex(v)];
-            for c in 0..3 {
-                let (place, speed) = (3 * f + c, 3 * (nf + f) + c);
-                x_next[place] = b0 * u[i + c] + b1 * x[place];
-                let rate = (u[i + c] - mixed(of.from, x, own, place)) / of.length;
-                x_next[speed] = b0 * rate + b1 * x[speed];
-            }
-        }
-        for (f, &e) in layout.free_angles.iter().enumerate() {
-            let past = mixed([angle[1], angle[2]], x, own, 6 * nf + f);
-            x_next[6 * nf + f] = angle[0] * u[layout.unknown[layout.angle(e)]] + past;
-        }
-    }
-
-    fn recover(&mut self, at: &Interval, x: &[f64], x_next: &[f64], u: &mut [f64]) {
-        let RodStage { of, angle, .. } = self.stage(at);
-        let own = x_next.len();
-        let angles = 6 * self.system.layout.free_vertices.len();
-        for (i, y) in self.state.iter_mut().enumerate() {
-            let (share, past) =
-                if i < angles { (of.to[0], [of.to[1], 0.0]) } else { (angle[0], [angle[1], angle[2]]) };
-            *y = (x_next[i] - mixed(past, x, own, i)) / share;
-        }
-        self.system.scatter_state(&self.state);
-        self.system.gather(u);
-    }
-
-    fn previous(&mut self, at: &Interval, x: &[f64], u: &[f64], dx: &[f64], dg: &mut [f64]) {
-        dg.fill(0.0);
-        let of = self.scheme.stage(at);
-        let h = of.length;
-        let (own, nf) = (self.system.layout.state(), self.system.layout.free_vertices.len());
-        let inertia = self.inertia(of.length);
-        for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
-            let [k, c] = inertia.map(|rate| rate * self.system.rod.masses[v]);
-            let i = self.system.layout.unknown[self.system.layout.vertex(v)];
-            for a in 0..3 {
-                let place = mixed(of.from, dx, own, 3 * f + a);
-                let speed = mixed(of.from, dx, own, 3 * (nf + f) + a);
-                dg[i + a] = -k * (place + h * speed) - c * place;
-            }
-        }
-        if self.viscous.is_some() {
-            self.prepare_and_shape(at, x, u);
-            let viscous = self.viscous.as_mut().expect("checked above");
-            viscous.previous_add(&self.system, dx, dg);
-        }
-    }
-
-    fn previous_transpose_add(&mut self, at: &Interval, x: &[f64], u: &[f64], mu: &[f64], dx: &mut [f64]) {
-        let of = self.scheme.stage(at);
-        let (own, nf) = (self.system.layout.state(), self.system.layout.free_vertices.len());
-        let inertia = self.inertia(of.length);
-        for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
-            let [k, c] = inertia.map(|rate| rate * self.system.rod.masses[v]);
-            let i = self.system.layout.unknown[self.system.layout.vertex(v)];
-            let mu = [mu[i], mu[i + 1], mu[i + 2]];
-            mixed_add(of.from, dx, own, 3 * f, mu.map(|mu| -(k + c) * mu));
-            mixed_add(of.from, dx, own, 3 * (nf + f), mu.map(|mu| -k * of.length * mu));
-        }
-        if self.viscous.is_some() {
-            self.prepare_and_shape(at, x, u);
-            let viscous = self.viscous.as_mut().expect("checked above");
-            viscous.previous_transpose_add(&self.system, mu, dx);
-        }
-    }
-
-    fn advance_tangent(
-        &mut self,
-        at: &Interval,
-        _x: &[f64],
-        u: &[f64],
-        dx: &[f64],
-        du: &[f64],
-        dx_next: &mut [f64],
-    ) {
-        // ∂S is linear: du takes the place of u, dx that of x.
-        self.advance(at, dx, du, dx_next);
-        if self.system.layout.free_angles.is_empty() {
-            return;
-        }
-        self.set_edges_of(at, u);
-        self.system.unknown_displacements(du, &mut self.displacement);
-        self.system.shape.holonomy(&self.displacement, &mut self.psi);
-        let (layout, share) = (&self.system.layout, self.stage(at).angle[0]);
-        let angles = &mut dx_next[6 * layout.free_vertices.len()..];
-        for (angle, &e) in angles.iter_mut().zip(&layout.free_angles) {
-            *angle += share * self.psi[e];
-        }
-    }
-
-    fn advance_adjoint(
-        &mut self,
-        at: &Interval,
-        _x: &[f64],
-        u: &[f64],
-        lambda: &[f64],
-        dx: &mut [f64],
-        du: &mut [f64],
-    ) {
-        dx.fill(0.0);
-        let RodStage { of, angle, .. } = self.stage(at);
-        let ([b0, b1], layout) = (of.to, &self.system.layout);
-        let (own, nf) = (layout.state(), layout.free_vertices.len());
-        let rate = b0 / of.length;
-        for (f, &v) in layout.free_vertices.iter().enumerate() {
-            let i = layout.unknown[layout.vertex(v)];
-            let (place, speed) = (3 * f, 3 * (nf + f));
-            let at = |i: usize| [lambda[i], lambda[i + 1], lambda[i + 2]];
-            let (places, speeds) = (at(place), at(speed));
-            let back = speeds.map(|l| rate * l);
-            for c in 0..3 {
-                du[i + c] = b0 * places[c] + back[c];
-            }
-            if b1 != 0.0 {
-                mixed_add([b1, 0.0], dx, own, place, places);
-                mixed_add([b1, 0.0], dx, own, speed, speeds);
-            }
-            mixed_add(of.from, dx, own, place, back.map(|b| -b));
-        }
-        let angles = &lambda[6 * nf..];
-        for (f, &e) in layout.free_angles.iter().enumerate() {
-            du[layout.unknown[layout.angle(e)]] = angle[0] * angles[f];
-            mixed_add([angle[1], angle[2]], dx, own, 6 * nf + f, [angles[f]]);
-        }
-        // θ_{k+1} is read by nobody in most windows: then nothing comes back through the holonomy.
-        if angles.iter().all(|a| *a == 0.0) {
-            return;
-        }
-        self.set_edges_of(at, u);
-        self.psi.fill(0.0);
-        for (f, &e) in self.system.layout.free_angles.iter().enumerate() {
-            self.psi[e] = angle[0] * angles[f];
-        }
-        self.displacement.fill(Vector3::zeros());
-        self.system.shape.holonomy_transpose_add(&self.psi, &mut self.displacement);
-        let layout = &self.system.layout;
-        for &v in &layout.free_vertices {
-            let i = layout.unknown[layout.vertex(v)];
-            for c in 0..3 {
-                du[i + c] += self.displacement[v][c];
-            }
-        }
-    }
-
-    fn control_dim(&self) -> usize {
-        self.control_len()
-    }
-
-    fn initial_state(&mut self, t: f64, z: &[f64], x: &mut [f64]) -> Result<(), Refusal> {
-        let n = self.control_len();
-        x[..n].copy_from_slice(z);
-        if let Some(twist) = &mut self.twist {
-            twist.solve(t, &z[..n / 2], &mut x[n..])?;
-        }
-        Ok(())
-    }
-
-    fn initial_tangent(&mut self, _t: f64, dz: &[f64], dx: &mut [f64]) {
-        let n = self.control_len();
-        dx[..n].copy_from_slice(dz);
-        if let Some(twist) = &mut self.twist {
-            twist.tangent(&dz[..n / 2], &mut dx[n..]);
-        }
-    }
-
-    fn initial_adjoint(&mut self, _t: f64, lambda: &[f64], dz: &mut [f64]) {
-        let n = self.control_len();
-        dz.copy_from_slice(&lambda[..n]);
-        if let Some(twist) = &mut self.twist {
-            twist.adjoint_add(&lambda[n..], &mut dz[..n / 2]);
-        }
-    }
-}
-
-impl RodStep {
-    /// The stored angles of u ⊕ α du: an increment of θ in the local gauge, plus the holonomy of the displacements.
-    fn angles_to_stored(&mut self, at: &Interval, u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
-        self.set_edges_of(at, u);
-        self.system.add_holonomy(du, alpha, &mut self.displacement, &mut self.psi, trial);
-    }
-
-    /// Edges and turns at u. The point was assembled before, so its geometry is sound.
-    ///
-    /// Places the supports first: products of other steps may have been asked for in between.
-    fn set_edges_of(&mut self, at: &Interval, u: &[f64]) {
-        self.system.place(self.scheme.stage(at).time).expect("the step was accepted before");
-        self.system.scatter(u);
-        self.system.update_shape(true, self.end_angle).expect("u was assembled before");
-    }
-
-    /// The present step's strains and shapes at x and u, for the products with ∂G/∂x_k.
-    fn prepare_and_shape(&mut self, at: &Interval, x: &[f64], u: &[f64]) {
-        self.prepare(at, x).expect("the step was accepted before");
-        self.system.scatter(u);
-        self.system.update_shape(true, self.end_angle).expect("the step was accepted before");
-    }
 }

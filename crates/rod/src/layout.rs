@@ -122,6 +122,17 @@ impl Layout {
     }
 }
 
+/// A symmetric matrix of n rows from its lower band into a general one (see `Structure::Band`).
+pub(crate) fn mirror(lower: &[f64], w: usize, values: &mut [f64]) {
+    for (i, row) in lower.chunks_exact(w + 1).enumerate() {
+        for j in i.saturating_sub(w)..=i {
+            let value = row[j + w - i];
+            values[i * (2 * w + 1) + j + w - i] = value;
+            values[j * (2 * w + 1) + i + w - j] = value;
+        }
+    }
+}
+
 /// The lower band of ∂G/∂u, row by row (see `Structure::SymmetricBand`).
 pub(crate) struct Band<'a> {
     pub(crate) layout: &'a Layout,

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::Vector3;
 
+use crate::load::Load;
 use crate::{Error, Rod};
 
 /// A vector that depends on time: the place of a vertex \[m\], a direction, a force \[N\].
@@ -138,6 +139,8 @@ pub struct Loads {
     pub gravity: Vector3<f64>,
     /// Forces \[N\] at arc lengths s \[m\], shared linearly by the two vertices beside s.
     pub point_forces: Vec<(f64, Arc<dyn Motion>)>,
+    /// Loads that depend on places or velocities of the rod.
+    pub of_motion: Vec<Arc<dyn Load>>,
 }
 
 /// Damping of the motion. Both are zero by default.

@@ -1,11 +1,13 @@
 //! One rod with its supports and loads: places the prescribed parts, sums the elements.
 
 use nalgebra::{Matrix3, Vector3};
+use varda_implicit::Structure;
 
 use crate::Error;
 use crate::element::{self, Stiffness};
 use crate::geometry::{any_perpendicular, perpendicular, signed_angle};
-use crate::layout::{Band, Layout};
+use crate::layout::{Band, FIXED, Layout, mirror};
+use crate::load::{EdgeLoad, EdgeMotion};
 use crate::rod::Rod;
 use crate::scalar::{length, unit};
 use crate::shape::{FirstFrame, Shape};
@@ -30,6 +32,17 @@ pub(crate) struct System {
     /// ∂E/∂(x, θ) in the full order.
     pub(crate) gradient: Vec<f64>,
     pub(crate) forces: Vec<Vector3<f64>>,
+    /// Time of the last `place`.
+    time: f64,
+    /// Work space for the lower band, where ∂G/∂u is not symmetric.
+    lower: Vec<f64>,
+}
+
+/// Places of all vertices at the start of a stage, and its length: velocities are (x − places)/length.
+#[derive(Clone, Copy)]
+pub(crate) struct StageStart<'a> {
+    pub(crate) places: &'a [Vector3<f64>],
+    pub(crate) length: f64,
 }
 
 /// Position, tangent and director of a clamp at one time.
@@ -84,6 +97,13 @@ impl System {
         }
         let layout = Layout::needed(&rod, &supports, damping, force_twist)?;
         let n = rod.segments();
+        for load in &loads.of_motion {
+            let end = load.edges(n).end;
+            if end > n {
+                let expected = "at most the number of segments";
+                return Err(Error::Value { field: "end of a load's edges", value: end as f64, expected });
+            }
+        }
         let (tangent, director) = supports.free_frame;
         let size = length(&tangent);
         if !(size > 0.0 && size.is_finite()) {
@@ -106,6 +126,8 @@ impl System {
             bend: Vec::with_capacity(n),
             gradient: vec![0.0; layout.full()],
             forces: vec![Vector3::zeros(); n + 1],
+            time: 0.0,
+            lower: Vec::new(),
             rod,
             supports,
             loads,
@@ -144,6 +166,7 @@ impl System {
     /// Puts the prescribed vertices, directors and forces where they are at time t.
     pub(crate) fn place(&mut self, t: f64) -> Result<(), Error> {
         let n = self.rod.segments();
+        self.time = t;
         for (vertex, motion) in &self.supports.prescribed {
             self.x[*vertex] = motion.at(t);
         }
@@ -284,6 +307,130 @@ impl System {
             }
         }
         energy
+    }
+
+    /// Whether all loads have a potential: then ∂G/∂u is symmetric.
+    pub(crate) fn has_potential(&self) -> bool {
+        self.loads.of_motion.iter().all(|load| load.has_potential())
+    }
+
+    /// Layout of ∂G/∂u.
+    pub(crate) fn structure(&self) -> Structure {
+        let half_bandwidth = self.layout.half_bandwidth;
+        if self.has_potential() {
+            Structure::SymmetricBand { half_bandwidth }
+        } else {
+            Structure::Band { half_bandwidth }
+        }
+    }
+
+    /// Length of a row of ∂G/∂u in its layout; its diagonal stands `half_bandwidth` from the start.
+    pub(crate) fn row_length(&self) -> usize {
+        self.layout.half_bandwidth * if self.has_potential() { 1 } else { 2 } + 1
+    }
+
+    /// Elastic energy at the unknowns u; overwrites g with its gradient and, where asked for, `jacobian` with its Hessian in
+    /// the layout of `structure`.
+    pub(crate) fn assemble(
+        &mut self,
+        u: &[f64],
+        end_angle: f64,
+        g: &mut [f64],
+        jacobian: Option<&mut [f64]>,
+    ) -> Result<f64, Error> {
+        self.scatter(u);
+        self.update_shape(self.layout.twist, end_angle)?;
+        let energy = match jacobian {
+            Some(values) => {
+                values.fill(0.0);
+                if self.has_potential() {
+                    self.elastic(Some(values))
+                } else {
+                    let mut lower = std::mem::take(&mut self.lower);
+                    lower.clear();
+                    lower.resize(u.len() * (self.layout.half_bandwidth + 1), 0.0);
+                    let energy = self.elastic(Some(&mut lower));
+                    mirror(&lower, self.layout.half_bandwidth, values);
+                    self.lower = lower;
+                    energy
+                }
+            }
+            None => self.elastic(None),
+        };
+        for (full, &unknown) in self.layout.unknown.iter().enumerate() {
+            if let Some(g) = g.get_mut(unknown) {
+                *g = self.gradient[full];
+            }
+        }
+        Ok(energy)
+    }
+
+    /// Calls `visit` with what every load of the motion does to every edge, and the unknowns of that edge's vertices.
+    fn each_load(&self, start: Option<StageStart>, mut visit: impl FnMut(&EdgeLoad, [usize; 6])) {
+        for load in &self.loads.of_motion {
+            for edge in load.edges(self.rod.segments()) {
+                let ends = [edge, edge + 1];
+                let velocity = |v: usize| match start {
+                    Some(start) => (self.x[v] - start.places[v]) / start.length,
+                    None => Vector3::zeros(),
+                };
+                let acts = load.on_edge(&EdgeMotion {
+                    edge,
+                    time: self.time,
+                    places: ends.map(|v| self.x[v]),
+                    velocities: ends.map(velocity),
+                    rest_length: self.rod.rest_lengths[edge],
+                });
+                let unknown = |i: usize| self.layout.unknown[self.layout.vertex(ends[i / 3]) + i % 3];
+                visit(&acts, std::array::from_fn(unknown));
+            }
+        }
+    }
+
+    /// Loads of the motion at the present shape: subtracts their forces from g and ∂F/∂x + ∂F/∂v/η from the Jacobian.
+    /// Returns their energy.
+    pub(crate) fn add_loads(
+        &self,
+        start: Option<StageStart>,
+        g: &mut [f64],
+        mut jacobian: Option<&mut [f64]>,
+    ) -> f64 {
+        let (general, row_length) = (!self.has_potential(), self.row_length());
+        let w = self.layout.half_bandwidth;
+        let rate = start.map_or(0.0, |start| 1.0 / start.length);
+        let mut energy = 0.0;
+        self.each_load(start, |acts, unknown| {
+            energy += acts.energy;
+            for a in (0..6).filter(|&a| unknown[a] != FIXED) {
+                let row = unknown[a];
+                g[row] -= acts.forces[a];
+                let Some(values) = jacobian.as_deref_mut() else { continue };
+                for b in (0..6).filter(|&b| unknown[b] != FIXED && (general || unknown[b] <= row)) {
+                    values[row * row_length + unknown[b] + w - row] -=
+                        acts.by_places[(a, b)] + rate * acts.by_velocities[(a, b)];
+                }
+            }
+        });
+        energy
+    }
+
+    /// (1/η) ∂F/∂v applied to one number a vertex coordinate, or its transpose: `input` of an unknown to `output` of another.
+    pub(crate) fn couple_loads(
+        &self,
+        start: StageStart,
+        transposed: bool,
+        input: impl Fn(usize) -> f64,
+        mut output: impl FnMut(usize, f64),
+    ) {
+        self.each_load(Some(start), |acts, unknown| {
+            for a in (0..6).filter(|&a| unknown[a] != FIXED) {
+                for b in (0..6).filter(|&b| unknown[b] != FIXED) {
+                    let entry =
+                        if transposed { acts.by_velocities[(b, a)] } else { acts.by_velocities[(a, b)] };
+                    output(unknown[a], entry / start.length * input(unknown[b]));
+                }
+            }
+        });
     }
 
     /// δθ of the edges of a rod without twist unknowns: all turn with the end clamp where only that holds a director.

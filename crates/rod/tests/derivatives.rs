@@ -1,7 +1,10 @@
 //! Tangent and adjoint of steps, of θ₀(X₀) and of markers, against central differences and each other.
 
+mod common;
+
 use std::sync::Arc;
 
+use common::{assert_close, difference, dot, noise, norm};
 use varda_implicit::{ImplicitModel, Model, Scheme};
 use varda_rod::{
     Clamp, Damping, EllipseDrive, Loads, Marker, Markers, Material, Motion, Rod, RodStep, Section, Supports,
@@ -14,6 +17,7 @@ fn loads() -> Loads {
     Loads {
         gravity: [0.0, 0.0, -9.81].into(),
         point_forces: vec![(0.61, Arc::new(|t: f64| [0.02 * t.cos(), 0.01, 0.0]))],
+        ..Loads::default()
     }
 }
 
@@ -112,11 +116,6 @@ fn cases() -> Vec<(&'static str, Rod, Supports, Damping)> {
     ]
 }
 
-/// A smooth pseudo-random sequence in [−1, 1].
-fn noise(seed: usize) -> impl Iterator<Item = f64> {
-    (0..).map(move |i| (12.9898 * (i as f64 + 1.0) + 78.233 * seed as f64).sin())
-}
-
 fn model(rod: Rod, supports: Supports, damping: Damping) -> ImplicitModel<RodStep> {
     ImplicitModel::new(RodStep::new(rod, supports, loads(), damping).unwrap(), 3, 0.01)
 }
@@ -152,31 +151,6 @@ fn control(step: &RodStep) -> Vec<f64> {
         *z += if i < n { 0.004 } else { 0.2 } * e;
     }
     z
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-fn norm(a: &[f64]) -> f64 {
-    dot(a, a).sqrt()
-}
-
-fn assert_close(name: &str, tangent: &[f64], difference: &[f64], bound: f64) {
-    let error = tangent.iter().zip(difference).fold(0.0, |m: f64, (a, b)| m.max((a - b).abs()));
-    let size = difference.iter().fold(0.0, |m: f64, b| m.max(b.abs()));
-    assert!(size > 0.0 && error <= bound * size, "{name}: off by {error:e} of {size:e}");
-}
-
-/// Central differences of f at x along dx, extrapolated once: error O(h⁴) and rounding ε/h.
-fn difference(x: &[f64], dx: &[f64], h: f64, mut f: impl FnMut(&[f64]) -> Vec<f64>) -> Vec<f64> {
-    let mut central = |h: f64| -> Vec<f64> {
-        let at = |s: f64| -> Vec<f64> { x.iter().zip(dx).map(|(x, d)| x + s * d).collect() };
-        let (a, b) = (f(&at(h)), f(&at(-h)));
-        a.iter().zip(&b).map(|(a, b)| (a - b) / (2.0 * h)).collect()
-    };
-    let (one, half) = (central(h), central(0.5 * h));
-    one.iter().zip(&half).map(|(a, b)| (4.0 * b - a) / 3.0).collect()
 }
 
 #[test]

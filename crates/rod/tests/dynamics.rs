@@ -9,7 +9,8 @@ use varda_rod::{
     straight_guess,
 };
 
-const DOWN: Loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), point_forces: Vec::new() };
+const DOWN: Loads =
+    Loads { gravity: Vector3::new(0.0, 0.0, -9.81), point_forces: Vec::new(), of_motion: Vec::new() };
 
 /// Clamped at its start, hanging down, the clamp moving as given.
 fn hanging(position: impl varda_rod::Motion + 'static) -> Supports {

@@ -1,4 +1,5 @@
-//! One scene, five seeds: how much of the background's error is left? Shows a scene used from code, overrides and all.
+//! One scene, five seeds: how much of the background's error is left? Shows a scene used from code, overrides
+//! and all.
 #![allow(clippy::print_stdout)]
 
 use varda::run::{Listener, assimilate};

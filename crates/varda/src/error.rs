@@ -1,7 +1,7 @@
 //! Errors: one clear message each, naming the file and line, the field or the step.
 //!
-//! As in the other crates, what caused an error is part of its message, hence not of its chain of sources as well: a printer of chains says
-//! nothing twice.
+//! As in the other crates, the cause of an error is part of its message and therefore not in its chain of
+//! sources: a program that prints the chain prints nothing twice.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,7 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A scene says something impossible. `place` is `file:line:column`, or the `--set` that said it.
+    /// A scene says something impossible. `place` is `file:line:column`, or the `--set` at fault.
     #[error("{place}: {message}")]
     Scene {
         /// Where.
@@ -28,7 +28,7 @@ pub enum Error {
     /// A file cannot be read.
     #[error("{place}: cannot read {path}: {reason}")]
     Read {
-        /// Who asked for it.
+        /// The key that names the file.
         place: String,
         /// The file.
         path: PathBuf,
@@ -55,7 +55,8 @@ pub enum Error {
     },
     /// The output folder holds something that Varda did not write.
     #[error(
-        "{path} exists and is not a result of Varda ({reason}); choose another folder with --out, or move it away"
+        "{path} exists and is not a result of Varda ({reason}); choose another folder with --out, or move it \
+         away"
     )]
     Occupied {
         /// The folder.
@@ -63,15 +64,16 @@ pub enum Error {
         /// How one can tell.
         reason: &'static str,
     },
-    /// A result has an unfinished run beside it.
+    /// There is an unfinished run of the same result.
     #[error(
-        "{path} holds an unfinished run; go on with it by --resume, remove it, or choose another folder with --out"
+        "{path} holds an unfinished run; continue it with --resume, remove it, or choose another folder with \
+         --out"
     )]
     Unfinished {
         /// The folder of the unfinished run.
         path: PathBuf,
     },
-    /// A run cannot be taken up.
+    /// An unfinished run cannot be resumed.
     #[error("{path} cannot be resumed: {reason}")]
     Resume {
         /// The folder of the unfinished run.

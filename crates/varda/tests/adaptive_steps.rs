@@ -1,5 +1,5 @@
-//! `time.tolerance`: adaptive time steps, fixed during a minimization and chosen again if they are too long along the
-//! analysis.
+//! `time.tolerance`: adaptive time steps, fixed during a minimization and chosen again if they are too long
+//! along the analysis.
 
 use varda::outcome::{Outcome, Status};
 use varda::run::{Listener, assimilate};
@@ -18,8 +18,8 @@ fn assimilated(problem: &Problem) -> Outcome {
     assimilate(problem, &mut Listener::silent()).unwrap()
 }
 
-/// Seed 6 starts so far from the truth that steps chosen along its background are too long along its analysis; seed 4 does
-/// not.
+/// Seed 6 starts so far from the truth that steps chosen along its background are too long along its
+/// analysis; seed 4 does not.
 #[test]
 fn steps_that_are_too_long_along_the_analysis_are_chosen_again() {
     let kept = assimilated(&problem(4, &[]));

@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use varda::scene::SHIPPED;
+
 /// A folder of its own for every test, removed at the end.
 struct Folder(PathBuf);
 
@@ -254,13 +256,16 @@ fn bad_input_is_one_message_and_no_folder() {
         ),
         (vec!["hanging-rod-csv".into(), "--set".into(), file("off.csv")], &["off.csv:2", "off the rod"]),
         (vec!["hanging-rod-csv".into(), "--set".into(), file("none.csv")], &["none.csv", "cannot read"]),
-        (vec!["beam-release".into()], &["--set observations.file="]),
+        (vec!["unnamed.toml".into()], &["unnamed.toml:", "--set observations.file="]),
         (
             vec!["beam-release".into(), "--set".into(), file("who.csv")],
             &["who.csv:2", "marker \"9\" has no place"],
         ),
         (vec!["hanging-rod".into(), "--out".into(), ".".into()], &["not a result of Varda"]),
     ];
+    let scene = SHIPPED.iter().find(|s| s.name == "beam-release").unwrap().text;
+    let unnamed = scene.replace("file = \"data/beam-release.csv\"", "");
+    std::fs::write(folder.0.join("unnamed.toml"), unnamed).unwrap();
     for (arguments, expected) in cases {
         let mut all = vec!["run"];
         all.extend(arguments.iter().map(String::as_str));
@@ -329,7 +334,8 @@ fn compare_runs_every_method_and_minimizer_and_keeps_failures_as_rows() {
     assert!(printed.contains("gap = (J - J*)/(J0 - J*)"), "{printed}");
     let csv = folder.read("all/compare.csv");
     let rows: Vec<Vec<&str>> = csv.lines().skip(1).map(|l| l.split(',').collect()).collect();
-    // 4dvar and weak-forcing with every minimizer; incremental, dual, closed form; weak-state and two ensembles.
+    // 4dvar and weak-forcing with every minimizer; incremental, dual, closed form; weak-state and two
+    // ensembles.
     assert_eq!(rows.len(), 6 + 3 + 6 + 3, "{csv}");
     let of_another_j = |row: &[&str]| row[0].starts_with("weak") || row[0].ends_with("envar");
     for row in rows.iter().filter(|r| of_another_j(r)) {

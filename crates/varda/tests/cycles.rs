@@ -1,4 +1,5 @@
-//! Scenes with `[algorithm.cycles]`: what they write, what they refuse, and that a run can be ended and taken up again.
+//! Scenes with `[algorithm.cycles]`: what they write, what they refuse, and that a run can be ended and taken
+//! up again.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -204,7 +205,8 @@ fn a_recording_is_cut_into_windows() {
     assert_eq!(summary["n_obs"], 120, "all of the file: {summary}");
     assert_eq!(rows.len(), 6);
     assert!(summary["rmse"]["position_end"].is_null(), "no truth is known");
-    // Steps go on from window to window: those of the last begin at the file's late times, 2π/(50·12) s apart.
+    // Steps go on from window to window: those of the last begin at the file's late times, 2π/(50·12) s
+    // apart.
     let last: Vec<&str> = rows[5].split(',').collect();
     assert_eq!(last[1], "80");
     let time: f64 = last[2].parse().unwrap();
@@ -263,7 +265,8 @@ fn a_rod_is_cycled_with_every_covariance() {
     }
 }
 
-/// Every observed value belongs to one window, whatever their overlap; those between tiled windows are counted as left out.
+/// Every observed value belongs to one window, whatever their overlap; those between tiled windows are
+/// counted as left out.
 #[test]
 fn every_value_is_used_once() {
     for (window, shift, used, unused) in [(8, 8, 24, 0), (8, 3, 24, 0), (4, 5, 24, 0), (8, 9, 24, 0)] {

@@ -1,4 +1,5 @@
-//! Input that nobody meant: mutated scenes and CSV files are read or refused with their place, without a panic.
+//! Input that nobody meant: mutated scenes and CSV files are read or refused with their place, without a
+//! panic.
 
 #[path = "support/harness.rs"]
 mod harness;
@@ -151,14 +152,19 @@ proptest! {
 
     #[test]
     fn a_damaged_scene_is_built_or_refused(
-        bytes in (0..SHIPPED.len()).prop_flat_map(|i| damaged(toml::to_string(&base(i)).unwrap().into_bytes())),
+        bytes in (0..SHIPPED.len())
+            .prop_flat_map(|i| damaged(toml::to_string(&base(i)).unwrap().into_bytes())),
     ) {
         harness::scene(&bytes);
     }
 
     #[test]
     fn a_damaged_table_is_read_or_refused(
-        bytes in prop_oneof![damaged(OBSERVATIONS.into()), damaged(BACKGROUND.into()), prop::collection::vec(any::<u8>(), 0..200)],
+        bytes in prop_oneof![
+            damaged(OBSERVATIONS.into()),
+            damaged(BACKGROUND.into()),
+            prop::collection::vec(any::<u8>(), 0..200)
+        ],
     ) {
         harness::csv(&bytes);
     }

@@ -37,6 +37,31 @@ fn an_interrupted_run_ends_with_what_is_done() {
     assert_eq!(outcome.analysis.value, outcome.convergence[2].j, "the last accepted point is the result");
 }
 
+/// A problem does not change: the background check refuses the same values again, and every number is the
+/// same.
+#[test]
+fn a_second_run_of_a_problem_gives_the_same_bits() {
+    let q = "algorithm.model_error.covariance.kind=diagonal";
+    let methods: [&[&str]; 4] = [
+        &["algorithm.background_check=1.5"],
+        &["algorithm.method=weak-forcing", q, "algorithm.model_error.covariance.sigma=0.1"],
+        &["algorithm.method=hybrid-4denvar", "algorithm.background_check=1.5"],
+        &["algorithm.window_growth=[20,50]"],
+    ];
+    let lorenz = methods.map(|sets| ("lorenz63", sets));
+    let rod: &[&str] = &["model.segments=10", "time.window=20", "algorithm.background_check=1.0"];
+    for (scene, keys) in lorenz.into_iter().chain([("hanging-rod-case3", rod)]) {
+        let problem = Problem::from_scene(&SceneFile::open(scene, &sets(keys)).unwrap()).unwrap();
+        let run = || assimilate(&problem, &mut Listener::silent()).unwrap();
+        let (one, other) = (run(), run());
+        assert_eq!(one.analysis, other.analysis, "{scene} {keys:?}");
+        assert_eq!((&one.trajectories, &one.rejected), (&other.trajectories, &other.rejected));
+        assert_eq!((&one.fit, &one.warnings, one.counts), (&other.fit, &other.warnings, other.counts));
+        let refuses = keys.iter().any(|key| key.contains("background_check"));
+        assert_eq!(!one.rejected.is_empty(), refuses, "{scene} {keys:?}: the check refuses something");
+    }
+}
+
 /// The same recording in turned and displaced axes, with another clock, gaps, and times between the steps.
 #[test]
 fn a_recording_in_other_axes_and_time_is_the_same_problem() {
@@ -72,7 +97,8 @@ fn a_recording_in_other_axes_and_time_is_the_same_problem() {
     for sets in [axis, rows] {
         let other = assimilated("hanging-rod-csv", &sets).1;
         assert_eq!(other.analysis.observations, 12 * 3 - 4);
-        // Times are shifted by 100 s and back: 1e-14 of 100 s on 0.01 s steps, times speeds over σ of a hundred.
+        // Times are shifted by 100 s and back: 1e-14 of 100 s on 0.01 s steps, times speeds over σ of a
+        // hundred.
         assert!(
             (other.j_background / direct.j_background - 1.0).abs() < 1e-9,
             "{} {}",
@@ -126,18 +152,27 @@ fn the_observation_operator_has_its_tangent_and_its_adjoint() {
     assert!((slope - 2.0).abs() < 0.05, "{slope}");
 }
 
-/// The silicone beam of the README of its data: two tip markers assimilated, one kept back, half a second forecast.
+/// Where the whole recording is at hand, the shipped one is a part of it.
 #[test]
-fn the_beam_release_recording_is_assimilated() {
-    let data = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let recording = data.join("cables/beam_release_0g_b.csv");
-    if !recording.is_file() {
+fn the_shipped_recording_is_a_part_of_its_source() {
+    let manifest = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    let whole = manifest.join("../../../shared/data/cables/beam_release_0g_b.csv");
+    let Ok(whole) = std::fs::read_to_string(&whole) else {
         use std::io::Write;
         // Straight to stderr: the harness would swallow a print of a test that passes.
-        writeln!(std::io::stderr(), "skipped: {} is not there", recording.display()).unwrap();
+        writeln!(std::io::stderr(), "skipped: {} is not there", whole.display()).unwrap();
         return;
-    }
-    let (_, outcome) = assimilated("beam-release", &[format!("observations.file={}", recording.display())]);
+    };
+    let shipped = std::fs::read_to_string(manifest.join("scenes/data/beam-release.csv")).unwrap();
+    let rows: Vec<&str> = shipped.lines().skip(1).collect();
+    assert_eq!(rows.len(), 6 * 91);
+    assert!(whole.contains(&rows.join("\n")), "the rows are those of the source, one after the other");
+}
+
+/// The silicone beam, a real recording: two tip markers assimilated, one kept back, half a second forecast.
+#[test]
+fn the_beam_release_recording_is_assimilated() {
+    let (_, outcome) = assimilated("beam-release", &[]);
     assert_eq!(outcome.status, Status::Converged);
     let [kept] = &outcome.withheld[..] else { panic!("one marker is kept back") };
     // Its nominal place is good to 1-2 mm, which bounds what can be asked; its motion is 5 mm.
@@ -164,7 +199,8 @@ fn incremental_and_dual_4dvar_end_where_4dvar_does() {
         for method in ["4dvar-incremental", "4d-psas"] {
             let other = assimilated(scene, &[format!("algorithm.method={method}")]).1;
             assert_eq!(other.status, Status::Converged, "{scene} {method}");
-            // Each stops at a gradient 1e-8 of the first: J is then its minimum to far better than this, σ_a to this.
+            // Each stops at a gradient 1e-8 of the first: J is then its minimum to far better than this, σ_a
+            // to this.
             let j = (other.analysis.value / full.analysis.value - 1.0).abs();
             assert!(j < 1e-9, "{scene} {method}: J differs by {j:e}");
             let pairs = other.analysis.sigma_analysis.iter().zip(&full.analysis.sigma_analysis);
@@ -217,8 +253,8 @@ fn the_huber_norm_lowers_what_large_departures_cost() {
     assert_eq!(loose.analysis.value, squares.analysis.value, "no departure is 1e6 σ");
 }
 
-/// A twin by every integrator of rods, and with steps divided by their error: the state is longer than [X, V] where the scheme
-/// needs the step before, the control is not.
+/// A twin by every integrator of rods, and with steps divided by their error: the state is longer than [X, V]
+/// where the scheme needs the step before, the control is not.
 #[test]
 fn every_integrator_assimilates_a_rod() {
     // Midpoint damps nothing: on the flagship's wild background it rings, and J is full of minima.

@@ -33,8 +33,8 @@ fn a_memory_limit_changes_no_bit_of_the_analysis_and_is_reported() {
     assert!(plan.bytes < Plan::new(&open("").unwrap()).unwrap().bytes);
 }
 
-/// ε‖M‖ ≤ 1e-4 is about 22 time units here (growth exp(0.9 T)): a window of half a unit is reliable, one of 35 is not, and says so
-/// wherever a run is reported.
+/// ε‖M‖ ≤ 1e-4 is about 22 time units here (growth exp(0.9 T)): a window of half a unit is reliable,
+/// one of 35 is not, and says so wherever a run is reported.
 #[test]
 fn a_window_beyond_the_horizon_of_its_gradient_is_flagged() {
     let folder = std::env::temp_dir().join(format!("varda-horizon-{}", std::process::id()));
@@ -51,7 +51,8 @@ fn a_window_beyond_the_horizon_of_its_gradient_is_flagged() {
         let exponent = found.norm.ln() / (0.01 * window as f64);
         assert!(reliable || (0.7..1.2).contains(&exponent), "growth exp({exponent} T)");
         assert_eq!(found.reliable, reliable, "{found:?}");
-        // Its Hessian has entries of 1e30 and is indefinite by rounding: no posterior, but an analysis and the reason.
+        // Its Hessian has entries of 1e30 and is indefinite by rounding: no posterior, but an analysis and
+        // the reason.
         assert_eq!(outcome.has_posterior, reliable);
         assert_eq!(outcome.warnings.iter().any(|w| w.starts_with("there is no posterior")), !reliable);
 
@@ -70,7 +71,8 @@ fn a_window_beyond_the_horizon_of_its_gradient_is_flagged() {
 fn an_amount_that_is_none_or_too_small_is_refused() {
     let error = open("plenty").unwrap_err().to_string();
     assert!(error.contains("limits.memory") || error.contains("amount of memory"), "{error}");
-    // All but the window takes 14.4 kB, most of it the table of states; one checkpoint 112 bytes and a linearization 96.
+    // All but the window takes 14.4 kB, most of it the table of states; one checkpoint 112 bytes and a
+    // linearization 96.
     let error = Plan::new(&open("64 B").unwrap()).unwrap_err().to_string();
     assert!(
         error.contains("this run takes about") && error.contains("more than the limit of 0.1 kB"),
@@ -80,7 +82,8 @@ fn an_amount_that_is_none_or_too_small_is_refused() {
     assert!(error.contains("bytes are too few for this window"), "{error}");
 }
 
-/// Dense blocks of B, and a posterior of 120 000 numbers, are refused before anything is built, by `check` and by `run` alike.
+/// Dense blocks of B, and a posterior of 120 000 numbers, are refused before anything is built, by `check`
+/// and by `run` alike.
 #[test]
 fn a_scene_too_large_for_the_machine_is_refused_with_what_it_needs_and_the_limit() {
     let set = |sets: &[&str]| {

@@ -120,7 +120,8 @@ fn a_large_ensemble_finds_what_4dvar_finds() {
     let sets = ["algorithm.method=4denvar", "algorithm.ensemble.members=2000"];
     let ensemble = run("lorenz63", &sets).1;
     assert_eq!(ensemble.status, Status::Converged);
-    // B of 2000 members is off by √(2/2000) = 3 %; the analysis moves by that part of the increment, of size σ_b = 1.
+    // B of 2000 members is off by √(2/2000) = 3 %; the analysis moves by that part of the increment, of
+    // size σ_b = 1.
     assert!(gap(&strong.analysis.analysis, &ensemble.analysis.analysis) < 0.1);
     assert!(gap(&strong.analysis.sigma_analysis, &ensemble.analysis.sigma_analysis) < 0.1 * 0.3);
     let again = run("lorenz63", &sets).1;
@@ -170,7 +171,8 @@ fn the_background_check_refuses_a_gross_error_and_lists_it() {
     assert!(checked.1.warnings.iter().any(|w| w.contains("refused 1 of 120 observed values")));
     let summary = Summary::new(&checked.1);
     assert_eq!((summary.n_obs, summary.rejected.len()), (119, 1));
-    // Without it the rest of the scene is as it was: J per value about ½, where the gross error alone is worth (3/0.1)²/2.
+    // Without it the rest of the scene is as it was: J per value about ½, where the gross error alone is
+    // worth (3/0.1)²/2.
     assert!(checked.1.analysis.chi2 < 1.7, "{}", checked.1.analysis.chi2);
 }
 

@@ -1,4 +1,5 @@
-//! Runs that end badly: by a signal, killed, out of room, beside another. What they leave is whole, or plainly unfinished.
+//! Runs that end badly: by a signal, killed, out of room, beside another. What they leave is whole, or
+//! plainly unfinished.
 #![cfg(unix)]
 
 use std::path::{Path, PathBuf};
@@ -80,7 +81,8 @@ fn ctrl_c_and_sigterm_leave_a_valid_partial_result() {
     }
 }
 
-/// `VARDA_KILLS` sets how often; 50 without it. Every second time there is an earlier result, which is being replaced.
+/// `VARDA_KILLS` sets how often; 50 without it. Every second time there is an earlier result, which is being
+/// replaced.
 #[test]
 fn a_run_killed_at_any_moment_leaves_nothing_that_looks_finished() {
     let kills: u64 = std::env::var("VARDA_KILLS").ok().and_then(|k| k.parse().ok()).unwrap_or(50);
@@ -143,7 +145,8 @@ impl Folder {
     }
 }
 
-/// Killed while it writes, a run leaves a hidden folder; the next one removes it and says so. That of a run that is only slow stays.
+/// Killed while it writes, a run leaves a hidden folder; the next one removes it and says so. That of a run
+/// that is only slow stays.
 #[test]
 fn what_a_killed_run_left_is_removed_by_the_next_but_not_what_a_live_one_writes() {
     let folder = Folder::new("left");
@@ -191,7 +194,8 @@ fn a_disk_without_room_is_an_error_that_names_the_file() {
     assert_eq!(folder.names(), [""; 0], "nothing is left");
 
     // A sequence keeps the windows it has stored, and goes on when there is room again.
-    let sets = "--set background.covariance.steps=3000 --set algorithm.cycles.spin_up=0 --set algorithm.cycles.count=40";
+    let sets = "--set background.covariance.steps=3000 --set algorithm.cycles.spin_up=0 --set \
+     algorithm.cycles.count=40";
     let message = limited(50, &format!("run lorenz96-cycling-4dvar {sets} --quiet --out r"));
     assert!(message.contains("cannot write r.partial/cycles.jsonl"), "{message}");
     assert_eq!(folder.names(), ["r.partial"]);
@@ -272,7 +276,8 @@ fn a_state_that_was_tampered_with_is_not_resumed() {
     }
 }
 
-/// A run of a scene with files of its own, killed after its first window, goes on only where neither the scene nor a file has changed.
+/// A run of a scene with files of its own, killed after its first window, goes on only where neither the
+/// scene nor a file has changed.
 #[test]
 fn a_run_whose_scene_or_data_have_changed_is_not_resumed() {
     let folder = Folder::new("changed");
@@ -322,4 +327,42 @@ fn a_run_whose_scene_or_data_have_changed_is_not_resumed() {
     assert!(resume().status.success(), "as it was, it goes on");
     assert_eq!(whole(&folder.0.join("r")), "converged");
     assert!(!folder.0.join("r.partial").exists());
+}
+
+/// Named pipes in the place of a scene's data files: each can be read once, and a program that opened one
+/// again would wait for ever.
+#[test]
+fn every_input_file_is_read_once() {
+    let folder = Folder::new("once");
+    let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
+    std::fs::create_dir(folder.0.join("data")).unwrap();
+    std::fs::copy(scenes.join("hanging-rod-csv.toml"), folder.0.join("hanging-rod-csv.toml")).unwrap();
+    let data = ["data/hanging-rod-background.csv", "data/hanging-rod-observations.csv"];
+    let cycles = ["--set", "time.window=20", "--set", "algorithm.cycles.count=5"];
+    for (command, more) in [("run", &[][..]), ("run", &cycles), ("check", &[]), ("simulate", &[])] {
+        for file in data {
+            let pipe = folder.0.join(file);
+            let _ = std::fs::remove_file(&pipe);
+            assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+            let text = std::fs::read(scenes.join(file)).unwrap();
+            // Opening a pipe for writing waits for its reader.
+            std::thread::spawn(move || std::fs::write(pipe, text));
+        }
+        let mut program = Command::new(env!("CARGO_BIN_EXE_varda"));
+        program.args([command, "hanging-rod-csv.toml"]).args(more).current_dir(&folder.0);
+        let mut child = program.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        let begun = Instant::now();
+        let ended = loop {
+            match child.try_wait().unwrap() {
+                Some(status) => break Some(status),
+                None if begun.elapsed() > Duration::from_secs(60) => break None,
+                None => std::thread::sleep(Duration::from_millis(5)),
+            }
+        };
+        if ended.is_none() {
+            child.kill().unwrap();
+        }
+        let message = String::from_utf8_lossy(&child.wait_with_output().unwrap().stderr).to_string();
+        assert!(ended.is_some_and(|s| s.success()), "{command} {more:?}: {ended:?} {message}");
+    }
 }

@@ -1,8 +1,9 @@
-//! Imports between the stages of varda go downwards only, and no crate of the workspace has a circle of files.
+//! Imports between the stages of varda go downwards only, and no crate of the workspace has a circle of
+//! files.
 //!
-//! Read from the sources: `use` declarations and paths that begin with `crate::` or `super::`. A name that a module only
-//! re-exports leads on to the file that defines it. Test modules do not count, nor does a folder's `mod.rs` that calls
-//! into its own modules by their paths.
+//! Read from the sources: `use` declarations and paths that begin with `crate::` or `super::`. A name that a
+//! module only re-exports leads on to the file that defines it. Test modules do not count, nor does a
+//! folder's `mod.rs` that calls into its own modules by their paths.
 
 mod support {
     pub(crate) mod imports;

@@ -62,8 +62,8 @@ pub struct Prior {
 pub type Background = BlockDiagonal<Interleaved<Dense>>;
 
 impl HangingRod {
-    /// Case 1 … 4 of the paper's Table 3.3, read from the shipped scene, and the true control at the start of the
-    /// window.
+    /// Case 1 … 4 of the paper's Table 3.3, read from the shipped scene, and the true control at the start of
+    /// the window.
     ///
     /// # Errors
     /// Where the rod cannot be run up to the window.
@@ -389,7 +389,11 @@ pub const FIRST: usize = 3;
 
 fn rod_case(name: &'static str, rod: Rod, supports: Supports, damping: Damping) -> Result<RodCase> {
     let force = |t: f64| [0.02 * t.cos(), 0.01, 0.0];
-    let loads = Loads { gravity: [0.0, 0.0, -9.81].into(), point_forces: vec![(0.61, Arc::new(force))] };
+    let loads = Loads {
+        gravity: [0.0, 0.0, -9.81].into(),
+        point_forces: vec![(0.61, Arc::new(force))],
+        ..Loads::default()
+    };
     let start = FIRST as f64 * DT;
     let clamps = supports.start.iter().count() + supports.end.iter().count();
     let mut shape = straight_guess(&rod, &supports, start, [0.0, 0.0, -1.0])?;

@@ -1,4 +1,4 @@
-//! The command line: commands, progress, the table, exit codes. The one place that prints.
+//! The command line: commands, progress, tables, exit codes. Only this module prints.
 
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
@@ -19,14 +19,14 @@ use crate::Error;
 use crate::outcome::{Outcome, Status};
 use crate::report;
 use crate::report::checkpoint::Checkpoint;
-use crate::report::folder::Output;
+use crate::report::folder::ResultFolder;
 use crate::run::compare::{Compared, compare};
 use crate::run::cycles::Sequence;
 use crate::run::{self, Listener, assimilate};
 use crate::scene::{SHIPPED, STARTER, Scene, SceneFile};
 use crate::setup::{Inputs, Plan, Problem};
 use exit::INTERRUPTED;
-use progress::Progress;
+use progress::ProgressDisplay;
 
 #[derive(Parser)]
 #[command(
@@ -51,7 +51,7 @@ enum Command {
         /// Print nothing but errors
         #[arg(long)]
         quiet: bool,
-        /// Go on with an unfinished run of many windows ([algorithm.cycles]) after its last finished one
+        /// Continue an unfinished run of many windows ([algorithm.cycles]) after its last finished window
         #[arg(long)]
         resume: bool,
     },
@@ -74,7 +74,7 @@ enum Command {
         #[arg(long, value_name = "DIR")]
         out: Option<PathBuf>,
     },
-    /// Validate a scene; print sizes, memory and what will be left out; run nothing
+    /// Check a scene; print sizes, memory and what will be left out; run nothing
     Check {
         #[command(flatten)]
         scene: SceneArguments,
@@ -136,11 +136,12 @@ pub fn main() -> ExitCode {
     })
 }
 
-/// Becomes true at Ctrl-C, SIGTERM or SIGHUP; the run then ends with what it has. A second one ends the program at once.
+/// Becomes true at Ctrl-C, SIGTERM or SIGHUP; the run then ends with the result so far. A second signal ends
+/// the program at once.
 fn stop_on_signals() -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
-    // Without a handler a signal still ends the program, only less politely.
+    // Without a handler a signal still ends the program, but without a result.
     let _ = ctrlc::set_handler(move || {
         if flag.swap(true, Ordering::SeqCst) {
             std::process::exit(INTERRUPTED.into());
@@ -162,7 +163,8 @@ fn run_scene(
 
     let stop = stop_on_signals();
     let algorithm = &file.scene.algorithm;
-    let mut progress = Progress::new(algorithm.gradient_tolerance, algorithm.max_iterations, quiet, started);
+    let mut progress =
+        ProgressDisplay::new(algorithm.gradient_tolerance, algorithm.max_iterations, quiet, started);
     let interrupted = || stop.load(Ordering::SeqCst);
     if resume && file.scene.algorithm.cycles.is_none() {
         return Err(file.invalid("algorithm", "only a run with [algorithm.cycles] can be resumed"));
@@ -173,7 +175,7 @@ fn run_scene(
         let resumed = if resume { Some(Checkpoint::resume(&folder, &file, &inputs.files)?) } else { None };
         let files = inputs.files.clone();
         let sequence = Sequence::new(settings.clone(), inputs)?;
-        let start = cycles::Start { file: &file, files: &files, folder: &folder, resumed };
+        let start = cycles::SequenceStart { file: &file, files: &files, folder: &folder, resumed };
         return cycles::run(&sequence, start, &mut progress, &interrupted, quiet, started);
     }
     let problem = Problem::new(inputs)?;
@@ -206,14 +208,14 @@ fn exit_code(outcome: &Outcome) -> ExitCode {
 
 /// Refuses an occupied folder before the work, not after it; reports what killed runs had left there.
 fn refuse_occupied(folder: &Path, quiet: bool) -> Result<(), Error> {
-    let out = Output::begin(folder)?;
+    let out = ResultFolder::begin(folder)?;
     let found = out.found();
     if !quiet && !found.removed.is_empty() {
         let names: Vec<String> = found.removed.iter().map(|p| p.display().to_string()).collect();
         eprintln!("removed what killed runs had left: {}", names.join(", "));
     }
     if !quiet && found.put_back {
-        eprintln!("{} is again the result that a killed run was about to replace", folder.display());
+        eprintln!("{} is restored: a killed run was about to replace it", folder.display());
     }
     Ok(())
 }

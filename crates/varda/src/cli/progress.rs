@@ -1,4 +1,4 @@
-//! What a run shows while it goes: nothing at first, then a bar, or plain lines where there is no terminal.
+//! Progress of a run: nothing at first, then a bar, or plain lines without a terminal.
 
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
@@ -12,7 +12,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// Plain lines are this far apart.
 const PACE: Duration = Duration::from_secs(5);
 
-pub(super) struct Progress {
+pub(super) struct ProgressDisplay {
     tolerance: f64,
     max_iterations: usize,
     quiet: bool,
@@ -22,9 +22,9 @@ pub(super) struct Progress {
     last_line: Option<Instant>,
 }
 
-impl Progress {
+impl ProgressDisplay {
     pub(super) fn new(tolerance: f64, max_iterations: usize, quiet: bool, started: Instant) -> Self {
-        Progress { tolerance, max_iterations, quiet, started, first: None, bar: None, last_line: None }
+        ProgressDisplay { tolerance, max_iterations, quiet, started, first: None, bar: None, last_line: None }
     }
 
     pub(super) fn row(&mut self, row: &ConvergenceRow) {
@@ -45,7 +45,7 @@ impl Progress {
         self.show(self.started, share, format!("cycle {now} of {count}  2J/m {:.3}{rmse}", row.chi2));
     }
 
-    /// Shows what is going on, and the seconds left if it goes on evenly since `began`.
+    /// Shows a message and the seconds left, estimated from the even progress since `began`.
     fn show(&mut self, began: Instant, share: f64, message: String) {
         if self.quiet || self.started.elapsed() < PATIENCE {
             return;

@@ -74,7 +74,8 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
         line(
             "forecast",
             format!(
-                "{}: {:.2} mm rms; persistence {:.2}, static model {:.2} (offset aside: {:.2}, best constant {:.2})",
+                "{}: {:.2} mm rms; persistence {:.2}, static model {:.2} (offset aside: {:.2}, best constant \
+                 {:.2})",
                 f.label,
                 1e3 * f.analysis,
                 1e3 * f.persistence,
@@ -128,7 +129,8 @@ pub(super) fn comparison(rows: &[Compared], folder: &Path) -> String {
     }
     let _ = writeln!(
         out,
-        "gap = (J - J*)/(J0 - J*), J* the lowest found (not for weak constraint and ensembles, whose J is another); written to {}",
+        "gap = (J - J*)/(J0 - J*), J* the lowest found (not for weak constraint and ensembles, whose J is \
+         another); written to {}",
         folder.display()
     );
     out

@@ -5,8 +5,8 @@ use varda_implicit::check::Amplification;
 
 use super::{Experiment, Shapes, Status, Trajectories, WorkCounts};
 
-/// The result of one window: a row of cycles.csv, and the start of the window. RMSE and spread have a number for
-/// each group of the state; they are empty where the truth, or the spread, is not known.
+/// The result of one window: a row of cycles.csv, and the start of the window. RMSE and spread have a number
+/// for each group of the state; they are empty where the truth, or the spread, is not known.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CycleRow {
     /// Index from 0.
@@ -33,8 +33,8 @@ pub struct CycleRow {
     pub outer_iterations: usize,
     /// Work of the minimization.
     pub counts: WorkCounts,
-    /// Standard deviation expected of the analysis at the window's end (of the next background, for a propagated
-    /// posterior).
+    /// Standard deviation expected of the analysis at the window's end (of the next background, for a
+    /// propagated posterior).
     pub spread: Vec<f64>,
     /// RMSE of the background at the window's start.
     pub rmse_background: Vec<f64>,
@@ -71,8 +71,8 @@ pub struct CyclesOutcome {
     pub covariance: &'static str,
     /// Windows at the start that do not count in the means.
     pub spin_up: usize,
-    /// Analysis and truth over all steps of these windows; every window's analysis from its start to that of the
-    /// next.
+    /// Analysis and truth over all steps of these windows; every window's analysis from its start to that of
+    /// the next.
     pub trajectories: Trajectories,
     /// The vertices of these runs, for models in space.
     pub shapes: Option<Shapes>,
@@ -80,7 +80,8 @@ pub struct CyclesOutcome {
     pub means: Means,
     /// Seconds since the run began.
     pub seconds: f64,
-    /// How much the last window amplifies about its analysis; `None` for methods without a gradient along a run.
+    /// How much the last window amplifies about its analysis; `None` for methods without a gradient along a
+    /// run.
     pub amplification: Option<Amplification>,
     /// Remarks for the user.
     pub warnings: Vec<String>,

@@ -28,7 +28,8 @@ impl Fit {
     }
 }
 
-/// Distances \[m\] between a marker that was kept back and its place in the model, root mean square over the window.
+/// Distances \[m\] between a marker that was kept back and its place in the model, root mean square over the
+/// window.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Withheld {
     /// The marker.
@@ -39,7 +40,8 @@ pub struct Withheld {
     pub rms_background: f64,
     /// From x_a \[m\].
     pub rms_analysis: f64,
-    /// From x_a, less the mean error \[m\]: what remains if the marker's place in the scene is a constant off.
+    /// From x_a, less the mean error \[m\]: what remains if the marker's place in the scene is a constant
+    /// off.
     pub moving_analysis: f64,
 }
 

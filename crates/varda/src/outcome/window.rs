@@ -76,8 +76,8 @@ pub struct Outcome {
     pub withheld: Vec<Withheld>,
     /// Errors of the forecast.
     pub forecast: Vec<Forecast>,
-    /// How much the window amplifies about the analysis, up to the last observation; `None` for methods without a
-    /// gradient along a run.
+    /// How much the window amplifies about the analysis, up to the last observation; `None` for methods
+    /// without a gradient along a run.
     pub amplification: Option<Amplification>,
     /// The adaptive time steps; `None` for steps of the scene's own length.
     pub accepted_steps: Option<AcceptedSteps>,
@@ -206,7 +206,8 @@ pub struct AcceptedSteps {
     pub accepted: usize,
     /// How often they were chosen again during the run.
     pub refreshed: usize,
-    /// Largest estimated error of a step along the analysis, over the length of the rod; `null` if a step fails.
+    /// Largest estimated error of a step along the analysis, over the length of the rod; `null` if a step
+    /// fails.
     pub largest_error: Option<f64>,
     /// The tolerance that was asked for.
     pub tolerance: f64,

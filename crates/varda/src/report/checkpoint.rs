@@ -1,5 +1,5 @@
-//! The checkpoint of a sequence of windows: a folder `<result>.partial` next to the result, from which a run can be
-//! resumed.
+//! The checkpoint of a sequence of windows: a folder `<result>.partial` next to the result, from which a run
+//! can be resumed.
 //!
 //! ```text
 //! scene.json     the scene, overrides and defaults included
@@ -9,8 +9,8 @@
 //! lock           locked by the run that writes here
 //! ```
 //!
-//! The state is written under another name and renamed, so that a run killed at any moment leaves the state after its
-//! last finished window; a row after it is removed when the run is resumed.
+//! The state is written under another name and renamed, so that a run killed at any moment leaves the state
+//! after its last finished window; a row after it is removed when the run is resumed.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, OpenOptions, TryLockError};
@@ -88,12 +88,12 @@ impl Checkpoint {
         Ok(Checkpoint { folder, rows, _lock: lock })
     }
 
-    /// Resumes the run of a scene. A run that ended within its first window begins again, without a state. The number of
-    /// windows may differ from before; the scene, and `inputs`, the files it names, may not.
+    /// Resumes the run of a scene. A run that ended within its first window begins again, without a state.
+    /// The number of windows may differ from before; the scene, and `inputs`, the files it names, may not.
     ///
     /// # Errors
-    /// [`Error::Resume`] where there is nothing to resume, or it belongs to another scene or version, or to a run that has
-    /// not ended; [`Error::Write`].
+    /// [`Error::Resume`] where there is nothing to resume, or it belongs to another scene or version, or to a
+    /// run that has not ended; [`Error::Write`].
     pub fn resume(result: &Path, file: &SceneFile, inputs: &[InputFile]) -> Result<Resumed, Error> {
         let folder = Checkpoint::folder(result);
         let refuse = |reason: &str| Error::Resume { path: folder.clone(), reason: reason.to_string() };
@@ -109,7 +109,8 @@ impl Checkpoint {
         };
         if let Some(difference) = difference("", &uncounted(&scene), &uncounted(&file.scene)) {
             return Err(refuse(&format!(
-                "it belongs to another scene, seed or --set: {difference}; only algorithm.cycles.count may differ"
+                "it belongs to another scene, seed or --set: {difference}; only algorithm.cycles.count may \
+                 differ"
             )));
         }
         let text = read("data.json").unwrap_or_default();
@@ -209,8 +210,8 @@ fn difference(key: &str, before: &Json, now: &Json) -> Option<String> {
     (before != now).then(|| format!("{key} was {} and is {} now", shown(before), shown(now)))
 }
 
-/// Reads what [`json`] wrote. Both use a [`Json`] value, as scenes do: a second reader and writer for every type would
-/// add much to the time that building this crate takes.
+/// Reads what [`json`] wrote. Both use a [`Json`] value, as scenes do: a second reader and writer for every
+/// type would add much to the time that building this crate takes.
 fn stored<T: DeserializeOwned>(text: &str) -> Result<T, serde_json::Error> {
     serde_json::from_value(serde_json::from_str(text)?)
 }

@@ -7,19 +7,19 @@ use crate::Error;
 use crate::outcome::{CycleRow, CyclesOutcome, Status};
 use crate::state::StateGroup;
 
-use super::folder::Output;
+use super::folder::ResultFolder;
 use super::html::{document, error_name, escape, list, numbers, short, status_words, tile_list};
 use super::plot::{Corner, Figure, Panel, Series, Style};
 use super::summary::{WindowAmplification, peak_bytes};
 use super::tables::{self, number, optional};
 
-/// Writes the result of a sequence to `folder`, whole or not at all: summary.json, cycles.csv, analysis.csv of the last
-/// window, trajectory.csv of the sequence, report.html and its figures.
+/// Writes the result of a sequence to `folder`, whole or not at all: summary.json, cycles.csv, analysis.csv
+/// of the last window, trajectory.csv of the sequence, report.html and its figures.
 ///
 /// # Errors
 /// [`Error::Occupied`], [`Error::Write`], [`Error::Plot`].
 pub fn write_cycles(outcome: &CyclesOutcome, folder: &Path) -> Result<PathBuf, Error> {
-    let out = Output::begin(folder)?;
+    let out = ResultFolder::begin(folder)?;
     let mut drawn = Vec::new();
     for figure in figures(outcome) {
         let svg = figure.svg()?;
@@ -46,12 +46,12 @@ const COLUMNS: Columns = [
     ("rmse_end", &|r| &r.rmse_end),
 ];
 
-/// cycles.csv. The columns of the first group of the state have no prefix, those of others their name: RMSE and spread
-/// are those of positions \[m\] of a rod, `velocity_` columns those of velocities [m/s].
+/// cycles.csv. The columns of the first group of the state have no prefix, those of others their name: RMSE
+/// and spread are those of positions \[m\] of a rod, `velocity_` columns those of velocities [m/s].
 fn rows(outcome: &CyclesOutcome) -> String {
     let mut out = String::from(
-        "cycle,first_step,time_s,j,j_b,j_o,observations,chi2,status,outer_iterations,model_steps,tangent_steps,\
-         adjoint_steps",
+        "cycle,first_step,time_s,j,j_b,j_o,observations,chi2,status,outer_iterations,\
+         model_steps,tangent_steps,adjoint_steps",
     );
     let groups = &outcome.experiment.state.groups;
     for (i, group) in groups.iter().enumerate() {
@@ -226,7 +226,8 @@ fn page(outcome: &CyclesOutcome, figures: &[(String, String)]) -> String {
     let title = if scene.title.is_empty() { &experiment.name } else { &scene.title };
     let (done, asked) = (outcome.cycles.len(), outcome.asked_for);
     let mut body = format!(
-        "<header><h1>{}</h1><p class=\"sub\">scene <code>{}</code> · seed {} · {} by {}, {done} of {asked} cycles, B {} · <span class=\"status {}\">{}</span></p></header>",
+        "<header><h1>{}</h1><p class=\"sub\">scene <code>{}</code> · seed {} · {} by {}, {done} of {asked} \
+         cycles, B {} · <span class=\"status {}\">{}</span></p></header>",
         escape(title),
         escape(&experiment.name),
         scene.seed,
@@ -256,8 +257,10 @@ fn page(outcome: &CyclesOutcome, figures: &[(String, String)]) -> String {
     let _ = write!(
         body,
         "<section><h2>What was left out</h2>{}</section>\
-         <section><h2>The scene as it was run</h2><details><summary>TOML, overrides and defaults included</summary><pre>{}</pre></details></section>\
-         <footer><p>Made by Varda {}. Files beside this page: summary.json, cycles.csv, analysis.csv (last window), trajectory.csv (whole sequence), figures/.</p></footer>",
+         <section><h2>The scene as it was run</h2><details><summary>TOML, overrides and defaults \
+         included</summary><pre>{}</pre></details></section>\
+         <footer><p>Made by Varda {}. Files beside this page: summary.json, cycles.csv, analysis.csv (last \
+         window), trajectory.csv (whole sequence), figures/.</p></footer>",
         list(&experiment.left_out),
         escape(&toml),
         env!("CARGO_PKG_VERSION"),

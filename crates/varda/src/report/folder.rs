@@ -1,8 +1,10 @@
 //! The output folder: whole or absent.
 //!
-//! A result `r` is made beside its place, in `.r.varda-<run>/`, and renamed; an earlier result is meanwhile `.r.varda-<run>-earlier-<n>/`, and `…-earlier-<n>-replaced/` while it is being deleted. The run
-//! holds a lock on `.r.varda-<run>.lock` until nothing of it is left. A lock that nobody holds is that of a run that was killed: the next run into
-//! `r` removes what it left, and puts back the earlier result it had no time to replace.
+//! A result `r` is made next to its place, in `.r.varda-<run>/`, and renamed; an earlier result is meanwhile
+//! `.r.varda-<run>-earlier-<n>/`, and `…-earlier-<n>-replaced/` while it is being deleted. The run holds a
+//! lock on `.r.varda-<run>.lock` until nothing of it is left. A lock that nobody holds is that of a run that
+//! was killed: the next run into `r` removes what it left, and puts back the earlier result it had no time to
+//! replace.
 
 use std::fs::{File, OpenOptions};
 use std::io::ErrorKind;
@@ -11,9 +13,9 @@ use std::time::SystemTime;
 
 use crate::Error;
 
-/// A folder being filled beside its final place. Dropped without [`Output::publish`], it is removed.
+/// A folder being filled beside its final place. Dropped without [`ResultFolder::publish`], it is removed.
 #[derive(Debug)]
-pub struct Output {
+pub struct ResultFolder {
     target: PathBuf,
     temporary: PathBuf,
     published: bool,
@@ -38,15 +40,16 @@ struct Lock {
     _file: File,
 }
 
-/// How often [`Output::publish`] gives way to another run that puts its folder into the same place.
+/// How often [`ResultFolder::publish`] gives way to another run that puts its folder into the same place.
 const ATTEMPTS: usize = 100;
 
-impl Output {
-    /// Starts a folder that will become `target`. Clears away first what killed runs into it have left: see [`found`](Self::found).
+impl ResultFolder {
+    /// Starts a folder that will become `target`. Clears away first what killed runs into it have left: see
+    /// [`found`](Self::found).
     ///
     /// # Errors
     /// [`Error::Occupied`] where `target` exists and is not an earlier result of Varda; [`Error::Write`].
-    pub fn begin(target: &Path) -> Result<Output, Error> {
+    pub fn begin(target: &Path) -> Result<ResultFolder, Error> {
         replaceable(target)?;
         let parent = match target.parent() {
             Some(p) if !p.as_os_str().is_empty() => p.to_path_buf(),
@@ -57,7 +60,7 @@ impl Output {
         let found = clear(&parent, &prefix, target)?;
         let (temporary, lock) = Lock::new(&parent, &prefix)?;
         std::fs::create_dir(&temporary).map_err(|reason| Error::Write { path: temporary.clone(), reason })?;
-        Ok(Output { target: target.to_path_buf(), temporary, published: false, found, _lock: lock })
+        Ok(ResultFolder { target: target.to_path_buf(), temporary, published: false, found, _lock: lock })
     }
 
     /// What killed runs had left, and is no longer there.
@@ -84,7 +87,8 @@ impl Output {
     pub fn publish(mut self) -> Result<PathBuf, Error> {
         let failed = |reason| Error::Write { path: self.target.clone(), reason };
         let mut earlier = Vec::new();
-        // Another run may put its folder there between any two of these steps: then this one takes that one's place in turn.
+        // Another run may put its folder there between any two of these steps: then this one takes that one's
+        // place in turn.
         let last = loop {
             replaceable(&self.target)?;
             if self.target.exists() {
@@ -116,7 +120,7 @@ impl Output {
     }
 }
 
-impl Drop for Output {
+impl Drop for ResultFolder {
     fn drop(&mut self) {
         if !self.published {
             // Nothing more can be done about a folder that will not go away while failing already.
@@ -136,9 +140,9 @@ impl Lock {
                 Err(e) if e.kind() == ErrorKind::AlreadyExists => continue,
                 made => made.map_err(|reason| Error::Write { path: path.clone(), reason })?,
             };
-            // On a file system without locks what a killed run leaves stays.
+            // Without locks in the file system the folders of killed runs are not removed.
             let locked = file.lock().is_ok();
-            // Another run may have taken it for one left behind before it was locked.
+            // Another run may have removed it before it was locked.
             if !locked || path.exists() {
                 return Ok((temporary, Lock { path, _file: file }));
             }
@@ -148,7 +152,7 @@ impl Lock {
 
 impl Drop for Lock {
     fn drop(&mut self) {
-        // One that stays is found unlocked by the next run.
+        // If it cannot be removed, the next run finds it unlocked.
         let _ = std::fs::remove_file(&self.path);
     }
 }
@@ -157,7 +161,7 @@ const LOCK: &str = ".lock";
 const EARLIER: &str = "-earlier-";
 const REPLACED: &str = "-replaced";
 
-/// What the hidden names of a target begin with.
+/// The beginning of the hidden names of a target.
 fn prefix(target: &Path) -> String {
     format!(".{}.varda-", target.file_name().map_or("varda".into(), |n| n.to_string_lossy()))
 }
@@ -168,7 +172,7 @@ fn beside(temporary: &Path, ending: &str) -> PathBuf {
     temporary.with_file_name(name)
 }
 
-/// Deletes an earlier result. Under another name first: what is half deleted is nothing to put back.
+/// Deletes an earlier result, under another name first: a half-deleted result must not be put back.
 fn discard(aside: &Path) -> Result<(), Error> {
     let replaced = beside(aside, REPLACED);
     std::fs::rename(aside, &replaced)
@@ -176,7 +180,7 @@ fn discard(aside: &Path) -> Result<(), Error> {
         .map_err(|reason| Error::Write { path: aside.to_path_buf(), reason })
 }
 
-/// Removes what runs have left whose lock nobody holds; puts an earlier result back where there is none.
+/// Removes the folders of runs whose lock is free; puts an earlier result back if there is none.
 fn clear(parent: &Path, prefix: &str, target: &Path) -> Result<Found, Error> {
     let mut found = Found::default();
     let names = || -> Vec<String> {
@@ -221,7 +225,7 @@ fn clear(parent: &Path, prefix: &str, target: &Path) -> Result<Found, Error> {
                 found.removed.push(folder);
             }
         }
-        // The last, so that what could not be removed is found again.
+        // Last, so that a folder that could not be removed is found again.
         let _ = std::fs::remove_file(&path);
     }
     Ok(found)
@@ -269,7 +273,7 @@ mod tests {
         let parent = folder("replace");
         let target = parent.join("result");
         for content in ["first", "second"] {
-            let out = Output::begin(&target).unwrap();
+            let out = ResultFolder::begin(&target).unwrap();
             out.write("summary.json", SUMMARY).unwrap();
             out.write(&format!("{content}.csv"), content).unwrap();
             assert!(!target.join(format!("{content}.csv")).exists(), "nothing shows before it is published");
@@ -287,10 +291,10 @@ mod tests {
         let target = parent.join("thesis");
         std::fs::create_dir(&target).unwrap();
         std::fs::write(target.join("chapter1.tex"), "years of work").unwrap();
-        assert!(matches!(Output::begin(&target), Err(Error::Occupied { .. })));
+        assert!(matches!(ResultFolder::begin(&target), Err(Error::Occupied { .. })));
         std::fs::write(target.join("summary.json"), "{}").unwrap();
-        assert!(matches!(Output::begin(&target), Err(Error::Occupied { .. })));
-        assert!(matches!(Output::begin(&target.join("chapter1.tex")), Err(Error::Occupied { .. })));
+        assert!(matches!(ResultFolder::begin(&target), Err(Error::Occupied { .. })));
+        assert!(matches!(ResultFolder::begin(&target.join("chapter1.tex")), Err(Error::Occupied { .. })));
         assert_eq!(std::fs::read_to_string(target.join("chapter1.tex")).unwrap(), "years of work");
         assert_eq!(std::fs::read_dir(&parent).unwrap().count(), 1);
         std::fs::remove_dir_all(&parent).unwrap();
@@ -310,7 +314,7 @@ mod tests {
     fn what_a_killed_run_left_is_removed_and_nothing_else() {
         let parent = folder("killed");
         let target = parent.join("result");
-        let alive = Output::begin(&target).unwrap();
+        let alive = ResultFolder::begin(&target).unwrap();
         let left = [
             ".result.varda-7-1",
             ".result.varda-7-1-earlier-0",
@@ -331,7 +335,7 @@ mod tests {
         for lock in [".result.varda-7-1.lock", ".result.varda-8-2.lock", ".other.varda-7-1.lock"] {
             std::fs::write(parent.join(lock), "").unwrap();
         }
-        let out = Output::begin(&target).unwrap();
+        let out = ResultFolder::begin(&target).unwrap();
         let removed = [left[0], left[2], left[3]].map(|name| parent.join(name));
         assert_eq!(out.found(), &Found { removed: removed.to_vec(), put_back: true });
         assert!(target.join("summary.json").is_file(), "the earlier result is back in its place");
@@ -348,7 +352,7 @@ mod tests {
     #[test]
     fn a_failure_leaves_nothing() {
         let parent = folder("failure");
-        let out = Output::begin(&parent.join("result")).unwrap();
+        let out = ResultFolder::begin(&parent.join("result")).unwrap();
         out.write("analysis.csv", "1").unwrap();
         drop(out);
         assert_eq!(std::fs::read_dir(&parent).unwrap().count(), 0);

@@ -8,10 +8,10 @@ use crate::state::{StateGroup, StateLayout};
 use super::Summary;
 
 /// A drawn figure: name, title, SVG text.
-pub(super) type Drawn = (&'static str, String, String);
+pub(super) type DrawnFigure = (&'static str, String, String);
 
 /// The page.
-pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[Drawn]) -> String {
+pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure]) -> String {
     let experiment = &outcome.experiment;
     let title = match experiment.scene.title.as_str() {
         "" => experiment.name.as_str(),
@@ -20,7 +20,8 @@ pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[Drawn]) -> S
     let mut body = String::new();
     let _ = write!(
         body,
-        "<header><h1>{}</h1><p class=\"sub\">scene <code>{}</code> · seed {} · {} by {} · <span class=\"status {}\">{}</span></p></header>",
+        "<header><h1>{}</h1><p class=\"sub\">scene <code>{}</code> · seed {} · {} by {} · <span \
+         class=\"status {}\">{}</span></p></header>",
         escape(title),
         escape(&experiment.name),
         summary.seed,
@@ -51,8 +52,10 @@ pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[Drawn]) -> S
         body,
         "<section><h2>What was left out</h2><p>Not needed by this scene, and not computed:</p>{}</section>\
          <section><h2>Convergence</h2>{}</section>\
-         <section><h2>The scene as it was run</h2><details><summary>TOML, overrides and defaults included</summary><pre>{}</pre></details></section>\
-         <footer><p>Made by Varda {}. Files beside this page: summary.json, analysis.csv, trajectory.csv, convergence.csv, figures/.</p></footer>",
+         <section><h2>The scene as it was run</h2><details><summary>TOML, overrides and defaults \
+         included</summary><pre>{}</pre></details></section>\
+         <footer><p>Made by Varda {}. Files beside this page: summary.json, analysis.csv, trajectory.csv, \
+         convergence.csv, figures/.</p></footer>",
         list(&summary.left_out),
         convergence_table(outcome),
         escape(&scene),
@@ -65,7 +68,8 @@ pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[Drawn]) -> S
 pub(super) fn document(title: &str, body: &str) -> String {
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{} – Varda</title>\n<style>{STYLE}</style>\n</head>\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{} – \
+         Varda</title>\n<style>\n{STYLE}</style>\n</head>\n\
          <body>\n<main>{body}</main>\n</body>\n</html>\n",
         escape(title)
     )
@@ -219,10 +223,8 @@ pub(super) fn numbers(rows: &[(&str, String, &str)]) -> String {
     let row = |(name, value, unit): &(&str, String, &str)| {
         format!("<tr><th scope=\"row\">{}</th><td>{}</td><td>{unit}</td></tr>", escape(name), escape(value))
     };
-    format!(
-        "<section><h2>In numbers</h2><div class=\"scroll\"><table><thead><tr><th scope=\"col\">Quantity</th><th scope=\"col\">Value</th><th scope=\"col\">Unit</th></tr></thead><tbody>{}</tbody></table></div></section>",
-        rows.iter().map(row).collect::<String>()
-    )
+    let rows: String = rows.iter().map(row).collect();
+    format!("<section><h2>In numbers</h2>{}</section>", table(&["Quantity", "Value", "Unit"], &rows))
 }
 
 fn fit_section(outcome: &Outcome, s: &Summary) -> String {
@@ -231,24 +233,20 @@ fn fit_section(outcome: &Outcome, s: &Summary) -> String {
         let shown = s.innovations.len().min(40);
         let row = |f: &Fit| {
             let class = if f.is_bad() { " class=\"bad\"" } else { "" };
-            format!(
-                "<tr{class}><th scope=\"row\">{}</th><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.2}</td></tr>",
-                escape(&f.label),
-                f.count,
-                short(f.sigma),
-                short(f.rms_background),
-                short(f.rms_analysis),
-                short(f.mean_analysis),
-                f.ratio
-            )
+            let d = [f.sigma, f.rms_background, f.rms_analysis, f.mean_analysis].map(short);
+            let cells = cells(&[&[f.count.to_string()], &d[..], &[format!("{:.2}", f.ratio)]].concat());
+            format!("<tr{class}><th scope=\"row\">{}</th>{cells}</tr>", escape(&f.label))
         };
         let unit = if outcome.shapes.is_some() { " [m]" } else { "" };
+        let in_unit = |name: &str| format!("{name}{unit}");
+        let [sigma, background, analysis, mean] =
+            ["σ", "rms d, background", "rms d, analysis", "mean d, analysis"].map(in_unit);
+        let headings = ["Observed", "values", &sigma, &background, &analysis, &mean, "rms d/σ"];
         let _ = write!(
             out,
-            "<p>Innovations d = y − H(x) against the σ that was assumed for them. An rms of d/σ near 1 at the analysis says that both are right.</p>\
-             <div class=\"scroll\"><table><thead><tr><th scope=\"col\">Observed</th><th scope=\"col\">values</th><th scope=\"col\">σ{unit}</th><th scope=\"col\">rms d, background{unit}</th>\
-             <th scope=\"col\">rms d, analysis{unit}</th><th scope=\"col\">mean d, analysis{unit}</th><th scope=\"col\">rms d/σ</th></tr></thead><tbody>{}</tbody></table></div>",
-            s.innovations[..shown].iter().map(row).collect::<String>()
+            "<p>Innovations d = y − H(x) compared with their assumed σ. An rms of d/σ near 1 at the \
+             analysis means that both are right.</p>{}",
+            table(&headings, &s.innovations[..shown].iter().map(row).collect::<String>())
         );
         if shown < s.innovations.len() {
             let _ = write!(out, "<p>{} more in summary.json.</p>", s.innovations.len() - shown);
@@ -256,51 +254,74 @@ fn fit_section(outcome: &Outcome, s: &Summary) -> String {
     }
     if !s.withheld.is_empty() {
         let row = |w: &Withheld| {
-            format!(
-                "<tr><th scope=\"row\">{}</th><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",
-                escape(&w.label),
-                w.count,
-                1e3 * w.rms_background,
-                1e3 * w.rms_analysis,
-                1e3 * w.moving_analysis
-            )
+            let mm = [w.rms_background, w.rms_analysis, w.moving_analysis].map(millimetres);
+            let cells = cells(&[&[w.count.to_string()], &mm[..]].concat());
+            format!("<tr><th scope=\"row\">{}</th>{cells}</tr>", escape(&w.label))
         };
+        let headings =
+            ["Marker", "times", "background [mm]", "analysis [mm]", "analysis without constant offset [mm]"];
         let _ = write!(
             out,
-            "<h3>Markers kept back</h3><p>They were not assimilated; distance between where they were seen and where the model has them, rms over the window.</p>\
-             <div class=\"scroll\"><table><thead><tr><th scope=\"col\">Marker</th><th scope=\"col\">times</th><th scope=\"col\">background [mm]</th><th scope=\"col\">analysis [mm]</th><th scope=\"col\">analysis, constant offset aside [mm]</th></tr></thead><tbody>{}</tbody></table></div>",
-            s.withheld.iter().map(row).collect::<String>()
+            "<h3>Markers kept back</h3><p>They were not assimilated. Distance between the marker as seen and \
+             its place in the model, rms over the window.</p>{}",
+            table(&headings, &s.withheld.iter().map(row).collect::<String>())
         );
     }
     if !s.forecast.is_empty() {
         let row = |f: &Forecast| {
             let used = if f.assimilated { "assimilated" } else { "kept back" };
-            format!(
-                "<tr><th scope=\"row\">{}</th><td>{used}</td><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",
-                escape(&f.label),
-                f.count,
-                1e3 * f.analysis,
-                1e3 * f.persistence,
-                1e3 * f.static_model,
-                1e3 * f.background,
-                1e3 * f.moving_analysis,
-                1e3 * f.moving_constant
-            )
+            let mm = [
+                f.analysis,
+                f.persistence,
+                f.static_model,
+                f.background,
+                f.moving_analysis,
+                f.moving_constant,
+            ];
+            let first = [used.to_string(), f.count.to_string()];
+            let cells = cells(&[&first[..], &mm.map(millimetres)].concat());
+            format!("<tr><th scope=\"row\">{}</th>{cells}</tr>", escape(&f.label))
         };
+        let headings = [
+            "Marker",
+            "in the window",
+            "times",
+            "analysis [mm]",
+            "persistence [mm]",
+            "static model [mm]",
+            "background [mm]",
+            "analysis without offset [mm]",
+            "best constant [mm]",
+        ];
         let _ = write!(
             out,
-            "<h3>Forecast</h3><p>Distance to the markers over {} s after the window, rms, beside simpler forecasts: the marker stays where it was last seen \
-             (persistence), the model at rest in its static equilibrium, and the model run from the background. The last two columns set constant offsets (a marker or mount not quite where the scene puts it) aside: \
-             the analysis less its mean error, and the best constant place there is.</p>\
-             <div class=\"scroll\"><table><thead><tr><th scope=\"col\">Marker</th><th scope=\"col\">in the window</th><th scope=\"col\">times</th><th scope=\"col\">analysis [mm]</th><th scope=\"col\">persistence [mm]</th>\
-             <th scope=\"col\">static model [mm]</th><th scope=\"col\">background [mm]</th>\
-             <th scope=\"col\">analysis, offset aside [mm]</th><th scope=\"col\">best constant [mm]</th></tr></thead><tbody>{}</tbody></table></div>",
+            "<h3>Forecast</h3><p>Distance to the markers over {} s after the window, rms, compared with \
+             simpler forecasts: the marker stays where it was last seen (persistence), the model at rest in \
+             its static equilibrium, and the model run from the background. The last two columns remove \
+             constant offsets (a marker or mount not quite where the scene puts it): the analysis less its \
+             mean error, and the best constant place.</p>{}",
             outcome.experiment.scene.report.forecast,
-            s.forecast.iter().map(row).collect::<String>()
+            table(&headings, &s.forecast.iter().map(row).collect::<String>())
         );
     }
     out.push_str("</section>");
     out
+}
+
+/// Cells of a row of a table.
+fn cells(values: &[String]) -> String {
+    values.iter().map(|v| format!("<td>{v}</td>")).collect()
+}
+
+/// A length in millimetres.
+fn millimetres(length: f64) -> String {
+    format!("{:.2}", 1e3 * length)
+}
+
+/// A table that scrolls where the page is narrow.
+fn table(headings: &[&str], rows: &str) -> String {
+    let names = headings.iter().map(|n| format!("<th scope=\"col\">{n}</th>")).collect::<String>();
+    format!("<div class=\"scroll\"><table><thead><tr>{names}</tr></thead><tbody>{rows}</tbody></table></div>")
 }
 
 fn convergence_table(outcome: &Outcome) -> String {
@@ -316,19 +337,17 @@ fn convergence_table(outcome: &Outcome) -> String {
             r.rmse.iter().map(|e| format!("<td>{}</td>", short(*e))).collect::<String>()
         )
     };
-    let heading = |group: &StateGroup| {
-        format!("<th scope=\"col\">{}{}</th>", group.labelled("RMSE"), group.unit_in_heading())
+    let errors: Vec<String> = match &outcome.truth {
+        Some(_) => {
+            let heading = |g: &StateGroup| format!("{}{}", g.labelled("RMSE"), g.unit_in_heading());
+            outcome.experiment.state.groups.iter().map(heading).collect()
+        }
+        None => Vec::new(),
     };
-    let errors: String = match &outcome.truth {
-        Some(_) => outcome.experiment.state.groups.iter().map(heading).collect(),
-        None => String::new(),
-    };
-    format!(
-        "<details><summary>Iteration by iteration</summary><div class=\"scroll\"><table><thead><tr><th scope=\"col\">iteration</th><th scope=\"col\">seconds</th><th scope=\"col\">J</th>\
-         <th scope=\"col\">J_b</th><th scope=\"col\">J_o</th><th scope=\"col\">gradient norm</th>{errors}</tr></thead>\
-         <tbody>{}</tbody></table></div></details>",
-        outcome.convergence.iter().map(row).collect::<String>()
-    )
+    let first = ["iteration", "seconds", "J", "J_b", "J_o", "gradient norm"];
+    let headings: Vec<&str> = first.into_iter().chain(errors.iter().map(String::as_str)).collect();
+    let rows: String = outcome.convergence.iter().map(row).collect();
+    format!("<details><summary>Iteration by iteration</summary>{}</details>", table(&headings, &rows))
 }
 
 pub(super) fn list(items: &[String]) -> String {
@@ -364,41 +383,7 @@ pub(super) fn escape(text: &str) -> String {
     out
 }
 
-const STYLE: &str = "
-:root{color-scheme:light;--ink:#1d2733;--soft:#5a6675;--line:#dde3ea;--accent:#0072b2}
-*{box-sizing:border-box}
-body{margin:0;background:#f5f7f9;color:var(--ink);font:16px/1.5 system-ui,-apple-system,'Segoe UI',Roboto,sans-serif}
-main{max-width:1000px;margin:0 auto;padding:1.2rem}
-h1{font-size:1.6rem;line-height:1.25;margin:.4rem 0}
-h2{font-size:1.15rem;margin:0 0 .6rem}
-h3{font-size:1rem;margin:1.2rem 0 .3rem}
-.sub{color:var(--soft);margin:0 0 1rem}
-.status{font-weight:600;color:#8a4b00}
-.status.converged{color:#00694b}
-.status.failed{color:#a40000}
-section,figure{background:#fff;border:1px solid var(--line);border-radius:10px;padding:1rem;margin:0 0 1rem}
-figcaption{color:var(--soft);font-size:.9rem;margin-top:.4rem}
-.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(200px,1fr));gap:.8rem;margin:0 0 1rem}
-.tile{background:#fff;border:1px solid var(--line);border-left:4px solid var(--accent);border-radius:10px;padding:.7rem .9rem}
-.tile dt{color:var(--soft);font-size:.85rem}
-.tile dd{margin:0;font-size:1.15rem;font-weight:600;font-variant-numeric:tabular-nums}
-.tile dd.note{font-size:.8rem;font-weight:400;color:var(--soft)}
-.notes{border-left:4px solid #d55e00}
-.scroll{overflow-x:auto}
-svg{max-width:100%;height:auto;display:block;margin:0 auto}
-table{border-collapse:collapse;width:100%;font-size:.92rem;font-variant-numeric:tabular-nums}
-th,td{padding:.3rem .6rem;border-bottom:1px solid var(--line);text-align:left}
-td{text-align:right;white-space:nowrap}
-thead th{color:var(--soft);font-weight:600}
-tbody th{font-weight:400}
-tr.bad td,tr.bad th{color:#a40000;font-weight:600}
-pre{overflow-x:auto;background:#f5f7f9;padding:.8rem;border-radius:8px;font-size:.85rem}
-footer{color:var(--soft);font-size:.85rem}
-ul{margin:.2rem 0;padding-left:1.2rem}
-summary{cursor:pointer}
-@media (max-width:600px){figure .scroll svg{min-width:640px}main{padding:.6rem}}
-@media print{body{background:#fff}section,figure,.tile{break-inside:avoid;border-color:#bbb}main{max-width:none}}
-";
+const STYLE: &str = include_str!("style.css");
 
 #[cfg(test)]
 mod tests {

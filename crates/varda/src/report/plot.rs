@@ -6,7 +6,8 @@ use plotters::prelude::*;
 
 use crate::Error;
 
-/// Figures are drawn this much larger than they are shown: the SVG backend rounds coordinates to whole pixels.
+/// Figures are drawn this much larger than they are shown: the SVG backend rounds coordinates to whole
+/// pixels.
 const FINE: u32 = 4;
 
 type Drawing = DrawingAreaErrorKind<<SVGBackend<'static> as DrawingBackend>::ErrorType>;
@@ -34,9 +35,9 @@ pub struct Panel {
     pub x_label: String,
     /// What y is, with its unit.
     pub y_label: String,
-    /// x on a logarithmic scale; points that have none are left out.
+    /// x on a logarithmic scale; points without a logarithm are left out.
     pub log_x: bool,
-    /// y on a logarithmic scale; points that have none are left out.
+    /// y on a logarithmic scale; points without a logarithm are left out.
     pub log_y: bool,
     /// Both axes have the same scale, and these ranges.
     pub equal: Option<[(f64, f64); 2]>,
@@ -64,14 +65,14 @@ pub enum Corner {
 pub struct Series {
     /// Its name in the legend.
     pub label: String,
-    /// What it looks like.
+    /// How it is drawn.
     pub style: Style,
     /// (x, y), in the order they are joined.
     pub points: Vec<(f64, f64)>,
 }
 
-/// What a series looks like. Colours are Okabe and Ito's (2008), which stay apart for colour-blind eyes; lines differ in
-/// dash too.
+/// How a series is drawn. Colours are Okabe and Ito's (2008), which colour-blind readers can tell apart;
+/// lines differ in dash too.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Style {
     /// Dotted, grey.
@@ -156,7 +157,7 @@ impl Figure {
 }
 
 impl Panel {
-    /// The names of the series beside a piece of each line.
+    /// The names of the series, each next to a piece of its line.
     fn draw_key(&self, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Drawing> {
         let fine = FINE as i32;
         let font = ("sans-serif", FINE * 13).into_font().color(&RGBColor(40, 40, 40));
@@ -331,7 +332,8 @@ fn accessible(svg: &str, (wide, high): (u32, u32), title: &str) -> String {
     let body = svg.find("<svg").map_or(svg, |i| &svg[i..]);
     let inner = body.find('>').map_or("", |i| &body[i + 1..]);
     format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {wide} {high}\" width=\"{width}\" height=\"{height}\" role=\"img\" \
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {wide} {high}\" width=\"{width}\" \
+         height=\"{height}\" role=\"img\" \
          aria-label=\"{0}\">\n<title>{0}</title>{inner}",
         super::html::escape(title)
     )

@@ -37,7 +37,8 @@ pub struct Summary {
     pub gradient_norm_first: f64,
     /// ‖∇J‖ at the last point.
     pub gradient_norm_last: f64,
-    /// How much the window amplifies and the error of its gradient; `null` for methods without a gradient along a run.
+    /// How much the window amplifies and the error of its gradient; `null` for methods without a gradient
+    /// along a run.
     pub amplification: Option<WindowAmplification>,
     /// The adaptive time steps; `null` without `time.tolerance`.
     pub accepted_steps: Option<AcceptedSteps>,

@@ -7,7 +7,7 @@ use crate::run::compare::Compared;
 use crate::scene::TimeGrid;
 use crate::state::Geometry;
 
-/// A number as the shortest text that reads back to the same bits; nothing for one that is not there.
+/// A number as the shortest text that reads back to the same bits; nothing for one that is not finite.
 pub(super) fn number(value: f64) -> String {
     let size = value.abs();
     match size {
@@ -61,8 +61,8 @@ pub(super) fn analysis(outcome: &Outcome) -> String {
     out
 }
 
-/// convergence.csv. Its two columns of RMSE keep their names for all models: the first group of the state (positions of
-/// a rod) and the second (velocities).
+/// convergence.csv. Its two columns of RMSE keep their names for all models: the first group of the state
+/// (positions of a rod) and the second (velocities).
 pub(super) fn convergence(rows: &[ConvergenceRow]) -> String {
     let mut out = String::from(
         "iteration,seconds,j,j_b,j_o,j_q,gradient_norm,rmse_position,rmse_velocity,sigma_factor,window,\
@@ -89,8 +89,8 @@ pub(super) fn convergence(rows: &[ConvergenceRow]) -> String {
     out
 }
 
-/// trajectory.csv: the analysis, the background and, where it is known, the truth, step by step. Vertices \[m\] of models
-/// in space, or components.
+/// trajectory.csv: the analysis, the background and, where it is known, the truth, step by step. Vertices
+/// \[m\] of models in space, or components.
 pub(super) fn trajectory(experiment: &Experiment, runs: &Trajectories, shapes: Option<&Shapes>) -> String {
     match (shapes, &experiment.state.geometry) {
         (Some(shapes), Some(geometry)) => vertices(&experiment.grid, shapes, &geometry.arc_lengths),
@@ -154,7 +154,8 @@ pub(super) fn background(geometry: &Geometry, background: &[f64]) -> String {
     out
 }
 
-/// observations.csv: what was seen of a rod in the model's axes and time, in the form `[observations] file` reads.
+/// observations.csv: what was seen of a rod in the model's axes and time, in the form `[observations] file`
+/// reads.
 pub(super) fn observations(shapes: &Shapes, grid: &TimeGrid) -> String {
     let mut out = String::from("time_s,s_m,x_m,y_m,z_m,sigma_m\n");
     for s in &shapes.seen {

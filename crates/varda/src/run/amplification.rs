@@ -9,16 +9,17 @@ use crate::setup::random::{Stream, stream};
 /// Number of directions followed through the window.
 const DIRECTIONS: usize = 4;
 
-/// ‖M‖ of the steps between `states` (x₀, x₁, … one after the other), from `control` and relative to `sigma`, the
-/// standard deviations of the background: with S = diag σ and P the components of the control, which lead the state,
+/// ‖M‖ of the steps between `states` (x₀, x₁, … one after the other), from `control` and relative
+/// to `sigma`, the standard deviations of the background: with S = diag σ and P the components of the
+/// control, which lead the state,
 ///
 /// ```text
 /// ‖M‖² ≈ mean over random ξ of |S⁻¹ P M_{N−1} ⋯ M₀ (∂x₀/∂z) S ξ|²,   ξ ~ N(0, I)
 /// ```
 ///
-/// the estimate of the Frobenius norm by Hutchinson (1989), from [`DIRECTIONS`] directions: above the largest singular
-/// value by at most the root of the number of growing directions. Each step takes one linearization and as many
-/// tangent products; no linearization is kept. The norm is infinite where a product overflows.
+/// the estimate of the Frobenius norm by Hutchinson (1989), from [`DIRECTIONS`] directions: above the largest
+/// singular value by at most the root of the number of growing directions. Each step takes one linearization
+/// and as many tangent products; no linearization is kept. The norm is infinite where a product overflows.
 ///
 /// # Errors
 /// A step that cannot be linearized.

@@ -19,8 +19,8 @@ pub struct Compared {
     pub status: &'static str,
     /// J at the end.
     pub j: Option<f64>,
-    /// (J − J*)/(J₀ − J*), J₀ at the background and J* the lowest J of any row. Not for the weak-constraint and ensemble
-    /// methods, whose J is another function.
+    /// (J − J*)/(J₀ − J*), J₀ at the background and J* the lowest J of any row. Not for the
+    /// weak-constraint and ensemble methods, whose J is another function.
     pub gap: Option<f64>,
     /// RMSE of the first group of the state (positions of a rod), where the truth is known.
     pub rmse: Option<f64>,
@@ -85,21 +85,22 @@ pub fn lowest(rows: &[Compared]) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// If the scene has no Q, the weak-constraint methods take σ_q = 0.1 σ_b, so Q = 0.01 B, with one η every tenth of the
-/// window.
+/// If the scene has no Q, the weak-constraint methods take σ_q = 0.1 σ_b, so Q = 0.01 B, with one η every
+/// tenth of the window.
 const ASSUMED_ERROR: f64 = 0.1;
 
 /// Dense Newton is skipped above this many unknowns: it would dominate the run time.
 const MOST_DENSE: usize = 1000;
 
-/// Runs every method that applies to the scene, those that take a minimizer with every minimizer, from the scene's own
-/// background, without posterior, σ stages and growing windows. If the scene has σ stages or a growing window, its own
-/// algorithm also runs as it is. If nothing is observed after step 0, the 3D names stand for the equivalent 4D methods.
+/// Runs every method that applies to the scene, those that take a minimizer with every minimizer, from the
+/// scene's own background, without posterior, σ stages and growing windows. If the scene has σ stages or a
+/// growing window, its own algorithm also runs as it is. If nothing is observed after step 0, the 3D names
+/// stand for the equivalent 4D methods.
 ///
-/// All minimise the same J (with `robust`, only methods that take it apply), except the weak-constraint and the ensemble
-/// methods: those have no gap and are compared by RMSE. Weak-constraint methods take the scene's Q, or Q = 0.01 B;
-/// ensembles the scene's or the default one. `on_row` is called with every row as it is done, its gap not yet known;
-/// `interrupted` ends the comparison with the rows so far.
+/// All minimise the same J (with `robust`, only methods that take it apply), except the weak-constraint and
+/// the ensemble methods: those have no gap and are compared by RMSE. Weak-constraint methods take the scene's
+/// Q, or Q = 0.01 B; ensembles the scene's or the default one. `on_row` is called with every row as it is
+/// done, its gap not yet known; `interrupted` ends the comparison with the rows so far.
 ///
 /// # Errors
 /// [`Error`] where the scene itself makes no problem. A method that fails is a row.

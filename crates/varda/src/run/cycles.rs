@@ -1,7 +1,8 @@
 //! Cycling: a scene with `[algorithm.cycles]`, window after window.
 //!
-//! The windows are cut out of one long [`Problem`], whose only window is the whole sequence: one run of the truth, one
-//! draw of observations in the order of time, one recording read. So more cycles do not change the first ones.
+//! The windows are cut out of one long [`Problem`], whose only window is the whole sequence: one run of the
+//! truth, one draw of observations in the order of time, one recording read. So more cycles do not change the
+//! first ones.
 
 use std::cell::RefCell;
 use std::ops::ControlFlow;
@@ -42,7 +43,7 @@ pub struct Sequence {
 }
 
 /// An observation operator that the windows of a sequence share.
-type Shared = Rc<RefCell<Box<dyn ObservationOperator>>>;
+type SharedOperator = Rc<RefCell<Box<dyn ObservationOperator>>>;
 
 /// Progress and cancellation callbacks of a sequence.
 pub struct CycleListener<'a> {
@@ -66,8 +67,8 @@ impl CycleListener<'_> {
 }
 
 impl Sequence {
-    /// The sequence that a scene describes; `None` for a scene without `[algorithm.cycles]`. Runs the truth from end to
-    /// end where there is one.
+    /// The sequence that a scene describes; `None` for a scene without `[algorithm.cycles]`. Runs the truth
+    /// from end to end where there is one.
     ///
     /// # Errors
     /// Those of [`Problem::from_scene`].
@@ -99,7 +100,8 @@ impl Sequence {
         Ok(Sequence { cycles, window, shift, problem, truth, observations })
     }
 
-    /// The state before the first window: the background, and the members of an ensemble about it, their mean.
+    /// The state before the first window: the background, and the members of an ensemble about it, their
+    /// mean.
     pub fn start(&self) -> CycleState {
         let background = self.problem.background.clone();
         let Some(ensemble) = &self.problem.ensemble else { return CycleState::new(background) };
@@ -113,12 +115,12 @@ impl Sequence {
         CycleState { next: 0, background, columns }
     }
 
-    /// Assimilates window after window: from the state [`start`](Self::start), with no `done` rows, or from the state
-    /// that a sequence left behind after the rows `done`.
+    /// Assimilates window after window: from the state [`start`](Self::start), with no `done` rows, or from
+    /// the state that a sequence left behind after the rows `done`.
     ///
     /// # Errors
-    /// [`Error::Assimilation`] where the first window cannot be assimilated; an error of `on_cycle`. A later window that
-    /// fails ends the sequence as [`Status::Failed`] with the windows before it.
+    /// [`Error::Assimilation`] where the first window cannot be assimilated; an error of `on_cycle`. A later
+    /// window that fails ends the sequence as [`Status::Failed`] with the windows before it.
     pub fn run(
         &self,
         mut state: CycleState,
@@ -272,14 +274,14 @@ impl Sequence {
     /// What was observed in the window that starts at a step, including what an earlier window has used.
     fn of_window(
         &self,
-        operators: &[Shared],
+        operators: &[SharedOperator],
         first: usize,
     ) -> Result<ObservationSet, varda_assimilation::Error> {
         let last = (first + self.window) as f64;
         let from = self.observations.partition_point(|o| o.step < first);
         let inside = self.observations[from..].iter().take_while(|o| at(o) <= last);
         let seen = inside.map(|o| o.clone().at_step(o.step - first)).collect();
-        let operator = |operator: &Shared| -> Box<dyn ObservationOperator> {
+        let operator = |operator: &SharedOperator| -> Box<dyn ObservationOperator> {
             Box::new(FromStep { operator: Rc::clone(operator), first })
         };
         let grid = &self.problem.experiment.grid;
@@ -330,8 +332,8 @@ impl Sequence {
         amplification::estimate(model.as_mut(), &last.analysis, &sigma, states, scene.seed).ok()
     }
 
-    /// Runs from every window's analysis to the next one's start, the last to its end; and the truth over the same
-    /// steps.
+    /// Runs from every window's analysis to the next one's start, the last to its end; and the truth over the
+    /// same steps.
     fn trajectories(&self, rows: &[CycleRow], warnings: &mut Vec<String>) -> Trajectories {
         let dim = self.problem.experiment.n_state;
         let mut analysis = Vec::new();
@@ -405,7 +407,7 @@ fn means(rows: &[CycleRow], spin_up: usize, groups: usize) -> Means {
 
 /// An operator of the sequence, in a window that starts at its step `first`.
 struct FromStep {
-    operator: Shared,
+    operator: SharedOperator,
     first: usize,
 }
 

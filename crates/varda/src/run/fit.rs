@@ -1,4 +1,5 @@
-//! How well the analysis fits: innovations against the assumed σ, markers kept back, forecasts beside simpler ones.
+//! How well the analysis fits: innovations against the assumed σ, markers kept back, forecasts beside
+//! simpler ones.
 
 use varda_assimilation::{Analysis, ObservationOperator, ObservationSet};
 use varda_implicit::Model;
@@ -72,7 +73,8 @@ pub(crate) fn remarks(fit: &[Fit], analysis: &Analysis) -> Vec<String> {
     let spread = 4.0 * (2.0 / m).sqrt();
     if m > 0.0 && (analysis.chi2 - 1.0).abs() > spread {
         let why = if analysis.chi2 > 1.0 {
-            "σ of the observations or of the background is too small, or the model does not describe what was seen"
+            "σ of the observations or of the background is too small, or the model does not describe what \
+             was seen"
         } else {
             "σ of the observations or of the background is larger than it need be"
         };
@@ -87,12 +89,12 @@ pub(crate) fn remarks(fit: &[Fit], analysis: &Analysis) -> Vec<String> {
     out
 }
 
-/// The errors of the analysis at markers that were kept back, and of its forecast after the window. Nothing for models
-/// that are not in space.
+/// The errors of the analysis at markers that were kept back, and of its forecast after the window. Nothing
+/// for models that are not in space.
 ///
 /// # Errors
-/// [`Error::Assimilation`] where a marker has no place in a state, [`Error::Preparation`] where the rod has no static
-/// equilibrium.
+/// [`Error::Assimilation`] where a marker has no place in a state, [`Error::Preparation`] where the rod has
+/// no static equilibrium.
 pub(crate) fn beyond(
     problem: &Problem,
     runs: &Trajectories,
@@ -105,7 +107,7 @@ pub(crate) fn beyond(
     let grid = &problem.experiment.grid;
     let end = grid.steps as f64;
     let sights = problem.observed.sights();
-    let mut places = Places::of((space.make_places)()?, *grid);
+    let mut places = SitePlaces::of((space.make_places)()?, *grid);
     let at_rest = if sights.iter().any(|s| s.at() > end) {
         let control = rod.parts.at_rest(grid.time(grid.steps))?;
         let mut state = vec![0.0; model.dim()];
@@ -163,16 +165,16 @@ pub(crate) fn beyond(
     Ok((withheld, forecasts))
 }
 
-/// Places of all sites in the model's axes.
-struct Places {
+/// SitePlaces of all sites in the model's axes.
+struct SitePlaces {
     operator: Box<dyn ObservationOperator>,
     grid: TimeGrid,
     values: Vec<f64>,
 }
 
-impl Places {
+impl SitePlaces {
     fn of(operator: Box<dyn ObservationOperator>, grid: TimeGrid) -> Self {
-        Places { values: vec![0.0; operator.dim()], operator, grid }
+        SitePlaces { values: vec![0.0; operator.dim()], operator, grid }
     }
 
     /// The place of a site in a state at step k.

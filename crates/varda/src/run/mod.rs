@@ -1,4 +1,5 @@
-//! What is done with a problem: one window assimilated or run forward, many windows in turn, methods compared.
+//! What is done with a problem: one window assimilated or run forward, many windows in turn, methods
+//! compared.
 
 mod amplification;
 pub mod compare;

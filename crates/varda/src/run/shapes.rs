@@ -1,4 +1,5 @@
-//! Runs of a rod in space: its vertices step by step, what was seen of it, and one marker followed through all runs.
+//! Runs of a rod in space: its vertices step by step, what was seen of it, and one marker followed through
+//! all runs.
 
 use crate::Error;
 use crate::outcome::{Shapes, Track, Trajectories};
@@ -43,8 +44,8 @@ pub(crate) fn with_observations(problem: &Problem, runs: &Trajectories) -> Resul
     Ok(Some(Shapes { seen: observed.sights(), track: track.flatten(), ..shapes }))
 }
 
-/// The track of the first marker that was kept back, which says most; else of the last site, which is the free end in
-/// most scenes.
+/// The track of the first marker that was kept back, which says most; else of the last site, which is the
+/// free end in most scenes.
 fn track(
     observed: &Observed,
     space: &ObservedSpace,

@@ -40,8 +40,8 @@ impl Listener<'_> {
 /// problem gives the same bits every time.
 ///
 /// # Errors
-/// [`Error::Assimilation`] where the cost cannot be evaluated at the background; [`Error::Model`], [`Error::Rod`]. How
-/// a minimization ended is a [`Status`].
+/// [`Error::Assimilation`] where the cost cannot be evaluated at the background; [`Error::Model`],
+/// [`Error::Rod`]. How a minimization ended is a [`Status`].
 pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome, Error> {
     let experiment = &problem.experiment;
     let (scene, layout, grid) = (&experiment.scene, &experiment.state, &experiment.grid);
@@ -183,7 +183,8 @@ fn remarks(
     if !solution.rejected.is_empty() {
         let all = used + solution.rejected.len();
         warnings.push(format!(
-            "the background check refused {} of {all} observed values (listed under `rejected` in summary.json)",
+            "the background check refused {} of {all} observed values (listed under `rejected` in \
+             summary.json)",
             solution.rejected.len()
         ));
     }
@@ -209,8 +210,8 @@ fn remarks(
     warnings
 }
 
-/// A solution as an analysis of `m` observed values; without a posterior σ_a is that of the background and nothing was
-/// gained.
+/// A solution as an analysis of `m` observed values; without a posterior σ_a is that of the background and
+/// nothing was gained.
 fn analysis(problem: &Problem, solution: &Solution, m: usize) -> Analysis {
     let minimum = &solution.minimum;
     let sigma = solution.spread.as_ref().map(|s| &s.sigma);
@@ -227,8 +228,8 @@ fn analysis(problem: &Problem, solution: &Solution, m: usize) -> Analysis {
     }
 }
 
-/// ‖M‖ along the analysis up to the last observation, for methods whose gradient is an adjoint run along a trajectory
-/// of the model.
+/// ‖M‖ along the analysis up to the last observation, for methods whose gradient is an adjoint run along
+/// a trajectory of the model.
 fn amplification(
     problem: &Problem,
     make_model: &MakeModel,
@@ -296,8 +297,8 @@ fn seen(problem: &Problem, observations: &ObservationSet) -> Vec<SeenComponent> 
     observations.observations().iter().flat_map(values).collect()
 }
 
-/// Runs of the window and its forecast; that of the analysis continues from `states` where there are some. A run that
-/// fails ends early, with a warning.
+/// Runs of the window and its forecast; that of the analysis continues from `states` where there are some. A
+/// run that fails ends early, with a warning.
 fn trajectories(
     problem: &Problem,
     model: &mut dyn Model,

@@ -1,4 +1,4 @@
-//! `[algorithm]`: the method, its minimizer, and what they need.
+//! `[algorithm]`: the method, its minimizer, and their settings.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,7 +11,7 @@ use super::{Cycles, Ensemble, Method, Minimizer, ModelError};
 pub struct Algorithm {
     /// The member of the variational family.
     pub method: Method,
-    /// The minimizer of methods 4dvar, 3dvar and weak-forcing. The others have a loop of their own.
+    /// The minimizer of methods 4dvar, 3dvar and weak-forcing. The other methods have their own loop.
     pub minimizer: Minimizer,
     /// Most outer iterations, at most 1e6.
     #[schemars(extend("minimum" = 1, "maximum" = 1000000))]
@@ -19,21 +19,22 @@ pub struct Algorithm {
     /// Converged when the gradient in the control variable is this much smaller than at the background.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub gradient_tolerance: f64,
-    /// Observation-error continuation: σ of the observations is multiplied by these factors in turn, each stage starting
-    /// where the last one ended. The last factor must be 1. Empty: none.
+    /// Observation-error continuation: σ of the observations is multiplied by these factors in turn, each
+    /// stage starting where the last one ended. The last factor must be 1. Empty: none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub sigma_stages: Vec<f64>,
-    /// Robust observations (methods 4dvar and 3dvar): departures beyond this many σ count linearly, not squared (Huber norm).
+    /// Robust observations (methods 4dvar and 3dvar): departures beyond this many σ count linearly, not
+    /// squared (Huber norm).
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub robust: Option<f64>,
-    /// Background check: observed values farther than this many √(HBHᵀ + R) from the background are refused before the
-    /// minimization, and listed.
+    /// Background check: observed values farther than this many √(HBHᵀ + R) from the background are
+    /// refused before the minimization; the result lists them.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub background_check: Option<f64>,
-    /// Growing window (4D methods): ends of sub-windows in steps, in turn, each started where the last one ended. The last
-    /// must be the window. Empty: the window at once.
+    /// Growing window (4D methods): ends of sub-windows in steps, in turn, each started where the last one
+    /// ended. The last must be the window. Empty: the whole window at once.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub window_growth: Vec<usize>,
     /// The error of the model (methods weak-forcing and weak-state).
@@ -66,12 +67,12 @@ impl Default for Algorithm {
 }
 
 impl Algorithm {
-    /// The ensemble the method runs: that of the scene or the default one; `None` for methods that run none.
+    /// The ensemble of the method: that of the scene or the default one; `None` for methods without one.
     pub fn members(&self) -> Option<Ensemble> {
         self.method.is_ensemble().then(|| self.ensemble.clone().unwrap_or_default())
     }
 
-    /// What solves the method's problem, for tables: its minimizer, or the loop of its own.
+    /// The solver of the method's problem in tables: its minimizer, or its own loop.
     pub fn solver_name(&self) -> &'static str {
         match self.method {
             Method::FourDVar | Method::ThreeDVar | Method::WeakForcing => self.minimizer.name(),

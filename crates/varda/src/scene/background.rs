@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 pub struct Background {
     /// Where x_b comes from.
     pub from: Origin,
-    /// The CSV file of `from = "file"`. A rod's has the header `vertex,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s` and one row
-    /// for every free vertex; another model's has the header `component,value`.
+    /// The CSV file of `from = "file"`. A rod's has the header `vertex,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s` and
+    /// one row for every free vertex; another model's has the header `component,value`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,
     /// The error covariance B.
@@ -21,7 +21,8 @@ pub struct Background {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Origin {
-    /// A twin experiment: the truth at the start of the window plus an error drawn from B (before localization).
+    /// A twin experiment: the truth at the start of the window plus an error drawn from B (before
+    /// localization).
     TruthPlusDraw,
     /// A CSV file.
     File,
@@ -37,14 +38,15 @@ pub enum Covariance {
     Diagonal(DiagonalCovariance),
     /// A multiple of the covariance of the states the model passes through (Lorenz models).
     Climatology(ClimatologyCovariance),
-    /// A kernel in arc length times a taper; x, y, z alike and independent, positions and velocities too (rods).
+    /// A kernel in arc length times a taper; x, y, z alike and independent, positions and velocities too
+    /// (rods).
     Kernel(KernelCovariance),
     /// A kernel in the distance along a line times a taper (linear-advection, burgers).
     Line(LineCovariance),
 }
 
 impl Covariance {
-    /// The same with every σ multiplied by `factor`.
+    /// This covariance with every σ multiplied by `factor`.
     pub(crate) fn scaled(&self, factor: f64) -> Covariance {
         let by = |sigma: Option<f64>| sigma.map(|s| factor * s);
         match self.clone() {
@@ -89,7 +91,8 @@ pub struct ClimatologyCovariance {
     /// Factor on the covariance (the square of one on standard deviations).
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub scale: f64,
-    /// Steps of the run, which begins where the truth of a twin experiment does, after `time.spin_up`; the same for every seed.
+    /// Steps of the run, which begins where the truth of a twin experiment does, after `time.spin_up`; the
+    /// same for every seed.
     #[serde(default = "default_steps")]
     #[schemars(extend("minimum" = 1, "maximum" = 100000000))]
     pub steps: usize,
@@ -115,7 +118,8 @@ pub struct KernelCovariance {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m/s"))]
     pub sigma_v: Option<f64>,
-    /// σ_v over v̄, the mean speed of the free vertices at the start of the window (of the truth; of x_b without one).
+    /// σ_v over v̄, the mean speed of the free vertices at the start of the window (of the truth, or of x_b
+    /// if there is no truth).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub sigma_v_over_mean_speed: Option<f64>,
@@ -151,8 +155,8 @@ fn default_truncation() -> f64 {
     1e-12
 }
 
-/// Errors correlated along a line: σ² k(d_ij) taper(d_ij). On a line that closes to a circle d is the chord, in which every kernel
-/// is a covariance.
+/// Errors correlated along a line: σ² k(d_ij) taper(d_ij). On a line that closes to a circle d is the
+/// chord, in which every kernel is a covariance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LineCovariance {

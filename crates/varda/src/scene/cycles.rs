@@ -5,28 +5,31 @@ use serde::{Deserialize, Serialize};
 
 use super::Method;
 
-/// Cycling (methods 4dvar, 3dvar, 4denvar, hybrid-4denvar): every window starts from the analysis of the one before, run to its start.
-/// Windows are `time.window` steps long; an observation belongs to the first window that holds it.
+/// Cycling (methods 4dvar, 3dvar, 4denvar, hybrid-4denvar): every window starts from the analysis of the one
+/// before, run to its start. Windows are `time.window` steps long; an observation belongs to the first window
+/// that holds it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Cycles {
-    /// Number of windows; 1e7 steps in all at most.
+    /// Number of windows; at most 1e7 steps in all.
     #[schemars(extend("minimum" = 1, "maximum" = 10000000))]
     pub count: usize,
-    /// Steps from the start of one window to that of the next. The default, the window's length (1 for a window of 0), puts windows end
-    /// to end: they share the step at which one ends and the next begins. Fewer steps let windows overlap; one more tiles the
-    /// time; a window of 0 may leave any number between.
+    /// Steps from the start of one window to that of the next. The default, the window's length (1 for a
+    /// window of 0), puts windows end to end: they share the step at which one ends and the next begins.
+    /// Fewer steps let windows overlap; one more tiles the time; a window of 0 may leave any number between.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("minimum" = 1, "maximum" = 10000000))]
     pub shift: Option<usize>,
     /// Where B of the next window comes from. Left out: the ensemble where the method runs one, else static.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub covariance: Option<CycledCovariance>,
-    /// Factor on the standard deviations of the propagated posterior; an ensemble's is in [algorithm.ensemble].
+    /// Factor on the standard deviations of the propagated posterior; an ensemble's is in
+    /// [algorithm.ensemble].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub inflation: Option<f64>,
-    /// Weight β of the scene's own B beside the propagated posterior, P + β² B: a factor on standard deviations.
+    /// Weight β of the scene's own B that is added to the propagated posterior, P + β² B: a factor on
+    /// standard deviations.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("minimum" = 0.0))]
     pub static_weight: Option<f64>,

@@ -1,33 +1,36 @@
-//! `[algorithm.ensemble]`: the members, for the methods that run an ensemble in the place of a tangent and an adjoint.
+//! `[algorithm.ensemble]`: the members, for methods that run an ensemble instead of a tangent and an adjoint.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Taper;
 
-/// The ensemble of methods 4denvar and hybrid-4denvar. Its members are drawn from N(x_b, B) with the seed's stream for ensembles.
+/// The ensemble of methods 4denvar and hybrid-4denvar. Its members are drawn from N(x_b, B) with the seed's
+/// stream for ensembles.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Ensemble {
     /// Number of members N; at most 1e9 numbers in all their runs together.
     #[schemars(extend("minimum" = 2, "maximum" = 10000))]
     pub members: usize,
-    /// Distance beyond which the ensemble's covariances are not believed: [m] on a rod or a line, in components on
-    /// lorenz96's ring. Left out: no localization.
+    /// Distance beyond which the ensemble's covariances are set to zero: [m] on a rod or a line, in
+    /// components on lorenz96's ring. Left out: no localization.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub localization_length: Option<f64>,
-    /// Shape of the localization; gaspari-cohn where a length is given.
+    /// Shape of the localization; gaspari-cohn by default if a length is given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub taper: Option<Taper>,
     /// The members' deviations from their mean are multiplied by this before a window.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub inflation: f64,
-    /// Weight β_s of the static part in β_s² B + β_e² B_e (method hybrid-4denvar): a factor on standard deviations.
+    /// Weight β_s of the static part in β_s² B + β_e² B_e (method hybrid-4denvar): a factor on standard
+    /// deviations.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("minimum" = 0.0))]
     pub static_weight: Option<f64>,
-    /// Weight β_e of the ensemble part in β_s² B + β_e² B_e (method hybrid-4denvar): a factor on standard deviations.
+    /// Weight β_e of the ensemble part in β_s² B + β_e² B_e (method hybrid-4denvar): a factor on
+    /// standard deviations.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("minimum" = 0.0))]
     pub ensemble_weight: Option<f64>,
@@ -47,7 +50,7 @@ impl Default for Ensemble {
 }
 
 impl Ensemble {
-    /// β_s and β_e; √½ each, half of the covariance, where the scene is silent.
+    /// β_s and β_e; by default √½ each, half of the covariance.
     pub fn weights(&self) -> [f64; 2] {
         [self.static_weight, self.ensemble_weight].map(|w| w.unwrap_or(std::f64::consts::FRAC_1_SQRT_2))
     }

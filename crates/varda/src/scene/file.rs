@@ -1,4 +1,4 @@
-//! Where a scene comes from: a file or the binary, overrides, and the files it names.
+//! Reading a scene: from a file or the binary, with overrides; and finding the files it names.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -13,7 +13,7 @@ use super::sizes::{DATA_BYTES, SCENE_BYTES};
 use super::{Scene, schema_check, shipped, tree, validate};
 use crate::Error;
 
-/// A scene that has been read and checked, with what is needed to point at its lines and to find its files.
+/// A scene that has been read and checked. It can point at the lines of its keys and find its files.
 #[derive(Debug, Clone)]
 pub struct SceneFile {
     /// Name of the scene: that of the file without its ending.
@@ -97,7 +97,7 @@ impl SceneFile {
         Error::Scene { place: locate(&self.label, self.place(path)), message: message.into() }
     }
 
-    /// What was read from the scene's keys, or the error that points at the key.
+    /// Turns a wrong key into the error that points at it.
     pub(crate) fn checked<T>(&self, read: Result<T, Invalid>) -> Result<T, Error> {
         read.map_err(|i| self.invalid(&i.path, i.message))
     }
@@ -122,8 +122,13 @@ impl SceneFile {
             None => {
                 return match shipped::data(file) {
                     Some(text) => Ok(Source::Shipped { name: file.to_string(), text }),
-                    None => Err(self
-                        .invalid(path, format!("no file {file:?} is shipped; give one with --set {path}=…"))),
+                    None => Err(self.invalid(
+                        path,
+                        format!(
+                            "no file {file:?} is shipped; give one with --set \
+                         {path}=…"
+                        ),
+                    )),
                 };
             }
         };
@@ -173,7 +178,7 @@ impl Source {
     }
 }
 
-/// The text of a file, of which no more is read than `most` bytes.
+/// The text of a file with at most `most` bytes.
 fn read_text(path: &Path, most: u64) -> std::io::Result<String> {
     let mut text = String::new();
     std::fs::File::open(path)?.take(most + 1).read_to_string(&mut text)?;

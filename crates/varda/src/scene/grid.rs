@@ -34,7 +34,8 @@ impl TimeGrid {
                 let Some(omega) = omega else {
                     return invalid(
                         "time.steps_per_period",
-                        "a period is that of the drive [model.start.motion] kind = \"ellipse\", which is not there",
+                        "a period is that of the drive [model.start.motion] kind = \"ellipse\", which is not \
+                         there",
                     );
                 };
                 TAU / (omega * n as f64)

@@ -1,19 +1,20 @@
-//! `[limits]`: what a run may take of the machine.
+//! `[limits]`: how much of the machine a run may use.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use varda_implicit::Storage;
 
-/// Most bytes a run may plan for where its scene says nothing: half of what an ordinary machine has.
+/// Most bytes a run may plan for by default: half of the memory of an ordinary machine.
 pub const DEFAULT_MEMORY: usize = 8_000_000_000;
 
-/// What a run may take of the machine.
+/// How much of the machine a run may use.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Limits {
-    /// Most memory a run may plan for, such as "200 MB" (B, kB, MB, GB; KiB, MiB, GiB); "8 GB" where it is not given. What covariances, Hessians and
-    /// tables leave of it is for the states and linearizations of a window: where that is too little to keep all, a strong constraint computes
-    /// linearizations and then states again, the same bits in more time. A run that needs more than the limit is refused.
+    /// Most memory a run may plan for, such as "200 MB" (B, kB, MB, GB; KiB, MiB, GiB); "8 GB" where it is
+    /// not given. What covariances, Hessians and tables leave of it is for the states and linearizations of a
+    /// window: where that is too little to keep all, a strong constraint computes linearizations and then
+    /// states again, the same bits in more time. A run that needs more than the limit is refused.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub memory: String,
 }

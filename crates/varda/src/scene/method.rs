@@ -15,8 +15,9 @@ pub enum Method {
     /// 4D-PSAS: the same inner problems solved in observation space (dual).
     #[serde(rename = "4d-psas")]
     FourDPsas,
-    /// BLUE, the closed form, linearized once at the background: exact where model and observations are linear; elsewhere one full
-    /// Gauss-Newton step, which says "max_iterations" where its gradient is not below the tolerance. Dense.
+    /// BLUE, the closed form, linearized once at the background: exact where model and observations are
+    /// linear; otherwise one full Gauss-Newton step, with status "max_iterations" if its gradient is not
+    /// below the tolerance. Dense.
     #[serde(rename = "blue")]
     Blue,
     /// 3D-Var: everything is observed at step 0.
@@ -34,11 +35,12 @@ pub enum Method {
     /// Weak-constraint 4D-Var over the states at the ends of the sub-windows; B and Q need an inverse.
     #[serde(rename = "weak-state")]
     WeakState,
-    /// 4D-EnVar: forward runs of an ensemble in the place of tangent and adjoint, relinearized up to `max_iterations` times
-    /// (1: 4D-EnVar proper; more: the iterative ensemble smoother).
+    /// 4D-EnVar: forward runs of an ensemble in the place of tangent and adjoint, relinearized up to
+    /// `max_iterations` times (1: 4D-EnVar proper; more: the iterative ensemble smoother).
     #[serde(rename = "4denvar")]
     FourDEnVar,
-    /// Hybrid 4D-EnVar: a static part of B beside the ensemble's, its increments constant through the window. Linearized once.
+    /// Hybrid 4D-EnVar: a static part of B beside the ensemble's, its increments constant through the window.
+    /// Linearized once.
     #[serde(rename = "hybrid-4denvar")]
     HybridFourDEnVar,
 }
@@ -116,10 +118,11 @@ impl Method {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Minimizer {
-    /// The default: the trust region, and further runs of it if one is not to be trusted. One run is enough if it
-    /// converges and J_o ≤ 10 m at the background (m observed values). Otherwise the trust region starts again through
-    /// enlarged σ (× 10, 3, 1 and × 16, 8, 4, 2, 1) and from up to six draws of the prior, until two runs agree on the
-    /// lowest J; if the first one took more than 40 iterations, all of these are run. The lowest end is the result.
+    /// The default: the trust region, and further runs of it if one is not to be trusted. One run is enough
+    /// if it converges and J_o ≤ 10 m at the background (m observed values). Otherwise the trust region
+    /// starts again through enlarged σ (× 10, 3, 1 and × 16, 8, 4, 2, 1) and from up to six draws of the
+    /// prior, until two runs agree on the lowest J; if the first one took more than 40 iterations, all of
+    /// these are run. The lowest end is the result.
     Auto,
     /// Gauss–Newton with a trust region (Levenberg–Marquardt in the B⁻¹ norm).
     TrustRegion,

@@ -1,10 +1,11 @@
 //! A scene: everything that defines an experiment, as plain data read from TOML.
 //!
-//! Lengths are metres, times seconds, masses kilograms, angles radians; every key says its unit in its description
-//! (`varda schema`). Files named in a scene are relative to the scene's own folder; those given by `--set` to the
-//! current one.
+//! Lengths are metres, times seconds, masses kilograms, angles radians; every key says its unit in its
+//! description (`varda schema`). Files named in a scene are relative to the scene's own folder; those given
+//! by `--set` to the current one.
 
-// Descriptions are the schema's text too, where a unit stands in plain brackets: rustdoc takes [m] for a link.
+// Descriptions are the schema's text too, where a unit stands in plain brackets: rustdoc takes [m] for a
+// link.
 #![allow(rustdoc::broken_intra_doc_links)]
 
 mod algorithm;
@@ -59,16 +60,18 @@ pub use sizes::{DATA_BYTES, NUMBERS, SCENE_BYTES, STEPS, VALUES};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A scene of Varda. SI units throughout. A number is 0 or its size is between 1e-50 and 1e50; a scene has at most 1 MiB and a CSV file 256 MiB;
-/// the states of a run have at most 1e9 numbers, and at most 1e7 values are observed. A run that would take more memory than `[limits] memory`
-/// (8 GB unless the scene says otherwise) is refused before it begins.
+/// A scene of Varda. SI units throughout. A number is 0 or its size is between 1e-50 and 1e50; a scene has at
+/// most 1 MiB and a CSV file 256 MiB; the states of a run have at most 1e9 numbers, and at most 1e7 values
+/// are observed. A run that would take more memory than `[limits] memory` (8 GB unless the scene says
+/// otherwise) is refused before it begins.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Scene {
     /// What the scene shows, in a sentence.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub title: String,
-    /// Seed of every random number; truth, background, observations and ensemble draw from independent streams of it.
+    /// Seed of every random number; truth, background, observations and ensemble draw from independent
+    /// streams of it.
     #[serde(default)]
     pub seed: u64,
     /// The dynamical system.
@@ -85,7 +88,7 @@ pub struct Scene {
     /// How the cost is minimised.
     #[serde(default)]
     pub algorithm: Algorithm,
-    /// What a run may take of the machine.
+    /// How much of the machine a run may use.
     #[serde(default)]
     pub limits: Limits,
     /// What the report shows.
@@ -115,15 +118,17 @@ pub struct Time {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("minimum" = 1, "maximum" = 1000000000))]
     pub steps_per_period: Option<usize>,
-    /// Rods: divide every step so that the estimated error of its parts is at most this share of the rod's length (root mean
-    /// square over coordinates). The parts are those the background's run needs and stay the same during a run.
+    /// Rods: divide every step so that the estimated error of its parts is at most this share of the rod's
+    /// length (root mean square over coordinates). The parts are those the background's run needs and stay
+    /// the same during a run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub tolerance: Option<f64>,
     /// Length of the assimilation window, in steps; at most 1e7.
     #[schemars(extend("maximum" = 10000000))]
     pub window: usize,
-    /// Steps from the model's time 0 to the start of the window. A twin's truth is run through them. At most 1e7.
+    /// Steps from the model's time 0 to the start of the window. A twin's truth is run through them. At most
+    /// 1e7.
     #[serde(default)]
     #[schemars(extend("maximum" = 10000000))]
     pub spin_up: usize,
@@ -170,7 +175,8 @@ pub struct Report {
     /// Number of instants of the window drawn as snapshots of a rod.
     #[schemars(extend("minimum" = 1, "maximum" = 24))]
     pub snapshots: usize,
-    /// Forecast from the end of the window over this time [s], compared with what was recorded then. 0: none. At most 1e7 steps.
+    /// Forecast from the end of the window over this time [s], compared with what was recorded then. 0: none.
+    /// At most 1e7 steps.
     #[schemars(extend("minimum" = 0.0, "x-unit" = "s"))]
     pub forecast: f64,
     /// Posterior standard deviations (one tangent run per control component).

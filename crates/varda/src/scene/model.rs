@@ -328,7 +328,8 @@ pub enum Motion {
         #[schemars(extend("minimum" = 0.0))]
         ramp_periods: f64,
     },
-    /// Displacements from a CSV file with the header `time_s,x_m,y_m,z_m`; linear between rows, constant outside them.
+    /// Displacements from a CSV file with the header `time_s,x_m,y_m,z_m`; linear between rows, constant
+    /// outside them.
     Table {
         /// The file.
         file: String,

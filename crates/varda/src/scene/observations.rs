@@ -43,8 +43,9 @@ pub struct Synthetic {
     pub sigma_over_length: Option<f64>,
 }
 
-/// Observations of a rod read from a CSV file with the header `time_s,s_m,x_m,y_m,z_m` or `time_s,marker,x_m,y_m,z_m` and,
-/// if wanted, a column `sigma_m`. An empty cell or a missing row was not observed.
+/// Observations of a rod read from a CSV file with the header `time_s,s_m,x_m,y_m,z_m` or
+/// `time_s,marker,x_m,y_m,z_m` and, if wanted, a column `sigma_m`. An empty cell or a missing row was not
+/// observed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Recording {
@@ -59,7 +60,7 @@ pub struct Recording {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub sigma: Option<f64>,
-    /// Where the recording's axes sit in the model's.
+    /// The recording's axes in those of the model.
     #[serde(default, skip_serializing_if = "is_default")]
     pub frame: Frame,
     /// What to do with rows outside the window.
@@ -73,7 +74,7 @@ pub struct Recording {
     pub ignore: Vec<String>,
 }
 
-/// x_model = R x_recorded + t, with R given by its rows or as a turn about an axis. σ stays.
+/// x_model = R x_recorded + t, with R given by its rows or as a rotation about an axis. σ does not change.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Frame {

@@ -1,4 +1,5 @@
-//! Keys of a scene as values that cannot be wrong: each choice between keys is read, and refused, in one place.
+//! Keys of a scene as values that cannot be wrong: each choice between keys is read, and refused, in one
+//! place.
 
 use varda_implicit::Scheme;
 use varda_implicit::line::Line;

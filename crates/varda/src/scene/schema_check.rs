@@ -1,5 +1,5 @@
-//! Checks a scene against its own JSON Schema: unknown keys, missing keys, wrong types and impossible values, each
-//! with its place and with what was meant.
+//! Checks a scene against its own JSON Schema: unknown keys, missing keys, wrong types and impossible values,
+//! each with its place and with what was meant.
 
 use serde_json::Value as Json;
 

@@ -3,7 +3,8 @@
 use super::{Method, Observations, SceneFile};
 
 impl SceneFile {
-    /// The scene whose only window is the whole sequence of `[algorithm.cycles]`; a scene without cycles as it is.
+    /// The scene whose only window is the whole sequence of `[algorithm.cycles]`; a scene without cycles as
+    /// it is.
     ///
     /// Its truth is one run and its observations one draw in the order of time, so that more cycles do not
     /// change the first ones.

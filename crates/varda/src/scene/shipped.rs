@@ -1,6 +1,6 @@
 //! The scenes that come with the binary, and the data they name.
 
-/// A scene in the binary.
+/// A scene that comes with the binary.
 #[derive(Debug, Clone, Copy)]
 pub struct Shipped {
     /// Its name on the command line.
@@ -41,6 +41,7 @@ pub const SHIPPED: &[Shipped] = shipped![
 pub const STARTER: &str = include_str!("../../scenes/starter.toml");
 
 const DATA: &[(&str, &str)] = &[
+    ("data/beam-release.csv", include_str!("../../scenes/data/beam-release.csv")),
     ("data/hanging-rod-background.csv", include_str!("../../scenes/data/hanging-rod-background.csv")),
     ("data/hanging-rod-observations.csv", include_str!("../../scenes/data/hanging-rod-observations.csv")),
 ];

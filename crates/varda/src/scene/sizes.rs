@@ -1,6 +1,6 @@
-//! How large a scene may be: what a few digits ask for must not be more than a machine has.
+//! How large a scene may be: a few digits must not ask for more than a machine has.
 //!
-//! Bounds of single keys stand in the schema (`maximum`); here are those of files and of what several keys ask for together.
+//! Bounds of single keys are in the schema (`maximum`); here are those of files and of several keys together.
 
 use super::grid::TimeGrid;
 use super::invalid::{Check, invalid};
@@ -15,18 +15,19 @@ pub const DATA_BYTES: u64 = 1 << 28;
 /// Most steps of a window, of a spin-up, of a forecast, of a sequence of windows.
 pub const STEPS: usize = 10_000_000;
 
-/// Most numbers in the states of one run (steps × state), or of an ensemble's runs together. What else a run takes is
-/// compared with `[limits] memory` before it begins.
+/// Most numbers in the states of one run (steps × state), or of an ensemble's runs together. What else a run
+/// takes is compared with `[limits] memory` before it begins.
 pub const NUMBERS: usize = 1_000_000_000;
 
 /// Most observed values.
 pub const VALUES: usize = 10_000_000;
 
-/// A number of a scene is 0, or its size is between `SMALLEST` and `LARGEST`: fourth powers and their products stay numbers.
+/// A number of a scene is 0, or its size is between `SMALLEST` and `LARGEST`: fourth powers and their
+/// products stay numbers.
 pub(super) const SMALLEST: f64 = 1e-50;
 pub(super) const LARGEST: f64 = 1e50;
 
-/// Sizes that come of several keys. Every key was found within its own bounds before.
+/// Checks sizes that depend on several keys, each already within its own bounds.
 pub(super) fn validate_sizes(scene: &Scene) -> Check {
     let time = &scene.time;
     let state = match &scene.model {
@@ -52,7 +53,8 @@ pub(super) fn validate_sizes(scene: &Scene) -> Check {
     {
         if (steps + 1) * state > NUMBERS {
             let message = format!(
-                "{steps} steps of a state of {state} numbers are {:.1e} numbers: at most {NUMBERS:.0e} can be kept",
+                "{steps} steps of a state of {state} numbers are {:.1e} numbers: at most {NUMBERS:.0e} can \
+                 be kept",
                 ((steps + 1) * state) as f64
             );
             return invalid(key, message);
@@ -62,7 +64,8 @@ pub(super) fn validate_sizes(scene: &Scene) -> Check {
         let numbers = (members + 1).saturating_mul((time.window + 1) * state);
         if numbers > NUMBERS {
             let message = format!(
-                "{members} members of {} steps of {state} numbers are {numbers:.1e} numbers: at most {NUMBERS:.0e} can be kept",
+                "{members} members of {} steps of {state} numbers are {numbers:.1e} numbers: at most \
+                 {NUMBERS:.0e} can be kept",
                 time.window + 1,
                 numbers = numbers as f64
             );

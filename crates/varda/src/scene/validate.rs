@@ -82,7 +82,8 @@ fn validate_line(model: &Model, line: &Line, integrator: Integrator, step: f64) 
     {
         if !(number <= most) {
             let message = format!(
-                "{what} = {number:.3} is beyond {most}, where \"rk4\" blows up: take a smaller step, or \"midpoint\""
+                "{what} = {number:.3} is beyond {most}, where \"rk4\" blows up: take a smaller step, or \
+                 \"midpoint\""
             );
             return invalid("time.step", message);
         }

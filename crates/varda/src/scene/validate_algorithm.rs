@@ -1,5 +1,5 @@
-//! What `[algorithm]` must satisfy beyond the type of each key: keys that do not belong to the chosen method, and numbers that do
-//! not belong together.
+//! What `[algorithm]` must satisfy beyond the type of each key: keys that do not belong to the chosen method,
+//! and numbers that do not belong together.
 
 use super::invalid::{Check, invalid};
 use super::validate_covariance::validate_covariance;
@@ -36,7 +36,7 @@ pub(super) fn validate_algorithm(scene: &Scene) -> Check {
 /// Which methods take a key.
 type Takes = fn(Method) -> bool;
 
-/// Keys that the method has no use for.
+/// Refuses keys that the method does not use.
 fn validate_keys(algorithm: &Algorithm) -> Check {
     let method = algorithm.method;
     let keys: [(&str, bool, Takes); 8] = [

@@ -17,7 +17,8 @@ pub(super) fn validate_cycles(cycles: &Cycles, scene: &Scene) -> Check {
     }
     if method.is_of_one_instant() && window > 0 {
         let message = format!(
-            "cycled, method {:?} analyses one step, time.window = 0, and runs on to the next: that is cycles.shift",
+            "cycled, method {:?} analyses one step, time.window = 0, and runs on to the next: that is \
+             cycles.shift",
             method.name()
         );
         return invalid("time.window", message);
@@ -32,7 +33,8 @@ pub(super) fn validate_cycles(cycles: &Cycles, scene: &Scene) -> Check {
     let covariance = cycles.covariance_of(method);
     if method.is_ensemble() != (covariance == CycledCovariance::Ensemble) {
         let message = format!(
-            "method {:?} does not go with covariance {:?}: an ensemble is carried by \"4denvar\" and \"hybrid-4denvar\" and by no other",
+            "method {:?} does not go with covariance {:?}: an ensemble is carried by \"4denvar\" and \
+             \"hybrid-4denvar\" and by no other",
             method.name(),
             covariance.name()
         );

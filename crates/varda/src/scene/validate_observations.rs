@@ -90,7 +90,8 @@ fn validate_frame(frame: &Frame) -> Check {
             for i in 0..3 {
                 for j in 0..3 {
                     let product: f64 = (0..3).map(|k| r[i][k] * r[j][k]).sum();
-                    // Rows written with four digits are meant as a rotation; a mirrored or scaled frame is not.
+                    // Rows written with four digits are meant as a rotation; a mirrored or scaled frame is
+                    // not.
                     if !((product - f64::from(i == j)).abs() < 1e-3) {
                         return invalid(
                             format!("{path}.rotation"),

@@ -16,7 +16,8 @@ pub(super) fn validate_rod(rod: &RodModel) -> Check {
         return invalid(
             format!("model.section.{key}"),
             format!(
-                "a section {} m thick on a rod {total} m long: lengths are in metres, was another unit meant?",
+                "a section {} m thick on a rod {total} m long: lengths are in metres, was another unit \
+                 meant?",
                 2.0 * thickest
             ),
         );

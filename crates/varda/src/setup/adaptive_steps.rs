@@ -1,5 +1,5 @@
-//! Adaptive time steps of a rod: chosen from an error estimate along one trajectory, fixed during a minimization,
-//! chosen again if the estimate along the analysis exceeds the tolerance.
+//! Adaptive time steps of a rod: chosen from an error estimate along one trajectory, fixed during a
+//! minimization, chosen again if the estimate along the analysis exceeds the tolerance.
 
 use varda_implicit::{Adaptive, Error, Model, accepted_times, largest_error};
 use varda_rod::RodStep;
@@ -9,15 +9,15 @@ use super::runs::MakeModel;
 use crate::outcome::AcceptedSteps;
 use crate::scene::TimeGrid;
 
-/// The steps are kept along another trajectory if no estimate there exceeds the tolerance by this factor: an error
-/// estimate is known no better than that.
+/// The steps are kept along another trajectory if no estimate there exceeds the tolerance by this factor: an
+/// error estimate is known no better than that.
 const SLACK: f64 = 2.0;
 
 /// Most steps into which a step of the window may be divided.
 const MOST_SUBSTEPS: f64 = 4096.0;
 
-/// How often the steps are chosen again in a run, at most. Each minimization starts where the last one ended, so
-/// that once or twice is the rule.
+/// How often the steps are chosen again in a run, at most. Each minimization starts where the last one ended,
+/// so that once or twice is the rule.
 const REFRESHES: usize = 5;
 
 /// The times of a window and its forecast, with those in between that a tolerance requires.
@@ -110,8 +110,8 @@ impl Refreshing {
         Refreshing { steps: steps.clone(), refreshed: 0, warnings: Vec::new(), error: None }
     }
 
-    /// The model with steps chosen again along the run from a control, if the present ones are too long there.
-    /// After `None` the control is the analysis.
+    /// The model with steps chosen again along the run from a control, if the present ones are too long
+    /// there. After `None` the control is the analysis.
     pub(crate) fn refresh(&mut self, control: &[f64]) -> Option<Box<dyn Model + Send>> {
         self.error = self.steps.largest_error(control).ok();
         if self.error.is_some_and(|e| self.steps.is_met(e)) || self.refreshed == REFRESHES {
@@ -142,7 +142,8 @@ impl Refreshing {
         let largest_error = error.or_else(|| steps.largest_error(analysis).ok());
         if !largest_error.is_some_and(|e| steps.is_met(e)) {
             warnings.push(format!(
-                "time.tolerance = {:e} is not met along the analysis: its largest estimated error of a step is {} \
+                "time.tolerance = {:e} is not met along the analysis: its largest estimated error of a step \
+                 is {} \
                  of the rod's length",
                 steps.tolerance,
                 largest_error.map_or("not known".into(), |e| format!("{e:.1e}"))
@@ -153,8 +154,8 @@ impl Refreshing {
     }
 }
 
-/// Makes models that start at a step of the window, and whose step k is the window's from there on: one step, or
-/// those between `times` that make it up.
+/// Makes models that start at a step of the window, and whose step k is the window's from there on: one step,
+/// or those between `times` that make it up.
 pub(crate) fn rod_models(
     parts: &RodParts,
     spin_up: usize,

@@ -1,10 +1,11 @@
-//! Mean and covariance of the states a model passes through.
+//! The covariance of the states that a model passes through.
 
 use varda_implicit::Model;
 
 use crate::Error;
 
-/// The covariance of the states of a run, row by row: of `steps` + 1 states, the first of them `spin_up` steps after `start`.
+/// The covariance of the states of a run, row by row: of `steps` + 1 states, the first of them `spin_up`
+/// steps after `start`.
 ///
 /// ```text
 ///     C = Σ_k (x_k − x̄)(x_k − x̄)ᵀ / steps,    k = spin_up … spin_up + steps
@@ -19,7 +20,7 @@ pub fn covariance(
     steps: usize,
 ) -> Result<Vec<f64>, Error> {
     let n = start.len();
-    // Sums about the start: what they lose to cancellation is (distance of the start from the mean / σ)² ε.
+    // Sums about the start: they lose (distance of the start from the mean / σ)² ε by cancellation.
     let (mut sum, mut products) = (vec![0.0; n], vec![0.0; n * n]);
     let (mut x, mut next, mut d) = (start.to_vec(), vec![0.0; n], vec![0.0; n]);
     for k in 0..=spin_up + steps {

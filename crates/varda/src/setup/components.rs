@@ -118,8 +118,8 @@ impl ComponentSystem {
         }
     }
 
-    /// Fails where the covariance that the key `path` describes has no root. A climatology needs a run and is not
-    /// checked.
+    /// Fails where the covariance that the key `path` describes has no root. A climatology needs a run and is
+    /// not checked.
     pub(crate) fn check_covariance(
         &self,
         file: &SceneFile,

@@ -18,7 +18,7 @@ pub enum Factored {
 }
 
 impl Factored {
-    /// It as one that has an inverse, where it has.
+    /// The covariance with its inverse; `None` for a truncated one.
     pub fn precision(&self) -> Option<&dyn Precision> {
         match self {
             Factored::Full(c) => Some(c.as_ref()),
@@ -89,16 +89,17 @@ pub(crate) fn along_line(
     })
 }
 
-/// The arc lengths a rod's covariance is about \[m\].
+/// Arc lengths of the vertices of a rod \[m\].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Places {
-    /// Of the free vertices.
+    /// Vertices that move freely.
     pub free: Vec<f64>,
-    /// Of the prescribed vertices, which have no error.
+    /// Prescribed vertices, which have no error.
     pub known: Vec<f64>,
 }
 
-/// The covariance of [X, V]: one block for the positions (σ_x \[m\]) and one for the velocities (σ_v [m/s]), each shared by x, y and z.
+/// The covariance of [X, V]: one block for the positions (σ_x \[m\]) and one for the velocities (σ_v
+/// [m/s]), each shared by x, y and z.
 ///
 /// # Errors
 /// [`Error::Scene`] where it has no root of the kind asked for.
@@ -123,8 +124,8 @@ pub fn localized(
     })
 }
 
-/// The covariance the paper draws its background errors from: the same kernel before localization. It is smooth, so
-/// singular to working precision; its root is truncated at rounding.
+/// The covariance from which the paper draws its background errors: the same kernel before localization. It
+/// is smooth, hence singular to working precision; its root is truncated at the rounding level.
 ///
 /// # Errors
 /// [`Error::Scene`].

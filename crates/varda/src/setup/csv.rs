@@ -1,12 +1,12 @@
-//! CSV files a person brings: observations of a rod, a background, the motion of a support.
+//! CSV files of users: observations of a rod, a background, the motion of a support.
 //!
-//! Every refusal names file and line. An empty cell is "not there"; NaN and infinities are errors.
+//! Every error names file and line. An empty cell means "not observed"; NaN and infinities are errors.
 
 use crate::Error;
 
 /// One row of an observation file, in the recording's own time and axes.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
+pub struct ObservedRow {
     /// Line of the file, from 1.
     pub line: usize,
     /// Time \[s\].
@@ -15,11 +15,11 @@ pub struct Row {
     pub subject: Subject,
     /// Its coordinates \[m\]; `None` was not observed.
     pub position: [Option<f64>; 3],
-    /// Standard deviation of a coordinate \[m\], where the file says so.
+    /// Standard deviation of a coordinate \[m\], if the file has it.
     pub sigma: Option<f64>,
 }
 
-/// What a row is about.
+/// The place that a row observes.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Subject {
     /// The point of the centreline at an arc length \[m\].
@@ -28,12 +28,12 @@ pub enum Subject {
     Marker(String),
 }
 
-/// Reads observations: header `time_s,s_m,x_m,y_m,z_m` or `time_s,marker,x_m,y_m,z_m`, optionally `sigma_m`; columns in any
-/// order. `file` is its name in messages.
+/// Reads observations: header `time_s,s_m,x_m,y_m,z_m` or `time_s,marker,x_m,y_m,z_m`, optionally `sigma_m`;
+/// columns in any order. `file` is its name in messages.
 ///
 /// # Errors
 /// [`Error::Data`] naming file and line.
-pub fn observations(file: &str, text: &str) -> Result<Vec<Row>, Error> {
+pub fn observations(file: &str, text: &str) -> Result<Vec<ObservedRow>, Error> {
     let expected = "time_s,s_m,x_m,y_m,z_m or time_s,marker,x_m,y_m,z_m, optionally sigma_m";
     let mut table =
         Table::open(file, text, &["time_s", "s_m", "marker", "x_m", "y_m", "z_m", "sigma_m"], expected)?;
@@ -67,7 +67,7 @@ pub fn observations(file: &str, text: &str) -> Result<Vec<Row>, Error> {
         if let Some(sigma) = sigma.filter(|s| !(*s > 0.0)) {
             return Err(table.bad(table.line, format!("`sigma_m` = {sigma} must be greater than 0")));
         }
-        rows.push(Row {
+        rows.push(ObservedRow {
             line: table.line,
             time: table.needed("time_s")?,
             subject,

@@ -9,13 +9,14 @@ use crate::scene::{self, SceneFile};
 use crate::setup::covariance::line_distance;
 use crate::setup::random::{Stream, stream};
 
-/// Eigenvalues of a localization below this fraction of the largest are left out: its rank is a factor of the control's length.
+/// Eigenvalues of a localization below this fraction of the largest are left out: the length of the control
+/// is proportional to its rank.
 const TRUNCATION: f64 = 0.01;
 
 /// Where the components of a control are.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ComponentPositions {
-    /// Nowhere: lorenz63's three variables.
+    /// Without places: lorenz63's three variables.
     Nowhere,
     /// On a ring of n, a distance of 1 apart.
     Ring(usize),
@@ -40,7 +41,7 @@ impl ComponentPositions {
 /// The ensemble of a scene: members drawn from N(x_b, B), inflated.
 ///
 /// # Errors
-/// [`Error::Scene`] for a localization that is no covariance over these distances.
+/// [`Error::Scene`] for a localization that is not a covariance for these distances.
 pub fn draw(
     file: &SceneFile,
     ensemble: &scene::Ensemble,
@@ -64,8 +65,8 @@ pub fn draw(
     Ensemble::new(&members, localization).map_err(|e| file.invalid("algorithm.ensemble", e.to_string()))
 }
 
-/// For every stacked row of `observations` the component of the control at whose place it was measured; `by_row` has it for every row
-/// of the operator.
+/// For every stacked row of `observations` the component of the control at whose place it was measured;
+/// `by_row` has it for every row of the operator.
 pub fn anchors(observations: &ObservationSet, by_row: &[usize]) -> Vec<usize> {
     observations.observations().iter().flat_map(|o| o.rows.iter().map(|&row| by_row[row])).collect()
 }

@@ -30,8 +30,8 @@ impl<'a> Files<'a> {
         Files { scene, texts: RefCell::default(), read: RefCell::default() }
     }
 
-    /// The name for messages and the text of the file that a key names. A file that two keys name is read for the
-    /// first of them.
+    /// The name for messages and the text of the file that a key names. A file that two keys name is read for
+    /// the first of them.
     ///
     /// # Errors
     /// [`Error::Read`], or [`Error::Scene`] where a shipped scene names a file that is not shipped.

@@ -1,9 +1,9 @@
 //! The memory a run takes, counted before anything is built: `varda check` prints it, and it must be below
 //! `[limits] memory`.
 //!
-//! Counted is what grows with a scene: B and Q with what building them takes, dense Hessians and Jacobians, states
-//! and linearizations of a window, the members of an ensemble, trajectories and their tables. The program itself
-//! takes some ten megabytes more.
+//! Counted is what grows with a scene: B and Q with what building them takes, dense Hessians and Jacobians,
+//! states and linearizations of a window, the members of an ensemble, trajectories and their tables. The
+//! program itself takes some ten megabytes more.
 
 use varda_implicit::{Footprint, Storage};
 
@@ -95,7 +95,8 @@ impl Memory {
             false => "",
         };
         let message = format!(
-            "this run takes about {} ({}), more than the limit of {}: raise it with [limits] memory, or make the scene smaller{remedy}",
+            "this run takes about {} ({}), more than the limit of {}: raise it with [limits] memory, or make \
+             the scene smaller{remedy}",
             shown(memory.total()),
             parts.join(", "),
             shown(limit)
@@ -131,7 +132,8 @@ impl Memory {
             // G by parts, and I + G Gᵀ in the space of the observations.
             if posterior { 4 * square + m * (2 * n + errors + m) } else { 0 }
         } else if posterior || algorithm.minimizer == Minimizer::Newton || algorithm.method == Method::Blue {
-            // Hessian, its eigenvectors with what finding them takes, the root of P_a; G, and the columns under way through the model.
+            // Hessian, its eigenvectors with what finding them takes, the root of P_a; G, and the columns
+            // under way through the model.
             5 * square + m * n + m.min(n) * sizes.state
         } else {
             0
@@ -196,7 +198,8 @@ fn covariance(scene: &Scene, covariance: &Covariance, n: usize) -> [usize; 2] {
     };
     let square = edge.saturating_mul(edge);
     let building = match covariance.root() {
-        // Matrix, its copy, eigenvectors and what finding them takes; a drawn background has a covariance without taper of its own.
+        // Matrix, its copy, eigenvectors and what finding them takes; a drawn background has a covariance
+        // without taper of its own.
         Root::Truncated => 5,
         Root::Cholesky if drawn => 5 + blocks,
         Root::Cholesky => 2,
@@ -204,7 +207,8 @@ fn covariance(scene: &Scene, covariance: &Covariance, n: usize) -> [usize; 2] {
     [square.saturating_mul(blocks), square.saturating_mul(building)]
 }
 
-/// Numbers of model error in the control of weak-constraint methods, at most: each η is as long as the control (a truncated root of Q is shorter).
+/// Numbers of model error in the control of weak-constraint methods, at most: each η is as long as the
+/// control (a truncated root of Q is shorter).
 pub(crate) fn error_numbers(scene: &Scene, control: usize) -> usize {
     let steps = scene.time.window;
     scene.algorithm.model_error.as_ref().map_or(0, |error| {

@@ -1,8 +1,8 @@
 //! What is observed, whatever its kind.
 //!
 //! A kind of observations is one variant of [`Observations`](crate::scene::Observations) and one file of this
-//! folder, which makes an [`Observed`] of it. Later stages know nothing else of it: sites are groups of rows of the
-//! observation operator, and values are read, or drawn around the truth of a twin experiment.
+//! folder, which makes an [`Observed`] of it. Later stages know nothing else of it: sites are groups of rows
+//! of the observation operator, and values are read, or drawn around the truth of a twin experiment.
 
 use std::ops::Range;
 
@@ -103,8 +103,8 @@ impl Observed {
         [used().map(values).sum(), times.len()]
     }
 
-    /// Draws the values of a twin experiment: H of the truth at the observed steps, in the order of time, plus
-    /// independent errors. Nothing for observations that were read.
+    /// Draws the values of a twin experiment: H of the truth at the observed steps, in the order of time,
+    /// plus independent errors. Nothing for observations that were read.
     pub(crate) fn draw(
         &mut self,
         model: &mut dyn Model,

@@ -35,8 +35,8 @@ pub struct Plan {
     pub spin_up: usize,
     /// Estimate of the memory the run needs \[bytes\].
     pub bytes: usize,
-    /// With adaptive time steps: what each step beyond one in a step of the window adds to `bytes`. Their number is
-    /// known only after a run.
+    /// With adaptive time steps: what each step beyond one in a step of the window adds to `bytes`. Their
+    /// number is known only after a run.
     pub bytes_per_part: Option<usize>,
     /// What is left out.
     pub left_out: Vec<String>,
@@ -46,7 +46,8 @@ impl Plan {
     /// Reads everything a scene names, builds what can be built without a run, and counts.
     ///
     /// # Errors
-    /// Those of [`Problem::from_scene`](crate::setup::problem::Problem::from_scene) that do not need a run to be seen.
+    /// Those of [`Problem::from_scene`](crate::setup::problem::Problem::from_scene) that do not need a run to
+    /// be seen.
     pub fn new(file: &SceneFile) -> Result<Plan, Error> {
         let inputs = Inputs::read(file)?;
         let sizes = Sizes::of(&inputs);

@@ -7,7 +7,7 @@ use varda_implicit::Model;
 use super::adaptive_steps::AdaptiveSteps;
 use super::covariance::Factored;
 use super::ensemble;
-use super::inputs::{Background, Inputs};
+use super::inputs::{Inputs, KnownBackground};
 use super::memory::{Memory, Sizes};
 use super::observations::Observed;
 use super::random::{Stream, stream};
@@ -17,13 +17,15 @@ use crate::Error;
 use crate::outcome::{AcceptedSteps, Experiment};
 use crate::scene::{Scene, SceneFile};
 
-/// Everything an assimilation needs. It does not change: a second run of the same problem gives the same bits.
+/// Everything an assimilation needs. It does not change: a second run of the same problem gives the same
+/// bits.
 pub struct Problem {
     /// The scene, the grid of time, the meaning of the numbers of a state.
     pub experiment: Experiment,
     /// Makes models; their step k is that of the window.
     pub make_model: MakeModel,
-    /// Makes the model that runs the truth, if that is another one: its time steps are adapted to its own run.
+    /// Makes the model that runs the truth, if that is another one: its time steps are adapted to its own
+    /// run.
     pub make_truth: Option<MakeModel>,
     /// What is modelled.
     pub system: System,
@@ -48,8 +50,8 @@ pub struct Problem {
 }
 
 impl Problem {
-    /// The problem that a scene describes; of its first window, where it has `[algorithm.cycles]`. Runs the truth up
-    /// to the last observation where there is one.
+    /// The problem that a scene describes; of its first window, where it has `[algorithm.cycles]`. Runs the
+    /// truth up to the last observation where there is one.
     ///
     /// # Errors
     /// [`Error`] naming the key, the file's line, or the step.
@@ -71,9 +73,9 @@ impl Problem {
         let n = layout.len();
 
         let known = match background {
-            Background::Drawn => None,
-            Background::Read(control) => Some(control),
-            Background::Computed(make) => Some(make()?),
+            KnownBackground::Drawn => None,
+            KnownBackground::Read(control) => Some(control),
+            KnownBackground::Computed(make) => Some(make()?),
         };
         let truth = if known.is_none() { Some(system.truth()?) } else { None };
         let reference = known.as_ref().or(truth.as_ref()).map_or(&[][..], |z| &z[..n]);

@@ -4,8 +4,8 @@ use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// What a stream of random numbers is for. Streams of one seed are independent: more observations do not change the
-/// background.
+/// What a stream of random numbers is for. Streams of one seed are independent: more observations do not
+/// change the background.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stream {
     /// Anything random in the truth.

@@ -136,8 +136,8 @@ impl RodSystem {
         Ok(control)
     }
 
-    /// σ of positions and velocities that the covariance at `path` names; `reference` is a control whose mean speed
-    /// scales those of velocities.
+    /// σ of positions and velocities that the covariance at `path` names; `reference` is a control whose
+    /// mean speed scales those of velocities.
     fn sigmas(
         &self,
         file: &SceneFile,
@@ -169,8 +169,8 @@ impl RodSystem {
         covariance::localized(file, path, kernel, &self.places, sigmas)
     }
 
-    /// Fails where the covariance that the key `path` describes has no root; that does not depend on how fast the
-    /// rod moves, which only a run shows.
+    /// Fails where the covariance that the key `path` describes has no root; that does not depend on how fast
+    /// the rod moves, which only a run shows.
     pub(crate) fn check_covariance(
         &self,
         file: &SceneFile,

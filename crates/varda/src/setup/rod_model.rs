@@ -60,7 +60,8 @@ impl RodParts {
         }
         let point_forces =
             model.point_forces.iter().map(|f| (f.arc_length, Arc::new(f.force) as Arc<dyn Motion>));
-        let loads = Loads { gravity: model.gravity.into(), point_forces: point_forces.collect() };
+        let loads =
+            Loads { gravity: model.gravity.into(), point_forces: point_forces.collect(), ..Loads::default() };
         let damping = Damping { stiffness: model.damping.stiffness, mass: model.damping.mass };
         let scheme = file.checked(file.scene.time.integrator.of_rod())?;
         let parts = RodParts { rod, supports, loads, damping, scheme };

@@ -4,8 +4,8 @@ use varda_implicit::{Log, Model};
 
 use crate::Error;
 
-/// Makes further instances of the model of a problem (parallel runs, ensemble members, forecasts), whose step 0 is
-/// the given step of the window.
+/// Makes further instances of the model of a problem (parallel runs, ensemble members, forecasts), whose step
+/// 0 is the given step of the window.
 pub type MakeModel = Box<dyn Fn(usize) -> Box<dyn Model + Send>>;
 
 /// Computes a control.
@@ -22,8 +22,8 @@ pub fn run_states(model: &mut dyn Model, x0: &[f64], steps: usize) -> Result<Vec
     Ok(states)
 }
 
-/// Continues a run from the last of its `states` to step `steps`, and returns what the model did. After an error the states before the step that
-/// failed are there.
+/// Continues a run from the last of its `states` to step `steps`, and returns what the model did. After an
+/// error the states before the step that failed are there.
 ///
 /// # Errors
 /// A step that fails.

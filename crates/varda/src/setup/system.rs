@@ -107,7 +107,8 @@ impl System {
         }
     }
 
-    /// Fails where the covariance that the key `path` describes has no root, as far as that shows without a run.
+    /// Fails where the covariance that the key `path` describes has no root, as far as that shows without a
+    /// run.
     pub(crate) fn check_covariance(
         &self,
         file: &SceneFile,

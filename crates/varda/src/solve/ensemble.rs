@@ -4,23 +4,24 @@ use varda_assimilation::{CostFunction, EnVar, EnVarOptions, Error, Iteration, Ob
 use varda_covariance::{Covariance, Ensemble, Hybrid};
 use varda_implicit::{Model, Storage};
 
-use super::task::{Iterate, PosteriorSpread, Stage, StageEnd, Task, deviations, is_whole, roots};
+use super::task::{Iterate, PosteriorSpread, SubWindow, SubWindowEnd, Task, deviations, is_whole, roots};
 use crate::outcome::WorkCounts;
 use crate::scene::Method;
 use crate::setup::ensemble::anchors;
 
-/// The first linearization of an ensemble takes the members themselves (4D-EnVar proper), later ones differences about the iterate of this
-/// part of their spread (the iterative ensemble smoother): a large spread would end where its own secants vanish, not the gradient.
+/// The first linearization of an ensemble uses the members themselves (4D-EnVar proper); later ones use
+/// differences about the iterate, of this fraction of their spread (the iterative ensemble smoother): with a
+/// large fraction the iteration would end where the secants vanish instead of the gradient.
 const SPREAD: f64 = 1e-3;
 
-/// The ensemble, alone or beside B.
+/// The ensemble alone, or with a static part of B.
 pub(super) enum Members<'a> {
     Pure(&'a Ensemble),
     Hybrid(Box<Hybrid<'a>>),
 }
 
 impl Task<'_> {
-    /// The members of the scene's ensemble, alone or beside B.
+    /// The members of the scene's ensemble, alone or with a static part of B.
     pub(super) fn members(&self) -> Result<Members<'_>, Error> {
         let what = "an ensemble of no members";
         let ensemble = self.ensemble.ok_or(Error::Setting { what, value: 0.0 })?;
@@ -32,9 +33,9 @@ impl Task<'_> {
         Ok(Members::Hybrid(Box::new(Hybrid::new(b, of_static, ensemble.clone(), of_ensemble)?)))
     }
 
-    pub(super) fn ensemble(&mut self, stage: Stage) -> Result<StageEnd, Error> {
+    pub(super) fn ensemble(&mut self, stage: SubWindow) -> Result<SubWindowEnd, Error> {
         let members = self.members()?;
-        let Stage { observations, v, posterior, before, on_iterate, .. } = stage;
+        let SubWindow { observations, v, posterior, before, on_iterate, .. } = stage;
         let window = observations.steps();
         let anchors = anchors(observations, self.anchors);
         let mut cost = members.cost(self.make_model, self.background, observations, &anchors)?;
@@ -46,7 +47,8 @@ impl Task<'_> {
             transform.control(iteration.v, &mut control);
             on_iterate(&Iterate { iteration, control: &control, window, before })
         };
-        // The static part of a hybrid stays where it is through the window: relinearized, it has no minimum to end at.
+        // The increment of a hybrid's static part is constant through the window: with relinearization the
+        // iteration would have no minimum to converge to.
         let max_outer = match self.algorithm.method {
             Method::HybridFourDEnVar => 1,
             _ => self.algorithm.max_iterations,
@@ -54,7 +56,7 @@ impl Task<'_> {
         let options = EnVarOptions { max_outer, ..EnVarOptions::default() };
         let minimum = cost.minimize(v, &options, &mut on_iteration)?;
         let counts = WorkCounts::from(&cost.counts());
-        // The last step is not followed by a run of the ensemble, nor reported: nothing is left to interrupt.
+        // Reports the last step, after which the ensemble is not run again; it is too late to interrupt.
         if matches!(minimum.status, Status::Converged | Status::MaxIterations) {
             let _ = on_iteration(&minimum.iteration(0.0, cost.counts(), v));
         }
@@ -66,7 +68,7 @@ impl Task<'_> {
         };
         transform.control(v, &mut control);
         let sigma_background = deviations(transform.covariance());
-        Ok(StageEnd {
+        Ok(SubWindowEnd {
             minimum,
             control,
             sigma_background,

@@ -29,7 +29,7 @@ pub(crate) fn strong(
     }
 }
 
-/// By the scene's minimizer, through its σ stages where it has some.
+/// The minimum by the scene's minimizer, through its σ stages if it has any.
 pub(crate) fn minimize(
     algorithm: &Algorithm,
     cost: &mut dyn GaussNewton,
@@ -60,7 +60,7 @@ pub(crate) fn minimizer(algorithm: &Algorithm) -> Minimizer {
     minimizer
 }
 
-/// Options of an outer loop with that solver of its inner problem.
+/// Options of an outer loop with the given solver of its inner problem.
 pub(crate) fn outer(algorithm: &Algorithm, inner: InnerSolver) -> OuterLoopOptions {
     OuterLoopOptions {
         gradient_tolerance: algorithm.gradient_tolerance,
@@ -70,8 +70,8 @@ pub(crate) fn outer(algorithm: &Algorithm, inner: InnerSolver) -> OuterLoopOptio
     }
 }
 
-/// The closed form, linearized once at `v`. `Converged` only where the true gradient says so; `Failed`, with `v` as it was, where
-/// the model cannot be run from the estimate.
+/// The closed form, linearized once at `v`. `Converged` only if the true gradient is below the tolerance;
+/// `Failed`, with `v` unchanged, if the model cannot be run from the estimate.
 fn blue(
     algorithm: &Algorithm,
     cost: &mut StrongConstraint,
@@ -111,7 +111,7 @@ fn blue(
         true => Status::Converged,
         false => Status::MaxIterations,
     };
-    // The one iteration there is: nothing is left to interrupt.
+    // The only iteration: it is too late to interrupt.
     let _ = on_iteration(&now.iteration(norm(&step), cost.counts(), v));
     Ok(now)
 }

@@ -17,12 +17,14 @@ use crate::outcome::WorkCounts;
 use crate::scene::Method;
 use crate::setup::ensemble::anchors;
 pub(crate) use task::{Iterate, OnIterate, Solution, Task};
-use task::{Stage, StageEnd};
+use task::{SubWindow, SubWindowEnd};
 
-/// Checks the observations against the background where that is asked for, and minimises: the window at once or growing.
+/// Checks the observations against the background if the scene asks for that, and minimises: the whole window
+/// at once, or growing sub-windows.
 ///
 /// # Errors
-/// A cost that cannot be evaluated at the background, or cannot be made. How a minimization ended is a [`Status`].
+/// A cost that cannot be built, or cannot be evaluated at the background. How a minimization ended is part of
+/// the solution.
 pub(crate) fn solve(
     task: &mut Task,
     mut observations: ObservationSet,
@@ -42,7 +44,7 @@ pub(crate) fn solve(
     let (observations, mut minima) =
         window_growth(observations, windows, &mut Vec::new(), &mut |seen, v| {
             let window = seen.steps();
-            let stage = Stage {
+            let stage = SubWindow {
                 observations: seen,
                 v,
                 states: &mut states,
@@ -51,7 +53,7 @@ pub(crate) fn solve(
                 before: (done[0], spent),
                 on_iterate,
             };
-            let StageEnd { minimum, control, sigma_background, spread, no_spread, counts, storage } =
+            let SubWindowEnd { minimum, control, sigma_background, spread, no_spread, counts, storage } =
                 task.stage(stage)?;
             done[0] += minimum.outer_iterations;
             done[1] += minimum.inner_iterations;
@@ -63,7 +65,7 @@ pub(crate) fn solve(
     stages.pop();
     let (Some(last), Some((control, sigma_background, spread, no_spread, storage))) = (minima.pop(), ended)
     else {
-        unreachable!("there is one window at least");
+        return Err(Error::Setting { what: "a window of no sub-windows", value: 0.0 }.into());
     };
     let minimum = Minimum { outer_iterations: done[0], inner_iterations: done[1], ..last };
     let solved = Solution {
@@ -81,7 +83,7 @@ pub(crate) fn solve(
     Ok((solved, observations))
 }
 impl Task<'_> {
-    fn stage(&mut self, stage: Stage) -> Result<StageEnd, Error> {
+    fn stage(&mut self, stage: SubWindow) -> Result<SubWindowEnd, Error> {
         match self.algorithm.method {
             Method::WeakForcing => self.weak_forcing(stage),
             Method::WeakState => self.weak_state(stage),
@@ -90,7 +92,7 @@ impl Task<'_> {
         }
     }
 
-    /// The observed values that are too far from the background, by the covariances the method believes in.
+    /// The observed values that are too far from the background, judged by the covariances of the method.
     fn background_check(
         &mut self,
         observations: &mut ObservationSet,

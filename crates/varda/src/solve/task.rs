@@ -12,63 +12,64 @@ use crate::outcome::WorkCounts;
 use crate::scene::Algorithm;
 use crate::setup::covariance::Factored;
 
-/// What every method is given.
+/// Input of a solve.
 pub(crate) struct Task<'a> {
     pub(crate) algorithm: &'a Algorithm,
-    /// The model of methods that run one.
+    /// The model, for methods that run one.
     pub(crate) model: &'a mut dyn Model,
-    /// Makes the models of methods that run several.
+    /// Makes models, for methods that run several.
     pub(crate) make_model: &'a dyn Fn() -> Box<dyn Model + Send>,
     pub(crate) background: &'a [f64],
     pub(crate) covariance: &'a Factored,
     pub(crate) model_error: Option<&'a Factored>,
     pub(crate) ensemble: Option<&'a Ensemble>,
-    /// The component of the control at whose place a row of the observation operator measures.
+    /// For each row of the observation operator the component of the control at the same place.
     pub(crate) anchors: &'a [usize],
-    /// Whether σ of the analysis is wanted.
+    /// Whether to compute σ of the analysis.
     pub(crate) posterior: bool,
     /// Most bytes for the states and linearizations of a window (strong constraint).
     pub(crate) memory: usize,
-    /// Another model of the same control, where that in force is not good enough about this analysis; the minimization then goes on with it
-    /// (strong constraint).
+    /// Gives another model of the same control if the present one is not accurate enough along this analysis
+    /// (adaptive time steps); the minimization then continues with that model (strong constraint).
     pub(crate) refresh: &'a mut Refresh<'a>,
 }
 
 /// See [`Task::refresh`].
 pub(crate) type Refresh<'a> = dyn FnMut(&[f64]) -> Option<Box<dyn Model + Send + 'a>> + 'a;
 
-/// What every method gives.
+/// Result of a solve.
 pub(crate) struct Solution {
-    /// Of the whole window; iterations are those of all sub-windows.
+    /// The minimum over the whole window; its iterations are those of all sub-windows.
     pub(crate) minimum: Minimum,
     /// z_a.
     pub(crate) control: Vec<f64>,
-    /// σ of the control before: that of B, or of the ensemble.
+    /// σ of the background: that of B, or of the ensemble.
     pub(crate) sigma_background: Vec<f64>,
-    /// Of the analysis; none where the run did not get there.
+    /// The posterior; `None` if it was not computed.
     pub(crate) spread: Option<PosteriorSpread>,
-    /// Why there is none, where rounding has left nothing of it.
+    /// Why there is no posterior, if its Hessian was indefinite by rounding.
     pub(crate) no_spread: Option<Error>,
-    /// States x_0 … of the analysis where the model errs; elsewhere they are those of its run from z_a.
+    /// States x_0 … of the analysis under weak constraint; empty under strong constraint, where they are
+    /// those of the run from z_a.
     pub(crate) states: Vec<f64>,
-    /// Work of the model, the posterior's not included.
+    /// Work of the model, without that of the posterior.
     pub(crate) counts: WorkCounts,
     /// Values that the background check refused.
     pub(crate) rejected: Vec<Rejection>,
     /// How the sub-windows before the last ended: steps and status.
     pub(crate) stages: Vec<(usize, Status)>,
-    /// What was kept of the whole window.
+    /// How the trajectory of the whole window was stored.
     pub(crate) storage: Storage,
 }
 
 /// The posterior of the control.
 pub(crate) struct PosteriorSpread {
     pub(crate) sigma: Vec<f64>,
-    /// Degrees of freedom for signal (of the initial state, where the model errs).
+    /// Degrees of freedom for signal (of the initial state, under weak constraint).
     pub(crate) degrees_of_freedom: f64,
 }
 
-/// One line of a convergence table.
+/// An iterate, for a row of the convergence table.
 pub(crate) struct Iterate<'a> {
     pub(crate) iteration: &'a Iteration<'a>,
     /// z at that point.
@@ -79,26 +80,26 @@ pub(crate) struct Iterate<'a> {
     pub(crate) before: (usize, WorkCounts),
 }
 
-/// Told of every iteration; says whether to go on.
+/// Called at every iterate; says whether to continue.
 pub(crate) type OnIterate<'a> = dyn FnMut(&Iterate) -> ControlFlow<()> + 'a;
 
-/// A stage: one sub-window, from the point the last one ended at.
-pub(super) struct Stage<'s, 'r> {
+/// Input of a stage: one sub-window, from the point at which the last one ended.
+pub(super) struct SubWindow<'s, 'r> {
     pub(super) observations: &'s mut ObservationSet,
     /// The control variable.
     pub(super) v: &'s mut Vec<f64>,
-    /// What is known of the trajectory (weak-constraint forms).
+    /// The trajectory so far (weak-constraint forms).
     pub(super) states: &'s mut Vec<f64>,
-    /// Whether it is the last, of the whole window.
+    /// Whether it is the last stage, the whole window.
     pub(super) whole: bool,
-    /// Whether σ is wanted of it.
+    /// Whether to compute its posterior.
     pub(super) posterior: bool,
     pub(super) before: (usize, WorkCounts),
     pub(super) on_iterate: &'s mut OnIterate<'r>,
 }
 
-/// A stage's end.
-pub(super) struct StageEnd {
+/// Result of a stage.
+pub(super) struct SubWindowEnd {
     pub(super) minimum: Minimum,
     pub(super) control: Vec<f64>,
     pub(super) sigma_background: Vec<f64>,
@@ -121,7 +122,8 @@ impl Task<'_> {
 }
 
 impl PosteriorSpread {
-    /// Of a posterior; where its Hessian is indefinite by rounding, as over a window that amplifies beyond it, the reason alone.
+    /// The spread of a posterior; only the reason, if its Hessian is indefinite by rounding, as over a window
+    /// that amplifies too much.
     pub(super) fn of(
         posterior: Result<Posterior, Error>,
         transform: &ControlTransform,
@@ -149,7 +151,7 @@ pub(super) fn roots(variance: Vec<f64>) -> Vec<f64> {
     variance.into_iter().map(|v| v.max(0.0).sqrt()).collect()
 }
 
-/// A run that came to its own end has a posterior.
+/// Whether a minimization ended by itself, so that its end has a posterior.
 pub(super) fn is_whole(status: Status) -> bool {
     !matches!(status, Status::Interrupted | Status::Failed)
 }

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use varda_implicit::{ControlMap, Error, Log, Model, Work};
 
-/// Seconds that models have taken, summed over those that share it (and so over threads).
+/// Seconds spent in models, summed over all models that share the clock (and so over threads).
 #[derive(Debug, Clone, Default)]
 pub struct Clock(Arc<Nanoseconds>);
 

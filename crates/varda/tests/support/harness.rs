@@ -1,12 +1,13 @@
-//! What is done with bytes from outside: every reader of a scene and of its files, up to a problem ready to run where that is small. Shared by
-//! the property tests and the fuzz targets: none of these may panic.
+//! What is done with bytes from outside: every reader of a scene and of its files, up to a problem ready to
+//! run where that is small. Shared by the property tests and the fuzz targets: none of these may panic.
 
 use varda::scene::{Covariance, SceneFile};
 use varda::setup::Plan;
 use varda::setup::Problem;
 use varda::setup::csv;
 
-/// Bytes as a scene: parsed, validated, planned, and built where it takes little. True where it came to a problem.
+/// Bytes as a scene: parsed, validated, planned, and built where it takes little. True where it came to a
+/// problem.
 pub(crate) fn scene(bytes: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(bytes) else { return false };
     let Ok(file) = SceneFile::parse("fuzz", "fuzz.toml", text, None, &[]) else { return false };

@@ -65,7 +65,8 @@ impl Tree {
             for path in uses.iter().filter(|u| !u.is_public || names_word(&rest, &u.name)) {
                 self.add(name, &here, &path.path, &mut all);
             }
-            // A call into a module below by its path, `child::f()`, is how a folder's front dispatches: not an import.
+            // A call into a module below by its path, `child::f()`, is how a folder's front dispatches: not
+            // an import.
             let starts = ["crate::", "super::"].into_iter();
             for path in starts.flat_map(|start| paths(&rest, start)) {
                 self.add(name, &here, &path, &mut all);

@@ -10,7 +10,9 @@ What happens at the edges: every case ends in the right answer within a bound th
 or in a typed error that
 names step, vertex or field. Made by
 
-    cargo xtask verify stiff --full --stability docs/results/stability.md
+```sh
+cargo xtask verify stiff --full --stability docs/results/stability.md
+```
 
 on a machine of two cores shared with other work: seconds are wall-clock time of all checks of the case, \
 derivatives included, on one

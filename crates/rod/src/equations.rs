@@ -1,0 +1,111 @@
+//! The equations of one step of a rod.
+
+use varda_implicit::{Equations, Interval, Refusal, StepEquations};
+
+use crate::Error;
+use crate::dynamics::RodStep;
+
+/// The equations of one step of a rod: supports are placed, strains and places before the step are known.
+pub struct RodEquations<'a> {
+    pub(crate) step: &'a mut RodStep,
+    pub(crate) at: Interval,
+    pub(crate) x: &'a [f64],
+}
+
+impl Equations for RodEquations<'_> {
+    fn assemble(
+        &mut self,
+        u: &[f64],
+        g: &mut [f64],
+        mut jacobian: Option<&mut [f64]>,
+    ) -> Result<Option<f64>, Refusal> {
+        let step = &mut *self.step;
+        let h = step.scheme.stage(&self.at).length;
+        let s = &mut step.system;
+        let mut potential = s.assemble(u, step.end_angle, g, jacobian.as_deref_mut())?;
+        let (width, diagonal) = (s.row_length(), s.layout.half_bandwidth);
+        let inertia = step.inertia(h);
+        for (f, &v) in step.system.layout.free_vertices.iter().enumerate() {
+            let [k, c] = inertia.map(|rate| rate * step.system.rod.masses[v]);
+            let s = &step.system;
+            let (x, force) = (s.x[v], s.forces[v]);
+            let (d, e) = (x - step.target[f], x - step.start[f]);
+            // Forces act through the displacement of the step: F·X itself would drown Φ's decrease in rounding.
+            potential += 0.5 * k * d.dot(&d) + 0.5 * c * e.dot(&e) - force.dot(&e);
+            let i = s.layout.unknown[s.layout.vertex(v)];
+            for a in 0..3 {
+                g[i + a] += k * d[a] + c * e[a] - force[a];
+                if let Some(values) = jacobian.as_deref_mut() {
+                    values[(i + a) * width + diagonal] += k + c;
+                }
+            }
+        }
+        if !step.system.loads.of_motion.is_empty() {
+            potential += step.system.add_loads(Some(step.stage_start(h)), g, jacobian);
+        }
+        Ok(step.system.has_potential().then_some(potential))
+    }
+
+    fn retract(&mut self, u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
+        for ((t, u), d) in trial.iter_mut().zip(u).zip(du) {
+            *t = u + alpha * d;
+        }
+        if self.step.system.layout.twist {
+            // an increment of θ in the local gauge, plus the holonomy of the displacements, is one of stored angles
+            let step = &mut *self.step;
+            step.set_edges_of(&self.at, u);
+            step.system.add_holonomy(du, alpha, &mut step.displacement, &mut step.psi, trial);
+        }
+    }
+
+    fn size(&self, du: &[f64]) -> f64 {
+        let layout = &self.step.system.layout;
+        let mut size: f64 = 0.0;
+        let mut grow = |v: f64| size = if v.is_nan() || size.is_nan() { f64::NAN } else { size.max(v.abs()) };
+        for &v in &layout.free_vertices {
+            let i = layout.unknown[layout.vertex(v)];
+            du[i..i + 3].iter().for_each(|d| grow(*d));
+        }
+        for &e in &layout.free_angles {
+            grow(du[layout.unknown[layout.angle(e)]] * self.step.system.rod.rest_lengths[e]);
+        }
+        size
+    }
+
+    fn converged_below(&self) -> f64 {
+        self.step.tolerance
+    }
+
+    fn trusted_below(&self) -> f64 {
+        let shortest = self.step.system.rod.rest_lengths.iter().fold(f64::INFINITY, |m: f64, l| m.min(*l));
+        (1e-6 * shortest).max(10.0 * self.step.tolerance)
+    }
+}
+
+impl StepEquations for RodEquations<'_> {
+    fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal> {
+        let step = &mut *self.step;
+        let to = step.scheme.stage(&self.at).time;
+        step.carry.guess(&mut step.system, self.at.start, to, self.x)?;
+        step.system.gather(u);
+        Ok(())
+    }
+
+    fn accepted(&mut self, u: &[f64]) -> Result<Option<String>, Refusal> {
+        let step = &mut *self.step;
+        if step.system.layout.free_angles.is_empty() {
+            return Ok(None);
+        }
+        step.system.scatter(u);
+        step.system.update_shape(true, step.end_angle)?;
+        let (edge, pivot) = step.system.smallest_twist_pivot();
+        if !(pivot > 1e-9) {
+            return Err(Error::TwistFold { edge, pivot }.into());
+        }
+        Ok((pivot < 1e-2).then(|| {
+            format!(
+                "the twist equilibrium is close to folding at edge {edge} (pivot {pivot:.1e} of its natural size)"
+            )
+        }))
+    }
+}

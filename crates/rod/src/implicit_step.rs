@@ -1,0 +1,252 @@
+//! The step of a rod in the generic layer: its maps, and its products with ∂G/∂x_k.
+
+use nalgebra::Vector3;
+use varda_implicit::{ImplicitModel, ImplicitStep, Interval, Model, Refusal, Structure, Substepped};
+
+use crate::dynamics::RodStep;
+use crate::equations::RodEquations;
+use crate::stage::{RodStage, mixed, mixed_add};
+
+impl RodStep {
+    /// The model whose step k starts at (first_index + k) · length seconds, compiled in this crate.
+    ///
+    /// # Panics
+    /// As [`ImplicitModel::new`].
+    pub fn model(self, first_index: usize, length: f64) -> Box<dyn Model + Send> {
+        Box::new(ImplicitModel::new(self, first_index, length))
+    }
+
+    /// The model whose step k is all steps between `times` (s) from the k-th to the next time of `through`, compiled in this crate.
+    ///
+    /// # Panics
+    /// As [`ImplicitModel::on_times`] and [`Substepped::through`].
+    pub fn model_on_times(self, times: &[f64], through: &[f64]) -> Box<dyn Model + Send> {
+        Box::new(Substepped::through(ImplicitModel::on_times(self, times.to_vec()), times, through))
+    }
+}
+
+impl ImplicitStep for RodStep {
+    type Equations<'a> = RodEquations<'a>;
+
+    fn dim(&self) -> usize {
+        self.system.layout.state() + self.history()
+    }
+
+    fn history(&self) -> usize {
+        self.repeated()
+    }
+
+    fn unknowns(&self) -> usize {
+        self.system.layout.unknowns
+    }
+
+    fn structure(&self) -> Structure {
+        self.system.structure()
+    }
+
+    fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<RodEquations<'a>, Refusal> {
+        self.prepare(at, x)?;
+        Ok(RodEquations { step: self, at: *at, x })
+    }
+
+    fn advance(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
+        let RodStage { of, angle, .. } = self.stage(at);
+        let ([b0, b1], layout) = (of.to, &self.system.layout);
+        let (own, nf) = (layout.state(), layout.free_vertices.len());
+        for (f, &v) in layout.free_vertices.iter().enumerate() {
+            let i = layout.unknown[layout.vertex(v)];
+            for c in 0..3 {
+                let (place, speed) = (3 * f + c, 3 * (nf + f) + c);
+                x_next[place] = b0 * u[i + c] + b1 * x[place];
+                let rate = (u[i + c] - mixed(of.from, x, own, place)) / of.length;
+                x_next[speed] = b0 * rate + b1 * x[speed];
+            }
+        }
+        for (f, &e) in layout.free_angles.iter().enumerate() {
+            let past = mixed([angle[1], angle[2]], x, own, 6 * nf + f);
+            x_next[6 * nf + f] = angle[0] * u[layout.unknown[layout.angle(e)]] + past;
+        }
+    }
+
+    fn recover(&mut self, at: &Interval, x: &[f64], x_next: &[f64], u: &mut [f64]) {
+        let RodStage { of, angle, .. } = self.stage(at);
+        let own = x_next.len();
+        let angles = 6 * self.system.layout.free_vertices.len();
+        for (i, y) in self.state.iter_mut().enumerate() {
+            let (share, past) =
+                if i < angles { (of.to[0], [of.to[1], 0.0]) } else { (angle[0], [angle[1], angle[2]]) };
+            *y = (x_next[i] - mixed(past, x, own, i)) / share;
+        }
+        self.system.scatter_state(&self.state);
+        self.system.gather(u);
+    }
+
+    fn previous(&mut self, at: &Interval, x: &[f64], u: &[f64], dx: &[f64], dg: &mut [f64]) {
+        dg.fill(0.0);
+        let of = self.scheme.stage(at);
+        let h = of.length;
+        let (own, nf) = (self.system.layout.state(), self.system.layout.free_vertices.len());
+        let inertia = self.inertia(of.length);
+        for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
+            let [k, c] = inertia.map(|rate| rate * self.system.rod.masses[v]);
+            let i = self.system.layout.unknown[self.system.layout.vertex(v)];
+            for a in 0..3 {
+                let place = mixed(of.from, dx, own, 3 * f + a);
+                let speed = mixed(of.from, dx, own, 3 * (nf + f) + a);
+                dg[i + a] = -k * (place + h * speed) - c * place;
+            }
+        }
+        if self.viscous.is_some() {
+            self.prepare_and_shape(at, x, u);
+            let viscous = self.viscous.as_mut().expect("checked above");
+            viscous.previous_add(&self.system, dx, dg);
+        }
+        if !self.system.loads.of_motion.is_empty() {
+            self.prepare_and_shape(at, x, u);
+            self.star(of.from, dx);
+            let star = &self.star;
+            self.system.couple_loads(self.stage_start(h), false, |i| star[i], |i, value| dg[i] += value);
+        }
+    }
+
+    fn previous_transpose_add(&mut self, at: &Interval, x: &[f64], u: &[f64], mu: &[f64], dx: &mut [f64]) {
+        let of = self.scheme.stage(at);
+        let (own, nf) = (self.system.layout.state(), self.system.layout.free_vertices.len());
+        let inertia = self.inertia(of.length);
+        for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
+            let [k, c] = inertia.map(|rate| rate * self.system.rod.masses[v]);
+            let i = self.system.layout.unknown[self.system.layout.vertex(v)];
+            let mu = [mu[i], mu[i + 1], mu[i + 2]];
+            mixed_add(of.from, dx, own, 3 * f, mu.map(|mu| -(k + c) * mu));
+            mixed_add(of.from, dx, own, 3 * (nf + f), mu.map(|mu| -k * of.length * mu));
+        }
+        if self.viscous.is_some() {
+            self.prepare_and_shape(at, x, u);
+            let viscous = self.viscous.as_mut().expect("checked above");
+            viscous.previous_transpose_add(&self.system, mu, dx);
+        }
+        if !self.system.loads.of_motion.is_empty() {
+            self.prepare_and_shape(at, x, u);
+            let mut star = std::mem::take(&mut self.star);
+            star.fill(0.0);
+            self.system.couple_loads(
+                self.stage_start(of.length),
+                true,
+                |i| mu[i],
+                |i, value| star[i] += value,
+            );
+            for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
+                let i = self.system.layout.unknown[self.system.layout.vertex(v)];
+                mixed_add(of.from, dx, own, 3 * f, [star[i], star[i + 1], star[i + 2]]);
+            }
+            self.star = star;
+        }
+    }
+
+    fn advance_tangent(
+        &mut self,
+        at: &Interval,
+        _x: &[f64],
+        u: &[f64],
+        dx: &[f64],
+        du: &[f64],
+        dx_next: &mut [f64],
+    ) {
+        // ∂S is linear: du takes the place of u, dx that of x.
+        self.advance(at, dx, du, dx_next);
+        if self.system.layout.free_angles.is_empty() {
+            return;
+        }
+        self.set_edges_of(at, u);
+        self.system.unknown_displacements(du, &mut self.displacement);
+        self.system.shape.holonomy(&self.displacement, &mut self.psi);
+        let (layout, share) = (&self.system.layout, self.stage(at).angle[0]);
+        let angles = &mut dx_next[6 * layout.free_vertices.len()..];
+        for (angle, &e) in angles.iter_mut().zip(&layout.free_angles) {
+            *angle += share * self.psi[e];
+        }
+    }
+
+    fn advance_adjoint(
+        &mut self,
+        at: &Interval,
+        _x: &[f64],
+        u: &[f64],
+        lambda: &[f64],
+        dx: &mut [f64],
+        du: &mut [f64],
+    ) {
+        dx.fill(0.0);
+        let RodStage { of, angle, .. } = self.stage(at);
+        let ([b0, b1], layout) = (of.to, &self.system.layout);
+        let (own, nf) = (layout.state(), layout.free_vertices.len());
+        let rate = b0 / of.length;
+        for (f, &v) in layout.free_vertices.iter().enumerate() {
+            let i = layout.unknown[layout.vertex(v)];
+            let (place, speed) = (3 * f, 3 * (nf + f));
+            let at = |i: usize| [lambda[i], lambda[i + 1], lambda[i + 2]];
+            let (places, speeds) = (at(place), at(speed));
+            let back = speeds.map(|l| rate * l);
+            for c in 0..3 {
+                du[i + c] = b0 * places[c] + back[c];
+            }
+            if b1 != 0.0 {
+                mixed_add([b1, 0.0], dx, own, place, places);
+                mixed_add([b1, 0.0], dx, own, speed, speeds);
+            }
+            mixed_add(of.from, dx, own, place, back.map(|b| -b));
+        }
+        let angles = &lambda[6 * nf..];
+        for (f, &e) in layout.free_angles.iter().enumerate() {
+            du[layout.unknown[layout.angle(e)]] = angle[0] * angles[f];
+            mixed_add([angle[1], angle[2]], dx, own, 6 * nf + f, [angles[f]]);
+        }
+        // θ_{k+1} is read by nobody in most windows: then nothing comes back through the holonomy.
+        if angles.iter().all(|a| *a == 0.0) {
+            return;
+        }
+        self.set_edges_of(at, u);
+        self.psi.fill(0.0);
+        for (f, &e) in self.system.layout.free_angles.iter().enumerate() {
+            self.psi[e] = angle[0] * angles[f];
+        }
+        self.displacement.fill(Vector3::zeros());
+        self.system.shape.holonomy_transpose_add(&self.psi, &mut self.displacement);
+        let layout = &self.system.layout;
+        for &v in &layout.free_vertices {
+            let i = layout.unknown[layout.vertex(v)];
+            for c in 0..3 {
+                du[i + c] += self.displacement[v][c];
+            }
+        }
+    }
+
+    fn control_dim(&self) -> usize {
+        self.control_len()
+    }
+
+    fn initial_state(&mut self, t: f64, z: &[f64], x: &mut [f64]) -> Result<(), Refusal> {
+        let n = self.control_len();
+        x[..n].copy_from_slice(z);
+        if let Some(twist) = &mut self.twist {
+            twist.solve(t, &z[..n / 2], &mut x[n..])?;
+        }
+        Ok(())
+    }
+
+    fn initial_tangent(&mut self, _t: f64, dz: &[f64], dx: &mut [f64]) {
+        let n = self.control_len();
+        dx[..n].copy_from_slice(dz);
+        if let Some(twist) = &mut self.twist {
+            twist.tangent(&dz[..n / 2], &mut dx[n..]);
+        }
+    }
+
+    fn initial_adjoint(&mut self, _t: f64, lambda: &[f64], dz: &mut [f64]) {
+        let n = self.control_len();
+        dz.copy_from_slice(&lambda[..n]);
+        if let Some(twist) = &mut self.twist {
+            twist.adjoint_add(&lambda[n..], &mut dz[..n / 2]);
+        }
+    }
+}

@@ -1,0 +1,75 @@
+//! The equations of a rod at rest.
+
+use nalgebra::Vector3;
+use varda_implicit::{Equations, Interval, NewtonWork, Refusal};
+
+use crate::system::System;
+
+/// The moment t, for errors of an equilibrium at that time.
+pub(crate) fn at_rest(t: f64) -> Interval {
+    Interval { index: 0, start: t, length: 0.0, previous: None }
+}
+
+/// The total potential energy of a system as a function of its unknowns.
+pub(crate) struct Statics {
+    pub(crate) system: System,
+    pub(crate) end_angle: f64,
+    tolerance: f64,
+    displacement: Vec<Vector3<f64>>,
+    psi: Vec<f64>,
+}
+
+impl Statics {
+    pub(crate) fn new(system: System, end_angle: f64, tolerance: f64) -> Statics {
+        let n = system.rod.segments();
+        Statics {
+            end_angle,
+            tolerance,
+            displacement: vec![Vector3::zeros(); n + 1],
+            psi: vec![0.0; n],
+            system,
+        }
+    }
+
+    pub(crate) fn work_space(&self) -> NewtonWork {
+        NewtonWork::new(self.system.layout.unknowns, &self.system.structure())
+    }
+}
+
+impl Equations for Statics {
+    fn assemble(
+        &mut self,
+        u: &[f64],
+        g: &mut [f64],
+        mut jacobian: Option<&mut [f64]>,
+    ) -> Result<Option<f64>, Refusal> {
+        let s = &mut self.system;
+        let mut potential = s.assemble(u, self.end_angle, g, jacobian.as_deref_mut())?;
+        for &v in &s.layout.free_vertices {
+            potential -= s.forces[v].dot(&s.x[v]);
+            let i = s.layout.unknown[s.layout.vertex(v)];
+            for c in 0..3 {
+                g[i + c] -= s.forces[v][c];
+            }
+        }
+        potential += s.add_loads(None, g, jacobian);
+        Ok(s.has_potential().then_some(potential))
+    }
+
+    fn retract(&mut self, u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
+        for ((t, u), d) in trial.iter_mut().zip(u).zip(du) {
+            *t = u + alpha * d;
+        }
+        let s = &mut self.system;
+        if s.layout.free_angles.is_empty() || s.layout.free_vertices.is_empty() {
+            return;
+        }
+        s.scatter(u);
+        s.shape.set_edges(&s.x, true).expect("u was assembled before");
+        s.add_holonomy(du, alpha, &mut self.displacement, &mut self.psi, trial);
+    }
+
+    fn converged_below(&self) -> f64 {
+        self.tolerance
+    }
+}

@@ -1,0 +1,171 @@
+//! The equilibrium of the twist angles at given vertices, with its derivatives.
+
+use nalgebra::Vector3;
+use varda_implicit::{NewtonOptions, NewtonWork, Refusal, solve};
+
+use crate::Error;
+use crate::layout::FIXED;
+use crate::statics::{Statics, at_rest};
+use crate::system::System;
+
+/// θ₀ = θ(X₀): the angles that minimise E at given vertices, from θ = 0, with δθ₀ = −E_θθ⁻¹ E_θX δX₀ and its transpose.
+pub(crate) struct TwistEquilibrium {
+    statics: Statics,
+    work: NewtonWork,
+    /// The system with all its unknowns, for E_θX.
+    full: System,
+    /// The Hessian of the full system in its band, and the tridiagonal E_θθ: diagonal, below it.
+    band: Vec<f64>,
+    diagonal: Vec<f64>,
+    below: Vec<f64>,
+    u: Vec<f64>,
+    rhs: Vec<f64>,
+    psi: Vec<f64>,
+    displacement: Vec<Vector3<f64>>,
+}
+
+impl TwistEquilibrium {
+    pub(crate) fn new(system: &System) -> TwistEquilibrium {
+        let mut held = system.clone();
+        held.layout = system.layout.angles_only();
+        // loads of the motion act on vertices, and these are held
+        held.loads.of_motion.clear();
+        let n = system.rod.segments();
+        let angles = system.layout.free_angles.len();
+        let statics = Statics::new(held, 0.0, 1e-12);
+        TwistEquilibrium {
+            work: statics.work_space(),
+            statics,
+            band: vec![0.0; system.layout.unknowns * (system.layout.half_bandwidth + 1)],
+            diagonal: vec![0.0; angles],
+            below: vec![0.0; angles],
+            u: vec![0.0; angles],
+            rhs: vec![0.0; angles],
+            psi: vec![0.0; n],
+            displacement: vec![Vector3::zeros(); n + 1],
+            full: system.clone(),
+        }
+    }
+
+    /// θ of the free angles for the free vertices X at time t.
+    pub(crate) fn solve(&mut self, t: f64, positions: &[f64], theta: &mut [f64]) -> Result<(), Refusal> {
+        let s = &mut self.statics.system;
+        s.place(t)?;
+        for (f, &v) in self.full.layout.free_vertices.iter().enumerate() {
+            s.x[v] = Vector3::from_column_slice(&positions[3 * f..3 * f + 3]);
+        }
+        s.theta.fill(0.0);
+        let end_angle = s.end_angle_guess();
+        self.statics.end_angle = end_angle;
+        self.u.fill(0.0);
+        let options = NewtonOptions { max_iterations: 200, ..NewtonOptions::default() };
+        solve(&mut self.statics, &mut self.u, &mut self.work, &options)
+            .map_err(|failure| failure.in_step(&at_rest(t)))?;
+        theta.copy_from_slice(&self.u);
+
+        self.full.place(t)?;
+        self.full.x.copy_from_slice(&self.statics.system.x);
+        for (f, &e) in self.full.layout.free_angles.iter().enumerate() {
+            self.full.theta[e] = self.u[f];
+        }
+        self.full.update_shape(true, end_angle)?;
+        self.band.fill(0.0);
+        self.full.elastic(Some(&mut self.band));
+        self.factor()
+    }
+
+    /// E_θθ = L D Lᵀ of the free angles, from the band of the full system.
+    fn factor(&mut self) -> Result<(), Refusal> {
+        let layout = &self.full.layout;
+        for f in 0..layout.free_angles.len() {
+            let e = layout.free_angles[f];
+            let mut d = self.entry(layout.angle(e), layout.angle(e));
+            let before = f > 0 && layout.free_angles[f - 1] + 1 == e;
+            self.below[f] = 0.0;
+            if before {
+                self.below[f] = self.entry(layout.angle(e), layout.angle(e - 1)) / self.diagonal[f - 1];
+                d -= self.below[f] * self.below[f] * self.diagonal[f - 1];
+            }
+            if !(d > 0.0) {
+                return Err(Error::TwistFold { edge: e, pivot: d }.into());
+            }
+            self.diagonal[f] = d;
+        }
+        Ok(())
+    }
+
+    fn entry(&self, row: usize, column: usize) -> f64 {
+        let layout = &self.full.layout;
+        let (i, j) = (layout.unknown[row], layout.unknown[column]);
+        let (i, j) = (i.max(j), i.min(j));
+        let w = layout.half_bandwidth;
+        if i == FIXED || i - j > w { 0.0 } else { self.band[i * (w + 1) + w + j - i] }
+    }
+
+    fn solve_angles(&mut self) {
+        let m = self.rhs.len();
+        for f in 1..m {
+            self.rhs[f] -= self.below[f] * self.rhs[f - 1];
+        }
+        for f in 0..m {
+            self.rhs[f] /= self.diagonal[f];
+        }
+        for f in (1..m).rev() {
+            self.rhs[f - 1] -= self.below[f] * self.rhs[f];
+        }
+    }
+
+    /// Vertices whose places enter ∂E/∂θ^e: those of the two turns at its ends.
+    fn neighbours(&self, e: usize) -> std::ops::RangeInclusive<usize> {
+        e.saturating_sub(1)..=(e + 2).min(self.full.layout.segments)
+    }
+
+    pub(crate) fn tangent(&mut self, dx: &[f64], dtheta: &mut [f64]) {
+        let mut displacement = std::mem::take(&mut self.displacement);
+        self.full.displacements(dx, &mut displacement);
+        for f in 0..self.rhs.len() {
+            let e = self.full.layout.free_angles[f];
+            let mut sum = 0.0;
+            for v in self.neighbours(e) {
+                for c in 0..3 {
+                    sum -= self.entry(self.full.layout.angle(e), self.full.layout.vertex(v) + c)
+                        * displacement[v][c];
+                }
+            }
+            self.rhs[f] = sum;
+        }
+        self.solve_angles();
+        self.full.shape.holonomy(&displacement, &mut self.psi);
+        for (f, &e) in self.full.layout.free_angles.iter().enumerate() {
+            dtheta[f] = self.rhs[f] + self.psi[e];
+        }
+        self.displacement = displacement;
+    }
+
+    pub(crate) fn adjoint_add(&mut self, lambda: &[f64], dx: &mut [f64]) {
+        if lambda.iter().all(|l| *l == 0.0) {
+            return;
+        }
+        self.rhs.copy_from_slice(lambda);
+        self.solve_angles();
+        let mut displacement = std::mem::take(&mut self.displacement);
+        displacement.fill(Vector3::zeros());
+        self.psi.fill(0.0);
+        for (f, &e) in self.full.layout.free_angles.iter().enumerate() {
+            self.psi[e] = lambda[f];
+            for v in self.neighbours(e) {
+                for c in 0..3 {
+                    displacement[v][c] -=
+                        self.entry(self.full.layout.angle(e), self.full.layout.vertex(v) + c) * self.rhs[f];
+                }
+            }
+        }
+        self.full.shape.holonomy_transpose_add(&self.psi, &mut displacement);
+        for (f, &v) in self.full.layout.free_vertices.iter().enumerate() {
+            for c in 0..3 {
+                dx[3 * f + c] += displacement[v][c];
+            }
+        }
+        self.displacement = displacement;
+    }
+}

@@ -1,0 +1,37 @@
+//! What several tests of derivatives use.
+
+/// A smooth pseudo-random sequence in [−1, 1].
+pub(crate) fn noise(seed: usize) -> impl Iterator<Item = f64> {
+    (0..).map(move |i| (12.9898 * (i as f64 + 1.0) + 78.233 * seed as f64).sin())
+}
+
+pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+pub(crate) fn norm(a: &[f64]) -> f64 {
+    dot(a, a).sqrt()
+}
+
+/// No component of the tangent is off by more than `bound` of the largest.
+pub(crate) fn assert_close(name: &str, tangent: &[f64], difference: &[f64], bound: f64) {
+    let (error, size) = off(tangent, difference);
+    assert!(size > 0.0 && error <= bound * size, "{name}: off by {error:e} of {size:e}");
+}
+
+/// The largest difference, and the largest component of `b`.
+pub(crate) fn off(a: &[f64], b: &[f64]) -> (f64, f64) {
+    let error = a.iter().zip(b).fold(0.0, |m: f64, (a, b)| m.max((a - b).abs()));
+    (error, b.iter().fold(0.0, |m: f64, b| m.max(b.abs())))
+}
+
+/// Central differences of f at x along dx, extrapolated once: error O(h⁴) and rounding ε/h.
+pub(crate) fn difference(x: &[f64], dx: &[f64], h: f64, mut f: impl FnMut(&[f64]) -> Vec<f64>) -> Vec<f64> {
+    let mut central = |h: f64| -> Vec<f64> {
+        let at = |s: f64| -> Vec<f64> { x.iter().zip(dx).map(|(x, d)| x + s * d).collect() };
+        let (a, b) = (f(&at(h)), f(&at(-h)));
+        a.iter().zip(&b).map(|(a, b)| (a - b) / (2.0 * h)).collect()
+    };
+    let (one, half) = (central(h), central(0.5 * h));
+    one.iter().zip(&half).map(|(a, b)| (4.0 * b - a) / 3.0).collect()
+}
