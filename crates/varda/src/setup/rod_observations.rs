@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use varda_rod::{Marker, Markers, Matrix3, Vector3};
 
-use super::csv::{self, Row, Subject};
+use super::csv::{self, ObservedRow, Subject};
 use super::files::Files;
 use super::observations::{Draws, MakeOperator, Observed, ObservedSpace, Seen, Site};
 use super::rod::RodSystem;
@@ -56,7 +56,8 @@ pub(crate) fn recorded(
     };
     let (label, text) = files.text("observations.file", name)?;
     let rows = csv::observations(&label, &text)?;
-    let bad = |row: &Row, message: String| Error::Data { place: format!("{label}:{}", row.line), message };
+    let bad =
+        |row: &ObservedRow, message: String| Error::Data { place: format!("{label}:{}", row.line), message };
     let length = rod.length();
     let mut sites: Vec<Placed> = recording
         .markers

@@ -1,4 +1,4 @@
-//! A rod hangs from a hand that moves; its tip is seen five times; where was the rod at the start, and how fast?
+//! A rod hangs from a hand that moves, its tip is seen five times: where was the rod at the start?
 
 use rand::{SeedableRng, rngs::ChaCha8Rng};
 use std::ops::ControlFlow;
