@@ -1,4 +1,8 @@
-//! The equations of a rod at rest.
+//! The equations of a rod at rest, and the ways to a shape that solves them.
+
+pub(crate) mod continuation;
+mod guess;
+mod shape_input;
 
 use nalgebra::Vector3;
 use varda_implicit::{Equations, Interval, NewtonWork, Refusal};
