@@ -86,7 +86,7 @@ pub(crate) fn equilibrium_within(
     let mut g = vec![0.0; u.len()];
     let at_end = statics.assemble(&u, &mut g, None);
     done.energy = at_end.map_err(|reason| varda_implicit::NewtonFailure::Refused(reason).in_step(&at_rest(t)))?.unwrap_or(f64::NAN);
-    let mut system = statics.system;
+    let Statics { mut system, end_angle, .. } = statics;
     system.scatter(&u);
     system.update_shape(system.layout.twist, end_angle).map_err(refuse)?;
     Ok(Rest { vertices: system.x, theta: system.theta })

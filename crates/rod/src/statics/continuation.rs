@@ -15,7 +15,11 @@ const FIRST: usize = 300;
 /// Largest turn of a clamp between two stages \[rad\].
 const TURN: f64 = 0.4;
 /// The smallest stage, as a share of the whole way.
-const SMALLEST: f64 = 1.0 / 4096.0;
+const SMALLEST: f64 = 1.0 / 128.0;
+/// A stage shorter than this share of the whole way snaps through: it gets the iterations that takes.
+const SNAP: f64 = 1.0 / 32.0;
+/// Iterations of a snap.
+const SNAPPING: usize = 2000;
 /// Whole turning of the natural curvature from which a rod with one held place starts from its rest shape \[rad\].
 const CURLED: f64 = 0.5;
 
@@ -169,7 +173,7 @@ impl Way<'_> {
             return Ok(rest);
         }
         let rest = self.solve(1.0, 0.0, 1.0, &shape, FIRST)?;
-        self.stages(rest, 0.25, |way, share, guess| way.solve(1.0, share, 1.0, guess, STAGE))
+        self.stages(rest, 0.25, |way, share, guess, most| way.solve(1.0, share, 1.0, guess, most))
     }
 
     /// Two held places or more.
@@ -188,9 +192,9 @@ impl Way<'_> {
         }
         let first = (TURN / largest).min(1.0);
         let mut before = 0.0;
-        self.stages(aligned, first, |way, lambda, guess| {
+        self.stages(aligned, first, |way, lambda, guess, most| {
             let carried = way.carry(guess, before, lambda);
-            let rest = way.solve(lambda, 1.0, 1.0, &carried, STAGE)?;
+            let rest = way.solve(lambda, 1.0, 1.0, &carried, most)?;
             before = lambda;
             Ok(rest)
         })
@@ -220,12 +224,13 @@ impl Way<'_> {
         &mut self,
         mut rest: Rest,
         mut stage: f64,
-        mut solve: impl FnMut(&mut Self, f64, &Rest) -> Solved,
+        mut solve: impl FnMut(&mut Self, f64, &Rest, usize) -> Solved,
     ) -> Solved {
         let mut lambda = 0.0;
         while lambda < 1.0 {
             let next = if lambda + 1.01 * stage >= 1.0 { 1.0 } else { lambda + stage };
-            match solve(self, next, &rest) {
+            let most = if stage < SNAP { SNAPPING } else { STAGE };
+            match solve(self, next, &rest, most) {
                 Ok(found) => {
                     (rest, lambda) = (found, next);
                     stage *= 1.5;
