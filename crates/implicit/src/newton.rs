@@ -238,7 +238,12 @@ pub fn solve<E: Equations + ?Sized>(
                 Some(phi) => Some(work.descent(phi)),
                 None => Some(Test::Contraction { size }),
             };
-            let accepted = test.and_then(|test| work.backtrack(equations, u, &test, options));
+            let leaving = shift > 0.0 && size <= trusted && potential.is_some();
+            let mut accepted = test.and_then(|test| work.backtrack(equations, u, &test, options));
+            if accepted.is_none() && leaving {
+                // a curvature too slight for Φ to show: nearer to the point where the residual is zero, it may be none
+                accepted = Some(work.shifted_update(equations, u, shift)?);
+            }
             potential = accepted.ok_or_else(|| work.diverged(equations))?;
         }
         u.copy_from_slice(&work.trial);
@@ -271,6 +276,26 @@ impl NewtonWork {
         let row =
             self.solver.factor_shifted(&self.values, shift, &mut self.factor).err().map_or(0, |bad| bad.row);
         Err(NewtonFailure::SingularJacobian { row })
+    }
+
+    /// Takes the shifted update without a test. Returns the potential there.
+    fn shifted_update<E: Equations + ?Sized>(
+        &mut self,
+        equations: &mut E,
+        u: &[f64],
+        shift: f64,
+    ) -> Result<Option<f64>, NewtonFailure> {
+        let mut trial = std::mem::take(&mut self.trial);
+        let assembled = equations.assemble(u, &mut self.g, Some(&mut self.values));
+        if assembled.is_ok() {
+            self.report.factorizations += 1;
+            let _ = self.solver.factor_shifted(&self.values, shift, &mut self.factor);
+            self.newton_update();
+            equations.retract(u, &self.du, 1.0, &mut trial);
+        }
+        self.trial = trial;
+        assembled?;
+        Ok(equations.assemble(&self.trial, &mut self.g, Some(&mut self.values))?)
     }
 
     /// Whether ∂G/∂u has no negative eigenvalue beyond rounding. Leaves another factor.

@@ -48,6 +48,8 @@ pub(crate) struct Work {
     pub(crate) iterations: usize,
     /// Of the last search that ended well.
     pub(crate) report: NewtonReport,
+    /// Where the last search that failed stopped.
+    pub(crate) stopped: Option<Rest>,
     /// Potential energy at its end.
     pub(crate) energy: f64,
 }
@@ -82,6 +84,15 @@ pub(crate) fn equilibrium_within(
     let solved = solve(&mut statics, &mut u, &mut work, &options);
     done.solves += 1;
     done.iterations += work.report().iterations;
+    if solved.is_err() {
+        let mut stopped = statics.system.clone();
+        stopped.scatter(&u);
+        stopped.theta[rod.segments() - 1] = match stopped.layout.free_angles.contains(&(rod.segments() - 1)) {
+            true => stopped.theta[rod.segments() - 1],
+            false => statics.end_angle,
+        };
+        done.stopped = Some(Rest { vertices: stopped.x, theta: stopped.theta });
+    }
     done.report = solved.map_err(|failure| failure.in_step(&at_rest(t)))?;
     let mut g = vec![0.0; u.len()];
     let at_end = statics.assemble(&u, &mut g, None);

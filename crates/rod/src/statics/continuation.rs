@@ -20,6 +20,12 @@ const SMALLEST: f64 = 1.0 / 128.0;
 const SNAP: f64 = 1.0 / 32.0;
 /// Iterations of a snap.
 const SNAPPING: usize = 2000;
+/// Stretching stiffness over ten bending stiffnesses and the weight, where a first shape is looked for …
+const SOFT: f64 = 30.0;
+/// … and where clamps turn.
+const STIFF: f64 = 1e4;
+/// Shapes beside one where a search stalled, as shares of the length.
+const KICKS: [f64; 3] = [0.003, -0.01, 0.03];
 /// Whole turning of the natural curvature from which a rod with one held place starts from its rest shape \[rad\].
 const CURLED: f64 = 0.5;
 
@@ -182,41 +188,78 @@ impl Way<'_> {
         let end = self.held.end.is_some().then(|| self.frame(false, 0.0).0);
         let vertices = along(self.rod, &self.held, start.as_ref(), end.as_ref(), &self.loads.gravity);
         let shape = Rest { vertices, theta: vec![0.0; self.rod.segments()] };
-        let aligned = self.aligned(&shape)?;
         let natural = self.rod.natural_curvature.iter().map(|k| k[0].hypot(k[1])).sum::<f64>()
             + self.rod.natural_twist.iter().map(|t| t.abs()).sum::<f64>();
         let largest = [self.turn(true).1, self.turn(false).1, self.end_turn.abs(), 0.5 * natural];
         let largest = largest.into_iter().fold(0.0, f64::max);
-        if largest == 0.0 && self.loads.of_motion.is_empty() {
-            return Ok(aligned);
-        }
+        let cap = self.share_of_stretch(STIFF);
+        let aligned = self.stiffen(0.0, self.share_of_stretch(SOFT), cap, &shape).or_else(|failure| {
+            // the softest one sags too far for some: start as it is
+            if cap < 1.0 { self.kicked(0.0, cap, &shape) } else { Err(failure) }
+        })?;
         let first = (TURN / largest).min(1.0);
         let mut before = 0.0;
-        self.stages(aligned, first, |way, lambda, guess, most| {
+        let turned = self.stages(aligned, first, |way, lambda, guess, most| {
             let carried = way.carry(guess, before, lambda);
-            let rest = way.solve(lambda, 1.0, 1.0, &carried, most)?;
+            let rest = way.solve(lambda, 1.0, cap, &carried, most).or_else(|failure| {
+                if most == STAGE { Err(failure) } else { way.kicked(lambda, cap, &carried) }
+            })?;
             before = lambda;
             Ok(rest)
-        })
+        })?;
+        if cap < 1.0 || !self.loads.of_motion.is_empty() { self.stiffen(1.0, cap, 1.0, &turned) } else { Ok(turned) }
     }
 
-    /// Clamps along their chords, everything else as it is: directly, else from less stretching stiffness.
-    fn aligned(&mut self, shape: &Rest) -> Solved {
-        if let Ok(rest) = self.solve(0.0, 1.0, 1.0, shape, STAGE) {
-            return Ok(rest);
-        }
+    /// The share of the stretching stiffness that is `stiff` times what bends and weighs; at most all of it.
+    fn share_of_stretch(&self, stiff: f64) -> f64 {
         let rod = self.rod;
-        let stiffest = |k: &[f64]| k.iter().fold(0.0, |m: f64, k| m.max(*k));
+        let most = rod.ea.iter().fold(0.0, |m: f64, k| m.max(*k));
         let bend = rod.ei.iter().fold(0.0, |m: f64, k| m.max(k[0]).max(k[2]));
         let weight = self.loads.gravity.norm() * rod.masses.iter().sum::<f64>();
-        let soft = (100.0 * bend / rod.length().powi(2)).max(10.0 * weight).max(1e-9 * stiffest(&rod.ea));
-        let mut share = (soft / stiffest(&rod.ea)).min(1.0);
-        let mut rest = self.solve(0.0, 1.0, share, shape, FIRST)?;
-        while share < 1.0 {
-            share = (10.0 * share).min(1.0);
-            rest = self.solve(0.0, 1.0, share, &rest, FIRST)?;
+        (stiff * (10.0 * bend / rod.length().powi(2)).max(weight) / most).clamp(1e-9, 1.0)
+    }
+
+    /// At rest with ever more stretching stiffness, tenfold a stage or less.
+    fn stiffen(&mut self, lambda: f64, from: f64, to: f64, guess: &Rest) -> Solved {
+        let mut share = from;
+        let mut rest = self.kicked(lambda, share, guess)?;
+        let mut factor: f64 = 10.0;
+        while share < to {
+            let next = if share * factor * 1.01 >= to { to } else { share * factor };
+            match self.solve(lambda, 1.0, next, &rest, FIRST) {
+                Ok(found) => {
+                    (rest, share) = (found, next);
+                    factor = (factor * factor).min(10.0);
+                }
+                Err(_) if factor > 1.5 => factor = factor.sqrt(),
+                Err(_) => {
+                    rest = self.kicked(lambda, next, &rest)?;
+                    share = next;
+                }
+            }
         }
         Ok(rest)
+    }
+
+    /// At rest from a guess; where the search stalls, as it does at a saddle whose way out the energy hardly shows, on from a
+    /// shape a little beside.
+    fn kicked(&mut self, lambda: f64, stretch: f64, guess: &Rest) -> Solved {
+        let mut result = self.solve(lambda, 1.0, stretch, guess, FIRST);
+        for kick in KICKS {
+            if result.is_ok() {
+                break;
+            }
+            let Some(mut shape) = self.work.stopped.take() else { break };
+            let s = self.rod.arc_lengths();
+            let length = self.rod.length();
+            for (x, s) in shape.vertices.iter_mut().zip(&s) {
+                let u = std::f64::consts::PI * s / length;
+                let side = Vector3::new((u + 0.3).sin(), (2.0 * u + 1.1).sin(), (3.0 * u - 0.7).cos());
+                *x += side * (kick * length);
+            }
+            result = self.solve(lambda, 1.0, stretch, &shape, SNAPPING);
+        }
+        result
     }
 
     /// From λ = 0 to 1 in stages, halved where one fails.
