@@ -140,6 +140,8 @@ const LAST_SHIFT: f64 = 1e12;
 const POTENTIAL_ROUNDING: f64 = 1e-10;
 /// Trusted steps in a row that may fail to halve the update.
 const STALLED: usize = 3;
+/// Trusted steps that are tested after all, where they stalled.
+const MOST_TESTED: usize = 50;
 /// A saddle is left by a step this many times the trusted size, then halved as needed.
 const ESCAPE: f64 = 1e4;
 /// A matrix that this share of its largest diagonal entry makes positive definite is taken for semidefinite.
@@ -201,7 +203,7 @@ pub fn solve<E: Equations + ?Sized>(
     }
     // the last shift that was needed, kept over iterations that need none
     let mut remembered = 0.0;
-    let mut stalled = 0;
+    let (mut stalled, mut tested) = (0, 0);
     for iteration in 1..=options.max_iterations {
         work.report.iterations = iteration;
         let shift = work.factor_descending(potential.is_some(), remembered)?;
@@ -226,7 +228,19 @@ pub fn solve<E: Equations + ?Sized>(
             stalled = if size > 0.5 * previous { stalled + 1 } else { 0 };
             if stalled >= STALLED {
                 work.report.at_rounding = work.residual_is_rounding(u);
-                return if work.report.at_rounding { Ok(work.report) } else { Err(work.diverged(equations)) };
+                if work.report.at_rounding {
+                    return Ok(work.report);
+                }
+                // too small to be tested is not yet small enough: tested steps for a while, where there is a potential
+                let Some(phi) = potential.filter(|_| tested < MOST_TESTED) else {
+                    return Err(work.diverged(equations));
+                };
+                tested += 1;
+                let test = work.descent(phi);
+                let accepted = work.backtrack(equations, u, &test, options);
+                potential = accepted.ok_or_else(|| work.diverged(equations))?;
+                u.copy_from_slice(&work.trial);
+                continue;
             }
             equations.retract(u, &work.du, 1.0, &mut work.trial);
             potential = equations.assemble(&work.trial, &mut work.g, Some(&mut work.values))?;

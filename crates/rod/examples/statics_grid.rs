@@ -186,7 +186,7 @@ fn main() {
             let ea = (1e6 * ei).max(1e3);
             let rod = Rod::uniform(1.0, n, &section(ea, ei, 0.7 * ei, 0.05)).unwrap();
             let far = Vector3::new(d * f64::cos(level), 0.0, d * f64::sin(level));
-            let ta = Vector3::x();
+            let ta = match a.get(7).map(String::as_str) { Some("up") => Vector3::z(), Some("rev") => -Vector3::x(), _ => Vector3::x() };
             let dir = |t: Vector3<f64>| t.cross(&Vector3::new(0.1, -0.3, 0.7)).normalize();
             let sup = Supports { start: Some(Clamp::new(Vector3::zeros(), ta, dir(ta))), end: Some(Clamp::new(far, ta, dir(ta))), ..Default::default() };
             let loads = Loads { gravity: Vector3::new(0.0, 0.0, -g), ..Default::default() };

@@ -26,6 +26,8 @@ const SOFT: f64 = 30.0;
 const STIFF: f64 = 1e4;
 /// Shapes beside one where a search stalled, as shares of the length.
 const KICKS: [f64; 3] = [0.003, -0.01, 0.03];
+/// Multiple of the twisting stiffness on a second way.
+const MORE_TWIST: f64 = 30.0;
 /// Whole turning of the natural curvature from which a rod with one held place starts from its rest shape \[rad\].
 const CURLED: f64 = 0.5;
 
@@ -74,11 +76,15 @@ pub fn rest(
 ) -> Result<Found, varda_implicit::Error> {
     let refuse = |e: Error| varda_implicit::Error::Refused { step: 0, reason: e.into() };
     let held = Held::at(rod, supports, t).map_err(refuse)?;
-    let mut way = Way { rod, supports, loads, t, held, end_turn: search.end_turn, work: Work::default() };
+    let mut way = Way { rod, supports, loads, t, held, end_turn: search.end_turn, twist: 1.0, work: Work::default() };
     let found = if let Some(shape) = &search.initial_shape {
         way.solve(1.0, 1.0, 1.0, shape, 2000)
     } else if way.held.spans() {
-        way.between()
+        way.between().or_else(|failure| {
+            // half a turn of twist at one vertex hides its bend from the energy: a way on which twist costs more
+            way.twist = MORE_TWIST;
+            if way.end_turn == 0.0 { way.between() } else { Err(failure) }
+        })
     } else {
         way.hanging()
     };
@@ -98,6 +104,8 @@ struct Way<'a> {
     t: f64,
     held: Held,
     end_turn: f64,
+    /// Twisting stiffness on the way, as a multiple of the rod's.
+    twist: f64,
     work: Work,
 }
 
@@ -112,6 +120,7 @@ impl Way<'_> {
         }
         let mut rod = self.rod.clone();
         rod.ea.iter_mut().for_each(|k| *k *= stretch);
+        rod.gj.iter_mut().for_each(|k| *k *= self.twist);
         if self.held.spans() {
             rod.natural_curvature.iter_mut().flatten().for_each(|k| *k *= lambda);
             rod.natural_twist.iter_mut().for_each(|k| *k *= lambda);
