@@ -11,7 +11,11 @@ fn v3(v: &serde_json::Value) -> Vector3<f64> {
 fn nums(line: &str, key: &str) -> Vec<f64> {
     let i = line.find(&format!("{key} = ")).unwrap() + key.len() + 3;
     let r = &line[i..];
-    let r = if r.starts_with('[') { &r[1..r.find(']').unwrap()] } else { r.split([',', '}', '\n']).next().unwrap() };
+    let r = if r.starts_with('[') {
+        &r[1..r.find(']').unwrap()]
+    } else {
+        r.split([',', '}', '\n']).next().unwrap()
+    };
     r.split(',').map(|x| x.trim().trim_end_matches([']', '}']).trim().parse().unwrap()).collect()
 }
 fn cables() {
@@ -19,10 +23,18 @@ fn cables() {
     let (mut ok, mut worst, mut iters, t0) = (0, 0.0f64, vec![], Instant::now());
     for c in 0..56 {
         let text = std::fs::read_to_string(format!("{dir}/c{c:02}.toml")).unwrap();
-        let line = |k: &str| text.lines().find(|l| l.starts_with(k)).unwrap_or_else(|| panic!("{k} in {c}")).to_string();
-        let (length, n) = (nums(&line("length"), "length")[0], nums(&line("segments"), "segments")[0] as usize);
+        let line = |k: &str| {
+            text.lines().find(|l| l.starts_with(k)).unwrap_or_else(|| panic!("{k} in {c}")).to_string()
+        };
+        let (length, n) =
+            (nums(&line("length"), "length")[0], nums(&line("segments"), "segments")[0] as usize);
         let s = line("section");
-        let rod = Rod::uniform(length, n, &section(nums(&s, "ea")[0], nums(&s, "ei")[0], nums(&s, "gj")[0], nums(&s, "mass_per_length")[0])).unwrap();
+        let rod = Rod::uniform(
+            length,
+            n,
+            &section(nums(&s, "ea")[0], nums(&s, "ei")[0], nums(&s, "gj")[0], nums(&s, "mass_per_length")[0]),
+        )
+        .unwrap();
         let g = nums(&line("gravity"), "gravity");
         let p = line("prescribed");
         let second = &p[p.rfind("position").unwrap()..];
@@ -40,7 +52,9 @@ fn cables() {
                 for (row, l) in csv.lines().skip(1).enumerate() {
                     let a: Vec<f64> = l.split(',').map(|x| x.parse().unwrap()).collect();
                     let s = a[0] / length * n as f64;
-                    if (s - s.round()).abs() > 1e-9 { println!("c{c} row {row} off vertex {s}"); }
+                    if (s - s.round()).abs() > 1e-9 {
+                        println!("c{c} row {row} off vertex {s}");
+                    }
                     let x = f.rest.vertices[s.round() as usize];
                     d = d.max((x - Vector3::new(a[1], 0.0, a[2])).norm());
                 }
@@ -51,11 +65,20 @@ fn cables() {
         }
     }
     iters.sort();
-    println!("cables: {ok} of 56, worst {worst:.2e} m, iterations {:?} .. {:?}, {:.2} s", iters.first(), iters.last(), t0.elapsed().as_secs_f64());
+    println!(
+        "cables: {ok} of 56, worst {worst:.2e} m, iterations {:?} .. {:?}, {:.2} s",
+        iters.first(),
+        iters.last(),
+        t0.elapsed().as_secs_f64()
+    );
 }
 fn fixtures() {
     let dir = "/work/shared/fixtures/statics";
-    let mut files: Vec<_> = std::fs::read_dir(dir).unwrap().map(|f| f.unwrap().path()).filter(|p| p.extension().is_some_and(|e| e == "json")).collect();
+    let mut files: Vec<_> = std::fs::read_dir(dir)
+        .unwrap()
+        .map(|f| f.unwrap().path())
+        .filter(|p| p.extension().is_some_and(|e| e == "json"))
+        .collect();
     files.sort();
     for p in files {
         let j: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&p).unwrap()).unwrap();
@@ -70,22 +93,44 @@ fn fixtures() {
             let k = n as f64 - 0.5 * (cs as u8 as f64) - 0.5 * (ce as u8 as f64);
             let h = l / k;
             let (ei, gj) = (f("ei"), f("gj"));
-            let mut rod = Rod::uniform(h * n as f64, n, &section(f("ea"), ei, gj, f("mass_per_length"))).unwrap();
+            let mut rod =
+                Rod::uniform(h * n as f64, n, &section(f("ea"), ei, gj, f("mass_per_length"))).unwrap();
             let half = f("mass_per_length") * h / 2.0;
             // inside vertex carries nothing, the outside one the whole of 0..h... : half edge outside + half of the face's piece
-            if cs { rod.masses[0] = 1e-12 * half; rod.masses[1] = 2.0 * half; }
-            if ce { rod.masses[n] = 1e-12 * half; rod.masses[n - 1] = 2.0 * half; }
+            if cs {
+                rod.masses[0] = 1e-12 * half;
+                rod.masses[1] = 2.0 * half;
+            }
+            if ce {
+                rod.masses[n] = 1e-12 * half;
+                rod.masses[n - 1] = 2.0 * half;
+            }
             let nc = &j["natural_curvature"];
             rod = rod.naturally([nc[0].as_f64().unwrap(), nc[1].as_f64().unwrap()], 0.0);
             let mut sup = Supports::default();
             let st = &j["start"];
-            if cs { sup.start = Some(Clamp::new(v3(&st["position"]) - v3(&st["tangent"]).normalize() * h / 2.0, v3(&st["tangent"]), v3(&st["director"]))); }
-            else { sup.prescribed.push((0, std::sync::Arc::new(v3(&st["position"])))); }
+            if cs {
+                sup.start = Some(Clamp::new(
+                    v3(&st["position"]) - v3(&st["tangent"]).normalize() * h / 2.0,
+                    v3(&st["tangent"]),
+                    v3(&st["director"]),
+                ));
+            } else {
+                sup.prescribed.push((0, std::sync::Arc::new(v3(&st["position"]))));
+            }
             let en = &j["end"];
             let mut loads = Loads { gravity: v3(&j["gravity"]), ..Default::default() };
-            if ce { sup.end = Some(Clamp::new(v3(&en["position"]) + v3(&en["tangent"]).normalize() * h / 2.0, v3(&en["tangent"]), v3(&en["director"]))); }
-            else if en["kind"] == "pin" { sup.prescribed.push((n, std::sync::Arc::new(v3(&en["position"])))); }
-            else if en["force"].is_array() { loads.point_forces.push((rod.length(), std::sync::Arc::new(v3(&en["force"])))); }
+            if ce {
+                sup.end = Some(Clamp::new(
+                    v3(&en["position"]) + v3(&en["tangent"]).normalize() * h / 2.0,
+                    v3(&en["tangent"]),
+                    v3(&en["director"]),
+                ));
+            } else if en["kind"] == "pin" {
+                sup.prescribed.push((n, std::sync::Arc::new(v3(&en["position"]))));
+            } else if en["force"].is_array() {
+                loads.point_forces.push((rod.length(), std::sync::Arc::new(v3(&en["force"]))));
+            }
             let search = Search { end_turn: en["turn_rad"].as_f64().unwrap_or(0.0), ..Default::default() };
             let t0 = Instant::now();
             match rest(&rod, &sup, &loads, 0.0, &search) {
@@ -99,8 +144,10 @@ fn fixtures() {
                             let i = (u.floor() as usize).clamp(1, n - 2);
                             let w = u - i as f64;
                             let x = &found.rest.vertices;
-                            let p = x[i - 1] * (-w * (w - 1.0) * (w - 2.0) / 6.0) + x[i] * ((w + 1.0) * (w - 1.0) * (w - 2.0) / 2.0)
-                                + x[i + 1] * (-(w + 1.0) * w * (w - 2.0) / 2.0) + x[i + 2] * ((w + 1.0) * w * (w - 1.0) / 6.0);
+                            let p = x[i - 1] * (-w * (w - 1.0) * (w - 2.0) / 6.0)
+                                + x[i] * ((w + 1.0) * (w - 1.0) * (w - 2.0) / 2.0)
+                                + x[i + 1] * (-(w + 1.0) * w * (w - 2.0) / 2.0)
+                                + x[i + 2] * ((w + 1.0) * w * (w - 1.0) / 6.0);
                             worst = worst.max((q * p - v3(r)).norm());
                         }
                         worst / l
@@ -110,14 +157,23 @@ fn fixtures() {
                         let m = found.rest.vertices[n / 2];
                         let r = v3(&j["r"][10]);
                         dist(r.z.atan2(r.y) - m.z.atan2(m.y))
-                    } else { dist(0.0) };
+                    } else {
+                        dist(0.0)
+                    };
                     errors.push(e);
-                    line += &format!(" {e:9.2e} it {:4} in {:3} {:.3}s", found.iterations, found.solves, t0.elapsed().as_secs_f64());
+                    line += &format!(
+                        " {e:9.2e} it {:4} in {:3} {:.3}s",
+                        found.iterations,
+                        found.solves,
+                        t0.elapsed().as_secs_f64()
+                    );
                 }
                 Err(e) => line += &format!("  FAILED {e}"),
             }
         }
-        if errors.len() == 3 { line += &format!("  order {:.2}", (errors[1] / errors[2]).log2()); }
+        if errors.len() == 3 {
+            line += &format!("  order {:.2}", (errors[1] / errors[2]).log2());
+        }
         println!("{line}");
     }
 }
@@ -141,7 +197,9 @@ fn grid(full: bool) {
                     for level in [0.0, 0.5] {
                         for g in [0.0, 9.81] {
                             // a chain without weight has no shape of its own when slack
-                            if ei == 0.0 && g == 0.0 { continue; }
+                            if ei == 0.0 && g == 0.0 {
+                                continue;
+                            }
                             let ea = (1e6 * ei).max(1e3);
                             let rod = Rod::uniform(1.0, n, &section(ea, ei, 0.7 * ei, 0.05)).unwrap();
                             let far = Vector3::new(d * f64::cos(level), 0.0, d * f64::sin(level));
@@ -158,8 +216,15 @@ fn grid(full: bool) {
                             let t1 = Instant::now();
                             of += 1;
                             match rest(&rod, &sup, &loads, 0.0, &Search::default()) {
-                                Ok(f) => { good += 1; most = most.max(f.iterations); total_it += f.iterations; }
-                                Err(e) => println!("{name} n {n} ei {ei} d {d} level {level} g {g}: {:.2}s {e}", t1.elapsed().as_secs_f64()),
+                                Ok(f) => {
+                                    good += 1;
+                                    most = most.max(f.iterations);
+                                    total_it += f.iterations;
+                                }
+                                Err(e) => println!(
+                                    "{name} n {n} ei {ei} d {d} level {level} g {g}: {:.2}s {e}",
+                                    t1.elapsed().as_secs_f64()
+                                ),
                             }
                             slow = slow.max(t1.elapsed().as_secs_f64());
                         }
@@ -186,12 +251,30 @@ fn main() {
             let ea = (1e6 * ei).max(1e3);
             let rod = Rod::uniform(1.0, n, &section(ea, ei, 0.7 * ei, 0.05)).unwrap();
             let far = Vector3::new(d * f64::cos(level), 0.0, d * f64::sin(level));
-            let ta = match a.get(7).map(String::as_str) { Some("up") => Vector3::z(), Some("rev") => -Vector3::x(), _ => Vector3::x() };
+            let ta = match a.get(7).map(String::as_str) {
+                Some("up") => Vector3::z(),
+                Some("rev") => -Vector3::x(),
+                _ => Vector3::x(),
+            };
             let dir = |t: Vector3<f64>| t.cross(&Vector3::new(0.1, -0.3, 0.7)).normalize();
-            let sup = Supports { start: Some(Clamp::new(Vector3::zeros(), ta, dir(ta))), end: Some(Clamp::new(far, ta, dir(ta))), ..Default::default() };
+            let sup = Supports {
+                start: Some(Clamp::new(Vector3::zeros(), ta, dir(ta))),
+                end: Some(Clamp::new(far, ta, dir(ta))),
+                ..Default::default()
+            };
             let loads = Loads { gravity: Vector3::new(0.0, 0.0, -g), ..Default::default() };
-            println!("{:?}", rest(&rod, &sup, &loads, 0.0, &Search::default()).map(|f| (f.energy, f.iterations, f.neutral)));
+            println!(
+                "{:?}",
+                rest(&rod, &sup, &loads, 0.0, &Search::default()).map(|f| (
+                    f.energy,
+                    f.iterations,
+                    f.neutral
+                ))
+            );
         }
-        _ => { cables(); fixtures(); }
+        _ => {
+            cables();
+            fixtures();
+        }
     }
 }

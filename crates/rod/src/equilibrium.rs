@@ -96,7 +96,9 @@ pub(crate) fn equilibrium_within(
     done.report = solved.map_err(|failure| failure.in_step(&at_rest(t)))?;
     let mut g = vec![0.0; u.len()];
     let at_end = statics.assemble(&u, &mut g, None);
-    done.energy = at_end.map_err(|reason| varda_implicit::NewtonFailure::Refused(reason).in_step(&at_rest(t)))?.unwrap_or(f64::NAN);
+    done.energy = at_end
+        .map_err(|reason| varda_implicit::NewtonFailure::Refused(reason).in_step(&at_rest(t)))?
+        .unwrap_or(f64::NAN);
     let Statics { mut system, end_angle, .. } = statics;
     system.scatter(&u);
     system.update_shape(system.layout.twist, end_angle).map_err(refuse)?;

@@ -69,7 +69,9 @@ fn two_grippers_nearer_than_the_length_hold_the_elastica() {
 
 #[test]
 fn slack_cables_find_their_catenary_and_do_not_ask_how_stiff_they_are() {
-    for (ea, ei, end) in [(1e4, 1e-4, [1.0, 0.0, 0.4]), (1e5, 1e-6, [0.3, 0.0, -0.2]), (1e6, 0.0, [1.2, 0.0, 0.0])] {
+    for (ea, ei, end) in
+        [(1e4, 1e-4, [1.0, 0.0, 0.4]), (1e5, 1e-6, [0.3, 0.0, -0.2]), (1e6, 0.0, [1.2, 0.0, 0.0])]
+    {
         let rod = Rod::uniform(1.5, 40, &section(ea, ei)).unwrap();
         let supports = hooks(&rod, &[(0, [0.0; 3]), (40, end)]);
         let found = rest(&rod, &supports, &weight(), 0.0, &Search::default()).unwrap();
@@ -92,8 +94,13 @@ fn a_deep_arch_is_a_saddle_and_is_left_for_a_lower_shape_out_of_its_plane() {
     let supports = between((Vector3::zeros(), Vector3::x()), (Vector3::x() * 0.2, Vector3::x()));
     let found = rest(&rod, &supports, &Loads::default(), 0.0, &Search::default()).unwrap();
     // how far the vertices lie from the best plane through the chord
-    let moment = found.rest.vertices.iter().fold([0.0; 3], |m, x| [m[0] + x.y * x.y, m[1] + x.y * x.z, m[2] + x.z * x.z]);
-    let least = 0.5 * (moment[0] + moment[2] - ((moment[0] - moment[2]).powi(2) + 4.0 * moment[1] * moment[1]).sqrt());
+    let moment = found
+        .rest
+        .vertices
+        .iter()
+        .fold([0.0; 3], |m, x| [m[0] + x.y * x.y, m[1] + x.y * x.z, m[2] + x.z * x.z]);
+    let least = 0.5
+        * (moment[0] + moment[2] - ((moment[0] - moment[2]).powi(2) + 4.0 * moment[1] * moment[1]).sqrt());
     assert!(least > 1e-2, "it stayed in a plane: {least}");
 }
 
@@ -133,7 +140,8 @@ fn a_first_shape_picks_the_branch_and_a_measured_one_is_at_ease() {
     for side in [1.0, -1.0] {
         let bow = |u: f64| Vector3::new(0.8 * u, 0.0, side * 0.3 * (PI * u).sin().powi(2));
         let points: Vec<_> = (0..=12).map(|i| bow(i as f64 / 12.0)).collect();
-        let search = Search { initial_shape: Some(Rest::through(&rod, &points).unwrap()), ..Search::default() };
+        let search =
+            Search { initial_shape: Some(Rest::through(&rod, &points).unwrap()), ..Search::default() };
         let found = rest(&rod, &supports, &Loads::default(), 0.0, &search).unwrap();
         assert!(found.rest.vertices[20].z * side > 0.1, "{}", found.rest.vertices[20]);
     }

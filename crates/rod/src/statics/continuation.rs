@@ -28,6 +28,8 @@ const STIFF: f64 = 1e4;
 const KICKS: [f64; 3] = [0.003, -0.01, 0.03];
 /// Multiple of the twisting stiffness on a second way.
 const MORE_TWIST: f64 = 30.0;
+/// Newton iterations of a whole search.
+const MOST: usize = 20_000;
 /// Whole turning of the natural curvature from which a rod with one held place starts from its rest shape \[rad\].
 const CURLED: f64 = 0.5;
 
@@ -76,7 +78,8 @@ pub fn rest(
 ) -> Result<Found, varda_implicit::Error> {
     let refuse = |e: Error| varda_implicit::Error::Refused { step: 0, reason: e.into() };
     let held = Held::at(rod, supports, t).map_err(refuse)?;
-    let mut way = Way { rod, supports, loads, t, held, end_turn: search.end_turn, twist: 1.0, work: Work::default() };
+    let mut way =
+        Way { rod, supports, loads, t, held, end_turn: search.end_turn, twist: 1.0, work: Work::default() };
     let found = if let Some(shape) = &search.initial_shape {
         way.solve(1.0, 1.0, 1.0, shape, 2000)
     } else if way.held.spans() {
@@ -114,6 +117,18 @@ type Solved = Result<Rest, varda_implicit::Error>;
 impl Way<'_> {
     /// At rest with clamps turned by the share λ, this share of the loads and of the stretching stiffness.
     fn solve(&mut self, lambda: f64, load: f64, stretch: f64, guess: &Rest, iterations: usize) -> Solved {
+        if self.work.iterations >= MOST {
+            let (update, tolerance) = (self.work.report.last_update, 1e-11 * self.rod.length());
+            let iterations = self.work.iterations;
+            return Err(varda_implicit::Error::NewtonDiverged {
+                step: 0,
+                time: self.t,
+                length: 0.0,
+                iterations,
+                update,
+                tolerance,
+            });
+        }
         if lambda == 1.0 && load == 1.0 && stretch == 1.0 {
             let (rod, supports, loads) = (self.rod, self.supports, self.loads);
             return equilibrium_within(rod, supports, loads, self.t, guess, iterations, &mut self.work);
@@ -125,7 +140,9 @@ impl Way<'_> {
             rod.natural_curvature.iter_mut().flatten().for_each(|k| *k *= lambda);
             rod.natural_twist.iter_mut().for_each(|k| *k *= lambda);
         }
-        let clamp = |f: &crate::system::ClampFrame, at: (Vector3<f64>, Vector3<f64>)| Clamp::new(f.position, at.0, at.1);
+        let clamp = |f: &crate::system::ClampFrame, at: (Vector3<f64>, Vector3<f64>)| {
+            Clamp::new(f.position, at.0, at.1)
+        };
         let supports = Supports {
             start: self.held.start.as_ref().map(|f| clamp(f, self.frame(true, lambda))),
             end: self.held.end.as_ref().map(|f| clamp(f, self.frame(false, lambda))),
@@ -136,8 +153,11 @@ impl Way<'_> {
             let force = f.at(t) * load;
             (*s, std::sync::Arc::new(force) as std::sync::Arc<dyn crate::Motion>)
         });
-        let loads =
-            Loads { gravity: self.loads.gravity * load, point_forces: point_forces.collect(), of_motion: Vec::new() };
+        let loads = Loads {
+            gravity: self.loads.gravity * load,
+            point_forces: point_forces.collect(),
+            of_motion: Vec::new(),
+        };
         equilibrium_within(&rod, &supports, &loads, t, guess, iterations, &mut self.work)
     }
 
@@ -216,7 +236,11 @@ impl Way<'_> {
             before = lambda;
             Ok(rest)
         })?;
-        if cap < 1.0 || !self.loads.of_motion.is_empty() { self.stiffen(1.0, cap, 1.0, &turned) } else { Ok(turned) }
+        if cap < 1.0 || !self.loads.of_motion.is_empty() {
+            self.stiffen(1.0, cap, 1.0, &turned)
+        } else {
+            Ok(turned)
+        }
     }
 
     /// The share of the stretching stiffness that is `stiff` times what bends and weighs; at most all of it.

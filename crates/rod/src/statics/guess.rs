@@ -47,13 +47,18 @@ impl Held {
     /// Unit vector along the first (or last) span; the clamp's tangent where the span is a ring.
     pub(crate) fn chord(&self, first: bool, rod: &Rod) -> Vector3<f64> {
         let n = self.points.len();
-        let (a, b) = if first { (self.points[0], self.points[1]) } else { (self.points[n - 2], self.points[n - 1]) };
+        let (a, b) =
+            if first { (self.points[0], self.points[1]) } else { (self.points[n - 2], self.points[n - 1]) };
         let arc: f64 = rod.rest_lengths[a.0..b.0].iter().sum();
         let chord = b.1 - a.1;
         if chord.norm() > RING * arc {
             return chord.normalize();
         }
-        let clamp = if first { self.start.as_ref().or(self.end.as_ref()) } else { self.end.as_ref().or(self.start.as_ref()) };
+        let clamp = if first {
+            self.start.as_ref().or(self.end.as_ref())
+        } else {
+            self.end.as_ref().or(self.start.as_ref())
+        };
         clamp.map_or_else(|| chord.try_normalize(0.0).unwrap_or(Vector3::x()), |f| f.tangent)
     }
 }
@@ -122,7 +127,13 @@ pub(crate) fn along(
 }
 
 /// Free ends beyond the first and last held vertices hang, a little outwards.
-fn hang_ends(rod: &Rod, held: &Held, points: &[(usize, Vector3<f64>)], gravity: &Vector3<f64>, x: &mut [Vector3<f64>]) {
+fn hang_ends(
+    rod: &Rod,
+    held: &Held,
+    points: &[(usize, Vector3<f64>)],
+    gravity: &Vector3<f64>,
+    x: &mut [Vector3<f64>],
+) {
     let (n, s) = (rod.segments(), rod.arc_lengths());
     let (first, last) = (points[0], points[points.len() - 1]);
     let mut out = if held.spans() { held.chord(false, rod) } else { Vector3::zeros() };
@@ -131,7 +142,8 @@ fn hang_ends(rod: &Rod, held: &Held, points: &[(usize, Vector3<f64>)], gravity: 
         out = if down == out { Vector3::x() } else { any_perpendicular(&down) };
     }
     // a rod held at its very end hangs straight; held inside, its halves must not lie on each other
-    let tilt = if !held.spans() && (first.0 == 0 || last.0 == n) && down != Vector3::zeros() { 0.0 } else { 0.3 };
+    let tilt =
+        if !held.spans() && (first.0 == 0 || last.0 == n) && down != Vector3::zeros() { 0.0 } else { 0.3 };
     let ahead = (down + out * tilt).normalize();
     let back = if held.spans() { -held.chord(true, rod) } else { -out };
     let back = (down + back * tilt).normalize();
@@ -233,7 +245,9 @@ pub(crate) fn resample(points: &[Vector3<f64>], arc: &[f64]) -> Vec<Vector3<f64>
                 i += 1;
                 step = (points[i + 1] - points[i]).norm();
             }
-            points[i] + (points[i + 1] - points[i]) * ((wanted - before) / step.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0)
+            points[i]
+                + (points[i + 1] - points[i])
+                    * ((wanted - before) / step.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0)
         })
         .collect()
 }
@@ -261,8 +275,9 @@ pub(crate) fn rest_shape(
         };
         let m2 = t.cross(&m1);
         let kb = m1 * c + m2 * s;
-        let turn = Unit::try_new(kb, 0.0)
-            .map_or(Rotation3::identity(), |axis| Rotation3::from_axis_angle(&axis, 2.0 * (0.5 * kb.norm()).atan()));
+        let turn = Unit::try_new(kb, 0.0).map_or(Rotation3::identity(), |axis| {
+            Rotation3::from_axis_angle(&axis, 2.0 * (0.5 * kb.norm()).atan())
+        });
         t = (turn * t).normalize();
         m1 = Rotation3::from_axis_angle(&Unit::new_unchecked(t), twist) * (turn * m1);
         m1 = perpendicular(&m1, &t);

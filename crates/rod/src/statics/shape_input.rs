@@ -3,11 +3,11 @@
 use nalgebra::Vector3;
 
 use super::guess::resample;
+use crate::Error;
 use crate::equilibrium::Rest;
 use crate::geometry::{any_perpendicular, perpendicular};
 use crate::rod::Rod;
 use crate::shape::{FirstFrame, Shape};
-use crate::Error;
 
 impl Rest {
     /// A shape through these points in order along the rod, the curve's own length scaled to the rod's. Angles are zero:
@@ -43,7 +43,8 @@ impl Rod {
         measured.set_edges(shape, true)?;
         let t = measured.edges[0].t;
         let across = director - t * director.dot(&t);
-        let director = if across.norm() > 1e-9 { perpendicular(&director, &t) } else { any_perpendicular(&t) };
+        let director =
+            if across.norm() > 1e-9 { perpendicular(&director, &t) } else { any_perpendicular(&t) };
         measured.set_bishop(&FirstFrame::Clamped(director))?;
         measured.set_angles(&vec![0.0; self.segments()], None);
         for i in 1..self.segments() {
@@ -78,7 +79,10 @@ fn smooth(points: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
             let u = j as f64 / 10.0;
             let (u2, u3) = (u * u, u * u * u);
             curve.push(
-                p * (2.0 * u3 - 3.0 * u2 + 1.0) + m * (u3 - 2.0 * u2 + u) + q * (3.0 * u2 - 2.0 * u3) + w * (u3 - u2),
+                p * (2.0 * u3 - 3.0 * u2 + 1.0)
+                    + m * (u3 - 2.0 * u2 + u)
+                    + q * (3.0 * u2 - 2.0 * u3)
+                    + w * (u3 - u2),
             );
         }
     }
