@@ -9,7 +9,7 @@ use problems::small_problems::difference;
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use varda_assimilation::{
-    ControlTransform, CostFunction, GaussNewton, LanczosOptions, LowRankPosterior, ObservationSet, Posterior,
+    ControlTransform, CostFunction, LeastSquares, LanczosOptions, LowRankPosterior, ObservationSet, Posterior,
     StrongConstraint,
 };
 use varda_covariance::{Covariance, Dense};

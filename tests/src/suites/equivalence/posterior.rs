@@ -9,7 +9,7 @@ use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use std::error::Error;
 use varda_assimilation::{
-    Analysis, ControlTransform, CostFunction, EnVar, EnsembleUpdate, GaussNewton, LanczosOptions,
+    Analysis, ControlTransform, CostFunction, EnVar, EnsembleUpdate, LeastSquares, LanczosOptions,
     LbfgsOptions, LowRankPosterior, NewtonOptions, ObservationSet, Posterior, Status, StrongConstraint,
     lbfgs, newton,
 };
