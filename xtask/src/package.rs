@@ -46,12 +46,13 @@ pub(crate) fn external() -> Result<(), String> {
     let lock = folder.join("Cargo.lock");
     std::fs::copy(root().join("Cargo.lock"), &lock).map_err(|e| format!("{}: {e}", lock.display()))?;
     let programs = programs(&folder.join("src/bin"))?;
+    // Unpacked crates in the place of those of crates.io.
+    let config = unpacked.join("patches.toml");
+    std::fs::write(&config, patches.join("\n") + "\n").map_err(|e| format!("{}: {e}", config.display()))?;
     let with_patches = |arguments: &[&str]| {
         let mut command = cargo();
-        command.args(arguments).current_dir(&folder).env("CARGO_TARGET_DIR", target().join("external"));
-        patches.iter().for_each(|p| {
-            command.arg("--config").arg(p);
-        });
+        command.args(arguments).arg("--config").arg(&config).current_dir(&folder);
+        command.env("CARGO_TARGET_DIR", target().join("external"));
         command
     };
     run(&mut with_patches(&["build", "--quiet", "--bins"]))?;
