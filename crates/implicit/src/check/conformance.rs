@@ -11,8 +11,8 @@ const COLUMNS: f64 = 1e-12;
 
 /// Every check of a model over the first `steps` steps from the control z, with perturbations of the size of `scale` (of a
 /// state; those of the control are its first components): all of [`conformance`] at the first and at the last of these
-/// steps, from the states that the model reaches; two slots that do not disturb each other; and the map of the control:
-/// the same bits again, its tangent (Taylor), its transpose (dot product).
+/// steps, from the states that the model reaches; a step that no other step changes; two slots that do not disturb each
+/// other; and the map of the control: the same bits again, its tangent (Taylor), its transpose (dot product).
 ///
 /// A term that vanishes in the states given shows nothing: take a control without zeros, and several steps.
 ///
@@ -57,7 +57,8 @@ pub fn model(
             std::mem::swap(&mut x, &mut next);
         }
     }
-    findings.push(slots(model, [0, steps - 1], [&first, &x], scale, seed)?);
+    findings.push(other_steps(model, [0, steps - 1], [&first, &x])?);
+    findings.extend(slots(model, [0, steps - 1], [&first, &x], scale, seed)?);
     Ok(Report { findings })
 }
 
@@ -103,30 +104,49 @@ fn control_map(
     ])
 }
 
-/// Two steps linearized into two slots: the products of the first are what they were.
+/// The first of two steps, taken before and after the other.
+fn other_steps(model: &mut dyn Model, steps: [usize; 2], states: [&[f64]; 2]) -> Result<Finding, Error> {
+    let [mut before, mut after] = [0; 2].map(|_| vec![0.0; model.dim()]);
+    model.step(steps[0], states[0], &mut before)?;
+    model.step(steps[1], states[1], &mut after)?;
+    model.step(steps[0], states[0], &mut after)?;
+    let changed = differing(&before, &after);
+    Ok(Finding::at_most("step: values that a step elsewhere changes", changed, 0.0))
+}
+
+/// Two steps linearized into two slots: each holds its own, whatever happens to the other.
 fn slots(
     model: &mut dyn Model,
     steps: [usize; 2],
     states: [&[f64]; 2],
     scale: &[f64],
     seed: u64,
-) -> Result<Finding, Error> {
+) -> Result<[Finding; 3], Error> {
     let mut random = Random(seed);
     let dx: Vec<f64> = scale.iter().map(|s| s * random.draw()).collect();
-    let mut next = dx.clone();
-    let products = |model: &mut dyn Model| {
+    let [mut next, mut last] = [dx.clone(), dx.clone()];
+    let products = |model: &mut dyn Model, slot: usize| {
         let mut columns = [dx.clone(), dx.clone()];
-        model.tangent(0, &mut columns[0]);
-        model.adjoint(0, &mut columns[1]);
+        model.tangent(slot, &mut columns[0]);
+        model.adjoint(slot, &mut columns[1]);
         columns.concat()
     };
     model.step(steps[0], states[0], &mut next)?;
+    model.step(steps[1], states[1], &mut last)?;
+    model.linearize(0, steps[1], states[1], &last)?;
+    let last_in_first = products(model, 0);
     model.linearize(0, steps[0], states[0], &next)?;
-    let alone = products(model);
-    model.step(steps[1], states[1], &mut next)?;
-    model.linearize(1, steps[1], states[1], &next)?;
-    let changed = differing(&alone, &products(model));
-    Ok(Finding::at_most("slots: values of slot 0 that slot 1 changes", changed, 0.0))
+    let alone = products(model, 0);
+    model.linearize(1, steps[1], states[1], &last)?;
+    let (beside, last_in_second) = (products(model, 0), products(model, 1));
+    model.release(1);
+    let released = products(model, 0);
+    let finding = |what: &str, a: &[f64], b: &[f64]| Finding::at_most(what, differing(a, b), 0.0);
+    Ok([
+        finding("slots: values of slot 0 that slot 1 changes", &alone, &beside),
+        finding("slots: values that are others in slot 1 than in slot 0", &last_in_first, &last_in_second),
+        finding("slots: values of slot 0 that releasing slot 1 changes", &alone, &released),
+    ])
 }
 
 /// Every check of a model on step k from the state x, with perturbations of the size of `scale`: same input, same bits;
