@@ -137,7 +137,8 @@ impl Lorenz96 {
         for (first, i) in [n - 2, n - 1, 0, 1].into_iter().enumerate() {
             put(&mut dx[i], column(five(x_seam, first), five(l_seam, first)));
         }
-        // Neighbours as shifted slices of one length: the compiler then needs no bounds checks and takes several columns at once.
+        // Neighbours as shifted slices of one length: the compiler then needs no bounds checks and takes
+        // several columns at once.
         let m = n - 4;
         let ([x0, x1, x2, x3, x4], [l0, l1, l2, l3, l4]) = (shifted(x, m), shifted(l, m));
         let dx = &mut dx[2..2 + m];

@@ -5,13 +5,14 @@ use std::ops::{Add, Sub};
 
 /// A discrete model x_{k+1} = M_k(x_k) with its tangent linear and its adjoint (paper 2.16, 2.24, 2.25).
 ///
-/// The linearization of step k is *defined* as that at the accepted pair (x_k, x_{k+1}): a function of the stored
-/// states alone, so that keeping it, or forgetting and recomputing it, gives the same bits. It goes into a slot that
-/// the caller names ([`Trajectory`](crate::Trajectory) does); products are made with what a slot holds.
+/// The linearization of step k is *defined* as that at the accepted pair (x_k, x_{k+1}): a function of the
+/// stored states alone, so that keeping it, or forgetting and recomputing it, gives the same bits. It goes
+/// into a slot that the caller names ([`Trajectory`](crate::Trajectory) does); products are made with what a
+/// slot holds.
 ///
-/// A model counts nothing and decides nothing about storage: it says what a call did ([`Work`]), and its caller adds
-/// that up. Every method is required but those of the control, which follow from [`control_map`](Self::control_map):
-/// a wrapper that forgets a method does not compile.
+/// A model counts nothing and decides nothing about storage: it says what a call did ([`Work`]), and its
+/// caller adds that up. Every method is required but those of the control, which follow from
+/// [`control_map`](Self::control_map): a wrapper that forgets a method does not compile.
 pub trait Model {
     /// Length of the state x.
     fn dim(&self) -> usize;
@@ -22,14 +23,15 @@ pub trait Model {
     /// A step that cannot be taken; the error names it.
     fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<Work, Error>;
 
-    /// Linearizes step k at the accepted pair (x_k, x_{k+1}) into a slot (0, 1, 2 …), in place of what was there.
+    /// Linearizes step k at the accepted pair (x_k, x_{k+1}) into a slot (0, 1, 2 …), in place of what was
+    /// there.
     ///
     /// # Errors
     /// A pair that is no step of the model, or a Jacobian without a factorization. The slot is then empty.
     fn linearize(&mut self, slot: usize, k: usize, x: &[f64], x_next: &[f64]) -> Result<Work, Error>;
 
-    /// dx ← M_k dx in place, with the linearization in the slot, for one column or several, one after the other (`dx` has
-    /// the length of the state times their number). Among several, a
+    /// dx ← M_k dx in place, with the linearization in the slot, for one column or several, one after the
+    /// other (`dx` has the length of the state times their number). Among several, a
     /// column's bits do not depend on the others; alone it may be rounded differently.
     ///
     /// # Panics
@@ -51,7 +53,8 @@ pub trait Model {
     /// Bytes of all linearizations held now.
     fn bytes(&self) -> usize;
 
-    /// The map from the control z, what is estimated, to the initial state; `None` where they are the same vector.
+    /// The map from the control z, what is estimated, to the initial state; `None` where they are the same
+    /// vector.
     fn control_map(&mut self) -> Option<&mut dyn ControlMap>;
 
     /// Length of the control z.

@@ -11,8 +11,8 @@ pub struct Interval {
     pub start: f64,
     /// Its length Δt (s).
     pub length: f64,
-    /// Length of the step (or part) before it (s), whose start the history of x_k belongs to; `None` where the window
-    /// starts and x_k has no history yet.
+    /// Length of the step (or part) before it (s), whose start the history of x_k belongs to; `None` where
+    /// the window starts and x_k has no history yet.
     pub previous: Option<f64>,
 }
 
@@ -23,17 +23,18 @@ impl Interval {
     }
 }
 
-/// A step x_{k+1} = M_k(x_k) given by equations G(x_k, u) = 0 in unknowns u, from which x_{k+1} = S(x_k, u) follows
-/// without a solve.
+/// A step x_{k+1} = M_k(x_k) given by equations G(x_k, u) = 0 in unknowns u, from which x_{k+1} = S(x_k, u)
+/// follows without a solve.
 ///
-/// The unknowns are what must be solved for and nothing else: backward Euler of ẍ = f needs the new positions only, the
-/// velocities being (X_{k+1} − X_k)/Δt. Where u = x_{k+1} (the default of the mapping methods) G is the paper's
-/// G(x_k, x_{k+1}) (paper 2.23). A step is a pure function of the interval and x_k: no memory of earlier calls may show.
+/// The unknowns are what must be solved for and nothing else: backward Euler of ẍ = f needs the new
+/// positions only, the velocities being (X_{k+1} − X_k)/Δt. Where u = x_{k+1} (the default of the mapping
+/// methods) G is the paper's G(x_k, x_{k+1}) (paper 2.23). A step is a pure function of the interval and x_k:
+/// no memory of earlier calls may show.
 ///
-/// **Two-step schemes** need the state before: their x_k is [its own components, `history` of the first ones of x_{k−1}].
-/// Every method is given the whole x_k, dx or (∂G/∂x_k)ᵀμ; what they write or read of the *next* state (`advance`,
-/// `recover`, `advance_tangent`, `advance_adjoint`) and of the initial one is without the history, which
-/// [`ImplicitModel`](crate::ImplicitModel) hands on.
+/// **Two-step schemes** need the state before: their x_k is [its own components, `history` of the first ones
+/// of x_{k−1}]. Every method is given the whole x_k, dx or (∂G/∂x_k)ᵀμ; what they write or read of
+/// the *next* state (`advance`, `recover`, `advance_tangent`, `advance_adjoint`) and of the initial one is
+/// without the history, which [`ImplicitModel`](crate::ImplicitModel) hands on.
 pub trait ImplicitStep {
     /// The step's equations, prepared for an interval and a state.
     type Equations<'a>: StepEquations
@@ -110,7 +111,8 @@ pub trait ImplicitStep {
         self.dim() - self.history()
     }
 
-    /// x₀, without a history, from the control z, at the time t of the start (s). Keeps what the two derivatives below need.
+    /// x₀, without a history, from the control z, at the time t of the start (s). Keeps what the two
+    /// derivatives below need.
     fn initial_state(&mut self, _t: f64, z: &[f64], x: &mut [f64]) -> Result<(), Refusal> {
         x.copy_from_slice(z);
         Ok(())
@@ -135,8 +137,8 @@ pub trait StepEquations: Equations {
     /// Where there is none.
     fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal>;
 
-    /// Asked once when u was accepted, and again when the step is linearized there: a step may watch a pivot here, and
-    /// return a warning or refuse the state.
+    /// Asked once when u was accepted, and again when the step is linearized there: a step may watch a pivot
+    /// here, and return a warning or refuse the state.
     ///
     /// # Errors
     /// A state at which the step has no derivative.
