@@ -3,8 +3,8 @@
 use crate::small_problems::{self, coupled, localized, normals, ring};
 use std::error::Error;
 use varda_assimilation::{
-    ControlTransform, CostFunction, Dual, EnVar, Forcing, LeastSquares, InnerCost,
-    StrongConstraint, WeakForcing, WeakState,
+    ControlTransform, CostFunction, Dual, EnVar, Forcing, InnerCost, LeastSquares, StrongConstraint,
+    WeakForcing, WeakState,
 };
 use varda_covariance::Hybrid;
 use varda_implicit::lorenz::Lorenz96;

@@ -5,7 +5,7 @@ use crate::row::{Case, Outcome, Row, Rows};
 use problems::costs::for_each_cost;
 use problems::methods::{Assembled, for_each_method};
 use problems::rods::{HangingRod, rod_scale, rods, wave};
-use varda_assimilation::{LeastSquares};
+use varda_assimilation::LeastSquares;
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 use varda_implicit::{ControlMap, Error, ImplicitModel, Keep, Model, OneLeg, Rk4, Trajectory, Work, check};
 
@@ -126,8 +126,7 @@ fn assembled(case: &mut Case, cost: &mut dyn LeastSquares) -> Outcome {
         cost.evaluate(&v, Some(&mut vec![0.0; n]))?;
         let cost = std::cell::RefCell::new(&mut *cost);
         let mut forward = |dv: &[f64], dy: &mut [f64]| Ok(cost.borrow_mut().jacobian(dv, dy)?);
-        let mut backward =
-            |dy: &[f64], dv: &mut [f64]| Ok(cost.borrow_mut().jacobian_transpose(dy, dv)?);
+        let mut backward = |dy: &[f64], dv: &mut [f64]| Ok(cost.borrow_mut().jacobian_transpose(dy, dv)?);
         dot_product_row(case, what, n, m, &mut forward, &mut backward)?;
     }
     Ok(())

@@ -15,9 +15,8 @@ use varda::run::{Listener, assimilate};
 use varda::scene::SceneFile;
 use varda::setup::Problem;
 use varda_assimilation::{
-    ControlTransform, CostFunction, EnVar, EnVarOptions, LeastSquares, InnerSolver, Iteration,
-    Minimizer, Observation, ObservationSet, OuterLoopOptions, Posterior, Selection, StrongConstraint,
-    outer_loop,
+    ControlTransform, CostFunction, EnVar, EnVarOptions, InnerSolver, Iteration, LeastSquares, Minimizer,
+    Observation, ObservationSet, OuterLoopOptions, Posterior, Selection, StrongConstraint, outer_loop,
 };
 use varda_covariance::{Covariance, Diagonal, Hybrid};
 use varda_implicit::lorenz::Lorenz96;

@@ -3,8 +3,8 @@
 use std::ops::ControlFlow;
 
 use varda_assimilation::{
-    AdamOptions, ArgminOptions, AutoOptions, Blue, CostFunction, Error, Gain, LeastSquares, InnerSolver,
-    Iteration, LbfgsOptions, Minimizer, Minimum, NewtonCgOptions, NewtonOptions, OuterLoopOptions, Status,
+    AdamOptions, ArgminOptions, AutoOptions, Blue, CostFunction, Error, Gain, InnerSolver, Iteration,
+    LbfgsOptions, LeastSquares, Minimizer, Minimum, NewtonCgOptions, NewtonOptions, OuterLoopOptions, Status,
     StrongConstraint, TrustRegionOptions, continuation, outer_loop,
 };
 use varda_linalg::norm;

@@ -1,7 +1,9 @@
 //! How methods are run and compared here.
 
 use std::ops::ControlFlow;
-use varda_assimilation::{Error, LeastSquares, InnerSolver, Iteration, Minimum, OuterLoopOptions, outer_loop};
+use varda_assimilation::{
+    Error, InnerSolver, Iteration, LeastSquares, Minimum, OuterLoopOptions, outer_loop,
+};
 
 pub(super) fn go_on(_: &Iteration) -> ControlFlow<()> {
     ControlFlow::Continue(())

@@ -6,10 +6,10 @@ use nalgebra::{DMatrix, DVector};
 use problems::small_problems::{self, LINEAR_STEPS, Thin, coupled, difference, dot, normals, observation};
 use std::error::Error;
 use varda_assimilation::{
-    Blue, ControlTransform, CostFunction, Dual, Forcing, Gain, LeastSquares, InnerCost, InnerLimits,
-    InnerSolver, LinearObservation, NewtonCgOptions, NewtonOptions, ObservationSet, Status, StrongConstraint,
-    TrustRegionOptions, WeakForcing, conjugate_gradients, newton, newton_cg, restricted_conjugate_gradients,
-    trust_region,
+    Blue, ControlTransform, CostFunction, Dual, Forcing, Gain, InnerCost, InnerLimits, InnerSolver,
+    LeastSquares, LinearObservation, NewtonCgOptions, NewtonOptions, ObservationSet, Status,
+    StrongConstraint, TrustRegionOptions, WeakForcing, conjugate_gradients, newton, newton_cg,
+    restricted_conjugate_gradients, trust_region,
 };
 use varda_covariance::Covariance;
 use varda_implicit::{ControlMap, Model, Work};

@@ -2,7 +2,7 @@
 
 use std::ops::ControlFlow;
 use varda_assimilation::{
-    Error, LeastSquares, Iteration, Minimizer, Minimum, Status, TrustRegionOptions, continuation,
+    Error, Iteration, LeastSquares, Minimizer, Minimum, Status, TrustRegionOptions, continuation,
 };
 
 /// A cost may have several minima. Minimizes it twice, straight from `v` and through larger observation

@@ -10,7 +10,7 @@ use problems::small_problems::{Linear, all_of, observation, spanning};
 use std::ops::ControlFlow;
 use varda_assimilation::{
     Blue, ControlTransform, CostFunction, CostTerms, Counts, EnVar, EnVarOptions, Error, Forcing, Gain,
-    LeastSquares, InnerSolver, Iteration, LinearObservation, Minimizer, Observation, ObservationSet,
+    InnerSolver, Iteration, LeastSquares, LinearObservation, Minimizer, Observation, ObservationSet,
     OuterLoopOptions, Posterior, Status, StrongConstraint, WeakForcing, outer_loop,
 };
 use varda_covariance::{Diagonal, Ensemble, Localization};
@@ -284,11 +284,7 @@ impl LeastSquares for Wells {
     fn jacobian(&mut self, _dv: &[f64], _dy: &mut [f64]) -> std::result::Result<(), Error> {
         Ok(())
     }
-    fn jacobian_transpose(
-        &mut self,
-        _dy: &[f64],
-        dv: &mut [f64],
-    ) -> std::result::Result<(), Error> {
+    fn jacobian_transpose(&mut self, _dy: &[f64], dv: &mut [f64]) -> std::result::Result<(), Error> {
         dv.fill(0.0);
         Ok(())
     }
