@@ -123,3 +123,8 @@ pub use outer_loop::{InnerSolver, OuterLoopOptions, outer_loop};
 pub use posterior::Posterior;
 pub use posterior_lanczos::{LanczosOptions, LowRankPosterior};
 pub use varda_implicit::{At, ObservationOperator, Refusal};
+
+/// The example of README.md, compiled and run with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

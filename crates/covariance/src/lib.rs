@@ -10,7 +10,7 @@
 //! | [`Dense`] | a matrix, by Cholesky | up to a few thousand points | n² | yes |
 //! | [`Truncated`] | a matrix, to a rank r | smooth kernels, singular matrices | n r | no |
 //! | [`Banded`] | a kernel of compact support along a line | 10⁵ points of a line | n w | yes |
-//! | [`SparsePrecision`] | a sparse P⁻¹; Matérn fields | grids, meshes, 10⁵ points | a sparse solve | yes |
+//! | [`SparsePrecision`] | a sparse P⁻¹; Matérn fields | grids and meshes, 10⁵ points | a solve | yes |
 //! | [`Diffusion`] | implicit diffusion, σ exact | smooth fields, 10⁵ points | M/2 sparse solves | yes |
 //! | [`Ensemble`], [`Hybrid`] | localized, and with a static part | errors of the flow | n N r | no |
 //! | [`Interleaved`] | C ⊗ I | x, y, z of a vector field | as its part | as its part |

@@ -14,13 +14,14 @@
 //! | [`dense::product`], [`dense::gram`] | A B and A Aᵀ | 2 n³, n³ |
 //! | [`sparse::Cholesky`] | Π A Πᵀ = L Lᵀ, the diagonal of A⁻¹ | n^{3/2} on a grid in 2-D |
 //! | [`Eigen`], [`eigenvalues()`] | of symmetric matrices | some 9 n³ |
-//! | [`krylov::conjugate_gradients`], [`krylov::Lanczos`] | operators known by products | a product an iteration |
+//! | [`krylov::conjugate_gradients`], [`krylov::Lanczos`] | operators known by products | products |
 //! | [`dot`], [`norm`], [`axpy`] | sums over vectors | n |
 //!
 //! # Features
 //!
+//! `faer` (default): all but [`band`], [`Structure`] and sums over vectors, which are this crate's own code.
 //! `nalgebra`: [`dense::Matrix`] from and to `DMatrix`. `sprs`: [`Structure`] and its values from a `CsMat`.
-//! Off by default.
+//! Both off by default.
 //!
 //! # When not to use it
 //!
@@ -71,7 +72,7 @@ pub use band::BadPivot;
 pub use eigen::{Eigen, eigenvalues};
 pub use error::Error;
 #[cfg(feature = "faer")]
-pub use registers::clear_upper_registers;
+use registers::clear_upper_registers;
 #[cfg(feature = "faer")]
 pub use solver::{Factor, LinearSolver};
 pub use structure::Structure;

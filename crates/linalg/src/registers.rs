@@ -9,7 +9,7 @@ use std::hint::black_box;
 /// registers, which is most of a program, then runs at a third of its speed on some processors (x86 with
 /// AVX-512: 2.9 times, measured on RK4 with 1000 variables) until some function for wide ones returns as its
 /// compiler would have it. This is one; it takes nanoseconds. Changes no number.
-pub fn clear_upper_registers() {
+pub(crate) fn clear_upper_registers() {
     Arch::new().dispatch(Wide);
 }
 

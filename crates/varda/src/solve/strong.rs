@@ -41,7 +41,8 @@ impl Task<'_> {
                 cost.evaluate(v, Some(&mut gradient))?;
                 let wanted = self.algorithm.gradient_tolerance * first.gradient_norm_first;
                 // At most one half, or a start that is nearly good enough would take no iteration at all.
-                algorithm.gradient_tolerance = (wanted / minimizer::norm(&gradient)).clamp(f64::EPSILON, 0.5);
+                algorithm.gradient_tolerance =
+                    (wanted / varda_linalg::norm(&gradient)).clamp(f64::EPSILON, 0.5);
                 algorithm.sigma_stages.clear();
             }
             let start = v.clone();
