@@ -79,7 +79,8 @@ pub(crate) struct Directors<T = f64> {
 ///
 /// ```text
 /// κ₁ = ½ (m₂^{i−1} + m₂^i)·κb,   κ₂ = −½ (m₁^{i−1} + m₁^i)·κb
-/// ∂(½ w·κb)/∂e^{i−1} = ( q × w/χ − ½ (w·κb) t̃ ) / l^{i−1},   ∂(½ w·κb)/∂e^i = ( w × p/χ − ½ (w·κb) t̃ ) / l^i
+/// ∂(½ w·κb)/∂e^{i−1} = ( q × w/χ − ½ (w·κb) t̃ ) / l^{i−1}
+/// ∂(½ w·κb)/∂e^i     = ( w × p/χ − ½ (w·κb) t̃ ) / l^i
 /// ∂τ/∂e^{i−1} = ½ κb/l^{i−1},   ∂τ/∂e^i = ½ κb/l^i
 /// ```
 pub(crate) struct Strains<T = f64> {

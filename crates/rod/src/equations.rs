@@ -106,7 +106,8 @@ impl StepEquations for RodEquations<'_> {
         }
         Ok((pivot < 1e-2).then(|| {
             format!(
-                "the twist equilibrium is close to folding at edge {edge} (pivot {pivot:.1e} of its natural size)"
+                "the twist equilibrium is close to folding at edge {edge} \
+                 (pivot {pivot:.1e} of its natural size)"
             )
         }))
     }

@@ -4,23 +4,39 @@
 //! 2010):
 //!
 //! ```text
-//! E = ½ Σ EA (l − l̄)²/l̄  +  ½ Σ (κ − κ̄)ᵀ EI (κ − κ̄)/l̄_i  +  ½ Σ GJ (τ − τ̄)²/l̄_i
-//! κb_i = 2 t^{i−1} × t^i / (1 + t^{i−1}·t^i),   κ₁ = ½(m₂^{i−1} + m₂^i)·κb_i,   κ₂ = −½(m₁^{i−1} + m₁^i)·κb_i
+//! E = ½ Σ EA (l − l̄)²/l̄ + ½ Σ (κ − κ̄)ᵀ EI (κ − κ̄)/l̄_i + ½ Σ GJ (τ − τ̄)²/l̄_i
+//! κb_i = 2 t^{i−1} × t^i / (1 + t^{i−1}·t^i)
+//! κ₁ = ½(m₂^{i−1} + m₂^i)·κb_i,   κ₂ = −½(m₁^{i−1} + m₁^i)·κb_i
 //! ```
 //!
-//! - [`Rod`] is the description (stiffness, rest shape, mass), [`Section`] and [`Material`] make uniform
-//!   ones.
-//! - [`Supports`], [`Loads`] and [`Damping`] hold it, pull at it and slow it down.
-//! - [`RodStep`] is a time step for [`varda_implicit::ImplicitModel`] (backward Euler, midpoint or BDF2): a
-//!   pure function of (k, x_k), O(n), with exact tangent and adjoint. [`equilibrium`] finds the shape at
-//!   rest; [`Markers`] read points carried by the rod.
-//! - [`derivatives`] gives energy, gradient and full Hessian of any configuration, for a time stepping of
-//!   your own.
+//! | to | there is |
+//! |---|---|
+//! | describe a rod | [`Rod`]; [`Material`] and [`Section`] for a uniform one |
+//! | hold it | [`Supports`] with [`Clamp`] and [`Motion`] |
+//! | pull at it, slow it down | [`Loads`], [`Load`], [`Damping`] |
+//! | move it in time | [`RodStep`], a step for [`varda_implicit::ImplicitModel`] |
+//! | find its shape at rest | [`equilibrium`] from [`straight_guess`] |
+//! | observe points on it | [`Markers`], a [`varda_implicit::ObservationOperator`] |
+//! | use its energy elsewhere | [`derivatives`]: gradient and Hessian; [`energy`] of any [`Real`] number |
 //!
-//! Units are SI throughout. Sections stay plane and rigid: no shear, no section inertia (θ is massless),
-//! small strains (Hooke's law) with large rotations; no contact. For stubby beams (length under about ten
-//! heights) shear matters at the per cent level and this is the wrong model; for a rod that never bends far,
-//! a linear beam is cheaper.
+//! A step is by backward Euler, the midpoint rule or BDF2: a pure function of (k, x_k), O(n), with exact
+//! tangent and adjoint.
+//!
+//! # When to use
+//!
+//! For thin bodies that bend far: small strains (Hooke's law) and large rotations. Units are SI throughout:
+//! m, kg, s, N, rad.
+//!
+//! # Limitations
+//!
+//! Sections stay plane and rigid: no shear, no inertia of a section (θ is massless). There is no contact.
+//! For stubby beams (length under about ten heights) shear matters at the per cent level and this is the
+//! wrong model; for a rod that never bends far, a linear beam is cheaper.
+//!
+//! # Errors
+//!
+//! Impossible descriptions and configurations are values of [`Error`] that name the field, edge or vertex.
+//! Slices of a wrong length panic, as each item says.
 //!
 //! # Range
 //!
@@ -35,6 +51,12 @@
 //! What a rod does not need is left out: twist angles where they are provably zero (isotropic, naturally
 //! straight, one held director), bending for a chain, prescribed degrees of freedom; [`RodStep::left_out`]
 //! lists it.
+//!
+//! # References
+//!
+//! - Bergou, Wardetzky, Robinson, Audoly, Grinspun (2008): Discrete elastic rods.
+//! - Bergou, Audoly, Vouga, Wardetzky, Grinspun (2010): Discrete viscous threads. Time-parallel frames,
+//!   Hessians.
 //!
 //! # Example
 //!

@@ -90,7 +90,9 @@ fn check(text: &str) {
 }
 
 macro_rules! fixtures {
-    ($($name:ident),*) => { $(#[test] fn $name() { check(include_str!(concat!("../../../tests/fixtures/der/", stringify!($name), ".json"))); })* };
+    ($($name:ident),*) => { $(#[test] fn $name() {
+        check(include_str!(concat!("../../../tests/fixtures/der/", stringify!($name), ".json")));
+    })* };
 }
 
 fixtures!(

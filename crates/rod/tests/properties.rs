@@ -35,7 +35,10 @@ proptest! {
     /// The analytic gradient and Hessian are those of the energy, differentiated by second-order dual
     /// numbers.
     #[test]
-    fn derivatives_are_those_of_the_energy(noise in prop::collection::vec(-1.0..1.0f64, 10), turns in -2..3i32) {
+    fn derivatives_are_those_of_the_energy(
+        noise in prop::collection::vec(-1.0..1.0f64, 10),
+        turns in -2..3i32,
+    ) {
         let lengths = [0.11, 0.09];
         let material = Material::new(2e6, 0.4, 1000.0);
         let mut rod = Rod::with_segments(&lengths, &Section::ellipse(&material, 0.02, 0.012)).unwrap();
