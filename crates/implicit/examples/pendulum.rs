@@ -1,4 +1,5 @@
-//! A damped pendulum by implicit Euler: where it ends, how that depends on where it starts, and whether to believe it.
+//! A damped pendulum by implicit Euler: where it ends, how that depends on where it starts, and whether to
+//! believe it.
 #![allow(clippy::print_stdout)]
 
 use varda_implicit::{Error, ImplicitModel, Keep, OneLeg, Rhs, Trajectory, check};
@@ -48,7 +49,11 @@ fn main() -> Result<(), Error> {
             lambda[0] += 1.0;
         }
     })?;
-    println!("adjoint:   ∂φ(3 s)/∂φ(0) = {:.9}, ∂φ(3 s)/∂φ̇(0) = {:.9} s", gradient[0], gradient[1]);
+    println!(
+        "adjoint:   ∂φ(3 s)/∂φ(0) = {:.9}, ∂φ(3 s)/∂φ̇(0) = {:.9} \
+        s",
+        gradient[0], gradient[1]
+    );
     for (component, name) in ["∂φ(3 s)/∂φ(0)", "∂φ(3 s)/∂φ̇(0)"].into_iter().enumerate() {
         let mut dx = [0.0; 2];
         dx[component] = 1.0;

@@ -3,10 +3,11 @@
 use crate::newton::{self, NewtonOptions, NewtonWork};
 use crate::{Error, ImplicitStep, Interval, Scheme, StepEquations};
 
-/// What [`accepted_times`] aims at.
+/// Tolerance and limits of [`accepted_times`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Adaptive {
-    /// Most error of one step, as a root mean square over the components that matter, in units of their scale.
+    /// Most error of one step, as a root mean square over the components that matter, in units of their
+    /// scale.
     pub tolerance: f64,
     /// Length of the first step tried (s).
     pub first: f64,
@@ -16,25 +17,48 @@ pub struct Adaptive {
     pub longest: f64,
 }
 
-/// The times of steps whose estimated error is within a tolerance, from the state x₀; they contain all of `through`.
+/// The times of steps whose estimated error is within a tolerance, from the state x₀; they contain all of
+/// `through`.
 ///
-/// The list is plain data. Given to [`ImplicitModel::on_times`](crate::ImplicitModel::on_times) it makes a model with fixed
-/// steps, whose tangent and adjoint are exact: freeze it over a minimization, and ask again around the new trajectory.
+/// The list is plain data. Given to [`ImplicitModel::on_times`](crate::ImplicitModel::on_times) it makes a
+/// model with fixed steps, whose tangent and adjoint are exact: freeze it over a minimization, and ask again
+/// around the new trajectory.
 ///
-/// The error of a step of length h is estimated by Richardson's extrapolation, from the same step in two halves:
-/// ‖x_{h/2,h/2} − x_h‖ / (1 − 2^{−p}), p the order of the scheme. The next length is h · 0.9 (tolerance/error)^{1/(p+1)}, within
-/// a factor of 0.2 and 2 (BDF2 is stable up to 2.4; Hairer, Nørsett and Wanner 1993, III.5). A step that Newton's method
-/// does not solve is halved. This costs three solves a step.
+/// The error of a step of length h is estimated by Richardson's extrapolation, from the same step in two
+/// halves: ‖x_{h/2,h/2} − x_h‖ / (1 − 2^{−p}), p the order of the scheme. The next length is h ·
+/// 0.9 (tolerance/error)^{1/(p+1)}, within a factor of 0.2 and 2 (BDF2 is stable up to 2.4; Hairer, Nørsett
+/// and Wanner 1993, III.5). A step that Newton's method does not solve is halved. This costs three solves a
+/// step.
 ///
-/// `x0` is a state with its history, as [`ImplicitModel`](crate::ImplicitModel) makes it from a control; `scale` holds a
-/// typical size of each of its components, infinity for those that do not matter; those of the history are not read.
+/// `x0` is a state with its history, as [`ImplicitModel`](crate::ImplicitModel) makes it from a control;
+/// `scale` holds a typical size of each of its components, infinity for those that do not matter; those of
+/// the history are not read.
 ///
 /// # Errors
 /// [`Error::ToleranceNotMet`] where the shortest step is too long, or the error of Newton's method there.
 ///
 /// # Panics
-/// If `through` has fewer than two times or does not ascend, lengths differ, or a length or the tolerance of `options` is not
-/// positive.
+/// If `through` has fewer than two times or does not ascend, lengths differ, or a length or the tolerance of
+/// `options` is not positive.
+///
+/// # Examples
+///
+/// ```
+/// use varda_implicit::{Adaptive, ImplicitModel, Model, OneLeg, Scheme, Substepped, accepted_times};
+/// use varda_implicit::lorenz::Lorenz63;
+///
+/// let mut step = OneLeg::implicit_midpoint(Lorenz63::default(), 1e-11);
+/// let options = Adaptive { tolerance: 1e-3, first: 0.01, shortest: 1e-6, longest: 0.1 };
+/// let (x0, through) = ([1.0, 3.0, 20.0], [0.0, 0.1, 0.2]);
+/// let times = accepted_times(&mut step, Scheme::Midpoint, &x0, &[1.0; 3], &through, &options)?;
+/// // two steps of 0.1, each as many of `times` as the tolerance asks for
+/// let model = ImplicitModel::on_times(step, times.clone());
+/// let mut model = Substepped::through(model, &times, &through);
+/// let mut next = [0.0; 3];
+/// let work = model.step(0, &x0, &mut next)?;
+/// assert!(work.steps > 1);
+/// # Ok::<(), varda_implicit::Error>(())
+/// ```
 pub fn accepted_times<S: ImplicitStep>(
     step: &mut S,
     scheme: Scheme,
@@ -90,8 +114,9 @@ pub fn accepted_times<S: ImplicitStep>(
     Ok(times)
 }
 
-/// The largest estimated error of the steps between `times` from another state x₀: whether steps that were accepted along one trajectory
-/// still do along another. In the units of [`Adaptive::tolerance`], estimated as in [`accepted_times`]; three solves a step.
+/// The largest estimated error of the steps between `times` from another state x₀: whether steps that were
+/// accepted along one trajectory still do along another. In the units of [`Adaptive::tolerance`], estimated
+/// as in [`accepted_times`]; three solves a step.
 ///
 /// # Errors
 /// The error of Newton's method in a step or in one of its halves.

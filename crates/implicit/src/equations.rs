@@ -8,9 +8,11 @@ use crate::Refusal;
 /// ([`NewtonWork::new`](crate::NewtonWork::new)). The equations of a time step are made by
 /// [`ImplicitStep::equations`](crate::ImplicitStep::equations); an equilibrium is a type of its own.
 pub trait Equations {
-    /// g = G(u); where asked for, all values of ∂G/∂u in the layout of the work space (symmetric where that says so).
+    /// g = G(u); where asked for, all values of ∂G/∂u in the layout of the work space (symmetric where
+    /// that says so).
     ///
-    /// Returns Φ(u) where G = ∂Φ/∂u (a minimum of Φ is then looked for), `None` where there is no potential.
+    /// Returns Φ(u) where G = ∂Φ/∂u (a minimum of Φ is then looked for), `None` where there is no
+    /// potential.
     ///
     /// # Errors
     /// A point at which the equations have no value.
@@ -21,14 +23,16 @@ pub trait Equations {
         jacobian: Option<&mut [f64]>,
     ) -> Result<Option<f64>, Refusal>;
 
-    /// `trial` = u ⊕ α du, where du solved ∂G/∂u du = −G. A plain sum unless u lives on a curved set.
+    /// `trial` = u ⊕ α du, where du solved ∂G/∂u du = −G. A plain sum unless u lives on a curved
+    /// set.
     fn retract(&mut self, u: &[f64], du: &[f64], alpha: f64, trial: &mut [f64]) {
         for ((t, u), d) in trial.iter_mut().zip(u).zip(du) {
             *t = u + alpha * d;
         }
     }
 
-    /// Size of an update du, in the norm the two thresholds below are stated in. By default the largest component.
+    /// Size of an update du, in the norm the two thresholds below are stated in. By default the largest
+    /// component.
     fn size(&self, du: &[f64]) -> f64 {
         du.iter().fold(0.0, |m: f64, d| if d.is_nan() { f64::NAN } else { m.max(d.abs()) })
     }

@@ -6,11 +6,33 @@ use crate::{ControlMap, Error, Model, Rhs, Work};
 ///
 /// ```text
 /// x_{k+1} = x_k + Δt/6 (k₁ + 2k₂ + 2k₃ + k₄),  k_i = f(t_k + c_i Δt, X_i),
-/// X₁ = x_k,  X₂ = x_k + Δt/2 k₁,  X₃ = x_k + Δt/2 k₂,  X₄ = x_k + Δt k₃,  c = (0, ½, ½, 1)
+/// X₁ = x_k,  X₂ = x_k + Δt/2 k₁,  X₃ = x_k + Δt/2 k₂,  X₄ = x_k + Δt k₃
+/// c = (0, ½, ½, 1)
 /// ```
 ///
-/// Tangent and adjoint are those of this discrete step: its derivative at the stages X_i, and the transpose of that. A
-/// linearization keeps the four stages; it takes them over from a step just taken, and costs three evaluations of f otherwise.
+/// Tangent and adjoint are those of this discrete step: its derivative at the stages X_i, and the transpose
+/// of that. A linearization keeps the four stages; it takes them over from a step just taken, and costs three
+/// evaluations of f otherwise.
+///
+/// # When to use it
+///
+/// Where f is smooth and not stiff: Δt times the largest |eigenvalue| of ∂f/∂x must stay below some 2.8.
+///
+/// ```
+/// use varda_implicit::{Model, Rk4, lorenz::Lorenz96};
+///
+/// let mut model = Rk4::new(Lorenz96::new(40, 8.0), 0, 0.05);
+/// let (mut x, mut next) = (vec![8.0; 40], vec![0.0; 40]);
+/// x[20] += 0.01;
+/// model.step(0, &x, &mut next)?;
+/// model.linearize(0, 0, &x, &next)?; // into slot 0
+/// let mut dx = vec![0.0; 40];
+/// dx[20] = 1.0;
+/// model.tangent(0, &mut dx);
+/// // x = 8 is an equilibrium that perturbations move away from
+/// assert!((next[20] - 8.0 - 0.01 * dx[20]).abs() < 1e-5);
+/// # Ok::<(), varda_implicit::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Rk4<R> {
     rhs: R,
@@ -184,8 +206,10 @@ impl<R: Rhs> Rk4<R> {
 
     fn adjoint_of_one(&mut self, slot: usize, lambda: &mut [f64]) {
         // With p_i = (∂f/∂X_i)ᵀ μ_i:
-        //   μ₄ = Δt/6 λ,  μ₃ = Δt/3 λ + Δt p₄,  μ₂ = Δt/3 λ + Δt/2 p₃,  μ₁ = Δt/6 λ + Δt/2 p₂,  Mᵀλ = λ + p₄ + p₃ + p₂ + p₁,
-        // in as few passes over memory as that allows: p₄ goes without its factor Δt/6, p₁ straight into the result.
+        //   μ₄ = Δt/6 λ,  μ₃ = Δt/3 λ + Δt p₄,  μ₂ = Δt/3 λ + Δt/2 p₃,  μ₁ = Δt/6
+        //   λ + Δt/2 p₂,  Mᵀλ = λ + p₄ + p₃ + p₂ + p₁,
+        // in as few passes over memory as that allows: p₄ goes without its factor Δt/6, p₁ straight into
+        // the result.
         let n = lambda.len();
         let k = self.slots[slot].step;
         let time = [0, 1, 2, 3].map(|i| self.time(k, i));
@@ -213,7 +237,8 @@ impl<R: Rhs> Rk4<R> {
     }
 }
 
-/// Whether two states of one length agree in every bit; without an early way out, that it may run on whole vectors.
+/// Whether two states of one length agree in every bit; without an early way out, that it may run on whole
+/// vectors.
 fn same_bits(a: &[f64], b: &[f64]) -> bool {
     a.iter().zip(b).fold(0, |differing, (a, b)| differing | (a.to_bits() ^ b.to_bits())) == 0
 }

@@ -7,6 +7,16 @@ use crate::{Model, Rhs, Rk4};
 /// ```text
 /// ẋ = σ (y − x),  ẏ = x (ρ − z) − y,  ż = x y − β z
 /// ```
+///
+/// ```
+/// use varda_implicit::{Rhs, lorenz::Lorenz63};
+///
+/// let mut f = [0.0; 3];
+/// // one of the two equilibria beside the origin: x = y = √(β(ρ − 1)), z = ρ − 1
+/// let x = 72.0_f64.sqrt();
+/// Lorenz63::default().eval(0.0, &[x, x, 27.0], &mut f);
+/// assert!(f.iter().all(|f| f.abs() < 1e-13));
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lorenz63 {
     /// σ, Prandtl number.
@@ -137,7 +147,8 @@ impl Lorenz96 {
         for (first, i) in [n - 2, n - 1, 0, 1].into_iter().enumerate() {
             put(&mut dx[i], column(five(x_seam, first), five(l_seam, first)));
         }
-        // Neighbours as shifted slices of one length: the compiler then needs no bounds checks and takes several columns at once.
+        // Neighbours as shifted slices of one length: the compiler then needs no bounds checks and takes
+        // several columns at once.
         let m = n - 4;
         let ([x0, x1, x2, x3, x4], [l0, l1, l2, l3, l4]) = (shifted(x, m), shifted(l, m));
         let dx = &mut dx[2..2 + m];

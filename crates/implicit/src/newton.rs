@@ -1,4 +1,4 @@
-//! Newton's method for one implicit step, globalized.
+//! Newton's method for a system of equations, globalized.
 
 use crate::{Equations, Error, Interval, Refusal};
 use varda_linalg::{Factor, LinearSolver, Structure};
@@ -18,7 +18,7 @@ impl Default for NewtonOptions {
     }
 }
 
-/// What one call did.
+/// Work and outcome of one call of [`solve`].
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct NewtonReport {
     /// Linear solves; the last one ended the iteration and its update was applied.
@@ -31,9 +31,11 @@ pub struct NewtonReport {
     pub shifts: usize,
     /// Halvings of an update.
     pub backtracks: usize,
-    /// The updates stopped shrinking above the threshold, with a residual that is all rounding (see [`solve`]).
+    /// The updates stopped shrinking above the threshold, with a residual that is all rounding (see
+    /// [`solve`]).
     pub at_rounding: bool,
-    /// The minimum is not isolated: ∂G/∂u is singular there and has no negative eigenvalue (see [`solve`]).
+    /// The minimum is not isolated: ∂G/∂u is singular there and has no negative eigenvalue (see
+    /// [`solve`]).
     pub neutral: bool,
 }
 
@@ -151,26 +153,30 @@ const ROUNDINGS: f64 = 16.0;
 /// ∂G/∂u du = −G,   u ← u ⊕ α du
 /// ```
 ///
-/// **With a potential** (G = ∂Φ/∂u) a minimum of Φ is looked for. Where the factorization shows ∂G/∂u not positive definite,
-/// a growing multiple of |diag ∂G/∂u| is added (relative to each row's own diagonal: unknowns may be lengths and angles), so
-/// that du is a direction of descent; α is halved until Φ decreases by Armijo's rule or, where Φ cannot resolve it,
-/// until Φ is equal to rounding and its slope along du has shrunk (Hager and Zhang 2005). A saddle is not accepted: where
-/// the shifted update is tiny the iteration leaves along a direction of negative curvature. This needs the inertia, thus
-/// `Structure::SymmetricBand`; with other structures only descent along du is ensured. Where ∂G/∂u is singular to rounding but
-/// nowhere negative (a chain without tension, a column free to buckle to any side), the minimum is not isolated: shifted
-/// updates then count like unshifted ones, and the report says `neutral`.
+/// **With a potential** (G = ∂Φ/∂u) a minimum of Φ is looked for. Where the factorization shows
+/// ∂G/∂u not positive definite, a growing multiple of |diag ∂G/∂u| is added (relative to each row's
+/// own diagonal: unknowns may be lengths and angles), so that du is a direction of descent; α is halved
+/// until Φ decreases by Armijo's rule or, where Φ cannot resolve it, until Φ is equal to rounding and its
+/// slope along du has shrunk (Hager and Zhang 2005). A saddle is not accepted: where the shifted update is
+/// tiny the iteration leaves along a direction of negative curvature. This needs the inertia, thus
+/// `Structure::SymmetricBand`; with other structures only descent along du is ensured. Where ∂G/∂u is
+/// singular to rounding but nowhere negative (a chain without tension, a column free to buckle to any side),
+/// the minimum is not isolated: shifted updates then count like unshifted ones, and the report says
+/// `neutral`.
 ///
 /// **Without a potential** α is halved until the simplified update has shrunk, the natural monotonicity test
-/// size(J⁻¹G(u ⊕ α du)) ≤ (1 − α/4) size(du) with the factor at hand (Deuflhard 2004, section 3.3): it has the units of u and
-/// does not see the scaling of the equations.
+/// size(J⁻¹G(u ⊕ α du)) ≤ (1 − α/4) size(du) with the factor at hand (Deuflhard 2004, section
+/// 3.3): it has the units of u and does not see the scaling of the equations.
 ///
-/// A trial point is assembled with its Jacobian, so that an accepted full step costs one assembly and one factorization. A
-/// trial point that the equations refuse is too far: the update is halved. Full unshifted updates no larger than
-/// `trusted_below` are taken without a test, and one below `converged_below` is applied and ends the iteration.
+/// A trial point is assembled with its Jacobian, so that an accepted full step costs one assembly and one
+/// factorization. A trial point that the equations refuse is too far: the update is halved. Full unshifted
+/// updates no larger than `trusted_below` are taken without a test, and one below `converged_below` is
+/// applied and ends the iteration.
 ///
-/// **Rounding.** Where trusted updates stop shrinking before that, the iteration ends only if the residual cannot be told
-/// from a change of the unknowns in their last digits, |g_i| ≤ 16 ε Σ_j |J_ij| |u_j| for every row (Oettli and Prager
-/// 1964: u is then the exact root of equations as close as the machine can state them); the report says so. Else it fails.
+/// **Rounding.** Where trusted updates stop shrinking before that, the iteration ends only if the residual
+/// cannot be told from a change of the unknowns in their last digits, |g_i| ≤ 16 ε Σ_j |J_ij| |u_j| for
+/// every row (Oettli and Prager 1964: u is then the exact root of equations as close as the machine can state
+/// them); the report says so. Else it fails.
 ///
 /// # Errors
 /// - [`NewtonFailure::Refused`] if the equations refuse the guess, or a trusted update.
@@ -180,6 +186,40 @@ const ROUNDINGS: f64 = 16.0;
 ///
 /// # Panics
 /// If the length of `u` is not that of `work`.
+///
+/// # Examples
+///
+/// The energy Φ(u) = u⁴/4 − u²/2 from near its maximum at 0, where plain Newton would stay:
+///
+/// ```
+/// use varda_implicit::{Equations, NewtonOptions, NewtonWork, Refusal, Structure, solve};
+///
+/// struct TwoWells;
+///
+/// impl Equations for TwoWells {
+///     fn assemble(
+///         &mut self,
+///         u: &[f64],
+///         g: &mut [f64],
+///         jacobian: Option<&mut [f64]>,
+///     ) -> Result<Option<f64>, Refusal> {
+///         g[0] = u[0].powi(3) - u[0];
+///         if let Some(values) = jacobian {
+///             values[0] = 3.0 * u[0] * u[0] - 1.0;
+///         }
+///         Ok(Some(0.25 * u[0].powi(4) - 0.5 * u[0] * u[0]))
+///     }
+///     fn converged_below(&self) -> f64 {
+///         1e-12
+///     }
+/// }
+///
+/// let mut work = NewtonWork::new(1, &Structure::SymmetricBand { half_bandwidth: 0 });
+/// let mut u = [1e-3];
+/// solve(&mut TwoWells, &mut u, &mut work, &NewtonOptions::default())?;
+/// assert!((u[0] - 1.0).abs() < 1e-12);
+/// # Ok::<(), varda_implicit::NewtonFailure>(())
+/// ```
 pub fn solve<E: Equations + ?Sized>(
     equations: &mut E,
     u: &mut [f64],
@@ -292,7 +332,8 @@ impl NewtonWork {
         Test::Decrease { phi, slope }
     }
 
-    /// du becomes a direction of negative curvature of the given size, downhill. `None` where there is none to be had.
+    /// du becomes a direction of negative curvature of the given size, downhill. `None` where there is none
+    /// to be had.
     fn negative_curvature<E: Equations + ?Sized>(
         &mut self,
         equations: &E,
@@ -308,8 +349,8 @@ impl NewtonWork {
         Some(Test::Curvature { phi, slope: dot(&self.g, &self.du), curvature: curvature * scale * scale })
     }
 
-    /// Halves α until the test holds at u ⊕ α du, and leaves that point in `trial`, its equations in `g` and `values`.
-    /// Returns its potential; `None` where the halvings ran out.
+    /// Halves α until the test holds at u ⊕ α du, and leaves that point in `trial`, its equations in `g`
+    /// and `values`. Returns its potential; `None` where the halvings ran out.
     fn backtrack<E: Equations + ?Sized>(
         &mut self,
         equations: &mut E,
@@ -342,7 +383,8 @@ impl NewtonWork {
     ) -> bool {
         match (test, potential) {
             (&Test::Decrease { phi, slope }, Some(trial)) => {
-                // Armijo's rule on a parabola is a bound on the slope at its end, which rounding of Φ does not touch.
+                // Armijo's rule on a parabola is a bound on the slope at its end, which rounding of Φ does
+                // not touch.
                 let equal = (trial - phi).abs() <= POTENTIAL_ROUNDING * phi.abs().max(trial.abs());
                 trial <= phi + DECREASE * alpha * slope
                     || equal && dot(&self.g, &self.du) <= (2.0 * DECREASE - 1.0) * slope

@@ -14,8 +14,8 @@ pub struct At {
 /// An observation operator y = H(t_k, x_k) with its tangent H' and its transpose.
 ///
 /// Step and time are arguments because the prediction may depend on them (a frame carried by a driven clamp).
-/// All three maps are functions of (k, t_k, x) alone. An observation between two steps is a weighted mean of the
-/// predictions at both: an operator is called at steps only.
+/// All three maps are functions of (k, t_k, x) alone. An observation between two steps is a weighted mean of
+/// the predictions at both: an operator is called at steps only.
 ///
 /// ```
 /// use varda_implicit::{At, ObservationOperator, Refusal};

@@ -2,21 +2,25 @@
 
 use crate::Interval;
 
-/// A scheme for ẋ = f(t, x) that takes f once a step (one-leg methods, Dahlquist 1975). All three are A-stable and are one
-/// implicit Euler step of length η from a point x* between the last states, see [`Scheme::stage`]:
+/// A scheme for ẋ = f(t, x) that takes f once a step (one-leg methods, Dahlquist 1975). All three are
+/// A-stable and are one implicit Euler step of length η from a point x* between the last states, see
+/// [`Scheme::stage`]:
 ///
 /// ```text
 /// y = x* + η f(t*, y),   x* = a₀ x_k + a₁ x_{k−1},   x_{k+1} = b₀ y + b₁ x_k
 ///
-/// backward Euler   η = Δt             x* = x_k                                       t* = t_{k+1}   x_{k+1} = y
-/// midpoint         η = Δt/2           x* = x_k                                       t* = t_{k+½}   x_{k+1} = 2y − x_k
-/// BDF2             η = Δt(1+ω)/(1+2ω) x* = ((1+ω)² x_k − ω² x_{k−1})/(1+2ω)          t* = t_{k+1}   x_{k+1} = y
+/// backward Euler  x* = x_k                               η = Δt              t* = t_{k+1}
+///                 x_{k+1} = y
+/// midpoint        x* = x_k                               η = Δt/2            t* = t_{k+½}
+///                 x_{k+1} = 2y − x_k
+/// BDF2            x* = ((1+ω)² x_k − ω² x_{k−1})/(1+2ω)  η = Δt(1+ω)/(1+2ω)  t* = t_{k+1}
+///                 x_{k+1} = y
 /// ```
 ///
-/// with ω = Δt/Δt_{k−1}, the ratio to the step before (BDF2 of variable step: Hairer, Nørsett and Wanner 1993, III.5).
-/// Backward Euler is of first order and damps whatever it does not resolve; midpoint is of second order and damps
-/// nothing (it keeps quadratic invariants); BDF2 is of second order and damps what it does not resolve. It starts with
-/// one midpoint step.
+/// with ω = Δt/Δt_{k−1}, the ratio to the step before (BDF2 of variable step: Hairer, Nørsett and
+/// Wanner 1993, III.5). Backward Euler is of first order and damps whatever it does not resolve; midpoint is
+/// of second order and damps nothing (it keeps quadratic invariants); BDF2 is of second order and damps what
+/// it does not resolve. It starts with one midpoint step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scheme {
     /// x_{k+1} = x_k + Δt f(t_{k+1}, x_{k+1}).

@@ -2,8 +2,8 @@
 
 use crate::Error;
 
-/// What is kept of a window of n steps for the sweeps along it. Every policy gives the same bits (the linearization of a
-/// step is a function of its two states): they trade memory for work.
+/// What is kept of a window of n steps for the sweeps along it. Every policy gives the same bits (the
+/// linearization of a step is a function of its two states): they trade memory for work.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Storage {
@@ -12,9 +12,9 @@ pub enum Storage {
     KeepAll,
     /// All states. Every sweep linearizes every step again; the model holds one linearization at a time.
     States,
-    /// At most `states` states at a time, x₀ among them (and the two of the step being worked on). An adjoint sweep runs
-    /// steps again from the nearest state kept, by the binomial schedule, which runs the fewest (Griewank and Walther
-    /// 2000); a tangent sweep runs every step once.
+    /// At most `states` states at a time, x₀ among them (and the two of the step being worked on). An
+    /// adjoint sweep runs steps again from the nearest state kept, by the binomial schedule, which runs the
+    /// fewest (Griewank and Walther 2000); a tangent sweep runs every step once.
     Checkpoints {
         /// s, at least 1.
         states: usize,
@@ -22,7 +22,8 @@ pub enum Storage {
 }
 
 impl Storage {
-    /// Steps run by one forward run and one adjoint sweep: n where the states are kept, and with s of them at a time
+    /// Steps run by one forward run and one adjoint sweep: n where the states are kept, and with s of them at
+    /// a time
     ///
     /// ```text
     /// n + r n − C(s + r, s + 1),   r the least with C(s + r, s) ≥ n
@@ -53,11 +54,24 @@ impl Storage {
 }
 
 /// What a window takes: sizes from which memory under any [`Storage`] follows.
+///
+/// ```
+/// use varda_implicit::{Footprint, Storage};
+///
+/// let window = Footprint { steps: 1000, runs: 2, state: 8000, linearization: 32_000 };
+/// assert_eq!(window.bytes(Storage::KeepAll), 48_016_000);
+/// assert_eq!(window.within(100_000_000)?, Storage::KeepAll);
+/// let storage = window.within(1_000_000)?;
+/// assert!(matches!(storage, Storage::Checkpoints { states: 58 }), "{storage:?}");
+/// assert!(window.bytes(storage) <= 1_000_000);
+/// # Ok::<(), varda_implicit::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Footprint {
     /// n, the number of steps.
     pub steps: usize,
-    /// How many runs of the window are held at a time (a cost function holds two: its base point and a trial).
+    /// How many runs of the window are held at a time (a cost function holds two: its base point and a
+    /// trial).
     pub runs: usize,
     /// Bytes of a state.
     pub state: usize,
@@ -76,7 +90,8 @@ impl Footprint {
         self.runs * run + self.steps.min(storage.linearizations()) * self.linearization
     }
 
-    /// The policy of least work within a budget of bytes: all, else the states, else as many checkpoints as fit.
+    /// The policy of least work within a budget of bytes: all, else the states, else as many checkpoints as
+    /// fit.
     ///
     /// # Errors
     /// [`Error::Memory`] where not even one checkpoint fits.
@@ -93,8 +108,8 @@ impl Footprint {
     }
 }
 
-/// Where the next state is kept on the way from step `from`, whose state is kept, to the end of step `to` − 1, with room for
-/// `free` states, that at `from` included; `None` where no other is.
+/// Where the next state is kept on the way from step `from`, whose state is kept, to the end of step `to` −
+/// 1, with room for `free` states, that at `from` included; `None` where no other is.
 ///
 /// Both parts left and right of it are then no longer than the same number of repetitions can serve.
 pub(crate) fn next_checkpoint(from: usize, to: usize, free: usize) -> Option<usize> {

@@ -2,10 +2,11 @@
 
 use crate::{ControlMap, Error, Model, Work};
 
-/// A model whose step k is the steps `first[k]` … `first[k + 1]` − 1 of another, in order: M_k = M′_{b−1} … M′_a.
+/// A model whose step k is the steps `first[k]` … `first[k + 1]` − 1 of another, in order: M_k =
+/// M′_{b−1} … M′_a.
 ///
-/// Observations and outputs then stay on an even grid of time while the steps in between have the lengths that
-/// [`accepted_times`](crate::accepted_times) found. Work is that of the steps really taken.
+/// Observations and outputs then stay on an even grid of time while the steps in between have the lengths
+/// that [`accepted_times`](crate::accepted_times) found. Work is that of the steps really taken.
 ///
 /// Linearizing needs the states in between: those of the last step taken are at hand, else it is run again.
 #[derive(Debug)]

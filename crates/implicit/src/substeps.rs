@@ -4,7 +4,7 @@ use crate::{ImplicitStep, Interval};
 use varda_linalg::band::BLOCK;
 use varda_linalg::{Factor, LinearSolver};
 
-/// The linearization of a step or of a part of one.
+/// The linearization of a substep.
 #[derive(Debug)]
 pub(crate) struct Substep {
     pub(crate) at: Interval,
@@ -13,7 +13,8 @@ pub(crate) struct Substep {
     pub(crate) factor: Factor,
 }
 
-/// The linearization of one step: its substeps in order of time. Substeps beyond `used` keep their memory for later.
+/// The linearization of one step: its substeps in order of time. Substeps beyond `used` keep their memory for
+/// later.
 #[derive(Debug, Default)]
 pub(crate) struct Linearized {
     pub(crate) used: usize,
@@ -21,7 +22,8 @@ pub(crate) struct Linearized {
 }
 
 impl Linearized {
-    /// The place of substep p ≤ the number of places so far, of a step whose state and unknowns have these lengths.
+    /// The place of substep p ≤ the number of places so far, of a step whose state and unknowns have these
+    /// lengths.
     pub(crate) fn place(
         &mut self,
         p: usize,

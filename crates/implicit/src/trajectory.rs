@@ -3,7 +3,7 @@
 use crate::storage::next_checkpoint;
 use crate::{Error, Log, Model, Storage};
 
-/// What a forward run leaves behind for sweeps.
+/// Whether a forward run linearizes its steps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Keep {
@@ -13,11 +13,13 @@ pub enum Keep {
     Linearizations,
 }
 
-/// The states x₀ … x_N of a window, or those of them that its [`Storage`] keeps, and tangent and adjoint sweeps along them.
+/// The states x₀ … x_N of a window, or those of them that its [`Storage`] keeps, and tangent and adjoint
+/// sweeps along them.
 ///
-/// The linearizations live in slots of the model that the trajectory names: slot k for step k where all are kept, else slot 0.
-/// It knows whether they are those of its states as long as nothing else linearizes the same model. What the model did in all
-/// runs and sweeps is in the [`log`](Self::log). Buffers are reused from run to run.
+/// The linearizations live in slots of the model that the trajectory names: slot k for step k where all are
+/// kept, else slot 0. It knows whether they are those of its states as long as nothing else linearizes the
+/// same model. What the model did in all runs and sweeps is in the [`log`](Self::log). Buffers are reused
+/// from run to run.
 ///
 /// ```
 /// use varda_implicit::{Keep, Rk4, Storage, Trajectory, lorenz::Lorenz63};
@@ -127,8 +129,8 @@ impl Trajectory {
         &self.log
     }
 
-    /// Makes room for a window of `steps` steps of states of length `dim`; the place of x₀, to be filled before
-    /// [`forward`](Self::forward).
+    /// Makes room for a window of `steps` steps of states of length `dim`; the place of x₀, to be filled
+    /// before [`forward`](Self::forward).
     pub fn start(&mut self, dim: usize, steps: usize) -> &mut [f64] {
         (self.dim, self.steps) = (dim, steps);
         self.linearized = false;
@@ -149,8 +151,9 @@ impl Trajectory {
         &mut self.states[..dim]
     }
 
-    /// Runs all steps from the x₀ put in place. `see(k, x_k)` is called for k = 0 … N and may change the state: what it leaves
-    /// is x_k. (A change has to be made again in every run of the step: only where all states are kept.)
+    /// Runs all steps from the x₀ put in place. `see(k, x_k)` is called for k = 0 … N and may change the
+    /// state: what it leaves is x_k. (A change has to be made again in every run of the step: only where all
+    /// states are kept.)
     ///
     /// # Errors
     /// The first error of a step or of `see`; the trajectory is then empty.
@@ -193,7 +196,8 @@ impl Trajectory {
         self.linearize_landing(model, &|_| None)
     }
 
-    /// The same where x_{k+1} was changed after step k: `landing(k)` is then what the step itself had led to, M_k(x_k).
+    /// The same where x_{k+1} was changed after step k: `landing(k)` is then what the step itself had led to,
+    /// M_k(x_k).
     ///
     /// # Errors
     /// The first error of a step.
@@ -239,7 +243,8 @@ impl Trajectory {
         &self.states
     }
 
-    /// dx_{k+1} = M_k dx_k from the dx₀ given to dx_N, in place; `see(k, x_k, dx_k)` is called for k = 0 … N.
+    /// dx_{k+1} = M_k dx_k from the dx₀ given to dx_N, in place; `see(k, x_k, dx_k)` is called for k = 0
+    /// … N.
     ///
     /// # Errors
     /// Of a step that is linearized or run again, as the storage asks.
@@ -260,8 +265,9 @@ impl Trajectory {
         })
     }
 
-    /// Σ_k (M_{k−1} … M_0)ᵀ f_k by Horner's rule, λ_k = M_kᵀ λ_{k+1} + f_k, in place: `add(k, x_k, λ)` adds the forcing f_k to λ,
-    /// for k = N … 0. λ is overwritten with zeros first, and ends as λ₀.
+    /// Σ_k (M_{k−1} … M_0)ᵀ f_k by Horner's rule, λ_k = M_kᵀ λ_{k+1} + f_k, in place: `add(k, x_k,
+    /// λ)` adds the forcing f_k to λ, for k = N … 0. λ is overwritten with zeros first, and ends as
+    /// λ₀.
     ///
     /// # Errors
     /// Of a step that is linearized or run again, as the storage asks.
@@ -322,7 +328,8 @@ impl Trajectory {
     ) -> Result<(), Error> {
         self.release(model);
         if let Storage::Checkpoints { .. } = self.storage {
-            // After a forward run, or a sweep in its order, the last step is at hand and the checkpoints are in place.
+            // After a forward run, or a sweep in its order, the last step is at hand and the checkpoints are
+            // in place.
             if self.front.map(|k| k + 1) != Some(self.steps) {
                 self.rewind();
             }
@@ -407,8 +414,8 @@ impl Trajectory {
         self.advance(model, to, &mut |_, _, k, _, x_next| see(k + 1, x_next))
     }
 
-    /// Runs from the last checkpoint to the end of step `to` − 1 and keeps states on the way as the schedule has it;
-    /// `after(model, log, k, x_k, x_{k+1})` is called after every step.
+    /// Runs from the last checkpoint to the end of step `to` − 1 and keeps states on the way as the
+    /// schedule has it; `after(model, log, k, x_k, x_{k+1})` is called after every step.
     fn advance<E: From<Error>>(
         &mut self,
         model: &mut dyn Model,

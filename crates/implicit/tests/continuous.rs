@@ -27,8 +27,8 @@ fn run(order: u32, steps: usize) -> (Box<dyn Model>, Trajectory) {
     (model, trajectory)
 }
 
-/// v after one step of length h along v̇ = A(x) v, where `apply` is the product with A at x: by a method of the given order,
-/// with x known at both ends and, to fourth order, halfway.
+/// v after one step of length h along v̇ = A(x) v, where `apply` is the product with A at x: by a method of
+/// the given order, with x known at both ends and, to fourth order, halfway.
 fn one_step(order: u32, h: f64, x: [&[f64]; 2], v: &mut [f64; 3], apply: fn(&[f64], &[f64; 3]) -> [f64; 3]) {
     let moved = |v: &[f64; 3], h: f64, k: &[f64; 3]| std::array::from_fn(|i| v[i] + h * k[i]);
     let mean: [f64; 3] = std::array::from_fn(|i| 0.5 * (x[0][i] + x[1][i]));
@@ -143,8 +143,8 @@ fn what_the_dot_product_sees_of_the_continuous_pair() {
         let fitted = (coarse / fine).log2();
         assert!((fitted - f64::from(order)).abs() <= 0.1, "order {order}: {fitted}, {coarse:e} {fine:e}");
     }
-    // By RK4 the stages read the same backwards, so that this pair is transposed to rounding, and still no derivative of the
-    // run: the gradient above is wrong where this test passes.
+    // By RK4 the stages read the same backwards, so that this pair is transposed to rounding, and still no
+    // derivative of the run: the gradient above is wrong where this test passes.
     let transposed = mismatch(4, 20);
     assert!(transposed <= 1e-14 && gradients(4, 20).2 > 1e-6, "{transposed:e}");
 }

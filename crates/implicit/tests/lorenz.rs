@@ -3,8 +3,8 @@
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 use varda_implicit::{ImplicitModel, Keep, Model, OneLeg, Rk4, Trajectory, check};
 
-/// Cost and gradient of the problem "Lorenz-96 values" (docs/reference-problems.md): N components, every other one
-/// observed at steps 10, 20, …, 100.
+/// Cost and gradient of the problem "Lorenz-96 values" (docs/reference-problems.md): N components, every
+/// other one observed at steps 10, 20, …, 100.
 fn cost_and_gradient(n: usize) -> (f64, Vec<f64>) {
     let truth0: Vec<f64> = (0..n).map(|i| 8.0 + 4.0 * (0.9 * i as f64).sin()).collect();
     let background: Vec<f64> =

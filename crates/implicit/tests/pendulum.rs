@@ -1,5 +1,5 @@
-//! A stiff spring pendulum by backward Euler on positions, with its incremental potential: tangent and adjoint through
-//! whole and halved steps.
+//! A stiff spring pendulum by backward Euler on positions, with its incremental potential: tangent and
+//! adjoint through whole and halved steps.
 
 use varda_implicit::{
     Equations, Error, ImplicitModel, ImplicitStep, Interval, Keep, Model, NewtonOptions, NewtonWork, Refusal,

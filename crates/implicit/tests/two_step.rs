@@ -1,4 +1,5 @@
-//! Schemes whose state holds the state before: BDF2 against its printed recursion, in parts, and on a grid of times.
+//! Schemes whose state holds the state before: BDF2 against its printed recursion, in parts, and on a grid of
+//! times.
 
 use varda_implicit::lorenz::Lorenz63;
 use varda_implicit::{
