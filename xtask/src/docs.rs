@@ -2,8 +2,8 @@
 //! `--check` judges it.
 //!
 //! Pages are modules of the package `guide`, so that rustdoc renders them and `cargo test` runs their code.
-//! Afterwards links between .md files are turned into links between pages, and formulas (`` $`…`$ `` and blocks
-//! marked `math`, as GitHub writes them) are marked for KaTeX, which stands beside the pages.
+//! Afterwards links between .md files are turned into links between pages, and formulas (`` $`…`$ `` and
+//! blocks marked `math`, as GitHub writes them) are marked for KaTeX, which stands beside the pages.
 
 mod browser;
 mod front;

@@ -25,8 +25,9 @@ cargo xtask bench case4 [OPTION…]
 cargo xtask bench lorenz96-cycling [SEEDS [PART OF A NAME]]
     The table of cycling methods on Lorenz-96, docs/results/lorenz96-cycling.md.
 cargo xtask docs [--check]
-    Documentation of all crates with guides, theory, results and an index page, in target/doc. --check: no broken link, and in
-    a browser, where one is installed, no formula that is not rendered and no page wider than a telephone.
+    Documentation of all crates with guides, theory, results and an index page, in target/doc. --check: no
+    broken link, and in a browser, where one is installed, no formula that is not rendered and no page
+    wider than a telephone.
 cargo xtask compare OLD NEW [SCENE…]
     The shipped scenes by two binaries of varda, number by number. --help: the rules and options.
 cargo xtask lint

@@ -1,4 +1,5 @@
-//! A model of one's own: an epidemic whose rates are unknown, checked, then fitted to twelve counts by strong 4D-Var.
+//! A model of one's own: an epidemic whose rates are unknown, checked, then fitted to twelve counts by strong
+//! 4D-Var.
 #![allow(clippy::print_stdout)]
 
 use std::ops::ControlFlow;
@@ -6,7 +7,8 @@ use varda_assimilation::*;
 use varda_covariance::Diagonal;
 use varda_implicit::{Keep, Rhs, Rk4, Trajectory, check};
 
-/// ṡ = −β s i, i̇ = β s i − γ i (Kermack and McKendrick 1927), x = [s, i, β, γ]: shares of the people and rates [1/day].
+/// ṡ = −β s i, i̇ = β s i − γ i (Kermack and McKendrick 1927), x = [s, i, β, γ]: shares of the
+/// people and rates [1/day].
 struct Epidemic;
 
 impl Rhs for Epidemic {

@@ -21,14 +21,16 @@ pub enum Gain {
 /// ```
 ///
 /// (b = 0 where the problem is linearized at the background)
-/// with G = R^{-1/2} H M U, U = B^{1/2}: whitened, so that no inverse of B appears and a singular B is no special case, and H M
-/// includes the tangent of the model, so that observations may lie anywhere in a window.
+/// with G = R^{-1/2} H M U, U = B^{1/2}: whitened, so that no inverse of B appears and a singular B is no
+/// special case, and H M includes the tangent of the model, so that observations may lie anywhere in a
+/// window.
 ///
-/// When to use: as a reference, and for small linear problems. When not: where model or observations are not linear, for it is the estimate
-/// linearized there (one full step of Gauss–Newton from the point given); n or m beyond a few thousand.
+/// When to use: as a reference, and for small linear problems. When not: where model or observations are not
+/// linear, for it is the estimate linearized there (one full step of Gauss–Newton from the point given); n
+/// or m beyond a few thousand.
 ///
-/// Cost: n tangent or m adjoint sweeps (see [`Gain`]), a Cholesky factorization and n m min(n, m). Memory: 2 n m + n² (+ m² with the gain in
-/// observation space).
+/// Cost: n tangent or m adjoint sweeps (see [`Gain`]), a Cholesky factorization and n m min(n, m). Memory: 2
+/// n m + n² (+ m² with the gain in observation space).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Blue {
     /// v_a, the whitened estimate: B^{-1/2}(z_a − z_b), and with model error Q^{-1/2} η after it.
@@ -45,8 +47,9 @@ impl Blue {
     /// Linearized at `v` (where the problem is linear, any will do; the background is the usual one).
     ///
     /// # Errors
-    /// A cost that cannot be evaluated there; [`Error::NotPositiveDefinite`] where G is too large for I + GᵀG to be factorized
-    /// in double precision, or is not finite (σ tiny against the spread of the background).
+    /// A cost that cannot be evaluated there; [`Error::NotPositiveDefinite`] where G is too large for I +
+    /// GᵀG to be factorized in double precision, or is not finite (σ tiny against the spread of the
+    /// background).
     ///
     /// # Panics
     /// If `v` is not of length `dim`.

@@ -2,14 +2,16 @@
 
 use crate::{Error, GaussNewton};
 
-/// Departures of one group of observations, summed, against what B and R promise (Desroziers, Berre, Chapnik and Poli 2005):
+/// Departures of one group of observations, summed, against what B and R promise (Desroziers, Berre, Chapnik
+/// and Poli 2005):
 ///
 /// ```text
 ///     E[d_oa · d_ob] = tr R,    E[d_ab · d_ob] = tr HBHᵀ,    E[d_ob · d_ob] = tr (HBHᵀ + R),    E[d_ab · d_oa] = tr HP_aHᵀ
 /// ```
 ///
-/// with d_ob = y − H(x_b), d_oa = y − H(x_a), d_ab = H(x_a) − H(x_b). Exact in the mean for a linear H and right B and R; one window
-/// gives one sample, with relative scatter of about (2 / count)^{1/2}. When not: where H M is strongly nonlinear over the increment.
+/// with d_ob = y − H(x_b), d_oa = y − H(x_a), d_ab = H(x_a) − H(x_b). Exact in the mean for a linear H
+/// and right B and R; one window gives one sample, with relative scatter of about (2 / count)^{1/2}. When
+/// not: where H M is strongly nonlinear over the increment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Consistency {
     /// Observed values in the group.
@@ -24,9 +26,11 @@ pub struct Consistency {
     pub analysis_variance: f64,
 }
 
-/// The ratios of every group, 0 to the largest index in `groups`; a group without values has count 0 and ratios NaN.
+/// The ratios of every group, 0 to the largest index in `groups`; a group without values has count 0 and
+/// ratios NaN.
 ///
-/// All slices have one entry for each observed value: y, σ_o, H(x_b), H(x_a), (HBHᵀ)_ii (see [`predicted_variance`]) and the group. Cost: O(m).
+/// All slices have one entry for each observed value: y, σ_o, H(x_b), H(x_a), (HBHᵀ)_ii (see
+/// [`predicted_variance`]) and the group. Cost: O(m).
 ///
 /// # Panics
 /// If the slices differ in length.
@@ -69,8 +73,8 @@ pub fn consistency(
         .collect()
 }
 
-/// (HMBMᵀHᵀ)_ii = σ_i² ‖Gᵀe_i‖² of every observed value, around the point of the last gradient: the variance the prior
-/// gives to the prediction. Cost: m adjoint sweeps.
+/// (HMBMᵀHᵀ)_ii = σ_i² ‖Gᵀe_i‖² of every observed value, around the point of the last gradient:
+/// the variance the prior gives to the prediction. Cost: m adjoint sweeps.
 ///
 /// # Errors
 /// Products that fail.

@@ -9,8 +9,8 @@ use varda_covariance::Covariance;
 ///     z = z_b + U v,    U = B^{1/2},    ‖v‖² = ‖z − z_b‖²_{B⁻¹}
 /// ```
 ///
-/// All costs are minimised in v: their Hessian is I + (something positive), no inverse of B is needed, and B may be
-/// singular (v is then shorter than z, and z − z_b stays in the range of B).
+/// All costs are minimised in v: their Hessian is I + (something positive), no inverse of B is needed, and B
+/// may be singular (v is then shorter than z, and z − z_b stays in the range of B).
 #[derive(Clone)]
 pub struct ControlTransform<'a> {
     background: Vec<f64>,
@@ -34,6 +34,11 @@ impl<'a> ControlTransform<'a> {
             return Err(Error::NonFinite { what: "the background", step: 0 });
         }
         Ok(Self { background, covariance })
+    }
+
+    /// Around a background that was checked before.
+    pub(crate) fn checked(background: Vec<f64>, covariance: &'a dyn Covariance) -> Self {
+        Self { background, covariance }
     }
 
     /// Length of v.

@@ -31,7 +31,8 @@ mod sprs {
     use sprs::CsMat;
 
     impl LinearObservation {
-        /// From a sparse matrix H, a row for every value and a column for every component of the state (feature `sprs`).
+        /// From a sparse matrix H, a row for every value and a column for every component of the state
+        /// (feature `sprs`).
         ///
         /// ```
         /// use sprs::TriMat;

@@ -13,10 +13,11 @@ use varda_linalg::dense::{View, product};
 
 /// A sequence of windows. Window c covers the steps first + c S … first + c S + K of a long run.
 ///
-/// Every observation is used once: a window after the first takes those later than step K − S, the ones no window before has seen (the single
-/// data assimilation of Bocquet and Sakov 2014). So windows overlap (S < K), share the step at which one ends and the next begins (S = K), or
-/// tile the time (S = K + 1: the background is a forecast to the first observed step). A window of K = 0 is 3D-Var, or an ensemble Kalman filter:
-/// one time is analysed, then S steps are forecast.
+/// Every observation is used once: a window after the first takes those later than step K − S, the ones no
+/// window before has seen (the single data assimilation of Bocquet and Sakov 2014). So windows overlap (S <
+/// K), share the step at which one ends and the next begins (S = K), or tile the time (S = K + 1: the
+/// background is a forecast to the first observed step). A window of K = 0 is 3D-Var, or an ensemble Kalman
+/// filter: one time is analysed, then S steps are forecast.
 #[derive(Clone, Copy)]
 pub struct Cycling<'a> {
     /// The first step of the first window.
@@ -29,22 +30,24 @@ pub struct Cycling<'a> {
     pub cycles: usize,
     /// A model whose step 0 is the given step of the long run.
     pub make_model: &'a dyn Fn(usize) -> Box<dyn Model + Send>,
-    /// The observations of the window that starts at the given step, with steps counted from there; also those already seen.
+    /// The observations of the window that starts at the given step, with steps counted from there; also
+    /// those already seen.
     pub observations: &'a dyn Fn(usize) -> Result<ObservationSet, Error>,
     /// The true state at a step, where it is known.
     pub truth: Option<&'a dyn Fn(usize) -> Vec<f64>>,
 }
 
-/// What one window hands to the next, as plain data: everything the windows to come depend on besides their settings. Stored after a window
-/// and given back to [`cycle`], the sequence goes on with the same bits.
+/// What one window hands to the next, as plain data: everything the windows to come depend on besides their
+/// settings. Stored after a window and given back to [`cycle`], the sequence goes on with the same bits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CycleState {
     /// Index of the next window.
     pub next: usize,
     /// z_b at its start.
     pub background: Vec<f64>,
-    /// Vectors of the control's length, one after the other: the members of an ensemble about z_b, not yet inflated; W of a propagated
-    /// posterior, B = W Wᵀ; nothing for static B and before the first window of a propagated one.
+    /// Vectors of the control's length, one after the other: the members of an ensemble about z_b, not yet
+    /// inflated; W of a propagated posterior, B = W Wᵀ; nothing for static B and before the first window of
+    /// a propagated one.
     pub columns: Vec<f64>,
 }
 
@@ -54,7 +57,8 @@ impl CycleState {
         Self { next: 0, background, columns: Vec::new() }
     }
 
-    /// Before the first window, from the members of its background in the control, one after the other, each of length `n`; z_b is their mean.
+    /// Before the first window, from the members of its background in the control, one after the other, each
+    /// of length `n`; z_b is their mean.
     ///
     /// # Panics
     /// If there is no member, or a broken one.
@@ -68,8 +72,9 @@ impl CycleState {
 pub enum CycledCovariance<'a> {
     /// The same B for every window: strong 4D-Var (3D-Var for K = 0).
     Static(&'a dyn Covariance),
-    /// The posterior of the window before (strong 4D-Var), carried to the start of the next by the tangent: B = α² M P_a Mᵀ, plus where given β² B_s
-    /// for what the model does not know (an extended Kalman smoother with iterated windows). n tangent sweeps and n² numbers more than static B.
+    /// The posterior of the window before (strong 4D-Var), carried to the start of the next by the tangent: B
+    /// = α² M P_a Mᵀ, plus where given β² B_s for what the model does not know (an extended Kalman
+    /// smoother with iterated windows). n tangent sweeps and n² numbers more than static B.
     Propagated {
         /// B of the first window.
         first: &'a dyn Covariance,
@@ -78,7 +83,8 @@ pub enum CycledCovariance<'a> {
         /// B_s and β.
         static_part: Option<(&'a dyn Covariance, f64)>,
     },
-    /// An ensemble carried from window to window: 4D-EnVar, hybrid 4D-EnVar, the iterative ensemble Kalman smoother.
+    /// An ensemble carried from window to window: 4D-EnVar, hybrid 4D-EnVar, the iterative ensemble Kalman
+    /// smoother.
     Ensemble(CycledEnsemble<'a>),
 }
 
@@ -88,7 +94,8 @@ pub struct CycledEnsemble<'a> {
     pub inflation: f64,
     /// C.
     pub localization: Localization,
-    /// The component of the control at whose place each stacked row was measured; asked for where C localizes.
+    /// The component of the control at whose place each stacked row was measured; asked for where C
+    /// localizes.
     pub anchors: &'a dyn Fn(&ObservationSet) -> Vec<usize>,
     /// B_s, β_s and β_e of a hybrid; `None` is β_e = 1 alone.
     pub static_part: Option<(&'a dyn Covariance, f64, f64)>,
@@ -102,8 +109,8 @@ pub struct CycledEnsemble<'a> {
 pub enum CycledUpdate<'a> {
     /// [`EnsembleUpdate::SquareRoot`].
     SquareRoot,
-    /// [`EnsembleUpdate::PerturbedObservations`]: makes the source of standard normals of the window of an index. Every window has its own, so
-    /// that nothing random is carried.
+    /// [`EnsembleUpdate::PerturbedObservations`]: makes the source of standard normals of the window of an
+    /// index. Every window has its own, so that nothing random is carried.
     PerturbedObservations(&'a dyn Fn(usize) -> Normals),
 }
 
@@ -139,8 +146,8 @@ pub struct Cycle {
     pub outer_iterations: usize,
     /// Work of the minimization; the forecast to the next window comes on top.
     pub counts: Counts,
-    /// Standard deviation expected of every component of the control: of the analysis at the window's end, by the ensemble; of the
-    /// background of the next window, for a propagated posterior; `None` for static B.
+    /// Standard deviation expected of every component of the control: of the analysis at the window's end, by
+    /// the ensemble; of the background of the next window, for a propagated posterior; `None` for static B.
     pub sigma: Option<Vec<f64>>,
     /// Root mean square errors, where the truth is known.
     pub errors: Option<CycleErrors>,
@@ -177,14 +184,14 @@ pub struct CycleErrors {
 /// | propagated | n up to some hundreds; sparse observations | a large n; alone over long cycles (give it a static part) | 1 forward run, 2n tangent sweeps, n³ | 2n² |
 /// | ensemble | no adjoint at hand; the best scores for its cost | N below the growing directions, unlocalized | N forward runs | N trajectories |
 ///
-/// The background of a window is the run from the analysis before (the mean of the members' runs), read off the leading components of the state,
-/// which are taken to be the control. A minimization that ends otherwise than converged hands its best point on: see `status`.
-/// `on_cycle` hears of every window with what it hands on, and may end the sequence. After an error `state` is that before the window that
-/// failed.
+/// The background of a window is the run from the analysis before (the mean of the members' runs), read off
+/// the leading components of the state, which are taken to be the control. A minimization that ends otherwise
+/// than converged hands its best point on: see `status`. `on_cycle` hears of every window with what it hands
+/// on, and may end the sequence. After an error `state` is that before the window that failed.
 ///
 /// # Errors
-/// A shift of 0 or beyond K + 1, an inflation that is not positive; a model that fails at a background or between two windows, observations or
-/// covariances that cannot be built.
+/// A shift of 0 or beyond K + 1, an inflation that is not positive; a model that fails at a background or
+/// between two windows, observations or covariances that cannot be built.
 pub fn cycle(
     cycling: &Cycling,
     state: &mut CycleState,
@@ -251,7 +258,8 @@ impl Cycling<'_> {
         self.window.max(self.shift)
     }
 
-    /// One window of strong 4D-Var; `propagate` is the inflation of the posterior that is carried on, if one is.
+    /// One window of strong 4D-Var; `propagate` is the inflation of the posterior that is carried on, if one
+    /// is.
     fn variational(
         &self,
         state: &CycleState,
@@ -436,7 +444,8 @@ fn posterior_root(
     if n <= transform.control_dim() { Ok(columns) } else { square_root(transform.control_dim(), &columns) }
 }
 
-/// A root of W Wᵀ with no more columns than rows: a hybrid B has more, and they would add up from window to window.
+/// A root of W Wᵀ with no more columns than rows: a hybrid B has more, and they would add up from window to
+/// window.
 fn square_root(n: usize, columns: &[f64]) -> Result<Vec<f64>, Error> {
     let mut covariance = vec![0.0; n * n];
     let w = View::new(columns, n, columns.len() / n);

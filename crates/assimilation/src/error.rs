@@ -118,7 +118,8 @@ pub enum Error {
         /// The entry.
         value: f64,
     },
-    /// An observation operator reads a state of another length than the model's, or than the other operators'.
+    /// An observation operator reads a state of another length than the model's, or than the other
+    /// operators'.
     #[error("observation operator {operator} reads a state of length {found}, not {expected}")]
     StateLength {
         /// Index of the operator.
@@ -127,6 +128,12 @@ pub enum Error {
         expected: usize,
         /// Length of the state that the operator reads.
         found: usize,
+    },
+    /// A method for independent observation errors was given correlated ones.
+    #[error("{what} asks for independent observation errors")]
+    CorrelatedErrors {
+        /// The method.
+        what: &'static str,
     },
     /// Two parts of a problem disagree about a length.
     #[error("{what} has length {found}, expected {expected}")]

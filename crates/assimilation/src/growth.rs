@@ -5,20 +5,22 @@ use crate::{Error, Minimum, ObservationSet};
 /// Minimises the cost of the observations it is given from a control variable on, and leaves the point in it.
 pub type Assimilate<'a> = dyn FnMut(&mut ObservationSet, &mut Vec<f64>) -> Result<Minimum, Error> + 'a;
 
-/// Assimilates the sub-windows of `windows` steps in turn, each from where the one before ended (Pires, Vautard and Talagrand 1996), and
-/// returns the observations with the minimum of every stage.
+/// Assimilates the sub-windows of `windows` steps in turn, each from where the one before ended (Pires,
+/// Vautard and Talagrand 1996), and returns the observations with the minimum of every stage.
 ///
-/// `assimilate` minimises the cost of the sub-window it is given, with any method and minimizer, from `v` on, and leaves the point in it; a
-/// method whose control grows with the window lengthens `v` itself. The observations of a sub-window of w steps are those at times up to w,
-/// a prefix of the stacked vector of all. The last of `windows` must be the whole window.
+/// `assimilate` minimises the cost of the sub-window it is given, with any method and minimizer, from `v` on,
+/// and leaves the point in it; a method whose control grows with the window lengthens `v` itself. The
+/// observations of a sub-window of w steps are those at times up to w, a prefix of the stacked vector of all.
+/// The last of `windows` must be the whole window.
 ///
-/// In a chaotic system the cost of a short window has one minimum; the minimum of a window moves little when the window grows a little, as long as
-/// the growth adds less than a few e-foldings of the error that is left. A stage that ends otherwise than converged still hands its point on: look
-/// at the statuses.
+/// In a chaotic system the cost of a short window has one minimum; the minimum of a window moves little when
+/// the window grows a little, as long as the growth adds less than a few e-foldings of the error that is
+/// left. A stage that ends otherwise than converged still hands its point on: look at the statuses.
 ///
-/// When to use: windows of several e-foldings of a chaotic model, where a start from the background ends in a wrong minimum. When not: one
-/// minimum, where every stage but the last is wasted. Cost: a minimization for every window, of its length, the later ones from a start near
-/// their minimum. Memory: a copy of the observations.
+/// When to use: windows of several e-foldings of a chaotic model, where a start from the background ends in a
+/// wrong minimum. When not: one minimum, where every stage but the last is wasted. Cost: a minimization for
+/// every window, of its length, the later ones from a start near their minimum. Memory: a copy of the
+/// observations.
 ///
 /// ```
 /// use std::ops::ControlFlow;

@@ -1,14 +1,16 @@
-//! Conjugate gradients on the inner problem, in control space and in observation space, with the same iterates.
+//! Conjugate gradients on the inner problem, in control space and in observation space, with the same
+//! iterates.
 
 use crate::{Error, Incremental};
 use varda_linalg::krylov::{self, CgProgress};
 pub use varda_linalg::krylov::{CgEnd as InnerEnd, CgLimits as InnerLimits};
 use varda_linalg::{axpy, dot};
 
-/// A p = −∇q(0), A = I + GᵀG, from p = 0 by conjugate gradients in the control space (n unknowns), residuals re-orthogonalised twice.
+/// A p = −∇q(0), A = I + GᵀG, from p = 0 by conjugate gradients in the control space (n unknowns),
+/// residuals re-orthogonalised twice.
 ///
-/// When to use: the default of [`outer_loop`](crate::outer_loop). When not: m far below n and many iterations, see
-/// [`restricted_conjugate_gradients`].
+/// When to use: the default of [`outer_loop`](crate::outer_loop). When not: m far below n and many
+/// iterations, see [`restricted_conjugate_gradients`].
 ///
 /// Cost of an iteration: one tangent and one adjoint sweep. Memory: 4n + m, and n more for each iteration.
 ///
@@ -34,23 +36,25 @@ pub fn conjugate_gradients(
     krylov::conjugate_gradients(&mut product, &right, limits, p)
 }
 
-/// The same p, iterate for iterate, by restricted conjugate gradients in observation space (Gratton and Tshimanga 2009; the
-/// background term about z_b as in Gürol et al. 2014): PSAS and 4D-PSAS.
+/// The same p, iterate for iterate, by restricted conjugate gradients in observation space (Gratton and
+/// Tshimanga 2009; the background term about z_b as in Gürol et al. 2014): PSAS and 4D-PSAS.
 ///
-/// All residuals and directions of the primal lie in the range of [Gᵀ, b], so they are written r = [Gᵀ, b] r̂ with r̂ of length
-/// m + 1, and the recurrences, the inner products and the re-orthogonalisation run on r̂ and K r̂, with
+/// All residuals and directions of the primal lie in the range of [Gᵀ, b], so they are written r = [Gᵀ,
+/// b] r̂ with r̂ of length m + 1, and the recurrences, the inner products and the re-orthogonalisation run
+/// on r̂ and K r̂, with
 ///
 /// ```text
 ///     K = [Gᵀ, b]ᵀ [Gᵀ, b],    G Gᵀ = R^{-1/2} H B Hᵀ R^{-1/2},    A [Gᵀ, b] r̂ = [Gᵀ, b] (r̂ + (K r̂, 0))
 /// ```
 ///
-/// through the same sweeps as the primal. B enters by its products only. p falls as the primal's does, so an early stop is safe,
-/// unlike one of a plain minimizer of [`Dual`](crate::Dual).
+/// through the same sweeps as the primal. B enters by its products only. p falls as the primal's does, so an
+/// early stop is safe, unlike one of a plain minimizer of [`Dual`](crate::Dual).
 ///
-/// When to use: m well below n, and many iterations. When not: m above n/2, where the primal needs less memory.
+/// When to use: m well below n, and many iterations. When not: m above n/2, where the primal needs less
+/// memory.
 ///
-/// Cost of an iteration: one adjoint and one tangent sweep. Memory: 4n + 5m, and 2m more for each iteration, where [`conjugate_gradients`]
-/// needs n.
+/// Cost of an iteration: one adjoint and one tangent sweep. Memory: 4n + 5m, and 2m more for each iteration,
+/// where [`conjugate_gradients`] needs n.
 ///
 /// # Errors
 /// Products that fail or are not finite.

@@ -1,4 +1,5 @@
-//! Variational data assimilation: the state of a dynamical system from a background and noisy, sparse observations.
+//! Variational data assimilation: the state of a dynamical system from a background and noisy, sparse
+//! observations.
 //!
 //! ```text
 //!     J(v) = ½‖v‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹},    x₀ = x_b + B^{1/2} v,    x_{k+1} = M_k(x_k)
@@ -18,8 +19,9 @@
 //! | which minimizer? | [`Minimizer`]: [`trust_region`] (default), [`newton_cg`], [`newton`]; with gradients alone [`lbfgs`], [`adam`]; for several minima [`continuation`], [`auto`] |
 //! | how sure? | [`Posterior`], [`LowRankPosterior`], [`Analysis`]; are B and R right? [`consistency`] |
 //!
-//! What it costs, in forward runs F, tangent sweeps T and adjoint sweeps A of the window for an iteration, with n unknowns, m observed values, N
-//! members and i inner iterations; memory beside two trajectories and what the model keeps of its linearizations:
+//! What it costs, in forward runs F, tangent sweeps T and adjoint sweeps A of the window for an iteration,
+//! with n unknowns, m observed values, N members and i inner iterations; memory beside two trajectories and
+//! what the model keeps of its linearizations:
 //!
 //! | method | when to use, when not | F | T | A | memory |
 //! |---|---|---|---|---|---|
@@ -33,13 +35,15 @@
 //! | [`Blue`] | linear and small, as a reference | 1 | n, or 0 | 1 + (0 or m) | 2nm + n² |
 //! | [`EnVar`] | no tangent and no adjoint; not for small N unlocalized | N + 1 | 0 | 0 | N trajectories, 2mN |
 //!
-//! The system is any `varda_implicit::Model`. Everything is minimised in the control variable v. Not for problems whose posterior has
-//! several modes that matter.
+//! The system is any `varda_implicit::Model`. Everything is minimised in the control variable v. Not for
+//! problems whose posterior has several modes that matter.
 //!
-//! Range, measured by the suite `stiff` (`docs/results/stability.md`): σ from 1e-6 to 1e6 of the background's and ratios of 1e8 within
-//! a window, a thousand identical or contradicting observations, redundant or zero rows of H: the analysis within a thousandth of
-//! its own σ by every second-order minimizer, incremental method and closed form; a first-order minimizer that cannot get there says so
-//! in its [`Status`]. A model that fails at a trial point is J = ∞, at the background an error that names the step.
+//! Range, measured by the suite `stiff` (`docs/results/stability.md`): σ from 1e-6 to 1e6 of the
+//! background's and ratios of 1e8 within a window, a thousand identical or contradicting observations,
+//! redundant or zero rows of H: the analysis within a thousandth of its own σ by every second-order
+//! minimizer, incremental method and closed form; a first-order minimizer that cannot get there says so in
+//! its [`Status`]. A model that fails at a trial point is J = ∞, at the background an error that names the
+//! step.
 //!
 //! ```
 //! use std::ops::ControlFlow;
@@ -71,6 +75,7 @@
 #![forbid(unsafe_code)]
 
 mod analysis;
+mod assimilation;
 mod blue;
 mod consistency;
 mod control;
@@ -82,6 +87,7 @@ mod error;
 mod growth;
 mod inner;
 mod minimize;
+mod noise;
 mod observation;
 mod operators;
 mod outer_loop;
@@ -89,6 +95,7 @@ mod posterior;
 mod posterior_lanczos;
 
 pub use analysis::Analysis;
+pub use assimilation::{AnalysisResult, Assimilation};
 pub use blue::{Blue, Gain};
 pub use consistency::{Consistency, consistency, predicted_variance};
 pub use control::ControlTransform;
@@ -109,9 +116,15 @@ pub use minimize::{
 };
 #[cfg(feature = "argmin")]
 pub use minimize::{ArgminOptions, argmin_lbfgs, argmin_trust_region};
+pub use noise::Correlated;
 pub use observation::{Observation, ObservationSet};
 pub use operators::{LinearObservation, Selection};
 pub use outer_loop::{InnerSolver, OuterLoopOptions, outer_loop};
 pub use posterior::Posterior;
 pub use posterior_lanczos::{LanczosOptions, LowRankPosterior};
 pub use varda_implicit::{At, ObservationOperator, Refusal};
+
+/// The example of README.md, compiled and run with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -1,18 +1,21 @@
 //! Observations y of a trajectory, and the operators H that predict them.
 
 use crate::Error;
+use crate::noise::{Correlated, Noise};
 use std::ops::Range;
 use varda_implicit::{At, ObservationOperator};
 
 /// All observations of a window of K steps, with the operators that predict them.
 ///
 /// ```text
-///     H(x)_i = (1 − w_i) H_op(i)(x_{k_i})[row_i] + w_i H_op(i)(x_{k_i + 1})[row_i],    d = y − H(x),    R = diag σ²
+///     H(x)_i = (1 − w_i) H_op(i)(x_{k_i})[row_i] + w_i H_op(i)(x_{k_i + 1})[row_i],    d = y − H(x)
 /// ```
 ///
-/// The m rows of all observations are stacked in one vector, in order of time (step, then weight; observations of equal
-/// time keep the order they were given in). Every operator is called once for every step at which it is needed, however many
-/// observations share it; rows nobody observed cost nothing but that call.
+/// R is diag σ², but for observations with [`correlated`](Observation::correlated) errors, each of which
+/// has a block. The m rows of all observations are stacked in one vector, in order of time (step, then
+/// weight; observations of equal time keep the order they were given in). Every operator is called once for
+/// every step at which it is needed, however many observations share it; rows nobody observed cost nothing
+/// but that call.
 pub struct ObservationSet {
     operators: Vec<Box<dyn ObservationOperator>>,
     observations: Vec<Observation>,
@@ -22,7 +25,9 @@ pub struct ObservationSet {
     offsets: Vec<usize>,
     values: Vec<f64>,
     sigma: Vec<f64>,
-    /// One operator at one step, ordered by step; the samples of step k are `by_step[k]..by_step[k + 1]`, up to the last step with one.
+    pub(crate) noise: Noise,
+    /// One operator at one step, ordered by step; the samples of step k are `by_step[k]..by_step[k + 1]`, up
+    /// to the last step with one.
     samples: Vec<Sample>,
     by_step: Vec<usize>,
     /// What each stacked row takes from the samples, ordered by sample.
@@ -31,7 +36,8 @@ pub struct ObservationSet {
     tangent: Vec<f64>,
 }
 
-/// What was measured at one time by one operator: some of its rows, each with its value and standard deviation.
+/// What was measured at one time by one operator: some of its rows, each with its value and standard
+/// deviation.
 ///
 /// A time between two steps is a weight on each. A component that was not measured is a row left out.
 ///
@@ -59,22 +65,25 @@ pub struct Observation {
     pub values: Vec<f64>,
     /// σ > 0, one for each row, in the unit of the value.
     pub sigma: Vec<f64>,
+    /// Their covariance, where the errors of the rows are correlated.
+    pub correlation: Option<Correlated>,
     /// The name of the instrument or place; for reports only.
     pub label: String,
 }
 
 impl Observation {
-    /// Some rows of operator 0, measured at a step of the window with independent errors of one standard deviation σ.
+    /// Some rows of operator 0, measured at a step of the window with independent errors of one standard
+    /// deviation σ.
     ///
     /// Nothing is checked here: [`ObservationSet::new`] checks all observations of a window.
     pub fn new(step: usize, rows: Vec<usize>, values: Vec<f64>, sigma: f64) -> Self {
         let sigma = vec![sigma; rows.len()];
-        Self { operator: 0, rows, step, weight: 0.0, values, sigma, label: String::new() }
+        Self { operator: 0, rows, step, weight: 0.0, values, sigma, correlation: None, label: String::new() }
     }
 
-    /// With a standard deviation σ for each row.
+    /// With a standard deviation σ for each row, and independent errors.
     pub fn sigmas(self, sigma: Vec<f64>) -> Self {
-        Self { sigma, ..self }
+        Self { sigma, correlation: None, ..self }
     }
 
     /// At another step.
@@ -115,8 +124,8 @@ struct Part {
 }
 
 impl ObservationSet {
-    /// The observations of a window of `steps` steps, in any order. Operators are given k as the time of step k; for
-    /// operators that depend on time see [`on_times`](Self::on_times).
+    /// The observations of a window of `steps` steps, in any order. Operators are given k as the time of step
+    /// k; for operators that depend on time see [`on_times`](Self::on_times).
     ///
     /// # Errors
     /// As for [`on_times`](Self::on_times).
@@ -131,8 +140,9 @@ impl ObservationSet {
     /// The observations of a window whose steps have the times t_0 … t_K, in any order.
     ///
     /// # Errors
-    /// Times that do not ascend; operators of states of different lengths; an observation with an unknown operator or row, outside the window, with a weight outside [0, 1), a value that is
-    /// not finite or a σ that is not positive and finite; each error names the observation by its index in `observations`.
+    /// Times that do not ascend; operators of states of different lengths; an observation with an unknown
+    /// operator or row, outside the window, with a weight outside [0, 1), a value that is not finite or a σ
+    /// that is not positive and finite; each error names the observation by its index in `observations`.
     pub fn on_times(
         times: Vec<f64>,
         operators: Vec<Box<dyn ObservationOperator>>,
@@ -178,6 +188,7 @@ impl ObservationSet {
         Ok(Self {
             values: observations.iter().flat_map(|o| o.values.iter().copied()).collect(),
             sigma: observations.iter().flat_map(|o| o.sigma.iter().copied()).collect(),
+            noise: Noise::new(&observations, &offsets)?,
             operators,
             observations,
             times,
@@ -198,7 +209,7 @@ impl ObservationSet {
     /// The set without some stacked rows; those left keep their order.
     ///
     /// # Errors
-    /// None: a part of a valid set is valid.
+    /// A marginal covariance of correlated rows that cannot be factorized.
     ///
     /// # Panics
     /// If a row does not exist.
@@ -208,10 +219,7 @@ impl ObservationSet {
         let (times, offsets) = (self.times.clone(), self.offsets.clone());
         let (operators, mut observations) = self.into_parts();
         for (o, at) in observations.iter_mut().zip(offsets) {
-            let kept: Vec<usize> = (0..o.rows.len()).filter(|i| keep[at + i]).collect();
-            o.rows = kept.iter().map(|&i| o.rows[i]).collect();
-            o.values = kept.iter().map(|&i| o.values[i]).collect();
-            o.sigma = kept.iter().map(|&i| o.sigma[i]).collect();
+            o.retain(&|i| keep[at + i])?;
         }
         observations.retain(|o| !o.rows.is_empty());
         Self::on_times(times, operators, observations)
@@ -276,12 +284,13 @@ impl ObservationSet {
         &self.values
     }
 
-    /// σ, stacked: R = diag σ².
+    /// σ, stacked: the square roots of the diagonal of R.
     pub fn sigma(&self) -> &[f64] {
         &self.sigma
     }
 
-    /// y += the share of state x_k in H(x). Summed over k = 0 … `last_step` from zero this is H(x), of length `dim`.
+    /// y += the share of state x_k in H(x). Summed over k = 0 … `last_step` from zero this is H(x), of
+    /// length `dim`.
     ///
     /// # Errors
     /// An operator that refuses the state, or a prediction that is not finite.
@@ -344,8 +353,8 @@ impl ObservationSet {
         }
     }
 
-    /// The stacked rows with a share of state x_k. (They are neighbours: those of step k, and before them those of step k − 1 that lie
-    /// between the two.)
+    /// The stacked rows with a share of state x_k. (They are neighbours: those of step k, and before them
+    /// those of step k − 1 that lie between the two.)
     pub(crate) fn rows_at(&self, k: usize) -> Range<usize> {
         let samples = &self.samples[self.samples_of(k)];
         let rows = || samples.iter().flat_map(|s| &self.parts[s.first..s.end]).map(|part| part.row);
@@ -385,7 +394,7 @@ fn validate(
     steps: usize,
     operators: &[Box<dyn ObservationOperator>],
 ) -> Result<(), Error> {
-    let Observation { operator, ref rows, step, weight, ref values, ref sigma, label: _ } = *observation;
+    let Observation { operator, ref rows, step, weight, ref values, ref sigma, .. } = *observation;
     if operator >= operators.len() {
         return Err(Error::UnknownOperator { observation: index, operator, operators: operators.len() });
     }

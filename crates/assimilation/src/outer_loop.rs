@@ -29,10 +29,12 @@ pub struct OuterLoopOptions {
     pub inner: InnerSolver,
     /// Inner iterations of one outer iteration at most.
     pub max_inner: usize,
-    /// How far an inner problem is solved at least, relative to its gradient; the forcing term √(‖∇J‖/‖∇J₀‖) asks for more as the
-    /// outer loop converges. On a linear problem 1e-12 makes the first outer iteration the last.
+    /// How far an inner problem is solved at least, relative to its gradient; the forcing term
+    /// √(‖∇J‖/‖∇J₀‖) asks for more as the outer loop converges. On a linear problem 1e-12
+    /// makes the first outer iteration the last.
     pub inner_tolerance: f64,
-    /// Halve steps until J falls by 10⁻⁴ of what the slope promises. Without it every step is full, as in operations.
+    /// Halve steps until J falls by 10⁻⁴ of what the slope promises. Without it every step is full, as in
+    /// operations.
     pub step_control: bool,
 }
 
@@ -62,17 +64,20 @@ const NOISE: f64 = 1e-11;
 /// until the gradient of the true J is small
 /// ```
 ///
-/// The background term stays about x_b: b = v, not zero, at every outer iterate but the first. With a [`StrongConstraint`](crate::StrongConstraint)
-/// this is incremental 4D-Var, without a model incremental 3D-Var; with [`InnerSolver::Dual`] 4D-PSAS and PSAS; with a
-/// [`WeakState`](crate::WeakState) or a [`WeakForcing`](crate::WeakForcing) weak-constraint 4D-Var.
+/// The background term stays about x_b: b = v, not zero, at every outer iterate but the first. With a
+/// [`StrongConstraint`](crate::StrongConstraint) this is incremental 4D-Var, without a model incremental
+/// 3D-Var; with [`InnerSolver::Dual`] 4D-PSAS and PSAS; with a [`WeakState`](crate::WeakState) or a
+/// [`WeakForcing`](crate::WeakForcing) weak-constraint 4D-Var.
 ///
-/// When to use: inner iterations much cheaper than model runs, mildly nonlinear problems. Convergence is linear, at the rate by which
-/// the dropped second derivatives are smaller than A; with step control J never rises and the loop ends at a stationary point or says
-/// that it did not. Without it, it may cycle or diverge (`MaxIterations`, or `Failed` where the model refuses). When not: large
-/// residuals, where [`trust_region`](crate::trust_region) is faster.
+/// When to use: inner iterations much cheaper than model runs, mildly nonlinear problems. Convergence is
+/// linear, at the rate by which the dropped second derivatives are smaller than A; with step control J never
+/// rises and the loop ends at a stationary point or says that it did not. Without it, it may cycle or diverge
+/// (`MaxIterations`, or `Failed` where the model refuses). When not: large residuals, where
+/// [`trust_region`](crate::trust_region) is faster.
 ///
-/// Cost of an outer iteration: one forward run and adjoint sweep, a forward run for each refused step, and a tangent and an adjoint sweep for
-/// each inner iteration. Memory: six vectors and that of the inner solver. `gradient_norm` and `step_norm` reported are those of p, the norm of the prior; `observation_scale` is
+/// Cost of an outer iteration: one forward run and adjoint sweep, a forward run for each refused step, and a
+/// tangent and an adjoint sweep for each inner iteration. Memory: six vectors and that of the inner solver.
+/// `gradient_norm` and `step_norm` reported are those of p, the norm of the prior; `observation_scale` is
 /// reported as 1, whatever was set.
 ///
 /// PSAS, where the square of a state of 50 is seen at two points:
@@ -114,8 +119,8 @@ const NOISE: f64 = 1e-11;
 /// ```
 ///
 /// # Errors
-/// A cost that cannot be evaluated at the first point, a setting out of range, or products that fail. Everything that happens once under
-/// way is a [`Status`].
+/// A cost that cannot be evaluated at the first point, a setting out of range, or products that fail.
+/// Everything that happens once under way is a [`Status`].
 ///
 /// # Panics
 /// If `v` is not of length `problem.dim()`.
@@ -206,8 +211,9 @@ pub fn outer_loop(
             rejected += 1;
             blind += usize::from(by_gradient);
             length *= 0.5;
-            // 2⁻⁴⁰: a descent direction that needs less than 1e-12 of its step is none. Where J resolves nothing, a gradient that does
-            // not fall over 2⁻⁸ of the step is at the accuracy of the model.
+            // 2⁻⁴⁰: a descent direction that needs less than 1e-12 of its step is none. Where J
+            // resolves nothing, a gradient that does not fall over 2⁻⁸ of the step is at the accuracy of
+            // the model.
             if !options.step_control || blind > 8 || rejected > 40 {
                 break false;
             }

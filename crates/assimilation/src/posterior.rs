@@ -15,8 +15,9 @@ use varda_linalg::dense::{View, add_product};
 ///
 /// kept as the eigenpairs of A.
 ///
-/// When to use: n up to a few thousand. When not: larger n ([`LowRankPosterior`](crate::LowRankPosterior)); where the dropped second derivatives
-/// matter at the minimum, for there the true curvature, and with it the spread, differs. Cost: n tangent sweeps and 9 n³ or so. Memory: 2n².
+/// When to use: n up to a few thousand. When not: larger n ([`LowRankPosterior`](crate::LowRankPosterior));
+/// where the dropped second derivatives matter at the minimum, for there the true curvature, and with it the
+/// spread, differs. Cost: n tangent sweeps and 9 n³ or so. Memory: 2n².
 pub struct Posterior {
     /// Eigenvalues of A, ascending; ≥ 1 up to rounding.
     eigenvalues: Vec<f64>,
@@ -38,15 +39,15 @@ impl Posterior {
         Self::from_hessian(cost.dim(), &hessian)
     }
 
-    /// Of the initial state alone, where the control goes on with errors of the model (weak constraint): with G = [G_b, G_q] the errors
-    /// are integrated out,
+    /// Of the initial state alone, where the control goes on with errors of the model (weak constraint): with
+    /// G = [G_b, G_q] the errors are integrated out,
     ///
     /// ```text
     ///     A_b = I + G_bᵀ (I + G_q G_qᵀ)⁻¹ G_b,    P_b = A_b⁻¹, the leading block of (I + GᵀG)⁻¹
     /// ```
     ///
-    /// around the last point linearized. Costs m adjoint sweeps, memory m times the length of the control, and m² numbers. Without model
-    /// error it is [`new`](Self::new).
+    /// around the last point linearized. Costs m adjoint sweeps, memory m times the length of the control,
+    /// and m² numbers. Without model error it is [`new`](Self::new).
     ///
     /// # Errors
     /// Products or a factorization that fail.
@@ -100,7 +101,8 @@ impl Posterior {
         &self.eigenvalues
     }
 
-    /// Degrees of freedom for signal, tr(I − A⁻¹) = Σ (1 − 1/μ): how many directions the observations determine.
+    /// Degrees of freedom for signal, tr(I − A⁻¹) = Σ (1 − 1/μ): how many directions the
+    /// observations determine.
     pub fn degrees_of_freedom(&self) -> f64 {
         self.eigenvalues.iter().map(|mu| (mu - 1.0) / mu).sum()
     }
@@ -141,7 +143,8 @@ impl Posterior {
         covariance
     }
 
-    /// A draw of the control from N(z, P_z) around the analysis z of v: z_b + U (v + A^{-1/2} ξ), with ξ from the caller's generator.
+    /// A draw of the control from N(z, P_z) around the analysis z of v: z_b + U (v + A^{-1/2} ξ), with ξ
+    /// from the caller's generator.
     ///
     /// # Panics
     /// If a length does not agree with the transform.

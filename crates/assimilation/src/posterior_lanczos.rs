@@ -1,4 +1,5 @@
-//! The posterior covariance as the identity less a few directions: from Lanczos iterations or from what L-BFGS has learnt.
+//! The posterior covariance as the identity less a few directions: from Lanczos iterations or from what
+//! L-BFGS has learnt.
 
 use crate::cost::{dot, norm};
 use crate::minimize::{at_least_one, eigen};
@@ -13,9 +14,10 @@ use varda_linalg::krylov::{Lanczos, Product, Ritz};
 ///     P_v = A⁻¹ ≈ I − Σ_i (1 − 1/μ_i) q_i q_iᵀ,    P_z = U P_v Uᵀ
 /// ```
 ///
-/// When to use: where the observations determine few directions of many (4 to 11 of 144 on the hanging rod), so that A is the identity
-/// but for a few large eigenvalues. When not: for n up to a few hundred [`Posterior`](crate::Posterior) is exact; where everything is
-/// observed there is no low rank, and a bound below 1 takes as many products as there are directions.
+/// When to use: where the observations determine few directions of many (4 to 11 of 144 on the hanging rod),
+/// so that A is the identity but for a few large eigenvalues. When not: for n up to a few hundred
+/// [`Posterior`](crate::Posterior) is exact; where everything is observed there is no low rank, and a bound
+/// below 1 takes as many products as there are directions.
 ///
 /// | made by | products with A | error |
 /// |---|---|---|
@@ -23,8 +25,8 @@ use varda_linalg::krylov::{Lanczos, Product, Ritz};
 /// | [`from_inverse_hessian`](Self::from_inverse_hessian) | none | [`error_estimate`](Self::error_estimate); often no better than 1 |
 /// | [`refined`](Self::refined) | one for each of L-BFGS's directions, and what is missing | a bound, down to the tolerance asked for |
 ///
-/// Cost: one tangent and one adjoint sweep a product. Memory: a vector for every product while it is made (two, if refined), one for every pair
-/// afterwards.
+/// Cost: one tangent and one adjoint sweep a product. Memory: a vector for every product while it is made
+/// (two, if refined), one for every pair afterwards.
 #[derive(Debug, Clone)]
 pub struct LowRankPosterior {
     n: usize,
@@ -43,7 +45,8 @@ pub struct LanczosOptions {
     pub tolerance: f64,
     /// Products with the Hessian at most, and vectors kept; those of the probes come on top.
     pub max_products: usize,
-    /// Random vectors, one product each, that say what has been missed; the bound fails with probability 10^{−probes}.
+    /// Random vectors, one product each, that say what has been missed; the bound fails with probability
+    /// 10^{−probes}.
     pub probes: usize,
 }
 
@@ -54,7 +57,8 @@ impl Default for LanczosOptions {
 }
 
 impl LowRankPosterior {
-    /// From Lanczos iterations with full re-orthogonalisation, started from a random vector, around the point of the last gradient of `cost`.
+    /// From Lanczos iterations with full re-orthogonalisation, started from a random vector, around the point
+    /// of the last gradient of `cost`.
     ///
     /// The pairs kept, with residuals r_i, are those that give the least bound
     ///
@@ -62,12 +66,15 @@ impl LowRankPosterior {
     ///     ‖P_v − A⁻¹‖₂ ≤ ν / (1 − ν) + 1 − 1/(1 + ω),    ν² = Σ r_i² / μ_i,    ω = 10 (2/π)^{1/2} max_j ‖Π(A − I)Π w_j‖
     /// ```
     ///
-    /// The first part is for the pairs kept being inexact (scaled by the roots of its diagonal blocks, the off-diagonal block of A between
-    /// them and the rest has norm ≤ ν, since A ⪰ I). The second is for all that was left out: Π projects on the complement of the
-    /// pairs, and ω bounds A − I there, with probability 1 − 10^{−probes}, from products with that many random vectors w_j (Halko,
-    /// Martinsson and Tropp 2011, lemma 4.1). The probes find what Lanczos iterations may miss, such as copies of a multiple eigenvalue.
+    /// The first part is for the pairs kept being inexact (scaled by the roots of its diagonal blocks, the
+    /// off-diagonal block of A between them and the rest has norm ≤ ν, since A ⪰ I). The second is for
+    /// all that was left out: Π projects on the complement of the pairs, and ω bounds A − I there, with
+    /// probability 1 − 10^{−probes}, from products with that many random vectors w_j (Halko, Martinsson
+    /// and Tropp 2011, lemma 4.1). The probes find what Lanczos iterations may miss, such as copies of a
+    /// multiple eigenvalue.
     ///
-    /// Stops at the tolerance, at `max_products`, or when nothing is left; see [`Self::error_bound`] for what was reached.
+    /// Stops at the tolerance, at `max_products`, or when nothing is left; see [`Self::error_bound`] for what
+    /// was reached.
     ///
     /// # Errors
     /// Products that fail, or settings out of range.
@@ -103,16 +110,19 @@ impl LowRankPosterior {
         }
     }
 
-    /// From what L-BFGS has learnt of the Hessian of J on its way: no products with the Hessian at all, no tangent model.
+    /// From what L-BFGS has learnt of the Hessian of J on its way: no products with the Hessian at all, no
+    /// tangent model.
     ///
-    /// The pairs y ≈ A s, newest first, give A on the space of the steps (Rayleigh–Ritz); steps that are within 10⁻³ of dependent on newer
-    /// ones are left out, and eigenvalues below 1, which A does not have, are put to 1. Exact on that space where J is quadratic; the
-    /// directions no step went along keep their prior variance 1. (L-BFGS's own matrix, [`InverseHessian::apply`], fits
-    /// the last pair only and is much further off.)
+    /// The pairs y ≈ A s, newest first, give A on the space of the steps (Rayleigh–Ritz); steps that are
+    /// within 10⁻³ of dependent on newer ones are left out, and eigenvalues below 1, which A does not
+    /// have, are put to 1. Exact on that space where J is quadratic; the directions no step went along keep
+    /// their prior variance 1. (L-BFGS's own matrix, [`InverseHessian::apply`], fits the last pair only and
+    /// is much further off.)
     ///
-    /// How good it is depends on the path, and without products no bound better than 1 can come with it: what no step has met is unknown.
-    /// [`Self::error_estimate`] says how far off it is for a few products, [`Self::refined`] makes it as good as asked for. It
-    /// refers to the Hessian of J, second derivatives included, along the way.
+    /// How good it is depends on the path, and without products no bound better than 1 can come with it: what
+    /// no step has met is unknown. [`Self::error_estimate`] says how far off it is for a few products,
+    /// [`Self::refined`] makes it as good as asked for. It refers to the Hessian of J, second derivatives
+    /// included, along the way.
     ///
     /// # Errors
     /// An eigenvalue problem that fails.
@@ -127,16 +137,19 @@ impl LowRankPosterior {
         Ok(Self { n: inverse.dim(), values, vectors, error_bound: None, products: 0 })
     }
 
-    /// From the space of L-BFGS's steps, newest first, with the curvature along it measured by one product each around the point of the last
-    /// gradient of `cost`; then, one more product at a time, the largest residual, or where the probes find more than that a random direction,
-    /// until the bound is at most the tolerance. The bound is that of [`Self::lanczos`], with r_i = A z_i − μ_i z_i the residuals of the Ritz pairs:
+    /// From the space of L-BFGS's steps, newest first, with the curvature along it measured by one product
+    /// each around the point of the last gradient of `cost`; then, one more product at a time, the largest
+    /// residual, or where the probes find more than that a random direction, until the bound is at most the
+    /// tolerance. The bound is that of [`Self::lanczos`], with r_i = A z_i − μ_i z_i the residuals of the
+    /// Ritz pairs:
     ///
     /// ```text
     ///     ‖P_v − A⁻¹‖₂ ≤ ν / (1 − ν) + 1 − 1/(1 + ω),    ν² = Σ ‖r_i‖² / μ_i
     /// ```
     ///
-    /// When to use: after L-BFGS that kept its pairs (`memory` above its iterations), whose directions are then those that matter and are not
-    /// looked for again. When not: after anything else. Cost beyond the products: n k² a product of the second kind, k being all products.
+    /// When to use: after L-BFGS that kept its pairs (`memory` above its iterations), whose directions are
+    /// then those that matter and are not looked for again. When not: after anything else. Cost beyond the
+    /// products: n k² a product of the second kind, k being all products.
     ///
     /// # Errors
     /// Products that fail, or settings out of range.
@@ -188,15 +201,18 @@ impl LowRankPosterior {
         }
     }
 
-    /// Upper bound of ‖P_v − A⁻¹‖₂, with the probability stated at [`Self::lanczos`]; `None` where there is none.
+    /// Upper bound of ‖P_v − A⁻¹‖₂, with the probability stated at [`Self::lanczos`]; `None` where
+    /// there is none.
     ///
-    /// Every variance of z is then right to within the bound times its prior variance, and the trace to the bound times tr B.
+    /// Every variance of z is then right to within the bound times its prior variance, and the trace to the
+    /// bound times tr B.
     pub fn error_bound(&self) -> Option<f64> {
         self.error_bound
     }
 
-    /// Estimates ‖P_v A − I‖_F, which is at least ‖P_v − A⁻¹‖₂ since A ⪰ I, from `samples` random vectors w:
-    /// the mean of ‖(P_v A − I) w‖² is its square. One product with the Hessian each; relative error about (2 / samples)^{1/2} at worst.
+    /// Estimates ‖P_v A − I‖_F, which is at least ‖P_v − A⁻¹‖₂ since A ⪰ I, from `samples`
+    /// random vectors w: the mean of ‖(P_v A − I) w‖² is its square. One product with the Hessian
+    /// each; relative error about (2 / samples)^{1/2} at worst.
     ///
     /// # Errors
     /// Products that fail.
@@ -279,7 +295,8 @@ impl LowRankPosterior {
         self.variance(transform).iter().sum()
     }
 
-    /// A draw of the control from N(z, P_z) around the analysis z of v: z_b + U (v + P_v^{1/2} ξ), P_v^{1/2} = I − Σ (1 − μ^{-1/2}) q qᵀ.
+    /// A draw of the control from N(z, P_z) around the analysis z of v: z_b + U (v + P_v^{1/2} ξ), P_v^{1/2}
+    /// = I − Σ (1 − μ^{-1/2}) q qᵀ.
     ///
     /// # Panics
     /// If a length does not agree with the transform.
@@ -427,7 +444,8 @@ struct Split {
     kept: usize,
     /// The error bound with these.
     bound: f64,
-    /// The pair with the largest residual, scaled as in ν; `None` where the probes find more beside all pairs.
+    /// The pair with the largest residual, scaled as in ν; `None` where the probes find more beside all
+    /// pairs.
     worst: Option<usize>,
 }
 

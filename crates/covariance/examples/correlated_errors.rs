@@ -1,5 +1,6 @@
-//! What does a prior on a rod of 25 segments say once its top is known exactly? Prints the standard deviation along the rod with and
-//! without the two clamped vertices, how well conditioned each covariance is, and one draw.
+//! What does a prior on a rod of 25 segments say once its top is known exactly? Prints the standard deviation
+//! along the rod with and without the two clamped vertices, how well conditioned each covariance is, and one
+//! draw.
 //!
 //! `cargo run -p varda-covariance --example correlated_errors`
 #![allow(clippy::print_stdout)]

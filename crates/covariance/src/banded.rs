@@ -7,11 +7,11 @@ use crate::operator::{Covariance, Precision};
 use varda_linalg::band::Cholesky;
 use varda_linalg::dot_in_lanes;
 
-/// A covariance whose entries vanish further than w places from the diagonal, kept as its lower Cholesky factor, B = L Lᵀ, B^{1/2} = L,
-/// which vanishes there too (Golub and Van Loan 2013, section 4.3).
+/// A covariance whose entries vanish further than w places from the diagonal, kept as its lower Cholesky
+/// factor, B = L Lᵀ, B^{1/2} = L, which vanishes there too (Golub and Van Loan 2013, section 4.3).
 ///
-/// n (w + 1) numbers and n w² operations to build, n w for every product: linear in n for points of a given density. The
-/// same B as a [`Dense`](crate::Dense) one takes n² and n³/3.
+/// n (w + 1) numbers and n w² operations to build, n w for every product: linear in n for points of a given
+/// density. The same B as a [`Dense`](crate::Dense) one takes n² and n³/3.
 ///
 /// ```
 /// use varda_covariance::{Banded, Covariance, CovarianceFunction, Kernel, Taper};
@@ -30,12 +30,14 @@ pub struct Banded {
 }
 
 impl Banded {
-    /// The covariance function at places that ascend along a line. The band is as wide as the support of its taper asks for.
+    /// The covariance function at places that ascend along a line. The band is as wide as the support of its
+    /// taper asks for.
     ///
     /// # Errors
     ///
-    /// [`Error::Parameter`] for σ, L or L_loc that is not positive, a taper without a finite support, or a place that does not
-    /// ascend; [`Error::NonFinite`], [`Error::Singular`], [`Error::NotPositiveDefinite`] as [`Dense::new`](crate::Dense::new).
+    /// [`Error::Parameter`] for σ, L or L_loc that is not positive, a taper without a finite support, or a
+    /// place that does not ascend; [`Error::NonFinite`], [`Error::Singular`], [`Error::NotPositiveDefinite`]
+    /// as [`Dense::new`](crate::Dense::new).
     pub fn along(function: &CovarianceFunction, places: &[f64]) -> Result<Self, Error> {
         function.validate()?;
         let support = function.taper.support();
@@ -66,8 +68,8 @@ impl Banded {
         Self::new(places.len(), w, band)
     }
 
-    /// From the lower band of a symmetric positive definite matrix: row i holds columns i − w … i, entry (i, j) at
-    /// `i (w + 1) + w + j − i`. Entries left of column 0 are not read.
+    /// From the lower band of a symmetric positive definite matrix: row i holds columns i − w … i, entry
+    /// (i, j) at `i (w + 1) + w + j − i`. Entries left of column 0 are not read.
     ///
     /// # Errors
     ///
@@ -174,7 +176,8 @@ mod tests {
                 let gap = a.iter().zip(&b).fold(0.0_f64, |m, (a, b)| m.max((a - b).abs()));
                 assert!(gap <= tolerance * size, "{what}: {gap:e} of {size:e}");
             };
-            // B = L Lᵀ is kept to ε; L itself, its inverse and B⁻¹ to ε times a condition of up to some 1e5
+            // B = L Lᵀ is kept to ε; L itself, its inverse and B⁻¹ to ε times a condition of up to
+            // some 1e5
             same("apply", &|c, y| c.apply(&x, y), 1e-14);
             same("root", &|c, y| c.root(&x, y), 1e-11);
             same("root_transpose", &|c, y| c.root_transpose(&x, y), 1e-11);

@@ -1,15 +1,27 @@
-//! Covariances made of smaller ones: the same for every component of a vector field, and several side by side.
+//! Covariances made of smaller ones: the same for every component of a vector field, and several side by
+//! side.
 
 use crate::check::check_lengths;
 use crate::operator::{Covariance, Precision};
 use crate::scratch::Scratch;
 
-/// B = C ⊗ I_c: the c components of every point are independent of each other and share the covariance C between points.
+/// B = C ⊗ I_c: the c components of every point are independent of each other and share the covariance C
+/// between points.
 ///
-/// Vectors are ordered point by point, the components of a point together (x₀ y₀ z₀ x₁ y₁ z₁ …), so that component k of
-/// point i is entry i c + k; of the control likewise. B is never formed: each component is gathered into a buffer, C applied, and
-/// the result scattered. One lock guards the buffer during a call: share a covariance between threads freely, clone it
-/// where they would wait for each other.
+/// Vectors are ordered point by point, the components of a point together (x₀ y₀ z₀ x₁ y₁ z₁
+/// …), so that component k of point i is entry i c + k; of the control likewise. B is never formed: each
+/// component is gathered into a buffer, C applied, and the result scattered. One lock guards the buffer
+/// during a call: share a covariance between threads freely, clone it where they would wait for each other.
+///
+/// ```
+/// use varda_covariance::{Covariance, Dense, Interleaved};
+///
+/// let b = Interleaved::new(Dense::new(2, &[4.0, 2.0, 2.0, 5.0])?, 3);
+/// let mut column = [0.0; 6];
+/// b.apply(&[1.0, 0.0, 0.0, 0.0, 0.0, 0.0], &mut column);
+/// assert_eq!(column, [4.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
+/// # Ok::<(), varda_covariance::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Interleaved<C> {
     part: C,
@@ -21,6 +33,16 @@ pub struct Interleaved<C> {
 /// B = diag(B₁, B₂, …): independent vectors one after the other, such as positions and velocities.
 ///
 /// `T` is one type, or `Box<dyn Covariance>` or `Box<dyn Precision>` for a mixture.
+///
+/// ```
+/// use varda_covariance::{BlockDiagonal, Covariance, Diagonal};
+///
+/// let b = BlockDiagonal::new(vec![Diagonal::uniform(1, 2.0)?, Diagonal::uniform(2, 3.0)?]);
+/// let mut variance = [0.0; 3];
+/// b.variance(&mut variance);
+/// assert_eq!(variance, [4.0, 9.0, 9.0]);
+/// # Ok::<(), varda_covariance::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct BlockDiagonal<T> {
     parts: Vec<T>,
@@ -43,7 +65,8 @@ impl<C: Covariance> Interleaved<C> {
         &self.part
     }
 
-    /// For every component: gathers it from `x` (`rows` values), lets `product` overwrite the output, scatters that to `y`.
+    /// For every component: gathers it from `x` (`rows` values), lets `product` overwrite the output,
+    /// scatters that to `y`.
     fn each(
         &self,
         x: &[f64],
@@ -122,7 +145,8 @@ impl<T: Covariance> BlockDiagonal<T> {
         &self.parts
     }
 
-    /// Lets `product` overwrite each block's part of the output (`columns` of them) from its part of the input (`rows`).
+    /// Lets `product` overwrite each block's part of the output (`columns` of them) from its part of the
+    /// input (`rows`).
     fn each(
         &self,
         x: &[f64],

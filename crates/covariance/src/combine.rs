@@ -5,11 +5,11 @@ use crate::error::Error;
 use crate::operator::{Covariance, Precision};
 use crate::scratch::Scratch;
 
-/// B = B₁ + B₂ + …: errors of independent origin. The root is [U₁, U₂, …], the control vector that of B₁ followed by that of B₂, and
-/// so on.
+/// B = B₁ + B₂ + …: errors of independent origin. The root is [U₁, U₂, …], the control vector
+/// that of B₁ followed by that of B₂, and so on.
 ///
-/// `T` is one type, or `Box<dyn Covariance>` for a mixture. Cost: that of the parts. There is no inverse: where one is needed, form a
-/// [`Dense`](crate::Dense) B.
+/// `T` is one type, or `Box<dyn Covariance>` for a mixture. Cost: that of the parts. There is no inverse:
+/// where one is needed, form a [`Dense`](crate::Dense) B.
 ///
 /// ```
 /// use varda_covariance::{Covariance, Diagonal, Sum};
@@ -100,8 +100,8 @@ impl<T: Covariance> Covariance for Sum<T> {
     }
 }
 
-/// B = D C D with a diagonal D: a covariance from a correlation and standard deviations, or one whose standard deviations are
-/// multiplied by a factor.
+/// B = D C D with a diagonal D: a covariance from a correlation and standard deviations, or one whose
+/// standard deviations are multiplied by a factor.
 ///
 /// ```
 /// use varda_covariance::{Covariance, Dense, Scaled};
@@ -125,8 +125,8 @@ impl<C: Covariance> Scaled<C> {
     ///
     /// # Errors
     ///
-    /// [`Error::Size`] unless there is a factor for every component, [`Error::Parameter`] for one that is not positive, or whose square is
-    /// not a normal number.
+    /// [`Error::Size`] unless there is a factor for every component, [`Error::Parameter`] for one that is not
+    /// positive, or whose square is not a normal number.
     pub fn new(part: C, scale: Vec<f64>) -> Result<Self, Error> {
         if scale.len() != part.dim() {
             let expected = part.dim();
@@ -212,8 +212,9 @@ impl<C: Precision> Precision for Scaled<C> {
 
 /// B = A ⊗ C: component (i, k) has the number i n_C + k, and B((i, k), (j, l)) = A(i, j) C(k, l).
 ///
-/// For fields on products of domains (a line in space and one in time, levels and columns) and for variables whose errors are
-/// correlated with each other. Where those are independent, use [`Interleaved`](crate::Interleaved) (C = I).
+/// For fields on products of domains (a line in space and one in time, levels and columns) and for variables
+/// whose errors are correlated with each other. Where those are independent, use
+/// [`Interleaved`](crate::Interleaved) (C = I).
 ///
 /// Cost: n_A products with C and n_C with A. Nothing of size n_A n_C squared is formed.
 ///

@@ -77,7 +77,8 @@ mod sprs {
     use varda_linalg::sparse::Ordering;
 
     impl SparsePrecision {
-        /// From a symmetric positive definite precision matrix P of which both triangles are stored (feature `sprs`).
+        /// From a symmetric positive definite precision matrix P of which both triangles are stored (feature
+        /// `sprs`).
         ///
         /// ```
         /// use sprs::TriMat;

@@ -8,6 +8,17 @@ use varda_linalg::dense::Cholesky;
 /// A dense covariance of full rank, kept as its lower Cholesky factor: B = L Lᵀ, B^{1/2} = L.
 ///
 /// n²/2 multiplications for `root`, `root_transpose` and `whiten`, n² for `apply` and `solve`.
+///
+/// ```
+/// use varda_covariance::{Covariance, Dense};
+///
+/// // [[4, 2], [2, 5]] = L Lᵀ with L = [[2, 0], [1, 2]]
+/// let b = Dense::new(2, &[4.0, 2.0, 2.0, 5.0])?;
+/// let mut x = [0.0; 2];
+/// b.root(&[1.0, 1.0], &mut x);
+/// assert_eq!(x, [2.0, 3.0]);
+/// # Ok::<(), varda_covariance::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Dense {
     factor: Cholesky,
@@ -19,7 +30,8 @@ impl Dense {
     /// # Errors
     ///
     /// [`Error::Size`], [`Error::NonFinite`], [`Error::NotSymmetric`] for what is not such a matrix,
-    /// [`Error::Singular`] if it has no usable Cholesky root, [`Error::NotPositiveDefinite`] if it is no covariance.
+    /// [`Error::Singular`] if it has no usable Cholesky root, [`Error::NotPositiveDefinite`] if it is no
+    /// covariance.
     pub fn new(n: usize, matrix: &[f64]) -> Result<Self, Error> {
         check_matrix(n, matrix)?;
         Ok(Self { factor: Cholesky::well_determined(n, matrix)? })
@@ -124,9 +136,8 @@ mod tests {
 
         let (dense, truncated) = new(2, &[1.0, 2.0, 2.0, 1.0]);
         assert_eq!(dense, Some(Error::NotPositiveDefinite { pivot: 1, value: -3.0, variance: 1.0 }));
-        assert!(
-            matches!(truncated, Some(Error::NotPositiveSemidefinite { value, .. }) if (value + 1.0).abs() < 1e-14)
-        );
+        assert!(matches!(truncated, Some(Error::NotPositiveSemidefinite { value, .. })
+                if (value + 1.0).abs() < 1e-14));
         let pivoted = Truncated::pivoted_cholesky(2, &[1.0, 2.0, 2.0, 1.0], 0.0).err();
         assert_eq!(pivoted, Some(Error::NotPositiveSemidefinite { value: -3.0, largest: 1.0 }));
 

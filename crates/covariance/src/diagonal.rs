@@ -5,18 +5,29 @@ use crate::error::Error;
 use crate::operator::{Covariance, Precision};
 
 /// B = diag(σ₁², …, σ_n²), B^{1/2} = diag(σ₁, …, σ_n).
+///
+/// ```
+/// use varda_covariance::{Diagonal, Precision};
+///
+/// let r = Diagonal::new(vec![0.5, 2.0])?;
+/// let mut white = [0.0; 2];
+/// r.whiten(&[1.0, 1.0], &mut white);
+/// assert_eq!(white, [2.0, 0.5]);
+/// # Ok::<(), varda_covariance::Error>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Diagonal {
     sigma: Vec<f64>,
 }
 
 impl Diagonal {
-    /// From the standard deviation of every component, each in its component's unit. None at all is allowed: R of no
-    /// observations.
+    /// From the standard deviation of every component, each in its component's unit. None at all is allowed:
+    /// R of no observations.
     ///
     /// # Errors
     ///
-    /// [`Error::Parameter`] for a standard deviation that is not positive and finite, or whose square is neither.
+    /// [`Error::Parameter`] for a standard deviation that is not positive and finite, or whose square is
+    /// neither.
     pub fn new(sigma: Vec<f64>) -> Result<Self, Error> {
         match sigma.iter().find(|&&sigma| !(sigma > 0.0 && (sigma * sigma).is_normal())) {
             Some(&value) => Err(Error::Parameter { what: "standard deviation", value, range: "positive" }),

@@ -10,26 +10,28 @@ use varda_linalg::sparse::{Cholesky, Ordering};
 /// Errors correlated by M steps of implicit diffusion on a grid:
 ///
 /// ```text
-/// B^{1/2} = Σ N A^{−M/2},   A = I − ℓ² Δ_h,   ℓ = L / (2M − d)^{1/2},   N_ii = ((A^{−M})_ii)^{−1/2}
+/// B^{1/2} = Σ N A^{−M/2},   A = I − ℓ² Δ_h,   ℓ = L / (2M − d)^{1/2}
+/// N_ii = ((A^{−M})_ii)^{−1/2}
 /// ```
 ///
-/// Σ holds the standard deviations, N normalises the variance to 1 at every point, ends included. The correlation is a Matérn function of
-/// ν = M − d/2 and length L, that of [`Kernel`](crate::Kernel), nearly Gaussian for large M.
+/// Σ holds the standard deviations, N normalises the variance to 1 at every point, ends included. The
+/// correlation is a Matérn function of ν = M − d/2 and length L, that of [`Kernel`](crate::Kernel),
+/// nearly Gaussian for large M.
 ///
 /// # When to use
 ///
-/// Smooth fields on large grids, with a standard deviation that may vary from point to point. For rough ones (M = 1) use
-/// [`SparsePrecision`](crate::SparsePrecision).
+/// Smooth fields on large grids, with a standard deviation that may vary from point to point. For rough ones
+/// (M = 1) use [`SparsePrecision`](crate::SparsePrecision).
 ///
 /// # Limitations
 ///
-/// M is even, the length the same everywhere. Beyond an end of the grid that is not periodic the field is mirrored: correlations within a
-/// length L of it are larger.
+/// M is even, the length the same everywhere. Beyond an end of the grid that is not periodic the field is
+/// mirrored: correlations within a length L of it are larger.
 ///
 /// # Cost
 ///
-/// One sparse factorization, some n^{3/2} operations on a square of n points; M/2 solves of n log n for a root, exact normalisation
-/// by cosines in n (n_x + n_y). Memory: the factor.
+/// One sparse factorization, some n^{3/2} operations on a square of n points; M/2 solves of n log n for a
+/// root, exact normalisation by cosines in n (n_x + n_y). Memory: the factor.
 ///
 /// # References
 ///
@@ -64,8 +66,8 @@ impl Diffusion {
     ///
     /// # Errors
     ///
-    /// [`Error::Size`] unless there is a σ for every point; [`Error::Parameter`] for a σ or L that is not positive and finite, an M that
-    /// is odd or not above d/2.
+    /// [`Error::Size`] unless there is a σ for every point; [`Error::Parameter`] for a σ or L that is not
+    /// positive and finite, an M that is odd or not above d/2.
     pub fn new(grid: Grid, sigma: &[f64], length: f64, steps: usize) -> Result<Self, Error> {
         let n = grid.dim();
         if sigma.len() != n {

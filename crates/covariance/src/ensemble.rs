@@ -10,17 +10,30 @@ use varda_linalg::{axpy, dot_in_lanes};
 /// The localized covariance of an ensemble of N members (Schur product, Houtekamer and Mitchell 2001):
 ///
 /// ```text
-/// B_e = C ∘ (X Xᵀ),   X = [x₁ − x̄, …, x_N − x̄] / √(N−1),   C = Σ_j c_j c_jᵀ   (r columns)
+/// B_e = C ∘ (X Xᵀ),   X = [x₁ − x̄, …, x_N − x̄] / √(N−1)
+/// C = Σ_j c_j c_jᵀ   (r columns)
 /// ```
 ///
-/// Its square root is the modulated ensemble (Bishop, Whitaker and Lei 2017): the N r columns x_i ∘ c_j, so that
+/// Its square root is the modulated ensemble (Bishop, Whitaker and Lei 2017): the N r columns x_i ∘ c_j, so
+/// that
 ///
 /// ```text
 /// B_e^{1/2} v = Σ_i x_i ∘ (C^{1/2} v_i),   v = [v₁, …, v_N],   v_i of length r,
 /// ```
 ///
-/// the control vector of Lorenc (2003). Nothing of size n × N r is formed: a root costs n N r operations, the memory is
-/// n (N + r) numbers. Without localization r = 1 and C is all ones.
+/// the control vector of Lorenc (2003). Nothing of size n × N r is formed: a root costs n N r operations,
+/// the memory is n (N + r) numbers. Without localization r = 1 and C is all ones.
+///
+/// ```
+/// use varda_covariance::{Covariance, Ensemble, Localization};
+///
+/// // members (1, 0) and (3, 2)
+/// let b = Ensemble::new(&[1.0, 0.0, 3.0, 2.0], Localization::none(2))?;
+/// let mut column = [0.0; 2];
+/// b.apply(&[1.0, 0.0], &mut column);
+/// assert_eq!(column, [2.0, 2.0]);
+/// # Ok::<(), varda_covariance::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Ensemble {
     n: usize,
@@ -33,8 +46,8 @@ pub struct Ensemble {
 
 /// A correlation matrix C that multiplies a sample covariance element by element, by a root of r columns.
 ///
-/// Its rows are scaled to unit length after truncation: C has a diagonal of exactly ones up to rounding, and localization leaves
-/// variances alone.
+/// Its rows are scaled to unit length after truncation: C has a diagonal of exactly ones up to rounding, and
+/// localization leaves variances alone.
 #[derive(Debug, Clone)]
 pub struct Localization {
     n: usize,
@@ -43,10 +56,22 @@ pub struct Localization {
     rows: Vec<f64>,
 }
 
-/// B = β_s² B_s + β_e² B_e (Hamill and Snyder 2000), with the root [β_s U_s, β_e U_e] (Lorenc 2003): v is that of the
-/// static part followed by that of the ensemble.
+/// B = β_s² B_s + β_e² B_e (Hamill and Snyder 2000), with the root [β_s U_s, β_e U_e] (Lorenc 2003): v
+/// is that of the static part followed by that of the ensemble.
 ///
 /// A weight of zero leaves the other part alone: its share of v then has no effect.
+///
+/// ```
+/// use varda_covariance::{Covariance, Diagonal, Ensemble, Hybrid, Localization};
+///
+/// let climate = Diagonal::uniform(2, 3.0)?;
+/// let ensemble = Ensemble::new(&[1.0, 0.0, 3.0, 2.0], Localization::none(2))?;
+/// let b = Hybrid::new(&climate, 1.0, ensemble, 0.5)?;
+/// let mut variance = [0.0; 2];
+/// b.variance(&mut variance);
+/// assert_eq!(variance, [9.5, 9.5]);
+/// # Ok::<(), varda_covariance::Error>(())
+/// ```
 #[derive(Clone)]
 pub struct Hybrid<'a> {
     static_part: &'a dyn Covariance,
@@ -77,12 +102,14 @@ impl Localization {
 }
 
 impl Localization {
-    /// From a symmetric positive semidefinite n × n matrix with a positive diagonal, row by row: its eigen root
-    /// ([`Truncated::eigen`]) of the eigenvalues above `tolerance` times the largest, rows scaled to unit length.
+    /// From a symmetric positive semidefinite n × n matrix with a positive diagonal, row by row: its eigen
+    /// root ([`Truncated::eigen`]) of the eigenvalues above `tolerance` times the largest, rows scaled to
+    /// unit length.
     ///
     /// # Errors
     ///
-    /// Those of [`Truncated::eigen`]; [`Error::Parameter`] for a component of which the truncation leaves nothing.
+    /// Those of [`Truncated::eigen`]; [`Error::Parameter`] for a component of which the truncation leaves
+    /// nothing.
     pub fn new(n: usize, matrix: &[f64], tolerance: f64) -> Result<Self, Error> {
         let root = Truncated::eigen(n, matrix, tolerance)?;
         let rank = root.root_dim();
@@ -108,12 +135,13 @@ impl Localization {
         Ok(Self { n, rank, rows })
     }
 
-    /// C(i, j) = t(d(i, j)) with a taper t of the distance d between the places of components i and j (`distance(i, j)` is
-    /// asked for j ≤ i; components at one place have the distance 0).
+    /// C(i, j) = t(d(i, j)) with a taper t of the distance d between the places of components i and j
+    /// (`distance(i, j)` is asked for j ≤ i; components at one place have the distance 0).
     ///
     /// # Errors
     ///
-    /// As [`new`](Self::new): a taper that is no covariance for this distance (see [`Taper`]) is found out here.
+    /// As [`new`](Self::new): a taper that is no covariance for this distance (see [`Taper`]) is found out
+    /// here.
     pub fn by_distance(
         taper: Taper,
         n: usize,
@@ -137,8 +165,8 @@ impl Ensemble {
     ///
     /// # Errors
     ///
-    /// [`Error::Size`] for fewer than two members or a broken one, [`Error::NonFinite`] (row: the component, column: the
-    /// member) for a value that is not finite.
+    /// [`Error::Size`] for fewer than two members or a broken one, [`Error::NonFinite`] (row: the component,
+    /// column: the member) for a value that is not finite.
     pub fn new(members: &[f64], localization: Localization) -> Result<Self, Error> {
         let n = localization.n;
         let count = members.len() / n.max(1);
@@ -154,8 +182,9 @@ impl Ensemble {
         Ok(Self { mean, ..Self::from_perturbations(&columns, localization)? })
     }
 
-    /// From the columns of X themselves, one after the other, already scaled (B_e = C ∘ (X Xᵀ)), about a mean of zero. They
-    /// need not sum to zero: any square root will do, of a propagated posterior for example.
+    /// From the columns of X themselves, one after the other, already scaled (B_e = C ∘ (X Xᵀ)), about a
+    /// mean of zero. They need not sum to zero: any square root will do, of a propagated posterior for
+    /// example.
     ///
     /// # Errors
     ///
@@ -289,8 +318,8 @@ impl<'a> Hybrid<'a> {
     ///
     /// # Errors
     ///
-    /// [`Error::Size`] for parts of different size; [`Error::Parameter`] for a weight that is negative or not finite;
-    /// [`Error::Zero`] for two weights of zero.
+    /// [`Error::Size`] for parts of different size; [`Error::Parameter`] for a weight that is negative or not
+    /// finite; [`Error::Zero`] for two weights of zero.
     pub fn new(
         static_part: &'a dyn Covariance,
         static_weight: f64,

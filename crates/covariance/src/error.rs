@@ -50,7 +50,8 @@ pub enum Error {
     },
     /// Cholesky met a clearly negative pivot: the matrix is no covariance at all.
     #[error(
-        "the matrix is not positive definite, so it is no covariance: pivot {pivot} is {value:e}, its variance {variance:e}"
+        "the matrix is not positive definite, so it is no covariance: pivot {pivot} is {value:e}, \
+         its variance {variance:e}"
     )]
     NotPositiveDefinite {
         /// Index of the pivot.
@@ -62,9 +63,10 @@ pub enum Error {
     },
     /// Cholesky met a pivot that is zero to rounding: there is no usable Cholesky root and no inverse.
     #[error(
-        "the covariance is singular to working precision and has no usable Cholesky root: pivot {pivot} is {value:e}, not \
-         above rounding in its variance {variance:e} ({tolerance:e}); localize the kernel with a compact taper (triangle, \
-         Gaspari–Cohn), shorten its length, or take a truncated root (eigen or pivoted Cholesky), which needs no inverse"
+        "the covariance is singular to working precision and has no usable Cholesky root: pivot \
+         {pivot} is {value:e}, not above rounding in its variance {variance:e} ({tolerance:e}); localize the \
+         kernel with a compact taper (triangle, Gaspari–Cohn), shorten its length, or take a truncated \
+         root (eigen or pivoted Cholesky), which needs no inverse"
     )]
     Singular {
         /// Index of the pivot.
@@ -76,9 +78,11 @@ pub enum Error {
         /// The value it had to exceed.
         tolerance: f64,
     },
-    /// An eigenvalue (or, in a pivoted Cholesky, a remaining variance) is more negative than what is counted as zero.
+    /// An eigenvalue (or, in a pivoted Cholesky, a remaining variance) is more negative than what is counted
+    /// as zero.
     #[error(
-        "the matrix is not positive semidefinite, so it is no covariance: {value:e} against a largest of {largest:e}"
+        "the matrix is not positive semidefinite, so it is no covariance: {value:e} against a largest of \
+         {largest:e}"
     )]
     NotPositiveSemidefinite {
         /// The most negative eigenvalue or remaining variance.
@@ -100,7 +104,8 @@ pub enum Error {
     LinearAlgebra(varda_linalg::Error),
     /// The known points on which a kernel is conditioned are too close to tell apart, or coincide.
     #[error(
-        "known point {point} says nothing new: given the known points before it, its variance (relative to 1) is {value:e}; \
+        "known point {point} says nothing new: given the known points before it, its variance \
+         (relative to 1) is {value:e}; \
          they coincide or lie too close for this kernel"
     )]
     KnownPoints {

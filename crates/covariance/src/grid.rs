@@ -5,8 +5,8 @@ use varda_linalg::Structure;
 
 /// A regular grid on a line or a rectangle, for covariances given by a differential operator.
 ///
-/// Point (i, j) of a rectangle of n_x × n_y points is component i + n_x j. At the ends the field is mirrored (no flux, a zero
-/// normal derivative half a cell beyond the last point) unless the grid is periodic.
+/// Point (i, j) of a rectangle of n_x × n_y points is component i + n_x j. At the ends the field is mirrored
+/// (no flux, a zero normal derivative half a cell beyond the last point) unless the grid is periodic.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
     points: [usize; 2],
@@ -85,7 +85,8 @@ impl Grid {
         (structure, values)
     }
 
-    /// The diagonal of (c I − s Δ)^{−m}, from the eigenvectors of the Laplacian, which on these grids are cosines.
+    /// The diagonal of (c I − s Δ)^{−m}, from the eigenvectors of the Laplacian, which on these grids
+    /// are cosines.
     pub(crate) fn inverse_power_diagonal(&self, c: f64, s: f64, m: i32) -> Vec<f64> {
         let [nx, ny] = self.points;
         let (mu_x, square_x) = self.modes(0);

@@ -6,15 +6,16 @@ use varda_linalg::dot_in_lanes;
 
 /// A homogeneous covariance function: B(i, j) = σ² k(d_ij) t(d_ij), kernel k times taper t.
 ///
-/// Plain data. To draw errors from the kernel before localization and give B after it, use two of these, one with
-/// [`Taper::None`] (take a [`Truncated`](crate::Truncated) root of that one: smooth kernels are singular).
+/// Plain data. To draw errors from the kernel before localization and give B after it, use two of these, one
+/// with [`Taper::None`] (take a [`Truncated`](crate::Truncated) root of that one: smooth kernels are
+/// singular).
 ///
 /// # Positive semidefiniteness
 ///
-/// The elementwise product of two positive semidefinite matrices is one (Schur 1911), so k t is a covariance wherever
-/// both k and t are. All kernels here are, for Euclidean distances in any dimension; the triangle only for |s_i − s_j|
-/// in one dimension; Gaspari–Cohn in up to three. Along a closed curve, or for any other distance, nothing is
-/// promised: the factorization then decides, with a typed error.
+/// The elementwise product of two positive semidefinite matrices is one (Schur 1911), so k t is a covariance
+/// wherever both k and t are. All kernels here are, for Euclidean distances in any dimension; the triangle
+/// only for |s_i − s_j| in one dimension; Gaspari–Cohn in up to three. Along a closed curve, or for any
+/// other distance, nothing is promised: the factorization then decides, with a typed error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CovarianceFunction {
     /// Standard deviation σ of every component, in the unit of the field.
@@ -28,8 +29,8 @@ pub struct CovarianceFunction {
 /// A correlation kernel k(d), k(0) = 1, with correlation length L [m, or the unit of d].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Kernel {
-    /// k = exp(−d²/(2L²)). Infinitely smooth, hence singular in floating point where L covers a few points: the
-    /// condition number is 1e25 for a hundred points over 5 L.
+    /// k = exp(−d²/(2L²)). Infinitely smooth, hence singular in floating point where L covers a few
+    /// points: the condition number is 1e25 for a hundred points over 5 L.
     Gaussian {
         /// Correlation length L.
         length: f64,
@@ -51,7 +52,8 @@ pub enum Kernel {
     },
 }
 
-/// A localization t(d), t(0) = 1. `support` is the distance L_loc from which on t is zero, for every taper alike.
+/// A localization t(d), t(0) = 1. `support` is the distance L_loc from which on t is zero, for every taper
+/// alike.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Taper {
     /// t = 1.
@@ -61,8 +63,8 @@ pub enum Taper {
         /// L_loc.
         support: f64,
     },
-    /// The fifth-order piecewise rational function of Gaspari and Cohn (1999), equation (4.10), whose c is half the
-    /// support: c = L_loc/2, t = 0 for d ≥ 2c = L_loc. With z = d/c,
+    /// The fifth-order piecewise rational function of Gaspari and Cohn (1999), equation (4.10), whose c is
+    /// half the support: c = L_loc/2, t = 0 for d ≥ 2c = L_loc. With z = d/c,
     ///
     /// ```text
     /// t = 1 − 5z²/3 + 5z³/8 + z⁴/2 − z⁵/4                       0 ≤ z ≤ 1
@@ -138,11 +140,13 @@ impl Taper {
 }
 
 impl CovarianceFunction {
-    /// The symmetric n × n matrix σ² k(|s_i − s_j|) t(|s_i − s_j|) of the places s along a line, row by row.
+    /// The symmetric n × n matrix σ² k(|s_i − s_j|) t(|s_i − s_j|) of the places s along a line, row
+    /// by row.
     ///
     /// # Errors
     ///
-    /// [`Error::Parameter`] for σ, L or L_loc that is not positive, [`Error::NonFinite`] for a place that is not finite.
+    /// [`Error::Parameter`] for σ, L or L_loc that is not positive, [`Error::NonFinite`] for a place that is
+    /// not finite.
     pub fn matrix(&self, places: &[f64]) -> Result<Vec<f64>, Error> {
         self.conditioned_matrix(places, &[])
     }
@@ -162,8 +166,9 @@ impl CovarianceFunction {
     /// B = σ² (k_ff − k_fc k_cc⁻¹ k_cf) ∘ t_ff
     /// ```
     ///
-    /// The kernel is conditioned first, the taper multiplies afterwards, elementwise. The variance is nowhere raised, and
-    /// is zero at a free place that is also known (such a B has no Cholesky root: leave known points out).
+    /// The kernel is conditioned first, the taper multiplies afterwards, elementwise. The variance is nowhere
+    /// raised, and is zero at a free place that is also known (such a B has no Cholesky root: leave known
+    /// points out).
     ///
     /// # Errors
     ///
@@ -173,8 +178,8 @@ impl CovarianceFunction {
         self.conditioned_matrix_by(free.len(), known.len(), |i, j| (place(i) - place(j)).abs())
     }
 
-    /// Like [`conditioned_matrix`](Self::conditioned_matrix) with any distance between points, of which 0 … free − 1 are
-    /// free and free … free + known − 1 known.
+    /// Like [`conditioned_matrix`](Self::conditioned_matrix) with any distance between points, of which 0 …
+    /// free − 1 are free and free … free + known − 1 known.
     ///
     /// # Errors
     ///
@@ -265,7 +270,8 @@ mod tests {
         close(Kernel::Matern32 { length: 3.0_f64.sqrt() }.at(1.0), 2.0 / e);
         close(Kernel::Matern52 { length: 5.0_f64.sqrt() }.at(1.0), (7.0 / 3.0) / e);
         close(Taper::Triangle { support: 4.0 }.at(1.0), 0.75);
-        // Gaspari & Cohn (4.10) at z = 1: −1/4 + 1/2 + 5/8 − 5/3 + 1 = 5/24; at z = 3/2: 19/1152 (both in fractions).
+        // Gaspari & Cohn (4.10) at z = 1: −1/4 + 1/2 + 5/8 − 5/3 + 1 = 5/24; at z = 3/2: 19/1152 (both in
+        // fractions).
         close(Taper::GaspariCohn { support: 2.0 }.at(1.0), 5.0 / 24.0);
         close(Taper::GaspariCohn { support: 2.0 }.at(1.5), 19.0 / 1152.0);
         for taper in [Taper::Triangle { support: 2.0 }, Taper::GaspariCohn { support: 2.0 }] {

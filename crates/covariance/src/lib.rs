@@ -1,37 +1,54 @@
 //! Covariance operators for data assimilation: background errors B and observation errors R.
 //!
-//! A covariance is known by what it does to a vector: the product B x, the square root B^{1/2} v with its transpose, and
-//! where the rank is full the inverse B⁻¹ x and B^{-1/2} x ([`Covariance`], [`Precision`]). Built from
+//! A covariance is known by what it does to a vector: the product B x, the square root B^{1/2} v with its
+//! transpose, and where the rank is full the inverse B⁻¹ x and the whitening B^{-1/2} x with its transpose
+//! ([`Covariance`], [`Precision`]). A reference, `Box`, `Rc` or `Arc` of a covariance is one.
 //!
-//! - a [`Kernel`] (Gaussian, Matérn) times a [`Taper`] (triangle, Gaspari–Cohn) over points, on request conditioned exactly
-//!   on points without error ([`CovarianceFunction`]);
-//! - a band, for points along a line and a taper of compact support ([`Banded`]): linear in their number;
-//! - a dense matrix, through its Cholesky root ([`Dense`]) or, where it is singular, a root of truncated rank ([`Truncated`]);
-//! - a standard deviation per component ([`Diagonal`]);
-//! - an [`Ensemble`], localized ([`Localization`]), and its [`Hybrid`] with a static covariance;
-//! - other covariances: one shared by the components of a vector field ([`Interleaved`]), several side by side ([`BlockDiagonal`]).
+//! | type | B | use it for | cost of a root | inverse |
+//! |---|---|---|---|---|
+//! | [`Diagonal`] | diag(σ²) | independent errors | n | yes |
+//! | [`Dense`] | a matrix, by Cholesky | up to a few thousand points | n² | yes |
+//! | [`Truncated`] | a matrix, to a rank r | smooth kernels, singular matrices | n r | no |
+//! | [`Banded`] | a kernel of compact support along a line | 10⁵ points of a line | n w | yes |
+//! | [`SparsePrecision`] | a sparse P⁻¹; Matérn fields | grids and meshes, 10⁵ points | a solve | yes |
+//! | [`Diffusion`] | implicit diffusion, σ exact | smooth fields, 10⁵ points | M/2 sparse solves | yes |
+//! | [`Ensemble`], [`Hybrid`] | localized, and with a static part | errors of the flow | n N r | no |
+//! | [`Interleaved`] | C ⊗ I | x, y, z of a vector field | as its part | as its part |
+//! | [`BlockDiagonal`] | diag(B₁, B₂, …) | positions and velocities | as its parts | as its parts |
+//! | [`Kronecker`] | A ⊗ C | space and time, correlated variables | as its parts | as its parts |
+//! | [`Scaled`] | D C D | standard deviations apart from correlations | as its part | as its part |
+//! | [`Sum`] | B₁ + B₂ + … | errors of several origins | as its parts | no |
 //!
-//! [`sample()`] draws from N(0, B); [`Spectrum`] says how well conditioned it is.
+//! Matrices come from a [`CovarianceFunction`]: a [`Kernel`] (Gaussian, Matérn) times a [`Taper`] (triangle,
+//! Gaspari–Cohn), on request conditioned on points without error. [`sample()`] draws from N(0, B);
+//! [`Spectrum`] says how well conditioned it is.
+//!
+//! # Features
+//!
+//! `nalgebra`: [`Dense`] from a `DMatrix`, any covariance to one. `sprs`: [`SparsePrecision`] from a `CsMat`.
+//! Off by default: slices are what every method takes.
 //!
 //! # Range
 //!
-//! Measured by the suite `stiff` (`docs/results/stability.md`): Cholesky roots up to condition numbers of some 1e12, far beyond that a typed
-//! error; truncated roots at any (a Gaussian kernel as long as half the line), to n ε of the largest eigenvalue.
-//! [`Spectrum::reliable_condition_number`] tells only condition numbers that double precision knows. [`Banded`] takes 10⁵ points in
-//! 9 MB and some hundredths of a second.
+//! Measured by the suite `stiff` (`docs/results/stability.md`): Cholesky roots up to condition numbers of
+//! some 1e12, far beyond that a typed error; truncated roots at any (a Gaussian kernel as long as half the
+//! line), to n ε of the largest eigenvalue. [`Spectrum::reliable_condition_number`] tells only condition
+//! numbers that double precision knows.
 //!
 //! # When not to use it
 //!
-//! Roots are dense but for [`Banded`]: n² numbers, n³/3 operations to build. Up to a few thousand points per block that is quick;
-//! beyond, and in more than one dimension, B wants a sparse or spectral root, which this crate does not have. Implement [`Covariance`] for your own type: everything
-//! above this crate asks for the trait alone.
+//! On the sphere, on spectral grids, or in three dimensions beyond some 10⁵ points, where a sparse factor
+//! fills up. Implement [`Covariance`] for your own type: everything above this crate asks for the trait
+//! alone.
 //!
 //! # Example
 //!
-//! Errors in position and velocity of 21 points along one metre, correlated along the line, x y z independent:
+//! Errors in position and velocity of 21 points along one metre, correlated along the line, x y z
+//! independent:
 //!
 //! ```
-//! use varda_covariance::{BlockDiagonal, Covariance, CovarianceFunction, Dense, Interleaved, Kernel, Precision, Taper, sample};
+//! use varda_covariance::{BlockDiagonal, Covariance, CovarianceFunction, Dense, Interleaved};
+//! use varda_covariance::{Kernel, Precision, Taper, sample};
 //!
 //! let places: Vec<f64> = (0..21).map(|i| 0.05 * i as f64).collect();
 //! let position = CovarianceFunction {

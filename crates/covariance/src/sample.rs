@@ -5,7 +5,8 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::operator::Covariance;
 
-/// A draw from N(0, B): B^{1/2} ξ with ξ of `root_dim` independent standard normals from the caller's generator.
+/// A draw from N(0, B): B^{1/2} ξ with ξ of `root_dim` independent standard normals from the caller's
+/// generator.
 ///
 /// The same generator state gives the same draw: use one stream per purpose, and record its seed.
 pub fn sample<R: Rng + ?Sized>(covariance: &(impl Covariance + ?Sized), rng: &mut R) -> Vec<f64> {

@@ -2,7 +2,8 @@
 
 use std::sync::{Mutex, PoisonError};
 
-/// A buffer behind one lock: share a covariance between threads freely, clone it where they would wait for each other.
+/// A buffer behind one lock: share a covariance between threads freely, clone it where they would wait for
+/// each other.
 #[derive(Debug)]
 pub(crate) struct Scratch(Mutex<Vec<f64>>);
 

@@ -6,13 +6,14 @@ use crate::operator::Covariance;
 /// The eigenvalues λ₁ ≥ λ₂ ≥ … ≥ λ_n of a covariance. See [`Spectrum::of`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spectrum {
-    /// All n eigenvalues, descending, in the square of the field's unit. Those of a singular covariance may be round-off of either sign.
+    /// All n eigenvalues, descending, in the square of the field's unit. Those of a singular covariance may
+    /// be round-off of either sign.
     pub eigenvalues: Vec<f64>,
 }
 
 impl Spectrum {
-    /// The eigenvalues of a covariance, which is formed column by column: n products, O(n³) time, O(n²) memory. For a
-    /// covariance made of smaller ones, those of its parts are cheaper.
+    /// The eigenvalues of a covariance, which is formed column by column: n products, O(n³) time, O(n²)
+    /// memory. For a covariance made of smaller ones, those of its parts are cheaper.
     ///
     /// ```
     /// use varda_covariance::{Diagonal, Spectrum};
@@ -24,7 +25,8 @@ impl Spectrum {
     ///
     /// # Errors
     ///
-    /// [`Error::Eigen`] if the eigenvalue iteration fails, [`Error::NonFinite`] if `apply` gave a value that is not finite.
+    /// [`Error::Eigen`] if the eigenvalue iteration fails, [`Error::NonFinite`] if `apply` gave a value that
+    /// is not finite.
     pub fn of(covariance: &(impl Covariance + ?Sized)) -> Result<Self, Error> {
         let n = covariance.dim();
         let mut matrix = vec![0.0; n * n];
@@ -46,7 +48,8 @@ impl Spectrum {
         Self { eigenvalues }
     }
 
-    /// λ₁/λ_n; infinite if λ_n ≤ 0. Beyond 1/(n ε) it says no more than "singular". NaN without eigenvalues.
+    /// λ₁/λ_n; infinite if λ_n ≤ 0. Beyond 1/(n ε) it says no more than "singular". NaN without
+    /// eigenvalues.
     pub fn condition_number(&self) -> f64 {
         match (self.eigenvalues.first(), self.eigenvalues.last()) {
             (Some(largest), Some(smallest)) if *smallest > 0.0 => largest / smallest,
@@ -55,15 +58,16 @@ impl Spectrum {
         }
     }
 
-    /// The condition number where double precision knows it: `None` where λ_n is not above n ε λ₁, the rounding of the eigenvalues. The
-    /// condition is then above 1/(n ε), some 1e16/n: "above 1e16" for all that arithmetic can tell.
+    /// The condition number where double precision knows it: `None` where λ_n is not above n ε λ₁, the
+    /// rounding of the eigenvalues. The condition is then above 1/(n ε), some 1e16/n: "above 1e16" for all
+    /// that arithmetic can tell.
     pub fn reliable_condition_number(&self) -> Option<f64> {
         let (largest, smallest) = (*self.eigenvalues.first()?, *self.eigenvalues.last()?);
         (smallest > self.eigenvalues.len() as f64 * f64::EPSILON * largest).then(|| largest / smallest)
     }
 
-    /// (Σ λ)² / Σ λ²: the number of equal eigenvalues that would spread the variance as widely (Bretherton et al. 1999).
-    /// Between 1 and n.
+    /// (Σ λ)² / Σ λ²: the number of equal eigenvalues that would spread the variance as widely
+    /// (Bretherton et al. 1999). Between 1 and n.
     pub fn effective_rank(&self) -> f64 {
         let squares: f64 = self.eigenvalues.iter().map(|value| value * value).sum();
         self.total_variance().powi(2) / squares

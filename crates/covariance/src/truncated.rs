@@ -6,9 +6,19 @@ use crate::operator::Covariance;
 use crate::spectrum::Spectrum;
 use varda_linalg::{Eigen, axpy, dot_in_lanes};
 
-/// A dense covariance B = U Uᵀ of rank r ≤ n: U is n × r. No inverse; a draw from it lies in the span of U.
+/// A dense covariance B = U Uᵀ of rank r ≤ n: U is n × r. No inverse; a draw from it lies in the span of
+/// U.
 ///
 /// The way to a root of a singular covariance, such as a smooth kernel without a taper.
+///
+/// ```
+/// use varda_covariance::{Covariance, Truncated};
+///
+/// // two components that always err alike: rank 1
+/// let b = Truncated::eigen(2, &[1.0, 1.0, 1.0, 1.0], 1e-10)?;
+/// assert_eq!((b.dim(), b.root_dim()), (2, 1));
+/// # Ok::<(), varda_covariance::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Truncated {
     n: usize,
@@ -18,15 +28,17 @@ pub struct Truncated {
 }
 
 impl Truncated {
-    /// The eigen root of a symmetric positive semidefinite n × n matrix given row by row: with eigenvalues λ₁ ≥ λ₂ ≥ …
-    /// and eigenvectors e_k, column k of U is √λ_k e_k, for every λ_k > τ λ₁, τ = max(`tolerance`, n ε). The best
-    /// approximation of its rank (Eckart and Young 1936): |B − U Uᵀ|₂ ≤ τ λ₁.
+    /// The eigen root of a symmetric positive semidefinite n × n matrix given row by row: with eigenvalues
+    /// λ₁ ≥ λ₂ ≥ … and eigenvectors e_k, column k of U is √λ_k e_k, for every λ_k > τ λ₁,
+    /// τ = max(`tolerance`, n ε). The best approximation of its rank (Eckart and Young 1936): |B − U
+    /// Uᵀ|₂ ≤ τ λ₁.
     ///
     /// # Errors
     ///
     /// [`Error::Parameter`] for a tolerance outside [0, 1); [`Error::Size`], [`Error::NonFinite`],
-    /// [`Error::NotSymmetric`] for what is not such a matrix; [`Error::NotPositiveSemidefinite`] for an eigenvalue below
-    /// −τ λ₁; [`Error::Zero`] for a zero matrix; [`Error::Eigen`] if the eigenvalue iteration fails.
+    /// [`Error::NotSymmetric`] for what is not such a matrix; [`Error::NotPositiveSemidefinite`] for an
+    /// eigenvalue below −τ λ₁; [`Error::Zero`] for a zero matrix; [`Error::Eigen`] if the eigenvalue
+    /// iteration fails.
     pub fn eigen(n: usize, matrix: &[f64], tolerance: f64) -> Result<Self, Error> {
         check_matrix(n, matrix)?;
         let tolerance = usable_tolerance(n, tolerance)?;
@@ -46,15 +58,17 @@ impl Truncated {
         Ok(Self::from_columns(n, columns, matrix))
     }
 
-    /// The root of a pivoted Cholesky factorization stopped at the rank where no variance left exceeds τ times the
-    /// largest variance, τ = max(`tolerance`, n ε) (Higham 2002, section 10.3): |B − U Uᵀ|_ij ≤ τ max b_ii. Costs n r²
-    /// against some 10 n³ of `eigen`. The same τ asks for more here, and keeps a higher rank: it is relative
-    /// to a variance at one point, where that of `eigen` is relative to λ₁, up to n times as large.
+    /// The root of a pivoted Cholesky factorization stopped at the rank where no variance left exceeds τ
+    /// times the largest variance, τ = max(`tolerance`, n ε) (Higham 2002, section 10.3): |B − U Uᵀ|_ij
+    /// ≤ τ max b_ii. Costs n r² against some 10 n³ of `eigen`. The same τ asks for more here, and keeps
+    /// a higher rank: it is relative to a variance at one point, where that of `eigen` is relative to λ₁,
+    /// up to n times as large.
     ///
     /// # Errors
     ///
     /// As `eigen`, where a remaining variance below −τ max b_ii takes the place of the eigenvalue. A
-    /// matrix that is indefinite without showing it on the diagonal is not found out: use `eigen` on data of doubtful origin.
+    /// matrix that is indefinite without showing it on the diagonal is not found out: use `eigen` on data of
+    /// doubtful origin.
     pub fn pivoted_cholesky(n: usize, matrix: &[f64], tolerance: f64) -> Result<Self, Error> {
         check_matrix(n, matrix)?;
         let tolerance = usable_tolerance(n, tolerance)?;

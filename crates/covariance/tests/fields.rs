@@ -28,7 +28,8 @@ proptest! {
 
     #[test]
     fn fields_on_grids_keep_their_promises(
-        grid in grids(), sigma in 0.01..100.0, length in 0.1..3.0, alpha in 2_usize..4, half in 1_usize..4, seed in 0_u64..1000,
+        grid in grids(), sigma in 0.01..100.0, length in 0.1..3.0, alpha in 2_usize..4, half in 1_usize..4,
+        seed in 0_u64..1000,
     ) {
         let n = grid.dim();
         let varying: Vec<f64> = (0..n).map(|i| sigma * (1.0 + i as f64)).collect();
@@ -52,7 +53,8 @@ proptest! {
             let function = CovarianceFunction { sigma, kernel, taper: Taper::None };
             function.matrix(&(0..n).map(|i| i as f64 / n as f64).collect::<Vec<_>>()).unwrap()
         };
-        let (a, c) = (Arc::new(Dense::new(n, &matrix(n)).unwrap()), Rc::new(Dense::new(m, &matrix(m)).unwrap()));
+        let a = Arc::new(Dense::new(n, &matrix(n)).unwrap());
+        let c = Rc::new(Dense::new(m, &matrix(m)).unwrap());
         let scaled = Scaled::new(a.clone(), (0..n).map(|i| 0.5 + i as f64).collect()).unwrap();
         let kronecker = Kronecker::new(&scaled, c.clone());
         let full = matrix(m);
@@ -80,7 +82,8 @@ proptest! {
     }
 }
 
-/// K_ν(x) x^ν 2^{1−ν} / Γ(ν): the Matérn correlation, by K_ν(x) = ∫₀^∞ exp(−x cosh t) cosh νt dt.
+/// K_ν(x) x^ν 2^{1−ν} / Γ(ν): the Matérn correlation, by K_ν(x) = ∫₀^∞ exp(−x cosh t) cosh
+/// νt dt.
 fn matern(nu: f64, gamma: f64, x: f64) -> f64 {
     if x == 0.0 {
         return 1.0;
@@ -110,7 +113,8 @@ fn stencils_are_matern_fields_on_lines() {
         for (i, value) in column.iter().enumerate() {
             let d = h * i.abs_diff(middle) as f64;
             let expected = sigma * sigma * kernel.at(d);
-            // The stencil's error is of the order of h²/L² = 2.5e-3; mirror images are 20 L away. Found: 3.1e-4, 9.3e-4, 5.2e-4.
+            // The stencil's error is of the order of h²/L² = 2.5e-3; mirror images are 20 L away. Found:
+            // 3.1e-4, 9.3e-4, 5.2e-4.
             assert!((value - expected).abs() <= 2.5e-3 * sigma * sigma, "{alpha} {d}: {value} {expected}");
         }
     }
@@ -222,7 +226,8 @@ fn draws_have_the_analytic_covariance() {
     }
     for (product, lag) in products.iter().zip(lags) {
         let expected = Kernel::Matern32 { length }.at(h * lag as f64);
-        // 4000 draws of some 6 independent patches: a standard error of 1 %; the stencil's own error is h²κ²/12 = 1 %
+        // 4000 draws of some 6 independent patches: a standard error of 1 %; the stencil's own error is
+        // h²κ²/12 = 1 %
         assert!((product - expected).abs() <= 0.04, "{lag}: {product} {expected}");
     }
 }

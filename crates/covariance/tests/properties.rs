@@ -77,7 +77,8 @@ proptest! {
             for (j, column) in columns(n, n, |x, y| b.apply(x, y)).iter().enumerate() {
                 for (i, value) in column.iter().enumerate() {
                     // Backward error of the factorization: n ε |B|₂ ≤ n² ε σ².
-                    prop_assert!((value - matrix[i * n + j]).abs() <= 4.0 * (n * n) as f64 * EPS * sigma * sigma);
+                    let bound = 4.0 * (n * n) as f64 * EPS * sigma * sigma;
+                    prop_assert!((value - matrix[i * n + j]).abs() <= bound);
                 }
             }
         }
@@ -85,7 +86,8 @@ proptest! {
 
     #[test]
     fn truncated_covariances_keep_their_promises(
-        function in functions(), s in places(1..30), tolerance in 0.0..0.2, c in 1_usize..3, seed in 0_u64..1000,
+        function in functions(), s in places(1..30), tolerance in 0.0..0.2, c in 1_usize..3,
+        seed in 0_u64..1000,
     ) {
         let n = s.len();
         let matrix = function.matrix(&s).unwrap();
@@ -113,12 +115,14 @@ proptest! {
 
     #[test]
     fn structured_spectra_are_those_of_the_whole(n in 1_usize..8, length in 0.02..2.0, s in places(1..8)) {
-        let smooth = CovarianceFunction { sigma: 1.0, kernel: Kernel::Gaussian { length }, taper: Taper::None };
+        let kernel = Kernel::Gaussian { length };
+        let smooth = CovarianceFunction { sigma: 1.0, kernel, taper: Taper::None };
         let truncated = Truncated::eigen(s.len(), &smooth.matrix(&s).unwrap(), 0.05).unwrap();
         let dense = Dense::new(n, &full_rank(n, 1.0, length)).unwrap();
         let diagonal: Vec<f64> = (1..=n).map(|i| i as f64).collect();
         // Interleaving repeats eigenvalues, blocks put them together.
-        let each = |values: Vec<f64>, times| values.into_iter().flat_map(move |v| std::iter::repeat_n(v, times));
+        let each =
+            |values: Vec<f64>, times| values.into_iter().flat_map(move |v| std::iter::repeat_n(v, times));
         let mut structured: Vec<f64> = each(truncated.spectrum().unwrap().eigenvalues, 2).collect();
         structured.extend(each(Spectrum::of(&dense).unwrap().eigenvalues, 3));
         structured.extend(diagonal.iter().map(|sigma| sigma * sigma));
@@ -152,7 +156,9 @@ proptest! {
     }
 
     #[test]
-    fn conditioning_removes_variance(function in functions(), s in places(1..20), gap in 0.1..0.5, known in 1_usize..4) {
+    fn conditioning_removes_variance(
+        function in functions(), s in places(1..20), gap in 0.1..0.5, known in 1_usize..4,
+    ) {
         let known: Vec<f64> = (0..known).map(|i| i as f64 * gap).collect();
         let mut free = known.clone();
         free.extend(&s);
@@ -232,8 +238,8 @@ fn draws_have_the_mean_and_the_covariance() {
                 }
             }
         }
-        // Standard errors of Gaussian moments: √(b_ii/N) and √((b_ii b_jj + b_ij²)/N) (Wishart). The largest of 65 lies within 4.5
-        // of them in all but 5 of 10 000 seeds.
+        // Standard errors of Gaussian moments: √(b_ii/N) and √((b_ii b_jj + b_ij²)/N) (Wishart). The
+        // largest of 65 lies within 4.5 of them in all but 5 of 10 000 seeds.
         let worst = |scale: f64| {
             let mut worst: f64 = 0.0;
             for i in 0..n {

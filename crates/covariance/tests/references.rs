@@ -1,5 +1,5 @@
-//! Against numbers from elsewhere: independent NumPy computations of a twin problem and of the hanging rod's prior, and what is
-//! known of singular kernels.
+//! Against numbers from elsewhere: independent NumPy computations of a twin problem and of the hanging rod's
+//! prior, and what is known of singular kernels.
 
 use varda_covariance::{
     Covariance, CovarianceFunction, Dense, Error, Interleaved, Kernel, Precision, Spectrum, Taper, Truncated,
@@ -13,7 +13,8 @@ fn even_places(n: usize) -> Vec<f64> {
     (0..n).map(|i| i as f64 / (n - 1) as f64).collect()
 }
 
-/// The linear 3D-Var twin: its B (a symmetric Toeplitz matrix, of which the first row is kept here) and condition number.
+/// The linear 3D-Var twin: its B (a symmetric Toeplitz matrix, of which the first row is kept here) and
+/// condition number.
 #[test]
 fn b_of_the_linear_twin() {
     let row: Vec<f64> =
@@ -37,7 +38,8 @@ fn b_of_the_linear_twin() {
     // An ε of the largest eigenvalue is cond ε of the smallest: n ε cond = 1e-10.
     assert!(relative(Spectrum::of(&b).unwrap().condition_number(), 4350.786829883308) <= 1e-10);
 
-    // tr(B − B Hᵀ (H B Hᵀ + R)⁻¹ H B), every fourth point observed with σ = 0.05: the twin's posterior trace.
+    // tr(B − B Hᵀ (H B Hᵀ + R)⁻¹ H B), every fourth point observed with σ = 0.05: the twin's
+    // posterior trace.
     let observed: Vec<usize> = (0..n).step_by(4).collect();
     let m = observed.len();
     let mut hbht: Vec<f64> = observed
@@ -59,7 +61,8 @@ fn b_of_the_linear_twin() {
     assert!(relative(trace, 0.5301318564552225) <= 1e-11, "{trace}");
 }
 
-/// The hanging rod, 25 segments over 1 m, vertices 0 and 1 clamped: prior variances of the free vertices' positions (σ = 0.05 m).
+/// The hanging rod, 25 segments over 1 m, vertices 0 and 1 clamped: prior variances of the free vertices'
+/// positions (σ = 0.05 m).
 #[test]
 fn prior_of_the_clamped_rod() {
     const VARIANCE: [f64; 24] = [
@@ -106,7 +109,8 @@ fn prior_of_the_clamped_rod() {
     // n ε cond = 6e-9 for the smallest eigenvalue, and the same cancellation in the entries.
     assert!(relative(Spectrum::of(&b).unwrap().condition_number(), 1177661.1386432357) <= 1e-7);
 
-    // Taken the other way round, taper before conditioning, the numbers differ: the order matters and is checked above.
+    // Taken the other way round, taper before conditioning, the numbers differ: the order matters and is
+    // checked above.
     let all: Vec<f64> = (0..26).map(place).collect();
     let full = function.matrix(&all).unwrap();
     let known = Dense::new(2, &[full[0], full[1], full[26], full[27]]).unwrap();
@@ -154,7 +158,8 @@ fn a_smooth_kernel_is_singular() {
     assert!(Spectrum::of(&b).unwrap().condition_number() < 1e5);
 }
 
-/// The triangle is a covariance along a line only: on a square lattice it is found out, where Gaspari–Cohn is not.
+/// The triangle is a covariance along a line only: on a square lattice it is found out, where Gaspari–Cohn
+/// is not.
 #[test]
 fn the_triangle_fails_in_two_dimensions() {
     let m = 12;

@@ -1,7 +1,7 @@
 //! Newton's method for a system of equations, globalized.
 
 use crate::{Equations, Error, Interval, Refusal};
-use varda_linalg::{Factor, LinearSolver, Structure};
+use varda_linalg::{Factor, LinearSolver, Structure, dot};
 
 /// Limits of the iteration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -424,8 +424,4 @@ enum Test {
     Curvature { phi: f64, slope: f64, curvature: f64 },
     /// The simplified update is smaller than du.
     Contraction { size: f64 },
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }

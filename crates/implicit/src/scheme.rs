@@ -9,12 +9,12 @@ use crate::Interval;
 /// ```text
 /// y = x* + η f(t*, y),   x* = a₀ x_k + a₁ x_{k−1},   x_{k+1} = b₀ y + b₁ x_k
 ///
-/// backward Euler  x* = x_k                               η = Δt              t* = t_{k+1}
-///                 x_{k+1} = y
-/// midpoint        x* = x_k                               η = Δt/2            t* = t_{k+½}
-///                 x_{k+1} = 2y − x_k
-/// BDF2            x* = ((1+ω)² x_k − ω² x_{k−1})/(1+2ω)  η = Δt(1+ω)/(1+2ω)  t* = t_{k+1}
-///                 x_{k+1} = y
+/// backward Euler   η = Δt               x* = x_k
+///                  t* = t_{k+1}         x_{k+1} = y
+/// midpoint         η = Δt/2             x* = x_k
+///                  t* = t_{k+½}         x_{k+1} = 2y − x_k
+/// BDF2             η = Δt(1+ω)/(1+2ω)   x* = ((1+ω)² x_k − ω² x_{k−1})/(1+2ω)
+///                  t* = t_{k+1}         x_{k+1} = y
 /// ```
 ///
 /// with ω = Δt/Δt_{k−1}, the ratio to the step before (BDF2 of variable step: Hairer, Nørsett and

@@ -58,8 +58,8 @@ mod sprs {
         /// The values of a sparse matrix in this layout, zero where it has no entry (feature `sprs`).
         ///
         /// # Errors
-        /// [`Error::Pattern`] for a matrix that is not square, or an entry outside the structure; [`Error::NotSymmetric`] for
-        /// a symmetric band.
+        /// [`Error::Pattern`] for a matrix that is not square, or an entry outside the structure;
+        /// [`Error::NotSymmetric`] for a symmetric band.
         pub fn values_from_csmat(&self, matrix: &CsMat<f64>) -> Result<Vec<f64>, Error> {
             let (n, columns) = matrix.shape();
             if n != columns {

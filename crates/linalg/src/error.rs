@@ -28,7 +28,8 @@ pub enum Error {
     },
     /// Cholesky met a negative pivot.
     #[error(
-        "the matrix is not positive definite: pivot {pivot} is {value:e}, from a diagonal entry of {diagonal:e}"
+        "the matrix is not positive definite: pivot {pivot} is {value:e}, from a diagonal entry of \
+         {diagonal:e}"
     )]
     NotPositiveDefinite {
         /// Index of the pivot.
@@ -40,7 +41,8 @@ pub enum Error {
     },
     /// Cholesky met a pivot that is zero to rounding.
     #[error(
-        "the matrix is singular to working precision: pivot {pivot} is {value:e}, not above rounding ({tolerance:e}) \
+        "the matrix is singular to working precision: pivot {pivot} is {value:e}, not above rounding \
+         ({tolerance:e}) \
          in its diagonal entry of {diagonal:e}"
     )]
     Singular {
@@ -88,8 +90,8 @@ pub enum Error {
 impl Error {
     /// Checks the pivot that row `pivot` of a Cholesky factorization was left with after `terms` products.
     ///
-    /// At most terms · ε a_ii counts as singular: rounding alone changes the pivot by that much, whatever its sign
-    /// (Higham 2002, theorem 10.3).
+    /// At most terms · ε a_ii counts as singular: rounding alone changes the pivot by that much, whatever
+    /// its sign (Higham 2002, theorem 10.3).
     pub(crate) fn check_pivot(terms: usize, pivot: usize, value: f64, diagonal: f64) -> Result<(), Error> {
         // the inverse of a subnormal number overflows
         let tolerance = (terms as f64 * f64::EPSILON * diagonal.abs()).max(f64::MIN_POSITIVE);

@@ -1,8 +1,8 @@
-//! Krylov methods for symmetric operators known by their products: conjugate gradients and Lanczos iteration, with full
-//! re-orthogonalisation.
+//! Krylov methods for symmetric operators known by their products: conjugate gradients and Lanczos iteration,
+//! with full re-orthogonalisation.
 //!
-//! When to use: products are expensive (a sweep of a model) and few are needed. When not: thousands of iterations, whose
-//! vectors are all kept.
+//! When to use: products are expensive (a sweep of a model) and few are needed. When not: thousands of
+//! iterations, whose vectors are all kept.
 
 use crate::vector::{axpy, dot, norm};
 use crate::{Eigen, Error};
@@ -25,11 +25,11 @@ pub struct CgEnd {
     pub residual: f64,
 }
 
-/// A x = b from x = 0 by conjugate gradients (Hestenes and Stiefel 1952) for a symmetric positive definite A of n rows, residuals
-/// re-orthogonalised twice, so that rounding does not delay convergence.
+/// A x = b from x = 0 by conjugate gradients (Hestenes and Stiefel 1952) for a symmetric positive definite A
+/// of n rows, residuals re-orthogonalised twice, so that rounding does not delay convergence.
 ///
-/// `product(p, out)` writes A p to `out` and returns pᵀ A p > 0, which a caller may know better than as an inner product: for
-/// A = I + GᵀG it is ‖p‖² + ‖G p‖².
+/// `product(p, out)` writes A p to `out` and returns pᵀ A p > 0, which a caller may know better than as an
+/// inner product: for A = I + GᵀG it is ‖p‖² + ‖G p‖².
 ///
 /// Cost of iteration k: one product and 4 k n operations. Memory: (4 + k) n.
 ///
@@ -48,7 +48,8 @@ pub struct CgEnd {
 /// ```
 ///
 /// # Errors
-/// Those of the products; [`Error::NonFiniteProduct`] for one that is not finite; [`Error::NegativeCurvature`] unless pᵀ A p > 0.
+/// Those of the products; [`Error::NonFiniteProduct`] for one that is not finite;
+/// [`Error::NegativeCurvature`] unless pᵀ A p > 0.
 ///
 /// # Panics
 /// If `b` and `x` differ in length.
@@ -195,7 +196,8 @@ pub struct LanczosLimits {
 pub type Product<'a, E> = dyn FnMut(&[f64], &mut [f64]) -> Result<(), E> + 'a;
 
 impl Lanczos {
-    /// For vectors of length n. Nothing can be asked of it before [`begin`](Self::begin) or [`run`](Self::run).
+    /// For vectors of length n. Nothing can be asked of it before [`begin`](Self::begin) or
+    /// [`run`](Self::run).
     pub fn new(n: usize) -> Self {
         Self { n, basis: Vec::new(), diagonal: Vec::new(), off_diagonal: Vec::new(), work: vec![0.0; n] }
     }
@@ -325,7 +327,8 @@ impl Lanczos {
     /// Last entry and norm of the y with T y = −‖g‖ e₁: the conjugate gradient iterate in the basis.
     fn galerkin(&self, length: f64) -> (f64, f64) {
         let k = self.iterations();
-        // T = L D Lᵀ; forward substitution gives the entries of D⁻¹L⁻¹b, the last of which is that of y.
+        // T = L D Lᵀ; forward substitution gives the entries of D⁻¹L⁻¹b, the last of which is that of
+        // y.
         let (mut pivots, mut y) = (vec![self.diagonal[0]], vec![-length / self.diagonal[0]]);
         for i in 1..k {
             let beta = self.off_diagonal[i - 1];

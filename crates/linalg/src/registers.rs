@@ -5,10 +5,11 @@ use std::hint::black_box;
 
 /// Leaves the upper halves of the vector registers clean.
 ///
-/// Dense products and eigenvalues (faer's kernels) return without clearing them, and code for narrow registers, which is most of a program,
-/// then runs at a third of its speed on some processors (x86 with AVX-512: 2.9 times, measured on RK4 with 1000 variables) until some
-/// function for wide ones returns as its compiler would have it. This is one; it takes nanoseconds. Changes no number.
-pub fn clear_upper_registers() {
+/// Dense products and eigenvalues (faer's kernels) return without clearing them, and code for narrow
+/// registers, which is most of a program, then runs at a third of its speed on some processors (x86 with
+/// AVX-512: 2.9 times, measured on RK4 with 1000 variables) until some function for wide ones returns as its
+/// compiler would have it. This is one; it takes nanoseconds. Changes no number.
+pub(crate) fn clear_upper_registers() {
     Arch::new().dispatch(Wide);
 }
 

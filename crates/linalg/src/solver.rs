@@ -8,10 +8,24 @@ use std::fmt;
 
 /// Factors and solves matrices of one structure.
 ///
-/// Band matrices go through [`crate::band`], dense ones through LU with partial pivoting (faer's from 32 unknowns on, a
-/// plain loop below), sparse ones through faer's sparse LU, whose symbolic part is computed once. Nothing is allocated
-/// after the first factorization into a [`Factor`], except inside faer for a sparse matrix, where the fill may grow
-/// with the pivots.
+/// Band matrices go through [`crate::band`], dense ones through LU with partial pivoting (faer's from 32
+/// unknowns on, a plain loop below), sparse ones through faer's sparse LU, whose symbolic part is computed
+/// once. Nothing is allocated after the first factorization into a [`Factor`], except inside faer for a
+/// sparse matrix, where the fill may grow with the pivots.
+///
+/// ```
+/// use varda_linalg::{LinearSolver, Structure};
+///
+/// let structure = Structure::SymmetricBand { half_bandwidth: 1 };
+/// let values = structure.values(3, |i, j| if i == j { 2.0 } else { -1.0 });
+/// let mut solver = LinearSolver::new(3, &structure);
+/// let mut factor = solver.empty_factor();
+/// assert_eq!(solver.factor(&values, &mut factor)?, 0); // no negative eigenvalue
+/// let mut x = [1.0, 0.0, 1.0];
+/// solver.solve(&factor, &mut x);
+/// assert!(x.iter().all(|x| (x - 1.0).abs() < 1e-15));
+/// # Ok::<(), varda_linalg::BadPivot>(())
+/// ```
 pub struct LinearSolver {
     n: usize,
     structure: Structure,
@@ -78,8 +92,8 @@ impl LinearSolver {
         Factor { values: vec![0.0; values], pivots: vec![0; pivots], sparse: NumericLu::new() }
     }
 
-    /// Factors the matrix with these values. Returns the number of its negative eigenvalues for a symmetric band, 0 for the
-    /// other structures, whose factors do not show it.
+    /// Factors the matrix with these values. Returns the number of its negative eigenvalues for a symmetric
+    /// band, 0 for the other structures, whose factors do not show it.
     ///
     /// # Errors
     /// [`BadPivot`] if the matrix is singular to rounding or not finite.
@@ -102,8 +116,8 @@ impl LinearSolver {
         Ok(0)
     }
 
-    /// Factors the matrix with `shift` times |a_ii| added to every diagonal entry. Where that is less than 10⁻⁸ of the
-    /// largest on the diagonal (a zero, say), the latter is taken.
+    /// Factors the matrix with `shift` times |a_ii| added to every diagonal entry. Where that is less than
+    /// 10⁻⁸ of the largest on the diagonal (a zero, say), the latter is taken.
     ///
     /// # Errors
     /// As [`factor`](Self::factor).
@@ -177,7 +191,8 @@ impl LinearSolver {
         }
     }
 
-    /// B ← A⁻¹ B for a block of right-hand sides, row by row: entry (i, c) in `b[i][c]`. A column's bits do not depend on the others.
+    /// B ← A⁻¹ B for a block of right-hand sides, row by row: entry (i, c) in `b[i][c]`. A column's bits
+    /// do not depend on the others.
     ///
     /// # Panics
     /// If B has not n rows.
@@ -209,7 +224,8 @@ impl LinearSolver {
         self.column = column;
     }
 
-    /// A direction z with zᵀ A z < 0, and that number, for a symmetric band with a negative pivot; `None` otherwise.
+    /// A direction z with zᵀ A z < 0, and that number, for a symmetric band with a negative pivot; `None`
+    /// otherwise.
     ///
     /// # Panics
     /// If the length of `z` is not n.

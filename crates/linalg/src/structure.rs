@@ -7,13 +7,14 @@ use crate::Error;
 pub enum Structure {
     /// All n² entries, column by column: entry (i, j) at `i + j n`.
     Dense,
-    /// Symmetric with half-bandwidth w; row i of the lower triangle holds columns i−w … i:
-    /// entry (i, j), j ≤ i, at `i (w + 1) + (j + w − i)`. Length n (w + 1); entries left of column 0 are zero.
+    /// Symmetric with half-bandwidth w; row i of the lower triangle holds columns i−w … i: entry (i, j),
+    /// j ≤ i, at `i (w + 1) + (j + w − i)`. Length n (w + 1); entries left of column 0 are zero.
     SymmetricBand {
         /// w: entries with |i − j| > w are zero.
         half_bandwidth: usize,
     },
-    /// General with half-bandwidth w; row i holds columns i−w … i+w: entry (i, j) at `i (2w + 1) + (j + w − i)`.
+    /// General with half-bandwidth w; row i holds columns i−w … i+w: entry (i, j) at `i (2w + 1) + (j + w
+    /// − i)`.
     Band {
         /// w: entries with |i − j| > w are zero.
         half_bandwidth: usize,
@@ -33,8 +34,8 @@ impl Structure {
         Structure::Band { half_bandwidth: 1 }
     }
 
-    /// Sparse, with entries where i − j modulo n lies within −w … w: a chain of n unknowns closed to a ring, each coupled to
-    /// w neighbours on either side. [`Structure::Dense`] where that is every entry.
+    /// Sparse, with entries where i − j modulo n lies within −w … w: a chain of n unknowns closed to a
+    /// ring, each coupled to w neighbours on either side. [`Structure::Dense`] where that is every entry.
     pub fn periodic_band(n: usize, half_bandwidth: usize) -> Self {
         let w = half_bandwidth;
         if 2 * w + 1 >= n {
@@ -49,8 +50,8 @@ impl Structure {
         Structure::Sparse { columns, rows: (0..n).flat_map(column).collect() }
     }
 
-    /// Sparse, with an entry for every pair (row, column), in any order; a pair given twice is one entry. The diagonal is
-    /// in it only where it is given.
+    /// Sparse, with an entry for every pair (row, column), in any order; a pair given twice is one entry. The
+    /// diagonal is in it only where it is given.
     ///
     /// ```
     /// use varda_linalg::Structure;
@@ -79,8 +80,8 @@ impl Structure {
     /// Checks that this is a structure of an n × n matrix. Only a sparse one can fail.
     ///
     /// # Errors
-    /// [`Error::Pattern`] unless there are n + 1 offsets, from 0 on and nowhere descending to the number of rows, and the rows
-    /// of every column ascend below n.
+    /// [`Error::Pattern`] unless there are n + 1 offsets, from 0 on and nowhere descending to the number of
+    /// rows, and the rows of every column ascend below n.
     pub fn check(&self, n: usize) -> Result<(), Error> {
         let Structure::Sparse { columns, rows } = self else { return Ok(()) };
         let wrong = |what, found| Err(Error::Pattern { n, what, found });
@@ -111,13 +112,14 @@ impl Structure {
         }
     }
 
-    /// Where the diagonal entry (i, i) of an n × n matrix is among its values; `None` where a sparse pattern leaves it out.
+    /// Where the diagonal entry (i, i) of an n × n matrix is among its values; `None` where a sparse pattern
+    /// leaves it out.
     pub fn diagonal(&self, n: usize, i: usize) -> Option<usize> {
         self.position(n, i, i)
     }
 
-    /// Where entry (i, j) of an n × n matrix is among its values (of a symmetric band, that of its mirror image too); `None`
-    /// where it is zero by structure.
+    /// Where entry (i, j) of an n × n matrix is among its values (of a symmetric band, that of its mirror
+    /// image too); `None` where it is zero by structure.
     pub fn position(&self, n: usize, i: usize, j: usize) -> Option<usize> {
         match self {
             Structure::Dense => Some(i + j * n),
@@ -135,8 +137,8 @@ impl Structure {
         }
     }
 
-    /// The entries of column j of an n × n matrix: row and place among the values, rows ascending. Of a symmetric band all
-    /// of them, those above the diagonal at the places of their mirror images.
+    /// The entries of column j of an n × n matrix: row and place among the values, rows ascending. Of a
+    /// symmetric band all of them, those above the diagonal at the places of their mirror images.
     pub fn column(&self, n: usize, j: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
         let range = match self {
             Structure::Dense => 0..n,
@@ -155,7 +157,8 @@ impl Structure {
         })
     }
 
-    /// The values of the n × n matrix with these entries, asked for where the structure has some: of a symmetric band j ≤ i.
+    /// The values of the n × n matrix with these entries, asked for where the structure has some: of a
+    /// symmetric band j ≤ i.
     ///
     /// ```
     /// let values = varda_linalg::Structure::tridiagonal().values(2, |i, j| (10 * i + j) as f64);
@@ -185,11 +188,13 @@ impl Structure {
         }
     }
 
-    /// Groups of columns of an n × n matrix that share no row, each column in one of them: one product of a matrix with the
-    /// sum of a group's unit vectors holds every entry of its columns apart (Curtis, Powell and Reid 1974).
+    /// Groups of columns of an n × n matrix that share no row, each column in one of them: one product of a
+    /// matrix with the sum of a group's unit vectors holds every entry of its columns apart (Curtis, Powell
+    /// and Reid 1974).
     ///
-    /// n groups for a dense matrix, 2w + 1 for a band of half-bandwidth w, symmetric or not. For a sparse one each column joins the first group
-    /// that is free: no fewer groups than the fullest row has entries, and rarely many more.
+    /// n groups for a dense matrix, 2w + 1 for a band of half-bandwidth w, symmetric or not. For a sparse one
+    /// each column joins the first group that is free: no fewer groups than the fullest row has entries, and
+    /// rarely many more.
     ///
     /// ```
     /// use varda_linalg::Structure;

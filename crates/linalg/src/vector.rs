@@ -22,8 +22,8 @@ pub fn axpy(alpha: f64, x: &[f64], y: &mut [f64]) {
     y.iter_mut().zip(x).for_each(|(y, x)| *y += alpha * x);
 }
 
-/// Σ aᵢ bᵢ in four running sums: up to four times as fast as [`dot`] on long vectors, rounded otherwise, with the same
-/// bits on every machine.
+/// Σ aᵢ bᵢ in four running sums: up to four times as fast as [`dot`] on long vectors, rounded otherwise,
+/// with the same bits on every machine.
 pub fn dot_in_lanes(a: &[f64], b: &[f64]) -> f64 {
     let (a4, a_rest) = a.as_chunks::<4>();
     let (b4, b_rest) = b.as_chunks::<4>();

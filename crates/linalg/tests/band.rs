@@ -32,8 +32,8 @@ fn column(v: &[f64]) -> Mat<f64> {
     Mat::from_fn(v.len(), 1, |i, _| v[i])
 }
 
-/// A symmetric band of random values, `weight` times the half-bandwidth on the diagonal: positive definite where that is 3
-/// in every row, indefinite where some signs are turned.
+/// A symmetric band of random values, `weight` times the half-bandwidth on the diagonal: positive definite
+/// where that is 3 in every row, indefinite where some signs are turned.
 fn symmetric_band() -> impl Strategy<Value = (usize, usize, Vec<f64>, Vec<f64>)> {
     (1..40usize, prop_oneof![0..13usize, Just(5), Just(8), Just(10)])
         .prop_flat_map(|(n, w)| {
@@ -86,7 +86,8 @@ proptest! {
         // right-hand sides at once are as many solves, and no column sees the others
         let scale: [f64; BLOCK] = std::array::from_fn(|c| 1.0 - 2.0 * c as f64);
         let mut block: Vec<[f64; BLOCK]> = b.iter().map(|b| scale.map(|s| s * b)).collect();
-        let mut alone: Vec<[f64; BLOCK]> = b.iter().map(|b| scale.map(|s| if s == 1.0 { *b } else { 0.0 })).collect();
+        let first = |b: &f64| scale.map(|s| if s == 1.0 { *b } else { 0.0 });
+        let mut alone: Vec<[f64; BLOCK]> = b.iter().map(first).collect();
         ldlt_solve_block(w, &factor, &mut block);
         ldlt_solve_block(w, &factor, &mut alone);
         for i in 0..n {

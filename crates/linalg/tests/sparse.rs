@@ -34,7 +34,9 @@ proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(128) })]
 
     #[test]
-    fn roots_solves_and_the_diagonal_of_the_inverse((n, structure, values) in matrices(), natural in any::<bool>()) {
+    fn roots_solves_and_the_diagonal_of_the_inverse(
+        (n, structure, values) in matrices(), natural in any::<bool>(),
+    ) {
         let ordering = if natural { Ordering::Natural } else { Ordering::MinimumDegree };
         let factor = Cholesky::new(n, &structure, &values, ordering).unwrap();
         let a = dense(n, &structure, &values);
@@ -43,7 +45,9 @@ proptest! {
         let mut out = vec![0.0; n];
         let mut back = vec![0.0; n];
         // Diagonally dominant with entries of at most some 10: condition below 100, a few n ε.
-        let near = |found: &[f64], expected: &DVector<f64>| (DVector::from_column_slice(found) - expected).amax() <= 1e-12;
+        let near = |found: &[f64], expected: &DVector<f64>| {
+            (DVector::from_column_slice(found) - expected).amax() <= 1e-12
+        };
 
         // A = R Rᵀ and A⁻¹ = R⁻ᵀ R⁻¹
         factor.root_transpose(b.as_slice(), &mut out);

@@ -5,7 +5,8 @@
 #[non_exhaustive]
 pub enum Error {
     /// Two neighbouring edges fold back on each other: curvature is infinite there.
-    #[error("edges {} and {vertex} are folded onto each other at vertex {vertex} (turning angle within 1e-6 rad of pi)", vertex - 1)]
+    #[error("edges {} and {vertex} are folded onto each other at vertex {vertex} (turning angle within 1e-6 \
+        rad of pi)", vertex - 1)]
     Fold {
         /// The vertex between the two edges.
         vertex: usize,

@@ -1,7 +1,7 @@
 //! Points carried by the rod: on the centreline, or off it in the frame of the section.
 
-use nalgebra::Vector3;
-use varda_implicit::ImplicitStep;
+use nalgebra::{Matrix3, Vector3};
+use varda_implicit::{At, ImplicitStep, ObservationOperator, Refusal};
 
 use crate::Error;
 use crate::dynamics::RodStep;
@@ -17,7 +17,8 @@ pub struct Marker {
     pub offset: Vector3<f64>,
 }
 
-/// Where markers are, as a function of time and state, with tangent and adjoint:
+/// Where markers are \[m\], as a function of time and state, with tangent and adjoint: an observation operator with three
+/// rows a marker, y = Rᵀ (p − c) in axes that [`Markers::in_axes`] gives.
 ///
 /// ```text
 /// p = (1−w) x_i + w x_{i+1} + o₁ m₁ + o₂ m₂ + o₃ t                      w linear in arc length on edge i
@@ -25,13 +26,34 @@ pub struct Marker {
 /// ```
 ///
 /// with ψ the holonomy of the Bishop frame (Bergou et al. 2010). A prescribed direction has no δ. Frames are computed only
-/// where a marker is off the centreline. The state is the [X, V, θ] of [`RodStep`].
+/// where a marker is off the centreline. The state is the [X, V, θ] of [`RodStep`]; the time of an observation is the
+/// model's \[s\], which supports depend on.
+///
+/// # Examples
+///
+/// ```
+/// use varda_implicit::{At, ObservationOperator, Refusal};
+/// use varda_rod::{Clamp, Damping, Loads, Marker, Markers, Material, Rod, RodStep, Section, Supports, Vector3};
+///
+/// let rod = Rod::uniform(1.0, 10, &Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.01))?;
+/// let supports = Supports::clamped_start(Clamp::new([0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]));
+/// let step = RodStep::new(rod, supports, Loads::default(), Damping::default())?;
+/// // 5 cm along the clamp's edge, and 2 cm above it.
+/// let mut markers = Markers::new(&step, &[Marker { s: 0.05, offset: Vector3::new(0.02, 0.0, 0.0) }])?;
+/// let straight: Vec<f64> = (2..=10).flat_map(|v| [0.1 * v as f64, 0.0, 0.0]).chain([0.0; 27]).collect();
+/// let mut y = [0.0; 3];
+/// markers.observe(At { step: 0, time: 0.0 }, &straight, &mut y)?;
+/// assert!((Vector3::from(y) - Vector3::new(0.05, 0.0, 0.02)).norm() < 1e-15);
+/// # Ok::<(), Refusal>(())
+/// ```
 pub struct Markers {
     system: System,
     state_dim: usize,
     markers: Vec<(Place, Vector3<f64>)>,
     /// A marker is off the centreline.
     frames: bool,
+    /// R and c, where places are not given in the model's axes.
+    axes: Option<(Matrix3<f64>, Vector3<f64>)>,
     displacement: Vec<Vector3<f64>>,
     psi: Vec<f64>,
     angle: Vec<f64>,
@@ -56,6 +78,7 @@ impl Markers {
             state_dim: rod.dim(),
             markers: placed,
             frames,
+            axes: None,
             displacement: vec![Vector3::zeros(); n + 1],
             psi: vec![0.0; n],
             angle: vec![0.0; n],
@@ -72,98 +95,32 @@ impl Markers {
         self.markers.is_empty()
     }
 
-    /// Length of the state the markers are read from.
-    pub fn state_dim(&self) -> usize {
-        self.state_dim
-    }
-
-    /// Places of all markers \[m\], three numbers each, in a state at time t.
+    /// The same markers as seen in other axes: y = Rᵀ (p − c), the columns of R being those axes in the model's and c their
+    /// origin \[m\].
     ///
     /// # Errors
-    /// [`Error`] where the state has no frames (a fold, a zero edge) or is not finite.
-    ///
-    /// # Panics
-    /// If `state` or `places` has the wrong length.
-    pub fn places(&mut self, t: f64, state: &[f64], places: &mut [f64]) -> Result<(), Error> {
-        assert_eq!(places.len(), 3 * self.markers.len(), "three numbers for every marker");
-        self.set(t, state)?;
-        for ((place, o), out) in self.markers.iter().zip(places.chunks_exact_mut(3)) {
-            let (i, w, s) = (place.edge, place.fraction, &self.system);
-            let mut p = s.x[i] * (1.0 - w) + s.x[i + 1] * w + s.shape.edges[i].t * o[2];
-            if self.frames {
-                p += s.shape.m1[i] * o[0] + s.shape.m2[i] * o[1];
-            }
-            out.copy_from_slice(p.as_slice());
+    /// [`Error::Value`] where R is not a rotation (to 1e-3: four digits will do), [`Error::NonFinite`] for an origin that is not finite.
+    pub fn in_axes(self, rotation: Matrix3<f64>, origin: Vector3<f64>) -> Result<Markers, Error> {
+        let skew = (rotation.tr_mul(&rotation) - Matrix3::identity()).abs().max();
+        if !(skew <= 1e-3 && rotation.determinant() > 0.0) {
+            return Err(Error::Value {
+                field: "rotation of the markers' axes",
+                value: skew,
+                expected: "a rotation: RᵀR = I, det R > 0",
+            });
         }
-        Ok(())
+        if let Some(index) = origin.iter().position(|c| !c.is_finite()) {
+            return Err(Error::NonFinite { what: "the origin of the markers' axes, component", index });
+        }
+        Ok(Markers { axes: Some((rotation, origin)), ..self })
     }
 
-    /// dp = ∂p/∂x dx at a state at time t.
-    ///
-    /// # Errors
-    /// As [`Markers::places`].
-    ///
-    /// # Panics
-    /// As [`Markers::places`].
-    pub fn tangent(&mut self, t: f64, state: &[f64], dx: &[f64], dp: &mut [f64]) -> Result<(), Error> {
-        assert_eq!(dp.len(), 3 * self.markers.len(), "three numbers for every marker");
-        self.set(t, state)?;
-        self.system.displacements(dx, &mut self.displacement);
-        if self.frames {
-            self.turn_angles(dx);
+    /// δp or p of a marker into the axes of the observer; p − c already taken.
+    fn turned(&self, v: Vector3<f64>) -> Vector3<f64> {
+        match &self.axes {
+            Some((rotation, _)) => rotation.tr_mul(&v),
+            None => v,
         }
-        let s = &self.system;
-        for ((place, o), out) in self.markers.iter().zip(dp.chunks_exact_mut(3)) {
-            let (i, w, tangent) = (place.edge, place.fraction, s.shape.edges[place.edge].t);
-            let (a, b) = (&self.displacement[i], &self.displacement[i + 1]);
-            let rate = (b - a) / s.shape.edges[i].l;
-            let dt = rate - tangent * rate.dot(&tangent);
-            let mut d = a * (1.0 - w) + b * w + dt * o[2];
-            if self.frames {
-                let (m1, m2) = (&s.shape.m1[i], &s.shape.m2[i]);
-                d -= tangent * (o[0] * m1.dot(&dt) + o[1] * m2.dot(&dt));
-                d += (m2 * o[0] - m1 * o[1]) * self.angle[i];
-            }
-            out.copy_from_slice(d.as_slice());
-        }
-        Ok(())
-    }
-
-    /// dx += (∂p/∂x)ᵀ dp at a state at time t.
-    ///
-    /// # Errors
-    /// As [`Markers::places`].
-    ///
-    /// # Panics
-    /// As [`Markers::places`].
-    pub fn adjoint_add(&mut self, t: f64, state: &[f64], dp: &[f64], dx: &mut [f64]) -> Result<(), Error> {
-        assert_eq!(dp.len(), 3 * self.markers.len(), "three numbers for every marker");
-        self.set(t, state)?;
-        self.displacement.fill(Vector3::zeros());
-        self.angle.fill(0.0);
-        let s = &self.system;
-        for ((place, o), dp) in self.markers.iter().zip(dp.chunks_exact(3)) {
-            let (i, w, edge) = (place.edge, place.fraction, &s.shape.edges[place.edge]);
-            let dp = Vector3::from_column_slice(dp);
-            let mut dt = dp * o[2];
-            if self.frames {
-                let (m1, m2) = (&s.shape.m1[i], &s.shape.m2[i]);
-                dt -= (m1 * o[0] + m2 * o[1]) * edge.t.dot(&dp);
-                self.angle[i] += (m2 * o[0] - m1 * o[1]).dot(&dp);
-            }
-            let rate = (dt - edge.t * dt.dot(&edge.t)) / edge.l;
-            self.displacement[i] += dp * (1.0 - w) - rate;
-            self.displacement[i + 1] += dp * w + rate;
-        }
-        if self.frames {
-            self.turn_angles_transpose(dx);
-        }
-        for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
-            for c in 0..3 {
-                dx[3 * f + c] += self.displacement[v][c];
-            }
-        }
-        Ok(())
     }
 
     fn set(&mut self, t: f64, state: &[f64]) -> Result<(), Error> {
@@ -214,5 +171,89 @@ impl Markers {
             self.psi[n - 1] += self.angle.iter().sum::<f64>();
         }
         s.shape.holonomy_transpose_add(&self.psi, &mut self.displacement);
+    }
+}
+
+impl ObservationOperator for Markers {
+    fn dim(&self) -> usize {
+        3 * self.markers.len()
+    }
+
+    fn state_dim(&self) -> usize {
+        self.state_dim
+    }
+
+    /// # Panics
+    /// If `x` or `y` has the wrong length.
+    fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
+        assert_eq!(y.len(), self.dim(), "three numbers for every marker");
+        self.set(at.time, x)?;
+        let origin = self.axes.map_or(Vector3::zeros(), |axes| axes.1);
+        for ((place, o), out) in self.markers.iter().zip(y.chunks_exact_mut(3)) {
+            let (i, w, s) = (place.edge, place.fraction, &self.system);
+            let mut p = s.x[i] * (1.0 - w) + s.x[i + 1] * w + s.shape.edges[i].t * o[2];
+            if self.frames {
+                p += s.shape.m1[i] * o[0] + s.shape.m2[i] * o[1];
+            }
+            out.copy_from_slice(self.turned(p - origin).as_slice());
+        }
+        Ok(())
+    }
+
+    /// # Panics
+    /// If a slice has the wrong length, or `observe` refuses this state.
+    fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+        assert_eq!(dy.len(), self.dim(), "three numbers for every marker");
+        self.set(at.time, x).expect("this state was observed before");
+        self.system.displacements(dx, &mut self.displacement);
+        if self.frames {
+            self.turn_angles(dx);
+        }
+        let s = &self.system;
+        for ((place, o), out) in self.markers.iter().zip(dy.chunks_exact_mut(3)) {
+            let (i, w, tangent) = (place.edge, place.fraction, s.shape.edges[place.edge].t);
+            let (a, b) = (&self.displacement[i], &self.displacement[i + 1]);
+            let rate = (b - a) / s.shape.edges[i].l;
+            let dt = rate - tangent * rate.dot(&tangent);
+            let mut d = a * (1.0 - w) + b * w + dt * o[2];
+            if self.frames {
+                let (m1, m2) = (&s.shape.m1[i], &s.shape.m2[i]);
+                d -= tangent * (o[0] * m1.dot(&dt) + o[1] * m2.dot(&dt));
+                d += (m2 * o[0] - m1 * o[1]) * self.angle[i];
+            }
+            out.copy_from_slice(self.turned(d).as_slice());
+        }
+    }
+
+    /// # Panics
+    /// If a slice has the wrong length, or `observe` refuses this state.
+    fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+        assert_eq!(dy.len(), self.dim(), "three numbers for every marker");
+        self.set(at.time, x).expect("this state was observed before");
+        self.displacement.fill(Vector3::zeros());
+        self.angle.fill(0.0);
+        let s = &self.system;
+        for ((place, o), dy) in self.markers.iter().zip(dy.chunks_exact(3)) {
+            let (i, w, edge) = (place.edge, place.fraction, &s.shape.edges[place.edge]);
+            let dy = Vector3::from_column_slice(dy);
+            let dp = self.axes.as_ref().map_or(dy, |(rotation, _)| rotation * dy);
+            let mut dt = dp * o[2];
+            if self.frames {
+                let (m1, m2) = (&s.shape.m1[i], &s.shape.m2[i]);
+                dt -= (m1 * o[0] + m2 * o[1]) * edge.t.dot(&dp);
+                self.angle[i] += (m2 * o[0] - m1 * o[1]).dot(&dp);
+            }
+            let rate = (dt - edge.t * dt.dot(&edge.t)) / edge.l;
+            self.displacement[i] += dp * (1.0 - w) - rate;
+            self.displacement[i + 1] += dp * w + rate;
+        }
+        if self.frames {
+            self.turn_angles_transpose(dx);
+        }
+        for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
+            for c in 0..3 {
+                dx[3 * f + c] += self.displacement[v][c];
+            }
+        }
     }
 }

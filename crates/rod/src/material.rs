@@ -41,8 +41,9 @@ impl Section {
         Self::ellipse(material, radius, radius)
     }
 
-    /// A full ellipse with semi-axes a₁ along m₁ and a₂ along m₂ \[m\]: EI₁ = E π a₁³ a₂ / 4, EI₂ = E π a₁ a₂³ / 4 and
-    /// Saint-Venant's torsion constant J = π a₁³ a₂³ / (a₁² + a₂²) (Timoshenko and Goodier, 1970, §107).
+    /// A full ellipse with semi-axes a₁ along m₁ and a₂ along m₂ \[m\]: EI₁ = E π a₁³ a₂ / 4,
+    /// EI₂ = E π a₁ a₂³ / 4 and Saint-Venant's torsion constant J = π a₁³ a₂³ / (a₁² +
+    /// a₂²) (Timoshenko and Goodier, 1970, §107).
     pub fn ellipse(material: &Material, a1: f64, a2: f64) -> Self {
         let pi = std::f64::consts::PI;
         let (e, g, area) = (material.youngs_modulus, material.shear_modulus, pi * a1 * a2);
@@ -55,8 +56,9 @@ impl Section {
         }
     }
 
-    /// A full rectangle, w₁ along m₁ by w₂ along m₂ \[m\]: EI₁ = E w₁³ w₂ / 12, EI₂ = E w₁ w₂³ / 12 and, with a the longer
-    /// and b the shorter side, J ≈ a b³ (1/3 − 0.21 (b/a) (1 − b⁴/(12 a⁴))) (Young and Budynas, 2002, table 10.1; 0.4 %).
+    /// A full rectangle, w₁ along m₁ by w₂ along m₂ \[m\]: EI₁ = E w₁³ w₂ / 12, EI₂ = E w₁
+    /// w₂³ / 12 and, with a the longer and b the shorter side, J ≈ a b³ (1/3 − 0.21 (b/a) (1 −
+    /// b⁴/(12 a⁴))) (Young and Budynas, 2002, table 10.1; 0.4 %).
     pub fn rectangle(material: &Material, w1: f64, w2: f64) -> Self {
         let (a, b) = (w1.max(w2), w1.min(w2));
         let r = b / a;

@@ -9,7 +9,7 @@ use crate::material::{Section, not_negative, positive};
 ///
 /// ```text
 /// E_ε = ½ Σ_e EA_e (l_e − l̄_e)² / l̄_e                         per edge
-/// E_κ = ½ Σ_i (κ_i − κ̄_i)ᵀ EI_i (κ_i − κ̄_i) / l̄_i             per interior vertex, l̄_i = (l̄^{i−1} + l̄^i)/2
+/// E_κ = ½ Σ_i (κ_i − κ̄_i)ᵀ EI_i (κ_i − κ̄_i) / l̄_i   per interior vertex, l̄_i = (l̄^{i−1} + l̄^i)/2
 /// E_τ = ½ Σ_i GJ_i (τ_i − τ̄_i)² / l̄_i                         per interior vertex
 /// ```
 ///
@@ -71,7 +71,8 @@ impl Rod {
         Ok(rod)
     }
 
-    /// The same rod, naturally curved and twisted: κ̄_i = `curvature` l̄_i, τ̄_i = `twist` l̄_i, both per length \[1/m\].
+    /// The same rod, naturally curved and twisted: κ̄_i = `curvature` l̄_i, τ̄_i = `twist` l̄_i, both
+    /// per length \[1/m\].
     pub fn naturally(mut self, curvature: [f64; 2], twist: f64) -> Rod {
         for (i, l) in self.voronoi_lengths.iter().enumerate() {
             self.natural_curvature[i] = [curvature[0] * l, curvature[1] * l];

@@ -1,21 +1,26 @@
-//! The one implicit stage of a rod's step: what [`Scheme`] says of x and V, and what follows for θ and the strains.
+//! The one implicit stage of a rod's step: what [`Scheme`] says of x and V, and what follows for θ and the
+//! strains.
 
 use varda_implicit::{Interval, Scheme, Stage};
 
-/// A step is one backward Euler step of length η from (X*, V*, ε*), and x_{k+1} follows from where that ends.
+/// A step is one backward Euler step of length η from (X*, V*, ε*), and x_{k+1} follows from where that
+/// ends.
 ///
-/// **Angles.** With damping θ has a rate and goes with the scheme. Without, it is the equilibrium of the stage's
-/// vertices. Under midpoint that of X_{k+1} is needed: 2θ_y − θ_k would carry an error on for ever with changing sign, so
+/// **Angles.** With damping θ has a rate and goes with the scheme. Without, it is the equilibrium of the
+/// stage's vertices. Under midpoint that of X_{k+1} is needed: 2θ_y − θ_k would carry an error on for
+/// ever with changing sign, so
 ///
 /// ```text
 /// θ_{k+1} = (16/9) θ_y − (7/9 − 1/9p) θ_k − (1/9p) θ_{k−1},   p = Δt_{k−1}/Δt
 /// ```
 ///
-/// which is exact for angles linear in time and takes two thirds off an error at every step (double root −1/3).
+/// which is exact for angles linear in time and takes two thirds off an error at every step (double root
+/// −1/3).
 ///
-/// **Strain rates** (ε(y) − ε*)/η at the stage's time, to the order of the scheme. Backward Euler and BDF2 difference ε as
-/// they do x. Under midpoint y is not on the path but half way along the chord, where ε differs from its mean over
-/// the ends by the curvature of ε along it; that of the step before, scaled by ω² = (Δt/Δt_{k−1})², corrects ε*:
+/// **Strain rates** (ε(y) − ε*)/η at the stage's time, to the order of the scheme. Backward Euler and
+/// BDF2 difference ε as they do x. Under midpoint y is not on the path but half way along the chord, where
+/// ε differs from its mean over the ends by the curvature of ε along it; that of the step before, scaled by
+/// ω² = (Δt/Δt_{k−1})², corrects ε*:
 ///
 /// ```text
 /// ε* = ε_k − ω² (½(ε_k + ε_{k−1}) − ε(½(x_k + x_{k−1})))
@@ -50,8 +55,8 @@ impl RodStage {
     }
 }
 
-/// Component i of a₀ x_k + a₁ x_{k−1} of a state (or increment) whose own part has length `own`; a history without a
-/// share need not be there.
+/// Component i of a₀ x_k + a₁ x_{k−1} of a state (or increment) whose own part has length `own`; a
+/// history without a share need not be there.
 pub(crate) fn mixed([a0, a1]: [f64; 2], x: &[f64], own: usize, i: usize) -> f64 {
     a0 * x[i] + if a1 == 0.0 { 0.0 } else { a1 * x[own + i] }
 }

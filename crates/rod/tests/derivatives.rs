@@ -5,10 +5,11 @@ mod common;
 use std::sync::Arc;
 
 use common::{assert_close, difference, dot, noise, norm};
-use varda_implicit::{ImplicitModel, Model, Scheme};
+use nalgebra::Rotation3;
+use varda_implicit::{At, ImplicitModel, Model, ObservationOperator, Scheme};
 use varda_rod::{
     Clamp, Damping, EllipseDrive, Loads, Marker, Markers, Material, Motion, Rod, RodStep, Section, Supports,
-    equilibrium, straight_guess,
+    Vector3, equilibrium, straight_guess,
 };
 
 const MATERIAL: Material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1100.0 };
@@ -220,20 +221,22 @@ fn markers() {
         let places = [0.0, 0.33, 0.5, length].map(|s| Marker { s, offset: [0.02, -0.015, 0.01].into() });
         let points = [0.2, length].map(|s| Marker { s, offset: [0.0; 3].into() });
         for (what, list) in [("off", places.to_vec()), ("on", points.to_vec())] {
-            let mut markers = Markers::new(model.step_ref(), &list).unwrap();
-            let m = 3 * markers.len();
+            let axes = Rotation3::from_euler_angles(0.3, -0.8, 2.0).into_inner();
+            let markers = Markers::new(model.step_ref(), &list).unwrap();
+            let mut markers = markers.in_axes(axes, Vector3::new(0.2, -1.0, 0.5)).unwrap();
+            let (m, now) = (markers.dim(), At { step: 2, time: 0.05 });
             let dx: Vec<f64> = noise(5).take(n).collect();
             let by_difference = difference(&x, &dx, 1e-4, |x| {
                 let mut y = vec![0.0; m];
-                markers.places(0.05, x, &mut y).unwrap();
+                markers.observe(now, x, &mut y).unwrap();
                 y
             });
             let mut dy = vec![0.0; m];
-            markers.tangent(0.05, &x, &dx, &mut dy).unwrap();
+            markers.tangent(now, &x, &dx, &mut dy);
             assert_close(&format!("{name}, {what}"), &dy, &by_difference, 1e-7);
             let dp: Vec<f64> = noise(6).take(m).collect();
             let mut back = vec![0.0; n];
-            markers.adjoint_add(0.05, &x, &dp, &mut back).unwrap();
+            markers.adjoint_add(now, &x, &dp, &mut back);
             let (a, b) = (dot(&dy, &dp), dot(&dx, &back));
             assert!((a - b).abs() <= 1e-13 * norm(&dy) * norm(&dp), "{name}, {what}: {a} and {b}");
         }

@@ -336,7 +336,7 @@ fn compare_runs_every_method_and_minimizer_and_keeps_failures_as_rows() {
     let rows: Vec<Vec<&str>> = csv.lines().skip(1).map(|l| l.split(',').collect()).collect();
     // 4dvar and weak-forcing with every minimizer; incremental, dual, closed form; weak-state and two
     // ensembles.
-    assert_eq!(rows.len(), 6 + 3 + 6 + 3, "{csv}");
+    assert_eq!(rows.len(), 8 + 3 + 8 + 3, "{csv}");
     let of_another_j = |row: &[&str]| row[0].starts_with("weak") || row[0].ends_with("envar");
     for row in rows.iter().filter(|r| of_another_j(r)) {
         assert!(row[4].is_empty() && !row[5].is_empty(), "no gap, but an RMSE: {row:?}");
@@ -351,7 +351,7 @@ fn compare_runs_every_method_and_minimizer_and_keeps_failures_as_rows() {
     assert!(folder.read("all/compare.svg").contains("<svg"));
     // A threshold of the Huber norm leaves the methods that take one.
     text(&folder.varda(&["compare", "lorenz63", "--set", "algorithm.robust=1.5", "--out", "all"]));
-    assert_eq!(folder.read("all/compare.csv").lines().count(), 1 + 6);
+    assert_eq!(folder.read("all/compare.csv").lines().count(), 1 + 8);
 }
 
 #[test]
@@ -361,7 +361,7 @@ fn a_method_that_fails_is_a_row_of_the_comparison_with_its_reason() {
     let sets = ["--set", "background.covariance.sigma=1e40", "--set", "algorithm.max_iterations=3"];
     text(&folder.varda(&[&["compare", "lorenz63", "--out", "all"], &sets[..]].concat()));
     let csv = folder.read("all/compare.csv");
-    assert_eq!(csv.lines().count(), 1 + 18, "{csv}");
+    assert_eq!(csv.lines().count(), 1 + 22, "{csv}");
     let blue = csv.lines().find(|l| l.starts_with("blue,")).unwrap();
     assert!(blue.starts_with("blue,closed-form,failed,") && !blue.ends_with("\"\""), "{csv}");
 }

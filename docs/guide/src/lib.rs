@@ -1,8 +1,8 @@
 #![doc = include_str!("../front.md")]
 #![forbid(unsafe_code)]
 
-// One line of documentation, one module: `cargo xtask docs` reads this file to know which page a link to a .md
-// file means.
+// One line of documentation, one module: `cargo xtask docs` reads this file to know which page a link to a
+// .md file means.
 
 #[doc = include_str!("../own-model.md")]
 pub mod own_model {}

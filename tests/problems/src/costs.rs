@@ -8,50 +8,10 @@ use varda_assimilation::{
 };
 use varda_covariance::{Covariance, Dense, Diagonal};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
-use varda_implicit::{At, ImplicitModel, Model, OneLeg, Refusal, Rk4};
+use varda_implicit::{At, ImplicitModel, Model, OneLeg, Rk4};
 use varda_rod::{Marker, Markers, Vector3};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
-
-/// Places of markers as an observation operator, at step k of a window that starts at `first` Δt.
-pub struct MarkerOperator {
-    /// The markers.
-    pub markers: Markers,
-    /// Length of the state.
-    pub state_dim: usize,
-    /// Index of the first step.
-    pub first: usize,
-    /// Δt \[s\].
-    pub dt: f64,
-}
-
-impl MarkerOperator {
-    fn time(&self, k: usize) -> f64 {
-        (self.first + k) as f64 * self.dt
-    }
-}
-
-impl ObservationOperator for MarkerOperator {
-    fn dim(&self) -> usize {
-        3 * self.markers.len()
-    }
-
-    fn state_dim(&self) -> usize {
-        self.state_dim
-    }
-
-    fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> std::result::Result<(), Refusal> {
-        Ok(self.markers.places(self.time(at.step), x, y)?)
-    }
-
-    fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
-        self.markers.tangent(self.time(at.step), x, dx, dy).expect("a state that was observed");
-    }
-
-    fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
-        self.markers.adjoint_add(self.time(at.step), x, dy, dx).expect("a state that was observed");
-    }
-}
 
 /// What is done with each cost: its name, and the cost.
 pub type Visit<'v> = dyn FnMut(&str, &mut dyn GaussNewton) -> Result<()> + 'v;
@@ -68,14 +28,13 @@ pub fn for_each_cost(visit: &mut Visit) -> Result<()> {
     for (seen, markers) in places {
         for mut case in rods()? {
             let markers = Markers::new(case.model.step_ref(), markers)?;
-            let operator = MarkerOperator { markers, state_dim: case.model.dim(), first: FIRST, dt: DT };
             // At the very start, between steps, on a step.
             let when = [(0, 0.0), (3, 0.25), (5, 0.0), (7, 0.6)];
             let mut sigma = rod_scale(case.model.step_ref());
             sigma.truncate(case.control.len());
             let b = Diagonal::new(sigma)?;
             let name = format!("{}, {seen}", case.name);
-            problem(&name, &mut case.model, &case.control, &b, Box::new(operator), 0.01, &when, visit)?;
+            problem(&name, &mut case.model, &case.control, &b, Box::new(markers), 0.01, &when, visit)?;
         }
     }
     let x63 = [1.2, -0.7, 10.3];
@@ -128,7 +87,8 @@ fn flagship(visit: &mut Visit) -> Result<()> {
     visit("flagship case 2", &mut StrongConstraint::new(&mut model, transform, &mut set)?)
 }
 
-/// The same test problem around any model: background `z`, values seen from it and moved by a few σ.
+/// The same test problem around any model: background `z`, values seen from it and moved by a few σ, on the grid of time
+/// of the rods.
 fn problem(
     name: &str,
     model: &mut dyn Model,
@@ -143,7 +103,7 @@ fn problem(
     let mut x = vec![0.0; model.dim()];
     model.initial_state(z, &mut x)?;
     let mut y = vec![0.0; rows];
-    operator.observe(At { step: 0, time: 0.0 }, &x, &mut y).map_err(|e| e.to_string())?;
+    operator.observe(At { step: 0, time: FIRST as f64 * DT }, &x, &mut y).map_err(|e| e.to_string())?;
     let observation = |(i, &(step, weight)): (usize, &(usize, f64))| {
         // every second observation lacks a row
         let seen: Vec<usize> = (0..rows).filter(|r| i % 2 == 0 || *r != 1).collect();
@@ -153,6 +113,8 @@ fn problem(
     };
     let observations = when.iter().enumerate().map(observation).collect();
     let last = when.last().map_or(0, |w| w.0 + usize::from(w.1 > 0.0));
-    let mut set = ObservationSet::new(last, vec![operator], observations)?;
+    // markers see supports that move with time; every other model here does not
+    let times = (0..=last).map(|k| (FIRST + k) as f64 * DT).collect();
+    let mut set = ObservationSet::on_times(times, vec![operator], observations)?;
     visit(name, &mut StrongConstraint::new(model, ControlTransform::new(z.to_vec(), b)?, &mut set)?)
 }

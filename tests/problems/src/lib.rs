@@ -5,6 +5,7 @@ pub mod allocations;
 pub mod costs;
 pub mod counted;
 pub mod methods;
+pub mod registers;
 pub mod rods;
 mod scene;
 pub mod small_problems;

@@ -62,8 +62,8 @@ pub struct Prior {
 pub type Background = BlockDiagonal<Interleaved<Dense>>;
 
 impl HangingRod {
-    /// Case 1 … 4 of the paper's Table 3.3, read from the shipped scene, and the true control at the start of
-    /// the window.
+    /// Case 1 … 4 of the paper's Table 3.3, read from the shipped scene, and the true control at the start
+    /// of the window.
     ///
     /// # Errors
     /// Where the rod cannot be run up to the window.

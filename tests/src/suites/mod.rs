@@ -5,6 +5,7 @@ mod counts;
 mod equivalence;
 mod golden;
 mod hessian;
+mod linalg;
 mod options;
 mod order;
 mod paper;
@@ -26,6 +27,11 @@ pub struct Suite {
 
 /// All suites, in the order they are run.
 pub const SUITES: &[Suite] = &[
+    Suite {
+        name: "linalg",
+        proves: "Factorizations, eigenvalues and Krylov methods end in a right answer or in a typed error.",
+        run: |options| linalg::run(options).into(),
+    },
     Suite {
         name: "adjoint",
         proves: "Every adjoint is the transpose of its tangent, to rounding: steps, windows, assembled \

@@ -16,7 +16,7 @@ const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "chro
 /// The longest that all pages may take.
 const PATIENCE: Duration = Duration::from_secs(240);
 
-/// What is wrong with pages as a reader sees them; where no browser is installed nothing, and a word about it.
+/// What is wrong with pages as a reader sees them; without a browser nothing, and a word about it.
 pub(crate) fn check(site: &Path, pages: &[String]) -> Result<Vec<String>, String> {
     let listener = TcpListener::bind("127.0.0.1:0").map_err(|e| format!("no port to serve pages on: {e}"))?;
     let port = listener.local_addr().map_err(|e| e.to_string())?.port();

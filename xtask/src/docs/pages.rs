@@ -141,8 +141,8 @@ const STYLE: &str = "div.formula{overflow-x:auto;overflow-y:hidden;padding:.2em 
     td .katex,th .katex{white-space:nowrap}";
 
 /// Words of code in a table stay whole on a narrow window; the table scrolls in itself.
-const TABLES: &str = "<style>@media(max-width:700px){.docblock td code{overflow-wrap:normal;word-break:normal}\
-    .docblock td{min-width:7em}}</style></head>";
+const TABLES: &str = "<style>@media(max-width:700px){.docblock td \
+    code{overflow-wrap:normal;word-break:normal}.docblock td{min-width:7em}}</style></head>";
 
 /// `B^{1/2}` and `x_{k+1}` in running text as raised and lowered text.
 fn with_scripts(text: &str) -> String {

@@ -17,8 +17,8 @@ pub(super) struct Dense {
 }
 
 impl StrongConstraint<'_> {
-    /// A = I + GᵀG at the base point. A column of G takes a tangent product for every step of the window, a row an adjoint product for
-    /// every step before its observation: whichever is fewer.
+    /// A = I + GᵀG at the base point. A column of G takes a tangent product for every step of the window, a
+    /// row an adjoint product for every step before its observation: whichever is fewer.
     pub(super) fn dense_hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
         let (n, m) = (self.dim(), self.observations.dim());
         assert_eq!(out.len(), n * n, "length of the Hessian");
@@ -89,6 +89,7 @@ impl StrongConstraint<'_> {
             }
             transform.adjoint(dz, &mut row[..head]);
         }
+        self.observations.whiten_rows(n, jacobian);
         for (i, row) in jacobian.chunks_exact_mut(n).enumerate() {
             let whitening = self.whitening(i);
             row.iter_mut().for_each(|g| *g *= whitening);
@@ -133,6 +134,7 @@ impl StrongConstraint<'_> {
                 see(step.k + 1, step.x_next, block);
             })?;
         }
+        jacobian.chunks_exact_mut(m).for_each(|column| self.observations.whiten_blocks(column));
         for (i, whitening) in (0..m).map(|i| (i, self.whitening(i))) {
             jacobian.iter_mut().skip(i).step_by(m).for_each(|g| *g *= whitening);
         }

@@ -10,14 +10,17 @@ use crate::Error;
 ///     ∇J̃(w) = (I + G Gᵀ) w − (d + G b),            p = Gᵀ w − b
 /// ```
 ///
-/// with the paper's w being R^{-1/2} w here. Through the same tangent and adjoint sweeps as the primal, over m unknowns instead of n; B
-/// enters by its products only, and has no inverse anywhere. At the minimum J̃ = −q(p), p the primal's.
+/// with the paper's w being R^{-1/2} w here. Through the same tangent and adjoint sweeps as the primal, over
+/// m unknowns instead of n; B enters by its products only, and has no inverse anywhere. At the minimum J̃ =
+/// −q(p), p the primal's.
 ///
-/// When to use: far fewer observations than unknowns, solved to the end. When not: stopped early, p may have raised the primal
-/// cost, since a minimizer of J̃ knows nothing of q. [`restricted_conjugate_gradients`](crate::restricted_conjugate_gradients) has the
-/// dual's cost and the primal's iterates, and is what [`outer_loop`](crate::outer_loop) uses.
+/// When to use: far fewer observations than unknowns, solved to the end. When not: stopped early, p may have
+/// raised the primal cost, since a minimizer of J̃ knows nothing of q.
+/// [`restricted_conjugate_gradients`](crate::restricted_conjugate_gradients) has the dual's cost and the
+/// primal's iterates, and is what [`outer_loop`](crate::outer_loop) uses.
 ///
-/// Cost: an adjoint sweep for a value, a tangent sweep more for a gradient; one of each for a product. Memory: 2m + 2n beside the problem's.
+/// Cost: an adjoint sweep for a value, a tangent sweep more for a gradient; one of each for a product.
+/// Memory: 2m + 2n beside the problem's.
 pub struct Dual<'a> {
     outer: &'a mut (dyn Incremental + 'a),
     b: Vec<f64>,

@@ -12,8 +12,8 @@ use varda_covariance::{Covariance, Ensemble, Hybrid};
 use varda_implicit::{Log, Model};
 use varda_linalg::dense::{View, product};
 
-/// 4D-EnVar (Liu, Xiao and Wang 2008; Desroziers, Camino and Berre 2014) and hybrid 4D-EnVar (Lorenc et al. 2015), linearized about a control
-/// v₀:
+/// 4D-EnVar (Liu, Xiao and Wang 2008; Desroziers, Camino and Berre 2014) and hybrid 4D-EnVar (Lorenc et al.
+/// 2015), linearized about a control v₀:
 ///
 /// ```text
 ///     J(v)   = ½‖v‖² + ½‖d₀ − G (v − v₀)‖²,    d₀ = R^{-1/2} (y − H(M(z₀))),    z₀ = z_b + U v₀
@@ -21,29 +21,35 @@ use varda_linalg::dense::{View, product};
 ///     Y_i    = R^{-1/2} (H(M(z₀ + ε √(N−1) x_i)) − mean) / (ε √(N−1)),    ρ_j = localization root c_j at the observations
 /// ```
 ///
-/// Every member x_i of the [`Ensemble`] is one forward run about z₀; no tangent or adjoint of the model is called, and the increments of
-/// the ensemble part evolve with the model through the window. U is the root of the covariance, an `Ensemble` (β_e = 1) or a [`Hybrid`];
-/// ε is `spread`: 1 uses the members themselves (the transform), a small one differences about z₀ (the bundle).
+/// Every member x_i of the [`Ensemble`] is one forward run about z₀; no tangent or adjoint of the model is
+/// called, and the increments of the ensemble part evolve with the model through the window. U is the root of
+/// the covariance, an `Ensemble` (β_e = 1) or a [`Hybrid`]; ε is `spread`: 1 uses the members themselves
+/// (the transform), a small one differences about z₀ (the bundle).
 ///
-/// **Localization** multiplies the four-dimensional cross covariances between the control and the predictions in space only: C between
-/// the component of the control an observation is anchored at and the others, the same at every time of the window. It is exact where an
-/// observation sees one place (and equal to the Schur product in state space for a linear H at step 0), and wrong where
-/// errors travel farther than its support within the window.
+/// **Localization** multiplies the four-dimensional cross covariances between the control and the predictions
+/// in space only: C between the component of the control an observation is anchored at and the others, the
+/// same at every time of the window. It is exact where an observation sees one place (and equal to the Schur
+/// product in state space for a linear H at step 0), and wrong where errors travel farther than its support
+/// within the window.
 ///
-/// **The static part** of a hybrid has no model behind it: its increments persist through the window (P: x_k' = x₀' for all k) as in 3D-FGAT and in
-/// Lorenc et al. 2015, and are seen through the tangent of the observation operator alone. So β_e = 0 is 3D-FGAT, not strong 4D-Var;
-/// a hybrid B whose static part should evolve is a [`Hybrid`] in [`StrongConstraint`](crate::StrongConstraint).
+/// **The static part** of a hybrid has no model behind it: its increments persist through the window (P: x_k'
+/// = x₀' for all k) as in 3D-FGAT and in Lorenc et al. 2015, and are seen through the tangent of the
+/// observation operator alone. So β_e = 0 is 3D-FGAT, not strong 4D-Var; a hybrid B whose static part should
+/// evolve is a [`Hybrid`] in [`StrongConstraint`](crate::StrongConstraint).
 ///
-/// A linear problem with an ensemble that spans the range of B needs one solve and gives strong 4D-Var. For a nonlinear one
-/// [`relinearize`](Self::relinearize), or let [`minimize`](Self::minimize) do it: the iterative ensemble smoother of Bocquet and Sakov (2014).
+/// A linear problem with an ensemble that spans the range of B needs one solve and gives strong 4D-Var. For a
+/// nonlinear one [`relinearize`](Self::relinearize), or let [`minimize`](Self::minimize) do it: the iterative
+/// ensemble smoother of Bocquet and Sakov (2014).
 ///
-/// When to use: no tangent or adjoint at hand, or a B that should follow the flow (in cycles). When not: N far below the number of growing
-/// directions without localization; localization over windows in which errors travel farther than its support.
+/// When to use: no tangent or adjoint at hand, or a B that should follow the flow (in cycles). When not: N
+/// far below the number of growing directions without localization; localization over windows in which errors
+/// travel farther than its support.
 ///
-/// Cost of a linearization: N + 1 forward runs, in parallel with the feature `rayon` (on by default), the same bits for any number of
-/// threads. Products with G are arithmetic on what they leave, and count as no sweeps; an exact solve is an eigenvalue problem of size
-/// min(m, N r + r_s), r the rank of the localization's root and r_s that of the static part, and allocates its matrices. Memory: the
-/// trajectories of all members up to the last observation, and twice m (N + r_s) numbers.
+/// Cost of a linearization: N + 1 forward runs, in parallel with the feature `rayon` (on by default), the
+/// same bits for any number of threads. Products with G are arithmetic on what they leave, and count as no
+/// sweeps; an exact solve is an eigenvalue problem of size min(m, N r + r_s), r the rank of the
+/// localization's root and r_s that of the static part, and allocates its matrices. Memory: the trajectories
+/// of all members up to the last observation, and twice m (N + r_s) numbers.
 pub struct EnVar<'a> {
     /// The first runs the control, the others a member each.
     models: Vec<Box<dyn Model + Send + 'a>>,
@@ -86,13 +92,14 @@ struct Base {
 }
 
 impl<'a> EnVar<'a> {
-    /// 4D-EnVar with the covariance of the ensemble, linearized about the background z_b by N + 1 forward runs of models made by
-    /// `make_model`. `anchors[a]` is the component of the control at whose place the stacked row a was measured; without localization it is not
-    /// asked for and may be empty. The mean of the ensemble is not used: pass it as the background.
+    /// 4D-EnVar with the covariance of the ensemble, linearized about the background z_b by N + 1 forward
+    /// runs of models made by `make_model`. `anchors[a]` is the component of the control at whose place the
+    /// stacked row a was measured; without localization it is not asked for and may be empty. The mean of the
+    /// ensemble is not used: pass it as the background.
     ///
     /// # Errors
-    /// Lengths that disagree, an anchor the control does not have; the first failure of the model or of an operator, in the order control, member
-    /// 1 … N.
+    /// Lengths that disagree, an anchor the control does not have; the first failure of the model or of an
+    /// operator, in the order control, member 1 … N.
     pub fn new<'m: 'a>(
         make_model: &dyn Fn() -> Box<dyn Model + Send + 'm>,
         background: Vec<f64>,
@@ -185,7 +192,8 @@ impl<'a> EnVar<'a> {
         Ok(cost)
     }
 
-    /// Sets ε for the linearizations that follow: 1 (the default) or, for differences about the control, say 1e-4.
+    /// Sets ε for the linearizations that follow: 1 (the default) or, for differences about the control, say
+    /// 1e-4.
     ///
     /// # Panics
     /// If ε is not positive and finite.
@@ -209,7 +217,8 @@ impl<'a> EnVar<'a> {
         &self.base.d
     }
 
-    /// Runs the control and every member about v and linearizes there. After an error the cost is what it was.
+    /// Runs the control and every member about v and linearizes there. After an error the cost is what it
+    /// was.
     ///
     /// # Errors
     /// The first failure of the model or of an operator, in the order control, member 1 … N.
@@ -230,10 +239,10 @@ impl<'a> EnVar<'a> {
         }
         self.run(members + 1)?;
 
-        let sigma = self.observations.sigma().to_vec();
+        let sigma = self.observations.row_scale().to_vec();
         self.observe(0)?;
         self.observations.innovations(&self.predicted, &mut self.next.d);
-        self.next.d.iter_mut().zip(&sigma).for_each(|(d, s)| *d /= s);
+        self.observations.whiten(&mut self.next.d);
         let control = self.predicted.clone();
         for i in 0..members {
             self.observe(i + 1)?;
@@ -241,6 +250,7 @@ impl<'a> EnVar<'a> {
                 self.next.y[a * members + i] = (self.predicted[a] - control[a]) / (sigma[a] * size);
             }
         }
+        self.observations.whiten_rows(members, &mut self.next.y);
         if self.centred {
             for row in self.next.y.chunks_exact_mut(members) {
                 let mean = row.iter().sum::<f64>() / members as f64;
@@ -261,6 +271,7 @@ impl<'a> EnVar<'a> {
                 for k in 0..=self.last {
                     self.observations.tangent_add(k, &self.states[k * n..(k + 1) * n], &dx, &mut self.dy);
                 }
+                self.observations.whiten_blocks(&mut self.dy);
                 for a in 0..m {
                     self.next.g_static[a * r_s + j] = self.dy[a] / sigma[a];
                 }
@@ -286,12 +297,11 @@ impl<'a> EnVar<'a> {
         self.transform.control(v, &mut self.controls[..n_z]);
         self.run(1)?;
         self.observe(0)?;
-        let mut sum = 0.0;
-        for ((p, y), s) in
-            self.predicted.iter().zip(self.observations.values()).zip(self.observations.sigma())
-        {
-            sum += ((y - p) / (self.scale * s)).powi(2);
-        }
+        let mut d = vec![0.0; self.predicted.len()];
+        self.observations.innovations(&self.predicted, &mut d);
+        self.observations.whiten_blocks(&mut d);
+        let rows = d.iter().zip(self.observations.row_scale());
+        let sum = rows.fold(0.0, |sum, (d, s)| sum + (d / (self.scale * s)).powi(2));
         Ok(0.5 * dot(v, v) + 0.5 * sum)
     }
 
@@ -375,8 +385,9 @@ impl<'a> EnVar<'a> {
     }
 }
 
-/// Runs every model from its control over `steps` steps, in parallel with the feature `rayon`. A run is a pure function of its control, so
-/// that who runs it does not matter; the error is that of the first model that failed.
+/// Runs every model from its control over `steps` steps, in parallel with the feature `rayon`. A run is a
+/// pure function of its control, so that who runs it does not matter; the error is that of the first model
+/// that failed.
 pub(crate) fn run_all<'m>(
     models: &mut [Box<dyn Model + Send + 'm>],
     controls: &[f64],

@@ -10,12 +10,13 @@ use varda_linalg::dense::{Cholesky, View, product};
 ///     q(p) = ½‖b + p‖² + ½‖G p − d‖²,    ∇q(0) = b − Gᵀd,    ∇²q = A = I + GᵀG
 /// ```
 ///
-/// b is the whitened departure of v from what is known before it was observed (v itself where v = B^{-1/2}(z − z_b): the background term
-/// is about z_b, not about the iterate), d = R^{-1/2}(y − H(x)), and G = R^{-1/2} H M B^{1/2} (paper 2.10, 2.19 with the sign of 2.10).
-/// What incremental, dual and closed-form methods have in common: they see a problem through this trait only.
+/// b is the whitened departure of v from what is known before it was observed (v itself where v = B^{-1/2}(z
+/// − z_b): the background term is about z_b, not about the iterate), d = R^{-1/2}(y − H(x)), and G =
+/// R^{-1/2} H M B^{1/2} (paper 2.10, 2.19 with the sign of 2.10). What incremental, dual and closed-form
+/// methods have in common: they see a problem through this trait only.
 ///
-/// p is whitened (its norm is that of the prior); the increment of v that belongs to it is `increment(p)`, which is p itself
-/// unless the cost is over states.
+/// p is whitened (its norm is that of the prior); the increment of v that belongs to it is `increment(p)`,
+/// which is p itself unless the cost is over states.
 pub trait Incremental: CostFunction {
     /// Makes v the outer iterate: returns J(v) and ∇q(0), from one forward run and one adjoint sweep.
     ///
@@ -70,7 +71,8 @@ pub trait Incremental: CostFunction {
         Ok(())
     }
 
-    /// p = −A⁻¹ ∇q(0) by a direct method, for small problems and as a reference: A formed by n tangent sweeps, then Cholesky.
+    /// p = −A⁻¹ ∇q(0) by a direct method, for small problems and as a reference: A formed by n tangent
+    /// sweeps, then Cholesky.
     ///
     /// # Errors
     /// As for `tangent`; [`Error::NotPositiveDefinite`] where the factorization fails.
@@ -117,14 +119,16 @@ pub(crate) fn solve_identity_plus(w: View, x: &mut [f64]) -> Result<(), Error> {
     if x.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(failed()) }
 }
 
-/// The quadratic inner cost q(p) of [`Incremental`] around the outer iterate last linearized, as a cost function of its own
-/// (paper 2.10, 2.19 with d = y − H(x_b); gradient: paper 2.20; Courtier, Thépaut and Hollingsworth 1994): any
-/// minimizer can be run on it.
+/// The quadratic inner cost q(p) of [`Incremental`] around the outer iterate last linearized, as a cost
+/// function of its own (paper 2.10, 2.19 with d = y − H(x_b); gradient: paper 2.20; Courtier, Thépaut and
+/// Hollingsworth 1994): any minimizer can be run on it.
 ///
-/// q(0) = J at the outer iterate, ∇q(0) = ∇J there, and where model and observations are linear q(p) = J(v + p) everywhere.
+/// q(0) = J at the outer iterate, ∇q(0) = ∇J there, and where model and observations are linear q(p) =
+/// J(v + p) everywhere.
 ///
-/// When to use: to give the inner problem to a minimizer of one's own. When not: [`outer_loop`](crate::outer_loop) solves it by conjugate
-/// gradients already. Cost: a tangent sweep for a value, an adjoint sweep more for a gradient, no model step. Memory: n + 2m beside the problem's.
+/// When to use: to give the inner problem to a minimizer of one's own. When not:
+/// [`outer_loop`](crate::outer_loop) solves it by conjugate gradients already. Cost: a tangent sweep for a
+/// value, an adjoint sweep more for a gradient, no model step. Memory: n + 2m beside the problem's.
 pub struct InnerCost<'a> {
     outer: &'a mut (dyn Incremental + 'a),
     b: Vec<f64>,

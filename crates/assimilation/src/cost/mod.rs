@@ -10,6 +10,7 @@ mod strong;
 mod tridiagonal;
 mod weak_forcing;
 mod weak_state;
+mod whitening;
 
 pub use dual::Dual;
 pub(crate) use ensemble::run_all;
@@ -35,12 +36,13 @@ pub trait CostFunction {
 
     /// J(v) and, where asked for, ∇J(v), from one forward run and one adjoint sweep.
     ///
-    /// What is known about a point is kept for the last two points, so that asking for the gradient at a trial point that
-    /// was just evaluated costs no second forward run.
+    /// What is known about a point is kept for the last two points, so that asking for the gradient at a
+    /// trial point that was just evaluated costs no second forward run.
     ///
     /// # Errors
-    /// A model or an operator that fails, or a value that is not finite. The point of the last gradient is then still
-    /// available to the products of [`GaussNewton`], unless it was the gradient itself that failed.
+    /// A model or an operator that fails, or a value that is not finite. The point of the last gradient is
+    /// then still available to the products of [`GaussNewton`], unless it was the gradient itself that
+    /// failed.
     ///
     /// # Panics
     /// If a slice is not of length `dim`.
@@ -49,7 +51,8 @@ pub trait CostFunction {
     /// The parts of J at the last evaluation.
     fn terms(&self) -> CostTerms;
 
-    /// Multiplies every observation error σ by `scale` from now on (1 = the true cost; larger values flatten J).
+    /// Multiplies every observation error σ by `scale` from now on (1 = the true cost; larger values flatten
+    /// J).
     ///
     /// # Panics
     /// If `scale` is not positive and finite.
@@ -59,10 +62,11 @@ pub trait CostFunction {
     fn counts(&self) -> Counts;
 }
 
-/// A cost ½‖r(v)‖² whose Hessian without second derivatives is A = r'ᵀ r' (paper 2.18; the paper calls it "the Hessian").
+/// A cost ½‖r(v)‖² whose Hessian without second derivatives is A = r'ᵀ r' (paper 2.18; the paper
+/// calls it "the Hessian").
 ///
-/// In the control variable A = I + GᵀG, with G = R^{-1/2} H M B^{1/2} the m × n Jacobian of the whitened predictions. All products
-/// are around the last point evaluated *with* its gradient.
+/// In the control variable A = I + GᵀG, with G = R^{-1/2} H M B^{1/2} the m × n Jacobian of the whitened
+/// predictions. All products are around the last point evaluated *with* its gradient.
 pub trait GaussNewton: CostFunction {
     /// m, the number of observations.
     fn observation_dim(&self) -> usize;
@@ -94,8 +98,8 @@ pub trait GaussNewton: CostFunction {
     /// As for `observation_jacobian`.
     fn hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error>;
 
-    /// A, dense, column by column (`out` has length n²): by n products, or as the costs with a model have it by n tangent or m adjoint sweeps,
-    /// whichever takes fewer steps.
+    /// A, dense, column by column (`out` has length n²): by n products, or as the costs with a model have it
+    /// by n tangent or m adjoint sweeps, whichever takes fewer steps.
     ///
     /// # Errors
     /// As for `observation_jacobian`.

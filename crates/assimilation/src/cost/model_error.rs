@@ -12,13 +12,13 @@ use varda_covariance::{Covariance, Precision};
 /// with E placing η on `components` of the state. One Q for the whole window.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Forcing {
-    /// The components of the state that are forced, as many as Q has rows. A component left out obeys the model exactly (of a rod, the
-    /// angles: Q acts on [X, V]).
+    /// The components of the state that are forced, as many as Q has rows. A component left out obeys the
+    /// model exactly (of a rod, the angles: Q acts on [X, V]).
     pub components: Vec<usize>,
     /// Length n of a sub-window in steps; 1 is an error in every step.
     pub steps: usize,
-    /// Whether η_j is held over the n steps of sub-window j, added after each of them (a bias of the model), or added once, at the
-    /// end of the sub-window. Q is the covariance of one η_j either way.
+    /// Whether η_j is held over the n steps of sub-window j, added after each of them (a bias of the model),
+    /// or added once, at the end of the sub-window. Q is the covariance of one η_j either way.
     pub held: bool,
 }
 

@@ -3,16 +3,17 @@
 use super::{CostFunction, EnVar, GaussNewton, StrongConstraint, WeakForcing};
 use crate::{Error, ObservationSet};
 
-/// The Huber norm ρ_δ(r) of a departure r = d/σ with its first two derivatives (Huber 1964; Tavolato and Isaksen 2015 in 4D-Var):
+/// The Huber norm ρ_δ(r) of a departure r = d/σ with its first two derivatives (Huber 1964; Tavolato and
+/// Isaksen 2015 in 4D-Var):
 ///
 /// ```text
 ///     ρ = ½ r²,          ρ' = r,          ρ'' = 1        |r| ≤ δ
 ///     ρ = δ|r| − ½ δ²,   ρ' = δ sign r,   ρ'' = 0        |r| > δ
 /// ```
 ///
-/// Convex, so that it makes no new minima; a gross error pulls with a bounded force instead of one that grows. The Gauss–Newton Hessian is that
-/// of the norm: I + Σ ρ'' gᵀg, in which a row beyond δ has no weight, and the posterior does not count it as information.
-/// Returns (ρ, ρ', ρ'').
+/// Convex, so that it makes no new minima; a gross error pulls with a bounded force instead of one that
+/// grows. The Gauss–Newton Hessian is that of the norm: I + Σ ρ'' gᵀg, in which a row beyond δ has no
+/// weight, and the posterior does not count it as information. Returns (ρ, ρ', ρ'').
 pub fn huber(delta: f64, r: f64) -> (f64, f64, f64) {
     if r.abs() <= delta {
         (0.5 * r * r, r, 1.0)
@@ -42,13 +43,15 @@ pub struct Rejection {
 }
 
 impl StrongConstraint<'_> {
-    /// The background check (Ingleby and Lorenc 1993): the values with |y − H(x_b)| > `limit` √(H B Hᵀ + R), to be left out with
-    /// [`ObservationSet::without`]. Costs a gradient at v = 0 and min(n, m) sweeps.
+    /// The background check (Ingleby and Lorenc 1993): the values with |y − H(x_b)| > `limit` √(H B Hᵀ
+    /// + R), to be left out with [`ObservationSet::without`]. Costs a gradient at v = 0 and min(n, m) sweeps.
     ///
-    /// Linear: where the background is so far off that H B Hᵀ says nothing about it, good observations are refused; count what it refuses.
+    /// Linear: where the background is so far off that H B Hᵀ says nothing about it, good observations are
+    /// refused; count what it refuses.
     ///
     /// # Errors
-    /// A limit that is not positive; a background at which the cost cannot be evaluated.
+    /// A limit that is not positive; correlated observation errors, of which a single value cannot be judged
+    /// alone; a background at which the cost cannot be evaluated.
     pub fn background_check(&mut self, limit: f64) -> Result<Vec<Rejection>, Error> {
         let n = self.dim();
         let delta = self.huber_threshold();
@@ -59,25 +62,26 @@ impl StrongConstraint<'_> {
         let mut d = vec![0.0; self.observation_dim()];
         let spread = checked?;
         self.observations().innovations(self.predicted(), &mut d);
-        d.iter_mut().zip(self.observations().sigma()).for_each(|(d, sigma)| *d /= sigma);
+        self.observations().whiten(&mut d);
         refused(&d, &spread, limit, self.observations())
     }
 }
 
 impl WeakForcing<'_> {
-    /// The background check, H B Hᵀ with what the errors of the model add to it, H (M B Mᵀ + Q …) Hᵀ. Otherwise that of
-    /// [`StrongConstraint::background_check`].
+    /// The background check, H B Hᵀ with what the errors of the model add to it, H (M B Mᵀ + Q …) Hᵀ.
+    /// Otherwise that of [`StrongConstraint::background_check`].
     ///
     /// # Errors
-    /// A limit that is not positive; a background at which the cost cannot be evaluated.
+    /// A limit that is not positive; correlated observation errors, of which a single value cannot be judged
+    /// alone; a background at which the cost cannot be evaluated.
     pub fn background_check(&mut self, limit: f64) -> Result<Vec<Rejection>, Error> {
         self.window.background_check(limit)
     }
 }
 
 impl EnVar<'_> {
-    /// The background check, H B Hᵀ being that of the ensemble. Asked for before the first outer iteration: it is made about the
-    /// point of the last linearization, which is the background at first.
+    /// The background check, H B Hᵀ being that of the ensemble. Asked for before the first outer iteration:
+    /// it is made about the point of the last linearization, which is the background at first.
     ///
     /// # Errors
     /// A limit that is not positive.
@@ -122,6 +126,9 @@ fn refused(
 ) -> Result<Vec<Rejection>, Error> {
     if !(limit > 0.0) {
         return Err(Error::Setting { what: "the limit of the background check", value: limit });
+    }
+    if observations.is_correlated() {
+        return Err(Error::CorrelatedErrors { what: "the background check" });
     }
     let mut refused = Vec::new();
     for (i, observation) in observations.observations().iter().enumerate() {

@@ -2,12 +2,12 @@
 
 use super::dense::Dense;
 use super::model_error::{Errors, Over};
-use super::robust::huber;
 use super::{CostFunction, CostTerms, Counts, GaussNewton, Incremental, dot};
 use crate::{ControlTransform, Error, ObservationSet};
 use varda_implicit::{Footprint, Keep, Log, Model, Storage, Trajectory};
 
-/// Strong-constraint 4D-Var in the control variable (paper 2.15, with z = z_b + B^{1/2} v; Courtier, Thépaut and Hollingsworth 1994):
+/// Strong-constraint 4D-Var in the control variable (paper 2.15, with z = z_b + B^{1/2} v; Courtier, Thépaut
+/// and Hollingsworth 1994):
 ///
 /// ```text
 ///     J(v)  = ½‖v‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹},    x₀ = x₀(z),    x_{k+1} = M_k(x_k)
@@ -16,28 +16,31 @@ use varda_implicit::{Footprint, Keep, Log, Model, Storage, Trajectory};
 ///
 /// The gradient is one forward run, one linearization of every step, and one adjoint sweep in Horner's form
 /// (paper 2.17, 2.26, 2.27):
-/// λ ← H_kᵀ R_k⁻¹ d_k + M_kᵀ λ from the last observed step down to the first. Steps after the last observation are not run. Where the
-/// last observation is at step 0, or there is no model at all, this is 3D-Var and no step is called
-/// (paper 2.5, 2.6, 2.9).
+/// λ ← H_kᵀ R_k⁻¹ d_k + M_kᵀ λ from the last observed step down to the first. Steps after the last
+/// observation are not run. Where the last observation is at step 0, or there is no model at all, this is
+/// 3D-Var and no step is called (paper 2.5, 2.6, 2.9).
 ///
-/// When to use: the default, where the model has a tangent and an adjoint. When not: a model in error ([`WeakForcing`](super::WeakForcing)), no
-/// adjoint ([`EnVar`](super::EnVar)), chaos over a window of many e-foldings ([`window_growth`](crate::window_growth)).
+/// When to use: the default, where the model has a tangent and an adjoint. When not: a model in error
+/// ([`WeakForcing`](super::WeakForcing)), no adjoint ([`EnVar`](super::EnVar)), chaos over a window of many
+/// e-foldings ([`window_growth`](crate::window_growth)).
 ///
-/// Cost: a gradient is one forward run, one linearization of every step and one adjoint sweep; a product with A one sweep each way; A itself n
-/// tangent or m adjoint sweeps, whichever takes fewer steps. Memory: two trajectories, (last + 1) × n each, beside what the model keeps of its
-/// linearizations, m n for A; less, for more work and the same bits, by [`set_storage`](Self::set_storage).
+/// Cost: a gradient is one forward run, one linearization of every step and one adjoint sweep; a product with
+/// A one sweep each way; A itself n tangent or m adjoint sweeps, whichever takes fewer steps. Memory: two
+/// trajectories, (last + 1) × n each, beside what the model keeps of its linearizations, m n for A; less,
+/// for more work and the same bits, by [`set_storage`](Self::set_storage).
 pub struct StrongConstraint<'a> {
     pub(super) model: Option<&'a mut (dyn Model + 'a)>,
     pub(super) transform: ControlTransform<'a>,
     pub(super) observations: &'a mut ObservationSet,
     /// With model error: the engine of the weak-constraint costs.
     pub(super) errors: Option<Errors<'a>>,
-    /// R^{-1/2}, with the scale of σ in force.
+    /// R^{-1/2} of independent rows, 1 of correlated ones, with the scale of σ in force: R^{-1/2} is this
+    /// after the whitening of the correlated blocks.
     pub(super) root_precision: Vec<f64>,
     /// δ of the Huber norm; infinite for squares.
-    huber: f64,
+    pub(super) huber: f64,
     /// √ρ'' of every row at the point of the last gradient.
-    root_weight: Vec<f64>,
+    pub(super) root_weight: Vec<f64>,
     /// The last step that is run to.
     pub(super) last: usize,
     /// Length of the state.
@@ -50,7 +53,8 @@ pub struct StrongConstraint<'a> {
     pub(super) trial: Point,
     terms: CostTerms,
     pub(super) counts: Counts,
-    /// Work of the model outside the present trajectories: of those before a change of storage, and of single steps.
+    /// Work of the model outside the present trajectories: of those before a change of storage, and of single
+    /// steps.
     pub(super) log: Log,
     pub(super) lambda: Vec<f64>,
     pub(super) dz: Vec<f64>,
@@ -71,15 +75,15 @@ pub(super) struct Point {
     pub(super) trajectory: Trajectory,
     /// M_k(x_k) of the steps after which the model's error enters.
     landings: Vec<f64>,
-    predicted: Vec<f64>,
+    pub(super) predicted: Vec<f64>,
 }
 
 impl<'a> StrongConstraint<'a> {
     /// The cost of a window of `observations.steps()` steps of a model whose control is that of `transform`.
     ///
     /// # Errors
-    /// A model whose control has another length than B, or whose state has another length than that which the observation
-    /// operators read ([`Error::StateLength`]).
+    /// A model whose control has another length than B, or whose state has another length than that which the
+    /// observation operators read ([`Error::StateLength`]).
     pub fn new(
         model: &'a mut (dyn Model + 'a),
         transform: ControlTransform<'a>,
@@ -149,7 +153,7 @@ impl<'a> StrongConstraint<'a> {
         Self {
             model,
             log: Log::default(),
-            root_precision: observations.sigma().iter().map(|sigma| 1.0 / sigma).collect(),
+            root_precision: observations.row_scale().iter().map(|sigma| 1.0 / sigma).collect(),
             huber: f64::INFINITY,
             root_weight: vec![1.0; m],
             last,
@@ -169,8 +173,8 @@ impl<'a> StrongConstraint<'a> {
         }
     }
 
-    /// Measures departures by the Huber norm from now on: J_o = Σ ρ_δ(d/σ), see [`huber`](crate::huber). δ is in units of σ; infinity (the
-    /// default) is the sum of squares.
+    /// Measures departures by the Huber norm from now on: J_o = Σ ρ_δ(d/σ), see [`huber`](crate::huber).
+    /// δ is in units of σ; infinity (the default) is the sum of squares.
     ///
     /// # Errors
     /// δ that is not positive.
@@ -187,8 +191,8 @@ impl<'a> StrongConstraint<'a> {
         self.huber
     }
 
-    /// What is kept between a forward run and the sweeps along it: the same bits for less memory and more work. Nothing is
-    /// known of any point afterwards.
+    /// What is kept between a forward run and the sweeps along it: the same bits for less memory and more
+    /// work. Nothing is known of any point afterwards.
     ///
     /// # Panics
     /// If not even one state is to be kept.
@@ -201,8 +205,9 @@ impl<'a> StrongConstraint<'a> {
         self.based = false;
     }
 
-    /// The storage of least work whose states and linearizations take no more than so many bytes ([`bytes`](Self::bytes)); sets and
-    /// returns it. A model that does not say what it keeps is counted with its states alone; a dense Hessian is not counted.
+    /// The storage of least work whose states and linearizations take no more than so many bytes
+    /// ([`bytes`](Self::bytes)); sets and returns it. A model that does not say what it keeps is counted with
+    /// its states alone; a dense Hessian is not counted.
     ///
     /// # Errors
     /// [`varda_implicit::Error::Memory`] where the sparest storage takes more.
@@ -315,7 +320,8 @@ impl<'a> StrongConstraint<'a> {
         Ok(())
     }
 
-    /// Linearizes every step at the base point, where the storage keeps that and the model does not hold it already.
+    /// Linearizes every step at the base point, where the storage keeps that and the model does not hold it
+    /// already.
     fn linearize(&mut self) -> Result<(), Error> {
         let Some(model) = &mut self.model else { return Ok(()) };
         self.trial.trajectory.forget_linearizations();
@@ -328,7 +334,8 @@ impl<'a> StrongConstraint<'a> {
         Ok(self.base.trajectory.linearize_landing(&mut **model, &landing)?)
     }
 
-    /// Brings the model back to the base point after a trial run: its linearizations, and its map from control to initial state.
+    /// Brings the model back to the base point after a trial run: its linearizations, and its map from
+    /// control to initial state.
     pub(super) fn return_to_base(&mut self) -> Result<(), Error> {
         assert!(self.based, "evaluate a gradient first");
         self.linearize()?;
@@ -395,34 +402,6 @@ impl<'a> StrongConstraint<'a> {
         self.whiten(dy);
         Ok(())
     }
-
-    /// dy ← √ρ'' R^{-1/2} dy.
-    fn whiten(&self, dy: &mut [f64]) {
-        dy.iter_mut().enumerate().for_each(|(i, dy)| *dy *= self.whitening(i));
-    }
-
-    /// Entry i of √ρ'' R^{-1/2}.
-    pub(super) fn whitening(&self, i: usize) -> f64 {
-        self.root_weight[i] * self.root_precision[i]
-    }
-
-    /// J_o at the base point or at the trial point; with `derivatives` also dy = −R^{-1/2} ρ' and √ρ'' there.
-    fn observation_term(&mut self, at_base: bool, derivatives: bool) -> f64 {
-        let predicted = if at_base { &self.base.predicted } else { &self.trial.predicted };
-        let rows = self.observations.values().iter().zip(predicted).zip(&self.root_precision);
-        if !derivatives {
-            return rows.fold(0.0, |sum, ((y, hx), root)| sum + huber(self.huber, (y - hx) * root).0);
-        }
-        let mut sum = 0.0;
-        for ((((y, hx), root), dy), weight) in rows.zip(&mut self.dy).zip(&mut self.root_weight) {
-            let (rho, slope, curvature) = huber(self.huber, (y - hx) * root);
-            sum += rho;
-            *dy = -slope * root;
-            // ρ'' is 0 or 1
-            *weight = curvature;
-        }
-        sum
-    }
 }
 
 impl CostFunction for StrongConstraint<'_> {
@@ -481,7 +460,7 @@ impl CostFunction for StrongConstraint<'_> {
 
     fn set_observation_scale(&mut self, scale: f64) {
         assert!(scale > 0.0 && scale.is_finite(), "observation scale {scale}");
-        for (root, sigma) in self.root_precision.iter_mut().zip(self.observations.sigma()) {
+        for (root, sigma) in self.root_precision.iter_mut().zip(self.observations.row_scale()) {
             *root = 1.0 / (scale * sigma);
         }
     }
@@ -507,7 +486,7 @@ impl GaussNewton for StrongConstraint<'_> {
         self.return_to_base()?;
         let mut whitened = std::mem::take(&mut self.dy);
         whitened.copy_from_slice(dy);
-        self.whiten(&mut whitened);
+        self.whiten_transpose(&mut whitened);
         self.dy = whitened;
         self.adjoint_sweep(dv)
     }
@@ -516,7 +495,7 @@ impl GaussNewton for StrongConstraint<'_> {
         self.return_to_base()?;
         let mut dy = std::mem::take(&mut self.dy);
         let swept = self.tangent_sweep(dv, &mut dy);
-        self.whiten(&mut dy);
+        self.whiten_transpose(&mut dy);
         self.dy = dy;
         swept?;
         self.adjoint_sweep(out)?;
@@ -556,6 +535,7 @@ impl Incremental for StrongConstraint<'_> {
         assert!(self.based, "evaluate a gradient first");
         b.copy_from_slice(&self.base.prior);
         self.observations.innovations(&self.base.predicted, d);
+        self.observations.whiten_blocks(d);
         d.iter_mut().zip(&self.root_precision).for_each(|(d, root)| *d *= root);
     }
 

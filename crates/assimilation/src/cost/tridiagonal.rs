@@ -6,15 +6,16 @@ use varda_covariance::Precision;
 use varda_linalg::axpy;
 use varda_linalg::dense::{Cholesky, Matrix};
 
-/// p = −A⁻¹ g through the block-tridiagonal system in the whitened states s (z = B^{1/2} s_0, ξ_j = Q^{1/2} s_j), where p = T s:
+/// p = −A⁻¹ g through the block-tridiagonal system in the whitened states s (z = B^{1/2} s_0, ξ_j =
+/// Q^{1/2} s_j), where p = T s:
 ///
 /// ```text
 ///     T_jj = I,    T_{j+1,j} = −F_j,    F_j = Q^{-1/2} M_j (B or Q)^{1/2},    C_j = R^{-1/2} H M (B or Q)^{1/2} of sub-window j
 ///     (TᵀT + CᵀC) s = −Tᵀ g :    diagonal blocks I + F_jᵀF_j + C_jᵀC_j,    below them −F_j + C_{j+1}ᵀ C_j
 /// ```
 ///
-/// An observation between two steps couples neighbours and no others. Costs a tangent run of every sub-window for every component of its
-/// state, O(N n³) arithmetic and O(N n² + m n) memory.
+/// An observation between two steps couples neighbours and no others. Costs a tangent run of every sub-window
+/// for every component of its state, O(N n³) arithmetic and O(N n² + m n) memory.
 pub(super) fn solve(
     window: &mut StrongConstraint,
     q: &dyn Precision,
@@ -156,6 +157,7 @@ fn column(
             base.trajectory.tangent_of_step(&mut **model, k, dx);
         }
     }
+    observations.whiten_blocks(dy);
     for (r, (dy, root)) in dy.iter().zip(&*root_precision).enumerate() {
         c[(r, i)] = dy * root;
     }

@@ -6,32 +6,37 @@ use crate::{ControlTransform, Error, ObservationSet};
 use varda_covariance::Covariance;
 use varda_implicit::Model;
 
-/// Weak-constraint 4D-Var over initial state and model-error forcing (paper 4.1 with squares and x_{k+1} = M_k(x_k) + η; Trémolet 2006):
+/// Weak-constraint 4D-Var over initial state and model-error forcing (paper 4.1 with squares and x_{k+1} =
+/// M_k(x_k) + η; Trémolet 2006):
 ///
 /// ```text
 ///     J(v, p) = ½‖v‖² + ½ Σ_j ‖p_j‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹}
 ///     x₀ = x₀(z_b + B^{1/2} v),    x_{k+1} = M_k(x_k) + E Q^{1/2} p_j,    ‖p_j‖² = ‖η_j‖²_{Q⁻¹}
 /// ```
 ///
-/// The control is (v, p_1 … p_N); its gradient is one adjoint sweep, λ being read off as it passes: ∂J/∂p_j = p_j + Q^{1/2}ᵀ Eᵀ Σ λ_{k+1}.
-/// The Hessian is I + GᵀG, so that every minimizer works; neither B nor Q needs an inverse, and Q → 0 is the strong constraint, smoothly.
-/// N counts the sub-windows that end (or, with a held forcing, begin) before the last observation; later forcing could not be estimated.
+/// The control is (v, p_1 … p_N); its gradient is one adjoint sweep, λ being read off as it passes:
+/// ∂J/∂p_j = p_j + Q^{1/2}ᵀ Eᵀ Σ λ_{k+1}. The Hessian is I + GᵀG, so that every minimizer works;
+/// neither B nor Q needs an inverse, and Q → 0 is the strong constraint, smoothly. N counts the sub-windows
+/// that end (or, with a held forcing, begin) before the last observation; later forcing could not be
+/// estimated.
 ///
-/// When to use: a model in error, above all with few forcings (long sub-windows, a Q of low rank). When not: long chaotic windows, where
-/// J as a function of x₀ has several minima that [`WeakState`](super::WeakState) avoids.
+/// When to use: a model in error, above all with few forcings (long sub-windows, a Q of low rank). When not:
+/// long chaotic windows, where J as a function of x₀ has several minima that
+/// [`WeakState`](super::WeakState) avoids.
 ///
-/// Cost: sweeps and runs as for [`StrongConstraint`], but more inner iterations: the control has N times the rank of Q more entries. Memory:
-/// N more states.
+/// Cost: sweeps and runs as for [`StrongConstraint`], but more inner iterations: the control has N times the
+/// rank of Q more entries. Memory: N more states.
 pub struct WeakForcing<'a> {
     pub(super) window: StrongConstraint<'a>,
 }
 
 impl<'a> WeakForcing<'a> {
-    /// The cost of the window of `observations` with model errors of covariance `q`, entering as `forcing` says.
+    /// The cost of the window of `observations` with model errors of covariance `q`, entering as `forcing`
+    /// says.
     ///
     /// # Errors
-    /// As for [`StrongConstraint::new`]; a Q of another size than the forced components, a component twice or one the state does
-    /// not have, a sub-window of no steps.
+    /// As for [`StrongConstraint::new`]; a Q of another size than the forced components, a component twice or
+    /// one the state does not have, a sub-window of no steps.
     pub fn new(
         model: &'a mut (dyn Model + 'a),
         transform: ControlTransform<'a>,

@@ -6,26 +6,30 @@ use crate::{ControlTransform, Error, ObservationSet};
 use varda_covariance::Precision;
 use varda_implicit::Model;
 
-/// Weak-constraint 4D-Var over all states (paper 4.1 with squares; Trémolet 2006; preconditioned as in Fisher and Gürol 2017):
+/// Weak-constraint 4D-Var over all states (paper 4.1 with squares; Trémolet 2006; preconditioned as in
+/// Fisher and Gürol 2017):
 ///
 /// ```text
 ///     J(z, ξ_1 … ξ_N) = ½‖z − z_b‖²_{B⁻¹} + ½ Σ_j ‖ξ_j − Eᵀ M(x_{j−1})‖²_{Q⁻¹} + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹}
 /// ```
 ///
-/// The control is z and ξ_j, the forced components of the state at the end of every sub-window, in their own units; components that are not
-/// forced follow the model. Both B⁻¹ and Q⁻¹ are needed ([`Precision`]).
+/// The control is z and ξ_j, the forced components of the state at the end of every sub-window, in their own
+/// units; components that are not forced follow the model. Both B⁻¹ and Q⁻¹ are needed ([`Precision`]).
 ///
-/// The Hessian in the states is badly conditioned (a discrete second derivative in time, over Q), so increments are solved for in
-/// p = D^{-1/2} L δx, D = diag(B, Q, Q …), L the model's tangent as a bidiagonal matrix: there it is I + GᵀG, the same as in
-/// [`WeakForcing`](super::WeakForcing), and δx = L⁻¹ D^{1/2} p is one tangent sweep. Minimize with [`outer_loop`](crate::outer_loop), which
-/// works in p (`InnerSolver::Direct` is a block-tridiagonal solve, as a reference for small problems). The gradient of
+/// The Hessian in the states is badly conditioned (a discrete second derivative in time, over Q), so
+/// increments are solved for in p = D^{-1/2} L δx, D = diag(B, Q, Q …), L the model's tangent as a
+/// bidiagonal matrix: there it is I + GᵀG, the same as in [`WeakForcing`](super::WeakForcing), and δx =
+/// L⁻¹ D^{1/2} p is one tangent sweep. Minimize with [`outer_loop`](crate::outer_loop), which works in p
+/// (`InnerSolver::Direct` is a block-tridiagonal solve, as a reference for small problems). The gradient of
 /// [`CostFunction::evaluate`] is that in the states, for other minimizers.
 ///
-/// When to use: long windows, where a start from states near the observations avoids the minima that a chaotic model puts into
-/// the forcing form; linear problems give the same analysis by both. When not: Q → 0 (then Q⁻¹ blows up), singular B or Q.
+/// When to use: long windows, where a start from states near the observations avoids the minima that a
+/// chaotic model puts into the forcing form; linear problems give the same analysis by both. When not: Q →
+/// 0 (then Q⁻¹ blows up), singular B or Q.
 ///
-/// Cost: as [`WeakForcing`](super::WeakForcing), and a tangent sweep for the increment of an outer iteration; the direct solve n tangent sweeps
-/// and N Cholesky factors of size n. Memory: N n for the control, three times that for the trajectories.
+/// Cost: as [`WeakForcing`](super::WeakForcing), and a tangent sweep for the increment of an outer iteration;
+/// the direct solve n tangent sweeps and N Cholesky factors of size n. Memory: N n for the control, three
+/// times that for the trajectories.
 pub struct WeakState<'a> {
     window: StrongConstraint<'a>,
     b: &'a dyn Precision,
@@ -36,8 +40,8 @@ pub struct WeakState<'a> {
 }
 
 impl<'a> WeakState<'a> {
-    /// The cost of the window of `observations` with background z_b, its covariance B, and model errors of covariance `q`, entering
-    /// at the ends of sub-windows.
+    /// The cost of the window of `observations` with background z_b, its covariance B, and model errors of
+    /// covariance `q`, entering at the ends of sub-windows.
     ///
     /// # Errors
     /// As for [`WeakForcing::new`](super::WeakForcing::new); a held forcing, which states do not determine.
@@ -90,7 +94,8 @@ impl<'a> WeakState<'a> {
         Ok(v)
     }
 
-    /// The control of a first guess: z, and the forced components of what `state(k, x)` fills in for step k at every end of a sub-window.
+    /// The control of a first guess: z, and the forced components of what `state(k, x)` fills in for step k
+    /// at every end of a sub-window.
     ///
     /// # Panics
     /// If z has the wrong length.

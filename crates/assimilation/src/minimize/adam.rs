@@ -11,7 +11,8 @@ pub struct AdamOptions {
     pub gradient_tolerance: f64,
     /// Steps at most.
     pub max_iterations: usize,
-    /// α, the size of the first steps per component, in the unit of the variable: prior standard deviations for a control variable.
+    /// α, the size of the first steps per component, in the unit of the variable: prior standard deviations
+    /// for a control variable.
     pub learning_rate: f64,
     /// β₁, the memory of the mean gradient.
     pub beta1: f64,
@@ -40,9 +41,10 @@ impl Default for AdamOptions {
 ///     m ← β₁ m + (1 − β₁) g,    s ← β₂ s + (1 − β₂) g²,    v ← v − α (m / (1 − β₁ᵗ)) / (√(s / (1 − β₂ᵗ)) + ε)    (by components)
 /// ```
 ///
-/// When to use: as the baseline the paper compares with. When not: for an answer. It is blind to couplings between components, has no line
-/// search, J may rise, and the number of steps is in the hundreds to thousands. A control variable does for it what a Hessian does for others; in the raw variables
-/// of the model ([`RawVariables`](crate::RawVariables)) a stiff cost is out of its reach.
+/// When to use: as the baseline the paper compares with. When not: for an answer. It is blind to couplings
+/// between components, has no line search, J may rise, and the number of steps is in the hundreds to
+/// thousands. A control variable does for it what a Hessian does for others; in the raw variables of the
+/// model ([`RawVariables`](crate::RawVariables)) a stiff cost is out of its reach.
 ///
 /// A model failure ends it (`Status::Failed`). Unless it converged, the lowest point seen is returned.
 ///

@@ -15,7 +15,8 @@ use std::rc::Rc;
 /// Settings of [`argmin_lbfgs`] and [`argmin_trust_region`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct ArgminOptions {
-    /// Converged when ‖∇J‖ has fallen to this part of the first. Our test, made between argmin's iterations.
+    /// Converged when ‖∇J‖ has fallen to this part of the first. Our test, made between argmin's
+    /// iterations.
     pub gradient_tolerance: f64,
     /// Iterations at most.
     pub max_iterations: usize,
@@ -41,11 +42,13 @@ impl Default for ArgminOptions {
 
 /// argmin's L-BFGS with its Moré–Thuente line search.
 ///
-/// When to use: to check [`lbfgs`](crate::lbfgs). When not: otherwise; it stores pairs without a curvature test, and ends (`Status::Failed`) where the model fails at a trial
-/// point, (`Status::Stalled`) where its line search gives up.
+/// When to use: to check [`lbfgs`](crate::lbfgs). When not: otherwise; it stores pairs without a curvature
+/// test, and ends (`Status::Failed`) where the model fails at a trial point, (`Status::Stalled`) where its
+/// line search gives up.
 ///
-/// Cost of an iteration: one forward run and one adjoint sweep, or more; the last point is kept, so that argmin's separate calls
-/// for a value and its gradient cost one run. Memory: 2 `memory` vectors and argmin's copies.
+/// Cost of an iteration: one forward run and one adjoint sweep, or more; the last point is kept, so that
+/// argmin's separate calls for a value and its gradient cost one run. Memory: 2 `memory` vectors and argmin's
+/// copies.
 ///
 /// # Errors
 /// As for [`Minimizer::minimize`](crate::Minimizer::minimize).
@@ -63,10 +66,12 @@ pub fn argmin_lbfgs(
 
 /// argmin's trust region with Steihaug's conjugate gradients on the Gauss–Newton Hessian.
 ///
-/// When to use: to check [`trust_region`](crate::trust_region). When not: otherwise; it solves every inner problem to a fixed
-/// number of iterations, stalls where the decrease of J is rounding, and ends (`Status::Failed`) where the model fails at a trial point.
+/// When to use: to check [`trust_region`](crate::trust_region). When not: otherwise; it solves every inner
+/// problem to a fixed number of iterations, stalls where the decrease of J is rounding, and ends
+/// (`Status::Failed`) where the model fails at a trial point.
 ///
-/// Cost of an iteration: one forward run, one adjoint sweep, up to `max_inner` products with the Hessian. Memory: some ten vectors.
+/// Cost of an iteration: one forward run, one adjoint sweep, up to `max_inner` products with the Hessian.
+/// Memory: some ten vectors.
 ///
 /// # Errors
 /// As for [`Minimizer::minimize`](crate::Minimizer::minimize).
@@ -207,7 +212,8 @@ struct Shared<'a, C: ?Sized> {
     v: Vec<f64>,
     value: f64,
     gradient: Option<Vec<f64>>,
-    /// argmin sees J times this: 1 / ‖∇J‖ at the first point if that is above 1, so that its first step, along −∇J, is of length 1.
+    /// argmin sees J times this: 1 / ‖∇J‖ at the first point if that is above 1, so that its first
+    /// step, along −∇J, is of length 1.
     scale: f64,
     calls: usize,
     limit: usize,
@@ -302,7 +308,8 @@ impl ArgminDot<Vec<f64>, Vec<f64>> for Hessian<'_, '_> {
     fn dot(&self, dv: &Vec<f64>) -> Vec<f64> {
         let mut shared = self.shared.borrow_mut();
         let mut out = vec![0.0; dv.len()];
-        // No way to fail here: zero curvature sends Steihaug to the boundary and out of its loop, where a NaN would keep it forever.
+        // No way to fail here: zero curvature sends Steihaug to the boundary and out of its loop, where a NaN
+        // would keep it forever.
         if shared.count().is_err() {
             return out;
         }

@@ -37,27 +37,33 @@ impl Default for AutoOptions {
     }
 }
 
-/// [`trust_region`](crate::trust_region) from the point given, and where that is not to be trusted further runs until two have come to the
-/// same lowest end.
+/// [`trust_region`](crate::trust_region) from the point given, and where that is not to be trusted further
+/// runs until two have come to the same lowest end.
 ///
-/// One run is trusted where it converged and J_o ≤ 10 m at the first point (m observations). Else the same point is taken down two ladders of inflated
-/// errors ([`continuation`] through σ × 10, 3, 1 and σ × 16, 8, 4, 2, 1), then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down the
-/// first ladder and straight, at most six. It stops as soon as two runs have converged to the lowest J seen (to 10⁻⁶ of it),
-/// unless the first took more than 40 outer iterations: then all are made. All look beside steps that a jump of J refuses
-/// ([`TrustRegionOptions::beside`]). The lowest end is
-/// returned; an end where the minimizer stalled (the edge of a jump of J) only where it is lower than every converged one by 10⁻³ of J. The tolerance of
-/// every run refers to the gradient at the first point. Rows of all runs are reported, each counting on from the one before.
+/// One run is trusted where it converged and J_o ≤ 10 m at the first point (m observations). Else the same
+/// point is taken down two ladders of inflated errors ([`continuation`] through σ × 10, 3, 1 and σ × 16,
+/// 8, 4, 2, 1), then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down the first ladder and
+/// straight, at most six. It stops as soon as two runs have converged to the lowest J seen (to 10⁻⁶ of
+/// it), unless the first took more than 40 outer iterations: then all are made. All look beside steps that a
+/// jump of J refuses ([`TrustRegionOptions::beside`]). The lowest end is returned; an end where the minimizer
+/// stalled (the edge of a jump of J) only where it is lower than every converged one by 10⁻³ of J. The
+/// tolerance of every run refers to the gradient at the first point. Rows of all runs are reported, each
+/// counting on from the one before.
 ///
-/// When to use: where the observations are much more precise than the background and the model is nonlinear, so that J may have several minima.
-/// When not: where one is known to exist, or where time matters more than the last per cent of J.
+/// When to use: where the observations are much more precise than the background and the model is nonlinear,
+/// so that J may have several minima. When not: where one is known to exist, or where time matters more than
+/// the last per cent of J.
 ///
-/// Evidence, case 4 of the hanging rod, 100 seeds of either prior (docs/results/case4.md; "lowest known" is the best of the trust region from the background,
-/// the ladder, and five draws). Prior "clamp": all 100 converge to the lowest known. Prior "plain": 94 converge and 97 are at the lowest known (93 both). The six others
-/// stall or run out of iterations where J jumps (a step from a wild state has several solutions, and which one Newton's method comes to changes without pattern
-/// nearby); of four of them no run of any kind was stationary near the lowest J. Runs that agree are no proof: one seed (32) converges 0.2 % too high.
-/// On Lorenz-63 over a long window ladders gain nothing: there the window must grow.
+/// Evidence, case 4 of the hanging rod, 100 seeds of either prior (docs/results/case4.md; "lowest known" is
+/// the best of the trust region from the background, the ladder, and five draws). Prior "clamp": all 100
+/// converge to the lowest known. Prior "plain": 94 converge and 97 are at the lowest known (93 both). The six
+/// others stall or run out of iterations where J jumps (a step from a wild state has several solutions, and
+/// which one Newton's method comes to changes without pattern nearby); of four of them no run of any kind was
+/// stationary near the lowest J. Runs that agree are no proof: one seed (32) converges 0.2 % too high. On
+/// Lorenz-63 over a long window ladders gain nothing: there the window must grow.
 ///
-/// Cost: that of the trust region where J_o ≤ 10 m, else two to nine times as much, and several times that where J jumps. Memory: that of the trust region.
+/// Cost: that of the trust region where J_o ≤ 10 m, else two to nine times as much, and several times that
+/// where J jumps. Memory: that of the trust region.
 ///
 /// # Errors
 /// As for [`Minimizer::minimize`](crate::Minimizer::minimize) and [`continuation`].
@@ -158,5 +164,6 @@ fn found_twice(best: &Minimum, ends: &[(f64, Status)]) -> bool {
 
 /// Two ends are one where they differ by no more than this share of J.
 const SAME: f64 = 1e-6;
-/// A stationary point is preferred to an end where the minimizer stalled (the edge of a jump of J) unless J is higher by this share.
+/// A stationary point is preferred to an end where the minimizer stalled (the edge of a jump of J) unless J
+/// is higher by this share.
 const SETTLED: f64 = 1e-3;

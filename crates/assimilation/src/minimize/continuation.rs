@@ -5,15 +5,18 @@ use crate::cost::norm;
 use crate::{Error, GaussNewton};
 use std::ops::ControlFlow;
 
-/// Minimizes J with every σ multiplied by each of `scales` in turn (say 10, 3, 1), each stage from where the one before ended.
+/// Minimizes J with every σ multiplied by each of `scales` in turn (say 10, 3, 1), each stage from where the
+/// one before ended.
 ///
-/// Inflated errors flatten J towards its prior part, ½‖v‖², which has one minimum: the path then follows that minimum down
-/// instead of falling into the nearest one. The early stages only need to find the way, and stop when their gradient has fallen
-/// to 10⁻³ of its first value; a stage that ends otherwise than converged still hands its point on. The tolerance of the last
-/// stage, and the first gradient norm reported, refer to the true cost at the first point. Leaves the true cost in force.
+/// Inflated errors flatten J towards its prior part, ½‖v‖², which has one minimum: the path then
+/// follows that minimum down instead of falling into the nearest one. The early stages only need to find the
+/// way, and stop when their gradient has fallen to 10⁻³ of its first value; a stage that ends otherwise
+/// than converged still hands its point on. The tolerance of the last stage, and the first gradient norm
+/// reported, refer to the true cost at the first point. Leaves the true cost in force.
 ///
-/// When to use: precise observations and a background far from them. When not: chaotic models, whose minima come from the length of the window
-/// ([`window_growth`](crate::window_growth)). Cost: a minimization a stage, the early ones short. Memory: that of the minimizer.
+/// When to use: precise observations and a background far from them. When not: chaotic models, whose minima
+/// come from the length of the window ([`window_growth`](crate::window_growth)). Cost: a minimization a
+/// stage, the early ones short. Memory: that of the minimizer.
 ///
 /// # Errors
 /// Scales that are empty, not positive and finite, or do not end with 1; else as for

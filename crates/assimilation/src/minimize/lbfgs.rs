@@ -30,13 +30,16 @@ impl Default for LbfgsOptions {
 ///     v ← v − α H ∇J,    H ← (I − ρ s yᵀ) H (I − ρ y sᵀ) + ρ s sᵀ,    s = Δv,  y = Δ∇J,  ρ = 1 / sᵀy
 /// ```
 ///
-/// H is rebuilt from the last pairs and γI, γ = sᵀy / yᵀy. α satisfies the strong Wolfe conditions with c₁ = 10⁻⁴ and c₂ = 0.9, every trial
-/// giving value and gradient at once; where a decrease is too small to be seen in J (10⁻¹¹ J) the slopes decide
-/// (Hager and Zhang 2005, approximate Wolfe). A model failure at a trial is J = ∞: the step shrinks. A pair is stored where sᵀy > 10⁻⁸ ‖s‖‖y‖,
-/// so that H stays positive definite where J is not convex (a step cut short by a failing model may show negative curvature).
+/// H is rebuilt from the last pairs and γI, γ = sᵀy / yᵀy. α satisfies the strong Wolfe conditions
+/// with c₁ = 10⁻⁴ and c₂ = 0.9, every trial giving value and gradient at once; where a decrease is
+/// too small to be seen in J (10⁻¹¹ J) the slopes decide (Hager and Zhang 2005, approximate Wolfe). A
+/// model failure at a trial is J = ∞: the step shrinks. A pair is stored where sᵀy > 10⁻⁸
+/// ‖s‖‖y‖, so that H stays positive definite where J is not convex (a step cut short by a failing
+/// model may show negative curvature).
 ///
-/// When to use: where there is no tangent model, or one gradient is all that fits. When not: where products with the Hessian
-/// can be had, [`newton_cg`](crate::newton_cg) and [`trust_region`](crate::trust_region) need fewer sweeps.
+/// When to use: where there is no tangent model, or one gradient is all that fits. When not: where products
+/// with the Hessian can be had, [`newton_cg`](crate::newton_cg) and [`trust_region`](crate::trust_region)
+/// need fewer sweeps.
 ///
 /// Cost of an iteration: one forward run and one adjoint sweep, rarely more. Memory: 2 `memory` + 5 vectors.
 /// Leaves the pairs in [`Minimum::inverse_hessian`].
@@ -134,7 +137,8 @@ impl InverseHessian {
         (&self.kept[i].0, &self.kept[i].1)
     }
 
-    /// Takes in that a step s changed the gradient by y, if sᵀy > 10⁻⁸ ‖s‖‖y‖; says whether it did.
+    /// Takes in that a step s changed the gradient by y, if sᵀy > 10⁻⁸ ‖s‖‖y‖; says whether it
+    /// did.
     ///
     /// # Panics
     /// If a slice is not of length n.
@@ -167,7 +171,8 @@ impl InverseHessian {
         p.iter_mut().for_each(|p| *p = -*p);
     }
 
-    /// The first step to try along that direction: one prior standard deviation at most where nothing is known.
+    /// The first step to try along that direction: one prior standard deviation at most where nothing is
+    /// known.
     fn first_step(&self, g: &[f64]) -> f64 {
         if self.kept.is_empty() { (1.0 / norm(g)).min(1.0) } else { 1.0 }
     }
@@ -216,8 +221,8 @@ const CURVATURE: f64 = 0.9;
 impl Search {
     /// A length that satisfies the strong Wolfe conditions, or at least lowers J.
     ///
-    /// The bracket [low, high] always has a solution in it: low has decreased J enough and still falls steeply, high has not, or
-    /// rises, or cannot be evaluated.
+    /// The bracket [low, high] always has a solution in it: low has decreased J enough and still falls
+    /// steeply, high has not, or rises, or cannot be evaluated.
     fn run(
         &mut self,
         cost: &mut dyn CostFunction,
@@ -288,7 +293,8 @@ impl Search {
     }
 }
 
-/// The minimizer of the cubic through both ends (of the parabola through the slopes where the values are rounding), kept away from them.
+/// The minimizer of the cubic through both ends (of the parabola through the slopes where the values are
+/// rounding), kept away from them.
 fn between(low: &Sample, high: &Sample, noise: f64) -> f64 {
     let width = high.length - low.length;
     let share = if (high.value - low.value).abs() <= noise {

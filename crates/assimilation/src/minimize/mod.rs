@@ -35,8 +35,8 @@ use std::ops::ControlFlow;
 /// A minimizer with its settings: a choice that can be made from data.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Minimizer {
-    /// Trust region on the true J, and where the background is far from the observations also through inflated errors and from draws of the
-    /// prior, until two runs agree on the lowest end.
+    /// Trust region on the true J, and where the background is far from the observations also through
+    /// inflated errors and from draws of the prior, until two runs agree on the lowest end.
     Auto(AutoOptions),
     /// Trust region on the true J: the default.
     TrustRegion(TrustRegionOptions),
@@ -141,8 +141,8 @@ impl Minimizer {
     /// Minimizes J from `v`, and leaves the best point in it.
     ///
     /// # Errors
-    /// A cost that cannot be evaluated at the first point, a setting out of range, or products that fail. Everything that happens to a
-    /// minimization once under way is a [`Status`].
+    /// A cost that cannot be evaluated at the first point, a setting out of range, or products that fail.
+    /// Everything that happens to a minimization once under way is a [`Status`].
     ///
     /// # Panics
     /// If `v` is not of length `cost.dim()`.
@@ -179,7 +179,8 @@ impl Minimizer {
     }
 }
 
-/// One line of a convergence table. The first (index 0, or the first of a stage) is the point the run starts from.
+/// One line of a convergence table. The first (index 0, or the first of a stage) is the point the run starts
+/// from.
 #[derive(Debug, Clone, Copy)]
 pub struct Iteration<'a> {
     /// Outer iterations done.
@@ -225,14 +226,16 @@ pub struct Minimum {
     pub status: Status,
     /// The model failure that ended it (`Failed`) or the last one that refused a trial point (`Stalled`).
     pub failure: Option<Error>,
-    /// Approximate eigenpairs of the Hessian from the last inner iteration, largest first; empty after dense solves.
+    /// Approximate eigenpairs of the Hessian from the last inner iteration, largest first; empty after dense
+    /// solves.
     pub ritz: Vec<RitzPair>,
     /// What [`lbfgs`] has learnt of the Hessian; `None` from the others.
     pub inverse_hessian: Option<InverseHessian>,
 }
 
 impl Minimum {
-    /// The iteration that led to this point v by a full step ‖Δv‖, after the given work: for methods that are no minimizer of this crate.
+    /// The iteration that led to this point v by a full step ‖Δv‖, after the given work: for methods
+    /// that are no minimizer of this crate.
     pub fn iteration<'a>(&self, step_norm: f64, counts: Counts, v: &'a [f64]) -> Iteration<'a> {
         Iteration {
             index: self.outer_iterations,
@@ -253,8 +256,8 @@ impl Minimum {
 /// How a minimization ended. Only `Converged` claims a stationary point; a small step alone never does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Status {
-    /// ‖∇J‖ ≤ tolerance × ‖∇J‖ at the first point, or ‖∇J‖ is rounding: at most 64 ε (‖v‖ + ‖∇J − v‖), its two parts having cancelled
-    /// to the last digits.
+    /// ‖∇J‖ ≤ tolerance × ‖∇J‖ at the first point, or ‖∇J‖ is rounding: at most 64 ε
+    /// (‖v‖ + ‖∇J − v‖), its two parts having cancelled to the last digits.
     Converged,
     /// Out of iterations.
     MaxIterations,
@@ -407,8 +410,9 @@ pub(crate) fn at_least_one(what: &'static str, value: usize) -> Result<(), Error
     if value > 0 { Ok(()) } else { Err(Error::Setting { what, value: 0.0 }) }
 }
 
-/// How far an inner problem is solved, relative to its gradient: min(½, √(‖g‖/‖g₀‖)), so that the outer iteration keeps
-/// its superlinear rate where the Hessian is exact (Dembo, Eisenstat and Steihaug 1982).
+/// How far an inner problem is solved, relative to its gradient: min(½, √(‖g‖/‖g₀‖)), so that
+/// the outer iteration keeps its superlinear rate where the Hessian is exact (Dembo, Eisenstat and Steihaug
+/// 1982).
 fn forcing(progress: &Progress) -> f64 {
     (progress.gradient_norm / progress.gradient_norm_first).sqrt().min(0.5)
 }

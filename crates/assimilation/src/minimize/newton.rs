@@ -21,15 +21,17 @@ impl Default for NewtonOptions {
     }
 }
 
-/// The paper's Newton method: v ← v − A⁻¹∇J with the dense Gauss–Newton Hessian A (paper 2.18) by Cholesky,
-/// full steps, no safeguard.
+/// The paper's Newton method: v ← v − A⁻¹∇J with the dense Gauss–Newton Hessian A (paper 2.18) by
+/// Cholesky, full steps, no safeguard.
 ///
-/// Exact in one step where model and observations are linear. Elsewhere J may rise and the model may be driven to a state it cannot
-/// step from (`Status::Failed` with the reason); where the dropped second derivatives exceed A, it is repelled from the minimum.
-/// The lowest point seen is returned unless it converged.
+/// Exact in one step where model and observations are linear. Elsewhere J may rise and the model may be
+/// driven to a state it cannot step from (`Status::Failed` with the reason); where the dropped second
+/// derivatives exceed A, it is repelled from the minimum. The lowest point seen is returned unless it
+/// converged.
 ///
-/// When to use: linear problems, and to compare with the paper. When not: otherwise; [`trust_region`](crate::trust_region) is the same near the
-/// minimum and safe far from it. Cost of a step: one gradient, n tangent sweeps, n³/3. Memory: 2n².
+/// When to use: linear problems, and to compare with the paper. When not: otherwise;
+/// [`trust_region`](crate::trust_region) is the same near the minimum and safe far from it. Cost of a step:
+/// one gradient, n tangent sweeps, n³/3. Memory: 2n².
 ///
 /// # Errors
 /// As for [`Minimizer::minimize`](crate::Minimizer::minimize).

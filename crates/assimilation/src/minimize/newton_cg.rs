@@ -27,19 +27,23 @@ impl Default for NewtonCgOptions {
     }
 }
 
-/// Gauss–Newton with truncated conjugate gradients: A p = −∇J solved to min(½, √(‖∇J‖/‖∇J₀‖)) of its right-hand side by Lanczos
-/// iteration with full re-orthogonalisation, then steps of 1, ½, ¼, … until J falls by 10⁻⁴ of what the slope promises.
+/// Gauss–Newton with truncated conjugate gradients: A p = −∇J solved to min(½,
+/// √(‖∇J‖/‖∇J₀‖)) of its right-hand side by Lanczos iteration with full re-orthogonalisation,
+/// then steps of 1, ½, ¼, … until J falls by 10⁻⁴ of what the slope promises.
 ///
-/// With `preconditioner_pairs`, every outer iteration is preconditioned by the Ritz pairs of those before it (limited-memory preconditioner in
-/// its spectral form: Fisher 1998; Tshimanga et al. 2008): a third fewer inner iterations on case 1 of the hanging rod, where outer ones go on
-/// near the minimum; it gains nothing where few suffice. Without it the Ritz pairs of the last outer iteration are returned (with it they are
+/// With `preconditioner_pairs`, every outer iteration is preconditioned by the Ritz pairs of those before it
+/// (limited-memory preconditioner in its spectral form: Fisher 1998; Tshimanga et al. 2008): a third fewer
+/// inner iterations on case 1 of the hanging rod, where outer ones go on near the minimum; it gains nothing
+/// where few suffice. Without it the Ritz pairs of the last outer iteration are returned (with it they are
 /// those of the preconditioned matrix, and are not).
 ///
-/// When to use: large n and small residuals; a J with jumps, which hold a trust region. When not: where the dropped second derivatives matter it
-/// converges linearly, and [`trust_region`](crate::trust_region) is faster.
+/// When to use: large n and small residuals; a J with jumps, which hold a trust region. When not: where the
+/// dropped second derivatives matter it converges linearly, and [`trust_region`](crate::trust_region) is
+/// faster.
 ///
-/// Cost of an outer iteration: one gradient, a forward run for each refused step, and about as many products as there are degrees of freedom for
-/// signal. Memory: a vector for each inner iteration and each pair of the preconditioner; no matrix.
+/// Cost of an outer iteration: one gradient, a forward run for each refused step, and about as many products
+/// as there are degrees of freedom for signal. Memory: a vector for each inner iteration and each pair of the
+/// preconditioner; no matrix.
 ///
 /// # Errors
 /// As for [`Minimizer::minimize`](crate::Minimizer::minimize).

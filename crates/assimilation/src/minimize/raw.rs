@@ -10,8 +10,9 @@ use varda_covariance::Precision;
 ///     J(z) = J(v),    v = B^{-1/2} (z − z_b),    ∇_z J = B^{-T/2} ∇_v J = B⁻¹ B^{1/2} ∇_v J
 /// ```
 ///
-/// What a minimizer without a Hessian meets when nothing is done about the scales and couplings of the variables. It needs B⁻¹, hence
-/// [`Precision`] in the signature: a B of less than full rank has no such form. For comparisons only; all else works in v.
+/// What a minimizer without a Hessian meets when nothing is done about the scales and couplings of the
+/// variables. It needs B⁻¹, hence [`Precision`] in the signature: a B of less than full rank has no such
+/// form. For comparisons only; all else works in v.
 ///
 /// Cost beyond that of the inner J: a product with B^{-1/2}, B^{1/2} and B⁻¹ each. Memory: four vectors.
 pub struct RawVariables<'a> {

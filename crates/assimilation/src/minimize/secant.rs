@@ -2,8 +2,9 @@
 
 use crate::cost::{dot, norm};
 
-/// S = Σ w_i r_i r_iᵀ ≈ ∇²J − A, by symmetric rank-one updates (structured: only the dropped second-order part is learnt, the
-/// Gauss–Newton part A is recomputed at every point; Dennis, Gay and Welsch 1981, Nocedal and Wright 2006 §6.2 and §10.3).
+/// S = Σ w_i r_i r_iᵀ ≈ ∇²J − A, by symmetric rank-one updates (structured: only the dropped
+/// second-order part is learnt, the Gauss–Newton part A is recomputed at every point; Dennis, Gay and
+/// Welsch 1981, Nocedal and Wright 2006 §6.2 and §10.3).
 ///
 /// Used only while it has shown that it predicts gradients better than A alone does.
 pub(super) struct Secant {
@@ -45,7 +46,8 @@ impl Secant {
         }
     }
 
-    /// Takes in that over the last step s the gradient changed by A s + `dropped`, A being that of the new point.
+    /// Takes in that over the last step s the gradient changed by A s + `dropped`, A being that of the new
+    /// point.
     pub(super) fn update(&mut self, s: &[f64], dropped: &[f64]) {
         let mut known = vec![0.0; s.len()];
         self.apply_add(s, &mut known);

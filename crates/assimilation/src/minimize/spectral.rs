@@ -64,7 +64,8 @@ impl Spectral {
         self.step_for(&self.slope, radius, p)
     }
 
-    /// The step for a gradient that differs from g by `share` of its norm, in a direction drawn at random within the span; the decrease is that of q.
+    /// The step for a gradient that differs from g by `share` of its norm, in a direction drawn at random
+    /// within the span; the decrease is that of q.
     pub(super) fn step_beside(&self, share: f64, rng: &mut ChaCha8Rng, radius: f64, p: &mut [f64]) -> Step {
         let mut other: Vec<f64> = self.slope.iter().map(|_| StandardNormal.sample(rng)).collect();
         let scale = share * norm(&self.slope) / norm(&other);
@@ -87,7 +88,8 @@ impl Spectral {
         p.fill(0.0);
         let mut along_lowest = -slope[0] / (lowest + damping);
         if inside && lowest <= 0.0 && radius.is_finite() {
-            // Hard case: the gradient has next to nothing along the lowest eigenvector; go along it to the boundary.
+            // Hard case: the gradient has next to nothing along the lowest eigenvector; go along it to the
+            // boundary.
             let missing = radius * radius - size(damping).powi(2);
             along_lowest = (along_lowest.powi(2) + missing).sqrt().copysign(along_lowest);
         }
@@ -104,8 +106,8 @@ impl Spectral {
     }
 }
 
-/// λ in (low, high] with size(λ) = radius, for a decreasing `size`: Newton on 1/size, which is nearly linear, within a
-/// shrinking bracket.
+/// λ in (low, high] with size(λ) = radius, for a decreasing `size`: Newton on 1/size, which is nearly
+/// linear, within a shrinking bracket.
 fn boundary(mut low: f64, mut high: f64, radius: f64, size: &dyn Fn(f64) -> f64) -> f64 {
     let mut lambda = high;
     // Bisection alone would reach the last bit of any double in 1100 halvings; in practice a dozen are made.
@@ -135,7 +137,8 @@ fn boundary(mut low: f64, mut high: f64, radius: f64, size: &dyn Fn(f64) -> f64)
 mod tests {
     use super::*;
 
-    /// Optimality of a trust-region step, independent of how it was found: (A + λI) p = −g, λ ≥ 0, λ (radius − ‖p‖) = 0, A + λI ⪰ 0.
+    /// Optimality of a trust-region step, independent of how it was found: (A + λI) p = −g, λ ≥ 0, λ
+    /// (radius − ‖p‖) = 0, A + λI ⪰ 0.
     fn check(matrix: &[f64], g: &[f64], radius: f64) {
         let n = g.len();
         let spectral = Spectral::dense(matrix, g).unwrap();

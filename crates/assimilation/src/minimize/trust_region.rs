@@ -10,12 +10,14 @@ use rand::rngs::ChaCha8Rng;
 use std::ops::ControlFlow;
 use varda_linalg::krylov::{Lanczos, LanczosLimits};
 
-/// A predicted decrease below this part of J cannot be seen in J (its trajectory is only as exact as the model's solver);
-/// steps are then judged by the gradient.
+/// A predicted decrease below this part of J cannot be seen in J (its trajectory is only as exact as the
+/// model's solver); steps are then judged by the gradient.
 pub(super) const NOISE: f64 = 1e-11;
-/// A convex J that rises along a step rises at half of it by half as much at most: more than this share of the rise before is a jump.
+/// A convex J that rises along a step rises at half of it by half as much at most: more than this share of
+/// the rise before is a jump.
 const JUMP: f64 = 0.75;
-/// So is, where ‖∇J‖ has fallen to 10⁻³ of the first and the model holds, a rise of this many times the predicted decrease.
+/// So is, where ‖∇J‖ has fallen to 10⁻³ of the first and the model holds, a rise of this many times
+/// the predicted decrease.
 const FAR_OFF: f64 = 10.0;
 /// A rise below this share of J is no jump.
 const RESOLVED: f64 = 1e-9;
@@ -59,28 +61,31 @@ impl Default for TrustRegionOptions {
 ///     p = argmin  ∇Jᵀp + ½ pᵀ(A + S)p    over    ‖p‖ ≤ Δ        ⇔        (A + S + λI) p = −∇J,   λ ≥ 0
 /// ```
 ///
-/// with A the Gauss–Newton Hessian and S what symmetric rank-one updates have learnt of the second derivatives it drops, used
-/// only while it predicts gradients better than A alone. ‖p‖ is the B⁻¹ norm of the increment; the first radius is one prior
-/// standard deviation.
+/// with A the Gauss–Newton Hessian and S what symmetric rank-one updates have learnt of the second
+/// derivatives it drops, used only while it predicts gradients better than A alone. ‖p‖ is the B⁻¹
+/// norm of the increment; the first radius is one prior standard deviation.
 ///
-/// A step is taken when the true J falls by 10⁻⁴ of the predicted decrease. A model failure at a trial point is J = ∞: refused, and
-/// the radius shrinks. Where the predicted decrease is below what J resolves (10⁻¹¹ J), a step is taken when it lowers ‖∇J‖; where
-/// no such step exists the run has stalled at the accuracy of the model, and says so.
+/// A step is taken when the true J falls by 10⁻⁴ of the predicted decrease. A model failure at a trial
+/// point is J = ∞: refused, and the radius shrinks. Where the predicted decrease is below what J resolves
+/// (10⁻¹¹ J), a step is taken when it lowers ‖∇J‖; where no such step exists the run has stalled at
+/// the accuracy of the model, and says so.
 ///
-/// **Jumps of J.** An implicit step from a wild state may have several solutions, and which one is found may change from one point to the next
-/// without pattern: J then jumps between smooth sheets. With `beside` > 0 a step refused by a jump (a rise that does not shrink with the step, or late in the
-/// run one ten times the predicted decrease) is followed by that many others, each the step for a gradient changed at random by 40, 10, 2.5 and 0.6 per cent of its
-/// norm (a fixed seed), until one falls on the lower sheet.
+/// **Jumps of J.** An implicit step from a wild state may have several solutions, and which one is found may
+/// change from one point to the next without pattern: J then jumps between smooth sheets. With `beside` > 0 a
+/// step refused by a jump (a rise that does not shrink with the step, or late in the run one ten times the
+/// predicted decrease) is followed by that many others, each the step for a gradient changed at random by 40,
+/// 10, 2.5 and 0.6 per cent of its norm (a fixed seed), until one falls on the lower sheet.
 ///
-/// J never rises by more than its rounding. The minimum found is the one whose basin the path leads into; for costs
-/// with several see [`continuation`](crate::continuation).
+/// J never rises by more than its rounding. The minimum found is the one whose basin the path leads into; for
+/// costs with several see [`continuation`](crate::continuation).
 ///
-/// When to use: the default. When not: no tangent model ([`lbfgs`](crate::lbfgs)); several minima ([`auto`](crate::auto),
-/// [`window_growth`](crate::window_growth)).
+/// When to use: the default. When not: no tangent model ([`lbfgs`](crate::lbfgs)); several minima
+/// ([`auto`](crate::auto), [`window_growth`](crate::window_growth)).
 ///
-/// Cost of an outer iteration: one gradient, one forward run for each refused trial point, and n tangent sweeps with an eigenvalue
-/// decomposition (n ≤ `dense_limit`), or about as many products as there are degrees of freedom for signal. Memory: 3n² or so, or a vector
-/// for each inner iteration; and one for each secant term.
+/// Cost of an outer iteration: one gradient, one forward run for each refused trial point, and n tangent
+/// sweeps with an eigenvalue decomposition (n ≤ `dense_limit`), or about as many products as there are
+/// degrees of freedom for signal. Memory: 3n² or so, or a vector for each inner iteration; and one for each
+/// secant term.
 ///
 /// # Errors
 /// As for [`Minimizer::minimize`](crate::Minimizer::minimize).

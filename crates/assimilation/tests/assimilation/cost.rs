@@ -16,7 +16,8 @@ pub(crate) fn coupled(n: usize, sigma: f64) -> Dense {
     Dense::new(n, &matrix).unwrap()
 }
 
-/// Lorenz-96 with 6 variables: two operators, one of them curved, times between steps, missing rows, several σ.
+/// Lorenz-96 with 6 variables: two operators, one of them curved, times between steps, missing rows, several
+/// σ.
 pub(crate) fn curved_problem() -> (Rk4<Lorenz96>, Vec<f64>, ObservationSet) {
     let background: Vec<f64> = normals(5, 6).iter().map(|x| 2.0 + 2.0 * x).collect();
     let values = normals(6, 40);
@@ -259,7 +260,8 @@ fn inflated_errors_scale_j_o_and_reuse_the_run() {
 }
 
 /// A linear problem against its closed form, worked out densely and apart from all sweeps:
-/// x_a = x_b + K (y − H x_b), K = B Hᵀ(H B Hᵀ + R)⁻¹, P_a = (I − K H) B, with H the stacked H_k M_k … M_0.
+/// x_a = x_b + K (y − H x_b), K = B Hᵀ(H B Hᵀ + R)⁻¹, P_a = (I − K H) B, with H the stacked H_k
+/// M_k … M_0.
 #[test]
 fn a_linear_problem_has_the_closed_form_minimum_and_covariance() {
     let (n, steps) = (4, 8);

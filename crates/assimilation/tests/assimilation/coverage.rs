@@ -10,13 +10,14 @@ use varda_implicit::Model;
 
 const N: usize = 6;
 const TWINS: u64 = 200;
-/// 190 of 200 expected inside 95 % intervals; the binomial distribution has a standard deviation of √(200 · 0.95 · 0.05) = 3.08. Outside
-/// 178 … 199 lies a probability of 3e-4 below and 4e-5 above.
+/// 190 of 200 expected inside 95 % intervals; the binomial distribution has a standard deviation of √(200
+/// · 0.95 · 0.05) = 3.08. Outside 178 … 199 lies a probability of 3e-4 below and 4e-5 above.
 const INSIDE: std::ops::RangeInclusive<usize> = 178..=199;
 /// 2.5 and 97.5 % points of χ² with m = 12 degrees of freedom.
 const CHI2: std::ops::RangeInclusive<f64> = 4.404..=23.337;
 
-/// The truth is drawn around the background with B (so that the twin is what the prior says), and observed with R.
+/// The truth is drawn around the background with B (so that the twin is what the prior says), and observed
+/// with R.
 fn twin(seed: u64, b: &dyn Covariance, background: &[f64]) -> (Vec<f64>, ObservationSet) {
     let mut truth = vec![0.0; N];
     b.root(&normals(40_000 + seed, N), &mut truth);

@@ -29,7 +29,8 @@ fn values(k: usize) -> Vec<f64> {
     normals(300 + k as u64, 2)
 }
 
-/// The analysis of a Kalman filter at every step, with x ← M x, P ← M P Mᵀ and one scalar observation after the other.
+/// The analysis of a Kalman filter at every step, with x ← M x, P ← M P Mᵀ and one scalar observation
+/// after the other.
 fn kalman(b: &dyn Covariance, background: &[f64], inflation: f64) -> (Vec<Vec<f64>>, Vec<f64>) {
     let column = |j: usize| {
         let unit: Vec<f64> = (0..N).map(|i| f64::from(i == j)).collect();
@@ -112,7 +113,8 @@ fn linear_cycles_are_a_kalman_filter_whatever_the_window_and_however_p_is_carrie
     let truth = |k: usize| filter[k].clone();
     for (window, shift) in WINDOWS {
         for carried_by_members in [false, true] {
-            // Tiling windows begin with an observed step, the first with step 1, from a background and a B there.
+            // Tiling windows begin with an observed step, the first with step 1, from a background and a B
+            // there.
             let first = usize::from(shift > window);
             let cycles = (STEPS - first - window) / shift + 1;
             let mut members = spanning(&b, &background);
@@ -148,7 +150,8 @@ fn linear_cycles_are_a_kalman_filter_whatever_the_window_and_however_p_is_carrie
             for c in &ended {
                 assert_eq!(c.first_step, first + c.index * shift);
                 assert_eq!(c.status, Status::Converged, "{c:?}");
-                // The "truth" is the filter's analysis: the error at the window's end is the difference between the two.
+                // The "truth" is the filter's analysis: the error at the window's end is the difference
+                // between the two.
                 let end = c.errors.unwrap().end;
                 assert!(end <= 1e-9, "window {window}, shift {shift}, cycle {}: {end:e}", c.index);
                 // Two values a step, every step once.
@@ -203,7 +206,8 @@ fn inflation_multiplies_standard_deviations_once_a_window() {
     }
 }
 
-/// Lorenz-96, localized, hybrid, each with both updates; and static B: all do better than their background, and the same bits again.
+/// Lorenz-96, localized, hybrid, each with both updates; and static B: all do better than their background,
+/// and the same bits again.
 #[test]
 fn every_way_to_carry_a_covariance_runs_on_a_nonlinear_model() {
     let n = 12;

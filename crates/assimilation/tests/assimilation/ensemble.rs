@@ -33,7 +33,8 @@ pub(crate) fn observed(seed: u64) -> ObservationSet {
     ObservationSet::new(12, vec![all_of(N)], seen).unwrap()
 }
 
-/// X with X Xᵀ = B, all columns: an ensemble that spans, and represents B exactly (n + 1 members whose perturbations sum to zero).
+/// X with X Xᵀ = B, all columns: an ensemble that spans, and represents B exactly (n + 1 members whose
+/// perturbations sum to zero).
 pub(crate) fn spanning(b: &dyn Covariance, mean: &[f64]) -> Vec<f64> {
     let n = b.dim();
     // A Helmert basis: n vectors of length n + 1, orthonormal and orthogonal to (1, …, 1).
@@ -121,7 +122,8 @@ fn a_spanning_ensemble_is_linear_strong_4dvar_and_calls_no_tangent_or_adjoint() 
             (0, 0, 0)
         );
         assert_eq!((counts.tangent_sweeps, counts.adjoint_sweeps), (0, 0));
-        // Twice (the constructor's and the one here) the control and N + 1 members over 10 steps, none beyond the last observation.
+        // Twice (the constructor's and the one here) the control and N + 1 members over 10 steps, none beyond
+        // the last observation.
         assert_eq!((counts.forward_runs, counts.model.model_steps), (16, 160));
     }
     // The check can fail: with other observations the analysis is another one.
@@ -238,7 +240,8 @@ fn gradient_and_products_at_two_successive_linearizations() {
     }
 }
 
-/// For a small spread the ensemble's G is that of the tangent, at any v: against strong 4D-Var with the same root.
+/// For a small spread the ensemble's G is that of the tangent, at any v: against strong 4D-Var with the same
+/// root.
 #[test]
 fn the_bundle_is_the_tangent_and_outer_loops_reach_the_minimum_of_strong_4dvar() {
     let b = coupled(N, 0.3);
@@ -294,7 +297,8 @@ fn the_same_bits_on_one_thread_and_on_two() {
     assert_eq!(one, run(3));
 }
 
-/// β = (1, 0): nothing moves with the window but the innovations (3D-FGAT). β = (0, 1): 4D-EnVar. Dense references by hand.
+/// β = (1, 0): nothing moves with the window but the innovations (3D-FGAT). β = (0, 1): 4D-EnVar. Dense
+/// references by hand.
 #[test]
 fn hybrid_weights_zero_and_one_are_the_pure_ends() {
     let static_part = coupled(N, 0.4);
@@ -349,7 +353,8 @@ fn hybrid_weights_zero_and_one_are_the_pure_ends() {
     assert!(difference(&pure, &fgat) > 1e-3);
 }
 
-/// With everything at step 0 localization in observation space is the Schur product in state space: BLUE with the dense C ∘ X Xᵀ.
+/// With everything at step 0 localization in observation space is the Schur product in state space: BLUE with
+/// the dense C ∘ X Xᵀ.
 #[test]
 fn localization_is_the_schur_product_where_everything_is_seen_at_once() {
     let ensemble = localized(4, 4);

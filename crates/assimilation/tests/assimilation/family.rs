@@ -447,7 +447,8 @@ fn on_a_linear_problem_the_inner_cost_is_the_cost() {
     check_gradient(&mut dual, &normals(52, 12), &normals(53, 12));
 }
 
-/// Kalman filter and Rauch–Tung–Striebel smoother, densely, against strong 4D-Var (Q = 0) and weak (Q > 0).
+/// Kalman filter and Rauch–Tung–Striebel smoother, densely, against strong 4D-Var (Q = 0) and weak (Q >
+/// 0).
 #[test]
 fn strong_4dvar_is_the_filter_at_the_end_and_the_smoother_at_the_start() {
     let (n, steps) = (4, 8);

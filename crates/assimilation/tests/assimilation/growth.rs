@@ -23,7 +23,8 @@ fn last(growth: Growth) -> Minimum {
     growth.unwrap().1.pop().unwrap()
 }
 
-/// Windows of 100 steps in which Gauss–Newton from the background stops in a wrong minimum: growth finds the one next to the truth.
+/// Windows of 100 steps in which Gauss–Newton from the background stops in a wrong minimum: growth finds
+/// the one next to the truth.
 #[test]
 fn growth_finds_the_minimum_gauss_newton_from_the_background_misses() {
     let gauss_newton = Minimizer::NewtonCg(NewtonCgOptions::default());

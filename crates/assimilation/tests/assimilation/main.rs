@@ -1,5 +1,6 @@
 //! Tests of the crate through its public face.
 
+mod correlated;
 mod cost;
 mod coverage;
 mod cycles;
@@ -14,6 +15,7 @@ mod models;
 mod observations;
 mod posteriors;
 mod robust;
+mod short_form;
 mod state_length;
 mod storage;
 mod weak;

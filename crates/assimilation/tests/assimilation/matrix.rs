@@ -122,8 +122,8 @@ pub(crate) fn linear_window(n: usize, steps: usize) -> (Rk4<Linear>, Vec<f64>, O
 
 type Estimates = Vec<(Vec<f64>, Matrix)>;
 
-/// Means and covariances of every step: filtered (analyses), and smoothed over the window by Rauch, Tung and Striebel (1965).
-/// The operators of `set` must be whole states, its times whole steps.
+/// Means and covariances of every step: filtered (analyses), and smoothed over the window by Rauch, Tung and
+/// Striebel (1965). The operators of `set` must be whole states, its times whole steps.
 pub(crate) fn kalman(
     step: &Matrix,
     b: &Matrix,
@@ -171,7 +171,8 @@ pub(crate) fn kalman(
     (filtered, smoothed)
 }
 
-/// Taylor slope 2 ± 0.05, differences, and the same bits after going elsewhere and back, at two controls in turn.
+/// Taylor slope 2 ± 0.05, differences, and the same bits after going elsewhere and back, at two controls in
+/// turn.
 pub(crate) fn check_gradient(cost: &mut dyn CostFunction, one: &[f64], two: &[f64]) {
     let n = cost.dim();
     let (mut g1, mut g2, mut again) = (vec![0.0; n], vec![0.0; n], vec![0.0; n]);

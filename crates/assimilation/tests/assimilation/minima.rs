@@ -6,7 +6,8 @@ use std::ops::ControlFlow;
 use varda_assimilation::*;
 use varda_covariance::Diagonal;
 
-/// y = (x₀², x₀x₁) far from what any state gives: at the minimum the dropped second derivatives are eight times A.
+/// y = (x₀², x₀x₁) far from what any state gives: at the minimum the dropped second derivatives are
+/// eight times A.
 fn repelling() -> (Diagonal, ObservationSet) {
     let b = Diagonal::uniform(2, 1.0).unwrap();
     let set = ObservationSet::new(
@@ -139,9 +140,10 @@ fn ritz_pairs_are_eigenpairs_of_the_hessian() {
     }
 }
 
-/// Lorenz-63 over 100 steps, all components seen every 10 with R = 2 I, B = I: from the background every minimizer ends in a wrong
-/// minimum (J about 1268 against 13), and inflating R does not help: the cost has several minima because the window is long.
-/// Starting with a short window and letting it grow keeps to the right one (quasi-static; Pires, Vautard and Talagrand 1996).
+/// Lorenz-63 over 100 steps, all components seen every 10 with R = 2 I, B = I: from the background every
+/// minimizer ends in a wrong minimum (J about 1268 against 13), and inflating R does not help: the cost has
+/// several minima because the window is long. Starting with a short window and letting it grow keeps to the
+/// right one (quasi-static; Pires, Vautard and Talagrand 1996).
 #[test]
 fn a_growing_window_finds_the_minimum_that_continuation_in_r_misses() {
     let b = Diagonal::uniform(3, 1.0).unwrap();
@@ -173,7 +175,8 @@ fn a_growing_window_finds_the_minimum_that_continuation_in_r_misses() {
     assert!((grown - lowest).abs() <= 1e-8 * lowest, "{grown} {lowest}");
 }
 
-/// On the way down a bent valley at large residual (J stays near 1060) plain Gauss–Newton needs more than 200 iterations.
+/// On the way down a bent valley at large residual (J stays near 1060) plain Gauss–Newton needs more than
+/// 200 iterations.
 #[test]
 fn a_stationary_point_is_reached_at_large_residuals() {
     for seed in [24, 43] {

@@ -1,4 +1,5 @@
-//! The minimizers that need less, or more, than the trust region: what they reach, what they report, what they cost.
+//! The minimizers that need less, or more, than the trust region: what they reach, what they report, what
+//! they cost.
 
 use crate::cost::{coupled, curved_problem};
 use crate::models::*;
@@ -10,7 +11,8 @@ fn quiet(_: &Iteration) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
-/// Rosenbrock's valley as ½‖r‖², r = (c (x₁ − x₀²), 1 − x₀); points with x₀ beyond `wall` cannot be evaluated.
+/// Rosenbrock's valley as ½‖r‖², r = (c (x₁ − x₀²), 1 − x₀); points with x₀ beyond `wall`
+/// cannot be evaluated.
 struct Valley {
     c: f64,
     wall: f64,
@@ -253,7 +255,8 @@ fn every_minimizer_has_a_name_reports_equal_rows_and_is_deterministic() {
     assert_eq!(Minimizer::named("gradient-descent"), None);
 }
 
-/// 40 points with smooth errors (Gaussian kernel and a little white noise: condition number 1e7), every fourth seen.
+/// 40 points with smooth errors (Gaussian kernel and a little white noise: condition number 1e7), every
+/// fourth seen.
 fn line() -> (Dense, ObservationSet) {
     let n = 40;
     let matrix: Vec<f64> = (0..n * n)
@@ -305,8 +308,8 @@ fn adam_works_in_control_variables_and_lags_in_raw_ones() {
     assert!(control < 1e-3 && control < 0.01 * in_raw, "{control:e} {in_raw:e}");
 }
 
-/// Lorenz-96, 40 variables, all seen over a short window with six times the error they claim (so that outer iterations are many): A keeps most of its 40 large eigenvalues from one
-/// outer iteration to the next.
+/// Lorenz-96, 40 variables, all seen over a short window with six times the error they claim (so that outer
+/// iterations are many): A keeps most of its 40 large eigenvalues from one outer iteration to the next.
 #[test]
 fn a_spectral_preconditioner_saves_inner_iterations() {
     let b = coupled(40, 1.0);
@@ -338,8 +341,9 @@ fn a_spectral_preconditioner_saves_inner_iterations() {
     assert!((with.2 - without.2).abs() <= 1e-9 * with.2);
 }
 
-/// Lorenz-63 over 80 steps from backgrounds three standard deviations off: several minima, though none that inflating R gets past (on the
-/// hanging rod it does). Never worse than the trust region alone, and the same bits and no more work where the background is near.
+/// Lorenz-63 over 80 steps from backgrounds three standard deviations off: several minima, though none that
+/// inflating R gets past (on the hanging rod it does). Never worse than the trust region alone, and the same
+/// bits and no more work where the background is near.
 #[test]
 fn auto_is_never_worse_than_the_trust_region_and_the_same_where_the_background_is_near() {
     let (mut twice, mut same) = (0, 0);

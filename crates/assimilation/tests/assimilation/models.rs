@@ -104,8 +104,8 @@ impl Field for Linear {
     }
 }
 
-/// Classical Runge–Kutta with its discrete tangent and adjoint. `mutation` is a relative error put into the adjoint of step 0;
-/// states beyond `bound` are refused.
+/// Classical Runge–Kutta with its discrete tangent and adjoint. `mutation` is a relative error put into the
+/// adjoint of step 0; states beyond `bound` are refused.
 pub(crate) struct Rk4<F> {
     field: F,
     dt: f64,
@@ -265,8 +265,8 @@ pub(crate) fn observation(
     Observation::new(step, rows.to_vec(), values.to_vec(), sigma).between(weight)
 }
 
-/// A twin on Lorenz-63: a truth on the attractor, a background drawn around it with B = I, all three components seen every `every`
-/// steps of 0.01 with R = 2 I.
+/// A twin on Lorenz-63: a truth on the attractor, a background drawn around it with B = I, all three
+/// components seen every `every` steps of 0.01 with R = 2 I.
 pub(crate) fn lorenz63_twin(seed: u64, steps: usize, every: usize) -> (Vec<f64>, Vec<f64>, ObservationSet) {
     let mut model = Rk4::new(Lorenz63, 0.01);
     let start: Vec<f64> = normals(1000 + seed, 3).iter().map(|x| 5.0 * x).collect();

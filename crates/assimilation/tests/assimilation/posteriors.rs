@@ -19,8 +19,8 @@ const LINEAR: &str = include_str!("../../../../tests/fixtures/twin/lin3dvar.json
 
 type Check<'a> = dyn FnMut(&mut dyn GaussNewton, &ControlTransform, &[f64], Minimum) + 'a;
 
-/// One of the fixtures at its minimum, found by L-BFGS that keeps every pair. Lorenz-96: n = 40, all of them seen; the linear
-/// one: n = 100, 25 seen.
+/// One of the fixtures at its minimum, found by L-BFGS that keeps every pair. Lorenz-96: n = 40, all of them
+/// seen; the linear one: n = 100, 25 seen.
 fn at_the_minimum(text: &str, check: &mut Check) {
     let problem: Value = serde_json::from_str(text).unwrap();
     let n = problem["n"].as_u64().unwrap() as usize;
@@ -49,7 +49,8 @@ fn at_the_minimum(text: &str, check: &mut Check) {
     check(&mut cost, &transform, &v, minimum);
 }
 
-/// A⁻¹ by columns, from the inverse of its Cholesky factor through `Dense`: independent of the eigenpairs under test.
+/// A⁻¹ by columns, from the inverse of its Cholesky factor through `Dense`: independent of the eigenpairs
+/// under test.
 fn inverse(cost: &mut dyn GaussNewton) -> Vec<f64> {
     use varda_covariance::Precision;
     let n = cost.dim();
@@ -129,7 +130,8 @@ fn check_three_ways(text: &str, runs: &[(f64, usize)], most_products: usize) {
         let estimate = by_lbfgs.error_estimate(cost, 20, &mut rng).unwrap();
         let scale: f64 = prior.iter().sum();
         let apart = |p: &LowRankPosterior| (p.trace(transform) - dense.trace(transform)).abs() / scale;
-        // The mean of 20 squares is three standard deviations low at worst; 1 is as far as two matrices between 0 and I can be apart.
+        // The mean of 20 squares is three standard deviations low at worst; 1 is as far as two matrices
+        // between 0 and I can be apart.
         let bound = (estimate / (1.0 - 3.0 * (2.0 / 20.0f64).sqrt()).sqrt()).min(1.0);
         assert!(found <= bound && apart(&by_lbfgs) <= bound, "{found} {} {bound}", apart(&by_lbfgs));
 
@@ -153,7 +155,8 @@ fn check_three_ways(text: &str, runs: &[(f64, usize)], most_products: usize) {
 
 #[test]
 fn three_ways_to_the_posterior_agree_to_their_bounds() {
-    // 25 observations: 26 Lanczos iterations find all there is, at checks a few iterations apart, beside 6 probes.
+    // 25 observations: 26 Lanczos iterations find all there is, at checks a few iterations apart, beside 6
+    // probes.
     check_three_ways(LINEAR, &[(0.5, 200), (1e-2, 200), (1e-6, 200), (1e-6, 8), (1e-6, 20)], 36);
 }
 
@@ -195,8 +198,8 @@ fn draws_have_the_posterior_s_mean_and_variance() {
     });
 }
 
-/// 200 linear twins with 12 observations in two groups: every ratio is 1 in the mean; with σ_o of the second group given
-/// as twice what it is, that group's falls, and χ² with it.
+/// 200 linear twins with 12 observations in two groups: every ratio is 1 in the mean; with σ_o of the second
+/// group given as twice what it is, that group's falls, and χ² with it.
 #[test]
 fn ratios_are_one_where_b_and_r_are_right_and_not_where_they_are_wrong() {
     let n = 8;
@@ -240,7 +243,8 @@ fn ratios_are_one_where_b_and_r_are_right_and_not_where_they_are_wrong() {
         (sums, chi2)
     };
     let (right, chi2) = run(1.0);
-    // χ² has variance 2/12 in each of 200 twins; the ratios up to 2 (one strong direction). Four standard deviations.
+    // χ² has variance 2/12 in each of 200 twins; the ratios up to 2 (one strong direction). Four standard
+    // deviations.
     assert!((chi2 - 1.0).abs() <= 4.0 * (2.0 / 12.0 / 200.0f64).sqrt(), "{chi2}");
     for ratio in right.iter().flatten() {
         assert!((ratio - 1.0).abs() <= 4.0 * (2.0 / 200.0f64).sqrt(), "{right:?}");

@@ -15,7 +15,8 @@ fn the_norm_by_hand() {
     assert!(huber(1.0, f64::NAN).0.is_nan());
 }
 
-/// Some rows inside δ and some beyond, at two successive controls: the gradient is that of J, the Hessian that of the norm.
+/// Some rows inside δ and some beyond, at two successive controls: the gradient is that of J, the Hessian
+/// that of the norm.
 #[test]
 fn gradient_and_hessian_at_two_successive_controls() {
     let (mut model, background, mut set) = curved_problem();
@@ -70,7 +71,8 @@ fn gradient_and_hessian_at_two_successive_controls() {
     }
 }
 
-/// One gross error of 50 σ among twelve values: squares are dragged along, the Huber norm hardly, and a threshold of infinity is squares.
+/// One gross error of 50 σ among twelve values: squares are dragged along, the Huber norm hardly, and a
+/// threshold of infinity is squares.
 #[test]
 fn a_gross_error_pulls_no_harder_than_its_threshold() {
     let b = coupled(3, 1.0);
@@ -98,7 +100,8 @@ fn a_gross_error_pulls_no_harder_than_its_threshold() {
     let away = |z: &[f64], clean: &[f64]| (z[1] - clean[1]).abs();
     let clean = analyse(0.0, f64::INFINITY);
     assert!(away(&analyse(5.0, f64::INFINITY), &clean) > 1.0);
-    // Its pull is δ/σ, shared by the three good values of that component: a third of δ σ, and the prior takes a little off.
+    // Its pull is δ/σ, shared by the three good values of that component: a third of δ σ, and the prior
+    // takes a little off.
     let robust = away(&analyse(5.0, 1.5), &clean);
     assert!((0.02..=0.05 + 1e-3).contains(&robust), "{robust}");
     // Twice the error pulls no harder.
@@ -128,7 +131,8 @@ fn the_background_check_names_the_gross_errors_and_only_those() {
         rejected.iter().map(|r| (r.observation, r.entry, r.row, r.label.as_str())).collect();
     assert_eq!(named, [(1, 2, 5, ""), (3, 0, 9, "loose marker")]);
 
-    // The standard deviation expected, against draws from B carried by the model itself: 2000 of them, 5 standard errors, and curvature.
+    // The standard deviation expected, against draws from B carried by the model itself: 2000 of them, 5
+    // standard errors, and curvature.
     let predicted = |z: &[f64]| run(&mut Rk4::new(Lorenz63, 0.01), z, 10)[10][2];
     let middle = predicted(&background);
     let variance = (0..2000)

@@ -1,4 +1,5 @@
-//! Operators that read another state than the model's are refused when a cost is made; operators are given the time.
+//! Operators that read another state than the model's are refused when a cost is made; operators are given
+//! the time.
 
 use crate::models::{all_of, observation};
 use std::sync::{Arc, Mutex};

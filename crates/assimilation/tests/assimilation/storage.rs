@@ -1,4 +1,5 @@
-//! The strong-constraint cost under every storage policy: the same bits, bounded memory, the optimal number of steps.
+//! The strong-constraint cost under every storage policy: the same bits, bounded memory, the optimal number
+//! of steps.
 
 use crate::cost::coupled;
 use crate::models::*;
@@ -19,7 +20,8 @@ fn observations(rows: &[usize], steps: &[usize]) -> ObservationSet {
     ObservationSet::new(LAST, vec![all_of(N)], list.collect()).unwrap()
 }
 
-/// Bits of J, gradient, a product, the dense Hessian and G and its transpose at two controls, with trials in between.
+/// Bits of J, gradient, a product, the dense Hessian and G and its transpose at two controls, with trials in
+/// between.
 fn bits(cost: &mut StrongConstraint) -> Vec<u64> {
     let (n, m) = (cost.dim(), cost.observation_dim());
     let mut bits = Vec::new();

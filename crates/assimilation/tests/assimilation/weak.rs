@@ -159,8 +159,8 @@ fn the_weak_forms_are_the_smoother_on_a_linear_window() {
     assert!(values.iter().all(|j| (j - values[0]).abs() <= 1e-12 * j), "{values:?}");
 }
 
-/// One direct increment against the dense one in p, on a nonlinear problem with observations between steps and several steps in a
-/// sub-window.
+/// One direct increment against the dense one in p, on a nonlinear problem with observations between steps
+/// and several steps in a sub-window.
 #[test]
 fn the_block_tridiagonal_increment_is_the_dense_one() {
     for steps in [1, 4, 5, 20] {
@@ -299,8 +299,8 @@ fn bad_model_errors_are_refused() {
     assert!(matches!(attempt(vec![0, 5], 2, true), Some(Error::Setting { .. })));
 }
 
-/// Lorenz-96 with one more component, which the control lacks: it starts from the others, follows the square of the first and feeds nothing but
-/// itself and an observation.
+/// Lorenz-96 with one more component, which the control lacks: it starts from the others, follows the square
+/// of the first and feeds nothing but itself and an observation.
 struct Carrying {
     inner: Rk4<Lorenz96>,
     z: Vec<f64>,
@@ -380,7 +380,8 @@ impl ControlMap for Carrying {
     }
 }
 
-/// As on a rod: Q on [X, V], the rest of the state carried along by the model, through every boundary of a sub-window.
+/// As on a rod: Q on [X, V], the rest of the state carried along by the model, through every boundary of a
+/// sub-window.
 #[test]
 fn a_state_longer_than_the_control_and_partly_forced() {
     let (_, background, _) = curved_problem();
@@ -414,9 +415,9 @@ fn a_state_longer_than_the_control_and_partly_forced() {
     assert!(relative(over_states.state(9), over_forcing.state(9)) <= 1e-8);
 }
 
-/// A window of Lorenz-63 in which everything that starts from the background ends in a wrong minimum (J about 1268 against 13.3). States
-/// that start near the observations are led to the right one, with an error of the model too small to matter, and the strong constraint
-/// from there.
+/// A window of Lorenz-63 in which everything that starts from the background ends in a wrong minimum (J about
+/// 1268 against 13.3). States that start near the observations are led to the right one, with an error of the
+/// model too small to matter, and the strong constraint from there.
 #[test]
 fn states_that_start_at_the_observations_find_the_minimum_that_others_miss() {
     let options = OuterLoopOptions { max_inner: 1000, max_iterations: 500, ..Default::default() };

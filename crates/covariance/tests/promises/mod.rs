@@ -28,15 +28,17 @@ pub(crate) fn random_vector(n: usize, seed: u64) -> Vec<f64> {
     sample(&Diagonal::uniform(n, 1.0).unwrap(), &mut ChaCha8Rng::seed_from_u64(seed))
 }
 
-/// The largest difference, relative to its rounding bound, between what a covariance does and what it promises: symmetry,
-/// B = B^{1/2} B^{T/2}, variance = diag B, and ⟨B^{1/2} v, x⟩ = ⟨v, B^{T/2} x⟩. At most 1 where it keeps its word.
+/// The largest difference, relative to its rounding bound, between what a covariance does and what it
+/// promises: symmetry, B = B^{1/2} B^{T/2}, variance = diag B, and ⟨B^{1/2} v, x⟩ = ⟨v, B^{T/2} x⟩.
+/// At most 1 where it keeps its word.
 pub(crate) fn worst_broken_promise(b: &dyn Covariance, seed: u64) -> f64 {
     let (n, r) = (b.dim(), b.root_dim());
     let full = columns(n, n, |x, y| b.apply(x, y));
     let root = columns(n, r, |v, x| b.root(v, x));
     let variance = out(n, |variance| b.variance(variance));
     let largest = variance.iter().fold(0.0, |a: f64, &v| a.max(v));
-    // Sums of at most n products, each bounded by the largest variance (Cauchy–Schwarz on the rows of the root).
+    // Sums of at most n products, each bounded by the largest variance (Cauchy–Schwarz on the rows of the
+    // root).
     let bound = 4.0 * n as f64 * EPS * largest;
 
     let mut worst: f64 = 0.0;
@@ -59,7 +61,8 @@ pub(crate) fn worst_broken_promise(b: &dyn Covariance, seed: u64) -> f64 {
     worst
 }
 
-/// Relative errors of B⁻¹ B x against n ε cond B, and of B^{-1/2} B^{1/2} v and its transpose against n ε √cond B.
+/// Relative errors of B⁻¹ B x against n ε cond B, and of B^{-1/2} B^{1/2} v and its transpose against n
+/// ε √cond B.
 pub(crate) fn inverse_errors(b: &dyn Precision, seed: u64) -> (f64, f64) {
     let n = b.dim();
     let condition = Spectrum::of(b).unwrap().condition_number();

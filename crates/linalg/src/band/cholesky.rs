@@ -3,12 +3,14 @@
 use crate::Error;
 use crate::vector::{axpy, dot_in_lanes};
 
-/// The lower Cholesky factor of a symmetric positive definite band matrix, A = L Lᵀ; L vanishes outside the band too
-/// (Golub and Van Loan 2013, section 4.3).
+/// The lower Cholesky factor of a symmetric positive definite band matrix, A = L Lᵀ; L vanishes outside the
+/// band too (Golub and Van Loan 2013, section 4.3).
 ///
-/// n w² operations, n (w + 1) numbers; products and solves with one vector take 2 n w multiplications and allocate nothing.
+/// n w² operations, n (w + 1) numbers; products and solves with one vector take 2 n w multiplications and
+/// allocate nothing.
 ///
-/// When to use: where the square root L is wanted. For solves alone [`ldlt_factor`](super::ldlt_factor) is faster.
+/// When to use: where the square root L is wanted. For solves alone [`ldlt_factor`](super::ldlt_factor) is
+/// faster.
 ///
 /// ```
 /// use varda_linalg::band::Cholesky;
@@ -29,11 +31,12 @@ pub struct Cholesky {
 }
 
 impl Cholesky {
-    /// Factorizes a band in the layout of `Structure::SymmetricBand`, in place. Entries left of column 0 are not read.
+    /// Factorizes a band in the layout of `Structure::SymmetricBand`, in place. Entries left of column 0 are
+    /// not read.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] for an entry; [`Error::Singular`] or [`Error::NotPositiveDefinite`] for a pivot that is not
-    /// above rounding of its diagonal entry.
+    /// [`Error::NonFinite`] for an entry; [`Error::Singular`] or [`Error::NotPositiveDefinite`] for a pivot
+    /// that is not above rounding of its diagonal entry.
     ///
     /// # Panics
     /// If the length of `band` is not a multiple of w + 1.

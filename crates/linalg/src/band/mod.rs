@@ -1,19 +1,20 @@
 //! Band matrices: symmetric LDLᵀ without pivoting, LU with partial pivoting, Cholesky roots.
 //!
-//! Plain functions on slices in the layouts of [`Structure`](crate::Structure). The factorizations cost O(n w²), every
-//! solve O(n w), and nothing allocates. The symmetric factorization is the hot loop of a rod: half-bandwidths 5, 8 and
-//! 10 (a chain, a rod without twist, a rod) have their own code, in which every loop over the band has a fixed length.
+//! Plain functions on slices in the layouts of [`Structure`](crate::Structure). The factorizations cost O(n
+//! w²), every solve O(n w), and nothing allocates. The symmetric factorization is the hot loop of a rod:
+//! half-bandwidths 5, 8 and 10 (a chain, a rod without twist, a rod) have their own code, in which every loop
+//! over the band has a fixed length.
 //!
-//! LDLᵀ without pivoting is backward stable for a positive definite matrix, and exact up to the growth of its
-//! intermediate values otherwise (Golub and Van Loan 2013, section 4.4); Sylvester's law makes the number of negative
-//! pivots that of negative eigenvalues.
+//! LDLᵀ without pivoting is backward stable for a positive definite matrix, and exact up to the growth of
+//! its intermediate values otherwise (Golub and Van Loan 2013, section 4.4); Sylvester's law makes the number
+//! of negative pivots that of negative eigenvalues.
 
 mod cholesky;
 
 pub use cholesky::Cholesky;
 
-/// The first row at which a factorization found no usable pivot: zero, subnormal (its inverse overflows), not finite, or nothing but
-/// rounding.
+/// The first row at which a factorization found no usable pivot: zero, subnormal (its inverse overflows), not
+/// finite, or nothing but rounding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("no usable pivot at row {row}")]
 pub struct BadPivot {
@@ -24,10 +25,11 @@ pub struct BadPivot {
 /// A pivot no larger than this fraction of what it was computed from is rounding.
 const NEGLIGIBLE: f64 = f64::EPSILON;
 
-/// A = L D Lᵀ in place, for a symmetric band matrix of half-bandwidth w in the layout of `Structure::SymmetricBand`.
+/// A = L D Lᵀ in place, for a symmetric band matrix of half-bandwidth w in the layout of
+/// `Structure::SymmetricBand`.
 ///
-/// On return row i holds l_{i,i−w} … l_{i,i−1} and then 1/d_i. Returns the number of negative pivots, which is the number
-/// of negative eigenvalues of A.
+/// On return row i holds l_{i,i−w} … l_{i,i−1} and then 1/d_i. Returns the number of negative pivots,
+/// which is the number of negative eigenvalues of A.
 ///
 /// # Errors
 /// [`BadPivot`] where |d_i| is not above rounding of a_ii (NaN included); `a` is then half factored.
@@ -65,14 +67,15 @@ pub fn ldlt_solve(w: usize, a: &[f64], b: &mut [f64]) {
 /// Right-hand sides that [`ldlt_solve_block`] takes at once: enough to fill the registers of a processor.
 pub const BLOCK: usize = 16;
 
-/// B ← A⁻¹ B for a block of right-hand sides with the factor of [`ldlt_factor`]; B is n rows: entry (i, c) is `b[i][c]`. A column's
-/// bits do not depend on the others.
+/// B ← A⁻¹ B for a block of right-hand sides with the factor of [`ldlt_factor`]; B is n rows: entry (i,
+/// c) is `b[i][c]`. A column's bits do not depend on the others.
 ///
 /// # Panics
 /// If the length of `a` is not w + 1 times the number of rows of `b`.
 pub fn ldlt_solve_block(w: usize, a: &[f64], b: &mut [[f64; BLOCK]]) {
     assert_eq!(a.len(), b.len() * (w + 1), "factor and right-hand sides differ in size");
-    // the widest vectors there are; products and sums stay apart, so that the bits are the same on every machine
+    // the widest vectors there are; products and sums stay apart, so that the bits are the same on every
+    // machine
     pulp::Arch::new().dispatch(SolveBlock { w, a, b });
 }
 
@@ -121,11 +124,11 @@ fn subtract(row: &mut [f64; BLOCK], l: f64, other: &[f64; BLOCK]) {
     }
 }
 
-/// A direction z in which a matrix with a negative pivot curves downwards: zᵀ A z = d_i < 0, where i is the first row with
-/// a negative pivot. Returns d_i; `None`, and z untouched, where all pivots are positive.
+/// A direction z in which a matrix with a negative pivot curves downwards: zᵀ A z = d_i < 0, where i is the
+/// first row with a negative pivot. Returns d_i; `None`, and z untouched, where all pivots are positive.
 ///
-/// z solves Lᵀ z = e_i. The rows before i are those of a positive definite matrix, so that z is accurate however wild
-/// the later pivots are.
+/// z solves Lᵀ z = e_i. The rows before i are those of a positive definite matrix, so that z is accurate
+/// however wild the later pivots are.
 ///
 /// # Panics
 /// If the length of `a` is not w + 1 times that of `z`.
@@ -190,8 +193,8 @@ fn eliminate<const W: usize, const S: usize>(rows: usize, reciprocal: f64, below
 fn eliminate_row<const W: usize, const S: usize>(t: usize, l: f64, v: &[f64; S], below: &mut [f64]) {
     let at = W - 1 + t * W;
     below[at] = l;
-    // Every run is made even in length (the zero leaves l as it is), so that what is written here in pairs is read by
-    // the next pivot in the same pairs.
+    // Every run is made even in length (the zero leaves l as it is), so that what is written here in pairs is
+    // read by the next pivot in the same pairs.
     let odd = (t + 1) % 2;
     for (r, v) in below[at + 1 - odd..at + 2 + t].iter_mut().zip(&v[1 - odd..]) {
         *r -= l * v;
@@ -245,14 +248,15 @@ pub fn lu_len(n: usize, w: usize) -> usize {
     n * (3 * w + 1)
 }
 
-/// P A = L U for a general band matrix of half-bandwidth w in the layout of `Structure::Band`, with partial pivoting.
+/// P A = L U for a general band matrix of half-bandwidth w in the layout of `Structure::Band`, with partial
+/// pivoting.
 ///
-/// Row k of `factor` (3w + 1 values) holds 1/u_kk, u_{k,k+1} … u_{k,k+2w} and then the w multipliers of column k;
-/// `pivots[k]` is the row that was swapped with row k.
+/// Row k of `factor` (3w + 1 values) holds 1/u_kk, u_{k,k+1} … u_{k,k+2w} and then the w multipliers of
+/// column k; `pivots[k]` is the row that was swapped with row k.
 ///
 /// # Errors
-/// [`BadPivot`] where no pivot of column k is above rounding of the largest value of A in the rows within reach (NaN
-/// included).
+/// [`BadPivot`] where no pivot of column k is above rounding of the largest value of A in the rows within
+/// reach (NaN included).
 ///
 /// # Panics
 /// If the lengths do not fit: `a` n (2w + 1), `factor` [`lu_len`], `pivots` n.

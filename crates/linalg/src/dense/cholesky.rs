@@ -8,7 +8,8 @@ use faer::{Mat, MatMut, MatRef, Par};
 
 /// The lower Cholesky factor of a dense symmetric positive definite matrix, A = L Lᵀ.
 ///
-/// n³/3 operations in blocks, n² numbers. Products and solves with one vector take n² multiplications and allocate nothing.
+/// n³/3 operations in blocks, n² numbers. Products and solves with one vector take n² multiplications and
+/// allocate nothing.
 ///
 /// ```
 /// use varda_linalg::dense::Cholesky;
@@ -26,8 +27,9 @@ pub struct Cholesky {
 }
 
 impl Cholesky {
-    /// Factorizes the lower triangle of an n × n matrix given column by column (the upper one if it is given row by row).
-    /// Any positive pivot will do: right for I + GᵀG, whose rounding is below its smallest eigenvalue.
+    /// Factorizes the lower triangle of an n × n matrix given column by column (the upper one if it is given
+    /// row by row). Any positive pivot will do: right for I + GᵀG, whose rounding is below its smallest
+    /// eigenvalue.
     ///
     /// # Errors
     /// [`Error::NonFinite`] for an entry of the triangle or, in a matrix of huge entries, of the factor;
@@ -54,8 +56,8 @@ impl Cholesky {
         Ok(Self { l })
     }
 
-    /// As [`new`](Self::new), but a pivot within n ε of its diagonal entry is an error too: rounding alone can make it
-    /// (Higham 2002, theorem 10.3).
+    /// As [`new`](Self::new), but a pivot within n ε of its diagonal entry is an error too: rounding alone
+    /// can make it (Higham 2002, theorem 10.3).
     ///
     /// # Errors
     /// As for [`new`](Self::new).
@@ -185,7 +187,8 @@ impl Cholesky {
     }
 }
 
-/// L of the leading `size` rows and columns, zero above the diagonal; the index of a pivot that is not positive.
+/// L of the leading `size` rows and columns, zero above the diagonal; the index of a pivot that is not
+/// positive.
 fn factor(n: usize, size: usize, matrix: &[f64]) -> Result<Mat<f64>, usize> {
     let mut l = Mat::zeros(size, size);
     let a = MatRef::from_column_major_slice(matrix, n, n);

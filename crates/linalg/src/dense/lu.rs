@@ -21,8 +21,8 @@ impl LuWork {
         Self { permuted: vec![0.0; n], inverse: vec![0; n], scratch: MemBuffer::new(scratch) }
     }
 
-    /// Factors `lu`, which holds a copy of `values`, column by column in place, L with a unit diagonal; `pivots[k]` is the row of A that came
-    /// to place k.
+    /// Factors `lu`, which holds a copy of `values`, column by column in place, L with a unit diagonal;
+    /// `pivots[k]` is the row of A that came to place k.
     pub(crate) fn factor(
         &mut self,
         values: &[f64],

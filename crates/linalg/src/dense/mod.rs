@@ -126,6 +126,11 @@ impl Matrix {
         self.view().transpose()
     }
 
+    fn check(&self, i: usize, j: usize) {
+        let (rows, columns) = (self.rows, self.columns);
+        assert!(i < rows && j < columns, "({i}, {j}) in a {rows} × {columns} matrix");
+    }
+
     /// This matrix plus α A B.
     ///
     /// # Panics
@@ -141,14 +146,14 @@ impl Index<(usize, usize)> for Matrix {
     type Output = f64;
 
     fn index(&self, (i, j): (usize, usize)) -> &f64 {
-        assert!(i < self.rows && j < self.columns, "({i}, {j}) in a {} × {} matrix", self.rows, self.columns);
+        self.check(i, j);
         &self.values[i + j * self.rows]
     }
 }
 
 impl IndexMut<(usize, usize)> for Matrix {
     fn index_mut(&mut self, (i, j): (usize, usize)) -> &mut f64 {
-        assert!(i < self.rows && j < self.columns, "({i}, {j}) in a {} × {} matrix", self.rows, self.columns);
+        self.check(i, j);
         &mut self.values[i + j * self.rows]
     }
 }

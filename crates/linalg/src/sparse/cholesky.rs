@@ -21,16 +21,17 @@ pub enum Ordering {
     MinimumDegree,
 }
 
-/// The Cholesky factor of a sparse symmetric positive definite matrix, Π A Πᵀ = L Lᵀ with a permutation Π: (Π x)_k = x_{p(k)}.
+/// The Cholesky factor of a sparse symmetric positive definite matrix, Π A Πᵀ = L Lᵀ with a permutation
+/// Π: (Π x)_k = x_{p(k)}.
 ///
-/// Vectors of A are in its own order, those between L and Lᵀ in the order of elimination. R = Πᵀ L is a square root of A,
-/// A = R Rᵀ, and R⁻ᵀ one of its inverse.
+/// Vectors of A are in its own order, those between L and Lᵀ in the order of elimination. R = Πᵀ L is a
+/// square root of A, A = R Rᵀ, and R⁻ᵀ one of its inverse.
 ///
 /// When to use: precision matrices and discretized elliptic operators. For a band along a line
 /// [`band::Cholesky`](crate::band::Cholesky) is simpler and faster.
 ///
-/// Cost: on a grid of n points in two dimensions some 10 n^{3/2} operations and 5 n log₂ n numbers; products and solves allocate
-/// nothing.
+/// Cost: on a grid of n points in two dimensions some 10 n^{3/2} operations and 5 n log₂ n numbers;
+/// products and solves allocate nothing.
 ///
 /// ```
 /// use varda_linalg::Structure;
@@ -249,8 +250,8 @@ impl Cholesky {
         self.to_given_order(x);
     }
 
-    /// The diagonal of A⁻¹, by the equations of Takahashi, Fagan and Chen (1973) for its entries where L has some: about
-    /// as many operations as the factorization, and as much memory again as L takes.
+    /// The diagonal of A⁻¹, by the equations of Takahashi, Fagan and Chen (1973) for its entries where L
+    /// has some: about as many operations as the factorization, and as much memory again as L takes.
     pub fn inverse_diagonal(&self) -> Vec<f64> {
         let n = self.dim();
         let mut z = vec![0.0; self.values.len()];

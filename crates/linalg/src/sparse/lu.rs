@@ -39,6 +39,10 @@ impl SparseLu {
     }
 
     pub(crate) fn factor(&mut self, values: &[f64], factor: &mut NumericLu) -> Result<(), BadPivot> {
+        // An infinite pivot leaves finite solutions.
+        if let Some(at) = values.iter().position(|value| !value.is_finite()) {
+            return Err(BadPivot { row: self.rows[at] });
+        }
         let n = self.probe.len();
         let pattern = SymbolicSparseColMatRef::new_checked(n, n, &self.columns, None, &self.rows);
         let made = self.symbolic.factorize_numeric_lu(

@@ -14,10 +14,10 @@ use crate::scene::SceneFile;
 use crate::setup::files::InputFile;
 
 use super::exit::INTERRUPTED;
-use super::progress::Progress;
+use super::progress::ProgressDisplay;
 
 /// Where a sequence starts and where its result goes.
-pub(super) struct Start<'a> {
+pub(super) struct SequenceStart<'a> {
     pub(super) file: &'a SceneFile,
     /// The files that the scene names.
     pub(super) files: &'a [InputFile],
@@ -29,13 +29,13 @@ pub(super) struct Start<'a> {
 
 pub(super) fn run(
     sequence: &Sequence,
-    start: Start,
-    progress: &mut Progress,
+    start: SequenceStart,
+    progress: &mut ProgressDisplay,
     interrupted: &dyn Fn() -> bool,
     quiet: bool,
     started: Instant,
 ) -> Result<ExitCode, Error> {
-    let Start { file, files, folder, resumed } = start;
+    let SequenceStart { file, files, folder, resumed } = start;
     let Resumed { mut checkpoint, state, done } = match resumed {
         Some(resumed) => resumed,
         None => {

@@ -19,14 +19,14 @@ use crate::Error;
 use crate::outcome::{Outcome, Status};
 use crate::report;
 use crate::report::checkpoint::Checkpoint;
-use crate::report::folder::Output;
+use crate::report::folder::ResultFolder;
 use crate::run::compare::{Compared, compare};
 use crate::run::cycles::Sequence;
 use crate::run::{self, Listener, assimilate};
 use crate::scene::{SHIPPED, STARTER, Scene, SceneFile};
 use crate::setup::{Inputs, Plan, Problem};
 use exit::INTERRUPTED;
-use progress::Progress;
+use progress::ProgressDisplay;
 
 #[derive(Parser)]
 #[command(
@@ -163,7 +163,8 @@ fn run_scene(
 
     let stop = stop_on_signals();
     let algorithm = &file.scene.algorithm;
-    let mut progress = Progress::new(algorithm.gradient_tolerance, algorithm.max_iterations, quiet, started);
+    let mut progress =
+        ProgressDisplay::new(algorithm.gradient_tolerance, algorithm.max_iterations, quiet, started);
     let interrupted = || stop.load(Ordering::SeqCst);
     if resume && file.scene.algorithm.cycles.is_none() {
         return Err(file.invalid("algorithm", "only a run with [algorithm.cycles] can be resumed"));
@@ -174,7 +175,7 @@ fn run_scene(
         let resumed = if resume { Some(Checkpoint::resume(&folder, &file, &inputs.files)?) } else { None };
         let files = inputs.files.clone();
         let sequence = Sequence::new(settings.clone(), inputs)?;
-        let start = cycles::Start { file: &file, files: &files, folder: &folder, resumed };
+        let start = cycles::SequenceStart { file: &file, files: &files, folder: &folder, resumed };
         return cycles::run(&sequence, start, &mut progress, &interrupted, quiet, started);
     }
     let problem = Problem::new(inputs)?;
@@ -207,7 +208,7 @@ fn exit_code(outcome: &Outcome) -> ExitCode {
 
 /// Refuses an occupied folder before the work, not after it; reports what killed runs had left there.
 fn refuse_occupied(folder: &Path, quiet: bool) -> Result<(), Error> {
-    let out = Output::begin(folder)?;
+    let out = ResultFolder::begin(folder)?;
     let found = out.found();
     if !quiet && !found.removed.is_empty() {
         let names: Vec<String> = found.removed.iter().map(|p| p.display().to_string()).collect();

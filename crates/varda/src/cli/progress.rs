@@ -12,7 +12,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// Plain lines are this far apart.
 const PACE: Duration = Duration::from_secs(5);
 
-pub(super) struct Progress {
+pub(super) struct ProgressDisplay {
     tolerance: f64,
     max_iterations: usize,
     quiet: bool,
@@ -22,9 +22,9 @@ pub(super) struct Progress {
     last_line: Option<Instant>,
 }
 
-impl Progress {
+impl ProgressDisplay {
     pub(super) fn new(tolerance: f64, max_iterations: usize, quiet: bool, started: Instant) -> Self {
-        Progress { tolerance, max_iterations, quiet, started, first: None, bar: None, last_line: None }
+        ProgressDisplay { tolerance, max_iterations, quiet, started, first: None, bar: None, last_line: None }
     }
 
     pub(super) fn row(&mut self, row: &ConvergenceRow) {

@@ -7,7 +7,7 @@ use crate::Error;
 use crate::outcome::{CycleRow, CyclesOutcome, Status};
 use crate::state::StateGroup;
 
-use super::folder::Output;
+use super::folder::ResultFolder;
 use super::html::{document, error_name, escape, list, numbers, short, status_words, tile_list};
 use super::plot::{Corner, Figure, Panel, Series, Style};
 use super::summary::{WindowAmplification, peak_bytes};
@@ -19,7 +19,7 @@ use super::tables::{self, number, optional};
 /// # Errors
 /// [`Error::Occupied`], [`Error::Write`], [`Error::Plot`].
 pub fn write_cycles(outcome: &CyclesOutcome, folder: &Path) -> Result<PathBuf, Error> {
-    let out = Output::begin(folder)?;
+    let out = ResultFolder::begin(folder)?;
     let mut drawn = Vec::new();
     for figure in figures(outcome) {
         let svg = figure.svg()?;

@@ -117,7 +117,7 @@ fn names<T>(runs: &[(Style, &'static str, T)]) -> String {
 }
 
 /// How a run is drawn, its name, and its points.
-type Drawn<Point> = (Style, &'static str, Vec<Point>);
+type DrawnRun<Point> = (Style, &'static str, Vec<Point>);
 
 /// Snapshots of a rod, seen from the side: the vertical against the horizontal in which it extends most.
 fn snapshots(shapes: &Shapes, outcome: &Outcome) -> Figure {
@@ -126,10 +126,10 @@ fn snapshots(shapes: &Shapes, outcome: &Outcome) -> Figure {
     let steps: Vec<usize> =
         (0..count).map(|i| if count > 1 { i * grid.steps / (count - 1) } else { 0 }).collect();
     let runs = drawn(&shapes.truth, &shapes.background, &shapes.analysis, |run| run.is_empty());
-    let at = |k: usize| -> Vec<Drawn<[f64; 3]>> {
+    let at = |k: usize| -> Vec<DrawnRun<[f64; 3]>> {
         runs.iter().filter_map(|(style, name, run)| Some((*style, *name, run.get(k)?.clone()))).collect()
     };
-    let instants: Vec<(usize, Vec<Drawn<[f64; 3]>>)> = steps.iter().map(|&k| (k, at(k))).collect();
+    let instants: Vec<(usize, Vec<DrawnRun<[f64; 3]>>)> = steps.iter().map(|&k| (k, at(k))).collect();
     let near = |s: &Sight| steps.iter().copied().find(|k| (s.at() - *k as f64).abs() < 0.5);
     let seen: Vec<(usize, bool, [f64; 3])> =
         shapes.seen.iter().filter_map(|s| Some((near(s)?, s.withheld, s.position))).collect();
@@ -156,7 +156,7 @@ fn snapshots(shapes: &Shapes, outcome: &Outcome) -> Figure {
         .into_iter()
         .enumerate()
         .map(|(i, (k, here))| {
-            let line = |(style, label, shape): Drawn<[f64; 3]>| Series {
+            let line = |(style, label, shape): DrawnRun<[f64; 3]>| Series {
                 label: label.into(),
                 style,
                 points: shape.iter().map(|p| (p[across], p[2])).collect(),

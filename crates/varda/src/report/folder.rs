@@ -13,9 +13,9 @@ use std::time::SystemTime;
 
 use crate::Error;
 
-/// A folder being filled beside its final place. Dropped without [`Output::publish`], it is removed.
+/// A folder being filled beside its final place. Dropped without [`ResultFolder::publish`], it is removed.
 #[derive(Debug)]
-pub struct Output {
+pub struct ResultFolder {
     target: PathBuf,
     temporary: PathBuf,
     published: bool,
@@ -40,16 +40,16 @@ struct Lock {
     _file: File,
 }
 
-/// How often [`Output::publish`] gives way to another run that puts its folder into the same place.
+/// How often [`ResultFolder::publish`] gives way to another run that puts its folder into the same place.
 const ATTEMPTS: usize = 100;
 
-impl Output {
+impl ResultFolder {
     /// Starts a folder that will become `target`. Clears away first what killed runs into it have left: see
     /// [`found`](Self::found).
     ///
     /// # Errors
     /// [`Error::Occupied`] where `target` exists and is not an earlier result of Varda; [`Error::Write`].
-    pub fn begin(target: &Path) -> Result<Output, Error> {
+    pub fn begin(target: &Path) -> Result<ResultFolder, Error> {
         replaceable(target)?;
         let parent = match target.parent() {
             Some(p) if !p.as_os_str().is_empty() => p.to_path_buf(),
@@ -60,7 +60,7 @@ impl Output {
         let found = clear(&parent, &prefix, target)?;
         let (temporary, lock) = Lock::new(&parent, &prefix)?;
         std::fs::create_dir(&temporary).map_err(|reason| Error::Write { path: temporary.clone(), reason })?;
-        Ok(Output { target: target.to_path_buf(), temporary, published: false, found, _lock: lock })
+        Ok(ResultFolder { target: target.to_path_buf(), temporary, published: false, found, _lock: lock })
     }
 
     /// What killed runs had left, and is no longer there.
@@ -120,7 +120,7 @@ impl Output {
     }
 }
 
-impl Drop for Output {
+impl Drop for ResultFolder {
     fn drop(&mut self) {
         if !self.published {
             // Nothing more can be done about a folder that will not go away while failing already.
@@ -273,7 +273,7 @@ mod tests {
         let parent = folder("replace");
         let target = parent.join("result");
         for content in ["first", "second"] {
-            let out = Output::begin(&target).unwrap();
+            let out = ResultFolder::begin(&target).unwrap();
             out.write("summary.json", SUMMARY).unwrap();
             out.write(&format!("{content}.csv"), content).unwrap();
             assert!(!target.join(format!("{content}.csv")).exists(), "nothing shows before it is published");
@@ -291,10 +291,10 @@ mod tests {
         let target = parent.join("thesis");
         std::fs::create_dir(&target).unwrap();
         std::fs::write(target.join("chapter1.tex"), "years of work").unwrap();
-        assert!(matches!(Output::begin(&target), Err(Error::Occupied { .. })));
+        assert!(matches!(ResultFolder::begin(&target), Err(Error::Occupied { .. })));
         std::fs::write(target.join("summary.json"), "{}").unwrap();
-        assert!(matches!(Output::begin(&target), Err(Error::Occupied { .. })));
-        assert!(matches!(Output::begin(&target.join("chapter1.tex")), Err(Error::Occupied { .. })));
+        assert!(matches!(ResultFolder::begin(&target), Err(Error::Occupied { .. })));
+        assert!(matches!(ResultFolder::begin(&target.join("chapter1.tex")), Err(Error::Occupied { .. })));
         assert_eq!(std::fs::read_to_string(target.join("chapter1.tex")).unwrap(), "years of work");
         assert_eq!(std::fs::read_dir(&parent).unwrap().count(), 1);
         std::fs::remove_dir_all(&parent).unwrap();
@@ -314,7 +314,7 @@ mod tests {
     fn what_a_killed_run_left_is_removed_and_nothing_else() {
         let parent = folder("killed");
         let target = parent.join("result");
-        let alive = Output::begin(&target).unwrap();
+        let alive = ResultFolder::begin(&target).unwrap();
         let left = [
             ".result.varda-7-1",
             ".result.varda-7-1-earlier-0",
@@ -335,7 +335,7 @@ mod tests {
         for lock in [".result.varda-7-1.lock", ".result.varda-8-2.lock", ".other.varda-7-1.lock"] {
             std::fs::write(parent.join(lock), "").unwrap();
         }
-        let out = Output::begin(&target).unwrap();
+        let out = ResultFolder::begin(&target).unwrap();
         let removed = [left[0], left[2], left[3]].map(|name| parent.join(name));
         assert_eq!(out.found(), &Found { removed: removed.to_vec(), put_back: true });
         assert!(target.join("summary.json").is_file(), "the earlier result is back in its place");
@@ -352,7 +352,7 @@ mod tests {
     #[test]
     fn a_failure_leaves_nothing() {
         let parent = folder("failure");
-        let out = Output::begin(&parent.join("result")).unwrap();
+        let out = ResultFolder::begin(&parent.join("result")).unwrap();
         out.write("analysis.csv", "1").unwrap();
         drop(out);
         assert_eq!(std::fs::read_dir(&parent).unwrap().count(), 0);

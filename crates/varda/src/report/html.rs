@@ -8,10 +8,10 @@ use crate::state::{StateGroup, StateLayout};
 use super::Summary;
 
 /// A drawn figure: name, title, SVG text.
-pub(super) type Drawn = (&'static str, String, String);
+pub(super) type DrawnFigure = (&'static str, String, String);
 
 /// The page.
-pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[Drawn]) -> String {
+pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure]) -> String {
     let experiment = &outcome.experiment;
     let title = match experiment.scene.title.as_str() {
         "" => experiment.name.as_str(),

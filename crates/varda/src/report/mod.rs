@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 use crate::Error;
 use crate::outcome::{Outcome, Simulation};
-use crate::report::folder::Output;
+use crate::report::folder::ResultFolder;
 use crate::run::compare::Compared;
 use crate::scene::SceneFile;
 
@@ -25,7 +25,7 @@ use crate::scene::SceneFile;
 /// # Errors
 /// [`Error::Occupied`], [`Error::Write`], [`Error::Plot`].
 pub fn write(outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
-    let out = Output::begin(folder)?;
+    let out = ResultFolder::begin(folder)?;
     let summary = Summary::new(outcome);
     let mut drawn = Vec::new();
     for figure in figures::all(outcome) {
@@ -54,7 +54,7 @@ pub fn write_comparison(
     interrupted: bool,
     folder: &Path,
 ) -> Result<PathBuf, Error> {
-    let out = Output::begin(folder)?;
+    let out = ResultFolder::begin(folder)?;
     let summary = serde_json::json!({
         "scene": file.name,
         "seed": file.scene.seed,
@@ -76,7 +76,7 @@ pub fn write_comparison(
 /// # Errors
 /// As [`write()`].
 pub fn write_simulation(simulation: &Simulation, seconds: f64, folder: &Path) -> Result<PathBuf, Error> {
-    let out = Output::begin(folder)?;
+    let out = ResultFolder::begin(folder)?;
     let experiment = &simulation.experiment;
     let summary = serde_json::json!({
         "scene": experiment.name,

@@ -43,7 +43,7 @@ pub struct Sequence {
 }
 
 /// An observation operator that the windows of a sequence share.
-type Shared = Rc<RefCell<Box<dyn ObservationOperator>>>;
+type SharedOperator = Rc<RefCell<Box<dyn ObservationOperator>>>;
 
 /// Progress and cancellation callbacks of a sequence.
 pub struct CycleListener<'a> {
@@ -274,14 +274,14 @@ impl Sequence {
     /// What was observed in the window that starts at a step, including what an earlier window has used.
     fn of_window(
         &self,
-        operators: &[Shared],
+        operators: &[SharedOperator],
         first: usize,
     ) -> Result<ObservationSet, varda_assimilation::Error> {
         let last = (first + self.window) as f64;
         let from = self.observations.partition_point(|o| o.step < first);
         let inside = self.observations[from..].iter().take_while(|o| at(o) <= last);
         let seen = inside.map(|o| o.clone().at_step(o.step - first)).collect();
-        let operator = |operator: &Shared| -> Box<dyn ObservationOperator> {
+        let operator = |operator: &SharedOperator| -> Box<dyn ObservationOperator> {
             Box::new(FromStep { operator: Rc::clone(operator), first })
         };
         let grid = &self.problem.experiment.grid;
@@ -407,7 +407,7 @@ fn means(rows: &[CycleRow], spin_up: usize, groups: usize) -> Means {
 
 /// An operator of the sequence, in a window that starts at its step `first`.
 struct FromStep {
-    operator: Shared,
+    operator: SharedOperator,
     first: usize,
 }
 

@@ -107,7 +107,7 @@ pub(crate) fn beyond(
     let grid = &problem.experiment.grid;
     let end = grid.steps as f64;
     let sights = problem.observed.sights();
-    let mut places = Places::of((space.make_places)()?, *grid);
+    let mut places = SitePlaces::of((space.make_places)()?, *grid);
     let at_rest = if sights.iter().any(|s| s.at() > end) {
         let control = rod.parts.at_rest(grid.time(grid.steps))?;
         let mut state = vec![0.0; model.dim()];
@@ -165,16 +165,16 @@ pub(crate) fn beyond(
     Ok((withheld, forecasts))
 }
 
-/// Places of all sites in the model's axes.
-struct Places {
+/// SitePlaces of all sites in the model's axes.
+struct SitePlaces {
     operator: Box<dyn ObservationOperator>,
     grid: TimeGrid,
     values: Vec<f64>,
 }
 
-impl Places {
+impl SitePlaces {
     fn of(operator: Box<dyn ObservationOperator>, grid: TimeGrid) -> Self {
-        Places { values: vec![0.0; operator.dim()], operator, grid }
+        SitePlaces { values: vec![0.0; operator.dim()], operator, grid }
     }
 
     /// The place of a site in a state at step k.

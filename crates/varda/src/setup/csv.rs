@@ -6,7 +6,7 @@ use crate::Error;
 
 /// One row of an observation file, in the recording's own time and axes.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
+pub struct ObservedRow {
     /// Line of the file, from 1.
     pub line: usize,
     /// Time \[s\].
@@ -33,7 +33,7 @@ pub enum Subject {
 ///
 /// # Errors
 /// [`Error::Data`] naming file and line.
-pub fn observations(file: &str, text: &str) -> Result<Vec<Row>, Error> {
+pub fn observations(file: &str, text: &str) -> Result<Vec<ObservedRow>, Error> {
     let expected = "time_s,s_m,x_m,y_m,z_m or time_s,marker,x_m,y_m,z_m, optionally sigma_m";
     let mut table =
         Table::open(file, text, &["time_s", "s_m", "marker", "x_m", "y_m", "z_m", "sigma_m"], expected)?;
@@ -67,7 +67,7 @@ pub fn observations(file: &str, text: &str) -> Result<Vec<Row>, Error> {
         if let Some(sigma) = sigma.filter(|s| !(*s > 0.0)) {
             return Err(table.bad(table.line, format!("`sigma_m` = {sigma} must be greater than 0")));
         }
-        rows.push(Row {
+        rows.push(ObservedRow {
             line: table.line,
             time: table.needed("time_s")?,
             subject,

@@ -21,13 +21,13 @@ pub struct Inputs {
     /// What is observed; values of a twin experiment are not drawn yet.
     pub observed: Observed,
     /// The background.
-    pub(crate) background: Background,
+    pub(crate) background: KnownBackground,
     /// The files that were read.
     pub files: Vec<InputFile>,
 }
 
 /// The background, as far as it is known without a run.
-pub(crate) enum Background {
+pub(crate) enum KnownBackground {
     /// Drawn around the truth of a twin experiment.
     Drawn,
     /// Read from a file.
@@ -67,17 +67,17 @@ fn observed(files: &Files, system: &System, grid: TimeGrid) -> Result<Observed, 
     }
 }
 
-fn background(files: &Files, system: &System) -> Result<Background, Error> {
+fn background(files: &Files, system: &System) -> Result<KnownBackground, Error> {
     let keys = &files.scene.scene.background;
     match system {
         System::Rod(rod) => Ok(match files.scene.checked(keys.source())? {
-            BackgroundSource::TruthPlusDraw => Background::Drawn,
-            BackgroundSource::File(name) => Background::Read(rod.read_background(files, name)?),
-            BackgroundSource::StaticEquilibrium => Background::Computed(rod.at_rest()),
+            BackgroundSource::TruthPlusDraw => KnownBackground::Drawn,
+            BackgroundSource::File(name) => KnownBackground::Read(rod.read_background(files, name)?),
+            BackgroundSource::StaticEquilibrium => KnownBackground::Computed(rod.at_rest()),
         }),
         System::Components(model) => Ok(match files.scene.checked(keys.file_of_components())? {
-            None => Background::Drawn,
-            Some(name) => Background::Read(model.read_background(files, name)?),
+            None => KnownBackground::Drawn,
+            Some(name) => KnownBackground::Read(model.read_background(files, name)?),
         }),
     }
 }

@@ -7,7 +7,7 @@ use varda_implicit::Model;
 use super::adaptive_steps::AdaptiveSteps;
 use super::covariance::Factored;
 use super::ensemble;
-use super::inputs::{Background, Inputs};
+use super::inputs::{Inputs, KnownBackground};
 use super::memory::{Memory, Sizes};
 use super::observations::Observed;
 use super::random::{Stream, stream};
@@ -73,9 +73,9 @@ impl Problem {
         let n = layout.len();
 
         let known = match background {
-            Background::Drawn => None,
-            Background::Read(control) => Some(control),
-            Background::Computed(make) => Some(make()?),
+            KnownBackground::Drawn => None,
+            KnownBackground::Read(control) => Some(control),
+            KnownBackground::Computed(make) => Some(make()?),
         };
         let truth = if known.is_none() { Some(system.truth()?) } else { None };
         let reference = known.as_ref().or(truth.as_ref()).map_or(&[][..], |z| &z[..n]);

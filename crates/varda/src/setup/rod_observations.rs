@@ -3,11 +3,9 @@
 use std::collections::HashMap;
 use std::rc::Rc;
 
-use varda_assimilation::ObservationOperator;
-use varda_implicit::{At, ImplicitStep, Refusal};
-use varda_rod::{Marker, Markers, RodStep};
+use varda_rod::{Marker, Markers, Matrix3, Vector3};
 
-use super::csv::{self, Row, Subject};
+use super::csv::{self, ObservedRow, Subject};
 use super::files::Files;
 use super::observations::{Draws, MakeOperator, Observed, ObservedSpace, Seen, Site};
 use super::rod::RodSystem;
@@ -58,7 +56,8 @@ pub(crate) fn recorded(
     };
     let (label, text) = files.text("observations.file", name)?;
     let rows = csv::observations(&label, &text)?;
-    let bad = |row: &Row, message: String| Error::Data { place: format!("{label}:{}", row.line), message };
+    let bad =
+        |row: &ObservedRow, message: String| Error::Data { place: format!("{label}:{}", row.line), message };
     let length = rod.length();
     let mut sites: Vec<Placed> = recording
         .markers
@@ -150,9 +149,12 @@ fn observed(
     left_out: Vec<String>,
 ) -> Observed {
     let markers: Rc<[Marker]> = sites.iter().map(|s| s.marker).collect();
-    let operator = |rotation| -> MakeOperator {
+    let operator = |rotation: [[f64; 3]; 3]| -> MakeOperator {
         let (markers, parts) = (Rc::clone(&markers), rod.parts.clone());
-        Box::new(move || Ok(Box::new(RodObservation::new(&parts.dynamics()?, &markers, rotation)?)))
+        // values are those of the recording turned into its axes but not displaced: the origin is the model's
+        let axes = Matrix3::from(rotation).transpose();
+        let seen = move || Markers::new(&parts.dynamics()?, &markers)?.in_axes(axes, Vector3::zeros());
+        Box::new(move || Ok(Box::new(seen()?)))
     };
     let site = |(i, site): (usize, Placed)| Site {
         label: site.label,
@@ -192,70 +194,5 @@ impl Frame {
             [y * x * v + z * s, c + y * y * v, y * z * v - x * s],
             [z * x * v - y * s, z * y * v + x * s, c + z * z * v],
         ]
-    }
-}
-
-/// H_k(x): the coordinates of all sites at step k, in the recording's axes, three rows a site: y = Rᵀ p.
-///
-/// On the centreline p is linear in arc length between two vertices (a prescribed vertex enters as a known
-/// function of the step's time); off it p is carried by the section.
-pub struct RodObservation {
-    markers: Markers,
-    rotation: [[f64; 3]; 3],
-    state_dim: usize,
-    places: Vec<f64>,
-}
-
-impl RodObservation {
-    /// The operator of some markers; `rotation` is R, by rows.
-    ///
-    /// # Errors
-    /// A marker off the rod.
-    pub fn new(rod: &RodStep, markers: &[Marker], rotation: [[f64; 3]; 3]) -> Result<Self, varda_rod::Error> {
-        let places = vec![0.0; 3 * markers.len()];
-        Ok(RodObservation { markers: Markers::new(rod, markers)?, rotation, state_dim: rod.dim(), places })
-    }
-
-    /// y = Rᵀ p, site by site.
-    fn turn(&self, y: &mut [f64]) {
-        let r = &self.rotation;
-        for (p, y) in self.places.chunks_exact(3).zip(y.chunks_exact_mut(3)) {
-            for c in 0..3 {
-                y[c] = r[0][c] * p[0] + r[1][c] * p[1] + r[2][c] * p[2];
-            }
-        }
-    }
-}
-
-impl ObservationOperator for RodObservation {
-    fn dim(&self) -> usize {
-        3 * self.markers.len()
-    }
-
-    fn state_dim(&self) -> usize {
-        self.state_dim
-    }
-
-    fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
-        self.markers.places(at.time, x, &mut self.places)?;
-        self.turn(y);
-        Ok(())
-    }
-
-    fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
-        let seen = self.markers.tangent(at.time, x, dx, &mut self.places);
-        seen.expect("this state was observed before");
-        self.turn(dy);
-    }
-
-    fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
-        let r = &self.rotation;
-        for (y, p) in dy.chunks_exact(3).zip(self.places.chunks_exact_mut(3)) {
-            for i in 0..3 {
-                p[i] = r[i][0] * y[0] + r[i][1] * y[1] + r[i][2] * y[2];
-            }
-        }
-        let seen = self.markers.adjoint_add(at.time, x, &self.places, dx);
-        seen.expect("this state was observed before");
     }
 }

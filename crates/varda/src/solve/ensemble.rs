@@ -4,7 +4,7 @@ use varda_assimilation::{CostFunction, EnVar, EnVarOptions, Error, Iteration, Ob
 use varda_covariance::{Covariance, Ensemble, Hybrid};
 use varda_implicit::{Model, Storage};
 
-use super::task::{Iterate, PosteriorSpread, Stage, StageEnd, Task, deviations, is_whole, roots};
+use super::task::{Iterate, PosteriorSpread, SubWindow, SubWindowEnd, Task, deviations, is_whole, roots};
 use crate::outcome::WorkCounts;
 use crate::scene::Method;
 use crate::setup::ensemble::anchors;
@@ -33,9 +33,9 @@ impl Task<'_> {
         Ok(Members::Hybrid(Box::new(Hybrid::new(b, of_static, ensemble.clone(), of_ensemble)?)))
     }
 
-    pub(super) fn ensemble(&mut self, stage: Stage) -> Result<StageEnd, Error> {
+    pub(super) fn ensemble(&mut self, stage: SubWindow) -> Result<SubWindowEnd, Error> {
         let members = self.members()?;
-        let Stage { observations, v, posterior, before, on_iterate, .. } = stage;
+        let SubWindow { observations, v, posterior, before, on_iterate, .. } = stage;
         let window = observations.steps();
         let anchors = anchors(observations, self.anchors);
         let mut cost = members.cost(self.make_model, self.background, observations, &anchors)?;
@@ -68,7 +68,7 @@ impl Task<'_> {
         };
         transform.control(v, &mut control);
         let sigma_background = deviations(transform.covariance());
-        Ok(StageEnd {
+        Ok(SubWindowEnd {
             minimum,
             control,
             sigma_background,

@@ -7,6 +7,7 @@ use varda_assimilation::{
     Iteration, LbfgsOptions, Minimizer, Minimum, NewtonCgOptions, NewtonOptions, OuterLoopOptions, Status,
     StrongConstraint, TrustRegionOptions, continuation, outer_loop,
 };
+use varda_linalg::norm;
 
 use crate::scene::{Algorithm, Method, Minimizer as Choice};
 
@@ -114,9 +115,4 @@ fn blue(
     // The only iteration: it is too late to interrupt.
     let _ = on_iteration(&now.iteration(norm(&step), cost.counts(), v));
     Ok(now)
-}
-
-/// ‖v‖.
-pub(crate) fn norm(v: &[f64]) -> f64 {
-    v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }

@@ -17,7 +17,7 @@ use crate::outcome::WorkCounts;
 use crate::scene::Method;
 use crate::setup::ensemble::anchors;
 pub(crate) use task::{Iterate, OnIterate, Solution, Task};
-use task::{Stage, StageEnd};
+use task::{SubWindow, SubWindowEnd};
 
 /// Checks the observations against the background if the scene asks for that, and minimises: the whole window
 /// at once, or growing sub-windows.
@@ -44,7 +44,7 @@ pub(crate) fn solve(
     let (observations, mut minima) =
         window_growth(observations, windows, &mut Vec::new(), &mut |seen, v| {
             let window = seen.steps();
-            let stage = Stage {
+            let stage = SubWindow {
                 observations: seen,
                 v,
                 states: &mut states,
@@ -53,7 +53,7 @@ pub(crate) fn solve(
                 before: (done[0], spent),
                 on_iterate,
             };
-            let StageEnd { minimum, control, sigma_background, spread, no_spread, counts, storage } =
+            let SubWindowEnd { minimum, control, sigma_background, spread, no_spread, counts, storage } =
                 task.stage(stage)?;
             done[0] += minimum.outer_iterations;
             done[1] += minimum.inner_iterations;
@@ -83,7 +83,7 @@ pub(crate) fn solve(
     Ok((solved, observations))
 }
 impl Task<'_> {
-    fn stage(&mut self, stage: Stage) -> Result<StageEnd, Error> {
+    fn stage(&mut self, stage: SubWindow) -> Result<SubWindowEnd, Error> {
         match self.algorithm.method {
             Method::WeakForcing => self.weak_forcing(stage),
             Method::WeakState => self.weak_state(stage),

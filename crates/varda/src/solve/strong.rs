@@ -6,7 +6,7 @@ use varda_assimilation::{
 use varda_implicit::Model;
 
 use super::minimizer;
-use super::task::{Iterate, PosteriorSpread, Stage, StageEnd, Task, deviations, is_whole};
+use super::task::{Iterate, PosteriorSpread, SubWindow, SubWindowEnd, Task, deviations, is_whole};
 use crate::outcome::WorkCounts;
 use crate::scene::Method;
 
@@ -14,10 +14,10 @@ impl Task<'_> {
     /// The strong constraint. 3D-Var is 4D-Var with observations at step 0 only. If the model is replaced at
     /// the end of the minimization (adaptive time steps), the minimization continues from there, to the
     /// gradient norm that was first asked for.
-    pub(super) fn strong(&mut self, stage: Stage) -> Result<StageEnd, Error> {
+    pub(super) fn strong(&mut self, stage: SubWindow) -> Result<SubWindowEnd, Error> {
         let (background, covariance) = (self.background, self.covariance);
         let transform = ControlTransform::new(background.to_vec(), covariance.as_ref())?;
-        let Stage { observations, v, whole, posterior, before, on_iterate, .. } = stage;
+        let SubWindow { observations, v, whole, posterior, before, on_iterate, .. } = stage;
         let window = observations.steps();
         let mut algorithm = self.algorithm.clone();
         let mut control = background.to_vec();
@@ -41,7 +41,8 @@ impl Task<'_> {
                 cost.evaluate(v, Some(&mut gradient))?;
                 let wanted = self.algorithm.gradient_tolerance * first.gradient_norm_first;
                 // At most one half, or a start that is nearly good enough would take no iteration at all.
-                algorithm.gradient_tolerance = (wanted / minimizer::norm(&gradient)).clamp(f64::EPSILON, 0.5);
+                algorithm.gradient_tolerance =
+                    (wanted / varda_linalg::norm(&gradient)).clamp(f64::EPSILON, 0.5);
                 algorithm.sigma_stages.clear();
             }
             let start = v.clone();
@@ -76,7 +77,15 @@ impl Task<'_> {
             }
             [minimum.outer_iterations, minimum.inner_iterations] = iterations;
             let sigma_background = deviations(covariance.as_ref());
-            return Ok(StageEnd { minimum, control, sigma_background, spread, no_spread, counts, storage });
+            return Ok(SubWindowEnd {
+                minimum,
+                control,
+                sigma_background,
+                spread,
+                no_spread,
+                counts,
+                storage,
+            });
         }
     }
 }

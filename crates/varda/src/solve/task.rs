@@ -84,7 +84,7 @@ pub(crate) struct Iterate<'a> {
 pub(crate) type OnIterate<'a> = dyn FnMut(&Iterate) -> ControlFlow<()> + 'a;
 
 /// Input of a stage: one sub-window, from the point at which the last one ended.
-pub(super) struct Stage<'s, 'r> {
+pub(super) struct SubWindow<'s, 'r> {
     pub(super) observations: &'s mut ObservationSet,
     /// The control variable.
     pub(super) v: &'s mut Vec<f64>,
@@ -99,7 +99,7 @@ pub(super) struct Stage<'s, 'r> {
 }
 
 /// Result of a stage.
-pub(super) struct StageEnd {
+pub(super) struct SubWindowEnd {
     pub(super) minimum: Minimum,
     pub(super) control: Vec<f64>,
     pub(super) sigma_background: Vec<f64>,

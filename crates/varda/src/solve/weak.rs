@@ -7,20 +7,20 @@ use varda_covariance::Covariance;
 use varda_implicit::Storage;
 
 use super::minimizer;
-use super::task::{Iterate, PosteriorSpread, Stage, StageEnd, Task, deviations, is_whole};
+use super::task::{Iterate, PosteriorSpread, SubWindow, SubWindowEnd, Task, deviations, is_whole};
 use crate::outcome::WorkCounts;
 use crate::setup::covariance::Factored;
 use crate::setup::runs::run_on;
 
 impl Task<'_> {
-    pub(super) fn weak_forcing(&mut self, stage: Stage) -> Result<StageEnd, Error> {
+    pub(super) fn weak_forcing(&mut self, stage: SubWindow) -> Result<SubWindowEnd, Error> {
         let (algorithm, background, covariance) = (self.algorithm, self.background, self.covariance);
         let missing =
             Error::Setting { what: "the covariance of a model error that is not there", value: 0.0 };
         let q: &dyn Covariance = self.model_error.ok_or(missing)?.as_ref();
         let forcing = self.forcing();
         let transform = ControlTransform::new(background.to_vec(), covariance.as_ref())?;
-        let Stage { observations, v, states, posterior, before, on_iterate, .. } = stage;
+        let SubWindow { observations, v, states, posterior, before, on_iterate, .. } = stage;
         let (window, last) = (observations.steps(), observations.last_step().unwrap_or(0));
         let mut cost = WeakForcing::new(&mut *self.model, transform.clone(), q, forcing, observations)?;
         // The added part of the window starts without forcing.
@@ -43,7 +43,7 @@ impl Task<'_> {
             }
         }
         transform.control(&v[..head], &mut control);
-        Ok(StageEnd {
+        Ok(SubWindowEnd {
             minimum,
             control,
             sigma_background: deviations(covariance.as_ref()),
@@ -56,7 +56,7 @@ impl Task<'_> {
 
     /// Starts from the run of the background; after the window has grown, from the analysed states and the
     /// model's run from the last of them.
-    pub(super) fn weak_state(&mut self, stage: Stage) -> Result<StageEnd, Error> {
+    pub(super) fn weak_state(&mut self, stage: SubWindow) -> Result<SubWindowEnd, Error> {
         let (algorithm, background, covariance) = (self.algorithm, self.background, self.covariance);
         let forcing = self.forcing();
         let transform = ControlTransform::new(background.to_vec(), covariance.as_ref())?;
@@ -64,7 +64,7 @@ impl Task<'_> {
         let b = covariance.precision().ok_or(singular("the inverse of a truncated B"))?;
         let q = self.model_error.and_then(Factored::precision);
         let q = q.ok_or(singular("the inverse of a truncated Q"))?;
-        let Stage { observations, v, states, posterior, before, on_iterate, .. } = stage;
+        let SubWindow { observations, v, states, posterior, before, on_iterate, .. } = stage;
         let (window, last) = (observations.steps(), observations.last_step().unwrap_or(0));
         if states.is_empty() {
             states.resize(self.model.dim(), 0.0);
@@ -92,7 +92,7 @@ impl Task<'_> {
             }
         }
         control.copy_from_slice(&v[..n_z]);
-        Ok(StageEnd {
+        Ok(SubWindowEnd {
             minimum,
             control,
             sigma_background: deviations(covariance.as_ref()),

@@ -1,4 +1,4 @@
-//! A background and its covariance as a vector and a matrix of nalgebra; the posterior covariance as a matrix.
+//! A background and its covariance as a vector and a matrix of nalgebra; the posterior as a matrix.
 
 use std::ops::ControlFlow;
 

@@ -1,22 +1,20 @@
-//! A rod hangs from a hand that moves; its tip is seen five times; where was the rod at the start, and how fast?
+//! A rod hangs from a hand that moves, its tip is seen five times: where was the rod at the start?
 
 use rand::{SeedableRng, rngs::ChaCha8Rng};
 use std::ops::ControlFlow;
-use std::sync::Arc;
 use varda_assimilation::{
-    ControlTransform, Minimizer, Observation, ObservationSet, Posterior, Selection, Status, StrongConstraint,
+    ControlTransform, Minimizer, Observation, ObservationSet, Posterior, Status, StrongConstraint,
 };
 use varda_covariance::{BlockDiagonal, CovarianceFunction, Dense, Interleaved, Kernel, Taper, sample};
 use varda_implicit::{ImplicitModel, Keep, Model, Trajectory};
-use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, Vector3};
+use varda_rod::{
+    Clamp, Damping, Loads, Marker, Markers, Material, Rod, RodStep, Section, Supports, Vector3,
+};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let rod = Rod::uniform(0.8, 16, &Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.008))?;
-    let supports = Supports::clamped_start(Clamp {
-        position: Arc::new(|t: f64| [0.05 * (1.0 - (5.0 * t).cos()), 0.0, 0.0]),
-        tangent: Arc::new([0.0, 0.0, -1.0]),
-        director: Arc::new([1.0, 0.0, 0.0]),
-    });
+    let hand = |t: f64| [0.05 * (1.0 - (5.0 * t).cos()), 0.0, 0.0];
+    let supports = Supports::clamped_start(Clamp::new(hand, -Vector3::z(), Vector3::x()));
     let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
     let step = RodStep::new(rod, supports, loads, Damping::default())?;
 
@@ -34,6 +32,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let background = ControlTransform::new(z.clone(), &b)?;
 
     // A truth drawn from B, and its run; x and z of the tip are seen with σ = 5 mm.
+    let operator = Markers::new(&step, &[Marker { s: 0.8, offset: Vector3::zeros() }])?;
     let mut model = ImplicitModel::new(step, 0, 0.02);
     let (tip, mut x) = (3 * free.len() - 3, vec![0.0; model.dim()]);
     let error = sample(&b, &mut ChaCha8Rng::seed_from_u64(1));
@@ -41,10 +40,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     model.initial_state(&truth, &mut x)?;
     let mut run = Trajectory::new();
     run.run(&mut model, &x, 50, Keep::States)?;
-    let operator = Selection::new(vec![tip, tip + 2], model.dim())?;
     let places = |k: usize| vec![run.state(k)[tip], run.state(k)[tip + 2]];
-    let seen = (1..=5).map(|k| Observation::new(10 * k, vec![0, 1], places(10 * k), 0.005)).collect();
-    let mut observations = ObservationSet::new(50, vec![Box::new(operator)], seen)?;
+    let seen = (1..=5).map(|k| Observation::new(10 * k, vec![0, 2], places(10 * k), 0.005)).collect();
+    let times = (0..=50).map(|k| 0.02 * k as f64).collect();
+    let mut observations = ObservationSet::on_times(times, vec![Box::new(operator)], seen)?;
 
     let mut cost = StrongConstraint::new(&mut model, background.clone(), &mut observations)?;
     let mut v = vec![0.0; background.dim()];

@@ -6,7 +6,7 @@ use super::rod_shapes::{
 use crate::row::Rows;
 use problems::rods::rod_scale;
 use std::f64::consts::TAU;
-use varda_implicit::{Model, check};
+use varda_implicit::{At, Model, ObservationOperator, check};
 use varda_rod::{Clamp, Framed, Loads, Marker, Markers, Rod, Section, Supports, Vector3, derivatives};
 
 pub(super) fn run(rows: &mut Rows) {
@@ -83,7 +83,9 @@ fn tilt_loop(rows: &mut Rows, steps: usize) {
         for k in 0..steps {
             model.step(k, &x, &mut next)?;
             std::mem::swap(&mut x, &mut next);
-            markers.places(model.time(k + 1), &x, &mut p)?;
+            markers
+                .observe(At { step: k + 1, time: model.time(k + 1) }, &x, &mut p)
+                .map_err(|e| e.to_string())?;
             let axis = |i: usize| -> [f64; 3] { std::array::from_fn(|c| p[3 * i + c] - p[c]) };
             for i in 1..4 {
                 for j in 1..=i {
@@ -131,8 +133,9 @@ fn tilt_loop(rows: &mut Rows, steps: usize) {
             let dx: Vec<f64> =
                 (1..=2).flat_map(|v| rate.map(|r| 0.1 * v as f64 * r)).chain([0.0; 6]).collect();
             let x = state(phi);
-            markers.places(0.0, &x, &mut p)?;
-            markers.tangent(0.0, &x, &dx, &mut dp)?;
+            let now = At { step: 0, time: 0.0 };
+            markers.observe(now, &x, &mut p).map_err(|e| e.to_string())?;
+            markers.tangent(now, &x, &dx, &mut dp);
             turned += step * (0..3).map(|c| (dp[3 + c] - dp[c]) * (p[6 + c] - p[c])).sum::<f64>();
         }
         let solid_angle = TAU * (1.0 - alpha.cos());

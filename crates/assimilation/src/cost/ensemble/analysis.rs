@@ -23,11 +23,13 @@ impl Default for EnVarOptions {
 
 /// How the perturbations of an ensemble are brought from the prior to the posterior.
 pub enum EnsembleUpdate<'u> {
-    /// x_i ← x_i − U Gᵀ φ(GGᵀ) Y_i, φ(λ) = 1 / (√(1+λ) (√(1+λ) + 1)): deterministic. Without localization this is the symmetric square root
-    /// X (I + GᵀG)^{-1/2} of Bocquet and Sakov (2014), with it the modified gain of Bishop, Whitaker and Lei (2017).
+    /// x_i ← x_i − U Gᵀ φ(GGᵀ) Y_i, φ(λ) = 1 / (√(1+λ) (√(1+λ) + 1)): deterministic. Without
+    /// localization this is the symmetric square root X (I + GᵀG)^{-1/2} of Bocquet and Sakov (2014), with
+    /// it the modified gain of Bishop, Whitaker and Lei (2017).
     SquareRoot,
-    /// x_i ← x_i + U Gᵀ (I + GGᵀ)⁻¹ (ε_i − Y_i): an ensemble of assimilations, each with its own perturbed observations. The closure draws
-    /// standard normals; the perturbations are centred over the members.
+    /// x_i ← x_i + U Gᵀ (I + GGᵀ)⁻¹ (ε_i − Y_i): an ensemble of assimilations, each with its own
+    /// perturbed observations. The closure draws standard normals; the perturbations are centred over the
+    /// members.
     PerturbedObservations(&'u mut dyn FnMut() -> f64),
 }
 
@@ -39,16 +41,16 @@ struct Gram {
 }
 
 impl EnVar<'_> {
-    /// Gauss–Newton with exact solves: linearize, go to the minimum of J, until a step is at most `step_tolerance`. Starts from `v`,
-    /// and leaves the analysis in it.
+    /// Gauss–Newton with exact solves: linearize, go to the minimum of J, until a step is at most
+    /// `step_tolerance`. Starts from `v`, and leaves the analysis in it.
     ///
-    /// A step after which the nonlinear J is higher is halved, unless it is shorter than 0.1: ensemble differences of finite
-    /// spread do not resolve J more finely. The last step is not followed by a run of the ensemble; `value` and the gradient are those of
-    /// the quadratic J there.
+    /// A step after which the nonlinear J is higher is halved, unless it is shorter than 0.1: ensemble
+    /// differences of finite spread do not resolve J more finely. The last step is not followed by a run of
+    /// the ensemble; `value` and the gradient are those of the quadratic J there.
     ///
     /// # Errors
-    /// A first point at which the model fails, `max_outer` = 0, an eigenvalue iteration that fails. A step on which the model fails
-    /// however short ends the run as `Stalled`.
+    /// A first point at which the model fails, `max_outer` = 0, an eigenvalue iteration that fails. A step on
+    /// which the model fails however short ends the run as `Stalled`.
     ///
     /// # Panics
     /// If `v` is not of length `dim`.
@@ -146,7 +148,8 @@ impl EnVar<'_> {
         })
     }
 
-    /// v = argmin J: Gᵀ (I + GGᵀ)⁻¹ (d₀ + G v₀), by an eigenvalue decomposition of the smaller of GGᵀ and GᵀG.
+    /// v = argmin J: Gᵀ (I + GGᵀ)⁻¹ (d₀ + G v₀), by an eigenvalue decomposition of the smaller of
+    /// GGᵀ and GᵀG.
     ///
     /// # Errors
     /// An eigenvalue iteration that fails.
@@ -162,8 +165,8 @@ impl EnVar<'_> {
         Ok(())
     }
 
-    /// The perturbations of the posterior ensemble in the control z, scaled as the columns of X, one after the other: their sample covariance
-    /// stands for U (I + GᵀG)⁻¹ Uᵀ at the last linearization.
+    /// The perturbations of the posterior ensemble in the control z, scaled as the columns of X, one after
+    /// the other: their sample covariance stands for U (I + GᵀG)⁻¹ Uᵀ at the last linearization.
     ///
     /// # Errors
     /// An eigenvalue iteration that fails.
@@ -196,9 +199,10 @@ impl EnVar<'_> {
         Ok(columns)
     }
 
-    /// Variances of the control z, the diagonal of U (I + GᵀG)⁻¹ Uᵀ at the last linearization, and the degrees of freedom for signal,
-    /// tr GGᵀ(I + GGᵀ)⁻¹. Exact for the localized or hybrid covariance U Uᵀ, where the sample covariance of
-    /// [`posterior_perturbations`](Self::posterior_perturbations) is that of the members. No model is run.
+    /// Variances of the control z, the diagonal of U (I + GᵀG)⁻¹ Uᵀ at the last linearization, and the
+    /// degrees of freedom for signal, tr GGᵀ(I + GGᵀ)⁻¹. Exact for the localized or hybrid covariance
+    /// U Uᵀ, where the sample covariance of [`posterior_perturbations`](Self::posterior_perturbations) is
+    /// that of the members. No model is run.
     ///
     /// # Errors
     /// An eigenvalue iteration that fails.
