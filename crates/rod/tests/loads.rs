@@ -242,7 +242,8 @@ fn edges_that_do_not_exist_are_refused() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 8, ..ProptestConfig::default() })]
 
-    /// A drag proportional to the masses is mass damping: half the mass of an edge goes to either of its vertices.
+    /// A drag proportional to the masses is mass damping: half the mass of an edge goes to either of its
+    /// vertices.
     #[test]
     fn drag_by_mass_is_mass_damping(alpha in 0.1..20.0f64, curved: bool, second_order: bool) {
         let scheme = if second_order { Scheme::Bdf2 } else { Scheme::BackwardEuler };
