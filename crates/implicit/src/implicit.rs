@@ -95,7 +95,7 @@ pub enum Linearization {
     /// Where a step is linearized right after it was taken (in one part): at the last iterate but one of
     /// Newton's method, whose factor is taken over for nothing. The gradient is then wrong by the size of the
     /// last accepted update, which no dot-product test sees. Other linearizations are exact:
-    /// [`Counts::reused`](crate::Counts::reused)(crate::Counts::reused) tells how many were not.
+    /// [`Counts::reused`](crate::Counts::reused) tells how many were not.
     LastFactor,
 }
 
