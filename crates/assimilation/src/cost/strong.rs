@@ -1,7 +1,7 @@
 //! Strong-constraint 4D-Var; with a window of zero steps, 3D-Var.
 
 use super::dense::Dense;
-use super::model_error::{Errors, Over};
+use super::model_error::{ModelErrorTerm, WeakControl};
 use super::{CostFunction, CostTerms, Counts, LeastSquares, dot};
 use crate::{ControlTransform, Error, ObservationSet};
 use varda_implicit::{Footprint, Keep, Log, Model, Storage, Trajectory};
@@ -33,7 +33,7 @@ pub struct StrongConstraint<'a> {
     pub(super) transform: ControlTransform<'a>,
     pub(super) observations: &'a mut ObservationSet,
     /// With model error: the engine of the weak-constraint costs.
-    pub(super) errors: Option<Errors<'a>>,
+    pub(super) errors: Option<ModelErrorTerm<'a>>,
     /// R^{-1/2} of independent rows, 1 of correlated ones, with the scale of σ in force: R^{-1/2} is this
     /// after the whitening of the correlated blocks.
     pub(super) root_precision: Vec<f64>,
@@ -122,7 +122,7 @@ impl<'a> StrongConstraint<'a> {
         model: &'a mut (dyn Model + 'a),
         transform: ControlTransform<'a>,
         observations: &'a mut ObservationSet,
-        errors: Errors<'a>,
+        errors: ModelErrorTerm<'a>,
     ) -> Result<Self, Error> {
         let Self { model, transform, observations, state_dim, .. } =
             Self::new(model, transform, observations)?;
@@ -134,11 +134,11 @@ impl<'a> StrongConstraint<'a> {
         state_dim: usize,
         transform: ControlTransform<'a>,
         observations: &'a mut ObservationSet,
-        errors: Option<Errors<'a>>,
+        errors: Option<ModelErrorTerm<'a>>,
     ) -> Self {
         let (n_z, m) = (transform.control_dim(), observations.dim());
-        let n = transform.dim() + errors.as_ref().map_or(0, Errors::dim);
-        let landings = errors.as_ref().map_or(0, Errors::slots) * state_dim;
+        let n = transform.dim() + errors.as_ref().map_or(0, ModelErrorTerm::dim);
+        let landings = errors.as_ref().map_or(0, ModelErrorTerm::slots) * state_dim;
         let last = observations.last_step().unwrap_or(0);
         let point = || Point {
             valid: false,
@@ -286,7 +286,7 @@ impl<'a> StrongConstraint<'a> {
         kept.copy_from_slice(v);
         let head = self.transform.dim();
         match self.errors.as_ref().map(|e| e.over) {
-            Some(Over::States { b, .. }) => {
+            Some(WeakControl::States { b, .. }) => {
                 z.copy_from_slice(&v[..head]);
                 for ((dz, z), background) in self.dz.iter_mut().zip(&*z).zip(self.transform.background()) {
                     *dz = z - background;

@@ -1,6 +1,6 @@
 //! Weak-constraint 4D-Var over the forcing of the model.
 
-use super::model_error::{Errors, Over};
+use super::model_error::{ModelErrorTerm, WeakControl};
 use super::{CostFunction, CostTerms, Counts, Forcing, LeastSquares, StrongConstraint};
 use crate::{ControlTransform, Error, ObservationSet};
 use varda_covariance::Covariance;
@@ -45,7 +45,7 @@ impl<'a> WeakForcing<'a> {
         observations: &'a mut ObservationSet,
     ) -> Result<Self, Error> {
         let last = observations.last_step().unwrap_or(0);
-        let errors = Errors::new(forcing, Over::Forcing { q }, model.dim(), last)?;
+        let errors = ModelErrorTerm::new(forcing, WeakControl::Forcing { q }, model.dim(), last)?;
         Ok(Self { window: StrongConstraint::weak(model, transform, observations, errors)? })
     }
 
@@ -56,7 +56,7 @@ impl<'a> WeakForcing<'a> {
 
     /// N, the number of forcings.
     pub fn forcings(&self) -> usize {
-        self.window.errors.as_ref().map_or(0, Errors::count)
+        self.window.errors.as_ref().map_or(0, ModelErrorTerm::count)
     }
 
     /// η_j = Q^{1/2} p_j of a control, on the forced components.
@@ -65,7 +65,7 @@ impl<'a> WeakForcing<'a> {
     /// If there is no such forcing, or a slice has the wrong length.
     pub fn forcing(&self, v: &[f64], j: usize, eta: &mut [f64]) {
         assert!(v.len() == self.dim() && j < self.forcings(), "forcing {j}");
-        let Some(Errors { over: Over::Forcing { q }, .. }) = &self.window.errors else { unreachable!() };
+        let Some(ModelErrorTerm { over: WeakControl::Forcing { q }, .. }) = &self.window.errors else { unreachable!() };
         q.root(&v[self.window.transform().dim() + j * q.root_dim()..][..q.root_dim()], eta);
     }
 

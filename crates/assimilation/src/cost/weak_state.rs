@@ -1,6 +1,6 @@
 //! Weak-constraint 4D-Var over all states.
 
-use super::model_error::{Errors, Over};
+use super::model_error::{ModelErrorTerm, WeakControl};
 use super::{CostFunction, CostTerms, Counts, Forcing, LeastSquares, StrongConstraint};
 use crate::{ControlTransform, Error, ObservationSet};
 use varda_covariance::Precision;
@@ -65,7 +65,7 @@ impl<'a> WeakState<'a> {
             }
         }
         let last = observations.last_step().unwrap_or(0);
-        let errors = Errors::new(forcing, Over::States { b, q }, model.dim(), last)?;
+        let errors = ModelErrorTerm::new(forcing, WeakControl::States { b, q }, model.dim(), last)?;
         let transform = ControlTransform::new(background, b)?;
         let window = StrongConstraint::weak(model, transform, observations, errors)?;
         let physical = vec![0.0; b.dim().max(q.dim())];

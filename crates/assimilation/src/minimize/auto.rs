@@ -15,11 +15,11 @@ pub struct AutoOptions {
     /// Where J_o at the first point exceeds this many times m, one run is not trusted.
     pub threshold: f64,
     /// What σ is multiplied by in turn in the runs that follow; each ends with 1.
-    pub ladders: Vec<Vec<f64>>,
+    pub continuation: Vec<Vec<f64>>,
     /// Runs from draws of the prior at most, after them: every other one down the first ladder.
-    pub draws: usize,
+    pub prior_samples: usize,
     /// Where the first run took more outer iterations than this, all runs are made, whether or not two agree.
-    pub rough: usize,
+    pub restart_threshold: usize,
     /// Seed of the draws.
     pub seed: u64,
 }
@@ -27,11 +27,11 @@ pub struct AutoOptions {
 impl Default for AutoOptions {
     fn default() -> Self {
         Self {
-            trust_region: TrustRegionOptions { beside: 60, ..TrustRegionOptions::default() },
+            trust_region: TrustRegionOptions { jump_retries: 60, ..TrustRegionOptions::default() },
             threshold: 10.0,
-            ladders: vec![vec![10.0, 3.0, 1.0], vec![16.0, 8.0, 4.0, 2.0, 1.0]],
-            draws: 6,
-            rough: 40,
+            continuation: vec![vec![10.0, 3.0, 1.0], vec![16.0, 8.0, 4.0, 2.0, 1.0]],
+            prior_samples: 6,
+            restart_threshold: 40,
             seed: 0,
         }
     }
@@ -45,7 +45,7 @@ impl Default for AutoOptions {
 /// 8, 4, 2, 1), then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down the first ladder and
 /// straight, at most six. It stops as soon as two runs have converged to the lowest J seen (to 10⁻⁶ of
 /// it), unless the first took more than 40 outer iterations: then all are made. All look beside steps that a
-/// jump of J refuses ([`TrustRegionOptions::beside`]). The lowest end is returned; an end where the minimizer
+/// jump of J refuses ([`TrustRegionOptions::jump_retries`]). The lowest end is returned; an end where the minimizer
 /// stalled (the edge of a jump of J) only where it is lower than every converged one by 10⁻³ of J. The
 /// tolerance of every run refers to the gradient at the first point. Rows of all runs are reported, each
 /// counting on from the one before.
@@ -101,7 +101,7 @@ pub(super) fn run(
         inner: best.inner_iterations,
         ..*start
     };
-    let rough = best.outer_iterations - start.index > options.rough;
+    let rough = best.outer_iterations - start.index > options.restart_threshold;
     let mut interrupted = best.status == Status::Interrupted;
     if !hard && best.status == Status::Converged {
         return Ok(best);
@@ -110,21 +110,21 @@ pub(super) fn run(
     let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
     let mut other = first.clone();
     let straight = vec![1.0];
-    for attempt in 0..options.ladders.len() + options.draws {
+    for attempt in 0..options.continuation.len() + options.prior_samples {
         if interrupted || (!rough && found_twice(&best, &ends)) {
             break;
         }
-        let scales = match attempt.checked_sub(options.ladders.len()) {
+        let scales = match attempt.checked_sub(options.continuation.len()) {
             None => {
                 other.copy_from_slice(&first);
-                &options.ladders[attempt]
+                &options.continuation[attempt]
             }
             Some(draw) => {
                 other.fill_with(|| StandardNormal.sample(&mut rng));
                 if cost.evaluate(&other, None).is_err() {
                     continue;
                 }
-                options.ladders.first().filter(|_| draw % 2 == 0).unwrap_or(&straight)
+                options.continuation.first().filter(|_| draw % 2 == 0).unwrap_or(&straight)
             }
         };
         let end = continuation::run(&minimizer, cost, &mut other, scales, &from, on_iteration)?;

@@ -37,8 +37,8 @@ pub struct TrustRegionOptions {
     pub max_inner: usize,
     /// Rank-one terms kept of the learnt second-order part; 0 leaves plain Gauss–Newton.
     pub secant_terms: usize,
-    /// Steps tried beside one that a jump of J refused, at most; 0 for none.
-    pub beside: usize,
+    /// Maximum number of perturbed retries after a step is rejected at a discontinuity of J; 0 disables them.
+    pub jump_retries: usize,
 }
 
 impl Default for TrustRegionOptions {
@@ -50,7 +50,7 @@ impl Default for TrustRegionOptions {
             dense_limit: 100,
             max_inner: 100,
             secant_terms: 60,
-            beside: 0,
+            jump_retries: 0,
         }
     }
 }
@@ -71,7 +71,7 @@ impl Default for TrustRegionOptions {
 /// the accuracy of the model, and says so.
 ///
 /// **Jumps of J.** An implicit step from a wild state may have several solutions, and which one is found may
-/// change from one point to the next without pattern: J then jumps between smooth sheets. With `beside` > 0 a
+/// change from one point to the next without pattern: J then jumps between smooth sheets. With `jump_retries` > 0 a
 /// step refused by a jump (a rise that does not shrink with the step, or late in the run one ten times the
 /// predicted decrease) is followed by that many others, each the step for a gradient changed at random by 40,
 /// 10, 2.5 and 0.6 per cent of its norm (a fixed seed), until one falls on the lower sheet.
@@ -155,7 +155,7 @@ pub(super) fn run(
             } else {
                 let share = 0.4 * 0.25f64.powi((beside % 4) as i32);
                 let length = widest * 0.5f64.powi((beside / 8) as i32);
-                spectral.step_beside(share, &mut rng, length, &mut p)
+                spectral.perturbed_step(share, &mut rng, length, &mut p)
             };
             trial.iter_mut().zip(v.iter().zip(&p)).for_each(|(t, (v, p))| *t = v + p);
             let by_gradient = step.decrease <= NOISE * progress.value;
@@ -200,11 +200,11 @@ pub(super) fn run(
                 radius =
                     step.norm * if ratio.is_finite() { (0.5 / (1.0 - ratio)).clamp(0.1, 0.5) } else { 0.25 };
             }
-            beside = if (jump || beside > 0) && beside < options.beside { beside + 1 } else { 0 };
+            beside = if (jump || beside > 0) && beside < options.jump_retries { beside + 1 } else { 0 };
             if beside > 0 {
                 continue;
             }
-            if !(radius > 1e-13 * (1.0 + norm(v))) || (by_gradient && progress.rejected >= 8 + options.beside)
+            if !(radius > 1e-13 * (1.0 + norm(v))) || (by_gradient && progress.rejected >= 8 + options.jump_retries)
             {
                 return Ok(progress.end(Status::Stalled, failure, ritz));
             }
