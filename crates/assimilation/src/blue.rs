@@ -16,7 +16,8 @@ pub enum Gain {
 /// The best linear unbiased estimate in closed form (the Kalman update, paper 2.1, 2.2), for a window too:
 ///
 /// ```text
-///     v_a = K (d + G b),    K = Gᵀ (G Gᵀ + I)⁻¹ = (I + GᵀG)⁻¹ Gᵀ,    P_v = I − K G = (I + GᵀG)⁻¹
+///     v_a = K (d + G b),    K = Gᵀ (G Gᵀ + I)⁻¹ = (I + GᵀG)⁻¹ Gᵀ,
+///     P_v = I − K G = (I + GᵀG)⁻¹
 ///     z_a = z_b + U v_a,    P_z = U P_v Uᵀ
 /// ```
 ///

@@ -6,7 +6,8 @@ use crate::{Error, LeastSquares};
 /// and Poli 2005):
 ///
 /// ```text
-///     E[d_oa · d_ob] = tr R,    E[d_ab · d_ob] = tr HBHᵀ,    E[d_ob · d_ob] = tr (HBHᵀ + R),    E[d_ab · d_oa] = tr HP_aHᵀ
+///     E[d_oa · d_ob] = tr R,    E[d_ab · d_ob] = tr HBHᵀ,    E[d_ob · d_ob] = tr (HBHᵀ + R),
+///     E[d_ab · d_oa] = tr HP_aHᵀ
 /// ```
 ///
 /// with d_ob = y − H(x_b), d_oa = y − H(x_a), d_ab = H(x_a) − H(x_b). Exact in the mean for a linear H

@@ -44,7 +44,8 @@ pub fn conjugate_gradients(
 /// on r̂ and K r̂, with
 ///
 /// ```text
-///     K = [Gᵀ, b]ᵀ [Gᵀ, b],    G Gᵀ = R^{-1/2} H B Hᵀ R^{-1/2},    A [Gᵀ, b] r̂ = [Gᵀ, b] (r̂ + (K r̂, 0))
+///     K = [Gᵀ, b]ᵀ [Gᵀ, b],    G Gᵀ = R^{-1/2} H B Hᵀ R^{-1/2},
+///     A [Gᵀ, b] r̂ = [Gᵀ, b] (r̂ + (K r̂, 0))
 /// ```
 ///
 /// through the same sweeps as the primal. B enters by its products only. p falls as the primal's does, so an

@@ -10,7 +10,8 @@ use varda_linalg::dense::{View, add_product};
 /// The posterior of a linear-Gaussian problem, or its Laplace approximation around the linearized point:
 ///
 /// ```text
-///     P_v = A⁻¹ = (I + GᵀG)⁻¹,    P_z = U P_v Uᵀ = (B⁻¹ + MᵀHᵀR⁻¹HM)⁻¹    (paper 2.7, 2.18)
+///     P_v = A⁻¹ = (I + GᵀG)⁻¹,    P_z = U P_v Uᵀ = (B⁻¹ + MᵀHᵀR⁻¹HM)⁻¹
+///     (paper 2.7, 2.18)
 /// ```
 ///
 /// kept as the eigenpairs of A.
@@ -43,7 +44,8 @@ impl Posterior {
     /// G = [G_b, G_q] the errors are integrated out,
     ///
     /// ```text
-    ///     A_b = I + G_bᵀ (I + G_q G_qᵀ)⁻¹ G_b,    P_b = A_b⁻¹, the leading block of (I + GᵀG)⁻¹
+    ///     A_b = I + G_bᵀ (I + G_q G_qᵀ)⁻¹ G_b,
+    ///     P_b = A_b⁻¹, the leading block of (I + GᵀG)⁻¹
     /// ```
     ///
     /// around the last point linearized. Costs m adjoint sweeps, memory m times the length of the control,

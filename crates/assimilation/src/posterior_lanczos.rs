@@ -21,9 +21,9 @@ use varda_linalg::krylov::{Lanczos, Product, Ritz};
 ///
 /// | made by | products with A | error |
 /// |---|---|---|
-/// | [`lanczos`](Self::lanczos) | about twice as many as pairs kept | a bound, down to the tolerance asked for |
-/// | [`from_inverse_hessian`](Self::from_inverse_hessian) | none | [`error_estimate`](Self::error_estimate); often no better than 1 |
-/// | [`refined`](Self::refined) | one for each of L-BFGS's directions, and what is missing | a bound, down to the tolerance asked for |
+/// | [`lanczos`](Self::lanczos) | about twice the pairs kept | a bound, to the tolerance asked for |
+/// | [`from_inverse_hessian`](Self::from_inverse_hessian) | none | an estimate, often no better than 1 |
+/// | [`refined`](Self::refined) | one for each direction of L-BFGS, and what is missing | a bound |
 ///
 /// Cost: one tangent and one adjoint sweep a product. Memory: a vector for every product while it is made
 /// (two, if refined), one for every pair afterwards.
@@ -63,7 +63,8 @@ impl LowRankPosterior {
     /// The pairs kept, with residuals r_i, are those that give the least bound
     ///
     /// ```text
-    ///     ‖P_v − A⁻¹‖₂ ≤ ν / (1 − ν) + 1 − 1/(1 + ω),    ν² = Σ r_i² / μ_i,    ω = 10 (2/π)^{1/2} max_j ‖Π(A − I)Π w_j‖
+    ///     ‖P_v − A⁻¹‖₂ ≤ ν / (1 − ν) + 1 − 1/(1 + ω),    ν² = Σ r_i² / μ_i,
+    ///     ω = 10 (2/π)^{1/2} max_j ‖Π(A − I)Π w_j‖
     /// ```
     ///
     /// The first part is for the pairs kept being inexact (scaled by the roots of its diagonal blocks, the

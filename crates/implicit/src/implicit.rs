@@ -4,8 +4,8 @@ use crate::newton::{self, NewtonOptions, NewtonWork};
 use crate::substeps::{Linearized, Products, add, substep_bytes};
 use crate::{ControlMap, Equations, Error, ImplicitStep, Interval, Model, StepEquations, Work};
 
-/// Steps on a grid of time, each solved by Newton's method, with tangent and adjoint from kept factors (paper
-/// 2.24, 2.25).
+/// Steps on a grid of time, each solved by Newton's method, with tangent and adjoint from kept factors
+/// (paper 2.24, 2.25).
 ///
 /// On a uniform grid step k runs from (first + k) Δt to (first + k + 1) Δt, both computed as products, so
 /// that long runs do not drift; on a grid of one's own from `times[k]` to `times[k + 1]`.

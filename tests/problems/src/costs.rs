@@ -87,8 +87,8 @@ fn flagship(visit: &mut Visit) -> Result<()> {
     visit("flagship case 2", &mut StrongConstraint::new(&mut model, transform, &mut set)?)
 }
 
-/// The same test problem around any model: background `z`, values seen from it and moved by a few σ, on the grid of time
-/// of the rods.
+/// The same test problem around any model: background `z`, values seen from it and moved by a few σ, on the
+/// grid of time of the rods.
 fn problem(
     name: &str,
     model: &mut dyn Model,

@@ -16,9 +16,11 @@ use varda_linalg::dense::{View, product};
 /// 2015), linearized about a control v₀:
 ///
 /// ```text
-///     J(v)   = ½‖v‖² + ½‖d₀ − G (v − v₀)‖²,    d₀ = R^{-1/2} (y − H(M(z₀))),    z₀ = z_b + U v₀
+///     J(v)   = ½‖v‖² + ½‖d₀ − G (v − v₀)‖²,    d₀ = R^{-1/2} (y − H(M(z₀))),
+///     z₀ = z_b + U v₀
 ///     G      = [β_s R^{-1/2} H' P U_s,  β_e Y_i ∘ ρ_j],    v = [v_s, v_e]
-///     Y_i    = R^{-1/2} (H(M(z₀ + ε √(N−1) x_i)) − mean) / (ε √(N−1)),    ρ_j = localization root c_j at the observations
+///     Y_i    = R^{-1/2} (H(M(z₀ + ε √(N−1) x_i)) − mean) / (ε √(N−1)),
+///     ρ_j = localization root c_j at the observations
 /// ```
 ///
 /// Every member x_i of the [`Ensemble`] is one forward run about z₀; no tangent or adjoint of the model is

@@ -4,19 +4,22 @@ use super::CostFunction;
 use crate::Error;
 use varda_linalg::dense::{Cholesky, View, product};
 
-/// A cost that is half a sum of squares, with Jacobian products around the last linearized point v (paper 2.10, 2.18, 2.19):
+/// A cost that is half a sum of squares, with Jacobian products around the last linearized point v
+/// (paper 2.10, 2.18, 2.19):
 ///
 /// ```text
 ///     q(p) = ½‖b + p‖² + ½‖G p − d‖²,    ∇q(0) = b − Gᵀd,    ∇²q = A = I + GᵀG
 /// ```
 ///
-/// b is the whitened departure of v from what is known before it was observed (v itself where v = B^{-1/2}(z − z_b)), d =
-/// R^{-1/2}(y − H(x)), and G = R^{-1/2} H M B^{1/2} the m × n Jacobian of the whitened predictions. A, the Hessian without second
-/// derivatives of the model, is what the paper calls "the Hessian". Minimizers with products, incremental and dual methods, closed
-/// forms and posteriors see a problem through this trait only.
+/// b is the whitened departure of v from what is known before it was observed (v itself where v = B^{-1/2}(z
+/// − z_b)), d = R^{-1/2}(y − H(x)), and G = R^{-1/2} H M B^{1/2} the m × n Jacobian of the whitened
+/// predictions. A, the Hessian without second derivatives of the model, is what the paper calls "the
+/// Hessian". Minimizers with products, incremental and dual methods, closed forms and posteriors see a
+/// problem through this trait only.
 ///
-/// p is whitened: its norm is that of the prior. For a cost in the control variable p is an increment of v; for a cost over states
-/// ([`WeakState`](super::WeakState)) the increment of v is `increment(p)`, and [`is_whitened`](Self::is_whitened) says so.
+/// p is whitened: its norm is that of the prior. For a cost in the control variable p is an increment of v;
+/// for a cost over states ([`WeakState`](super::WeakState)) the increment of v is `increment(p)`, and
+/// [`is_whitened`](Self::is_whitened) says so.
 ///
 /// # Examples
 /// A cost of one's own needs the products and departures; A and everything built on it is provided:
@@ -130,8 +133,8 @@ pub trait LeastSquares: CostFunction {
         Ok(())
     }
 
-    /// A, dense, column by column (`out` has length n²): by n products, or as the costs with a model have it by n tangent or m
-    /// adjoint sweeps, whichever takes fewer steps.
+    /// A, dense, column by column (`out` has length n²): by n products, or as the costs with a model have it
+    /// by n tangent or m adjoint sweeps, whichever takes fewer steps.
     ///
     /// # Errors
     /// As for `jacobian`.
@@ -144,7 +147,8 @@ pub trait LeastSquares: CostFunction {
         columns(n, out, &mut |unit, column| self.hessian_apply(unit, column))
     }
 
-    /// Whether p is an increment of v itself and the gradient of `evaluate` that of q: what minimizers with a Hessian ask for.
+    /// Whether p is an increment of v itself and the gradient of `evaluate` that of q: what minimizers with a
+    /// Hessian ask for.
     fn is_whitened(&self) -> bool {
         true
     }

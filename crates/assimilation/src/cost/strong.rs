@@ -10,7 +10,8 @@ use varda_implicit::{Footprint, Keep, Log, Model, Storage, Trajectory};
 /// and Hollingsworth 1994):
 ///
 /// ```text
-///     J(v)  = ½‖v‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹},    x₀ = x₀(z),    x_{k+1} = M_k(x_k)
+///     J(v)  = ½‖v‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹},    x₀ = x₀(z),
+///     x_{k+1} = M_k(x_k)
 ///     ∇J(v) = v − Gᵀ R^{-1/2} d,    A = I + GᵀG,    G = R^{-1/2} H M B^{1/2}
 /// ```
 ///

@@ -11,7 +11,8 @@ use varda_implicit::Model;
 ///
 /// ```text
 ///     J(v, p) = ½‖v‖² + ½ Σ_j ‖p_j‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹}
-///     x₀ = x₀(z_b + B^{1/2} v),    x_{k+1} = M_k(x_k) + E Q^{1/2} p_j,    ‖p_j‖² = ‖η_j‖²_{Q⁻¹}
+///     x₀ = x₀(z_b + B^{1/2} v),    x_{k+1} = M_k(x_k) + E Q^{1/2} p_j,
+///     ‖p_j‖² = ‖η_j‖²_{Q⁻¹}
 /// ```
 ///
 /// The control is (v, p_1 … p_N); its gradient is one adjoint sweep, λ being read off as it passes:
@@ -65,7 +66,9 @@ impl<'a> WeakForcing<'a> {
     /// If there is no such forcing, or a slice has the wrong length.
     pub fn forcing(&self, v: &[f64], j: usize, eta: &mut [f64]) {
         assert!(v.len() == self.dim() && j < self.forcings(), "forcing {j}");
-        let Some(ModelErrorTerm { over: WeakControl::Forcing { q }, .. }) = &self.window.errors else { unreachable!() };
+        let Some(ModelErrorTerm { over: WeakControl::Forcing { q }, .. }) = &self.window.errors else {
+            unreachable!()
+        };
         q.root(&v[self.window.transform().dim() + j * q.root_dim()..][..q.root_dim()], eta);
     }
 

@@ -27,7 +27,8 @@ impl Default for LbfgsOptions {
 /// Limited-memory BFGS (Liu and Nocedal 1989; Nocedal and Wright 2006, Algorithms 7.4 and 7.5):
 ///
 /// ```text
-///     v ← v − α H ∇J,    H ← (I − ρ s yᵀ) H (I − ρ y sᵀ) + ρ s sᵀ,    s = Δv,  y = Δ∇J,  ρ = 1 / sᵀy
+///     v ← v − α H ∇J,    H ← (I − ρ s yᵀ) H (I − ρ y sᵀ) + ρ s sᵀ,
+///     s = Δv,  y = Δ∇J,  ρ = 1 / sᵀy
 /// ```
 ///
 /// H is rebuilt from the last pairs and γI, γ = sᵀy / yᵀy. α satisfies the strong Wolfe conditions

@@ -58,7 +58,8 @@ impl Default for TrustRegionOptions {
 /// Levenberg–Marquardt in trust-region form:
 ///
 /// ```text
-///     p = argmin  ∇Jᵀp + ½ pᵀ(A + S)p    over    ‖p‖ ≤ Δ        ⇔        (A + S + λI) p = −∇J,   λ ≥ 0
+///     p = argmin  ∇Jᵀp + ½ pᵀ(A + S)p    over    ‖p‖ ≤ Δ    ⇔
+///     (A + S + λI) p = −∇J,   λ ≥ 0
 /// ```
 ///
 /// with A the Gauss–Newton Hessian and S what symmetric rank-one updates have learnt of the second
@@ -71,10 +72,10 @@ impl Default for TrustRegionOptions {
 /// the accuracy of the model, and says so.
 ///
 /// **Jumps of J.** An implicit step from a wild state may have several solutions, and which one is found may
-/// change from one point to the next without pattern: J then jumps between smooth sheets. With `jump_retries` > 0 a
-/// step refused by a jump (a rise that does not shrink with the step, or late in the run one ten times the
-/// predicted decrease) is followed by that many others, each the step for a gradient changed at random by 40,
-/// 10, 2.5 and 0.6 per cent of its norm (a fixed seed), until one falls on the lower sheet.
+/// change from one point to the next without pattern: J then jumps between smooth sheets. With
+/// `jump_retries` > 0 a step refused by a jump (a rise that does not shrink with the step, or late in the run one ten times
+/// the predicted decrease) is followed by that many others, each the step for a gradient changed at random by
+/// 40, 10, 2.5 and 0.6 per cent of its norm (a fixed seed), until one falls on the lower sheet.
 ///
 /// J never rises by more than its rounding. The minimum found is the one whose basin the path leads into; for
 /// costs with several see [`continuation`](crate::continuation).
@@ -204,7 +205,8 @@ pub(super) fn run(
             if beside > 0 {
                 continue;
             }
-            if !(radius > 1e-13 * (1.0 + norm(v))) || (by_gradient && progress.rejected >= 8 + options.jump_retries)
+            if !(radius > 1e-13 * (1.0 + norm(v)))
+                || (by_gradient && progress.rejected >= 8 + options.jump_retries)
             {
                 return Ok(progress.end(Status::Stalled, failure, ritz));
             }
