@@ -4,7 +4,7 @@ use crate::cost::run_all;
 use crate::minimize::eigen;
 use crate::{
     ControlTransform, CostFunction, CostTerms, Counts, EnVar, EnVarOptions, EnsembleUpdate, Error,
-    GaussNewton, Minimizer, Minimum, ObservationSet, Status, StrongConstraint,
+    LeastSquares, Minimizer, Minimum, ObservationSet, Status, StrongConstraint,
 };
 use std::ops::ControlFlow;
 use varda_covariance::{Covariance, Ensemble, Hybrid, Localization};

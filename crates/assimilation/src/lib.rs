@@ -100,8 +100,8 @@ pub use blue::{Blue, Gain};
 pub use consistency::{Consistency, consistency, predicted_variance};
 pub use control::ControlTransform;
 pub use cost::{
-    CostFunction, CostTerms, Counts, Dual, EnVar, EnVarOptions, EnsembleUpdate, Forcing, GaussNewton,
-    Incremental, InnerCost, Rejection, StrongConstraint, WeakForcing, WeakState, huber,
+    CostFunction, CostTerms, Counts, Dual, EnVar, EnVarOptions, EnsembleUpdate, Forcing, InnerCost,
+    LeastSquares, Rejection, StrongConstraint, WeakForcing, WeakState, huber,
 };
 pub use cycle::{
     Cycle, CycleErrors, CycleState, CycledCovariance, CycledEnsemble, CycledUpdate, Cycling, Normals, cycle,

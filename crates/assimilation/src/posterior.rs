@@ -2,7 +2,7 @@
 
 use crate::cost::solve_identity_plus;
 use crate::minimize::eigen;
-use crate::{ControlTransform, Error, GaussNewton, Incremental};
+use crate::{ControlTransform, Error, LeastSquares};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use varda_linalg::dense::{View, add_product};
@@ -33,7 +33,7 @@ impl Posterior {
     ///
     /// # Panics
     /// If no gradient has been evaluated.
-    pub fn new(cost: &mut dyn GaussNewton) -> Result<Self, Error> {
+    pub fn new(cost: &mut dyn LeastSquares) -> Result<Self, Error> {
         let mut hessian = vec![0.0; cost.dim() * cost.dim()];
         cost.hessian(&mut hessian)?;
         Self::from_hessian(cost.dim(), &hessian)
@@ -54,15 +54,15 @@ impl Posterior {
     ///
     /// # Panics
     /// If nothing has been linearized.
-    pub fn of_initial_state(problem: &mut dyn Incremental) -> Result<Self, Error> {
-        let (n, m, r) = (problem.background_dim(), problem.departure_dim(), problem.dim());
+    pub fn of_initial_state(problem: &mut dyn LeastSquares) -> Result<Self, Error> {
+        let (n, m, r) = (problem.background_dim(), problem.observation_dim(), problem.dim());
         let q = r - n;
         // G_b by columns, G_qᵀ by columns.
         let (mut g_b, mut g_q) = (vec![0.0; m * n], vec![0.0; q * m]);
         let (mut unit, mut row) = (vec![0.0; m], vec![0.0; r]);
         for a in 0..m {
             unit[a] = 1.0;
-            problem.adjoint(&unit, &mut row)?;
+            problem.jacobian_transpose(&unit, &mut row)?;
             unit[a] = 0.0;
             (0..n).for_each(|j| g_b[a + j * m] = row[j]);
             g_q[a * q..(a + 1) * q].copy_from_slice(&row[n..]);

@@ -3,7 +3,7 @@
 
 use crate::cost::{dot, norm};
 use crate::minimize::{at_least_one, eigen};
-use crate::{ControlTransform, Error, GaussNewton, InverseHessian};
+use crate::{ControlTransform, Error, InverseHessian, LeastSquares};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use varda_linalg::krylov::{Lanczos, Product, Ritz};
@@ -82,7 +82,7 @@ impl LowRankPosterior {
     /// # Panics
     /// If no gradient has been evaluated.
     pub fn lanczos<R: Rng + ?Sized>(
-        cost: &mut dyn GaussNewton,
+        cost: &mut dyn LeastSquares,
         options: &LanczosOptions,
         rng: &mut R,
     ) -> Result<Self, Error> {
@@ -158,7 +158,7 @@ impl LowRankPosterior {
     /// If no gradient has been evaluated, or `inverse` is of another length than `cost`.
     pub fn refined<R: Rng + ?Sized>(
         inverse: &InverseHessian,
-        cost: &mut dyn GaussNewton,
+        cost: &mut dyn LeastSquares,
         options: &LanczosOptions,
         rng: &mut R,
     ) -> Result<Self, Error> {
@@ -221,7 +221,7 @@ impl LowRankPosterior {
     /// If no gradient has been evaluated, `samples` is 0 or the cost is of another length.
     pub fn error_estimate<R: Rng + ?Sized>(
         &self,
-        cost: &mut dyn GaussNewton,
+        cost: &mut dyn LeastSquares,
         samples: usize,
         rng: &mut R,
     ) -> Result<f64, Error> {
@@ -336,7 +336,7 @@ impl LanczosOptions {
 /// Random vectors w and (A − I) w.
 type Probes = Vec<(Vec<f64>, Vec<f64>)>;
 
-fn probe<R: Rng + ?Sized>(cost: &mut dyn GaussNewton, count: usize, rng: &mut R) -> Result<Probes, Error> {
+fn probe<R: Rng + ?Sized>(cost: &mut dyn LeastSquares, count: usize, rng: &mut R) -> Result<Probes, Error> {
     let n = cost.dim();
     let mut probes = Vec::new();
     for _ in 0..count {

@@ -4,7 +4,7 @@ mod analysis;
 
 pub use analysis::{EnVarOptions, EnsembleUpdate};
 
-use super::{CostFunction, CostTerms, Counts, GaussNewton, dot};
+use super::{CostFunction, CostTerms, Counts, LeastSquares, dot};
 use crate::{ControlTransform, Error, ObservationSet};
 #[cfg(feature = "rayon")]
 use rayon::prelude::*;
@@ -491,18 +491,25 @@ impl CostFunction for EnVar<'_> {
     }
 }
 
-impl GaussNewton for EnVar<'_> {
+impl LeastSquares for EnVar<'_> {
     fn observation_dim(&self) -> usize {
         self.observations.dim()
     }
 
-    fn observation_jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
+    /// v and d₀ − G (v − v₀) of the last evaluation.
+    fn departures(&self, b: &mut [f64], d: &mut [f64]) {
+        b.iter_mut().zip(self.base.v.iter().zip(&self.dv)).for_each(|(b, (v, dv))| *b = v + dv);
+        self.forward(&self.dv, d);
+        d.iter_mut().zip(&self.base.d).for_each(|(d, d0)| *d = d0 / self.scale - *d);
+    }
+
+    fn jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
         assert!(dv.len() == self.dim() && dy.len() == self.observation_dim(), "lengths of dv and dy");
         self.forward(dv, dy);
         Ok(())
     }
 
-    fn observation_jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
+    fn jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
         assert!(dv.len() == self.dim() && dy.len() == self.observation_dim(), "lengths of dv and dy");
         self.transpose(dy, dv);
         Ok(())

@@ -4,6 +4,7 @@ mod dense;
 mod dual;
 mod ensemble;
 mod incremental;
+mod least_squares;
 mod model_error;
 mod robust;
 mod strong;
@@ -15,8 +16,9 @@ mod whitening;
 pub use dual::Dual;
 pub(crate) use ensemble::run_all;
 pub use ensemble::{EnVar, EnVarOptions, EnsembleUpdate};
-pub use incremental::{Incremental, InnerCost};
-pub(crate) use incremental::{columns, solve_identity_plus};
+pub use incremental::InnerCost;
+pub use least_squares::LeastSquares;
+pub(crate) use least_squares::{columns, solve_identity_plus};
 pub use model_error::Forcing;
 pub use robust::{Rejection, huber};
 pub use strong::StrongConstraint;
@@ -41,7 +43,7 @@ pub trait CostFunction {
     ///
     /// # Errors
     /// A model or an operator that fails, or a value that is not finite. The point of the last gradient is
-    /// then still available to the products of [`GaussNewton`], unless it was the gradient itself that
+    /// then still available to the products of [`LeastSquares`], unless it was the gradient itself that
     /// failed.
     ///
     /// # Panics
@@ -60,57 +62,6 @@ pub trait CostFunction {
 
     /// Work done since the cost was made.
     fn counts(&self) -> Counts;
-}
-
-/// A cost ½‖r(v)‖² whose Hessian without second derivatives is A = r'ᵀ r' (paper 2.18; the paper
-/// calls it "the Hessian").
-///
-/// In the control variable A = I + GᵀG, with G = R^{-1/2} H M B^{1/2} the m × n Jacobian of the whitened
-/// predictions. All products are around the last point evaluated *with* its gradient.
-pub trait GaussNewton: CostFunction {
-    /// m, the number of observations.
-    fn observation_dim(&self) -> usize;
-
-    /// dy = G dv: one tangent sweep.
-    ///
-    /// # Errors
-    /// A model that cannot return to the linearized point.
-    ///
-    /// # Panics
-    /// If no gradient has been evaluated, or a slice has the wrong length.
-    fn observation_jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error>;
-
-    /// dv = Gᵀ dy: one adjoint sweep.
-    ///
-    /// # Errors
-    /// As for `observation_jacobian`.
-    ///
-    /// # Panics
-    /// As for `observation_jacobian`.
-    fn observation_jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error>;
-
-    /// out = A dv: one tangent and one adjoint sweep.
-    ///
-    /// # Errors
-    /// As for `observation_jacobian`.
-    ///
-    /// # Panics
-    /// As for `observation_jacobian`.
-    fn hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error>;
-
-    /// A, dense, column by column (`out` has length n²): by n products, or as the costs with a model have it
-    /// by n tangent or m adjoint sweeps, whichever takes fewer steps.
-    ///
-    /// # Errors
-    /// As for `observation_jacobian`.
-    ///
-    /// # Panics
-    /// As for `observation_jacobian`.
-    fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
-        let n = self.dim();
-        assert_eq!(out.len(), n * n, "length of the Hessian");
-        columns(n, out, &mut |unit, column| self.hessian_apply(unit, column))
-    }
 }
 
 /// The parts of J = J_b + J_o + J_q.

@@ -1,6 +1,6 @@
 //! Robust observations: the Huber norm, and the background check.
 
-use super::{CostFunction, EnVar, GaussNewton, StrongConstraint, WeakForcing};
+use super::{CostFunction, EnVar, LeastSquares, StrongConstraint, WeakForcing};
 use crate::{Error, ObservationSet};
 
 /// The Huber norm ρ_δ(r) of a departure r = d/σ with its first two derivatives (Huber 1964; Tavolato and
@@ -92,7 +92,7 @@ impl EnVar<'_> {
 }
 
 /// √(diag(G Gᵀ) + 1): what d/σ should be like.
-fn spread_of_departures(cost: &mut dyn GaussNewton) -> Result<Vec<f64>, Error> {
+fn spread_of_departures(cost: &mut dyn LeastSquares) -> Result<Vec<f64>, Error> {
     let (n, m) = (cost.dim(), cost.observation_dim());
     let (mut unit_v, mut unit_y) = (vec![0.0; n], vec![0.0; m]);
     let mut variance = vec![1.0; m];
@@ -100,7 +100,7 @@ fn spread_of_departures(cost: &mut dyn GaussNewton) -> Result<Vec<f64>, Error> {
         let mut dy = vec![0.0; m];
         for j in 0..n {
             unit_v[j] = 1.0;
-            cost.observation_jacobian(&unit_v, &mut dy)?;
+            cost.jacobian(&unit_v, &mut dy)?;
             unit_v[j] = 0.0;
             variance.iter_mut().zip(&dy).for_each(|(s, g)| *s += g * g);
         }
@@ -108,7 +108,7 @@ fn spread_of_departures(cost: &mut dyn GaussNewton) -> Result<Vec<f64>, Error> {
         let mut dv = vec![0.0; n];
         for a in 0..m {
             unit_y[a] = 1.0;
-            cost.observation_jacobian_transpose(&unit_y, &mut dv)?;
+            cost.jacobian_transpose(&unit_y, &mut dv)?;
             unit_y[a] = 0.0;
             variance[a] += super::dot(&dv, &dv);
         }

@@ -2,7 +2,7 @@
 
 use super::dense::Dense;
 use super::model_error::{Errors, Over};
-use super::{CostFunction, CostTerms, Counts, GaussNewton, Incremental, dot};
+use super::{CostFunction, CostTerms, Counts, LeastSquares, dot};
 use crate::{ControlTransform, Error, ObservationSet};
 use varda_implicit::{Footprint, Keep, Log, Model, Storage, Trajectory};
 
@@ -471,17 +471,40 @@ impl CostFunction for StrongConstraint<'_> {
     }
 }
 
-impl GaussNewton for StrongConstraint<'_> {
+impl LeastSquares for StrongConstraint<'_> {
     fn observation_dim(&self) -> usize {
         self.observations.dim()
     }
 
-    fn observation_jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
+    fn linearize(&mut self, v: &[f64], gradient: &mut [f64]) -> Result<f64, Error> {
+        // The inner problem is one of least squares; Huber's norm is not.
+        if self.huber.is_finite() {
+            return Err(Error::Setting {
+                what: "a Huber threshold in an incremental or dual form",
+                value: self.huber,
+            });
+        }
+        self.evaluate(v, Some(gradient))
+    }
+
+    fn background_dim(&self) -> usize {
+        self.transform.dim()
+    }
+
+    fn departures(&self, b: &mut [f64], d: &mut [f64]) {
+        assert!(self.based, "evaluate a gradient first");
+        b.copy_from_slice(&self.base.prior);
+        self.observations.innovations(&self.base.predicted, d);
+        self.observations.whiten_blocks(d);
+        d.iter_mut().zip(&self.root_precision).for_each(|(d, root)| *d *= root);
+    }
+
+    fn jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
         self.return_to_base()?;
         self.tangent_sweep(dv, dy)
     }
 
-    fn observation_jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
+    fn jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
         assert_eq!(dy.len(), self.observations.dim(), "length of dy");
         self.return_to_base()?;
         let mut whitened = std::mem::take(&mut self.dy);
@@ -508,43 +531,6 @@ impl GaussNewton for StrongConstraint<'_> {
     fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
         self.return_to_base()?;
         self.dense_hessian(out)
-    }
-}
-
-impl Incremental for StrongConstraint<'_> {
-    fn linearize(&mut self, v: &[f64], gradient: &mut [f64]) -> Result<f64, Error> {
-        // The inner problem is one of least squares; Huber's norm is not.
-        if self.huber.is_finite() {
-            return Err(Error::Setting {
-                what: "a Huber threshold in an incremental or dual form",
-                value: self.huber,
-            });
-        }
-        self.evaluate(v, Some(gradient))
-    }
-
-    fn departure_dim(&self) -> usize {
-        self.observations.dim()
-    }
-
-    fn background_dim(&self) -> usize {
-        self.transform.dim()
-    }
-
-    fn departures(&self, b: &mut [f64], d: &mut [f64]) {
-        assert!(self.based, "evaluate a gradient first");
-        b.copy_from_slice(&self.base.prior);
-        self.observations.innovations(&self.base.predicted, d);
-        self.observations.whiten_blocks(d);
-        d.iter_mut().zip(&self.root_precision).for_each(|(d, root)| *d *= root);
-    }
-
-    fn tangent(&mut self, p: &[f64], dy: &mut [f64]) -> Result<(), Error> {
-        self.observation_jacobian(p, dy)
-    }
-
-    fn adjoint(&mut self, dy: &[f64], p: &mut [f64]) -> Result<(), Error> {
-        self.observation_jacobian_transpose(dy, p)
     }
 }
 

@@ -1,7 +1,7 @@
 //! The direct solve of the weak-constraint increment over states, for small problems.
 
 use super::StrongConstraint;
-use crate::{Error, GaussNewton};
+use crate::{Error, LeastSquares};
 use varda_covariance::Precision;
 use varda_linalg::axpy;
 use varda_linalg::dense::{Cholesky, Matrix};

@@ -1,7 +1,7 @@
 //! Weak-constraint 4D-Var over the forcing of the model.
 
 use super::model_error::{Errors, Over};
-use super::{CostFunction, CostTerms, Counts, Forcing, GaussNewton, Incremental, StrongConstraint};
+use super::{CostFunction, CostTerms, Counts, Forcing, LeastSquares, StrongConstraint};
 use crate::{ControlTransform, Error, ObservationSet};
 use varda_covariance::Covariance;
 use varda_implicit::Model;
@@ -113,35 +113,13 @@ impl CostFunction for WeakForcing<'_> {
     }
 }
 
-impl GaussNewton for WeakForcing<'_> {
+impl LeastSquares for WeakForcing<'_> {
     fn observation_dim(&self) -> usize {
         self.window.observation_dim()
     }
 
-    fn observation_jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
-        self.window.observation_jacobian(dv, dy)
-    }
-
-    fn observation_jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
-        self.window.observation_jacobian_transpose(dy, dv)
-    }
-
-    fn hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error> {
-        self.window.hessian_apply(dv, out)
-    }
-
-    fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
-        self.window.hessian(out)
-    }
-}
-
-impl Incremental for WeakForcing<'_> {
     fn linearize(&mut self, v: &[f64], gradient: &mut [f64]) -> Result<f64, Error> {
         self.window.linearize(v, gradient)
-    }
-
-    fn departure_dim(&self) -> usize {
-        self.window.departure_dim()
     }
 
     fn background_dim(&self) -> usize {
@@ -152,11 +130,19 @@ impl Incremental for WeakForcing<'_> {
         self.window.departures(b, d);
     }
 
-    fn tangent(&mut self, p: &[f64], dy: &mut [f64]) -> Result<(), Error> {
-        self.window.tangent(p, dy)
+    fn jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
+        self.window.jacobian(dv, dy)
     }
 
-    fn adjoint(&mut self, dy: &[f64], p: &mut [f64]) -> Result<(), Error> {
-        self.window.adjoint(dy, p)
+    fn jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
+        self.window.jacobian_transpose(dy, dv)
+    }
+
+    fn hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error> {
+        self.window.hessian_apply(dv, out)
+    }
+
+    fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        self.window.hessian(out)
     }
 }

@@ -1,7 +1,7 @@
 //! The trust region, and where it is likely to end in a wrong minimum other starts too.
 
 use super::{Iteration, Minimizer, Minimum, Start, Status, TrustRegionOptions, continuation};
-use crate::{Error, GaussNewton};
+use crate::{Error, LeastSquares};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -71,7 +71,7 @@ impl Default for AutoOptions {
 /// # Panics
 /// If `v` is not of length `cost.dim()`.
 pub fn auto(
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &AutoOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
@@ -80,7 +80,7 @@ pub fn auto(
 }
 
 pub(super) fn run(
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &AutoOptions,
     start: &Start,

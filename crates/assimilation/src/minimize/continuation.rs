@@ -2,7 +2,7 @@
 
 use super::{Iteration, Minimizer, Minimum, Start, Status};
 use crate::cost::norm;
-use crate::{Error, GaussNewton};
+use crate::{Error, LeastSquares};
 use std::ops::ControlFlow;
 
 /// Minimizes J with every σ multiplied by each of `scales` in turn (say 10, 3, 1), each stage from where the
@@ -26,7 +26,7 @@ use std::ops::ControlFlow;
 /// If `v` is not of length `cost.dim()`.
 pub fn continuation(
     minimizer: &Minimizer,
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     scales: &[f64],
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
@@ -36,7 +36,7 @@ pub fn continuation(
 
 pub(super) fn run(
     minimizer: &Minimizer,
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     scales: &[f64],
     start: &Start,

@@ -29,7 +29,7 @@ pub use trust_region::{TrustRegionOptions, trust_region};
 pub use varda_linalg::krylov::RitzPair;
 
 use crate::cost::norm;
-use crate::{CostFunction, CostTerms, Counts, Error, GaussNewton};
+use crate::{CostFunction, CostTerms, Counts, Error, LeastSquares};
 use std::ops::ControlFlow;
 
 /// A minimizer with its settings: a choice that can be made from data.
@@ -148,7 +148,7 @@ impl Minimizer {
     /// If `v` is not of length `cost.dim()`.
     pub fn minimize(
         &self,
-        cost: &mut dyn GaussNewton,
+        cost: &mut dyn LeastSquares,
         v: &mut [f64],
         on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
     ) -> Result<Minimum, Error> {
@@ -157,11 +157,15 @@ impl Minimizer {
 
     fn run(
         &self,
-        cost: &mut dyn GaussNewton,
+        cost: &mut dyn LeastSquares,
         v: &mut [f64],
         start: &Start,
         on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
     ) -> Result<Minimum, Error> {
+        let first_order = matches!(self, Self::Lbfgs(_) | Self::Adam(_));
+        if !cost.is_whitened() && !first_order {
+            return Err(Error::NotWhitened { minimizer: self.name() });
+        }
         match self {
             Self::Auto(options) => auto::run(cost, v, options, start, on_iteration),
             Self::TrustRegion(options) => trust_region::run(cost, v, options, start, on_iteration),

@@ -4,7 +4,7 @@ use super::secant::Secant;
 use super::spectral::Spectral;
 use super::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance, forcing};
 use crate::cost::norm;
-use crate::{Error, GaussNewton};
+use crate::{Error, LeastSquares};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use std::ops::ControlFlow;
@@ -93,7 +93,7 @@ impl Default for TrustRegionOptions {
 /// # Panics
 /// If `v` is not of length `cost.dim()`.
 pub fn trust_region(
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &TrustRegionOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
@@ -102,7 +102,7 @@ pub fn trust_region(
 }
 
 pub(super) fn run(
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &TrustRegionOptions,
     start: &Start,
@@ -230,7 +230,7 @@ enum Inner {
 
 impl Inner {
     /// Fetches A at the point of the last gradient.
-    fn refresh(&mut self, cost: &mut dyn GaussNewton) -> Result<(), Error> {
+    fn refresh(&mut self, cost: &mut dyn LeastSquares) -> Result<(), Error> {
         match self {
             Self::Dense { hessian, .. } => cost.hessian(hessian),
             Self::Krylov { .. } => Ok(()),
@@ -238,7 +238,7 @@ impl Inner {
     }
 
     /// out = A p.
-    fn gauss_newton(&self, cost: &mut dyn GaussNewton, p: &[f64], out: &mut [f64]) -> Result<(), Error> {
+    fn gauss_newton(&self, cost: &mut dyn LeastSquares, p: &[f64], out: &mut [f64]) -> Result<(), Error> {
         match self {
             Self::Dense { hessian, .. } => {
                 out.fill(0.0);
@@ -254,7 +254,7 @@ impl Inner {
     /// The quadratic model at the point of the last gradient g, with S where it is trusted.
     fn model(
         &mut self,
-        cost: &mut dyn GaussNewton,
+        cost: &mut dyn LeastSquares,
         secant: &Secant,
         g: &[f64],
         residual: f64,
