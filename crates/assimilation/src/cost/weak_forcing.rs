@@ -65,7 +65,9 @@ impl<'a> WeakForcing<'a> {
     /// If there is no such forcing, or a slice has the wrong length.
     pub fn forcing(&self, v: &[f64], j: usize, eta: &mut [f64]) {
         assert!(v.len() == self.dim() && j < self.forcings(), "forcing {j}");
-        let Some(ModelErrorTerm { over: WeakControl::Forcing { q }, .. }) = &self.window.errors else { unreachable!() };
+        let Some(ModelErrorTerm { over: WeakControl::Forcing { q }, .. }) = &self.window.errors else {
+            unreachable!()
+        };
         q.root(&v[self.window.transform().dim() + j * q.root_dim()..][..q.root_dim()], eta);
     }
 

@@ -204,7 +204,8 @@ pub(super) fn run(
             if beside > 0 {
                 continue;
             }
-            if !(radius > 1e-13 * (1.0 + norm(v))) || (by_gradient && progress.rejected >= 8 + options.jump_retries)
+            if !(radius > 1e-13 * (1.0 + norm(v)))
+                || (by_gradient && progress.rejected >= 8 + options.jump_retries)
             {
                 return Ok(progress.end(Status::Stalled, failure, ritz));
             }
