@@ -28,7 +28,7 @@
 //!
 //! | method | when to use, when not | F | T | A | memory |
 //! |---|---|---|---|---|---|
-//! | a cost with a model, [`trust_region`] | the default | 1 | n, or i for n > 300 | 1 + (0 or i) | 3n², or i n |
+//! | … [`trust_region`] | the default | 1 | n, or i if n > 300 | 1, or 1 + i | 3n², or i n |
 //! | … [`newton_cg`] | large n, small residuals | 1 | i | 1 + i | i n |
 //! | … [`newton`] | linear problems; else it may diverge | 1 | n | 1 | 2n² + m n |
 //! | … [`lbfgs`] | no tangent; not where products can be had | 1 | 0 | 1 | 60n |

@@ -10,7 +10,8 @@ use varda_implicit::Model;
 /// Fisher and Gürol 2017):
 ///
 /// ```text
-///     J(z, ξ_1 … ξ_N) = ½‖z − z_b‖²_{B⁻¹} + ½ Σ_j ‖ξ_j − Eᵀ M(x_{j−1})‖²_{Q⁻¹}
+///     J(z, ξ_1 … ξ_N) = ½‖z − z_b‖²_{B⁻¹}
+///                       + ½ Σ_j ‖ξ_j − Eᵀ M(x_{j−1})‖²_{Q⁻¹}
 ///                       + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹}
 /// ```
 ///
