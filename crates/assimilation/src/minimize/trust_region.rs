@@ -72,10 +72,11 @@ impl Default for TrustRegionOptions {
 /// the accuracy of the model, and says so.
 ///
 /// **Jumps of J.** An implicit step from a wild state may have several solutions, and which one is found may
-/// change from one point to the next without pattern: J then jumps between smooth sheets. With
-/// `jump_retries` > 0 a step refused by a jump (a rise that does not shrink with the step, or late in the run one ten times
-/// the predicted decrease) is followed by that many others, each the step for a gradient changed at random by
-/// 40, 10, 2.5 and 0.6 per cent of its norm (a fixed seed), until one falls on the lower sheet.
+/// change from one point to the next without pattern: J then jumps between smooth sheets. Where
+/// `jump_retries` is not 0, a step refused by a jump (a rise that does not shrink with the step, or late in
+/// the run one ten times the predicted decrease) is followed by that many others, each the step for a
+/// gradient changed at random by 40, 10, 2.5 and 0.6 per cent of its norm (a fixed seed), until one falls on
+/// the lower sheet.
 ///
 /// J never rises by more than its rounding. The minimum found is the one whose basin the path leads into; for
 /// costs with several see [`continuation`](crate::continuation).
