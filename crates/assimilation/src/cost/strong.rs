@@ -1,6 +1,6 @@
 //! Strong-constraint 4D-Var; with a window of zero steps, 3D-Var.
 
-use super::dense::Dense;
+use super::dense_work::Dense;
 use super::model_error::{ModelErrorTerm, WeakControl};
 use super::{CostFunction, CostTerms, Counts, LeastSquares, dot};
 use crate::{ControlTransform, Error, ObservationSet};

@@ -1,6 +1,6 @@
 //! Adam, the paper's baseline without a Hessian.
 
-use super::{Iteration, Minimum, Progress, Start, Status, check_tolerance};
+use super::minimum::{Iteration, Minimum, Progress, Start, Status, check_tolerance};
 use crate::{CostFunction, Error};
 use std::ops::ControlFlow;
 

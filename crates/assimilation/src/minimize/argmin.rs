@@ -1,6 +1,6 @@
 //! Solvers of the argmin crate behind our costs: to compare with, and to check ours against.
 
-use super::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance};
+use super::minimum::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance};
 use crate::cost::norm;
 use crate::{CostFunction, Error, LeastSquares};
 use ::argmin::core::{self as core, IterState, Problem, Solver, State};

@@ -1,6 +1,8 @@
 //! The trust region, and where it is likely to end in a wrong minimum other starts too.
 
-use super::{Iteration, Minimizer, Minimum, Start, Status, TrustRegionOptions, continuation};
+use super::continuation::{Stage, WAY, stages};
+use super::minimum::{Iteration, Minimum, Start, Status};
+use super::trust_region::{self, TrustRegionOptions};
 use crate::{Error, LeastSquares};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
@@ -41,7 +43,7 @@ impl Default for AutoOptions {
 /// runs until two have come to the same lowest end.
 ///
 /// One run is trusted where it converged and J_o ≤ 10 m at the first point (m observations). Else the same
-/// point is taken down two ladders of inflated errors ([`continuation`] through σ × 10, 3, 1 and σ × 16,
+/// point is taken down two ladders of inflated errors ([`continuation`](crate::continuation) through σ × 10, 3, 1 and σ × 16,
 /// 8, 4, 2, 1), then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down the first ladder and
 /// straight, at most six. It stops as soon as two runs have converged to the lowest J seen (to 10⁻⁶ of
 /// it), unless the first took more than 40 outer iterations: then all are made. All look beside steps that a
@@ -66,7 +68,7 @@ impl Default for AutoOptions {
 /// where J jumps. Memory: that of the trust region.
 ///
 /// # Errors
-/// As for [`Minimizer::minimize`](crate::Minimizer::minimize) and [`continuation`].
+/// As for [`Minimizer::minimize`](crate::Minimizer::minimize) and [`continuation`](crate::continuation).
 ///
 /// # Panics
 /// If `v` is not of length `cost.dim()`.
@@ -89,11 +91,20 @@ pub(super) fn run(
     if !(options.threshold >= 0.0) {
         return Err(Error::Setting { what: "threshold", value: options.threshold });
     }
-    let minimizer = Minimizer::TrustRegion(options.trust_region.clone());
+    let last = &options.trust_region;
+    let early = TrustRegionOptions { gradient_tolerance: last.gradient_tolerance.max(WAY), ..last.clone() };
+    let mut minimize = |cost: &mut dyn LeastSquares,
+                        v: &mut [f64],
+                        stage: Stage,
+                        start: &Start,
+                        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>| {
+        let options = if stage == Stage::Early { &early } else { last };
+        trust_region::run(cost, v, options, start, on_iteration)
+    };
     let first = v.to_vec();
     cost.evaluate(v, None)?;
     let hard = cost.terms().observation > options.threshold * cost.observation_dim() as f64;
-    let mut best = minimizer.run(cost, v, start, on_iteration)?;
+    let mut best = minimize(cost, v, Stage::Last, start, on_iteration)?;
     let mut ends = vec![(best.value, best.status)];
     let mut from = Start {
         gradient_norm: Some(best.gradient_norm_first),
@@ -127,7 +138,7 @@ pub(super) fn run(
                 options.continuation.first().filter(|_| draw % 2 == 0).unwrap_or(&straight)
             }
         };
-        let end = continuation::run(&minimizer, cost, &mut other, scales, &from, on_iteration)?;
+        let end = stages(&mut minimize, cost, &mut other, scales, &from, on_iteration)?;
         (from.index, from.inner) = (end.outer_iterations, end.inner_iterations);
         interrupted = end.status == Status::Interrupted;
         ends.push((end.value, end.status));

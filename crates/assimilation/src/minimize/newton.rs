@@ -1,6 +1,6 @@
 //! The paper's minimizer: Newton's method with the dense Hessian (2.18) and full steps.
 
-use super::{Iteration, Minimum, Progress, Start, Status, check_tolerance};
+use super::minimum::{Iteration, Minimum, Progress, Start, Status, check_tolerance};
 use crate::cost::norm;
 use crate::{Error, LeastSquares};
 use std::ops::ControlFlow;

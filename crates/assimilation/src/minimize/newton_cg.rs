@@ -1,8 +1,8 @@
 //! Gauss–Newton with truncated conjugate gradients and a line search.
 
+use super::minimum::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance, forcing};
 use super::preconditioner::Preconditioner;
 use super::spectral::Spectral;
-use super::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance, forcing};
 use crate::cost::{dot, norm};
 use crate::{Error, LeastSquares};
 use std::ops::ControlFlow;

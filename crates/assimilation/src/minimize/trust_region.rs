@@ -1,8 +1,8 @@
 //! The default minimizer: a trust region in the control space, on the true J.
 
+use super::minimum::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance, forcing};
 use super::secant::Secant;
 use super::spectral::Spectral;
-use super::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance, forcing};
 use crate::cost::norm;
 use crate::{Error, LeastSquares};
 use rand::SeedableRng;
