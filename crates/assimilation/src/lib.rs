@@ -84,6 +84,7 @@ mod consistency;
 mod control;
 #[cfg(any(feature = "nalgebra", feature = "sprs"))]
 mod convert;
+mod correlated;
 mod cost;
 mod cycle;
 mod error;
@@ -92,6 +93,7 @@ mod inner;
 mod minimize;
 mod noise;
 mod observation;
+mod observation_set;
 mod operators;
 mod outer_loop;
 mod posterior;
@@ -102,6 +104,7 @@ pub use assimilation::{AnalysisResult, Assimilation};
 pub use blue::{Blue, Gain};
 pub use consistency::{Consistency, consistency, predicted_variance};
 pub use control::ControlTransform;
+pub use correlated::Correlated;
 pub use cost::{
     CostFunction, CostTerms, Counts, Dual, EnVar, EnVarOptions, EnsembleUpdate, Forcing, InnerCost,
     LeastSquares, Rejection, StrongConstraint, WeakForcing, WeakState, huber,
@@ -119,8 +122,8 @@ pub use minimize::{
 };
 #[cfg(feature = "argmin")]
 pub use minimize::{ArgminOptions, argmin_lbfgs, argmin_trust_region};
-pub use noise::Correlated;
-pub use observation::{Observation, ObservationSet};
+pub use observation::Observation;
+pub use observation_set::ObservationSet;
 pub use operators::{LinearObservation, Selection};
 pub use outer_loop::{InnerSolver, OuterLoopOptions, outer_loop};
 pub use posterior::Posterior;
