@@ -44,7 +44,8 @@ impl Observation {
     /// Some rows of operator 0, measured at a step of the window with independent errors of one standard
     /// deviation σ.
     ///
-    /// Nothing is checked here: [`ObservationSet::new`](crate::ObservationSet::new) checks all observations of a window.
+    /// Nothing is checked here: [`ObservationSet::new`](crate::ObservationSet::new) checks all observations
+    /// of a window.
     pub fn new(step: usize, rows: Vec<usize>, values: Vec<f64>, sigma: f64) -> Self {
         let sigma = vec![sigma; rows.len()];
         Self { operator: 0, rows, step, weight: 0.0, values, sigma, correlation: None, label: String::new() }

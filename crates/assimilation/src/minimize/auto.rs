@@ -43,14 +43,14 @@ impl Default for AutoOptions {
 /// runs until two have come to the same lowest end.
 ///
 /// One run is trusted where it converged and J_o ≤ 10 m at the first point (m observations). Else the same
-/// point is taken down two ladders of inflated errors ([`continuation`](crate::continuation) through σ × 10, 3, 1 and σ × 16,
-/// 8, 4, 2, 1), then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down the first ladder and
-/// straight, at most six. It stops as soon as two runs have converged to the lowest J seen (to 10⁻⁶ of
-/// it), unless the first took more than 40 outer iterations: then all are made. All look beside steps that a
-/// jump of J refuses ([`TrustRegionOptions::jump_retries`]). The lowest end is returned; an end where the
-/// minimizer stalled (the edge of a jump of J) only where it is lower than every converged one by 10⁻³ of
-/// J. The tolerance of every run refers to the gradient at the first point. Rows of all runs are reported,
-/// each counting on from the one before.
+/// point is taken down two ladders of inflated errors ([`continuation`](crate::continuation) through σ ×
+/// 10, 3, 1 and σ × 16, 8, 4, 2, 1), then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down
+/// the first ladder and straight, at most six. It stops as soon as two runs have converged to the lowest J
+/// seen (to 10⁻⁶ of it), unless the first took more than 40 outer iterations: then all are made. All look
+/// beside steps that a jump of J refuses ([`TrustRegionOptions::jump_retries`]). The lowest end is returned;
+/// an end where the minimizer stalled (the edge of a jump of J) only where it is lower than every converged
+/// one by 10⁻³ of J. The tolerance of every run refers to the gradient at the first point. Rows of all
+/// runs are reported, each counting on from the one before.
 ///
 /// When to use: where the observations are much more precise than the background and the model is nonlinear,
 /// so that J may have several minima. When not: where one is known to exist, or where time matters more than
