@@ -247,10 +247,10 @@ impl Cycling<'_> {
         if c == 0 || self.shift > self.window {
             return Ok(set);
         }
-        let (times, seen) = (set.times().to_vec(), (self.window - self.shift) as f64);
+        let (times, seen) = (set.times().clone(), (self.window - self.shift) as f64);
         let (operators, observations) = set.into_parts();
         let unseen = observations.into_iter().filter(|o| o.step as f64 + o.weight > seen).collect();
-        ObservationSet::on_times(times, operators, unseen)
+        ObservationSet::of(times, operators, unseen)
     }
 
     /// Steps to run from the analysis: to the end of this window and the start of the next.

@@ -19,8 +19,7 @@ use varda_implicit::{At, ObservationOperator};
 pub struct ObservationSet {
     operators: Vec<Box<dyn ObservationOperator>>,
     observations: Vec<Observation>,
-    /// t_0 … t_K.
-    times: Vec<f64>,
+    times: Times,
     /// Offset of every observation in the stacked vector, and m.
     offsets: Vec<usize>,
     values: Vec<f64>,
@@ -34,6 +33,41 @@ pub struct ObservationSet {
     parts: Vec<Part>,
     buffer: Vec<f64>,
     tangent: Vec<f64>,
+}
+
+/// The times t_0 … t_K of the steps of a window.
+#[derive(Debug, Clone)]
+pub(crate) enum Times {
+    /// Step k has the time k, for k = 0 … K.
+    Steps(usize),
+    /// As given, ascending.
+    Given(Vec<f64>),
+}
+
+impl Times {
+    /// K.
+    fn steps(&self) -> usize {
+        match self {
+            Times::Steps(steps) => *steps,
+            Times::Given(times) => times.len() - 1,
+        }
+    }
+
+    /// t_k; NaN beyond the window.
+    fn at(&self, k: usize) -> f64 {
+        match self {
+            Times::Steps(_) => k as f64,
+            Times::Given(times) => times.get(k).copied().unwrap_or(f64::NAN),
+        }
+    }
+
+    /// Those of the first `steps` steps.
+    pub(crate) fn first(&self, steps: usize) -> Times {
+        match self {
+            Times::Steps(_) => Times::Steps(steps),
+            Times::Given(times) => Times::Given(times[..=steps].to_vec()),
+        }
+    }
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -63,7 +97,7 @@ impl ObservationSet {
         operators: Vec<Box<dyn ObservationOperator>>,
         observations: Vec<Observation>,
     ) -> Result<Self, Error> {
-        Self::on_times((0..=steps).map(|k| k as f64).collect(), operators, observations)
+        Self::of(Times::Steps(steps), operators, observations)
     }
 
     /// The observations of a window whose steps have the times t_0 … t_K, in any order.
@@ -75,10 +109,19 @@ impl ObservationSet {
     pub fn on_times(
         times: Vec<f64>,
         operators: Vec<Box<dyn ObservationOperator>>,
-        mut observations: Vec<Observation>,
+        observations: Vec<Observation>,
     ) -> Result<Self, Error> {
         check_times(&times)?;
-        let steps = times.len() - 1;
+        Self::of(Times::Given(times), operators, observations)
+    }
+
+    /// The observations of a window on a grid of time that has been checked.
+    pub(crate) fn of(
+        times: Times,
+        operators: Vec<Box<dyn ObservationOperator>>,
+        mut observations: Vec<Observation>,
+    ) -> Result<Self, Error> {
+        let steps = times.steps();
         let lengths = || operators.iter().map(|o| o.state_dim());
         if let Some((operator, found)) = lengths().enumerate().find(|&(_, n)| Some(n) != lengths().next()) {
             let expected = operators[0].state_dim();
@@ -151,12 +194,12 @@ impl ObservationSet {
             o.retain(&|i| keep[at + i])?;
         }
         observations.retain(|o| !o.rows.is_empty());
-        Self::on_times(times, operators, observations)
+        Self::of(times, operators, observations)
     }
 
     /// Step k and its time.
     fn at(&self, k: usize) -> At {
-        At { step: k, time: self.times.get(k).copied().unwrap_or(f64::NAN) }
+        At { step: k, time: self.times.at(k) }
     }
 
     /// Where the samples of step k are.
@@ -172,11 +215,11 @@ impl ObservationSet {
 
     /// K, the length of the window in steps.
     pub fn steps(&self) -> usize {
-        self.times.len() - 1
+        self.times.steps()
     }
 
-    /// t_0 … t_K, the times of the steps.
-    pub fn times(&self) -> &[f64] {
+    /// The times of the steps.
+    pub(crate) fn times(&self) -> &Times {
         &self.times
     }
 

@@ -5,6 +5,8 @@
 //! module only re-exports leads on to the file that defines it. Test modules do not count, nor does a
 //! folder's `mod.rs` that calls into its own modules by their paths.
 
+#![allow(clippy::print_stdout, clippy::print_stderr)]
+
 mod support {
     pub(crate) mod imports;
 }

@@ -416,7 +416,7 @@ pub(crate) fn run_all<'m>(
     for (run, _) in &ended {
         log.add(run);
     }
-    Ok(ended.into_iter().map(|(_, ended)| ended).collect::<Result<(), _>>()?)
+    Ok(ended.into_iter().try_for_each(|(_, ended)| ended)?)
 }
 
 /// Fills `states`, x₀ first, with the run from the control z.
