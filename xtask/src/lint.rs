@@ -68,7 +68,9 @@ fn walk(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), String> {
             if name != "target" && name != "vendor" {
                 walk(&path, files)?;
             }
-        } else if TEXT.contains(&kind.as_str()) || path.parent().is_some_and(|p| p.ends_with(".ci")) {
+        } else if TEXT.contains(&kind.as_str())
+            || path.parent().and_then(Path::file_name).is_some_and(|name| name == ".ci")
+        {
             files.push(path);
         }
     }

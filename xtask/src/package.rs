@@ -35,7 +35,8 @@ pub(crate) fn external() -> Result<(), String> {
     std::fs::create_dir_all(&unpacked).map_err(|e| format!("{}: {e}", unpacked.display()))?;
     let mut patches = Vec::new();
     for archive in &archives {
-        run(Command::new("tar").arg("-xzf").arg(archive).arg("-C").arg(&unpacked))?;
+        // -m: archives say 2006, and cargo builds again what is newer.
+        run(Command::new("tar").arg("-xzmf").arg(archive).arg("-C").arg(&unpacked))?;
         let folder = unpacked.join(archive.file_stem().unwrap_or_default());
         let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let name = name.trim_end_matches(env!("CARGO_PKG_VERSION")).trim_end_matches('-').to_string();

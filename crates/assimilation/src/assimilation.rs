@@ -13,7 +13,8 @@ use varda_implicit::{Keep, Model, Trajectory};
 /// analysis.
 ///
 /// ```text
-///     J(v) = ½‖v‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹},    x₀ = x_b + B^{1/2} v,    x_{k+1} = M_k(x_k)
+///     J(v) = ½‖v‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹},    x₀ = x_b + B^{1/2} v,
+///     x_{k+1} = M_k(x_k)
 /// ```
 ///
 /// # When to use

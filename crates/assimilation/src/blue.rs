@@ -1,7 +1,7 @@
 //! The closed form of linear problems: the best linear unbiased estimate.
 
 use crate::cost::{columns, dot, solve_identity_plus};
-use crate::{ControlTransform, Error, Incremental};
+use crate::{ControlTransform, Error, LeastSquares};
 use varda_linalg::dense::View;
 
 /// In which space the gain is computed; both forms are equal (paper 2.2).
@@ -16,7 +16,8 @@ pub enum Gain {
 /// The best linear unbiased estimate in closed form (the Kalman update, paper 2.1, 2.2), for a window too:
 ///
 /// ```text
-///     v_a = K (d + G b),    K = Gᵀ (G Gᵀ + I)⁻¹ = (I + GᵀG)⁻¹ Gᵀ,    P_v = I − K G = (I + GᵀG)⁻¹
+///     v_a = K (d + G b),    K = Gᵀ (G Gᵀ + I)⁻¹ = (I + GᵀG)⁻¹ Gᵀ,
+///     P_v = I − K G = (I + GᵀG)⁻¹
 ///     z_a = z_b + U v_a,    P_z = U P_v Uᵀ
 /// ```
 ///
@@ -53,8 +54,8 @@ impl Blue {
     ///
     /// # Panics
     /// If `v` is not of length `dim`.
-    pub fn new(problem: &mut dyn Incremental, v: &[f64], gain: Gain) -> Result<Self, Error> {
-        let (n, m) = (problem.dim(), problem.departure_dim());
+    pub fn new(problem: &mut dyn LeastSquares, v: &[f64], gain: Gain) -> Result<Self, Error> {
+        let (n, m) = (problem.dim(), problem.observation_dim());
         let (mut b, mut d, mut gradient) = (vec![0.0; n], vec![0.0; m], vec![0.0; n]);
         problem.linearize(v, &mut gradient)?;
         problem.departures(&mut b, &mut d);
@@ -62,14 +63,14 @@ impl Blue {
         let (g, k) = match gain {
             Gain::Information => {
                 let mut g = vec![0.0; m * n];
-                columns(n, &mut g, &mut |unit, column| problem.tangent(unit, column))?;
+                columns(n, &mut g, &mut |unit, column| problem.jacobian(unit, column))?;
                 let mut k = transpose(m, &g);
                 solve_identity_plus(View::new(&g, m, n), &mut k)?;
                 (g, k)
             }
             Gain::Observation => {
                 let mut gt = vec![0.0; n * m];
-                columns(m, &mut gt, &mut |unit, column| problem.adjoint(unit, column))?;
+                columns(m, &mut gt, &mut |unit, column| problem.jacobian_transpose(unit, column))?;
                 let g = transpose(n, &gt);
                 // Kᵀ = (G Gᵀ + I)⁻¹ G.
                 let mut kt = g.clone();

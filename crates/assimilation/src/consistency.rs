@@ -1,12 +1,13 @@
 //! Whether B and R are what they should be: statistics of departures.
 
-use crate::{Error, GaussNewton};
+use crate::{Error, LeastSquares};
 
 /// Departures of one group of observations, summed, against what B and R promise (Desroziers, Berre, Chapnik
 /// and Poli 2005):
 ///
 /// ```text
-///     E[d_oa · d_ob] = tr R,    E[d_ab · d_ob] = tr HBHᵀ,    E[d_ob · d_ob] = tr (HBHᵀ + R),    E[d_ab · d_oa] = tr HP_aHᵀ
+///     E[d_oa · d_ob] = tr R,    E[d_ab · d_ob] = tr HBHᵀ,    E[d_ob · d_ob] = tr (HBHᵀ + R),
+///     E[d_ab · d_oa] = tr HP_aHᵀ
 /// ```
 ///
 /// with d_ob = y − H(x_b), d_oa = y − H(x_a), d_ab = H(x_a) − H(x_b). Exact in the mean for a linear H
@@ -81,7 +82,7 @@ pub fn consistency(
 ///
 /// # Panics
 /// If no gradient has been evaluated, or `sigma` is not of length m.
-pub fn predicted_variance(cost: &mut dyn GaussNewton, sigma: &[f64]) -> Result<Vec<f64>, Error> {
+pub fn predicted_variance(cost: &mut dyn LeastSquares, sigma: &[f64]) -> Result<Vec<f64>, Error> {
     let m = cost.observation_dim();
     assert_eq!(sigma.len(), m, "length of σ");
     let mut unit = vec![0.0; m];
@@ -89,7 +90,7 @@ pub fn predicted_variance(cost: &mut dyn GaussNewton, sigma: &[f64]) -> Result<V
     let mut variance = vec![0.0; m];
     for i in 0..m {
         unit[i] = 1.0;
-        cost.observation_jacobian_transpose(&unit, &mut row)?;
+        cost.jacobian_transpose(&unit, &mut row)?;
         unit[i] = 0.0;
         variance[i] = sigma[i] * sigma[i] * crate::cost::dot(&row, &row);
     }

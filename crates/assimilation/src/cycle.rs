@@ -4,7 +4,7 @@ use crate::cost::run_all;
 use crate::minimize::eigen;
 use crate::{
     ControlTransform, CostFunction, CostTerms, Counts, EnVar, EnVarOptions, EnsembleUpdate, Error,
-    GaussNewton, Minimizer, Minimum, ObservationSet, Status, StrongConstraint,
+    LeastSquares, Minimizer, Minimum, ObservationSet, Status, StrongConstraint,
 };
 use std::ops::ControlFlow;
 use varda_covariance::{Covariance, Ensemble, Hybrid, Localization};
@@ -180,9 +180,9 @@ pub struct CycleErrors {
 ///
 /// | B | when to use | when not | cost of a window beyond its minimization | memory beyond a window's |
 /// |---|---|---|---|---|
-/// | static | a first answer; errors that vary little with the flow | sparse observations of a chaotic model: B is too narrow or too wide by turns | 1 forward run | – |
-/// | propagated | n up to some hundreds; sparse observations | a large n; alone over long cycles (give it a static part) | 1 forward run, 2n tangent sweeps, n³ | 2n² |
-/// | ensemble | no adjoint at hand; the best scores for its cost | N below the growing directions, unlocalized | N forward runs | N trajectories |
+/// | static | errors that vary little with the flow | chaos seen sparsely | 1 forward run | – |
+/// | propagated | small n, seen sparsely | alone over long cycles | 1 forward run, 2n tangent sweeps | 2n² |
+/// | ensemble | no adjoint at hand | N below the growing directions | N forward runs | N trajectories |
 ///
 /// The background of a window is the run from the analysis before (the mean of the members' runs), read off
 /// the leading components of the state, which are taken to be the control. A minimization that ends otherwise
@@ -247,10 +247,10 @@ impl Cycling<'_> {
         if c == 0 || self.shift > self.window {
             return Ok(set);
         }
-        let (times, seen) = (set.times().to_vec(), (self.window - self.shift) as f64);
+        let (times, seen) = (set.times().clone(), (self.window - self.shift) as f64);
         let (operators, observations) = set.into_parts();
         let unseen = observations.into_iter().filter(|o| o.step as f64 + o.weight > seen).collect();
-        ObservationSet::on_times(times, operators, unseen)
+        ObservationSet::of(times, operators, unseen)
     }
 
     /// Steps to run from the analysis: to the end of this window and the start of the next.

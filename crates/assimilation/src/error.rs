@@ -135,6 +135,12 @@ pub enum Error {
         /// The method.
         what: &'static str,
     },
+    /// A minimizer that uses the Hessian was given a cost whose control is not whitened.
+    #[error("{minimizer} works in whitened variables, this cost does not: use the outer loop or lbfgs")]
+    NotWhitened {
+        /// Name of the minimizer.
+        minimizer: &'static str,
+    },
     /// Two parts of a problem disagree about a length.
     #[error("{what} has length {found}, expected {expected}")]
     Length {

@@ -63,14 +63,14 @@ pub fn window_growth(
         let value = windows.last().map_or(f64::NAN, |&w| w as f64);
         return Err(Error::Setting { what: "the last of window_growth", value });
     }
-    let times = observations.times().to_vec();
+    let times = observations.times().clone();
     let (mut operators, all) = observations.into_parts();
     let mut minima = Vec::new();
     for &window in windows {
         let seen = all.iter().filter(|o| o.step as f64 + o.weight <= window as f64).cloned().collect();
-        let mut set = ObservationSet::on_times(times[..=window].to_vec(), operators, seen)?;
+        let mut set = ObservationSet::of(times.first(window), operators, seen)?;
         minima.push(assimilate(&mut set, v)?);
         operators = set.into_parts().0;
     }
-    Ok((ObservationSet::on_times(times, operators, all)?, minima))
+    Ok((ObservationSet::of(times, operators, all)?, minima))
 }

@@ -1,7 +1,7 @@
 //! Conjugate gradients on the inner problem, in control space and in observation space, with the same
 //! iterates.
 
-use crate::{Error, Incremental};
+use crate::{Error, LeastSquares};
 use varda_linalg::krylov::{self, CgProgress};
 pub use varda_linalg::krylov::{CgEnd as InnerEnd, CgLimits as InnerLimits};
 use varda_linalg::{axpy, dot};
@@ -20,16 +20,16 @@ use varda_linalg::{axpy, dot};
 /// # Panics
 /// If nothing has been linearized, or a slice is not of length `dim`.
 pub fn conjugate_gradients(
-    problem: &mut dyn Incremental,
+    problem: &mut dyn LeastSquares,
     gradient: &[f64],
     limits: &InnerLimits,
     p: &mut [f64],
 ) -> Result<InnerEnd, Error> {
-    let mut dy = vec![0.0; problem.departure_dim()];
+    let mut dy = vec![0.0; problem.observation_dim()];
     let right: Vec<f64> = gradient.iter().map(|g| -g).collect();
     let mut product = |direction: &[f64], out: &mut [f64]| {
-        problem.tangent(direction, &mut dy)?;
-        problem.adjoint(&dy, out)?;
+        problem.jacobian(direction, &mut dy)?;
+        problem.jacobian_transpose(&dy, out)?;
         axpy(1.0, direction, out);
         Ok::<f64, Error>(dot(direction, direction) + dot(&dy, &dy))
     };
@@ -44,7 +44,8 @@ pub fn conjugate_gradients(
 /// on r̂ and K r̂, with
 ///
 /// ```text
-///     K = [Gᵀ, b]ᵀ [Gᵀ, b],    G Gᵀ = R^{-1/2} H B Hᵀ R^{-1/2},    A [Gᵀ, b] r̂ = [Gᵀ, b] (r̂ + (K r̂, 0))
+///     K = [Gᵀ, b]ᵀ [Gᵀ, b],    G Gᵀ = R^{-1/2} H B Hᵀ R^{-1/2},
+///     A [Gᵀ, b] r̂ = [Gᵀ, b] (r̂ + (K r̂, 0))
 /// ```
 ///
 /// through the same sweeps as the primal. B enters by its products only. p falls as the primal's does, so an
@@ -62,20 +63,20 @@ pub fn conjugate_gradients(
 /// # Panics
 /// If nothing has been linearized, or `p` is not of length `dim`.
 pub fn restricted_conjugate_gradients(
-    problem: &mut dyn Incremental,
+    problem: &mut dyn LeastSquares,
     limits: &InnerLimits,
     p: &mut [f64],
 ) -> Result<InnerEnd, Error> {
-    let (n, m) = (problem.dim(), problem.departure_dim());
+    let (n, m) = (problem.dim(), problem.observation_dim());
     let mut b = vec![0.0; n];
     // r̂ = (d, −1): r = Gᵀd − b.
     let mut r = vec![-1.0; m + 1];
     problem.departures(&mut b, &mut r[..m]);
     // K r̂, with r itself on the way.
     let mut product = |r: &[f64], control: &mut [f64], kr: &mut [f64]| {
-        problem.adjoint(&r[..m], control)?;
+        problem.jacobian_transpose(&r[..m], control)?;
         axpy(r[m], &b, control);
-        problem.tangent(control, &mut kr[..m])?;
+        problem.jacobian(control, &mut kr[..m])?;
         kr[m] = dot(&b, control);
         Ok::<(), Error>(())
     };

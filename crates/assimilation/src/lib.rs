@@ -2,7 +2,8 @@
 //! observations.
 //!
 //! ```text
-//!     J(v) = ½‖v‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹},    x₀ = x_b + B^{1/2} v,    x_{k+1} = M_k(x_k)
+//!     J(v) = ½‖v‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹},    x₀ = x_b + B^{1/2} v,
+//!     x_{k+1} = M_k(x_k)
 //! ```
 //!
 //! | question | answer |
@@ -11,12 +12,14 @@
 //! | what is known before? | a [`ControlTransform`]: background x_b and any `varda_covariance::Covariance` |
 //! | which cost? | [`StrongConstraint`]: 4D-Var, and 3D-Var where nothing is observed after step 0 |
 //! | and if the model errs? | [`WeakForcing`] or [`WeakState`], with [`Forcing`] |
-//! | a cheaper inner problem? | [`outer_loop`]: incremental, [`InnerSolver::Dual`] for PSAS; [`Blue`] in closed form |
-//! | without a tangent and an adjoint? | [`EnVar`]: 4D-EnVar, hybrid 4D-EnVar, the iterative ensemble smoother |
+//! | a cheaper inner problem? | [`outer_loop`], [`InnerSolver::Dual`] for PSAS; [`Blue`] |
+//! | without tangent and adjoint? | [`EnVar`]: 4D-EnVar, hybrid, iterative ensemble smoother |
 //! | gross errors? | [`StrongConstraint::set_huber`], [`StrongConstraint::background_check`] |
 //! | several minima, a long window? | [`window_growth`] |
 //! | window after window? | [`cycle`] |
-//! | which minimizer? | [`Minimizer`]: [`trust_region`] (default), [`newton_cg`], [`newton`]; with gradients alone [`lbfgs`], [`adam`]; for several minima [`continuation`], [`auto`] |
+//! | which minimizer? | [`Minimizer`]: [`trust_region`] (default), [`newton_cg`], [`newton`] |
+//! | … with gradients alone? | [`lbfgs`], [`adam`] |
+//! | … for several minima? | [`continuation`], [`auto`] |
 //! | how sure? | [`Posterior`], [`LowRankPosterior`], [`Analysis`]; are B and R right? [`consistency`] |
 //!
 //! What it costs, in forward runs F, tangent sweeps T and adjoint sweeps A of the window for an iteration,
@@ -25,7 +28,7 @@
 //!
 //! | method | when to use, when not | F | T | A | memory |
 //! |---|---|---|---|---|---|
-//! | [`StrongConstraint`] or a weak cost, [`trust_region`] | the default; not without a tangent | 1 | n, or i for n > 300 | 1 + (0 or i) | 3n², or i n |
+//! | … [`trust_region`] | the default | 1 | n, or i if n > 300 | 1, or 1 + i | 3n², or i n |
 //! | … [`newton_cg`] | large n, small residuals | 1 | i | 1 + i | i n |
 //! | … [`newton`] | linear problems; else it may diverge | 1 | n | 1 | 2n² + m n |
 //! | … [`lbfgs`] | no tangent; not where products can be had | 1 | 0 | 1 | 60n |
@@ -33,7 +36,7 @@
 //! | [`outer_loop`], primal | mildly nonlinear, runs dearer than sweeps | 1 | i | 1 + i | i n |
 //! | [`outer_loop`], dual | the same with m well below n | 1 | i | 1 + i | 2 i m |
 //! | [`Blue`] | linear and small, as a reference | 1 | n, or 0 | 1 + (0 or m) | 2nm + n² |
-//! | [`EnVar`] | no tangent and no adjoint; not for small N unlocalized | N + 1 | 0 | 0 | N trajectories, 2mN |
+//! | [`EnVar`] | no tangent; not for small unlocalized N | N + 1 | 0 | 0 | N trajectories, 2mN |
 //!
 //! The system is any `varda_implicit::Model`. Everything is minimised in the control variable v. Not for
 //! problems whose posterior has several modes that matter.
@@ -81,6 +84,7 @@ mod consistency;
 mod control;
 #[cfg(any(feature = "nalgebra", feature = "sprs"))]
 mod convert;
+mod correlated;
 mod cost;
 mod cycle;
 mod error;
@@ -89,6 +93,7 @@ mod inner;
 mod minimize;
 mod noise;
 mod observation;
+mod observation_set;
 mod operators;
 mod outer_loop;
 mod posterior;
@@ -99,9 +104,10 @@ pub use assimilation::{AnalysisResult, Assimilation};
 pub use blue::{Blue, Gain};
 pub use consistency::{Consistency, consistency, predicted_variance};
 pub use control::ControlTransform;
+pub use correlated::Correlated;
 pub use cost::{
-    CostFunction, CostTerms, Counts, Dual, EnVar, EnVarOptions, EnsembleUpdate, Forcing, GaussNewton,
-    Incremental, InnerCost, Rejection, StrongConstraint, WeakForcing, WeakState, huber,
+    CostFunction, CostTerms, Counts, Dual, EnVar, EnVarOptions, EnsembleUpdate, Forcing, InnerCost,
+    LeastSquares, Rejection, StrongConstraint, WeakForcing, WeakState, huber,
 };
 pub use cycle::{
     Cycle, CycleErrors, CycleState, CycledCovariance, CycledEnsemble, CycledUpdate, Cycling, Normals, cycle,
@@ -116,10 +122,15 @@ pub use minimize::{
 };
 #[cfg(feature = "argmin")]
 pub use minimize::{ArgminOptions, argmin_lbfgs, argmin_trust_region};
-pub use noise::Correlated;
-pub use observation::{Observation, ObservationSet};
+pub use observation::Observation;
+pub use observation_set::ObservationSet;
 pub use operators::{LinearObservation, Selection};
 pub use outer_loop::{InnerSolver, OuterLoopOptions, outer_loop};
 pub use posterior::Posterior;
 pub use posterior_lanczos::{LanczosOptions, LowRankPosterior};
 pub use varda_implicit::{At, ObservationOperator, Refusal};
+
+/// The example of README.md, compiled and run with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -3,7 +3,7 @@
 use crate::cost::norm;
 use crate::inner::{InnerLimits, conjugate_gradients, restricted_conjugate_gradients};
 use crate::minimize::{at_least_one, check_tolerance};
-use crate::{Error, Incremental, Iteration, Minimum, Status};
+use crate::{Error, Iteration, LeastSquares, Minimum, Status};
 use std::ops::ControlFlow;
 
 /// How the inner problem is solved.
@@ -125,7 +125,7 @@ const NOISE: f64 = 1e-11;
 /// # Panics
 /// If `v` is not of length `problem.dim()`.
 pub fn outer_loop(
-    problem: &mut dyn Incremental,
+    problem: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &OuterLoopOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
@@ -135,7 +135,7 @@ pub fn outer_loop(
     at_least_one("max_inner", options.max_inner)?;
     let n = problem.dim();
     let [mut g, mut g_trial, mut p, mut dv, mut trial, mut b] = std::array::from_fn(|_| vec![0.0; n]);
-    let mut d = vec![0.0; problem.departure_dim()];
+    let mut d = vec![0.0; problem.observation_dim()];
     let mut value = problem.linearize(v, &mut g)?;
     let mut now = Minimum {
         value,

@@ -2,7 +2,7 @@
 
 use crate::cost::solve_identity_plus;
 use crate::minimize::eigen;
-use crate::{ControlTransform, Error, GaussNewton, Incremental};
+use crate::{ControlTransform, Error, LeastSquares};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use varda_linalg::dense::{View, add_product};
@@ -10,7 +10,8 @@ use varda_linalg::dense::{View, add_product};
 /// The posterior of a linear-Gaussian problem, or its Laplace approximation around the linearized point:
 ///
 /// ```text
-///     P_v = A⁻¹ = (I + GᵀG)⁻¹,    P_z = U P_v Uᵀ = (B⁻¹ + MᵀHᵀR⁻¹HM)⁻¹    (paper 2.7, 2.18)
+///     P_v = A⁻¹ = (I + GᵀG)⁻¹,    P_z = U P_v Uᵀ = (B⁻¹ + MᵀHᵀR⁻¹HM)⁻¹
+///     (paper 2.7, 2.18)
 /// ```
 ///
 /// kept as the eigenpairs of A.
@@ -33,7 +34,7 @@ impl Posterior {
     ///
     /// # Panics
     /// If no gradient has been evaluated.
-    pub fn new(cost: &mut dyn GaussNewton) -> Result<Self, Error> {
+    pub fn new(cost: &mut dyn LeastSquares) -> Result<Self, Error> {
         let mut hessian = vec![0.0; cost.dim() * cost.dim()];
         cost.hessian(&mut hessian)?;
         Self::from_hessian(cost.dim(), &hessian)
@@ -43,7 +44,8 @@ impl Posterior {
     /// G = [G_b, G_q] the errors are integrated out,
     ///
     /// ```text
-    ///     A_b = I + G_bᵀ (I + G_q G_qᵀ)⁻¹ G_b,    P_b = A_b⁻¹, the leading block of (I + GᵀG)⁻¹
+    ///     A_b = I + G_bᵀ (I + G_q G_qᵀ)⁻¹ G_b,
+    ///     P_b = A_b⁻¹, the leading block of (I + GᵀG)⁻¹
     /// ```
     ///
     /// around the last point linearized. Costs m adjoint sweeps, memory m times the length of the control,
@@ -54,15 +56,15 @@ impl Posterior {
     ///
     /// # Panics
     /// If nothing has been linearized.
-    pub fn of_initial_state(problem: &mut dyn Incremental) -> Result<Self, Error> {
-        let (n, m, r) = (problem.background_dim(), problem.departure_dim(), problem.dim());
+    pub fn of_initial_state(problem: &mut dyn LeastSquares) -> Result<Self, Error> {
+        let (n, m, r) = (problem.background_dim(), problem.observation_dim(), problem.dim());
         let q = r - n;
         // G_b by columns, G_qᵀ by columns.
         let (mut g_b, mut g_q) = (vec![0.0; m * n], vec![0.0; q * m]);
         let (mut unit, mut row) = (vec![0.0; m], vec![0.0; r]);
         for a in 0..m {
             unit[a] = 1.0;
-            problem.adjoint(&unit, &mut row)?;
+            problem.jacobian_transpose(&unit, &mut row)?;
             unit[a] = 0.0;
             (0..n).for_each(|j| g_b[a + j * m] = row[j]);
             g_q[a * q..(a + 1) * q].copy_from_slice(&row[n..]);

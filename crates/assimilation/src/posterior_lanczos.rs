@@ -3,7 +3,7 @@
 
 use crate::cost::{dot, norm};
 use crate::minimize::{at_least_one, eigen};
-use crate::{ControlTransform, Error, GaussNewton, InverseHessian};
+use crate::{ControlTransform, Error, InverseHessian, LeastSquares};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use varda_linalg::krylov::{Lanczos, Product, Ritz};
@@ -21,9 +21,9 @@ use varda_linalg::krylov::{Lanczos, Product, Ritz};
 ///
 /// | made by | products with A | error |
 /// |---|---|---|
-/// | [`lanczos`](Self::lanczos) | about twice as many as pairs kept | a bound, down to the tolerance asked for |
-/// | [`from_inverse_hessian`](Self::from_inverse_hessian) | none | [`error_estimate`](Self::error_estimate); often no better than 1 |
-/// | [`refined`](Self::refined) | one for each of L-BFGS's directions, and what is missing | a bound, down to the tolerance asked for |
+/// | [`lanczos`](Self::lanczos) | about twice the pairs kept | a bound, to the tolerance asked for |
+/// | [`from_inverse_hessian`](Self::from_inverse_hessian) | none | an estimate, often no better than 1 |
+/// | [`refined`](Self::refined) | one for each direction of L-BFGS, and what is missing | a bound |
 ///
 /// Cost: one tangent and one adjoint sweep a product. Memory: a vector for every product while it is made
 /// (two, if refined), one for every pair afterwards.
@@ -63,7 +63,8 @@ impl LowRankPosterior {
     /// The pairs kept, with residuals r_i, are those that give the least bound
     ///
     /// ```text
-    ///     ‖P_v − A⁻¹‖₂ ≤ ν / (1 − ν) + 1 − 1/(1 + ω),    ν² = Σ r_i² / μ_i,    ω = 10 (2/π)^{1/2} max_j ‖Π(A − I)Π w_j‖
+    ///     ‖P_v − A⁻¹‖₂ ≤ ν / (1 − ν) + 1 − 1/(1 + ω),    ν² = Σ r_i² / μ_i,
+    ///     ω = 10 (2/π)^{1/2} max_j ‖Π(A − I)Π w_j‖
     /// ```
     ///
     /// The first part is for the pairs kept being inexact (scaled by the roots of its diagonal blocks, the
@@ -82,7 +83,7 @@ impl LowRankPosterior {
     /// # Panics
     /// If no gradient has been evaluated.
     pub fn lanczos<R: Rng + ?Sized>(
-        cost: &mut dyn GaussNewton,
+        cost: &mut dyn LeastSquares,
         options: &LanczosOptions,
         rng: &mut R,
     ) -> Result<Self, Error> {
@@ -158,7 +159,7 @@ impl LowRankPosterior {
     /// If no gradient has been evaluated, or `inverse` is of another length than `cost`.
     pub fn refined<R: Rng + ?Sized>(
         inverse: &InverseHessian,
-        cost: &mut dyn GaussNewton,
+        cost: &mut dyn LeastSquares,
         options: &LanczosOptions,
         rng: &mut R,
     ) -> Result<Self, Error> {
@@ -221,7 +222,7 @@ impl LowRankPosterior {
     /// If no gradient has been evaluated, `samples` is 0 or the cost is of another length.
     pub fn error_estimate<R: Rng + ?Sized>(
         &self,
-        cost: &mut dyn GaussNewton,
+        cost: &mut dyn LeastSquares,
         samples: usize,
         rng: &mut R,
     ) -> Result<f64, Error> {
@@ -336,7 +337,7 @@ impl LanczosOptions {
 /// Random vectors w and (A − I) w.
 type Probes = Vec<(Vec<f64>, Vec<f64>)>;
 
-fn probe<R: Rng + ?Sized>(cost: &mut dyn GaussNewton, count: usize, rng: &mut R) -> Result<Probes, Error> {
+fn probe<R: Rng + ?Sized>(cost: &mut dyn LeastSquares, count: usize, rng: &mut R) -> Result<Probes, Error> {
     let n = cost.dim();
     let mut probes = Vec::new();
     for _ in 0..count {

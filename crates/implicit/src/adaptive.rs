@@ -3,7 +3,7 @@
 use crate::newton::{self, NewtonOptions, NewtonWork};
 use crate::{Error, ImplicitStep, Interval, Scheme, StepEquations};
 
-/// What [`accepted_times`] aims at.
+/// Tolerance and limits of [`accepted_times`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Adaptive {
     /// Most error of one step, as a root mean square over the components that matter, in units of their
@@ -40,6 +40,25 @@ pub struct Adaptive {
 /// # Panics
 /// If `through` has fewer than two times or does not ascend, lengths differ, or a length or the tolerance of
 /// `options` is not positive.
+///
+/// # Examples
+///
+/// ```
+/// use varda_implicit::{Adaptive, ImplicitModel, Model, OneLeg, Scheme, Substepped, accepted_times};
+/// use varda_implicit::lorenz::Lorenz63;
+///
+/// let mut step = OneLeg::implicit_midpoint(Lorenz63::default(), 1e-11);
+/// let options = Adaptive { tolerance: 1e-3, first: 0.01, shortest: 1e-6, longest: 0.1 };
+/// let (x0, through) = ([1.0, 3.0, 20.0], [0.0, 0.1, 0.2]);
+/// let times = accepted_times(&mut step, Scheme::Midpoint, &x0, &[1.0; 3], &through, &options)?;
+/// // two steps of 0.1, each as many of `times` as the tolerance asks for
+/// let model = ImplicitModel::on_times(step, times.clone());
+/// let mut model = Substepped::through(model, &times, &through);
+/// let mut next = [0.0; 3];
+/// let work = model.step(0, &x0, &mut next)?;
+/// assert!(work.steps > 1);
+/// # Ok::<(), varda_implicit::Error>(())
+/// ```
 pub fn accepted_times<S: ImplicitStep>(
     step: &mut S,
     scheme: Scheme,

@@ -1,17 +1,19 @@
 //! Errors of a step: typed, with numbers, naming the step.
 
-/// Why a step's own equations refuse a state: a fold, a zero edge, a value that is not finite. The typed error of the
-/// crate that defines the step, boxed so that this crate need not know it; get it back with `downcast_ref`.
+/// Why a step's own equations refuse a state: a fold, a zero edge, a value that is not finite. The typed
+/// error of the crate that defines the step, boxed so that this crate need not know it; get it back with
+/// `downcast_ref`.
 pub type Refusal = Box<dyn std::error::Error + Send + Sync + 'static>;
 
 /// What can go wrong while a step is taken or linearized.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// Newton's method ran out of iterations, or its line search out of room, and so did the halving of the step.
+    /// Newton's method ran out of iterations, or its line search out of room, and so did the halving of the
+    /// step.
     #[error(
-        "step {step} (t = {time} s, Δt = {length} s): Newton stopped after {iterations} iterations with |du| = {update:e} \
-         (wanted {tolerance:e})"
+        "step {step} (t = {time} s, Δt = {length} s): Newton stopped after {iterations} iterations with \
+         |du| = {update:e} (wanted {tolerance:e})"
     )]
     NewtonDiverged {
         /// Index k of the step.
@@ -35,10 +37,11 @@ pub enum Error {
         /// Row of the first unusable pivot.
         row: usize,
     },
-    /// The Jacobian of a right-hand side is not the derivative that its tangent is, or its structure leaves out an entry.
+    /// The Jacobian of a right-hand side is not the derivative that its tangent is, or its structure leaves
+    /// out an entry.
     #[error(
-        "step {step}: row {row} of ∂f/∂x dx is {jacobian:e} by the Jacobian and {tangent:e} by the tangent; \
-         one of them is wrong, or the structure leaves out an entry"
+        "step {step}: row {row} of ∂f/∂x dx is {jacobian:e} by the Jacobian and {tangent:e} by the \
+         tangent; one of them is wrong, or the structure leaves out an entry"
     )]
     JacobianDisagrees {
         /// Index k of the step at which they were compared.
@@ -82,7 +85,8 @@ pub enum Error {
     },
     /// The shortest step allowed is too long for the error asked for.
     #[error(
-        "t = {time} s: a step of {length:e} s has an error of {error:e} (wanted {tolerance:e}); no shorter one is allowed"
+        "t = {time} s: a step of {length:e} s has an error of {error:e} (wanted {tolerance:e}); no shorter \
+            one is allowed"
     )]
     ToleranceNotMet {
         /// Time at the start of the step (s).
@@ -105,7 +109,9 @@ pub enum Error {
 }
 
 impl Error {
-    /// What a step's own equations refused; an error of this crate among it (of a solve within the step) is told as it is, once.
+    /// What a step's own equations refused; an error of this crate among it (of a solve within the step) is
+    /// told as it is, once.
+    #[cfg(feature = "implicit")]
     pub(crate) fn refused(step: usize, reason: Refusal) -> Error {
         match reason.downcast::<Error>() {
             Ok(error) => error.at_step(step),

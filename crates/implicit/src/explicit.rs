@@ -13,6 +13,26 @@ use crate::{ControlMap, Error, Model, Rhs, Work};
 /// Tangent and adjoint are those of this discrete step: its derivative at the stages X_i, and the transpose
 /// of that. A linearization keeps the four stages; it takes them over from a step just taken, and costs three
 /// evaluations of f otherwise.
+///
+/// # When to use it
+///
+/// Where f is smooth and not stiff: Δt times the largest |eigenvalue| of ∂f/∂x must stay below some 2.8.
+///
+/// ```
+/// use varda_implicit::{Model, Rk4, lorenz::Lorenz96};
+///
+/// let mut model = Rk4::new(Lorenz96::new(40, 8.0), 0, 0.05);
+/// let (mut x, mut next) = (vec![8.0; 40], vec![0.0; 40]);
+/// x[20] += 0.01;
+/// model.step(0, &x, &mut next)?;
+/// model.linearize(0, 0, &x, &next)?; // into slot 0
+/// let mut dx = vec![0.0; 40];
+/// dx[20] = 1.0;
+/// model.tangent(0, &mut dx);
+/// // x = 8 is an equilibrium that perturbations move away from
+/// assert!((next[20] - 8.0 - 0.01 * dx[20]).abs() < 1e-5);
+/// # Ok::<(), varda_implicit::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Rk4<R> {
     rhs: R,

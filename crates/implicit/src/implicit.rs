@@ -4,16 +4,18 @@ use crate::newton::{self, NewtonOptions, NewtonWork};
 use crate::substeps::{Linearized, Products, add, substep_bytes};
 use crate::{ControlMap, Equations, Error, ImplicitStep, Interval, Model, StepEquations, Work};
 
-/// Steps on a grid of time, each solved by Newton's method, with tangent and adjoint from kept factors (paper
-/// 2.24, 2.25).
+/// Steps on a grid of time, each solved by Newton's method, with tangent and adjoint from kept factors
+/// (paper 2.24, 2.25).
 ///
 /// On a uniform grid step k runs from (first + k) Δt to (first + k + 1) Δt, both computed as products, so
 /// that long runs do not drift; on a grid of one's own from `times[k]` to `times[k + 1]`.
 ///
 /// ```text
 /// G(x_k, u) = 0,   x_{k+1} = S(x_k, u)
-/// tangent:  du = −(∂G/∂u)⁻¹ ∂G/∂x_k dx,   dx ← ∂S/∂x_k dx + ∂S/∂u du
-/// adjoint:  μ = −(∂G/∂u)⁻ᵀ (∂S/∂u)ᵀ λ,   λ ← (∂S/∂x_k)ᵀ λ + (∂G/∂x_k)ᵀ μ
+/// tangent:  du = −(∂G/∂u)⁻¹ ∂G/∂x_k dx
+///           dx ← ∂S/∂x_k dx + ∂S/∂u du
+/// adjoint:  μ = −(∂G/∂u)⁻ᵀ (∂S/∂u)ᵀ λ
+///           λ ← (∂S/∂x_k)ᵀ λ + (∂G/∂x_k)ᵀ μ
 /// ```
 ///
 /// **Halving.** Where Newton's method fails on a step, the step is taken in two halves, each of which may be
@@ -21,14 +23,27 @@ use crate::{ControlMap, Equations, Error, ImplicitStep, Interval, Model, StepEqu
 /// and tangent and adjoint go through every one. M_k is discontinuous where that pattern changes.
 ///
 /// **Two-step schemes** ([`ImplicitStep::history`]). x₀ has itself for a history, which step 0 does not
-/// read (`Interval::previous` is `None` there). After a step in parts the history is that of the whole step
-/// again, so that M_k stays a function of k and x_k.
+/// read (`Interval::previous` is `None` there). After a step in substeps the history is that of the whole
+/// step again, so that M_k stays a function of k and x_k.
 ///
 /// **Linearization** is a function of the pair (x_k, x_{k+1}) alone: u is recovered from x_{k+1}, assembled
-/// and factored. A pair that does not satisfy the equations of the whole step comes from a step in parts,
+/// and factored. A pair that does not satisfy the equations of the whole step comes from a step in substeps,
 /// which is then run again to find them (unless it was the last one taken). Memory is allocated the first
 /// time a step is linearized, and reused. [`Linearization::LastFactor`] saves assembly and factorization at
 /// the price of a less exact derivative.
+///
+/// ```
+/// use varda_implicit::{ImplicitModel, Model, OneLeg, lorenz::Lorenz63};
+///
+/// let mut model = ImplicitModel::new(OneLeg::implicit_euler(Lorenz63::default(), 1e-11), 0, 0.01);
+/// let (x, mut next) = ([1.0, 3.0, 20.0], [0.0; 3]);
+/// model.step(0, &x, &mut next)?;
+/// let work = model.linearize(0, 0, &x, &next)?;
+/// assert_eq!(work.factorizations, 1);
+/// let mut lambda = [0.0, 0.0, 1.0];
+/// model.adjoint(0, &mut lambda); // ∂z₁/∂x₀
+/// # Ok::<(), varda_implicit::Error>(())
+/// ```
 #[derive(Debug)]
 pub struct ImplicitModel<S> {
     step: S,
@@ -92,10 +107,10 @@ pub enum Linearization {
     /// assembly and one factorization more per step.
     #[default]
     Accepted,
-    /// Where a step is linearized right after it was taken (in one part): at the last iterate but one of
+    /// Where a step is linearized right after it was taken (in one piece): at the last iterate but one of
     /// Newton's method, whose factor is taken over for nothing. The gradient is then wrong by the size of the
     /// last accepted update, which no dot-product test sees. Other linearizations are exact:
-    /// [`Counts::reused`] tells how many were not.
+    /// [`Counts::reused`](crate::Counts::reused) tells how many were not.
     LastFactor,
 }
 
@@ -111,7 +126,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
     /// A model whose step k starts at (first_index + k) · length seconds.
     ///
     /// # Panics
-    /// If the length is not positive and finite.
+    /// If the length is not positive and finite, or the history is longer than the rest of the state.
     pub fn new(step: S, first_index: usize, length: f64) -> Self {
         assert!(length > 0.0 && length.is_finite(), "a step needs a positive length, not {length}");
         Self::on(Grid::Uniform { first: first_index, length }, step)
@@ -120,7 +135,8 @@ impl<S: ImplicitStep> ImplicitModel<S> {
     /// A model whose step k runs from `times[k]` to `times[k + 1]` (s); it has no steps beyond the last time.
     ///
     /// # Panics
-    /// If there are fewer than two times or they do not ascend.
+    /// If there are fewer than two times or they do not ascend, or the history is longer than the rest of the
+    /// state.
     pub fn on_times(step: S, times: Vec<f64>) -> Self {
         let ascending = times.windows(2).all(|t| t[0] < t[1] && t[1].is_finite());
         assert!(times.len() > 1 && ascending, "a grid of time needs two or more ascending times");
@@ -129,6 +145,11 @@ impl<S: ImplicitStep> ImplicitModel<S> {
 
     fn on(grid: Grid, step: S) -> Self {
         let (n, unknowns, history) = (step.dim(), step.unknowns(), step.history());
+        assert!(
+            2 * history <= n,
+            "a history of {history} values repeats more than the rest of a state of \
+            {n}"
+        );
         Self {
             work: NewtonWork::new(unknowns, &step.structure()),
             step,

@@ -51,15 +51,18 @@ impl Line {
 ///
 /// ```text
 /// ∂u/∂t + (c + a u) ∂u/∂s = ν ∂²u/∂s²
-/// u̇_i = −(c + a ū_i) (u_{i+1} − u_{i−1})/2h + ν (u_{i−1} − 2u_i + u_{i+1})/h²,   ū_i = (u_{i−1} + u_i + u_{i+1})/3
+/// u̇_i = −(c + a ū_i) (u_{i+1} − u_{i−1})/2h + ν (u_{i−1} − 2u_i + u_{i+1})/h²
+/// ū_i = (u_{i−1} + u_i + u_{i+1})/3
 /// ```
 ///
-/// a = 0 is advection–diffusion, c = 0 and a = 1 Burgers' equation (Burgers 1948). Differences are centred, of second order.
-/// The mean ū_i over three points (Zabusky and Kruskal 1965) makes transport keep Σ u and Σ u² of a periodic line to
-/// rounding, so that a front sharper than the grid oscillates but does not blow up; that front is resolved where |u| h ≲ 2ν.
+/// a = 0 is advection–diffusion, c = 0 and a = 1 Burgers' equation (Burgers 1948). Differences are centred,
+/// of second order. The mean ū_i over three points (Zabusky and Kruskal 1965) makes transport keep Σ u and
+/// Σ u² of a periodic line to rounding, so that a front sharper than the grid oscillates but does not blow
+/// up; that front is resolved where |u| h ≲ 2ν.
 ///
-/// For [`Rk4`] Δt is limited by ν Δt/h² ≲ 0.69 and |c + a u| Δt/h ≲ 2.8; implicit steps have no limit. Their Jacobian is
-/// sparse for a periodic line (three values in a row, two rows of them in the corners) and a band for fixed ends.
+/// For [`Rk4`] Δt is limited by ν Δt/h² ≲ 0.69 and |c + a u| Δt/h ≲ 2.8; implicit steps have no
+/// limit. Their Jacobian is sparse for a periodic line (three values in a row, two rows of them in the
+/// corners) and a band for fixed ends.
 ///
 /// ```
 /// use varda_implicit::line::{Ends, Line, Transport};
@@ -84,7 +87,8 @@ pub struct Transport {
 }
 
 impl Transport {
-    /// Linear advection–diffusion, u̇ = −c u′ + ν u″: `speed` c (m/s), `diffusivity` ν (m²/s). u has any unit.
+    /// Linear advection–diffusion, u̇ = −c u′ + ν u″: `speed` c (m/s), `diffusivity` ν (m²/s). u
+    /// has any unit.
     ///
     /// # Panics
     /// If the line has less than three points or no positive length, or a number is not finite, or ν < 0.
@@ -119,7 +123,8 @@ impl Transport {
         Box::new(Rk4::new(self, first_index, length))
     }
 
-    /// The model of this equation by an implicit scheme, compiled in this crate. `tolerance` as for [`OneLeg::implicit_euler`].
+    /// The model of this equation by an implicit scheme, compiled in this crate. `tolerance` as for
+    /// [`OneLeg::implicit_euler`].
     ///
     /// # Panics
     /// As [`ImplicitModel::new`].
@@ -240,7 +245,8 @@ impl Rhs for Transport {
             let row = self.row(scales, near(u, beyond, i));
             if self.line.ends == Ends::Periodic {
                 let (before, after) = ((i + n - 1) % n, (i + 1) % n);
-                // rows j−1, j, j+1 of column j in ascending order: turned by a place in the last column, by two in the first
+                // rows j−1, j, j+1 of column j in ascending order: turned by a place in the last column, by
+                // two in the first
                 for (j, place, value) in [(before, 2, row[0]), (i, 1, row[1]), (after, 0, row[2])] {
                     let turn = 2 * usize::from(j == 0) + usize::from(j + 1 == n);
                     values[3 * j + (place + turn) % 3] = value;

@@ -7,6 +7,16 @@ use crate::{Model, Rhs, Rk4};
 /// ```text
 /// ẋ = σ (y − x),  ẏ = x (ρ − z) − y,  ż = x y − β z
 /// ```
+///
+/// ```
+/// use varda_implicit::{Rhs, lorenz::Lorenz63};
+///
+/// let mut f = [0.0; 3];
+/// // one of the two equilibria beside the origin: x = y = √(β(ρ − 1)), z = ρ − 1
+/// let x = 72.0_f64.sqrt();
+/// Lorenz63::default().eval(0.0, &[x, x, 27.0], &mut f);
+/// assert!(f.iter().all(|f| f.abs() < 1e-13));
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lorenz63 {
     /// σ, Prandtl number.

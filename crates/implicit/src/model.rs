@@ -1,4 +1,4 @@
-//! What assimilation sees of a dynamical system.
+//! The traits of a discrete model, and the work that its calls report.
 
 use crate::Error;
 use std::ops::{Add, Sub};
@@ -13,6 +13,73 @@ use std::ops::{Add, Sub};
 /// A model counts nothing and decides nothing about storage: it says what a call did ([`Work`]), and its
 /// caller adds that up. Every method is required but those of the control, which follow from
 /// [`control_map`](Self::control_map): a wrapper that forgets a method does not compile.
+///
+/// ```
+/// use varda_implicit::{ControlMap, Error, Model, Work, check};
+///
+/// /// x_{k+1} = x_k − 0.1 x_k²; the control is ln x₀.
+/// #[derive(Default)]
+/// struct Decay {
+///     /// ∂x_{k+1}/∂x_k, a slot each.
+///     slopes: Vec<f64>,
+///     x0: f64,
+/// }
+///
+/// impl Model for Decay {
+///     fn dim(&self) -> usize {
+///         1
+///     }
+///     fn step(&mut self, _k: usize, x: &[f64], x_next: &mut [f64]) -> Result<Work, Error> {
+///         x_next[0] = x[0] - 0.1 * x[0] * x[0];
+///         Ok(Work::default())
+///     }
+///     fn linearize(&mut self, slot: usize, _k: usize, x: &[f64], _: &[f64]) -> Result<Work, Error> {
+///         self.slopes.resize(self.slopes.len().max(slot + 1), f64::NAN);
+///         self.slopes[slot] = 1.0 - 0.2 * x[0];
+///         Ok(Work::default())
+///     }
+///     fn tangent(&mut self, slot: usize, dx: &mut [f64]) {
+///         dx.iter_mut().for_each(|dx| *dx *= self.slopes[slot]);
+///     }
+///     fn adjoint(&mut self, slot: usize, lambda: &mut [f64]) {
+///         self.tangent(slot, lambda);
+///     }
+///     fn release(&mut self, from_slot: usize) {
+///         self.slopes.truncate(from_slot);
+///         self.slopes.shrink_to_fit();
+///     }
+///     fn slot_bytes(&self) -> usize {
+///         size_of::<f64>()
+///     }
+///     fn bytes(&self) -> usize {
+///         self.slopes.len() * size_of::<f64>()
+///     }
+///     fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
+///         Some(self)
+///     }
+/// }
+///
+/// impl ControlMap for Decay {
+///     fn control_len(&self) -> usize {
+///         1
+///     }
+///     fn to_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), Error> {
+///         self.x0 = z[0].exp();
+///         x[0] = self.x0;
+///         Ok(())
+///     }
+///     fn to_state_tangent(&mut self, dz: &[f64], dx: &mut [f64]) {
+///         dx[0] = self.x0 * dz[0];
+///     }
+///     fn to_state_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]) {
+///         dz[0] = self.x0 * lambda[0];
+///     }
+/// }
+///
+/// let report = check::model(&mut Decay::default(), &[0.7], 3, &[0.1], 1)?;
+/// assert!(report.passed(), "{report}");
+/// # Ok::<(), varda_implicit::Error>(())
+/// ```
 pub trait Model {
     /// Length of the state x.
     fn dim(&self) -> usize;

@@ -1,4 +1,4 @@
-//! Newton's method for one implicit step, globalized.
+//! Newton's method for a system of equations, globalized.
 
 use crate::{Equations, Error, Interval, Refusal};
 use varda_linalg::{Factor, LinearSolver, Structure, dot};
@@ -18,7 +18,7 @@ impl Default for NewtonOptions {
     }
 }
 
-/// What one call did.
+/// Work and outcome of one call of [`solve`].
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct NewtonReport {
     /// Linear solves; the last one ended the iteration and its update was applied.
@@ -188,6 +188,40 @@ const ROUNDINGS: f64 = 16.0;
 ///
 /// # Panics
 /// If the length of `u` is not that of `work`.
+///
+/// # Examples
+///
+/// The energy Φ(u) = u⁴/4 − u²/2 from near its maximum at 0, where plain Newton would stay:
+///
+/// ```
+/// use varda_implicit::{Equations, NewtonOptions, NewtonWork, Refusal, Structure, solve};
+///
+/// struct TwoWells;
+///
+/// impl Equations for TwoWells {
+///     fn assemble(
+///         &mut self,
+///         u: &[f64],
+///         g: &mut [f64],
+///         jacobian: Option<&mut [f64]>,
+///     ) -> Result<Option<f64>, Refusal> {
+///         g[0] = u[0].powi(3) - u[0];
+///         if let Some(values) = jacobian {
+///             values[0] = 3.0 * u[0] * u[0] - 1.0;
+///         }
+///         Ok(Some(0.25 * u[0].powi(4) - 0.5 * u[0] * u[0]))
+///     }
+///     fn converged_below(&self) -> f64 {
+///         1e-12
+///     }
+/// }
+///
+/// let mut work = NewtonWork::new(1, &Structure::SymmetricBand { half_bandwidth: 0 });
+/// let mut u = [1e-3];
+/// solve(&mut TwoWells, &mut u, &mut work, &NewtonOptions::default())?;
+/// assert!((u[0] - 1.0).abs() < 1e-12);
+/// # Ok::<(), varda_implicit::NewtonFailure>(())
+/// ```
 pub fn solve<E: Equations + ?Sized>(
     equations: &mut E,
     u: &mut [f64],

@@ -11,9 +11,23 @@ use crate::{Equations, ImplicitStep, Interval, Refusal, Rhs, Scheme, Stage, Step
 ///
 /// The state of BDF2 is [x_k, x_{k−1}], its control x₀.
 ///
-/// The first Jacobian that is assembled is held against `tangent` along one direction: a [`Rhs::jacobian`] that disagrees, or a
-/// [`Rhs::structure`] that leaves out an entry, is an error before the first step is taken
-/// ([`Error::JacobianDisagrees`](crate::Error::JacobianDisagrees)).
+/// The first Jacobian that is assembled is held against `tangent` along one direction: a [`Rhs::jacobian`]
+/// that disagrees, or a [`Rhs::structure`] that leaves out an entry, is an error before the first step is
+/// taken ([`Error::JacobianDisagrees`](crate::Error::JacobianDisagrees)).
+///
+/// ```
+/// use varda_implicit::{ImplicitModel, Model, OneLeg, Scheme, lorenz::Lorenz63};
+///
+/// for scheme in [Scheme::BackwardEuler, Scheme::Midpoint, Scheme::Bdf2] {
+///     let mut model = ImplicitModel::new(OneLeg::new(Lorenz63::default(), scheme, 1e-11), 0, 0.01);
+///     let mut x = vec![0.0; model.dim()]; // BDF2: with the state before
+///     model.initial_state(&[1.0, 3.0, 20.0], &mut x)?;
+///     let mut next = x.clone();
+///     let work = model.step(0, &x, &mut next)?;
+///     assert!(work.newton_iterations <= 5, "{scheme:?}");
+/// }
+/// # Ok::<(), varda_implicit::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct OneLeg<R> {
     rhs: R,
@@ -23,28 +37,32 @@ pub struct OneLeg<R> {
 }
 
 impl<R: Rhs> OneLeg<R> {
-    /// Implicit Euler, x_{k+1} = x_k + Δt f(t_{k+1}, x_{k+1}). Newton's method ends when an update is below `tolerance` in
-    /// its largest component.
+    /// Implicit Euler, x_{k+1} = x_k + Δt f(t_{k+1}, x_{k+1}). Newton's method ends when an update is below
+    /// `tolerance` in its largest component.
     ///
     /// # Panics
-    /// If a sparse pattern of ∂f/∂x leaves out the diagonal.
+    /// If the tolerance is not positive, or a sparse pattern of ∂f/∂x is not one of `dim` columns or
+    /// leaves out the diagonal.
     pub fn implicit_euler(rhs: R, tolerance: f64) -> Self {
         Self::new(rhs, Scheme::BackwardEuler, tolerance)
     }
 
-    /// The implicit midpoint rule, x_{k+1} = x_k + Δt f(t_{k+½}, ½(x_k + x_{k+1})). `tolerance` as for implicit Euler.
+    /// The implicit midpoint rule, x_{k+1} = x_k + Δt f(t_{k+½}, ½(x_k + x_{k+1})). `tolerance` as for
+    /// implicit Euler.
     ///
     /// # Panics
-    /// If a sparse pattern of ∂f/∂x leaves out the diagonal.
+    /// If the tolerance is not positive, or a sparse pattern of ∂f/∂x is not one of `dim` columns or
+    /// leaves out the diagonal.
     pub fn implicit_midpoint(rhs: R, tolerance: f64) -> Self {
         Self::new(rhs, Scheme::Midpoint, tolerance)
     }
 
-    /// BDF2, (3 x_{k+1} − 4 x_k + x_{k−1})/(2Δt) = f(t_{k+1}, x_{k+1}), after one midpoint step. `tolerance` as for implicit
-    /// Euler.
+    /// BDF2, (3 x_{k+1} − 4 x_k + x_{k−1})/(2Δt) = f(t_{k+1}, x_{k+1}), after one midpoint step.
+    /// `tolerance` as for implicit Euler.
     ///
     /// # Panics
-    /// If a sparse pattern of ∂f/∂x leaves out the diagonal.
+    /// If the tolerance is not positive, or a sparse pattern of ∂f/∂x is not one of `dim` columns or
+    /// leaves out the diagonal.
     pub fn bdf2(rhs: R, tolerance: f64) -> Self {
         Self::new(rhs, Scheme::Bdf2, tolerance)
     }
@@ -52,10 +70,15 @@ impl<R: Rhs> OneLeg<R> {
     /// Any of the three.
     ///
     /// # Panics
-    /// If a sparse pattern of ∂f/∂x leaves out the diagonal.
+    /// If the tolerance is not positive, or a sparse pattern of ∂f/∂x is not one of `dim` columns or
+    /// leaves out the diagonal.
     pub fn new(rhs: R, scheme: Scheme, tolerance: f64) -> Self {
         let n = rhs.dim();
         let structure = rhs.structure();
+        assert!(tolerance > 0.0 && tolerance.is_finite(), "a tolerance must be positive, not {tolerance}");
+        if let Err(error) = structure.check(n) {
+            panic!("the structure of ∂f/∂x: {error}");
+        }
         let on_diagonal = (0..n).all(|i| structure.diagonal(n, i).is_some());
         assert!(on_diagonal, "the pattern of ∂f/∂x must contain its diagonal");
         Self { rhs, scheme, tolerance, jacobian: Jacobian::new(n, structure) }

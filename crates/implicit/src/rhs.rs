@@ -19,20 +19,21 @@ pub trait Rhs {
     /// dx += (∂f/∂x(t, x))ᵀ λ.
     fn adjoint_add(&mut self, t: f64, x: &[f64], lambda: &[f64], dx: &mut [f64]);
 
-    /// dx = (∂f/∂x(t, x))ᵀ λ. A right-hand side of many variables may save passes over memory by a definition of its own.
+    /// dx = (∂f/∂x(t, x))ᵀ λ. A right-hand side of many variables may save passes over memory by a
+    /// definition of its own.
     fn adjoint(&mut self, t: f64, x: &[f64], lambda: &[f64], dx: &mut [f64]) {
         dx.fill(0.0);
         self.adjoint_add(t, x, lambda, dx);
     }
 
-    /// Layout of ∂f/∂x for implicit steps; a sparse one must contain the diagonal. Helpers make the usual ones:
-    /// [`Structure::tridiagonal`], [`Structure::periodic_band`], [`Structure::from_pairs`].
+    /// Layout of ∂f/∂x for implicit steps; a sparse one must contain the diagonal. Helpers make the usual
+    /// ones: [`Structure::tridiagonal`], [`Structure::periodic_band`], [`Structure::from_pairs`].
     fn structure(&self) -> Structure {
         Structure::Dense
     }
 
-    /// Fills in all values of ∂f/∂x in the layout of `structure`, and returns true. By default it returns false: the
-    /// values are then made from `tangent`, one product for every colour of the structure
+    /// Fills in all values of ∂f/∂x in the layout of `structure`, and returns true. By default it returns
+    /// false: the values are then made from `tangent`, one product for every colour of the structure
     /// ([`Structure::colouring`]: three for a tridiagonal one, n for a dense one).
     fn jacobian(&mut self, _t: f64, _x: &[f64], _values: &mut [f64]) -> bool {
         false
@@ -52,8 +53,8 @@ pub(crate) struct Jacobian {
     product: Vec<f64>,
 }
 
-/// Share of the size of its terms by which an entry of ∂f/∂x dx may differ between Jacobian and tangent: rounding of two
-/// formulas for one thing, and far below the effect of a wrong entry.
+/// Share of the size of its terms by which an entry of ∂f/∂x dx may differ between Jacobian and tangent:
+/// rounding of two formulas for one thing, and far below the effect of a wrong entry.
 const SAME_DERIVATIVE: f64 = 1e-8;
 
 #[cfg_attr(not(feature = "implicit"), allow(dead_code))]
@@ -110,8 +111,8 @@ impl Jacobian {
         Ok(())
     }
 
-    /// Of every row of ∂f/∂x dx along one direction: its value by the Jacobian, by the tangent, and the size of its terms.
-    /// `None` where a value is not finite.
+    /// Of every row of ∂f/∂x dx along one direction: its value by the Jacobian, by the tangent, and the
+    /// size of its terms. `None` where a value is not finite.
     fn rows<R: Rhs>(&mut self, rhs: &mut R, t: f64, x: &[f64], values: &[f64]) -> Option<Vec<[f64; 3]>> {
         let n = x.len();
         for (j, d) in self.direction.iter_mut().enumerate() {
@@ -129,8 +130,8 @@ impl Jacobian {
     }
 }
 
-/// The largest share of the size of its terms by which an entry of ∂f/∂x dx differs between the Jacobian, given or made
-/// from tangents, and the tangent; NaN where one is not finite.
+/// The largest share of the size of its terms by which an entry of ∂f/∂x dx differs between the Jacobian,
+/// given or made from tangents, and the tangent; NaN where one is not finite.
 pub(crate) fn largest_disagreement<R: Rhs>(rhs: &mut R, t: f64, x: &[f64], structure: &Structure) -> f64 {
     let n = x.len();
     let mut jacobian = Jacobian::new(n, structure.clone());

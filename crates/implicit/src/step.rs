@@ -2,7 +2,7 @@
 
 use crate::{Equations, Refusal, Structure};
 
-/// The time interval of one step, or of a part of one: from `start` to `start + length`.
+/// The time interval of one step, or of a substep: from `start` to `start + length`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Interval {
     /// Index k of the step the interval belongs to.
@@ -11,7 +11,7 @@ pub struct Interval {
     pub start: f64,
     /// Its length Δt (s).
     pub length: f64,
-    /// Length of the step (or part) before it (s), whose start the history of x_k belongs to; `None` where
+    /// Length of the step (or substep) before it (s), whose start the history of x_k belongs to; `None` where
     /// the window starts and x_k has no history yet.
     pub previous: Option<f64>,
 }
@@ -35,6 +35,115 @@ impl Interval {
 /// of x_{k−1}]. Every method is given the whole x_k, dx or (∂G/∂x_k)ᵀμ; what they write or read of
 /// the *next* state (`advance`, `recover`, `advance_tangent`, `advance_adjoint`) and of the initial one is
 /// without the history, which [`ImplicitModel`](crate::ImplicitModel) hands on.
+///
+/// # Examples
+///
+/// Backward Euler of ẍ = −sin x, the state [x, ẋ], only the new x unknown:
+///
+/// ```
+/// use varda_implicit::{
+///     Equations, ImplicitModel, ImplicitStep, Interval, Refusal, StepEquations, Structure, check,
+/// };
+///
+/// struct Swing;
+///
+/// /// G(u) = u − x − Δt ẋ + Δt² sin u
+/// struct Next {
+///     length: f64,
+///     x: [f64; 2],
+/// }
+///
+/// impl Equations for Next {
+///     fn assemble(
+///         &mut self,
+///         u: &[f64],
+///         g: &mut [f64],
+///         jacobian: Option<&mut [f64]>,
+///     ) -> Result<Option<f64>, Refusal> {
+///         let Next { length: h, x } = *self;
+///         g[0] = u[0] - x[0] - h * x[1] + h * h * u[0].sin();
+///         if let Some(values) = jacobian {
+///             values[0] = 1.0 + h * h * u[0].cos();
+///         }
+///         Ok(None)
+///     }
+///     fn converged_below(&self) -> f64 {
+///         1e-13
+///     }
+/// }
+///
+/// impl StepEquations for Next {
+///     fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal> {
+///         u[0] = self.x[0];
+///         Ok(())
+///     }
+/// }
+///
+/// impl ImplicitStep for Swing {
+///     type Equations<'a> = Next;
+///
+///     fn dim(&self) -> usize {
+///         2
+///     }
+///     fn unknowns(&self) -> usize {
+///         1
+///     }
+///     fn structure(&self) -> Structure {
+///         Structure::Dense
+///     }
+///     fn equations(&mut self, at: &Interval, x: &[f64]) -> Result<Next, Refusal> {
+///         Ok(Next { length: at.length, x: [x[0], x[1]] })
+///     }
+///     fn advance(&mut self, at: &Interval, x: &[f64], u: &[f64], next: &mut [f64]) {
+///         (next[0], next[1]) = (u[0], (u[0] - x[0]) / at.length);
+///     }
+///     fn recover(&mut self, _: &Interval, _: &[f64], next: &[f64], u: &mut [f64]) {
+///         u[0] = next[0];
+///     }
+///     fn previous(&mut self, at: &Interval, _: &[f64], _: &[f64], dx: &[f64], dg: &mut [f64]) {
+///         dg[0] = -dx[0] - at.length * dx[1];
+///     }
+///     fn previous_transpose_add(
+///         &mut self,
+///         at: &Interval,
+///         _: &[f64],
+///         _: &[f64],
+///         mu: &[f64],
+///         dx: &mut [f64],
+///     ) {
+///         dx[0] -= mu[0];
+///         dx[1] -= at.length * mu[0];
+///     }
+///     fn advance_tangent(
+///         &mut self,
+///         at: &Interval,
+///         _: &[f64],
+///         _: &[f64],
+///         dx: &[f64],
+///         du: &[f64],
+///         next: &mut [f64],
+///     ) {
+///         (next[0], next[1]) = (du[0], (du[0] - dx[0]) / at.length);
+///     }
+///     fn advance_adjoint(
+///         &mut self,
+///         at: &Interval,
+///         _: &[f64],
+///         _: &[f64],
+///         lambda: &[f64],
+///         dx: &mut [f64],
+///         du: &mut [f64],
+///     ) {
+///         (dx[0], dx[1]) = (-lambda[1] / at.length, 0.0);
+///         du[0] = lambda[0] + lambda[1] / at.length;
+///     }
+/// }
+///
+/// let mut model = ImplicitModel::new(Swing, 0, 0.1);
+/// let report = check::model(&mut model, &[1.0, 0.5], 3, &[0.1; 2], 1)?;
+/// assert!(report.passed(), "{report}");
+/// # Ok::<(), varda_implicit::Error>(())
+/// ```
 pub trait ImplicitStep {
     /// The step's equations, prepared for an interval and a state.
     type Equations<'a>: StepEquations

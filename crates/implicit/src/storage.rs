@@ -54,6 +54,18 @@ impl Storage {
 }
 
 /// What a window takes: sizes from which memory under any [`Storage`] follows.
+///
+/// ```
+/// use varda_implicit::{Footprint, Storage};
+///
+/// let window = Footprint { steps: 1000, runs: 2, state: 8000, linearization: 32_000 };
+/// assert_eq!(window.bytes(Storage::KeepAll), 48_016_000);
+/// assert_eq!(window.within(100_000_000)?, Storage::KeepAll);
+/// let storage = window.within(1_000_000)?;
+/// assert!(matches!(storage, Storage::Checkpoints { states: 58 }), "{storage:?}");
+/// assert!(window.bytes(storage) <= 1_000_000);
+/// # Ok::<(), varda_implicit::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Footprint {
     /// n, the number of steps.

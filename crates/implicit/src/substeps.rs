@@ -4,7 +4,7 @@ use crate::{ImplicitStep, Interval};
 use varda_linalg::band::BLOCK;
 use varda_linalg::{Factor, LinearSolver};
 
-/// The linearization of a step or of a part of one.
+/// The linearization of a substep.
 #[derive(Debug)]
 pub(crate) struct Substep {
     pub(crate) at: Interval,

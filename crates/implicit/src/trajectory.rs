@@ -3,7 +3,7 @@
 use crate::storage::next_checkpoint;
 use crate::{Error, Log, Model, Storage};
 
-/// What a forward run leaves behind for sweeps.
+/// Whether a forward run linearizes its steps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Keep {

@@ -94,7 +94,8 @@ fn empty_tests_are_refused() {
 
 #[test]
 fn outputs_of_another_length_have_their_own_scale() {
-    // M = (0 0; 0 0; 3 4) from two components to three, λ along the last: everything happens beyond the length of the input.
+    // M = (0 0; 0 0; 3 4) from two components to three, λ along the last: everything happens beyond the
+    // length of the input.
     let (dx, lambda) = ([2.0, 1.0], [0.0, 0.0, 5.0]);
     let (m_dx, mt_lambda) = ([0.0, 0.0, 10.0], [15.0, 20.0]);
     let scales: [&[f64]; 2] = [&[1.0; 2], &[1.0, 1.0, 4.0]];
@@ -130,7 +131,8 @@ fn taylor_slopes_tell_right_gradients_from_wrong_ones() {
     assert!(failing.is_err());
 }
 
-/// A stiff decay towards a moving point with f beyond reach of explicit steps, no potential: Van der Pol, μ = 1000.
+/// A stiff decay towards a moving point with f beyond reach of explicit steps, no potential: Van der Pol,
+/// μ = 1000.
 #[derive(Clone)]
 struct VanDerPol;
 
@@ -168,8 +170,8 @@ fn stiff_steps_without_a_potential_go_through_the_contraction_test() {
         turns += usize::from(next[0] * x[0] < 0.0);
         x = next;
     }
-    // a turn takes (3 − 2 ln 2) μ/2 = 807 s and less where a long step lands short of the slow branch: two at least. The
-    // jumps themselves have no root near the guess, and are halved.
+    // a turn takes (3 − 2 ln 2) μ/2 = 807 s and less where a long step lands short of the slow branch: two
+    // at least. The jumps themselves have no root near the guess, and are halved.
     assert!(turns >= 2 && log.counts.substeps > 0, "{turns} {:?}", log.counts);
     assert!(log.warnings.len() < 40, "{:?}", log.warnings);
     let window = check::window(&mut model, &[2.0, 0.0], 100, &[1.0, 1e-3], 3).unwrap();
@@ -201,7 +203,8 @@ fn a_mutated_right_hand_side_fails_the_conformance_of_its_models() {
     assert!(failed("dot product") && failed("Taylor"), "{outcomes:?}");
 }
 
-/// ‖M‖ lies between ‖M‖_F/√3 and ‖M‖_F, and six products find it; a window of 40 time units of Lorenz-63 is flagged.
+/// ‖M‖ lies between ‖M‖_F/√3 and ‖M‖_F, and six products find it; a window of 40 time units of
+/// Lorenz-63 is flagged.
 #[test]
 fn amplification_is_the_norm_of_the_window() {
     let mut model = Rk4::new(Lorenz63::default(), 0, 0.01);
@@ -390,7 +393,8 @@ fn every_part_of_a_right_hand_side_is_checked() {
     }
 }
 
-/// Diffusion on a fine grid: entries of (∂f/∂x)ᵀ λ are differences of terms many thousand times as large.
+/// Diffusion on a fine grid: entries of (∂f/∂x)ᵀ λ are differences of terms many thousand times as
+/// large.
 #[test]
 fn cancelling_terms_of_an_adjoint_are_no_fault() {
     use varda_implicit::line::{Ends, Line, Transport};

@@ -1,4 +1,5 @@
-//! Transport along a line: Fourier modes, the Cole–Hopf solution, conservation, conformance, one answer in every layout.
+//! Transport along a line: Fourier modes, the Cole–Hopf solution, conservation, conformance, one answer in
+//! every layout.
 
 use std::f64::consts::TAU;
 
@@ -54,7 +55,8 @@ fn space_is_of_second_order_against_the_exact_fourier_solution() {
     assert!((fitted - 2.0).abs() <= 0.05, "{fitted}");
 }
 
-/// The semi-discrete solution of a mode: every mode of the grid has the rate −i c sin(κh)/h − 2ν (1 − cos κh)/h².
+/// The semi-discrete solution of a mode: every mode of the grid has the rate −i c sin(κh)/h − 2ν (1 −
+/// cos κh)/h².
 fn semi_discrete(line: &Line, mode: f64, t: f64) -> Vec<f64> {
     let (wave, h) = (TAU * mode, line.spacing());
     let damping = 2.0 * DIFFUSIVITY * (1.0 - (wave * h).cos()) / (h * h);
@@ -77,8 +79,8 @@ fn time_has_the_order_of_the_integrator_against_the_exact_rates_of_the_grid() {
     }
 }
 
-/// The closed form of Burgers' equation by Cole (1951) and Hopf (1950): u = −2ν φ′/φ, φ = 1 + ¾ e^{−ν κ² t} cos κs, κ = 2π.
-/// It vanishes at s = 0 and s = ½.
+/// The closed form of Burgers' equation by Cole (1951) and Hopf (1950): u = −2ν φ′/φ, φ = 1 + ¾
+/// e^{−ν κ² t} cos κs, κ = 2π. It vanishes at s = 0 and s = ½.
 fn cole_hopf(viscosity: f64, t: f64) -> impl Fn(f64) -> f64 {
     let wave = 0.75 * (-viscosity * TAU * TAU * t).exp();
     move |s| 2.0 * viscosity * TAU * wave * (TAU * s).sin() / (1.0 + wave * (TAU * s).cos())
@@ -88,7 +90,8 @@ fn cole_hopf(viscosity: f64, t: f64) -> impl Fn(f64) -> f64 {
 fn burgers_converges_to_the_cole_hopf_solution() {
     let viscosity = 0.1;
     for ends in [Ends::Periodic, Ends::Fixed { left: 0.0, right: 0.0 }] {
-        // halving h and Δt together: what is left is the order of both for the midpoint rule, that of time for Euler
+        // halving h and Δt together: what is left is the order of both for the midpoint rule, that of time
+        // for Euler
         for (order, finest) in [(2, 80), (1, 160)] {
             let error = |cells: usize| {
                 let line = match ends {

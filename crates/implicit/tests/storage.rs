@@ -6,7 +6,8 @@ use varda_implicit::{
     Refusal, Rk4, StepEquations, Storage, Structure, Trajectory, check,
 };
 
-/// A swing that refuses to be solved in steps longer than a quarter of a second when it is far out: steps in parts.
+/// A swing that refuses to be solved in steps longer than a quarter of a second when it is far out: steps in
+/// parts.
 struct Swing;
 
 /// The equations of one step.
@@ -77,7 +78,8 @@ const POLICIES: [Storage; 6] = [
     Storage::Checkpoints { states: 100 },
 ];
 
-/// All bits of: the gradient of a function of every state, a tangent of every state, and the gradient once more.
+/// All bits of: the gradient of a function of every state, a tangent of every state, and the gradient once
+/// more.
 fn sweeps(model: &mut dyn Model, trajectory: &mut Trajectory, x0: &[f64], steps: usize) -> Vec<u64> {
     let n = x0.len();
     let mut bits = Vec::new();

@@ -140,3 +140,21 @@ fn a_structure_that_leaves_out_an_entry_is_an_error_at_the_first_step() {
         assert!(matches!(error, Error::JacobianDisagrees { step: 7, .. }), "{structure:?}: {error}");
     }
 }
+
+#[test]
+fn what_no_step_can_be_made_of_is_refused_at_construction() {
+    use std::panic::catch_unwind;
+    use varda_implicit::lorenz::Lorenz63;
+    for tolerance in [0.0, -1e-9, f64::NAN, f64::INFINITY] {
+        let made = catch_unwind(|| OneLeg::implicit_euler(Lorenz63::default(), tolerance));
+        assert!(made.is_err(), "{tolerance}");
+    }
+    for (columns, rows) in
+        [(vec![0; N], vec![]), ((0..=N).collect(), vec![N; N]), ((0..=N).rev().collect(), (0..N).collect())]
+    {
+        let structure = Structure::Sparse { columns, rows };
+        let made = catch_unwind(|| model(false, &structure, None));
+        let message = made.err().and_then(|error| error.downcast_ref::<String>().cloned());
+        assert!(message.as_ref().is_some_and(|m| m.contains("structure of")), "{structure:?}: {message:?}");
+    }
+}

@@ -45,7 +45,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
         let iterations = iterations / 9;
         println!(
-            "{segments} segments, twist {twist:?}: tip {tip:.6?} m, {:.2} ms for 100 steps, {iterations} iterations, {:.3} µs per segment and iteration",
+            "{segments} segments, twist {twist:?}: tip {tip:.6?} m, {:.2} ms for 100 steps, {iterations} \
+             iterations, {:.3} µs per segment and iteration",
             1e3 * best,
             1e6 * best / (segments * iterations) as f64
         );

@@ -1,9 +1,10 @@
 //! Kelvin–Voigt damping: what the strains of steps before contribute.
 //!
-//! The strain rate of a stage is (ε(y) − ε*)/η with ε* a sum of strains of configurations of the past, each with a weight; that
-//! sum takes part in E as a modified stiffness and rest strain (`System::set_stiffness`), so that the potential and its
-//! symmetry stay. Here are the products with ∂G/∂x_k = −(β/η) Σ_j w_j ∇ε(y) k ∇ε(past j)ᵀ ∂(past j)/∂x_k. Strains do
-//! not change in a rigid motion, so neither does ε*.
+//! The strain rate of a stage is (ε(y) − ε*)/η with ε* a sum of strains of configurations of the past,
+//! each with a weight; that sum takes part in E as a modified stiffness and rest strain
+//! (`System::set_stiffness`), so that the potential and its symmetry stay. Here are the products with
+//! ∂G/∂x_k = −(β/η) Σ_j w_j ∇ε(y) k ∇ε(past j)ᵀ ∂(past j)/∂x_k. Strains do not change in
+//! a rigid motion, so neither does ε*.
 
 use nalgebra::Vector3;
 
@@ -158,7 +159,8 @@ impl KelvinVoigt {
 }
 
 impl Past {
-    /// −(β/η) w Σ ∇ε(to) k ∇ε(from)ᵀ applied to `full`; from the past to the stage or the other way round.
+    /// −(β/η) w Σ ∇ε(to) k ∇ε(from)ᵀ applied to `full`; from the past to the stage or the other
+    /// way round.
     fn couple(
         &self,
         share: f64,

@@ -13,26 +13,30 @@ use crate::support::{Damping, Loads, Supports};
 use crate::system::{StageStart, System};
 use crate::twist_equilibrium::TwistEquilibrium;
 
-/// A step of a rod with massless twist (paper, section 3), by backward Euler or one of the second-order schemes.
+/// A step of a rod with massless twist (paper, section 3), by backward Euler or one of the second-order
+/// schemes.
 ///
 /// ```text
-/// X_{k+1} − X_k − Δt V_{k+1} = 0                                                              (backward Euler)
+/// X_{k+1} − X_k − Δt V_{k+1} = 0                                               (backward Euler)
 /// M (V_{k+1} − V_k) + Δt (∂E/∂X(X_{k+1}, θ_{k+1}) + α M V_{k+1} − F_ext(t_{k+1})) = 0
 /// ∂E/∂θ(X_{k+1}, θ_{k+1}) = 0
 /// ```
 ///
-/// Every [`Scheme`] is one such step of length η from a point (X*, V*) between the last states to a stage (Y, θ_y) at time t*
-/// where forces and supports are taken (midpoint: Y = ½(X_k + X_{k+1}), t* = t_{k+½}), so there is one step here and
-/// [`Scheme::stage`] gives the weights. V is eliminated: the unknowns are u = (Y, θ_y), interleaved along the rod so that
-/// ∂G/∂u is a symmetric band (half-bandwidth 10; 8 without twist; 5 for a chain), and G = ∂Φ/∂u is the gradient of
+/// Every [`Scheme`] is one such step of length η from a point (X*, V*) between the last states to a stage
+/// (Y, θ_y) at time t* where forces and supports are taken (midpoint: Y = ½(X_k + X_{k+1}), t* = t_{k+½}),
+/// so there is one step here and [`Scheme::stage`] gives the weights. V is eliminated: the unknowns are u =
+/// (Y, θ_y), interleaved along the rod so that ∂G/∂u is a symmetric band (half-bandwidth 10; 8 without
+/// twist; 5 for a chain), and G = ∂Φ/∂u is the gradient of
 ///
 /// ```text
-/// Φ(u) = |Y − X* − η V*|²_M / (2η²) + α |Y − X*|²_M / (2η) + E(Y, θ_y) + (β/2η) Σ k (ε − ε*)² − F_ext(t*)·Y
+/// Φ(u) = |Y − X* − η V*|²_M / (2η²) + α |Y − X*|²_M / (2η)
+///      + E(Y, θ_y) + (β/2η) Σ k (ε − ε*)² − F_ext(t*)·Y
 /// ```
 ///
-/// State x = [X, V, θ] of the free vertices and angles (SI units: m, m/s, rad); under BDF2, and under midpoint with twist or
-/// Kelvin–Voigt damping, followed by the same of the step before. Control z = [X₀, V₀], θ₀ being the twist equilibrium of
-/// X₀ nearest to the untwisted frame. Use it inside [`ImplicitModel`]; [`RodStep::model`] does.
+/// State x = [X, V, θ] of the free vertices and angles (SI units: m, m/s, rad); under BDF2, and under
+/// midpoint with twist or Kelvin–Voigt damping, followed by the same of the step before. Control z = [X₀,
+/// V₀], θ₀ being the twist equilibrium of X₀ nearest to the untwisted frame. Use it inside
+/// [`ImplicitModel`](varda_implicit::ImplicitModel); [`RodStep::model`] does.
 ///
 /// First guess of a step: X_k carried along rigidly with the supports, θ_k.
 pub struct RodStep {
@@ -64,7 +68,8 @@ impl RodStep {
         Self::with_twist(rod, supports, loads, damping, TwistUnknowns::WhereNeeded)
     }
 
-    /// The same, with the choice to keep twist unknowns that are provably zero (to check that leaving them out is right).
+    /// The same, with the choice to keep twist unknowns that are provably zero (to check that leaving them
+    /// out is right).
     ///
     /// # Errors
     /// As [`RodStep::new`].
@@ -184,7 +189,10 @@ impl RodStep {
         if !layout.bending {
             out.push("bending and twisting: no stiffness against them (a chain)".to_string());
         } else if !layout.twist {
-            out.push(format!("{n} twist angles, frames and the twist energy: an isotropic, naturally straight rod held by one director does not twist"));
+            out.push(format!(
+                "{n} twist angles, frames and the twist energy: an isotropic, naturally straight rod held by \
+                 one director does not twist"
+            ));
         }
         let fixed = n + 1 - layout.free_vertices.len();
         if fixed > 0 {

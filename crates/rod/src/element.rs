@@ -1,10 +1,12 @@
-//! Energy, gradient and Hessian of one stretched edge and one bent (and twisted) vertex, in small fixed arrays.
+//! Energy, gradient and Hessian of one stretched edge and one bent (and twisted) vertex, in small fixed
+//! arrays.
 //!
-//! Local degrees of freedom are in the order of the whole rod: x_{i−1}, θ^{i−1}, x_i, θ^i, x_{i+1} with frames
-//! (3, 1, 3, 1, 3), x_{i−1}, x_i, x_{i+1} without. Only lower triangles (row ≥ column) of Hessians are filled.
+//! Local degrees of freedom are in the order of the whole rod: x_{i−1}, θ^{i−1}, x_i, θ^i, x_{i+1} with
+//! frames (3, 1, 3, 1, 3), x_{i−1}, x_i, x_{i+1} without. Only lower triangles (row ≥ column) of Hessians
+//! are filled.
 //!
-//! Derivatives are taken in the time-parallel gauge: as the vertices move, the director of an edge is carried along by
-//! parallel transport from where it is now (Bergou et al. 2010).
+//! Derivatives are taken in the time-parallel gauge: as the vertices move, the director of an edge is carried
+//! along by parallel transport from where it is now (Bergou et al. 2010).
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -18,7 +20,8 @@ pub(crate) struct Element<T, const N: usize> {
     pub(crate) hessian: [[T; N]; N],
 }
 
-/// Stretch of an edge, E = ½ EA (l − l̄)²/l̄: energy, force s = ∂E/∂l and the 3 × 3 Hessian with respect to e = x_{i+1} − x_i,
+/// Stretch of an edge, E = ½ EA (l − l̄)²/l̄: energy, force s = ∂E/∂l and the 3 × 3 Hessian with
+/// respect to e = x_{i+1} − x_i,
 ///
 /// ```text
 /// ∂²E/∂e² = EA/l̄ t tᵀ + s/l (I − t tᵀ)
@@ -76,7 +79,8 @@ pub(crate) struct Directors<T = f64> {
 ///
 /// ```text
 /// κ₁ = ½ (m₂^{i−1} + m₂^i)·κb,   κ₂ = −½ (m₁^{i−1} + m₁^i)·κb
-/// ∂(½ w·κb)/∂e^{i−1} = ( q × w/χ − ½ (w·κb) t̃ ) / l^{i−1},   ∂(½ w·κb)/∂e^i = ( w × p/χ − ½ (w·κb) t̃ ) / l^i
+/// ∂(½ w·κb)/∂e^{i−1} = ( q × w/χ − ½ (w·κb) t̃ ) / l^{i−1}
+/// ∂(½ w·κb)/∂e^i     = ( w × p/χ − ½ (w·κb) t̃ ) / l^i
 /// ∂τ/∂e^{i−1} = ½ κb/l^{i−1},   ∂τ/∂e^i = ½ κb/l^i
 /// ```
 pub(crate) struct Strains<T = f64> {
@@ -131,7 +135,8 @@ impl<T: Real> Strains<T> {
     }
 }
 
-/// Stiffness and rest strains of a vertex with frames: E = ½ (κ−κ̄)ᵀ K (κ−κ̄) + ½ K_τ (τ−τ̄)², K = EI/l̄_i, K_τ = GJ/l̄_i.
+/// Stiffness and rest strains of a vertex with frames: E = ½ (κ−κ̄)ᵀ K (κ−κ̄) + ½ K_τ
+/// (τ−τ̄)², K = EI/l̄_i, K_τ = GJ/l̄_i.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Stiffness<T = f64> {
     pub(crate) bend: [T; 3],
@@ -167,9 +172,9 @@ pub(crate) fn energies<T: Real>(strains: &Strains<T>, k: &Stiffness<T>) -> (T, T
 /// H = Σ_ab K_ab ∇ε_a ∇ε_bᵀ + Σ_a s_a ∇²ε_a,   s = K (ε − ε̄)
 /// ```
 ///
-/// The second derivatives of κ_w = ½ w·κb follow from κ_w = N/D with N = w·(e × f), D = |e||f| + e·f for fixed w; the
-/// second-order part of the transport of w adds (κb wᵀ + w κbᵀ)/(4 l²). Those of τ are the symmetric part of ∂(½κb/l)
-/// (the other part is the holonomy of the gauge; Bergou et al. 2010).
+/// The second derivatives of κ_w = ½ w·κb follow from κ_w = N/D with N = w·(e × f), D = |e||f| + e·f
+/// for fixed w; the second-order part of the transport of w adds (κb wᵀ + w κbᵀ)/(4 l²). Those of τ
+/// are the symmetric part of ∂(½κb/l) (the other part is the holonomy of the gauge; Bergou et al. 2010).
 pub(crate) fn bend_twist<T: Real>(
     a: &Edge<T>,
     b: &Edge<T>,
@@ -196,7 +201,8 @@ pub(crate) fn bend_twist<T: Real>(
     let (le, lf) = (a.l, b.l);
     let [p1e, p2e, p1f, p2f] = &strains.parts;
     let (s1, s2, s3) = (s[0], s[1], s[2]);
-    // w = s₁ m₂ − s₂ m₁ on either edge, κ_s = ½ (w_e + w_f)·κb = s₁ κ₁ + s₂ κ₂ and its gradient.
+    // w = s₁ m₂ − s₂ m₁ on either edge, κ_s = ½ (w_e + w_f)·κb = s₁ κ₁ + s₂ κ₂ and
+    // its gradient.
     let (we, wf) = (m.m2e * s1 - m.m1e * s2, m.m2f * s1 - m.m1f * s2);
     let ks = s1 * strains.value[0] + s2 * strains.value[1];
     let ks_e = (p2e.1 + p2f.1) * s1 - (p1e.1 + p1f.1) * s2;
@@ -212,7 +218,8 @@ pub(crate) fn bend_twist<T: Real>(
         - (i3 + outer(p, q)) * (ks / (chi * le * lf))
         - outer(kb, tilde) * (s3 / (two * le * lf));
     vertex_hessian(&ee, &ef, &ff, X, &mut out.hessian);
-    // ∂κ₁/∂θ = −½ m₁·κb, ∂κ₂/∂θ = −½ m₂·κb; once more: −½ m₂·κb and ½ m₁·κb.
+    // ∂κ₁/∂θ = −½ m₁·κb, ∂κ₂/∂θ = −½ m₂·κb; once more: −½ m₂·κb and ½
+    // m₁·κb.
     let mixed = |m1: &Part<T>, m2: &Part<T>| (m1.1 * -s1 - m2.1 * s2, m1.2 * -s1 - m2.2 * s2);
     let second = strains.angle_curvature(&s);
     for (row, (e, f), second) in [(3, mixed(p1e, p2e), second[0]), (7, mixed(p1f, p2f), second[1])] {
@@ -228,7 +235,8 @@ pub(crate) fn bend_twist<T: Real>(
     out
 }
 
-/// From derivatives in the edges e = x_i − x_{i−1}, f = x_{i+1} − x_i to those in the vertices, overwriting.
+/// From derivatives in the edges e = x_i − x_{i−1}, f = x_{i+1} − x_i to those in the vertices,
+/// overwriting.
 #[inline(always)]
 fn vertex_gradient<T: Real, const N: usize>(
     e: &Vector3<T>,

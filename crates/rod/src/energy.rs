@@ -1,4 +1,5 @@
-//! Energy, gradient and Hessian of one configuration with given frames, for users who bring their own time stepping.
+//! Energy, gradient and Hessian of one configuration with given frames, for users who bring their own time
+//! stepping.
 
 use nalgebra::Vector3;
 
@@ -44,7 +45,8 @@ impl<T: Real> Energy<T> {
     }
 }
 
-/// Energy with its first and second derivatives. Degrees of freedom in the order x_0, y_0, z_0, x_1, … , z_n, θ^0 … θ^{n−1}.
+/// Energy with its first and second derivatives. Degrees of freedom in the order x_0, y_0, z_0, x_1, … ,
+/// z_n, θ^0 … θ^{n−1}.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Derivatives {
     /// The energies.
@@ -91,11 +93,12 @@ fn stiffness<T: Real>(rod: &Rod, i: usize) -> Stiffness<T> {
     }
 }
 
-/// Elastic energy (paper, section 5.2) at `vertices` and `theta`, the frames of `at` carried there: every director by parallel
-/// transport from its edge in `at` to its edge now, every reference twist by the change of the angle between them.
+/// Elastic energy (paper, section 5.2) at `vertices` and `theta`, the frames of `at` carried there: every
+/// director by parallel transport from its edge in `at` to its edge now, every reference twist by the change
+/// of the angle between them.
 ///
-/// This is the function of which [`derivatives`] gives the derivatives at `at`. It is written over the scalar, so that
-/// dual numbers differentiate it.
+/// This is the function of which [`derivatives`] gives the derivatives at `at`. It is written over the
+/// scalar, so that dual numbers differentiate it.
 ///
 /// # Errors
 /// [`Error`] for a fold, an edge without length, a value that is not finite, or arrays of the wrong length.
@@ -163,7 +166,8 @@ pub fn energy<T: Real>(
     Ok(out)
 }
 
-/// Angle at interior vertex i from d₁ of the edge before, carried over the vertex, to d₁ of the edge after it.
+/// Angle at interior vertex i from d₁ of the edge before, carried over the vertex, to d₁ of the edge
+/// after it.
 fn angle_between<T: Real>(shape: &Shape<T>, i: usize) -> T {
     let t = &shape.edges[i].t;
     signed_angle(&shape.turn(i).transport(t, &shape.d1[i - 1]), &shape.d1[i], t)
@@ -172,8 +176,9 @@ fn angle_between<T: Real>(shape: &Shape<T>, i: usize) -> T {
 /// Exact derivatives of the elastic [`energy`]; forces and twisting moments are minus its gradient
 /// (paper 3.1, 3.2).
 ///
-/// The gauge is the time-parallel one: as the vertices move, the director of an edge is carried from its present tangent
-/// by parallel transport, and the reference twist changes continuously (Bergou et al. 2008, 2010).
+/// The gauge is the time-parallel one: as the vertices move, the director of an edge is carried from its
+/// present tangent by parallel transport, and the reference twist changes continuously (Bergou et al. 2008,
+/// 2010).
 ///
 /// # Errors
 /// [`Error`] for a fold, an edge without length, a value that is not finite, or arrays of the wrong length.

@@ -30,7 +30,8 @@ impl Equations for RodEquations<'_> {
             let s = &step.system;
             let (x, force) = (s.x[v], s.forces[v]);
             let (d, e) = (x - step.target[f], x - step.start[f]);
-            // Forces act through the displacement of the step: F·X itself would drown Φ's decrease in rounding.
+            // Forces act through the displacement of the step: F·X itself would drown Φ's decrease in
+            // rounding.
             potential += 0.5 * k * d.dot(&d) + 0.5 * c * e.dot(&e) - force.dot(&e);
             let i = s.layout.unknown[s.layout.vertex(v)];
             for a in 0..3 {
@@ -51,7 +52,8 @@ impl Equations for RodEquations<'_> {
             *t = u + alpha * d;
         }
         if self.step.system.layout.twist {
-            // an increment of θ in the local gauge, plus the holonomy of the displacements, is one of stored angles
+            // an increment of θ in the local gauge, plus the holonomy of the displacements, is one of stored
+            // angles
             let step = &mut *self.step;
             step.set_edges_of(&self.at, u);
             step.system.add_holonomy(du, alpha, &mut step.displacement, &mut step.psi, trial);
@@ -104,7 +106,8 @@ impl StepEquations for RodEquations<'_> {
         }
         Ok((pivot < 1e-2).then(|| {
             format!(
-                "the twist equilibrium is close to folding at edge {edge} (pivot {pivot:.1e} of its natural size)"
+                "the twist equilibrium is close to folding at edge {edge} \
+                 (pivot {pivot:.1e} of its natural size)"
             )
         }))
     }

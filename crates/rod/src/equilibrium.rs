@@ -20,8 +20,9 @@ pub struct Rest {
 
 /// Static equilibrium ∂E/∂u = F_ext with the supports where they are at time t, from a first guess.
 ///
-/// It is a local minimum of the total potential energy: Newton steps go downhill, past saddles. `guess` gives all vertices
-/// (prescribed ones are overwritten) and angles; a straight rod hanging from its clamp is [`straight_guess`].
+/// It is a local minimum of the total potential energy: Newton steps go downhill, past saddles. `guess` gives
+/// all vertices (prescribed ones are overwritten) and angles; a straight rod hanging from its clamp is
+/// [`straight_guess`].
 ///
 /// # Errors
 /// [`varda_implicit::Error`] where Newton's method does not converge, or wrapping an [`Error`] of the rod.
@@ -80,6 +81,7 @@ pub(crate) fn equilibrium_within(
     system.gather(&mut u);
     let mut statics = Statics::new(system, end_angle, 1e-11 * rod.length());
     let mut work = statics.work_space();
+<<<<<<< HEAD
     let options = NewtonOptions { max_iterations, ..NewtonOptions::default() };
     let solved = solve(&mut statics, &mut u, &mut work, &options);
     done.solves += 1;
@@ -100,13 +102,21 @@ pub(crate) fn equilibrium_within(
         .map_err(|reason| varda_implicit::NewtonFailure::Refused(reason).in_step(&at_rest(t)))?
         .unwrap_or(f64::NAN);
     let Statics { mut system, end_angle, .. } = statics;
+=======
+    // a stiff column far beyond its buckling load folds and unfolds its way from the straight saddle to the
+    // first mode
+    let options = NewtonOptions { max_iterations: 2000, ..NewtonOptions::default() };
+    let report =
+        solve(&mut statics, &mut u, &mut work, &options).map_err(|failure| failure.in_step(&at_rest(t)))?;
+    let mut system = statics.system;
+>>>>>>> main
     system.scatter(&u);
     system.update_shape(system.layout.twist, end_angle).map_err(refuse)?;
     Ok(Rest { vertices: system.x, theta: system.theta })
 }
 
-/// An edge of a chain at its rest length has no stiffness across itself, which leaves zero rows in the Hessian: where there is
-/// one, the free vertices move away from the first held one by a thousandth.
+/// An edge of a chain at its rest length has no stiffness across itself, which leaves zero rows in the
+/// Hessian: where there is one, the free vertices move away from the first held one by a thousandth.
 fn stretch_a_little(system: &mut System) {
     let mut edges = system.x.windows(2).zip(&system.rod.rest_lengths);
     if edges.any(|(x, rest)| ((x[1] - x[0]).norm() - rest).abs() < 1e-9 * rest) {
@@ -119,8 +129,8 @@ fn stretch_a_little(system: &mut System) {
     }
 }
 
-/// The straight, unstretched rod that leaves the start clamp (or, without one, the first prescribed vertex or the end
-/// clamp) at time t along the clamp's tangent, or along `direction` where there is no start clamp.
+/// The straight, unstretched rod that leaves the start clamp (or, without one, the first prescribed vertex or
+/// the end clamp) at time t along the clamp's tangent, or along `direction` where there is no start clamp.
 ///
 /// # Errors
 /// [`Error`] where the rod or a support is not usable, or `direction` is zero or too large to be normalized.

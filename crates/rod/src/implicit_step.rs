@@ -16,7 +16,8 @@ impl RodStep {
         Box::new(ImplicitModel::new(self, first_index, length))
     }
 
-    /// The model whose step k is all steps between `times` (s) from the k-th to the next time of `through`, compiled in this crate.
+    /// The model whose step k is all steps between `times` (s) from the k-th to the next time of `through`,
+    /// compiled in this crate.
     ///
     /// # Panics
     /// As [`ImplicitModel::on_times`] and [`Substepped::through`].

@@ -6,8 +6,8 @@ use crate::support::{Damping, Supports};
 
 pub(crate) const FIXED: usize = usize::MAX;
 
-/// Numbering. The full order goes along the rod, x_0, θ^0, x_1, θ^1, … , x_n (without the θ where there is no twist);
-/// unknowns are the free ones of these in the same order, which keeps the band narrow.
+/// Numbering. The full order goes along the rod, x_0, θ^0, x_1, θ^1, … , x_n (without the θ where there
+/// is no twist); unknowns are the free ones of these in the same order, which keeps the band narrow.
 #[derive(Debug, Clone)]
 pub(crate) struct Layout {
     pub(crate) segments: usize,
@@ -30,8 +30,9 @@ pub(crate) struct Layout {
 impl Layout {
     /// The layout a rod needs: no θ where the twist is provably zero, no bending for a chain.
     ///
-    /// The twist of a naturally straight isotropic rod is zero in equilibrium as long as at most one end holds a director
-    /// and no strain-rate damping ties θ to its past: bending does not depend on θ, and τ = 0 costs nothing.
+    /// The twist of a naturally straight isotropic rod is zero in equilibrium as long as at most one end
+    /// holds a director and no strain-rate damping ties θ to its past: bending does not depend on θ, and τ
+    /// = 0 costs nothing.
     pub(crate) fn needed(
         rod: &Rod,
         supports: &Supports,
@@ -140,7 +141,8 @@ pub(crate) struct Band<'a> {
 }
 
 impl Band<'_> {
-    /// Adds the lower triangle of an element whose degrees of freedom are `first`, `first` + 1, … in the full order.
+    /// Adds the lower triangle of an element whose degrees of freedom are `first`, `first` + 1, … in the
+    /// full order.
     pub(crate) fn add<const N: usize>(&mut self, first: usize, h: &[[f64; N]; N]) {
         let w = self.layout.half_bandwidth;
         let map = &self.layout.unknown[first..first + N];

@@ -1,33 +1,63 @@
 //! Discrete elastic rods: cables, tethers, soft robots.
 //!
-//! A rod is a polyline of vertices x_i \[m\] whose segments stretch, bend and twist (Bergou et al. 2008, 2010):
+//! A rod is a polyline of vertices x_i \[m\] whose segments stretch, bend and twist (Bergou et al. 2008,
+//! 2010):
 //!
 //! ```text
-//! E = ½ Σ EA (l − l̄)²/l̄  +  ½ Σ (κ − κ̄)ᵀ EI (κ − κ̄)/l̄_i  +  ½ Σ GJ (τ − τ̄)²/l̄_i
-//! κb_i = 2 t^{i−1} × t^i / (1 + t^{i−1}·t^i),   κ₁ = ½(m₂^{i−1} + m₂^i)·κb_i,   κ₂ = −½(m₁^{i−1} + m₁^i)·κb_i
+//! E = ½ Σ EA (l − l̄)²/l̄ + ½ Σ (κ − κ̄)ᵀ EI (κ − κ̄)/l̄_i
+//!     + ½ Σ GJ (τ − τ̄)²/l̄_i
+//! κb_i = 2 t^{i−1} × t^i / (1 + t^{i−1}·t^i)
+//! κ₁ = ½(m₂^{i−1} + m₂^i)·κb_i,   κ₂ = −½(m₁^{i−1} + m₁^i)·κb_i
 //! ```
 //!
-//! - [`Rod`] is the description (stiffness, rest shape, mass), [`Section`] and [`Material`] make uniform ones.
-//! - [`Supports`], [`Loads`] and [`Damping`] hold it, pull at it and slow it down.
-//! - [`RodStep`] is a time step for [`varda_implicit::ImplicitModel`] (backward Euler, midpoint or BDF2): a pure function
-//!   of (k, x_k), O(n), with exact tangent and adjoint. [`equilibrium`] finds the shape at rest; [`Markers`] read points carried by the rod.
-//! - [`derivatives`] gives energy, gradient and full Hessian of any configuration, for a time stepping of your own.
+//! | to | there is |
+//! |---|---|
+//! | describe a rod | [`Rod`]; [`Material`] and [`Section`] for a uniform one |
+//! | hold it | [`Supports`] with [`Clamp`] and [`Motion`] |
+//! | pull at it, slow it down | [`Loads`], [`Load`], [`Damping`] |
+//! | move it in time | [`RodStep`], a step for [`varda_implicit::ImplicitModel`] |
+//! | find its shape at rest | [`equilibrium`] from [`straight_guess`] |
+//! | observe points on it | [`Markers`], a [`varda_implicit::ObservationOperator`] |
+//! | use its energy elsewhere | [`derivatives`]: gradient and Hessian; [`energy`] of any [`Real`] number |
 //!
-//! Units are SI throughout. Sections stay plane and rigid: no shear, no section inertia (θ is massless), small strains
-//! (Hooke's law) with large rotations; no contact. For stubby beams (length under about ten heights) shear matters at
-//! the per cent level and this is the wrong model; for a rod that never bends far, a linear beam is cheaper.
+//! A step is by backward Euler, the midpoint rule or BDF2: a pure function of (k, x_k), O(n), with exact
+//! tangent and adjoint.
+//!
+//! # When to use
+//!
+//! For thin bodies that bend far: small strains (Hooke's law) and large rotations. Units are SI throughout:
+//! m, kg, s, N, rad.
+//!
+//! # Limitations
+//!
+//! Sections stay plane and rigid: no shear, no inertia of a section (θ is massless). There is no contact.
+//! For stubby beams (length under about ten heights) shear matters at the per cent level and this is the
+//! wrong model; for a rod that never bends far, a linear beam is cheaper.
+//!
+//! # Errors
+//!
+//! Impossible descriptions and configurations are values of [`Error`] that name the field, edge or vertex.
+//! Slices of a wrong length panic, as each item says.
 //!
 //! # Range
 //!
-//! Measured by the suite `stiff` (`docs/results/stability.md`): a step of backward Euler ends within 1e-11 L of its root, mostly at
-//! rounding, for E from 1e5 to 1e12 Pa, L/r from 10 to 1e5, EA l²/EI from 1 to 1e10, 25 to 20 000 segments, clamps that move 0.1 to 10
-//! segments in a step, steps of 1e-6 to 10 periods of a pendulum, and starts with 15 % of random strain; its tangent and adjoint
-//! are those of that root. A turn within 1e-6 rad of π, an edge without length, a vertex without mass and a value that is not finite are
-//! errors that name it; from turns within 1e-5 rad of π a step may end as an error that names the step. At steps of 1e-6 s
-//! velocities, differences of places over Δt, carry 1e-10 m/s of rounding.
+//! Measured by the suite `stiff` (`docs/results/stability.md`): a step of backward Euler ends within 1e-11 L
+//! of its root, mostly at rounding, for E from 1e5 to 1e12 Pa, L/r from 10 to 1e5, EA l²/EI from 1 to 1e10,
+//! 25 to 20 000 segments, clamps that move 0.1 to 10 segments in a step, steps of 1e-6 to 10 periods of a
+//! pendulum, and starts with 15 % of random strain; its tangent and adjoint are those of that root. A turn
+//! within 1e-6 rad of π, an edge without length, a vertex without mass and a value that is not finite are
+//! errors that name it; from turns within 1e-5 rad of π a step may end as an error that names the step. At
+//! steps of 1e-6 s velocities, differences of places over Δt, carry 1e-10 m/s of rounding.
 //!
-//! What a rod does not need is left out: twist angles where they are provably zero (isotropic, naturally straight, one
-//! held director), bending for a chain, prescribed degrees of freedom; [`RodStep::left_out`] lists it.
+//! What a rod does not need is left out: twist angles where they are provably zero (isotropic, naturally
+//! straight, one held director), bending for a chain, prescribed degrees of freedom; [`RodStep::left_out`]
+//! lists it.
+//!
+//! # References
+//!
+//! - Bergou, Wardetzky, Robinson, Audoly, Grinspun (2008): Discrete elastic rods.
+//! - Bergou, Audoly, Vouga, Wardetzky, Grinspun (2010): Discrete viscous threads. Time-parallel frames,
+//!   Hessians.
 //!
 //! # Example
 //!

@@ -20,7 +20,8 @@ pub struct EdgeMotion {
     pub rest_length: f64,
 }
 
-/// What a load does to the two vertices of an edge: components 0 … 2 belong to the first, 3 … 5 to the second.
+/// What a load does to the two vertices of an edge: components 0 … 2 belong to the first, 3 … 5 to the
+/// second.
 #[derive(Debug, Clone, Copy)]
 pub struct EdgeLoad {
     /// Potential energy W \[J\] of a load that has one, else zero.
@@ -47,9 +48,10 @@ impl EdgeLoad {
 
 /// A load on the edges of a rod that depends on their places and velocities, with its exact derivatives.
 ///
-/// The Jacobian of a step stays a symmetric band, and Newton's method looks for a minimum, as long as every load has a
-/// potential. One without makes it a general band, solved by LU, and Newton's method looks for a root. Gravity and the point
-/// forces of [`Loads`](crate::Loads) do not depend on the motion and need no such trait.
+/// The Jacobian of a step stays a symmetric band, and Newton's method looks for a minimum, as long as every
+/// load has a potential. One without makes it a general band, solved by LU, and Newton's method looks for a
+/// root. Gravity and the point forces of [`Loads`](crate::Loads) do not depend on the motion and need no such
+/// trait.
 ///
 /// # Examples
 ///

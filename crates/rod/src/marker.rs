@@ -8,7 +8,8 @@ use crate::dynamics::RodStep;
 use crate::rod::Place;
 use crate::system::System;
 
-/// A point fixed to the rod: rest arc length s \[m\] and offset (o₁, o₂, o₃) along (m₁, m₂, t) of the edge there \[m\].
+/// A point fixed to the rod: rest arc length s \[m\] and offset (o₁, o₂, o₃) along (m₁, m₂, t) of
+/// the edge there \[m\].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Marker {
     /// Rest arc length \[m\].
@@ -17,23 +18,25 @@ pub struct Marker {
     pub offset: Vector3<f64>,
 }
 
-/// Where markers are \[m\], as a function of time and state, with tangent and adjoint: an observation operator with three
-/// rows a marker, y = Rᵀ (p − c) in axes that [`Markers::in_axes`] gives.
+/// Where markers are \[m\], as a function of time and state, with tangent and adjoint: an observation
+/// operator with three rows a marker, y = Rᵀ (p − c) in axes that [`Markers::in_axes`] gives.
 ///
 /// ```text
-/// p = (1−w) x_i + w x_{i+1} + o₁ m₁ + o₂ m₂ + o₃ t                      w linear in arc length on edge i
-/// δm₁ = −(m₁·δt) t + δφ m₂,   δm₂ = −(m₂·δt) t − δφ m₁,   δφ = δθ − δψ,   δt = (I − t tᵀ) δe/l
+/// p = (1−w) x_i + w x_{i+1} + o₁ m₁ + o₂ m₂ + o₃ t        w linear in arc length on edge i
+/// δm₁ = −(m₁·δt) t + δφ m₂,   δm₂ = −(m₂·δt) t − δφ m₁
+/// δφ = δθ − δψ,   δt = (I − t tᵀ) δe/l
 /// ```
 ///
-/// with ψ the holonomy of the Bishop frame (Bergou et al. 2010). A prescribed direction has no δ. Frames are computed only
-/// where a marker is off the centreline. The state is the [X, V, θ] of [`RodStep`]; the time of an observation is the
-/// model's \[s\], which supports depend on.
+/// with ψ the holonomy of the Bishop frame (Bergou et al. 2010). A prescribed direction has no δ. Frames
+/// are computed only where a marker is off the centreline. The state is the [X, V, θ] of [`RodStep`]; the
+/// time of an observation is the model's \[s\], which supports depend on.
 ///
 /// # Examples
 ///
 /// ```
 /// use varda_implicit::{At, ObservationOperator, Refusal};
-/// use varda_rod::{Clamp, Damping, Loads, Marker, Markers, Material, Rod, RodStep, Section, Supports, Vector3};
+/// use varda_rod::{Clamp, Damping, Loads, Marker, Markers, Material, Rod, RodStep, Section};
+/// use varda_rod::{Supports, Vector3};
 ///
 /// let rod = Rod::uniform(1.0, 10, &Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.01))?;
 /// let supports = Supports::clamped_start(Clamp::new([0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]));
@@ -95,11 +98,12 @@ impl Markers {
         self.markers.is_empty()
     }
 
-    /// The same markers as seen in other axes: y = Rᵀ (p − c), the columns of R being those axes in the model's and c their
-    /// origin \[m\].
+    /// The same markers as seen in other axes: y = Rᵀ (p − c), the columns of R being those axes in the
+    /// model's and c their origin \[m\].
     ///
     /// # Errors
-    /// [`Error::Value`] where R is not a rotation (to 1e-3: four digits will do), [`Error::NonFinite`] for an origin that is not finite.
+    /// [`Error::Value`] where R is not a rotation (to 1e-3: four digits will do), [`Error::NonFinite`] for an
+    /// origin that is not finite.
     pub fn in_axes(self, rotation: Matrix3<f64>, origin: Vector3<f64>) -> Result<Markers, Error> {
         let skew = (rotation.tr_mul(&rotation) - Matrix3::identity()).abs().max();
         if !(skew <= 1e-3 && rotation.determinant() > 0.0) {

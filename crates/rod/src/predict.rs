@@ -20,8 +20,9 @@ impl Anchor {
     }
 }
 
-/// X_k carried rigidly with the supports: between two of them, a blend by vertex number of what either would do.
-/// A clamp that moves several segments in one step then leaves a rod of the same shape, not one torn off its support.
+/// X_k carried rigidly with the supports: between two of them, a blend by vertex number of what either would
+/// do. A clamp that moves several segments in one step then leaves a rod of the same shape, not one torn off
+/// its support.
 pub(crate) struct Carry {
     anchors: Vec<Anchor>,
 }
@@ -31,8 +32,8 @@ impl Carry {
         Carry { anchors: Vec::with_capacity(system.supports.prescribed.len() + 2) }
     }
 
-    /// Sets the free vertices of `system` (whose supports stand where they are at time `to`) to the guess, `state` being that
-    /// of time `from`; angles keep their old values.
+    /// Sets the free vertices of `system` (whose supports stand where they are at time `to`) to the guess,
+    /// `state` being that of time `from`; angles keep their old values.
     pub(crate) fn guess(
         &mut self,
         system: &mut System,

@@ -9,8 +9,9 @@ use crate::material::{Section, not_negative, positive};
 ///
 /// ```text
 /// E_ε = ½ Σ_e EA_e (l_e − l̄_e)² / l̄_e                         per edge
-/// E_κ = ½ Σ_i (κ_i − κ̄_i)ᵀ EI_i (κ_i − κ̄_i) / l̄_i   per interior vertex, l̄_i = (l̄^{i−1} + l̄^i)/2
-/// E_τ = ½ Σ_i GJ_i (τ_i − τ̄_i)² / l̄_i                         per interior vertex
+/// E_κ = ½ Σ_i (κ_i − κ̄_i)ᵀ EI_i (κ_i − κ̄_i) / l̄_i         per interior vertex
+/// E_τ = ½ Σ_i GJ_i (τ_i − τ̄_i)² / l̄_i                   per interior vertex
+/// l̄_i = (l̄^{i−1} + l̄^i)/2
 /// ```
 ///
 /// Plain data: fill it by hand for a rod that varies along its length, or by [`Rod::uniform`].

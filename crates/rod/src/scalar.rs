@@ -2,8 +2,8 @@
 
 use nalgebra::{RealField, Vector3};
 
-/// A number that the energy of a rod can be computed with: f64, or a dual number that carries derivatives along
-/// (those of the package `num-dual` are such numbers).
+/// A number that the energy of a rod can be computed with: f64, or a dual number that carries derivatives
+/// along (those of the package `num-dual` are such numbers).
 ///
 /// Implemented for every `Copy` type that is a [`nalgebra::RealField`]; nothing else is asked for.
 pub trait Real: RealField + Copy {

@@ -1,8 +1,9 @@
 //! Edges, turns and frames of one configuration, and the conversion between the two gauges of θ.
 //!
-//! Stored angles θ are measured from the **Bishop frame**: d₁ of the first edge carried along the rod by parallel
-//! transport, so that the reference twist is zero and τ_i = θ^i − θ^{i−1} counts whole turns. Derivatives of energies are
-//! taken in the **local gauge** (directors carried along in time). The two differ by the holonomy ψ,
+//! Stored angles θ are measured from the **Bishop frame**: d₁ of the first edge carried along the rod by
+//! parallel transport, so that the reference twist is zero and τ_i = θ^i − θ^{i−1} counts whole turns.
+//! Derivatives of energies are taken in the **local gauge** (directors carried along in time). The two differ
+//! by the holonomy ψ,
 //!
 //! ```text
 //! dθ_stored = dθ_local + dψ,   dψ^i − dψ^{i−1} = ½ κb_i·(de^{i−1}/l^{i−1} + de^i/l^i)
@@ -22,7 +23,8 @@ use crate::scalar::Real;
 pub(crate) enum FirstFrame<T = f64> {
     /// Given: the edge is clamped in this director.
     Clamped(Vector3<T>),
-    /// Carried by parallel transport from a fixed tangent and director: a function of the first tangent alone.
+    /// Carried by parallel transport from a fixed tangent and director: a function of the first tangent
+    /// alone.
     Carried { tangent: Vector3<T>, director: Vector3<T> },
 }
 
@@ -30,8 +32,8 @@ pub(crate) enum FirstFrame<T = f64> {
 #[derive(Debug, Clone)]
 pub(crate) struct Shape<T = f64> {
     pub(crate) edges: Vec<Edge<T>>,
-    /// Turn at vertex i, i = 1 … n−1; entry 0 is that between the reference tangent and the first edge where the first
-    /// frame is carried.
+    /// Turn at vertex i, i = 1 … n−1; entry 0 is that between the reference tangent and the first edge
+    /// where the first frame is carried.
     turns: Vec<Turn<T>>,
     carried: bool,
     pub(crate) d1: Vec<Vector3<T>>,

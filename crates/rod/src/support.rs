@@ -59,8 +59,9 @@ impl Motion for EllipseDrive {
     }
 }
 
-/// A clamped end: it prescribes the end vertex, the direction of the end edge (at its rest length) and the direction m₁
-/// of the section there, all as functions of time. Directions need not be normalized, nor m₁ exactly perpendicular.
+/// A clamped end: it prescribes the end vertex, the direction of the end edge (at its rest length) and the
+/// direction m₁ of the section there, all as functions of time. Directions need not be normalized, nor m₁
+/// exactly perpendicular.
 #[derive(Clone)]
 pub struct Clamp {
     /// Place of the end vertex \[m\].
@@ -91,8 +92,9 @@ pub struct Supports {
     pub end: Option<Clamp>,
     /// Further vertices whose place is given as a function of time (a pinned end, a hook).
     pub prescribed: Vec<(usize, Arc<dyn Motion>)>,
-    /// Frame of the first edge where no clamp gives it: a tangent and a director d₁, carried from that tangent to the first
-    /// edge by parallel transport. The first edge may point anywhere but against the tangent.
+    /// Frame of the first edge where no clamp gives it: a tangent and a director d₁, carried from that
+    /// tangent to the first edge by parallel transport. The first edge may point anywhere but against the
+    /// tangent.
     pub free_frame: (Vector3<f64>, Vector3<f64>),
 }
 
@@ -146,7 +148,8 @@ pub struct Loads {
 /// Damping of the motion. Both are zero by default.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Damping {
-    /// Kelvin–Voigt time β \[s\]: every strain ε gets the stress β k ε̇ of its own stiffness k. Zero for rigid motion.
+    /// Kelvin–Voigt time β \[s\]: every strain ε gets the stress β k ε̇ of its own stiffness k. Zero
+    /// for rigid motion.
     pub stiffness: f64,
     /// Mass-proportional rate α [1/s]: force −α M V.
     pub mass: f64,

@@ -26,7 +26,8 @@ pub(crate) struct System {
     pub(crate) shape: Shape,
     first: FirstFrame,
     end_director: Option<Vector3<f64>>,
-    /// Stiffness and rest strain of every edge (EA, l̄) and interior vertex, with the damping of the present step in it.
+    /// Stiffness and rest strain of every edge (EA, l̄) and interior vertex, with the damping of the present
+    /// step in it.
     pub(crate) stretch: Vec<(f64, f64)>,
     pub(crate) bend: Vec<Stiffness>,
     /// ∂E/∂(x, θ) in the full order.
@@ -138,13 +139,15 @@ impl System {
         Ok(system)
     }
 
-    /// Elastic stiffness, with Kelvin–Voigt damping folded in: ½k(ε−ε̄)² + ½rk(ε−ε_k)² is, up to a constant, the energy of
-    /// stiffness k(1+r) about (ε̄ + r ε_k)/(1+r), r = β/Δt. `past` gives the strains ε_k: (l, (κ₁, κ₂, τ)).
+    /// Elastic stiffness, with Kelvin–Voigt damping folded in: ½k(ε−ε̄)² + ½rk(ε−ε_k)² is, up
+    /// to a constant, the energy of stiffness k(1+r) about (ε̄ + r ε_k)/(1+r), r = β/Δt. `past` gives
+    /// the strains ε_k: (l, (κ₁, κ₂, τ)).
     pub(crate) fn set_stiffness(&mut self, r: f64, past: Option<&PastStrains>) {
         let mix = |rest: f64, before: f64| (rest + r * before) / (1.0 + r);
         self.stretch.clear();
         for (e, (&ea, &rest)) in self.rod.ea.iter().zip(&self.rod.rest_lengths).enumerate() {
-            // EA stays EA/l̄ times l̄: the modulus of the spring does not change with its mixed rest length.
+            // EA stays EA/l̄ times l̄: the modulus of the spring does not change with its mixed rest
+            // length.
             let k = ea / rest * (1.0 + r);
             let rest = past.map_or(rest, |p| mix(rest, p.lengths[e]));
             self.stretch.push((k * rest, rest));
@@ -231,15 +234,16 @@ impl System {
         }
     }
 
-    /// An angle near the one the end clamp will have: the branch on which the last twist is nearest its natural value.
+    /// An angle near the one the end clamp will have: the branch on which the last twist is nearest its
+    /// natural value.
     pub(crate) fn end_angle_guess(&self) -> f64 {
         let n = self.rod.segments();
         let before = if n > 1 { self.theta[n - 2] } else { 0.0 };
         before + self.rod.natural_twist.last().copied().unwrap_or(0.0)
     }
 
-    /// Edges, turns and, where frames are needed, directors of the present vertices and angles. The angle of a clamped
-    /// end is taken on the branch nearest to `end_angle`.
+    /// Edges, turns and, where frames are needed, directors of the present vertices and angles. The angle of
+    /// a clamped end is taken on the branch nearest to `end_angle`.
     pub(crate) fn update_shape(&mut self, frames: bool, end_angle: f64) -> Result<(), Error> {
         self.shape.set_edges(&self.x, self.layout.bending || frames)?;
         if frames {
@@ -259,7 +263,8 @@ impl System {
         Ok(())
     }
 
-    /// Elastic energy of the present shape; overwrites `gradient` (full order), adds to the band where one is given.
+    /// Elastic energy of the present shape; overwrites `gradient` (full order), adds to the band where one is
+    /// given.
     pub(crate) fn elastic(&mut self, mut jacobian: Option<&mut [f64]>) -> f64 {
         let System { layout, shape, gradient, stretch, bend, .. } = self;
         gradient.fill(0.0);
@@ -329,8 +334,8 @@ impl System {
         self.layout.half_bandwidth * if self.has_potential() { 1 } else { 2 } + 1
     }
 
-    /// Elastic energy at the unknowns u; overwrites g with its gradient and, where asked for, `jacobian` with its Hessian in
-    /// the layout of `structure`.
+    /// Elastic energy at the unknowns u; overwrites g with its gradient and, where asked for, `jacobian` with
+    /// its Hessian in the layout of `structure`.
     pub(crate) fn assemble(
         &mut self,
         u: &[f64],
@@ -365,7 +370,8 @@ impl System {
         Ok(energy)
     }
 
-    /// Calls `visit` with what every load of the motion does to every edge, and the unknowns of that edge's vertices.
+    /// Calls `visit` with what every load of the motion does to every edge, and the unknowns of that edge's
+    /// vertices.
     fn each_load(&self, start: Option<StageStart>, mut visit: impl FnMut(&EdgeLoad, [usize; 6])) {
         for load in &self.loads.of_motion {
             for edge in load.edges(self.rod.segments()) {
@@ -387,8 +393,8 @@ impl System {
         }
     }
 
-    /// Loads of the motion at the present shape: subtracts their forces from g and ∂F/∂x + ∂F/∂v/η from the Jacobian.
-    /// Returns their energy.
+    /// Loads of the motion at the present shape: subtracts their forces from g and ∂F/∂x + ∂F/∂v/η
+    /// from the Jacobian. Returns their energy.
     pub(crate) fn add_loads(
         &self,
         start: Option<StageStart>,
@@ -414,7 +420,8 @@ impl System {
         energy
     }
 
-    /// (1/η) ∂F/∂v applied to one number a vertex coordinate, or its transpose: `input` of an unknown to `output` of another.
+    /// (1/η) ∂F/∂v applied to one number a vertex coordinate, or its transpose: `input` of an unknown to
+    /// `output` of another.
     pub(crate) fn couple_loads(
         &self,
         start: StageStart,
@@ -433,7 +440,8 @@ impl System {
         });
     }
 
-    /// δθ of the edges of a rod without twist unknowns: all turn with the end clamp where only that holds a director.
+    /// δθ of the edges of a rod without twist unknowns: all turn with the end clamp where only that holds a
+    /// director.
     pub(crate) fn angle_that_all_follow(&self, psi: &[f64]) -> f64 {
         if !self.layout.twist && self.supports.end.is_some() {
             psi.last().copied().unwrap_or(0.0)
@@ -442,8 +450,9 @@ impl System {
         }
     }
 
-    /// Edge and size of the smallest pivot of E_θθ (free angles, in order), in units of the stiffness of its neighbours.
-    /// As it goes to zero the twist equilibrium folds: it stops being a smooth function of the vertices.
+    /// Edge and size of the smallest pivot of E_θθ (free angles, in order), in units of the stiffness of
+    /// its neighbours. As it goes to zero the twist equilibrium folds: it stops being a smooth function of
+    /// the vertices.
     pub(crate) fn smallest_twist_pivot(&self) -> (usize, f64) {
         let n = self.layout.segments;
         let vertex = |i: usize| {
@@ -475,8 +484,9 @@ impl System {
         smallest
     }
 
-    /// Turns an increment α du of local angles, already added in `trial`, into one of stored angles: adds the holonomy of its
-    /// displacements, with the edges and turns of the present shape. `displacement` and `psi` are work space.
+    /// Turns an increment α du of local angles, already added in `trial`, into one of stored angles: adds
+    /// the holonomy of its displacements, with the edges and turns of the present shape. `displacement` and
+    /// `psi` are work space.
     pub(crate) fn add_holonomy(
         &self,
         du: &[f64],
@@ -502,7 +512,8 @@ impl System {
         }
     }
 
-    /// Displacements of all vertices from those of the free ones, taken from the first entries of a state-like vector.
+    /// Displacements of all vertices from those of the free ones, taken from the first entries of a
+    /// state-like vector.
     pub(crate) fn displacements(&self, dx: &[f64], out: &mut [Vector3<f64>]) {
         out.fill(Vector3::zeros());
         for (f, &v) in self.layout.free_vertices.iter().enumerate() {
@@ -524,7 +535,8 @@ fn add(target: &mut [f64], values: &[f64]) {
     }
 }
 
-/// The Hessian of an edge with respect to both its vertices, `second` the place of the second one; an angle between is zero.
+/// The Hessian of an edge with respect to both its vertices, `second` the place of the second one; an angle
+/// between is zero.
 fn edge_hessian<const N: usize>(h: &Matrix3<f64>, second: usize) -> [[f64; N]; N] {
     let mut out = [[0.0; N]; N];
     for i in 0..3 {

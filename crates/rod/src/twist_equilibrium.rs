@@ -8,7 +8,8 @@ use crate::layout::FIXED;
 use crate::statics::{Statics, at_rest};
 use crate::system::System;
 
-/// θ₀ = θ(X₀): the angles that minimise E at given vertices, from θ = 0 or those of a rod at rest, with δθ₀ = −E_θθ⁻¹ E_θX δX₀ and its transpose.
+/// θ₀ = θ(X₀): the angles that minimise E at given vertices, from θ = 0 or those of a rod at rest,
+/// with δθ₀ = −E_θθ⁻¹ E_θX δX₀ and its transpose.
 pub(crate) struct TwistEquilibrium {
     statics: Statics,
     work: NewtonWork,

@@ -121,8 +121,9 @@ fn model(rod: Rod, supports: Supports, damping: Damping) -> ImplicitModel<RodSte
     ImplicitModel::new(RodStep::new(rod, supports, loads(), damping).unwrap(), 3, 0.01)
 }
 
-/// Every case by every scheme, named; all start at 0.03 s. Steps that damp nothing are short enough to follow the stretching
-/// of a wild start: else a rod that is free to spin snaps from one angle to another, where there is no derivative.
+/// Every case by every scheme, named; all start at 0.03 s. Steps that damp nothing are short enough to follow
+/// the stretching of a wild start: else a rod that is free to spin snaps from one angle to another, where
+/// there is no derivative.
 fn cases_by_scheme() -> Vec<(String, ImplicitModel<RodStep>)> {
     let schemes =
         [(Scheme::BackwardEuler, 3, 0.01), (Scheme::Midpoint, 15, 0.002), (Scheme::Bdf2, 15, 0.002)];

@@ -93,7 +93,8 @@ fn hangs_as_its_weight_says(step: &RodStep) {
     }
 }
 
-/// A chain without tension has no stiffness across: it is at rest as it lies, and Newton says that the minimum is not isolated.
+/// A chain without tension has no stiffness across: it is at rest as it lies, and Newton says that the
+/// minimum is not isolated.
 #[test]
 fn an_unstretched_chain_is_at_rest() {
     let material = Material::new(1e6, 0.5, 1100.0);

@@ -47,7 +47,8 @@ fn check(text: &str) {
     };
     let ours = derivatives(&rod, &at).expect("a sound configuration");
 
-    // Tolerances as stated with the fixtures: rounding of float64 inputs, looser where edges are almost folded.
+    // Tolerances as stated with the fixtures: rounding of float64 inputs, looser where edges are almost
+    // folded.
     let loose = if name.contains("folded") { 10.0 } else { 1.0 };
     let total = f["energy"]["total"].as_f64().unwrap();
     let scale: f64 = rod.ea.iter().zip(&rod.rest_lengths).map(|(a, l)| a * l).sum();
@@ -89,7 +90,9 @@ fn check(text: &str) {
 }
 
 macro_rules! fixtures {
-    ($($name:ident),*) => { $(#[test] fn $name() { check(include_str!(concat!("../../../tests/fixtures/der/", stringify!($name), ".json"))); })* };
+    ($($name:ident),*) => { $(#[test] fn $name() {
+        check(include_str!(concat!("../../../tests/fixtures/der/", stringify!($name), ".json")));
+    })* };
 }
 
 fixtures!(

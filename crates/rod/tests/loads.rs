@@ -242,13 +242,15 @@ fn edges_that_do_not_exist_are_refused() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 8, ..ProptestConfig::default() })]
 
-    /// A drag proportional to the masses is mass damping: half the mass of an edge goes to either of its vertices.
+    /// A drag proportional to the masses is mass damping: half the mass of an edge goes to either of its
+    /// vertices.
     #[test]
     fn drag_by_mass_is_mass_damping(alpha in 0.1..20.0f64, curved: bool, second_order: bool) {
         let scheme = if second_order { Scheme::Bdf2 } else { Scheme::BackwardEuler };
         let drag = Arc::new(Drag(alpha * section().mass_per_length));
         let by_load = step(rod(curved), vec![drag], Damping::default()).with_scheme(scheme);
-        let damped = step(rod(curved), Vec::new(), Damping { stiffness: 0.0, mass: alpha }).with_scheme(scheme);
+        let damping = Damping { stiffness: 0.0, mass: alpha };
+        let damped = step(rod(curved), Vec::new(), damping).with_scheme(scheme);
         let (a, b) = (run(by_load, 0.01, 10), run(damped, 0.01, 10));
         // places are solved to 1e-11 L a step, velocities are differences of them over Δt
         prop_assert!(off(&a, &b).0 <= 1e-8, "{:e}", off(&a, &b).0);

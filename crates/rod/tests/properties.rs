@@ -32,9 +32,13 @@ fn crooked(segments: usize, noise: &[f64]) -> (Vec<V>, Vec<V>, Vec<f64>) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
-    /// The analytic gradient and Hessian are those of the energy, differentiated by second-order dual numbers.
+    /// The analytic gradient and Hessian are those of the energy, differentiated by second-order dual
+    /// numbers.
     #[test]
-    fn derivatives_are_those_of_the_energy(noise in prop::collection::vec(-1.0..1.0f64, 10), turns in -2..3i32) {
+    fn derivatives_are_those_of_the_energy(
+        noise in prop::collection::vec(-1.0..1.0f64, 10),
+        turns in -2..3i32,
+    ) {
         let lengths = [0.11, 0.09];
         let material = Material::new(2e6, 0.4, 1000.0);
         let mut rod = Rod::with_segments(&lengths, &Section::ellipse(&material, 0.02, 0.012)).unwrap();
@@ -64,7 +68,8 @@ proptest! {
         prop_assert!(!(off(&wrong, hessian.as_slice()) <= 1e-12 * size(&ours.hessian)));
     }
 
-    /// Energy does not change when the whole rod moves rigidly; forces turn with it; the Hessian is symmetric.
+    /// Energy does not change when the whole rod moves rigidly; forces turn with it; the Hessian is
+    /// symmetric.
     #[test]
     fn rigid_motion(
         noise in prop::collection::vec(-1.0..1.0f64, 30),
@@ -121,7 +126,8 @@ fn at_rest(model: &ImplicitModel<RodStep>) -> Vec<f64> {
     z
 }
 
-/// ∂E/∂x of a hanging rod by the public energy. Any frames do for an isotropic straight rod: parallel ones, untwisted.
+/// ∂E/∂x of a hanging rod by the public energy. Any frames do for an isotropic straight rod: parallel
+/// ones, untwisted.
 fn elastic_gradient(rod: &Rod, vertices: &[V]) -> Vec<f64> {
     let n = rod.segments();
     let mut d = vec![V::x(); n];
@@ -138,8 +144,8 @@ fn elastic_gradient(rod: &Rod, vertices: &[V]) -> Vec<f64> {
     gradient
 }
 
-/// The equations of every scheme (backward Euler: the paper's, section 3) as they are printed, with all their blocks and
-/// the gradient taken from the public energy.
+/// The equations of every scheme (backward Euler: the paper's, section 3) as they are printed, with all their
+/// blocks and the gradient taken from the public energy.
 #[test]
 fn the_step_solves_the_papers_equations() {
     let (n, h, alpha) = (10, 0.02, 0.8);
@@ -182,8 +188,8 @@ fn the_step_solves_the_papers_equations() {
                     let weight = if c == 2 { -9.81 * rod.masses[v] } else { 0.0 };
                     let force = gradient[3 * v + c] + alpha * rod.masses[v] * at[speed] - weight;
                     let g2 = h * (rod.masses[v] * rate[speed] + force);
-                    // Four places of 1 m are rounded to 1e-15. The last Newton update is below 1e-11 m; springs of
-                    // EA/l̄ = 3e3 N/m over 0.02 s turn that into 1e-9 N s.
+                    // Four places of 1 m are rounded to 1e-15. The last Newton update is below 1e-11 m;
+                    // springs of EA/l̄ = 3e3 N/m over 0.02 s turn that into 1e-9 N s.
                     assert!(
                         g1.abs() <= 5e-15 && g2.abs() <= 1e-9,
                         "{scheme:?}, step {k}, vertex {v}: {g1:e}, {g2:e}"

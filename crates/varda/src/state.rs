@@ -113,7 +113,7 @@ impl StateGroup {
         if self.unit == "1" { String::new() } else { format!(" {}", self.unit) }
     }
 
-    /// Its unit in a heading: " [m]", or nothing for numbers without a unit.
+    /// Its unit in a heading: `" [m]"`, or nothing for numbers without a unit.
     pub fn unit_in_heading(&self) -> String {
         if self.unit == "1" { String::new() } else { format!(" [{}]", self.unit) }
     }

@@ -5,7 +5,7 @@ use super::Result;
 use problems::rods::{DrivenRod, HangingRod, wave};
 use problems::small_problems::lorenz96_window;
 use std::hint::black_box;
-use varda_assimilation::{ControlTransform, CostFunction, GaussNewton, StrongConstraint};
+use varda_assimilation::{ControlTransform, CostFunction, LeastSquares, StrongConstraint};
 use varda_covariance::Diagonal;
 use varda_implicit::line::{Ends, Line, Transport};
 use varda_implicit::lorenz::Lorenz96;

@@ -9,8 +9,8 @@ use problems::small_problems::difference;
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use varda_assimilation::{
-    ControlTransform, CostFunction, GaussNewton, LanczosOptions, LowRankPosterior, ObservationSet, Posterior,
-    StrongConstraint,
+    ControlTransform, CostFunction, LanczosOptions, LeastSquares, LowRankPosterior, ObservationSet,
+    Posterior, StrongConstraint,
 };
 use varda_covariance::{Covariance, Dense};
 use varda_implicit::{ImplicitModel, Model, Storage};

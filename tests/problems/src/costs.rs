@@ -3,7 +3,7 @@
 use crate::rods::{DT, FIRST, HangingRod, rod_scale, rods, wave};
 use std::error::Error;
 use varda_assimilation::{
-    ControlTransform, GaussNewton, Observation, ObservationOperator, ObservationSet, Selection,
+    ControlTransform, LeastSquares, Observation, ObservationOperator, ObservationSet, Selection,
     StrongConstraint,
 };
 use varda_covariance::{Covariance, Dense, Diagonal};
@@ -14,7 +14,7 @@ use varda_rod::{Marker, Markers, Vector3};
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
 /// What is done with each cost: its name, and the cost.
-pub type Visit<'v> = dyn FnMut(&str, &mut dyn GaussNewton) -> Result<()> + 'v;
+pub type Visit<'v> = dyn FnMut(&str, &mut dyn LeastSquares) -> Result<()> + 'v;
 
 /// Makes one cost after the other and hands it to `visit`: the flagship's window, rods of every kind seen by
 /// markers, some of them between two steps, Lorenz 1963 and 1996, explicit and implicit, 3D-Var with and
@@ -87,8 +87,8 @@ fn flagship(visit: &mut Visit) -> Result<()> {
     visit("flagship case 2", &mut StrongConstraint::new(&mut model, transform, &mut set)?)
 }
 
-/// The same test problem around any model: background `z`, values seen from it and moved by a few σ, on the grid of time
-/// of the rods.
+/// The same test problem around any model: background `z`, values seen from it and moved by a few σ, on the
+/// grid of time of the rods.
 fn problem(
     name: &str,
     model: &mut dyn Model,

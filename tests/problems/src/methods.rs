@@ -3,8 +3,8 @@
 use crate::small_problems::{self, coupled, localized, normals, ring};
 use std::error::Error;
 use varda_assimilation::{
-    ControlTransform, CostFunction, Dual, EnVar, Forcing, GaussNewton, Incremental, InnerCost,
-    StrongConstraint, WeakForcing, WeakState,
+    ControlTransform, CostFunction, Dual, EnVar, Forcing, InnerCost, LeastSquares, StrongConstraint,
+    WeakForcing, WeakState,
 };
 use varda_covariance::Hybrid;
 use varda_implicit::lorenz::Lorenz96;
@@ -15,9 +15,9 @@ type Result<T> = std::result::Result<T, Box<dyn Error>>;
 /// A cost, by what it offers.
 pub enum Assembled<'c> {
     /// Products with its Hessian in v.
-    Products(&'c mut dyn GaussNewton),
+    Products(&'c mut dyn LeastSquares),
     /// Products in its increments p; v is made of states.
-    Increments(&'c mut dyn Incremental),
+    Increments(&'c mut dyn LeastSquares),
 }
 
 impl Assembled<'_> {
@@ -43,7 +43,7 @@ pub fn for_each_method(visit: &mut Visit) -> Result<()> {
     let transform = ControlTransform::new(background.clone(), &b)?;
     let some = |steps, held| Forcing { components: vec![0, 2, 4], steps, held };
 
-    let mut products = |name: &str, cost: &mut dyn GaussNewton| {
+    let mut products = |name: &str, cost: &mut dyn LeastSquares| {
         let origin = vec![0.0; cost.dim()];
         visit(name, &origin, Assembled::Products(cost))
     };

@@ -1,8 +1,8 @@
 //! Which registers the processor takes for used.
 #![allow(unsafe_code)]
 
-/// Whether the upper halves of the vector registers (AVX, AVX-512) are in use; `None` where the processor does
-/// not tell.
+/// Whether the upper halves of the vector registers (AVX, AVX-512) are in use; `None` where the processor
+/// does not tell.
 pub fn upper_halves_in_use() -> Option<bool> {
     #[cfg(target_arch = "x86_64")]
     {

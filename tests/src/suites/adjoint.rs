@@ -5,7 +5,7 @@ use crate::row::{Case, Outcome, Row, Rows};
 use problems::costs::for_each_cost;
 use problems::methods::{Assembled, for_each_method};
 use problems::rods::{HangingRod, rod_scale, rods, wave};
-use varda_assimilation::{GaussNewton, Incremental};
+use varda_assimilation::LeastSquares;
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 use varda_implicit::{ControlMap, Error, ImplicitModel, Keep, Model, OneLeg, Rk4, Trajectory, Work, check};
 
@@ -119,15 +119,14 @@ fn initial_map(case: &mut Case, model: &mut dyn Model, scale: &[f64]) -> Outcome
 }
 
 /// G and Gᵀ of an assembled cost, at two successive controls.
-fn assembled(case: &mut Case, cost: &mut dyn GaussNewton) -> Outcome {
+fn assembled(case: &mut Case, cost: &mut dyn LeastSquares) -> Outcome {
     let (n, m) = (cost.dim(), cost.observation_dim());
     for (what, size) in AT {
         let v: Vec<f64> = (0..n).map(|i| size * wave(i, 11)).collect();
         cost.evaluate(&v, Some(&mut vec![0.0; n]))?;
         let cost = std::cell::RefCell::new(&mut *cost);
-        let mut forward = |dv: &[f64], dy: &mut [f64]| Ok(cost.borrow_mut().observation_jacobian(dv, dy)?);
-        let mut backward =
-            |dy: &[f64], dv: &mut [f64]| Ok(cost.borrow_mut().observation_jacobian_transpose(dy, dv)?);
+        let mut forward = |dv: &[f64], dy: &mut [f64]| Ok(cost.borrow_mut().jacobian(dv, dy)?);
+        let mut backward = |dy: &[f64], dv: &mut [f64]| Ok(cost.borrow_mut().jacobian_transpose(dy, dv)?);
         dot_product_row(case, what, n, m, &mut forward, &mut backward)?;
     }
     Ok(())
@@ -138,14 +137,14 @@ const AT: [(&str, f64); 2] =
     [("assembled: dot product, first control", 0.3), ("assembled: dot product, second control", 0.5)];
 
 /// The same of a cost whose products are in its increments.
-fn increments(case: &mut Case, origin: &[f64], cost: &mut dyn Incremental) -> Outcome {
-    let (n, m) = (cost.dim(), cost.departure_dim());
+fn increments(case: &mut Case, origin: &[f64], cost: &mut dyn LeastSquares) -> Outcome {
+    let (n, m) = (cost.dim(), cost.observation_dim());
     for (what, size) in AT {
         let v: Vec<f64> = origin.iter().enumerate().map(|(i, o)| o + size * wave(i, 11)).collect();
         cost.linearize(&v, &mut vec![0.0; n])?;
         let cost = std::cell::RefCell::new(&mut *cost);
-        let mut forward = |p: &[f64], dy: &mut [f64]| Ok(cost.borrow_mut().tangent(p, dy)?);
-        let mut backward = |dy: &[f64], p: &mut [f64]| Ok(cost.borrow_mut().adjoint(dy, p)?);
+        let mut forward = |p: &[f64], dy: &mut [f64]| Ok(cost.borrow_mut().jacobian(p, dy)?);
+        let mut backward = |dy: &[f64], p: &mut [f64]| Ok(cost.borrow_mut().jacobian_transpose(dy, p)?);
         dot_product_row(case, what, n, m, &mut forward, &mut backward)?;
     }
     Ok(())

@@ -15,9 +15,8 @@ use varda::run::{Listener, assimilate};
 use varda::scene::SceneFile;
 use varda::setup::Problem;
 use varda_assimilation::{
-    ControlTransform, CostFunction, EnVar, EnVarOptions, GaussNewton, Incremental, InnerSolver, Iteration,
-    Minimizer, Observation, ObservationSet, OuterLoopOptions, Posterior, Selection, StrongConstraint,
-    outer_loop,
+    ControlTransform, CostFunction, EnVar, EnVarOptions, InnerSolver, Iteration, LeastSquares, Minimizer,
+    Observation, ObservationSet, OuterLoopOptions, Posterior, Selection, StrongConstraint, outer_loop,
 };
 use varda_covariance::{Covariance, Diagonal, Hybrid};
 use varda_implicit::lorenz::Lorenz96;
@@ -394,7 +393,7 @@ fn model_allocations(case: &mut Case, model: &mut dyn Model, z: &[f64]) -> Outco
 }
 
 /// Requests for memory in a cost's calls, after each was made once.
-fn cost_allocations(case: &mut Case, cost: &mut dyn GaussNewton) -> Outcome {
+fn cost_allocations(case: &mut Case, cost: &mut dyn LeastSquares) -> Outcome {
     let n = cost.dim();
     let mut g = vec![0.0; n];
     let mut product = vec![0.0; n];
@@ -416,8 +415,8 @@ fn cost_allocations(case: &mut Case, cost: &mut dyn GaussNewton) -> Outcome {
 }
 
 /// The same for a cost whose products are in its increments.
-fn increment_allocations(case: &mut Case, origin: &[f64], cost: &mut dyn Incremental) -> Outcome {
-    let (mut g, mut dy) = (vec![0.0; cost.dim()], vec![0.0; cost.departure_dim()]);
+fn increment_allocations(case: &mut Case, origin: &[f64], cost: &mut dyn LeastSquares) -> Outcome {
+    let (mut g, mut dy) = (vec![0.0; cost.dim()], vec![0.0; cost.observation_dim()]);
     let at = |s: usize| origin.iter().enumerate().map(|(i, o)| o + 0.1 * wave(i, 80 + s)).collect();
     let points: Vec<Vec<f64>> = (0..4).map(at).collect();
     for (round, pair) in points.chunks_exact(2).enumerate() {
@@ -427,8 +426,8 @@ fn increment_allocations(case: &mut Case, origin: &[f64], cost: &mut dyn Increme
         outcome?;
         let p = g.clone();
         let (apply, outcome) = allocations(|| {
-            cost.tangent(&p, &mut dy)?;
-            cost.adjoint(&dy, &mut g)
+            cost.jacobian(&p, &mut dy)?;
+            cost.jacobian_transpose(&dy, &mut g)
         });
         outcome?;
         if round == 1 {

@@ -5,7 +5,7 @@ use crate::row::{Case, Outcome, Row, Rows};
 use nalgebra::{Rotation3, SVector, Unit, Vector3};
 use problems::costs::for_each_cost;
 use problems::rods::wave;
-use varda_assimilation::GaussNewton;
+use varda_assimilation::LeastSquares;
 use varda_implicit::check;
 use varda_rod::{Derivatives, Error, Framed, Rod, derivatives, energy};
 
@@ -288,7 +288,7 @@ fn times(matrix: &[f64], q: &[f64]) -> Vec<f64> {
 }
 
 /// Gauss–Newton: the product against the matrix made by columns, and its symmetry.
-fn products(case: &mut Case, cost: &mut dyn GaussNewton) -> Outcome {
+fn products(case: &mut Case, cost: &mut dyn LeastSquares) -> Outcome {
     let n = cost.dim();
     let v: Vec<f64> = (0..n).map(|i| 0.2 * wave(i, 71)).collect();
     cost.evaluate(&v, Some(&mut vec![0.0; n]))?;

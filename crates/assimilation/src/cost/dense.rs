@@ -1,20 +1,9 @@
 //! The dense Gauss–Newton Hessian, from G by rows or by columns.
 
+use super::dense_work::Dense;
 use super::{CostFunction, StrongConstraint};
 use crate::Error;
 use varda_linalg::dense::{View, gram};
-
-/// Work space.
-#[derive(Default)]
-pub(super) struct Dense {
-    /// G, m × n by columns, or Gᵀ, n × m by columns.
-    jacobian: Vec<f64>,
-    /// States under way, one after the other.
-    block: Vec<f64>,
-    /// A vector of observations and one of control, zero but where it is being used.
-    dy: Vec<f64>,
-    dv: Vec<f64>,
-}
 
 impl StrongConstraint<'_> {
     /// A = I + GᵀG at the base point. A column of G takes a tangent product for every step of the window, a

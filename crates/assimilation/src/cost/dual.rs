@@ -1,6 +1,6 @@
 //! The dual cost in observation space: PSAS, and 4D-PSAS with a model.
 
-use super::{CostFunction, CostTerms, Counts, GaussNewton, Incremental, dot};
+use super::{CostFunction, CostTerms, Counts, LeastSquares, dot};
 use crate::Error;
 
 /// The dual of the inner cost around an outer iterate (paper 2.12, 2.13; Courtier 1997), whitened by R:
@@ -22,12 +22,14 @@ use crate::Error;
 /// Cost: an adjoint sweep for a value, a tangent sweep more for a gradient; one of each for a product.
 /// Memory: 2m + 2n beside the problem's.
 pub struct Dual<'a> {
-    outer: &'a mut (dyn Incremental + 'a),
+    outer: &'a mut (dyn LeastSquares + 'a),
     b: Vec<f64>,
     /// d + G b.
     right: Vec<f64>,
     dy: Vec<f64>,
-    /// Gᵀ w.
+    /// The last w evaluated, and Gᵀ w.
+    w: Vec<f64>,
+    adjoint: Vec<f64>,
     p: Vec<f64>,
     stale: bool,
     terms: CostTerms,
@@ -41,13 +43,15 @@ impl<'a> Dual<'a> {
     ///
     /// # Panics
     /// If nothing has been linearized.
-    pub fn new(outer: &'a mut (dyn Incremental + 'a)) -> Result<Self, Error> {
-        let (n, m) = (outer.dim(), outer.departure_dim());
+    pub fn new(outer: &'a mut (dyn LeastSquares + 'a)) -> Result<Self, Error> {
+        let (n, m) = (outer.dim(), outer.observation_dim());
         let mut dual = Self {
             outer,
             b: vec![0.0; n],
             right: vec![0.0; m],
             dy: vec![0.0; m],
+            w: vec![0.0; m],
+            adjoint: vec![0.0; n],
             p: vec![0.0; n],
             stale: true,
             terms: CostTerms::default(),
@@ -64,7 +68,7 @@ impl<'a> Dual<'a> {
     /// # Panics
     /// If a slice has the wrong length.
     pub fn increment(&mut self, w: &[f64], p: &mut [f64]) -> Result<(), Error> {
-        self.outer.adjoint(w, p)?;
+        self.outer.jacobian_transpose(w, p)?;
         p.iter_mut().zip(&self.b).for_each(|(p, b)| *p -= b);
         Ok(())
     }
@@ -72,7 +76,7 @@ impl<'a> Dual<'a> {
     fn refresh(&mut self) -> Result<(), Error> {
         if self.stale {
             self.outer.departures(&mut self.b, &mut self.right);
-            self.outer.tangent(&self.b, &mut self.dy)?;
+            self.outer.jacobian(&self.b, &mut self.dy)?;
             self.right.iter_mut().zip(&self.dy).for_each(|(r, dy)| *r += dy);
             self.stale = false;
         }
@@ -87,7 +91,7 @@ impl CostFunction for Dual<'_> {
 
     fn evaluate(&mut self, w: &[f64], gradient: Option<&mut [f64]>) -> Result<f64, Error> {
         self.refresh()?;
-        self.outer.adjoint(w, &mut self.p)?;
+        self.outer.jacobian_transpose(w, &mut self.p)?;
         let terms = CostTerms {
             background: 0.5 * dot(&self.p, &self.p),
             observation: w.iter().zip(&self.right).map(|(w, r)| w * (0.5 * w - r)).sum(),
@@ -97,9 +101,11 @@ impl CostFunction for Dual<'_> {
             return Err(Error::NonFinite { what: "the dual cost", step: 0 });
         }
         if let Some(gradient) = gradient {
-            self.outer.tangent(&self.p, gradient)?;
+            self.outer.jacobian(&self.p, gradient)?;
             gradient.iter_mut().zip(w.iter().zip(&self.right)).for_each(|(g, (w, r))| *g += w - r);
         }
+        self.w.copy_from_slice(w);
+        self.adjoint.copy_from_slice(&self.p);
         self.terms = terms;
         Ok(terms.total())
     }
@@ -120,22 +126,28 @@ impl CostFunction for Dual<'_> {
 }
 
 /// Primal and dual with their parts exchanged: the Hessian is I + G Gᵀ, its "Jacobian" Gᵀ.
-impl GaussNewton for Dual<'_> {
+impl LeastSquares for Dual<'_> {
     fn observation_dim(&self) -> usize {
         self.b.len()
     }
 
-    fn observation_jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
-        self.outer.adjoint(dv, dy)
+    /// w − (d + G b) and −Gᵀ w: half the sum of their squares is J̃ and a constant.
+    fn departures(&self, b: &mut [f64], d: &mut [f64]) {
+        b.iter_mut().zip(self.w.iter().zip(&self.right)).for_each(|(b, (w, right))| *b = w - right);
+        d.iter_mut().zip(&self.adjoint).for_each(|(d, p)| *d = -p);
     }
 
-    fn observation_jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
-        self.outer.tangent(dy, dv)
+    fn jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
+        self.outer.jacobian_transpose(dv, dy)
+    }
+
+    fn jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
+        self.outer.jacobian(dy, dv)
     }
 
     fn hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error> {
-        self.outer.adjoint(dv, &mut self.p)?;
-        self.outer.tangent(&self.p, out)?;
+        self.outer.jacobian_transpose(dv, &mut self.p)?;
+        self.outer.jacobian(&self.p, out)?;
         out.iter_mut().zip(dv).for_each(|(out, dv)| *out += dv);
         Ok(())
     }

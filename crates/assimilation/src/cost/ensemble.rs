@@ -4,7 +4,7 @@ mod analysis;
 
 pub use analysis::{EnVarOptions, EnsembleUpdate};
 
-use super::{CostFunction, CostTerms, Counts, GaussNewton, dot};
+use super::{CostFunction, CostTerms, Counts, LeastSquares, dot};
 use crate::{ControlTransform, Error, ObservationSet};
 #[cfg(feature = "rayon")]
 use rayon::prelude::*;
@@ -16,9 +16,11 @@ use varda_linalg::dense::{View, product};
 /// 2015), linearized about a control v₀:
 ///
 /// ```text
-///     J(v)   = ½‖v‖² + ½‖d₀ − G (v − v₀)‖²,    d₀ = R^{-1/2} (y − H(M(z₀))),    z₀ = z_b + U v₀
+///     J(v)   = ½‖v‖² + ½‖d₀ − G (v − v₀)‖²,    d₀ = R^{-1/2} (y − H(M(z₀))),
+///     z₀ = z_b + U v₀
 ///     G      = [β_s R^{-1/2} H' P U_s,  β_e Y_i ∘ ρ_j],    v = [v_s, v_e]
-///     Y_i    = R^{-1/2} (H(M(z₀ + ε √(N−1) x_i)) − mean) / (ε √(N−1)),    ρ_j = localization root c_j at the observations
+///     Y_i    = R^{-1/2} (H(M(z₀ + ε √(N−1) x_i)) − mean) / (ε √(N−1)),
+///     ρ_j = localization root c_j at the observations
 /// ```
 ///
 /// Every member x_i of the [`Ensemble`] is one forward run about z₀; no tangent or adjoint of the model is
@@ -414,7 +416,7 @@ pub(crate) fn run_all<'m>(
     for (run, _) in &ended {
         log.add(run);
     }
-    Ok(ended.into_iter().map(|(_, ended)| ended).collect::<Result<(), _>>()?)
+    Ok(ended.into_iter().try_for_each(|(_, ended)| ended)?)
 }
 
 /// Fills `states`, x₀ first, with the run from the control z.
@@ -491,18 +493,25 @@ impl CostFunction for EnVar<'_> {
     }
 }
 
-impl GaussNewton for EnVar<'_> {
+impl LeastSquares for EnVar<'_> {
     fn observation_dim(&self) -> usize {
         self.observations.dim()
     }
 
-    fn observation_jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
+    /// v and d₀ − G (v − v₀) of the last evaluation.
+    fn departures(&self, b: &mut [f64], d: &mut [f64]) {
+        b.iter_mut().zip(self.base.v.iter().zip(&self.dv)).for_each(|(b, (v, dv))| *b = v + dv);
+        self.forward(&self.dv, d);
+        d.iter_mut().zip(&self.base.d).for_each(|(d, d0)| *d = d0 / self.scale - *d);
+    }
+
+    fn jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
         assert!(dv.len() == self.dim() && dy.len() == self.observation_dim(), "lengths of dv and dy");
         self.forward(dv, dy);
         Ok(())
     }
 
-    fn observation_jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
+    fn jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
         assert!(dv.len() == self.dim() && dy.len() == self.observation_dim(), "lengths of dv and dy");
         self.transpose(dy, dv);
         Ok(())

@@ -31,7 +31,7 @@ impl Forcing {
 
 /// What the control is made of beyond the initial state.
 #[derive(Clone, Copy)]
-pub(super) enum Over<'a> {
+pub(super) enum WeakControl<'a> {
     /// Whitened forcing, η = Q^{1/2} p.
     Forcing { q: &'a dyn Covariance },
     /// The states at the ends of the sub-windows (and z itself).
@@ -39,24 +39,24 @@ pub(super) enum Over<'a> {
 }
 
 /// Model error in a window that is run to step `last`.
-pub(super) struct Errors<'a> {
-    pub(super) over: Over<'a>,
+pub(super) struct ModelErrorTerm<'a> {
+    pub(super) over: WeakControl<'a>,
     forcing: Forcing,
     last: usize,
     physical: Vec<f64>,
     whitened: Vec<f64>,
 }
 
-impl<'a> Errors<'a> {
+impl<'a> ModelErrorTerm<'a> {
     pub(super) fn new(
         forcing: Forcing,
-        over: Over<'a>,
+        over: WeakControl<'a>,
         state_dim: usize,
         last: usize,
     ) -> Result<Self, Error> {
         let q: &dyn Covariance = match over {
-            Over::Forcing { q } => q,
-            Over::States { q, .. } => q,
+            WeakControl::Forcing { q } => q,
+            WeakControl::States { q, .. } => q,
         };
         let found = forcing.components.len();
         if q.dim() != found {
@@ -105,8 +105,8 @@ impl<'a> Errors<'a> {
 
     fn q(&self) -> &'a dyn Covariance {
         match self.over {
-            Over::Forcing { q } => q,
-            Over::States { q, .. } => q,
+            WeakControl::Forcing { q } => q,
+            WeakControl::States { q, .. } => q,
         }
     }
 
@@ -140,13 +140,13 @@ impl<'a> Errors<'a> {
         landings[slot * n..(slot + 1) * n].copy_from_slice(x_next);
         let v = &v[j * r..(j + 1) * r];
         match self.over {
-            Over::Forcing { q } => {
+            WeakControl::Forcing { q } => {
                 q.root(v, &mut self.physical);
                 for (&c, eta) in self.forcing.components.iter().zip(&self.physical) {
                     x_next[c] += eta;
                 }
             }
-            Over::States { q, .. } => {
+            WeakControl::States { q, .. } => {
                 for ((&c, eta), v) in self.forcing.components.iter().zip(&mut self.physical).zip(v) {
                     *eta = v - x_next[c];
                     x_next[c] = *v;

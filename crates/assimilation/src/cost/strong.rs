@@ -1,8 +1,8 @@
 //! Strong-constraint 4D-Var; with a window of zero steps, 3D-Var.
 
-use super::dense::Dense;
-use super::model_error::{Errors, Over};
-use super::{CostFunction, CostTerms, Counts, GaussNewton, Incremental, dot};
+use super::dense_work::Dense;
+use super::model_error::{ModelErrorTerm, WeakControl};
+use super::{CostFunction, CostTerms, Counts, LeastSquares, dot};
 use crate::{ControlTransform, Error, ObservationSet};
 use varda_implicit::{Footprint, Keep, Log, Model, Storage, Trajectory};
 
@@ -10,7 +10,8 @@ use varda_implicit::{Footprint, Keep, Log, Model, Storage, Trajectory};
 /// and Hollingsworth 1994):
 ///
 /// ```text
-///     J(v)  = ½‖v‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹},    x₀ = x₀(z),    x_{k+1} = M_k(x_k)
+///     J(v)  = ½‖v‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹},    x₀ = x₀(z),
+///     x_{k+1} = M_k(x_k)
 ///     ∇J(v) = v − Gᵀ R^{-1/2} d,    A = I + GᵀG,    G = R^{-1/2} H M B^{1/2}
 /// ```
 ///
@@ -33,7 +34,7 @@ pub struct StrongConstraint<'a> {
     pub(super) transform: ControlTransform<'a>,
     pub(super) observations: &'a mut ObservationSet,
     /// With model error: the engine of the weak-constraint costs.
-    pub(super) errors: Option<Errors<'a>>,
+    pub(super) errors: Option<ModelErrorTerm<'a>>,
     /// R^{-1/2} of independent rows, 1 of correlated ones, with the scale of σ in force: R^{-1/2} is this
     /// after the whitening of the correlated blocks.
     pub(super) root_precision: Vec<f64>,
@@ -122,7 +123,7 @@ impl<'a> StrongConstraint<'a> {
         model: &'a mut (dyn Model + 'a),
         transform: ControlTransform<'a>,
         observations: &'a mut ObservationSet,
-        errors: Errors<'a>,
+        errors: ModelErrorTerm<'a>,
     ) -> Result<Self, Error> {
         let Self { model, transform, observations, state_dim, .. } =
             Self::new(model, transform, observations)?;
@@ -134,11 +135,11 @@ impl<'a> StrongConstraint<'a> {
         state_dim: usize,
         transform: ControlTransform<'a>,
         observations: &'a mut ObservationSet,
-        errors: Option<Errors<'a>>,
+        errors: Option<ModelErrorTerm<'a>>,
     ) -> Self {
         let (n_z, m) = (transform.control_dim(), observations.dim());
-        let n = transform.dim() + errors.as_ref().map_or(0, Errors::dim);
-        let landings = errors.as_ref().map_or(0, Errors::slots) * state_dim;
+        let n = transform.dim() + errors.as_ref().map_or(0, ModelErrorTerm::dim);
+        let landings = errors.as_ref().map_or(0, ModelErrorTerm::slots) * state_dim;
         let last = observations.last_step().unwrap_or(0);
         let point = || Point {
             valid: false,
@@ -286,7 +287,7 @@ impl<'a> StrongConstraint<'a> {
         kept.copy_from_slice(v);
         let head = self.transform.dim();
         match self.errors.as_ref().map(|e| e.over) {
-            Some(Over::States { b, .. }) => {
+            Some(WeakControl::States { b, .. }) => {
                 z.copy_from_slice(&v[..head]);
                 for ((dz, z), background) in self.dz.iter_mut().zip(&*z).zip(self.transform.background()) {
                     *dz = z - background;
@@ -471,17 +472,40 @@ impl CostFunction for StrongConstraint<'_> {
     }
 }
 
-impl GaussNewton for StrongConstraint<'_> {
+impl LeastSquares for StrongConstraint<'_> {
     fn observation_dim(&self) -> usize {
         self.observations.dim()
     }
 
-    fn observation_jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
+    fn linearize(&mut self, v: &[f64], gradient: &mut [f64]) -> Result<f64, Error> {
+        // The inner problem is one of least squares; Huber's norm is not.
+        if self.huber.is_finite() {
+            return Err(Error::Setting {
+                what: "a Huber threshold in an incremental or dual form",
+                value: self.huber,
+            });
+        }
+        self.evaluate(v, Some(gradient))
+    }
+
+    fn background_dim(&self) -> usize {
+        self.transform.dim()
+    }
+
+    fn departures(&self, b: &mut [f64], d: &mut [f64]) {
+        assert!(self.based, "evaluate a gradient first");
+        b.copy_from_slice(&self.base.prior);
+        self.observations.innovations(&self.base.predicted, d);
+        self.observations.whiten_blocks(d);
+        d.iter_mut().zip(&self.root_precision).for_each(|(d, root)| *d *= root);
+    }
+
+    fn jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
         self.return_to_base()?;
         self.tangent_sweep(dv, dy)
     }
 
-    fn observation_jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
+    fn jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
         assert_eq!(dy.len(), self.observations.dim(), "length of dy");
         self.return_to_base()?;
         let mut whitened = std::mem::take(&mut self.dy);
@@ -508,43 +532,6 @@ impl GaussNewton for StrongConstraint<'_> {
     fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
         self.return_to_base()?;
         self.dense_hessian(out)
-    }
-}
-
-impl Incremental for StrongConstraint<'_> {
-    fn linearize(&mut self, v: &[f64], gradient: &mut [f64]) -> Result<f64, Error> {
-        // The inner problem is one of least squares; Huber's norm is not.
-        if self.huber.is_finite() {
-            return Err(Error::Setting {
-                what: "a Huber threshold in an incremental or dual form",
-                value: self.huber,
-            });
-        }
-        self.evaluate(v, Some(gradient))
-    }
-
-    fn departure_dim(&self) -> usize {
-        self.observations.dim()
-    }
-
-    fn background_dim(&self) -> usize {
-        self.transform.dim()
-    }
-
-    fn departures(&self, b: &mut [f64], d: &mut [f64]) {
-        assert!(self.based, "evaluate a gradient first");
-        b.copy_from_slice(&self.base.prior);
-        self.observations.innovations(&self.base.predicted, d);
-        self.observations.whiten_blocks(d);
-        d.iter_mut().zip(&self.root_precision).for_each(|(d, root)| *d *= root);
-    }
-
-    fn tangent(&mut self, p: &[f64], dy: &mut [f64]) -> Result<(), Error> {
-        self.observation_jacobian(p, dy)
-    }
-
-    fn adjoint(&mut self, dy: &[f64], p: &mut [f64]) -> Result<(), Error> {
-        self.observation_jacobian_transpose(dy, p)
     }
 }
 

@@ -1,7 +1,7 @@
 //! The direct solve of the weak-constraint increment over states, for small problems.
 
 use super::StrongConstraint;
-use crate::{Error, GaussNewton};
+use crate::{Error, LeastSquares};
 use varda_covariance::Precision;
 use varda_linalg::axpy;
 use varda_linalg::dense::{Cholesky, Matrix};
@@ -10,8 +10,10 @@ use varda_linalg::dense::{Cholesky, Matrix};
 /// Q^{1/2} s_j), where p = T s:
 ///
 /// ```text
-///     T_jj = I,    T_{j+1,j} = −F_j,    F_j = Q^{-1/2} M_j (B or Q)^{1/2},    C_j = R^{-1/2} H M (B or Q)^{1/2} of sub-window j
-///     (TᵀT + CᵀC) s = −Tᵀ g :    diagonal blocks I + F_jᵀF_j + C_jᵀC_j,    below them −F_j + C_{j+1}ᵀ C_j
+///     T_jj = I,    T_{j+1,j} = −F_j,    F_j = Q^{-1/2} M_j (B or Q)^{1/2},
+///     C_j = R^{-1/2} H M (B or Q)^{1/2} of sub-window j
+///     (TᵀT + CᵀC) s = −Tᵀ g :    diagonal blocks I + F_jᵀF_j + C_jᵀC_j,
+///     below them −F_j + C_{j+1}ᵀ C_j
 /// ```
 ///
 /// An observation between two steps couples neighbours and no others. Costs a tangent run of every sub-window

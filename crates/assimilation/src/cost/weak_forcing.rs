@@ -1,7 +1,7 @@
 //! Weak-constraint 4D-Var over the forcing of the model.
 
-use super::model_error::{Errors, Over};
-use super::{CostFunction, CostTerms, Counts, Forcing, GaussNewton, Incremental, StrongConstraint};
+use super::model_error::{ModelErrorTerm, WeakControl};
+use super::{CostFunction, CostTerms, Counts, Forcing, LeastSquares, StrongConstraint};
 use crate::{ControlTransform, Error, ObservationSet};
 use varda_covariance::Covariance;
 use varda_implicit::Model;
@@ -11,7 +11,8 @@ use varda_implicit::Model;
 ///
 /// ```text
 ///     J(v, p) = ½‖v‖² + ½ Σ_j ‖p_j‖² + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹}
-///     x₀ = x₀(z_b + B^{1/2} v),    x_{k+1} = M_k(x_k) + E Q^{1/2} p_j,    ‖p_j‖² = ‖η_j‖²_{Q⁻¹}
+///     x₀ = x₀(z_b + B^{1/2} v),    x_{k+1} = M_k(x_k) + E Q^{1/2} p_j,
+///     ‖p_j‖² = ‖η_j‖²_{Q⁻¹}
 /// ```
 ///
 /// The control is (v, p_1 … p_N); its gradient is one adjoint sweep, λ being read off as it passes:
@@ -45,7 +46,7 @@ impl<'a> WeakForcing<'a> {
         observations: &'a mut ObservationSet,
     ) -> Result<Self, Error> {
         let last = observations.last_step().unwrap_or(0);
-        let errors = Errors::new(forcing, Over::Forcing { q }, model.dim(), last)?;
+        let errors = ModelErrorTerm::new(forcing, WeakControl::Forcing { q }, model.dim(), last)?;
         Ok(Self { window: StrongConstraint::weak(model, transform, observations, errors)? })
     }
 
@@ -56,7 +57,7 @@ impl<'a> WeakForcing<'a> {
 
     /// N, the number of forcings.
     pub fn forcings(&self) -> usize {
-        self.window.errors.as_ref().map_or(0, Errors::count)
+        self.window.errors.as_ref().map_or(0, ModelErrorTerm::count)
     }
 
     /// η_j = Q^{1/2} p_j of a control, on the forced components.
@@ -65,7 +66,9 @@ impl<'a> WeakForcing<'a> {
     /// If there is no such forcing, or a slice has the wrong length.
     pub fn forcing(&self, v: &[f64], j: usize, eta: &mut [f64]) {
         assert!(v.len() == self.dim() && j < self.forcings(), "forcing {j}");
-        let Some(Errors { over: Over::Forcing { q }, .. }) = &self.window.errors else { unreachable!() };
+        let Some(ModelErrorTerm { over: WeakControl::Forcing { q }, .. }) = &self.window.errors else {
+            unreachable!()
+        };
         q.root(&v[self.window.transform().dim() + j * q.root_dim()..][..q.root_dim()], eta);
     }
 
@@ -113,35 +116,13 @@ impl CostFunction for WeakForcing<'_> {
     }
 }
 
-impl GaussNewton for WeakForcing<'_> {
+impl LeastSquares for WeakForcing<'_> {
     fn observation_dim(&self) -> usize {
         self.window.observation_dim()
     }
 
-    fn observation_jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
-        self.window.observation_jacobian(dv, dy)
-    }
-
-    fn observation_jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
-        self.window.observation_jacobian_transpose(dy, dv)
-    }
-
-    fn hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error> {
-        self.window.hessian_apply(dv, out)
-    }
-
-    fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
-        self.window.hessian(out)
-    }
-}
-
-impl Incremental for WeakForcing<'_> {
     fn linearize(&mut self, v: &[f64], gradient: &mut [f64]) -> Result<f64, Error> {
         self.window.linearize(v, gradient)
-    }
-
-    fn departure_dim(&self) -> usize {
-        self.window.departure_dim()
     }
 
     fn background_dim(&self) -> usize {
@@ -152,11 +133,19 @@ impl Incremental for WeakForcing<'_> {
         self.window.departures(b, d);
     }
 
-    fn tangent(&mut self, p: &[f64], dy: &mut [f64]) -> Result<(), Error> {
-        self.window.tangent(p, dy)
+    fn jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
+        self.window.jacobian(dv, dy)
     }
 
-    fn adjoint(&mut self, dy: &[f64], p: &mut [f64]) -> Result<(), Error> {
-        self.window.adjoint(dy, p)
+    fn jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
+        self.window.jacobian_transpose(dy, dv)
+    }
+
+    fn hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error> {
+        self.window.hessian_apply(dv, out)
+    }
+
+    fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        self.window.hessian(out)
     }
 }

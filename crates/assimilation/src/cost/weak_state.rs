@@ -1,7 +1,7 @@
 //! Weak-constraint 4D-Var over all states.
 
-use super::model_error::{Errors, Over};
-use super::{CostFunction, CostTerms, Counts, Forcing, Incremental, StrongConstraint};
+use super::model_error::{ModelErrorTerm, WeakControl};
+use super::{CostFunction, CostTerms, Counts, Forcing, LeastSquares, StrongConstraint};
 use crate::{ControlTransform, Error, ObservationSet};
 use varda_covariance::Precision;
 use varda_implicit::Model;
@@ -10,7 +10,9 @@ use varda_implicit::Model;
 /// Fisher and Gürol 2017):
 ///
 /// ```text
-///     J(z, ξ_1 … ξ_N) = ½‖z − z_b‖²_{B⁻¹} + ½ Σ_j ‖ξ_j − Eᵀ M(x_{j−1})‖²_{Q⁻¹} + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹}
+///     J(z, ξ_1 … ξ_N) = ½‖z − z_b‖²_{B⁻¹}
+///                       + ½ Σ_j ‖ξ_j − Eᵀ M(x_{j−1})‖²_{Q⁻¹}
+///                       + ½ Σ_k ‖y_k − H_k(x_k)‖²_{R_k⁻¹}
 /// ```
 ///
 /// The control is z and ξ_j, the forced components of the state at the end of every sub-window, in their own
@@ -65,7 +67,7 @@ impl<'a> WeakState<'a> {
             }
         }
         let last = observations.last_step().unwrap_or(0);
-        let errors = Errors::new(forcing, Over::States { b, q }, model.dim(), last)?;
+        let errors = ModelErrorTerm::new(forcing, WeakControl::States { b, q }, model.dim(), last)?;
         let transform = ControlTransform::new(background, b)?;
         let window = StrongConstraint::weak(model, transform, observations, errors)?;
         let physical = vec![0.0; b.dim().max(q.dim())];
@@ -203,13 +205,13 @@ impl CostFunction for WeakState<'_> {
     }
 }
 
-impl Incremental for WeakState<'_> {
+impl LeastSquares for WeakState<'_> {
     fn linearize(&mut self, v: &[f64], gradient: &mut [f64]) -> Result<f64, Error> {
         self.window.evaluate(v, Some(gradient))
     }
 
-    fn departure_dim(&self) -> usize {
-        self.window.departure_dim()
+    fn observation_dim(&self) -> usize {
+        self.window.observation_dim()
     }
 
     fn background_dim(&self) -> usize {
@@ -220,12 +222,25 @@ impl Incremental for WeakState<'_> {
         self.window.departures(b, d);
     }
 
-    fn tangent(&mut self, p: &[f64], dy: &mut [f64]) -> Result<(), Error> {
-        self.window.tangent(p, dy)
+    fn jacobian(&mut self, p: &[f64], dy: &mut [f64]) -> Result<(), Error> {
+        self.window.jacobian(p, dy)
     }
 
-    fn adjoint(&mut self, dy: &[f64], p: &mut [f64]) -> Result<(), Error> {
-        self.window.adjoint(dy, p)
+    fn jacobian_transpose(&mut self, dy: &[f64], p: &mut [f64]) -> Result<(), Error> {
+        self.window.jacobian_transpose(dy, p)
+    }
+
+    fn hessian_apply(&mut self, p: &[f64], out: &mut [f64]) -> Result<(), Error> {
+        self.window.hessian_apply(p, out)
+    }
+
+    fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        self.window.hessian(out)
+    }
+
+    /// v is made of states.
+    fn is_whitened(&self) -> bool {
+        false
     }
 
     /// δx = L⁻¹ D^{1/2} p: one tangent sweep without observations.

@@ -1,7 +1,7 @@
 //! J_o and the products with R^{-1/2}: rows with independent errors, correlated blocks, the Huber norm.
 
 use super::StrongConstraint;
-use super::robust::huber;
+use super::huber::huber;
 
 impl StrongConstraint<'_> {
     /// dy ← √ρ'' R^{-1/2} dy.

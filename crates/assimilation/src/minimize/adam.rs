@@ -1,6 +1,6 @@
 //! Adam, the paper's baseline without a Hessian.
 
-use super::{Iteration, Minimum, Progress, Start, Status, check_tolerance};
+use super::minimum::{Iteration, Minimum, Progress, Start, Status, check_tolerance};
 use crate::{CostFunction, Error};
 use std::ops::ControlFlow;
 
@@ -38,7 +38,8 @@ impl Default for AdamOptions {
 /// Adam (Kingma and Ba 2014, Algorithm 1; the paper's first minimizer):
 ///
 /// ```text
-///     m ← β₁ m + (1 − β₁) g,    s ← β₂ s + (1 − β₂) g²,    v ← v − α (m / (1 − β₁ᵗ)) / (√(s / (1 − β₂ᵗ)) + ε)    (by components)
+///     m ← β₁ m + (1 − β₁) g,    s ← β₂ s + (1 − β₂) g²,
+///     v ← v − α (m / (1 − β₁ᵗ)) / (√(s / (1 − β₂ᵗ)) + ε)    (by components)
 /// ```
 ///
 /// When to use: as the baseline the paper compares with. When not: for an answer. It is blind to couplings

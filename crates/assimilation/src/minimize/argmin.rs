@@ -1,8 +1,8 @@
 //! Solvers of the argmin crate behind our costs: to compare with, and to check ours against.
 
-use super::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance};
+use super::minimum::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance};
 use crate::cost::norm;
-use crate::{CostFunction, Error, GaussNewton};
+use crate::{CostFunction, Error, LeastSquares};
 use ::argmin::core::{self as core, IterState, Problem, Solver, State};
 use ::argmin::solver::linesearch::MoreThuenteLineSearch;
 use ::argmin::solver::quasinewton::LBFGS;
@@ -79,7 +79,7 @@ pub fn argmin_lbfgs(
 /// # Panics
 /// If `v` is not of length `cost.dim()`.
 pub fn argmin_trust_region(
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &ArgminOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
@@ -101,7 +101,7 @@ pub(super) fn run_lbfgs(
 }
 
 pub(super) fn run_trust_region(
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &ArgminOptions,
     start: &Start,
@@ -200,7 +200,7 @@ impl AsCost for dyn CostFunction + '_ {
     }
 }
 
-impl AsCost for dyn GaussNewton + '_ {
+impl AsCost for dyn LeastSquares + '_ {
     fn as_cost(&mut self) -> &mut dyn CostFunction {
         self
     }
@@ -282,7 +282,7 @@ impl<C: AsCost + ?Sized> core::Gradient for Adapter<'_, C> {
     }
 }
 
-impl<'a, 'b> core::Hessian for Adapter<'a, dyn GaussNewton + 'b> {
+impl<'a, 'b> core::Hessian for Adapter<'a, dyn LeastSquares + 'b> {
     type Param = Vec<f64>;
     type Hessian = Hessian<'a, 'b>;
 
@@ -295,7 +295,7 @@ impl<'a, 'b> core::Hessian for Adapter<'a, dyn GaussNewton + 'b> {
 
 /// Products with A around the point of the last gradient.
 struct Hessian<'a, 'b> {
-    shared: Rc<RefCell<Shared<'a, dyn GaussNewton + 'b>>>,
+    shared: Rc<RefCell<Shared<'a, dyn LeastSquares + 'b>>>,
 }
 
 impl Clone for Hessian<'_, '_> {

@@ -1,7 +1,9 @@
 //! The trust region, and where it is likely to end in a wrong minimum other starts too.
 
-use super::{Iteration, Minimizer, Minimum, Start, Status, TrustRegionOptions, continuation};
-use crate::{Error, GaussNewton};
+use super::continuation::{Stage, WAY, stages};
+use super::minimum::{Iteration, Minimum, Start, Status};
+use super::trust_region::{self, TrustRegionOptions};
+use crate::{Error, LeastSquares};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -15,11 +17,11 @@ pub struct AutoOptions {
     /// Where J_o at the first point exceeds this many times m, one run is not trusted.
     pub threshold: f64,
     /// What σ is multiplied by in turn in the runs that follow; each ends with 1.
-    pub ladders: Vec<Vec<f64>>,
+    pub continuation: Vec<Vec<f64>>,
     /// Runs from draws of the prior at most, after them: every other one down the first ladder.
-    pub draws: usize,
+    pub prior_samples: usize,
     /// Where the first run took more outer iterations than this, all runs are made, whether or not two agree.
-    pub rough: usize,
+    pub restart_threshold: usize,
     /// Seed of the draws.
     pub seed: u64,
 }
@@ -27,11 +29,11 @@ pub struct AutoOptions {
 impl Default for AutoOptions {
     fn default() -> Self {
         Self {
-            trust_region: TrustRegionOptions { beside: 60, ..TrustRegionOptions::default() },
+            trust_region: TrustRegionOptions { jump_retries: 60, ..TrustRegionOptions::default() },
             threshold: 10.0,
-            ladders: vec![vec![10.0, 3.0, 1.0], vec![16.0, 8.0, 4.0, 2.0, 1.0]],
-            draws: 6,
-            rough: 40,
+            continuation: vec![vec![10.0, 3.0, 1.0], vec![16.0, 8.0, 4.0, 2.0, 1.0]],
+            prior_samples: 6,
+            restart_threshold: 40,
             seed: 0,
         }
     }
@@ -41,14 +43,14 @@ impl Default for AutoOptions {
 /// runs until two have come to the same lowest end.
 ///
 /// One run is trusted where it converged and J_o ≤ 10 m at the first point (m observations). Else the same
-/// point is taken down two ladders of inflated errors ([`continuation`] through σ × 10, 3, 1 and σ × 16,
-/// 8, 4, 2, 1), then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down the first ladder and
-/// straight, at most six. It stops as soon as two runs have converged to the lowest J seen (to 10⁻⁶ of
-/// it), unless the first took more than 40 outer iterations: then all are made. All look beside steps that a
-/// jump of J refuses ([`TrustRegionOptions::beside`]). The lowest end is returned; an end where the minimizer
-/// stalled (the edge of a jump of J) only where it is lower than every converged one by 10⁻³ of J. The
-/// tolerance of every run refers to the gradient at the first point. Rows of all runs are reported, each
-/// counting on from the one before.
+/// point is taken down two ladders of inflated errors ([`continuation`](crate::continuation) through σ ×
+/// 10, 3, 1 and σ × 16, 8, 4, 2, 1), then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down
+/// the first ladder and straight, at most six. It stops as soon as two runs have converged to the lowest J
+/// seen (to 10⁻⁶ of it), unless the first took more than 40 outer iterations: then all are made. All look
+/// beside steps that a jump of J refuses ([`TrustRegionOptions::jump_retries`]). The lowest end is returned;
+/// an end where the minimizer stalled (the edge of a jump of J) only where it is lower than every converged
+/// one by 10⁻³ of J. The tolerance of every run refers to the gradient at the first point. Rows of all
+/// runs are reported, each counting on from the one before.
 ///
 /// When to use: where the observations are much more precise than the background and the model is nonlinear,
 /// so that J may have several minima. When not: where one is known to exist, or where time matters more than
@@ -66,12 +68,12 @@ impl Default for AutoOptions {
 /// where J jumps. Memory: that of the trust region.
 ///
 /// # Errors
-/// As for [`Minimizer::minimize`](crate::Minimizer::minimize) and [`continuation`].
+/// As for [`Minimizer::minimize`](crate::Minimizer::minimize) and [`continuation`](crate::continuation).
 ///
 /// # Panics
 /// If `v` is not of length `cost.dim()`.
 pub fn auto(
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &AutoOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
@@ -80,7 +82,7 @@ pub fn auto(
 }
 
 pub(super) fn run(
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &AutoOptions,
     start: &Start,
@@ -89,11 +91,20 @@ pub(super) fn run(
     if !(options.threshold >= 0.0) {
         return Err(Error::Setting { what: "threshold", value: options.threshold });
     }
-    let minimizer = Minimizer::TrustRegion(options.trust_region.clone());
+    let last = &options.trust_region;
+    let early = TrustRegionOptions { gradient_tolerance: last.gradient_tolerance.max(WAY), ..last.clone() };
+    let mut minimize = |cost: &mut dyn LeastSquares,
+                        v: &mut [f64],
+                        stage: Stage,
+                        start: &Start,
+                        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>| {
+        let options = if stage == Stage::Early { &early } else { last };
+        trust_region::run(cost, v, options, start, on_iteration)
+    };
     let first = v.to_vec();
     cost.evaluate(v, None)?;
     let hard = cost.terms().observation > options.threshold * cost.observation_dim() as f64;
-    let mut best = minimizer.run(cost, v, start, on_iteration)?;
+    let mut best = minimize(cost, v, Stage::Last, start, on_iteration)?;
     let mut ends = vec![(best.value, best.status)];
     let mut from = Start {
         gradient_norm: Some(best.gradient_norm_first),
@@ -101,7 +112,7 @@ pub(super) fn run(
         inner: best.inner_iterations,
         ..*start
     };
-    let rough = best.outer_iterations - start.index > options.rough;
+    let rough = best.outer_iterations - start.index > options.restart_threshold;
     let mut interrupted = best.status == Status::Interrupted;
     if !hard && best.status == Status::Converged {
         return Ok(best);
@@ -110,24 +121,24 @@ pub(super) fn run(
     let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
     let mut other = first.clone();
     let straight = vec![1.0];
-    for attempt in 0..options.ladders.len() + options.draws {
+    for attempt in 0..options.continuation.len() + options.prior_samples {
         if interrupted || (!rough && found_twice(&best, &ends)) {
             break;
         }
-        let scales = match attempt.checked_sub(options.ladders.len()) {
+        let scales = match attempt.checked_sub(options.continuation.len()) {
             None => {
                 other.copy_from_slice(&first);
-                &options.ladders[attempt]
+                &options.continuation[attempt]
             }
             Some(draw) => {
                 other.fill_with(|| StandardNormal.sample(&mut rng));
                 if cost.evaluate(&other, None).is_err() {
                     continue;
                 }
-                options.ladders.first().filter(|_| draw % 2 == 0).unwrap_or(&straight)
+                options.continuation.first().filter(|_| draw % 2 == 0).unwrap_or(&straight)
             }
         };
-        let end = continuation::run(&minimizer, cost, &mut other, scales, &from, on_iteration)?;
+        let end = stages(&mut minimize, cost, &mut other, scales, &from, on_iteration)?;
         (from.index, from.inner) = (end.outer_iterations, end.inner_iterations);
         interrupted = end.status == Status::Interrupted;
         ends.push((end.value, end.status));

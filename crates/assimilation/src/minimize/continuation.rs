@@ -1,52 +1,41 @@
 //! Observation-error continuation: for costs with several minima.
 
-use super::{Iteration, Minimizer, Minimum, Start, Status};
+use super::minimum::{Iteration, Minimum, Start, Status};
 use crate::cost::norm;
-use crate::{Error, GaussNewton};
+use crate::{Error, LeastSquares};
 use std::ops::ControlFlow;
 
-/// Minimizes J with every σ multiplied by each of `scales` in turn (say 10, 3, 1), each stage from where the
-/// one before ended.
-///
-/// Inflated errors flatten J towards its prior part, ½‖v‖², which has one minimum: the path then
-/// follows that minimum down instead of falling into the nearest one. The early stages only need to find the
-/// way, and stop when their gradient has fallen to 10⁻³ of its first value; a stage that ends otherwise
-/// than converged still hands its point on. The tolerance of the last stage, and the first gradient norm
-/// reported, refer to the true cost at the first point. Leaves the true cost in force.
-///
-/// When to use: precise observations and a background far from them. When not: chaotic models, whose minima
-/// come from the length of the window ([`window_growth`](crate::window_growth)). Cost: a minimization a
-/// stage, the early ones short. Memory: that of the minimizer.
-///
-/// # Errors
-/// Scales that are empty, not positive and finite, or do not end with 1; else as for
-/// [`Minimizer::minimize`].
-///
-/// # Panics
-/// If `v` is not of length `cost.dim()`.
-pub fn continuation(
-    minimizer: &Minimizer,
-    cost: &mut dyn GaussNewton,
-    v: &mut [f64],
-    scales: &[f64],
-    on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
-) -> Result<Minimum, Error> {
-    run(minimizer, cost, v, scales, &Start::default(), on_iteration)
+/// A minimization from a start: of an early stage, which only finds the way, or of the last one.
+pub(super) type Minimize<'a> = dyn FnMut(
+        &mut dyn LeastSquares,
+        &mut [f64],
+        Stage,
+        &Start,
+        &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+    ) -> Result<Minimum, Error>
+    + 'a;
+
+/// Which stage of a continuation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Stage {
+    /// With inflated errors: it ends when its gradient has fallen to [`WAY`].
+    Early,
+    /// With the true errors.
+    Last,
 }
 
-pub(super) fn run(
-    minimizer: &Minimizer,
-    cost: &mut dyn GaussNewton,
+/// Relative gradient at which an early stage has found the way.
+pub(super) const WAY: f64 = 1e-3;
+
+/// The stages of [`continuation`](crate::continuation), each by `minimize`.
+pub(super) fn stages(
+    minimize: &mut Minimize,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     scales: &[f64],
     start: &Start,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    // Its own ladder would be one too many.
-    let minimizer = match minimizer {
-        Minimizer::Auto(options) => &Minimizer::TrustRegion(options.trust_region.clone()),
-        other => other,
-    };
     if let Some(&scale) = scales.iter().find(|s| !(**s > 0.0 && s.is_finite())) {
         return Err(Error::Setting { what: "sigma_scales", value: scale });
     }
@@ -64,7 +53,7 @@ pub(super) fn run(
     for &scale in early {
         cost.set_observation_scale(scale);
         let stage = Start { scale, gradient_norm: None, ..start };
-        let ended = loose(minimizer).run(cost, v, &stage, on_iteration);
+        let ended = minimize(cost, v, Stage::Early, &stage, on_iteration);
         cost.set_observation_scale(1.0);
         let ended = ended?;
         start.index = ended.outer_iterations;
@@ -80,13 +69,5 @@ pub(super) fn run(
             });
         }
     }
-    minimizer.run(cost, v, &start, on_iteration)
-}
-
-/// The same minimizer, content with finding the way.
-fn loose(minimizer: &Minimizer) -> Minimizer {
-    let mut loose = minimizer.clone();
-    let tolerance = loose.gradient_tolerance_mut();
-    *tolerance = tolerance.max(1e-3);
-    loose
+    minimize(cost, v, Stage::Last, &start, on_iteration)
 }

@@ -1,8 +1,8 @@
 //! The paper's minimizer: Newton's method with the dense Hessian (2.18) and full steps.
 
-use super::{Iteration, Minimum, Progress, Start, Status, check_tolerance};
+use super::minimum::{Iteration, Minimum, Progress, Start, Status, check_tolerance};
 use crate::cost::norm;
-use crate::{Error, GaussNewton};
+use crate::{Error, LeastSquares};
 use std::ops::ControlFlow;
 use varda_linalg::dense::Cholesky;
 
@@ -39,7 +39,7 @@ impl Default for NewtonOptions {
 /// # Panics
 /// If `v` is not of length `cost.dim()`.
 pub fn newton(
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &NewtonOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
@@ -48,7 +48,7 @@ pub fn newton(
 }
 
 pub(super) fn run(
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &NewtonOptions,
     start: &Start,

@@ -1,10 +1,10 @@
 //! Gauss–Newton with truncated conjugate gradients and a line search.
 
+use super::minimum::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance, forcing};
 use super::preconditioner::Preconditioner;
 use super::spectral::Spectral;
-use super::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance, forcing};
 use crate::cost::{dot, norm};
-use crate::{Error, GaussNewton};
+use crate::{Error, LeastSquares};
 use std::ops::ControlFlow;
 use varda_linalg::krylov::{Lanczos, LanczosLimits};
 
@@ -51,7 +51,7 @@ impl Default for NewtonCgOptions {
 /// # Panics
 /// If `v` is not of length `cost.dim()`.
 pub fn newton_cg(
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &NewtonCgOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
@@ -60,7 +60,7 @@ pub fn newton_cg(
 }
 
 pub(super) fn run(
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &NewtonCgOptions,
     start: &Start,

@@ -1,7 +1,7 @@
 //! Spectral preconditioning of an inner problem by what the ones before it have found.
 
-use super::RitzPair;
 use crate::cost::dot;
+use varda_linalg::krylov::RitzPair;
 
 /// A limited-memory preconditioner (Fisher 1998; Tshimanga, Gratton, Weaver and Sartenaer 2008, the spectral
 /// form):

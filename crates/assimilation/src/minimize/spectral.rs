@@ -66,7 +66,13 @@ impl Spectral {
 
     /// The step for a gradient that differs from g by `share` of its norm, in a direction drawn at random
     /// within the span; the decrease is that of q.
-    pub(super) fn step_beside(&self, share: f64, rng: &mut ChaCha8Rng, radius: f64, p: &mut [f64]) -> Step {
+    pub(super) fn perturbed_step(
+        &self,
+        share: f64,
+        rng: &mut ChaCha8Rng,
+        radius: f64,
+        p: &mut [f64],
+    ) -> Step {
         let mut other: Vec<f64> = self.slope.iter().map(|_| StandardNormal.sample(rng)).collect();
         let scale = share * norm(&self.slope) / norm(&other);
         other.iter_mut().zip(&self.slope).for_each(|(o, c)| *o = c + scale * *o);

@@ -1,10 +1,10 @@
 //! The default minimizer: a trust region in the control space, on the true J.
 
+use super::minimum::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance, forcing};
 use super::secant::Secant;
 use super::spectral::Spectral;
-use super::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance, forcing};
 use crate::cost::norm;
-use crate::{Error, GaussNewton};
+use crate::{Error, LeastSquares};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use std::ops::ControlFlow;
@@ -37,8 +37,8 @@ pub struct TrustRegionOptions {
     pub max_inner: usize,
     /// Rank-one terms kept of the learnt second-order part; 0 leaves plain Gauss–Newton.
     pub secant_terms: usize,
-    /// Steps tried beside one that a jump of J refused, at most; 0 for none.
-    pub beside: usize,
+    /// Maximum number of perturbed retries after a step is rejected at a discontinuity of J; 0 disables them.
+    pub jump_retries: usize,
 }
 
 impl Default for TrustRegionOptions {
@@ -50,7 +50,7 @@ impl Default for TrustRegionOptions {
             dense_limit: 100,
             max_inner: 100,
             secant_terms: 60,
-            beside: 0,
+            jump_retries: 0,
         }
     }
 }
@@ -58,7 +58,8 @@ impl Default for TrustRegionOptions {
 /// Levenberg–Marquardt in trust-region form:
 ///
 /// ```text
-///     p = argmin  ∇Jᵀp + ½ pᵀ(A + S)p    over    ‖p‖ ≤ Δ        ⇔        (A + S + λI) p = −∇J,   λ ≥ 0
+///     p = argmin  ∇Jᵀp + ½ pᵀ(A + S)p    over    ‖p‖ ≤ Δ    ⇔
+///     (A + S + λI) p = −∇J,   λ ≥ 0
 /// ```
 ///
 /// with A the Gauss–Newton Hessian and S what symmetric rank-one updates have learnt of the second
@@ -71,10 +72,11 @@ impl Default for TrustRegionOptions {
 /// the accuracy of the model, and says so.
 ///
 /// **Jumps of J.** An implicit step from a wild state may have several solutions, and which one is found may
-/// change from one point to the next without pattern: J then jumps between smooth sheets. With `beside` > 0 a
-/// step refused by a jump (a rise that does not shrink with the step, or late in the run one ten times the
-/// predicted decrease) is followed by that many others, each the step for a gradient changed at random by 40,
-/// 10, 2.5 and 0.6 per cent of its norm (a fixed seed), until one falls on the lower sheet.
+/// change from one point to the next without pattern: J then jumps between smooth sheets. Where
+/// `jump_retries` is not 0, a step refused by a jump (a rise that does not shrink with the step, or late in
+/// the run one ten times the predicted decrease) is followed by that many others, each the step for a
+/// gradient changed at random by 40, 10, 2.5 and 0.6 per cent of its norm (a fixed seed), until one falls on
+/// the lower sheet.
 ///
 /// J never rises by more than its rounding. The minimum found is the one whose basin the path leads into; for
 /// costs with several see [`continuation`](crate::continuation).
@@ -93,7 +95,7 @@ impl Default for TrustRegionOptions {
 /// # Panics
 /// If `v` is not of length `cost.dim()`.
 pub fn trust_region(
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &TrustRegionOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
@@ -102,7 +104,7 @@ pub fn trust_region(
 }
 
 pub(super) fn run(
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &TrustRegionOptions,
     start: &Start,
@@ -155,7 +157,7 @@ pub(super) fn run(
             } else {
                 let share = 0.4 * 0.25f64.powi((beside % 4) as i32);
                 let length = widest * 0.5f64.powi((beside / 8) as i32);
-                spectral.step_beside(share, &mut rng, length, &mut p)
+                spectral.perturbed_step(share, &mut rng, length, &mut p)
             };
             trial.iter_mut().zip(v.iter().zip(&p)).for_each(|(t, (v, p))| *t = v + p);
             let by_gradient = step.decrease <= NOISE * progress.value;
@@ -200,11 +202,12 @@ pub(super) fn run(
                 radius =
                     step.norm * if ratio.is_finite() { (0.5 / (1.0 - ratio)).clamp(0.1, 0.5) } else { 0.25 };
             }
-            beside = if (jump || beside > 0) && beside < options.beside { beside + 1 } else { 0 };
+            beside = if (jump || beside > 0) && beside < options.jump_retries { beside + 1 } else { 0 };
             if beside > 0 {
                 continue;
             }
-            if !(radius > 1e-13 * (1.0 + norm(v))) || (by_gradient && progress.rejected >= 8 + options.beside)
+            if !(radius > 1e-13 * (1.0 + norm(v)))
+                || (by_gradient && progress.rejected >= 8 + options.jump_retries)
             {
                 return Ok(progress.end(Status::Stalled, failure, ritz));
             }
@@ -230,7 +233,7 @@ enum Inner {
 
 impl Inner {
     /// Fetches A at the point of the last gradient.
-    fn refresh(&mut self, cost: &mut dyn GaussNewton) -> Result<(), Error> {
+    fn refresh(&mut self, cost: &mut dyn LeastSquares) -> Result<(), Error> {
         match self {
             Self::Dense { hessian, .. } => cost.hessian(hessian),
             Self::Krylov { .. } => Ok(()),
@@ -238,7 +241,7 @@ impl Inner {
     }
 
     /// out = A p.
-    fn gauss_newton(&self, cost: &mut dyn GaussNewton, p: &[f64], out: &mut [f64]) -> Result<(), Error> {
+    fn gauss_newton(&self, cost: &mut dyn LeastSquares, p: &[f64], out: &mut [f64]) -> Result<(), Error> {
         match self {
             Self::Dense { hessian, .. } => {
                 out.fill(0.0);
@@ -254,7 +257,7 @@ impl Inner {
     /// The quadratic model at the point of the last gradient g, with S where it is trusted.
     fn model(
         &mut self,
-        cost: &mut dyn GaussNewton,
+        cost: &mut dyn LeastSquares,
         secant: &Secant,
         g: &[f64],
         residual: f64,

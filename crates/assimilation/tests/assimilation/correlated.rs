@@ -6,7 +6,7 @@ use crate::models::{all_of, normals, observation};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use varda_assimilation::{
-    Blue, ControlTransform, CostFunction, EnVar, Error, Gain, GaussNewton, InnerSolver, LinearObservation,
+    Blue, ControlTransform, CostFunction, EnVar, Error, Gain, InnerSolver, LeastSquares, LinearObservation,
     Minimizer, Observation, ObservationSet, OuterLoopOptions, Posterior, StrongConstraint, outer_loop,
 };
 use varda_covariance::{Covariance, Dense, Ensemble, Localization};
@@ -172,8 +172,8 @@ fn gradient_products_and_dense_hessians_agree_along_a_trajectory() {
         let (v, dv, dy) = (normals(50, 3), normals(51, 3), normals(52, m));
         cost.evaluate(&v, Some(&mut [0.0; 3])).unwrap();
         let (mut gv, mut gty, mut av) = (vec![0.0; m], vec![0.0; 3], vec![0.0; 3]);
-        cost.observation_jacobian(&dv, &mut gv).unwrap();
-        cost.observation_jacobian_transpose(&dy, &mut gty).unwrap();
+        cost.jacobian(&dv, &mut gv).unwrap();
+        cost.jacobian_transpose(&dy, &mut gty).unwrap();
         let dot = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
         let (left, right) = (dot(&gv, &dy), dot(&dv, &gty));
         // Sums of some ten products.

@@ -111,12 +111,12 @@ fn a_wrong_adjoint_is_caught() {
 }
 
 /// |⟨G dv, w⟩ − ⟨dv, Gᵀ w⟩|, relative to the norms.
-fn dot_product_error(cost: &mut dyn GaussNewton) -> f64 {
+fn dot_product_error(cost: &mut dyn LeastSquares) -> f64 {
     let (n, m) = (cost.dim(), cost.observation_dim());
     let (dv, w) = (normals(11, n), normals(12, m));
     let (mut dy, mut back) = (vec![0.0; m], vec![0.0; n]);
-    cost.observation_jacobian(&dv, &mut dy).unwrap();
-    cost.observation_jacobian_transpose(&w, &mut back).unwrap();
+    cost.jacobian(&dv, &mut dy).unwrap();
+    cost.jacobian_transpose(&w, &mut back).unwrap();
     let (left, right) = (dot(&dy, &w), dot(&dv, &back));
     assert!(left.abs() > 1e-3 * norm(&dy) * norm(&w), "an empty test");
     (left - right).abs() / (norm(&dy) * norm(&w))
@@ -151,7 +151,7 @@ fn hessian_products_agree_with_the_matrix_and_with_differences_of_predictions() 
     // G from differences of the predictions themselves.
     let m = cost.observation_dim();
     let mut dy = vec![0.0; m];
-    cost.observation_jacobian(&dv, &mut dy).unwrap();
+    cost.jacobian(&dv, &mut dy).unwrap();
     let sigma = cost.observations().sigma().to_vec();
     let mut predicted = |h: f64| {
         let moved: Vec<f64> = v.iter().zip(&dv).map(|(v, d)| v + h * d).collect();

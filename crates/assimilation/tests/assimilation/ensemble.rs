@@ -225,8 +225,8 @@ fn gradient_and_products_at_two_successive_linearizations() {
         }
         let (dv, w) = (normals(at + 30, n), normals(at + 40, m));
         let (mut dy, mut back) = (vec![0.0; m], vec![0.0; n]);
-        cost.observation_jacobian(&dv, &mut dy).unwrap();
-        cost.observation_jacobian_transpose(&w, &mut back).unwrap();
+        cost.jacobian(&dv, &mut dy).unwrap();
+        cost.jacobian_transpose(&w, &mut back).unwrap();
         assert!((dot(&dy, &w) - dot(&dv, &back)).abs() <= 1e-14 * norm(&dy) * norm(&w) * 10.0);
         let mut hessian = vec![0.0; n * n];
         cost.hessian(&mut hessian).unwrap();

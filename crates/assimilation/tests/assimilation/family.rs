@@ -145,7 +145,7 @@ fn a_gain_that_cannot_be_factorized_is_a_typed_error() {
 }
 
 /// The iterates of both inner solvers, until the residual has fallen by 1e-10, at a given outer iterate.
-fn compare_iterates(problem: &mut dyn Incremental, v: &[f64]) -> (usize, f64) {
+fn compare_iterates(problem: &mut dyn LeastSquares, v: &[f64]) -> (usize, f64) {
     let n = problem.dim();
     let (mut g, mut primal, mut dual) = (vec![0.0; n], vec![0.0; n], vec![0.0; n]);
     problem.linearize(v, &mut g).unwrap();

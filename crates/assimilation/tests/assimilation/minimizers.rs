@@ -26,7 +26,7 @@ impl Valley {
         Self { c, wall, at: [f64::NAN; 2], terms: CostTerms::default(), counts: Counts::default() }
     }
 
-    fn jacobian(&self) -> [[f64; 2]; 2] {
+    fn slopes(&self) -> [[f64; 2]; 2] {
         [[-2.0 * self.c * self.at[0], self.c], [-1.0, 0.0]]
     }
 }
@@ -45,7 +45,7 @@ impl CostFunction for Valley {
         if let Some(g) = gradient {
             self.counts.gradients += 1;
             self.at = [v[0], v[1]];
-            let j = self.jacobian();
+            let j = self.slopes();
             (g[0], g[1]) = (j[0][0] * r[0] + j[1][0] * r[1], j[0][1] * r[0] + j[1][1] * r[1]);
         }
         Ok(self.terms.total())
@@ -59,23 +59,28 @@ impl CostFunction for Valley {
     }
 }
 
-impl GaussNewton for Valley {
+impl LeastSquares for Valley {
     fn observation_dim(&self) -> usize {
         2
     }
-    fn observation_jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
-        self.jacobian().iter().zip(dy).for_each(|(row, dy)| *dy = dot(row, dv));
+    /// Both residuals, as if they were observed; nothing is known before.
+    fn departures(&self, b: &mut [f64], d: &mut [f64]) {
+        b.fill(0.0);
+        (d[0], d[1]) = (-self.c * (self.at[1] - self.at[0] * self.at[0]), self.at[0] - 1.0);
+    }
+    fn jacobian(&mut self, dv: &[f64], dy: &mut [f64]) -> Result<(), Error> {
+        self.slopes().iter().zip(dy).for_each(|(row, dy)| *dy = dot(row, dv));
         Ok(())
     }
-    fn observation_jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
-        let j = self.jacobian();
+    fn jacobian_transpose(&mut self, dy: &[f64], dv: &mut [f64]) -> Result<(), Error> {
+        let j = self.slopes();
         (0..2).for_each(|i| dv[i] = j[0][i] * dy[0] + j[1][i] * dy[1]);
         Ok(())
     }
     fn hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error> {
         let mut dy = [0.0; 2];
-        self.observation_jacobian(dv, &mut dy)?;
-        self.observation_jacobian_transpose(&dy, out)
+        self.jacobian(dv, &mut dy)?;
+        self.jacobian_transpose(&dy, out)
     }
     fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
         self.hessian_apply(&[1.0, 0.0], &mut out[..2])?;

@@ -104,8 +104,10 @@ fn bad_observations_are_refused_by_name() {
     for entry in [(0, 1, f64::NAN), (1, 0, 1.0), (0, 2, 1.0)] {
         let refused = LinearObservation::new(1, 2, &[(0, 0, 1.0), entry]).err();
         let (row, column, _) = entry;
-        assert!(
-            matches!(refused, Some(Error::OperatorEntry { row: r, rows: 1, column: c, columns: 2, .. }) if (r, c) == (row, column))
-        );
+        assert!(matches!(
+            refused,
+            Some(Error::OperatorEntry { row: r, rows: 1, column: c, columns: 2, .. })
+                if (r, c) == (row, column)
+        ));
     }
 }

@@ -17,7 +17,7 @@ fn quiet(_: &Iteration) -> ControlFlow<()> {
 const LORENZ96: &str = include_str!("../../../../tests/fixtures/twin/l96.json");
 const LINEAR: &str = include_str!("../../../../tests/fixtures/twin/lin3dvar.json");
 
-type Check<'a> = dyn FnMut(&mut dyn GaussNewton, &ControlTransform, &[f64], Minimum) + 'a;
+type Check<'a> = dyn FnMut(&mut dyn LeastSquares, &ControlTransform, &[f64], Minimum) + 'a;
 
 /// One of the fixtures at its minimum, found by L-BFGS that keeps every pair. Lorenz-96: n = 40, all of them
 /// seen; the linear one: n = 100, 25 seen.
@@ -51,7 +51,7 @@ fn at_the_minimum(text: &str, check: &mut Check) {
 
 /// A⁻¹ by columns, from the inverse of its Cholesky factor through `Dense`: independent of the eigenpairs
 /// under test.
-fn inverse(cost: &mut dyn GaussNewton) -> Vec<f64> {
+fn inverse(cost: &mut dyn LeastSquares) -> Vec<f64> {
     use varda_covariance::Precision;
     let n = cost.dim();
     let mut hessian = vec![0.0; n * n];
@@ -135,7 +135,7 @@ fn check_three_ways(text: &str, runs: &[(f64, usize)], most_products: usize) {
         let bound = (estimate / (1.0 - 3.0 * (2.0 / 20.0f64).sqrt()).sqrt()).min(1.0);
         assert!(found <= bound && apart(&by_lbfgs) <= bound, "{found} {} {bound}", apart(&by_lbfgs));
 
-        let from_lbfgs = |max_products, tolerance, rng: &mut ChaCha8Rng, cost: &mut dyn GaussNewton| {
+        let from_lbfgs = |max_products, tolerance, rng: &mut ChaCha8Rng, cost: &mut dyn LeastSquares| {
             let options = LanczosOptions { tolerance, max_products, ..Default::default() };
             let refined = LowRankPosterior::refined(&known, cost, &options, rng).unwrap();
             let (found, bound) = (error(&refined, &inverse), refined.error_bound().unwrap());

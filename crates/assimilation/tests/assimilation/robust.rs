@@ -57,8 +57,8 @@ fn gradient_and_hessian_at_two_successive_controls() {
 
         let (dv, w) = (normals(seed + 60, n), normals(seed + 70, m));
         let (mut dy, mut back) = (vec![0.0; m], vec![0.0; n]);
-        cost.observation_jacobian(&dv, &mut dy).unwrap();
-        cost.observation_jacobian_transpose(&w, &mut back).unwrap();
+        cost.jacobian(&dv, &mut dy).unwrap();
+        cost.jacobian_transpose(&w, &mut back).unwrap();
         assert!((dot(&dy, &w) - dot(&dv, &back)).abs() <= 1e-14 * norm(&dy) * norm(&w));
         assert_eq!(dy.iter().filter(|dy| **dy == 0.0).count(), m - inside);
         let (mut product, mut hessian) = (vec![0.0; n], vec![0.0; n * n]);

@@ -39,9 +39,9 @@ fn bits(cost: &mut StrongConstraint) -> Vec<u64> {
         keep(&[cost.evaluate(&dv, None).unwrap()]);
         cost.hessian_apply(&dv, &mut g).unwrap();
         keep(&g);
-        cost.observation_jacobian_transpose(&w, &mut g).unwrap();
+        cost.jacobian_transpose(&w, &mut g).unwrap();
         keep(&g);
-        cost.observation_jacobian(&dv, &mut dy).unwrap();
+        cost.jacobian(&dv, &mut dy).unwrap();
         keep(&dy);
         cost.hessian(&mut hessian).unwrap();
         keep(&hessian);

@@ -13,7 +13,7 @@ fn partial(n: usize) -> Forcing {
     Forcing { components: (0..n).step_by(2).collect(), steps: 3, held: false }
 }
 
-fn minimize(problem: &mut dyn Incremental, v: &mut [f64], inner: InnerSolver) -> Minimum {
+fn minimize(problem: &mut dyn LeastSquares, v: &mut [f64], inner: InnerSolver) -> Minimum {
     let options = OuterLoopOptions {
         inner,
         gradient_tolerance: 1e-11,
@@ -83,12 +83,12 @@ fn gradients_are_those_of_j_in_both_forms() {
 }
 
 /// |⟨G p, w⟩ − ⟨p, Gᵀ w⟩|, relative to the norms.
-fn transposed(problem: &mut dyn Incremental) -> f64 {
-    let (n, m) = (problem.dim(), problem.departure_dim());
+fn transposed(problem: &mut dyn LeastSquares) -> f64 {
+    let (n, m) = (problem.dim(), problem.observation_dim());
     let (p, w) = (normals(66, n), normals(67, m));
     let (mut dy, mut back) = (vec![0.0; m], vec![0.0; n]);
-    problem.tangent(&p, &mut dy).unwrap();
-    problem.adjoint(&w, &mut back).unwrap();
+    problem.jacobian(&p, &mut dy).unwrap();
+    problem.jacobian_transpose(&w, &mut back).unwrap();
     assert!(dot(&dy, &w).abs() > 1e-3 * norm(&dy) * norm(&w), "an empty test");
     (dot(&dy, &w) - dot(&p, &back)).abs() / (norm(&dy) * norm(&w))
 }

@@ -6,13 +6,15 @@ use super::taylor::{fit, taylor_step};
 use super::vectors::{Random, differing, norm_of};
 use crate::{Error, Model};
 
-/// Columns of one product that are rounded in another order than a single column may differ by this share of their size.
+/// Columns of one product that are rounded in another order than a single column may differ by this share of
+/// their size.
 const COLUMNS: f64 = 1e-12;
 
-/// Every check of a model over the first `steps` steps from the control z, with perturbations of the size of `scale` (of a
-/// state; those of the control are its first components): all of [`conformance`] at the first and at the last of these
-/// steps, from the states that the model reaches; a step that no other step changes; two slots that do not disturb each
-/// other; and the map of the control: the same bits again, its tangent (Taylor), its transpose (dot product).
+/// Every check of a model over the first `steps` steps from the control z, with perturbations of the size of
+/// `scale` (of a state; those of the control are its first components): all of [`conformance`] at the first
+/// and at the last of these steps, from the states that the model reaches; a step that no other step changes;
+/// two slots that do not disturb each other; and the map of the control: the same bits again, its tangent
+/// (Taylor), its transpose (dot product).
 ///
 /// A term that vanishes in the states given shows nothing: take a control without zeros, and several steps.
 ///
@@ -149,9 +151,10 @@ fn slots(
     ])
 }
 
-/// Every check of a model on step k from the state x, with perturbations of the size of `scale`: same input, same bits;
-/// a zero perturbation stays zero; the tangent is linear; it is the derivative (Taylor); the adjoint is its transpose;
-/// products with several columns are those of the single ones; linearizing twice gives the same bits.
+/// Every check of a model on step k from the state x, with perturbations of the size of `scale`: same input,
+/// same bits; a zero perturbation stays zero; the tangent is linear; it is the derivative (Taylor); the
+/// adjoint is its transpose; products with several columns are those of the single ones; linearizing twice
+/// gives the same bits.
 ///
 /// # Errors
 /// Those of the model and of the single checks.

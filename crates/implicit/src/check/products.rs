@@ -15,7 +15,8 @@ pub struct DotProduct {
     pub value: f64,
     /// 50 ε `condition`.
     pub bound: f64,
-    /// Estimate of ‖M‖ ‖dx‖ / ‖M dx‖, the condition of the product M dx: ‖M‖ by twelve power iterations with MᵀM.
+    /// Estimate of ‖M‖ ‖dx‖ / ‖M dx‖, the condition of the product M dx: ‖M‖ by twelve power
+    /// iterations with MᵀM.
     pub condition: f64,
     /// Whether `value` ≤ `bound`.
     pub pass: bool,
@@ -27,8 +28,8 @@ const WORST_CONDITION: f64 = 1e10;
 /// Relative error of a gradient that a minimizer can live with.
 const WORST_GRADIENT: f64 = 1e-4;
 
-/// The dot-product test of the linearizations in the given slots, one after the other, with random vectors drawn from
-/// `seed`.
+/// The dot-product test of the linearizations in the given slots, one after the other, with random vectors
+/// drawn from `seed`.
 ///
 /// # Errors
 /// [`Error::EmptyTest`] where M dx or Mᵀ λ is zero, or so small beside ‖M‖ that rounding rules it.
@@ -53,7 +54,8 @@ pub fn dot_product(
     compare(&dx, &m_dx, &lambda, &mt_lambda, norm, [scale, scale])
 }
 
-/// ‖M‖ in scaled variables from below, by `products` power iterations with MᵀM from v; the last one ends at M v.
+/// ‖M‖ in scaled variables from below, by `products` power iterations with MᵀM from v; the last one
+/// ends at M v.
 fn norm_by_powers(
     model: &mut dyn Model,
     slots: std::ops::Range<usize>,
@@ -82,8 +84,8 @@ fn norm_by_powers(
 pub struct Amplification {
     /// ‖M‖ of the window in scaled variables, an estimate from below.
     pub norm: f64,
-    /// ε ‖M‖: rounding at the start of the window as it arrives at its end, the relative error of a gradient to a
-    /// factor of some ten (states are larger than `scale`, and every step rounds).
+    /// ε ‖M‖: rounding at the start of the window as it arrives at its end, the relative error of a
+    /// gradient to a factor of some ten (states are larger than `scale`, and every step rounds).
     pub gradient_error: f64,
     /// Whether `gradient_error` ≤ 1e-4: a minimizer can converge on such a gradient.
     pub reliable: bool,
@@ -100,22 +102,24 @@ impl Amplification {
     pub fn warning(&self) -> Option<String> {
         (!self.reliable).then(|| {
             format!(
-                "the window amplifies perturbations {:.0e} times: its gradient is right to {:.0e} at best; shorten the window, \
-                 or observe more often and let errors of the model in (weak constraint)",
+                "the window amplifies perturbations {:.0e} times: its gradient is right to {:.0e} at best; \
+                 shorten the window, or observe more often and let errors of the model in (weak constraint)",
                 self.norm, self.gradient_error
             )
         })
     }
 }
 
-/// Estimates ‖M‖ of the linearizations in the given slots and with it the accuracy of gradients over them: six products with MᵀM from a
-/// vector drawn from `seed`. In a chaotic system ‖M‖ grows like exp(λ₁ T) with the window's length T, and ε ‖M‖ with it.
+/// Estimates ‖M‖ of the linearizations in the given slots and with it the accuracy of gradients over
+/// them: six products with MᵀM from a vector drawn from `seed`. In a chaotic system ‖M‖ grows like
+/// exp(λ₁ T) with the window's length T, and ε ‖M‖ with it.
 ///
 /// # Errors
 /// [`Error::EmptyTest`] where M is zero or so large that it is not finite.
 ///
 /// # Panics
-/// If a slot holds no linearization or `scale` (a typical perturbation of each component) has the wrong length.
+/// If a slot holds no linearization or `scale` (a typical perturbation of each component) has the wrong
+/// length.
 pub fn amplification(
     model: &mut dyn Model,
     slots: std::ops::Range<usize>,
@@ -128,8 +132,9 @@ pub fn amplification(
     Ok(Amplification::of(norm_by_powers(model, slots, v, scale, 6)?))
 }
 
-/// Compares ⟨M dx, λ⟩ with ⟨dx, Mᵀ λ⟩ for products already made, and a norm of M in scaled variables (a larger one
-/// loosens the bound). `scales` are those of dx and of M dx, which may differ in length.
+/// Compares ⟨M dx, λ⟩ with ⟨dx, Mᵀ λ⟩ for products already made, and a norm of M in scaled
+/// variables (a larger one loosens the bound). `scales` are those of dx and of M dx, which may differ in
+/// length.
 ///
 /// # Errors
 /// [`Error::EmptyTest`] where a vector is zero, or M dx so small that rounding rules it.

@@ -9,10 +9,10 @@ use crate::{Error, Rhs};
 /// Two forms of the adjoint may differ by this share of its norm: some tens of roundings.
 const SAME_ADJOINT: f64 = 1e-14;
 
-/// Every check of a right-hand side f at (t, x), with perturbations of the size of `scale`: same input, same bits; the
-/// tangent is the derivative of f (Taylor), and the adjoint its transpose (dot product); the two forms of the adjoint
-/// agree; the structure is one of an n × n matrix and has a diagonal; the Jacobian, given or made from tangents in that
-/// structure, has the products of the tangent.
+/// Every check of a right-hand side f at (t, x), with perturbations of the size of `scale`: same input, same
+/// bits; the tangent is the derivative of f (Taylor), and the adjoint its transpose (dot product); the two
+/// forms of the adjoint agree; the structure is one of an n × n matrix and has a diagonal; the Jacobian,
+/// given or made from tangents in that structure, has the products of the tangent.
 ///
 /// A term that vanishes at x shows nothing: take a state without zeros.
 ///

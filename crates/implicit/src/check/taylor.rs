@@ -7,8 +7,9 @@ use varda_linalg::dot;
 /// A Taylor test: remainders of first order against the size of the perturbation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Taylor {
-    /// Slope of log remainder over log step, fitted by least squares: 2 for a right derivative (more where the second
-    /// derivative vanishes along the direction, infinite for a function that is linear to rounding), 1 for a wrong one.
+    /// Slope of log remainder over log step, fitted by least squares: 2 for a right derivative (more where
+    /// the second derivative vanishes along the direction, infinite for a function that is linear to
+    /// rounding), 1 for a wrong one.
     pub slope: f64,
     /// The slope must be at least this.
     pub bound: f64,
@@ -33,8 +34,8 @@ const ABOVE_ROUNDING: f64 = 100.0;
 /// Taylor test of a scalar function: |J(x + h d) − J(x) − h ⟨g, d⟩| must fall like h².
 ///
 /// # Errors
-/// What `function` returns; [`Error::EmptyTest`] where d or ⟨g, d⟩ and all differences are zero, or no range of steps is
-/// left between truncation and rounding.
+/// What `function` returns; [`Error::EmptyTest`] where d or ⟨g, d⟩ and all differences are zero, or no
+/// range of steps is left between truncation and rounding.
 ///
 /// # Panics
 /// If lengths differ.
@@ -57,7 +58,8 @@ pub fn taylor(
     })
 }
 
-/// Taylor test of step k of a model at x: ‖M(x + h d) − M(x) − h M′ d‖ must fall like h². Linearizes step k at x.
+/// Taylor test of step k of a model at x: ‖M(x + h d) − M(x) − h M′ d‖ must fall like h².
+/// Linearizes step k at x.
 ///
 /// # Errors
 /// Those of the model; [`Error::EmptyTest`] as for [`taylor`].
@@ -92,9 +94,9 @@ pub fn taylor_step(
 
 /// Fits the slope of a remainder given as (size of the difference, size of the remainder) for a step h.
 ///
-/// Steps fall from 1 by halves to 2⁻⁴⁶. What is left at the smallest steps is rounding; of the remainders well above it,
-/// those at the smallest steps are used, where terms of higher order are least. Steps at which the function fails are
-/// passed over while they are the largest.
+/// Steps fall from 1 by halves to 2⁻⁴⁶. What is left at the smallest steps is rounding; of the
+/// remainders well above it, those at the smallest steps are used, where terms of higher order are least.
+/// Steps at which the function fails are passed over while they are the largest.
 pub(super) fn fit(remainder: &mut dyn FnMut(f64) -> Result<(f64, f64), Error>) -> Result<Taylor, Error> {
     let mut points = Vec::new();
     let mut failure = None;

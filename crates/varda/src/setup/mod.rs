@@ -1,4 +1,4 @@
-//! From a scene to a [`Problem`](problem::Problem): models, background, covariance, observations.
+//! From a scene to a [`Problem`]: models, background, covariance, observations.
 
 pub(crate) mod adaptive_steps;
 pub mod climatology;

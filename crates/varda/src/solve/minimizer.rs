@@ -3,8 +3,8 @@
 use std::ops::ControlFlow;
 
 use varda_assimilation::{
-    AdamOptions, ArgminOptions, AutoOptions, Blue, CostFunction, Error, Gain, GaussNewton, InnerSolver,
-    Iteration, LbfgsOptions, Minimizer, Minimum, NewtonCgOptions, NewtonOptions, OuterLoopOptions, Status,
+    AdamOptions, ArgminOptions, AutoOptions, Blue, CostFunction, Error, Gain, InnerSolver, Iteration,
+    LbfgsOptions, LeastSquares, Minimizer, Minimum, NewtonCgOptions, NewtonOptions, OuterLoopOptions, Status,
     StrongConstraint, TrustRegionOptions, continuation, outer_loop,
 };
 use varda_linalg::norm;
@@ -33,7 +33,7 @@ pub(crate) fn strong(
 /// The minimum by the scene's minimizer, through its σ stages if it has any.
 pub(crate) fn minimize(
     algorithm: &Algorithm,
-    cost: &mut dyn GaussNewton,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {

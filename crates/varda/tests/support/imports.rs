@@ -201,7 +201,7 @@ fn declarations(text: &str) -> (Vec<Use>, String) {
 fn find_use(text: &str) -> Option<usize> {
     text.match_indices("use ").map(|(i, _)| i).find(|i| {
         let before = text[..*i].rsplit('\n').next().unwrap_or("").trim();
-        before.is_empty() || before.starts_with("pub") && !before.contains(|c: char| c == '{' || c == ';')
+        before.is_empty() || before.starts_with("pub") && !before.contains(['{', ';'])
     })
 }
 

@@ -1,7 +1,9 @@
 //! How methods are run and compared here.
 
 use std::ops::ControlFlow;
-use varda_assimilation::{Error, Incremental, InnerSolver, Iteration, Minimum, OuterLoopOptions, outer_loop};
+use varda_assimilation::{
+    Error, InnerSolver, Iteration, LeastSquares, Minimum, OuterLoopOptions, outer_loop,
+};
 
 pub(super) fn go_on(_: &Iteration) -> ControlFlow<()> {
     ControlFlow::Continue(())
@@ -9,7 +11,7 @@ pub(super) fn go_on(_: &Iteration) -> ControlFlow<()> {
 
 /// The outer loop, tightly: a gradient of 1e-11 of the first.
 pub(super) fn tight(
-    problem: &mut dyn Incremental,
+    problem: &mut dyn LeastSquares,
     v: &mut [f64],
     inner: InnerSolver,
 ) -> Result<Minimum, Error> {

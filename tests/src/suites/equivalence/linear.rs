@@ -6,10 +6,10 @@ use nalgebra::{DMatrix, DVector};
 use problems::small_problems::{self, LINEAR_STEPS, Thin, coupled, difference, dot, normals, observation};
 use std::error::Error;
 use varda_assimilation::{
-    Blue, ControlTransform, CostFunction, Dual, Forcing, Gain, Incremental, InnerCost, InnerLimits,
-    InnerSolver, LinearObservation, NewtonCgOptions, NewtonOptions, ObservationSet, Status, StrongConstraint,
-    TrustRegionOptions, WeakForcing, conjugate_gradients, newton, newton_cg, restricted_conjugate_gradients,
-    trust_region,
+    Blue, ControlTransform, CostFunction, Dual, Forcing, Gain, InnerCost, InnerLimits, InnerSolver,
+    LeastSquares, LinearObservation, NewtonCgOptions, NewtonOptions, ObservationSet, Status,
+    StrongConstraint, TrustRegionOptions, WeakForcing, conjugate_gradients, newton, newton_cg,
+    restricted_conjugate_gradients, trust_region,
 };
 use varda_covariance::Covariance;
 use varda_implicit::{ControlMap, Model, Work};
@@ -137,7 +137,7 @@ fn static_methods(case: &mut Case, b: &dyn Covariance) -> Outcome {
 }
 
 /// Both inner solvers at two outer iterates.
-fn iterates(case: &mut Case, problem: &mut dyn Incremental, seed: u64) -> Outcome {
+fn iterates(case: &mut Case, problem: &mut dyn LeastSquares, seed: u64) -> Outcome {
     let n = problem.dim();
     let there: Vec<f64> = normals(seed, n).iter().map(|v| 0.3 * v).collect();
     for (name, v) in [("background", vec![0.0; n]), ("second iterate", there)] {
@@ -152,7 +152,7 @@ fn iterates(case: &mut Case, problem: &mut dyn Incremental, seed: u64) -> Outcom
 }
 
 /// Iterate for iterate until |r| ≤ 1e-10 |r₀|: how many, and the largest relative difference.
-fn compare_iterates(problem: &mut dyn Incremental, v: &[f64]) -> Result<(usize, f64)> {
+fn compare_iterates(problem: &mut dyn LeastSquares, v: &[f64]) -> Result<(usize, f64)> {
     let n = problem.dim();
     let (mut g, mut primal, mut dual) = (vec![0.0; n], vec![0.0; n], vec![0.0; n]);
     problem.linearize(v, &mut g)?;

@@ -9,8 +9,8 @@ use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use std::error::Error;
 use varda_assimilation::{
-    Analysis, ControlTransform, CostFunction, EnVar, EnsembleUpdate, GaussNewton, LanczosOptions,
-    LbfgsOptions, LowRankPosterior, NewtonOptions, ObservationSet, Posterior, Status, StrongConstraint,
+    Analysis, ControlTransform, CostFunction, EnVar, EnsembleUpdate, LanczosOptions, LbfgsOptions,
+    LeastSquares, LowRankPosterior, NewtonOptions, ObservationSet, Posterior, Status, StrongConstraint,
     lbfgs, newton,
 };
 use varda_covariance::{Covariance, Ensemble, Localization};

@@ -2,12 +2,12 @@
 
 use std::ops::ControlFlow;
 use varda_assimilation::{
-    Error, GaussNewton, Iteration, Minimizer, Minimum, Status, TrustRegionOptions, continuation,
+    Error, Iteration, LeastSquares, Minimizer, Minimum, Status, TrustRegionOptions, continuation,
 };
 
 /// A cost may have several minima. Minimizes it twice, straight from `v` and through larger observation
 /// errors (σ × 10, 3, 1), and keeps the lower end in `v`; says which that was.
-pub(super) fn minimize(cost: &mut dyn GaussNewton, v: &mut [f64]) -> Result<(Minimum, String), Error> {
+pub(super) fn minimize(cost: &mut dyn LeastSquares, v: &mut [f64]) -> Result<(Minimum, String), Error> {
     // Tighter than the default: reference minima are compared to eight digits.
     let tight = TrustRegionOptions { gradient_tolerance: 1e-9, ..TrustRegionOptions::default() };
     let minimizer = Minimizer::TrustRegion(tight);

@@ -1,27 +1,7 @@
-//! Robust observations: the Huber norm, and the background check.
+//! The background check: values that the background makes implausible.
 
-use super::{CostFunction, EnVar, GaussNewton, StrongConstraint, WeakForcing};
+use super::{CostFunction, EnVar, LeastSquares, StrongConstraint, WeakForcing};
 use crate::{Error, ObservationSet};
-
-/// The Huber norm ρ_δ(r) of a departure r = d/σ with its first two derivatives (Huber 1964; Tavolato and
-/// Isaksen 2015 in 4D-Var):
-///
-/// ```text
-///     ρ = ½ r²,          ρ' = r,          ρ'' = 1        |r| ≤ δ
-///     ρ = δ|r| − ½ δ²,   ρ' = δ sign r,   ρ'' = 0        |r| > δ
-/// ```
-///
-/// Convex, so that it makes no new minima; a gross error pulls with a bounded force instead of one that
-/// grows. The Gauss–Newton Hessian is that of the norm: I + Σ ρ'' gᵀg, in which a row beyond δ has no
-/// weight, and the posterior does not count it as information. Returns (ρ, ρ', ρ'').
-pub fn huber(delta: f64, r: f64) -> (f64, f64, f64) {
-    if r.abs() <= delta {
-        (0.5 * r * r, r, 1.0)
-    } else {
-        // NaN ends here and stays NaN.
-        (delta * (r.abs() - 0.5 * delta), delta.copysign(r) + 0.0 * r, 0.0)
-    }
-}
 
 /// An observed value that the background check refuses.
 #[derive(Debug, Clone, PartialEq)]
@@ -92,7 +72,7 @@ impl EnVar<'_> {
 }
 
 /// √(diag(G Gᵀ) + 1): what d/σ should be like.
-fn spread_of_departures(cost: &mut dyn GaussNewton) -> Result<Vec<f64>, Error> {
+fn spread_of_departures(cost: &mut dyn LeastSquares) -> Result<Vec<f64>, Error> {
     let (n, m) = (cost.dim(), cost.observation_dim());
     let (mut unit_v, mut unit_y) = (vec![0.0; n], vec![0.0; m]);
     let mut variance = vec![1.0; m];
@@ -100,7 +80,7 @@ fn spread_of_departures(cost: &mut dyn GaussNewton) -> Result<Vec<f64>, Error> {
         let mut dy = vec![0.0; m];
         for j in 0..n {
             unit_v[j] = 1.0;
-            cost.observation_jacobian(&unit_v, &mut dy)?;
+            cost.jacobian(&unit_v, &mut dy)?;
             unit_v[j] = 0.0;
             variance.iter_mut().zip(&dy).for_each(|(s, g)| *s += g * g);
         }
@@ -108,7 +88,7 @@ fn spread_of_departures(cost: &mut dyn GaussNewton) -> Result<Vec<f64>, Error> {
         let mut dv = vec![0.0; n];
         for a in 0..m {
             unit_y[a] = 1.0;
-            cost.observation_jacobian_transpose(&unit_y, &mut dv)?;
+            cost.jacobian_transpose(&unit_y, &mut dv)?;
             unit_y[a] = 0.0;
             variance[a] += super::dot(&dv, &dv);
         }

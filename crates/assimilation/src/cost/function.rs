@@ -1,0 +1,72 @@
+//! A cost J(v) with its gradient, its parts and its work.
+
+use crate::Error;
+
+/// A cost J(v) with its gradient: minus the logarithm of a probability density up to a constant
+/// (paper 2.8, with the minus that its exponents lack).
+///
+/// Deterministic: the same v (and observation scale) gives the same bits, whatever was evaluated before.
+pub trait CostFunction {
+    /// n, the length of v.
+    fn dim(&self) -> usize;
+
+    /// J(v) and, where asked for, ∇J(v), from one forward run and one adjoint sweep.
+    ///
+    /// What is known about a point is kept for the last two points, so that asking for the gradient at a
+    /// trial point that was just evaluated costs no second forward run.
+    ///
+    /// # Errors
+    /// A model or an operator that fails, or a value that is not finite. The point of the last gradient is
+    /// then still available to the products of [`LeastSquares`], unless it was the gradient itself that
+    /// failed.
+    ///
+    /// # Panics
+    /// If a slice is not of length `dim`.
+    fn evaluate(&mut self, v: &[f64], gradient: Option<&mut [f64]>) -> Result<f64, Error>;
+
+    /// The parts of J at the last evaluation.
+    fn terms(&self) -> CostTerms;
+
+    /// Multiplies every observation error σ by `scale` from now on (1 = the true cost; larger values flatten
+    /// J).
+    ///
+    /// # Panics
+    /// If `scale` is not positive and finite.
+    fn set_observation_scale(&mut self, scale: f64);
+
+    /// Work done since the cost was made.
+    fn counts(&self) -> Counts;
+}
+
+/// The parts of J = J_b + J_o + J_q.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct CostTerms {
+    /// J_b = ½‖x₀ − x_b‖²_{B⁻¹}.
+    pub background: f64,
+    /// J_o = ½ Σ ‖y_k − H_k(x_k)‖²_{R_k⁻¹}, with the observation scale in force.
+    pub observation: f64,
+    /// J_q = ½ Σ ‖x_{k+1} − M_k(x_k)‖²_{Q_k⁻¹}; zero for a strong constraint.
+    pub model_error: f64,
+}
+
+impl CostTerms {
+    /// J.
+    pub fn total(&self) -> f64 {
+        self.background + self.observation + self.model_error
+    }
+}
+
+/// Work done by a cost function. Integers, exact, the same on every run.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Forward runs of the window.
+    pub forward_runs: usize,
+    /// Gradients.
+    pub gradients: usize,
+    /// Products with G.
+    pub tangent_sweeps: usize,
+    /// Products with Gᵀ, gradients included.
+    pub adjoint_sweeps: usize,
+    /// Work of the model since the cost was made; zero where there is none.
+    pub model: varda_implicit::Counts,
+}

@@ -1,0 +1,214 @@
+//! The one trait of costs that are half a sum of squares.
+
+use super::CostFunction;
+use crate::Error;
+use varda_linalg::dense::{Cholesky, View, product};
+
+/// A cost that is half a sum of squares, with Jacobian products around the last linearized point v
+/// (paper 2.10, 2.18, 2.19):
+///
+/// ```text
+///     q(p) = ½‖b + p‖² + ½‖G p − d‖²,    ∇q(0) = b − Gᵀd,    ∇²q = A = I + GᵀG
+/// ```
+///
+/// b is the whitened departure of v from what is known before it was observed (v itself where v = B^{-1/2}(z
+/// − z_b)), d = R^{-1/2}(y − H(x)), and G = R^{-1/2} H M B^{1/2} the m × n Jacobian of the whitened
+/// predictions. A, the Hessian without second derivatives of the model, is what the paper calls "the
+/// Hessian". Minimizers with products, incremental and dual methods, closed forms and posteriors see a
+/// problem through this trait only.
+///
+/// p is whitened: its norm is that of the prior. For a cost in the control variable p is an increment of v;
+/// for a cost over states ([`WeakState`](super::WeakState)) the increment of v is `increment(p)`, and
+/// [`is_whitened`](Self::is_whitened) says so.
+///
+/// # Examples
+/// A cost of one's own needs the products and departures; A and everything built on it is provided:
+///
+/// ```
+/// use varda_assimilation::*;
+///
+/// /// J(v) = ½ v² + ½ (3 v − 1)².
+/// struct Line(f64, CostTerms);
+///
+/// impl CostFunction for Line {
+///     fn dim(&self) -> usize {
+///         1
+///     }
+///     fn evaluate(&mut self, v: &[f64], gradient: Option<&mut [f64]>) -> Result<f64, Error> {
+///         self.0 = v[0];
+///         let misfit = 3.0 * v[0] - 1.0;
+///         let background = 0.5 * v[0] * v[0];
+///         self.1 = CostTerms { background, observation: 0.5 * misfit * misfit, model_error: 0.0 };
+///         if let Some(gradient) = gradient {
+///             gradient[0] = v[0] + 3.0 * misfit;
+///         }
+///         Ok(self.1.total())
+///     }
+///     fn terms(&self) -> CostTerms {
+///         self.1
+///     }
+///     fn set_observation_scale(&mut self, _: f64) {}
+///     fn counts(&self) -> Counts {
+///         Counts::default()
+///     }
+/// }
+///
+/// impl LeastSquares for Line {
+///     fn observation_dim(&self) -> usize {
+///         1
+///     }
+///     fn departures(&self, b: &mut [f64], d: &mut [f64]) {
+///         (b[0], d[0]) = (self.0, 1.0 - 3.0 * self.0);
+///     }
+///     fn jacobian(&mut self, p: &[f64], dy: &mut [f64]) -> Result<(), Error> {
+///         dy[0] = 3.0 * p[0];
+///         Ok(())
+///     }
+///     fn jacobian_transpose(&mut self, dy: &[f64], p: &mut [f64]) -> Result<(), Error> {
+///         p[0] = 3.0 * dy[0];
+///         Ok(())
+///     }
+/// }
+///
+/// let blue = Blue::new(&mut Line(0.0, CostTerms::default()), &[0.0], Gain::Information)?;
+/// assert!((blue.control_variable[0] - 0.3).abs() < 1e-15);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub trait LeastSquares: CostFunction {
+    /// m, the length of d.
+    fn observation_dim(&self) -> usize;
+
+    /// How many leading entries of b belong to the background; the rest is model error.
+    fn background_dim(&self) -> usize {
+        self.dim()
+    }
+
+    /// Makes v the linearized point: returns J(v) and ∇q(0), from one forward run and one adjoint sweep.
+    ///
+    /// # Errors
+    /// As for [`CostFunction::evaluate`].
+    ///
+    /// # Panics
+    /// If a slice is not of length `dim`.
+    fn linearize(&mut self, v: &[f64], gradient: &mut [f64]) -> Result<f64, Error> {
+        self.evaluate(v, Some(gradient))
+    }
+
+    /// b and d at the linearized point.
+    ///
+    /// # Panics
+    /// If nothing has been linearized, or a slice has the wrong length.
+    fn departures(&self, b: &mut [f64], d: &mut [f64]);
+
+    /// dy = G p: one tangent sweep.
+    ///
+    /// # Errors
+    /// A model that cannot return to the linearized point.
+    ///
+    /// # Panics
+    /// If nothing has been linearized, or a slice has the wrong length.
+    fn jacobian(&mut self, p: &[f64], dy: &mut [f64]) -> Result<(), Error>;
+
+    /// p = Gᵀ dy: one adjoint sweep.
+    ///
+    /// # Errors
+    /// As for `jacobian`.
+    ///
+    /// # Panics
+    /// As for `jacobian`.
+    fn jacobian_transpose(&mut self, dy: &[f64], p: &mut [f64]) -> Result<(), Error>;
+
+    /// out = A p: one tangent and one adjoint sweep.
+    ///
+    /// # Errors
+    /// As for `jacobian`.
+    ///
+    /// # Panics
+    /// As for `jacobian`.
+    fn hessian_apply(&mut self, p: &[f64], out: &mut [f64]) -> Result<(), Error> {
+        let mut dy = vec![0.0; self.observation_dim()];
+        self.jacobian(p, &mut dy)?;
+        self.jacobian_transpose(&dy, out)?;
+        out.iter_mut().zip(p).for_each(|(out, p)| *out += p);
+        Ok(())
+    }
+
+    /// A, dense, column by column (`out` has length n²): by n products, or as the costs with a model have it
+    /// by n tangent or m adjoint sweeps, whichever takes fewer steps.
+    ///
+    /// # Errors
+    /// As for `jacobian`.
+    ///
+    /// # Panics
+    /// As for `jacobian`.
+    fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        let n = self.dim();
+        assert_eq!(out.len(), n * n, "length of the Hessian");
+        columns(n, out, &mut |unit, column| self.hessian_apply(unit, column))
+    }
+
+    /// Whether p is an increment of v itself and the gradient of `evaluate` that of q: what minimizers with a
+    /// Hessian ask for.
+    fn is_whitened(&self) -> bool {
+        true
+    }
+
+    /// dv, the increment of v that belongs to p.
+    ///
+    /// # Errors
+    /// As for `jacobian`.
+    ///
+    /// # Panics
+    /// As for `jacobian`.
+    fn increment(&mut self, p: &[f64], dv: &mut [f64]) -> Result<(), Error> {
+        dv.copy_from_slice(p);
+        Ok(())
+    }
+
+    /// p = −A⁻¹ ∇q(0) by a direct method, for small problems and as a reference: A formed by n tangent
+    /// sweeps, then Cholesky.
+    ///
+    /// # Errors
+    /// As for `jacobian`; [`Error::NotPositiveDefinite`] where the factorization fails.
+    ///
+    /// # Panics
+    /// As for `jacobian`.
+    fn direct(&mut self, gradient: &[f64], p: &mut [f64]) -> Result<(), Error> {
+        let (n, m) = (self.dim(), self.observation_dim());
+        let mut g = vec![0.0; m * n];
+        columns(n, &mut g, &mut |unit, column| self.jacobian(unit, column))?;
+        p.iter_mut().zip(gradient).for_each(|(p, g)| *p = -g);
+        solve_identity_plus(View::new(&g, m, n), p)
+    }
+}
+
+/// y = a linear map of x.
+pub(crate) type Map<'a> = dyn FnMut(&[f64], &mut [f64]) -> Result<(), Error> + 'a;
+
+/// The matrix of a linear map of `inputs` numbers, column by column.
+pub(crate) fn columns(inputs: usize, matrix: &mut [f64], map: &mut Map) -> Result<(), Error> {
+    let outputs = matrix.len() / inputs.max(1);
+    let mut unit = vec![0.0; inputs];
+    for (j, column) in matrix.chunks_exact_mut(outputs.max(1)).enumerate() {
+        unit[j] = 1.0;
+        map(&unit, column)?;
+        unit[j] = 0.0;
+    }
+    Ok(())
+}
+
+/// x ← (I + WᵀW)⁻¹ x for columns x one after the other, of length n for W with n columns: Cholesky.
+pub(crate) fn solve_identity_plus(w: View, x: &mut [f64]) -> Result<(), Error> {
+    let n = w.columns();
+    if x.is_empty() {
+        return Ok(());
+    }
+    let mut a = vec![0.0; n * n];
+    product(w.transpose(), w, &mut a);
+    for i in 0..n {
+        a[i + i * n] += 1.0;
+    }
+    let failed = || Error::NotPositiveDefinite { smallest: f64::NAN };
+    Cholesky::new(n, &a).map_err(|_| failed())?.solve_columns(x);
+    if x.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(failed()) }
+}
