@@ -81,7 +81,6 @@ pub(crate) fn equilibrium_within(
     system.gather(&mut u);
     let mut statics = Statics::new(system, end_angle, 1e-11 * rod.length());
     let mut work = statics.work_space();
-<<<<<<< HEAD
     let options = NewtonOptions { max_iterations, ..NewtonOptions::default() };
     let solved = solve(&mut statics, &mut u, &mut work, &options);
     done.solves += 1;
@@ -102,14 +101,6 @@ pub(crate) fn equilibrium_within(
         .map_err(|reason| varda_implicit::NewtonFailure::Refused(reason).in_step(&at_rest(t)))?
         .unwrap_or(f64::NAN);
     let Statics { mut system, end_angle, .. } = statics;
-=======
-    // a stiff column far beyond its buckling load folds and unfolds its way from the straight saddle to the
-    // first mode
-    let options = NewtonOptions { max_iterations: 2000, ..NewtonOptions::default() };
-    let report =
-        solve(&mut statics, &mut u, &mut work, &options).map_err(|failure| failure.in_step(&at_rest(t)))?;
-    let mut system = statics.system;
->>>>>>> main
     system.scatter(&u);
     system.update_shape(system.layout.twist, end_angle).map_err(refuse)?;
     Ok(Rest { vertices: system.x, theta: system.theta })
