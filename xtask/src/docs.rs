@@ -14,7 +14,7 @@ mod pages;
 use crate::{cargo, root, run};
 use std::path::{Path, PathBuf};
 
-/// Libraries that are documented.
+/// Libraries that are documented, each after those that it links to.
 const CRATES: [&str; 7] = [
     "varda-linalg",
     "varda-covariance",
@@ -42,15 +42,13 @@ fn build() -> Result<PathBuf, String> {
         // Pages of items that are no more.
         std::fs::remove_dir_all(&site).map_err(|e| format!("{}: {e}", site.display()))?;
     }
-    let mut command = cargo();
-    command.args(["doc", "--quiet", "--no-deps", "--lib", "--all-features"]);
+    // One after the other: rustdoc links to another crate only where that crate's folder stands, and cargo
+    // empties a folder before its crate is written.
     for name in CRATES {
-        // rustdoc links to another crate only where that crate's folder is there already.
-        let folder = site.join(name.replace('-', "_"));
-        std::fs::create_dir_all(&folder).map_err(|e| format!("{}: {e}", folder.display()))?;
-        command.args(["-p", name]);
+        let mut command = cargo();
+        command.args(["doc", "--quiet", "--no-deps", "--lib", "--all-features", "-p", name]);
+        run(command.env("RUSTDOCFLAGS", "--deny warnings").current_dir(root()))?;
     }
-    run(command.env("RUSTDOCFLAGS", "--deny warnings").current_dir(root()))?;
     pages::finish(&site)?;
     front::write_index(&site)?;
     println!("{}", site.join("index.html").display());

@@ -17,8 +17,8 @@ pub trait CostFunction {
     ///
     /// # Errors
     /// A model or an operator that fails, or a value that is not finite. The point of the last gradient is
-    /// then still available to the products of [`LeastSquares`], unless it was the gradient itself that
-    /// failed.
+    /// then still available to the products of [`LeastSquares`](crate::LeastSquares), unless it was the
+    /// gradient itself that failed.
     ///
     /// # Panics
     /// If a slice is not of length `dim`.

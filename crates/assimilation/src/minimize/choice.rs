@@ -123,7 +123,7 @@ impl Minimizer {
     ///
     /// # Errors
     /// A cost that cannot be evaluated at the first point, a setting out of range, or products that fail.
-    /// Everything that happens to a minimization once under way is a [`Status`].
+    /// Everything that happens to a minimization once under way is a [`Status`](crate::Status).
     ///
     /// # Panics
     /// If `v` is not of length `cost.dim()`.

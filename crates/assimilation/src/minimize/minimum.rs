@@ -56,7 +56,7 @@ pub struct Minimum {
     /// Approximate eigenpairs of the Hessian from the last inner iteration, largest first; empty after dense
     /// solves.
     pub ritz: Vec<RitzPair>,
-    /// What [`lbfgs`] has learnt of the Hessian; `None` from the others.
+    /// What [`lbfgs`](crate::lbfgs()) has learnt of the Hessian; `None` from the others.
     pub inverse_hessian: Option<InverseHessian>,
 }
 
