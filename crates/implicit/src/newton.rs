@@ -265,7 +265,8 @@ pub fn solve<E: Equations + ?Sized>(
                 if work.report.at_rounding {
                     return Ok(work.report);
                 }
-                // too small to be tested is not yet small enough: tested steps for a while, where there is a potential
+                // too small to be tested is not yet small enough: tested steps for a while, where there is a
+                // potential
                 let Some(phi) = potential.filter(|_| tested < MOST_TESTED) else {
                     return Err(work.diverged(equations));
                 };
@@ -289,7 +290,8 @@ pub fn solve<E: Equations + ?Sized>(
             let leaving = shift > 0.0 && size <= trusted && potential.is_some();
             let mut accepted = test.and_then(|test| work.backtrack(equations, u, &test, options));
             if accepted.is_none() && leaving {
-                // a curvature too slight for Φ to show: nearer to the point where the residual is zero, it may be none
+                // a curvature too slight for Φ to show: nearer to the point where the residual is zero, it
+                // may be none
                 accepted = Some(work.shifted_update(equations, u, shift)?);
             }
             potential = accepted.ok_or_else(|| work.diverged(equations))?;

@@ -141,8 +141,8 @@ impl RodStep {
         6 * self.system.layout.free_vertices.len()
     }
 
-    /// The same step, the first angles of a run looked for from those of a shape at rest, which picks their branch, not
-    /// from zero.
+    /// The same step, the first angles of a run looked for from those of a shape at rest, which picks their
+    /// branch, not from zero.
     ///
     /// # Panics
     /// If the shape has not one angle for every edge.

@@ -37,7 +37,8 @@ pub fn equilibrium(
     guess: &Rest,
 ) -> Result<(Rest, NewtonReport), varda_implicit::Error> {
     let mut work = Work::default();
-    // a stiff column far beyond its buckling load folds and unfolds its way from the straight saddle to the first mode
+    // a stiff column far beyond its buckling load folds and unfolds its way from the straight saddle to the
+    // first mode
     let rest = equilibrium_within(rod, supports, loads, t, guess, 2000, &mut work)?;
     Ok((rest, work.report))
 }

@@ -70,7 +70,8 @@ impl Equations for Statics {
         }
         s.scatter(u);
         if s.layout.free_angles.len() + 1 < s.rod.segments() {
-            // both ends hold a director: u is accepted, and its end angle counts whole turns from the one before
+            // both ends hold a director: u is accepted, and its end angle counts whole turns from the one
+            // before
             s.update_shape(true, self.end_angle).expect("u was assembled before");
             self.end_angle = s.theta[s.rod.segments() - 1];
         } else {

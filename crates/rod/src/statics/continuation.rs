@@ -30,7 +30,8 @@ const KICKS: [f64; 3] = [0.003, -0.01, 0.03];
 const MORE_TWIST: f64 = 30.0;
 /// Newton iterations of a whole search.
 const MOST: usize = 20_000;
-/// Whole turning of the natural curvature from which a rod with one held place starts from its rest shape \[rad\].
+/// Whole turning of the natural curvature from which a rod with one held place starts from its rest shape
+/// \[rad\].
 const CURLED: f64 = 0.5;
 
 /// What a search for a rod at rest may be told.
@@ -38,8 +39,8 @@ const CURLED: f64 = 0.5;
 pub struct Search {
     /// A shape near the one looked for, angles included: it picks the branch where there are several.
     pub initial_shape: Option<Rest>,
-    /// The turn \[rad\], right-handed about its tangent, by which the end clamp came to its present director; more than π
-    /// counts. Zero: the twist nearest to none.
+    /// The turn \[rad\], right-handed about its tangent, by which the end clamp came to its present director;
+    /// more than π counts. Zero: the twist nearest to none.
     pub end_turn: f64,
 }
 
@@ -48,7 +49,7 @@ pub struct Search {
 pub struct Found {
     /// The shape.
     pub rest: Rest,
-    /// Total potential energy \[J\]: elastic, of the weight (zero at z = 0) and of the dead forces.
+    /// Total potential energy \[J\]: elastic, of the weight (zero at the origin) and of the dead forces.
     pub energy: f64,
     /// Calls of Newton's method, failed ones included.
     pub solves: usize,
@@ -60,15 +61,45 @@ pub struct Found {
 
 /// A rod at rest, held anywhere: by clamps, at points, at one place or several, nearer than its length or not.
 ///
-/// A clamped rod with a free end starts as [`straight_guess`](crate::straight_guess) lays it, a curled one in its rest
-/// shape. Between held places a catenary (a cable) or a bow (a beam) of the right length is laid, clamps along its chord; a
-/// rod much stiffer in stretch than in everything else comes to rest first with less of that stiffness, which grows tenfold
-/// a stage; then clamps, director and natural strains go to their values together, in stages that are halved where Newton's
-/// method fails. Every stage ends in a minimum of the energy, not in a saddle.
+/// A minimum of the total potential energy E(u) − F·x \[J\] with the supports where they are at time t \[s\]:
+/// ∂E/∂u = F of places \[m\] and angles \[rad\] to a last update below 10⁻¹¹ of the length, or to rounding, and
+/// no negative curvature there. Which minimum, where there are several, is decided by the way to it:
+///
+/// 1. A clamped rod with a free end starts as [`straight_guess`](crate::straight_guess) lays it; one whose natural
+///    curvature turns by more than half a radian starts from its rest shape without loads, which then grow.
+/// 2. Between held places a catenary (a cable: weight × L³ > 50 EI) or a bow (a beam) of the right length is laid,
+///    with clamps along its chord and no natural strain. A rod much stiffer in stretch than in everything else comes
+///    to rest first with less of that stiffness, which then grows tenfold a stage.
+/// 3. Clamps, director, the turn of the end and natural strains go to their values together, in stages that are
+///    halved where Newton's method fails.
+///
+/// Every stage ends in a minimum, not in a saddle, and the way is cut off at 20 000 Newton iterations. Energy
+/// and angles are those of Bergou et al. (2008).
 ///
 /// # Errors
 /// [`varda_implicit::Error`] where no way led to a shape at rest, or wrapping an [`Error`] of the rod
 /// ([`Error::NothingHolds`] where nothing holds it).
+///
+/// # Panics
+/// If [`Search::initial_shape`] has the wrong number of vertices or angles.
+///
+/// # Examples
+/// A cable of one metre hung by its ends at 0.6 m:
+/// ```
+/// use std::sync::Arc;
+/// use varda_rod::{Loads, Rod, Search, Section, Supports, Vector3, rest};
+///
+/// let cable = Section { ea: 1e4, ei1: 1e-4, ei2: 1e-4, gj: 1e-4, mass_per_length: 0.05 };
+/// let rod = Rod::uniform(1.0, 40, &cable)?;
+/// let mut supports = Supports::default();
+/// supports.prescribed.push((0, Arc::new([0.0, 0.0, 0.0])));
+/// supports.prescribed.push((40, Arc::new([0.6, 0.0, 0.0])));
+/// let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
+/// let found = rest(&rod, &supports, &loads, 0.0, &Search::default())?;
+/// // the catenary's sag
+/// assert!((found.rest.vertices[20].z + 0.3628).abs() < 2e-3);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub fn rest(
     rod: &Rod,
     supports: &Supports,
@@ -84,7 +115,8 @@ pub fn rest(
         way.solve(1.0, 1.0, 1.0, shape, 2000)
     } else if way.held.spans() {
         way.between().or_else(|failure| {
-            // half a turn of twist at one vertex hides its bend from the energy: a way on which twist costs more
+            // half a turn of twist at one vertex hides its bend from the energy: a way on which twist costs
+            // more
             way.twist = MORE_TWIST;
             if way.end_turn == 0.0 { way.between() } else { Err(failure) }
         })
@@ -274,8 +306,8 @@ impl Way<'_> {
         Ok(rest)
     }
 
-    /// At rest from a guess; where the search stalls, as it does at a saddle whose way out the energy hardly shows, on from a
-    /// shape a little beside.
+    /// At rest from a guess; where the search stalls, as it does at a saddle whose way out the energy hardly
+    /// shows, on from a shape a little beside.
     fn kicked(&mut self, lambda: f64, stretch: f64, guess: &Rest) -> Solved {
         let mut result = self.solve(lambda, 1.0, stretch, guess, FIRST);
         for kick in KICKS {

@@ -77,7 +77,8 @@ pub(crate) fn sideways(held: &Held, chord: &Vector3<f64>, gravity: &Vector3<f64>
     any_perpendicular(chord)
 }
 
-/// A rod along all its held places, its clamps with these tangents: spans of the right length, free ends hanging.
+/// A rod along all its held places, its clamps with these tangents: spans of the right length, free ends
+/// hanging.
 pub(crate) fn along(
     rod: &Rod,
     held: &Held,
@@ -266,7 +267,8 @@ pub(crate) fn rest_shape(
         x[e + 1] = x[e] + t * rod.rest_lengths[e];
         let Some([k1, k2]) = rod.natural_curvature.get(e).copied() else { break };
         let twist = rod.natural_twist[e];
-        // κ₁, κ₂ are means over both directors: (cos τ/2) times a turn by τ/2 of the binormal seen from the first
+        // κ₁, κ₂ are means over both directors: (cos τ/2) times a turn by τ/2 of the binormal seen
+        // from the first
         let (sin, cos) = (0.5 * twist).sin_cos();
         let (c, s) = if cos.abs() > 1e-6 {
             ((-k2 * cos - k1 * sin) / cos, (k1 * cos - k2 * sin) / cos)

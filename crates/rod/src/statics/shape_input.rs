@@ -10,11 +10,12 @@ use crate::rod::Rod;
 use crate::shape::{FirstFrame, Shape};
 
 impl Rest {
-    /// A shape through these points in order along the rod, the curve's own length scaled to the rod's. Angles are zero:
-    /// directors carried by parallel transport from the first edge.
+    /// A shape through these points in order along the rod, the curve's own length scaled to the rod's.
+    /// Angles are zero: directors carried by parallel transport from the first edge.
     ///
     /// # Errors
-    /// [`Error::Count`] for fewer than two points, [`Error::ZeroEdge`] for two equal neighbours, [`Error::NonFinite`].
+    /// [`Error::Count`] for fewer than two points, [`Error::ZeroEdge`] for two equal neighbours,
+    /// [`Error::NonFinite`].
     pub fn through(rod: &Rod, points: &[Vector3<f64>]) -> Result<Rest, Error> {
         rod.check()?;
         if points.len() < 2 {
@@ -29,8 +30,8 @@ impl Rest {
 }
 
 impl Rod {
-    /// The same rod at ease in this shape: natural curvature (and, carried by it, torsion) in directors transported along it
-    /// from `director` at its first edge; no natural twist.
+    /// The same rod at ease in this shape: natural curvature (and, carried by it, torsion) in directors
+    /// transported along it from `director` at its first edge; no natural twist.
     ///
     /// # Errors
     /// [`Error::Fold`], [`Error::ZeroEdge`] or [`Error::NonFinite`] where the shape is none.
