@@ -1,7 +1,7 @@
 //! A covariance of compact support along a line: B and its Cholesky root are bands.
 
-use crate::check::check_lengths;
 use crate::error::Error;
+use crate::input::check_lengths;
 use crate::kernel::CovarianceFunction;
 use crate::operator::{Covariance, Precision};
 use varda_linalg::band::Cholesky;

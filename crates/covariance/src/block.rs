@@ -1,7 +1,7 @@
 //! Covariances made of smaller ones: the same for every component of a vector field, and several side by
 //! side.
 
-use crate::check::check_lengths;
+use crate::input::check_lengths;
 use crate::operator::{Covariance, Precision};
 use crate::scratch::Scratch;
 

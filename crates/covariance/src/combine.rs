@@ -1,7 +1,7 @@
 //! Sums, scalings and products of covariances.
 
-use crate::check::check_lengths;
 use crate::error::Error;
+use crate::input::check_lengths;
 use crate::operator::{Covariance, Precision};
 use crate::scratch::Scratch;
 

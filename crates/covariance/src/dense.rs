@@ -1,7 +1,7 @@
 //! A dense covariance of full rank, with its Cholesky root.
 
-use crate::check::{check_lengths, check_matrix};
 use crate::error::Error;
+use crate::input::{check_lengths, check_matrix};
 use crate::operator::{Covariance, Precision};
 use varda_linalg::dense::Cholesky;
 

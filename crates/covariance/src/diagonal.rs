@@ -1,7 +1,7 @@
 //! Uncorrelated components: R of independent observations, or B as white noise.
 
-use crate::check::check_lengths;
 use crate::error::Error;
+use crate::input::check_lengths;
 use crate::operator::{Covariance, Precision};
 
 /// B = diag(σ₁², …, σ_n²), B^{1/2} = diag(σ₁, …, σ_n).

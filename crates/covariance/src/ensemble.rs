@@ -1,7 +1,7 @@
 //! Covariances of an ensemble: localized sample covariance, and its hybrid with a static one.
 
-use crate::check::check_lengths;
 use crate::error::Error;
+use crate::input::check_lengths;
 use crate::kernel::Taper;
 use crate::operator::Covariance;
 use crate::truncated::Truncated;

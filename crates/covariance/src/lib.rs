@@ -21,7 +21,8 @@
 //!
 //! Matrices come from a [`CovarianceFunction`]: a [`Kernel`] (Gaussian, Matérn) times a [`Taper`] (triangle,
 //! Gaspari–Cohn), on request conditioned on points without error. [`sample()`] draws from N(0, B);
-//! [`Spectrum`] says how well conditioned it is.
+//! [`Spectrum`] says how well conditioned it is. [`check`] tests a covariance of your own: symmetry,
+//! positivity, and that its root, its transpose and its inverse belong to it.
 //!
 //! # Features
 //!
@@ -81,7 +82,7 @@
 
 mod banded;
 mod block;
-mod check;
+pub mod check;
 mod combine;
 #[cfg(any(feature = "nalgebra", feature = "sprs"))]
 mod convert;
@@ -91,6 +92,7 @@ mod diffusion;
 mod ensemble;
 mod error;
 mod grid;
+mod input;
 mod kernel;
 mod operator;
 mod sample;

@@ -3,14 +3,15 @@
 use std::rc::Rc;
 use std::sync::Arc;
 
-/// A covariance operator B = U Uᵀ given by its square root U = B^{1/2} (n rows, r columns, r ≤ n).
+/// A covariance operator B = U Uᵀ given by its square root U = B^{1/2} (n rows, r columns).
 ///
 /// Vectors are slices; every method overwrites its output, allocates nothing, and panics on a wrong length.
 pub trait Covariance {
     /// n, the length of the vectors B acts on.
     fn dim(&self) -> usize;
 
-    /// r, the number of columns of the square root; less than `dim` where the rank was truncated.
+    /// r, the number of columns of the square root; less than `dim` where the rank was truncated, more where
+    /// several roots stand side by side ([`Sum`](crate::Sum)).
     fn root_dim(&self) -> usize;
 
     /// y = B x.

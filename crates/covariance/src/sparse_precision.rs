@@ -1,8 +1,8 @@
 //! A covariance known by its sparse inverse.
 
-use crate::check::check_lengths;
 use crate::error::Error;
 use crate::grid::Grid;
+use crate::input::check_lengths;
 use crate::operator::{Covariance, Precision};
 use varda_linalg::Structure;
 use varda_linalg::sparse::{Cholesky, Ordering};

@@ -1,7 +1,7 @@
 //! A dense covariance of truncated rank.
 
-use crate::check::{check_lengths, check_matrix, usable_tolerance};
 use crate::error::Error;
+use crate::input::{check_lengths, check_matrix, usable_tolerance};
 use crate::operator::Covariance;
 use crate::spectrum::Spectrum;
 use varda_linalg::{Eigen, axpy, dot_in_lanes};

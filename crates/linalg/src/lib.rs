@@ -16,12 +16,13 @@
 //! | [`Eigen`], [`eigenvalues()`] | of symmetric matrices | some 9 n³ |
 //! | [`krylov::conjugate_gradients`], [`krylov::Lanczos`] | operators known by products | products |
 //! | [`dot`], [`norm`], [`axpy`] | sums over vectors | n |
+//! | [`check`] | the report of a check of a user's own type | – |
 //!
 //! # Features
 //!
-//! `faer` (default): all but [`band`], [`Structure`] and sums over vectors, which are this crate's own code.
-//! `nalgebra`: [`dense::Matrix`] from and to `DMatrix`. `sprs`: [`Structure`] and its values from a `CsMat`.
-//! Both off by default.
+//! `faer` (default): all but [`band`], [`Structure`], [`check`] and sums over vectors, which are this crate's
+//! own code. `nalgebra`: [`dense::Matrix`] from and to `DMatrix`. `sprs`: [`Structure`] and its values from a
+//! `CsMat`. Both off by default.
 //!
 //! # When not to use it
 //!
@@ -49,6 +50,7 @@
 #![forbid(unsafe_code)]
 
 pub mod band;
+pub mod check;
 #[cfg(any(feature = "nalgebra", feature = "sprs"))]
 mod convert;
 #[cfg(feature = "faer")]

@@ -111,3 +111,20 @@ fn bad_observations_are_refused_by_name() {
         ));
     }
 }
+
+#[test]
+fn the_shipped_operators_pass_the_check_for_users() {
+    use varda_implicit::{At, check};
+    let entries = [(0, 1, 2.0), (1, 0, -1.0), (1, 3, 1e3), (2, 2, 0.5)];
+    let mut linear = LinearObservation::new(3, 4, &entries).unwrap();
+    let mut selection = Selection::new(vec![3, 0, 3], 4).unwrap();
+    let mut products = Products(4);
+    let operators: [&mut dyn ObservationOperator; 3] = [&mut linear, &mut selection, &mut products];
+    for operator in operators {
+        let n = operator.state_dim();
+        let x: Vec<f64> = (0..n).map(|i| 0.7 + i as f64).collect();
+        let at = At { step: 4, time: 0.4 };
+        let report = check::operator(operator, at, &x, &vec![0.1; n], 3).unwrap();
+        assert!(report.passed(), "{report}");
+    }
+}

@@ -1,10 +1,10 @@
 //! Every check of a model: its steps, its products, its slots, the map of its control.
 
 use super::products::{compare, dot_product};
-use super::report::{Finding, Report};
 use super::taylor::{fit, taylor_step};
-use super::vectors::{Random, differing, norm_of};
+use super::vectors::norm_of;
 use crate::{Error, Model};
+use varda_linalg::check::{Finding, Random, Report, differing};
 
 /// Columns of one product that are rounded in another order than a single column may differ by this share of
 /// their size.

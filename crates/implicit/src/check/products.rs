@@ -1,8 +1,8 @@
 //! Dot-product tests, and how much a window amplifies.
 
-use super::vectors::{Random, norm_of};
+use super::vectors::norm_of;
 use crate::{Error, Keep, Model, Trajectory};
-use varda_linalg::dot;
+use varda_linalg::{check::Random, dot};
 
 /// The dot-product test ⟨M dx, λ⟩ = ⟨dx, Mᵀ λ⟩.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,10 +1,10 @@
 //! Every check of a right-hand side.
 
 use super::products::compare;
-use super::report::{Finding, Report};
 use super::taylor::fit;
-use super::vectors::{Random, differing, norm_of};
+use super::vectors::norm_of;
 use crate::{Error, Rhs};
+use varda_linalg::check::{Finding, Random, Report, differing};
 
 /// Two forms of the adjoint may differ by this share of its norm: some tens of roundings.
 const SAME_ADJOINT: f64 = 1e-14;

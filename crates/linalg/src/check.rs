@@ -1,4 +1,7 @@
-//! What a check found, as data and as a table.
+//! What a check of a user's own type found, as data and as a table; vectors to check with.
+//!
+//! `varda_implicit::check` (models, right-hand sides, observation operators), `varda_covariance::check` and
+//! `varda_rod::check` return this [`Report`].
 
 use std::fmt;
 
@@ -21,8 +24,9 @@ impl Finding {
         Self { what: what.into(), value, bound, pass: value <= bound }
     }
 
-    /// The same finding, said to belong to something.
-    pub(crate) fn of(mut self, what: &str) -> Self {
+    /// The same finding, named as one of the part `what`.
+    #[must_use]
+    pub fn of(mut self, what: &str) -> Self {
         self.what = format!("{what}: {}", self.what);
         self
     }
@@ -31,7 +35,7 @@ impl Finding {
 /// All findings of a check. Printed, it is a table with a line for each.
 ///
 /// ```
-/// use varda_implicit::check::{Finding, Report};
+/// use varda_linalg::check::{Finding, Report};
 ///
 /// let report = Report { findings: vec![Finding::at_most("adjoint: dot product", 2e-3, 1e-14)] };
 /// assert!(!report.passed());
@@ -63,5 +67,42 @@ impl fmt::Display for Report {
             writeln!(f, "{what:width$}  {value:9.2e}  at most {bound:8.1e}  {verdict}")?;
         }
         Ok(())
+    }
+}
+
+/// Number of values of two vectors that differ in a bit.
+///
+/// ```
+/// assert_eq!(varda_linalg::check::differing(&[1.0, 0.0], &[1.0, -0.0]), 1.0);
+/// ```
+pub fn differing(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).filter(|(a, b)| a.to_bits() != b.to_bits()).count() as f64
+}
+
+/// Random numbers for test vectors, the same for the same seed: SplitMix64 (Steele, Lea and Flood 2014). Not
+/// for statistics.
+///
+/// ```
+/// use varda_linalg::check::Random;
+///
+/// assert_eq!(Random(7).draw(), Random(7).draw());
+/// ```
+#[derive(Debug, Clone)]
+pub struct Random(pub u64);
+
+impl Random {
+    /// A number in [−1, 1).
+    pub fn draw(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^= z >> 31;
+        (z >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+
+    /// `n` numbers in [−1, 1).
+    pub fn vector(&mut self, n: usize) -> Vec<f64> {
+        (0..n).map(|_| self.draw()).collect()
     }
 }
