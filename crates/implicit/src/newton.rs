@@ -140,6 +140,8 @@ const LAST_SHIFT: f64 = 1e12;
 const POTENTIAL_ROUNDING: f64 = 1e-10;
 /// Trusted steps in a row that may fail to halve the update.
 const STALLED: usize = 3;
+/// Trusted steps that are tested after all, where they stalled.
+const MOST_TESTED: usize = 50;
 /// A saddle is left by a step this many times the trusted size, then halved as needed.
 const ESCAPE: f64 = 1e4;
 /// A matrix that this share of its largest diagonal entry makes positive definite is taken for semidefinite.
@@ -235,7 +237,7 @@ pub fn solve<E: Equations + ?Sized>(
     }
     // the last shift that was needed, kept over iterations that need none
     let mut remembered = 0.0;
-    let mut stalled = 0;
+    let (mut stalled, mut tested) = (0, 0);
     for iteration in 1..=options.max_iterations {
         work.report.iterations = iteration;
         let shift = work.factor_descending(potential.is_some(), remembered)?;
@@ -260,7 +262,20 @@ pub fn solve<E: Equations + ?Sized>(
             stalled = if size > 0.5 * previous { stalled + 1 } else { 0 };
             if stalled >= STALLED {
                 work.report.at_rounding = work.residual_is_rounding(u);
-                return if work.report.at_rounding { Ok(work.report) } else { Err(work.diverged(equations)) };
+                if work.report.at_rounding {
+                    return Ok(work.report);
+                }
+                // too small to be tested is not yet small enough: tested steps for a while, where there is a
+                // potential
+                let Some(phi) = potential.filter(|_| tested < MOST_TESTED) else {
+                    return Err(work.diverged(equations));
+                };
+                tested += 1;
+                let test = work.descent(phi);
+                let accepted = work.backtrack(equations, u, &test, options);
+                potential = accepted.ok_or_else(|| work.diverged(equations))?;
+                u.copy_from_slice(&work.trial);
+                continue;
             }
             equations.retract(u, &work.du, 1.0, &mut work.trial);
             potential = equations.assemble(&work.trial, &mut work.g, Some(&mut work.values))?;
@@ -272,7 +287,13 @@ pub fn solve<E: Equations + ?Sized>(
                 Some(phi) => Some(work.descent(phi)),
                 None => Some(Test::Contraction { size }),
             };
-            let accepted = test.and_then(|test| work.backtrack(equations, u, &test, options));
+            let leaving = shift > 0.0 && size <= trusted && potential.is_some();
+            let mut accepted = test.and_then(|test| work.backtrack(equations, u, &test, options));
+            if accepted.is_none() && leaving {
+                // a curvature too slight for Φ to show: nearer to the point where the residual is zero, it
+                // may be none
+                accepted = Some(work.shifted_update(equations, u, shift)?);
+            }
             potential = accepted.ok_or_else(|| work.diverged(equations))?;
         }
         u.copy_from_slice(&work.trial);
@@ -305,6 +326,26 @@ impl NewtonWork {
         let row =
             self.solver.factor_shifted(&self.values, shift, &mut self.factor).err().map_or(0, |bad| bad.row);
         Err(NewtonFailure::SingularJacobian { row })
+    }
+
+    /// Takes the shifted update without a test. Returns the potential there.
+    fn shifted_update<E: Equations + ?Sized>(
+        &mut self,
+        equations: &mut E,
+        u: &[f64],
+        shift: f64,
+    ) -> Result<Option<f64>, NewtonFailure> {
+        let mut trial = std::mem::take(&mut self.trial);
+        let assembled = equations.assemble(u, &mut self.g, Some(&mut self.values));
+        if assembled.is_ok() {
+            self.report.factorizations += 1;
+            let _ = self.solver.factor_shifted(&self.values, shift, &mut self.factor);
+            self.newton_update();
+            equations.retract(u, &self.du, 1.0, &mut trial);
+        }
+        self.trial = trial;
+        assembled?;
+        Ok(equations.assemble(&self.trial, &mut self.g, Some(&mut self.values))?)
     }
 
     /// Whether ∂G/∂u has no negative eigenvalue beyond rounding. Leaves another factor.

@@ -141,6 +141,20 @@ impl RodStep {
         6 * self.system.layout.free_vertices.len()
     }
 
+    /// The same step, the first angles of a run looked for from those of a shape at rest, which picks their
+    /// branch, not from zero.
+    ///
+    /// # Panics
+    /// If the shape has not one angle for every edge.
+    #[must_use]
+    pub fn starting_from(mut self, shape: &Rest) -> RodStep {
+        assert_eq!(shape.theta.len(), self.rod().segments(), "one angle for every edge");
+        if let Some(twist) = &mut self.twist {
+            twist.first = Some(shape.theta.clone());
+        }
+        self
+    }
+
     /// The control z = [X₀, 0] of the rod at rest in this shape.
     ///
     /// # Panics

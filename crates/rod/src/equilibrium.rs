@@ -1,7 +1,7 @@
 //! Static equilibrium of a rod, and a first guess of it.
 
 use nalgebra::Vector3;
-use varda_implicit::{NewtonOptions, NewtonReport, solve};
+use varda_implicit::{Equations, NewtonOptions, NewtonReport, solve};
 
 use crate::Error;
 use crate::rod::Rod;
@@ -36,6 +36,36 @@ pub fn equilibrium(
     t: f64,
     guess: &Rest,
 ) -> Result<(Rest, NewtonReport), varda_implicit::Error> {
+    let mut work = Work::default();
+    // a stiff column far beyond its buckling load folds and unfolds its way from the straight saddle to the
+    // first mode
+    let rest = equilibrium_within(rod, supports, loads, t, guess, 2000, &mut work)?;
+    Ok((rest, work.report))
+}
+
+/// What several searches for an equilibrium did together.
+#[derive(Debug, Default)]
+pub(crate) struct Work {
+    pub(crate) solves: usize,
+    pub(crate) iterations: usize,
+    /// Of the last search that ended well.
+    pub(crate) report: NewtonReport,
+    /// Where the last search that failed stopped.
+    pub(crate) stopped: Option<Rest>,
+    /// Potential energy at its end.
+    pub(crate) energy: f64,
+}
+
+/// [`equilibrium`] with a limit of iterations.
+pub(crate) fn equilibrium_within(
+    rod: &Rod,
+    supports: &Supports,
+    loads: &Loads,
+    t: f64,
+    guess: &Rest,
+    max_iterations: usize,
+    done: &mut Work,
+) -> Result<Rest, varda_implicit::Error> {
     assert_eq!(guess.vertices.len(), rod.segments() + 1, "one place for every vertex");
     assert_eq!(guess.theta.len(), rod.segments(), "one angle for every edge");
     let refuse = |e: Error| varda_implicit::Error::Refused { step: 0, reason: e.into() };
@@ -52,15 +82,29 @@ pub fn equilibrium(
     system.gather(&mut u);
     let mut statics = Statics::new(system, end_angle, 1e-11 * rod.length());
     let mut work = statics.work_space();
-    // a stiff column far beyond its buckling load folds and unfolds its way from the straight saddle to the
-    // first mode
-    let options = NewtonOptions { max_iterations: 2000, ..NewtonOptions::default() };
-    let report =
-        solve(&mut statics, &mut u, &mut work, &options).map_err(|failure| failure.in_step(&at_rest(t)))?;
-    let mut system = statics.system;
+    let options = NewtonOptions { max_iterations, ..NewtonOptions::default() };
+    let solved = solve(&mut statics, &mut u, &mut work, &options);
+    done.solves += 1;
+    done.iterations += work.report().iterations;
+    if solved.is_err() {
+        let mut stopped = statics.system.clone();
+        stopped.scatter(&u);
+        stopped.theta[rod.segments() - 1] = match stopped.layout.free_angles.contains(&(rod.segments() - 1)) {
+            true => stopped.theta[rod.segments() - 1],
+            false => statics.end_angle,
+        };
+        done.stopped = Some(Rest { vertices: stopped.x, theta: stopped.theta });
+    }
+    done.report = solved.map_err(|failure| failure.in_step(&at_rest(t)))?;
+    let mut g = vec![0.0; u.len()];
+    let at_end = statics.assemble(&u, &mut g, None);
+    done.energy = at_end
+        .map_err(|reason| varda_implicit::NewtonFailure::Refused(reason).in_step(&at_rest(t)))?
+        .unwrap_or(f64::NAN);
+    let Statics { mut system, end_angle, .. } = statics;
     system.scatter(&u);
     system.update_shape(system.layout.twist, end_angle).map_err(refuse)?;
-    Ok((Rest { vertices: system.x, theta: system.theta }, report))
+    Ok(Rest { vertices: system.x, theta: system.theta })
 }
 
 /// An edge of a chain at its rest length has no stiffness across itself, which leaves zero rows in the

@@ -40,6 +40,9 @@ pub enum Error {
         /// The pivot over GJ/l + EI/l there.
         pivot: f64,
     },
+    /// No support at all: an equilibrium would fall or drift away.
+    #[error("nothing holds the rod: it has no clamp and no prescribed vertex")]
+    NothingHolds,
     /// A field of a description has an impossible value.
     #[error("{field}: {value} is not allowed (expected {expected})")]
     Value {

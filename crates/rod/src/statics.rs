@@ -1,4 +1,8 @@
-//! The equations of a rod at rest.
+//! The equations of a rod at rest, and the ways to a shape that solves them.
+
+pub(crate) mod continuation;
+mod guess;
+mod shape_input;
 
 use nalgebra::Vector3;
 use varda_implicit::{Equations, Interval, NewtonWork, Refusal};
@@ -65,7 +69,14 @@ impl Equations for Statics {
             return;
         }
         s.scatter(u);
-        s.shape.set_edges(&s.x, true).expect("u was assembled before");
+        if s.layout.free_angles.len() + 1 < s.rod.segments() {
+            // both ends hold a director: u is accepted, and its end angle counts whole turns from the one
+            // before
+            s.update_shape(true, self.end_angle).expect("u was assembled before");
+            self.end_angle = s.theta[s.rod.segments() - 1];
+        } else {
+            s.shape.set_edges(&s.x, true).expect("u was assembled before");
+        }
         s.add_holonomy(du, alpha, &mut self.displacement, &mut self.psi, trial);
     }
 

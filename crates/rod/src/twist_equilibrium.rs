@@ -8,8 +8,8 @@ use crate::layout::FIXED;
 use crate::statics::{Statics, at_rest};
 use crate::system::System;
 
-/// θ₀ = θ(X₀): the angles that minimise E at given vertices, from θ = 0, with δθ₀ = −E_θθ⁻¹
-/// E_θX δX₀ and its transpose.
+/// θ₀ = θ(X₀): the angles that minimise E at given vertices, from θ = 0 or those of a rod at rest,
+/// with δθ₀ = −E_θθ⁻¹ E_θX δX₀ and its transpose.
 pub(crate) struct TwistEquilibrium {
     statics: Statics,
     work: NewtonWork,
@@ -23,6 +23,8 @@ pub(crate) struct TwistEquilibrium {
     rhs: Vec<f64>,
     psi: Vec<f64>,
     displacement: Vec<Vector3<f64>>,
+    /// Angles of all edges to start from, in place of zero.
+    pub(crate) first: Option<Vec<f64>>,
 }
 
 impl TwistEquilibrium {
@@ -45,6 +47,7 @@ impl TwistEquilibrium {
             psi: vec![0.0; n],
             displacement: vec![Vector3::zeros(); n + 1],
             full: system.clone(),
+            first: None,
         }
     }
 
@@ -56,9 +59,15 @@ impl TwistEquilibrium {
             s.x[v] = Vector3::from_column_slice(&positions[3 * f..3 * f + 3]);
         }
         s.theta.fill(0.0);
-        let end_angle = s.end_angle_guess();
-        self.statics.end_angle = end_angle;
+        let mut end_angle = s.end_angle_guess();
         self.u.fill(0.0);
+        if let Some(first) = &self.first {
+            end_angle = first[first.len() - 1];
+            for (u, &e) in self.u.iter_mut().zip(&self.full.layout.free_angles) {
+                *u = first[e];
+            }
+        }
+        self.statics.end_angle = end_angle;
         let options = NewtonOptions { max_iterations: 200, ..NewtonOptions::default() };
         solve(&mut self.statics, &mut self.u, &mut self.work, &options)
             .map_err(|failure| failure.in_step(&at_rest(t)))?;
