@@ -22,18 +22,13 @@ impl SparseLu {
     /// If this is not a pattern of n rows and columns.
     pub(crate) fn new(n: usize, columns: &[usize], rows: &[usize]) -> Self {
         let pattern = SymbolicSparseColMat::new_checked(n, n, columns.to_vec(), None, rows.to_vec());
-        let symbolic =
-            lu::factorize_symbolic_lu(pattern.as_ref(), Default::default()).expect("room for the symbolic factor");
+        let symbolic = lu::factorize_symbolic_lu(pattern.as_ref(), Default::default())
+            .expect("room for the symbolic factor");
         let scratch = symbolic
             .factorize_numeric_lu_scratch::<f64>(Par::Seq, Default::default())
             .or(symbolic.solve_in_place_scratch::<f64>(1, Par::Seq))
             .or(symbolic.solve_transpose_in_place_scratch::<f64>(1, Par::Seq));
-        Self {
-            pattern,
-            symbolic,
-            scratch: MemBuffer::new(scratch),
-            probe: vec![0.0; n],
-        }
+        Self { pattern, symbolic, scratch: MemBuffer::new(scratch), probe: vec![0.0; n] }
     }
 
     pub(crate) fn factor(&mut self, values: &[f64], factor: &mut NumericLu) -> Result<(), BadPivot> {
