@@ -10,6 +10,7 @@
 //! |---|---|
 //! | what is observed? | an [`ObservationSet`] of [`Observation`]s through [`ObservationOperator`]s |
 //! | what is known before? | a [`ControlTransform`]: background x_b and any `varda_covariance::Covariance` |
+//! | nothing known before? | the [`Climatology`] of the model |
 //! | which cost? | [`StrongConstraint`]: 4D-Var, and 3D-Var where nothing is observed after step 0 |
 //! | and if the model errs? | [`WeakForcing`] or [`WeakState`], with [`Forcing`] |
 //! | a cheaper inner problem? | [`outer_loop`], [`InnerSolver::Dual`] for PSAS; [`Blue`] |
@@ -80,6 +81,7 @@
 mod analysis;
 mod assimilation;
 mod blue;
+mod climatology;
 mod consistency;
 mod control;
 #[cfg(any(feature = "nalgebra", feature = "sprs"))]
@@ -102,6 +104,7 @@ mod posterior_lanczos;
 pub use analysis::Analysis;
 pub use assimilation::{AnalysisResult, Assimilation};
 pub use blue::{Blue, Gain};
+pub use climatology::Climatology;
 pub use consistency::{Consistency, consistency, predicted_variance};
 pub use control::ControlTransform;
 pub use correlated::Correlated;

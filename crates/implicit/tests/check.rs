@@ -4,6 +4,7 @@ use varda_implicit::lorenz::Lorenz63;
 use varda_implicit::{
     ControlMap, Error, ImplicitModel, Log, Model, OneLeg, Rhs, Rk4, Structure, Work, check,
 };
+use varda_linalg::check::Random;
 
 /// A model given by its three functions.
 struct Toy {
@@ -203,35 +204,52 @@ fn a_mutated_right_hand_side_fails_the_conformance_of_its_models() {
     assert!(failed("dot product") && failed("Taylor"), "{outcomes:?}");
 }
 
-/// ‖M‖ lies between ‖M‖_F/√3 and ‖M‖_F, and six products find it; a window of 40 time units of
-/// Lorenz-63 is flagged.
+/// A window of Lorenz-63, and ‖M‖ by the singular values of the matrix.
 #[test]
-fn amplification_is_the_norm_of_the_window() {
+fn amplification_is_the_norm_of_the_window_to_a_factor() {
     let mut model = Rk4::new(Lorenz63::default(), 0, 0.01);
-    let mut run = |steps: usize| {
-        let (mut x, mut next) = (vec![1.2, -0.7, 10.3], vec![0.0; 3]);
-        for k in 0..steps {
-            model.step(k, &x, &mut next).unwrap();
-            model.linearize(k, k, &x, &next).unwrap();
-            std::mem::swap(&mut x, &mut next);
-        }
-        let found = check::amplification(&mut model, 0..steps, &[1.0; 3], 1).unwrap();
+    let mut states = vec![-4.3, -5.0, 20.0];
+    for k in 0..4000 {
+        let mut next = vec![0.0; 3];
+        model.step(k, &states[3 * k..], &mut next).unwrap();
+        states.extend(next);
+    }
+    for steps in [10, 400, 1200, 4000] {
+        let seen = &states[..3 * (steps + 1)];
         let mut squares = 0.0;
         for i in 0..3 {
             let mut dx = [0.0; 3];
             dx[i] = 1.0;
-            (0..steps).for_each(|k| model.tangent(k, &mut dx));
+            for (k, pair) in seen.windows(6).step_by(3).enumerate() {
+                model.linearize(0, k, &pair[..3], &pair[3..]).unwrap();
+                model.tangent(0, &mut dx);
+            }
             squares += dx.iter().map(|d| d * d).sum::<f64>();
         }
-        (found, squares.sqrt())
+        let mut random = Random(3);
+        let mut sign = || random.draw().signum();
+        let found = check::amplification(&mut model, &states[..3], &[1.0; 3], seen, &mut sign).unwrap();
+        // four draws of at most three directions
+        let factor = found.norm / squares.sqrt();
+        assert!((0.4..2.0).contains(&factor), "{steps}: {factor}");
+        assert_eq!(found.reliable, steps < 4000, "{found:?}");
+        assert_eq!(found.warning().is_some_and(|w| w.contains("shorten the window")), steps == 4000);
+    }
+}
+
+#[test]
+fn units_of_an_amplification_do_not_matter_and_an_overflow_is_flagged() {
+    let states = [1.0, 2.0, 3.0, 1.0, 2.0, 3.0];
+    let mut model = Rk4::new(Lorenz63::default(), 0, 0.01);
+    let mut of = |sigma: [f64; 3]| {
+        let mut random = Random(3);
+        let mut sign = || random.draw().signum();
+        check::amplification(&mut model, &states[..3], &sigma, &states, &mut sign).unwrap()
     };
-    let (short, frobenius) = run(100);
-    assert!(short.norm <= frobenius * (1.0 + 1e-12) && short.norm >= frobenius / 3.0_f64.sqrt(), "{short:?}");
-    assert!(short.reliable && short.warning().is_none());
-    let (long, frobenius) = run(4000);
-    // one direction alone is left
-    assert!((long.norm / frobenius - 1.0).abs() < 1e-6, "{long:?} {frobenius:e}");
-    assert!(!long.reliable && long.warning().is_some_and(|w| w.contains("shorten the window")));
+    let [one, thousand] = [of([1.0; 3]), of([1e3; 3])];
+    assert!((one.norm - thousand.norm).abs() < 1e-12 * one.norm && one.reliable);
+    let overflown = of([1e300, 1e-300, 1.0]);
+    assert!(!overflown.reliable && overflown.warning().is_some(), "{overflown:?}");
 }
 
 /// x_{k+1} = c_k x_k (1 − 0.1 x_k) with c_0 = 0.9 and c_k = 0.8 after; the control is z = ln x₀.

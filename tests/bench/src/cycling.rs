@@ -299,16 +299,6 @@ fn trajectory(model: &mut dyn Model, start: &[f64], steps: usize) -> Result<Vec<
 /// The mean of a long run and 0.02 times its full covariance.
 fn climatology() -> Result<(Vec<f64>, Vec<f64>), Failure> {
     let start: Vec<f64> = (0..N).map(|i| 8.0 + (i as f64).sin()).collect();
-    let states = trajectory(&mut model(), &start, 101_000)?.split_off(1000);
-    let count = states.len() as f64;
-    let mean: Vec<f64> = (0..N).map(|i| states.iter().map(|x| x[i]).sum::<f64>() / count).collect();
-    let mut matrix = vec![0.0; N * N];
-    for x in &states {
-        for i in 0..N {
-            for j in 0..N {
-                matrix[i * N + j] += 0.02 * (x[i] - mean[i]) * (x[j] - mean[j]) / (count - 1.0);
-            }
-        }
-    }
-    Ok((mean, matrix))
+    let climate = Climatology::of_run(&mut model(), &start, 1000, 100_000)?;
+    Ok((climate.mean, climate.covariance.iter().map(|c| 0.02 * c).collect()))
 }

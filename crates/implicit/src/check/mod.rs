@@ -9,6 +9,7 @@
 //! A dot-product test proves that the adjoint is the transpose of the tangent; only a Taylor test proves that
 //! the tangent is the derivative of the step.
 
+mod amplification;
 mod conformance;
 mod operator;
 mod products;
@@ -16,9 +17,10 @@ mod rhs;
 mod taylor;
 mod vectors;
 
+pub use amplification::{Amplification, amplification};
 pub use conformance::{conformance, model};
 pub use operator::operator;
-pub use products::{Amplification, DotProduct, amplification, compare, dot_product, window};
+pub use products::{DotProduct, compare, dot_product, window};
 pub use rhs::rhs;
 pub use taylor::{Taylor, taylor, taylor_step};
 pub use varda_linalg::check::{Finding, Report};

@@ -1,4 +1,4 @@
-//! Dot-product tests, and how much a window amplifies.
+//! Dot-product tests.
 
 use super::vectors::norm_of;
 use crate::{Error, Keep, Model, Trajectory};
@@ -24,9 +24,6 @@ pub struct DotProduct {
 
 /// Condition beyond which a dot product says nothing.
 const WORST_CONDITION: f64 = 1e10;
-
-/// Relative error of a gradient that a minimizer can live with.
-const WORST_GRADIENT: f64 = 1e-4;
 
 /// The dot-product test of the linearizations in the given slots, one after the other, with random vectors
 /// drawn from `seed`.
@@ -54,8 +51,9 @@ pub fn dot_product(
     compare(&dx, &m_dx, &lambda, &mt_lambda, norm, [scale, scale])
 }
 
-/// ‖M‖ in scaled variables from below, by `products` power iterations with MᵀM from v; the last one
-/// ends at M v.
+/// The condition of a product needs the largest singular value, and M with its transpose is at hand: ‖M‖
+/// in scaled variables from below, by `products` power iterations with MᵀM from v; the last one ends at M
+/// v.
 fn norm_by_powers(
     model: &mut dyn Model,
     slots: std::ops::Range<usize>,
@@ -77,59 +75,6 @@ fn norm_by_powers(
         }
     }
     Ok(norm)
-}
-
-/// How much a window amplifies a perturbation, and what that leaves of a gradient taken over it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Amplification {
-    /// ‖M‖ of the window in scaled variables, an estimate from below.
-    pub norm: f64,
-    /// ε ‖M‖: rounding at the start of the window as it arrives at its end, the relative error of a
-    /// gradient to a factor of some ten (states are larger than `scale`, and every step rounds).
-    pub gradient_error: f64,
-    /// Whether `gradient_error` ≤ 1e-4: a minimizer can converge on such a gradient.
-    pub reliable: bool,
-}
-
-impl Amplification {
-    /// Of a window whose ‖M‖ is known, or estimated.
-    pub fn of(norm: f64) -> Self {
-        let gradient_error = f64::EPSILON * norm;
-        Self { norm, gradient_error, reliable: gradient_error <= WORST_GRADIENT }
-    }
-
-    /// What to tell a user whose window is too long; `None` where the gradient can be relied on.
-    pub fn warning(&self) -> Option<String> {
-        (!self.reliable).then(|| {
-            format!(
-                "the window amplifies perturbations {:.0e} times: its gradient is right to {:.0e} at best; \
-                 shorten the window, or observe more often and let errors of the model in (weak constraint)",
-                self.norm, self.gradient_error
-            )
-        })
-    }
-}
-
-/// Estimates ‖M‖ of the linearizations in the given slots and with it the accuracy of gradients over
-/// them: six products with MᵀM from a vector drawn from `seed`. In a chaotic system ‖M‖ grows like
-/// exp(λ₁ T) with the window's length T, and ε ‖M‖ with it.
-///
-/// # Errors
-/// [`Error::EmptyTest`] where M is zero or so large that it is not finite.
-///
-/// # Panics
-/// If a slot holds no linearization or `scale` (a typical perturbation of each component) has the wrong
-/// length.
-pub fn amplification(
-    model: &mut dyn Model,
-    slots: std::ops::Range<usize>,
-    scale: &[f64],
-    seed: u64,
-) -> Result<Amplification, Error> {
-    assert_eq!(scale.len(), model.dim(), "scale and state differ in length");
-    let mut random = Random(seed);
-    let v = scale.iter().map(|s| s * random.draw()).collect();
-    Ok(Amplification::of(norm_by_powers(model, slots, v, scale, 6)?))
 }
 
 /// Compares ⟨M dx, λ⟩ with ⟨dx, Mᵀ λ⟩ for products already made, and a norm of M in scaled

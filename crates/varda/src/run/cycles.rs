@@ -329,7 +329,7 @@ impl Sequence {
         let mut sigma = vec![0.0; b.dim()];
         b.variance(&mut sigma);
         sigma.iter_mut().for_each(|s| *s = s.sqrt());
-        amplification::estimate(model.as_mut(), &last.analysis, &sigma, states, scene.seed).ok()
+        amplification::estimate(model.as_mut(), &last.analysis, &sigma, states, scene.seed)
     }
 
     /// Runs from every window's analysis to the next one's start, the last to its end; and the truth over the

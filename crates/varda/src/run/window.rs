@@ -244,9 +244,8 @@ fn amplification(
     let steps = observations.last_step().filter(|k| *k > 0)?;
     let states = runs.analysis.get(..(steps + 1) * runs.dim)?;
     let mut model = make_model(0);
-    // A run that cannot be linearized has no estimate.
     let sigma = &analysis.sigma_background;
-    amplification::estimate(model.as_mut(), &analysis.analysis, sigma, states, scene.seed).ok()
+    amplification::estimate(model.as_mut(), &analysis.analysis, sigma, states, scene.seed)
 }
 
 /// The refused values, with their times.

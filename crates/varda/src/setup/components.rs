@@ -2,10 +2,10 @@
 
 use std::rc::Rc;
 
+use varda_assimilation::Climatology;
 use varda_implicit::Model;
 use varda_implicit::line::Line;
 
-use super::climatology;
 use super::component_model::Equation;
 use super::covariance::{self, Factored};
 use super::csv;
@@ -112,8 +112,9 @@ impl ComponentSystem {
             ComponentCovariance::Diagonal(d) => covariance::diagonal(file, path, n, d.sigma),
             ComponentCovariance::Climatology(c) => {
                 let mut model = (self.make)(0);
-                let matrix = climatology::covariance(model.as_mut(), &self.start, self.spin_up, c.steps)?;
-                covariance::scaled(file, path, n, c.scale, &matrix)
+                let climate = Climatology::of_run(model.as_mut(), &self.start, self.spin_up, c.steps)
+                    .map_err(|reason| Error::Preparation { stage: "climatology", reason })?;
+                covariance::scaled(file, path, n, c.scale, &climate.covariance)
             }
         }
     }

@@ -1,7 +1,6 @@
 //! From a scene to a [`Problem`]: models, background, covariance, observations.
 
 pub(crate) mod adaptive_steps;
-pub mod climatology;
 mod component_model;
 mod component_observations;
 pub mod components;

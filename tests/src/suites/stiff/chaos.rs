@@ -10,6 +10,7 @@ use varda_assimilation::{
 use varda_covariance::Diagonal;
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 use varda_implicit::{Keep, Model, Rhs, Rk4, Trajectory, check};
+use varda_linalg::check::Random;
 
 pub(super) fn run(rows: &mut Rows, options: &Options) {
     for length in [5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0] {
@@ -41,7 +42,10 @@ fn accuracy<R: Rhs + Clone + 'static>(case: &mut Case, rhs: &R, x0: &[f64], dt: 
     let steps = (length / dt).round() as usize;
     let mut plain = Rk4::new(rhs.clone(), 0, dt);
     let gradient = end_gradient(&mut plain, x0, steps)?;
-    let amplification = check::amplification(&mut plain, 0..steps, &vec![1.0; x0.len()], 1)?;
+    let run = states(&mut plain, x0, steps)?.concat();
+    let mut random = Random(1);
+    let sign = &mut || random.draw().signum();
+    let amplification = check::amplification(&mut plain, x0, &vec![1.0; x0.len()], &run, sign)?;
     let mut tripled = Rk4::new(Tripled(rhs.clone(), vec![0.0; x0.len()]), 0, dt);
     let start: Vec<f64> = x0.iter().map(|x| 3.0 * x).collect();
     // J = ½‖X‖² with X = 3x is nine times as large, its gradient with respect to X three times
