@@ -10,7 +10,7 @@ pub struct Options {
     pub quick: bool,
     /// The longest cases too.
     pub full: bool,
-    /// Folder with `der`, `hanging-rod`, `twin` (any of them); our own copies where there is none.
+    /// Folder with `der`, `hanging-rod`, `twin`, `statics` (any of them); our own copies where there is none.
     pub fixtures: Option<PathBuf>,
 }
 
