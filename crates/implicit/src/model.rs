@@ -326,7 +326,15 @@ impl Log {
         }
     }
 
+    #[inline]
     fn warn(&mut self, step: usize, texts: Vec<String>) {
+        if !texts.is_empty() {
+            self.keep(step, texts);
+        }
+    }
+
+    #[cold]
+    fn keep(&mut self, step: usize, texts: Vec<String>) {
         for text in texts {
             let known = self.warnings.iter().any(|w| w.step == step && w.text == text);
             if self.warnings.len() < MAX_WARNINGS && !known {

@@ -3,7 +3,7 @@
 use crate::{BadPivot, clear_upper_registers};
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::sparse::linalg::{LuError, lu};
-use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::{ColMut, Conj, Par};
 
 /// The numbers of one sparse LU factor.
@@ -11,8 +11,7 @@ pub(crate) type NumericLu = lu::NumericLu<usize, f64>;
 
 /// LU factorizations of sparse matrices with one pattern.
 pub(crate) struct SparseLu {
-    columns: Vec<usize>,
-    rows: Vec<usize>,
+    pattern: SymbolicSparseColMat<usize>,
     symbolic: lu::SymbolicLu<usize>,
     scratch: MemBuffer,
     probe: Vec<f64>,
@@ -22,32 +21,24 @@ impl SparseLu {
     /// # Panics
     /// If this is not a pattern of n rows and columns.
     pub(crate) fn new(n: usize, columns: &[usize], rows: &[usize]) -> Self {
-        let pattern = SymbolicSparseColMatRef::new_checked(n, n, columns, None, rows);
-        let symbolic =
-            lu::factorize_symbolic_lu(pattern, Default::default()).expect("room for the symbolic factor");
+        let pattern = SymbolicSparseColMat::new_checked(n, n, columns.to_vec(), None, rows.to_vec());
+        let symbolic = lu::factorize_symbolic_lu(pattern.as_ref(), Default::default())
+            .expect("room for the symbolic factor");
         let scratch = symbolic
             .factorize_numeric_lu_scratch::<f64>(Par::Seq, Default::default())
             .or(symbolic.solve_in_place_scratch::<f64>(1, Par::Seq))
             .or(symbolic.solve_transpose_in_place_scratch::<f64>(1, Par::Seq));
-        Self {
-            columns: columns.to_vec(),
-            rows: rows.to_vec(),
-            symbolic,
-            scratch: MemBuffer::new(scratch),
-            probe: vec![0.0; n],
-        }
+        Self { pattern, symbolic, scratch: MemBuffer::new(scratch), probe: vec![0.0; n] }
     }
 
     pub(crate) fn factor(&mut self, values: &[f64], factor: &mut NumericLu) -> Result<(), BadPivot> {
         // An infinite pivot leaves finite solutions.
         if let Some(at) = values.iter().position(|value| !value.is_finite()) {
-            return Err(BadPivot { row: self.rows[at] });
+            return Err(BadPivot { row: self.pattern.row_idx()[at] });
         }
-        let n = self.probe.len();
-        let pattern = SymbolicSparseColMatRef::new_checked(n, n, &self.columns, None, &self.rows);
         let made = self.symbolic.factorize_numeric_lu(
             factor,
-            SparseColMatRef::new(pattern, values),
+            SparseColMatRef::new(self.pattern.as_ref(), values),
             Par::Seq,
             MemStack::new(&mut self.scratch),
             Default::default(),
