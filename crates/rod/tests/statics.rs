@@ -155,6 +155,17 @@ fn a_first_shape_picks_the_branch_and_a_measured_one_is_at_ease() {
         let found = rest(&rod, &supports, &Loads::default(), 0.0, &search).unwrap();
         assert!(found.rest.vertices[20].z * side > 0.1, "{}", found.rest.vertices[20]);
     }
+    // the same points where they are said to be along the rod, a few of them
+    let bow = |u: f64| Vector3::new(0.8 * u, 0.0, 0.3 * (PI * u).sin().powi(2));
+    let (places, points): (Vec<_>, Vec<_>) =
+        [0.2, 0.35, 0.5, 0.65, 0.8].map(|u| (u, bow(u))).into_iter().unzip();
+    let shape = Rest::through_at(&rod, &places, &points).unwrap();
+    assert!((shape.vertices[20] - points[2]).norm() <= 1e-12, "{}", shape.vertices[20]);
+    let on = shape.vertices[0] - points[0];
+    assert!((on.norm() - 0.2).abs() <= 1e-12, "straight on for the rest: {on}");
+    let search = Search { initial_shape: Some(shape), ..Search::default() };
+    let found = rest(&rod, &supports, &Loads::default(), 0.0, &search).unwrap();
+    assert!(found.rest.vertices[20].z > 0.1, "{}", found.rest.vertices[20]);
     let helix = |u: f64| Vector3::new(0.1 * (4.0 * u).sin(), 0.1 - 0.1 * (4.0 * u).cos(), 0.3 * u);
     let points: Vec<_> = (0..=60).map(|i| helix(i as f64 / 30.0)).collect();
     let shape = Rest::through(&rod, &points).unwrap().vertices;

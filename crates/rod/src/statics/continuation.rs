@@ -37,7 +37,8 @@ const CURLED: f64 = 0.5;
 /// What a search for a rod at rest may be told.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Search {
-    /// A shape near the one looked for, angles included: it picks the branch where there are several.
+    /// A shape near the one looked for, angles included: it picks the branch where there are several. It is moved to
+    /// the places that are held.
     pub initial_shape: Option<Rest>,
     /// The turn \[rad\], right-handed about its tangent, by which the end clamp came to its present director;
     /// more than π counts. Zero: the twist nearest to none.
@@ -112,7 +113,7 @@ pub fn rest(
     let mut way =
         Way { rod, supports, loads, t, held, end_turn: search.end_turn, twist: 1.0, work: Work::default() };
     let found = if let Some(shape) = &search.initial_shape {
-        way.solve(1.0, 1.0, 1.0, shape, 2000)
+        way.from_shape(shape)
     } else if way.held.spans() {
         way.between().or_else(|failure| {
             // half a turn of twist at one vertex hides its bend from the energy: a way on which twist costs
@@ -220,6 +221,22 @@ impl Way<'_> {
         (tangent, director)
     }
 
+    /// A shape that was given, moved to the places that are held: as it is, or first with less stretching stiffness.
+    fn from_shape(&mut self, shape: &Rest) -> Solved {
+        let mut shape = shape.clone();
+        let s = self.rod.arc_lengths();
+        let off: Vec<_> =
+            self.held.points.iter().map(|&(v, place)| (s[v], place - shape.vertices[v])).collect();
+        for (x, s) in shape.vertices.iter_mut().zip(&s) {
+            let after = off.partition_point(|o| o.0 <= *s);
+            let (a, b) = (off[after.saturating_sub(1)], off[after.min(off.len() - 1)]);
+            let share = if b.0 > a.0 { ((s - a.0) / (b.0 - a.0)).clamp(0.0, 1.0) } else { 0.0 };
+            *x += a.1 + (b.1 - a.1) * share;
+        }
+        self.solve(1.0, 1.0, 1.0, &shape, SNAPPING)
+            .or_else(|_| self.stiffen(1.0, self.share_of_stretch(SOFT), 1.0, &shape))
+    }
+
     /// One held place.
     fn hanging(&mut self) -> Solved {
         let n = self.rod.segments();
@@ -236,7 +253,7 @@ impl Way<'_> {
             (Rest { vertices, theta: vec![0.0; n] }, true)
         };
         // a straight rod goes its old way first; a curled one is lost when all of its weight comes at once
-        if straight && let Ok(rest) = self.solve(1.0, 1.0, 1.0, &shape, 2000) {
+        if straight && let Ok(rest) = self.solve(1.0, 1.0, 1.0, &shape, SNAPPING) {
             return Ok(rest);
         }
         let rest = self.solve(1.0, 0.0, 1.0, &shape, FIRST)?;

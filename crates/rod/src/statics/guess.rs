@@ -140,7 +140,7 @@ fn hang_ends(
     let mut out = if held.spans() { held.chord(false, rod) } else { Vector3::zeros() };
     let down = gravity.try_normalize(0.0).unwrap_or_default();
     if out == Vector3::zeros() {
-        out = if down == out { Vector3::x() } else { any_perpendicular(&down) };
+        out = if down == out { -Vector3::z() } else { any_perpendicular(&down) };
     }
     // a rod held at its very end hangs straight; held inside, its halves must not lie on each other
     let tilt =

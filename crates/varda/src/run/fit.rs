@@ -109,7 +109,8 @@ pub(crate) fn beyond(
     let sights = problem.observed.sights();
     let mut places = SitePlaces::of((space.make_places)()?, *grid);
     let at_rest = if sights.iter().any(|s| s.at() > end) {
-        let control = rod.parts.at_rest(grid.time(grid.steps))?;
+        let at_rest = rod.parts.at_rest(grid.time(grid.steps))?;
+        let control = rod.parts.dynamics()?.control_at_rest(&at_rest);
         let mut state = vec![0.0; model.dim()];
         model.initial_state(&control, &mut state)?;
         state

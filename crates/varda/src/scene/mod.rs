@@ -48,7 +48,7 @@ pub use limits::{DEFAULT_MEMORY, Limits};
 pub use method::{Method, Minimizer};
 pub use model::{
     Burgers, Clamp, DampingValues, LinearAdvection, Lorenz63, Lorenz96, Material, Model, Motion, PointForce,
-    PointMass, Prescribed, RodModel, Section,
+    PointMass, Prescribed, RestShape, RodModel, Section, ShapePoints,
 };
 pub use model_error::ModelError;
 pub use observations::{Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, Use};

@@ -178,6 +178,13 @@ pub struct RodModel {
     #[serde(default, skip_serializing_if = "is_default")]
     #[schemars(extend("x-unit" = "rad/m"))]
     pub natural_twist: f64,
+    /// A shape at rest, measured or drawn, whose curvature and twist are the natural ones: in place of
+    /// `natural_curvature` and `natural_twist`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rest_shape: Option<RestShape>,
+    /// A first guess of the static equilibrium, which picks one where there are several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub initial_shape: Option<ShapePoints>,
     /// Clamp at arc length 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<Clamp>,
@@ -296,6 +303,42 @@ pub struct Clamp {
     /// How the clamp moves, directions kept. Absent: it does not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<Motion>,
+}
+
+/// A shape of the rod: points along it, in a file or here.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ShapePoints {
+    /// A CSV file with the header `s_m,x_m,y_m,z_m`: points by arc length, ascending; straight on beyond them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
+    /// Points from one end of the rod to the other [m]; the curve's own length is scaled to the rod's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("x-unit" = "m", "maxItems" = 20000))]
+    pub points: Option<Vec<[f64; 3]>>,
+}
+
+/// A shape at rest: points along the rod, in a file or here, wherever it was laid.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct RestShape {
+    /// A CSV file with the header `s_m,x_m,y_m,z_m`: points by arc length, ascending; straight on beyond them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
+    /// Points from one end of the rod to the other [m]; the curve's own length is scaled to the rod's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("x-unit" = "m", "maxItems" = 20000))]
+    pub points: Option<Vec<[f64; 3]>>,
+    /// Where m₁ of the first segment points, in the axes of the points. Absent: the start clamp's director.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub director: Option<[f64; 3]>,
+}
+
+impl RestShape {
+    /// Its points.
+    pub(crate) fn shape(&self) -> ShapePoints {
+        ShapePoints { file: self.file.clone(), points: self.points.clone() }
+    }
 }
 
 /// A vertex whose place is given.

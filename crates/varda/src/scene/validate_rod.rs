@@ -1,7 +1,7 @@
 //! What `[model]` of a rod must satisfy beyond the type of each key.
 
 use super::invalid::{Check, invalid};
-use super::{Clamp, RodModel, Section};
+use super::{Clamp, RodModel, Section, ShapePoints};
 
 pub(super) fn validate_rod(rod: &RodModel) -> Check {
     let lengths = rod.rest_lengths()?;
@@ -32,6 +32,19 @@ pub(super) fn validate_rod(rod: &RodModel) -> Check {
         }
         Section::Stiffness { .. } => {}
     }
+    if let Some(shape) = &rod.rest_shape {
+        validate_shape(&shape.shape(), "model.rest_shape")?;
+        if rod.natural_curvature != [0.0; 2] || rod.natural_twist != 0.0 {
+            let message = "the rest shape says the natural curvature and twist: leave one of them out";
+            return invalid("model.rest_shape", message);
+        }
+        if shape.director.is_some_and(|d| !(d.iter().any(|c| *c != 0.0))) {
+            return invalid("model.rest_shape.director", "a direction cannot be zero");
+        }
+    }
+    if let Some(shape) = &rod.initial_shape {
+        validate_shape(shape, "model.initial_shape")?;
+    }
     for (clamp, path) in [(&rod.start, "model.start"), (&rod.end, "model.end")] {
         if let Some(clamp) = clamp {
             validate_clamp(clamp, path)?;
@@ -56,6 +69,16 @@ pub(super) fn validate_rod(rod: &RodModel) -> Check {
             format!("the rod has vertices 0 to {}", lengths.len()),
         ),
         None => Ok(()),
+    }
+}
+
+/// A shape is in a file or written out, with two points or more.
+fn validate_shape(shape: &ShapePoints, path: &str) -> Check {
+    match (&shape.file, &shape.points) {
+        (Some(_), None) => Ok(()),
+        (None, Some(points)) if points.len() >= 2 => Ok(()),
+        (None, Some(_)) => invalid(format!("{path}.points"), "a shape has two points or more"),
+        _ => invalid(path, "give `file`, or `points`"),
     }
 }
 

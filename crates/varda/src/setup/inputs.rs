@@ -2,7 +2,6 @@
 
 use super::files::{Files, InputFile};
 use super::observations::Observed;
-use super::runs::MakeControl;
 use super::system::System;
 use super::{component_observations, rod_observations};
 use crate::Error;
@@ -32,8 +31,8 @@ pub(crate) enum KnownBackground {
     Drawn,
     /// Read from a file.
     Read(Vec<f64>),
-    /// Computed: a static equilibrium.
-    Computed(MakeControl),
+    /// The static equilibrium of a rod, still to be computed.
+    AtRest,
 }
 
 impl Inputs {
@@ -73,7 +72,7 @@ fn background(files: &Files, system: &System) -> Result<KnownBackground, Error> 
         System::Rod(rod) => Ok(match files.scene.checked(keys.source())? {
             BackgroundSource::TruthPlusDraw => KnownBackground::Drawn,
             BackgroundSource::File(name) => KnownBackground::Read(rod.read_background(files, name)?),
-            BackgroundSource::StaticEquilibrium => KnownBackground::Computed(rod.at_rest()),
+            BackgroundSource::StaticEquilibrium => KnownBackground::AtRest,
         }),
         System::Components(model) => Ok(match files.scene.checked(keys.file_of_components())? {
             None => KnownBackground::Drawn,

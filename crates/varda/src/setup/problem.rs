@@ -67,7 +67,7 @@ impl Problem {
     /// [`Error`] naming the key or the step.
     pub fn new(inputs: Inputs) -> Result<Problem, Error> {
         let memory = Memory::within_limit(&inputs.file, &Sizes::of(&inputs))?;
-        let Inputs { file, one_window, grid, system, mut observed, background, .. } = inputs;
+        let Inputs { file, one_window, grid, mut system, mut observed, background, .. } = inputs;
         let scene = &one_window.scene;
         let layout = system.layout();
         let n = layout.len();
@@ -75,7 +75,7 @@ impl Problem {
         let known = match background {
             KnownBackground::Drawn => None,
             KnownBackground::Read(control) => Some(control),
-            KnownBackground::Computed(make) => Some(make()?),
+            KnownBackground::AtRest => system.come_to_rest()?,
         };
         let truth = if known.is_none() { Some(system.truth()?) } else { None };
         let reference = known.as_ref().or(truth.as_ref()).map_or(&[][..], |z| &z[..n]);

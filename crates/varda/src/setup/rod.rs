@@ -10,7 +10,7 @@ use super::csv;
 use super::ensemble::ComponentPositions;
 use super::files::Files;
 use super::rod_model::RodParts;
-use super::runs::{MakeControl, MakeModel};
+use super::runs::MakeModel;
 use crate::Error;
 use crate::scene::{self, RodModel, SceneFile, TimeGrid};
 use crate::state::{Geometry, StateLayout};
@@ -87,11 +87,12 @@ impl RodSystem {
     }
 
     /// The truth of a twin experiment: the state after the spin-up from rest.
-    pub(crate) fn truth(&self) -> Result<Vec<f64>, Error> {
+    pub(crate) fn truth(&mut self) -> Result<Vec<f64>, Error> {
+        let control = self.start_at_rest(0.0)?;
         let mut model = self.parts.dynamics()?.model(0, self.grid.step);
         let failed = |reason| Error::Preparation { stage: "spin-up of the truth", reason };
         let mut x = vec![0.0; model.dim()];
-        model.initial_state(&self.parts.at_rest(0.0)?, &mut x).map_err(failed)?;
+        model.initial_state(&control, &mut x).map_err(failed)?;
         let mut next = x.clone();
         for k in 0..self.spin_up {
             model.step(k, &x, &mut next).map_err(failed)?;
@@ -100,10 +101,17 @@ impl RodSystem {
         Ok(x)
     }
 
-    /// Computes the control of the rod at rest at the start of the window.
-    pub(crate) fn at_rest(&self) -> MakeControl {
-        let (parts, start) = (self.parts.clone(), self.grid.start);
-        Box::new(move || parts.at_rest(start))
+    /// The control of the rod at rest at the start of the window. Its runs start from the angles it has there.
+    pub(crate) fn come_to_rest(&mut self) -> Result<Vec<f64>, Error> {
+        self.start_at_rest(self.grid.start)
+    }
+
+    fn start_at_rest(&mut self, t: f64) -> Result<Vec<f64>, Error> {
+        self.parts.first = None;
+        let rest = self.parts.at_rest(t)?;
+        let control = self.parts.dynamics()?.control_at_rest(&rest);
+        self.parts.first = Some(rest);
+        Ok(control)
     }
 
     /// The control in a CSV file with one row for each free vertex.

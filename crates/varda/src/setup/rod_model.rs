@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use varda_implicit::Scheme;
 use varda_rod::{
-    Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rest, Rod, RodStep, Section, Supports, Vector3,
-    equilibrium, straight_guess,
+    Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rest, Rod, RodStep, Search, Section, Supports,
+    Vector3, rest,
 };
 
 use crate::Error;
@@ -27,6 +27,10 @@ pub struct RodParts {
     pub damping: Damping,
     /// How it is integrated.
     pub scheme: Scheme,
+    /// What picks its equilibrium.
+    pub search: Search,
+    /// The rod at rest at the start of a run, whose angles the first step starts from.
+    pub first: Option<Rest>,
 }
 
 impl RodParts {
@@ -47,6 +51,18 @@ impl RodParts {
             rod.add_point_mass(mass.arc_length, mass.mass)
                 .map_err(refuse(&format!("model.point_masses.{i}")))?;
         }
+        let search = match &model.initial_shape {
+            Some(keys) => {
+                let initial_shape = Some(shape(files, "model.initial_shape", keys, &rod)?);
+                Search { initial_shape, ..Search::default() }
+            }
+            None => Search::default(),
+        };
+        if let Some(keys) = &model.rest_shape {
+            let measured = shape(files, "model.rest_shape", &keys.shape(), &rod)?;
+            let director = keys.director.or(model.start.as_ref().map(|c| c.director)).unwrap_or_default();
+            rod = rod.at_ease_in(&measured.vertices, director.into()).map_err(refuse("model.rest_shape"))?;
+        }
         let mut supports = Supports::default();
         if let Some(clamp) = &model.start {
             supports.start = Some(self::clamp(files, "model.start", clamp)?);
@@ -64,7 +80,7 @@ impl RodParts {
             Loads { gravity: model.gravity.into(), point_forces: point_forces.collect(), ..Loads::default() };
         let damping = Damping { stiffness: model.damping.stiffness, mass: model.damping.mass };
         let scheme = file.checked(file.scene.time.integrator.of_rod())?;
-        let parts = RodParts { rod, supports, loads, damping, scheme };
+        let parts = RodParts { rod, supports, loads, damping, scheme, search, first: None };
         parts.dynamics().map_err(refuse("model"))?;
         Ok(parts)
     }
@@ -75,21 +91,42 @@ impl RodParts {
     /// What varda-rod finds impossible.
     pub fn dynamics(&self) -> Result<RodStep, varda_rod::Error> {
         let (rod, supports, loads) = (self.rod.clone(), self.supports.clone(), self.loads.clone());
-        Ok(RodStep::new(rod, supports, loads, self.damping)?.with_scheme(self.scheme))
+        let step = RodStep::new(rod, supports, loads, self.damping)?.with_scheme(self.scheme);
+        Ok(match &self.first {
+            Some(first) => step.starting_from(first),
+            None => step,
+        })
     }
 
-    /// The control [X, 0] of the rod at rest, supports where they are at time t \[s\].
+    /// The rod at rest, supports where they are at time t \[s\].
     ///
     /// # Errors
     /// [`Error::Preparation`] where no equilibrium is found.
-    pub fn at_rest(&self, t: f64) -> Result<Vec<f64>, Error> {
-        let along = self.loads.gravity;
-        let direction = if along == Vector3::zeros() { -Vector3::z() } else { along };
-        let guess: Rest = straight_guess(&self.rod, &self.supports, t, direction)?;
-        let (rest, _) = equilibrium(&self.rod, &self.supports, &self.loads, t, &guess)
+    pub fn at_rest(&self, t: f64) -> Result<Rest, Error> {
+        let found = rest(&self.rod, &self.supports, &self.loads, t, &self.search)
             .map_err(|reason| Error::Preparation { stage: "static equilibrium", reason })?;
-        Ok(self.dynamics()?.control_at_rest(&rest))
+        Ok(found.rest)
     }
+}
+
+/// The shape that keys describe.
+fn shape(files: &Files, path: &str, keys: &scene::ShapePoints, rod: &Rod) -> Result<Rest, Error> {
+    let Some(name) = &keys.file else {
+        let points = keys.points.iter().flatten().map(|p| Vector3::from(*p)).collect::<Vec<_>>();
+        return Rest::through(rod, &points)
+            .map_err(|e| files.scene.invalid(&format!("{path}.points"), e.to_string()));
+    };
+    let path = format!("{path}.file");
+    let (label, text) = files.text(&path, name)?;
+    let rows = csv::numbers(&label, &text, ["s_m", "x_m", "y_m", "z_m"])?;
+    let length = rod.length();
+    if let Some(i) = rows.iter().position(|r| !(r[0] >= 0.0 && r[0] <= length * (1.0 + 1e-9))) {
+        let message = format!("arc length {} m is off the rod (0 to {length} m)", rows[i][0]);
+        return Err(Error::Data { place: format!("{label}, row {}", i + 1), message });
+    }
+    let s: Vec<f64> = rows.iter().map(|r| r[0]).collect();
+    let points: Vec<_> = rows.iter().map(|&[_, x, y, z]| Vector3::new(x, y, z)).collect();
+    Rest::through_at(rod, &s, &points).map_err(|e| Error::Data { place: label, message: e.to_string() })
 }
 
 fn section(file: &SceneFile, model: &RodModel) -> Result<Section, Error> {

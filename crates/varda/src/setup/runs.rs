@@ -8,9 +8,6 @@ use crate::Error;
 /// 0 is the given step of the window.
 pub type MakeModel = Box<dyn Fn(usize) -> Box<dyn Model + Send>>;
 
-/// Computes a control.
-pub(crate) type MakeControl = Box<dyn Fn() -> Result<Vec<f64>, Error>>;
-
 /// All states of a run of `steps` steps from `x0`, one after the other.
 ///
 /// # Errors

@@ -85,8 +85,17 @@ impl System {
         }
     }
 
+    /// The control of a rod at rest at the start of the window, from whose angles its runs start; `None` for other
+    /// models.
+    pub(crate) fn come_to_rest(&mut self) -> Result<Option<Vec<f64>>, Error> {
+        match self {
+            System::Rod(rod) => rod.come_to_rest().map(Some),
+            System::Components(_) => Ok(None),
+        }
+    }
+
     /// The state of the truth of a twin experiment at the start of the window.
-    pub(crate) fn truth(&self) -> Result<Vec<f64>, Error> {
+    pub(crate) fn truth(&mut self) -> Result<Vec<f64>, Error> {
         match self {
             System::Rod(rod) => rod.truth(),
             System::Components(model) => model.truth(),

@@ -1,0 +1,204 @@
+//! Rods held anywhere, from their scenes: the shape at rest, and that they stay there.
+
+use varda::run::simulate;
+use varda::scene::SceneFile;
+use varda::setup::Problem;
+
+const REST: &str = r#"
+[time]
+integrator = "midpoint"
+step = 0.001
+window = 10
+[background]
+from = "static-equilibrium"
+[background.covariance]
+kind = "kernel"
+sigma_x = 0.01
+sigma_v = 0.1
+correlation_length_x = 0.3
+correlation_length_v = 0.3
+localization_length = 0.6
+prior = "clamp"
+[observations]
+kind = "file"
+file = "seen.csv"
+sigma = 0.01
+"#;
+
+const STIFF: &str =
+    r#"section = { kind = "stiffness", ea = 1e4, ei = [1e-3, 1e-3], gj = 0.8e-3, mass_per_length = 0.1 }"#;
+
+/// A folder with the files of a scene, removed at the end.
+struct Folder(std::path::PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Folder {
+        let path = std::env::temp_dir().join(format!("varda-held-{name}-{}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&path);
+        std::fs::create_dir_all(&path).unwrap();
+        std::fs::write(path.join("seen.csv"), "time_s,s_m,x_m,y_m,z_m\n0.002,0.5,0,0,0\n").unwrap();
+        Folder(path)
+    }
+
+    fn with(self, file: &str, text: &str) -> Folder {
+        std::fs::write(self.0.join(file), text).unwrap();
+        self
+    }
+
+    fn problem(&self, model: &str) -> Result<Problem, varda::Error> {
+        let path = self.0.join("scene.toml");
+        std::fs::write(&path, format!("[model]\nkind = \"rod\"\n{model}{REST}")).unwrap();
+        Problem::from_scene(&SceneFile::open(path.to_str().unwrap(), &[])?)
+    }
+
+    fn refusal(&self, model: &str) -> String {
+        self.problem(model).err().expect("this scene is wrong").to_string()
+    }
+
+    /// The vertices at rest, and how far any of them moves in the window.
+    fn run(&self, model: &str) -> (Vec<[f64; 3]>, f64) {
+        let shapes = simulate(&self.problem(model).unwrap()).unwrap().shapes.unwrap().analysis;
+        let moved = |a: &[f64; 3], b: &[f64; 3]| distance(*a, *b);
+        let most = shapes.iter().flat_map(|x| x.iter().zip(&shapes[0]).map(|(a, b)| moved(a, b)));
+        (shapes[0].clone(), most.fold(0.0, f64::max))
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|c| (a[c] - b[c]).powi(2)).sum::<f64>().sqrt()
+}
+
+fn clamps(far: f64) -> String {
+    let clamp = |end: &str, x: f64| {
+        format!("{end} = {{ position = [{x}, 0, 0], tangent = [1, 0, 0], director = [0, 0, 1] }}\n")
+    };
+    clamp("start", 0.0) + &clamp("end", far)
+}
+
+#[test]
+fn two_clamps_nearer_than_the_length_hold_a_bow_or_a_cable() {
+    let folder = Folder::new("clamps");
+    let rod = format!("length = 1.0\nsegments = 40\n{STIFF}\n");
+    let (bow, moved) = folder.run(&format!("{rod}gravity = [0, 0, 0]\n{}", clamps(0.8)));
+    let height = bow.iter().map(|x| x[1].hypot(x[2])).fold(0.0, f64::max);
+    // the elastica between the middles of the held edges, L' = 0.975 and D' = 0.775, and the mesh's error
+    assert!((height - 0.26249).abs() <= 1e-3, "{height}");
+    assert!(moved <= 1e-9, "{moved}");
+    let (cable, moved) = folder.run(&format!("{rod}{}", clamps(0.5)));
+    assert!(cable[20][2] < -0.3 && cable[20][1].abs() < 1e-6, "{:?}", cable[20]);
+    assert!(moved <= 1e-9, "{moved}");
+}
+
+#[test]
+fn a_cable_hangs_from_its_middle_and_from_three_hooks() {
+    let folder = Folder::new("hooks");
+    let cable = r#"length = 2.0
+segments = 40
+section = { kind = "stiffness", ea = 1e4, ei = [1e-4, 1e-4], gj = 1e-4, mass_per_length = 0.05 }
+"#;
+    let (middle, moved) =
+        folder.run(&format!("{cable}prescribed = [{{ vertex = 20, position = [0, 0, 1] }}]"));
+    assert!(middle[0][2] < 0.3 && middle[40][2] < 0.3 && moved <= 1e-9, "{moved}");
+    let hooks = "prescribed = [{ vertex = 0, position = [0, 0, 0] }, { vertex = 20, position = [0.7, 0.2, 0.1] }, \
+                 { vertex = 40, position = [1.2, 0, 0] }]";
+    let (three, moved) = folder.run(&format!("{cable}{hooks}"));
+    assert!(three[10][2] < -0.2 && three[30][2] < -0.2 && moved <= 1e-9, "{moved}");
+}
+
+#[test]
+fn an_initial_shape_picks_the_branch() {
+    let rows: String = (0..=10)
+        .map(|i| {
+            let u = f64::from(i) / 10.0;
+            format!("{u},{},0,{}\n", 0.8 * u, -0.25 * (std::f64::consts::PI * u).sin().powi(2))
+        })
+        .collect();
+    let folder = Folder::new("branch").with("down.csv", &format!("s_m,x_m,y_m,z_m\n{rows}"));
+    // a ruler, soft towards z: bowed up or down
+    let ruler = format!(
+        "length = 1.0\nsegments = 40\ngravity = [0, 0, 0]\nsection = {{ kind = \"stiffness\", ea = 1e4, \
+         ei = [1e-3, 1e-1], gj = 1e-3, mass_per_length = 0.1 }}\n{}",
+        clamps(0.8)
+    );
+    let up = "initial_shape = { points = [[0, 0, 0], [0.2, 0, 0.15], [0.4, 0, 0.3], [0.6, 0, 0.15], [0.8, 0, 0]] }";
+    for (shape, side) in [(up, 1.0), ("initial_shape = { file = \"down.csv\" }", -1.0)] {
+        let (bow, moved) = folder.run(&format!("{ruler}{shape}"));
+        assert!(
+            (side * bow[20][2] - 0.2625).abs() <= 2e-3 && moved <= 1e-9,
+            "{shape}: {:?} {moved}",
+            bow[20]
+        );
+    }
+}
+
+#[test]
+fn a_rest_shape_is_the_natural_curvature_wherever_it_was_laid() {
+    // an arc of radius 0.2 m on a table, laid along y, and bent towards x as seen from its first segment
+    let arc = |s: f64| [0.2 - 0.2 * (5.0 * s).cos(), 0.2 * (5.0 * s).sin(), 0.7];
+    let rows: String = (0..=40)
+        .map(|i| f64::from(i) / 40.0)
+        .map(|s| (s, arc(s)))
+        .map(|(s, p)| format!("{s},{},{},{}\n", p[0], p[1], p[2]))
+        .collect();
+    let folder = Folder::new("arc").with("arc.csv", &format!("s_m,x_m,y_m,z_m\n{rows}"));
+    let rod = format!(
+        "length = 1.0\nsegments = 100\n{STIFF}\ngravity = [0, 0, 0]\n\
+         start = {{ position = [0, 0, 0], tangent = [1, 0, 0], director = [0, 0, 1] }}\n"
+    );
+    // in the clamp the arc rises towards m₁ = z
+    let (found, moved) =
+        folder.run(&format!("{rod}rest_shape = {{ file = \"arc.csv\", director = [1, 0, 0] }}"));
+    let (tip, far) = (found[100], arc(1.0));
+    assert!(
+        (tip[0] - far[1]).abs() <= 5e-3 && (tip[2] - far[0]).abs() <= 5e-3 && tip[1].abs() <= 1e-3,
+        "{tip:?}"
+    );
+    assert!(moved <= 1e-9, "{moved}");
+    // as the same curvature said by numbers
+    let (said, _) = folder.run(&format!("{rod}natural_curvature = [5, 0]"));
+    assert!(distance(said[100], tip) <= 5e-3, "{:?} {tip:?}", said[100]);
+}
+
+/// The angles of a coil that was just found are those from which its first step starts.
+#[test]
+fn a_coil_stays_where_it_was_found() {
+    let folder = Folder::new("coil");
+    let coil = format!(
+        "length = 1.0\nsegments = 200\ngravity = [0, 0, 0]\n{STIFF}\nnatural_curvature = [30, 0]\nnatural_twist = 10\n\
+         start = {{ position = [0, 0, 0], tangent = [0, 0, 1], director = [1, 0, 0] }}"
+    );
+    let (found, moved) = folder.run(&coil);
+    let chord = distance(found[0], found[200]);
+    assert!((chord - 0.31638).abs() <= 2e-3 && moved <= 1e-6, "{chord} {moved}");
+}
+
+#[test]
+fn what_cannot_be_a_shape_or_holds_nothing_is_said() {
+    let folder = Folder::new("refused").with("far.csv", "s_m,x_m,y_m,z_m\n0,0,0,0\n1.5,1,0,0\n");
+    let rod = format!("length = 1.0\nsegments = 20\n{STIFF}\n");
+    let held = format!("{rod}{}", clamps(0.8));
+    let cases = [
+        (rod, "nothing holds the rod"),
+        (format!("{held}initial_shape = {{}}"), "give `file`, or `points`"),
+        (format!("{held}initial_shape = {{ points = [[0, 0, 0]] }}"), "two points or more"),
+        (format!("{held}initial_shape = {{ file = \"far.csv\" }}"), "arc length 1.5 m is off the rod"),
+        (
+            format!("{held}natural_twist = 1\nrest_shape = {{ points = [[0, 0, 0], [1, 0, 0]] }}"),
+            "leave one of them out",
+        ),
+        (
+            format!("{held}rest_shape = {{ points = [[0, 0, 0], [1, 0, 0]], director = [0, 0, 0] }}"),
+            "a direction cannot be zero",
+        ),
+    ];
+    for (model, says) in cases {
+        let message = folder.refusal(&model);
+        assert!(message.contains(says), "{message}");
+    }
+}
