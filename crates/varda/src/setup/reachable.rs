@@ -95,7 +95,13 @@ impl Held {
             let distance = away.iter().filter(|v| v.is_finite()).map(|v| v * v).sum::<f64>().sqrt();
             let between = (arc_length - held).abs();
             let reach = between * stretch + offset + SIGMAS * row.sigma + 1e-9 * between;
-            (distance > reach).then_some(Unreachable { row: 0, distance, reach, held: *held })
+            // Places that overflow are for the model to refuse.
+            (distance > reach && distance.is_finite()).then_some(Unreachable {
+                row: 0,
+                distance,
+                reach,
+                held: *held,
+            })
         })
     }
 
@@ -121,7 +127,7 @@ impl Held {
             n => format!(" {n} of {} rows are beyond reach.", rows.len()),
         };
         format!(
-            "{} at time {} s is {distance:.4} m from where the rod is held at s = {held} m, and the rod reaches \
+            "{} at time {} s is {distance:.4} m from where the rod is held at s = {held:.4} m, and the rod reaches \
              {reach:.4} m with its strain and {SIGMAS} σ.{others} {}",
             labels[row.site],
             row.time,
@@ -151,7 +157,9 @@ impl Held {
             }
             for (axes, name) in axes_of_others() {
                 if explains(&|p| axes * p) {
-                    return format!("Other axes? With {name} the rows are within reach: observations.frame.");
+                    return format!(
+                        "Other axes? With {name}, say, the rows are within reach: observations.frame."
+                    );
                 }
             }
         }
@@ -172,15 +180,16 @@ impl Held {
     }
 }
 
-/// Right-handed axes that other programs use, by the turn that brings them to those of the model.
+/// The right-handed axes that a program may have, by the turn that brings them to those of the model; those
+/// with y upwards first.
 fn axes_of_others() -> Vec<(Matrix3<f64>, String)> {
     let mut all = Vec::new();
     let name = |row: [f64; 3]| {
         let at = row.iter().position(|v| *v != 0.0).unwrap_or(0);
         format!("{}{}", if row[at] < 0.0 { "−" } else { "" }, ["x", "y", "z"][at])
     };
-    for order in [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]] {
-        for signs in 0..8_u8 {
+    for order in [[0, 2, 1], [2, 0, 1], [0, 1, 2], [1, 2, 0], [2, 1, 0], [1, 0, 2]] {
+        for signs in [2, 0, 1, 3, 4, 5, 6, 7_u8] {
             let row = |i: usize| {
                 let mut row = [0.0; 3];
                 row[order[i]] = if signs >> i & 1 == 1 { -1.0 } else { 1.0 };

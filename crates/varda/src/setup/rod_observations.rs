@@ -45,6 +45,11 @@ pub(crate) fn synthetic(
     Ok(observed(rod, sites, Frame::default().rotation_rows(), Vec::new(), Some(draws), Vec::new()))
 }
 
+/// Nothing observed, for a forward run.
+pub(crate) fn none(rod: &RodSystem) -> Observed {
+    observed(rod, Vec::new(), Frame::default().rotation_rows(), Vec::new(), None, Vec::new())
+}
+
 /// What a recording saw, in the model's time.
 ///
 /// # Errors
@@ -120,7 +125,8 @@ pub(crate) fn recorded(
     }
     left.repeated = leave_out_repeated(&mut seen, &mut sightings);
 
-    let axes = Matrix3::from(rotation).transpose();
+    // nalgebra takes the rows of R for columns: this is Rᵀ.
+    let axes = Matrix3::from(rotation);
     let reach = sites.iter().map(Placed::reach).collect();
     let held = Held::new(&rod.parts, axes, shift, reach);
     let unreachable = held.unreachable(&sightings);
