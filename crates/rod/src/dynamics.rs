@@ -171,6 +171,9 @@ impl RodStep {
     ///
     /// # Errors
     /// [`Error`] where a support's motion is not usable at t.
+    ///
+    /// # Panics
+    /// If `state` is shorter than the places and velocities of the free vertices.
     pub fn vertices(&mut self, t: f64, state: &[f64]) -> Result<Vec<Vector3<f64>>, Error> {
         self.system.place(t)?;
         let f = self.system.layout.free_vertices.len();

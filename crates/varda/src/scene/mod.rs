@@ -100,6 +100,7 @@ pub struct Scene {
 
 impl Scene {
     /// The JSON Schema of a scene, as text.
+    #[allow(clippy::missing_panics_doc)] // a schema is plain JSON
     pub fn schema() -> String {
         let schema = schemars::schema_for!(Scene);
         serde_json::to_string_pretty(&schema).expect("a schema is plain JSON")
