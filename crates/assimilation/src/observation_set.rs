@@ -265,6 +265,11 @@ impl ObservationSet {
         self.offsets[i]..self.offsets[i + 1]
     }
 
+    /// The observation that a row of the stacked vector belongs to.
+    pub(crate) fn observation_of(&self, row: usize) -> usize {
+        self.offsets.partition_point(|first| *first <= row) - 1
+    }
+
     /// y, stacked.
     pub fn values(&self) -> &[f64] {
         &self.values

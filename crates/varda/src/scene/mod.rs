@@ -51,7 +51,9 @@ pub use model::{
     PointMass, Prescribed, RestShape, RodModel, Section, ShapePoints,
 };
 pub use model_error::ModelError;
-pub use observations::{Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, Use};
+pub use observations::{
+    Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, UnreachableRows, Use,
+};
 pub(crate) use parsed::{BackgroundSource, ComponentCovariance, LineStep, Shear};
 pub use place::Place;
 pub use shipped::{SHIPPED, STARTER, Shipped};
