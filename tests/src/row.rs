@@ -1,5 +1,6 @@
 //! One checked number, and how many of them are printed.
 
+use crate::suites::{Options, Report};
 use serde::Serialize;
 use std::fmt::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -81,18 +82,60 @@ impl Row {
     }
 }
 
+/// A list of values that a suite goes through, with a case for each.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Grid {
+    /// Its name, different from that of every other grid of the suite.
+    pub name: String,
+    /// How many values it has.
+    pub values: usize,
+    /// How many of them a run takes: all, or of a quick run a tenth, at least one.
+    pub taken: usize,
+}
+
 /// The rows of one suite while they are collected.
 pub struct Rows {
     suite: &'static str,
     area: &'static str,
     reason: &'static str,
     rows: Vec<Row>,
+    quick: bool,
+    names_only: bool,
+    cases: Vec<String>,
+    grids: Vec<Grid>,
 }
 
 impl Rows {
     /// No rows yet.
     pub fn new(suite: &'static str) -> Rows {
-        Rows { suite, area: "", reason: "", rows: Vec::new() }
+        let (cases, grids) = (Vec::new(), Vec::new());
+        Rows { suite, area: "", reason: "", rows: Vec::new(), quick: false, names_only: false, cases, grids }
+    }
+
+    /// With the extent of a run.
+    pub fn of(mut self, options: &Options) -> Rows {
+        (self.quick, self.names_only) = (options.quick, options.names_only);
+        self
+    }
+
+    /// The values of a grid that this run takes: all, or of a quick run a tenth (rounded up), spread evenly
+    /// and always the same.
+    pub fn grid<T>(&mut self, name: &str, values: impl IntoIterator<Item = T>) -> Vec<T> {
+        let values: Vec<T> = values.into_iter().collect();
+        let all = values.len();
+        let taken = if self.quick { all.div_ceil(10) } else { all };
+        self.grids.push(Grid { name: self.full_name(name), values: all, taken });
+        let mut wanted = (0..taken).map(|k| (2 * k + 1) * all / (2 * taken)).peekable();
+        values
+            .into_iter()
+            .enumerate()
+            .filter(|(i, _)| wanted.next_if_eq(i).is_some())
+            .map(|(_, v)| v)
+            .collect()
+    }
+
+    fn full_name(&self, name: &str) -> String {
+        if self.area.is_empty() { name.to_string() } else { format!("{}: {name}", self.area) }
     }
 
     /// The names of cases from here on begin with `area` and a colon.
@@ -107,6 +150,10 @@ impl Rows {
 
     /// Runs the checks of one case. An error or a panic in there is a failed row, not the end of the run.
     pub fn case(&mut self, name: &str, checks: impl FnOnce(&mut Case) -> Outcome) {
+        self.cases.push(self.full_name(name));
+        if self.names_only {
+            return;
+        }
         let mut case = self.open(name);
         let reason = match catch_unwind(AssertUnwindSafe(|| checks(&mut case))) {
             Ok(Ok(())) => return,
@@ -121,9 +168,14 @@ impl Rows {
 
     /// A case that is not guarded: a panic in there is one.
     pub fn open(&mut self, name: &str) -> Case<'_> {
-        let name = if self.area.is_empty() { name.to_string() } else { format!("{}: {name}", self.area) };
+        let name = self.full_name(name);
         let reason = self.reason.to_string();
         Case { suite: self.suite, name, reason, rows: &mut self.rows, since: Instant::now() }
+    }
+
+    /// The rows, with the names of cases and the grids.
+    pub fn report(self) -> Report {
+        Report { rows: self.rows, text: String::new(), cases: self.cases, grids: self.grids }
     }
 
     /// The rows.
@@ -148,6 +200,7 @@ impl Case<'_> {
     }
 
     /// A row that passes where value ≤ bound.
+    #[allow(clippy::missing_panics_doc)] // a row was just pushed
     pub fn at_most(&mut self, what: &str, value: f64, bound: f64, unit: &'static str) -> &mut Row {
         let seconds = self.since.elapsed().as_secs_f64();
         self.since = Instant::now();
@@ -272,6 +325,7 @@ pub struct Summary {
 }
 
 /// The rows as one JSON array; numbers that are not finite are null.
+#[allow(clippy::missing_panics_doc)] // rows are plain data
 pub fn json(rows: &[Row]) -> String {
     serde_json::to_string_pretty(rows).expect("rows are plain data") + "\n"
 }

@@ -14,7 +14,7 @@
 //! |---|---|
 //! | describe a rod | [`Rod`]; [`Material`] and [`Section`] for a uniform one |
 //! | hold it | [`Supports`] with [`Clamp`] and [`Motion`] |
-//! | pull at it, slow it down | [`Loads`], [`Load`], [`Damping`] |
+//! | pull at it, slow it down | [`Loads`], [`Load`], [`Damping`]; [`check::load`] for a load of your own |
 //! | move it in time | [`RodStep`], a step for [`varda_implicit::ImplicitModel`] |
 //! | find its shape at rest | [`equilibrium`] from [`straight_guess`] |
 //! | observe points on it | [`Markers`], a [`varda_implicit::ObservationOperator`] |
@@ -93,6 +93,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod check;
 mod damping;
 mod dynamics;
 mod element;

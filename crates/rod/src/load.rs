@@ -50,8 +50,8 @@ impl EdgeLoad {
 ///
 /// The Jacobian of a step stays a symmetric band, and Newton's method looks for a minimum, as long as every
 /// load has a potential. One without makes it a general band, solved by LU, and Newton's method looks for a
-/// root. Gravity and the point forces of [`Loads`](crate::Loads) do not depend on the motion and need no such
-/// trait.
+/// root. [`check::load`](crate::check::load) tests derivatives and potential. Gravity and the point forces of
+/// [`Loads`](crate::Loads) do not depend on the motion and need no such trait.
 ///
 /// # Examples
 ///

@@ -63,7 +63,7 @@ pub(super) fn run(options: &Options) -> Report {
         Ok(())
     });
     text.push_str(&beside_the_paper(&all));
-    Report { rows: rows.finish(), text }
+    Report { rows: rows.finish(), text, ..Report::default() }
 }
 
 /// The findings of one case as rows.

@@ -55,13 +55,12 @@ impl Amplification {
 ///
 /// ```
 /// use varda_implicit::{Keep, Rk4, Trajectory, check, lorenz::Lorenz63};
-/// use varda_linalg::check::Random;
 ///
 /// let (mut model, mut run) = (Rk4::new(Lorenz63::default(), 0, 0.01), Trajectory::new());
 /// run.run(&mut model, &[-4.3, -5.0, 20.0], 4000, Keep::States)?;
 /// let states: Vec<f64> = (0..=4000).flat_map(|k| run.state(k).to_vec()).collect();
 ///
-/// let mut random = Random(1);
+/// let mut random = check::Random(1);
 /// let mut sign = || random.draw().signum();
 /// let short = check::amplification(&mut model, &states[..3], &[1.0; 3], &states[..300], &mut sign)?;
 /// let long = check::amplification(&mut model, &states[..3], &[1.0; 3], &states, &mut sign)?;

@@ -23,4 +23,4 @@ pub use operator::operator;
 pub use products::{DotProduct, compare, dot_product, window};
 pub use rhs::rhs;
 pub use taylor::{Taylor, taylor, taylor_step};
-pub use varda_linalg::check::{Finding, Report};
+pub use varda_linalg::check::{Finding, Random, Report, differing};

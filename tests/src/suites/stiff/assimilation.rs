@@ -108,14 +108,16 @@ impl Static {
 }
 
 fn static_cases(rows: &mut Rows) {
+    let squared = [("R = 1e-12", 1e-6), ("R = 1e12", 1e6)];
+    let plain = [("σ_y/σ_b = 1e-8", 1e-8), ("σ_y/σ_b = 1e8", 1e8)];
+    let sigmas = rows.grid("σ_y", squared.into_iter().chain(plain));
     let mut add = |name: &str, problem: Static| rows.case(name, |case| every_way(case, &problem));
     add("no observations", Static::direct(&[]));
     let all =
         |sigma: f64| Static::direct(&[(0, 3.0, sigma), (1, -3.0, sigma), (2, 0.5, sigma), (3, 1.0, sigma)]);
-    add("R = 1e-12", all(1e-6));
-    add("R = 1e12", all(1e6));
-    add("σ_y/σ_b = 1e-8", all(1e-8));
-    add("σ_y/σ_b = 1e8", all(1e8));
+    for (name, sigma) in sigmas {
+        add(name, all(sigma));
+    }
     add("1000 identical observations", Static::direct(&[(0, 3.0, 2.0); 1000]));
     add("one observation of variance r/1000", Static::direct(&[(0, 3.0, 2.0 / 1000.0_f64.sqrt())]));
     add("σ ratios 1e8", Static::direct(&[(0, 3.0, 1e-4), (1, -3.0, 1.0), (2, 0.5, 1e4)]));

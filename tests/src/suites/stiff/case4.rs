@@ -31,28 +31,32 @@ struct Ended {
 /// seen have 2 and more.
 const RIGHT: f64 = 1.6;
 
-/// σ_y/L, the minimizers, and the number of seeds.
-fn plan(options: &Options) -> Vec<(f64, &'static [&'static str], u64)> {
+/// σ_y/L, the minimizers, and the number of seeds: the paper's own σ_y always, and others.
+fn plan(rows: &mut Rows, options: &Options) -> Vec<(f64, &'static [&'static str], u64)> {
     const AUTO: &[&str] = &["auto"];
-    if options.quick {
-        return vec![(0.015, AUTO, 1), (0.005, AUTO, 1), (0.001, AUTO, 1)];
+    let every = if options.full { Minimizer::NAMES } else { AUTO };
+    let seeds = match options {
+        Options { quick: true, .. } => 1,
+        Options { full: true, .. } => 5,
+        _ => 2,
+    };
+    let mut others = vec![0.005, 0.002, 0.001];
+    if options.full {
+        others.extend([1e-4, 1e-6, 1e-8, 1e-10]);
     }
-    if !options.full {
-        return [0.015, 0.005, 0.002, 0.001].into_iter().map(|sigma| (sigma, AUTO, 2)).collect();
-    }
-    let mut plan =
-        vec![(0.015, Minimizer::NAMES, 5), (0.005, AUTO, 5), (0.002, AUTO, 5), (0.001, Minimizer::NAMES, 5)];
-    plan.extend([1e-4, 1e-6, 1e-8, 1e-10].map(|sigma| (sigma, AUTO, 5)));
-    plan
+    let names = |sigma: f64| if sigma == 0.001 { every } else { AUTO };
+    let others = rows.grid("σ_y of case 4", others).into_iter().map(|sigma| (sigma, names(sigma), seeds));
+    [(0.015, every, seeds)].into_iter().chain(others).collect()
 }
 
 pub(super) fn run(rows: &mut Rows, options: &Options) {
+    let plan = plan(rows, options);
     let mut jobs = Vec::new();
-    for (sigma, names, seeds) in plan(options) {
+    for &(sigma, names, seeds) in plan.iter().filter(|_| !options.names_only) {
         jobs.extend(names.iter().flat_map(|name| (0..seeds).map(move |seed| (sigma, *name, seed))));
     }
     let mut ended = in_parallel(&jobs, |&(sigma, name, seed)| minimized(sigma, name, seed)).into_iter();
-    for (sigma, names, seeds) in plan(options) {
+    for (sigma, names, seeds) in plan {
         rows.case(&format!("case 4, σ_y = {sigma:e} L"), |case| {
             for name in names {
                 let of_seeds: Result<Vec<Ended>, String> = ended.by_ref().take(seeds as usize).collect();

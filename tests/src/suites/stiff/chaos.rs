@@ -13,13 +13,13 @@ use varda_implicit::{Keep, Model, Rhs, Rk4, Trajectory, check};
 use varda_linalg::check::Random;
 
 pub(super) fn run(rows: &mut Rows, options: &Options) {
-    for length in [5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0] {
+    for length in rows.grid("windows of Lorenz-63", [5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0]) {
         rows.case(&format!("gradient of Lorenz-63 over T = {length}"), |case| {
             let start = states(&mut Rk4::new(Lorenz63::default(), 0, 0.01), &[1.0, 3.0, 20.0], 1000)?;
             accuracy(case, &Lorenz63::default(), &start[1000], 0.01, length)
         });
     }
-    for length in [4.0, 8.0, 12.0, 16.0, 20.0, 24.0] {
+    for length in rows.grid("windows of Lorenz-96", [4.0, 8.0, 12.0, 16.0, 20.0, 24.0]) {
         rows.case(&format!("gradient of Lorenz-96 over T = {length}"), |case| {
             let model = Lorenz96::new(40, 8.0);
             let begin: Vec<f64> = normals(9, 40).iter().map(|x| 2.0 + 3.0 * x).collect();
@@ -27,7 +27,7 @@ pub(super) fn run(rows: &mut Rows, options: &Options) {
             accuracy(case, &model, &start[400], 0.025, length)
         });
     }
-    for seed in [1, 2, 3] {
+    for seed in rows.grid("seeds of local minima", [1, 2, 3]) {
         rows.case(&format!("local minima of Lorenz-63, seed {seed}"), |case| {
             minima(case, seed, options.quick)
         });
@@ -149,7 +149,7 @@ fn minima(case: &mut Case, seed: u64, quick: bool) -> Outcome {
         .map_err(Box::<dyn std::error::Error>::from)
     };
 
-    let points = if quick { 401 } else { 2001 };
+    let points = if quick { 201 } else { 2001 };
     let mut counts = Vec::new();
     for length in [2, 4, 6, 8] {
         let mut observations = set(100 * length)?;

@@ -26,7 +26,7 @@ pub(super) fn run(rows: &mut Rows) {
 fn smooth_kernels(rows: &mut Rows) {
     let n = 25;
     let places: Vec<f64> = (0..n).map(|i| i as f64 / (n - 1) as f64).collect();
-    for length in [0.05, 0.06, 0.08, 0.1, 0.2, 0.3, 0.5] {
+    for length in rows.grid("lengths of a Gaussian kernel", [0.05, 0.06, 0.08, 0.1, 0.2, 0.3, 0.5]) {
         rows.case(&format!("Gaussian kernel of {length} L on {n} points"), |case| {
             let matrix = gaussian(length, NONE).matrix(&places)?;
             let truncated = Truncated::eigen(n, &matrix, 0.0)?;
@@ -237,7 +237,7 @@ fn tapered(rows: &mut Rows, draws: usize) {
 /// A compact taper along a line, ten points in its support: time and memory grow like n.
 fn large(rows: &mut Rows, sizes: &[usize]) {
     let mut times = Vec::new();
-    for &n in sizes {
+    for n in rows.grid("points of a compact taper", sizes.iter().copied()) {
         rows.case(&format!("compact taper, {n} points"), |case| {
             let clock = std::time::Instant::now();
             let outcome = one_large(case, n);

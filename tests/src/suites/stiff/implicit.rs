@@ -86,7 +86,7 @@ impl<G: FnMut(&[f64], &mut [f64], &mut [f64])> ImplicitStep for Plain<G> {
 
 /// G = A u − x with A = [[1, 1], [1, 1 + η]]: exactly singular, and so nearly that rounding decides.
 fn singular(rows: &mut Rows) {
-    for eta in [0.0, 1e-4, 1e-8, 1e-12, 1e-15] {
+    for eta in rows.grid("determinants of ∂G/∂u", [0.0, 1e-4, 1e-8, 1e-12, 1e-15]) {
         rows.case(&format!("∂G/∂u with determinant {eta:e}"), |case| {
             let a = [1.0, 1.0, 1.0, 1.0 + eta];
             let equations = move |u: &[f64], g: &mut [f64], j: &mut [f64]| {

@@ -21,7 +21,7 @@ use super::{Options, Report};
 use crate::row::{Row, Rows};
 
 pub(super) fn run(options: &Options) -> Report {
-    let mut rows = Rows::new("stiff");
+    let mut rows = Rows::new("stiff").of(options);
     rows.area("rod");
     rod::run(&mut rows);
     rod_shapes::run(&mut rows);
@@ -39,7 +39,7 @@ pub(super) fn run(options: &Options) -> Report {
     rows.area("beyond");
     beyond::run(&mut rows);
 
-    rows.finish().into()
+    rows.report()
 }
 
 /// The rows of this suite as a document to read.

@@ -92,11 +92,11 @@ impl Hanging {
 
 pub(super) fn run(rows: &mut Rows) {
     let base = Hanging::paper();
-    for youngs in [1e5, 1e6, 1e8, 1e10, 1e12] {
+    for youngs in rows.grid("E", [1e5, 1e6, 1e8, 1e10, 1e12]) {
         let hanging = Hanging { section: round(youngs), ..base.clone() };
         swung(rows, &format!("E = {youngs:.0e} Pa"), &hanging, 10);
     }
-    for slenderness in [1e1, 1e2, 1e3, 1e4, 1e5] {
+    for slenderness in rows.grid("slenderness", [1e1, 1e2, 1e3, 1e4, 1e5]) {
         let section = Section::circle(&SILICONE, 1.0 / slenderness);
         swung(
             rows,
@@ -105,31 +105,29 @@ pub(super) fn run(rows: &mut Rows) {
             10,
         );
     }
-    for ratio in [1e0_f64, 1e2, 1e4, 1e6, 1e8, 1e10] {
+    for ratio in rows.grid("EA l²/EI", [1e0_f64, 1e2, 1e4, 1e6, 1e8, 1e10]) {
         swung(rows, &format!("EA l²/EI = {ratio:.0e}"), &base.clone().with_ratio(ratio), 10);
     }
     // everything at once: stiff and fine
-    for segments in [400, 1600] {
+    for segments in rows.grid("segments at E = 1e12 Pa", [400, 1600]) {
         let hanging = Hanging { section: round(1e12), segments, dt: 0.02, moved: 1.0, ..base.clone() };
         swung(rows, &format!("E = 1e12 Pa, {segments} segments"), &hanging, 3);
     }
-    for (segments, steps) in [(25, 10), (400, 10), (1600, 10), (20_000, 4)] {
+    for (segments, steps) in rows.grid("segments", [(25, 10), (400, 10), (1600, 10), (20_000, 4)]) {
         swung(rows, &format!("{segments} segments"), &Hanging { segments, ..base.clone() }, steps);
     }
-    for segments in [25, 400, 1600] {
-        for moved in [0.1, 1.0, 2.5, 10.0] {
-            let hanging = Hanging { segments, moved, dt: 0.02, ..base.clone() };
-            swung(rows, &format!("{segments} segments, clamp moves {moved} of them in 0.02 s"), &hanging, 5);
-        }
+    let moves = [25, 400, 1600].into_iter().flat_map(|n| [0.1, 1.0, 2.5, 10.0].map(|moved| (n, moved)));
+    for (segments, moved) in rows.grid("moves of the clamp", moves) {
+        let hanging = Hanging { segments, moved, dt: 0.02, ..base.clone() };
+        swung(rows, &format!("{segments} segments, clamp moves {moved} of them in 0.02 s"), &hanging, 5);
     }
-    for (segments, youngs) in
-        [(25, 1e6), (100, 1e6), (400, 1e6), (1600, 1e6), (25, 1e9), (100, 1e9), (400, 1e9)]
-    {
+    let strained = [(25, 1e6), (100, 1e6), (400, 1e6), (1600, 1e6), (25, 1e9), (100, 1e9), (400, 1e9)];
+    for (segments, youngs) in rows.grid("random strain", strained) {
         let hanging = Hanging { segments, section: round(youngs), ..base.clone() };
         let name = format!("15 % random strain, turned by 0.3, {segments} segments, E = {youngs:.0e} Pa");
         from(rows, &name, &hanging, &hanging.start(0.15, 0.3), 10);
     }
-    for periods in [1e-6, 1e-4, 1e-2, 1e-1, 1.0, 10.0] {
+    for periods in rows.grid("lengths of a step", [1e-6, 1e-4, 1e-2, 1e-1, 1.0, 10.0]) {
         swung(
             rows,
             &format!("steps of {periods:.0e} periods"),
@@ -161,7 +159,7 @@ const PERIOD: f64 = 1.6;
 fn stiff_ends(rows: &mut Rows, name: &str, base: &Hanging) {
     let fine = Hanging { segments: 400, dt: 0.02, ..base.clone() };
     let slender = Section::circle(&SILICONE, 1e-5);
-    for (what, hanging) in [
+    let ends = [
         ("E = 1e5 Pa", Hanging { section: round(1e5), ..base.clone() }),
         ("E = 1e12 Pa", Hanging { section: round(1e12), ..base.clone() }),
         ("slenderness L/r = 1e5", Hanging { section: slender, ..base.clone() }),
@@ -173,10 +171,11 @@ fn stiff_ends(rows: &mut Rows, name: &str, base: &Hanging) {
         ("400 segments, clamp moves 10 of them in 0.02 s", Hanging { moved: 10.0, ..fine }),
         ("steps of 1e-6 periods", Hanging { dt: 1e-6 * PERIOD, ..base.clone() }),
         ("steps of 1e1 periods", Hanging { dt: 10.0 * PERIOD, ..base.clone() }),
-    ] {
+    ];
+    for (what, hanging) in rows.grid(&format!("{name}, far ends"), ends) {
         swung(rows, &format!("{name}, {what}"), &hanging, 5);
     }
-    for youngs in [1e6, 1e9] {
+    for youngs in rows.grid(&format!("{name}, random strain"), [1e6, 1e9]) {
         let hanging = Hanging { section: round(youngs), ..base.clone() };
         let name = format!("{name}, 15 % random strain, turned by 0.3, E = {youngs:.0e} Pa");
         from(rows, &name, &hanging, &hanging.start(0.15, 0.3), 5);

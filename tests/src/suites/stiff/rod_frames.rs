@@ -16,7 +16,7 @@ pub(super) fn run(rows: &mut Rows) {
 
 /// Many turns per vertex: τ counts them, E = ½ GJ τ²/l̄ exactly.
 fn twisted(rows: &mut Rows) {
-    for turns in [0.5, 1.0, 10.0, 1000.0] {
+    for turns in rows.grid("turns per vertex", [0.5, 1.0, 10.0, 1000.0]) {
         rows.case(&format!("{turns} turns per vertex"), |case| {
             let n = 10;
             let rod = Rod::uniform(1.0, n, &section())?;

@@ -117,7 +117,7 @@ pub(super) fn run(rows: &mut Rows) {
 
 /// Without supports V_k = V₀ + k Δt g and X_k = X₀ + k Δt V₀ + k(k+1)/2 Δt² g, whatever the shape.
 fn free_fall(rows: &mut Rows) {
-    for (youngs, dt) in [(1e6, 0.01), (1e12, 0.01), (1e6, 1.0)] {
+    for (youngs, dt) in rows.grid("free fall", [(1e6, 0.01), (1e12, 0.01), (1e6, 1.0)]) {
         rows.case(&format!("free fall, E = {youngs:.0e} Pa, Δt = {dt} s"), |case| {
             let material = Material { youngs_modulus: youngs, shear_modulus: youngs / 3.0, ..SILICONE };
             let rod = Rod::uniform(1.0, 25, &Section::circle(&material, 0.01))?;
@@ -217,7 +217,7 @@ fn straight(rows: &mut Rows) {
 /// Two edges that turn by π − δ: E = 2 EI/(l̄ tan²(δ/2)) and its derivative, exact down to δ = 1e-6,
 /// an error below.
 fn nearly_folded(rows: &mut Rows) {
-    for delta in [1e-2_f64, 1e-3, 1e-4, 1e-5, 2e-6, 5e-7, 1e-7, 1e-8] {
+    for delta in rows.grid("turning angles", [1e-2_f64, 1e-3, 1e-4, 1e-5, 2e-6, 5e-7, 1e-7, 1e-8]) {
         rows.case(&format!("turning angle π − {delta:e}"), |case| {
             let rod = Rod::uniform(0.2, 2, &section())?;
             let tip = Vector3::new(0.1 - 0.1 * delta.cos(), 0.1 * delta.sin(), 0.0);
@@ -286,7 +286,7 @@ fn nearly_folded(rows: &mut Rows) {
 
 /// Edges without length are refused by name; very short ones are not.
 fn degenerate_edges(rows: &mut Rows) {
-    for length in [0.0, 1e-300, 1e-160] {
+    for length in rows.grid("short edges", [0.0, 1e-300, 1e-160]) {
         rows.case(&format!("edge of {length:e} m"), |case| {
             let rod = Rod::uniform(0.5, 5, &section())?;
             let mut vertices = line([0.0; 3], DOWN, &rod.rest_lengths);
@@ -389,7 +389,7 @@ fn tips(rows: &mut Rows) {
         refused(case, "refused, naming the field", model(rod, supports, weight(), 0.01), "vertex mass");
         Ok(())
     });
-    for share in [1e-4, 1e-8, 1e-12] {
+    for share in rows.grid("light tips", [1e-4, 1e-8, 1e-12]) {
         rows.case(&format!("tip of {share:e} of its mass"), |case| {
             let mut rod = Rod::uniform(1.0, 10, &section())?;
             rod.masses[10] *= share;

@@ -71,7 +71,7 @@ fn slack(rows: &mut Rows) {
 /// mode at a small end-shortening δ has the amplitude a = (2L/π) √(δ/L) (inextensible; next order 1 +
 /// O(δ/L)).
 fn buckled(rows: &mut Rows) {
-    for shortening in [0.01, 0.1, 0.3] {
+    for shortening in rows.grid("columns pushed together", [0.01, 0.1, 0.3]) {
         rows.case(&format!("column pushed together by {:.0} %", 100.0 * shortening), |case| {
             let n = 80;
             let thin = Section::circle(&SILICONE, 0.001);
@@ -130,7 +130,8 @@ fn buckled(rows: &mut Rows) {
 /// follows is damped (α = 2/s). It must leave the straight saddle, and all others in time, and end in the
 /// first mode.
 fn pushed(rows: &mut Rows) {
-    for (shortening, dt) in [(0.01, 1.0), (0.1, 1.0), (0.3, 1.0), (0.01, 0.02), (0.1, 0.02), (0.3, 0.02)] {
+    let pushed = [(0.01, 1.0), (0.1, 1.0), (0.3, 1.0), (0.01, 0.02), (0.1, 0.02), (0.3, 0.02)];
+    for (shortening, dt) in rows.grid("columns pushed together in time", pushed) {
         let name =
             format!("column pushed together by {:.0} % within 1 s, steps of {dt} s", 100.0 * shortening);
         rows.case(&name, |case| {

@@ -1,0 +1,172 @@
+//! Checks of a load of your own: are its derivatives those of its forces, and has it the potential it claims?
+
+use nalgebra::{Vector3, Vector6};
+use varda_implicit::Error;
+use varda_implicit::check::{Random, differing, taylor};
+
+use crate::load::{EdgeLoad, EdgeMotion, Load};
+use crate::rod::Rod;
+
+pub use varda_implicit::check::{Finding, Report};
+
+/// Share of the largest entry of ∂F/∂(places) by which two mirror images may differ: some thousand
+/// roundings.
+const SYMMETRY: f64 = 1e-12;
+
+/// Every check of a load, on the first, the middle and the last of its edges: they are edges of the rod; same
+/// input, same result; all values are finite; ∂F/∂(places) and ∂F/∂(velocities) are derivatives of
+/// the forces (Taylor). Of a load that says it has a potential: F = −∂W/∂(places) (Taylor),
+/// ∂F/∂(places) is symmetric, and nothing depends on velocities. Of one without: its energy is zero.
+///
+/// A load that claims a potential which it has not is not found while a rod moves: a symmetric band keeps one
+/// half of its Jacobian, and Newton's method looks for a minimum that is none.
+///
+/// Edges are drawn from `seed` in any direction, stretched by at most a tenth, within a length of the rod
+/// from the origin, with velocities of the size of `speed` \[m/s\], at time `time` \[s\].
+///
+/// ```
+/// use nalgebra::Matrix6;
+/// use varda_rod::{EdgeLoad, EdgeMotion, Load, Material, Rod, Section, check};
+///
+/// /// A force on the second vertex, across the edge: F = k ẑ × e. It claims a potential.
+/// struct Across(f64);
+///
+/// impl Load for Across {
+///     fn has_potential(&self) -> bool {
+///         true
+///     }
+///     fn on_edge(&self, motion: &EdgeMotion) -> EdgeLoad {
+///         let e = motion.places[1] - motion.places[0];
+///         let mut load = EdgeLoad::zero();
+///         (load.forces[3], load.forces[4]) = (-self.0 * e.y, self.0 * e.x);
+///         (load.by_places[(3, 1)], load.by_places[(3, 4)]) = (self.0, -self.0);
+///         (load.by_places[(4, 0)], load.by_places[(4, 3)]) = (-self.0, self.0);
+///         load
+///     }
+/// }
+///
+/// let rod = Rod::uniform(1.0, 10, &Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.01))?;
+/// let report = check::load(&Across(3.0), &rod, 0.0, 1.0, 1)?;
+/// assert!(report.failed().any(|f| f.what.contains("symmetry of ∂F/∂(places)")), "{report}");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`Error::EmptyTest`] where a Taylor test finds no range of steps between truncation and rounding.
+pub fn load(load: &dyn Load, rod: &Rod, time: f64, speed: f64, seed: u64) -> Result<Report, Error> {
+    let edges = load.edges(rod.segments());
+    let outside = edges.end.saturating_sub(rod.segments());
+    let mut findings = vec![Finding::at_most("edges beyond the rod", outside as f64, 0.0)];
+    if outside > 0 || edges.is_empty() {
+        return Ok(Report { findings });
+    }
+    let mut random = Random(seed);
+    let mut chosen = vec![edges.start, (edges.start + edges.end) / 2, edges.end - 1];
+    chosen.dedup();
+    for edge in chosen {
+        let found = on_edge(load, rod, edge, [time, speed], &mut random)?;
+        findings.extend(found.into_iter().map(|finding| finding.of(&format!("edge {edge}"))));
+    }
+    Ok(Report { findings })
+}
+
+/// A motion with its twelve numbers in one row: places, then velocities.
+fn with(motion: &EdgeMotion, numbers: &[f64]) -> EdgeMotion {
+    let at = |i: usize| Vector3::from_column_slice(&numbers[3 * i..3 * i + 3]);
+    EdgeMotion { places: [at(0), at(1)], velocities: [at(2), at(3)], ..*motion }
+}
+
+fn vector(random: &mut Random, size: f64) -> Vector3<f64> {
+    size * Vector3::from_fn(|_, _| random.draw())
+}
+
+/// The numbers of what a load does.
+fn numbers(load: &EdgeLoad) -> Vec<f64> {
+    let derivatives = load.by_places.iter().chain(&load.by_velocities);
+    [load.energy].into_iter().chain(load.forces.iter().chain(derivatives).copied()).collect()
+}
+
+fn on_edge(
+    load: &dyn Load,
+    rod: &Rod,
+    edge: usize,
+    [time, speed]: [f64; 2],
+    random: &mut Random,
+) -> Result<Vec<Finding>, Error> {
+    let l = rod.rest_lengths[edge];
+    let sideways: Vector3<f64> = vector(random, 1.0) + 1e-3 * Vector3::x();
+    let along = sideways.normalize() * (l * (1.0 + 0.1 * random.draw()));
+    let first = vector(random, rod.length());
+    let motion = EdgeMotion {
+        edge,
+        time,
+        places: [first, first + along],
+        velocities: [(); 2].map(|()| vector(random, speed)),
+        rest_length: l,
+    };
+    let x: Vec<f64> =
+        motion.places.iter().chain(&motion.velocities).flat_map(|v| v.iter().copied()).collect();
+    let acts = load.on_edge(&motion);
+    let mut findings = Vec::new();
+    let mut at_most =
+        |what: &str, value: f64, bound: f64| findings.push(Finding::at_most(what, value, bound));
+
+    let values = numbers(&acts);
+    let wild = values.iter().filter(|v| !v.is_finite()).count();
+    at_most("values not finite", wild as f64, 0.0);
+    if wild > 0 {
+        return Ok(findings);
+    }
+    let elsewhere: Vec<f64> = x.iter().map(|x| x + 0.1 * l).collect();
+    let _ = load.on_edge(&with(&motion, &elsewhere));
+    at_most("values that differ when run again", differing(&values, &numbers(&load.on_edge(&motion))), 0.0);
+
+    let mut direction = |size: f64, moved: std::ops::Range<usize>| -> Vec<f64> {
+        (0..12).map(|i| if moved.contains(&i) { size * random.draw() } else { 0.0 }).collect()
+    };
+    // Both vertices together by a tenth of the rod, each by a tenth of the edge.
+    let (mut by_place, by_velocity) = (direction(0.1 * l, 0..6), direction(speed, 6..12));
+    let together = direction(0.1 * rod.length(), 0..3);
+    by_place[..6].iter_mut().enumerate().for_each(|(i, d)| *d += together[i % 3]);
+    let weights = Vector6::from_column_slice(&direction(1.0, 0..6)[..6]);
+    let gradient: Vec<f64> = (acts.by_places.tr_mul(&weights).iter())
+        .chain(acts.by_velocities.tr_mul(&weights).iter())
+        .copied()
+        .collect();
+    let mut weighted = |x: &[f64]| Ok(weights.dot(&load.on_edge(&with(&motion, x)).forces));
+    for (what, direction) in [("∂F/∂(places)", &by_place), ("∂F/∂(velocities)", &by_velocity)] {
+        let (value, bound) = remainder(&mut weighted, &gradient, &x, direction)?;
+        at_most(&format!("2 − Taylor slope of {what}"), value, bound);
+    }
+    if load.has_potential() {
+        let minus: Vec<f64> = acts.forces.iter().map(|f| -f).chain([0.0; 6]).collect();
+        let mut energy = |x: &[f64]| Ok(load.on_edge(&with(&motion, x)).energy);
+        let (value, bound) = remainder(&mut energy, &minus, &x, &by_place)?;
+        at_most("2 − Taylor slope of the potential, whose gradient is −F", value, bound);
+        let skew = (acts.by_places - acts.by_places.transpose()).abs().max();
+        let largest = acts.by_places.abs().max();
+        at_most("symmetry of ∂F/∂(places)", if skew == 0.0 { 0.0 } else { skew / largest }, SYMMETRY);
+        let faster: Vec<f64> = x.iter().zip(&by_velocity).map(|(x, d)| x + d).collect();
+        let changed = differing(&values, &numbers(&load.on_edge(&with(&motion, &faster))));
+        at_most("values that depend on velocities", changed, 0.0);
+    } else {
+        at_most("energy of a load without potential", acts.energy.abs(), 0.0);
+    }
+    Ok(findings)
+}
+
+/// 2 − the Taylor slope and its bound. Of a function that does not change: zero, or 2 where it claims a
+/// derivative.
+fn remainder(
+    function: &mut dyn FnMut(&[f64]) -> Result<f64, Error>,
+    gradient: &[f64],
+    x: &[f64],
+    direction: &[f64],
+) -> Result<(f64, f64), Error> {
+    let slope: f64 = gradient.iter().zip(direction).map(|(g, d)| g * d).sum();
+    let moved: Vec<f64> = x.iter().zip(direction).map(|(x, d)| x + d).collect();
+    if function(&moved)? == function(x)? {
+        return Ok((if slope == 0.0 { 0.0 } else { 2.0 }, 0.0));
+    }
+    taylor(function, gradient, x, direction).map(|test| (2.0 - test.slope, 2.0 - test.bound))
+}
