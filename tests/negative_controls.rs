@@ -52,6 +52,9 @@ impl Equations for MutatedEquations<'_> {
     fn converged_below(&self) -> f64 {
         self.inner.converged_below()
     }
+    fn longest(&self, du: &[f64]) -> f64 {
+        self.inner.longest(du)
+    }
     fn trusted_below(&self) -> f64 {
         self.inner.trusted_below()
     }

@@ -67,6 +67,13 @@ pub trait Equations {
         du.iter().fold(0.0, |m: f64, d| if d.is_nan() { f64::NAN } else { m.max(d.abs()) })
     }
 
+    /// The largest share of an update du that is tried, at most 1: a limit for unknowns along which the
+    /// equations turn round, where a long step lands on another branch. By default all of it.
+    fn longest(&self, du: &[f64]) -> f64 {
+        let _ = du;
+        1.0
+    }
+
     /// Newton ends when a full step was no larger than this.
     fn converged_below(&self) -> f64;
 

@@ -390,7 +390,7 @@ impl NewtonWork {
         Some(Test::Curvature { phi, slope: dot(&self.g, &self.du), curvature: curvature * scale * scale })
     }
 
-    /// Halves α until the test holds at u ⊕ α du, and leaves that point in `trial`, its equations in `g`
+    /// Halves α, from the longest step, until the test holds at u ⊕ α du, and leaves that point in `trial`, its equations in `g`
     /// and `values`. Returns its potential; `None` where the halvings ran out.
     fn backtrack<E: Equations + ?Sized>(
         &mut self,
@@ -399,7 +399,7 @@ impl NewtonWork {
         test: &Test,
         options: &NewtonOptions,
     ) -> Option<Option<f64>> {
-        let mut alpha = 1.0;
+        let mut alpha = equations.longest(&self.du).min(1.0);
         for _ in 0..=options.max_backtracks {
             equations.retract(u, &self.du, alpha, &mut self.trial);
             let assembled = equations.assemble(&self.trial, &mut self.g, Some(&mut self.values));

@@ -74,6 +74,10 @@ impl Equations for RodEquations<'_> {
         size
     }
 
+    fn longest(&self, du: &[f64]) -> f64 {
+        self.step.system.longest(du)
+    }
+
     fn converged_below(&self) -> f64 {
         self.step.tolerance
     }

@@ -43,6 +43,12 @@ pub enum Error {
     /// No support at all: an equilibrium would fall or drift away.
     #[error("nothing holds the rod: it has no clamp and no prescribed vertex")]
     NothingHolds,
+    /// The search for a shape at rest used up its iterations.
+    #[error("no shape at rest was found in {iterations} Newton iterations: a first shape near it would help")]
+    NotAtRest {
+        /// Newton iterations of all stages together.
+        iterations: usize,
+    },
     /// A field of a description has an impossible value.
     #[error("{field}: {value} is not allowed (expected {expected})")]
     Value {

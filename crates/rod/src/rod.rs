@@ -152,6 +152,12 @@ impl Rod {
             && self.natural_twist.iter().all(|t| *t == 0.0)
     }
 
+    /// Bending energy depends on the angles of sections.
+    pub(crate) fn bends_by_angle(&self) -> bool {
+        self.ei.iter().any(|k| k[0] != k[2] || k[1] != 0.0)
+            || self.natural_curvature.iter().any(|k| *k != [0.0; 2])
+    }
+
     /// A chain: no bending or twisting stiffness anywhere.
     pub(crate) fn is_chain(&self) -> bool {
         self.ei.iter().all(|k| *k == [0.0; 3]) && self.gj.iter().all(|g| *g == 0.0)

@@ -81,6 +81,11 @@ impl Equations for Statics {
         s.add_holonomy(du, alpha, &mut self.displacement, &mut self.psi, trial);
     }
 
+    fn longest(&self, du: &[f64]) -> f64 {
+        // angles that start from zero are far from those of a rod with natural twist
+        if self.system.rod.natural_twist.iter().any(|t| *t != 0.0) { 1.0 } else { self.system.longest(du) }
+    }
+
     fn converged_below(&self) -> f64 {
         self.tolerance
     }

@@ -13,6 +13,10 @@ use crate::scalar::{length, unit};
 use crate::shape::{FirstFrame, Shape};
 use crate::support::{Clamp, Damping, Loads, Supports};
 
+/// Largest |δθ| of one Newton update \[rad\], where bending depends on angles: it does so with periods of
+/// π and 2π.
+const TURN: f64 = 0.5;
+
 /// Everything that stays the same during a run, and the work buffers of one evaluation.
 #[derive(Clone)]
 pub(crate) struct System {
@@ -332,6 +336,16 @@ impl System {
     /// Length of a row of ∂G/∂u in its layout; its diagonal stands `half_bandwidth` from the start.
     pub(crate) fn row_length(&self) -> usize {
         self.layout.half_bandwidth * if self.has_potential() { 1 } else { 2 } + 1
+    }
+
+    /// The share of an update after which no angle has turned by more than [`TURN`]; all of it where bending
+    /// does not depend on angles.
+    pub(crate) fn longest(&self, du: &[f64]) -> f64 {
+        if self.layout.free_angles.is_empty() || !self.rod.bends_by_angle() {
+            return 1.0;
+        }
+        let turn = |e: &usize| du[self.layout.unknown[self.layout.angle(*e)]].abs();
+        TURN / self.layout.free_angles.iter().map(turn).fold(TURN, f64::max)
     }
 
     /// Elastic energy at the unknowns u; overwrites g with its gradient and, where asked for, `jacobian` with

@@ -85,7 +85,7 @@ pub struct Found {
 ///
 /// # Errors
 /// [`varda_implicit::Error`] where no way led to a shape at rest, or wrapping an [`Error`] of the rod
-/// ([`Error::NothingHolds`] where nothing holds it).
+/// ([`Error::NothingHolds`] where nothing holds it, [`Error::NotAtRest`] where the iterations ran out).
 ///
 /// # Panics
 /// If [`Search::initial_shape`] has the wrong number of vertices or angles.
@@ -158,16 +158,8 @@ impl Way<'_> {
     /// At rest with clamps turned by the share λ, this share of the loads and of the stretching stiffness.
     fn solve(&mut self, lambda: f64, load: f64, stretch: f64, guess: &Rest, iterations: usize) -> Solved {
         if self.work.iterations >= MOST {
-            let (update, tolerance) = (self.work.report.last_update, 1e-11 * self.rod.length());
-            let iterations = self.work.iterations;
-            return Err(varda_implicit::Error::NewtonDiverged {
-                step: 0,
-                time: self.t,
-                length: 0.0,
-                iterations,
-                update,
-                tolerance,
-            });
+            let reason = Error::NotAtRest { iterations: self.work.iterations };
+            return Err(varda_implicit::Error::Refused { step: 0, reason: reason.into() });
         }
         if lambda == 1.0 && load == 1.0 && stretch == 1.0 {
             let (rod, supports, loads) = (self.rod, self.supports, self.loads);
