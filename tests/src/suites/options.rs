@@ -11,6 +11,6 @@ pub struct Options {
     pub names_only: bool,
     /// The longest cases too.
     pub full: bool,
-    /// Folder with `der`, `hanging-rod`, `twin` (any of them); our own copies where there is none.
+    /// Folder with `der`, `hanging-rod`, `twin`, `statics` (any of them); our own copies where there is none.
     pub fixtures: Option<PathBuf>,
 }

@@ -14,6 +14,25 @@ use crate::{Error, LeastSquares};
 use std::ops::ControlFlow;
 
 /// A minimizer with its settings: a choice that can be made from data.
+///
+/// ```
+/// # use std::ops::ControlFlow;
+/// use varda_assimilation::*;
+/// # use varda_covariance::Diagonal;
+/// # use varda_implicit::{Rk4, lorenz::Lorenz63};
+/// # let (mut model, b) = (Rk4::new(Lorenz63::default(), 0, 0.01), Diagonal::uniform(3, 1.0)?);
+/// # let seen = vec![Observation::new(20, vec![0, 2], vec![8.1, 14.9], 0.1)];
+/// # let all = Box::new(Selection::new(vec![0, 1, 2], 3)?);
+/// # let mut observations = ObservationSet::new(20, vec![all], seen)?;
+/// # let transform = ControlTransform::new(vec![1.5, 1.7, 20.0], &b)?;
+/// # let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut observations)?;
+/// // x₀ and x₂ of Lorenz-63 seen at step 20: `cost` is its strong constraint.
+/// let mut v = vec![0.0; 3];
+/// let Some(minimizer) = Minimizer::named("gauss-newton-cg") else { unreachable!() };
+/// let minimum = minimizer.minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(()))?;
+/// assert_eq!(minimum.status, Status::Converged);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub enum Minimizer {
     /// Trust region on the true J, and where the background is far from the observations also through
@@ -176,6 +195,25 @@ impl Minimizer {
 /// When to use: precise observations and a background far from them. When not: chaotic models, whose minima
 /// come from the length of the window ([`window_growth`](crate::window_growth)). Cost: a minimization a
 /// stage, the early ones short. Memory: that of the minimizer.
+///
+/// ```
+/// # use std::ops::ControlFlow;
+/// use varda_assimilation::*;
+/// # use varda_covariance::Diagonal;
+/// # use varda_implicit::{Rk4, lorenz::Lorenz63};
+/// # let (mut model, b) = (Rk4::new(Lorenz63::default(), 0, 0.01), Diagonal::uniform(3, 1.0)?);
+/// # let seen = vec![Observation::new(20, vec![0, 2], vec![8.1, 14.9], 0.1)];
+/// # let all = Box::new(Selection::new(vec![0, 1, 2], 3)?);
+/// # let mut observations = ObservationSet::new(20, vec![all], seen)?;
+/// # let transform = ControlTransform::new(vec![1.5, 1.7, 20.0], &b)?;
+/// # let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut observations)?;
+/// // x₀ and x₂ of Lorenz-63 seen at step 20: `cost` is its strong constraint.
+/// let mut v = vec![0.0; 3];
+/// let scales = [10.0, 3.0, 1.0];
+/// let minimum = continuation(&Minimizer::default(), &mut cost, &mut v, &scales, &mut |_| ControlFlow::Continue(()))?;
+/// assert_eq!(minimum.status, Status::Converged);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// Scales that are empty, not positive and finite, or do not end with 1; else as for
