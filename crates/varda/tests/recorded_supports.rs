@@ -129,7 +129,7 @@ fn a_window_that_a_recording_does_not_cover_is_an_error_with_both_intervals() {
 
 #[test]
 fn noise_on_a_base_does_not_shake_the_rod() {
-    // A drive of 2 Hz by 2 cm; 0.1 mm of noise at 240 Hz, by a congruential sequence.
+    // An ellipse of 5 cm by 3 cm at 0.95 Hz; 0.1 mm of noise at 240 Hz, by a congruential sequence.
     let mut state = 7_u64;
     let mut noise = || {
         let mut uniform = || {
@@ -139,41 +139,45 @@ fn noise_on_a_base_does_not_shake_the_rod() {
         1e-4 * ((0..12).map(|_| uniform()).sum::<f64>() - 6.0)
     };
     let drive = |t: f64| {
-        let u = (t / 0.2).min(1.0);
-        0.02 * u * u * u * (10.0 - 15.0 * u + 6.0 * u * u) * (12.0 * t).sin()
+        let u = (6.0 * t / std::f64::consts::TAU).min(1.0);
+        let a = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u);
+        [0.05 * a * (6.0 * t).cos(), 0.03 * a * (6.0 * t).sin()]
     };
     let mut table = |noisy: bool| -> Vec<[f64; 4]> {
         let mut error = || if noisy { noise() } else { 0.0 };
         (0..=240)
             .map(|k| {
                 let t = k as f64 / 240.0;
-                [t, drive(t) + error(), error(), error()]
+                let [x, y] = drive(t);
+                [t, x + error(), y + error(), error()]
             })
             .collect()
     };
-    let mut tip_and_speed = |name: &str, noisy: bool, sets: &[&str]| {
+    let mut shapes = |name: &str, noisy: bool, sets: &[&str]| {
         let sets = [&["time.window=400", "time.step=0.0025"], sets].concat();
         let problem = Problem::new(inputs(name, &table(noisy), &sets).unwrap()).unwrap();
         let told = problem.experiment.left_out.iter().any(|l| l.contains("jitter of the recorded motion"));
-        let run = simulate(&problem).unwrap();
-        (told, run.states.clone(), run.dim)
+        (told, simulate(&problem).unwrap().shapes.unwrap().analysis)
     };
-    let (told, exact, dim) = tip_and_speed("exact", false, &["model.start.motion.sigma=0.0"]);
+    let (told, exact) = shapes("exact", false, &["model.start.motion.sigma=0.0"]);
     assert!(!told);
     let mut off = |name: &str, sets: &[&str]| {
-        let (told, states, _) = tip_and_speed(name, true, sets);
-        let half = dim / 2;
-        let (mut farthest, mut faster) = (0.0_f64, 0.0);
-        for (a, b) in states.chunks(dim).zip(exact.chunks(dim)) {
-            let gap = |i: usize| (0..3).map(|c| (a[i + c] - b[i + c]).powi(2)).sum::<f64>();
-            farthest = (0..half / 3).fold(farthest, |m, v| m.max(gap(3 * v).sqrt()));
-            faster += gap(dim - 3);
-        }
-        (told, farthest, (faster / (states.len() / dim) as f64).sqrt())
+        let (told, seen) = shapes(name, true, sets);
+        let error =
+            |k: usize, v: usize| -> [f64; 3] { std::array::from_fn(|c| seen[k][v][c] - exact[k][v][c]) };
+        let norm = |v: [f64; 3]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let tip = exact[0].len() - 1;
+        let farthest = (0..=400).flat_map(|k| (0..=tip).map(move |v| (k, v))).map(|(k, v)| norm(error(k, v)));
+        let speed =
+            |k: usize| norm(std::array::from_fn(|c| (error(k + 1, tip)[c] - error(k, tip)[c]) / 0.0025));
+        let faster = ((0..400).map(|k| speed(k).powi(2)).sum::<f64>() / 400.0).sqrt();
+        (told, farthest.fold(0.0, f64::max), faster)
     };
+    // What is slower than the cut-off of 6 Hz stays: a share 12/240 of the variance, 0.04 mm at the base,
+    // which the undamped rod enlarges a few times.
     for (name, sets) in [("found", vec![]), ("given", vec!["model.start.motion.sigma=1e-4"])] {
         let (told, farthest, faster) = off(name, &sets);
-        assert!(told && farthest <= 2e-4 && faster <= 0.03, "{name}: {told} {farthest} m, {faster} m/s");
+        assert!(told && farthest <= 3e-4 && faster <= 0.005, "{name}: {told} {farthest} m, {faster} m/s");
     }
     let (told, farthest, faster) = off("followed", &["model.start.motion.sigma=0.0"]);
     assert!(!told && farthest > 5e-4 && faster > 0.03, "every row followed: {farthest} m, {faster} m/s");
