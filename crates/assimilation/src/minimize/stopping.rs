@@ -8,7 +8,7 @@ use std::ops::ControlFlow;
 ///
 /// ```text
 ///     converged:  ‖∇J‖ ≤ gradient_tolerance · ‖∇J‖ at the first point,   or
-///                 ‖∇J‖ ≤ 64 ε (‖v‖ + ‖∇J − v‖)   (rounding: its two parts have cancelled)
+///                 ‖∇J‖ ≤ 64 ε (‖v‖ + ‖∇J − v‖)  (its two parts have cancelled)
 /// ```
 ///
 /// Norms are those of the control variable, the B⁻¹ norm of an increment. A gradient whose norm is not
