@@ -200,6 +200,7 @@ impl Case<'_> {
     }
 
     /// A row that passes where value ≤ bound.
+    #[allow(clippy::missing_panics_doc)] // a row was just pushed
     pub fn at_most(&mut self, what: &str, value: f64, bound: f64, unit: &'static str) -> &mut Row {
         let seconds = self.since.elapsed().as_secs_f64();
         self.since = Instant::now();
@@ -324,6 +325,7 @@ pub struct Summary {
 }
 
 /// The rows as one JSON array; numbers that are not finite are null.
+#[allow(clippy::missing_panics_doc)] // rows are plain data
 pub fn json(rows: &[Row]) -> String {
     serde_json::to_string_pretty(rows).expect("rows are plain data") + "\n"
 }

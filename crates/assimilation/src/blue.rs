@@ -32,6 +32,22 @@ pub enum Gain {
 ///
 /// Cost: n tangent or m adjoint sweeps (see [`Gain`]), a Cholesky factorization and n m min(n, m). Memory: 2
 /// n m + n² (+ m² with the gain in observation space).
+///
+/// ```
+/// use varda_assimilation::*;
+/// use varda_covariance::Diagonal;
+///
+/// // 0 ± 2, seen as 5 ± 1: the estimate is 4 ± 2/√5.
+/// let seen = vec![Observation::new(0, vec![0], vec![5.0], 1.0)];
+/// let mut observations = ObservationSet::new(0, vec![Box::new(Selection::new(vec![0], 1)?)], seen)?;
+/// let b = Diagonal::uniform(1, 2.0)?;
+/// let transform = ControlTransform::new(vec![0.0], &b)?;
+/// let mut cost = StrongConstraint::without_model(transform, &mut observations)?;
+/// let blue = Blue::new(&mut cost, &[0.0], Gain::Observation)?;
+/// assert!((2.0 * blue.control_variable[0] - 4.0).abs() < 1e-14);
+/// assert!((4.0 * blue.covariance[0] - 0.8).abs() < 1e-14);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Blue {
     /// v_a, the whitened estimate: B^{-1/2}(z_a − z_b), and with model error Q^{-1/2} η after it.

@@ -33,6 +33,14 @@ pub struct Consistency {
 /// All slices have one entry for each observed value: y, σ_o, H(x_b), H(x_a), (HBHᵀ)_ii (see
 /// [`predicted_variance`]) and the group. Cost: O(m).
 ///
+/// ```
+/// use varda_assimilation::consistency;
+///
+/// // One group of two values with σ_o = 1, predicted with variance 1: the analysis goes half the way.
+/// let ratios = consistency(&[1.0, -1.0], &[1.0; 2], &[0.0; 2], &[0.5, -0.5], &[1.0; 2], &[0, 0]);
+/// assert_eq!((ratios[0].count, ratios[0].observation_ratio, ratios[0].background_ratio), (2, 0.5, 0.5));
+/// ```
+///
 /// # Panics
 /// If the slices differ in length.
 pub fn consistency(

@@ -11,6 +11,18 @@ use varda_covariance::Covariance;
 ///
 /// All costs are minimised in v: their Hessian is I + (something positive), no inverse of B is needed, and B
 /// may be singular (v is then shorter than z, and z − z_b stays in the range of B).
+///
+/// ```
+/// use varda_assimilation::ControlTransform;
+/// use varda_covariance::Diagonal;
+///
+/// let b = Diagonal::new(vec![0.5, 2.0])?;
+/// let transform = ControlTransform::new(vec![1.0, 10.0], &b)?;
+/// let mut z = [0.0; 2];
+/// transform.control(&[1.0, -1.0], &mut z); // one standard deviation up, one down
+/// assert_eq!(z, [1.5, 8.0]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone)]
 pub struct ControlTransform<'a> {
     background: Vec<f64>,

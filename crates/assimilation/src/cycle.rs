@@ -189,6 +189,41 @@ pub struct CycleErrors {
 /// than converged hands its best point on: see `status`. `on_cycle` hears of every window with what it hands
 /// on, and may end the sequence. After an error `state` is that before the window that failed.
 ///
+/// ```
+/// use std::ops::ControlFlow;
+/// use varda_assimilation::*;
+/// use varda_covariance::Diagonal;
+/// use varda_implicit::{Model, Rk4, lorenz::Lorenz63};
+///
+/// // Five windows of ten steps; the first component is seen at the end of each.
+/// let model = |step: usize| -> Box<dyn Model + Send> { Box::new(Rk4::new(Lorenz63::default(), step, 0.01)) };
+/// let values = [4.2, 11.5, 16.8, 6.6, -1.2];
+/// let observations = |from: usize| {
+///     let seen = vec![Observation::new(10, vec![0], vec![values[from / 10]], 0.5)];
+///     ObservationSet::new(10, vec![Box::new(Selection::new(vec![0], 3)?)], seen)
+/// };
+/// let cycling = Cycling {
+///     first: 0,
+///     window: 10,
+///     shift: 10,
+///     cycles: 5,
+///     make_model: &model,
+///     observations: &observations,
+///     truth: None,
+/// };
+/// let b = Diagonal::uniform(3, 1.0)?;
+/// let mut state = CycleState::new(vec![1.5, 1.7, 20.0]);
+/// let windows = cycle(
+///     &cycling,
+///     &mut state,
+///     &CycledCovariance::Static(&b),
+///     &Minimizer::default(),
+///     &mut |_, _| ControlFlow::Continue(()),
+/// )?;
+/// assert_eq!((windows.len(), state.next), (5, 5));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
 /// # Errors
 /// A shift of 0 or beyond K + 1, an inflation that is not positive; a model that fails at a background or
 /// between two windows, observations or covariances that cannot be built.

@@ -36,6 +36,8 @@ pub struct Observation {
     pub sigma: Vec<f64>,
     /// Their covariance, where the errors of the rows are correlated.
     pub correlation: Option<Correlated>,
+    /// Whether its values are one sighting, which the background check believes or refuses whole.
+    pub together: bool,
     /// The name of the instrument or place; for reports only.
     pub label: String,
 }
@@ -48,7 +50,17 @@ impl Observation {
     /// of a window.
     pub fn new(step: usize, rows: Vec<usize>, values: Vec<f64>, sigma: f64) -> Self {
         let sigma = vec![sigma; rows.len()];
-        Self { operator: 0, rows, step, weight: 0.0, values, sigma, correlation: None, label: String::new() }
+        Self {
+            operator: 0,
+            rows,
+            step,
+            weight: 0.0,
+            values,
+            sigma,
+            correlation: None,
+            together: false,
+            label: String::new(),
+        }
     }
 
     /// With a standard deviation σ for each row, and independent errors.
@@ -69,6 +81,12 @@ impl Observation {
     /// Through another operator of the set than the first.
     pub fn operator(self, operator: usize) -> Self {
         Self { operator, ..self }
+    }
+
+    /// As one sighting, the three coordinates of a marker, say: where one of its values is a gross error the
+    /// others are not believed either. The background check judges them together.
+    pub fn together(self) -> Self {
+        Self { together: true, ..self }
     }
 
     /// With a name for reports.

@@ -16,6 +16,20 @@ use varda_implicit::{At, ObservationOperator};
 /// weight; observations of equal time keep the order they were given in). Every operator is called once for
 /// every step at which it is needed, however many observations share it; rows nobody observed cost nothing
 /// but that call.
+///
+/// ```
+/// use varda_assimilation::{Observation, ObservationSet, Selection};
+///
+/// // Components 0 and 2 of a state of three: 0 at step 4, both half way between steps 7 and 8.
+/// let h = Selection::new(vec![0, 2], 3)?;
+/// let seen = vec![
+///     Observation::new(4, vec![0], vec![1.2], 0.1),
+///     Observation::new(7, vec![0, 1], vec![1.4, -0.3], 0.1).between(0.5),
+/// ];
+/// let set = ObservationSet::new(10, vec![Box::new(h)], seen)?;
+/// assert_eq!((set.dim(), set.last_step()), (3, Some(8)));
+/// # Ok::<(), varda_assimilation::Error>(())
+/// ```
 pub struct ObservationSet {
     operators: Vec<Box<dyn ObservationOperator>>,
     observations: Vec<Observation>,
@@ -249,6 +263,11 @@ impl ObservationSet {
     /// Where the rows of observation `i` (in order of time) are in the stacked vector.
     pub fn rows(&self, i: usize) -> Range<usize> {
         self.offsets[i]..self.offsets[i + 1]
+    }
+
+    /// The observation that a row of the stacked vector belongs to.
+    pub(crate) fn observation_of(&self, row: usize) -> usize {
+        self.offsets.partition_point(|first| *first <= row) - 1
     }
 
     /// y, stacked.

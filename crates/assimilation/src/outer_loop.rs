@@ -7,6 +7,25 @@ use crate::{Error, Iteration, LeastSquares, Minimum, Status, Stopping};
 use std::ops::ControlFlow;
 
 /// How the inner problem is solved.
+///
+/// ```
+/// # use std::ops::ControlFlow;
+/// use varda_assimilation::*;
+/// # use varda_covariance::Diagonal;
+/// # use varda_implicit::{Rk4, lorenz::Lorenz63};
+/// # let (mut model, b) = (Rk4::new(Lorenz63::default(), 0, 0.01), Diagonal::uniform(3, 1.0)?);
+/// # let seen = vec![Observation::new(20, vec![0, 2], vec![8.1, 14.9], 0.1)];
+/// # let all = Box::new(Selection::new(vec![0, 1, 2], 3)?);
+/// # let mut observations = ObservationSet::new(20, vec![all], seen)?;
+/// # let transform = ControlTransform::new(vec![1.5, 1.7, 20.0], &b)?;
+/// # let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut observations)?;
+/// // x₀ and x₂ of Lorenz-63 seen at step 20: `cost` is its strong constraint.
+/// let mut v = vec![0.0; 3];
+/// let options = OuterLoopOptions { inner: InnerSolver::Dual, ..Default::default() };
+/// let minimum = outer_loop(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(()))?;
+/// assert_eq!(minimum.status, Status::Converged);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum InnerSolver {
     /// Conjugate gradients in the control space: incremental 3D-Var and 4D-Var.

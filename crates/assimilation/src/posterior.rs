@@ -19,6 +19,25 @@ use varda_linalg::dense::{View, add_product};
 /// When to use: n up to a few thousand. When not: larger n ([`LowRankPosterior`](crate::LowRankPosterior));
 /// where the dropped second derivatives matter at the minimum, for there the true curvature, and with it the
 /// spread, differs. Cost: n tangent sweeps and 9 n³ or so. Memory: 2n².
+///
+/// ```
+/// # use std::ops::ControlFlow;
+/// use varda_assimilation::*;
+/// # use varda_covariance::Diagonal;
+/// # use varda_implicit::{Rk4, lorenz::Lorenz63};
+/// # let (mut model, b) = (Rk4::new(Lorenz63::default(), 0, 0.01), Diagonal::uniform(3, 1.0)?);
+/// # let seen = vec![Observation::new(20, vec![0, 2], vec![8.1, 14.9], 0.1)];
+/// # let all = Box::new(Selection::new(vec![0, 1, 2], 3)?);
+/// # let mut observations = ObservationSet::new(20, vec![all], seen)?;
+/// # let transform = ControlTransform::new(vec![1.5, 1.7, 20.0], &b)?;
+/// # let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut observations)?;
+/// // x₀ and x₂ of Lorenz-63 seen at step 20: `cost` is its strong constraint.
+/// let mut v = vec![0.0; 3];
+/// Minimizer::default().minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(()))?;
+/// let posterior = Posterior::new(&mut cost)?;
+/// assert!(posterior.variance(&transform).iter().all(|variance| *variance <= 1.0)); // B = I
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct Posterior {
     /// Eigenvalues of A, ascending; ≥ 1 up to rounding.
     eigenvalues: Vec<f64>,

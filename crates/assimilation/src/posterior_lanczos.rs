@@ -27,6 +27,27 @@ use varda_linalg::krylov::{Lanczos, Product, Ritz};
 ///
 /// Cost: one tangent and one adjoint sweep a product. Memory: a vector for every product while it is made
 /// (two, if refined), one for every pair afterwards.
+///
+/// ```
+/// # use std::ops::ControlFlow;
+/// use varda_assimilation::*;
+/// # use varda_covariance::Diagonal;
+/// # use varda_implicit::{Rk4, lorenz::Lorenz63};
+/// # let (mut model, b) = (Rk4::new(Lorenz63::default(), 0, 0.01), Diagonal::uniform(3, 1.0)?);
+/// # let seen = vec![Observation::new(20, vec![0, 2], vec![8.1, 14.9], 0.1)];
+/// # let all = Box::new(Selection::new(vec![0, 1, 2], 3)?);
+/// # let mut observations = ObservationSet::new(20, vec![all], seen)?;
+/// # let transform = ControlTransform::new(vec![1.5, 1.7, 20.0], &b)?;
+/// # let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut observations)?;
+/// use rand::{SeedableRng, rngs::ChaCha8Rng};
+/// // x₀ and x₂ of Lorenz-63 seen at step 20: `cost` is its strong constraint.
+/// let mut v = vec![0.0; 3];
+/// Minimizer::default().minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(()))?;
+/// let mut rng = ChaCha8Rng::seed_from_u64(1);
+/// let posterior = LowRankPosterior::lanczos(&mut cost, &LanczosOptions::default(), &mut rng)?;
+/// assert!(posterior.error_bound().is_some_and(|bound| bound < 1e-6));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct LowRankPosterior {
     n: usize,

@@ -7,6 +7,36 @@ use crate::Refusal;
 /// The layout of ∂G/∂u is fixed and known to the work space that the equations are solved in
 /// ([`NewtonWork::new`](crate::NewtonWork::new)). The equations of a time step are made by
 /// [`ImplicitStep::equations`](crate::ImplicitStep::equations); an equilibrium is a type of its own.
+///
+/// ```
+/// use varda_implicit::{Equations, NewtonOptions, NewtonWork, Refusal, Structure, solve};
+///
+/// /// u² = 2, from the right.
+/// struct Root;
+///
+/// impl Equations for Root {
+///     fn assemble(
+///         &mut self,
+///         u: &[f64],
+///         g: &mut [f64],
+///         jacobian: Option<&mut [f64]>,
+///     ) -> Result<Option<f64>, Refusal> {
+///         g[0] = u[0] * u[0] - 2.0;
+///         if let Some(values) = jacobian {
+///             values[0] = 2.0 * u[0];
+///         }
+///         Ok(None)
+///     }
+///     fn converged_below(&self) -> f64 {
+///         1e-12
+///     }
+/// }
+///
+/// let mut u = [3.0];
+/// solve(&mut Root, &mut u, &mut NewtonWork::new(1, &Structure::Dense), &NewtonOptions::default())?;
+/// assert!((u[0] - 2.0_f64.sqrt()).abs() < 1e-12);
+/// # Ok::<(), varda_implicit::NewtonFailure>(())
+/// ```
 pub trait Equations {
     /// g = G(u); where asked for, all values of ∂G/∂u in the layout of the work space (symmetric where
     /// that says so).

@@ -162,6 +162,36 @@ pub trait Model {
 }
 
 /// The map z ↦ x₀ from the control to the initial state, with its derivative.
+///
+/// ```
+/// use varda_implicit::{ControlMap, Error};
+///
+/// /// x₀ = (z, z²).
+/// struct OnParabola(f64);
+///
+/// impl ControlMap for OnParabola {
+///     fn control_len(&self) -> usize {
+///         1
+///     }
+///     fn to_state(&mut self, z: &[f64], x: &mut [f64]) -> Result<(), Error> {
+///         self.0 = z[0];
+///         x.copy_from_slice(&[z[0], z[0] * z[0]]);
+///         Ok(())
+///     }
+///     fn to_state_tangent(&mut self, dz: &[f64], dx: &mut [f64]) {
+///         dx.copy_from_slice(&[dz[0], 2.0 * self.0 * dz[0]]);
+///     }
+///     fn to_state_adjoint(&mut self, lambda: &[f64], dz: &mut [f64]) {
+///         dz[0] = lambda[0] + 2.0 * self.0 * lambda[1];
+///     }
+/// }
+///
+/// let (mut map, mut x, mut dz) = (OnParabola(0.0), [0.0; 2], [0.0]);
+/// map.to_state(&[3.0], &mut x)?;
+/// map.to_state_adjoint(&[0.0, 1.0], &mut dz);
+/// assert_eq!((x, dz), ([3.0, 9.0], [6.0]));
+/// # Ok::<(), Error>(())
+/// ```
 pub trait ControlMap {
     /// Length of the control z.
     fn control_len(&self) -> usize;

@@ -6,6 +6,33 @@ use crate::{Error, Structure};
 /// sensitivity equation d(δx)/dt = ∂f/∂x δx (paper 2.22) and of its transpose.
 ///
 /// `&mut self` is for work space: every result is a function of the arguments alone.
+///
+/// ```
+/// use varda_implicit::{Rhs, check};
+///
+/// /// A pendulum: φ̇ = ω, ω̇ = −sin φ.
+/// struct Pendulum;
+///
+/// impl Rhs for Pendulum {
+///     fn dim(&self) -> usize {
+///         2
+///     }
+///     fn eval(&mut self, _: f64, x: &[f64], f: &mut [f64]) {
+///         f.copy_from_slice(&[x[1], -x[0].sin()]);
+///     }
+///     fn tangent(&mut self, _: f64, x: &[f64], dx: &[f64], df: &mut [f64]) {
+///         df.copy_from_slice(&[dx[1], -x[0].cos() * dx[0]]);
+///     }
+///     fn adjoint_add(&mut self, _: f64, x: &[f64], lambda: &[f64], dx: &mut [f64]) {
+///         dx[0] -= x[0].cos() * lambda[1];
+///         dx[1] += lambda[0];
+///     }
+/// }
+///
+/// let report = check::rhs(&mut Pendulum, 0.0, &[0.7, 0.4], &[1.0; 2], 3)?;
+/// assert!(report.passed(), "{report}");
+/// # Ok::<(), varda_implicit::Error>(())
+/// ```
 pub trait Rhs {
     /// Length of the state x.
     fn dim(&self) -> usize;

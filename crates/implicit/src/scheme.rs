@@ -21,6 +21,17 @@ use crate::Interval;
 /// Wanner 1993, III.5). Backward Euler is of first order and damps whatever it does not resolve; midpoint is
 /// of second order and damps nothing (it keeps quadratic invariants); BDF2 is of second order and damps what
 /// it does not resolve. It starts with one midpoint step.
+///
+/// ```
+/// use varda_implicit::{ImplicitModel, Model, OneLeg, Scheme, lorenz::Lorenz63};
+///
+/// let step = OneLeg::new(Lorenz63::default(), Scheme::Midpoint, 1e-10);
+/// let mut model = ImplicitModel::new(step, 0, 0.01);
+/// let mut next = vec![0.0; model.dim()];
+/// model.step(0, &[1.0, 3.0, 20.0], &mut next)?;
+/// assert_eq!(Scheme::Midpoint.order(), 2);
+/// # Ok::<(), varda_implicit::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scheme {
     /// x_{k+1} = x_k + Δt f(t_{k+1}, x_{k+1}).

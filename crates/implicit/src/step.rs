@@ -222,6 +222,9 @@ pub trait ImplicitStep {
 
     /// x₀, without a history, from the control z, at the time t of the start (s). Keeps what the two
     /// derivatives below need.
+    ///
+    /// # Errors
+    /// If no step can start from this control; the step's own typed error.
     fn initial_state(&mut self, _t: f64, z: &[f64], x: &mut [f64]) -> Result<(), Refusal> {
         x.copy_from_slice(z);
         Ok(())

@@ -4,6 +4,14 @@ use crate::Error;
 
 /// What is kept of a window of n steps for the sweeps along it. Every policy gives the same bits (the
 /// linearization of a step is a function of its two states): they trade memory for work.
+///
+/// ```
+/// use varda_implicit::Storage;
+///
+/// // 100 steps with ten states at a time: each is run about twice more.
+/// let few = Storage::Checkpoints { states: 10 };
+/// assert_eq!((Storage::KeepAll.executed_steps(100), few.executed_steps(100)), (100, 322));
+/// ```
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Storage {

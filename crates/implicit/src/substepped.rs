@@ -9,6 +9,22 @@ use crate::{ControlMap, Error, Model, Work};
 /// that [`accepted_times`](crate::accepted_times) found. Work is that of the steps really taken.
 ///
 /// Linearizing needs the states in between: those of the last step taken are at hand, else it is run again.
+///
+/// ```
+/// use varda_implicit::{Model, Rk4, Substepped, lorenz::Lorenz63};
+///
+/// // Steps of 0.01, two and then three of them to an observation.
+/// let mut fine = Rk4::new(Lorenz63::default(), 0, 0.01);
+/// let (mut x, mut next) = ([1.0, 3.0, 20.0], [0.0; 3]);
+/// for k in 0..2 {
+///     fine.step(k, &x, &mut next)?;
+///     x = next;
+/// }
+/// let mut coarse = Substepped::new(fine, vec![0, 2, 5]);
+/// coarse.step(0, &[1.0, 3.0, 20.0], &mut next)?;
+/// assert_eq!(next, x);
+/// # Ok::<(), varda_implicit::Error>(())
+/// ```
 #[derive(Debug)]
 pub struct Substepped<M> {
     model: M,

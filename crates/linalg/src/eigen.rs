@@ -7,6 +7,14 @@ use faer::linalg::evd::{ComputeEigenvectors, self_adjoint_evd, self_adjoint_evd_
 use faer::{Mat, MatRef, Par};
 
 /// Eigenvalues and orthonormal eigenvectors of a symmetric matrix: A zᵢ = μᵢ zᵢ.
+///
+/// ```
+/// let eigen = varda_linalg::Eigen::new(2, &[2.0, 1.0, 1.0, 2.0])?;
+/// // A z = 3 z for the last of them
+/// let z = &eigen.vectors[2..];
+/// assert!((2.0 * z[0] + z[1] - eigen.values[1] * z[0]).abs() < 1e-15);
+/// # Ok::<(), varda_linalg::Error>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Eigen {
     /// μ, ascending.
@@ -45,6 +53,12 @@ impl Eigen {
 }
 
 /// The eigenvalues of a symmetric matrix, ascending, at half the cost of [`Eigen::new`] or less.
+///
+/// ```
+/// let values = varda_linalg::eigenvalues(2, &[2.0, 1.0, 1.0, 2.0])?;
+/// assert!((values[0] - 1.0).abs() < 1e-15 && (values[1] - 3.0).abs() < 1e-15);
+/// # Ok::<(), varda_linalg::Error>(())
+/// ```
 ///
 /// # Errors
 /// As for [`Eigen::new`].

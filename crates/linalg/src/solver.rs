@@ -43,6 +43,19 @@ enum Work {
 }
 
 /// The factor of one matrix; belongs to the [`LinearSolver`] that made it.
+///
+/// ```
+/// use varda_linalg::{Factor, LinearSolver, Structure};
+///
+/// let mut solver = LinearSolver::new(2, &Structure::Dense);
+/// let mut factors: Vec<Factor> = vec![solver.empty_factor(), solver.empty_factor()];
+/// solver.factor(&[2.0, 0.0, 0.0, 4.0], &mut factors[0])?;
+/// solver.factor(&[1.0, 0.0, 0.0, 8.0], &mut factors[1])?;
+/// let mut x = [4.0, 8.0];
+/// solver.solve(&factors[0], &mut x); // the first is still there
+/// assert_eq!(x, [2.0, 2.0]);
+/// # Ok::<(), varda_linalg::BadPivot>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Factor {
     values: Vec<f64>,

@@ -3,6 +3,17 @@
 use crate::Error;
 
 /// Where the entries of a square matrix may be non-zero, and how its values are laid out in a slice.
+///
+/// ```
+/// use varda_linalg::Structure;
+///
+/// let band = Structure::SymmetricBand { half_bandwidth: 1 };
+/// let values = band.values(3, |i, j| if i == j { 2.0 } else { -1.0 });
+/// assert_eq!(values, [0.0, 2.0, -1.0, 2.0, -1.0, 2.0]); // row by row, the lower triangle
+/// let mut y = [0.0; 3];
+/// band.product(&values, &[1.0, 2.0, 3.0], &mut y);
+/// assert_eq!(y, [0.0, 0.0, 4.0]);
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub enum Structure {
     /// All n² entries, column by column: entry (i, j) at `i + j n`.

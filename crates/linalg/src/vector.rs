@@ -11,12 +11,22 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// ‖a‖₂, without protection against overflow of the squares.
+///
+/// ```
+/// assert_eq!(varda_linalg::norm(&[3.0, 4.0]), 5.0);
+/// ```
 #[inline]
 pub fn norm(a: &[f64]) -> f64 {
     dot(a, a).sqrt()
 }
 
 /// y ← y + α x.
+///
+/// ```
+/// let mut y = [1.0, 1.0];
+/// varda_linalg::axpy(2.0, &[1.0, 2.0], &mut y);
+/// assert_eq!(y, [3.0, 5.0]);
+/// ```
 #[inline]
 pub fn axpy(alpha: f64, x: &[f64], y: &mut [f64]) {
     y.iter_mut().zip(x).for_each(|(y, x)| *y += alpha * x);

@@ -39,6 +39,26 @@ use crate::twist_equilibrium::TwistEquilibrium;
 /// [`ImplicitModel`](varda_implicit::ImplicitModel); [`RodStep::model`] does.
 ///
 /// First guess of a step: X_k carried along rigidly with the supports, θ_k.
+///
+/// ```
+/// use varda_implicit::{Model, Scheme};
+/// use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, Vector3, straight_guess};
+///
+/// let rod = Rod::uniform(1.0, 20, &Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.01))?;
+/// let supports = Supports::clamped_start(Clamp::new([0.0; 3], Vector3::x(), Vector3::z()));
+/// let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
+/// let guess = straight_guess(&rod, &supports, 0.0, Vector3::x())?;
+/// let step = RodStep::new(rod, supports, loads, Damping::default())?.with_scheme(Scheme::Bdf2);
+///
+/// // Let go straight and at rest, for one step of 0.01 s: the first of BDF2 is midpoint's, ½ g Δt² down.
+/// let (control, tip) = (step.control_at_rest(&guess), step.free_vertices().len() - 1);
+/// let mut model = step.model(0, 0.01);
+/// let (mut x, mut next) = (vec![0.0; model.dim()], vec![0.0; model.dim()]);
+/// model.initial_state(&control, &mut x)?;
+/// model.step(0, &x, &mut next)?;
+/// assert!((next[3 * tip + 2] + 0.5 * 9.81 * 1e-4).abs() < 1e-6);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct RodStep {
     pub(crate) system: System,
     pub(crate) scheme: Scheme,
@@ -171,6 +191,9 @@ impl RodStep {
     ///
     /// # Errors
     /// [`Error`] where a support's motion is not usable at t.
+    ///
+    /// # Panics
+    /// If `state` is shorter than the places and velocities of the free vertices.
     pub fn vertices(&mut self, t: f64, state: &[f64]) -> Result<Vec<Vector3<f64>>, Error> {
         self.system.place(t)?;
         let f = self.system.layout.free_vertices.len();

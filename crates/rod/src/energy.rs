@@ -180,6 +180,21 @@ fn angle_between<T: Real>(shape: &Shape<T>, i: usize) -> T {
 /// present tangent by parallel transport, and the reference twist changes continuously (Bergou et al. 2008,
 /// 2010).
 ///
+/// ```
+/// use varda_rod::{Framed, Material, Rod, Section, Vector3, derivatives};
+///
+/// // Two segments, the first stretched by a tenth: its ends are pulled together by EA/10.
+/// let section = Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.01);
+/// let rod = Rod::uniform(2.0, 2, &section)?;
+/// let vertices = [0.0, 1.1, 2.1].map(|x| Vector3::x() * x);
+/// let directors = [Vector3::y(); 2];
+/// let at = Framed { vertices: &vertices, directors: &directors, reference_twist: &[0.0], theta: &[0.0; 2] };
+/// let d = derivatives(&rod, &at)?;
+/// assert!((d.energy.total() - 0.5 * section.ea * 0.01).abs() < 1e-12 * section.ea);
+/// assert!((d.gradient[3] - 0.1 * section.ea).abs() < 1e-12 * section.ea); // −force on vertex 1
+/// # Ok::<(), varda_rod::Error>(())
+/// ```
+///
 /// # Errors
 /// [`Error`] for a fold, an edge without length, a value that is not finite, or arrays of the wrong length.
 pub fn derivatives(rod: &Rod, at: &Framed) -> Result<Derivatives, Error> {

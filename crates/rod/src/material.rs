@@ -3,6 +3,13 @@
 use crate::Error;
 
 /// An elastic material.
+///
+/// ```
+/// use varda_rod::Material;
+///
+/// let silicone = Material::new(1e6, 0.5, 1100.0); // E [Pa], Poisson's ratio, density [kg/m³]
+/// assert!((silicone.shear_modulus - 1e6 / 3.0).abs() < 1e-9);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Material {
     /// Young's modulus E \[Pa\].
@@ -21,6 +28,16 @@ impl Material {
 }
 
 /// Stiffness and mass of a section, whatever its shape.
+///
+/// ```
+/// use varda_rod::{Material, Section};
+///
+/// let material = Material::new(1e6, 0.5, 1100.0);
+/// let round = Section::circle(&material, 0.01);
+/// // a tape: EI₂ is that of bending over its flat side
+/// let tape = Section { ei2: 0.01 * round.ei2, ..round };
+/// assert!((round.ea - 1e6 * std::f64::consts::PI * 1e-4).abs() < 1e-9 && tape.ei2 < tape.ei1);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Section {
     /// Stretching stiffness E A \[N\].

@@ -15,6 +15,17 @@ use crate::material::{Section, not_negative, positive};
 /// ```
 ///
 /// Plain data: fill it by hand for a rod that varies along its length, or by [`Rod::uniform`].
+///
+/// ```
+/// use varda_rod::{Material, Rod, Section};
+///
+/// let section = Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.01);
+/// // 1 m in 20 segments, naturally curved to a radius of 2 m, with 10 g at its end
+/// let mut rod = Rod::uniform(1.0, 20, &section)?.naturally([0.5, 0.0], 0.0);
+/// rod.add_point_mass(1.0, 0.01)?;
+/// assert_eq!((rod.segments(), rod.masses.len()), (20, 21));
+/// # Ok::<(), varda_rod::Error>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rod {
     /// Rest length l̄ of every edge \[m\]; n of them.

@@ -6,6 +6,18 @@ use nalgebra::{RealField, Vector3};
 /// along (those of the package `num-dual` are such numbers).
 ///
 /// Implemented for every `Copy` type that is a [`nalgebra::RealField`]; nothing else is asked for.
+///
+/// ```
+/// use num_dual::{Dual64, first_derivative};
+/// use varda_rod::Real;
+///
+/// fn square<T: Real>(x: T) -> T {
+///     x * x + T::of(1.0)
+/// }
+///
+/// assert_eq!(square(3.0), 10.0);
+/// assert_eq!(first_derivative(|x: Dual64| square(x), 3.0), (10.0, 6.0));
+/// ```
 pub trait Real: RealField + Copy {
     /// The constant `value`.
     #[inline(always)]

@@ -10,6 +10,14 @@ use crate::{Error, Rod};
 /// A vector that depends on time: the place of a vertex \[m\], a direction, a force \[N\].
 ///
 /// Constant vectors and arrays are motions, and so are closures that return either: `|t| [x, y, z]`.
+///
+/// ```
+/// use varda_rod::{Motion, Vector3};
+///
+/// let swinging = |t: f64| [0.1 * (2.0 * t).sin(), 0.0, 0.0];
+/// assert_eq!(swinging.at(0.0), Vector3::zeros());
+/// assert_eq!(Vector3::z().at(5.0), [0.0, 0.0, 1.0].at(7.0)); // constants are motions too
+/// ```
 pub trait Motion: Send + Sync {
     /// Its value at time t \[s\].
     fn at(&self, t: f64) -> Vector3<f64>;
@@ -62,6 +70,14 @@ impl Motion for EllipseDrive {
 /// A clamped end: it prescribes the end vertex, the direction of the end edge (at its rest length) and the
 /// direction m₁ of the section there, all as functions of time. Directions need not be normalized, nor m₁
 /// exactly perpendicular.
+///
+/// ```
+/// use varda_rod::{Clamp, Vector3};
+///
+/// // Hanging down from a point that moves sideways, its section not turning.
+/// let clamp = Clamp::new(|t: f64| [0.1 * t * t, 0.0, 0.0], -Vector3::z(), Vector3::x());
+/// assert_eq!(clamp.position.at(2.0), Vector3::new(0.4, 0.0, 0.0));
+/// ```
 #[derive(Clone)]
 pub struct Clamp {
     /// Place of the end vertex \[m\].
@@ -84,6 +100,17 @@ impl Clamp {
 }
 
 /// All supports of a rod.
+///
+/// ```
+/// use std::sync::Arc;
+/// use varda_rod::{Clamp, Supports, Vector3};
+///
+/// // Clamped at its start, vertex 10 held at a hook.
+/// let clamp = Clamp::new([0.0; 3], Vector3::x(), Vector3::z());
+/// let mut supports = Supports::clamped_start(clamp);
+/// supports.prescribed.push((10, Arc::new([0.9, 0.0, -0.1])));
+/// assert!(supports.end.is_none());
+/// ```
 #[derive(Clone)]
 pub struct Supports {
     /// Clamp at arc length 0.
@@ -135,6 +162,20 @@ impl Supports {
 }
 
 /// External forces on the rod.
+///
+/// ```
+/// use std::sync::Arc;
+/// use varda_rod::{Loads, Vector3};
+///
+/// // Weight, and a pull of 0.2 N along y at 0.5 m that fades.
+/// let pull = |t: f64| [0.0, 0.2 * (-t).exp(), 0.0];
+/// let loads = Loads {
+///     gravity: Vector3::new(0.0, 0.0, -9.81),
+///     point_forces: vec![(0.5, Arc::new(pull))],
+///     ..Loads::default()
+/// };
+/// assert_eq!(loads.point_forces[0].1.at(0.0).y, 0.2);
+/// ```
 #[derive(Clone, Default)]
 pub struct Loads {
     /// Gravity \[m/s²\], for example (0, 0, −9.81).
@@ -146,6 +187,14 @@ pub struct Loads {
 }
 
 /// Damping of the motion. Both are zero by default.
+///
+/// ```
+/// use varda_rod::Damping;
+///
+/// // Bending and stretching lose energy with a time of 5 ms; motion as a whole does not.
+/// let damping = Damping { stiffness: 0.005, ..Damping::default() };
+/// assert_eq!(damping.mass, 0.0);
+/// ```
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Damping {
     /// Kelvin–Voigt time β \[s\]: every strain ε gets the stress β k ε̇ of its own stiffness k. Zero

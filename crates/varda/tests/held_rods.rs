@@ -36,7 +36,7 @@ impl Folder {
         let path = std::env::temp_dir().join(format!("varda-held-{name}-{}", std::process::id()));
         let _ = std::fs::remove_dir_all(&path);
         std::fs::create_dir_all(&path).unwrap();
-        std::fs::write(path.join("seen.csv"), "time_s,s_m,x_m,y_m,z_m\n0.002,0.5,0,0,0\n").unwrap();
+        std::fs::write(path.join("seen.csv"), "time_s,s_m,x_m,y_m,z_m\n0.002,0.5,,,\n").unwrap();
         Folder(path)
     }
 

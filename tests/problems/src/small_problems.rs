@@ -23,6 +23,9 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// ‖a − b‖ / ‖b‖.
+///
+/// # Panics
+/// If lengths differ.
 pub fn difference(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len(), "lengths compared");
     let gap: Vec<f64> = a.iter().zip(b).map(|(a, b)| a - b).collect();

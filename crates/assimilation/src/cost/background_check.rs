@@ -1,7 +1,10 @@
 //! The background check: values that the background makes implausible.
 
+use super::chi_squared;
 use super::{CostFunction, EnVar, LeastSquares, StrongConstraint, WeakForcing};
 use crate::{Error, ObservationSet};
+use std::ops::Range;
+use varda_linalg::dense::Cholesky;
 
 /// An observed value that the background check refuses.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,11 +23,17 @@ pub struct Rejection {
     pub departure: f64,
     /// √(H B Hᵀ + R), the standard deviation expected of it, in the unit of the value.
     pub expected: f64,
+    /// √(dᵀ (H B Hᵀ + R)⁻¹ d) of all values judged with it (Mahalanobis 1936); |d|/expected of one alone.
+    pub distance: f64,
 }
 
 impl StrongConstraint<'_> {
     /// The background check (Ingleby and Lorenc 1993): the values with |y − H(x_b)| > `limit` √(H B Hᵀ
     /// + R), to be left out with [`ObservationSet::without`]. Costs a gradient at v = 0 and min(n, m) sweeps.
+    ///
+    /// The r values of an observation marked [`together`](crate::Observation::together) are judged by
+    /// dᵀ (H B Hᵀ + R)⁻¹ d, which is χ² with r degrees of freedom, and refused whole: as rarely by chance as
+    /// one value beyond `limit`.
     ///
     /// Linear: where the background is so far off that H B Hᵀ says nothing about it, good observations are
     /// refused; count what it refuses.
@@ -36,14 +45,16 @@ impl StrongConstraint<'_> {
         let n = self.dim();
         let delta = self.huber_threshold();
         self.set_huber(f64::INFINITY)?;
-        let checked =
-            self.evaluate(&vec![0.0; n], Some(&mut vec![0.0; n])).and_then(|_| spread_of_departures(self));
+        let groups = judged_together(self.observations());
+        let checked = self
+            .evaluate(&vec![0.0; n], Some(&mut vec![0.0; n]))
+            .and_then(|_| covariances_of_departures(self, &groups));
         self.set_huber(delta)?;
         let mut d = vec![0.0; self.observation_dim()];
-        let spread = checked?;
+        let covariances = checked?;
         self.observations().innovations(self.predicted(), &mut d);
         self.observations().whiten(&mut d);
-        refused(&d, &spread, limit, self.observations())
+        refused(&d, &covariances, limit, self.observations())
     }
 }
 
@@ -66,41 +77,94 @@ impl EnVar<'_> {
     /// # Errors
     /// A limit that is not positive.
     pub fn background_check(&mut self, limit: f64) -> Result<Vec<Rejection>, Error> {
-        let spread = spread_of_departures(self)?;
-        refused(self.whitened_innovations(), &spread, limit, self.observations())
+        let groups = judged_together(self.observations());
+        let covariances = covariances_of_departures(self, &groups)?;
+        refused(self.whitened_innovations(), &covariances, limit, self.observations())
     }
 }
 
-/// √(diag(G Gᵀ) + 1): what d/σ should be like.
-fn spread_of_departures(cost: &mut dyn LeastSquares) -> Result<Vec<f64>, Error> {
+/// The rows of values that are judged together, in the order of the rows.
+fn judged_together(observations: &ObservationSet) -> Vec<Range<usize>> {
+    let mut groups = Vec::new();
+    for (i, observation) in observations.observations().iter().enumerate() {
+        let rows = observations.rows(i);
+        if observation.together {
+            groups.push(rows);
+        } else {
+            groups.extend(rows.map(|row| row..row + 1));
+        }
+    }
+    groups
+}
+
+/// A group of rows and the covariance of its departures over σ, I + G Gᵀ, by columns.
+struct Departures {
+    rows: Range<usize>,
+    covariance: Vec<f64>,
+}
+
+impl Departures {
+    /// Adds w wᵀ, where w is a column of G.
+    fn add(&mut self, column: &[f64]) {
+        let w = &column[self.rows.clone()];
+        for (j, w_j) in w.iter().enumerate() {
+            let target = &mut self.covariance[j * w.len()..(j + 1) * w.len()];
+            target.iter_mut().zip(w).for_each(|(c, w_i)| *c += w_i * w_j);
+        }
+    }
+
+    /// √(dᵀ (I + G Gᵀ)⁻¹ d).
+    fn distance(&self, d: &[f64]) -> Result<f64, Error> {
+        let mut half = d[self.rows.clone()].to_vec();
+        if let [only] = half[..] {
+            return Ok(only.abs() / self.covariance[0].sqrt());
+        }
+        Cholesky::new(half.len(), &self.covariance)?.forward(&mut half);
+        Ok(super::dot(&half, &half).sqrt())
+    }
+}
+
+fn covariances_of_departures(
+    cost: &mut dyn LeastSquares,
+    groups: &[Range<usize>],
+) -> Result<Vec<Departures>, Error> {
     let (n, m) = (cost.dim(), cost.observation_dim());
+    let identity = |r: usize| (0..r * r).map(|i| if i % (r + 1) == 0 { 1.0 } else { 0.0 }).collect();
+    let mut all: Vec<Departures> =
+        groups.iter().map(|g| Departures { rows: g.clone(), covariance: identity(g.len()) }).collect();
     let (mut unit_v, mut unit_y) = (vec![0.0; n], vec![0.0; m]);
-    let mut variance = vec![1.0; m];
     if n <= m {
         let mut dy = vec![0.0; m];
         for j in 0..n {
             unit_v[j] = 1.0;
             cost.jacobian(&unit_v, &mut dy)?;
             unit_v[j] = 0.0;
-            variance.iter_mut().zip(&dy).for_each(|(s, g)| *s += g * g);
+            all.iter_mut().for_each(|group| group.add(&dy));
         }
-    } else {
-        let mut dv = vec![0.0; n];
-        for a in 0..m {
-            unit_y[a] = 1.0;
-            cost.jacobian_transpose(&unit_y, &mut dv)?;
-            unit_y[a] = 0.0;
-            variance[a] += super::dot(&dv, &dv);
+        return Ok(all);
+    }
+    for Departures { rows, covariance } in &mut all {
+        let r = rows.len();
+        let mut g = vec![0.0; n * r];
+        for (row, g) in rows.clone().zip(g.chunks_exact_mut(n)) {
+            unit_y[row] = 1.0;
+            cost.jacobian_transpose(&unit_y, g)?;
+            unit_y[row] = 0.0;
+        }
+        for i in 0..r {
+            for j in 0..r {
+                covariance[i + j * r] += super::dot(&g[i * n..(i + 1) * n], &g[j * n..(j + 1) * n]);
+            }
         }
     }
-    variance.iter_mut().for_each(|s| *s = s.sqrt());
-    Ok(variance)
+    Ok(all)
 }
 
-/// The rows whose whitened departure exceeds `limit` times its spread.
+/// The rows of the groups whose whitened departures are farther out than `limit` standard deviations of a
+/// single value are likely.
 fn refused(
     d: &[f64],
-    spread: &[f64],
+    groups: &[Departures],
     limit: f64,
     observations: &ObservationSet,
 ) -> Result<Vec<Rejection>, Error> {
@@ -110,20 +174,29 @@ fn refused(
     if observations.is_correlated() {
         return Err(Error::CorrelatedErrors { what: "the background check" });
     }
+    let mut limits = Vec::new();
     let mut refused = Vec::new();
-    for (i, observation) in observations.observations().iter().enumerate() {
-        for (entry, row) in observations.rows(i).enumerate() {
-            if !(d[row].abs() <= limit * spread[row]) {
-                refused.push(Rejection {
-                    row,
-                    observation: i,
-                    entry,
-                    step: observation.step,
-                    label: observation.label.clone(),
-                    departure: d[row] * observation.sigma[entry],
-                    expected: spread[row] * observation.sigma[entry],
-                });
-            }
+    for group in groups {
+        let r = group.rows.len();
+        limits.extend((limits.len()..=r).map(|r| chi_squared::distance(limit, r)));
+        let distance = group.distance(d)?;
+        if distance <= limits[r] {
+            continue;
+        }
+        for (i, row) in group.rows.clone().enumerate() {
+            let observation = observations.observation_of(row);
+            let entry = row - observations.rows(observation).start;
+            let seen = &observations.observations()[observation];
+            refused.push(Rejection {
+                row,
+                observation,
+                entry,
+                step: seen.step,
+                label: seen.label.clone(),
+                departure: d[row] * seen.sigma[entry],
+                expected: group.covariance[i * (r + 1)].sqrt() * seen.sigma[entry],
+                distance,
+            });
         }
     }
     Ok(refused)

@@ -52,6 +52,26 @@ use varda_linalg::dense::{View, product};
 /// sweeps; an exact solve is an eigenvalue problem of size min(m, N r + r_s), r the rank of the
 /// localization's root and r_s that of the static part, and allocates its matrices. Memory: the trajectories
 /// of all members up to the last observation, and twice m (N + r_s) numbers.
+///
+/// ```
+/// use std::ops::ControlFlow;
+/// use varda_assimilation::*;
+/// use varda_covariance::{Ensemble, Localization};
+/// use varda_implicit::{Model, Rk4, lorenz::Lorenz63};
+///
+/// // Four members about (1.5, 1.7, 20), one after the other.
+/// let members = [2.5, 1.2, 20.0, 0.5, 2.2, 20.0, 1.5, 1.2, 21.0, 1.5, 2.2, 19.0];
+/// let ensemble = Ensemble::new(&members, Localization::none(3))?;
+/// let make = || -> Box<dyn Model + Send> { Box::new(Rk4::new(Lorenz63::default(), 0, 0.01)) };
+/// let seen = vec![Observation::new(20, vec![0, 2], vec![8.1, 14.9], 0.1)];
+/// let mut observations = ObservationSet::new(20, vec![Box::new(Selection::new(vec![0, 1, 2], 3)?)], seen)?;
+/// let background = ensemble.mean().to_vec();
+/// let mut cost = EnVar::new(&make, background, &ensemble, &mut observations, &[])?;
+/// let mut v = vec![0.0; cost.dim()];
+/// let minimum = cost.minimize(&mut v, &EnVarOptions::default(), &mut |_| ControlFlow::Continue(()))?;
+/// assert!(minimum.value < cost.nonlinear_value(&vec![0.0; v.len()])?);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct EnVar<'a> {
     /// The first runs the control, the others a member each.
     models: Vec<Box<dyn Model + Send + 'a>>,

@@ -1,6 +1,7 @@
 //! Cost functions of a control vector v, as minimizers see them.
 
 mod background_check;
+mod chi_squared;
 mod dense;
 mod dense_work;
 mod dual;

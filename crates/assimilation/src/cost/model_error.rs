@@ -10,6 +10,14 @@ use varda_covariance::{Covariance, Precision};
 /// ```
 ///
 /// with E placing η on `components` of the state. One Q for the whole window.
+///
+/// ```
+/// use varda_assimilation::Forcing;
+///
+/// // A bias of the first two of three components, held over ten steps at a time.
+/// let bias = Forcing { components: vec![0, 1], steps: 10, held: true };
+/// assert_ne!(bias, Forcing::every_step(3));
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Forcing {
     /// The components of the state that are forced, as many as Q has rows. A component left out obeys the

@@ -29,6 +29,24 @@ use varda_implicit::{Footprint, Keep, Log, Model, Storage, Trajectory};
 /// A one sweep each way; A itself n tangent or m adjoint sweeps, whichever takes fewer steps. Memory: two
 /// trajectories, (last + 1) × n each, beside what the model keeps of its linearizations, m n for A; less,
 /// for more work and the same bits, by [`set_storage`](Self::set_storage).
+///
+/// ```
+/// use varda_assimilation::*;
+/// use varda_covariance::Diagonal;
+/// use varda_implicit::{Rk4, lorenz::Lorenz63};
+///
+/// let mut model = Rk4::new(Lorenz63::default(), 0, 0.01);
+/// let seen = vec![Observation::new(20, vec![0, 2], vec![8.1, 14.9], 0.1)];
+/// let mut observations = ObservationSet::new(20, vec![Box::new(Selection::new(vec![0, 1, 2], 3)?)], seen)?;
+/// let b = Diagonal::uniform(3, 1.0)?;
+/// let transform = ControlTransform::new(vec![1.5, 1.7, 20.0], &b)?;
+/// let mut cost = StrongConstraint::new(&mut model, transform, &mut observations)?;
+/// let (v, mut gradient) = (vec![0.0; 3], vec![0.0; 3]);
+/// let at_background = cost.evaluate(&v, Some(&mut gradient))?;
+/// let downhill: Vec<f64> = gradient.iter().map(|g| -1e-6 * g).collect();
+/// assert!(cost.evaluate(&downhill, None)? < at_background);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct StrongConstraint<'a> {
     pub(super) model: Option<&'a mut (dyn Model + 'a)>,
     pub(super) transform: ControlTransform<'a>,

@@ -27,6 +27,27 @@ use varda_implicit::Model;
 ///
 /// Cost: sweeps and runs as for [`StrongConstraint`], but more inner iterations: the control has N times the
 /// rank of Q more entries. Memory: N more states.
+///
+/// ```
+/// use std::ops::ControlFlow;
+/// use varda_assimilation::*;
+/// use varda_covariance::Diagonal;
+/// use varda_implicit::{Rk4, lorenz::Lorenz63};
+///
+/// let mut model = Rk4::new(Lorenz63::default(), 0, 0.01);
+/// let seen = vec![Observation::new(20, vec![0, 2], vec![8.1, 14.9], 0.1)];
+/// let mut observations = ObservationSet::new(20, vec![Box::new(Selection::new(vec![0, 1, 2], 3)?)], seen)?;
+/// // B, and an error of 0.2 in every component after each ten steps
+/// let (b, q) = (Diagonal::uniform(3, 1.0)?, Diagonal::uniform(3, 0.2)?);
+/// let forcing = Forcing { steps: 10, ..Forcing::every_step(3) };
+/// let transform = ControlTransform::new(vec![1.5, 1.7, 20.0], &b)?;
+/// let mut cost = WeakForcing::new(&mut model, transform, &q, forcing, &mut observations)?;
+/// let mut v = vec![0.0; cost.dim()];
+/// assert_eq!(v.len(), 3 + 2 * 3);
+/// let minimum = Minimizer::default().minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(()))?;
+/// assert_eq!(minimum.status, Status::Converged);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct WeakForcing<'a> {
     pub(super) window: StrongConstraint<'a>,
 }

@@ -32,6 +32,26 @@ use varda_implicit::Model;
 /// Cost: as [`WeakForcing`](super::WeakForcing), and a tangent sweep for the increment of an outer iteration;
 /// the direct solve n tangent sweeps and N Cholesky factors of size n. Memory: N n for the control, three
 /// times that for the trajectories.
+///
+/// ```
+/// use std::ops::ControlFlow;
+/// use varda_assimilation::*;
+/// use varda_covariance::Diagonal;
+/// use varda_implicit::{Rk4, lorenz::Lorenz63};
+///
+/// let mut model = Rk4::new(Lorenz63::default(), 0, 0.01);
+/// let seen = vec![Observation::new(20, vec![0, 2], vec![8.1, 14.9], 0.1)];
+/// let mut observations = ObservationSet::new(20, vec![Box::new(Selection::new(vec![0, 1, 2], 3)?)], seen)?;
+/// // B, and an error of 0.2 in every component after each ten steps
+/// let (b, q) = (Diagonal::uniform(3, 1.0)?, Diagonal::uniform(3, 0.2)?);
+/// let forcing = Forcing { steps: 10, ..Forcing::every_step(3) };
+/// let background = vec![1.5, 1.7, 20.0];
+/// let mut cost = WeakState::new(&mut model, background, &b, &q, forcing, &mut observations)?;
+/// let mut v = cost.background()?; // x₀ and the states at steps 10 and 20
+/// let minimum = outer_loop(&mut cost, &mut v, &OuterLoopOptions::default(), &mut |_| ControlFlow::Continue(()))?;
+/// assert_eq!(minimum.status, Status::Converged);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct WeakState<'a> {
     window: StrongConstraint<'a>,
     b: &'a dyn Precision,

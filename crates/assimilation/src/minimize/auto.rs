@@ -79,6 +79,24 @@ setters!(AutoOptions, trust_region.stopping, {
 /// Cost: that of the trust region where J_o ≤ 10 m, else two to nine times as much, and several times that
 /// where J jumps. Memory: that of the trust region.
 ///
+/// ```
+/// # use std::ops::ControlFlow;
+/// use varda_assimilation::*;
+/// # use varda_covariance::Diagonal;
+/// # use varda_implicit::{Rk4, lorenz::Lorenz63};
+/// # let (mut model, b) = (Rk4::new(Lorenz63::default(), 0, 0.01), Diagonal::uniform(3, 1.0)?);
+/// # let seen = vec![Observation::new(20, vec![0, 2], vec![8.1, 14.9], 0.1)];
+/// # let all = Box::new(Selection::new(vec![0, 1, 2], 3)?);
+/// # let mut observations = ObservationSet::new(20, vec![all], seen)?;
+/// # let transform = ControlTransform::new(vec![1.5, 1.7, 20.0], &b)?;
+/// # let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut observations)?;
+/// // x₀ and x₂ of Lorenz-63 seen at step 20: `cost` is its strong constraint.
+/// let mut v = vec![0.0; 3];
+/// let minimum = auto(&mut cost, &mut v, &AutoOptions::default(), &mut |_| ControlFlow::Continue(()))?;
+/// assert_eq!(minimum.status, Status::Converged);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
 /// # Errors
 /// As for [`Minimizer::minimize`](crate::Minimizer::minimize) and [`continuation`](crate::continuation).
 ///

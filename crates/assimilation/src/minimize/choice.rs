@@ -48,8 +48,13 @@ pub(super) enum Uses {
 
 /// The enumeration of minimizers, from a list of variants with their options and names.
 macro_rules! minimizers {
-    ($($(#[doc = $doc:literal])* $(#[cfg($($cfg:tt)*)])? $variant:ident($options:ty) = $name:literal,)*) => {
-        /// A minimizer with its settings: a choice that can be made from data.
+    (
+        $(#[doc = $about:literal])*
+        pub enum Minimizer {
+            $($(#[doc = $doc:literal])* $(#[cfg($($cfg:tt)*)])? $variant:ident($options:ty) = $name:literal,)*
+        }
+    ) => {
+        $(#[doc = $about])*
         #[derive(Debug, Clone, PartialEq)]
         pub enum Minimizer {
             $($(#[doc = $doc])* $(#[cfg($($cfg)*)])? $variant($options),)*
@@ -90,25 +95,47 @@ macro_rules! minimizers {
 }
 
 minimizers! {
-    /// Trust region on the true J, and where the background is far from the observations also through
-    /// inflated errors and from draws of the prior, until two runs agree on the lowest end.
-    Auto(AutoOptions) = "auto",
-    /// Trust region on the true J: the default.
-    TrustRegion(TrustRegionOptions) = "trust-region",
-    /// Gauss–Newton with truncated conjugate gradients and a line search.
-    NewtonCg(NewtonCgOptions) = "gauss-newton-cg",
-    /// The paper's: dense Hessian (2.18), full steps, no safeguard.
-    Newton(NewtonOptions) = "newton",
-    /// Limited-memory BFGS: gradients only.
-    Lbfgs(LbfgsOptions) = "lbfgs",
-    /// The paper's other one: fixed steps along smoothed gradients.
-    Adam(AdamOptions) = "adam",
-    /// L-BFGS of the argmin crate, to compare with.
-    #[cfg(feature = "argmin")]
-    ArgminLbfgs(ArgminLbfgsOptions) = "argmin-lbfgs",
-    /// Trust region of the argmin crate, to compare with.
-    #[cfg(feature = "argmin")]
-    ArgminTrustRegion(ArgminTrustRegionOptions) = "argmin-trust-region",
+    /// A minimizer with its settings: a choice that can be made from data.
+    ///
+    /// ```
+    /// # use std::ops::ControlFlow;
+    /// use varda_assimilation::*;
+    /// # use varda_covariance::Diagonal;
+    /// # use varda_implicit::{Rk4, lorenz::Lorenz63};
+    /// # let (mut model, b) = (Rk4::new(Lorenz63::default(), 0, 0.01), Diagonal::uniform(3, 1.0)?);
+    /// # let seen = vec![Observation::new(20, vec![0, 2], vec![8.1, 14.9], 0.1)];
+    /// # let all = Box::new(Selection::new(vec![0, 1, 2], 3)?);
+    /// # let mut observations = ObservationSet::new(20, vec![all], seen)?;
+    /// # let transform = ControlTransform::new(vec![1.5, 1.7, 20.0], &b)?;
+    /// # let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut observations)?;
+    /// // x₀ and x₂ of Lorenz-63 seen at step 20: `cost` is its strong constraint.
+    /// let mut v = vec![0.0; 3];
+    /// let Some(minimizer) = Minimizer::named("gauss-newton-cg") else { unreachable!() };
+    /// let minimum = minimizer.minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(()))?;
+    /// assert_eq!(minimum.status, Status::Converged);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub enum Minimizer {
+        /// Trust region on the true J, and where the background is far from the observations also through
+        /// inflated errors and from draws of the prior, until two runs agree on the lowest end.
+        Auto(AutoOptions) = "auto",
+        /// Trust region on the true J: the default.
+        TrustRegion(TrustRegionOptions) = "trust-region",
+        /// Gauss–Newton with truncated conjugate gradients and a line search.
+        NewtonCg(NewtonCgOptions) = "gauss-newton-cg",
+        /// The paper's: dense Hessian (2.18), full steps, no safeguard.
+        Newton(NewtonOptions) = "newton",
+        /// Limited-memory BFGS: gradients only.
+        Lbfgs(LbfgsOptions) = "lbfgs",
+        /// The paper's other one: fixed steps along smoothed gradients.
+        Adam(AdamOptions) = "adam",
+        /// L-BFGS of the argmin crate, to compare with.
+        #[cfg(feature = "argmin")]
+        ArgminLbfgs(ArgminLbfgsOptions) = "argmin-lbfgs",
+        /// Trust region of the argmin crate, to compare with.
+        #[cfg(feature = "argmin")]
+        ArgminTrustRegion(ArgminTrustRegionOptions) = "argmin-trust-region",
+    }
 }
 
 impl Default for Minimizer {
@@ -187,6 +214,25 @@ impl Minimizer {
 /// When to use: precise observations and a background far from them. When not: chaotic models, whose minima
 /// come from the length of the window ([`window_growth`](crate::window_growth)). Cost: a minimization a
 /// stage, the early ones short. Memory: that of the minimizer.
+///
+/// ```
+/// # use std::ops::ControlFlow;
+/// use varda_assimilation::*;
+/// # use varda_covariance::Diagonal;
+/// # use varda_implicit::{Rk4, lorenz::Lorenz63};
+/// # let (mut model, b) = (Rk4::new(Lorenz63::default(), 0, 0.01), Diagonal::uniform(3, 1.0)?);
+/// # let seen = vec![Observation::new(20, vec![0, 2], vec![8.1, 14.9], 0.1)];
+/// # let all = Box::new(Selection::new(vec![0, 1, 2], 3)?);
+/// # let mut observations = ObservationSet::new(20, vec![all], seen)?;
+/// # let transform = ControlTransform::new(vec![1.5, 1.7, 20.0], &b)?;
+/// # let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut observations)?;
+/// // x₀ and x₂ of Lorenz-63 seen at step 20: `cost` is its strong constraint.
+/// let mut v = vec![0.0; 3];
+/// let scales = [10.0, 3.0, 1.0];
+/// let minimum = continuation(&Minimizer::default(), &mut cost, &mut v, &scales, &mut |_| ControlFlow::Continue(()))?;
+/// assert_eq!(minimum.status, Status::Converged);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// Scales that are empty, not positive and finite, or do not end with 1; else as for

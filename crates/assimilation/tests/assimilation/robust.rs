@@ -5,6 +5,7 @@ use crate::models::*;
 use std::ops::ControlFlow;
 use varda_assimilation::*;
 use varda_covariance::{Covariance, Ensemble, Localization};
+use varda_linalg::dense::Cholesky;
 
 #[test]
 fn the_norm_by_hand() {
@@ -173,4 +174,55 @@ fn the_background_check_names_the_gross_errors_and_only_those() {
     assert_eq!(truth.len(), 3);
     let untouched = kept.without(&[]).unwrap();
     assert_eq!(untouched.dim(), 10);
+}
+
+#[test]
+fn a_sighting_is_refused_whole_by_its_distance_from_the_background() {
+    let check = |together: bool, spoil: &dyn Fn(&mut Observation)| {
+        let (_, background, set) = lorenz63_twin(3, 20, 5);
+        let (operators, mut observations) = set.into_parts();
+        spoil(&mut observations[1]);
+        if together {
+            observations = observations.into_iter().map(Observation::together).collect();
+        }
+        let mut set = ObservationSet::new(20, operators, observations).unwrap();
+        let b = coupled(3, 1.0);
+        let mut model = Rk4::new(Lorenz63, 0.01);
+        let transform = ControlTransform::new(background, &b).unwrap();
+        let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
+        let refused = cost.background_check(4.0).unwrap();
+
+        // Both ways of the distance: by columns of G, as here, and by rows.
+        let (n, m) = (cost.dim(), cost.observation_dim());
+        let mut g = vec![vec![0.0; n]; m];
+        for (row, g) in g.iter_mut().enumerate() {
+            let mut unit = vec![0.0; m];
+            unit[row] = 1.0;
+            cost.jacobian_transpose(&unit, g).unwrap();
+        }
+        let mut d = vec![0.0; m];
+        cost.observations().innovations(cost.predicted(), &mut d);
+        cost.observations().whiten(&mut d);
+        for group in refused.chunk_by(|a, b| a.observation == b.observation && together) {
+            let rows: Vec<usize> = group.iter().map(|r| r.row).collect();
+            let r = rows.len();
+            let entry = |(i, j): (usize, usize)| {
+                let own = if i == j { 1.0 } else { 0.0 };
+                own + (0..n).map(|k| g[rows[i]][k] * g[rows[j]][k]).sum::<f64>()
+            };
+            let s: Vec<f64> = (0..r * r).map(|at| entry((at % r, at / r))).collect();
+            let d: Vec<f64> = rows.iter().map(|row| d[*row]).collect();
+            let mut solved = d.clone();
+            Cholesky::new(r, &s).unwrap().solve(&mut solved);
+            let distance = d.iter().zip(&solved).map(|(d, s)| d * s).sum::<f64>().sqrt();
+            for refused in group {
+                assert!((refused.distance / distance - 1.0).abs() < 1e-10, "{} {distance}", refused.distance);
+            }
+        }
+        refused.iter().map(|r| (r.observation, r.entry)).collect::<Vec<_>>()
+    };
+    let one_value = |seen: &mut Observation| seen.values[2] += 60.0;
+    assert_eq!(check(false, &one_value), [(1, 2)]);
+    assert_eq!(check(true, &one_value), [(1, 0), (1, 1), (1, 2)]);
+    assert_eq!(check(true, &|_| ()), []);
 }

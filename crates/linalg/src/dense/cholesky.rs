@@ -87,6 +87,9 @@ impl Cholesky {
     }
 
     /// Column j of L from its diagonal entry down.
+    ///
+    /// # Panics
+    /// If j ≥ n.
     pub fn column(&self, j: usize) -> &[f64] {
         let column = self.l.col(j).try_as_col_major().expect("columns are contiguous");
         &column.as_slice()[j..]

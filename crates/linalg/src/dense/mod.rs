@@ -187,6 +187,15 @@ pub fn add_product(alpha: f64, a: View, b: View, c: &mut [f64]) {
 
 /// The symmetric matrix C = A Aᵀ, n × n for A with n rows: half the work of [`product`].
 ///
+/// ```
+/// use varda_linalg::dense::{View, gram};
+///
+/// let a = [1.0, 3.0, 2.0, 4.0]; // [1 2; 3 4], column by column
+/// let mut c = [0.0; 4];
+/// gram(View::new(&a, 2, 2), &mut c);
+/// assert_eq!(c, [5.0, 11.0, 11.0, 25.0]);
+/// ```
+///
 /// # Panics
 /// If `c` is not of length n².
 pub fn gram(a: View, c: &mut [f64]) {

@@ -230,7 +230,11 @@ fn simulate(
     let default = || Path::new("out").join(format!("{}-simulation", file.name));
     let folder = out.map_or_else(default, Path::to_path_buf);
     refuse_occupied(&folder, quiet)?;
-    let problem = Problem::new(Inputs::read(&file.as_one_window())?)?;
+    let inputs = Inputs::for_simulation(&file.as_one_window())?;
+    if let (Some(fault), false) = (&inputs.fault_of_observations, quiet) {
+        eprintln!("nothing is observed: {fault}");
+    }
+    let problem = Problem::new(inputs)?;
     let simulation = run::simulate(&problem)?;
     let folder = report::write_simulation(&simulation, started.elapsed().as_secs_f64(), &folder)?;
     if !quiet {

@@ -81,4 +81,6 @@ pub struct Rejected {
     pub departure: f64,
     /// √(HBHᵀ + R), the size expected of d.
     pub expected: f64,
+    /// √(dᵀ (HBHᵀ + R)⁻¹ d) of all values of its sighting, which are refused together.
+    pub distance: f64,
 }

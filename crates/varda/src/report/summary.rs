@@ -146,6 +146,7 @@ impl Summary {
     }
 
     /// As JSON text.
+    #[allow(clippy::missing_panics_doc)] // a summary is plain data
     pub fn to_json(&self) -> String {
         let mut text = serde_json::to_string_pretty(self).expect("a summary is plain data");
         text.push('\n');

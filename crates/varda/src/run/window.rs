@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use varda_assimilation::{Analysis, ObservationSet, huber};
+use varda_assimilation::{Analysis, ObservationSet, Rejection, huber};
 use varda_implicit::check::Amplification;
 use varda_implicit::{Log, Model};
 
@@ -118,7 +118,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
 
     let status = Status::from(solution.minimum.status);
     let failure = failure(&solution, status);
-    let mut warnings = remarks(&log, &solution, status, observations.dim(), failure.as_ref());
+    let mut warnings = remarks(experiment, &log, &solution, status, observations.dim(), failure.as_ref());
     warnings.extend(remarks_on_steps);
     let analysis = analysis(problem, &solution, observations.dim());
     let trajectories =
@@ -170,6 +170,7 @@ fn failure(solution: &Solution, status: Status) -> Option<Failure> {
 
 /// Remarks on how the minimization went.
 fn remarks(
+    experiment: &Experiment,
     log: &Log,
     solution: &Solution,
     status: Status,
@@ -183,9 +184,10 @@ fn remarks(
     if !solution.rejected.is_empty() {
         let all = used + solution.rejected.len();
         warnings.push(format!(
-            "the background check refused {} of {all} observed values (listed under `rejected` in \
-             summary.json)",
-            solution.rejected.len()
+            "the background check refused {} of {all} observed values: {} (all are listed under `rejected` \
+             in summary.json)",
+            solution.rejected.len(),
+            first_sightings(experiment, &solution.rejected)
         ));
     }
     for (steps, ended) in &solution.stages {
@@ -208,6 +210,20 @@ fn remarks(
         Status::Converged | Status::Failed => {}
     }
     warnings
+}
+
+/// The first refused sightings by name and time.
+fn first_sightings(experiment: &Experiment, rejected: &[Rejection]) -> String {
+    const SHOWN: usize = 5;
+    let mut sightings: Vec<&Rejection> = rejected.iter().collect();
+    sightings.dedup_by_key(|r| r.observation);
+    let named: Vec<String> = sightings
+        .iter()
+        .take(SHOWN)
+        .map(|r| format!("{} at {} s ({:.1} σ)", r.label, experiment.grid.time(r.step), r.distance))
+        .collect();
+    let more = sightings.len().saturating_sub(SHOWN);
+    if more > 0 { format!("{} and {more} others", named.join(", ")) } else { named.join(", ") }
 }
 
 /// A solution as an analysis of `m` observed values; without a posterior σ_a is that of the background and
@@ -249,13 +265,14 @@ fn amplification(
 }
 
 /// The refused values, with their times.
-fn rejected(experiment: &Experiment, all: &[varda_assimilation::Rejection]) -> Vec<Rejected> {
-    let of = |r: &varda_assimilation::Rejection| Rejected {
+fn rejected(experiment: &Experiment, all: &[Rejection]) -> Vec<Rejected> {
+    let of = |r: &Rejection| Rejected {
         label: r.label.clone(),
         step: r.step,
         time: experiment.grid.time(r.step),
         departure: r.departure,
         expected: r.expected,
+        distance: r.distance,
     };
     all.iter().map(of).collect()
 }

@@ -59,6 +59,7 @@ impl SceneFile {
     ///
     /// # Errors
     /// [`Error::Scene`].
+    #[allow(clippy::missing_panics_doc)] // a schema is plain JSON
     pub fn parse(
         name: &str,
         label: &str,

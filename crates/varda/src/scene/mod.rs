@@ -51,7 +51,9 @@ pub use model::{
     PointMass, Prescribed, RestShape, RodModel, Section, ShapePoints,
 };
 pub use model_error::ModelError;
-pub use observations::{Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, Use};
+pub use observations::{
+    Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, UnreachableRows, Use,
+};
 pub(crate) use parsed::{BackgroundSource, ComponentCovariance, LineStep, Shear};
 pub use place::Place;
 pub use shipped::{SHIPPED, STARTER, Shipped};
@@ -98,6 +100,7 @@ pub struct Scene {
 
 impl Scene {
     /// The JSON Schema of a scene, as text.
+    #[allow(clippy::missing_panics_doc)] // a schema is plain JSON
     pub fn schema() -> String {
         let schema = schemars::schema_for!(Scene);
         serde_json::to_string_pretty(&schema).expect("a schema is plain JSON")

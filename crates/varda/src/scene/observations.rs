@@ -66,6 +66,10 @@ pub struct Recording {
     /// What to do with rows outside the window.
     #[serde(default)]
     pub outside_window: OutsideWindow,
+    /// What to do with rows that no shape of the rod can reach: farther from where it is held than the rod
+    /// between, with the strain of the taut rod and 4 σ.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub unreachable: UnreachableRows,
     /// The markers of the recording and their places on the rod.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub markers: Vec<Marker>,
@@ -101,6 +105,17 @@ pub enum OutsideWindow {
     #[default]
     Error,
     /// Leave them out (those after the window serve to judge the forecast).
+    Skip,
+}
+
+/// What to do with rows that cannot be true.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum UnreachableRows {
+    /// Refuse the file, and say what the cause may be.
+    #[default]
+    Error,
+    /// Leave them out and list them.
     Skip,
 }
 

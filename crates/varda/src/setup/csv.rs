@@ -1,6 +1,8 @@
 //! CSV files of users: observations of a rod, a background, the motion of a support.
 //!
-//! Every error names file and line. An empty cell means "not observed"; NaN and infinities are errors.
+//! Every error names file and line. An empty cell means "not observed"; NaN and infinities are errors. Columns
+//! are parted by commas, semicolons or tabs, whichever the header has; with the latter two a decimal comma is
+//! read. A column may be in another unit, by its name: `x_mm`, `x_cm` for `x_m`, `time_ms` for `time_s`.
 
 use crate::Error;
 
@@ -108,19 +110,31 @@ struct Table<'a> {
     text: &'a str,
     reader: csv::Reader<&'a [u8]>,
     columns: Vec<String>,
+    /// What the numbers of a column are multiplied by.
+    factors: Vec<f64>,
+    decimal_comma: bool,
     record: csv::StringRecord,
     line: usize,
 }
 
 impl<'a> Table<'a> {
     fn open(file: &'a str, text: &'a str, known: &[&str], expected: &str) -> Result<Self, Error> {
-        let mut reader =
-            csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(text.as_bytes());
-        let columns: Vec<String> = match reader.headers() {
-            Ok(header) => header.iter().map(|c| c.trim_start_matches('\u{feff}').to_string()).collect(),
+        let header = text.lines().find(|l| !l.is_empty() && !l.starts_with('#')).unwrap_or("");
+        let delimiter = [';', '\t'].into_iter().find(|d| header.contains(*d)).unwrap_or(',');
+        let mut reader = csv::ReaderBuilder::new()
+            .trim(csv::Trim::All)
+            .comment(Some(b'#'))
+            .delimiter(delimiter as u8)
+            .from_reader(text.as_bytes());
+        let (columns, factors) = match reader.headers() {
+            Ok(header) => {
+                header.iter().map(|c| in_known_unit(c.trim_start_matches('\u{feff}'), known)).unzip()
+            }
             Err(e) => return Err(Error::Data { place: format!("{file}:1"), message: e.to_string() }),
         };
-        let table = Table { file, text, reader, columns, record: csv::StringRecord::new(), line: 1 };
+        let decimal_comma = delimiter != ',';
+        let record = csv::StringRecord::new();
+        let table = Table { file, text, reader, columns, factors, decimal_comma, record, line: 1 };
         for (i, name) in table.columns.iter().enumerate() {
             if !known.contains(&name.as_str()) {
                 return Err(table.bad(1, format!("unknown column {name:?}; expected the header {expected}")));
@@ -133,7 +147,7 @@ impl<'a> Table<'a> {
     }
 
     fn has(&self, name: &str) -> bool {
-        self.columns.iter().any(|c| c == name)
+        self.column(name).is_some()
     }
 
     fn require(&self, name: &str, expected: &str) -> Result<(), Error> {
@@ -166,7 +180,11 @@ impl<'a> Table<'a> {
     }
 
     fn cell(&self, name: &str) -> &str {
-        self.columns.iter().position(|c| c == name).and_then(|i| self.record.get(i)).unwrap_or("")
+        self.column(name).and_then(|i| self.record.get(i)).unwrap_or("")
+    }
+
+    fn column(&self, name: &str) -> Option<usize> {
+        self.columns.iter().position(|c| c == name)
     }
 
     /// The number in a cell; `None` where the cell is empty or there is no such column.
@@ -175,7 +193,9 @@ impl<'a> Table<'a> {
         if cell.is_empty() {
             return Ok(None);
         }
-        match cell.parse::<f64>() {
+        let point = if self.decimal_comma { cell.replacen(',', ".", 1) } else { cell.to_string() };
+        let factor = self.column(name).map_or(1.0, |i| self.factors[i]);
+        match point.parse::<f64>().map(|value| value * factor) {
             Ok(value) if value.is_finite() => Ok(Some(value)),
             Ok(value) => Err(self.bad(
                 self.line,
@@ -192,6 +212,19 @@ impl<'a> Table<'a> {
     fn bad(&self, line: usize, message: impl Into<String>) -> Error {
         Error::Data { place: format!("{}:{line}", self.file), message: message.into() }
     }
+}
+
+/// The known column that this one is, perhaps in another unit, and the factor of that.
+fn in_known_unit(name: &str, known: &[&str]) -> (String, f64) {
+    let units = [("_m", "_mm", 1e-3), ("_m", "_cm", 1e-2), ("time_s", "time_ms", 1e-3)];
+    let found = known.iter().find_map(|known| {
+        let (_, _, factor) = units.iter().find(|(own, other, _)| {
+            (known.ends_with(own) || known.contains(&format!("{own}_")))
+                && known.replacen(own, other, 1) == name
+        })?;
+        Some((known.to_string(), *factor))
+    });
+    found.unwrap_or_else(|| (name.to_string(), 1.0))
 }
 
 #[cfg(test)]
@@ -217,6 +250,26 @@ mod tests {
         let rows = observations("o", "marker,time_s,z_m,y_m,x_m\ntip,0.25,3,2,1\n").unwrap();
         assert_eq!(rows[0].subject, Subject::Marker("tip".into()));
         assert_eq!(rows[0].position, [Some(1.0), Some(2.0), Some(3.0)]);
+    }
+
+    #[test]
+    fn other_units_separators_and_decimal_commas_are_read() {
+        let rows = observations("o", "time_s,s_m,x_m,y_m,z_m,sigma_m\n0.5,1,0.0015,,-2,0.001\n").unwrap();
+        for text in [
+            "\u{feff}time_ms,s_m,x_mm,y_mm,z_m,sigma_mm\n500,1,1.5,,-2,1\n",
+            "time_s;s_m;x_cm;y_m;z_cm;sigma_m\n0,5;1,0;0,15;;-200;1e-3\n",
+            "time_s\ts_cm\tx_m\ty_m\tz_m\tsigma_m\r\n0.5\t100\t0.0015\t\t-2\t0,001\r\n",
+        ] {
+            let read = observations("o", text).unwrap();
+            let close = |a: f64, b: f64| (a - b).abs() <= 1e-15 * b.abs();
+            assert!(close(read[0].time, rows[0].time) && close(read[0].sigma.unwrap(), 0.001), "{text}");
+            let [x, y, z] = read[0].position;
+            assert!(close(x.unwrap(), 0.0015) && y.is_none() && close(z.unwrap(), -2.0), "{text}");
+            assert_eq!(read[0].subject, rows[0].subject);
+        }
+        assert!(message("time_s,s_m,x_m,x_mm,y_m,z_m\n").contains("\"x_m\" is there twice"));
+        let rows = numbers("v", "vertex,vx_mm_s\n3,25\n", ["vertex", "vx_m_s"]).unwrap();
+        assert!((rows[0][1] - 0.025).abs() < 1e-17);
     }
 
     #[test]

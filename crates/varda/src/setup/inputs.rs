@@ -19,6 +19,8 @@ pub struct Inputs {
     pub system: System,
     /// What is observed; values of a twin experiment are not drawn yet.
     pub observed: Observed,
+    /// What is wrong with a recording, where only a forward run is wanted; nothing is then observed.
+    pub fault_of_observations: Option<Error>,
     /// The background.
     pub(crate) background: KnownBackground,
     /// The files that were read.
@@ -41,14 +43,30 @@ impl Inputs {
     /// # Errors
     /// [`Error::Read`], [`Error::Data`] or [`Error::Scene`], naming the key or the line.
     pub fn read(file: &SceneFile) -> Result<Inputs, Error> {
+        let inputs = Inputs::for_simulation(file)?;
+        match inputs.fault_of_observations {
+            Some(fault) => Err(fault),
+            None => Ok(inputs),
+        }
+    }
+
+    /// The same for a forward run, which needs no recording: a fault of the recording is kept beside.
+    ///
+    /// # Errors
+    /// [`Error::Read`], [`Error::Data`] or [`Error::Scene`], naming the key or the line.
+    pub fn for_simulation(file: &SceneFile) -> Result<Inputs, Error> {
         let one_window = file.as_one_window();
         let grid = one_window.grid()?;
         let files = Files::of(&one_window);
         let system = System::read(&files, grid)?;
-        let observed = observed(&files, &system, grid)?;
+        let (observed, fault_of_observations) = match (observed(&files, &system, grid), &system) {
+            (Err(fault), System::Rod(rod)) => (rod_observations::none(rod), Some(fault)),
+            (observed, _) => (observed?, None),
+        };
         let background = background(&files, &system)?;
         let files = files.into_read();
-        Ok(Inputs { file: file.clone(), grid, system, observed, background, files, one_window })
+        let file = file.clone();
+        Ok(Inputs { file, grid, system, observed, fault_of_observations, background, files, one_window })
     }
 }
 

@@ -14,6 +14,7 @@ pub mod observations;
 pub mod plan;
 pub mod problem;
 pub mod random;
+mod reachable;
 pub mod rod;
 pub mod rod_model;
 pub mod rod_observations;

@@ -142,7 +142,10 @@ impl Observed {
             let present: Vec<(usize, f64)> =
                 site.rows.clone().zip(&s.values).filter_map(|(row, v)| v.map(|v| (row, v))).collect();
             let (rows, values) = present.into_iter().unzip();
-            Observation::new(s.step, rows, values, s.sigma).between(s.weight).label(site.label.clone())
+            let seen = Observation::new(s.step, rows, values, s.sigma).between(s.weight);
+            // The coordinates of a point are one sighting.
+            let seen = if self.space.is_some() { seen.together() } else { seen };
+            seen.label(site.label.clone())
         };
         let used = self.seen.iter().filter(|s| self.is_assimilated(s, grid));
         used.map(observation).filter(|o| !o.rows.is_empty()).collect()

@@ -1,16 +1,17 @@
 //! Observations of a rod: points on it at times, in the axes of a recording.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::rc::Rc;
 
 use varda_rod::{Marker, Markers, Matrix3, Vector3};
 
-use super::csv::{self, ObservedRow, Subject};
+use super::csv::{self, Subject};
 use super::files::Files;
 use super::observations::{Draws, MakeOperator, Observed, ObservedSpace, Seen, Site};
+use super::reachable::{Held, Reach, Sighting};
 use super::rod::RodSystem;
 use crate::Error;
-use crate::scene::{Frame, OutsideWindow, Recording, Synthetic, TimeGrid, Use};
+use crate::scene::{Frame, OutsideWindow, Recording, Synthetic, TimeGrid, UnreachableRows, Use};
 
 /// A site and its place on the rod.
 #[derive(Debug, Clone)]
@@ -23,6 +24,10 @@ struct Placed {
 impl Placed {
     fn at_arc_length(s: f64) -> Self {
         Placed { label: format!("s = {s} m"), marker: Marker { s, offset: [0.0; 3].into() }, withheld: false }
+    }
+
+    fn reach(&self) -> Reach {
+        Reach { arc_length: self.marker.s, offset: self.marker.offset.norm() }
     }
 }
 
@@ -38,6 +43,11 @@ pub(crate) fn synthetic(
     let sigma = files.scene.checked(keys.sigma())?.of(rod.length());
     let draws = Draws { steps, sigma };
     Ok(observed(rod, sites, Frame::default().rotation_rows(), Vec::new(), Some(draws), Vec::new()))
+}
+
+/// Nothing observed, for a forward run.
+pub(crate) fn none(rod: &RodSystem) -> Observed {
+    observed(rod, Vec::new(), Frame::default().rotation_rows(), Vec::new(), None, Vec::new())
 }
 
 /// What a recording saw, in the model's time.
@@ -56,8 +66,7 @@ pub(crate) fn recorded(
     };
     let (label, text) = files.text("observations.file", name)?;
     let rows = csv::observations(&label, &text)?;
-    let bad =
-        |row: &ObservedRow, message: String| Error::Data { place: format!("{label}:{}", row.line), message };
+    let bad = |line: usize, message: String| Error::Data { place: format!("{label}:{line}"), message };
     let length = rod.length();
     let mut sites: Vec<Placed> = recording
         .markers
@@ -77,23 +86,24 @@ pub(crate) fn recorded(
     let rotation = recording.frame.rotation_rows();
     let shift: [f64; 3] =
         std::array::from_fn(|c| (0..3).map(|j| rotation[j][c] * recording.frame.translation[j]).sum());
-    let (mut before, mut after, mut ignored) = (0, 0, 0);
+    let mut left = LeftOut::default();
     let mut seen = Vec::new();
+    let mut sightings = Vec::new();
     for row in &rows {
         let site = match &row.subject {
             Subject::Marker(name) if recording.ignore.contains(name) => {
-                ignored += 1;
+                left.ignored += 1;
                 continue;
             }
             Subject::Marker(name) => {
                 recording.markers.iter().position(|m| m.name == *name).ok_or_else(|| {
                     let remedy = "add it to [[observations.markers]] or to observations.ignore";
-                    bad(row, format!("marker {name:?} has no place: {remedy}"))
+                    bad(row.line, format!("marker {name:?} has no place: {remedy}"))
                 })?
             }
             Subject::ArcLength(s) => {
                 if !(*s >= 0.0 && *s <= length * (1.0 + 1e-9)) {
-                    return Err(bad(row, format!("s_m = {s} is off the rod (0 to {length} m)")));
+                    return Err(bad(row.line, format!("s_m = {s} is off the rod (0 to {length} m)")));
                 }
                 *site_of.entry(bits(*s)).or_insert_with(|| {
                     sites.push(Placed::at_arc_length(*s));
@@ -102,42 +112,108 @@ pub(crate) fn recorded(
             }
         };
         let time = row.time - recording.time_zero;
-        // A time within a thousandth of a step of an end of the window was meant to be that end.
-        let slack = 1e-3;
-        let at = (time - grid.start) / grid.step;
-        let beyond = at > grid.steps as f64 + slack;
-        if at < -slack || beyond {
-            if recording.outside_window == OutsideWindow::Error {
-                let (from, to) =
-                    (grid.start + recording.time_zero, grid.time(grid.steps) + recording.time_zero);
-                let message = format!("time_s = {} is outside the window ({from} to {to} s)", row.time);
-                return Err(bad(row, message));
-            }
-            if !beyond || at > grid.last_step() as f64 + slack {
-                *(if beyond { &mut after } else { &mut before }) += 1;
-                continue;
-            }
-        }
-        let at = at.clamp(0.0, if beyond { f64::INFINITY } else { grid.steps as f64 });
-        // Closer to a step than rounding of the file's times can tell.
-        let at = if (at - at.round()).abs() < 1e-6 { at.round() } else { at };
+        let Some(at) = place_in_window(row.time, recording, grid, &mut left).map_err(|e| bad(row.line, e))?
+        else {
+            continue;
+        };
         let sigma = row.sigma.or(recording.sigma).ok_or_else(|| {
-            bad(row, "no standard deviation: fill `sigma_m`, or give observations.sigma".to_string())
+            bad(row.line, "no standard deviation: fill `sigma_m`, or give observations.sigma".to_string())
         })?;
         let values = (0..3).map(|c| row.position[c].map(|v| v + shift[c])).collect();
         seen.push(Seen { site, step: at.floor() as usize, weight: at.fract(), values, sigma });
+        sightings.push(Sighting { line: row.line, site, time, written: row.position, sigma });
     }
-    let mut left_out = Vec::new();
-    for (count, what) in [
-        (ignored, "rows of ignored markers"),
-        (before, "rows before the window"),
-        (after, "rows after the window and its forecast"),
-    ] {
-        if count > 0 {
-            left_out.push(format!("{count} {what}"));
+    left.repeated = leave_out_repeated(&mut seen, &mut sightings);
+
+    // nalgebra takes the rows of R for columns: this is Rᵀ.
+    let axes = Matrix3::from(rotation);
+    let reach = sites.iter().map(Placed::reach).collect();
+    let held = Held::new(&rod.parts, axes, shift, reach);
+    let unreachable = held.unreachable(&sightings);
+    if let Some(first) = unreachable.first() {
+        let labels: Vec<&str> = sites.iter().map(|s| s.label.as_str()).collect();
+        let reason = held.explain(&sightings, &unreachable, &labels);
+        if recording.unreachable == UnreachableRows::Error {
+            let remedy = "observations.unreachable = \"skip\" leaves such rows out";
+            return Err(bad(sightings[first.row].line, format!("{reason} ({remedy})")));
+        }
+        let lines: Vec<String> = unreachable.iter().map(|u| sightings[u.row].line.to_string()).collect();
+        left.unreachable =
+            Some(format!("rows beyond the rod's reach, in lines {}: {reason}", lines.join(", ")));
+        let gone: HashSet<usize> = unreachable.iter().map(|u| u.row).collect();
+        let mut row = 0..;
+        seen.retain(|_| row.next().is_some_and(|row| !gone.contains(&row)));
+    }
+    Ok(observed(rod, sites, rotation, seen, None, left.into_texts()))
+}
+
+/// What of a recording is not used.
+#[derive(Default)]
+struct LeftOut {
+    ignored: usize,
+    before: usize,
+    after: usize,
+    repeated: usize,
+    unreachable: Option<String>,
+}
+
+impl LeftOut {
+    fn into_texts(self) -> Vec<String> {
+        let counted = [
+            (self.ignored, "rows of ignored markers"),
+            (self.before, "rows before the window"),
+            (self.after, "rows after the window and its forecast"),
+            (
+                self.repeated,
+                "rows that repeat time, place and values of another: one sighting is counted once",
+            ),
+        ];
+        let texts = counted.into_iter().filter(|(count, _)| *count > 0);
+        texts.map(|(count, what)| format!("{count} {what}")).chain(self.unreachable).collect()
+    }
+}
+
+/// Where a row is in the window, in steps; `None` where it is left out.
+///
+/// # Errors
+/// What is wrong with a time that is outside, where that is an error.
+fn place_in_window(
+    written: f64,
+    recording: &Recording,
+    grid: TimeGrid,
+    left: &mut LeftOut,
+) -> Result<Option<f64>, String> {
+    // A time within a thousandth of a step of an end of the window was meant to be that end.
+    let slack = 1e-3;
+    let at = (written - recording.time_zero - grid.start) / grid.step;
+    let beyond = at > grid.steps as f64 + slack;
+    if at < -slack || beyond {
+        if recording.outside_window == OutsideWindow::Error {
+            let (from, to) = (grid.start + recording.time_zero, grid.time(grid.steps) + recording.time_zero);
+            return Err(format!("time_s = {written} is outside the window ({from} to {to} s)"));
+        }
+        if !beyond || at > grid.last_step() as f64 + slack {
+            *(if beyond { &mut left.after } else { &mut left.before }) += 1;
+            return Ok(None);
         }
     }
-    Ok(observed(rod, sites, rotation, seen, None, left_out))
+    let at = at.clamp(0.0, if beyond { f64::INFINITY } else { grid.steps as f64 });
+    // Closer to a step than rounding of the file's times can tell.
+    Ok(Some(if (at - at.round()).abs() < 1e-6 { at.round() } else { at }))
+}
+
+/// Leaves out rows whose site, time and values are those of an earlier row; how many.
+fn leave_out_repeated(seen: &mut Vec<Seen>, sightings: &mut Vec<Sighting>) -> usize {
+    let mut known = HashSet::new();
+    let new: Vec<bool> = sightings
+        .iter()
+        .map(|s| known.insert((s.site, s.time.to_bits(), s.written.map(|v| v.map(f64::to_bits)))))
+        .collect();
+    let mut kept = new.iter();
+    seen.retain(|_| *kept.next().expect("a flag a row"));
+    let mut kept = new.iter();
+    sightings.retain(|_| *kept.next().expect("a flag a row"));
+    new.iter().filter(|new| !**new).count()
 }
 
 fn observed(

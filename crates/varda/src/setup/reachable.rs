@@ -1,0 +1,216 @@
+//! Rows of a recording that no shape of the rod can reach, and why that may be.
+
+use std::sync::Arc;
+
+use varda_rod::{Matrix3, Motion, Vector3};
+
+use super::rod_model::RodParts;
+
+/// A row of a recording, in the recording's axes.
+#[derive(Debug, Clone)]
+pub(super) struct Sighting {
+    /// Line of the file.
+    pub(super) line: usize,
+    /// Index of the site.
+    pub(super) site: usize,
+    /// Model time \[s\].
+    pub(super) time: f64,
+    /// Coordinates as written \[m\].
+    pub(super) written: [Option<f64>; 3],
+    /// Standard deviation of a coordinate \[m\].
+    pub(super) sigma: f64,
+}
+
+/// Where a site is on the rod: its arc length, and its distance from the centreline \[m\].
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Reach {
+    pub(super) arc_length: f64,
+    pub(super) offset: f64,
+}
+
+/// A row that cannot be true.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Unreachable {
+    /// Index of the row among those that were judged.
+    pub(super) row: usize,
+    /// How far it is from a held point of the rod \[m\].
+    distance: f64,
+    /// How far it can be \[m\].
+    reach: f64,
+    /// Arc length of that point \[m\].
+    held: f64,
+}
+
+/// How far the points of a rod can be from where it is held.
+pub(super) struct Held {
+    /// Arc lengths of the held points and where they are.
+    points: Vec<(f64, Arc<dyn Motion>)>,
+    /// From the model's axes to the recording's.
+    axes: Matrix3<f64>,
+    /// In the recording's axes, what is added to a written place before it is compared.
+    shift: Vector3<f64>,
+    sites: Vec<Reach>,
+    /// 1 + ε, ε the strain of the taut rod.
+    stretch: f64,
+}
+
+/// Standard deviations that a row may be beyond the rod's reach.
+const SIGMAS: f64 = 4.0;
+/// The share of rows that an explanation has to explain, of those that are beyond reach.
+const MOST: f64 = 0.9;
+
+impl Held {
+    pub(super) fn new(parts: &RodParts, axes: Matrix3<f64>, shift: [f64; 3], sites: Vec<Reach>) -> Self {
+        let (supports, s) = (&parts.supports, parts.rod.arc_lengths());
+        let mut points: Vec<(f64, Arc<dyn Motion>)> =
+            supports.prescribed.iter().map(|(vertex, place)| (s[*vertex], Arc::clone(place))).collect();
+        points.extend(supports.start.iter().map(|clamp| (0.0, Arc::clone(&clamp.position))));
+        points.extend(supports.end.iter().map(|clamp| (parts.rod.length(), Arc::clone(&clamp.position))));
+        Held { points, axes, shift: shift.into(), sites, stretch: 1.0 + weight_strain(parts) }
+    }
+
+    /// The rows that are beyond reach: farther from a held point than the rod between, with the strain of the
+    /// taut rod and 4 σ.
+    pub(super) fn unreachable(&self, rows: &[Sighting]) -> Vec<Unreachable> {
+        let beyond = |(i, row): (usize, &Sighting)| {
+            self.beyond(row, row.site, &|p| p).map(|found| Unreachable { row: i, ..found })
+        };
+        rows.iter().enumerate().filter_map(beyond).collect()
+    }
+
+    /// Whether a row, its written place changed, is beyond the reach of a site. Coordinates that were not seen
+    /// only bring it nearer.
+    fn beyond(
+        &self,
+        row: &Sighting,
+        site: usize,
+        change: &dyn Fn(Vector3<f64>) -> Vector3<f64>,
+    ) -> Option<Unreachable> {
+        let written = Vector3::from(row.written.map(|v| v.unwrap_or(f64::NAN)));
+        let place = change(written) + self.shift;
+        let Reach { arc_length, offset } = self.sites[site];
+        let stretch = self.stretch.max(self.taut(row.time));
+        self.points.iter().find_map(|(held, motion)| {
+            let away = place - self.axes * motion.at(row.time);
+            let distance = away.iter().filter(|v| v.is_finite()).map(|v| v * v).sum::<f64>().sqrt();
+            let between = (arc_length - held).abs();
+            let reach = between * stretch + offset + SIGMAS * row.sigma + 1e-9 * between;
+            // Places that overflow are for the model to refuse.
+            (distance > reach && distance.is_finite()).then_some(Unreachable {
+                row: 0,
+                distance,
+                reach,
+                held: *held,
+            })
+        })
+    }
+
+    /// How much longer than at rest the rod is where its supports pull it taut.
+    fn taut(&self, time: f64) -> f64 {
+        let mut stretch = 1.0_f64;
+        for (i, (s, a)) in self.points.iter().enumerate() {
+            for (r, b) in &self.points[..i] {
+                if s != r {
+                    stretch = stretch.max((a.at(time) - b.at(time)).norm() / (s - r).abs());
+                }
+            }
+        }
+        stretch
+    }
+
+    /// What is wrong with the first of the rows found, and the likely cause.
+    pub(super) fn explain(&self, rows: &[Sighting], found: &[Unreachable], labels: &[&str]) -> String {
+        let Unreachable { row, distance, reach, held } = &found[0];
+        let row = &rows[*row];
+        let others = match found.len() {
+            1 => String::new(),
+            n => format!(" {n} of {} rows are beyond reach.", rows.len()),
+        };
+        format!(
+            "{} at time {} s is {distance:.4} m from where the rod is held at s = {held:.4} m, and the rod reaches \
+             {reach:.4} m with its strain and {SIGMAS} σ.{others} {}",
+            labels[row.site],
+            row.time,
+            self.cause(rows, found, row, labels)
+        )
+    }
+
+    fn cause(&self, rows: &[Sighting], found: &[Unreachable], row: &Sighting, labels: &[&str]) -> String {
+        if row.written.iter().flatten().all(|v| *v == 0.0) {
+            return "A lost marker that was exported as 0,0,0? Leave its cells empty.".into();
+        }
+        let whole: Vec<&Sighting> = found
+            .iter()
+            .map(|f| &rows[f.row])
+            .filter(|row| row.written.iter().all(Option::is_some))
+            .collect();
+        let explains = |change: &dyn Fn(Vector3<f64>) -> Vector3<f64>| {
+            let cured = whole.iter().filter(|row| self.beyond(row, row.site, change).is_none());
+            !whole.is_empty() && cured.count() as f64 >= MOST * whole.len() as f64
+        };
+        let many = found.len() as f64 >= 0.5 * rows.len() as f64;
+        if many {
+            for (factor, unit, suffix) in [(1e-3, "millimetres", "mm"), (1e-2, "centimetres", "cm")] {
+                if explains(&|p| p * factor) {
+                    return format!("Written in {unit}? Name the columns x_{suffix},y_{suffix},z_{suffix}.");
+                }
+            }
+            for (axes, name) in axes_of_others() {
+                if explains(&|p| axes * p) {
+                    return format!(
+                        "Other axes? With {name}, say, the rows are within reach: observations.frame."
+                    );
+                }
+            }
+        }
+        let exchanged = |other: &&Sighting| {
+            let same_time = other.time == row.time && other.site != row.site;
+            same_time
+                && self.beyond(row, other.site, &|p| p).is_none()
+                && self.beyond(other, row.site, &|p| p).is_none()
+        };
+        match rows.iter().find(exchanged) {
+            Some(other) => format!(
+                "The labels of {} and {} exchanged? (lines {} and {})",
+                labels[row.site], labels[other.site], row.line, other.line
+            ),
+            None if many => "Another unit, other axes or another origin (observations.frame)?".into(),
+            None => "A false detection, or another marker's label?".into(),
+        }
+    }
+}
+
+/// The right-handed axes that a program may have, by the turn that brings them to those of the model; those
+/// with y upwards first.
+fn axes_of_others() -> Vec<(Matrix3<f64>, String)> {
+    let mut all = Vec::new();
+    let name = |row: [f64; 3]| {
+        let at = row.iter().position(|v| *v != 0.0).unwrap_or(0);
+        format!("{}{}", if row[at] < 0.0 { "−" } else { "" }, ["x", "y", "z"][at])
+    };
+    for order in [[0, 2, 1], [2, 0, 1], [0, 1, 2], [1, 2, 0], [2, 1, 0], [1, 0, 2]] {
+        for signs in [2, 0, 1, 3, 4, 5, 6, 7_u8] {
+            let row = |i: usize| {
+                let mut row = [0.0; 3];
+                row[order[i]] = if signs >> i & 1 == 1 { -1.0 } else { 1.0 };
+                row
+            };
+            let rows = [row(0), row(1), row(2)];
+            let turn = Matrix3::from_fn(|i, j| rows[i][j]);
+            if turn.determinant() > 0.0 && turn != Matrix3::identity() {
+                let [x, y, z] = rows.map(name);
+                all.push((turn, format!("(x, y, z) = ({x}, {y}, {z}) of the file")));
+            }
+        }
+    }
+    all
+}
+
+/// Twice the strain of all weights and forces hung from one end: a load that is put on suddenly stretches twice
+/// as far as it does at rest.
+fn weight_strain(parts: &RodParts) -> f64 {
+    let (rod, loads) = (&parts.rod, &parts.loads);
+    let forces: f64 = loads.point_forces.iter().map(|(_, force)| force.at(0.0).norm()).sum();
+    let softest = rod.ea.iter().copied().fold(f64::INFINITY, f64::min);
+    2.0 * (rod.masses.iter().sum::<f64>() * loads.gravity.norm() + forces) / softest
+}

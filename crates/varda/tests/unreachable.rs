@@ -1,0 +1,144 @@
+//! Recordings with rows that cannot be true: named with their likely cause before anything runs.
+
+use varda::Error;
+use varda::scene::SceneFile;
+use varda::setup::{Inputs, Plan};
+
+const SCENE: &str = r#"
+[model]
+kind = "rod"
+length = 0.5
+segments = 10
+gravity = [0.0, 0.0, -9.81]
+section = { kind = "circle", radius = 0.005 }
+material = { youngs_modulus = 1e6, poisson_ratio = 0.5, density = 1100.0 }
+start = { position = [0.0, 0.0, 1.0], tangent = [0.0, 0.0, -1.0], director = [1.0, 0.0, 0.0] }
+[time]
+integrator = "backward-euler"
+step = 0.01
+window = 40
+[background]
+from = "static-equilibrium"
+[background.covariance]
+kind = "kernel"
+sigma_x = 0.02
+sigma_v = 0.3
+correlation_length_x = 0.25
+correlation_length_v = 0.25
+localization_length = 0.5
+prior = "clamp"
+[observations]
+kind = "file"
+file = "seen.csv"
+sigma = 0.002
+markers = [ { name = "middle", arc_length = 0.2 }, { name = "tip", arc_length = 0.5, offset = [0.01, 0.0, 0.0] } ]
+"#;
+
+/// Lines of two markers of the hanging rod, ten times; what a test changes of them.
+fn recording(change: impl Fn(usize, &str, [f64; 3]) -> (String, [f64; 3])) -> String {
+    let mut text = String::from("time_s,marker,x_m,y_m,z_m\n");
+    for k in 0..10 {
+        for (marker, place) in [("middle", [0.003, 0.001, 0.8]), ("tip", [0.01, -0.002, 0.5])] {
+            let (marker, [x, y, z]) = change(k, marker, place);
+            text += &format!("{},{marker},{x},{y},{z}\n", 0.02 * k as f64);
+        }
+    }
+    text
+}
+
+fn open(name: &str, csv: &str, sets: &[&str]) -> SceneFile {
+    let folder = std::env::temp_dir().join(format!("varda-unreachable-{name}-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    std::fs::write(folder.join("seen.csv"), csv).unwrap();
+    std::fs::write(folder.join("scene.toml"), SCENE).unwrap();
+    let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
+    SceneFile::open(folder.join("scene.toml").to_str().unwrap(), &sets).unwrap()
+}
+
+fn refused(name: &str, csv: &str) -> String {
+    match Plan::new(&open(name, csv, &[])) {
+        Err(Error::Data { place, message }) => format!("{place}: {message}"),
+        other => panic!("{name}: {:?}", other.map(|p| p.n_obs)),
+    }
+}
+
+#[test]
+fn the_message_names_line_value_reach_and_cause() {
+    let as_it_is = |_: usize, marker: &str, place: [f64; 3]| (marker.to_string(), place);
+    let plan = Plan::new(&open("clean", &recording(as_it_is), &[])).unwrap();
+    assert_eq!(plan.n_obs, 60);
+
+    let cases: [(&str, String, &[&str]); 6] = [
+        (
+            "millimetres",
+            recording(|_, m, p| (m.to_string(), p.map(|v| 1e3 * v))),
+            &["seen.csv:2:", "marker middle", "0.2", "20 of 20 rows", "millimetres", "x_mm"],
+        ),
+        (
+            "axes",
+            recording(|_, m, [x, y, z]| (m.to_string(), [x, z, -y])),
+            &["20 of 20 rows", "Other axes?", "observations.frame", "(x, −z, y) of the file"],
+        ),
+        (
+            "zeros",
+            recording(|k, m, p| (m.to_string(), if k == 3 && m == "tip" { [0.0; 3] } else { p })),
+            &["seen.csv:9:", "marker tip at time 0.06 s is 1.0000 m", "0,0,0?", "\"skip\""],
+        ),
+        (
+            "labels",
+            recording(|k, m, p| {
+                let other = if m == "tip" { "middle" } else { "tip" };
+                (if k == 4 { other } else { m }.to_string(), p)
+            }),
+            &["seen.csv:11:", "labels of marker middle and marker tip exchanged?", "lines 11 and 10"],
+        ),
+        (
+            "false",
+            recording(|k, m, p| (m.to_string(), if k == 3 && m == "tip" { [0.0, 0.9, 0.5] } else { p })),
+            &["seen.csv:9:", "false detection"],
+        ),
+        (
+            "origin",
+            recording(|_, m, [x, y, z]| (m.to_string(), [x + 7.0, y, z])),
+            &["20 of 20 rows", "another origin"],
+        ),
+    ];
+    for (name, csv, parts) in cases {
+        let message = refused(name, &csv);
+        parts.iter().for_each(|part| assert!(message.contains(part), "{name}: {part:?} is not in {message}"));
+    }
+}
+
+#[test]
+fn units_in_the_header_cure_it() {
+    let csv = recording(|_, m, p| (m.to_string(), p.map(|v| 1e3 * v)));
+    let csv = csv.replace("x_m,y_m,z_m", "x_mm,y_mm,z_mm");
+    let inputs = Inputs::read(&open("header", &csv, &[])).unwrap();
+    assert!((inputs.observed.seen[1].values[2].unwrap() - 0.5).abs() < 1e-15);
+}
+
+#[test]
+fn what_is_skipped_is_listed_and_a_simulation_needs_no_recording() {
+    let csv = recording(|k, m, p| (m.to_string(), if k % 5 == 3 && m == "tip" { [0.0; 3] } else { p }));
+    let plan = Plan::new(&open("skip", &csv, &["observations.unreachable=skip"])).unwrap();
+    assert_eq!(plan.n_obs, 54);
+    let listed = plan.left_out.iter().any(|l| l.contains("in lines 9, 19:") && l.contains("0,0,0"));
+    assert!(listed, "{:?}", plan.left_out);
+    let inputs = Inputs::for_simulation(&open("simulated", &csv, &[])).unwrap();
+    assert!(inputs.fault_of_observations.is_some() && inputs.observed.seen.is_empty());
+}
+
+#[test]
+fn a_coordinate_that_was_not_seen_condemns_nothing() {
+    let csv = recording(|_, m, p| (m.to_string(), p)).replace(",0.5\n", ",\n");
+    assert_eq!(Plan::new(&open("partly", &csv, &[])).unwrap().n_obs, 50);
+}
+
+#[test]
+fn rows_that_repeat_another_count_once() {
+    let once = recording(|_, m, p| (m.to_string(), p));
+    let twice = format!("{once}{}", once.split_once('\n').unwrap().1);
+    let plan = Plan::new(&open("twice", &twice, &[])).unwrap();
+    assert_eq!(plan.n_obs, 60);
+    assert!(plan.left_out.iter().any(|l| l.starts_with("20 rows that repeat")), "{:?}", plan.left_out);
+}
