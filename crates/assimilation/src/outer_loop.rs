@@ -21,7 +21,7 @@ use std::ops::ControlFlow;
 /// # let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut observations)?;
 /// // x₀ and x₂ of Lorenz-63 seen at step 20: `cost` is its strong constraint.
 /// let mut v = vec![0.0; 3];
-/// let options = OuterLoopOptions { inner: InnerSolver::Dual, ..Default::default() };
+/// let options = OuterLoopOptions::default().with_inner(InnerSolver::Dual);
 /// let minimum = outer_loop(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(()))?;
 /// assert_eq!(minimum.status, Status::Converged);
 /// # Ok::<(), Box<dyn std::error::Error>>(())

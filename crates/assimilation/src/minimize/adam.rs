@@ -71,7 +71,7 @@ setters!(AdamOptions, stopping, {
 /// # let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut observations)?;
 /// // x₀ and x₂ of Lorenz-63 seen at step 20: `cost` is its strong constraint.
 /// let mut v = vec![0.0; 3];
-/// let options = AdamOptions { max_iterations: 50, ..Default::default() };
+/// let options = AdamOptions::default().with_max_iterations(50);
 /// let minimum = adam(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(()))?;
 /// assert_eq!(minimum.status, Status::MaxIterations); // thousands, as a rule
 /// # Ok::<(), Box<dyn std::error::Error>>(())
