@@ -54,7 +54,8 @@ fn runs<'a>(comment: impl Iterator<Item = &'a str>) -> bool {
     .any(|language| language.is_empty() || language.starts_with("should_panic"))
 }
 
-/// Where an item is defined in a crate, and whether its comment has an example; of a module, any comment in it.
+/// Where an item is defined in a crate, and whether its comment has an example; of a module, any comment in
+/// it.
 fn examples(sources: &[(String, String)], name: &str) -> Vec<(String, bool)> {
     let (module, item) = name.split_once("::").unwrap_or(("", name));
     let mut found = Vec::new();

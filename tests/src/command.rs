@@ -17,7 +17,7 @@ cargo xtask verify [SUITE…] [OPTION…]
     --full            everything; with all suites also writes docs/results/verification.md
     -v, --verbose     every row, with its bound and the reason of the bound
     --json FILE       the rows as one JSON array
-    --fixtures DIR    suite golden checks DIR/der, DIR/hanging-rod and DIR/twin, not tests/fixtures
+    --fixtures DIR    suite golden checks DIR/der, /hanging-rod, /twin, /statics, not tests/fixtures
     --stability FILE  the rows of suite stiff as a document (docs/results/stability.md)
     --help            this text";
 

@@ -5,6 +5,7 @@ use varda_implicit::{Equations, NewtonOptions, NewtonReport, solve};
 
 use crate::Error;
 use crate::rod::Rod;
+use crate::statics::reactions::{Reaction, reactions};
 use crate::statics::{Statics, at_rest};
 use crate::support::{Damping, Loads, Supports};
 use crate::system::System;
@@ -69,6 +70,8 @@ pub(crate) struct Work {
     pub(crate) stopped: Option<Rest>,
     /// Potential energy at its end.
     pub(crate) energy: f64,
+    /// Reactions there.
+    pub(crate) reactions: Vec<Reaction>,
 }
 
 /// [`equilibrium`] with a limit of iterations.
@@ -116,6 +119,7 @@ pub(crate) fn equilibrium_within(
     done.energy = at_end
         .map_err(|reason| varda_implicit::NewtonFailure::Refused(reason).in_step(&at_rest(t)))?
         .unwrap_or(f64::NAN);
+    done.reactions = reactions(&statics.system);
     let Statics { mut system, end_angle, .. } = statics;
     system.scatter(&u);
     system.update_shape(system.layout.twist, end_angle).map_err(refuse)?;

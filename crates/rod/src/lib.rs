@@ -129,6 +129,7 @@ pub use nalgebra::{Matrix3, Vector3};
 pub use rod::{Place, Rod};
 pub use scalar::Real;
 pub use statics::continuation::{Found, Search, rest};
+pub use statics::reactions::Reaction;
 pub use support::{Clamp, Damping, EllipseDrive, Loads, Motion, Supports};
 
 /// The example of README.md, compiled and run with the tests.

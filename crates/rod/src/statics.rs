@@ -2,6 +2,7 @@
 
 pub(crate) mod continuation;
 mod guess;
+pub(crate) mod reactions;
 mod shape_input;
 
 use nalgebra::Vector3;

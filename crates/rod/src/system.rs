@@ -34,7 +34,7 @@ pub(crate) struct System {
     pub(crate) gradient: Vec<f64>,
     pub(crate) forces: Vec<Vector3<f64>>,
     /// Time of the last `place`.
-    time: f64,
+    pub(crate) time: f64,
     /// Work space for the lower band, where ∂G/∂u is not symmetric.
     lower: Vec<f64>,
 }

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use varda_implicit::{ImplicitModel, Model};
-use varda_rod::{Clamp, Damping, Loads, Rest, Rod, RodStep, Search, Section, Supports, Vector3, rest};
+use varda_rod::{Clamp, Damping, Found, Loads, Rest, Rod, RodStep, Search, Section, Supports, Vector3, rest};
 
 fn section(ea: f64, ei: f64) -> Section {
     Section { ea, ei1: ei, ei2: ei, gj: ei, mass_per_length: 0.1 }
@@ -129,15 +129,34 @@ fn coils_start_from_their_natural_curvature() {
     }
 }
 
+/// Supports carry the weight: the sums of forces, and of moments about the origin, are zero.
+fn balanced(rod: &Rod, found: &Found) {
+    let (mut force, mut moment) = (Vector3::zeros(), Vector3::zeros());
+    for (x, m) in found.rest.vertices.iter().zip(&rod.masses) {
+        force += weight().gravity * *m;
+        moment += x.cross(&(weight().gravity * *m));
+    }
+    let most = force.norm();
+    for r in &found.reactions {
+        force += r.force;
+        moment += r.moment + found.rest.vertices[r.vertex].cross(&r.force);
+    }
+    assert!(force.norm() <= 1e-7 * most && moment.norm() <= 1e-7 * most, "{force} {moment}");
+}
+
 #[test]
 fn several_hooks_a_hook_inside_and_none() {
     let rod = Rod::uniform(2.0, 40, &section(1e4, 1e-3)).unwrap();
     let three = hooks(&rod, &[(0, [0.0; 3]), (20, [0.7, 0.2, 0.1]), (40, [1.2, 0.0, 0.0])]);
     let found = rest(&rod, &three, &weight(), 0.0, &Search::default()).unwrap();
     assert!(found.rest.vertices[10].z < -0.2 && found.rest.vertices[30].z < -0.2);
+    balanced(&rod, &found);
     let middle = hooks(&rod, &[(20, [0.0; 3])]);
     let found = rest(&rod, &middle, &weight(), 0.0, &Search::default()).unwrap();
     assert!(found.rest.vertices[0].z < -0.5 && found.rest.vertices[40].z < -0.5);
+    balanced(&rod, &found);
+    let side = between((Vector3::zeros(), Vector3::x()), (Vector3::new(0.8, 0.4, 0.3), Vector3::y()));
+    balanced(&rod, &rest(&rod, &side, &weight(), 0.0, &Search::default()).unwrap());
     let error = rest(&rod, &Supports::default(), &weight(), 0.0, &Search::default()).unwrap_err();
     assert!(error.to_string().contains("nothing holds the rod"), "{error}");
 }

@@ -105,7 +105,8 @@ section = { kind = "stiffness", ea = 1e4, ei = [1e-4, 1e-4], gj = 1e-4, mass_per
     let (middle, moved) =
         folder.run(&format!("{cable}prescribed = [{{ vertex = 20, position = [0, 0, 1] }}]"));
     assert!(middle[0][2] < 0.3 && middle[40][2] < 0.3 && moved <= 1e-9, "{moved}");
-    let hooks = "prescribed = [{ vertex = 0, position = [0, 0, 0] }, { vertex = 20, position = [0.7, 0.2, 0.1] }, \
+    let hooks = "prescribed = [{ vertex = 0, position = [0, 0, 0] }, \
+                 { vertex = 20, position = [0.7, 0.2, 0.1] }, \
                  { vertex = 40, position = [1.2, 0, 0] }]";
     let (three, moved) = folder.run(&format!("{cable}{hooks}"));
     assert!(three[10][2] < -0.2 && three[30][2] < -0.2 && moved <= 1e-9, "{moved}");
@@ -126,7 +127,8 @@ fn an_initial_shape_picks_the_branch() {
          ei = [1e-3, 1e-1], gj = 1e-3, mass_per_length = 0.1 }}\n{}",
         clamps(0.8)
     );
-    let up = "initial_shape = { points = [[0, 0, 0], [0.2, 0, 0.15], [0.4, 0, 0.3], [0.6, 0, 0.15], [0.8, 0, 0]] }";
+    let up = "initial_shape = { points = \
+              [[0, 0, 0], [0.2, 0, 0.15], [0.4, 0, 0.3], [0.6, 0, 0.15], [0.8, 0, 0]] }";
     for (shape, side) in [(up, 1.0), ("initial_shape = { file = \"down.csv\" }", -1.0)] {
         let (bow, moved) = folder.run(&format!("{ruler}{shape}"));
         assert!(
@@ -170,7 +172,8 @@ fn a_rest_shape_is_the_natural_curvature_wherever_it_was_laid() {
 fn a_coil_stays_where_it_was_found() {
     let folder = Folder::new("coil");
     let coil = format!(
-        "length = 1.0\nsegments = 200\ngravity = [0, 0, 0]\n{STIFF}\nnatural_curvature = [30, 0]\nnatural_twist = 10\n\
+        "length = 1.0\nsegments = 200\ngravity = [0, 0, 0]\n{STIFF}\n\
+         natural_curvature = [30, 0]\nnatural_twist = 10\n\
          start = {{ position = [0, 0, 0], tangent = [0, 0, 1], director = [1, 0, 0] }}"
     );
     let (found, moved) = folder.run(&coil);

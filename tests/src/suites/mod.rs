@@ -3,6 +3,7 @@
 mod adjoint;
 mod counts;
 mod equivalence;
+mod field;
 mod golden;
 mod hessian;
 mod linalg;
@@ -14,7 +15,8 @@ mod taylor;
 
 use crate::Row;
 
-pub use options::{Options, Report};
+pub use crate::row::Report;
+pub use options::Options;
 
 /// A suite.
 pub struct Suite {
@@ -78,6 +80,11 @@ pub const SUITES: &[Suite] = &[
         name: "stiff",
         proves: "Extreme cases end in the right answer or in an error that names step, vertex or field.",
         run: stiff::run,
+    },
+    Suite {
+        name: "field",
+        proves: "Rods held anywhere, as people bring them, are found at rest where closed forms have them.",
+        run: |options| field::run(options).into(),
     },
 ];
 

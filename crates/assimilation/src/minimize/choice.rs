@@ -229,7 +229,8 @@ impl Minimizer {
 /// // x₀ and x₂ of Lorenz-63 seen at step 20: `cost` is its strong constraint.
 /// let mut v = vec![0.0; 3];
 /// let scales = [10.0, 3.0, 1.0];
-/// let minimum = continuation(&Minimizer::default(), &mut cost, &mut v, &scales, &mut |_| ControlFlow::Continue(()))?;
+/// let on_iteration = &mut |_: &Iteration| ControlFlow::Continue(());
+/// let minimum = continuation(&Minimizer::default(), &mut cost, &mut v, &scales, on_iteration)?;
 /// assert_eq!(minimum.status, Status::Converged);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```

@@ -65,7 +65,8 @@ setters!(NewtonCgOptions, stopping, {
 /// # let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut observations)?;
 /// // x₀ and x₂ of Lorenz-63 seen at step 20: `cost` is its strong constraint.
 /// let mut v = vec![0.0; 3];
-/// let minimum = newton_cg(&mut cost, &mut v, &NewtonCgOptions::default(), &mut |_| ControlFlow::Continue(()))?;
+/// let options = NewtonCgOptions::default();
+/// let minimum = newton_cg(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(()))?;
 /// assert_eq!(minimum.status, Status::Converged);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```

@@ -3,6 +3,7 @@
 use nalgebra::{Rotation3, Unit, Vector3};
 
 use super::guess::{Held, along, rest_shape, sideways};
+use super::reactions::Reaction;
 use crate::Error;
 use crate::equilibrium::{Rest, Work, equilibrium_within};
 use crate::rod::Rod;
@@ -37,8 +38,8 @@ const CURLED: f64 = 0.5;
 /// What a search for a rod at rest may be told.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Search {
-    /// A shape near the one looked for, angles included: it picks the branch where there are several. It is moved to
-    /// the places that are held.
+    /// A shape near the one looked for, angles included: it picks the branch where there are several. It is
+    /// moved to the places that are held.
     pub initial_shape: Option<Rest>,
     /// The turn \[rad\], right-handed about its tangent, by which the end clamp came to its present director;
     /// more than π counts. Zero: the twist nearest to none.
@@ -52,6 +53,8 @@ pub struct Found {
     pub rest: Rest,
     /// Total potential energy \[J\]: elastic, of the weight (zero at the origin) and of the dead forces.
     pub energy: f64,
+    /// What its supports exert on it, by ascending vertices.
+    pub reactions: Vec<Reaction>,
     /// Calls of Newton's method, failed ones included.
     pub solves: usize,
     /// Newton iterations over all calls.
@@ -60,19 +63,22 @@ pub struct Found {
     pub neutral: bool,
 }
 
-/// A rod at rest, held anywhere: by clamps, at points, at one place or several, nearer than its length or not.
+/// A rod at rest, held anywhere: by clamps, at points, at one place or several, nearer than its length or
+/// not.
 ///
-/// A minimum of the total potential energy E(u) − F·x \[J\] with the supports where they are at time t \[s\]:
-/// ∂E/∂u = F of places \[m\] and angles \[rad\] to a last update below 10⁻¹¹ of the length, or to rounding, and
-/// no negative curvature there. Which minimum, where there are several, is decided by the way to it:
+/// A minimum of the total potential energy E(u) − F·x \[J\] with the supports where they are at time t
+/// \[s\]: ∂E/∂u = F of places \[m\] and angles \[rad\] to a last update below 10⁻¹¹ of the length, or
+/// to rounding, and no negative curvature there. Which minimum, where there are several, is decided by the
+/// way to it:
 ///
-/// 1. A clamped rod with a free end starts as [`straight_guess`](crate::straight_guess) lays it; one whose natural
-///    curvature turns by more than half a radian starts from its rest shape without loads, which then grow.
-/// 2. Between held places a catenary (a cable: weight × L³ > 50 EI) or a bow (a beam) of the right length is laid,
-///    with clamps along its chord and no natural strain. A rod much stiffer in stretch than in everything else comes
-///    to rest first with less of that stiffness, which then grows tenfold a stage.
-/// 3. Clamps, director, the turn of the end and natural strains go to their values together, in stages that are
-///    halved where Newton's method fails.
+/// 1. A clamped rod with a free end starts as [`straight_guess`](crate::straight_guess) lays it; one whose
+///    natural curvature turns by more than half a radian starts from its rest shape without loads, which then
+///    grow.
+/// 2. Between held places a catenary (a cable: weight × L³ > 50 EI) or a bow (a beam) of the right length is
+///    laid, with clamps along its chord and no natural strain. A rod much stiffer in stretch than in
+///    everything else comes to rest first with less of that stiffness, which then grows tenfold a stage.
+/// 3. Clamps, director, the turn of the end and natural strains go to their values together, in stages that
+///    are halved where Newton's method fails.
 ///
 /// Every stage ends in a minimum, not in a saddle, and the way is cut off at 20 000 Newton iterations. Energy
 /// and angles are those of Bergou et al. (2008).
@@ -127,6 +133,7 @@ pub fn rest(
     found.map(|rest| Found {
         rest,
         energy: way.work.energy,
+        reactions: way.work.reactions,
         solves: way.work.solves,
         iterations: way.work.iterations,
         neutral: way.work.report.neutral,
@@ -221,7 +228,8 @@ impl Way<'_> {
         (tangent, director)
     }
 
-    /// A shape that was given, moved to the places that are held: as it is, or first with less stretching stiffness.
+    /// A shape that was given, moved to the places that are held: as it is, or first with less stretching
+    /// stiffness.
     fn from_shape(&mut self, shape: &Rest) -> Solved {
         let mut shape = shape.clone();
         let s = self.rod.arc_lengths();

@@ -10,8 +10,8 @@ use crate::rod::Rod;
 use crate::shape::{FirstFrame, Shape};
 
 impl Rest {
-    /// A shape through these points \[m\] in order along the rod, the curve's own length scaled to the rod's. Angles
-    /// are zero: directors carried by parallel transport from the first edge.
+    /// A shape through these points \[m\] in order along the rod, the curve's own length scaled to the rod's.
+    /// Angles are zero: directors carried by parallel transport from the first edge.
     ///
     /// # Errors
     /// [`Error::Count`] for fewer than two points, [`Error::ZeroEdge`] for two equal neighbours,
@@ -22,8 +22,8 @@ impl Rest {
         Ok(Rest { vertices, theta: vec![0.0; rod.segments()] })
     }
 
-    /// A shape through points \[m\] at these arc lengths \[m\], ascending; straight on beyond the first and the last.
-    /// Angles are zero, as in [`Rest::through`].
+    /// A shape through points \[m\] at these arc lengths \[m\], ascending; straight on beyond the first and
+    /// the last. Angles are zero, as in [`Rest::through`].
     ///
     /// # Errors
     /// Those of [`Rest::through`], [`Error::Value`] for arc lengths that do not ascend.
@@ -100,7 +100,8 @@ const PIECES: usize = 10;
 
 /// Nine points between two neighbours on Catmull and Rom's curve.
 fn smooth(points: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
-    // slopes of the parabola through three neighbours by chord length, so that uneven spacing does not overshoot
+    // slopes of the parabola through three neighbours by chord length, so that uneven spacing does not
+    // overshoot
     let chord = |i: usize| points[i + 1] - points[i];
     let last = points.len() - 1;
     let inner = |i: usize| {

@@ -309,7 +309,8 @@ pub struct Clamp {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ShapePoints {
-    /// A CSV file with the header `s_m,x_m,y_m,z_m`: points by arc length, ascending; straight on beyond them.
+    /// A CSV file with the header `s_m,x_m,y_m,z_m`: points by arc length, ascending; straight on beyond
+    /// them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,
     /// Points from one end of the rod to the other [m]; the curve's own length is scaled to the rod's.
@@ -322,7 +323,8 @@ pub struct ShapePoints {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RestShape {
-    /// A CSV file with the header `s_m,x_m,y_m,z_m`: points by arc length, ascending; straight on beyond them.
+    /// A CSV file with the header `s_m,x_m,y_m,z_m`: points by arc length, ascending; straight on beyond
+    /// them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,
     /// Points from one end of the rod to the other [m]; the curve's own length is scaled to the rod's.

@@ -78,8 +78,8 @@ impl Held {
         rows.iter().enumerate().filter_map(beyond).collect()
     }
 
-    /// Whether a row, its written place changed, is beyond the reach of a site. Coordinates that were not seen
-    /// only bring it nearer.
+    /// Whether a row, its written place changed, is beyond the reach of a site. Coordinates that were not
+    /// seen only bring it nearer.
     fn beyond(
         &self,
         row: &Sighting,
@@ -206,8 +206,8 @@ fn axes_of_others() -> Vec<(Matrix3<f64>, String)> {
     all
 }
 
-/// Twice the strain of all weights and forces hung from one end: a load that is put on suddenly stretches twice
-/// as far as it does at rest.
+/// Twice the strain of all weights and forces hung from one end: a load that is put on suddenly stretches
+/// twice as far as it does at rest.
 fn weight_strain(parts: &RodParts) -> f64 {
     let (rod, loads) = (&parts.rod, &parts.loads);
     let forces: f64 = loads.point_forces.iter().map(|(_, force)| force.at(0.0).norm()).sum();

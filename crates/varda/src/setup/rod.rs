@@ -101,7 +101,8 @@ impl RodSystem {
         Ok(x)
     }
 
-    /// The control of the rod at rest at the start of the window. Its runs start from the angles it has there.
+    /// The control of the rod at rest at the start of the window. Its runs start from the angles it has
+    /// there.
     pub(crate) fn come_to_rest(&mut self) -> Result<Vec<f64>, Error> {
         self.start_at_rest(self.grid.start)
     }

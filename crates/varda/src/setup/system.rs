@@ -85,8 +85,8 @@ impl System {
         }
     }
 
-    /// The control of a rod at rest at the start of the window, from whose angles its runs start; `None` for other
-    /// models.
+    /// The control of a rod at rest at the start of the window, from whose angles its runs start; `None` for
+    /// other models.
     pub(crate) fn come_to_rest(&mut self) -> Result<Option<Vec<f64>>, Error> {
         match self {
             System::Rod(rod) => rod.come_to_rest().map(Some),

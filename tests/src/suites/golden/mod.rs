@@ -5,6 +5,7 @@ mod fixture;
 mod hanging_rod;
 mod minimum;
 mod reference_values;
+mod statics;
 pub(super) mod twin;
 mod upwind;
 
@@ -19,7 +20,7 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     let folder = options.fixtures.clone().unwrap_or_else(shipped);
     let found = fixtures(&mut rows, &folder);
     if found == 0 {
-        let reason = format!("{}: no fixtures in der, hanging-rod or twin", folder.display());
+        let reason = format!("{}: no fixtures in der, hanging-rod, twin or statics", folder.display());
         rows.case("fixtures", |_| Err(reason.into()));
     }
     reference_values::run(&mut rows);
@@ -29,8 +30,12 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
 /// Checks every fixture in a folder. Returns how many there were.
 fn fixtures(rows: &mut Rows, folder: &Path) -> usize {
     type Check = fn(&mut Case, &Path) -> Outcome;
-    let kinds: [(&str, bool, Check); 3] =
-        [("der", false, der::check), ("hanging-rod", true, hanging_rod::check), ("twin", false, twin::check)];
+    let kinds: [(&str, bool, Check); 4] = [
+        ("der", false, der::check),
+        ("hanging-rod", true, hanging_rod::check),
+        ("twin", false, twin::check),
+        ("statics", false, statics::check),
+    ];
     let mut found = 0;
     for (kind, is_folder, check) in kinds {
         let Ok(entries) = std::fs::read_dir(folder.join(kind)) else { continue };
@@ -59,6 +64,7 @@ pub(super) fn read_all(text: &str) {
         let _ = der::compare(&mut rows.open("der"), &fixture);
     }
     let _ = twin::prepare(text);
+    let _ = statics::prepare(text);
     let _ = hanging_rod::prepare(text);
     let _ = hanging_rod::Reference::parse(text);
     let _ = hanging_rod::read_rows(text.as_bytes(), &[10, 20], &mut |_, _, _| Ok(()));
@@ -80,6 +86,7 @@ mod tests {
             read("twin/l63.json"),
             read(&format!("{rod}/problem.json")),
             read(&format!("{rod}/reference.json")),
+            read("statics/e02-turn3-090-w10.json"),
         ]
     }
 
@@ -168,13 +175,13 @@ mod tests {
         })]
 
         #[test]
-        fn a_changed_fixture_is_read_or_refused(i in 0..5_usize, at in any::<usize>(), kind in 0..11_usize) {
+        fn a_changed_fixture_is_read_or_refused(i in 0..6_usize, at in any::<usize>(), kind in 0..11_usize) {
             read_all(&changed(&texts()[i], at, kind));
         }
 
         #[test]
         fn a_cut_or_garbled_fixture_is_read_or_refused(
-            i in 0..5_usize,
+            i in 0..6_usize,
             at in any::<usize>(),
             byte in any::<u8>(),
         ) {
@@ -201,6 +208,7 @@ mod tests {
         twin::prepare(&texts[2]).unwrap();
         hanging_rod::prepare(&texts[3]).unwrap();
         hanging_rod::Reference::parse(&texts[4]).unwrap();
+        statics::prepare(&texts[5]).unwrap();
     }
 
     #[test]

@@ -1,0 +1,61 @@
+//! What supports exert on a rod at rest.
+
+use nalgebra::Vector3;
+
+use crate::load::EdgeMotion;
+use crate::system::System;
+
+/// What a support exerts on a rod at rest: R_v = ∂E/∂x_v − F_v at the vertices that it holds, and about
+/// its tangent ∂E/∂θ where it holds a director.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reaction {
+    /// The held vertex; that at the end of the rod for a clamp.
+    pub vertex: usize,
+    /// Force on the rod \[N\].
+    pub force: Vector3<f64>,
+    /// Moment on the rod about the place of that vertex \[N m\]; zero where only a place is held.
+    pub moment: Vector3<f64>,
+}
+
+/// The reactions in a system whose gradient was just assembled, by ascending vertices.
+pub(crate) fn reactions(system: &System) -> Vec<Reaction> {
+    let n = system.rod.segments();
+    let layout = &system.layout;
+    let mut loads = system.forces.clone();
+    for load in &system.loads.of_motion {
+        for edge in load.edges(n) {
+            let acts = load.on_edge(&EdgeMotion {
+                edge,
+                time: system.time,
+                places: [system.x[edge], system.x[edge + 1]],
+                velocities: [Vector3::zeros(); 2],
+                rest_length: system.rod.rest_lengths[edge],
+            });
+            for (i, force) in acts.forces.iter().enumerate() {
+                loads[edge + i / 3][i % 3] += force;
+            }
+        }
+    }
+    let at = |v: usize| {
+        let i = layout.vertex(v);
+        Vector3::from_column_slice(&system.gradient[i..i + 3]) - loads[v]
+    };
+    let clamped = |vertex: usize, beside: usize, edge: usize| {
+        let arm = system.x[beside] - system.x[vertex];
+        let tangent = (system.x[edge + 1] - system.x[edge]).normalize();
+        let twist = if layout.twist { system.gradient[layout.angle(edge)] } else { 0.0 };
+        let moment = arm.cross(&at(beside)) + tangent * twist;
+        Reaction { vertex, force: at(vertex) + at(beside), moment }
+    };
+    let supports = &system.supports;
+    let mut all: Vec<Reaction> = Vec::new();
+    all.extend(supports.start.iter().map(|_| clamped(0, 1, 0)));
+    all.extend(supports.prescribed.iter().map(|&(vertex, _)| Reaction {
+        vertex,
+        force: at(vertex),
+        moment: Vector3::zeros(),
+    }));
+    all.extend(supports.end.iter().map(|_| clamped(n, n - 1, n - 1)));
+    all.sort_by_key(|r| r.vertex);
+    all
+}

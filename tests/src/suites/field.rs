@@ -1,0 +1,233 @@
+//! What people bring: rods held anywhere, found at rest without being told how.
+
+use super::Options;
+use crate::row::{Case, Outcome, Row, Rows};
+use std::f64::consts::PI;
+use std::sync::Arc;
+use varda_rod::{Clamp, Loads, Rod, Search, Section, Supports, Vector3, rest};
+
+/// Weight per length of the cables [N/m].
+const WEIGHT: f64 = 0.5;
+const GRAVITY: f64 = 9.81;
+
+/// Cables slack between two hooks one metre apart: segments, length [m], rise [m], EA [N], EI = GJ [N m²];
+/// drawn from what is ordinary.
+#[rustfmt::skip]
+const CABLES: [(usize, f64, f64, f64, f64); 56] = [
+    (30, 1.5, 0.4, 1e4, 1e-4),
+    (40, 1.5, 0.3, 1e5, 1e-6),
+    (20, 1.5, 0.0, 1e5, 1e-4),
+    (40, 1.5, 0.1, 1e4, 1e-4),
+    (80, 1.3, 0.4, 1e5, 1e-6),
+    (50, 1.3, 0.5, 1e4, 1e-4),
+    (30, 1.1, 0.4, 1e5, 1e-4),
+    (20, 1.1, 0.4, 1e3, 1e-4),
+    (40, 1.05, 0.2, 1e5, 1e-4),
+    (60, 1.3, 0.5, 1e5, 1e-4),
+    (50, 1.5, 0.3, 1e4, 1e-4),
+    (40, 1.05, 0.0, 1e4, 1e-4),
+    (50, 1.1, 0.2, 1e5, 1e-4),
+    (80, 1.2, 0.3, 1e5, 1e-6),
+    (50, 1.5, 0.2, 1e5, 1e-6),
+    (60, 1.3, 0.4, 1e4, 1e-4),
+    (40, 1.05, 0.2, 1e5, 1e-6),
+    (40, 1.5, 0.4, 1e5, 1e-6),
+    (60, 1.2, 0.2, 1e3, 1e-4),
+    (20, 1.3, 0.5, 1e5, 1e-4),
+    (20, 1.2, 0.0, 1e5, 1e-4),
+    (30, 1.05, 0.2, 1e5, 1e-4),
+    (50, 1.05, 0.0, 1e5, 1e-6),
+    (60, 1.05, 0.3, 1e5, 1e-6),
+    (40, 1.5, 0.2, 1e5, 1e-6),
+    (30, 1.05, 0.2, 1e3, 1e-4),
+    (60, 1.05, 0.1, 1e5, 1e-4),
+    (40, 1.5, 0.2, 1e4, 1e-4),
+    (80, 1.05, 0.2, 1e4, 1e-5),
+    (40, 1.1, 0.3, 1e5, 1e-4),
+    (50, 1.5, 0.3, 1e5, 1e-6),
+    (80, 1.5, 0.0, 1e5, 1e-6),
+    (60, 1.2, 0.3, 1e4, 1e-4),
+    (40, 1.3, 0.2, 1e5, 1e-6),
+    (40, 1.5, 0.2, 1e3, 1e-4),
+    (50, 1.5, 0.2, 1e3, 1e-4),
+    (50, 1.5, 0.4, 1e4, 1e-4),
+    (20, 1.2, 0.3, 1e4, 1e-5),
+    (80, 1.2, 0.4, 1e4, 1e-5),
+    (80, 1.3, 0.0, 1e5, 1e-6),
+    (20, 1.05, 0.2, 1e4, 1e-5),
+    (80, 1.3, 0.2, 1e5, 1e-6),
+    (60, 1.2, 0.1, 1e4, 1e-5),
+    (30, 1.2, 0.2, 1e5, 1e-6),
+    (40, 1.2, 0.3, 1e3, 1e-4),
+    (20, 1.5, 0.5, 1e4, 1e-4),
+    (40, 1.5, 0.1, 1e4, 1e-5),
+    (30, 1.2, 0.1, 1e5, 1e-4),
+    (80, 1.05, 0.0, 1e5, 1e-6),
+    (40, 1.2, 0.5, 1e4, 1e-4),
+    (50, 1.1, 0.0, 1e4, 1e-5),
+    (80, 1.1, 0.4, 1e5, 1e-4),
+    (40, 1.1, 0.0, 1e3, 1e-4),
+    (60, 1.1, 0.2, 1e5, 1e-6),
+    (30, 1.2, 0.2, 1e3, 1e-4),
+    (60, 1.2, 0.4, 1e4, 1e-4),
+];
+
+pub(super) fn run(options: &Options) -> Vec<Row> {
+    let mut rows = Rows::new("field");
+    let every = if options.quick { 10 } else { 1 };
+    rows.area("slack cable");
+    rows.reason("bending of 1e-4 N m² moves the catenary by less than 2e-3 m, the mesh by less");
+    for (i, cable) in CABLES.iter().enumerate().step_by(every) {
+        rows.case(&format!("{i:02}"), |case| slack_cable(case, cable));
+    }
+    rows.area("two clamps in line");
+    rows.reason("second order of the mesh: 4e-4 of the length at 80 segments");
+    for share in [0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95, 0.99].into_iter().step_by(every) {
+        rows.case(&format!("D/L {share}"), |case| elastica(case, share));
+    }
+    rows.area("coil");
+    let coils = (1..=10).flat_map(|i| [0.0, 5.0, 40.0].map(|twist| (6.0 * f64::from(i), twist)));
+    for (curvature, twist) in coils.step_by(every) {
+        rows.case(&format!("k {curvature} twist {twist}"), |case| coil(case, curvature, twist));
+    }
+    rows.finish()
+}
+
+fn slack_cable(case: &mut Case, &(n, length, rise, ea, ei): &(usize, f64, f64, f64, f64)) -> Outcome {
+    let section = Section { ea, ei1: ei, ei2: ei, gj: ei, mass_per_length: WEIGHT / GRAVITY };
+    let rod = Rod::uniform(length, n, &section)?;
+    let mut supports = Supports::default();
+    supports.prescribed.push((0, Arc::new([0.0; 3])));
+    supports.prescribed.push((n, Arc::new([1.0, 0.0, rise])));
+    let loads = Loads { gravity: Vector3::new(0.0, 0.0, -GRAVITY), ..Loads::default() };
+    let found = rest(&rod, &supports, &loads, 0.0, &Search::default())?;
+    let catenary = Catenary::between(length, rise, ea).ok_or("no catenary")?;
+    let off = rod.arc_lengths().into_iter().zip(&found.rest.vertices).map(|(s, x)| {
+        let [a, z] = catenary.at(s);
+        (x - Vector3::new(a, 0.0, z)).norm()
+    });
+    case.at_most("places", off.fold(0.0, greatest), 2e-3, "m").computed(found.energy);
+    // the hooks carry its weight, and pull as the catenary does
+    let pull = found.reactions[0].force - Vector3::new(-catenary.pull, 0.0, catenary.lift);
+    let lift: f64 = found.reactions.iter().map(|r| r.force.z).sum();
+    case.at_most("weight carried", (lift - WEIGHT * length).abs() / (WEIGHT * length), 1e-8, "-")
+        .because("Newton's method ends at rounding");
+    case.at_most("reaction", pull.norm() / catenary.pull.hypot(catenary.lift), 1e-2, "-")
+        .because("bending at the hooks and the mesh, against a cable without either");
+    Ok(())
+}
+
+/// The larger; NaN stays.
+fn greatest(a: f64, b: f64) -> f64 {
+    if a >= b { a } else { b }
+}
+
+/// The elastic cable without bending from the origin to (1, rise): pull H and lift V at its start.
+struct Catenary {
+    ea: f64,
+    pull: f64,
+    lift: f64,
+}
+
+impl Catenary {
+    fn at(&self, s: f64) -> [f64; 2] {
+        let Catenary { ea, pull, lift } = *self;
+        let (w, left) = (WEIGHT, lift - WEIGHT * s);
+        let x = pull * s / ea + pull / w * ((lift / pull).asinh() - (left / pull).asinh());
+        let z =
+            -(s / ea * (lift - 0.5 * w * s) + pull / w * (1f64.hypot(lift / pull) - 1f64.hypot(left / pull)));
+        [x, z]
+    }
+
+    /// Newton's method in (ln H, V), differences for derivatives, halved steps.
+    fn between(length: f64, rise: f64, ea: f64) -> Option<Catenary> {
+        let of = |p: [f64; 2]| Catenary { ea, pull: p[0].exp(), lift: p[1] };
+        let miss = |p: [f64; 2]| {
+            let [x, z] = of(p).at(length);
+            [x - 1.0, z - rise]
+        };
+        let size = |m: [f64; 2]| m[0].hypot(m[1]);
+        let mut p = [(0.3 * WEIGHT * length).ln(), 0.5 * WEIGHT * length];
+        for _ in 0..200 {
+            let m = miss(p);
+            if size(m) <= 1e-13 {
+                return Some(of(p));
+            }
+            let d = 1e-6;
+            let [a, b] = [0, 1].map(|i| {
+                let [mut up, mut down] = [p; 2];
+                up[i] += d;
+                down[i] -= d;
+                let (up, down) = (miss(up), miss(down));
+                [(up[0] - down[0]) / (2.0 * d), (up[1] - down[1]) / (2.0 * d)]
+            });
+            let det = a[0] * b[1] - b[0] * a[1];
+            let step = [(b[1] * m[0] - b[0] * m[1]) / det, (a[0] * m[1] - a[1] * m[0]) / det];
+            let along = |t: f64| [p[0] - t * step[0], p[1] - t * step[1]];
+            let t = (0..40).map(|i| 0.5f64.powi(i)).find(|t| size(miss(along(*t))) < size(m));
+            let Some(t) = t else { return (size(m) <= 1e-11).then(|| of(p)) };
+            p = along(t);
+        }
+        None
+    }
+}
+
+/// Two clamps in line at a share of the length between the middles of their held edges, without weight.
+fn elastica(case: &mut Case, share: f64) -> Outcome {
+    let n = 80;
+    let h = 1.0 / n as f64;
+    let section = Section { ea: 1e6, ei1: 1e-3, ei2: 1e-3, gj: 1e-3, mass_per_length: 0.1 };
+    let rod = Rod::uniform(1.0, n, &section)?;
+    let distance = share * (1.0 - h) + h;
+    let supports = Supports {
+        start: Some(Clamp::new(Vector3::zeros(), Vector3::x(), Vector3::z())),
+        end: Some(Clamp::new(Vector3::x() * distance, Vector3::x(), Vector3::z())),
+        ..Supports::default()
+    };
+    let found = rest(&rod, &supports, &Loads::default(), 0.0, &Search::default())?;
+    let height = found.rest.vertices.iter().map(|x| x.y.hypot(x.z)).fold(0.0, greatest);
+    let expected = elastica_height(1.0 - h, share * (1.0 - h));
+    case.at_most("height", (height - expected).abs(), 4e-4, "m").computed(height);
+    Ok(())
+}
+
+/// Height of the elastica: √m L/K with 2E/K − 1 = D/L.
+fn elastica_height(length: f64, distance: f64) -> f64 {
+    let (mut low, mut high) = (0.0, 0.999);
+    for _ in 0..60 {
+        let m = 0.5 * (low + high);
+        let (k, e) = elliptic(m);
+        if 2.0 * e / k - 1.0 > distance / length { low = m } else { high = m }
+    }
+    low.sqrt() * length / elliptic(low).0
+}
+
+/// Complete elliptic integrals K and E of the parameter m, by the arithmetic-geometric mean.
+fn elliptic(m: f64) -> (f64, f64) {
+    let (mut a, mut b, mut sum, mut power) = (1.0f64, (1.0 - m).sqrt(), 0.5 * m, 0.5);
+    for _ in 0..12 {
+        let c = 0.5 * (a - b);
+        (a, b) = (0.5 * (a + b), (a * b).sqrt());
+        power *= 2.0;
+        sum += power * c * c;
+    }
+    let k = PI / (2.0 * a);
+    (k, k * (1.0 - sum))
+}
+
+/// One metre of a coil of natural curvature k and twist t: a helix of radius k/(k² + t²), at ease.
+fn coil(case: &mut Case, curvature: f64, twist: f64) -> Outcome {
+    let n = 200;
+    let section = Section { ea: 1e4, ei1: 1e-3, ei2: 1e-3, gj: 0.8e-3, mass_per_length: 0.1 };
+    let rod = Rod::uniform(1.0, n, &section)?.naturally([curvature, 0.0], twist);
+    let supports = Supports::clamped_start(Clamp::new(Vector3::zeros(), Vector3::z(), Vector3::x()));
+    let found = rest(&rod, &supports, &Loads::default(), 0.0, &Search::default())?;
+    case.at_most("energy", found.energy.abs(), 1e-20, "J").because("the rest shape has none");
+    let chord = (found.rest.vertices[n] - found.rest.vertices[0]).norm();
+    let rate = curvature.hypot(twist);
+    let expected = (2.0 * curvature / (rate * rate) * (0.5 * rate).sin()).hypot(twist / rate);
+    case.at_most("end to end", (chord - expected).abs(), 5e-3, "m")
+        .computed(chord)
+        .because("the clamp holds the first edge: half a segment of arc and of turn");
+    Ok(())
+}
