@@ -142,7 +142,7 @@ impl ImplicitStep for Spring {
 
 /// A model whose Newton iteration is cut so short that wild steps must be halved.
 fn halving() -> ImplicitModel<Spring> {
-    let options = NewtonOptions { max_iterations: 4, ..NewtonOptions::default() };
+    let options = NewtonOptions::default().with_max_iterations(4);
     ImplicitModel::new(SPRING, 3, 0.1).with_options(options)
 }
 
@@ -226,7 +226,7 @@ fn a_step_that_cannot_be_taken_names_itself() {
     assert!(matches!(error, Error::Refused { step: 4, .. }), "{error}");
     assert!(error.to_string().contains("out of reach"), "{error}");
     assert!(std::error::Error::source(&error).is_none(), "printers of chains would say the reason twice");
-    let options = NewtonOptions { max_iterations: 1, ..NewtonOptions::default() };
+    let options = NewtonOptions::default().with_max_iterations(1);
     let mut model = ImplicitModel::new(SPRING, 10, 0.02).with_options(options);
     let error = model.step(4, &WILD, &mut [0.0; 4]).unwrap_err();
     let Error::NewtonDiverged { step: 4, time, length, .. } = error else { panic!("{error}") };

@@ -103,7 +103,7 @@ fn every_method_gives_the_closed_form_with_the_dense_covariance() {
         let mut observations = set();
         let mut cost = StrongConstraint::without_model(transform.clone(), &mut observations).unwrap();
         let mut minimizer = Minimizer::named(name).unwrap();
-        *minimizer.gradient_tolerance_mut() = 1e-11;
+        minimizer.stopping_mut().gradient_tolerance = 1e-11;
         let mut v = vec![0.0; 5];
         minimizer.minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(())).unwrap();
         close(name, &moved(&v), &increment);
@@ -116,7 +116,7 @@ fn every_method_gives_the_closed_form_with_the_dense_covariance() {
     for inner in [InnerSolver::Primal, InnerSolver::Dual, InnerSolver::Direct] {
         let mut observations = set();
         let mut cost = StrongConstraint::without_model(transform.clone(), &mut observations).unwrap();
-        let options = OuterLoopOptions { inner, inner_tolerance: 1e-12, ..Default::default() };
+        let options = OuterLoopOptions::default().with_inner(inner).with_inner_tolerance(1e-12);
         let mut v = vec![0.0; 5];
         outer_loop(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(())).unwrap();
         close("outer loop", &moved(&v), &increment);

@@ -14,14 +14,12 @@ fn partial(n: usize) -> Forcing {
 }
 
 fn minimize(problem: &mut dyn LeastSquares, v: &mut [f64], inner: InnerSolver) -> Minimum {
-    let options = OuterLoopOptions {
-        inner,
-        gradient_tolerance: 1e-11,
-        inner_tolerance: 1e-10,
-        max_inner: 1000,
-        max_iterations: 500,
-        ..Default::default()
-    };
+    let options = OuterLoopOptions::default()
+        .with_inner(inner)
+        .with_gradient_tolerance(1e-11)
+        .with_inner_tolerance(1e-10)
+        .with_max_inner(1000)
+        .with_max_iterations(500);
     let minimum = outer_loop(problem, v, &options, &mut ignore()).unwrap();
     assert_eq!(minimum.status, Status::Converged, "{inner:?} {minimum:?}");
     minimum
@@ -420,7 +418,7 @@ fn a_state_longer_than_the_control_and_partly_forced() {
 /// model too small to matter, and the strong constraint from there.
 #[test]
 fn states_that_start_at_the_observations_find_the_minimum_that_others_miss() {
-    let options = OuterLoopOptions { max_inner: 1000, max_iterations: 500, ..Default::default() };
+    let options = OuterLoopOptions::default().with_max_inner(1000).with_max_iterations(500);
     for (steps, sigma, wrong) in [(100, 0.01, 1267.0), (200, 0.05, 2287.0)] {
         let (truth, background, mut set) = lorenz63_twin(90, steps, 10);
         let b = Diagonal::uniform(3, 1.0).unwrap();
