@@ -125,6 +125,7 @@ pub use minimize::{
 };
 #[cfg(feature = "argmin")]
 pub use minimize::{ArgminLbfgsOptions, ArgminTrustRegionOptions, argmin_lbfgs, argmin_trust_region};
+pub use noise::ObservationErrors;
 pub use observation::Observation;
 pub use observation_set::ObservationSet;
 pub use operators::{LinearObservation, Selection};

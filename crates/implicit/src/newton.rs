@@ -121,8 +121,14 @@ pub enum NewtonFailure {
         what: &'static str,
     },
     /// The equations refused the guess, or a trusted update.
-    #[error(transparent)]
-    Refused(#[from] Refusal),
+    #[error("{0}")]
+    Refused(Refusal),
+}
+
+impl From<Refusal> for NewtonFailure {
+    fn from(reason: Refusal) -> Self {
+        Self::Refused(reason)
+    }
 }
 
 impl NewtonFailure {

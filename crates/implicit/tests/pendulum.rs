@@ -37,7 +37,7 @@ impl Equations for SpringEquations<'_> {
         let h = at.length;
         let r = u[0].hypot(u[1]);
         if r > self.step.reach {
-            return Err(format!("{r} m is out of reach").into());
+            return Err(Refusal::new(format!("{r} m is out of reach")));
         }
         let (e, k) = ([u[0] / r, u[1] / r], self.step.stiffness);
         let mut phi = 0.5 * k * (r - 1.0).powi(2) + 9.81 * u[1];

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use varda_assimilation::{
     Blue, ControlTransform, CostFunction, EnVar, Error, Gain, InnerSolver, LeastSquares, LinearObservation,
     Minimizer, Observation, ObservationSet, OuterLoopOptions, Posterior, StrongConstraint, outer_loop,
+    predicted_variance,
 };
 use varda_covariance::{Covariance, Dense, Ensemble, Localization};
 use varda_implicit::{Model, Rk4, lorenz::Lorenz63};
@@ -86,6 +87,31 @@ fn close(what: &str, found: &[f64], expected: &[f64]) {
         // Condition numbers of a few hundred; gradients fall by 1e-10.
         assert!((f - e).abs() <= 1e-9 * (1.0 + e.abs()), "{what}: {found:?} {expected:?}");
     }
+}
+
+/// (H B Hᵀ)_ii by dense products, of rows with correlated errors as of one without.
+#[test]
+fn predicted_variances_are_those_of_the_dense_product() {
+    let b = coupled(5, 0.6);
+    let mut set = set();
+    let errors = set.errors().clone();
+    let transform = ControlTransform::new(vec![0.3, -0.2, 0.5, 0.1, -0.6], &b).unwrap();
+    let mut cost = StrongConstraint::without_model(transform, &mut set).unwrap();
+    let n = cost.dim();
+    cost.evaluate(&vec![0.0; n], Some(&mut vec![0.0; n])).unwrap();
+    let found = predicted_variance(&mut cost, &errors).unwrap();
+    let mut h = vec![0.0; 20];
+    operator().into_iter().for_each(|(i, j, value)| h[i * 5 + j] = value);
+    let expected: Vec<f64> = h
+        .chunks_exact(5)
+        .map(|row| {
+            let mut product = vec![0.0; 5];
+            b.apply(row, &mut product);
+            row.iter().zip(&product).map(|(h, p)| h * p).sum()
+        })
+        .collect();
+    close("variance", &found, &expected);
+    assert!(expected.iter().all(|variance| *variance > 0.1), "{expected:?}");
 }
 
 #[test]

@@ -224,12 +224,13 @@ fn ratios_are_one_where_b_and_r_are_right_and_not_where_they_are_wrong() {
             }
             let mut set = ObservationSet::new(0, vec![all_of(n)], seen).unwrap();
             let (values, sigma) = (set.values().to_vec(), set.sigma().to_vec());
+            let errors = set.errors().clone();
             let transform = ControlTransform::new(vec![0.0; n], &b).unwrap();
             let mut cost = StrongConstraint::without_model(transform, &mut set).unwrap();
             let mut v = vec![0.0; n];
             cost.evaluate(&v, Some(&mut vec![0.0; n])).unwrap();
             let at_background = cost.predicted().to_vec();
-            let spread = predicted_variance(&mut cost, &sigma).unwrap();
+            let spread = predicted_variance(&mut cost, &errors).unwrap();
             let minimum = Minimizer::default().minimize(&mut cost, &mut v, &mut quiet).unwrap();
             let found = consistency(&values, &sigma, &at_background, cost.predicted(), &spread, &groups);
             chi2 += 2.0 * minimum.value / 12.0 / 200.0;

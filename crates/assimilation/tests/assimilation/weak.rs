@@ -466,3 +466,27 @@ fn states_that_start_at_the_observations_find_the_minimum_that_others_miss() {
         }
     }
 }
+
+/// A cost over states is not whitened: minimizers with the Hessian say so, those with gradients alone work.
+#[test]
+fn minimizers_with_a_hessian_refuse_a_cost_that_is_not_whitened() {
+    let (b, q) = (coupled(6, 0.5), coupled(6, 0.2));
+    for name in Minimizer::NAMES {
+        let (mut model, background, mut set) = curved_problem();
+        let mut cost =
+            WeakState::new(&mut model, background, &b, &q, Forcing::every_step(6), &mut set).unwrap();
+        let mut v = vec![0.0; cost.dim()];
+        let minimizer = Minimizer::named(name).unwrap().with_stopping(Stopping::new(1e-2, 20));
+        let ended = minimizer.minimize(&mut cost, &mut v, &mut ignore());
+        match *name {
+            "lbfgs" | "adam" | "argmin-lbfgs" => {
+                let minimum = ended.unwrap();
+                assert!(minimum.gradient_norm < minimum.gradient_norm_first, "{name}: {minimum:?}");
+            }
+            _ => assert!(
+                matches!(ended, Err(Error::NotWhitened { minimizer }) if minimizer == *name),
+                "{name}"
+            ),
+        }
+    }
+}
