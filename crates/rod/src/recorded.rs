@@ -62,7 +62,8 @@ impl RecordedMotion {
     /// Rows whose coordinates have independent errors, graduated by third differences (Whittaker 1923):
     ///
     /// ```text
-    /// min Σ_i |y_i − g_i|² + λ Σ_i |h³ g‴_i|²,   h³ g‴_i = g_{i+3} − 3 g_{i+2} + 3 g_{i+1} − g_i
+    /// min Σ_i |y_i − g_i|² + λ Σ_i |h³ g‴_i|²
+    /// h³ g‴_i = g_{i+3} − 3 g_{i+2} + 3 g_{i+1} − g_i
     /// ```
     ///
     /// (divided differences where the rows are not evenly spaced), and a natural cubic spline through the

@@ -33,6 +33,7 @@ mod validate;
 mod validate_algorithm;
 mod validate_covariance;
 mod validate_cycles;
+mod validate_frame;
 mod validate_observations;
 mod validate_rod;
 

@@ -1,7 +1,7 @@
 //! What `[model]` of a rod must satisfy beyond the type of each key.
 
 use super::invalid::{Check, invalid};
-use super::validate_observations::validate_frame;
+use super::validate_frame::validate_frame;
 use super::{Clamp, Motion, RodModel, Section, ShapePoints};
 
 pub(super) fn validate_rod(rod: &RodModel) -> Check {

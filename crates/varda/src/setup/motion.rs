@@ -71,8 +71,8 @@ impl<'a> Motions<'a> {
         let slack = 1e-6 * (last - first).max(to - from);
         if *first > from + slack || *last < to - slack {
             let message = format!(
-                "{label} has rows from {first} to {last} s of the model's clock, and the run needs {from} to {to} s: \
-                 set {path}.motion.time_zero (now {}), the window or report.forecast",
+                "{label} has rows from {first} to {last} s of the model's clock, and the run needs {from} to \
+                 {to} s: set {path}.motion.time_zero (now {}), the window or report.forecast",
                 keys.time_zero
             );
             return Err(self.files.scene.invalid(&key, message));
@@ -93,8 +93,8 @@ impl<'a> Motions<'a> {
         if let Some(Smoothing { sigma, cut_off }) = smooth.smoothing() {
             let whose = if keys.sigma.is_some() { "given" } else { "found in its rows" };
             self.remarks.push(format!(
-                "jitter of the recorded motion {label}: what is faster than {cut_off:.3} Hz, by σ = {sigma:.2e} m \
-                 {whose} ({path}.motion.sigma = 0 follows every row)"
+                "jitter of the recorded motion {label}: what is faster than {cut_off:.3} Hz, by \
+                 σ = {sigma:.2e} m {whose} ({path}.motion.sigma = 0 follows every row)"
             ));
         }
         Ok(smooth)

@@ -127,8 +127,8 @@ impl Held {
             n => format!(" {n} of {} rows are beyond reach.", rows.len()),
         };
         format!(
-            "{} at time {} s is {distance:.4} m from where the rod is held at s = {held:.4} m, and the rod reaches \
-             {reach:.4} m with its strain and {SIGMAS} σ.{others} {}",
+            "{} at time {} s is {distance:.4} m from where the rod is held at s = {held:.4} m, and the rod \
+             reaches {reach:.4} m with its strain and {SIGMAS} σ.{others} {}",
             labels[row.site],
             row.time,
             self.cause(rows, found, row, labels)
