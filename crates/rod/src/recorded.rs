@@ -12,7 +12,8 @@ use crate::{Error, Motion};
 /// Between rows it is a cubic spline with g″ = γ_i at row i,
 ///
 /// ```text
-/// g(t) = a g_i + b g_{i+1} + (h²/6) ((a³ − a) γ_i + (b³ − b) γ_{i+1}),   b = (t − t_i)/h,  a = 1 − b
+/// g(t) = a g_i + b g_{i+1} + (h²/6) ((a³ − a) γ_i + (b³ − b) γ_{i+1})
+/// b = (t − t_i)/h,  a = 1 − b
 /// ```
 ///
 /// where γ = 0 gives straight lines. A table that was measured is noisy, and a line through every row turns
