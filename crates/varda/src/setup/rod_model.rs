@@ -54,8 +54,7 @@ impl RodParts {
         }
         let search = match &model.initial_shape {
             Some(keys) => {
-                let initial_shape = Some(shape(files, "model.initial_shape", keys, &rod)?);
-                Search { initial_shape, ..Search::default() }
+                Search::default().with_initial_shape(shape(files, "model.initial_shape", keys, &rod)?)
             }
             None => Search::default(),
         };
