@@ -100,7 +100,7 @@ fn predicted_variances_are_those_of_the_dense_product() {
     let n = cost.dim();
     cost.evaluate(&vec![0.0; n], Some(&mut vec![0.0; n])).unwrap();
     let found = predicted_variance(&mut cost, &errors).unwrap();
-    let mut h = vec![0.0; 20];
+    let mut h = [0.0; 20];
     operator().into_iter().for_each(|(i, j, value)| h[i * 5 + j] = value);
     let expected: Vec<f64> = h
         .chunks_exact(5)

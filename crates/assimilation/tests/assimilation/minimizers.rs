@@ -60,6 +60,10 @@ impl CostFunction for Valley {
 }
 
 impl LeastSquares for Valley {
+    fn background_dim(&self) -> usize {
+        self.dim()
+    }
+
     fn observation_dim(&self) -> usize {
         2
     }

@@ -37,6 +37,7 @@ const CURLED: f64 = 0.5;
 
 /// What a search for a rod at rest may be told.
 #[derive(Debug, Clone, Default, PartialEq)]
+#[non_exhaustive]
 pub struct Search {
     /// A shape near the one looked for, angles included: it picks the branch where there are several. It is
     /// moved to the places that are held.
@@ -44,6 +45,22 @@ pub struct Search {
     /// The turn \[rad\], right-handed about its tangent, by which the end clamp came to its present director;
     /// more than π counts. Zero: the twist nearest to none.
     pub end_turn: f64,
+}
+
+impl Search {
+    /// The same from another [`initial_shape`](Self::initial_shape).
+    #[must_use]
+    pub fn with_initial_shape(mut self, initial_shape: Rest) -> Self {
+        self.initial_shape = Some(initial_shape);
+        self
+    }
+
+    /// The same with another [`end_turn`](Self::end_turn).
+    #[must_use]
+    pub fn with_end_turn(mut self, end_turn: f64) -> Self {
+        self.end_turn = end_turn;
+        self
+    }
 }
 
 /// What [`rest`] found, and what it cost.

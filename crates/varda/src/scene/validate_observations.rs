@@ -73,11 +73,11 @@ pub(super) fn validate_recording(f: &Recording, rod: &RodModel) -> Check {
             );
         }
     }
-    validate_frame(&f.frame)
+    validate_frame(&f.frame, "observations.frame")
 }
 
-fn validate_frame(frame: &Frame) -> Check {
-    let path = "observations.frame";
+/// A frame at a path.
+pub(super) fn validate_frame(frame: &Frame, path: &str) -> Check {
     match (&frame.rotation, &frame.axis, &frame.angle) {
         (Some(_), Some(_), _) | (Some(_), _, Some(_)) => {
             invalid(format!("{path}.rotation"), "give `rotation`, or `axis` and `angle`")

@@ -274,6 +274,10 @@ impl CostFunction for Wells {
 }
 
 impl LeastSquares for Wells {
+    fn background_dim(&self) -> usize {
+        self.dim()
+    }
+
     fn observation_dim(&self) -> usize {
         0
     }
