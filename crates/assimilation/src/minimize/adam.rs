@@ -1,6 +1,6 @@
 //! Adam, the paper's baseline without a Hessian.
 
-use super::choice::{Method, Uses};
+use super::method::{Method, Uses};
 use super::minimum::{Iteration, Minimum, Progress, Start};
 use super::stopping::{Status, Stopping, setters};
 use crate::{CostFunction, Error, LeastSquares};

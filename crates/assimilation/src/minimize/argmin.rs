@@ -1,6 +1,6 @@
 //! Solvers of the argmin crate behind our costs: to compare with, and to check ours against.
 
-use super::choice::{Method, Uses};
+use super::method::{Method, Uses};
 use super::minimum::{Iteration, Minimum, Progress, Start};
 use super::stopping::{Status, Stopping, at_least_one, setters};
 use crate::cost::norm;

@@ -1,7 +1,7 @@
 //! The trust region, and where it is likely to end in a wrong minimum other starts too.
 
-use super::choice::{Method, Uses};
 use super::continuation::{Stage, WAY, stages};
+use super::method::{Method, Uses};
 use super::minimum::{Iteration, Minimum, Start};
 use super::stopping::{Status, Stopping, setters};
 use super::trust_region::{self, TrustRegionOptions};

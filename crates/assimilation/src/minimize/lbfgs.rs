@@ -1,8 +1,8 @@
 //! Limited-memory BFGS: for costs that have a gradient and nothing else.
 
-use super::choice::{Method, Uses};
 use super::inverse_hessian::InverseHessian;
 use super::line_search::{Conditions, LineSearch, Ray};
+use super::method::{Method, Uses};
 use super::minimum::{Iteration, Minimum, Progress, Start};
 use super::stopping::{Status, Stopping, at_least_one, setters};
 use crate::cost::{dot, norm};

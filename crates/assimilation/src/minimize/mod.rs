@@ -9,6 +9,7 @@ mod continuation;
 mod inverse_hessian;
 mod lbfgs;
 mod line_search;
+mod method;
 mod minimum;
 mod newton;
 mod newton_cg;

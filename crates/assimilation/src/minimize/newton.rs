@@ -1,6 +1,6 @@
 //! The paper's minimizer: Newton's method with the dense Hessian (2.18) and full steps.
 
-use super::choice::{Method, Uses};
+use super::method::{Method, Uses};
 use super::minimum::{Iteration, Minimum, Progress, Start};
 use super::stopping::{Status, Stopping, setters};
 use crate::cost::norm;

@@ -1,7 +1,7 @@
 //! Gauss–Newton with truncated conjugate gradients and a line search.
 
-use super::choice::{Method, Uses};
 use super::line_search::{Conditions, LineSearch, Ray};
+use super::method::{Method, Uses};
 use super::minimum::{Iteration, Minimum, Progress, Start, forcing};
 use super::preconditioner::Preconditioner;
 use super::spectral::Spectral;

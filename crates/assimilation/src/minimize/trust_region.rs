@@ -1,7 +1,7 @@
 //! The default minimizer: a trust region in the control space, on the true J.
 
-use super::choice::{Method, Uses};
 use super::line_search::NOISE;
+use super::method::{Method, Uses};
 use super::minimum::{Iteration, Minimum, Progress, Start, forcing};
 use super::secant::Secant;
 use super::spectral::Spectral;
