@@ -186,3 +186,61 @@ fn between(low: &Sample, high: &Sample, noise: f64) -> f64 {
     };
     low.length + width * if share.is_finite() { share.clamp(0.1, 0.9) } else { 0.5 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// J = ½ v², and no value beyond |v| = 3.
+    fn bowl(v: &[f64], gradient: Option<&mut [f64]>) -> Result<f64, Error> {
+        if v[0].abs() > 3.0 {
+            return Err(Error::NonFinite { what: "the cost", step: 0 });
+        }
+        if let Some(g) = gradient {
+            g[0] = v[0];
+        }
+        Ok(0.5 * v[0] * v[0])
+    }
+
+    /// From v = 1 along −p, `p` times the step to the minimum.
+    fn from_one(conditions: Conditions, p: f64) -> (Option<f64>, LineSearch, [usize; 2]) {
+        let (mut search, mut calls) = (LineSearch::new(1), [0, 0]);
+        let ray = Ray { v: &[1.0], direction: &[-p], value: 0.5, slope: -p, gradient_norm: 1.0, first: 1.0 };
+        let mut cost = |v: &[f64], gradient: Option<&mut [f64]>| {
+            calls[usize::from(gradient.is_some())] += 1;
+            bowl(v, gradient)
+        };
+        (search.run(conditions, &mut cost, &ray), search, calls)
+    }
+
+    #[test]
+    fn a_good_step_is_taken_whole_under_all_conditions() {
+        for (conditions, values) in
+            [(Conditions::FullStep, 0), (Conditions::Armijo, 1), (Conditions::Wolfe, 0)]
+        {
+            let (length, search, calls) = from_one(conditions, 1.0);
+            assert_eq!((length, search.refused, calls), (Some(1.0), 0, [values, 1]), "{conditions:?}");
+            assert_eq!((search.trial[0], search.gradient[0]), (0.0, 0.0), "{conditions:?}");
+        }
+    }
+
+    #[test]
+    fn a_trial_that_fails_is_refused_and_the_search_goes_on() {
+        // v = −7 has no value; at −3 and −1 J is not lower
+        let (length, search, _) = from_one(Conditions::Armijo, 8.0);
+        assert_eq!((length, search.refused), (Some(0.125), 3));
+        assert!(search.failure.is_some());
+        let (length, search, _) = from_one(Conditions::Wolfe, 8.0);
+        let end = search.trial[0];
+        assert!(length.is_some() && 0.5 * end * end < 0.5 && end.abs() <= 0.9 && search.failure.is_some());
+        let (length, search, calls) = from_one(Conditions::FullStep, 8.0);
+        assert_eq!((length, search.refused, calls), (None, 1, [0, 1]));
+    }
+
+    #[test]
+    fn no_step_is_found_uphill() {
+        for conditions in [Conditions::Armijo, Conditions::Wolfe] {
+            assert_eq!(from_one(conditions, -0.5).0, None, "{conditions:?}");
+        }
+    }
+}

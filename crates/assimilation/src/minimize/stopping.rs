@@ -164,3 +164,26 @@ macro_rules! setters {
     };
 }
 pub(crate) use setters;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn converged_is_relative_or_rounding_and_never_infinite() {
+        let stopping = Stopping::new(1e-3, 5);
+        assert!(stopping.is_converged(&[0.0], &[1e-3], 1.0));
+        assert!(!stopping.is_converged(&[0.0], &[1.1e-3], 1.0));
+        // v and ∇J − v have cancelled to the last digits
+        assert!(stopping.is_converged(&[1e15], &[1.0], 0.0) && !stopping.is_converged(&[1.0], &[1e-3], 0.0));
+        for norm in [f64::INFINITY, f64::NAN] {
+            assert!(!stopping.is_converged(&[0.0], &[norm], f64::INFINITY), "{norm}");
+        }
+        let (go_on, stop) = (ControlFlow::Continue(()), ControlFlow::Break(()));
+        let at = |gradient, iterations, flow| stopping.ended(&[0.0], &[gradient], 1.0, iterations, flow);
+        assert_eq!(at(1.0, 4, go_on), None);
+        assert_eq!(at(1.0, 5, go_on), Some(Status::MaxIterations));
+        assert_eq!(at(1.0, 5, stop), Some(Status::Interrupted));
+        assert_eq!(at(0.0, 5, stop), Some(Status::Converged));
+    }
+}
