@@ -145,7 +145,7 @@ fn every_citation_has_an_entry_and_every_entry_is_cited() {
             let entry = entries.iter().find(|entry| {
                 let words: Vec<&str> = entry.split(|c: char| !c.is_alphanumeric()).collect();
                 words.contains(&year.as_str())
-                    && names.iter().all(|n| n.split('–').all(|n| words.contains(&n)))
+                    && names.iter().all(|n| n.split(['–', '-']).all(|n| words.contains(&n)))
             });
             match entry {
                 Some(entry) => drop(cited.insert(entry.clone())),

@@ -43,8 +43,8 @@ fn named(front_page: &str) -> BTreeSet<String> {
 
 /// Whether the lines of a comment have a block of code that rustdoc runs.
 fn runs<'a>(comment: impl Iterator<Item = &'a str>) -> bool {
-    let mut fences =
-        comment.filter_map(|line| line.trim_start_matches(['/', '!']).trim().strip_prefix("```"));
+    let mut fences = comment
+        .filter_map(|line| line.trim_start().trim_start_matches(['/', '!']).trim().strip_prefix("```"));
     // every second fence is the end of a block
     std::iter::from_fn(|| {
         let start = fences.next();
@@ -54,7 +54,8 @@ fn runs<'a>(comment: impl Iterator<Item = &'a str>) -> bool {
     .any(|language| language.is_empty() || language.starts_with("should_panic"))
 }
 
-/// Where an item is defined in a crate, and whether its comment has an example; of a module, any comment in it.
+/// Where an item is defined in a crate, and whether its comment has an example; of a module, any comment in
+/// it.
 fn examples(sources: &[(String, String)], name: &str) -> Vec<(String, bool)> {
     let (module, item) = name.split_once("::").unwrap_or(("", name));
     let mut found = Vec::new();
@@ -72,11 +73,14 @@ fn examples(sources: &[(String, String)], name: &str) -> Vec<(String, bool)> {
         }
         for (i, line) in lines.iter().enumerate() {
             let defines = ["struct", "enum", "trait", "fn"].iter().any(|kind| {
+                // a type may stand indented in a macro, an indented function is a method
+                let line = if *kind == "fn" { line } else { line.trim_start() };
                 let rest = line.strip_prefix(&format!("pub {kind} {item}"));
                 rest.is_some_and(|rest| !rest.starts_with(|c: char| c.is_alphanumeric() || c == '_'))
             });
             if defines {
-                let is_comment = |line: &&&str| line.starts_with("///") || line.starts_with("#[");
+                let is_comment =
+                    |line: &&&str| ["///", "#["].iter().any(|s| line.trim_start().starts_with(s));
                 let first = i - lines[..i].iter().rev().take_while(is_comment).count();
                 found.push((format!("{file}:{}", i + 1), runs(lines[first..i].iter().copied())));
             }

@@ -1,6 +1,6 @@
 //! One checked number, and how many of them are printed.
 
-use crate::suites::{Options, Report};
+use crate::suites::Options;
 use serde::Serialize;
 use std::fmt::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -91,6 +91,25 @@ pub struct Grid {
     pub values: usize,
     /// How many of them a run takes: all, or of a quick run a tenth, at least one.
     pub taken: usize,
+}
+
+/// What a suite gives.
+#[derive(Debug, Default)]
+pub struct Report {
+    /// Its rows.
+    pub rows: Vec<Row>,
+    /// Something to read beside them: a table, remarks.
+    pub text: String,
+    /// The names of its cases, of suite stiff.
+    pub cases: Vec<String>,
+    /// Its grids, of suite stiff.
+    pub grids: Vec<Grid>,
+}
+
+impl From<Vec<Row>> for Report {
+    fn from(rows: Vec<Row>) -> Report {
+        Report { rows, ..Report::default() }
+    }
 }
 
 /// The rows of one suite while they are collected.

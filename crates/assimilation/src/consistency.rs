@@ -1,6 +1,6 @@
 //! Whether B and R are what they should be: statistics of departures.
 
-use crate::{Error, LeastSquares};
+use crate::{Error, LeastSquares, ObservationErrors};
 
 /// Departures of one group of observations, summed, against what B and R promise (Desroziers, Berre, Chapnik
 /// and Poli 2005):
@@ -82,25 +82,31 @@ pub fn consistency(
         .collect()
 }
 
-/// (HMBMᵀHᵀ)_ii = σ_i² ‖Gᵀe_i‖² of every observed value, around the point of the last gradient:
-/// the variance the prior gives to the prediction. Cost: m adjoint sweeps.
+/// (HMBMᵀHᵀ)_ii = ‖Gᵀ R^{1/2}ᵀ e_i‖² of every observed value, around the point of the last
+/// gradient: the variance the prior gives to the prediction, in the unit of the value squared. `errors` are
+/// those of the cost's observations, independent or correlated: G is whitened by them. Cost: m adjoint
+/// sweeps.
 ///
 /// # Errors
 /// Products that fail.
 ///
 /// # Panics
-/// If no gradient has been evaluated, or `sigma` is not of length m.
-pub fn predicted_variance(cost: &mut dyn LeastSquares, sigma: &[f64]) -> Result<Vec<f64>, Error> {
+/// If no gradient has been evaluated, or `errors` is not of m values.
+pub fn predicted_variance(
+    cost: &mut dyn LeastSquares,
+    errors: &ObservationErrors,
+) -> Result<Vec<f64>, Error> {
     let m = cost.observation_dim();
-    assert_eq!(sigma.len(), m, "length of σ");
+    assert_eq!(errors.dim(), m, "number of observed values");
     let mut unit = vec![0.0; m];
     let mut row = vec![0.0; cost.dim()];
     let mut variance = vec![0.0; m];
-    for i in 0..m {
+    for (i, variance) in variance.iter_mut().enumerate() {
+        unit.fill(0.0);
         unit[i] = 1.0;
+        errors.root_transpose(&mut unit);
         cost.jacobian_transpose(&unit, &mut row)?;
-        unit[i] = 0.0;
-        variance[i] = sigma[i] * sigma[i] * crate::cost::dot(&row, &row);
+        *variance = crate::cost::dot(&row, &row);
     }
     Ok(variance)
 }

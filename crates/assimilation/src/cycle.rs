@@ -196,7 +196,8 @@ pub struct CycleErrors {
 /// use varda_implicit::{Model, Rk4, lorenz::Lorenz63};
 ///
 /// // Five windows of ten steps; the first component is seen at the end of each.
-/// let model = |step: usize| -> Box<dyn Model + Send> { Box::new(Rk4::new(Lorenz63::default(), step, 0.01)) };
+/// let lorenz = Lorenz63::default();
+/// let model = |step: usize| -> Box<dyn Model + Send> { Box::new(Rk4::new(lorenz, step, 0.01)) };
 /// let values = [4.2, 11.5, 16.8, 6.6, -1.2];
 /// let observations = |from: usize| {
 ///     let seen = vec![Observation::new(10, vec![0], vec![values[from / 10]], 0.5)];

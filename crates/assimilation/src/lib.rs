@@ -120,11 +120,12 @@ pub use growth::{Assimilate, window_growth};
 pub use inner::{InnerEnd, InnerLimits, conjugate_gradients, restricted_conjugate_gradients};
 pub use minimize::{
     AdamOptions, AutoOptions, InverseHessian, Iteration, LbfgsOptions, Minimizer, Minimum, NewtonCgOptions,
-    NewtonOptions, RawVariables, RitzPair, Status, TrustRegionOptions, adam, auto, continuation, lbfgs,
-    newton, newton_cg, trust_region,
+    NewtonOptions, RawVariables, RitzPair, Status, Stopping, TrustRegionOptions, adam, auto, continuation,
+    lbfgs, newton, newton_cg, trust_region,
 };
 #[cfg(feature = "argmin")]
-pub use minimize::{ArgminOptions, argmin_lbfgs, argmin_trust_region};
+pub use minimize::{ArgminLbfgsOptions, ArgminTrustRegionOptions, argmin_lbfgs, argmin_trust_region};
+pub use noise::ObservationErrors;
 pub use observation::Observation;
 pub use observation_set::ObservationSet;
 pub use operators::{LinearObservation, Selection};

@@ -1,6 +1,6 @@
 //! Observations y of a trajectory, and the operators H that predict them.
 
-use crate::noise::Noise;
+use crate::noise::ObservationErrors;
 use crate::{Error, Observation};
 use std::ops::Range;
 use varda_implicit::{At, ObservationOperator};
@@ -38,7 +38,7 @@ pub struct ObservationSet {
     offsets: Vec<usize>,
     values: Vec<f64>,
     sigma: Vec<f64>,
-    pub(crate) noise: Noise,
+    pub(crate) noise: ObservationErrors,
     /// One operator at one step, ordered by step; the samples of step k are `by_step[k]..by_step[k + 1]`, up
     /// to the last step with one.
     samples: Vec<Sample>,
@@ -174,7 +174,7 @@ impl ObservationSet {
         Ok(Self {
             values: observations.iter().flat_map(|o| o.values.iter().copied()).collect(),
             sigma: observations.iter().flat_map(|o| o.sigma.iter().copied()).collect(),
-            noise: Noise::new(&observations, &offsets)?,
+            noise: ObservationErrors::new(&observations, &offsets)?,
             operators,
             observations,
             times,
@@ -405,6 +405,11 @@ impl ObservationSet {
             }
         }
         r
+    }
+
+    /// R by its square root.
+    pub fn errors(&self) -> &ObservationErrors {
+        &self.noise
     }
 
     /// Whether some observation has correlated errors.

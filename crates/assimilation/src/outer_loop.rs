@@ -1,9 +1,9 @@
 //! The outer loop of incremental methods: linearize, minimize the quadratic, move, repeat.
 
-use crate::cost::norm;
+use crate::cost::{dot, norm};
 use crate::inner::{InnerLimits, conjugate_gradients, restricted_conjugate_gradients};
-use crate::minimize::{at_least_one, check_tolerance};
-use crate::{Error, Iteration, LeastSquares, Minimum, Status};
+use crate::minimize::{Conditions, LineSearch, Progress, Ray, Start, at_least_one, check_tolerance, setters};
+use crate::{Error, Iteration, LeastSquares, Minimum, Status, Stopping};
 use std::ops::ControlFlow;
 
 /// How the inner problem is solved.
@@ -21,7 +21,7 @@ use std::ops::ControlFlow;
 /// # let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut observations)?;
 /// // x₀ and x₂ of Lorenz-63 seen at step 20: `cost` is its strong constraint.
 /// let mut v = vec![0.0; 3];
-/// let options = OuterLoopOptions { inner: InnerSolver::Dual, ..Default::default() };
+/// let options = OuterLoopOptions::default().with_inner(InnerSolver::Dual);
 /// let minimum = outer_loop(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(()))?;
 /// assert_eq!(minimum.status, Status::Converged);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -39,11 +39,10 @@ pub enum InnerSolver {
 
 /// Settings of [`outer_loop`].
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct OuterLoopOptions {
-    /// Converged when the true gradient has fallen to this part of the first.
-    pub gradient_tolerance: f64,
-    /// Outer iterations at most.
-    pub max_iterations: usize,
+    /// When it ends, by the gradient of the true J.
+    pub stopping: Stopping,
     /// How the inner problem is solved.
     pub inner: InnerSolver,
     /// Inner iterations of one outer iteration at most.
@@ -60,8 +59,7 @@ pub struct OuterLoopOptions {
 impl Default for OuterLoopOptions {
     fn default() -> Self {
         Self {
-            gradient_tolerance: 1e-8,
-            max_iterations: 100,
+            stopping: Stopping::within(100),
             inner: InnerSolver::Primal,
             max_inner: 200,
             inner_tolerance: 0.5,
@@ -70,8 +68,12 @@ impl Default for OuterLoopOptions {
     }
 }
 
-/// A predicted decrease below this part of J cannot be seen in J; steps are then judged by the gradient.
-const NOISE: f64 = 1e-11;
+setters!(OuterLoopOptions, stopping, {
+    with_inner: inner: InnerSolver,
+    with_max_inner: max_inner: usize,
+    with_inner_tolerance: inner_tolerance: f64,
+    with_step_control: step_control: bool,
+});
 
 /// Incremental minimization (paper, sections 2.2 and 2.5; Courtier, Thépaut and Hollingsworth 1994;
 /// Gauss–Newton: Lawless et al. 2005):
@@ -129,7 +131,7 @@ const NOISE: f64 = 1e-11;
 /// let seen = Observation::new(0, vec![10, 30], vec![1.44, 0.81], 0.01);
 /// let mut observations = ObservationSet::new(0, vec![Box::new(Square)], vec![seen])?;
 /// let mut cost = StrongConstraint::without_model(transform, &mut observations)?;
-/// let options = OuterLoopOptions { inner: InnerSolver::Dual, ..Default::default() };
+/// let options = OuterLoopOptions::default().with_inner(InnerSolver::Dual);
 /// let mut v = vec![0.0; 50];
 /// let minimum = outer_loop(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(()))?;
 /// assert_eq!(minimum.status, Status::Converged);
@@ -149,51 +151,27 @@ pub fn outer_loop(
     options: &OuterLoopOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    check_tolerance("gradient_tolerance", options.gradient_tolerance)?;
+    options.stopping.check()?;
     check_tolerance("inner_tolerance", options.inner_tolerance)?;
     at_least_one("max_inner", options.max_inner)?;
+    let conditions = if options.step_control { Conditions::Armijo } else { Conditions::FullStep };
     let n = problem.dim();
-    let [mut g, mut g_trial, mut p, mut dv, mut trial, mut b] = std::array::from_fn(|_| vec![0.0; n]);
+    let [mut g, mut p, mut dv, mut b] = std::array::from_fn(|_| vec![0.0; n]);
     let mut d = vec![0.0; problem.observation_dim()];
-    let mut value = problem.linearize(v, &mut g)?;
-    let mut now = Minimum {
-        value,
-        terms: problem.terms(),
-        gradient_norm_first: norm(&g),
-        gradient_norm: norm(&g),
-        outer_iterations: 0,
-        inner_iterations: 0,
-        status: Status::Converged,
-        failure: None,
-        ritz: Vec::new(),
-        inverse_hessian: None,
-    };
-    let (mut step_norm, mut rejected, mut inner) = (0.0, 0, 0);
+    let mut search = LineSearch::new(n);
+    let value = problem.linearize(v, &mut g)?;
+    let mut progress = Progress::at(problem, value, &g, &Start::default())?;
     loop {
-        let here = now.iteration(step_norm, problem.counts(), v);
-        let flow = on_iteration(&Iteration { rejected, inner_iterations: inner, ..here });
+        let flow = progress.tell(problem, v, on_iteration);
         problem.departures(&mut b, &mut d);
-        let pull = b.iter().zip(&g).map(|(b, g)| (g - b) * (g - b)).sum::<f64>().sqrt();
-        let rounding = 64.0 * f64::EPSILON * (norm(&b) + pull);
-        let ended = if now.gradient_norm <= options.gradient_tolerance * now.gradient_norm_first
-            || now.gradient_norm <= rounding
-        {
-            Some(Status::Converged)
-        } else if flow.is_break() {
-            Some(Status::Interrupted)
-        } else if now.outer_iterations >= options.max_iterations {
-            Some(Status::MaxIterations)
-        } else {
-            None
-        };
-        if let Some(status) = ended {
-            return Ok(Minimum { status, failure: None, ..now });
+        if let Some(status) = progress.ended(&b, &g, &options.stopping, flow) {
+            return Ok(progress.end(status, None, Vec::new()));
         }
 
-        let forcing = (now.gradient_norm / now.gradient_norm_first).sqrt();
+        let forcing = (progress.gradient_norm / progress.gradient_norm_first).sqrt();
         let limits =
             InnerLimits { residual: options.inner_tolerance.min(forcing), iterations: options.max_inner };
-        inner = match options.inner {
+        progress.inner = match options.inner {
             InnerSolver::Primal => conjugate_gradients(problem, &g, &limits, &mut p)?.iterations,
             InnerSolver::Dual => restricted_conjugate_gradients(problem, &limits, &mut p)?.iterations,
             InnerSolver::Direct => {
@@ -201,54 +179,32 @@ pub fn outer_loop(
                 0
             }
         };
-        now.inner_iterations += inner;
+        progress.inner_total += progress.inner;
         problem.increment(&p, &mut dv)?;
-        let slope = crate::cost::dot(&g, &p);
 
-        let (mut length, mut blind) = (1.0, 0);
-        rejected = 0;
-        let accepted = loop {
-            trial.iter_mut().zip(v.iter().zip(&dv)).for_each(|(t, (v, dv))| *t = v + length * dv);
-            let by_gradient = -length * slope <= NOISE * value;
-            let falls = match problem.evaluate(&trial, None) {
-                Ok(at) => !options.step_control || by_gradient || at <= value + 1e-4 * length * slope,
-                Err(error) => {
-                    now.failure = Some(error);
-                    false
-                }
-            };
-            if falls {
-                match problem.linearize(&trial, &mut g_trial) {
-                    Ok(at) if !options.step_control || !by_gradient || norm(&g_trial) < now.gradient_norm => {
-                        value = at;
-                        break true;
-                    }
-                    Ok(_) => {}
-                    Err(error) => now.failure = Some(error),
-                }
-            }
-            rejected += 1;
-            blind += usize::from(by_gradient);
-            length *= 0.5;
-            // 2⁻⁴⁰: a descent direction that needs less than 1e-12 of its step is none. Where J
-            // resolves nothing, a gradient that does not fall over 2⁻⁸ of the step is at the accuracy of
-            // the model.
-            if !options.step_control || blind > 8 || rejected > 40 {
-                break false;
-            }
+        let ray = Ray {
+            v,
+            direction: &dv,
+            value: progress.value,
+            slope: dot(&g, &p),
+            gradient_norm: progress.gradient_norm,
+            first: 1.0,
         };
-        if !accepted {
+        search.refused = 0;
+        let mut at = |v: &[f64], gradient: Option<&mut [f64]>| match gradient {
+            None => problem.evaluate(v, None),
+            Some(gradient) => problem.linearize(v, gradient),
+        };
+        let found = search.run(conditions, &mut at, &ray);
+        progress.rejected = search.refused;
+        let Some(length) = found else {
             // The products of the point that is returned.
             problem.linearize(v, &mut g)?;
             let status = if options.step_control { Status::Stalled } else { Status::Failed };
-            return Ok(Minimum { status, ..now });
-        }
-        v.copy_from_slice(&trial);
-        g.copy_from_slice(&g_trial);
-        step_norm = length * norm(&p);
-        now.outer_iterations += 1;
-        now.value = value;
-        now.terms = problem.terms();
-        now.gradient_norm = norm(&g);
+            return Ok(progress.end(status, search.failure, Vec::new()));
+        };
+        v.copy_from_slice(&search.trial);
+        std::mem::swap(&mut g, &mut search.gradient);
+        progress.advance(problem, &g, length * norm(&p), 0.0);
     }
 }

@@ -2,7 +2,7 @@
 //! L-BFGS has learnt.
 
 use crate::cost::{dot, norm};
-use crate::minimize::{at_least_one, eigen};
+use crate::minimize::{at_least_one, eigen, setters};
 use crate::{ControlTransform, Error, InverseHessian, LeastSquares};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -61,6 +61,7 @@ pub struct LowRankPosterior {
 
 /// Settings of [`LowRankPosterior::lanczos`] and [`LowRankPosterior::refined`].
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct LanczosOptions {
     /// Stop when the error bound ‖P_v − A⁻¹‖ is below this (prior variances in v are 1).
     pub tolerance: f64,
@@ -76,6 +77,12 @@ impl Default for LanczosOptions {
         Self { tolerance: 1e-6, max_products: 200, probes: 6 }
     }
 }
+
+setters!(LanczosOptions {
+    with_tolerance: tolerance: f64,
+    with_max_products: max_products: usize,
+    with_probes: probes: usize,
+});
 
 impl LowRankPosterior {
     /// From Lanczos iterations with full re-orthogonalisation, started from a random vector, around the point

@@ -1,9 +1,80 @@
 //! Errors of a step: typed, with numbers, naming the step.
 
-/// Why a step's own equations refuse a state: a fold, a zero edge, a value that is not finite. The typed
-/// error of the crate that defines the step, boxed so that this crate need not know it; get it back with
-/// `downcast_ref`.
-pub type Refusal = Box<dyn std::error::Error + Send + Sync + 'static>;
+/// Why a step's own equations or an observation operator refuse a state: a fold, a zero edge, a value that is
+/// not finite. It holds the typed error of the crate that defines them, which this crate need not know.
+///
+/// Any error becomes a refusal by `?`, and a refusal becomes a `Box<dyn Error>` by `?`; for that it is no
+/// `Error` itself. It derefs to the error it holds: `downcast_ref` gets the typed one back.
+///
+/// ```
+/// use varda_implicit::Refusal;
+///
+/// fn parsed(word: &str) -> Result<f64, Refusal> {
+///     let x: f64 = word.parse()?;
+///     if x > 0.0 { Ok(x) } else { Err(Refusal::new("not positive")) }
+/// }
+///
+/// fn main() -> Result<(), Box<dyn std::error::Error>> {
+///     assert_eq!(parsed("2")?, 2.0);
+///     assert_eq!(parsed("-2").unwrap_err().to_string(), "not positive");
+///     assert!(parsed("two").unwrap_err().downcast_ref::<std::num::ParseFloatError>().is_some());
+///     Ok(())
+/// }
+/// ```
+pub struct Refusal(Box<dyn std::error::Error + Send + Sync>);
+
+impl Refusal {
+    /// From an error, a boxed error, or text.
+    pub fn new(reason: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
+        Self(reason.into())
+    }
+
+    /// The typed error.
+    ///
+    /// # Errors
+    /// The refusal as it was, where it holds another type.
+    pub fn downcast<E: std::error::Error + 'static>(self) -> Result<E, Self> {
+        self.0.downcast().map(|error| *error).map_err(Self)
+    }
+}
+
+impl<E: std::error::Error + Send + Sync + 'static> From<E> for Refusal {
+    fn from(error: E) -> Self {
+        Self(Box::new(error))
+    }
+}
+
+impl From<Refusal> for Box<dyn std::error::Error + Send + Sync> {
+    fn from(refusal: Refusal) -> Self {
+        refusal.0
+    }
+}
+
+impl From<Refusal> for Box<dyn std::error::Error> {
+    fn from(refusal: Refusal) -> Self {
+        refusal.0
+    }
+}
+
+impl std::ops::Deref for Refusal {
+    type Target = dyn std::error::Error + Send + Sync;
+
+    fn deref(&self) -> &Self::Target {
+        &*self.0
+    }
+}
+
+impl std::fmt::Display for Refusal {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl std::fmt::Debug for Refusal {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        self.0.fmt(f)
+    }
+}
 
 /// What can go wrong while a step is taken or linearized.
 #[derive(Debug, thiserror::Error)]

@@ -5,6 +5,7 @@ use varda_linalg::{Factor, LinearSolver, Structure, dot};
 
 /// Limits of the iteration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct NewtonOptions {
     /// Most iterations (linear solves) of one call.
     pub max_iterations: usize,
@@ -15,6 +16,22 @@ pub struct NewtonOptions {
 impl Default for NewtonOptions {
     fn default() -> Self {
         Self { max_iterations: 50, max_backtracks: 30 }
+    }
+}
+
+impl NewtonOptions {
+    /// The same with another [`max_iterations`](Self::max_iterations).
+    #[must_use]
+    pub fn with_max_iterations(mut self, max_iterations: usize) -> Self {
+        self.max_iterations = max_iterations;
+        self
+    }
+
+    /// The same with another [`max_backtracks`](Self::max_backtracks).
+    #[must_use]
+    pub fn with_max_backtracks(mut self, max_backtracks: usize) -> Self {
+        self.max_backtracks = max_backtracks;
+        self
     }
 }
 
@@ -104,8 +121,14 @@ pub enum NewtonFailure {
         what: &'static str,
     },
     /// The equations refused the guess, or a trusted update.
-    #[error(transparent)]
-    Refused(#[from] Refusal),
+    #[error("{0}")]
+    Refused(Refusal),
+}
+
+impl From<Refusal> for NewtonFailure {
+    fn from(reason: Refusal) -> Self {
+        Self::Refused(reason)
+    }
 }
 
 impl NewtonFailure {

@@ -32,7 +32,7 @@ pub struct At {
 ///     }
 ///     fn observe(&mut self, _: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
 ///         if x[1] == 0.0 {
-///             return Err("x₁ is zero".into());
+///             return Err(Refusal::new("x₁ is zero"));
 ///         }
 ///         y[0] = x[0] / x[1];
 ///         Ok(())
@@ -49,7 +49,7 @@ pub struct At {
 /// let mut y = [0.0];
 /// Ratio.observe(At { step: 0, time: 0.0 }, &[3.0, 2.0], &mut y)?;
 /// assert_eq!(y, [1.5]);
-/// # Ok::<(), Refusal>(())
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub trait ObservationOperator {
     /// Number of rows: the length of y.

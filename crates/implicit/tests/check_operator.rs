@@ -31,7 +31,7 @@ impl ObservationOperator for Mutant {
     }
     fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
         if self.is("refusal") {
-            return Err("not today".into());
+            return Err(Refusal::new("not today"));
         }
         self.kept.copy_from_slice(x);
         self.calls += 1;

@@ -37,7 +37,7 @@ impl Equations for SpringEquations<'_> {
         let h = at.length;
         let r = u[0].hypot(u[1]);
         if r > self.step.reach {
-            return Err(format!("{r} m is out of reach").into());
+            return Err(Refusal::new(format!("{r} m is out of reach")));
         }
         let (e, k) = ([u[0] / r, u[1] / r], self.step.stiffness);
         let mut phi = 0.5 * k * (r - 1.0).powi(2) + 9.81 * u[1];
@@ -142,7 +142,7 @@ impl ImplicitStep for Spring {
 
 /// A model whose Newton iteration is cut so short that wild steps must be halved.
 fn halving() -> ImplicitModel<Spring> {
-    let options = NewtonOptions { max_iterations: 4, ..NewtonOptions::default() };
+    let options = NewtonOptions::default().with_max_iterations(4);
     ImplicitModel::new(SPRING, 3, 0.1).with_options(options)
 }
 
@@ -226,7 +226,7 @@ fn a_step_that_cannot_be_taken_names_itself() {
     assert!(matches!(error, Error::Refused { step: 4, .. }), "{error}");
     assert!(error.to_string().contains("out of reach"), "{error}");
     assert!(std::error::Error::source(&error).is_none(), "printers of chains would say the reason twice");
-    let options = NewtonOptions { max_iterations: 1, ..NewtonOptions::default() };
+    let options = NewtonOptions::default().with_max_iterations(1);
     let mut model = ImplicitModel::new(SPRING, 10, 0.02).with_options(options);
     let error = model.step(4, &WILD, &mut [0.0; 4]).unwrap_err();
     let Error::NewtonDiverged { step: 4, time, length, .. } = error else { panic!("{error}") };

@@ -27,7 +27,7 @@ impl Equations for SwingEquations<'_> {
         let x = self.x;
         let h = at.length;
         if h > 0.25 && x[0].abs() > 0.9 {
-            return Err("too far out for so long a step".into());
+            return Err(Refusal::new("too far out for so long a step"));
         }
         g[0] = u[0] - x[0] - h * u[1];
         g[1] = u[1] - x[1] + h * u[0].sin();

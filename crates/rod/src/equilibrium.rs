@@ -100,7 +100,7 @@ pub(crate) fn equilibrium_within(
     system.gather(&mut u);
     let mut statics = Statics::new(system, end_angle, 1e-11 * rod.length());
     let mut work = statics.work_space();
-    let options = NewtonOptions { max_iterations, ..NewtonOptions::default() };
+    let options = NewtonOptions::default().with_max_iterations(max_iterations);
     let solved = solve(&mut statics, &mut u, &mut work, &options);
     done.solves += 1;
     done.iterations += work.report().iterations;

@@ -34,7 +34,7 @@ pub struct Marker {
 /// # Examples
 ///
 /// ```
-/// use varda_implicit::{At, ObservationOperator, Refusal};
+/// use varda_implicit::{At, ObservationOperator};
 /// use varda_rod::{Clamp, Damping, Loads, Marker, Markers, Material, Rod, RodStep, Section};
 /// use varda_rod::{Supports, Vector3};
 ///
@@ -47,7 +47,7 @@ pub struct Marker {
 /// let mut y = [0.0; 3];
 /// markers.observe(At { step: 0, time: 0.0 }, &straight, &mut y)?;
 /// assert!((Vector3::from(y) - Vector3::new(0.05, 0.0, 0.02)).norm() < 1e-15);
-/// # Ok::<(), Refusal>(())
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct Markers {
     system: System,

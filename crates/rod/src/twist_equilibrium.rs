@@ -68,7 +68,7 @@ impl TwistEquilibrium {
             }
         }
         self.statics.end_angle = end_angle;
-        let options = NewtonOptions { max_iterations: 200, ..NewtonOptions::default() };
+        let options = NewtonOptions::default().with_max_iterations(200);
         solve(&mut self.statics, &mut self.u, &mut self.work, &options)
             .map_err(|failure| failure.in_step(&at_rest(t)))?;
         theta.copy_from_slice(&self.u);

@@ -169,8 +169,7 @@ fn a_first_shape_picks_the_branch_and_a_measured_one_is_at_ease() {
     for side in [1.0, -1.0] {
         let bow = |u: f64| Vector3::new(0.8 * u, 0.0, side * 0.3 * (PI * u).sin().powi(2));
         let points: Vec<_> = (0..=12).map(|i| bow(i as f64 / 12.0)).collect();
-        let search =
-            Search { initial_shape: Some(Rest::through(&rod, &points).unwrap()), ..Search::default() };
+        let search = Search::default().with_initial_shape(Rest::through(&rod, &points).unwrap());
         let found = rest(&rod, &supports, &Loads::default(), 0.0, &search).unwrap();
         assert!(found.rest.vertices[20].z * side > 0.1, "{}", found.rest.vertices[20]);
     }
@@ -182,7 +181,7 @@ fn a_first_shape_picks_the_branch_and_a_measured_one_is_at_ease() {
     assert!((shape.vertices[20] - points[2]).norm() <= 1e-12, "{}", shape.vertices[20]);
     let on = shape.vertices[0] - points[0];
     assert!((on.norm() - 0.2).abs() <= 1e-12, "straight on for the rest: {on}");
-    let search = Search { initial_shape: Some(shape), ..Search::default() };
+    let search = Search::default().with_initial_shape(shape);
     let found = rest(&rod, &supports, &Loads::default(), 0.0, &search).unwrap();
     assert!(found.rest.vertices[20].z > 0.1, "{}", found.rest.vertices[20]);
     let helix = |u: f64| Vector3::new(0.1 * (4.0 * u).sin(), 0.1 - 0.1 * (4.0 * u).cos(), 0.3 * u);

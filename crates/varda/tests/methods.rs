@@ -31,6 +31,23 @@ fn gap(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).fold(0.0, |gap, (a, b)| gap.max((a - b).abs()))
 }
 
+/// argmin's L-BFGS, chosen in a scene, comes to the minimum of our own: both gradients are 1e-6 of the first,
+/// and J is quadratic to second order about the minimum.
+#[test]
+fn a_scene_runs_with_the_lbfgs_of_argmin() {
+    let ended = |name: &str| {
+        let minimizer = format!("algorithm.minimizer={name}");
+        let (_, outcome) = run("lorenz96", &[minimizer.as_str(), "algorithm.gradient_tolerance=1e-6"]);
+        assert_eq!(outcome.status, Status::Converged, "{name}");
+        assert_eq!(Summary::new(&outcome).minimizer, name);
+        outcome.analysis
+    };
+    let (ours, theirs) = (ended("lbfgs"), ended("argmin-lbfgs"));
+    assert!((ours.value - theirs.value).abs() <= 1e-8 * ours.value, "{} {}", ours.value, theirs.value);
+    let gap = gap(&ours.analysis, &theirs.analysis);
+    assert!(gap <= 1e-4 * ours.sigma_analysis.iter().fold(0.0, |a: f64, b| a.max(*b)), "{gap}");
+}
+
 #[test]
 fn every_method_runs_by_its_name() {
     for method in Method::ALL {

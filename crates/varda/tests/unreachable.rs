@@ -31,7 +31,10 @@ prior = "clamp"
 kind = "file"
 file = "seen.csv"
 sigma = 0.002
-markers = [ { name = "middle", arc_length = 0.2 }, { name = "tip", arc_length = 0.5, offset = [0.01, 0.0, 0.0] } ]
+markers = [
+  { name = "middle", arc_length = 0.2 },
+  { name = "tip", arc_length = 0.5, offset = [0.01, 0.0, 0.0] },
+]
 "#;
 
 /// Lines of two markers of the hanging rod, ten times; what a test changes of them.

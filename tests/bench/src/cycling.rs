@@ -254,12 +254,11 @@ fn run(network: &Network, case: &Case, seed: u64, mean: &[f64], b: &Dense) -> Re
                 anchors: &anchors,
                 static_part: (static_weight > 0.0).then_some((b as &dyn Covariance, static_weight, 1.0)),
                 update: CycledUpdate::SquareRoot,
-                options: EnVarOptions { max_outer: outer, step_tolerance: 0.05 },
+                options: EnVarOptions::default().with_max_outer(outer).with_step_tolerance(0.05),
             })
         }
     };
-    let minimizer =
-        Minimizer::TrustRegion(TrustRegionOptions { gradient_tolerance: 1e-4, ..Default::default() });
+    let minimizer = Minimizer::TrustRegion(TrustRegionOptions::default().with_gradient_tolerance(1e-4));
     let clock = Instant::now();
     let before = cpu_seconds(clock);
     let cycles = cycle(&cycling, &mut state, &covariance, &minimizer, &mut |_, _| ControlFlow::Continue(()))?;

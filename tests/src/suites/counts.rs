@@ -257,7 +257,7 @@ fn no_derivatives(case: &mut Case) -> Outcome {
     let pure = EnVar::new(&make, background.clone(), ensemble, &mut set, &anchors)?;
     let mixed = EnVar::hybrid(&make, background, &hybrid, &mut again, &anchors)?;
     for (name, mut cost) in [("4denvar", pure), ("hybrid", mixed)] {
-        let options = EnVarOptions { max_outer: 3, step_tolerance: 1e-12 };
+        let options = EnVarOptions::default().with_max_outer(3).with_step_tolerance(1e-12);
         let mut v = vec![0.0; cost.dim()];
         let minimum = cost.minimize(&mut v, &options, &mut |_| ControlFlow::Continue(()))?;
         Posterior::new(&mut cost)?;
@@ -287,7 +287,7 @@ fn no_model(case: &mut Case) -> Outcome {
     let go_on = &mut |_: &Iteration| ControlFlow::Continue(());
     Minimizer::default().minimize(&mut cost, &mut [0.0; 6], go_on)?;
     for inner in [InnerSolver::Primal, InnerSolver::Dual, InnerSolver::Direct] {
-        outer_loop(&mut cost, &mut [0.0; 6], &OuterLoopOptions { inner, ..Default::default() }, go_on)?;
+        outer_loop(&mut cost, &mut [0.0; 6], &OuterLoopOptions::default().with_inner(inner), go_on)?;
     }
     Posterior::new(&mut cost)?;
     let Counts { model_steps, substeps, tangent_steps, adjoint_steps, linearizations, .. } =
@@ -307,7 +307,7 @@ fn no_inverse(case: &mut Case) -> Outcome {
     let transform = ControlTransform::new(background, &b)?;
     let mut cost = StrongConstraint::without_model(transform.clone(), &mut set)?;
     let mut v = vec![0.0; transform.dim()];
-    let options = OuterLoopOptions { inner: InnerSolver::Dual, inner_tolerance: 1e-14, ..Default::default() };
+    let options = OuterLoopOptions::default().with_inner(InnerSolver::Dual).with_inner_tolerance(1e-14);
     outer_loop(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(()))?;
     let mut z = vec![0.0; 5];
     transform.control(&v, &mut z);

@@ -190,7 +190,7 @@ fn differences(case: &mut Case, bent: &Bent) -> Outcome {
         (0..n).map(|i| if i < n - bent.theta.len() { 0.01 } else { 0.1 } * wave(i, 51)).collect();
     let mut energy = |s: &[f64]| {
         let there = bent.moved(&q, s[0]).derivatives();
-        let refused = |e| varda_implicit::Error::Refused { step: 0, reason: Box::new(e) };
+        let refused = |e| varda_implicit::Error::Refused { step: 0, reason: varda_implicit::Refusal::new(e) };
         Ok(there.map_err(refused)?.energy.total())
     };
     let slope: f64 = here.gradient.iter().zip(&q).map(|(g, q)| g * q).sum();

@@ -15,7 +15,8 @@ mod taylor;
 
 use crate::Row;
 
-pub use options::{Options, Report};
+pub use crate::row::Report;
+pub use options::Options;
 
 /// A suite.
 pub struct Suite {

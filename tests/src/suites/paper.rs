@@ -226,7 +226,8 @@ fn experiment(case: usize, conditioned: bool, seed: u64) -> Result<Run, Box<dyn 
     let go_on = &mut |_: &Iteration| ControlFlow::Continue(());
 
     let mut v = vec![0.0; transform.dim()];
-    let newton = Minimizer::Newton(NewtonOptions { gradient_tolerance: 1e-6, max_iterations: 50 });
+    let newton =
+        Minimizer::Newton(NewtonOptions::default().with_gradient_tolerance(1e-6).with_max_iterations(50));
     let mut values = Vec::new();
     let found: Minimum = newton.minimize(&mut cost, &mut v, &mut |at: &Iteration| {
         values.push(at.value);

@@ -81,7 +81,8 @@ fn gradient(case: &mut Case, origin: &[f64], cost: &mut dyn CostFunction) -> Out
         let mut g = vec![0.0; n];
         cost.evaluate(&v, Some(&mut g))?;
         let mut function = |v: &[f64]| {
-            let refused = |e| varda_implicit::Error::Refused { step: 0, reason: Box::new(e) };
+            let refused =
+                |e| varda_implicit::Error::Refused { step: 0, reason: varda_implicit::Refusal::new(e) };
             cost.evaluate(v, None).map_err(refused)
         };
         slope_row(case, what, &check::taylor(&mut function, &g, &v, &direction)?);

@@ -23,7 +23,8 @@ pub struct Rejection {
     pub departure: f64,
     /// √(H B Hᵀ + R), the standard deviation expected of it, in the unit of the value.
     pub expected: f64,
-    /// √(dᵀ (H B Hᵀ + R)⁻¹ d) of all values judged with it (Mahalanobis 1936); |d|/expected of one alone.
+    /// √(dᵀ (H B Hᵀ + R)⁻¹ d) of all values judged with it (Mahalanobis 1936); |d|/expected of one
+    /// alone.
     pub distance: f64,
 }
 
@@ -31,8 +32,8 @@ impl StrongConstraint<'_> {
     /// The background check (Ingleby and Lorenc 1993): the values with |y − H(x_b)| > `limit` √(H B Hᵀ
     /// + R), to be left out with [`ObservationSet::without`]. Costs a gradient at v = 0 and min(n, m) sweeps.
     ///
-    /// The r values of an observation marked [`together`](crate::Observation::together) are judged by
-    /// dᵀ (H B Hᵀ + R)⁻¹ d, which is χ² with r degrees of freedom, and refused whole: as rarely by chance as
+    /// The r values of an observation marked [`together`](crate::Observation::together) are judged by dᵀ (H
+    /// B Hᵀ + R)⁻¹ d, which is χ² with r degrees of freedom, and refused whole: as rarely by chance as
     /// one value beyond `limit`.
     ///
     /// Linear: where the background is so far off that H B Hᵀ says nothing about it, good observations are

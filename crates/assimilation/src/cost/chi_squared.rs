@@ -6,8 +6,8 @@ use std::f64::consts::FRAC_1_SQRT_2;
 /// Beyond this many standard deviations a tail is not told from 0 in double precision.
 const FARTHEST: f64 = 25.0;
 
-/// The length √(dᵀ S⁻¹ d) that r jointly normal values exceed as seldom as one value exceeds `limit` standard
-/// deviations: the root of P(χ²_r > x²) = P(|z| > limit). Beyond 25 σ it grows in proportion.
+/// The length √(dᵀ S⁻¹ d) that r jointly normal values exceed as seldom as one value exceeds `limit`
+/// standard deviations: the root of P(χ²_r > x²) = P(|z| > limit). Beyond 25 σ it grows in proportion.
 ///
 /// The tail by the finite sums of Abramowitz and Stegun (1964), 26.4.4 and 26.4.5, the root by bisection.
 pub(super) fn distance(limit: f64, r: usize) -> f64 {

@@ -127,6 +127,10 @@ impl CostFunction for Dual<'_> {
 
 /// Primal and dual with their parts exchanged: the Hessian is I + G Gᵀ, its "Jacobian" Gᵀ.
 impl LeastSquares for Dual<'_> {
+    fn background_dim(&self) -> usize {
+        self.dim()
+    }
+
     fn observation_dim(&self) -> usize {
         self.b.len()
     }

@@ -514,6 +514,10 @@ impl CostFunction for EnVar<'_> {
 }
 
 impl LeastSquares for EnVar<'_> {
+    fn background_dim(&self) -> usize {
+        self.dim()
+    }
+
     fn observation_dim(&self) -> usize {
         self.observations.dim()
     }

@@ -54,6 +54,9 @@ use varda_linalg::dense::{Cholesky, View, product};
 /// }
 ///
 /// impl LeastSquares for Line {
+///     fn background_dim(&self) -> usize {
+///         1
+///     }
 ///     fn observation_dim(&self) -> usize {
 ///         1
 ///     }
@@ -78,10 +81,9 @@ pub trait LeastSquares: CostFunction {
     /// m, the length of d.
     fn observation_dim(&self) -> usize;
 
-    /// How many leading entries of b belong to the background; the rest is model error.
-    fn background_dim(&self) -> usize {
-        self.dim()
-    }
+    /// How many leading entries of b belong to the background; the rest is model error. `dim` where the model
+    /// is perfect.
+    fn background_dim(&self) -> usize;
 
     /// Makes v the linearized point: returns J(v) and ∇q(0), from one forward run and one adjoint sweep.
     ///

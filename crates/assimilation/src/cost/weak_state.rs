@@ -48,7 +48,8 @@ use varda_implicit::Model;
 /// let background = vec![1.5, 1.7, 20.0];
 /// let mut cost = WeakState::new(&mut model, background, &b, &q, forcing, &mut observations)?;
 /// let mut v = cost.background()?; // x₀ and the states at steps 10 and 20
-/// let minimum = outer_loop(&mut cost, &mut v, &OuterLoopOptions::default(), &mut |_| ControlFlow::Continue(()))?;
+/// let options = OuterLoopOptions::default();
+/// let minimum = outer_loop(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(()))?;
 /// assert_eq!(minimum.status, Status::Converged);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```

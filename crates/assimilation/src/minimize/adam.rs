@@ -1,16 +1,17 @@
 //! Adam, the paper's baseline without a Hessian.
 
-use super::minimum::{Iteration, Minimum, Progress, Start, Status, check_tolerance};
-use crate::{CostFunction, Error};
+use super::method::{Method, Uses};
+use super::minimum::{Iteration, Minimum, Progress, Start};
+use super::stopping::{Status, Stopping, setters};
+use crate::{CostFunction, Error, LeastSquares};
 use std::ops::ControlFlow;
 
 /// Settings of [`adam`].
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct AdamOptions {
-    /// Converged when ‖∇J‖ has fallen to this part of the first.
-    pub gradient_tolerance: f64,
-    /// Steps at most.
-    pub max_iterations: usize,
+    /// When it ends.
+    pub stopping: Stopping,
     /// α, the size of the first steps per component, in the unit of the variable: prior standard deviations
     /// for a control variable.
     pub learning_rate: f64,
@@ -25,8 +26,7 @@ pub struct AdamOptions {
 impl Default for AdamOptions {
     fn default() -> Self {
         Self {
-            gradient_tolerance: 1e-8,
-            max_iterations: 2000,
+            stopping: Stopping::within(2000),
             learning_rate: 0.05,
             beta1: 0.9,
             beta2: 0.999,
@@ -34,6 +34,13 @@ impl Default for AdamOptions {
         }
     }
 }
+
+setters!(AdamOptions, stopping, {
+    with_learning_rate: learning_rate: f64,
+    with_beta1: beta1: f64,
+    with_beta2: beta2: f64,
+    with_epsilon: epsilon: f64,
+});
 
 /// Adam (Kingma and Ba 2014, Algorithm 1; the paper's first minimizer):
 ///
@@ -64,7 +71,7 @@ impl Default for AdamOptions {
 /// # let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut observations)?;
 /// // x₀ and x₂ of Lorenz-63 seen at step 20: `cost` is its strong constraint.
 /// let mut v = vec![0.0; 3];
-/// let options = AdamOptions { max_iterations: 50, ..Default::default() };
+/// let options = AdamOptions::default().with_max_iterations(50);
 /// let minimum = adam(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(()))?;
 /// assert_eq!(minimum.status, Status::MaxIterations); // thousands, as a rule
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -84,7 +91,31 @@ pub fn adam(
     run(cost, v, options, &Start::default(), on_iteration)
 }
 
-pub(super) fn run(
+impl Method for AdamOptions {
+    fn stopping(&self) -> &Stopping {
+        &self.stopping
+    }
+
+    fn stopping_mut(&mut self) -> &mut Stopping {
+        &mut self.stopping
+    }
+
+    fn uses(&self) -> Uses {
+        Uses::Gradients
+    }
+
+    fn run(
+        &self,
+        cost: &mut dyn LeastSquares,
+        v: &mut [f64],
+        start: &Start,
+        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+    ) -> Result<Minimum, Error> {
+        run(cost, v, self, start, on_iteration)
+    }
+}
+
+fn run(
     cost: &mut dyn CostFunction,
     v: &mut [f64],
     options: &AdamOptions,
@@ -92,7 +123,7 @@ pub(super) fn run(
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
     let &AdamOptions { learning_rate, beta1, beta2, epsilon, .. } = options;
-    check_tolerance("gradient_tolerance", options.gradient_tolerance)?;
+    options.stopping.check()?;
     for (what, value, fine) in [
         ("learning_rate", learning_rate, learning_rate > 0.0 && learning_rate.is_finite()),
         ("beta1", beta1, (0.0..1.0).contains(&beta1)),
@@ -108,10 +139,9 @@ pub(super) fn run(
     let mut progress = Progress::start(cost, v, &mut g, start)?;
     let mut best = v.to_vec();
     let mut lowest = progress.value;
-    let last = start.index + options.max_iterations;
     let (mut power1, mut power2) = (1.0, 1.0);
     let (status, failure) = loop {
-        let status = progress.report(cost, v, &g, options.gradient_tolerance, last, on_iteration);
+        let status = progress.report(cost, v, &g, &options.stopping, on_iteration);
         if progress.value < lowest {
             lowest = progress.value;
             best.copy_from_slice(v);

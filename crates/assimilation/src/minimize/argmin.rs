@@ -1,6 +1,8 @@
 //! Solvers of the argmin crate behind our costs: to compare with, and to check ours against.
 
-use super::minimum::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance};
+use super::method::{Method, Uses};
+use super::minimum::{Iteration, Minimum, Progress, Start};
+use super::stopping::{Status, Stopping, at_least_one, setters};
 use crate::cost::norm;
 use crate::{CostFunction, Error, LeastSquares};
 use ::argmin::core::{self as core, IterState, Problem, Solver, State};
@@ -12,33 +14,51 @@ use std::cell::RefCell;
 use std::ops::ControlFlow;
 use std::rc::Rc;
 
-/// Settings of [`argmin_lbfgs`] and [`argmin_trust_region`].
+/// Settings of [`argmin_lbfgs`].
 #[derive(Debug, Clone, PartialEq)]
-pub struct ArgminOptions {
-    /// Converged when ‖∇J‖ has fallen to this part of the first. Our test, made between argmin's
-    /// iterations.
-    pub gradient_tolerance: f64,
-    /// Iterations at most.
-    pub max_iterations: usize,
+#[non_exhaustive]
+pub struct ArgminLbfgsOptions {
+    /// When it ends: our rule, asked between argmin's iterations.
+    pub stopping: Stopping,
+    /// Evaluations at most: argmin's line search has no limit of its own.
+    pub max_evaluations: usize,
+    /// Pairs kept.
+    pub memory: usize,
+}
+
+impl Default for ArgminLbfgsOptions {
+    fn default() -> Self {
+        Self { stopping: Stopping::within(1000), max_evaluations: 20_000, memory: 30 }
+    }
+}
+
+setters!(ArgminLbfgsOptions, stopping, {
+    with_max_evaluations: max_evaluations: usize,
+    with_memory: memory: usize,
+});
+
+/// Settings of [`argmin_trust_region`].
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct ArgminTrustRegionOptions {
+    /// When it ends: our rule, asked between argmin's iterations.
+    pub stopping: Stopping,
     /// Evaluations and products at most: argmin's inner loops have no limit of their own.
     pub max_evaluations: usize,
-    /// Pairs kept by L-BFGS.
-    pub memory: usize,
-    /// Steihaug iterations of one trust-region step at most.
+    /// Steihaug iterations of one step at most.
     pub max_inner: usize,
 }
 
-impl Default for ArgminOptions {
+impl Default for ArgminTrustRegionOptions {
     fn default() -> Self {
-        Self {
-            gradient_tolerance: 1e-8,
-            max_iterations: 1000,
-            max_evaluations: 20_000,
-            memory: 30,
-            max_inner: 100,
-        }
+        Self { stopping: Stopping::within(1000), max_evaluations: 20_000, max_inner: 100 }
     }
 }
+
+setters!(ArgminTrustRegionOptions, stopping, {
+    with_max_evaluations: max_evaluations: usize,
+    with_max_inner: max_inner: usize,
+});
 
 /// argmin's L-BFGS with its Moré–Thuente line search.
 ///
@@ -58,7 +78,7 @@ impl Default for ArgminOptions {
 pub fn argmin_lbfgs(
     cost: &mut dyn CostFunction,
     v: &mut [f64],
-    options: &ArgminOptions,
+    options: &ArgminLbfgsOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
     run_lbfgs(cost, v, options, &Start::default(), on_iteration)
@@ -81,34 +101,90 @@ pub fn argmin_lbfgs(
 pub fn argmin_trust_region(
     cost: &mut dyn LeastSquares,
     v: &mut [f64],
-    options: &ArgminOptions,
+    options: &ArgminTrustRegionOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
     run_trust_region(cost, v, options, &Start::default(), on_iteration)
 }
 
-pub(super) fn run_lbfgs(
+impl Method for ArgminLbfgsOptions {
+    fn stopping(&self) -> &Stopping {
+        &self.stopping
+    }
+
+    fn stopping_mut(&mut self) -> &mut Stopping {
+        &mut self.stopping
+    }
+
+    fn uses(&self) -> Uses {
+        Uses::Gradients
+    }
+
+    fn run(
+        &self,
+        cost: &mut dyn LeastSquares,
+        v: &mut [f64],
+        start: &Start,
+        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+    ) -> Result<Minimum, Error> {
+        run_lbfgs(cost, v, self, start, on_iteration)
+    }
+}
+
+impl Method for ArgminTrustRegionOptions {
+    fn stopping(&self) -> &Stopping {
+        &self.stopping
+    }
+
+    fn stopping_mut(&mut self) -> &mut Stopping {
+        &mut self.stopping
+    }
+
+    fn uses(&self) -> Uses {
+        Uses::Products
+    }
+
+    fn run(
+        &self,
+        cost: &mut dyn LeastSquares,
+        v: &mut [f64],
+        start: &Start,
+        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+    ) -> Result<Minimum, Error> {
+        run_trust_region(cost, v, self, start, on_iteration)
+    }
+}
+
+fn run_lbfgs(
     cost: &mut dyn CostFunction,
     v: &mut [f64],
-    options: &ArgminOptions,
+    options: &ArgminLbfgsOptions,
     start: &Start,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
     at_least_one("memory", options.memory)?;
     let search = MoreThuenteLineSearch::<Vec<f64>, Vec<f64>, f64>::new();
     let solver: LBFGS<_, Vec<f64>, Vec<f64>, f64> = LBFGS::new(search, options.memory);
-    drive::<_, _, ()>(solver, cost, v, options, start, on_iteration)
+    let limits = Limits { stopping: options.stopping, evaluations: options.max_evaluations };
+    drive::<_, _, ()>(solver, cost, v, &limits, start, on_iteration)
 }
 
-pub(super) fn run_trust_region(
+fn run_trust_region(
     cost: &mut dyn LeastSquares,
     v: &mut [f64],
-    options: &ArgminOptions,
+    options: &ArgminTrustRegionOptions,
     start: &Start,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
     let inner = Steihaug::<Vec<f64>, f64>::new().with_max_iters(options.max_inner as u64);
-    drive(TrustRegion::<_, f64>::new(inner), cost, v, options, start, on_iteration)
+    let limits = Limits { stopping: options.stopping, evaluations: options.max_evaluations };
+    drive(TrustRegion::<_, f64>::new(inner), cost, v, &limits, start, on_iteration)
+}
+
+/// What ends a run of argmin's solvers.
+struct Limits {
+    stopping: Stopping,
+    evaluations: usize,
 }
 
 /// Runs argmin's solver one iteration at a time, with our stopping rule and our rows.
@@ -116,7 +192,7 @@ fn drive<'a, C, S, H>(
     mut solver: S,
     cost: &'a mut C,
     v: &mut [f64],
-    options: &ArgminOptions,
+    limits: &Limits,
     start: &Start,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error>
@@ -124,7 +200,7 @@ where
     C: AsCost + ?Sized,
     S: Solver<Adapter<'a, C>, IterState<Vec<f64>, Vec<f64>, (), H, (), f64>>,
 {
-    check_tolerance("gradient_tolerance", options.gradient_tolerance)?;
+    limits.stopping.check()?;
     let mut g = vec![0.0; v.len()];
     let mut progress = Progress::start(cost.as_cost(), v, &mut g, start)?;
     let scale = 1.0 / progress.gradient_norm.max(1.0);
@@ -135,16 +211,15 @@ where
         gradient: Some(g.clone()),
         scale,
         calls: 0,
-        limit: options.max_evaluations,
+        limit: limits.evaluations,
         failure: None,
     }));
     let mut problem = Problem::new(Adapter(Rc::clone(&shared)));
-    let last = start.index + options.max_iterations;
     let mut state = solver.init(&mut problem, IterState::new().param(v.to_vec())).map(|(state, _)| state);
     let status = 'run: loop {
         let status = {
             let cost = &mut *shared.borrow_mut();
-            progress.report(cost.cost.as_cost(), v, &g, options.gradient_tolerance, last, on_iteration)
+            progress.report(cost.cost.as_cost(), v, &g, &limits.stopping, on_iteration)
         };
         if let Some(status) = status {
             break status;

@@ -1,7 +1,9 @@
 //! The trust region, and where it is likely to end in a wrong minimum other starts too.
 
 use super::continuation::{Stage, WAY, stages};
-use super::minimum::{Iteration, Minimum, Start, Status};
+use super::method::{Method, Uses};
+use super::minimum::{Iteration, Minimum, Start};
+use super::stopping::{Status, Stopping, setters};
 use super::trust_region::{self, TrustRegionOptions};
 use crate::{Error, LeastSquares};
 use rand::SeedableRng;
@@ -11,6 +13,7 @@ use std::ops::ControlFlow;
 
 /// Settings of [`auto`].
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct AutoOptions {
     /// Those of every run.
     pub trust_region: TrustRegionOptions,
@@ -38,6 +41,15 @@ impl Default for AutoOptions {
         }
     }
 }
+
+setters!(AutoOptions, trust_region.stopping, {
+    with_trust_region: trust_region: TrustRegionOptions,
+    with_threshold: threshold: f64,
+    with_continuation: continuation: Vec<Vec<f64>>,
+    with_prior_samples: prior_samples: usize,
+    with_restart_threshold: restart_threshold: usize,
+    with_seed: seed: u64,
+});
 
 /// [`trust_region`](crate::trust_region) from the point given, and where that is not to be trusted further
 /// runs until two have come to the same lowest end.
@@ -99,7 +111,31 @@ pub fn auto(
     run(cost, v, options, &Start::default(), on_iteration)
 }
 
-pub(super) fn run(
+impl Method for AutoOptions {
+    fn stopping(&self) -> &Stopping {
+        &self.trust_region.stopping
+    }
+
+    fn stopping_mut(&mut self) -> &mut Stopping {
+        &mut self.trust_region.stopping
+    }
+
+    fn uses(&self) -> Uses {
+        Uses::Products
+    }
+
+    fn run(
+        &self,
+        cost: &mut dyn LeastSquares,
+        v: &mut [f64],
+        start: &Start,
+        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+    ) -> Result<Minimum, Error> {
+        run(cost, v, self, start, on_iteration)
+    }
+}
+
+fn run(
     cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &AutoOptions,
@@ -110,7 +146,7 @@ pub(super) fn run(
         return Err(Error::Setting { what: "threshold", value: options.threshold });
     }
     let last = &options.trust_region;
-    let early = TrustRegionOptions { gradient_tolerance: last.gradient_tolerance.max(WAY), ..last.clone() };
+    let early = last.clone().with_stopping(last.stopping.loosened(WAY));
     let mut minimize = |cost: &mut dyn LeastSquares,
                         v: &mut [f64],
                         stage: Stage,

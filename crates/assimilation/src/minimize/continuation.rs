@@ -1,6 +1,7 @@
 //! Observation-error continuation: for costs with several minima.
 
-use super::minimum::{Iteration, Minimum, Start, Status};
+use super::minimum::{Iteration, Minimum, Start};
+use super::stopping::Status;
 use crate::cost::norm;
 use crate::{Error, LeastSquares};
 use std::ops::ControlFlow;

@@ -1,6 +1,7 @@
-//! What a minimization reports: its iterations, its end, and the stopping rule that all share.
+//! What a minimization reports: its iterations and its end.
 
 use super::inverse_hessian::InverseHessian;
+use super::stopping::{Status, Stopping};
 use crate::cost::norm;
 use crate::{CostFunction, CostTerms, Counts, Error};
 use std::ops::ControlFlow;
@@ -80,25 +81,9 @@ impl Minimum {
     }
 }
 
-/// How a minimization ended. Only `Converged` claims a stationary point; a small step alone never does.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Status {
-    /// ‖∇J‖ ≤ tolerance × ‖∇J‖ at the first point, or ‖∇J‖ is rounding: at most 64 ε
-    /// (‖v‖ + ‖∇J − v‖), its two parts having cancelled to the last digits.
-    Converged,
-    /// Out of iterations.
-    MaxIterations,
-    /// No step decreases J, nor, where the decrease is too small to be measured, the gradient.
-    Stalled,
-    /// The caller asked to stop.
-    Interrupted,
-    /// The model failed where no safeguard was asked for.
-    Failed,
-}
-
 /// Where a run starts in the table of a longer one.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Start {
+pub(crate) struct Start {
     pub(super) index: usize,
     pub(super) inner: usize,
     /// The first ‖∇J‖ where it is not that of the point given.
@@ -113,34 +98,47 @@ impl Default for Start {
 }
 
 /// What a run has come to: the point's numbers and the step that led there.
-pub(super) struct Progress {
-    pub(super) index: usize,
-    pub(super) inner_total: usize,
-    pub(super) scale: f64,
-    pub(super) gradient_norm_first: f64,
-    pub(super) value: f64,
-    pub(super) terms: CostTerms,
-    pub(super) gradient_norm: f64,
-    pub(super) step_norm: f64,
-    pub(super) damping: f64,
-    pub(super) rejected: usize,
-    pub(super) inner: usize,
+pub(crate) struct Progress {
+    /// The index of the first point.
+    from: usize,
+    pub(crate) index: usize,
+    pub(crate) inner_total: usize,
+    pub(crate) scale: f64,
+    pub(crate) gradient_norm_first: f64,
+    pub(crate) value: f64,
+    pub(crate) terms: CostTerms,
+    pub(crate) gradient_norm: f64,
+    pub(crate) step_norm: f64,
+    pub(crate) damping: f64,
+    pub(crate) rejected: usize,
+    pub(crate) inner: usize,
 }
 
 impl Progress {
     /// Evaluates the first point.
-    pub(super) fn start(
+    pub(crate) fn start(
         cost: &mut dyn CostFunction,
         v: &[f64],
         gradient: &mut [f64],
         start: &Start,
     ) -> Result<Self, Error> {
         let value = cost.evaluate(v, Some(gradient))?;
+        Self::at(cost, value, gradient, start)
+    }
+
+    /// From the first point, whose value and gradient are the cost's last evaluation.
+    pub(crate) fn at(
+        cost: &dyn CostFunction,
+        value: f64,
+        gradient: &[f64],
+        start: &Start,
+    ) -> Result<Self, Error> {
         let gradient_norm = norm(gradient);
         if !gradient_norm.is_finite() {
             return Err(Error::NonFinite { what: "the norm of the gradient", step: 0 });
         }
         Ok(Self {
+            from: start.index,
             index: start.index,
             inner_total: start.inner,
             scale: start.scale,
@@ -156,7 +154,7 @@ impl Progress {
     }
 
     /// Takes note of a step to a new point, whose gradient is the cost's last evaluation.
-    pub(super) fn advance(
+    pub(crate) fn advance(
         &mut self,
         cost: &dyn CostFunction,
         gradient: &[f64],
@@ -172,7 +170,7 @@ impl Progress {
     }
 
     /// Takes the numbers of v instead, and leaves its gradient the cost's last evaluation.
-    pub(super) fn here(
+    pub(crate) fn here(
         &mut self,
         cost: &mut dyn CostFunction,
         v: &[f64],
@@ -184,17 +182,14 @@ impl Progress {
         Ok(())
     }
 
-    /// Reports the point, and says whether the run ends there.
-    pub(super) fn report(
+    /// Reports the point to the caller.
+    pub(crate) fn tell(
         &self,
         cost: &dyn CostFunction,
         v: &[f64],
-        gradient: &[f64],
-        tolerance: f64,
-        last: usize,
         on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
-    ) -> Option<Status> {
-        let flow = on_iteration(&Iteration {
+    ) -> ControlFlow<()> {
+        on_iteration(&Iteration {
             index: self.index,
             value: self.value,
             terms: self.terms,
@@ -206,23 +201,33 @@ impl Progress {
             observation_scale: self.scale,
             counts: cost.counts(),
             v,
-        });
-        let pull = v.iter().zip(gradient).map(|(v, g)| (g - v) * (g - v)).sum::<f64>().sqrt();
-        // a norm that overflowed is no larger than another one that did
-        let small = self.gradient_norm <= tolerance * self.gradient_norm_first
-            || self.gradient_norm <= 64.0 * f64::EPSILON * (norm(v) + pull);
-        if small && self.gradient_norm.is_finite() {
-            Some(Status::Converged)
-        } else if flow.is_break() {
-            Some(Status::Interrupted)
-        } else if self.index >= last {
-            Some(Status::MaxIterations)
-        } else {
-            None
-        }
+        })
     }
 
-    pub(super) fn end(self, status: Status, failure: Option<Error>, ritz: Vec<RitzPair>) -> Minimum {
+    /// How the run ends at the point whose whitened departure is b, if it does.
+    pub(crate) fn ended(
+        &self,
+        b: &[f64],
+        gradient: &[f64],
+        stopping: &Stopping,
+        flow: ControlFlow<()>,
+    ) -> Option<Status> {
+        stopping.ended(b, gradient, self.gradient_norm_first, self.index - self.from, flow)
+    }
+
+    /// Reports the point, and says whether the run ends there: for costs whose departure is v.
+    pub(crate) fn report(
+        &self,
+        cost: &dyn CostFunction,
+        v: &[f64],
+        gradient: &[f64],
+        stopping: &Stopping,
+        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+    ) -> Option<Status> {
+        self.ended(v, gradient, stopping, self.tell(cost, v, on_iteration))
+    }
+
+    pub(crate) fn end(self, status: Status, failure: Option<Error>, ritz: Vec<RitzPair>) -> Minimum {
         Minimum {
             value: self.value,
             terms: self.terms,
@@ -238,19 +243,9 @@ impl Progress {
     }
 }
 
-/// A relative tolerance: in [0, 1).
-pub(crate) fn check_tolerance(what: &'static str, value: f64) -> Result<(), Error> {
-    if (0.0..1.0).contains(&value) { Ok(()) } else { Err(Error::Setting { what, value }) }
-}
-
-/// A count that must not be zero.
-pub(crate) fn at_least_one(what: &'static str, value: usize) -> Result<(), Error> {
-    if value > 0 { Ok(()) } else { Err(Error::Setting { what, value: 0.0 }) }
-}
-
 /// How far an inner problem is solved, relative to its gradient: min(½, √(‖g‖/‖g₀‖)), so that
 /// the outer iteration keeps its superlinear rate where the Hessian is exact (Dembo, Eisenstat and Steihaug
 /// 1982).
-pub(super) fn forcing(progress: &Progress) -> f64 {
+pub(crate) fn forcing(progress: &Progress) -> f64 {
     (progress.gradient_norm / progress.gradient_norm_first).sqrt().min(0.5)
 }

@@ -8,6 +8,8 @@ mod choice;
 mod continuation;
 mod inverse_hessian;
 mod lbfgs;
+mod line_search;
+mod method;
 mod minimum;
 mod newton;
 mod newton_cg;
@@ -15,21 +17,25 @@ mod preconditioner;
 mod raw;
 mod secant;
 mod spectral;
+mod stopping;
 mod trust_region;
 
 pub(crate) use spectral::eigen;
 
 pub use adam::{AdamOptions, adam};
 #[cfg(feature = "argmin")]
-pub use argmin::{ArgminOptions, argmin_lbfgs, argmin_trust_region};
+pub use argmin::{ArgminLbfgsOptions, ArgminTrustRegionOptions, argmin_lbfgs, argmin_trust_region};
 pub use auto::{AutoOptions, auto};
 pub use choice::{Minimizer, continuation};
 pub use inverse_hessian::InverseHessian;
 pub use lbfgs::{LbfgsOptions, lbfgs};
-pub use minimum::{Iteration, Minimum, Status};
-pub(crate) use minimum::{at_least_one, check_tolerance};
+pub(crate) use line_search::{Conditions, LineSearch, Ray};
+pub use minimum::{Iteration, Minimum};
+pub(crate) use minimum::{Progress, Start};
 pub use newton::{NewtonOptions, newton};
 pub use newton_cg::{NewtonCgOptions, newton_cg};
 pub use raw::RawVariables;
+pub use stopping::{Status, Stopping};
+pub(crate) use stopping::{at_least_one, check_tolerance, setters};
 pub use trust_region::{TrustRegionOptions, trust_region};
 pub use varda_linalg::krylov::RitzPair;

@@ -1,6 +1,8 @@
 //! The paper's minimizer: Newton's method with the dense Hessian (2.18) and full steps.
 
-use super::minimum::{Iteration, Minimum, Progress, Start, Status, check_tolerance};
+use super::method::{Method, Uses};
+use super::minimum::{Iteration, Minimum, Progress, Start};
+use super::stopping::{Status, Stopping, setters};
 use crate::cost::norm;
 use crate::{Error, LeastSquares};
 use std::ops::ControlFlow;
@@ -8,18 +10,19 @@ use varda_linalg::dense::Cholesky;
 
 /// Settings of [`newton`].
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct NewtonOptions {
-    /// Converged when ‖∇J‖ has fallen to this part of the first.
-    pub gradient_tolerance: f64,
-    /// Steps at most.
-    pub max_iterations: usize,
+    /// When it ends.
+    pub stopping: Stopping,
 }
 
 impl Default for NewtonOptions {
     fn default() -> Self {
-        Self { gradient_tolerance: 1e-8, max_iterations: 50 }
+        Self { stopping: Stopping::within(50) }
     }
 }
+
+setters!(NewtonOptions, stopping, {});
 
 /// The paper's Newton method: v ← v − A⁻¹∇J with the dense Gauss–Newton Hessian A (paper 2.18) by
 /// Cholesky, full steps, no safeguard.
@@ -65,23 +68,46 @@ pub fn newton(
     run(cost, v, options, &Start::default(), on_iteration)
 }
 
-pub(super) fn run(
+impl Method for NewtonOptions {
+    fn stopping(&self) -> &Stopping {
+        &self.stopping
+    }
+
+    fn stopping_mut(&mut self) -> &mut Stopping {
+        &mut self.stopping
+    }
+
+    fn uses(&self) -> Uses {
+        Uses::DenseHessian
+    }
+
+    fn run(
+        &self,
+        cost: &mut dyn LeastSquares,
+        v: &mut [f64],
+        start: &Start,
+        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+    ) -> Result<Minimum, Error> {
+        run(cost, v, self, start, on_iteration)
+    }
+}
+
+fn run(
     cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &NewtonOptions,
     start: &Start,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    check_tolerance("gradient_tolerance", options.gradient_tolerance)?;
+    options.stopping.check()?;
     let n = cost.dim();
     let mut g = vec![0.0; n];
     let mut p = vec![0.0; n];
     let mut hessian = vec![0.0; n * n];
     let mut progress = Progress::start(cost, v, &mut g, start)?;
     let mut best = (progress.value, v.to_vec());
-    let last = start.index + options.max_iterations;
     let (status, failure) = loop {
-        let status = progress.report(cost, v, &g, options.gradient_tolerance, last, on_iteration);
+        let status = progress.report(cost, v, &g, &options.stopping, on_iteration);
         if progress.value < best.0 {
             best = (progress.value, v.to_vec());
         }

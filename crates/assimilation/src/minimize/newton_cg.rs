@@ -1,8 +1,11 @@
 //! Gauss–Newton with truncated conjugate gradients and a line search.
 
-use super::minimum::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance, forcing};
+use super::line_search::{Conditions, LineSearch, Ray};
+use super::method::{Method, Uses};
+use super::minimum::{Iteration, Minimum, Progress, Start, forcing};
 use super::preconditioner::Preconditioner;
 use super::spectral::Spectral;
+use super::stopping::{Status, Stopping, at_least_one, setters};
 use crate::cost::{dot, norm};
 use crate::{Error, LeastSquares};
 use std::ops::ControlFlow;
@@ -10,11 +13,10 @@ use varda_linalg::krylov::{Lanczos, LanczosLimits};
 
 /// Settings of [`newton_cg`].
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct NewtonCgOptions {
-    /// Converged when ‖∇J‖ has fallen to this part of the first.
-    pub gradient_tolerance: f64,
-    /// Outer iterations at most.
-    pub max_iterations: usize,
+    /// When it ends.
+    pub stopping: Stopping,
     /// Inner iterations of one outer iteration at most: products with the Hessian, and vectors kept.
     pub max_inner: usize,
     /// Ritz pairs kept as a preconditioner of the outer iterations that follow; 0 for none.
@@ -23,9 +25,14 @@ pub struct NewtonCgOptions {
 
 impl Default for NewtonCgOptions {
     fn default() -> Self {
-        Self { gradient_tolerance: 1e-8, max_iterations: 100, max_inner: 100, preconditioner_pairs: 0 }
+        Self { stopping: Stopping::within(100), max_inner: 100, preconditioner_pairs: 0 }
     }
 }
+
+setters!(NewtonCgOptions, stopping, {
+    with_max_inner: max_inner: usize,
+    with_preconditioner_pairs: preconditioner_pairs: usize,
+});
 
 /// Gauss–Newton with truncated conjugate gradients: A p = −∇J solved to min(½,
 /// √(‖∇J‖/‖∇J₀‖)) of its right-hand side by Lanczos iteration with full re-orthogonalisation,
@@ -58,7 +65,8 @@ impl Default for NewtonCgOptions {
 /// # let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut observations)?;
 /// // x₀ and x₂ of Lorenz-63 seen at step 20: `cost` is its strong constraint.
 /// let mut v = vec![0.0; 3];
-/// let minimum = newton_cg(&mut cost, &mut v, &NewtonCgOptions::default(), &mut |_| ControlFlow::Continue(()))?;
+/// let options = NewtonCgOptions::default();
+/// let minimum = newton_cg(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(()))?;
 /// assert_eq!(minimum.status, Status::Converged);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -77,25 +85,49 @@ pub fn newton_cg(
     run(cost, v, options, &Start::default(), on_iteration)
 }
 
-pub(super) fn run(
+impl Method for NewtonCgOptions {
+    fn stopping(&self) -> &Stopping {
+        &self.stopping
+    }
+
+    fn stopping_mut(&mut self) -> &mut Stopping {
+        &mut self.stopping
+    }
+
+    fn uses(&self) -> Uses {
+        Uses::Products
+    }
+
+    fn run(
+        &self,
+        cost: &mut dyn LeastSquares,
+        v: &mut [f64],
+        start: &Start,
+        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+    ) -> Result<Minimum, Error> {
+        run(cost, v, self, start, on_iteration)
+    }
+}
+
+fn run(
     cost: &mut dyn LeastSquares,
     v: &mut [f64],
     options: &NewtonCgOptions,
     start: &Start,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    check_tolerance("gradient_tolerance", options.gradient_tolerance)?;
+    options.stopping.check()?;
     at_least_one("max_inner", options.max_inner)?;
     let n = cost.dim();
-    let [mut g, mut g_trial, mut p, mut trial] = std::array::from_fn(|_| vec![0.0; n]);
+    let [mut g, mut p] = std::array::from_fn(|_| vec![0.0; n]);
+    let mut search = LineSearch::new(n);
     let mut lanczos = Lanczos::new(n);
     let mut preconditioner = Preconditioner::new(options.preconditioner_pairs);
     let [mut rhs, mut mapped] = std::array::from_fn(|_| vec![0.0; n]);
     let mut ritz = Vec::new();
     let mut progress = Progress::start(cost, v, &mut g, start)?;
-    let last = start.index + options.max_iterations;
     loop {
-        if let Some(status) = progress.report(cost, v, &g, options.gradient_tolerance, last, on_iteration) {
+        if let Some(status) = progress.report(cost, v, &g, &options.stopping, on_iteration) {
             return Ok(progress.end(status, None, ritz));
         }
         let limits = LanczosLimits {
@@ -124,40 +156,24 @@ pub(super) fn run(
         } else {
             ritz = spectral.pairs();
         }
-        let slope = dot(&g, &p);
-
-        let mut failure = None;
-        let mut length = 1.0;
-        let accepted = loop {
-            trial.iter_mut().zip(v.iter().zip(&p)).for_each(|(t, (v, p))| *t = v + length * p);
-            let by_gradient = -length * slope <= super::trust_region::NOISE * progress.value;
-            match cost.evaluate(&trial, by_gradient.then_some(&mut g_trial[..])) {
-                Ok(value) => {
-                    let accept = if by_gradient {
-                        norm(&g_trial) < progress.gradient_norm
-                    } else {
-                        value <= progress.value + 1e-4 * length * slope
-                    };
-                    if accept
-                        && cost.evaluate(&trial, Some(&mut g_trial)).map_err(|e| failure = Some(e)).is_ok()
-                    {
-                        break true;
-                    }
-                }
-                Err(error) => failure = Some(error),
-            }
-            progress.rejected += 1;
-            length *= 0.5;
-            // 2⁻⁴⁰: a descent direction that needs less than 1e-12 of its step is none.
-            if progress.rejected > 40 || (by_gradient && progress.rejected >= 8) {
-                break false;
-            }
+        let ray = Ray {
+            v,
+            direction: &p,
+            value: progress.value,
+            slope: dot(&g, &p),
+            gradient_norm: progress.gradient_norm,
+            first: 1.0,
         };
-        if !accepted {
-            return Ok(progress.end(Status::Stalled, failure, ritz));
-        }
-        v.copy_from_slice(&trial);
-        g.copy_from_slice(&g_trial);
+        (search.refused, search.failure) = (0, None);
+        let found = search.run(Conditions::Armijo, &mut |v, g| cost.evaluate(v, g), &ray);
+        progress.rejected = search.refused;
+        let Some(length) = found else {
+            // The point of the last gradient is the one returned.
+            cost.evaluate(v, Some(&mut g))?;
+            return Ok(progress.end(Status::Stalled, search.failure, ritz));
+        };
+        v.copy_from_slice(&search.trial);
+        std::mem::swap(&mut g, &mut search.gradient);
         progress.advance(cost, &g, length * norm(&p), 0.0);
     }
 }

@@ -1,8 +1,11 @@
 //! The default minimizer: a trust region in the control space, on the true J.
 
-use super::minimum::{Iteration, Minimum, Progress, Start, Status, at_least_one, check_tolerance, forcing};
+use super::line_search::NOISE;
+use super::method::{Method, Uses};
+use super::minimum::{Iteration, Minimum, Progress, Start, forcing};
 use super::secant::Secant;
 use super::spectral::Spectral;
+use super::stopping::{Status, Stopping, at_least_one, setters};
 use crate::cost::norm;
 use crate::{Error, LeastSquares};
 use rand::SeedableRng;
@@ -10,9 +13,6 @@ use rand::rngs::ChaCha8Rng;
 use std::ops::ControlFlow;
 use varda_linalg::krylov::{Lanczos, LanczosLimits};
 
-/// A predicted decrease below this part of J cannot be seen in J (its trajectory is only as exact as the
-/// model's solver); steps are then judged by the gradient.
-pub(super) const NOISE: f64 = 1e-11;
 /// A convex J that rises along a step rises at half of it by half as much at most: more than this share of
 /// the rise before is a jump.
 const JUMP: f64 = 0.75;
@@ -24,11 +24,10 @@ const RESOLVED: f64 = 1e-9;
 
 /// Settings of [`trust_region`].
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct TrustRegionOptions {
-    /// Converged when ‖∇J‖ has fallen to this part of the first.
-    pub gradient_tolerance: f64,
-    /// Outer iterations at most.
-    pub max_iterations: usize,
+    /// When it ends.
+    pub stopping: Stopping,
     /// First radius, in standard deviations of the prior (the norm of v is the B⁻¹ norm).
     pub initial_radius: f64,
     /// Problems up to this size use the dense Hessian, larger ones Lanczos iterations.
@@ -44,8 +43,7 @@ pub struct TrustRegionOptions {
 impl Default for TrustRegionOptions {
     fn default() -> Self {
         Self {
-            gradient_tolerance: 1e-8,
-            max_iterations: 200,
+            stopping: Stopping::within(200),
             initial_radius: 1.0,
             dense_limit: 100,
             max_inner: 100,
@@ -54,6 +52,14 @@ impl Default for TrustRegionOptions {
         }
     }
 }
+
+setters!(TrustRegionOptions, stopping, {
+    with_initial_radius: initial_radius: f64,
+    with_dense_limit: dense_limit: usize,
+    with_max_inner: max_inner: usize,
+    with_secant_terms: secant_terms: usize,
+    with_jump_retries: jump_retries: usize,
+});
 
 /// Levenberg–Marquardt in trust-region form:
 ///
@@ -122,6 +128,30 @@ pub fn trust_region(
     run(cost, v, options, &Start::default(), on_iteration)
 }
 
+impl Method for TrustRegionOptions {
+    fn stopping(&self) -> &Stopping {
+        &self.stopping
+    }
+
+    fn stopping_mut(&mut self) -> &mut Stopping {
+        &mut self.stopping
+    }
+
+    fn uses(&self) -> Uses {
+        Uses::Products
+    }
+
+    fn run(
+        &self,
+        cost: &mut dyn LeastSquares,
+        v: &mut [f64],
+        start: &Start,
+        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
+    ) -> Result<Minimum, Error> {
+        run(cost, v, self, start, on_iteration)
+    }
+}
+
 pub(super) fn run(
     cost: &mut dyn LeastSquares,
     v: &mut [f64],
@@ -129,7 +159,7 @@ pub(super) fn run(
     start: &Start,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    check_tolerance("gradient_tolerance", options.gradient_tolerance)?;
+    options.stopping.check()?;
     let mut radius = options.initial_radius;
     if !(radius > 0.0 && radius.is_finite()) {
         return Err(Error::Setting { what: "initial_radius", value: radius });
@@ -147,9 +177,8 @@ pub(super) fn run(
     let mut ritz = Vec::new();
     let mut failure = None;
     let mut progress = Progress::start(cost, v, &mut g, start)?;
-    let last = start.index + options.max_iterations;
     loop {
-        if let Some(status) = progress.report(cost, v, &g, options.gradient_tolerance, last, on_iteration) {
+        if let Some(status) = progress.report(cost, v, &g, &options.stopping, on_iteration) {
             return Ok(progress.end(status, None, ritz));
         }
         inner.refresh(cost)?;

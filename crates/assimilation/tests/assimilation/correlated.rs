@@ -8,6 +8,7 @@ use std::sync::Arc;
 use varda_assimilation::{
     Blue, ControlTransform, CostFunction, EnVar, Error, Gain, InnerSolver, LeastSquares, LinearObservation,
     Minimizer, Observation, ObservationSet, OuterLoopOptions, Posterior, StrongConstraint, outer_loop,
+    predicted_variance,
 };
 use varda_covariance::{Covariance, Dense, Ensemble, Localization};
 use varda_implicit::{Model, Rk4, lorenz::Lorenz63};
@@ -88,6 +89,31 @@ fn close(what: &str, found: &[f64], expected: &[f64]) {
     }
 }
 
+/// (H B Hᵀ)_ii by dense products, of rows with correlated errors as of one without.
+#[test]
+fn predicted_variances_are_those_of_the_dense_product() {
+    let b = coupled(5, 0.6);
+    let mut set = set();
+    let errors = set.errors().clone();
+    let transform = ControlTransform::new(vec![0.3, -0.2, 0.5, 0.1, -0.6], &b).unwrap();
+    let mut cost = StrongConstraint::without_model(transform, &mut set).unwrap();
+    let n = cost.dim();
+    cost.evaluate(&vec![0.0; n], Some(&mut vec![0.0; n])).unwrap();
+    let found = predicted_variance(&mut cost, &errors).unwrap();
+    let mut h = [0.0; 20];
+    operator().into_iter().for_each(|(i, j, value)| h[i * 5 + j] = value);
+    let expected: Vec<f64> = h
+        .chunks_exact(5)
+        .map(|row| {
+            let mut product = vec![0.0; 5];
+            b.apply(row, &mut product);
+            row.iter().zip(&product).map(|(h, p)| h * p).sum()
+        })
+        .collect();
+    close("variance", &found, &expected);
+    assert!(expected.iter().all(|variance| *variance > 0.1), "{expected:?}");
+}
+
 #[test]
 fn every_method_gives_the_closed_form_with_the_dense_covariance() {
     let b = coupled(5, 0.6);
@@ -103,7 +129,7 @@ fn every_method_gives_the_closed_form_with_the_dense_covariance() {
         let mut observations = set();
         let mut cost = StrongConstraint::without_model(transform.clone(), &mut observations).unwrap();
         let mut minimizer = Minimizer::named(name).unwrap();
-        *minimizer.gradient_tolerance_mut() = 1e-11;
+        minimizer.stopping_mut().gradient_tolerance = 1e-11;
         let mut v = vec![0.0; 5];
         minimizer.minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(())).unwrap();
         close(name, &moved(&v), &increment);
@@ -116,7 +142,7 @@ fn every_method_gives_the_closed_form_with_the_dense_covariance() {
     for inner in [InnerSolver::Primal, InnerSolver::Dual, InnerSolver::Direct] {
         let mut observations = set();
         let mut cost = StrongConstraint::without_model(transform.clone(), &mut observations).unwrap();
-        let options = OuterLoopOptions { inner, inner_tolerance: 1e-12, ..Default::default() };
+        let options = OuterLoopOptions::default().with_inner(inner).with_inner_tolerance(1e-12);
         let mut v = vec![0.0; 5];
         outer_loop(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(())).unwrap();
         close("outer loop", &moved(&v), &increment);

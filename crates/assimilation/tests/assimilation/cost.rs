@@ -325,7 +325,7 @@ fn a_linear_problem_has_the_closed_form_minimum_and_covariance() {
         Minimizer::default(),
         Minimizer::Newton(NewtonOptions::default()),
         Minimizer::NewtonCg(NewtonCgOptions::default()),
-        Minimizer::TrustRegion(TrustRegionOptions { dense_limit: 0, ..Default::default() }),
+        Minimizer::TrustRegion(TrustRegionOptions::default().with_dense_limit(0)),
     ] {
         let transform = ControlTransform::new(background.clone(), &b).unwrap();
         let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut set).unwrap();

@@ -84,11 +84,9 @@ fn go_on(_: &Cycle, _: &CycleState) -> ControlFlow<()> {
 }
 
 fn exact() -> Minimizer {
-    Minimizer::TrustRegion(TrustRegionOptions {
-        gradient_tolerance: 1e-13,
-        initial_radius: 1e3,
-        ..Default::default()
-    })
+    Minimizer::TrustRegion(
+        TrustRegionOptions::default().with_gradient_tolerance(1e-13).with_initial_radius(1e3),
+    )
 }
 
 fn ensemble<'a>(inflation: f64) -> CycledEnsemble<'a> {

@@ -74,8 +74,7 @@ fn strong(
     let transform = ControlTransform::new(background.to_vec(), b).unwrap();
     let mut cost = StrongConstraint::new(model, transform.clone(), set).unwrap();
     let mut v = vec![0.0; transform.dim()];
-    let options =
-        TrustRegionOptions { gradient_tolerance: 1e-12, initial_radius: 100.0, ..Default::default() };
+    let options = TrustRegionOptions::default().with_gradient_tolerance(1e-12).with_initial_radius(100.0);
     let minimum = trust_region(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(())).unwrap();
     let posterior = Posterior::new(&mut cost).unwrap();
     let mut z = background.to_vec();
@@ -96,10 +95,8 @@ fn a_spanning_ensemble_is_linear_strong_4dvar_and_calls_no_tangent_or_adjoint() 
         let mut v = vec![0.0; cost.dim()];
         cost.set_spread(spread);
         cost.relinearize(&v).unwrap();
-        let minimum =
-            cost.minimize(&mut v, &EnVarOptions { max_outer: 1, ..Default::default() }, &mut |_| {
-                ControlFlow::Continue(())
-            });
+        let minimum = cost
+            .minimize(&mut v, &EnVarOptions::default().with_max_outer(1), &mut |_| ControlFlow::Continue(()));
         let minimum = minimum.unwrap();
         assert_eq!((minimum.status, minimum.outer_iterations), (Status::Converged, 1));
         let mut z = background.clone();
@@ -140,7 +137,7 @@ fn every_minimizer_finds_the_exact_solve() {
     cost.solve(&mut expected).unwrap();
     for minimizer in [
         Minimizer::default(),
-        Minimizer::TrustRegion(TrustRegionOptions { dense_limit: 0, ..Default::default() }),
+        Minimizer::TrustRegion(TrustRegionOptions::default().with_dense_limit(0)),
         Minimizer::NewtonCg(NewtonCgOptions::default()),
         Minimizer::Newton(NewtonOptions::default()),
     ] {
@@ -254,7 +251,7 @@ fn the_bundle_is_the_tangent_and_outer_loops_reach_the_minimum_of_strong_4dvar()
         EnVar::new(&|| Box::new(Rk4::new(Lorenz96(N), 0.03)), background.clone(), &ensemble, &mut set, &[])
             .unwrap();
     cost.set_spread(1e-5);
-    let options = EnVarOptions { max_outer: 60, step_tolerance: 1e-9 };
+    let options = EnVarOptions::default().with_max_outer(60).with_step_tolerance(1e-9);
     let mut v = vec![0.0; cost.dim()];
     cost.relinearize(&v).unwrap();
     let mut values = Vec::new();

@@ -69,14 +69,14 @@ fn every_way(b: &dyn Covariance) -> Vec<(&'static str, Vec<f64>, f64)> {
     };
     let mut cost = StrongConstraint::without_model(transform.clone(), &mut set).unwrap();
     let mut v = vec![0.0; n];
-    let options = TrustRegionOptions { gradient_tolerance: 1e-13, ..Default::default() };
+    let options = TrustRegionOptions::default().with_gradient_tolerance(1e-13);
     let minimum = trust_region(&mut cost, &mut v, &options, &mut ignore()).unwrap();
     found.push(("3D-Var", control(&v), minimum.value));
     for (name, inner) in
         [("incremental", InnerSolver::Primal), ("PSAS", InnerSolver::Dual), ("direct", InnerSolver::Direct)]
     {
         let mut v = vec![0.0; n];
-        let options = OuterLoopOptions { inner, inner_tolerance: 1e-14, ..Default::default() };
+        let options = OuterLoopOptions::default().with_inner(inner).with_inner_tolerance(1e-14);
         let minimum = outer_loop(&mut cost, &mut v, &options, &mut ignore()).unwrap();
         assert_eq!((minimum.status, minimum.outer_iterations), (Status::Converged, 1), "{name}");
         found.push((name, control(&v), minimum.value));
@@ -86,7 +86,7 @@ fn every_way(b: &dyn Covariance) -> Vec<(&'static str, Vec<f64>, f64)> {
     cost.evaluate(&vec![0.0; n], Some(&mut vec![0.0; n])).unwrap();
     let mut dual = Dual::new(&mut cost).unwrap();
     let mut w = vec![0.0; 4];
-    let options = NewtonCgOptions { gradient_tolerance: 1e-13, ..Default::default() };
+    let options = NewtonCgOptions::default().with_gradient_tolerance(1e-13);
     let minimum = newton_cg(&mut dual, &mut w, &options, &mut ignore()).unwrap();
     dual.increment(&w, &mut v).unwrap();
     found.push(("dual (2.12)", control(&v), -minimum.value));
@@ -325,13 +325,13 @@ fn restricted_iterates_lower_the_primal_cost_and_plain_dual_ones_need_not() {
 fn the_same_minimum_of_a_curved_cost_by_every_method() {
     let solve = |cost: &mut StrongConstraint, n: usize| {
         let mut exact = vec![0.0; n];
-        let options = TrustRegionOptions { gradient_tolerance: 1e-11, ..Default::default() };
+        let options = TrustRegionOptions::default().with_gradient_tolerance(1e-11);
         let minimum = trust_region(cost, &mut exact, &options, &mut ignore()).unwrap();
         assert_eq!(minimum.status, Status::Converged);
         let mut table = Vec::new();
         for inner in [InnerSolver::Primal, InnerSolver::Dual, InnerSolver::Direct] {
             let mut v = vec![0.0; n];
-            let options = OuterLoopOptions { inner, gradient_tolerance: 1e-10, ..Default::default() };
+            let options = OuterLoopOptions::default().with_inner(inner).with_gradient_tolerance(1e-10);
             let found = outer_loop(cost, &mut v, &options, &mut ignore()).unwrap();
             assert_eq!(found.status, Status::Converged, "{inner:?} {found:?}");
             assert!((found.value - minimum.value).abs() <= 1e-12 * minimum.value);
@@ -365,12 +365,12 @@ fn step_control_ends_where_full_steps_are_repelled_and_failures_are_reported() {
     let mut set = ObservationSet::new(0, vec![Box::new(Products(2))], vec![seen]).unwrap();
     let transform = ControlTransform::new(vec![1.0, 0.5], &b).unwrap();
     let mut cost = StrongConstraint::without_model(transform, &mut set).unwrap();
-    let full = OuterLoopOptions { step_control: false, ..Default::default() };
+    let full = OuterLoopOptions::default().with_step_control(false);
     let minimum = outer_loop(&mut cost, &mut [0.0; 2], &full, &mut ignore()).unwrap();
     assert_eq!(minimum.status, Status::MaxIterations);
     for inner in [InnerSolver::Primal, InnerSolver::Dual] {
         let mut values = Vec::new();
-        let options = OuterLoopOptions { inner, max_iterations: 500, ..Default::default() };
+        let options = OuterLoopOptions::default().with_inner(inner).with_max_iterations(500);
         let mut v = [0.0; 2];
         let minimum = outer_loop(&mut cost, &mut v, &options, &mut |i| {
             values.push(i.value);
@@ -384,9 +384,9 @@ fn step_control_ends_where_full_steps_are_repelled_and_failures_are_reported() {
     let ended = outer_loop(&mut cost, &mut [0.0; 2], &OuterLoopOptions::default(), stop).unwrap();
     assert_eq!((ended.status, ended.outer_iterations), (Status::Interrupted, 0));
     for options in [
-        OuterLoopOptions { max_inner: 0, ..Default::default() },
-        OuterLoopOptions { inner_tolerance: 1.0, ..Default::default() },
-        OuterLoopOptions { gradient_tolerance: f64::NAN, ..Default::default() },
+        OuterLoopOptions::default().with_max_inner(0),
+        OuterLoopOptions::default().with_inner_tolerance(1.0),
+        OuterLoopOptions::default().with_gradient_tolerance(f64::NAN),
     ] {
         let ended = outer_loop(&mut cost, &mut [0.0; 2], &options, &mut ignore());
         assert!(matches!(ended, Err(Error::Setting { .. })));
@@ -431,16 +431,11 @@ fn on_a_linear_problem_the_inner_cost_is_the_cost() {
     assert!(relative(&at_zero, &g) <= 1e-12);
 
     let mut by = [vec![0.0; 4], vec![0.0; 4]];
-    let options = OuterLoopOptions { inner_tolerance: 1e-13, ..Default::default() };
+    let options = OuterLoopOptions::default().with_inner_tolerance(1e-13);
     let one = outer_loop(&mut cost, &mut by[0], &options, &mut ignore()).unwrap();
     assert_eq!((one.status, one.outer_iterations), (Status::Converged, 1));
-    newton(
-        &mut cost,
-        &mut by[1],
-        &NewtonOptions { gradient_tolerance: 1e-13, ..Default::default() },
-        &mut ignore(),
-    )
-    .unwrap();
+    newton(&mut cost, &mut by[1], &NewtonOptions::default().with_gradient_tolerance(1e-13), &mut ignore())
+        .unwrap();
     assert!(relative(&by[0], &by[1]) <= 1e-10);
     cost.linearize(&[0.0; 4], &mut g).unwrap();
     let mut dual = Dual::new(&mut cost).unwrap();
@@ -460,12 +455,10 @@ fn strong_4dvar_is_the_filter_at_the_end_and_the_smoother_at_the_start() {
     let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut set).unwrap();
     for inner in [InnerSolver::Primal, InnerSolver::Dual] {
         let mut v = vec![0.0; n];
-        let options = OuterLoopOptions {
-            inner,
-            inner_tolerance: 1e-14,
-            gradient_tolerance: 1e-12,
-            ..Default::default()
-        };
+        let options = OuterLoopOptions::default()
+            .with_inner(inner)
+            .with_inner_tolerance(1e-14)
+            .with_gradient_tolerance(1e-12);
         let minimum = outer_loop(&mut cost, &mut v, &options, &mut ignore()).unwrap();
         assert_eq!(minimum.status, Status::Converged);
         assert!(relative(cost.state(0), &smoothed[0].0) <= 1e-9);

@@ -56,16 +56,16 @@ fn check(text: &str, mut model: Option<&mut dyn Model>, minimizer: &Minimizer) {
 fn minimizers() -> Vec<Minimizer> {
     vec![
         Minimizer::default(),
-        Minimizer::TrustRegion(TrustRegionOptions { dense_limit: 0, ..Default::default() }),
-        Minimizer::TrustRegion(TrustRegionOptions { secant_terms: 0, ..Default::default() }),
+        Minimizer::TrustRegion(TrustRegionOptions::default().with_dense_limit(0)),
+        Minimizer::TrustRegion(TrustRegionOptions::default().with_secant_terms(0)),
         Minimizer::NewtonCg(NewtonCgOptions::default()),
-        Minimizer::NewtonCg(NewtonCgOptions { preconditioner_pairs: 100, ..Default::default() }),
+        Minimizer::NewtonCg(NewtonCgOptions::default().with_preconditioner_pairs(100)),
         Minimizer::Auto(AutoOptions::default()),
         Minimizer::Lbfgs(LbfgsOptions::default()),
         #[cfg(feature = "argmin")]
-        Minimizer::ArgminLbfgs(ArgminOptions { gradient_tolerance: 1e-6, ..Default::default() }),
+        Minimizer::ArgminLbfgs(ArgminLbfgsOptions::default().with_gradient_tolerance(1e-6)),
         #[cfg(feature = "argmin")]
-        Minimizer::ArgminTrustRegion(ArgminOptions { gradient_tolerance: 1e-6, ..Default::default() }),
+        Minimizer::ArgminTrustRegion(ArgminTrustRegionOptions::default().with_gradient_tolerance(1e-6)),
     ]
 }
 

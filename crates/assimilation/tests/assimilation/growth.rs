@@ -70,7 +70,7 @@ fn any_method_can_grow() {
         let mut cost = EnVar::new(&make, background.clone(), &ensemble, seen, &[])?;
         cost.set_spread(1e-4);
         cost.relinearize(v)?;
-        let options = EnVarOptions { max_outer: 40, step_tolerance: 1e-6 };
+        let options = EnVarOptions::default().with_max_outer(40).with_step_tolerance(1e-6);
         cost.minimize(v, &options, &mut |_| ControlFlow::Continue(()))
     })
     .unwrap();

@@ -30,8 +30,10 @@ fn trust_region_converges_where_full_gauss_newton_steps_are_repelled() {
     assert!(matches!(newton.status, Status::MaxIterations | Status::Failed), "{newton:?}");
 
     for (dense_limit, secant_terms, most) in [(300, 60, 15), (0, 60, 20), (300, 0, 60)] {
-        let options =
-            TrustRegionOptions { dense_limit, secant_terms, gradient_tolerance: 1e-9, ..Default::default() };
+        let options = TrustRegionOptions::default()
+            .with_dense_limit(dense_limit)
+            .with_secant_terms(secant_terms)
+            .with_gradient_tolerance(1e-9);
         let mut v = vec![0.0; 2];
         let mut values = Vec::new();
         let minimum = trust_region(&mut cost, &mut v, &options, &mut |i| {
@@ -59,7 +61,7 @@ fn learnt_curvature_restores_fast_convergence() {
     let transform = ControlTransform::new(background, &b).unwrap();
     let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
     let mut iterations = |secant_terms| {
-        let options = TrustRegionOptions { secant_terms, ..Default::default() };
+        let options = TrustRegionOptions::default().with_secant_terms(secant_terms);
         let mut v = vec![0.0; 6];
         let minimum = trust_region(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(())).unwrap();
         assert_eq!(minimum.status, Status::Converged, "{minimum:?}");
@@ -79,7 +81,7 @@ fn a_model_that_fails_at_a_trial_point_only_shrinks_the_step() {
     let b = coupled(6, 0.8);
     let transform = ControlTransform::new(background, &b).unwrap();
     let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
-    let options = TrustRegionOptions { initial_radius: 50.0, ..Default::default() };
+    let options = TrustRegionOptions::default().with_initial_radius(50.0);
     let start: Vec<f64> = normals(7, 6).iter().map(|v| 0.5 * v).collect();
     let mut rejected = 0;
     let mut v = start.clone();
@@ -107,8 +109,8 @@ fn interruption_returns_the_point_reached() {
         assert_eq!(cost.evaluate(&v, None).unwrap(), minimum.value);
     }
     for (minimizer, scales) in [
-        (Minimizer::TrustRegion(TrustRegionOptions { initial_radius: 0.0, ..Default::default() }), vec![1.0]),
-        (Minimizer::NewtonCg(NewtonCgOptions { gradient_tolerance: -1.0, ..Default::default() }), vec![1.0]),
+        (Minimizer::TrustRegion(TrustRegionOptions::default().with_initial_radius(0.0)), vec![1.0]),
+        (Minimizer::NewtonCg(NewtonCgOptions::default().with_gradient_tolerance(-1.0)), vec![1.0]),
         (Minimizer::default(), vec![3.0, 0.0, 1.0]),
         (Minimizer::default(), vec![10.0]),
         (Minimizer::default(), vec![]),
@@ -126,7 +128,7 @@ fn ritz_pairs_are_eigenpairs_of_the_hessian() {
     let transform = ControlTransform::new(background, &b).unwrap();
     let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
     // Steps of zero iterations leave the pairs at the first point; one step uses them there.
-    let options = NewtonCgOptions { max_iterations: 1, ..Default::default() };
+    let options = NewtonCgOptions::default().with_max_iterations(1);
     let mut v = vec![0.0; 6];
     let minimum = newton_cg(&mut cost, &mut v, &options, &mut |_| ControlFlow::Continue(())).unwrap();
     cost.evaluate(&[0.0; 6], Some(&mut [0.0; 6])).unwrap();
@@ -187,7 +189,7 @@ fn a_stationary_point_is_reached_at_large_residuals() {
         let transform = ControlTransform::new(background, &b).unwrap();
         let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
         for initial_radius in [0.1, 1.0, 10.0] {
-            let options = TrustRegionOptions { initial_radius, ..Default::default() };
+            let options = TrustRegionOptions::default().with_initial_radius(initial_radius);
             let ignore = &mut |_: &Iteration| ControlFlow::Continue(());
             let minimum = trust_region(&mut cost, &mut [0.0; 3], &options, ignore).unwrap();
             assert_eq!(minimum.status, Status::Converged, "seed {seed}, {initial_radius}: {minimum:?}");

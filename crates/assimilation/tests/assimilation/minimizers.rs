@@ -60,6 +60,10 @@ impl CostFunction for Valley {
 }
 
 impl LeastSquares for Valley {
+    fn background_dim(&self) -> usize {
+        self.dim()
+    }
+
     fn observation_dim(&self) -> usize {
         2
     }
@@ -183,7 +187,7 @@ fn a_failing_model_only_shrinks_the_steps_of_lbfgs() {
 fn all_named() -> Vec<Minimizer> {
     let mut all: Vec<Minimizer> =
         Minimizer::NAMES.iter().map(|name| Minimizer::named(name).unwrap()).collect();
-    all.push(Minimizer::NewtonCg(NewtonCgOptions { preconditioner_pairs: 50, ..Default::default() }));
+    all.push(Minimizer::NewtonCg(NewtonCgOptions::default().with_preconditioner_pairs(50)));
     all
 }
 
@@ -247,10 +251,10 @@ fn every_minimizer_has_a_name_reports_equal_rows_and_is_deterministic() {
 
         let (rows, minimum, _) = run(&minimizer, 1);
         assert_eq!((minimum.status, minimum.outer_iterations, rows.len()), (Status::Interrupted, 1, 2));
-        *minimizer.max_iterations_mut() = 1;
+        minimizer.stopping_mut().max_iterations = 1;
         let (_, minimum, _) = run(&minimizer, usize::MAX);
         assert_eq!(minimum.status, Status::MaxIterations, "{}", minimizer.name());
-        *minimizer.gradient_tolerance_mut() = -1.0;
+        minimizer.stopping_mut().gradient_tolerance = -1.0;
         let (mut model, background, mut set) = curved_problem();
         let transform = ControlTransform::new(background, &b).unwrap();
         let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
@@ -302,7 +306,7 @@ fn adam_works_in_control_variables_and_lags_in_raw_ones() {
     assert!((slope - dot(&g, &d)).abs() <= 1e-10 * slope.abs(), "{slope} {}", dot(&g, &d));
 
     let gap = |cost: &mut dyn CostFunction, learning_rate| {
-        let options = AdamOptions { learning_rate, max_iterations: 600, ..Default::default() };
+        let options = AdamOptions::default().with_learning_rate(learning_rate).with_max_iterations(600);
         adam(cost, &mut [0.0; 40], &options, &mut quiet).unwrap().value / lowest - 1.0
     };
     // Either with its own best learning rate of several.
@@ -336,7 +340,7 @@ fn a_spectral_preconditioner_saves_inner_iterations() {
     let transform = ControlTransform::new(background, &b).unwrap();
     let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
     let mut inner = |preconditioner_pairs| {
-        let options = NewtonCgOptions { preconditioner_pairs, ..Default::default() };
+        let options = NewtonCgOptions::default().with_preconditioner_pairs(preconditioner_pairs);
         let minimum = newton_cg(&mut cost, &mut [0.0; 40], &options, &mut quiet).unwrap();
         assert_eq!(minimum.status, Status::Converged, "{minimum:?}");
         (minimum.outer_iterations, minimum.inner_iterations, minimum.value)
@@ -367,7 +371,7 @@ fn auto_is_never_worse_than_the_trust_region_and_the_same_where_the_background_i
             (minimum.value, cost.counts().gradients - before, v)
         };
         let plain = end(&Minimizer::default());
-        let auto = end(&Minimizer::Auto(AutoOptions { threshold: 1.0, ..Default::default() }));
+        let auto = end(&Minimizer::Auto(AutoOptions::default().with_threshold(1.0)));
         assert!(auto.0 <= plain.0 * (1.0 + 1e-6), "seed {seed}: {} {}", auto.0, plain.0);
         twice += usize::from(auto.1 > plain.1);
         same += usize::from(seed >= 20 && auto == plain);

@@ -241,7 +241,7 @@ impl ObservationOperator for Products {
     }
     fn observe(&mut self, _at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
         if x[0] > 100.0 {
-            return Err("too far".into());
+            return Err(Refusal::new("too far"));
         }
         (y[0], y[1]) = (x[0] * x[0], x[0] * x[1]);
         Ok(())

@@ -43,7 +43,7 @@ fn at_the_minimum(text: &str, check: &mut Check) {
         StrongConstraint::without_model(transform.clone(), &mut set).unwrap()
     };
     let mut v = vec![0.0; n];
-    let options = LbfgsOptions { memory: 200, ..Default::default() };
+    let options = LbfgsOptions::default().with_memory(200);
     let minimum = lbfgs(&mut cost, &mut v, &options, &mut quiet).unwrap();
     assert_eq!(minimum.status, Status::Converged);
     check(&mut cost, &transform, &v, minimum);
@@ -100,7 +100,7 @@ fn check_three_ways(text: &str, runs: &[(f64, usize)], most_products: usize) {
 
         let mut rng = ChaCha8Rng::seed_from_u64(11);
         for &(tolerance, max_products) in runs {
-            let options = LanczosOptions { tolerance, max_products, ..Default::default() };
+            let options = LanczosOptions::default().with_tolerance(tolerance).with_max_products(max_products);
             let lanczos = LowRankPosterior::lanczos(cost, &options, &mut rng).unwrap();
             let bound = lanczos.error_bound().unwrap();
             let found = error(&lanczos, &inverse);
@@ -136,7 +136,7 @@ fn check_three_ways(text: &str, runs: &[(f64, usize)], most_products: usize) {
         assert!(found <= bound && apart(&by_lbfgs) <= bound, "{found} {} {bound}", apart(&by_lbfgs));
 
         let from_lbfgs = |max_products, tolerance, rng: &mut ChaCha8Rng, cost: &mut dyn LeastSquares| {
-            let options = LanczosOptions { tolerance, max_products, ..Default::default() };
+            let options = LanczosOptions::default().with_tolerance(tolerance).with_max_products(max_products);
             let refined = LowRankPosterior::refined(&known, cost, &options, rng).unwrap();
             let (found, bound) = (error(&refined, &inverse), refined.error_bound().unwrap());
             // All 40 and 6 probes; of 100 the 25 that were seen, found twice at worst.
@@ -224,12 +224,13 @@ fn ratios_are_one_where_b_and_r_are_right_and_not_where_they_are_wrong() {
             }
             let mut set = ObservationSet::new(0, vec![all_of(n)], seen).unwrap();
             let (values, sigma) = (set.values().to_vec(), set.sigma().to_vec());
+            let errors = set.errors().clone();
             let transform = ControlTransform::new(vec![0.0; n], &b).unwrap();
             let mut cost = StrongConstraint::without_model(transform, &mut set).unwrap();
             let mut v = vec![0.0; n];
             cost.evaluate(&v, Some(&mut vec![0.0; n])).unwrap();
             let at_background = cost.predicted().to_vec();
-            let spread = predicted_variance(&mut cost, &sigma).unwrap();
+            let spread = predicted_variance(&mut cost, &errors).unwrap();
             let minimum = Minimizer::default().minimize(&mut cost, &mut v, &mut quiet).unwrap();
             let found = consistency(&values, &sigma, &at_background, cost.predicted(), &spread, &groups);
             chi2 += 2.0 * minimum.value / 12.0 / 200.0;

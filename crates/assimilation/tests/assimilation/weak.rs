@@ -14,14 +14,12 @@ fn partial(n: usize) -> Forcing {
 }
 
 fn minimize(problem: &mut dyn LeastSquares, v: &mut [f64], inner: InnerSolver) -> Minimum {
-    let options = OuterLoopOptions {
-        inner,
-        gradient_tolerance: 1e-11,
-        inner_tolerance: 1e-10,
-        max_inner: 1000,
-        max_iterations: 500,
-        ..Default::default()
-    };
+    let options = OuterLoopOptions::default()
+        .with_inner(inner)
+        .with_gradient_tolerance(1e-11)
+        .with_inner_tolerance(1e-10)
+        .with_max_inner(1000)
+        .with_max_iterations(500);
     let minimum = outer_loop(problem, v, &options, &mut ignore()).unwrap();
     assert_eq!(minimum.status, Status::Converged, "{inner:?} {minimum:?}");
     minimum
@@ -420,7 +418,7 @@ fn a_state_longer_than_the_control_and_partly_forced() {
 /// model too small to matter, and the strong constraint from there.
 #[test]
 fn states_that_start_at_the_observations_find_the_minimum_that_others_miss() {
-    let options = OuterLoopOptions { max_inner: 1000, max_iterations: 500, ..Default::default() };
+    let options = OuterLoopOptions::default().with_max_inner(1000).with_max_iterations(500);
     for (steps, sigma, wrong) in [(100, 0.01, 1267.0), (200, 0.05, 2287.0)] {
         let (truth, background, mut set) = lorenz63_twin(90, steps, 10);
         let b = Diagonal::uniform(3, 1.0).unwrap();
@@ -465,6 +463,30 @@ fn states_that_start_at_the_observations_find_the_minimum_that_others_miss() {
             let led = strong(x[..3].iter().zip(&background).map(|(x, b)| x - b).collect());
             assert!((led - right).abs() <= 1e-8 * right, "{led} {right}");
             assert!(strong(vec![0.0; 3]) > wrong);
+        }
+    }
+}
+
+/// A cost over states is not whitened: minimizers with the Hessian say so, those with gradients alone work.
+#[test]
+fn minimizers_with_a_hessian_refuse_a_cost_that_is_not_whitened() {
+    let (b, q) = (coupled(6, 0.5), coupled(6, 0.2));
+    for name in Minimizer::NAMES {
+        let (mut model, background, mut set) = curved_problem();
+        let mut cost =
+            WeakState::new(&mut model, background, &b, &q, Forcing::every_step(6), &mut set).unwrap();
+        let mut v = vec![0.0; cost.dim()];
+        let minimizer = Minimizer::named(name).unwrap().with_stopping(Stopping::new(1e-2, 20));
+        let ended = minimizer.minimize(&mut cost, &mut v, &mut ignore());
+        match *name {
+            "lbfgs" | "adam" | "argmin-lbfgs" => {
+                let minimum = ended.unwrap();
+                assert!(minimum.gradient_norm < minimum.gradient_norm_first, "{name}: {minimum:?}");
+            }
+            _ => assert!(
+                matches!(ended, Err(Error::NotWhitened { minimizer }) if minimizer == *name),
+                "{name}"
+            ),
         }
     }
 }

@@ -37,6 +37,7 @@ const CURLED: f64 = 0.5;
 
 /// What a search for a rod at rest may be told.
 #[derive(Debug, Clone, Default, PartialEq)]
+#[non_exhaustive]
 pub struct Search {
     /// A shape near the one looked for, angles included: it picks the branch where there are several. It is
     /// moved to the places that are held.
@@ -44,6 +45,22 @@ pub struct Search {
     /// The turn \[rad\], right-handed about its tangent, by which the end clamp came to its present director;
     /// more than π counts. Zero: the twist nearest to none.
     pub end_turn: f64,
+}
+
+impl Search {
+    /// The same from another [`initial_shape`](Self::initial_shape).
+    #[must_use]
+    pub fn with_initial_shape(mut self, initial_shape: Rest) -> Self {
+        self.initial_shape = Some(initial_shape);
+        self
+    }
+
+    /// The same with another [`end_turn`](Self::end_turn).
+    #[must_use]
+    pub fn with_end_turn(mut self, end_turn: f64) -> Self {
+        self.end_turn = end_turn;
+        self
+    }
 }
 
 /// What [`rest`] found, and what it cost.
@@ -74,8 +91,8 @@ pub struct Found {
 /// 1. A clamped rod with a free end starts as [`straight_guess`](crate::straight_guess) lays it; one whose
 ///    natural curvature turns by more than half a radian starts from its rest shape without loads, which then
 ///    grow.
-/// 2. Between held places a catenary (a cable: weight × L³ > 50 EI) or a bow (a beam) of the right length is
-///    laid, with clamps along its chord and no natural strain. A rod much stiffer in stretch than in
+/// 2. Between held places a catenary (a cable: weight × L³ > 50 EI) or a bow (a beam) of the right length
+///    is laid, with clamps along its chord and no natural strain. A rod much stiffer in stretch than in
 ///    everything else comes to rest first with less of that stiffness, which then grows tenfold a stage.
 /// 3. Clamps, director, the turn of the end and natural strains go to their values together, in stages that
 ///    are halved where Newton's method fails.
@@ -119,7 +136,7 @@ pub fn rest(
     let mut way =
         Way { rod, supports, loads, t, held, end_turn: search.end_turn, twist: 1.0, work: Work::default() };
     let found = if let Some(shape) = &search.initial_shape {
-        way.from_shape(shape)
+        way.starting_at(shape)
     } else if way.held.spans() {
         way.between().or_else(|failure| {
             // half a turn of twist at one vertex hides its bend from the energy: a way on which twist costs
@@ -222,7 +239,7 @@ impl Way<'_> {
 
     /// A shape that was given, moved to the places that are held: as it is, or first with less stretching
     /// stiffness.
-    fn from_shape(&mut self, shape: &Rest) -> Solved {
+    fn starting_at(&mut self, shape: &Rest) -> Solved {
         let mut shape = shape.clone();
         let s = self.rod.arc_lengths();
         let off: Vec<_> =

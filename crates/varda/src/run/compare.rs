@@ -144,7 +144,7 @@ pub fn compare(
             }
         }
         let minimizers: &[Minimizer] =
-            if method.takes_minimizer() { &Minimizer::ALL } else { &[Minimizer::Auto] };
+            if method.takes_minimizer() { Minimizer::ALL } else { &[Minimizer::Auto] };
         for &minimizer in minimizers {
             if interrupted() {
                 break;
@@ -153,7 +153,7 @@ pub fn compare(
             let unknowns = problem.control_dim() * (1 + every.map_or(0, |e| file.scene.time.window / e));
             file.scene.algorithm.minimizer = minimizer;
             let blank = Compared::blank(method, file.scene.algorithm.solver_name().to_string());
-            if method.is_weak() && minimizer == Minimizer::Newton && unknowns > MOST_DENSE {
+            if method.is_weak() && minimizer.settings().is_dense() && unknowns > MOST_DENSE {
                 let reason = format!("a dense Hessian of {unknowns} unknowns would take too long");
                 add(Compared { status: "left_out", reason, ..blank });
             } else {

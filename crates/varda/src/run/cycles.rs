@@ -165,7 +165,7 @@ impl Sequence {
                         }
                     },
                     // A step of 0.05 standard deviations is below what members resolve.
-                    options: EnVarOptions { max_outer, step_tolerance: 0.05 },
+                    options: EnVarOptions::default().with_max_outer(max_outer).with_step_tolerance(0.05),
                 })
             }
             _ => CycledCovariance::Static(b),

@@ -114,10 +114,31 @@ impl Method {
     }
 }
 
-/// A minimizer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Minimizer {
+/// The enumeration of minimizers: each is the variant of the same name of `varda_assimilation::Minimizer`.
+macro_rules! minimizers {
+    ($($(#[$attribute:meta])* $variant:ident,)*) => {
+        /// A minimizer.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+        #[serde(rename_all = "kebab-case")]
+        pub enum Minimizer {
+            $($(#[$attribute])* $variant,)*
+        }
+
+        impl Minimizer {
+            /// All of them.
+            pub const ALL: &[Minimizer] = &[$(Minimizer::$variant,)*];
+
+            /// The library's minimizer, with its default settings.
+            pub fn settings(self) -> varda_assimilation::Minimizer {
+                match self {
+                    $(Minimizer::$variant => varda_assimilation::Minimizer::$variant(Default::default()),)*
+                }
+            }
+        }
+    };
+}
+
+minimizers! {
     /// The default: the trust region, and further runs of it if one is not to be trusted. One run is enough
     /// if it converges and J_o ≤ 10 m at the background (m observed values). Otherwise the trust region
     /// starts again through enlarged σ (× 10, 3, 1 and × 16, 8, 4, 2, 1) and from up to six draws of the
@@ -129,7 +150,8 @@ pub enum Minimizer {
     /// The paper's Newton: dense Gauss–Newton Hessian (2.18), full steps. May diverge.
     Newton,
     /// Gauss–Newton with truncated conjugate gradients.
-    GaussNewtonCg,
+    #[serde(rename = "gauss-newton-cg")]
+    NewtonCg,
     /// Limited-memory BFGS: gradients only.
     Lbfgs,
     /// Adam, the paper's other minimizer: gradients only, slow.
@@ -141,29 +163,27 @@ pub enum Minimizer {
 }
 
 impl Minimizer {
-    /// All of them.
-    pub const ALL: [Minimizer; 8] = [
-        Minimizer::Auto,
-        Minimizer::TrustRegion,
-        Minimizer::Newton,
-        Minimizer::GaussNewtonCg,
-        Minimizer::Lbfgs,
-        Minimizer::Adam,
-        Minimizer::ArgminLbfgs,
-        Minimizer::ArgminTrustRegion,
-    ];
-
     /// Its name in a scene.
     pub fn name(self) -> &'static str {
-        match self {
-            Minimizer::Auto => "auto",
-            Minimizer::TrustRegion => "trust-region",
-            Minimizer::Newton => "newton",
-            Minimizer::GaussNewtonCg => "gauss-newton-cg",
-            Minimizer::Lbfgs => "lbfgs",
-            Minimizer::Adam => "adam",
-            Minimizer::ArgminLbfgs => "argmin-lbfgs",
-            Minimizer::ArgminTrustRegion => "argmin-trust-region",
-        }
+        self.settings().name()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Minimizer;
+
+    /// A scene can name every minimizer of the library, by the library's name.
+    #[test]
+    fn names_are_those_of_the_library() {
+        let written: Vec<String> =
+            Minimizer::ALL.iter().map(|m| serde_json::to_string(m).unwrap().replace('"', "")).collect();
+        let names: Vec<&str> = Minimizer::ALL.iter().map(|m| m.name()).collect();
+        assert_eq!(written, names);
+        let mut library = varda_assimilation::Minimizer::NAMES.to_vec();
+        library.sort_unstable();
+        let mut names = names;
+        names.sort_unstable();
+        assert_eq!(names, library);
     }
 }

@@ -11,6 +11,7 @@
 mod algorithm;
 mod background;
 mod cycles;
+mod defaults;
 mod ensemble;
 mod file;
 mod grid;
@@ -19,6 +20,7 @@ mod limits;
 mod method;
 mod model;
 mod model_error;
+mod motion;
 mod observations;
 mod parsed;
 mod place;
@@ -31,6 +33,7 @@ mod validate;
 mod validate_algorithm;
 mod validate_covariance;
 mod validate_cycles;
+mod validate_frame;
 mod validate_observations;
 mod validate_rod;
 
@@ -47,10 +50,11 @@ pub(crate) use invalid::Invalid;
 pub use limits::{DEFAULT_MEMORY, Limits};
 pub use method::{Method, Minimizer};
 pub use model::{
-    Burgers, Clamp, DampingValues, LinearAdvection, Lorenz63, Lorenz96, Material, Model, Motion, PointForce,
+    Burgers, Clamp, DampingValues, LinearAdvection, Lorenz63, Lorenz96, Material, Model, PointForce,
     PointMass, Prescribed, RestShape, RodModel, Section, ShapePoints,
 };
 pub use model_error::ModelError;
+pub use motion::{Motion, MotionValues, RecordedMotion};
 pub use observations::{
     Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, UnreachableRows, Use,
 };

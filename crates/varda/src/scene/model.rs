@@ -4,6 +4,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use varda_implicit::line::{Ends, Line};
 
+use super::defaults::is_default;
+use super::motion::Motion;
+
 /// The dynamical system.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "lowercase")]
@@ -223,10 +226,6 @@ fn standard_gravity() -> [f64; 3] {
     [0.0, 0.0, -9.81]
 }
 
-pub(super) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
-    *value == T::default()
-}
-
 /// The cross-section of a rod. m₁ and m₂ are its directions in the rod; a clamp says where m₁ points.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
@@ -355,30 +354,6 @@ pub struct Prescribed {
     /// How it moves. Absent: it does not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<Motion>,
-}
-
-/// A motion: a displacement added to a given position.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
-pub enum Motion {
-    /// The paper's drive: a(t) (r_x cos ωt, r_y sin ωt, 0), faded in by a quintic ramp a(t).
-    Ellipse {
-        /// Semi-axes r_x, r_y [m].
-        #[schemars(extend("x-unit" = "m"))]
-        radii: [f64; 2],
-        /// Angular frequency ω [rad/s].
-        #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "rad/s"))]
-        omega: f64,
-        /// Duration of the ramp in periods 2π/ω; 0 for none.
-        #[schemars(extend("minimum" = 0.0))]
-        ramp_periods: f64,
-    },
-    /// Displacements from a CSV file with the header `time_s,x_m,y_m,z_m`; linear between rows, constant
-    /// outside them.
-    Table {
-        /// The file.
-        file: String,
-    },
 }
 
 /// A constant force on a point of the rod.

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Covariance, model::is_default};
+use super::{Covariance, defaults::is_default};
 
 /// The error of the model: x_{k+1} = M_k(x_k) + η, η drawn from N(0, Q) (methods weak-forcing and
 /// weak-state).

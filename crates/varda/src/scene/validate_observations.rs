@@ -1,8 +1,9 @@
 //! What `[observations]` must satisfy beyond the type of each key.
 
 use super::invalid::{Check, invalid};
+use super::validate_frame::validate_frame;
 use super::validate_rod::on_rod;
-use super::{Frame, Origin, Recording, RodModel, Scene, Synthetic};
+use super::{Origin, Recording, RodModel, Scene, Synthetic};
 
 /// Observations of a twin experiment with a rod.
 pub(super) fn validate_places(s: &Synthetic, scene: &Scene, rod: &RodModel) -> Check {
@@ -73,42 +74,5 @@ pub(super) fn validate_recording(f: &Recording, rod: &RodModel) -> Check {
             );
         }
     }
-    validate_frame(&f.frame)
-}
-
-fn validate_frame(frame: &Frame) -> Check {
-    let path = "observations.frame";
-    match (&frame.rotation, &frame.axis, &frame.angle) {
-        (Some(_), Some(_), _) | (Some(_), _, Some(_)) => {
-            invalid(format!("{path}.rotation"), "give `rotation`, or `axis` and `angle`")
-        }
-        (None, Some(_), None) | (None, None, Some(_)) => invalid(path, "`axis` and `angle` go together"),
-        (None, Some(axis), Some(_)) if !(axis.iter().map(|x| x * x).sum::<f64>() > 0.0) => {
-            invalid(format!("{path}.axis"), "an axis cannot be zero")
-        }
-        (Some(r), None, None) => {
-            for i in 0..3 {
-                for j in 0..3 {
-                    let product: f64 = (0..3).map(|k| r[i][k] * r[j][k]).sum();
-                    // Rows written with four digits are meant as a rotation; a mirrored or scaled frame is
-                    // not.
-                    if !((product - f64::from(i == j)).abs() < 1e-3) {
-                        return invalid(
-                            format!("{path}.rotation"),
-                            "its rows are not perpendicular unit vectors",
-                        );
-                    }
-                }
-            }
-            let det = r[0][0] * (r[1][1] * r[2][2] - r[1][2] * r[2][1])
-                - r[0][1] * (r[1][0] * r[2][2] - r[1][2] * r[2][0])
-                + r[0][2] * (r[1][0] * r[2][1] - r[1][1] * r[2][0]);
-            if det > 0.0 {
-                Ok(())
-            } else {
-                invalid(format!("{path}.rotation"), "it mirrors: its determinant is −1")
-            }
-        }
-        _ => Ok(()),
-    }
+    validate_frame(&f.frame, "observations.frame")
 }

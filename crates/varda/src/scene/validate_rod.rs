@@ -1,7 +1,8 @@
 //! What `[model]` of a rod must satisfy beyond the type of each key.
 
 use super::invalid::{Check, invalid};
-use super::{Clamp, RodModel, Section, ShapePoints};
+use super::validate_frame::validate_frame;
+use super::{Clamp, Motion, RodModel, Section, ShapePoints};
 
 pub(super) fn validate_rod(rod: &RodModel) -> Check {
     let lengths = rod.rest_lengths()?;
@@ -48,6 +49,20 @@ pub(super) fn validate_rod(rod: &RodModel) -> Check {
     for (clamp, path) in [(&rod.start, "model.start"), (&rod.end, "model.end")] {
         if let Some(clamp) = clamp {
             validate_clamp(clamp, path)?;
+        }
+    }
+    let moved = [(&rod.start, "model.start"), (&rod.end, "model.end")]
+        .into_iter()
+        .filter_map(|(clamp, path)| Some((clamp.as_ref()?.motion.as_ref(), path.to_string())))
+        .chain(
+            rod.prescribed
+                .iter()
+                .enumerate()
+                .map(|(i, p)| (p.motion.as_ref(), format!("model.prescribed.{i}"))),
+        );
+    for (motion, path) in moved {
+        if let Some(Motion::Table(table)) = motion {
+            validate_frame(&table.frame, &format!("{path}.motion.frame"))?;
         }
     }
     if rod.start.is_none() && rod.end.is_none() && rod.prescribed.is_empty() {

@@ -1,8 +1,9 @@
 //! CSV files of users: observations of a rod, a background, the motion of a support.
 //!
-//! Every error names file and line. An empty cell means "not observed"; NaN and infinities are errors. Columns
-//! are parted by commas, semicolons or tabs, whichever the header has; with the latter two a decimal comma is
-//! read. A column may be in another unit, by its name: `x_mm`, `x_cm` for `x_m`, `time_ms` for `time_s`.
+//! Every error names file and line. An empty cell means "not observed"; NaN and infinities are errors.
+//! Columns are parted by commas, semicolons or tabs, whichever the header has; with the latter two a decimal
+//! comma is read. A column may be in another unit, by its name: `x_mm`, `x_cm` for `x_m`, `time_ms` for
+//! `time_s`.
 
 use crate::Error;
 

@@ -9,7 +9,7 @@ use varda_implicit::{Footprint, Storage};
 
 use super::inputs::Inputs;
 use crate::Error;
-use crate::scene::{Covariance, CycledCovariance, Method, Minimizer, Origin, Root, Scene, SceneFile};
+use crate::scene::{Covariance, CycledCovariance, Method, Origin, Root, Scene, SceneFile};
 
 /// Bytes of a number.
 const NUMBER: usize = size_of::<f64>();
@@ -131,7 +131,7 @@ impl Memory {
         } else if algorithm.method.is_weak() {
             // G by parts, and I + G Gᵀ in the space of the observations.
             if posterior { 4 * square + m * (2 * n + errors + m) } else { 0 }
-        } else if posterior || algorithm.minimizer == Minimizer::Newton || algorithm.method == Method::Blue {
+        } else if posterior || algorithm.minimizer.settings().is_dense() || algorithm.method == Method::Blue {
             // Hessian, its eigenvectors with what finding them takes, the root of P_a; G, and the columns
             // under way through the model.
             5 * square + m * n + m.min(n) * sizes.state

@@ -10,6 +10,7 @@ pub mod ensemble;
 pub mod files;
 pub mod inputs;
 pub mod memory;
+mod motion;
 pub mod observations;
 pub mod plan;
 pub mod problem;

@@ -78,8 +78,8 @@ impl Held {
         rows.iter().enumerate().filter_map(beyond).collect()
     }
 
-    /// Whether a row, its written place changed, is beyond the reach of a site. Coordinates that were not seen
-    /// only bring it nearer.
+    /// Whether a row, its written place changed, is beyond the reach of a site. Coordinates that were not
+    /// seen only bring it nearer.
     fn beyond(
         &self,
         row: &Sighting,
@@ -127,8 +127,8 @@ impl Held {
             n => format!(" {n} of {} rows are beyond reach.", rows.len()),
         };
         format!(
-            "{} at time {} s is {distance:.4} m from where the rod is held at s = {held:.4} m, and the rod reaches \
-             {reach:.4} m with its strain and {SIGMAS} σ.{others} {}",
+            "{} at time {} s is {distance:.4} m from where the rod is held at s = {held:.4} m, and the rod \
+             reaches {reach:.4} m with its strain and {SIGMAS} σ.{others} {}",
             labels[row.site],
             row.time,
             self.cause(rows, found, row, labels)
@@ -206,8 +206,8 @@ fn axes_of_others() -> Vec<(Matrix3<f64>, String)> {
     all
 }
 
-/// Twice the strain of all weights and forces hung from one end: a load that is put on suddenly stretches twice
-/// as far as it does at rest.
+/// Twice the strain of all weights and forces hung from one end: a load that is put on suddenly stretches
+/// twice as far as it does at rest.
 fn weight_strain(parts: &RodParts) -> f64 {
     let (rod, loads) = (&parts.rod, &parts.loads);
     let forces: f64 = loads.point_forces.iter().map(|(_, force)| force.at(0.0).norm()).sum();

@@ -52,7 +52,7 @@ impl RodSystem {
             state: dynamics.dim(),
             control: dynamics.control_len(),
             kept: kept(&dynamics),
-            left_out: dynamics.left_out(),
+            left_out: dynamics.left_out().into_iter().chain(parts.remarks.iter().cloned()).collect(),
             free,
             parts,
             grid,

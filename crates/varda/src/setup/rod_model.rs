@@ -1,18 +1,17 @@
 //! From `[model] kind = "rod"` to the rod of varda-rod.
 
-use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use varda_implicit::Scheme;
 use varda_rod::{
-    Clamp, Damping, EllipseDrive, Loads, Material, Motion, Rest, Rod, RodStep, Search, Section, Supports,
-    Vector3, rest,
+    Clamp, Damping, Loads, Material, Motion, Rest, Rod, RodStep, Search, Section, Supports, Vector3, rest,
 };
 
 use crate::Error;
 use crate::scene::{self, RodModel, SceneFile, Shear};
 use crate::setup::csv;
 use crate::setup::files::Files;
+use crate::setup::motion::Motions;
 
 /// A rod with what holds it and what pulls at it.
 #[derive(Clone)]
@@ -29,6 +28,8 @@ pub struct RodParts {
     pub scheme: Scheme,
     /// What picks its equilibrium.
     pub search: Search,
+    /// How the recorded motions of its supports are followed.
+    pub remarks: Vec<String>,
     /// The rod at rest at the start of a run, whose angles the first step starts from.
     pub first: Option<Rest>,
 }
@@ -53,8 +54,7 @@ impl RodParts {
         }
         let search = match &model.initial_shape {
             Some(keys) => {
-                let initial_shape = Some(shape(files, "model.initial_shape", keys, &rod)?);
-                Search { initial_shape, ..Search::default() }
+                Search::default().with_initial_shape(shape(files, "model.initial_shape", keys, &rod)?)
             }
             None => Search::default(),
         };
@@ -63,15 +63,16 @@ impl RodParts {
             let director = keys.director.or(model.start.as_ref().map(|c| c.director)).unwrap_or_default();
             rod = rod.at_ease_in(&measured.vertices, director.into()).map_err(refuse("model.rest_shape"))?;
         }
+        let mut motions = Motions::of(files)?;
         let mut supports = Supports::default();
         if let Some(clamp) = &model.start {
-            supports.start = Some(self::clamp(files, "model.start", clamp)?);
+            supports.start = Some(self::clamp(&mut motions, "model.start", clamp)?);
         }
         if let Some(clamp) = &model.end {
-            supports.end = Some(self::clamp(files, "model.end", clamp)?);
+            supports.end = Some(self::clamp(&mut motions, "model.end", clamp)?);
         }
         for (i, p) in model.prescribed.iter().enumerate() {
-            let motion = motion(files, &format!("model.prescribed.{i}"), p.position, p.motion.as_ref())?;
+            let motion = motions.read(&format!("model.prescribed.{i}"), p.position, p.motion.as_ref())?;
             supports.prescribed.push((p.vertex, motion));
         }
         let point_forces =
@@ -80,7 +81,8 @@ impl RodParts {
             Loads { gravity: model.gravity.into(), point_forces: point_forces.collect(), ..Loads::default() };
         let damping = Damping { stiffness: model.damping.stiffness, mass: model.damping.mass };
         let scheme = file.checked(file.scene.time.integrator.of_rod())?;
-        let parts = RodParts { rod, supports, loads, damping, scheme, search, first: None };
+        let parts =
+            RodParts { rod, supports, loads, damping, scheme, search, remarks: motions.remarks, first: None };
         parts.dynamics().map_err(refuse("model"))?;
         Ok(parts)
     }
@@ -149,54 +151,10 @@ fn section(file: &SceneFile, model: &RodModel) -> Result<Section, Error> {
     })
 }
 
-fn clamp(files: &Files, path: &str, clamp: &scene::Clamp) -> Result<Clamp, Error> {
+fn clamp(motions: &mut Motions, path: &str, clamp: &scene::Clamp) -> Result<Clamp, Error> {
     Ok(Clamp {
-        position: motion(files, path, clamp.position, clamp.motion.as_ref())?,
+        position: motions.read(path, clamp.position, clamp.motion.as_ref())?,
         tangent: Arc::new(clamp.tangent),
         director: Arc::new(clamp.director),
     })
-}
-
-fn motion(
-    files: &Files,
-    path: &str,
-    position: [f64; 3],
-    motion: Option<&scene::Motion>,
-) -> Result<Arc<dyn Motion>, Error> {
-    Ok(match motion {
-        None => Arc::new(position),
-        Some(&scene::Motion::Ellipse { radii, omega, ramp_periods }) => {
-            Arc::new(EllipseDrive { centre: position.into(), radii, omega, ramp: ramp_periods * TAU / omega })
-        }
-        Some(scene::Motion::Table { file: name }) => {
-            let path = format!("{path}.motion.file");
-            let (label, text) = files.text(&path, name)?;
-            let rows = csv::numbers(&label, &text, ["time_s", "x_m", "y_m", "z_m"])?;
-            if rows.is_empty() || rows.windows(2).any(|w| w[0][0] >= w[1][0]) {
-                return Err(files.scene.invalid(&path, format!("{label} must have rows, in order of time")));
-            }
-            Arc::new(move |t: f64| displaced(position, &rows, t))
-        }
-    })
-}
-
-/// A position displaced by a table of (time, displacement): linear between rows, constant outside them.
-fn displaced(position: [f64; 3], rows: &[[f64; 4]], t: f64) -> [f64; 3] {
-    let after = rows.partition_point(|r| r[0] <= t);
-    let (a, b) = (rows[after.saturating_sub(1)], rows[after.min(rows.len() - 1)]);
-    let w = if b[0] > a[0] { ((t - a[0]) / (b[0] - a[0])).clamp(0.0, 1.0) } else { 0.0 };
-    std::array::from_fn(|i| position[i] + (1.0 - w) * a[i + 1] + w * b[i + 1])
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_table_is_linear_between_its_rows_and_constant_outside() {
-        let rows = [[1.0, 0.0, 0.0, 0.0], [3.0, 2.0, 0.0, -4.0]];
-        assert_eq!(displaced([1.0, 1.0, 1.0], &rows, 0.0), [1.0, 1.0, 1.0]);
-        assert_eq!(displaced([1.0, 1.0, 1.0], &rows, 2.0), [2.0, 1.0, -1.0]);
-        assert_eq!(displaced([1.0, 1.0, 1.0], &rows, 9.0), [3.0, 1.0, -3.0]);
-    }
 }

@@ -53,7 +53,7 @@ impl Task<'_> {
             Method::HybridFourDEnVar => 1,
             _ => self.algorithm.max_iterations,
         };
-        let options = EnVarOptions { max_outer, ..EnVarOptions::default() };
+        let options = EnVarOptions::default().with_max_outer(max_outer);
         let minimum = cost.minimize(v, &options, &mut on_iteration)?;
         let counts = WorkCounts::from(&cost.counts());
         // Reports the last step, after which the ensemble is not run again; it is too late to interrupt.

@@ -3,13 +3,12 @@
 use std::ops::ControlFlow;
 
 use varda_assimilation::{
-    AdamOptions, ArgminOptions, AutoOptions, Blue, CostFunction, Error, Gain, InnerSolver, Iteration,
-    LbfgsOptions, LeastSquares, Minimizer, Minimum, NewtonCgOptions, NewtonOptions, OuterLoopOptions, Status,
-    StrongConstraint, TrustRegionOptions, continuation, outer_loop,
+    Blue, CostFunction, Error, Gain, InnerSolver, Iteration, LeastSquares, Minimizer, Minimum,
+    OuterLoopOptions, Status, Stopping, StrongConstraint, continuation, outer_loop,
 };
 use varda_linalg::norm;
 
-use crate::scene::{Algorithm, Method, Minimizer as Choice};
+use crate::scene::{Algorithm, Method};
 
 /// The minimum of the strong-constraint cost by the scene's method.
 pub(crate) fn strong(
@@ -44,31 +43,19 @@ pub(crate) fn minimize(
     }
 }
 
-/// The minimizer that a scene names, with the scene's tolerance and number of iterations.
+/// The minimizer that a scene names, with the scene's stopping rule.
 pub(crate) fn minimizer(algorithm: &Algorithm) -> Minimizer {
-    let mut minimizer = match algorithm.minimizer {
-        Choice::Auto => Minimizer::Auto(AutoOptions::default()),
-        Choice::TrustRegion => Minimizer::TrustRegion(TrustRegionOptions::default()),
-        Choice::Newton => Minimizer::Newton(NewtonOptions::default()),
-        Choice::GaussNewtonCg => Minimizer::NewtonCg(NewtonCgOptions::default()),
-        Choice::Lbfgs => Minimizer::Lbfgs(LbfgsOptions::default()),
-        Choice::Adam => Minimizer::Adam(AdamOptions::default()),
-        Choice::ArgminLbfgs => Minimizer::ArgminLbfgs(ArgminOptions::default()),
-        Choice::ArgminTrustRegion => Minimizer::ArgminTrustRegion(ArgminOptions::default()),
-    };
-    *minimizer.gradient_tolerance_mut() = algorithm.gradient_tolerance;
-    *minimizer.max_iterations_mut() = algorithm.max_iterations;
-    minimizer
+    algorithm.minimizer.settings().with_stopping(stopping(algorithm))
+}
+
+/// The scene's stopping rule.
+fn stopping(algorithm: &Algorithm) -> Stopping {
+    Stopping::new(algorithm.gradient_tolerance, algorithm.max_iterations)
 }
 
 /// Options of an outer loop with the given solver of its inner problem.
 pub(crate) fn outer(algorithm: &Algorithm, inner: InnerSolver) -> OuterLoopOptions {
-    OuterLoopOptions {
-        gradient_tolerance: algorithm.gradient_tolerance,
-        max_iterations: algorithm.max_iterations,
-        inner,
-        ..OuterLoopOptions::default()
-    }
+    OuterLoopOptions::default().with_inner(inner).with_stopping(stopping(algorithm))
 }
 
 /// The closed form, linearized once at `v`. `Converged` only if the true gradient is below the tolerance;
@@ -108,7 +95,7 @@ fn blue(
     now.terms = cost.terms();
     now.gradient_norm = norm(&gradient);
     now.outer_iterations = 1;
-    now.status = match now.gradient_norm <= algorithm.gradient_tolerance * first {
+    now.status = match stopping(algorithm).is_converged(v, &gradient, first) {
         true => Status::Converged,
         false => Status::MaxIterations,
     };

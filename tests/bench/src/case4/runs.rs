@@ -146,11 +146,11 @@ pub(crate) fn run(twin: Twin, way: Way) -> Result<Run, Box<dyn Error>> {
         rng.set_stream(100 + i as u64);
         v.fill_with(|| StandardNormal.sample(&mut rng));
     }
-    let lm = TrustRegionOptions { gradient_tolerance: TOLERANCE, ..TrustRegionOptions::default() };
+    let lm = TrustRegionOptions::default().with_gradient_tolerance(TOLERANCE);
     let ended: Result<Minimum, varda_assimilation::Error> = match way {
         Way::Auto => {
             let mut options = AutoOptions::default();
-            options.trust_region.gradient_tolerance = TOLERANCE;
+            options.trust_region.stopping.gradient_tolerance = TOLERANCE;
             Minimizer::Auto(options).minimize(&mut cost, &mut v, &mut note)
         }
         Way::Lm => Minimizer::TrustRegion(lm).minimize(&mut cost, &mut v, &mut note),
@@ -159,7 +159,7 @@ pub(crate) fn run(twin: Twin, way: Way) -> Result<Run, Box<dyn Error>> {
         Way::Draw(_) => match cost.evaluate(&v, Some(&mut gradient)) {
             Ok(_) => {
                 let tolerance = (TOLERANCE * first / norm(&gradient)).min(TOLERANCE);
-                let options = TrustRegionOptions { gradient_tolerance: tolerance, ..lm };
+                let options = lm.with_gradient_tolerance(tolerance);
                 Minimizer::TrustRegion(options).minimize(&mut cost, &mut v, &mut note)
             }
             Err(error) => Err(error),
@@ -168,21 +168,20 @@ pub(crate) fn run(twin: Twin, way: Way) -> Result<Run, Box<dyn Error>> {
             continuation(&Minimizer::TrustRegion(lm), &mut cost, &mut v, &[10.0, 3.0, 1.0], &mut note)
         }
         Way::Lbfgs => {
-            let options = LbfgsOptions { gradient_tolerance: TOLERANCE, ..LbfgsOptions::default() };
+            let options = LbfgsOptions::default().with_gradient_tolerance(TOLERANCE);
             Minimizer::Lbfgs(options).minimize(&mut cost, &mut v, &mut note)
         }
         Way::Newton => {
-            let options = NewtonOptions { gradient_tolerance: TOLERANCE, ..NewtonOptions::default() };
+            let options = NewtonOptions::default().with_gradient_tolerance(TOLERANCE);
             Minimizer::Newton(options).minimize(&mut cost, &mut v, &mut note)
         }
         Way::AdamControl => {
-            let options = AdamOptions { gradient_tolerance: TOLERANCE, ..AdamOptions::default() };
+            let options = AdamOptions::default().with_gradient_tolerance(TOLERANCE);
             adam(&mut cost, &mut v, &options, &mut note)
         }
         Way::AdamRaw => {
             // Metres and metres a second: 1e-3 of either a step.
-            let options =
-                AdamOptions { gradient_tolerance: TOLERANCE, learning_rate: 1e-3, ..AdamOptions::default() };
+            let options = AdamOptions::default().with_gradient_tolerance(TOLERANCE).with_learning_rate(1e-3);
             let mut z = transform.background().to_vec();
             let mut raw = RawVariables::new(&mut cost, &transform, precision)?;
             adam(&mut raw, &mut z, &options, &mut note)

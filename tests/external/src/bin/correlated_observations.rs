@@ -16,14 +16,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     assert!((variance[2] - 0.1).abs() < 1e-12);
 
     let x_b: Vec<f64> = (0..12).map(|i| 8.0 + (0.9 * f64::from(i)).sin()).collect();
-    let analysed = |correlated: bool| {
+    let analysed = |correlated: bool| -> Result<_, Box<dyn std::error::Error>> {
         let seen = Observation::new(4, vec![0, 1, 2], vec![8.4, 9.1, 9.4], 0.1_f64.sqrt());
         let seen = if correlated { seen.correlated(r.clone()) } else { seen };
-        Assimilation::new(Rk4::new(Lorenz96::new(12, 8.0), 0, 0.01))
+        let result = Assimilation::new(Rk4::new(Lorenz96::new(12, 8.0), 0, 0.01))
             .background(x_b.clone(), Diagonal::uniform(12, 1.0)?)
             .observation(seen)
-            .analyse()
-            .map_err(Box::<dyn std::error::Error>::from)
+            .analyse()?;
+        Ok(result)
     };
     let (told, untold) = (analysed(true)?, analysed(false)?);
     assert!(told.converged() && untold.converged());

@@ -13,7 +13,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let x_b = DVector::from_vec(vec![1.5, 1.7, 20.0]);
     let matrix = DMatrix::from_row_slice(3, 3, &[1.0, 0.6, 0.0, 0.6, 1.0, 0.0, 0.0, 0.0, 2.0]);
     let b = Dense::try_from(&matrix)?;
-    let background = ControlTransform::new(x_b.as_slice().to_vec(), &b)?;
+    let background = ControlTransform::from_dvector(&x_b, &b)?;
 
     let all = Selection::new(vec![0, 1, 2], 3)?;
     let seen = Observation::new(20, vec![0, 2], vec![8.1, 14.9], 0.1);
@@ -26,10 +26,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     // The closed form at the minimum, by the gain K: the covariance of the analysis is (I − K H) B.
     let blue = Blue::new(&mut cost, &v, Gain::Observation)?;
-    let mut x_a = DVector::zeros(3);
-    background.control(&v, x_a.as_mut_slice());
+    let x_a = background.control_dvector(&DVector::from_vec(v));
     println!("x_a − x_b = {:.3?}", (&x_a - &x_b).as_slice());
-    let p = DMatrix::from_vec(3, 3, blue.control_covariance(&background));
+    let p = blue.control_covariance_dmatrix(&background);
     let gained = (&matrix - &p).symmetric_eigenvalues();
     assert!(p.trace() < matrix.trace() && gained.min() > -1e-12, "{p}");
     Ok(())

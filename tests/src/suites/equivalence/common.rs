@@ -15,14 +15,12 @@ pub(super) fn tight(
     v: &mut [f64],
     inner: InnerSolver,
 ) -> Result<Minimum, Error> {
-    let options = OuterLoopOptions {
-        inner,
-        gradient_tolerance: 1e-11,
-        inner_tolerance: 1e-12,
-        max_inner: 1000,
-        max_iterations: 500,
-        ..Default::default()
-    };
+    let options = OuterLoopOptions::default()
+        .with_inner(inner)
+        .with_gradient_tolerance(1e-11)
+        .with_inner_tolerance(1e-12)
+        .with_max_inner(1000)
+        .with_max_iterations(500);
     outer_loop(problem, v, &options, &mut go_on)
 }
 

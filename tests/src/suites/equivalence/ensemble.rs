@@ -8,7 +8,7 @@ use problems::small_problems::{
 use std::error::Error;
 use varda_assimilation::{
     ControlTransform, CostFunction, EnVar, EnVarOptions, EnsembleUpdate, NewtonOptions, ObservationSet,
-    Posterior, StrongConstraint, newton,
+    Posterior, Stopping, StrongConstraint, newton,
 };
 use varda_covariance::{Ensemble, Hybrid, Localization};
 use varda_implicit::lorenz::Lorenz96;
@@ -24,7 +24,7 @@ pub(super) fn rows(rows: &mut Rows) {
 const LINEARIZED: &str = "differences of runs by an ensemble lose half of the digits: √ε, rounded down";
 const GUARD: &str = "what must differ differs by more than a million times what is asked of what must agree";
 
-const TIGHT: NewtonOptions = NewtonOptions { gradient_tolerance: 1e-13, max_iterations: 10 };
+const TIGHT: Stopping = Stopping::new(1e-13, 10);
 
 fn spans(case: &mut Case) -> Outcome {
     let b = coupled(RING, 0.8)?;
@@ -34,7 +34,7 @@ fn spans(case: &mut Case) -> Outcome {
         let transform = ControlTransform::new(background.clone(), &b)?;
         let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut set)?;
         let mut v = vec![0.0; RING];
-        let minimum = newton(&mut cost, &mut v, &TIGHT, &mut go_on)?;
+        let minimum = newton(&mut cost, &mut v, &NewtonOptions::default().with_stopping(TIGHT), &mut go_on)?;
         let mut z = vec![0.0; RING];
         transform.control(&v, &mut z);
         Ok((z, Posterior::new(&mut cost)?.variance(&transform), minimum.value))
@@ -45,7 +45,7 @@ fn spans(case: &mut Case) -> Outcome {
     let mut set = ring(&normals(2, 12))?;
     let mut cost = EnVar::new(&make, background.clone(), &ensemble, &mut set, &[])?;
     let mut v = vec![0.0; cost.dim()];
-    let options = EnVarOptions { max_outer: 1, ..Default::default() };
+    let options = EnVarOptions::default().with_max_outer(1);
     let minimum = cost.minimize(&mut v, &options, &mut go_on)?;
     let mut z = vec![0.0; RING];
     cost.transform().control(&v, &mut z);
@@ -100,7 +100,7 @@ fn ends(case: &mut Case) -> Outcome {
     let about_zero = ControlTransform::new(vec![0.0; RING], &static_part)?;
     let mut cost = StrongConstraint::without_model(about_zero, &mut set)?;
     let mut v = vec![0.0; RING];
-    newton(&mut cost, &mut v, &TIGHT, &mut go_on)?;
+    newton(&mut cost, &mut v, &NewtonOptions::default().with_stopping(TIGHT), &mut go_on)?;
     let mut fgat = vec![0.0; RING];
     transform.control(&v, &mut fgat);
     case.at_most(

@@ -111,7 +111,7 @@ fn static_methods(case: &mut Case, b: &dyn Covariance) -> Outcome {
         z
     };
     let mut v = vec![0.0; n];
-    let options = TrustRegionOptions { gradient_tolerance: 1e-13, ..Default::default() };
+    let options = TrustRegionOptions::default().with_gradient_tolerance(1e-13);
     let minimum = trust_region(&mut cost, &mut v, &options, &mut go_on)?;
     found.push(("3dvar", control(&v), minimum.value));
     for (name, inner) in
@@ -124,7 +124,7 @@ fn static_methods(case: &mut Case, b: &dyn Covariance) -> Outcome {
     cost.evaluate(&vec![0.0; n], Some(&mut vec![0.0; n]))?;
     let mut dual = Dual::new(&mut cost)?;
     let mut w = vec![0.0; 4];
-    let options = NewtonCgOptions { gradient_tolerance: 1e-13, ..Default::default() };
+    let options = NewtonCgOptions::default().with_gradient_tolerance(1e-13);
     let minimum = newton_cg(&mut dual, &mut w, &options, &mut go_on)?;
     dual.increment(&w, &mut v)?;
     found.push(("dual cost (2.12)", control(&v), -minimum.value));
@@ -332,7 +332,7 @@ fn one_outer_loop(case: &mut Case) -> Outcome {
     let b = coupled(4, 0.8)?;
     let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(background, &b)?, &mut set)?;
     let mut full = [0.0; 4];
-    let options = NewtonOptions { gradient_tolerance: 1e-13, ..Default::default() };
+    let options = NewtonOptions::default().with_gradient_tolerance(1e-13);
     newton(&mut cost, &mut full, &options, &mut go_on)?;
     let mut one = [0.0; 4];
     let minimum = tight(&mut cost, &mut one, InnerSolver::Primal)?;
@@ -356,7 +356,7 @@ fn one_minimum(case: &mut Case) -> Outcome {
     let b = coupled(30, 0.5)?;
     let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(background, &b)?, &mut set)?;
     let mut full = vec![0.0; 30];
-    let options = TrustRegionOptions { gradient_tolerance: 1e-11, ..Default::default() };
+    let options = TrustRegionOptions::default().with_gradient_tolerance(1e-11);
     let minimum = trust_region(&mut cost, &mut full, &options, &mut go_on)?;
     for (name, inner) in [("incremental", InnerSolver::Primal), ("4d-psas", InnerSolver::Dual)] {
         let mut v = vec![0.0; 30];

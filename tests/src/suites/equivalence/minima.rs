@@ -35,13 +35,13 @@ fn every_minimizer(case: &mut Case, name: &str) -> Outcome {
         let mut minimizer = Minimizer::named(name).ok_or("a name without minimizer")?;
         if name.starts_with("argmin") {
             // Its line search ends without a claim where J resolves no descent: 1e-6 squared is J's rounding.
-            *minimizer.gradient_tolerance_mut() = 1e-6;
+            minimizer.stopping_mut().gradient_tolerance = 1e-6;
         }
         minimizers.push((name.to_string(), minimizer));
     }
-    let products = TrustRegionOptions { dense_limit: 0, ..Default::default() };
+    let products = TrustRegionOptions::default().with_dense_limit(0);
     minimizers.push(("trust-region by products".into(), Minimizer::TrustRegion(products)));
-    let pairs = NewtonCgOptions { preconditioner_pairs: 100, ..Default::default() };
+    let pairs = NewtonCgOptions::default().with_preconditioner_pairs(100);
     minimizers.push(("gauss-newton-cg, preconditioned".into(), Minimizer::NewtonCg(pairs)));
     twin::shipped(name, &mut |cost, _, least| {
         let n = cost.dim();
@@ -55,7 +55,7 @@ fn every_minimizer(case: &mut Case, name: &str) -> Outcome {
             ("psas", InnerSolver::Dual),
             ("direct", InnerSolver::Direct),
         ] {
-            let options = OuterLoopOptions { inner, ..Default::default() };
+            let options = OuterLoopOptions::default().with_inner(inner);
             let found = outer_loop(cost, &mut vec![0.0; n], &options, &mut go_on)?;
             row(case, name, &found, least, true);
         }

@@ -65,7 +65,7 @@ fn three_ways(
 ) -> Outcome {
     let n = cost.dim();
     let mut v = vec![0.0; n];
-    let options = LbfgsOptions { memory: 200, ..Default::default() };
+    let options = LbfgsOptions::default().with_memory(200);
     let minimum = lbfgs(cost, &mut v, &options, &mut go_on)?;
     case.count("l-bfgs: converged", usize::from(minimum.status == Status::Converged), 1);
     let known = minimum.inverse_hessian.ok_or("l-bfgs returned no inverse Hessian")?;
@@ -102,7 +102,7 @@ fn three_ways(
     };
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     for &(tolerance, max_products) in runs {
-        let options = LanczosOptions { tolerance, max_products, ..Default::default() };
+        let options = LanczosOptions::default().with_tolerance(tolerance).with_max_products(max_products);
         let made = [
             ("lanczos", LowRankPosterior::lanczos(cost, &options, &mut rng)?),
             ("l-bfgs, refined", LowRankPosterior::refined(&known, cost, &options, &mut rng)?),

@@ -9,7 +9,7 @@ use varda_assimilation::{
 /// errors (σ × 10, 3, 1), and keeps the lower end in `v`; says which that was.
 pub(super) fn minimize(cost: &mut dyn LeastSquares, v: &mut [f64]) -> Result<(Minimum, String), Error> {
     // Tighter than the default: reference minima are compared to eight digits.
-    let tight = TrustRegionOptions { gradient_tolerance: 1e-9, ..TrustRegionOptions::default() };
+    let tight = TrustRegionOptions::default().with_gradient_tolerance(1e-9);
     let minimizer = Minimizer::TrustRegion(tight);
     let go_on = &mut |_: &Iteration| ControlFlow::Continue(());
     let mut staged = v.to_vec();

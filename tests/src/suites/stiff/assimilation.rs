@@ -149,7 +149,7 @@ fn every_way(case: &mut Case, problem: &Static) -> Outcome {
 
     for name in Minimizer::NAMES {
         let mut minimizer = Minimizer::named(name).ok_or("a name it lists")?;
-        *minimizer.gradient_tolerance_mut() = 1e-12;
+        minimizer.stopping_mut().gradient_tolerance = 1e-12;
         let (mut set, mut model, mut v) = (problem.set()?, still(), vec![0.0; 4]);
         let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut set)?;
         let ended = minimizer.minimize(&mut cost, &mut v, &mut go_on).map(|m| (m.status, m.outer_iterations));
@@ -162,12 +162,10 @@ fn every_way(case: &mut Case, problem: &Static) -> Outcome {
     ] {
         let (mut set, mut model, mut v) = (problem.set()?, still(), vec![0.0; 4]);
         let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut set)?;
-        let options = OuterLoopOptions {
-            gradient_tolerance: 1e-12,
-            inner,
-            inner_tolerance: 1e-12,
-            ..Default::default()
-        };
+        let options = OuterLoopOptions::default()
+            .with_gradient_tolerance(1e-12)
+            .with_inner(inner)
+            .with_inner_tolerance(1e-12);
         let ended =
             outer_loop(&mut cost, &mut v, &options, &mut go_on).map(|m| (m.status, m.outer_iterations));
         add(name, error_of(&v), ended);
@@ -182,7 +180,7 @@ fn every_way(case: &mut Case, problem: &Static) -> Outcome {
         }
     }
     let mut default = Minimizer::default();
-    *default.gradient_tolerance_mut() = 1e-12;
+    default.stopping_mut().gradient_tolerance = 1e-12;
     let (mut set, mut v) = (problem.set()?, vec![0.0; 4]);
     let mut cost = StrongConstraint::without_model(transform.clone(), &mut set)?;
     let ended = default.minimize(&mut cost, &mut v, &mut go_on).map(|m| (m.status, m.outer_iterations));
@@ -200,7 +198,7 @@ fn every_way(case: &mut Case, problem: &Static) -> Outcome {
     let mut set = problem.set()?;
     let mut cost = EnVar::new(&make, BACKGROUND.to_vec(), &ensemble, &mut set, &[])?;
     let mut v = vec![0.0; cost.dim()];
-    let options = EnVarOptions { max_outer: 10, step_tolerance: 1e-6 };
+    let options = EnVarOptions::default().with_max_outer(10).with_step_tolerance(1e-6);
     let ended = cost.minimize(&mut v, &options, &mut go_on).map(|m| (m.status, m.outer_iterations));
     let mut z = vec![0.0; 4];
     of_ensemble.control(&v, &mut z);
@@ -276,6 +274,10 @@ impl CostFunction for Wells {
 }
 
 impl LeastSquares for Wells {
+    fn background_dim(&self) -> usize {
+        self.dim()
+    }
+
     fn observation_dim(&self) -> usize {
         0
     }
@@ -439,7 +441,7 @@ fn failing(case: &mut Case, failure: Failure) -> Outcome {
     ] {
         let (mut model, mut seen, mut v) = (Brittle { failure }, set()?, [0.0; 2]);
         let mut cost = StrongConstraint::new(&mut model, transform.clone(), &mut seen)?;
-        let options = OuterLoopOptions { inner, ..Default::default() };
+        let options = OuterLoopOptions::default().with_inner(inner);
         let ended =
             outer_loop(&mut cost, &mut v, &options, &mut go_on).map(|m| (m.status, m.outer_iterations));
         judge(case, name, ((0.1 + 10.0 * v[0]).abs() - expected).abs() / 0.005, ended, false);

@@ -324,11 +324,12 @@ fn windows(rows: &mut Rows) {
         for name in Minimizer::NAMES {
             for tolerance in [f64::NAN, -1.0, f64::INFINITY, 2.0] {
                 let ended = minimized(name, 1, &[seen(1, 2.0, 0.5)], 1.0, &mut |m| {
-                    *m.gradient_tolerance_mut() = tolerance
+                    m.stopping_mut().gradient_tolerance = tolerance
                 });
                 refused(case, &format!("{name}: tolerance {tolerance}"), ended, "gradient_tolerance");
             }
-            let none = minimized(name, 1, &[seen(1, 2.0, 0.5)], 1.0, &mut |m| *m.max_iterations_mut() = 0)?;
+            let none =
+                minimized(name, 1, &[seen(1, 2.0, 0.5)], 1.0, &mut |m| m.stopping_mut().max_iterations = 0)?;
             let said = if none.0 == Status::MaxIterations { 0.0 } else { f64::NAN };
             case.at_most(&format!("{name}: no iterations, and says so"), said, 0.0, "-");
         }

@@ -183,7 +183,7 @@ fn overflow(rows: &mut Rows) {
 /// gradient through them right.
 fn forced_failure(rows: &mut Rows) {
     rows.case("forced Newton failure in one step", |case| {
-        let options = NewtonOptions { max_iterations: 7, ..NewtonOptions::default() };
+        let options = NewtonOptions::default().with_max_iterations(7);
         let start = [4.0, 1.5, 0.1];
         let mut model = Counted::new(
             ImplicitModel::new(OneLeg::implicit_euler(Cubic, 1e-12), 0, 0.5).with_options(options),

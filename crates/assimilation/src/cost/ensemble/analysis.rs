@@ -2,12 +2,13 @@
 
 use super::EnVar;
 use crate::cost::{CostFunction, dot, norm};
-use crate::minimize::{at_least_one, eigen};
+use crate::minimize::{at_least_one, eigen, setters};
 use crate::{Error, Iteration, Minimum, Status};
 use std::ops::ControlFlow;
 
 /// Settings of [`EnVar::minimize`].
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct EnVarOptions {
     /// Linearizations at most; 1 is 4D-EnVar proper, more the iterative ensemble smoother.
     pub max_outer: usize,
@@ -20,6 +21,11 @@ impl Default for EnVarOptions {
         Self { max_outer: 10, step_tolerance: 1e-3 }
     }
 }
+
+setters!(EnVarOptions {
+    with_max_outer: max_outer: usize,
+    with_step_tolerance: step_tolerance: f64,
+});
 
 /// How the perturbations of an ensemble are brought from the prior to the posterior.
 pub enum EnsembleUpdate<'u> {
