@@ -413,8 +413,8 @@ impl NewtonWork {
         Some(Test::Curvature { phi, slope: dot(&self.g, &self.du), curvature: curvature * scale * scale })
     }
 
-    /// Halves α, from the longest step, until the test holds at u ⊕ α du, and leaves that point in `trial`,
-    /// its equations in `g` and `values`. Returns its potential; `None` where the halvings ran out.
+    /// Halves α, from the longest step, until the test holds at u ⊕ α du, and leaves that point in
+    /// `trial`, its equations in `g` and `values`. Returns its potential; `None` where the halvings ran out.
     fn backtrack<E: Equations + ?Sized>(
         &mut self,
         equations: &mut E,
