@@ -1,9 +1,9 @@
 //! Adam, the paper's baseline without a Hessian.
 
-use super::method::{Method, Uses};
+use super::method::method;
 use super::minimum::{Iteration, Minimum, Progress, Start};
 use super::stopping::{Status, Stopping, setters};
-use crate::{CostFunction, Error, LeastSquares};
+use crate::{CostFunction, Error};
 use std::ops::ControlFlow;
 
 /// Settings of [`adam`].
@@ -91,29 +91,7 @@ pub fn adam(
     run(cost, v, options, &Start::default(), on_iteration)
 }
 
-impl Method for AdamOptions {
-    fn stopping(&self) -> &Stopping {
-        &self.stopping
-    }
-
-    fn stopping_mut(&mut self) -> &mut Stopping {
-        &mut self.stopping
-    }
-
-    fn uses(&self) -> Uses {
-        Uses::Gradients
-    }
-
-    fn run(
-        &self,
-        cost: &mut dyn LeastSquares,
-        v: &mut [f64],
-        start: &Start,
-        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
-    ) -> Result<Minimum, Error> {
-        run(cost, v, self, start, on_iteration)
-    }
-}
+method!(AdamOptions, stopping, Gradients, run);
 
 fn run(
     cost: &mut dyn CostFunction,

@@ -1,6 +1,6 @@
 //! Solvers of the argmin crate behind our costs: to compare with, and to check ours against.
 
-use super::method::{Method, Uses};
+use super::method::method;
 use super::minimum::{Iteration, Minimum, Progress, Start};
 use super::stopping::{Status, Stopping, at_least_one, setters};
 use crate::cost::norm;
@@ -107,53 +107,9 @@ pub fn argmin_trust_region(
     run_trust_region(cost, v, options, &Start::default(), on_iteration)
 }
 
-impl Method for ArgminLbfgsOptions {
-    fn stopping(&self) -> &Stopping {
-        &self.stopping
-    }
+method!(ArgminLbfgsOptions, stopping, Gradients, run_lbfgs);
 
-    fn stopping_mut(&mut self) -> &mut Stopping {
-        &mut self.stopping
-    }
-
-    fn uses(&self) -> Uses {
-        Uses::Gradients
-    }
-
-    fn run(
-        &self,
-        cost: &mut dyn LeastSquares,
-        v: &mut [f64],
-        start: &Start,
-        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
-    ) -> Result<Minimum, Error> {
-        run_lbfgs(cost, v, self, start, on_iteration)
-    }
-}
-
-impl Method for ArgminTrustRegionOptions {
-    fn stopping(&self) -> &Stopping {
-        &self.stopping
-    }
-
-    fn stopping_mut(&mut self) -> &mut Stopping {
-        &mut self.stopping
-    }
-
-    fn uses(&self) -> Uses {
-        Uses::Products
-    }
-
-    fn run(
-        &self,
-        cost: &mut dyn LeastSquares,
-        v: &mut [f64],
-        start: &Start,
-        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
-    ) -> Result<Minimum, Error> {
-        run_trust_region(cost, v, self, start, on_iteration)
-    }
-}
+method!(ArgminTrustRegionOptions, stopping, Products, run_trust_region);
 
 fn run_lbfgs(
     cost: &mut dyn CostFunction,

@@ -1,9 +1,9 @@
 //! The trust region, and where it is likely to end in a wrong minimum other starts too.
 
 use super::continuation::{Stage, WAY, stages};
-use super::method::{Method, Uses};
+use super::method::method;
 use super::minimum::{Iteration, Minimum, Start};
-use super::stopping::{Status, Stopping, setters};
+use super::stopping::{Status, setters};
 use super::trust_region::{self, TrustRegionOptions};
 use crate::{Error, LeastSquares};
 use rand::SeedableRng;
@@ -111,29 +111,7 @@ pub fn auto(
     run(cost, v, options, &Start::default(), on_iteration)
 }
 
-impl Method for AutoOptions {
-    fn stopping(&self) -> &Stopping {
-        &self.trust_region.stopping
-    }
-
-    fn stopping_mut(&mut self) -> &mut Stopping {
-        &mut self.trust_region.stopping
-    }
-
-    fn uses(&self) -> Uses {
-        Uses::Products
-    }
-
-    fn run(
-        &self,
-        cost: &mut dyn LeastSquares,
-        v: &mut [f64],
-        start: &Start,
-        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
-    ) -> Result<Minimum, Error> {
-        run(cost, v, self, start, on_iteration)
-    }
-}
+method!(AutoOptions, trust_region.stopping, Products, run);
 
 fn run(
     cost: &mut dyn LeastSquares,

@@ -2,11 +2,11 @@
 
 use super::inverse_hessian::InverseHessian;
 use super::line_search::{Conditions, LineSearch, Ray};
-use super::method::{Method, Uses};
+use super::method::method;
 use super::minimum::{Iteration, Minimum, Progress, Start};
 use super::stopping::{Status, Stopping, at_least_one, setters};
 use crate::cost::{dot, norm};
-use crate::{CostFunction, Error, LeastSquares};
+use crate::{CostFunction, Error};
 use std::ops::ControlFlow;
 
 /// Settings of [`lbfgs`].
@@ -82,29 +82,7 @@ pub fn lbfgs(
     run(cost, v, options, &Start::default(), on_iteration)
 }
 
-impl Method for LbfgsOptions {
-    fn stopping(&self) -> &Stopping {
-        &self.stopping
-    }
-
-    fn stopping_mut(&mut self) -> &mut Stopping {
-        &mut self.stopping
-    }
-
-    fn uses(&self) -> Uses {
-        Uses::Gradients
-    }
-
-    fn run(
-        &self,
-        cost: &mut dyn LeastSquares,
-        v: &mut [f64],
-        start: &Start,
-        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
-    ) -> Result<Minimum, Error> {
-        run(cost, v, self, start, on_iteration)
-    }
-}
+method!(LbfgsOptions, stopping, Gradients, run);
 
 fn run(
     cost: &mut dyn CostFunction,

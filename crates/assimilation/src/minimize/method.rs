@@ -36,3 +36,33 @@ pub(super) enum Uses {
     /// All of A at any size: for whitened variables.
     DenseHessian,
 }
+
+/// Makes options a [`Method`]: where its stopping rule is, what it [`Uses`], and the function that runs it.
+macro_rules! method {
+    ($options:ty, $($stopping:ident).+, $uses:ident, $run:path) => {
+        impl crate::minimize::method::Method for $options {
+            fn stopping(&self) -> &crate::Stopping {
+                &self.$($stopping).+
+            }
+
+            fn stopping_mut(&mut self) -> &mut crate::Stopping {
+                &mut self.$($stopping).+
+            }
+
+            fn uses(&self) -> crate::minimize::method::Uses {
+                crate::minimize::method::Uses::$uses
+            }
+
+            fn run(
+                &self,
+                cost: &mut dyn crate::LeastSquares,
+                v: &mut [f64],
+                start: &crate::minimize::minimum::Start,
+                on_iteration: &mut dyn FnMut(&crate::Iteration) -> std::ops::ControlFlow<()>,
+            ) -> Result<crate::Minimum, crate::Error> {
+                $run(cost, v, self, start, on_iteration)
+            }
+        }
+    };
+}
+pub(super) use method;

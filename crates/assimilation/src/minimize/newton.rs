@@ -1,6 +1,6 @@
 //! The paper's minimizer: Newton's method with the dense Hessian (2.18) and full steps.
 
-use super::method::{Method, Uses};
+use super::method::method;
 use super::minimum::{Iteration, Minimum, Progress, Start};
 use super::stopping::{Status, Stopping, setters};
 use crate::cost::norm;
@@ -68,29 +68,7 @@ pub fn newton(
     run(cost, v, options, &Start::default(), on_iteration)
 }
 
-impl Method for NewtonOptions {
-    fn stopping(&self) -> &Stopping {
-        &self.stopping
-    }
-
-    fn stopping_mut(&mut self) -> &mut Stopping {
-        &mut self.stopping
-    }
-
-    fn uses(&self) -> Uses {
-        Uses::DenseHessian
-    }
-
-    fn run(
-        &self,
-        cost: &mut dyn LeastSquares,
-        v: &mut [f64],
-        start: &Start,
-        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
-    ) -> Result<Minimum, Error> {
-        run(cost, v, self, start, on_iteration)
-    }
-}
+method!(NewtonOptions, stopping, DenseHessian, run);
 
 fn run(
     cost: &mut dyn LeastSquares,

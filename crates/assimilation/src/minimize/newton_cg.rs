@@ -1,7 +1,7 @@
 //! Gauss–Newton with truncated conjugate gradients and a line search.
 
 use super::line_search::{Conditions, LineSearch, Ray};
-use super::method::{Method, Uses};
+use super::method::method;
 use super::minimum::{Iteration, Minimum, Progress, Start, forcing};
 use super::preconditioner::Preconditioner;
 use super::spectral::Spectral;
@@ -85,29 +85,7 @@ pub fn newton_cg(
     run(cost, v, options, &Start::default(), on_iteration)
 }
 
-impl Method for NewtonCgOptions {
-    fn stopping(&self) -> &Stopping {
-        &self.stopping
-    }
-
-    fn stopping_mut(&mut self) -> &mut Stopping {
-        &mut self.stopping
-    }
-
-    fn uses(&self) -> Uses {
-        Uses::Products
-    }
-
-    fn run(
-        &self,
-        cost: &mut dyn LeastSquares,
-        v: &mut [f64],
-        start: &Start,
-        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
-    ) -> Result<Minimum, Error> {
-        run(cost, v, self, start, on_iteration)
-    }
-}
+method!(NewtonCgOptions, stopping, Products, run);
 
 fn run(
     cost: &mut dyn LeastSquares,

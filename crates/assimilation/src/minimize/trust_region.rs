@@ -1,7 +1,7 @@
 //! The default minimizer: a trust region in the control space, on the true J.
 
 use super::line_search::NOISE;
-use super::method::{Method, Uses};
+use super::method::method;
 use super::minimum::{Iteration, Minimum, Progress, Start, forcing};
 use super::secant::Secant;
 use super::spectral::Spectral;
@@ -128,29 +128,7 @@ pub fn trust_region(
     run(cost, v, options, &Start::default(), on_iteration)
 }
 
-impl Method for TrustRegionOptions {
-    fn stopping(&self) -> &Stopping {
-        &self.stopping
-    }
-
-    fn stopping_mut(&mut self) -> &mut Stopping {
-        &mut self.stopping
-    }
-
-    fn uses(&self) -> Uses {
-        Uses::Products
-    }
-
-    fn run(
-        &self,
-        cost: &mut dyn LeastSquares,
-        v: &mut [f64],
-        start: &Start,
-        on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
-    ) -> Result<Minimum, Error> {
-        run(cost, v, self, start, on_iteration)
-    }
-}
+method!(TrustRegionOptions, stopping, Products, run);
 
 pub(super) fn run(
     cost: &mut dyn LeastSquares,
