@@ -33,6 +33,12 @@ pub(super) struct Reach {
 pub(super) struct Unreachable {
     /// Index of the row among those that were judged.
     pub(super) row: usize,
+    by: Beyond,
+}
+
+/// How a place is beyond reach.
+#[derive(Debug, Clone, PartialEq)]
+struct Beyond {
     /// How far it is from a held point of the rod \[m\].
     distance: f64,
     /// How far it can be \[m\].
@@ -73,7 +79,7 @@ impl Held {
     /// taut rod and 4 σ.
     pub(super) fn unreachable(&self, rows: &[Sighting]) -> Vec<Unreachable> {
         let beyond = |(i, row): (usize, &Sighting)| {
-            self.beyond(row, row.site, &|p| p).map(|found| Unreachable { row: i, ..found })
+            self.beyond(row, row.site, &|p| p).map(|by| Unreachable { row: i, by })
         };
         rows.iter().enumerate().filter_map(beyond).collect()
     }
@@ -85,7 +91,7 @@ impl Held {
         row: &Sighting,
         site: usize,
         change: &dyn Fn(Vector3<f64>) -> Vector3<f64>,
-    ) -> Option<Unreachable> {
+    ) -> Option<Beyond> {
         let written = Vector3::from(row.written.map(|v| v.unwrap_or(f64::NAN)));
         let place = change(written) + self.shift;
         let Reach { arc_length, offset } = self.sites[site];
@@ -96,12 +102,7 @@ impl Held {
             let between = (arc_length - held).abs();
             let reach = between * stretch + offset + SIGMAS * row.sigma + 1e-9 * between;
             // Places that overflow are for the model to refuse.
-            (distance > reach && distance.is_finite()).then_some(Unreachable {
-                row: 0,
-                distance,
-                reach,
-                held: *held,
-            })
+            (distance > reach && distance.is_finite()).then_some(Beyond { distance, reach, held: *held })
         })
     }
 
@@ -120,7 +121,7 @@ impl Held {
 
     /// What is wrong with the first of the rows found, and the likely cause.
     pub(super) fn explain(&self, rows: &[Sighting], found: &[Unreachable], labels: &[&str]) -> String {
-        let Unreachable { row, distance, reach, held } = &found[0];
+        let Unreachable { row, by: Beyond { distance, reach, held } } = &found[0];
         let row = &rows[*row];
         let others = match found.len() {
             1 => String::new(),
