@@ -14,6 +14,7 @@
 //! |---|---|
 //! | describe a rod | [`Rod`]; [`Material`] and [`Section`] for a uniform one |
 //! | hold it | [`Supports`] with [`Clamp`] and [`Motion`] |
+//! | move its supports as they were recorded | [`RecordedMotion`], [`RecordedRotation`] with [`SmoothBy`] |
 //! | pull at it, slow it down | [`Loads`], [`Load`], [`Damping`]; [`check::load`] for a load of your own |
 //! | move it in time | [`RodStep`], a step for [`varda_implicit::ImplicitModel`] |
 //! | find its shape at rest | [`equilibrium`] from [`straight_guess`] |
@@ -126,8 +127,10 @@ pub use error::Error;
 pub use load::{EdgeLoad, EdgeMotion, Load};
 pub use marker::{Marker, Markers};
 pub use material::{Material, Section};
-pub use nalgebra::{Matrix3, Vector3};
-pub use recorded::{RecordedMotion, Smoothing, noise_of_rows};
+pub use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+pub use recorded::{
+    RecordedMotion, RecordedRotation, SmoothBy, Smoothing, noise_of_rotations, noise_of_rows,
+};
 pub use rod::{Place, Rod};
 pub use scalar::Real;
 pub use statics::continuation::{Found, Search, rest};
