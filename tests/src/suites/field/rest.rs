@@ -1,7 +1,7 @@
-//! What people bring: rods held anywhere, found at rest without being told how.
+//! Rods held anywhere, found at rest without being told how.
 
-use super::Options;
-use crate::row::{Case, Outcome, Row, Rows};
+use crate::row::{Case, Outcome, Rows};
+use crate::suites::Options;
 use std::f64::consts::PI;
 use std::sync::Arc;
 use varda_rod::{Clamp, ClampAt, Loads, Rod, Search, Section, Supports, Vector3, rest};
@@ -72,8 +72,7 @@ const CABLES: [(usize, f64, f64, f64, f64); 56] = [
     (60, 1.2, 0.4, 1e4, 1e-4),
 ];
 
-pub(super) fn run(options: &Options) -> Vec<Row> {
-    let mut rows = Rows::new("field");
+pub(super) fn run(options: &Options, rows: &mut Rows) {
     let every = if options.quick { 10 } else { 1 };
     rows.area("slack cable");
     rows.reason("bending of 1e-4 N m² moves the catenary by less than 2e-3 m, the mesh by less");
@@ -90,7 +89,6 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     for (curvature, twist) in coils.step_by(every) {
         rows.case(&format!("k {curvature} twist {twist}"), |case| coil(case, curvature, twist));
     }
-    rows.finish()
 }
 
 fn slack_cable(case: &mut Case, &(n, length, rise, ea, ei): &(usize, f64, f64, f64, f64)) -> Outcome {
