@@ -26,7 +26,8 @@ pub struct Rest {
 /// [`straight_guess`].
 ///
 /// ```
-/// use varda_rod::{Clamp, ClampAt, Loads, Material, Rod, Section, Supports, Vector3, equilibrium, straight_guess};
+/// use varda_rod::{Clamp, ClampAt, Loads, Material, Rod, Section, Supports, Vector3};
+/// use varda_rod::{equilibrium, straight_guess};
 ///
 /// // A cantilever of 0.1 m, 40 segments: its tip sinks by w L⁴/(8 EI), w the weight per length.
 /// let section = Section::circle(&Material::new(1e7, 0.5, 1100.0), 0.005);
