@@ -1,10 +1,10 @@
-//! What people bring: rods held anywhere, found at rest without being told how.
+//! Rods held anywhere, found at rest without being told how.
 
-use super::Options;
-use crate::row::{Case, Outcome, Row, Rows};
+use crate::row::{Case, Outcome, Rows};
+use crate::suites::Options;
 use std::f64::consts::PI;
 use std::sync::Arc;
-use varda_rod::{Clamp, Loads, Rod, Search, Section, Supports, Vector3, rest};
+use varda_rod::{Clamp, ClampAt, Loads, Rod, Search, Section, Supports, Vector3, rest};
 
 /// Weight per length of the cables [N/m].
 const WEIGHT: f64 = 0.5;
@@ -72,8 +72,7 @@ const CABLES: [(usize, f64, f64, f64, f64); 56] = [
     (60, 1.2, 0.4, 1e4, 1e-4),
 ];
 
-pub(super) fn run(options: &Options) -> Vec<Row> {
-    let mut rows = Rows::new("field");
+pub(super) fn run(options: &Options, rows: &mut Rows) {
     let every = if options.quick { 10 } else { 1 };
     rows.area("slack cable");
     rows.reason("bending of 1e-4 N m² moves the catenary by less than 2e-3 m, the mesh by less");
@@ -90,7 +89,6 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     for (curvature, twist) in coils.step_by(every) {
         rows.case(&format!("k {curvature} twist {twist}"), |case| coil(case, curvature, twist));
     }
-    rows.finish()
 }
 
 fn slack_cable(case: &mut Case, &(n, length, rise, ea, ei): &(usize, f64, f64, f64, f64)) -> Outcome {
@@ -180,8 +178,8 @@ fn elastica(case: &mut Case, share: f64) -> Outcome {
     let rod = Rod::uniform(1.0, n, &section)?;
     let distance = share * (1.0 - h) + h;
     let supports = Supports {
-        start: Some(Clamp::new(Vector3::zeros(), Vector3::x(), Vector3::z())),
-        end: Some(Clamp::new(Vector3::x() * distance, Vector3::x(), Vector3::z())),
+        start: Some(Clamp::new(ClampAt::Edge, Vector3::zeros(), Vector3::x(), Vector3::z())),
+        end: Some(Clamp::new(ClampAt::Edge, Vector3::x() * distance, Vector3::x(), Vector3::z())),
         ..Supports::default()
     };
     let found = rest(&rod, &supports, &Loads::default(), 0.0, &Search::default())?;
@@ -220,7 +218,8 @@ fn coil(case: &mut Case, curvature: f64, twist: f64) -> Outcome {
     let n = 200;
     let section = Section { ea: 1e4, ei1: 1e-3, ei2: 1e-3, gj: 0.8e-3, mass_per_length: 0.1 };
     let rod = Rod::uniform(1.0, n, &section)?.naturally([curvature, 0.0], twist);
-    let supports = Supports::clamped_start(Clamp::new(Vector3::zeros(), Vector3::z(), Vector3::x()));
+    let supports =
+        Supports::clamped_start(Clamp::new(ClampAt::Edge, Vector3::zeros(), Vector3::z(), Vector3::x()));
     let found = rest(&rod, &supports, &Loads::default(), 0.0, &Search::default())?;
     case.at_most("energy", found.energy.abs(), 1e-20, "J").because("the rest shape has none");
     let chord = (found.rest.vertices[n] - found.rest.vertices[0]).norm();

@@ -1,0 +1,12 @@
+//! What people bring: rods held anywhere, recorded supports, files as they come.
+
+mod rest;
+
+use super::Options;
+use crate::row::{Row, Rows};
+
+pub(super) fn run(options: &Options) -> Vec<Row> {
+    let mut rows = Rows::new("field");
+    rest::run(options, &mut rows);
+    rows.finish()
+}
