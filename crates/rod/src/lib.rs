@@ -67,11 +67,11 @@
 //!
 //! ```
 //! use varda_implicit::{ImplicitModel, Model};
-//! use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, Vector3};
+//! use varda_rod::{Clamp, ClampAt, Damping, Loads, Material, Rod, RodStep, Section, Supports, Vector3};
 //!
 //! let material = Material::new(1e6, 0.5, 1100.0);
 //! let rod = Rod::uniform(1.0, 20, &Section::circle(&material, 0.01))?;
-//! let clamp = Clamp::new(|t: f64| [0.1 * t * t, 0.0, 0.0], -Vector3::z(), Vector3::x());
+//! let clamp = Clamp::new(ClampAt::Edge, |t: f64| [0.1 * t * t, 0.0, 0.0], -Vector3::z(), Vector3::x());
 //! let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
 //! let step = RodStep::new(rod, Supports::clamped_start(clamp), loads, Damping::default())?;
 //!
@@ -138,7 +138,7 @@ pub use rod::{Place, Rod};
 pub use scalar::Real;
 pub use statics::continuation::{Found, Search, rest};
 pub use statics::reactions::Reaction;
-pub use support::{Clamp, Damping, EllipseDrive, Loads, Motion, Supports};
+pub use support::{Clamp, ClampAt, Damping, EllipseDrive, Loads, Motion, Supports};
 
 /// The example of README.md, compiled and run with the tests.
 #[cfg(doctest)]

@@ -190,7 +190,7 @@ impl Way<'_> {
             rod.natural_twist.iter_mut().for_each(|k| *k *= lambda);
         }
         let clamp = |f: &crate::system::ClampFrame, at: (Vector3<f64>, Vector3<f64>)| {
-            Clamp::new(f.position, at.0, at.1)
+            Clamp::new(f.at, f.position, at.0, at.1)
         };
         let supports = Supports {
             start: self.held.start.as_ref().map(|f| clamp(f, self.frame(true, lambda))),
