@@ -37,13 +37,13 @@ pub struct InternalForces {
 /// Forces and moments within a rod at rest, supports where they are at time t.
 ///
 /// ```
-/// use varda_rod::{Clamp, Loads, Material, Rod, Search, Section, Supports, Vector3};
+/// use varda_rod::{Clamp, ClampAt, Loads, Material, Rod, Search, Section, Supports, Vector3};
 /// use varda_rod::{internal_forces, rest};
 ///
 /// // What hangs from a clamp pulls at it with its whole weight.
 /// let section = Section::circle(&Material::new(1e7, 0.5, 1100.0), 0.005);
 /// let rod = Rod::uniform(1.0, 20, &section)?;
-/// let supports = Supports::clamped_start(Clamp::new([0.0; 3], -Vector3::z(), Vector3::x()));
+/// let supports = Supports::clamped_start(Clamp::new(ClampAt::Edge, [0.0; 3], -Vector3::z(), Vector3::x()));
 /// let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
 /// let found = rest(&rod, &supports, &loads, 0.0, &Search::default())?;
 /// let forces = internal_forces(&rod, &supports, &loads, 0.0, &found.rest)?;

@@ -61,12 +61,12 @@ pub struct Modes {
 /// with (K + sM)⁻¹M (Bathe and Wilson 1973), O(n) a product, s a small shift that is taken off again.
 ///
 /// ```
-/// use varda_rod::{Clamp, Loads, Material, Rod, Section, Supports, Vector3, modes, straight_guess};
+/// use varda_rod::{Clamp, ClampAt, Loads, Material, Rod, Section, Supports, Vector3, modes, straight_guess};
 ///
 /// // A cantilever without weight: ω = 3.516 √(EI/ρA)/L², in either plane.
 /// let section = Section::circle(&Material::new(1e7, 0.5, 1100.0), 0.005);
 /// let rod = Rod::uniform(0.5, 100, &section)?;
-/// let supports = Supports::clamped_start(Clamp::new([0.0; 3], Vector3::x(), Vector3::z()));
+/// let supports = Supports::clamped_start(Clamp::new(ClampAt::Edge, [0.0; 3], Vector3::x(), Vector3::z()));
 /// let straight = straight_guess(&rod, &supports, 0.0, Vector3::x())?;
 /// let found = modes(&rod, &supports, &Loads::default(), 0.0, &straight, 2)?;
 /// let omega = 3.516 * (section.ei1 / section.mass_per_length).sqrt() / 0.25;

@@ -6,8 +6,8 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 use varda_implicit::Scheme;
 use varda_rod::{
-    Clamp, Damping, Loads, Rest, Rod, RodStep, Search, Section, Supports, Vector3, internal_forces, modes,
-    rest, straight_guess,
+    Clamp, ClampAt, Damping, Loads, Rest, Rod, RodStep, Search, Section, Supports, Vector3, internal_forces,
+    modes, rest, straight_guess,
 };
 
 const GRAVITY: f64 = 9.81;
@@ -45,7 +45,7 @@ fn hooks(places: &[(usize, [f64; 3])]) -> Supports {
 /// The tension of a hanging rod is the weight below.
 fn hanging(case: &mut Case) -> Outcome {
     let rod = Rod::uniform(1.0, 40, &section())?;
-    let supports = Supports::clamped_start(Clamp::new([0.0; 3], -Vector3::z(), Vector3::x()));
+    let supports = Supports::clamped_start(Clamp::new(ClampAt::Edge, [0.0; 3], -Vector3::z(), Vector3::x()));
     let found = rest(&rod, &supports, &weight(), 0.0, &Search::default())?;
     let forces = internal_forces(&rod, &supports, &weight(), 0.0, &found.rest)?;
     let below = |e: usize| GRAVITY * rod.masses[e + 1..].iter().sum::<f64>();
@@ -66,7 +66,7 @@ fn hanging(case: &mut Case) -> Outcome {
 fn cantilever(case: &mut Case) -> Outcome {
     let section = Section { ei1: 10.0, ei2: 10.0, gj: 10.0, ea: 1e6, ..section() };
     let rod = Rod::uniform(1.0, 100, &section)?;
-    let supports = Supports::clamped_start(Clamp::new([0.0; 3], Vector3::x(), Vector3::z()));
+    let supports = Supports::clamped_start(Clamp::new(ClampAt::Edge, [0.0; 3], Vector3::x(), Vector3::z()));
     let found = rest(&rod, &supports, &weight(), 0.0, &Search::default())?;
     let forces = internal_forces(&rod, &supports, &weight(), 0.0, &found.rest)?;
     let (w, s) = (GRAVITY * 0.1, rod.arc_lengths());
@@ -87,7 +87,7 @@ fn cantilever(case: &mut Case) -> Outcome {
 fn swung(case: &mut Case, damping: f64) -> Outcome {
     let rod = Rod::uniform(1.0, 20, &section())?;
     let motion = |t: f64| [0.2 * (3.0 * t).sin(), 0.1 * (5.0 * t).cos(), 0.0];
-    let supports = Supports::clamped_start(Clamp::new(motion, -Vector3::z(), Vector3::x()));
+    let supports = Supports::clamped_start(Clamp::new(ClampAt::Edge, motion, -Vector3::z(), Vector3::x()));
     let guess = straight_guess(&rod, &supports, 0.0, Vector3::x())?;
     let damping = Damping { stiffness: damping, mass: 0.3 };
     let (masses, h) = (rod.masses.clone(), 0.01);
