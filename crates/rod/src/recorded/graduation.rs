@@ -281,11 +281,7 @@ fn factor(w: usize, a: &mut [f64]) -> Result<(), Error> {
     band::ldlt_factor(w, a).map(|_| ()).map_err(uneven)
 }
 
-fn solve_each<const N: usize>(
-    w: usize,
-    factor: &[f64],
-    right: &[SVector<f64, N>],
-) -> Vec<SVector<f64, N>> {
+fn solve_each<const N: usize>(w: usize, factor: &[f64], right: &[SVector<f64, N>]) -> Vec<SVector<f64, N>> {
     let mut solved = vec![SVector::zeros(); right.len()];
     for c in 0..N {
         let mut column: Vec<f64> = right.iter().map(|r| r[c]).collect();
