@@ -26,7 +26,8 @@ pub enum SmoothBy {
     /// The standard deviation σ of a component is known: λ minimizes the risk Σ |y − g|² + 6σ² d
     /// (Mallows 1973). \[m\], or \[rad\] about each axis for rotations.
     Sigma(f64),
-    /// Amplitudes at this frequency \[Hz\] are halved, faster ones more: 2πf h = λ^{−1/6} with rows h apart.
+    /// Amplitudes at this frequency \[Hz\] are halved, faster ones more: 2πf h = λ^{−1/6} with rows h
+    /// apart.
     CutOff(f64),
 }
 

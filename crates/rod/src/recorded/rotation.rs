@@ -8,8 +8,8 @@ use crate::Error;
 /// A rotation known from rows of time and unit quaternion; before the first and after the last it stays as
 /// that is.
 ///
-/// It is the direction of a curve g(t) in the space of quaternions, a natural cubic spline through the rows or
-/// through what smoothing leaves of them:
+/// It is the direction of a curve g(t) in the space of quaternions, a natural cubic spline through the rows
+/// or through what smoothing leaves of them:
 ///
 /// ```text
 /// q(t) = g(t)/|g(t)|

@@ -82,9 +82,9 @@ pub struct RecordedMotion {
 }
 
 /// Places and rotations of a body from a CSV file with the header `time_s,x_m,y_m,z_m,qx,qy,qz,qw`, which has
-/// to cover the whole run. (qx, qy, qz, qw) is the unit quaternion that turns the body's axes into the file's,
-/// real part last; q and −q are the same. Between rows it turns smoothly, with continuous angular velocity
-/// and acceleration.
+/// to cover the whole run. (qx, qy, qz, qw) is the unit quaternion that turns the body's axes into those of
+/// the file, real part last; q and −q are the same. Between rows it turns smoothly, with continuous angular
+/// velocity and acceleration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RecordedPose {
@@ -160,8 +160,8 @@ pub enum PoseValues {
 pub struct RecordedMarkers {
     /// Their names. One: it is at the support's place. Two: the first is there, the second ahead of it along
     /// the tangent; the section does not spin about the tangent. Three or more of a rigid body: the first is
-    /// there, the second ahead along the tangent, the third in the direction of m₁ from the first (as far as
-    /// that is across the tangent); rows without one of them count while three are seen.
+    /// there, the second ahead along the tangent, the third towards m₁ from the first (as far as that is
+    /// across the tangent); rows without one of them count while three are seen.
     pub names: Vec<String>,
     /// Whether the markers are at the support's place and along its directions, or somewhere on the body that
     /// holds it.

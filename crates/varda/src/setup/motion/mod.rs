@@ -319,8 +319,9 @@ impl<'a> Motions<'a> {
                 Err(source.bad(
                     line,
                     format!(
-                        "it turns by {turn:.0}° from the row before (time_s = {time}), more than a quarter turn: \
-                         is the real part qw the last column, are labels exchanged, or are rows missing?"
+                        "it turns by {turn:.0}° from the row before (time_s = {time}), more than a quarter \
+                         turn: is the real part qw the last column, are labels exchanged, or are rows \
+                         missing?"
                     ),
                 ))
             }

@@ -53,8 +53,8 @@ impl Source<'_> {
         let slack = 1e-6 * (last - first).max(to - from);
         if *first > from + slack || *last < to - slack {
             return Err(self.invalid(format!(
-                "{} has rows from {first} to {last} s of the model's clock, and the run needs {from} to {to} s: \
-                 set {time_zero_key} (now {time_zero}), the window or report.forecast",
+                "{} has rows from {first} to {last} s of the model's clock, and the run needs {from} to \
+                 {to} s: set {time_zero_key} (now {time_zero}), the window or report.forecast",
                 self.label
             )));
         }
@@ -71,8 +71,8 @@ impl Source<'_> {
         let longest = within.max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))?;
         (longest[1] - longest[0] > 5.0 * usual).then(|| {
             format!(
-                "{} has no rows from {} to {} s of the model's clock, elsewhere every {usual:.4} s: the motion \
-                 is drawn across",
+                "{} has no rows from {} to {} s of the model's clock, elsewhere every {usual:.4} s: the \
+                 motion is drawn across",
                 self.label, longest[0], longest[1]
             )
         })
