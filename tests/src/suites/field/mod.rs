@@ -1,6 +1,10 @@
 //! What people bring: rods held anywhere, recorded supports, files as they come.
 
+mod bases;
+mod files;
+mod folder;
 mod forces;
+mod gripped;
 mod rest;
 
 use super::Options;
@@ -9,6 +13,9 @@ use crate::row::{Row, Rows};
 pub(super) fn run(options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("field");
     rest::run(options, &mut rows);
+    bases::run(options, &mut rows);
+    files::run(options, &mut rows);
+    gripped::run(options, &mut rows);
     forces::run(options, &mut rows);
     rows.finish()
 }

@@ -116,7 +116,7 @@ fn slack_cable(case: &mut Case, &(n, length, rise, ea, ei): &(usize, f64, f64, f
 }
 
 /// The larger; NaN stays.
-fn greatest(a: f64, b: f64) -> f64 {
+pub(super) fn greatest(a: f64, b: f64) -> f64 {
     if a >= b { a } else { b }
 }
 
