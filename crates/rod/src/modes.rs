@@ -16,15 +16,18 @@ use crate::system::System;
 const SHIFT: f64 = 1e-10;
 /// The same where negative ω² are counted: a zero with its rounding is not one.
 const ZERO: f64 = 1e-13;
-/// A mode has converged when K⁻¹M leaves it, to this share of its length.
-const CONVERGED: f64 = 1e-8;
+/// A mode has converged when K⁻¹M leaves it, to this share of its length: ω² is then exact to its square.
+const CONVERGED: f64 = 1e-6;
+/// After so many products what is left is the rounding of K⁻¹, and this much of it is bearable.
+const SETTLED: (usize, f64) = (60, 1e-3);
 /// Most products with K⁻¹M for each vector.
 const MOST: usize = 500;
 
 /// A natural mode: the rod moves as x + a φ cos(ωt) about its shape at rest, a small.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mode {
-    /// ω² [1/s²]; negative where the shape is not stable, and the mode grows as exp(√(−ω²) t).
+    /// ω² [1/s²]; negative where the shape is not stable, and the mode grows as exp(√(−ω²) t); zero where it
+    /// is zero to rounding, and the rod moves freely.
     pub omega_squared: f64,
     /// φ of all vertices [kg^(−1/2)]: Σ m |φ|² = 1, zero where a vertex is held.
     pub displacements: Vec<Vector3<f64>>,
@@ -116,6 +119,8 @@ struct Pencil {
     /// Mass of every unknown; zero for angles.
     mass: Vec<f64>,
     shift: f64,
+    /// The greatest ω² that is zero to rounding.
+    zero: f64,
     unstable: usize,
 }
 
@@ -146,13 +151,13 @@ impl Pencil {
         let mut symmetric = LinearSolver::new(n, &Structure::SymmetricBand { half_bandwidth: w });
         let mut factor = symmetric.empty_factor();
         let unstable = symmetric.factor(&shifted(ZERO), &mut factor).map_err(singular)?;
-        let (k, shift) = (shifted(SHIFT - ZERO), SHIFT * greatest);
+        let (k, shift, zero) = (shifted(SHIFT - ZERO), SHIFT * greatest, ZERO * greatest);
         let mut general = vec![0.0; n * (2 * w + 1)];
         mirror(&k, w, &mut general);
         let mut solver = LinearSolver::new(n, &Structure::Band { half_bandwidth: w });
         let mut factor = solver.empty_factor();
         solver.factor(&general, &mut factor).map_err(singular)?;
-        Ok(Pencil { system, solver, factor, mass, shift, unstable })
+        Ok(Pencil { system, solver, factor, mass, shift, zero, unstable })
     }
 
     /// ⟨a, b⟩ = aᵀ M b.
@@ -193,7 +198,8 @@ impl Pencil {
         let count = count.min(moving);
         let mut basis = self.orthonormal(starts(self.mass.len(), (count + 8.max(count)).min(moving)));
         let mut converged = 0;
-        for _ in 0..MOST {
+        for round in 0..MOST {
+            let bound = if round < SETTLED.0 { CONVERGED } else { SETTLED.1 };
             let image: Vec<Vec<f64>> = basis.iter().map(|v| self.inverse(v)).collect();
             // Rayleigh–Ritz: the inverse within the basis, its eigenvectors, greatest first
             let q = basis.len();
@@ -212,7 +218,7 @@ impl Pencil {
             let left = |&(place, &of): &(usize, &usize)| {
                 let (inverse, mut rest) = (eigen.eigenvalues[of], images[place].clone());
                 axpy(-inverse, &mixed(&basis, of), &mut rest);
-                self.inner(&rest, &rest).sqrt() <= CONVERGED * inverse.abs()
+                self.inner(&rest, &rest).sqrt() <= bound * inverse.abs()
             };
             converged = order.iter().enumerate().take(count).take_while(left).count();
             if converged == count {
@@ -227,6 +233,7 @@ impl Pencil {
 
     fn mode(&self, omega_squared: f64, vector: &[f64]) -> Mode {
         let (layout, n) = (&self.system.layout, self.system.rod.segments());
+        let omega_squared = if omega_squared.abs() <= self.zero { 0.0 } else { omega_squared };
         let mut mode =
             Mode { omega_squared, displacements: vec![Vector3::zeros(); n + 1], turns: vec![0.0; n] };
         for &v in &layout.free_vertices {

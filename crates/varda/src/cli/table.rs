@@ -140,6 +140,7 @@ pub(super) fn modes(modes: &RodModes, folder: &Path) -> String {
     let mut out = format!("{:>4} {:>14} {:>12}\n", "mode", "frequency (Hz)", "period (s)");
     for (i, mode) in modes.found.modes.iter().enumerate() {
         let _ = match mode.frequency() {
+            Some(0.0) => writeln!(out, "{:>4} {:>14} moves freely", i + 1, 0),
             Some(f) => writeln!(out, "{:>4} {f:>14.6} {:>12.6}", i + 1, 1.0 / f),
             None => {
                 let time = 1.0 / (-mode.omega_squared).sqrt();
