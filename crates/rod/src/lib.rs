@@ -14,7 +14,7 @@
 //! |---|---|
 //! | describe a rod | [`Rod`]; [`Material`] and [`Section`] for a uniform one |
 //! | hold it | [`Supports`] with [`Clamp`] and [`Motion`] |
-//! | pull at it, slow it down | [`Loads`], [`Load`], [`Damping`]; [`check::load`] for a load of your own |
+//! | pull at it, slow it down | [`Loads`], [`FollowerForce`], [`Moment`], [`Drag`], [`Damping`]; [`Load`] and [`check::load`] for a load of your own |
 //! | move it in time | [`RodStep`], a step for [`varda_implicit::ImplicitModel`] |
 //! | find its shape at rest | [`equilibrium`] from [`straight_guess`] |
 //! | observe points on it | [`Markers`], a [`varda_implicit::ObservationOperator`] |
@@ -123,6 +123,9 @@ pub use energy::{Derivatives, Energy, Framed, derivatives, energy};
 pub use equations::RodEquations;
 pub use equilibrium::{Rest, equilibrium, straight_guess};
 pub use error::Error;
+pub use load::drag::Drag;
+pub use load::follower::FollowerForce;
+pub use load::moment::Moment;
 pub use load::{EdgeLoad, EdgeMotion, Load};
 pub use marker::{Marker, Markers};
 pub use material::{Material, Section};
