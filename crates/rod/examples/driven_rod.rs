@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use std::time::Instant;
 
 use varda_implicit::{ImplicitModel, Model};
-use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, TwistUnknowns};
+use varda_rod::{Clamp, ClampAt, Damping, Loads, Material, Rod, RodStep, Section, Supports, TwistUnknowns};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1200.0 };
@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let rod = Rod::uniform(1.0, segments, &Section::circle(&material, 0.005))?;
         let omega = 2.0 * PI;
         let drive = move |t: f64| [0.10 * (1.0 - (omega * t).cos()), 0.05 * (omega * t).sin(), 0.0];
-        let clamp = Clamp::new(drive, [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]);
+        let clamp = Clamp::new(ClampAt::Edge, drive, [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]);
         let loads = Loads { gravity: [0.0, 0.0, -9.81].into(), ..Loads::default() };
         let step =
             RodStep::with_twist(rod, Supports::clamped_start(clamp), loads, Damping::default(), twist)?;

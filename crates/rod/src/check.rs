@@ -161,8 +161,7 @@ fn on_edge(
         at_most(&format!("2 − Taylor slope of {what}"), value, bound);
     }
     let change = |i: usize| Vector3::from_column_slice(&by_velocity[6 + 3 * i..9 + 3 * i]);
-    let faster =
-        EdgeMotion { velocities: [0, 1].map(|i| motion.velocities[i] + change(i)), ..motion };
+    let faster = EdgeMotion { velocities: [0, 1].map(|i| motion.velocities[i] + change(i)), ..motion };
     let by_place_and_angle: Vec<f64> = by_place.iter().zip(&by_angle).map(|(p, a)| p + a).collect();
     if load.has_moment() {
         let gradient: Vec<f64> =
@@ -178,12 +177,15 @@ fn on_edge(
         at_most("moment of a load that has none", largest, 0.0);
     }
     if !load.uses_directors() {
-        at_most("values that depend on directors", differs(&with(&motion, &[&x[..12], &[0.3]].concat())?), 0.0);
+        at_most(
+            "values that depend on directors",
+            differs(&with(&motion, &[&x[..12], &[0.3]].concat())?),
+            0.0,
+        );
         at_most("∂F/∂θ without directors", acts.by_angle.abs().max(), 0.0);
     }
     if load.has_potential() {
-        let minus: Vec<f64> =
-            acts.forces.iter().map(|f| -f).chain([0.0; 6]).chain([-acts.moment]).collect();
+        let minus: Vec<f64> = acts.forces.iter().map(|f| -f).chain([0.0; 6]).chain([-acts.moment]).collect();
         let mut energy = |x: &[f64]| Ok(at(x)?.energy);
         let (value, bound) = remainder(&mut energy, &minus, &x, &by_place_and_angle)?;
         at_most("2 − Taylor slope of the potential, whose gradient is −F", value, bound);

@@ -42,11 +42,11 @@ use crate::twist_equilibrium::TwistEquilibrium;
 ///
 /// ```
 /// use varda_implicit::{Model, Scheme};
-/// use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, Vector3};
+/// use varda_rod::{Clamp, ClampAt, Damping, Loads, Material, Rod, RodStep, Section, Supports, Vector3};
 /// use varda_rod::straight_guess;
 ///
 /// let rod = Rod::uniform(1.0, 20, &Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.01))?;
-/// let supports = Supports::clamped_start(Clamp::new([0.0; 3], Vector3::x(), Vector3::z()));
+/// let supports = Supports::clamped_start(Clamp::new(ClampAt::Edge, [0.0; 3], Vector3::x(), Vector3::z()));
 /// let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
 /// let guess = straight_guess(&rod, &supports, 0.0, Vector3::x())?;
 /// let step = RodStep::new(rod, supports, loads, Damping::default())?.with_scheme(Scheme::Bdf2);

@@ -26,12 +26,13 @@ pub struct Rest {
 /// [`straight_guess`].
 ///
 /// ```
-/// use varda_rod::{Clamp, Loads, Material, Rod, Section, Supports, Vector3, equilibrium, straight_guess};
+/// use varda_rod::{Clamp, ClampAt, Loads, Material, Rod, Section, Supports, Vector3};
+/// use varda_rod::{equilibrium, straight_guess};
 ///
 /// // A cantilever of 0.1 m, 40 segments: its tip sinks by w L⁴/(8 EI), w the weight per length.
 /// let section = Section::circle(&Material::new(1e7, 0.5, 1100.0), 0.005);
 /// let rod = Rod::uniform(0.1, 40, &section)?;
-/// let supports = Supports::clamped_start(Clamp::new([0.0; 3], Vector3::x(), Vector3::z()));
+/// let supports = Supports::clamped_start(Clamp::new(ClampAt::Edge, [0.0; 3], Vector3::x(), Vector3::z()));
 /// let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
 /// let guess = straight_guess(&rod, &supports, 0.0, Vector3::x())?;
 /// let (rest, _) = equilibrium(&rod, &supports, &loads, 0.0, &guess)?;
@@ -144,10 +145,10 @@ fn stretch_a_little(system: &mut System) {
 /// the end clamp) at time t along the clamp's tangent, or along `direction` where there is no start clamp.
 ///
 /// ```
-/// use varda_rod::{Clamp, Material, Rod, Section, Supports, Vector3, straight_guess};
+/// use varda_rod::{Clamp, ClampAt, Material, Rod, Section, Supports, Vector3, straight_guess};
 ///
 /// let rod = Rod::uniform(1.0, 4, &Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.01))?;
-/// let clamp = Clamp::new([0.0, 0.0, 2.0], -Vector3::z(), Vector3::x());
+/// let clamp = Clamp::new(ClampAt::Edge, [0.0, 0.0, 2.0], -Vector3::z(), Vector3::x());
 /// let guess = straight_guess(&rod, &Supports::clamped_start(clamp), 0.0, Vector3::x())?;
 /// assert_eq!(guess.vertices[4], Vector3::new(0.0, 0.0, 1.0)); // along the clamp
 /// # Ok::<(), varda_rod::Error>(())

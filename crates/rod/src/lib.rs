@@ -14,9 +14,12 @@
 //! |---|---|
 //! | describe a rod | [`Rod`]; [`Material`] and [`Section`] for a uniform one |
 //! | hold it | [`Supports`] with [`Clamp`] and [`Motion`] |
-//! | pull at it, slow it down | [`Loads`], [`FollowerForce`], [`Moment`], [`Drag`], [`Damping`]; [`Load`] and [`check::load`] for a load of your own |
+//! | pull at it, turn it, slow it down | [`Loads`], [`FollowerForce`], [`Moment`], [`Drag`], [`Damping`] |
+//! | load it in another way | the trait [`Load`], tested by [`check::load`] |
 //! | move it in time | [`RodStep`], a step for [`varda_implicit::ImplicitModel`] |
 //! | find its shape at rest | [`equilibrium`] from [`straight_guess`] |
+//! | find its natural modes | [`modes()`]: [`Modes`], each a [`Mode`] |
+//! | find tension, moments, reactions | [`internal_forces()`]: [`InternalForces`] with every [`Reaction`] |
 //! | observe points on it | [`Markers`], a [`varda_implicit::ObservationOperator`] |
 //! | use its energy elsewhere | [`derivatives`]: gradient and Hessian; [`energy`] of any [`Real`] number |
 //!
@@ -65,11 +68,11 @@
 //!
 //! ```
 //! use varda_implicit::{ImplicitModel, Model};
-//! use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, Vector3};
+//! use varda_rod::{Clamp, ClampAt, Damping, Loads, Material, Rod, RodStep, Section, Supports, Vector3};
 //!
 //! let material = Material::new(1e6, 0.5, 1100.0);
 //! let rod = Rod::uniform(1.0, 20, &Section::circle(&material, 0.01))?;
-//! let clamp = Clamp::new(|t: f64| [0.1 * t * t, 0.0, 0.0], -Vector3::z(), Vector3::x());
+//! let clamp = Clamp::new(ClampAt::Edge, |t: f64| [0.1 * t * t, 0.0, 0.0], -Vector3::z(), Vector3::x());
 //! let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
 //! let step = RodStep::new(rod, Supports::clamped_start(clamp), loads, Damping::default())?;
 //!
@@ -103,10 +106,12 @@ mod equilibrium;
 mod error;
 mod geometry;
 mod implicit_step;
+mod internal_forces;
 mod layout;
 mod load;
 mod marker;
 mod material;
+mod modes;
 mod predict;
 mod recorded;
 mod rod;
@@ -123,19 +128,21 @@ pub use energy::{Derivatives, Energy, Framed, derivatives, energy};
 pub use equations::RodEquations;
 pub use equilibrium::{Rest, equilibrium, straight_guess};
 pub use error::Error;
+pub use internal_forces::{InternalForces, internal_forces};
 pub use load::drag::Drag;
 pub use load::follower::FollowerForce;
 pub use load::moment::Moment;
 pub use load::{EdgeLoad, EdgeMotion, Load};
 pub use marker::{Marker, Markers};
 pub use material::{Material, Section};
+pub use modes::{Mode, Modes, modes};
 pub use nalgebra::{Matrix3, Vector3};
 pub use recorded::{RecordedMotion, Smoothing, noise_of_rows};
 pub use rod::{Place, Rod};
 pub use scalar::Real;
 pub use statics::continuation::{Found, Search, rest};
 pub use statics::reactions::Reaction;
-pub use support::{Clamp, Damping, EllipseDrive, Loads, Motion, Supports};
+pub use support::{Clamp, ClampAt, Damping, EllipseDrive, Loads, Motion, Supports};
 
 /// The example of README.md, compiled and run with the tests.
 #[cfg(doctest)]

@@ -35,11 +35,12 @@ pub struct Marker {
 ///
 /// ```
 /// use varda_implicit::{At, ObservationOperator};
-/// use varda_rod::{Clamp, Damping, Loads, Marker, Markers, Material, Rod, RodStep, Section};
+/// use varda_rod::{Clamp, ClampAt, Damping, Loads, Marker, Markers, Material, Rod, RodStep, Section};
 /// use varda_rod::{Supports, Vector3};
 ///
 /// let rod = Rod::uniform(1.0, 10, &Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.01))?;
-/// let supports = Supports::clamped_start(Clamp::new([0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]));
+/// let clamp = Clamp::new(ClampAt::Edge, [0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]);
+/// let supports = Supports::clamped_start(clamp);
 /// let step = RodStep::new(rod, supports, Loads::default(), Damping::default())?;
 /// // 5 cm along the clamp's edge, and 2 cm above it.
 /// let mut markers = Markers::new(&step, &[Marker { s: 0.05, offset: Vector3::new(0.02, 0.0, 0.0) }])?;

@@ -67,19 +67,30 @@ impl Motion for EllipseDrive {
     }
 }
 
+/// Where on the rod the place of a clamp is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ClampAt {
+    /// The section at the clamp's face: the middle of the held edge.
+    Face,
+    /// The end vertex: the clamp holds the whole first (last) edge, from vertex to vertex.
+    Edge,
+}
+
 /// A clamped end: it prescribes the end vertex, the direction of the end edge (at its rest length) and the
 /// direction m₁ of the section there, all as functions of time. Directions need not be normalized, nor m₁
 /// exactly perpendicular.
 ///
 /// ```
-/// use varda_rod::{Clamp, Vector3};
+/// use varda_rod::{Clamp, ClampAt, Vector3};
 ///
 /// // Hanging down from a point that moves sideways, its section not turning.
-/// let clamp = Clamp::new(|t: f64| [0.1 * t * t, 0.0, 0.0], -Vector3::z(), Vector3::x());
+/// let clamp = Clamp::new(ClampAt::Edge, |t: f64| [0.1 * t * t, 0.0, 0.0], -Vector3::z(), Vector3::x());
 /// assert_eq!(clamp.position.at(2.0), Vector3::new(0.4, 0.0, 0.0));
 /// ```
 #[derive(Clone)]
 pub struct Clamp {
+    /// What `position` is the place of.
+    pub at: ClampAt,
     /// Place of the end vertex \[m\].
     pub position: Arc<dyn Motion>,
     /// Direction of the end edge, towards growing arc length.
@@ -91,11 +102,12 @@ pub struct Clamp {
 impl Clamp {
     /// A clamp of these motions; constant vectors are motions too.
     pub fn new(
+        at: ClampAt,
         position: impl Motion + 'static,
         tangent: impl Motion + 'static,
         director: impl Motion + 'static,
     ) -> Clamp {
-        Clamp { position: Arc::new(position), tangent: Arc::new(tangent), director: Arc::new(director) }
+        Clamp { at, position: Arc::new(position), tangent: Arc::new(tangent), director: Arc::new(director) }
     }
 }
 
@@ -103,10 +115,10 @@ impl Clamp {
 ///
 /// ```
 /// use std::sync::Arc;
-/// use varda_rod::{Clamp, Supports, Vector3};
+/// use varda_rod::{Clamp, ClampAt, Supports, Vector3};
 ///
 /// // Clamped at its start, vertex 10 held at a hook.
-/// let clamp = Clamp::new([0.0; 3], Vector3::x(), Vector3::z());
+/// let clamp = Clamp::new(ClampAt::Edge, [0.0; 3], Vector3::x(), Vector3::z());
 /// let mut supports = Supports::clamped_start(clamp);
 /// supports.prescribed.push((10, Arc::new([0.9, 0.0, -0.1])));
 /// assert!(supports.end.is_none());

@@ -11,7 +11,7 @@ use crate::load::{EdgeLoad, EdgeMotion};
 use crate::rod::Rod;
 use crate::scalar::{length, unit};
 use crate::shape::{FirstFrame, Shape};
-use crate::support::{Clamp, Damping, Loads, Supports};
+use crate::support::{Clamp, ClampAt, Damping, Loads, Supports};
 
 /// Largest |δθ| of one Newton update \[rad\], where bending depends on angles: it does so with periods of
 /// π and 2π.
@@ -52,6 +52,7 @@ pub(crate) struct StageStart<'a> {
 
 /// Position, tangent and director of a clamp at one time.
 pub(crate) struct ClampFrame {
+    pub(crate) at: ClampAt,
     pub(crate) position: Vector3<f64>,
     pub(crate) tangent: Vector3<f64>,
     pub(crate) director: Vector3<f64>,
@@ -79,7 +80,7 @@ impl Clamp {
         if !position.iter().all(|p| p.is_finite()) {
             return Err(bad("a clamp's position, component", 0));
         }
-        Ok(ClampFrame { position, tangent, director: unit(&across) })
+        Ok(ClampFrame { at: self.at, position, tangent, director: unit(&across) })
     }
 }
 

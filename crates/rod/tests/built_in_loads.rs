@@ -9,8 +9,8 @@ use common::{assert_close, difference, dot, noise, norm, off};
 use nalgebra::Vector6;
 use varda_implicit::{ImplicitModel, ImplicitStep, Model, Scheme};
 use varda_rod::{
-    Clamp, Damping, Drag, EdgeLoad, EdgeMotion, FollowerForce, Load, Loads, Material, Moment, Rod, RodStep,
-    Section, Supports, Vector3, check, equilibrium, straight_guess,
+    Clamp, ClampAt, Damping, Drag, EdgeLoad, EdgeMotion, FollowerForce, Load, Loads, Material, Moment, Rod,
+    RodStep, Section, Supports, Vector3, check, equilibrium, straight_guess,
 };
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -27,6 +27,7 @@ fn rod(curved: bool) -> Rod {
 
 fn supports() -> Supports {
     Supports::clamped_start(Clamp::new(
+        ClampAt::Edge,
         |t: f64| [0.05 * (8.0 * t).sin(), 0.02 * t, 0.0],
         |t: f64| [0.2 * (3.0 * t).sin(), 0.0, -1.0],
         [1.0, 0.0, 0.0],
@@ -127,9 +128,11 @@ fn loads() -> Vec<(&'static str, Arc<dyn Load>, Vec<&'static str>)> {
     vec![
         ("drag", Arc::new(drag), vec!["by_places", "by_velocities"]),
         ("follower", Arc::new(FollowerForce::new(&rod, 0.73, jet).unwrap()), vec!["by_places", "by_angle"]),
-        ("tangential follower", Arc::new(FollowerForce::tangential(&rod, 0.8, |t| t - 0.4).unwrap()), vec![
-            "by_places",
-        ]),
+        (
+            "tangential follower",
+            Arc::new(FollowerForce::tangential(&rod, 0.8, |t| t - 0.4).unwrap()),
+            vec!["by_places"],
+        ),
         ("moment", Arc::new(Moment::new(&rod, 0.52, vector).unwrap()), vec!["by_places", "moment_by_places"]),
         ("twist", Arc::new(Moment::about_tangent(&rod, 0.8, |t| 0.04 + t).unwrap()), vec![]),
         (
@@ -275,7 +278,7 @@ fn the_check_for_users_passes_on_them() {
 #[test]
 fn a_moment_about_the_axis_twists_a_straight_rod() {
     let rod = rod(false);
-    let supports = Supports::clamped_start(Clamp::new([0.0; 3], -Vector3::z(), Vector3::x()));
+    let supports = Supports::clamped_start(Clamp::new(ClampAt::Edge, [0.0; 3], -Vector3::z(), Vector3::x()));
     let moment = 0.01;
     let expected: Vec<f64> = (0..8).map(|e| moment * 0.1 * f64::from(e) / rod.gj[0]).collect();
     let along = Moment::about_tangent(&rod, 0.8, move |_| moment).unwrap();

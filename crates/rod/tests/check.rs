@@ -4,13 +4,14 @@ use nalgebra::{Matrix6, Vector6};
 use std::ops::Range;
 use varda_implicit::At;
 use varda_rod::{
-    Clamp, Damping, EdgeLoad, EdgeMotion, Load, Loads, Marker, Markers, Material, Matrix3, Rod, RodStep,
-    Section, Supports, Vector3, check,
+    Clamp, ClampAt, Damping, EdgeLoad, EdgeMotion, Load, Loads, Marker, Markers, Material, Matrix3, Rod,
+    RodStep, Section, Supports, Vector3, check,
 };
 
 fn step() -> RodStep {
     let rod = Rod::uniform(1.0, 10, &Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.01)).unwrap();
-    let supports = Supports::clamped_start(Clamp::new([0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]));
+    let supports =
+        Supports::clamped_start(Clamp::new(ClampAt::Edge, [0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]));
     RodStep::new(rod, supports, Loads::default(), Damping::default()).unwrap()
 }
 

@@ -8,8 +8,8 @@ use common::{assert_close, difference, dot, noise, norm};
 use nalgebra::Rotation3;
 use varda_implicit::{At, ImplicitModel, Model, ObservationOperator, Scheme};
 use varda_rod::{
-    Clamp, Damping, EllipseDrive, Loads, Marker, Markers, Material, Motion, Rod, RodStep, Section, Supports,
-    Vector3, equilibrium, straight_guess,
+    Clamp, ClampAt, Damping, EllipseDrive, Loads, Marker, Markers, Material, Motion, Rod, RodStep, Section,
+    Supports, Vector3, equilibrium, straight_guess,
 };
 
 const MATERIAL: Material = Material { youngs_modulus: 1e6, shear_modulus: 1e6 / 3.0, density: 1100.0 };
@@ -27,7 +27,7 @@ fn clamp(
     tangent: impl Motion + 'static,
     director: impl Motion + 'static,
 ) -> Clamp {
-    Clamp::new(position, tangent, director)
+    Clamp::new(ClampAt::Edge, position, tangent, director)
 }
 
 fn drive() -> EllipseDrive {

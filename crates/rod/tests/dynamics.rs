@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use varda_implicit::{ImplicitModel, Model};
 use varda_rod::{
-    Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, TwistUnknowns, Vector3, equilibrium,
-    straight_guess,
+    Clamp, ClampAt, Damping, Loads, Material, Rod, RodStep, Section, Supports, TwistUnknowns, Vector3,
+    equilibrium, straight_guess,
 };
 
 const DOWN: Loads =
@@ -14,7 +14,7 @@ const DOWN: Loads =
 
 /// Clamped at its start, hanging down, the clamp moving as given.
 fn hanging(position: impl varda_rod::Motion + 'static) -> Supports {
-    Supports::clamped_start(Clamp::new(position, [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
+    Supports::clamped_start(Clamp::new(ClampAt::Edge, position, [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
 }
 
 fn driven_25(twist: TwistUnknowns) -> ImplicitModel<RodStep> {

@@ -1,7 +1,7 @@
 //! Starts that differ by a hair stay on one branch of twist.
 
 use varda_implicit::{ImplicitModel, Model};
-use varda_rod::{Clamp, Damping, Loads, Rod, RodStep, Search, Section, Supports, Vector3, rest};
+use varda_rod::{Clamp, ClampAt, Damping, Loads, Rod, RodStep, Search, Section, Supports, Vector3, rest};
 
 /// A number between −½ and ½ that looks drawn.
 fn drawn(i: usize, scale: f64) -> f64 {
@@ -15,7 +15,7 @@ fn drawn(i: usize, scale: f64) -> f64 {
 fn rough_motions_of_an_anisotropic_rod_end_on_one_branch_of_twist() {
     let section = Section { ea: 1e4, ei1: 1e-3, ei2: 3e-3, gj: 1e-3, mass_per_length: 0.1 };
     let rod = Rod::uniform(1.0, 20, &section).unwrap();
-    let clamp = Clamp::new(Vector3::zeros(), Vector3::new(0.3, 0.0, -1.0), Vector3::y());
+    let clamp = Clamp::new(ClampAt::Edge, Vector3::zeros(), Vector3::new(0.3, 0.0, -1.0), Vector3::y());
     let supports = Supports::clamped_start(clamp);
     let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
     let base = rest(&rod, &supports, &loads, 0.0, &Search::default()).unwrap().rest;

@@ -10,8 +10,8 @@ use nalgebra::{Matrix3, Matrix6, Vector6};
 use proptest::prelude::*;
 use varda_implicit::{ImplicitModel, ImplicitStep, Model, Scheme, Structure};
 use varda_rod::{
-    Clamp, Damping, EdgeLoad, EdgeMotion, Load, Loads, Material, Rod, RodStep, Section, Supports, Vector3,
-    equilibrium, straight_guess,
+    Clamp, ClampAt, Damping, EdgeLoad, EdgeMotion, Load, Loads, Material, Rod, RodStep, Section, Supports,
+    Vector3, equilibrium, straight_guess,
 };
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -96,6 +96,7 @@ fn rod(curved: bool) -> Rod {
 
 fn clamp() -> Clamp {
     Clamp::new(
+        ClampAt::Edge,
         |t: f64| [0.05 * (8.0 * t).sin(), 0.02 * t, 0.0],
         |t: f64| [0.2 * (3.0 * t).sin(), 0.0, -1.0],
         [1.0, 0.0, 0.0],
@@ -211,7 +212,8 @@ fn a_weight_with_a_potential_is_gravity() {
 #[test]
 fn a_follower_force_has_an_equilibrium() {
     let rod = rod(false);
-    let supports = Supports::clamped_start(Clamp::new([0.0; 3], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]));
+    let supports =
+        Supports::clamped_start(Clamp::new(ClampAt::Edge, [0.0; 3], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]));
     let force = -0.1;
     let loads = Loads { of_motion: vec![Arc::new(Follower { force, mutation: 1.0 })], ..Loads::default() };
     let guess = straight_guess(&rod, &supports, 0.0, GRAVITY).unwrap();

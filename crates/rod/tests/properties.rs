@@ -7,8 +7,8 @@ use num_dual::Dual2SVec64;
 use proptest::prelude::*;
 use varda_implicit::{Error as StepError, ImplicitModel, Model, Scheme};
 use varda_rod::{
-    Clamp, Damping, Error, Framed, Loads, Material, Motion, Rod, RodStep, Section, Supports, Vector3,
-    derivatives, energy,
+    Clamp, ClampAt, Damping, Error, Framed, Loads, Material, Motion, Rod, RodStep, Section, Supports,
+    Vector3, derivatives, energy,
 };
 
 type V = Vector3<f64>;
@@ -112,7 +112,7 @@ proptest! {
 fn hanging(segments: usize, position: impl Motion + 'static, damping: Damping) -> ImplicitModel<RodStep> {
     let material = Material::new(1e6, 0.5, 1100.0);
     let rod = Rod::uniform(1.0, segments, &Section::circle(&material, 0.01)).unwrap();
-    let clamp = Clamp::new(position, [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]);
+    let clamp = Clamp::new(ClampAt::Edge, position, [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]);
     let loads = Loads { gravity: [0.0, 0.0, -9.81].into(), ..Loads::default() };
     ImplicitModel::new(RodStep::new(rod, Supports::clamped_start(clamp), loads, damping).unwrap(), 0, 0.02)
 }
@@ -231,13 +231,14 @@ fn impossible_input_is_named() {
     assert!(matches!(rod.place("marker", 1.2), Err(Error::OffRod { .. })));
     let twice = Supports {
         prescribed: vec![(1, Arc::new([0.0; 3]))],
-        ..Supports::clamped_start(Clamp::new([0.0; 3], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
+        ..Supports::clamped_start(Clamp::new(ClampAt::Edge, [0.0; 3], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
     };
     assert!(matches!(
         RodStep::new(rod.clone(), twice, Loads::default(), Damping::default()),
         Err(Error::Support { vertex: 1, .. })
     ));
-    let along = Supports::clamped_start(Clamp::new([0.0; 3], [0.0, 0.0, -1.0], [0.0, 0.0, 2.0]));
+    let along =
+        Supports::clamped_start(Clamp::new(ClampAt::Edge, [0.0; 3], [0.0, 0.0, -1.0], [0.0, 0.0, 2.0]));
     assert!(matches!(
         RodStep::new(rod, along, Loads::default(), Damping::default()),
         Err(Error::Value { field: "a clamp's director", .. })

@@ -4,7 +4,9 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use varda_implicit::{ImplicitModel, Model};
-use varda_rod::{Clamp, Damping, Found, Loads, Rest, Rod, RodStep, Search, Section, Supports, Vector3, rest};
+use varda_rod::{
+    Clamp, ClampAt, Damping, Found, Loads, Rest, Rod, RodStep, Search, Section, Supports, Vector3, rest,
+};
 
 fn section(ea: f64, ei: f64) -> Section {
     Section { ea, ei1: ei, ei2: ei, gj: ei, mass_per_length: 0.1 }
@@ -12,7 +14,7 @@ fn section(ea: f64, ei: f64) -> Section {
 
 fn between(start: (Vector3<f64>, Vector3<f64>), end: (Vector3<f64>, Vector3<f64>)) -> Supports {
     let side = Vector3::z();
-    let clamp = |(x, t): (Vector3<f64>, Vector3<f64>)| Some(Clamp::new(x, t, side));
+    let clamp = |(x, t): (Vector3<f64>, Vector3<f64>)| Some(Clamp::new(ClampAt::Edge, x, t, side));
     Supports { start: clamp(start), end: clamp(end), ..Supports::default() }
 }
 
@@ -109,7 +111,8 @@ fn a_deep_arch_is_a_saddle_and_is_left_for_a_lower_shape_out_of_its_plane() {
 fn coils_start_from_their_natural_curvature() {
     for (curvature, twist) in [(15.0, 0.0), (30.0, 10.0), (60.0, 5.0)] {
         let rod = Rod::uniform(1.0, 200, &section(1e4, 1e-3)).unwrap().naturally([curvature, 0.0], twist);
-        let supports = Supports::clamped_start(Clamp::new(Vector3::zeros(), Vector3::z(), Vector3::x()));
+        let supports =
+            Supports::clamped_start(Clamp::new(ClampAt::Edge, Vector3::zeros(), Vector3::z(), Vector3::x()));
         let found = rest(&rod, &supports, &Loads::default(), 0.0, &Search::default()).unwrap();
         assert!(found.energy.abs() <= 1e-16, "{}", found.energy);
         let chord = (found.rest.vertices[200] - found.rest.vertices[0]).norm();
@@ -189,7 +192,7 @@ fn a_first_shape_picks_the_branch_and_a_measured_one_is_at_ease() {
     let shape = Rest::through(&rod, &points).unwrap().vertices;
     let t = (shape[1] - shape[0]).normalize();
     let cable = rod.at_ease_in(&shape, Vector3::z()).unwrap();
-    let clamp = Supports::clamped_start(Clamp::new(shape[0], t, Vector3::z()));
+    let clamp = Supports::clamped_start(Clamp::new(ClampAt::Edge, shape[0], t, Vector3::z()));
     let found = rest(&cable, &clamp, &Loads::default(), 0.0, &Search::default()).unwrap();
     for (x, y) in found.rest.vertices.iter().zip(&shape) {
         // edges of a resampled curve are a little shorter than its arcs, so places differ along the curve

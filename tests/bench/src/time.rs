@@ -11,7 +11,7 @@ use varda_implicit::{
     Adaptive, Counts, Equations, ImplicitModel, ImplicitStep, Interval, Log, Model, OneLeg, Rhs, Rk4, Scheme,
     accepted_times,
 };
-use varda_rod::{Clamp, Damping, RodStep, Supports, equilibrium, straight_guess};
+use varda_rod::{Clamp, ClampAt, Damping, RodStep, Supports, equilibrium, straight_guess};
 
 pub(super) fn run(options: &Options) -> Result<Page> {
     let mut benchmark = Benchmark {
@@ -529,7 +529,7 @@ impl Mode {
     }
 
     fn held() -> Supports {
-        Supports::clamped_start(Clamp::new([0.0; 3], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
+        Supports::clamped_start(Clamp::new(ClampAt::Edge, [0.0; 3], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
     }
 
     fn at(&self, t: f64) -> Vec<f64> {

@@ -9,7 +9,7 @@ use varda_assimilation::{LinearObservation, Observation, ObservationSet};
 use varda_covariance::{BlockDiagonal, CovarianceFunction, Dense, Interleaved, Kernel, Taper};
 use varda_implicit::{ImplicitModel, ImplicitStep, Model, Scheme};
 use varda_rod::{
-    Clamp, Damping, EllipseDrive, Loads, Material, Motion as _, Rod, RodStep, Section, Supports,
+    Clamp, ClampAt, Damping, EllipseDrive, Loads, Material, Motion as _, Rod, RodStep, Section, Supports,
     TwistUnknowns, equilibrium, straight_guess,
 };
 
@@ -124,7 +124,7 @@ impl HangingRod {
     fn supports(&self) -> Supports {
         let position = Arc::new(self.drive);
         let (tangent, director) = (Arc::new([0.0, 0.0, -1.0]), Arc::new(self.director));
-        Supports::clamped_start(Clamp { position, tangent, director })
+        Supports::clamped_start(Clamp { at: ClampAt::Edge, position, tangent, director })
     }
 
     /// The control [X, V] at the start of the window, from hanging at rest at time 0.
@@ -297,7 +297,7 @@ impl DrivenRod {
     /// How it is held: vertices 0 and 1 driven.
     pub fn supports(&self) -> Supports {
         let drive = |t: f64| [0.10 * (1.0 - (TAU * t).cos()), 0.05 * (TAU * t).sin(), 0.0];
-        Supports::clamped_start(Clamp::new(drive, [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
+        Supports::clamped_start(Clamp::new(ClampAt::Edge, drive, [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]))
     }
 
     /// Its weight.
@@ -449,6 +449,7 @@ fn curved() -> Result<Rod> {
 /// A clamp that moves, swings and turns about itself.
 fn swinging() -> Clamp {
     Clamp::new(
+        ClampAt::Edge,
         drive(),
         |t: f64| [0.3 * (3.0 * t).sin(), 0.1, -1.0],
         |t: f64| [(4.0 * t).cos(), (4.0 * t).sin(), 0.0],
@@ -461,6 +462,7 @@ fn drive() -> EllipseDrive {
 
 fn both_ends() -> Supports {
     let end = Clamp::new(
+        ClampAt::Edge,
         |t: f64| [0.35 + 0.05 * t, 0.1, -0.4],
         [0.8, 0.2, 0.6],
         |t: f64| [(2.0 * t).sin(), (2.0 * t).cos(), 0.3],

@@ -56,9 +56,9 @@ impl Moment {
         rod.place("moment", s)?;
         let middles: Vec<f64> = rod.arc_lengths().windows(2).map(|s| 0.5 * (s[0] + s[1])).collect();
         let first = middles.partition_point(|middle| *middle <= s).saturating_sub(1);
-        let share = middles.get(first + 1).map_or(0.0, |next| {
-            ((s - middles[first]) / (next - middles[first])).clamp(0.0, 1.0)
-        });
+        let share = middles
+            .get(first + 1)
+            .map_or(0.0, |next| ((s - middles[first]) / (next - middles[first])).clamp(0.0, 1.0));
         Ok(Moment { first, shares: [1.0 - share, share], moment: Arc::new(moment), along: false })
     }
 

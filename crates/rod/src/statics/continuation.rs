@@ -136,8 +136,17 @@ pub fn rest(
 ) -> Result<Found, varda_implicit::Error> {
     let refuse = |e: Error| varda_implicit::Error::Refused { step: 0, reason: e.into() };
     let held = Held::at(rod, supports, t).map_err(refuse)?;
-    let mut way =
-        Way { rod, supports, loads, t, held, end_turn: search.end_turn, twist: 1.0, motion: 1.0, work: Work::default() };
+    let mut way = Way {
+        rod,
+        supports,
+        loads,
+        t,
+        held,
+        end_turn: search.end_turn,
+        twist: 1.0,
+        motion: 1.0,
+        work: Work::default(),
+    };
     let found = if let Some(shape) = &search.initial_shape {
         way.starting_at(shape)
     } else if way.held.spans() {
@@ -195,7 +204,7 @@ impl Way<'_> {
             rod.natural_twist.iter_mut().for_each(|k| *k *= lambda);
         }
         let clamp = |f: &crate::system::ClampFrame, at: (Vector3<f64>, Vector3<f64>)| {
-            Clamp::new(f.position, at.0, at.1)
+            Clamp::new(f.at, f.position, at.0, at.1)
         };
         let supports = Supports {
             start: self.held.start.as_ref().map(|f| clamp(f, self.frame(true, lambda))),

@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use varda_implicit::Scheme;
 use varda_rod::{
-    Clamp, Damping, Loads, Material, Motion, Rest, Rod, RodStep, Search, Section, Supports, Vector3, rest,
+    Clamp, ClampAt, Damping, Loads, Material, Motion, Rest, Rod, RodStep, Search, Section, Supports, Vector3,
+    rest,
 };
 
 use crate::Error;
@@ -153,6 +154,7 @@ fn section(file: &SceneFile, model: &RodModel) -> Result<Section, Error> {
 
 fn clamp(motions: &mut Motions, path: &str, clamp: &scene::Clamp) -> Result<Clamp, Error> {
     Ok(Clamp {
+        at: ClampAt::Edge,
         position: motions.read(path, clamp.position, clamp.motion.as_ref())?,
         tangent: Arc::new(clamp.tangent),
         director: Arc::new(clamp.director),

@@ -8,13 +8,13 @@ use varda_assimilation::{
 use varda_covariance::{BlockDiagonal, CovarianceFunction, Dense, Interleaved, Kernel, Taper, sample};
 use varda_implicit::{ImplicitModel, Keep, Model, Trajectory};
 use varda_rod::{
-    Clamp, Damping, Loads, Marker, Markers, Material, Rod, RodStep, Section, Supports, Vector3,
+    Clamp, ClampAt, Damping, Loads, Marker, Markers, Material, Rod, RodStep, Section, Supports, Vector3,
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let rod = Rod::uniform(0.8, 16, &Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.008))?;
     let hand = |t: f64| [0.05 * (1.0 - (5.0 * t).cos()), 0.0, 0.0];
-    let supports = Supports::clamped_start(Clamp::new(hand, -Vector3::z(), Vector3::x()));
+    let supports = Supports::clamped_start(Clamp::new(ClampAt::Edge, hand, -Vector3::z(), Vector3::x()));
     let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
     let step = RodStep::new(rod, supports, loads, Damping::default())?;
 

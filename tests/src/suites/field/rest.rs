@@ -4,7 +4,7 @@ use crate::row::{Case, Outcome, Rows};
 use crate::suites::Options;
 use std::f64::consts::PI;
 use std::sync::Arc;
-use varda_rod::{Clamp, Loads, Rod, Search, Section, Supports, Vector3, rest};
+use varda_rod::{Clamp, ClampAt, Loads, Rod, Search, Section, Supports, Vector3, rest};
 
 /// Weight per length of the cables [N/m].
 const WEIGHT: f64 = 0.5;
@@ -178,8 +178,8 @@ fn elastica(case: &mut Case, share: f64) -> Outcome {
     let rod = Rod::uniform(1.0, n, &section)?;
     let distance = share * (1.0 - h) + h;
     let supports = Supports {
-        start: Some(Clamp::new(Vector3::zeros(), Vector3::x(), Vector3::z())),
-        end: Some(Clamp::new(Vector3::x() * distance, Vector3::x(), Vector3::z())),
+        start: Some(Clamp::new(ClampAt::Edge, Vector3::zeros(), Vector3::x(), Vector3::z())),
+        end: Some(Clamp::new(ClampAt::Edge, Vector3::x() * distance, Vector3::x(), Vector3::z())),
         ..Supports::default()
     };
     let found = rest(&rod, &supports, &Loads::default(), 0.0, &Search::default())?;
@@ -218,7 +218,8 @@ fn coil(case: &mut Case, curvature: f64, twist: f64) -> Outcome {
     let n = 200;
     let section = Section { ea: 1e4, ei1: 1e-3, ei2: 1e-3, gj: 0.8e-3, mass_per_length: 0.1 };
     let rod = Rod::uniform(1.0, n, &section)?.naturally([curvature, 0.0], twist);
-    let supports = Supports::clamped_start(Clamp::new(Vector3::zeros(), Vector3::z(), Vector3::x()));
+    let supports =
+        Supports::clamped_start(Clamp::new(ClampAt::Edge, Vector3::zeros(), Vector3::z(), Vector3::x()));
     let found = rest(&rod, &supports, &Loads::default(), 0.0, &Search::default())?;
     case.at_most("energy", found.energy.abs(), 1e-20, "J").because("the rest shape has none");
     let chord = (found.rest.vertices[n] - found.rest.vertices[0]).norm();

@@ -7,7 +7,7 @@ use nalgebra::{Rotation3, Vector3};
 use serde::Deserialize;
 use std::path::Path;
 use std::sync::Arc;
-use varda_rod::{Clamp, Found, Loads, Motion, Rod, Search, Section, Supports, rest};
+use varda_rod::{Clamp, ClampAt, Found, Loads, Motion, Rod, Search, Section, Supports, rest};
 
 type V = [f64; 3];
 
@@ -160,7 +160,12 @@ impl Given {
                 End::Clamp { position, tangent, director, turn_rad } => {
                     let back = if vertex == 0 { -0.5 * h } else { 0.5 * h };
                     let tangent = Vector3::from(tangent).normalize();
-                    let clamp = Clamp::new(Vector3::from(position) + tangent * back, tangent, director);
+                    let clamp = Clamp::new(
+                        ClampAt::Edge,
+                        Vector3::from(position) + tangent * back,
+                        tangent,
+                        director,
+                    );
                     if vertex == 0 {
                         supports.start = Some(clamp);
                     } else {

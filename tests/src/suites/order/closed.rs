@@ -10,7 +10,7 @@ use crate::row::{Case, Outcome, Rows};
 use std::sync::Arc;
 use varda_implicit::band;
 use varda_rod::{
-    Clamp, Framed, Loads, Material, Rest, Rod, Section, Supports, Vector3, derivatives, equilibrium,
+    Clamp, ClampAt, Framed, Loads, Material, Rest, Rod, Section, Supports, Vector3, derivatives, equilibrium,
     straight_guess,
 };
 
@@ -39,7 +39,7 @@ fn sag(n: usize, inside: f64, loads: &dyn Fn(f64) -> Loads) -> Result<f64> {
     let rod = clamped(1.0, n, inside)?;
     let along = [1.0, 0.0, 0.0];
     let start = [-inside * rod.rest_lengths[0], 0.0, 0.0];
-    let supports = Supports::clamped_start(Clamp::new(start, along, [0.0, 1.0, 0.0]));
+    let supports = Supports::clamped_start(Clamp::new(ClampAt::Edge, start, along, [0.0, 1.0, 0.0]));
     let mut shape: Rest = straight_guess(&rod, &supports, 0.0, along)?;
     for stage in 1..=10 {
         let share = f64::from(stage) / 10.0;

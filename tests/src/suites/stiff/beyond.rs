@@ -20,8 +20,8 @@ use varda_covariance::{
 use varda_implicit::lorenz::Lorenz63;
 use varda_implicit::{ImplicitModel, Keep, Model, Rk4, Scheme, Structure, Trajectory};
 use varda_rod::{
-    Clamp, Damping, Loads, Marker, Markers, Material, Rod, RodStep, Section, Supports, TwistUnknowns,
-    straight_guess,
+    Clamp, ClampAt, Damping, Loads, Marker, Markers, Material, Rod, RodStep, Section, Supports,
+    TwistUnknowns, straight_guess,
 };
 
 pub(super) fn run(rows: &mut Rows) {
@@ -168,9 +168,13 @@ fn rod_numbers(rows: &mut Rows) {
         // found: an index out of bounds
         refused(case, "guess from vertex 99 of 3", straight_guess(&rod, &beyond, 0.0, DOWN), "vertex 99");
         for (what, clamp, names) in [
-            ("clamp without tangent", Clamp::new([0.0; 3], [0.0; 3], [1.0, 0.0, 0.0]), "tangent"),
-            ("director along the tangent", Clamp::new([0.0; 3], DOWN, DOWN), "director"),
-            ("clamp at NaN", Clamp::new([f64::NAN; 3], DOWN, [1.0, 0.0, 0.0]), "position"),
+            (
+                "clamp without tangent",
+                Clamp::new(ClampAt::Edge, [0.0; 3], [0.0; 3], [1.0, 0.0, 0.0]),
+                "tangent",
+            ),
+            ("director along the tangent", Clamp::new(ClampAt::Edge, [0.0; 3], DOWN, DOWN), "director"),
+            ("clamp at NaN", Clamp::new(ClampAt::Edge, [f64::NAN; 3], DOWN, [1.0, 0.0, 0.0]), "position"),
         ] {
             let supports = Supports::clamped_start(clamp);
             refused(case, what, straight_guess(&rod, &supports, 0.0, DOWN), names);
@@ -179,7 +183,7 @@ fn rod_numbers(rows: &mut Rows) {
     });
     rows.case("clamp that is not a number from step 1 on", |case| {
         let position = |t: f64| if t < 0.015 { [0.0; 3] } else { [f64::NAN; 3] };
-        let clamp = Clamp::new(position, DOWN, [1.0, 0.0, 0.0]);
+        let clamp = Clamp::new(ClampAt::Edge, position, DOWN, [1.0, 0.0, 0.0]);
         let rod = Rod::uniform(1.0, 5, &Section::circle(&SILICONE, 0.01))?;
         let step = RodStep::new(rod, Supports::clamped_start(clamp), weight(), Damping::default())?;
         let mut model = ImplicitModel::new(step, 0, 0.01);

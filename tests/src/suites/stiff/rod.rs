@@ -11,7 +11,9 @@ use problems::rods::{rod_scale, wave};
 use varda_implicit::{
     Equations, Error, ImplicitModel, ImplicitStep, LinearSolver, Model, NewtonOptions, Scheme, check,
 };
-use varda_rod::{Clamp, Damping, Loads, Material, Rod, RodStep, Section, Supports, TwistUnknowns, Vector3};
+use varda_rod::{
+    Clamp, ClampAt, Damping, Loads, Material, Rod, RodStep, Section, Supports, TwistUnknowns, Vector3,
+};
 
 const GRAVITY: [f64; 3] = [0.0, 0.0, -9.81];
 
@@ -65,7 +67,8 @@ impl Hanging {
     fn model(&self) -> Result<Counted<ImplicitModel<RodStep>>, varda_rod::Error> {
         let rod = Rod::uniform(self.length, self.segments, &self.section)?;
         let speed = self.moved * self.length / self.segments as f64 / self.dt;
-        let clamp = Clamp::new(move |t: f64| [speed * t, 0.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]);
+        let clamp =
+            Clamp::new(ClampAt::Edge, move |t: f64| [speed * t, 0.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]);
         let loads = Loads { gravity: GRAVITY.into(), ..Loads::default() };
         let supports = Supports::clamped_start(clamp);
         let step = RodStep::with_twist(rod, supports, loads, Damping::default(), self.twist)?;

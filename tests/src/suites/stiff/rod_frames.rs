@@ -7,7 +7,9 @@ use crate::row::Rows;
 use problems::rods::rod_scale;
 use std::f64::consts::TAU;
 use varda_implicit::{At, Model, ObservationOperator, check};
-use varda_rod::{Clamp, Framed, Loads, Marker, Markers, Rod, Section, Supports, Vector3, derivatives};
+use varda_rod::{
+    Clamp, ClampAt, Framed, Loads, Marker, Markers, Rod, Section, Supports, Vector3, derivatives,
+};
 
 pub(super) fn run(rows: &mut Rows) {
     twisted(rows);
@@ -70,7 +72,7 @@ fn tilt_loop(rows: &mut Rows, steps: usize) {
             let (s, c) = (omega * t).sin_cos();
             [alpha.sin() * c, alpha.sin() * s, -alpha.cos()]
         };
-        let clamp = Clamp::new([0.0; 3], tangent, [0.0, 1.0, 0.2]);
+        let clamp = Clamp::new(ClampAt::Edge, [0.0; 3], tangent, [0.0, 1.0, 0.2]);
         let start = line([0.0; 3], tangent(0.0), &rod.rest_lengths);
         // backward Euler damps the swing: a steady round is reached within a few loops
         let mut model = model(rod, Supports::clamped_start(clamp), weight(), dt)?;

@@ -10,8 +10,8 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 use varda_implicit::{Equations, ImplicitModel, ImplicitStep, Model, check};
 use varda_rod::{
-    Clamp, Damping, Error, Framed, Loads, Material, Motion, Rest, Rod, RodStep, Section, Supports, Vector3,
-    derivatives, equilibrium, straight_guess,
+    Clamp, ClampAt, Damping, Error, Framed, Loads, Material, Motion, Rest, Rod, RodStep, Section, Supports,
+    Vector3, derivatives, equilibrium, straight_guess,
 };
 
 pub(super) const SILICONE: Material =
@@ -31,7 +31,7 @@ pub(super) fn chain() -> Section {
 }
 
 pub(super) fn fixed_clamp() -> Clamp {
-    Clamp::new([0.0; 3], DOWN, [1.0, 0.0, 0.0])
+    Clamp::new(ClampAt::Edge, [0.0; 3], DOWN, [1.0, 0.0, 0.0])
 }
 
 pub(super) fn held(vertex: usize, place: impl Motion + 'static) -> (usize, Arc<dyn Motion>) {
@@ -357,7 +357,7 @@ fn degenerate_edges(rows: &mut Rows) {
         let rod = Rod::with_segments(&lengths, &section())?;
         let start = line([0.0; 3], DOWN, &lengths);
         let drive = |t: f64| [0.5 * t, 0.0, 0.0];
-        let clamp = Clamp::new(drive, DOWN, [1.0, 0.0, 0.0]);
+        let clamp = Clamp::new(ClampAt::Edge, drive, DOWN, [1.0, 0.0, 0.0]);
         let mut model = model(rod, Supports::clamped_start(clamp), weight(), 0.01)?;
         let x = run_from(&mut model, &start, 20)?;
         let mut next = x.clone();
@@ -395,7 +395,7 @@ fn tips(rows: &mut Rows) {
             rod.masses[10] *= share;
             let guess = straight_guess(&rod, &Supports::clamped_start(fixed_clamp()), 0.0, DOWN)?;
             let drive = |t: f64| [0.5 * t, 0.0, 0.0];
-            let clamp = Clamp::new(drive, DOWN, [1.0, 0.0, 0.0]);
+            let clamp = Clamp::new(ClampAt::Edge, drive, DOWN, [1.0, 0.0, 0.0]);
             let mut model = model(rod, Supports::clamped_start(clamp), weight(), 0.01)?;
             let x = run_from(&mut model, &guess.vertices, 20)?;
             let work = figures(&mut model, 20, 0.01, &x);

@@ -6,7 +6,9 @@ use crate::row::Rows;
 use problems::counted::Counted;
 use std::f64::consts::{PI, TAU};
 use varda_implicit::ImplicitModel;
-use varda_rod::{Clamp, Damping, Loads, Rest, Rod, RodStep, Section, Supports, Vector3, equilibrium};
+use varda_rod::{
+    Clamp, ClampAt, Damping, Loads, Rest, Rod, RodStep, Section, Supports, Vector3, equilibrium,
+};
 
 pub(super) fn run(rows: &mut Rows) {
     slack(rows);
@@ -76,7 +78,7 @@ fn buckled(rows: &mut Rows) {
             let n = 80;
             let thin = Section::circle(&SILICONE, 0.001);
             let rod = Rod::uniform(1.0, n, &thin)?;
-            let end = Clamp::new([0.0, 0.0, -(1.0 - shortening)], DOWN, [1.0, 0.0, 0.0]);
+            let end = Clamp::new(ClampAt::Edge, [0.0, 0.0, -(1.0 - shortening)], DOWN, [1.0, 0.0, 0.0]);
             let supports = Supports { start: Some(fixed_clamp()), end: Some(end), ..Supports::default() };
             let l = 1.0 / n as f64;
             // evenly compressed, and exactly straight or bowed as far as the elastica is
@@ -137,8 +139,12 @@ fn pushed(rows: &mut Rows) {
         rows.case(&name, |case| {
             let n = 40;
             let rod = Rod::uniform(1.0, n, &Section::circle(&SILICONE, 0.001))?;
-            let end =
-                Clamp::new(move |t: f64| [0.0, 0.0, shortening * t.min(1.0) - 1.0], DOWN, [1.0, 0.0, 0.0]);
+            let end = Clamp::new(
+                ClampAt::Edge,
+                move |t: f64| [0.0, 0.0, shortening * t.min(1.0) - 1.0],
+                DOWN,
+                [1.0, 0.0, 0.0],
+            );
             let supports = Supports { start: Some(fixed_clamp()), end: Some(end), ..Supports::default() };
             let damping = Damping { mass: 2.0, ..Damping::default() };
             let step = RodStep::new(rod, supports, Loads::default(), damping)?;
