@@ -38,11 +38,12 @@ impl EdgeMotion {
     }
 }
 
-/// What a load does to an edge: forces on its two vertices (components 0 … 2 belong to the first, 3 … 5 to the
-/// second) and a moment about its tangent.
+/// What a load does to an edge: forces on its two vertices (components 0 … 2 belong to the first, 3 … 5
+/// to the second) and a moment about its tangent.
 ///
-/// Where a vertex moves, the directors turn with the edge and not about it: δm₁ = −(m₁·δt) t for the δt of the
-/// unit tangent. Derivatives in places are taken so; that in the angle θ turns them about t, δm₁ = m₂ δθ.
+/// Where a vertex moves, the directors turn with the edge and not about it: δm₁ = −(m₁·δt) t for the
+/// δt of the unit tangent. Derivatives in places are taken so; that in the angle θ turns them about t,
+/// δm₁ = m₂ δθ.
 #[derive(Debug, Clone, Copy)]
 pub struct EdgeLoad {
     /// Potential energy W \[J\] of a load that has one, else zero.
@@ -134,8 +135,8 @@ impl EdgeLoad {
 /// [`Loads`](crate::Loads) do not depend on the motion and need no such trait. A load that looks at directors
 /// or turns a section makes the angles unknowns of a rod that could do without them.
 ///
-/// [`Drag`](crate::Drag), [`FollowerForce`](crate::FollowerForce) and [`Moment`](crate::Moment) are loads that
-/// are there.
+/// [`Drag`](crate::Drag), [`FollowerForce`](crate::FollowerForce) and [`Moment`](crate::Moment) are loads
+/// that are there.
 ///
 /// # Examples
 ///

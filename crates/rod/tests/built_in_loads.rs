@@ -62,7 +62,8 @@ impl Load for Needle {
         let [m1, m2] = motion.directors;
         let (k, a) = (self.stiffness, self.to);
         let (p, q, r) = (m1.dot(&a), m2.dot(&a), t.dot(&a));
-        // ∂p/∂e = −r m₁/l, ∂p/∂θ = q; ∂r/∂e = (a − r t)/l; ∂m₁/∂e = −t m₁ᵀ/l; ∂(1/l)/∂e = −t/l²
+        // ∂p/∂e = −r m₁/l, ∂p/∂θ = q; ∂r/∂e = (a − r t)/l; ∂m₁/∂e = −t m₁ᵀ/l;
+        // ∂(1/l)/∂e = −t/l²
         let by_edge = (m1 * (a - t * r).transpose() - t * m1.transpose() * r - m1 * t.transpose() * r)
             * (p / (l * l))
             - m1 * m1.transpose() * (r * r / (l * l));

@@ -14,9 +14,9 @@ use crate::{Error, Rod};
 /// f = ½ ρ d (C_n |u_n| u_n + C_t |u_t| u_t),   u_t = (u·t) t,   u_n = u − u_t
 /// ```
 ///
-/// taken at both vertices of every edge over half its rest length. It is once differentiable where u vanishes,
-/// and it does no work on a rod in a fluid at rest but to slow it. What the fluid carries (buoyancy) and what
-/// moves with the rod (added mass) are not in it.
+/// taken at both vertices of every edge over half its rest length. It is once differentiable where u
+/// vanishes, and it does no work on a rod in a fluid at rest but to slow it. What the fluid carries
+/// (buoyancy) and what moves with the rod (added mass) are not in it.
 ///
 /// ```
 /// use std::sync::Arc;
@@ -48,8 +48,8 @@ impl Drag {
         Drag { fluid_density, diameter, normal: 1.2, tangential: 0.01, flow: Vector3::zeros() }
     }
 
-    /// Force per length on a point of velocity v \[m/s\] where the rod has the unit tangent t; its derivatives
-    /// in v and, for δt ⟂ t, in t.
+    /// Force per length on a point of velocity v \[m/s\] where the rod has the unit tangent t; its
+    /// derivatives in v and, for δt ⟂ t, in t.
     fn per_length(&self, v: &Vector3<f64>, t: &Vector3<f64>) -> (Vector3<f64>, [Matrix3<f64>; 2]) {
         let pressure = 0.5 * self.fluid_density * self.diameter;
         let (kn, kt) = (pressure * self.normal, pressure * self.tangential);

@@ -10,8 +10,8 @@ use crate::rod::{Place, Rod};
 use crate::support::Motion;
 use crate::{Error, geometry::outer};
 
-/// A force that turns with its edge: F = f₁ m₁ + f₂ m₂ + f₃ t \[N\], shared linearly by the two vertices
-/// beside its point. At a vertex between two edges it follows the one before.
+/// A force that turns with its edge: F = f₁ m₁ + f₂ m₂ + f₃ t \[N\], shared linearly by the two
+/// vertices beside its point. At a vertex between two edges it follows the one before.
 ///
 /// It has no potential: a load that follows does work round a closed path (Bolotin 1963).
 ///
