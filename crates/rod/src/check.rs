@@ -193,15 +193,18 @@ fn on_edge(
         let by_places = acts.by_places_of_carried(&motion);
         let skew = (by_places - by_places.transpose()).abs().max();
         let largest = by_places.abs().max();
-        at_most("symmetry of ∂F/∂(places)", if skew == 0.0 { 0.0 } else { skew / largest }, SYMMETRY);
+        at_most("symmetry of ∂F/∂(places)", share(skew, largest), SYMMETRY);
         let mixed = (acts.by_angle - acts.moment_by_places).abs().max();
-        let largest = acts.by_angle.abs().max();
-        at_most("∂F/∂θ − ∂m/∂(places)", if mixed == 0.0 { 0.0 } else { mixed / largest }, SYMMETRY);
+        at_most("∂F/∂θ − ∂m/∂(places)", share(mixed, acts.by_angle.abs().max()), SYMMETRY);
         at_most("values that depend on velocities", differs(&faster), 0.0);
     } else {
         at_most("energy of a load without potential", acts.energy.abs(), 0.0);
     }
     Ok(findings)
+}
+
+fn share(part: f64, whole: f64) -> f64 {
+    if part == 0.0 { 0.0 } else { part / whole }
 }
 
 /// 2 − the Taylor slope and its bound. Of a function that does not change: zero, or 2 where it claims a

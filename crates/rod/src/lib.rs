@@ -14,6 +14,7 @@
 //! |---|---|
 //! | describe a rod | [`Rod`]; [`Material`] and [`Section`] for a uniform one |
 //! | hold it | [`Supports`] with [`Clamp`] and [`Motion`] |
+//! | move its supports as they were recorded | [`RecordedMotion`], [`RecordedRotation`] with [`SmoothBy`] |
 //! | pull at it, turn it, slow it down | [`Loads`], [`FollowerForce`], [`Moment`], [`Drag`], [`Damping`] |
 //! | load it in another way | the trait [`Load`], tested by [`check::load`] |
 //! | move it in time | [`RodStep`], a step for [`varda_implicit::ImplicitModel`] |
@@ -136,8 +137,10 @@ pub use load::{EdgeLoad, EdgeMotion, Load};
 pub use marker::{Marker, Markers};
 pub use material::{Material, Section};
 pub use modes::{Mode, Modes, modes};
-pub use nalgebra::{Matrix3, Vector3};
-pub use recorded::{RecordedMotion, Smoothing, noise_of_rows};
+pub use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+pub use recorded::{
+    RecordedMotion, RecordedRotation, SmoothBy, Smoothing, noise_of_rotations, noise_of_rows,
+};
 pub use rod::{Place, Rod};
 pub use scalar::Real;
 pub use statics::continuation::{Found, Search, rest};
