@@ -12,10 +12,11 @@ use crate::statics::Statics;
 use crate::support::{Damping, Loads, Supports};
 use crate::system::System;
 
-/// The shift s, as a share of the greatest k_ii/m_i: a few times its rounding. A mode without stiffness keeps a
-/// finite inverse, and a zero with its rounding is not counted as a negative ω².
+/// The shift s, as a share of the greatest k_ii/m_i: a few times its rounding. A mode without stiffness
+/// keeps a finite inverse, and a zero with its rounding is not counted as a negative ω².
 const SHIFT: f64 = 1e-15;
-/// A mode has converged when K⁻¹M leaves it, to this share of its length: ω² is then exact to its square.
+/// A mode has converged when K⁻¹M leaves it, to this share of its length: ω² is then exact to its
+/// square.
 const CONVERGED: f64 = 1e-6;
 /// After so many products what is left is the rounding of K⁻¹, and this much of it is bearable.
 const SETTLED: (usize, f64) = (60, 1e-3);
@@ -25,8 +26,8 @@ const MOST: usize = 500;
 /// A natural mode: the rod moves as x + a φ cos(ωt) about its shape at rest, a small.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mode {
-    /// ω² [1/s²]; negative where the shape is not stable, and the mode grows as exp(√(−ω²) t); zero where it
-    /// is less than [`Modes::resolution`], as that of a rod which moves freely.
+    /// ω² [1/s²]; negative where the shape is not stable, and the mode grows as exp(√(−ω²) t); zero
+    /// where it is less than [`Modes::resolution`], as that of a rod which moves freely.
     pub omega_squared: f64,
     /// φ of all vertices [kg^(−1/2)]: Σ m |φ|² = 1, zero where a vertex is held.
     pub displacements: Vec<Vector3<f64>>,
@@ -49,8 +50,8 @@ pub struct Modes {
     pub modes: Vec<Mode>,
     /// Number of negative ω²: zero at a minimum of the potential energy, more at a saddle.
     pub unstable: usize,
-    /// The least |ω²| [1/s²] that is told from zero: 1e-15 of the greatest k_ii/m_i, which stretching makes
-    /// large; more where K is singular to rounding even so.
+    /// The least |ω²| [1/s²] that is told from zero: 1e-15 of the greatest k_ii/m_i, which stretching
+    /// makes large; more where K is singular to rounding even so.
     pub resolution: f64,
 }
 
@@ -131,7 +132,8 @@ impl Pencil {
         let (mut u, mut g) = (vec![0.0; n], vec![0.0; n]);
         statics.system.gather(&mut u);
         let mut k = vec![0.0; n * (w + 1)];
-        statics.assemble(&u, &mut g, Some(&mut k)).map_err(|_| Error::Modes { converged: 0, count: 0 })?;
+        statics.system.update_shape(true, end_angle)?;
+        statics.assemble(&u, &mut g, Some(&mut k)).expect("its edges and turns were just found sound");
         let system = statics.system;
 
         let mut mass = vec![0.0; n];
@@ -141,7 +143,7 @@ impl Pencil {
         }
         let heavy = || mass.iter().enumerate().filter(|(_, m)| **m > 0.0);
         let greatest = heavy().map(|(i, m)| k[i * (w + 1) + w].abs() / m).fold(0.0, f64::max);
-        let singular = |_: BadPivot| Error::Modes { converged: 0, count: 0 };
+        let singular = |_: BadPivot| Error::Modes { converged: 0, count: 1 };
         // the symmetric factor counts negative eigenvalues, the one with pivoting solves
         let mut symmetric = LinearSolver::new(n, &Structure::SymmetricBand { half_bandwidth: w });
         let mut factor = symmetric.empty_factor();
