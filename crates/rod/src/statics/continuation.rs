@@ -133,6 +133,7 @@ pub fn rest(
 ) -> Result<Found, varda_implicit::Error> {
     let refuse = |e: Error| varda_implicit::Error::Refused { step: 0, reason: e.into() };
     let held = Held::at(rod, supports, t).map_err(refuse)?;
+    let rod = &rod.clone().with_faces(supports.faces());
     let mut way =
         Way { rod, supports, loads, t, held, end_turn: search.end_turn, twist: 1.0, work: Work::default() };
     let found = if let Some(shape) = &search.initial_shape {
