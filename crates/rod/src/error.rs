@@ -49,6 +49,17 @@ pub enum Error {
         /// Newton iterations of all stages together.
         iterations: usize,
     },
+    /// A load without a potential, where modes are asked for.
+    #[error("a load has no potential (drag, a follower force, a moment): the rod has no natural modes")]
+    NoPotential,
+    /// Natural modes that were not found.
+    #[error("{converged} of {count} natural modes converged: does something at rest have no stiffness?")]
+    Modes {
+        /// Modes that converged.
+        converged: usize,
+        /// Modes asked for.
+        count: usize,
+    },
     /// A field of a description has an impossible value.
     #[error("{field}: {value} is not allowed (expected {expected})")]
     Value {

@@ -2,6 +2,7 @@
 
 mod common;
 mod faces;
+mod forces;
 mod rest;
 
 use super::Options;
@@ -11,5 +12,6 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("field");
     rest::run(options, &mut rows);
     faces::run(&mut rows, options.quick);
+    forces::run(options, &mut rows);
     rows.finish()
 }
