@@ -133,8 +133,8 @@ impl Rod {
         self
     }
 
-    /// The same rod held by clamps at their faces, at its start and at its end: the held edge has its middle at
-    /// the face, so that as much of it is behind the face as the first (last) rest length is outside. Of
+    /// The same rod held by clamps at their faces, at its start and at its end: the held edge has its middle
+    /// at the face, so that as much of it is behind the face as the first (last) rest length is outside. Of
     /// what is behind, one length is felt, that of the vertex outside:
     ///
     /// ```text

@@ -70,12 +70,12 @@ impl Motion for EllipseDrive {
 /// What of a rod a clamp holds: of which section its `position` is the place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ClampAt {
-    /// The section at the clamp's face, s = 0 (s = L at the end of the rod). The edge that the clamp holds has
-    /// its middle there: the first rest length is the half of it that stands out, and the rod bends from
+    /// The section at the clamp's face, s = 0 (s = L at the end of the rod). The edge that the clamp holds
+    /// has its middle there: the first rest length is the half of it that stands out, and the rod bends from
     /// the face on. Deflections and frequencies are of second order in the mesh.
     Face,
-    /// The end vertex. The clamp holds the first edge from vertex to vertex, as in the paper: a rod that bends
-    /// as if it were half a segment shorter, an error of first order.
+    /// The end vertex. The clamp holds the first edge from vertex to vertex, as in the paper: a rod that
+    /// bends as if it were half a segment shorter, an error of first order.
     Edge,
 }
 

@@ -156,7 +156,8 @@ impl Default for Lorenz96 {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RodModel {
-    /// Rest length of the rod L [m], from clamp to clamp or to a free end. Give this and `segments`, or `segment_lengths`.
+    /// Rest length of the rod L [m], from clamp to clamp or to a free end. Give this and `segments`, or
+    /// `segment_lengths`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub length: Option<f64>,
@@ -327,8 +328,8 @@ pub enum ClampAt {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Clamp {
-    /// Place of the section at its face [m]; of the end vertex where `clamp = "edge"`. Needed where the motion
-    /// does not say it.
+    /// Place of the section at its face [m]; of the end vertex where `clamp = "edge"`. Needed where the
+    /// motion does not say it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("x-unit" = "m"))]
     pub position: Option<[f64; 3]>,

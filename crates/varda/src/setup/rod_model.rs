@@ -179,8 +179,8 @@ fn edge_clamps(model: &RodModel, rod: &Rod) -> Vec<String> {
     let remark = |pair: &[usize]| {
         let half = 0.5 * rod.rest_lengths[pair[0]];
         format!(
-            "prescribed vertices {} and {} hold the edge between them as a clamp does: the rod bends as if it \
-             were half a segment ({half} m) shorter; [model.start] and [model.end] hold it at their faces",
+            "prescribed vertices {} and {} hold the edge between them as a clamp does: the rod bends as if \
+             it were half a segment ({half} m) shorter; [model.start] and [model.end] hold it at their faces",
             pair[0], pair[1]
         )
     };

@@ -70,7 +70,7 @@ fn cantilever(case: &mut Case, at: ClampAt) -> Outcome {
         let found = errors[0].1;
         match at {
             ClampAt::Face => case.at_most(&format!("{what}, 20 segments"), found.abs(), 1.5e-3, "-"),
-            // the paper's clamp: half a segment of the length does not bend, (1 − h/2)³ and less of the weight
+            // the paper's clamp: half a segment of the length does not bend
             ClampAt::Edge => case.at_most(&format!("{what}, 20 segments"), (found + 0.085).abs(), 0.02, "-"),
         }
         .computed(found);

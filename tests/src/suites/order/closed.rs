@@ -3,7 +3,8 @@
 //! Clamps hold the rod at their faces, half a segment of it inside. Then all
 //! errors are of even order in the length of a segment (curvature sits at vertices, each standing for half a
 //! segment on either side), and Richardson's extrapolation from three of them leaves the sixth order. With
-//! the clamp's edge within the length (`ClampAt::Edge`) the rod is half a segment too short, an error of first order.
+//! the clamp's edge within the length (`ClampAt::Edge`) the rod is half a segment too short, an error of
+//! first order.
 
 use super::slopes::{extrapolated, slope_row};
 use crate::row::{Case, Outcome, Rows};
