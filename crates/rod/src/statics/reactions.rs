@@ -16,8 +16,8 @@ pub struct Reaction {
     pub moment: Vector3<f64>,
 }
 
-/// The reactions in a system whose gradient was just assembled, by ascending vertices; loads see the velocities
-/// since `start`.
+/// The reactions in a system whose gradient was just assembled, by ascending vertices; loads see the
+/// velocities since `start`.
 pub(crate) fn reactions(system: &System, start: Option<StageStart>) -> Vec<Reaction> {
     let n = system.rod.segments();
     let layout = &system.layout;
