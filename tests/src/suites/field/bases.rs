@@ -111,7 +111,7 @@ impl Run {
         let differences: Vec<f64> = vertices.map(|(a, b)| a - b).collect();
         let farthest = differences.chunks(3).map(|d| d.iter().map(|v| v * v).sum::<f64>().sqrt());
         let squares = self.tip.iter().zip(&other.tip).map(|(a, b)| (a - b).norm_squared());
-        [farthest.fold(0.0, super::rest::greatest), (squares.sum::<f64>() / self.tip.len() as f64).sqrt()]
+        [farthest.fold(0.0, super::common::greatest), (squares.sum::<f64>() / self.tip.len() as f64).sqrt()]
     }
 }
 

@@ -75,7 +75,7 @@ fn off(read: &Inputs, clean: &Inputs) -> f64 {
         for (c, value) in seen.values.iter().enumerate() {
             let Some(value) = value else { continue };
             let right = same.and_then(|s| s.values[c]).unwrap_or(f64::NAN);
-            most = super::rest::greatest(most, (value - right).abs());
+            most = super::common::greatest(most, (value - right).abs());
         }
     }
     most

@@ -27,10 +27,6 @@ const WINDOWS: [(f64, f64, f64); 9] = [
     (4.5, 1.7, 39.4),
 ];
 
-const SEGMENTS: usize = 43;
-/// A clamp holds the middle of an edge, at the gripper's face: half a segment is inside.
-const INSIDE: f64 = 0.5 / (SEGMENTS - 1) as f64;
-
 /// σ of a coordinate of a marker \[m\].
 const SIGMA: f64 = 1e-3;
 
@@ -45,23 +41,22 @@ pub(super) fn run(options: &Options, rows: &mut Rows) {
 fn scene(begin: f64) -> String {
     let marker = |i: usize| {
         let used = if i.is_multiple_of(2) { "withhold" } else { "assimilate" };
-        let s = i as f64 / 12.0 + INSIDE;
-        format!("{{ name = \"m{i}\", arc_length = {s}, use = \"{used}\" }}, ")
+        format!("{{ name = \"m{i}\", arc_length = {}, use = \"{used}\" }}, ", i as f64 / 12.0)
     };
     let markers: String = (1..=11).map(marker).collect();
-    let gripper = |file: &str, along: f64| {
+    let gripper = |file: &str| {
         format!(
             "motion = {{ kind = \"pose\", file = \"{file}\", time_zero = {begin}, sigma = 1e-4, \
-             sigma_angle = 8.727e-4, offset = [{along}, 0.0, 0.0] }}"
+             sigma_angle = 8.727e-4 }}"
         )
     };
-    let length = 1.0 + 2.0 * INSIDE;
     format!(
         r#"
 [model]
 kind = "rod"
-length = {length}
-segments = {SEGMENTS}
+length = 1.0
+segments = 43
+clamp = "face"
 gravity = [0.0, 0.0, -9.81]
 section = {{ kind = "stiffness", ea = 1e3, ei = [3e-3, 3e-3], gj = 3e-3, mass_per_length = 0.08 }}
 natural_curvature = [2.0, 0.0]
@@ -94,8 +89,8 @@ markers = [{markers}]
 [report]
 forecast = 0.5
 "#,
-        gripper("poses_a.csv", -INSIDE),
-        gripper("poses_b.csv", INSIDE)
+        gripper("poses_a.csv"),
+        gripper("poses_b.csv")
     )
 }
 

@@ -1,6 +1,8 @@
 //! What people bring: rods held anywhere, recorded supports, files as they come.
 
 mod bases;
+mod common;
+mod faces;
 mod files;
 mod folder;
 mod forces;
@@ -16,6 +18,7 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     bases::run(options, &mut rows);
     files::run(options, &mut rows);
     gripped::run(options, &mut rows);
+    faces::run(&mut rows, options.quick);
     forces::run(options, &mut rows);
     rows.finish()
 }
