@@ -59,7 +59,10 @@ pub enum Error {
     #[error("a load has no potential (drag, a follower force, a moment): the rod has no natural modes")]
     NoPotential,
     /// Natural modes that were not found.
-    #[error("{converged} of {count} natural modes converged: does something at rest have no stiffness?")]
+    #[error(
+        "{converged} of {count} natural modes converged: is stretching too stiff beside all else, by more \
+         than 1e10?"
+    )]
     Modes {
         /// Modes that converged.
         converged: usize,

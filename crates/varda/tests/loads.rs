@@ -135,7 +135,8 @@ fn what_cannot_be_meant_is_named() {
         ),
         (
             "place",
-            r#"forces = [{ arc_length = 0.5, file = "force.csv", frame = { translation = [0.0, 1.0, 0.0] } }]"#,
+            r#"forces = [{ arc_length = 0.5, file = "force.csv", 
+                frame = { translation = [0.0, 1.0, 0.0] } }]"#,
             "only the rotation counts",
         ),
         (

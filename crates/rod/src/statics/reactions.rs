@@ -8,7 +8,7 @@ use crate::system::System;
 /// its tangent ∂E/∂θ where it holds a director.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reaction {
-    /// The held vertex; that at the end of the rod for a clamp.
+    /// The held vertex; for a clamp that at the end of the rod, its face or its vertex.
     pub vertex: usize,
     /// Force on the rod \[N\].
     pub force: Vector3<f64>,

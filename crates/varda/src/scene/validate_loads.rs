@@ -1,8 +1,7 @@
 //! What the loads of a rod must satisfy beyond the type of each key.
 
-use super::invalid::{Check, invalid};
+use super::invalid::{Check, invalid, on_rod};
 use super::validate_frame::validate_frame;
-use super::validate_rod::on_rod;
 use super::{Frame, RodModel};
 
 /// Loads on a rod of this length \[m\].

@@ -1,6 +1,6 @@
 //! What `[model]` of a rod must satisfy beyond the type of each key.
 
-use super::invalid::{Check, invalid};
+use super::invalid::{Check, invalid, on_rod};
 use super::validate_loads::validate_loads;
 use super::validate_support::{validate_clamp, validate_prescribed};
 use super::{RodModel, Section, ShapePoints};
@@ -81,14 +81,5 @@ fn validate_shape(shape: &ShapePoints, path: &str) -> Check {
         (None, Some(points)) if points.len() >= 2 => Ok(()),
         (None, Some(_)) => invalid(format!("{path}.points"), "a shape has two points or more"),
         _ => invalid(path, "give `file`, or `points`"),
-    }
-}
-
-/// An arc length must lie on the rod.
-pub(super) fn on_rod(path: &str, s: f64, length: f64) -> Check {
-    if s >= 0.0 && s <= length * (1.0 + 1e-9) {
-        Ok(())
-    } else {
-        invalid(path, format!("arc length {s} m is off the rod (0 to {length} m)"))
     }
 }

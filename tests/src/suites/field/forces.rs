@@ -212,15 +212,8 @@ fn free_to_turn(case: &mut Case) -> Outcome {
     let supports = hooks(&[(0, [0.0; 3])]);
     let found = modes(&rod, &supports, &Loads::default(), 0.0, &stretched(&rod, 1.0), 4)?;
     let first = (15.418_206_f64).powi(2) * 1e-3 / 0.1;
-    case.reason("1e-10 of the greatest ω² of the rod is the shift that is taken off again, to rounding");
-    for i in 0..2 {
-        case.at_most(
-            &format!("ω² of turn {}, of the first bending", i + 1),
-            found.modes[i].omega_squared.abs() / first,
-            1e-4,
-            "-",
-        );
-    }
+    let free = found.modes.iter().filter(|m| m.omega_squared == 0.0).count();
+    case.count("modes that are free", free, 2);
     case.reason("second order in the mesh of 80: a quarter of a per cent");
     let bending = (found.modes[2].omega_squared / first - 1.0).abs();
     case.at_most("first bending of a pinned, free beam", bending, 2.5e-3, "-");
