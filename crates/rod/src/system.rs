@@ -385,6 +385,22 @@ impl System {
         Ok(energy)
     }
 
+    /// Adds a symmetric block to ∂G/∂u in the layout of `structure`.
+    pub(crate) fn add_entries(
+        &self,
+        values: &mut [f64],
+        unknown: &[usize],
+        entry: impl Fn(usize, usize) -> f64,
+    ) {
+        let (w, row_length, general) = (self.layout.half_bandwidth, self.row_length(), !self.has_potential());
+        for (i, &row) in unknown.iter().enumerate().filter(|(_, row)| **row != FIXED) {
+            let columns = unknown.iter().enumerate().filter(|(_, c)| **c != FIXED && (general || **c <= row));
+            for (j, &column) in columns {
+                values[row * row_length + column + w - row] += entry(i, j);
+            }
+        }
+    }
+
     /// Calls `visit` with what every load of the motion does to every edge, and the unknowns of that edge's
     /// vertices.
     fn each_load(&self, start: Option<StageStart>, mut visit: impl FnMut(&EdgeLoad, [usize; 6])) {
@@ -468,7 +484,8 @@ impl System {
     /// Edge and size of the smallest pivot of E_θθ (free angles, in order), in units of the stiffness of
     /// its neighbours. As it goes to zero the twist equilibrium folds: it stops being a smooth function of
     /// the vertices.
-    pub(crate) fn smallest_twist_pivot(&self) -> (usize, f64) {
+    /// `resistance` adds to the stiffness of every edge.
+    pub(crate) fn smallest_twist_pivot(&self, resistance: impl Fn(usize) -> f64) -> (usize, f64) {
         let n = self.layout.segments;
         let vertex = |i: usize| {
             if i == 0 || i == n { [0.0; 3] } else { self.shape.strains(i).angle_hessian(&self.bend[i - 1]) }
@@ -485,7 +502,7 @@ impl System {
         for e in 0..n {
             let right = vertex(e + 1);
             if self.layout.free_angles.binary_search(&e).is_ok() {
-                let pivot = left[2] + right[0] - pivot_before.map_or(0.0, |p| left[1] * left[1] / p);
+                let pivot = resistance(e) + left[2] + right[0] - pivot_before.map_or(0.0, |p| left[1] * left[1] / p);
                 let relative = pivot / (scale(e) + scale(e + 1));
                 if !(relative >= smallest.1) {
                     smallest = (e, relative);
