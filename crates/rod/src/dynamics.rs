@@ -221,6 +221,9 @@ impl RodStep {
                  one director does not twist"
             ));
         }
+        if layout.twist && self.system.loads.need_angles() {
+            out.push("no angle: a load turns sections or follows them".to_string());
+        }
         let fixed = n + 1 - layout.free_vertices.len();
         if fixed > 0 {
             out.push(format!("{} unknowns and their Hessian blocks: {fixed} prescribed vertices", 3 * fixed));

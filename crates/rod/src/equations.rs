@@ -114,8 +114,7 @@ impl StepEquations for RodEquations<'_> {
         }
         // a common turn that nothing depends on is no fold
         let held = if step.system.layout.turns_freely() { step.system.rod.section_stiffness(1) } else { 0.0 };
-        let (edge, pivot) =
-            step.system.smallest_twist_pivot(|e| if e == 0 { held } else { resistance(e) });
+        let (edge, pivot) = step.system.smallest_twist_pivot(|e| if e == 0 { held } else { resistance(e) });
         Ok((pivot < 1e-2).then(|| {
             format!(
                 "the twist equilibrium is close to folding at edge {edge} \

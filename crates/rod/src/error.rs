@@ -49,11 +49,31 @@ pub enum Error {
     /// No support at all: an equilibrium would fall or drift away.
     #[error("nothing holds the rod: it has no clamp and no prescribed vertex")]
     NothingHolds,
+    /// A load turns sections, or follows them, of a rod without any stiffness that would hold them.
+    #[error(
+        "a moment, or a force across the section that follows it, acts on a rod without sections: it has one \
+         segment, or neither bending nor twisting stiffness (a chain)"
+    )]
+    NoSections,
     /// The search for a shape at rest used up its iterations.
     #[error("no shape at rest was found in {iterations} Newton iterations: a first shape near it would help")]
     NotAtRest {
         /// Newton iterations of all stages together.
         iterations: usize,
+    },
+    /// A load without a potential, where modes are asked for.
+    #[error("a load has no potential (drag, a follower force, a moment): the rod has no natural modes")]
+    NoPotential,
+    /// Natural modes that were not found.
+    #[error(
+        "{converged} of {count} natural modes converged: is stretching too stiff beside all else, by more \
+         than 1e10?"
+    )]
+    Modes {
+        /// Modes that converged.
+        converged: usize,
+        /// Modes asked for.
+        count: usize,
     },
     /// A field of a description has an impossible value.
     #[error("{field}: {value} is not allowed (expected {expected})")]

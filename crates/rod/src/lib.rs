@@ -14,9 +14,13 @@
 //! |---|---|
 //! | describe a rod | [`Rod`]; [`Material`] and [`Section`] for a uniform one |
 //! | hold it | [`Supports`] with [`Clamp`] and [`Motion`] |
-//! | pull at it, slow it down | [`Loads`], [`Load`], [`Damping`]; [`check::load`] for a load of your own |
+//! | move its supports as they were recorded | [`RecordedMotion`], [`RecordedRotation`] with [`SmoothBy`] |
+//! | pull at it, turn it, slow it down | [`Loads`], [`FollowerForce`], [`Moment`], [`Drag`], [`Damping`] |
+//! | load it in another way | the trait [`Load`], tested by [`check::load`] |
 //! | move it in time | [`RodStep`], a step for [`varda_implicit::ImplicitModel`] |
 //! | find its shape at rest | [`equilibrium`] from [`straight_guess`] |
+//! | find its natural modes | [`modes()`]: [`Modes`], each a [`Mode`] |
+//! | find tension, moments, reactions | [`internal_forces()`]: [`InternalForces`] with every [`Reaction`] |
 //! | observe points on it | [`Markers`], a [`varda_implicit::ObservationOperator`] |
 //! | use its energy elsewhere | [`derivatives`]: gradient and Hessian; [`energy`] of any [`Real`] number |
 //!
@@ -103,10 +107,12 @@ mod equilibrium;
 mod error;
 mod geometry;
 mod implicit_step;
+mod internal_forces;
 mod layout;
 mod load;
 mod marker;
 mod material;
+mod modes;
 mod predict;
 mod recorded;
 mod rod;
@@ -124,11 +130,18 @@ pub use energy::{Derivatives, Energy, Framed, derivatives, energy};
 pub use equations::RodEquations;
 pub use equilibrium::{Rest, equilibrium, straight_guess};
 pub use error::Error;
+pub use internal_forces::{InternalForces, internal_forces};
+pub use load::drag::Drag;
+pub use load::follower::FollowerForce;
+pub use load::moment::Moment;
 pub use load::{EdgeLoad, EdgeMotion, Load};
 pub use marker::{Marker, Markers};
 pub use material::{Material, Section};
-pub use nalgebra::{Matrix3, Vector3};
-pub use recorded::{RecordedMotion, Smoothing, noise_of_rows};
+pub use modes::{Mode, Modes, modes};
+pub use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+pub use recorded::{
+    RecordedMotion, RecordedRotation, SmoothBy, Smoothing, noise_of_rotations, noise_of_rows,
+};
 pub use rod::{Place, Rod};
 pub use scalar::Real;
 pub use statics::continuation::{Found, Search, rest};

@@ -102,7 +102,8 @@ impl Spin {
                 g[unknown[i]] += moment * slope[i];
             }
             let Some(values) = jacobian.as_deref_mut() else { continue };
-            let h = symmetric_product(&turn.kb, &(turn.tilde + edge.t)) * (-0.25 * moment / (edge.l * edge.l));
+            let h =
+                symmetric_product(&turn.kb, &(turn.tilde + edge.t)) * (-0.25 * moment / (edge.l * edge.l));
             let second = |i: usize, j: usize| match (i, j) {
                 (3, _) | (_, 3) => 0.0,
                 _ if (i < 3) == (j < 3) => h[(i % 4, j % 4)],

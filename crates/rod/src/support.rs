@@ -194,8 +194,15 @@ pub struct Loads {
     pub gravity: Vector3<f64>,
     /// Forces \[N\] at arc lengths s \[m\], shared linearly by the two vertices beside s.
     pub point_forces: Vec<(f64, Arc<dyn Motion>)>,
-    /// Loads that depend on places or velocities of the rod.
+    /// Loads that depend on places, velocities or sections of the rod.
     pub of_motion: Vec<Arc<dyn Load>>,
+}
+
+impl Loads {
+    /// A load looks at directors or turns sections.
+    pub(crate) fn need_angles(&self) -> bool {
+        self.of_motion.iter().any(|load| load.uses_directors() || load.has_moment())
+    }
 }
 
 /// Damping of the motion. Both are zero by default.

@@ -92,7 +92,12 @@ fn they_run_and_do_not_see_the_director_of_the_frame() {
                     let step = rod.step(scheme, frame);
                     let z = rod.control(&step, moved);
                     let n = z.len() / 2;
-                    let mut end = run(&format!("{} {scheme:?} {moved} {frame}", rod.name), &mut ImplicitModel::new(step, 0, 0.005), &z, 15);
+                    let mut end = run(
+                        &format!("{} {scheme:?} {moved} {frame}", rod.name),
+                        &mut ImplicitModel::new(step, 0, 0.005),
+                        &z,
+                        15,
+                    );
                     end.truncate(n);
                     end
                 });

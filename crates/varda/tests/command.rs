@@ -132,6 +132,9 @@ fn the_flagship_writes_everything_it_promises() {
     let lines = |file: &str| folder.read(&format!("{here}/{file}")).lines().count();
     assert_eq!(lines("analysis.csv"), 145);
     assert_eq!(lines("trajectory.csv"), 1 + 101 * 26);
+    assert_eq!(lines("forces.csv"), 1 + 100 * 25);
+    assert_eq!(lines("moments.csv"), 1 + 100 * 24);
+    assert_eq!(lines("reactions.csv"), 1 + 100);
     assert_eq!(lines("convergence.csv"), 2 + summary["outer_iterations"].as_u64().unwrap() as usize);
     assert!(
         folder
@@ -364,4 +367,20 @@ fn a_method_that_fails_is_a_row_of_the_comparison_with_its_reason() {
     assert_eq!(csv.lines().count(), 1 + 22, "{csv}");
     let blue = csv.lines().find(|l| l.starts_with("blue,")).unwrap();
     assert!(blue.starts_with("blue,closed-form,failed,") && !blue.ends_with("\"\""), "{csv}");
+}
+
+#[test]
+fn the_modes_of_a_rod_come_in_pairs_where_its_section_is_round() {
+    let folder = Folder::new("modes");
+    text(&folder.varda(&["modes", "hanging-rod-case1", "--count", "4", "--out", "m"]));
+    let summary: serde_json::Value = serde_json::from_str(&folder.read("m/summary.json")).unwrap();
+    let f: Vec<f64> =
+        summary["frequencies_hz"].as_array().unwrap().iter().map(|f| f.as_f64().unwrap()).collect();
+    for pair in f.chunks(2) {
+        assert!((pair[0] - pair[1]).abs() < 1e-6 * pair[0], "{f:?}");
+    }
+    assert!(f[2] > 1.5 * f[0] && summary["unstable"] == 0, "{summary}");
+    assert_eq!(folder.read("m/modes.csv").lines().count(), 1 + 4);
+    assert_eq!(folder.read("m/mode_shapes.csv").lines().count(), 1 + 4 * 26);
+    assert!(folder.refusal(&["modes", "lorenz63-window"]).contains("only a rod has natural modes"));
 }

@@ -2,7 +2,6 @@
 
 use nalgebra::Vector3;
 
-use crate::load::EdgeMotion;
 use crate::system::System;
 
 /// What a support exerts on a rod at rest: R_v = ∂E/∂x_v − F_v at the vertices that it holds, and about
@@ -22,20 +21,13 @@ pub(crate) fn reactions(system: &System) -> Vec<Reaction> {
     let n = system.rod.segments();
     let layout = &system.layout;
     let mut loads = system.forces.clone();
-    for load in &system.loads.of_motion {
-        for edge in load.edges(n) {
-            let acts = load.on_edge(&EdgeMotion {
-                edge,
-                time: system.time,
-                places: [system.x[edge], system.x[edge + 1]],
-                velocities: [Vector3::zeros(); 2],
-                rest_length: system.rod.rest_lengths[edge],
-            });
-            for (i, force) in acts.forces.iter().enumerate() {
-                loads[edge + i / 3][i % 3] += force;
-            }
+    let mut moments = vec![0.0; n];
+    system.each_load(None, |acts, motion, _| {
+        for (i, force) in acts.forces.iter().enumerate() {
+            loads[motion.edge + i / 3][i % 3] += force;
         }
-    }
+        moments[motion.edge] += acts.moment;
+    });
     let at = |v: usize| {
         let i = layout.vertex(v);
         Vector3::from_column_slice(&system.gradient[i..i + 3]) - loads[v]
@@ -43,7 +35,7 @@ pub(crate) fn reactions(system: &System) -> Vec<Reaction> {
     let clamped = |vertex: usize, beside: usize, edge: usize| {
         let arm = system.x[beside] - system.x[vertex];
         let tangent = (system.x[edge + 1] - system.x[edge]).normalize();
-        let twist = if layout.twist { system.gradient[layout.angle(edge)] } else { 0.0 };
+        let twist = if layout.twist { system.gradient[layout.angle(edge)] - moments[edge] } else { 0.0 };
         let moment = arm.cross(&at(beside)) + tangent * twist;
         Reaction { vertex, force: at(vertex) + at(beside), moment }
     };

@@ -74,6 +74,17 @@ enum Command {
         #[arg(long, value_name = "DIR")]
         out: Option<PathBuf>,
     },
+    /// Find the natural frequencies and modes of a rod about its shape at rest
+    Modes {
+        #[command(flatten)]
+        scene: SceneArguments,
+        /// How many modes, the lowest first
+        #[arg(long, value_name = "N", default_value_t = 10)]
+        count: usize,
+        /// Folder for the result [default: out/<scene name>-modes]
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
+    },
     /// Check a scene; print sizes, memory and what will be left out; run nothing
     Check {
         #[command(flatten)]
@@ -119,6 +130,7 @@ pub fn main() -> ExitCode {
         }
         Command::Simulate { scene, out, quiet } => simulate(&scene, out.as_deref(), quiet, started),
         Command::Compare { scene, out } => compare_all(&scene, out.as_deref()),
+        Command::Modes { scene, count, out } => modes(&scene, count, out.as_deref()),
         Command::Check { scene } => scene.open().and_then(|file| check(&file)),
         Command::New { name } => new(&name),
         Command::Schema => {
@@ -258,6 +270,17 @@ fn compare_all(arguments: &SceneArguments, out: Option<&Path>) -> Result<ExitCod
     let folder = report::write_comparison(&file, &rows, interrupted(), &folder)?;
     print!("{}", table::comparison(&rows, &folder));
     Ok(if interrupted() { ExitCode::from(INTERRUPTED) } else { ExitCode::SUCCESS })
+}
+
+fn modes(arguments: &SceneArguments, count: usize, out: Option<&Path>) -> Result<ExitCode, Error> {
+    let file = arguments.open()?;
+    let default = || Path::new("out").join(format!("{}-modes", file.name));
+    let folder = out.map_or_else(default, Path::to_path_buf);
+    refuse_occupied(&folder, false)?;
+    let modes = run::modes(&file, count)?;
+    let folder = report::write_modes(&modes, &folder)?;
+    print!("{}", table::modes(&modes, &folder));
+    Ok(ExitCode::SUCCESS)
 }
 
 fn check(file: &SceneFile) -> Result<ExitCode, Error> {

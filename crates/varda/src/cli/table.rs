@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use crate::outcome::{Outcome, Simulation, Status};
+use crate::outcome::{Outcome, RodModes, Simulation, Status};
 use crate::run::compare::Compared;
 use crate::setup::Plan;
 
@@ -133,6 +133,25 @@ pub(super) fn comparison(rows: &[Compared], folder: &Path) -> String {
          another); written to {}",
         folder.display()
     );
+    out
+}
+
+pub(super) fn modes(modes: &RodModes, folder: &Path) -> String {
+    let mut out = format!("{:>4} {:>14} {:>12}\n", "mode", "frequency (Hz)", "period (s)");
+    for (i, mode) in modes.found.modes.iter().enumerate() {
+        let _ = match mode.frequency() {
+            Some(0.0) => {
+                let least = modes.found.resolution.sqrt() / std::f64::consts::TAU;
+                writeln!(out, "{:>4} {:>14} it moves freely, or slower than {least:.2e} Hz", i + 1, 0)
+            }
+            Some(f) => writeln!(out, "{:>4} {f:>14.6} {:>12.6}", i + 1, 1.0 / f),
+            None => {
+                let time = 1.0 / (-mode.omega_squared).sqrt();
+                writeln!(out, "{:>4} grows e-fold in {time:.6} s: the shape at rest is not stable", i + 1)
+            }
+        };
+    }
+    let _ = writeln!(out, "shapes: {}", folder.join("mode_shapes.csv").display());
     out
 }
 

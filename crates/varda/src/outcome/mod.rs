@@ -3,6 +3,7 @@
 mod convergence;
 mod cycles;
 mod fit;
+mod modes;
 mod simulation;
 mod space;
 mod window;
@@ -10,6 +11,7 @@ mod window;
 pub use convergence::{ConvergenceRow, Status, WorkCounts};
 pub use cycles::{CycleRow, CyclesOutcome, Means};
 pub use fit::{Fit, Forecast, Rejected, Withheld};
+pub use modes::RodModes;
 pub use simulation::{Simulation, TwinFiles};
 pub use space::{Shapes, Sight, Track};
 pub use window::{

@@ -1,5 +1,7 @@
 //! Runs and observations of a curve in space.
 
+use varda_rod::InternalForces;
+
 /// Vertices \[m\] at every step of the runs of a curve; a run that ended early has fewer steps.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Shapes {
@@ -13,6 +15,8 @@ pub struct Shapes {
     pub seen: Vec<Sight>,
     /// One marker followed through all runs.
     pub track: Option<Track>,
+    /// Forces and moments within the rod of the analysis, from step 1 on: rates are those over a step.
+    pub forces: Vec<InternalForces>,
 }
 
 /// A marker or place seen at one time.

@@ -4,7 +4,9 @@ pub mod checkpoint;
 mod cycles;
 mod figures;
 pub mod folder;
+mod forces;
 mod html;
+mod modes;
 pub mod plot;
 mod summary;
 mod tables;
@@ -15,7 +17,7 @@ pub use summary::{Summary, Terms, WindowAmplification};
 use std::path::{Path, PathBuf};
 
 use crate::Error;
-use crate::outcome::{Outcome, Simulation};
+use crate::outcome::{Experiment, Outcome, RodModes, Shapes, Simulation};
 use crate::report::folder::ResultFolder;
 use crate::run::compare::Compared;
 use crate::scene::SceneFile;
@@ -39,6 +41,7 @@ pub fn write(outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
     out.write("convergence.csv", &tables::convergence(&outcome.convergence))?;
     let trajectory = tables::trajectory(experiment, &outcome.trajectories, outcome.shapes.as_ref());
     out.write("trajectory.csv", &trajectory)?;
+    write_forces(&out, experiment, outcome.shapes.as_ref())?;
     // Last: a folder without it is not a result.
     out.write("summary.json", &summary.to_json())?;
     out.publish()
@@ -69,9 +72,45 @@ pub fn write_comparison(
     out.publish()
 }
 
-/// Writes a forward run to `folder`, whole or not at all: summary.json and trajectory.csv with this run
-/// alone. For a twin experiment with a rod also background.csv and observations.csv, in the form that a scene
-/// reads.
+/// Writes the natural modes of a rod to `folder`, whole or not at all: modes.csv with their frequencies,
+/// mode_shapes.csv, summary.json.
+///
+/// # Errors
+/// As [`write()`].
+pub fn write_modes(modes: &RodModes, folder: &Path) -> Result<PathBuf, Error> {
+    let out = ResultFolder::begin(folder)?;
+    let frequencies: Vec<_> = modes.found.modes.iter().map(varda_rod::Mode::frequency).collect();
+    let summary = serde_json::json!({
+        "scene": modes.name,
+        "version": env!("CARGO_PKG_VERSION"),
+        "method": "modes",
+        "status": "converged",
+        "time_s": modes.time,
+        "frequencies_hz": frequencies,
+        "unstable": modes.found.unstable,
+    });
+    out.write("summary.json", &format!("{summary:#}\n"))?;
+    out.write("modes.csv", &modes::frequencies(&modes.found))?;
+    out.write("mode_shapes.csv", &modes::shapes(modes))?;
+    out.publish()
+}
+
+/// forces.csv, moments.csv and reactions.csv of a rod.
+fn write_forces(out: &ResultFolder, experiment: &Experiment, shapes: Option<&Shapes>) -> Result<(), Error> {
+    let (Some(shapes), Some(geometry)) = (shapes, &experiment.state.geometry) else { return Ok(()) };
+    let (grid, s) = (&experiment.grid, &geometry.arc_lengths);
+    out.write("forces.csv", &forces::edges(grid, &shapes.forces, s))?;
+    if shapes.forces.iter().any(|f| !f.twisting.is_empty()) {
+        out.write("moments.csv", &forces::vertices(grid, &shapes.forces, s))?;
+    }
+    if shapes.forces.iter().any(|f| !f.reactions.is_empty()) {
+        out.write("reactions.csv", &forces::supports(grid, &shapes.forces))?;
+    }
+    Ok(())
+}
+
+/// Writes a forward run to `folder`, whole or not at all: summary.json and the tables of this run alone. For
+/// a twin experiment with a rod also background.csv and observations.csv, in the form that a scene reads.
 ///
 /// # Errors
 /// As [`write()`].
@@ -97,6 +136,7 @@ pub fn write_simulation(simulation: &Simulation, seconds: f64, folder: &Path) ->
     out.write("summary.json", &format!("{summary:#}\n"))?;
     let shapes = simulation.shapes.as_ref();
     out.write("trajectory.csv", &tables::trajectory(experiment, &simulation.trajectories, shapes))?;
+    write_forces(&out, experiment, shapes)?;
     if let (Some(twin), Some(shapes), Some(geometry)) = (&simulation.twin, shapes, &experiment.state.geometry)
     {
         out.write("background.csv", &tables::background(geometry, &twin.background))?;

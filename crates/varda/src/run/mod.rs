@@ -5,7 +5,9 @@ mod amplification;
 pub mod compare;
 pub mod cycles;
 mod fit;
+mod modes;
 mod shapes;
 pub mod window;
 
+pub use modes::modes;
 pub use window::{Listener, assimilate, simulate};

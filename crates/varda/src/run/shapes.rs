@@ -1,6 +1,8 @@
 //! Runs of a rod in space: its vertices step by step, what was seen of it, and one marker followed through
 //! all runs.
 
+use varda_rod::InternalForces;
+
 use crate::Error;
 use crate::outcome::{Shapes, Track, Trajectories};
 use crate::scene::TimeGrid;
@@ -29,7 +31,8 @@ pub(crate) fn vertices(problem: &Problem, runs: &Trajectories) -> Result<Option<
     }))
 }
 
-/// Vertices of all runs, what was seen, and the track of one marker; `None` for models that are not in space.
+/// Vertices of all runs, what was seen, the track of one marker, and the forces within the rod; `None` for
+/// models that are not in space.
 ///
 /// # Errors
 /// [`Error::Rod`], [`Error::Assimilation`] where a marker has no place in a state.
@@ -41,7 +44,19 @@ pub(crate) fn with_observations(problem: &Problem, runs: &Trajectories) -> Resul
         .as_ref()
         .map(|space| track(observed, space, &problem.experiment.grid, runs))
         .transpose()?;
-    Ok(Some(Shapes { seen: observed.sights(), track: track.flatten(), ..shapes }))
+    let forces = forces(problem, runs)?;
+    Ok(Some(Shapes { seen: observed.sights(), track: track.flatten(), forces, ..shapes }))
+}
+
+/// Forces and moments within the rod of the analysis, from step 1 on.
+fn forces(problem: &Problem, runs: &Trajectories) -> Result<Vec<InternalForces>, Error> {
+    let Some(rod) = problem.system.rod() else { return Ok(Vec::new()) };
+    let mut dynamics = rod.parts.dynamics()?;
+    let grid = &problem.experiment.grid;
+    let states: Vec<&[f64]> = runs.analysis.chunks_exact(runs.dim).collect();
+    let pairs = states.windows(2).enumerate();
+    let found = pairs.map(|(k, x)| dynamics.internal_forces(grid.time(k + 1), x[1], (grid.time(k), x[0])));
+    Ok(found.collect::<Result<_, _>>()?)
 }
 
 /// The track of the first marker that was kept back, which says most; else of the last site, which is the

@@ -36,6 +36,7 @@ mod validate_cycles;
 mod validate_frame;
 mod validate_observations;
 mod validate_rod;
+mod validate_support;
 
 pub use algorithm::Algorithm;
 pub use background::{
@@ -54,7 +55,7 @@ pub use model::{
     PointMass, Prescribed, RestShape, RodModel, Section, ShapePoints,
 };
 pub use model_error::ModelError;
-pub use motion::{Motion, MotionValues, RecordedMotion};
+pub use motion::{Motion, MotionValues, PoseValues, RecordedMarkers, RecordedMotion, RecordedPose};
 pub use observations::{
     Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, UnreachableRows, Use,
 };

@@ -222,6 +222,18 @@ impl RodModel {
     }
 }
 
+impl RodModel {
+    /// Markers of the observation file that supports follow.
+    pub(crate) fn followed_markers(&self) -> impl Iterator<Item = &str> {
+        let clamps = [&self.start, &self.end].into_iter().flatten().map(|clamp| &clamp.motion);
+        let motions = clamps.chain(self.prescribed.iter().map(|p| &p.motion)).flatten();
+        motions.flat_map(|motion| match motion {
+            Motion::Markers(keys) => keys.names.iter().map(String::as_str).collect(),
+            Motion::Ellipse { .. } | Motion::Table(_) | Motion::Pose(_) => Vec::new(),
+        })
+    }
+}
+
 fn standard_gravity() -> [f64; 3] {
     [0.0, 0.0, -9.81]
 }
@@ -292,14 +304,17 @@ pub struct Material {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Clamp {
-    /// Place of the end vertex [m].
+    /// Place of the end vertex [m]. Needed where the motion does not say it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("x-unit" = "m"))]
-    pub position: [f64; 3],
-    /// Direction of the end edge, towards growing arc length.
-    pub tangent: [f64; 3],
-    /// Direction m₁ of the section.
-    pub director: [f64; 3],
-    /// How the clamp moves, directions kept. Absent: it does not.
+    pub position: Option<[f64; 3]>,
+    /// Direction of the end edge, towards growing arc length. Needed where the motion does not say it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tangent: Option<[f64; 3]>,
+    /// Direction m₁ of the section. Needed where the motion does not say it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub director: Option<[f64; 3]>,
+    /// How the clamp moves. Absent: it does not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<Motion>,
 }
@@ -348,9 +363,10 @@ impl RestShape {
 pub struct Prescribed {
     /// Number of the vertex, 0 at the start.
     pub vertex: usize,
-    /// Its place [m].
+    /// Its place [m]. Needed where the motion does not say it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("x-unit" = "m"))]
-    pub position: [f64; 3],
+    pub position: Option<[f64; 3]>,
     /// How it moves. Absent: it does not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<Motion>,

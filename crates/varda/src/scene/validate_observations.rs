@@ -73,6 +73,12 @@ pub(super) fn validate_recording(f: &Recording, rod: &RodModel) -> Check {
                 format!("marker {:?} is named twice", marker.name),
             );
         }
+        if rod.followed_markers().any(|name| name == marker.name) {
+            return invalid(
+                format!("observations.markers.{i}.name"),
+                format!("marker {:?} moves a support: it cannot be observed as well", marker.name),
+            );
+        }
     }
     validate_frame(&f.frame, "observations.frame")
 }

@@ -89,6 +89,29 @@ pub fn observations(file: &str, text: &str) -> Result<Vec<ObservedRow>, Error> {
 /// # Errors
 /// [`Error::Data`] naming file and line.
 pub fn numbers<const N: usize>(file: &str, text: &str, columns: [&str; N]) -> Result<Vec<[f64; N]>, Error> {
+    let rows = filled(file, text, columns, false)?;
+    Ok(rows.into_iter().map(|(_, row)| row).collect())
+}
+
+/// The same with the line of each row, for a recording: rows that have nothing but the first column were not
+/// recorded.
+///
+/// # Errors
+/// [`Error::Data`] naming file and line.
+pub fn recorded<const N: usize>(
+    file: &str,
+    text: &str,
+    columns: [&str; N],
+) -> Result<Vec<(usize, [f64; N])>, Error> {
+    filled(file, text, columns, true)
+}
+
+fn filled<const N: usize>(
+    file: &str,
+    text: &str,
+    columns: [&str; N],
+    gaps: bool,
+) -> Result<Vec<(usize, [f64; N])>, Error> {
     let expected = columns.join(",");
     let mut table = Table::open(file, text, &columns, &expected)?;
     for name in columns {
@@ -96,11 +119,14 @@ pub fn numbers<const N: usize>(file: &str, text: &str, columns: [&str; N]) -> Re
     }
     let mut rows = Vec::new();
     while table.next()? {
+        if gaps && columns[1..].iter().all(|name| table.cell(name).is_empty()) {
+            continue;
+        }
         let mut row = [0.0; N];
         for (value, name) in row.iter_mut().zip(columns) {
             *value = table.needed(name)?;
         }
-        rows.push(row);
+        rows.push((table.line, row));
     }
     Ok(rows)
 }

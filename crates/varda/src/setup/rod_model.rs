@@ -12,7 +12,7 @@ use crate::Error;
 use crate::scene::{self, RodModel, SceneFile, Shear};
 use crate::setup::csv;
 use crate::setup::files::Files;
-use crate::setup::motion::Motions;
+use crate::setup::motion::{Held, Motions, Moving};
 
 /// A rod with what holds it and what pulls at it.
 #[derive(Clone)]
@@ -61,7 +61,8 @@ impl RodParts {
         };
         if let Some(keys) = &model.rest_shape {
             let measured = shape(files, "model.rest_shape", &keys.shape(), &rod)?;
-            let director = keys.director.or(model.start.as_ref().map(|c| c.director)).unwrap_or_default();
+            let director =
+                keys.director.or(model.start.as_ref().and_then(|c| c.director)).unwrap_or_default();
             rod = rod.at_ease_in(&measured.vertices, director.into()).map_err(refuse("model.rest_shape"))?;
         }
         let mut motions = Motions::of(files)?;
@@ -73,8 +74,9 @@ impl RodParts {
             supports.end = Some(self::clamp(&mut motions, "model.end", clamp)?);
         }
         for (i, p) in model.prescribed.iter().enumerate() {
-            let motion = motions.read(&format!("model.prescribed.{i}"), p.position, p.motion.as_ref())?;
-            supports.prescribed.push((p.vertex, motion));
+            let held = Held { position: p.position, ..Held::default() };
+            let moving = motions.read(&format!("model.prescribed.{i}"), held, p.motion.as_ref())?;
+            supports.prescribed.push((p.vertex, moving.place));
         }
         let point_forces =
             model.point_forces.iter().map(|f| (f.arc_length, Arc::new(f.force) as Arc<dyn Motion>));
@@ -153,10 +155,7 @@ fn section(file: &SceneFile, model: &RodModel) -> Result<Section, Error> {
 }
 
 fn clamp(motions: &mut Motions, path: &str, clamp: &scene::Clamp) -> Result<Clamp, Error> {
-    Ok(Clamp {
-        at: ClampAt::Edge,
-        position: motions.read(path, clamp.position, clamp.motion.as_ref())?,
-        tangent: Arc::new(clamp.tangent),
-        director: Arc::new(clamp.director),
-    })
+    let held = Held { position: clamp.position, tangent: clamp.tangent, director: clamp.director };
+    let Moving { place, tangent, director } = motions.read(path, held, clamp.motion.as_ref())?;
+    Ok(Clamp { at: ClampAt::Edge, position: place, tangent, director })
 }

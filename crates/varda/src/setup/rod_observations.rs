@@ -11,7 +11,7 @@ use super::observations::{Draws, MakeOperator, Observed, ObservedSpace, Seen, Si
 use super::reachable::{Held, Reach, Sighting};
 use super::rod::RodSystem;
 use crate::Error;
-use crate::scene::{Frame, OutsideWindow, Recording, Synthetic, TimeGrid, UnreachableRows, Use};
+use crate::scene::{Frame, Model, OutsideWindow, Recording, Synthetic, TimeGrid, UnreachableRows, Use};
 
 /// A site and its place on the rod.
 #[derive(Debug, Clone)]
@@ -86,11 +86,19 @@ pub(crate) fn recorded(
     let rotation = recording.frame.rotation_rows();
     let shift: [f64; 3] =
         std::array::from_fn(|c| (0..3).map(|j| rotation[j][c] * recording.frame.translation[j]).sum());
+    let followed: HashSet<&str> = match &files.scene.scene.model {
+        Model::Rod(model) => model.followed_markers().collect(),
+        _ => HashSet::new(),
+    };
     let mut left = LeftOut::default();
     let mut seen = Vec::new();
     let mut sightings = Vec::new();
     for row in &rows {
         let site = match &row.subject {
+            Subject::Marker(name) if followed.contains(name.as_str()) => {
+                left.followed += 1;
+                continue;
+            }
             Subject::Marker(name) if recording.ignore.contains(name) => {
                 left.ignored += 1;
                 continue;
@@ -150,6 +158,7 @@ pub(crate) fn recorded(
 /// What of a recording is not used.
 #[derive(Default)]
 struct LeftOut {
+    followed: usize,
     ignored: usize,
     before: usize,
     after: usize,
@@ -160,6 +169,7 @@ struct LeftOut {
 impl LeftOut {
     fn into_texts(self) -> Vec<String> {
         let counted = [
+            (self.followed, "rows of markers that move a support"),
             (self.ignored, "rows of ignored markers"),
             (self.before, "rows before the window"),
             (self.after, "rows after the window and its forecast"),

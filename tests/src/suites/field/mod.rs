@@ -1,5 +1,6 @@
 //! What people bring: rods held anywhere, recorded supports, files as they come.
 
+mod forces;
 mod free_turn;
 mod rest;
 
@@ -9,6 +10,7 @@ use crate::row::{Row, Rows};
 pub(super) fn run(options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("field");
     rest::run(options, &mut rows);
+    forces::run(options, &mut rows);
     free_turn::run(options, &mut rows);
     rows.finish()
 }
