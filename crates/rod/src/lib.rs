@@ -72,15 +72,16 @@
 //! use varda_rod::{Clamp, ClampAt, Damping, Loads, Material, Rod, RodStep, Section, Supports, Vector3};
 //!
 //! let material = Material::new(1e6, 0.5, 1100.0);
-//! let rod = Rod::uniform(1.0, 20, &Section::circle(&material, 0.01))?;
-//! let clamp = Clamp::new(ClampAt::Edge, |t: f64| [0.1 * t * t, 0.0, 0.0], -Vector3::z(), Vector3::x());
+//! let rod = Rod::uniform_between(1.0, 20, &Section::circle(&material, 0.01), [true, false])?;
+//! let s = rod.arc_lengths(); // from the clamp's face
+//! let clamp = Clamp::new(ClampAt::Face, |t: f64| [0.1 * t * t, 0.0, 0.0], -Vector3::z(), Vector3::x());
 //! let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
 //! let step = RodStep::new(rod, Supports::clamped_start(clamp), loads, Damping::default())?;
 //!
 //! // Hanging straight down, at rest: control z = [X₀, V₀] of the free vertices.
 //! let mut z = vec![0.0; step.control_len()];
 //! for (i, &v) in step.free_vertices().iter().enumerate() {
-//!     z[3 * i + 2] = -(v as f64) / 20.0;
+//!     z[3 * i + 2] = -s[v];
 //! }
 //! let mut model = ImplicitModel::new(step, 0, 0.01);
 //! let mut x = vec![0.0; model.dim()];

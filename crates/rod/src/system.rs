@@ -93,6 +93,7 @@ impl System {
         force_twist: bool,
     ) -> Result<System, Error> {
         rod.check()?;
+        let rod = rod.with_faces(supports.faces());
         crate::material::not_negative("damping.stiffness", damping.stiffness)?;
         crate::material::not_negative("damping.mass", damping.mass)?;
         if let Some(&value) = loads.gravity.iter().find(|g| !g.is_finite()) {

@@ -9,6 +9,7 @@ const SCENE: &str = r#"
 kind = "rod"
 length = 0.5
 segments = 8
+clamp = "edge"    # the bounds on noise below are measured with it
 gravity = [0.0, 0.0, -9.81]
 section = { kind = "circle", radius = 0.005 }
 material = { youngs_modulus = 1e6, poisson_ratio = 0.5, density = 1100.0 }

@@ -136,6 +136,7 @@ pub fn rest(
 ) -> Result<Found, varda_implicit::Error> {
     let refuse = |e: Error| varda_implicit::Error::Refused { step: 0, reason: e.into() };
     let held = Held::at(rod, supports, t).map_err(refuse)?;
+    let rod = &rod.clone().with_faces(supports.faces());
     let mut way = Way {
         rod,
         supports,

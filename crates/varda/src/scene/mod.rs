@@ -51,7 +51,7 @@ pub(crate) use invalid::Invalid;
 pub use limits::{DEFAULT_MEMORY, Limits};
 pub use method::{Method, Minimizer};
 pub use model::{
-    Burgers, Clamp, DampingValues, LinearAdvection, Lorenz63, Lorenz96, Material, Model, PointForce,
+    Burgers, Clamp, ClampAt, DampingValues, LinearAdvection, Lorenz63, Lorenz96, Material, Model, PointForce,
     PointMass, Prescribed, RestShape, RodModel, Section, ShapePoints,
 };
 pub use model_error::ModelError;

@@ -156,7 +156,8 @@ impl Default for Lorenz96 {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RodModel {
-    /// Rest length of the rod L [m]. Give this and `segments`, or `segment_lengths`.
+    /// Rest length of the rod L [m], from clamp to clamp or to a free end. Give this and `segments`, or
+    /// `segment_lengths`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub length: Option<f64>,
@@ -164,7 +165,8 @@ pub struct RodModel {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("minimum" = 2, "maximum" = 20000))]
     pub segments: Option<usize>,
-    /// Rest length of every segment [m], where they differ; at most 20000.
+    /// Rest length of every segment [m], where they differ, from clamp to clamp or to a free end; at most
+    /// 20000.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("x-unit" = "m", "maxItems" = 20000))]
     pub segment_lengths: Option<Vec<f64>>,
@@ -188,6 +190,9 @@ pub struct RodModel {
     /// A first guess of the static equilibrium, which picks one where there are several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub initial_shape: Option<ShapePoints>,
+    /// What `start` and `end` hold: the rod at their faces, or its first and last edge.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub clamp: ClampAt,
     /// Clamp at arc length 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<Clamp>,
@@ -213,6 +218,11 @@ pub struct RodModel {
 }
 
 impl RodModel {
+    /// Whether a clamp holds the rod at its face, at the start and at the end.
+    pub(crate) fn faces(&self) -> [bool; 2] {
+        [&self.start, &self.end].map(|clamp| clamp.is_some() && self.clamp == ClampAt::Face)
+    }
+
     /// ω of the start clamp's ellipse drive [rad/s].
     pub(crate) fn drive_frequency(&self) -> Option<f64> {
         match self.start.as_ref()?.motion {
@@ -300,15 +310,30 @@ pub struct Material {
     pub density: f64,
 }
 
-/// A clamped end: place, direction and rotation of the end edge are given.
+/// What the place of a clamp is the place of.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum ClampAt {
+    /// The section at the clamp's face, from which the rod is free: `length` is the free length, arc lengths
+    /// count from the face. The edge it holds has its middle there: equal segments are
+    /// length / (segments − ½ per clamp) long, and the first (last) of `segment_lengths` is half of it.
+    #[default]
+    Face,
+    /// The end vertex: the clamp holds the whole first (last) edge, as the paper's does, and the rod bends as
+    /// if it were half a segment shorter.
+    Edge,
+}
+
+/// A clamped end: place, direction and rotation of the end of the rod are given.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Clamp {
-    /// Place of the end vertex [m]. Needed where the motion does not say it.
+    /// Place of the section at its face [m]; of the end vertex where `clamp = "edge"`. Needed where the
+    /// motion does not say it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("x-unit" = "m"))]
     pub position: Option<[f64; 3]>,
-    /// Direction of the end edge, towards growing arc length. Needed where the motion does not say it.
+    /// Direction of the rod there, towards growing arc length. Needed where the motion does not say it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tangent: Option<[f64; 3]>,
     /// Direction m₁ of the section. Needed where the motion does not say it.

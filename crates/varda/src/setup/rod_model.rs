@@ -48,6 +48,7 @@ impl RodParts {
         };
         let mut rod = Rod::with_segments(&file.checked(model.rest_lengths())?, &section(file, model)?)
             .map_err(refuse("model"))?
+            .with_faces(model.faces())
             .naturally(model.natural_curvature, model.natural_twist);
         for (i, mass) in model.point_masses.iter().enumerate() {
             rod.add_point_mass(mass.arc_length, mass.mass)
@@ -68,10 +69,10 @@ impl RodParts {
         let mut motions = Motions::of(files)?;
         let mut supports = Supports::default();
         if let Some(clamp) = &model.start {
-            supports.start = Some(self::clamp(&mut motions, "model.start", clamp)?);
+            supports.start = Some(self::clamp(&mut motions, "model.start", model.clamp, clamp)?);
         }
         if let Some(clamp) = &model.end {
-            supports.end = Some(self::clamp(&mut motions, "model.end", clamp)?);
+            supports.end = Some(self::clamp(&mut motions, "model.end", model.clamp, clamp)?);
         }
         for (i, p) in model.prescribed.iter().enumerate() {
             let held = Held { position: p.position, ..Held::default() };
@@ -84,8 +85,9 @@ impl RodParts {
             Loads { gravity: model.gravity.into(), point_forces: point_forces.collect(), ..Loads::default() };
         let damping = Damping { stiffness: model.damping.stiffness, mass: model.damping.mass };
         let scheme = file.checked(file.scene.time.integrator.of_rod())?;
-        let parts =
-            RodParts { rod, supports, loads, damping, scheme, search, remarks: motions.remarks, first: None };
+        let mut remarks = motions.remarks;
+        remarks.extend(edge_clamps(model, &rod));
+        let parts = RodParts { rod, supports, loads, damping, scheme, search, remarks, first: None };
         parts.dynamics().map_err(refuse("model"))?;
         Ok(parts)
     }
@@ -154,8 +156,33 @@ fn section(file: &SceneFile, model: &RodModel) -> Result<Section, Error> {
     })
 }
 
-fn clamp(motions: &mut Motions, path: &str, clamp: &scene::Clamp) -> Result<Clamp, Error> {
+fn clamp(
+    motions: &mut Motions,
+    path: &str,
+    at: scene::ClampAt,
+    clamp: &scene::Clamp,
+) -> Result<Clamp, Error> {
     let held = Held { position: clamp.position, tangent: clamp.tangent, director: clamp.director };
     let Moving { place, tangent, director } = motions.read(path, held, clamp.motion.as_ref())?;
-    Ok(Clamp { at: ClampAt::Edge, position: place, tangent, director })
+    let at = match at {
+        scene::ClampAt::Face => ClampAt::Face,
+        scene::ClampAt::Edge => ClampAt::Edge,
+    };
+    Ok(Clamp { at, position: place, tangent, director })
+}
+
+/// What to know of neighbouring vertices whose places are given: they hold an edge.
+fn edge_clamps(model: &RodModel, rod: &Rod) -> Vec<String> {
+    let mut held: Vec<usize> = model.prescribed.iter().map(|p| p.vertex).collect();
+    held.sort_unstable();
+    let pairs = held.windows(2).filter(|pair| pair[0] + 1 == pair[1]);
+    let remark = |pair: &[usize]| {
+        let half = 0.5 * rod.rest_lengths[pair[0]];
+        format!(
+            "prescribed vertices {} and {} hold the edge between them as a clamp does: the rod bends as if \
+             it were half a segment ({half} m) shorter; [model.start] and [model.end] hold it at their faces",
+            pair[0], pair[1]
+        )
+    };
+    pairs.map(remark).collect()
 }

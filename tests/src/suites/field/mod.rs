@@ -1,5 +1,7 @@
 //! What people bring: rods held anywhere, recorded supports, files as they come.
 
+mod common;
+mod faces;
 mod forces;
 mod free_turn;
 mod rest;
@@ -10,6 +12,7 @@ use crate::row::{Row, Rows};
 pub(super) fn run(options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("field");
     rest::run(options, &mut rows);
+    faces::run(&mut rows, options.quick);
     forces::run(options, &mut rows);
     free_turn::run(options, &mut rows);
     rows.finish()
