@@ -40,7 +40,7 @@ pub enum Error {
         /// The pivot over GJ/l + EI/l there.
         pivot: f64,
     },
-    /// An edge points against its direction at the start of a step, where the spin of its section is undefined.
+    /// An edge points against its direction at the start of a step: the spin of its section is undefined.
     #[error("edge {edge} turns over within one step, where its spin is undefined: a shorter step helps")]
     TurnedOver {
         /// Number of the edge.

@@ -1,8 +1,8 @@
 //! What resists a spin of sections about their tangents, from the configuration of x_k on.
 //!
-//! The spin s of an edge is measured against its director carried by parallel transport from the tangent p it
-//! had at x_k to the tangent q it has now, so that no frame of the rod enters: it is the twist between "then"
-//! and "now" (Bergou et al. 2010, with time in place of arc length), and its derivatives are those of a twist,
+//! The spin s of an edge is measured against its director carried by parallel transport from its tangent p
+//! at x_k to its tangent q now, so that no frame of the rod enters: it is the twist between then and now
+//! (Bergou et al. 2010, with time in place of arc length), and its derivatives are those of a twist,
 //!
 //! ```text
 //! s = ∠(P(p → q) m₁(x_k), m₁(y)),   Φ += ½ a (s − s*)²
@@ -20,8 +20,8 @@ use crate::shape::Shape;
 use crate::system::System;
 
 /// Share of its twisting and bending stiffness with which the first section of a rod that holds no director
-/// resists a spin within one step. Where nothing depends on the common turn of all sections this alone decides
-/// it (the first section does not spin), at no moment; else it is a friction that fades with the step.
+/// resists a spin within one step. Where nothing depends on the common turn of all sections it alone
+/// decides (the first section does not spin), at no moment; else it is a friction that fades with Δt.
 const SLIGHT: f64 = 1e-6;
 
 /// Resistance of the sections to spin in the step being worked on.

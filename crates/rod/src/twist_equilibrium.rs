@@ -15,8 +15,8 @@ const SLIGHT: f64 = 1e-10;
 /// θ₀ = θ(X₀): the angles that minimise E at given vertices, from θ = 0 or those of a rod at rest,
 /// with δθ₀ = −E_θθ⁻¹ E_θX δX₀ and its transpose.
 ///
-/// Of a rod that holds no director, E + ½ a (θ⁰ − θ̄⁰)² with θ̄⁰ the angle it starts from: where
-/// nothing depends on the common turn of its angles that is the one with θ⁰ = θ̄⁰, whatever a.
+/// Of a rod that holds no director, E + ½ a (θ⁰ − θ̄⁰)² with θ̄⁰ the angle it starts from:
+/// where nothing depends on the common turn of its angles, that with θ⁰ = θ̄⁰, whatever a.
 pub(crate) struct TwistEquilibrium {
     statics: Statics,
     work: NewtonWork,

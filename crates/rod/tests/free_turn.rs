@@ -103,7 +103,7 @@ fn they_run_and_do_not_see_the_director_of_the_frame() {
                 });
                 let [a, b] = &mut ends;
                 let off = a.iter().zip(b.iter()).fold(0.0, |m: f64, (a, b)| m.max((a - b).abs()));
-                // Where bending depends on angles their common turn is no neutral one: it starts from the frame.
+                // Where bending depends on angles their common turn is not neutral: it starts from the frame.
                 let picks = rod.ei[0] != rod.ei[1] || rod.curvature != 0.0;
                 assert!(picks || off <= 1e-9, "{} {scheme:?}: {off:e}", rod.name);
             }
