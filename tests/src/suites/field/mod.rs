@@ -3,6 +3,7 @@
 mod common;
 mod faces;
 mod forces;
+mod free_turn;
 mod rest;
 
 use super::Options;
@@ -13,5 +14,6 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     rest::run(options, &mut rows);
     faces::run(&mut rows, options.quick);
     forces::run(options, &mut rows);
+    free_turn::run(options, &mut rows);
     rows.finish()
 }
