@@ -75,6 +75,7 @@ impl SceneFile {
         for assignment in overrides {
             tree::set(&mut root, assignment)?;
         }
+        tree::rename(&mut root, label, ["model", "point_forces", "forces"])?;
         let schema = serde_json::to_value(schemars::schema_for!(Scene)).expect("a schema is plain JSON");
         let wrong =
             |place: &Place, message: String| Error::Scene { place: locate(label, Some(place)), message };

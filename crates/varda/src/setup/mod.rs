@@ -10,6 +10,7 @@ pub mod csv;
 pub mod ensemble;
 pub mod files;
 pub mod inputs;
+mod loads;
 pub mod memory;
 mod motion;
 pub mod observations;

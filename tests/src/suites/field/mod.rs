@@ -6,6 +6,7 @@ mod faces;
 mod files;
 mod folder;
 mod forces;
+mod free_turn;
 mod gripped;
 mod rest;
 
@@ -20,5 +21,6 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     gripped::run(options, &mut rows);
     faces::run(&mut rows, options.quick);
     forces::run(options, &mut rows);
+    free_turn::run(options, &mut rows);
     rows.finish()
 }
