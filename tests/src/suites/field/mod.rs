@@ -4,6 +4,7 @@ mod common;
 mod faces;
 mod forces;
 mod free_turn;
+mod loads;
 mod rest;
 
 use super::Options;
@@ -15,5 +16,6 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     faces::run(&mut rows, options.quick);
     forces::run(options, &mut rows);
     free_turn::run(options, &mut rows);
+    loads::run(options, &mut rows);
     rows.finish()
 }
