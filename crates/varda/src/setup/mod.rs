@@ -4,6 +4,7 @@ pub(crate) mod adaptive_steps;
 mod component_model;
 mod component_observations;
 pub mod components;
+mod continuity;
 pub mod covariance;
 pub mod csv;
 pub mod ensemble;
