@@ -1,5 +1,6 @@
 //! What people bring: rods held anywhere, recorded supports, files as they come.
 
+mod buckling;
 mod common;
 mod faces;
 mod forces;
@@ -12,6 +13,7 @@ use crate::row::{Row, Rows};
 pub(super) fn run(options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("field");
     rest::run(options, &mut rows);
+    buckling::run(&mut rows);
     faces::run(&mut rows, options.quick);
     forces::run(options, &mut rows);
     free_turn::run(options, &mut rows);
