@@ -35,10 +35,10 @@ use crate::twist_equilibrium::TwistEquilibrium;
 /// ```
 ///
 /// State x = [X, V, θ] of the free vertices and angles (SI units: m, m/s, rad); under BDF2, and under
-/// midpoint with twist or Kelvin–Voigt damping, followed by the same of the step before. Control z = [X₀,
-/// V₀], θ₀ being the twist equilibrium of X₀ nearest to the untwisted frame. Where both ends are clamped
-/// the end clamp's angle stands after the free ones: unwrapped, it counts the turns of the clamps, and each
-/// step takes it on the branch that their motion leads to. Use it inside
+/// midpoint with twist or Kelvin–Voigt damping, followed by the same of the step before. Control z =
+/// [X₀, V₀], θ₀ being the twist equilibrium of X₀ nearest to the untwisted frame. Where both ends
+/// are clamped the end clamp's angle stands after the free ones: unwrapped, it counts the turns of the
+/// clamps, and each step takes it on the branch that their motion leads to. Use it inside
 /// [`ImplicitModel`](varda_implicit::ImplicitModel); [`RodStep::model`] does.
 ///
 /// First guess of a step: X_k carried along rigidly with the supports, θ_k.

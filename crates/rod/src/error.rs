@@ -48,8 +48,8 @@ pub enum Error {
     },
     /// A clamp turned so far within a step that whole turns cannot be told from none.
     #[error(
-        "a clamp turns by {turn:.3} rad in the step from t = {from} s to {to} s, and more than a quarter turn \
-        leaves its whole turns undecided: a shorter step or a slower drive helps"
+        "a clamp turns by {turn:.3} rad in the step from t = {from} s to {to} s, and more than a quarter \
+         turn leaves its whole turns undecided: a shorter step or a slower drive helps"
     )]
     ClampTurns {
         /// Its turn about its tangent \[rad\].

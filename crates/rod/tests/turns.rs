@@ -65,7 +65,7 @@ fn driven_turns_stay_and_have_their_moment() {
                         let expected = TAU * turns * (e + 1) as f64 / (segments - 1) as f64;
                         let bound = if e + 2 == segments { 1e-12 } else { 1e-3 };
                         let off = (angle - expected).abs();
-                        assert!(off <= bound, "{segments} {turns} {damping} {scheme:?}: θ^{} {angle}", e + 1);
+                        assert!(off <= bound, "{segments} {turns} {damping} {scheme:?}: {angle}");
                     }
                     // GJ 2π turns / L, between the middles of the held edges
                     let l = 1.0 / segments as f64;

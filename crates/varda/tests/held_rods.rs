@@ -223,7 +223,7 @@ fn whole_turns_of_a_clamp_twist_a_rod_and_buckle_it() {
         assert!(moved <= 1e-6, "{turns}: {moved}");
         shape.iter().map(|x| x[1].hypot(x[2])).fold(0.0, f64::max)
     };
-    // it buckles at 8.99 EI/GJ = 11.2 rad: with two turns, from a file too (its clamps keep it all but straight)
+    // it buckles at 8.99 EI/GJ = 11.2 rad: with two turns, from a file too; its clamps keep it from more
     assert!(height("1") <= 1e-9);
     assert!(height("2") >= 1e-5);
     assert!(height("{ file = \"turns.csv\", time_zero = 0.0 }") >= 1e-5);

@@ -192,8 +192,8 @@ pub enum Turns {
     Recorded(RecordedTurns),
 }
 
-/// Turns from a CSV file with the header `time_s,turns`, which has to cover the whole run: straight lines from
-/// row to row.
+/// Turns from a CSV file with the header `time_s,turns`, which has to cover the whole run: straight lines
+/// from row to row.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RecordedTurns {

@@ -132,20 +132,40 @@ impl<'a> Motions<'a> {
             }
             scene::Turns::Recorded(keys) => keys,
         };
-        let key = format!("{path}.turns.file");
-        let (label, text) = self.files.text(&key, &keys.file)?;
-        let clock = format!("{path}.turns.time_zero");
-        let source = self.source(&key, &label, (&clock, keys.time_zero));
-        let rows = csv::recorded(&label, &text, ["time_s", "turns"])?;
-        let written: Vec<_> = rows.iter().map(|(line, row)| (*line, row[0])).collect();
-        let times = source.checked(&written, &mut self.remarks)?;
-        let turns: Vec<f64> = rows.iter().map(|(_, row)| row[1]).collect();
+        let path = format!("{path}.turns");
+        let (times, rows) = self.rows(&path, &keys.file, keys.time_zero, ["time_s", "turns"])?;
+        let turns: Vec<f64> = rows.iter().map(|row| row[1]).collect();
         Ok(Arc::new(move |t| {
             let after = times.partition_point(|time| *time < t);
             let Some(before) = after.checked_sub(1) else { return turns[0] };
             let (Some(a), Some(b)) = (times.get(before), times.get(after)) else { return turns[before] };
             turns[before] + (turns[after] - turns[before]) * (t - a) / (b - a)
         }))
+    }
+
+    /// Model times and rows of a load that `{path}.file` names.
+    pub(super) fn rows<const N: usize>(
+        &mut self,
+        path: &str,
+        file: &str,
+        time_zero: f64,
+        columns: [&str; N],
+    ) -> Result<(Vec<f64>, Vec<[f64; N]>), Error> {
+        let key = format!("{path}.file");
+        let (label, text) = self.files.text(&key, file)?;
+        let clock = format!("{path}.time_zero");
+        let source = self.source(&key, &label, (&clock, time_zero));
+        let rows = csv::recorded(&label, &text, columns)?;
+        let written: Vec<_> = rows.iter().map(|(line, row)| (*line, row[0])).collect();
+        let times = source.checked(&written, &mut self.remarks)?;
+        Ok((times, rows.into_iter().map(|(_, row)| row).collect()))
+    }
+
+    /// Whether the file that a key names has a column.
+    pub(super) fn has_column(&self, key: &str, file: &str, column: &str) -> Result<bool, Error> {
+        let (_, text) = self.files.text(key, file)?;
+        let header = text.lines().find(|line| !line.is_empty() && !line.starts_with('#'));
+        Ok(header.is_some_and(|header| header.split([',', ';', '\t']).any(|name| name.trim() == column)))
     }
 
     fn table(
