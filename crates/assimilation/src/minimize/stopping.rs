@@ -8,8 +8,14 @@ use std::ops::ControlFlow;
 ///
 /// ```text
 ///     converged:  ‖∇J‖ ≤ gradient_tolerance · ‖∇J‖ at the first point,   or
+///                 ‖∇J‖ ≤ gradient_floor,   or
 ///                 ‖∇J‖ ≤ 64 ε (‖v‖ + ‖∇J − v‖)  (its two parts have cancelled)
 /// ```
+///
+/// Why an absolute floor: J is in units of the prior, and its Hessian A = I + GᵀG is at least I. The way that
+/// is left, A⁻¹∇J, is then at most ‖∇J‖ standard deviations of the prior, and A^{-1/2}∇J at most ‖∇J‖ of
+/// those of the analysis. At 10⁻¹⁰ nothing is left to gain, however small the first gradient was: a background
+/// that already fits to rounding is a minimum.
 ///
 /// Norms are those of the control variable, the B⁻¹ norm of an increment. A gradient whose norm is not
 /// finite is never converged. A small step alone does not end a minimization.
@@ -26,14 +32,25 @@ use std::ops::ControlFlow;
 pub struct Stopping {
     /// Converged when ‖∇J‖ has fallen to this part of the first; in [0, 1).
     pub gradient_tolerance: f64,
-    /// Outer iterations at most.
+    /// Converged too when ‖∇J‖ is no larger than this.
+    pub gradient_floor: f64,
+    /// Outer iterations at most: over all that a minimizer does, stages and further starts included.
     pub max_iterations: usize,
 }
 
+/// ‖∇J‖ that moves nothing by 10⁻¹⁰ standard deviations.
+const FLOOR: f64 = 1e-10;
+
 impl Stopping {
-    /// Both limits.
+    /// Both limits, with the usual floor of 10⁻¹⁰.
     pub const fn new(gradient_tolerance: f64, max_iterations: usize) -> Self {
-        Self { gradient_tolerance, max_iterations }
+        Self { gradient_tolerance, gradient_floor: FLOOR, max_iterations }
+    }
+
+    /// The same with another floor of the gradient; 0 for none.
+    #[must_use]
+    pub const fn with_gradient_floor(self, gradient_floor: f64) -> Self {
+        Self { gradient_floor, ..self }
     }
 
     /// At most so many iterations, to the usual tolerance of 10⁻⁸.
@@ -44,6 +61,11 @@ impl Stopping {
     /// With a tolerance of at least `tolerance`.
     pub(super) fn loosened(self, tolerance: f64) -> Self {
         Self { gradient_tolerance: self.gradient_tolerance.max(tolerance), ..self }
+    }
+
+    /// ‖∇J‖ to come to, where it was `first` at the first point.
+    pub fn gradient_goal(&self, first: f64) -> f64 {
+        self.gradient_floor.max(self.gradient_tolerance * first)
     }
 
     /// Whether a point is converged: `b` is its whitened departure from what is known before it was observed
@@ -57,7 +79,7 @@ impl Stopping {
         let size = norm(gradient);
         let pull = b.iter().zip(gradient).map(|(b, g)| (g - b) * (g - b)).sum::<f64>().sqrt();
         // a norm that overflowed is no larger than another one that did
-        let small = size <= self.gradient_tolerance * first || size <= 64.0 * f64::EPSILON * (norm(b) + pull);
+        let small = size <= self.gradient_goal(first) || size <= 64.0 * f64::EPSILON * (norm(b) + pull);
         small && size.is_finite()
     }
 
@@ -84,7 +106,8 @@ impl Stopping {
 
     /// Refuses a tolerance out of range.
     pub(crate) fn check(&self) -> Result<(), Error> {
-        check_tolerance("gradient_tolerance", self.gradient_tolerance)
+        check_tolerance("gradient_tolerance", self.gradient_tolerance)?;
+        check_tolerance("gradient_floor", self.gradient_floor)
     }
 }
 
@@ -176,6 +199,9 @@ mod tests {
         assert!(!stopping.is_converged(&[0.0], &[1.1e-3], 1.0));
         // v and ∇J − v have cancelled to the last digits
         assert!(stopping.is_converged(&[1e15], &[1.0], 0.0) && !stopping.is_converged(&[1.0], &[1e-3], 0.0));
+        // the absolute floor, whatever the first gradient was
+        assert!(stopping.is_converged(&[0.0], &[1e-10], 0.0) && !stopping.is_converged(&[0.0], &[1e-9], 0.0));
+        assert!(!stopping.with_gradient_floor(0.0).is_converged(&[0.0], &[1e-10], 0.0));
         for norm in [f64::INFINITY, f64::NAN] {
             assert!(!stopping.is_converged(&[0.0], &[norm], f64::INFINITY), "{norm}");
         }

@@ -8,7 +8,7 @@ mod simulation;
 mod space;
 mod window;
 
-pub use convergence::{ConvergenceRow, Status, WorkCounts};
+pub use convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
 pub use cycles::{CycleRow, CyclesOutcome, Means};
 pub use fit::{Fit, Forecast, Rejected, Withheld};
 pub use modes::RodModes;

@@ -7,7 +7,7 @@ use serde::ser::SerializeMap;
 use varda_assimilation::Analysis;
 use varda_implicit::check::Amplification;
 
-use super::convergence::{ConvergenceRow, Status, WorkCounts};
+use super::convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
 use super::fit::{Fit, Forecast, Rejected, Withheld};
 use super::space::Shapes;
 use crate::scene::{Scene, TimeGrid};
@@ -44,6 +44,10 @@ pub struct Outcome {
     pub experiment: Experiment,
     /// How the run ended.
     pub status: Status,
+    /// Whether it was interrupted because the time that the scene allows was over (`limits.seconds`).
+    pub late: bool,
+    /// The starts of minimizer `auto`, in turn; empty for the others.
+    pub attempts: Vec<Attempt>,
     /// What the model refused during the minimization, if it did.
     pub failure: Option<Failure>,
     /// x_b and x_a, their σ, J and what follows from it.
