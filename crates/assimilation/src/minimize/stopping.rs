@@ -12,10 +12,10 @@ use std::ops::ControlFlow;
 ///                 ‖∇J‖ ≤ 64 ε (‖v‖ + ‖∇J − v‖)  (its two parts have cancelled)
 /// ```
 ///
-/// Why an absolute floor: J is in units of the prior, and its Hessian A = I + GᵀG is at least I. The way that
-/// is left, A⁻¹∇J, is then at most ‖∇J‖ standard deviations of the prior, and A^{-1/2}∇J at most ‖∇J‖ of
-/// those of the analysis. At 10⁻¹⁰ nothing is left to gain, however small the first gradient was: a background
-/// that already fits to rounding is a minimum.
+/// Why an absolute floor: J is in units of the prior, and its Hessian A = I + GᵀG is at least I. The way
+/// that is left, A⁻¹∇J, is then at most ‖∇J‖ standard deviations of the prior, and A^{-1/2}∇J
+/// at most ‖∇J‖ of those of the analysis. At 10⁻¹⁰ nothing is left to gain, however small the
+/// first gradient was: a background that already fits to rounding is a minimum.
 ///
 /// Norms are those of the control variable, the B⁻¹ norm of an increment. A gradient whose norm is not
 /// finite is never converged. A small step alone does not end a minimization.
@@ -37,6 +37,13 @@ pub struct Stopping {
     /// Outer iterations at most: over all that a minimizer does, stages and further starts included.
     pub max_iterations: usize,
 }
+
+/// A decrease below this part of J cannot be seen in J (its trajectory is only as exact as the model's
+/// solver); steps are then judged by the gradient.
+pub(crate) const NOISE: f64 = 1e-11;
+
+/// ‖∇J‖ at which a point where nothing decreases is a minimum to rounding, as a part of the first.
+const ROUNDING: f64 = 1e-6;
 
 /// ‖∇J‖ that moves nothing by 10⁻¹⁰ standard deviations.
 const FLOOR: f64 = 1e-10;
@@ -111,6 +118,20 @@ impl Stopping {
     }
 }
 
+impl Status {
+    /// How a minimization ends where no step decreases J: at a minimum, where the whole step to that of the
+    /// quadratic model promises less than J resolves (10⁻¹¹ of it: a way of √(2 · 10⁻¹¹ J)
+    /// standard deviations of the analysis at most) and ‖∇J‖ is below 10⁻⁶ of the first; stalled
+    /// elsewhere.
+    pub(crate) fn without_step(promised: f64, value: f64, gradient: f64, first: f64) -> Status {
+        if promised <= NOISE * value && gradient <= ROUNDING * first {
+            Status::Converged
+        } else {
+            Status::Stalled
+        }
+    }
+}
+
 impl Default for Stopping {
     /// 10⁻⁸ of the first gradient, at most 100 iterations.
     fn default() -> Self {
@@ -121,7 +142,7 @@ impl Default for Stopping {
 /// How a minimization ended. Only `Converged` claims a stationary point; a small step alone never does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Status {
-    /// ‖∇J‖ has vanished as far as [`Stopping`] asks for, or to rounding.
+    /// ‖∇J‖ has vanished as far as [`Stopping`] asks for, or to rounding: of its own parts, or of J.
     Converged,
     /// Out of iterations.
     MaxIterations,
@@ -202,6 +223,11 @@ mod tests {
         // the absolute floor, whatever the first gradient was
         assert!(stopping.is_converged(&[0.0], &[1e-10], 0.0) && !stopping.is_converged(&[0.0], &[1e-9], 0.0));
         assert!(!stopping.with_gradient_floor(0.0).is_converged(&[0.0], &[1e-10], 0.0));
+        // no step decreases J: rounding near the minimum, an obstacle elsewhere
+        assert_eq!(Status::without_step(1e-10, 60.0, 1e-3, 1e4), Status::Converged);
+        for (promised, gradient) in [(1e-8, 1e-3), (1e-10, 1.0), (f64::NAN, 0.0), (0.0, f64::NAN)] {
+            assert_eq!(Status::without_step(promised, 60.0, gradient, 1e4), Status::Stalled);
+        }
         for norm in [f64::INFINITY, f64::NAN] {
             assert!(!stopping.is_converged(&[0.0], &[norm], f64::INFINITY), "{norm}");
         }

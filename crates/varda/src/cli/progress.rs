@@ -97,8 +97,8 @@ impl ProgressDisplay {
     }
 }
 
-/// How much of the way from the first gradient of a run to its goal is done, on a log scale, on which it falls
-/// about evenly.
+/// How much of the way from the first gradient of a run to its goal is done, on a log scale, on which it
+/// falls about evenly.
 fn way_done(first: f64, row: &ConvergenceRow) -> f64 {
     let share = (first / row.gradient_norm).ln() / (first / row.gradient_goal).ln();
     if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 }

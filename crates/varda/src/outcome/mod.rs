@@ -2,6 +2,7 @@
 
 mod convergence;
 mod cycles;
+mod evidence;
 mod fit;
 mod modes;
 mod simulation;
@@ -10,6 +11,7 @@ mod window;
 
 pub use convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
 pub use cycles::{CycleRow, CyclesOutcome, Means};
+pub use evidence::{Cause, Evidence};
 pub use fit::{Fit, Forecast, Rejected, Withheld};
 pub use modes::RodModes;
 pub use simulation::{Simulation, TwinFiles};

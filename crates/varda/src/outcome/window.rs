@@ -8,6 +8,7 @@ use varda_assimilation::Analysis;
 use varda_implicit::check::Amplification;
 
 use super::convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
+use super::evidence::Evidence;
 use super::fit::{Fit, Forecast, Rejected, Withheld};
 use super::space::Shapes;
 use crate::scene::{Scene, TimeGrid};
@@ -76,6 +77,8 @@ pub struct Outcome {
     pub seconds: Seconds,
     /// Innovations against their assumed σ, for each marker, place or component.
     pub fit: Vec<Fit>,
+    /// Why the analysis does not fit, where it does not.
+    pub evidence: Option<Evidence>,
     /// Errors at the markers that were kept back.
     pub withheld: Vec<Withheld>,
     /// Errors of the forecast.

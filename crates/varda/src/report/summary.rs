@@ -5,7 +5,7 @@ use varda_assimilation::CostTerms;
 use varda_implicit::check::Amplification;
 
 use crate::outcome::{
-    AcceptedSteps, Attempt, Fit, Forecast, Outcome, Rejected, Rmse, Seconds, Withheld, WorkCounts,
+    AcceptedSteps, Attempt, Evidence, Fit, Forecast, Outcome, Rejected, Rmse, Seconds, Withheld, WorkCounts,
 };
 
 /// The keys of summary.json, in their order.
@@ -66,6 +66,8 @@ pub struct Summary {
     pub peak_bytes: Option<u64>,
     /// Innovations against their σ.
     pub innovations: Vec<Fit>,
+    /// Why the analysis does not fit, from its innovations; `null` where they are as large as σ says.
+    pub evidence: Option<Evidence>,
     /// Errors at markers that were kept back \[m\].
     pub withheld: Vec<Withheld>,
     /// Errors of the forecast after the window \[m\].
@@ -143,6 +145,7 @@ impl Summary {
             seconds: outcome.seconds,
             peak_bytes: peak_bytes(),
             innovations: outcome.fit.clone(),
+            evidence: outcome.evidence.clone(),
             withheld: outcome.withheld.clone(),
             forecast: outcome.forecast.clone(),
             left_out: experiment.left_out.clone(),

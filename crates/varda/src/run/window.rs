@@ -7,7 +7,7 @@ use varda_assimilation::{Analysis, ObservationSet, Rejection, huber};
 use varda_implicit::check::Amplification;
 use varda_implicit::{Log, Model};
 
-use super::{amplification, fit, shapes};
+use super::{amplification, fit, second_minimum, shapes};
 use crate::Error;
 use crate::outcome::{
     Attempt, ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
@@ -95,7 +95,9 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
             Some(Box::new(Timed::new(model, &clock)))
         },
     };
-    let (solution, mut observations) = solve::solve(&mut task, problem.observations()?, &mut on_iterate)?;
+    let (solution, observations) = solve::solve(&mut task, problem.observations()?, &mut on_iterate)?;
+    let (solution, mut observations, second) =
+        second_minimum::look(problem, &mut task, solution, observations, &mut on_iterate)?;
     let mut log = timed.log().clone();
     // The time of the posterior does not belong to the minimization.
     let minimizer = convergence.last().map_or(0.0, |row| row.seconds);
@@ -134,7 +136,9 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     warnings.extend(amplification.and_then(|a| a.warning()));
     let fit = fit::fit(&mut observations, &trajectories)?;
     let (withheld, forecast) = fit::beyond(problem, &trajectories, model.as_mut())?;
-    warnings.extend(fit::remarks(&fit, &analysis));
+    let evidence = fit::evidence(problem, &mut observations, &trajectories)?;
+    warnings.extend(second);
+    warnings.extend(fit::remarks(&fit, &analysis, evidence.as_ref()));
     let j_background = cost_of_run(scene.algorithm.robust, &mut observations, &trajectories)?;
     let rmse = rmse(experiment, errors(&analysis.background), errors(&analysis.analysis));
     let shapes = shapes::with_observations(problem, &trajectories)?;
@@ -156,6 +160,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         rmse,
         seconds: Seconds { total: listener.started.elapsed().as_secs_f64(), ..seconds },
         fit,
+        evidence,
         withheld,
         forecast,
         amplification,

@@ -19,10 +19,10 @@ pub struct Limits {
     /// states again, the same bits in more time. A run that needs more than the limit is refused.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub memory: String,
-    /// Most seconds of a run \[s\], reading files and setting up included: looked at after every iteration (of
-    /// cycles, every window). A run that takes longer ends with the best point so far, status "interrupted",
-    /// and writes its report, without posterior; for a forecast and the report it takes the time it needs. None
-    /// where it is not given.
+    /// Most seconds of a run \[s\], reading files and setting up included: looked at after every iteration
+    /// (of cycles, every window). A run that takes longer ends with the best point so far, status
+    /// "interrupted", and writes its report, without posterior; for a forecast and the report it takes the
+    /// time it needs. None where it is not given.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub seconds: Option<f64>,
