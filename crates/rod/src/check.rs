@@ -4,6 +4,7 @@ use nalgebra::{Vector3, Vector6};
 use varda_implicit::Error;
 use varda_implicit::check::{Random, differing, taylor};
 
+use crate::geometry::{Turn, any_perpendicular};
 use crate::load::{EdgeLoad, EdgeMotion, Load};
 use crate::rod::Rod;
 
@@ -14,9 +15,12 @@ pub use varda_implicit::check::{Finding, Report};
 const SYMMETRY: f64 = 1e-12;
 
 /// Every check of a load, on the first, the middle and the last of its edges: they are edges of the rod; same
-/// input, same result; all values are finite; ∂F/∂(places) and ∂F/∂(velocities) are derivatives of
-/// the forces (Taylor). Of a load that says it has a potential: F = −∂W/∂(places) (Taylor),
-/// ∂F/∂(places) is symmetric, and nothing depends on velocities. Of one without: its energy is zero.
+/// input, same result; all values are finite; ∂F/∂(places), ∂F/∂(velocities) and ∂F/∂θ are
+/// derivatives of the forces, and those of the moment are its own (Taylor), directors being carried with the
+/// edge; without [`Load::uses_directors`] nothing depends on them, without [`Load::has_moment`] there is
+/// none. Of a load that says it has a potential: F = −∂W/∂(places) and m = −∂W/∂θ (Taylor),
+/// ∂F/∂(places) is symmetric (but for the part that carried directors bring), and nothing depends on
+/// velocities. Of one without: its energy is zero.
 ///
 /// A load that claims a potential which it has not is not found while a rod moves: a symmetric band keeps one
 /// half of its Jacobian, and Newton's method looks for a minimum that is none.
@@ -70,10 +74,18 @@ pub fn load(load: &dyn Load, rod: &Rod, time: f64, speed: f64, seed: u64) -> Res
     Ok(Report { findings })
 }
 
-/// A motion with its twelve numbers in one row: places, then velocities.
-fn with(motion: &EdgeMotion, numbers: &[f64]) -> EdgeMotion {
+/// A motion with its thirteen numbers in one row: places, velocities, θ. Directors are carried from those of
+/// `motion`, and turned by θ.
+fn with(motion: &EdgeMotion, numbers: &[f64]) -> Result<EdgeMotion, Error> {
     let at = |i: usize| Vector3::from_column_slice(&numbers[3 * i..3 * i + 3]);
-    EdgeMotion { places: [at(0), at(1)], velocities: [at(2), at(3)], ..*motion }
+    let mut moved = EdgeMotion { places: [at(0), at(1)], velocities: [at(2), at(3)], ..*motion };
+    let (before, now) = (motion.tangent().0, moved.tangent().0);
+    let refused = |e: crate::Error| Error::Refused { step: 0, reason: e.into() };
+    let turn = Turn::between(&before, &now, motion.edge).map_err(refused)?;
+    let (sin, cos) = numbers[12].sin_cos();
+    let [m1, m2] = motion.directors.map(|m| turn.transport(&now, &m));
+    moved.directors = [m1 * cos + m2 * sin, m2 * cos - m1 * sin];
+    Ok(moved)
 }
 
 fn vector(random: &mut Random, size: f64) -> Vector3<f64> {
@@ -82,8 +94,22 @@ fn vector(random: &mut Random, size: f64) -> Vector3<f64> {
 
 /// The numbers of what a load does.
 fn numbers(load: &EdgeLoad) -> Vec<f64> {
-    let derivatives = load.by_places.iter().chain(&load.by_velocities);
-    [load.energy].into_iter().chain(load.forces.iter().chain(derivatives).copied()).collect()
+    let by_places = load.by_places.iter().chain(&load.moment_by_places);
+    let derivatives = by_places.chain(&load.by_velocities).chain(&load.by_angle);
+    let scalars = [load.energy, load.moment, load.moment_by_angle];
+    scalars.into_iter().chain(load.forces.iter().chain(derivatives).copied()).collect()
+}
+
+/// An edge of any direction, stretched by at most a tenth, in motion.
+fn any_motion(rod: &Rod, edge: usize, [time, speed]: [f64; 2], random: &mut Random) -> EdgeMotion {
+    let l = rod.rest_lengths[edge];
+    let sideways: Vector3<f64> = vector(random, 1.0) + 1e-3 * Vector3::x();
+    let along = sideways.normalize();
+    let first = vector(random, rod.length());
+    let places = [first, first + along * (l * (1.0 + 0.1 * random.draw()))];
+    let velocities = [(); 2].map(|()| vector(random, speed));
+    let across = any_perpendicular(&along);
+    EdgeMotion { edge, time, places, velocities, directors: [across, along.cross(&across)], rest_length: l }
 }
 
 fn on_edge(
@@ -93,19 +119,10 @@ fn on_edge(
     [time, speed]: [f64; 2],
     random: &mut Random,
 ) -> Result<Vec<Finding>, Error> {
-    let l = rod.rest_lengths[edge];
-    let sideways: Vector3<f64> = vector(random, 1.0) + 1e-3 * Vector3::x();
-    let along = sideways.normalize() * (l * (1.0 + 0.1 * random.draw()));
-    let first = vector(random, rod.length());
-    let motion = EdgeMotion {
-        edge,
-        time,
-        places: [first, first + along],
-        velocities: [(); 2].map(|()| vector(random, speed)),
-        rest_length: l,
-    };
-    let x: Vec<f64> =
-        motion.places.iter().chain(&motion.velocities).flat_map(|v| v.iter().copied()).collect();
+    let motion = any_motion(rod, edge, [time, speed], random);
+    let l = motion.rest_length;
+    let row = motion.places.iter().chain(&motion.velocities).flat_map(|v| v.iter().copied());
+    let x: Vec<f64> = row.chain([0.0]).collect();
     let acts = load.on_edge(&motion);
     let mut findings = Vec::new();
     let mut at_most =
@@ -117,42 +134,77 @@ fn on_edge(
     if wild > 0 {
         return Ok(findings);
     }
+    let differs = |other: &EdgeMotion| differing(&values, &numbers(&load.on_edge(other)));
     let elsewhere: Vec<f64> = x.iter().map(|x| x + 0.1 * l).collect();
-    let _ = load.on_edge(&with(&motion, &elsewhere));
-    at_most("values that differ when run again", differing(&values, &numbers(&load.on_edge(&motion))), 0.0);
+    let _ = load.on_edge(&with(&motion, &elsewhere)?);
+    at_most("values that differ when run again", differs(&motion), 0.0);
 
     let mut direction = |size: f64, moved: std::ops::Range<usize>| -> Vec<f64> {
-        (0..12).map(|i| if moved.contains(&i) { size * random.draw() } else { 0.0 }).collect()
+        (0..13).map(|i| if moved.contains(&i) { size * random.draw() } else { 0.0 }).collect()
     };
     // Both vertices together by a tenth of the rod, each by a tenth of the edge.
     let (mut by_place, by_velocity) = (direction(0.1 * l, 0..6), direction(speed, 6..12));
     let together = direction(0.1 * rod.length(), 0..3);
     by_place[..6].iter_mut().enumerate().for_each(|(i, d)| *d += together[i % 3]);
     let weights = Vector6::from_column_slice(&direction(1.0, 0..6)[..6]);
+    let by_angle = direction(0.3, 12..13);
     let gradient: Vec<f64> = (acts.by_places.tr_mul(&weights).iter())
         .chain(acts.by_velocities.tr_mul(&weights).iter())
         .copied()
+        .chain([acts.by_angle.dot(&weights)])
         .collect();
-    let mut weighted = |x: &[f64]| Ok(weights.dot(&load.on_edge(&with(&motion, x)).forces));
-    for (what, direction) in [("∂F/∂(places)", &by_place), ("∂F/∂(velocities)", &by_velocity)] {
+    let at = |x: &[f64]| Ok::<_, Error>(load.on_edge(&with(&motion, x)?));
+    let mut weighted = |x: &[f64]| Ok(weights.dot(&at(x)?.forces));
+    for (what, direction) in
+        [("∂F/∂(places)", &by_place), ("∂F/∂(velocities)", &by_velocity), ("∂F/∂θ", &by_angle)]
+    {
         let (value, bound) = remainder(&mut weighted, &gradient, &x, direction)?;
         at_most(&format!("2 − Taylor slope of {what}"), value, bound);
     }
+    let change = |i: usize| Vector3::from_column_slice(&by_velocity[6 + 3 * i..9 + 3 * i]);
+    let faster = EdgeMotion { velocities: [0, 1].map(|i| motion.velocities[i] + change(i)), ..motion };
+    let by_place_and_angle: Vec<f64> = by_place.iter().zip(&by_angle).map(|(p, a)| p + a).collect();
+    if load.has_moment() {
+        let gradient: Vec<f64> =
+            acts.moment_by_places.iter().copied().chain([0.0; 6]).chain([acts.moment_by_angle]).collect();
+        let mut moment = |x: &[f64]| Ok(at(x)?.moment);
+        let (value, bound) = remainder(&mut moment, &gradient, &x, &by_place_and_angle)?;
+        at_most("2 − Taylor slope of the moment", value, bound);
+        let change = load.on_edge(&faster).moment - acts.moment;
+        at_most("change of the moment with velocities", change.abs(), 0.0);
+    } else {
+        let moments = acts.moment_by_places.iter().chain([&acts.moment, &acts.moment_by_angle]);
+        let largest = moments.fold(0.0, |m: f64, v| m.max(v.abs()));
+        at_most("moment of a load that has none", largest, 0.0);
+    }
+    if !load.uses_directors() {
+        at_most(
+            "values that depend on directors",
+            differs(&with(&motion, &[&x[..12], &[0.3]].concat())?),
+            0.0,
+        );
+        at_most("∂F/∂θ without directors", acts.by_angle.abs().max(), 0.0);
+    }
     if load.has_potential() {
-        let minus: Vec<f64> = acts.forces.iter().map(|f| -f).chain([0.0; 6]).collect();
-        let mut energy = |x: &[f64]| Ok(load.on_edge(&with(&motion, x)).energy);
-        let (value, bound) = remainder(&mut energy, &minus, &x, &by_place)?;
+        let minus: Vec<f64> = acts.forces.iter().map(|f| -f).chain([0.0; 6]).chain([-acts.moment]).collect();
+        let mut energy = |x: &[f64]| Ok(at(x)?.energy);
+        let (value, bound) = remainder(&mut energy, &minus, &x, &by_place_and_angle)?;
         at_most("2 − Taylor slope of the potential, whose gradient is −F", value, bound);
-        let skew = (acts.by_places - acts.by_places.transpose()).abs().max();
-        let largest = acts.by_places.abs().max();
-        at_most("symmetry of ∂F/∂(places)", if skew == 0.0 { 0.0 } else { skew / largest }, SYMMETRY);
-        let faster: Vec<f64> = x.iter().zip(&by_velocity).map(|(x, d)| x + d).collect();
-        let changed = differing(&values, &numbers(&load.on_edge(&with(&motion, &faster))));
-        at_most("values that depend on velocities", changed, 0.0);
+        let by_places = acts.by_places_of_carried(&motion);
+        let skew = (by_places - by_places.transpose()).abs().max();
+        let largest = by_places.abs().max();
+        at_most("symmetry of ∂F/∂(places)", share(skew, largest), SYMMETRY);
+        let mixed = (acts.by_angle - acts.moment_by_places).abs().max();
+        at_most("∂F/∂θ − ∂m/∂(places)", share(mixed, acts.by_angle.abs().max()), SYMMETRY);
+        at_most("values that depend on velocities", differs(&faster), 0.0);
     } else {
         at_most("energy of a load without potential", acts.energy.abs(), 0.0);
     }
     Ok(findings)
+}
+
+fn share(part: f64, whole: f64) -> f64 {
+    if part == 0.0 { 0.0 } else { part / whole }
 }
 
 /// 2 − the Taylor slope and its bound. Of a function that does not change: zero, or 2 where it claims a

@@ -31,13 +31,13 @@ pub struct Rest {
 ///
 /// // A cantilever of 0.1 m, 40 segments: its tip sinks by w L⁴/(8 EI), w the weight per length.
 /// let section = Section::circle(&Material::new(1e7, 0.5, 1100.0), 0.005);
-/// let rod = Rod::uniform(0.1, 40, &section)?;
-/// let supports = Supports::clamped_start(Clamp::new(ClampAt::Edge, [0.0; 3], Vector3::x(), Vector3::z()));
+/// let rod = Rod::uniform_between(0.1, 40, &section, [true, false])?;
+/// let supports = Supports::clamped_start(Clamp::new(ClampAt::Face, [0.0; 3], Vector3::x(), Vector3::z()));
 /// let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
 /// let guess = straight_guess(&rod, &supports, 0.0, Vector3::x())?;
 /// let (rest, _) = equilibrium(&rod, &supports, &loads, 0.0, &guess)?;
 /// let sinks = 9.81 * section.mass_per_length * 0.1_f64.powi(4) / (8.0 * section.ei1);
-/// assert!((-rest.vertices[40].z / sinks - 1.0).abs() < 0.06); // a clamp holds half a segment
+/// assert!((-rest.vertices[40].z / sinks - 1.0).abs() < 0.015); // it is not quite linear any more
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
@@ -120,7 +120,7 @@ pub(crate) fn equilibrium_within(
     done.energy = at_end
         .map_err(|reason| varda_implicit::NewtonFailure::Refused(reason).in_step(&at_rest(t)))?
         .unwrap_or(f64::NAN);
-    done.reactions = reactions(&statics.system);
+    done.reactions = reactions(&statics.system, None);
     let Statics { mut system, end_angle, .. } = statics;
     system.scatter(&u);
     system.update_shape(system.layout.twist, end_angle).map_err(refuse)?;

@@ -40,9 +40,21 @@ pub enum Error {
         /// The pivot over GJ/l + EI/l there.
         pivot: f64,
     },
+    /// An edge points against its direction at the start of a step: the spin of its section is undefined.
+    #[error("edge {edge} turns over within one step, where its spin is undefined: a shorter step helps")]
+    TurnedOver {
+        /// Number of the edge.
+        edge: usize,
+    },
     /// No support at all: an equilibrium would fall or drift away.
     #[error("nothing holds the rod: it has no clamp and no prescribed vertex")]
     NothingHolds,
+    /// A load turns sections, or follows them, of a rod without any stiffness that would hold them.
+    #[error(
+        "a moment, or a force across the section that follows it, acts on a rod without sections: it has one \
+         segment, or neither bending nor twisting stiffness (a chain)"
+    )]
+    NoSections,
     /// The search for a shape at rest used up its iterations.
     #[error("no shape at rest was found in {iterations} Newton iterations: a first shape near it would help")]
     NotAtRest {
@@ -53,7 +65,10 @@ pub enum Error {
     #[error("a load has no potential (drag, a follower force, a moment): the rod has no natural modes")]
     NoPotential,
     /// Natural modes that were not found.
-    #[error("{converged} of {count} natural modes converged: does something at rest have no stiffness?")]
+    #[error(
+        "{converged} of {count} natural modes converged: is stretching too stiff beside all else, by more \
+         than 1e10?"
+    )]
     Modes {
         /// Modes that converged.
         converged: usize,

@@ -14,7 +14,9 @@
 //! |---|---|
 //! | describe a rod | [`Rod`]; [`Material`] and [`Section`] for a uniform one |
 //! | hold it | [`Supports`] with [`Clamp`] and [`Motion`] |
-//! | pull at it, slow it down | [`Loads`], [`Load`], [`Damping`]; [`check::load`] for a load of your own |
+//! | move its supports as they were recorded | [`RecordedMotion`], [`RecordedRotation`] with [`SmoothBy`] |
+//! | pull at it, turn it, slow it down | [`Loads`], [`FollowerForce`], [`Moment`], [`Drag`], [`Damping`] |
+//! | load it in another way | the trait [`Load`], tested by [`check::load`] |
 //! | move it in time | [`RodStep`], a step for [`varda_implicit::ImplicitModel`] |
 //! | find its shape at rest | [`equilibrium`] from [`straight_guess`] |
 //! | find its natural modes | [`modes()`]: [`Modes`], each a [`Mode`] |
@@ -70,15 +72,16 @@
 //! use varda_rod::{Clamp, ClampAt, Damping, Loads, Material, Rod, RodStep, Section, Supports, Vector3};
 //!
 //! let material = Material::new(1e6, 0.5, 1100.0);
-//! let rod = Rod::uniform(1.0, 20, &Section::circle(&material, 0.01))?;
-//! let clamp = Clamp::new(ClampAt::Edge, |t: f64| [0.1 * t * t, 0.0, 0.0], -Vector3::z(), Vector3::x());
+//! let rod = Rod::uniform_between(1.0, 20, &Section::circle(&material, 0.01), [true, false])?;
+//! let s = rod.arc_lengths(); // from the clamp's face
+//! let clamp = Clamp::new(ClampAt::Face, |t: f64| [0.1 * t * t, 0.0, 0.0], -Vector3::z(), Vector3::x());
 //! let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
 //! let step = RodStep::new(rod, Supports::clamped_start(clamp), loads, Damping::default())?;
 //!
 //! // Hanging straight down, at rest: control z = [X₀, V₀] of the free vertices.
 //! let mut z = vec![0.0; step.control_len()];
 //! for (i, &v) in step.free_vertices().iter().enumerate() {
-//!     z[3 * i + 2] = -(v as f64) / 20.0;
+//!     z[3 * i + 2] = -s[v];
 //! }
 //! let mut model = ImplicitModel::new(step, 0, 0.01);
 //! let mut x = vec![0.0; model.dim()];
@@ -116,6 +119,7 @@ mod recorded;
 mod rod;
 mod scalar;
 mod shape;
+mod spin;
 mod stage;
 mod statics;
 mod support;
@@ -128,12 +132,17 @@ pub use equations::RodEquations;
 pub use equilibrium::{Rest, equilibrium, straight_guess};
 pub use error::Error;
 pub use internal_forces::{InternalForces, internal_forces};
+pub use load::drag::Drag;
+pub use load::follower::FollowerForce;
+pub use load::moment::Moment;
 pub use load::{EdgeLoad, EdgeMotion, Load};
 pub use marker::{Marker, Markers};
 pub use material::{Material, Section};
 pub use modes::{Mode, Modes, modes};
-pub use nalgebra::{Matrix3, Vector3};
-pub use recorded::{RecordedMotion, Smoothing, noise_of_rows};
+pub use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+pub use recorded::{
+    RecordedMotion, RecordedRotation, SmoothBy, Smoothing, noise_of_rotations, noise_of_rows,
+};
 pub use rod::{Place, Rod};
 pub use scalar::Real;
 pub use statics::continuation::{Found, Search, rest};

@@ -12,19 +12,22 @@ use crate::statics::Statics;
 use crate::support::{Damping, Loads, Supports};
 use crate::system::System;
 
-/// The shift of K, as a share of the greatest k_ii/m_i: a mode without stiffness keeps a finite inverse.
-const SHIFT: f64 = 1e-10;
-/// The same where negative ω² are counted: a zero with its rounding is not one.
-const ZERO: f64 = 1e-13;
-/// A mode has converged when K⁻¹M leaves it, to this share of its length.
-const CONVERGED: f64 = 1e-8;
+/// The shift s, as a share of the greatest k_ii/m_i: a few times its rounding. A mode without stiffness
+/// keeps a finite inverse, and a zero with its rounding is not counted as a negative ω².
+const SHIFT: f64 = 1e-15;
+/// A mode has converged when K⁻¹M leaves it, to this share of its length: ω² is then exact to its
+/// square.
+const CONVERGED: f64 = 1e-6;
+/// After so many products what is left is the rounding of K⁻¹, and this much of it is bearable.
+const SETTLED: (usize, f64) = (60, 1e-3);
 /// Most products with K⁻¹M for each vector.
 const MOST: usize = 500;
 
 /// A natural mode: the rod moves as x + a φ cos(ωt) about its shape at rest, a small.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mode {
-    /// ω² [1/s²]; negative where the shape is not stable, and the mode grows as exp(√(−ω²) t).
+    /// ω² [1/s²]; negative where the shape is not stable, and the mode grows as exp(√(−ω²) t); zero
+    /// where it is less than [`Modes::resolution`], as that of a rod which moves freely.
     pub omega_squared: f64,
     /// φ of all vertices [kg^(−1/2)]: Σ m |φ|² = 1, zero where a vertex is held.
     pub displacements: Vec<Vector3<f64>>,
@@ -47,6 +50,9 @@ pub struct Modes {
     pub modes: Vec<Mode>,
     /// Number of negative ω²: zero at a minimum of the potential energy, more at a saddle.
     pub unstable: usize,
+    /// The least |ω²| [1/s²] that is told from zero: 1e-15 of the greatest k_ii/m_i, which stretching
+    /// makes large; more where K is singular to rounding even so.
+    pub resolution: f64,
 }
 
 /// The lowest `count` natural modes of an undamped rod about a shape at rest, supports where they are at time
@@ -105,7 +111,7 @@ pub fn modes(
     let mut order: Vec<usize> = (0..values.len()).collect();
     order.sort_by(|&i, &j| values[i].total_cmp(&values[j]));
     let modes = order.into_iter().map(|i| pencil.mode(values[i], &vectors[i])).collect();
-    Ok(Modes { modes, unstable: pencil.unstable })
+    Ok(Modes { modes, unstable: pencil.unstable, resolution: pencil.shift })
 }
 
 /// K + sM factored, and M.
@@ -126,7 +132,8 @@ impl Pencil {
         let (mut u, mut g) = (vec![0.0; n], vec![0.0; n]);
         statics.system.gather(&mut u);
         let mut k = vec![0.0; n * (w + 1)];
-        statics.assemble(&u, &mut g, Some(&mut k)).map_err(|_| Error::Modes { converged: 0, count: 0 })?;
+        statics.system.update_shape(true, end_angle)?;
+        statics.assemble(&u, &mut g, Some(&mut k)).expect("its edges and turns were just found sound");
         let system = statics.system;
 
         let mut mass = vec![0.0; n];
@@ -134,19 +141,22 @@ impl Pencil {
             let i = system.layout.unknown[system.layout.vertex(v)];
             mass[i..i + 3].fill(system.rod.masses[v]);
         }
-        let diagonal = |i: usize| i * (w + 1) + w;
-        let greatest = mass.iter().enumerate().filter(|(_, m)| **m > 0.0);
-        let greatest = greatest.map(|(i, m)| k[diagonal(i)].abs() / m).fold(0.0, f64::max);
-        let mut shifted = |share: f64| {
-            mass.iter().enumerate().for_each(|(i, m)| k[diagonal(i)] += share * greatest * m);
-            k.clone()
-        };
-        let singular = |_: BadPivot| Error::Modes { converged: 0, count: 0 };
+        let heavy = || mass.iter().enumerate().filter(|(_, m)| **m > 0.0);
+        let greatest = heavy().map(|(i, m)| k[i * (w + 1) + w].abs() / m).fold(0.0, f64::max);
+        let singular = |_: BadPivot| Error::Modes { converged: 0, count: 1 };
         // the symmetric factor counts negative eigenvalues, the one with pivoting solves
         let mut symmetric = LinearSolver::new(n, &Structure::SymmetricBand { half_bandwidth: w });
         let mut factor = symmetric.empty_factor();
-        let unstable = symmetric.factor(&shifted(ZERO), &mut factor).map_err(singular)?;
-        let (k, shift) = (shifted(SHIFT - ZERO), SHIFT * greatest);
+        let (mut shift, mut share) = (0.0, SHIFT);
+        let unstable = loop {
+            heavy().for_each(|(i, m)| k[i * (w + 1) + w] += (share * greatest - shift) * m);
+            shift = share * greatest;
+            match symmetric.factor(&k, &mut factor) {
+                Ok(negative) => break negative,
+                Err(_) if share < 1000.0 * SHIFT => share *= 10.0,
+                Err(pivot) => return Err(singular(pivot)),
+            }
+        };
         let mut general = vec![0.0; n * (2 * w + 1)];
         mirror(&k, w, &mut general);
         let mut solver = LinearSolver::new(n, &Structure::Band { half_bandwidth: w });
@@ -193,7 +203,8 @@ impl Pencil {
         let count = count.min(moving);
         let mut basis = self.orthonormal(starts(self.mass.len(), (count + 8.max(count)).min(moving)));
         let mut converged = 0;
-        for _ in 0..MOST {
+        for round in 0..MOST {
+            let bound = if round < SETTLED.0 { CONVERGED } else { SETTLED.1 };
             let image: Vec<Vec<f64>> = basis.iter().map(|v| self.inverse(v)).collect();
             // Rayleigh–Ritz: the inverse within the basis, its eigenvectors, greatest first
             let q = basis.len();
@@ -212,7 +223,7 @@ impl Pencil {
             let left = |&(place, &of): &(usize, &usize)| {
                 let (inverse, mut rest) = (eigen.eigenvalues[of], images[place].clone());
                 axpy(-inverse, &mixed(&basis, of), &mut rest);
-                self.inner(&rest, &rest).sqrt() <= CONVERGED * inverse.abs()
+                self.inner(&rest, &rest).sqrt() <= bound * inverse.abs()
             };
             converged = order.iter().enumerate().take(count).take_while(left).count();
             if converged == count {
@@ -227,6 +238,7 @@ impl Pencil {
 
     fn mode(&self, omega_squared: f64, vector: &[f64]) -> Mode {
         let (layout, n) = (&self.system.layout, self.system.rod.segments());
+        let omega_squared = if omega_squared.abs() <= self.shift { 0.0 } else { omega_squared };
         let mut mode =
             Mode { omega_squared, displacements: vec![Vector3::zeros(); n + 1], turns: vec![0.0; n] };
         for &v in &layout.free_vertices {

@@ -28,7 +28,8 @@ use crate::material::{Section, not_negative, positive};
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rod {
-    /// Rest length l̄ of every edge \[m\]; n of them.
+    /// Rest length l̄ of every edge \[m\]; n of them. At the face of a clamp, where s = 0, the first is the
+    /// half of the held edge that stands out of it (see [`Rod::with_faces`]).
     pub rest_lengths: Vec<f64>,
     /// Length l̄_i belonging to every interior vertex in E_κ and E_τ \[m\]; n − 1.
     pub voronoi_lengths: Vec<f64>,
@@ -42,7 +43,7 @@ pub struct Rod {
     pub natural_curvature: Vec<[f64; 2]>,
     /// Natural integrated twist τ̄ of every interior vertex \[rad\]; n − 1.
     pub natural_twist: Vec<f64>,
-    /// Mass of every vertex \[kg\], ρ A l̄_i with half segments at the ends; n + 1.
+    /// Mass of every vertex \[kg\], half of that of the edges beside it; n + 1.
     pub masses: Vec<f64>,
 }
 
@@ -52,11 +53,50 @@ impl Rod {
     /// # Errors
     /// [`Error::Value`] for a length that is not positive, fewer than one segment, or an impossible section.
     pub fn uniform(length: f64, segments: usize, section: &Section) -> Result<Rod, Error> {
+        Rod::uniform_between(length, segments, section, [false, false])
+    }
+
+    /// The same for a rod that clamps hold at their faces (`faces`: at its start, at its end), `length` from
+    /// face to face or to the free end: [`Rod::equal_segments`], [`Rod::with_faces`].
+    ///
+    /// ```
+    /// use varda_rod::{Material, Rod, Section};
+    ///
+    /// let section = Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.01);
+    /// let rod = Rod::uniform_between(1.0, 3, &section, [true, false])?;
+    /// assert_eq!(rod.arc_lengths(), [0.0, 0.2, 0.6000000000000001, 1.0]); // 0.2 m more behind the face
+    /// # Ok::<(), varda_rod::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Rod::uniform`].
+    pub fn uniform_between(
+        length: f64,
+        segments: usize,
+        section: &Section,
+        faces: [bool; 2],
+    ) -> Result<Rod, Error> {
         positive("rod length", length)?;
         if segments == 0 {
             return Err(Error::Value { field: "segments", value: 0.0, expected: "at least 1" });
         }
-        Rod::with_segments(&vec![length / segments as f64; segments], section)
+        let lengths = Rod::equal_segments(length, segments, faces);
+        Ok(Rod::with_segments(&lengths, section)?.with_faces(faces))
+    }
+
+    /// Rest lengths \[m\] of n equal edges of a rod of this length from face to face, or to a free end. Half
+    /// of an edge that a clamp holds at its face is behind that face: l = L/(n − ½ per face), and l/2 for
+    /// the first or last.
+    pub fn equal_segments(length: f64, segments: usize, faces: [bool; 2]) -> Vec<f64> {
+        let behind = faces.map(|face| if face { 0.5 } else { 0.0 });
+        let edge = length / (segments as f64 - (behind[0] + behind[1]));
+        let mut lengths = vec![edge; segments];
+        for (face, e) in [(faces[0], 0), (faces[1], segments.saturating_sub(1))] {
+            if face && segments > 0 {
+                lengths[e] *= 0.5;
+            }
+        }
+        lengths
     }
 
     /// A naturally straight rod of one section with the given segment lengths \[m\].
@@ -89,6 +129,40 @@ impl Rod {
         for (i, l) in self.voronoi_lengths.iter().enumerate() {
             self.natural_curvature[i] = [curvature[0] * l, curvature[1] * l];
             self.natural_twist[i] = twist * l;
+        }
+        self
+    }
+
+    /// The same rod held by clamps at their faces, at its start and at its end: the held edge has its middle
+    /// at the face, so that as much of it is behind the face as the first (last) rest length is outside. Of
+    /// what is behind, one length is felt, that of the vertex outside:
+    ///
+    /// ```text
+    /// l̄_1 = l̄^0 + l̄^1/2        in place of (l̄^0 + l̄^1)/2
+    /// ```
+    ///
+    /// Natural strains of that vertex keep their values per length. Mass and weight stay what is outside:
+    /// ρAL in all. What takes a rod together with its supports does this itself, and doing it again changes
+    /// nothing.
+    #[must_use]
+    pub fn with_faces(mut self, faces: [bool; 2]) -> Rod {
+        let n = self.segments();
+        if n < 2 {
+            return self;
+        }
+        let whole = |e: usize| {
+            let held = e == 0 && faces[0] || e + 1 == n && faces[1];
+            self.rest_lengths[e] * if held { 1.0 } else { 0.5 }
+        };
+        let lengths =
+            [(faces[0], 1), (faces[1], n - 1)].map(|(face, i)| (face, i - 1, whole(i - 1) + whole(i)));
+        for (_, i, length) in lengths.into_iter().filter(|(face, ..)| *face) {
+            let more = length / self.voronoi_lengths[i];
+            if more != 1.0 {
+                self.voronoi_lengths[i] = length;
+                self.natural_curvature[i] = self.natural_curvature[i].map(|k| k * more);
+                self.natural_twist[i] *= more;
+            }
         }
         self
     }
@@ -156,6 +230,12 @@ impl Rod {
     pub(crate) fn bends_by_angle(&self) -> bool {
         self.ei.iter().any(|k| k[0] != k[2] || k[1] != 0.0)
             || self.natural_curvature.iter().any(|k| *k != [0.0; 2])
+    }
+
+    /// Stiffness of a section at an interior vertex \[N m\], that against twist and the mean against bending.
+    pub(crate) fn section_stiffness(&self, vertex: usize) -> f64 {
+        let [k11, _, k22] = self.ei[vertex - 1];
+        (self.gj[vertex - 1] + 0.5 * (k11 + k22)) / self.voronoi_lengths[vertex - 1]
     }
 
     /// A chain: no bending or twisting stiffness anywhere.

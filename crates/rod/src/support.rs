@@ -67,33 +67,37 @@ impl Motion for EllipseDrive {
     }
 }
 
-/// Where on the rod the place of a clamp is.
+/// What of a rod a clamp holds: of which section its `position` is the place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ClampAt {
-    /// The section at the clamp's face: the middle of the held edge.
+    /// The section at the clamp's face, s = 0 (s = L at the end of the rod). The edge that the clamp holds
+    /// has its middle there: the first rest length is the half of it that stands out, and the rod bends from
+    /// the face on. Deflections and frequencies are of second order in the mesh.
     Face,
-    /// The end vertex: the clamp holds the whole first (last) edge, from vertex to vertex.
+    /// The end vertex. The clamp holds the first edge from vertex to vertex, as in the paper: a rod that
+    /// bends as if it were half a segment shorter, an error of first order.
     Edge,
 }
 
-/// A clamped end: it prescribes the end vertex, the direction of the end edge (at its rest length) and the
-/// direction m₁ of the section there, all as functions of time. Directions need not be normalized, nor m₁
-/// exactly perpendicular.
+/// A clamped end: it prescribes the end of the rod, the direction of the held edge (at its rest length) and
+/// the direction m₁ of the section there, all as functions of time. Directions need not be normalized, nor
+/// m₁ exactly perpendicular.
 ///
 /// ```
 /// use varda_rod::{Clamp, ClampAt, Vector3};
 ///
-/// // Hanging down from a point that moves sideways, its section not turning.
-/// let clamp = Clamp::new(ClampAt::Edge, |t: f64| [0.1 * t * t, 0.0, 0.0], -Vector3::z(), Vector3::x());
+/// // Hanging down from a face that moves sideways, its section not turning.
+/// let moved = |t: f64| [0.1 * t * t, 0.0, 0.0];
+/// let clamp = Clamp::new(ClampAt::Face, moved, -Vector3::z(), Vector3::x());
 /// assert_eq!(clamp.position.at(2.0), Vector3::new(0.4, 0.0, 0.0));
 /// ```
 #[derive(Clone)]
 pub struct Clamp {
     /// What `position` is the place of.
     pub at: ClampAt,
-    /// Place of the end vertex \[m\].
+    /// Place of the face, or of the end vertex \[m\].
     pub position: Arc<dyn Motion>,
-    /// Direction of the end edge, towards growing arc length.
+    /// Direction of the held edge, towards growing arc length.
     pub tangent: Arc<dyn Motion>,
     /// Direction m₁ of the section.
     pub director: Arc<dyn Motion>,
@@ -149,12 +153,24 @@ impl Supports {
         Supports { start: Some(clamp), ..Supports::default() }
     }
 
+    /// Whether a clamp holds the rod at its face, at the start and at the end.
+    pub fn faces(&self) -> [bool; 2] {
+        [&self.start, &self.end].map(|c| c.as_ref().is_some_and(|c| c.at == ClampAt::Face))
+    }
+
     /// Vertices whose place is prescribed, ascending.
     ///
     /// # Errors
     /// [`Error::Support`] where two supports claim a vertex or it does not exist.
     pub(crate) fn prescribed_vertices(&self, rod: &Rod) -> Result<Vec<usize>, Error> {
         let n = rod.segments();
+        if self.start.is_some() && self.end.is_some() && n < 3 {
+            return Err(Error::Value {
+                field: "segments of a rod between two clamps",
+                value: n as f64,
+                expected: "at least 3: each clamp holds one",
+            });
+        }
         let mut all: Vec<usize> = self.prescribed.iter().map(|p| p.0).collect();
         if self.start.is_some() {
             all.extend([0, 1]);
@@ -194,8 +210,15 @@ pub struct Loads {
     pub gravity: Vector3<f64>,
     /// Forces \[N\] at arc lengths s \[m\], shared linearly by the two vertices beside s.
     pub point_forces: Vec<(f64, Arc<dyn Motion>)>,
-    /// Loads that depend on places or velocities of the rod.
+    /// Loads that depend on places, velocities or sections of the rod.
     pub of_motion: Vec<Arc<dyn Load>>,
+}
+
+impl Loads {
+    /// A load looks at directors or turns sections.
+    pub(crate) fn need_angles(&self) -> bool {
+        self.of_motion.iter().any(|load| load.uses_directors() || load.has_moment())
+    }
 }
 
 /// Damping of the motion. Both are zero by default.

@@ -93,6 +93,7 @@ impl System {
         force_twist: bool,
     ) -> Result<System, Error> {
         rod.check()?;
+        let rod = rod.with_faces(supports.faces());
         crate::material::not_negative("damping.stiffness", damping.stiffness)?;
         crate::material::not_negative("damping.mass", damping.mass)?;
         if let Some(&value) = loads.gravity.iter().find(|g| !g.is_finite()) {
@@ -101,9 +102,14 @@ impl System {
         for (s, _) in &loads.point_forces {
             rod.place("point force", *s)?;
         }
-        let layout = Layout::needed(&rod, &supports, damping, force_twist)?;
+        let by_angle = loads.need_angles();
+        let layout = Layout::needed(&rod, &supports, damping, force_twist || by_angle)?;
         let n = rod.segments();
+        if by_angle && !layout.twist {
+            return Err(Error::NoSections);
+        }
         for load in &loads.of_motion {
+            load.check(&rod)?;
             let end = load.edges(n).end;
             if end > n {
                 let expected = "at most the number of segments";
@@ -385,9 +391,29 @@ impl System {
         Ok(energy)
     }
 
-    /// Calls `visit` with what every load of the motion does to every edge, and the unknowns of that edge's
-    /// vertices.
-    fn each_load(&self, start: Option<StageStart>, mut visit: impl FnMut(&EdgeLoad, [usize; 6])) {
+    /// Adds a symmetric block to ∂G/∂u in the layout of `structure`.
+    pub(crate) fn add_entries(
+        &self,
+        values: &mut [f64],
+        unknown: &[usize],
+        entry: impl Fn(usize, usize) -> f64,
+    ) {
+        let (w, row_length, general) = (self.layout.half_bandwidth, self.row_length(), !self.has_potential());
+        for (i, &row) in unknown.iter().enumerate().filter(|(_, row)| **row != FIXED) {
+            let columns = unknown.iter().enumerate().filter(|(_, c)| **c != FIXED && (general || **c <= row));
+            for (j, &column) in columns {
+                values[row * row_length + column + w - row] += entry(i, j);
+            }
+        }
+    }
+
+    /// Calls `visit` with what every load of the motion does to every edge, the motion of that edge, and the
+    /// unknowns of its vertices and, last, of its angle.
+    pub(crate) fn each_load(
+        &self,
+        start: Option<StageStart>,
+        mut visit: impl FnMut(&EdgeLoad, &EdgeMotion, [usize; 7]),
+    ) {
         for load in &self.loads.of_motion {
             for edge in load.edges(self.rod.segments()) {
                 let ends = [edge, edge + 1];
@@ -395,21 +421,31 @@ impl System {
                     Some(start) => (self.x[v] - start.places[v]) / start.length,
                     None => Vector3::zeros(),
                 };
-                let acts = load.on_edge(&EdgeMotion {
+                let directors = match load.uses_directors() {
+                    true => [self.shape.m1[edge], self.shape.m2[edge]],
+                    false => [Vector3::zeros(); 2],
+                };
+                let motion = EdgeMotion {
                     edge,
                     time: self.time,
                     places: ends.map(|v| self.x[v]),
                     velocities: ends.map(velocity),
+                    directors,
                     rest_length: self.rod.rest_lengths[edge],
-                });
-                let unknown = |i: usize| self.layout.unknown[self.layout.vertex(ends[i / 3]) + i % 3];
-                visit(&acts, std::array::from_fn(unknown));
+                };
+                let layout = &self.layout;
+                let unknown = |i: usize| match i {
+                    6 if layout.twist => layout.unknown[layout.angle(edge)],
+                    6 => FIXED,
+                    i => layout.unknown[layout.vertex(ends[i / 3]) + i % 3],
+                };
+                visit(&load.on_edge(&motion), &motion, std::array::from_fn(unknown));
             }
         }
     }
 
     /// Loads of the motion at the present shape: subtracts their forces from g and ∂F/∂x + ∂F/∂v/η
-    /// from the Jacobian. Returns their energy.
+    /// from the Jacobian, x and F with angles and moments. Returns their energy.
     pub(crate) fn add_loads(
         &self,
         start: Option<StageStart>,
@@ -420,15 +456,20 @@ impl System {
         let w = self.layout.half_bandwidth;
         let rate = start.map_or(0.0, |start| 1.0 / start.length);
         let mut energy = 0.0;
-        self.each_load(start, |acts, unknown| {
+        self.each_load(start, |acts, motion, unknown| {
             energy += acts.energy;
-            for a in (0..6).filter(|&a| unknown[a] != FIXED) {
+            let by_places = acts.by_places_of_carried(motion);
+            for a in (0..7).filter(|&a| unknown[a] != FIXED) {
                 let row = unknown[a];
-                g[row] -= acts.forces[a];
+                g[row] -= if a < 6 { acts.forces[a] } else { acts.moment };
                 let Some(values) = jacobian.as_deref_mut() else { continue };
-                for b in (0..6).filter(|&b| unknown[b] != FIXED && (general || unknown[b] <= row)) {
-                    values[row * row_length + unknown[b] + w - row] -=
-                        acts.by_places[(a, b)] + rate * acts.by_velocities[(a, b)];
+                for b in (0..7).filter(|&b| unknown[b] != FIXED && (general || unknown[b] <= row)) {
+                    values[row * row_length + unknown[b] + w - row] -= match (a < 6, b < 6) {
+                        (true, true) => by_places[(a, b)] + rate * acts.by_velocities[(a, b)],
+                        (true, false) => acts.by_angle[a],
+                        (false, true) => acts.moment_by_places[b],
+                        (false, false) => acts.moment_by_angle,
+                    };
                 }
             }
         });
@@ -444,7 +485,7 @@ impl System {
         input: impl Fn(usize) -> f64,
         mut output: impl FnMut(usize, f64),
     ) {
-        self.each_load(Some(start), |acts, unknown| {
+        self.each_load(Some(start), |acts, _, unknown| {
             for a in (0..6).filter(|&a| unknown[a] != FIXED) {
                 for b in (0..6).filter(|&b| unknown[b] != FIXED) {
                     let entry =
@@ -463,40 +504,6 @@ impl System {
         } else {
             0.0
         }
-    }
-
-    /// Edge and size of the smallest pivot of E_θθ (free angles, in order), in units of the stiffness of
-    /// its neighbours. As it goes to zero the twist equilibrium folds: it stops being a smooth function of
-    /// the vertices.
-    pub(crate) fn smallest_twist_pivot(&self) -> (usize, f64) {
-        let n = self.layout.segments;
-        let vertex = |i: usize| {
-            if i == 0 || i == n { [0.0; 3] } else { self.shape.strains(i).angle_hessian(&self.bend[i - 1]) }
-        };
-        let scale = |i: usize| {
-            if i == 0 || i == n {
-                0.0
-            } else {
-                self.bend[i - 1].twist + 1e-9 * (self.bend[i - 1].bend[0] + self.bend[i - 1].bend[2])
-            }
-        };
-        let mut left = vertex(0);
-        let (mut pivot_before, mut smallest) = (None::<f64>, (0, f64::INFINITY));
-        for e in 0..n {
-            let right = vertex(e + 1);
-            if self.layout.free_angles.binary_search(&e).is_ok() {
-                let pivot = left[2] + right[0] - pivot_before.map_or(0.0, |p| left[1] * left[1] / p);
-                let relative = pivot / (scale(e) + scale(e + 1));
-                if !(relative >= smallest.1) {
-                    smallest = (e, relative);
-                }
-                pivot_before = Some(pivot);
-            } else {
-                pivot_before = None;
-            }
-            left = right;
-        }
-        smallest
     }
 
     /// Turns an increment α du of local angles, already added in `trial`, into one of stored angles: adds

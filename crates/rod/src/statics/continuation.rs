@@ -1,11 +1,14 @@
 //! A rod at rest wherever it is held: a shape that meets the supports, then its clamps turned, step by step.
 
+use std::sync::Arc;
+
 use nalgebra::{Rotation3, Unit, Vector3};
 
 use super::guess::{Held, along, rest_shape, sideways};
 use super::reactions::Reaction;
 use crate::Error;
 use crate::equilibrium::{Rest, Work, equilibrium_within};
+use crate::load::{Load, scaled::Scaled};
 use crate::rod::Rod;
 use crate::support::{Clamp, Loads, Supports};
 
@@ -133,8 +136,18 @@ pub fn rest(
 ) -> Result<Found, varda_implicit::Error> {
     let refuse = |e: Error| varda_implicit::Error::Refused { step: 0, reason: e.into() };
     let held = Held::at(rod, supports, t).map_err(refuse)?;
-    let mut way =
-        Way { rod, supports, loads, t, held, end_turn: search.end_turn, twist: 1.0, work: Work::default() };
+    let rod = &rod.clone().with_faces(supports.faces());
+    let mut way = Way {
+        rod,
+        supports,
+        loads,
+        t,
+        held,
+        end_turn: search.end_turn,
+        twist: 1.0,
+        motion: 1.0,
+        work: Work::default(),
+    };
     let found = if let Some(shape) = &search.initial_shape {
         way.starting_at(shape)
     } else if way.held.spans() {
@@ -166,6 +179,8 @@ struct Way<'a> {
     end_turn: f64,
     /// Twisting stiffness on the way, as a multiple of the rod's.
     twist: f64,
+    /// Share of the loads of the motion.
+    motion: f64,
     work: Work,
 }
 
@@ -178,7 +193,7 @@ impl Way<'_> {
             let reason = Error::NotAtRest { iterations: self.work.iterations };
             return Err(varda_implicit::Error::Refused { step: 0, reason: reason.into() });
         }
-        if lambda == 1.0 && load == 1.0 && stretch == 1.0 {
+        if [lambda, load, stretch, self.motion] == [1.0; 4] {
             let (rod, supports, loads) = (self.rod, self.supports, self.loads);
             return equilibrium_within(rod, supports, loads, self.t, guess, iterations, &mut self.work);
         }
@@ -200,14 +215,31 @@ impl Way<'_> {
         let t = self.t;
         let point_forces = self.loads.point_forces.iter().map(|(s, f)| {
             let force = f.at(t) * load;
-            (*s, std::sync::Arc::new(force) as std::sync::Arc<dyn crate::Motion>)
+            (*s, Arc::new(force) as Arc<dyn crate::Motion>)
         });
         let loads = Loads {
             gravity: self.loads.gravity * load,
             point_forces: point_forces.collect(),
-            of_motion: Vec::new(),
+            of_motion: if lambda == 1.0 && stretch == 1.0 { self.share_of_motion() } else { Vec::new() },
         };
         equilibrium_within(&rod, &supports, &loads, t, guess, iterations, &mut self.work)
+    }
+
+    /// The present share of the loads of the motion.
+    fn share_of_motion(&self) -> Vec<Arc<dyn Load>> {
+        let factor = self.motion;
+        let scaled = |load: &Arc<dyn Load>| Arc::new(Scaled { load: load.clone(), factor }) as Arc<dyn Load>;
+        self.loads.of_motion.iter().filter(|_| factor != 0.0).map(scaled).collect()
+    }
+
+    /// Loads of the motion grow, from a shape at rest without them.
+    fn with_growing_motion(&mut self, rest: Rest, mut weight: impl FnMut(f64) -> f64) -> Solved {
+        let grown = self.stages(rest, 0.25, |way, share, guess, most| {
+            way.motion = share;
+            way.solve(1.0, weight(share), 1.0, guess, most)
+        });
+        self.motion = 1.0;
+        grown
     }
 
     /// The turn from the chord to a clamp's tangent.
@@ -273,8 +305,9 @@ impl Way<'_> {
         if straight && let Ok(rest) = self.solve(1.0, 1.0, 1.0, &shape, SNAPPING) {
             return Ok(rest);
         }
+        self.motion = 0.0;
         let rest = self.solve(1.0, 0.0, 1.0, &shape, FIRST)?;
-        self.stages(rest, 0.25, |way, share, guess, most| way.solve(1.0, share, 1.0, guess, most))
+        self.with_growing_motion(rest, |share| share)
     }
 
     /// Two held places or more.
@@ -303,7 +336,13 @@ impl Way<'_> {
             Ok(rest)
         })?;
         if cap < 1.0 || !self.loads.of_motion.is_empty() {
-            self.stiffen(1.0, cap, 1.0, &turned)
+            let stiff = self.stiffen(1.0, cap, 1.0, &turned);
+            if stiff.is_ok() || self.loads.of_motion.is_empty() {
+                return stiff;
+            }
+            self.motion = 0.0;
+            let rest = self.stiffen(1.0, cap, 1.0, &turned)?;
+            self.with_growing_motion(rest, |_| 1.0)
         } else {
             Ok(turned)
         }

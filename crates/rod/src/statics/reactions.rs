@@ -2,14 +2,13 @@
 
 use nalgebra::Vector3;
 
-use crate::load::EdgeMotion;
-use crate::system::System;
+use crate::system::{StageStart, System};
 
 /// What a support exerts on a rod at rest: R_v = ∂E/∂x_v − F_v at the vertices that it holds, and about
 /// its tangent ∂E/∂θ where it holds a director.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reaction {
-    /// The held vertex; that at the end of the rod for a clamp.
+    /// The held vertex; for a clamp that at the end of the rod, its face or its vertex.
     pub vertex: usize,
     /// Force on the rod \[N\].
     pub force: Vector3<f64>,
@@ -17,25 +16,19 @@ pub struct Reaction {
     pub moment: Vector3<f64>,
 }
 
-/// The reactions in a system whose gradient was just assembled, by ascending vertices.
-pub(crate) fn reactions(system: &System) -> Vec<Reaction> {
+/// The reactions in a system whose gradient was just assembled, by ascending vertices; loads see the
+/// velocities since `start`.
+pub(crate) fn reactions(system: &System, start: Option<StageStart>) -> Vec<Reaction> {
     let n = system.rod.segments();
     let layout = &system.layout;
     let mut loads = system.forces.clone();
-    for load in &system.loads.of_motion {
-        for edge in load.edges(n) {
-            let acts = load.on_edge(&EdgeMotion {
-                edge,
-                time: system.time,
-                places: [system.x[edge], system.x[edge + 1]],
-                velocities: [Vector3::zeros(); 2],
-                rest_length: system.rod.rest_lengths[edge],
-            });
-            for (i, force) in acts.forces.iter().enumerate() {
-                loads[edge + i / 3][i % 3] += force;
-            }
+    let mut moments = vec![0.0; n];
+    system.each_load(start, |acts, motion, _| {
+        for (i, force) in acts.forces.iter().enumerate() {
+            loads[motion.edge + i / 3][i % 3] += force;
         }
-    }
+        moments[motion.edge] += acts.moment;
+    });
     let at = |v: usize| {
         let i = layout.vertex(v);
         Vector3::from_column_slice(&system.gradient[i..i + 3]) - loads[v]
@@ -43,7 +36,7 @@ pub(crate) fn reactions(system: &System) -> Vec<Reaction> {
     let clamped = |vertex: usize, beside: usize, edge: usize| {
         let arm = system.x[beside] - system.x[vertex];
         let tangent = (system.x[edge + 1] - system.x[edge]).normalize();
-        let twist = if layout.twist { system.gradient[layout.angle(edge)] } else { 0.0 };
+        let twist = if layout.twist { system.gradient[layout.angle(edge)] - moments[edge] } else { 0.0 };
         let moment = arm.cross(&at(beside)) + tangent * twist;
         Reaction { vertex, force: at(vertex) + at(beside), moment }
     };

@@ -88,7 +88,10 @@ impl Rod {
         measured.set_angles(&vec![0.0; self.segments()], None);
         for i in 1..self.segments() {
             let kappa = measured.strains(i).value;
-            self.natural_curvature[i - 1] = [kappa[0], kappa[1]];
+            // at a clamp's face more of the rod belongs to the vertex than was measured
+            let between = 0.5 * self.rest_lengths[i - 1] + 0.5 * self.rest_lengths[i];
+            let share = self.voronoi_lengths[i - 1] / between;
+            self.natural_curvature[i - 1] = [kappa[0] * share, kappa[1] * share];
             self.natural_twist[i - 1] = 0.0;
         }
         Ok(self)

@@ -140,6 +140,10 @@ pub(super) fn modes(modes: &RodModes, folder: &Path) -> String {
     let mut out = format!("{:>4} {:>14} {:>12}\n", "mode", "frequency (Hz)", "period (s)");
     for (i, mode) in modes.found.modes.iter().enumerate() {
         let _ = match mode.frequency() {
+            Some(0.0) => {
+                let least = modes.found.resolution.sqrt() / std::f64::consts::TAU;
+                writeln!(out, "{:>4} {:>14} it moves freely, or slower than {least:.2e} Hz", i + 1, 0)
+            }
             Some(f) => writeln!(out, "{:>4} {f:>14.6} {:>12.6}", i + 1, 1.0 / f),
             None => {
                 let time = 1.0 / (-mode.omega_squared).sqrt();

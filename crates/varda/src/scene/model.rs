@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use varda_implicit::line::{Ends, Line};
 
 use super::defaults::is_default;
+use super::loads::{Drag, Force, Moment};
 use super::motion::Motion;
 
 /// The dynamical system.
@@ -156,7 +157,8 @@ impl Default for Lorenz96 {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RodModel {
-    /// Rest length of the rod L [m]. Give this and `segments`, or `segment_lengths`.
+    /// Rest length of the rod L [m], from clamp to clamp or to a free end. Give this and `segments`, or
+    /// `segment_lengths`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub length: Option<f64>,
@@ -164,7 +166,8 @@ pub struct RodModel {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("minimum" = 2, "maximum" = 20000))]
     pub segments: Option<usize>,
-    /// Rest length of every segment [m], where they differ; at most 20000.
+    /// Rest length of every segment [m], where they differ, from clamp to clamp or to a free end; at most
+    /// 20000.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("x-unit" = "m", "maxItems" = 20000))]
     pub segment_lengths: Option<Vec<f64>>,
@@ -188,6 +191,9 @@ pub struct RodModel {
     /// A first guess of the static equilibrium, which picks one where there are several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub initial_shape: Option<ShapePoints>,
+    /// What `start` and `end` hold: the rod at their faces, or its first and last edge.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub clamp: ClampAt,
     /// Clamp at arc length 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<Clamp>,
@@ -201,9 +207,15 @@ pub struct RodModel {
     #[serde(default = "standard_gravity")]
     #[schemars(extend("x-unit" = "m/s²"))]
     pub gravity: [f64; 3],
-    /// Constant forces on points of the rod.
+    /// Forces on points of the rod; `point_forces` is another name.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub point_forces: Vec<PointForce>,
+    pub forces: Vec<Force>,
+    /// Moments on points of the rod.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub moments: Vec<Moment>,
+    /// Drag of the fluid around the rod. Absent: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub drag: Option<Drag>,
     /// Masses hung on points of the rod.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub point_masses: Vec<PointMass>,
@@ -213,12 +225,29 @@ pub struct RodModel {
 }
 
 impl RodModel {
+    /// Whether a clamp holds the rod at its face, at the start and at the end.
+    pub(crate) fn faces(&self) -> [bool; 2] {
+        [&self.start, &self.end].map(|clamp| clamp.is_some() && self.clamp == ClampAt::Face)
+    }
+
     /// ω of the start clamp's ellipse drive [rad/s].
     pub(crate) fn drive_frequency(&self) -> Option<f64> {
         match self.start.as_ref()?.motion {
             Some(Motion::Ellipse { omega, .. }) => Some(omega),
             _ => None,
         }
+    }
+}
+
+impl RodModel {
+    /// Markers of the observation file that supports follow.
+    pub(crate) fn followed_markers(&self) -> impl Iterator<Item = &str> {
+        let clamps = [&self.start, &self.end].into_iter().flatten().map(|clamp| &clamp.motion);
+        let motions = clamps.chain(self.prescribed.iter().map(|p| &p.motion)).flatten();
+        motions.flat_map(|motion| match motion {
+            Motion::Markers(keys) => keys.names.iter().map(String::as_str).collect(),
+            Motion::Ellipse { .. } | Motion::Table(_) | Motion::Pose(_) => Vec::new(),
+        })
     }
 }
 
@@ -288,18 +317,36 @@ pub struct Material {
     pub density: f64,
 }
 
-/// A clamped end: place, direction and rotation of the end edge are given.
+/// What the place of a clamp is the place of.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum ClampAt {
+    /// The section at the clamp's face, from which the rod is free: `length` is the free length, arc lengths
+    /// count from the face. The edge it holds has its middle there: equal segments are
+    /// length / (segments − ½ per clamp) long, and the first (last) of `segment_lengths` is half of it.
+    #[default]
+    Face,
+    /// The end vertex: the clamp holds the whole first (last) edge, as the paper's does, and the rod bends as
+    /// if it were half a segment shorter.
+    Edge,
+}
+
+/// A clamped end: place, direction and rotation of the end of the rod are given.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Clamp {
-    /// Place of the end vertex [m].
+    /// Place of the section at its face [m]; of the end vertex where `clamp = "edge"`. Needed where the
+    /// motion does not say it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("x-unit" = "m"))]
-    pub position: [f64; 3],
-    /// Direction of the end edge, towards growing arc length.
-    pub tangent: [f64; 3],
-    /// Direction m₁ of the section.
-    pub director: [f64; 3],
-    /// How the clamp moves, directions kept. Absent: it does not.
+    pub position: Option<[f64; 3]>,
+    /// Direction of the rod there, towards growing arc length. Needed where the motion does not say it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tangent: Option<[f64; 3]>,
+    /// Direction m₁ of the section. Needed where the motion does not say it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub director: Option<[f64; 3]>,
+    /// How the clamp moves. Absent: it does not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<Motion>,
 }
@@ -348,24 +395,13 @@ impl RestShape {
 pub struct Prescribed {
     /// Number of the vertex, 0 at the start.
     pub vertex: usize,
-    /// Its place [m].
+    /// Its place [m]. Needed where the motion does not say it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("x-unit" = "m"))]
-    pub position: [f64; 3],
+    pub position: Option<[f64; 3]>,
     /// How it moves. Absent: it does not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<Motion>,
-}
-
-/// A constant force on a point of the rod.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct PointForce {
-    /// Arc length of the point [m].
-    #[schemars(extend("minimum" = 0.0, "x-unit" = "m"))]
-    pub arc_length: f64,
-    /// The force [N].
-    #[schemars(extend("x-unit" = "N"))]
-    pub force: [f64; 3],
 }
 
 /// A mass hung on a point of the rod.

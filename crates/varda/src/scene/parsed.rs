@@ -3,6 +3,7 @@
 
 use varda_implicit::Scheme;
 use varda_implicit::line::Line;
+use varda_rod::Rod;
 
 use super::invalid::{Either, Invalid, invalid, one_of};
 use super::{
@@ -234,13 +235,13 @@ pub(crate) struct SolidMaterial {
 }
 
 impl RodModel {
-    /// Rest length of every segment \[m\].
+    /// Rest length of every segment \[m\]; of one that a clamp holds at its face, what stands out.
     pub(crate) fn rest_lengths(&self) -> Result<Vec<f64>, Invalid> {
         let given =
             one_of("model", ("segment_lengths", self.segment_lengths.as_ref()), ("length", self.length))?;
         let lengths = match (given, self.segments) {
             (Either::First(lengths), None) => lengths.clone(),
-            (Either::Second(length), Some(n)) => vec![length / n as f64; n],
+            (Either::Second(length), Some(n)) => Rod::equal_segments(length, n, self.faces()),
             (Either::First(_), Some(_)) | (Either::Second(_), None) => {
                 return invalid("model", "`length` and `segments` go together");
             }
@@ -250,6 +251,9 @@ impl RodModel {
         }
         if lengths.len() < 2 {
             return invalid("model.segment_lengths", "a rod needs at least 2 segments");
+        }
+        if lengths.len() < 3 && self.start.is_some() && self.end.is_some() {
+            return invalid("model", "a rod between two clamps needs at least 3 segments: each holds one");
         }
         Ok(lengths)
     }

@@ -1,8 +1,7 @@
 //! What `[observations]` must satisfy beyond the type of each key.
 
-use super::invalid::{Check, invalid};
+use super::invalid::{Check, invalid, on_rod};
 use super::validate_frame::validate_frame;
-use super::validate_rod::on_rod;
 use super::{Origin, Recording, RodModel, Scene, Synthetic};
 
 /// Observations of a twin experiment with a rod.
@@ -71,6 +70,12 @@ pub(super) fn validate_recording(f: &Recording, rod: &RodModel) -> Check {
             return invalid(
                 format!("observations.markers.{i}.name"),
                 format!("marker {:?} is named twice", marker.name),
+            );
+        }
+        if rod.followed_markers().any(|name| name == marker.name) {
+            return invalid(
+                format!("observations.markers.{i}.name"),
+                format!("marker {:?} moves a support: it cannot be observed as well", marker.name),
             );
         }
     }

@@ -1,8 +1,9 @@
 //! What `[model]` of a rod must satisfy beyond the type of each key.
 
-use super::invalid::{Check, invalid};
-use super::validate_frame::validate_frame;
-use super::{Clamp, Motion, RodModel, Section, ShapePoints};
+use super::invalid::{Check, invalid, on_rod};
+use super::validate_loads::validate_loads;
+use super::validate_support::{validate_clamp, validate_prescribed};
+use super::{RodModel, Section, ShapePoints};
 
 pub(super) fn validate_rod(rod: &RodModel) -> Check {
     let lengths = rod.rest_lengths()?;
@@ -51,19 +52,8 @@ pub(super) fn validate_rod(rod: &RodModel) -> Check {
             validate_clamp(clamp, path)?;
         }
     }
-    let moved = [(&rod.start, "model.start"), (&rod.end, "model.end")]
-        .into_iter()
-        .filter_map(|(clamp, path)| Some((clamp.as_ref()?.motion.as_ref(), path.to_string())))
-        .chain(
-            rod.prescribed
-                .iter()
-                .enumerate()
-                .map(|(i, p)| (p.motion.as_ref(), format!("model.prescribed.{i}"))),
-        );
-    for (motion, path) in moved {
-        if let Some(Motion::Table(table)) = motion {
-            validate_frame(&table.frame, &format!("{path}.motion.frame"))?;
-        }
+    for (i, p) in rod.prescribed.iter().enumerate() {
+        validate_prescribed(p, &format!("model.prescribed.{i}"))?;
     }
     if rod.start.is_none() && rod.end.is_none() && rod.prescribed.is_empty() {
         return invalid(
@@ -71,13 +61,10 @@ pub(super) fn validate_rod(rod: &RodModel) -> Check {
             "nothing holds the rod: give [model.start], [model.end] or [[model.prescribed]]",
         );
     }
-    let places =
-        rod.point_forces.iter().map(|f| f.arc_length).enumerate().map(|(i, s)| ("point_forces", i, s));
-    let masses =
-        rod.point_masses.iter().map(|m| m.arc_length).enumerate().map(|(i, s)| ("point_masses", i, s));
-    for (list, i, s) in places.chain(masses) {
-        on_rod(&format!("model.{list}.{i}.arc_length"), s, total)?;
+    for (i, mass) in rod.point_masses.iter().enumerate() {
+        on_rod(&format!("model.point_masses.{i}.arc_length"), mass.arc_length, total)?;
     }
+    validate_loads(rod, total)?;
     match rod.prescribed.iter().position(|p| p.vertex > lengths.len()) {
         Some(i) => invalid(
             format!("model.prescribed.{i}.vertex"),
@@ -94,32 +81,5 @@ fn validate_shape(shape: &ShapePoints, path: &str) -> Check {
         (None, Some(points)) if points.len() >= 2 => Ok(()),
         (None, Some(_)) => invalid(format!("{path}.points"), "a shape has two points or more"),
         _ => invalid(path, "give `file`, or `points`"),
-    }
-}
-
-fn validate_clamp(clamp: &Clamp, path: &str) -> Check {
-    let norm = |v: &[f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
-    let (t, d) = (&clamp.tangent, &clamp.director);
-    for (key, v) in [("tangent", t), ("director", d)] {
-        if !(norm(v) > 0.0) {
-            return invalid(format!("{path}.{key}"), "a direction cannot be zero");
-        }
-    }
-    let cos = (0..3).map(|i| t[i] * d[i]).sum::<f64>() / (norm(t) * norm(d));
-    if cos.abs() > 1.0 - 1e-9 {
-        return invalid(
-            format!("{path}.director"),
-            "m₁ lies across the rod: it cannot point along the tangent",
-        );
-    }
-    Ok(())
-}
-
-/// An arc length must lie on the rod.
-pub(super) fn on_rod(path: &str, s: f64, length: f64) -> Check {
-    if s >= 0.0 && s <= length * (1.0 + 1e-9) {
-        Ok(())
-    } else {
-        invalid(path, format!("arc length {s} m is off the rod (0 to {length} m)"))
     }
 }

@@ -89,6 +89,29 @@ pub fn observations(file: &str, text: &str) -> Result<Vec<ObservedRow>, Error> {
 /// # Errors
 /// [`Error::Data`] naming file and line.
 pub fn numbers<const N: usize>(file: &str, text: &str, columns: [&str; N]) -> Result<Vec<[f64; N]>, Error> {
+    let rows = filled(file, text, columns, false)?;
+    Ok(rows.into_iter().map(|(_, row)| row).collect())
+}
+
+/// The same with the line of each row, for a recording: rows that have nothing but the first column were not
+/// recorded.
+///
+/// # Errors
+/// [`Error::Data`] naming file and line.
+pub fn recorded<const N: usize>(
+    file: &str,
+    text: &str,
+    columns: [&str; N],
+) -> Result<Vec<(usize, [f64; N])>, Error> {
+    filled(file, text, columns, true)
+}
+
+fn filled<const N: usize>(
+    file: &str,
+    text: &str,
+    columns: [&str; N],
+    gaps: bool,
+) -> Result<Vec<(usize, [f64; N])>, Error> {
     let expected = columns.join(",");
     let mut table = Table::open(file, text, &columns, &expected)?;
     for name in columns {
@@ -96,14 +119,20 @@ pub fn numbers<const N: usize>(file: &str, text: &str, columns: [&str; N]) -> Re
     }
     let mut rows = Vec::new();
     while table.next()? {
+        if gaps && columns[1..].iter().all(|name| table.cell(name).is_empty()) {
+            continue;
+        }
         let mut row = [0.0; N];
         for (value, name) in row.iter_mut().zip(columns) {
             *value = table.needed(name)?;
         }
-        rows.push(row);
+        rows.push((table.line, row));
     }
     Ok(rows)
 }
+
+/// Larger numbers overflow when they are squared and summed.
+const LARGEST: f64 = 1e50;
 
 /// A CSV file being read row by row.
 struct Table<'a> {
@@ -197,7 +226,10 @@ impl<'a> Table<'a> {
         let point = if self.decimal_comma { cell.replacen(',', ".", 1) } else { cell.to_string() };
         let factor = self.column(name).map_or(1.0, |i| self.factors[i]);
         match point.parse::<f64>().map(|value| value * factor) {
-            Ok(value) if value.is_finite() => Ok(Some(value)),
+            Ok(value) if value.abs() <= LARGEST => Ok(Some(value)),
+            Ok(value) if value.is_finite() => {
+                Err(self.bad(self.line, format!("`{name}` = {value:e} is larger than {LARGEST:e}")))
+            }
             Ok(value) => Err(self.bad(
                 self.line,
                 format!("`{name}` is {value}: leave the cell empty where nothing was observed"),

@@ -19,7 +19,7 @@ use crate::state::{Geometry, StateLayout};
 pub struct RodSystem {
     /// The rod, its supports and loads.
     pub parts: RodParts,
-    /// Arc lengths of its free and of its prescribed vertices.
+    /// Arc lengths of its free and of its held vertices.
     pub places: Places,
     /// Length of a state.
     pub state: usize,
@@ -45,7 +45,7 @@ impl RodSystem {
         let free = dynamics.free_vertices().to_vec();
         let places = Places {
             free: free.iter().map(|&v| s[v]).collect(),
-            known: (0..s.len()).filter(|v| !free.contains(v)).map(|v| s[v]).collect(),
+            known: (0..s.len()).filter(|v| !free.contains(v)).map(|v| known(&parts, &s, v)).collect(),
         };
         Ok(RodSystem {
             places,
@@ -213,6 +213,16 @@ impl RodSystem {
     /// Makes models with steps of the scene's length.
     pub(crate) fn models(&self) -> MakeModel {
         rod_models(&self.parts, self.spin_up, self.grid, None)
+    }
+}
+
+/// Arc length of a held vertex; behind a clamp's face the held edge goes on as far as it stands out.
+fn known(parts: &RodParts, s: &[f64], vertex: usize) -> f64 {
+    let last = s.len() - 1;
+    match parts.supports.faces() {
+        [true, _] if vertex == 0 => -s[1],
+        [_, true] if vertex == last => 2.0 * s[last] - s[last - 1],
+        _ => s[vertex],
     }
 }
 

@@ -1,18 +1,16 @@
 //! From `[model] kind = "rod"` to the rod of varda-rod.
 
-use std::sync::Arc;
-
 use varda_implicit::Scheme;
 use varda_rod::{
-    Clamp, ClampAt, Damping, Loads, Material, Motion, Rest, Rod, RodStep, Search, Section, Supports, Vector3,
-    rest,
+    Clamp, ClampAt, Damping, Loads, Material, Rest, Rod, RodStep, Search, Section, Supports, Vector3, rest,
 };
 
 use crate::Error;
 use crate::scene::{self, RodModel, SceneFile, Shear};
 use crate::setup::csv;
 use crate::setup::files::Files;
-use crate::setup::motion::Motions;
+use crate::setup::loads::loads;
+use crate::setup::motion::{Held, Motions, Moving};
 
 /// A rod with what holds it and what pulls at it.
 #[derive(Clone)]
@@ -23,6 +21,8 @@ pub struct RodParts {
     pub supports: Supports,
     /// What pulls at it.
     pub loads: Loads,
+    /// Sum of the largest sizes of its forces, without its weight \[N\].
+    pub pull: f64,
     /// What damps it.
     pub damping: Damping,
     /// How it is integrated.
@@ -48,6 +48,7 @@ impl RodParts {
         };
         let mut rod = Rod::with_segments(&file.checked(model.rest_lengths())?, &section(file, model)?)
             .map_err(refuse("model"))?
+            .with_faces(model.faces())
             .naturally(model.natural_curvature, model.natural_twist);
         for (i, mass) in model.point_masses.iter().enumerate() {
             rod.add_point_mass(mass.arc_length, mass.mass)
@@ -61,29 +62,29 @@ impl RodParts {
         };
         if let Some(keys) = &model.rest_shape {
             let measured = shape(files, "model.rest_shape", &keys.shape(), &rod)?;
-            let director = keys.director.or(model.start.as_ref().map(|c| c.director)).unwrap_or_default();
+            let director =
+                keys.director.or(model.start.as_ref().and_then(|c| c.director)).unwrap_or_default();
             rod = rod.at_ease_in(&measured.vertices, director.into()).map_err(refuse("model.rest_shape"))?;
         }
         let mut motions = Motions::of(files)?;
         let mut supports = Supports::default();
         if let Some(clamp) = &model.start {
-            supports.start = Some(self::clamp(&mut motions, "model.start", clamp)?);
+            supports.start = Some(self::clamp(&mut motions, "model.start", model.clamp, clamp)?);
         }
         if let Some(clamp) = &model.end {
-            supports.end = Some(self::clamp(&mut motions, "model.end", clamp)?);
+            supports.end = Some(self::clamp(&mut motions, "model.end", model.clamp, clamp)?);
         }
         for (i, p) in model.prescribed.iter().enumerate() {
-            let motion = motions.read(&format!("model.prescribed.{i}"), p.position, p.motion.as_ref())?;
-            supports.prescribed.push((p.vertex, motion));
+            let held = Held { position: p.position, ..Held::default() };
+            let moving = motions.read(&format!("model.prescribed.{i}"), held, p.motion.as_ref())?;
+            supports.prescribed.push((p.vertex, moving.place));
         }
-        let point_forces =
-            model.point_forces.iter().map(|f| (f.arc_length, Arc::new(f.force) as Arc<dyn Motion>));
-        let loads =
-            Loads { gravity: model.gravity.into(), point_forces: point_forces.collect(), ..Loads::default() };
+        let (loads, pull) = loads(file, &mut motions, model, &rod)?;
         let damping = Damping { stiffness: model.damping.stiffness, mass: model.damping.mass };
         let scheme = file.checked(file.scene.time.integrator.of_rod())?;
-        let parts =
-            RodParts { rod, supports, loads, damping, scheme, search, remarks: motions.remarks, first: None };
+        let mut remarks = motions.remarks;
+        remarks.extend(edge_clamps(model, &rod));
+        let parts = RodParts { rod, supports, loads, pull, damping, scheme, search, remarks, first: None };
         parts.dynamics().map_err(refuse("model"))?;
         Ok(parts)
     }
@@ -152,11 +153,33 @@ fn section(file: &SceneFile, model: &RodModel) -> Result<Section, Error> {
     })
 }
 
-fn clamp(motions: &mut Motions, path: &str, clamp: &scene::Clamp) -> Result<Clamp, Error> {
-    Ok(Clamp {
-        at: ClampAt::Edge,
-        position: motions.read(path, clamp.position, clamp.motion.as_ref())?,
-        tangent: Arc::new(clamp.tangent),
-        director: Arc::new(clamp.director),
-    })
+fn clamp(
+    motions: &mut Motions,
+    path: &str,
+    at: scene::ClampAt,
+    clamp: &scene::Clamp,
+) -> Result<Clamp, Error> {
+    let held = Held { position: clamp.position, tangent: clamp.tangent, director: clamp.director };
+    let Moving { place, tangent, director } = motions.read(path, held, clamp.motion.as_ref())?;
+    let at = match at {
+        scene::ClampAt::Face => ClampAt::Face,
+        scene::ClampAt::Edge => ClampAt::Edge,
+    };
+    Ok(Clamp { at, position: place, tangent, director })
+}
+
+/// What to know of neighbouring vertices whose places are given: they hold an edge.
+fn edge_clamps(model: &RodModel, rod: &Rod) -> Vec<String> {
+    let mut held: Vec<usize> = model.prescribed.iter().map(|p| p.vertex).collect();
+    held.sort_unstable();
+    let pairs = held.windows(2).filter(|pair| pair[0] + 1 == pair[1]);
+    let remark = |pair: &[usize]| {
+        let half = 0.5 * rod.rest_lengths[pair[0]];
+        format!(
+            "prescribed vertices {} and {} hold the edge between them as a clamp does: the rod bends as if \
+             it were half a segment ({half} m) shorter; [model.start] and [model.end] hold it at their faces",
+            pair[0], pair[1]
+        )
+    };
+    pairs.map(remark).collect()
 }

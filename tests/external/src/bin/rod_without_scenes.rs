@@ -12,16 +12,18 @@ use varda_rod::{
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let rod = Rod::uniform(0.8, 16, &Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.008))?;
+    let section = Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.008);
+    let rod = Rod::uniform_between(0.8, 16, &section, [true, false])?;
+    let along = rod.arc_lengths();
     let hand = |t: f64| [0.05 * (1.0 - (5.0 * t).cos()), 0.0, 0.0];
-    let supports = Supports::clamped_start(Clamp::new(ClampAt::Edge, hand, -Vector3::z(), Vector3::x()));
+    let supports = Supports::clamped_start(Clamp::new(ClampAt::Face, hand, -Vector3::z(), Vector3::x()));
     let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
     let step = RodStep::new(rod, supports, loads, Damping::default())?;
 
     // Before: straight down, at rest; σ = 2 cm and 0.3 m/s, correlated along the rod.
     let free = step.free_vertices().to_vec();
     let mut z = vec![0.0; step.control_len()];
-    let s: Vec<f64> = free.iter().map(|&v| 0.05 * v as f64).collect();
+    let s: Vec<f64> = free.iter().map(|&v| along[v]).collect();
     (0..free.len()).for_each(|i| z[3 * i + 2] = -s[i]);
     let block = |sigma| -> Result<_, varda_covariance::Error> {
         let kernel = Kernel::Matern52 { length: 0.4 };

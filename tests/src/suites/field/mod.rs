@@ -1,6 +1,13 @@
 //! What people bring: rods held anywhere, recorded supports, files as they come.
 
+mod bases;
+mod common;
+mod faces;
+mod files;
+mod folder;
 mod forces;
+mod free_turn;
+mod gripped;
 mod rest;
 
 use super::Options;
@@ -9,6 +16,11 @@ use crate::row::{Row, Rows};
 pub(super) fn run(options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("field");
     rest::run(options, &mut rows);
+    bases::run(options, &mut rows);
+    files::run(options, &mut rows);
+    gripped::run(options, &mut rows);
+    faces::run(&mut rows, options.quick);
     forces::run(options, &mut rows);
+    free_turn::run(options, &mut rows);
     rows.finish()
 }

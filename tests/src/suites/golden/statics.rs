@@ -111,10 +111,8 @@ pub(super) fn prepare(text: &str) -> Result<(), Box<dyn std::error::Error>> {
 /// A rod at rest, and how its mesh lies on the reference.
 struct Solved {
     found: Found,
-    /// Length of a segment.
-    h: f64,
-    /// Arc length of the start's face from vertex 0.
-    face: f64,
+    /// Arc lengths of its vertices.
+    s: Vec<f64>,
     /// Turn about x to the reference's plane, where a weightless rod between clamps in line has none of its
     /// own.
     turn: f64,
@@ -126,12 +124,9 @@ impl Given {
         self.mass_per_length * Vector3::from(self.gravity).norm() * self.length.powi(3) / self.ei
     }
 
-    /// A uniform rod of n segments, clamps at their faces: each face is in the middle of a held edge, whose
-    /// inner vertex has no mass and whose outer one that of a whole segment.
-    fn rod(&self, n: usize) -> Result<(Rod, f64, [f64; 2]), varda_rod::Error> {
+    /// A uniform rod of n segments between these ends.
+    fn rod(&self, n: usize) -> Result<Rod, varda_rod::Error> {
         let clamped = [&self.start, &self.end].map(|end| matches!(end, End::Clamp { .. }));
-        let halves = clamped.map(|c| if c { 0.5 } else { 0.0 });
-        let h = self.length / (n as f64 - halves[0] - halves[1]);
         let section = Section {
             ea: self.ea,
             ei1: self.ei,
@@ -139,33 +134,18 @@ impl Given {
             gj: self.gj,
             mass_per_length: self.mass_per_length,
         };
-        let mut rod = Rod::uniform(h * n as f64, n, &section)?.naturally(self.natural_curvature, 0.0);
-        let segment = self.mass_per_length * h;
-        for (clamped, held, beside) in [(clamped[0], 0, 1), (clamped[1], n, n - 1)] {
-            if clamped {
-                rod.masses[held] = 1e-12 * segment;
-                rod.masses[beside] = segment;
-            }
-        }
-        Ok((rod, h, halves.map(|half| half * h)))
+        Ok(Rod::uniform_between(self.length, n, &section, clamped)?.naturally(self.natural_curvature, 0.0))
     }
 
     fn solve(&self, n: usize) -> Result<Solved, Box<dyn std::error::Error>> {
-        let (rod, h, [face, _]) = self.rod(n)?;
+        let rod = self.rod(n)?;
         let mut supports = Supports::default();
         let mut loads = Loads { gravity: self.gravity.into(), ..Loads::default() };
         let mut search = Search::default();
         for (end, vertex) in [(&self.start, 0), (&self.end, n)] {
             match *end {
                 End::Clamp { position, tangent, director, turn_rad } => {
-                    let back = if vertex == 0 { -0.5 * h } else { 0.5 * h };
-                    let tangent = Vector3::from(tangent).normalize();
-                    let clamp = Clamp::new(
-                        ClampAt::Edge,
-                        Vector3::from(position) + tangent * back,
-                        tangent,
-                        director,
-                    );
+                    let clamp = Clamp::new(ClampAt::Face, position, tangent, director);
                     if vertex == 0 {
                         supports.start = Some(clamp);
                     } else {
@@ -180,7 +160,7 @@ impl Given {
             }
         }
         let found = rest(&rod, &supports, &loads, 0.0, &search)?;
-        let mut solved = Solved { found, h, face, turn: 0.0 };
+        let mut solved = Solved { found, s: rod.arc_lengths(), turn: 0.0 };
         if self.gravity == [0.0; 3] && !matches!(self.end, End::Free { .. }) {
             let (middle, x) = (self.r[self.r.len() / 2], solved.at(self.s[self.s.len() / 2]));
             solved.turn = middle[2].atan2(middle[1]) - x.z.atan2(x.y);
@@ -194,16 +174,20 @@ impl Solved {
         Rotation3::from_axis_angle(&Vector3::x_axis(), self.turn) * x
     }
 
-    /// The place at an arc length from the face, by the cubic through four vertices.
+    /// The place at an arc length, by the cubic through four vertices.
     fn at(&self, s: f64) -> Vector3<f64> {
         let x = &self.found.rest.vertices;
-        let u = (s + self.face) / self.h;
-        let i = (u.floor() as usize).clamp(1, x.len() - 3);
-        let w = u - i as f64;
-        x[i - 1] * (-w * (w - 1.0) * (w - 2.0) / 6.0)
-            + x[i] * ((w + 1.0) * (w - 1.0) * (w - 2.0) / 2.0)
-            + x[i + 1] * (-(w + 1.0) * w * (w - 2.0) / 2.0)
-            + x[i + 2] * ((w + 1.0) * w * (w - 1.0) / 6.0)
+        let first = self.s.partition_point(|v| *v < s).saturating_sub(2).min(x.len() - 4);
+        let four = first..first + 4;
+        let weight = |i: usize| {
+            let others = four.clone().filter(|j| *j != i);
+            others.map(|j| (s - self.s[j]) / (self.s[i] - self.s[j])).product::<f64>()
+        };
+        four.clone().map(|i| x[i] * weight(i)).sum()
+    }
+
+    fn longest_segment(&self) -> f64 {
+        self.s.windows(2).map(|w| w[1] - w[0]).fold(0.0, greater)
     }
 
     /// Largest distance at the stations, over the length.
@@ -213,19 +197,11 @@ impl Solved {
         off.fold(0.0, greater) / given.length
     }
 
-    /// Force and moment at an end's face.
-    fn wrench(&self, given: &Given, first: bool) -> [Vector3<f64>; 2] {
-        let (end, vertex) = match first {
-            true => (&given.start, 0),
-            false => (&given.end, self.found.rest.vertices.len() - 1),
-        };
+    /// Force and moment at an end.
+    fn wrench(&self, first: bool) -> [Vector3<f64>; 2] {
+        let vertex = if first { 0 } else { self.s.len() - 1 };
         let of_end = self.found.reactions.iter().find(|r| r.vertex == vertex);
-        let Some(r) = of_end else { return [Vector3::zeros(); 2] };
-        let arm = match end {
-            End::Clamp { position, .. } => self.found.rest.vertices[vertex] - Vector3::from(*position),
-            End::Pin { .. } | End::Free { .. } => Vector3::zeros(),
-        };
-        [r.force, r.moment + arm.cross(&r.force)].map(|v| self.turned(&v))
+        of_end.map_or([Vector3::zeros(); 2], |r| [r.force, r.moment].map(|v| self.turned(&v)))
     }
 }
 
@@ -234,9 +210,9 @@ impl Solved {
 fn reaction(given: &Given, coarse: &Solved, fine: &Solved) -> f64 {
     let theirs = [&given.reactions_on_rod.start, &given.reactions_on_rod.end];
     let theirs = theirs.map(|w| [Vector3::from(w.force), Vector3::from(w.moment)]);
-    let factor = (coarse.h / fine.h).powi(2);
+    let factor = (coarse.longest_segment() / fine.longest_segment()).powi(2);
     let ours = [true, false].map(|first| {
-        let (a, b) = (coarse.wrench(given, first), fine.wrench(given, first));
+        let (a, b) = (coarse.wrench(first), fine.wrench(first));
         [0, 1].map(|i| b[i] + (b[i] - a[i]) / (factor - 1.0))
     });
     let mut worst = 0.0;

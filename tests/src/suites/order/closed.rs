@@ -1,9 +1,10 @@
 //! Closed forms of inextensible rods, from segments extrapolated to none.
 //!
-//! A clamp holds an edge, that is the middle of it: rods start half a segment inside their clamps. Then all
+//! Clamps hold the rod at their faces, half a segment of it inside. Then all
 //! errors are of even order in the length of a segment (curvature sits at vertices, each standing for half a
 //! segment on either side), and Richardson's extrapolation from three of them leaves the sixth order. With
-//! the clamp's edge within the length the rod is half a segment too short, an error of first order.
+//! the clamp's edge within the length (`ClampAt::Edge`) the rod is half a segment too short, an error of
+//! first order.
 
 use super::slopes::{extrapolated, slope_row};
 use crate::row::{Case, Outcome, Rows};
@@ -27,19 +28,16 @@ pub(super) fn run(rows: &mut Rows, quick: bool) {
 /// EI = 1 N m², length 1 m, mass 1 kg/m; EA L²/EI = 1e8.
 const SECTION: Section = Section { ea: 1e8, ei1: 1.0, ei2: 1.0, gj: 1.0, mass_per_length: 1.0 };
 
-/// A rod of which `length` stands out of a clamp, in n segments, the first of them half inside (`inside` ½)
-/// or wholly outside (0).
-fn clamped(length: f64, n: usize, inside: f64) -> Result<Rod> {
-    let segment = length / (n as f64 - inside);
-    Ok(Rod::uniform(n as f64 * segment, n, &SECTION)?)
+/// A rod of 1 m in n segments, clamped at its start.
+fn clamped(n: usize, at: ClampAt) -> Result<Rod> {
+    Ok(Rod::uniform_between(1.0, n, &SECTION, [at == ClampAt::Face, false])?)
 }
 
 /// How far the tip of a horizontal cantilever sinks under loads grown in ten stages.
-fn sag(n: usize, inside: f64, loads: &dyn Fn(f64) -> Loads) -> Result<f64> {
-    let rod = clamped(1.0, n, inside)?;
+fn sag(n: usize, at: ClampAt, loads: &dyn Fn(f64) -> Loads) -> Result<f64> {
+    let rod = clamped(n, at)?;
     let along = [1.0, 0.0, 0.0];
-    let start = [-inside * rod.rest_lengths[0], 0.0, 0.0];
-    let supports = Supports::clamped_start(Clamp::new(ClampAt::Edge, start, along, [0.0, 1.0, 0.0]));
+    let supports = Supports::clamped_start(Clamp::new(at, [0.0; 3], along, [0.0, 1.0, 0.0]));
     let mut shape: Rest = straight_guess(&rod, &supports, 0.0, along)?;
     for stage in 1..=10 {
         let share = f64::from(stage) / 10.0;
@@ -48,10 +46,9 @@ fn sag(n: usize, inside: f64, loads: &dyn Fn(f64) -> Loads) -> Result<f64> {
     Ok(-shape.vertices[n][2])
 }
 
-fn tip_load(n: usize, inside: f64, load: f64) -> Result<f64> {
-    let tip = clamped(1.0, n, inside)?.length();
-    sag(n, inside, &|share| Loads {
-        point_forces: vec![(tip, Arc::new([0.0, 0.0, -share * load]))],
+fn tip_load(n: usize, at: ClampAt, load: f64) -> Result<f64> {
+    sag(n, at, &|share| Loads {
+        point_forces: vec![(1.0, Arc::new([0.0, 0.0, -share * load]))],
         ..Loads::default()
     })
 }
@@ -61,13 +58,14 @@ fn tip_load(n: usize, inside: f64, load: f64) -> Result<f64> {
 fn elastica(case: &mut Case, quick: bool) -> Outcome {
     let known = [(2.0, 0.493457), (1.0, 0.301721), (5.0, 0.713792), (10.0, 0.810609)];
     for (load, drop) in known.into_iter().take(if quick { 1 } else { 4 }) {
-        let ours = limit(&SEGMENTS, 0.5, &|n| tip_load(n, 0.5, load))?.0;
+        let ours = limit(&SEGMENTS, 0.5, &|n| tip_load(n, ClampAt::Face, load))?.0;
         drop_row(case, &format!("drop at PL²/EI = {load}"), ours, drop);
     }
-    for (what, inside, order) in
-        [("space: half a segment inside the clamp", 0.5, 2.0), ("space: a segment outside", 0.0, 1.0)]
-    {
-        let points = limit(&[10, 20, 40], inside, &|n| tip_load(n, inside, 2.0))?.1;
+    for (what, at, inside, order) in [
+        ("space: clamp at its face", ClampAt::Face, 0.5, 2.0),
+        ("space: clamp at an edge", ClampAt::Edge, 0.0, 1.0),
+    ] {
+        let points = limit(&[10, 20, 40], inside, &|n| tip_load(n, at, 2.0))?.1;
         space_row(case, what, &points, 0.493457, order);
     }
     Ok(())
@@ -77,7 +75,7 @@ fn own_weight(case: &mut Case, quick: bool) -> Outcome {
     let known = [(10.0, 0.700200), (1.0, 0.123471), (2.0, 0.238507), (5.0, 0.495905), (50.0, 0.907917)];
     for (weight, drop) in known.into_iter().take(if quick { 1 } else { 5 }) {
         let loads = |share: f64| Loads { gravity: [0.0, 0.0, -share * weight].into(), ..Loads::default() };
-        let ours = limit(&SEGMENTS, 0.5, &|n| sag(n, 0.5, &loads))?.0;
+        let ours = limit(&SEGMENTS, 0.5, &|n| sag(n, ClampAt::Face, &loads))?.0;
         drop_row(case, &format!("drop at wL³/EI = {weight}"), ours, drop);
     }
     Ok(())
@@ -172,7 +170,7 @@ fn bisect(mut low: f64, mut high: f64, below: usize, count: &dyn Fn(f64) -> Resu
 /// Greenhill 1881: 7.837347 = (9/4) j², j the first zero of J_{−1/3}.
 fn standing(case: &mut Case) -> Outcome {
     let critical = |n: usize| -> Result<f64> {
-        let rod = clamped(1.0, n, 0.5)?;
+        let rod = clamped(n, ClampAt::Face)?;
         bisect(5.0, 12.0, 0, &|g| negative(2, lateral(&rod, g, true)?.0))
     };
     let (ours, points) = limit(&SEGMENTS, 0.5, &critical)?;
@@ -190,7 +188,7 @@ fn hanging(case: &mut Case) -> Outcome {
     // EA: a strain of 1e-6 under the weight, which rounding of lengths (1e-14 of a segment) does not reach.
     let section = Section { ea: 1e6, ..Section::circle(&material, 0.005) };
     let frequency = |n: usize, mode: usize| -> Result<f64> {
-        let rod = Rod::uniform(0.96 * n as f64 / (n as f64 - 0.5), n, &section)?;
+        let rod = Rod::uniform_between(0.96, n, &section, [true, false])?;
         let (stiffness, masses) = lateral(&rod, 9.81, false)?;
         let count = |f: f64| {
             let mut shifted = stiffness.clone();
