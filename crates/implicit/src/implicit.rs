@@ -359,9 +359,16 @@ fn solve_substep<S: ImplicitStep>(
     let refused = |reason| Error::refused(at.index, reason);
     let mut equations = step.equations(at, x).map_err(|reason| Unsolved::Newton(refused(reason)))?;
     equations.predict(u).map_err(|reason| Unsolved::Newton(refused(reason)))?;
-    let solved = newton::solve(&mut equations, u, work, options);
-    did.newton_iterations += work.report().iterations;
-    did.factorizations += work.report().factorizations;
+    let mut solved = newton::solve(&mut equations, u, work, options);
+    did.count(&work.report());
+    if solved.is_err() {
+        let again = equations.predict_again(u).map_err(|reason| Unsolved::Newton(refused(reason)))?;
+        if let Some(report) = again {
+            did.count(&report);
+            solved = newton::solve(&mut equations, u, work, options);
+            did.count(&work.report());
+        }
+    }
     solved.map_err(|failure| Unsolved::Newton(failure.in_step(at)))?;
     equations.accepted(u).map_err(|reason| Unsolved::Refused(refused(reason)))
 }

@@ -1,6 +1,6 @@
 //! One step of a discrete model, given by the equations it satisfies.
 
-use crate::{Equations, Refusal, Structure};
+use crate::{Equations, NewtonReport, Refusal, Structure};
 
 /// The time interval of one step, or of a substep: from `start` to `start + length`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -248,6 +248,15 @@ pub trait StepEquations: Equations {
     /// # Errors
     /// Where there is none.
     fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal>;
+
+    /// Another first guess of u, asked for where Newton's method failed from the first. Returns what it took;
+    /// `None` where there is no other.
+    ///
+    /// # Errors
+    /// Where the equations cannot be assembled.
+    fn predict_again(&mut self, _u: &mut [f64]) -> Result<Option<NewtonReport>, Refusal> {
+        Ok(None)
+    }
 
     /// Asked once when u was accepted, and again when the step is linearized there: a step may watch a pivot
     /// here, and return a warning or refuse the state.

@@ -75,7 +75,7 @@ pub struct RodStep {
     pub(crate) start: Vec<Vector3<f64>>,
     pub(crate) target: Vec<Vector3<f64>>,
     /// X* of all vertices, where a load depends on the motion, and δX* by unknowns.
-    start_of_all: Vec<Vector3<f64>>,
+    pub(crate) start_of_all: Vec<Vector3<f64>>,
     pub(crate) star: Vec<f64>,
     pub(crate) end_angle: f64,
     pub(crate) tolerance: f64,

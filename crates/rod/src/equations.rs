@@ -1,9 +1,16 @@
 //! The equations of one step of a rod.
 
-use varda_implicit::{Equations, Interval, Refusal, StepEquations};
+use std::sync::Arc;
+
+use nalgebra::Vector3;
+use varda_implicit::{
+    Equations, Interval, NewtonOptions, NewtonReport, NewtonWork, Refusal, StepEquations, solve,
+};
 
 use crate::Error;
 use crate::dynamics::RodStep;
+use crate::load::Load;
+use crate::system::{StageStart, System};
 
 /// The equations of one step of a rod: supports are placed, strains and places before the step are known.
 pub struct RodEquations<'a> {
@@ -100,6 +107,26 @@ impl StepEquations for RodEquations<'_> {
         Ok(())
     }
 
+    /// The stage with its loads without a potential as they are at the first guess: that has a minimum, which
+    /// Newton's method finds past saddles, where for the root with the loads it may only fail.
+    fn predict_again(&mut self, u: &mut [f64]) -> Result<Option<NewtonReport>, Refusal> {
+        if self.step.system.has_potential() {
+            return Ok(None);
+        }
+        self.predict(u)?;
+        let stage = self.step.scheme.stage(&self.at);
+        let start = self.step.start_of_all.clone();
+        let start = StageStart { places: &start, length: stage.length };
+        let (system, end_angle) = (&mut self.step.system, self.step.end_angle);
+        let loads = system.freeze_loads(u, end_angle, start)?;
+        let mut work = NewtonWork::new(u.len(), &system.structure());
+        let solved = solve(self, u, &mut work, &NewtonOptions::default());
+        let system = &mut self.step.system;
+        system.loads.of_motion = loads;
+        system.place(stage.time)?;
+        Ok(solved.ok())
+    }
+
     fn accepted(&mut self, u: &[f64]) -> Result<Option<String>, Refusal> {
         let step = &mut *self.step;
         if step.system.layout.free_angles.is_empty() {
@@ -128,5 +155,31 @@ impl StepEquations for RodEquations<'_> {
                  (pivot {pivot:.1e} of its natural size)"
             )
         }))
+    }
+}
+
+impl System {
+    /// Makes dead forces of the loads without a potential, as they are at the unknowns u; moments about the
+    /// tangent are left out. Returns all loads, to be put back.
+    pub(crate) fn freeze_loads(
+        &mut self,
+        u: &[f64],
+        end_angle: f64,
+        start: StageStart,
+    ) -> Result<Vec<Arc<dyn Load>>, Error> {
+        self.scatter(u);
+        self.update_shape(true, end_angle)?;
+        let all = std::mem::take(&mut self.loads.of_motion);
+        let (kept, frozen) = all.iter().cloned().partition(|load| load.has_potential());
+        self.loads.of_motion = frozen;
+        let mut dead = vec![Vector3::zeros(); self.forces.len()];
+        self.each_load(Some(start), |acts, motion, _| {
+            for (i, force) in acts.forces.iter().enumerate() {
+                dead[motion.edge + i / 3][i % 3] += force;
+            }
+        });
+        self.loads.of_motion = kept;
+        self.forces.iter_mut().zip(dead).for_each(|(force, dead)| *force += dead);
+        Ok(all)
     }
 }

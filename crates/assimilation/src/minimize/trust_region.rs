@@ -20,6 +20,8 @@ const JUMP: f64 = 0.75;
 const FAR_OFF: f64 = 10.0;
 /// A rise below this share of J is no jump.
 const RESOLVED: f64 = 1e-9;
+/// Steps in a row that J does not show and that do not halve the gradient: it is at its own rounding.
+const MOST_UNSEEN: usize = 8;
 
 /// Settings of [`trust_region`].
 #[derive(Debug, Clone, PartialEq)]
@@ -154,8 +156,15 @@ pub(super) fn run(
     let mut ritz = Vec::new();
     let mut failure = None;
     let mut progress = Progress::start(cost, v, &mut g, start)?;
+    // steps in a row whose decrease J does not show, and the gradient that they have to halve
+    let (mut unseen, mut to_halve) = (0, f64::INFINITY);
     loop {
         if let Some(status) = progress.report(cost, v, &g, &options.stopping, on_iteration) {
+            return Ok(progress.end(status, None, ritz));
+        }
+        if unseen == MOST_UNSEEN {
+            let (now, first) = (progress.gradient_norm, progress.gradient_norm_first);
+            let status = Status::without_step(0.0, progress.value, now, first);
             return Ok(progress.end(status, None, ritz));
         }
         inner.refresh(cost)?;
@@ -211,6 +220,12 @@ pub(super) fn run(
                         v.copy_from_slice(&trial);
                         std::mem::swap(&mut g, &mut g_trial);
                         progress.advance(cost, &g, step.norm, step.damping);
+                        let halved = progress.gradient_norm <= 0.5 * to_halve;
+                        if !by_gradient || halved {
+                            (unseen, to_halve) = (0, progress.gradient_norm);
+                        } else {
+                            unseen += 1;
+                        }
                         break;
                     }
                     Err(error) => failure = Some(error),
