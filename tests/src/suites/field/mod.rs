@@ -3,14 +3,17 @@
 mod common;
 mod faces;
 mod forces;
+mod references;
 mod rest;
+mod two_ended;
 
 use super::Options;
 use crate::row::{Row, Rows};
 
 pub(super) fn run(options: &Options) -> Vec<Row> {
-    let mut rows = Rows::new("field");
+    let mut rows = Rows::new("field").of(options);
     rest::run(options, &mut rows);
+    two_ended::run(&mut rows);
     faces::run(&mut rows, options.quick);
     forces::run(options, &mut rows);
     rows.finish()
