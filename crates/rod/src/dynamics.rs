@@ -8,6 +8,7 @@ use crate::damping::KelvinVoigt;
 use crate::equilibrium::Rest;
 use crate::predict::Carry;
 use crate::rod::Rod;
+use crate::spin::Spin;
 use crate::stage::{RodStage, mixed};
 use crate::support::{Damping, Loads, Supports};
 use crate::system::{StageStart, System};
@@ -66,6 +67,7 @@ pub struct RodStep {
     pub(crate) damping: Damping,
     pub(crate) viscous: Option<KelvinVoigt>,
     pub(crate) twist: Option<TwistEquilibrium>,
+    pub(crate) spin: Option<Spin>,
     pub(crate) carry: Carry,
     /// X* and X* + η V* of the free vertices in the step being worked on.
     pub(crate) start: Vec<Vector3<f64>>,
@@ -106,6 +108,7 @@ impl RodStep {
         Ok(RodStep {
             scheme: Scheme::BackwardEuler,
             viscous: (damping.stiffness > 0.0).then(|| KelvinVoigt::new(&system, 1)),
+            spin: Spin::of_free_turn(&system, damping.stiffness > 0.0),
             twist: (!system.layout.free_angles.is_empty()).then(|| TwistEquilibrium::new(&system)),
             carry: Carry::new(&system),
             tolerance: 1e-11 * system.rod.length(),
@@ -256,6 +259,9 @@ impl RodStep {
             let guess = s.end_angle_guess();
             s.update_shape(true, guess)?;
             self.end_angle = s.theta.last().copied().unwrap_or(0.0);
+        }
+        if let Some(spin) = &mut self.spin {
+            spin.start_from(s);
         }
         if let Some(viscous) = &mut self.viscous {
             viscous.clear(s);

@@ -23,6 +23,9 @@ impl Equations for RodEquations<'_> {
         let h = step.scheme.stage(&self.at).length;
         let s = &mut step.system;
         let mut potential = s.assemble(u, step.end_angle, g, jacobian.as_deref_mut())?;
+        if let Some(spin) = &step.spin {
+            potential += spin.add(s, g, jacobian.as_deref_mut())?;
+        }
         let (width, diagonal) = (s.row_length(), s.layout.half_bandwidth);
         let inertia = step.inertia(h);
         for (f, &v) in step.system.layout.free_vertices.iter().enumerate() {
@@ -104,10 +107,14 @@ impl StepEquations for RodEquations<'_> {
         }
         step.system.scatter(u);
         step.system.update_shape(true, step.end_angle)?;
-        let (edge, pivot) = step.system.smallest_twist_pivot();
+        let resistance = |e: usize| step.spin.as_ref().map_or(0.0, |spin| spin.resistance(e));
+        let (edge, pivot) = step.system.smallest_twist_pivot(resistance);
         if !(pivot > 1e-9) {
             return Err(Error::TwistFold { edge, pivot }.into());
         }
+        // a common turn that nothing depends on is no fold
+        let held = if step.system.layout.turns_freely() { step.system.rod.section_stiffness(1) } else { 0.0 };
+        let (edge, pivot) = step.system.smallest_twist_pivot(|e| if e == 0 { held } else { resistance(e) });
         Ok((pivot < 1e-2).then(|| {
             format!(
                 "the twist equilibrium is close to folding at edge {edge} \

@@ -120,7 +120,7 @@ pub(crate) fn equilibrium_within(
     done.energy = at_end
         .map_err(|reason| varda_implicit::NewtonFailure::Refused(reason).in_step(&at_rest(t)))?
         .unwrap_or(f64::NAN);
-    done.reactions = reactions(&statics.system);
+    done.reactions = reactions(&statics.system, None);
     let Statics { mut system, end_angle, .. } = statics;
     system.scatter(&u);
     system.update_shape(system.layout.twist, end_angle).map_err(refuse)?;

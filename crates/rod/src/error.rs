@@ -40,6 +40,12 @@ pub enum Error {
         /// The pivot over GJ/l + EI/l there.
         pivot: f64,
     },
+    /// An edge points against its direction at the start of a step: the spin of its section is undefined.
+    #[error("edge {edge} turns over within one step, where its spin is undefined: a shorter step helps")]
+    TurnedOver {
+        /// Number of the edge.
+        edge: usize,
+    },
     /// No support at all: an equilibrium would fall or drift away.
     #[error("nothing holds the rod: it has no clamp and no prescribed vertex")]
     NothingHolds,

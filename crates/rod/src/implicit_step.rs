@@ -102,6 +102,11 @@ impl ImplicitStep for RodStep {
             let viscous = self.viscous.as_mut().expect("checked above");
             viscous.previous_add(&self.system, dx, dg);
         }
+        if self.spin.is_some() {
+            self.prepare_and_shape(at, x, u);
+            let spin = self.spin.as_mut().expect("checked above");
+            spin.previous_add(&self.system, dx, dg);
+        }
         if !self.system.loads.of_motion.is_empty() {
             self.prepare_and_shape(at, x, u);
             self.star(of.from, dx);
@@ -125,6 +130,11 @@ impl ImplicitStep for RodStep {
             self.prepare_and_shape(at, x, u);
             let viscous = self.viscous.as_mut().expect("checked above");
             viscous.previous_transpose_add(&self.system, mu, dx);
+        }
+        if self.spin.is_some() {
+            self.prepare_and_shape(at, x, u);
+            let spin = self.spin.as_mut().expect("checked above");
+            spin.previous_transpose_add(&self.system, mu, dx);
         }
         if !self.system.loads.of_motion.is_empty() {
             self.prepare_and_shape(at, x, u);

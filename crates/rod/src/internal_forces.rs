@@ -8,7 +8,7 @@ use crate::equilibrium::Rest;
 use crate::rod::Rod;
 use crate::statics::reactions::{Reaction, reactions};
 use crate::support::{Damping, Loads, Supports};
-use crate::system::{PastStrains, System};
+use crate::system::{PastStrains, StageStart, System};
 
 /// Forces and moments that one side of a rod exerts on the other.
 ///
@@ -73,7 +73,7 @@ pub fn internal_forces(
     system.theta.copy_from_slice(&rest.theta);
     system.place(t)?;
     system.update_shape(system.layout.bending, rest.theta.last().copied().unwrap_or(0.0))?;
-    Ok(of_shape(&mut system))
+    Ok(of_shape(&mut system, None))
 }
 
 impl RodStep {
@@ -97,8 +97,9 @@ impl RodStep {
         }
         let (damping, scratch) = (self.damping, &mut self.system);
         let mut past = PastStrains::default();
+        shape_of(scratch, before.0, before.1)?;
+        let start = scratch.x.clone();
         if damping.stiffness > 0.0 {
-            shape_of(scratch, before.0, before.1)?;
             past.lengths.extend(scratch.shape.edges.iter().map(|edge| edge.l));
             if scratch.layout.bending {
                 let strains = (1..scratch.rod.segments()).map(|v| scratch.shape.strains(v).value);
@@ -123,7 +124,7 @@ impl RodStep {
             // the rate (ε − ε*)/h: its stress is that of a spring of stiffness k β/h about ε*
             scratch.set_stiffness(damping.stiffness / h, Some(&past));
         }
-        let forces = of_shape(scratch);
+        let forces = of_shape(scratch, Some(StageStart { places: &start, length: h }));
         if !elastic {
             scratch.set_stiffness(0.0, None);
         }
@@ -139,9 +140,9 @@ fn shape_of(system: &mut System, t: f64, state: &[f64]) -> Result<(), Error> {
     system.update_shape(system.layout.bending, guess)
 }
 
-fn of_shape(system: &mut System) -> InternalForces {
+fn of_shape(system: &mut System, start: Option<StageStart>) -> InternalForces {
     system.elastic(None);
-    let mut out = InternalForces { reactions: reactions(system), ..InternalForces::default() };
+    let mut out = InternalForces { reactions: reactions(system, start), ..InternalForces::default() };
     let (layout, shape, supports) = (&system.layout, &system.shape, &system.supports);
     let mut sum = Vector3::zeros();
     for (e, edge) in shape.edges.iter().enumerate() {

@@ -117,6 +117,11 @@ impl Layout {
         self.stride * e + 3
     }
 
+    /// Whether all angles together are free to turn: no end holds a director.
+    pub(crate) fn turns_freely(&self) -> bool {
+        self.free_angles.len() == self.segments
+    }
+
     /// Length of the state [X, V, θ].
     pub(crate) fn state(&self) -> usize {
         6 * self.free_vertices.len() + self.free_angles.len()

@@ -119,6 +119,7 @@ mod recorded;
 mod rod;
 mod scalar;
 mod shape;
+mod spin;
 mod stage;
 mod statics;
 mod support;

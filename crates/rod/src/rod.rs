@@ -232,6 +232,12 @@ impl Rod {
             || self.natural_curvature.iter().any(|k| *k != [0.0; 2])
     }
 
+    /// Stiffness of a section at an interior vertex \[N m\], that against twist and the mean against bending.
+    pub(crate) fn section_stiffness(&self, vertex: usize) -> f64 {
+        let [k11, _, k22] = self.ei[vertex - 1];
+        (self.gj[vertex - 1] + 0.5 * (k11 + k22)) / self.voronoi_lengths[vertex - 1]
+    }
+
     /// A chain: no bending or twisting stiffness anywhere.
     pub(crate) fn is_chain(&self) -> bool {
         self.ei.iter().all(|k| *k == [0.0; 3]) && self.gj.iter().all(|g| *g == 0.0)

@@ -19,6 +19,8 @@ pub(crate) fn at_rest(t: f64) -> Interval {
 pub(crate) struct Statics {
     pub(crate) system: System,
     pub(crate) end_angle: f64,
+    /// ½ a (θ⁰ − θ̄)² \[N m, rad\]: holds the first angle of a rod without a director.
+    pub(crate) hold: Option<(f64, f64)>,
     tolerance: f64,
     displacement: Vec<Vector3<f64>>,
     psi: Vec<f64>,
@@ -29,6 +31,7 @@ impl Statics {
         let n = system.rod.segments();
         Statics {
             end_angle,
+            hold: None,
             tolerance,
             displacement: vec![Vector3::zeros(); n + 1],
             psi: vec![0.0; n],
@@ -55,6 +58,15 @@ impl Equations for Statics {
             let i = s.layout.unknown[s.layout.vertex(v)];
             for c in 0..3 {
                 g[i + c] -= s.forces[v][c];
+            }
+        }
+        if let Some((stiffness, angle)) = self.hold {
+            let i = s.layout.unknown[s.layout.angle(0)];
+            let off = s.theta[0] - angle;
+            potential += 0.5 * stiffness * off * off;
+            g[i] += stiffness * off;
+            if let Some(values) = jacobian.as_deref_mut() {
+                values[i * s.row_length() + s.layout.half_bandwidth] += stiffness;
             }
         }
         potential += s.add_loads(None, g, jacobian);

@@ -391,6 +391,22 @@ impl System {
         Ok(energy)
     }
 
+    /// Adds a symmetric block to ∂G/∂u in the layout of `structure`.
+    pub(crate) fn add_entries(
+        &self,
+        values: &mut [f64],
+        unknown: &[usize],
+        entry: impl Fn(usize, usize) -> f64,
+    ) {
+        let (w, row_length, general) = (self.layout.half_bandwidth, self.row_length(), !self.has_potential());
+        for (i, &row) in unknown.iter().enumerate().filter(|(_, row)| **row != FIXED) {
+            let columns = unknown.iter().enumerate().filter(|(_, c)| **c != FIXED && (general || **c <= row));
+            for (j, &column) in columns {
+                values[row * row_length + column + w - row] += entry(i, j);
+            }
+        }
+    }
+
     /// Calls `visit` with what every load of the motion does to every edge, the motion of that edge, and the
     /// unknowns of its vertices and, last, of its angle.
     pub(crate) fn each_load(
@@ -488,40 +504,6 @@ impl System {
         } else {
             0.0
         }
-    }
-
-    /// Edge and size of the smallest pivot of E_θθ (free angles, in order), in units of the stiffness of
-    /// its neighbours. As it goes to zero the twist equilibrium folds: it stops being a smooth function of
-    /// the vertices.
-    pub(crate) fn smallest_twist_pivot(&self) -> (usize, f64) {
-        let n = self.layout.segments;
-        let vertex = |i: usize| {
-            if i == 0 || i == n { [0.0; 3] } else { self.shape.strains(i).angle_hessian(&self.bend[i - 1]) }
-        };
-        let scale = |i: usize| {
-            if i == 0 || i == n {
-                0.0
-            } else {
-                self.bend[i - 1].twist + 1e-9 * (self.bend[i - 1].bend[0] + self.bend[i - 1].bend[2])
-            }
-        };
-        let mut left = vertex(0);
-        let (mut pivot_before, mut smallest) = (None::<f64>, (0, f64::INFINITY));
-        for e in 0..n {
-            let right = vertex(e + 1);
-            if self.layout.free_angles.binary_search(&e).is_ok() {
-                let pivot = left[2] + right[0] - pivot_before.map_or(0.0, |p| left[1] * left[1] / p);
-                let relative = pivot / (scale(e) + scale(e + 1));
-                if !(relative >= smallest.1) {
-                    smallest = (e, relative);
-                }
-                pivot_before = Some(pivot);
-            } else {
-                pivot_before = None;
-            }
-            left = right;
-        }
-        smallest
     }
 
     /// Turns an increment α du of local angles, already added in `trial`, into one of stored angles: adds

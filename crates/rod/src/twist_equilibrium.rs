@@ -8,8 +8,15 @@ use crate::layout::FIXED;
 use crate::statics::{Statics, at_rest};
 use crate::system::System;
 
+/// Share of its stiffness by which the first angle of a rod that holds no director is held near where it
+/// started, where bending depends on angles: it decides where a straight rod does not.
+const SLIGHT: f64 = 1e-10;
+
 /// θ₀ = θ(X₀): the angles that minimise E at given vertices, from θ = 0 or those of a rod at rest,
 /// with δθ₀ = −E_θθ⁻¹ E_θX δX₀ and its transpose.
+///
+/// Of a rod that holds no director, E + ½ a (θ⁰ − θ̄⁰)² with θ̄⁰ the angle it starts from:
+/// where nothing depends on the common turn of its angles, that with θ⁰ = θ̄⁰, whatever a.
 pub(crate) struct TwistEquilibrium {
     statics: Statics,
     work: NewtonWork,
@@ -25,6 +32,8 @@ pub(crate) struct TwistEquilibrium {
     rhs: Vec<f64>,
     psi: Vec<f64>,
     displacement: Vec<Vector3<f64>>,
+    /// a of the first angle; zero where an end holds a director.
+    hold: f64,
     /// Angles of all edges to start from, in place of zero.
     pub(crate) first: Option<Vec<f64>>,
 }
@@ -37,6 +46,9 @@ impl TwistEquilibrium {
         held.loads.of_motion.retain(|load| load.has_moment());
         let n = system.rod.segments();
         let angles = system.layout.free_angles.len();
+        let share = if system.rod.bends_by_angle() { SLIGHT } else { 1.0 };
+        let free = system.layout.turns_freely();
+        let hold = if free { share * system.rod.section_stiffness(1) } else { 0.0 };
         let statics = Statics::new(held, 0.0, 1e-12);
         TwistEquilibrium {
             work: statics.work_space(),
@@ -50,6 +62,7 @@ impl TwistEquilibrium {
             psi: vec![0.0; n],
             displacement: vec![Vector3::zeros(); n + 1],
             full: system.clone(),
+            hold,
             first: None,
         }
     }
@@ -71,6 +84,7 @@ impl TwistEquilibrium {
             }
         }
         self.statics.end_angle = end_angle;
+        self.statics.hold = (self.hold > 0.0).then(|| (self.hold, self.u[0]));
         let options = NewtonOptions::default().with_max_iterations(200);
         solve(&mut self.statics, &mut self.u, &mut self.work, &options)
             .map_err(|failure| failure.in_step(&at_rest(t)))?;
@@ -122,6 +136,9 @@ impl TwistEquilibrium {
             let e = layout.free_angles[f];
             let moment = self.moments.get(f).map_or(0.0, |m| m.0);
             let mut d = self.entry(layout.angle(e), layout.angle(e)) - moment;
+            if f == 0 {
+                d += self.hold;
+            }
             let before = f > 0 && layout.free_angles[f - 1] + 1 == e;
             self.below[f] = 0.0;
             if before {
@@ -175,8 +192,9 @@ impl TwistEquilibrium {
             }
             self.rhs[f] = sum;
         }
-        self.solve_angles();
         self.full.shape.holonomy(&displacement, &mut self.psi);
+        self.rhs[0] -= self.hold * self.psi[0];
+        self.solve_angles();
         for (f, &e) in self.full.layout.free_angles.iter().enumerate() {
             dtheta[f] = self.rhs[f] + self.psi[e];
         }
@@ -193,7 +211,7 @@ impl TwistEquilibrium {
         displacement.fill(Vector3::zeros());
         self.psi.fill(0.0);
         for (f, &e) in self.full.layout.free_angles.iter().enumerate() {
-            self.psi[e] = lambda[f];
+            self.psi[e] = lambda[f] - if f == 0 { self.hold * self.rhs[0] } else { 0.0 };
             for v in self.neighbours(e) {
                 for c in 0..3 {
                     displacement[v][c] -= self.by_place(f, v, c) * self.rhs[f];
@@ -207,5 +225,43 @@ impl TwistEquilibrium {
             }
         }
         self.displacement = displacement;
+    }
+}
+
+impl System {
+    /// Edge and size of the smallest pivot of E_θθ (free angles, in order), in units of the stiffness of
+    /// its neighbours. As it goes to zero the twist equilibrium folds: it stops being a smooth function of
+    /// the vertices.
+    /// `resistance` adds to the stiffness of every edge.
+    pub(crate) fn smallest_twist_pivot(&self, resistance: impl Fn(usize) -> f64) -> (usize, f64) {
+        let n = self.layout.segments;
+        let vertex = |i: usize| {
+            if i == 0 || i == n { [0.0; 3] } else { self.shape.strains(i).angle_hessian(&self.bend[i - 1]) }
+        };
+        let scale = |i: usize| {
+            if i == 0 || i == n {
+                0.0
+            } else {
+                self.bend[i - 1].twist + 1e-9 * (self.bend[i - 1].bend[0] + self.bend[i - 1].bend[2])
+            }
+        };
+        let mut left = vertex(0);
+        let (mut pivot_before, mut smallest) = (None::<f64>, (0, f64::INFINITY));
+        for e in 0..n {
+            let right = vertex(e + 1);
+            if self.layout.free_angles.binary_search(&e).is_ok() {
+                let pivot =
+                    resistance(e) + left[2] + right[0] - pivot_before.map_or(0.0, |p| left[1] * left[1] / p);
+                let relative = pivot / (scale(e) + scale(e + 1));
+                if !(relative >= smallest.1) {
+                    smallest = (e, relative);
+                }
+                pivot_before = Some(pivot);
+            } else {
+                pivot_before = None;
+            }
+            left = right;
+        }
+        smallest
     }
 }

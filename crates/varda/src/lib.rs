@@ -62,6 +62,7 @@
 #![forbid(unsafe_code)]
 
 pub mod cli;
+pub mod convert;
 mod error;
 pub mod outcome;
 pub mod report;

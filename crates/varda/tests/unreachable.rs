@@ -93,7 +93,11 @@ fn the_message_names_line_value_reach_and_cause() {
                 let other = if m == "tip" { "middle" } else { "tip" };
                 (if k == 4 { other } else { m }.to_string(), p)
             }),
-            &["seen.csv:11:", "labels of marker middle and marker tip exchanged?", "lines 11 and 10"],
+            &[
+                "seen.csv:10:",
+                "labels exchanged: marker middle and marker tip from 0.08 s to 0.08 s",
+                "lines 10 to 11",
+            ],
         ),
         (
             "false",
@@ -110,6 +114,24 @@ fn the_message_names_line_value_reach_and_cause() {
         let message = refused(name, &csv);
         parts.iter().for_each(|part| assert!(message.contains(part), "{name}: {part:?} is not in {message}"));
     }
+}
+
+/// A marker that jumps farther than the rod moves, and stays within reach.
+#[test]
+fn a_jump_is_named_with_its_speed() {
+    let jump = |k: usize| if k == 6 { [0.1, 0.05, 0.9] } else { [0.0, 0.0, 0.5] };
+    let csv = recording(|k, m, p| (m.to_string(), if m == "tip" { jump(k) } else { p }));
+    let message = refused("jump", &csv);
+    let parts =
+        ["seen.csv:15:", "marker tip at time 0.12 s", "(0.1, 0.05, 0.9)", "(line 13)", "20.", "five times"];
+    for part in parts {
+        assert!(message.contains(part), "{part:?} is not in {message}");
+    }
+    let stated = open("stated", &csv, &["observations.max_speed=25.0"]);
+    assert_eq!(Plan::new(&stated).unwrap().n_obs, 60);
+    let skipped = Plan::new(&open("skipped", &csv, &["observations.unreachable=skip"])).unwrap();
+    let listed = skipped.left_out.iter().any(|l| l.starts_with("rows that jump, in lines 15:"));
+    assert!(skipped.n_obs == 57 && listed);
 }
 
 #[test]

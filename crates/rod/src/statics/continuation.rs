@@ -28,8 +28,8 @@ const SNAPPING: usize = 2000;
 const SOFT: f64 = 30.0;
 /// … and where clamps turn.
 const STIFF: f64 = 1e4;
-/// Weight × length³ over bending stiffness from which clamps bend a cable near themselves only: it is laid with
-/// them as they are.
+/// Weight × length³ over bending stiffness from which clamps bend a cable near themselves only: it is laid
+/// with them as they are.
 const HEAVY: f64 = 1e4;
 /// Shapes beside one where a search stalled, as shares of the length.
 const KICKS: [f64; 3] = [0.003, -0.01, 0.03];

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::system::System;
+use crate::system::{StageStart, System};
 
 /// What a support exerts on a rod at rest: R_v = ∂E/∂x_v − F_v at the vertices that it holds, and about
 /// its tangent ∂E/∂θ where it holds a director.
@@ -16,13 +16,14 @@ pub struct Reaction {
     pub moment: Vector3<f64>,
 }
 
-/// The reactions in a system whose gradient was just assembled, by ascending vertices.
-pub(crate) fn reactions(system: &System) -> Vec<Reaction> {
+/// The reactions in a system whose gradient was just assembled, by ascending vertices; loads see the
+/// velocities since `start`.
+pub(crate) fn reactions(system: &System, start: Option<StageStart>) -> Vec<Reaction> {
     let n = system.rod.segments();
     let layout = &system.layout;
     let mut loads = system.forces.clone();
     let mut moments = vec![0.0; n];
-    system.each_load(None, |acts, motion, _| {
+    system.each_load(start, |acts, motion, _| {
         for (i, force) in acts.forces.iter().enumerate() {
             loads[motion.edge + i / 3][i % 3] += force;
         }

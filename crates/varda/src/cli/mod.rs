@@ -2,6 +2,7 @@
 
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
+mod convert;
 mod cycles;
 mod exit;
 mod progress;
@@ -16,6 +17,7 @@ use std::time::Instant;
 use clap::{Args, Parser, Subcommand};
 
 use crate::Error;
+use crate::convert::{Options, Unit, Up};
 use crate::outcome::{Outcome, Status};
 use crate::report;
 use crate::report::checkpoint::Checkpoint;
@@ -95,6 +97,20 @@ enum Command {
         /// Name of the scene
         name: String,
     },
+    /// Convert a recording (C3D, CSV of Motive or Nexus, TRC) to time_s,marker,x_m,y_m,z_m, z upwards
+    Convert {
+        /// The recording
+        file: PathBuf,
+        /// The table [default: the recording's name, ending in .csv; beside a .csv: -varda.csv]
+        #[arg(long, value_name = "FILE.csv")]
+        out: Option<PathBuf>,
+        /// Axis of the recording that points upwards [default: as the file says, else z]
+        #[arg(long, value_name = "x|y|z", value_parser = convert::up)]
+        up: Option<Up>,
+        /// Unit of its coordinates [default: as the file says]
+        #[arg(long, value_name = "mm|cm|m", value_parser = convert::unit)]
+        unit: Option<Unit>,
+    },
     /// Print the JSON Schema of a scene
     Schema,
     /// List the scenes that come with the program
@@ -133,6 +149,9 @@ pub fn main() -> ExitCode {
         Command::Modes { scene, count, out } => modes(&scene, count, out.as_deref()),
         Command::Check { scene } => scene.open().and_then(|file| check(&file)),
         Command::New { name } => new(&name),
+        Command::Convert { file, out, up, unit } => {
+            convert::convert(&file, out, &Options { up, unit }).map(|()| ExitCode::SUCCESS)
+        }
         Command::Schema => {
             println!("{}", Scene::schema());
             Ok(ExitCode::SUCCESS)

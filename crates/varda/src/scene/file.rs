@@ -75,6 +75,7 @@ impl SceneFile {
         for assignment in overrides {
             tree::set(&mut root, assignment)?;
         }
+        tree::rename(&mut root, label, ["model", "point_forces", "forces"])?;
         let schema = serde_json::to_value(schemars::schema_for!(Scene)).expect("a schema is plain JSON");
         let wrong =
             |place: &Place, message: String| Error::Scene { place: locate(label, Some(place)), message };
@@ -181,13 +182,21 @@ impl Source {
 
 /// The text of a file with at most `most` bytes.
 fn read_text(path: &Path, most: u64) -> std::io::Result<String> {
-    let mut text = String::new();
-    std::fs::File::open(path)?.take(most + 1).read_to_string(&mut text)?;
-    if text.len() as u64 > most {
+    let mut bytes = Vec::new();
+    std::fs::File::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most {
         let message = format!("it has more than {most} bytes");
         return Err(std::io::Error::new(std::io::ErrorKind::FileTooLarge, message));
     }
-    Ok(text)
+    let not_text = |message: String| std::io::Error::new(std::io::ErrorKind::InvalidData, message);
+    if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
+        return Err(not_text("it is UTF-16 text: save it as UTF-8".into()));
+    }
+    String::from_utf8(bytes).map_err(|e| {
+        let before = &e.as_bytes()[..e.utf8_error().valid_up_to()];
+        let line = 1 + before.iter().filter(|byte| **byte == b'\n').count();
+        not_text(format!("line {line} is no UTF-8 text"))
+    })
 }
 
 fn locate(label: &str, place: Option<&Place>) -> String {

@@ -36,3 +36,12 @@ pub(super) fn one_of<A, B>(
         (None, None) => invalid(section, format!("[{section}] needs `{first}` or `{second}`")),
     }
 }
+
+/// An arc length must lie on the rod.
+pub(super) fn on_rod(path: &str, s: f64, length: f64) -> Check {
+    if s >= 0.0 && s <= length * (1.0 + 1e-9) {
+        Ok(())
+    } else {
+        invalid(path, format!("arc length {s} m is off the rod (0 to {length} m)"))
+    }
+}

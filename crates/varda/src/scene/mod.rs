@@ -17,6 +17,7 @@ mod file;
 mod grid;
 mod invalid;
 mod limits;
+mod loads;
 mod method;
 mod model;
 mod model_error;
@@ -34,6 +35,7 @@ mod validate_algorithm;
 mod validate_covariance;
 mod validate_cycles;
 mod validate_frame;
+mod validate_loads;
 mod validate_observations;
 mod validate_rod;
 mod validate_support;
@@ -49,10 +51,11 @@ pub use file::SceneFile;
 pub use grid::TimeGrid;
 pub(crate) use invalid::Invalid;
 pub use limits::{DEFAULT_MEMORY, Limits};
+pub use loads::{Drag, Force, Moment};
 pub use method::{Method, Minimizer};
 pub use model::{
-    Burgers, Clamp, ClampAt, DampingValues, LinearAdvection, Lorenz63, Lorenz96, Material, Model, PointForce,
-    PointMass, Prescribed, RestShape, RodModel, Section, ShapePoints,
+    Burgers, Clamp, ClampAt, DampingValues, LinearAdvection, Lorenz63, Lorenz96, Material, Model, PointMass,
+    Prescribed, RestShape, RodModel, Section, ShapePoints,
 };
 pub use model_error::ModelError;
 pub use motion::{Motion, MotionValues, PoseValues, RecordedMarkers, RecordedMotion, RecordedPose};

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use varda_implicit::line::{Ends, Line};
 
 use super::defaults::is_default;
+use super::loads::{Drag, Force, Moment};
 use super::motion::Motion;
 
 /// The dynamical system.
@@ -206,9 +207,15 @@ pub struct RodModel {
     #[serde(default = "standard_gravity")]
     #[schemars(extend("x-unit" = "m/s²"))]
     pub gravity: [f64; 3],
-    /// Constant forces on points of the rod.
+    /// Forces on points of the rod; `point_forces` is another name.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub point_forces: Vec<PointForce>,
+    pub forces: Vec<Force>,
+    /// Moments on points of the rod.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub moments: Vec<Moment>,
+    /// Drag of the fluid around the rod. Absent: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub drag: Option<Drag>,
     /// Masses hung on points of the rod.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub point_masses: Vec<PointMass>,
@@ -395,18 +402,6 @@ pub struct Prescribed {
     /// How it moves. Absent: it does not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<Motion>,
-}
-
-/// A constant force on a point of the rod.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct PointForce {
-    /// Arc length of the point [m].
-    #[schemars(extend("minimum" = 0.0, "x-unit" = "m"))]
-    pub arc_length: f64,
-    /// The force [N].
-    #[schemars(extend("x-unit" = "N"))]
-    pub force: [f64; 3],
 }
 
 /// A mass hung on a point of the rod.

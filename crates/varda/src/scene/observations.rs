@@ -66,10 +66,16 @@ pub struct Recording {
     /// What to do with rows outside the window.
     #[serde(default)]
     pub outside_window: OutsideWindow,
-    /// What to do with rows that no shape of the rod can reach: farther from where it is held than the rod
-    /// between, with the strain of the taut rod and 4 σ.
+    /// What to do with rows that cannot be true: farther from where the rod is held than the rod between,
+    /// with the strain of the taut rod and 4 σ; labels of two markers exchanged; jumps faster than
+    /// `max_speed`.
     #[serde(default, skip_serializing_if = "is_default")]
     pub unreachable: UnreachableRows,
+    /// The fastest that a marker moves [m/s]. Absent: five times the sum of the supports' greatest speed,
+    /// √(2 g L), and ½ L (1.875/L)² √(EI/μ), a cantilever that swings by half its length.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m/s"))]
+    pub max_speed: Option<f64>,
     /// The markers of the recording and their places on the rod.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub markers: Vec<Marker>,

@@ -26,6 +26,7 @@ pub const SHIPPED: &[Shipped] = shipped![
     "hanging-rod-cycling"
     "hanging-rod-weak"
     "beam-release"
+    "tether-in-current"
     "lorenz63"
     "lorenz63-window"
     "lorenz96"
@@ -44,6 +45,7 @@ const DATA: &[(&str, &str)] = &[
     ("data/beam-release.csv", include_str!("../../scenes/data/beam-release.csv")),
     ("data/hanging-rod-background.csv", include_str!("../../scenes/data/hanging-rod-background.csv")),
     ("data/hanging-rod-observations.csv", include_str!("../../scenes/data/hanging-rod-observations.csv")),
+    ("data/tether-pull.csv", include_str!("../../scenes/data/tether-pull.csv")),
 ];
 
 pub(super) fn find(name: &str) -> Option<&'static Shipped> {

@@ -45,6 +45,27 @@ pub(super) fn parse(label: &str, text: &str) -> Result<Node, Error> {
     Ok(Node { place: Place::Text { line: 1, column: 1 }, value })
 }
 
+/// Calls a key of a table by its other name.
+///
+/// # Errors
+/// [`Error::Scene`] where both are there.
+pub(super) fn rename(root: &mut Node, label: &str, [table, other, key]: [&str; 3]) -> Result<(), Error> {
+    let Value::Table(entries) = &mut root.value else { return Ok(()) };
+    let Some(entry) = entries.iter_mut().find(|e| e.key == table) else { return Ok(()) };
+    let Value::Table(keys) = &mut entry.node.value else { return Ok(()) };
+    let Some(at) = keys.iter().position(|e| e.key == other) else { return Ok(()) };
+    if keys.iter().any(|e| e.key == key) {
+        let message = format!("`{table}.{other}` is another name of `{table}.{key}`: leave one of them out");
+        let place = match &keys[at].place {
+            Place::Text { line, column } => format!("{label}:{line}:{column}"),
+            set => set.to_string(),
+        };
+        return Err(Error::Scene { place, message });
+    }
+    keys[at].key = key.to_string();
+    Ok(())
+}
+
 /// The tree with `key=value` put in (a dotted key; the value as TOML, or as a string where it is not TOML).
 pub(super) fn set(root: &mut Node, assignment: &str) -> Result<(), Error> {
     let bad = |message: String| Error::Scene { place: format!("--set {assignment}"), message };

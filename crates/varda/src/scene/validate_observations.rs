@@ -1,8 +1,7 @@
 //! What `[observations]` must satisfy beyond the type of each key.
 
-use super::invalid::{Check, invalid};
+use super::invalid::{Check, invalid, on_rod};
 use super::validate_frame::validate_frame;
-use super::validate_rod::on_rod;
 use super::{Origin, Recording, RodModel, Scene, Synthetic};
 
 /// Observations of a twin experiment with a rod.

@@ -1,6 +1,7 @@
 //! What `[model]` of a rod must satisfy beyond the type of each key.
 
-use super::invalid::{Check, invalid};
+use super::invalid::{Check, invalid, on_rod};
+use super::validate_loads::validate_loads;
 use super::validate_support::{validate_clamp, validate_prescribed};
 use super::{RodModel, Section, ShapePoints};
 
@@ -60,13 +61,10 @@ pub(super) fn validate_rod(rod: &RodModel) -> Check {
             "nothing holds the rod: give [model.start], [model.end] or [[model.prescribed]]",
         );
     }
-    let places =
-        rod.point_forces.iter().map(|f| f.arc_length).enumerate().map(|(i, s)| ("point_forces", i, s));
-    let masses =
-        rod.point_masses.iter().map(|m| m.arc_length).enumerate().map(|(i, s)| ("point_masses", i, s));
-    for (list, i, s) in places.chain(masses) {
-        on_rod(&format!("model.{list}.{i}.arc_length"), s, total)?;
+    for (i, mass) in rod.point_masses.iter().enumerate() {
+        on_rod(&format!("model.point_masses.{i}.arc_length"), mass.arc_length, total)?;
     }
+    validate_loads(rod, total)?;
     match rod.prescribed.iter().position(|p| p.vertex > lengths.len()) {
         Some(i) => invalid(
             format!("model.prescribed.{i}.vertex"),
@@ -83,14 +81,5 @@ fn validate_shape(shape: &ShapePoints, path: &str) -> Check {
         (None, Some(points)) if points.len() >= 2 => Ok(()),
         (None, Some(_)) => invalid(format!("{path}.points"), "a shape has two points or more"),
         _ => invalid(path, "give `file`, or `points`"),
-    }
-}
-
-/// An arc length must lie on the rod.
-pub(super) fn on_rod(path: &str, s: f64, length: f64) -> Check {
-    if s >= 0.0 && s <= length * (1.0 + 1e-9) {
-        Ok(())
-    } else {
-        invalid(path, format!("arc length {s} m is off the rod (0 to {length} m)"))
     }
 }

@@ -131,6 +131,9 @@ fn filled<const N: usize>(
     Ok(rows)
 }
 
+/// Larger numbers overflow when they are squared and summed.
+const LARGEST: f64 = 1e50;
+
 /// A CSV file being read row by row.
 struct Table<'a> {
     file: &'a str,
@@ -223,7 +226,10 @@ impl<'a> Table<'a> {
         let point = if self.decimal_comma { cell.replacen(',', ".", 1) } else { cell.to_string() };
         let factor = self.column(name).map_or(1.0, |i| self.factors[i]);
         match point.parse::<f64>().map(|value| value * factor) {
-            Ok(value) if value.is_finite() => Ok(Some(value)),
+            Ok(value) if value.abs() <= LARGEST => Ok(Some(value)),
+            Ok(value) if value.is_finite() => {
+                Err(self.bad(self.line, format!("`{name}` = {value:e} is larger than {LARGEST:e}")))
+            }
             Ok(value) => Err(self.bad(
                 self.line,
                 format!("`{name}` is {value}: leave the cell empty where nothing was observed"),

@@ -46,7 +46,10 @@ impl<'a> Files<'a> {
         self.texts.borrow_mut().insert(label.clone(), Rc::clone(&text));
         let step = |sum: u64, byte: u8| (sum ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
         let checksum = text.bytes().fold(0xcbf2_9ce4_8422_2325, step);
-        self.read.borrow_mut().push(InputFile { key: key.to_string(), path: label.clone(), checksum });
+        let mut read = self.read.borrow_mut();
+        if !read.iter().any(|file| file.key == key) {
+            read.push(InputFile { key: key.to_string(), path: label.clone(), checksum });
+        }
         Ok((label, text))
     }
 

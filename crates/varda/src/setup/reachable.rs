@@ -211,7 +211,6 @@ fn axes_of_others() -> Vec<(Matrix3<f64>, String)> {
 /// twice as far as it does at rest.
 fn weight_strain(parts: &RodParts) -> f64 {
     let (rod, loads) = (&parts.rod, &parts.loads);
-    let forces: f64 = loads.point_forces.iter().map(|(_, force)| force.at(0.0).norm()).sum();
     let softest = rod.ea.iter().copied().fold(f64::INFINITY, f64::min);
-    2.0 * (rod.masses.iter().sum::<f64>() * loads.gravity.norm() + forces) / softest
+    2.0 * (rod.masses.iter().sum::<f64>() * loads.gravity.norm() + parts.pull) / softest
 }

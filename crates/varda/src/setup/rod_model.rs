@@ -1,17 +1,15 @@
 //! From `[model] kind = "rod"` to the rod of varda-rod.
 
-use std::sync::Arc;
-
 use varda_implicit::Scheme;
 use varda_rod::{
-    Clamp, ClampAt, Damping, Loads, Material, Motion, Rest, Rod, RodStep, Search, Section, Supports, Vector3,
-    rest,
+    Clamp, ClampAt, Damping, Loads, Material, Rest, Rod, RodStep, Search, Section, Supports, Vector3, rest,
 };
 
 use crate::Error;
 use crate::scene::{self, RodModel, SceneFile, Shear};
 use crate::setup::csv;
 use crate::setup::files::Files;
+use crate::setup::loads::loads;
 use crate::setup::motion::{Held, Motions, Moving};
 
 /// A rod with what holds it and what pulls at it.
@@ -23,6 +21,8 @@ pub struct RodParts {
     pub supports: Supports,
     /// What pulls at it.
     pub loads: Loads,
+    /// Sum of the largest sizes of its forces, without its weight \[N\].
+    pub pull: f64,
     /// What damps it.
     pub damping: Damping,
     /// How it is integrated.
@@ -79,15 +79,12 @@ impl RodParts {
             let moving = motions.read(&format!("model.prescribed.{i}"), held, p.motion.as_ref())?;
             supports.prescribed.push((p.vertex, moving.place));
         }
-        let point_forces =
-            model.point_forces.iter().map(|f| (f.arc_length, Arc::new(f.force) as Arc<dyn Motion>));
-        let loads =
-            Loads { gravity: model.gravity.into(), point_forces: point_forces.collect(), ..Loads::default() };
+        let (loads, pull) = loads(file, &mut motions, model, &rod)?;
         let damping = Damping { stiffness: model.damping.stiffness, mass: model.damping.mass };
         let scheme = file.checked(file.scene.time.integrator.of_rod())?;
         let mut remarks = motions.remarks;
         remarks.extend(edge_clamps(model, &rod));
-        let parts = RodParts { rod, supports, loads, damping, scheme, search, remarks, first: None };
+        let parts = RodParts { rod, supports, loads, pull, damping, scheme, search, remarks, first: None };
         parts.dynamics().map_err(refuse("model"))?;
         Ok(parts)
     }

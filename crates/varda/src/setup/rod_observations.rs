@@ -5,6 +5,7 @@ use std::rc::Rc;
 
 use varda_rod::{Marker, Markers, Matrix3, Vector3};
 
+use super::continuity::{self, Fastest};
 use super::csv::{self, Subject};
 use super::files::Files;
 use super::observations::{Draws, MakeOperator, Observed, ObservedSpace, Seen, Site};
@@ -137,22 +138,63 @@ pub(crate) fn recorded(
     let axes = Matrix3::from(rotation);
     let reach = sites.iter().map(Placed::reach).collect();
     let held = Held::new(&rod.parts, axes, shift, reach);
-    let unreachable = held.unreachable(&sightings);
-    if let Some(first) = unreachable.first() {
-        let labels: Vec<&str> = sites.iter().map(|s| s.label.as_str()).collect();
-        let reason = held.explain(&sightings, &unreachable, &labels);
-        if recording.unreachable == UnreachableRows::Error {
-            let remedy = "observations.unreachable = \"skip\" leaves such rows out";
-            return Err(bad(sightings[first.row].line, format!("{reason} ({remedy})")));
-        }
-        let lines: Vec<String> = unreachable.iter().map(|u| sightings[u.row].line.to_string()).collect();
-        left.unreachable =
-            Some(format!("rows beyond the rod's reach, in lines {}: {reason}", lines.join(", ")));
-        let gone: HashSet<usize> = unreachable.iter().map(|u| u.row).collect();
-        let mut row = 0..;
-        seen.retain(|_| row.next().is_some_and(|row| !gone.contains(&row)));
+    let labels: Vec<&str> = sites.iter().map(|s| s.label.as_str()).collect();
+    let mut impossible = Impossible { recording, bad: &bad, left: &mut left, seen, sightings };
+
+    let exchanged = {
+        let arc_lengths: Vec<f64> = sites.iter().map(|s| s.marker.s).collect();
+        continuity::exchanges(&impossible.sightings, &arc_lengths)
+    };
+    if !exchanged.is_empty() {
+        let reason = continuity::explain_exchanges(&impossible.sightings, &exchanged, &labels);
+        let rows = exchanged.iter().flat_map(|e| e.rows.iter().copied()).collect();
+        impossible.leave_out("rows of exchanged labels", rows, &reason)?;
     }
+    let unreachable = held.unreachable(&impossible.sightings);
+    if !unreachable.is_empty() {
+        let reason = held.explain(&impossible.sightings, &unreachable, &labels);
+        let rows = unreachable.iter().map(|u| u.row).collect();
+        impossible.leave_out("rows beyond the rod's reach", rows, &reason)?;
+    }
+    let fastest = Fastest::of(&rod.parts, recording.max_speed, [grid.start, grid.time(grid.last_step())]);
+    let jumps = continuity::jumps(&impossible.sightings, fastest);
+    if !jumps.is_empty() {
+        let reason = continuity::explain_jumps(&impossible.sightings, &jumps, fastest, &labels);
+        impossible.leave_out("rows that jump", jumps.iter().map(|j| j.row).collect(), &reason)?;
+    }
+    let Impossible { seen, .. } = impossible;
     Ok(observed(rod, sites, rotation, seen, None, left.into_texts()))
+}
+
+/// Rows of a recording while those that cannot be true are looked for.
+struct Impossible<'a> {
+    recording: &'a Recording,
+    bad: &'a dyn Fn(usize, String) -> Error,
+    left: &'a mut LeftOut,
+    seen: Vec<Seen>,
+    sightings: Vec<Sighting>,
+}
+
+impl Impossible<'_> {
+    /// Leaves rows out, where the scene wants that.
+    ///
+    /// # Errors
+    /// The reason with the line of the first of them, where it does not.
+    fn leave_out(&mut self, what: &str, rows: HashSet<usize>, reason: &str) -> Result<(), Error> {
+        let mut lines: Vec<usize> = rows.iter().map(|row| self.sightings[*row].line).collect();
+        lines.sort_unstable();
+        if self.recording.unreachable == UnreachableRows::Error {
+            let remedy = "observations.unreachable = \"skip\" leaves such rows out";
+            return Err((self.bad)(lines[0], format!("{reason} ({remedy})")));
+        }
+        let listed: Vec<String> = lines.iter().map(usize::to_string).collect();
+        self.left.impossible.push(format!("{what}, in lines {}: {reason}", listed.join(", ")));
+        let mut row = 0..;
+        self.seen.retain(|_| row.next().is_some_and(|row| !rows.contains(&row)));
+        let mut row = 0..;
+        self.sightings.retain(|_| row.next().is_some_and(|row| !rows.contains(&row)));
+        Ok(())
+    }
 }
 
 /// What of a recording is not used.
@@ -163,7 +205,7 @@ struct LeftOut {
     before: usize,
     after: usize,
     repeated: usize,
-    unreachable: Option<String>,
+    impossible: Vec<String>,
 }
 
 impl LeftOut {
@@ -179,7 +221,7 @@ impl LeftOut {
             ),
         ];
         let texts = counted.into_iter().filter(|(count, _)| *count > 0);
-        texts.map(|(count, what)| format!("{count} {what}")).chain(self.unreachable).collect()
+        texts.map(|(count, what)| format!("{count} {what}")).chain(self.impossible).collect()
     }
 }
 

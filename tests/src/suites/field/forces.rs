@@ -6,8 +6,8 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 use varda_implicit::Scheme;
 use varda_rod::{
-    Clamp, ClampAt, Damping, Loads, Rest, Rod, RodStep, Search, Section, Supports, Vector3, internal_forces,
-    modes, rest, straight_guess,
+    Clamp, ClampAt, Damping, Drag, Loads, Rest, Rod, RodStep, Search, Section, Supports, Vector3,
+    internal_forces, modes, rest, straight_guess,
 };
 
 const GRAVITY: f64 = 9.81;
@@ -19,6 +19,7 @@ pub(super) fn run(options: &Options, rows: &mut Rows) {
     for damping in [0.0, 0.02] {
         rows.case(&format!("swung, strain-rate time {damping} s"), |case| swung(case, damping));
     }
+    rows.case("towed through water", towed);
     rows.area("modes");
     let meshes: &[usize] = if options.quick { &[20, 40] } else { &[20, 40, 80, 160] };
     rows.case("hanging chain", |case| order(case, meshes, hanging_chain));
@@ -123,6 +124,35 @@ fn swung(case: &mut Case, damping: f64) -> Outcome {
         "the balance of momentum of a step, to which Newton's method is solved, is 1e-11 of the length",
     );
     case.at_most("reaction against the rate of momentum", worst / largest, 1e-6, "-");
+    Ok(())
+}
+
+/// A clamp that tows a stiff rod across itself at constant speed pulls with ½ρ d C_n U² L along the way.
+fn towed(case: &mut Case) -> Outcome {
+    let section = Section { ei1: 1e3, ei2: 1e3, gj: 1e3, ea: 1e6, ..section() };
+    let rod = Rod::uniform(1.0, 20, &section)?;
+    let clamp = Clamp::new(ClampAt::Edge, |t: f64| [0.5 * t, 0.0, 0.0], -Vector3::z(), Vector3::x());
+    let supports = Supports::clamped_start(clamp);
+    let loads = Loads { of_motion: vec![Arc::new(Drag::of(1000.0, 0.01))], ..Loads::default() };
+    let guess = straight_guess(&rod, &supports, 0.0, Vector3::x())?;
+    let make = || RodStep::new(rod.clone(), supports.clone(), loads.clone(), Damping::default());
+    let (mut step, h) = (make()?, 0.05);
+    let mut control = step.control_at_rest(&guess);
+    let speeds = control.len() / 2;
+    control[speeds..].chunks_exact_mut(3).for_each(|v| v[0] = 0.5);
+    let mut model = make()?.model(0, h);
+    let (mut x, mut next) = (vec![0.0; model.dim()], vec![0.0; model.dim()]);
+    model.initial_state(&control, &mut x)?;
+    for k in 0..200 {
+        model.step(k, &x, &mut next)?;
+        std::mem::swap(&mut x, &mut next);
+    }
+    let forces = step.internal_forces(200.0 * h, &x, (199.0 * h, &next))?;
+    let expected = 0.5 * 1000.0 * 0.01 * 1.2 * 0.25;
+    case.reason("the rod is bent by 2e-4 of its length, and 10 s of backward Euler have brought it to rest");
+    case.at_most("pull of the clamp, off", (forces.reactions[0].force.x / expected - 1.0).abs(), 1e-5, "-");
+    let moment = forces.reactions[0].moment.y.abs() / (0.5 * expected) - 1.0;
+    case.at_most("moment at the clamp, off", moment.abs(), 1e-3, "-");
     Ok(())
 }
 

@@ -1,8 +1,13 @@
 //! What people bring: rods held anywhere, recorded supports, files as they come.
 
+mod bases;
 mod common;
 mod faces;
+mod files;
+mod folder;
 mod forces;
+mod free_turn;
+mod gripped;
 mod references;
 mod rest;
 mod two_ended;
@@ -14,7 +19,11 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     let mut rows = Rows::new("field").of(options);
     rest::run(options, &mut rows);
     two_ended::run(&mut rows);
+    bases::run(options, &mut rows);
+    files::run(options, &mut rows);
+    gripped::run(options, &mut rows);
     faces::run(&mut rows, options.quick);
     forces::run(options, &mut rows);
+    free_turn::run(options, &mut rows);
     rows.finish()
 }

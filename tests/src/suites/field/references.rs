@@ -83,8 +83,8 @@ pub(super) fn elastica_height(length: f64, share: f64) -> f64 {
     m.sqrt() * length / elliptic(m).0
 }
 
-/// The elastica at arc lengths: along its chord and beside it, and its thrust. θ'' = −k² sin θ with k = 4K/L
-/// from θ = 0 between clamps, k = 2K/L from the largest θ between pins.
+/// The elastica at arc lengths: along its chord and beside it, and its thrust. θ'' = −k² sin θ with
+/// k = 4K/L from θ = 0 between clamps, k = 2K/L from the largest θ between pins.
 pub(super) fn elastica(length: f64, share: f64, ei: f64, clamped: bool, arc: &[f64]) -> (Vec<[f64; 2]>, f64) {
     let m = elastica_parameter(share);
     let rate = if clamped { 4.0 } else { 2.0 } * elliptic(m).0 / length;

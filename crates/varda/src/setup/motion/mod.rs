@@ -117,6 +117,31 @@ impl<'a> Motions<'a> {
         })
     }
 
+    /// Model times and rows of a load that `{path}.file` names.
+    pub(super) fn rows<const N: usize>(
+        &mut self,
+        path: &str,
+        file: &str,
+        time_zero: f64,
+        columns: [&str; N],
+    ) -> Result<(Vec<f64>, Vec<[f64; N]>), Error> {
+        let key = format!("{path}.file");
+        let (label, text) = self.files.text(&key, file)?;
+        let clock = format!("{path}.time_zero");
+        let source = self.source(&key, &label, (&clock, time_zero));
+        let rows = csv::recorded(&label, &text, columns)?;
+        let written: Vec<_> = rows.iter().map(|(line, row)| (*line, row[0])).collect();
+        let times = source.checked(&written, &mut self.remarks)?;
+        Ok((times, rows.into_iter().map(|(_, row)| row).collect()))
+    }
+
+    /// Whether the file that a key names has a column.
+    pub(super) fn has_column(&self, key: &str, file: &str, column: &str) -> Result<bool, Error> {
+        let (_, text) = self.files.text(key, file)?;
+        let header = text.lines().find(|line| !line.is_empty() && !line.starts_with('#'));
+        Ok(header.is_some_and(|header| header.split([',', ';', '\t']).any(|name| name.trim() == column)))
+    }
+
     fn table(
         &mut self,
         path: &str,
