@@ -110,7 +110,7 @@ pub use control::ControlTransform;
 pub use correlated::Correlated;
 pub use cost::{
     CostFunction, CostTerms, Counts, Dual, EnVar, EnVarOptions, EnsembleUpdate, Forcing, InnerCost,
-    LeastSquares, Rejection, StrongConstraint, WeakForcing, WeakState, huber,
+    LeastSquares, Rejection, StrongConstraint, WeakForcing, WeakState, highest_j_of_a_fit, huber,
 };
 pub use cycle::{
     Cycle, CycleErrors, CycleState, CycledCovariance, CycledEnsemble, CycledUpdate, Cycling, Normals, cycle,
@@ -119,9 +119,9 @@ pub use error::Error;
 pub use growth::{Assimilate, window_growth};
 pub use inner::{InnerEnd, InnerLimits, conjugate_gradients, restricted_conjugate_gradients};
 pub use minimize::{
-    AdamOptions, AutoOptions, InverseHessian, Iteration, LbfgsOptions, Minimizer, Minimum, NewtonCgOptions,
-    NewtonOptions, RawVariables, RitzPair, Status, Stopping, TrustRegionOptions, adam, auto, continuation,
-    lbfgs, newton, newton_cg, trust_region,
+    AdamOptions, Attempt, AttemptFrom, AutoOptions, InverseHessian, Iteration, LbfgsOptions, Minimizer,
+    Minimum, NewtonCgOptions, NewtonOptions, RawVariables, RitzPair, Status, Stopping, TrustRegionOptions,
+    adam, auto, continuation, lbfgs, newton, newton_cg, trust_region,
 };
 #[cfg(feature = "argmin")]
 pub use minimize::{ArgminLbfgsOptions, ArgminTrustRegionOptions, argmin_lbfgs, argmin_trust_region};

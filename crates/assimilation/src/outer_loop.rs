@@ -162,7 +162,7 @@ pub fn outer_loop(
     let value = problem.linearize(v, &mut g)?;
     let mut progress = Progress::at(problem, value, &g, &Start::default())?;
     loop {
-        let flow = progress.tell(problem, v, on_iteration);
+        let flow = progress.tell(problem, v, &options.stopping, on_iteration);
         problem.departures(&mut b, &mut d);
         if let Some(status) = progress.ended(&b, &g, &options.stopping, flow) {
             return Ok(progress.end(status, None, Vec::new()));

@@ -140,7 +140,7 @@ fn statics_of_rods_without_a_director() {
         let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
         let found = rest(step.rod(), &rod.supports(0.0), &loads, 0.0, &Search::default());
         let found = found.unwrap_or_else(|e| panic!("{}: {e}", rod.name));
-        let start = rod.step(Scheme::BackwardEuler, 0.0).starting_from(&found.rest);
+        let start = rod.step(Scheme::BackwardEuler, 0.0).starting_from(&found.rest, 0.0);
         let z = start.control_at_rest(&found.rest);
         run(rod.name, &mut ImplicitModel::new(start, 0, 0.005), &z, 20);
     }

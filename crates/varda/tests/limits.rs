@@ -1,4 +1,5 @@
-//! `[limits] memory`: the same analysis for less memory, and the run says what it did.
+//! `[limits]`: the same analysis for less memory, a run that ends in time, and iterations counted over all
+//! that it does; the run says what it did.
 
 use std::time::Instant;
 
@@ -153,4 +154,52 @@ fn divided_steps_are_part_of_the_plan() {
     // 100 steps of one part each are in the figure.
     let part = divided.bytes_per_part.unwrap();
     assert!(part > 0 && divided.bytes > 100 * part, "{part} of {}", divided.bytes);
+}
+
+/// A run without end, and a sequence of windows, end at the time the scene allows with what is best.
+#[test]
+fn a_run_ends_when_its_seconds_are_over() {
+    let sets = [
+        "algorithm.minimizer=adam",
+        "algorithm.gradient_tolerance=1e-30",
+        "algorithm.max_iterations=1000000",
+        "limits.seconds=0.3",
+    ]
+    .map(String::from);
+    let began = Instant::now();
+    let problem = Problem::from_scene(&SceneFile::open("hanging-rod-case4", &sets).unwrap()).unwrap();
+    let mut listener = Listener::silent();
+    let outcome = assimilate(&problem, &mut listener).unwrap();
+    assert_eq!(outcome.status, varda::outcome::Status::Interrupted);
+    assert!(outcome.late && began.elapsed().as_secs_f64() < 20.0);
+    assert!(outcome.warnings.iter().any(|w| w.contains("limits.seconds")), "{:?}", outcome.warnings);
+    let lowest = outcome.convergence.iter().map(|row| row.j).fold(f64::INFINITY, f64::min);
+    assert!(outcome.analysis.value <= lowest && outcome.analysis.value < outcome.j_background);
+
+    let folder = std::env::temp_dir().join(format!("varda-seconds-{}", std::process::id()));
+    varda::report::write(&outcome, &folder).unwrap();
+    let summary = std::fs::read_to_string(folder.join("summary.json")).unwrap();
+    assert!(summary.contains("\"status\": \"interrupted\"") && summary.contains("limits.seconds"));
+    std::fs::remove_dir_all(&folder).unwrap();
+    assert!(SceneFile::open("lorenz96", &["limits.seconds=0".to_string()]).is_err());
+}
+
+/// Sub-windows, σ stages and further starts share `max_iterations`.
+#[test]
+fn iterations_are_counted_over_all_that_a_run_does() {
+    for (scene, set) in [
+        ("lorenz63-window", "algorithm.minimizer=auto"),
+        ("lorenz63-window", "algorithm.minimizer=trust-region"),
+        ("lorenz63", "algorithm.sigma_stages=[10, 3, 1]"),
+        ("hanging-rod-case4", "algorithm.minimizer=auto"),
+    ] {
+        for most in [1, 5] {
+            let sets = [set.to_string(), format!("algorithm.max_iterations={most}")];
+            let problem = Problem::from_scene(&SceneFile::open(scene, &sets).unwrap()).unwrap();
+            let outcome = assimilate(&problem, &mut Listener::silent()).unwrap();
+            assert!(outcome.iterations[0] <= most, "{scene}, {set}: {:?}", outcome.iterations);
+            assert_eq!(outcome.status, varda::outcome::Status::MaxIterations, "{scene}, {set}");
+            assert_eq!(outcome.convergence.last().unwrap().iteration, outcome.iterations[0]);
+        }
+    }
 }

@@ -68,9 +68,12 @@ fn ctrl_c_and_sigterm_leave_a_valid_partial_result() {
     // One window: the last accepted point is the result.
     for name in ["-INT", "-TERM"] {
         let folder = Folder::new(&format!("window{name}"));
-        // Some seconds of iterations.
-        let long =
-            ["model.segments=100", "algorithm.gradient_tolerance=1e-30", "algorithm.max_iterations=1000000"];
+        // Many minutes of iterations.
+        let long = [
+            "algorithm.minimizer=adam",
+            "algorithm.gradient_tolerance=1e-30",
+            "algorithm.max_iterations=1000000",
+        ];
         let child = folder.command("hanging-rod-case4", &long).spawn().unwrap();
         std::thread::sleep(Duration::from_secs(1));
         signal(&child, name);

@@ -23,7 +23,7 @@ the plain prior.
 Newton: dense Hessian (2.18), full steps, at most 50; converged means |g| ≤ 1e-6 |g₀|. Default: that of \
 scenes, a trust region on
 the true J; where J_o > 10 m at the background or it did not converge, also through inflated σ and from \
-draws, until two runs agree. RMSE over components, mean over seeds, background → analysis.
+draws, while further starts pay. RMSE over components, mean over seeds, background → analysis.
 ";
 
 /// Seeds of a full run.

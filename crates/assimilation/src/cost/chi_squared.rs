@@ -1,10 +1,24 @@
-//! Tails of the χ² distribution.
+//! The χ² distribution: tails, and how large J may be at a fit.
 
 use libm::{erfc, lgamma};
 use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Beyond this many standard deviations a tail is not told from 0 in double precision.
 const FARTHEST: f64 = 25.0;
+
+/// J below which an analysis explains m observed values: at the minimum of a linear problem whose B and R are
+/// right, 2J is χ² with m degrees of freedom, and this is its mean with three of its standard
+/// deviations, 2J/m = 1 + 3 √(2/m).
+///
+/// ```
+/// use varda_assimilation::highest_j_of_a_fit;
+///
+/// assert_eq!(2.0 * highest_j_of_a_fit(72) / 72.0, 1.5);
+/// ```
+pub fn highest_j_of_a_fit(m: usize) -> f64 {
+    let m = m as f64;
+    0.5 * m + 1.5 * (2.0 * m).sqrt()
+}
 
 /// The length √(dᵀ S⁻¹ d) that r jointly normal values exceed as seldom as one value exceeds `limit`
 /// standard deviations: the root of P(χ²_r > x²) = P(|z| > limit). Beyond 25 σ it grows in proportion.

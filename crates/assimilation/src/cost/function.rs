@@ -36,6 +36,13 @@ pub trait CostFunction {
 
     /// Work done since the cost was made.
     fn counts(&self) -> Counts;
+
+    /// Whether v is in units of the prior, so that the Hessian of J is at least I (its second derivatives of
+    /// the model aside): what minimizers with a Hessian ask for, and the floor of a gradient
+    /// ([`Stopping`](crate::Stopping)).
+    fn is_whitened(&self) -> bool {
+        true
+    }
 }
 
 /// The parts of J = J_b + J_o + J_q.

@@ -19,7 +19,7 @@ use varda_linalg::dense::{Cholesky, View, product};
 ///
 /// p is whitened: its norm is that of the prior. For a cost in the control variable p is an increment of v;
 /// for a cost over states ([`WeakState`](super::WeakState)) the increment of v is `increment(p)`, and
-/// [`is_whitened`](Self::is_whitened) says so.
+/// [`is_whitened`](CostFunction::is_whitened) says so.
 ///
 /// # Examples
 /// A cost of one's own needs the products and departures; A and everything built on it is provided:
@@ -147,12 +147,6 @@ pub trait LeastSquares: CostFunction {
         let n = self.dim();
         assert_eq!(out.len(), n * n, "length of the Hessian");
         columns(n, out, &mut |unit, column| self.hessian_apply(unit, column))
-    }
-
-    /// Whether p is an increment of v itself and the gradient of `evaluate` that of q: what minimizers with a
-    /// Hessian ask for.
-    fn is_whitened(&self) -> bool {
-        true
     }
 
     /// dv, the increment of v that belongs to p.

@@ -18,6 +18,7 @@ mod weak_state;
 mod whitening;
 
 pub use background_check::Rejection;
+pub use chi_squared::highest_j_of_a_fit;
 pub use dual::Dual;
 pub(crate) use ensemble::run_all;
 pub use ensemble::{EnVar, EnVarOptions, EnsembleUpdate};

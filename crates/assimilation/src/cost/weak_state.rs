@@ -224,6 +224,11 @@ impl CostFunction for WeakState<'_> {
     fn counts(&self) -> Counts {
         self.window.counts()
     }
+
+    /// v is made of states.
+    fn is_whitened(&self) -> bool {
+        false
+    }
 }
 
 impl LeastSquares for WeakState<'_> {
@@ -257,11 +262,6 @@ impl LeastSquares for WeakState<'_> {
 
     fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
         self.window.hessian(out)
-    }
-
-    /// v is made of states.
-    fn is_whitened(&self) -> bool {
-        false
     }
 
     /// δx = L⁻¹ D^{1/2} p: one tangent sweep without observations.

@@ -2,9 +2,10 @@
 
 use super::continuation::{Stage, WAY, stages};
 use super::method::method;
-use super::minimum::{Iteration, Minimum, Start};
-use super::stopping::{Status, setters};
+use super::minimum::{Attempt, AttemptFrom, Iteration, Minimum, Start};
+use super::stopping::{Status, Stopping, at_least_one, setters};
 use super::trust_region::{self, TrustRegionOptions};
+use crate::cost::highest_j_of_a_fit;
 use crate::{Error, LeastSquares};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
@@ -23,8 +24,11 @@ pub struct AutoOptions {
     pub continuation: Vec<Vec<f64>>,
     /// Runs from draws of the prior at most, after them: every other one down the first ladder.
     pub prior_samples: usize,
-    /// Where the first run took more outer iterations than this, all runs are made, whether or not two agree.
-    pub restart_threshold: usize,
+    /// Outer iterations of one run at most (a start down a ladder is several); all runs together take no more
+    /// than those of `trust_region.stopping`.
+    pub run_iterations: usize,
+    /// Further starts end after this many in turn that lowered J by less than 10⁻³ of it.
+    pub patience: usize,
     /// Seed of the draws.
     pub seed: u64,
 }
@@ -32,11 +36,16 @@ pub struct AutoOptions {
 impl Default for AutoOptions {
     fn default() -> Self {
         Self {
-            trust_region: TrustRegionOptions { jump_retries: 60, ..TrustRegionOptions::default() },
+            trust_region: TrustRegionOptions {
+                stopping: Stopping::within(400),
+                jump_retries: 60,
+                ..TrustRegionOptions::default()
+            },
             threshold: 10.0,
             continuation: vec![vec![10.0, 3.0, 1.0], vec![16.0, 8.0, 4.0, 2.0, 1.0]],
             prior_samples: 6,
-            restart_threshold: 40,
+            run_iterations: 200,
+            patience: 3,
             seed: 0,
         }
     }
@@ -47,22 +56,26 @@ setters!(AutoOptions, trust_region.stopping, {
     with_threshold: threshold: f64,
     with_continuation: continuation: Vec<Vec<f64>>,
     with_prior_samples: prior_samples: usize,
-    with_restart_threshold: restart_threshold: usize,
+    with_run_iterations: run_iterations: usize,
+    with_patience: patience: usize,
     with_seed: seed: u64,
 });
 
 /// [`trust_region`](crate::trust_region) from the point given, and where that is not to be trusted further
-/// runs until two have come to the same lowest end.
+/// starts, as long as they pay.
 ///
-/// One run is trusted where it converged and J_o ≤ 10 m at the first point (m observations). Else the same
-/// point is taken down two ladders of inflated errors ([`continuation`](crate::continuation) through σ ×
-/// 10, 3, 1 and σ × 16, 8, 4, 2, 1), then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down
-/// the first ladder and straight, at most six. It stops as soon as two runs have converged to the lowest J
-/// seen (to 10⁻⁶ of it), unless the first took more than 40 outer iterations: then all are made. All look
-/// beside steps that a jump of J refuses ([`TrustRegionOptions::jump_retries`]). The lowest end is returned;
-/// an end where the minimizer stalled (the edge of a jump of J) only where it is lower than every converged
-/// one by 10⁻³ of J. The tolerance of every run refers to the gradient at the first point. Rows of all
-/// runs are reported, each counting on from the one before.
+/// One run is trusted where it converged and J_o ≤ 10 m at the first point (m observations), and wherever
+/// it ended, converged or not, within the band of a fit, 2J/m ≤ 1 + 3 √(2/m)
+/// ([`highest_j_of_a_fit`](crate::highest_j_of_a_fit)). Else the same point is taken down two ladders of
+/// inflated errors ([`continuation`](crate::continuation) through σ × 10, 3, 1 and σ × 16, 8, 4, 2, 1),
+/// then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down the first ladder and straight, at
+/// most six. No further start is made once the lowest end is within the band, or two runs have come to the
+/// same lowest J (to 10⁻⁶ of it, converged or stalled), or three in turn have lowered it by less than
+/// 10⁻³, or the iterations are used up. [`Minimum::attempts`] lists what each start came to and what it
+/// gained. All look beside steps that a jump of J refuses ([`TrustRegionOptions::jump_retries`]). The
+/// lowest end is returned; an end where the minimizer stalled (the edge of a jump of J) only where it is
+/// lower than every converged one by 10⁻³ of J. The tolerance of every run refers to the gradient at the
+/// first point. Rows of all runs are reported, each counting on from the one before.
 ///
 /// When to use: where the observations are much more precise than the background and the model is nonlinear,
 /// so that J may have several minima. When not: where one is known to exist, or where time matters more than
@@ -123,57 +136,78 @@ fn run(
     if !(options.threshold >= 0.0) {
         return Err(Error::Setting { what: "threshold", value: options.threshold });
     }
+    at_least_one("run_iterations", options.run_iterations)?;
     let last = &options.trust_region;
-    let early = last.clone().with_stopping(last.stopping.loosened(WAY));
     let mut minimize = |cost: &mut dyn LeastSquares,
                         v: &mut [f64],
                         stage: Stage,
                         start: &Start,
                         on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>| {
-        let options = if stage == Stage::Early { &early } else { last };
-        trust_region::run(cost, v, options, start, on_iteration)
+        let most = last.stopping.max_iterations.min(start.index + options.run_iterations);
+        let stopping = Stopping { max_iterations: most, ..last.stopping };
+        let stopping = if stage == Stage::Early { stopping.loosened(WAY) } else { stopping };
+        trust_region::run(cost, v, &last.clone().with_stopping(stopping), start, on_iteration)
     };
     let first = v.to_vec();
     cost.evaluate(v, None)?;
-    let hard = cost.terms().observation > options.threshold * cost.observation_dim() as f64;
-    let mut best = minimize(cost, v, Stage::Last, start, on_iteration)?;
-    let mut ends = vec![(best.value, best.status)];
-    let mut from = Start {
-        gradient_norm: Some(best.gradient_norm_first),
-        index: best.outer_iterations,
-        inner: best.inner_iterations,
-        ..*start
-    };
-    let rough = best.outer_iterations - start.index > options.restart_threshold;
+    let m = cost.observation_dim();
+    let hard = cost.terms().observation > options.threshold * m as f64;
+    let attempts = 1 + options.continuation.len() + options.prior_samples;
+    let mut from = Start { attempt: [1, attempts], ..*start };
+    let mut best = minimize(cost, v, Stage::Last, &from, on_iteration)?;
+    let mut ends = vec![Attempt {
+        from: AttemptFrom::Given,
+        scales: vec![1.0],
+        value: best.value,
+        status: best.status,
+        iterations: best.outer_iterations - from.index,
+        gain: 0.0,
+    }];
+    from.gradient_norm = Some(best.gradient_norm_first);
+    (from.index, from.inner) = (best.outer_iterations, best.inner_iterations);
     let mut interrupted = best.status == Status::Interrupted;
-    if !hard && best.status == Status::Converged {
-        return Ok(best);
-    }
+    let trusted = !hard && best.status == Status::Converged;
 
     let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
     let mut other = first.clone();
     let straight = vec![1.0];
-    for attempt in 0..options.continuation.len() + options.prior_samples {
-        if interrupted || (!rough && found_twice(&best, &ends)) {
+    for attempt in 2..=attempts {
+        let used_up = from.index >= last.stopping.max_iterations;
+        if trusted
+            || interrupted
+            || used_up
+            || best.value <= highest_j_of_a_fit(m)
+            || !pays(&best, &ends, options.patience)
+        {
             break;
         }
-        let scales = match attempt.checked_sub(options.continuation.len()) {
+        let (place, scales) = match (attempt - 2).checked_sub(options.continuation.len()) {
             None => {
                 other.copy_from_slice(&first);
-                &options.continuation[attempt]
+                (AttemptFrom::Given, &options.continuation[attempt - 2])
             }
             Some(draw) => {
                 other.fill_with(|| StandardNormal.sample(&mut rng));
                 if cost.evaluate(&other, None).is_err() {
                     continue;
                 }
-                options.continuation.first().filter(|_| draw % 2 == 0).unwrap_or(&straight)
+                let ladder = options.continuation.first().filter(|_| draw % 2 == 0);
+                (AttemptFrom::Draw(draw + 1), ladder.unwrap_or(&straight))
             }
         };
+        from.attempt[0] = attempt;
         let end = stages(&mut minimize, cost, &mut other, scales, &from, on_iteration)?;
-        (from.index, from.inner) = (end.outer_iterations, end.inner_iterations);
         interrupted = end.status == Status::Interrupted;
-        ends.push((end.value, end.status));
+        let lowest = ends.iter().map(|e| e.value).fold(f64::INFINITY, f64::min);
+        ends.push(Attempt {
+            from: place,
+            scales: scales.clone(),
+            value: end.value,
+            status: end.status,
+            iterations: end.outer_iterations - from.index,
+            gain: (lowest - end.value).max(0.0),
+        });
+        (from.index, from.inner) = (end.outer_iterations, end.inner_iterations);
         if better(&end, &best) {
             v.copy_from_slice(&other);
             best = end;
@@ -183,8 +217,21 @@ fn run(
         best.status = Status::Interrupted;
     }
     (best.outer_iterations, best.inner_iterations) = (from.index, from.inner);
-    cost.evaluate(v, Some(&mut vec![0.0; v.len()]))?;
+    if ends.len() > 1 {
+        cost.evaluate(v, Some(&mut vec![0.0; v.len()]))?;
+    }
+    best.attempts = ends;
     Ok(best)
+}
+
+/// Whether one more start may pay: no two have come to the lowest J, and the last ones have not all been in
+/// vain.
+fn pays(best: &Minimum, ends: &[Attempt], patience: usize) -> bool {
+    let settled = |status| matches!(status, Status::Converged | Status::Stalled);
+    let same = |end: &&Attempt| settled(end.status) && end.value <= best.value * (1.0 + SAME);
+    let found_twice = settled(best.status) && ends.iter().filter(same).count() >= 2;
+    let in_vain = |end: &&Attempt| end.gain < SETTLED * best.value;
+    !found_twice && ends[1..].iter().rev().take_while(in_vain).count() < patience
 }
 
 /// Whether an end is to be preferred: lower, or the stationary one of two that are about as low.
@@ -195,14 +242,6 @@ fn better(end: &Minimum, best: &Minimum) -> bool {
         _ => 0.0,
     };
     end.value < best.value * (1.0 + margin)
-}
-
-/// Whether the best end is stationary and two runs have come to it.
-fn found_twice(best: &Minimum, ends: &[(f64, Status)]) -> bool {
-    let same = |(value, status): &&(f64, Status)| {
-        *status == Status::Converged && *value <= best.value * (1.0 + SAME)
-    };
-    best.status == Status::Converged && ends.iter().filter(same).count() >= 2
 }
 
 /// Two ends are one where they differ by no more than this share of J.

@@ -86,7 +86,7 @@ minimizers! {
     /// ```
     pub enum Minimizer {
         /// Trust region on the true J, and where the background is far from the observations also through
-        /// inflated errors and from draws of the prior, until two runs agree on the lowest end.
+        /// inflated errors and from draws of the prior, as long as further starts pay.
         Auto(AutoOptions) = "auto",
         /// Trust region on the true J: the default.
         TrustRegion(TrustRegionOptions) = "trust-region",

@@ -1,11 +1,9 @@
 //! The one line search: steps along a direction on which J decreases enough.
 
+use super::stopping::NOISE;
 use crate::Error;
 use crate::cost::{dot, norm};
 
-/// A decrease below this part of J cannot be seen in J (its trajectory is only as exact as the model's
-/// solver); steps are then judged by the gradient.
-pub(crate) const NOISE: f64 = 1e-11;
 /// Armijo: φ(α) ≤ φ(0) + 10⁻⁴ α φ'(0).
 const DECREASE: f64 = 1e-4;
 /// Wolfe: |φ'(α)| ≤ 0.9 |φ'(0)|.

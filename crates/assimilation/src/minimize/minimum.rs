@@ -29,6 +29,12 @@ pub struct Iteration<'a> {
     pub inner_iterations: usize,
     /// What σ is multiplied by at this stage (1 = the true cost).
     pub observation_scale: f64,
+    /// ‖∇J‖ at which this run has converged.
+    pub gradient_goal: f64,
+    /// Which start it belongs to, counted from 1.
+    pub attempt: usize,
+    /// Starts at most; 1 but for [`auto`](crate::auto()).
+    pub attempts: usize,
     /// Work done so far.
     pub counts: Counts,
     /// The point.
@@ -59,6 +65,8 @@ pub struct Minimum {
     pub ritz: Vec<RitzPair>,
     /// What [`lbfgs`](crate::lbfgs()) has learnt of the Hessian; `None` from the others.
     pub inverse_hessian: Option<InverseHessian>,
+    /// The starts of [`auto`](crate::auto()) in turn, the first included; empty from the others.
+    pub attempts: Vec<Attempt>,
 }
 
 impl Minimum {
@@ -75,10 +83,40 @@ impl Minimum {
             rejected: 0,
             inner_iterations: 0,
             observation_scale: 1.0,
+            gradient_goal: 0.0,
+            attempt: 1,
+            attempts: 1,
             counts,
             v,
         }
     }
+}
+
+/// One start of [`auto`](crate::auto()): from where, and what it came to.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Attempt {
+    /// Where it started.
+    pub from: AttemptFrom,
+    /// What σ was multiplied by in turn; 1 alone for a run of the true cost.
+    pub scales: Vec<f64>,
+    /// J at its end.
+    pub value: f64,
+    /// How it ended.
+    pub status: Status,
+    /// Its outer iterations, those of all its stages.
+    pub iterations: usize,
+    /// By how much it lowered the lowest J of the starts before it; 0 for the first.
+    pub gain: f64,
+}
+
+/// Where an [`Attempt`] started.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AttemptFrom {
+    /// The point given: the background, as a rule.
+    Given,
+    /// A draw of the prior, counted from 1.
+    Draw(usize),
 }
 
 /// Where a run starts in the table of a longer one.
@@ -89,18 +127,19 @@ pub(crate) struct Start {
     /// The first ‖∇J‖ where it is not that of the point given.
     pub(super) gradient_norm: Option<f64>,
     pub(super) scale: f64,
+    /// Which start of how many at most.
+    pub(super) attempt: [usize; 2],
 }
 
 impl Default for Start {
     fn default() -> Self {
-        Self { index: 0, inner: 0, gradient_norm: None, scale: 1.0 }
+        Self { index: 0, inner: 0, gradient_norm: None, scale: 1.0, attempt: [1, 1] }
     }
 }
 
 /// What a run has come to: the point's numbers and the step that led there.
 pub(crate) struct Progress {
-    /// The index of the first point.
-    from: usize,
+    attempt: [usize; 2],
     pub(crate) index: usize,
     pub(crate) inner_total: usize,
     pub(crate) scale: f64,
@@ -138,7 +177,7 @@ impl Progress {
             return Err(Error::NonFinite { what: "the norm of the gradient", step: 0 });
         }
         Ok(Self {
-            from: start.index,
+            attempt: start.attempt,
             index: start.index,
             inner_total: start.inner,
             scale: start.scale,
@@ -187,6 +226,7 @@ impl Progress {
         &self,
         cost: &dyn CostFunction,
         v: &[f64],
+        stopping: &Stopping,
         on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
     ) -> ControlFlow<()> {
         on_iteration(&Iteration {
@@ -199,6 +239,9 @@ impl Progress {
             rejected: self.rejected,
             inner_iterations: self.inner,
             observation_scale: self.scale,
+            gradient_goal: stopping.gradient_goal(self.gradient_norm_first),
+            attempt: self.attempt[0],
+            attempts: self.attempt[1],
             counts: cost.counts(),
             v,
         })
@@ -212,7 +255,7 @@ impl Progress {
         stopping: &Stopping,
         flow: ControlFlow<()>,
     ) -> Option<Status> {
-        stopping.ended(b, gradient, self.gradient_norm_first, self.index - self.from, flow)
+        stopping.ended(b, gradient, self.gradient_norm_first, self.index, flow)
     }
 
     /// Reports the point, and says whether the run ends there: for costs whose departure is v.
@@ -224,7 +267,9 @@ impl Progress {
         stopping: &Stopping,
         on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
     ) -> Option<Status> {
-        self.ended(v, gradient, stopping, self.tell(cost, v, on_iteration))
+        // A floor of the gradient means something in units of the prior only.
+        let stopping = if cost.is_whitened() { *stopping } else { stopping.with_gradient_floor(0.0) };
+        self.ended(v, gradient, &stopping, self.tell(cost, v, &stopping, on_iteration))
     }
 
     pub(crate) fn end(self, status: Status, failure: Option<Error>, ritz: Vec<RitzPair>) -> Minimum {
@@ -239,6 +284,7 @@ impl Progress {
             failure,
             ritz,
             inverse_hessian: None,
+            attempts: Vec::new(),
         }
     }
 }

@@ -30,7 +30,7 @@ pub use choice::{Minimizer, continuation};
 pub use inverse_hessian::InverseHessian;
 pub use lbfgs::{LbfgsOptions, lbfgs};
 pub(crate) use line_search::{Conditions, LineSearch, Ray};
-pub use minimum::{Iteration, Minimum};
+pub use minimum::{Attempt, AttemptFrom, Iteration, Minimum};
 pub(crate) use minimum::{Progress, Start};
 pub use newton::{NewtonOptions, newton};
 pub use newton_cg::{NewtonCgOptions, newton_cg};

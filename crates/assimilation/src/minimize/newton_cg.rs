@@ -148,7 +148,11 @@ fn run(
         let Some(length) = found else {
             // The point of the last gradient is the one returned.
             cost.evaluate(v, Some(&mut g))?;
-            return Ok(progress.end(Status::Stalled, search.failure, ritz));
+            let (now, first) = (progress.gradient_norm, progress.gradient_norm_first);
+            let promised = -0.5 * dot(&g, &p);
+            let status = Status::without_step(promised, progress.value, now, first);
+            let failure = search.failure.filter(|_| status == Status::Stalled);
+            return Ok(progress.end(status, failure, ritz));
         };
         v.copy_from_slice(&search.trial);
         std::mem::swap(&mut g, &mut search.gradient);

@@ -82,4 +82,9 @@ impl CostFunction for RawVariables<'_> {
     fn counts(&self) -> Counts {
         self.cost.counts()
     }
+
+    /// z has the units of the model.
+    fn is_whitened(&self) -> bool {
+        false
+    }
 }

@@ -8,8 +8,14 @@ use std::ops::ControlFlow;
 ///
 /// ```text
 ///     converged:  ‖∇J‖ ≤ gradient_tolerance · ‖∇J‖ at the first point,   or
+///                 ‖∇J‖ ≤ gradient_floor,   or
 ///                 ‖∇J‖ ≤ 64 ε (‖v‖ + ‖∇J − v‖)  (its two parts have cancelled)
 /// ```
+///
+/// Why an absolute floor: J is in units of the prior, and its Hessian A = I + GᵀG is at least I. The way
+/// that is left, A⁻¹∇J, is then at most ‖∇J‖ standard deviations of the prior, and A^{-1/2}∇J
+/// at most ‖∇J‖ of those of the analysis. At 10⁻¹⁰ nothing is left to gain, however small the
+/// first gradient was: a background that already fits to rounding is a minimum.
 ///
 /// Norms are those of the control variable, the B⁻¹ norm of an increment. A gradient whose norm is not
 /// finite is never converged. A small step alone does not end a minimization.
@@ -26,14 +32,32 @@ use std::ops::ControlFlow;
 pub struct Stopping {
     /// Converged when ‖∇J‖ has fallen to this part of the first; in [0, 1).
     pub gradient_tolerance: f64,
-    /// Outer iterations at most.
+    /// Converged too when ‖∇J‖ is no larger than this.
+    pub gradient_floor: f64,
+    /// Outer iterations at most: over all that a minimizer does, stages and further starts included.
     pub max_iterations: usize,
 }
 
+/// A decrease below this part of J cannot be seen in J (its trajectory is only as exact as the model's
+/// solver); steps are then judged by the gradient.
+pub(crate) const NOISE: f64 = 1e-11;
+
+/// ‖∇J‖ at which a point where nothing decreases is a minimum to rounding, as a part of the first.
+const ROUNDING: f64 = 1e-6;
+
+/// ‖∇J‖ that moves nothing by 10⁻¹⁰ standard deviations.
+const FLOOR: f64 = 1e-10;
+
 impl Stopping {
-    /// Both limits.
+    /// Both limits, with the usual floor of 10⁻¹⁰.
     pub const fn new(gradient_tolerance: f64, max_iterations: usize) -> Self {
-        Self { gradient_tolerance, max_iterations }
+        Self { gradient_tolerance, gradient_floor: FLOOR, max_iterations }
+    }
+
+    /// The same with another floor of the gradient; 0 for none.
+    #[must_use]
+    pub const fn with_gradient_floor(self, gradient_floor: f64) -> Self {
+        Self { gradient_floor, ..self }
     }
 
     /// At most so many iterations, to the usual tolerance of 10⁻⁸.
@@ -44,6 +68,11 @@ impl Stopping {
     /// With a tolerance of at least `tolerance`.
     pub(super) fn loosened(self, tolerance: f64) -> Self {
         Self { gradient_tolerance: self.gradient_tolerance.max(tolerance), ..self }
+    }
+
+    /// ‖∇J‖ to come to, where it was `first` at the first point.
+    pub fn gradient_goal(&self, first: f64) -> f64 {
+        self.gradient_floor.max(self.gradient_tolerance * first)
     }
 
     /// Whether a point is converged: `b` is its whitened departure from what is known before it was observed
@@ -57,7 +86,7 @@ impl Stopping {
         let size = norm(gradient);
         let pull = b.iter().zip(gradient).map(|(b, g)| (g - b) * (g - b)).sum::<f64>().sqrt();
         // a norm that overflowed is no larger than another one that did
-        let small = size <= self.gradient_tolerance * first || size <= 64.0 * f64::EPSILON * (norm(b) + pull);
+        let small = size <= self.gradient_goal(first) || size <= 64.0 * f64::EPSILON * (norm(b) + pull);
         small && size.is_finite()
     }
 
@@ -84,7 +113,22 @@ impl Stopping {
 
     /// Refuses a tolerance out of range.
     pub(crate) fn check(&self) -> Result<(), Error> {
-        check_tolerance("gradient_tolerance", self.gradient_tolerance)
+        check_tolerance("gradient_tolerance", self.gradient_tolerance)?;
+        check_tolerance("gradient_floor", self.gradient_floor)
+    }
+}
+
+impl Status {
+    /// How a minimization ends where no step decreases J: at a minimum, where the whole step to that of the
+    /// quadratic model promises less than J resolves (10⁻¹¹ of it: a way of √(2 · 10⁻¹¹ J)
+    /// standard deviations of the analysis at most) and ‖∇J‖ is below 10⁻⁶ of the first; stalled
+    /// elsewhere.
+    pub(crate) fn without_step(promised: f64, value: f64, gradient: f64, first: f64) -> Status {
+        if promised <= NOISE * value && gradient <= ROUNDING * first {
+            Status::Converged
+        } else {
+            Status::Stalled
+        }
     }
 }
 
@@ -98,7 +142,7 @@ impl Default for Stopping {
 /// How a minimization ended. Only `Converged` claims a stationary point; a small step alone never does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Status {
-    /// ‖∇J‖ has vanished as far as [`Stopping`] asks for, or to rounding.
+    /// ‖∇J‖ has vanished as far as [`Stopping`] asks for, or to rounding: of its own parts, or of J.
     Converged,
     /// Out of iterations.
     MaxIterations,
@@ -176,6 +220,14 @@ mod tests {
         assert!(!stopping.is_converged(&[0.0], &[1.1e-3], 1.0));
         // v and ∇J − v have cancelled to the last digits
         assert!(stopping.is_converged(&[1e15], &[1.0], 0.0) && !stopping.is_converged(&[1.0], &[1e-3], 0.0));
+        // the absolute floor, whatever the first gradient was
+        assert!(stopping.is_converged(&[0.0], &[1e-10], 0.0) && !stopping.is_converged(&[0.0], &[1e-9], 0.0));
+        assert!(!stopping.with_gradient_floor(0.0).is_converged(&[0.0], &[1e-10], 0.0));
+        // no step decreases J: rounding near the minimum, an obstacle elsewhere
+        assert_eq!(Status::without_step(1e-10, 60.0, 1e-3, 1e4), Status::Converged);
+        for (promised, gradient) in [(1e-8, 1e-3), (1e-10, 1.0), (f64::NAN, 0.0), (0.0, f64::NAN)] {
+            assert_eq!(Status::without_step(promised, 60.0, gradient, 1e4), Status::Stalled);
+        }
         for norm in [f64::INFINITY, f64::NAN] {
             assert!(!stopping.is_converged(&[0.0], &[norm], f64::INFINITY), "{norm}");
         }

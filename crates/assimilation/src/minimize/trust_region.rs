@@ -1,11 +1,10 @@
 //! The default minimizer: a trust region in the control space, on the true J.
 
-use super::line_search::NOISE;
 use super::method::method;
 use super::minimum::{Iteration, Minimum, Progress, Start, forcing};
 use super::secant::Secant;
 use super::spectral::Spectral;
-use super::stopping::{Status, Stopping, at_least_one, setters};
+use super::stopping::{NOISE, Status, Stopping, at_least_one, setters};
 use crate::cost::norm;
 use crate::{Error, LeastSquares};
 use rand::SeedableRng;
@@ -74,8 +73,8 @@ setters!(TrustRegionOptions, stopping, {
 ///
 /// A step is taken when the true J falls by 10⁻⁴ of the predicted decrease. A model failure at a trial
 /// point is J = ∞: refused, and the radius shrinks. Where the predicted decrease is below what J resolves
-/// (10⁻¹¹ J), a step is taken when it lowers ‖∇J‖; where no such step exists the run has stalled at
-/// the accuracy of the model, and says so.
+/// (10⁻¹¹ J), a step is taken when it lowers ‖∇J‖; where no such step exists the run has
+/// converged to rounding if the whole step of the model promises no more either, else it has stalled.
 ///
 /// **Jumps of J.** An implicit step from a wild state may have several solutions, and which one is found may
 /// change from one point to the next without pattern: J then jumps between smooth sheets. Where
@@ -235,7 +234,11 @@ pub(super) fn run(
             if !(radius > 1e-13 * (1.0 + norm(v)))
                 || (by_gradient && progress.rejected >= 8 + options.jump_retries)
             {
-                return Ok(progress.end(Status::Stalled, failure, ritz));
+                let promised = spectral.step(f64::INFINITY, &mut p).decrease;
+                let (now, first) = (progress.gradient_norm, progress.gradient_norm_first);
+                let status = Status::without_step(promised, progress.value, now, first);
+                let failure = failure.filter(|_| status == Status::Stalled);
+                return Ok(progress.end(status, failure, ritz));
             }
             if secant.trusted() {
                 secant.distrust();

@@ -4,6 +4,7 @@ mod correlated;
 mod cost;
 mod coverage;
 mod cycles;
+mod endings;
 mod ensemble;
 mod family;
 mod fixtures;

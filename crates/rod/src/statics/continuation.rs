@@ -49,7 +49,8 @@ pub struct Search {
     /// moved to the places that are held.
     pub initial_shape: Option<Rest>,
     /// The turn \[rad\], right-handed about its tangent, by which the end clamp came to its present director;
-    /// more than π counts. Zero: the twist nearest to none.
+    /// more than π counts. Zero: the twist nearest to none. Turns that clamps say of themselves
+    /// ([`Clamp::turns`]) are added.
     pub end_turn: f64,
 }
 
@@ -146,7 +147,7 @@ pub fn rest(
         loads,
         t,
         held,
-        end_turn: search.end_turn,
+        end_turn: search.end_turn + std::f64::consts::TAU * supports.turns_at(t),
         twist: 1.0,
         motion: 1.0,
         work: Work::default(),
@@ -207,7 +208,7 @@ impl Way<'_> {
             rod.natural_curvature.iter_mut().flatten().for_each(|k| *k *= lambda);
             rod.natural_twist.iter_mut().for_each(|k| *k *= lambda);
         }
-        let clamp = |f: &crate::system::ClampFrame, at: (Vector3<f64>, Vector3<f64>)| {
+        let clamp = |f: &crate::clamp_frame::ClampFrame, at: (Vector3<f64>, Vector3<f64>)| {
             Clamp::new(f.at, f.position, at.0, at.1)
         };
         let supports = Supports {

@@ -87,7 +87,7 @@ pub(super) fn run(
             if !quiet {
                 println!("{:<14} add --resume to the same command", "to continue");
             }
-            ExitCode::from(INTERRUPTED)
+            if outcome.late { ExitCode::SUCCESS } else { ExitCode::from(INTERRUPTED) }
         }
         Status::Failed => {
             eprintln!("error: {}", outcome.failure.as_deref().unwrap_or("a minimization failed"));

@@ -193,9 +193,7 @@ fn run_scene(
     refuse_occupied(&folder, quiet)?;
 
     let stop = stop_on_signals();
-    let algorithm = &file.scene.algorithm;
-    let mut progress =
-        ProgressDisplay::new(algorithm.gradient_tolerance, algorithm.max_iterations, quiet, started);
+    let mut progress = ProgressDisplay::new(quiet, started, file.scene.limits.seconds);
     let interrupted = || stop.load(Ordering::SeqCst);
     if resume && file.scene.algorithm.cycles.is_none() {
         return Err(file.invalid("algorithm", "only a run with [algorithm.cycles] can be resumed"));
@@ -210,6 +208,7 @@ fn run_scene(
         return cycles::run(&sequence, start, &mut progress, &interrupted, quiet, started);
     }
     let problem = Problem::new(inputs)?;
+    progress.expect(problem.observations()?.dim(), problem.experiment.grid.steps);
     let mut listener = Listener {
         on_iteration: Box::new(|row| progress.row(row)),
         interrupted: Box::new(interrupted),
@@ -227,12 +226,14 @@ fn run_scene(
 
 fn exit_code(outcome: &Outcome) -> ExitCode {
     match outcome.status {
-        Status::Interrupted => ExitCode::from(INTERRUPTED),
+        Status::Interrupted if !outcome.late => ExitCode::from(INTERRUPTED),
         Status::Failed => {
             let reason = outcome.failure.as_ref().map(ToString::to_string);
             eprintln!("error: {}", reason.as_deref().unwrap_or("the minimizer failed"));
             ExitCode::FAILURE
         }
+        // The time allowed was over, as iterations may be.
+        Status::Interrupted => ExitCode::SUCCESS,
         Status::Converged | Status::MaxIterations | Status::Stalled => ExitCode::SUCCESS,
     }
 }

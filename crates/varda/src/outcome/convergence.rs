@@ -3,7 +3,7 @@
 use std::ops::Add;
 
 use serde::{Deserialize, Serialize};
-use varda_assimilation::Counts;
+use varda_assimilation::{AttemptFrom, Counts};
 
 /// One row of the convergence table.
 #[derive(Debug, Clone, Serialize)]
@@ -22,6 +22,12 @@ pub struct ConvergenceRow {
     pub j_q: f64,
     /// ‖∇J‖ in the control variable.
     pub gradient_norm: f64,
+    /// ‖∇J‖ at which this run has converged; 0 for a method that ends otherwise.
+    pub gradient_goal: f64,
+    /// Which start of the minimizer it belongs to, counted from 1.
+    pub attempt: usize,
+    /// Starts at most.
+    pub attempts: usize,
     /// RMSE of the initial state for each group of the state; empty where the truth is not known.
     pub rmse: Vec<f64>,
     /// The factor on σ of the observations at this stage.
@@ -80,6 +86,39 @@ impl Add for WorkCounts {
     }
 }
 
+/// One start of minimizer `auto`: what it came to and what it gained.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Attempt {
+    /// From where: "background" or "draw 3 of the prior".
+    pub start: String,
+    /// What σ of the observations was multiplied by in turn.
+    pub sigma_stages: Vec<f64>,
+    /// J at its end.
+    pub j: f64,
+    /// How it ended.
+    pub status: &'static str,
+    /// Outer iterations.
+    pub iterations: usize,
+    /// By how much it lowered the lowest J of the starts before it.
+    pub gain: f64,
+}
+
+impl From<&varda_assimilation::Attempt> for Attempt {
+    fn from(of: &varda_assimilation::Attempt) -> Self {
+        Attempt {
+            start: match of.from {
+                AttemptFrom::Given => "background".into(),
+                AttemptFrom::Draw(number) => format!("draw {number} of the prior"),
+            },
+            sigma_stages: of.scales.clone(),
+            j: of.value,
+            status: Status::from(of.status).name(),
+            iterations: of.iterations,
+            gain: of.gain,
+        }
+    }
+}
+
 /// How a run ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -90,7 +129,7 @@ pub enum Status {
     MaxIterations,
     /// No step decreases J any more.
     Stalled,
-    /// The caller asked to stop.
+    /// The caller asked to stop, or the time that the scene allows is over.
     Interrupted,
     /// The model failed and the minimizer had no safeguard against that.
     Failed,

@@ -57,6 +57,8 @@ pub struct CyclesOutcome {
     pub experiment: Experiment,
     /// Failed or interrupted before its last window; else the worst end of a minimization.
     pub status: Status,
+    /// Whether it was interrupted because the time that the scene allows was over (`limits.seconds`).
+    pub late: bool,
     /// Why it failed.
     pub failure: Option<String>,
     /// The windows that were done.

@@ -2,14 +2,16 @@
 
 mod convergence;
 mod cycles;
+mod evidence;
 mod fit;
 mod modes;
 mod simulation;
 mod space;
 mod window;
 
-pub use convergence::{ConvergenceRow, Status, WorkCounts};
+pub use convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
 pub use cycles::{CycleRow, CyclesOutcome, Means};
+pub use evidence::{Cause, Evidence};
 pub use fit::{Fit, Forecast, Rejected, Withheld};
 pub use modes::RodModes;
 pub use simulation::{Simulation, TwinFiles};

@@ -7,7 +7,8 @@ use serde::ser::SerializeMap;
 use varda_assimilation::Analysis;
 use varda_implicit::check::Amplification;
 
-use super::convergence::{ConvergenceRow, Status, WorkCounts};
+use super::convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
+use super::evidence::Evidence;
 use super::fit::{Fit, Forecast, Rejected, Withheld};
 use super::space::Shapes;
 use crate::scene::{Scene, TimeGrid};
@@ -44,6 +45,10 @@ pub struct Outcome {
     pub experiment: Experiment,
     /// How the run ended.
     pub status: Status,
+    /// Whether it was interrupted because the time that the scene allows was over (`limits.seconds`).
+    pub late: bool,
+    /// The starts of minimizer `auto`, in turn; empty for the others.
+    pub attempts: Vec<Attempt>,
     /// What the model refused during the minimization, if it did.
     pub failure: Option<Failure>,
     /// x_b and x_a, their σ, J and what follows from it.
@@ -72,6 +77,8 @@ pub struct Outcome {
     pub seconds: Seconds,
     /// Innovations against their assumed σ, for each marker, place or component.
     pub fit: Vec<Fit>,
+    /// Why the analysis does not fit, where it does not.
+    pub evidence: Option<Evidence>,
     /// Errors at the markers that were kept back.
     pub withheld: Vec<Withheld>,
     /// Errors of the forecast.

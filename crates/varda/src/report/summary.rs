@@ -4,7 +4,9 @@ use serde::Serialize;
 use varda_assimilation::CostTerms;
 use varda_implicit::check::Amplification;
 
-use crate::outcome::{AcceptedSteps, Fit, Forecast, Outcome, Rejected, Rmse, Seconds, Withheld, WorkCounts};
+use crate::outcome::{
+    AcceptedSteps, Attempt, Evidence, Fit, Forecast, Outcome, Rejected, Rmse, Seconds, Withheld, WorkCounts,
+};
 
 /// The keys of summary.json, in their order.
 #[derive(Debug, Serialize)]
@@ -46,6 +48,8 @@ pub struct Summary {
     pub outer_iterations: usize,
     /// Inner iterations, summed.
     pub inner_iterations: usize,
+    /// The starts of minimizer auto in turn, and what each gained; empty for other minimizers.
+    pub attempts: Vec<Attempt>,
     /// Work of the model in the minimization.
     pub counts: WorkCounts,
     /// Observed values that the background check refused.
@@ -62,6 +66,8 @@ pub struct Summary {
     pub peak_bytes: Option<u64>,
     /// Innovations against their σ.
     pub innovations: Vec<Fit>,
+    /// Why the analysis does not fit, from its innovations; `null` where they are as large as σ says.
+    pub evidence: Option<Evidence>,
     /// Errors at markers that were kept back \[m\].
     pub withheld: Vec<Withheld>,
     /// Errors of the forecast after the window \[m\].
@@ -130,6 +136,7 @@ impl Summary {
             accepted_steps: outcome.accepted_steps.clone(),
             outer_iterations: outcome.iterations[0],
             inner_iterations: outcome.iterations[1],
+            attempts: outcome.attempts.clone(),
             counts: outcome.counts,
             rejected: outcome.rejected.clone(),
             chi2: outcome.analysis.chi2,
@@ -138,6 +145,7 @@ impl Summary {
             seconds: outcome.seconds,
             peak_bytes: peak_bytes(),
             innovations: outcome.fit.clone(),
+            evidence: outcome.evidence.clone(),
             withheld: outcome.withheld.clone(),
             forecast: outcome.forecast.clone(),
             left_out: experiment.left_out.clone(),

@@ -128,7 +128,8 @@ impl Sequence {
         listener: &mut CycleListener,
     ) -> Result<CyclesOutcome, Error> {
         let mut rows = done;
-        let (mut refused, mut interrupted) = (None, false);
+        let (mut refused, mut interrupted, mut late) = (None, false, false);
+        let limits = &self.problem.experiment.scene.limits;
         let mut began = Instant::now();
         let make_model = &self.problem.make_model;
         let operators = [Rc::new(RefCell::new((self.problem.observed.make_operator)()?))];
@@ -183,7 +184,9 @@ impl Sequence {
             let row = self.row(cycle, began.elapsed().as_secs_f64());
             let told = (listener.on_cycle)(&row, after);
             rows.push(row);
-            interrupted = (listener.interrupted)() && after.next < self.cycles.count;
+            let more = after.next < self.cycles.count;
+            late = more && limits.over(listener.started.elapsed());
+            interrupted = late || (more && (listener.interrupted)());
             began = Instant::now();
             match told {
                 Ok(()) if !interrupted => ControlFlow::Continue(()),
@@ -212,6 +215,7 @@ impl Sequence {
             status = Status::Failed;
         } else if interrupted {
             warnings.push(format!("interrupted after {} of {} cycles", rows.len(), self.cycles.count));
+            warnings.extend(late.then(|| limits.remark()).flatten());
             status = Status::Interrupted;
         }
         let of = |s: Status| rows.iter().filter(|r| r.status == s).count();
@@ -242,6 +246,7 @@ impl Sequence {
         Ok(CyclesOutcome {
             experiment: Experiment { grid: TimeGrid { steps, ..experiment.grid }, ..experiment.clone() },
             status,
+            late,
             failure: failure.filter(|_| status == Status::Failed),
             asked_for: self.cycles.count,
             window: self.window,

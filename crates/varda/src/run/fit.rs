@@ -4,8 +4,9 @@
 use varda_assimilation::{Analysis, ObservationOperator, ObservationSet};
 use varda_implicit::Model;
 
+use super::departures::{self, Departure};
 use crate::Error;
-use crate::outcome::{Fit, Forecast, Sight, Trajectories, Withheld};
+use crate::outcome::{Evidence, Fit, Forecast, Sight, Trajectories, Withheld};
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
 
@@ -65,18 +66,73 @@ pub(crate) fn innovations(
     Ok(d)
 }
 
+/// What the departures at the analysis tell of their cause, where they are larger than their σ.
+///
+/// # Errors
+/// [`Error::Assimilation`] where a state cannot be observed.
+pub(crate) fn evidence(
+    problem: &Problem,
+    observations: &mut ObservationSet,
+    runs: &Trajectories,
+) -> Result<Option<Evidence>, Error> {
+    let d = innovations(observations, runs, &runs.analysis)?;
+    if !d.iter().all(|d| d.is_finite()) {
+        return Ok(None);
+    }
+    let mut shifted = |by: isize| -> Result<Vec<f64>, Error> {
+        let mut predicted = vec![0.0; observations.dim()];
+        for k in 0..=observations.last_step().unwrap_or(0) {
+            let there = k.saturating_add_signed(by);
+            let state = runs.state(&runs.analysis, there).or_else(|| runs.state(&runs.analysis, k));
+            if let Some(x) = state {
+                observations.observe_add(k, x, &mut predicted)?;
+            }
+        }
+        Ok(predicted)
+    };
+    let (before, predicted, after) = (shifted(-1)?, shifted(0)?, shifted(1)?);
+    let grid = &problem.experiment.grid;
+    let (sites, space) = (&problem.observed.sites, problem.observed.space.as_ref());
+    // in space the sites stand in the order of arc length
+    let mut order: Vec<usize> = (0..sites.len()).collect();
+    if let Some(space) = space {
+        order.sort_by(|a, b| space.arc_lengths[*a].total_cmp(&space.arc_lengths[*b]));
+    }
+    let sigma = observations.sigma().to_vec();
+    let mut departures = Vec::with_capacity(d.len());
+    for (i, o) in observations.observations().iter().enumerate() {
+        for (row, h_row) in observations.rows(i).zip(&o.rows) {
+            let Some(site) = order.iter().position(|s| sites[*s].rows.contains(h_row)) else { continue };
+            let ahead = runs.state(&runs.analysis, o.step + 2).is_some();
+            let change = if ahead { after[row] - predicted[row] } else { predicted[row] - before[row] };
+            departures.push(Departure {
+                site,
+                axis: h_row - sites[order[site]].rows.start,
+                time: grid.time(o.step) + o.weight * grid.step,
+                value: d[row],
+                sigma: sigma[row],
+                predicted: predicted[row],
+                rate: change / grid.step,
+            });
+        }
+    }
+    let labels: Vec<String> = order.iter().map(|s| sites[*s].label.clone()).collect();
+    Ok(departures::evidence(&departures, &labels, space.is_some()))
+}
+
 /// Remarks on what does not fit.
-pub(crate) fn remarks(fit: &[Fit], analysis: &Analysis) -> Vec<String> {
+pub(crate) fn remarks(fit: &[Fit], analysis: &Analysis, evidence: Option<&Evidence>) -> Vec<String> {
     let mut out = Vec::new();
     let m = analysis.observations as f64;
     // At the minimum 2J is χ² with m degrees of freedom: 4 of its standard deviations, each √(2/m).
     let spread = 4.0 * (2.0 / m).sqrt();
     if m > 0.0 && (analysis.chi2 - 1.0).abs() > spread {
-        let why = if analysis.chi2 > 1.0 {
-            "σ of the observations or of the background is too small, or the model does not describe what \
-             was seen"
-        } else {
-            "σ of the observations or of the background is larger than it need be"
+        let why = match evidence {
+            Some(evidence) => evidence.text.as_str(),
+            None if analysis.chi2 > 1.0 => {
+                "the observations are fitted to their σ, but far from the background: its σ is too small"
+            }
+            None => "σ of the observations or of the background is larger than it need be",
         };
         out.push(format!("2J/m = {:.2} is not within 1 ± {spread:.2}: {why}", analysis.chi2));
     }

@@ -4,8 +4,10 @@
 mod amplification;
 pub mod compare;
 pub mod cycles;
+pub mod departures;
 mod fit;
 mod modes;
+mod second_minimum;
 mod shapes;
 pub mod window;
 

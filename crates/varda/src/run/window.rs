@@ -7,10 +7,10 @@ use varda_assimilation::{Analysis, ObservationSet, Rejection, huber};
 use varda_implicit::check::Amplification;
 use varda_implicit::{Log, Model};
 
-use super::{amplification, fit, shapes};
+use super::{amplification, fit, second_minimum, shapes};
 use crate::Error;
 use crate::outcome::{
-    ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
+    Attempt, ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
     Simulation, Status, Trajectories, TwinFiles, WorkCounts,
 };
 use crate::setup::Problem;
@@ -50,6 +50,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
 
     let began = Instant::now();
     let mut convergence: Vec<ConvergenceRow> = Vec::new();
+    let mut late = false;
     let mut on_iterate = |r: &Iterate| {
         let i = r.iteration;
         let row = ConvergenceRow {
@@ -60,6 +61,9 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
             j_o: i.terms.observation,
             j_q: i.terms.model_error,
             gradient_norm: i.gradient_norm,
+            gradient_goal: i.gradient_goal,
+            attempt: i.attempt,
+            attempts: i.attempts,
             rmse: errors(r.control).unwrap_or_default(),
             sigma_factor: i.observation_scale,
             window: r.window,
@@ -67,7 +71,8 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         };
         (listener.on_iteration)(&row);
         convergence.push(row);
-        if (listener.interrupted)() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        late = late || scene.limits.over(listener.started.elapsed());
+        if late || (listener.interrupted)() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     let clock = Clock::default();
     let mut refreshing = problem.adaptive_steps.as_ref().map(Refreshing::new);
@@ -75,7 +80,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let mut timed = Timed::new(model.as_mut(), &clock);
     let make_timed = || -> Box<dyn Model + Send> { Box::new(Timed::new(problem.model(), &clock)) };
     let mut task = Task {
-        algorithm: &scene.algorithm,
+        algorithm: scene.algorithm.clone(),
         model: &mut timed,
         make_model: &make_timed,
         background: &problem.background,
@@ -90,7 +95,9 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
             Some(Box::new(Timed::new(model, &clock)))
         },
     };
-    let (solution, mut observations) = solve::solve(&mut task, problem.observations()?, &mut on_iterate)?;
+    let (solution, observations) = solve::solve(&mut task, problem.observations()?, &mut on_iterate)?;
+    let (solution, mut observations, second) =
+        second_minimum::look(problem, &mut task, solution, observations, &mut on_iterate)?;
     let mut log = timed.log().clone();
     // The time of the posterior does not belong to the minimization.
     let minimizer = convergence.last().map_or(0.0, |row| row.seconds);
@@ -118,7 +125,9 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
 
     let status = Status::from(solution.minimum.status);
     let failure = failure(&solution, status);
+    let late = late && status == Status::Interrupted;
     let mut warnings = remarks(experiment, &log, &solution, status, observations.dim(), failure.as_ref());
+    warnings.extend(late.then(|| scene.limits.remark()).flatten());
     warnings.extend(remarks_on_steps);
     let analysis = analysis(problem, &solution, observations.dim());
     let trajectories =
@@ -127,13 +136,17 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     warnings.extend(amplification.and_then(|a| a.warning()));
     let fit = fit::fit(&mut observations, &trajectories)?;
     let (withheld, forecast) = fit::beyond(problem, &trajectories, model.as_mut())?;
-    warnings.extend(fit::remarks(&fit, &analysis));
+    let evidence = fit::evidence(problem, &mut observations, &trajectories)?;
+    warnings.extend(second);
+    warnings.extend(fit::remarks(&fit, &analysis, evidence.as_ref()));
     let j_background = cost_of_run(scene.algorithm.robust, &mut observations, &trajectories)?;
     let rmse = rmse(experiment, errors(&analysis.background), errors(&analysis.analysis));
     let shapes = shapes::with_observations(problem, &trajectories)?;
     Ok(Outcome {
         experiment: Experiment { left_out, ..experiment.clone() },
         status,
+        late,
+        attempts: solution.attempts.iter().map(Attempt::from).collect(),
         failure,
         has_posterior: solution.spread.is_some(),
         truth,
@@ -147,6 +160,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         rmse,
         seconds: Seconds { total: listener.started.elapsed().as_secs_f64(), ..seconds },
         fit,
+        evidence,
         withheld,
         forecast,
         amplification,
@@ -201,11 +215,14 @@ fn remarks(
     warnings.extend(failure.map(Failure::to_string));
     match status {
         Status::MaxIterations => {
-            warnings.push(format!("not converged after {} iterations", minimum.outer_iterations));
+            warnings.push(format!(
+                "not converged after {} iterations (algorithm.max_iterations)",
+                minimum.outer_iterations
+            ));
         }
         Status::Stalled => warnings.push("the minimizer stalled before its tolerance was met".into()),
         Status::Interrupted => {
-            warnings.push("interrupted: the result is the last accepted point, without posterior".into());
+            warnings.push("interrupted: the result is the lowest point so far, without posterior".into());
         }
         Status::Converged | Status::Failed => {}
     }

@@ -13,7 +13,8 @@ pub struct Algorithm {
     pub method: Method,
     /// The minimizer of methods 4dvar, 3dvar and weak-forcing. The other methods have their own loop.
     pub minimizer: Minimizer,
-    /// Most outer iterations, at most 1e6.
+    /// Most outer iterations, at most 1e6: over all that a run of one window does, further starts, σ stages
+    /// and sub-windows included.
     #[schemars(extend("minimum" = 1, "maximum" = 1000000))]
     pub max_iterations: usize,
     /// Converged when the gradient in the control variable is this much smaller than at the background.
@@ -53,7 +54,7 @@ impl Default for Algorithm {
         Algorithm {
             method: Method::FourDVar,
             minimizer: Minimizer::Auto,
-            max_iterations: 200,
+            max_iterations: 400,
             gradient_tolerance: 1e-8,
             sigma_stages: Vec::new(),
             robust: None,

@@ -1,5 +1,7 @@
 //! `[limits]`: how much of the machine a run may use.
 
+use std::time::Duration;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use varda_implicit::Storage;
@@ -17,6 +19,13 @@ pub struct Limits {
     /// states again, the same bits in more time. A run that needs more than the limit is refused.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub memory: String,
+    /// Most seconds of a run \[s\], reading files and setting up included: looked at after every iteration
+    /// (of cycles, every window). A run that takes longer ends with the best point so far, status
+    /// "interrupted", and writes its report, without posterior; for a forecast and the report it takes the
+    /// time it needs. None where it is not given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub seconds: Option<f64>,
 }
 
 impl Limits {
@@ -52,6 +61,17 @@ impl Limits {
         }
     }
 
+    /// Whether a run that has taken so long is to end.
+    pub fn over(&self, elapsed: Duration) -> bool {
+        self.seconds.is_some_and(|most| elapsed.as_secs_f64() >= most)
+    }
+
+    /// That it ended for that reason.
+    pub fn remark(&self) -> Option<String> {
+        let seconds = self.seconds?;
+        Some(format!("the run ended after the {seconds} s that limits.seconds allows"))
+    }
+
     /// What a storage leaves out of a window of `steps` steps, in words; nothing where all is kept.
     pub fn left_out(&self, storage: Storage, steps: usize) -> Option<String> {
         let limit = if self.memory.is_empty() { "8 GB" } else { &self.memory };
@@ -76,7 +96,7 @@ mod tests {
 
     #[test]
     fn amounts_of_memory_are_read_with_their_units() {
-        let bytes = |text: &str| Limits { memory: text.to_string() }.bytes();
+        let bytes = |text: &str| Limits { memory: text.to_string(), ..Limits::default() }.bytes();
         assert_eq!(bytes(""), Ok(8_000_000_000));
         for (text, expected) in
             [("200 MB", 200_000_000), ("1.5GB", 1_500_000_000), ("64 KiB", 65_536), ("512", 512)]

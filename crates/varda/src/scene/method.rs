@@ -139,11 +139,12 @@ macro_rules! minimizers {
 }
 
 minimizers! {
-    /// The default: the trust region, and further runs of it if one is not to be trusted. One run is enough
-    /// if it converges and J_o ≤ 10 m at the background (m observed values). Otherwise the trust region
-    /// starts again through enlarged σ (× 10, 3, 1 and × 16, 8, 4, 2, 1) and from up to six draws of the
-    /// prior, until two runs agree on the lowest J; if the first one took more than 40 iterations, all of
-    /// these are run. The lowest end is the result.
+    /// The default: the trust region, and further starts of it if one is not to be trusted. One is enough
+    /// if it converges and J_o ≤ 10 m at the background (m observed values), or ends within the band of a
+    /// fit, 2J/m ≤ 1 + 3 √(2/m). Otherwise the trust region starts again through enlarged σ (× 10, 3,
+    /// 1 and × 16, 8, 4, 2, 1) and from up to six draws of the prior, until an end is within the band, two
+    /// agree on the lowest J, or three in turn gained less than 10⁻³ of J. The lowest end is the result;
+    /// `attempts` in summary.json lists what each gained.
     Auto,
     /// Gauss–Newton with a trust region (Levenberg–Marquardt in the B⁻¹ norm).
     TrustRegion,

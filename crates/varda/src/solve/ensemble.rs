@@ -51,7 +51,7 @@ impl Task<'_> {
         // iteration would have no minimum to converge to.
         let max_outer = match self.algorithm.method {
             Method::HybridFourDEnVar => 1,
-            _ => self.algorithm.max_iterations,
+            _ => self.algorithm.max_iterations.max(1),
         };
         let options = EnVarOptions::default().with_max_outer(max_outer);
         let minimum = cost.minimize(v, &options, &mut on_iteration)?;

@@ -37,13 +37,15 @@ pub(crate) fn solve(
         observations = observations.without(&refused.iter().map(|r| r.row).collect::<Vec<_>>())?;
         (rejected, spent) = (refused, counts);
     }
-    let whole = observations.steps();
-    let growth = task.algorithm.window_growth.as_slice();
-    let windows = if growth.is_empty() { &[whole][..] } else { growth };
+    let (whole, most) = (observations.steps(), task.algorithm.max_iterations);
+    let growth = task.algorithm.window_growth.clone();
+    let windows = if growth.is_empty() { vec![whole] } else { growth };
     let (mut states, mut done, mut ended, mut stages) = (Vec::new(), [0, 0], None, Vec::new());
+    let mut attempts = Vec::new();
     let (observations, mut minima) =
-        window_growth(observations, windows, &mut Vec::new(), &mut |seen, v| {
+        window_growth(observations, &windows, &mut Vec::new(), &mut |seen, v| {
             let window = seen.steps();
+            task.algorithm.max_iterations = most.saturating_sub(done[0]);
             let stage = SubWindow {
                 observations: seen,
                 v,
@@ -53,12 +55,13 @@ pub(crate) fn solve(
                 before: (done[0], spent),
                 on_iterate,
             };
-            let SubWindowEnd { minimum, control, sigma_background, spread, no_spread, counts, storage } =
+            let SubWindowEnd { mut minimum, control, sigma_background, spread, no_spread, counts, storage } =
                 task.stage(stage)?;
             done[0] += minimum.outer_iterations;
             done[1] += minimum.inner_iterations;
             spent = spent + counts;
             stages.push((window, minimum.status));
+            attempts.append(&mut minimum.attempts);
             ended = Some((control, sigma_background, spread, no_spread, storage));
             Ok(minimum)
         })?;
@@ -78,6 +81,7 @@ pub(crate) fn solve(
         counts: spent,
         rejected,
         stages,
+        attempts,
         storage,
     };
     Ok((solved, observations))

@@ -45,6 +45,7 @@ impl Task<'_> {
                     (wanted / varda_linalg::norm(&gradient)).clamp(f64::EPSILON, 0.5);
                 algorithm.sigma_stages.clear();
             }
+            algorithm.max_iterations = self.algorithm.max_iterations.saturating_sub(iterations[0]);
             let start = v.clone();
             let so_far = (before.0 + iterations[0], before.1 + counts);
             let mut on_iteration = |iteration: &Iteration| {
@@ -72,8 +73,10 @@ impl Task<'_> {
             } else {
                 (None, None)
             };
-            if let Some(first) = first {
+            if let Some(mut first) = first {
                 minimum.gradient_norm_first = first.gradient_norm_first;
+                first.attempts.append(&mut minimum.attempts);
+                minimum.attempts = first.attempts;
             }
             [minimum.outer_iterations, minimum.inner_iterations] = iterations;
             let sigma_background = deviations(covariance.as_ref());

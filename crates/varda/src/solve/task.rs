@@ -3,7 +3,8 @@
 use std::ops::ControlFlow;
 
 use varda_assimilation::{
-    ControlTransform, Error, Forcing, Iteration, Minimum, ObservationSet, Posterior, Rejection, Status,
+    Attempt, ControlTransform, Error, Forcing, Iteration, Minimum, ObservationSet, Posterior, Rejection,
+    Status,
 };
 use varda_covariance::{Covariance, Ensemble};
 use varda_implicit::{Model, Storage};
@@ -14,7 +15,8 @@ use crate::setup::covariance::Factored;
 
 /// Input of a solve.
 pub(crate) struct Task<'a> {
-    pub(crate) algorithm: &'a Algorithm,
+    /// Of a sub-window: what is left of `max_iterations`.
+    pub(crate) algorithm: Algorithm,
     /// The model, for methods that run one.
     pub(crate) model: &'a mut dyn Model,
     /// Makes models, for methods that run several.
@@ -58,6 +60,8 @@ pub(crate) struct Solution {
     pub(crate) rejected: Vec<Rejection>,
     /// How the sub-windows before the last ended: steps and status.
     pub(crate) stages: Vec<(usize, Status)>,
+    /// The starts of `auto`, of all sub-windows.
+    pub(crate) attempts: Vec<Attempt>,
     /// How the trajectory of the whole window was stored.
     pub(crate) storage: Storage,
 }

@@ -14,7 +14,7 @@ use crate::setup::runs::run_on;
 
 impl Task<'_> {
     pub(super) fn weak_forcing(&mut self, stage: SubWindow) -> Result<SubWindowEnd, Error> {
-        let (algorithm, background, covariance) = (self.algorithm, self.background, self.covariance);
+        let (algorithm, background, covariance) = (&self.algorithm, self.background, self.covariance);
         let missing =
             Error::Setting { what: "the covariance of a model error that is not there", value: 0.0 };
         let q: &dyn Covariance = self.model_error.ok_or(missing)?.as_ref();
@@ -57,7 +57,7 @@ impl Task<'_> {
     /// Starts from the run of the background; after the window has grown, from the analysed states and the
     /// model's run from the last of them.
     pub(super) fn weak_state(&mut self, stage: SubWindow) -> Result<SubWindowEnd, Error> {
-        let (algorithm, background, covariance) = (self.algorithm, self.background, self.covariance);
+        let (algorithm, background, covariance) = (&self.algorithm, self.background, self.covariance);
         let forcing = self.forcing();
         let transform = ControlTransform::new(background.to_vec(), covariance.as_ref())?;
         let singular = |what| Error::Setting { what, value: 0.0 };

@@ -1,6 +1,7 @@
 //! What people bring: rods held anywhere, recorded supports, files as they come.
 
 mod bases;
+mod buckling;
 mod common;
 mod faces;
 mod files;
@@ -8,6 +9,7 @@ mod folder;
 mod forces;
 mod free_turn;
 mod gripped;
+mod loads;
 mod references;
 mod rest;
 mod two_ended;
@@ -20,10 +22,12 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     rest::run(options, &mut rows);
     two_ended::run(&mut rows);
     bases::run(options, &mut rows);
+    buckling::run(&mut rows);
     files::run(options, &mut rows);
     gripped::run(options, &mut rows);
     faces::run(&mut rows, options.quick);
     forces::run(options, &mut rows);
     free_turn::run(options, &mut rows);
+    loads::run(options, &mut rows);
     rows.finish()
 }

@@ -91,6 +91,9 @@ impl EnVar<'_> {
                 rejected,
                 inner_iterations: 0,
                 observation_scale: self.scale,
+                gradient_goal: 0.0,
+                attempt: 1,
+                attempts: 1,
                 counts: self.counts(),
                 v,
             });
@@ -151,6 +154,7 @@ impl EnVar<'_> {
             failure,
             ritz: Vec::new(),
             inverse_hessian: None,
+            attempts: Vec::new(),
         })
     }
 

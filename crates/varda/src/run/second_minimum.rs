@@ -1,0 +1,117 @@
+//! A fit far too bad over a window that amplifies: another minimum is likelier than a wrong σ, and growing
+//! the window finds it.
+
+use varda_assimilation::{ObservationSet, Status, highest_j_of_a_fit};
+
+use super::amplification;
+use crate::Error;
+use crate::outcome::WorkCounts;
+use crate::setup::Problem;
+use crate::setup::runs::run_on;
+use crate::solve::{self, Iterate, OnIterate, Solution, Task};
+
+/// J is far too high beyond this many times that of the worst fit.
+const FAR: f64 = 2.0;
+/// ‖M‖ from which a window may have several minima: e, the growth of one error-doubling or so.
+const AMPLIFIES: f64 = 3.0;
+/// Sub-windows.
+const PARTS: usize = 10;
+
+/// Where a minimization ended far above m/2 over a window that amplifies, tries again through growing
+/// sub-windows, and gives the lower end with a remark. Everywhere else the solution as it is.
+///
+/// # Errors
+/// As for [`solve::solve`].
+pub(super) fn look(
+    problem: &Problem,
+    task: &mut Task,
+    solution: Solution,
+    observations: ObservationSet,
+    on_iterate: &mut OnIterate,
+) -> Result<(Solution, ObservationSet, Option<String>), Error> {
+    let algorithm = &problem.experiment.scene.algorithm;
+    let (steps, m) = (observations.steps(), observations.dim());
+    let minimum = &solution.minimum;
+    let (j, used) = (minimum.value, minimum.outer_iterations);
+    let applies = algorithm.method.is_strong()
+        && algorithm.method.takes_window_growth()
+        && algorithm.window_growth.is_empty()
+        && problem.adaptive_steps.is_none()
+        && matches!(minimum.status, Status::Converged | Status::Stalled)
+        && used < algorithm.max_iterations
+        && j > FAR * highest_j_of_a_fit(m);
+    let first = observations.observations().iter().map(|o| o.step + 1).min().unwrap_or(steps);
+    let growth: Vec<usize> = (1..PARTS).map(|i| steps * i / PARTS).filter(|w| *w >= first).collect();
+    if !applies || growth.is_empty() {
+        return Ok((solution, observations, None));
+    }
+    let Some(norm) = amplifies(problem, task, &solution, &observations) else {
+        return Ok((solution, observations, None));
+    };
+    let mut windows = growth;
+    windows.dedup();
+    windows.push(steps);
+    task.algorithm.window_growth = windows;
+    task.algorithm.sigma_stages.clear();
+    task.algorithm.background_check = None;
+    task.algorithm.max_iterations = algorithm.max_iterations - used;
+    let before = solution.counts;
+    let again = solve::solve(task, observations, &mut |r: &Iterate| {
+        let so_far: (usize, WorkCounts) = (used + r.before.0, before + r.before.1);
+        on_iterate(&Iterate { before: so_far, ..*r })
+    });
+    task.algorithm = algorithm.clone();
+    let (mut grown, observations) = again?;
+    let start = format!(
+        "J = {j:.4} is far above m/2 = {:.1}, and the window amplifies errors {norm:.0} times",
+        0.5 * m as f64
+    );
+    let lower = grown.minimum.value < j * (1.0 - 1e-3);
+    let remark = if lower {
+        format!(
+            "{start}: that was another minimum; through growing sub-windows the run came to J = {:.4} \
+             (algorithm.window_growth does so from the start)",
+            grown.minimum.value
+        )
+    } else {
+        format!(
+            "{start}: it may be another minimum, though growing the window found none lower (J = {:.4}); a \
+             shorter window would tell",
+            grown.minimum.value
+        )
+    };
+    let mut best = solution;
+    let iterations = [used, best.minimum.inner_iterations];
+    let (counts, status) = (best.counts + grown.counts, grown.minimum.status);
+    let ended = [grown.minimum.outer_iterations, grown.minimum.inner_iterations];
+    if lower {
+        grown.minimum.gradient_norm_first = best.minimum.gradient_norm_first;
+        grown.rejected = std::mem::take(&mut best.rejected);
+        grown.attempts.splice(0..0, std::mem::take(&mut best.attempts));
+        best = grown;
+    }
+    if status == Status::Interrupted {
+        best.minimum.status = status;
+    }
+    best.counts = counts;
+    best.minimum.outer_iterations = iterations[0] + ended[0];
+    best.minimum.inner_iterations = iterations[1] + ended[1];
+    Ok((best, observations, Some(remark)))
+}
+
+/// ‖M‖ up to the last observation along the run from a solution, where that is much.
+fn amplifies(
+    problem: &Problem,
+    task: &Task,
+    solution: &Solution,
+    observations: &ObservationSet,
+) -> Option<f64> {
+    let steps = observations.last_step().filter(|k| *k > 0)?;
+    let mut model = (task.make_model)();
+    let mut states = vec![0.0; model.dim()];
+    model.initial_state(&solution.control, &mut states).ok()?;
+    run_on(model.as_mut(), &mut states, steps).ok()?;
+    let (sigma, seed) = (&solution.sigma_background, problem.experiment.scene.seed);
+    let found = amplification::estimate(model.as_mut(), &solution.control, sigma, &states, seed)?;
+    (found.norm >= AMPLIFIES).then_some(found.norm)
+}
