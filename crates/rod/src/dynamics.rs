@@ -35,8 +35,10 @@ use crate::twist_equilibrium::TwistEquilibrium;
 /// ```
 ///
 /// State x = [X, V, θ] of the free vertices and angles (SI units: m, m/s, rad); under BDF2, and under
-/// midpoint with twist or Kelvin–Voigt damping, followed by the same of the step before. Control z = [X₀,
-/// V₀], θ₀ being the twist equilibrium of X₀ nearest to the untwisted frame. Use it inside
+/// midpoint with twist or Kelvin–Voigt damping, followed by the same of the step before. Control z =
+/// [X₀, V₀], θ₀ being the twist equilibrium of X₀ nearest to the untwisted frame. Where both ends
+/// are clamped the end clamp's angle stands after the free ones: unwrapped, it counts the turns of the
+/// clamps, and each step takes it on the branch that their motion leads to. Use it inside
 /// [`ImplicitModel`](varda_implicit::ImplicitModel); [`RodStep::model`] does.
 ///
 /// First guess of a step: X_k carried along rigidly with the supports, θ_k.
@@ -78,6 +80,7 @@ pub struct RodStep {
     pub(crate) end_angle: f64,
     pub(crate) tolerance: f64,
     pub(crate) state: Vec<f64>,
+    pub(crate) lambda: Vec<f64>,
     pub(crate) displacement: Vec<Vector3<f64>>,
     pub(crate) psi: Vec<f64>,
 }
@@ -118,6 +121,7 @@ impl RodStep {
             star: vec![0.0; system.layout.unknowns],
             end_angle: 0.0,
             state: vec![0.0; system.layout.state()],
+            lambda: Vec::new(),
             displacement: vec![Vector3::zeros(); n + 1],
             psi: vec![0.0; n],
             damping,
@@ -155,7 +159,7 @@ impl RodStep {
         &self.system.layout.free_vertices
     }
 
-    /// Numbers of the edges whose angle θ is part of the state, ascending; empty where twist is left out.
+    /// Numbers of the edges whose angle θ is unknown, ascending; empty where twist is left out.
     pub fn free_angles(&self) -> &[usize] {
         &self.system.layout.free_angles
     }
@@ -165,16 +169,16 @@ impl RodStep {
         6 * self.system.layout.free_vertices.len()
     }
 
-    /// The same step, the first angles of a run looked for from those of a shape at rest, which picks their
-    /// branch, not from zero.
+    /// The same step, the first angles of a run looked for from those of a shape at rest at time t \[s\],
+    /// which picks their branch, not from zero; [`Clamp::turns`](crate::Clamp::turns) since then are added.
     ///
     /// # Panics
     /// If the shape has not one angle for every edge.
     #[must_use]
-    pub fn starting_from(mut self, shape: &Rest) -> RodStep {
+    pub fn starting_from(mut self, shape: &Rest, t: f64) -> RodStep {
         assert_eq!(shape.theta.len(), self.rod().segments(), "one angle for every edge");
         if let Some(twist) = &mut self.twist {
-            twist.first = Some(shape.theta.clone());
+            twist.first = Some((shape.theta.clone(), self.system.supports.turns_at(t)));
         }
         self
     }
@@ -259,6 +263,9 @@ impl RodStep {
             let guess = s.end_angle_guess();
             s.update_shape(true, guess)?;
             self.end_angle = s.theta.last().copied().unwrap_or(0.0);
+            if s.layout.ends_held() {
+                self.end_angle += s.clamps_turn(at.start, stage.of.time)?.0;
+            }
         }
         if let Some(spin) = &mut self.spin {
             spin.start_from(s);
@@ -275,7 +282,8 @@ impl RodStep {
                     }
                     s.place(at.start - age * before)?;
                     s.scatter_state(&self.state);
-                    s.update_shape(true, self.end_angle)?;
+                    let near = if s.layout.ends_held() { s.end_angle_guess() } else { self.end_angle };
+                    s.update_shape(true, near)?;
                     viscous.add(s, of, weight);
                 }
             }

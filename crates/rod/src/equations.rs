@@ -105,6 +105,13 @@ impl StepEquations for RodEquations<'_> {
         if step.system.layout.free_angles.is_empty() {
             return Ok(None);
         }
+        if step.system.layout.ends_held() {
+            let (from, to) = (self.at.start, self.at.end());
+            let (_, turn) = step.system.clamps_turn(from, to)?;
+            if !(turn.abs() <= std::f64::consts::FRAC_PI_2) {
+                return Err(Error::ClampTurns { turn, from, to }.into());
+            }
+        }
         step.system.scatter(u);
         step.system.update_shape(true, step.end_angle)?;
         let resistance = |e: usize| step.spin.as_ref().map_or(0.0, |spin| spin.resistance(e));

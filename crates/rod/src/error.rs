@@ -46,6 +46,19 @@ pub enum Error {
         /// Number of the edge.
         edge: usize,
     },
+    /// A clamp turned so far within a step that whole turns cannot be told from none.
+    #[error(
+        "a clamp turns by {turn:.3} rad in the step from t = {from} s to {to} s, and more than a quarter \
+         turn leaves its whole turns undecided: a shorter step or a slower drive helps"
+    )]
+    ClampTurns {
+        /// Its turn about its tangent \[rad\].
+        turn: f64,
+        /// Start of the step \[s\].
+        from: f64,
+        /// Its end \[s\].
+        to: f64,
+    },
     /// No support at all: an equilibrium would fall or drift away.
     #[error("nothing holds the rod: it has no clamp and no prescribed vertex")]
     NothingHolds,

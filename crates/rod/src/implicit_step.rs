@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 use varda_implicit::{ImplicitModel, ImplicitStep, Interval, Model, Refusal, Structure, Substepped};
 
+use crate::Error;
 use crate::dynamics::RodStep;
 use crate::equations::RodEquations;
 use crate::stage::{RodStage, mixed, mixed_add};
@@ -23,6 +24,120 @@ impl RodStep {
     /// As [`ImplicitModel::on_times`] and [`Substepped::through`].
     pub fn model_on_times(self, times: &[f64], through: &[f64]) -> Box<dyn Model + Send> {
         Box::new(Substepped::through(ImplicitModel::on_times(self, times.to_vec()), times, through))
+    }
+
+    /// The part of x_{k+1} = S(x_k, u) that is linear: all of it but the end clamp's angle.
+    fn follow(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
+        let RodStage { of, angle, .. } = self.stage(at);
+        let ([b0, b1], layout) = (of.to, &self.system.layout);
+        let (own, nf) = (layout.state(), layout.free_vertices.len());
+        for (f, &v) in layout.free_vertices.iter().enumerate() {
+            let i = layout.unknown[layout.vertex(v)];
+            for c in 0..3 {
+                let (place, speed) = (3 * f + c, 3 * (nf + f) + c);
+                x_next[place] = b0 * u[i + c] + b1 * x[place];
+                let rate = (u[i + c] - mixed(of.from, x, own, place)) / of.length;
+                x_next[speed] = b0 * rate + b1 * x[speed];
+            }
+        }
+        for (f, &e) in layout.free_angles.iter().enumerate() {
+            let past = mixed([angle[1], angle[2]], x, own, 6 * nf + f);
+            x_next[6 * nf + f] = angle[0] * u[layout.unknown[layout.angle(e)]] + past;
+        }
+    }
+
+    /// The end clamp's angle at x_{k+1}, on the branch of `before`, that at x_k, and the turn of the clamps.
+    fn end_angle(&mut self, at: &Interval, before: f64, x_next: &[f64]) -> Result<f64, Error> {
+        let s = &mut self.system;
+        let (turned, _) = s.clamps_turn(at.start, at.end())?;
+        s.place(at.end())?;
+        s.scatter_state(x_next);
+        s.update_shape(true, before + turned)?;
+        Ok(s.theta[s.layout.segments - 1])
+    }
+
+    /// Edges and turns of x_{k+1}, for the holonomy of the end clamp's angle.
+    fn set_edges_of_next(&mut self, at: &Interval, x: &[f64], u: &[f64]) {
+        let mut next = std::mem::take(&mut self.state);
+        self.follow(at, x, u, &mut next);
+        self.system.place(at.end()).expect("the step was accepted before");
+        self.system.scatter_state(&next);
+        self.system.shape.set_edges(&self.system.x, true).expect("the step was accepted before");
+        self.state = next;
+    }
+
+    /// λ with what its component of the end clamp's angle means for the places of x_{k+1}; λ itself where
+    /// there is none.
+    fn end_angle_transpose<'a>(
+        &mut self,
+        at: &Interval,
+        x: &[f64],
+        u: &[f64],
+        lambda: &'a [f64],
+        with_end: &'a mut Vec<f64>,
+    ) -> &'a [f64] {
+        let Some(end) = self.system.layout.end_angle().filter(|end| lambda[*end] != 0.0) else {
+            return lambda;
+        };
+        self.set_edges_of_next(at, x, u);
+        self.psi.fill(0.0);
+        *self.psi.last_mut().expect("a rod has edges") = lambda[end];
+        self.displacement.fill(Vector3::zeros());
+        self.system.shape.holonomy_transpose_add(&self.psi, &mut self.displacement);
+        with_end.clear();
+        with_end.extend_from_slice(lambda);
+        for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
+            for c in 0..3 {
+                with_end[3 * f + c] += self.displacement[v][c];
+            }
+        }
+        with_end
+    }
+
+    /// The transpose of `follow`, and of the holonomy between the unknowns' angles and those stored.
+    fn follow_transpose(&mut self, at: &Interval, u: &[f64], lambda: &[f64], dx: &mut [f64], du: &mut [f64]) {
+        let RodStage { of, angle, .. } = self.stage(at);
+        let ([b0, b1], layout) = (of.to, &self.system.layout);
+        let (own, nf) = (layout.state(), layout.free_vertices.len());
+        let rate = b0 / of.length;
+        for (f, &v) in layout.free_vertices.iter().enumerate() {
+            let i = layout.unknown[layout.vertex(v)];
+            let (place, speed) = (3 * f, 3 * (nf + f));
+            let at = |i: usize| [lambda[i], lambda[i + 1], lambda[i + 2]];
+            let (places, speeds) = (at(place), at(speed));
+            let back = speeds.map(|l| rate * l);
+            for c in 0..3 {
+                du[i + c] = b0 * places[c] + back[c];
+            }
+            if b1 != 0.0 {
+                mixed_add([b1, 0.0], dx, own, place, places);
+                mixed_add([b1, 0.0], dx, own, speed, speeds);
+            }
+            mixed_add(of.from, dx, own, place, back.map(|b| -b));
+        }
+        let angles = &lambda[6 * nf..6 * nf + layout.free_angles.len()];
+        for (f, &e) in layout.free_angles.iter().enumerate() {
+            du[layout.unknown[layout.angle(e)]] = angle[0] * angles[f];
+            mixed_add([angle[1], angle[2]], dx, own, 6 * nf + f, [angles[f]]);
+        }
+        // θ_{k+1} is read by nobody in most windows: then nothing comes back through the holonomy.
+        if angles.iter().all(|a| *a == 0.0) {
+            return;
+        }
+        self.set_edges_of(at, u);
+        self.psi.fill(0.0);
+        for (f, &e) in self.system.layout.free_angles.iter().enumerate() {
+            self.psi[e] = angle[0] * angles[f];
+        }
+        self.displacement.fill(Vector3::zeros());
+        self.system.shape.holonomy_transpose_add(&self.psi, &mut self.displacement);
+        let layout = &self.system.layout;
+        for &v in &layout.free_vertices {
+            let i = layout.unknown[layout.vertex(v)];
+            for c in 0..3 {
+                du[i + c] += self.displacement[v][c];
+            }
+        }
     }
 }
 
@@ -51,21 +166,10 @@ impl ImplicitStep for RodStep {
     }
 
     fn advance(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
-        let RodStage { of, angle, .. } = self.stage(at);
-        let ([b0, b1], layout) = (of.to, &self.system.layout);
-        let (own, nf) = (layout.state(), layout.free_vertices.len());
-        for (f, &v) in layout.free_vertices.iter().enumerate() {
-            let i = layout.unknown[layout.vertex(v)];
-            for c in 0..3 {
-                let (place, speed) = (3 * f + c, 3 * (nf + f) + c);
-                x_next[place] = b0 * u[i + c] + b1 * x[place];
-                let rate = (u[i + c] - mixed(of.from, x, own, place)) / of.length;
-                x_next[speed] = b0 * rate + b1 * x[speed];
-            }
-        }
-        for (f, &e) in layout.free_angles.iter().enumerate() {
-            let past = mixed([angle[1], angle[2]], x, own, 6 * nf + f);
-            x_next[6 * nf + f] = angle[0] * u[layout.unknown[layout.angle(e)]] + past;
+        self.follow(at, x, u, x_next);
+        if let Some(end) = self.system.layout.end_angle() {
+            // a motion that is unusable at the end of the step shows as a state that is not finite
+            x_next[end] = self.end_angle(at, x[end], x_next).unwrap_or(f64::NAN);
         }
     }
 
@@ -157,14 +261,20 @@ impl ImplicitStep for RodStep {
     fn advance_tangent(
         &mut self,
         at: &Interval,
-        _x: &[f64],
+        x: &[f64],
         u: &[f64],
         dx: &[f64],
         du: &[f64],
         dx_next: &mut [f64],
     ) {
-        // ∂S is linear: du takes the place of u, dx that of x.
-        self.advance(at, dx, du, dx_next);
+        // du takes the place of u, dx that of x
+        self.follow(at, dx, du, dx_next);
+        if let Some(end) = self.system.layout.end_angle() {
+            self.set_edges_of_next(at, x, u);
+            self.system.displacements(dx_next, &mut self.displacement);
+            self.system.shape.holonomy(&self.displacement, &mut self.psi);
+            dx_next[end] = self.psi[self.psi.len() - 1];
+        }
         if self.system.layout.free_angles.is_empty() {
             return;
         }
@@ -181,55 +291,17 @@ impl ImplicitStep for RodStep {
     fn advance_adjoint(
         &mut self,
         at: &Interval,
-        _x: &[f64],
+        x: &[f64],
         u: &[f64],
         lambda: &[f64],
         dx: &mut [f64],
         du: &mut [f64],
     ) {
         dx.fill(0.0);
-        let RodStage { of, angle, .. } = self.stage(at);
-        let ([b0, b1], layout) = (of.to, &self.system.layout);
-        let (own, nf) = (layout.state(), layout.free_vertices.len());
-        let rate = b0 / of.length;
-        for (f, &v) in layout.free_vertices.iter().enumerate() {
-            let i = layout.unknown[layout.vertex(v)];
-            let (place, speed) = (3 * f, 3 * (nf + f));
-            let at = |i: usize| [lambda[i], lambda[i + 1], lambda[i + 2]];
-            let (places, speeds) = (at(place), at(speed));
-            let back = speeds.map(|l| rate * l);
-            for c in 0..3 {
-                du[i + c] = b0 * places[c] + back[c];
-            }
-            if b1 != 0.0 {
-                mixed_add([b1, 0.0], dx, own, place, places);
-                mixed_add([b1, 0.0], dx, own, speed, speeds);
-            }
-            mixed_add(of.from, dx, own, place, back.map(|b| -b));
-        }
-        let angles = &lambda[6 * nf..];
-        for (f, &e) in layout.free_angles.iter().enumerate() {
-            du[layout.unknown[layout.angle(e)]] = angle[0] * angles[f];
-            mixed_add([angle[1], angle[2]], dx, own, 6 * nf + f, [angles[f]]);
-        }
-        // θ_{k+1} is read by nobody in most windows: then nothing comes back through the holonomy.
-        if angles.iter().all(|a| *a == 0.0) {
-            return;
-        }
-        self.set_edges_of(at, u);
-        self.psi.fill(0.0);
-        for (f, &e) in self.system.layout.free_angles.iter().enumerate() {
-            self.psi[e] = angle[0] * angles[f];
-        }
-        self.displacement.fill(Vector3::zeros());
-        self.system.shape.holonomy_transpose_add(&self.psi, &mut self.displacement);
-        let layout = &self.system.layout;
-        for &v in &layout.free_vertices {
-            let i = layout.unknown[layout.vertex(v)];
-            for c in 0..3 {
-                du[i + c] += self.displacement[v][c];
-            }
-        }
+        let mut with_end = std::mem::take(&mut self.lambda);
+        let lambda = self.end_angle_transpose(at, x, u, lambda, &mut with_end);
+        self.follow_transpose(at, u, lambda, dx, du);
+        self.lambda = with_end;
     }
 
     fn control_dim(&self) -> usize {

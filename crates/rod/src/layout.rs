@@ -122,9 +122,20 @@ impl Layout {
         self.free_angles.len() == self.segments
     }
 
+    /// Whether both ends hold a director and twist is an unknown: the end clamp's angle is then part of the
+    /// state, since it counts whole turns.
+    pub(crate) fn ends_held(&self) -> bool {
+        self.twist && self.free_angles.len() + 2 == self.segments
+    }
+
+    /// Where the end clamp's angle stands in the state.
+    pub(crate) fn end_angle(&self) -> Option<usize> {
+        self.ends_held().then(|| 6 * self.free_vertices.len() + self.free_angles.len())
+    }
+
     /// Length of the state [X, V, θ].
     pub(crate) fn state(&self) -> usize {
-        6 * self.free_vertices.len() + self.free_angles.len()
+        6 * self.free_vertices.len() + self.free_angles.len() + usize::from(self.ends_held())
     }
 }
 

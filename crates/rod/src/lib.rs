@@ -99,6 +99,7 @@
 #![forbid(unsafe_code)]
 
 pub mod check;
+mod clamp_frame;
 mod damping;
 mod dynamics;
 mod element;

@@ -3,7 +3,8 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::Error;
-use crate::system::{ClampFrame, System};
+use crate::clamp_frame::ClampFrame;
+use crate::system::System;
 
 /// A support moves a part of the rod rigidly from one time to the next.
 #[derive(Clone, Copy)]

@@ -99,8 +99,11 @@ pub struct Clamp {
     pub position: Arc<dyn Motion>,
     /// Direction of the held edge, towards growing arc length.
     pub tangent: Arc<dyn Motion>,
-    /// Direction m₁ of the section.
+    /// Direction m₁ of the section, before `turns`.
     pub director: Arc<dyn Motion>,
+    /// Turns of the director about the tangent as a function of time \[–\]: m₁ is turned by 2π times as
+    /// much, and whole turns between the two ends of a rod are its twist. Absent: none.
+    pub turns: Option<Arc<dyn Fn(f64) -> f64 + Send + Sync>>,
 }
 
 impl Clamp {
@@ -111,7 +114,29 @@ impl Clamp {
         tangent: impl Motion + 'static,
         director: impl Motion + 'static,
     ) -> Clamp {
-        Clamp { at, position: Arc::new(position), tangent: Arc::new(tangent), director: Arc::new(director) }
+        let (position, tangent, director) = (Arc::new(position), Arc::new(tangent), Arc::new(director));
+        Clamp { at, position, tangent, director, turns: None }
+    }
+
+    /// The same, turned about its tangent as a function of time; right-handed.
+    ///
+    /// ```
+    /// use varda_rod::{Clamp, ClampAt, Vector3};
+    ///
+    /// // three turns within two seconds
+    /// let clamp = Clamp::new(ClampAt::Face, [0.0; 3], Vector3::x(), Vector3::z());
+    /// let clamp = clamp.with_turns(|t: f64| 3.0 * (t / 2.0).clamp(0.0, 1.0));
+    /// assert_eq!(clamp.turns_at(1.0), 1.5);
+    /// ```
+    #[must_use]
+    pub fn with_turns(mut self, turns: impl Fn(f64) -> f64 + Send + Sync + 'static) -> Clamp {
+        self.turns = Some(Arc::new(turns));
+        self
+    }
+
+    /// Its turns at time t \[s\]; zero where it has none.
+    pub fn turns_at(&self, t: f64) -> f64 {
+        self.turns.as_ref().map_or(0.0, |turns| turns(t))
     }
 }
 
@@ -137,7 +162,7 @@ pub struct Supports {
     pub prescribed: Vec<(usize, Arc<dyn Motion>)>,
     /// Frame of the first edge where no clamp gives it: a tangent and a director d₁, carried from that
     /// tangent to the first edge by parallel transport. The first edge may point anywhere but against the
-    /// tangent.
+    /// tangent; a tangent against which the prescribed vertices lie at time 0 is turned round.
     pub free_frame: (Vector3<f64>, Vector3<f64>),
 }
 
@@ -156,6 +181,22 @@ impl Supports {
     /// Whether a clamp holds the rod at its face, at the start and at the end.
     pub fn faces(&self) -> [bool; 2] {
         [&self.start, &self.end].map(|c| c.as_ref().is_some_and(|c| c.at == ClampAt::Face))
+    }
+
+    /// Turns \[–\] of the end clamp beyond those of the start clamp at time t \[s\].
+    pub fn turns_at(&self, t: f64) -> f64 {
+        let of = |clamp: &Option<Clamp>| clamp.as_ref().map_or(0.0, |clamp| clamp.turns_at(t));
+        of(&self.end) - of(&self.start)
+    }
+
+    /// Whether the rod leads from its first to its last prescribed vertex against a direction, as they are at
+    /// time 0: no frame can be carried from there to a first edge that points so.
+    pub(crate) fn runs_against(&self, direction: &Vector3<f64>) -> bool {
+        let first = self.prescribed.iter().min_by_key(|p| p.0);
+        let last = self.prescribed.iter().max_by_key(|p| p.0);
+        let (Some(first), Some(last)) = (first, last) else { return false };
+        let chord = last.1.at(0.0) - first.1.at(0.0);
+        chord.dot(direction) < -0.5 * chord.norm() * direction.norm()
     }
 
     /// Vertices whose place is prescribed, ascending.

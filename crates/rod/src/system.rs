@@ -9,9 +9,9 @@ use crate::geometry::{any_perpendicular, perpendicular, signed_angle};
 use crate::layout::{Band, FIXED, Layout, mirror};
 use crate::load::{EdgeLoad, EdgeMotion};
 use crate::rod::Rod;
-use crate::scalar::{length, unit};
+use crate::scalar::length;
 use crate::shape::{FirstFrame, Shape};
-use crate::support::{Clamp, ClampAt, Damping, Loads, Supports};
+use crate::support::{Clamp, Damping, Loads, Supports};
 
 /// Largest |δθ| of one Newton update \[rad\], where bending depends on angles: it does so with periods of
 /// π and 2π.
@@ -48,40 +48,6 @@ pub(crate) struct System {
 pub(crate) struct StageStart<'a> {
     pub(crate) places: &'a [Vector3<f64>],
     pub(crate) length: f64,
-}
-
-/// Position, tangent and director of a clamp at one time.
-pub(crate) struct ClampFrame {
-    pub(crate) at: ClampAt,
-    pub(crate) position: Vector3<f64>,
-    pub(crate) tangent: Vector3<f64>,
-    pub(crate) director: Vector3<f64>,
-}
-
-impl Clamp {
-    pub(crate) fn frame(&self, t: f64) -> Result<ClampFrame, Error> {
-        let bad = |what, index| Error::NonFinite { what, index };
-        let position = self.position.at(t);
-        let tangent = self.tangent.at(t);
-        let director = self.director.at(t);
-        let size = length(&tangent);
-        if !(size > 0.0 && size.is_finite()) {
-            return Err(bad("a clamp's tangent, component", 0));
-        }
-        let tangent = tangent / size;
-        let across = director - tangent * director.dot(&tangent);
-        if !(length(&across) > 1e-9 * length(&director)) {
-            return Err(Error::Value {
-                field: "a clamp's director",
-                value: length(&across),
-                expected: "a direction not along its tangent",
-            });
-        }
-        if !position.iter().all(|p| p.is_finite()) {
-            return Err(bad("a clamp's position, component", 0));
-        }
-        Ok(ClampFrame { at: self.at, position, tangent, director: unit(&across) })
-    }
 }
 
 impl System {
@@ -121,7 +87,7 @@ impl System {
         if !(size > 0.0 && size.is_finite()) {
             return Err(Error::Value { field: "free_frame tangent", value: size, expected: "a direction" });
         }
-        let tangent = tangent / size;
+        let tangent = if supports.runs_against(&tangent) { -tangent } else { tangent } / size;
         let across = director - tangent * director.dot(&tangent);
         let director = if length(&across) > 1e-9 * length(&director) {
             perpendicular(&director, &tangent)
@@ -210,6 +176,14 @@ impl System {
         Ok(())
     }
 
+    /// How far the end clamp turns against the start clamp from one time to another, and the larger of their
+    /// turns \[rad\].
+    pub(crate) fn clamps_turn(&self, from: f64, to: f64) -> Result<(f64, f64), Error> {
+        let turned = |clamp: &Option<Clamp>| clamp.as_ref().map_or(Ok(0.0), |c| c.turned(from, to));
+        let (start, end) = (turned(&self.supports.start)?, turned(&self.supports.end)?);
+        Ok((end - start, if start.abs() > end.abs() { start } else { end }))
+    }
+
     /// Vertices and angles from unknowns.
     pub(crate) fn scatter(&mut self, u: &[f64]) {
         let layout = &self.layout;
@@ -243,11 +217,20 @@ impl System {
         for (f, &e) in self.layout.free_angles.iter().enumerate() {
             self.theta[e] = state[6 * nf + f];
         }
+        if let Some(end) = self.layout.end_angle() {
+            self.theta[self.layout.segments - 1] = state[end];
+        }
     }
 
-    /// An angle near the one the end clamp will have: the branch on which the last twist is nearest its
-    /// natural value.
+    /// An angle near the one the end clamp has in a state that was scattered: that of the state, where it is
+    /// part of it.
     pub(crate) fn end_angle_guess(&self) -> f64 {
+        let own = self.theta.last().filter(|_| self.layout.ends_held());
+        own.copied().unwrap_or_else(|| self.end_angle_beside())
+    }
+
+    /// The branch on which the last twist is nearest its natural value.
+    pub(crate) fn end_angle_beside(&self) -> f64 {
         let n = self.rod.segments();
         let before = if n > 1 { self.theta[n - 2] } else { 0.0 };
         before + self.rod.natural_twist.last().copied().unwrap_or(0.0)

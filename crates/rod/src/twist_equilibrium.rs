@@ -34,8 +34,8 @@ pub(crate) struct TwistEquilibrium {
     displacement: Vec<Vector3<f64>>,
     /// a of the first angle; zero where an end holds a director.
     hold: f64,
-    /// Angles of all edges to start from, in place of zero.
-    pub(crate) first: Option<Vec<f64>>,
+    /// Angles of all edges to start from, in place of zero, and the turns of the clamps that are in them.
+    pub(crate) first: Option<(Vec<f64>, f64)>,
 }
 
 impl TwistEquilibrium {
@@ -75,12 +75,21 @@ impl TwistEquilibrium {
             s.x[v] = Vector3::from_column_slice(&positions[3 * f..3 * f + 3]);
         }
         s.theta.fill(0.0);
-        let mut end_angle = s.end_angle_guess();
+        let mut end_angle = s.end_angle_beside();
+        let mut turned = s.supports.turns_at(t);
         self.u.fill(0.0);
-        if let Some(first) = &self.first {
+        if let Some((first, turns)) = &self.first {
+            turned -= turns;
             end_angle = first[first.len() - 1];
             for (u, &e) in self.u.iter_mut().zip(&self.full.layout.free_angles) {
                 *u = first[e];
+            }
+        }
+        if turned != 0.0 {
+            let (turned, n) = (std::f64::consts::TAU * turned, s.rod.segments() as f64);
+            end_angle += turned;
+            for (u, &e) in self.u.iter_mut().zip(&self.full.layout.free_angles) {
+                *u += turned * (e as f64 + 0.5) / n;
             }
         }
         self.statics.end_angle = end_angle;
@@ -88,7 +97,8 @@ impl TwistEquilibrium {
         let options = NewtonOptions::default().with_max_iterations(200);
         solve(&mut self.statics, &mut self.u, &mut self.work, &options)
             .map_err(|failure| failure.in_step(&at_rest(t)))?;
-        theta.copy_from_slice(&self.u);
+        let (free, end) = theta.split_at_mut(self.u.len());
+        free.copy_from_slice(&self.u);
 
         self.full.place(t)?;
         self.full.x.copy_from_slice(&self.statics.system.x);
@@ -96,6 +106,7 @@ impl TwistEquilibrium {
             self.full.theta[e] = self.u[f];
         }
         self.full.update_shape(true, end_angle)?;
+        end.fill(self.full.theta[self.full.theta.len() - 1]);
         self.band.fill(0.0);
         self.full.elastic(Some(&mut self.band));
         self.set_moments();
@@ -198,6 +209,7 @@ impl TwistEquilibrium {
         for (f, &e) in self.full.layout.free_angles.iter().enumerate() {
             dtheta[f] = self.rhs[f] + self.psi[e];
         }
+        dtheta[self.rhs.len()..].fill(self.psi[self.psi.len() - 1]);
         self.displacement = displacement;
     }
 
@@ -205,6 +217,7 @@ impl TwistEquilibrium {
         if lambda.iter().all(|l| *l == 0.0) {
             return;
         }
+        let (lambda, end) = lambda.split_at(self.rhs.len());
         self.rhs.copy_from_slice(lambda);
         self.solve_angles();
         let mut displacement = std::mem::take(&mut self.displacement);
@@ -217,6 +230,9 @@ impl TwistEquilibrium {
                     displacement[v][c] -= self.by_place(f, v, c) * self.rhs[f];
                 }
             }
+        }
+        if let Some(end) = end.first() {
+            *self.psi.last_mut().expect("a rod has edges") += end;
         }
         self.full.shape.holonomy_transpose_add(&self.psi, &mut displacement);
         for (f, &v) in self.full.layout.free_vertices.iter().enumerate() {

@@ -123,7 +123,7 @@ fn coils_start_from_their_natural_curvature() {
         // its angles are handed on: the first step moves nothing
         let step = RodStep::new(rod, supports, Loads::default(), Damping::default()).unwrap();
         let control = step.control_at_rest(&found.rest);
-        let mut model = ImplicitModel::new(step.starting_from(&found.rest), 0, 1e-3);
+        let mut model = ImplicitModel::new(step.starting_from(&found.rest, 0.0), 0, 1e-3);
         let (mut x, mut next) = (vec![0.0; model.dim()], vec![0.0; model.dim()]);
         model.initial_state(&control, &mut x).unwrap();
         model.step(0, &x, &mut next).unwrap();

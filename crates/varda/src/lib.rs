@@ -13,6 +13,8 @@
 //! | [`run`] | a problem | [`Outcome`](outcome::Outcome): all that a report needs, plain data |
 //! | [`report`] | an outcome | a folder with tables, figures and a page |
 //! | [`cli`] | arguments | all of these, and messages |
+//! | [`convert`] | a file of a motion-capture system | [`Recording`](convert::Recording): markers, to our CSV
+//! |
 //!
 //! Every stage can be used alone; `main.rs` only calls [`cli::main`].
 //!

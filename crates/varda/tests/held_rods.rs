@@ -209,3 +209,28 @@ fn what_cannot_be_a_shape_or_holds_nothing_is_said() {
         assert!(message.contains(says), "{message}");
     }
 }
+
+#[test]
+fn whole_turns_of_a_clamp_twist_a_rod_and_buckle_it() {
+    let folder = Folder::new("turns").with("turns.csv", "time_s,turns\n-1,0\n0,2\n1,2\n");
+    let scene = |turns: &str| {
+        let held = clamps(1.0);
+        let held = held.strip_suffix(" }\n").expect("the end clamp is the last");
+        format!("length = 1.0\nsegments = 30\n{STIFF}\ngravity = [0, 0, 0]\n{held}, turns = {turns} }}\n")
+    };
+    let height = |turns: &str| {
+        let (shape, moved) = folder.run(&scene(turns));
+        assert!(moved <= 1e-6, "{turns}: {moved}");
+        shape.iter().map(|x| x[1].hypot(x[2])).fold(0.0, f64::max)
+    };
+    // it buckles at 8.99 EI/GJ = 11.2 rad: with two turns, from a file too; its clamps keep it from more
+    assert!(height("1") <= 1e-9);
+    assert!(height("2") >= 1e-5);
+    assert!(height("{ file = \"turns.csv\", time_zero = 0.0 }") >= 1e-5);
+    let late = folder.refusal(&scene("{ file = \"turns.csv\", time_zero = 5.0 }"));
+    assert!(late.contains("model.end.turns.time_zero"), "{late}");
+    let word = folder.refusal(&scene("\"two\""));
+    assert!(word.contains("model.end.turns"), "{word}");
+    let unknown = folder.refusal(&scene("{ name = \"turns.csv\" }"));
+    assert!(unknown.contains("name"), "{unknown}");
+}

@@ -124,7 +124,7 @@ impl HangingRod {
     fn supports(&self) -> Supports {
         let position = Arc::new(self.drive);
         let (tangent, director) = (Arc::new([0.0, 0.0, -1.0]), Arc::new(self.director));
-        Supports::clamped_start(Clamp { at: ClampAt::Edge, position, tangent, director })
+        Supports::clamped_start(Clamp { at: ClampAt::Edge, position, tangent, director, turns: None })
     }
 
     /// The control [X, V] at the start of the window, from hanging at rest at time 0.
@@ -419,7 +419,7 @@ pub fn rod_scale(step: &RodStep) -> Vec<f64> {
     let n = step.control_len() / 2;
     let mut scale = vec![0.01; n];
     scale.resize(2 * n, 1.0);
-    scale.resize(2 * n + step.free_angles().len(), 0.1);
+    scale.resize(step.dim() - step.history(), 0.1);
     scale.extend_from_within(..step.history());
     scale
 }

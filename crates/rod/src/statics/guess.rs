@@ -3,10 +3,10 @@
 use nalgebra::{Rotation3, Unit, Vector3};
 
 use crate::Error;
+use crate::clamp_frame::ClampFrame;
 use crate::geometry::{any_perpendicular, perpendicular};
 use crate::rod::Rod;
 use crate::support::Supports;
-use crate::system::ClampFrame;
 
 /// Points of a curve at which its length is measured.
 const SAMPLES: usize = 800;

@@ -35,11 +35,10 @@ pub(super) fn read(file: &str, text: &str, options: &Options) -> Result<Recordin
         let message = format!("marker {:?} does not stand three columns after {:?}", pair[1].1, pair[0].1);
         return Err(lines.bad(3, message));
     }
-    if let Some(count) = value("NumMarkers").and_then(|v| v.parse::<usize>().ok()) {
-        if count != markers.len() {
-            let message = format!("NumMarkers = {count}, and the header names {} markers", markers.len());
-            return Err(lines.bad(3, message));
-        }
+    let told = |key: &str| value(key).and_then(|v| v.parse::<usize>().ok());
+    if let Some(count) = told("NumMarkers").filter(|count| *count != markers.len()) {
+        let message = format!("NumMarkers = {count}, and the header names {} markers", markers.len());
+        return Err(lines.bad(3, message));
     }
     let names = markers.iter().map(|m| m.1.clone()).collect();
     let mut reader = Reader::new(file, "TRC", names, (unit, None), options)?;
@@ -66,10 +65,8 @@ pub(super) fn read(file: &str, text: &str, options: &Options) -> Result<Recordin
         }
         frames += 1;
     }
-    if let Some(count) = value("NumFrames").and_then(|v| v.parse::<usize>().ok()) {
-        if count != frames {
-            reader.remark(format!("NumFrames = {count}, and the file has {frames} frames"));
-        }
+    if let Some(count) = told("NumFrames").filter(|count| *count != frames) {
+        reader.remark(format!("NumFrames = {count}, and the file has {frames} frames"));
     }
     reader.finish()
 }

@@ -58,7 +58,9 @@ pub use model::{
     Prescribed, RestShape, RodModel, Section, ShapePoints,
 };
 pub use model_error::ModelError;
-pub use motion::{Motion, MotionValues, PoseValues, RecordedMarkers, RecordedMotion, RecordedPose};
+pub use motion::{
+    Motion, MotionValues, PoseValues, RecordedMarkers, RecordedMotion, RecordedPose, RecordedTurns, Turns,
+};
 pub use observations::{
     Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, UnreachableRows, Use,
 };

@@ -6,7 +6,7 @@ use varda_implicit::line::{Ends, Line};
 
 use super::defaults::is_default;
 use super::loads::{Drag, Force, Moment};
-use super::motion::Motion;
+use super::motion::{Motion, Turns};
 
 /// The dynamical system.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -349,6 +349,10 @@ pub struct Clamp {
     /// How the clamp moves. Absent: it does not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<Motion>,
+    /// Turns of the director about the tangent, right-handed: a number, or a file with the header
+    /// `time_s,turns`. Whole turns between two clamps are twist of the rod. Absent: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turns: Option<Turns>,
 }
 
 /// A shape of the rod: points along it, in a file or here.

@@ -182,6 +182,29 @@ pub struct RecordedMarkers {
     pub offset: [f64; 3],
 }
 
+/// Turns of a clamp about its tangent.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Turns {
+    /// As many all the time.
+    Constant(f64),
+    /// From a CSV file.
+    Recorded(RecordedTurns),
+}
+
+/// Turns from a CSV file with the header `time_s,turns`, which has to cover the whole run: straight lines
+/// from row to row.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RecordedTurns {
+    /// The file.
+    pub file: String,
+    /// Time in the file at which the model's clock reads 0 [s].
+    #[serde(default, skip_serializing_if = "is_default")]
+    #[schemars(extend("x-unit" = "s"))]
+    pub time_zero: f64,
+}
+
 /// What the rows of a motion are.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]

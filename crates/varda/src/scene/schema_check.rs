@@ -16,7 +16,7 @@ pub(super) struct Wrong {
 
 /// Checks `node` (called `path` in messages) against `schema`, a part of `root`.
 pub(super) fn check(node: &Node, path: &str, schema: &Json, root: &Json) -> Result<(), Wrong> {
-    let schema = resolve(schema, root);
+    let schema = resolve_for(node, schema, root);
     if let Some(choices) = schema["oneOf"].as_array() {
         return check_choice(node, path, choices, root);
     }
@@ -161,6 +161,25 @@ fn check_range(node: &Node, path: &str, value: f64, schema: &Json) -> Result<(),
             place: node.place.clone(),
             message: format!("`{path}` = {shown} is impossible: it must be {expected}{}", unit(schema)),
         }),
+    }
+}
+
+/// The same as `resolve`; of a value that may be a table or not, the part that the value is of.
+fn resolve_for<'a>(node: &Node, schema: &'a Json, root: &'a Json) -> &'a Json {
+    let table = matches!(node.value, Value::Table(_));
+    let mut inner = schema;
+    loop {
+        inner = if let Some(name) = inner["$ref"].as_str().and_then(|r| r.strip_prefix("#/$defs/")) {
+            &root["$defs"][name]
+        } else if let Some(all) = inner["anyOf"].as_array() {
+            let fits = |s: &&Json| s["type"] != "null" && (resolve(s, root)["type"] == "object") == table;
+            match all.iter().find(fits).or_else(|| all.iter().find(|s| s["type"] != "null")) {
+                Some(one) => one,
+                None => return inner,
+            }
+        } else {
+            return inner;
+        };
     }
 }
 

@@ -3,9 +3,14 @@
 use super::invalid::{Check, invalid};
 use super::motion::Said;
 use super::validate_frame::validate_frame;
-use super::{Clamp, Motion, PoseValues, Prescribed};
+use super::{Clamp, Motion, PoseValues, Prescribed, Turns};
 
 pub(super) fn validate_clamp(clamp: &Clamp, path: &str) -> Check {
+    if let Some(Turns::Constant(turns)) = clamp.turns
+        && !turns.is_finite()
+    {
+        return invalid(format!("{path}.turns"), format!("{turns} turns are impossible"));
+    }
     let said = validate_motion(clamp.motion.as_ref(), path)?;
     place(&clamp.position, clamp.motion.as_ref(), said, path)?;
     needed("tangent", clamp.tangent.is_some(), said.tangent, path)?;

@@ -7,8 +7,9 @@ use varda_rod::Vector3;
 use super::reachable::Sighting;
 use super::rod_model::RodParts;
 
-/// Standard deviations of noise that a move may have beyond the speed, about 6/√2 of a difference.
-const SIGMAS: f64 = 6.0;
+/// Standard deviations that a move may have beyond the speed: of a difference in space √2 χ₃ σ is
+/// expected, beyond 8 σ once in a million.
+const SIGMAS: f64 = 8.0;
 /// A speed that nobody stated is this many times what the rod and its supports do by themselves.
 const MARGIN: f64 = 5.0;
 /// Rows in succession that agree on a new place: from then on the marker is there.
@@ -81,8 +82,6 @@ pub(super) struct Jump {
     pub(super) row: usize,
     /// The row before.
     before: usize,
-    /// The marker whose place before it is at, where there is one.
-    other: Option<usize>,
 }
 
 /// The rows that have three coordinates, in the order of time, those of one time together.
@@ -172,16 +171,13 @@ pub(super) fn jumps(rows: &[Sighting], fastest: Fastest) -> Vec<Jump> {
                     past.doubted.clear();
                 }
                 past.doubted.push(here);
-                found.push(Jump { row: index, before: believed.0, other: None });
+                found.push(Jump { row: index, before: believed.0 });
                 if past.doubted.len() >= AGREED {
                     *past = Past { believed: Some(here), doubted: Vec::new() };
                 }
             }
             _ => *past = Past { believed: Some(here), doubted: Vec::new() },
         }
-    }
-    for jump in &mut found {
-        jump.other = label_of(rows, jump, fastest);
     }
     found
 }
@@ -235,7 +231,7 @@ pub(super) fn explain_jumps(rows: &[Sighting], found: &[Jump], fastest: Fastest,
     };
     let cause = if row.written.iter().flatten().all(|v| *v == 0.0) {
         "A lost marker that was exported as 0,0,0? Leave its cells empty.".to_string()
-    } else if let Some(other) = jump.other {
+    } else if let Some(other) = label_of(rows, jump, fastest) {
         format!("That is where {} was: are labels exchanged?", labels[other])
     } else {
         "A false detection, another marker's label, or rows of another recording?".to_string()
@@ -340,7 +336,7 @@ mod tests {
         rows[35].written = lost.written;
         rows.remove(33);
         let found = jumps(&rows, fastest);
-        assert_eq!((found.len(), found[0].other), (1, Some(0)));
+        assert_eq!((found.len(), label_of(&rows, &found[0], fastest)), (1, Some(0)));
         assert!(explain_jumps(&rows, &found, fastest, &["a", "b", "c"]).contains("where a was"));
     }
 }

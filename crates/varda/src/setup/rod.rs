@@ -111,7 +111,7 @@ impl RodSystem {
         self.parts.first = None;
         let rest = self.parts.at_rest(t)?;
         let control = self.parts.dynamics()?.control_at_rest(&rest);
-        self.parts.first = Some(rest);
+        self.parts.first = Some((rest, t));
         Ok(control)
     }
 

@@ -1,5 +1,7 @@
 //! From `[model] kind = "rod"` to the rod of varda-rod.
 
+use std::f64::consts::TAU;
+
 use varda_implicit::Scheme;
 use varda_rod::{
     Clamp, ClampAt, Damping, Loads, Material, Rest, Rod, RodStep, Search, Section, Supports, Vector3, rest,
@@ -31,8 +33,8 @@ pub struct RodParts {
     pub search: Search,
     /// How the recorded motions of its supports are followed.
     pub remarks: Vec<String>,
-    /// The rod at rest at the start of a run, whose angles the first step starts from.
-    pub first: Option<Rest>,
+    /// The rod at rest at a time \[s\], the start of a run, whose angles the first step starts from.
+    pub first: Option<(Rest, f64)>,
 }
 
 impl RodParts {
@@ -97,7 +99,7 @@ impl RodParts {
         let (rod, supports, loads) = (self.rod.clone(), self.supports.clone(), self.loads.clone());
         let step = RodStep::new(rod, supports, loads, self.damping)?.with_scheme(self.scheme);
         Ok(match &self.first {
-            Some(first) => step.starting_from(first),
+            Some((first, t)) => step.starting_from(first, *t),
             None => step,
         })
     }
@@ -107,7 +109,14 @@ impl RodParts {
     /// # Errors
     /// [`Error::Preparation`] where no equilibrium is found.
     pub fn at_rest(&self, t: f64) -> Result<Rest, Error> {
-        let found = rest(&self.rod, &self.supports, &self.loads, t, &self.search)
+        let mut search = self.search.clone();
+        let turned = TAU * self.supports.turns_at(t);
+        if let Some(shape) = search.initial_shape.as_mut().filter(|_| turned != 0.0) {
+            // measured places say nothing of twist
+            let n = shape.theta.len() as f64;
+            shape.theta.iter_mut().enumerate().for_each(|(e, a)| *a += turned * (e as f64 + 0.5) / n);
+        }
+        let found = rest(&self.rod, &self.supports, &self.loads, t, &search)
             .map_err(|reason| Error::Preparation { stage: "static equilibrium", reason })?;
         Ok(found.rest)
     }
@@ -165,7 +174,8 @@ fn clamp(
         scene::ClampAt::Face => ClampAt::Face,
         scene::ClampAt::Edge => ClampAt::Edge,
     };
-    Ok(Clamp { at, position: place, tangent, director })
+    let turns = clamp.turns.as_ref().map(|turns| motions.turns(path, turns)).transpose()?;
+    Ok(Clamp { at, position: place, tangent, director, turns })
 }
 
 /// What to know of neighbouring vertices whose places are given: they hold an edge.

@@ -18,15 +18,19 @@ const STEP: f64 = 0.002;
 
 type Base = fn(f64) -> Vector3<f64>;
 
-const MOTIONS: [(&str, Base); 5] = [
-    ("ellipse", |t| {
+/// A motion, and how many σ it may cost at 240 Hz: the faster its fastest part, the higher the cut-off it
+/// needs, and the more noise is below that.
+type Motion = (&'static str, f64, Base);
+
+const MOTIONS: [Motion; 5] = [
+    ("ellipse", 2.5, |t| {
         Vector3::new(0.05 * (6.0 * t).cos(), 0.03 * (6.0 * t).sin(), 0.0)
             * ramp(6.0 * t / std::f64::consts::TAU)
     }),
-    ("reach", |t| Vector3::new(0.2, -0.05, 0.1) * ramp((t - 0.2) / 0.6)),
-    ("sway", |t| Vector3::new(0.03 * (4.0 * t).sin(), 0.0, 0.02 * (9.0 * t).sin()) * ramp(t / 0.5)),
-    ("circle", |t| Vector3::new((9.0 * t).cos(), (9.0 * t).sin(), 0.0) * (0.02 * ramp(t / 0.7))),
-    ("push", |t| Vector3::new(0.1 * (t - 0.5) * ramp(t), 0.05 * ramp(t / 0.3), 0.0)),
+    ("reach", 4.5, |t| Vector3::new(0.2, -0.05, 0.1) * ramp((t - 0.2) / 0.6)),
+    ("sway", 3.0, |t| Vector3::new(0.03 * (4.0 * t).sin(), 0.0, 0.02 * (9.0 * t).sin()) * ramp(t / 0.5)),
+    ("circle", 3.0, |t| Vector3::new((9.0 * t).cos(), (9.0 * t).sin(), 0.0) * (0.02 * ramp(t / 0.7))),
+    ("push", 6.0, |t| Vector3::new(0.1 * (t - 0.5) * ramp(t), 0.05 * ramp(t / 0.3), 0.0)),
 ];
 
 /// u³ (10 − 15u + 6u²), the quintic that is smooth at both ends.
@@ -47,9 +51,9 @@ pub(super) fn run(options: &Options, rows: &mut Rows) {
     }
 }
 
-fn base(case: &mut Case, rate: f64, motion: (&str, Base), sigma: f64, seed: usize) -> Outcome {
+fn base(case: &mut Case, rate: f64, motion: Motion, sigma: f64, seed: usize) -> Outcome {
     const SEEDS: usize = 15;
-    let exact = simulated(&parts(rate, motion, 0.0, 0)?, Some(motion.1))?;
+    let exact = simulated(&parts(rate, motion, 0.0, 0)?, Some(motion.2))?;
     let mut found = Vec::new();
     for k in 0..SEEDS {
         let noisy = simulated(&parts(rate, motion, sigma, (SEEDS * seed + k) as u64)?, None)?;
@@ -62,10 +66,12 @@ fn base(case: &mut Case, rate: f64, motion: (&str, Base), sigma: f64, seed: usiz
     };
     // What a filter of a few Hz leaves of white noise falls with the root of the rate.
     let share = sigma / 1e-4 * (240.0 / rate).sqrt();
+    // The case that recorded bases are judged by: an ellipse at 240 Hz with 0.1 mm may cost 0.2 mm.
+    let sigmas = if motion.0 == "ellipse" && rate == 240.0 { 2.0 } else { motion.1 };
     let ((place, worst), (speed, fastest)) = (median(|f| f[0]), median(|f| f[1]));
-    case.at_most("farthest", place, 2.5e-4 * share, "m")
+    case.at_most("farthest", place, 1e-4 * sigmas * share, "m")
         .note(format!("median of {SEEDS}; the worst {worst:.2e} m"))
-        .because("2.5 σ at 240 Hz; every cut-off from 3 to 8 Hz costs as much or more");
+        .because("some σ at 240 Hz: noise below the cut-off that the motion needs, enlarged by the rod");
     case.at_most("speed of the tip", speed, 0.03 * share, "m/s")
         .note(format!("median of {SEEDS}; the worst {fastest:.2e} m/s"))
         .because("rows that are all followed cost 0.24 m/s at 240 Hz and 0.1 mm");
@@ -73,7 +79,7 @@ fn base(case: &mut Case, rate: f64, motion: (&str, Base), sigma: f64, seed: usiz
 }
 
 /// The rod with its base recorded from 0.3 s before the run to 0.2 s after it, by another clock.
-fn parts(rate: f64, (name, motion): (&str, Base), sigma: f64, seed: u64) -> Result<RodParts, varda::Error> {
+fn parts(rate: f64, (name, _, motion): Motion, sigma: f64, seed: u64) -> Result<RodParts, varda::Error> {
     let folder = Folder::new(&format!("{name}-{rate}-{sigma}-{seed}"))
         .map_err(|reason| varda::Error::Write { path: "a folder of temporary files".into(), reason })?;
     let clock = 37.25 + 11.0 * seed as f64;

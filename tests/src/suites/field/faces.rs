@@ -296,7 +296,7 @@ fn at_rest_in_motion(case: &mut Case) -> Outcome {
     let found = rest(&rod, &supports, &loads, 0.0, &Search::default())?;
     let step = RodStep::new(rod, supports, loads, Damping::default())?;
     let control = step.control_at_rest(&found.rest);
-    let mut model = ImplicitModel::new(step.starting_from(&found.rest), 0, 1e-3);
+    let mut model = ImplicitModel::new(step.starting_from(&found.rest, 0.0), 0, 1e-3);
     let (mut x, mut next) = (vec![0.0; model.dim()], vec![0.0; model.dim()]);
     model.initial_state(&control, &mut x)?;
     model.step(0, &x, &mut next)?;

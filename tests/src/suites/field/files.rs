@@ -194,7 +194,11 @@ fn with_line(line: &str) -> Vec<u8> {
 fn scaled(header: &str, [time, length]: [f64; 2]) -> Vec<u8> {
     let row = |k: usize, m: usize| {
         let time_text = format!("{}", (0.02 * k as f64 * time * 1e6).round() / 1e6);
-        Some((time_text, NAMES[m].into(), place(k, m).map(|v| format!("{:.4}", v * length))))
+        Some((
+            time_text,
+            NAMES[m].into(),
+            place(k, m).map(|v| format!("{:.9}", (v * 1e6).round() * 1e-6 * length)),
+        ))
     };
     (table(header, row).join("\n") + "\n").into_bytes()
 }

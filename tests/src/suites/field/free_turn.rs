@@ -78,7 +78,7 @@ fn grid(case: &mut Case, every: usize) -> Outcome {
             let step = drawn(i, 0.0)?;
             let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
             let shape = rest(step.rod(), step.supports(), &loads, 0.0, &Search::default())?.rest;
-            let step = step.starting_from(&shape);
+            let step = step.starting_from(&shape, 0.0);
             let z = step.control_at_rest(&shape);
             places(step, &z, 30)?;
             Ok(())

@@ -55,7 +55,7 @@ fn scene(begin: f64) -> String {
 [model]
 kind = "rod"
 length = 1.0
-segments = 43
+segments = 61
 clamp = "face"
 gravity = [0.0, 0.0, -9.81]
 section = {{ kind = "stiffness", ea = 1e3, ei = [3e-3, 3e-3], gj = 3e-3, mass_per_length = 0.08 }}

@@ -1,6 +1,7 @@
 //! What people bring: rods held anywhere, recorded supports, files as they come.
 
 mod bases;
+mod buckling;
 mod common;
 mod faces;
 mod files;
@@ -8,19 +9,25 @@ mod folder;
 mod forces;
 mod free_turn;
 mod gripped;
+mod loads;
+mod references;
 mod rest;
+mod two_ended;
 
 use super::Options;
 use crate::row::{Row, Rows};
 
 pub(super) fn run(options: &Options) -> Vec<Row> {
-    let mut rows = Rows::new("field");
+    let mut rows = Rows::new("field").of(options);
     rest::run(options, &mut rows);
+    two_ended::run(&mut rows);
     bases::run(options, &mut rows);
+    buckling::run(&mut rows);
     files::run(options, &mut rows);
     gripped::run(options, &mut rows);
     faces::run(&mut rows, options.quick);
     forces::run(options, &mut rows);
     free_turn::run(options, &mut rows);
+    loads::run(options, &mut rows);
     rows.finish()
 }

@@ -12,6 +12,7 @@ mod common;
 mod covariance;
 mod document;
 mod implicit;
+mod loads;
 mod rod;
 mod rod_frames;
 mod rod_shapes;
@@ -27,6 +28,7 @@ pub(super) fn run(options: &Options) -> Report {
     rod_shapes::run(&mut rows);
     rod_frames::run(&mut rows);
     rod_statics::run(&mut rows);
+    loads::run(&mut rows);
     rows.area("implicit");
     implicit::run(&mut rows);
     rows.area("chaos");

@@ -27,6 +27,9 @@ pub(super) struct Motions<'a> {
     pub(super) remarks: Vec<String>,
 }
 
+/// Turns of a clamp as a function of time.
+type TurnsInTime = Arc<dyn Fn(f64) -> f64 + Send + Sync>;
+
 /// A support: where it is and how it is turned. Keys that the motion says are absent.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Held {
@@ -115,6 +118,29 @@ impl<'a> Motions<'a> {
             tangent: Arc::new(held.tangent.unwrap_or_default()),
             director: Arc::new(held.director.unwrap_or_default()),
         })
+    }
+
+    /// The turns of the clamp at `path`.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] pointing at the key, or the error of the file.
+    pub(super) fn turns(&mut self, path: &str, keys: &scene::Turns) -> Result<TurnsInTime, Error> {
+        let keys = match keys {
+            scene::Turns::Constant(turns) => {
+                let turns = *turns;
+                return Ok(Arc::new(move |_| turns));
+            }
+            scene::Turns::Recorded(keys) => keys,
+        };
+        let path = format!("{path}.turns");
+        let (times, rows) = self.rows(&path, &keys.file, keys.time_zero, ["time_s", "turns"])?;
+        let turns: Vec<f64> = rows.iter().map(|row| row[1]).collect();
+        Ok(Arc::new(move |t| {
+            let after = times.partition_point(|time| *time < t);
+            let Some(before) = after.checked_sub(1) else { return turns[0] };
+            let (Some(a), Some(b)) = (times.get(before), times.get(after)) else { return turns[before] };
+            turns[before] + (turns[after] - turns[before]) * (t - a) / (b - a)
+        }))
     }
 
     /// Model times and rows of a load that `{path}.file` names.
