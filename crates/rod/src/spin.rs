@@ -174,3 +174,99 @@ impl Spin {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use varda_implicit::{ImplicitModel, ImplicitStep, Interval, Model, Scheme, check};
+
+    use super::*;
+    use crate::{Damping, Loads, Rod, RodStep, Section, Supports};
+
+    const SEGMENTS: usize = 6;
+
+    /// A damped rod held at a point, all of whose sections resist as much as they bend.
+    fn resisting(scheme: Scheme) -> (RodStep, Vec<f64>) {
+        let section = Section { ea: 1e2, ei1: 1e-3, ei2: 2e-3, gj: 8e-4, mass_per_length: 0.1 };
+        let rod = Rod::uniform(0.5, SEGMENTS, &section).unwrap().naturally([1.0, 0.5], 2.0);
+        let supports = Supports { prescribed: vec![(0, Arc::new([0.0; 3]))], ..Supports::default() };
+        let damping = Damping { stiffness: 0.01, mass: 0.0 };
+        let step = RodStep::new(rod, supports, Loads::default(), damping).unwrap();
+        let mut step = step.with_scheme(scheme);
+        let spin = step.spin.as_mut().expect("no director is held");
+        spin.resistance = (0..SEGMENTS).map(|e| 0.01 * (1.0 + e as f64)).collect();
+        let mut z = vec![0.0; step.control_len()];
+        let half = z.len() / 2;
+        for v in 1..=SEGMENTS {
+            let s = v as f64 / SEGMENTS as f64;
+            let place = [0.5 * s, 0.1 * s * s, 0.05 * (3.0 * s).sin()];
+            z[3 * v - 3..3 * v].copy_from_slice(&place);
+        }
+        z[half..].iter_mut().enumerate().for_each(|(i, v)| *v = 2.0 * (1.0 + 2.0 * i as f64).sin());
+        (step, z)
+    }
+
+    #[test]
+    fn its_derivatives_are_exact() {
+        for scheme in [Scheme::BackwardEuler, Scheme::Midpoint, Scheme::Bdf2] {
+            let (step, z) = resisting(scheme);
+            let half = z.len() / 2;
+            let mut model = ImplicitModel::new(step, 0, 0.01);
+            let mut x = vec![0.0; model.dim()];
+            model.initial_state(&z, &mut x).unwrap();
+            let mut next = x.clone();
+            for k in 0..2 {
+                model.step(k, &x, &mut next).unwrap();
+                std::mem::swap(&mut x, &mut next);
+            }
+            let mut scale = vec![0.01; half];
+            scale.resize(2 * half, 1.0);
+            scale.resize(2 * half + SEGMENTS, 0.1);
+            scale.extend_from_within(..x.len() - scale.len());
+            for finding in check::conformance(&mut model, 2, &x, &scale, 3).unwrap() {
+                assert!(finding.value <= finding.bound, "{scheme:?}: {finding:?}");
+            }
+        }
+    }
+
+    /// The gradient against differences of the energy, and one entry of it that is wrong.
+    #[test]
+    fn its_gradient_is_that_of_its_energy() {
+        let (mut step, z) = resisting(Scheme::BackwardEuler);
+        let mut x = vec![0.0; step.dim()];
+        step.initial_state(0.0, &z, &mut x).unwrap();
+        let at = Interval { index: 0, start: 0.0, length: 0.01, previous: None };
+        step.prepare(&at, &x).unwrap();
+        let n = step.unknowns();
+        let mut u = vec![0.0; n];
+        step.system.gather(&mut u);
+        u.iter_mut().enumerate().for_each(|(i, u)| *u += 0.02 * (3.0 + 5.0 * i as f64).cos());
+        let du: Vec<f64> = (0..n).map(|i| (1.0 + 3.0 * i as f64).sin()).collect();
+        let mut energy = |h: f64, g: &mut [f64]| {
+            let moved: Vec<f64> = u.iter().zip(&du).map(|(u, d)| u + h * d).collect();
+            step.system.scatter(&moved);
+            step.system.update_shape(true, 0.0).unwrap();
+            step.spin.as_ref().unwrap().add(&step.system, g, None).unwrap()
+        };
+        let mut unused = vec![0.0; n];
+        let difference = (energy(1e-5, &mut unused) - energy(-1e-5, &mut unused)) / 2e-5;
+        let mut g = vec![0.0; n];
+        energy(0.0, &mut g);
+        // from stored angles to those of the local gauge
+        let (mut moved, mut psi) = (vec![Vector3::zeros(); SEGMENTS + 1], vec![0.0; SEGMENTS]);
+        step.system.unknown_displacements(&du, &mut moved);
+        step.system.shape.holonomy(&moved, &mut psi);
+        let layout = &step.system.layout;
+        let mut local = du.clone();
+        for e in 0..SEGMENTS {
+            local[layout.unknown[layout.angle(e)]] -= psi[e];
+        }
+        let slope = |g: &[f64]| g.iter().zip(&local).map(|(g, d)| g * d).sum::<f64>();
+        // central differences: h² and rounding over h
+        let off = |g: &[f64]| (slope(g) / difference - 1.0).abs();
+        assert!(off(&g) <= 1e-7, "{:e}", off(&g));
+        g[0] *= 1.001;
+        assert!(off(&g) > 1e-6, "a wrong entry is not seen: {:e}", off(&g));
+    }
+}

@@ -162,7 +162,7 @@ pub struct Supports {
     pub prescribed: Vec<(usize, Arc<dyn Motion>)>,
     /// Frame of the first edge where no clamp gives it: a tangent and a director d₁, carried from that
     /// tangent to the first edge by parallel transport. The first edge may point anywhere but against the
-    /// tangent.
+    /// tangent; a tangent against which the prescribed vertices lie at time 0 is turned round.
     pub free_frame: (Vector3<f64>, Vector3<f64>),
 }
 
@@ -187,6 +187,16 @@ impl Supports {
     pub fn turns_at(&self, t: f64) -> f64 {
         let of = |clamp: &Option<Clamp>| clamp.as_ref().map_or(0.0, |clamp| clamp.turns_at(t));
         of(&self.end) - of(&self.start)
+    }
+
+    /// Whether the rod leads from its first to its last prescribed vertex against a direction, as they are at
+    /// time 0: no frame can be carried from there to a first edge that points so.
+    pub(crate) fn runs_against(&self, direction: &Vector3<f64>) -> bool {
+        let first = self.prescribed.iter().min_by_key(|p| p.0);
+        let last = self.prescribed.iter().max_by_key(|p| p.0);
+        let (Some(first), Some(last)) = (first, last) else { return false };
+        let chord = last.1.at(0.0) - first.1.at(0.0);
+        chord.dot(direction) < -0.5 * chord.norm() * direction.norm()
     }
 
     /// Vertices whose place is prescribed, ascending.

@@ -87,7 +87,7 @@ impl System {
         if !(size > 0.0 && size.is_finite()) {
             return Err(Error::Value { field: "free_frame tangent", value: size, expected: "a direction" });
         }
-        let tangent = tangent / size;
+        let tangent = if supports.runs_against(&tangent) { -tangent } else { tangent } / size;
         let across = director - tangent * director.dot(&tangent);
         let director = if length(&across) > 1e-9 * length(&director) {
             perpendicular(&director, &tangent)

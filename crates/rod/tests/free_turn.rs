@@ -145,3 +145,21 @@ fn statics_of_rods_without_a_director() {
         run(rod.name, &mut ImplicitModel::new(start, 0, 0.005), &z, 20);
     }
 }
+
+#[test]
+fn a_cable_along_the_frames_opposite_has_a_frame() {
+    let section = Section { ea: 1e3, ei1: 1e-3, ei2: 1e-3, gj: 8e-4, mass_per_length: 0.1 };
+    let rod = Rod::uniform(1.0, SEGMENTS, &section).unwrap();
+    let held = |v: usize, x: f64| -> (usize, Arc<dyn varda_rod::Motion>) { (v, Arc::new([x, 0.0, 0.0])) };
+    let prescribed = vec![held(0, 0.0), held(SEGMENTS, -1.0)];
+    let supports = Supports { prescribed, ..Supports::default() };
+    let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
+    let damping = Damping { stiffness: 0.01, mass: 0.0 };
+    let step = RodStep::new(rod, supports, loads, damping).unwrap();
+    let mut z = vec![0.0; step.control_len()];
+    for (f, &v) in step.free_vertices().iter().enumerate() {
+        z[3 * f] = -(v as f64) / SEGMENTS as f64;
+    }
+    let x = run("straight along -x", &mut ImplicitModel::new(step, 0, 0.01), &z, 20);
+    assert!(x[3 * (SEGMENTS / 2) - 1] < 0.0, "it sags");
+}

@@ -304,6 +304,29 @@ fn a_new_scene_checks_and_runs_and_is_not_overwritten() {
 }
 
 #[test]
+fn a_recording_is_converted_and_listed_and_nothing_is_overwritten_unasked() {
+    let folder = Folder::new("convert");
+    let trc = "PathFileType\t4\t(X/Y/Z)\tswing.trc\n\
+        DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\n50\t50\t3\t1\tcm\n\
+        Frame#\tTime\ttip\n\t\tX1\tY1\tZ1\n\n1\t0\t10\t50\t-2\n2\t0.02\t\t\t\n3\t0.04\t12\t52\t-3\n";
+    std::fs::write(folder.0.join("swing.trc"), trc).unwrap();
+    let told = text(&folder.varda(&["convert", "swing.trc", "--up", "y"]));
+    for part in ["TRC: 1 markers", "tip", "1               1", "(x, −z, y)", "wrote swing.csv"] {
+        assert!(told.contains(part), "{part:?} is not in {told}");
+    }
+    assert_eq!(
+        folder.read("swing.csv"),
+        "time_s,marker,x_m,y_m,z_m\n0,tip,0.1,0.02,0.5\n0.04,tip,0.12,0.03,0.52\n"
+    );
+    assert!(folder.refusal(&["convert", "swing.trc"]).contains("swing.csv: it is there already"));
+    assert!(folder.refusal(&["convert", "swing.trc", "--out", "swing.trc"]).contains("--out"));
+    text(&folder.varda(&["convert", "swing.trc", "--out", "swing.csv", "--unit", "mm"]));
+    assert!(folder.read("swing.csv").contains("0,tip,0.01,0.05,-0.002"));
+    assert!(folder.refusal(&["convert", "swing.csv"]).contains("needs no conversion"));
+    assert!(folder.refusal(&["convert", "missing.c3d"]).contains("missing.c3d"));
+}
+
+#[test]
 fn lists_and_schema_are_printed() {
     let folder = Folder::new("lists");
     let scenes = text(&folder.varda(&["scenes"]));

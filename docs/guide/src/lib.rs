@@ -12,6 +12,8 @@ pub mod own_operator {}
 pub mod own_covariance {}
 #[doc = include_str!("../rod-without-scenes.md")]
 pub mod rod_without_scenes {}
+#[doc = include_str!("../own-load.md")]
+pub mod own_load {}
 #[doc = include_str!("../motion-capture.md")]
 pub mod motion_capture {}
 #[doc = include_str!("../report.md")]

@@ -28,6 +28,9 @@ const SNAPPING: usize = 2000;
 const SOFT: f64 = 30.0;
 /// … and where clamps turn.
 const STIFF: f64 = 1e4;
+/// Weight × length³ over bending stiffness from which clamps bend a cable near themselves only: it is laid
+/// with them as they are.
+const HEAVY: f64 = 1e4;
 /// Shapes beside one where a search stalled, as shares of the length.
 const KICKS: [f64; 3] = [0.003, -0.01, 0.03];
 /// Multiple of the twisting stiffness on a second way.
@@ -313,13 +316,21 @@ impl Way<'_> {
 
     /// Two held places or more.
     fn between(&mut self) -> Solved {
+        if self.is_heavy() && self.end_turn == 0.0 {
+            let tangents = [&self.held.start, &self.held.end].map(|f| f.as_ref().map(|f| f.tangent));
+            let [start, end] = tangents.each_ref().map(Option::as_ref);
+            let vertices = along(self.rod, &self.held, start, end, &self.loads.gravity);
+            let shape = Rest { vertices, theta: vec![0.0; self.rod.segments()] };
+            let laid = self.stiffen(1.0, self.share_of_stretch(SOFT), 1.0, &shape);
+            if laid.is_ok() {
+                return laid;
+            }
+        }
         let start = self.held.start.is_some().then(|| self.frame(true, 0.0).0);
         let end = self.held.end.is_some().then(|| self.frame(false, 0.0).0);
         let vertices = along(self.rod, &self.held, start.as_ref(), end.as_ref(), &self.loads.gravity);
         let shape = Rest { vertices, theta: vec![0.0; self.rod.segments()] };
-        let natural = self.rod.natural_curvature.iter().map(|k| k[0].hypot(k[1])).sum::<f64>()
-            + self.rod.natural_twist.iter().map(|t| t.abs()).sum::<f64>();
-        let largest = [self.turn(true).1, self.turn(false).1, self.end_turn.abs(), 0.5 * natural];
+        let largest = [self.turn(true).1, self.turn(false).1, self.end_turn.abs(), 0.5 * self.curl()];
         let largest = largest.into_iter().fold(0.0, f64::max);
         let cap = self.share_of_stretch(STIFF);
         let aligned = self.stiffen(0.0, self.share_of_stretch(SOFT), cap, &shape).or_else(|failure| {
@@ -347,6 +358,20 @@ impl Way<'_> {
         } else {
             Ok(turned)
         }
+    }
+
+    /// A clamped cable whose weight is all that decides its shape.
+    fn is_heavy(&self) -> bool {
+        let bend = self.rod.ei.iter().fold(0.0, |m: f64, k| m.max(k[0]).max(k[2]));
+        let weight = self.loads.gravity.norm() * self.rod.masses.iter().sum::<f64>();
+        let clamped = self.held.start.is_some() || self.held.end.is_some();
+        clamped && self.curl() == 0.0 && weight * self.rod.length().powi(2) > HEAVY * bend
+    }
+
+    /// Sum of natural curvature and twist \[rad\].
+    fn curl(&self) -> f64 {
+        self.rod.natural_curvature.iter().map(|k| k[0].hypot(k[1])).sum::<f64>()
+            + self.rod.natural_twist.iter().map(|t| t.abs()).sum::<f64>()
     }
 
     /// The share of the stretching stiffness that is `stiff` times what bends and weighs; at most all of it.

@@ -27,12 +27,10 @@ pub(super) fn convert(file: &Path, out: Option<PathBuf>, options: &Options) -> R
         reason,
     })?;
     let recording = read(&file.display().to_string(), &bytes, options)?;
-    let out = out.unwrap_or_else(|| beside(file));
+    let (out, chosen) = out.map_or_else(|| (beside(file), false), |out| (out, true));
     let failed = |reason| Error::Write { path: out.clone(), reason };
-    if out == file {
-        return Err(failed(std::io::Error::other(
-            "it is the recording itself: choose another name with --out",
-        )));
+    if out == file || (!chosen && out.exists()) {
+        return Err(failed(std::io::Error::other("it is there already: choose a name with --out")));
     }
     std::fs::write(&out, recording.to_csv()).map_err(failed)?;
     print!("{}", table(&recording));

@@ -12,8 +12,10 @@ use crate::solve::{self, Iterate, OnIterate, Solution, Task};
 
 /// J is far too high beyond this many times that of the worst fit.
 const FAR: f64 = 2.0;
-/// ‖M‖ from which a window may have several minima: e, the growth of one error-doubling or so.
+/// ‖M‖ from which a window may have several minima: an e-folding or so.
 const AMPLIFIES: f64 = 3.0;
+/// Iterations of the second try at most: a wrong model is not to cost as much again.
+const MOST: usize = 100;
 /// Sub-windows.
 const PARTS: usize = 10;
 
@@ -35,26 +37,33 @@ pub(super) fn look(
     let (j, used) = (minimum.value, minimum.outer_iterations);
     let applies = algorithm.method.is_strong()
         && algorithm.method.takes_window_growth()
-        && algorithm.window_growth.is_empty()
         && problem.adaptive_steps.is_none()
         && matches!(minimum.status, Status::Converged | Status::Stalled)
         && used < algorithm.max_iterations
         && j > FAR * highest_j_of_a_fit(m);
     let first = observations.observations().iter().map(|o| o.step + 1).min().unwrap_or(steps);
     let growth: Vec<usize> = (1..PARTS).map(|i| steps * i / PARTS).filter(|w| *w >= first).collect();
-    if !applies || growth.is_empty() {
+    if !applies {
         return Ok((solution, observations, None));
     }
     let Some(norm) = amplifies(problem, task, &solution, &observations) else {
         return Ok((solution, observations, None));
     };
+    let start = format!(
+        "J = {j:.4} is far above m/2 = {:.1}, and the window amplifies errors {norm:.0} times",
+        0.5 * m as f64
+    );
+    if growth.is_empty() || !algorithm.window_growth.is_empty() {
+        let remark = format!("{start}: it may be another minimum; a shorter window would tell");
+        return Ok((solution, observations, Some(remark)));
+    }
     let mut windows = growth;
     windows.dedup();
     windows.push(steps);
     task.algorithm.window_growth = windows;
     task.algorithm.sigma_stages.clear();
     task.algorithm.background_check = None;
-    task.algorithm.max_iterations = algorithm.max_iterations - used;
+    task.algorithm.max_iterations = (algorithm.max_iterations - used).min(MOST);
     let before = solution.counts;
     let again = solve::solve(task, observations, &mut |r: &Iterate| {
         let so_far: (usize, WorkCounts) = (used + r.before.0, before + r.before.1);
@@ -62,10 +71,6 @@ pub(super) fn look(
     });
     task.algorithm = algorithm.clone();
     let (mut grown, observations) = again?;
-    let start = format!(
-        "J = {j:.4} is far above m/2 = {:.1}, and the window amplifies errors {norm:.0} times",
-        0.5 * m as f64
-    );
     let lower = grown.minimum.value < j * (1.0 - 1e-3);
     let remark = if lower {
         format!(

@@ -9,7 +9,7 @@ pub(super) fn validate_clamp(clamp: &Clamp, path: &str) -> Check {
     if let Some(Turns::Constant(turns)) = clamp.turns
         && !turns.is_finite()
     {
-        return invalid(&format!("{path}.turns"), format!("{turns} turns are impossible"));
+        return invalid(format!("{path}.turns"), format!("{turns} turns are impossible"));
     }
     let said = validate_motion(clamp.motion.as_ref(), path)?;
     place(&clamp.position, clamp.motion.as_ref(), said, path)?;

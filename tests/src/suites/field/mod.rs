@@ -10,14 +10,17 @@ mod forces;
 mod free_turn;
 mod gripped;
 mod loads;
+mod references;
 mod rest;
+mod two_ended;
 
 use super::Options;
 use crate::row::{Row, Rows};
 
 pub(super) fn run(options: &Options) -> Vec<Row> {
-    let mut rows = Rows::new("field");
+    let mut rows = Rows::new("field").of(options);
     rest::run(options, &mut rows);
+    two_ended::run(&mut rows);
     bases::run(options, &mut rows);
     buckling::run(&mut rows);
     files::run(options, &mut rows);
