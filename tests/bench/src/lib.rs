@@ -17,6 +17,7 @@ mod instructions;
 mod leftout;
 mod options;
 mod scaling;
+mod statics;
 mod time;
 
 pub use options::{Options, Result};
@@ -36,6 +37,7 @@ pub const BENCHES: &[Bench] = &[
     Bench { name: "gradient", run: gradient::run },
     Bench { name: "assimilation", run: assimilation::run },
     Bench { name: "scaling", run: scaling::run },
+    Bench { name: "statics", run: statics::run },
     Bench { name: "leftout", run: leftout::run },
     Bench { name: "instructions", run: instructions::run },
     Bench { name: "build", run: build::run },

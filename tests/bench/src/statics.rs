@@ -147,7 +147,8 @@ const HEAVY: Problem = Problem {
         let kirchhoff = Kirchhoff { ei: 1e-2, gj: 1e-2, ea: 1e5, weight: WEIGHT, ends };
         let (force, moment) = (found.reactions[0].force, found.reactions[0].moment);
         let near = [force.x, force.y, force.z, moment.x, moment.y, moment.z];
-        let (places, _) = kirchhoff.near(near, &held.rod.arc_lengths()).ok_or("no solution of Kirchhoff's equations")?;
+        let (places, _) =
+            kirchhoff.near(near, &held.rod.arc_lengths()).ok_or("no solution of Kirchhoff's equations")?;
         Ok(held.farthest(found, &places))
     },
 };

@@ -9,3 +9,4 @@ pub mod registers;
 pub mod rods;
 mod scene;
 pub mod small_problems;
+pub mod statics;

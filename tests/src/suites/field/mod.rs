@@ -10,7 +10,6 @@ mod forces;
 mod free_turn;
 mod gripped;
 mod loads;
-mod references;
 mod rest;
 mod two_ended;
 

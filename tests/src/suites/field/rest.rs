@@ -1,9 +1,9 @@
 //! Rods held anywhere, found at rest without being told how.
 
 use super::common::greatest;
-use super::references::{Catenary, elastica_height};
 use crate::row::{Case, Outcome, Rows};
 use crate::suites::Options;
+use problems::statics::{Catenary, elastica_height};
 use std::sync::Arc;
 use varda_rod::{Clamp, ClampAt, Loads, Rod, Search, Section, Supports, Vector3, rest};
 

@@ -2,9 +2,9 @@
 //! between; clamps that point back; and a saddle told from a minimum.
 
 use super::common::greatest;
-use super::references::{Catenary, Kirchhoff, Section as End, elastica, farthest};
 use crate::row::{Case, Outcome, Rows};
 use nalgebra::{Matrix3, Rotation3, Vector3};
+use problems::statics::{Catenary, Kirchhoff, Section as End, elastica, farthest};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 use varda_rod::{Clamp, ClampAt, Found, Loads, Motion, Rest, Rod, Search, Section, Supports, modes, rest};

@@ -6,16 +6,20 @@ use varda_rod::{Rest, Rod, Vector3};
 type V = Vector3<f64>;
 
 /// The elastic cable without bending from the origin to (span, rise): pull H and lift V at its start.
-pub(super) struct Catenary {
+pub struct Catenary {
+    /// Weight per length \[N/m\].
     pub weight: f64,
+    /// EA \[N\].
     pub ea: f64,
+    /// H \[N\].
     pub pull: f64,
+    /// V \[N\].
     pub lift: f64,
 }
 
 impl Catenary {
     /// Along its span and upwards.
-    pub(super) fn at(&self, s: f64) -> [f64; 2] {
+    pub fn at(&self, s: f64) -> [f64; 2] {
         let Catenary { weight: w, ea, pull, lift } = *self;
         let left = lift - w * s;
         let x = pull * s / ea + pull / w * ((lift / pull).asinh() - (left / pull).asinh());
@@ -25,14 +29,14 @@ impl Catenary {
     }
 
     /// Its direction there.
-    pub(super) fn tangent(&self, s: f64) -> [f64; 2] {
+    pub fn tangent(&self, s: f64) -> [f64; 2] {
         let left = self.lift - self.weight * s;
         let tension = self.pull.hypot(left);
         [self.pull / tension, -left / tension]
     }
 
     /// Newton's method in (ln H, V), differences for derivatives, halved steps.
-    pub(super) fn between(length: f64, [span, rise]: [f64; 2], weight: f64, ea: f64) -> Option<Catenary> {
+    pub fn between(length: f64, [span, rise]: [f64; 2], weight: f64, ea: f64) -> Option<Catenary> {
         let of = |p: [f64; 2]| Catenary { weight, ea, pull: p[0].exp(), lift: p[1] };
         let miss = |p: [f64; 2]| {
             let [x, z] = of(p).at(length);
@@ -67,7 +71,7 @@ impl Catenary {
 }
 
 /// The parameter m of the elastica with 2E/K − 1 = D/L, between clamps in line as between pins.
-pub(super) fn elastica_parameter(share: f64) -> f64 {
+pub fn elastica_parameter(share: f64) -> f64 {
     let (mut low, mut high) = (0.0, 0.999);
     for _ in 0..60 {
         let m = 0.5 * (low + high);
@@ -78,14 +82,14 @@ pub(super) fn elastica_parameter(share: f64) -> f64 {
 }
 
 /// Its height √m L/K.
-pub(super) fn elastica_height(length: f64, share: f64) -> f64 {
+pub fn elastica_height(length: f64, share: f64) -> f64 {
     let m = elastica_parameter(share);
     m.sqrt() * length / elliptic(m).0
 }
 
 /// The elastica at arc lengths: along its chord and beside it, and its thrust. θ'' = −k² sin θ with
 /// k = 4K/L from θ = 0 between clamps, k = 2K/L from the largest θ between pins.
-pub(super) fn elastica(length: f64, share: f64, ei: f64, clamped: bool, arc: &[f64]) -> (Vec<[f64; 2]>, f64) {
+pub fn elastica(length: f64, share: f64, ei: f64, clamped: bool, arc: &[f64]) -> (Vec<[f64; 2]>, f64) {
     let m = elastica_parameter(share);
     let rate = if clamped { 4.0 } else { 2.0 } * elliptic(m).0 / length;
     let start = if clamped { [0.0, 2.0 * m.sqrt() * rate] } else { [2.0 * m.sqrt().asin(), 0.0] };
@@ -128,24 +132,32 @@ fn elliptic(m: f64) -> (f64, f64) {
 
 /// Place, tangent and director of an end.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Section {
+pub struct Section {
+    /// Its place \[m\].
     pub place: V,
+    /// Its tangent.
     pub tangent: V,
+    /// Its director m₁.
     pub director: V,
 }
 
 /// An isotropic, naturally straight rod between two clamps (Kirchhoff), weight per length w downwards.
-pub(super) struct Kirchhoff {
+pub struct Kirchhoff {
+    /// EI \[N m²\], in both directions.
     pub ei: f64,
+    /// GJ \[N m²\].
     pub gj: f64,
+    /// EA \[N\].
     pub ea: f64,
+    /// Weight per length \[N/m\].
     pub weight: f64,
+    /// Both ends.
     pub ends: [Section; 2],
 }
 
 impl Kirchhoff {
     /// In n segments, clamped at its faces; of some mass where it has no weight.
-    pub(super) fn discrete(&self, length: f64, n: usize) -> Result<Rod, varda_rod::Error> {
+    pub fn discrete(&self, length: f64, n: usize) -> Result<Rod, varda_rod::Error> {
         let mass_per_length = if self.weight > 0.0 { self.weight / 9.81 } else { 0.1 };
         let Kirchhoff { ei, gj, ea, .. } = *self;
         let section = varda_rod::Section { ea, ei1: ei, ei2: ei, gj, mass_per_length };
@@ -191,7 +203,7 @@ impl Kirchhoff {
 
     /// The solution near a reaction (force, moment) at the start, by Newton's method with differences:
     /// places, and the reaction.
-    pub(super) fn near(&self, reaction: [f64; 6], arc: &[f64]) -> Option<(Vec<V>, [f64; 6])> {
+    pub fn near(&self, reaction: [f64; 6], arc: &[f64]) -> Option<(Vec<V>, [f64; 6])> {
         let length = arc[arc.len() - 1];
         let scale = |i: usize| self.ei / length.powi(if i < 3 { 2 } else { 1 });
         let size = |m: &[f64; 6]| m.iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -247,7 +259,12 @@ fn solve(mut a: [[f64; 7]; 6]) -> Option<[f64; 6]> {
 }
 
 /// Largest distance of vertices from places.
-pub(super) fn farthest(found: &Rest, places: &[V]) -> f64 {
+pub fn farthest(found: &Rest, places: &[V]) -> f64 {
     let off = found.vertices.iter().zip(places).map(|(x, y)| (x - y).norm());
-    off.fold(0.0, super::common::greatest)
+    off.fold(0.0, greatest)
+}
+
+/// The larger; NaN stays.
+pub fn greatest(a: f64, b: f64) -> f64 {
+    if a >= b { a } else { b }
 }
