@@ -234,3 +234,29 @@ fn whole_turns_of_a_clamp_twist_a_rod_and_buckle_it() {
     let unknown = folder.refusal(&scene("{ name = \"turns.csv\" }"));
     assert!(unknown.contains("name"), "{unknown}");
 }
+
+/// A cantilever in a scene sinks as the beam of its free length does, its outputs begin at the face, and what
+/// holds an edge is said.
+#[test]
+fn a_clamp_is_at_its_face_and_two_prescribed_neighbours_are_not() {
+    let folder = Folder::new("faces");
+    let beam = "length = 1.0\nsegments = 20\ngravity = [0, 0, -9.81]\nsection = { kind = \"stiffness\", \
+                ea = 1e8, ei = [1e3, 1e3], gj = 1e3, mass_per_length = 0.1 }\n";
+    let start = "start = { position = [0.5, 0, 0], tangent = [1, 0, 0], director = [0, 0, 1] }\n";
+    let (found, moved) = folder.run(&format!("{beam}{start}"));
+    // w L⁴/8 EI, the mesh's 1.3e-3 and Newton's last update of 1e-11 m
+    let sinks = 0.1 * 9.81 / 8e3;
+    assert!((-found[20][2] / sinks - 1.0).abs() <= 2e-3 && moved <= 1e-9, "{:?} {moved}", found[20]);
+    assert!(distance(found[0], [0.5, 0.0, 0.0]) == 0.0, "{:?}", found[0]);
+    assert!((found[1][0] - 0.5 - 0.5 / 19.5).abs() <= 1e-15, "{:?}", found[1]);
+    let points = "prescribed = [{ vertex = 1, position = [0.05, 0, 0] }, \
+                  { vertex = 0, position = [0, 0, 0] }]\n";
+    let held = folder.problem(&format!("{beam}{points}")).unwrap();
+    let said =
+        |p: &Problem| p.experiment.left_out.iter().any(|l| l.contains("vertices 0 and 1 hold the edge"));
+    assert!(said(&held), "{:?}", held.experiment.left_out);
+    let clamped = folder.problem(&format!("{beam}{start}")).unwrap();
+    assert!(!said(&clamped));
+    let short = format!("length = 1.0\nsegments = 2\n{STIFF}\n{}", clamps(0.8));
+    assert!(folder.refusal(&short).contains("at least 3 segments"), "{}", folder.refusal(&short));
+}
