@@ -360,13 +360,13 @@ fn solve_substep<S: ImplicitStep>(
     let mut equations = step.equations(at, x).map_err(|reason| Unsolved::Newton(refused(reason)))?;
     equations.predict(u).map_err(|reason| Unsolved::Newton(refused(reason)))?;
     let mut solved = newton::solve(&mut equations, u, work, options);
-    did.count(&work.report());
+    did.count(work.report());
     if solved.is_err() {
         let again = equations.predict_again(u).map_err(|reason| Unsolved::Newton(refused(reason)))?;
         if let Some(report) = again {
             did.count(&report);
             solved = newton::solve(&mut equations, u, work, options);
-            did.count(&work.report());
+            did.count(work.report());
         }
     }
     solved.map_err(|failure| Unsolved::Newton(failure.in_step(at)))?;

@@ -106,8 +106,17 @@ pub fn modes(
     system.x.copy_from_slice(&rest.vertices);
     system.theta.copy_from_slice(&rest.theta);
     system.place(t)?;
-    let mut pencil = Pencil::new(system, rest.theta.last().copied().unwrap_or(0.0))?;
-    let (values, vectors) = pencil.lowest(count)?;
+    let end_angle = rest.theta.last().copied().unwrap_or(0.0);
+    // a mode whose zero, with its rounding, is at −s would drown all others: then with another s
+    let mut share = SHIFT;
+    let (pencil, (values, vectors)) = loop {
+        let mut pencil = Pencil::new(system.clone(), end_angle, share)?;
+        match pencil.lowest(count) {
+            Ok(found) => break (pencil, found),
+            Err(_) if share < 1000.0 * SHIFT => share = 10.0 * share.max(pencil.share),
+            Err(error) => return Err(error),
+        }
+    };
     let mut order: Vec<usize> = (0..values.len()).collect();
     order.sort_by(|&i, &j| values[i].total_cmp(&values[j]));
     let modes = order.into_iter().map(|i| pencil.mode(values[i], &vectors[i])).collect();
@@ -122,11 +131,13 @@ struct Pencil {
     /// Mass of every unknown; zero for angles.
     mass: Vec<f64>,
     shift: f64,
+    /// s as a share of the greatest k_ii/m_i.
+    share: f64,
     unstable: usize,
 }
 
 impl Pencil {
-    fn new(system: System, end_angle: f64) -> Result<Pencil, Error> {
+    fn new(system: System, end_angle: f64, share: f64) -> Result<Pencil, Error> {
         let (n, w) = (system.layout.unknowns, system.layout.half_bandwidth);
         let mut statics = Statics::new(system, end_angle, 0.0);
         let (mut u, mut g) = (vec![0.0; n], vec![0.0; n]);
@@ -147,7 +158,7 @@ impl Pencil {
         // the symmetric factor counts negative eigenvalues, the one with pivoting solves
         let mut symmetric = LinearSolver::new(n, &Structure::SymmetricBand { half_bandwidth: w });
         let mut factor = symmetric.empty_factor();
-        let (mut shift, mut share) = (0.0, SHIFT);
+        let (mut shift, mut share) = (0.0, share);
         let unstable = loop {
             heavy().for_each(|(i, m)| k[i * (w + 1) + w] += (share * greatest - shift) * m);
             shift = share * greatest;
@@ -162,7 +173,7 @@ impl Pencil {
         let mut solver = LinearSolver::new(n, &Structure::Band { half_bandwidth: w });
         let mut factor = solver.empty_factor();
         solver.factor(&general, &mut factor).map_err(singular)?;
-        Ok(Pencil { system, solver, factor, mass, shift, unstable })
+        Ok(Pencil { system, solver, factor, mass, shift, share, unstable })
     }
 
     /// ⟨a, b⟩ = aᵀ M b.

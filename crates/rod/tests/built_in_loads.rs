@@ -294,8 +294,8 @@ fn a_moment_about_the_axis_twists_a_straight_rod() {
     }
 }
 
-/// A hanging rod that starts upwards is compressed and buckles, where its potential is not convex. Drag has no
-/// potential, and Newton's method alone fails in a step: from the minimum with drag as it was, it does not.
+/// A hanging rod that starts upwards is compressed and buckles, where its potential is not convex. Drag has
+/// none, and Newton's method alone fails in a step: from the minimum with drag as it was, it does not.
 #[test]
 fn a_rod_in_drag_that_buckles_takes_its_steps_whole() {
     let section = Section { ea: 2e3, ei1: 2e-3, ei2: 2e-3, gj: 1.5e-3, mass_per_length: 0.06 };

@@ -26,7 +26,8 @@ pub enum Origin {
     TruthPlusDraw,
     /// A CSV file.
     File,
-    /// The rod's static equilibrium at the start of the window, at rest.
+    /// The rod's static equilibrium at the start of the window; where its supports move, its velocities are
+    /// those of a rod that goes along with them.
     StaticEquilibrium,
 }
 
