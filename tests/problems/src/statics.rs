@@ -157,6 +157,9 @@ pub struct Kirchhoff {
 
 impl Kirchhoff {
     /// In n segments, clamped at its faces; of some mass where it has no weight.
+    ///
+    /// # Errors
+    /// What varda-rod finds impossible.
     pub fn discrete(&self, length: f64, n: usize) -> Result<Rod, varda_rod::Error> {
         let mass_per_length = if self.weight > 0.0 { self.weight / 9.81 } else { 0.1 };
         let Kirchhoff { ei, gj, ea, .. } = *self;

@@ -243,8 +243,8 @@ fn place_in_window(
         if recording.outside_window == OutsideWindow::Error {
             let (from, to) = (grid.start + recording.time_zero, grid.time(grid.steps) + recording.time_zero);
             return Err(format!(
-                "time_s = {written} is outside the window ({from} to {to} s): outside_window = \"skip\" leaves \
-                 such rows out, or to the forecast"
+                "time_s = {written} is outside the window ({from} to {to} s): outside_window = \"skip\" \
+                 leaves such rows out, or to the forecast"
             ));
         }
         if !beyond || at > grid.last_step() as f64 + slack {
