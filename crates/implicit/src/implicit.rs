@@ -363,8 +363,9 @@ fn solve_substep<S: ImplicitStep>(
     did.count(work.report());
     if solved.is_err() {
         let again = equations.predict_again(u).map_err(|reason| Unsolved::Newton(refused(reason)))?;
-        if let Some(report) = again {
-            did.count(&report);
+        if let Some([iterations, factorizations]) = again {
+            did.newton_iterations += iterations;
+            did.factorizations += factorizations;
             solved = newton::solve(&mut equations, u, work, options);
             did.count(work.report());
         }

@@ -1,6 +1,6 @@
 //! One step of a discrete model, given by the equations it satisfies.
 
-use crate::{Equations, NewtonReport, Refusal, Structure};
+use crate::{Equations, Refusal, Structure};
 
 /// The time interval of one step, or of a substep: from `start` to `start + length`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -249,12 +249,12 @@ pub trait StepEquations: Equations {
     /// Where there is none.
     fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal>;
 
-    /// Another first guess of u, asked for where Newton's method failed from the first. Returns what it took;
-    /// `None` where there is no other.
+    /// Another first guess of u, asked for where Newton's method failed from the first. Returns the Newton
+    /// iterations and factorizations it took; `None` where there is no other.
     ///
     /// # Errors
     /// Where the equations cannot be assembled.
-    fn predict_again(&mut self, _u: &mut [f64]) -> Result<Option<NewtonReport>, Refusal> {
+    fn predict_again(&mut self, _u: &mut [f64]) -> Result<Option<[usize; 2]>, Refusal> {
         Ok(None)
     }
 

@@ -3,9 +3,7 @@
 use std::sync::Arc;
 
 use nalgebra::Vector3;
-use varda_implicit::{
-    Equations, Interval, NewtonOptions, NewtonReport, NewtonWork, Refusal, StepEquations, solve,
-};
+use varda_implicit::{Equations, Interval, NewtonOptions, NewtonWork, Refusal, StepEquations, solve};
 
 use crate::Error;
 use crate::dynamics::RodStep;
@@ -109,7 +107,7 @@ impl StepEquations for RodEquations<'_> {
 
     /// The stage with its loads without a potential as they are at the first guess: that has a minimum, which
     /// Newton's method finds past saddles, where for the root with the loads it may only fail.
-    fn predict_again(&mut self, u: &mut [f64]) -> Result<Option<NewtonReport>, Refusal> {
+    fn predict_again(&mut self, u: &mut [f64]) -> Result<Option<[usize; 2]>, Refusal> {
         if self.step.system.has_potential() {
             return Ok(None);
         }
@@ -124,7 +122,7 @@ impl StepEquations for RodEquations<'_> {
         let system = &mut self.step.system;
         system.loads.of_motion = loads;
         system.place(stage.time)?;
-        Ok(solved.ok())
+        Ok(solved.ok().map(|report| [report.iterations, report.factorizations]))
     }
 
     fn accepted(&mut self, u: &[f64]) -> Result<Option<String>, Refusal> {

@@ -20,6 +20,15 @@ use crate::system::{PastStrains, StageStart, System};
 /// F^e is what the rod beyond edge e exerts on the rod before it: a tension is positive. An edge that a clamp
 /// holds carries what the clamp takes. With strain-rate damping E holds its stress too; reactions count
 /// inertia where the rod moves.
+///
+/// ```
+/// use varda_rod::InternalForces;
+///
+/// // From `internal_forces`, or `RodStep::internal_forces` in motion.
+/// let forces = InternalForces { tension: vec![2.0, 3.5, 1.0], ..InternalForces::default() };
+/// let most = forces.tension.iter().fold(0.0, |most: f64, n| most.max(*n));
+/// assert_eq!(most, 3.5); // N
+/// ```
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct InternalForces {
     /// N of every edge \[N\].

@@ -24,6 +24,15 @@ const SETTLED: (usize, f64) = (60, 1e-3);
 const MOST: usize = 500;
 
 /// A natural mode: the rod moves as x + a φ cos(ωt) about its shape at rest, a small.
+///
+/// ```
+/// use varda_rod::Mode;
+///
+/// let mode = Mode { omega_squared: 39.478, displacements: Vec::new(), turns: Vec::new() };
+/// assert!((mode.frequency().unwrap() - 1.0).abs() < 1e-4); // Hz
+/// let grows = Mode { omega_squared: -1.0, ..mode };
+/// assert_eq!(grows.frequency(), None);
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mode {
     /// ω² [1/s²]; negative where the shape is not stable, and the mode grows as exp(√(−ω²) t); zero
@@ -44,6 +53,22 @@ impl Mode {
 }
 
 /// The lowest modes of a rod, and how many are not stable.
+///
+/// ```
+/// use std::sync::Arc;
+/// use varda_rod::{Loads, Material, Rest, Rod, Section, Supports, Vector3, modes};
+///
+/// // A straight column pressed together by 1 per cent has buckled, in two directions and more than once.
+/// let rod = Rod::uniform(1.0, 20, &Section::circle(&Material::new(1e7, 0.5, 1100.0), 0.005))?;
+/// let mut supports = Supports::default();
+/// supports.prescribed.push((0, Arc::new([0.0; 3])));
+/// supports.prescribed.push((20, Arc::new([0.99, 0.0, 0.0])));
+/// let vertices = (0..=20).map(|i| Vector3::x() * (0.0495 * f64::from(i))).collect();
+/// let straight = Rest { vertices, theta: vec![0.0; 20] };
+/// let found = modes(&rod, &supports, &Loads::default(), 0.0, &straight, 4)?;
+/// assert!(found.unstable >= 2);
+/// # Ok::<(), varda_rod::Error>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Modes {
     /// The modes nearest to ω² = 0, ascending in ω².

@@ -6,6 +6,24 @@ use crate::system::{StageStart, System};
 
 /// What a support exerts on a rod at rest: R_v = ∂E/∂x_v − F_v at the vertices that it holds, and about
 /// its tangent ∂E/∂θ where it holds a director.
+///
+/// ```
+/// use std::sync::Arc;
+/// use varda_rod::{Loads, Material, Rod, Search, Section, Supports, Vector3, rest};
+///
+/// // A cable slack between two hooks at one height: each carries half of it.
+/// let rod = Rod::uniform(1.2, 20, &Section::circle(&Material::new(1e7, 0.5, 1100.0), 0.002))?;
+/// let mut supports = Supports::default();
+/// supports.prescribed.push((0, Arc::new([0.0; 3])));
+/// supports.prescribed.push((20, Arc::new([1.0, 0.0, 0.0])));
+/// let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
+/// let found = rest(&rod, &supports, &loads, 0.0, &Search::default())?;
+/// let half = 0.5 * 9.81 * rod.masses.iter().sum::<f64>();
+/// for reaction in &found.reactions {
+///     assert!((reaction.force.z - half).abs() < 1e-8 * half);
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reaction {
     /// The held vertex; for a clamp that at the end of the rod, its face or its vertex.

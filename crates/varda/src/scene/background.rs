@@ -26,8 +26,7 @@ pub enum Origin {
     TruthPlusDraw,
     /// A CSV file.
     File,
-    /// The rod's static equilibrium at the start of the window; where its supports move, its velocities are
-    /// those of a rod that goes along with them.
+    /// The rod's static equilibrium at the start of the window, at rest.
     StaticEquilibrium,
 }
 

@@ -101,19 +101,10 @@ impl RodSystem {
         Ok(x)
     }
 
-    /// The control of the rod at rest at the start of the window, going along with supports that move. Its
-    /// runs start from the angles it has there.
+    /// The control of the rod at rest at the start of the window. Its runs start from the angles it has
+    /// there.
     pub(crate) fn come_to_rest(&mut self) -> Result<Vec<f64>, Error> {
-        let t = self.grid.start;
-        let mut control = self.start_at_rest(t)?;
-        let Some((rest, _)) = &self.parts.first else { return Ok(control) };
-        if let Some(velocities) = self.parts.velocities_at_rest(t, 1e-3 * self.grid.step, rest) {
-            let speeds = control.len() / 2;
-            for (out, &v) in control[speeds..].chunks_exact_mut(3).zip(&self.free) {
-                out.copy_from_slice(velocities[v].as_slice());
-            }
-        }
-        Ok(control)
+        self.start_at_rest(self.grid.start)
     }
 
     fn start_at_rest(&mut self, t: f64) -> Result<Vec<f64>, Error> {

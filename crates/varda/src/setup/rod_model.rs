@@ -4,8 +4,7 @@ use std::f64::consts::TAU;
 
 use varda_implicit::Scheme;
 use varda_rod::{
-    Clamp, ClampAt, Damping, Loads, Material, Rest, Rod, RodStep, Search, Section, Supports, Vector3,
-    equilibrium, rest,
+    Clamp, ClampAt, Damping, Loads, Material, Rest, Rod, RodStep, Search, Section, Supports, Vector3, rest,
 };
 
 use crate::Error;
@@ -121,24 +120,6 @@ impl RodParts {
             .map_err(|reason| Error::Preparation { stage: "static equilibrium", reason })?;
         Ok(found.rest)
     }
-
-    /// Velocities of all vertices \[m/s\] of the rod whose shape at rest at time t goes along with its
-    /// supports: the shape at rest h seconds later, less that of now, over h. `None` where no support moves,
-    /// or that shape is not found.
-    pub(crate) fn velocities_at_rest(&self, t: f64, h: f64, rest: &Rest) -> Option<Vec<Vector3<f64>>> {
-        if held(&self.supports, t) == held(&self.supports, t + h) {
-            return None;
-        }
-        let (later, _) = equilibrium(&self.rod, &self.supports, &self.loads, t + h, rest).ok()?;
-        Some(later.vertices.iter().zip(&rest.vertices).map(|(later, now)| (later - now) / h).collect())
-    }
-}
-
-/// Places, tangents and directors that supports hold at time t.
-fn held(supports: &Supports, t: f64) -> Vec<Vector3<f64>> {
-    let clamps = [&supports.start, &supports.end].into_iter().flatten();
-    let places = supports.prescribed.iter().map(|(_, motion)| motion.at(t));
-    clamps.flat_map(|c| [c.position.at(t), c.tangent.at(t), c.director.at(t)]).chain(places).collect()
 }
 
 /// The shape that keys describe.
