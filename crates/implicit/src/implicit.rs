@@ -359,15 +359,19 @@ fn solve_substep<S: ImplicitStep>(
     let refused = |reason| Error::refused(at.index, reason);
     let mut equations = step.equations(at, x).map_err(|reason| Unsolved::Newton(refused(reason)))?;
     equations.predict(u).map_err(|reason| Unsolved::Newton(refused(reason)))?;
+    let mut count = |[iterations, factorizations]: [usize; 2]| {
+        did.newton_iterations += iterations;
+        did.factorizations += factorizations;
+    };
+    let took = |work: &NewtonWork| [work.report().iterations, work.report().factorizations];
     let mut solved = newton::solve(&mut equations, u, work, options);
-    did.count(work.report());
+    count(took(work));
     if solved.is_err() {
         let again = equations.predict_again(u).map_err(|reason| Unsolved::Newton(refused(reason)))?;
-        if let Some([iterations, factorizations]) = again {
-            did.newton_iterations += iterations;
-            did.factorizations += factorizations;
+        if let Some(spent) = again {
+            count(spent);
             solved = newton::solve(&mut equations, u, work, options);
-            did.count(work.report());
+            count(took(work));
         }
     }
     solved.map_err(|failure| Unsolved::Newton(failure.in_step(at)))?;

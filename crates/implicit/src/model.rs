@@ -1,6 +1,6 @@
 //! The traits of a discrete model, and the work that its calls report.
 
-use crate::{Error, NewtonReport};
+use crate::Error;
 use std::ops::{Add, Sub};
 
 /// A discrete model x_{k+1} = M_k(x_k) with its tangent linear and its adjoint (paper 2.16, 2.24, 2.25).
@@ -226,14 +226,6 @@ pub struct Work {
     pub reused: usize,
     /// What the user should know: substeps taken, a pivot near zero.
     pub warnings: Vec<String>,
-}
-
-impl Work {
-    /// Counts a call of Newton's method.
-    pub(crate) fn count(&mut self, report: &NewtonReport) {
-        self.newton_iterations += report.iterations;
-        self.factorizations += report.factorizations;
-    }
 }
 
 impl Default for Work {
