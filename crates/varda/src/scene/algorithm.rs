@@ -54,7 +54,7 @@ impl Default for Algorithm {
         Algorithm {
             method: Method::FourDVar,
             minimizer: Minimizer::Auto,
-            max_iterations: 400,
+            max_iterations: 1000,
             gradient_tolerance: 1e-8,
             sigma_stages: Vec::new(),
             robust: None,
