@@ -83,10 +83,11 @@ setters!(AutoOptions, trust_region.stopping, {
 ///
 /// Evidence, case 4 of the hanging rod, 100 seeds of either prior (docs/results/case4.md; "lowest known" is
 /// the best of the trust region from the background, the ladder, and five draws). Prior "clamp": all 100
-/// converge to the lowest known. Prior "plain": 93 converge and 87 are at the lowest known (85 both). The
-/// others end within the band of a fit, 1.4 % above the lowest known at most but for one seed, or (one) stall or run out of iterations where J jumps (a step from a wild state has several solutions, and
-/// which one Newton's method comes to changes without pattern nearby); of four of them no run of any kind was
-/// stationary near the lowest J. Runs that agree are no proof: one seed (32) converges 0.2 % too high. On
+/// converge to the lowest known. Prior "plain": 93 converge and 87 are at the lowest known (85 both). Of the
+/// others all but one end within the band of a fit, most by 1.4 % or less above the lowest known, and one
+/// does not fit: J jumps there (a step from a wild state has several solutions, and which one Newton's method
+/// comes to changes without pattern nearby). Runs that agree are no proof: one seed (32) converges 0.2 % too
+/// high. On
 /// Lorenz-63 over a long window ladders gain nothing: there the window must grow.
 ///
 /// Cost: that of the trust region where J_o ≤ 10 m, else two to nine times as much, and several times that
