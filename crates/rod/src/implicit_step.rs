@@ -94,6 +94,11 @@ impl RodStep {
         with_end
     }
 
+    /// Whether ∂G/∂x_k depends on the shapes of x_k and u, beside inertia.
+    fn couples(&self) -> bool {
+        self.viscous.is_some() || self.spin.is_some() || !self.system.loads.of_motion.is_empty()
+    }
+
     /// The transpose of `follow`, and of the holonomy between the unknowns' angles and those stored.
     fn follow_transpose(&mut self, at: &Interval, u: &[f64], lambda: &[f64], dx: &mut [f64], du: &mut [f64]) {
         let RodStage { of, angle, .. } = self.stage(at);
@@ -201,18 +206,17 @@ impl ImplicitStep for RodStep {
                 dg[i + a] = -k * (place + h * speed) - c * place;
             }
         }
-        if self.viscous.is_some() {
-            self.prepare_and_shape(at, x, u);
-            let viscous = self.viscous.as_mut().expect("checked above");
+        if !self.couples() {
+            return;
+        }
+        self.prepare_and_shape(at, x, u);
+        if let Some(viscous) = &mut self.viscous {
             viscous.previous_add(&self.system, dx, dg);
         }
-        if self.spin.is_some() {
-            self.prepare_and_shape(at, x, u);
-            let spin = self.spin.as_mut().expect("checked above");
+        if let Some(spin) = &mut self.spin {
             spin.previous_add(&self.system, dx, dg);
         }
         if !self.system.loads.of_motion.is_empty() {
-            self.prepare_and_shape(at, x, u);
             self.star(of.from, dx);
             let star = &self.star;
             self.system.couple_loads(self.stage_start(h), false, |i| star[i], |i, value| dg[i] += value);
@@ -230,18 +234,17 @@ impl ImplicitStep for RodStep {
             mixed_add(of.from, dx, own, 3 * f, mu.map(|mu| -(k + c) * mu));
             mixed_add(of.from, dx, own, 3 * (nf + f), mu.map(|mu| -k * of.length * mu));
         }
-        if self.viscous.is_some() {
-            self.prepare_and_shape(at, x, u);
-            let viscous = self.viscous.as_mut().expect("checked above");
+        if !self.couples() {
+            return;
+        }
+        self.prepare_and_shape(at, x, u);
+        if let Some(viscous) = &mut self.viscous {
             viscous.previous_transpose_add(&self.system, mu, dx);
         }
-        if self.spin.is_some() {
-            self.prepare_and_shape(at, x, u);
-            let spin = self.spin.as_mut().expect("checked above");
+        if let Some(spin) = &mut self.spin {
             spin.previous_transpose_add(&self.system, mu, dx);
         }
         if !self.system.loads.of_motion.is_empty() {
-            self.prepare_and_shape(at, x, u);
             let mut star = std::mem::take(&mut self.star);
             star.fill(0.0);
             self.system.couple_loads(

@@ -132,13 +132,15 @@ pub fn modes(
     system.theta.copy_from_slice(&rest.theta);
     system.place(t)?;
     let end_angle = rest.theta.last().copied().unwrap_or(0.0);
-    // a mode whose zero, with its rounding, is at −s would drown all others: then with another s
+    // K + sM may be singular, and a mode whose zero, with its rounding, is at −s would drown all others: then
+    // another s helps
     let mut share = SHIFT;
     let (pencil, (values, vectors)) = loop {
-        let mut pencil = Pencil::new(system.clone(), end_angle, share)?;
-        match pencil.lowest(count) {
-            Ok(found) => break (pencil, found),
-            Err(_) if share < 1000.0 * SHIFT => share = 10.0 * share.max(pencil.share),
+        let found = Pencil::new(system.clone(), end_angle, share, count)
+            .and_then(|mut pencil| pencil.lowest(count).map(|lowest| (pencil, lowest)));
+        match found {
+            Ok(found) => break found,
+            Err(Error::Modes { .. }) if share < 1000.0 * SHIFT => share *= 10.0,
             Err(error) => return Err(error),
         }
     };
@@ -156,13 +158,11 @@ struct Pencil {
     /// Mass of every unknown; zero for angles.
     mass: Vec<f64>,
     shift: f64,
-    /// s as a share of the greatest k_ii/m_i.
-    share: f64,
     unstable: usize,
 }
 
 impl Pencil {
-    fn new(system: System, end_angle: f64, share: f64) -> Result<Pencil, Error> {
+    fn new(system: System, end_angle: f64, share: f64, count: usize) -> Result<Pencil, Error> {
         let (n, w) = (system.layout.unknowns, system.layout.half_bandwidth);
         let mut statics = Statics::new(system, end_angle, 0.0);
         let (mut u, mut g) = (vec![0.0; n], vec![0.0; n]);
@@ -179,26 +179,19 @@ impl Pencil {
         }
         let heavy = || mass.iter().enumerate().filter(|(_, m)| **m > 0.0);
         let greatest = heavy().map(|(i, m)| k[i * (w + 1) + w].abs() / m).fold(0.0, f64::max);
-        let singular = |_: BadPivot| Error::Modes { converged: 0, count: 1 };
+        let singular = |_: BadPivot| Error::Modes { converged: 0, count };
         // the symmetric factor counts negative eigenvalues, the one with pivoting solves
         let mut symmetric = LinearSolver::new(n, &Structure::SymmetricBand { half_bandwidth: w });
         let mut factor = symmetric.empty_factor();
-        let (mut shift, mut share) = (0.0, share);
-        let unstable = loop {
-            heavy().for_each(|(i, m)| k[i * (w + 1) + w] += (share * greatest - shift) * m);
-            shift = share * greatest;
-            match symmetric.factor(&k, &mut factor) {
-                Ok(negative) => break negative,
-                Err(_) if share < 1000.0 * SHIFT => share *= 10.0,
-                Err(pivot) => return Err(singular(pivot)),
-            }
-        };
+        let shift = share * greatest;
+        heavy().for_each(|(i, m)| k[i * (w + 1) + w] += shift * m);
+        let unstable = symmetric.factor(&k, &mut factor).map_err(singular)?;
         let mut general = vec![0.0; n * (2 * w + 1)];
         mirror(&k, w, &mut general);
         let mut solver = LinearSolver::new(n, &Structure::Band { half_bandwidth: w });
         let mut factor = solver.empty_factor();
         solver.factor(&general, &mut factor).map_err(singular)?;
-        Ok(Pencil { system, solver, factor, mass, shift, share, unstable })
+        Ok(Pencil { system, solver, factor, mass, shift, unstable })
     }
 
     /// ⟨a, b⟩ = aᵀ M b.

@@ -269,5 +269,5 @@ pub fn farthest(found: &Rest, places: &[V]) -> f64 {
 
 /// The larger; NaN stays.
 pub fn greatest(a: f64, b: f64) -> f64 {
-    if a >= b { a } else { b }
+    if a >= b || a.is_nan() { a } else { b }
 }

@@ -1,9 +1,6 @@
 //! What the kinds of field cases share.
 
-/// The larger; NaN stays.
-pub(super) fn greatest(a: f64, b: f64) -> f64 {
-    if a >= b || a.is_nan() { a } else { b }
-}
+pub(super) use problems::statics::greatest;
 
 /// Least-squares slope of ln |error| over ln h.
 pub(super) fn slope(errors: &[(f64, f64)]) -> f64 {
