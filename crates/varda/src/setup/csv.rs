@@ -106,6 +106,18 @@ pub fn recorded<const N: usize>(
     filled(file, text, columns, true)
 }
 
+/// Whether the header has a column of this name.
+pub fn has_column(text: &str, name: &str) -> bool {
+    let (header, delimiter) = header(text);
+    header.split(delimiter).any(|column| column.trim_start_matches('\u{feff}').trim() == name)
+}
+
+/// The line of the header, and what parts its columns.
+fn header(text: &str) -> (&str, char) {
+    let line = text.lines().find(|l| !l.is_empty() && !l.starts_with('#')).unwrap_or("");
+    (line, [';', '\t'].into_iter().find(|d| line.contains(*d)).unwrap_or(','))
+}
+
 fn filled<const N: usize>(
     file: &str,
     text: &str,
@@ -149,8 +161,7 @@ struct Table<'a> {
 
 impl<'a> Table<'a> {
     fn open(file: &'a str, text: &'a str, known: &[&str], expected: &str) -> Result<Self, Error> {
-        let header = text.lines().find(|l| !l.is_empty() && !l.starts_with('#')).unwrap_or("");
-        let delimiter = [';', '\t'].into_iter().find(|d| header.contains(*d)).unwrap_or(',');
+        let (_, delimiter) = header(text);
         let mut reader = csv::ReaderBuilder::new()
             .trim(csv::Trim::All)
             .comment(Some(b'#'))

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use varda_rod::{Drag, FollowerForce, Load, Loads, Moment, Motion, RecordedMotion, Rod, Vector3};
+use varda_rod::{Drag, FollowerForce, Load, Loads, Moment, Motion, Rod, Vector3};
 
 use super::motion::Motions;
 use crate::Error;
@@ -122,11 +122,9 @@ impl Of<'_> {
         columns: [&str; N],
         of_row: impl Fn([f64; N]) -> [f64; 3],
     ) -> Result<Given, Error> {
-        let (times, rows) = motions.rows(self.path, name, self.time_zero, columns)?;
         let turn = varda_rod::Matrix3::from(self.frame.rotation_rows()).transpose();
-        let rows: Vec<_> = rows.into_iter().map(|row| turn * Vector3::from(of_row(row))).collect();
-        let motion = RecordedMotion::through(&times, &rows)
-            .map_err(|e| Error::Data { place: name.to_string(), message: e.to_string() })?;
+        let vector = |row| (turn * Vector3::from(of_row(row))).into();
+        let (motion, rows) = motions.straight(self.path, name, self.time_zero, columns, vector)?;
         Ok(Given { motion: Arc::new(motion), rows })
     }
 }

@@ -133,39 +133,52 @@ impl<'a> Motions<'a> {
             scene::Turns::Recorded(keys) => keys,
         };
         let path = format!("{path}.turns");
-        let (times, rows) = self.rows(&path, &keys.file, keys.time_zero, ["time_s", "turns"])?;
-        let turns: Vec<f64> = rows.iter().map(|row| row[1]).collect();
-        Ok(Arc::new(move |t| {
-            let after = times.partition_point(|time| *time < t);
-            let Some(before) = after.checked_sub(1) else { return turns[0] };
-            let (Some(a), Some(b)) = (times.get(before), times.get(after)) else { return turns[before] };
-            turns[before] + (turns[after] - turns[before]) * (t - a) / (b - a)
-        }))
+        let columns = ["time_s", "turns"];
+        let turns = self.straight(&path, &keys.file, keys.time_zero, columns, |[_, t]| [t, 0.0, 0.0])?.0;
+        Ok(Arc::new(move |t| turns.at(t).x))
     }
 
-    /// Model times and rows of a load that `{path}.file` names.
-    pub(super) fn rows<const N: usize>(
+    /// Straight lines between the vectors of the rows that `{path}.file` names, and these vectors.
+    pub(super) fn straight<const N: usize>(
         &mut self,
         path: &str,
         file: &str,
         time_zero: f64,
         columns: [&str; N],
-    ) -> Result<(Vec<f64>, Vec<[f64; N]>), Error> {
-        let key = format!("{path}.file");
-        let (label, text) = self.files.text(&key, file)?;
-        let clock = format!("{path}.time_zero");
-        let source = self.source(&key, &label, (&clock, time_zero));
-        let rows = csv::recorded(&label, &text, columns)?;
-        let written: Vec<_> = rows.iter().map(|(line, row)| (*line, row[0])).collect();
-        let times = source.checked(&written, &mut self.remarks)?;
-        Ok((times, rows.into_iter().map(|(_, row)| row).collect()))
+        vector: impl Fn([f64; N]) -> [f64; 3],
+    ) -> Result<(RecordedMotion, Vec<Vector3<f64>>), Error> {
+        let (key, clock) = (format!("{path}.file"), format!("{path}.time_zero"));
+        let Recorded { source, times, rows, .. } =
+            self.recorded((&key, file), (&clock, time_zero), columns)?;
+        let vectors: Vec<Vector3<f64>> = rows.into_iter().map(|row| vector(row).into()).collect();
+        let motion = RecordedMotion::through(&times, &vectors).map_err(|e| source.refused(e))?;
+        Ok((motion, vectors))
     }
 
     /// Whether the file that a key names has a column.
     pub(super) fn has_column(&self, key: &str, file: &str, column: &str) -> Result<bool, Error> {
         let (_, text) = self.files.text(key, file)?;
-        let header = text.lines().find(|line| !line.is_empty() && !line.starts_with('#'));
-        Ok(header.is_some_and(|header| header.split([',', ';', '\t']).any(|name| name.trim() == column)))
+        Ok(csv::has_column(&text, column))
+    }
+
+    /// The rows of a recording: the key that names its file and that, the key of its clock and that.
+    fn recorded<'b, const N: usize>(
+        &mut self,
+        (key, file): (&'b str, &'b str),
+        time_zero: (&'b str, f64),
+        columns: [&str; N],
+    ) -> Result<Recorded<'b, N>, Error>
+    where
+        'a: 'b,
+    {
+        let (label, text) = self.files.text(key, file)?;
+        let source = self.source(key, label, time_zero);
+        let (written, rows): (Vec<_>, Vec<_>) = csv::recorded(&source.label, &text, columns)?
+            .into_iter()
+            .map(|(line, row)| ((line, row[0]), row))
+            .unzip();
+        let times = source.checked(&written, &mut self.remarks)?;
+        Ok(Recorded { source, written, times, rows })
     }
 
     fn table(
@@ -174,55 +187,48 @@ impl<'a> Motions<'a> {
         position: Vector3<f64>,
         keys: &scene::RecordedMotion,
     ) -> Result<RecordedMotion, Error> {
-        let key = format!("{path}.motion.file");
-        let (label, text) = self.files.text(&key, &keys.file)?;
-        let clock = format!("{path}.motion.time_zero");
-        let source = self.source(&key, &label, (&clock, keys.time_zero));
-        let rows = csv::recorded(&label, &text, ["time_s", "x_m", "y_m", "z_m"])?;
-        let written: Vec<_> = rows.iter().map(|(line, row)| (*line, row[0])).collect();
-        let times = source.checked(&written, &mut self.remarks)?;
+        let (key, clock) = (format!("{path}.motion.file"), format!("{path}.motion.time_zero"));
+        let columns = ["time_s", "x_m", "y_m", "z_m"];
+        let Recorded { source, times, rows, .. } =
+            self.recorded((&key, &keys.file), (&clock, keys.time_zero), columns)?;
         let origin = match keys.values {
             MotionValues::Displacement => position,
             MotionValues::Absolute => keys.frame.translation.into(),
         };
         let axes = Axes::of(&keys.frame, origin);
-        let places: Vec<_> = rows.iter().map(|(_, [_, x, y, z])| axes.place([*x, *y, *z])).collect();
+        let places: Vec<_> = rows.iter().map(|&[_, x, y, z]| axes.place([x, y, z])).collect();
         let by = choice(keys.sigma, keys.cutoff, || noise_of_rows(&times, &places));
         let motion = match by {
             None => RecordedMotion::through(&times, &places),
             Some(by) => RecordedMotion::smoothed(&times, &places, by),
         };
         let motion = motion.map_err(|e| source.refused(e))?;
-        self.say(path, "motion", &label, by, motion.smoothing());
+        self.say(path, "motion", &source.label, by, motion.smoothing());
         Ok(motion)
     }
 
     fn pose(&mut self, path: &str, held: Held, keys: &scene::RecordedPose) -> Result<Carried, Error> {
-        let key = format!("{path}.motion.file");
-        let (label, text) = self.files.text(&key, &keys.file)?;
-        let clock = format!("{path}.motion.time_zero");
-        let source = self.source(&key, &label, (&clock, keys.time_zero));
+        let (key, clock) = (format!("{path}.motion.file"), format!("{path}.motion.time_zero"));
         let columns = ["time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"];
-        let rows = csv::recorded(&label, &text, columns)?;
-        let written: Vec<_> = rows.iter().map(|(line, row)| (*line, row[0])).collect();
-        let times = source.checked(&written, &mut self.remarks)?;
+        let Recorded { source, written, times, rows } =
+            self.recorded((&key, &keys.file), (&clock, keys.time_zero), columns)?;
         let axes = Axes::of(&keys.frame, keys.frame.translation.into());
         let mut places = Vec::with_capacity(rows.len());
         let mut rotations = Vec::with_capacity(rows.len());
-        for (line, [_, x, y, z, qx, qy, qz, qw]) in &rows {
-            let q = Quaternion::new(*qw, *qx, *qy, *qz);
+        for (&(line, _), &[_, x, y, z, qx, qy, qz, qw]) in written.iter().zip(&rows) {
+            let q = Quaternion::new(qw, qx, qy, qz);
             // Written with three digits or more.
             if !((q.norm() - 1.0).abs() <= 0.01) {
                 let message = format!("(qx, qy, qz, qw) has length {}: a rotation has 1", q.norm());
-                return Err(source.bad(*line, message));
+                return Err(source.bad(line, message));
             }
-            places.push(axes.place([*x, *y, *z]));
+            places.push(axes.place([x, y, z]));
             rotations.push(axes.rotation(UnitQuaternion::new_normalize(q)));
         }
-        self.no_jump_of(source, &written, &rotations)?;
+        self.no_jump_of(&source, &written, &rotations)?;
         let place = choice(keys.sigma, keys.cutoff, || noise_of_rows(&times, &places));
         let angle = choice(keys.sigma_angle, keys.cutoff, || noise_of_rotations(&times, &rotations));
-        let (place, rotation) = self.follow(path, source, &times, (&places, place), (&rotations, angle))?;
+        let (place, rotation) = self.follow(path, &source, &times, (&places, place), (&rotations, angle))?;
         Ok(match keys.values {
             PoseValues::Absolute => Carried {
                 place,
@@ -246,56 +252,80 @@ impl<'a> Motions<'a> {
             return Err(scene.invalid("observations", "no file is named: its markers move a support"));
         };
         let (label, text) = self.files.text("observations.file", file)?;
-        let source = self.source(&key, &label, ("observations.time_zero", recording.time_zero));
-        let rows = csv::observations(&label, &text)?;
-        let (written, frames, sigma) = frames(source, &rows, keys, recording)?;
+        let source = self.source(&key, label, ("observations.time_zero", recording.time_zero));
+        let rows = csv::observations(&source.label, &text)?;
+        let (written, frames, sigma) = frames(&source, &rows, keys, recording)?;
         let times = source.checked(&written, &mut self.remarks)?;
-        let given = keys.sigma.or(if keys.cutoff.is_some() { None } else { sigma });
-        let displaced = keys.values == PoseValues::Displacement;
-        if let [name] = &keys.names[..] {
-            let places: Vec<_> = frames.iter().filter_map(|seen| seen[0]).collect();
-            let by = choice(given, keys.cutoff, || noise_of_rows(&times, &places));
-            let motion = curve(&times, &places, by).map_err(|e| source.refused(e))?;
-            self.say(path, "motion", &format!("of marker {name}"), by, motion.smoothing());
-            let from =
-                if displaced { held.position.map(|p| Vector3::from(p) - motion.at(0.0)) } else { None };
-            return Ok(Followed::Point(Shifted { motion, shift: from.unwrap_or_default() }));
+        let sigma = keys.sigma.or(if keys.cutoff.is_some() { None } else { sigma });
+        let seen = SeenMarkers { source, written, times, frames, sigma };
+        match keys.names.len() {
+            1 => self.one_marker(path, held, keys, &seen).map(Followed::Point),
+            2 => self.two_markers(path, held, keys, &seen).map(Followed::Body),
+            _ => self.three_markers(path, held, keys, &seen).map(Followed::Body),
         }
-        let by_place = choice(given, keys.cutoff, || None);
-        if keys.names.len() == 2 {
-            let whole = frames.iter().filter_map(|seen| seen[0].zip(seen[1]));
-            let (places, directions): (Vec<_>, Vec<_>) = whole.map(|(a, b)| (a, b - a)).unzip();
-            let rotations = without_spin(&directions);
-            let length = directions.iter().map(|d| d.norm()).sum::<f64>() / directions.len() as f64;
-            let angle = choice(given.map(|s| s * 2.0_f64.sqrt() / length), keys.cutoff, || None);
-            let (place, rotation) =
-                self.follow(path, source, &times, (&places, by_place), (&rotations, angle))?;
-            if displaced {
-                return Ok(Followed::Body(Carried::from_time_zero(place, rotation, held)));
-            }
-            let director = rotation.at(0.0).inverse() * Vector3::from(held.director.unwrap_or_default());
-            let tangent = directions[0];
-            return Ok(Followed::Body(Carried {
-                offset: Vector3::zeros(),
-                tangent,
-                director,
-                place,
-                rotation,
-            }));
+    }
+
+    /// A marker at the support: its place.
+    fn one_marker(
+        &mut self,
+        path: &str,
+        held: Held,
+        keys: &scene::RecordedMarkers,
+        seen: &SeenMarkers,
+    ) -> Result<Shifted, Error> {
+        let places: Vec<_> = seen.frames.iter().filter_map(|seen| seen[0]).collect();
+        let by = choice(seen.sigma, keys.cutoff, || noise_of_rows(&seen.times, &places));
+        let motion = curve(&seen.times, &places, by).map_err(|e| seen.source.refused(e))?;
+        self.say(path, "motion", &format!("of marker {}", keys.names[0]), by, motion.smoothing());
+        let displaced = held.position.filter(|_| keys.values == PoseValues::Displacement);
+        let shift = displaced.map(|p| Vector3::from(p) - motion.at(0.0)).unwrap_or_default();
+        Ok(Shifted { motion, shift })
+    }
+
+    /// Two markers along the tangent: place and direction, and no spin about it.
+    fn two_markers(
+        &mut self,
+        path: &str,
+        held: Held,
+        keys: &scene::RecordedMarkers,
+        seen: &SeenMarkers,
+    ) -> Result<Carried, Error> {
+        let whole = seen.frames.iter().filter_map(|seen| seen[0].zip(seen[1]));
+        let (places, directions): (Vec<_>, Vec<_>) = whole.map(|(a, b)| (a, b - a)).unzip();
+        let rotations = without_spin(&directions);
+        let length = directions.iter().map(|d| d.norm()).sum::<f64>() / directions.len() as f64;
+        let by_place = choice(seen.sigma, keys.cutoff, || None);
+        let angle = choice(seen.sigma.map(|s| s * 2.0_f64.sqrt() / length), keys.cutoff, || None);
+        let (place, rotation) =
+            self.follow(path, &seen.source, &seen.times, (&places, by_place), (&rotations, angle))?;
+        if keys.values == PoseValues::Displacement {
+            return Ok(Carried::from_time_zero(place, rotation, held));
         }
-        let body = self.rigid(source, &frames, &keys.names)?;
+        let director = rotation.at(0.0).inverse() * Vector3::from(held.director.unwrap_or_default());
+        Ok(Carried { offset: Vector3::zeros(), tangent: directions[0], director, place, rotation })
+    }
+
+    /// Three markers of a rigid body or more: the first at the face, the second ahead of it, the third aside.
+    fn three_markers(
+        &mut self,
+        path: &str,
+        held: Held,
+        keys: &scene::RecordedMarkers,
+        seen: &SeenMarkers,
+    ) -> Result<Carried, Error> {
+        let SeenMarkers { source, written, times, frames, sigma } = seen;
+        let body = self.rigid(source, frames, &keys.names)?;
         let poses: Vec<_> = frames.iter().filter_map(|seen| body.pose(seen)).collect();
         let (rotations, places): (Vec<_>, Vec<_>) = poses.into_iter().unzip();
-        self.no_jump_of(source, &written, &rotations)?;
-        let seen = (body.markers.len() as f64).sqrt();
-        let by_place = choice(given.map(|s| s / seen), keys.cutoff, || noise_of_rows(&times, &places));
-        let angle = choice(given.and_then(|s| body.sigma_angle(s)), keys.cutoff, || {
-            noise_of_rotations(&times, &rotations)
+        self.no_jump_of(source, written, &rotations)?;
+        let count = (body.markers.len() as f64).sqrt();
+        let by_place = choice(sigma.map(|s| s / count), keys.cutoff, || noise_of_rows(times, &places));
+        let angle = choice(sigma.and_then(|s| body.sigma_angle(s)), keys.cutoff, || {
+            noise_of_rotations(times, &rotations)
         });
-        let (place, rotation) =
-            self.follow(path, source, &times, (&places, by_place), (&rotations, angle))?;
-        if displaced {
-            return Ok(Followed::Body(Carried::from_time_zero(place, rotation, held)));
+        let (place, rotation) = self.follow(path, source, times, (&places, by_place), (&rotations, angle))?;
+        if keys.values == PoseValues::Displacement {
+            return Ok(Carried::from_time_zero(place, rotation, held));
         }
         let [face, ahead, aside] = [0, 1, 2].map(|i| body.markers[i]);
         let tangent = (ahead - face).normalize();
@@ -303,13 +333,13 @@ impl<'a> Motions<'a> {
         let m1 = (aside - tangent * aside.dot(&tangent)).normalize();
         let [along_1, along_2, along_t] = keys.offset;
         let offset = face + m1 * along_1 + tangent.cross(&m1) * along_2 + tangent * along_t;
-        Ok(Followed::Body(Carried { place, rotation, offset, tangent, director: m1 }))
+        Ok(Carried { place, rotation, offset, tangent, director: m1 })
     }
 
     /// The rigid body of three markers or more.
     fn rigid(
         &mut self,
-        source: Source,
+        source: &Source,
         frames: &[Vec<Option<Vector3<f64>>>],
         names: &[String],
     ) -> Result<Body, Error> {
@@ -338,7 +368,7 @@ impl<'a> Motions<'a> {
     fn follow(
         &mut self,
         path: &str,
-        source: Source,
+        source: &Source,
         times: &[f64],
         (places, by_place): (&[Vector3<f64>], Option<SmoothBy>),
         (rotations, by_angle): (&[UnitQuaternion<f64>], Option<SmoothBy>),
@@ -349,15 +379,15 @@ impl<'a> Motions<'a> {
             Some(by) => RecordedRotation::smoothed(times, rotations, by),
         };
         let rotation = rotation.map_err(|e| source.refused(e))?;
-        self.say(path, "motion", source.label, by_place, place.smoothing());
-        self.say(path, "rotation", source.label, by_angle, rotation.smoothing());
+        self.say(path, "motion", &source.label, by_place, place.smoothing());
+        self.say(path, "rotation", &source.label, by_angle, rotation.smoothing());
         Ok((place, rotation))
     }
 
     /// Refuses rotations of which nobody knows the way from one to the next.
     fn no_jump_of(
         &self,
-        source: Source,
+        source: &Source,
         written: &[(usize, f64)],
         rotations: &[UnitQuaternion<f64>],
     ) -> Result<(), Error> {
@@ -379,7 +409,7 @@ impl<'a> Motions<'a> {
         }
     }
 
-    fn source<'b>(&self, key: &'b str, label: &'b str, time_zero: (&'b str, f64)) -> Source<'b>
+    fn source<'b>(&self, key: &'b str, label: String, time_zero: (&'b str, f64)) -> Source<'b>
     where
         'a: 'b,
     {
@@ -399,6 +429,24 @@ impl<'a> Motions<'a> {
              {unit} {whose} ({path}.motion.{remedy})"
         ));
     }
+}
+
+/// Rows of a recording: what they are about, lines and times as they are written, and model times.
+struct Recorded<'a, const N: usize> {
+    source: Source<'a>,
+    written: Vec<(usize, f64)>,
+    times: Vec<f64>,
+    rows: Vec<[f64; N]>,
+}
+
+/// The markers that a support follows, at the times at which enough of them were seen.
+struct SeenMarkers<'a> {
+    source: Source<'a>,
+    written: Vec<(usize, f64)>,
+    times: Vec<f64>,
+    frames: Vec<Seen>,
+    /// σ of a coordinate \[m\], where it is given.
+    sigma: Option<f64>,
 }
 
 /// What follows markers.
@@ -447,7 +495,7 @@ type Seen = Vec<Option<Vector3<f64>>>;
 /// The times at which enough of the named markers were seen to say where they are, in the order of time, each
 /// with the line of its last row; and the σ of a coordinate where the file or the scene says it.
 fn frames(
-    source: Source,
+    source: &Source,
     rows: &[ObservedRow],
     keys: &scene::RecordedMarkers,
     recording: &Recording,

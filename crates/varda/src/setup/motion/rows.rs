@@ -6,13 +6,12 @@ use crate::Error;
 use crate::scene::{Frame, SceneFile};
 
 /// What the rows of a recording are about, for messages.
-#[derive(Clone, Copy)]
 pub(super) struct Source<'a> {
     pub(super) scene: &'a SceneFile,
     /// The key that names the recording.
     pub(super) key: &'a str,
     /// The file.
-    pub(super) label: &'a str,
+    pub(super) label: String,
     /// The key that says its clock, and what it says.
     pub(super) time_zero: (&'a str, f64),
     /// First and last model time of the run \[s\].
