@@ -132,8 +132,8 @@ pub fn modes(
     system.theta.copy_from_slice(&rest.theta);
     system.place(t)?;
     let end_angle = rest.theta.last().copied().unwrap_or(0.0);
-    // K + sM may be singular, and a mode whose zero, with its rounding, is at −s would drown all others: then
-    // another s helps
+    // K + sM may be singular, and a mode whose zero, with its rounding, is at −s would drown all others:
+    // then another s helps
     let mut share = SHIFT;
     let (pencil, (values, vectors)) = loop {
         let found = Pencil::new(system.clone(), end_angle, share, count)

@@ -5,7 +5,7 @@ mod common;
 use std::ops::Range;
 use std::sync::Arc;
 
-use common::{assert_close, difference, dot, noise, norm, off};
+use common::{assert_close, difference, noise, off};
 use nalgebra::Vector6;
 use varda_implicit::{ImplicitModel, ImplicitStep, Model, Scheme};
 use varda_rod::{
@@ -180,24 +180,9 @@ fn products(step: RodStep) -> (f64, f64) {
     let mut tangent = vec![0.0; n];
     model.initial_tangent(&dz, &mut tangent);
     compare(&tangent, &by_difference);
-    for k in 0..3 {
-        let mut next = vec![0.0; n];
-        model.step(k, &x, &mut next).unwrap();
-        model.linearize(k, k, &x, &next).unwrap();
-        let dx: Vec<f64> = noise(4 + k).take(n).collect();
-        let by_difference = difference(&x, &dx, 1e-4, |x| {
-            let mut next = vec![0.0; n];
-            model.step(k, x, &mut next).unwrap();
-            next
-        });
-        let mut tangent = dx.clone();
-        model.tangent(k, &mut tangent);
-        compare(&tangent, &by_difference);
-        let lambda: Vec<f64> = noise(7 + k).take(n).collect();
-        let mut back = lambda.clone();
-        model.adjoint(k, &mut back);
-        gap = gap.max((dot(&tangent, &lambda) - dot(&dx, &back)).abs() / (norm(&tangent) * norm(&lambda)));
-        x = next;
+    for product in common::products(&mut model, &z) {
+        compare(&product.tangent, &product.by_difference);
+        gap = gap.max(product.gap);
     }
     (error, gap)
 }

@@ -183,30 +183,12 @@ fn initial_angles() {
 #[test]
 fn steps() {
     for (name, mut model) in cases_by_scheme() {
-        let n = model.dim();
-        let mut x = vec![0.0; n];
-        model.initial_state(&control(model.step_ref()), &mut x).unwrap();
-        for k in 0..3 {
-            let mut next = vec![0.0; n];
-            let work = model.step(k, &x, &mut next).unwrap();
-            assert_eq!(work.substeps, 0, "{name}");
-            model.linearize(k, k, &x, &next).unwrap();
-            let dx: Vec<f64> = noise(4 + k).take(n).collect();
-            let by_difference = difference(&x, &dx, 1e-4, |x| {
-                let mut next = vec![0.0; n];
-                model.step(k, x, &mut next).unwrap();
-                next
-            });
-            let mut tangent = dx.clone();
-            model.tangent(k, &mut tangent);
-            assert_close(&name, &tangent, &by_difference, 1e-6);
-            let lambda: Vec<f64> = noise(7 + k).take(n).collect();
-            let mut back = lambda.clone();
-            model.adjoint(k, &mut back);
-            let (a, b) = (dot(&tangent, &lambda), dot(&dx, &back));
-            assert!(tangent.iter().all(|v| v.abs() > 1e-12), "{name}: an empty test");
-            assert!((a - b).abs() <= 1e-12 * norm(&tangent) * norm(&lambda), "{name}: {a} and {b}");
-            x = next;
+        let z = control(model.step_ref());
+        for product in common::products(&mut model, &z) {
+            assert_eq!(product.substeps, 0, "{name}");
+            assert_close(&name, &product.tangent, &product.by_difference, 1e-6);
+            assert!(product.tangent.iter().all(|v| v.abs() > 1e-12), "{name}: an empty test");
+            assert!(product.gap <= 1e-12, "{name}: {:e}", product.gap);
         }
     }
 }

@@ -5,7 +5,7 @@ mod common;
 use std::ops::Range;
 use std::sync::Arc;
 
-use common::{assert_close, difference, dot, noise, norm, off};
+use common::{Product, assert_close, noise, off};
 use nalgebra::{Matrix3, Matrix6, Vector6};
 use proptest::prelude::*;
 use varda_implicit::{ImplicitModel, ImplicitStep, Model, Scheme, Structure};
@@ -140,32 +140,10 @@ fn pushed(curved: bool, scheme: Scheme, damping: Damping, mutation: f64) -> Impl
     ImplicitModel::new(step, 0, 0.004)
 }
 
-/// Runs three steps; tangent and its differences at each of them, and how far the dot product is off.
-fn products(mut model: ImplicitModel<RodStep>) -> Vec<(Vec<f64>, Vec<f64>, f64)> {
-    let n = model.dim();
-    let mut x = vec![0.0; n];
-    model.initial_state(&start(model.step_ref()), &mut x).unwrap();
-    let mut all = Vec::new();
-    for k in 0..3 {
-        let mut next = vec![0.0; n];
-        model.step(k, &x, &mut next).unwrap();
-        model.linearize(k, k, &x, &next).unwrap();
-        let dx: Vec<f64> = noise(4 + k).take(n).collect();
-        let by_difference = difference(&x, &dx, 1e-4, |x| {
-            let mut next = vec![0.0; n];
-            model.step(k, x, &mut next).unwrap();
-            next
-        });
-        let mut tangent = dx.clone();
-        model.tangent(k, &mut tangent);
-        let lambda: Vec<f64> = noise(7 + k).take(n).collect();
-        let mut back = lambda.clone();
-        model.adjoint(k, &mut back);
-        let gap = (dot(&tangent, &lambda) - dot(&dx, &back)).abs() / (norm(&tangent) * norm(&lambda));
-        all.push((tangent, by_difference, gap));
-        x = next;
-    }
-    all
+/// The products of three steps.
+fn products(mut model: ImplicitModel<RodStep>) -> Vec<Product> {
+    let z = start(model.step_ref());
+    common::products(&mut model, &z)
 }
 
 #[test]
@@ -173,7 +151,7 @@ fn steps_without_a_potential_have_exact_tangents_and_adjoints() {
     for scheme in [Scheme::BackwardEuler, Scheme::Midpoint, Scheme::Bdf2] {
         for (curved, stiffness) in [(false, 0.0), (true, 0.0), (true, 0.004)] {
             let name = format!("{scheme:?}, curved {curved}, damping {stiffness}");
-            for (tangent, by_difference, gap) in
+            for Product { tangent, by_difference, gap, .. } in
                 products(pushed(curved, scheme, Damping { stiffness, mass: 0.7 }, 1.0))
             {
                 assert_close(&name, &tangent, &by_difference, 1e-6);
@@ -187,8 +165,8 @@ fn steps_without_a_potential_have_exact_tangents_and_adjoints() {
 #[test]
 fn a_wrong_entry_is_seen() {
     let all = products(pushed(true, Scheme::BackwardEuler, Damping::default(), 0.5));
-    let errors = all.iter().map(|(tangent, by_difference, _)| {
-        let (error, size) = off(tangent, by_difference);
+    let errors = all.iter().map(|product| {
+        let (error, size) = off(&product.tangent, &product.by_difference);
         error / size
     });
     assert!(!(errors.fold(0.0, f64::max) <= 1e-6), "the check is blind");

@@ -1,7 +1,10 @@
 //! Rods held anywhere, from their scenes: the shape at rest, and that they stay there.
 
+#[path = "support/rod_scene.rs"]
+mod rod_scene;
+
+use rod_scene::Folder;
 use varda::run::simulate;
-use varda::scene::SceneFile;
 use varda::setup::Problem;
 
 const REST: &str = r#"
@@ -28,27 +31,21 @@ sigma = 0.01
 const STIFF: &str =
     r#"section = { kind = "stiffness", ea = 1e4, ei = [1e-3, 1e-3], gj = 0.8e-3, mass_per_length = 0.1 }"#;
 
-/// A folder with the files of a scene, removed at the end.
-struct Folder(std::path::PathBuf);
+/// Rods at rest, from their scenes in one folder.
+struct Held(Folder);
 
-impl Folder {
-    fn new(name: &str) -> Folder {
-        let path = std::env::temp_dir().join(format!("varda-held-{name}-{}", std::process::id()));
-        let _ = std::fs::remove_dir_all(&path);
-        std::fs::create_dir_all(&path).unwrap();
-        std::fs::write(path.join("seen.csv"), "time_s,s_m,x_m,y_m,z_m\n0.002,0.5,,,\n").unwrap();
-        Folder(path)
+impl Held {
+    fn new(name: &str) -> Held {
+        let seen = "time_s,s_m,x_m,y_m,z_m\n0.002,0.5,,,\n";
+        Held(Folder::new(&format!("held-{name}")).with("seen.csv", seen))
     }
 
-    fn with(self, file: &str, text: &str) -> Folder {
-        std::fs::write(self.0.join(file), text).unwrap();
-        self
+    fn with(self, file: &str, text: &str) -> Held {
+        Held(self.0.with(file, text))
     }
 
     fn problem(&self, model: &str) -> Result<Problem, varda::Error> {
-        let path = self.0.join("scene.toml");
-        std::fs::write(&path, format!("[model]\nkind = \"rod\"\n{model}{REST}")).unwrap();
-        Problem::from_scene(&SceneFile::open(path.to_str().unwrap(), &[])?)
+        Problem::from_scene(&self.0.scene(&format!("[model]\nkind = \"rod\"\n{model}{REST}"), &[])?)
     }
 
     fn refusal(&self, model: &str) -> String {
@@ -61,12 +58,6 @@ impl Folder {
         let moved = |a: &[f64; 3], b: &[f64; 3]| distance(*a, *b);
         let most = shapes.iter().flat_map(|x| x.iter().zip(&shapes[0]).map(|(a, b)| moved(a, b)));
         (shapes[0].clone(), most.fold(0.0, f64::max))
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
     }
 }
 
@@ -83,7 +74,7 @@ fn clamps(far: f64) -> String {
 
 #[test]
 fn two_clamps_nearer_than_the_length_hold_a_bow_or_a_cable() {
-    let folder = Folder::new("clamps");
+    let folder = Held::new("clamps");
     let rod = format!("length = 1.0\nsegments = 40\n{STIFF}\n");
     let (bow, moved) = folder.run(&format!("{rod}gravity = [0, 0, 0]\n{}", clamps(0.8)));
     let height = bow.iter().map(|x| x[1].hypot(x[2])).fold(0.0, f64::max);
@@ -101,7 +92,7 @@ fn two_clamps_nearer_than_the_length_hold_a_bow_or_a_cable() {
 
 #[test]
 fn a_cable_hangs_from_its_middle_and_from_three_hooks() {
-    let folder = Folder::new("hooks");
+    let folder = Held::new("hooks");
     let cable = r#"length = 2.0
 segments = 40
 section = { kind = "stiffness", ea = 1e4, ei = [1e-4, 1e-4], gj = 1e-4, mass_per_length = 0.05 }
@@ -124,7 +115,7 @@ fn an_initial_shape_picks_the_branch() {
             format!("{u},{},0,{}\n", 0.8 * u, -0.25 * (std::f64::consts::PI * u).sin().powi(2))
         })
         .collect();
-    let folder = Folder::new("branch").with("down.csv", &format!("s_m,x_m,y_m,z_m\n{rows}"));
+    let folder = Held::new("branch").with("down.csv", &format!("s_m,x_m,y_m,z_m\n{rows}"));
     // a ruler, soft towards z: bowed up or down
     let ruler = format!(
         "length = 1.0\nsegments = 40\ngravity = [0, 0, 0]\nsection = {{ kind = \"stiffness\", ea = 1e4, \
@@ -152,7 +143,7 @@ fn a_rest_shape_is_the_natural_curvature_wherever_it_was_laid() {
         .map(|s| (s, arc(s)))
         .map(|(s, p)| format!("{s},{},{},{}\n", p[0], p[1], p[2]))
         .collect();
-    let folder = Folder::new("arc").with("arc.csv", &format!("s_m,x_m,y_m,z_m\n{rows}"));
+    let folder = Held::new("arc").with("arc.csv", &format!("s_m,x_m,y_m,z_m\n{rows}"));
     let rod = format!(
         "length = 1.0\nsegments = 100\n{STIFF}\ngravity = [0, 0, 0]\n\
          start = {{ position = [0, 0, 0], tangent = [1, 0, 0], director = [0, 0, 1] }}\n"
@@ -174,7 +165,7 @@ fn a_rest_shape_is_the_natural_curvature_wherever_it_was_laid() {
 /// The angles of a coil that was just found are those from which its first step starts.
 #[test]
 fn a_coil_stays_where_it_was_found() {
-    let folder = Folder::new("coil");
+    let folder = Held::new("coil");
     let coil = format!(
         "length = 1.0\nsegments = 200\ngravity = [0, 0, 0]\n{STIFF}\n\
          natural_curvature = [30, 0]\nnatural_twist = 10\n\
@@ -187,7 +178,7 @@ fn a_coil_stays_where_it_was_found() {
 
 #[test]
 fn what_cannot_be_a_shape_or_holds_nothing_is_said() {
-    let folder = Folder::new("refused").with("far.csv", "s_m,x_m,y_m,z_m\n0,0,0,0\n1.5,1,0,0\n");
+    let folder = Held::new("refused").with("far.csv", "s_m,x_m,y_m,z_m\n0,0,0,0\n1.5,1,0,0\n");
     let rod = format!("length = 1.0\nsegments = 20\n{STIFF}\n");
     let held = format!("{rod}{}", clamps(0.8));
     let cases = [
@@ -212,7 +203,7 @@ fn what_cannot_be_a_shape_or_holds_nothing_is_said() {
 
 #[test]
 fn whole_turns_of_a_clamp_twist_a_rod_and_buckle_it() {
-    let folder = Folder::new("turns").with("turns.csv", "time_s,turns\n-1,0\n0,2\n1,2\n");
+    let folder = Held::new("turns").with("turns.csv", "time_s,turns\n-1,0\n0,2\n1,2\n");
     let scene = |turns: &str| {
         let held = clamps(1.0);
         let held = held.strip_suffix(" }\n").expect("the end clamp is the last");
@@ -239,7 +230,7 @@ fn whole_turns_of_a_clamp_twist_a_rod_and_buckle_it() {
 /// holds an edge is said.
 #[test]
 fn a_clamp_is_at_its_face_and_two_prescribed_neighbours_are_not() {
-    let folder = Folder::new("faces");
+    let folder = Held::new("faces");
     let beam = "length = 1.0\nsegments = 20\ngravity = [0, 0, -9.81]\nsection = { kind = \"stiffness\", \
                 ea = 1e8, ei = [1e3, 1e3], gj = 1e3, mass_per_length = 0.1 }\n";
     let start = "start = { position = [0.5, 0, 0], tangent = [1, 0, 0], director = [0, 0, 1] }\n";

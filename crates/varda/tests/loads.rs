@@ -1,20 +1,15 @@
 //! Forces, moments and drag of a scene: given, recorded, and refused where they cannot be meant.
 
+#[path = "support/rod_scene.rs"]
+mod rod_scene;
+
+use rod_scene::{Folder, NOTHING, ROD, SEEN};
 use varda::run::simulate;
-use varda::scene::SceneFile;
 use varda::setup::rod_model::RodParts;
 use varda::setup::{Inputs, Problem};
 use varda_rod::Vector3;
 
-const SCENE: &str = r#"
-[model]
-kind = "rod"
-length = 0.5
-segments = 8
-gravity = [0.0, 0.0, -9.81]
-section = { kind = "circle", radius = 0.005 }
-material = { youngs_modulus = 1e6, poisson_ratio = 0.5, density = 1100.0 }
-LOADS
+const CLAMP: &str = r#"
 [model.start]
 position = [0.0, 0.0, 0.0]
 tangent = [0.0, 0.0, -1.0]
@@ -23,20 +18,6 @@ director = [1.0, 0.0, 0.0]
 integrator = "midpoint"
 step = 0.01
 window = 20
-[background]
-from = "static-equilibrium"
-[background.covariance]
-kind = "kernel"
-sigma_x = 0.02
-sigma_v = 0.3
-correlation_length_x = 0.25
-correlation_length_v = 0.25
-localization_length = 0.5
-prior = "clamp"
-[observations]
-kind = "file"
-file = "seen.csv"
-sigma = 0.002
 "#;
 
 const FORCE: &str = "time_s,fx_n,fy_n,fz_n\n10,0,0,0\n10.1,0.02,0,0\n10.5,0.02,0.04,0\n";
@@ -45,19 +26,13 @@ const TWIST: &str = "time_s,twist_nm\n0,0.001\n0.2,0.003\n";
 const MOMENT: &str = "time_s,mx_nm,my_nm,mz_nm\n0,0.001,0,0\n0.2,0.003,0,0\n";
 
 fn inputs(name: &str, loads: &str) -> Result<Inputs, varda::Error> {
-    let folder = std::env::temp_dir().join(format!("varda-loads-{name}-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    for (file, text) in [
-        ("seen.csv", "time_s,s_m,x_m,y_m,z_m\n0.1,0.5,,,\n"),
-        ("force.csv", FORCE),
-        ("following.csv", FOLLOWING),
-        ("twist.csv", TWIST),
-        ("moment.csv", MOMENT),
-        ("scene.toml", &SCENE.replace("LOADS", loads)),
-    ] {
-        std::fs::write(folder.join(file), text).unwrap();
-    }
-    Inputs::read(&SceneFile::open(folder.join("scene.toml").to_str().unwrap(), &[])?)
+    let folder = Folder::new(&format!("loads-{name}"))
+        .with("seen.csv", NOTHING)
+        .with("force.csv", FORCE)
+        .with("following.csv", FOLLOWING)
+        .with("twist.csv", TWIST)
+        .with("moment.csv", MOMENT);
+    Inputs::read(&folder.scene(&format!("{ROD}{loads}{CLAMP}{SEEN}"), &[])?)
 }
 
 fn parts(name: &str, loads: &str) -> RodParts {

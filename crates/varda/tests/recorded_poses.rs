@@ -1,51 +1,23 @@
 //! Supports whose place and directions follow a recording: poses, and markers of the observation file.
 
-use varda::scene::SceneFile;
+#[path = "support/rod_scene.rs"]
+mod rod_scene;
+
+use rod_scene::{Folder, NOTHING, ROD, SEEN};
 use varda::setup::Inputs;
 use varda::setup::system::System;
 use varda_rod::{Quaternion, UnitQuaternion, Vector3};
 
-const SCENE: &str = r#"
-[model]
-kind = "rod"
-length = 0.5
-segments = 8
-gravity = [0.0, 0.0, -9.81]
-section = { kind = "circle", radius = 0.005 }
-material = { youngs_modulus = 1e6, poisson_ratio = 0.5, density = 1100.0 }
-[model.start]
-motion = { kind = "pose", file = "base.csv" }
-[time]
-integrator = "midpoint"
-step = 0.01
-window = 40
-[background]
-from = "static-equilibrium"
-[background.covariance]
-kind = "kernel"
-sigma_x = 0.02
-sigma_v = 0.3
-correlation_length_x = 0.25
-correlation_length_v = 0.25
-localization_length = 0.5
-prior = "clamp"
-[observations]
-kind = "file"
-file = "seen.csv"
-sigma = 0.002
-"#;
-
-fn inputs(name: &str, base: &str, seen: &str, sets: &[&str]) -> Result<Inputs, varda::Error> {
-    let folder = std::env::temp_dir().join(format!("varda-pose-{name}-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    std::fs::write(folder.join("base.csv"), base).unwrap();
-    std::fs::write(folder.join("seen.csv"), seen).unwrap();
-    std::fs::write(folder.join("scene.toml"), SCENE).unwrap();
-    let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
-    Inputs::read(&SceneFile::open(folder.join("scene.toml").to_str().unwrap(), &sets)?)
+fn scene() -> String {
+    let clamp = "[model.start]\nmotion = { kind = \"pose\", file = \"base.csv\" }\n";
+    format!("{ROD}{clamp}[time]\nintegrator = \"midpoint\"\nstep = 0.01\nwindow = 40\n{SEEN}")
 }
 
-const SEEN: &str = "time_s,s_m,x_m,y_m,z_m\n0.1,0.5,,,\n";
+fn inputs(name: &str, base: &str, seen: &str, sets: &[&str]) -> Result<Inputs, varda::Error> {
+    let folder = Folder::new(&format!("pose-{name}")).with("base.csv", base).with("seen.csv", seen);
+    Inputs::read(&folder.scene(&scene(), sets)?)
+}
+
 const AT: f64 = 0.237;
 
 /// Place, tangent and director at [`AT`].
@@ -92,7 +64,7 @@ fn clock_axes_signs_and_meaning_of_poses_are_said() {
     // Every third quaternion has the other sign.
     let sign = |k: usize, q: Quaternion<f64>| if k % 3 == 1 { -q } else { q };
     let plain = poses(|k, t| row(t, place(t), sign(k, turn(t).into_inner())));
-    same(clamp(&inputs("plain", &plain, SEEN, &[]).unwrap()), expected());
+    same(clamp(&inputs("plain", &plain, NOTHING, &[]).unwrap()), expected());
 
     // The model's axes are the file's turned by Q and displaced.
     let q = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.7);
@@ -105,7 +77,7 @@ fn clock_axes_signs_and_meaning_of_poses_are_said() {
         "model.start.motion.frame.angle=0.7",
         "model.start.motion.frame.translation=[1.0,2.0,3.0]",
     ];
-    same(clamp(&inputs("framed", &other, SEEN, &sets).unwrap()), expected());
+    same(clamp(&inputs("framed", &other, NOTHING, &sets).unwrap()), expected());
 
     // A tracker whose y is the tangent and whose x is against m₁, mounted beside the face.
     let axes = UnitQuaternion::from_matrix(&matrix_of_columns([-Vector3::z(), Vector3::x(), -Vector3::y()]));
@@ -119,7 +91,7 @@ fn clock_axes_signs_and_meaning_of_poses_are_said() {
         "model.start.motion.director_axis=[-1.0,0.0,0.0]",
         "model.start.motion.offset=[0.02,-0.01,0.03]",
     ];
-    same(clamp(&inputs("mounted", &mounted, SEEN, &sets).unwrap()), expected());
+    same(clamp(&inputs("mounted", &mounted, NOTHING, &sets).unwrap()), expected());
 
     // A body whose axes mean nothing: the clamp's keys say where it is at model time 0.
     let [p, t, d] = [place(0.0), turn(0.0) * Vector3::x(), turn(0.0) * Vector3::z()];
@@ -127,7 +99,7 @@ fn clock_axes_signs_and_meaning_of_poses_are_said() {
         .map(|(key, v)| format!("model.start.{key}=[{:?},{:?},{:?}]", v.x, v.y, v.z));
     let mut sets: Vec<&str> = keys.iter().map(String::as_str).collect();
     sets.push("model.start.motion.values=displacement");
-    same(clamp(&inputs("displaced", &mounted, SEEN, &sets).unwrap()), expected());
+    same(clamp(&inputs("displaced", &mounted, NOTHING, &sets).unwrap()), expected());
 }
 
 fn matrix_of_columns(columns: [Vector3<f64>; 3]) -> varda_rod::Matrix3<f64> {
@@ -138,7 +110,7 @@ fn matrix_of_columns(columns: [Vector3<f64>; 3]) -> varda_rod::Matrix3<f64> {
 fn what_is_wrong_with_a_pose_is_named_with_its_line() {
     let good = |_: usize, t: f64| row(t, place(t), turn(t).into_inner());
     let refused = |name: &str, base: &str, sets: &[&str], parts: &[&str]| {
-        let message = inputs(name, base, SEEN, sets).map(|_| ()).unwrap_err().to_string();
+        let message = inputs(name, base, NOTHING, sets).map(|_| ()).unwrap_err().to_string();
         parts.iter().for_each(|part| assert!(message.contains(part), "{name}: {part:?} not in {message}"));
     };
     let with = |at: usize, text: &str| poses(|k, t| if k == at { text.to_string() } else { good(k, t) });
@@ -170,7 +142,7 @@ fn a_gap_is_drawn_across_and_said() {
     let gap = poses(|k, t| {
         if (10..20).contains(&k) { format!("{t},,,,,,,\n") } else { row(t, place(t), turn(t).into_inner()) }
     });
-    let inputs = inputs("gap", &gap, SEEN, &[]).unwrap();
+    let inputs = inputs("gap", &gap, NOTHING, &[]).unwrap();
     let System::Rod(rod) = &inputs.system else { panic!("a rod") };
     let told = rod.parts.remarks.iter().any(|r| r.contains("no rows from 0.09 to 0.2 s"));
     assert!(told, "{:?}", rod.parts.remarks);
@@ -293,7 +265,7 @@ fn noise_of_poses_is_taken_off_and_said() {
         ("given", vec!["model.start.motion.sigma=1e-4", "model.start.motion.sigma_angle=1e-3"]),
         ("chosen", vec!["model.start.motion.cutoff=12.0"]),
     ] {
-        let inputs = inputs(name, &base, SEEN, &sets).unwrap();
+        let inputs = inputs(name, &base, NOTHING, &sets).unwrap();
         let [p, t, d] = clamp(&inputs);
         let [place, tangent, director] = expected();
         // 201 rows, half a second: what is left is a small share of σ.

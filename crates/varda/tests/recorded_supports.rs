@@ -1,18 +1,14 @@
 //! Supports that follow a recording: its clock, axes, meaning, coverage and noise.
 
+#[path = "support/rod_scene.rs"]
+mod rod_scene;
+
+use rod_scene::{Folder, NOTHING, ROD, SEEN};
 use varda::run::simulate;
-use varda::scene::SceneFile;
 use varda::setup::{Inputs, Problem};
 
-const SCENE: &str = r#"
-[model]
-kind = "rod"
-length = 0.5
-segments = 8
-clamp = "edge"    # the bounds on noise below are measured with it
-gravity = [0.0, 0.0, -9.81]
-section = { kind = "circle", radius = 0.005 }
-material = { youngs_modulus = 1e6, poisson_ratio = 0.5, density = 1100.0 }
+/// The bounds on noise below are measured with the clamp of the end vertex.
+const CLAMP: &str = r#"clamp = "edge"
 [model.start]
 position = [1.0, 2.0, 3.0]
 tangent = [0.0, 0.0, -1.0]
@@ -22,36 +18,14 @@ motion = { kind = "table", file = "base.csv" }
 integrator = "midpoint"
 step = 0.01
 window = 40
-[background]
-from = "static-equilibrium"
-[background.covariance]
-kind = "kernel"
-sigma_x = 0.02
-sigma_v = 0.3
-correlation_length_x = 0.25
-correlation_length_v = 0.25
-localization_length = 0.5
-prior = "clamp"
-[observations]
-kind = "file"
-file = "seen.csv"
-sigma = 0.002
 "#;
-
-fn folder(name: &str) -> std::path::PathBuf {
-    std::env::temp_dir().join(format!("varda-support-{name}-{}", std::process::id()))
-}
 
 /// The scene with rows of the base, as they are written.
 fn inputs(name: &str, rows: &[[f64; 4]], sets: &[&str]) -> Result<Inputs, varda::Error> {
-    let folder = folder(name);
-    std::fs::create_dir_all(&folder).unwrap();
     let lines: String = rows.iter().map(|[t, x, y, z]| format!("{t},{x},{y},{z}\n")).collect();
-    std::fs::write(folder.join("base.csv"), format!("time_s,x_m,y_m,z_m\n{lines}")).unwrap();
-    std::fs::write(folder.join("seen.csv"), "time_s,s_m,x_m,y_m,z_m\n0.1,0.5,,,\n").unwrap();
-    std::fs::write(folder.join("scene.toml"), SCENE).unwrap();
-    let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
-    Inputs::read(&SceneFile::open(folder.join("scene.toml").to_str().unwrap(), &sets)?)
+    let base = format!("time_s,x_m,y_m,z_m\n{lines}");
+    let folder = Folder::new(&format!("support-{name}")).with("base.csv", &base).with("seen.csv", NOTHING);
+    Inputs::read(&folder.scene(&format!("{ROD}{CLAMP}{SEEN}"), sets)?)
 }
 
 /// Where the base is at the end of the run.

@@ -1,36 +1,22 @@
 //! Recordings with rows that cannot be true: named with their likely cause before anything runs.
 
+#[path = "support/rod_scene.rs"]
+mod rod_scene;
+
+use rod_scene::{Folder, ROD, SEEN};
 use varda::Error;
 use varda::scene::SceneFile;
 use varda::setup::{Inputs, Plan};
 
-const SCENE: &str = r#"
-[model]
-kind = "rod"
-length = 0.5
-segments = 10
-gravity = [0.0, 0.0, -9.81]
-section = { kind = "circle", radius = 0.005 }
-material = { youngs_modulus = 1e6, poisson_ratio = 0.5, density = 1100.0 }
+const CLAMP: &str = r#"
 start = { position = [0.0, 0.0, 1.0], tangent = [0.0, 0.0, -1.0], director = [1.0, 0.0, 0.0] }
 [time]
 integrator = "backward-euler"
 step = 0.01
 window = 40
-[background]
-from = "static-equilibrium"
-[background.covariance]
-kind = "kernel"
-sigma_x = 0.02
-sigma_v = 0.3
-correlation_length_x = 0.25
-correlation_length_v = 0.25
-localization_length = 0.5
-prior = "clamp"
-[observations]
-kind = "file"
-file = "seen.csv"
-sigma = 0.002
+"#;
+
+const MARKERS: &str = r#"
 markers = [
   { name = "middle", arc_length = 0.2 },
   { name = "tip", arc_length = 0.5, offset = [0.01, 0.0, 0.0] },
@@ -49,17 +35,15 @@ fn recording(change: impl Fn(usize, &str, [f64; 3]) -> (String, [f64; 3])) -> St
     text
 }
 
-fn open(name: &str, csv: &str, sets: &[&str]) -> SceneFile {
-    let folder = std::env::temp_dir().join(format!("varda-unreachable-{name}-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    std::fs::write(folder.join("seen.csv"), csv).unwrap();
-    std::fs::write(folder.join("scene.toml"), SCENE).unwrap();
-    let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
-    SceneFile::open(folder.join("scene.toml").to_str().unwrap(), &sets).unwrap()
+/// The folder is to stay while the scene is read.
+fn open(name: &str, csv: &str, sets: &[&str]) -> (Folder, SceneFile) {
+    let folder = Folder::new(&format!("unreachable-{name}")).with("seen.csv", csv);
+    let scene = folder.scene(&format!("{ROD}{CLAMP}{SEEN}{MARKERS}"), sets).unwrap();
+    (folder, scene)
 }
 
 fn refused(name: &str, csv: &str) -> String {
-    match Plan::new(&open(name, csv, &[])) {
+    match Plan::new(&open(name, csv, &[]).1) {
         Err(Error::Data { place, message }) => format!("{place}: {message}"),
         other => panic!("{name}: {:?}", other.map(|p| p.n_obs)),
     }
@@ -68,7 +52,7 @@ fn refused(name: &str, csv: &str) -> String {
 #[test]
 fn the_message_names_line_value_reach_and_cause() {
     let as_it_is = |_: usize, marker: &str, place: [f64; 3]| (marker.to_string(), place);
-    let plan = Plan::new(&open("clean", &recording(as_it_is), &[])).unwrap();
+    let plan = Plan::new(&open("clean", &recording(as_it_is), &[]).1).unwrap();
     assert_eq!(plan.n_obs, 60);
 
     let cases: [(&str, String, &[&str]); 6] = [
@@ -127,9 +111,9 @@ fn a_jump_is_named_with_its_speed() {
     for part in parts {
         assert!(message.contains(part), "{part:?} is not in {message}");
     }
-    let stated = open("stated", &csv, &["observations.max_speed=25.0"]);
+    let (_folder, stated) = open("stated", &csv, &["observations.max_speed=25.0"]);
     assert_eq!(Plan::new(&stated).unwrap().n_obs, 60);
-    let skipped = Plan::new(&open("skipped", &csv, &["observations.unreachable=skip"])).unwrap();
+    let skipped = Plan::new(&open("skipped", &csv, &["observations.unreachable=skip"]).1).unwrap();
     let listed = skipped.left_out.iter().any(|l| l.starts_with("rows that jump, in lines 15:"));
     assert!(skipped.n_obs == 57 && listed);
 }
@@ -138,32 +122,32 @@ fn a_jump_is_named_with_its_speed() {
 fn units_in_the_header_cure_it() {
     let csv = recording(|_, m, p| (m.to_string(), p.map(|v| 1e3 * v)));
     let csv = csv.replace("x_m,y_m,z_m", "x_mm,y_mm,z_mm");
-    let inputs = Inputs::read(&open("header", &csv, &[])).unwrap();
+    let inputs = Inputs::read(&open("header", &csv, &[]).1).unwrap();
     assert!((inputs.observed.seen[1].values[2].unwrap() - 0.5).abs() < 1e-15);
 }
 
 #[test]
 fn what_is_skipped_is_listed_and_a_simulation_needs_no_recording() {
     let csv = recording(|k, m, p| (m.to_string(), if k % 5 == 3 && m == "tip" { [0.0; 3] } else { p }));
-    let plan = Plan::new(&open("skip", &csv, &["observations.unreachable=skip"])).unwrap();
+    let plan = Plan::new(&open("skip", &csv, &["observations.unreachable=skip"]).1).unwrap();
     assert_eq!(plan.n_obs, 54);
     let listed = plan.left_out.iter().any(|l| l.contains("in lines 9, 19:") && l.contains("0,0,0"));
     assert!(listed, "{:?}", plan.left_out);
-    let inputs = Inputs::for_simulation(&open("simulated", &csv, &[])).unwrap();
+    let inputs = Inputs::for_simulation(&open("simulated", &csv, &[]).1).unwrap();
     assert!(inputs.fault_of_observations.is_some() && inputs.observed.seen.is_empty());
 }
 
 #[test]
 fn a_coordinate_that_was_not_seen_condemns_nothing() {
     let csv = recording(|_, m, p| (m.to_string(), p)).replace(",0.5\n", ",\n");
-    assert_eq!(Plan::new(&open("partly", &csv, &[])).unwrap().n_obs, 50);
+    assert_eq!(Plan::new(&open("partly", &csv, &[]).1).unwrap().n_obs, 50);
 }
 
 #[test]
 fn rows_that_repeat_another_count_once() {
     let once = recording(|_, m, p| (m.to_string(), p));
     let twice = format!("{once}{}", once.split_once('\n').unwrap().1);
-    let plan = Plan::new(&open("twice", &twice, &[])).unwrap();
+    let plan = Plan::new(&open("twice", &twice, &[]).1).unwrap();
     assert_eq!(plan.n_obs, 60);
     assert!(plan.left_out.iter().any(|l| l.starts_with("20 rows that repeat")), "{:?}", plan.left_out);
 }

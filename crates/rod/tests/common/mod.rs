@@ -1,5 +1,10 @@
 //! What several tests of derivatives use.
 
+// each test takes a part
+#![allow(dead_code)]
+
+use varda_implicit::Model;
+
 /// A smooth pseudo-random sequence in [−1, 1].
 pub(crate) fn noise(seed: usize) -> impl Iterator<Item = f64> {
     (0..).map(move |i| (12.9898 * (i as f64 + 1.0) + 78.233 * seed as f64).sin())
@@ -34,4 +39,41 @@ pub(crate) fn difference(x: &[f64], dx: &[f64], h: f64, mut f: impl FnMut(&[f64]
     };
     let (one, half) = (central(h), central(0.5 * h));
     one.iter().zip(&half).map(|(a, b)| (4.0 * b - a) / 3.0).collect()
+}
+
+/// A tangent, its differences, and how far the dot product with the adjoint is off, relative.
+pub(crate) struct Product {
+    pub(crate) tangent: Vec<f64>,
+    pub(crate) by_difference: Vec<f64>,
+    pub(crate) gap: f64,
+    /// Extra parts that the step was cut into.
+    pub(crate) substeps: usize,
+}
+
+/// Three steps from a control: the products of each.
+pub(crate) fn products(model: &mut dyn Model, z: &[f64]) -> Vec<Product> {
+    let n = model.dim();
+    let mut x = vec![0.0; n];
+    model.initial_state(z, &mut x).unwrap();
+    let mut all = Vec::new();
+    for k in 0..3 {
+        let mut next = vec![0.0; n];
+        let substeps = model.step(k, &x, &mut next).unwrap().substeps;
+        model.linearize(k, k, &x, &next).unwrap();
+        let dx: Vec<f64> = noise(4 + k).take(n).collect();
+        let by_difference = difference(&x, &dx, 1e-4, |x| {
+            let mut next = vec![0.0; n];
+            model.step(k, x, &mut next).unwrap();
+            next
+        });
+        let mut tangent = dx.clone();
+        model.tangent(k, &mut tangent);
+        let lambda: Vec<f64> = noise(7 + k).take(n).collect();
+        let mut back = lambda.clone();
+        model.adjoint(k, &mut back);
+        let gap = (dot(&tangent, &lambda) - dot(&dx, &back)).abs() / (norm(&tangent) * norm(&lambda));
+        all.push(Product { tangent, by_difference, gap, substeps });
+        x = next;
+    }
+    all
 }

@@ -68,7 +68,7 @@ pub fn evidence(departures: &[Departure], labels: &[String], in_space: bool) -> 
     let found = Found { departures, labels, r: &r, series: &series, mean_square, in_time, along };
     let (cause, text) = found
         .frame(in_space)
-        .or_else(|| found.one_site(in_space))
+        .or_else(|| found.one_site())
         .or_else(|| found.white())
         .or_else(|| found.clock())
         .unwrap_or_else(|| found.correlated(in_space));
@@ -88,7 +88,7 @@ struct Found<'a> {
 
 impl Found<'_> {
     /// One marker that does not go with the others: biased, noisy, or not where it is said to be.
-    fn one_site(&self, in_space: bool) -> Option<(Cause, String)> {
+    fn one_site(&self) -> Option<(Cause, String)> {
         let sites = self.labels.len();
         if sites < 2 {
             return None;
@@ -105,7 +105,6 @@ impl Found<'_> {
         if !(own > STANDS_OUT * rest.max(0.5)) {
             return None;
         }
-        let what = if in_space { "is off by" } else { "is high by" };
         let label = &self.labels[worst];
         let start =
             format!("{label} stands out: {:.1} σ rms, the others {:.1} at most", own.sqrt(), rest.sqrt());
@@ -130,9 +129,8 @@ impl Found<'_> {
             )
         } else {
             let text = format!(
-                "{start}, correlated in time ({:.2}): it {what} what moves with it; its place on the \
-                 model or its \
-                 label is not what was assumed",
+                "{start}, correlated in time ({:.2}): what is left of it changes slowly: its place on the \
+                 model or its label is not what was assumed",
                 own_series.value
             );
             (Cause::MisplacedMarker, text)
@@ -147,9 +145,8 @@ impl Found<'_> {
         let (swing, _) = explained(self.r, &[self.growing(|i, _| about[i]), self.column_of(&about)])?;
         (share >= FOLLOWS && share > 2.0 * growing.max(swing)).then(|| {
             let text = format!(
-                "the departures follow the motion ({:.0} % of them is its speed times {:.1} ms): the \
-                 clock of the \
-                 recording is off by that at least",
+                "the departures follow the motion ({:.0} % of them is its speed times {:.1} ms): the clock \
+                 of the recording is off by that at least",
                 100.0 * share,
                 1e3 * shift[0]
             );
@@ -176,11 +173,9 @@ impl Found<'_> {
         (share >= ALL_BUT).then(|| {
             let angle = found[..3].iter().map(|w| w * w).sum::<f64>().sqrt().to_degrees();
             let text = format!(
-                "the departures are those of a turned frame ({:.0} % of them by {angle:.1}° about \
-                 ({:.2}, {:.2}, \
-                 {:.2}) and a shift): the axes of the recording, or the direction of the clamp, are not \
-                 what was \
-                 assumed",
+                "the departures are those of a turned frame ({:.0} % of them by {angle:.1}° about ({:.2}, \
+                 {:.2}, {:.2}) and a shift): the axes of the recording, or the direction of the clamp, are \
+                 not what was assumed",
                 100.0 * share,
                 found[0] / angle.to_radians(),
                 found[1] / angle.to_radians(),
@@ -195,8 +190,7 @@ impl Found<'_> {
         (self.in_time.is_white() && self.along.is_white()).then(|| {
             let text = format!(
                 "the departures have no pattern in time ({:.2}){}: σ of the observations is too small, \
-                 about {:.1} \
-                 times what was assumed would fit",
+                 about {:.1} times what was assumed would fit",
                 self.in_time.value,
                 if self.along.pairs > 0 {
                     format!(" or along the rod ({:.2})", self.along.value)
@@ -226,8 +220,7 @@ impl Found<'_> {
             let _ = write!(
                 text,
                 ": the model does not describe what was seen (its constants, its forcing, the clock); \
-                 {:.0} % of \
-                 them is constant {everywhere}",
+                 {:.0} % of them is constant {everywhere}",
                 100.0 * lasting
             );
             (Cause::Model, text)
@@ -235,17 +228,15 @@ impl Found<'_> {
             let _ = write!(
                 text,
                 ", {:.0} % of them constant {everywhere}: the shape at rest (rest shape, stiffness, mass) \
-                 is not that \
-                 of the model",
+                 is not that of the model",
                 100.0 * lasting
             );
             (Cause::RestShape, text)
         } else if amplitude > phase {
             let _ = write!(
                 text,
-                "; they go with how far the model swings ({:.0} %, its speed {:.0} %): it loses energy \
-                 at another \
-                 rate (damping)",
+                "; they go with how far the model swings ({:.0} %, its speed {:.0} %): it loses energy at \
+                 another rate (damping)",
                 100.0 * amplitude,
                 100.0 * phase
             );
@@ -253,9 +244,8 @@ impl Found<'_> {
         } else {
             let _ = write!(
                 text,
-                "; they go with the speed of the model ({:.0} %, how far it swings {:.0} %): it swings \
-                 at another \
-                 rate (stiffness, mass)",
+                "; they go with the speed of the model ({:.0} %, how far it swings {:.0} %): it swings at \
+                 another rate (stiffness, mass)",
                 100.0 * phase,
                 100.0 * amplitude
             );
