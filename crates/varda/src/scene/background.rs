@@ -3,6 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::defaults::is_default;
+
 /// The background x_b at the start of the window and its error covariance B.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -13,16 +15,30 @@ pub struct Background {
     /// one row for every free vertex; another model's has the header `component,value`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,
+    /// What the error of x_b in a twin experiment is drawn from.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub draw: Draw,
     /// The error covariance B.
     pub covariance: Covariance,
+}
+
+/// What the error of x_b in a twin experiment is drawn from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Draw {
+    /// The covariance B that is assumed: σ_a then describes the errors of the analysis.
+    #[default]
+    Covariance,
+    /// The kernel of B without its taper, as in the paper: B then overestimates the errors between places far
+    /// from each other, and σ_a of velocities is too large.
+    Kernel,
 }
 
 /// Where x_b comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Origin {
-    /// A twin experiment: the truth at the start of the window plus an error drawn from B (before
-    /// localization).
+    /// A twin experiment: the truth at the start of the window plus an error drawn from B (see `draw`).
     TruthPlusDraw,
     /// A CSV file.
     File,
@@ -69,8 +85,8 @@ impl Covariance {
     pub(crate) fn root(&self) -> Root {
         match self {
             Covariance::Diagonal(_) | Covariance::Climatology(_) => Root::Cholesky,
-            Covariance::Kernel(k) => k.root,
-            Covariance::Line(k) => k.root,
+            Covariance::Kernel(k) => k.root(),
+            Covariance::Line(k) => k.root(),
         }
     }
 }
@@ -132,19 +148,21 @@ pub struct KernelCovariance {
     /// Shape of the kernel.
     #[serde(default)]
     pub kernel: Kernel,
-    /// Shape of the taper (localization).
-    #[serde(default)]
-    pub taper: Taper,
-    /// Length L_loc beyond which errors are uncorrelated [m]. Needed unless `taper = "none"`.
+    /// Shape of the taper (localization). Without it a `localization_length` means "triangle", and without both
+    /// there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub taper: Option<Taper>,
+    /// Length L_loc beyond which errors are uncorrelated [m]. Needed with a taper.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub localization_length: Option<f64>,
     /// Whether the kernel knows that prescribed vertices have no error.
     #[serde(default)]
     pub prior: Prior,
-    /// The square root B^{1/2}.
-    #[serde(default)]
-    pub root: Root,
+    /// The square root B^{1/2}. Left out: "truncated" for a Gaussian kernel without a taper, which is singular
+    /// to working precision, else "cholesky".
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub root: Option<Root>,
     /// Eigenvalues below this fraction of the largest are left out of a truncated root.
     #[serde(default = "default_truncation")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "maximum" = 1.0))]
@@ -169,24 +187,22 @@ pub struct LineCovariance {
     /// Shape of the kernel.
     #[serde(default)]
     pub kernel: Kernel,
-    /// Shape of the taper (localization).
-    #[serde(default = "no_taper")]
-    pub taper: Taper,
+    /// Shape of the taper (localization). Without it a `localization_length` means "gaspari-cohn", and without
+    /// both there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub taper: Option<Taper>,
     /// Length L_loc beyond which errors are uncorrelated [m]. Needed with a taper.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub localization_length: Option<f64>,
-    /// The square root B^{1/2}.
-    #[serde(default)]
-    pub root: Root,
+    /// The square root B^{1/2}. Left out: "truncated" for a Gaussian kernel without a taper, which is singular
+    /// to working precision, else "cholesky".
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub root: Option<Root>,
     /// Eigenvalues below this fraction of the largest are left out of a truncated root.
     #[serde(default = "default_truncation")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "maximum" = 1.0))]
     pub truncation: f64,
-}
-
-fn no_taper() -> Taper {
-    Taper::None
 }
 
 /// Shape of a kernel k(d) of the distance d, L its correlation length.
@@ -208,11 +224,11 @@ pub enum Kernel {
 }
 
 /// Shape of a taper, zero from the localization length on.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Taper {
-    /// max(0, 1 − d/L_loc), the paper's.
-    #[default]
+    /// max(0, 1 − d/L_loc), the paper's. It has a kink at d = 0, so that errors of neighbouring vertices are
+    /// nearly independent.
     Triangle,
     /// Gaspari and Cohn's fifth-order function (1999, eq. 4.10).
     GaspariCohn,
@@ -232,11 +248,10 @@ pub enum Prior {
 }
 
 /// The square root of B.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Root {
     /// Cholesky; B must be positive definite to working precision.
-    #[default]
     Cholesky,
     /// Eigenvectors of the larger eigenvalues; for smooth kernels without a taper, which are singular.
     Truncated,

@@ -42,7 +42,7 @@ mod validate_support;
 
 pub use algorithm::Algorithm;
 pub use background::{
-    Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Kernel, KernelCovariance,
+    Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Draw, Kernel, KernelCovariance,
     LineCovariance, Origin, Prior, Root, Taper,
 };
 pub use cycles::{CycledCovariance, Cycles, EnsembleUpdate};

@@ -83,7 +83,7 @@ pub(crate) fn along_line(
             matrix[i * n + j] = k.sigma * k.sigma * correlation(kernel, taper, line_distance(line, i, j));
         }
     }
-    Ok(match k.root {
+    Ok(match k.root() {
         Root::Cholesky => Factored::Full(Box::new(cholesky(file, path, n, &matrix)?)),
         Root::Truncated => Factored::Truncated(Box::new(truncated(file, path, n, &matrix, k.truncation)?)),
     })
@@ -112,7 +112,7 @@ pub fn localized(
 ) -> Result<Factored, Error> {
     let n = places.free.len();
     let taper = file.checked(k.taper(path))?;
-    Ok(match k.root {
+    Ok(match k.root() {
         Root::Cholesky => {
             let root = |matrix: &[f64]| cholesky(file, path, n, matrix);
             Factored::Full(Box::new(blocks(file, path, k, places, sigmas, taper, root)?))
