@@ -30,6 +30,13 @@ pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure]
         summary.status,
         status_words(outcome.status),
     );
+    let _ = write!(
+        body,
+        "<p class=\"verdict {}\"><strong>{}</strong> {}</p>",
+        outcome.judgement.verdict.name(),
+        outcome.judgement.verdict.heading(),
+        escape(&outcome.judgement.text)
+    );
     body.push_str(&tiles(summary, &experiment.state));
     if !summary.warnings.is_empty() {
         let _ = write!(

@@ -7,7 +7,8 @@ use varda_assimilation::{Analysis, ObservationSet, Rejection, huber};
 use varda_implicit::check::Amplification;
 use varda_implicit::{Log, Model};
 
-use super::{amplification, fit, second_minimum, shapes};
+use super::verdict::{self, Judged};
+use super::{amplification, departures, fit, second_minimum, shapes};
 use crate::Error;
 use crate::outcome::{
     Attempt, ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
@@ -136,15 +137,30 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     warnings.extend(amplification.and_then(|a| a.warning()));
     let fit = fit::fit(&mut observations, &trajectories)?;
     let (withheld, forecast) = fit::beyond(problem, &trajectories, model.as_mut())?;
-    let evidence = fit::evidence(problem, &mut observations, &trajectories)?;
-    warnings.extend(second);
-    warnings.extend(fit::remarks(&fit, &analysis, evidence.as_ref()));
+    let departures = fit::departures(problem, &mut observations, &trajectories)?;
+    let evidence = departures::evidence(&departures.values, &departures.labels, departures.in_space);
+    let judgement = verdict::judge(&Judged {
+        status,
+        late,
+        is_ensemble: scene.algorithm.method.is_ensemble(),
+        iterations: solution.minimum.outer_iterations,
+        gradient_norms: [solution.minimum.gradient_norm_first, solution.minimum.gradient_norm],
+        j: analysis.value,
+        observed: analysis.observations,
+        robust: scene.algorithm.robust,
+        departures: &departures.values,
+        labels: &departures.labels,
+        in_space: departures.in_space,
+        evidence: evidence.as_ref(),
+        second_minimum: second.as_deref(),
+    });
     let j_background = cost_of_run(scene.algorithm.robust, &mut observations, &trajectories)?;
     let rmse = rmse(experiment, errors(&analysis.background), errors(&analysis.analysis));
     let shapes = shapes::with_observations(problem, &trajectories)?;
     Ok(Outcome {
         experiment: Experiment { left_out, ..experiment.clone() },
         status,
+        judgement,
         late,
         attempts: solution.attempts.iter().map(Attempt::from).collect(),
         failure,
@@ -192,9 +208,7 @@ fn remarks(
     failure: Option<&Failure>,
 ) -> Vec<String> {
     let minimum = &solution.minimum;
-    let mut warnings: Vec<String> =
-        log.warnings.iter().map(|w| format!("step {}: {}", w.step, w.text)).collect();
-    warnings.dedup();
+    let mut warnings: Vec<String> = merged(log).into_iter().collect();
     if !solution.rejected.is_empty() {
         let all = used + solution.rejected.len();
         warnings.push(format!(
@@ -214,19 +228,25 @@ fn remarks(
     }
     warnings.extend(failure.map(Failure::to_string));
     match status {
-        Status::MaxIterations => {
-            warnings.push(format!(
-                "not converged after {} iterations (algorithm.max_iterations)",
-                minimum.outer_iterations
-            ));
-        }
-        Status::Stalled => warnings.push("the minimizer stalled before its tolerance was met".into()),
         Status::Interrupted => {
             warnings.push("interrupted: the result is the lowest point so far, without posterior".into());
         }
-        Status::Converged | Status::Failed => {}
+        Status::Converged | Status::MaxIterations | Status::Stalled | Status::Failed => {}
     }
     warnings
+}
+
+/// The remarks of the model's solver in one line.
+fn merged(log: &Log) -> Option<String> {
+    let first = log.warnings.first()?;
+    let first_text = format!("step {}: {}", first.step, first.text);
+    let others = log.warnings.iter().filter(|w| (w.step, &w.text) != (first.step, &first.text)).count();
+    if others == 0 {
+        return Some(first_text);
+    }
+    let steps = log.warnings.iter().map(|w| w.step);
+    let (low, high) = (steps.clone().min().unwrap_or(0), steps.max().unwrap_or(0));
+    Some(format!("{} remarks of the solver on steps {low} to {high}, the first: {first_text}", others + 1))
 }
 
 /// The first refused sightings by name and time.
@@ -405,6 +425,6 @@ pub fn simulate(problem: &Problem) -> Result<Simulation, Error> {
         steps,
         counts: WorkCounts::of(log.counts),
         twin: is_twin_in_space.then(|| TwinFiles { background: problem.background.clone() }),
-        warnings: log.warnings.iter().map(|w| format!("step {}: {}", w.step, w.text)).collect(),
+        warnings: merged(&log).into_iter().collect(),
     })
 }

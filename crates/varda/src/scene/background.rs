@@ -159,8 +159,8 @@ pub struct KernelCovariance {
     /// Whether the kernel knows that prescribed vertices have no error.
     #[serde(default)]
     pub prior: Prior,
-    /// The square root B^{1/2}. Left out: "truncated" for a Gaussian kernel without a taper, which is singular
-    /// to working precision, else "cholesky".
+    /// The square root B^{1/2}. Left out: "cholesky" where B is positive definite to working precision, else
+    /// "truncated".
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub root: Option<Root>,
     /// Eigenvalues below this fraction of the largest are left out of a truncated root.
@@ -195,8 +195,8 @@ pub struct LineCovariance {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub localization_length: Option<f64>,
-    /// The square root B^{1/2}. Left out: "truncated" for a Gaussian kernel without a taper, which is singular
-    /// to working precision, else "cholesky".
+    /// The square root B^{1/2}. Left out: "cholesky" where B is positive definite to working precision, else
+    /// "truncated".
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub root: Option<Root>,
     /// Eigenvalues below this fraction of the largest are left out of a truncated root.
@@ -208,8 +208,8 @@ pub struct LineCovariance {
 /// Shape of a kernel k(d) of the distance d, L its correlation length.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Kernel {
-    /// exp(−d²/(2L²)).
-    #[default]
+    /// exp(−d²/(2L²)): so smooth that errors shorter than L are taken to be impossible, and σ_a is too small where
+    /// there are some.
     #[serde(rename = "gaussian")]
     Gaussian,
     /// Matérn with ν = 1/2: exp(−d/L).
@@ -218,7 +218,9 @@ pub enum Kernel {
     /// Matérn with ν = 3/2: (1 + √3 d/L) exp(−√3 d/L).
     #[serde(rename = "matern-3/2")]
     Matern32,
-    /// Matérn with ν = 5/2: (1 + √5 d/L + 5d²/(3L²)) exp(−√5 d/L).
+    /// Matérn with ν = 5/2: (1 + √5 d/L + 5d²/(3L²)) exp(−√5 d/L). Smooth enough for the curvature of a rod to be
+    /// finite.
+    #[default]
     #[serde(rename = "matern-5/2")]
     Matern52,
 }
