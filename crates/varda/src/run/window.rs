@@ -220,6 +220,11 @@ fn remarks(
                 minimum.outer_iterations
             ));
         }
+        Status::LinearizedOnce => warnings.push(
+            "linearized once, and J of the run from the analysis is not that of the quadratic: it is lower than \
+             the background's, and no minimum"
+                .into(),
+        ),
         Status::Stalled => warnings.push("the minimizer stalled before its tolerance was met".into()),
         Status::Interrupted => {
             warnings.push("interrupted: the result is the lowest point so far, without posterior".into());
