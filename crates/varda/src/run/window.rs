@@ -221,8 +221,8 @@ fn remarks(
             ));
         }
         Status::LinearizedOnce => warnings.push(
-            "linearized once, and J of the run from the analysis is not that of the quadratic: it is lower than \
-             the background's, and no minimum"
+            "linearized once, and J of the run from the analysis is not that of the quadratic: it is lower \
+             than the background's, and no minimum"
                 .into(),
         ),
         Status::Stalled => warnings.push("the minimizer stalled before its tolerance was met".into()),

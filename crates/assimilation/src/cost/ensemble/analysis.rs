@@ -71,8 +71,8 @@ struct Gram {
 }
 
 impl EnVar<'_> {
-    /// Gauss–Newton with exact solves: linearize, go to the minimum of the quadratic J, until a step ‖Δv‖ is
-    /// at most τ = `step_tolerance`. Starts from `v`, and leaves the analysis in it.
+    /// Gauss–Newton with exact solves: linearize, go to the minimum of the quadratic J, until a step ‖Δv‖
+    /// is at most τ = `step_tolerance`. Starts from `v`, and leaves the analysis in it.
     ///
     /// Every step is judged by a forward run of the control, the last one too: `value` and `terms` are J of
     /// the run from the point left in `v`, never that of the quadratic. A step after which J is higher is
@@ -86,8 +86,8 @@ impl EnVar<'_> {
     /// | `MaxIterations` | `max_outer` > 1 linearizations were not enough |
     /// | `Stalled` | no part of a step lowers J: the members, or their localization, give no descent |
     ///
-    /// J resolves ½τ², by which a shift of τ standard deviations of the analysis changes it, and 10⁻¹¹
-    /// of itself. A last step that raises it by less is not taken.
+    /// J resolves ½τ², by which a shift of τ standard deviations of the analysis changes it, and
+    /// 10⁻¹¹ of itself. A last step that raises it by less is not taken.
     ///
     /// # Errors
     /// A first point at which the model fails, `max_outer` = 0, an eigenvalue iteration that fails. A step on
