@@ -71,8 +71,8 @@ struct Gram {
 }
 
 impl EnVar<'_> {
-    /// Gauss–Newton with exact solves: linearize, go to the minimum of the quadratic J, until a step ‖Δv‖
-    /// is at most τ = `step_tolerance`. Starts from `v`, and leaves the analysis in it.
+    /// Gauss–Newton with exact solves: linearize, go to the minimum of the quadratic J, until a step
+    /// ‖Δv‖ is at most τ = `step_tolerance`. Starts from `v`, and leaves the analysis in it.
     ///
     /// Every step is judged by a forward run of the control, the last one too: `value` and `terms` are J of
     /// the run from the point left in `v`, never that of the quadratic. A step after which J is higher is
