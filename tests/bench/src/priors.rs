@@ -64,9 +64,9 @@ struct Prior {
 }
 
 const PRIORS: &[Prior] = &[
-    Prior { name: "Gaussian, truncated root", keys: &["kernel=\"gaussian\""] },
-    Prior { name: "Matérn 5/2", keys: &["kernel=\"matern-5/2\""] },
+    Prior { name: "Matérn 5/2 (default)", keys: &[] },
     Prior { name: "Matérn 3/2", keys: &["kernel=\"matern-3/2\""] },
+    Prior { name: "Gaussian, truncated root", keys: &["kernel=\"gaussian\"", "root=\"truncated\""] },
     Prior {
         name: "Gaussian, Gaspari–Cohn taper of L",
         keys: &["kernel=\"gaussian\"", "taper=\"gaspari-cohn\"", "localization_length={L}"],
@@ -116,8 +116,9 @@ const RODS: &[Rod] = &[
                 section = { kind = \"circle\", radius = 0.004 }\n\
                 material = { youngs_modulus = 2e6, poisson_ratio = 0.5, density = 1100.0 }\n\
                 drag = { fluid_density = 1000.0, diameter = 0.008, flow = [0.25, 0.0, 0.0] }\n\
-                start = { position = [0.0, 0.0, 0.0], tangent = [0.0, 0.0, -1.0], director = [1.0, 0.0, 0.0] }\n\
-                [time]\nintegrator = \"bdf2\"\nstep = 0.02\nspin_up = 50\nwindow = 60\n\
+                start = { position = [0.0, 0.0, 0.0], tangent = [0.0, 0.0, -1.0], director = [1.0, 0.0, 0.0], \
+                motion = { kind = \"ellipse\", radii = [0.10, 0.10], omega = 2.0, ramp_periods = 1.0 } }\n\
+                [time]\nintegrator = \"bdf2\"\nstep = 0.02\nspin_up = 200\nwindow = 60\n\
                 [observations]\nkind = \"synthetic\"\nplaces = [0.5, 1.0, 1.5, 2.0]\nevery = 5\n",
         wrong: "model.drag.flow=[0.2,0.0,0.0]",
     },

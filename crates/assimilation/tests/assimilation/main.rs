@@ -6,6 +6,7 @@ mod coverage;
 mod cycles;
 mod endings;
 mod ensemble;
+mod envar_status;
 mod family;
 mod fixtures;
 mod growth;

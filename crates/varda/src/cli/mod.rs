@@ -27,6 +27,7 @@ use crate::run::cycles::Sequence;
 use crate::run::{self, Listener, assimilate};
 use crate::scene::{SHIPPED, STARTER, Scene, SceneFile};
 use crate::setup::{Inputs, Plan, Problem};
+use crate::report::Summary;
 use exit::INTERRUPTED;
 use progress::ProgressDisplay;
 
@@ -44,6 +45,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// Assimilate: minimise the cost of a scene and write a report
+    #[command(after_help = exit::HELP)]
     Run {
         #[command(flatten)]
         scene: SceneArguments,
@@ -53,6 +55,12 @@ enum Command {
         /// Print nothing but errors
         #[arg(long)]
         quiet: bool,
+        /// Print summary.json instead of the table
+        #[arg(long, conflicts_with = "quiet")]
+        json: bool,
+        /// End with exit code 3 where there is any warning
+        #[arg(long)]
+        strict: bool,
         /// Continue an unfinished run of many windows ([algorithm.cycles]) after its last finished window
         #[arg(long)]
         resume: bool,
@@ -141,8 +149,15 @@ impl SceneArguments {
 pub fn main() -> ExitCode {
     let started = Instant::now();
     let done = match Cli::parse().command {
-        Command::Run { scene, out, quiet, resume } => {
-            run_scene(&scene, out.as_deref(), quiet, resume, started)
+        Command::Run { scene, out, quiet, json, strict, resume } => {
+            let shown = if quiet {
+                Shown::Nothing
+            } else if json {
+                Shown::Json
+            } else {
+                Shown::Table
+            };
+            run_scene(&scene, out.as_deref(), RunOptions { shown, strict, resume }, started)
         }
         Command::Simulate { scene, out, quiet } => simulate(&scene, out.as_deref(), quiet, started),
         Command::Compare { scene, out } => compare_all(&scene, out.as_deref()),
@@ -181,13 +196,32 @@ fn stop_on_signals() -> Arc<AtomicBool> {
     stop
 }
 
+/// What a run prints.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Shown {
+    Nothing,
+    Table,
+    /// summary.json.
+    Json,
+}
+
+/// Flags of `run`.
+#[derive(Clone, Copy)]
+struct RunOptions {
+    shown: Shown,
+    /// Any warning is a failure.
+    strict: bool,
+    resume: bool,
+}
+
 fn run_scene(
     arguments: &SceneArguments,
     out: Option<&Path>,
-    quiet: bool,
-    resume: bool,
+    options: RunOptions,
     started: Instant,
 ) -> Result<ExitCode, Error> {
+    let RunOptions { shown, strict, resume } = options;
+    let quiet = shown == Shown::Nothing;
     let file = arguments.open()?;
     let folder = out.map_or_else(|| Path::new("out").join(&file.name), Path::to_path_buf);
     refuse_occupied(&folder, quiet)?;
@@ -205,7 +239,7 @@ fn run_scene(
         let files = inputs.files.clone();
         let sequence = Sequence::new(settings.clone(), inputs)?;
         let start = cycles::SequenceStart { file: &file, files: &files, folder: &folder, resumed };
-        return cycles::run(&sequence, start, &mut progress, &interrupted, quiet, started);
+        return cycles::run(&sequence, start, &mut progress, &interrupted, options, started);
     }
     let problem = Problem::new(inputs)?;
     progress.expect(problem.observations()?.dim(), problem.experiment.grid.steps);
@@ -218,24 +252,21 @@ fn run_scene(
     drop(listener);
     progress.finish();
     let folder = report::write(&outcome, &folder)?;
-    if !quiet {
-        print!("{}", table::outcome(&outcome, &folder, started.elapsed().as_secs_f64()));
+    match shown {
+        Shown::Nothing => {}
+        Shown::Table => print!("{}", table::outcome(&outcome, &folder, started.elapsed().as_secs_f64())),
+        Shown::Json => print!("{}", Summary::new(&outcome).to_json()),
     }
-    Ok(exit_code(&outcome))
+    Ok(exit_code(&outcome, strict))
 }
 
-fn exit_code(outcome: &Outcome) -> ExitCode {
-    match outcome.status {
-        Status::Interrupted if !outcome.late => ExitCode::from(INTERRUPTED),
-        Status::Failed => {
-            let reason = outcome.failure.as_ref().map(ToString::to_string);
-            eprintln!("error: {}", reason.as_deref().unwrap_or("the minimizer failed"));
-            ExitCode::FAILURE
-        }
-        // The time allowed was over, as iterations may be.
-        Status::Interrupted => ExitCode::SUCCESS,
-        Status::Converged | Status::MaxIterations | Status::Stalled => ExitCode::SUCCESS,
+fn exit_code(outcome: &Outcome, strict: bool) -> ExitCode {
+    if outcome.status == Status::Failed {
+        let reason = outcome.failure.as_ref().map(ToString::to_string);
+        eprintln!("error: {}", reason.as_deref().unwrap_or("the minimizer failed"));
+        return ExitCode::FAILURE;
     }
+    exit::code(&outcome.judgement, outcome.status, outcome.late, strict && !outcome.warnings.is_empty())
 }
 
 /// Refuses an occupied folder before the work, not after it; reports what killed runs had left there.

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use crate::outcome::{ConvergenceRow, Fit, Forecast, Outcome, Status, Withheld};
+use crate::outcome::{ConvergenceRow, Fit, Forecast, Judgement, Outcome, Status, Withheld};
 use crate::state::{StateGroup, StateLayout};
 
 use super::Summary;
@@ -30,13 +30,7 @@ pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure]
         summary.status,
         status_words(outcome.status),
     );
-    let _ = write!(
-        body,
-        "<p class=\"verdict {}\"><strong>{}</strong> {}</p>",
-        outcome.judgement.verdict.name(),
-        outcome.judgement.verdict.heading(),
-        escape(&outcome.judgement.text)
-    );
+    body.push_str(&verdict(&outcome.judgement));
     body.push_str(&tiles(summary, &experiment.state));
     if !summary.warnings.is_empty() {
         let _ = write!(
@@ -76,6 +70,16 @@ pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure]
     document(title, &body)
 }
 
+/// The verdict in words, first on a page.
+pub(super) fn verdict(judgement: &Judgement) -> String {
+    format!(
+        "<p class=\"verdict {}\"><strong>{}</strong> {}</p>",
+        judgement.verdict.name(),
+        judgement.verdict.heading(),
+        escape(&judgement.text)
+    )
+}
+
 /// A whole page.
 pub(super) fn document(title: &str, body: &str) -> String {
     format!(
@@ -91,6 +95,7 @@ pub(super) fn status_words(status: Status) -> &'static str {
     match status {
         Status::Converged => "converged",
         Status::MaxIterations => "out of iterations",
+        Status::LinearizedOnce => "linearized once",
         Status::Stalled => "stalled",
         Status::Interrupted => "interrupted",
         Status::Failed => "failed",

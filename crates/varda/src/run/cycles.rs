@@ -17,7 +17,7 @@ use varda_assimilation::{
 use varda_implicit::check::Amplification;
 use varda_implicit::{At, Refusal};
 
-use super::{amplification, shapes};
+use super::{amplification, shapes, verdict};
 use crate::Error;
 use crate::outcome::{CycleRow, CyclesOutcome, Experiment, Means, Status, Trajectories, WorkCounts};
 use crate::scene::{self, Cycles, SceneFile, TimeGrid};
@@ -220,6 +220,7 @@ impl Sequence {
         }
         let of = |s: Status| rows.iter().filter(|r| r.status == s).count();
         for (s, what) in [
+            (Status::LinearizedOnce, "linearized J once where it is not quadratic"),
             (Status::MaxIterations, "ended out of iterations"),
             (Status::Stalled, "stalled before the tolerance was met"),
             (Status::Failed, "failed"),
@@ -237,6 +238,9 @@ impl Sequence {
         if means.count == 0 {
             warnings.push("all cycles done are spin-up: there are no means".into());
         }
+        let counted: Vec<&CycleRow> = rows.iter().skip(if means.count == 0 { 0 } else { self.cycles.spin_up }).collect();
+        let unfinished = (status == Status::Interrupted).then_some(self.cycles.count);
+        let judgement = verdict::judge_windows(&counted, unfinished, algorithm.method.is_ensemble(), late);
         let trajectories = self.trajectories(&rows, &mut warnings);
         let amplification = self.amplification(&rows, &trajectories);
         warnings.extend(amplification.and_then(|a| a.warning()));
@@ -246,6 +250,7 @@ impl Sequence {
         Ok(CyclesOutcome {
             experiment: Experiment { grid: TimeGrid { steps, ..experiment.grid }, ..experiment.clone() },
             status,
+            judgement,
             late,
             failure: failure.filter(|_| status == Status::Failed),
             asked_for: self.cycles.count,
@@ -373,10 +378,11 @@ fn at(o: &Observation) -> f64 {
 fn severity(status: Status) -> usize {
     match status {
         Status::Converged => 0,
-        Status::MaxIterations => 1,
-        Status::Stalled => 2,
-        Status::Interrupted => 3,
-        Status::Failed => 4,
+        Status::LinearizedOnce => 1,
+        Status::MaxIterations => 2,
+        Status::Stalled => 3,
+        Status::Interrupted => 4,
+        Status::Failed => 5,
     }
 }
 

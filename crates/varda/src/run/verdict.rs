@@ -5,7 +5,7 @@ use std::fmt::Write;
 use varda_assimilation::{highest_j_of_a_fit, huber};
 
 use super::departures::Departure;
-use crate::outcome::{Evidence, Judgement, Status, Verdict};
+use crate::outcome::{CycleRow, Evidence, Judgement, Status, Verdict};
 
 /// A stalled minimization whose gradient fell below this share of the first has come to the minimum as nearly
 /// as rounding, or the noise of J, allows.
@@ -22,7 +22,9 @@ pub(super) struct Judged<'a> {
     pub late: bool,
     /// Whether J comes from an ensemble, which resolves no gradient: it then ends where it stalls.
     pub is_ensemble: bool,
+    /// Iterations done, and those that the scene allows.
     pub iterations: usize,
+    pub max_iterations: usize,
     /// ‖∇J‖ at the first point and at the last.
     pub gradient_norms: [f64; 2],
     /// J at the analysis.
@@ -92,11 +94,16 @@ fn not_converged(judged: &Judged) -> Option<String> {
     let [first, last] = judged.gradient_norms;
     let gradient = format!("‖∇J‖ is at {:.1e} of the first", last / first);
     match judged.status {
-        Status::Converged => None,
+        Status::Converged | Status::LinearizedOnce => None,
         Status::Stalled if judged.is_ensemble || last <= AT_THE_MINIMUM * first => None,
         Status::Stalled => Some(format!(
             "the minimizer stalled after {} iterations, {gradient}: try shorter time steps or another \
              `algorithm.minimizer`",
+            judged.iterations
+        )),
+        Status::MaxIterations if judged.iterations < judged.max_iterations => Some(format!(
+            "every start of the minimizer was given up before its minimum, after {} iterations in all, {gradient}: \
+             the cost is hard to minimize, as with a prior that is not smooth",
             judged.iterations
         )),
         Status::MaxIterations => Some(format!(
@@ -109,6 +116,54 @@ fn not_converged(judged: &Judged) -> Option<String> {
         Status::Interrupted => Some(format!("interrupted, {gradient}")),
         Status::Failed => Some("the minimization failed".to_string()),
     }
+}
+
+/// Windows of a sequence that may miss the bounds of a fit, or their minimum, as a share: one in 700 does by chance
+/// where all is right, and a sequence need not be perfect.
+const MAY_MISS: f64 = 0.05;
+
+/// The verdict of a sequence of windows, from those that count: each is judged by its own 2J/m.
+pub(super) fn judge_windows(
+    rows: &[&CycleRow],
+    asked_for: Option<usize>,
+    is_ensemble: bool,
+    late: bool,
+) -> Judgement {
+    let seen: Vec<&&CycleRow> = rows.iter().filter(|r| r.observations > 0).collect();
+    let m: usize = seen.iter().map(|r| r.observations).sum();
+    if m == 0 {
+        let text = "no observed value is inside a window: every analysis is its background".to_string();
+        return Judgement { verdict: Verdict::NothingObserved, text };
+    }
+    let n = seen.len();
+    let chi2 = seen.iter().map(|r| 2.0 * r.j).sum::<f64>() / m as f64;
+    let badly = seen.iter().filter(|r| !(r.j <= highest_j_of_a_fit(r.observations))).count();
+    let numbers = format!(
+        "2J/m = {chi2:.3} over {n} windows, {badly} of them above 1 + 3 √(2/m) (at most {:.0} % are expected \
+         of a fit)",
+        100.0 * MAY_MISS
+    );
+    let early = seen.iter().filter(|r| matches!(r.status, Status::MaxIterations | Status::Stalled)).count();
+    let too_many = |count: usize| count as f64 > MAY_MISS * n as f64;
+    let (verdict, text) = if let Some(asked_for) = asked_for {
+        let why = if late { "the time allowed is over (limits.seconds)" } else { "interrupted" };
+        (Verdict::NotConverged, format!("{why} after {} of {asked_for} windows; {numbers}", rows.len()))
+    } else if too_many(early) && !is_ensemble {
+        let text = format!(
+            "{early} of {n} minimizations ended before their minimum (algorithm.max_iterations, or stalled); \
+             {numbers}"
+        );
+        (Verdict::NotConverged, text)
+    } else if too_many(badly) {
+        let text = format!(
+            "{numbers}: B, Q or σ are smaller than the errors are, or the model does not describe what was seen; \
+             inflation or model noise lets later windows believe their observations"
+        );
+        (Verdict::DoesNotFit, text)
+    } else {
+        (Verdict::Fits, numbers)
+    };
+    Judgement { verdict, text }
 }
 
 /// A marker, a time or an axis.
@@ -198,6 +253,7 @@ mod tests {
             late: false,
             is_ensemble: false,
             iterations: 5,
+            max_iterations: 100,
             gradient_norms: [1.0, 1e-9],
             j: 0.5 * departures.iter().map(|d| d.value * d.value).sum::<f64>(),
             observed: departures.len(),

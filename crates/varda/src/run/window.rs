@@ -144,6 +144,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         late,
         is_ensemble: scene.algorithm.method.is_ensemble(),
         iterations: solution.minimum.outer_iterations,
+        max_iterations: scene.algorithm.max_iterations,
         gradient_norms: [solution.minimum.gradient_norm_first, solution.minimum.gradient_norm],
         j: analysis.value,
         observed: analysis.observations,
@@ -207,7 +208,6 @@ fn remarks(
     used: usize,
     failure: Option<&Failure>,
 ) -> Vec<String> {
-    let minimum = &solution.minimum;
     let mut warnings: Vec<String> = merged(log).into_iter().collect();
     if !solution.rejected.is_empty() {
         let all = used + solution.rejected.len();
@@ -228,6 +228,11 @@ fn remarks(
     }
     warnings.extend(failure.map(Failure::to_string));
     match status {
+        Status::LinearizedOnce => warnings.push(
+            "linearized once, and J of the run from the analysis is not that of the quadratic: it is lower than \
+             the background's, and no minimum"
+                .into(),
+        ),
         Status::Interrupted => {
             warnings.push("interrupted: the result is the lowest point so far, without posterior".into());
         }
