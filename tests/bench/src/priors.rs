@@ -166,9 +166,9 @@ impl Scored {
             sets.push(covariance(&format!("sigma_v={sigma_v:e}")));
             let correlation = length * rod.length;
             sets.extend(["x", "v"].map(|of| covariance(&format!("correlation_length_{of}={correlation:?}"))));
-            sets.extend(prior.keys.iter().map(|key| {
-                covariance(&key.replace("{L}", &format!("{:?}", rod.length)))
-            }));
+            sets.extend(
+                prior.keys.iter().map(|key| covariance(&key.replace("{L}", &format!("{:?}", rod.length)))),
+            );
             let mut problem = Problem::from_scene(&scene(rod, &sets)?)?;
             problem.background.clone_from(&guess);
             let mut outcome = None;

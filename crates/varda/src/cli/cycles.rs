@@ -13,8 +13,8 @@ use crate::run::cycles::{CycleListener, Sequence};
 use crate::scene::SceneFile;
 use crate::setup::files::InputFile;
 
-use super::{RunOptions, Shown, exit};
 use super::progress::ProgressDisplay;
+use super::{RunOptions, Shown, exit};
 
 /// Where a sequence starts and where its result goes.
 pub(super) struct SequenceStart<'a> {

@@ -5,9 +5,11 @@
 mod convert;
 mod cycles;
 mod exit;
+mod new;
 mod progress;
 mod table;
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -20,14 +22,14 @@ use crate::Error;
 use crate::convert::{Options, Unit, Up};
 use crate::outcome::{Outcome, Status};
 use crate::report;
+use crate::report::Summary;
 use crate::report::checkpoint::Checkpoint;
 use crate::report::folder::ResultFolder;
 use crate::run::compare::{Compared, compare};
 use crate::run::cycles::Sequence;
 use crate::run::{self, Listener, assimilate};
-use crate::scene::{SHIPPED, STARTER, Scene, SceneFile};
+use crate::scene::{DATA_BYTES, SHIPPED, Scene, SceneFile};
 use crate::setup::{Inputs, Plan, Problem};
-use crate::report::Summary;
 use exit::INTERRUPTED;
 use progress::ProgressDisplay;
 
@@ -100,10 +102,21 @@ enum Command {
         #[command(flatten)]
         scene: SceneArguments,
     },
-    /// Write a commented starter scene to NAME.toml
+    /// Write a scene to start from to NAME.toml: a commented one, one for a recording, or a shipped one
     New {
         /// Name of the scene
         name: String,
+        /// A recording of a rod: time_s, s_m or marker, x_m, y_m, z_m (see convert for other formats)
+        #[arg(long, value_name = "FILE.csv", conflicts_with = "from")]
+        recording: Option<PathBuf>,
+        /// A scene that comes with the program (see scenes), with the files it names
+        #[arg(long, value_name = "SCENE")]
+        from: Option<String>,
+    },
+    /// Print a scene that comes with the program
+    Show {
+        /// Its name
+        scene: String,
     },
     /// Convert a recording (C3D, CSV of Motive or Nexus, TRC) to time_s,marker,x_m,y_m,z_m, z upwards
     Convert {
@@ -163,7 +176,15 @@ pub fn main() -> ExitCode {
         Command::Compare { scene, out } => compare_all(&scene, out.as_deref()),
         Command::Modes { scene, count, out } => modes(&scene, count, out.as_deref()),
         Command::Check { scene } => scene.open().and_then(|file| check(&file)),
-        Command::New { name } => new(&name),
+        Command::New { name, recording, from } => {
+            let from = match (recording, from) {
+                (Some(file), _) => new::From::Recording(file),
+                (None, Some(scene)) => new::From::Shipped(scene),
+                (None, None) => new::From::Starter,
+            };
+            new::new(&name, from).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Show { scene } => new::show(&scene).map(|()| ExitCode::SUCCESS),
         Command::Convert { file, out, up, unit } => {
             convert::convert(&file, out, &Options { up, unit }).map(|()| ExitCode::SUCCESS)
         }
@@ -339,17 +360,15 @@ fn check(file: &SceneFile) -> Result<ExitCode, Error> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn new(name: &str) -> Result<ExitCode, Error> {
-    let path = PathBuf::from(if name.ends_with(".toml") { name.to_string() } else { format!("{name}.toml") });
-    let failed = |reason| Error::Write { path: path.clone(), reason };
-    let mut target = std::fs::OpenOptions::new().write(true).create_new(true).open(&path).map_err(failed)?;
-    if let Err(reason) = std::io::Write::write_all(&mut target, STARTER.as_bytes()) {
-        // Half a scene is of no use; if it cannot be removed either, nothing more can be done.
-        let _ = std::fs::remove_file(&path);
-        return Err(failed(reason));
+/// The bytes of a file of data.
+fn bytes_of(file: &Path) -> std::io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    std::fs::File::open(file)?.take(DATA_BYTES + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > DATA_BYTES {
+        let message = format!("it has more than {DATA_BYTES} bytes");
+        return Err(std::io::Error::new(std::io::ErrorKind::FileTooLarge, message));
     }
-    println!("wrote {0}; try: varda check {0}", path.display());
-    Ok(ExitCode::SUCCESS)
+    Ok(bytes)
 }
 
 fn list() {

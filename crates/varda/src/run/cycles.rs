@@ -238,7 +238,8 @@ impl Sequence {
         if means.count == 0 {
             warnings.push("all cycles done are spin-up: there are no means".into());
         }
-        let counted: Vec<&CycleRow> = rows.iter().skip(if means.count == 0 { 0 } else { self.cycles.spin_up }).collect();
+        let counted: Vec<&CycleRow> =
+            rows.iter().skip(if means.count == 0 { 0 } else { self.cycles.spin_up }).collect();
         let unfinished = (status == Status::Interrupted).then_some(self.cycles.count);
         let judgement = verdict::judge_windows(&counted, unfinished, algorithm.method.is_ensemble(), late);
         let trajectories = self.trajectories(&rows, &mut warnings);

@@ -66,7 +66,7 @@ pub use observations::{
 };
 pub(crate) use parsed::{BackgroundSource, ComponentCovariance, LineStep, Shear};
 pub use place::Place;
-pub use shipped::{SHIPPED, STARTER, Shipped};
+pub use shipped::{SHIPPED, STARTER, Shipped, shipped_data, shipped_scene};
 pub use sizes::{DATA_BYTES, NUMBERS, SCENE_BYTES, STEPS, VALUES};
 
 use schemars::JsonSchema;

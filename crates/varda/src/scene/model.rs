@@ -176,7 +176,8 @@ pub struct RodModel {
     /// What the rod is made of. Not needed where the section gives its stiffnesses directly.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub material: Option<Material>,
-    /// Natural curvature (κ̄₁, κ̄₂) per length [1/m].
+    /// Natural curvature (κ̄₁, κ̄₂) per length [1/m]: (1, 0) bends the rod at rest towards m₁, (0, 1) towards m₂,
+    /// with radius 1 m. A clamp's `director` says where m₁ points.
     #[serde(default, skip_serializing_if = "is_default")]
     #[schemars(extend("x-unit" = "1/m"))]
     pub natural_curvature: [f64; 2],

@@ -7,8 +7,8 @@ use varda_rod::Rod;
 
 use super::invalid::{Either, Invalid, invalid, one_of};
 use super::{
-    Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Ensemble, Integrator,
-    Kernel, KernelCovariance, LineCovariance, Observations, Origin, RodModel, Root, Synthetic, Taper,
+    Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Ensemble, Integrator, Kernel,
+    KernelCovariance, LineCovariance, Observations, Origin, RodModel, Root, Synthetic, Taper,
 };
 
 /// A standard deviation, given as it is or relative to another quantity.

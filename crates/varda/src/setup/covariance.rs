@@ -83,9 +83,8 @@ pub(crate) fn along_line(
             matrix[i * n + j] = k.sigma * k.sigma * correlation(kernel, taper, line_distance(line, i, j));
         }
     }
-    let full = || -> Result<Factored, Error> {
-        Ok(Factored::Full(Box::new(cholesky(file, path, n, &matrix)?)))
-    };
+    let full =
+        || -> Result<Factored, Error> { Ok(Factored::Full(Box::new(cholesky(file, path, n, &matrix)?))) };
     let of_rank = || -> Result<Factored, Error> {
         Ok(Factored::Truncated(Box::new(truncated(file, path, n, &matrix, k.truncation)?)))
     };
