@@ -35,6 +35,9 @@ pub struct RodParts {
     pub remarks: Vec<String>,
     /// The rod at rest at a time \[s\], the start of a run, whose angles the first step starts from.
     pub first: Option<(Rest, f64)>,
+    /// Angle of the end clamp \[rad\], whole turns included, at a time \[s\] from which runs start, where a
+    /// file or an earlier window says it.
+    pub end_angle: Option<(f64, f64)>,
 }
 
 impl RodParts {
@@ -86,7 +89,9 @@ impl RodParts {
         let scheme = file.checked(file.scene.time.integrator.of_rod())?;
         let mut remarks = motions.remarks;
         remarks.extend(edge_clamps(model, &rod));
-        let parts = RodParts { rod, supports, loads, pull, damping, scheme, search, remarks, first: None };
+        let (first, end_angle) = (None, None);
+        let parts =
+            RodParts { rod, supports, loads, pull, damping, scheme, search, remarks, first, end_angle };
         parts.dynamics().map_err(refuse("model"))?;
         Ok(parts)
     }
@@ -98,8 +103,12 @@ impl RodParts {
     pub fn dynamics(&self) -> Result<RodStep, varda_rod::Error> {
         let (rod, supports, loads) = (self.rod.clone(), self.supports.clone(), self.loads.clone());
         let step = RodStep::new(rod, supports, loads, self.damping)?.with_scheme(self.scheme);
-        Ok(match &self.first {
+        let step = match &self.first {
             Some((first, t)) => step.starting_from(first, *t),
+            None => step,
+        };
+        Ok(match self.end_angle {
+            Some((angle, t)) => step.with_end_angle(angle, t),
             None => step,
         })
     }
