@@ -10,6 +10,7 @@ mod envar_status;
 mod family;
 mod fixtures;
 mod growth;
+mod honest;
 mod matrix;
 mod minima;
 mod minimizers;

@@ -209,6 +209,13 @@ fn remarks(
             warnings.push(format!("the sub-window of {steps} steps did not converge ({ended:?})"));
         }
     }
+    if minimum.started_beside {
+        warnings.push(
+            "zero gradient at the background, which is no minimum: J falls beside it, and the minimization \
+             started there; which of several minima it came to is chance"
+                .into(),
+        );
+    }
     if let Some(reason) = &solution.no_spread {
         warnings.push(format!("there is no posterior: {reason}"));
     }
