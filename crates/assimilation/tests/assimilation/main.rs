@@ -15,6 +15,7 @@ mod matrix;
 mod minima;
 mod minimizers;
 mod models;
+mod nothing;
 mod observations;
 mod posteriors;
 mod robust;
