@@ -173,8 +173,8 @@ impl LowRankPosterior {
 
     /// From the space of L-BFGS's steps, newest first, with the curvature along it measured by one product
     /// each around the point of the last gradient of `cost`; then, one more product at a time, the largest
-    /// residual, or where that is far below what the probes find a random direction, until the bound is at most the
-    /// tolerance. The bound is that of [`Self::lanczos`], with r_i = A z_i − μ_i z_i the residuals of the
+    /// residual, or where that is far below what the probes find a random direction, until the bound is at
+    /// most the tolerance. The bound is that of [`Self::lanczos`], with r_i = A z_i − μ_i z_i the residuals of the
     /// Ritz pairs:
     ///
     /// ```text
@@ -396,8 +396,8 @@ impl Space {
         Self { n, basis: vectors, images }
     }
 
-    /// Adds one direction after the other, the largest residual, or where that is far below what the probes find a
-    /// random one, until the bound is at most the tolerance.
+    /// Adds one direction after the other, the largest residual, or where that is far below what the probes
+    /// find a random one, until the bound is at most the tolerance.
     fn grown<R: Rng + ?Sized>(
         mut self,
         cost: &mut dyn LeastSquares,

@@ -17,8 +17,10 @@ const DIFFERENCE: f64 = 1e-4;
 const BESIDE: [f64; 3] = [1e-3, 1e-2, 1e-1];
 
 /// A run of a minimizer.
-type Run<'r, C> = dyn FnMut(&mut C, &mut [f64], &Start, &mut dyn FnMut(&Iteration) -> ControlFlow<()>) -> Result<Minimum, Error>
-    + 'r;
+type Run<'r, C> = dyn FnMut(&mut C, &mut [f64], &Start, &mut Tell) -> Result<Minimum, Error> + 'r;
+
+/// Who hears of an iteration.
+type Tell<'t> = dyn FnMut(&Iteration) -> ControlFlow<()> + 't;
 
 /// Runs a minimizer. Where it ends at once, at a first point without a gradient, J is looked at beside it:
 /// where it is lower there, the point was no minimum, and the minimizer starts again from the lowest place

@@ -57,7 +57,8 @@ fn with_hill(n: usize, seen: usize, minimizer: &Minimizer) -> (Minimum, Vec<f64>
     (minimum, v)
 }
 
-/// J = ½x² + 50 (1 − x²)² has a maximum of 50 at 0, and minima at x² = 1 − 1/200, where J = ½ (1 − 1/400).
+/// J = ½x² + 50 (1 − x²)² has a maximum of 50 at 0, and minima at x² = 1 − 1/200, where J is
+/// ½ (1 − 1/400).
 #[test]
 fn a_maximum_without_gradient_is_left_by_every_minimizer() {
     let lowest = 0.5 * (1.0 - 1.0 / 400.0);
@@ -81,8 +82,7 @@ fn a_saddle_with_one_way_down_is_left() {
     }
 }
 
-/// A minimum that is one stays one: y = x² seen as −1, whose misfit nothing lowers, and a linear problem started
-/// at its minimum.
+/// A minimum that is one stays one: y = x² seen as −1, whose misfit nothing lowers.
 #[test]
 fn a_minimum_without_gradient_is_kept() {
     for minimizer in minimizers() {
