@@ -174,8 +174,8 @@ impl LowRankPosterior {
     /// From the space of L-BFGS's steps, newest first, with the curvature along it measured by one product
     /// each around the point of the last gradient of `cost`; then, one more product at a time, the largest
     /// residual, or where that is far below what the probes find a random direction, until the bound is at
-    /// most the tolerance. The bound is that of [`Self::lanczos`], with r_i = A z_i − μ_i z_i the residuals
-    /// of the Ritz pairs:
+    /// most the tolerance. The bound is that of [`Self::lanczos`], with r_i = A z_i − μ_i z_i the
+    /// residuals of the Ritz pairs:
     ///
     /// ```text
     ///     ‖P_v − A⁻¹‖₂ ≤ ν / (1 − ν) + 1 − 1/(1 + ω),    ν² = Σ ‖r_i‖² / μ_i
