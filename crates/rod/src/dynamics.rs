@@ -38,12 +38,12 @@ use crate::twist_equilibrium::TwistEquilibrium;
 /// midpoint with twist or Kelvin–Voigt damping, followed by the same of the step before. Control z =
 /// [X₀, V₀], θ₀ being the twist equilibrium of X₀ nearest to the untwisted frame.
 ///
-/// With [`Rod::spin_inertia`] the third equation is I^i θ̈^i = T_i + T_ext (paper, section 3), θ̇ being the
-/// spin ω of a section about its tangent, measured against the director that parallel transport carries
-/// along with the tangent in time. Φ gains ½ I (s − s*)²/η² of the spins s within the stage, and the state
-/// is [X, V, θ, ω]; ω₀ = 0, unless the control has it ([`RodStep::with_spins_in_control`]). Where both ends
-/// are clamped the end clamp's angle stands after the free ones: unwrapped, it counts the turns of the
-/// clamps, and each step takes it on the branch that their motion leads to. Use it inside
+/// With [`Rod::spin_inertia`] the third equation is I^i θ̈^i = T_i + T_ext (paper, section 3), θ̇ being
+/// the spin ω of a section about its tangent, measured against the director that parallel transport carries
+/// along with the tangent in time. Φ gains ½ I (s − s*)²/η² of the spins s within the stage, and the
+/// state is [X, V, θ, ω]; ω₀ = 0, unless the control has it ([`RodStep::with_spins_in_control`]). Where
+/// both ends are clamped the end clamp's angle stands after the free ones: unwrapped, it counts the turns of
+/// the clamps, and each step takes it on the branch that their motion leads to. Use it inside
 /// [`ImplicitModel`](varda_implicit::ImplicitModel); [`RodStep::model`] does.
 ///
 /// First guess of a step: X_k carried along rigidly with the supports, θ_k.
@@ -177,8 +177,8 @@ impl RodStep {
         6 * self.system.layout.free_vertices.len() + angles
     }
 
-    /// The same step with the control z = [X₀, V₀, θ₀, ω₀], where sections have inertia: free angles
-    /// and their spins in place of angles in equilibrium and sections that do not spin.
+    /// The same step with the control z = [X₀, V₀, θ₀, ω₀], where sections have inertia: free
+    /// angles and their spins in place of angles in equilibrium and sections that do not spin.
     #[must_use]
     pub fn with_spins_in_control(mut self) -> RodStep {
         self.spins_in_control = self.system.layout.spins;

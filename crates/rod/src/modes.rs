@@ -38,8 +38,8 @@ pub struct Mode {
     /// ω² [1/s²]; negative where the shape is not stable, and the mode grows as exp(√(−ω²) t); zero
     /// where it is less than [`Modes::resolution`], as that of a rod which moves freely.
     pub omega_squared: f64,
-    /// φ of all vertices [kg^(−1/2)], zero where one is held: Σ m |φ|² = 1, with Σ I φ² of the turns where
-    /// sections have inertia.
+    /// φ of all vertices [kg^(−1/2)], zero where one is held: Σ m |φ|² = 1, with Σ I φ² of the turns
+    /// where sections have inertia.
     pub displacements: Vec<Vector3<f64>>,
     /// Turn of the section of every edge about its tangent [rad m⁻¹ kg^(−1/2)], beside the turn that the
     /// bending of the rod carries it through; zero where twist is left out.
@@ -88,9 +88,10 @@ pub struct Modes {
 /// K φ = ω² M φ,   K = ∂²(E − F·X)/∂u² at rest,   M = diag(m, I) of the vertices and angles
 /// ```
 ///
-/// Without twist inertia angles have no mass: they follow in equilibrium. Forces are those of `loads`; the shape is one that
-/// [`rest`](crate::rest) or [`equilibrium`](crate::equilibrium()) found for them. By simultaneous iteration
-/// with (K + sM)⁻¹M (Bathe and Wilson 1973), O(n) a product, s a small shift that is taken off again.
+/// Without twist inertia angles have no mass: they follow in equilibrium. Forces are those of `loads`; the
+/// shape is one that [`rest`](crate::rest) or [`equilibrium`](crate::equilibrium()) found for them. By
+/// simultaneous iteration with (K + sM)⁻¹M (Bathe and Wilson 1973), O(n) a product, s a small shift that
+/// is taken off again.
 ///
 /// ```
 /// use varda_rod::{Clamp, ClampAt, Loads, Material, Rod, Section, Supports, Vector3, modes, straight_guess};

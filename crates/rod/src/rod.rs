@@ -45,8 +45,8 @@ pub struct Rod {
     pub natural_twist: Vec<f64>,
     /// Mass of every vertex \[kg\], half of that of the edges beside it; n + 1.
     pub masses: Vec<f64>,
-    /// Inertia of every edge against a spin about its tangent, I^e = ρ l̄^e (I₁ + I₂) \[kg m²\]; n. Empty
-    /// where twist is massless (see [`Rod::with_rotary_inertia`]).
+    /// Inertia of every edge against a spin about its tangent, I^e = ρ l̄^e (I₁ + I₂) \[kg m²\]; n.
+    /// Empty where twist is massless (see [`Rod::with_rotary_inertia`]).
     pub spin_inertia: Vec<f64>,
 }
 
@@ -137,8 +137,8 @@ impl Rod {
         self
     }
 
-    /// The same rod, its sections having inertia against a spin about the tangent: ρ (I₁ + I₂) per length
-    /// \[kg m\], [`Section::rotary_inertia`] of a uniform one. Twist then travels in waves of speed
+    /// The same rod, its sections having inertia against a spin about the tangent: ρ (I₁ + I₂) per
+    /// length \[kg m\], [`Section::rotary_inertia`] of a uniform one. Twist then travels in waves of speed
     /// √(GJ/ρ(I₁ + I₂)), in place of being in equilibrium at every moment.
     ///
     /// ```
@@ -147,7 +147,8 @@ impl Rod {
     /// let material = Material::new(1e6, 0.5, 1100.0);
     /// let section = Section::circle(&material, 0.01);
     /// let rod = Rod::uniform(1.0, 20, &section)?.with_rotary_inertia(section.rotary_inertia(&material));
-    /// assert!((rod.spin_inertia[7] / (0.05 * 1100.0 * std::f64::consts::PI * 1e-8 / 2.0) - 1.0).abs() < 1e-12);
+    /// let of_disc = 0.05 * 1100.0 * std::f64::consts::PI * 0.01_f64.powi(4) / 2.0;
+    /// assert!((rod.spin_inertia[7] / of_disc - 1.0).abs() < 1e-12);
     /// # Ok::<(), varda_rod::Error>(())
     /// ```
     #[must_use]

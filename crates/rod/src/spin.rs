@@ -12,19 +12,20 @@
 //!
 //! both δθ in their local gauges.
 //!
-//! **Inertia.** I s̈ = −∂E/∂θ is a backward Euler step of length η from the point between the last states as
-//! that of X is (`RodStage`): with ω* = a₀ ω_k + a₁ ω_{k−1} and s_{k−1} the spin from x_{k−1} to x_k,
+//! **Inertia.** I s̈ = −∂E/∂θ is a backward Euler step of length η from the point between the last
+//! states as that of X is (`RodStage`): with ω* = a₀ ω_k + a₁ ω_{k−1} and s_{k−1} the spin from
+//! x_{k−1} to x_k,
 //!
 //! ```text
 //! a = I/η² + α I/η,   s* = −a₁ s_{k−1} + η ω*/(1 + αη)
 //! ω_{k+1} = b₀ (s + a₁ s_{k−1})/η + b₁ ω_k,   spin from x_k to x_{k+1} = b₀ s
 //! ```
 //!
-//! **The way by p.** ∂Φ/∂e = ½ a (s − s*) κb(p, q)/l is no force of the rod: that of a rate against carried
-//! directors acts on θ alone. It vanishes with p − q: of the order of Δt, as the error of backward Euler, if p
-//! = t_k; of Δt² if p is the tangent of the edge that x_k and x_{k−1} lead to, e_k + (t* −
-//! t_k)(e_k − e_{k−1})/Δt_{k−1}. Of an edge that keeps its length, turned by any angle in a step of the same
-//! length, p is within 30 degrees of t_k.
+//! **The way by p.** ∂Φ/∂e = ½ a (s − s*) κb(p, q)/l is no force of the rod: that of a rate against
+//! carried directors acts on θ alone. It vanishes with p − q: of the order of Δt, as the error of
+//! backward Euler, if p = t_k; of Δt² if p is the tangent of the edge that x_k and x_{k−1} lead to, e_k +
+//! (t* − t_k)(e_k − e_{k−1})/Δt_{k−1}. Of an edge that keeps its length, turned by any angle in a
+//! step of the same length, p is within 30 degrees of t_k.
 
 mod configuration;
 

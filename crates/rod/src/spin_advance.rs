@@ -6,8 +6,8 @@
 //! θ_{k+1} = θ_k + b₀ s − ∠(P(t_k → t_{k+1}) d₁(x_k), d₁(x_{k+1}))      midpoint
 //! ```
 //!
-//! The midpoint rule's section turns by b₀ s = 2s from x_k to x_{k+1}: 2θ_y − θ_k would not do, since the frames
-//! that stored angles are measured from spin, too.
+//! The midpoint rule's section turns by b₀ s = 2s from x_k to x_{k+1}: 2θ_y − θ_k would not do, since
+//! the frames that stored angles are measured from spin, too.
 
 use varda_implicit::Interval;
 
@@ -149,8 +149,8 @@ impl RodStep {
         }
     }
 
-    /// What acts on angles and spins of x_{k+1} (in `to`) as what acts on x_k, on the places of x_{k+1} and on
-    /// the spins of the stage, which [`RodStep::spins_onto_stage`] hands on.
+    /// What acts on angles and spins of x_{k+1} (in `to`) as what acts on x_k, on the places of x_{k+1} and
+    /// on the spins of the stage, which [`RodStep::spins_onto_stage`] hands on.
     pub(crate) fn advance_spins_transpose(
         &mut self,
         at: &Interval,

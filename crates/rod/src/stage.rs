@@ -6,9 +6,9 @@ use varda_implicit::{Interval, Scheme, Stage};
 /// A step is one backward Euler step of length η from (X*, V*, ε*), and x_{k+1} follows from where that
 /// ends.
 ///
-/// **Angles.** With damping or inertia θ has a rate and goes with the scheme. Without, it is the equilibrium of the
-/// stage's vertices. Under midpoint that of X_{k+1} is needed: 2θ_y − θ_k would carry an error on for
-/// ever with changing sign, so
+/// **Angles.** With damping or inertia θ has a rate and goes with the scheme. Without, it is the equilibrium
+/// of the stage's vertices. Under midpoint that of X_{k+1} is needed: 2θ_y − θ_k would carry an error on
+/// for ever with changing sign, so
 ///
 /// ```text
 /// θ_{k+1} = (16/9) θ_y − (7/9 − 1/9p) θ_k − (1/9p) θ_{k−1},   p = Δt_{k−1}/Δt
@@ -26,8 +26,8 @@ use varda_implicit::{Interval, Scheme, Stage};
 /// ε* = ε_k − ω² (½(ε_k + ε_{k−1}) − ε(½(x_k + x_{k−1})))
 /// ```
 ///
-/// **Spins** are measured from directors carried to edges where x_k and x_{k−1} lead to at the stage's time,
-/// so that these are off by the square of Δt: see [`crate::spin`].
+/// **Spins** are measured from directors carried to edges where x_k and x_{k−1} lead to at the stage's
+/// time, so that these are off by the square of Δt: see [`crate::spin`].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RodStage {
     /// Of X and V.

@@ -176,8 +176,8 @@ pub struct RodModel {
     /// What the rod is made of. Not needed where the section gives its stiffnesses directly.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub material: Option<Material>,
-    /// Sections have inertia ρ(I₁ + I₂) against a spin about the tangent: twist travels in waves, and a state
-    /// is [X, V, θ, ω]. Left out: twist is in equilibrium at every moment.
+    /// Sections have inertia ρ(I₁ + I₂) against a spin about the tangent: twist travels in waves, and a
+    /// state is [X, V, θ, ω]. Left out: twist is in equilibrium at every moment.
     #[serde(default, skip_serializing_if = "is_default")]
     pub twist_inertia: bool,
     /// Natural curvature (κ̄₁, κ̄₂) per length [1/m].
