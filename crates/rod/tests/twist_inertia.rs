@@ -141,8 +141,8 @@ fn a_mode_of_twist_keeps_its_shape_and_energy_by_the_midpoint_rule() {
     }
 }
 
-/// The modes of K φ = ω² M φ with inertia of the angles: (2n−1)π/2L √(GJ/ρ(I₁+I₂)), nπ/L of two
-/// clamps, at second order.
+/// The modes of K φ = ω² M φ with inertia of the angles: (2n−1)π/2L √(GJ/ρ(I₁+I₂)), nπ/L of
+/// two clamps, at second order.
 #[test]
 fn modes_of_twist_are_among_the_natural_modes() {
     let lowest = |segments: usize, ends: usize| {
