@@ -315,6 +315,10 @@ impl<'a> EnVar<'a> {
     /// # Panics
     /// If `v` is not of length `dim`.
     pub fn nonlinear_value(&mut self, v: &[f64]) -> Result<f64, Error> {
+        Ok(self.nonlinear_terms(v)?.total())
+    }
+
+    fn nonlinear_terms(&mut self, v: &[f64]) -> Result<CostTerms, Error> {
         let n_z = self.transform.control_dim();
         self.transform.control(v, &mut self.controls[..n_z]);
         self.run(1)?;
@@ -324,7 +328,7 @@ impl<'a> EnVar<'a> {
         self.observations.whiten_blocks(&mut d);
         let rows = d.iter().zip(self.observations.row_scale());
         let sum = rows.fold(0.0, |sum, (d, s)| sum + (d / (self.scale * s)).powi(2));
-        Ok(0.5 * dot(v, v) + 0.5 * sum)
+        Ok(CostTerms { background: 0.5 * dot(v, v), observation: 0.5 * sum, model_error: 0.0 })
     }
 
     /// Runs the first `runs` models from their controls through the window.

@@ -17,6 +17,7 @@ mod preconditioner;
 mod raw;
 mod secant;
 mod spectral;
+mod stationary;
 mod stopping;
 mod trust_region;
 
@@ -35,7 +36,7 @@ pub(crate) use minimum::{Progress, Start};
 pub use newton::{NewtonOptions, newton};
 pub use newton_cg::{NewtonCgOptions, newton_cg};
 pub use raw::RawVariables;
+pub(crate) use stopping::{NOISE, at_least_one, check_tolerance, setters};
 pub use stopping::{Status, Stopping};
-pub(crate) use stopping::{at_least_one, check_tolerance, setters};
 pub use trust_region::{TrustRegionOptions, trust_region};
 pub use varda_linalg::krylov::RitzPair;

@@ -146,6 +146,9 @@ pub enum Status {
     Converged,
     /// Out of iterations.
     MaxIterations,
+    /// One linearization was asked for, and J is not the quadratic that it was taken for (4D-EnVar): the
+    /// end of that method, but no minimum.
+    LinearizedOnce,
     /// No step decreases J, nor, where the decrease is too small to be measured, the gradient.
     Stalled,
     /// The caller asked to stop.

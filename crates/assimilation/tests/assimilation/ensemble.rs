@@ -120,8 +120,8 @@ fn a_spanning_ensemble_is_linear_strong_4dvar_and_calls_no_tangent_or_adjoint() 
         );
         assert_eq!((counts.tangent_sweeps, counts.adjoint_sweeps), (0, 0));
         // Twice (the constructor's and the one here) the control and N + 1 members over 10 steps, none beyond
-        // the last observation.
-        assert_eq!((counts.forward_runs, counts.model.model_steps), (16, 160));
+        // the last observation, and once the control from the analysis, whose J is reported.
+        assert_eq!((counts.forward_runs, counts.model.model_steps), (17, 170));
     }
     // The check can fail: with other observations the analysis is another one.
     assert!(difference(&strong(&b, &background, &mut observed(3), &mut linear(N)).0, &expected) > 1e-2);

@@ -93,7 +93,9 @@ pub(super) fn run(
             eprintln!("error: {}", outcome.failure.as_deref().unwrap_or("a minimization failed"));
             ExitCode::FAILURE
         }
-        Status::Converged | Status::MaxIterations | Status::Stalled => ExitCode::SUCCESS,
+        Status::Converged | Status::MaxIterations | Status::LinearizedOnce | Status::Stalled => {
+            ExitCode::SUCCESS
+        }
     })
 }
 

@@ -234,7 +234,9 @@ fn exit_code(outcome: &Outcome) -> ExitCode {
         }
         // The time allowed was over, as iterations may be.
         Status::Interrupted => ExitCode::SUCCESS,
-        Status::Converged | Status::MaxIterations | Status::Stalled => ExitCode::SUCCESS,
+        Status::Converged | Status::MaxIterations | Status::LinearizedOnce | Status::Stalled => {
+            ExitCode::SUCCESS
+        }
     }
 }
 

@@ -127,6 +127,8 @@ pub enum Status {
     Converged,
     /// Out of iterations.
     MaxIterations,
+    /// An ensemble was linearized once, as the method says, and J is not the quadratic it was taken for.
+    LinearizedOnce,
     /// No step decreases J any more.
     Stalled,
     /// The caller asked to stop, or the time that the scene allows is over.
@@ -141,6 +143,7 @@ impl Status {
         match self {
             Status::Converged => "converged",
             Status::MaxIterations => "max_iterations",
+            Status::LinearizedOnce => "linearized_once",
             Status::Stalled => "stalled",
             Status::Interrupted => "interrupted",
             Status::Failed => "failed",
@@ -154,6 +157,7 @@ impl From<varda_assimilation::Status> for Status {
         match status {
             S::Converged => Status::Converged,
             S::MaxIterations => Status::MaxIterations,
+            S::LinearizedOnce => Status::LinearizedOnce,
             S::Stalled => Status::Stalled,
             S::Interrupted => Status::Interrupted,
             S::Failed => Status::Failed,

@@ -84,6 +84,7 @@ pub(super) fn status_words(status: Status) -> &'static str {
     match status {
         Status::Converged => "converged",
         Status::MaxIterations => "out of iterations",
+        Status::LinearizedOnce => "linearized once",
         Status::Stalled => "stalled",
         Status::Interrupted => "interrupted",
         Status::Failed => "failed",

@@ -223,6 +223,7 @@ impl Sequence {
         }
         let of = |s: Status| rows.iter().filter(|r| r.status == s).count();
         for (s, what) in [
+            (Status::LinearizedOnce, "linearized J once where it is not quadratic"),
             (Status::MaxIterations, "ended out of iterations"),
             (Status::Stalled, "stalled before the tolerance was met"),
             (Status::Failed, "failed"),
@@ -397,10 +398,11 @@ fn at(o: &Observation) -> f64 {
 fn severity(status: Status) -> usize {
     match status {
         Status::Converged => 0,
-        Status::MaxIterations => 1,
-        Status::Stalled => 2,
-        Status::Interrupted => 3,
-        Status::Failed => 4,
+        Status::LinearizedOnce => 1,
+        Status::MaxIterations => 2,
+        Status::Stalled => 3,
+        Status::Interrupted => 4,
+        Status::Failed => 5,
     }
 }
 

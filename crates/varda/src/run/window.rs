@@ -214,6 +214,13 @@ fn remarks(
             warnings.push(format!("the sub-window of {steps} steps did not converge ({ended:?})"));
         }
     }
+    if minimum.started_beside {
+        warnings.push(
+            "zero gradient at the background, which is no minimum: J falls beside it, and the minimization \
+             started there; which of several minima it came to is chance"
+                .into(),
+        );
+    }
     if let Some(reason) = &solution.no_spread {
         warnings.push(format!("there is no posterior: {reason}"));
     }
@@ -225,6 +232,11 @@ fn remarks(
                 minimum.outer_iterations
             ));
         }
+        Status::LinearizedOnce => warnings.push(
+            "linearized once, and J of the run from the analysis is not that of the quadratic: it is lower \
+             than the background's, and no minimum"
+                .into(),
+        ),
         Status::Stalled => warnings.push("the minimizer stalled before its tolerance was met".into()),
         Status::Interrupted => {
             warnings.push("interrupted: the result is the lowest point so far, without posterior".into());

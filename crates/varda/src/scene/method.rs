@@ -36,11 +36,12 @@ pub enum Method {
     #[serde(rename = "weak-state")]
     WeakState,
     /// 4D-EnVar: forward runs of an ensemble in the place of tangent and adjoint, relinearized up to
-    /// `max_iterations` times (1: 4D-EnVar proper; more: the iterative ensemble smoother).
+    /// `max_iterations` times (1: 4D-EnVar proper; more: the iterative ensemble smoother). J is that of the
+    /// run of the analysis; one linearization of a nonlinear problem ends as `linearized_once`.
     #[serde(rename = "4denvar")]
     FourDEnVar,
     /// Hybrid 4D-EnVar: a static part of B beside the ensemble's, its increments constant through the window.
-    /// Linearized once.
+    /// Linearized once, and says so where the problem is nonlinear (`linearized_once`).
     #[serde(rename = "hybrid-4denvar")]
     HybridFourDEnVar,
 }

@@ -56,8 +56,8 @@ impl Task<'_> {
         let options = EnVarOptions::default().with_max_outer(max_outer);
         let minimum = cost.minimize(v, &options, &mut on_iteration)?;
         let counts = WorkCounts::from(&cost.counts());
-        // Reports the last step, after which the ensemble is not run again; it is too late to interrupt.
-        if matches!(minimum.status, Status::Converged | Status::MaxIterations) {
+        // Reports the last step, after which the control alone is run; it is too late to interrupt.
+        if !matches!(minimum.status, Status::Interrupted | Status::Stalled) {
             let _ = on_iteration(&minimum.iteration(0.0, cost.counts(), v));
         }
         let spread = if posterior && is_whole(minimum.status) {

@@ -1,8 +1,8 @@
 //! From the linearized ensemble to the analysis: exact solves, outer iterations, the posterior ensemble.
 
 use super::EnVar;
-use crate::cost::{CostFunction, dot, norm};
-use crate::minimize::{at_least_one, eigen, setters};
+use crate::cost::{CostFunction, CostTerms, dot, norm};
+use crate::minimize::{NOISE, at_least_one, eigen, setters};
 use crate::{Error, Iteration, Minimum, Status};
 use std::ops::ControlFlow;
 
@@ -39,6 +39,30 @@ pub enum EnsembleUpdate<'u> {
     PerturbedObservations(&'u mut dyn FnMut() -> f64),
 }
 
+/// The way from a point to the minimum of the quadratic J about it.
+struct Way {
+    /// J at the point.
+    value: f64,
+    /// By how much the quadratic J is lower at its minimum.
+    promised: f64,
+    /// ‖Δv‖.
+    size: f64,
+}
+
+/// A part of such a way that was taken.
+struct Step {
+    size: f64,
+    /// J of the run from its end.
+    terms: CostTerms,
+    is_whole: bool,
+    /// Longer parts after which J was higher, or the model failed.
+    rejected: usize,
+}
+
+/// A problem is linear where J of the run differs from that of the quadratic by no more than this part of
+/// the decrease: small differences between members leave 10⁻⁸ of it to rounding.
+const LINEAR: f64 = 1e-6;
+
 /// Eigenpairs of GGᵀ or of GᵀG, whichever is smaller.
 struct Gram {
     dual: bool,
@@ -47,12 +71,23 @@ struct Gram {
 }
 
 impl EnVar<'_> {
-    /// Gauss–Newton with exact solves: linearize, go to the minimum of J, until a step is at most
-    /// `step_tolerance`. Starts from `v`, and leaves the analysis in it.
+    /// Gauss–Newton with exact solves: linearize, go to the minimum of the quadratic J, until a step
+    /// ‖Δv‖ is at most τ = `step_tolerance`. Starts from `v`, and leaves the analysis in it.
     ///
-    /// A step after which the nonlinear J is higher is halved, unless it is shorter than 0.1: ensemble
-    /// differences of finite spread do not resolve J more finely. The last step is not followed by a run of
-    /// the ensemble; `value` and the gradient are those of the quadratic J there.
+    /// Every step is judged by a forward run of the control, the last one too: `value` and `terms` are J of
+    /// the run from the point left in `v`, never that of the quadratic. A step after which J is higher is
+    /// halved, so that `v` is the lowest point found. The gradient is that of the last quadratic.
+    ///
+    /// | status | when |
+    /// |---|---|
+    /// | `Converged` | a whole step is at most τ and does not raise J by more than J resolves |
+    /// | `Converged` | `max_outer` = 1, and J of the run is that of the quadratic: the problem is linear |
+    /// | `LinearizedOnce` | `max_outer` = 1, and they differ |
+    /// | `MaxIterations` | `max_outer` > 1 linearizations were not enough |
+    /// | `Stalled` | no part of a step lowers J: the members, or their localization, give no descent |
+    ///
+    /// J resolves ½τ², by which a shift of τ standard deviations of the analysis changes it, and
+    /// 10⁻¹¹ of itself. A last step that raises it by less is not taken.
     ///
     /// # Errors
     /// A first point at which the model fails, `max_outer` = 0, an eigenvalue iteration that fails. A step on
@@ -71,12 +106,13 @@ impl EnVar<'_> {
             self.relinearize(v)?;
         }
         let n = self.dim();
-        let (mut target, mut trial, mut gradient) = (vec![0.0; n], vec![0.0; n], vec![0.0; n]);
-        let (mut first, mut step_norm, mut rejected) = (f64::NAN, 0.0, 0);
-        let mut failure = None;
-        let mut outer = 0;
-        let mut status = loop {
+        let (mut target, mut gradient) = (vec![0.0; n], vec![0.0; n]);
+        let mut step = Step { size: 0.0, terms: CostTerms::default(), is_whole: true, rejected: 0 };
+        let (mut first, mut outer, mut failure) = (f64::NAN, 0, None);
+        let status = loop {
+            // Where it is linearized, the quadratic J is that of the run.
             let value = self.evaluate(v, Some(&mut gradient))?;
+            step.terms = self.terms;
             let gradient_norm = norm(&gradient);
             if outer == 0 {
                 first = gradient_norm;
@@ -84,11 +120,11 @@ impl EnVar<'_> {
             let flow = on_iteration(&Iteration {
                 index: outer,
                 value,
-                terms: self.terms,
+                terms: step.terms,
                 gradient_norm,
-                step_norm,
+                step_norm: step.size,
                 damping: 0.0,
-                rejected,
+                rejected: step.rejected,
                 inner_iterations: 0,
                 observation_scale: self.scale,
                 gradient_goal: 0.0,
@@ -101,61 +137,93 @@ impl EnVar<'_> {
                 break Status::Interrupted;
             }
             self.solve(&mut target)?;
-            let mut length = 1.0;
-            let full = target.iter().zip(&*v).map(|(t, v)| (t - v) * (t - v)).sum::<f64>().sqrt();
             outer += 1;
-            if full <= options.step_tolerance || outer == options.max_outer {
-                v.copy_from_slice(&target);
-                let ended = full <= options.step_tolerance || options.max_outer == 1;
-                break if ended { Status::Converged } else { Status::MaxIterations };
-            }
-            rejected = 0;
-            let moved = loop {
-                trial.iter_mut().zip(v.iter().zip(&target)).for_each(|(x, (v, t))| *x = v + length * (t - v));
-                let lower = length * full <= 0.1
-                    || match self.nonlinear_value(&trial) {
-                        Ok(after) => after <= value,
-                        Err(error) => {
-                            failure = Some(error);
-                            false
-                        }
-                    };
-                if lower {
-                    match self.relinearize(&trial) {
-                        Ok(()) => break true,
-                        Err(error) => failure = Some(error),
-                    }
-                }
-                rejected += 1;
-                length *= 0.5;
-                if rejected > 40 {
-                    break false;
-                }
+            let way = Way {
+                value,
+                promised: value - self.evaluate(&target, None)?,
+                size: target.iter().zip(&*v).map(|(t, v)| (t - v) * (t - v)).sum::<f64>().sqrt(),
             };
-            if !moved {
-                break Status::Stalled;
+            let is_small = way.size <= options.step_tolerance || way.promised <= NOISE * value;
+            if is_small {
+                let resolved = (0.5 * options.step_tolerance.powi(2)).max(NOISE * value);
+                match self.nonlinear_terms(&target) {
+                    Ok(terms) if terms.total() <= value => {
+                        v.copy_from_slice(&target);
+                        step.terms = terms;
+                        break Status::Converged;
+                    }
+                    Ok(terms) if terms.total() - value <= resolved => break Status::Converged,
+                    Ok(_) => {}
+                    Err(error) => failure = Some(error),
+                }
             }
-            step_norm = length * full;
-            v.copy_from_slice(&trial);
+            let is_last = outer == options.max_outer;
+            match self.descend(v, &target, &way, !is_last, &mut failure) {
+                None => break Status::Stalled,
+                Some(taken) => step = taken,
+            }
+            if is_last {
+                let differs = (step.terms.total() - (value - way.promised)).abs();
+                let is_linear = step.is_whole && differs <= LINEAR * way.promised;
+                break match options.max_outer {
+                    1 if is_linear => Status::Converged,
+                    1 => Status::LinearizedOnce,
+                    _ => Status::MaxIterations,
+                };
+            }
         };
-        let value = self.evaluate(v, Some(&mut gradient))?;
-        if !value.is_finite() {
-            status = Status::Failed;
-        }
-        let failure = if matches!(status, Status::Stalled | Status::Failed) { failure } else { None };
+        self.evaluate(v, Some(&mut gradient))?;
+        self.terms = step.terms;
         Ok(Minimum {
-            value,
-            terms: self.terms,
+            value: step.terms.total(),
+            terms: step.terms,
             gradient_norm_first: first,
             gradient_norm: norm(&gradient),
             outer_iterations: outer,
             inner_iterations: 0,
             status,
-            failure,
+            failure: failure.filter(|_| status == Status::Stalled),
             ritz: Vec::new(),
             inverse_hessian: None,
+            started_beside: false,
             attempts: Vec::new(),
         })
+    }
+
+    /// Takes v to `target`, or halving to a point before it, where J of the run is no higher, and where the
+    /// members can be run about it if that is asked for. `None`, and v as it was, where the decrease that the
+    /// quadratic promises falls below the noise of J first.
+    fn descend(
+        &mut self,
+        v: &mut [f64],
+        target: &[f64],
+        way: &Way,
+        relinearize: bool,
+        failure: &mut Option<Error>,
+    ) -> Option<Step> {
+        let start = v.to_vec();
+        let (mut length, mut rejected) = (1.0, 0);
+        while length * (2.0 - length) * way.promised > NOISE * way.value {
+            v.iter_mut().zip(start.iter().zip(target)).for_each(|(v, (s, t))| *v = s + length * (t - s));
+            let terms = self.nonlinear_terms(v).and_then(|terms| {
+                let lower = terms.total() <= way.value;
+                if lower && relinearize {
+                    self.relinearize(v)?;
+                }
+                Ok(lower.then_some(terms))
+            });
+            match terms {
+                Ok(Some(terms)) => {
+                    return Some(Step { size: length * way.size, terms, is_whole: rejected == 0, rejected });
+                }
+                Ok(None) => {}
+                Err(error) => *failure = Some(error),
+            }
+            rejected += 1;
+            length *= 0.5;
+        }
+        v.copy_from_slice(&start);
+        None
     }
 
     /// v = argmin J: Gᵀ (I + GGᵀ)⁻¹ (d₀ + G v₀), by an eigenvalue decomposition of the smaller of
