@@ -200,8 +200,8 @@ impl RodStep {
     }
 
     /// The same where the end clamp has this angle at time t \[s\], whole turns included: that of a state
-    /// ([`end_angle`](Self::end_angle)) whose places and velocities runs start from. Nothing changes where the
-    /// rod has no such angle.
+    /// ([`end_angle`](Self::end_angle)) whose places and velocities runs start from. Nothing changes where
+    /// the rod has no such angle.
     #[must_use]
     pub fn with_end_angle(mut self, angle: f64, t: f64) -> RodStep {
         let (n, turns) = (self.rod().segments(), self.system.supports.turns_at(t));
@@ -219,8 +219,8 @@ impl RodStep {
         self
     }
 
-    /// The angle of the end clamp in a state \[rad\], whole turns included; `None` where it is not part of the
-    /// state: a rod without a director at both ends, or without twist.
+    /// The angle of the end clamp in a state \[rad\], whole turns included; `None` where it is not part of
+    /// the state: a rod without a director at both ends, or without twist.
     ///
     /// # Panics
     /// If `state` is shorter than a state.

@@ -22,8 +22,8 @@ const EXPLAINS: f64 = 0.5;
 /// A cause that moves all markers together explains all but this share, where it is the one: shapes that are
 /// wrong look turned too.
 const ALL_BUT: f64 = 0.97;
-/// A turn about the vertical has this share of what lasts at every marker, where it is the one: a shape that is
-/// bent aside has 94 % at four markers, growing with s² and not with s.
+/// A turn about the vertical has this share of what lasts at every marker, where it is the one: a shape that
+/// is bent aside has 94 % at four markers, growing with s² and not with s.
 const OF_LASTING: f64 = 0.96;
 /// What an analysis leaves of a shifted clock, as a share.
 const FOLLOWS: f64 = 0.2;
@@ -33,7 +33,7 @@ const FOLLOWS: f64 = 0.2;
 /// ```text
 ///     one marker far above the others:   its mean ≠ 0: biased; white: noisy
 ///     d ≈ δt ∂H/∂t:                      the clock
-///     d ≈ ω × H + c in space:            the frame;   d ≈ ω e × (H − p), e upwards:  turned about it
+///     d ≈ ω × H + c in space:            the frame;   d ≈ ω e × (H − p), e up: its turn about e
 ///     white in time and along the rod:   σ too small
 ///     d ≈ constant at every marker:      rest shape or stiffness
 ///     d ≈ (a + b t) (H − H̄):             damping;   d ≈ (a + b t) ∂H/∂t:  stiffness or mass
@@ -41,7 +41,8 @@ const FOLLOWS: f64 = 0.2;
 ///
 /// with H = H(x_a) at the marker, its time mean H̄ and a point p where the rod is held. An analysis takes up
 /// what it can of a fault, so that these are likely causes, not proofs. `labels` are the names of the sites;
-/// `space` is known where axes are those of places. `None` where 2J_o/m ≤ 1 + 4 √(2/m), and for fewer than eight values.
+/// `space` is known where axes are those of places. `None` where 2J_o/m ≤ 1 + 4 √(2/m), and for fewer than
+/// eight values.
 ///
 /// # Panics
 /// If a site has no label.
@@ -134,7 +135,7 @@ impl Found<'_> {
         })
     }
 
-    /// d = δt ∂H/∂t at all sites, or at one end of the rod: where it is held, an analysis can take up least.
+    /// d = δt ∂H/∂t at all sites, or at one end of the rod: an analysis takes up least where it is held.
     fn clock(&self, in_space: bool) -> Option<(Cause, String)> {
         let about = self.series.about_means(self.departures);
         let last = self.labels.len().saturating_sub(1);
