@@ -41,8 +41,8 @@ const FOLLOWS: f64 = 0.2;
 ///
 /// with H = H(x_a) at the marker, its time mean H̄ and a point p where the rod is held. An analysis takes up
 /// what it can of a fault, so that these are likely causes, not proofs. `labels` are the names of the sites;
-/// `space` is known where axes are those of places. `None` where 2J_o/m ≤ 1 + 4 √(2/m), and for fewer than
-/// eight values.
+/// `space` is known where axes are those of places. `None` where 2J_o/m ≤ 1 + 4 √(2/m), and for fewer
+/// than eight values.
 ///
 /// # Panics
 /// If a site has no label.
