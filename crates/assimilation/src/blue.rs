@@ -108,9 +108,9 @@ impl Blue {
                 solve_identity_plus(View::new(&g, m, n), &mut covariance)?;
             }
             Gain::Observation => {
-                for (j, (column, g)) in covariance.chunks_exact_mut(n).zip(columns_of(&g, m)).enumerate() {
+                for (j, column) in covariance.chunks_exact_mut(n.max(1)).enumerate() {
                     column[j] = 1.0;
-                    for (k, g) in k.chunks_exact(n).zip(g) {
+                    for (k, g) in k.chunks_exact(n.max(1)).zip(&g[j * m..]) {
                         column.iter_mut().zip(k).for_each(|(c, k)| *c -= k * g);
                     }
                 }

@@ -250,18 +250,20 @@ pub fn cycle(
     while state.next < cycling.cycles {
         let (cycle, after) = match covariance {
             CycledCovariance::Static(b) => cycling.variational(state, *b, minimizer, None)?,
-            CycledCovariance::Propagated { first, inflation, .. } if state.columns.is_empty() => {
-                cycling.variational(state, *first, minimizer, Some(*inflation))?
-            }
-            CycledCovariance::Propagated { inflation, static_part, .. } => {
-                let whole = Localization::none(state.background.len());
-                let carried = Ensemble::from_perturbations(&state.columns, whole)?;
-                match static_part {
-                    Some((b, weight)) => {
-                        let hybrid = Hybrid::new(*b, *weight, carried, 1.0)?;
-                        cycling.variational(state, &hybrid, minimizer, Some(*inflation))?
+            CycledCovariance::Propagated { first, inflation, static_part } => {
+                let carry = Some(Carry { inflation: *inflation, static_part: *static_part });
+                if state.columns.is_empty() {
+                    cycling.variational(state, *first, minimizer, carry)?
+                } else {
+                    let whole = Localization::none(state.background.len());
+                    let carried = Ensemble::from_perturbations(&state.columns, whole)?;
+                    match static_part {
+                        Some((b, weight)) => {
+                            let hybrid = Hybrid::new(*b, *weight, carried, 1.0)?;
+                            cycling.variational(state, &hybrid, minimizer, carry)?
+                        }
+                        None => cycling.variational(state, &carried, minimizer, carry)?,
                     }
-                    None => cycling.variational(state, &carried, minimizer, Some(*inflation))?,
                 }
             }
             CycledCovariance::Ensemble(ensemble) => cycling.ensemble(state, ensemble)?,
@@ -294,14 +296,13 @@ impl Cycling<'_> {
         self.window.max(self.shift)
     }
 
-    /// One window of strong 4D-Var; `propagate` is the inflation of the posterior that is carried on, if one
-    /// is.
+    /// One window of strong 4D-Var; `carry` is how its posterior becomes B of the next, if it does.
     fn variational(
         &self,
         state: &CycleState,
         b: &dyn Covariance,
         minimizer: &Minimizer,
-        propagate: Option<f64>,
+        carry: Option<Carry>,
     ) -> Result<(Cycle, CycleState), Error> {
         let mut observations = self.unseen(state.next)?;
         let m = observations.dim();
@@ -311,7 +312,7 @@ impl Cycling<'_> {
         let mut cost = StrongConstraint::new(&mut *model, transform.clone(), &mut observations)?;
         let mut v = vec![0.0; cost.dim()];
         let minimum = minimizer.minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(()))?;
-        let mut columns = match propagate {
+        let mut columns = match carry {
             Some(_) => posterior_root(&mut cost, &transform, &v)?,
             None => Vec::new(),
         };
@@ -322,18 +323,25 @@ impl Cycling<'_> {
         let (mut x_b, mut x_a) = (vec![0.0; model.dim()], vec![0.0; model.dim()]);
         model.initial_state(&state.background, &mut x_b)?;
         model.initial_state(&z, &mut x_a)?;
-        let keep = if propagate.is_some() { Keep::Linearizations } else { Keep::States };
+        let keep = if carry.is_some() { Keep::Linearizations } else { Keep::States };
         let mut trajectory = Trajectory::new();
         trajectory.run(&mut *model, &x_a, self.steps(), keep)?;
-        let sigma = propagate.map(|inflation| {
+        let sigma = carry.map(|Carry { inflation, static_part }| {
             let mut dx = vec![0.0; model.dim()];
             for column in columns.chunks_exact_mut(n_z) {
                 model.initial_tangent(column, &mut dx);
                 (0..self.shift).for_each(|k| trajectory.tangent_of_step(&mut *model, k, &mut dx));
                 column.iter_mut().zip(&dx).for_each(|(w, dx)| *w = inflation * dx);
             }
-            let variance = |i: usize| columns.chunks_exact(n_z).map(|w| w[i] * w[i]).sum::<f64>();
-            (0..n_z).map(|i| variance(i).sqrt()).collect()
+            let mut variance = vec![0.0; n_z];
+            if let Some((b, weight)) = static_part {
+                b.variance(&mut variance);
+                variance.iter_mut().for_each(|v| *v *= weight * weight);
+            }
+            for column in columns.chunks_exact(n_z) {
+                variance.iter_mut().zip(column).for_each(|(v, w)| *v += w * w);
+            }
+            variance.iter().map(|v| v.sqrt()).collect()
         });
         let background = trajectory.state(self.shift)[..n_z].to_vec();
         let end = trajectory.state(self.window).to_vec();
@@ -447,6 +455,13 @@ impl Cycling<'_> {
             errors,
         }
     }
+}
+
+/// How the posterior of a window becomes B of the next: α² M P_a Mᵀ + β² B_s.
+#[derive(Clone, Copy)]
+struct Carry<'a> {
+    inflation: f64,
+    static_part: Option<(&'a dyn Covariance, f64)>,
 }
 
 /// What the two kinds of window have in common at their end.

@@ -15,7 +15,7 @@ use varda_implicit::{At, ObservationOperator};
 /// has a block. The m rows of all observations are stacked in one vector, in order of time (step, then
 /// weight; observations of equal time keep the order they were given in). Every operator is called once for
 /// every step at which it is needed, however many observations share it; rows nobody observed cost nothing
-/// but that call.
+/// but that call. Memory goes with the observations, not with the steps.
 ///
 /// ```
 /// use varda_assimilation::{Observation, ObservationSet, Selection};
@@ -39,10 +39,8 @@ pub struct ObservationSet {
     values: Vec<f64>,
     sigma: Vec<f64>,
     pub(crate) noise: ObservationErrors,
-    /// One operator at one step, ordered by step; the samples of step k are `by_step[k]..by_step[k + 1]`, up
-    /// to the last step with one.
+    /// One operator at one step, ordered by step.
     samples: Vec<Sample>,
-    by_step: Vec<usize>,
     /// What each stacked row takes from the samples, ordered by sample.
     parts: Vec<Part>,
     buffer: Vec<f64>,
@@ -168,8 +166,6 @@ impl ObservationSet {
                 _ => samples.push(Sample { operator, step, first: i, end: i + 1 }),
             }
         }
-        let end = samples.last().map_or(0, |last| last.step + 1);
-        let by_step = (0..=end).map(|k| samples.partition_point(|s| s.step < k)).collect();
         let widest = operators.iter().map(|o| o.dim()).max().unwrap_or(0);
         Ok(Self {
             values: observations.iter().flat_map(|o| o.values.iter().copied()).collect(),
@@ -180,7 +176,6 @@ impl ObservationSet {
             times,
             offsets,
             samples,
-            by_step,
             parts: keyed.into_iter().map(|(_, _, part)| part).collect(),
             buffer: vec![0.0; widest],
             tangent: vec![0.0; widest],
@@ -218,8 +213,8 @@ impl ObservationSet {
 
     /// Where the samples of step k are.
     fn samples_of(&self, k: usize) -> Range<usize> {
-        let none = self.samples.len()..self.samples.len();
-        self.by_step.get(k..).and_then(|b| b.get(..2)).map_or(none, |b| b[0]..b[1])
+        let first = self.samples.partition_point(|s| s.step < k);
+        first..first + self.samples[first..].iter().take_while(|s| s.step == k).count()
     }
 
     /// m, the number of stacked rows.
@@ -354,7 +349,8 @@ impl ObservationSet {
 
     /// Σ over the rows of the last step whose state they need: the steps of an adjoint sweep for each.
     pub(crate) fn steps_of_rows(&self) -> usize {
-        self.observations.iter().map(|o| o.rows.len() * (o.step + usize::from(o.weight > 0.0))).sum()
+        let steps = |o: &Observation| o.rows.len().saturating_mul(o.step + usize::from(o.weight > 0.0));
+        self.observations.iter().map(steps).fold(0, usize::saturating_add)
     }
 
     /// d = y − H(x), the innovations, from the predictions H(x).

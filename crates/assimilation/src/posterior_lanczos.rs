@@ -102,8 +102,9 @@ impl LowRankPosterior {
     /// and Tropp 2011, lemma 4.1). The probes find what Lanczos iterations may miss, such as copies of a
     /// multiple eigenvalue.
     ///
-    /// Stops at the tolerance, at `max_products`, or when nothing is left; see [`Self::error_bound`] for what
-    /// was reached.
+    /// Where the Krylov space ends and the probes find more, as with components observed directly with equal
+    /// σ, directions are added as in [`Self::refined`]. Stops at the tolerance, at `max_products`, or when
+    /// nothing is left; see [`Self::error_bound`] for what was reached.
     ///
     /// # Errors
     /// Products that fail, or settings out of range.
@@ -133,8 +134,12 @@ impl LowRankPosterior {
             let q = lanczos.extension();
             let residuals: Vec<f64> = coupling.iter().flat_map(|c| q.iter().map(move |q| c * q)).collect();
             let split = best_split(&values, &vectors, &residuals, &probes);
-            if ended || split.bound <= options.tolerance {
+            if split.bound <= options.tolerance || k >= options.max_products.min(n) {
                 return Ok(Self::kept(n, &values, &vectors, &split, k + options.probes));
+            }
+            if ended {
+                let space = Space::of(values, vectors, residuals);
+                return space.grown(cost, options, &probes, rng);
             }
         }
     }
@@ -168,9 +173,9 @@ impl LowRankPosterior {
 
     /// From the space of L-BFGS's steps, newest first, with the curvature along it measured by one product
     /// each around the point of the last gradient of `cost`; then, one more product at a time, the largest
-    /// residual, or where the probes find more than that a random direction, until the bound is at most the
-    /// tolerance. The bound is that of [`Self::lanczos`], with r_i = A z_i − μ_i z_i the residuals of the
-    /// Ritz pairs:
+    /// residual, or where that is far below what the probes find a random direction, until the bound is at
+    /// most the tolerance. The bound is that of [`Self::lanczos`], with r_i = A z_i − μ_i z_i the
+    /// residuals of the Ritz pairs:
     ///
     /// ```text
     ///     ‖P_v − A⁻¹‖₂ ≤ ν / (1 − ν) + 1 − 1/(1 + ω),    ν² = Σ ‖r_i‖² / μ_i
@@ -195,27 +200,14 @@ impl LowRankPosterior {
         let n = cost.dim();
         assert_eq!(inverse.dim(), n, "length of the control variable");
         let probes = probe(cost, options.probes, rng)?;
-        let mut product = |p: &[f64], out: &mut [f64]| cost.hessian_apply(p, out);
         let mut space = Space::new(n);
         for i in (0..inverse.pairs()).rev() {
             if space.dim() < options.max_products {
+                let mut product = |p: &[f64], out: &mut [f64]| cost.hessian_apply(p, out);
                 space.add_measured(inverse.pair(i).0, &mut product)?;
             }
         }
-        loop {
-            let (values, vectors) = space.ritz()?;
-            let residuals = space.residuals(&values, &vectors);
-            let split = best_split(&values, &vectors, &residuals, &probes);
-            let ended = split.bound <= options.tolerance || space.dim() >= options.max_products.min(n);
-            // Not along what the probes found: they would no longer be independent of the space they judge.
-            let next = match split.worst {
-                Some(i) => residuals[i * n..][..n].to_vec(),
-                None => normals(n, rng),
-            };
-            if ended || !space.add_measured(&next, &mut product)? {
-                return Ok(Self::kept(n, &values, &vectors, &split, space.dim() + options.probes));
-            }
-        }
+        space.grown(cost, options, &probes, rng)
     }
 
     /// The pairs of a split.
@@ -394,6 +386,44 @@ impl Space {
         Self { n, basis: Vec::new(), images: Vec::new() }
     }
 
+    /// That of Ritz pairs with their residuals A z − μ z.
+    fn of(values: Vec<f64>, vectors: Vec<f64>, residuals: Vec<f64>) -> Self {
+        let n = vectors.len() / values.len();
+        let mut images = residuals;
+        for ((image, z), mu) in images.chunks_exact_mut(n).zip(vectors.chunks_exact(n)).zip(values) {
+            image.iter_mut().zip(z).for_each(|(r, z)| *r += mu * z);
+        }
+        Self { n, basis: vectors, images }
+    }
+
+    /// Adds one direction after the other, the largest residual, or where that is far below what the probes
+    /// find a random one, until the bound is at most the tolerance.
+    fn grown<R: Rng + ?Sized>(
+        mut self,
+        cost: &mut dyn LeastSquares,
+        options: &LanczosOptions,
+        probes: &Probes,
+        rng: &mut R,
+    ) -> Result<LowRankPosterior, Error> {
+        let n = self.n;
+        let mut product = |p: &[f64], out: &mut [f64]| cost.hessian_apply(p, out);
+        loop {
+            let (values, vectors) = self.ritz()?;
+            let residuals = self.residuals(&values, &vectors);
+            let split = best_split(&values, &vectors, &residuals, probes);
+            let ended = split.bound <= options.tolerance || self.dim() >= options.max_products.min(n);
+            // Not along what the probes found: they would no longer be independent of the space they judge.
+            let next = match split.worst {
+                Some(i) => residuals[i * n..][..n].to_vec(),
+                None => normals(n, rng),
+            };
+            if ended || !self.add_measured(&next, &mut product)? {
+                let products = self.dim() + options.probes;
+                return Ok(LowRankPosterior::kept(n, &values, &vectors, &split, products));
+            }
+        }
+    }
+
     fn dim(&self) -> usize {
         self.basis.len() / self.n.max(1)
     }
@@ -467,6 +497,9 @@ impl Space {
     }
 }
 
+/// A residual below this part of what the probes find is left for another direction.
+const FOLLOWED: f64 = 1e-3;
+
 /// Which of the Ritz pairs to keep.
 struct Split {
     /// How many, from the top.
@@ -513,8 +546,9 @@ fn best_split(values: &[f64], vectors: &[f64], residuals: &[f64], probes: &Probe
             (best.kept, best.bound) = (kept, bound);
         }
     }
-    // A probe has norm √n or so, a Ritz vector 1.
-    if missed >= largest * (n as f64).sqrt() {
+    // A probe has norm √n or so, a Ritz vector 1. What is known to be inexact is followed to its end first:
+    // of a multiple eigenvalue one more copy is then found for two products.
+    if missed * FOLLOWED >= largest * (n as f64).sqrt() {
         best.worst = None;
     }
     best

@@ -2,6 +2,7 @@
 
 use super::method::method;
 use super::minimum::{Iteration, Minimum, Progress, Start};
+use super::stationary::run_from;
 use super::stopping::{Status, Stopping, setters};
 use crate::{CostFunction, Error};
 use std::ops::ControlFlow;
@@ -88,7 +89,9 @@ pub fn adam(
     options: &AdamOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    run(cost, v, options, &Start::default(), on_iteration)
+    run_from(cost, v, &Start::default(), on_iteration, &mut |cost, v, start, tell| {
+        run(cost, v, options, start, tell)
+    })
 }
 
 method!(AdamOptions, stopping, Gradients, run);

@@ -1,10 +1,10 @@
 //! The trust region, and where it is likely to end in a wrong minimum other starts too.
 
 use super::continuation::{Stage, WAY, stages};
-use super::method::method;
+use super::method::{Method, method};
 use super::minimum::{Attempt, AttemptFrom, Iteration, Minimum, Start};
 use super::stopping::{Status, Stopping, at_least_one, setters};
-use super::trust_region::{self, TrustRegionOptions};
+use super::trust_region::TrustRegionOptions;
 use crate::cost::highest_j_of_a_fit;
 use crate::{Error, LeastSquares};
 use rand::SeedableRng;
@@ -122,7 +122,7 @@ pub fn auto(
     options: &AutoOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    run(cost, v, options, &Start::default(), on_iteration)
+    options.run(cost, v, &Start::default(), on_iteration)
 }
 
 method!(AutoOptions, trust_region.stopping, Products, run);
@@ -147,7 +147,7 @@ fn run(
         let most = last.stopping.max_iterations.min(start.index + options.run_iterations);
         let stopping = Stopping { max_iterations: most, ..last.stopping };
         let stopping = if stage == Stage::Early { stopping.loosened(WAY) } else { stopping };
-        trust_region::run(cost, v, &last.clone().with_stopping(stopping), start, on_iteration)
+        last.clone().with_stopping(stopping).run(cost, v, start, on_iteration)
     };
     let first = v.to_vec();
     cost.evaluate(v, None)?;

@@ -4,6 +4,7 @@ use super::inverse_hessian::InverseHessian;
 use super::line_search::{Conditions, LineSearch, Ray};
 use super::method::method;
 use super::minimum::{Iteration, Minimum, Progress, Start};
+use super::stationary::run_from;
 use super::stopping::{Status, Stopping, at_least_one, setters};
 use crate::cost::{dot, norm};
 use crate::{CostFunction, Error};
@@ -79,7 +80,9 @@ pub fn lbfgs(
     options: &LbfgsOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    run(cost, v, options, &Start::default(), on_iteration)
+    run_from(cost, v, &Start::default(), on_iteration, &mut |cost, v, start, tell| {
+        run(cost, v, options, start, tell)
+    })
 }
 
 method!(LbfgsOptions, stopping, Gradients, run);

@@ -60,7 +60,10 @@ macro_rules! method {
                 start: &crate::minimize::minimum::Start,
                 on_iteration: &mut dyn FnMut(&crate::Iteration) -> std::ops::ControlFlow<()>,
             ) -> Result<crate::Minimum, crate::Error> {
-                $run(cost, v, self, start, on_iteration)
+                use crate::minimize::stationary::run_from;
+                run_from(cost, v, start, on_iteration, &mut |cost, v, start, tell| {
+                    $run(cost, v, self, start, tell)
+                })
             }
         }
     };

@@ -65,6 +65,9 @@ pub struct Minimum {
     pub ritz: Vec<RitzPair>,
     /// What [`lbfgs`](crate::lbfgs()) has learnt of the Hessian; `None` from the others.
     pub inverse_hessian: Option<InverseHessian>,
+    /// The gradient vanished at the first point, and that was no minimum: J is lower beside it, and the run
+    /// started there.
+    pub started_beside: bool,
     /// The starts of [`auto`](crate::auto()) in turn, the first included; empty from the others.
     pub attempts: Vec<Attempt>,
 }
@@ -284,6 +287,7 @@ impl Progress {
             failure,
             ritz,
             inverse_hessian: None,
+            started_beside: false,
             attempts: Vec::new(),
         }
     }

@@ -17,6 +17,7 @@ mod preconditioner;
 mod raw;
 mod secant;
 mod spectral;
+mod stationary;
 mod stopping;
 mod trust_region;
 

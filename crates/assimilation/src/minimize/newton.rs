@@ -1,6 +1,6 @@
 //! The paper's minimizer: Newton's method with the dense Hessian (2.18) and full steps.
 
-use super::method::method;
+use super::method::{Method, method};
 use super::minimum::{Iteration, Minimum, Progress, Start};
 use super::stopping::{Status, Stopping, setters};
 use crate::cost::norm;
@@ -65,7 +65,7 @@ pub fn newton(
     options: &NewtonOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    run(cost, v, options, &Start::default(), on_iteration)
+    options.run(cost, v, &Start::default(), on_iteration)
 }
 
 method!(NewtonOptions, stopping, DenseHessian, run);

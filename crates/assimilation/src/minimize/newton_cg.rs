@@ -1,7 +1,7 @@
 //! Gauss–Newton with truncated conjugate gradients and a line search.
 
 use super::line_search::{Conditions, LineSearch, Ray};
-use super::method::method;
+use super::method::{Method, method};
 use super::minimum::{Iteration, Minimum, Progress, Start, forcing};
 use super::preconditioner::Preconditioner;
 use super::spectral::Spectral;
@@ -82,7 +82,7 @@ pub fn newton_cg(
     options: &NewtonCgOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    run(cost, v, options, &Start::default(), on_iteration)
+    options.run(cost, v, &Start::default(), on_iteration)
 }
 
 method!(NewtonCgOptions, stopping, Products, run);

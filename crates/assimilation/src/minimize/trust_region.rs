@@ -1,6 +1,6 @@
 //! The default minimizer: a trust region in the control space, on the true J.
 
-use super::method::method;
+use super::method::{Method, method};
 use super::minimum::{Iteration, Minimum, Progress, Start, forcing};
 use super::secant::Secant;
 use super::spectral::Spectral;
@@ -126,7 +126,7 @@ pub fn trust_region(
     options: &TrustRegionOptions,
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    run(cost, v, options, &Start::default(), on_iteration)
+    options.run(cost, v, &Start::default(), on_iteration)
 }
 
 method!(TrustRegionOptions, stopping, Products, run);

@@ -4,7 +4,7 @@
 use varda_assimilation::{ObservationOperator, ObservationSet};
 use varda_implicit::Model;
 
-use super::departures::Departure;
+use super::departures::{Departure, Surroundings};
 use crate::Error;
 use crate::outcome::{Fit, Forecast, Sight, Trajectories, Withheld};
 use crate::scene::TimeGrid;
@@ -74,6 +74,8 @@ pub(crate) struct Departures {
     pub(crate) labels: Vec<String>,
     /// Whether the axes of values are those of places.
     pub(crate) in_space: bool,
+    /// Of a rod.
+    pub(crate) surroundings: Option<Surroundings>,
 }
 
 /// The departures at the analysis.
@@ -87,7 +89,12 @@ pub(crate) fn departures(
 ) -> Result<Departures, Error> {
     let d = innovations(observations, runs, &runs.analysis)?;
     if !d.iter().all(|d| d.is_finite()) {
-        return Ok(Departures { values: Vec::new(), labels: Vec::new(), in_space: false });
+        return Ok(Departures {
+            values: Vec::new(),
+            labels: Vec::new(),
+            in_space: false,
+            surroundings: None,
+        });
     }
     let mut shifted = |by: isize| -> Result<Vec<f64>, Error> {
         let mut predicted = vec![0.0; observations.dim()];
@@ -127,7 +134,27 @@ pub(crate) fn departures(
         }
     }
     let labels: Vec<String> = order.iter().map(|s| sites[*s].label.clone()).collect();
-    Ok(Departures { values: departures, labels, in_space: space.is_some() })
+    Ok(Departures {
+        values: departures,
+        labels,
+        in_space: space.is_some(),
+        surroundings: surroundings(problem),
+    })
+}
+
+/// Gravity and the held points of a rod, in the axes of what was observed.
+fn surroundings(problem: &Problem) -> Option<Surroundings> {
+    let (rod, space) = (problem.system.rod()?, problem.observed.space.as_ref()?);
+    let turned = |x: [f64; 3]| -> [f64; 3] {
+        std::array::from_fn(|i| (0..3).map(|j| space.rotation[j][i] * x[j]).sum())
+    };
+    let parts = &rod.parts;
+    let gravity = parts.loads.gravity.norm();
+    let up = (gravity > 0.0).then(|| turned((parts.loads.gravity / -gravity).into()));
+    let t = problem.experiment.grid.start;
+    let clamps = [&parts.supports.start, &parts.supports.end].into_iter().flatten();
+    let held = clamps.map(|clamp| turned(clamp.position.at(t).into()));
+    Some(Surroundings { up, pivots: held.chain([[0.0; 3]]).collect() })
 }
 
 /// The errors of the analysis at markers that were kept back, and of its forecast after the window. Nothing

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use varda_assimilation::{highest_j_of_a_fit, huber};
 
 use super::departures::Departure;
+use super::second_minimum::Second;
 use crate::outcome::{CycleRow, Evidence, Judgement, Status, Verdict};
 
 /// A stalled minimization whose gradient fell below this share of the first has come to the minimum as nearly
@@ -41,7 +42,7 @@ pub(super) struct Judged<'a> {
     pub in_space: bool,
     pub evidence: Option<&'a Evidence>,
     /// What was found out about a second minimum.
-    pub second_minimum: Option<&'a str>,
+    pub second_minimum: Option<&'a Second>,
 }
 
 /// The verdict: a fit is 2J/m ≤ 1 + 3 √(2/m) with no marker, time or axis beyond 4 standard deviations.
@@ -86,15 +87,20 @@ pub(super) fn judge(judged: &Judged) -> Judgement {
             let _ = write!(text, " and {} more", standing_out.len() - NAMED);
         }
     }
-    let why = match (judged.second_minimum, judged.evidence) {
-        (Some(second), _) => second,
-        (None, Some(evidence)) => &evidence.text,
-        (None, None) if standing_out.is_empty() => {
+    let second = judged.second_minimum;
+    let why = match judged.evidence {
+        _ if second.is_some_and(|second| second.explains) => "",
+        Some(evidence) => &evidence.text,
+        None if standing_out.is_empty() => {
             "the observations are fitted to their σ, but far from the background: its σ is too small"
         }
-        (None, None) => "the rest is as σ says: look at these first",
+        None => "the rest is as σ says: look at these first",
     };
-    let _ = write!(text, "; {why}");
+    for reason in [why, second.map_or("", |second| second.text.as_str())] {
+        if !reason.is_empty() {
+            let _ = write!(text, "; {reason}");
+        }
+    }
     Judgement { verdict: Verdict::DoesNotFit, text }
 }
 

@@ -85,10 +85,7 @@ impl Recorded {
         times.dedup();
         let mut gaps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
         let span = [times.first(), times.last()].map(|t| t.copied().unwrap_or(0.0));
-        let interval = match quantile(&mut gaps, 0.5) {
-            Some(gap) => rate_made_whole((span[1] - span[0]) / ((span[1] - span[0]) / gap).round()),
-            None => STEP,
-        };
+        let interval = frame_interval(&mut gaps, span[1] - span[0]).unwrap_or(STEP);
         if tracks.iter().all(|t| t.name.is_some()) {
             tracks = in_a_row(tracks);
         } else {
@@ -183,7 +180,7 @@ impl Recorded {
         let step = self.interval / parts;
         let span = self.span[1] - self.span[0];
         let window = ((0.5 * span).min(WINDOW) / step).floor().max(1.0);
-        let forecast = (span - window * step).min(WINDOW).max(0.0);
+        let forecast = (span - window * step).clamp(0.0, WINDOW);
         let sigma = self.sigma();
         let [far, fast] = self.motion();
         let sigma_x = rounded(far.max(0.01 * length));
@@ -332,6 +329,16 @@ fn root_mean_square(values: &[f64]) -> f64 {
 /// Two significant digits.
 fn rounded(value: f64) -> f64 {
     format!("{value:.1e}").parse().unwrap_or(value)
+}
+
+/// The time between two frames from the gaps between times over a span, some of which are lost frames. Times may be
+/// written to few digits, so that only the span gives the interval to more.
+fn frame_interval(gaps: &mut [f64], span: f64) -> Option<f64> {
+    let middle = quantile(gaps, 0.5)?;
+    let single: Vec<f64> = gaps.iter().copied().filter(|gap| *gap < 1.5 * middle).collect();
+    let mean = single.iter().sum::<f64>() / single.len() as f64;
+    let frames: f64 = gaps.iter().map(|gap| (gap / mean).round()).sum();
+    Some(rate_made_whole(span / frames))
 }
 
 /// The interval of a whole number of frames a second, where it is one to the digits of times.

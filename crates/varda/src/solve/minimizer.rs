@@ -80,6 +80,7 @@ fn blue(
         failure: None,
         ritz: Vec::new(),
         inverse_hessian: None,
+        started_beside: false,
         attempts: Vec::new(),
     };
     if on_iteration(&now.iteration(0.0, cost.counts(), v)).is_break() {

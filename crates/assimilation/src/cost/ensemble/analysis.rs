@@ -185,6 +185,7 @@ impl EnVar<'_> {
             failure: failure.filter(|_| status == Status::Stalled),
             ritz: Vec::new(),
             inverse_hessian: None,
+            started_beside: false,
             attempts: Vec::new(),
         })
     }
