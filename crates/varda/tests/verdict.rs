@@ -95,8 +95,8 @@ fn varda_data(file: &str) -> &'static str {
     varda::scene::shipped_data(shipped.text).find(|(name, _)| *name == file).unwrap().1
 }
 
-/// Named markers in mm at 120 Hz, by a comma for the decimal point: their order along the rod and lower bounds of
-/// their arc lengths are found, and the scene checks.
+/// Named markers in mm at 120 Hz, by a comma for the decimal point: their order along the rod and lower
+/// bounds of their arc lengths are found, and the scene checks.
 #[test]
 fn a_scene_of_named_markers_has_their_chords() {
     let folder = Folder::new("markers");

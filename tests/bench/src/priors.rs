@@ -16,7 +16,6 @@ pub(super) fn run(options: &Options) -> Result<Page> {
             for prior in PRIORS {
                 let scored = Scored::of(rod, prior, length)?;
                 let row = scored.row(rod, prior, length);
-                eprintln!("{row:?}");
                 table.push(row);
             }
         }
@@ -47,11 +46,11 @@ const COLUMNS: &[&str] = &[
 const TEXT: &str = "\
 The truth is a rod in motion, the background the same rod with a physical constant that is wrong (named \
 below), observations are drawn around the truth with σ = 2 mm. So the errors of the background are drawn \
-from none of the priors; σ_x and σ_v are the root mean square of these errors. Minimizer `auto`, BDF2, clamps \
-at their faces, mean over three seeds of the observations (sums of work and time). *Error*: RMSE at the \
-start of the window over all free vertices. *rms of error/σ_a*: 1 where σ_a is right, below where it is too \
-large. Wrong: hanging rod, stiffness × 0.7; thin rod, stiffness × 0.5; tether, speed of the current 0.2 \
-instead of 0.25 m/s; cable, mass × 0.9.";
+from none of the priors; σ_x and σ_v are the root mean square of these errors. Minimizer `auto`, BDF2, \
+clamps at their faces, mean over three seeds of the observations (sums of work and time). *Error*: RMSE at \
+the start of the window over all free vertices. *rms of error/σ_a*: 1 where σ_a is right, below where it \
+is too large. Wrong: hanging rod, stiffness × 0.7; thin rod, stiffness × 0.5; tether, speed of the current \
+0.2 instead of 0.25 m/s; cable, mass × 0.9.";
 
 const REMARKS: &str = "\
 What a scene without `taper`, `localization_length` and `root` gets is the first row of each group.";
@@ -92,9 +91,9 @@ const RODS: &[Rod] = &[
         length: 1.0,
         scene: "length = 1.0\nsegments = 25\nsection = { kind = \"circle\", radius = 0.01 }\n\
                 material = { youngs_modulus = 1e6, poisson_ratio = 0.5, density = 1100.0 }\n\
-                start = { position = [0.0, 0.0, 0.0], tangent = [0.0, 0.0, -1.0], director = [1.0, 0.0, 0.0], \
-                motion = { kind = \"ellipse\", radii = [0.10, 0.06], omega = 12.0, ramp_periods = 1.0 } }\n\
-                [time]\nintegrator = \"bdf2\"\nstep = 0.01\nspin_up = 150\nwindow = 100\n\
+                start = { position = [0.0, 0.0, 0.0], tangent = [0.0, 0.0, -1.0], director = [1.0, 0.0, \
+                0.0], motion = { kind = \"ellipse\", radii = [0.10, 0.06], omega = 12.0, ramp_periods = 1.0 \
+                } }\n[time]\nintegrator = \"bdf2\"\nstep = 0.01\nspin_up = 150\nwindow = 100\n\
                 [observations]\nkind = \"synthetic\"\nplaces = [0.25, 0.5, 0.75, 1.0]\nevery = 10\n",
         wrong: "model.material.youngs_modulus=0.7e6",
     },
@@ -103,9 +102,9 @@ const RODS: &[Rod] = &[
         length: 0.5,
         scene: "length = 0.5\nsegments = 20\nsection = { kind = \"circle\", radius = 0.005 }\n\
                 material = { youngs_modulus = 1e6, poisson_ratio = 0.5, density = 1100.0 }\n\
-                start = { position = [0.0, 0.0, 0.0], tangent = [0.0, 0.0, -1.0], director = [1.0, 0.0, 0.0], \
-                motion = { kind = \"ellipse\", radii = [0.05, 0.03], omega = 9.0, ramp_periods = 1.0 } }\n\
-                [time]\nintegrator = \"bdf2\"\nstep = 0.01\nspin_up = 100\nwindow = 60\n\
+                start = { position = [0.0, 0.0, 0.0], tangent = [0.0, 0.0, -1.0], director = [1.0, 0.0, \
+                0.0], motion = { kind = \"ellipse\", radii = [0.05, 0.03], omega = 9.0, ramp_periods = 1.0 } \
+                }\n[time]\nintegrator = \"bdf2\"\nstep = 0.01\nspin_up = 100\nwindow = 60\n\
                 [observations]\nkind = \"synthetic\"\nplaces = [0.25, 0.5]\nevery = 5\n",
         wrong: "model.material.youngs_modulus=0.5e6",
     },
@@ -116,9 +115,9 @@ const RODS: &[Rod] = &[
                 section = { kind = \"circle\", radius = 0.004 }\n\
                 material = { youngs_modulus = 2e6, poisson_ratio = 0.5, density = 1100.0 }\n\
                 drag = { fluid_density = 1000.0, diameter = 0.008, flow = [0.25, 0.0, 0.0] }\n\
-                start = { position = [0.0, 0.0, 0.0], tangent = [0.0, 0.0, -1.0], director = [1.0, 0.0, 0.0], \
-                motion = { kind = \"ellipse\", radii = [0.10, 0.10], omega = 2.0, ramp_periods = 1.0 } }\n\
-                [time]\nintegrator = \"bdf2\"\nstep = 0.02\nspin_up = 200\nwindow = 60\n\
+                start = { position = [0.0, 0.0, 0.0], tangent = [0.0, 0.0, -1.0], director = [1.0, 0.0, \
+                0.0], motion = { kind = \"ellipse\", radii = [0.10, 0.10], omega = 2.0, ramp_periods = 1.0 } \
+                }\n[time]\nintegrator = \"bdf2\"\nstep = 0.02\nspin_up = 200\nwindow = 60\n\
                 [observations]\nkind = \"synthetic\"\nplaces = [0.5, 1.0, 1.5, 2.0]\nevery = 5\n",
         wrong: "model.drag.flow=[0.2,0.0,0.0]",
     },
@@ -214,9 +213,9 @@ impl Scored {
 /// A scene of a rod; `sets` change keys of it.
 fn scene(rod: &Rod, sets: &[String]) -> Result<SceneFile> {
     let text = format!(
-        "title = \"\"\nseed = 0\n[background]\nfrom = \"truth-plus-draw\"\ncovariance = {{ kind = \"kernel\", \
-         sigma_x = 0.01, sigma_v = 0.1, correlation_length_x = 0.5, correlation_length_v = 0.5 }}\n\
-         [model]\nkind = \"rod\"\n{}sigma = 0.002\n",
+        "title = \"\"\nseed = 0\n[background]\nfrom = \"truth-plus-draw\"\ncovariance = {{ kind = \
+         \"kernel\", sigma_x = 0.01, sigma_v = 0.1, correlation_length_x = 0.5, correlation_length_v = 0.5 \
+         }}\n[model]\nkind = \"rod\"\n{}sigma = 0.002\n",
         rod.scene
     );
     Ok(SceneFile::parse(rod.name, rod.name, &text, None, sets)?)

@@ -56,7 +56,8 @@ pub(super) fn judge(judged: &Judged) -> Judgement {
     let most = 2.0 * highest_j_of_a_fit(judged.observed) / m;
     if let Some(why) = not_converged(judged) {
         let far = if chi2 > FAR {
-            "; so far from a fit a constant of the model, a unit or an axis is likelier wrong than the minimizer"
+            "; so far from a fit a constant of the model, a unit or an axis is likelier wrong than the \
+                minimizer"
         } else {
             ""
         };
@@ -117,8 +118,8 @@ fn not_converged(judged: &Judged) -> Option<String> {
             judged.iterations
         )),
         Status::MaxIterations if judged.iterations < judged.max_iterations => Some(format!(
-            "every start of the minimizer was given up before its minimum, after {} iterations in all, {gradient}: \
-             the cost is hard to minimize, as with a prior that is not smooth",
+            "every start of the minimizer was given up before its minimum, after {} iterations in all, \
+             {gradient}: the cost is hard to minimize, as with a prior that is not smooth",
             judged.iterations
         )),
         Status::MaxIterations => Some(format!(
@@ -133,8 +134,8 @@ fn not_converged(judged: &Judged) -> Option<String> {
     }
 }
 
-/// Windows of a sequence that may miss the bounds of a fit, or their minimum, as a share: one in 700 does by chance
-/// where all is right, and a sequence need not be perfect.
+/// Windows of a sequence that may miss the bounds of a fit, or their minimum, as a share: one in 700 does by
+/// chance where all is right, and a sequence need not be perfect.
 const MAY_MISS: f64 = 0.05;
 
 /// The verdict of a sequence of windows, from those that count: each is judged by its own 2J/m.
@@ -154,8 +155,8 @@ pub(super) fn judge_windows(
     let chi2 = seen.iter().map(|r| 2.0 * r.j).sum::<f64>() / m as f64;
     let badly = seen.iter().filter(|r| !(r.j <= highest_j_of_a_fit(r.observations))).count();
     let numbers = format!(
-        "2J/m = {chi2:.3} over {n} windows, {badly} of them above 1 + 3 √(2/m) (at most {:.0} % are expected \
-         of a fit)",
+        "2J/m = {chi2:.3} over {n} windows, {badly} of them above 1 + 3 √(2/m) (at most {:.0} % are \
+         expected of a fit)",
         100.0 * MAY_MISS
     );
     let early = seen.iter().filter(|r| matches!(r.status, Status::MaxIterations | Status::Stalled)).count();
@@ -171,8 +172,8 @@ pub(super) fn judge_windows(
         (Verdict::NotConverged, text)
     } else if too_many(badly) {
         let text = format!(
-            "{numbers}: B, Q or σ are smaller than the errors are, or the model does not describe what was seen; \
-             inflation or model noise lets later windows believe their observations"
+            "{numbers}: B, Q or σ are smaller than the errors are, or the model does not describe what was \
+             seen; inflation or model noise lets later windows believe their observations"
         );
         (Verdict::DoesNotFit, text)
     } else {
@@ -237,8 +238,8 @@ fn normal_deviate(mean: f64, n: usize) -> f64 {
 mod tests {
     use super::*;
 
-    /// 4 σ of a normal variable has probability 3.17e-5; χ² of two values exceeds x with probability exp(−x/2).
-    /// The approximation is 3 per cent off there, and better for more values.
+    /// 4 σ of a normal variable has probability 3.17e-5; χ² of two values exceeds x with probability
+    /// exp(−x/2). The approximation is 3 per cent off there, and better for more values.
     #[test]
     fn few_values_may_be_larger() {
         let mean_of_two = -3.167e-5_f64.ln();

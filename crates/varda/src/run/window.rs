@@ -242,8 +242,8 @@ fn remarks(
     warnings.extend(failure.map(Failure::to_string));
     match status {
         Status::LinearizedOnce => warnings.push(
-            "linearized once, and J of the run from the analysis is not that of the quadratic: it is lower than \
-             the background's, and no minimum"
+            "linearized once, and J of the run from the analysis is not that of the quadratic: it is lower \
+             than the background's, and no minimum"
                 .into(),
         ),
         Status::Interrupted => {

@@ -150,8 +150,8 @@ pub struct KernelCovariance {
     /// Shape of the kernel.
     #[serde(default)]
     pub kernel: Kernel,
-    /// Shape of the taper (localization). Without it a `localization_length` means "triangle", and without both
-    /// there is none.
+    /// Shape of the taper (localization). Without it a `localization_length` means "triangle", and without
+    /// both there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub taper: Option<Taper>,
     /// Length L_loc beyond which errors are uncorrelated [m]. Needed with a taper.
@@ -189,8 +189,8 @@ pub struct LineCovariance {
     /// Shape of the kernel.
     #[serde(default)]
     pub kernel: Kernel,
-    /// Shape of the taper (localization). Without it a `localization_length` means "gaspari-cohn", and without
-    /// both there is none.
+    /// Shape of the taper (localization). Without it a `localization_length` means "gaspari-cohn", and
+    /// without both there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub taper: Option<Taper>,
     /// Length L_loc beyond which errors are uncorrelated [m]. Needed with a taper.
@@ -210,8 +210,8 @@ pub struct LineCovariance {
 /// Shape of a kernel k(d) of the distance d, L its correlation length.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Kernel {
-    /// exp(−d²/(2L²)): so smooth that errors shorter than L are taken to be impossible, and σ_a is too small where
-    /// there are some.
+    /// exp(−d²/(2L²)): so smooth that errors shorter than L are taken to be impossible, and σ_a is too
+    /// small where there are some.
     #[serde(rename = "gaussian")]
     Gaussian,
     /// Matérn with ν = 1/2: exp(−d/L).
@@ -220,8 +220,8 @@ pub enum Kernel {
     /// Matérn with ν = 3/2: (1 + √3 d/L) exp(−√3 d/L).
     #[serde(rename = "matern-3/2")]
     Matern32,
-    /// Matérn with ν = 5/2: (1 + √5 d/L + 5d²/(3L²)) exp(−√5 d/L). Smooth enough for the curvature of a rod to be
-    /// finite.
+    /// Matérn with ν = 5/2: (1 + √5 d/L + 5d²/(3L²)) exp(−√5 d/L). Smooth enough for the curvature
+    /// of a rod to be finite.
     #[default]
     #[serde(rename = "matern-5/2")]
     Matern52,
@@ -231,8 +231,8 @@ pub enum Kernel {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Taper {
-    /// max(0, 1 − d/L_loc), the paper's. It has a kink at d = 0, so that errors of neighbouring vertices are
-    /// nearly independent.
+    /// max(0, 1 − d/L_loc), the paper's. It has a kink at d = 0, so that errors of neighbouring vertices
+    /// are nearly independent.
     Triangle,
     /// Gaspari and Cohn's fifth-order function (1999, eq. 4.10).
     GaspariCohn,

@@ -68,8 +68,8 @@ fn validate_background(background: &Background, model: &Model) -> Check {
     if background.draw == Draw::Kernel && !(draws_from_kernel && background.from == Origin::TruthPlusDraw) {
         return invalid(
             "background.draw",
-            "\"kernel\" draws an error from a rod's kernel without its taper: it needs from = \"truth-plus-draw\" and \
-             covariance.kind = \"kernel\"",
+            "\"kernel\" draws an error from a rod's kernel without its taper: it needs from = \
+             \"truth-plus-draw\" and covariance.kind = \"kernel\"",
         );
     }
     Ok(())

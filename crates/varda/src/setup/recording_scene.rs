@@ -10,6 +10,9 @@ use crate::Error;
 
 type V = Vector3<f64>;
 
+const TEMPLATE: &str = include_str!("../../scenes/recording.toml");
+/// Column of the template's comments.
+const COMMENTS: usize = 33;
 /// The longest step of time that is proposed \[s\].
 const STEP: f64 = 0.01;
 /// The longest window and forecast that are proposed \[s\].
@@ -174,6 +177,7 @@ impl Recorded {
         if count > 0.0 { sum / count } else { sum }
     }
 
+    /// The scene, from a template.
     fn scene(&self, file: &str) -> String {
         let length = self.length();
         let parts = (self.interval / STEP - 1e-9).ceil().max(1.0);
@@ -181,110 +185,79 @@ impl Recorded {
         let span = self.span[1] - self.span[0];
         let window = ((0.5 * span).min(WINDOW) / step).floor().max(1.0);
         let forecast = (span - window * step).clamp(0.0, WINDOW);
-        let sigma = self.sigma();
-        let [far, fast] = self.motion();
-        let sigma_x = rounded(far.max(0.01 * length));
-        let sigma_v = rounded(fast.max(0.01 * length));
+        let [far, fast] = self.motion().map(|size| rounded(size.max(0.01 * length)));
         let [base, tangent] = self.clamp();
         let up = if tangent.z.abs() < 0.95 { V::z() } else { V::x() };
         let director = (up - tangent * up.dot(&tangent)).normalize();
-        let segments = (self.tracks.len() * 4).clamp(20, 100);
-        let chords = self.tracks.iter().all(|t| t.name.is_some());
-        let mut out = String::new();
-        let mut line = |text: &str| {
-            out.push_str(text);
-            out.push('\n');
-        };
-        line(&format!(
-            "# A scene for the recording {file}. What the recording says is filled in; look at every line"
-        ));
-        line(
-            "# that says \"yours\": stiffness, mass, damping and where the rod is held. SI units. Next: varda check.",
-        );
-        line(&format!("title = {:?}", format!("A rod, from {file}")));
-        line("seed = 0\n\n[model]\nkind = \"rod\"");
-        line(&if chords {
-            format!(
-                "length = {length:<25.4}# m, yours: the sum of the largest distances between markers, a \
-                 lower bound"
-            )
+        let are_named = self.tracks.iter().all(|t| t.name.is_some());
+        let note = if are_named {
+            "the sum of the largest distances between markers, a lower bound"
         } else {
-            format!("length = {length:<25}# m, yours: the recording's last point; from the clamp's face")
-        });
-        line(&format!("segments = {segments}"));
-        line("gravity = [0.0, 0.0, -9.81]      # m/s²: z up");
-        line(
-            "# yours: EA [N], EI about two axes [N m²], GJ [N m²], mass per length [kg/m]; or kind = \"circle\" with a",
-        );
-        line("# radius and [model.material] youngs_modulus, poisson_ratio, density");
-        line(
-            "section = { kind = \"stiffness\", ea = 1e4, ei = [0.01, 0.01], gj = 0.01, mass_per_length = 0.1 }",
-        );
-        line(
-            "# natural_curvature = [0.0, 0.0] # 1/m: [1, 0] bends the rod at rest towards m1, [0, 1] towards m2 (see director)",
-        );
-        line("# point_masses = [{ arc_length = 0.5, mass = 0.05 }]   # kg");
-        line(
-            "damping = { stiffness = 0.005 }  # s, yours: the time of strain-rate damping; a mode of angular frequency w",
-        );
-        line("                                 # decays at the rate w² times half of it\n");
-        line(
-            "[model.start]                    # yours: the clamp at arc length 0; a hook is a [[model.prescribed]] vertex",
-        );
-        line(&format!(
-            "position = [{:.4}, {:.4}, {:.4}]   # m, of the section at the clamp's face: a guess from the markers",
-            base.x, base.y, base.z
-        ));
-        line(&format!(
-            "tangent = [{:.4}, {:.4}, {:.4}]    # direction of the rod there: a guess from the markers",
-            tangent.x, tangent.y, tangent.z
-        ));
-        line(&format!(
-            "director = [{:.4}, {:.4}, {:.4}]   # direction m1 of the section, across the tangent; m2 = tangent x m1. It \
-             says which\n                                 # way natural curvature, unequal EI and marker offsets point",
-            director.x, director.y, director.z
-        ));
-        line(
-            "# motion = { kind = \"markers\", names = [\"hand\"] }   # where the clamp moves with markers of the recording\n",
-        );
-        line("[time]\nintegrator = \"bdf2\"");
-        let frames =
-            if parts > 1.0 { format!("{parts} steps a frame") } else { "a step a frame".to_string() };
-        line(&format!("step = {step:<27?}# s: {frames} at {:.4} Hz", 1.0 / self.interval));
-        line(&format!("window = {window:<25}# steps: {:.3} s\n", window * step));
-        line(
-            "[background]\nfrom = \"static-equilibrium\"      # the rod at rest; what it does at the start is estimated\n",
-        );
-        line("[background.covariance]\nkind = \"kernel\"");
-        line(&format!("sigma_x = {sigma_x:<24?}# m: how far a marker moves about its mean place"));
-        line(&format!("sigma_v = {sigma_v:<24?}# m/s: how fast it moves"));
-        line(&format!("correlation_length_x = {:<11?}# m: a quarter of the rod", rounded(0.25 * length)));
-        line(&format!("correlation_length_v = {:<11?}# m\n", rounded(0.25 * length)));
-        line("[observations]\nkind = \"file\"");
-        line(&format!("file = {file:?}"));
-        line(&format!("time_zero = {:<22?}# s: the recording's time at the model's time 0", self.span[0]));
-        line(&format!(
-            "sigma = {:<26?}# m: noise of single frames, from differences in time; larger if the places \
-             of\n                                 # markers or the model are not exact",
-            rounded(sigma)
-        ));
-        line("outside_window = \"skip\"          # later rows judge the forecast");
+            "the recording's last point; from the clamp's face"
+        };
+        let steps = if parts > 1.0 { format!("{parts} steps") } else { "a step".to_string() };
+        let number = |x: f64| format!("{x:?}");
+        let vector = |v: V| format!("[{:.4}, {:.4}, {:.4}]", v.x, v.y, v.z);
+        let whole = |x: f64| format!("{x:.0}");
+        let values = [
+            ("{file}", file.to_string()),
+            ("{title}", format!("{:?}", format!("A rod, from {file}"))),
+            ("{length}", if are_named { format!("{length:.4}") } else { number(length) }),
+            ("{length_note}", note.to_string()),
+            ("{segments}", (4 * self.tracks.len()).clamp(20, 100).to_string()),
+            ("{position}", vector(base)),
+            ("{tangent}", vector(tangent)),
+            ("{director}", vector(director)),
+            ("{step}", number(step)),
+            ("{frames}", format!("{steps} a frame at {:.4} Hz", 1.0 / self.interval)),
+            ("{window}", whole(window)),
+            ("{window_seconds}", format!("{:.3}", window * step)),
+            ("{sigma_x}", number(far)),
+            ("{sigma_v}", number(fast)),
+            ("{correlation_x}", number(rounded(0.25 * length))),
+            ("{correlation_v}", number(rounded(0.25 * length))),
+            ("{path}", format!("{file:?}")),
+            ("{time_zero}", number(self.span[0])),
+            ("{sigma}", number(rounded(self.sigma()))),
+        ];
+        let mut out = filled(TEMPLATE, &values);
         for track in &self.tracks {
             if let Some(name) = &track.name {
-                let _ = writeln!(
+                let _ = write!(
                     out,
-                    "\n[[observations.markers]]\nname = {name:?}\narc_length = {:<21.4}# m, yours: a lower \
-                     bound, from distances between markers\n# use = \"withhold\"               # keep it back to test \
-                     the analysis",
+                    "\n[[observations.markers]]\nname = {name:?}\n# m, yours: a lower bound, from distances \
+                     between markers\narc_length = {:.4}\n# use = \"withhold\"               # keep it back \
+                     to test the analysis\n",
                     track.arc_length
                 );
             }
         }
         if forecast > 0.0 {
-            let _ = writeln!(out, "\n[report]\nforecast = {:<23?}# s", rounded(forecast));
+            let _ = write!(out, "\n[report]\nforecast = {:?}  # s\n", rounded(forecast));
         }
         out
     }
+}
+
+/// Lines with values for their keys; a comment behind a value stays in its column where there is room.
+fn filled(template: &str, values: &[(&str, String)]) -> String {
+    let mut out = String::with_capacity(2 * template.len());
+    for line in template.lines() {
+        let mut line = line.to_string();
+        for (key, value) in values {
+            if let Some((before, after)) = line.split_once(key) {
+                let gap = if after.starts_with('#') {
+                    " ".repeat(COMMENTS.saturating_sub(before.chars().count() + value.chars().count()).max(2))
+                } else {
+                    String::new()
+                };
+                line = format!("{before}{value}{gap}{after}");
+            }
+        }
+        out.push_str(&line);
+        out.push('\n');
+    }
+    out
 }
 
 /// Named markers in a row from the one that moves least, with the sums of the largest chords for arc lengths.
@@ -331,8 +304,8 @@ fn rounded(value: f64) -> f64 {
     format!("{value:.1e}").parse().unwrap_or(value)
 }
 
-/// The time between two frames from the gaps between times over a span, some of which are lost frames. Times may be
-/// written to few digits, so that only the span gives the interval to more.
+/// The time between two frames from the gaps between times over a span, some of which are lost frames. Times
+/// may be written to few digits, so that only the span gives the interval to more.
 fn frame_interval(gaps: &mut [f64], span: f64) -> Option<f64> {
     let middle = quantile(gaps, 0.5)?;
     let single: Vec<f64> = gaps.iter().copied().filter(|gap| *gap < 1.5 * middle).collect();
