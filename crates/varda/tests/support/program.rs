@@ -6,22 +6,22 @@ use std::path::PathBuf;
 use std::process::{Command, Output};
 
 /// A folder of its own for every test, removed at the end.
-pub struct Folder(pub PathBuf);
+pub(crate) struct Folder(pub(crate) PathBuf);
 
 impl Folder {
-    pub fn new(name: &str) -> Folder {
+    pub(crate) fn new(name: &str) -> Folder {
         let path = std::env::temp_dir().join(format!("varda-command-{name}-{}", std::process::id()));
         let _ = std::fs::remove_dir_all(&path);
         std::fs::create_dir_all(&path).unwrap();
         Folder(path)
     }
 
-    pub fn varda(&self, arguments: &[&str]) -> Output {
+    pub(crate) fn varda(&self, arguments: &[&str]) -> Output {
         Command::new(env!("CARGO_BIN_EXE_varda")).args(arguments).current_dir(&self.0).output().unwrap()
     }
 
     /// The one message of a run that must fail and leave nothing behind.
-    pub fn refusal(&self, arguments: &[&str]) -> String {
+    pub(crate) fn refusal(&self, arguments: &[&str]) -> String {
         let before = self.entries();
         let output = self.varda(arguments);
         assert!(!output.status.success(), "{arguments:?} should fail");
@@ -51,11 +51,11 @@ impl Folder {
         all
     }
 
-    pub fn read(&self, file: &str) -> String {
+    pub(crate) fn read(&self, file: &str) -> String {
         std::fs::read_to_string(self.0.join(file)).unwrap_or_else(|e| panic!("{file}: {e}"))
     }
 
-    pub fn summary(&self, folder: &str) -> serde_json::Value {
+    pub(crate) fn summary(&self, folder: &str) -> serde_json::Value {
         serde_json::from_str(&self.read(&format!("{folder}/summary.json"))).unwrap()
     }
 }
@@ -67,7 +67,7 @@ impl Drop for Folder {
 }
 
 /// What a run that must succeed prints.
-pub fn text(output: &Output) -> String {
+pub(crate) fn text(output: &Output) -> String {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout.clone()).unwrap()
 }
