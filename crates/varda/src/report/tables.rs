@@ -145,11 +145,19 @@ fn components(grid: &TimeGrid, runs: &Trajectories, names: &[String]) -> String 
 
 /// background.csv: the background of a rod, in the form `[background] file` reads.
 pub(super) fn background(geometry: &Geometry, background: &[f64]) -> String {
-    let mut out = String::from("vertex,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s\n");
-    let (x, v) = background.split_at(background.len() / 2);
-    for ((vertex, x), v) in geometry.free.iter().zip(x.chunks_exact(3)).zip(v.chunks_exact(3)) {
-        let values: Vec<String> = x.iter().chain(v).map(|c| number(*c)).collect();
-        let _ = writeln!(out, "{vertex},{}", values.join(","));
+    let spins = !geometry.free_edges.is_empty();
+    let mut out = String::from("vertex,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s");
+    out.push_str(if spins { ",theta_rad,spin_rad_s\n" } else { "\n" });
+    let (half, edges) = (3 * geometry.free.len(), geometry.free_edges.len());
+    for vertex in 0..geometry.arc_lengths.len() {
+        let (free, edge) = (geometry.free.binary_search(&vertex), geometry.free_edges.binary_search(&vertex));
+        if free.is_err() && edge.is_err() {
+            continue;
+        }
+        let of_vertex = |i: usize| free.ok().map(|f| background[half * (i / 3) + 3 * f + i % 3]);
+        let of_edge = |i: usize| edge.ok().map(|e| background[2 * half + i * edges + e]);
+        let values = (0..6).map(of_vertex).chain((0..2).filter(|_| spins).map(of_edge));
+        let _ = writeln!(out, "{vertex},{}", values.map(optional).collect::<Vec<_>>().join(","));
     }
     out
 }

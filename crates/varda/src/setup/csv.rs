@@ -106,6 +106,31 @@ pub fn recorded<const N: usize>(
     filled(file, text, columns, true)
 }
 
+/// The same with empty cells, all columns being there.
+///
+/// # Errors
+/// [`Error::Data`] naming file and line.
+pub fn with_gaps<const N: usize>(
+    file: &str,
+    text: &str,
+    columns: [&str; N],
+) -> Result<Vec<[Option<f64>; N]>, Error> {
+    let expected = columns.join(",");
+    let mut table = Table::open(file, text, &columns, &expected)?;
+    for name in columns {
+        table.require(name, &expected)?;
+    }
+    let mut rows = Vec::new();
+    while table.next()? {
+        let mut row = [None; N];
+        for (value, name) in row.iter_mut().zip(columns) {
+            *value = table.number(name)?;
+        }
+        rows.push(row);
+    }
+    Ok(rows)
+}
+
 /// Whether the header has a column of this name.
 pub fn has_column(text: &str, name: &str) -> bool {
     let (header, delimiter) = header(text);
