@@ -85,7 +85,10 @@ pub(crate) fn along_line(
     }
     Ok(match k.root {
         Root::Cholesky => Factored::Full(Box::new(cholesky(file, path, n, &matrix)?)),
-        Root::Truncated => Factored::Truncated(Box::new(truncated(file, path, n, &matrix, k.truncation)?)),
+        Root::Truncated => {
+            let root = truncated(file, path, n, &matrix, k.truncation, k.sigma * k.sigma)?;
+            Factored::Truncated(Box::new(root))
+        }
     })
 }
 
@@ -114,11 +117,11 @@ pub fn localized(
     let taper = file.checked(k.taper(path))?;
     Ok(match k.root {
         Root::Cholesky => {
-            let root = |matrix: &[f64]| cholesky(file, path, n, matrix);
+            let root = |matrix: &[f64], _: f64| cholesky(file, path, n, matrix);
             Factored::Full(Box::new(blocks(file, path, k, places, sigmas, taper, root)?))
         }
         Root::Truncated => {
-            let root = |matrix: &[f64]| truncated(file, path, n, matrix, k.truncation);
+            let root = |matrix: &[f64], variance| truncated(file, path, n, matrix, k.truncation, variance);
             Factored::Truncated(Box::new(blocks(file, path, k, places, sigmas, taper, root)?))
         }
     })
@@ -136,7 +139,7 @@ pub fn unlocalized(
     places: &Places,
     sigmas: [f64; 2],
 ) -> Result<Box<dyn Covariance>, Error> {
-    let root = |matrix: &[f64]| truncated(file, path, places.free.len(), matrix, 1e-14);
+    let root = |matrix: &[f64], variance| truncated(file, path, places.free.len(), matrix, 1e-14, variance);
     Ok(Box::new(blocks(file, path, k, places, sigmas, Taper::None, root)?))
 }
 
@@ -147,7 +150,7 @@ fn blocks<C: Covariance>(
     places: &Places,
     [sigma_x, sigma_v]: [f64; 2],
     taper: Taper,
-    root: impl Fn(&[f64]) -> Result<C, Error>,
+    root: impl Fn(&[f64], f64) -> Result<C, Error>,
 ) -> Result<BlockDiagonal<Interleaved<C>>, Error> {
     let block = |sigma: f64, length: f64| -> Result<Interleaved<C>, Error> {
         let function = CovarianceFunction { sigma, kernel: kernel(k.kernel, length), taper };
@@ -156,7 +159,7 @@ fn blocks<C: Covariance>(
             Prior::Plain => function.matrix(&places.free),
         };
         let matrix = matrix.map_err(|e| file.invalid(path, e.to_string()))?;
-        Ok(Interleaved::new(root(&matrix)?, 3))
+        Ok(Interleaved::new(root(&matrix, sigma * sigma)?, 3))
     };
     let parts = vec![block(sigma_x, k.correlation_length_x)?, block(sigma_v, k.correlation_length_v)?];
     Ok(BlockDiagonal::new(parts))
@@ -174,8 +177,9 @@ fn truncated(
     n: usize,
     matrix: &[f64],
     tolerance: f64,
+    variance: f64,
 ) -> Result<Truncated, Error> {
-    Truncated::eigen(n, matrix, tolerance).map_err(|e| file.invalid(path, e.to_string()))
+    Truncated::of_kernel(n, matrix, tolerance, variance).map_err(|e| file.invalid(path, e.to_string()))
 }
 
 fn kernel(kernel: scene::Kernel, length: f64) -> Kernel {
