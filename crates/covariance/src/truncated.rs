@@ -51,10 +51,9 @@ impl Truncated {
     /// correlation, conditioned on known points or not, so that its entries are right to rounding of
     /// `variance` and no further.
     ///
-    /// As [`eigen`](Self::eigen), but that eigenvalues within that rounding of zero, 10³ n ε times
-    /// `variance`, are zero whatever conditioning left of the variance; and that one below it is refused
-    /// whatever the tolerance: no truncation makes a covariance of an indefinite kernel (a taper of a line on
-    /// a circle, say).
+    /// As [`eigen`](Self::eigen), but that an eigenvalue is refused where it is below that rounding,
+    /// −10³ n ε `variance`, whatever conditioning left of the variance, and whatever the tolerance:
+    /// no truncation makes a covariance of an indefinite kernel (a Gaussian of the arc of a circle, say).
     ///
     /// # Errors
     ///
@@ -62,7 +61,7 @@ impl Truncated {
     pub fn of_kernel(n: usize, matrix: &[f64], tolerance: f64, variance: f64) -> Result<Self, Error> {
         let relative = usable_tolerance(n, tolerance)?;
         let rounding = KERNEL_ROUNDING * n as f64 * f64::EPSILON * variance;
-        Self::eigen_above(n, matrix, |largest| [rounding, rounding.max(relative * largest)])
+        Self::eigen_above(n, matrix, |largest| [rounding, relative * largest])
     }
 
     /// The eigenpairs above the second of two bounds that go with the largest eigenvalue; one below minus
@@ -75,7 +74,7 @@ impl Truncated {
         if smallest < -negative {
             return Err(Error::NotPositiveSemidefinite { value: smallest, largest });
         }
-        if largest <= kept.min(0.0) {
+        if largest <= 0.0 {
             return Err(Error::Zero);
         }
         let mut columns = Vec::new();

@@ -32,7 +32,7 @@ fn long_correlations_have_a_root() {
                             b.apply(&unit, &mut column);
                             unit[j] = 0.0;
                             for i in 0..n {
-                                // The rounding that is cut off: 1e3 n ε σ².
+                                // Below zero is cut off, up to the rounding allowed.
                                 let bound = 1e3 * n as f64 * f64::EPSILON * sigma * sigma;
                                 let gap = (column[i] - matrix[i * n + j]).abs();
                                 assert!(gap <= bound, "{case}: {gap:e} {bound:e}");

@@ -71,11 +71,13 @@ setters!(AutoOptions, trust_region.stopping, {
 /// of inflated errors ([`continuation`](crate::continuation) through σ × 10, 3, 1 and σ × 16, 8, 4,
 /// 2, 1), then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down the first ladder and
 /// straight, at most six. No further start is made once the lowest end is within the band, or two runs
-/// have come to the same lowest J (to 10⁻⁶ of it, converged or stalled), or three in turn have lowered it by less than 10⁻³, or the iterations are used up. [`Minimum::attempts`] lists what each start came to and what it
-/// gained. All look beside steps that a jump of J refuses ([`TrustRegionOptions::jump_retries`]). The
-/// lowest end is returned; an end where the minimizer stalled (the edge of a jump of J) only where it is
-/// lower than every converged one by 10⁻³ of J. The tolerance of every run refers to the gradient at the
-/// first point. Rows of all runs are reported, each counting on from the one before.
+/// have come to the same lowest J (to 10⁻⁶ of it, converged or stalled), or three in turn have
+/// lowered it by less than 10⁻³, or the iterations are used up. [`Minimum::attempts`] lists what
+/// each start came to and what it gained. All look beside steps that a jump of J refuses
+/// ([`TrustRegionOptions::jump_retries`]). The lowest end is returned; an end where the minimizer
+/// stalled (the edge of a jump of J) only where it is lower than every converged one by 10⁻³ of J.
+/// The tolerance of every run refers to the gradient at the first point. Rows of all runs are reported,
+/// each counting on from the one before.
 ///
 /// When to use: where the observations are much more precise than the background and the model is nonlinear,
 /// so that J may have several minima. When not: where one is known to exist, or where time matters more than
