@@ -36,9 +36,14 @@ use crate::twist_equilibrium::TwistEquilibrium;
 ///
 /// State x = [X, V, θ] of the free vertices and angles (SI units: m, m/s, rad); under BDF2, and under
 /// midpoint with twist or Kelvin–Voigt damping, followed by the same of the step before. Control z =
-/// [X₀, V₀], θ₀ being the twist equilibrium of X₀ nearest to the untwisted frame. Where both ends
-/// are clamped the end clamp's angle stands after the free ones: unwrapped, it counts the turns of the
-/// clamps, and each step takes it on the branch that their motion leads to. Use it inside
+/// [X₀, V₀], θ₀ being the twist equilibrium of X₀ nearest to the untwisted frame.
+///
+/// With [`Rod::spin_inertia`] the third equation is I^i θ̈^i = T_i + T_ext (paper, section 3), θ̇ being
+/// the spin ω of a section about its tangent, measured against the director that parallel transport carries
+/// along with the tangent in time. Φ gains ½ I (s − s*)²/η² of the spins s within the stage, and the
+/// state is [X, V, θ, ω]; ω₀ = 0, unless the control has it ([`RodStep::with_spins_in_control`]). Where
+/// both ends are clamped the end clamp's angle stands after the free ones: unwrapped, it counts the turns of
+/// the clamps, and each step takes it on the branch that their motion leads to. Use it inside
 /// [`ImplicitModel`](varda_implicit::ImplicitModel); [`RodStep::model`] does.
 ///
 /// First guess of a step: X_k carried along rigidly with the supports, θ_k.
@@ -70,6 +75,7 @@ pub struct RodStep {
     pub(crate) viscous: Option<KelvinVoigt>,
     pub(crate) twist: Option<TwistEquilibrium>,
     pub(crate) spin: Option<Spin>,
+    spins_in_control: bool,
     pub(crate) carry: Carry,
     /// X* and X* + η V* of the free vertices in the step being worked on.
     pub(crate) start: Vec<Vector3<f64>>,
@@ -111,8 +117,9 @@ impl RodStep {
         Ok(RodStep {
             scheme: Scheme::BackwardEuler,
             viscous: (damping.stiffness > 0.0).then(|| KelvinVoigt::new(&system, 1)),
-            spin: Spin::of_free_turn(&system, damping.stiffness > 0.0),
+            spin: Spin::new(&system, damping.stiffness > 0.0),
             twist: (!system.layout.free_angles.is_empty()).then(|| TwistEquilibrium::new(&system)),
+            spins_in_control: false,
             carry: Carry::new(&system),
             tolerance: 1e-11 * system.rod.length(),
             start: vec![Vector3::zeros(); free],
@@ -164,9 +171,18 @@ impl RodStep {
         &self.system.layout.free_angles
     }
 
-    /// Length of the control z = [X₀, V₀].
+    /// Length of the control z = [X₀, V₀], or [X₀, V₀, θ₀, ω₀].
     pub fn control_len(&self) -> usize {
-        6 * self.system.layout.free_vertices.len()
+        let angles = if self.spins_in_control { 2 * self.free_angles().len() } else { 0 };
+        6 * self.system.layout.free_vertices.len() + angles
+    }
+
+    /// The same step with the control z = [X₀, V₀, θ₀, ω₀], where sections have inertia: free
+    /// angles and their spins in place of angles in equilibrium and sections that do not spin.
+    #[must_use]
+    pub fn with_spins_in_control(mut self) -> RodStep {
+        self.spins_in_control = self.system.layout.spins;
+        self
     }
 
     /// The same step, the first angles of a run looked for from those of a shape at rest at time t \[s\],
@@ -183,12 +199,43 @@ impl RodStep {
         self
     }
 
-    /// The control z = [X₀, 0] of the rod at rest in this shape.
+    /// The same where the end clamp has this angle at time t \[s\], whole turns included: that of a state
+    /// ([`end_angle`](Self::end_angle)) whose places and velocities runs start from. Nothing changes where
+    /// the rod has no such angle.
+    #[must_use]
+    pub fn with_end_angle(mut self, angle: f64, t: f64) -> RodStep {
+        let (n, turns) = (self.rod().segments(), self.system.supports.turns_at(t));
+        let held = self.system.layout.ends_held();
+        if let Some(twist) = self.twist.as_mut().filter(|_| held) {
+            let (mut theta, before) = twist.first.take().unwrap_or((vec![0.0; n], turns));
+            let missing = angle - theta[n - 1] - std::f64::consts::TAU * (turns - before);
+            // less than that picks no other branch
+            if missing.abs() > 1.0 {
+                let share = |e: usize| e as f64 / (n - 1) as f64;
+                theta.iter_mut().enumerate().for_each(|(e, theta)| *theta += missing * share(e));
+            }
+            twist.first = Some((theta, before));
+        }
+        self
+    }
+
+    /// The angle of the end clamp in a state \[rad\], whole turns included; `None` where it is not part of
+    /// the state: a rod without a director at both ends, or without twist.
     ///
     /// # Panics
-    /// If the shape has fewer vertices than the rod.
+    /// If `state` is shorter than a state.
+    pub fn end_angle(&self, state: &[f64]) -> Option<f64> {
+        self.system.layout.end_angle().map(|i| state[i])
+    }
+
+    /// The control z = [X₀, 0], or [X₀, 0, θ₀, 0], of the rod at rest in this shape.
+    ///
+    /// # Panics
+    /// If the shape has fewer vertices or angles than the rod.
     pub fn control_at_rest(&self, shape: &Rest) -> Vec<f64> {
         let mut z = vec![0.0; self.control_len()];
+        let angles = z[6 * self.free_vertices().len()..].iter_mut();
+        angles.zip(self.free_angles()).for_each(|(angle, &e)| *angle = shape.theta[e]);
         for (x, &v) in z.chunks_exact_mut(3).zip(self.free_vertices()) {
             x.copy_from_slice(shape.vertices[v].as_slice());
         }
@@ -228,6 +275,11 @@ impl RodStep {
         if layout.twist && self.system.loads.need_angles() {
             out.push("no angle: a load turns sections or follows them".to_string());
         }
+        if layout.spins {
+            out.push("no angle: sections have inertia against twist".to_string());
+        } else if !layout.free_angles.is_empty() {
+            out.push("the inertia of sections against twist: their angles are in equilibrium".to_string());
+        }
         let fixed = n + 1 - layout.free_vertices.len();
         if fixed > 0 {
             out.push(format!("{} unknowns and their Hessian blocks: {fixed} prescribed vertices", 3 * fixed));
@@ -247,8 +299,13 @@ impl RodStep {
         self.system.layout.half_bandwidth
     }
 
+    /// Damping or inertia ties θ to its past.
+    fn angles_have_rates(&self) -> bool {
+        self.viscous.is_some() || self.system.layout.spins
+    }
+
     pub(crate) fn stage(&self, at: &Interval) -> RodStage {
-        RodStage::new(self.scheme, at, self.viscous.is_some(), self.repeated() > 0)
+        RodStage::new(self.scheme, at, self.angles_have_rates(), self.repeated() > 0)
     }
 
     /// Sets everything that depends on the interval and x_k but not on u.
@@ -288,6 +345,15 @@ impl RodStep {
                 }
             }
             viscous.fold_in(s, self.damping.stiffness / h);
+        }
+        if let Some(spin) = self.spin.as_mut().filter(|_| s.layout.spins) {
+            if let Some(previous) = at.previous.filter(|_| stage.along[1] != 0.0) {
+                s.place(at.start - previous)?;
+                s.scatter_state(&x[own..]);
+                s.update_shape(true, s.end_angle_guess())?;
+                spin.came_from(s);
+            }
+            spin.aim(s, &stage, self.damping.mass, x)?;
         }
         if !s.loads.of_motion.is_empty() {
             self.start_of_all.fill(Vector3::zeros());

@@ -28,7 +28,7 @@ impl Equations for RodEquations<'_> {
         let h = step.scheme.stage(&self.at).length;
         let s = &mut step.system;
         let mut potential = s.assemble(u, step.end_angle, g, jacobian.as_deref_mut())?;
-        if let Some(spin) = &step.spin {
+        if let Some(spin) = &mut step.spin {
             potential += spin.add(s, g, jacobian.as_deref_mut())?;
         }
         let (width, diagonal) = (s.row_length(), s.layout.half_bandwidth);
@@ -130,7 +130,7 @@ impl StepEquations for RodEquations<'_> {
         if step.system.layout.free_angles.is_empty() {
             return Ok(None);
         }
-        if step.system.layout.ends_held() {
+        if step.system.layout.ends_held() || step.system.layout.spins {
             let (from, to) = (self.at.start, self.at.end());
             let (_, turn) = step.system.clamps_turn(from, to)?;
             if !(turn.abs() <= std::f64::consts::FRAC_PI_2) {

@@ -88,8 +88,10 @@ pub(crate) fn equilibrium_within(
     assert_eq!(guess.vertices.len(), rod.segments() + 1, "one place for every vertex");
     assert_eq!(guess.theta.len(), rod.segments(), "one angle for every edge");
     let refuse = |e: Error| varda_implicit::Error::Refused { step: 0, reason: e.into() };
-    let mut system = System::new(rod.clone(), supports.clone(), loads.clone(), &Damping::default(), false)
-        .map_err(refuse)?;
+    // nothing spins at rest
+    let massless = Rod { spin_inertia: Vec::new(), ..rod.clone() };
+    let mut system =
+        System::new(massless, supports.clone(), loads.clone(), &Damping::default(), false).map_err(refuse)?;
     system.x.copy_from_slice(&guess.vertices);
     system.theta.copy_from_slice(&guess.theta);
     system.place(t).map_err(refuse)?;

@@ -62,10 +62,11 @@ pub enum Error {
     /// No support at all: an equilibrium would fall or drift away.
     #[error("nothing holds the rod: it has no clamp and no prescribed vertex")]
     NothingHolds,
-    /// A load turns sections, or follows them, of a rod without any stiffness that would hold them.
+    /// A load turns sections, or follows them, or sections have inertia, of a rod without any stiffness that
+    /// would hold them.
     #[error(
-        "a moment, or a force across the section that follows it, acts on a rod without sections: it has one \
-         segment, or neither bending nor twisting stiffness (a chain)"
+        "a moment, a force across the section that follows it, or twist inertia is asked of a rod without \
+         sections: it has one segment, or neither bending nor twisting stiffness (a chain)"
     )]
     NoSections,
     /// The search for a shape at rest used up its iterations.

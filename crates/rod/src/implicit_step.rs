@@ -27,7 +27,7 @@ impl RodStep {
     }
 
     /// The part of x_{k+1} = S(x_k, u) that is linear: all of it but the end clamp's angle.
-    fn follow(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
+    pub(crate) fn follow(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
         let RodStage { of, angle, .. } = self.stage(at);
         let ([b0, b1], layout) = (of.to, &self.system.layout);
         let (own, nf) = (layout.state(), layout.free_vertices.len());
@@ -47,7 +47,7 @@ impl RodStep {
     }
 
     /// The end clamp's angle at x_{k+1}, on the branch of `before`, that at x_k, and the turn of the clamps.
-    fn end_angle(&mut self, at: &Interval, before: f64, x_next: &[f64]) -> Result<f64, Error> {
+    fn next_end_angle(&mut self, at: &Interval, before: f64, x_next: &[f64]) -> Result<f64, Error> {
         let s = &mut self.system;
         let (turned, _) = s.clamps_turn(at.start, at.end())?;
         s.place(at.end())?;
@@ -66,32 +66,18 @@ impl RodStep {
         self.state = next;
     }
 
-    /// λ with what its component of the end clamp's angle means for the places of x_{k+1}; λ itself where
-    /// there is none.
-    fn end_angle_transpose<'a>(
-        &mut self,
-        at: &Interval,
-        x: &[f64],
-        u: &[f64],
-        lambda: &'a [f64],
-        with_end: &'a mut Vec<f64>,
-    ) -> &'a [f64] {
-        let Some(end) = self.system.layout.end_angle().filter(|end| lambda[*end] != 0.0) else {
-            return lambda;
-        };
+    /// Adds to λ what its component of the end clamp's angle means for the places of x_{k+1}.
+    fn end_angle_transpose(&mut self, at: &Interval, x: &[f64], u: &[f64], end: usize, lambda: &mut [f64]) {
         self.set_edges_of_next(at, x, u);
         self.psi.fill(0.0);
         *self.psi.last_mut().expect("a rod has edges") = lambda[end];
         self.displacement.fill(Vector3::zeros());
         self.system.shape.holonomy_transpose_add(&self.psi, &mut self.displacement);
-        with_end.clear();
-        with_end.extend_from_slice(lambda);
         for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
             for c in 0..3 {
-                with_end[3 * f + c] += self.displacement[v][c];
+                lambda[3 * f + c] += self.displacement[v][c];
             }
         }
-        with_end
     }
 
     /// Whether ∂G/∂x_k depends on the shapes of x_k and u, beside inertia.
@@ -172,9 +158,10 @@ impl ImplicitStep for RodStep {
 
     fn advance(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
         self.follow(at, x, u, x_next);
+        self.advance_spins(at, x, u, x_next);
         if let Some(end) = self.system.layout.end_angle() {
             // a motion that is unusable at the end of the step shows as a state that is not finite
-            x_next[end] = self.end_angle(at, x[end], x_next).unwrap_or(f64::NAN);
+            x_next[end] = self.next_end_angle(at, x[end], x_next).unwrap_or(f64::NAN);
         }
     }
 
@@ -189,6 +176,7 @@ impl ImplicitStep for RodStep {
         }
         self.system.scatter_state(&self.state);
         self.system.gather(u);
+        self.recover_angles(at, x, x_next, u);
     }
 
     fn previous(&mut self, at: &Interval, x: &[f64], u: &[f64], dx: &[f64], dg: &mut [f64]) {
@@ -289,6 +277,7 @@ impl ImplicitStep for RodStep {
         for (angle, &e) in angles.iter_mut().zip(&layout.free_angles) {
             *angle += share * self.psi[e];
         }
+        self.advance_spins_tangent(at, x, u, dx, du, dx_next);
     }
 
     fn advance_adjoint(
@@ -301,10 +290,25 @@ impl ImplicitStep for RodStep {
         du: &mut [f64],
     ) {
         dx.fill(0.0);
-        let mut with_end = std::mem::take(&mut self.lambda);
-        let lambda = self.end_angle_transpose(at, x, u, lambda, &mut with_end);
-        self.follow_transpose(at, u, lambda, dx, du);
-        self.lambda = with_end;
+        let end = self.system.layout.end_angle().filter(|end| lambda[*end] != 0.0);
+        let spins = self.system.layout.spins;
+        if end.is_none() && !spins {
+            return self.follow_transpose(at, u, lambda, dx, du);
+        }
+        let mut to = std::mem::take(&mut self.lambda);
+        to.clear();
+        to.extend_from_slice(lambda);
+        if let Some(end) = end {
+            self.end_angle_transpose(at, x, u, end, &mut to);
+        }
+        if spins {
+            self.advance_spins_transpose(at, x, u, &mut to, dx);
+        }
+        self.follow_transpose(at, u, &to, dx, du);
+        if spins {
+            self.spins_onto_stage(du);
+        }
+        self.lambda = to;
     }
 
     fn control_dim(&self) -> usize {
@@ -312,27 +316,44 @@ impl ImplicitStep for RodStep {
     }
 
     fn initial_state(&mut self, t: f64, z: &[f64], x: &mut [f64]) -> Result<(), Refusal> {
-        let n = self.control_len();
-        x[..n].copy_from_slice(z);
+        let (n, first) = (6 * self.system.layout.free_vertices.len(), self.system.layout.first_spin());
+        x[..n].copy_from_slice(&z[..n]);
         if let Some(twist) = &mut self.twist {
-            twist.solve(t, &z[..n / 2], &mut x[n..])?;
+            twist.solve(t, &z[..n / 2], &mut x[n..first])?;
         }
+        let (angles, spins) = z[n..].split_at((z.len() - n) / 2);
+        x[n..n + angles.len()].copy_from_slice(angles);
+        x[first..].fill(0.0);
+        x[first..first + spins.len()].copy_from_slice(spins);
         Ok(())
     }
 
     fn initial_tangent(&mut self, _t: f64, dz: &[f64], dx: &mut [f64]) {
-        let n = self.control_len();
-        dx[..n].copy_from_slice(dz);
+        let (n, first) = (6 * self.system.layout.free_vertices.len(), self.system.layout.first_spin());
+        dx[..n].copy_from_slice(&dz[..n]);
         if let Some(twist) = &mut self.twist {
-            twist.tangent(&dz[..n / 2], &mut dx[n..]);
+            twist.tangent(&dz[..n / 2], &mut dx[n..first]);
         }
+        let (angles, spins) = dz[n..].split_at((dz.len() - n) / 2);
+        dx[n..n + angles.len()].copy_from_slice(angles);
+        dx[first..].fill(0.0);
+        dx[first..first + spins.len()].copy_from_slice(spins);
     }
 
     fn initial_adjoint(&mut self, _t: f64, lambda: &[f64], dz: &mut [f64]) {
-        let n = self.control_len();
-        dz.copy_from_slice(&lambda[..n]);
+        let (n, first) = (6 * self.system.layout.free_vertices.len(), self.system.layout.first_spin());
+        let given = (dz.len() - n) / 2;
+        dz[..n].copy_from_slice(&lambda[..n]);
+        dz[n..n + given].copy_from_slice(&lambda[n..n + given]);
+        dz[n + given..].copy_from_slice(&lambda[first..first + given]);
         if let Some(twist) = &mut self.twist {
-            twist.adjoint_add(&lambda[n..], &mut dz[..n / 2]);
+            // angles that are given do not depend on the places
+            let mut angles = std::mem::take(&mut self.lambda);
+            angles.clear();
+            angles.extend_from_slice(&lambda[n..first]);
+            angles[..given].fill(0.0);
+            twist.adjoint_add(&angles, &mut dz[..n / 2]);
+            self.lambda = angles;
         }
     }
 }

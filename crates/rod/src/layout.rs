@@ -13,6 +13,8 @@ pub(crate) struct Layout {
     pub(crate) segments: usize,
     /// θ are unknowns.
     pub(crate) twist: bool,
+    /// Sections have inertia against spin: their spins are part of the state.
+    pub(crate) spins: bool,
     /// Vertices bend (false for a chain).
     pub(crate) bending: bool,
     /// Degrees of freedom from one vertex to the next in the full order: 4 with θ, 3 without.
@@ -32,7 +34,8 @@ impl Layout {
     ///
     /// The twist of a naturally straight isotropic rod is zero in equilibrium as long as at most one end
     /// holds a director and no strain-rate damping ties θ to its past: bending does not depend on θ, and τ
-    /// = 0 costs nothing.
+    /// = 0 costs nothing. With inertia against spin it is not: directors carried along the rod spin against
+    /// those carried in time.
     pub(crate) fn needed(
         rod: &Rod,
         supports: &Supports,
@@ -41,7 +44,11 @@ impl Layout {
     ) -> Result<Layout, Error> {
         let bending = !rod.is_chain() && rod.segments() > 1;
         let held = supports.start.is_some() && supports.end.is_some();
-        let twistless = rod.is_isotropic_and_straight() && !held && damping.stiffness == 0.0 && !force_twist;
+        let twistless = rod.is_isotropic_and_straight()
+            && !held
+            && damping.stiffness == 0.0
+            && !force_twist
+            && !rod.spins();
         let prescribed = supports.prescribed_vertices(rod)?;
         let mut angles = vec![true; rod.segments()];
         if supports.start.is_some() {
@@ -53,7 +60,8 @@ impl Layout {
         let free_vertices = (0..=rod.segments()).filter(|v| prescribed.binary_search(v).is_err()).collect();
         let twist = bending && !twistless;
         let free_angles = (0..rod.segments()).filter(|&e| twist && angles[e]).collect();
-        Ok(Layout::of(rod.segments(), twist, bending, free_vertices, free_angles))
+        let spins = twist && rod.spins();
+        Ok(Layout { spins, ..Layout::of(rod.segments(), twist, bending, free_vertices, free_angles) })
     }
 
     /// The same rod with all vertices held and only the angles unknown.
@@ -92,6 +100,7 @@ impl Layout {
         Layout {
             segments,
             twist,
+            spins: false,
             bending,
             stride,
             unknown,
@@ -133,9 +142,14 @@ impl Layout {
         self.ends_held().then(|| 6 * self.free_vertices.len() + self.free_angles.len())
     }
 
-    /// Length of the state [X, V, θ].
-    pub(crate) fn state(&self) -> usize {
+    /// Where spins start in the state.
+    pub(crate) fn first_spin(&self) -> usize {
         6 * self.free_vertices.len() + self.free_angles.len() + usize::from(self.ends_held())
+    }
+
+    /// Length of the state [X, V, θ, ω].
+    pub(crate) fn state(&self) -> usize {
+        self.first_spin() + if self.spins { self.free_angles.len() } else { 0 }
     }
 }
 

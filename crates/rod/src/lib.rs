@@ -17,6 +17,7 @@
 //! | move its supports as they were recorded | [`RecordedMotion`], [`RecordedRotation`] with [`SmoothBy`] |
 //! | pull at it, turn it, slow it down | [`Loads`], [`FollowerForce`], [`Moment`], [`Drag`], [`Damping`] |
 //! | load it in another way | the trait [`Load`], tested by [`check::load`] |
+//! | let twist travel in waves | [`Rod::with_rotary_inertia`] |
 //! | move it in time | [`RodStep`], a step for [`varda_implicit::ImplicitModel`] |
 //! | find its shape at rest | [`equilibrium`] from [`straight_guess`] |
 //! | find its natural modes | [`modes()`]: [`Modes`], each a [`Mode`] |
@@ -34,7 +35,9 @@
 //!
 //! # Limitations
 //!
-//! Sections stay plane and rigid: no shear, no inertia of a section (θ is massless). There is no contact.
+//! Sections stay plane and rigid: no shear. They have no inertia, and θ is massless, but for that against a
+//! spin about the tangent where it is asked for ([`Rod::with_rotary_inertia`]); a section that spins has no
+//! gyroscopic moment. There is no contact.
 //! For stubby beams (length under about ten heights) shear matters at the per cent level and this is the
 //! wrong model; for a rod that never bends far, a linear beam is cheaper.
 //!
@@ -121,6 +124,7 @@ mod rod;
 mod scalar;
 mod shape;
 mod spin;
+mod spin_advance;
 mod stage;
 mod statics;
 mod support;

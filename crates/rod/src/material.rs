@@ -89,6 +89,12 @@ impl Section {
         }
     }
 
+    /// ρ (I₁ + I₂) per length [kg m]: what a section of this material resists a spin about the tangent
+    /// with. For [`Rod::with_rotary_inertia`](crate::Rod::with_rotary_inertia).
+    pub fn rotary_inertia(&self, material: &Material) -> f64 {
+        material.density * (self.ei1 + self.ei2) / material.youngs_modulus
+    }
+
     /// # Errors
     /// [`Error::Value`] where a stiffness is negative or not finite, or a mass or EA not positive.
     pub(crate) fn check(&self) -> Result<(), Error> {

@@ -38,7 +38,8 @@ pub struct Mode {
     /// ω² [1/s²]; negative where the shape is not stable, and the mode grows as exp(√(−ω²) t); zero
     /// where it is less than [`Modes::resolution`], as that of a rod which moves freely.
     pub omega_squared: f64,
-    /// φ of all vertices [kg^(−1/2)]: Σ m |φ|² = 1, zero where a vertex is held.
+    /// φ of all vertices [kg^(−1/2)], zero where one is held: Σ m |φ|² = 1, with Σ I φ² of the turns
+    /// where sections have inertia.
     pub displacements: Vec<Vector3<f64>>,
     /// Turn of the section of every edge about its tangent [rad m⁻¹ kg^(−1/2)], beside the turn that the
     /// bending of the rod carries it through; zero where twist is left out.
@@ -84,12 +85,13 @@ pub struct Modes {
 /// t:
 ///
 /// ```text
-/// K φ = ω² M φ,   K = ∂²(E − F·X)/∂u² at rest,   M = diag(m) of the vertices
+/// K φ = ω² M φ,   K = ∂²(E − F·X)/∂u² at rest,   M = diag(m, I) of the vertices and angles
 /// ```
 ///
-/// Angles have no mass: they follow in equilibrium. Forces are those of `loads`; the shape is one that
-/// [`rest`](crate::rest) or [`equilibrium`](crate::equilibrium()) found for them. By simultaneous iteration
-/// with (K + sM)⁻¹M (Bathe and Wilson 1973), O(n) a product, s a small shift that is taken off again.
+/// Without twist inertia angles have no mass: they follow in equilibrium. Forces are those of `loads`; the
+/// shape is one that [`rest`](crate::rest) or [`equilibrium`](crate::equilibrium()) found for them. By
+/// simultaneous iteration with (K + sM)⁻¹M (Bathe and Wilson 1973), O(n) a product, s a small shift that
+/// is taken off again.
 ///
 /// ```
 /// use varda_rod::{Clamp, ClampAt, Loads, Material, Rod, Section, Supports, Vector3, modes, straight_guess};
@@ -155,7 +157,7 @@ struct Pencil {
     system: System,
     solver: LinearSolver,
     factor: Factor,
-    /// Mass of every unknown; zero for angles.
+    /// Mass of every unknown; for angles their inertia, or zero.
     mass: Vec<f64>,
     shift: f64,
     unstable: usize,
@@ -176,6 +178,9 @@ impl Pencil {
         for &v in &system.layout.free_vertices {
             let i = system.layout.unknown[system.layout.vertex(v)];
             mass[i..i + 3].fill(system.rod.masses[v]);
+        }
+        for &e in system.layout.free_angles.iter().filter(|_| system.layout.spins) {
+            mass[system.layout.unknown[system.layout.angle(e)]] = system.rod.spin_inertia[e];
         }
         let heavy = || mass.iter().enumerate().filter(|(_, m)| **m > 0.0);
         let greatest = heavy().map(|(i, m)| k[i * (w + 1) + w].abs() / m).fold(0.0, f64::max);

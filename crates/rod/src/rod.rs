@@ -45,6 +45,9 @@ pub struct Rod {
     pub natural_twist: Vec<f64>,
     /// Mass of every vertex \[kg\], half of that of the edges beside it; n + 1.
     pub masses: Vec<f64>,
+    /// Inertia of every edge against a spin about its tangent, I^e = ρ l̄^e (I₁ + I₂) \[kg m²\]; n.
+    /// Empty where twist is massless (see [`Rod::with_rotary_inertia`]).
+    pub spin_inertia: Vec<f64>,
 }
 
 impl Rod {
@@ -118,6 +121,7 @@ impl Rod {
             natural_curvature: vec![[0.0; 2]; inner],
             natural_twist: vec![0.0; inner],
             masses: (0..=n).map(|i| rho * (if i > 0 { half(i - 1) } else { 0.0 } + half(i))).collect(),
+            spin_inertia: Vec::new(),
         };
         rod.check()?;
         Ok(rod)
@@ -130,6 +134,26 @@ impl Rod {
             self.natural_curvature[i] = [curvature[0] * l, curvature[1] * l];
             self.natural_twist[i] = twist * l;
         }
+        self
+    }
+
+    /// The same rod, its sections having inertia against a spin about the tangent: ρ (I₁ + I₂) per
+    /// length \[kg m\], [`Section::rotary_inertia`] of a uniform one. Twist then travels in waves of speed
+    /// √(GJ/ρ(I₁ + I₂)), in place of being in equilibrium at every moment.
+    ///
+    /// ```
+    /// use varda_rod::{Material, Rod, Section};
+    ///
+    /// let material = Material::new(1e6, 0.5, 1100.0);
+    /// let section = Section::circle(&material, 0.01);
+    /// let rod = Rod::uniform(1.0, 20, &section)?.with_rotary_inertia(section.rotary_inertia(&material));
+    /// let of_disc = 0.05 * 1100.0 * std::f64::consts::PI * 0.01_f64.powi(4) / 2.0;
+    /// assert!((rod.spin_inertia[7] / of_disc - 1.0).abs() < 1e-12);
+    /// # Ok::<(), varda_rod::Error>(())
+    /// ```
+    #[must_use]
+    pub fn with_rotary_inertia(mut self, per_length: f64) -> Rod {
+        self.spin_inertia = self.rest_lengths.iter().map(|l| per_length * l).collect();
         self
     }
 
@@ -238,6 +262,11 @@ impl Rod {
         (self.gj[vertex - 1] + 0.5 * (k11 + k22)) / self.voronoi_lengths[vertex - 1]
     }
 
+    /// Whether sections have inertia against spin.
+    pub(crate) fn spins(&self) -> bool {
+        !self.spin_inertia.is_empty()
+    }
+
     /// A chain: no bending or twisting stiffness anywhere.
     pub(crate) fn is_chain(&self) -> bool {
         self.ei.iter().all(|k| *k == [0.0; 3]) && self.gj.iter().all(|g| *g == 0.0)
@@ -260,6 +289,10 @@ impl Rod {
         count("natural_curvature", self.natural_curvature.len(), n - 1)?;
         count("natural_twist", self.natural_twist.len(), n - 1)?;
         count("masses", self.masses.len(), n + 1)?;
+        if self.spins() {
+            count("spin_inertia", self.spin_inertia.len(), n)?;
+        }
+        self.spin_inertia.iter().try_for_each(|&v| positive("spin inertia", v))?;
         self.rest_lengths.iter().try_for_each(|&v| positive("rest length", v))?;
         self.voronoi_lengths.iter().try_for_each(|&v| positive("voronoi length", v))?;
         self.ea.iter().try_for_each(|&v| positive("EA", v))?;

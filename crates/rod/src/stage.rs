@@ -6,9 +6,9 @@ use varda_implicit::{Interval, Scheme, Stage};
 /// A step is one backward Euler step of length η from (X*, V*, ε*), and x_{k+1} follows from where that
 /// ends.
 ///
-/// **Angles.** With damping θ has a rate and goes with the scheme. Without, it is the equilibrium of the
-/// stage's vertices. Under midpoint that of X_{k+1} is needed: 2θ_y − θ_k would carry an error on for
-/// ever with changing sign, so
+/// **Angles.** With damping or inertia θ has a rate and goes with the scheme. Without, it is the equilibrium
+/// of the stage's vertices. Under midpoint that of X_{k+1} is needed: 2θ_y − θ_k would carry an error on
+/// for ever with changing sign, so
 ///
 /// ```text
 /// θ_{k+1} = (16/9) θ_y − (7/9 − 1/9p) θ_k − (1/9p) θ_{k−1},   p = Δt_{k−1}/Δt
@@ -25,6 +25,9 @@ use varda_implicit::{Interval, Scheme, Stage};
 /// ```text
 /// ε* = ε_k − ω² (½(ε_k + ε_{k−1}) − ε(½(x_k + x_{k−1})))
 /// ```
+///
+/// **Spins** are measured from directors carried to edges where x_k and x_{k−1} lead to at the stage's
+/// time, so that these are off by the square of Δt: see [`crate::spin`].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RodStage {
     /// Of X and V.
@@ -33,16 +36,20 @@ pub(crate) struct RodStage {
     pub(crate) angle: [f64; 3],
     /// Weights in ε* of the strains of x_k, x_{k−1} and ½(x_k + x_{k−1}).
     pub(crate) strain: [f64; 3],
+    /// Shares of x_k and x_{k−1} in the edges that spins are measured along.
+    pub(crate) along: [f64; 2],
 }
 
 impl RodStage {
-    /// `damped`: strains have a rate. `history`: the state holds x_{k−1}.
-    pub(crate) fn new(scheme: Scheme, at: &Interval, damped: bool, history: bool) -> RodStage {
+    /// `rated`: angles have a rate, by damping or inertia. `history`: the state holds x_{k−1}.
+    pub(crate) fn new(scheme: Scheme, at: &Interval, rated: bool, history: bool) -> RodStage {
         let of = scheme.stage(at);
         let [a0, a1] = of.from;
-        let plain = RodStage { of, angle: [of.to[0], of.to[1], 0.0], strain: [a0, a1, 0.0] };
+        let ahead = at.previous.filter(|_| history).map_or(0.0, |previous| (of.time - at.start) / previous);
+        let along = [1.0 + ahead, -ahead];
+        let plain = RodStage { of, angle: [of.to[0], of.to[1], 0.0], strain: [a0, a1, 0.0], along };
         match (scheme, at.previous) {
-            (Scheme::Midpoint, Some(previous)) if history && damped => {
+            (Scheme::Midpoint, Some(previous)) if history && rated => {
                 let w2 = (at.length / previous).powi(2);
                 RodStage { strain: [1.0 - 0.5 * w2, -0.5 * w2, w2], ..plain }
             }

@@ -71,7 +71,7 @@ impl System {
         let by_angle = loads.need_angles();
         let layout = Layout::needed(&rod, &supports, damping, force_twist || by_angle)?;
         let n = rod.segments();
-        if by_angle && !layout.twist {
+        if (by_angle || rod.spins()) && !layout.twist {
             return Err(Error::NoSections);
         }
         for load in &loads.of_motion {

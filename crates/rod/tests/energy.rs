@@ -36,6 +36,7 @@ fn check(text: &str) {
             .collect(),
         natural_twist: numbers(&f["tau_bar"]),
         masses: vec![1.0; n + 1],
+        spin_inertia: Vec::new(),
     };
     let (vertices, directors) = (triples(&f["vertices"]), triples(&f["ref_d1"]));
     let (reference_twist, theta) = (numbers(&f["ref_twist"]), numbers(&f["theta"]));

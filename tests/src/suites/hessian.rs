@@ -55,6 +55,7 @@ impl Bent {
             natural_curvature: (0..inner).map(|i| [0.3 * noise(i, 6), 0.3 * noise(i, 7)]).collect(),
             natural_twist: (0..inner).map(|i| 0.2 * noise(i, 8)).collect(),
             masses: vec![1.0; n + 1],
+            spin_inertia: Vec::new(),
             rest_lengths,
         };
         // Each edge turns by up to about a radian and a half from the one before.

@@ -2,9 +2,10 @@
 
 use std::fmt::Write;
 
-use crate::outcome::{ConvergenceRow, Experiment, Outcome, Shapes, Trajectories};
+use crate::outcome::{ConvergenceRow, Experiment, Outcome, Shapes, Trajectories, TwinFiles};
 use crate::run::compare::Compared;
 use crate::scene::TimeGrid;
+use crate::setup::rod::END_ANGLE;
 use crate::state::Geometry;
 
 /// A number as the shortest text that reads back to the same bits; nothing for one that is not finite.
@@ -144,12 +145,17 @@ fn components(grid: &TimeGrid, runs: &Trajectories, names: &[String]) -> String 
 }
 
 /// background.csv: the background of a rod, in the form `[background] file` reads.
-pub(super) fn background(geometry: &Geometry, background: &[f64]) -> String {
-    let mut out = String::from("vertex,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s\n");
-    let (x, v) = background.split_at(background.len() / 2);
+pub(super) fn background(geometry: &Geometry, twin: &TwinFiles) -> String {
+    let mut out = String::from("vertex,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s");
+    let angle = twin.end_angle.map(number);
+    if angle.is_some() {
+        let _ = write!(out, ",{END_ANGLE}");
+    }
+    out.push('\n');
+    let (x, v) = twin.background.split_at(twin.background.len() / 2);
     for ((vertex, x), v) in geometry.free.iter().zip(x.chunks_exact(3)).zip(v.chunks_exact(3)) {
-        let values: Vec<String> = x.iter().chain(v).map(|c| number(*c)).collect();
-        let _ = writeln!(out, "{vertex},{}", values.join(","));
+        let values = x.iter().chain(v).map(|c| number(*c)).chain(angle.clone());
+        let _ = writeln!(out, "{vertex},{}", values.collect::<Vec<_>>().join(","));
     }
     out
 }

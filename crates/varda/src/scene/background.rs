@@ -10,7 +10,9 @@ pub struct Background {
     /// Where x_b comes from.
     pub from: Origin,
     /// The CSV file of `from = "file"`. A rod's has the header `vertex,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s` and
-    /// one row for every free vertex; another model's has the header `component,value`.
+    /// one row for every free vertex, and where both ends are clamped perhaps `end_angle_rad`, the angle of
+    /// the end clamp with its whole turns, the same in every row; another model's has the header
+    /// `component,value`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,
     /// The error covariance B.

@@ -176,6 +176,10 @@ pub struct RodModel {
     /// What the rod is made of. Not needed where the section gives its stiffnesses directly.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub material: Option<Material>,
+    /// Sections have inertia ρ(I₁ + I₂) against a spin about the tangent: twist travels in waves, and a
+    /// state is [X, V, θ, ω]. Left out: twist is in equilibrium at every moment.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub twist_inertia: bool,
     /// Natural curvature (κ̄₁, κ̄₂) per length [1/m].
     #[serde(default, skip_serializing_if = "is_default")]
     #[schemars(extend("x-unit" = "1/m"))]
@@ -294,6 +298,11 @@ pub enum Section {
         /// Mass per length [kg/m].
         #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "kg/m"))]
         mass_per_length: f64,
+        /// Inertia ρ(I₁ + I₂) against a spin about the tangent, per length [kg m]. Needed with
+        /// `twist_inertia`.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "kg m"))]
+        rotary_inertia: Option<f64>,
     },
 }
 

@@ -1,7 +1,7 @@
 //! A rod as the system of a problem: its truth, background, covariance and models.
 
 use varda_covariance::Covariance;
-use varda_implicit::{ImplicitStep, Structure};
+use varda_implicit::{ImplicitStep, Model, Structure};
 use varda_rod::RodStep;
 
 use super::adaptive_steps::{AdaptiveSteps, rod_models};
@@ -15,6 +15,9 @@ use crate::Error;
 use crate::scene::{self, RodModel, SceneFile, TimeGrid};
 use crate::state::{Geometry, StateLayout};
 
+/// The column of a background with the angle of the end clamp.
+pub(crate) const END_ANGLE: &str = "end_angle_rad";
+
 /// A rod, read from a scene and its files.
 pub struct RodSystem {
     /// The rod, its supports and loads.
@@ -27,6 +30,7 @@ pub struct RodSystem {
     pub control: usize,
     /// Numbers that the linearization of a step keeps.
     pub(crate) kept: usize,
+    has_end_angle: bool,
     free: Vec<usize>,
     left_out: Vec<String>,
     grid: TimeGrid,
@@ -52,6 +56,7 @@ impl RodSystem {
             state: dynamics.dim(),
             control: dynamics.control_len(),
             kept: kept(&dynamics),
+            has_end_angle: dynamics.end_angle(&vec![0.0; dynamics.dim()]).is_some(),
             left_out: dynamics.left_out().into_iter().chain(parts.remarks.iter().cloned()).collect(),
             free,
             parts,
@@ -115,11 +120,19 @@ impl RodSystem {
         Ok(control)
     }
 
-    /// The control in a CSV file with one row for each free vertex.
-    pub(crate) fn read_background(&self, files: &Files, name: &str) -> Result<Vec<f64>, Error> {
+    /// The control in a CSV file with one row for each free vertex. Where the file has a column
+    /// `end_angle_rad`, runs start from that angle of the end clamp.
+    pub(crate) fn read_background(&mut self, files: &Files, name: &str) -> Result<Vec<f64>, Error> {
         let (label, text) = files.text("background.file", name)?;
         let columns = ["vertex", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"];
-        let rows = csv::numbers(&label, &text, columns)?;
+        let rows = if csv::has_column(&text, END_ANGLE) {
+            let [a, b, c, d, e, f, g] = columns;
+            let rows = csv::numbers(&label, &text, [a, b, c, d, e, f, g, END_ANGLE])?;
+            self.set_end_angle(&rows.iter().map(|r| r[7]).collect::<Vec<_>>(), &label)?;
+            rows.into_iter().map(|[a, b, c, d, e, f, g, _]| [a, b, c, d, e, f, g]).collect()
+        } else {
+            csv::numbers(&label, &text, columns)?
+        };
         let n = self.free.len();
         let mut found: Vec<Option<[f64; 6]>> = vec![None; n];
         for (i, row) in rows.iter().enumerate() {
@@ -143,6 +156,46 @@ impl RodSystem {
             control[3 * (n + at)..3 * (n + at) + 3].copy_from_slice(&values[3..]);
         }
         Ok(control)
+    }
+
+    /// The column of a file that has one angle.
+    fn set_end_angle(&mut self, column: &[f64], label: &str) -> Result<(), Error> {
+        let bad = |row: usize, message: String| Error::Data { place: format!("{label}, row {row}"), message };
+        let Some(&angle) = column.first() else { return Ok(()) };
+        if let Some(i) = column.iter().position(|other| *other != angle) {
+            let message = format!("{END_ANGLE} = {} where row 1 has {angle}: it is one angle", column[i]);
+            return Err(bad(i + 1, message));
+        }
+        if !self.has_end_angle() {
+            let message = format!("no angle of an end clamp is part of the state: leave {END_ANGLE} out");
+            return Err(bad(1, message));
+        }
+        self.parts.end_angle = Some((angle, self.grid.start));
+        Ok(())
+    }
+
+    /// Whether the angle of the end clamp is part of the state.
+    pub(crate) fn has_end_angle(&self) -> bool {
+        self.has_end_angle
+    }
+
+    /// The angle of the end clamp in a state \[rad\], whole turns included, where it is part of the state.
+    pub(crate) fn end_angle(&self, state: &[f64]) -> Result<Option<f64>, Error> {
+        Ok(self.parts.dynamics()?.end_angle(state))
+    }
+
+    /// Runs from the start of the window have the end clamp's angle of a state there.
+    pub(crate) fn start_turned_as(&mut self, state: &[f64]) -> Result<(), Error> {
+        self.parts.end_angle = self.end_angle(state)?.map(|angle| (angle, self.grid.start));
+        Ok(())
+    }
+
+    /// A model whose step 0 is the given one of the window and whose runs start from this angle of the end
+    /// clamp.
+    pub(crate) fn model_turned(&self, first: usize, end_angle: f64) -> Box<dyn Model + Send> {
+        let end_angle = Some((end_angle, self.grid.time(first)));
+        let parts = RodParts { end_angle, ..self.parts.clone() };
+        rod_models(&parts, self.spin_up, self.grid, None)(first)
     }
 
     /// σ of positions and velocities that the covariance at `path` names; `reference` is a control whose

@@ -35,6 +35,9 @@ pub struct RodParts {
     pub remarks: Vec<String>,
     /// The rod at rest at a time \[s\], the start of a run, whose angles the first step starts from.
     pub first: Option<(Rest, f64)>,
+    /// Angle of the end clamp \[rad\], whole turns included, at a time \[s\] from which runs start, where a
+    /// file or an earlier window says it.
+    pub end_angle: Option<(f64, f64)>,
 }
 
 impl RodParts {
@@ -48,10 +51,14 @@ impl RodParts {
             let path = path.to_string();
             move |e: varda_rod::Error| file.invalid(&path, e.to_string())
         };
-        let mut rod = Rod::with_segments(&file.checked(model.rest_lengths())?, &section(file, model)?)
+        let (section, rotary_inertia) = section(file, model)?;
+        let mut rod = Rod::with_segments(&file.checked(model.rest_lengths())?, &section)
             .map_err(refuse("model"))?
             .with_faces(model.faces())
             .naturally(model.natural_curvature, model.natural_twist);
+        if model.twist_inertia {
+            rod = rod.with_rotary_inertia(rotary_inertia);
+        }
         for (i, mass) in model.point_masses.iter().enumerate() {
             rod.add_point_mass(mass.arc_length, mass.mass)
                 .map_err(refuse(&format!("model.point_masses.{i}")))?;
@@ -86,7 +93,9 @@ impl RodParts {
         let scheme = file.checked(file.scene.time.integrator.of_rod())?;
         let mut remarks = motions.remarks;
         remarks.extend(edge_clamps(model, &rod));
-        let parts = RodParts { rod, supports, loads, pull, damping, scheme, search, remarks, first: None };
+        let (first, end_angle) = (None, None);
+        let parts =
+            RodParts { rod, supports, loads, pull, damping, scheme, search, remarks, first, end_angle };
         parts.dynamics().map_err(refuse("model"))?;
         Ok(parts)
     }
@@ -98,8 +107,12 @@ impl RodParts {
     pub fn dynamics(&self) -> Result<RodStep, varda_rod::Error> {
         let (rod, supports, loads) = (self.rod.clone(), self.supports.clone(), self.loads.clone());
         let step = RodStep::new(rod, supports, loads, self.damping)?.with_scheme(self.scheme);
-        Ok(match &self.first {
+        let step = match &self.first {
             Some((first, t)) => step.starting_from(first, *t),
+            None => step,
+        };
+        Ok(match self.end_angle {
+            Some((angle, t)) => step.with_end_angle(angle, t),
             None => step,
         })
     }
@@ -142,24 +155,27 @@ fn shape(files: &Files, path: &str, keys: &scene::ShapePoints, rod: &Rod) -> Res
     Rest::through_at(rod, &s, &points).map_err(|e| Error::Data { place: label, message: e.to_string() })
 }
 
-fn section(file: &SceneFile, model: &RodModel) -> Result<Section, Error> {
-    let material = || {
+/// The section, and its ρ(I₁ + I₂) per length \[kg m\], zero where that is not given.
+fn section(file: &SceneFile, model: &RodModel) -> Result<(Section, f64), Error> {
+    let solid = |of: &dyn Fn(&Material) -> Section| {
         let m = file.checked(model.solid_material())?;
-        Ok::<Material, Error>(match m.shear {
+        let material = match m.shear {
             Shear::Modulus(shear_modulus) => {
                 Material { youngs_modulus: m.youngs_modulus, shear_modulus, density: m.density }
             }
             Shear::PoissonRatio(ratio) => Material::new(m.youngs_modulus, ratio, m.density),
-        })
+        };
+        let section = of(&material);
+        Ok((section, section.rotary_inertia(&material)))
     };
-    Ok(match model.section {
-        scene::Section::Circle { radius } => Section::circle(&material()?, radius),
-        scene::Section::Ellipse { semi_axes: [a1, a2] } => Section::ellipse(&material()?, a1, a2),
-        scene::Section::Rectangle { width, height } => Section::rectangle(&material()?, width, height),
-        scene::Section::Stiffness { ea, ei: [ei1, ei2], gj, mass_per_length } => {
-            Section { ea, ei1, ei2, gj, mass_per_length }
+    match model.section {
+        scene::Section::Circle { radius } => solid(&|m| Section::circle(m, radius)),
+        scene::Section::Ellipse { semi_axes: [a1, a2] } => solid(&|m| Section::ellipse(m, a1, a2)),
+        scene::Section::Rectangle { width, height } => solid(&|m| Section::rectangle(m, width, height)),
+        scene::Section::Stiffness { ea, ei: [ei1, ei2], gj, mass_per_length, rotary_inertia } => {
+            Ok((Section { ea, ei1, ei2, gj, mass_per_length }, rotary_inertia.unwrap_or(0.0)))
         }
-    })
+    }
 }
 
 fn clamp(

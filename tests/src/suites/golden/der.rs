@@ -128,6 +128,7 @@ pub(super) fn compare(case: &mut Case, f: &Given) -> Outcome {
         natural_curvature: f.kappa_bar.clone(),
         natural_twist: f.tau_bar.clone(),
         masses: vec![1.0; n + 1],
+        spin_inertia: Vec::new(),
     };
     let tolerance = if sharpest_turn(&f.vertices) < NEAR_FOLD { 1e-9 } else { 1e-10 };
     let ours = at(&rod, f, &f.theta)?;

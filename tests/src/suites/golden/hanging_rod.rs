@@ -186,6 +186,7 @@ impl Problem {
             natural_curvature: vec![[0.0; 2]; n - 1],
             natural_twist: vec![0.0; n - 1],
             masses: f.vertex_masses.clone(),
+            spin_inertia: Vec::new(),
         };
         let d = &self.drive;
         let p = &self.prior;
