@@ -199,6 +199,35 @@ impl RodStep {
         self
     }
 
+    /// The same where the end clamp has this angle at time t \[s\], whole turns included: that of a state
+    /// ([`end_angle`](Self::end_angle)) whose places and velocities runs start from. Nothing changes where
+    /// the rod has no such angle.
+    #[must_use]
+    pub fn with_end_angle(mut self, angle: f64, t: f64) -> RodStep {
+        let (n, turns) = (self.rod().segments(), self.system.supports.turns_at(t));
+        let held = self.system.layout.ends_held();
+        if let Some(twist) = self.twist.as_mut().filter(|_| held) {
+            let (mut theta, before) = twist.first.take().unwrap_or((vec![0.0; n], turns));
+            let missing = angle - theta[n - 1] - std::f64::consts::TAU * (turns - before);
+            // less than that picks no other branch
+            if missing.abs() > 1.0 {
+                let share = |e: usize| e as f64 / (n - 1) as f64;
+                theta.iter_mut().enumerate().for_each(|(e, theta)| *theta += missing * share(e));
+            }
+            twist.first = Some((theta, before));
+        }
+        self
+    }
+
+    /// The angle of the end clamp in a state \[rad\], whole turns included; `None` where it is not part of
+    /// the state: a rod without a director at both ends, or without twist.
+    ///
+    /// # Panics
+    /// If `state` is shorter than a state.
+    pub fn end_angle(&self, state: &[f64]) -> Option<f64> {
+        self.system.layout.end_angle().map(|i| state[i])
+    }
+
     /// The control z = [X₀, 0], or [X₀, 0, θ₀, 0], of the rod at rest in this shape.
     ///
     /// # Panics

@@ -64,7 +64,7 @@ impl RodStep {
     }
 
     /// The end clamp's angle at x_{k+1}, on the branch of `before`, that at x_k, and the turn of the clamps.
-    fn end_angle(&mut self, at: &Interval, before: f64, x_next: &[f64]) -> Result<f64, Error> {
+    fn next_end_angle(&mut self, at: &Interval, before: f64, x_next: &[f64]) -> Result<f64, Error> {
         let s = &mut self.system;
         let (turned, _) = s.clamps_turn(at.start, at.end())?;
         s.place(at.end())?;
@@ -178,7 +178,7 @@ impl ImplicitStep for RodStep {
         self.advance_spins(at, x, u, x_next);
         if let Some(end) = self.system.layout.end_angle() {
             // a motion that is unusable at the end of the step shows as a state that is not finite
-            x_next[end] = self.end_angle(at, x[end], x_next).unwrap_or(f64::NAN);
+            x_next[end] = self.next_end_angle(at, x[end], x_next).unwrap_or(f64::NAN);
         }
     }
 

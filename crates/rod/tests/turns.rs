@@ -162,3 +162,22 @@ fn tangents_and_adjoints_are_exact() {
         }
     }
 }
+
+/// An angle that a state had leads a control to that state's angles again, whatever the clamps say.
+#[test]
+fn a_control_with_its_end_angle_is_the_state_it_was_taken_from() {
+    let (n, turns) = (6, 3.0);
+    let step = || twisted(n, turns, 1.0, 0.0, Scheme::BackwardEuler);
+    let x = run(step(), 0, 0.01, 150).unwrap();
+    let own = step().end_angle(&x).unwrap();
+    assert!((own - TAU * turns).abs() < 0.1, "{own}");
+    // a clamp that says nothing of its turns, started where the other one is
+    let again = twisted(n, 0.0, 1.0, 0.0, Scheme::BackwardEuler).with_end_angle(own, 1.5);
+    let mut started = vec![0.0; x.len()];
+    let z = &x[..again.control_len()];
+    let mut model = again.model(150, 0.01);
+    model.initial_state(z, &mut started).unwrap();
+    let off = started.iter().zip(&x).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    // the angles of x are those of a motion that has come to rest
+    assert!(off < 1e-6, "{off}: {started:?} {x:?}");
+}

@@ -179,7 +179,7 @@ fn keys_that_do_not_belong_together_are_refused() {
         let text = twin();
         assert!(text.contains(from), "{from}");
         let (_folder, file) = scene(name, &text.replace(from, to));
-        file.and_then(|file| Problem::from_scene(&file).map(|_| ())).err().expect("refused").to_string()
+        file.and_then(|file| Problem::from_scene(&file).map(|_| ())).expect_err("refused").to_string()
     };
     let massless = refusal("massless", "twist_inertia = true", "");
     assert!(massless.contains("model.twist_inertia = true"), "{massless}");
@@ -194,6 +194,6 @@ fn keys_that_do_not_belong_together_are_refused() {
             )
             .replace("material =", "# material ="),
     );
-    let error = file.err().expect("refused").to_string();
+    let error = file.expect_err("refused").to_string();
     assert!(error.contains("needs `rotary_inertia`"), "{error}");
 }

@@ -48,6 +48,10 @@ pub struct CycleRow {
     pub background: Vec<f64>,
     /// x_a at the window's start.
     pub analysis: Vec<f64>,
+    /// Angle of the end clamp \[rad\], whole turns included, at the start of the next window, where it is
+    /// part of the state.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub next_end_angle: Option<f64>,
 }
 
 /// The result of a sequence.

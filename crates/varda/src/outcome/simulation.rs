@@ -35,4 +35,6 @@ impl Simulation {
 pub struct TwinFiles {
     /// x_b, in the control.
     pub background: Vec<f64>,
+    /// The angle of the end clamp at its start \[rad\], whole turns included, where it is part of the state.
+    pub end_angle: Option<f64>,
 }

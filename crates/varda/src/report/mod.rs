@@ -139,7 +139,7 @@ pub fn write_simulation(simulation: &Simulation, seconds: f64, folder: &Path) ->
     write_forces(&out, experiment, shapes)?;
     if let (Some(twin), Some(shapes), Some(geometry)) = (&simulation.twin, shapes, &experiment.state.geometry)
     {
-        out.write("background.csv", &tables::background(geometry, &twin.background))?;
+        out.write("background.csv", &tables::background(geometry, twin))?;
         out.write("observations.csv", &tables::observations(shapes, &experiment.grid))?;
     }
     out.publish()

@@ -2,9 +2,10 @@
 
 use std::fmt::Write;
 
-use crate::outcome::{ConvergenceRow, Experiment, Outcome, Shapes, Trajectories};
+use crate::outcome::{ConvergenceRow, Experiment, Outcome, Shapes, Trajectories, TwinFiles};
 use crate::run::compare::Compared;
 use crate::scene::TimeGrid;
+use crate::setup::rod::END_ANGLE;
 use crate::state::Geometry;
 
 /// A number as the shortest text that reads back to the same bits; nothing for one that is not finite.
@@ -144,10 +145,15 @@ fn components(grid: &TimeGrid, runs: &Trajectories, names: &[String]) -> String 
 }
 
 /// background.csv: the background of a rod, in the form `[background] file` reads.
-pub(super) fn background(geometry: &Geometry, background: &[f64]) -> String {
+pub(super) fn background(geometry: &Geometry, twin: &TwinFiles) -> String {
+    let (background, end_angle) = (&twin.background, twin.end_angle.map(number));
     let spins = !geometry.free_edges.is_empty();
     let mut out = String::from("vertex,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s");
-    out.push_str(if spins { ",theta_rad,spin_rad_s\n" } else { "\n" });
+    out.push_str(if spins { ",theta_rad,spin_rad_s" } else { "" });
+    if end_angle.is_some() {
+        let _ = write!(out, ",{END_ANGLE}");
+    }
+    out.push('\n');
     let (half, edges) = (3 * geometry.free.len(), geometry.free_edges.len());
     for vertex in 0..geometry.arc_lengths.len() {
         let (free, edge) = (geometry.free.binary_search(&vertex), geometry.free_edges.binary_search(&vertex));
@@ -156,8 +162,8 @@ pub(super) fn background(geometry: &Geometry, background: &[f64]) -> String {
         }
         let of_vertex = |i: usize| free.ok().map(|f| background[half * (i / 3) + 3 * f + i % 3]);
         let of_edge = |i: usize| edge.ok().map(|e| background[2 * half + i * edges + e]);
-        let values = (0..6).map(of_vertex).chain((0..2).filter(|_| spins).map(of_edge));
-        let _ = writeln!(out, "{vertex},{}", values.map(optional).collect::<Vec<_>>().join(","));
+        let values = (0..6).map(of_vertex).chain((0..2).filter(|_| spins).map(of_edge)).map(optional);
+        let _ = writeln!(out, "{vertex},{}", values.chain(end_angle.clone()).collect::<Vec<_>>().join(","));
     }
     out
 }

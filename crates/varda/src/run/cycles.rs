@@ -4,7 +4,7 @@
 //! truth, one draw of observations in the order of time, one recording read. So more cycles do not change the
 //! first ones.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::ops::ControlFlow;
 use std::rc::Rc;
 use std::time::Instant;
@@ -15,7 +15,7 @@ use varda_assimilation::{
     Observation, ObservationOperator, ObservationSet, cycle,
 };
 use varda_implicit::check::Amplification;
-use varda_implicit::{At, Refusal};
+use varda_implicit::{At, Model, Refusal};
 
 use super::{amplification, shapes};
 use crate::Error;
@@ -131,7 +131,8 @@ impl Sequence {
         let (mut refused, mut interrupted, mut late) = (None, false, false);
         let limits = &self.problem.experiment.scene.limits;
         let mut began = Instant::now();
-        let make_model = &self.problem.make_model;
+        let end_angle = Cell::new(rows.last().and_then(|row| row.next_end_angle));
+        let make_model = |first: usize| self.model_of(first, end_angle.get());
         let operators = [Rc::new(RefCell::new((self.problem.observed.make_operator)()?))];
         let observations = |first: usize| self.of_window(&operators, first);
         let anchors = |set: &ObservationSet| ensemble::anchors(set, &self.problem.anchors);
@@ -176,12 +177,14 @@ impl Sequence {
             window: self.window,
             shift: self.shift,
             cycles: self.cycles.count,
-            make_model,
+            make_model: &make_model,
             observations: &observations,
             truth: None,
         };
         let mut on_cycle = |cycle: &Cycle, after: &CycleState| {
-            let row = self.row(cycle, began.elapsed().as_secs_f64());
+            let mut row = self.row(cycle, began.elapsed().as_secs_f64());
+            row.next_end_angle = self.next_end_angle(&row, end_angle.get());
+            end_angle.set(row.next_end_angle);
             let told = (listener.on_cycle)(&row, after);
             rows.push(row);
             let more = after.next < self.cycles.count;
@@ -321,7 +324,26 @@ impl Sequence {
             seconds,
             background: c.background.clone(),
             analysis: c.analysis.clone(),
+            next_end_angle: None,
         }
+    }
+
+    /// The model of the window that starts at a step, where the window before left the end clamp at an angle.
+    fn model_of(&self, first: usize, end_angle: Option<f64>) -> Box<dyn Model + Send> {
+        match (self.problem.system.rod(), end_angle) {
+            (Some(rod), Some(angle)) => rod.model_turned(first, angle),
+            _ => (self.problem.make_model)(first),
+        }
+    }
+
+    /// Where a window leaves the end clamp at the start of the next one: its places do not say whole turns.
+    fn next_end_angle(&self, row: &CycleRow, before: Option<f64>) -> Option<f64> {
+        let rod = self.problem.system.rod().filter(|rod| rod.has_end_angle())?;
+        let mut model = self.model_of(row.first_step, before);
+        let mut x = vec![0.0; model.dim()];
+        model.initial_state(&row.analysis, &mut x).ok()?;
+        let states = run_states(&mut *model, &x, self.shift).ok()?;
+        rod.end_angle(&states[self.shift * x.len()..]).ok()?
     }
 
     /// ‖M‖ of the last window about its analysis, for methods that have a gradient along a run.
@@ -330,7 +352,8 @@ impl Sequence {
         let last = rows.last().filter(|_| scene.algorithm.method.is_strong() && self.window > 0)?;
         let [from, to] = [last.first_step, last.first_step + self.window + 1].map(|k| k * runs.dim);
         let states = runs.analysis.get(from..to)?;
-        let mut model = (self.problem.make_model)(last.first_step);
+        let before = rows.len().checked_sub(2).and_then(|i| rows[i].next_end_angle);
+        let mut model = self.model_of(last.first_step, before);
         let b = self.problem.covariance.as_ref();
         let mut sigma = vec![0.0; b.dim()];
         b.variance(&mut sigma);
@@ -345,7 +368,8 @@ impl Sequence {
         let mut analysis = Vec::new();
         for (i, row) in rows.iter().enumerate() {
             let last = i + 1 == rows.len();
-            let mut model = (self.problem.make_model)(row.first_step);
+            let before = i.checked_sub(1).and_then(|before| rows[before].next_end_angle);
+            let mut model = self.model_of(row.first_step, before);
             let mut x = vec![0.0; dim];
             let run = model
                 .initial_state(&row.analysis, &mut x)

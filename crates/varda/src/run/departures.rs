@@ -2,27 +2,17 @@
 
 use std::fmt::Write;
 
-use varda_linalg::dense::Cholesky;
-
+pub use super::departure_series::Departure;
+use super::departure_series::{Correlation, Series, explained};
 use crate::outcome::{Cause, Evidence};
 
-/// One observed value after the analysis.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Departure {
-    /// Index of its marker, place or component; in space in the order of arc length.
-    pub site: usize,
-    /// Axis of the value, 0 to 2 in space; 0 elsewhere.
-    pub axis: usize,
-    /// When it was seen \[s\].
-    pub time: f64,
-    /// d = y − H(x_a).
-    pub value: f64,
-    /// Its assumed σ.
-    pub sigma: f64,
-    /// H(x_a).
-    pub predicted: f64,
-    /// Rate of change of H(x_a) at that time.
-    pub rate: f64,
+/// What is known of the space that values are places in, in the axes of the values.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Surroundings {
+    /// Against gravity, of length 1; `None` without gravity.
+    pub up: Option<[f64; 3]>,
+    /// Points that a recording may be turned about: where the rod is held, and the origin.
+    pub pivots: Vec<[f64; 3]>,
 }
 
 /// A marker stands out where its mean squared departure is this many times that of every other.
@@ -31,30 +21,37 @@ const STANDS_OUT: f64 = 3.0;
 const EXPLAINS: f64 = 0.5;
 /// A cause that moves all markers together explains all but this share, where it is the one: shapes that are
 /// wrong look turned too.
-const ALL_BUT: f64 = 0.9;
+const ALL_BUT: f64 = 0.97;
+/// A turn about the vertical has this share of what lasts at every marker, where it is the one: a shape that
+/// is bent aside has 94 % at four markers, growing with s² and not with s.
+const OF_LASTING: f64 = 0.96;
 /// What an analysis leaves of a shifted clock, as a share.
 const FOLLOWS: f64 = 0.2;
-/// Departures are white where no correlation is larger than this, or than four of its standard errors.
-const WHITE: f64 = 0.3;
 
 /// The likely cause of departures that are larger than their σ, from their own pattern:
 ///
 /// ```text
 ///     one marker far above the others:   its mean ≠ 0: biased; white: noisy
 ///     d ≈ δt ∂H/∂t:                      the clock
-///     d ≈ ω × H + c in space:            the frame
+///     d ≈ ω × H + c in space:            the frame;   d ≈ ω e × (H − p), e up: its turn about e
 ///     white in time and along the rod:   σ too small
 ///     d ≈ constant at every marker:      rest shape or stiffness
 ///     d ≈ (a + b t) (H − H̄):             damping;   d ≈ (a + b t) ∂H/∂t:  stiffness or mass
 /// ```
 ///
-/// with H = H(x_a) at the marker and its time mean H̄. An analysis takes up what it can of a fault, so
-/// that these are likely causes, not proofs. `labels` are the names of the sites, `in_space` says that axes
-/// are those of places. `None` where 2J_o/m ≤ 1 + 4 √(2/m), and for fewer than eight values.
+/// with H = H(x_a) at the marker, its time mean H̄ and a point p where the rod is held. An analysis takes up
+/// what it can of a fault, so that these are likely causes, not proofs. `labels` are the names of the sites;
+/// `space` is known where axes are those of places. `None` where 2J_o/m ≤ 1 + 4 √(2/m), and for fewer
+/// than eight values.
 ///
 /// # Panics
 /// If a site has no label.
-pub fn evidence(departures: &[Departure], labels: &[String], in_space: bool) -> Option<Evidence> {
+pub fn evidence(
+    departures: &[Departure],
+    labels: &[String],
+    space: Option<&Surroundings>,
+) -> Option<Evidence> {
+    let in_space = space.is_some();
     let m = departures.len();
     let r: Vec<f64> = departures.iter().map(|d| d.value / d.sigma).collect();
     let mean_square = r.iter().map(|r| r * r).sum::<f64>() / m as f64;
@@ -67,10 +64,11 @@ pub fn evidence(departures: &[Departure], labels: &[String], in_space: bool) -> 
         if in_space { Correlation::of(&series.pairs_of_neighbours()) } else { Correlation::default() };
     let found = Found { departures, labels, r: &r, series: &series, mean_square, in_time, along };
     let (cause, text) = found
-        .frame(in_space)
+        .turned_about_the_vertical(space)
+        .or_else(|| found.frame(in_space))
         .or_else(|| found.one_site())
         .or_else(|| found.white())
-        .or_else(|| found.clock())
+        .or_else(|| found.clock(in_space))
         .unwrap_or_else(|| found.correlated(in_space));
     Some(Evidence { cause, text, in_time: in_time.value, along_the_rod: along.value, mean_square })
 }
@@ -137,20 +135,33 @@ impl Found<'_> {
         })
     }
 
-    /// d = δt ∂H/∂t.
-    fn clock(&self) -> Option<(Cause, String)> {
-        let (share, shift) = explained(self.r, &[self.column(|d| d.rate)])?;
-        let (growing, _) = explained(self.r, &[self.growing(|_, d| d.rate)])?;
+    /// d = δt ∂H/∂t at all sites, or at one end of the rod: an analysis takes up least where it is held.
+    fn clock(&self, in_space: bool) -> Option<(Cause, String)> {
         let about = self.series.about_means(self.departures);
-        let (swing, _) = explained(self.r, &[self.growing(|i, _| about[i]), self.column_of(&about)])?;
-        (share >= FOLLOWS && share > 2.0 * growing.max(swing)).then(|| {
-            let text = format!(
-                "the departures follow the motion ({:.0} % of them is its speed times {:.1} ms): the clock \
-                 of the recording is off by that at least",
-                100.0 * share,
-                1e3 * shift[0]
-            );
-            (Cause::Clock, text)
+        let last = self.labels.len().saturating_sub(1);
+        let ends = if in_space { vec![Some(0), Some(last)] } else { Vec::new() };
+        [None].into_iter().chain(ends).find_map(|site| {
+            let here = |values: Vec<f64>| -> Vec<f64> {
+                let pairs = self.departures.iter().zip(values);
+                pairs.filter(|(d, _)| site.is_none_or(|s| d.site == s)).map(|(_, v)| v).collect()
+            };
+            let r = here(self.r.to_vec());
+            let (share, shift) = explained(&r, &[here(self.column(|d| d.rate))])?;
+            let (growing, _) = explained(&r, &[here(self.growing(|_, d| d.rate))])?;
+            let swing = [here(self.growing(|i, _| about[i])), here(self.column_of(&about))];
+            let (swing, _) = explained(&r, &swing)?;
+            // one site has fewer values to be deceived by
+            let least = if site.is_none() { FOLLOWS } else { 1.5 * FOLLOWS };
+            (share >= least && share > 2.0 * growing.max(swing)).then(|| {
+                let text = format!(
+                    "the departures {}follow the motion ({:.0} % of them is its speed times {:.1} ms): the \
+                     clock of the recording is off by that at least",
+                    site.map_or(String::new(), |s| format!("of {} ", self.labels[s])),
+                    100.0 * share,
+                    1e3 * shift[0]
+                );
+                (Cause::Clock, text)
+            })
         })
     }
 
@@ -185,6 +196,33 @@ impl Found<'_> {
         })
     }
 
+    /// d = ω e × (H − p): little is constant beside it.
+    fn turned_about_the_vertical(&self, space: Option<&Surroundings>) -> Option<(Cause, String)> {
+        let space = space?;
+        let by_time = self.series.places(self.departures);
+        let up = space.up?;
+        let about = |pivot: &[f64; 3]| {
+            let column = |(d, place): (&Departure, &Option<[f64; 3]>)| {
+                let (j, k) = ((d.axis + 1) % 3, (d.axis + 2) % 3);
+                let place = (*place)?;
+                Some((up[j] * (place[k] - pivot[k]) - up[k] * (place[j] - pivot[j])) / d.sigma)
+            };
+            let column: Option<Vec<f64>> = self.departures.iter().zip(&by_time).map(column).collect();
+            explained(self.r, &[column?])
+        };
+        let (share, angle) = space.pivots.iter().filter_map(about).max_by(|a, b| a.0.total_cmp(&b.0))?;
+        (share >= EXPLAINS && share >= OF_LASTING * self.series.share_of_means()).then(|| {
+            let text = format!(
+                "the departures are those of a frame turned about the vertical ({:.0} % of them by {:.1}°, \
+                 beside what the analysis has taken up): the axes of the recording, or the direction of the \
+                 clamp, are not what was assumed",
+                100.0 * share,
+                angle[0].to_degrees().abs()
+            );
+            (Cause::Frame, text)
+        })
+    }
+
     /// No pattern: σ.
     fn white(&self) -> Option<(Cause, String)> {
         (self.in_time.is_white() && self.along.is_white()).then(|| {
@@ -210,6 +248,7 @@ impl Found<'_> {
         if in_space && self.along.pairs > 0 {
             let _ = write!(text, " and along the rod ({:.2})", self.along.value);
         }
+        let _ = write!(text, "; {}", self.where_largest());
         let share = |columns: &[Vec<f64>]| explained(self.r, columns).map_or(0.0, |(share, _)| share);
         let lasting = self.series.share_of_means();
         let about = self.series.about_means(self.departures);
@@ -253,6 +292,43 @@ impl Found<'_> {
         }
     }
 
+    /// The sites and times with the largest departures.
+    fn where_largest(&self) -> String {
+        const NAMED: usize = 3;
+        let rms = |of: &dyn Fn(&Departure) -> bool| {
+            let all = self.departures.iter().zip(self.r).filter(|(d, _)| of(d));
+            let (n, sum) = all.fold((0.0, 0.0), |(n, sum), (_, r)| (n + 1.0, sum + r * r));
+            if n > 0.0 { (sum / n).sqrt() } else { 0.0 }
+        };
+        let mut sites: Vec<(usize, f64)> =
+            (0..self.labels.len()).map(|s| (s, rms(&|d| d.site == s))).collect();
+        sites.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let named: Vec<String> =
+            sites.iter().take(NAMED).map(|(s, r)| format!("{} ({r:.1} σ)", self.labels[*s])).collect();
+        let mut times: Vec<f64> = self.departures.iter().map(|d| d.time).collect();
+        times.sort_by(f64::total_cmp);
+        times.dedup();
+        let of_time = |t: &f64| (*t, rms(&|d| d.time == *t));
+        // a single time says little: tenths of the window
+        let parts = times.len().min(10);
+        let tenths = (0..parts).map(|i| {
+            let part = &times[times.len() * i / parts..times.len() * (i + 1) / parts];
+            let mean = part.iter().map(|t| of_time(t).1.powi(2)).sum::<f64>() / part.len() as f64;
+            (part[0], part[part.len() - 1], mean.sqrt())
+        });
+        let worst = tenths.max_by(|a, b| a.2.total_cmp(&b.2)).expect("departures have times");
+        format!(
+            "largest in {} and {} s ({:.1} σ)",
+            named.join(", "),
+            if worst.0 == worst.1 {
+                format!("at {}", in_short(worst.0))
+            } else {
+                format!("from {} to {}", in_short(worst.0), in_short(worst.1))
+            },
+            worst.2
+        )
+    }
+
     /// Growing in time through zero in the middle.
     fn growing(&self, of: impl Fn(usize, &Departure) -> f64) -> Vec<f64> {
         let times = || self.departures.iter().map(|d| d.time);
@@ -271,122 +347,11 @@ impl Found<'_> {
     }
 }
 
-/// The values of each site and axis in the order of time.
-struct Series {
-    /// Site, axis, and the indices with their d/σ.
-    each: Vec<(usize, usize, Vec<(usize, f64, f64)>)>,
-}
-
-impl Series {
-    fn of(departures: &[Departure], r: &[f64]) -> Series {
-        let mut each: Vec<(usize, usize, Vec<(usize, f64, f64)>)> = Vec::new();
-        for (i, d) in departures.iter().enumerate() {
-            let found = each.iter_mut().find(|s| (s.0, s.1) == (d.site, d.axis));
-            match found {
-                Some(series) => series.2.push((i, d.time, r[i])),
-                None => each.push((d.site, d.axis, vec![(i, d.time, r[i])])),
-            }
-        }
-        each.iter_mut().for_each(|s| s.2.sort_by(|a, b| a.1.total_cmp(&b.1)));
-        Series { each }
-    }
-
-    fn pairs_in_time(&self) -> Vec<[f64; 2]> {
-        self.each.iter().flat_map(|s| s.2.windows(2).map(|w| [w[0].2, w[1].2])).collect()
-    }
-
-    /// About their mean.
-    fn pairs_in_time_of(&self, site: usize) -> Vec<[f64; 2]> {
-        let own = self.each.iter().filter(|s| s.0 == site);
-        own.flat_map(|s| {
-            let mean = s.2.iter().map(|v| v.2).sum::<f64>() / s.2.len() as f64;
-            s.2.windows(2).map(move |w| [w[0].2 - mean, w[1].2 - mean])
-        })
-        .collect()
-    }
-
-    fn pairs_of_neighbours(&self) -> Vec<[f64; 2]> {
-        let mut pairs = Vec::new();
-        for (site, axis, values) in &self.each {
-            let next = self.each.iter().filter(|s| s.1 == *axis && s.0 > *site).min_by_key(|s| s.0);
-            for (_, time, value) in values {
-                let beside = next.and_then(|s| s.2.iter().find(|v| v.1 == *time));
-                pairs.extend(beside.map(|v| [*value, v.2]));
-            }
-        }
-        pairs
-    }
-
-    /// Share of Σ (d/σ)² that the time means of sites and axes are.
-    fn share_of_means(&self) -> f64 {
-        let (mut means, mut all) = (0.0, 0.0);
-        for (_, _, values) in &self.each {
-            let sum: f64 = values.iter().map(|v| v.2).sum();
-            means += sum * sum / values.len() as f64;
-            all += values.iter().map(|v| v.2 * v.2).sum::<f64>();
-        }
-        means / all
-    }
-
-    /// H − H̄ of every value.
-    fn about_means(&self, departures: &[Departure]) -> Vec<f64> {
-        let mut out = vec![0.0; departures.len()];
-        for (_, _, values) in &self.each {
-            let mean = values.iter().map(|v| departures[v.0].predicted).sum::<f64>() / values.len() as f64;
-            values.iter().for_each(|v| out[v.0] = departures[v.0].predicted - mean);
-        }
-        out
-    }
-
-    /// For every value the predicted place of its site at its time; `None` where an axis was not seen.
-    fn places(&self, departures: &[Departure]) -> Vec<Option<[f64; 3]>> {
-        let at = |d: &Departure, axis: usize| {
-            let series = self.each.iter().find(|s| (s.0, s.1) == (d.site, axis))?;
-            let value = series.2.iter().find(|v| v.1 == d.time)?;
-            Some(departures[value.0].predicted)
-        };
-        departures.iter().map(|d| Some([at(d, 0)?, at(d, 1)?, at(d, 2)?])).collect()
-    }
-}
-
-/// A correlation of neighbouring values.
-#[derive(Debug, Clone, Copy, Default)]
-struct Correlation {
-    value: f64,
-    pairs: usize,
-}
-
-impl Correlation {
-    fn of(pairs: &[[f64; 2]]) -> Correlation {
-        let sum = |f: &dyn Fn(&[f64; 2]) -> f64| pairs.iter().map(f).sum::<f64>();
-        let size = (sum(&|p| p[0] * p[0]) * sum(&|p| p[1] * p[1])).sqrt();
-        let value = if size > 0.0 { sum(&|p| p[0] * p[1]) / size } else { 0.0 };
-        Correlation { value, pairs: pairs.len() }
-    }
-
-    fn is_white(&self) -> bool {
-        self.value.abs() <= WHITE.max(4.0 / (self.pairs.max(1) as f64).sqrt())
-    }
-}
-
-/// Least squares of r by some columns: the share of Σ r² explained, and the coefficients; `None` where they
-/// do not tell, being dependent.
-fn explained(r: &[f64], columns: &[Vec<f64>]) -> Option<(f64, Vec<f64>)> {
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let n = columns.len();
-    let scale: Vec<f64> = columns.iter().map(|c| dot(c, c).sqrt()).collect();
-    if scale.iter().any(|s| !(*s > 0.0)) {
-        return None;
-    }
-    let entry = |i: usize, j: usize| {
-        dot(&columns[i], &columns[j]) / (scale[i] * scale[j]) + if i == j { 1e-10 } else { 0.0 }
-    };
-    let matrix: Vec<f64> = (0..n * n).map(|ij| entry(ij / n, ij % n)).collect();
-    let right: Vec<f64> = (0..n).map(|i| dot(&columns[i], r) / scale[i]).collect();
-    let mut x = right.clone();
-    Cholesky::new(n, &matrix).ok()?.solve_columns(&mut x);
-    let share = dot(&right, &x) / dot(r, r);
-    Some((share, x.iter().zip(&scale).map(|(x, s)| x / s).collect()))
+/// Four digits, without zeros at their end.
+fn in_short(value: f64) -> String {
+    let digits = (3 - value.abs().max(1e-300).log10().floor() as i32).clamp(0, 9) as usize;
+    let text = format!("{value:.digits$}");
+    if digits > 0 { text.trim_end_matches('0').trim_end_matches('.').to_string() } else { text }
 }
 
 #[cfg(test)]
@@ -419,9 +384,11 @@ mod tests {
         out
     }
 
+    const SPACE: Surroundings = Surroundings { up: Some([0.0, 0.0, 1.0]), pivots: Vec::new() };
+
     fn cause(of: &[Departure]) -> Option<Cause> {
         let labels: Vec<String> = (1..5).map(|i| format!("marker {i}")).collect();
-        let found = evidence(of, &labels, true)?;
+        let found = evidence(of, &labels, Some(&SPACE))?;
         assert!(!found.text.is_empty() && found.mean_square > 1.0);
         Some(found.cause)
     }
@@ -445,6 +412,41 @@ mod tests {
         assert_eq!(cause(&faster), Some(Cause::Stiffness));
     }
 
+    /// Half of it is left at the end of the window: a turn of the places about where the rod is held.
+    #[test]
+    fn a_turn_about_the_vertical_is_told_from_a_shape() {
+        let space = Surroundings { pivots: vec![[0.0; 3]], ..SPACE };
+        let lying = |fault: &dyn Fn(f64) -> f64| {
+            let mut all = swinging(1.0, |_, _, _, _, _| 0.0);
+            for d in &mut all {
+                let s = 0.1 * (d.site + 1) as f64;
+                d.predicted = [s, 0.0, -0.5 * s][d.axis];
+                if d.axis == 1 {
+                    d.value += fault(s) * d.time;
+                }
+            }
+            let labels: Vec<String> = (1..5).map(|i| format!("marker {i}")).collect();
+            evidence(&all, &labels, Some(&space)).unwrap()
+        };
+        let turned = lying(&|s| 0.087 * s);
+        assert_eq!(turned.cause, Cause::Frame);
+        assert!(turned.text.contains("about the vertical"), "{}", turned.text);
+        assert_ne!(lying(&|s| 0.2 * s * s).cause, Cause::Frame);
+    }
+
+    #[test]
+    fn sites_and_times_are_named() {
+        let all = swinging(
+            1.0,
+            |site, _, t, _, rate| {
+                if site == 2 && t > 0.85 { 0.02 + 0.001 * rate[0] } else { 2e-3 }
+            },
+        );
+        let labels: Vec<String> = (0..4).map(|i| format!("x[{i}]")).collect();
+        let found = evidence(&all, &labels, None).unwrap();
+        assert!(found.text.contains("x[2]"), "{}", found.text);
+    }
+
     #[test]
     fn a_noisy_marker_is_told_from_a_biased_one() {
         let mut noisy = swinging(1.0, |_, _, _, _, _| 0.0);
@@ -454,7 +456,7 @@ mod tests {
         }
         assert_eq!(cause(&noisy), Some(Cause::NoisyMarker));
         let labels: Vec<String> = (1..5).map(|i| format!("marker {i}")).collect();
-        let text = evidence(&noisy, &labels, true).unwrap().text;
+        let text = evidence(&noisy, &labels, Some(&SPACE)).unwrap().text;
         assert!(text.contains("marker 3"), "{text}");
     }
 }

@@ -4,7 +4,7 @@
 use varda_assimilation::{Analysis, ObservationOperator, ObservationSet};
 use varda_implicit::Model;
 
-use super::departures::{self, Departure};
+use super::departures::{self, Departure, Surroundings};
 use crate::Error;
 use crate::outcome::{Evidence, Fit, Forecast, Sight, Trajectories, Withheld};
 use crate::scene::TimeGrid;
@@ -117,7 +117,22 @@ pub(crate) fn evidence(
         }
     }
     let labels: Vec<String> = order.iter().map(|s| sites[*s].label.clone()).collect();
-    Ok(departures::evidence(&departures, &labels, space.is_some()))
+    Ok(departures::evidence(&departures, &labels, surroundings(problem).as_ref()))
+}
+
+/// Gravity and the held points of a rod, in the axes of what was observed.
+fn surroundings(problem: &Problem) -> Option<Surroundings> {
+    let (rod, space) = (problem.system.rod()?, problem.observed.space.as_ref()?);
+    let turned = |x: [f64; 3]| -> [f64; 3] {
+        std::array::from_fn(|i| (0..3).map(|j| space.rotation[j][i] * x[j]).sum())
+    };
+    let parts = &rod.parts;
+    let gravity = parts.loads.gravity.norm();
+    let up = (gravity > 0.0).then(|| turned((parts.loads.gravity / -gravity).into()));
+    let t = problem.experiment.grid.start;
+    let clamps = [&parts.supports.start, &parts.supports.end].into_iter().flatten();
+    let held = clamps.map(|clamp| turned(clamp.position.at(t).into()));
+    Some(Surroundings { up, pivots: held.chain([[0.0; 3]]).collect() })
 }
 
 /// Remarks on what does not fit.

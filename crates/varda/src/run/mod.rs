@@ -4,6 +4,7 @@
 mod amplification;
 pub mod compare;
 pub mod cycles;
+mod departure_series;
 pub mod departures;
 mod fit;
 mod modes;

@@ -1,6 +1,8 @@
 //! A fit far too bad over a window that amplifies: another minimum is likelier than a wrong σ, and growing
 //! the window finds it.
 
+use std::cell::Cell;
+
 use varda_assimilation::{ObservationSet, Status, highest_j_of_a_fit};
 
 use super::amplification;
@@ -12,12 +14,52 @@ use crate::solve::{self, Iterate, OnIterate, Solution, Task};
 
 /// J is far too high beyond this many times that of the worst fit.
 const FAR: f64 = 2.0;
-/// ‖M‖ from which a window may have several minima: an e-folding or so.
-const AMPLIFIES: f64 = 3.0;
-/// Iterations of the second try at most: a wrong model is not to cost as much again.
+/// ‖M‖ from which a window may have several minima: two e-foldings or so.
+const AMPLIFIES: f64 = 10.0;
+/// Errors that grow all the time grow by as much in the second half of the window; of those that only move
+/// between places and velocities, as a rod's do, ‖M‖ is as large over half of it.
+const GROWS: f64 = 3.0;
+/// Iterations of the second try at most.
 const MOST: usize = 100;
 /// Sub-windows.
 const PARTS: usize = 10;
+
+/// Ends a first minimization that is about to use up its iterations far above m/2 over a window that
+/// amplifies, so that growth has some.
+pub(super) struct Reserve<'a> {
+    problem: &'a Problem,
+    /// Values and last step of the observations.
+    observed: [usize; 2],
+    taken: Cell<bool>,
+}
+
+impl<'a> Reserve<'a> {
+    pub(super) fn of(problem: &'a Problem, observations: &ObservationSet) -> Reserve<'a> {
+        let observed = [observations.dim(), observations.last_step().unwrap_or(0)];
+        Reserve { problem, observed, taken: Cell::new(false) }
+    }
+
+    /// Whether the minimization ends here, after `used` iterations at z with J. Asked of every iterate, it
+    /// looks once.
+    pub(super) fn ends(&self, used: usize, j: f64, control: &[f64]) -> bool {
+        let [m, last] = self.observed;
+        let most = self.problem.experiment.scene.algorithm.max_iterations;
+        let ends = !self.taken.get()
+            && used + MOST == most
+            && self.problem.experiment.scene.algorithm.window_growth.is_empty()
+            && may_grow(self.problem)
+            && j > FAR * highest_j_of_a_fit(m)
+            && amplifies(self.problem, control, last).is_some();
+        self.taken.set(self.taken.get() || ends);
+        ends
+    }
+}
+
+/// Whether the method of a scene can grow its window.
+fn may_grow(problem: &Problem) -> bool {
+    let method = problem.experiment.scene.algorithm.method;
+    method.is_strong() && method.takes_window_growth() && problem.adaptive_steps.is_none()
+}
 
 /// Where a minimization ended far above m/2 over a window that amplifies, tries again through growing
 /// sub-windows, and gives the lower end with a remark. Everywhere else the solution as it is.
@@ -29,24 +71,26 @@ pub(super) fn look(
     task: &mut Task,
     solution: Solution,
     observations: ObservationSet,
+    reserve: &Reserve,
     on_iterate: &mut OnIterate,
 ) -> Result<(Solution, ObservationSet, Option<String>), Error> {
     let algorithm = &problem.experiment.scene.algorithm;
     let (steps, m) = (observations.steps(), observations.dim());
     let minimum = &solution.minimum;
     let (j, used) = (minimum.value, minimum.outer_iterations);
-    let applies = algorithm.method.is_strong()
-        && algorithm.method.takes_window_growth()
-        && problem.adaptive_steps.is_none()
-        && matches!(minimum.status, Status::Converged | Status::Stalled)
-        && used < algorithm.max_iterations
-        && j > FAR * highest_j_of_a_fit(m);
+    let ended = match minimum.status {
+        Status::Converged | Status::Stalled => true,
+        Status::Interrupted => reserve.taken.get(),
+        _ => false,
+    };
+    let applies =
+        ended && may_grow(problem) && used < algorithm.max_iterations && j > FAR * highest_j_of_a_fit(m);
     let first = observations.observations().iter().map(|o| o.step + 1).min().unwrap_or(steps);
     let growth: Vec<usize> = (1..PARTS).map(|i| steps * i / PARTS).filter(|w| *w >= first).collect();
     if !applies {
         return Ok((solution, observations, None));
     }
-    let Some(norm) = amplifies(problem, task, &solution, &observations) else {
+    let Some(norm) = amplifies(problem, &solution.control, reserve.observed[1]) else {
         return Ok((solution, observations, None));
     };
     let start = format!(
@@ -86,6 +130,9 @@ pub(super) fn look(
         )
     };
     let mut best = solution;
+    if reserve.taken.get() {
+        best.minimum.status = Status::MaxIterations;
+    }
     let iterations = [used, best.minimum.inner_iterations];
     let (counts, status) = (best.counts + grown.counts, grown.minimum.status);
     let ended = [grown.minimum.outer_iterations, grown.minimum.inner_iterations];
@@ -104,19 +151,24 @@ pub(super) fn look(
     Ok((best, observations, Some(remark)))
 }
 
-/// ‖M‖ up to the last observation along the run from a solution, where that is much.
-fn amplifies(
-    problem: &Problem,
-    task: &Task,
-    solution: &Solution,
-    observations: &ObservationSet,
-) -> Option<f64> {
-    let steps = observations.last_step().filter(|k| *k > 0)?;
-    let mut model = (task.make_model)();
-    let mut states = vec![0.0; model.dim()];
-    model.initial_state(&solution.control, &mut states).ok()?;
+/// ‖M‖ over so many steps from a control, where that is much and grew to the end.
+fn amplifies(problem: &Problem, control: &[f64], steps: usize) -> Option<f64> {
+    if steps < 2 {
+        return None;
+    }
+    let mut model = problem.model();
+    let n = model.dim();
+    let mut states = vec![0.0; n];
+    model.initial_state(control, &mut states).ok()?;
     run_on(model.as_mut(), &mut states, steps).ok()?;
-    let (sigma, seed) = (&solution.sigma_background, problem.experiment.scene.seed);
-    let found = amplification::estimate(model.as_mut(), &solution.control, sigma, &states, seed)?;
-    (found.norm >= AMPLIFIES).then_some(found.norm)
+    let mut sigma = vec![0.0; control.len()];
+    problem.covariance.as_ref().variance(&mut sigma);
+    sigma.iter_mut().for_each(|s| *s = s.sqrt());
+    let mut norm = |last: usize| {
+        let states = &states[..(last + 1) * n];
+        let seed = problem.experiment.scene.seed;
+        Some(amplification::estimate(model.as_mut(), control, &sigma, states, seed)?.norm)
+    };
+    let whole = norm(steps).filter(|norm| *norm >= AMPLIFIES)?;
+    (whole >= GROWS * norm(steps / 2)?).then_some(whole)
 }

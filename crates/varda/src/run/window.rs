@@ -51,6 +51,8 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let began = Instant::now();
     let mut convergence: Vec<ConvergenceRow> = Vec::new();
     let mut late = false;
+    let observations = problem.observations()?;
+    let reserve = second_minimum::Reserve::of(problem, &observations);
     let mut on_iterate = |r: &Iterate| {
         let i = r.iteration;
         let row = ConvergenceRow {
@@ -72,6 +74,9 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         (listener.on_iteration)(&row);
         convergence.push(row);
         late = late || scene.limits.over(listener.started.elapsed());
+        if reserve.ends(r.before.0 + i.index, i.value, r.control) {
+            return ControlFlow::Break(());
+        }
         if late || (listener.interrupted)() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     let clock = Clock::default();
@@ -95,9 +100,9 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
             Some(Box::new(Timed::new(model, &clock)))
         },
     };
-    let (solution, observations) = solve::solve(&mut task, problem.observations()?, &mut on_iterate)?;
+    let (solution, observations) = solve::solve(&mut task, observations, &mut on_iterate)?;
     let (solution, mut observations, second) =
-        second_minimum::look(problem, &mut task, solution, observations, &mut on_iterate)?;
+        second_minimum::look(problem, &mut task, solution, observations, &reserve, &mut on_iterate)?;
     let mut log = timed.log().clone();
     // The time of the posterior does not belong to the minimization.
     let minimizer = convergence.last().map_or(0.0, |row| row.seconds);
@@ -408,7 +413,14 @@ pub fn simulate(problem: &Problem) -> Result<Simulation, Error> {
     let log = run_on(model.as_mut(), &mut states, steps)?;
     let trajectories = Trajectories { dim, analysis: states, ..Trajectories::default() };
     let shapes = shapes::with_observations(problem, &trajectories)?;
-    let is_twin_in_space = shapes.is_some() && problem.truth.is_some();
+    let twin = match problem.system.rod().filter(|_| problem.truth.is_some()) {
+        Some(rod) => {
+            let mut start = vec![0.0; dim];
+            model.initial_state(&problem.background, &mut start)?;
+            Some(TwinFiles { background: problem.background.clone(), end_angle: rod.end_angle(&start)? })
+        }
+        None => None,
+    };
     Ok(Simulation {
         experiment: problem.experiment.clone(),
         of,
@@ -416,7 +428,7 @@ pub fn simulate(problem: &Problem) -> Result<Simulation, Error> {
         trajectories,
         steps,
         counts: WorkCounts::of(log.counts),
-        twin: is_twin_in_space.then(|| TwinFiles { background: problem.background.clone() }),
+        twin,
         warnings: log.warnings.iter().map(|w| format!("step {}: {}", w.step, w.text)).collect(),
     })
 }

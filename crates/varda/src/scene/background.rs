@@ -10,8 +10,10 @@ pub struct Background {
     /// Where x_b comes from.
     pub from: Origin,
     /// The CSV file of `from = "file"`. A rod's has the header `vertex,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s` and
-    /// one row for every free vertex (where angles and spins are unknowns also `theta_rad,spin_rad_s`, of the
-    /// edge after the vertex; a held vertex has these alone); another model's has the header
+    /// one row for every free vertex; where both ends are clamped perhaps `end_angle_rad`, the angle of
+    /// the end clamp with its whole turns, the same in every row; where angles and spins are unknowns
+    /// `theta_rad,spin_rad_s`, of the edge after the vertex, and a held vertex has these alone. Another
+    /// model's has the header
     /// `component,value`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,

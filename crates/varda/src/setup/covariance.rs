@@ -85,7 +85,10 @@ pub(crate) fn along_line(
     }
     Ok(match k.root {
         Root::Cholesky => Factored::Full(Box::new(cholesky(file, path, n, &matrix)?)),
-        Root::Truncated => Factored::Truncated(Box::new(truncated(file, path, n, &matrix, k.truncation)?)),
+        Root::Truncated => {
+            let root = truncated(file, path, n, &matrix, k.truncation, k.sigma * k.sigma)?;
+            Factored::Truncated(Box::new(root))
+        }
     })
 }
 
@@ -128,11 +131,11 @@ pub fn localized(
     let taper = file.checked(k.taper(path))?;
     Ok(match k.root {
         Root::Cholesky => {
-            let root = |n: usize, matrix: &[f64]| cholesky(file, path, n, matrix);
+            let root = |n, matrix: &[f64], _: f64| cholesky(file, path, n, matrix);
             Factored::Full(Box::new(blocks(file, path, k, places, sigmas, taper, root)?))
         }
         Root::Truncated => {
-            let root = |n: usize, matrix: &[f64]| truncated(file, path, n, matrix, k.truncation);
+            let root = |n, matrix: &[f64], variance| truncated(file, path, n, matrix, k.truncation, variance);
             Factored::Truncated(Box::new(blocks(file, path, k, places, sigmas, taper, root)?))
         }
     })
@@ -150,7 +153,7 @@ pub fn unlocalized(
     places: &Places,
     sigmas: Sigmas,
 ) -> Result<Box<dyn Covariance>, Error> {
-    let root = |n: usize, matrix: &[f64]| truncated(file, path, n, matrix, 1e-14);
+    let root = |n, matrix: &[f64], variance| truncated(file, path, n, matrix, 1e-14, variance);
     Ok(Box::new(blocks(file, path, k, places, sigmas, Taper::None, root)?))
 }
 
@@ -161,7 +164,7 @@ fn blocks<C: Covariance>(
     places: &Places,
     sigmas: Sigmas,
     taper: Taper,
-    root: impl Fn(usize, &[f64]) -> Result<C, Error>,
+    root: impl Fn(usize, &[f64], f64) -> Result<C, Error>,
 ) -> Result<BlockDiagonal<Interleaved<C>>, Error> {
     let vertices = (&places.free, &places.known, 3);
     let edges = (&places.edges, &places.held_edges, 1);
@@ -172,7 +175,7 @@ fn blocks<C: Covariance>(
             Prior::Plain => function.matrix(free),
         };
         let matrix = matrix.map_err(|e| file.invalid(path, e.to_string()))?;
-        Ok::<_, Error>(Interleaved::new(root(free.len(), &matrix)?, width))
+        Ok::<_, Error>(Interleaved::new(root(free.len(), &matrix, sigma * sigma)?, width))
     };
     let lengths = [k.correlation_length_x, k.correlation_length_v];
     let mut parts = vec![block(sigmas.x, lengths[0], vertices)?, block(sigmas.v, lengths[1], vertices)?];
@@ -194,8 +197,9 @@ fn truncated(
     n: usize,
     matrix: &[f64],
     tolerance: f64,
+    variance: f64,
 ) -> Result<Truncated, Error> {
-    Truncated::eigen(n, matrix, tolerance).map_err(|e| file.invalid(path, e.to_string()))
+    Truncated::of_kernel(n, matrix, tolerance, variance).map_err(|e| file.invalid(path, e.to_string()))
 }
 
 fn kernel(kernel: scene::Kernel, length: f64) -> Kernel {

@@ -106,27 +106,19 @@ pub fn recorded<const N: usize>(
     filled(file, text, columns, true)
 }
 
-/// The same with empty cells, all columns being there.
+/// The same, where cells may be empty.
 ///
 /// # Errors
 /// [`Error::Data`] naming file and line.
-pub fn with_gaps<const N: usize>(
-    file: &str,
-    text: &str,
-    columns: [&str; N],
-) -> Result<Vec<[Option<f64>; N]>, Error> {
+pub fn with_gaps(file: &str, text: &str, columns: &[&str]) -> Result<Vec<Vec<Option<f64>>>, Error> {
     let expected = columns.join(",");
-    let mut table = Table::open(file, text, &columns, &expected)?;
+    let mut table = Table::open(file, text, columns, &expected)?;
     for name in columns {
         table.require(name, &expected)?;
     }
     let mut rows = Vec::new();
     while table.next()? {
-        let mut row = [None; N];
-        for (value, name) in row.iter_mut().zip(columns) {
-            *value = table.number(name)?;
-        }
-        rows.push(row);
+        rows.push(columns.iter().map(|name| table.number(name)).collect::<Result<_, _>>()?);
     }
     Ok(rows)
 }

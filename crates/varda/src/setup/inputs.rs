@@ -58,12 +58,12 @@ impl Inputs {
         let one_window = file.as_one_window();
         let grid = one_window.grid()?;
         let files = Files::of(&one_window);
-        let system = System::read(&files, grid)?;
+        let mut system = System::read(&files, grid)?;
         let (observed, fault_of_observations) = match (observed(&files, &system, grid), &system) {
             (Err(fault), System::Rod(rod)) => (rod_observations::none(rod), Some(fault)),
             (observed, _) => (observed?, None),
         };
-        let background = background(&files, &system)?;
+        let background = background(&files, &mut system)?;
         let files = files.into_read();
         let file = file.clone();
         Ok(Inputs { file, grid, system, observed, fault_of_observations, background, files, one_window })
@@ -84,7 +84,7 @@ fn observed(files: &Files, system: &System, grid: TimeGrid) -> Result<Observed, 
     }
 }
 
-fn background(files: &Files, system: &System) -> Result<KnownBackground, Error> {
+fn background(files: &Files, system: &mut System) -> Result<KnownBackground, Error> {
     let keys = &files.scene.scene.background;
     match system {
         System::Rod(rod) => Ok(match files.scene.checked(keys.source())? {

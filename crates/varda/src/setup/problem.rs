@@ -78,6 +78,9 @@ impl Problem {
             KnownBackground::AtRest => system.come_to_rest()?,
         };
         let truth = if known.is_none() { Some(system.truth()?) } else { None };
+        if let Some(truth) = &truth {
+            system.start_turned_as(truth)?;
+        }
         let reference = known.as_ref().or(truth.as_ref()).map_or(&[][..], |z| &z[..n]);
         let (path, keys) = ("background.covariance", &scene.background.covariance);
         let covariance = system.covariance(&one_window, path, keys, reference)?;

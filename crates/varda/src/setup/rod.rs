@@ -1,7 +1,7 @@
 //! A rod as the system of a problem: its truth, background, covariance and models.
 
 use varda_covariance::Covariance;
-use varda_implicit::{ImplicitStep, Structure};
+use varda_implicit::{ImplicitStep, Model, Structure};
 use varda_rod::RodStep;
 
 use super::adaptive_steps::{AdaptiveSteps, rod_models};
@@ -15,6 +15,9 @@ use crate::Error;
 use crate::scene::{self, RodModel, SceneFile, TimeGrid};
 use crate::state::{Geometry, StateLayout};
 
+/// The column of a background with the angle of the end clamp.
+pub(crate) const END_ANGLE: &str = "end_angle_rad";
+
 /// A rod, read from a scene and its files.
 pub struct RodSystem {
     /// The rod, its supports and loads.
@@ -27,6 +30,7 @@ pub struct RodSystem {
     pub control: usize,
     /// Numbers that the linearization of a step keeps.
     pub(crate) kept: usize,
+    has_end_angle: bool,
     free: Vec<usize>,
     /// Edges whose angles and spins are in the control.
     free_edges: Vec<usize>,
@@ -59,6 +63,7 @@ impl RodSystem {
             state: dynamics.dim(),
             control: dynamics.control_len(),
             kept: kept(&dynamics),
+            has_end_angle: dynamics.end_angle(&vec![0.0; dynamics.dim()]).is_some(),
             left_out: dynamics.left_out().into_iter().chain(parts.remarks.iter().cloned()).collect(),
             free,
             free_edges,
@@ -130,30 +135,26 @@ impl RodSystem {
     }
 
     /// The control in a CSV file with one row for each free vertex; where angles and spins are in it, of the
-    /// edge after a vertex, a held vertex may have a row with these alone.
-    pub(crate) fn read_background(&self, files: &Files, name: &str) -> Result<Vec<f64>, Error> {
+    /// edge after a vertex, a held vertex has a row with these alone. Where the file has a column
+    /// `end_angle_rad`, runs start from that angle of the end clamp.
+    pub(crate) fn read_background(&mut self, files: &Files, name: &str) -> Result<Vec<f64>, Error> {
         let (label, text) = files.text("background.file", name)?;
-        let rows = match self.parts.spins_in_control {
-            false => {
-                let columns = ["vertex", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"];
-                let pad = |[vertex, values @ ..]: [f64; 7]| {
-                    (Some(vertex), std::array::from_fn(|i| values.get(i).copied()))
-                };
-                csv::numbers(&label, &text, columns)?.into_iter().map(pad).collect()
-            }
-            true => {
-                let columns =
-                    ["vertex", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s", "theta_rad", "spin_rad_s"];
-                let split = |[vertex, values @ ..]: [Option<f64>; 9]| (vertex, values);
-                csv::with_gaps(&label, &text, columns)?.into_iter().map(split).collect::<Vec<_>>()
-            }
-        };
+        let mut columns = vec!["vertex", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"];
+        if self.parts.spins_in_control {
+            columns.extend(["theta_rad", "spin_rad_s"]);
+        }
+        let last = columns.len();
+        if csv::has_column(&text, END_ANGLE) {
+            columns.push(END_ANGLE);
+        }
         let (n, edges) = (self.free.len(), self.free_edges.len());
         let mut control: Vec<Option<f64>> = vec![None; 6 * n + 2 * edges];
         let mut seen = vec![false; self.parts.rod.segments() + 1];
-        for (i, (vertex, values)) in rows.into_iter().enumerate() {
+        let mut end_angles = Vec::new();
+        for (i, row) in csv::with_gaps(&label, &text, &columns)?.into_iter().enumerate() {
             let bad = |message: String| Error::Data { place: format!("{label}, row {}", i + 1), message };
-            let vertex = vertex.ok_or_else(|| bad("`vertex` is empty".to_string()))?;
+            let needed = |c: usize| row[c].ok_or_else(|| bad(format!("`{}` is empty", columns[c])));
+            let vertex = needed(0)?;
             let is = |v: &usize| *v as f64 == vertex;
             let (at, edge) = (self.free.iter().position(is), self.free_edges.iter().position(is));
             if at.is_none() && edge.is_none() {
@@ -164,16 +165,20 @@ impl RodSystem {
             if std::mem::replace(&mut seen[vertex as usize], true) {
                 return Err(bad(format!("vertex {vertex} is there twice")));
             }
-            for (i, value) in values.into_iter().enumerate() {
+            for i in 0..last - 1 {
                 let target = match i {
                     0..6 => at.map(|at| 3 * (n * (i / 3) + at) + i % 3),
                     _ => edge.map(|edge| 6 * n + edges * (i - 6) + edge),
                 };
                 if let Some(target) = target {
-                    control[target] = value;
+                    control[target] = Some(needed(i + 1)?);
                 }
             }
+            if columns.len() > last {
+                end_angles.push(needed(last)?);
+            }
         }
+        self.set_end_angle(&end_angles, &label)?;
         let layout = self.layout();
         let missing = |i: usize| match self.free.get(i % (3 * n) / 3).filter(|_| i < 6 * n) {
             Some(vertex) => format!("vertex {vertex} is missing"),
@@ -184,6 +189,46 @@ impl RodSystem {
             .enumerate()
             .map(|(i, value)| value.ok_or_else(|| Error::Data { place: label.clone(), message: missing(i) }));
         filled.collect()
+    }
+
+    /// The column of a file that has one angle.
+    fn set_end_angle(&mut self, column: &[f64], label: &str) -> Result<(), Error> {
+        let bad = |row: usize, message: String| Error::Data { place: format!("{label}, row {row}"), message };
+        let Some(&angle) = column.first() else { return Ok(()) };
+        if let Some(i) = column.iter().position(|other| *other != angle) {
+            let message = format!("{END_ANGLE} = {} where row 1 has {angle}: it is one angle", column[i]);
+            return Err(bad(i + 1, message));
+        }
+        if !self.has_end_angle() {
+            let message = format!("no angle of an end clamp is part of the state: leave {END_ANGLE} out");
+            return Err(bad(1, message));
+        }
+        self.parts.end_angle = Some((angle, self.grid.start));
+        Ok(())
+    }
+
+    /// Whether the angle of the end clamp is part of the state.
+    pub(crate) fn has_end_angle(&self) -> bool {
+        self.has_end_angle
+    }
+
+    /// The angle of the end clamp in a state \[rad\], whole turns included, where it is part of the state.
+    pub(crate) fn end_angle(&self, state: &[f64]) -> Result<Option<f64>, Error> {
+        Ok(self.parts.dynamics()?.end_angle(state))
+    }
+
+    /// Runs from the start of the window have the end clamp's angle of a state there.
+    pub(crate) fn start_turned_as(&mut self, state: &[f64]) -> Result<(), Error> {
+        self.parts.end_angle = self.end_angle(state)?.map(|angle| (angle, self.grid.start));
+        Ok(())
+    }
+
+    /// A model whose step 0 is the given one of the window and whose runs start from this angle of the end
+    /// clamp.
+    pub(crate) fn model_turned(&self, first: usize, end_angle: f64) -> Box<dyn Model + Send> {
+        let end_angle = Some((end_angle, self.grid.time(first)));
+        let parts = RodParts { end_angle, ..self.parts.clone() };
+        rod_models(&parts, self.spin_up, self.grid, None)(first)
     }
 
     /// The σ that the covariance at `path` names; `reference` is a control whose mean speed scales those of

@@ -37,6 +37,9 @@ pub struct RodParts {
     pub spins_in_control: bool,
     /// The rod at rest at a time \[s\], the start of a run, whose angles the first step starts from.
     pub first: Option<(Rest, f64)>,
+    /// Angle of the end clamp \[rad\], whole turns included, at a time \[s\] from which runs start, where a
+    /// file or an earlier window says it.
+    pub end_angle: Option<(f64, f64)>,
 }
 
 impl RodParts {
@@ -105,6 +108,7 @@ impl RodParts {
             remarks,
             spins_in_control,
             first: None,
+            end_angle: None,
         };
         parts.dynamics().map_err(refuse("model"))?;
         Ok(parts)
@@ -120,8 +124,12 @@ impl RodParts {
         if self.spins_in_control {
             step = step.with_spins_in_control();
         }
-        Ok(match &self.first {
+        let step = match &self.first {
             Some((first, t)) => step.starting_from(first, *t),
+            None => step,
+        };
+        Ok(match self.end_angle {
+            Some((angle, t)) => step.with_end_angle(angle, t),
             None => step,
         })
     }

@@ -102,6 +102,14 @@ impl System {
         }
     }
 
+    /// Runs from the start of the window have the whole turns of this state.
+    pub(crate) fn start_turned_as(&mut self, state: &[f64]) -> Result<(), Error> {
+        match self {
+            System::Rod(rod) => rod.start_turned_as(state),
+            System::Components(_) => Ok(()),
+        }
+    }
+
     /// The covariance that the key `path` describes; `reference` is a control of usual speeds.
     pub(crate) fn covariance(
         &self,

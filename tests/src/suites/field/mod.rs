@@ -3,6 +3,7 @@
 mod bases;
 mod buckling;
 mod common;
+mod endings;
 mod faces;
 mod files;
 mod folder;
@@ -25,6 +26,7 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     files::run(options, &mut rows);
     gripped::run(options, &mut rows);
     faces::run(&mut rows, options.quick);
+    endings::run(&mut rows);
     forces::run(options, &mut rows);
     free_turn::run(options, &mut rows);
     loads::run(options, &mut rows);
