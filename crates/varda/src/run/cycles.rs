@@ -236,6 +236,14 @@ impl Sequence {
                 warnings.push(remark);
             }
         }
+        let [inside, between] = self.values();
+        if between > 0 {
+            warnings.push(format!(
+                "{between} of {} observed values lie between two windows and are not used (cycles.shift, \
+                 time.window, or times off the steps)",
+                inside + between
+            ));
+        }
         let groups = self.problem.experiment.state.groups.len();
         let means = means(&rows, self.cycles.spin_up, groups);
         if means.count == 0 {
