@@ -173,7 +173,8 @@ fn rounded_times_lose_no_value_between_windows() {
     assert_eq!(values("whole", &|k| (step * k as f64).to_string()), [60, 0]);
     assert_eq!(values("micro", &|k| format!("{:.6}", step * k as f64)), [60, 0]);
     assert_eq!(values("milli", &|k| format!("{:.3}", step * k as f64)), [60, 0]);
-    // A millionth of a second after the steps, to nine digits: those after the last steps of windows are lost.
+    // A millionth of a second after the steps, to nine digits: those after the last steps of windows
+    // are lost.
     let [inside, between] = values("late", &|k| format!("{:.9}", step * k as f64 + 1e-6));
     assert_eq!((inside + between, between), (60, 12), "4 windows before the last end with a value");
 }

@@ -121,8 +121,7 @@ pub(crate) fn recorded(
             }
         };
         let time = row.time - recording.time_zero;
-        let Some(at) = place_in_window(row, recording, grid, &mut left).map_err(|e| bad(row.line, e))?
-        else {
+        let Some(at) = place_in_window(row, recording, grid, &mut left).map_err(|e| bad(row.line, e))? else {
             continue;
         };
         let sigma = row.sigma.or(recording.sigma).ok_or_else(|| {
