@@ -102,6 +102,7 @@ mod operators;
 mod outer_loop;
 mod posterior;
 mod posterior_lanczos;
+mod propagate;
 
 pub use analysis::Analysis;
 pub use assimilation::{AnalysisResult, Assimilation};
@@ -136,6 +137,7 @@ pub use operators::{LinearObservation, Selection};
 pub use outer_loop::{InnerSolver, OuterLoopOptions, outer_loop};
 pub use posterior::Posterior;
 pub use posterior_lanczos::{LanczosOptions, LowRankPosterior};
+pub use propagate::propagate_root;
 pub use varda_implicit::{At, ObservationOperator, Refusal};
 
 /// The example of README.md, compiled and run with the tests.

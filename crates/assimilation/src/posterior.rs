@@ -227,8 +227,12 @@ impl Posterior {
         z
     }
 
-    /// U A^{-1/2}, by columns: a square root of P_z.
-    fn control_root(&self, transform: &ControlTransform) -> Vec<f64> {
+    /// U A^{-1/2}, by columns of the length of the control: a square root of P_z.
+    /// [`propagate_root`](crate::propagate_root) carries it through a window.
+    ///
+    /// # Panics
+    /// If the transform is of another length.
+    pub fn control_root(&self, transform: &ControlTransform) -> Vec<f64> {
         let (n, n_z) = (self.eigenvalues.len(), transform.control_dim());
         assert_eq!(transform.dim(), n, "length of the control variable");
         let mut root = vec![0.0; n * n_z];

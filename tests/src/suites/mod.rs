@@ -2,6 +2,7 @@
 
 mod adjoint;
 mod counts;
+mod coverage;
 mod equivalence;
 mod field;
 mod golden;
@@ -85,6 +86,12 @@ pub const SUITES: &[Suite] = &[
         name: "field",
         proves: "Rods held anywhere, as people bring them, are found at rest where closed forms have them.",
         run: |options| field::run(options).into(),
+    },
+    Suite {
+        name: "coverage",
+        proves: "95 % intervals contain the truth 95 times in a hundred: at the start and the end of a window, \
+            and in the forecast.",
+        run: |options| coverage::run(options).into(),
     },
 ];
 

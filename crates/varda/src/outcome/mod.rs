@@ -7,6 +7,7 @@ mod fit;
 mod modes;
 mod simulation;
 mod space;
+mod spread;
 mod verdict;
 mod window;
 
@@ -17,6 +18,7 @@ pub use fit::{Fit, Forecast, Rejected, Withheld};
 pub use modes::RodModes;
 pub use simulation::{Simulation, TwinFiles};
 pub use space::{Shapes, Sight, Track};
+pub use spread::ObservedValue;
 pub use verdict::{Judgement, Verdict};
 pub use window::{
     AcceptedSteps, Experiment, Failure, GroupRmse, Outcome, Rmse, Seconds, SeenComponent, Trajectories,

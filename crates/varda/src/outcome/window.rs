@@ -11,6 +11,7 @@ use super::convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
 use super::evidence::Evidence;
 use super::fit::{Fit, Forecast, Rejected, Withheld};
 use super::space::Shapes;
+use super::spread::ObservedValue;
 use super::verdict::Judgement;
 use crate::scene::{Scene, TimeGrid};
 use crate::state::StateLayout;
@@ -95,6 +96,11 @@ pub struct Outcome {
     pub trajectories: Trajectories,
     /// The vertices of these runs, for models in space.
     pub shapes: Option<Shapes>,
+    /// σ of every component of the states of the analysis, one state after the other; empty where it was not
+    /// computed.
+    pub sigma_states: Vec<f64>,
+    /// Everything that was seen, with background, analysis and σ beside it.
+    pub observed: Vec<ObservedValue>,
     /// Observed components, for models that are not in space.
     pub seen: Vec<SeenComponent>,
     /// Remarks for the user.

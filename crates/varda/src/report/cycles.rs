@@ -34,7 +34,10 @@ pub fn write_cycles(outcome: &CyclesOutcome, folder: &Path) -> Result<PathBuf, E
     out.write("cycles.csv", &rows(outcome))?;
     out.write("analysis.csv", &analysis(outcome))?;
     let shapes = outcome.shapes.as_ref();
-    out.write("trajectory.csv", &tables::trajectory(&outcome.experiment, &outcome.trajectories, shapes))?;
+    out.write(
+        "trajectory.csv",
+        &tables::trajectory(&outcome.experiment, &outcome.trajectories, &[], shapes),
+    )?;
     out.publish()
 }
 

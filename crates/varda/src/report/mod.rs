@@ -39,8 +39,10 @@ pub fn write(outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
     out.write("report.html", &html::page(outcome, &summary, &drawn))?;
     out.write("analysis.csv", &tables::analysis(outcome))?;
     out.write("convergence.csv", &tables::convergence(&outcome.convergence))?;
-    let trajectory = tables::trajectory(experiment, &outcome.trajectories, outcome.shapes.as_ref());
+    let trajectory =
+        tables::trajectory(experiment, &outcome.trajectories, &outcome.sigma_states, outcome.shapes.as_ref());
     out.write("trajectory.csv", &trajectory)?;
+    out.write("observations.csv", &tables::observed_values(&outcome.observed))?;
     write_forces(&out, experiment, outcome.shapes.as_ref())?;
     // Last: a folder without it is not a result.
     out.write("summary.json", &summary.to_json())?;
@@ -135,7 +137,7 @@ pub fn write_simulation(simulation: &Simulation, seconds: f64, folder: &Path) ->
     });
     out.write("summary.json", &format!("{summary:#}\n"))?;
     let shapes = simulation.shapes.as_ref();
-    out.write("trajectory.csv", &tables::trajectory(experiment, &simulation.trajectories, shapes))?;
+    out.write("trajectory.csv", &tables::trajectory(experiment, &simulation.trajectories, &[], shapes))?;
     write_forces(&out, experiment, shapes)?;
     if let (Some(twin), Some(shapes), Some(geometry)) = (&simulation.twin, shapes, &experiment.state.geometry)
     {

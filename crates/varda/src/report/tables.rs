@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use crate::outcome::{ConvergenceRow, Experiment, Outcome, Shapes, Trajectories, TwinFiles};
+use crate::outcome::{ConvergenceRow, Experiment, ObservedValue, Outcome, Shapes, Trajectories, TwinFiles};
 use crate::run::compare::Compared;
 use crate::scene::TimeGrid;
 use crate::setup::rod::END_ANGLE;
@@ -91,29 +91,87 @@ pub(super) fn convergence(rows: &[ConvergenceRow]) -> String {
 }
 
 /// trajectory.csv: the analysis, the background and, where it is known, the truth, step by step. Vertices
-/// \[m\] of models in space, or components.
-pub(super) fn trajectory(experiment: &Experiment, runs: &Trajectories, shapes: Option<&Shapes>) -> String {
+/// \[m\] of models in space with the velocities \[m/s\] of the free ones, or components. `sigma` are standard
+/// deviations of the states of the analysis, or nothing.
+pub(super) fn trajectory(
+    experiment: &Experiment,
+    runs: &Trajectories,
+    sigma: &[f64],
+    shapes: Option<&Shapes>,
+) -> String {
     match (shapes, &experiment.state.geometry) {
-        (Some(shapes), Some(geometry)) => vertices(&experiment.grid, shapes, &geometry.arc_lengths),
-        _ => components(&experiment.grid, runs, &experiment.state.names),
+        (Some(shapes), Some(geometry)) => vertices(&experiment.grid, runs, sigma, shapes, geometry),
+        _ => components(&experiment.grid, runs, sigma, &experiment.state.names),
     }
 }
 
-fn vertices(grid: &TimeGrid, shapes: &Shapes, arc_lengths: &[f64]) -> String {
+/// observations.csv of a run: every value that was seen, with background, analysis and σ beside it.
+pub(super) fn observed_values(values: &[ObservedValue]) -> String {
+    let mut out = String::from(
+        "time_s,marker,component,y,h_background,h_analysis,sigma_y,sigma_h_analysis,departure_over_sigma,\
+         used,reason\n",
+    );
+    for v in values {
+        let label = v.label.replace('"', "\"\"");
+        let departure = (v.value - v.analysis) / v.sigma;
+        let _ = writeln!(
+            out,
+            "{},\"{label}\",{},{},{},{},{},{},{},{},{}",
+            number(v.time),
+            v.axis,
+            number(v.value),
+            number(v.background),
+            number(v.analysis),
+            number(v.sigma),
+            optional(v.sigma_analysis),
+            number(departure),
+            v.used,
+            v.reason
+        );
+    }
+    out
+}
+
+fn vertices(
+    grid: &TimeGrid,
+    runs: &Trajectories,
+    sigma: &[f64],
+    shapes: &Shapes,
+    geometry: &Geometry,
+) -> String {
     let all = [("", &shapes.analysis), ("b_", &shapes.background), ("truth_", &shapes.truth)];
     let series: Vec<_> = all.iter().filter(|(_, run)| !run.is_empty()).collect();
     let mut out = String::from("step,time_s,vertex,s_m");
     for (prefix, _) in &series {
         let _ = write!(out, ",x_{prefix}m,y_{prefix}m,z_{prefix}m");
     }
+    out.push_str(",vx_m_s,vy_m_s,vz_m_s");
+    if !sigma.is_empty() {
+        out.push_str(",sigma_x_m,sigma_y_m,sigma_z_m,sigma_vx_m_s,sigma_vy_m_s,sigma_vz_m_s");
+    }
     out.push('\n');
+    // A state begins with the places of the free vertices and their velocities.
+    let half = 3 * geometry.free.len();
     for k in 0..=grid.last_step() {
         let time = number(grid.time(k));
-        for (v, s) in arc_lengths.iter().enumerate() {
+        let of_step = [runs.state(&runs.analysis, k), runs.state(sigma, k)];
+        for (v, s) in geometry.arc_lengths.iter().enumerate() {
             let _ = write!(out, "{k},{time},{v},{}", number(*s));
             for (_, run) in &series {
                 for c in 0..3 {
                     let _ = write!(out, ",{}", optional(run.get(k).map(|shape| shape[v][c])));
+                }
+            }
+            let free = geometry.free.binary_search(&v).ok();
+            let cell = |of: Option<&[f64]>, at: usize, c: usize| Some(of?[at + 3 * free? + c]);
+            for c in 0..3 {
+                let _ = write!(out, ",{}", optional(cell(of_step[0], half, c)));
+            }
+            if !sigma.is_empty() {
+                for (at, c) in [0, half].into_iter().flat_map(|at| (0..3).map(move |c| (at, c))) {
+                    // A held vertex is known.
+                    let sigma = if free.is_none() && at == 0 { Some(0.0) } else { cell(of_step[1], at, c) };
+                    let _ = write!(out, ",{}", optional(sigma));
                 }
             }
             out.push('\n');
@@ -122,8 +180,9 @@ fn vertices(grid: &TimeGrid, shapes: &Shapes, arc_lengths: &[f64]) -> String {
     out
 }
 
-fn components(grid: &TimeGrid, runs: &Trajectories, names: &[String]) -> String {
-    let all = [("x_a", &runs.analysis), ("x_b", &runs.background), ("truth", &runs.truth)];
+fn components(grid: &TimeGrid, runs: &Trajectories, sigma: &[f64], names: &[String]) -> String {
+    let all =
+        [("x_a", &runs.analysis[..]), ("x_b", &runs.background), ("truth", &runs.truth), ("sigma_a", sigma)];
     let series: Vec<_> = all.iter().filter(|(_, states)| !states.is_empty()).collect();
     let mut out = String::from("step,time_s,component");
     for (name, _) in &series {

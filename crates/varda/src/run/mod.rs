@@ -11,6 +11,7 @@ mod fit;
 mod modes;
 mod second_minimum;
 mod shapes;
+mod spread;
 mod verdict;
 pub mod window;
 

@@ -8,7 +8,7 @@ use varda_implicit::check::Amplification;
 use varda_implicit::{Log, Model};
 
 use super::verdict::{self, Judged};
-use super::{amplification, departures, fit, second_minimum, shapes};
+use super::{amplification, departures, fit, second_minimum, shapes, spread};
 use crate::Error;
 use crate::outcome::{
     Attempt, ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
@@ -164,6 +164,10 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let j_background = cost_of_run(scene.algorithm.robust, &mut observations, &trajectories)?;
     let rmse = rmse(experiment, errors(&analysis.background), errors(&analysis.analysis));
     let shapes = shapes::with_observations(problem, &trajectories)?;
+    let rejected = rejected(experiment, &solution.rejected);
+    let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
+    let spread = spread::along(problem, make_model(0).as_mut(), &analysis.analysis, root, &trajectories)?;
+    let observed = spread::observed_values(problem, &trajectories, spread.as_ref(), &rejected)?;
     Ok(Outcome {
         experiment: Experiment { left_out, ..experiment.clone() },
         status,
@@ -179,7 +183,9 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         convergence,
         counts: solution.counts,
         model_counts: log.counts,
-        rejected: rejected(experiment, &solution.rejected),
+        rejected,
+        sigma_states: spread.map_or_else(Vec::new, |spread| spread.states),
+        observed,
         rmse,
         seconds: Seconds { total: listener.started.elapsed().as_secs_f64(), ..seconds },
         fit,

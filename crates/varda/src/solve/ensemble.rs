@@ -62,7 +62,7 @@ impl Task<'_> {
         }
         let spread = if posterior && is_whole(minimum.status) {
             let (variance, degrees_of_freedom) = cost.posterior_variance()?;
-            Some(PosteriorSpread { sigma: roots(variance), degrees_of_freedom })
+            Some(PosteriorSpread { sigma: roots(variance), root: Vec::new(), degrees_of_freedom })
         } else {
             None
         };

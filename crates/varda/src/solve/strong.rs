@@ -69,7 +69,7 @@ impl Task<'_> {
                 // BLUE's covariance is (I + GᵀG)⁻¹ with the linearization at the background.
                 let linearized = if algorithm.method == Method::Blue { &start } else { &*v };
                 cost.evaluate(linearized, Some(&mut vec![0.0; v.len()]))?;
-                PosteriorSpread::of(Posterior::new(&mut cost), &transform)?
+                PosteriorSpread::of(Posterior::new(&mut cost), &transform, true)?
             } else {
                 (None, None)
             };

@@ -69,6 +69,9 @@ pub(crate) struct Solution {
 /// The posterior of the control.
 pub(crate) struct PosteriorSpread {
     pub(crate) sigma: Vec<f64>,
+    /// A square root of P_a, by columns of the length of the control; empty where the analysis is not a run of the
+    /// model (weak constraint, ensembles).
+    pub(crate) root: Vec<f64>,
     /// Degrees of freedom for signal (of the initial state, under weak constraint).
     pub(crate) degrees_of_freedom: f64,
 }
@@ -131,12 +134,14 @@ impl PosteriorSpread {
     pub(super) fn of(
         posterior: Result<Posterior, Error>,
         transform: &ControlTransform,
+        keep_root: bool,
     ) -> Result<(Option<PosteriorSpread>, Option<Error>), Error> {
         match posterior {
             Ok(posterior) => {
+                let root = if keep_root { posterior.control_root(transform) } else { Vec::new() };
                 let sigma = roots(posterior.variance(transform));
                 let degrees_of_freedom = posterior.degrees_of_freedom();
-                Ok((Some(PosteriorSpread { sigma, degrees_of_freedom }), None))
+                Ok((Some(PosteriorSpread { sigma, root, degrees_of_freedom }), None))
             }
             Err(reason @ Error::NotPositiveDefinite { .. }) => Ok((None, Some(reason))),
             Err(error) => Err(error),

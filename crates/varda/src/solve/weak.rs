@@ -39,7 +39,7 @@ impl Task<'_> {
             (0..=last).for_each(|k| states.extend_from_slice(cost.state(k)));
             if posterior && is_whole(minimum.status) {
                 (spread, no_spread) =
-                    PosteriorSpread::of(Posterior::of_initial_state(&mut cost), &transform)?;
+                    PosteriorSpread::of(Posterior::of_initial_state(&mut cost), &transform, false)?;
             }
         }
         transform.control(&v[..head], &mut control);
@@ -88,7 +88,7 @@ impl Task<'_> {
             (0..=last).for_each(|k| states.extend_from_slice(cost.state(k)));
             if posterior && is_whole(minimum.status) {
                 (spread, no_spread) =
-                    PosteriorSpread::of(Posterior::of_initial_state(&mut cost), &transform)?;
+                    PosteriorSpread::of(Posterior::of_initial_state(&mut cost), &transform, false)?;
             }
         }
         control.copy_from_slice(&v[..n_z]);

@@ -1,0 +1,26 @@
+//! Standard deviations through time, and observations beside them.
+
+/// What was observed, value by value, with background and analysis beside it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ObservedValue {
+    /// Model time \[s\].
+    pub time: f64,
+    /// The marker, place or component.
+    pub label: String,
+    /// Axis of the recording ("x", "y", "z"); empty for models that are not in space.
+    pub axis: &'static str,
+    /// The value y.
+    pub value: f64,
+    /// H of the background's run.
+    pub background: f64,
+    /// H of the analysis.
+    pub analysis: f64,
+    /// Assumed σ of the value.
+    pub sigma: f64,
+    /// σ of H of the analysis; `None` where it was not computed.
+    pub sigma_analysis: Option<f64>,
+    /// Whether it was assimilated.
+    pub used: bool,
+    /// Why not: "withheld", "background check", "after the window".
+    pub reason: &'static str,
+}

@@ -1,0 +1,112 @@
+//! Whether 95 % intervals contain the truth 95 times in a hundred, at three times of window and forecast.
+
+use super::Options;
+use crate::row::{Case, Outcome, Row, Rows};
+use varda::outcome;
+use varda::run::{Listener, assimilate};
+use varda::scene::SceneFile;
+use varda::setup::Problem;
+
+/// A 95 % interval is ± this many σ.
+const INTERVAL: f64 = 1.96;
+
+/// A twin whose background and observations are drawn from the B and R that it assumes.
+struct Twin {
+    name: &'static str,
+    scene: &'static str,
+    sets: &'static [&'static str],
+    /// What the share of truths inside may be off by beyond three standard errors of its mean.
+    allowance: f64,
+}
+
+const TWINS: [Twin; 5] = [
+    Twin { name: "linear advection", scene: "linear-advection", sets: &[], allowance: 0.02 },
+    Twin {
+        name: "Lorenz-63, short window",
+        scene: "lorenz63",
+        sets: &["time.window=20", "background.covariance.sigma=0.3"],
+        allowance: 0.02,
+    },
+    Twin {
+        name: "rod, case 2",
+        scene: "hanging-rod-case2",
+        sets: &["background.draw=\"covariance\""],
+        allowance: 0.02,
+    },
+    Twin {
+        name: "rod, case 3",
+        scene: "hanging-rod-case3",
+        sets: &["background.draw=\"covariance\""],
+        allowance: 0.02,
+    },
+    Twin { name: "starter scene", scene: "starter", sets: &[], allowance: 0.02 },
+];
+
+pub(super) fn run(options: &Options) -> Vec<Row> {
+    let mut rows = Rows::new("coverage").of(options);
+    rows.area("95 % intervals");
+    let seeds = if options.quick { 20 } else { 200 };
+    for twin in &TWINS {
+        rows.case(twin.name, |case| covered(case, twin, seeds));
+    }
+    rows.finish()
+}
+
+/// Shares of the truth inside, seed by seed, of one group of the state at one time.
+struct Shares {
+    name: String,
+    of_seeds: Vec<f64>,
+}
+
+fn covered(case: &mut Case, twin: &Twin, seeds: u64) -> Outcome {
+    let mut all: Vec<Shares> = Vec::new();
+    for seed in 0..seeds {
+        let outcome = ended(twin, seed)?;
+        let runs = &outcome.trajectories;
+        let grid = &outcome.experiment.grid;
+        let times = [("start", 0), ("end", grid.steps), ("forecast", grid.last_step())];
+        let groups = &outcome.experiment.state.groups;
+        for (i, (when, k)) in times.into_iter().enumerate() {
+            let states = [&runs.truth, &runs.analysis, &outcome.sigma_states].map(|s| runs.state(s, k));
+            let [Some(truth), Some(analysis), Some(sigma)] = states else {
+                return Err(format!("seed {seed}: no state or σ at step {k}").into());
+            };
+            for (j, group) in groups.iter().enumerate() {
+                let range = group.range.clone();
+                let inside = range.clone().filter(|&c| (truth[c] - analysis[c]).abs() <= INTERVAL * sigma[c]);
+                let share = inside.count() as f64 / range.len() as f64;
+                let at = i * groups.len() + j;
+                if all.len() <= at {
+                    all.push(Shares { name: format!("{}, {when}", group.name), of_seeds: Vec::new() });
+                }
+                all[at].of_seeds.push(share);
+            }
+        }
+    }
+    for shares in all {
+        let n = shares.of_seeds.len() as f64;
+        let mean = shares.of_seeds.iter().sum::<f64>() / n;
+        let variance = shares.of_seeds.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        let error = (variance / n).sqrt();
+        case.at_most(&shares.name, (mean - 0.95).abs(), twin.allowance + 3.0 * error, "-")
+            .because("95 ± 2 % within three standard errors of the mean over seeds")
+            .computed(mean);
+    }
+    Ok(())
+}
+
+fn ended(twin: &Twin, seed: u64) -> Result<outcome::Outcome, Box<dyn std::error::Error>> {
+    let mut sets: Vec<String> = twin.sets.iter().map(|s| s.to_string()).collect();
+    sets.push(format!("seed={seed}"));
+    let forecast = "report.forecast";
+    let file = if twin.scene == "starter" {
+        sets.push(format!("{forecast}=0.3"));
+        SceneFile::parse("starter", "starter.toml", varda::scene::STARTER, None, &sets)?
+    } else {
+        let base = SceneFile::open(twin.scene, &sets)?;
+        let seconds = 0.5 * base.grid()?.steps as f64 * base.grid()?.step;
+        sets.push(format!("{forecast}={seconds}"));
+        SceneFile::open(twin.scene, &sets)?
+    };
+    Ok(assimilate(&Problem::from_scene(&file)?, &mut Listener::silent())?)
+}
