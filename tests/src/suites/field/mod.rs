@@ -12,6 +12,7 @@ mod free_turn;
 mod gripped;
 mod loads;
 mod rest;
+mod twist_inertia;
 mod two_ended;
 
 use super::Options;
@@ -30,5 +31,6 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     forces::run(options, &mut rows);
     free_turn::run(options, &mut rows);
     loads::run(options, &mut rows);
+    twist_inertia::run(&mut rows, options.quick);
     rows.finish()
 }
