@@ -5,6 +5,8 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 
+use varda_assimilation::Departures;
+
 use crate::Error;
 use crate::outcome::{CyclesOutcome, Status};
 use crate::report;
@@ -13,8 +15,8 @@ use crate::run::cycles::{CycleListener, Sequence};
 use crate::scene::SceneFile;
 use crate::setup::files::InputFile;
 
-use super::exit::INTERRUPTED;
 use super::progress::ProgressDisplay;
+use super::{RunOptions, Shown, exit};
 
 /// Where a sequence starts and where its result goes.
 pub(super) struct SequenceStart<'a> {
@@ -32,10 +34,11 @@ pub(super) fn run(
     start: SequenceStart,
     progress: &mut ProgressDisplay,
     interrupted: &dyn Fn() -> bool,
-    quiet: bool,
+    options: RunOptions,
     started: Instant,
 ) -> Result<ExitCode, Error> {
     let SequenceStart { file, files, folder, resumed } = start;
+    let RunOptions { shown, strict, .. } = options;
     let Resumed { mut checkpoint, state, done } = match resumed {
         Some(resumed) => resumed,
         None => {
@@ -75,28 +78,24 @@ pub(super) fn run(
         }
     };
     progress.finish();
-    let shown = report::write_cycles(&outcome, folder)?;
+    let folder = report::write_cycles(&outcome, folder)?;
     if outcome.cycles.len() == count || outcome.status == Status::Failed {
         checkpoint.remove()?;
     }
-    if !quiet {
-        print!("{}", table(&outcome, &shown, started.elapsed().as_secs_f64()));
+    match shown {
+        Shown::Nothing => {}
+        Shown::Table => print!("{}", table(&outcome, &folder, started.elapsed().as_secs_f64())),
+        Shown::Json => println!("{:#}", report::summary_of_cycles(&outcome)),
     }
-    Ok(match outcome.status {
-        Status::Interrupted => {
-            if !quiet {
-                println!("{:<14} add --resume to the same command", "to continue");
-            }
-            if outcome.late { ExitCode::SUCCESS } else { ExitCode::from(INTERRUPTED) }
-        }
-        Status::Failed => {
-            eprintln!("error: {}", outcome.failure.as_deref().unwrap_or("a minimization failed"));
-            ExitCode::FAILURE
-        }
-        Status::Converged | Status::MaxIterations | Status::LinearizedOnce | Status::Stalled => {
-            ExitCode::SUCCESS
-        }
-    })
+    if outcome.status == Status::Failed {
+        eprintln!("error: {}", outcome.failure.as_deref().unwrap_or("a minimization failed"));
+        return Ok(ExitCode::FAILURE);
+    }
+    if outcome.status == Status::Interrupted && shown == Shown::Table {
+        println!("{:<14} add --resume to the same command", "to continue");
+    }
+    let warned = strict && !outcome.warnings.is_empty();
+    Ok(exit::code(&outcome.judgement, outcome.status, outcome.late, warned))
 }
 
 fn table(o: &CyclesOutcome, folder: &Path, seconds: f64) -> String {
@@ -106,6 +105,7 @@ fn table(o: &CyclesOutcome, folder: &Path, seconds: f64) -> String {
     let mut line = |name: &str, text: String| {
         let _ = writeln!(out, "{name:<14} {text}");
     };
+    line(o.judgement.verdict.heading(), o.judgement.text.clone());
     line("scene", format!("{} (seed {})", experiment.name, experiment.scene.seed));
     line("method", format!("{}, {}: {}", algorithm.method.name(), algorithm.solver_name(), o.status.name()));
     line(
@@ -135,8 +135,21 @@ fn table(o: &CyclesOutcome, folder: &Path, seconds: f64) -> String {
             );
         }
     }
-    if let Some(chi2) = means.chi2 {
-        line("2J/m", format!("{chi2:.3}"));
+    if let (Some(chi2), Some(of_all)) = (means.chi2, means.chi2_of_all) {
+        line("2J/m", format!("{chi2:.3} a window, {of_all:.3} over all"));
+    }
+    let of = Departures::from(means.departures);
+    if let (Some(innovations), Some(r)) = (of.innovation_ratio(), of.observation_ratio()) {
+        let b = of.background_ratio().map_or(String::new(), |b| format!(", B {b:.2}"));
+        line(
+            "departures",
+            format!(
+                "found/assumed: innovations {innovations:.2}, R {r:.2}{b} (1 where the errors are right)"
+            ),
+        );
+    }
+    if let Some(inflation) = means.inflation.filter(|i| *i != 1.0) {
+        line("inflation", format!("{inflation:.3}"));
     }
     let each = means.seconds.map_or(String::new(), |s| format!(", {:.2} ms a cycle", 1e3 * s));
     line("time", format!("{seconds:.2} s{each}"));

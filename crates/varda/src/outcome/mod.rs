@@ -7,15 +7,17 @@ mod fit;
 mod modes;
 mod simulation;
 mod space;
+mod verdict;
 mod window;
 
 pub use convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
-pub use cycles::{CycleRow, CyclesOutcome, Means};
+pub use cycles::{CycleDepartures, CycleRow, CyclesOutcome, Means};
 pub use evidence::{Cause, Evidence};
 pub use fit::{Fit, Forecast, Rejected, Withheld};
 pub use modes::RodModes;
 pub use simulation::{Simulation, TwinFiles};
 pub use space::{Shapes, Sight, Track};
+pub use verdict::{Judgement, Verdict};
 pub use window::{
     AcceptedSteps, Experiment, Failure, GroupRmse, Outcome, Rmse, Seconds, SeenComponent, Trajectories,
 };

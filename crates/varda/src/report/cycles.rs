@@ -3,12 +3,14 @@
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
+use varda_assimilation::Departures;
+
 use crate::Error;
 use crate::outcome::{CycleRow, CyclesOutcome, Status};
 use crate::state::StateGroup;
 
 use super::folder::ResultFolder;
-use super::html::{document, error_name, escape, list, numbers, short, status_words, tile_list};
+use super::html::{document, error_name, escape, list, numbers, short, status_words, tile_list, verdict};
 use super::plot::{Corner, Figure, Panel, Series, Style};
 use super::summary::{WindowAmplification, peak_bytes};
 use super::tables::{self, number, optional};
@@ -26,7 +28,7 @@ pub fn write_cycles(outcome: &CyclesOutcome, folder: &Path) -> Result<PathBuf, E
         out.write(&format!("figures/{}.svg", figure.name), &svg)?;
         drawn.push((figure.title, svg));
     }
-    let summary = summary(outcome);
+    let summary = summary_of_cycles(outcome);
     out.write("report.html", &page(outcome, &drawn))?;
     out.write("summary.json", &format!("{summary:#}\n"))?;
     out.write("cycles.csv", &rows(outcome))?;
@@ -58,7 +60,7 @@ fn rows(outcome: &CyclesOutcome) -> String {
         let prefix = if i == 0 { String::new() } else { format!("{}_", group.name) };
         COLUMNS.iter().for_each(|(name, _)| out.push_str(&format!(",{prefix}{name}")));
     }
-    out.push_str(",seconds\n");
+    out.push_str(",innovation_ratio,observation_ratio,background_ratio,inflation,drawn_again,seconds\n");
     for r in &outcome.cycles {
         let costs = [r.time, r.j, r.j_b, r.j_o].map(number).join(",");
         let c = &r.counts;
@@ -80,7 +82,11 @@ fn rows(outcome: &CyclesOutcome) -> String {
                 out.push_str(&format!(",{}", optional(of(r).get(i).copied())));
             });
         }
-        let _ = writeln!(out, ",{}", number(r.seconds));
+        let of = r.departures.map(Departures::from).unwrap_or_default();
+        for ratio in [of.innovation_ratio(), of.observation_ratio(), of.background_ratio()] {
+            let _ = write!(out, ",{}", optional(ratio));
+        }
+        let _ = writeln!(out, ",{},{},{}", number(r.inflation), r.drawn_again, number(r.seconds));
     }
     out
 }
@@ -101,7 +107,8 @@ fn analysis(outcome: &CyclesOutcome) -> String {
     out
 }
 
-fn summary(outcome: &CyclesOutcome) -> serde_json::Value {
+/// summary.json of a sequence.
+pub fn summary_of_cycles(outcome: &CyclesOutcome) -> serde_json::Value {
     let experiment = &outcome.experiment;
     let algorithm = &experiment.scene.algorithm;
     let means = &outcome.means;
@@ -113,10 +120,13 @@ fn summary(outcome: &CyclesOutcome) -> serde_json::Value {
         rmse.insert(format!("{name}_end"), means.rmse_end[i].into());
         rmse.insert(format!("{name}_spread"), means.spread[i].into());
     }
+    let departures = Departures::from(means.departures);
     let first = |all: &[Option<f64>]| all.first().copied().flatten();
     serde_json::json!({
         "scene": experiment.name,
         "seed": experiment.scene.seed,
+        "verdict": outcome.judgement.verdict,
+        "verdict_text": outcome.judgement.text,
         "version": env!("CARGO_PKG_VERSION"),
         "method": algorithm.method.name(),
         "minimizer": algorithm.solver_name(),
@@ -140,6 +150,12 @@ fn summary(outcome: &CyclesOutcome) -> serde_json::Value {
             "rmse_end": first(&means.rmse_end),
             "spread": first(&means.spread),
             "chi2": means.chi2,
+            "chi2_of_all": means.chi2_of_all,
+            "innovation_ratio": departures.innovation_ratio(),
+            "observation_ratio": departures.observation_ratio(),
+            "background_ratio": departures.background_ratio(),
+            "inflation": means.inflation,
+            "drawn_again": outcome.cycles.iter().map(|r| r.drawn_again).sum::<usize>(),
             "not_converged": outcome.cycles.iter().filter(|r| r.status != Status::Converged).count(),
             "failures": failures(outcome),
             "seconds_each": means.seconds,
@@ -237,6 +253,7 @@ fn page(outcome: &CyclesOutcome, figures: &[(String, String)]) -> String {
         outcome.status.name(),
         status_words(outcome.status),
     );
+    body.push_str(&verdict(&outcome.judgement));
     body.push_str(&tiles(outcome));
     if !outcome.warnings.is_empty() {
         let _ = write!(

@@ -3,6 +3,7 @@
 
 mod amplification;
 pub mod compare;
+mod cycle_checks;
 pub mod cycles;
 mod departure_series;
 pub mod departures;
@@ -10,6 +11,7 @@ mod fit;
 mod modes;
 mod second_minimum;
 mod shapes;
+mod verdict;
 pub mod window;
 
 pub use modes::modes;
