@@ -7,7 +7,7 @@ use varda_assimilation::{Analysis, ObservationSet, Rejection, huber};
 use varda_implicit::check::Amplification;
 use varda_implicit::{Log, Model};
 
-use super::{amplification, fit, second_minimum, shapes};
+use super::{amplification, between_steps, fit, second_minimum, shapes};
 use crate::Error;
 use crate::outcome::{
     Attempt, ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
@@ -144,6 +144,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let evidence = fit::evidence(problem, &mut observations, &trajectories)?;
     warnings.extend(second);
     warnings.extend(fit::remarks(&fit, &analysis, evidence.as_ref()));
+    warnings.extend(between_steps::remark(problem, &observations, &trajectories)?);
     let j_background = cost_of_run(scene.algorithm.robust, &mut observations, &trajectories)?;
     let rmse = rmse(experiment, errors(&analysis.background), errors(&analysis.analysis));
     let shapes = shapes::with_observations(problem, &trajectories)?;
