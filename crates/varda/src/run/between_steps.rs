@@ -62,9 +62,9 @@ pub(super) fn remark(
     }
     Ok((worst > SEEN).then(|| {
         format!(
-            "{count} observed values lie between two steps where a straight line is off by more than {SEEN} sigma, \
-             at most {worst:.1} ({label}, {time:.4} s): amplitudes come out too large, with a good fit; take steps \
-             that end at the observations, or smaller ones"
+            "{count} observed values lie between two steps where a straight line is off by more than \
+             {SEEN} sigma, at most {worst:.1} ({label}, {time:.4} s): amplitudes come out too large, with a \
+             good fit; take steps that end at the observations, or smaller ones"
         )
     }))
 }
