@@ -5,6 +5,7 @@
 mod convert;
 mod cycles;
 mod exit;
+mod preview;
 mod progress;
 mod table;
 
@@ -19,6 +20,7 @@ use clap::{Args, Parser, Subcommand};
 use crate::Error;
 use crate::convert::{Options, Unit, Up};
 use crate::outcome::{Outcome, Status};
+use crate::preview::Preview;
 use crate::report;
 use crate::report::checkpoint::Checkpoint;
 use crate::report::folder::ResultFolder;
@@ -26,7 +28,7 @@ use crate::run::compare::{Compared, compare};
 use crate::run::cycles::Sequence;
 use crate::run::{self, Listener, assimilate};
 use crate::scene::{SHIPPED, STARTER, Scene, SceneFile};
-use crate::setup::{Inputs, Plan, Problem};
+use crate::setup::{Inputs, Problem};
 use exit::INTERRUPTED;
 use progress::ProgressDisplay;
 
@@ -87,7 +89,7 @@ enum Command {
         #[arg(long, value_name = "DIR")]
         out: Option<PathBuf>,
     },
-    /// Check a scene; print sizes, memory and what will be left out; run nothing
+    /// Check a scene and look at the data beside the model: one forward run, no minimization
     Check {
         #[command(flatten)]
         scene: SceneArguments,
@@ -199,6 +201,9 @@ fn run_scene(
         return Err(file.invalid("algorithm", "only a run with [algorithm.cycles] can be resumed"));
     }
     let inputs = Inputs::read(&file)?;
+    if !quiet {
+        eprint!("{}", preview::in_short(&inputs));
+    }
     if let Some(settings) = &file.scene.algorithm.cycles {
         // Before anything is run: the scene or its files may have changed since the run began.
         let resumed = if resume { Some(Checkpoint::resume(&folder, &file, &inputs.files)?) } else { None };
@@ -306,8 +311,9 @@ fn modes(arguments: &SceneArguments, count: usize, out: Option<&Path>) -> Result
 }
 
 fn check(file: &SceneFile) -> Result<ExitCode, Error> {
-    print!("{}", table::plan(&Plan::new(file)?));
-    Ok(ExitCode::SUCCESS)
+    let preview = Preview::new(file)?;
+    print!("{}", preview::table(&preview));
+    Ok(if preview.has_errors() { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
 fn new(name: &str) -> Result<ExitCode, Error> {

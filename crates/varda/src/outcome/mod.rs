@@ -5,6 +5,7 @@ mod cycles;
 mod evidence;
 mod fit;
 mod modes;
+mod recording;
 mod simulation;
 mod space;
 mod window;
@@ -14,6 +15,7 @@ pub use cycles::{CycleRow, CyclesOutcome, Means};
 pub use evidence::{Cause, Evidence};
 pub use fit::{Fit, Forecast, Rejected, Withheld};
 pub use modes::RodModes;
+pub use recording::{Neighbours, RecordingSummary, RowCount, TrackSummary};
 pub use simulation::{Simulation, TwinFiles};
 pub use space::{Shapes, Sight, Track};
 pub use window::{

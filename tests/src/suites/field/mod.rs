@@ -6,7 +6,6 @@ mod common;
 mod endings;
 mod faces;
 mod files;
-mod folder;
 mod forces;
 mod free_turn;
 mod gripped;
@@ -14,7 +13,7 @@ mod loads;
 mod rest;
 mod two_ended;
 
-use super::Options;
+use super::{Options, folder};
 use crate::row::{Row, Rows};
 
 pub(super) fn run(options: &Options) -> Vec<Row> {
