@@ -1,7 +1,8 @@
 //! The closed form of linear problems: the best linear unbiased estimate.
 
-use crate::cost::{columns, dot, solve_identity_plus};
+use crate::cost::{columns, dot, norm, solve_identity_plus};
 use crate::{ControlTransform, Error, LeastSquares};
+use varda_linalg::Svd;
 use varda_linalg::dense::View;
 
 /// In which space the gain is computed; both forms are equal (paper 2.2).
@@ -64,9 +65,9 @@ impl Blue {
     /// Linearized at `v` (where the problem is linear, any will do; the background is the usual one).
     ///
     /// # Errors
-    /// A cost that cannot be evaluated there; [`Error::NotPositiveDefinite`] where G is too large for I +
-    /// GᵀG to be factorized in double precision, or is not finite (σ tiny against the spread of the
-    /// background).
+    /// A cost that cannot be evaluated there; [`Error::NotPositiveDefinite`] where G is not finite. Where I +
+    /// GᵀG loses the identity (σ tiny against the background), G itself is factored, by its singular
+    /// values.
     ///
     /// # Panics
     /// If `v` is not of length `dim`.
@@ -75,23 +76,35 @@ impl Blue {
         let (mut b, mut d, mut gradient) = (vec![0.0; n], vec![0.0; m], vec![0.0; n]);
         problem.linearize(v, &mut gradient)?;
         problem.departures(&mut b, &mut d);
-        // G, m × n by columns, and K, n × m by columns.
-        let (g, k) = match gain {
+        // G, m × n by columns.
+        let g = match gain {
             Gain::Information => {
                 let mut g = vec![0.0; m * n];
                 columns(n, &mut g, &mut |unit, column| problem.jacobian(unit, column))?;
-                let mut k = transpose(m, &g);
-                solve_identity_plus(View::new(&g, m, n), &mut k)?;
-                (g, k)
+                g
             }
             Gain::Observation => {
                 let mut gt = vec![0.0; n * m];
                 columns(m, &mut gt, &mut |unit, column| problem.jacobian_transpose(unit, column))?;
-                let g = transpose(n, &gt);
+                transpose(n, &gt)
+            }
+        };
+        // Beyond this the product G Gᵀ has no digit left for the identity beside it.
+        let is_resolved = n.max(m) as f64 * f64::EPSILON * norm(&g).powi(2) <= 1e-6;
+        let factored = if is_resolved { None } else { Some(factored(n, m, &g)?) };
+        // K, n × m by columns.
+        let k = match (&factored, gain) {
+            (Some((k, _)), _) => k.clone(),
+            (None, Gain::Information) => {
+                let mut k = transpose(m, &g);
+                solve_identity_plus(View::new(&g, m, n), &mut k)?;
+                k
+            }
+            (None, Gain::Observation) => {
                 // Kᵀ = (G Gᵀ + I)⁻¹ G.
-                let mut kt = g.clone();
+                let (gt, mut kt) = (transpose(m, &g), g.clone());
                 solve_identity_plus(View::new(&gt, n, m), &mut kt)?;
-                (g, transpose(m, &kt))
+                transpose(m, &kt)
             }
         };
         for (column, b) in columns_of(&g, m).zip(&b) {
@@ -102,12 +115,13 @@ impl Blue {
             control_variable.iter_mut().zip(column).for_each(|(v, k)| *v += k * d);
         }
         let mut covariance = vec![0.0; n * n];
-        match gain {
-            Gain::Information => {
+        match (factored, gain) {
+            (Some((_, of_factors)), _) => covariance = of_factors,
+            (None, Gain::Information) => {
                 (0..n).for_each(|i| covariance[i + i * n] = 1.0);
                 solve_identity_plus(View::new(&g, m, n), &mut covariance)?;
             }
-            Gain::Observation => {
+            (None, Gain::Observation) => {
                 for (j, column) in covariance.chunks_exact_mut(n.max(1)).enumerate() {
                     column[j] = 1.0;
                     for (k, g) in k.chunks_exact(n.max(1)).zip(&g[j * m..]) {
@@ -121,7 +135,13 @@ impl Blue {
         for (column, v) in columns_of(&g, m).zip(&control_variable) {
             rest.iter_mut().zip(column).for_each(|(r, g)| *r -= g * v);
         }
-        Ok(Self { value: 0.5 * dot(&d, &rest), control_variable, gain: k, covariance })
+        // The first form cancels where G is large, the second where J is small.
+        let value = if is_resolved {
+            0.5 * dot(&d, &rest)
+        } else {
+            0.5 * dot(&control_variable, &control_variable) + 0.5 * dot(&rest, &rest)
+        };
+        Ok(Self { value, control_variable, gain: k, covariance })
     }
 
     /// z_a = z_b + U v_a.
@@ -151,6 +171,31 @@ impl Blue {
             transform.tangent(row, column);
         }
         covariance
+    }
+}
+
+/// K = V s/(1 + s²) Uᵀ and P_v = V 1/(1 + s²) Vᵀ, by the singular values of G: where σ is tiny, I +
+/// GᵀG has lost what is not observed.
+fn factored(n: usize, m: usize, g: &[f64]) -> Result<(Vec<f64>, Vec<f64>), Error> {
+    let Svd { values, left, right } =
+        Svd::new(m, n, g).map_err(|_| Error::NotPositiveDefinite { smallest: f64::NAN })?;
+    let (mut k, mut covariance) = (vec![0.0; n * m], vec![0.0; n * n]);
+    for (i, v) in right.chunks_exact(n.max(1)).enumerate() {
+        let s = values.get(i).copied().unwrap_or(0.0);
+        // hypot: s² may overflow
+        let length = s.hypot(1.0);
+        if let Some(u) = left.chunks_exact(m.max(1)).nth(i) {
+            add_outer(s / length / length, v, u, &mut k);
+        }
+        add_outer(1.0 / length / length, v, v, &mut covariance);
+    }
+    Ok((k, covariance))
+}
+
+/// matrix += c x yᵀ, by columns.
+fn add_outer(c: f64, x: &[f64], y: &[f64], matrix: &mut [f64]) {
+    for (column, y) in matrix.chunks_exact_mut(x.len()).zip(y) {
+        column.iter_mut().zip(x).for_each(|(a, x)| *a += c * y * x);
     }
 }
 

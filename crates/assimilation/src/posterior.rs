@@ -1,10 +1,11 @@
 //! The posterior covariance from the dense Gauss–Newton Hessian.
 
-use crate::cost::solve_identity_plus;
+use crate::cost::{dense_jacobian, solve_identity_plus};
 use crate::minimize::eigen;
 use crate::{ControlTransform, Error, LeastSquares};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
+use varda_linalg::Svd;
 use varda_linalg::dense::{View, add_product};
 
 /// The posterior of a linear-Gaussian problem, or its Laplace approximation around the linearized point:
@@ -48,15 +49,36 @@ pub struct Posterior {
 impl Posterior {
     /// Around the point of the last gradient of `cost`.
     ///
+    /// Where rounding of I + GᵀG would reach the eigenvalue 1 of what nothing observes (to 10⁻⁶:
+    /// σ tiny against the background), G itself is factored instead, by its singular values: n tangent
+    /// or m adjoint sweeps more, and some 20 n² m.
+    ///
     /// # Errors
-    /// Products that fail, or a Hessian that is not positive definite.
+    /// Products that fail, a G that is not finite, or the Hessian of a cost of one's own that is not positive
+    /// definite.
     ///
     /// # Panics
     /// If no gradient has been evaluated.
     pub fn new(cost: &mut dyn LeastSquares) -> Result<Self, Error> {
-        let mut hessian = vec![0.0; cost.dim() * cost.dim()];
+        let n = cost.dim();
+        let mut hessian = vec![0.0; n * n];
         cost.hessian(&mut hessian)?;
-        Self::from_hessian(cost.dim(), &hessian)
+        match eigen(n, &hessian) {
+            Ok((eigenvalues, vectors)) if is_resolved(&eigenvalues) => Self::of_pairs(eigenvalues, vectors),
+            _ => Self::factored(cost),
+        }
+    }
+
+    /// From a singular value decomposition of G.
+    fn factored(cost: &mut dyn LeastSquares) -> Result<Self, Error> {
+        let (n, m) = (cost.dim(), cost.observation_dim());
+        let g = dense_jacobian(cost)?;
+        let Svd { values, right, .. } = Svd::new(m, n, &g)?;
+        // The directions that nothing sees come first, with eigenvalue 1.
+        let unseen = vec![1.0; n - values.len()];
+        let eigenvalues = unseen.into_iter().chain(values.iter().rev().map(|s| 1.0 + s * s)).collect();
+        let vectors = right.chunks_exact(n.max(1)).rev().flatten().copied().collect();
+        Self::of_pairs(eigenvalues, vectors)
     }
 
     /// Of the initial state alone, where the control goes on with errors of the model (weak constraint): with
@@ -89,11 +111,28 @@ impl Posterior {
             g_q[a * q..(a + 1) * q].copy_from_slice(&row[n..]);
         }
         let mut weighted = g_b.clone();
-        solve_identity_plus(View::new(&g_q, q, m), &mut weighted)?;
+        match solve_identity_plus(View::new(&g_q, q, m), &mut weighted) {
+            Err(Error::NotPositiveDefinite { .. }) => return Self::initial_factored(problem),
+            solved => solved?,
+        }
         let mut hessian: Vec<f64> = (0..n * n).map(|i| f64::from(i % (n + 1) == 0)).collect();
         let g = View::new(&g_b, m, n);
         add_product(1.0, g.transpose(), View::new(&weighted, m, n), &mut hessian);
-        Self::from_hessian(n, &hessian)
+        match eigen(n, &hessian) {
+            Ok((eigenvalues, vectors)) if is_resolved(&eigenvalues) => Self::of_pairs(eigenvalues, vectors),
+            _ => Self::initial_factored(problem),
+        }
+    }
+
+    /// From a singular value decomposition of all of G: the leading rows of a root of (I + GᵀG)⁻¹
+    /// are a root of P_b, and have a decomposition of their own.
+    fn initial_factored(problem: &mut dyn LeastSquares) -> Result<Self, Error> {
+        let (n, r) = (problem.background_dim(), problem.dim());
+        let whole = Self::factored(problem)?;
+        let leading: Vec<f64> = whole.root.chunks_exact(r.max(1)).flat_map(|z| &z[..n]).copied().collect();
+        let Svd { values, left, .. } = Svd::new(n, r, &leading)?;
+        let eigenvalues = values.iter().map(|s| 1.0 / (s * s)).collect();
+        Self::of_pairs(eigenvalues, left)
     }
 
     /// From a Hessian in the control variable, n × n.
@@ -105,12 +144,18 @@ impl Posterior {
     /// If `hessian` is not of length n².
     pub fn from_hessian(n: usize, hessian: &[f64]) -> Result<Self, Error> {
         assert_eq!(hessian.len(), n * n, "length of the Hessian");
-        let (eigenvalues, mut root) = eigen(n, hessian)?;
+        let (eigenvalues, vectors) = eigen(n, hessian)?;
+        Self::of_pairs(eigenvalues, vectors)
+    }
+
+    /// From the eigenpairs of A.
+    fn of_pairs(eigenvalues: Vec<f64>, vectors: Vec<f64>) -> Result<Self, Error> {
         if let Some(&smallest) = eigenvalues.first()
             && !(smallest > 0.0)
         {
             return Err(Error::NotPositiveDefinite { smallest });
         }
+        let (n, mut root) = (eigenvalues.len(), vectors);
         for (column, mu) in root.chunks_exact_mut(n.max(1)).zip(&eigenvalues) {
             column.iter_mut().for_each(|z| *z /= mu.sqrt());
         }
@@ -192,6 +237,13 @@ impl Posterior {
         }
         root
     }
+}
+
+/// Whether the eigenvalues of A = I + GᵀG, ascending, are right to 10⁻⁶ down to the smallest,
+/// which is 1 or more: rounding leaves n ε of the largest.
+fn is_resolved(eigenvalues: &[f64]) -> bool {
+    let largest = eigenvalues.last().map_or(1.0, |mu| mu.abs());
+    eigenvalues.len() as f64 * f64::EPSILON * largest <= 1e-6
 }
 
 /// The diagonal of W Wᵀ, W with `rows` rows, by columns.

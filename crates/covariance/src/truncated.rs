@@ -27,6 +27,9 @@ pub struct Truncated {
     explained: f64,
 }
 
+/// Known points next to each other, as the two of a clamp, take three digits of the kernel.
+const KERNEL_ROUNDING: f64 = 1e3;
+
 impl Truncated {
     /// The eigen root of a symmetric positive semidefinite n × n matrix given row by row: with eigenvalues
     /// λ₁ ≥ λ₂ ≥ … and eigenvectors e_k, column k of U is √λ_k e_k, for every λ_k > τ λ₁,
@@ -40,18 +43,42 @@ impl Truncated {
     /// eigenvalue below −τ λ₁; [`Error::Zero`] for a zero matrix; [`Error::Eigen`] if the eigenvalue
     /// iteration fails.
     pub fn eigen(n: usize, matrix: &[f64], tolerance: f64) -> Result<Self, Error> {
+        let relative = usable_tolerance(n, tolerance)?;
+        Self::eigen_above(n, matrix, |largest| [relative * largest.abs(); 2])
+    }
+
+    /// The eigen root of a kernel: a symmetric matrix, given row by row, that is `variance` times a
+    /// correlation, conditioned on known points or not, so that its entries are right to rounding of
+    /// `variance` and no further.
+    ///
+    /// As [`eigen`](Self::eigen), but that an eigenvalue is refused where it is below that rounding,
+    /// −10³ n ε `variance`, whatever conditioning left of the variance, and whatever the tolerance:
+    /// no truncation makes a covariance of an indefinite kernel (a Gaussian of the arc of a circle, say).
+    ///
+    /// # Errors
+    ///
+    /// As `eigen`.
+    pub fn of_kernel(n: usize, matrix: &[f64], tolerance: f64, variance: f64) -> Result<Self, Error> {
+        let relative = usable_tolerance(n, tolerance)?;
+        let rounding = KERNEL_ROUNDING * n as f64 * f64::EPSILON * variance;
+        Self::eigen_above(n, matrix, |largest| [rounding, relative * largest])
+    }
+
+    /// The eigenpairs above the second of two bounds that go with the largest eigenvalue; one below minus
+    /// the first is refused.
+    fn eigen_above(n: usize, matrix: &[f64], bounds: impl Fn(f64) -> [f64; 2]) -> Result<Self, Error> {
         check_matrix(n, matrix)?;
-        let tolerance = usable_tolerance(n, tolerance)?;
         let Eigen { values, vectors } = Eigen::new(n, matrix)?;
         let (smallest, largest) = (values[0], values[n - 1]);
-        if smallest < -tolerance * largest.abs() {
+        let [negative, kept] = bounds(largest);
+        if smallest < -negative {
             return Err(Error::NotPositiveSemidefinite { value: smallest, largest });
         }
         if largest <= 0.0 {
             return Err(Error::Zero);
         }
         let mut columns = Vec::new();
-        for k in (0..n).rev().take_while(|&k| values[k] > tolerance * largest) {
+        for k in (0..n).rev().take_while(|&k| values[k] > kept) {
             let root = values[k].sqrt();
             columns.extend(vectors[k * n..][..n].iter().map(|z| root * z));
         }

@@ -67,6 +67,8 @@ mod solver;
 #[cfg(feature = "faer")]
 pub mod sparse;
 mod structure;
+#[cfg(feature = "faer")]
+mod svd;
 mod vector;
 
 pub use band::BadPivot;
@@ -78,6 +80,8 @@ use registers::clear_upper_registers;
 #[cfg(feature = "faer")]
 pub use solver::{Factor, LinearSolver};
 pub use structure::Structure;
+#[cfg(feature = "faer")]
+pub use svd::Svd;
 pub use vector::{axpy, dot, dot_in_lanes, norm};
 
 /// The example of README.md, compiled and run with the tests.

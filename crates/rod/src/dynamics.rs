@@ -42,8 +42,8 @@ use crate::twist_equilibrium::TwistEquilibrium;
 /// the spin ω of a section about its tangent, measured against the director that parallel transport carries
 /// along with the tangent in time. Φ gains ½ I (s − s*)²/η² of the spins s within the stage, and the
 /// state is [X, V, θ, ω]; ω₀ = 0, unless the control has it ([`RodStep::with_spins_in_control`]). Where
-/// both ends are clamped the end clamp's angle stands after the free ones: unwrapped, it counts the turns of
-/// the clamps, and each step takes it on the branch that their motion leads to. Use it inside
+/// both ends are clamped the end clamp's angle stands at the end of the state: unwrapped, it counts the turns
+/// of the clamps, and each step takes it on the branch that their motion leads to. Use it inside
 /// [`ImplicitModel`](varda_implicit::ImplicitModel); [`RodStep::model`] does.
 ///
 /// First guess of a step: X_k carried along rigidly with the supports, θ_k.

@@ -26,6 +26,23 @@ impl RodStep {
         Box::new(Substepped::through(ImplicitModel::on_times(self, times.to_vec()), times, through))
     }
 
+    /// Angles and spins of a first state in whose place of angles those in equilibrium are, the end clamp's
+    /// last: `given` ones, or these and no spins.
+    fn place_angles(&self, given: &[f64], x: &mut [f64]) {
+        let layout = &self.system.layout;
+        if !layout.spins {
+            return;
+        }
+        let (first, angles) = (layout.first_spin(), layout.free_angles.len());
+        if let Some(end) = layout.end_angle() {
+            x[end] = x[first];
+        }
+        x[first..first + angles].fill(0.0);
+        if !given.is_empty() {
+            x[first - angles..first + angles].copy_from_slice(given);
+        }
+    }
+
     /// The part of x_{k+1} = S(x_k, u) that is linear: all of it but the end clamp's angle.
     pub(crate) fn follow(&mut self, at: &Interval, x: &[f64], u: &[f64], x_next: &mut [f64]) {
         let RodStage { of, angle, .. } = self.stage(at);
@@ -316,44 +333,41 @@ impl ImplicitStep for RodStep {
     }
 
     fn initial_state(&mut self, t: f64, z: &[f64], x: &mut [f64]) -> Result<(), Refusal> {
-        let (n, first) = (6 * self.system.layout.free_vertices.len(), self.system.layout.first_spin());
+        let (n, own) = (6 * self.system.layout.free_vertices.len(), self.system.layout.state());
         x[..n].copy_from_slice(&z[..n]);
         if let Some(twist) = &mut self.twist {
-            twist.solve(t, &z[..n / 2], &mut x[n..first])?;
+            let following = self.system.layout.following();
+            twist.solve(t, &z[..n / 2], &mut x[n..n + following])?;
         }
-        let (angles, spins) = z[n..].split_at((z.len() - n) / 2);
-        x[n..n + angles.len()].copy_from_slice(angles);
-        x[first..].fill(0.0);
-        x[first..first + spins.len()].copy_from_slice(spins);
+        self.place_angles(&z[n..], &mut x[..own]);
         Ok(())
     }
 
     fn initial_tangent(&mut self, _t: f64, dz: &[f64], dx: &mut [f64]) {
-        let (n, first) = (6 * self.system.layout.free_vertices.len(), self.system.layout.first_spin());
+        let (n, own) = (6 * self.system.layout.free_vertices.len(), self.system.layout.state());
         dx[..n].copy_from_slice(&dz[..n]);
         if let Some(twist) = &mut self.twist {
-            twist.tangent(&dz[..n / 2], &mut dx[n..first]);
+            let following = self.system.layout.following();
+            twist.tangent(&dz[..n / 2], &mut dx[n..n + following]);
         }
-        let (angles, spins) = dz[n..].split_at((dz.len() - n) / 2);
-        dx[n..n + angles.len()].copy_from_slice(angles);
-        dx[first..].fill(0.0);
-        dx[first..first + spins.len()].copy_from_slice(spins);
+        self.place_angles(&dz[n..], &mut dx[..own]);
     }
 
     fn initial_adjoint(&mut self, _t: f64, lambda: &[f64], dz: &mut [f64]) {
-        let (n, first) = (6 * self.system.layout.free_vertices.len(), self.system.layout.first_spin());
+        let layout = &self.system.layout;
+        let (n, first) = (6 * layout.free_vertices.len(), layout.first_spin());
         let given = (dz.len() - n) / 2;
         dz[..n].copy_from_slice(&lambda[..n]);
         dz[n..n + given].copy_from_slice(&lambda[n..n + given]);
         dz[n + given..].copy_from_slice(&lambda[first..first + given]);
-        if let Some(twist) = &mut self.twist {
-            // angles that are given do not depend on the places
-            let mut angles = std::mem::take(&mut self.lambda);
-            angles.clear();
-            angles.extend_from_slice(&lambda[n..first]);
-            angles[..given].fill(0.0);
-            twist.adjoint_add(&angles, &mut dz[..n / 2]);
-            self.lambda = angles;
-        }
+        let Some(twist) = &mut self.twist else { return };
+        // angles that are given do not depend on the places
+        let mut angles = std::mem::take(&mut self.lambda);
+        angles.clear();
+        angles.extend_from_slice(&lambda[n..first]);
+        angles.extend(layout.end_angle().map(|end| lambda[end]));
+        angles[..given].fill(0.0);
+        twist.adjoint_add(&angles, &mut dz[..n / 2]);
+        self.lambda = angles;
     }
 }

@@ -139,17 +139,23 @@ impl Layout {
 
     /// Where the end clamp's angle stands in the state.
     pub(crate) fn end_angle(&self) -> Option<usize> {
-        self.ends_held().then(|| 6 * self.free_vertices.len() + self.free_angles.len())
+        self.ends_held().then(|| self.first_spin() + if self.spins { self.free_angles.len() } else { 0 })
     }
 
-    /// Where spins start in the state.
+    /// Number of angles that follow from the places in equilibrium: the free ones and the end clamp's.
+    pub(crate) fn following(&self) -> usize {
+        self.free_angles.len() + usize::from(self.ends_held())
+    }
+
+    /// Where spins start in the state: after the free angles.
     pub(crate) fn first_spin(&self) -> usize {
-        6 * self.free_vertices.len() + self.free_angles.len() + usize::from(self.ends_held())
+        6 * self.free_vertices.len() + self.free_angles.len()
     }
 
-    /// Length of the state [X, V, θ, ω].
+    /// Length of the state [X, V, θ], or [X, V, θ, ω], and the end clamp's angle.
     pub(crate) fn state(&self) -> usize {
-        self.first_spin() + if self.spins { self.free_angles.len() } else { 0 }
+        let spins = if self.spins { self.free_angles.len() } else { 0 };
+        self.first_spin() + spins + usize::from(self.ends_held())
     }
 }
 

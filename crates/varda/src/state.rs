@@ -4,7 +4,8 @@ use std::ops::Range;
 
 /// The control of a model, which leads its state: x = [groups, one after the other; what follows from them].
 ///
-/// A rod has the groups "position" and "velocity", three numbers to a vertex; other models have the one group
+/// A rod has the groups "position" and "velocity", three numbers to a vertex, and "angle" and "spin" of edges
+/// where these are unknowns; other models have the one group
 /// "state". Tables, tiles and figures loop over the groups.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StateLayout {
@@ -19,7 +20,8 @@ pub struct StateLayout {
 /// Numbers of the control that mean the same thing.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StateGroup {
-    /// Name in tables and in keys of summary.json: `position`, `velocity`, or [`WHOLE_STATE`].
+    /// Name in tables and in keys of summary.json: `position`, `velocity`, `angle`, `spin`, or
+    /// [`WHOLE_STATE`].
     pub name: &'static str,
     /// SI unit; "1" for numbers without one.
     pub unit: &'static str,
@@ -37,8 +39,21 @@ pub const WHOLE_STATE: &str = "state";
 pub struct Geometry {
     /// Arc length of every vertex \[m\], prescribed vertices included.
     pub arc_lengths: Vec<f64>,
-    /// The vertices that move freely: vector i of every group belongs to vertex `free[i]`.
+    /// The vertices that move freely: vector i of positions and velocities belongs to vertex `free[i]`.
     pub free: Vec<usize>,
+    /// The edges whose angles and spins are in the control, by their first vertex; none where they follow.
+    pub free_edges: Vec<usize>,
+}
+
+impl Geometry {
+    /// Arc length of vector i of a group \[m\]: that of a vertex, or of the middle of an edge.
+    pub fn place(&self, group: &StateGroup, i: usize) -> f64 {
+        let s = &self.arc_lengths;
+        match group.width {
+            1 => 0.5 * (s[self.free_edges[i]] + s[self.free_edges[i] + 1]),
+            _ => s[self.free[i]],
+        }
+    }
 }
 
 impl StateLayout {
@@ -48,20 +63,24 @@ impl StateLayout {
         StateLayout { groups: vec![group], names, geometry: None }
     }
 
-    /// The layout [X, V] of a rod's free vertices.
+    /// The layout [X, V] of a rod's free vertices, or [X, V, θ, ω] with its free edges.
     pub fn of_rod(geometry: Geometry) -> Self {
         let half = 3 * geometry.free.len();
         let names = |prefix: &'static str| {
             geometry.free.iter().flat_map(move |v| ["x", "y", "z"].map(|c| format!("{prefix}{c}[{v}]")))
         };
-        StateLayout {
-            groups: vec![
-                StateGroup { name: "position", unit: "m", range: 0..half, width: 3 },
-                StateGroup { name: "velocity", unit: "m/s", range: half..2 * half, width: 3 },
-            ],
-            names: names("").chain(names("v")).collect(),
-            geometry: Some(geometry),
+        let mut groups = vec![
+            StateGroup { name: "position", unit: "m", range: 0..half, width: 3 },
+            StateGroup { name: "velocity", unit: "m/s", range: half..2 * half, width: 3 },
+        ];
+        let mut names: Vec<String> = names("").chain(names("v")).collect();
+        let kinds = [("angle", "rad"), ("spin", "rad/s")];
+        for (name, unit) in kinds.into_iter().filter(|_| !geometry.free_edges.is_empty()) {
+            let first = names.len();
+            names.extend(geometry.free_edges.iter().map(|e| format!("{name}[{e}]")));
+            groups.push(StateGroup { name, unit, range: first..names.len(), width: 1 });
         }
+        StateLayout { groups, names, geometry: Some(geometry) }
     }
 
     /// Length of the control.
@@ -125,12 +144,17 @@ mod tests {
 
     #[test]
     fn rms_is_that_of_vectors_in_each_group() {
-        let rod = StateLayout::of_rod(Geometry { arc_lengths: vec![0.0, 0.5, 1.0], free: vec![1, 2] });
+        let geometry =
+            Geometry { arc_lengths: vec![0.0, 0.5, 1.0], free: vec![1, 2], free_edges: Vec::new() };
+        let rod = StateLayout::of_rod(geometry.clone());
         let mut a = vec![0.0; 12];
         (a[0], a[4], a[6]) = (3.0, 4.0, 2.0);
         // Two vertices off by 3 and 4: √(25/2). One velocity of two off by 2: √(4/2).
         assert_eq!(rod.rms_difference(&a, &[0.0; 12]), [12.5_f64.sqrt(), 2.0_f64.sqrt()]);
         assert_eq!(rod.components().nth(7), Some(("vy[1]", "m/s")));
+        let spinning = StateLayout::of_rod(Geometry { free_edges: vec![1], ..geometry });
+        assert_eq!(spinning.components().nth(13), Some(("spin[1]", "rad/s")));
+        assert_eq!(spinning.geometry.as_ref().unwrap().place(&spinning.groups[2], 0), 0.75);
         let three = StateLayout::of_components(["x", "y", "z"].map(String::from).to_vec());
         assert_eq!(three.rms_difference(&[1.0, 2.0, 2.0], &[0.0; 3]), [3.0_f64.sqrt()]);
         assert_eq!(three.groups[0].labelled("RMSE"), "RMSE");

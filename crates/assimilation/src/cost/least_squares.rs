@@ -193,6 +193,18 @@ pub(crate) fn columns(inputs: usize, matrix: &mut [f64], map: &mut Map) -> Resul
     Ok(())
 }
 
+/// G, m × n by columns: by n tangent or m adjoint sweeps, whichever are fewer.
+pub(crate) fn dense_jacobian(problem: &mut (impl LeastSquares + ?Sized)) -> Result<Vec<f64>, Error> {
+    let (n, m) = (problem.dim(), problem.observation_dim());
+    let mut g = vec![0.0; m * n];
+    if n <= m {
+        columns(n, &mut g, &mut |unit, column| problem.jacobian(unit, column))?;
+        return Ok(g);
+    }
+    columns(m, &mut g, &mut |unit, row| problem.jacobian_transpose(unit, row))?;
+    Ok(View::new(&g, n, m).transpose().to_matrix().into_columns())
+}
+
 /// x ← (I + WᵀW)⁻¹ x for columns x one after the other, of length n for W with n columns: Cholesky.
 pub(crate) fn solve_identity_plus(w: View, x: &mut [f64]) -> Result<(), Error> {
     let n = w.columns();

@@ -64,18 +64,20 @@ setters!(AutoOptions, trust_region.stopping, {
 /// [`trust_region`](crate::trust_region) from the point given, and where that is not to be trusted further
 /// starts, as long as they pay.
 ///
-/// One run is trusted where it converged and J_o ≤ 10 m at the first point (m observations), and wherever
-/// it ended, converged or not, within the band of a fit, 2J/m ≤ 1 + 3 √(2/m)
-/// ([`highest_j_of_a_fit`](crate::highest_j_of_a_fit)). Else the same point is taken down two ladders of
-/// inflated errors ([`continuation`](crate::continuation) through σ × 10, 3, 1 and σ × 16, 8, 4, 2, 1),
-/// then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down the first ladder and straight, at
-/// most six. No further start is made once the lowest end is within the band, or two runs have come to the
-/// same lowest J (to 10⁻⁶ of it, converged or stalled), or three in turn have lowered it by less than
-/// 10⁻³, or the iterations are used up. [`Minimum::attempts`] lists what each start came to and what it
-/// gained. All look beside steps that a jump of J refuses ([`TrustRegionOptions::jump_retries`]). The
-/// lowest end is returned; an end where the minimizer stalled (the edge of a jump of J) only where it is
-/// lower than every converged one by 10⁻³ of J. The tolerance of every run refers to the gradient at the
-/// first point. Rows of all runs are reported, each counting on from the one before.
+/// One run is trusted where it converged and J_o ≤ 10 m at the first point (m observations) or J is
+/// quadratic ([`Minimum::quadratic`]: a linear problem has one minimum), and wherever it ended,
+/// converged or not, within the band of a fit, 2J/m ≤ 1 + 3 √(2/m)
+/// ([`highest_j_of_a_fit`](crate::highest_j_of_a_fit)). Else the same point is taken down two ladders
+/// of inflated errors ([`continuation`](crate::continuation) through σ × 10, 3, 1 and σ × 16, 8, 4,
+/// 2, 1), then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down the first ladder and
+/// straight, at most six. No further start is made once the lowest end is within the band, or two runs
+/// have come to the same lowest J (to 10⁻⁶ of it, converged or stalled), or three in turn have
+/// lowered it by less than 10⁻³, or the iterations are used up. [`Minimum::attempts`] lists what
+/// each start came to and what it gained. All look beside steps that a jump of J refuses
+/// ([`TrustRegionOptions::jump_retries`]). The lowest end is returned; an end where the minimizer
+/// stalled (the edge of a jump of J) only where it is lower than every converged one by 10⁻³ of J.
+/// The tolerance of every run refers to the gradient at the first point. Rows of all runs are reported,
+/// each counting on from the one before.
 ///
 /// When to use: where the observations are much more precise than the background and the model is nonlinear,
 /// so that J may have several minima. When not: where one is known to exist, or where time matters more than
@@ -167,7 +169,7 @@ fn run(
     from.gradient_norm = Some(best.gradient_norm_first);
     (from.index, from.inner) = (best.outer_iterations, best.inner_iterations);
     let mut interrupted = best.status == Status::Interrupted;
-    let trusted = !hard && best.status == Status::Converged;
+    let trusted = (!hard || best.quadratic) && best.status == Status::Converged;
 
     let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
     let mut other = first.clone();

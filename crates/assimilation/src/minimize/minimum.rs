@@ -68,6 +68,9 @@ pub struct Minimum {
     /// The gradient vanished at the first point, and that was no minimum: J is lower beside it, and the run
     /// started there.
     pub started_beside: bool,
+    /// [`trust_region`](crate::trust_region()) found every decrease as its quadratic model said, to 10⁻⁶:
+    /// the problem is linear, as far as it was seen, and has no other minimum. False from the others.
+    pub quadratic: bool,
     /// The starts of [`auto`](crate::auto()) in turn, the first included; empty from the others.
     pub attempts: Vec<Attempt>,
 }
@@ -154,6 +157,8 @@ pub(crate) struct Progress {
     pub(crate) damping: f64,
     pub(crate) rejected: usize,
     pub(crate) inner: usize,
+    /// Every step so far lowered J as its quadratic model said.
+    pub(crate) quadratic: bool,
 }
 
 impl Progress {
@@ -192,6 +197,7 @@ impl Progress {
             damping: 0.0,
             rejected: 0,
             inner: 0,
+            quadratic: false,
         })
     }
 
@@ -288,6 +294,7 @@ impl Progress {
             ritz,
             inverse_hessian: None,
             started_beside: false,
+            quadratic: self.quadratic,
             attempts: Vec::new(),
         }
     }

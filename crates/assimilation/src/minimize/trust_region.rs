@@ -18,6 +18,9 @@ const JUMP: f64 = 0.75;
 /// So is, where ‖∇J‖ has fallen to 10⁻³ of the first and the model holds, a rise of this many times
 /// the predicted decrease.
 const FAR_OFF: f64 = 10.0;
+/// A first step whose decrease is the predicted one to this share shows J to be quadratic: the whole step is
+/// tried.
+const QUADRATIC: f64 = 1e-6;
 /// A rise below this share of J is no jump.
 const RESOLVED: f64 = 1e-9;
 /// Steps in a row that J does not show and that do not halve the gradient: it is at its own rounding.
@@ -77,6 +80,9 @@ setters!(TrustRegionOptions, stopping, {
 /// point is J = ∞: refused, and the radius shrinks. Where the predicted decrease is below what J resolves
 /// (10⁻¹¹ J), a step is taken when it lowers ‖∇J‖; where no such step exists the run has
 /// converged to rounding if the whole step of the model promises no more either, else it has stalled.
+///
+/// **A linear problem** takes one iteration: where the first decrease is that of the model to 10⁻⁶, J is
+/// quadratic, and the whole step is tried at once, whatever the radius.
 ///
 /// **Jumps of J.** An implicit step from a wild state may have several solutions, and which one is found may
 /// change from one point to the next without pattern: J then jumps between smooth sheets. Where
@@ -156,6 +162,7 @@ pub(super) fn run(
     let mut ritz = Vec::new();
     let mut failure = None;
     let mut progress = Progress::start(cost, v, &mut g, start)?;
+    let mut first = progress.index == 0;
     // steps in a row whose decrease J does not show, and the gradient that they have to halve
     let (mut unseen, mut to_halve) = (0, f64::INFINITY);
     loop {
@@ -209,6 +216,19 @@ pub(super) fn run(
             } else {
                 -1.0
             };
+            let is_part = step.damping > 0.0 || matches!(inner, Inner::Krylov { .. });
+            if first && is_part && !by_gradient && (ratio - 1.0).abs() <= QUADRATIC {
+                (first, radius) = (false, f64::INFINITY);
+                if matches!(inner, Inner::Krylov { .. }) {
+                    // as far as a minimum is asked for
+                    let residual = 0.1 * options.stopping.gradient_tolerance;
+                    let mut more = 0;
+                    spectral = inner.model(cost, &secant, &g, residual, radius, &mut more)?;
+                    progress.inner += more;
+                    progress.inner_total += more;
+                }
+                continue;
+            }
             if ratio > 1e-4 {
                 match cost.evaluate(&trial, Some(&mut g_trial)) {
                     Ok(_) => {
@@ -217,6 +237,9 @@ pub(super) fn run(
                         } else if ratio > 0.75 {
                             radius = radius.max(3.0 * step.norm);
                         }
+                        let as_predicted = by_gradient || (ratio - 1.0).abs() <= QUADRATIC;
+                        let from_first = progress.index == 0 || progress.quadratic;
+                        progress.quadratic = from_first && as_predicted;
                         v.copy_from_slice(&trial);
                         std::mem::swap(&mut g, &mut g_trial);
                         progress.advance(cost, &g, step.norm, step.damping);
@@ -263,6 +286,7 @@ pub(super) fn run(
                 progress.inner_total += more;
             }
         }
+        first = false;
         ritz = spectral.pairs();
     }
 }

@@ -190,3 +190,74 @@ fn the_closed_form_without_observations_is_the_background() {
         }
     }
 }
+
+/// σ of ten orders and more below that of the background: some of n unknowns seen through rows that
+/// mix them, so that nothing is diagonal. P by exact elimination: a row that is known leaves the others
+/// what B gives them.
+#[test]
+fn a_posterior_exists_however_small_sigma_is() {
+    // two of four unknowns, B = I, seen as x₀ + x₁ and x₀ − x₁
+    let rows = [(0, 0, 1.0), (0, 1, 1.0), (1, 0, 1.0), (1, 1, -1.0)];
+    for sigma in [1e-3, 1e-8, 1e-10, 1e-14, 1e-100] {
+        for seen in [1, 2] {
+            let h = LinearObservation::new(seen, 4, &rows[..2 * seen]).unwrap();
+            let y = observation(&(0..seen).collect::<Vec<_>>(), 0, 0.0, &normals(3, seen), sigma);
+            let mut set = ObservationSet::new(0, vec![Box::new(h)], vec![y]).unwrap();
+            let b = Diagonal::uniform(4, 1.0).unwrap();
+            let transform = ControlTransform::new(vec![0.0; 4], &b).unwrap();
+            let mut cost = StrongConstraint::without_model(transform.clone(), &mut set).unwrap();
+            cost.evaluate(&[0.0; 4], Some(&mut [0.0; 4])).unwrap();
+            // of (x₀ ± x₁)/√2: one or both known to σ/√2
+            let known = sigma * sigma / (2.0 + sigma * sigma);
+            let expected = if seen == 2 { known } else { 0.5 * (1.0 + known) };
+            let by_posterior = Posterior::new(&mut cost).unwrap();
+            let of_initial = Posterior::of_initial_state(&mut cost).unwrap();
+            let blues = [Gain::Observation, Gain::Information].map(|gain| {
+                let blue = Blue::new(&mut cost, &[0.0; 4], gain).unwrap();
+                let p = blue.control_covariance(&transform);
+                (0..4).map(|i| p[i + 4 * i]).collect::<Vec<f64>>()
+            });
+            let posteriors = [&by_posterior, &of_initial].map(|p| p.variance(&transform));
+            for (i, variance) in posteriors.iter().chain(&blues).enumerate() {
+                for (v, right) in variance.iter().zip([expected, expected, 1.0, 1.0]) {
+                    // To the digits that a factorization resolves: 10⁻⁶ relative, and rounding of B
+                    // in the two forms of the closed one.
+                    let bound = 1e-5 * right + if i < 2 { 0.0 } else { 1e-15 };
+                    assert!((v - right).abs() <= bound, "{sigma:e} {seen} {i}: {v:e} {right:e}");
+                }
+            }
+            let freedom = seen as f64 * (1.0 - known);
+            assert!((by_posterior.degrees_of_freedom() - freedom).abs() <= 1e-6);
+        }
+    }
+}
+
+/// A linear window whose minimum is forty standard deviations away takes one iteration, dense and by
+/// products.
+#[test]
+fn a_linear_problem_takes_one_iteration() {
+    for n in [6, 150] {
+        let b = coupled(n, 0.8);
+        let seen = [3, 8].map(|k| {
+            let y: Vec<f64> = normals(k as u64, 3).iter().map(|y| 30.0 + y).collect();
+            observation(&[0, 2, 5], k, 0.0, &y, 0.3)
+        });
+        let mut set = ObservationSet::new(10, vec![all_of(n)], seen.into()).unwrap();
+        let transform = ControlTransform::new(normals(1, n), &b).unwrap();
+        let mut model = crate::ensemble::linear(n);
+        let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
+        let blue = Blue::new(&mut cost, &vec![0.0; n], Gain::Observation).unwrap();
+        assert!(norm(&blue.control_variable) > 10.0, "a test of the radius");
+        for minimizer in [Minimizer::Auto(AutoOptions::default()), Minimizer::default()] {
+            let mut v = vec![0.0; n];
+            let minimum = minimizer.minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(())).unwrap();
+            assert_eq!(
+                (minimum.status, minimum.outer_iterations),
+                (Status::Converged, 1),
+                "{n}: {minimum:?}"
+            );
+            let gap: Vec<f64> = v.iter().zip(&blue.control_variable).map(|(v, b)| v - b).collect();
+            assert!(norm(&gap) <= 1e-6, "{n}: {:e}", norm(&gap));
+        }
+    }
+}

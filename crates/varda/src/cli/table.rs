@@ -143,6 +143,10 @@ pub(super) fn modes(modes: &RodModes, folder: &Path) -> String {
                 let least = modes.found.resolution.sqrt() / std::f64::consts::TAU;
                 writeln!(out, "{:>4} {:>14} it moves freely, or slower than {least:.2e} Hz", i + 1, 0)
             }
+            Some(f) if modes.spins() => {
+                let spin = 100.0 * modes.spin_share(mode);
+                writeln!(out, "{:>4} {f:>14.6} {:>12.6} {spin:>5.1} % spin", i + 1, 1.0 / f)
+            }
             Some(f) => writeln!(out, "{:>4} {f:>14.6} {:>12.6}", i + 1, 1.0 / f),
             None => {
                 let time = 1.0 / (-mode.omega_squared).sqrt();

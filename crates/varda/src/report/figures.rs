@@ -318,7 +318,7 @@ fn spread(outcome: &Outcome) -> Figure {
 
 /// The root mean square of σ over each vector of a group, against arc length or index.
 fn deviations(group: &StateGroup, geometry: Option<&Geometry>, sigma: &[f64]) -> Vec<(f64, f64)> {
-    let place = |i: usize| geometry.map_or(i as f64, |g| g.arc_lengths[g.free[i]]);
+    let place = |i: usize| geometry.map_or(i as f64, |g| g.place(group, i));
     let rms = |v: &[f64]| (v.iter().map(|x| x * x).sum::<f64>() / group.width as f64).sqrt();
     let vectors = sigma[group.range.clone()].chunks_exact(group.width).enumerate();
     vectors.map(|(i, v)| (place(i), rms(v))).collect()

@@ -90,7 +90,7 @@ pub fn write_modes(modes: &RodModes, folder: &Path) -> Result<PathBuf, Error> {
         "unstable": modes.found.unstable,
     });
     out.write("summary.json", &format!("{summary:#}\n"))?;
-    out.write("modes.csv", &modes::frequencies(&modes.found))?;
+    out.write("modes.csv", &modes::frequencies(modes))?;
     out.write("mode_shapes.csv", &modes::shapes(modes))?;
     out.publish()
 }

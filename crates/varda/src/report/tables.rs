@@ -146,16 +146,24 @@ fn components(grid: &TimeGrid, runs: &Trajectories, names: &[String]) -> String 
 
 /// background.csv: the background of a rod, in the form `[background] file` reads.
 pub(super) fn background(geometry: &Geometry, twin: &TwinFiles) -> String {
+    let (background, end_angle) = (&twin.background, twin.end_angle.map(number));
+    let spins = !geometry.free_edges.is_empty();
     let mut out = String::from("vertex,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s");
-    let angle = twin.end_angle.map(number);
-    if angle.is_some() {
+    out.push_str(if spins { ",theta_rad,spin_rad_s" } else { "" });
+    if end_angle.is_some() {
         let _ = write!(out, ",{END_ANGLE}");
     }
     out.push('\n');
-    let (x, v) = twin.background.split_at(twin.background.len() / 2);
-    for ((vertex, x), v) in geometry.free.iter().zip(x.chunks_exact(3)).zip(v.chunks_exact(3)) {
-        let values = x.iter().chain(v).map(|c| number(*c)).chain(angle.clone());
-        let _ = writeln!(out, "{vertex},{}", values.collect::<Vec<_>>().join(","));
+    let (half, edges) = (3 * geometry.free.len(), geometry.free_edges.len());
+    for vertex in 0..geometry.arc_lengths.len() {
+        let (free, edge) = (geometry.free.binary_search(&vertex), geometry.free_edges.binary_search(&vertex));
+        if free.is_err() && edge.is_err() {
+            continue;
+        }
+        let of_vertex = |i: usize| free.ok().map(|f| background[half * (i / 3) + 3 * f + i % 3]);
+        let of_edge = |i: usize| edge.ok().map(|e| background[2 * half + i * edges + e]);
+        let values = (0..6).map(of_vertex).chain((0..2).filter(|_| spins).map(of_edge)).map(optional);
+        let _ = writeln!(out, "{vertex},{}", values.chain(end_angle.clone()).collect::<Vec<_>>().join(","));
     }
     out
 }

@@ -24,6 +24,8 @@ pub fn modes(file: &SceneFile, count: usize) -> Result<RodModes, Error> {
         time,
         arc_lengths: parts.rod.arc_lengths(),
         vertices: rest.vertices.into_iter().map(Into::into).collect(),
+        gyration: (parts.rod.spin_inertia.iter().sum::<f64>() / parts.rod.masses.iter().sum::<f64>()).sqrt(),
+        spin_inertia: parts.rod.spin_inertia.clone(),
         found,
     })
 }

@@ -10,8 +10,10 @@ pub struct Background {
     /// Where x_b comes from.
     pub from: Origin,
     /// The CSV file of `from = "file"`. A rod's has the header `vertex,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s` and
-    /// one row for every free vertex, and where both ends are clamped perhaps `end_angle_rad`, the angle of
-    /// the end clamp with its whole turns, the same in every row; another model's has the header
+    /// one row for every free vertex; where both ends are clamped perhaps `end_angle_rad`, the angle of
+    /// the end clamp with its whole turns, the same in every row; where angles and spins are unknowns
+    /// `theta_rad,spin_rad_s`, of the edge after the vertex, and a held vertex has these alone. Another
+    /// model's has the header
     /// `component,value`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,
@@ -62,6 +64,8 @@ impl Covariance {
                 sigma_x_over_length: by(k.sigma_x_over_length),
                 sigma_v: by(k.sigma_v),
                 sigma_v_over_mean_speed: by(k.sigma_v_over_mean_speed),
+                sigma_theta: by(k.sigma_theta),
+                sigma_spin: by(k.sigma_spin),
                 ..k
             }),
         }
@@ -125,6 +129,16 @@ pub struct KernelCovariance {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub sigma_v_over_mean_speed: Option<f64>,
+    /// Standard deviation of the angle of a section [rad], with `model.twist_inertia`. With this and
+    /// `sigma_spin` angles and spins at the start are unknowns, the control [X₀, V₀, θ₀, ω₀];
+    /// without, angles are in equilibrium and nothing spins. Correlated over L_x.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "rad"))]
+    pub sigma_theta: Option<f64>,
+    /// Standard deviation of the spin of a section [rad/s]. Correlated over L_v.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "rad/s"))]
+    pub sigma_spin: Option<f64>,
     /// Correlation length L_x of positions [m].
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub correlation_length_x: f64,

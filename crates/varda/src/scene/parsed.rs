@@ -50,6 +50,16 @@ impl KernelCovariance {
         Ok([Sigma::from_keys(x), Sigma::from_keys(v)])
     }
 
+    /// σ of angles and spins, where they are unknowns.
+    pub(crate) fn spin_sigmas(&self, section: &str) -> Result<Option<[f64; 2]>, Invalid> {
+        match (self.sigma_theta, self.sigma_spin) {
+            (None, None) => Ok(None),
+            (Some(angle), Some(spin)) => Ok(Some([angle, spin])),
+            (Some(_), None) => invalid(section, "`sigma_theta` needs `sigma_spin` [rad/s] beside it"),
+            (None, Some(_)) => invalid(section, "`sigma_spin` needs `sigma_theta` [rad] beside it"),
+        }
+    }
+
     /// Its taper.
     pub(crate) fn taper(&self, section: &str) -> Result<varda_covariance::Taper, Invalid> {
         taper(self.taper, self.localization_length, section)

@@ -9,9 +9,14 @@ use super::{Covariance, Model, Taper};
 /// Checks a covariance of a model's control, at `path`.
 pub(super) fn validate_covariance(covariance: &Covariance, path: &str, model: &Model) -> Check {
     match model {
-        Model::Rod(_) => {
+        Model::Rod(rod) => {
             let kernel = covariance.of_rod(path)?;
             kernel.sigmas(path)?;
+            if kernel.spin_sigmas(path)?.is_some() && !rod.twist_inertia {
+                let message = "sections without inertia have their angles in equilibrium: set \
+                               model.twist_inertia = true, or leave sigma_theta and sigma_spin out";
+                return invalid(format!("{path}.sigma_theta"), message);
+            }
             kernel.taper(path)?;
         }
         _ => match model.line() {

@@ -33,8 +33,8 @@ pub(super) fn validate_rod(rod: &RodModel) -> Check {
             return invalid("model.material", message);
         }
         Section::Stiffness { rotary_inertia: None, .. } if rod.twist_inertia => {
-            let message = "it needs rotary_inertia, ρ(I₁ + I₂) per length [kg m]: m r²/2 \
-                           for a full circle of radius r and mass m per length";
+            let message = "`twist_inertia` needs `rotary_inertia` here, ρ(I₁ + I₂) per length [kg m]: \
+                           m r²/2 for a full circle of radius r and mass m per length";
             return invalid("model.section.rotary_inertia", message);
         }
         Section::Stiffness { .. } => {}

@@ -90,9 +90,11 @@ impl AdaptiveSteps {
         let mut model = dynamics(&self.parts).model(self.spin_up, self.grid.step);
         let mut x0 = vec![0.0; model.dim()];
         model.initial_state(control, &mut x0)?;
+        let rod = dynamics(&self.parts);
         let mut scale = vec![f64::INFINITY; x0.len()];
-        scale[..control.len() / 2].fill(self.parts.rod.length());
-        Ok((dynamics(&self.parts), x0, scale))
+        let places = 3 * rod.free_vertices().len();
+        scale[..places].fill(self.parts.rod.length());
+        Ok((rod, x0, scale))
     }
 }
 

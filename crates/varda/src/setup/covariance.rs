@@ -85,7 +85,10 @@ pub(crate) fn along_line(
     }
     Ok(match k.root {
         Root::Cholesky => Factored::Full(Box::new(cholesky(file, path, n, &matrix)?)),
-        Root::Truncated => Factored::Truncated(Box::new(truncated(file, path, n, &matrix, k.truncation)?)),
+        Root::Truncated => {
+            let root = truncated(file, path, n, &matrix, k.truncation, k.sigma * k.sigma)?;
+            Factored::Truncated(Box::new(root))
+        }
     })
 }
 
@@ -96,10 +99,25 @@ pub struct Places {
     pub free: Vec<f64>,
     /// Prescribed vertices, which have no error.
     pub known: Vec<f64>,
+    /// Middles of the edges whose angle and spin are unknowns.
+    pub edges: Vec<f64>,
+    /// Middles of the edges that clamps hold.
+    pub held_edges: Vec<f64>,
 }
 
-/// The covariance of [X, V]: one block for the positions (σ_x \[m\]) and one for the velocities (σ_v
-/// [m/s]), each shared by x, y and z.
+/// Standard deviations of the groups of a rod's control.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sigmas {
+    /// Of positions \[m\].
+    pub x: f64,
+    /// Of velocities [m/s].
+    pub v: f64,
+    /// Of angles \[rad\] and spins [rad/s], where these are unknowns.
+    pub spins: Option<[f64; 2]>,
+}
+
+/// The covariance of [X, V]: one block for the positions and one for the velocities, each shared by x, y and
+/// z; of [X, V, θ, ω] one more for the angles and one for the spins.
 ///
 /// # Errors
 /// [`Error::Scene`] where it has no root of the kind asked for.
@@ -108,17 +126,16 @@ pub fn localized(
     path: &str,
     k: &KernelCovariance,
     places: &Places,
-    sigmas: [f64; 2],
+    sigmas: Sigmas,
 ) -> Result<Factored, Error> {
-    let n = places.free.len();
     let taper = file.checked(k.taper(path))?;
     Ok(match k.root {
         Root::Cholesky => {
-            let root = |matrix: &[f64]| cholesky(file, path, n, matrix);
+            let root = |n, matrix: &[f64], _: f64| cholesky(file, path, n, matrix);
             Factored::Full(Box::new(blocks(file, path, k, places, sigmas, taper, root)?))
         }
         Root::Truncated => {
-            let root = |matrix: &[f64]| truncated(file, path, n, matrix, k.truncation);
+            let root = |n, matrix: &[f64], variance| truncated(file, path, n, matrix, k.truncation, variance);
             Factored::Truncated(Box::new(blocks(file, path, k, places, sigmas, taper, root)?))
         }
     })
@@ -134,9 +151,9 @@ pub fn unlocalized(
     path: &str,
     k: &KernelCovariance,
     places: &Places,
-    sigmas: [f64; 2],
+    sigmas: Sigmas,
 ) -> Result<Box<dyn Covariance>, Error> {
-    let root = |matrix: &[f64]| truncated(file, path, places.free.len(), matrix, 1e-14);
+    let root = |n, matrix: &[f64], variance| truncated(file, path, n, matrix, 1e-14, variance);
     Ok(Box::new(blocks(file, path, k, places, sigmas, Taper::None, root)?))
 }
 
@@ -145,20 +162,26 @@ fn blocks<C: Covariance>(
     path: &str,
     k: &KernelCovariance,
     places: &Places,
-    [sigma_x, sigma_v]: [f64; 2],
+    sigmas: Sigmas,
     taper: Taper,
-    root: impl Fn(&[f64]) -> Result<C, Error>,
+    root: impl Fn(usize, &[f64], f64) -> Result<C, Error>,
 ) -> Result<BlockDiagonal<Interleaved<C>>, Error> {
-    let block = |sigma: f64, length: f64| -> Result<Interleaved<C>, Error> {
+    let vertices = (&places.free, &places.known, 3);
+    let edges = (&places.edges, &places.held_edges, 1);
+    let block = |sigma, length, (free, known, width): (&Vec<f64>, &Vec<f64>, usize)| {
         let function = CovarianceFunction { sigma, kernel: kernel(k.kernel, length), taper };
         let matrix = match k.prior {
-            Prior::Clamp => function.conditioned_matrix(&places.free, &places.known),
-            Prior::Plain => function.matrix(&places.free),
+            Prior::Clamp => function.conditioned_matrix(free, known),
+            Prior::Plain => function.matrix(free),
         };
         let matrix = matrix.map_err(|e| file.invalid(path, e.to_string()))?;
-        Ok(Interleaved::new(root(&matrix)?, 3))
+        Ok::<_, Error>(Interleaved::new(root(free.len(), &matrix, sigma * sigma)?, width))
     };
-    let parts = vec![block(sigma_x, k.correlation_length_x)?, block(sigma_v, k.correlation_length_v)?];
+    let lengths = [k.correlation_length_x, k.correlation_length_v];
+    let mut parts = vec![block(sigmas.x, lengths[0], vertices)?, block(sigmas.v, lengths[1], vertices)?];
+    if let Some([angle, spin]) = sigmas.spins {
+        parts.extend([block(angle, lengths[0], edges)?, block(spin, lengths[1], edges)?]);
+    }
     Ok(BlockDiagonal::new(parts))
 }
 
@@ -174,8 +197,9 @@ fn truncated(
     n: usize,
     matrix: &[f64],
     tolerance: f64,
+    variance: f64,
 ) -> Result<Truncated, Error> {
-    Truncated::eigen(n, matrix, tolerance).map_err(|e| file.invalid(path, e.to_string()))
+    Truncated::of_kernel(n, matrix, tolerance, variance).map_err(|e| file.invalid(path, e.to_string()))
 }
 
 fn kernel(kernel: scene::Kernel, length: f64) -> Kernel {

@@ -106,6 +106,23 @@ pub fn recorded<const N: usize>(
     filled(file, text, columns, true)
 }
 
+/// The same, where cells may be empty.
+///
+/// # Errors
+/// [`Error::Data`] naming file and line.
+pub fn with_gaps(file: &str, text: &str, columns: &[&str]) -> Result<Vec<Vec<Option<f64>>>, Error> {
+    let expected = columns.join(",");
+    let mut table = Table::open(file, text, columns, &expected)?;
+    for name in columns {
+        table.require(name, &expected)?;
+    }
+    let mut rows = Vec::new();
+    while table.next()? {
+        rows.push(columns.iter().map(|name| table.number(name)).collect::<Result<_, _>>()?);
+    }
+    Ok(rows)
+}
+
 /// Whether the header has a column of this name.
 pub fn has_column(text: &str, name: &str) -> bool {
     let (header, delimiter) = header(text);

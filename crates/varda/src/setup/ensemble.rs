@@ -22,7 +22,7 @@ pub enum ComponentPositions {
     Ring(usize),
     /// On a line, or on the circle it closes to.
     Line(Line),
-    /// At arc lengths \[m\] of a rod: three coordinates a vertex, positions before velocities.
+    /// At arc lengths \[m\] of a rod, one for every component.
     Rod(Vec<f64>),
 }
 
@@ -33,7 +33,7 @@ impl ComponentPositions {
             ComponentPositions::Nowhere => 0.0,
             ComponentPositions::Ring(n) => i.abs_diff(j).min(n - i.abs_diff(j)) as f64,
             ComponentPositions::Line(line) => line_distance(line, i, j),
-            ComponentPositions::Rod(s) => (s[(i / 3) % s.len()] - s[(j / 3) % s.len()]).abs(),
+            ComponentPositions::Rod(s) => (s[i] - s[j]).abs(),
         }
     }
 }

@@ -5,7 +5,7 @@ use varda_implicit::{ImplicitStep, Model, Structure};
 use varda_rod::RodStep;
 
 use super::adaptive_steps::{AdaptiveSteps, rod_models};
-use super::covariance::{self, Factored, Places};
+use super::covariance::{self, Factored, Places, Sigmas};
 use super::csv;
 use super::ensemble::ComponentPositions;
 use super::files::Files;
@@ -32,6 +32,8 @@ pub struct RodSystem {
     pub(crate) kept: usize,
     has_end_angle: bool,
     free: Vec<usize>,
+    /// Edges whose angles and spins are in the control.
+    free_edges: Vec<usize>,
     left_out: Vec<String>,
     grid: TimeGrid,
     spin_up: usize,
@@ -47,7 +49,12 @@ impl RodSystem {
         let dynamics = parts.dynamics()?;
         let s = parts.rod.arc_lengths();
         let free = dynamics.free_vertices().to_vec();
+        let spins = parts.spins_in_control;
+        let free_edges = if spins { dynamics.free_angles().to_vec() } else { Vec::new() };
+        let held_edges = (0..parts.rod.segments()).filter(|e| spins && !free_edges.contains(e));
         let places = Places {
+            edges: free_edges.iter().map(|&e| middle(&parts, &s, e)).collect(),
+            held_edges: held_edges.map(|e| middle(&parts, &s, e)).collect(),
             free: free.iter().map(|&v| s[v]).collect(),
             known: (0..s.len()).filter(|v| !free.contains(v)).map(|v| known(&parts, &s, v)).collect(),
         };
@@ -59,6 +66,7 @@ impl RodSystem {
             has_end_angle: dynamics.end_angle(&vec![0.0; dynamics.dim()]).is_some(),
             left_out: dynamics.left_out().into_iter().chain(parts.remarks.iter().cloned()).collect(),
             free,
+            free_edges,
             parts,
             grid,
             spin_up: files.scene.scene.time.spin_up,
@@ -77,12 +85,18 @@ impl RodSystem {
 
     /// The layout of its control.
     pub(crate) fn layout(&self) -> StateLayout {
-        StateLayout::of_rod(Geometry { arc_lengths: self.parts.rod.arc_lengths(), free: self.free.clone() })
+        StateLayout::of_rod(Geometry {
+            arc_lengths: self.parts.rod.arc_lengths(),
+            free: self.free.clone(),
+            free_edges: self.free_edges.clone(),
+        })
     }
 
     /// Where the components of its control are.
     pub(crate) fn positions(&self) -> ComponentPositions {
-        ComponentPositions::Rod(self.places.free.clone())
+        let vertices: Vec<f64> = self.places.free.iter().flat_map(|s| [*s; 3]).collect();
+        let edges = &self.places.edges;
+        ComponentPositions::Rod([&vertices[..], &vertices[..], &edges[..], &edges[..]].concat())
     }
 
     /// The first of the three components of the control nearest to an arc length.
@@ -120,42 +134,61 @@ impl RodSystem {
         Ok(control)
     }
 
-    /// The control in a CSV file with one row for each free vertex. Where the file has a column
+    /// The control in a CSV file with one row for each free vertex; where angles and spins are in it, of the
+    /// edge after a vertex, a held vertex has a row with these alone. Where the file has a column
     /// `end_angle_rad`, runs start from that angle of the end clamp.
     pub(crate) fn read_background(&mut self, files: &Files, name: &str) -> Result<Vec<f64>, Error> {
         let (label, text) = files.text("background.file", name)?;
-        let columns = ["vertex", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"];
-        let rows = if csv::has_column(&text, END_ANGLE) {
-            let [a, b, c, d, e, f, g] = columns;
-            let rows = csv::numbers(&label, &text, [a, b, c, d, e, f, g, END_ANGLE])?;
-            self.set_end_angle(&rows.iter().map(|r| r[7]).collect::<Vec<_>>(), &label)?;
-            rows.into_iter().map(|[a, b, c, d, e, f, g, _]| [a, b, c, d, e, f, g]).collect()
-        } else {
-            csv::numbers(&label, &text, columns)?
-        };
-        let n = self.free.len();
-        let mut found: Vec<Option<[f64; 6]>> = vec![None; n];
-        for (i, row) in rows.iter().enumerate() {
+        let mut columns = vec!["vertex", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"];
+        if self.parts.spins_in_control {
+            columns.extend(["theta_rad", "spin_rad_s"]);
+        }
+        let last = columns.len();
+        if csv::has_column(&text, END_ANGLE) {
+            columns.push(END_ANGLE);
+        }
+        let (n, edges) = (self.free.len(), self.free_edges.len());
+        let mut control: Vec<Option<f64>> = vec![None; 6 * n + 2 * edges];
+        let mut seen = vec![false; self.parts.rod.segments() + 1];
+        let mut end_angles = Vec::new();
+        for (i, row) in csv::with_gaps(&label, &text, &columns)?.into_iter().enumerate() {
             let bad = |message: String| Error::Data { place: format!("{label}, row {}", i + 1), message };
-            let [vertex, values @ ..] = row;
-            let Some(at) = self.free.iter().position(|&v| v as f64 == *vertex) else {
+            let needed = |c: usize| row[c].ok_or_else(|| bad(format!("`{}` is empty", columns[c])));
+            let vertex = needed(0)?;
+            let is = |v: &usize| *v as f64 == vertex;
+            let (at, edge) = (self.free.iter().position(is), self.free_edges.iter().position(is));
+            if at.is_none() && edge.is_none() {
                 let (first, last) = (self.free[0], self.free[n - 1]);
                 let message = format!("vertex {vertex} is not a free vertex of the rod ({first} to {last})");
                 return Err(bad(message));
-            };
-            if found[at].replace(*values).is_some() {
+            }
+            if std::mem::replace(&mut seen[vertex as usize], true) {
                 return Err(bad(format!("vertex {vertex} is there twice")));
             }
+            for i in 0..last - 1 {
+                let target = match i {
+                    0..6 => at.map(|at| 3 * (n * (i / 3) + at) + i % 3),
+                    _ => edge.map(|edge| 6 * n + edges * (i - 6) + edge),
+                };
+                if let Some(target) = target {
+                    control[target] = Some(needed(i + 1)?);
+                }
+            }
+            if columns.len() > last {
+                end_angles.push(needed(last)?);
+            }
         }
-        let mut control = vec![0.0; 6 * n];
-        for (at, (vertex, values)) in self.free.iter().zip(found).enumerate() {
-            let Some(values) = values else {
-                return Err(Error::Data { place: label, message: format!("vertex {vertex} is missing") });
-            };
-            control[3 * at..3 * at + 3].copy_from_slice(&values[..3]);
-            control[3 * (n + at)..3 * (n + at) + 3].copy_from_slice(&values[3..]);
-        }
-        Ok(control)
+        self.set_end_angle(&end_angles, &label)?;
+        let layout = self.layout();
+        let missing = |i: usize| match self.free.get(i % (3 * n) / 3).filter(|_| i < 6 * n) {
+            Some(vertex) => format!("vertex {vertex} is missing"),
+            None => format!("{} is missing", layout.names[i]),
+        };
+        let filled = control
+            .into_iter()
+            .enumerate()
+            .map(|(i, value)| value.ok_or_else(|| Error::Data { place: label.clone(), message: missing(i) }));
+        filled.collect()
     }
 
     /// The column of a file that has one angle.
@@ -198,24 +231,41 @@ impl RodSystem {
         rod_models(&parts, self.spin_up, self.grid, None)(first)
     }
 
-    /// σ of positions and velocities that the covariance at `path` names; `reference` is a control whose
-    /// mean speed scales those of velocities.
+    /// The σ that the covariance at `path` names; `reference` is a control whose mean speed scales those of
+    /// velocities.
     fn sigmas(
         &self,
         file: &SceneFile,
         path: &str,
         kernel: &scene::KernelCovariance,
         reference: &[f64],
-    ) -> Result<[f64; 2], Error> {
-        let [x, v] = file.checked(kernel.sigmas(path))?;
-        let sigmas = [x.of(self.length()), v.of(mean_speed(reference))];
-        if sigmas[1] > 0.0 {
+    ) -> Result<Sigmas, Error> {
+        let velocities = 3 * self.free.len()..6 * self.free.len();
+        let sigmas = self.sigmas_at(file, path, kernel, mean_speed(&reference[velocities]))?;
+        if sigmas.v > 0.0 {
             return Ok(sigmas);
         }
         Err(file.invalid(
             &format!("{path}.sigma_v_over_mean_speed"),
             "nothing moves at the start of the window, so this σ would be 0: give sigma_v [m/s]",
         ))
+    }
+
+    fn sigmas_at(
+        &self,
+        file: &SceneFile,
+        path: &str,
+        kernel: &scene::KernelCovariance,
+        mean_speed: f64,
+    ) -> Result<Sigmas, Error> {
+        let [x, v] = file.checked(kernel.sigmas(path))?;
+        let spins = file.checked(kernel.spin_sigmas(path))?;
+        if spins.is_some() != self.parts.spins_in_control {
+            let message =
+                "sigma_theta and sigma_spin: give them here and in background.covariance, or in neither";
+            return Err(file.invalid(path, message));
+        }
+        Ok(Sigmas { x: x.of(self.length()), v: v.of(mean_speed), spins })
     }
 
     /// The covariance that the key `path` describes.
@@ -240,8 +290,8 @@ impl RodSystem {
         keys: &scene::Covariance,
     ) -> Result<(), Error> {
         let kernel = file.checked(keys.of_rod(path))?;
-        let [x, v] = file.checked(kernel.sigmas(path))?;
-        covariance::localized(file, path, kernel, &self.places, [x.of(self.length()), v.of(1.0)])?;
+        let sigmas = self.sigmas_at(file, path, kernel, 1.0)?;
+        covariance::localized(file, path, kernel, &self.places, sigmas)?;
         Ok(())
     }
 
@@ -279,10 +329,15 @@ fn known(parts: &RodParts, s: &[f64], vertex: usize) -> f64 {
     }
 }
 
-/// v̄: the mean speed of the free vertices in a control [X, V] [m/s].
-pub fn mean_speed(control: &[f64]) -> f64 {
-    let v = &control[control.len() / 2..];
-    let speeds: Vec<f64> = v.chunks_exact(3).map(|v| v.iter().map(|c| c * c).sum::<f64>().sqrt()).collect();
+/// Arc length of the middle of an edge; that of an edge held at a clamp's face is the face.
+fn middle(parts: &RodParts, s: &[f64], edge: usize) -> f64 {
+    0.5 * (known(parts, s, edge) + known(parts, s, edge + 1))
+}
+
+/// v̄: the mean speed of the free vertices [m/s], from their velocities.
+pub fn mean_speed(velocities: &[f64]) -> f64 {
+    let speed = |v: &[f64]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
+    let speeds: Vec<f64> = velocities.chunks_exact(3).map(speed).collect();
     speeds.iter().sum::<f64>() / speeds.len().max(1) as f64
 }
 

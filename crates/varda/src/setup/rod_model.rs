@@ -33,6 +33,8 @@ pub struct RodParts {
     pub search: Search,
     /// How the recorded motions of its supports are followed.
     pub remarks: Vec<String>,
+    /// Whether angles and spins at the start of a window are unknowns.
+    pub spins_in_control: bool,
     /// The rod at rest at a time \[s\], the start of a run, whose angles the first step starts from.
     pub first: Option<(Rest, f64)>,
     /// Angle of the end clamp \[rad\], whole turns included, at a time \[s\] from which runs start, where a
@@ -93,9 +95,21 @@ impl RodParts {
         let scheme = file.checked(file.scene.time.integrator.of_rod())?;
         let mut remarks = motions.remarks;
         remarks.extend(edge_clamps(model, &rod));
-        let (first, end_angle) = (None, None);
-        let parts =
-            RodParts { rod, supports, loads, pull, damping, scheme, search, remarks, first, end_angle };
+        let covariance = file.checked(file.scene.background.covariance.of_rod("background.covariance"))?;
+        let spins_in_control = file.checked(covariance.spin_sigmas("background.covariance"))?.is_some();
+        let parts = RodParts {
+            rod,
+            supports,
+            loads,
+            pull,
+            damping,
+            scheme,
+            search,
+            remarks,
+            spins_in_control,
+            first: None,
+            end_angle: None,
+        };
         parts.dynamics().map_err(refuse("model"))?;
         Ok(parts)
     }
@@ -106,7 +120,10 @@ impl RodParts {
     /// What varda-rod finds impossible.
     pub fn dynamics(&self) -> Result<RodStep, varda_rod::Error> {
         let (rod, supports, loads) = (self.rod.clone(), self.supports.clone(), self.loads.clone());
-        let step = RodStep::new(rod, supports, loads, self.damping)?.with_scheme(self.scheme);
+        let mut step = RodStep::new(rod, supports, loads, self.damping)?.with_scheme(self.scheme);
+        if self.spins_in_control {
+            step = step.with_spins_in_control();
+        }
         let step = match &self.first {
             Some((first, t)) => step.starting_from(first, *t),
             None => step,

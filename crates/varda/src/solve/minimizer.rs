@@ -81,6 +81,7 @@ fn blue(
         ritz: Vec::new(),
         inverse_hessian: None,
         started_beside: false,
+        quadratic: false,
         attempts: Vec::new(),
     };
     if on_iteration(&now.iteration(0.0, cost.counts(), v)).is_break() {

@@ -186,6 +186,7 @@ impl EnVar<'_> {
             ritz: Vec::new(),
             inverse_hessian: None,
             started_beside: false,
+            quadratic: false,
             attempts: Vec::new(),
         })
     }

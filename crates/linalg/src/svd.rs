@@ -1,0 +1,102 @@
+//! Singular values of dense matrices (faer's).
+
+use crate::{Error, clear_upper_registers};
+use faer::diag::Diag;
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::svd::{ComputeSvdVectors, svd, svd_scratch};
+use faer::{Mat, MatRef, Par};
+
+/// The singular value decomposition of an m × n matrix, A vᵢ = sᵢ uᵢ, with k = min(m, n)
+/// singular values.
+///
+/// I + AᵀA has the eigenvalues 1 + sᵢ², and 1 for the v beyond k: right to ε s₁ in s, where the
+/// product AᵀA would lose all below √ε s₁.
+///
+/// ```
+/// // one row (3, 4)
+/// let svd = varda_linalg::Svd::new(1, 2, &[3.0, 4.0])?;
+/// assert!((svd.values[0] - 5.0).abs() < 1e-14);
+/// assert!((svd.right[0].abs() - 0.6).abs() < 1e-15 && (svd.right[3].abs() - 0.6).abs() < 1e-15);
+/// # Ok::<(), varda_linalg::Error>(())
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct Svd {
+    /// s, descending.
+    pub values: Vec<f64>,
+    /// u of the k singular values, one after the other.
+    pub left: Vec<f64>,
+    /// v, an orthonormal basis of all n vectors, one after the other; the first k belong to the singular
+    /// values.
+    pub right: Vec<f64>,
+}
+
+impl Svd {
+    /// Of the m × n matrix given column by column.
+    ///
+    /// # Errors
+    /// [`Error::Eigen`] if the iteration fails or a value is not finite (an entry is NaN, say).
+    ///
+    /// # Panics
+    /// If `matrix` is not of length m n.
+    pub fn new(m: usize, n: usize, matrix: &[f64]) -> Result<Self, Error> {
+        assert_eq!(matrix.len(), m * n, "a {m} × {n} matrix");
+        let k = m.min(n);
+        if k == 0 {
+            let right = (0..n * n).map(|i| f64::from(i % (n + 1) == 0)).collect();
+            return Ok(Self { values: Vec::new(), left: Vec::new(), right });
+        }
+        if !matrix.iter().all(|entry| entry.is_finite()) {
+            return Err(Error::Eigen { dim: k });
+        }
+        let (thin, full) = (ComputeSvdVectors::Thin, ComputeSvdVectors::Full);
+        let (mut values, mut left, mut right) = (Diag::zeros(k), Mat::zeros(m, k), Mat::zeros(n, n));
+        let mut scratch = MemBuffer::new(svd_scratch::<f64>(m, n, thin, full, Par::Seq, Default::default()));
+        let done = svd(
+            MatRef::from_column_major_slice(matrix, m, n),
+            values.as_mut(),
+            Some(left.as_mut()),
+            Some(right.as_mut()),
+            Par::Seq,
+            MemStack::new(&mut scratch),
+            Default::default(),
+        );
+        clear_upper_registers();
+        let entries = |of: &Mat<f64>| of.col_iter().flat_map(|z| z.iter()).copied().collect::<Vec<f64>>();
+        let values: Vec<f64> = values.column_vector().iter().copied().collect();
+        let (left, right) = (entries(&left), entries(&right));
+        if done.is_ok() && values.iter().chain(&left).chain(&right).all(|x| x.is_finite()) {
+            Ok(Self { values, left, right })
+        } else {
+            Err(Error::Eigen { dim: k })
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Svd;
+
+    /// Orthonormal factors that give the matrix back, of any shape.
+    #[test]
+    fn it_is_a_decomposition() {
+        for (m, n) in [(1, 1), (3, 7), (7, 3), (5, 5), (0, 4), (4, 0)] {
+            let matrix: Vec<f64> = (0..m * n).map(|i| (1.7 * i as f64 + 0.3).sin()).collect();
+            let svd = Svd::new(m, n, &matrix).unwrap();
+            assert_eq!((svd.values.len(), svd.right.len()), (m.min(n), n * n));
+            for j in 0..n {
+                for i in 0..m {
+                    let entry: f64 = (0..svd.values.len())
+                        .map(|k| svd.left[k * m + i] * svd.values[k] * svd.right[k * n + j])
+                        .sum();
+                    assert!((entry - matrix[i + j * m]).abs() <= 1e-14, "{m} {n}");
+                }
+                for l in 0..n {
+                    let dot: f64 = (0..n).map(|i| svd.right[j * n + i] * svd.right[l * n + i]).sum();
+                    assert!((dot - f64::from(j == l)).abs() <= 1e-14, "{m} {n}");
+                }
+            }
+            assert!(svd.values.windows(2).all(|s| s[0] >= s[1]));
+        }
+        assert!(Svd::new(1, 1, &[f64::NAN]).is_err());
+    }
+}
