@@ -201,18 +201,19 @@ fn run_scene(
         return Err(file.invalid("algorithm", "only a run with [algorithm.cycles] can be resumed"));
     }
     let inputs = Inputs::read(&file)?;
-    if !quiet {
-        eprint!("{}", preview::in_short(&inputs));
-    }
+    // said before it starts, but an error is the one message of a run that cannot
+    let said = if quiet { String::new() } else { preview::in_short(&inputs) };
     if let Some(settings) = &file.scene.algorithm.cycles {
         // Before anything is run: the scene or its files may have changed since the run began.
         let resumed = if resume { Some(Checkpoint::resume(&folder, &file, &inputs.files)?) } else { None };
         let files = inputs.files.clone();
         let sequence = Sequence::new(settings.clone(), inputs)?;
+        eprint!("{said}");
         let start = cycles::SequenceStart { file: &file, files: &files, folder: &folder, resumed };
         return cycles::run(&sequence, start, &mut progress, &interrupted, quiet, started);
     }
     let problem = Problem::new(inputs)?;
+    eprint!("{said}");
     progress.expect(problem.observations()?.dim(), problem.experiment.grid.steps);
     let mut listener = Listener {
         on_iteration: Box::new(|row| progress.row(row)),

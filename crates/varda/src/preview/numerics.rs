@@ -42,8 +42,8 @@ pub struct MeshEffect {
 }
 
 /// The rate \[1/s\] at which a scheme damps the amplitude of ẍ = −ω²x with steps Δt: −ln|z|/Δt, z
-/// the root of the scheme's polynomial for ẋ = iωx that is near exp(iωΔt). For small ωΔt it is ω²Δt/2
-/// for backward Euler, ω⁴Δt³/4 for BDF2, and nothing for the midpoint rule.
+/// the root of the scheme's polynomial for ẋ = iωx that is near exp(iωΔt). For small ωΔt it is
+/// ω²Δt/2 for backward Euler, ω⁴Δt³/4 for BDF2, and nothing for the midpoint rule.
 ///
 /// ```
 /// use varda::preview::numerical_damping;

@@ -155,7 +155,7 @@ fn of_clamp(clamp: &Clamp, path: &str, length: f64, found: &mut Found) {
         });
         let speed = most * omega;
         found.say(speed > 340.0, &format!("{path}.motion.omega"), || {
-            format!("{omega} rad/s moves the clamp at {speed:.0} m/s; degrees a second, or turns a minute?")
+            format!("{omega} rad/s moves the clamp at {speed:.3e} m/s; degrees a second, or turns a minute?")
         });
     }
 }
