@@ -1,15 +1,14 @@
 //! Cycling: consecutive windows, each starting from the analysis of the one before.
 
-use crate::cost::run_all;
-use crate::minimize::eigen;
+use crate::cycle_members::{mean, posterior_root, rotate, run_all_drawing_again};
+use crate::departures::{departures_at, expected_departures};
 use crate::{
-    ControlTransform, CostFunction, CostTerms, Counts, EnVar, EnVarOptions, EnsembleUpdate, Error,
-    LeastSquares, Minimizer, Minimum, ObservationSet, Status, StrongConstraint,
+    ControlTransform, CostFunction, CostTerms, Counts, Departures, EnVar, EnVarOptions, EnsembleUpdate,
+    Error, Minimizer, Minimum, ObservationSet, Status, StrongConstraint,
 };
 use std::ops::ControlFlow;
 use varda_covariance::{Covariance, Ensemble, Hybrid, Localization};
-use varda_implicit::{Keep, Log, Model, Trajectory};
-use varda_linalg::dense::{View, product};
+use varda_implicit::{Keep, Model, Trajectory};
 
 /// A sequence of windows. Window c covers the steps first + c S … first + c S + K of a long run.
 ///
@@ -90,8 +89,14 @@ pub enum CycledCovariance<'a> {
 
 /// How an ensemble ([`CycleState::from_members`]) is used and carried.
 pub struct CycledEnsemble<'a> {
-    /// α ≥ 1 multiplies the perturbations of every background, before the window is assimilated.
-    pub inflation: f64,
+    /// α multiplies the perturbations of every background, before the window is assimilated.
+    pub inflation: CycledInflation,
+    /// ε: the ensemble is linearized by differences over this part of the members' deviations
+    /// ([`EnVar::set_spread`]); 1 uses the members themselves.
+    pub spread: f64,
+    /// Turns the members about their mean at random after every window; makes the source of standard normals
+    /// of the window of an index. `None` leaves them as the update has them.
+    pub rotation: Option<&'a dyn Fn(usize) -> Normals>,
     /// C.
     pub localization: Localization,
     /// The component of the control at whose place each stacked row was measured; asked for where C
@@ -103,6 +108,16 @@ pub struct CycledEnsemble<'a> {
     pub update: CycledUpdate<'a>,
     /// Outer iterations.
     pub options: EnVarOptions,
+}
+
+/// How much the perturbations of a background are inflated.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum CycledInflation {
+    /// By the same factor α > 0 before every window.
+    Fixed(f64),
+    /// By what the innovations of the window and the finite number of members ask for (EnKF-N: Bocquet 2011,
+    /// Bocquet and Sakov 2012). For ensembles without localization. Costs one linearization a window more.
+    FiniteSize,
 }
 
 /// [`EnsembleUpdate`], window after window.
@@ -151,6 +166,14 @@ pub struct Cycle {
     pub sigma: Option<Vec<f64>>,
     /// Root mean square errors, where the truth is known.
     pub errors: Option<CycleErrors>,
+    /// Departures in units of σ_o, against what B and R say of them; `None` where nothing was observed or
+    /// the minimization failed. What B says is estimated by random vectors for strong 4D-Var (an
+    /// adjoint sweep a window, 32 in all at least), exact for an ensemble.
+    pub departures: Option<Departures>,
+    /// α that the perturbations of the background were multiplied by; 1 for static B.
+    pub inflation: f64,
+    /// Members that failed on the way to the next window and were drawn again from the others.
+    pub drawn_again: usize,
 }
 
 impl Cycle {
@@ -241,8 +264,22 @@ pub fn cycle(
     let inflation = match covariance {
         CycledCovariance::Static(_) => 1.0,
         CycledCovariance::Propagated { inflation, .. } => *inflation,
-        CycledCovariance::Ensemble(ensemble) => ensemble.inflation,
+        CycledCovariance::Ensemble(ensemble) => match ensemble.inflation {
+            CycledInflation::Fixed(inflation) => inflation,
+            CycledInflation::FiniteSize if ensemble.localization.rank() > 1 => {
+                return Err(Error::Setting {
+                    what: "finite-size inflation with localization, rank",
+                    value: ensemble.localization.rank() as f64,
+                });
+            }
+            CycledInflation::FiniteSize => 1.0,
+        },
     };
+    if let CycledCovariance::Ensemble(CycledEnsemble { spread, .. }) = covariance
+        && !(*spread > 0.0 && spread.is_finite())
+    {
+        return Err(Error::Setting { what: "spread", value: *spread });
+    }
     if !(inflation > 0.0 && inflation.is_finite()) {
         return Err(Error::Setting { what: "inflation", value: inflation });
     }
@@ -311,7 +348,9 @@ impl Cycling<'_> {
         let n_z = transform.control_dim();
         let mut cost = StrongConstraint::new(&mut *model, transform.clone(), &mut observations)?;
         let mut v = vec![0.0; cost.dim()];
+        let (background, predicted) = expected_departures(&mut cost, state.next, self.cycles)?;
         let minimum = minimizer.minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(()))?;
+        let departures = departures_at(&mut cost, &v, &background, predicted);
         let mut columns = match carry {
             Some(_) => posterior_root(&mut cost, &transform, &v)?,
             None => Vec::new(),
@@ -346,8 +385,9 @@ impl Cycling<'_> {
         let background = trajectory.state(self.shift)[..n_z].to_vec();
         let end = trajectory.state(self.window).to_vec();
         let errors = self.errors(state.next, [&x_b, &x_a, &end]);
-        let from = Ended { minimum, observations: m, counts, sigma, errors };
-        Ok((self.cycle(state, z, end, from), CycleState { next: state.next + 1, background, columns }))
+        let inflation = carry.map_or(1.0, |carry| carry.inflation);
+        let from = Ended { minimum, counts, sigma, errors, departures, inflation, drawn_again: 0 };
+        Ok((self.cycle(state, z, end, m, from), CycleState { next: state.next + 1, background, columns }))
     }
 
     /// One window of 4D-EnVar.
@@ -358,25 +398,42 @@ impl Cycling<'_> {
         let make = || (self.make_model)(first);
         let z_b = &state.background;
         let n_z = z_b.len();
+        let local = settings.localization.rank() > 1;
+        let anchors = if local { (settings.anchors)(&observations) } else { Vec::new() };
+        let inflation = match settings.inflation {
+            CycledInflation::Fixed(inflation) => inflation,
+            CycledInflation::FiniteSize => {
+                let plain = Ensemble::new(&state.columns, settings.localization.clone())?;
+                let spread = settings.spread;
+                EnVar::over(&make, z_b.clone(), &plain, &mut observations, &anchors, spread)?
+                    .finite_size_inflation()?
+            }
+        };
         let mut members = state.columns.clone();
         for x in members.chunks_exact_mut(n_z) {
-            x.iter_mut().zip(z_b).for_each(|(x, m)| *x = m + settings.inflation * (*x - m));
+            x.iter_mut().zip(z_b).for_each(|(x, m)| *x = m + inflation * (*x - m));
         }
         let ensemble = Ensemble::new(&members, settings.localization.clone())?;
         let count = ensemble.members();
-        let local = settings.localization.rank() > 1;
-        let anchors = if local { (settings.anchors)(&observations) } else { Vec::new() };
 
         let hybrid = match settings.static_part {
             Some((b, beta_s, beta_e)) => Some(Hybrid::new(b, beta_s, ensemble.clone(), beta_e)?),
             None => None,
         };
         let mut cost = match &hybrid {
-            Some(hybrid) => EnVar::hybrid(&make, z_b.clone(), hybrid, &mut observations, &anchors)?,
-            None => EnVar::new(&make, z_b.clone(), &ensemble, &mut observations, &anchors)?,
+            Some(hybrid) => {
+                EnVar::hybrid_over(&make, z_b.clone(), hybrid, &mut observations, &anchors, settings.spread)?
+            }
+            None => EnVar::over(&make, z_b.clone(), &ensemble, &mut observations, &anchors, settings.spread)?,
         };
         let mut v = vec![0.0; cost.dim()];
+        let (at_background, predicted) = (cost.whitened_innovations().to_vec(), cost.predicted_trace());
         let minimum = cost.minimize(&mut v, &settings.options, &mut |_| ControlFlow::Continue(()))?;
+        let counts = cost.counts();
+        let departures = match cost.nonlinear_departures(&v) {
+            Ok(at_analysis) if m > 0 => Some(Departures::of(&at_background, &at_analysis, predicted)),
+            _ => None,
+        };
         let mut z = vec![0.0; n_z];
         cost.transform().control(&v, &mut z);
         let perturbations = match settings.update {
@@ -387,10 +444,12 @@ impl Cycling<'_> {
                 cost.posterior_perturbations(&mut update)?
             }
         };
-        let counts = cost.counts();
         let size = ((count - 1) as f64).sqrt();
         for (member, x) in members.chunks_exact_mut(n_z).zip(perturbations.chunks_exact(n_z)) {
             member.iter_mut().zip(x).zip(&z).for_each(|((member, x), z)| *member = z + size * x);
+        }
+        if let Some(normals) = settings.rotation {
+            rotate(&mut members, n_z, &mut *normals(state.next));
         }
 
         let mut models: Vec<_> = (0..count).map(|_| make()).collect();
@@ -399,7 +458,8 @@ impl Cycling<'_> {
         models[0].initial_state(z_b, &mut x_b)?;
         models[0].initial_state(&z, &mut x_a)?;
         let mut states = vec![0.0; count * (steps + 1) * n];
-        run_all(&mut models, &members, &mut states, steps, &mut Log::default())?;
+        let seed = state.next as u64;
+        let drawn_again = run_all_drawing_again(&mut models, &mut members, &mut states, steps, seed)?;
         let at = |k: usize| -> Vec<f64> {
             states.chunks_exact((steps + 1) * n).flat_map(|run| &run[k * n..][..n]).copied().collect()
         };
@@ -413,10 +473,10 @@ impl Cycling<'_> {
         };
         let sigma = Some((0..n_z).map(|i| variance(i).sqrt()).collect());
         let errors = self.errors(state.next, [&x_b, &x_a, &end]);
-        let from = Ended { minimum, observations: m, counts, sigma, errors };
+        let from = Ended { minimum, counts, sigma, errors, departures, inflation, drawn_again };
         let background = mean(&members, n_z);
         Ok((
-            self.cycle(state, z, end, from),
+            self.cycle(state, z, end, m, from),
             CycleState { next: state.next + 1, background, columns: members },
         ))
     }
@@ -435,8 +495,15 @@ impl Cycling<'_> {
         })
     }
 
-    fn cycle(&self, state: &CycleState, analysis: Vec<f64>, end: Vec<f64>, from: Ended) -> Cycle {
-        let Ended { minimum, observations, counts, sigma, errors } = from;
+    fn cycle(
+        &self,
+        state: &CycleState,
+        analysis: Vec<f64>,
+        end: Vec<f64>,
+        observations: usize,
+        from: Ended,
+    ) -> Cycle {
+        let Ended { minimum, counts, sigma, errors, departures, inflation, drawn_again } = from;
         Cycle {
             index: state.next,
             first_step: self.first_step(state.next),
@@ -453,6 +520,9 @@ impl Cycling<'_> {
             counts,
             sigma,
             errors,
+            departures,
+            inflation,
+            drawn_again,
         }
     }
 }
@@ -467,55 +537,12 @@ struct Carry<'a> {
 /// What the two kinds of window have in common at their end.
 struct Ended {
     minimum: Minimum,
-    observations: usize,
     counts: Counts,
     sigma: Option<Vec<f64>>,
     errors: Option<CycleErrors>,
-}
-
-/// U A^{-1/2} at v, by columns: a square root of P_a.
-fn posterior_root(
-    cost: &mut StrongConstraint,
-    transform: &ControlTransform,
-    v: &[f64],
-) -> Result<Vec<f64>, Error> {
-    let n = v.len();
-    let mut hessian = vec![0.0; n * n];
-    cost.evaluate(v, Some(&mut vec![0.0; n]))?;
-    cost.hessian(&mut hessian)?;
-    let (values, mut vectors) = eigen(n, &hessian)?;
-    let mut columns = vec![0.0; n * transform.control_dim()];
-    for ((column, z), mu) in
-        columns.chunks_exact_mut(transform.control_dim()).zip(vectors.chunks_exact_mut(n)).zip(values)
-    {
-        // Eigenvalues of I + GᵀG are at least 1 but for rounding.
-        z.iter_mut().for_each(|z| *z /= mu.max(1.0).sqrt());
-        transform.tangent(z, column);
-    }
-    if n <= transform.control_dim() { Ok(columns) } else { square_root(transform.control_dim(), &columns) }
-}
-
-/// A root of W Wᵀ with no more columns than rows: a hybrid B has more, and they would add up from window to
-/// window.
-fn square_root(n: usize, columns: &[f64]) -> Result<Vec<f64>, Error> {
-    let mut covariance = vec![0.0; n * n];
-    let w = View::new(columns, n, columns.len() / n);
-    product(w, w.transpose(), &mut covariance);
-    let (values, mut vectors) = eigen(n, &covariance)?;
-    for (z, lambda) in vectors.chunks_exact_mut(n).zip(values) {
-        z.iter_mut().for_each(|z| *z *= lambda.max(0.0).sqrt());
-    }
-    Ok(vectors)
-}
-
-/// The mean of vectors of length n, one after the other.
-fn mean(vectors: &[f64], n: usize) -> Vec<f64> {
-    let count = (vectors.len() / n) as f64;
-    let mut mean = vec![0.0; n];
-    for x in vectors.chunks_exact(n) {
-        mean.iter_mut().zip(x).for_each(|(m, x)| *m += x / count);
-    }
-    mean
+    departures: Option<Departures>,
+    inflation: f64,
+    drawn_again: usize,
 }
 
 /// √(mean (a − b)²).

@@ -89,6 +89,8 @@ mod convert;
 mod correlated;
 mod cost;
 mod cycle;
+mod cycle_members;
+mod departures;
 mod error;
 mod growth;
 mod inner;
@@ -113,8 +115,10 @@ pub use cost::{
     LeastSquares, Rejection, StrongConstraint, WeakForcing, WeakState, highest_j_of_a_fit, huber,
 };
 pub use cycle::{
-    Cycle, CycleErrors, CycleState, CycledCovariance, CycledEnsemble, CycledUpdate, Cycling, Normals, cycle,
+    Cycle, CycleErrors, CycleState, CycledCovariance, CycledEnsemble, CycledInflation, CycledUpdate, Cycling,
+    Normals, cycle,
 };
+pub use departures::Departures;
 pub use error::Error;
 pub use growth::{Assimilate, window_growth};
 pub use inner::{InnerEnd, InnerLimits, conjugate_gradients, restricted_conjugate_gradients};

@@ -349,3 +349,50 @@ fn check_tells_the_size_of_a_sequence() {
     assert!(text.contains("75 windows, 8 steps apart: 600 steps"), "{text}");
     assert!(text.contains("24000 values at 600 times"), "{text}");
 }
+
+/// An ensemble that inflates itself and is turned between windows stays on the truth and says that its errors
+/// are as assumed; one of ten members left alone loses it, and says so with what to do.
+#[test]
+fn a_sequence_says_whether_its_errors_are_as_assumed() {
+    let folder = Folder::new("checks");
+    let run = |sets: &[&str]| -> serde_json::Value {
+        let few = ["algorithm.cycles.count=80", "algorithm.cycles.spin_up=30"];
+        let sets = [&few[..], sets].concat();
+        ok(&folder.run("lorenz96-cycling-4denvar", &sets, &["--quiet", "--out", "r"]));
+        folder.summary("r")
+    };
+    let adaptive = [
+        "algorithm.cycles.inflation=adaptive",
+        "algorithm.cycles.rotation=true",
+        "algorithm.cycles.spread=1e-3",
+        "algorithm.ensemble.inflation=1.0",
+    ];
+    let good = run(&adaptive);
+    let cycles = &good["cycles"];
+    assert!(cycles["rmse_end"].as_f64().unwrap() < 0.25, "{cycles}");
+    assert!(cycles["inflation"].as_f64().unwrap() > 1.0, "{cycles}");
+    for ratio in ["innovation_ratio", "observation_ratio", "chi2_of_all"] {
+        // 50 windows of 160 values: √(2/8000) and what is not linear.
+        assert!((cycles[ratio].as_f64().unwrap() - 1.0).abs() < 0.15, "{ratio}: {cycles}");
+    }
+    assert!(!good["warnings"].to_string().contains("is expected"), "{}", good["warnings"]);
+
+    let lost = run(&["algorithm.ensemble.members=10", "algorithm.ensemble.inflation=1.0"]);
+    let warnings = lost["warnings"].to_string();
+    assert!(lost["cycles"]["rmse_end"].as_f64().unwrap() > 1.0, "{}", lost["cycles"]);
+    for part in ["2J/m over all windows", "B is too small", "inflation of", "the spread has collapsed"] {
+        assert!(warnings.contains(part), "{part}: {warnings}");
+    }
+    let header = folder.cycles("r")[0].clone();
+    assert!(header.contains("innovation_ratio,observation_ratio,background_ratio,inflation,drawn_again"));
+
+    for (sets, part) in [
+        (&["algorithm.cycles.spread=2.0"][..], "spread"),
+        (&["algorithm.cycles.inflation=adaptive"], "its own inflation"),
+        (&["algorithm.cycles.inflation=adaptively"], "inflation"),
+    ] {
+        let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
+        let error = SceneFile::open("lorenz96-cycling-4denvar", &sets).unwrap_err().to_string();
+        assert!(error.contains(part), "{error}");
+    }
+}

@@ -151,3 +151,30 @@ fn rows_that_repeat_another_count_once() {
     assert_eq!(plan.n_obs, 60);
     assert!(plan.left_out.iter().any(|l| l.starts_with("20 rows that repeat")), "{:?}", plan.left_out);
 }
+
+/// A recording at 240 Hz, a row a step, written to microseconds, to milliseconds and as it is: every value
+/// falls into a window, where windows of four steps tile the time. Times off the steps do not, and that is
+/// said.
+#[test]
+fn rounded_times_lose_no_value_between_windows() {
+    let sets = ["time.step=0.004166666666666667", "time.window=3", "algorithm.cycles.count=5"];
+    let sets = [&sets[..], &["algorithm.cycles.shift=4", "observations.outside_window=skip"]].concat();
+    let values = |name: &str, time: &dyn Fn(usize) -> String| {
+        let mut text = String::from("time_s,s_m,x_m,y_m,z_m\n");
+        for k in 0..20 {
+            text += &format!("{},0.5,0.001,0,0.5\n", time(k));
+        }
+        let folder = Folder::new(&format!("rounded-{name}")).with("seen.csv", &text);
+        let scene = folder.scene(&format!("{ROD}{CLAMP}{SEEN}"), &sets).unwrap();
+        let sequence = varda::run::cycles::Sequence::from_scene(&scene).unwrap().unwrap();
+        sequence.values()
+    };
+    let step = 1.0 / 240.0;
+    assert_eq!(values("whole", &|k| (step * k as f64).to_string()), [60, 0]);
+    assert_eq!(values("micro", &|k| format!("{:.6}", step * k as f64)), [60, 0]);
+    assert_eq!(values("milli", &|k| format!("{:.3}", step * k as f64)), [60, 0]);
+    // A millionth of a second after the steps, to nine digits: those after the last steps of windows
+    // are lost.
+    let [inside, between] = values("late", &|k| format!("{:.9}", step * k as f64 + 1e-6));
+    assert_eq!((inside + between, between), (60, 12), "4 windows before the last end with a value");
+}

@@ -244,7 +244,9 @@ fn run(network: &Network, case: &Case, seed: u64, mean: &[f64], b: &Dense) -> Re
                 .collect();
             state = CycleState::from_members(members, N);
             CycledCovariance::Ensemble(CycledEnsemble {
-                inflation,
+                inflation: CycledInflation::Fixed(inflation),
+                spread: 1.0,
+                rotation: None,
                 localization: match support {
                     Some(support) => {
                         Localization::by_distance(Taper::GaspariCohn { support }, N, ring, 0.01)?

@@ -1,13 +1,14 @@
 //! 4D-EnVar and its hybrid: an ensemble of forward runs in the place of the tangent and the adjoint.
 
 mod analysis;
+mod runs;
 
 pub use analysis::{EnVarOptions, EnsembleUpdate};
+use runs::run_all;
+pub(crate) use runs::run_each;
 
 use super::{CostFunction, CostTerms, Counts, LeastSquares, dot};
 use crate::{ControlTransform, Error, ObservationSet};
-#[cfg(feature = "rayon")]
-use rayon::prelude::*;
 use varda_covariance::{Covariance, Ensemble, Hybrid};
 use varda_implicit::{Log, Model};
 use varda_linalg::dense::{View, product};
@@ -129,8 +130,20 @@ impl<'a> EnVar<'a> {
         observations: &'a mut ObservationSet,
         anchors: &[usize],
     ) -> Result<Self, Error> {
+        Self::over(make_model, background, ensemble, observations, anchors, 1.0)
+    }
+
+    /// The same, linearized from the start by differences over a part of the members' deviations.
+    pub(crate) fn over<'m: 'a>(
+        make_model: &dyn Fn() -> Box<dyn Model + Send + 'm>,
+        background: Vec<f64>,
+        ensemble: &'a Ensemble,
+        observations: &'a mut ObservationSet,
+        anchors: &[usize],
+        spread: f64,
+    ) -> Result<Self, Error> {
         let transform = ControlTransform::new(background, ensemble)?;
-        Self::with(make_model, transform, ensemble, 1.0, None, observations, anchors)
+        Self::with(make_model, transform, (ensemble, 1.0), None, observations, anchors, spread)
     }
 
     /// Hybrid 4D-EnVar, as [`new`](Self::new) otherwise.
@@ -144,20 +157,32 @@ impl<'a> EnVar<'a> {
         observations: &'a mut ObservationSet,
         anchors: &[usize],
     ) -> Result<Self, Error> {
+        Self::hybrid_over(make_model, background, hybrid, observations, anchors, 1.0)
+    }
+
+    /// The same, linearized from the start by differences over a part of the members' deviations.
+    pub(crate) fn hybrid_over<'m: 'a>(
+        make_model: &dyn Fn() -> Box<dyn Model + Send + 'm>,
+        background: Vec<f64>,
+        hybrid: &'a Hybrid<'a>,
+        observations: &'a mut ObservationSet,
+        anchors: &[usize],
+        spread: f64,
+    ) -> Result<Self, Error> {
         let transform = ControlTransform::new(background, hybrid)?;
         let static_part = Some((hybrid.static_part(), hybrid.static_weight()));
-        let (ensemble, weight) = (hybrid.ensemble(), hybrid.ensemble_weight());
-        Self::with(make_model, transform, ensemble, weight, static_part, observations, anchors)
+        let weighted = (hybrid.ensemble(), hybrid.ensemble_weight());
+        Self::with(make_model, transform, weighted, static_part, observations, anchors, spread)
     }
 
     fn with<'m: 'a>(
         make_model: &dyn Fn() -> Box<dyn Model + Send + 'm>,
         transform: ControlTransform<'a>,
-        ensemble: &'a Ensemble,
-        ensemble_weight: f64,
+        (ensemble, ensemble_weight): (&'a Ensemble, f64),
         static_part: Option<(&'a dyn Covariance, f64)>,
         observations: &'a mut ObservationSet,
         anchors: &[usize],
+        spread: f64,
     ) -> Result<Self, Error> {
         let mut models: Vec<Box<dyn Model + Send + 'a>> = Vec::new();
         (0..=ensemble.members()).for_each(|_| models.push(make_model()));
@@ -197,7 +222,7 @@ impl<'a> EnVar<'a> {
             static_part,
             observations,
             anchors,
-            spread: 1.0,
+            spread,
             scale: 1.0,
             last,
             state_dim,
@@ -319,6 +344,12 @@ impl<'a> EnVar<'a> {
     }
 
     fn nonlinear_terms(&mut self, v: &[f64]) -> Result<CostTerms, Error> {
+        let d = self.nonlinear_departures(v)?;
+        Ok(CostTerms { background: 0.5 * dot(v, v), observation: 0.5 * dot(&d, &d), model_error: 0.0 })
+    }
+
+    /// R^{-1/2} (y − H(x)) of the run from v: one forward run of the control.
+    pub(crate) fn nonlinear_departures(&mut self, v: &[f64]) -> Result<Vec<f64>, Error> {
         let n_z = self.transform.control_dim();
         self.transform.control(v, &mut self.controls[..n_z]);
         self.run(1)?;
@@ -326,9 +357,8 @@ impl<'a> EnVar<'a> {
         let mut d = vec![0.0; self.predicted.len()];
         self.observations.innovations(&self.predicted, &mut d);
         self.observations.whiten_blocks(&mut d);
-        let rows = d.iter().zip(self.observations.row_scale());
-        let sum = rows.fold(0.0, |sum, (d, s)| sum + (d / (self.scale * s)).powi(2));
-        Ok(CostTerms { background: 0.5 * dot(v, v), observation: 0.5 * sum, model_error: 0.0 })
+        d.iter_mut().zip(self.observations.row_scale()).for_each(|(d, s)| *d /= self.scale * s);
+        Ok(d)
     }
 
     /// Runs the first `runs` models from their controls through the window.
@@ -409,56 +439,6 @@ impl<'a> EnVar<'a> {
         let g = View::new(&jacobian, m, n);
         product(g.transpose(), g, out);
     }
-}
-
-/// Runs every model from its control over `steps` steps, in parallel with the feature `rayon`. A run is a
-/// pure function of its control, so that who runs it does not matter; the error is that of the first model
-/// that failed.
-pub(crate) fn run_all<'m>(
-    models: &mut [Box<dyn Model + Send + 'm>],
-    controls: &[f64],
-    states: &mut [f64],
-    steps: usize,
-    log: &mut Log,
-) -> Result<(), Error> {
-    let (n, n_z) = (models[0].dim(), models[0].control_dim());
-    let length = (steps + 1) * n;
-    #[cfg(feature = "rayon")]
-    let ended: Vec<(Log, Result<(), varda_implicit::Error>)> = models
-        .par_iter_mut()
-        .zip(controls.par_chunks_exact(n_z))
-        .zip(states.par_chunks_exact_mut(length))
-        .map(|((model, z), states)| run_one(&mut **model, z, states, n))
-        .collect();
-    #[cfg(not(feature = "rayon"))]
-    let ended: Vec<(Log, Result<(), varda_implicit::Error>)> = models
-        .iter_mut()
-        .zip(controls.chunks_exact(n_z))
-        .zip(states.chunks_exact_mut(length))
-        .map(|((model, z), states)| run_one(&mut **model, z, states, n))
-        .collect();
-    for (run, _) in &ended {
-        log.add(run);
-    }
-    Ok(ended.into_iter().try_for_each(|(_, ended)| ended)?)
-}
-
-/// Fills `states`, x₀ first, with the run from the control z.
-fn run_one(
-    model: &mut dyn Model,
-    z: &[f64],
-    states: &mut [f64],
-    n: usize,
-) -> (Log, Result<(), varda_implicit::Error>) {
-    let mut log = Log::default();
-    let ended = model.initial_state(z, &mut states[..n]).and_then(|()| {
-        (0..states.len() / n - 1).try_for_each(|k| {
-            let (x, x_next) = states[k * n..(k + 2) * n].split_at_mut(n);
-            log.step(k, model.step(k, x, x_next)?);
-            Ok(())
-        })
-    });
-    (log, ended)
 }
 
 /// Whether the columns of X sum to zero.

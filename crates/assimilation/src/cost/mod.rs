@@ -20,7 +20,7 @@ mod whitening;
 pub use background_check::Rejection;
 pub use chi_squared::highest_j_of_a_fit;
 pub use dual::Dual;
-pub(crate) use ensemble::run_all;
+pub(crate) use ensemble::run_each;
 pub use ensemble::{EnVar, EnVarOptions, EnsembleUpdate};
 pub use function::{CostFunction, CostTerms, Counts};
 pub use huber::huber;

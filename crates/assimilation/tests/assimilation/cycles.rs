@@ -91,7 +91,9 @@ fn exact() -> Minimizer {
 
 fn ensemble<'a>(inflation: f64) -> CycledEnsemble<'a> {
     CycledEnsemble {
-        inflation,
+        inflation: CycledInflation::Fixed(inflation),
+        spread: 1.0,
+        rotation: None,
         localization: Localization::none(N),
         anchors: &|_| Vec::new(),
         static_part: None,
@@ -262,7 +264,9 @@ fn every_way_to_carry_a_covariance_runs_on_a_nonlinear_model() {
                 Localization::none(n)
             };
             CycledCovariance::Ensemble(CycledEnsemble {
-                inflation: 1.05,
+                inflation: CycledInflation::Fixed(1.05),
+                spread: 1.0,
+                rotation: None,
                 localization,
                 anchors: &anchors,
                 static_part,

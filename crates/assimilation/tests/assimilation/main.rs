@@ -3,6 +3,7 @@
 mod correlated;
 mod cost;
 mod coverage;
+mod cycle_checks;
 mod cycles;
 mod endings;
 mod ensemble;

@@ -5,6 +5,8 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 
+use varda_assimilation::Departures;
+
 use crate::Error;
 use crate::outcome::{CyclesOutcome, Status};
 use crate::report;
@@ -135,8 +137,21 @@ fn table(o: &CyclesOutcome, folder: &Path, seconds: f64) -> String {
             );
         }
     }
-    if let Some(chi2) = means.chi2 {
-        line("2J/m", format!("{chi2:.3}"));
+    if let (Some(chi2), Some(of_all)) = (means.chi2, means.chi2_of_all) {
+        line("2J/m", format!("{chi2:.3} a window, {of_all:.3} over all"));
+    }
+    let of = Departures::from(means.departures);
+    if let (Some(innovations), Some(r)) = (of.innovation_ratio(), of.observation_ratio()) {
+        let b = of.background_ratio().map_or(String::new(), |b| format!(", B {b:.2}"));
+        line(
+            "departures",
+            format!(
+                "found/assumed: innovations {innovations:.2}, R {r:.2}{b} (1 where the errors are right)"
+            ),
+        );
+    }
+    if let Some(inflation) = means.inflation.filter(|i| *i != 1.0) {
+        line("inflation", format!("{inflation:.3}"));
     }
     let each = means.seconds.map_or(String::new(), |s| format!(", {:.2} ms a cycle", 1e3 * s));
     line("time", format!("{seconds:.2} s{each}"));

@@ -1,6 +1,7 @@
 //! A sequence of windows.
 
 use serde::{Deserialize, Serialize};
+use varda_assimilation::Departures;
 use varda_implicit::check::Amplification;
 
 use super::{Experiment, Shapes, Status, Trajectories, WorkCounts};
@@ -42,6 +43,12 @@ pub struct CycleRow {
     pub rmse_start: Vec<f64>,
     /// RMSE of the analysis at the window's end.
     pub rmse_end: Vec<f64>,
+    /// Departures of the window in units of σ_o; `None` where nothing was observed.
+    pub departures: Option<CycleDepartures>,
+    /// Factor on the deviations or standard deviations of the background.
+    pub inflation: f64,
+    /// Members that failed and were drawn again.
+    pub drawn_again: usize,
     /// Seconds the window took.
     pub seconds: f64,
     /// x_b at the window's start.
@@ -52,6 +59,35 @@ pub struct CycleRow {
     /// part of the state.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub next_end_angle: Option<f64>,
+}
+
+/// Sums over the observed values of a window, whitened: see [`varda_assimilation::Departures`].
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct CycleDepartures {
+    /// Values m.
+    pub count: usize,
+    /// Σ d_ob².
+    pub background: f64,
+    /// Σ d_oa d_ob.
+    pub analysis: f64,
+    /// Σ d_ab d_ob.
+    pub increment: f64,
+    /// What B says of Σ d_ab d_ob.
+    pub predicted: f64,
+}
+
+impl From<Departures> for CycleDepartures {
+    fn from(of: Departures) -> Self {
+        let Departures { count, background, analysis, increment, predicted } = of;
+        CycleDepartures { count, background, analysis, increment, predicted }
+    }
+}
+
+impl From<CycleDepartures> for Departures {
+    fn from(of: CycleDepartures) -> Self {
+        let CycleDepartures { count, background, analysis, increment, predicted } = of;
+        Departures { count, background, analysis, increment, predicted }
+    }
 }
 
 /// The result of a sequence.
@@ -125,6 +161,12 @@ pub struct Means {
     pub spread: Vec<Option<f64>>,
     /// 2J/m, over the windows in which something was observed.
     pub chi2: Option<f64>,
+    /// Σ 2J / Σ m.
+    pub chi2_of_all: Option<f64>,
+    /// Departures, summed.
+    pub departures: CycleDepartures,
+    /// Inflation.
+    pub inflation: Option<f64>,
     /// Seconds.
     pub seconds: Option<f64>,
 }

@@ -11,7 +11,7 @@ mod space;
 mod window;
 
 pub use convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
-pub use cycles::{CycleRow, CyclesOutcome, Means};
+pub use cycles::{CycleDepartures, CycleRow, CyclesOutcome, Means};
 pub use evidence::{Cause, Evidence};
 pub use fit::{Fit, Forecast, Rejected, Withheld};
 pub use modes::RodModes;

@@ -3,6 +3,8 @@
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
+use varda_assimilation::Departures;
+
 use crate::Error;
 use crate::outcome::{CycleRow, CyclesOutcome, Status};
 use crate::state::StateGroup;
@@ -58,7 +60,7 @@ fn rows(outcome: &CyclesOutcome) -> String {
         let prefix = if i == 0 { String::new() } else { format!("{}_", group.name) };
         COLUMNS.iter().for_each(|(name, _)| out.push_str(&format!(",{prefix}{name}")));
     }
-    out.push_str(",seconds\n");
+    out.push_str(",innovation_ratio,observation_ratio,background_ratio,inflation,drawn_again,seconds\n");
     for r in &outcome.cycles {
         let costs = [r.time, r.j, r.j_b, r.j_o].map(number).join(",");
         let c = &r.counts;
@@ -80,7 +82,11 @@ fn rows(outcome: &CyclesOutcome) -> String {
                 out.push_str(&format!(",{}", optional(of(r).get(i).copied())));
             });
         }
-        let _ = writeln!(out, ",{}", number(r.seconds));
+        let of = r.departures.map(Departures::from).unwrap_or_default();
+        for ratio in [of.innovation_ratio(), of.observation_ratio(), of.background_ratio()] {
+            let _ = write!(out, ",{}", optional(ratio));
+        }
+        let _ = writeln!(out, ",{},{},{}", number(r.inflation), r.drawn_again, number(r.seconds));
     }
     out
 }
@@ -113,6 +119,7 @@ fn summary(outcome: &CyclesOutcome) -> serde_json::Value {
         rmse.insert(format!("{name}_end"), means.rmse_end[i].into());
         rmse.insert(format!("{name}_spread"), means.spread[i].into());
     }
+    let departures = Departures::from(means.departures);
     let first = |all: &[Option<f64>]| all.first().copied().flatten();
     serde_json::json!({
         "scene": experiment.name,
@@ -140,6 +147,12 @@ fn summary(outcome: &CyclesOutcome) -> serde_json::Value {
             "rmse_end": first(&means.rmse_end),
             "spread": first(&means.spread),
             "chi2": means.chi2,
+            "chi2_of_all": means.chi2_of_all,
+            "innovation_ratio": departures.innovation_ratio(),
+            "observation_ratio": departures.observation_ratio(),
+            "background_ratio": departures.background_ratio(),
+            "inflation": means.inflation,
+            "drawn_again": outcome.cycles.iter().map(|r| r.drawn_again).sum::<usize>(),
             "not_converged": outcome.cycles.iter().filter(|r| r.status != Status::Converged).count(),
             "failures": failures(outcome),
             "seconds_each": means.seconds,

@@ -11,15 +11,17 @@ use std::time::Instant;
 
 use rand_distr::{Distribution, StandardNormal};
 use varda_assimilation::{
-    Cycle, CycleState, CycledCovariance, CycledEnsemble, CycledUpdate, Cycling, EnVarOptions, Normals,
-    Observation, ObservationOperator, ObservationSet, cycle,
+    Cycle, CycleState, CycledCovariance, CycledEnsemble, CycledInflation, CycledUpdate, Cycling, Departures,
+    EnVarOptions, Normals, Observation, ObservationOperator, ObservationSet, cycle,
 };
 use varda_implicit::check::Amplification;
 use varda_implicit::{At, Model, Refusal};
 
-use super::{amplification, shapes};
+use super::{amplification, cycle_checks, shapes};
 use crate::Error;
-use crate::outcome::{CycleRow, CyclesOutcome, Experiment, Means, Status, Trajectories, WorkCounts};
+use crate::outcome::{
+    CycleDepartures, CycleRow, CyclesOutcome, Experiment, Means, Status, Trajectories, WorkCounts,
+};
 use crate::scene::{self, Cycles, SceneFile, TimeGrid};
 use crate::setup::random::{Stream, stream_of_window};
 use crate::setup::runs::run_states;
@@ -142,11 +144,15 @@ impl Sequence {
             let mut rng = stream_of_window(seed, Stream::Ensemble, c);
             Box::new(move || StandardNormal.sample(&mut rng))
         };
+        let turns = |c: usize| -> Normals {
+            let mut rng = stream_of_window(seed, Stream::Rotations, c);
+            Box::new(move || StandardNormal.sample(&mut rng))
+        };
         let b = self.problem.covariance.as_ref();
         let covariance = match (self.cycles.covariance_of(algorithm.method), &self.problem.ensemble) {
             (scene::CycledCovariance::Propagated, _) => {
                 let static_part = self.cycles.static_weight.filter(|w| *w > 0.0).map(|weight| (b, weight));
-                let inflation = self.cycles.inflation.unwrap_or(1.0);
+                let inflation = self.cycles.inflation.and_then(scene::Inflation::factor).unwrap_or(1.0);
                 CycledCovariance::Propagated { first: b, inflation, static_part }
             }
             (scene::CycledCovariance::Ensemble, Some(members)) => {
@@ -156,7 +162,12 @@ impl Sequence {
                 // As without cycles, a hybrid is linearized once.
                 let max_outer = if hybrid { 1 } else { algorithm.max_iterations };
                 CycledCovariance::Ensemble(CycledEnsemble {
-                    inflation: ensemble.inflation,
+                    inflation: match self.cycles.inflation {
+                        Some(scene::Inflation::Found(_)) => CycledInflation::FiniteSize,
+                        _ => CycledInflation::Fixed(ensemble.inflation),
+                    },
+                    spread: self.cycles.spread.unwrap_or(1.0),
+                    rotation: self.cycles.rotation.unwrap_or(false).then_some(&turns),
                     localization: members.localization().clone(),
                     anchors: &anchors,
                     static_part: hybrid.then_some((b, beta_s, beta_e)),
@@ -236,8 +247,19 @@ impl Sequence {
                 warnings.push(remark);
             }
         }
+        let [inside, between] = self.values();
+        if between > 0 {
+            warnings.push(format!(
+                "{between} of {} observed values lie between two windows and are not used (cycles.shift, \
+                 time.window, or times off the steps)",
+                inside + between
+            ));
+        }
         let groups = self.problem.experiment.state.groups.len();
         let means = means(&rows, self.cycles.spin_up, groups);
+        let inflation = means.inflation.unwrap_or(1.0);
+        let carried = self.cycles.covariance_of(algorithm.method);
+        warnings.extend(cycle_checks::remarks(&rows, &means, carried, inflation));
         if means.count == 0 {
             warnings.push("all cycles done are spin-up: there are no means".into());
         }
@@ -321,6 +343,9 @@ impl Sequence {
             rmse_background: rmse(&c.background, c.first_step),
             rmse_start: rmse(&c.analysis, c.first_step),
             rmse_end: rmse(&c.end, c.first_step + self.window),
+            departures: c.departures.map(CycleDepartures::from),
+            inflation: c.inflation,
+            drawn_again: c.drawn_again,
             seconds,
             background: c.background.clone(),
             analysis: c.analysis.clone(),
@@ -431,6 +456,16 @@ fn means(rows: &[CycleRow], spin_up: usize, groups: usize) -> Means {
         rmse_start: of_groups(&|r| &r.rmse_start),
         rmse_end: of_groups(&|r| &r.rmse_end),
         spread: of_groups(&|r| &r.spread),
+        chi2_of_all: {
+            let m: usize = counted.iter().map(|r| r.observations).sum();
+            (m > 0).then(|| counted.iter().map(|r| 2.0 * r.j).sum::<f64>() / m as f64)
+        },
+        departures: counted
+            .iter()
+            .filter_map(|r| r.departures)
+            .fold(Departures::default(), |sum, of| sum + of.into())
+            .into(),
+        inflation: mean(counted.iter().map(|r| r.inflation).collect()),
         chi2: mean(counted.iter().filter(|r| r.observations > 0).map(|r| r.chi2).collect()),
         seconds: mean(counted.iter().map(|r| r.seconds).collect()),
     }

@@ -3,6 +3,7 @@
 
 mod amplification;
 pub mod compare;
+mod cycle_checks;
 pub mod cycles;
 mod departure_series;
 pub mod departures;

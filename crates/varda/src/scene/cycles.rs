@@ -23,11 +23,20 @@ pub struct Cycles {
     /// Where B of the next window comes from. Left out: the ensemble where the method runs one, else static.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub covariance: Option<CycledCovariance>,
-    /// Factor on the standard deviations of the propagated posterior; an ensemble's is in
-    /// [algorithm.ensemble].
+    /// Factor on the standard deviations of the propagated posterior (that of an ensemble is in
+    /// [algorithm.ensemble]); or "adaptive", for an ensemble without localization: what the innovations of a
+    /// window and the finite number of members ask for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
-    pub inflation: Option<f64>,
+    pub inflation: Option<Inflation>,
+    /// Part of the members' deviations over which the ensemble is linearized by differences; 1, the default,
+    /// uses the members themselves. A small part (1e-3) is right where members are far apart.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "maximum" = 1.0))]
+    pub spread: Option<f64>,
+    /// Whether the members are turned about their mean at random after every window: the same mean and
+    /// covariance, without outliers that a square root would carry for ever.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rotation: Option<bool>,
     /// Weight β of the scene's own B that is added to the propagated posterior, P + β² B: a factor on
     /// standard deviations.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -39,6 +48,34 @@ pub struct Cycles {
     /// Windows at the beginning that do not count in the means.
     #[serde(default)]
     pub spin_up: usize,
+}
+
+/// Inflation between windows.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Inflation {
+    /// A factor on standard deviations.
+    Factor(#[schemars(extend("exclusiveMinimum" = 0.0))] f64),
+    /// Found window by window.
+    Found(Adaptive),
+}
+
+/// The word "adaptive".
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Adaptive {
+    /// By the finite number of members and the innovations.
+    Adaptive,
+}
+
+impl Inflation {
+    /// The factor, where one is given.
+    pub fn factor(self) -> Option<f64> {
+        match self {
+            Inflation::Factor(factor) => Some(factor),
+            Inflation::Found(Adaptive::Adaptive) => None,
+        }
+    }
 }
 
 /// Where the background covariance of the next window comes from.

@@ -45,7 +45,7 @@ pub use background::{
     Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Kernel, KernelCovariance,
     LineCovariance, Origin, Prior, Root, Taper,
 };
-pub use cycles::{CycledCovariance, Cycles, EnsembleUpdate};
+pub use cycles::{Adaptive, CycledCovariance, Cycles, EnsembleUpdate, Inflation};
 pub use ensemble::Ensemble;
 pub use file::SceneFile;
 pub use grid::TimeGrid;

@@ -168,16 +168,18 @@ fn check_range(node: &Node, path: &str, value: f64, schema: &Json) -> Result<(),
     }
 }
 
-/// The same as `resolve`; of a value that may be a table or not, the part that the value is of.
+/// The same as `resolve`; of a value that may be a table, a word or a number, the part that the value is of.
 fn resolve_for<'a>(node: &Node, schema: &'a Json, root: &'a Json) -> &'a Json {
-    let table = matches!(node.value, Value::Table(_));
+    let (table, word) = (matches!(node.value, Value::Table(_)), matches!(node.value, Value::String(_)));
     let mut inner = schema;
     loop {
         inner = if let Some(name) = inner["$ref"].as_str().and_then(|r| r.strip_prefix("#/$defs/")) {
             &root["$defs"][name]
         } else if let Some(all) = inner["anyOf"].as_array() {
             let fits = |s: &&Json| s["type"] != "null" && (resolve(s, root)["type"] == "object") == table;
-            match all.iter().find(fits).or_else(|| all.iter().find(|s| s["type"] != "null")) {
+            let is_word = |s: &&Json| fits(s) && resolve(s, root)["oneOf"][0]["type"] == "string";
+            let by_kind = all.iter().find(|s| word && is_word(s)).or_else(|| all.iter().find(fits));
+            match by_kind.or_else(|| all.iter().find(|s| s["type"] != "null")) {
                 Some(one) => one,
                 None => return inner,
             }

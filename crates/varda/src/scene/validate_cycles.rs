@@ -1,7 +1,7 @@
 //! What `[algorithm.cycles]` must satisfy beyond the type of each key.
 
 use super::invalid::{Check, invalid};
-use super::{CycledCovariance, Cycles, Method, Scene};
+use super::{CycledCovariance, Cycles, Inflation, Method, Scene};
 
 /// What `[algorithm.cycles]` must satisfy beyond the type of each key.
 pub(super) fn validate_cycles(cycles: &Cycles, scene: &Scene) -> Check {
@@ -40,9 +40,26 @@ pub(super) fn validate_cycles(cycles: &Cycles, scene: &Scene) -> Check {
         );
         return refuse(".covariance", message);
     }
+    let factor = cycles.inflation.and_then(Inflation::factor);
+    let found = cycles.inflation.is_some() && factor.is_none();
+    if let Some(factor) = factor.filter(|f| !(*f > 0.0 && f.is_finite())) {
+        return refuse(".inflation", format!("{factor} is not a positive number"));
+    }
+    if let Some(spread) = cycles.spread.filter(|s| !(*s > 0.0 && *s <= 1.0)) {
+        return refuse(".spread", format!("{spread} is not in (0, 1]"));
+    }
+    let ensemble = algorithm.members();
+    if found && ensemble.as_ref().is_some_and(|e| e.localization_length.is_some() || e.inflation != 1.0) {
+        let message = "\"adaptive\" is for an ensemble without localization_length, and takes the place of \
+                       its own inflation";
+        return refuse(".inflation", message.into());
+    }
     let propagated = covariance == CycledCovariance::Propagated;
     for (key, given, belongs, to) in [
-        ("inflation", cycles.inflation.is_some(), propagated, "covariance = \"propagated\""),
+        ("inflation", factor.is_some(), propagated, "covariance = \"propagated\""),
+        ("inflation", found, method.is_ensemble(), "covariance = \"ensemble\""),
+        ("spread", cycles.spread.is_some(), method.is_ensemble(), "covariance = \"ensemble\""),
+        ("rotation", cycles.rotation.is_some(), method.is_ensemble(), "covariance = \"ensemble\""),
         ("static_weight", cycles.static_weight.is_some(), propagated, "covariance = \"propagated\""),
         ("update", cycles.update.is_some(), method.is_ensemble(), "covariance = \"ensemble\""),
     ] {

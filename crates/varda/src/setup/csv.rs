@@ -14,6 +14,8 @@ pub struct ObservedRow {
     pub line: usize,
     /// Time \[s\].
     pub time: f64,
+    /// Half a unit of the last digit that the file's times are written with \[s\].
+    pub time_rounding: f64,
     /// What was seen.
     pub subject: Subject,
     /// Its coordinates \[m\]; `None` was not observed.
@@ -55,8 +57,10 @@ pub fn observations(file: &str, text: &str) -> Result<Vec<ObservedRow>, Error> {
             );
         }
     };
-    let mut rows = Vec::new();
+    let mut rows: Vec<ObservedRow> = Vec::new();
+    let mut finest = f64::INFINITY;
     while table.next()? {
+        finest = finest.min(table.last_digit("time_s"));
         let subject = if by_marker {
             let name = table.cell("marker");
             if name.is_empty() {
@@ -73,6 +77,7 @@ pub fn observations(file: &str, text: &str) -> Result<Vec<ObservedRow>, Error> {
         rows.push(ObservedRow {
             line: table.line,
             time: table.needed("time_s")?,
+            time_rounding: 0.0,
             subject,
             position: [table.number("x_m")?, table.number("y_m")?, table.number("z_m")?],
             sigma,
@@ -81,6 +86,7 @@ pub fn observations(file: &str, text: &str) -> Result<Vec<ObservedRow>, Error> {
     if rows.is_empty() {
         return Err(table.bad(1, "holds no observations"));
     }
+    rows.iter_mut().for_each(|row| row.time_rounding = 0.5 * finest);
     Ok(rows)
 }
 
@@ -266,6 +272,15 @@ impl<'a> Table<'a> {
         }
     }
 
+    /// One unit of the last digit of the number in a cell, in the unit of the known column.
+    fn last_digit(&self, name: &str) -> f64 {
+        let cell = self.cell(name);
+        let (digits, exponent) = cell.split_once(['e', 'E']).unwrap_or((cell, "0"));
+        let decimals = digits.split_once(['.', ',']).map_or(0, |(_, decimals)| decimals.len());
+        let exponent = exponent.parse::<i32>().unwrap_or(0).saturating_sub(decimals as i32);
+        self.column(name).map_or(1.0, |i| self.factors[i]) * 10f64.powi(exponent)
+    }
+
     fn needed(&self, name: &str) -> Result<f64, Error> {
         self.number(name)?.ok_or_else(|| self.bad(self.line, format!("`{name}` is empty")))
     }
@@ -311,6 +326,16 @@ mod tests {
         let rows = observations("o", "marker,time_s,z_m,y_m,x_m\ntip,0.25,3,2,1\n").unwrap();
         assert_eq!(rows[0].subject, Subject::Marker("tip".into()));
         assert_eq!(rows[0].position, [Some(1.0), Some(2.0), Some(3.0)]);
+    }
+
+    #[test]
+    fn times_are_known_to_the_digits_of_the_file() {
+        let rounding = |text: &str| observations("o", text).unwrap()[0].time_rounding;
+        let close = |a: f64, b: f64| (a - b).abs() <= 1e-12 * b;
+        assert!(close(rounding("time_s,s_m,x_m,y_m,z_m\n0,1,0,0,0\n0.0042,1,0,0,0\n"), 5e-5));
+        assert!(close(rounding("time_ms,s_m,x_m,y_m,z_m\n0,1,0,0,0\n4.17,1,0,0,0\n"), 5e-6));
+        assert!(close(rounding("time_s;s_m;x_m;y_m;z_m\n0,25;1;0;0;0\n1e-3;1;0;0;0\n"), 5e-4));
+        assert!(close(rounding("time_s,s_m,x_m,y_m,z_m\n2,1,0,0,0\n"), 0.5));
     }
 
     #[test]

@@ -18,6 +18,8 @@ pub enum Stream {
     Ensemble = 3,
     /// Directions followed through a window.
     Directions = 4,
+    /// Rotations of an ensemble between windows.
+    Rotations = 5,
 }
 
 /// ChaCha with 8 rounds, one stream per purpose: the same numbers on every machine and in every version.

@@ -128,8 +128,7 @@ pub(crate) fn recorded(
             bad(row.line, "no standard deviation: fill `sigma_m`, or give observations.sigma".to_string())
         })?;
         recorded.push(Recorded { time: row.time, site, position: row.position, sigma });
-        let Some(at) = place_in_window(row.time, recording, grid, &mut left).map_err(|e| bad(row.line, e))?
-        else {
+        let Some(at) = place_in_window(row, recording, grid, &mut left).map_err(|e| bad(row.line, e))? else {
             continue;
         };
         let values = (0..3).map(|c| row.position[c].map(|v| v + shift[c])).collect();
@@ -273,16 +272,23 @@ impl LeftOut {
 
 /// Where a row is in the window, in steps; `None` where it is left out.
 ///
+/// Times are known to the digits they are written with. One that is a step's to within them is that step: a
+/// recording at 240 Hz written to milliseconds would else fall between two windows of a sequence. Where the
+/// digits are coarser than a quarter of a step, they are taken as they stand.
+///
 /// # Errors
 /// What is wrong with a time that is outside, where that is an error.
 fn place_in_window(
-    written: f64,
+    row: &csv::ObservedRow,
     recording: &Recording,
     grid: TimeGrid,
     left: &mut LeftOut,
 ) -> Result<Option<f64>, String> {
+    let written = row.time;
+    // Rounding of the arithmetic on top of that of the file.
+    let digits = Some(row.time_rounding / grid.step).filter(|d| *d <= 0.25).unwrap_or(0.0) + 1e-6;
     // A time within a thousandth of a step of an end of the window was meant to be that end.
-    let slack = 1e-3;
+    let slack = digits.max(1e-3);
     let at = (written - recording.time_zero - grid.start) / grid.step;
     let beyond = at > grid.steps as f64 + slack;
     if at < -slack || beyond {
@@ -301,8 +307,7 @@ fn place_in_window(
         }
     }
     let at = at.clamp(0.0, if beyond { f64::INFINITY } else { grid.steps as f64 });
-    // Closer to a step than rounding of the file's times can tell.
-    Ok(Some(if (at - at.round()).abs() < 1e-6 { at.round() } else { at }))
+    Ok(Some(if (at - at.round()).abs() <= digits { at.round() } else { at }))
 }
 
 /// Leaves out rows whose site, time and values are those of an earlier row; how many.

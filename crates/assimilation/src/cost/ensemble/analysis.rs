@@ -2,6 +2,7 @@
 
 use super::EnVar;
 use crate::cost::{CostFunction, CostTerms, dot, norm};
+use crate::cycle_members::finite_size_inflation;
 use crate::minimize::{NOISE, at_least_one, eigen, setters};
 use crate::{Error, Iteration, Minimum, Status};
 use std::ops::ControlFlow;
@@ -308,6 +309,41 @@ impl EnVar<'_> {
             *variance = if gram.dual { dot(&u, &u) - filtered } else { filtered };
         }
         Ok((variance, gram.values.iter().map(|lambda| lambda / (1.0 + lambda)).sum()))
+    }
+
+    /// The factor on the deviations of the members that a finite number of them asks for, at the last
+    /// linearization: see `finite_size_inflation`.
+    pub(crate) fn finite_size_inflation(&self) -> Result<f64, Error> {
+        let gram = self.gram()?;
+        let mut along = self.base.d.clone();
+        if !gram.dual {
+            // c = uᵀd = vᵀGᵀd / √λ
+            let mut right = vec![0.0; self.dim()];
+            self.transpose(&self.base.d, &mut right);
+            along = right;
+        }
+        let size = gram.values.len().max(1);
+        let pairs = gram.vectors.chunks_exact(size).zip(&gram.values).map(|(z, lambda)| {
+            let c = dot(z, &along);
+            let unseen = !gram.dual && *lambda <= f64::EPSILON;
+            let c = if gram.dual { c } else { c / lambda.sqrt() };
+            (*lambda, if unseen { 0.0 } else { c })
+        });
+        Ok(finite_size_inflation(self.ensemble.members(), pairs))
+    }
+
+    /// tr G Gᵀ at the last linearization.
+    pub(crate) fn predicted_trace(&self) -> f64 {
+        let (members, r_s) = (self.ensemble.members(), self.static_dim());
+        let w_s = self.static_part.map_or(0.0, |(_, weight)| weight * weight);
+        let w_e = self.ensemble_weight * self.ensemble_weight;
+        let localization = self.ensemble.localization();
+        let of_row = |a: usize| {
+            let (y, rho) = (&self.base.y[a * members..][..members], localization.row(self.anchors[a]));
+            let g = &self.base.g_static[a * r_s..][..r_s];
+            w_e * dot(rho, rho) * dot(y, y) + w_s * dot(g, g)
+        };
+        (0..self.observations.dim()).map(of_row).sum()
     }
 
     fn gram(&self) -> Result<Gram, Error> {
