@@ -16,6 +16,7 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
         let _ = writeln!(out, "{name:<14} {text}");
     };
     let algorithm = &experiment.scene.algorithm;
+    line(o.judgement.verdict.heading(), o.judgement.text.clone());
     line("scene", format!("{} (seed {})", experiment.name, experiment.scene.seed));
     line("method", format!("{}, {}: {}", algorithm.method.name(), algorithm.solver_name(), o.status.name()));
     line(

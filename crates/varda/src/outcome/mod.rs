@@ -8,6 +8,7 @@ mod modes;
 mod recording;
 mod simulation;
 mod space;
+mod verdict;
 mod window;
 
 pub use convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
@@ -18,6 +19,7 @@ pub use modes::RodModes;
 pub use recording::{Neighbours, RecordingSummary, RowCount, TrackSummary};
 pub use simulation::{Simulation, TwinFiles};
 pub use space::{Shapes, Sight, Track};
+pub use verdict::{Judgement, Verdict};
 pub use window::{
     AcceptedSteps, Experiment, Failure, GroupRmse, Outcome, Rmse, Seconds, SeenComponent, Trajectories,
 };

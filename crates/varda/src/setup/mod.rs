@@ -19,6 +19,7 @@ pub mod problem;
 pub mod random;
 mod reachable;
 mod recording;
+pub mod recording_scene;
 pub mod rod;
 pub mod rod_model;
 pub mod rod_observations;
