@@ -1,77 +1,17 @@
 //! The built binary: its files, its exit codes, its one message on error.
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::Path;
 
 use varda::scene::SHIPPED;
 
-/// A folder of its own for every test, removed at the end.
-struct Folder(PathBuf);
+#[path = "support/program.rs"]
+mod program;
 
-impl Folder {
-    fn new(name: &str) -> Folder {
-        let path = std::env::temp_dir().join(format!("varda-command-{name}-{}", std::process::id()));
-        let _ = std::fs::remove_dir_all(&path);
-        std::fs::create_dir_all(&path).unwrap();
-        Folder(path)
-    }
-
-    fn varda(&self, arguments: &[&str]) -> Output {
-        Command::new(env!("CARGO_BIN_EXE_varda")).args(arguments).current_dir(&self.0).output().unwrap()
-    }
-
-    /// The one message of a run that must fail and leave nothing behind.
-    fn refusal(&self, arguments: &[&str]) -> String {
-        let before = self.entries();
-        let output = self.varda(arguments);
-        assert!(!output.status.success(), "{arguments:?} should fail");
-        assert!(output.stdout.is_empty(), "an error prints to stderr only");
-        let message = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(message.lines().count(), 1, "one message: {message}");
-        assert_eq!(self.entries(), before, "nothing half-written is left");
-        message
-    }
-
-    fn entries(&self) -> Vec<PathBuf> {
-        let mut all = Vec::new();
-        let mut open = vec![self.0.clone()];
-        while let Some(folder) = open.pop() {
-            for entry in std::fs::read_dir(folder).unwrap() {
-                let path = entry.unwrap().path();
-                if path.is_dir() {
-                    open.push(path.clone());
-                }
-                // `out` itself may appear: it is the parent of results.
-                if path != self.0.join("out") {
-                    all.push(path);
-                }
-            }
-        }
-        all.sort();
-        all
-    }
-
-    fn read(&self, file: &str) -> String {
-        std::fs::read_to_string(self.0.join(file)).unwrap_or_else(|e| panic!("{file}: {e}"))
-    }
-
-    fn summary(&self, folder: &str) -> serde_json::Value {
-        serde_json::from_str(&self.read(&format!("{folder}/summary.json"))).unwrap()
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
-}
-
-fn text(output: &Output) -> String {
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout.clone()).unwrap()
-}
+use program::{Folder, text};
 
 const KEYS: &[&str] = &[
+    "verdict",
+    "verdict_text",
     "scene",
     "seed",
     "version",

@@ -52,10 +52,8 @@ fn a_window_beyond_the_horizon_of_its_gradient_is_flagged() {
         let exponent = found.norm.ln() / (0.01 * window as f64);
         assert!(reliable || (0.7..1.2).contains(&exponent), "growth exp({exponent} T)");
         assert_eq!(found.reliable, reliable, "{found:?}");
-        // Its Hessian has entries of 1e30 and is indefinite by rounding: no posterior, but an analysis and
-        // the reason.
-        assert_eq!(outcome.has_posterior, reliable);
-        assert_eq!(outcome.warnings.iter().any(|w| w.starts_with("there is no posterior")), !reliable);
+        // Its Hessian has entries of 1e30; the posterior comes from the singular values of G all the same.
+        assert!(outcome.has_posterior, "{:?}", outcome.warnings);
 
         varda::report::write(&outcome, &folder).unwrap();
         let read = |file: &str| std::fs::read_to_string(folder.join(file)).unwrap();
@@ -132,7 +130,7 @@ fn the_estimate_is_that_of_a_run() {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_varda"));
         command.args(["run", sets[0], "--quiet", "--out"]).arg(&folder);
         command.args(all.iter().flat_map(|s| ["--set", s]));
-        assert!(command.status().unwrap().success());
+        assert_eq!(command.status().unwrap().code(), Some(4), "one iteration is not enough");
         let text = std::fs::read_to_string(folder.join("summary.json")).unwrap();
         let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
         // Only Linux tells.

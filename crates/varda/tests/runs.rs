@@ -170,7 +170,8 @@ fn what_a_killed_run_left_is_removed_by_the_next_but_not_what_a_live_one_writes(
     assert!(output.status.success() && !String::from_utf8_lossy(&output.stderr).contains("removed"));
     assert_eq!(folder.hidden(), held, "a run that holds its lock is let alone");
     signal(&stopped, "-CONT");
-    assert!(stopped.wait().unwrap().success());
+    // Over so long a window it finds no minimum, or a wrong one.
+    assert!(matches!(stopped.wait().unwrap().code(), Some(3 | 4)));
     assert_eq!(folder.names(), ["r"]);
     whole(&folder.0.join("r"));
 }

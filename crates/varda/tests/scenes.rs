@@ -66,7 +66,7 @@ fn errors_name_file_line_and_column_and_say_what_was_meant() {
         ("poisson_ratio = 0.5 ", "poisson_ratio = 0.6", &["at most 0.5"]),
         ("places = [0.25, 0.5]", "places = [0.25, 0.75]", &["arc length 0.75 m is off the rod (0 to 0.5"]),
         ("every = 5 ", "every = 61", &["no observation falls in the window"]),
-        ("localization_length = 0.5 ", "", &["a taper needs `localization_length`"]),
+        ("prior = \"clamp\"", "taper = \"gaspari-cohn\"", &["a taper needs `localization_length`"]),
         ("tangent = [0.0, 0.0, -1.0]", "tangent = [0.0, -1.0]", &["has 2 entries, expected 3"]),
         ("seed = 0", "seed = = 0", &["not TOML"]),
         (
@@ -139,13 +139,16 @@ fn an_unknown_scene_gets_a_suggestion() {
 
 #[test]
 fn a_smooth_kernel_without_taper_or_truncation_is_refused_with_the_remedy() {
-    let sets = ["background.covariance.taper=none", "model.segments=60"];
-    let text = STARTER.replace("localization_length = 0.5 ", "#");
-    let message = Plan::new(&parse(&text, &sets).unwrap()).unwrap_err().to_string();
+    let smooth = ["background.covariance.kernel=gaussian", "model.segments=60"];
+    let sets = [&smooth[..], &["background.covariance.root=cholesky"]].concat();
+    let message = Plan::new(&parse(STARTER, &sets).unwrap()).unwrap_err().to_string();
     assert!(message.contains("root = \"truncated\""), "{message}");
-    let sets =
-        ["background.covariance.taper=none", "model.segments=60", "background.covariance.root=truncated"];
-    Plan::new(&parse(&text, &sets).unwrap()).expect("a truncated root exists");
+    let sets = [&smooth[..], &["background.covariance.root=truncated"]].concat();
+    Plan::new(&parse(STARTER, &sets).unwrap()).expect("a truncated root exists");
+    Plan::new(&parse(STARTER, &smooth).unwrap()).expect("a root that is not written is one that exists");
+    // A Matern kernel on a fine mesh has no Cholesky root in double precision.
+    let fine = ["model.segments=800", "background.covariance.correlation_length_x=0.5"];
+    Plan::new(&parse(STARTER, &fine).unwrap()).expect("a root that exists");
 }
 
 #[test]

@@ -16,6 +16,7 @@ mod gradient;
 mod instructions;
 mod leftout;
 mod options;
+mod priors;
 mod scaling;
 mod statics;
 mod time;
@@ -38,6 +39,7 @@ pub const BENCHES: &[Bench] = &[
     Bench { name: "assimilation", run: assimilation::run },
     Bench { name: "scaling", run: scaling::run },
     Bench { name: "statics", run: statics::run },
+    Bench { name: "priors", run: priors::run },
     Bench { name: "leftout", run: leftout::run },
     Bench { name: "instructions", run: instructions::run },
     Bench { name: "build", run: build::run },

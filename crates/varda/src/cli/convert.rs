@@ -1,11 +1,9 @@
 //! `varda convert`: a recording of a motion-capture system to a table, and what is in it.
 
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use crate::Error;
 use crate::convert::{Options, Recording, Unit, Up, read};
-use crate::scene::DATA_BYTES;
 
 pub(super) fn up(name: &str) -> Result<Up, String> {
     match name {
@@ -21,7 +19,7 @@ pub(super) fn unit(name: &str) -> Result<Unit, String> {
 }
 
 pub(super) fn convert(file: &Path, out: Option<PathBuf>, options: &Options) -> Result<(), Error> {
-    let bytes = bytes_of(file).map_err(|reason| Error::Read {
+    let bytes = super::bytes_of(file).map_err(|reason| Error::Read {
         place: "convert".into(),
         path: file.to_path_buf(),
         reason,
@@ -46,16 +44,6 @@ fn beside(file: &Path) -> PathBuf {
     } else {
         file.with_extension("csv")
     }
-}
-
-fn bytes_of(file: &Path) -> std::io::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    std::fs::File::open(file)?.take(DATA_BYTES + 1).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > DATA_BYTES {
-        let message = format!("it has more than {DATA_BYTES} bytes");
-        return Err(std::io::Error::new(std::io::ErrorKind::FileTooLarge, message));
-    }
-    Ok(bytes)
 }
 
 /// The markers of a recording with their rows and gaps, and what there is to say.

@@ -15,8 +15,8 @@ use crate::run::cycles::{CycleListener, Sequence};
 use crate::scene::SceneFile;
 use crate::setup::files::InputFile;
 
-use super::exit::INTERRUPTED;
 use super::progress::ProgressDisplay;
+use super::{RunOptions, Shown, exit};
 
 /// Where a sequence starts and where its result goes.
 pub(super) struct SequenceStart<'a> {
@@ -34,10 +34,11 @@ pub(super) fn run(
     start: SequenceStart,
     progress: &mut ProgressDisplay,
     interrupted: &dyn Fn() -> bool,
-    quiet: bool,
+    options: RunOptions,
     started: Instant,
 ) -> Result<ExitCode, Error> {
     let SequenceStart { file, files, folder, resumed } = start;
+    let RunOptions { shown, strict, .. } = options;
     let Resumed { mut checkpoint, state, done } = match resumed {
         Some(resumed) => resumed,
         None => {
@@ -77,28 +78,24 @@ pub(super) fn run(
         }
     };
     progress.finish();
-    let shown = report::write_cycles(&outcome, folder)?;
+    let folder = report::write_cycles(&outcome, folder)?;
     if outcome.cycles.len() == count || outcome.status == Status::Failed {
         checkpoint.remove()?;
     }
-    if !quiet {
-        print!("{}", table(&outcome, &shown, started.elapsed().as_secs_f64()));
+    match shown {
+        Shown::Nothing => {}
+        Shown::Table => print!("{}", table(&outcome, &folder, started.elapsed().as_secs_f64())),
+        Shown::Json => println!("{:#}", report::summary_of_cycles(&outcome)),
     }
-    Ok(match outcome.status {
-        Status::Interrupted => {
-            if !quiet {
-                println!("{:<14} add --resume to the same command", "to continue");
-            }
-            if outcome.late { ExitCode::SUCCESS } else { ExitCode::from(INTERRUPTED) }
-        }
-        Status::Failed => {
-            eprintln!("error: {}", outcome.failure.as_deref().unwrap_or("a minimization failed"));
-            ExitCode::FAILURE
-        }
-        Status::Converged | Status::MaxIterations | Status::LinearizedOnce | Status::Stalled => {
-            ExitCode::SUCCESS
-        }
-    })
+    if outcome.status == Status::Failed {
+        eprintln!("error: {}", outcome.failure.as_deref().unwrap_or("a minimization failed"));
+        return Ok(ExitCode::FAILURE);
+    }
+    if outcome.status == Status::Interrupted && shown == Shown::Table {
+        println!("{:<14} add --resume to the same command", "to continue");
+    }
+    let warned = strict && !outcome.warnings.is_empty();
+    Ok(exit::code(&outcome.judgement, outcome.status, outcome.late, warned))
 }
 
 fn table(o: &CyclesOutcome, folder: &Path, seconds: f64) -> String {
@@ -108,6 +105,7 @@ fn table(o: &CyclesOutcome, folder: &Path, seconds: f64) -> String {
     let mut line = |name: &str, text: String| {
         let _ = writeln!(out, "{name:<14} {text}");
     };
+    line(o.judgement.verdict.heading(), o.judgement.text.clone());
     line("scene", format!("{} (seed {})", experiment.name, experiment.scene.seed));
     line("method", format!("{}, {}: {}", algorithm.method.name(), algorithm.solver_name(), o.status.name()));
     line(

@@ -5,9 +5,12 @@
 mod convert;
 mod cycles;
 mod exit;
+mod new;
+mod preview;
 mod progress;
 mod table;
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -19,14 +22,16 @@ use clap::{Args, Parser, Subcommand};
 use crate::Error;
 use crate::convert::{Options, Unit, Up};
 use crate::outcome::{Outcome, Status};
+use crate::preview::Preview;
 use crate::report;
+use crate::report::Summary;
 use crate::report::checkpoint::Checkpoint;
 use crate::report::folder::ResultFolder;
 use crate::run::compare::{Compared, compare};
 use crate::run::cycles::Sequence;
 use crate::run::{self, Listener, assimilate};
-use crate::scene::{SHIPPED, STARTER, Scene, SceneFile};
-use crate::setup::{Inputs, Plan, Problem};
+use crate::scene::{DATA_BYTES, SHIPPED, Scene, SceneFile};
+use crate::setup::{Inputs, Problem};
 use exit::INTERRUPTED;
 use progress::ProgressDisplay;
 
@@ -44,6 +49,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// Assimilate: minimise the cost of a scene and write a report
+    #[command(after_help = exit::HELP)]
     Run {
         #[command(flatten)]
         scene: SceneArguments,
@@ -53,6 +59,12 @@ enum Command {
         /// Print nothing but errors
         #[arg(long)]
         quiet: bool,
+        /// Print summary.json instead of the table
+        #[arg(long, conflicts_with = "quiet")]
+        json: bool,
+        /// End with exit code 3 where there is any warning
+        #[arg(long)]
+        strict: bool,
         /// Continue an unfinished run of many windows ([algorithm.cycles]) after its last finished window
         #[arg(long)]
         resume: bool,
@@ -87,15 +99,26 @@ enum Command {
         #[arg(long, value_name = "DIR")]
         out: Option<PathBuf>,
     },
-    /// Check a scene; print sizes, memory and what will be left out; run nothing
+    /// Check a scene and look at the data beside the model: one forward run, no minimization
     Check {
         #[command(flatten)]
         scene: SceneArguments,
     },
-    /// Write a commented starter scene to NAME.toml
+    /// Write a scene to start from to NAME.toml: a commented one, one for a recording, or a shipped one
     New {
         /// Name of the scene
         name: String,
+        /// A recording of a rod: time_s, s_m or marker, x_m, y_m, z_m (see convert for other formats)
+        #[arg(long, value_name = "FILE.csv", conflicts_with = "from")]
+        recording: Option<PathBuf>,
+        /// A scene that comes with the program (see scenes), with the files it names
+        #[arg(long, value_name = "SCENE")]
+        from: Option<String>,
+    },
+    /// Print a scene that comes with the program
+    Show {
+        /// Its name
+        scene: String,
     },
     /// Convert a recording (C3D, CSV of Motive or Nexus, TRC) to time_s,marker,x_m,y_m,z_m, z upwards
     Convert {
@@ -141,14 +164,29 @@ impl SceneArguments {
 pub fn main() -> ExitCode {
     let started = Instant::now();
     let done = match Cli::parse().command {
-        Command::Run { scene, out, quiet, resume } => {
-            run_scene(&scene, out.as_deref(), quiet, resume, started)
+        Command::Run { scene, out, quiet, json, strict, resume } => {
+            let shown = if quiet {
+                Shown::Nothing
+            } else if json {
+                Shown::Json
+            } else {
+                Shown::Table
+            };
+            run_scene(&scene, out.as_deref(), RunOptions { shown, strict, resume }, started)
         }
         Command::Simulate { scene, out, quiet } => simulate(&scene, out.as_deref(), quiet, started),
         Command::Compare { scene, out } => compare_all(&scene, out.as_deref()),
         Command::Modes { scene, count, out } => modes(&scene, count, out.as_deref()),
         Command::Check { scene } => scene.open().and_then(|file| check(&file)),
-        Command::New { name } => new(&name),
+        Command::New { name, recording, from } => {
+            let from = match (recording, from) {
+                (Some(file), _) => new::From::Recording(file),
+                (None, Some(scene)) => new::From::Shipped(scene),
+                (None, None) => new::From::Starter,
+            };
+            new::new(&name, from).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Show { scene } => new::show(&scene).map(|()| ExitCode::SUCCESS),
         Command::Convert { file, out, up, unit } => {
             convert::convert(&file, out, &Options { up, unit }).map(|()| ExitCode::SUCCESS)
         }
@@ -181,13 +219,32 @@ fn stop_on_signals() -> Arc<AtomicBool> {
     stop
 }
 
+/// What a run prints.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Shown {
+    Nothing,
+    Table,
+    /// summary.json.
+    Json,
+}
+
+/// Flags of `run`.
+#[derive(Clone, Copy)]
+struct RunOptions {
+    shown: Shown,
+    /// Any warning is a failure.
+    strict: bool,
+    resume: bool,
+}
+
 fn run_scene(
     arguments: &SceneArguments,
     out: Option<&Path>,
-    quiet: bool,
-    resume: bool,
+    options: RunOptions,
     started: Instant,
 ) -> Result<ExitCode, Error> {
+    let RunOptions { shown, strict, resume } = options;
+    let quiet = shown == Shown::Nothing;
     let file = arguments.open()?;
     let folder = out.map_or_else(|| Path::new("out").join(&file.name), Path::to_path_buf);
     refuse_occupied(&folder, quiet)?;
@@ -199,15 +256,19 @@ fn run_scene(
         return Err(file.invalid("algorithm", "only a run with [algorithm.cycles] can be resumed"));
     }
     let inputs = Inputs::read(&file)?;
+    // said before it starts, but an error is the one message of a run that cannot
+    let said = if quiet { String::new() } else { preview::in_short(&inputs) };
     if let Some(settings) = &file.scene.algorithm.cycles {
         // Before anything is run: the scene or its files may have changed since the run began.
         let resumed = if resume { Some(Checkpoint::resume(&folder, &file, &inputs.files)?) } else { None };
         let files = inputs.files.clone();
         let sequence = Sequence::new(settings.clone(), inputs)?;
+        eprint!("{said}");
         let start = cycles::SequenceStart { file: &file, files: &files, folder: &folder, resumed };
-        return cycles::run(&sequence, start, &mut progress, &interrupted, quiet, started);
+        return cycles::run(&sequence, start, &mut progress, &interrupted, options, started);
     }
     let problem = Problem::new(inputs)?;
+    eprint!("{said}");
     progress.expect(problem.observations()?.dim(), problem.experiment.grid.steps);
     let mut listener = Listener {
         on_iteration: Box::new(|row| progress.row(row)),
@@ -218,26 +279,21 @@ fn run_scene(
     drop(listener);
     progress.finish();
     let folder = report::write(&outcome, &folder)?;
-    if !quiet {
-        print!("{}", table::outcome(&outcome, &folder, started.elapsed().as_secs_f64()));
+    match shown {
+        Shown::Nothing => {}
+        Shown::Table => print!("{}", table::outcome(&outcome, &folder, started.elapsed().as_secs_f64())),
+        Shown::Json => print!("{}", Summary::new(&outcome).to_json()),
     }
-    Ok(exit_code(&outcome))
+    Ok(exit_code(&outcome, strict))
 }
 
-fn exit_code(outcome: &Outcome) -> ExitCode {
-    match outcome.status {
-        Status::Interrupted if !outcome.late => ExitCode::from(INTERRUPTED),
-        Status::Failed => {
-            let reason = outcome.failure.as_ref().map(ToString::to_string);
-            eprintln!("error: {}", reason.as_deref().unwrap_or("the minimizer failed"));
-            ExitCode::FAILURE
-        }
-        // The time allowed was over, as iterations may be.
-        Status::Interrupted => ExitCode::SUCCESS,
-        Status::Converged | Status::MaxIterations | Status::LinearizedOnce | Status::Stalled => {
-            ExitCode::SUCCESS
-        }
+fn exit_code(outcome: &Outcome, strict: bool) -> ExitCode {
+    if outcome.status == Status::Failed {
+        let reason = outcome.failure.as_ref().map(ToString::to_string);
+        eprintln!("error: {}", reason.as_deref().unwrap_or("the minimizer failed"));
+        return ExitCode::FAILURE;
     }
+    exit::code(&outcome.judgement, outcome.status, outcome.late, strict && !outcome.warnings.is_empty())
 }
 
 /// Refuses an occupied folder before the work, not after it; reports what killed runs had left there.
@@ -306,21 +362,20 @@ fn modes(arguments: &SceneArguments, count: usize, out: Option<&Path>) -> Result
 }
 
 fn check(file: &SceneFile) -> Result<ExitCode, Error> {
-    print!("{}", table::plan(&Plan::new(file)?));
-    Ok(ExitCode::SUCCESS)
+    let preview = Preview::new(file)?;
+    print!("{}", preview::table(&preview));
+    Ok(if preview.has_errors() { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
-fn new(name: &str) -> Result<ExitCode, Error> {
-    let path = PathBuf::from(if name.ends_with(".toml") { name.to_string() } else { format!("{name}.toml") });
-    let failed = |reason| Error::Write { path: path.clone(), reason };
-    let mut target = std::fs::OpenOptions::new().write(true).create_new(true).open(&path).map_err(failed)?;
-    if let Err(reason) = std::io::Write::write_all(&mut target, STARTER.as_bytes()) {
-        // Half a scene is of no use; if it cannot be removed either, nothing more can be done.
-        let _ = std::fs::remove_file(&path);
-        return Err(failed(reason));
+/// The bytes of a file of data.
+fn bytes_of(file: &Path) -> std::io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    std::fs::File::open(file)?.take(DATA_BYTES + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > DATA_BYTES {
+        let message = format!("it has more than {DATA_BYTES} bytes");
+        return Err(std::io::Error::new(std::io::ErrorKind::FileTooLarge, message));
     }
-    println!("wrote {0}; try: varda check {0}", path.display());
-    Ok(ExitCode::SUCCESS)
+    Ok(bytes)
 }
 
 fn list() {

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use varda_assimilation::Departures;
 use varda_implicit::check::Amplification;
 
-use super::{Experiment, Shapes, Status, Trajectories, WorkCounts};
+use super::{Experiment, Judgement, Shapes, Status, Trajectories, WorkCounts};
 
 /// The result of one window: a row of cycles.csv, and the start of the window. RMSE and spread have a number
 /// for each group of the state; they are empty where the truth, or the spread, is not known.
@@ -97,6 +97,8 @@ pub struct CyclesOutcome {
     pub experiment: Experiment,
     /// Failed or interrupted before its last window; else the worst end of a minimization.
     pub status: Status,
+    /// Whether the analyses explain the observations, and why.
+    pub judgement: Judgement,
     /// Whether it was interrupted because the time that the scene allows was over (`limits.seconds`).
     pub late: bool,
     /// Why it failed.

@@ -5,8 +5,10 @@ mod cycles;
 mod evidence;
 mod fit;
 mod modes;
+mod recording;
 mod simulation;
 mod space;
+mod verdict;
 mod window;
 
 pub use convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
@@ -14,8 +16,10 @@ pub use cycles::{CycleDepartures, CycleRow, CyclesOutcome, Means};
 pub use evidence::{Cause, Evidence};
 pub use fit::{Fit, Forecast, Rejected, Withheld};
 pub use modes::RodModes;
+pub use recording::{Neighbours, RecordingSummary, RowCount, TrackSummary};
 pub use simulation::{Simulation, TwinFiles};
 pub use space::{Shapes, Sight, Track};
+pub use verdict::{Judgement, Verdict};
 pub use window::{
     AcceptedSteps, Experiment, Failure, GroupRmse, Outcome, Rmse, Seconds, SeenComponent, Trajectories,
 };

@@ -11,6 +11,7 @@ use super::convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
 use super::evidence::Evidence;
 use super::fit::{Fit, Forecast, Rejected, Withheld};
 use super::space::Shapes;
+use super::verdict::Judgement;
 use crate::scene::{Scene, TimeGrid};
 use crate::state::StateLayout;
 
@@ -43,8 +44,10 @@ impl Experiment {
 pub struct Outcome {
     /// What was run.
     pub experiment: Experiment,
-    /// How the run ended.
+    /// How the minimization ended.
     pub status: Status,
+    /// Whether the analysis explains the observations, and why.
+    pub judgement: Judgement,
     /// Whether it was interrupted because the time that the scene allows was over (`limits.seconds`).
     pub late: bool,
     /// The starts of minimizer `auto`, in turn; empty for the others.

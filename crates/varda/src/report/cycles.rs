@@ -10,7 +10,7 @@ use crate::outcome::{CycleRow, CyclesOutcome, Status};
 use crate::state::StateGroup;
 
 use super::folder::ResultFolder;
-use super::html::{document, error_name, escape, list, numbers, short, status_words, tile_list};
+use super::html::{document, error_name, escape, list, numbers, short, status_words, tile_list, verdict};
 use super::plot::{Corner, Figure, Panel, Series, Style};
 use super::summary::{WindowAmplification, peak_bytes};
 use super::tables::{self, number, optional};
@@ -28,7 +28,7 @@ pub fn write_cycles(outcome: &CyclesOutcome, folder: &Path) -> Result<PathBuf, E
         out.write(&format!("figures/{}.svg", figure.name), &svg)?;
         drawn.push((figure.title, svg));
     }
-    let summary = summary(outcome);
+    let summary = summary_of_cycles(outcome);
     out.write("report.html", &page(outcome, &drawn))?;
     out.write("summary.json", &format!("{summary:#}\n"))?;
     out.write("cycles.csv", &rows(outcome))?;
@@ -107,7 +107,8 @@ fn analysis(outcome: &CyclesOutcome) -> String {
     out
 }
 
-fn summary(outcome: &CyclesOutcome) -> serde_json::Value {
+/// summary.json of a sequence.
+pub fn summary_of_cycles(outcome: &CyclesOutcome) -> serde_json::Value {
     let experiment = &outcome.experiment;
     let algorithm = &experiment.scene.algorithm;
     let means = &outcome.means;
@@ -124,6 +125,8 @@ fn summary(outcome: &CyclesOutcome) -> serde_json::Value {
     serde_json::json!({
         "scene": experiment.name,
         "seed": experiment.scene.seed,
+        "verdict": outcome.judgement.verdict,
+        "verdict_text": outcome.judgement.text,
         "version": env!("CARGO_PKG_VERSION"),
         "method": algorithm.method.name(),
         "minimizer": algorithm.solver_name(),
@@ -250,6 +253,7 @@ fn page(outcome: &CyclesOutcome, figures: &[(String, String)]) -> String {
         outcome.status.name(),
         status_words(outcome.status),
     );
+    body.push_str(&verdict(&outcome.judgement));
     body.push_str(&tiles(outcome));
     if !outcome.warnings.is_empty() {
         let _ = write!(

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use crate::outcome::{ConvergenceRow, Fit, Forecast, Outcome, Status, Withheld};
+use crate::outcome::{ConvergenceRow, Fit, Forecast, Judgement, Outcome, Status, Withheld};
 use crate::state::{StateGroup, StateLayout};
 
 use super::Summary;
@@ -30,6 +30,7 @@ pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure]
         summary.status,
         status_words(outcome.status),
     );
+    body.push_str(&verdict(&outcome.judgement));
     body.push_str(&tiles(summary, &experiment.state));
     if !summary.warnings.is_empty() {
         let _ = write!(
@@ -67,6 +68,16 @@ pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure]
         },
     );
     document(title, &body)
+}
+
+/// The verdict in words, first on a page.
+pub(super) fn verdict(judgement: &Judgement) -> String {
+    format!(
+        "<p class=\"verdict {}\"><strong>{}</strong> {}</p>",
+        judgement.verdict.name(),
+        judgement.verdict.heading(),
+        escape(&judgement.text)
+    )
 }
 
 /// A whole page.

@@ -11,7 +11,7 @@ pub mod plot;
 mod summary;
 mod tables;
 
-pub use cycles::write_cycles;
+pub use cycles::{summary_of_cycles, write_cycles};
 pub use summary::{Summary, Terms, WindowAmplification};
 
 use std::path::{Path, PathBuf};

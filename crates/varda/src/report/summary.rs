@@ -5,12 +5,17 @@ use varda_assimilation::CostTerms;
 use varda_implicit::check::Amplification;
 
 use crate::outcome::{
-    AcceptedSteps, Attempt, Evidence, Fit, Forecast, Outcome, Rejected, Rmse, Seconds, Withheld, WorkCounts,
+    AcceptedSteps, Attempt, Evidence, Fit, Forecast, Outcome, Rejected, Rmse, Seconds, Verdict, Withheld,
+    WorkCounts,
 };
 
 /// The keys of summary.json, in their order.
 #[derive(Debug, Serialize)]
 pub struct Summary {
+    /// Whether the analysis explains the observations: fits, does_not_fit, not_converged, nothing_observed.
+    pub verdict: Verdict,
+    /// The numbers behind the verdict, and what to try.
+    pub verdict_text: String,
     /// Name of the scene.
     pub scene: String,
     /// Seed of every random number.
@@ -21,7 +26,7 @@ pub struct Summary {
     pub method: &'static str,
     /// Minimizer, as in a scene.
     pub minimizer: &'static str,
-    /// How the run ended: converged, max_iterations, stalled, interrupted, failed.
+    /// How the minimization ended: converged, max_iterations, stalled, interrupted, failed.
     pub status: &'static str,
     /// Length of the state.
     pub n_state: usize,
@@ -118,6 +123,8 @@ impl Summary {
         let experiment = &outcome.experiment;
         let scene = &experiment.scene;
         Summary {
+            verdict: outcome.judgement.verdict,
+            verdict_text: outcome.judgement.text.clone(),
             scene: experiment.name.clone(),
             seed: scene.seed,
             version: env!("CARGO_PKG_VERSION"),

@@ -17,7 +17,7 @@ use varda_assimilation::{
 use varda_implicit::check::Amplification;
 use varda_implicit::{At, Model, Refusal};
 
-use super::{amplification, cycle_checks, shapes};
+use super::{amplification, cycle_checks, shapes, verdict};
 use crate::Error;
 use crate::outcome::{
     CycleDepartures, CycleRow, CyclesOutcome, Experiment, Means, Status, Trajectories, WorkCounts,
@@ -263,6 +263,10 @@ impl Sequence {
         if means.count == 0 {
             warnings.push("all cycles done are spin-up: there are no means".into());
         }
+        let counted: Vec<&CycleRow> =
+            rows.iter().skip(if means.count == 0 { 0 } else { self.cycles.spin_up }).collect();
+        let unfinished = (status == Status::Interrupted).then_some(self.cycles.count);
+        let judgement = verdict::judge_windows(&counted, unfinished, algorithm.method.is_ensemble(), late);
         let trajectories = self.trajectories(&rows, &mut warnings);
         let amplification = self.amplification(&rows, &trajectories);
         warnings.extend(amplification.and_then(|a| a.warning()));
@@ -272,6 +276,7 @@ impl Sequence {
         Ok(CyclesOutcome {
             experiment: Experiment { grid: TimeGrid { steps, ..experiment.grid }, ..experiment.clone() },
             status,
+            judgement,
             late,
             failure: failure.filter(|_| status == Status::Failed),
             asked_for: self.cycles.count,

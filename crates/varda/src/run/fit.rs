@@ -1,12 +1,12 @@
 //! How well the analysis fits: innovations against the assumed σ, markers kept back, forecasts beside
 //! simpler ones.
 
-use varda_assimilation::{Analysis, ObservationOperator, ObservationSet};
+use varda_assimilation::{ObservationOperator, ObservationSet};
 use varda_implicit::Model;
 
-use super::departures::{self, Departure, Surroundings};
+use super::departures::{Departure, Surroundings};
 use crate::Error;
-use crate::outcome::{Evidence, Fit, Forecast, Sight, Trajectories, Withheld};
+use crate::outcome::{Fit, Forecast, Sight, Trajectories, Withheld};
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
 
@@ -66,18 +66,35 @@ pub(crate) fn innovations(
     Ok(d)
 }
 
-/// What the departures at the analysis tell of their cause, where they are larger than their σ.
+/// What was observed less what the analysis says, value by value.
+pub(crate) struct Departures {
+    /// Of values at sites in the order of `labels`; none where the run of the analysis ended early.
+    pub(crate) values: Vec<Departure>,
+    /// Names of the sites; in space in the order of arc length.
+    pub(crate) labels: Vec<String>,
+    /// Whether the axes of values are those of places.
+    pub(crate) in_space: bool,
+    /// Of a rod.
+    pub(crate) surroundings: Option<Surroundings>,
+}
+
+/// The departures at the analysis.
 ///
 /// # Errors
 /// [`Error::Assimilation`] where a state cannot be observed.
-pub(crate) fn evidence(
+pub(crate) fn departures(
     problem: &Problem,
     observations: &mut ObservationSet,
     runs: &Trajectories,
-) -> Result<Option<Evidence>, Error> {
+) -> Result<Departures, Error> {
     let d = innovations(observations, runs, &runs.analysis)?;
     if !d.iter().all(|d| d.is_finite()) {
-        return Ok(None);
+        return Ok(Departures {
+            values: Vec::new(),
+            labels: Vec::new(),
+            in_space: false,
+            surroundings: None,
+        });
     }
     let mut shifted = |by: isize| -> Result<Vec<f64>, Error> {
         let mut predicted = vec![0.0; observations.dim()];
@@ -117,7 +134,12 @@ pub(crate) fn evidence(
         }
     }
     let labels: Vec<String> = order.iter().map(|s| sites[*s].label.clone()).collect();
-    Ok(departures::evidence(&departures, &labels, surroundings(problem).as_ref()))
+    Ok(Departures {
+        values: departures,
+        labels,
+        in_space: space.is_some(),
+        surroundings: surroundings(problem),
+    })
 }
 
 /// Gravity and the held points of a rod, in the axes of what was observed.
@@ -133,31 +155,6 @@ fn surroundings(problem: &Problem) -> Option<Surroundings> {
     let clamps = [&parts.supports.start, &parts.supports.end].into_iter().flatten();
     let held = clamps.map(|clamp| turned(clamp.position.at(t).into()));
     Some(Surroundings { up, pivots: held.chain([[0.0; 3]]).collect() })
-}
-
-/// Remarks on what does not fit.
-pub(crate) fn remarks(fit: &[Fit], analysis: &Analysis, evidence: Option<&Evidence>) -> Vec<String> {
-    let mut out = Vec::new();
-    let m = analysis.observations as f64;
-    // At the minimum 2J is χ² with m degrees of freedom: 4 of its standard deviations, each √(2/m).
-    let spread = 4.0 * (2.0 / m).sqrt();
-    if m > 0.0 && (analysis.chi2 - 1.0).abs() > spread {
-        let why = match evidence {
-            Some(evidence) => evidence.text.as_str(),
-            None if analysis.chi2 > 1.0 => {
-                "the observations are fitted to their σ, but far from the background: its σ is too small"
-            }
-            None => "σ of the observations or of the background is larger than it need be",
-        };
-        out.push(format!("2J/m = {:.2} is not within 1 ± {spread:.2}: {why}", analysis.chi2));
-    }
-    for f in fit.iter().filter(|f| f.is_bad()) {
-        out.push(format!(
-            "{}: innovations after the analysis are {:.1} times their assumed σ ({:.3e}): this does not fit",
-            f.label, f.ratio, f.sigma
-        ));
-    }
-    out
 }
 
 /// The errors of the analysis at markers that were kept back, and of its forecast after the window. Nothing

@@ -12,6 +12,7 @@ mod fit;
 mod modes;
 mod second_minimum;
 mod shapes;
+mod verdict;
 pub mod window;
 
 pub use modes::modes;

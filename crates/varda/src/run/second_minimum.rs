@@ -24,6 +24,14 @@ const MOST: usize = 100;
 /// Sub-windows.
 const PARTS: usize = 10;
 
+/// What was found out about another minimum.
+pub(super) struct Second {
+    /// In words.
+    pub text: String,
+    /// Whether another minimum explains the misfit: growth found a lower one, or could not be tried.
+    pub explains: bool,
+}
+
 /// Ends a first minimization that is about to use up its iterations far above m/2 over a window that
 /// amplifies, so that growth has some.
 pub(super) struct Reserve<'a> {
@@ -73,7 +81,7 @@ pub(super) fn look(
     observations: ObservationSet,
     reserve: &Reserve,
     on_iterate: &mut OnIterate,
-) -> Result<(Solution, ObservationSet, Option<String>), Error> {
+) -> Result<(Solution, ObservationSet, Option<Second>), Error> {
     let algorithm = &problem.experiment.scene.algorithm;
     let (steps, m) = (observations.steps(), observations.dim());
     let minimum = &solution.minimum;
@@ -98,8 +106,8 @@ pub(super) fn look(
         0.5 * m as f64
     );
     if growth.is_empty() || !algorithm.window_growth.is_empty() {
-        let remark = format!("{start}: it may be another minimum; a shorter window would tell");
-        return Ok((solution, observations, Some(remark)));
+        let text = format!("{start}: it may be another minimum; a shorter window would tell");
+        return Ok((solution, observations, Some(Second { text, explains: true })));
     }
     let mut windows = growth;
     windows.dedup();
@@ -148,7 +156,7 @@ pub(super) fn look(
     best.counts = counts;
     best.minimum.outer_iterations = iterations[0] + ended[0];
     best.minimum.inner_iterations = iterations[1] + ended[1];
-    Ok((best, observations, Some(remark)))
+    Ok((best, observations, Some(Second { text: remark, explains: lower })))
 }
 
 /// ‖M‖ over so many steps from a control, where that is much and grew to the end.

@@ -7,7 +7,8 @@ use varda_assimilation::{Analysis, ObservationSet, Rejection, huber};
 use varda_implicit::check::Amplification;
 use varda_implicit::{Log, Model};
 
-use super::{amplification, between_steps, fit, second_minimum, shapes};
+use super::verdict::{self, Judged};
+use super::{amplification, between_steps, departures, fit, second_minimum, shapes};
 use crate::Error;
 use crate::outcome::{
     Attempt, ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
@@ -141,9 +142,25 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     warnings.extend(amplification.and_then(|a| a.warning()));
     let fit = fit::fit(&mut observations, &trajectories)?;
     let (withheld, forecast) = fit::beyond(problem, &trajectories, model.as_mut())?;
-    let evidence = fit::evidence(problem, &mut observations, &trajectories)?;
-    warnings.extend(second);
-    warnings.extend(fit::remarks(&fit, &analysis, evidence.as_ref()));
+    let departures = fit::departures(problem, &mut observations, &trajectories)?;
+    let evidence =
+        departures::evidence(&departures.values, &departures.labels, departures.surroundings.as_ref());
+    let judgement = verdict::judge(&Judged {
+        status,
+        late,
+        is_ensemble: scene.algorithm.method.is_ensemble(),
+        iterations: solution.minimum.outer_iterations,
+        max_iterations: scene.algorithm.max_iterations,
+        gradient_norms: [solution.minimum.gradient_norm_first, solution.minimum.gradient_norm],
+        j: analysis.value,
+        observed: analysis.observations,
+        robust: scene.algorithm.robust,
+        departures: &departures.values,
+        labels: &departures.labels,
+        in_space: departures.in_space,
+        evidence: evidence.as_ref(),
+        second_minimum: second.as_ref(),
+    });
     warnings.extend(between_steps::remark(problem, &observations, &trajectories)?);
     let j_background = cost_of_run(scene.algorithm.robust, &mut observations, &trajectories)?;
     let rmse = rmse(experiment, errors(&analysis.background), errors(&analysis.analysis));
@@ -151,6 +168,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     Ok(Outcome {
         experiment: Experiment { left_out, ..experiment.clone() },
         status,
+        judgement,
         late,
         attempts: solution.attempts.iter().map(Attempt::from).collect(),
         failure,
@@ -197,10 +215,7 @@ fn remarks(
     used: usize,
     failure: Option<&Failure>,
 ) -> Vec<String> {
-    let minimum = &solution.minimum;
-    let mut warnings: Vec<String> =
-        log.warnings.iter().map(|w| format!("step {}: {}", w.step, w.text)).collect();
-    warnings.dedup();
+    let mut warnings: Vec<String> = merged(log).into_iter().collect();
     if !solution.rejected.is_empty() {
         let all = used + solution.rejected.len();
         warnings.push(format!(
@@ -215,7 +230,7 @@ fn remarks(
             warnings.push(format!("the sub-window of {steps} steps did not converge ({ended:?})"));
         }
     }
-    if minimum.started_beside {
+    if solution.minimum.started_beside {
         warnings.push(
             "zero gradient at the background, which is no minimum: J falls beside it, and the minimization \
              started there; which of several minima it came to is chance"
@@ -227,24 +242,30 @@ fn remarks(
     }
     warnings.extend(failure.map(Failure::to_string));
     match status {
-        Status::MaxIterations => {
-            warnings.push(format!(
-                "not converged after {} iterations (algorithm.max_iterations)",
-                minimum.outer_iterations
-            ));
-        }
         Status::LinearizedOnce => warnings.push(
             "linearized once, and J of the run from the analysis is not that of the quadratic: it is lower \
              than the background's, and no minimum"
                 .into(),
         ),
-        Status::Stalled => warnings.push("the minimizer stalled before its tolerance was met".into()),
         Status::Interrupted => {
             warnings.push("interrupted: the result is the lowest point so far, without posterior".into());
         }
-        Status::Converged | Status::Failed => {}
+        Status::Converged | Status::MaxIterations | Status::Stalled | Status::Failed => {}
     }
     warnings
+}
+
+/// The remarks of the model's solver in one line.
+fn merged(log: &Log) -> Option<String> {
+    let first = log.warnings.first()?;
+    let first_text = format!("step {}: {}", first.step, first.text);
+    let others = log.warnings.iter().filter(|w| (w.step, &w.text) != (first.step, &first.text)).count();
+    if others == 0 {
+        return Some(first_text);
+    }
+    let steps = log.warnings.iter().map(|w| w.step);
+    let (low, high) = (steps.clone().min().unwrap_or(0), steps.max().unwrap_or(0));
+    Some(format!("{} remarks of the solver on steps {low} to {high}, the first: {first_text}", others + 1))
 }
 
 /// The first refused sightings by name and time.
@@ -430,6 +451,6 @@ pub fn simulate(problem: &Problem) -> Result<Simulation, Error> {
         steps,
         counts: WorkCounts::of(log.counts),
         twin,
-        warnings: log.warnings.iter().map(|w| format!("step {}: {}", w.step, w.text)).collect(),
+        warnings: merged(&log).into_iter().collect(),
     })
 }

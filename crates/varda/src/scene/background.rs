@@ -3,6 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::defaults::is_default;
+
 /// The background x_b at the start of the window and its error covariance B.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -17,16 +19,30 @@ pub struct Background {
     /// `component,value`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,
+    /// What the error of x_b in a twin experiment is drawn from.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub draw: Draw,
     /// The error covariance B.
     pub covariance: Covariance,
+}
+
+/// What the error of x_b in a twin experiment is drawn from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Draw {
+    /// The covariance B that is assumed: σ_a then describes the errors of the analysis.
+    #[default]
+    Covariance,
+    /// The kernel of B without its taper, as in the paper: B then overestimates the errors between places far
+    /// from each other, and σ_a of velocities is too large.
+    Kernel,
 }
 
 /// Where x_b comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Origin {
-    /// A twin experiment: the truth at the start of the window plus an error drawn from B (before
-    /// localization).
+    /// A twin experiment: the truth at the start of the window plus an error drawn from B (see `draw`).
     TruthPlusDraw,
     /// A CSV file.
     File,
@@ -75,8 +91,8 @@ impl Covariance {
     pub(crate) fn root(&self) -> Root {
         match self {
             Covariance::Diagonal(_) | Covariance::Climatology(_) => Root::Cholesky,
-            Covariance::Kernel(k) => k.root,
-            Covariance::Line(k) => k.root,
+            Covariance::Kernel(k) => k.root(),
+            Covariance::Line(k) => k.root(),
         }
     }
 }
@@ -148,19 +164,21 @@ pub struct KernelCovariance {
     /// Shape of the kernel.
     #[serde(default)]
     pub kernel: Kernel,
-    /// Shape of the taper (localization).
-    #[serde(default)]
-    pub taper: Taper,
-    /// Length L_loc beyond which errors are uncorrelated [m]. Needed unless `taper = "none"`.
+    /// Shape of the taper (localization). Without it a `localization_length` means "triangle", and without
+    /// both there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub taper: Option<Taper>,
+    /// Length L_loc beyond which errors are uncorrelated [m]. Needed with a taper.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub localization_length: Option<f64>,
     /// Whether the kernel knows that prescribed vertices have no error.
     #[serde(default)]
     pub prior: Prior,
-    /// The square root B^{1/2}.
-    #[serde(default)]
-    pub root: Root,
+    /// The square root B^{1/2}. Left out: "cholesky" where B is positive definite to working precision, else
+    /// "truncated".
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub root: Option<Root>,
     /// Eigenvalues below this fraction of the largest are left out of a truncated root.
     #[serde(default = "default_truncation")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "maximum" = 1.0))]
@@ -185,31 +203,29 @@ pub struct LineCovariance {
     /// Shape of the kernel.
     #[serde(default)]
     pub kernel: Kernel,
-    /// Shape of the taper (localization).
-    #[serde(default = "no_taper")]
-    pub taper: Taper,
+    /// Shape of the taper (localization). Without it a `localization_length` means "gaspari-cohn", and
+    /// without both there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub taper: Option<Taper>,
     /// Length L_loc beyond which errors are uncorrelated [m]. Needed with a taper.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub localization_length: Option<f64>,
-    /// The square root B^{1/2}.
-    #[serde(default)]
-    pub root: Root,
+    /// The square root B^{1/2}. Left out: "cholesky" where B is positive definite to working precision, else
+    /// "truncated".
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub root: Option<Root>,
     /// Eigenvalues below this fraction of the largest are left out of a truncated root.
     #[serde(default = "default_truncation")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "maximum" = 1.0))]
     pub truncation: f64,
 }
 
-fn no_taper() -> Taper {
-    Taper::None
-}
-
 /// Shape of a kernel k(d) of the distance d, L its correlation length.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Kernel {
-    /// exp(−d²/(2L²)).
-    #[default]
+    /// exp(−d²/(2L²)): so smooth that errors shorter than L are taken to be impossible, and σ_a is too
+    /// small where there are some.
     #[serde(rename = "gaussian")]
     Gaussian,
     /// Matérn with ν = 1/2: exp(−d/L).
@@ -218,17 +234,19 @@ pub enum Kernel {
     /// Matérn with ν = 3/2: (1 + √3 d/L) exp(−√3 d/L).
     #[serde(rename = "matern-3/2")]
     Matern32,
-    /// Matérn with ν = 5/2: (1 + √5 d/L + 5d²/(3L²)) exp(−√5 d/L).
+    /// Matérn with ν = 5/2: (1 + √5 d/L + 5d²/(3L²)) exp(−√5 d/L). Smooth enough for the curvature
+    /// of a rod to be finite.
+    #[default]
     #[serde(rename = "matern-5/2")]
     Matern52,
 }
 
 /// Shape of a taper, zero from the localization length on.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Taper {
-    /// max(0, 1 − d/L_loc), the paper's.
-    #[default]
+    /// max(0, 1 − d/L_loc), the paper's. It has a kink at d = 0, so that errors of neighbouring vertices
+    /// are nearly independent.
     Triangle,
     /// Gaspari and Cohn's fifth-order function (1999, eq. 4.10).
     GaspariCohn,
@@ -248,11 +266,10 @@ pub enum Prior {
 }
 
 /// The square root of B.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Root {
     /// Cholesky; B must be positive definite to working precision.
-    #[default]
     Cholesky,
     /// Eigenvectors of the larger eigenvalues; for smooth kernels without a taper, which are singular.
     Truncated,

@@ -42,12 +42,7 @@ impl SceneFile {
             );
         }
         let text = read_text(path, SCENE_BYTES).map_err(|reason| match reason.kind() {
-            std::io::ErrorKind::NotFound => {
-                let names: Vec<&str> = shipped::SHIPPED.iter().map(|s| s.name).collect();
-                let suggestion = schema_check::nearest(name, &names)
-                    .map_or(String::new(), |n| format!(", did you mean {n:?}?"));
-                Error::NoScene { name: name.to_string(), suggestion }
-            }
+            std::io::ErrorKind::NotFound => shipped::not_found(name),
             _ => Error::Read { place: "scene".into(), path: path.to_path_buf(), reason },
         })?;
         let stem = path.file_stem().map_or("scene".into(), |s| s.to_string_lossy());

@@ -42,7 +42,7 @@ mod validate_support;
 
 pub use algorithm::Algorithm;
 pub use background::{
-    Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Kernel, KernelCovariance,
+    Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Draw, Kernel, KernelCovariance,
     LineCovariance, Origin, Prior, Root, Taper,
 };
 pub use cycles::{Adaptive, CycledCovariance, Cycles, EnsembleUpdate, Inflation};
@@ -66,7 +66,7 @@ pub use observations::{
 };
 pub(crate) use parsed::{BackgroundSource, ComponentCovariance, LineStep, Shear};
 pub use place::Place;
-pub use shipped::{SHIPPED, STARTER, Shipped};
+pub use shipped::{SHIPPED, STARTER, Shipped, shipped_data, shipped_scene};
 pub use sizes::{DATA_BYTES, NUMBERS, SCENE_BYTES, STEPS, VALUES};
 
 use schemars::JsonSchema;

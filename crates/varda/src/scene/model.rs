@@ -180,7 +180,8 @@ pub struct RodModel {
     /// state is [X, V, θ, ω]. Left out: twist is in equilibrium at every moment.
     #[serde(default, skip_serializing_if = "is_default")]
     pub twist_inertia: bool,
-    /// Natural curvature (κ̄₁, κ̄₂) per length [1/m].
+    /// Natural curvature (κ̄₁, κ̄₂) per length [1/m]: (1, 0) bends the rod at rest towards m₁,
+    /// (0, 1) towards m₂, with radius 1 m. A clamp's `director` says where m₁ points.
     #[serde(default, skip_serializing_if = "is_default")]
     #[schemars(extend("x-unit" = "1/m"))]
     pub natural_curvature: [f64; 2],
@@ -315,7 +316,7 @@ pub struct Material {
     pub youngs_modulus: f64,
     /// Poisson's ratio ν; the shear modulus is then E / (2 (1 + ν)).
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = -1.0, "maximum" = 0.5))]
+    #[schemars(extend("exclusiveMinimum" = -1.0, "maximum" = 0.5, "x-meant" = "solids have 0.2 to 0.5"))]
     pub poisson_ratio: Option<f64>,
     /// Shear modulus G [Pa].
     #[serde(default, skip_serializing_if = "Option::is_none")]

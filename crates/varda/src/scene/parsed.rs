@@ -7,8 +7,8 @@ use varda_rod::Rod;
 
 use super::invalid::{Either, Invalid, invalid, one_of};
 use super::{
-    Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Ensemble, Integrator,
-    KernelCovariance, LineCovariance, Observations, Origin, RodModel, Synthetic, Taper,
+    Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Ensemble, Integrator, Kernel,
+    KernelCovariance, LineCovariance, Observations, Origin, RodModel, Root, Synthetic, Taper,
 };
 
 /// A standard deviation, given as it is or relative to another quantity.
@@ -62,29 +62,54 @@ impl KernelCovariance {
 
     /// Its taper.
     pub(crate) fn taper(&self, section: &str) -> Result<varda_covariance::Taper, Invalid> {
-        taper(self.taper, self.localization_length, section)
+        taper(self.taper, Taper::Triangle, self.localization_length, section)
+    }
+
+    /// The square root it is given.
+    pub(crate) fn root(&self) -> Root {
+        root(self.root, self.kernel, self.taper, self.localization_length)
     }
 }
 
 impl LineCovariance {
     /// Its taper.
     pub(crate) fn taper(&self, section: &str) -> Result<varda_covariance::Taper, Invalid> {
-        taper(self.taper, self.localization_length, section)
+        taper(self.taper, Taper::GaspariCohn, self.localization_length, section)
+    }
+
+    /// The square root it is given.
+    pub(crate) fn root(&self) -> Root {
+        root(self.root, self.kernel, self.taper, self.localization_length)
     }
 }
 
-fn taper(shape: Taper, length: Option<f64>, section: &str) -> Result<varda_covariance::Taper, Invalid> {
-    match (shape, length) {
-        (Taper::None, None) => Ok(varda_covariance::Taper::None),
-        (Taper::None, Some(_)) => {
-            invalid(format!("{section}.localization_length"), "there is no taper to use it")
-        }
-        (Taper::Triangle, Some(support)) => Ok(varda_covariance::Taper::Triangle { support }),
-        (Taper::GaspariCohn, Some(support)) => Ok(varda_covariance::Taper::GaspariCohn { support }),
-        (Taper::Triangle | Taper::GaspariCohn, None) => {
-            invalid(section, "a taper needs `localization_length` [m]")
-        }
+/// The taper of a covariance; `default` where a localization length stands alone.
+fn taper(
+    written: Option<Taper>,
+    default: Taper,
+    length: Option<f64>,
+    section: &str,
+) -> Result<varda_covariance::Taper, Invalid> {
+    let Some(support) = length else {
+        return match written {
+            None | Some(Taper::None) => Ok(varda_covariance::Taper::None),
+            Some(_) => invalid(section, "a taper needs `localization_length` [m]"),
+        };
+    };
+    match written.unwrap_or(default) {
+        Taper::Triangle => Ok(varda_covariance::Taper::Triangle { support }),
+        Taper::GaspariCohn => Ok(varda_covariance::Taper::GaspariCohn { support }),
+        Taper::None => invalid(format!("{section}.localization_length"), "there is no taper to use it"),
     }
+}
+
+/// The root that is written, else one that the smoothness of the kernel allows.
+fn root(written: Option<Root>, kernel: Kernel, taper: Option<Taper>, length: Option<f64>) -> Root {
+    let is_tapered = length.is_some() && taper != Some(Taper::None);
+    written.unwrap_or(match kernel {
+        Kernel::Gaussian if !is_tapered => Root::Truncated,
+        _ => Root::Cholesky,
+    })
 }
 
 impl Ensemble {

@@ -1,5 +1,8 @@
 //! The scenes that come with the binary, and the data they name.
 
+use super::schema_check;
+use crate::Error;
+
 /// A scene that comes with the binary.
 #[derive(Debug, Clone, Copy)]
 pub struct Shipped {
@@ -26,6 +29,7 @@ pub const SHIPPED: &[Shipped] = shipped![
     "hanging-rod-cycling"
     "hanging-rod-weak"
     "beam-release"
+    "hose"
     "tether-in-current"
     "lorenz63"
     "lorenz63-window"
@@ -45,8 +49,30 @@ const DATA: &[(&str, &str)] = &[
     ("data/beam-release.csv", include_str!("../../scenes/data/beam-release.csv")),
     ("data/hanging-rod-background.csv", include_str!("../../scenes/data/hanging-rod-background.csv")),
     ("data/hanging-rod-observations.csv", include_str!("../../scenes/data/hanging-rod-observations.csv")),
+    ("data/hose.csv", include_str!("../../scenes/data/hose.csv")),
     ("data/tether-pull.csv", include_str!("../../scenes/data/tether-pull.csv")),
 ];
+
+/// The shipped scene of a name.
+///
+/// # Errors
+/// [`Error::NoScene`] with the nearest name.
+pub fn shipped_scene(name: &str) -> Result<&'static Shipped, Error> {
+    find(name).ok_or_else(|| not_found(name))
+}
+
+/// The files that the text of a shipped scene names, and their texts.
+pub fn shipped_data(scene: &str) -> impl Iterator<Item = (&'static str, &'static str)> {
+    DATA.iter().copied().filter(move |(file, _)| scene.contains(&format!("\"{file}\"")))
+}
+
+/// That there is no scene of a name, with the nearest one.
+pub(super) fn not_found(name: &str) -> Error {
+    let names: Vec<&str> = SHIPPED.iter().map(|s| s.name).collect();
+    let suggestion =
+        schema_check::nearest(name, &names).map_or(String::new(), |n| format!(", did you mean {n:?}?"));
+    Error::NoScene { name: name.to_string(), suggestion }
+}
 
 pub(super) fn find(name: &str) -> Option<&'static Shipped> {
     let name = if name == "hanging-rod" { "hanging-rod-case1" } else { name };

@@ -10,7 +10,7 @@ use super::validate_covariance::validate_covariance;
 use super::validate_cycles::validate_cycles;
 use super::validate_observations::{validate_components, validate_places, validate_recording};
 use super::validate_rod::validate_rod;
-use super::{Background, Integrator, Model, Observations, Scene};
+use super::{Background, Covariance, Draw, Integrator, Model, Observations, Origin, Scene};
 
 pub(super) fn validate(scene: &Scene) -> Check {
     let rod = match &scene.model {
@@ -63,7 +63,16 @@ fn validate_background(background: &Background, model: &Model) -> Check {
     if !matches!(model, Model::Rod(_)) {
         background.file_of_components()?;
     }
-    validate_covariance(&background.covariance, "background.covariance", model)
+    validate_covariance(&background.covariance, "background.covariance", model)?;
+    let draws_from_kernel = matches!(background.covariance, Covariance::Kernel(_));
+    if background.draw == Draw::Kernel && !(draws_from_kernel && background.from == Origin::TruthPlusDraw) {
+        return invalid(
+            "background.draw",
+            "\"kernel\" draws an error from a rod's kernel without its taper: it needs from = \
+             \"truth-plus-draw\" and covariance.kind = \"kernel\"",
+        );
+    }
+    Ok(())
 }
 
 /// What an explicit step can follow, as `varda_implicit::line::Transport` has it.

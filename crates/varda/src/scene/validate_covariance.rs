@@ -1,10 +1,11 @@
 //! What a covariance of a scene must satisfy beyond the type of each key.
 
+use varda_covariance::Taper;
 use varda_implicit::line::Ends;
 
 use super::invalid::{Check, invalid};
 use super::parsed::ComponentCovariance;
-use super::{Covariance, Model, Taper};
+use super::{Covariance, Model};
 
 /// Checks a covariance of a model's control, at `path`.
 pub(super) fn validate_covariance(covariance: &Covariance, path: &str, model: &Model) -> Check {
@@ -25,8 +26,8 @@ pub(super) fn validate_covariance(covariance: &Covariance, path: &str, model: &M
             }
             Some(line) => {
                 if let ComponentCovariance::Line(k, line) = covariance.of_line(path, line)? {
-                    k.taper(path)?;
-                    if k.taper == Taper::Triangle && line.ends == Ends::Periodic {
+                    let taper = k.taper(path)?;
+                    if matches!(taper, Taper::Triangle { .. }) && line.ends == Ends::Periodic {
                         return invalid(
                             format!("{path}.taper"),
                             "a triangle is not a covariance on a circle: take \"gaspari-cohn\"",

@@ -83,13 +83,26 @@ pub(crate) fn along_line(
             matrix[i * n + j] = k.sigma * k.sigma * correlation(kernel, taper, line_distance(line, i, j));
         }
     }
-    Ok(match k.root {
-        Root::Cholesky => Factored::Full(Box::new(cholesky(file, path, n, &matrix)?)),
-        Root::Truncated => {
-            let root = truncated(file, path, n, &matrix, k.truncation, k.sigma * k.sigma)?;
-            Factored::Truncated(Box::new(root))
-        }
-    })
+    let full =
+        || -> Result<Factored, Error> { Ok(Factored::Full(Box::new(cholesky(file, path, n, &matrix)?))) };
+    let of_rank = || -> Result<Factored, Error> {
+        Ok(Factored::Truncated(Box::new(truncated(file, path, n, &matrix, k.truncation, k.sigma * k.sigma)?)))
+    };
+    factored(k.root(), k.root.is_some(), full, of_rank)
+}
+
+/// The root asked for; where a scene does not write one, a truncated root where there is no Cholesky root.
+fn factored(
+    root: Root,
+    is_written: bool,
+    full: impl FnOnce() -> Result<Factored, Error>,
+    of_rank: impl FnOnce() -> Result<Factored, Error>,
+) -> Result<Factored, Error> {
+    match root {
+        Root::Truncated => of_rank(),
+        Root::Cholesky if is_written => full(),
+        Root::Cholesky => full().or_else(|_| of_rank()),
+    }
 }
 
 /// Arc lengths of the vertices of a rod \[m\].
@@ -129,16 +142,15 @@ pub fn localized(
     sigmas: Sigmas,
 ) -> Result<Factored, Error> {
     let taper = file.checked(k.taper(path))?;
-    Ok(match k.root {
-        Root::Cholesky => {
-            let root = |n, matrix: &[f64], _: f64| cholesky(file, path, n, matrix);
-            Factored::Full(Box::new(blocks(file, path, k, places, sigmas, taper, root)?))
-        }
-        Root::Truncated => {
-            let root = |n, matrix: &[f64], variance| truncated(file, path, n, matrix, k.truncation, variance);
-            Factored::Truncated(Box::new(blocks(file, path, k, places, sigmas, taper, root)?))
-        }
-    })
+    let full = || -> Result<Factored, Error> {
+        let root = |n, matrix: &[f64], _: f64| cholesky(file, path, n, matrix);
+        Ok(Factored::Full(Box::new(blocks(file, path, k, places, sigmas, taper, root)?)))
+    };
+    let of_rank = || -> Result<Factored, Error> {
+        let root = |n, matrix: &[f64], variance| truncated(file, path, n, matrix, k.truncation, variance);
+        Ok(Factored::Truncated(Box::new(blocks(file, path, k, places, sigmas, taper, root)?)))
+    };
+    factored(k.root(), k.root.is_some(), full, of_rank)
 }
 
 /// The covariance from which the paper draws its background errors: the same kernel before localization. It

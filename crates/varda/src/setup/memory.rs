@@ -9,7 +9,7 @@ use varda_implicit::{Footprint, Storage};
 
 use super::inputs::Inputs;
 use crate::Error;
-use crate::scene::{Covariance, CycledCovariance, Method, Origin, Root, Scene, SceneFile};
+use crate::scene::{Covariance, CycledCovariance, Draw, Method, Origin, Root, Scene, SceneFile};
 
 /// Bytes of a number.
 const NUMBER: usize = size_of::<f64>();
@@ -189,7 +189,8 @@ fn footprint(scene: &Scene, sizes: &Sizes) -> Footprint {
 
 /// Numbers that a covariance of `n` components keeps, and those that building it takes beyond them.
 fn covariance(scene: &Scene, covariance: &Covariance, n: usize) -> [usize; 2] {
-    let drawn_around_truth = scene.background.from == Origin::TruthPlusDraw;
+    let drawn_around_truth =
+        scene.background.from == Origin::TruthPlusDraw && scene.background.draw == Draw::Kernel;
     let (edge, blocks, drawn) = match covariance {
         Covariance::Diagonal(_) => return [2 * n, 0],
         // Positions and velocities of a rod, each shared by x, y and z.

@@ -295,8 +295,8 @@ impl RodSystem {
         Ok(())
     }
 
-    /// The covariance from which the error of the background is drawn.
-    pub(crate) fn drawn_from(
+    /// The covariance that the key `path` describes, without its taper.
+    pub(crate) fn without_taper(
         &self,
         file: &SceneFile,
         path: &str,

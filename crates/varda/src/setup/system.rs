@@ -13,7 +13,7 @@ use super::files::Files;
 use super::rod::RodSystem;
 use super::runs::MakeModel;
 use crate::Error;
-use crate::scene::{self, Model, SceneFile, TimeGrid};
+use crate::scene::{self, Draw, Model, SceneFile, TimeGrid};
 use crate::state::StateLayout;
 
 /// What is modelled.
@@ -146,9 +146,9 @@ impl System {
         keys: &scene::Covariance,
         reference: &[f64],
     ) -> Result<Option<Box<dyn Covariance>>, Error> {
-        match self {
-            System::Rod(rod) => rod.drawn_from(file, path, keys, reference).map(Some),
-            System::Components(_) => Ok(None),
+        match (self, file.scene.background.draw) {
+            (System::Rod(rod), Draw::Kernel) => rod.without_taper(file, path, keys, reference).map(Some),
+            _ => Ok(None),
         }
     }
 

@@ -1,0 +1,91 @@
+//! `varda new` and `varda show`: scenes to start from.
+
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use crate::Error;
+use crate::scene::{STARTER, Shipped, shipped_data, shipped_scene};
+use crate::setup::recording_scene::scene_of_recording;
+
+/// What a new scene is made of.
+pub(super) enum From {
+    /// The commented starter scene.
+    Starter,
+    /// A recording of a rod.
+    Recording(PathBuf),
+    /// A scene that comes with the program.
+    Shipped(String),
+}
+
+/// Writes a scene to NAME.toml, with the files that a shipped one names beside it.
+///
+/// # Errors
+/// [`Error::Write`] where something is there already, [`Error::Data`] for a file that is no recording,
+/// [`Error::NoScene`].
+pub(super) fn new(name: &str, from: From) -> Result<(), Error> {
+    let path = PathBuf::from(if name.ends_with(".toml") { name.to_string() } else { format!("{name}.toml") });
+    let text = match from {
+        From::Starter => STARTER.to_string(),
+        From::Recording(file) => {
+            let place = || "--recording".to_string();
+            let read = |reason| Error::Read { place: place(), path: file.clone(), reason };
+            let text = String::from_utf8(super::bytes_of(&file).map_err(read)?)
+                .map_err(|e| read(std::io::Error::new(std::io::ErrorKind::InvalidData, e)))?;
+            scene_of_recording(&seen_from(&file, &path), &text)?
+        }
+        From::Shipped(scene) => {
+            let shipped = shipped_scene(&scene)?;
+            for (file, text) in shipped_data(shipped.text) {
+                write_data(&path.with_file_name("").join(file), text)?;
+            }
+            shipped.text.to_string()
+        }
+    };
+    write_new(&path, &text)?;
+    println!("wrote {0}; next: varda check {0}", path.display());
+    Ok(())
+}
+
+/// Prints the TOML of a shipped scene.
+///
+/// # Errors
+/// [`Error::NoScene`].
+pub(super) fn show(scene: &str) -> Result<(), Error> {
+    let Shipped { text, .. } = shipped_scene(scene)?;
+    print!("{text}");
+    Ok(())
+}
+
+/// The path of a file as a scene writes it: relative to the scene where both are named relatively.
+fn seen_from(file: &Path, scene: &Path) -> String {
+    let folder = scene.parent().unwrap_or(Path::new(""));
+    let seen = match file.strip_prefix(folder) {
+        Ok(inside) => inside.to_path_buf(),
+        Err(_) => std::path::absolute(file).unwrap_or_else(|_| file.to_path_buf()),
+    };
+    seen.display().to_string()
+}
+
+/// Writes a file that comes with a scene; the same file from before is let alone.
+fn write_data(path: &Path, text: &str) -> Result<(), Error> {
+    if std::fs::read_to_string(path).is_ok_and(|there| there == text) {
+        return Ok(());
+    }
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder)
+            .map_err(|reason| Error::Write { path: folder.to_path_buf(), reason })?;
+    }
+    write_new(path, text)
+}
+
+/// Writes a file that is not there yet, whole or not at all.
+fn write_new(path: &Path, text: &str) -> Result<(), Error> {
+    let failed = |reason| Error::Write { path: path.to_path_buf(), reason };
+    let mut target = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
+    target.write_all(text.as_bytes()).map_err(|reason| {
+        // Half a file is of no use; if it cannot be removed either, nothing more can be done.
+        let _ = std::fs::remove_file(path);
+        failed(reason)
+    })
+}

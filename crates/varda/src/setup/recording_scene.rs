@@ -1,0 +1,321 @@
+//! A scene for a recording of a rod: what the recording itself says is filled in, the rest is left to its
+//! user with a note.
+
+use std::fmt::Write;
+
+use varda_rod::Vector3;
+
+use super::csv::{self, ObservedRow, Subject};
+use crate::Error;
+
+type V = Vector3<f64>;
+
+const TEMPLATE: &str = include_str!("../../scenes/recording.toml");
+/// Column of the template's comments.
+const COMMENTS: usize = 33;
+/// The longest step of time that is proposed \[s\].
+const STEP: f64 = 0.01;
+/// The longest window and forecast that are proposed \[s\].
+const WINDOW: f64 = 1.0;
+/// Frames of a block whose noise is estimated at once.
+const BLOCK: usize = 20;
+/// Shares of the largest chords between two markers that noise may have made.
+const LARGEST: f64 = 0.95;
+
+/// The TOML of a scene for a recording, whose text is `text`; `file` is the recording's name as the scene
+/// writes it.
+///
+/// Read from the recording: markers with their arc lengths (column `s_m`; by name the sums of the largest
+/// chords between neighbours, which are lower bounds), rate, window, σ (third differences in time, frames at
+/// rest), places of the rod before it is held, and how far it moves.
+///
+/// # Errors
+/// [`Error::Data`] for a file that is no recording of points in space, or has fewer than four frames.
+pub fn scene_of_recording(file: &str, text: &str) -> Result<String, Error> {
+    let rows = csv::observations(file, text)?;
+    let recording = Recorded::of(&rows);
+    if recording.tracks.iter().all(|t| t.seen.len() < 4) {
+        let message = "fewer than four frames: there is nothing to read a rate or a noise from".to_string();
+        return Err(Error::Data { place: file.to_string(), message });
+    }
+    Ok(recording.scene(file))
+}
+
+/// A marker or point through time.
+struct Track {
+    name: Option<String>,
+    arc_length: f64,
+    /// Times \[s\] and whole places \[m\], in the order of time.
+    seen: Vec<(f64, V)>,
+}
+
+impl Track {
+    fn mean(&self) -> V {
+        self.seen.iter().map(|(_, x)| x).sum::<V>() / self.seen.len().max(1) as f64
+    }
+}
+
+/// A recording by its tracks, in the order of arc length.
+struct Recorded {
+    tracks: Vec<Track>,
+    /// Time between two frames \[s\].
+    interval: f64,
+    /// First and last time \[s\].
+    span: [f64; 2],
+}
+
+impl Recorded {
+    fn of(rows: &[ObservedRow]) -> Recorded {
+        let mut tracks: Vec<Track> = Vec::new();
+        for row in rows {
+            let [Some(x), Some(y), Some(z)] = row.position else { continue };
+            let (name, s) = match &row.subject {
+                Subject::Marker(name) => (Some(name.clone()), 0.0),
+                Subject::ArcLength(s) => (None, *s),
+            };
+            let known = tracks.iter().position(|t| t.name == name && t.arc_length == s);
+            let at = known.unwrap_or_else(|| {
+                tracks.push(Track { name, arc_length: s, seen: Vec::new() });
+                tracks.len() - 1
+            });
+            tracks[at].seen.push((row.time, V::new(x, y, z)));
+        }
+        for track in &mut tracks {
+            track.seen.sort_by(|a, b| a.0.total_cmp(&b.0));
+        }
+        let mut times: Vec<f64> = tracks.iter().flat_map(|t| t.seen.iter().map(|s| s.0)).collect();
+        times.sort_by(f64::total_cmp);
+        times.dedup();
+        let mut gaps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
+        let span = [times.first(), times.last()].map(|t| t.copied().unwrap_or(0.0));
+        let interval = frame_interval(&mut gaps, span[1] - span[0]).unwrap_or(STEP);
+        if tracks.iter().all(|t| t.name.is_some()) {
+            tracks = in_a_row(tracks);
+        } else {
+            tracks.sort_by(|a, b| a.arc_length.total_cmp(&b.arc_length));
+        }
+        Recorded { tracks, interval, span }
+    }
+
+    /// Arc length of the last marker \[m\].
+    fn length(&self) -> f64 {
+        self.tracks.last().map_or(1.0, |t| t.arc_length).max(1e-3)
+    }
+
+    /// σ of a coordinate \[m\]: the smaller of what third differences in time and the quietest frames say.
+    fn sigma(&self) -> f64 {
+        let (mut differences, mut quiet) = (Vec::new(), Vec::new());
+        for track in &self.tracks {
+            for axis in 0..3 {
+                let mut quietest = f64::INFINITY;
+                for block in track.seen.chunks_exact(BLOCK.min(track.seen.len().max(4))) {
+                    let x: Vec<f64> = block.iter().map(|(_, x)| x[axis]).collect();
+                    let third: Vec<f64> =
+                        x.windows(4).map(|w| w[3] - 3.0 * w[2] + 3.0 * w[1] - w[0]).collect();
+                    // third differences of white noise have the variance 1 + 9 + 9 + 1 of it
+                    differences.push(root_mean_square(&third) / 20f64.sqrt());
+                    let mean = x.iter().sum::<f64>() / x.len() as f64;
+                    let about: Vec<f64> = x.iter().map(|x| x - mean).collect();
+                    quietest = quietest.min(root_mean_square(&about));
+                }
+                quiet.push(quietest);
+            }
+        }
+        let differences = quantile(&mut differences, 0.5).unwrap_or(f64::INFINITY);
+        let quiet = quantile(&mut quiet, 0.5).unwrap_or(f64::INFINITY);
+        let sigma = differences.min(quiet);
+        if sigma.is_finite() && sigma > 0.0 { sigma } else { 1e-3 * self.length() }
+    }
+
+    /// How far a coordinate of the marker that moves most is from its mean, and how fast it moves, root mean
+    /// square \[m\], \[m/s\].
+    fn motion(&self) -> [f64; 2] {
+        let of = |track: &Track| {
+            let mean = track.mean();
+            let far: Vec<f64> = track.seen.iter().flat_map(|(_, x)| <[f64; 3]>::from(x - mean)).collect();
+            let speed =
+                |w: &[(f64, V)]| <[f64; 3]>::from((w[2].1 - w[0].1) / (w[2].0 - w[0].0).max(self.interval));
+            let fast: Vec<f64> = track.seen.windows(3).flat_map(speed).collect();
+            [root_mean_square(&far), root_mean_square(&fast)]
+        };
+        let largest = |a: [f64; 2], b: [f64; 2]| [a[0].max(b[0]), a[1].max(b[1])];
+        self.tracks.iter().map(of).fold([0.0; 2], largest)
+    }
+
+    /// A guess of the place of the clamp at arc length 0 and of its direction: the marker nearest to it stays
+    /// at its own arc length from there, and no other is farther than its own.
+    fn clamp(&self) -> [V; 2] {
+        let first = &self.tracks[0];
+        let p = first.mean();
+        let next = self.tracks.iter().find(|t| t.arc_length > first.arc_length);
+        let along = next.map_or(-V::z(), |t| t.mean() - p);
+        let along = along.try_normalize(1e-12).unwrap_or(-V::z());
+        let mut base = p - along * first.arc_length;
+        if first.arc_length > 0.0 {
+            for _ in 0..50 {
+                base -= self.misfit_of_base(base, first.arc_length);
+            }
+        }
+        let tangent = if first.arc_length > 0.0 { (p - base).try_normalize(1e-12) } else { None };
+        [base, tangent.unwrap_or(along)]
+    }
+
+    /// A step of a mean of projections: along the way to every place that is nearer or farther than it may
+    /// be.
+    fn misfit_of_base(&self, base: V, first: f64) -> V {
+        let (mut sum, mut count) = (V::zeros(), 0.0);
+        for track in &self.tracks {
+            for (_, x) in &track.seen {
+                let (way, s) = (x - base, track.arc_length);
+                let excess = way.norm() - s;
+                if way.norm() > 0.0 && (excess > 0.0 || s == first) {
+                    sum -= way.normalize() * excess;
+                    count += 1.0;
+                }
+            }
+        }
+        if count > 0.0 { sum / count } else { sum }
+    }
+
+    /// The scene, from a template.
+    fn scene(&self, file: &str) -> String {
+        let length = self.length();
+        let parts = (self.interval / STEP - 1e-9).ceil().max(1.0);
+        let step = self.interval / parts;
+        let span = self.span[1] - self.span[0];
+        let window = ((0.5 * span).min(WINDOW) / step).floor().max(1.0);
+        let forecast = (span - window * step).clamp(0.0, WINDOW);
+        let [far, fast] = self.motion().map(|size| rounded(size.max(0.01 * length)));
+        let [base, tangent] = self.clamp();
+        let up = if tangent.z.abs() < 0.95 { V::z() } else { V::x() };
+        let director = (up - tangent * up.dot(&tangent)).normalize();
+        let are_named = self.tracks.iter().all(|t| t.name.is_some());
+        let note = if are_named {
+            "the sum of the largest distances between markers, a lower bound"
+        } else {
+            "the recording's last point; from the clamp's face"
+        };
+        let steps = if parts > 1.0 { format!("{parts} steps") } else { "a step".to_string() };
+        let number = |x: f64| format!("{x:?}");
+        let vector = |v: V| format!("[{:.4}, {:.4}, {:.4}]", v.x, v.y, v.z);
+        let whole = |x: f64| format!("{x:.0}");
+        let values = [
+            ("{file}", file.to_string()),
+            ("{title}", format!("{:?}", format!("A rod, from {file}"))),
+            ("{length}", if are_named { format!("{length:.4}") } else { number(length) }),
+            ("{length_note}", note.to_string()),
+            ("{segments}", (4 * self.tracks.len()).clamp(20, 100).to_string()),
+            ("{position}", vector(base)),
+            ("{tangent}", vector(tangent)),
+            ("{director}", vector(director)),
+            ("{step}", number(step)),
+            ("{frames}", format!("{steps} a frame at {:.4} Hz", 1.0 / self.interval)),
+            ("{window}", whole(window)),
+            ("{window_seconds}", format!("{:.3}", window * step)),
+            ("{sigma_x}", number(far)),
+            ("{sigma_v}", number(fast)),
+            ("{correlation_x}", number(rounded(0.25 * length))),
+            ("{correlation_v}", number(rounded(0.25 * length))),
+            ("{path}", format!("{file:?}")),
+            ("{time_zero}", number(self.span[0])),
+            ("{sigma}", number(rounded(self.sigma()))),
+        ];
+        let mut out = filled(TEMPLATE, &values);
+        for track in &self.tracks {
+            if let Some(name) = &track.name {
+                let _ = write!(
+                    out,
+                    "\n[[observations.markers]]\nname = {name:?}\n# m, yours: a lower bound, from distances \
+                     between markers\narc_length = {:.4}\n# use = \"withhold\"               # keep it back \
+                     to test the analysis\n",
+                    track.arc_length
+                );
+            }
+        }
+        if forecast > 0.0 {
+            let _ = write!(out, "\n[report]\nforecast = {:?}  # s\n", rounded(forecast));
+        }
+        out
+    }
+}
+
+/// Lines with values for their keys; a comment behind a value stays in its column where there is room.
+fn filled(template: &str, values: &[(&str, String)]) -> String {
+    let mut out = String::with_capacity(2 * template.len());
+    for line in template.lines() {
+        let mut line = line.to_string();
+        for (key, value) in values {
+            if let Some((before, after)) = line.split_once(key) {
+                let gap = if after.starts_with('#') {
+                    " ".repeat(COMMENTS.saturating_sub(before.chars().count() + value.chars().count()).max(2))
+                } else {
+                    String::new()
+                };
+                line = format!("{before}{value}{gap}{after}");
+            }
+        }
+        out.push_str(&line);
+        out.push('\n');
+    }
+    out
+}
+
+/// Named markers in a row from the one that moves least, with the sums of the largest chords for arc lengths.
+fn in_a_row(mut tracks: Vec<Track>) -> Vec<Track> {
+    let travel = |t: &Track| {
+        let mean = t.mean();
+        t.seen.iter().map(|(_, x)| (x - mean).norm_squared()).sum::<f64>() / t.seen.len().max(1) as f64
+    };
+    let mut row: Vec<Track> = Vec::new();
+    while !tracks.is_empty() {
+        let cost = |t: &Track| row.last().map_or_else(|| travel(t), |last| (t.mean() - last.mean()).norm());
+        let best = (0..tracks.len()).min_by(|a, b| cost(&tracks[*a]).total_cmp(&cost(&tracks[*b])));
+        let mut next = tracks.swap_remove(best.unwrap_or(0));
+        next.arc_length = row.last().map_or(0.0, |last| last.arc_length + chord(last, &next));
+        row.push(next);
+    }
+    row
+}
+
+/// The largest distance of two markers at equal times, but for a share that noise may have made.
+fn chord(a: &Track, b: &Track) -> f64 {
+    let mut distances: Vec<f64> = Vec::new();
+    let mut other = b.seen.iter().peekable();
+    for (t, x) in &a.seen {
+        while other.next_if(|(u, _)| u < t).is_some() {}
+        if let Some((_, y)) = other.peek().filter(|(u, _)| u == t) {
+            distances.push((x - y).norm());
+        }
+    }
+    quantile(&mut distances, LARGEST).unwrap_or_else(|| (a.mean() - b.mean()).norm())
+}
+
+fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get((share * values.len() as f64) as usize).or(values.last()).copied()
+}
+
+fn root_mean_square(values: &[f64]) -> f64 {
+    (values.iter().map(|x| x * x).sum::<f64>() / values.len().max(1) as f64).sqrt()
+}
+
+/// Two significant digits.
+fn rounded(value: f64) -> f64 {
+    format!("{value:.1e}").parse().unwrap_or(value)
+}
+
+/// The time between two frames from the gaps between times over a span, some of which are lost frames. Times
+/// may be written to few digits, so that only the span gives the interval to more.
+fn frame_interval(gaps: &mut [f64], span: f64) -> Option<f64> {
+    let middle = quantile(gaps, 0.5)?;
+    let single: Vec<f64> = gaps.iter().copied().filter(|gap| *gap < 1.5 * middle).collect();
+    let mean = single.iter().sum::<f64>() / single.len() as f64;
+    let frames: f64 = gaps.iter().map(|gap| (gap / mean).round()).sum();
+    Some(rate_made_whole(span / frames))
+}
+
+/// The interval of a whole number of frames a second, where it is one to the digits of times.
+fn rate_made_whole(interval: f64) -> f64 {
+    let rate = 1.0 / interval;
+    if (rate - rate.round()).abs() < 1e-3 * rate && rate >= 1.0 { 1.0 / rate.round() } else { interval }
+}
