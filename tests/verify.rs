@@ -22,7 +22,7 @@ macro_rules! suites {
     };
 }
 
-suites!(linalg, adjoint, taylor, hessian, golden, counts, order, equivalence, paper, stiff, field);
+suites!(linalg, adjoint, taylor, hessian, golden, counts, order, equivalence, paper, stiff, field, user);
 
 #[test]
 fn every_suite_has_a_test() {

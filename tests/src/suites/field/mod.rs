@@ -6,7 +6,6 @@ mod common;
 mod endings;
 mod faces;
 mod files;
-mod folder;
 mod forces;
 mod free_turn;
 mod gripped;
@@ -15,7 +14,7 @@ mod rest;
 mod twist_inertia;
 mod two_ended;
 
-use super::Options;
+use super::{Options, folder};
 use crate::row::{Row, Rows};
 
 pub(super) fn run(options: &Options) -> Vec<Row> {
