@@ -22,7 +22,21 @@ macro_rules! suites {
     };
 }
 
-suites!(linalg, adjoint, taylor, hessian, golden, counts, order, equivalence, paper, stiff, field, coverage);
+suites!(
+    linalg,
+    adjoint,
+    taylor,
+    hessian,
+    golden,
+    counts,
+    order,
+    equivalence,
+    paper,
+    stiff,
+    field,
+    user,
+    coverage
+);
 
 #[test]
 fn every_suite_has_a_test() {

@@ -10,6 +10,8 @@ use rand_distr::{Distribution, StandardNormal};
 use varda_implicit::{Log, Model};
 use varda_linalg::dense::{View, product};
 
+/// What a finite number of members can ask for at most.
+const LARGEST_INFLATION: f64 = 5.0;
 /// Draws of a member that fails, each half as far from the mean as the one before.
 const DRAWS: usize = 20;
 
@@ -120,7 +122,8 @@ pub(crate) fn run_all_drawing_again<'m>(
 /// ```
 ///
 /// λ the eigenvalues of G Gᵀ and c the whitened innovations along its eigenvectors. Nothing to be chosen,
-/// nothing carried from window to window.
+/// nothing carried from window to window. Never above `LARGEST_INFLATION`: where an ensemble has lost the
+/// truth the linearization says nothing farther away.
 pub(crate) fn finite_size_inflation(members: usize, pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
     let pairs: Vec<(f64, f64)> = pairs.collect();
     let n = members as f64;
@@ -131,7 +134,8 @@ pub(crate) fn finite_size_inflation(members: usize, pairs: impl Iterator<Item = 
         0.5 * (misfit + epsilon * zeta + (n + 1.0) * ((n + 1.0) / zeta).ln())
     };
     // The lowest of a grid, then golden section between its neighbours: the cost may have two minima.
-    let (top, bottom, points) = (((n + 1.0) / epsilon).ln(), ((n + 1.0) / epsilon * 1e-6).ln(), 200);
+    let (top, points) = (((n + 1.0) / epsilon).ln(), 200);
+    let bottom = ((n - 1.0) / LARGEST_INFLATION.powi(2)).ln();
     let at = |i: usize| bottom + (top - bottom) * i as f64 / points as f64;
     let lowest = (0..=points).min_by(|a, b| cost(at(*a)).total_cmp(&cost(at(*b)))).unwrap_or(points);
     let (mut a, mut b) = (at(lowest.saturating_sub(1)), at((lowest + 1).min(points)));

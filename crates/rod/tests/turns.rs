@@ -163,6 +163,50 @@ fn tangents_and_adjoints_are_exact() {
     }
 }
 
+/// How the end clamp's angle after a step depends on the state before, against differences; and one entry of
+/// that which is wrong.
+#[test]
+fn a_wrong_entry_for_the_end_clamps_angle_is_caught() {
+    for scheme in SCHEMES {
+        let step = twisted(7, 2.0, 1.0, 0.0, scheme);
+        let mut z = straight(&step);
+        let half = z.len() / 2;
+        for (i, z) in z.iter_mut().enumerate() {
+            *z += if i < half { 0.005 } else { 0.1 } * (1.0 + 3.0 * i as f64).sin();
+        }
+        let mut model = ImplicitModel::new(step, 0, 0.01);
+        let (mut x, mut next) = (vec![0.0; model.dim()], vec![0.0; model.dim()]);
+        model.initial_state(&z, &mut x).unwrap();
+        for k in 0..3 {
+            model.step(k, &x, &mut next).unwrap();
+            std::mem::swap(&mut x, &mut next);
+        }
+        model.step(3, &x, &mut next).unwrap();
+        model.linearize(0, 3, &x, &next).unwrap();
+        let end = 2 * half + 5;
+        let mut row = vec![0.0; x.len()];
+        row[end] = 1.0;
+        model.adjoint(0, &mut row);
+        let dx: Vec<f64> =
+            (0..x.len()).map(|i| if i < half { (5.0 * i as f64).cos() } else { 0.0 }).collect();
+        let mut at = |h: f64| {
+            let moved: Vec<f64> = x.iter().zip(&dx).map(|(x, d)| x + h * d).collect();
+            model.step(3, &moved, &mut next).unwrap();
+            next[end]
+        };
+        let difference = (at(1e-5) - at(-1e-5)) / 2e-5;
+        let off = |row: &[f64]| {
+            let slope: f64 = row.iter().zip(&dx).map(|(r, d)| r * d).sum();
+            (slope / difference - 1.0).abs()
+        };
+        // central differences: h² of the bends, and a step's end of 1e-11 L over h
+        assert!(off(&row) <= 1e-5, "{scheme:?}: {:e} of {difference}", off(&row));
+        let largest = (0..half).max_by(|&i, &j| (row[i] * dx[i]).abs().total_cmp(&(row[j] * dx[j]).abs()));
+        row[largest.unwrap()] *= 1.001;
+        assert!(off(&row) > 5e-5, "{scheme:?}: a wrong entry is not seen: {:e}", off(&row));
+    }
+}
+
 /// An angle that a state had leads a control to that state's angles again, whatever the clamps say.
 #[test]
 fn a_control_with_its_end_angle_is_the_state_it_was_taken_from() {

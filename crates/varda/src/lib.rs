@@ -67,6 +67,7 @@ pub mod cli;
 pub mod convert;
 mod error;
 pub mod outcome;
+pub mod preview;
 pub mod report;
 pub mod run;
 pub mod scene;

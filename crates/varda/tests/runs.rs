@@ -370,3 +370,23 @@ fn every_input_file_is_read_once() {
         assert!(ended.is_some_and(|s| s.success()), "{command} {more:?}: {ended:?} {message}");
     }
 }
+
+/// A drive seen five times a period: on the steps of the scene nothing is said, and with eight steps a period
+/// the observations lie between steps that a straight line joins badly.
+#[test]
+fn observations_between_coarse_steps_are_said() {
+    let warned = |sets: &[&str]| {
+        let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
+        let file = varda::scene::SceneFile::open("hanging-rod-csv", &sets).unwrap();
+        let problem = varda::setup::Problem::from_scene(&file).unwrap();
+        let outcome = varda::run::assimilate(&problem, &mut varda::run::Listener::silent()).unwrap();
+        outcome.warnings.iter().any(|w| w.contains("a straight line is off"))
+    };
+    assert!(!warned(&[]));
+    assert!(warned(&[
+        "time.steps_per_period=8",
+        "time.window=16",
+        "time.spin_up=24",
+        "observations.outside_window=skip"
+    ]));
+}

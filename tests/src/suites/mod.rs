@@ -5,6 +5,7 @@ mod counts;
 mod coverage;
 mod equivalence;
 mod field;
+mod folder;
 mod golden;
 mod hessian;
 mod linalg;
@@ -13,6 +14,7 @@ mod order;
 mod paper;
 mod stiff;
 mod taylor;
+mod user;
 
 use crate::Row;
 
@@ -86,6 +88,11 @@ pub const SUITES: &[Suite] = &[
         name: "field",
         proves: "Rods held anywhere, as people bring them, are found at rest where closed forms have them.",
         run: |options| field::run(options).into(),
+    },
+    Suite {
+        name: "user",
+        proves: "What a user gets wrong is refused or named with its value and what was probably meant.",
+        run: |options| user::run(options).into(),
     },
     Suite {
         name: "coverage",

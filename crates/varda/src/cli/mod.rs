@@ -6,6 +6,7 @@ mod convert;
 mod cycles;
 mod exit;
 mod new;
+mod preview;
 mod progress;
 mod table;
 
@@ -21,6 +22,7 @@ use clap::{Args, Parser, Subcommand};
 use crate::Error;
 use crate::convert::{Options, Unit, Up};
 use crate::outcome::{Outcome, Status};
+use crate::preview::Preview;
 use crate::report;
 use crate::report::Summary;
 use crate::report::checkpoint::Checkpoint;
@@ -29,7 +31,7 @@ use crate::run::compare::{Compared, compare};
 use crate::run::cycles::Sequence;
 use crate::run::{self, Listener, assimilate};
 use crate::scene::{DATA_BYTES, SHIPPED, Scene, SceneFile};
-use crate::setup::{Inputs, Plan, Problem};
+use crate::setup::{Inputs, Problem};
 use exit::INTERRUPTED;
 use progress::ProgressDisplay;
 
@@ -97,7 +99,7 @@ enum Command {
         #[arg(long, value_name = "DIR")]
         out: Option<PathBuf>,
     },
-    /// Check a scene; print sizes, memory and what will be left out; run nothing
+    /// Check a scene and look at the data beside the model: one forward run, no minimization
     Check {
         #[command(flatten)]
         scene: SceneArguments,
@@ -254,15 +256,19 @@ fn run_scene(
         return Err(file.invalid("algorithm", "only a run with [algorithm.cycles] can be resumed"));
     }
     let inputs = Inputs::read(&file)?;
+    // said before it starts, but an error is the one message of a run that cannot
+    let said = if quiet { String::new() } else { preview::in_short(&inputs) };
     if let Some(settings) = &file.scene.algorithm.cycles {
         // Before anything is run: the scene or its files may have changed since the run began.
         let resumed = if resume { Some(Checkpoint::resume(&folder, &file, &inputs.files)?) } else { None };
         let files = inputs.files.clone();
         let sequence = Sequence::new(settings.clone(), inputs)?;
+        eprint!("{said}");
         let start = cycles::SequenceStart { file: &file, files: &files, folder: &folder, resumed };
         return cycles::run(&sequence, start, &mut progress, &interrupted, options, started);
     }
     let problem = Problem::new(inputs)?;
+    eprint!("{said}");
     progress.expect(problem.observations()?.dim(), problem.experiment.grid.steps);
     let mut listener = Listener {
         on_iteration: Box::new(|row| progress.row(row)),
@@ -356,8 +362,9 @@ fn modes(arguments: &SceneArguments, count: usize, out: Option<&Path>) -> Result
 }
 
 fn check(file: &SceneFile) -> Result<ExitCode, Error> {
-    print!("{}", table::plan(&Plan::new(file)?));
-    Ok(ExitCode::SUCCESS)
+    let preview = Preview::new(file)?;
+    print!("{}", preview::table(&preview));
+    Ok(if preview.has_errors() { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
 /// The bytes of a file of data.

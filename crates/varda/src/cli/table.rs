@@ -5,7 +5,6 @@ use std::path::Path;
 
 use crate::outcome::{Outcome, RodModes, Simulation, Status};
 use crate::run::compare::Compared;
-use crate::setup::Plan;
 
 /// Most notes in a table; the report has all of them.
 const MOST_NOTES: usize = 6;
@@ -184,50 +183,5 @@ pub(super) fn simulation(s: &Simulation, folder: &Path, seconds: f64) -> String 
         line("note", w.clone());
     }
     line("trajectory", folder.join("trajectory.csv").display().to_string());
-    out
-}
-
-pub(super) fn plan(p: &Plan) -> String {
-    let mut out = format!("{}: nothing wrong\n", p.name);
-    let mut line = |name: &str, text: String| {
-        let _ = writeln!(out, "  {name:<14} {text}");
-    };
-    if !p.title.is_empty() {
-        line("title", p.title.clone());
-    }
-    line("state", format!("{} numbers", p.n_state));
-    line("control", format!("{} numbers", p.n_control));
-    line("method", p.method.clone());
-    if p.n_errors > 0 {
-        line("model error", format!("{} numbers at most", p.n_errors));
-    }
-    if p.members > 0 {
-        line("ensemble", format!("{} members, {} runs of the window at a time", p.members, p.members + 1));
-    }
-    line("observations", format!("{} values at {} times", p.n_obs, p.times));
-    line(
-        "window",
-        format!(
-            "{} steps of {:.6} s from t = {:.6} s, after {} steps of spin-up",
-            p.window.steps, p.window.step, p.window.start, p.spin_up
-        ),
-    );
-    if let Some([count, shift, steps]) = p.cycles {
-        line("cycles", format!("{count} windows, {shift} steps apart: {steps} steps"));
-    }
-    let about = format!("about {:.1} MB", p.bytes as f64 / 1e6);
-    line(
-        "memory",
-        match p.bytes_per_part {
-            None => about,
-            Some(bytes) => format!(
-                "{about} without adaptive steps; each step that time.tolerance adds takes {:.1} kB more",
-                bytes as f64 / 1e3
-            ),
-        },
-    );
-    for text in &p.left_out {
-        line("left out", text.clone());
-    }
     out
 }

@@ -2,6 +2,7 @@
 //! compared.
 
 mod amplification;
+mod between_steps;
 pub mod compare;
 mod cycle_checks;
 pub mod cycles;

@@ -8,7 +8,7 @@ use varda_implicit::check::Amplification;
 use varda_implicit::{Log, Model};
 
 use super::verdict::{self, Judged};
-use super::{amplification, departures, fit, second_minimum, shapes, spread};
+use super::{amplification, between_steps, departures, fit, second_minimum, shapes, spread};
 use crate::Error;
 use crate::outcome::{
     Attempt, ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
@@ -161,6 +161,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         evidence: evidence.as_ref(),
         second_minimum: second.as_ref(),
     });
+    warnings.extend(between_steps::remark(problem, &observations, &trajectories)?);
     let j_background = cost_of_run(scene.algorithm.robust, &mut observations, &trajectories)?;
     let rmse = rmse(experiment, errors(&analysis.background), errors(&analysis.analysis));
     let shapes = shapes::with_observations(problem, &trajectories)?;

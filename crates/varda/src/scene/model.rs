@@ -316,7 +316,7 @@ pub struct Material {
     pub youngs_modulus: f64,
     /// Poisson's ratio ν; the shear modulus is then E / (2 (1 + ν)).
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = -1.0, "maximum" = 0.5))]
+    #[schemars(extend("exclusiveMinimum" = -1.0, "maximum" = 0.5, "x-meant" = "solids have 0.2 to 0.5"))]
     pub poisson_ratio: Option<f64>,
     /// Shear modulus G [Pa].
     #[serde(default, skip_serializing_if = "Option::is_none")]

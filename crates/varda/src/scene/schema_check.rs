@@ -159,7 +159,11 @@ fn check_range(node: &Node, path: &str, value: f64, schema: &Json) -> Result<(),
         None => Ok(()),
         Some(expected) => Err(Wrong {
             place: node.place.clone(),
-            message: format!("`{path}` = {shown} is impossible: it must be {expected}{}", unit(schema)),
+            message: format!(
+                "`{path}` = {shown} is impossible: it must be {expected}{}{}",
+                unit(schema),
+                schema["x-meant"].as_str().map_or(String::new(), |meant| format!("; {meant}"))
+            ),
         }),
     }
 }

@@ -13,6 +13,13 @@ pub(super) fn validate_frame(frame: &Frame, path: &str) -> Check {
         (None, Some(axis), Some(_)) if !(axis.iter().map(|x| x * x).sum::<f64>() > 0.0) => {
             invalid(format!("{path}.axis"), "an axis cannot be zero")
         }
+        (None, Some(_), Some(angle)) if angle.abs() > std::f64::consts::TAU => invalid(
+            format!("{path}.angle"),
+            format!(
+                "{angle} rad is more than a whole turn: degrees were meant, {:.6} rad?",
+                angle.to_radians()
+            ),
+        ),
         (Some(r), None, None) => {
             for i in 0..3 {
                 for j in 0..3 {

@@ -31,6 +31,7 @@ pub(crate) fn synthetic(
         seen: Vec::new(),
         space: None,
         left_out: Vec::new(),
+        recording: None,
         make_operator: Box::new(move || {
             let operator: Box<dyn ObservationOperator> = Box::new(Selection::new(components.clone(), n)?);
             Ok(operator)

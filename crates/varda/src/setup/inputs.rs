@@ -38,6 +38,11 @@ pub(crate) enum KnownBackground {
 }
 
 impl Inputs {
+    /// Whether background and observations are to be drawn around a truth.
+    pub(crate) fn is_twin(&self) -> bool {
+        matches!(self.background, KnownBackground::Drawn)
+    }
+
     /// Reads the files of a scene.
     ///
     /// # Errors

@@ -18,6 +18,7 @@ pub mod plan;
 pub mod problem;
 pub mod random;
 mod reachable;
+mod recording;
 pub mod recording_scene;
 pub mod rod;
 pub mod rod_model;

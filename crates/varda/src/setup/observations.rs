@@ -12,7 +12,7 @@ use varda_implicit::Model;
 use super::random::{Stream, normal, stream};
 use super::runs::run_states;
 use crate::Error;
-use crate::outcome::Sight;
+use crate::outcome::{RecordingSummary, Sight};
 use crate::scene::TimeGrid;
 
 /// Makes an observation operator.
@@ -28,6 +28,8 @@ pub struct Observed {
     pub space: Option<ObservedSpace>,
     /// What was left out on request.
     pub left_out: Vec<String>,
+    /// What its file holds, of a recording.
+    pub recording: Option<RecordingSummary>,
     /// Makes H, all sites stacked.
     pub(crate) make_operator: MakeOperator,
     /// The values of a twin experiment that are still to be drawn.

@@ -49,8 +49,16 @@ impl Plan {
     /// Those of [`Problem::from_scene`](crate::setup::problem::Problem::from_scene) that do not need a run to
     /// be seen.
     pub fn new(file: &SceneFile) -> Result<Plan, Error> {
-        let inputs = Inputs::read(file)?;
-        let sizes = Sizes::of(&inputs);
+        Plan::of(&Inputs::read(file)?)
+    }
+
+    /// The same of a scene that has been read.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn of(inputs: &Inputs) -> Result<Plan, Error> {
+        let file = &inputs.file;
+        let sizes = Sizes::of(inputs);
         let memory = Memory::within_limit(file, &sizes)?;
         let settings = &file.scene.algorithm.cycles;
         let steps = file.scene.time.window;

@@ -1,5 +1,6 @@
 //! Rows of a recording that no shape of the rod can reach, and why that may be.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use varda_rod::{Matrix3, Motion, Vector3};
@@ -45,6 +46,15 @@ struct Beyond {
     reach: f64,
     /// Arc length of that point \[m\].
     held: f64,
+}
+
+/// Two neighbours along the rod, at the time at which they were seen farthest apart.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Chord {
+    pub(super) sites: [usize; 2],
+    pub(super) arc: f64,
+    pub(super) farthest: f64,
+    pub(super) allowed: f64,
 }
 
 /// How far the points of a rod can be from where it is held.
@@ -104,6 +114,36 @@ impl Held {
             // Places that overflow are for the model to refuse.
             (distance > reach && distance.is_finite()).then_some(Beyond { distance, reach, held: *held })
         })
+    }
+
+    /// The distances of neighbours along the rod, of the times at which both were seen whole.
+    pub(super) fn chords(&self, rows: &[Sighting]) -> Vec<Chord> {
+        let mut order: Vec<usize> = (0..self.sites.len()).collect();
+        order.sort_by(|a, b| self.sites[*a].arc_length.total_cmp(&self.sites[*b].arc_length));
+        let place = |row: &Sighting| {
+            let whole = row.written.iter().all(Option::is_some);
+            whole.then(|| Vector3::from(row.written.map(|v| v.unwrap_or(f64::NAN))))
+        };
+        let of_site = |site: usize| -> BTreeMap<u64, (&Sighting, Vector3<f64>)> {
+            let own = rows.iter().filter(|row| row.site == site);
+            own.filter_map(|row| Some((row.time.to_bits(), (row, place(row)?)))).collect()
+        };
+        let mut chords = Vec::new();
+        for pair in order.windows(2) {
+            let [a, b] = [of_site(pair[0]), of_site(pair[1])];
+            let [start, end] = [self.sites[pair[0]], self.sites[pair[1]]];
+            let arc = end.arc_length - start.arc_length;
+            let chord = |(time, (row, p)): (&u64, &(&Sighting, Vector3<f64>))| {
+                let (other, q) = b.get(time)?;
+                let stretch = self.stretch.max(self.taut(row.time));
+                let sigma = row.sigma.hypot(other.sigma);
+                let allowed = arc * stretch + start.offset + end.offset + SIGMAS * sigma;
+                Some(Chord { sites: [pair[0], pair[1]], arc, farthest: (p - q).norm(), allowed })
+            };
+            let beyond = |c: &Chord| c.farthest - c.allowed;
+            chords.extend(a.iter().filter_map(chord).max_by(|a, b| beyond(a).total_cmp(&beyond(b))));
+        }
+        chords
     }
 
     /// How much longer than at rest the rod is where its supports pull it taut.

@@ -10,8 +10,10 @@ use super::csv::{self, Subject};
 use super::files::Files;
 use super::observations::{Draws, MakeOperator, Observed, ObservedSpace, Seen, Site};
 use super::reachable::{Held, Reach, Sighting};
+use super::recording::{Recorded, track};
 use super::rod::RodSystem;
 use crate::Error;
+use crate::outcome::{Neighbours, RecordingSummary, RowCount};
 use crate::scene::{Frame, Model, OutsideWindow, Recording, Synthetic, TimeGrid, UnreachableRows, Use};
 
 /// A site and its place on the rod.
@@ -94,6 +96,7 @@ pub(crate) fn recorded(
     let mut left = LeftOut::default();
     let mut seen = Vec::new();
     let mut sightings = Vec::new();
+    let mut recorded = Vec::new();
     for row in &rows {
         let site = match &row.subject {
             Subject::Marker(name) if followed.contains(name.as_str()) => {
@@ -121,12 +124,13 @@ pub(crate) fn recorded(
             }
         };
         let time = row.time - recording.time_zero;
-        let Some(at) = place_in_window(row, recording, grid, &mut left).map_err(|e| bad(row.line, e))? else {
-            continue;
-        };
         let sigma = row.sigma.or(recording.sigma).ok_or_else(|| {
             bad(row.line, "no standard deviation: fill `sigma_m`, or give observations.sigma".to_string())
         })?;
+        recorded.push(Recorded { time: row.time, site, position: row.position, sigma });
+        let Some(at) = place_in_window(row, recording, grid, &mut left).map_err(|e| bad(row.line, e))? else {
+            continue;
+        };
         let values = (0..3).map(|c| row.position[c].map(|v| v + shift[c])).collect();
         seen.push(Seen { site, step: at.floor() as usize, weight: at.fract(), values, sigma });
         sightings.push(Sighting { line: row.line, site, time, written: row.position, sigma });
@@ -161,8 +165,23 @@ pub(crate) fn recorded(
         let reason = continuity::explain_jumps(&impossible.sightings, &jumps, fastest, &labels);
         impossible.leave_out("rows that jump", jumps.iter().map(|j| j.row).collect(), &reason)?;
     }
-    let Impossible { seen, .. } = impossible;
-    Ok(observed(rod, sites, rotation, seen, None, left.into_texts()))
+    let Impossible { seen, sightings, .. } = impossible;
+    let neighbours = held.chords(&sightings).into_iter().map(|chord| Neighbours {
+        labels: chord.sites.map(|site| sites[site].label.clone()),
+        arc: chord.arc,
+        farthest: chord.farthest,
+        allowed: chord.allowed,
+    });
+    let times = || rows.iter().map(|row| row.time);
+    let summary = RecordingSummary {
+        rows: left.count(rows.len(), &seen, &sites, grid),
+        span: [times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max)],
+        window: [grid.start, grid.time(grid.steps)].map(|t| t + recording.time_zero),
+        tracks: sites.iter().enumerate().map(|(i, site)| track(&site.label, i, &recorded)).collect(),
+        neighbours: neighbours.collect(),
+    };
+    let observed = observed(rod, sites, rotation, seen, None, left.into_texts());
+    Ok(Observed { recording: Some(summary), ..observed })
 }
 
 /// Rows of a recording while those that cannot be true are looked for.
@@ -187,6 +206,7 @@ impl Impossible<'_> {
             return Err((self.bad)(lines[0], format!("{reason} ({remedy})")));
         }
         let listed: Vec<String> = lines.iter().map(usize::to_string).collect();
+        self.left.refused += rows.len();
         self.left.impossible.push(format!("{what}, in lines {}: {reason}", listed.join(", ")));
         let mut row = 0..;
         self.seen.retain(|_| row.next().is_some_and(|row| !rows.contains(&row)));
@@ -204,10 +224,36 @@ struct LeftOut {
     before: usize,
     after: usize,
     repeated: usize,
+    refused: usize,
     impossible: Vec<String>,
 }
 
 impl LeftOut {
+    /// Where all rows went, with what is left of them.
+    fn count(&self, all: usize, seen: &[Seen], sites: &[Placed], grid: TimeGrid) -> RowCount {
+        let mut rows = RowCount {
+            all,
+            outside: self.before + self.after,
+            refused: self.refused,
+            repeated: self.repeated,
+            ignored: self.followed + self.ignored,
+            ..RowCount::default()
+        };
+        for s in seen {
+            let part = if s.values.iter().all(Option::is_none) {
+                &mut rows.empty
+            } else if s.at() > grid.steps as f64 {
+                &mut rows.forecast
+            } else if sites[s.site].withheld {
+                &mut rows.withheld
+            } else {
+                &mut rows.used
+            };
+            *part += 1;
+        }
+        rows
+    }
+
     fn into_texts(self) -> Vec<String> {
         let counted = [
             (self.followed, "rows of markers that move a support"),
@@ -248,9 +294,11 @@ fn place_in_window(
     if at < -slack || beyond {
         if recording.outside_window == OutsideWindow::Error {
             let (from, to) = (grid.start + recording.time_zero, grid.time(grid.steps) + recording.time_zero);
+            let in_milliseconds = written > 20.0 * to && (from..=to).contains(&(1e-3 * written));
+            let unit = if in_milliseconds { " Milliseconds? Name the column time_ms." } else { "" };
             return Err(format!(
                 "time_s = {written} is outside the window ({from} to {to} s): outside_window = \"skip\" \
-                 leaves such rows out, or to the forecast"
+                 leaves such rows out, or to the forecast.{unit}"
             ));
         }
         if !beyond || at > grid.last_step() as f64 + slack {
@@ -308,6 +356,7 @@ fn observed(
         sites: sites.into_iter().enumerate().map(site).collect(),
         seen,
         left_out,
+        recording: None,
         draws,
     }
 }

@@ -3,7 +3,7 @@
 // each test takes a part
 #![allow(dead_code)]
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use varda::Error;
 use varda::scene::SceneFile;
@@ -54,6 +54,10 @@ impl Folder {
     pub(crate) fn with(self, file: &str, text: &str) -> Folder {
         std::fs::write(self.0.join(file), text).unwrap();
         self
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.0
     }
 
     pub(crate) fn scene(&self, text: &str, sets: &[&str]) -> Result<SceneFile, Error> {

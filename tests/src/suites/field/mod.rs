@@ -6,15 +6,15 @@ mod common;
 mod endings;
 mod faces;
 mod files;
-mod folder;
 mod forces;
 mod free_turn;
 mod gripped;
 mod loads;
 mod rest;
+mod twist_inertia;
 mod two_ended;
 
-use super::Options;
+use super::{Options, folder};
 use crate::row::{Row, Rows};
 
 pub(super) fn run(options: &Options) -> Vec<Row> {
@@ -30,5 +30,6 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     forces::run(options, &mut rows);
     free_turn::run(options, &mut rows);
     loads::run(options, &mut rows);
+    twist_inertia::run(&mut rows, options.quick);
     rows.finish()
 }

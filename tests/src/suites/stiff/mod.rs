@@ -17,6 +17,7 @@ mod rod;
 mod rod_frames;
 mod rod_shapes;
 mod rod_statics;
+mod spins;
 
 use super::{Options, Report};
 use crate::row::{Row, Rows};
@@ -29,6 +30,7 @@ pub(super) fn run(options: &Options) -> Report {
     rod_frames::run(&mut rows);
     rod_statics::run(&mut rows);
     loads::run(&mut rows);
+    spins::run(&mut rows);
     rows.area("implicit");
     implicit::run(&mut rows);
     rows.area("chaos");

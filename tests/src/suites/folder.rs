@@ -10,7 +10,7 @@ pub(super) struct Folder(PathBuf);
 impl Folder {
     pub(super) fn new(case: &str) -> std::io::Result<Folder> {
         let name: String = case.chars().map(|c| if c.is_alphanumeric() { c } else { '-' }).collect();
-        let folder = std::env::temp_dir().join(format!("varda-field-{}-{name}", std::process::id()));
+        let folder = std::env::temp_dir().join(format!("varda-suite-{}-{name}", std::process::id()));
         std::fs::create_dir_all(&folder)?;
         Ok(Folder(folder))
     }
@@ -34,5 +34,5 @@ impl Drop for Folder {
 /// A scene whose files are in a folder.
 pub(super) fn scene_in(folder: &Path, text: &str, sets: &[&str]) -> Result<SceneFile, Error> {
     let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
-    SceneFile::parse("field", "field.toml", text, Some(folder), &sets)
+    SceneFile::parse("scene", "scene.toml", text, Some(folder), &sets)
 }

@@ -1,0 +1,98 @@
+//! The data beside the model, before anything is minimized: what `varda check` prints, and what `varda run`
+//! says in short before it starts.
+
+mod background;
+mod finding;
+mod numerics;
+mod recording;
+mod values;
+
+pub use background::Misfit;
+pub use finding::{Finding, Severity};
+pub use numerics::{MeshEffect, ModeDamping, numerical_damping};
+
+use crate::Error;
+use crate::outcome::RecordingSummary;
+use crate::scene::SceneFile;
+use crate::setup::{Inputs, Plan};
+
+/// What can be said of a scene without a minimization: one forward run, and two equilibria of a rod at most.
+///
+/// ```
+/// use varda::preview::Preview;
+/// use varda::scene::SceneFile;
+///
+/// let preview = Preview::new(&SceneFile::open("hanging-rod-case1", &["time.window=20".into()])?)?;
+/// assert!(preview.modes[0].frequency > 0.5 && preview.recording.is_none());
+/// let odd = Preview::new(&SceneFile::open("lorenz96", &["observations.sigma=100.0".into()])?)?;
+/// assert_eq!(odd.findings[0].place, "observations.sigma");
+/// # Ok::<(), varda::Error>(())
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct Preview {
+    /// Sizes and memory.
+    pub plan: Plan,
+    /// What the recording holds, of a scene with one.
+    pub recording: Option<RecordingSummary>,
+    /// How far the background is from what was seen, of a recording.
+    pub misfit: Option<Misfit>,
+    /// The slowest modes of a rod, and what damps them.
+    pub modes: Vec<ModeDamping>,
+    /// What a mesh of half the segments' length does to a rod at rest.
+    pub mesh: Option<MeshEffect>,
+    /// Seconds that a run may take, from and to, by the forward run.
+    pub seconds: [f64; 2],
+    /// What looks wrong, errors first.
+    pub findings: Vec<Finding>,
+}
+
+impl Preview {
+    /// Looks at a scene and its files.
+    ///
+    /// # Errors
+    /// Those of [`Problem::from_scene`](crate::setup::Problem::from_scene); [`Error::Model`] where the
+    /// forward run fails.
+    pub fn new(file: &SceneFile) -> Result<Preview, Error> {
+        let inputs = Inputs::read(file)?;
+        let plan = Plan::of(&inputs)?;
+        let mut findings = findings(&inputs);
+        let recording = inputs.observed.recording.clone();
+        let (grid, control) = (inputs.grid, plan.n_control);
+        let window = grid.step * file.scene.time.window as f64;
+        let forward = background::run(inputs)?;
+        let (mut modes, mut mesh) = (Vec::new(), None);
+        if let Some((parts, first)) = &forward.rod {
+            let (rest, t) = match first {
+                Some((rest, t)) => (rest.clone(), *t),
+                None => (parts.at_rest(grid.start)?, grid.start),
+            };
+            modes = numerics::damping(parts, &rest, t, grid.step);
+            findings.extend(numerics::too_much(&modes, window));
+            // a finer mesh may have no equilibrium that is found from this one: then nothing is said of it
+            mesh = numerics::halved(file, parts, &rest, t).ok();
+            findings.extend(mesh.as_ref().and_then(|m| numerics::too_coarse(m, parts.rod.segments())));
+        }
+        findings.sort_by_key(|f| std::cmp::Reverse(f.severity));
+        let seconds = background::expected_seconds(&file.scene, forward.seconds, control);
+        let misfit = forward.misfit;
+        Ok(Preview { plan, recording, misfit, modes, mesh, seconds, findings })
+    }
+
+    /// Whether a run makes no sense.
+    pub fn has_errors(&self) -> bool {
+        self.findings.iter().any(|f| f.severity == Severity::Error)
+    }
+}
+
+/// What looks wrong in a scene and its files, without a run: the values and the recording.
+pub fn findings(inputs: &Inputs) -> Vec<Finding> {
+    let mut found = values::values(&inputs.file.scene);
+    if let Some(recording) = &inputs.observed.recording {
+        let of_recording = recording::of_recording(recording, inputs.grid.step);
+        let new = |f: &Finding| !found.iter().any(|known| known.place == f.place);
+        let new: Vec<Finding> = of_recording.into_iter().filter(new).collect();
+        found.extend(new);
+    }
+    found.sort_by_key(|f| std::cmp::Reverse(f.severity));
+    found
+}

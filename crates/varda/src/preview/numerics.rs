@@ -1,0 +1,181 @@
+//! What the numerics do to a rod: damping of the integrator, and the mesh.
+
+use serde::Serialize;
+use varda_implicit::Scheme;
+use varda_rod::{Rest, Vector3, modes};
+
+use super::finding::Finding;
+use crate::Error;
+use crate::scene::{Model, SceneFile};
+use crate::setup::files::Files;
+use crate::setup::rod_model::RodParts;
+
+/// How many modes are looked at.
+const MODES: usize = 3;
+/// The integrator damps too much where it takes this share of an amplitude within the window.
+const TAKES: f64 = 0.2;
+/// A mesh is coarse where doubling it moves the rod at rest by this share of its length.
+const COARSE: f64 = 0.01;
+
+/// A slow mode of the rod about its shape at rest.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ModeDamping {
+    /// Frequency \[Hz\].
+    pub frequency: f64,
+    /// Steps to a period.
+    pub steps: f64,
+    /// Rate at which the integrator damps its amplitude \[1/s\].
+    pub numerical: f64,
+    /// The most at which the material does \[1/s\]: ½(α + τω²); what gravity holds is not damped.
+    pub material: f64,
+}
+
+/// What a mesh of half the segments' length does.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MeshEffect {
+    /// How far it moves the rod at rest, at most \[m\].
+    pub moves: f64,
+    /// Arc length of where that is \[m\].
+    pub arc_length: f64,
+    /// The same over the length of the rod.
+    pub share: f64,
+}
+
+/// The rate \[1/s\] at which a scheme damps the amplitude of ẍ = −ω²x with steps Δt: −ln|z|/Δt, z
+/// the root of the scheme's polynomial for ẋ = iωx that is near exp(iωΔt). For small ωΔt it is
+/// ω²Δt/2 for backward Euler, ω⁴Δt³/4 for BDF2, and nothing for the midpoint rule.
+///
+/// ```
+/// use varda::preview::numerical_damping;
+/// use varda_implicit::Scheme;
+///
+/// let (omega, dt) = (2.0, 0.01);
+/// let rate = numerical_damping(Scheme::BackwardEuler, omega, dt);
+/// assert!((rate / (0.5 * omega * omega * dt) - 1.0).abs() < 1e-3);
+/// ```
+pub fn numerical_damping(scheme: Scheme, omega: f64, dt: f64) -> f64 {
+    let w = omega * dt;
+    match scheme {
+        Scheme::BackwardEuler => 0.5 * (w * w).ln_1p() / dt,
+        Scheme::Midpoint => 0.0,
+        Scheme::Bdf2 => {
+            // (3 − 2iw) z² − 4z + 1 = 0: z = (2 + √(1 + 2iw))/(3 − 2iw)
+            let size = 1.0_f64.hypot(2.0 * w);
+            let root = [(0.5 * (size + 1.0)).sqrt(), (0.5 * (size - 1.0)).sqrt()];
+            let z = (2.0 + root[0]).hypot(root[1]) / 3.0_f64.hypot(2.0 * w);
+            -z.ln() / dt
+        }
+    }
+}
+
+/// The slowest modes, and what is damped; none where the rod has no natural modes (loads without potential).
+pub(super) fn damping(parts: &RodParts, rest: &Rest, t: f64, dt: f64) -> Vec<ModeDamping> {
+    let Ok(found) = modes(&parts.rod, &parts.supports, &parts.loads, t, rest, MODES) else {
+        return Vec::new();
+    };
+    let of = |omega_squared: f64| {
+        let omega = omega_squared.sqrt();
+        ModeDamping {
+            frequency: omega / std::f64::consts::TAU,
+            steps: std::f64::consts::TAU / (omega * dt),
+            numerical: numerical_damping(parts.scheme, omega, dt),
+            material: 0.5 * (parts.damping.mass + parts.damping.stiffness * omega_squared),
+        }
+    };
+    found.modes.iter().filter(|mode| mode.omega_squared > 0.0).map(|mode| of(mode.omega_squared)).collect()
+}
+
+/// What the integrator takes of the slowest mode in a window \[s\], where that is much beside the material.
+pub(super) fn too_much(modes: &[ModeDamping], window: f64) -> Option<Finding> {
+    let slowest = modes.first()?;
+    let taken = 1.0 - (-slowest.numerical * window).exp();
+    if slowest.steps < 8.0 {
+        return Some(Finding::warning(
+            "time.step",
+            format!(
+                "the slowest mode, {:.3} Hz, has {:.1} steps to a period: its motion is not followed",
+                slowest.frequency, slowest.steps
+            ),
+        ));
+    }
+    (taken > TAKES && slowest.numerical > slowest.material).then(|| {
+        Finding::warning(
+            "time.integrator",
+            format!(
+                "it damps the slowest mode, {:.3} Hz, by {:.3} 1/s: {:.0} % of its amplitude in the window, \
+                 where the material takes {:.3} 1/s at most; \"bdf2\", or a shorter step",
+                slowest.frequency,
+                slowest.numerical,
+                100.0 * taken,
+                slowest.material
+            ),
+        )
+    })
+}
+
+/// The rod at rest with every segment halved, beside the one it has.
+pub(super) fn halved(file: &SceneFile, parts: &RodParts, rest: &Rest, t: f64) -> Result<MeshEffect, Error> {
+    let mut finer = file.clone();
+    let Model::Rod(model) = &mut finer.scene.model else { unreachable!("the parts are those of a rod") };
+    let halves = parts.rod.rest_lengths.iter().flat_map(|l| [0.5 * l; 2]).collect();
+    (model.length, model.segments, model.segment_lengths) = (None, None, Some(halves));
+    model.prescribed.iter_mut().for_each(|p| p.vertex *= 2);
+    let model = model.clone();
+    let mut fine = RodParts::read(&Files::of(&finer), &model)?;
+    // the same branch, where there are several
+    let shape = Rest::through_at(&fine.rod, &parts.rod.arc_lengths(), &rest.vertices);
+    if let Ok(shape) = shape {
+        fine.search.initial_shape = Some(shape);
+    }
+    let finer = fine.at_rest(t)?;
+    let apart = |(i, x): (usize, &Vector3<f64>)| (i, (finer.vertices[2 * i] - x).norm());
+    let most = rest.vertices.iter().enumerate().map(apart).max_by(|a, b| a.1.total_cmp(&b.1));
+    let (vertex, moves) = most.expect("a rod has vertices");
+    let arc_length = parts.rod.arc_lengths()[vertex];
+    Ok(MeshEffect { moves, arc_length, share: moves / parts.rod.length() })
+}
+
+/// Where the mesh is too coarse.
+pub(super) fn too_coarse(mesh: &MeshEffect, segments: usize) -> Option<Finding> {
+    (mesh.share > COARSE).then(|| {
+        Finding::warning(
+            "model.segments",
+            format!(
+                "twice as many as {segments} move the rod at rest by {:.4} m at s = {:.4} m, {:.1} % of its \
+                 length",
+                mesh.moves,
+                mesh.arc_length,
+                100.0 * mesh.share
+            ),
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Beside what running the schemes gives.
+    #[test]
+    fn rates_are_those_of_the_schemes() {
+        let (omega, dt, steps) = (5.0_f64, 0.02, 400);
+        let w = omega * dt;
+        // z² (3 − 2iw) = 4z − z₋: by complex arithmetic in pairs
+        let divide = |a: [f64; 2], b: [f64; 2]| {
+            let n = b[0] * b[0] + b[1] * b[1];
+            [(a[0] * b[0] + a[1] * b[1]) / n, (a[1] * b[0] - a[0] * b[1]) / n]
+        };
+        let mut z = vec![[1.0, 0.0], [w.cos(), w.sin()]];
+        for k in 1..steps {
+            let sum = [4.0 * z[k][0] - z[k - 1][0], 4.0 * z[k][1] - z[k - 1][1]];
+            z.push(divide(sum, [3.0, -2.0 * w]));
+        }
+        let size = |k: usize| z[k][0].hypot(z[k][1]);
+        let rate = -(size(steps) / size(steps / 2)).ln() / (dt * (steps / 2) as f64);
+        assert!((numerical_damping(Scheme::Bdf2, omega, dt) / rate - 1.0).abs() < 1e-9);
+        assert!((rate / (0.25 * omega.powi(4) * dt.powi(3)) - 1.0).abs() < 0.05);
+        let euler = numerical_damping(Scheme::BackwardEuler, omega, dt);
+        assert!((euler * dt - 1.0_f64.hypot(w).ln()).abs() < 1e-15);
+        assert_eq!(numerical_damping(Scheme::Midpoint, omega, dt), 0.0);
+    }
+}
