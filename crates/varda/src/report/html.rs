@@ -56,7 +56,7 @@ pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure]
          <section><h2>The scene as it was run</h2><details><summary>TOML, overrides and defaults \
          included</summary><pre>{}</pre></details></section>\
          <footer><p>Made by Varda {}. Files beside this page: summary.json, analysis.csv, trajectory.csv, \
-         convergence.csv, figures/{}.</p></footer>",
+         observations.csv, convergence.csv, figures/{}.</p></footer>",
         list(&summary.left_out),
         convergence_table(outcome),
         escape(&scene),
