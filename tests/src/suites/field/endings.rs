@@ -4,7 +4,7 @@ use super::folder::{Folder, scene_in};
 use crate::row::{Case, Outcome, Rows};
 use std::fmt::Write;
 use std::path::Path;
-use varda::outcome::{self, Cause, Status};
+use varda::outcome::{self, Cause, Status, Verdict};
 use varda::run::{Listener, assimilate};
 use varda::scene::SceneFile;
 use varda::setup::Problem;
@@ -280,7 +280,7 @@ fn planted(case: &mut Case, fault: &Fault) -> Outcome {
     case.count("named", usize::from(right && text.contains(fault.word)), 1)
         .computed(outcome.analysis.chi2)
         .note(format!("{cause:?}, {:?}: {text}", outcome.status));
-    if !fault.named.is_empty() {
+    if outcome.judgement.verdict == Verdict::DoesNotFit {
         case.count("in the verdict", usize::from(outcome.judgement.text.contains(&text)), 1)
             .note(outcome.judgement.text.clone());
     }
