@@ -76,6 +76,10 @@ pub(super) fn judge(judged: &Judged) -> Judgement {
                            larger than it need be",
             );
         }
+        // growth of the window found the minimum that fits
+        if let Some(second) = judged.second_minimum {
+            let _ = write!(text, "; {}", second.text);
+        }
         return Judgement { verdict: Verdict::Fits, text };
     }
     let mut named = standing_out.iter().take(NAMED).peekable();

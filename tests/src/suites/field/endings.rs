@@ -4,7 +4,7 @@ use super::folder::{Folder, scene_in};
 use crate::row::{Case, Outcome, Rows};
 use std::fmt::Write;
 use std::path::Path;
-use varda::outcome::{self, Cause, Status};
+use varda::outcome::{self, Cause, Status, Verdict};
 use varda::run::{Listener, assimilate};
 use varda::scene::SceneFile;
 use varda::setup::Problem;
@@ -74,9 +74,10 @@ fn no_further_start(case: &mut Case) -> Outcome {
 fn second_minimum(case: &mut Case) -> Outcome {
     let outcome = ended(&scene_in(Path::new("."), LONG_WINDOW, &[])?)?;
     case.at_most("J", outcome.analysis.value, 100.0, "-").because("m/2 = 75, and four times √(m/2)");
-    let named = |w: &String| w.contains("another minimum") && w.contains("window_growth");
-    case.count("remarks that say so", outcome.warnings.iter().filter(|w| named(w)).count(), 1)
-        .note(outcome.warnings.join("; "));
+    let said = outcome.warnings.iter().chain([&outcome.judgement.text]);
+    let named = |w: &&String| w.contains("another minimum") && w.contains("window_growth");
+    case.at_most("remarks missing", usize::from(said.filter(named).count() == 0) as f64, 0.0, "-")
+        .note(outcome.judgement.text.clone());
     Ok(())
 }
 
@@ -279,9 +280,9 @@ fn planted(case: &mut Case, fault: &Fault) -> Outcome {
     case.count("named", usize::from(right && text.contains(fault.word)), 1)
         .computed(outcome.analysis.chi2)
         .note(format!("{cause:?}, {:?}: {text}", outcome.status));
-    if !fault.named.is_empty() {
-        let told = outcome.warnings.iter().any(|w| w.contains(&text));
-        case.count("in the notes", usize::from(told), 1);
+    if outcome.judgement.verdict == Verdict::DoesNotFit {
+        case.count("in the verdict", usize::from(outcome.judgement.text.contains(&text)), 1)
+            .note(outcome.judgement.text.clone());
     }
     Ok(())
 }
