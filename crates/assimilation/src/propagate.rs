@@ -10,11 +10,11 @@ use crate::Error;
 ///     W₀ = (∂x₀/∂z) W,   W_{k+1} = M_k W_k,   P_k = W_k W_kᵀ
 /// ```
 ///
-/// with M_k linearized along `states` (x₀, x₁, … one after the other). `on_state` is called with k and W_k, by
-/// columns of the length of a state: sums of squares along its rows are the variances of x_k, those along
-/// the rows of H_k W_k the variances of what is observed. Exact for linear models; else the covariance of small
-/// errors about this run. Takes one linearization (into slot 0) and as many tangent products as W has columns a step,
-/// and memory for W_k.
+/// with M_k linearized along `states` (x₀, x₁, … one after the other). `on_state` is called with k and
+/// W_k, by columns of the length of a state: sums of squares along its rows are the variances of x_k, those
+/// along the rows of H_k W_k the variances of what is observed. Exact for linear models; else the covariance
+/// of small errors about this run. Takes one linearization (into slot 0) and as many tangent products as W
+/// has columns a step, and memory for W_k.
 ///
 /// ```
 /// use varda_assimilation::propagate_root;

@@ -96,8 +96,8 @@ pub const SUITES: &[Suite] = &[
     },
     Suite {
         name: "coverage",
-        proves: "95 % intervals contain the truth 95 times in a hundred: at the start and the end of a window, \
-            and in the forecast.",
+        proves: "95 % intervals contain the truth 95 times in a hundred: at the start and the end of a \
+            window, and in the forecast.",
         run: |options| coverage::run(options).into(),
     },
 ];

@@ -9,16 +9,16 @@ use crate::scene::TimeGrid;
 use crate::setup::Problem;
 use crate::setup::observations::Seen;
 
-/// σ of the components of every state of the analysis, one state after the other, and of every row of H at the
-/// times that were seen.
+/// σ of the components of every state of the analysis, one state after the other, and of every row of H at
+/// the times that were seen.
 pub(super) struct Spread {
     pub(super) states: Vec<f64>,
     /// For each of what was seen, σ of the rows of its site.
     seen: Vec<Vec<f64>>,
 }
 
-/// Carries the posterior of the control along the run of the analysis; `None` where there is no root of it, or the
-/// run cannot be linearized.
+/// Carries the posterior of the control along the run of the analysis; `None` where there is no root of it,
+/// or the run cannot be linearized.
 pub(super) fn along(
     problem: &Problem,
     model: &mut dyn Model,

@@ -69,8 +69,8 @@ pub(crate) struct Solution {
 /// The posterior of the control.
 pub(crate) struct PosteriorSpread {
     pub(crate) sigma: Vec<f64>,
-    /// A square root of P_a, by columns of the length of the control; empty where the analysis is not a run of the
-    /// model (weak constraint, ensembles).
+    /// A square root of P_a, by columns of the length of the control; empty where the analysis is not a run
+    /// of the model (weak constraint, ensembles).
     pub(crate) root: Vec<f64>,
     /// Degrees of freedom for signal (of the initial state, under weak constraint).
     pub(crate) degrees_of_freedom: f64,
