@@ -72,7 +72,8 @@ mod tests {
     #[test]
     fn gaps_and_scatter_are_found() {
         let smooth = track("tip", 0, &rows(|_| 0.0));
-        assert_eq!((smooth.rows, smooth.sigma), (55, 1e-3));
+        // a mean of equal numbers, to rounding
+        assert!(smooth.rows == 55 && (smooth.sigma - 1e-3).abs() < 1e-17, "{smooth:?}");
         assert!((smooth.interval - 0.01).abs() < 1e-12);
         let gap = smooth.gap.unwrap();
         assert!((gap[0] - 0.19).abs() < 1e-12 && (gap[1] - 0.06).abs() < 1e-12, "{gap:?}");
