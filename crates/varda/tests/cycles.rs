@@ -355,10 +355,11 @@ fn check_tells_the_size_of_a_sequence() {
 #[test]
 fn a_sequence_says_whether_its_errors_are_as_assumed() {
     let folder = Folder::new("checks");
-    let run = |sets: &[&str]| -> serde_json::Value {
+    let run = |sets: &[&str], code: i32| -> serde_json::Value {
         let few = ["algorithm.cycles.count=80", "algorithm.cycles.spin_up=30"];
         let sets = [&few[..], sets].concat();
-        ok(&folder.run("lorenz96-cycling-4denvar", &sets, &["--quiet", "--out", "r"]));
+        let output = folder.run("lorenz96-cycling-4denvar", &sets, &["--quiet", "--out", "r"]);
+        assert_eq!(output.status.code(), Some(code), "{}", folder.summary("r")["verdict_text"]);
         folder.summary("r")
     };
     let adaptive = [
@@ -367,7 +368,7 @@ fn a_sequence_says_whether_its_errors_are_as_assumed() {
         "algorithm.cycles.spread=1e-3",
         "algorithm.ensemble.inflation=1.0",
     ];
-    let good = run(&adaptive);
+    let good = run(&adaptive, 0);
     let cycles = &good["cycles"];
     assert!(cycles["rmse_end"].as_f64().unwrap() < 0.25, "{cycles}");
     assert!(cycles["inflation"].as_f64().unwrap() > 1.0, "{cycles}");
@@ -377,7 +378,7 @@ fn a_sequence_says_whether_its_errors_are_as_assumed() {
     }
     assert!(!good["warnings"].to_string().contains("is expected"), "{}", good["warnings"]);
 
-    let lost = run(&["algorithm.ensemble.members=10", "algorithm.ensemble.inflation=1.0"]);
+    let lost = run(&["algorithm.ensemble.members=10", "algorithm.ensemble.inflation=1.0"], 3);
     let warnings = lost["warnings"].to_string();
     assert!(lost["cycles"]["rmse_end"].as_f64().unwrap() > 1.0, "{}", lost["cycles"]);
     for part in ["2J/m over all windows", "B is too small", "inflation of", "the spread has collapsed"] {
