@@ -1,9 +1,9 @@
 //! What a window hands on: members turned about their mean, drawn again where one fails, inflated as their
 //! finite number asks for; the root of a posterior.
 
-use crate::cost::{CostFunction, LeastSquares, StrongConstraint, dot, norm, run_each};
+use crate::cost::{CostFunction, StrongConstraint, dot, norm, run_each};
 use crate::minimize::eigen;
-use crate::{ControlTransform, Error};
+use crate::{ControlTransform, Error, Posterior};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -151,26 +151,16 @@ pub(crate) fn finite_size_inflation(members: usize, pairs: impl Iterator<Item = 
     ((n - 1.0) / (0.5 * (a + b)).exp()).sqrt()
 }
 
-/// U A^{-1/2} at v, by columns: a square root of P_a.
+/// A square root of P_a at v, by columns, no more of them than the control is long.
 pub(crate) fn posterior_root(
     cost: &mut StrongConstraint,
     transform: &ControlTransform,
     v: &[f64],
 ) -> Result<Vec<f64>, Error> {
-    let n = v.len();
-    let mut hessian = vec![0.0; n * n];
-    cost.evaluate(v, Some(&mut vec![0.0; n]))?;
-    cost.hessian(&mut hessian)?;
-    let (values, mut vectors) = eigen(n, &hessian)?;
-    let mut columns = vec![0.0; n * transform.control_dim()];
-    for ((column, z), mu) in
-        columns.chunks_exact_mut(transform.control_dim()).zip(vectors.chunks_exact_mut(n)).zip(values)
-    {
-        // Eigenvalues of I + GᵀG are at least 1 but for rounding.
-        z.iter_mut().for_each(|z| *z /= mu.max(1.0).sqrt());
-        transform.tangent(z, column);
-    }
-    if n <= transform.control_dim() { Ok(columns) } else { square_root(transform.control_dim(), &columns) }
+    cost.evaluate(v, Some(&mut vec![0.0; v.len()]))?;
+    let columns = Posterior::new(cost)?.control_root(transform);
+    let n = transform.control_dim();
+    if v.len() <= n { Ok(columns) } else { square_root(n, &columns) }
 }
 
 /// A root of W Wᵀ with no more columns than rows: a hybrid B has more, and they would add up from window to

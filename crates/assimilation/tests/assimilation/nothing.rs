@@ -2,6 +2,7 @@
 
 use crate::cost::coupled;
 use crate::ensemble::linear;
+use crate::matrix::Matrix;
 use crate::models::*;
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
@@ -23,16 +24,9 @@ fn go_on(_: &Iteration) -> ControlFlow<()> {
 /// Variances of P_a for a window of a linear model, by its Jacobian with respect to x₀: the reference.
 fn variances(b: &dyn Covariance, steps: usize, seen: bool) -> Vec<f64> {
     let n = b.dim();
-    let matrix: Vec<Vec<f64>> = (0..n)
-        .map(|j| {
-            let (mut unit, mut column) = (vec![0.0; n], vec![0.0; n]);
-            unit[j] = 1.0;
-            b.apply(&unit, &mut column);
-            column
-        })
-        .collect();
+    let matrix = Matrix::of(b);
     if !seen {
-        return (0..n).map(|i| matrix[i][i]).collect();
+        return (0..n).map(|i| matrix.at(i, i)).collect();
     }
     let mut h = vec![0.0; n];
     for (j, h) in h.iter_mut().enumerate() {
@@ -40,9 +34,9 @@ fn variances(b: &dyn Covariance, steps: usize, seen: bool) -> Vec<f64> {
         unit[j] = 1.0;
         *h = run(&mut linear(n), &unit, steps).pop().unwrap()[0];
     }
-    let bh: Vec<f64> = matrix.iter().map(|row| dot(row, &h)).collect();
+    let bh = matrix.apply(&h);
     let s = dot(&h, &bh) + 0.25;
-    (0..n).map(|i| matrix[i][i] - bh[i] * bh[i] / s).collect()
+    (0..n).map(|i| matrix.at(i, i) - bh[i] * bh[i] / s).collect()
 }
 
 fn close(a: &[f64], b: &[f64], what: &str) {

@@ -2,11 +2,12 @@
 
 use std::collections::HashMap;
 
-use varda_assimilation::{ObservationOperator, ObservationSet};
+use varda_assimilation::ObservationSet;
 
 use crate::Error;
 use crate::outcome::Trajectories;
 use crate::setup::Problem;
+use crate::setup::observations::observe;
 
 /// A line that is off by more than this many σ is said.
 const SEEN: f64 = 0.5;
@@ -35,7 +36,11 @@ pub(super) fn remark(
             return Ok(Clone::clone(known));
         }
         let found = match runs.state(&runs.analysis, k) {
-            Some(x) => Some(observe(operator.as_mut(), grid.at(k), x)?),
+            Some(x) => {
+                let mut y = vec![0.0; operator.dim()];
+                observe(operator.as_mut(), grid.at(k), x, &mut y)?;
+                Some(y)
+            }
             None => None,
         };
         seen.insert(k, found.clone());
@@ -67,18 +72,4 @@ pub(super) fn remark(
              good fit; take steps that end at the observations, or smaller ones"
         )
     }))
-}
-
-fn observe(
-    operator: &mut dyn ObservationOperator,
-    at: varda_implicit::At,
-    x: &[f64],
-) -> Result<Vec<f64>, Error> {
-    let mut y = vec![0.0; operator.dim()];
-    operator.observe(at, x, &mut y).map_err(|reason| varda_assimilation::Error::Observe {
-        operator: 0,
-        step: at.step,
-        reason,
-    })?;
-    Ok(y)
 }

@@ -9,6 +9,7 @@ use crate::Error;
 use crate::outcome::{Fit, Forecast, Sight, Trajectories, Withheld};
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
+use crate::setup::observations::observe;
 
 /// Innovations at background and analysis, label by label in the order of their first appearance.
 ///
@@ -248,9 +249,7 @@ impl SitePlaces {
 
     /// The place of a site in a state at step k.
     fn of_site(&mut self, state: &[f64], site: usize, step: usize) -> Result<[f64; 3], Error> {
-        self.operator
-            .observe(self.grid.at(step), state, &mut self.values)
-            .map_err(|reason| varda_assimilation::Error::Observe { operator: 0, step, reason })?;
+        observe(self.operator.as_mut(), self.grid.at(step), state, &mut self.values)?;
         Ok(std::array::from_fn(|c| self.values[3 * site + c]))
     }
 

@@ -7,7 +7,7 @@ use crate::Error;
 use crate::outcome::{Shapes, Track, Trajectories};
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
-use crate::setup::observations::{Observed, ObservedSpace};
+use crate::setup::observations::{Observed, ObservedSpace, observe};
 
 /// Vertices of all runs; `None` for models that are not in space.
 ///
@@ -76,9 +76,7 @@ fn track(
     let mut of = |states: &[f64]| -> Result<Vec<[f64; 3]>, Error> {
         let mut line = Vec::new();
         for (step, x) in states.chunks_exact(runs.dim).enumerate() {
-            operator
-                .observe(grid.at(step), x, &mut places)
-                .map_err(|reason| varda_assimilation::Error::Observe { operator: 0, step, reason })?;
+            observe(operator.as_mut(), grid.at(step), x, &mut places)?;
             line.push([places[rows.start], places[rows.start + 1], places[rows.start + 2]]);
         }
         Ok(line)

@@ -7,7 +7,7 @@ use crate::Error;
 use crate::outcome::{ObservedValue, Rejected, Trajectories};
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
-use crate::setup::observations::Seen;
+use crate::setup::observations::{Seen, observe};
 
 /// σ of the components of every state of the analysis, one state after the other, and of every row of H at
 /// the times that were seen.
@@ -35,7 +35,7 @@ pub(super) fn along(
     // what was seen in the order of its steps
     let mut order: Vec<usize> = (0..all.len()).collect();
     order.sort_by_key(|i| all[*i].step);
-    let mut operator = (problem.observed.make_operator)()?;
+    let mut operator = problem.observed.operator()?;
     let grid = problem.experiment.grid;
     // rows of H W of what was seen between two steps, until the later one
     let mut waiting: Vec<(usize, Vec<f64>)> = Vec::new();
@@ -47,9 +47,7 @@ pub(super) fn along(
         if waiting.is_empty() && next.peek().is_none_or(|i| all[*i].step != k) {
             return Ok(());
         }
-        operator
-            .observe(grid.at(k), state, &mut buffer)
-            .map_err(|reason| varda_assimilation::Error::Observe { operator: 0, step: k, reason })?;
+        observe(operator.as_mut(), grid.at(k), state, &mut buffer)?;
         let mut seen_through = Vec::with_capacity(w.len() / n * operator.dim());
         for column in w.chunks_exact(n) {
             operator.tangent(grid.at(k), state, column, &mut buffer);
@@ -98,7 +96,7 @@ pub(super) fn observed_values(
     rejected: &[Rejected],
 ) -> Result<Vec<ObservedValue>, Error> {
     let grid = problem.experiment.grid;
-    let mut operator = (problem.observed.make_operator)()?;
+    let mut operator = problem.observed.operator()?;
     let mut at_background = Predicted::of(operator.dim());
     let mut at_analysis = Predicted::of(operator.dim());
     let in_space = problem.observed.space.is_some();
@@ -166,9 +164,7 @@ impl Predicted {
             let Some(x) = runs.state(states, step) else { return Ok(vec![f64::NAN; all.len()]) };
             let slot = step % 2;
             if self.steps[slot] != Some(step) {
-                operator
-                    .observe(grid.at(step), x, &mut self.rows[slot])
-                    .map_err(|reason| varda_assimilation::Error::Observe { operator: 0, step, reason })?;
+                observe(operator, grid.at(step), x, &mut self.rows[slot])?;
                 self.steps[slot] = Some(step);
             }
             all.iter_mut().zip(&self.rows[slot]).for_each(|(sum, row)| *sum += weight * row);

@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet};
-use varda_implicit::Model;
+use varda_implicit::{At, Model};
 
 use super::random::{Stream, normal, stream};
 use super::runs::run_states;
@@ -83,6 +83,20 @@ pub(crate) struct Draws {
     pub(crate) sigma: f64,
 }
 
+/// H(x) of all rows, with the step in the error.
+///
+/// # Errors
+/// [`varda_assimilation::Error::Observe`] where the state cannot be observed.
+pub(crate) fn observe(
+    operator: &mut dyn ObservationOperator,
+    at: At,
+    x: &[f64],
+    y: &mut [f64],
+) -> Result<(), varda_assimilation::Error> {
+    let failed = |reason| varda_assimilation::Error::Observe { operator: 0, step: at.step, reason };
+    operator.observe(at, x, y).map_err(failed)
+}
+
 impl Seen {
     /// Time within the window, in steps.
     pub fn at(&self) -> f64 {
@@ -122,9 +136,7 @@ impl Observed {
         let mut y = vec![0.0; operator.dim()];
         let n = model.dim();
         for step in steps {
-            operator
-                .observe(grid.at(step), &states[step * n..(step + 1) * n], &mut y)
-                .map_err(|reason| varda_assimilation::Error::Observe { operator: 0, step, reason })?;
+            observe(operator.as_mut(), grid.at(step), &states[step * n..(step + 1) * n], &mut y)?;
             for (site, place) in self.sites.iter().enumerate() {
                 let values = y[place.rows.clone()].iter().map(|y| Some(y + normal(&mut rng, sigma)));
                 self.seen.push(Seen { site, step, weight: 0.0, values: values.collect(), sigma });

@@ -17,6 +17,8 @@ pub(super) struct Recorded {
 
 /// Gaps are longer than so many usual intervals.
 const GAP: f64 = 2.5;
+/// Rows are at even times where intervals differ by less than this share: times may be written to few digits.
+const UNEVEN: f64 = 0.3;
 /// Fewest third differences that tell a scatter.
 const FEWEST: usize = 8;
 
@@ -30,7 +32,8 @@ pub(super) fn track(label: &str, site: usize, rows: &[Recorded]) -> TrackSummary
     let longest = (0..intervals.len()).max_by(|a, b| intervals[*a].total_cmp(&intervals[*b]));
     let gap = longest.filter(|i| intervals[*i] > GAP * interval).map(|i| [own[i].time, intervals[i]]);
     let sigma = own.iter().map(|r| r.sigma).sum::<f64>() / own.len().max(1) as f64;
-    let scatter = scatter(&own, interval);
+    let places: Vec<_> = own.iter().map(|r| (r.time, r.position)).collect();
+    let scatter = scatter(&places, interval);
     TrackSummary { label: label.to_string(), rows: own.len(), interval, gap, scatter, sigma }
 }
 
@@ -40,13 +43,13 @@ fn median(values: &[f64]) -> f64 {
     sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// √(mean δ³²/20) of rows at even times: of white noise its σ, since 1 + 9 + 9 + 1 = 20.
-fn scatter(rows: &[&Recorded], interval: f64) -> Option<f64> {
+/// √(mean δ³²/20) of places at even times: of white noise its σ, since 1 + 9 + 9 + 1 = 20.
+pub(super) fn scatter(rows: &[(f64, [Option<f64>; 3])], interval: f64) -> Option<f64> {
     let (mut sum, mut count) = (0.0, 0);
     for four in rows.windows(4) {
-        let even = four.windows(2).all(|w| (w[1].time - w[0].time - interval).abs() <= 0.01 * interval);
+        let even = four.windows(2).all(|w| (w[1].0 - w[0].0 - interval).abs() <= UNEVEN * interval);
         for c in 0..3 {
-            let values: Vec<f64> = four.iter().filter_map(|r| r.position[c]).collect();
+            let values: Vec<f64> = four.iter().filter_map(|(_, x)| x[c]).collect();
             if let (true, &[a, b, c, d]) = (even, &values[..]) {
                 sum += (d - 3.0 * c + 3.0 * b - a).powi(2);
                 count += 1;

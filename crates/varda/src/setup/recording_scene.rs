@@ -6,6 +6,7 @@ use std::fmt::Write;
 use varda_rod::Vector3;
 
 use super::csv::{self, ObservedRow, Subject};
+use super::recording::scatter;
 use crate::Error;
 
 type V = Vector3<f64>;
@@ -17,7 +18,7 @@ const COMMENTS: usize = 33;
 const STEP: f64 = 0.01;
 /// The longest window and forecast that are proposed \[s\].
 const WINDOW: f64 = 1.0;
-/// Frames of a block whose noise is estimated at once.
+/// Frames of a block that may be quiet.
 const BLOCK: usize = 20;
 /// Shares of the largest chords between two markers that noise may have made.
 const LARGEST: f64 = 0.95;
@@ -52,6 +53,16 @@ struct Track {
 impl Track {
     fn mean(&self) -> V {
         self.seen.iter().map(|(_, x)| x).sum::<V>() / self.seen.len().max(1) as f64
+    }
+
+    /// Scatter of a coordinate about its mean over the frames in which it scatters least \[m\].
+    fn quietest(&self, axis: usize) -> f64 {
+        let blocks = self.seen.chunks_exact(BLOCK.min(self.seen.len().max(4)));
+        let of = |block: &[(f64, V)]| {
+            let mean = block.iter().map(|(_, x)| x[axis]).sum::<f64>() / block.len() as f64;
+            root_mean_square(&block.iter().map(|(_, x)| x[axis] - mean).collect::<Vec<_>>())
+        };
+        blocks.map(of).fold(f64::INFINITY, f64::min)
     }
 }
 
@@ -102,28 +113,16 @@ impl Recorded {
         self.tracks.last().map_or(1.0, |t| t.arc_length).max(1e-3)
     }
 
-    /// σ of a coordinate \[m\]: the smaller of what third differences in time and the quietest frames say.
+    /// σ of a coordinate \[m\]: the smaller of what third differences in time and the quietest frames say,
+    /// in the middle of all markers.
     fn sigma(&self) -> f64 {
-        let (mut differences, mut quiet) = (Vec::new(), Vec::new());
-        for track in &self.tracks {
-            for axis in 0..3 {
-                let mut quietest = f64::INFINITY;
-                for block in track.seen.chunks_exact(BLOCK.min(track.seen.len().max(4))) {
-                    let x: Vec<f64> = block.iter().map(|(_, x)| x[axis]).collect();
-                    let third: Vec<f64> =
-                        x.windows(4).map(|w| w[3] - 3.0 * w[2] + 3.0 * w[1] - w[0]).collect();
-                    // third differences of white noise have the variance 1 + 9 + 9 + 1 of it
-                    differences.push(root_mean_square(&third) / 20f64.sqrt());
-                    let mean = x.iter().sum::<f64>() / x.len() as f64;
-                    let about: Vec<f64> = x.iter().map(|x| x - mean).collect();
-                    quietest = quietest.min(root_mean_square(&about));
-                }
-                quiet.push(quietest);
-            }
-        }
-        let differences = quantile(&mut differences, 0.5).unwrap_or(f64::INFINITY);
-        let quiet = quantile(&mut quiet, 0.5).unwrap_or(f64::INFINITY);
-        let sigma = differences.min(quiet);
+        let places =
+            |t: &Track| -> Vec<_> { t.seen.iter().map(|(t, x)| (*t, [x.x, x.y, x.z].map(Some))).collect() };
+        let scatters = self.tracks.iter().filter_map(|t| scatter(&places(t), self.interval));
+        let scatter = quantile(&mut scatters.collect::<Vec<_>>(), 0.5);
+        let quiet = self.tracks.iter().flat_map(|t| (0..3).map(|axis| t.quietest(axis)));
+        let quiet = quantile(&mut quiet.collect::<Vec<_>>(), 0.5);
+        let sigma = scatter.unwrap_or(f64::INFINITY).min(quiet.unwrap_or(f64::INFINITY));
         if sigma.is_finite() && sigma > 0.0 { sigma } else { 1e-3 * self.length() }
     }
 

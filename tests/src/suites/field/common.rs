@@ -1,6 +1,26 @@
 //! What the kinds of field cases share.
 
 pub(super) use problems::statics::greatest;
+use varda_implicit::{ImplicitModel, Model};
+use varda_rod::RodStep;
+
+/// The state after some steps of a length from a control.
+pub(super) fn state_after(
+    step: RodStep,
+    z: &[f64],
+    length: f64,
+    steps: usize,
+) -> Result<Vec<f64>, Box<dyn std::error::Error>> {
+    let mut model = ImplicitModel::new(step, 0, length);
+    let mut x = vec![0.0; model.dim()];
+    model.initial_state(z, &mut x)?;
+    let mut next = x.clone();
+    for k in 0..steps {
+        model.step(k, &x, &mut next)?;
+        std::mem::swap(&mut x, &mut next);
+    }
+    Ok(x)
+}
 
 /// Least-squares slope of ln |error| over ln h.
 pub(super) fn slope(errors: &[(f64, f64)]) -> f64 {

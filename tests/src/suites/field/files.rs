@@ -1,6 +1,6 @@
 //! Recordings as they come: read right, or refused with file, line and cause.
 
-use super::folder::Folder;
+use super::folder::{Folder, RECORDED_ROD};
 use crate::row::{Case, Outcome, Rows};
 use crate::suites::Options;
 use varda::Error;
@@ -88,47 +88,8 @@ fn inputs(case: &str, (file, bytes): (&str, &[u8]), sets: &[&str]) -> Result<Inp
     let base = if has_base { "motion = { kind = \"table\", file = \"base.csv\", sigma = 0.0 }" } else { "" };
     folder.write("seen.csv", recording(seen).as_bytes()).map_err(failed)?;
     folder.write(file, bytes).map_err(failed)?;
-    Inputs::read(&folder.scene(&SCENE.replace("MOTION", base), sets)?)
+    Inputs::read(&folder.scene(&RECORDED_ROD.replace("# motion", base), sets)?)
 }
-
-const SCENE: &str = r#"
-[model]
-kind = "rod"
-length = 0.5
-segments = 10
-gravity = [0.0, 0.0, -9.81]
-section = { kind = "circle", radius = 0.005 }
-material = { youngs_modulus = 1e6, poisson_ratio = 0.5, density = 1100.0 }
-[model.start]
-position = [0.0, 0.0, 1.0]
-tangent = [0.0, 0.0, -1.0]
-director = [1.0, 0.0, 0.0]
-MOTION
-[time]
-integrator = "backward-euler"
-step = 0.01
-window = 40
-[background]
-from = "static-equilibrium"
-[background.covariance]
-kind = "kernel"
-sigma_x = 0.02
-sigma_v = 0.3
-correlation_length_x = 0.25
-correlation_length_v = 0.25
-localization_length = 0.5
-prior = "clamp"
-[observations]
-kind = "file"
-file = "seen.csv"
-sigma = 0.002
-[[observations.markers]]
-name = "middle"
-arc_length = 0.25
-[[observations.markers]]
-name = "tip"
-arc_length = 0.5
-"#;
 
 /// A row: step of 0.02 s, marker, place; `None` is not written.
 type Row = Option<(String, String, [String; 3])>;

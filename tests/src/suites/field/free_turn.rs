@@ -1,6 +1,7 @@
 //! Rods held at points only, whose angles are unknowns: their common turn is neutral where nothing depends on
 //! it, and an unknown like others where something does.
 
+use super::common::state_after;
 use crate::row::{Case, Outcome, Rows};
 use crate::suites::Options;
 use problems::rods::wave;
@@ -94,14 +95,7 @@ fn grid(case: &mut Case, every: usize) -> Outcome {
 
 /// Places after some steps from a control.
 fn places(step: RodStep, z: &[f64], steps: usize) -> Result<Vec<f64>, Box<dyn std::error::Error>> {
-    let mut model = ImplicitModel::new(step, 0, 0.01);
-    let mut x = vec![0.0; model.dim()];
-    model.initial_state(z, &mut x)?;
-    let mut next = x.clone();
-    for k in 0..steps {
-        model.step(k, &x, &mut next)?;
-        std::mem::swap(&mut x, &mut next);
-    }
+    let mut x = state_after(step, z, 0.01, steps)?;
     x.truncate(z.len() / 2);
     Ok(x)
 }

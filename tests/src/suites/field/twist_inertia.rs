@@ -1,7 +1,7 @@
 //! Sections with inertia against a spin about the tangent: frequencies, orders in mesh and time, energy, the
 //! massless limit, derivatives.
 
-use super::common::{greatest, slope};
+use super::common::{greatest, slope, state_after};
 use crate::row::{Case, Outcome, Rows};
 use problems::rods::wave;
 use std::f64::consts::PI;
@@ -87,15 +87,7 @@ fn frequency(case: &mut Case, ends: usize, mode: usize) -> Outcome {
 
 /// The state after a run.
 fn end(step: RodStep, z: &[f64], time: f64, steps: usize) -> Result<Vec<f64>, Failure> {
-    let mut model = ImplicitModel::new(step, 0, time / steps as f64);
-    let mut x = vec![0.0; model.dim()];
-    model.initial_state(z, &mut x)?;
-    let mut next = x.clone();
-    for k in 0..steps {
-        model.step(k, &x, &mut next)?;
-        std::mem::swap(&mut x, &mut next);
-    }
-    Ok(x)
+    state_after(step, z, time / steps as f64, steps)
 }
 
 /// The lowest mode of the mesh, let go: θ cos ωt and −ω θ sin ωt.

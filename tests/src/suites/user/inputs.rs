@@ -1,6 +1,6 @@
 //! Scenes and recordings with one thing wrong each: a unit, a clock, a direction, a mesh.
 
-use super::folder::Folder;
+use super::folder::{Folder, RECORDED_ROD};
 use crate::row::{Case, Outcome, Rows};
 use std::fmt::Write;
 use varda::Error;
@@ -65,7 +65,7 @@ fn looked_at(
     // a section of stiffnesses has no material
     let stiffnesses = sets.iter().any(|set| set.contains("kind = \"stiffness\""));
     let of_section = |line: &&str| !(stiffnesses && line.starts_with("material"));
-    let scene: String = SCENE.lines().filter(of_section).map(|line| format!("{line}\n")).collect();
+    let scene: String = RECORDED_ROD.lines().filter(of_section).map(|line| format!("{line}\n")).collect();
     let found = folder.scene(&scene, sets).and_then(|file| found(&file, with_runs));
     let all = |words: &[&str], text: &str| words.iter().all(|word| text.contains(word));
     let at = |found: &[Finding], severity: Severity, place: &str, words: &[&str]| {
@@ -390,44 +390,6 @@ const NUMERICS: &[Input] = &[
         Warned("model.segments", &["twice as many as 3"]),
     ),
 ];
-
-const SCENE: &str = r#"
-[model]
-kind = "rod"
-length = 0.5
-segments = 12
-gravity = [0.0, 0.0, -9.81]
-section = { kind = "circle", radius = 0.005 }
-material = { youngs_modulus = 1e6, poisson_ratio = 0.5, density = 1100.0 }
-[model.start]
-position = [0.0, 0.0, 1.0]
-tangent = [0.0, 0.0, -1.0]
-director = [1.0, 0.0, 0.0]
-[time]
-integrator = "bdf2"
-step = 0.01
-window = 40
-[background]
-from = "static-equilibrium"
-[background.covariance]
-kind = "kernel"
-sigma_x = 0.02
-sigma_v = 0.3
-correlation_length_x = 0.25
-correlation_length_v = 0.25
-localization_length = 0.5
-prior = "clamp"
-[observations]
-kind = "file"
-file = "seen.csv"
-sigma = 0.002
-[[observations.markers]]
-name = "middle"
-arc_length = 0.25
-[[observations.markers]]
-name = "tip"
-arc_length = 0.5
-"#;
 
 /// What was recorded right.
 fn clean() -> String {
