@@ -134,6 +134,34 @@ fn a_scene_of_named_markers_has_their_chords() {
     text(&folder.varda(&["check", "swing.toml"]));
 }
 
+/// A rod held in the middle by a hand whose marker is neither first in the file nor at an end: the row is
+/// that of the rod, and the clamp follows the marker at its beginning, which moves.
+#[test]
+fn markers_stand_in_the_order_of_the_rod() {
+    let folder = Folder::new("row");
+    let mut csv = "time_s,marker,x_m,y_m,z_m\n".to_string();
+    for k in 0..120 {
+        let t = k as f64 / 60.0;
+        let hand = 0.05 * (5.0 * t).sin();
+        let markers = [("hand", 0.5, 1.0), ("right", 0.9, 1.6), ("left", 0.05, 1.4), ("quarter", 0.3, 1.1)];
+        for (name, s, swing) in markers {
+            let noise = 5e-4 * (((k * 7 + (100.0 * s) as usize * 13) % 11) as f64 / 11.0 - 0.5);
+            let [x, y, z] = [s + noise, swing * hand + noise, 1.0 - noise];
+            csv.push_str(&format!("{t:.4},{name},{x:.5},{y:.5},{z:.5}\n"));
+        }
+    }
+    std::fs::write(folder.0.join("hand.csv"), csv).unwrap();
+    text(&folder.varda(&["new", "hand", "--recording", "hand.csv"]));
+    let scene: toml::Value = toml::from_str(&folder.read("hand.toml")).unwrap();
+    let markers = scene["observations"]["markers"].as_array().unwrap();
+    let names: Vec<&str> = markers.iter().map(|m| m["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["quarter", "hand", "right"], "left is what the clamp follows");
+    assert_eq!(scene["model"]["start"]["motion"]["names"][0].as_str(), Some("left"));
+    assert!(scene["model"]["start"].get("position").is_none());
+    assert!((0.84..0.9).contains(&scene["model"]["length"].as_float().unwrap()));
+    text(&folder.varda(&["check", "hand.toml"]));
+}
+
 #[test]
 fn shipped_scenes_are_shown_and_copied_with_their_data() {
     let folder = Folder::new("shipped");

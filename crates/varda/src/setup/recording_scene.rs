@@ -18,6 +18,8 @@ const COMMENTS: usize = 33;
 const STEP: f64 = 0.01;
 /// The longest window and forecast that are proposed \[s\].
 const WINDOW: f64 = 1.0;
+/// A marker moves where it travels this many times σ.
+const MOVES: f64 = 5.0;
 /// Frames of a block that may be quiet.
 const BLOCK: usize = 20;
 /// Shares of the largest chords between two markers that noise may have made.
@@ -53,6 +55,12 @@ struct Track {
 impl Track {
     fn mean(&self) -> V {
         self.seen.iter().map(|(_, x)| x).sum::<V>() / self.seen.len().max(1) as f64
+    }
+
+    /// How far it moves about its mean place, root mean square \[m\].
+    fn travel(&self) -> f64 {
+        let mean = self.mean();
+        root_mean_square(&self.seen.iter().map(|(_, x)| (x - mean).norm()).collect::<Vec<_>>())
     }
 
     /// Scatter of a coordinate about its mean over the frames in which it scatters least \[m\].
@@ -185,7 +193,7 @@ impl Recorded {
         let window = ((0.5 * span).min(WINDOW) / step).floor().max(1.0);
         let forecast = (span - window * step).clamp(0.0, WINDOW);
         let [far, fast] = self.motion().map(|size| rounded(size.max(0.01 * length)));
-        let [base, tangent] = self.clamp();
+        let [place, tangent] = self.clamp();
         let up = if tangent.z.abs() < 0.95 { V::z() } else { V::x() };
         let director = (up - tangent * up.dot(&tangent)).normalize();
         let are_named = self.tracks.iter().all(|t| t.name.is_some());
@@ -198,13 +206,22 @@ impl Recorded {
         let number = |x: f64| format!("{x:?}");
         let vector = |v: V| format!("[{:.4}, {:.4}, {:.4}]", v.x, v.y, v.z);
         let whole = |x: f64| format!("{x:.0}");
+        let sigma = self.sigma();
+        // A named marker at arc length 0 that moves is what the clamp follows.
+        let base = self.tracks.first().filter(|t| t.arc_length == 0.0 && t.travel() > MOVES * sigma);
+        let hand = base.and_then(|t| t.name.as_deref());
+        let followed = hand.unwrap_or("hand");
+        let [held, moved] = if hand.is_some() { ["# ", ""] } else { ["", "# "] };
         let values = [
+            ("{held}", held.to_string()),
+            ("{moved}", moved.to_string()),
+            ("{followed}", format!("{followed:?}")),
             ("{file}", file.to_string()),
             ("{title}", format!("{:?}", format!("A rod, from {file}"))),
             ("{length}", if are_named { format!("{length:.4}") } else { number(length) }),
             ("{length_note}", note.to_string()),
             ("{segments}", (4 * self.tracks.len()).clamp(20, 100).to_string()),
-            ("{position}", vector(base)),
+            ("{position}", vector(place)),
             ("{tangent}", vector(tangent)),
             ("{director}", vector(director)),
             ("{step}", number(step)),
@@ -217,11 +234,11 @@ impl Recorded {
             ("{correlation_v}", number(rounded(0.25 * length))),
             ("{path}", format!("{file:?}")),
             ("{time_zero}", number(self.span[0])),
-            ("{sigma}", number(rounded(self.sigma()))),
+            ("{sigma}", number(rounded(sigma))),
         ];
         let mut out = filled(TEMPLATE, &values);
         for track in &self.tracks {
-            if let Some(name) = &track.name {
+            if let Some(name) = track.name.as_deref().filter(|name| Some(*name) != hand) {
                 let _ = write!(
                     out,
                     "\n[[observations.markers]]\nname = {name:?}\n# m, yours: a lower bound, from distances \
@@ -259,21 +276,35 @@ fn filled(template: &str, values: &[(&str, String)]) -> String {
     out
 }
 
-/// Named markers in a row from the one that moves least, with the sums of the largest chords for arc lengths.
+/// Named markers in a row, with the sums of the largest chords for arc lengths: the shortest of the ways from
+/// marker to nearest marker, from the end that moves less.
 fn in_a_row(mut tracks: Vec<Track>) -> Vec<Track> {
-    let travel = |t: &Track| {
-        let mean = t.mean();
-        t.seen.iter().map(|(_, x)| (x - mean).norm_squared()).sum::<f64>() / t.seen.len().max(1) as f64
-    };
-    let mut row: Vec<Track> = Vec::new();
-    while !tracks.is_empty() {
-        let cost = |t: &Track| row.last().map_or_else(|| travel(t), |last| (t.mean() - last.mean()).norm());
-        let best = (0..tracks.len()).min_by(|a, b| cost(&tracks[*a]).total_cmp(&cost(&tracks[*b])));
-        let mut next = tracks.swap_remove(best.unwrap_or(0));
-        next.arc_length = row.last().map_or(0.0, |last| last.arc_length + chord(last, &next));
-        row.push(next);
+    let means: Vec<V> = tracks.iter().map(Track::mean).collect();
+    let ways = (0..tracks.len()).map(|first| nearest_in_turn(&means, first));
+    let length = |way: &[usize]| way.windows(2).map(|w| (means[w[0]] - means[w[1]]).norm()).sum::<f64>();
+    let Some(mut way) = ways.min_by(|a, b| length(a).total_cmp(&length(b))) else { return tracks };
+    let ends = [way.first(), way.last()].map(|end| end.map_or(0.0, |i| tracks[*i].travel()));
+    if ends[1] < ends[0] {
+        way.reverse();
     }
-    row
+    for pair in way.windows(2) {
+        tracks[pair[1]].arc_length = tracks[pair[0]].arc_length + chord(&tracks[pair[0]], &tracks[pair[1]]);
+    }
+    tracks.sort_by(|a, b| a.arc_length.total_cmp(&b.arc_length));
+    tracks
+}
+
+/// All places in turn, each the nearest of those left to the one before.
+fn nearest_in_turn(places: &[V], first: usize) -> Vec<usize> {
+    let mut left: Vec<usize> = (0..places.len()).filter(|i| *i != first).collect();
+    let mut way = vec![first];
+    while !left.is_empty() {
+        let from = places[way[way.len() - 1]];
+        let distance = |i: &usize| (places[left[*i]] - from).norm();
+        let next = (0..left.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
+        way.push(left.swap_remove(next));
+    }
+    way
 }
 
 /// The largest distance of two markers at equal times, but for a share that noise may have made.
