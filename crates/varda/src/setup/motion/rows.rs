@@ -48,8 +48,9 @@ impl Source<'_> {
             return Err(self.bad(line, format!("time_s = {time} is not after the row before")));
         }
         let [from, to] = self.run;
-        // Rounding of the file's times.
-        let slack = 1e-6 * (last - first).max(to - from);
+        // Times may be written to few digits: a tenth of the usual interval at an end is not missing.
+        let interval = (last - first) / (times.len() - 1).max(1) as f64;
+        let slack = (1e-6 * (last - first).max(to - from)).max(0.1 * interval);
         if *first > from + slack || *last < to - slack {
             return Err(self.invalid(format!(
                 "{} has rows from {first} to {last} s of the model's clock, and the run needs {from} to \
