@@ -15,8 +15,8 @@ use triangle::Square;
 /// error, for any spacing: B = L Lᵀ with the Cholesky root L of the dense matrix, in O(n).
 ///
 /// A Matérn field with ν = p + 1/2 is the first of p + 1 states of a linear stochastic differential
-/// equation driven by white noise, z = (f, f′/λ, …), λ = √(2ν)/L (Hartikainen and Särkkä 2010). From
-/// one place to the next
+/// equation driven by white noise, z = (f, f′/λ, …), λ = √(2ν)/L (Hartikainen and Särkkä 2010).
+/// From one place to the next
 ///
 /// ```text
 /// z_k = Φ_k z_{k−1} + q_k,    q_k ~ N(0, Q_k),    Φ_k = exp(F λ (s_k − s_{k−1}))
