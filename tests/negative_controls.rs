@@ -4,8 +4,8 @@ use problems::rods::{HangingRod, rod_scale};
 use std::path::Path;
 use std::process::Command;
 use varda_implicit::{
-    ControlMap, Equations, Error, ImplicitModel, ImplicitStep, Interval, Model, Refusal, StepEquations,
-    Structure, Work, check,
+    ControlMap, Equations, Error, ImplicitModel, ImplicitStep, Interval, Model, Refusal, SolvedStep,
+    StepEquations, Structure, Work, check,
 };
 use varda_rod::{RodEquations, RodStep};
 
@@ -91,37 +91,27 @@ impl ImplicitStep for Mutated {
     fn recover(&mut self, at: &Interval, x: &[f64], x_next: &[f64], u: &mut [f64]) {
         self.0.recover(at, x, x_next, u);
     }
-    fn previous(&mut self, at: &Interval, x: &[f64], u: &[f64], dx: &[f64], dg: &mut [f64]) {
-        self.0.previous(at, x, u, dx, dg);
+    fn kept(&self) -> usize {
+        self.0.kept()
     }
-    fn previous_transpose_add(&mut self, at: &Interval, x: &[f64], u: &[f64], mu: &[f64], dx: &mut [f64]) {
-        self.0.previous_transpose_add(at, x, u, mu, dx);
+    fn keep(&mut self, at: &Interval, x: &[f64], u: &[f64], kept: &mut [f64]) {
+        self.0.keep(at, x, u, kept);
+    }
+    fn previous(&mut self, of: &SolvedStep<'_>, dx: &[f64], dg: &mut [f64]) {
+        self.0.previous(of, dx, dg);
+    }
+    fn previous_transpose_add(&mut self, of: &SolvedStep<'_>, mu: &[f64], dx: &mut [f64]) {
+        self.0.previous_transpose_add(of, mu, dx);
         if self.1 == Wrong::PreviousTranspose {
             let i = dx.len() / 4;
             dx[i] *= 1.0 + OFF;
         }
     }
-    fn advance_tangent(
-        &mut self,
-        at: &Interval,
-        x: &[f64],
-        u: &[f64],
-        dx: &[f64],
-        du: &[f64],
-        next: &mut [f64],
-    ) {
-        self.0.advance_tangent(at, x, u, dx, du, next);
+    fn advance_tangent(&mut self, of: &SolvedStep<'_>, dx: &[f64], du: &[f64], next: &mut [f64]) {
+        self.0.advance_tangent(of, dx, du, next);
     }
-    fn advance_adjoint(
-        &mut self,
-        at: &Interval,
-        x: &[f64],
-        u: &[f64],
-        l: &[f64],
-        dx: &mut [f64],
-        du: &mut [f64],
-    ) {
-        self.0.advance_adjoint(at, x, u, l, dx, du);
+    fn advance_adjoint(&mut self, of: &SolvedStep<'_>, l: &[f64], dx: &mut [f64], du: &mut [f64]) {
+        self.0.advance_adjoint(of, l, dx, du);
     }
 }
 
