@@ -7,7 +7,7 @@ use varda_implicit::{
     ControlMap, Equations, Error, ImplicitModel, ImplicitStep, Interval, Model, Refusal, SolvedStep,
     StepEquations, Structure, Work, check,
 };
-use varda_rod::{RodEquations, RodStep};
+use varda_rod::{Damping, Loads, RodEquations, RodStep};
 
 /// Which entry is wrong, by one part in a thousand.
 #[derive(Clone, Copy, PartialEq)]
@@ -17,6 +17,8 @@ enum Wrong {
     Jacobian,
     /// An entry of (∂G/∂x_k)ᵀ.
     PreviousTranspose,
+    /// A number that a damped step keeps of its strains.
+    Kept,
 }
 
 const OFF: f64 = 1e-3;
@@ -96,6 +98,11 @@ impl ImplicitStep for Mutated {
     }
     fn keep(&mut self, at: &Interval, x: &[f64], u: &[f64], kept: &mut [f64]) {
         self.0.keep(at, x, u, kept);
+        if self.1 == Wrong::Kept {
+            // half way down, in the gradient of a bend
+            let i = kept.len() / 4;
+            kept[i] *= 1.0 + OFF;
+        }
     }
     fn previous(&mut self, of: &SolvedStep<'_>, dx: &[f64], dg: &mut [f64]) {
         self.0.previous(of, dx, dg);
@@ -121,6 +128,31 @@ fn flagship(wrong: Wrong) -> (ImplicitModel<Mutated>, Vec<f64>, Vec<f64>) {
     let model = rod.model(rod.first_step).unwrap();
     let scale = rod_scale(model.step_ref());
     (ImplicitModel::new(Mutated(model.into_inner(), wrong), rod.first_step, rod.dt), truth, scale)
+}
+
+/// The same rod with strain-rate damping, which makes ∂G/∂x_k depend on what a solved step keeps.
+fn damped(wrong: Wrong) -> (ImplicitModel<Mutated>, Vec<f64>, Vec<f64>) {
+    let (rod, truth) = HangingRod::flagship(2, true).unwrap();
+    let step = rod.model(rod.first_step).unwrap().into_inner();
+    let loads = Loads { gravity: rod.gravity.into(), ..Loads::default() };
+    let damping = Damping { stiffness: 0.1, mass: 0.0 };
+    let step = RodStep::new(step.rod().clone(), step.supports().clone(), loads, damping).unwrap();
+    let scale = rod_scale(&step);
+    let mut model = ImplicitModel::new(Mutated(step, wrong), rod.first_step, rod.dt);
+    let mut x = vec![0.0; model.dim()];
+    model.initial_state(&truth, &mut x).unwrap();
+    (model, x, scale)
+}
+
+#[test]
+fn a_mutated_kept_number_is_caught_by_taylor() {
+    let passes = |wrong| {
+        let (mut model, x, scale) = damped(wrong);
+        let slope = check::taylor_step(&mut model, 0, &x, &scale, &scale).unwrap();
+        (slope.slope - 2.0).abs() <= 0.05
+    };
+    assert!(passes(Wrong::Nothing));
+    assert!(!passes(Wrong::Kept));
 }
 
 fn taylor_passes(wrong: Wrong) -> bool {
