@@ -88,8 +88,8 @@ impl KelvinVoigt {
         system.set_stiffness(r, Some(&self.past));
     }
 
-    /// How many numbers the products need of a solved step: ∇ε k of the stage, then ∇ε and the holonomy of
-    /// every configuration of the past.
+    /// How many numbers the products need of a solved step: ∇ε k of the stage, then ∇ε and the holonomy
+    /// of every configuration of the past.
     pub(crate) fn kept(&self, layout: &Layout) -> usize {
         let past = STRAINS + if layout.free_angles.is_empty() { 0 } else { HOLONOMY };
         layout.segments * (STRAINS + self.configurations.len() * past)
@@ -127,7 +127,8 @@ impl KelvinVoigt {
         }
     }
 
-    /// What was kept of the configurations of a stage: their shares of x_k and x_{k−1}, strains and holonomy.
+    /// What was kept of the configurations of a stage: their shares of x_k and x_{k−1}, strains and
+    /// holonomy.
     fn kept_past<'k>(
         layout: &Layout,
         stage: &RodStage,

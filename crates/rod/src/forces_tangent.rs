@@ -193,8 +193,8 @@ impl<'a> Tangent<'a> {
                 force -= edge.t * (ea / rest * self.share * longer);
             }
             // Second derivatives in the local gauge are taken symmetric. Directors that are carried about a
-            // closed way of the tangent come back turned by its area: what is left of the moment about an edge
-            // out of equilibrium turns the force by half of that.
+            // closed way of the tangent come back turned by its area: what is left of the moment about an
+            // edge out of equilibrium turns the force by half of that.
             if let Some(moment) = self.moments.get(e) {
                 force += edge.t.cross(&moved(&self.now)) * (0.5 * moment / (edge.l * edge.l));
             }

@@ -41,8 +41,8 @@ pub(crate) struct RodStage {
 }
 
 impl RodStage {
-    /// Configurations that ε* is made of: shares of x_k and x_{k−1}, how many steps before x_k they are, and
-    /// their weight. The first is x_k.
+    /// Configurations that ε* is made of: shares of x_k and x_{k−1}, how many steps before x_k they are,
+    /// and their weight. The first is x_k.
     pub(crate) fn past(&self) -> impl Iterator<Item = ([f64; 2], f64, f64)> {
         let [now, before, between] = self.strain;
         let all = [([1.0, 0.0], 0.0, now), ([0.0, 1.0], 1.0, before), ([0.5, 0.5], 0.5, between)];

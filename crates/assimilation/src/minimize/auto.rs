@@ -73,8 +73,8 @@ setters!(AutoOptions, trust_region.stopping, {
 /// 2, 1), then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down the first ladder and
 /// straight, at most six. No further start is made once the lowest end is within the band, or two runs
 /// have come to the same lowest J (to 10⁻⁶ of it, converged or stalled), or three in turn have
-/// brought it less than a tenth of the way to the band, or the iterations are used up. [`Minimum::attempts`] lists what
-/// each start came to and what it gained. All look beside steps that a jump of J refuses
+/// brought it less than a tenth of the way to the band, or the iterations are used up. [`Minimum::attempts`]
+/// lists what each start came to and what it gained. All look beside steps that a jump of J refuses
 /// ([`TrustRegionOptions::jump_retries`]). The lowest end is returned; an end where the minimizer
 /// stalled (the edge of a jump of J) only where it is lower than every converged one by 10⁻³ of J.
 /// The tolerance of every run refers to the gradient at the first point. Rows of all runs are reported,

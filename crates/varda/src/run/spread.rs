@@ -28,7 +28,8 @@ struct ForceSpread {
 }
 
 impl ForceSpread {
-    /// Of the analysis at step k ≥ 1, W its columns there: √Σ (∂F/∂x_{k−1} w_{k−1} + ∂F/∂x_k w_k)².
+    /// Of the analysis at step k ≥ 1, W its columns there: √Σ (∂F/∂x_{k−1} w_{k−1} + ∂F/∂x_k
+    /// w_k)².
     fn at(
         &mut self,
         grid: &TimeGrid,
