@@ -37,18 +37,18 @@ impl ForceSpread {
         states: [&[f64]; 2],
         w: &[f64],
     ) -> Result<InternalForces, varda_rod::Error> {
-        let mut sum: Option<InternalForces> = None;
+        let (mut sigma, mut squares) = (InternalForces::default(), Vec::new());
         let before = (grid.time(k - 1), states[0]);
-        let mut add = |of: &mut InternalForces| match &mut sum {
-            Some(sum) => sum.numbers().zip(of.numbers()).for_each(|(sum, v)| *sum += *v * *v),
-            None => {
-                of.numbers().for_each(|v| *v *= *v);
-                sum = Some(of.clone());
+        let mut add = |of: &mut InternalForces| {
+            if squares.is_empty() {
+                sigma = of.clone();
+                squares.resize(of.numbers().count(), 0.0);
             }
+            let mut next = squares.iter_mut();
+            of.numbers().for_each(|v| *next.next().expect("as many numbers as before") += *v * *v);
         };
         self.rod.internal_forces_tangent(grid.time(k), states[1], before, [w, &self.before], &mut add)?;
-        let mut sigma = sum.unwrap_or_default();
-        sigma.numbers().for_each(|v| *v = v.sqrt());
+        sigma.numbers().zip(squares).for_each(|(sigma, square)| *sigma = square.sqrt());
         Ok(sigma)
     }
 }
