@@ -2,6 +2,7 @@
 
 use varda_assimilation::{ObservationOperator, propagate_root};
 use varda_implicit::Model;
+use varda_rod::{InternalForces, RodStep};
 
 use crate::Error;
 use crate::outcome::{ObservedValue, Rejected, Trajectories};
@@ -15,6 +16,41 @@ pub(super) struct Spread {
     pub(super) states: Vec<f64>,
     /// For each of what was seen, σ of the rows of its site.
     seen: Vec<Vec<f64>>,
+    /// σ of the forces within a rod and of its reactions, from step 1 on.
+    pub(super) forces: Vec<InternalForces>,
+}
+
+/// σ of the forces within a rod, from step to step.
+struct ForceSpread {
+    rod: RodStep,
+    /// W of the state before.
+    before: Vec<f64>,
+}
+
+impl ForceSpread {
+    /// Of the analysis at step k ≥ 1, W its columns there: √Σ (∂F/∂x_{k−1} w_{k−1} + ∂F/∂x_k
+    /// w_k)².
+    fn at(
+        &mut self,
+        grid: &TimeGrid,
+        k: usize,
+        states: [&[f64]; 2],
+        w: &[f64],
+    ) -> Result<InternalForces, varda_rod::Error> {
+        let (mut sigma, mut squares) = (InternalForces::default(), Vec::new());
+        let before = (grid.time(k - 1), states[0]);
+        let mut add = |of: &mut InternalForces| {
+            if squares.is_empty() {
+                sigma = of.clone();
+                squares.resize(of.numbers().count(), 0.0);
+            }
+            let mut next = squares.iter_mut();
+            of.numbers().for_each(|v| *next.next().expect("as many numbers as before") += *v * *v);
+        };
+        self.rod.internal_forces_tangent(grid.time(k), states[1], before, [w, &self.before], &mut add)?;
+        sigma.numbers().zip(squares).for_each(|(sigma, square)| *sigma = square.sqrt());
+        Ok(sigma)
+    }
 }
 
 /// Carries the posterior of the control along the run of the analysis; `None` where there is no root of it,
@@ -30,8 +66,15 @@ pub(super) fn along(
         return Ok(None);
     }
     let (n, all) = (runs.dim, &problem.observed.seen);
-    let mut spread =
-        Spread { states: Vec::with_capacity(runs.analysis.len()), seen: vec![Vec::new(); all.len()] };
+    let mut spread = Spread {
+        states: Vec::with_capacity(runs.analysis.len()),
+        seen: vec![Vec::new(); all.len()],
+        forces: Vec::new(),
+    };
+    let mut within = match problem.system.rod() {
+        Some(rod) => Some(ForceSpread { rod: rod.parts.dynamics()?, before: Vec::new() }),
+        None => None,
+    };
     // what was seen in the order of its steps
     let mut order: Vec<usize> = (0..all.len()).collect();
     order.sort_by_key(|i| all[*i].step);
@@ -44,6 +87,20 @@ pub(super) fn along(
     let done = propagate_root(model, control, root, &runs.analysis, &mut |k, w| {
         spread.states.extend(deviations(w, n));
         let state = &runs.analysis[k * n..(k + 1) * n];
+        if let Some(forces) = &mut within {
+            let before = k.checked_sub(1).map(|k| &runs.analysis[k * n..(k + 1) * n]);
+            match before.map(|before| forces.at(&grid, k, [before, state], w)).transpose() {
+                Ok(sigma) => {
+                    spread.forces.extend(sigma);
+                    forces.before.clear();
+                    forces.before.extend_from_slice(w);
+                }
+                Err(_) => {
+                    spread.forces.clear();
+                    within = None;
+                }
+            }
+        }
         if waiting.is_empty() && next.peek().is_none_or(|i| all[*i].step != k) {
             return Ok(());
         }
