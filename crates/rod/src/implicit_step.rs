@@ -1,7 +1,9 @@
 //! The step of a rod in the generic layer: its maps, and its products with ∂G/∂x_k.
 
+use std::ops::Range;
+
 use nalgebra::Vector3;
-use varda_implicit::{ImplicitModel, ImplicitStep, Interval, Model, Refusal, Structure, Substepped};
+use varda_implicit::{ImplicitModel, ImplicitStep, Interval, Model, Refusal, Scheme, Structure, Substepped};
 
 use crate::Error;
 use crate::dynamics::RodStep;
@@ -166,6 +168,12 @@ impl ImplicitStep for RodStep {
 
     fn structure(&self) -> Structure {
         self.system.structure()
+    }
+
+    /// Velocities are the rates of positions; not midpoint's, which ring where a motion is faster than a step.
+    fn velocities(&self) -> Option<(Range<usize>, usize)> {
+        let positions = 3 * self.system.layout.free_vertices.len();
+        (self.scheme != Scheme::Midpoint).then_some((0..positions, positions))
     }
 
     fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<RodEquations<'a>, Refusal> {
