@@ -4,10 +4,10 @@ use problems::rods::{HangingRod, rod_scale};
 use std::path::Path;
 use std::process::Command;
 use varda_implicit::{
-    ControlMap, Equations, Error, ImplicitModel, ImplicitStep, Interval, Model, Refusal, StepEquations,
-    Structure, Work, check,
+    ControlMap, Equations, Error, ImplicitModel, ImplicitStep, Interval, Model, Refusal, SolvedStep,
+    StepEquations, Structure, Work, check,
 };
-use varda_rod::{RodEquations, RodStep};
+use varda_rod::{Damping, Loads, RodEquations, RodStep};
 
 /// Which entry is wrong, by one part in a thousand.
 #[derive(Clone, Copy, PartialEq)]
@@ -17,6 +17,8 @@ enum Wrong {
     Jacobian,
     /// An entry of (∂G/∂x_k)ᵀ.
     PreviousTranspose,
+    /// A number that a damped step keeps of its strains.
+    Kept,
 }
 
 const OFF: f64 = 1e-3;
@@ -91,37 +93,32 @@ impl ImplicitStep for Mutated {
     fn recover(&mut self, at: &Interval, x: &[f64], x_next: &[f64], u: &mut [f64]) {
         self.0.recover(at, x, x_next, u);
     }
-    fn previous(&mut self, at: &Interval, x: &[f64], u: &[f64], dx: &[f64], dg: &mut [f64]) {
-        self.0.previous(at, x, u, dx, dg);
+    fn kept(&self) -> usize {
+        self.0.kept()
     }
-    fn previous_transpose_add(&mut self, at: &Interval, x: &[f64], u: &[f64], mu: &[f64], dx: &mut [f64]) {
-        self.0.previous_transpose_add(at, x, u, mu, dx);
+    fn keep(&mut self, at: &Interval, x: &[f64], u: &[f64], kept: &mut [f64]) {
+        self.0.keep(at, x, u, kept);
+        if self.1 == Wrong::Kept {
+            // half way down, in the gradient of a bend
+            let i = kept.len() / 4;
+            kept[i] *= 1.0 + OFF;
+        }
+    }
+    fn previous(&mut self, of: &SolvedStep<'_>, dx: &[f64], dg: &mut [f64]) {
+        self.0.previous(of, dx, dg);
+    }
+    fn previous_transpose_add(&mut self, of: &SolvedStep<'_>, mu: &[f64], dx: &mut [f64]) {
+        self.0.previous_transpose_add(of, mu, dx);
         if self.1 == Wrong::PreviousTranspose {
             let i = dx.len() / 4;
             dx[i] *= 1.0 + OFF;
         }
     }
-    fn advance_tangent(
-        &mut self,
-        at: &Interval,
-        x: &[f64],
-        u: &[f64],
-        dx: &[f64],
-        du: &[f64],
-        next: &mut [f64],
-    ) {
-        self.0.advance_tangent(at, x, u, dx, du, next);
+    fn advance_tangent(&mut self, of: &SolvedStep<'_>, dx: &[f64], du: &[f64], next: &mut [f64]) {
+        self.0.advance_tangent(of, dx, du, next);
     }
-    fn advance_adjoint(
-        &mut self,
-        at: &Interval,
-        x: &[f64],
-        u: &[f64],
-        l: &[f64],
-        dx: &mut [f64],
-        du: &mut [f64],
-    ) {
-        self.0.advance_adjoint(at, x, u, l, dx, du);
+    fn advance_adjoint(&mut self, of: &SolvedStep<'_>, l: &[f64], dx: &mut [f64], du: &mut [f64]) {
+        self.0.advance_adjoint(of, l, dx, du);
     }
 }
 
@@ -131,6 +128,31 @@ fn flagship(wrong: Wrong) -> (ImplicitModel<Mutated>, Vec<f64>, Vec<f64>) {
     let model = rod.model(rod.first_step).unwrap();
     let scale = rod_scale(model.step_ref());
     (ImplicitModel::new(Mutated(model.into_inner(), wrong), rod.first_step, rod.dt), truth, scale)
+}
+
+/// The same rod with strain-rate damping, which makes ∂G/∂x_k depend on what a solved step keeps.
+fn damped(wrong: Wrong) -> (ImplicitModel<Mutated>, Vec<f64>, Vec<f64>) {
+    let (rod, truth) = HangingRod::flagship(2, true).unwrap();
+    let step = rod.model(rod.first_step).unwrap().into_inner();
+    let loads = Loads { gravity: rod.gravity.into(), ..Loads::default() };
+    let damping = Damping { stiffness: 0.1, mass: 0.0 };
+    let step = RodStep::new(step.rod().clone(), step.supports().clone(), loads, damping).unwrap();
+    let scale = rod_scale(&step);
+    let mut model = ImplicitModel::new(Mutated(step, wrong), rod.first_step, rod.dt);
+    let mut x = vec![0.0; model.dim()];
+    model.initial_state(&truth, &mut x).unwrap();
+    (model, x, scale)
+}
+
+#[test]
+fn a_mutated_kept_number_is_caught_by_taylor() {
+    let passes = |wrong| {
+        let (mut model, x, scale) = damped(wrong);
+        let slope = check::taylor_step(&mut model, 0, &x, &scale, &scale).unwrap();
+        (slope.slope - 2.0).abs() <= 0.05
+    };
+    assert!(passes(Wrong::Nothing));
+    assert!(!passes(Wrong::Kept));
 }
 
 fn taylor_passes(wrong: Wrong) -> bool {

@@ -219,7 +219,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         if self.slots.len() <= slot {
             self.slots.resize_with(slot + 1, Linearized::default);
         }
-        self.slots[slot].place(0, self.sum.len(), self.u.len(), &self.work.solver);
+        self.slots[slot].place(0, self.sum.len(), self.u.len(), self.step.kept(), &self.work.solver);
         &mut self.slots[slot]
     }
 
@@ -301,6 +301,8 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         let refused = |reason| Error::refused(substep.at.index, reason);
         let mut equations = step.equations(&substep.at, x).map_err(refused)?;
         did.warnings.extend(equations.accepted(&substep.u).map_err(refused)?);
+        drop(equations);
+        step.keep(&substep.at, x, &substep.u, &mut substep.kept);
         Ok(())
     }
 
@@ -319,7 +321,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         let k = at.index;
         let refused = |reason| Error::refused(k, reason);
         let Self { step, work, slots, .. } = self;
-        let substep = slots[slot].place(p, x.len(), self.u.len(), &work.solver);
+        let substep = slots[slot].place(p, x.len(), self.u.len(), step.kept(), &work.solver);
         substep.at = at;
         substep.x.copy_from_slice(x);
         let own = x.len() - step.history();
@@ -334,6 +336,8 @@ impl<S: ImplicitStep> ImplicitModel<S> {
         let solved = equations.size(&work.g) <= SOLVED * equations.converged_below();
         if solved || known {
             did.warnings.extend(equations.accepted(&substep.u).map_err(refused)?);
+            drop(equations);
+            step.keep(&at, x, &substep.u, &mut substep.kept);
         }
         Ok(solved)
     }
@@ -465,7 +469,8 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
     }
 
     fn slot_bytes(&self) -> usize {
-        size_of::<Linearized>() + substep_bytes(self.dim(), self.u.len(), &self.work.factor)
+        size_of::<Linearized>()
+            + substep_bytes(self.dim() + self.u.len() + self.step.kept(), &self.work.factor)
     }
 
     fn bytes(&self) -> usize {

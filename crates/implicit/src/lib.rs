@@ -161,7 +161,7 @@ pub use rhs::Rhs;
 #[cfg(feature = "implicit")]
 pub use scheme::{Scheme, Stage};
 #[cfg(feature = "implicit")]
-pub use step::{ImplicitStep, Interval, StepEquations};
+pub use step::{ImplicitStep, Interval, SolvedStep, StepEquations};
 pub use storage::{Footprint, Storage};
 pub use substepped::Substepped;
 pub use trajectory::{Keep, LinearizedStep, Trajectory};

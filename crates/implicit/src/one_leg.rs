@@ -1,7 +1,9 @@
 //! Implicit steps of any ẋ = f(t, x).
 
 use crate::rhs::Jacobian;
-use crate::{Equations, ImplicitStep, Interval, Refusal, Rhs, Scheme, Stage, StepEquations, Structure};
+use crate::{
+    Equations, ImplicitStep, Interval, Refusal, Rhs, Scheme, SolvedStep, Stage, StepEquations, Structure,
+};
 
 /// A one-leg step of ẋ = f(t, x) by one of the schemes of [`Scheme`]: f is taken once, at the stage y.
 ///
@@ -179,8 +181,8 @@ impl<R: Rhs> ImplicitStep for OneLeg<R> {
         }
     }
 
-    fn previous(&mut self, at: &Interval, _x: &[f64], _u: &[f64], dx: &[f64], dg: &mut [f64]) {
-        let [a0, a1] = self.scheme.stage(at).from;
+    fn previous(&mut self, of: &SolvedStep<'_>, dx: &[f64], dg: &mut [f64]) {
+        let [a0, a1] = self.scheme.stage(of.at).from;
         dg.iter_mut().zip(dx).for_each(|(g, d)| *g = -a0 * d);
         if a1 != 0.0 {
             let before = &dx[dg.len()..];
@@ -188,39 +190,23 @@ impl<R: Rhs> ImplicitStep for OneLeg<R> {
         }
     }
 
-    fn previous_transpose_add(&mut self, at: &Interval, _x: &[f64], _u: &[f64], mu: &[f64], dx: &mut [f64]) {
-        let [a0, a1] = self.scheme.stage(at).from;
+    fn previous_transpose_add(&mut self, of: &SolvedStep<'_>, mu: &[f64], dx: &mut [f64]) {
+        let [a0, a1] = self.scheme.stage(of.at).from;
         dx.iter_mut().zip(mu).for_each(|(d, m)| *d -= a0 * m);
         if a1 != 0.0 {
             dx[mu.len()..].iter_mut().zip(mu).for_each(|(d, m)| *d -= a1 * m);
         }
     }
 
-    fn advance_tangent(
-        &mut self,
-        at: &Interval,
-        _x: &[f64],
-        _u: &[f64],
-        dx: &[f64],
-        du: &[f64],
-        dx_next: &mut [f64],
-    ) {
-        let [b0, b1] = self.scheme.stage(at).to;
+    fn advance_tangent(&mut self, of: &SolvedStep<'_>, dx: &[f64], du: &[f64], dx_next: &mut [f64]) {
+        let [b0, b1] = self.scheme.stage(of.at).to;
         for ((next, du), dx) in dx_next.iter_mut().zip(du).zip(dx) {
             *next = b0 * du + b1 * dx;
         }
     }
 
-    fn advance_adjoint(
-        &mut self,
-        at: &Interval,
-        _x: &[f64],
-        _u: &[f64],
-        lambda: &[f64],
-        dx: &mut [f64],
-        du: &mut [f64],
-    ) {
-        let [b0, b1] = self.scheme.stage(at).to;
+    fn advance_adjoint(&mut self, of: &SolvedStep<'_>, lambda: &[f64], dx: &mut [f64], du: &mut [f64]) {
+        let [b0, b1] = self.scheme.stage(of.at).to;
         dx.fill(0.0);
         for ((l, du), dx) in lambda.iter().zip(du).zip(dx) {
             *du = b0 * l;

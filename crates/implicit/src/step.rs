@@ -24,6 +24,19 @@ impl Interval {
     }
 }
 
+/// A step that was solved, as its products see it.
+#[derive(Debug, Clone, Copy)]
+pub struct SolvedStep<'a> {
+    /// Its time interval.
+    pub at: &'a Interval,
+    /// x_k.
+    pub x: &'a [f64],
+    /// u, the solution of G(x_k, u) = 0.
+    pub u: &'a [f64],
+    /// What [`ImplicitStep::keep`] wrote.
+    pub kept: &'a [f64],
+}
+
 /// A step x_{k+1} = M_k(x_k) given by equations G(x_k, u) = 0 in unknowns u, from which x_{k+1} = S(x_k, u)
 /// follows without a solve.
 ///
@@ -43,7 +56,8 @@ impl Interval {
 ///
 /// ```
 /// use varda_implicit::{
-///     Equations, ImplicitModel, ImplicitStep, Interval, Refusal, StepEquations, Structure, check,
+///     Equations, ImplicitModel, ImplicitStep, Interval, Refusal, SolvedStep, StepEquations, Structure,
+///     check,
 /// };
 ///
 /// struct Swing;
@@ -101,42 +115,25 @@ impl Interval {
 ///     fn recover(&mut self, _: &Interval, _: &[f64], next: &[f64], u: &mut [f64]) {
 ///         u[0] = next[0];
 ///     }
-///     fn previous(&mut self, at: &Interval, _: &[f64], _: &[f64], dx: &[f64], dg: &mut [f64]) {
-///         dg[0] = -dx[0] - at.length * dx[1];
+///     fn previous(&mut self, of: &SolvedStep, dx: &[f64], dg: &mut [f64]) {
+///         dg[0] = -dx[0] - of.at.length * dx[1];
 ///     }
-///     fn previous_transpose_add(
-///         &mut self,
-///         at: &Interval,
-///         _: &[f64],
-///         _: &[f64],
-///         mu: &[f64],
-///         dx: &mut [f64],
-///     ) {
+///     fn previous_transpose_add(&mut self, of: &SolvedStep, mu: &[f64], dx: &mut [f64]) {
 ///         dx[0] -= mu[0];
-///         dx[1] -= at.length * mu[0];
+///         dx[1] -= of.at.length * mu[0];
 ///     }
-///     fn advance_tangent(
-///         &mut self,
-///         at: &Interval,
-///         _: &[f64],
-///         _: &[f64],
-///         dx: &[f64],
-///         du: &[f64],
-///         next: &mut [f64],
-///     ) {
-///         (next[0], next[1]) = (du[0], (du[0] - dx[0]) / at.length);
+///     fn advance_tangent(&mut self, of: &SolvedStep, dx: &[f64], du: &[f64], next: &mut [f64]) {
+///         (next[0], next[1]) = (du[0], (du[0] - dx[0]) / of.at.length);
 ///     }
 ///     fn advance_adjoint(
 ///         &mut self,
-///         at: &Interval,
-///         _: &[f64],
-///         _: &[f64],
+///         of: &SolvedStep,
 ///         lambda: &[f64],
 ///         dx: &mut [f64],
 ///         du: &mut [f64],
 ///     ) {
-///         (dx[0], dx[1]) = (-lambda[1] / at.length, 0.0);
-///         du[0] = lambda[0] + lambda[1] / at.length;
+///         (dx[0], dx[1]) = (-lambda[1] / of.at.length, 0.0);
+///         du[0] = lambda[0] + lambda[1] / of.at.length;
 ///     }
 /// }
 ///
@@ -183,35 +180,27 @@ pub trait ImplicitStep {
         u.copy_from_slice(x_next);
     }
 
+    /// How many numbers the products below need of a solved step beside (x_k, u).
+    fn kept(&self) -> usize {
+        0
+    }
+
+    /// Writes them, once for every linearization.
+    fn keep(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], _kept: &mut [f64]) {}
+
     /// dg = ∂G/∂x_k dx.
-    fn previous(&mut self, at: &Interval, x: &[f64], u: &[f64], dx: &[f64], dg: &mut [f64]);
+    fn previous(&mut self, of: &SolvedStep<'_>, dx: &[f64], dg: &mut [f64]);
 
     /// dx += (∂G/∂x_k)ᵀ μ.
-    fn previous_transpose_add(&mut self, at: &Interval, x: &[f64], u: &[f64], mu: &[f64], dx: &mut [f64]);
+    fn previous_transpose_add(&mut self, of: &SolvedStep<'_>, mu: &[f64], dx: &mut [f64]);
 
     /// dx_next = ∂S/∂x_k dx + ∂S/∂u du.
-    fn advance_tangent(
-        &mut self,
-        _at: &Interval,
-        _x: &[f64],
-        _u: &[f64],
-        _dx: &[f64],
-        du: &[f64],
-        dx_next: &mut [f64],
-    ) {
+    fn advance_tangent(&mut self, _of: &SolvedStep<'_>, _dx: &[f64], du: &[f64], dx_next: &mut [f64]) {
         dx_next.copy_from_slice(du);
     }
 
     /// du = (∂S/∂u)ᵀ λ; dx = (∂S/∂x_k)ᵀ λ. Both are overwritten.
-    fn advance_adjoint(
-        &mut self,
-        _at: &Interval,
-        _x: &[f64],
-        _u: &[f64],
-        lambda: &[f64],
-        dx: &mut [f64],
-        du: &mut [f64],
-    ) {
+    fn advance_adjoint(&mut self, _of: &SolvedStep<'_>, lambda: &[f64], dx: &mut [f64], du: &mut [f64]) {
         dx.fill(0.0);
         du.copy_from_slice(lambda);
     }

@@ -1,6 +1,6 @@
 //! The linearization of a step as a list of substeps, and its products with one column or many.
 
-use crate::{ImplicitStep, Interval};
+use crate::{ImplicitStep, Interval, SolvedStep};
 use varda_linalg::band::BLOCK;
 use varda_linalg::{Factor, LinearSolver};
 
@@ -11,6 +11,14 @@ pub(crate) struct Substep {
     pub(crate) x: Vec<f64>,
     pub(crate) u: Vec<f64>,
     pub(crate) factor: Factor,
+    /// What the step keeps for its products.
+    pub(crate) kept: Vec<f64>,
+}
+
+impl Substep {
+    pub(crate) fn solved(&self) -> SolvedStep<'_> {
+        SolvedStep { at: &self.at, x: &self.x, u: &self.u, kept: &self.kept }
+    }
 }
 
 /// The linearization of one step: its substeps in order of time. Substeps beyond `used` keep their memory for
@@ -22,13 +30,14 @@ pub(crate) struct Linearized {
 }
 
 impl Linearized {
-    /// The place of substep p ≤ the number of places so far, of a step whose state and unknowns have these
-    /// lengths.
+    /// The place of substep p ≤ the number of places so far, of a step whose state, unknowns and kept
+    /// numbers have these lengths.
     pub(crate) fn place(
         &mut self,
         p: usize,
         state: usize,
         unknowns: usize,
+        kept: usize,
         solver: &LinearSolver,
     ) -> &mut Substep {
         if self.substeps.len() == p {
@@ -37,6 +46,7 @@ impl Linearized {
                 x: vec![0.0; state],
                 u: vec![0.0; unknowns],
                 factor: solver.empty_factor(),
+                kept: vec![0.0; kept],
             });
         }
         &mut self.substeps[p]
@@ -44,14 +54,15 @@ impl Linearized {
 
     /// Bytes held.
     pub(crate) fn bytes(&self) -> usize {
-        let substep = |s: &Substep| substep_bytes(s.x.len(), s.u.len(), &s.factor);
+        let substep = |s: &Substep| substep_bytes(s.x.len() + s.u.len() + s.kept.len(), &s.factor);
         size_of::<Self>() + self.substeps.iter().map(substep).sum::<usize>()
     }
 }
 
-/// Bytes of one substep, without the factor's share for a sparse Jacobian.
-pub(crate) fn substep_bytes(state: usize, unknowns: usize, factor: &Factor) -> usize {
-    (state + unknowns) * size_of::<f64>() + factor.bytes() + size_of::<Substep>()
+/// Bytes of one substep that has this many numbers beside its factor, without the factor's share for a
+/// sparse Jacobian.
+pub(crate) fn substep_bytes(numbers: usize, factor: &Factor) -> usize {
+    numbers * size_of::<f64>() + factor.bytes() + size_of::<Substep>()
 }
 
 /// Work space of the products.
@@ -93,10 +104,10 @@ impl Products {
         let (history, dx_next) = (&mut history[..past], &mut dx_next[..n]);
         history.copy_from_slice(&dx[..past]);
         for substep in substeps {
-            step.previous(&substep.at, &substep.x, &substep.u, dx, du);
+            step.previous(&substep.solved(), dx, du);
             solver.solve(&substep.factor, du);
             du.iter_mut().for_each(|d| *d = -*d);
-            step.advance_tangent(&substep.at, &substep.x, &substep.u, dx, du, &mut dx_next[..own]);
+            step.advance_tangent(&substep.solved(), dx, du, &mut dx_next[..own]);
             dx_next[own..].copy_from_slice(&dx[..past]);
             dx.copy_from_slice(dx_next);
         }
@@ -118,10 +129,10 @@ impl Products {
         history.copy_from_slice(&lambda[own..]);
         lambda[own..].fill(0.0);
         for substep in substeps.iter().rev() {
-            step.advance_adjoint(&substep.at, &substep.x, &substep.u, &lambda[..own], dx, mu);
+            step.advance_adjoint(&substep.solved(), &lambda[..own], dx, mu);
             solver.solve_transpose(&substep.factor, mu);
             mu.iter_mut().for_each(|m| *m = -*m);
-            step.previous_transpose_add(&substep.at, &substep.x, &substep.u, mu, dx);
+            step.previous_transpose_add(&substep.solved(), mu, dx);
             add(&mut dx[..past], &lambda[own..]);
             lambda.copy_from_slice(dx);
         }
@@ -146,7 +157,7 @@ impl Products {
             }
             for substep in substeps {
                 for (c, dx) in columns.chunks_exact(n).enumerate() {
-                    step.previous(&substep.at, &substep.x, &substep.u, dx, du);
+                    step.previous(&substep.solved(), dx, du);
                     rows.iter_mut().zip(du.iter()).for_each(|(row, d)| row[c] = -d);
                 }
                 solver.solve_block(&substep.factor, rows);
@@ -155,7 +166,7 @@ impl Products {
                 {
                     du.iter_mut().zip(rows.iter()).for_each(|(d, row)| *d = row[c]);
                     let next = &mut dx_next[..own];
-                    step.advance_tangent(&substep.at, &substep.x, &substep.u, dx, du, next);
+                    step.advance_tangent(&substep.solved(), dx, du, next);
                     dx_next[own..].copy_from_slice(&dx[..past]);
                     dx.copy_from_slice(dx_next);
                 }
@@ -185,13 +196,13 @@ impl Products {
             }
             for substep in substeps.iter().rev() {
                 for (c, (lambda, dx)) in columns.chunks_exact(n).zip(dx.chunks_exact_mut(n)).enumerate() {
-                    step.advance_adjoint(&substep.at, &substep.x, &substep.u, &lambda[..own], dx, mu);
+                    step.advance_adjoint(&substep.solved(), &lambda[..own], dx, mu);
                     rows.iter_mut().zip(mu.iter()).for_each(|(row, m)| row[c] = -m);
                 }
                 solver.solve_transpose_block(&substep.factor, rows);
                 for (c, (lambda, dx)) in columns.chunks_exact_mut(n).zip(dx.chunks_exact_mut(n)).enumerate() {
                     mu.iter_mut().zip(rows.iter()).for_each(|(m, row)| *m = row[c]);
-                    step.previous_transpose_add(&substep.at, &substep.x, &substep.u, mu, dx);
+                    step.previous_transpose_add(&substep.solved(), mu, dx);
                     add(&mut dx[..past], &lambda[own..]);
                     lambda.copy_from_slice(dx);
                 }

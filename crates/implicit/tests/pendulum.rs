@@ -3,7 +3,7 @@
 
 use varda_implicit::{
     Equations, Error, ImplicitModel, ImplicitStep, Interval, Keep, Model, NewtonOptions, NewtonWork, Refusal,
-    StepEquations, Structure, Trajectory, check, solve,
+    SolvedStep, StepEquations, Structure, Trajectory, check, solve,
 };
 
 /// A unit mass on a spring of unit length, hung at the origin; x = [X, Y, Ẋ, Ẏ], u = [X, Y].
@@ -93,46 +93,30 @@ impl ImplicitStep for Spring {
     fn recover(&mut self, _: &Interval, _: &[f64], x_next: &[f64], u: &mut [f64]) {
         u.copy_from_slice(&x_next[..2]);
     }
-    fn previous(&mut self, at: &Interval, _: &[f64], _: &[f64], dx: &[f64], dg: &mut [f64]) {
-        let h = at.length;
+    fn previous(&mut self, of: &SolvedStep, dx: &[f64], dg: &mut [f64]) {
+        let h = of.at.length;
         for i in 0..2 {
             dg[i] = -(dx[i] + h * dx[2 + i]) / (h * h);
         }
     }
-    fn previous_transpose_add(&mut self, at: &Interval, _: &[f64], _: &[f64], mu: &[f64], dx: &mut [f64]) {
-        let h = at.length;
+    fn previous_transpose_add(&mut self, of: &SolvedStep, mu: &[f64], dx: &mut [f64]) {
+        let h = of.at.length;
         for i in 0..2 {
             dx[i] -= mu[i] / (h * h);
             dx[2 + i] -= mu[i] / h;
         }
     }
-    fn advance_tangent(
-        &mut self,
-        at: &Interval,
-        _: &[f64],
-        _: &[f64],
-        dx: &[f64],
-        du: &[f64],
-        dx_next: &mut [f64],
-    ) {
+    fn advance_tangent(&mut self, of: &SolvedStep, dx: &[f64], du: &[f64], dx_next: &mut [f64]) {
         for i in 0..2 {
             dx_next[i] = du[i];
-            dx_next[2 + i] = (du[i] - dx[i]) / at.length;
+            dx_next[2 + i] = (du[i] - dx[i]) / of.at.length;
         }
     }
-    fn advance_adjoint(
-        &mut self,
-        at: &Interval,
-        _: &[f64],
-        _: &[f64],
-        lambda: &[f64],
-        dx: &mut [f64],
-        du: &mut [f64],
-    ) {
+    fn advance_adjoint(&mut self, of: &SolvedStep, lambda: &[f64], dx: &mut [f64], du: &mut [f64]) {
         dx.fill(0.0);
         for i in 0..2 {
-            du[i] = lambda[i] + lambda[2 + i] / at.length;
-            dx[i] = -lambda[2 + i] / at.length;
+            du[i] = lambda[i] + lambda[2 + i] / of.at.length;
+            dx[i] = -lambda[2 + i] / of.at.length;
         }
     }
     fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<Self::Equations<'a>, Refusal> {

@@ -3,7 +3,7 @@
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 use varda_implicit::{
     Equations, Error, Footprint, ImplicitModel, ImplicitStep, Interval, Keep, Linearization, Model, OneLeg,
-    Refusal, Rk4, StepEquations, Storage, Structure, Trajectory, check,
+    Refusal, Rk4, SolvedStep, StepEquations, Storage, Structure, Trajectory, check,
 };
 
 /// A swing that refuses to be solved in steps longer than a quarter of a second when it is far out: steps in
@@ -58,10 +58,10 @@ impl ImplicitStep for Swing {
     fn structure(&self) -> Structure {
         Structure::Dense
     }
-    fn previous(&mut self, _: &Interval, _: &[f64], _: &[f64], dx: &[f64], dg: &mut [f64]) {
+    fn previous(&mut self, _: &SolvedStep, dx: &[f64], dg: &mut [f64]) {
         dg.iter_mut().zip(dx).for_each(|(g, d)| *g = -d);
     }
-    fn previous_transpose_add(&mut self, _: &Interval, _: &[f64], _: &[f64], mu: &[f64], dx: &mut [f64]) {
+    fn previous_transpose_add(&mut self, _: &SolvedStep, mu: &[f64], dx: &mut [f64]) {
         dx.iter_mut().zip(mu).for_each(|(d, m)| *d -= m);
     }
     fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<Self::Equations<'a>, Refusal> {

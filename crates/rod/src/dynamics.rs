@@ -329,20 +329,17 @@ impl RodStep {
         }
         if let Some(viscous) = &mut self.viscous {
             viscous.clear(s);
-            viscous.add(s, [1.0, 0.0], stage.strain[0]);
+            viscous.add(s, stage.strain[0]);
             let before = at.previous.unwrap_or(0.0);
-            for (of, age, weight) in [([0.0, 1.0], 1.0, stage.strain[1]), ([0.5, 0.5], 0.5, stage.strain[2])]
-            {
-                if weight != 0.0 {
-                    for (i, v) in self.state.iter_mut().enumerate() {
-                        *v = mixed(of, x, own, i);
-                    }
-                    s.place(at.start - age * before)?;
-                    s.scatter_state(&self.state);
-                    let near = if s.layout.ends_held() { s.end_angle_guess() } else { self.end_angle };
-                    s.update_shape(true, near)?;
-                    viscous.add(s, of, weight);
+            for (of, age, weight) in stage.past().skip(1) {
+                for (i, v) in self.state.iter_mut().enumerate() {
+                    *v = mixed(of, x, own, i);
                 }
+                s.place(at.start - age * before)?;
+                s.scatter_state(&self.state);
+                let near = if s.layout.ends_held() { s.end_angle_guess() } else { self.end_angle };
+                s.update_shape(true, near)?;
+                viscous.add(s, weight);
             }
             viscous.fold_in(s, self.damping.stiffness / h);
         }
@@ -416,7 +413,7 @@ impl RodStep {
         self.system.update_shape(true, self.end_angle).expect("u was assembled before");
     }
 
-    /// The present step's strains and shapes at x and u, for the products with ∂G/∂x_k.
+    /// The present step's strains and shapes at x and u.
     pub(crate) fn prepare_and_shape(&mut self, at: &Interval, x: &[f64], u: &[f64]) {
         self.prepare(at, x).expect("the step was accepted before");
         self.system.scatter(u);

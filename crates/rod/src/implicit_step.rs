@@ -3,11 +3,14 @@
 use std::ops::Range;
 
 use nalgebra::Vector3;
-use varda_implicit::{ImplicitModel, ImplicitStep, Interval, Model, Refusal, Scheme, Structure, Substepped};
+use varda_implicit::{
+    ImplicitModel, ImplicitStep, Interval, Model, Refusal, Scheme, SolvedStep, Structure, Substepped,
+};
 
 use crate::Error;
 use crate::dynamics::RodStep;
 use crate::equations::RodEquations;
+use crate::shape::{HOLONOMY, holonomy, holonomy_transpose_add, kept_bend};
 use crate::stage::{RodStage, mixed, mixed_add};
 
 impl RodStep {
@@ -86,12 +89,11 @@ impl RodStep {
     }
 
     /// Adds to λ what its component of the end clamp's angle means for the places of x_{k+1}.
-    fn end_angle_transpose(&mut self, at: &Interval, x: &[f64], u: &[f64], end: usize, lambda: &mut [f64]) {
-        self.set_edges_of_next(at, x, u);
+    fn end_angle_transpose(&mut self, next: &[f64], end: usize, lambda: &mut [f64]) {
         self.psi.fill(0.0);
         *self.psi.last_mut().expect("a rod has edges") = lambda[end];
         self.displacement.fill(Vector3::zeros());
-        self.system.shape.holonomy_transpose_add(&self.psi, &mut self.displacement);
+        holonomy_transpose_add(kept_bend(next), &self.psi, &mut self.displacement);
         for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
             for c in 0..3 {
                 lambda[3 * f + c] += self.displacement[v][c];
@@ -99,14 +101,23 @@ impl RodStep {
         }
     }
 
-    /// Whether ∂G/∂x_k depends on the shapes of x_k and u, beside inertia.
+    /// Whether ∂G/∂x_k depends on the shapes of x_k and u, beside inertia and damping.
     fn couples(&self) -> bool {
-        self.viscous.is_some() || self.spin.is_some() || !self.system.loads.of_motion.is_empty()
+        self.spin.is_some() || !self.system.loads.of_motion.is_empty()
+    }
+
+    /// Lengths of what a solved step keeps: the holonomies of the stage and of x_{k+1}, and damping's part.
+    fn kept_lengths(&self) -> [usize; 3] {
+        let layout = &self.system.layout;
+        let holonomy = |needed: bool| if needed { HOLONOMY * layout.segments } else { 0 };
+        let damping = self.viscous.as_ref().map_or(0, |viscous| viscous.kept(layout));
+        [holonomy(!layout.free_angles.is_empty()), holonomy(layout.end_angle().is_some()), damping]
     }
 
     /// The transpose of `follow`, and of the holonomy between the unknowns' angles and those stored.
-    fn follow_transpose(&mut self, at: &Interval, u: &[f64], lambda: &[f64], dx: &mut [f64], du: &mut [f64]) {
-        let RodStage { of, angle, .. } = self.stage(at);
+    fn follow_transpose(&mut self, of: &SolvedStep<'_>, lambda: &[f64], dx: &mut [f64], du: &mut [f64]) {
+        let kept = &of.kept[..self.kept_lengths()[0]];
+        let RodStage { of, angle, .. } = self.stage(of.at);
         let ([b0, b1], layout) = (of.to, &self.system.layout);
         let (own, nf) = (layout.state(), layout.free_vertices.len());
         let rate = b0 / of.length;
@@ -134,13 +145,12 @@ impl RodStep {
         if angles.iter().all(|a| *a == 0.0) {
             return;
         }
-        self.set_edges_of(at, u);
         self.psi.fill(0.0);
         for (f, &e) in self.system.layout.free_angles.iter().enumerate() {
             self.psi[e] = angle[0] * angles[f];
         }
         self.displacement.fill(Vector3::zeros());
-        self.system.shape.holonomy_transpose_add(&self.psi, &mut self.displacement);
+        holonomy_transpose_add(kept_bend(kept), &self.psi, &mut self.displacement);
         let layout = &self.system.layout;
         for &v in &layout.free_vertices {
             let i = layout.unknown[layout.vertex(v)];
@@ -204,9 +214,32 @@ impl ImplicitStep for RodStep {
         self.recover_angles(at, x, x_next, u);
     }
 
-    fn previous(&mut self, at: &Interval, x: &[f64], u: &[f64], dx: &[f64], dg: &mut [f64]) {
+    fn kept(&self) -> usize {
+        self.kept_lengths().iter().sum()
+    }
+
+    fn keep(&mut self, at: &Interval, x: &[f64], u: &[f64], kept: &mut [f64]) {
+        if kept.is_empty() {
+            return;
+        }
+        let [stage, next, _] = self.kept_lengths();
+        let (stage, rest) = kept.split_at_mut(stage);
+        let (next, damping) = rest.split_at_mut(next);
+        self.prepare_and_shape(at, x, u);
+        self.system.shape.keep_holonomy(stage);
+        if let Some(viscous) = &self.viscous {
+            viscous.keep(&self.system, damping);
+        }
+        if !next.is_empty() {
+            self.set_edges_of_next(at, x, u);
+            self.system.shape.keep_holonomy(next);
+        }
+    }
+
+    fn previous(&mut self, step: &SolvedStep<'_>, dx: &[f64], dg: &mut [f64]) {
         dg.fill(0.0);
-        let of = self.scheme.stage(at);
+        let stage = self.stage(step.at);
+        let of = stage.of;
         let h = of.length;
         let (own, nf) = (self.system.layout.state(), self.system.layout.free_vertices.len());
         let inertia = self.inertia(of.length);
@@ -219,13 +252,14 @@ impl ImplicitStep for RodStep {
                 dg[i + a] = -k * (place + h * speed) - c * place;
             }
         }
+        let [angles, end, _] = self.kept_lengths();
+        if let Some(viscous) = &mut self.viscous {
+            viscous.previous_add(&self.system.layout, &stage, &step.kept[angles + end..], dx, dg);
+        }
         if !self.couples() {
             return;
         }
-        self.prepare_and_shape(at, x, u);
-        if let Some(viscous) = &mut self.viscous {
-            viscous.previous_add(&self.system, dx, dg);
-        }
+        self.prepare_and_shape(step.at, step.x, step.u);
         if let Some(spin) = &mut self.spin {
             spin.previous_add(&self.system, dx, dg);
         }
@@ -236,8 +270,9 @@ impl ImplicitStep for RodStep {
         }
     }
 
-    fn previous_transpose_add(&mut self, at: &Interval, x: &[f64], u: &[f64], mu: &[f64], dx: &mut [f64]) {
-        let of = self.scheme.stage(at);
+    fn previous_transpose_add(&mut self, step: &SolvedStep<'_>, mu: &[f64], dx: &mut [f64]) {
+        let stage = self.stage(step.at);
+        let of = stage.of;
         let (own, nf) = (self.system.layout.state(), self.system.layout.free_vertices.len());
         let inertia = self.inertia(of.length);
         for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
@@ -247,13 +282,15 @@ impl ImplicitStep for RodStep {
             mixed_add(of.from, dx, own, 3 * f, mu.map(|mu| -(k + c) * mu));
             mixed_add(of.from, dx, own, 3 * (nf + f), mu.map(|mu| -k * of.length * mu));
         }
+        let [angles, end, _] = self.kept_lengths();
+        if let Some(viscous) = &mut self.viscous {
+            let kept = &step.kept[angles + end..];
+            viscous.previous_transpose_add(&self.system.layout, &stage, kept, mu, dx);
+        }
         if !self.couples() {
             return;
         }
-        self.prepare_and_shape(at, x, u);
-        if let Some(viscous) = &mut self.viscous {
-            viscous.previous_transpose_add(&self.system, mu, dx);
-        }
+        self.prepare_and_shape(step.at, step.x, step.u);
         if let Some(spin) = &mut self.spin {
             spin.previous_transpose_add(&self.system, mu, dx);
         }
@@ -274,62 +311,47 @@ impl ImplicitStep for RodStep {
         }
     }
 
-    fn advance_tangent(
-        &mut self,
-        at: &Interval,
-        x: &[f64],
-        u: &[f64],
-        dx: &[f64],
-        du: &[f64],
-        dx_next: &mut [f64],
-    ) {
+    fn advance_tangent(&mut self, step: &SolvedStep<'_>, dx: &[f64], du: &[f64], dx_next: &mut [f64]) {
         // du takes the place of u, dx that of x
-        self.follow(at, dx, du, dx_next);
+        self.follow(step.at, dx, du, dx_next);
+        let [stage, next, _] = self.kept_lengths();
+        let (of_stage, kept) = step.kept.split_at(stage);
         if let Some(end) = self.system.layout.end_angle() {
-            self.set_edges_of_next(at, x, u);
             self.system.displacements(dx_next, &mut self.displacement);
-            self.system.shape.holonomy(&self.displacement, &mut self.psi);
+            holonomy(kept_bend(&kept[..next]), &self.displacement, &mut self.psi);
             dx_next[end] = self.psi[self.psi.len() - 1];
         }
         if self.system.layout.free_angles.is_empty() {
             return;
         }
-        self.set_edges_of(at, u);
         self.system.unknown_displacements(du, &mut self.displacement);
-        self.system.shape.holonomy(&self.displacement, &mut self.psi);
-        let (layout, share) = (&self.system.layout, self.stage(at).angle[0]);
+        holonomy(kept_bend(of_stage), &self.displacement, &mut self.psi);
+        let (layout, share) = (&self.system.layout, self.stage(step.at).angle[0]);
         let angles = &mut dx_next[6 * layout.free_vertices.len()..];
         for (angle, &e) in angles.iter_mut().zip(&layout.free_angles) {
             *angle += share * self.psi[e];
         }
-        self.advance_spins_tangent(at, x, u, dx, du, dx_next);
+        self.advance_spins_tangent(step, dx, du, dx_next);
     }
 
-    fn advance_adjoint(
-        &mut self,
-        at: &Interval,
-        x: &[f64],
-        u: &[f64],
-        lambda: &[f64],
-        dx: &mut [f64],
-        du: &mut [f64],
-    ) {
+    fn advance_adjoint(&mut self, step: &SolvedStep<'_>, lambda: &[f64], dx: &mut [f64], du: &mut [f64]) {
         dx.fill(0.0);
         let end = self.system.layout.end_angle().filter(|end| lambda[*end] != 0.0);
         let spins = self.system.layout.spins;
         if end.is_none() && !spins {
-            return self.follow_transpose(at, u, lambda, dx, du);
+            return self.follow_transpose(step, lambda, dx, du);
         }
         let mut to = std::mem::take(&mut self.lambda);
         to.clear();
         to.extend_from_slice(lambda);
         if let Some(end) = end {
-            self.end_angle_transpose(at, x, u, end, &mut to);
+            let [stage, next, _] = self.kept_lengths();
+            self.end_angle_transpose(&step.kept[stage..stage + next], end, &mut to);
         }
         if spins {
-            self.advance_spins_transpose(at, x, u, &mut to, dx);
+            self.advance_spins_transpose(step, &mut to, dx);
         }
-        self.follow_transpose(at, u, &to, dx, du);
+        self.follow_transpose(step, &to, dx, du);
         if spins {
             self.spins_onto_stage(du);
         }

@@ -5,10 +5,11 @@ use nalgebra::Vector3;
 use crate::Error;
 use crate::dynamics::RodStep;
 use crate::equilibrium::Rest;
+use crate::forces_of_motion::{edge_forces, with_forces_at};
 use crate::rod::Rod;
 use crate::statics::reactions::{Reaction, reactions};
 use crate::support::{Damping, Loads, Supports};
-use crate::system::{PastStrains, StageStart, System};
+use crate::system::{StageStart, System};
 
 /// Forces and moments that one side of a rod exerts on the other.
 ///
@@ -41,6 +42,16 @@ pub struct InternalForces {
     pub twisting: Vec<f64>,
     /// What supports exert on the rod, by ascending vertices.
     pub reactions: Vec<Reaction>,
+}
+
+impl InternalForces {
+    /// Every number, in the order of the fields; reactions force before moment.
+    pub fn numbers(&mut self) -> impl Iterator<Item = &mut f64> {
+        let across = self.tension.iter_mut().chain(self.shear.iter_mut().flatten());
+        let moments = self.bending.iter_mut().flatten().chain(&mut self.twisting);
+        let reactions = self.reactions.iter_mut().flat_map(|r| r.force.iter_mut().chain(&mut r.moment));
+        across.chain(moments).chain(reactions)
+    }
 }
 
 /// Forces and moments within a rod at rest, supports where they are at time t.
@@ -100,69 +111,20 @@ impl RodStep {
         state: &[f64],
         before: (f64, &[f64]),
     ) -> Result<InternalForces, Error> {
-        let h = t - before.0;
-        if !(h > 0.0 && h.is_finite()) {
-            return Err(Error::Value { field: "time between two states", value: h, expected: "above zero" });
-        }
-        let (damping, scratch) = (self.damping, &mut self.system);
-        let mut past = PastStrains::default();
-        shape_of(scratch, before.0, before.1)?;
-        let start = scratch.x.clone();
-        if damping.stiffness > 0.0 {
-            past.lengths.extend(scratch.shape.edges.iter().map(|edge| edge.l));
-            if scratch.layout.bending {
-                let strains = (1..scratch.rod.segments()).map(|v| scratch.shape.strains(v).value);
-                past.bend.extend(strains);
-            }
-        }
-        let held = |system: &mut System, time: f64| -> Result<Vec<Vector3<f64>>, Error> {
-            system.place(time)?;
-            Ok(system.x.clone())
-        };
-        let places = [held(scratch, t - h)?, held(scratch, t)?, held(scratch, t + h)?];
-        shape_of(scratch, t, state)?;
-        for v in
-            (0..=scratch.rod.segments()).filter(|v| scratch.layout.free_vertices.binary_search(v).is_err())
-        {
-            let [a, b, c] = [0, 1, 2].map(|k: usize| places[k][v]);
-            let (velocity, acceleration) = ((c - a) / (2.0 * h), (c - 2.0 * b + a) / (h * h));
-            scratch.forces[v] -= (acceleration + velocity * damping.mass) * scratch.rod.masses[v];
-        }
-        let elastic = damping.stiffness == 0.0;
-        if !elastic {
-            // the rate (ε − ε*)/h: its stress is that of a spring of stiffness k β/h about ε*
-            scratch.set_stiffness(damping.stiffness / h, Some(&past));
-        }
-        let forces = of_shape(scratch, Some(StageStart { places: &start, length: h }));
-        if !elastic {
-            scratch.set_stiffness(0.0, None);
-        }
+        let mut forces = InternalForces::default();
+        with_forces_at(self, t, state, before, &mut |system, start, _| {
+            forces = of_shape(system, Some(start))
+        })?;
         Ok(forces)
     }
-}
-
-/// Supports, edges and frames of a state.
-fn shape_of(system: &mut System, t: f64, state: &[f64]) -> Result<(), Error> {
-    system.place(t)?;
-    system.scatter_state(state);
-    let guess = system.end_angle_guess();
-    system.update_shape(system.layout.bending, guess)
 }
 
 fn of_shape(system: &mut System, start: Option<StageStart>) -> InternalForces {
     system.elastic(None);
     let mut out = InternalForces { reactions: reactions(system, start), ..InternalForces::default() };
-    let (layout, shape, supports) = (&system.layout, &system.shape, &system.supports);
-    let mut sum = Vector3::zeros();
-    for (e, edge) in shape.edges.iter().enumerate() {
-        let i = layout.vertex(e);
-        sum -= Vector3::from_column_slice(&system.gradient[i..i + 3]);
-        // an edge that a clamp holds carries what the clamp takes
-        let force = match (&out.reactions[..], e) {
-            ([first, ..], 0) if supports.start.is_some() => -first.force,
-            ([.., last], e) if supports.end.is_some() && e + 1 == shape.edges.len() => last.force,
-            _ => sum,
-        };
+    let (layout, shape) = (&system.layout, &system.shape);
+    let forces = edge_forces(system, &system.gradient, &out.reactions);
+    for (e, (edge, force)) in shape.edges.iter().zip(forces).enumerate() {
         out.tension.push(force.dot(&edge.t));
         let across = if layout.bending { [shape.m1[e], shape.m2[e]] } else { [Vector3::zeros(); 2] };
         out.shear.push(across.map(|m| force.dot(&m)));

@@ -110,6 +110,8 @@ mod energy;
 mod equations;
 mod equilibrium;
 mod error;
+mod forces_of_motion;
+mod forces_tangent;
 mod geometry;
 mod implicit_step;
 mod internal_forces;

@@ -132,32 +132,73 @@ impl<T: Real> Shape<T> {
         Strains::of(a, b, self.turn(vertex), &self.directors(vertex), self.tau[vertex])
     }
 
+    /// What [`holonomy`] needs of an edge: ½κb at its first vertex, and its length.
+    fn bend_and_length(&self, i: usize) -> (Vector3<T>, T) {
+        let bent = i > 0 || self.carried;
+        let half = if bent { self.turns[i].kb * T::of(0.5) } else { Vector3::zeros() };
+        (half, self.edges[i].l)
+    }
+
     /// dψ of every edge for displacements dx of the vertices.
     pub(crate) fn holonomy(&self, dx: &[Vector3<T>], psi: &mut [T]) {
-        let rate = |i: usize| (dx[i + 1] - dx[i]) / self.edges[i].l;
-        let half = T::of(0.5);
-        let mut sum = if self.carried { half * self.turns[0].kb.dot(&rate(0)) } else { T::zero() };
-        psi[0] = sum;
-        for i in 1..self.edges.len() {
-            sum += half * self.turns[i].kb.dot(&(rate(i - 1) + rate(i)));
-            psi[i] = sum;
-        }
+        holonomy(|i| self.bend_and_length(i), dx, psi);
     }
 
     /// The transpose: dx += (∂ψ/∂x)ᵀ μ, μ one number per edge.
     pub(crate) fn holonomy_transpose_add(&self, mu: &[T], dx: &mut [Vector3<T>]) {
-        let mut sum = T::zero();
-        for i in (0..self.edges.len()).rev() {
-            sum += mu[i];
-            if i == 0 && !self.carried {
-                break;
-            }
-            let half = self.turns[i].kb * (T::of(0.5) * sum);
-            for edge in i.saturating_sub(1)..=i {
-                let v = half / self.edges[edge].l;
-                dx[edge + 1] += v;
-                dx[edge] -= v;
-            }
+        holonomy_transpose_add(|i| self.bend_and_length(i), mu, dx);
+    }
+}
+
+impl Shape {
+    /// Writes what [`holonomy`] needs, [`HOLONOMY`] numbers for every edge.
+    pub(crate) fn keep_holonomy(&self, kept: &mut [f64]) {
+        for (i, kept) in kept.chunks_exact_mut(HOLONOMY).enumerate() {
+            let (half, l) = self.bend_and_length(i);
+            kept.copy_from_slice(&[half.x, half.y, half.z, l]);
         }
+    }
+}
+
+/// Numbers for every edge that [`Shape::keep_holonomy`] writes.
+pub(crate) const HOLONOMY: usize = 4;
+
+/// ½κb and length of edge i from these.
+pub(crate) fn kept_bend(kept: &[f64]) -> impl Fn(usize) -> (Vector3<f64>, f64) + '_ {
+    |i| {
+        let k = &kept[HOLONOMY * i..HOLONOMY * (i + 1)];
+        (Vector3::new(k[0], k[1], k[2]), k[3])
+    }
+}
+
+/// dψ of every edge for displacements dx of the vertices; `edge` gives ½κb at the first vertex of an edge
+/// (zero where the first edge is clamped), and its length.
+pub(crate) fn holonomy<T: Real>(edge: impl Fn(usize) -> (Vector3<T>, T), dx: &[Vector3<T>], psi: &mut [T]) {
+    let (mut sum, mut before) = (T::zero(), Vector3::zeros());
+    for (i, psi) in psi.iter_mut().enumerate() {
+        let (half, l) = edge(i);
+        let rate = (dx[i + 1] - dx[i]) / l;
+        sum += half.dot(&(before + rate));
+        *psi = sum;
+        before = rate;
+    }
+}
+
+/// The transpose: dx += (∂ψ/∂x)ᵀ μ, μ one number per edge.
+pub(crate) fn holonomy_transpose_add<T: Real>(
+    edge: impl Fn(usize) -> (Vector3<T>, T),
+    mu: &[T],
+    dx: &mut [Vector3<T>],
+) {
+    let mut sum = T::zero();
+    let mut after = Vector3::zeros();
+    for i in (0..mu.len()).rev() {
+        sum += mu[i];
+        let (half, l) = edge(i);
+        let at = half * sum;
+        let v = (at + after) / l;
+        dx[i + 1] += v;
+        dx[i] -= v;
+        after = at;
     }
 }

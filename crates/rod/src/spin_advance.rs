@@ -9,7 +9,7 @@
 //! The midpoint rule's section turns by b₀ s = 2s from x_k to x_{k+1}: 2θ_y − θ_k would not do, since
 //! the frames that stored angles are measured from spin, too.
 
-use varda_implicit::Interval;
+use varda_implicit::{Interval, SolvedStep};
 
 use crate::Error;
 use crate::dynamics::RodStep;
@@ -108,13 +108,12 @@ impl RodStep {
     /// Completes `dx_next`, whose places are known.
     pub(crate) fn advance_spins_tangent(
         &mut self,
-        at: &Interval,
-        x: &[f64],
-        u: &[f64],
+        step: &SolvedStep<'_>,
         dx: &[f64],
         du: &[f64],
         dx_next: &mut [f64],
     ) {
+        let SolvedStep { at, x, u, .. } = *step;
         if !self.system.layout.spins {
             return;
         }
@@ -151,14 +150,8 @@ impl RodStep {
 
     /// What acts on angles and spins of x_{k+1} (in `to`) as what acts on x_k, on the places of x_{k+1} and
     /// on the spins of the stage, which [`RodStep::spins_onto_stage`] hands on.
-    pub(crate) fn advance_spins_transpose(
-        &mut self,
-        at: &Interval,
-        x: &[f64],
-        u: &[f64],
-        to: &mut [f64],
-        dx: &mut [f64],
-    ) {
+    pub(crate) fn advance_spins_transpose(&mut self, step: &SolvedStep<'_>, to: &mut [f64], dx: &mut [f64]) {
+        let SolvedStep { at, x, u, .. } = *step;
         let of = self.stage(at).of;
         let [b0, b1] = of.to;
         let spin = self.spins_at(at, x, u);

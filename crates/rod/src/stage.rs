@@ -41,6 +41,14 @@ pub(crate) struct RodStage {
 }
 
 impl RodStage {
+    /// Configurations that ε* is made of: shares of x_k and x_{k−1}, how many steps before x_k they are,
+    /// and their weight. The first is x_k.
+    pub(crate) fn past(&self) -> impl Iterator<Item = ([f64; 2], f64, f64)> {
+        let [now, before, between] = self.strain;
+        let all = [([1.0, 0.0], 0.0, now), ([0.0, 1.0], 1.0, before), ([0.5, 0.5], 0.5, between)];
+        all.into_iter().filter(|(_, age, weight)| *age == 0.0 || *weight != 0.0)
+    }
+
     /// `rated`: angles have a rate, by damping or inertia. `history`: the state holds x_{k−1}.
     pub(crate) fn new(scheme: Scheme, at: &Interval, rated: bool, history: bool) -> RodStage {
         let of = scheme.stage(at);

@@ -73,6 +73,8 @@ fn the_flagship_writes_everything_it_promises() {
     assert_eq!(lines("analysis.csv"), 145);
     assert_eq!(lines("trajectory.csv"), 1 + 101 * 26);
     assert_eq!(lines("forces.csv"), 1 + 100 * 25);
+    let columns = "step,time_s,edge,s_m,tension_n,shear_1_n,shear_2_n,sigma_tension_n,sigma_shear_1_n";
+    assert!(folder.read(&format!("{here}/forces.csv")).starts_with(columns));
     assert_eq!(lines("moments.csv"), 1 + 100 * 24);
     assert_eq!(lines("reactions.csv"), 1 + 100);
     assert_eq!(lines("convergence.csv"), 2 + summary["outer_iterations"].as_u64().unwrap() as usize);

@@ -59,29 +59,42 @@ struct Shares {
     of_seeds: Vec<f64>,
 }
 
+/// Adds the share of components inside to the group of this name.
+fn add(all: &mut Vec<Shares>, name: String, inside: &[bool]) {
+    let share = inside.iter().filter(|inside| **inside).count() as f64 / inside.len() as f64;
+    match all.iter_mut().find(|shares| shares.name == name) {
+        Some(shares) => shares.of_seeds.push(share),
+        None => all.push(Shares { name, components: inside.len(), of_seeds: vec![share] }),
+    }
+}
+
 fn covered(case: &mut Case, twin: &Twin, seeds: u64) -> Outcome {
     let mut all: Vec<Shares> = Vec::new();
     for seed in 0..seeds {
-        let outcome = ended(twin, seed)?;
+        let (problem, outcome) = ended(twin, seed)?;
         let runs = &outcome.trajectories;
         let grid = &outcome.experiment.grid;
         let times = [("start", 0), ("end", grid.steps), ("forecast", grid.last_step())];
-        let groups = &outcome.experiment.state.groups;
-        for (i, (when, k)) in times.into_iter().enumerate() {
+        for (when, k) in times {
             let states = [&runs.truth, &runs.analysis, &outcome.sigma_states].map(|s| runs.state(s, k));
             let [Some(truth), Some(analysis), Some(sigma)] = states else {
                 return Err(format!("seed {seed}: no state or σ at step {k}").into());
             };
-            for (j, group) in groups.iter().enumerate() {
-                let range = group.range.clone();
-                let inside = range.clone().filter(|&c| (truth[c] - analysis[c]).abs() <= INTERVAL * sigma[c]);
-                let share = inside.count() as f64 / range.len() as f64;
-                let at = i * groups.len() + j;
-                if all.len() <= at {
-                    let (name, components) = (format!("{}, {when}", group.name), range.len());
-                    all.push(Shares { name, components, of_seeds: Vec::new() });
-                }
-                all[at].of_seeds.push(share);
+            for group in &outcome.experiment.state.groups {
+                let within = |c: usize| (truth[c] - analysis[c]).abs() <= INTERVAL * sigma[c];
+                let inside: Vec<bool> = group.range.clone().map(within).collect();
+                add(&mut all, format!("{}, {when}", group.name), &inside);
+            }
+            // at the start the stretch that B allows makes tension a square of what is not known
+            if let (Some(rod), Some(shapes), true) = (problem.system.rod(), &outcome.shapes, k > 0) {
+                let state = |k: usize| &runs.truth[k * runs.dim..(k + 1) * runs.dim];
+                let before = (grid.time(k - 1), state(k - 1));
+                let truth = rod.parts.dynamics()?.internal_forces(grid.time(k), state(k), before)?;
+                let (analysis, sigma) = (&shapes.forces[k - 1], &shapes.sigma_forces[k - 1]);
+                let within =
+                    |e: usize| (truth.tension[e] - analysis.tension[e]).abs() <= INTERVAL * sigma.tension[e];
+                let inside: Vec<bool> = (0..truth.tension.len()).map(within).collect();
+                add(&mut all, format!("tension, {when}"), &inside);
             }
         }
     }
@@ -99,7 +112,7 @@ fn covered(case: &mut Case, twin: &Twin, seeds: u64) -> Outcome {
     Ok(())
 }
 
-fn ended(twin: &Twin, seed: u64) -> Result<outcome::Outcome, Box<dyn std::error::Error>> {
+fn ended(twin: &Twin, seed: u64) -> Result<(Problem, outcome::Outcome), Box<dyn std::error::Error>> {
     let mut sets: Vec<String> = twin.sets.iter().map(|s| s.to_string()).collect();
     sets.push(format!("seed={seed}"));
     let forecast = "report.forecast";
@@ -112,5 +125,7 @@ fn ended(twin: &Twin, seed: u64) -> Result<outcome::Outcome, Box<dyn std::error:
         sets.push(format!("{forecast}={seconds}"));
         SceneFile::open(twin.scene, &sets)?
     };
-    Ok(assimilate(&Problem::from_scene(&file)?, &mut Listener::silent())?)
+    let problem = Problem::from_scene(&file)?;
+    let outcome = assimilate(&problem, &mut Listener::silent())?;
+    Ok((problem, outcome))
 }

@@ -27,7 +27,8 @@ pub struct AutoOptions {
     /// Outer iterations of one run at most (a start down a ladder is several); all runs together take no more
     /// than those of `trust_region.stopping`.
     pub run_iterations: usize,
-    /// Further starts end after this many in turn that lowered J by less than 10⁻³ of it.
+    /// Further starts end after this many in turn that brought J less than a tenth of the way to the band of
+    /// a fit.
     pub patience: usize,
     /// Seed of the draws.
     pub seed: u64,
@@ -72,8 +73,8 @@ setters!(AutoOptions, trust_region.stopping, {
 /// 2, 1), then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down the first ladder and
 /// straight, at most six. No further start is made once the lowest end is within the band, or two runs
 /// have come to the same lowest J (to 10⁻⁶ of it, converged or stalled), or three in turn have
-/// lowered it by less than 10⁻³, or the iterations are used up. [`Minimum::attempts`] lists what
-/// each start came to and what it gained. All look beside steps that a jump of J refuses
+/// brought it less than a tenth of the way to the band, or the iterations are used up. [`Minimum::attempts`]
+/// lists what each start came to and what it gained. All look beside steps that a jump of J refuses
 /// ([`TrustRegionOptions::jump_retries`]). The lowest end is returned; an end where the minimizer
 /// stalled (the edge of a jump of J) only where it is lower than every converged one by 10⁻³ of J.
 /// The tolerance of every run refers to the gradient at the first point. Rows of all runs are reported,
@@ -180,7 +181,7 @@ fn run(
             || interrupted
             || used_up
             || best.value <= highest_j_of_a_fit(m)
-            || !pays(&best, &ends, options.patience)
+            || !pays(&best, &ends, highest_j_of_a_fit(m), options.patience)
         {
             break;
         }
@@ -228,12 +229,13 @@ fn run(
 }
 
 /// Whether one more start may pay: no two have come to the lowest J, and the last ones have not all been in
-/// vain.
-fn pays(best: &Minimum, ends: &[Attempt], patience: usize) -> bool {
+/// vain. Where the model cannot describe what was seen, starts still differ by some per cent of a J that is
+/// thousands of times too high.
+fn pays(best: &Minimum, ends: &[Attempt], fit: f64, patience: usize) -> bool {
     let settled = |status| matches!(status, Status::Converged | Status::Stalled);
     let same = |end: &&Attempt| settled(end.status) && end.value <= best.value * (1.0 + SAME);
     let found_twice = settled(best.status) && ends.iter().filter(same).count() >= 2;
-    let in_vain = |end: &&Attempt| end.gain < SETTLED * best.value;
+    let in_vain = |end: &&Attempt| end.gain < 0.1 * (best.value - fit);
     !found_twice && ends[1..].iter().rev().take_while(in_vain).count() < patience
 }
 

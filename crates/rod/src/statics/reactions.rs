@@ -34,27 +34,43 @@ pub struct Reaction {
     pub moment: Vector3<f64>,
 }
 
+/// What loads do: forces on every vertex, and moments about the tangent of every edge.
+pub(crate) struct EdgeSums {
+    pub(crate) forces: Vec<Vector3<f64>>,
+    pub(crate) moments: Vec<f64>,
+}
+
+/// All loads of the present shape, those of the motion with the velocities since `start`.
+pub(crate) fn all_loads(system: &System, start: Option<StageStart>) -> EdgeSums {
+    let mut sums = EdgeSums { forces: system.forces.clone(), moments: vec![0.0; system.rod.segments()] };
+    system.each_load(start, |acts, motion, _| {
+        for (i, force) in acts.forces.iter().enumerate() {
+            sums.forces[motion.edge + i / 3][i % 3] += force;
+        }
+        sums.moments[motion.edge] += acts.moment;
+    });
+    sums
+}
+
 /// The reactions in a system whose gradient was just assembled, by ascending vertices; loads see the
 /// velocities since `start`.
 pub(crate) fn reactions(system: &System, start: Option<StageStart>) -> Vec<Reaction> {
+    exerted(system, &system.gradient, &all_loads(system, start))
+}
+
+/// What supports exert against ∂E/∂(x, θ) (in the full order) and loads, or against changes of both: a
+/// clamp's edge does not move.
+pub(crate) fn exerted(system: &System, gradient: &[f64], loads: &EdgeSums) -> Vec<Reaction> {
     let n = system.rod.segments();
     let layout = &system.layout;
-    let mut loads = system.forces.clone();
-    let mut moments = vec![0.0; n];
-    system.each_load(start, |acts, motion, _| {
-        for (i, force) in acts.forces.iter().enumerate() {
-            loads[motion.edge + i / 3][i % 3] += force;
-        }
-        moments[motion.edge] += acts.moment;
-    });
     let at = |v: usize| {
         let i = layout.vertex(v);
-        Vector3::from_column_slice(&system.gradient[i..i + 3]) - loads[v]
+        Vector3::from_column_slice(&gradient[i..i + 3]) - loads.forces[v]
     };
     let clamped = |vertex: usize, beside: usize, edge: usize| {
         let arm = system.x[beside] - system.x[vertex];
         let tangent = (system.x[edge + 1] - system.x[edge]).normalize();
-        let twist = if layout.twist { system.gradient[layout.angle(edge)] - moments[edge] } else { 0.0 };
+        let twist = if layout.twist { gradient[layout.angle(edge)] - loads.moments[edge] } else { 0.0 };
         let moment = arm.cross(&at(beside)) + tangent * twist;
         Reaction { vertex, force: at(vertex) + at(beside), moment }
     };

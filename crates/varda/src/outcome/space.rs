@@ -17,6 +17,8 @@ pub struct Shapes {
     pub track: Option<Track>,
     /// Forces and moments within the rod of the analysis, from step 1 on: rates are those over a step.
     pub forces: Vec<InternalForces>,
+    /// Their standard deviations, where there is a posterior.
+    pub sigma_forces: Vec<InternalForces>,
 }
 
 /// A marker or place seen at one time.

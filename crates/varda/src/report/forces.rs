@@ -7,47 +7,80 @@ use varda_rod::InternalForces;
 use super::tables::number;
 use crate::scene::TimeGrid;
 
-/// forces.csv: tension and shear of every edge, at its middle, from step 1 on.
-pub(super) fn edges(grid: &TimeGrid, steps: &[InternalForces], arc_lengths: &[f64]) -> String {
-    let mut out = String::from("step,time_s,edge,s_m,tension_n,shear_1_n,shear_2_n\n");
-    for (k, forces) in numbered(steps) {
-        let time = number(grid.time(k));
-        for (e, (tension, [q1, q2])) in forces.tension.iter().zip(&forces.shear).enumerate() {
-            let middle = 0.5 * (arc_lengths[e] + arc_lengths[e + 1]);
-            let values = [middle, *tension, *q1, *q2].map(number).join(",");
-            let _ = writeln!(out, "{k},{time},{e},{values}");
-        }
-    }
-    out
+/// Forces of every step from step 1 on, and their standard deviations where there are any.
+pub(super) struct Forces<'a> {
+    pub(super) grid: &'a TimeGrid,
+    pub(super) steps: &'a [InternalForces],
+    pub(super) sigma: &'a [InternalForces],
 }
 
-/// moments.csv: bending and twisting moments of every vertex between two edges, from step 1 on.
-pub(super) fn vertices(grid: &TimeGrid, steps: &[InternalForces], arc_lengths: &[f64]) -> String {
-    let mut out = String::from("step,time_s,vertex,s_m,bending_1_nm,bending_2_nm,twisting_nm\n");
-    for (k, forces) in numbered(steps) {
-        let time = number(grid.time(k));
-        for (i, ([m1, m2], twist)) in forces.bending.iter().zip(&forces.twisting).enumerate() {
-            let values = [arc_lengths[i + 1], *m1, *m2, *twist].map(number).join(",");
-            let _ = writeln!(out, "{k},{time},{},{values}", i + 1);
-        }
+impl Forces<'_> {
+    /// forces.csv: tension and shear of every edge, at its middle.
+    pub(super) fn edges(&self, arc_lengths: &[f64]) -> String {
+        let values = |f: &InternalForces, e: usize| {
+            let [q1, q2] = f.shear[e];
+            [f.tension[e], q1, q2]
+        };
+        let place = |_: &InternalForces, e: usize| (e, Some(0.5 * (arc_lengths[e] + arc_lengths[e + 1])));
+        self.table("edge,s_m", ["tension", "shear_1", "shear_2"].map(|n| (n, "n")), place, values, |f| {
+            f.tension.len()
+        })
     }
-    out
-}
 
-/// reactions.csv: force and moment of every support on the rod, from step 1 on.
-pub(super) fn supports(grid: &TimeGrid, steps: &[InternalForces]) -> String {
-    let mut out = String::from("step,time_s,vertex,fx_n,fy_n,fz_n,mx_nm,my_nm,mz_nm\n");
-    for (k, forces) in numbered(steps) {
-        let time = number(grid.time(k));
-        for r in &forces.reactions {
-            let values: Vec<String> = r.force.iter().chain(r.moment.iter()).map(|v| number(*v)).collect();
-            let _ = writeln!(out, "{k},{time},{},{}", r.vertex, values.join(","));
-        }
+    /// moments.csv: bending and twisting moments of every vertex between two edges.
+    pub(super) fn vertices(&self, arc_lengths: &[f64]) -> String {
+        let names = ["bending_1", "bending_2", "twisting"].map(|n| (n, "nm"));
+        let values = |f: &InternalForces, i: usize| {
+            let [m1, m2] = f.bending[i];
+            [m1, m2, f.twisting[i]]
+        };
+        let place = |_: &InternalForces, i: usize| (i + 1, Some(arc_lengths[i + 1]));
+        self.table("vertex,s_m", names, place, values, |f| f.twisting.len())
     }
-    out
-}
 
-/// Every step with its number: the first is 1.
-fn numbered(steps: &[InternalForces]) -> impl Iterator<Item = (usize, &InternalForces)> {
-    steps.iter().enumerate().map(|(i, forces)| (i + 1, forces))
+    /// reactions.csv: force and moment of every support on the rod.
+    pub(super) fn supports(&self) -> String {
+        let names = [("fx", "n"), ("fy", "n"), ("fz", "n"), ("mx", "nm"), ("my", "nm"), ("mz", "nm")];
+        let values = |f: &InternalForces, i: usize| {
+            let r = &f.reactions[i];
+            [r.force.x, r.force.y, r.force.z, r.moment.x, r.moment.y, r.moment.z]
+        };
+        let vertex = |f: &InternalForces, i: usize| (f.reactions[i].vertex, None);
+        self.table("vertex", names, vertex, values, |f| f.reactions.len())
+    }
+
+    /// A row a step and place: its number, its arc length if it has one, the values, and σ of each.
+    fn table<const N: usize>(
+        &self,
+        place_names: &str,
+        names: [(&str, &str); N],
+        place: impl Fn(&InternalForces, usize) -> (usize, Option<f64>),
+        values: impl Fn(&InternalForces, usize) -> [f64; N],
+        places: impl Fn(&InternalForces) -> usize,
+    ) -> String {
+        let mut out = format!("step,time_s,{place_names}");
+        for (name, unit) in names {
+            let _ = write!(out, ",{name}_{unit}");
+        }
+        if !self.sigma.is_empty() {
+            for (name, unit) in names {
+                let _ = write!(out, ",sigma_{name}_{unit}");
+            }
+        }
+        out.push('\n');
+        for (i, forces) in self.steps.iter().enumerate() {
+            let time = number(self.grid.time(i + 1));
+            for p in 0..places(forces) {
+                let (name, arc_length) = place(forces, p);
+                let _ = write!(out, "{},{time},{name}", i + 1);
+                let sigma = self.sigma.get(i).map(|sigma| values(sigma, p));
+                let all = arc_length.into_iter().chain(values(forces, p)).chain(sigma.into_iter().flatten());
+                all.for_each(|v| {
+                    let _ = write!(out, ",{}", number(v));
+                });
+                out.push('\n');
+            }
+        }
+        out
+    }
 }

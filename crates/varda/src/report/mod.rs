@@ -16,6 +16,7 @@ pub use summary::{Summary, Terms, WindowAmplification};
 
 use std::path::{Path, PathBuf};
 
+use self::forces::Forces;
 use crate::Error;
 use crate::outcome::{Experiment, Outcome, RodModes, Shapes, Simulation};
 use crate::report::folder::ResultFolder;
@@ -100,13 +101,14 @@ pub fn write_modes(modes: &RodModes, folder: &Path) -> Result<PathBuf, Error> {
 /// forces.csv, moments.csv and reactions.csv of a rod.
 fn write_forces(out: &ResultFolder, experiment: &Experiment, shapes: Option<&Shapes>) -> Result<(), Error> {
     let (Some(shapes), Some(geometry)) = (shapes, &experiment.state.geometry) else { return Ok(()) };
-    let (grid, s) = (&experiment.grid, &geometry.arc_lengths);
-    out.write("forces.csv", &forces::edges(grid, &shapes.forces, s))?;
+    let s = &geometry.arc_lengths;
+    let forces = Forces { grid: &experiment.grid, steps: &shapes.forces, sigma: &shapes.sigma_forces };
+    out.write("forces.csv", &forces.edges(s))?;
     if shapes.forces.iter().any(|f| !f.twisting.is_empty()) {
-        out.write("moments.csv", &forces::vertices(grid, &shapes.forces, s))?;
+        out.write("moments.csv", &forces.vertices(s))?;
     }
     if shapes.forces.iter().any(|f| !f.reactions.is_empty()) {
-        out.write("reactions.csv", &forces::supports(grid, &shapes.forces))?;
+        out.write("reactions.csv", &forces.supports())?;
     }
     Ok(())
 }

@@ -4,10 +4,12 @@ use std::collections::BTreeMap;
 
 use varda_assimilation::{ObservationSet, Prediction, propagate_root};
 use varda_implicit::Model;
+use varda_rod::{InternalForces, RodStep};
 
 use super::fit::predicted;
 use crate::Error;
 use crate::outcome::{ObservedValue, Rejected, Trajectories};
+use crate::scene::TimeGrid;
 use crate::setup::Problem;
 
 /// σ of the components of every state of the analysis, one state after the other, and of every row of H at
@@ -16,6 +18,41 @@ pub(super) struct Spread {
     pub(super) states: Vec<f64>,
     /// For each of what was seen, σ of the rows of its site.
     seen: Vec<Vec<f64>>,
+    /// σ of the forces within a rod and of its reactions, from step 1 on.
+    pub(super) forces: Vec<InternalForces>,
+}
+
+/// σ of the forces within a rod, from step to step.
+struct ForceSpread {
+    rod: RodStep,
+    /// W of the state before.
+    before: Vec<f64>,
+}
+
+impl ForceSpread {
+    /// Of the analysis at step k ≥ 1, W its columns there: √Σ (∂F/∂x_{k−1} w_{k−1} + ∂F/∂x_k
+    /// w_k)².
+    fn at(
+        &mut self,
+        grid: &TimeGrid,
+        k: usize,
+        states: [&[f64]; 2],
+        w: &[f64],
+    ) -> Result<InternalForces, varda_rod::Error> {
+        let (mut sigma, mut squares) = (InternalForces::default(), Vec::new());
+        let before = (grid.time(k - 1), states[0]);
+        let mut add = |of: &mut InternalForces| {
+            if squares.is_empty() {
+                sigma = of.clone();
+                squares.resize(of.numbers().count(), 0.0);
+            }
+            let mut next = squares.iter_mut();
+            of.numbers().for_each(|v| *next.next().expect("as many numbers as before") += *v * *v);
+        };
+        self.rod.internal_forces_tangent(grid.time(k), states[1], before, [w, &self.before], &mut add)?;
+        sigma.numbers().zip(squares).for_each(|(sigma, square)| *sigma = square.sqrt());
+        Ok(sigma)
+    }
 }
 
 /// Carries the posterior of the control along the run of the analysis; `None` where there is no root of it,
@@ -30,12 +67,17 @@ pub(super) fn along(
     if root.is_empty() {
         return Ok(None);
     }
-    let n = runs.dim;
-    let (mut set, order) = problem.observed.everything(&problem.experiment.grid)?;
+    let (n, grid) = (runs.dim, problem.experiment.grid);
+    let (mut set, order) = problem.observed.everything(&grid)?;
     set.follow(model.rate());
     let mut spread = Spread {
         states: Vec::with_capacity(runs.analysis.len()),
         seen: vec![Vec::new(); problem.observed.seen.len()],
+        forces: Vec::new(),
+    };
+    let mut within = match problem.system.rod() {
+        Some(rod) => Some(ForceSpread { rod: rod.parts.dynamics()?, before: Vec::new() }),
+        None => None,
     };
     let (mut run, mut dy) = (set.prediction(), vec![0.0; set.dim()]);
     observe_all(&mut set, runs, &mut run)?;
@@ -46,6 +88,20 @@ pub(super) fn along(
         spread.states.extend(deviations(w, n));
         let rows = set.rows_at(k);
         let state = &runs.analysis[k * n..(k + 1) * n];
+        if let Some(forces) = &mut within {
+            let before = k.checked_sub(1).map(|k| &runs.analysis[k * n..(k + 1) * n]);
+            match before.map(|before| forces.at(&grid, k, [before, state], w)).transpose() {
+                Ok(sigma) => {
+                    spread.forces.extend(sigma);
+                    forces.before.clear();
+                    forces.before.extend_from_slice(w);
+                }
+                Err(_) => {
+                    spread.forces.clear();
+                    within = None;
+                }
+            }
+        }
         for (j, column) in w.chunks_exact(n).enumerate().filter(|_| !rows.is_empty()) {
             set.tangent_add(k, state, column, &run, &mut dy);
             for row in rows.clone() {

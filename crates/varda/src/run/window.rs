@@ -165,10 +165,13 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     warnings.extend(between_steps::remark(problem, &observations, &trajectories)?);
     let j_background = cost_of_run(scene.algorithm.robust, &mut observations, &trajectories)?;
     let rmse = rmse(experiment, errors(&analysis.background), errors(&analysis.analysis));
-    let shapes = shapes::with_observations(problem, &trajectories)?;
+    let mut shapes = shapes::with_observations(problem, &trajectories)?;
     let rejected = rejected(experiment, &solution.rejected);
     let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
-    let spread = spread::along(problem, make_model(0).as_mut(), &analysis.analysis, root, &trajectories)?;
+    let mut spread = spread::along(problem, make_model(0).as_mut(), &analysis.analysis, root, &trajectories)?;
+    if let (Some(shapes), Some(spread)) = (&mut shapes, &mut spread) {
+        shapes.sigma_forces = std::mem::take(&mut spread.forces);
+    }
     let observed =
         spread::observed_values(problem, model.as_ref(), &trajectories, spread.as_ref(), &rejected)?;
     Ok(Outcome {

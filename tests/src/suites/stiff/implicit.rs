@@ -6,7 +6,7 @@ use crate::row::{Case, Outcome, Rows};
 use num_dual::{Dual64, DualNum};
 use problems::counted::Counted;
 use varda_implicit::{
-    Equations, ImplicitModel, ImplicitStep, Interval, Model, NewtonOptions, OneLeg, Refusal, Rhs,
+    Equations, ImplicitModel, ImplicitStep, Interval, Model, NewtonOptions, OneLeg, Refusal, Rhs, SolvedStep,
     StepEquations, Structure, check,
 };
 
@@ -73,10 +73,10 @@ impl<G: FnMut(&[f64], &mut [f64], &mut [f64])> ImplicitStep for Plain<G> {
     fn structure(&self) -> Structure {
         Structure::Dense
     }
-    fn previous(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], dx: &[f64], dg: &mut [f64]) {
+    fn previous(&mut self, _of: &SolvedStep<'_>, dx: &[f64], dg: &mut [f64]) {
         dg.iter_mut().zip(dx).for_each(|(g, d)| *g = -d);
     }
-    fn previous_transpose_add(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], mu: &[f64], dx: &mut [f64]) {
+    fn previous_transpose_add(&mut self, _of: &SolvedStep<'_>, mu: &[f64], dx: &mut [f64]) {
         dx.iter_mut().zip(mu).for_each(|(d, m)| *d -= m);
     }
     fn equations<'a>(&'a mut self, _at: &Interval, x: &'a [f64]) -> Result<Self::Equations<'a>, Refusal> {
@@ -331,13 +331,13 @@ impl ImplicitStep for Robertson {
     fn structure(&self) -> Structure {
         Structure::Dense
     }
-    fn previous(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], dx: &[f64], dg: &mut [f64]) {
+    fn previous(&mut self, _of: &SolvedStep<'_>, dx: &[f64], dg: &mut [f64]) {
         (0..3).for_each(|i| dg[i] = -dx[i]);
         if self.mass == 0.0 {
             dg[2] = -(dx[0] + dx[1] + dx[2]);
         }
     }
-    fn previous_transpose_add(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], mu: &[f64], dx: &mut [f64]) {
+    fn previous_transpose_add(&mut self, _of: &SolvedStep<'_>, mu: &[f64], dx: &mut [f64]) {
         let all = if self.mass == 0.0 { [mu[2]; 3] } else { [0.0, 0.0, mu[2]] };
         dx[0] -= mu[0] + all[0];
         dx[1] -= mu[1] + all[1];

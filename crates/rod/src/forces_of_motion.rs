@@ -1,0 +1,87 @@
+//! A rod between two states: the shape, stiffness and loads that the forces within it come from.
+
+use nalgebra::Vector3;
+
+use crate::Error;
+use crate::dynamics::RodStep;
+use crate::element::Strains;
+use crate::shape::Shape;
+use crate::statics::reactions::Reaction;
+use crate::system::{PastStrains, StageStart, System};
+
+/// The configuration that strain rates are differences to.
+pub(crate) struct Past {
+    pub(crate) shape: Shape,
+    pub(crate) strains: Vec<Strains>,
+}
+
+/// Calls `act` with the system in the shape of a state, its stiffness and loads those of the motion since an
+/// earlier one, and the shape that strain rates are differences to.
+pub(crate) fn with_forces_at(
+    step: &mut RodStep,
+    t: f64,
+    state: &[f64],
+    before: (f64, &[f64]),
+    act: &mut dyn FnMut(&mut System, StageStart<'_>, Option<&Past>),
+) -> Result<(), Error> {
+    let h = t - before.0;
+    if !(h > 0.0 && h.is_finite()) {
+        return Err(Error::Value { field: "time between two states", value: h, expected: "above zero" });
+    }
+    let (damping, system) = (step.damping, &mut step.system);
+    shape_of(system, before.0, before.1)?;
+    let start = system.x.clone();
+    let past = (damping.stiffness > 0.0).then(|| {
+        let bent = if system.layout.bending { 1..system.rod.segments() } else { 0..0 };
+        Past { shape: system.shape.clone(), strains: bent.map(|v| system.shape.strains(v)).collect() }
+    });
+    let held = |system: &mut System, time: f64| -> Result<Vec<Vector3<f64>>, Error> {
+        system.place(time)?;
+        Ok(system.x.clone())
+    };
+    let places = [held(system, t - h)?, held(system, t)?, held(system, t + h)?];
+    shape_of(system, t, state)?;
+    for v in (0..=system.rod.segments()).filter(|v| system.layout.free_vertices.binary_search(v).is_err()) {
+        let [a, b, c] = [0, 1, 2].map(|k: usize| places[k][v]);
+        let (velocity, acceleration) = ((c - a) / (2.0 * h), (c - 2.0 * b + a) / (h * h));
+        system.forces[v] -= (acceleration + velocity * damping.mass) * system.rod.masses[v];
+    }
+    if let Some(past) = &past {
+        // the rate (ε − ε*)/h: its stress is that of a spring of stiffness k β/h about ε*
+        let lengths = past.shape.edges.iter().map(|edge| edge.l).collect();
+        let mut bend: Vec<_> = past.strains.iter().map(|strains| strains.value).collect();
+        // a chain has no strains there
+        bend.resize(system.rod.ei.len(), [0.0; 3]);
+        system.set_stiffness(damping.stiffness / h, Some(&PastStrains { lengths, bend }));
+    }
+    act(system, StageStart { places: &start, length: h }, past.as_ref());
+    if past.is_some() {
+        system.set_stiffness(0.0, None);
+    }
+    Ok(())
+}
+
+/// Supports, edges and frames of a state.
+fn shape_of(system: &mut System, t: f64, state: &[f64]) -> Result<(), Error> {
+    system.place(t)?;
+    system.scatter_state(state);
+    let guess = system.end_angle_guess();
+    system.update_shape(system.layout.bending, guess)
+}
+
+/// F of every edge from ∂E/∂x (in the full order) and what supports exert, or changes of it from theirs.
+pub(crate) fn edge_forces(system: &System, gradient: &[f64], reactions: &[Reaction]) -> Vec<Vector3<f64>> {
+    let (supports, last_edge) = (&system.supports, system.rod.segments() - 1);
+    let mut sum = Vector3::zeros();
+    let force = |e: usize| {
+        let i = system.layout.vertex(e);
+        sum -= Vector3::from_column_slice(&gradient[i..i + 3]);
+        // an edge that a clamp holds carries what the clamp takes
+        match reactions {
+            [first, ..] if supports.start.is_some() && e == 0 => -first.force,
+            [.., last] if supports.end.is_some() && e == last_edge => last.force,
+            _ => sum,
+        }
+    };
+    (0..=last_edge).map(force).collect()
+}

@@ -1,0 +1,268 @@
+//! The tangent of the forces within a rod: what small changes of its states do to them.
+
+use nalgebra::Vector3;
+
+use crate::Error;
+use crate::dynamics::RodStep;
+use crate::element::{self, Strains};
+use crate::forces_of_motion::{Past, edge_forces, with_forces_at};
+use crate::internal_forces::InternalForces;
+use crate::shape::Shape;
+use crate::statics::reactions::{EdgeSums, all_loads, exerted};
+use crate::system::{StageStart, System};
+
+impl RodStep {
+    /// The tangent of [`internal_forces`](Self::internal_forces): for every column δx of the state, and of
+    /// the state before, `see` is called with
+    ///
+    /// ```text
+    /// δF = ∂F/∂x δx + ∂F/∂x_before δx_before
+    /// ```
+    ///
+    /// δx is made of columns of the length of a state, one after the other. With W Wᵀ the covariance of a
+    /// state, the sums of squares over the columns of W are the variances of its forces.
+    ///
+    /// # Errors
+    /// As [`internal_forces`](Self::internal_forces).
+    ///
+    /// # Panics
+    /// If a state or a column has not the length of a state of this rod, or there are not as many columns
+    /// before.
+    pub fn internal_forces_tangent(
+        &mut self,
+        t: f64,
+        state: &[f64],
+        before: (f64, &[f64]),
+        [dx, dx_before]: [&[f64]; 2],
+        see: &mut dyn FnMut(&mut InternalForces),
+    ) -> Result<(), Error> {
+        let n = state.len();
+        assert!(dx.len() == dx_before.len() && dx.len().is_multiple_of(n), "a column has {n} values");
+        let share = self.damping.stiffness / (t - before.0 + self.damping.stiffness);
+        with_forces_at(self, t, state, before, &mut |system, start, past| {
+            let mut tangent = Tangent::new(system, start, past.filter(|_| share > 0.0), share);
+            for (dx, dx_before) in dx.chunks_exact(n).zip(dx_before.chunks_exact(n)) {
+                see(&mut tangent.of(system, start, [dx, dx_before]));
+            }
+        })
+    }
+}
+
+/// What an increment of a configuration does to its vertices, and to its angles in their local gauge.
+struct Increment {
+    places: Vec<Vector3<f64>>,
+    angles: Vec<f64>,
+}
+
+impl Increment {
+    fn new(segments: usize) -> Increment {
+        Increment { places: vec![Vector3::zeros(); segments + 1], angles: vec![0.0; segments] }
+    }
+
+    /// Of the part of a state that belongs to this shape.
+    fn set(&mut self, system: &System, shape: &Shape, dx: &[f64]) {
+        let layout = &system.layout;
+        system.displacements(dx, &mut self.places);
+        if !layout.bending {
+            return;
+        }
+        let (psi, first) = (&mut self.angles, 6 * layout.free_vertices.len());
+        shape.holonomy(&self.places, psi);
+        let all = system.angle_that_all_follow(psi);
+        let mut free = 0;
+        for (e, angle) in psi.iter_mut().enumerate() {
+            let is_free = layout.free_angles.get(free) == Some(&e);
+            // an angle that is given turns with its clamp
+            *angle = match (layout.twist, is_free) {
+                (true, true) => dx[first + free] - *angle,
+                (true, false) => 0.0,
+                (false, _) => all - *angle,
+            };
+            free += usize::from(is_free);
+        }
+    }
+
+    /// The eleven numbers at a bent vertex.
+    fn at(&self, vertex: usize) -> [f64; 11] {
+        let [a, b, c] = [0, 1, 2].map(|i| self.places[vertex - 1 + i]);
+        let [p, q] = [self.angles[vertex - 1], self.angles[vertex]];
+        [a.x, a.y, a.z, p, b.x, b.y, b.z, q, c.x, c.y, c.z]
+    }
+}
+
+/// A bent vertex: second derivatives of its energy, and its strains.
+struct Bent {
+    hessian: [[f64; 11]; 11],
+    strains: Strains,
+}
+
+/// The linearization about one state, the system having its shape.
+struct Tangent<'a> {
+    bent: Vec<Bent>,
+    /// The forces at every edge, and ∂E/∂θ where there are angles.
+    forces: Vec<Vector3<f64>>,
+    moments: Vec<f64>,
+    past: Option<&'a Past>,
+    share: f64,
+    now: Increment,
+    before: Increment,
+    gradient: Vec<f64>,
+    loads: EdgeSums,
+}
+
+impl<'a> Tangent<'a> {
+    fn new(system: &mut System, start: StageStart, past: Option<&'a Past>, share: f64) -> Tangent<'a> {
+        let n = system.rod.segments();
+        system.elastic(None);
+        let reactions = exerted(system, &system.gradient, &all_loads(system, Some(start)));
+        let bent = |i: usize| {
+            let (a, b, k) = (&system.shape.edges[i - 1], &system.shape.edges[i], &system.bend[i - 1]);
+            let (turn, strains) = (system.shape.turn(i), system.shape.strains(i));
+            let mut hessian = [[0.0; 11]; 11];
+            if system.layout.twist {
+                let m = system.shape.directors(i);
+                hessian = element::bend_twist(a, b, turn, &m, &strains, k).hessian;
+            } else {
+                let of_places = element::isotropic_bend(a, b, turn, k.bend[0]).hessian;
+                let with_angles = |i: usize| i + i / 3;
+                for (i, row) in of_places.iter().enumerate() {
+                    row.iter().enumerate().for_each(|(j, h)| hessian[with_angles(i)][with_angles(j)] = *h);
+                }
+            }
+            for i in 0..11 {
+                (0..i).for_each(|j| hessian[j][i] = hessian[i][j]);
+            }
+            Bent { hessian, strains }
+        };
+        Tangent {
+            bent: if system.layout.bending { (1..n).map(bent).collect() } else { Vec::new() },
+            forces: edge_forces(system, &system.gradient, &reactions),
+            moments: (0..n)
+                .filter(|_| system.layout.twist)
+                .map(|e| system.gradient[system.layout.angle(e)])
+                .collect(),
+            past,
+            share,
+            now: Increment::new(n),
+            before: Increment::new(n),
+            gradient: vec![0.0; system.layout.full()],
+            loads: EdgeSums { forces: vec![Vector3::zeros(); n + 1], moments: vec![0.0; n] },
+        }
+    }
+
+    fn of(&mut self, system: &System, start: StageStart, [dx, dx_before]: [&[f64]; 2]) -> InternalForces {
+        self.now.set(system, &system.shape, dx);
+        match self.past {
+            Some(past) => self.before.set(system, &past.shape, dx_before),
+            None => system.displacements(dx_before, &mut self.before.places),
+        }
+        self.gradient.fill(0.0);
+        self.stretch(system);
+        let (bending, twisting) = self.bend(system);
+        self.load(system, start);
+        let reactions = exerted(system, &self.gradient, &self.loads);
+        let varied = edge_forces(system, &self.gradient, &reactions);
+        let (mut tension, mut shear) = (Vec::with_capacity(varied.len()), Vec::with_capacity(varied.len()));
+        for (e, (edge, df)) in system.shape.edges.iter().zip(&varied).enumerate() {
+            let moved = self.now.places[e + 1] - self.now.places[e];
+            let dt = (moved - edge.t * edge.t.dot(&moved)) / edge.l;
+            tension.push(df.dot(&edge.t) + self.forces[e].dot(&dt));
+            if !system.layout.bending {
+                shear.push([0.0; 2]);
+                continue;
+            }
+            let (m1, m2) = (&system.shape.m1[e], &system.shape.m2[e]);
+            let turned = self.now.angles[e];
+            let dm1 = m2 * turned - edge.t * m1.dot(&dt);
+            let dm2 = m1 * -turned - edge.t * m2.dot(&dt);
+            let f = &self.forces[e];
+            shear.push([df.dot(m1) + f.dot(&dm1), df.dot(m2) + f.dot(&dm2)]);
+        }
+        InternalForces { tension, shear, bending, twisting, reactions }
+    }
+
+    /// What the edges add to δ(∂E/∂x).
+    fn stretch(&mut self, system: &System) {
+        for (e, edge) in system.shape.edges.iter().enumerate() {
+            let (ea, rest) = system.stretch[e];
+            let (_, _, hessian) = element::stretch(edge, rest, ea);
+            let moved = |of: &Increment| of.places[e + 1] - of.places[e];
+            let mut force = hessian * moved(&self.now);
+            if let Some(past) = self.past {
+                let longer = past.shape.edges[e].t.dot(&moved(&self.before));
+                force -= edge.t * (ea / rest * self.share * longer);
+            }
+            // Second derivatives in the local gauge are taken symmetric. Directors that are carried about a
+            // closed way of the tangent come back turned by its area: what is left of the moment about an
+            // edge out of equilibrium turns the force by half of that.
+            if let Some(moment) = self.moments.get(e) {
+                force += edge.t.cross(&moved(&self.now)) * (0.5 * moment / (edge.l * edge.l));
+            }
+            let (a, b) = (system.layout.vertex(e), system.layout.vertex(e + 1));
+            for c in 0..3 {
+                self.gradient[a + c] -= force[c];
+                self.gradient[b + c] += force[c];
+            }
+        }
+    }
+
+    /// What bent vertices add to it, and the changes of their moments, bending and twisting.
+    fn bend(&mut self, system: &System) -> (Vec<[f64; 2]>, Vec<f64>) {
+        let (mut bending, mut twisting) = (Vec::new(), Vec::new());
+        let angle = system.layout.twist.then_some([3, 7]);
+        for (i, bent) in self.bent.iter().enumerate() {
+            let (q, k) = (self.now.at(i + 1), &system.bend[i]);
+            let product = |rows: &[[f64; 11]], q: &[f64; 11], a: usize| -> f64 {
+                rows[a].iter().zip(q).map(|(h, q)| h * q).sum()
+            };
+            let mut force: [f64; 11] = std::array::from_fn(|a| product(&bent.hessian, &q, a));
+            let mut strain: [f64; 3] = std::array::from_fn(|a| product(&bent.strains.gradient, &q, a));
+            if let Some(past) = self.past {
+                let q = self.before.at(i + 1);
+                let rest: [f64; 3] =
+                    std::array::from_fn(|a| self.share * product(&past.strains[i].gradient, &q, a));
+                let stress = k.times(&rest);
+                for (c, force) in force.iter_mut().enumerate() {
+                    *force -= (0..3).map(|a| bent.strains.gradient[a][c] * stress[a]).sum::<f64>();
+                }
+                strain.iter_mut().zip(rest).for_each(|(strain, rest)| *strain -= rest);
+            }
+            let [m1, m2, twist] = k.times(&strain);
+            bending.push([m1, m2]);
+            twisting.push(twist);
+            let mut add = |first: usize, values: &[f64]| {
+                self.gradient[first..].iter_mut().zip(values).for_each(|(g, v)| *g += v);
+            };
+            for (v, first) in [0, 4, 8].into_iter().enumerate() {
+                add(system.layout.vertex(i + v), &force[first..first + 3]);
+            }
+            for (e, place) in angle.into_iter().flatten().enumerate() {
+                add(system.layout.angle(i + e), &force[place..=place]);
+            }
+        }
+        (bending, twisting)
+    }
+
+    /// Changes of the forces of loads that depend on the motion.
+    fn load(&mut self, system: &System, start: StageStart) {
+        let (now, before, loads) = (&self.now, &self.before, &mut self.loads);
+        loads.forces.fill(Vector3::zeros());
+        loads.moments.fill(0.0);
+        system.each_load(Some(start), |acts, motion, _| {
+            let e = motion.edge;
+            let of = |i: &Increment| {
+                let [a, b] = [i.places[e], i.places[e + 1]];
+                nalgebra::Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z)
+            };
+            let (places, turned) = (of(now), now.angles[e]);
+            let velocities = (places - of(before)) / start.length;
+            let forces = acts.by_places_of_carried(motion) * places
+                + acts.by_velocities * velocities
+                + acts.by_angle * turned;
+            for (i, force) in forces.iter().enumerate() {
+                loads.forces[e + i / 3][i % 3] += force;
+            }
+            loads.moments[e] += acts.moment_by_places.dot(&places) + acts.moment_by_angle * turned;
+        });
+    }
+}
