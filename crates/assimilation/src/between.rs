@@ -6,7 +6,8 @@ use varda_implicit::Rate;
 /// rate is known the cubic through both states with their rates (Hermite), of others a straight line.
 ///
 /// ```text
-///     x(w) = (1 + 2w)(1 − w)² x_k + w²(3 − 2w) x_{k+1} + Δt w (1 − w) ((1 − w) ẋ_k − w ẋ_{k+1})
+///     x(w) = (1 + 2w)(1 − w)² x_k + w²(3 − 2w) x_{k+1}
+///             + Δt w (1 − w) ((1 − w) ẋ_k − w ẋ_{k+1})
 /// ```
 pub(crate) struct Between {
     rate: Box<dyn Rate>,

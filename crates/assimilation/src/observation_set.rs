@@ -215,8 +215,8 @@ impl ObservationSet {
         Ok(set)
     }
 
-    /// Between two steps the state follows the cubic with these rates from now on; without, H(x) is a straight
-    /// line there. Predictions made before are of no use then.
+    /// Between two steps the state follows the cubic with these rates from now on; without, H(x) is a
+    /// straight line there. Predictions made before are of no use then.
     pub fn follow(&mut self, rate: Option<Box<dyn Rate>>) {
         let n = self.operators.first().map_or(0, |o| o.state_dim());
         self.curve = rate.map(|rate| (Between::new(rate), vec![0.0; n]));

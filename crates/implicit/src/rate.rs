@@ -5,8 +5,8 @@ use std::ops::Range;
 /// The rate ẋ of some components of a state, at the steps of a [`Model`](crate::Model).
 ///
 /// With it an observation between two steps sees a cubic through both states with their rates
-/// (Hermite), and not a straight line, whose error is (ωΔt)²/8 of the amplitude of an oscillation. A rate is
-/// known where the state holds it ([`VelocityRate`]: positions and their velocities) or where
+/// (Hermite), and not a straight line, whose error is (ωΔt)²/8 of the amplitude of an oscillation. A rate
+/// is known where the state holds it ([`VelocityRate`]: positions and their velocities) or where
 /// ẋ = f(t, x) is solved by an explicit method ([`Rk4`](crate::Rk4)).
 ///
 /// `&mut self` is for work space: every result is a function of the arguments alone.

@@ -180,7 +180,7 @@ impl ImplicitStep for RodStep {
         self.system.structure()
     }
 
-    /// Velocities are the rates of positions; not midpoint's, which ring where a motion is faster than a step.
+    /// Velocities are the rates of positions; not midpoint's, which ring in motions faster than a step.
     fn velocities(&self) -> Option<(Range<usize>, usize)> {
         let positions = 3 * self.system.layout.free_vertices.len();
         (self.scheme != Scheme::Midpoint).then_some((0..positions, positions))

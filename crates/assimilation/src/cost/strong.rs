@@ -249,8 +249,8 @@ impl<'a> StrongConstraint<'a> {
         self.base.trajectory.storage()
     }
 
-    /// Bytes held at present: the states of two runs, at steps and observed between them, and the linearizations
-    /// in the model.
+    /// Bytes held at present: the states of two runs, at steps and observed between them, and the
+    /// linearizations in the model.
     pub fn bytes(&self) -> usize {
         let model = self.model.as_ref().map_or(0, |m| m.bytes());
         let between = self.base.predicted.bytes() + self.trial.predicted.bytes();

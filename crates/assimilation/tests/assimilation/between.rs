@@ -76,8 +76,8 @@ fn amplitude(steps_a_period: usize, with_rate: bool) -> f64 {
 
 #[test]
 fn an_oscillation_seen_between_steps_keeps_its_amplitude() {
-    // A chord is 1 − cos(ωΔt/2) too small in its middle: 1.23 % at 20 steps a period, so that the amplitude
-    // comes out as 1/cos(ωΔt/2), 1.25 % too large. The cubic is off by (ωΔt)⁴/384 = 2.5e-5.
+    // A chord is 1 − cos(ωΔt/2) too small in its middle: 1.23 % at 20 steps a period, so that the
+    // amplitude comes out as 1/cos(ωΔt/2), 1.25 % too large. The cubic is off by (ωΔt)⁴/384 = 2.5e-5.
     let (line, cubic) = (amplitude(20, false) - 1.0, amplitude(20, true) - 1.0);
     assert!((line - 0.01247).abs() < 1e-4, "{line}");
     assert!(cubic.abs() < 1e-4, "{cubic}");
