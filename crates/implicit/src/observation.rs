@@ -16,8 +16,8 @@ pub struct At {
 ///
 /// Step and time are arguments because the prediction may depend on them (a frame carried by a driven clamp).
 /// All three maps are functions of (k, t_k, x) alone. Between two steps an operator is given the index of the
-/// first, the time between and the state on the cubic through both ([`Rate`](crate::Rate)); for models without
-/// a rate an observation there is a weighted mean of the predictions at both steps.
+/// first, the time between and the state on the cubic through both ([`Rate`](crate::Rate)); for
+/// models without a rate an observation there is a weighted mean of the predictions at both steps.
 ///
 /// ```
 /// use varda_implicit::{At, ObservationOperator, Refusal};

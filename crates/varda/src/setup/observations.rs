@@ -187,8 +187,8 @@ impl Observed {
     }
 
     /// Everything that was seen in window and forecast, used or not, with a row for every row of its site:
-    /// where predictions are wanted beside what was seen. Values that are missing are zeros. Beside it the place of
-    /// each observation in `seen`, in the order of the set, which is that of time.
+    /// where predictions are wanted beside what was seen. Values that are missing are zeros. Beside it the
+    /// place of each observation in `seen`, in the order of the set, which is that of time.
     ///
     /// # Errors
     /// [`Error::Assimilation`].
