@@ -13,10 +13,10 @@ use crate::setup::observations::observe;
 const SEEN: f64 = 0.5;
 
 /// How far the curves of H(x) between the steps of the analysis are from the motion, where that can be seen.
-/// At a fraction w of a step a straight line is off by ½ w (1 − w) |Δ²H|, a cubic through states
-/// and rates by w² (1 − w)² |Δ⁴H|/24, with Δ²H and Δ⁴H the differences of H at steps: (ωΔt)²/8 and
-/// (ωΔt)⁴/384 of the amplitude of an oscillation in the middle of a step. An analysis makes up for it
-/// by an amplitude that is too large, and fits well.
+/// At a fraction w of a step a straight line is off by ½ w (1 − w) |Δ²H|, a cubic through states and
+/// rates by w² (1 − w)² |Δ⁴H|/24, with Δ²H and Δ⁴H the differences of H at steps: (ωΔt)²/8
+/// and (ωΔt)⁴/384 of the amplitude of an oscillation in the middle of a step. An analysis makes up
+/// for it by an amplitude that is too large, and fits well.
 ///
 /// # Errors
 /// [`Error::Assimilation`] where the analysis cannot be observed.
