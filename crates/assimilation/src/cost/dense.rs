@@ -11,13 +11,7 @@ impl StrongConstraint<'_> {
     pub(super) fn dense_hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
         let (n, m) = (self.dim(), self.observations.dim());
         assert_eq!(out.len(), n * n, "length of the Hessian");
-        let mut dense = std::mem::take(&mut self.dense);
-        dense.jacobian.clear();
-        dense.jacobian.resize(m * n, 0.0);
-        dense.dy.resize(m, 0.0);
-        dense.dv.resize(n, 0.0);
-        let by_rows = self.observations.steps_of_rows() < n * self.last;
-        let swept = if by_rows { self.rows(&mut dense) } else { self.columns(&mut dense) };
+        let (dense, by_rows, swept) = self.dense_factor();
         let gt = if by_rows {
             View::new(&dense.jacobian, n, m)
         } else {
@@ -29,6 +23,34 @@ impl StrongConstraint<'_> {
             out[j + j * n] += 1.0;
         }
         swept
+    }
+
+    /// G by columns, at the base point.
+    pub(super) fn dense_g(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        let (n, m) = (self.dim(), self.observations.dim());
+        assert_eq!(out.len(), m * n, "length of G");
+        let (dense, by_rows, swept) = self.dense_factor();
+        if by_rows {
+            let rows = View::new(&dense.jacobian, n, m);
+            out.copy_from_slice(&rows.transpose().to_matrix().into_columns());
+        } else {
+            out.copy_from_slice(&dense.jacobian);
+        }
+        self.dense = dense;
+        swept
+    }
+
+    /// G in the work space, by its rows (true) or by its columns.
+    fn dense_factor(&mut self) -> (Dense, bool, Result<(), Error>) {
+        let (n, m) = (self.dim(), self.observations.dim());
+        let mut dense = std::mem::take(&mut self.dense);
+        dense.jacobian.clear();
+        dense.jacobian.resize(m * n, 0.0);
+        dense.dy.resize(m, 0.0);
+        dense.dv.resize(n, 0.0);
+        let by_rows = self.observations.steps_of_rows() < n * self.last;
+        let swept = if by_rows { self.rows(&mut dense) } else { self.columns(&mut dense) };
+        (dense, by_rows, swept)
     }
 
     /// Gᵀ column by column: all rows of G in one sweep, each joining at its observation.

@@ -423,7 +423,7 @@ impl<'a> EnVar<'a> {
     }
 
     /// G, dense, by columns.
-    fn jacobian(&self) -> Vec<f64> {
+    pub(super) fn jacobian(&self) -> Vec<f64> {
         let (n, m) = (self.dim(), self.observations.dim());
         let (mut unit, mut row) = (vec![0.0; m], vec![0.0; n]);
         let mut jacobian = vec![0.0; m * n];
@@ -536,6 +536,11 @@ impl LeastSquares for EnVar<'_> {
         self.transpose(&dy, out);
         self.dy = dy;
         out.iter_mut().zip(dv).for_each(|(out, dv)| *out += dv);
+        Ok(())
+    }
+
+    fn dense_jacobian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        out.copy_from_slice(&EnVar::jacobian(self));
         Ok(())
     }
 

@@ -557,6 +557,11 @@ impl LeastSquares for StrongConstraint<'_> {
         self.return_to_base()?;
         self.dense_hessian(out)
     }
+
+    fn dense_jacobian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        self.return_to_base()?;
+        self.dense_g(out)
+    }
 }
 
 /// Room for a run.
