@@ -426,6 +426,30 @@ impl ObservationSet {
     /// # Panics
     /// If `dy` is not of length `dim`, or `run` is not a prediction of this set.
     pub fn tangent_add(&mut self, k: usize, x: &[f64], dx: &[f64], run: &Prediction, dy: &mut [f64]) {
+        self.add_tangent(k, x, dx, run, dy, false);
+    }
+
+    /// As `tangent_add`, for a dx that is the same at every step and has no rate.
+    pub(crate) fn persistent_tangent_add(
+        &mut self,
+        k: usize,
+        x: &[f64],
+        dx: &[f64],
+        run: &Prediction,
+        dy: &mut [f64],
+    ) {
+        self.add_tangent(k, x, dx, run, dy, true);
+    }
+
+    fn add_tangent(
+        &mut self,
+        k: usize,
+        x: &[f64],
+        dx: &[f64],
+        run: &Prediction,
+        dy: &mut [f64],
+        persists: bool,
+    ) {
         assert_eq!(dy.len(), self.dim(), "length of dy");
         let at = self.at(k);
         for sample in &self.samples[self.samples_of(k)] {
@@ -440,7 +464,11 @@ impl ObservationSet {
             let at = self.inside(&self.between[i]);
             let Some((curve, share)) = &mut self.curve else { continue };
             let b = &self.between[i];
-            curve.tangent((b.step, k, b.weight), x, dx, share);
+            match (persists, k == b.step) {
+                (false, _) => curve.tangent((b.step, k, b.weight), x, dx, share),
+                (true, true) => share.copy_from_slice(dx),
+                (true, false) => continue,
+            }
             let operator = &mut self.operators[b.operator];
             let seen = &mut self.tangent[..operator.dim()];
             operator.tangent(at, &run.states[i * x.len()..(i + 1) * x.len()], share, seen);

@@ -15,8 +15,8 @@ use varda_linalg::dense::{View, add_product};
 ///     (paper 2.7, 2.18)
 /// ```
 ///
-/// kept as a square root of P_v. With fewer observations than unknowns, m < n, A has the eigenvalue 1 but for m
-/// directions z of G = Σ s w zᵀ, and the root is
+/// kept as a square root of P_v. With fewer observations than unknowns, m < n, A has the eigenvalue 1 but for
+/// m directions z of G = Σ s w zᵀ, and the root is
 ///
 /// ```text
 ///     P_v^{1/2} = I − Σ (1 − μ^{-1/2}) z zᵀ,    μ = 1 + s²
@@ -56,8 +56,8 @@ pub struct Posterior {
 impl Posterior {
     /// Around the point of the last gradient of `cost`.
     ///
-    /// With fewer observations than unknowns G is factored by its singular values. Else I + GᵀG is, but where
-    /// its rounding would reach the eigenvalue 1 of what nothing observes (to 10⁻⁶: σ tiny against
+    /// With fewer observations than unknowns G is factored by its singular values. Else I + GᵀG is, but
+    /// where its rounding would reach the eigenvalue 1 of what nothing observes (to 10⁻⁶: σ tiny against
     /// the background): then it is G again, n tangent or m adjoint sweeps more, and some 20 n² m.
     ///
     /// # Errors

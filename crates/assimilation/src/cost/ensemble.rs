@@ -320,7 +320,7 @@ impl<'a> EnVar<'a> {
                 self.dy.fill(0.0);
                 for k in 0..=self.last {
                     let x = &self.states[k * n..(k + 1) * n];
-                    self.observations.tangent_add(k, x, &dx, &control, &mut self.dy);
+                    self.observations.persistent_tangent_add(k, x, &dx, &control, &mut self.dy);
                 }
                 self.observations.whiten_blocks(&mut self.dy);
                 for a in 0..m {

@@ -306,7 +306,8 @@ impl EnVar<'_> {
         Ok((variance, gram.values.iter().map(|lambda| lambda / (1.0 + lambda)).sum()))
     }
 
-    /// `posterior_variance` by the singular values of G: of u = Uᵀ e_p what nothing sees, and the rest over μ.
+    /// `posterior_variance` by the singular values of G: of u = Uᵀ e_p what nothing sees,
+    /// and the rest over μ.
     fn posterior_variance_by_g(&self) -> Result<(Vec<f64>, f64), Error> {
         let (n, m) = (self.dim(), self.observations.dim());
         let Svd { values, right, .. } = Svd::thin(m, n, &self.jacobian())?;
