@@ -194,8 +194,8 @@ fn posterior_variance_is_that_of_the_dense_hessian() {
 }
 
 /// One component seen with σ = 1e-9 by a strong constraint and by members, fewer and more values than
-/// unknowns: its variance is σ² b/(b + σ²) to rounding of the root (ε √(b/σ²) = 1e-7), where GGᵀ would
-/// leave 1e-16 b.
+/// unknowns: its variance is σ² b/(b + σ²) to rounding of the root (ε √(b/σ²) = 1e-7), where
+/// GGᵀ would leave 1e-16 b.
 #[test]
 fn tiny_sigmas_leave_exact_variances() {
     let sigma = 1e-9;
