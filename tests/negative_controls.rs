@@ -218,6 +218,9 @@ impl<M: Model> Model for WrongTangent<M> {
     fn bytes(&self) -> usize {
         self.0.bytes()
     }
+    fn rate(&self) -> Option<Box<dyn varda_implicit::Rate>> {
+        self.0.rate()
+    }
     fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
         self.0.control_map()
     }

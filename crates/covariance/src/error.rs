@@ -34,6 +34,21 @@ pub enum Error {
         /// The entry.
         value: f64,
     },
+    /// The kernel is not that of a Markov process along a line.
+    #[error("only a Matérn kernel (1/2, 3/2, 5/2) without a taper is Markov along a line")]
+    NotMarkov,
+    /// Places along a line coincide, are not finite or do not ascend.
+    #[error(
+        "places along a line must ascend and differ: place {index} is {place:e}, the one before {before:e}"
+    )]
+    Places {
+        /// Index of the place, among the free or among the known ones.
+        index: usize,
+        /// Where it is.
+        place: f64,
+        /// Where the one before is.
+        before: f64,
+    },
     /// The matrix is not symmetric.
     #[error(
         "the covariance is not symmetric: entry ({row}, {column}) is {value:e}, its mirror image {mirror:e}"

@@ -10,6 +10,7 @@
 //! | [`Dense`] | a matrix, by Cholesky | up to a few thousand points | n² | yes |
 //! | [`Truncated`] | a matrix, to a rank r | smooth kernels, singular matrices | n r | no |
 //! | [`Banded`] | a kernel of compact support along a line | 10⁵ points of a line | n w | yes |
+//! | [`Markov`] | a Matérn kernel along a line, conditioned or not | 10⁶ points of a line | n | yes |
 //! | [`SparsePrecision`] | a sparse P⁻¹; Matérn fields | grids and meshes, 10⁵ points | a solve | yes |
 //! | [`Diffusion`] | implicit diffusion, σ exact | smooth fields, 10⁵ points | M/2 sparse solves | yes |
 //! | [`Ensemble`], [`Hybrid`] | localized, and with a static part | errors of the flow | n N r | no |
@@ -33,7 +34,9 @@
 //!
 //! Measured by the suite `stiff` (`docs/results/stability.md`): Cholesky roots up to condition numbers of
 //! some 1e12, far beyond that a typed error; truncated roots at any (a Gaussian kernel as long as half the
-//! line), to n ε of the largest eigenvalue. [`Spectrum::reliable_condition_number`] tells only condition
+//! line), to n ε of the largest eigenvalue. [`Markov`] has a root at any correlation length; known places
+//! amid free ones cost it about as many digits as they cost the dense matrix.
+//! [`Spectrum::reliable_condition_number`] tells only condition
 //! numbers that double precision knows.
 //!
 //! # When not to use it
@@ -94,6 +97,7 @@ mod error;
 mod grid;
 mod input;
 mod kernel;
+mod markov;
 mod operator;
 mod sample;
 mod scratch;
@@ -113,6 +117,7 @@ pub use ensemble::{Ensemble, Hybrid, Localization};
 pub use error::Error;
 pub use grid::Grid;
 pub use kernel::{CovarianceFunction, Kernel, Taper, correlation};
+pub use markov::Markov;
 pub use operator::{Covariance, Precision};
 pub use sample::sample;
 pub use sparse_precision::SparsePrecision;

@@ -38,6 +38,7 @@ impl StrongConstraint<'_> {
         let Dense { jacobian, block, dy, .. } = dense;
         let Self { model, transform, observations, errors, base, state_dim, last, dz, .. } = self;
         let (size, last) = (*state_dim, *last);
+        let predicted = &base.predicted;
         block.clear();
         block.resize(m * size, 0.0);
         // Rows from here on are under way.
@@ -47,7 +48,7 @@ impl StrongConstraint<'_> {
             first = first.min(seen.start);
             for i in seen {
                 dy[i] = 1.0;
-                observations.adjoint_add(k, x, dy, &mut block[i * size..(i + 1) * size]);
+                observations.adjoint_add(k, x, dy, predicted, &mut block[i * size..(i + 1) * size]);
                 dy[i] = 0.0;
             }
             if let (Some(errors), Some(before)) = (&mut *errors, k.checked_sub(1)) {
@@ -106,6 +107,7 @@ impl StrongConstraint<'_> {
                 None => dx.copy_from_slice(dz),
             }
         }
+        let predicted = &base.predicted;
         let mut see = |k: usize, x: &[f64], block: &mut [f64]| {
             for (j, (dx, dy)) in block.chunks_exact_mut(*size).zip(jacobian.chunks_exact_mut(m)).enumerate() {
                 if let (Some(errors), Some(before)) = (&mut *errors, k.checked_sub(1)) {
@@ -113,7 +115,7 @@ impl StrongConstraint<'_> {
                     errors.tangent_add(before, &dv[head..], dx);
                     dv[j] = 0.0;
                 }
-                observations.tangent_add(k, x, dx, dy);
+                observations.tangent_add(k, x, dx, predicted, dy);
             }
         };
         see(0, base.trajectory.state(0), block);

@@ -144,6 +144,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         trajectories(problem, model.as_mut(), &analysis.analysis, solution.states, &mut warnings, &mut log);
     let amplification = amplification(problem, make_model, &analysis, &observations, &trajectories);
     warnings.extend(amplification.and_then(|a| a.warning()));
+    observations.follow(model.rate());
     let fit = fit::fit(&mut observations, &trajectories)?;
     let (withheld, forecast) = fit::beyond(problem, &trajectories, model.as_mut())?;
     let departures = fit::departures(problem, &mut observations, &trajectories)?;
@@ -175,7 +176,8 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     if let (Some(shapes), Some(spread)) = (&mut shapes, &mut spread) {
         shapes.sigma_forces = std::mem::take(&mut spread.forces);
     }
-    let observed = spread::observed_values(problem, &trajectories, spread.as_ref(), &rejected)?;
+    let observed =
+        spread::observed_values(problem, model.as_ref(), &trajectories, spread.as_ref(), &rejected)?;
     Ok(Outcome {
         experiment: Experiment { left_out, ..experiment.clone() },
         status,

@@ -175,8 +175,9 @@ pub struct KernelCovariance {
     /// Whether the kernel knows that prescribed vertices have no error.
     #[serde(default)]
     pub prior: Prior,
-    /// The square root B^{1/2}. Left out: "cholesky" where B is positive definite to working precision, else
-    /// "truncated".
+    /// The square root B^{1/2}. A Matérn kernel without a taper has its Cholesky root in O(n), by a
+    /// recursion along the line (not on a circle), unless this says "truncated". Other kernels, where this is
+    /// left out: "cholesky" where B is positive definite to working precision, else "truncated".
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub root: Option<Root>,
     /// Eigenvalues below this fraction of the largest are left out of a truncated root.
@@ -211,8 +212,9 @@ pub struct LineCovariance {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub localization_length: Option<f64>,
-    /// The square root B^{1/2}. Left out: "cholesky" where B is positive definite to working precision, else
-    /// "truncated".
+    /// The square root B^{1/2}. A Matérn kernel without a taper has its Cholesky root in O(n), by a
+    /// recursion along the line (not on a circle), unless this says "truncated". Other kernels, where this is
+    /// left out: "cholesky" where B is positive definite to working precision, else "truncated".
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub root: Option<Root>,
     /// Eigenvalues below this fraction of the largest are left out of a truncated root.

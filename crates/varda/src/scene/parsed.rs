@@ -69,6 +69,12 @@ impl KernelCovariance {
     pub(crate) fn root(&self) -> Root {
         root(self.root, self.kernel, self.taper, self.localization_length)
     }
+
+    /// Whether it is that of a Markov process along a line: a Matérn kernel without a taper, whose Cholesky
+    /// root is a recursion.
+    pub(crate) fn is_markov(&self) -> bool {
+        is_markov(self.root(), self.kernel, self.taper, self.localization_length)
+    }
 }
 
 impl LineCovariance {
@@ -80,6 +86,12 @@ impl LineCovariance {
     /// The square root it is given.
     pub(crate) fn root(&self) -> Root {
         root(self.root, self.kernel, self.taper, self.localization_length)
+    }
+
+    /// Whether it is that of a Markov process along a line: a Matérn kernel without a taper, whose Cholesky
+    /// root is a recursion.
+    pub(crate) fn is_markov(&self) -> bool {
+        is_markov(self.root(), self.kernel, self.taper, self.localization_length)
     }
 }
 
@@ -105,11 +117,18 @@ fn taper(
 
 /// The root that is written, else one that the smoothness of the kernel allows.
 fn root(written: Option<Root>, kernel: Kernel, taper: Option<Taper>, length: Option<f64>) -> Root {
-    let is_tapered = length.is_some() && taper != Some(Taper::None);
     written.unwrap_or(match kernel {
-        Kernel::Gaussian if !is_tapered => Root::Truncated,
+        Kernel::Gaussian if !is_tapered(taper, length) => Root::Truncated,
         _ => Root::Cholesky,
     })
+}
+
+fn is_markov(root: Root, kernel: Kernel, taper: Option<Taper>, length: Option<f64>) -> bool {
+    root == Root::Cholesky && kernel != Kernel::Gaussian && !is_tapered(taper, length)
+}
+
+fn is_tapered(taper: Option<Taper>, length: Option<f64>) -> bool {
+    length.is_some() && taper != Some(Taper::None)
 }
 
 impl Ensemble {

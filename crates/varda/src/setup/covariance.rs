@@ -1,8 +1,8 @@
 //! From a `covariance` table of a scene to B or Q.
 
 use varda_covariance::{
-    BlockDiagonal, Covariance, CovarianceFunction, Dense, Diagonal, Interleaved, Kernel, Precision, Taper,
-    Truncated, correlation,
+    BlockDiagonal, Covariance, CovarianceFunction, Dense, Diagonal, Interleaved, Kernel, Markov, Precision,
+    Taper, Truncated, correlation,
 };
 use varda_implicit::line::{Ends, Line};
 
@@ -13,16 +13,16 @@ use crate::scene::{self, KernelCovariance, LineCovariance, Prior, Root, SceneFil
 pub enum Factored {
     /// Of full rank.
     Full(Box<dyn Precision>),
-    /// With a truncated root.
-    Truncated(Box<dyn Covariance>),
+    /// Without an inverse: with a truncated root, or singular to working precision.
+    Singular(Box<dyn Covariance>),
 }
 
 impl Factored {
-    /// The covariance with its inverse; `None` for a truncated one.
+    /// The covariance with its inverse; `None` for a singular one.
     pub fn precision(&self) -> Option<&dyn Precision> {
         match self {
             Factored::Full(c) => Some(c.as_ref()),
-            Factored::Truncated(_) => None,
+            Factored::Singular(_) => None,
         }
     }
 }
@@ -31,7 +31,7 @@ impl AsRef<dyn Covariance> for Factored {
     fn as_ref(&self) -> &(dyn Covariance + 'static) {
         match self {
             Factored::Full(c) => c.as_ref(),
-            Factored::Truncated(c) => c.as_ref(),
+            Factored::Singular(c) => c.as_ref(),
         }
     }
 }
@@ -77,6 +77,12 @@ pub(crate) fn along_line(
 ) -> Result<Factored, Error> {
     let (kernel, taper) = (kernel(k.kernel, k.correlation_length), file.checked(k.taper(path))?);
     let n = line.points;
+    if k.is_markov() && matches!(line.ends, Ends::Fixed { .. }) {
+        let places: Vec<f64> = (0..n).map(|i| line.position(i)).collect();
+        let b = Markov::new(&CovarianceFunction { sigma: k.sigma, kernel, taper }, &places, &[]);
+        let b = b.map_err(|e| file.invalid(path, e.to_string()))?;
+        return Ok(recursive(b.is_well_determined(), b));
+    }
     let mut matrix = vec![0.0; n * n];
     for i in 0..n {
         for j in 0..n {
@@ -86,9 +92,18 @@ pub(crate) fn along_line(
     let full =
         || -> Result<Factored, Error> { Ok(Factored::Full(Box::new(cholesky(file, path, n, &matrix)?))) };
     let of_rank = || -> Result<Factored, Error> {
-        Ok(Factored::Truncated(Box::new(truncated(file, path, n, &matrix, k.truncation, k.sigma * k.sigma)?)))
+        Ok(Factored::Singular(Box::new(truncated(file, path, n, &matrix, k.truncation, k.sigma * k.sigma)?)))
     };
     factored(k.root(), k.root.is_some(), full, of_rank)
+}
+
+/// A Matérn covariance by recursion, at every size: its root is Cholesky's. Its inverse counts where it is
+/// determined by more than rounding.
+fn recursive(is_well_determined: bool, b: impl Precision + 'static) -> Factored {
+    match is_well_determined {
+        true => Factored::Full(Box::new(b)),
+        false => Factored::Singular(Box::new(b)),
+    }
 }
 
 /// The root asked for; where a scene does not write one, a truncated root where there is no Cholesky root.
@@ -142,19 +157,24 @@ pub fn localized(
     sigmas: Sigmas,
 ) -> Result<Factored, Error> {
     let taper = file.checked(k.taper(path))?;
+    if k.is_markov() {
+        let b = markov_blocks(file, path, k, places, sigmas)?;
+        let is_well_determined = b.parts().iter().all(|block| block.part().is_well_determined());
+        return Ok(recursive(is_well_determined, b));
+    }
     let full = || -> Result<Factored, Error> {
         let root = |n, matrix: &[f64], _: f64| cholesky(file, path, n, matrix);
-        Ok(Factored::Full(Box::new(blocks(file, path, k, places, sigmas, taper, root)?)))
+        Ok(Factored::Full(Box::new(matrix_blocks(file, path, k, places, sigmas, taper, root)?)))
     };
     let of_rank = || -> Result<Factored, Error> {
         let root = |n, matrix: &[f64], variance| truncated(file, path, n, matrix, k.truncation, variance);
-        Ok(Factored::Truncated(Box::new(blocks(file, path, k, places, sigmas, taper, root)?)))
+        Ok(Factored::Singular(Box::new(matrix_blocks(file, path, k, places, sigmas, taper, root)?)))
     };
     factored(k.root(), k.root.is_some(), full, of_rank)
 }
 
-/// The covariance from which the paper draws its background errors: the same kernel before localization. It
-/// is smooth, hence singular to working precision; its root is truncated at the rounding level.
+/// The covariance from which the paper draws its background errors: the same kernel before localization. A
+/// Gaussian one is smooth, hence singular to working precision; its root is truncated at the rounding level.
 ///
 /// # Errors
 /// [`Error::Scene`].
@@ -165,11 +185,28 @@ pub fn unlocalized(
     places: &Places,
     sigmas: Sigmas,
 ) -> Result<Box<dyn Covariance>, Error> {
+    if k.kernel != scene::Kernel::Gaussian {
+        return Ok(Box::new(markov_blocks(file, path, k, places, sigmas)?));
+    }
     let root = |n, matrix: &[f64], variance| truncated(file, path, n, matrix, 1e-14, variance);
-    Ok(Box::new(blocks(file, path, k, places, sigmas, Taper::None, root)?))
+    Ok(Box::new(matrix_blocks(file, path, k, places, sigmas, Taper::None, root)?))
 }
 
-fn blocks<C: Covariance>(
+type Blocks<C> = BlockDiagonal<Interleaved<C>>;
+
+/// The blocks of a Matérn kernel without a taper.
+fn markov_blocks(
+    file: &SceneFile,
+    path: &str,
+    k: &KernelCovariance,
+    places: &Places,
+    sigmas: Sigmas,
+) -> Result<Blocks<Markov>, Error> {
+    blocks(file, path, k, places, sigmas, Taper::None, Markov::new)
+}
+
+/// The blocks of a matrix, with a root of it by its size, rows, and σ² before conditioning.
+fn matrix_blocks<C: Covariance>(
     file: &SceneFile,
     path: &str,
     k: &KernelCovariance,
@@ -177,17 +214,33 @@ fn blocks<C: Covariance>(
     sigmas: Sigmas,
     taper: Taper,
     root: impl Fn(usize, &[f64], f64) -> Result<C, Error>,
-) -> Result<BlockDiagonal<Interleaved<C>>, Error> {
+) -> Result<Blocks<C>, Error> {
+    blocks(file, path, k, places, sigmas, taper, |function: &CovarianceFunction, free, known| {
+        let matrix = function.conditioned_matrix(free, known)?;
+        root(free.len(), &matrix, function.sigma * function.sigma)
+    })
+}
+
+/// `make` builds the covariance of a function at free places, conditioned on known ones.
+fn blocks<C: Covariance, E: Into<Error>>(
+    file: &SceneFile,
+    path: &str,
+    k: &KernelCovariance,
+    places: &Places,
+    sigmas: Sigmas,
+    taper: Taper,
+    make: impl Fn(&CovarianceFunction, &[f64], &[f64]) -> Result<C, E>,
+) -> Result<Blocks<C>, Error> {
     let vertices = (&places.free, &places.known, 3);
     let edges = (&places.edges, &places.held_edges, 1);
     let block = |sigma, length, (free, known, width): (&Vec<f64>, &Vec<f64>, usize)| {
         let function = CovarianceFunction { sigma, kernel: kernel(k.kernel, length), taper };
-        let matrix = match k.prior {
-            Prior::Clamp => function.conditioned_matrix(free, known),
-            Prior::Plain => function.matrix(free),
-        };
-        let matrix = matrix.map_err(|e| file.invalid(path, e.to_string()))?;
-        Ok::<_, Error>(Interleaved::new(root(free.len(), &matrix, sigma * sigma)?, width))
+        let known = if k.prior == Prior::Clamp { known.as_slice() } else { &[] };
+        let made = make(&function, free, known).map_err(|e| match e.into() {
+            Error::Covariance(e) => file.invalid(path, e.to_string()),
+            other => other,
+        })?;
+        Ok::<_, Error>(Interleaved::new(made, width))
     };
     let lengths = [k.correlation_length_x, k.correlation_length_v];
     let mut parts = vec![block(sigmas.x, lengths[0], vertices)?, block(sigmas.v, lengths[1], vertices)?];

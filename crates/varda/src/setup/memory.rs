@@ -5,6 +5,7 @@
 //! states and linearizations of a window, the members of an ensemble, trajectories and their tables. The
 //! program itself takes some ten megabytes more.
 
+use varda_implicit::line::Ends;
 use varda_implicit::{Footprint, Storage};
 
 use super::inputs::Inputs;
@@ -28,6 +29,8 @@ pub struct Sizes {
     pub values: usize,
     /// Times at which something is observed.
     pub times: usize,
+    /// Those of them between two steps.
+    pub between: usize,
     /// What the model keeps of the linearization of a step.
     pub kept: usize,
     /// Steps of a window.
@@ -170,6 +173,7 @@ impl Sizes {
             control,
             values,
             times,
+            between: inputs.observed.times_between(&inputs.grid),
             kept,
             steps: inputs.file.scene.time.window,
             shown: inputs.grid.last_step(),
@@ -184,6 +188,8 @@ fn footprint(scene: &Scene, sizes: &Sizes) -> Footprint {
         runs,
         state: NUMBER * sizes.state,
         linearization: if scene.algorithm.method.is_ensemble() { 0 } else { NUMBER * sizes.kept },
+        // the states observed between steps
+        always: (runs * NUMBER * sizes.state).saturating_mul(sizes.between.div_ceil(windows(scene))),
     }
 }
 
@@ -191,8 +197,12 @@ fn footprint(scene: &Scene, sizes: &Sizes) -> Footprint {
 fn covariance(scene: &Scene, covariance: &Covariance, n: usize) -> [usize; 2] {
     let drawn_around_truth =
         scene.background.from == Origin::TruthPlusDraw && scene.background.draw == Draw::Kernel;
+    let is_line = || scene.model.line().is_some_and(|line| matches!(line.ends, Ends::Fixed { .. }));
     let (edge, blocks, drawn) = match covariance {
         Covariance::Diagonal(_) => return [2 * n, 0],
+        // Twelve numbers a place and block; building it keeps two matrices and what is known ahead.
+        Covariance::Kernel(k) if k.is_markov() => return [4 * n, 50 * n],
+        Covariance::Line(k) if k.is_markov() && is_line() => return [12 * n, 60 * n],
         // Positions and velocities of a rod, each shared by x, y and z.
         Covariance::Kernel(_) => (n / 6, 2, drawn_around_truth),
         Covariance::Line(_) | Covariance::Climatology(_) => (n, 1, false),
