@@ -96,7 +96,8 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
     line(
         "time",
         format!(
-            "{seconds:.2} s: set-up {:.2}, minimization {:.2}, posterior {:.2}, diagnostics {:.2}, files {:.2}",
+            "{seconds:.2} s: set-up {:.2}, minimization {:.2}, posterior {:.2}, diagnostics {:.2}, files \
+             {:.2}",
             s.set_up,
             s.minimizer,
             s.posterior,
