@@ -136,6 +136,9 @@ impl Folder {
         for _ in 0..200 {
             let mut child = self.command("lorenz63", &["time.window=1000"]).spawn().unwrap();
             while self.hidden().is_empty() && child.try_wait().unwrap().is_none() {}
+            if child.try_wait().unwrap().is_some() {
+                continue;
+            }
             signal(&child, name);
             std::thread::sleep(Duration::from_millis(2));
             if !self.hidden().is_empty() {

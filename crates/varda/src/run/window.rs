@@ -107,12 +107,16 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let mut log = timed.log().clone();
     // The time of the posterior does not belong to the minimization.
     let minimizer = convergence.last().map_or(0.0, |row| row.seconds);
+    let solved = began.elapsed().as_secs_f64();
     let seconds = Seconds {
         total: 0.0,
+        set_up: began.duration_since(listener.started).as_secs_f64(),
+        minimizer,
+        posterior: solved - minimizer,
+        diagnostics: 0.0,
         forward: clock.forward(),
         adjoint: clock.adjoint(),
         tangent: clock.tangent(),
-        minimizer,
     };
     let refreshed_models = refreshing.as_ref().and_then(Refreshing::refreshed_models);
     let make_model = refreshed_models.as_ref().unwrap_or(&problem.make_model);
@@ -193,7 +197,11 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         sigma_states: spread.map_or_else(Vec::new, |spread| spread.states),
         observed,
         rmse,
-        seconds: Seconds { total: listener.started.elapsed().as_secs_f64(), ..seconds },
+        seconds: Seconds {
+            total: listener.started.elapsed().as_secs_f64(),
+            diagnostics: began.elapsed().as_secs_f64() - solved,
+            ..seconds
+        },
         fit,
         evidence,
         withheld,
