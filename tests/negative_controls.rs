@@ -93,6 +93,12 @@ impl ImplicitStep for Mutated {
     fn recover(&mut self, at: &Interval, x: &[f64], x_next: &[f64], u: &mut [f64]) {
         self.0.recover(at, x, x_next, u);
     }
+    fn control_dim(&self) -> usize {
+        self.0.control_dim()
+    }
+    fn initial_state(&mut self, t: f64, z: &[f64], x: &mut [f64]) -> Result<(), Refusal> {
+        self.0.initial_state(t, z, x)
+    }
     fn kept(&self) -> usize {
         self.0.kept()
     }
@@ -211,6 +217,9 @@ impl<M: Model> Model for WrongTangent<M> {
     }
     fn bytes(&self) -> usize {
         self.0.bytes()
+    }
+    fn rate(&self) -> Option<Box<dyn varda_implicit::Rate>> {
+        self.0.rate()
     }
     fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
         self.0.control_map()

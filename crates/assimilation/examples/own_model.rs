@@ -9,6 +9,7 @@ use varda_implicit::{Keep, Rhs, Rk4, Trajectory, check};
 
 /// ṡ = −β s i, i̇ = β s i − γ i (Kermack and McKendrick 1927), x = [s, i, β, γ]: shares of the
 /// people and rates [1/day].
+#[derive(Clone)]
 struct Epidemic;
 
 impl Rhs for Epidemic {

@@ -203,7 +203,7 @@ impl<'a> Assimilation<'a> {
             return Err(Error::Length { what: "the background", expected: model.control_dim(), found: 0 });
         };
         let observations = place(self.observations, self.times.as_deref())?;
-        let last = observations.iter().map(|o| o.step + usize::from(o.weight > 0.0)).max().unwrap_or(0);
+        let last = observations.iter().map(|o| o.last_step()).max().unwrap_or(0);
         let times = match self.times {
             Some(times) => times,
             None => (0..=self.steps.unwrap_or(last)).map(|k| k as f64).collect(),

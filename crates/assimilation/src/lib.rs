@@ -80,6 +80,7 @@
 
 mod analysis;
 mod assimilation;
+mod between;
 mod blue;
 mod climatology;
 mod consistency;
@@ -97,6 +98,7 @@ mod inner;
 mod minimize;
 mod noise;
 mod observation;
+mod observation_errors;
 mod observation_set;
 mod operators;
 mod outer_loop;
@@ -132,7 +134,7 @@ pub use minimize::{
 pub use minimize::{ArgminLbfgsOptions, ArgminTrustRegionOptions, argmin_lbfgs, argmin_trust_region};
 pub use noise::ObservationErrors;
 pub use observation::Observation;
-pub use observation_set::ObservationSet;
+pub use observation_set::{ObservationSet, Prediction};
 pub use operators::{LinearObservation, Selection};
 pub use outer_loop::{InnerSolver, OuterLoopOptions, outer_loop};
 pub use posterior::Posterior;

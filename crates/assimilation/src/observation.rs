@@ -8,7 +8,7 @@ use varda_covariance::{Covariance, Dense, Precision};
 /// What was measured at one time by one operator: some of its rows, each with its value and standard
 /// deviation.
 ///
-/// A time between two steps is a weight on each. A component that was not measured is a row left out.
+/// A time between two steps is a fraction of the way. A component that was not measured is a row left out.
 ///
 /// ```
 /// use varda_assimilation::Observation;
@@ -28,7 +28,7 @@ pub struct Observation {
     pub rows: Vec<usize>,
     /// Step k of the window (0 is the initial state).
     pub step: usize,
-    /// w ∈ [0, 1): the share of step k + 1. Time t_k + w Δt.
+    /// w ∈ [0, 1): the fraction of the way to step k + 1. Time t_k + w Δt.
     pub weight: f64,
     /// y, one for each row.
     pub values: Vec<f64>,
@@ -73,7 +73,12 @@ impl Observation {
         Self { step, ..self }
     }
 
-    /// Between its step k and step k + 1: `weight` w ∈ [0, 1) is the share of step k + 1.
+    /// The last step whose state it needs.
+    pub fn last_step(&self) -> usize {
+        self.step + usize::from(self.weight > 0.0)
+    }
+
+    /// Between its step k and step k + 1: `weight` w ∈ [0, 1) is the fraction of the way.
     pub fn between(self, weight: f64) -> Self {
         Self { weight, ..self }
     }

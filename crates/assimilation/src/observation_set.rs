@@ -1,15 +1,24 @@
 //! Observations y of a trajectory, and the operators H that predict them.
 
+use crate::between::Between;
 use crate::noise::ObservationErrors;
 use crate::{Error, Observation};
 use std::ops::Range;
-use varda_implicit::{At, ObservationOperator};
+use varda_implicit::{At, ObservationOperator, Rate};
 
 /// All observations of a window of K steps, with the operators that predict them.
 ///
 /// ```text
-///     H(x)_i = (1 − w_i) H_op(i)(x_{k_i})[row_i] + w_i H_op(i)(x_{k_i + 1})[row_i],    d = y − H(x)
+///     H(x)_i = H_op(i)(x_{k_i})[row_i] at a step, between two steps
+///     H(x)_i = H_op(i)(x(w_i))[row_i]                                          with the rates of the state
+///     H(x)_i = (1 − w_i) H_op(i)(x_{k_i})[row_i] + w_i H_op(i)(x_{k_i + 1})[row_i]              without,
+///     d = y − H(x)
 /// ```
+///
+/// with x(w) the cubic through both states and their rates (Hermite; a straight line in components whose
+/// rate is not known). Costs take the rates of their model ([`Model::rate`](varda_implicit::Model::rate));
+/// for a set used alone see [`follow`](Self::follow). The cubic errs by (ωΔt)⁴/384 of the amplitude of an
+/// oscillation, the line by (ωΔt)²/8.
 ///
 /// R is diag σ², but for observations with [`correlated`](Observation::correlated) errors, each of which
 /// has a block. The m rows of all observations are stacked in one vector, in order of time (step, then
@@ -43,8 +52,48 @@ pub struct ObservationSet {
     samples: Vec<Sample>,
     /// What each stacked row takes from the samples, ordered by sample.
     parts: Vec<Part>,
+    /// With rates: one operator at one time between two steps, in order of time.
+    between: Vec<Inside>,
+    /// The state between two steps, where rates are known, and work space for it.
+    curve: Option<(Between, Vec<f64>)>,
     buffer: Vec<f64>,
     tangent: Vec<f64>,
+}
+
+/// H(x) of a run, and the states between steps that were observed on the way.
+#[derive(Debug, Clone, Default)]
+pub struct Prediction {
+    values: Vec<f64>,
+    /// One state for each of `between`.
+    states: Vec<f64>,
+}
+
+impl Prediction {
+    /// H(x), stacked.
+    pub fn values(&self) -> &[f64] {
+        &self.values
+    }
+
+    /// Bytes of the states between steps.
+    pub fn bytes(&self) -> usize {
+        size_of_val(self.states.as_slice())
+    }
+
+    /// Back to zero, before another run.
+    pub fn clear(&mut self) {
+        self.values.fill(0.0);
+        self.states.fill(0.0);
+    }
+}
+
+/// One operator at one time between two steps.
+#[derive(Debug, Clone)]
+struct Inside {
+    operator: usize,
+    step: usize,
+    weight: f64,
+    /// Rows of the operator, and the stacked rows they are.
+    rows: Vec<[usize; 2]>,
 }
 
 /// The times t_0 … t_K of the steps of a window.
@@ -145,29 +194,9 @@ impl ObservationSet {
         observations.sort_by(|a, b| a.step.cmp(&b.step).then(a.weight.total_cmp(&b.weight)));
 
         let mut offsets = vec![0];
-        let mut keyed = Vec::new();
-        for observation in &observations {
-            let offset = offsets[offsets.len() - 1];
-            for (i, &operator_row) in observation.rows.iter().enumerate() {
-                let (step, w, row) = (observation.step, observation.weight, offset + i);
-                keyed.push((step, observation.operator, Part { operator_row, row, weight: 1.0 - w }));
-                if w > 0.0 {
-                    keyed.push((step + 1, observation.operator, Part { operator_row, row, weight: w }));
-                }
-            }
-            offsets.push(offset + observation.rows.len());
-        }
-        keyed.sort_by_key(|&(step, operator, part)| (step, operator, part.row));
-
-        let mut samples: Vec<Sample> = Vec::new();
-        for (i, &(step, operator, _)) in keyed.iter().enumerate() {
-            match samples.last_mut() {
-                Some(last) if (last.step, last.operator) == (step, operator) => last.end = i + 1,
-                _ => samples.push(Sample { operator, step, first: i, end: i + 1 }),
-            }
-        }
+        observations.iter().for_each(|o| offsets.push(offsets[offsets.len() - 1] + o.rows.len()));
         let widest = operators.iter().map(|o| o.dim()).max().unwrap_or(0);
-        Ok(Self {
+        let mut set = Self {
             values: observations.iter().flat_map(|o| o.values.iter().copied()).collect(),
             sigma: observations.iter().flat_map(|o| o.sigma.iter().copied()).collect(),
             noise: ObservationErrors::new(&observations, &offsets)?,
@@ -175,11 +204,64 @@ impl ObservationSet {
             observations,
             times,
             offsets,
-            samples,
-            parts: keyed.into_iter().map(|(_, _, part)| part).collect(),
+            samples: Vec::new(),
+            parts: Vec::new(),
+            between: Vec::new(),
+            curve: None,
             buffer: vec![0.0; widest],
             tangent: vec![0.0; widest],
-        })
+        };
+        set.follow(None);
+        Ok(set)
+    }
+
+    /// Between two steps the state follows the cubic with these rates from now on; without, H(x) is a
+    /// straight line there. Predictions made before are of no use then.
+    pub fn follow(&mut self, rate: Option<Box<dyn Rate>>) {
+        let n = self.operators.first().map_or(0, |o| o.state_dim());
+        self.curve = rate.map(|rate| (Between::new(rate), vec![0.0; n]));
+        self.between.clear();
+        let mut keyed = Vec::new();
+        for (o, &offset) in self.observations.iter().zip(&self.offsets) {
+            let (operator, step, w) = (o.operator, o.step, o.weight);
+            if w > 0.0 && self.curve.is_some() {
+                let same = |b: &Inside| (b.operator, b.step, b.weight) == (operator, step, w);
+                if !self.between.last().is_some_and(same) {
+                    self.between.push(Inside { operator, step, weight: w, rows: Vec::new() });
+                }
+                let at = self.between.len() - 1;
+                let rows = o.rows.iter().enumerate().map(|(i, &row)| [row, offset + i]);
+                self.between[at].rows.extend(rows);
+                continue;
+            }
+            for (i, &operator_row) in o.rows.iter().enumerate() {
+                let row = offset + i;
+                keyed.push((step, operator, Part { operator_row, row, weight: 1.0 - w }));
+                if w > 0.0 {
+                    keyed.push((step + 1, operator, Part { operator_row, row, weight: w }));
+                }
+            }
+        }
+        keyed.sort_by_key(|&(step, operator, part)| (step, operator, part.row));
+        self.samples.clear();
+        for (i, &(step, operator, _)) in keyed.iter().enumerate() {
+            match self.samples.last_mut() {
+                Some(last) if (last.step, last.operator) == (step, operator) => last.end = i + 1,
+                _ => self.samples.push(Sample { operator, step, first: i, end: i + 1 }),
+            }
+        }
+        self.parts = keyed.into_iter().map(|(_, _, part)| part).collect();
+    }
+
+    /// Whether the state follows a cubic between two steps.
+    pub fn is_cubic(&self) -> bool {
+        self.curve.is_some()
+    }
+
+    /// Room for H(x) of a run.
+    pub fn prediction(&self) -> Prediction {
+        let states = self.between.len() * self.curve.as_ref().map_or(0, |(_, state)| state.len());
+        Prediction { values: vec![0.0; self.dim()], states: vec![0.0; states] }
     }
 
     /// The operators and the observations, in order of time: what another set can be made of.
@@ -247,7 +329,8 @@ impl ObservationSet {
 
     /// The last step whose state is needed; `None` where nothing is observed.
     pub fn last_step(&self) -> Option<usize> {
-        self.samples.last().map(|s| s.step)
+        let between = self.between.last().map(|b| b.step + 1);
+        self.samples.last().map(|s| s.step).max(between)
     }
 
     /// The observations, in order of time.
@@ -275,17 +358,30 @@ impl ObservationSet {
         &self.sigma
     }
 
-    /// y += the share of state x_k in H(x). Summed over k = 0 … `last_step` from zero this is H(x), of
-    /// length `dim`.
+    /// Where the times between steps are that state x_k has a share in: those of the interval before step k,
+    /// then those of the interval after.
+    fn between_of(&self, k: usize) -> Range<usize> {
+        let first = self.between.partition_point(|b| b.step + 1 < k);
+        first..first + self.between[first..].iter().take_while(|b| b.step <= k).count()
+    }
+
+    /// The time of an interval between two steps.
+    fn inside(&self, b: &Inside) -> At {
+        let (start, end) = (self.times.at(b.step), self.times.at(b.step + 1));
+        At { step: b.step, time: start + b.weight * (end - start) }
+    }
+
+    /// Adds the share of state x_k to H(x). Called for k = 0 … `last_step` in this order, from a
+    /// [`prediction`](Self::prediction) of this set, it makes H(x).
     ///
     /// # Errors
     /// An operator that refuses the state, or a prediction that is not finite.
     ///
     /// # Panics
-    /// If `y` is not of length `dim`.
-    pub fn observe_add(&mut self, k: usize, x: &[f64], y: &mut [f64]) -> Result<(), Error> {
+    /// If `prediction` is not one of this set.
+    pub fn observe_add(&mut self, k: usize, x: &[f64], prediction: &mut Prediction) -> Result<(), Error> {
+        let (y, at) = (&mut prediction.values, self.at(k));
         assert_eq!(y.len(), self.dim(), "length of y");
-        let at = self.at(k);
         for sample in &self.samples[self.samples_of(k)] {
             let operator = &mut self.operators[sample.operator];
             let seen = &mut self.buffer[..operator.dim()];
@@ -301,14 +397,59 @@ impl ObservationSet {
                 }
             }
         }
+        for i in self.between_of(k) {
+            let at = self.inside(&self.between[i]);
+            let Some((curve, _)) = &mut self.curve else { continue };
+            let b = &self.between[i];
+            let state = &mut prediction.states[i * x.len()..(i + 1) * x.len()];
+            curve.add(b.step, k, b.weight, x, state);
+            if k == b.step {
+                continue;
+            }
+            let operator = &mut self.operators[b.operator];
+            let seen = &mut self.buffer[..operator.dim()];
+            operator.observe(at, state, seen).map_err(|reason| Error::Observe {
+                operator: b.operator,
+                step: k,
+                reason,
+            })?;
+            b.rows.iter().for_each(|&[from, to]| y[to] = seen[from]);
+            if !b.rows.iter().all(|&[_, to]| y[to].is_finite()) {
+                return Err(Error::NonFinite { what: "a predicted observation", step: k });
+            }
+        }
         Ok(())
     }
 
-    /// dy += the share of dx_k in H' dx.
+    /// dy += the share of dx_k in H' dx, at a run with this prediction.
     ///
     /// # Panics
-    /// If `dy` is not of length `dim`.
-    pub fn tangent_add(&mut self, k: usize, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+    /// If `dy` is not of length `dim`, or `run` is not a prediction of this set.
+    pub fn tangent_add(&mut self, k: usize, x: &[f64], dx: &[f64], run: &Prediction, dy: &mut [f64]) {
+        self.add_tangent(k, x, dx, run, dy, false);
+    }
+
+    /// As `tangent_add`, for a dx that is the same at every step and has no rate.
+    pub(crate) fn persistent_tangent_add(
+        &mut self,
+        k: usize,
+        x: &[f64],
+        dx: &[f64],
+        run: &Prediction,
+        dy: &mut [f64],
+    ) {
+        self.add_tangent(k, x, dx, run, dy, true);
+    }
+
+    fn add_tangent(
+        &mut self,
+        k: usize,
+        x: &[f64],
+        dx: &[f64],
+        run: &Prediction,
+        dy: &mut [f64],
+        persists: bool,
+    ) {
         assert_eq!(dy.len(), self.dim(), "length of dy");
         let at = self.at(k);
         for sample in &self.samples[self.samples_of(k)] {
@@ -319,13 +460,27 @@ impl ObservationSet {
                 dy[part.row] += part.weight * seen[part.operator_row];
             }
         }
+        for i in self.between_of(k) {
+            let at = self.inside(&self.between[i]);
+            let Some((curve, share)) = &mut self.curve else { continue };
+            let b = &self.between[i];
+            match (persists, k == b.step) {
+                (false, _) => curve.tangent((b.step, k, b.weight), x, dx, share),
+                (true, true) => share.copy_from_slice(dx),
+                (true, false) => continue,
+            }
+            let operator = &mut self.operators[b.operator];
+            let seen = &mut self.tangent[..operator.dim()];
+            operator.tangent(at, &run.states[i * x.len()..(i + 1) * x.len()], share, seen);
+            b.rows.iter().for_each(|&[from, to]| dy[to] += seen[from]);
+        }
     }
 
-    /// dx_k += the share of state k in H'ᵀ dy.
+    /// dx_k += the share of state k in H'ᵀ dy, at a run with this prediction.
     ///
     /// # Panics
-    /// If `dy` is not of length `dim`.
-    pub fn adjoint_add(&mut self, k: usize, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+    /// If `dy` is not of length `dim`, or `run` is not a prediction of this set.
+    pub fn adjoint_add(&mut self, k: usize, x: &[f64], dy: &[f64], run: &Prediction, dx: &mut [f64]) {
         assert_eq!(dy.len(), self.dim(), "length of dy");
         let at = self.at(k);
         for sample in &self.samples[self.samples_of(k)] {
@@ -337,19 +492,35 @@ impl ObservationSet {
             }
             operator.adjoint_add(at, x, seen, dx);
         }
+        for i in self.between_of(k) {
+            let at = self.inside(&self.between[i]);
+            let Some((curve, lambda)) = &mut self.curve else { continue };
+            let b = &self.between[i];
+            let operator = &mut self.operators[b.operator];
+            let seen = &mut self.tangent[..operator.dim()];
+            seen.fill(0.0);
+            b.rows.iter().for_each(|&[from, to]| seen[from] += dy[to]);
+            lambda.fill(0.0);
+            operator.adjoint_add(at, &run.states[i * x.len()..(i + 1) * x.len()], seen, lambda);
+            curve.adjoint_add((b.step, k, b.weight), x, lambda, dx);
+        }
     }
 
     /// The stacked rows with a share of state x_k. (They are neighbours: those of step k, and before them
     /// those of step k − 1 that lie between the two.)
-    pub(crate) fn rows_at(&self, k: usize) -> Range<usize> {
+    pub fn rows_at(&self, k: usize) -> Range<usize> {
         let samples = &self.samples[self.samples_of(k)];
-        let rows = || samples.iter().flat_map(|s| &self.parts[s.first..s.end]).map(|part| part.row);
+        let between = &self.between[self.between_of(k)];
+        let rows = || {
+            let at_step = samples.iter().flat_map(|s| &self.parts[s.first..s.end]).map(|part| part.row);
+            at_step.chain(between.iter().flat_map(|b| &b.rows).map(|rows| rows[1]))
+        };
         rows().min().map_or(self.dim()..self.dim(), |first| first..rows().max().unwrap_or(first) + 1)
     }
 
     /// Σ over the rows of the last step whose state they need: the steps of an adjoint sweep for each.
     pub(crate) fn steps_of_rows(&self) -> usize {
-        let steps = |o: &Observation| o.rows.len().saturating_mul(o.step + usize::from(o.weight > 0.0));
+        let steps = |o: &Observation| o.rows.len().saturating_mul(o.last_step());
         self.observations.iter().map(steps).fold(0, usize::saturating_add)
     }
 
@@ -361,88 +532,6 @@ impl ObservationSet {
         assert!(predicted.len() == self.dim() && d.len() == self.dim(), "lengths of H(x) and d");
         for ((d, y), p) in d.iter_mut().zip(&self.values).zip(predicted) {
             *d = y - p;
-        }
-    }
-}
-
-impl ObservationSet {
-    /// d ← R^{-1/2} d, stacked.
-    ///
-    /// # Panics
-    /// If `d` is not of length `dim`.
-    pub fn whiten(&self, d: &mut [f64]) {
-        assert_eq!(d.len(), self.dim(), "length of d");
-        d.iter_mut().zip(&self.noise.scale).for_each(|(d, s)| *d /= s);
-        self.whiten_blocks(d);
-    }
-
-    /// d ← R^{-1/2}ᵀ d, stacked.
-    ///
-    /// # Panics
-    /// If `d` is not of length `dim`.
-    pub fn whiten_transpose(&self, d: &mut [f64]) {
-        assert_eq!(d.len(), self.dim(), "length of d");
-        self.whiten_blocks_transpose(d);
-        d.iter_mut().zip(&self.noise.scale).for_each(|(d, s)| *d /= s);
-    }
-
-    /// R, dense, by columns: for small problems and references.
-    pub fn error_covariance(&self) -> Vec<f64> {
-        let m = self.dim();
-        let mut r = vec![0.0; m * m];
-        self.sigma().iter().enumerate().for_each(|(i, s)| r[i + i * m] = s * s);
-        for (rows, block) in &self.noise.blocks {
-            let (mut unit, mut column) = (vec![0.0; rows.len()], vec![0.0; rows.len()]);
-            for j in 0..rows.len() {
-                unit[j] = 1.0;
-                block.covariance().apply(&unit, &mut column);
-                unit[j] = 0.0;
-                r[(rows.start + j) * m + rows.start..][..rows.len()].copy_from_slice(&column);
-            }
-        }
-        r
-    }
-
-    /// R by its square root.
-    pub fn errors(&self) -> &ObservationErrors {
-        &self.noise
-    }
-
-    /// Whether some observation has correlated errors.
-    pub fn is_correlated(&self) -> bool {
-        !self.noise.blocks.is_empty()
-    }
-
-    /// σ of independent rows, 1 of correlated ones.
-    pub(crate) fn row_scale(&self) -> &[f64] {
-        &self.noise.scale
-    }
-
-    /// The correlated blocks of R^{-1/2} alone.
-    pub(crate) fn whiten_blocks(&self, d: &mut [f64]) {
-        for (rows, block) in &self.noise.blocks {
-            let raw = d[rows.clone()].to_vec();
-            block.covariance().whiten(&raw, &mut d[rows.clone()]);
-        }
-    }
-
-    /// Their transposes.
-    pub(crate) fn whiten_blocks_transpose(&self, d: &mut [f64]) {
-        for (rows, block) in &self.noise.blocks {
-            let raw = d[rows.clone()].to_vec();
-            block.covariance().whiten_transpose(&raw, &mut d[rows.clone()]);
-        }
-    }
-
-    /// The blocks of R^{-1/2} on the rows of G, given as the columns of Gᵀ, each of length n.
-    pub(crate) fn whiten_rows(&self, n: usize, transposed: &mut [f64]) {
-        for (rows, block) in &self.noise.blocks {
-            let (mut raw, mut white) = (vec![0.0; rows.len()], vec![0.0; rows.len()]);
-            for j in 0..n {
-                rows.clone().zip(&mut raw).for_each(|(i, raw)| *raw = transposed[i * n + j]);
-                block.covariance().whiten(&raw, &mut white);
-                rows.clone().zip(&white).for_each(|(i, white)| transposed[i * n + j] = *white);
-            }
         }
     }
 }

@@ -15,11 +15,17 @@ use varda_linalg::dense::{View, add_product};
 ///     (paper 2.7, 2.18)
 /// ```
 ///
-/// kept as the eigenpairs of A.
+/// kept as a square root of P_v. With fewer observations than unknowns, m < n, A has the eigenvalue 1 but for
+/// m directions z of G = Σ s w zᵀ, and the root is
+///
+/// ```text
+///     P_v^{1/2} = I − Σ (1 − μ^{-1/2}) z zᵀ,    μ = 1 + s²
+/// ```
 ///
 /// When to use: n up to a few thousand. When not: larger n ([`LowRankPosterior`](crate::LowRankPosterior));
 /// where the dropped second derivatives matter at the minimum, for there the true curvature, and with it the
-/// spread, differs. Cost: n tangent sweeps and 9 n³ or so. Memory: 2n².
+/// spread, differs. Cost: n tangent or m adjoint sweeps and 9 n³ or so, some 6 n m² + 2 n² m for
+/// m < n. Memory: 2n².
 ///
 /// ```
 /// # use std::ops::ControlFlow;
@@ -42,16 +48,17 @@ use varda_linalg::dense::{View, add_product};
 pub struct Posterior {
     /// Eigenvalues of A, ascending; ≥ 1 up to rounding.
     eigenvalues: Vec<f64>,
-    /// Eigenvectors of A, by columns, each scaled by μ^{-1/2}: a square root of P_v.
+    /// A square root of P_v, by columns: eigenvectors of A, each scaled by μ^{-1/2}; the symmetric one where
+    /// most are 1.
     root: Vec<f64>,
 }
 
 impl Posterior {
     /// Around the point of the last gradient of `cost`.
     ///
-    /// Where rounding of I + GᵀG would reach the eigenvalue 1 of what nothing observes (to 10⁻⁶:
-    /// σ tiny against the background), G itself is factored instead, by its singular values: n tangent
-    /// or m adjoint sweeps more, and some 20 n² m.
+    /// With fewer observations than unknowns G is factored by its singular values. Else I + GᵀG is, but
+    /// where its rounding would reach the eigenvalue 1 of what nothing observes (to 10⁻⁶: σ tiny against
+    /// the background): then it is G again, n tangent or m adjoint sweeps more, and some 20 n² m.
     ///
     /// # Errors
     /// Products that fail, a G that is not finite, or the Hessian of a cost of one's own that is not positive
@@ -61,6 +68,9 @@ impl Posterior {
     /// If no gradient has been evaluated.
     pub fn new(cost: &mut dyn LeastSquares) -> Result<Self, Error> {
         let n = cost.dim();
+        if cost.observation_dim() < n {
+            return Self::factored(cost);
+        }
         let mut hessian = vec![0.0; n * n];
         cost.hessian(&mut hessian)?;
         match eigen(n, &hessian) {
@@ -73,12 +83,31 @@ impl Posterior {
     fn factored(cost: &mut dyn LeastSquares) -> Result<Self, Error> {
         let (n, m) = (cost.dim(), cost.observation_dim());
         let g = dense_jacobian(cost)?;
-        let Svd { values, right, .. } = Svd::new(m, n, &g)?;
+        let mut svd = Svd::thin(m, n, &g)?;
+        // Rounding of I − … is ε, of the smallest σ 1/s: where that shows, a whole basis.
+        let whole = m >= n || svd.values.first().is_some_and(|s| n as f64 * f64::EPSILON * s > 1e-7);
+        if whole && m < n {
+            svd = Svd::new(m, n, &g)?;
+        }
+        let Svd { values, right, .. } = svd;
         // The directions that nothing sees come first, with eigenvalue 1.
         let unseen = vec![1.0; n - values.len()];
-        let eigenvalues = unseen.into_iter().chain(values.iter().rev().map(|s| 1.0 + s * s)).collect();
-        let vectors = right.chunks_exact(n.max(1)).rev().flatten().copied().collect();
-        Self::of_pairs(eigenvalues, vectors)
+        let eigenvalues: Vec<f64> =
+            unseen.into_iter().chain(values.iter().rev().map(|s| 1.0 + s * s)).collect();
+        if whole {
+            let vectors = right.chunks_exact(n.max(1)).rev().flatten().copied().collect();
+            return Self::of_pairs(eigenvalues, vectors);
+        }
+        let mut root: Vec<f64> = (0..n * n).map(|i| f64::from(i % (n + 1) == 0)).collect();
+        let mut weighted = right.clone();
+        for (z, s) in weighted.chunks_exact_mut(n).zip(&values) {
+            // 1 − μ^{-1/2} = s²/(μ + √μ), which keeps its digits for small s
+            let mu = 1.0 + s * s;
+            z.iter_mut().for_each(|z| *z *= s * s / (mu + mu.sqrt()));
+        }
+        let z = View::new(&right, n, values.len());
+        add_product(-1.0, View::new(&weighted, n, values.len()), z.transpose(), &mut root);
+        Ok(Self { eigenvalues, root })
     }
 
     /// Of the initial state alone, where the control goes on with errors of the model (weak constraint): with

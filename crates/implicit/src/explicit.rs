@@ -1,6 +1,7 @@
 //! The classical explicit Runge–Kutta method, with its exact discrete adjoint.
 
-use crate::{ControlMap, Error, Model, Rhs, Work};
+use crate::{ControlMap, Error, Model, Rate, Rhs, Work};
+use std::ops::Range;
 
 /// ẋ = f(t, x) by the classical Runge–Kutta method of order four on a uniform grid of time.
 ///
@@ -17,6 +18,7 @@ use crate::{ControlMap, Error, Model, Rhs, Work};
 /// # When to use it
 ///
 /// Where f is smooth and not stiff: Δt times the largest |eigenvalue| of ∂f/∂x must stay below some 2.8.
+/// f is `Clone`: a copy of it is the model's rate, for observations between steps ([`Rate`]).
 ///
 /// ```
 /// use varda_implicit::{Model, Rk4, lorenz::Lorenz96};
@@ -112,7 +114,7 @@ impl<R: Rhs> Rk4<R> {
     }
 }
 
-impl<R: Rhs> Model for Rk4<R> {
+impl<R: Rhs + Clone + 'static> Model for Rk4<R> {
     fn dim(&self) -> usize {
         self.slope.len()
     }
@@ -169,6 +171,10 @@ impl<R: Rhs> Model for Rk4<R> {
 
     fn bytes(&self) -> usize {
         self.slots.iter().map(|s| size_of_val(s.values.as_slice()) + size_of::<Stages>()).sum()
+    }
+
+    fn rate(&self) -> Option<Box<dyn Rate>> {
+        Some(Box::new(RhsRate { rhs: self.rhs.clone(), first: self.first, length: self.length }))
     }
 
     fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
@@ -234,6 +240,41 @@ impl<R: Rhs> Rk4<R> {
             *l = sum + p;
         }
         rhs.adjoint_add(time[0], stage(0), mu, lambda);
+    }
+}
+
+/// ẋ = f(t_k, x).
+struct RhsRate<R> {
+    rhs: R,
+    first: usize,
+    length: f64,
+}
+
+impl<R> RhsRate<R> {
+    fn time(&self, k: usize) -> f64 {
+        (self.first + k) as f64 * self.length
+    }
+}
+
+impl<R: Rhs> Rate for RhsRate<R> {
+    fn components(&self) -> Range<usize> {
+        0..self.rhs.dim()
+    }
+
+    fn length(&self, _: usize) -> f64 {
+        self.length
+    }
+
+    fn eval(&mut self, k: usize, x: &[f64], rate: &mut [f64]) {
+        self.rhs.eval(self.time(k), x, rate);
+    }
+
+    fn tangent(&mut self, k: usize, x: &[f64], dx: &[f64], rate: &mut [f64]) {
+        self.rhs.tangent(self.time(k), x, dx, rate);
+    }
+
+    fn adjoint_add(&mut self, k: usize, x: &[f64], lambda: &[f64], dx: &mut [f64]) {
+        self.rhs.adjoint_add(self.time(k), x, lambda, dx);
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::newton::{self, NewtonOptions, NewtonWork};
 use crate::substeps::{Linearized, Products, add, substep_bytes};
 use crate::{ControlMap, Equations, Error, ImplicitStep, Interval, Model, StepEquations, Work};
+use crate::{Rate, VelocityRate};
 
 /// Steps on a grid of time, each solved by Newton's method, with tangent and adjoint from kept factors
 /// (paper 2.24, 2.25).
@@ -62,7 +63,7 @@ pub struct ImplicitModel<S> {
 }
 
 /// Where the steps are in time.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 enum Grid {
     Uniform { first: usize, length: f64 },
     Times(Vec<f64>),
@@ -474,6 +475,12 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
 
     fn bytes(&self) -> usize {
         self.slots.iter().map(Linearized::bytes).sum()
+    }
+
+    fn rate(&self) -> Option<Box<dyn Rate>> {
+        let (positions, first) = self.step.velocities()?;
+        let grid = self.grid.clone();
+        Some(Box::new(VelocityRate::new(positions, first, move |k| grid.step(k).length)))
     }
 
     fn control_map(&mut self) -> Option<&mut dyn ControlMap> {

@@ -130,6 +130,7 @@ mod newton;
 mod observation;
 #[cfg(feature = "implicit")]
 mod one_leg;
+mod rate;
 mod rhs;
 #[cfg(feature = "implicit")]
 mod scheme;
@@ -155,6 +156,7 @@ pub use newton::{NewtonFailure, NewtonOptions, NewtonReport, NewtonWork, solve};
 pub use observation::{At, ObservationOperator};
 #[cfg(feature = "implicit")]
 pub use one_leg::{OneLeg, OneLegEquations};
+pub use rate::{Rate, VelocityRate};
 pub use rhs::Rhs;
 #[cfg(feature = "implicit")]
 pub use scheme::{Scheme, Stage};

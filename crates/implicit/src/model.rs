@@ -1,6 +1,6 @@
 //! The traits of a discrete model, and the work that its calls report.
 
-use crate::Error;
+use crate::{Error, Rate};
 use std::ops::{Add, Sub};
 
 /// A discrete model x_{k+1} = M_k(x_k) with its tangent linear and its adjoint (paper 2.16, 2.24, 2.25).
@@ -11,8 +11,8 @@ use std::ops::{Add, Sub};
 /// slot holds.
 ///
 /// A model counts nothing and decides nothing about storage: it says what a call did ([`Work`]), and its
-/// caller adds that up. Every method is required but those of the control, which follow from
-/// [`control_map`](Self::control_map): a wrapper that forgets a method does not compile.
+/// caller adds that up. Every method is required but [`rate`](Self::rate) and those of the control, which
+/// follow from [`control_map`](Self::control_map): a wrapper that forgets another does not compile.
 ///
 /// ```
 /// use varda_implicit::{ControlMap, Error, Model, Work, check};
@@ -119,6 +119,12 @@ pub trait Model {
 
     /// Bytes of all linearizations held now.
     fn bytes(&self) -> usize;
+
+    /// The rate of the state, or of some of its components, for observations between two steps: a cubic
+    /// through states and rates. `None` (the default): a straight line.
+    fn rate(&self) -> Option<Box<dyn Rate>> {
+        None
+    }
 
     /// The map from the control z, what is estimated, to the initial state; `None` where they are the same
     /// vector.

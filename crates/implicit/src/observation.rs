@@ -7,15 +7,17 @@ use crate::Refusal;
 pub struct At {
     /// Index k of the step; 0 is the initial state.
     pub step: usize,
-    /// Time t_k of the step, in the unit of the grid of time (s, as a rule; steps, where no grid was given).
+    /// Time t_k of the step, or one before t_{k+1}, in the unit of the grid of time (s, as a rule;
+    /// steps, where no grid was given).
     pub time: f64,
 }
 
 /// An observation operator y = H(t_k, x_k) with its tangent H' and its transpose.
 ///
 /// Step and time are arguments because the prediction may depend on them (a frame carried by a driven clamp).
-/// All three maps are functions of (k, t_k, x) alone. An observation between two steps is a weighted mean of
-/// the predictions at both: an operator is called at steps only.
+/// All three maps are functions of (k, t_k, x) alone. Between two steps an operator is given the index of the
+/// first, the time between and the state on the cubic through both ([`Rate`](crate::Rate)); for
+/// models without a rate an observation there is a weighted mean of the predictions at both steps.
 ///
 /// ```
 /// use varda_implicit::{At, ObservationOperator, Refusal};

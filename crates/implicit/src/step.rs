@@ -1,6 +1,7 @@
 //! One step of a discrete model, given by the equations it satisfies.
 
 use crate::{Equations, Refusal, Structure};
+use std::ops::Range;
 
 /// The time interval of one step, or of a substep: from `start` to `start + length`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -202,6 +203,12 @@ pub trait ImplicitStep {
     fn advance_adjoint(&mut self, _of: &SolvedStep<'_>, lambda: &[f64], dx: &mut [f64], du: &mut [f64]) {
         dx.fill(0.0);
         du.copy_from_slice(lambda);
+    }
+
+    /// Components of the state, and the first of as many whose values are their rates: for
+    /// [`Model::rate`](crate::Model::rate). Not where rates ring or jump within a step, as midpoint's do.
+    fn velocities(&self) -> Option<(Range<usize>, usize)> {
+        None
     }
 
     /// Length of the control z, what is estimated.

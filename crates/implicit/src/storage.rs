@@ -66,7 +66,7 @@ impl Storage {
 /// ```
 /// use varda_implicit::{Footprint, Storage};
 ///
-/// let window = Footprint { steps: 1000, runs: 2, state: 8000, linearization: 32_000 };
+/// let window = Footprint { steps: 1000, runs: 2, state: 8000, linearization: 32_000, always: 0 };
 /// assert_eq!(window.bytes(Storage::KeepAll), 48_016_000);
 /// assert_eq!(window.within(100_000_000)?, Storage::KeepAll);
 /// let storage = window.within(1_000_000)?;
@@ -85,17 +85,19 @@ pub struct Footprint {
     pub state: usize,
     /// Bytes the model keeps of the linearization of a step.
     pub linearization: usize,
+    /// Bytes held under every policy.
+    pub always: usize,
 }
 
 impl Footprint {
-    /// Bytes held under a policy: states of all runs and linearizations.
+    /// Bytes held under a policy: states of all runs, linearizations, and what is always held.
     pub fn bytes(&self, storage: Storage) -> usize {
         let run = match storage {
             Storage::KeepAll | Storage::States => (self.steps + 1) * self.state,
             // with the index of each
             Storage::Checkpoints { states } => states * (self.state + size_of::<usize>()) + 2 * self.state,
         };
-        self.runs * run + self.steps.min(storage.linearizations()) * self.linearization
+        self.always + self.runs * run + self.steps.min(storage.linearizations()) * self.linearization
     }
 
     /// The policy of least work within a budget of bytes: all, else the states, else as many checkpoints as

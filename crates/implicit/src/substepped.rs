@@ -1,6 +1,7 @@
 //! Several steps of a model as one.
 
-use crate::{ControlMap, Error, Model, Work};
+use crate::{ControlMap, Error, Model, Rate, Work};
+use std::ops::Range;
 
 /// A model whose step k is the steps `first[k]` … `first[k + 1]` − 1 of another, in order: M_k =
 /// M′_{b−1} … M′_a.
@@ -139,7 +140,40 @@ impl<M: Model> Model for Substepped<M> {
         self.model.bytes()
     }
 
+    fn rate(&self) -> Option<Box<dyn Rate>> {
+        let rate = self.model.rate()?;
+        Some(Box::new(Grouped { rate, first: self.first.clone() }))
+    }
+
     fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
         self.model.control_map()
+    }
+}
+
+/// The rate of a model whose steps are those of another in groups.
+struct Grouped {
+    rate: Box<dyn Rate>,
+    first: Vec<usize>,
+}
+
+impl Rate for Grouped {
+    fn components(&self) -> Range<usize> {
+        self.rate.components()
+    }
+
+    fn length(&self, k: usize) -> f64 {
+        (self.first[k]..self.first[k + 1]).map(|inner| self.rate.length(inner)).sum()
+    }
+
+    fn eval(&mut self, k: usize, x: &[f64], rate: &mut [f64]) {
+        self.rate.eval(self.first[k], x, rate);
+    }
+
+    fn tangent(&mut self, k: usize, x: &[f64], dx: &[f64], rate: &mut [f64]) {
+        self.rate.tangent(self.first[k], x, dx, rate);
+    }
+
+    fn adjoint_add(&mut self, k: usize, x: &[f64], lambda: &[f64], dx: &mut [f64]) {
+        self.rate.adjoint_add(self.first[k], x, lambda, dx);
     }
 }

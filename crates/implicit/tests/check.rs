@@ -182,6 +182,7 @@ fn stiff_steps_without_a_potential_go_through_the_contraction_test() {
 #[test]
 fn a_mutated_right_hand_side_fails_the_conformance_of_its_models() {
     /// Lorenz 63 with one wrong sign in the tangent.
+    #[derive(Clone)]
     struct Mutated(Lorenz63);
     impl Rhs for Mutated {
         fn dim(&self) -> usize {

@@ -203,7 +203,8 @@ fn memory_is_bounded_by_the_budget_and_used_again() {
     let mut chosen = Vec::new();
     for budget in [10_000_000, 200_000, 40_000] {
         let mut model = ImplicitModel::new(step(), 0, 0.005);
-        let footprint = Footprint { steps, runs: 1, state: 8 * n, linearization: model.slot_bytes() };
+        let footprint =
+            Footprint { steps, runs: 1, state: 8 * n, linearization: model.slot_bytes(), always: 0 };
         let storage = footprint.within(budget).unwrap();
         chosen.push(storage);
         let mut trajectory = Trajectory::with_storage(storage);
@@ -216,7 +217,7 @@ fn memory_is_bounded_by_the_budget_and_used_again() {
         assert_eq!(trajectory.bytes() + model.bytes(), held);
     }
     assert!(matches!(chosen[..], [Storage::KeepAll, Storage::States, Storage::Checkpoints { states: 10.. }]));
-    let footprint = Footprint { steps, runs: 1, state: 8 * n, linearization: 20_000 };
+    let footprint = Footprint { steps, runs: 1, state: 8 * n, linearization: 20_000, always: 0 };
     let error = footprint.within(15_000).unwrap_err();
     assert!(matches!(error, Error::Memory { budget: 15_000, least: 20_968 }), "{error}");
 }

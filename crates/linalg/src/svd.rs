@@ -26,7 +26,7 @@ pub struct Svd {
     /// u of the k singular values, one after the other.
     pub left: Vec<f64>,
     /// v, an orthonormal basis of all n vectors, one after the other; the first k belong to the singular
-    /// values.
+    /// values. Of [`thin`](Self::thin) those k alone.
     pub right: Vec<f64>,
 }
 
@@ -39,18 +39,38 @@ impl Svd {
     /// # Panics
     /// If `matrix` is not of length m n.
     pub fn new(m: usize, n: usize, matrix: &[f64]) -> Result<Self, Error> {
-        assert_eq!(matrix.len(), m * n, "a {m} × {n} matrix");
-        let k = m.min(n);
-        if k == 0 {
+        if m.min(n) == 0 {
             let right = (0..n * n).map(|i| f64::from(i % (n + 1) == 0)).collect();
             return Ok(Self { values: Vec::new(), left: Vec::new(), right });
         }
+        Self::of(m, n, matrix, ComputeSvdVectors::Full)
+    }
+
+    /// As [`new`](Self::new), without the v of no singular value: for m ≪ n in time n m² and memory n m.
+    ///
+    /// # Errors
+    /// As for `new`.
+    ///
+    /// # Panics
+    /// As for `new`.
+    pub fn thin(m: usize, n: usize, matrix: &[f64]) -> Result<Self, Error> {
+        if m.min(n) == 0 {
+            return Ok(Self { values: Vec::new(), left: Vec::new(), right: Vec::new() });
+        }
+        Self::of(m, n, matrix, ComputeSvdVectors::Thin)
+    }
+
+    fn of(m: usize, n: usize, matrix: &[f64], vectors: ComputeSvdVectors) -> Result<Self, Error> {
+        assert_eq!(matrix.len(), m * n, "a {m} × {n} matrix");
+        let k = m.min(n);
         if !matrix.iter().all(|entry| entry.is_finite()) {
             return Err(Error::Eigen { dim: k });
         }
-        let (thin, full) = (ComputeSvdVectors::Thin, ComputeSvdVectors::Full);
-        let (mut values, mut left, mut right) = (Diag::zeros(k), Mat::zeros(m, k), Mat::zeros(n, n));
-        let mut scratch = MemBuffer::new(svd_scratch::<f64>(m, n, thin, full, Par::Seq, Default::default()));
+        let rights = if matches!(vectors, ComputeSvdVectors::Thin) { k } else { n };
+        let (mut values, mut left, mut right) = (Diag::zeros(k), Mat::zeros(m, k), Mat::zeros(n, rights));
+        let thin = ComputeSvdVectors::Thin;
+        let scratch = svd_scratch::<f64>(m, n, thin, vectors, Par::Seq, Default::default());
+        let mut scratch = MemBuffer::new(scratch);
         let done = svd(
             MatRef::from_column_major_slice(matrix, m, n),
             values.as_mut(),
@@ -93,6 +113,17 @@ mod tests {
                 for l in 0..n {
                     let dot: f64 = (0..n).map(|i| svd.right[j * n + i] * svd.right[l * n + i]).sum();
                     assert!((dot - f64::from(j == l)).abs() <= 1e-14, "{m} {n}");
+                }
+            }
+            let thin = Svd::thin(m, n, &matrix).unwrap();
+            let size = svd.values.first().copied().unwrap_or(0.0);
+            assert!(thin.values.iter().zip(&svd.values).all(|(a, b)| (a - b).abs() <= 1e-14 * size));
+            assert_eq!((thin.values.len(), thin.right.len()), (m.min(n), m.min(n) * n));
+            for j in 0..n {
+                for i in 0..m {
+                    let term = |k: usize| thin.left[k * m + i] * thin.values[k] * thin.right[k * n + j];
+                    let entry: f64 = (0..thin.values.len()).map(term).sum();
+                    assert!((entry - matrix[i + j * m]).abs() <= 1e-14, "{m} {n}");
                 }
             }
             assert!(svd.values.windows(2).all(|s| s[0] >= s[1]));

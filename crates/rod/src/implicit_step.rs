@@ -1,8 +1,10 @@
 //! The step of a rod in the generic layer: its maps, and its products with ∂G/∂x_k.
 
+use std::ops::Range;
+
 use nalgebra::Vector3;
 use varda_implicit::{
-    ImplicitModel, ImplicitStep, Interval, Model, Refusal, SolvedStep, Structure, Substepped,
+    ImplicitModel, ImplicitStep, Interval, Model, Refusal, Scheme, SolvedStep, Structure, Substepped,
 };
 
 use crate::Error;
@@ -176,6 +178,12 @@ impl ImplicitStep for RodStep {
 
     fn structure(&self) -> Structure {
         self.system.structure()
+    }
+
+    /// Velocities are the rates of positions; not midpoint's, which ring in motions faster than a step.
+    fn velocities(&self) -> Option<(Range<usize>, usize)> {
+        let positions = 3 * self.system.layout.free_vertices.len();
+        (self.scheme != Scheme::Midpoint).then_some((0..positions, positions))
     }
 
     fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<RodEquations<'a>, Refusal> {

@@ -46,6 +46,19 @@ fn seconds() -> f64 {
     time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
 }
 
+/// CPU time of all threads of this process \[s\].
+#[cfg(unix)]
+pub fn process_seconds() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
+}
+
+/// The wall's clock, where there is none of a process \[s\].
+#[cfg(not(unix))]
+pub fn process_seconds() -> f64 {
+    seconds()
+}
+
 /// The wall's clock, where there is none of a thread \[s\].
 #[cfg(not(unix))]
 fn seconds() -> f64 {

@@ -20,6 +20,7 @@ mod priors;
 mod scaling;
 mod statics;
 mod time;
+mod twins;
 
 pub use options::{Options, Result};
 pub use page::{Cell, Page, Table};
@@ -40,6 +41,7 @@ pub const BENCHES: &[Bench] = &[
     Bench { name: "scaling", run: scaling::run },
     Bench { name: "statics", run: statics::run },
     Bench { name: "priors", run: priors::run },
+    Bench { name: "twins", run: twins::run },
     Bench { name: "leftout", run: leftout::run },
     Bench { name: "instructions", run: instructions::run },
     Bench { name: "build", run: build::run },

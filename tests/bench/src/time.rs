@@ -4,7 +4,9 @@ use super::clock::timed;
 use super::{Options, Page, Result, Table};
 use crate::cells;
 use problems::rods::DrivenRod;
+use std::cell::RefCell;
 use std::f64::consts::TAU;
+use std::rc::Rc;
 use varda::report::plot::{Corner, Panel, Series, Style};
 use varda_implicit::lorenz::Lorenz63;
 use varda_implicit::{
@@ -393,8 +395,9 @@ fn along(model: &mut dyn Model, x0: &[f64], steps: usize) -> Result<(Vec<f64>, C
 }
 
 /// M Ẍ = F(t, X) of an undamped rod without angles, as a system of first order in [X, V].
+#[derive(Clone)]
 struct RodMotion {
-    step: RodStep,
+    step: Rc<RefCell<RodStep>>,
     masses: Vec<f64>,
     at_rest: Vec<f64>,
     u: Vec<f64>,
@@ -406,7 +409,7 @@ impl RodMotion {
         let masses = step.free_vertices().iter().map(|&v| step.rod().masses[v]).collect();
         let (n, unknowns) = (step.dim(), step.unknowns());
         RodMotion {
-            step,
+            step: Rc::new(RefCell::new(step)),
             masses,
             at_rest: vec![0.0; n],
             u: vec![0.0; unknowns],
@@ -417,7 +420,7 @@ impl RodMotion {
 
 impl Rhs for RodMotion {
     fn dim(&self) -> usize {
-        self.step.dim()
+        self.at_rest.len()
     }
 
     /// The potential of backward Euler's step from (X, 0) to X has no inertia left: its gradient is −F.
@@ -426,9 +429,9 @@ impl Rhs for RodMotion {
         let n = x.len() / 2;
         self.at_rest[..n].copy_from_slice(&x[..n]);
         let at = Interval { index: 0, start: t - 1.0, length: 1.0, previous: None };
-        self.step.recover(&at, &self.at_rest, &self.at_rest, &mut self.u);
-        let assembled = self
-            .step
+        let mut step = self.step.borrow_mut();
+        step.recover(&at, &self.at_rest, &self.at_rest, &mut self.u);
+        let assembled = step
             .equations(&at, &self.at_rest)
             .and_then(|mut equations| equations.assemble(&self.u, &mut self.gradient, None));
         match assembled {

@@ -77,6 +77,10 @@ impl<M: Model> Model for Counted<M> {
         self.model.bytes()
     }
 
+    fn rate(&self) -> Option<Box<dyn varda_implicit::Rate>> {
+        self.model.rate()
+    }
+
     fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
         self.model.control_map()
     }

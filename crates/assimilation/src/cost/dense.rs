@@ -11,13 +11,7 @@ impl StrongConstraint<'_> {
     pub(super) fn dense_hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
         let (n, m) = (self.dim(), self.observations.dim());
         assert_eq!(out.len(), n * n, "length of the Hessian");
-        let mut dense = std::mem::take(&mut self.dense);
-        dense.jacobian.clear();
-        dense.jacobian.resize(m * n, 0.0);
-        dense.dy.resize(m, 0.0);
-        dense.dv.resize(n, 0.0);
-        let by_rows = self.observations.steps_of_rows() < n * self.last;
-        let swept = if by_rows { self.rows(&mut dense) } else { self.columns(&mut dense) };
+        let (dense, by_rows, swept) = self.dense_factor();
         let gt = if by_rows {
             View::new(&dense.jacobian, n, m)
         } else {
@@ -31,6 +25,34 @@ impl StrongConstraint<'_> {
         swept
     }
 
+    /// G by columns, at the base point.
+    pub(super) fn dense_g(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        let (n, m) = (self.dim(), self.observations.dim());
+        assert_eq!(out.len(), m * n, "length of G");
+        let (dense, by_rows, swept) = self.dense_factor();
+        if by_rows {
+            let rows = View::new(&dense.jacobian, n, m);
+            out.copy_from_slice(&rows.transpose().to_matrix().into_columns());
+        } else {
+            out.copy_from_slice(&dense.jacobian);
+        }
+        self.dense = dense;
+        swept
+    }
+
+    /// G in the work space, by its rows (true) or by its columns.
+    fn dense_factor(&mut self) -> (Dense, bool, Result<(), Error>) {
+        let (n, m) = (self.dim(), self.observations.dim());
+        let mut dense = std::mem::take(&mut self.dense);
+        dense.jacobian.clear();
+        dense.jacobian.resize(m * n, 0.0);
+        dense.dy.resize(m, 0.0);
+        dense.dv.resize(n, 0.0);
+        let by_rows = self.observations.steps_of_rows() < n * self.last;
+        let swept = if by_rows { self.rows(&mut dense) } else { self.columns(&mut dense) };
+        (dense, by_rows, swept)
+    }
+
     /// Gᵀ column by column: all rows of G in one sweep, each joining at its observation.
     fn rows(&mut self, dense: &mut Dense) -> Result<(), Error> {
         let (n, m, head) = (self.dim(), self.observations.dim(), self.transform.dim());
@@ -38,6 +60,7 @@ impl StrongConstraint<'_> {
         let Dense { jacobian, block, dy, .. } = dense;
         let Self { model, transform, observations, errors, base, state_dim, last, dz, .. } = self;
         let (size, last) = (*state_dim, *last);
+        let predicted = &base.predicted;
         block.clear();
         block.resize(m * size, 0.0);
         // Rows from here on are under way.
@@ -47,7 +70,7 @@ impl StrongConstraint<'_> {
             first = first.min(seen.start);
             for i in seen {
                 dy[i] = 1.0;
-                observations.adjoint_add(k, x, dy, &mut block[i * size..(i + 1) * size]);
+                observations.adjoint_add(k, x, dy, predicted, &mut block[i * size..(i + 1) * size]);
                 dy[i] = 0.0;
             }
             if let (Some(errors), Some(before)) = (&mut *errors, k.checked_sub(1)) {
@@ -106,6 +129,7 @@ impl StrongConstraint<'_> {
                 None => dx.copy_from_slice(dz),
             }
         }
+        let predicted = &base.predicted;
         let mut see = |k: usize, x: &[f64], block: &mut [f64]| {
             for (j, (dx, dy)) in block.chunks_exact_mut(*size).zip(jacobian.chunks_exact_mut(m)).enumerate() {
                 if let (Some(errors), Some(before)) = (&mut *errors, k.checked_sub(1)) {
@@ -113,7 +137,7 @@ impl StrongConstraint<'_> {
                     errors.tangent_add(before, &dv[head..], dx);
                     dv[j] = 0.0;
                 }
-                observations.tangent_add(k, x, dx, dy);
+                observations.tangent_add(k, x, dx, predicted, dy);
             }
         };
         see(0, base.trajectory.state(0), block);

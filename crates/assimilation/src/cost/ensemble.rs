@@ -8,7 +8,7 @@ use runs::run_all;
 pub(crate) use runs::run_each;
 
 use super::{CostFunction, CostTerms, Counts, LeastSquares, dot};
-use crate::{ControlTransform, Error, ObservationSet};
+use crate::{ControlTransform, Error, ObservationSet, Prediction};
 use varda_covariance::{Covariance, Ensemble, Hybrid};
 use varda_implicit::{Log, Model};
 use varda_linalg::dense::{View, product};
@@ -95,7 +95,7 @@ pub struct EnVar<'a> {
     /// Controls and trajectories of all runs.
     controls: Vec<f64>,
     states: Vec<f64>,
-    predicted: Vec<f64>,
+    predicted: Prediction,
     dv: Vec<f64>,
     dy: Vec<f64>,
     terms: CostTerms,
@@ -192,6 +192,7 @@ impl<'a> EnVar<'a> {
             return Err(Error::Length { what: "the background", expected, found: n_z });
         }
         observations.check_state(state_dim)?;
+        observations.follow(models[0].rate());
         let anchors = if anchors.is_empty() && ensemble.localization().rank() == 1 {
             vec![0; m]
         } else {
@@ -211,6 +212,7 @@ impl<'a> EnVar<'a> {
             y: vec![0.0; m * members],
             g_static: vec![0.0; m * r_s],
         };
+        let predicted = observations.prediction();
         let mut cost = Self {
             controls: vec![0.0; (members + 1) * n_z],
             states: vec![0.0; (members + 1) * (last + 1) * state_dim],
@@ -228,7 +230,7 @@ impl<'a> EnVar<'a> {
             state_dim,
             next: base.clone(),
             base,
-            predicted: vec![0.0; m],
+            predicted,
             dv: vec![0.0; n],
             dy: vec![0.0; m],
             terms: CostTerms::default(),
@@ -288,13 +290,14 @@ impl<'a> EnVar<'a> {
 
         let sigma = self.observations.row_scale().to_vec();
         self.observe(0)?;
-        self.observations.innovations(&self.predicted, &mut self.next.d);
+        self.observations.innovations(self.predicted.values(), &mut self.next.d);
         self.observations.whiten(&mut self.next.d);
         let control = self.predicted.clone();
+        let from = control.values();
         for i in 0..members {
             self.observe(i + 1)?;
             for a in 0..m {
-                self.next.y[a * members + i] = (self.predicted[a] - control[a]) / (sigma[a] * size);
+                self.next.y[a * members + i] = (self.predicted.values()[a] - from[a]) / (sigma[a] * size);
             }
         }
         self.observations.whiten_rows(members, &mut self.next.y);
@@ -316,7 +319,8 @@ impl<'a> EnVar<'a> {
                 self.models[0].initial_tangent(&dz, &mut dx);
                 self.dy.fill(0.0);
                 for k in 0..=self.last {
-                    self.observations.tangent_add(k, &self.states[k * n..(k + 1) * n], &dx, &mut self.dy);
+                    let x = &self.states[k * n..(k + 1) * n];
+                    self.observations.persistent_tangent_add(k, x, &dx, &control, &mut self.dy);
                 }
                 self.observations.whiten_blocks(&mut self.dy);
                 for a in 0..m {
@@ -354,8 +358,8 @@ impl<'a> EnVar<'a> {
         self.transform.control(v, &mut self.controls[..n_z]);
         self.run(1)?;
         self.observe(0)?;
-        let mut d = vec![0.0; self.predicted.len()];
-        self.observations.innovations(&self.predicted, &mut d);
+        let mut d = vec![0.0; self.observations.dim()];
+        self.observations.innovations(self.predicted.values(), &mut d);
         self.observations.whiten_blocks(&mut d);
         d.iter_mut().zip(self.observations.row_scale()).for_each(|(d, s)| *d /= self.scale * s);
         Ok(d)
@@ -374,7 +378,7 @@ impl<'a> EnVar<'a> {
     fn observe(&mut self, run: usize) -> Result<(), Error> {
         let (n, last) = (self.state_dim, self.last);
         let states = &self.states[run * (last + 1) * n..][..(last + 1) * n];
-        self.predicted.fill(0.0);
+        self.predicted.clear();
         for (k, x) in states.chunks_exact(n).enumerate() {
             self.observations.observe_add(k, x, &mut self.predicted)?;
         }
@@ -419,7 +423,7 @@ impl<'a> EnVar<'a> {
     }
 
     /// G, dense, by columns.
-    fn jacobian(&self) -> Vec<f64> {
+    pub(super) fn jacobian(&self) -> Vec<f64> {
         let (n, m) = (self.dim(), self.observations.dim());
         let (mut unit, mut row) = (vec![0.0; m], vec![0.0; n]);
         let mut jacobian = vec![0.0; m * n];
@@ -532,6 +536,11 @@ impl LeastSquares for EnVar<'_> {
         self.transpose(&dy, out);
         self.dy = dy;
         out.iter_mut().zip(dv).for_each(|(out, dv)| *out += dv);
+        Ok(())
+    }
+
+    fn dense_jacobian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        out.copy_from_slice(&EnVar::jacobian(self));
         Ok(())
     }
 

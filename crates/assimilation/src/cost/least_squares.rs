@@ -149,6 +149,25 @@ pub trait LeastSquares: CostFunction {
         columns(n, out, &mut |unit, column| self.hessian_apply(unit, column))
     }
 
+    /// G, dense, m × n column by column: by n tangent or m adjoint sweeps, whichever are fewer.
+    ///
+    /// # Errors
+    /// As for `jacobian`.
+    ///
+    /// # Panics
+    /// As for `jacobian`.
+    fn dense_jacobian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        let (n, m) = (self.dim(), self.observation_dim());
+        assert_eq!(out.len(), m * n, "length of G");
+        if n <= m {
+            return columns(n, out, &mut |unit, column| self.jacobian(unit, column));
+        }
+        let mut rows = vec![0.0; m * n];
+        columns(m, &mut rows, &mut |unit, row| self.jacobian_transpose(unit, row))?;
+        out.copy_from_slice(&View::new(&rows, n, m).transpose().to_matrix().into_columns());
+        Ok(())
+    }
+
     /// dv, the increment of v that belongs to p.
     ///
     /// # Errors
@@ -193,16 +212,11 @@ pub(crate) fn columns(inputs: usize, matrix: &mut [f64], map: &mut Map) -> Resul
     Ok(())
 }
 
-/// G, m × n by columns: by n tangent or m adjoint sweeps, whichever are fewer.
+/// G, m × n by columns.
 pub(crate) fn dense_jacobian(problem: &mut (impl LeastSquares + ?Sized)) -> Result<Vec<f64>, Error> {
-    let (n, m) = (problem.dim(), problem.observation_dim());
-    let mut g = vec![0.0; m * n];
-    if n <= m {
-        columns(n, &mut g, &mut |unit, column| problem.jacobian(unit, column))?;
-        return Ok(g);
-    }
-    columns(m, &mut g, &mut |unit, row| problem.jacobian_transpose(unit, row))?;
-    Ok(View::new(&g, n, m).transpose().to_matrix().into_columns())
+    let mut g = vec![0.0; problem.observation_dim() * problem.dim()];
+    problem.dense_jacobian(&mut g)?;
+    Ok(g)
 }
 
 /// x ← (I + WᵀW)⁻¹ x for columns x one after the other, of length n for W with n columns: Cholesky.

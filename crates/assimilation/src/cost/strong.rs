@@ -3,7 +3,7 @@
 use super::dense_work::Dense;
 use super::model_error::{ModelErrorTerm, WeakControl};
 use super::{CostFunction, CostTerms, Counts, LeastSquares, dot};
-use crate::{ControlTransform, Error, ObservationSet};
+use crate::{ControlTransform, Error, ObservationSet, Prediction};
 use varda_implicit::{Footprint, Keep, Log, Model, Storage, Trajectory};
 
 /// Strong-constraint 4D-Var in the control variable (paper 2.15, with z = z_b + B^{1/2} v; Courtier, Thépaut
@@ -94,7 +94,7 @@ pub(super) struct Point {
     pub(super) trajectory: Trajectory,
     /// M_k(x_k) of the steps after which the model's error enters.
     landings: Vec<f64>,
-    pub(super) predicted: Vec<f64>,
+    pub(super) predicted: Prediction,
 }
 
 impl<'a> StrongConstraint<'a> {
@@ -117,6 +117,7 @@ impl<'a> StrongConstraint<'a> {
         }
         let state_dim = model.dim();
         observations.check_state(state_dim)?;
+        observations.follow(model.rate());
         Ok(Self::with(Some(model), state_dim, transform, observations, None))
     }
 
@@ -167,7 +168,7 @@ impl<'a> StrongConstraint<'a> {
             prior: vec![0.0; n],
             trajectory: room(Storage::KeepAll, state_dim, last),
             landings: vec![0.0; landings],
-            predicted: vec![0.0; m],
+            predicted: observations.prediction(),
         };
         Self {
             model,
@@ -236,6 +237,7 @@ impl<'a> StrongConstraint<'a> {
             runs: 2,
             state: self.state_dim * size_of::<f64>(),
             linearization: self.model.as_ref().map_or(0, |m| m.slot_bytes()),
+            always: self.base.predicted.bytes() + self.trial.predicted.bytes(),
         };
         let storage = footprint.within(bytes)?;
         self.set_storage(storage);
@@ -247,10 +249,12 @@ impl<'a> StrongConstraint<'a> {
         self.base.trajectory.storage()
     }
 
-    /// Bytes held at present: the states of two runs, and the linearizations in the model.
+    /// Bytes held at present: the states of two runs, at steps and observed between them, and the
+    /// linearizations in the model.
     pub fn bytes(&self) -> usize {
         let model = self.model.as_ref().map_or(0, |m| m.bytes());
-        self.base.trajectory.bytes() + self.trial.trajectory.bytes() + model
+        let between = self.base.predicted.bytes() + self.trial.predicted.bytes();
+        self.base.trajectory.bytes() + self.trial.trajectory.bytes() + between + model
     }
 
     /// What the model did for this cost, and what its steps went through.
@@ -286,7 +290,7 @@ impl<'a> StrongConstraint<'a> {
     /// If no gradient has been evaluated.
     pub fn predicted(&self) -> &[f64] {
         assert!(self.based, "evaluate a gradient first");
-        &self.base.predicted
+        self.base.predicted.values()
     }
 
     /// Runs the window from v into the trial point.
@@ -317,7 +321,7 @@ impl<'a> StrongConstraint<'a> {
                 prior.copy_from_slice(v);
             }
         }
-        predicted.fill(0.0);
+        predicted.clear();
         let x0 = trajectory.start(self.state_dim, self.last);
         match &mut self.model {
             Some(model) => {
@@ -373,9 +377,10 @@ impl<'a> StrongConstraint<'a> {
         self.counts.adjoint_sweeps += 1;
         let Self { model, transform, observations, errors, base, lambda, dz, dy, .. } = self;
         let (out, forcing) = out.split_at_mut(transform.dim());
+        let predicted = &base.predicted;
         forcing.fill(0.0);
         let mut add = |k: usize, x: &[f64], lambda: &mut [f64]| {
-            observations.adjoint_add(k, x, dy, lambda);
+            observations.adjoint_add(k, x, dy, predicted, lambda);
             if let (Some(errors), Some(before)) = (&mut *errors, k.checked_sub(1)) {
                 errors.adjoint_add(before, lambda, forcing);
             }
@@ -402,11 +407,12 @@ impl<'a> StrongConstraint<'a> {
         let (dv, forcing) = dv.split_at(transform.dim());
         transform.tangent(dv, dz);
         dy.fill(0.0);
+        let predicted = &base.predicted;
         let mut see = |k: usize, x: &[f64], dx: &mut [f64]| {
             if let (Some(errors), Some(before)) = (&mut *errors, k.checked_sub(1)) {
                 errors.tangent_add(before, forcing, dx);
             }
-            observations.tangent_add(k, x, dx, dy);
+            observations.tangent_add(k, x, dx, predicted, dy);
         };
         match model {
             Some(model) => {
@@ -513,7 +519,7 @@ impl LeastSquares for StrongConstraint<'_> {
     fn departures(&self, b: &mut [f64], d: &mut [f64]) {
         assert!(self.based, "evaluate a gradient first");
         b.copy_from_slice(&self.base.prior);
-        self.observations.innovations(&self.base.predicted, d);
+        self.observations.innovations(self.base.predicted.values(), d);
         self.observations.whiten_blocks(d);
         d.iter_mut().zip(&self.root_precision).for_each(|(d, root)| *d *= root);
     }
@@ -550,6 +556,11 @@ impl LeastSquares for StrongConstraint<'_> {
     fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
         self.return_to_base()?;
         self.dense_hessian(out)
+    }
+
+    fn dense_jacobian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        self.return_to_base()?;
+        self.dense_g(out)
     }
 }
 

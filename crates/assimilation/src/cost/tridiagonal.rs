@@ -154,7 +154,7 @@ fn column(
             (0..n).for_each(|r| f[(r, i)] = whitened[r]);
             break;
         }
-        observations.tangent_add(k, base.trajectory.state(k), dx, dy);
+        observations.tangent_add(k, base.trajectory.state(k), dx, &base.predicted, dy);
         if k < *last {
             base.trajectory.tangent_of_step(&mut **model, k, dx);
         }

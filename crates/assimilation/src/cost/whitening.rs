@@ -28,9 +28,10 @@ impl StrongConstraint<'_> {
     /// J_o at the base point or at the trial point; with `derivatives` also dy = −R^{-1/2} ρ' and √ρ''
     /// there.
     pub(super) fn observation_term(&mut self, at_base: bool, derivatives: bool) -> f64 {
-        let predicted = if at_base { &self.base.predicted } else { &self.trial.predicted };
+        let point = if at_base { &self.base } else { &self.trial };
+        let predicted = point.predicted.values();
         if self.observations.is_correlated() {
-            return self.correlated_term(predicted.clone(), derivatives);
+            return self.correlated_term(predicted.to_vec(), derivatives);
         }
         let rows = self.observations.values().iter().zip(predicted).zip(&self.root_precision);
         if !derivatives {

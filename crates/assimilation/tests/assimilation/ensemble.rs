@@ -193,6 +193,41 @@ fn posterior_variance_is_that_of_the_dense_hessian() {
     variance_is_that_of_the_dense_hessian(&mut cost);
 }
 
+/// One component seen with σ = 1e-9 by a strong constraint and by members, fewer and more values than
+/// unknowns: its variance is σ² b/(b + σ²) to rounding of the root (ε √(b/σ²) = 1e-7), where
+/// GGᵀ would leave 1e-16 b.
+#[test]
+fn tiny_sigmas_leave_exact_variances() {
+    let sigma = 1e-9;
+    let members: Vec<f64> = normals(4, 5 * N).iter().map(|x| 0.3 * x).collect();
+    let few = Ensemble::new(&members, Localization::none(N)).unwrap();
+    let make = || -> Box<dyn Model + Send> { Box::new(Rk4::new(Lorenz96(N), 0.03)) };
+    for rows in [vec![0], vec![0; 8]] {
+        let seen = observation(&rows, 0, 0.0, &vec![0.0; rows.len()], sigma * (rows.len() as f64).sqrt());
+        let mut set = ObservationSet::new(0, vec![all_of(N)], vec![seen.clone()]).unwrap();
+        let cost = EnVar::new(&make, vec![0.0; N], &few, &mut set, &[]).unwrap();
+        let mean = |p: usize| (0..5).map(|i| members[i * N + p]).sum::<f64>() / 5.0;
+        let b = (0..5).map(|i| (members[i * N] - mean(0)).powi(2)).sum::<f64>() / 4.0;
+        let expected = sigma * sigma * b / (b + sigma * sigma);
+        let (variance, freedom) = cost.posterior_variance().unwrap();
+        assert!((variance[0] / expected - 1.0).abs() < 1e-6, "{} {expected}", variance[0]);
+        assert!((freedom - 1.0).abs() < 1e-12);
+    }
+    let b = coupled(N, 0.4);
+    let mut set =
+        ObservationSet::new(0, vec![all_of(N)], vec![observation(&[0], 0, 0.0, &[0.0], sigma)]).unwrap();
+    let transform = ControlTransform::new(vec![0.0; N], &b).unwrap();
+    let mut cost = StrongConstraint::without_model(transform.clone(), &mut set).unwrap();
+    cost.evaluate(&[0.0; N], Some(&mut [0.0; N])).unwrap();
+    let posterior = Posterior::new(&mut cost).unwrap();
+    let mut prior = vec![0.0; N];
+    b.variance(&mut prior);
+    let expected = sigma * sigma * prior[0] / (prior[0] + sigma * sigma);
+    let found = posterior.variance(&transform)[0];
+    assert!((found / expected - 1.0).abs() < 1e-6, "{found} {expected}");
+    assert_eq!(posterior.spectrum()[..N - 1], [1.0; N - 1]);
+}
+
 #[test]
 fn gradient_and_products_at_two_successive_linearizations() {
     let static_part = coupled(N, 0.4);

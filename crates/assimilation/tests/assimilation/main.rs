@@ -1,5 +1,6 @@
 //! Tests of the crate through its public face.
 
+mod between;
 mod correlated;
 mod cost;
 mod coverage;

@@ -85,10 +85,10 @@ impl Matrix {
 pub(crate) fn observation_matrix(set: &mut ObservationSet, n: usize) -> Matrix {
     let columns: Vec<Vec<f64>> = (0..n)
         .map(|j| {
-            let (mut unit, mut y) = (vec![0.0; n], vec![0.0; set.dim()]);
+            let (mut unit, mut y) = (vec![0.0; n], set.prediction());
             unit[j] = 1.0;
             set.observe_add(0, &unit, &mut y).unwrap();
-            y
+            y.values().to_vec()
         })
         .collect();
     Matrix::new(set.dim(), n, |i, j| columns[j][i])

@@ -187,10 +187,10 @@ fn an_observation_far_ahead_takes_no_memory() {
         let seen = vec![observation(&[0], 0, 0.5, &[0.0], 1.0), observation(&[0], step, 0.0, &[1.0], 1.0)];
         let mut set = ObservationSet::new(step, vec![all_of(1)], seen).unwrap();
         assert_eq!((set.dim(), set.last_step()), (2, Some(step)));
-        let mut y = vec![0.0; 2];
+        let mut y = set.prediction();
         for k in [0, 1, 2, step - 1, step] {
             set.observe_add(k, &[3.0], &mut y).unwrap();
         }
-        assert_eq!(y, [3.0, 3.0]);
+        assert_eq!(y.values(), [3.0, 3.0]);
     }
 }

@@ -23,13 +23,13 @@ fn a_time_between_steps_weighs_both_and_rows_left_out_are_not_predicted() {
     assert_eq!((set.dim(), set.last_step(), set.rows(0), set.rows(2)), (4, Some(3), 0..2, 3..4));
     assert_eq!(set.sigma(), [0.1, 0.1, 2.0, 0.5]);
     let states = [[1.0, 2.0, 3.0], [9.0, 9.0, 9.0], [4.0, 5.0, 6.0], [7.0, 8.0, 10.0]];
-    let mut y = vec![0.0; 4];
+    let mut y = set.prediction();
     for (k, x) in states.iter().enumerate() {
         set.observe_add(k, x, &mut y).unwrap();
     }
-    assert_eq!(y, [1.0, 3.0, 5.0, 0.75 * 6.0 + 0.25 * 10.0]);
+    assert_eq!(y.values(), [1.0, 3.0, 5.0, 0.75 * 6.0 + 0.25 * 10.0]);
     let mut d = vec![0.0; 4];
-    set.innovations(&y, &mut d);
+    set.innovations(y.values(), &mut d);
     assert_eq!(d, [0.0, -1.0, 0.0, 0.0]);
 }
 
@@ -58,10 +58,11 @@ fn adjoint_is_the_transpose_of_the_tangent_with_shared_operators() {
         let x = normals(2, n * (steps + 1));
         let dx = normals(3, n * (steps + 1));
         let w = normals(4, set.dim());
+        let run = set.prediction();
         let (mut dy, mut back) = (vec![0.0; set.dim()], vec![0.0; x.len()]);
         for k in 0..=steps {
-            set.tangent_add(k, &x[k * n..(k + 1) * n], &dx[k * n..(k + 1) * n], &mut dy);
-            set.adjoint_add(k, &x[k * n..(k + 1) * n], &w, &mut back[k * n..(k + 1) * n]);
+            set.tangent_add(k, &x[k * n..(k + 1) * n], &dx[k * n..(k + 1) * n], &run, &mut dy);
+            set.adjoint_add(k, &x[k * n..(k + 1) * n], &w, &run, &mut back[k * n..(k + 1) * n]);
         }
         let (left, right) = (crate::models::dot(&dy, &w), crate::models::dot(&dx, &back));
         assert!(left.abs() > 0.1);

@@ -59,9 +59,9 @@ fn operators_are_given_step_and_time_and_prefixes_keep_the_grid() {
     let clock = || -> Vec<Box<dyn ObservationOperator>> { vec![Box::new(Clock(Arc::clone(&calls)))] };
     let set = ObservationSet::on_times(times.clone(), clock(), seen).unwrap();
     let mut set = set.without(&[]).unwrap();
-    let mut y = [0.0];
+    let mut y = set.prediction();
     (0..4).for_each(|k| set.observe_add(k, &[0.0], &mut y).unwrap());
-    assert_eq!(y, [2.25]);
+    assert_eq!(y.values(), [2.25]);
     let at = |step: usize| At { step, time: times[step] };
     assert_eq!(*calls.lock().unwrap(), [at(1), at(2)]);
 

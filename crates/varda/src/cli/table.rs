@@ -92,7 +92,19 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
             o.counts.model_steps, o.counts.tangent_steps, o.counts.adjoint_steps, o.counts.factorizations
         ),
     );
-    line("time", format!("{seconds:.2} s"));
+    let s = &o.seconds;
+    line(
+        "time",
+        format!(
+            "{seconds:.2} s: set-up {:.2}, minimization {:.2}, posterior {:.2}, diagnostics {:.2}, files \
+             {:.2}",
+            s.set_up,
+            s.minimizer,
+            s.posterior,
+            s.diagnostics,
+            seconds - s.total
+        ),
+    );
     for w in o.warnings.iter().take(MOST_NOTES) {
         line("note", w.clone());
     }

@@ -183,16 +183,22 @@ impl Serialize for Rmse {
 /// Where the time went \[s\].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Seconds {
-    /// From the start of the run to the end of the analysis.
+    /// From the start of the run to the end of the analysis: the sum of the four that follow.
     pub total: f64,
-    /// In steps of the model.
+    /// Before the minimization: reading, the rod at rest, the truth, B.
+    pub set_up: f64,
+    /// In the minimization.
+    pub minimizer: f64,
+    /// From the end of the minimization to the posterior at the start of the window.
+    pub posterior: f64,
+    /// After it: runs of background and analysis, σ along them, departures, forecast.
+    pub diagnostics: f64,
+    /// Of minimization and posterior, in steps of the model.
     pub forward: f64,
     /// In linearizations and adjoint products.
     pub adjoint: f64,
     /// In tangent products.
     pub tangent: f64,
-    /// In the minimization, the model's share included.
-    pub minimizer: f64,
 }
 
 /// Runs of the whole window and its forecast, states one after the other.

@@ -2,6 +2,8 @@
 
 use std::time::Instant;
 
+use varda_implicit::Model;
+
 use serde::Serialize;
 use varda_rod::Rest;
 
@@ -55,20 +57,26 @@ pub(super) fn run(mut inputs: Inputs) -> Result<ForwardRun, Error> {
     model.initial_state(&problem.background, &mut x)?;
     let states = run_states(model.as_mut(), &x, steps)?;
     let seconds = began.elapsed().as_secs_f64();
-    let misfit = misfit(&problem, &grid, &states, x.len())?;
+    let misfit = misfit(&problem, &grid, model.as_ref(), &states)?;
     Ok(ForwardRun { seconds, misfit, rod: rod_of(&problem.system) })
 }
 
 /// d = y − H(x) of the window in σ; `None` where nothing was seen.
-fn misfit(problem: &Problem, grid: &TimeGrid, states: &[f64], n: usize) -> Result<Option<Misfit>, Error> {
-    let mut observations = problem.observed.set(grid)?;
+fn misfit(
+    problem: &Problem,
+    grid: &TimeGrid,
+    model: &dyn Model,
+    states: &[f64],
+) -> Result<Option<Misfit>, Error> {
+    let (n, mut observations) = (model.dim(), problem.observed.set(grid)?);
+    observations.follow(model.rate());
     let Some(last) = observations.last_step() else { return Ok(None) };
-    let mut predicted = vec![0.0; observations.dim()];
+    let mut predicted = observations.prediction();
     for k in 0..=last {
         observations.observe_add(k, &states[k * n..(k + 1) * n], &mut predicted)?;
     }
-    let mut d = vec![0.0; predicted.len()];
-    observations.innovations(&predicted, &mut d);
+    let mut d = vec![0.0; observations.dim()];
+    observations.innovations(predicted.values(), &mut d);
     let squares: Vec<f64> = d.iter().zip(observations.sigma()).map(|(d, s)| (d / s).powi(2)).collect();
     let mut sites: Vec<(&str, f64, usize)> = Vec::new();
     for (i, o) in observations.observations().iter().enumerate() {

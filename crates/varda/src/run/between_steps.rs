@@ -1,4 +1,4 @@
-//! What an observation between two steps costs: H(x) is a straight line there.
+//! What an observation between two steps costs: H(x) is that of a cubic there, or a straight line.
 
 use std::collections::HashMap;
 
@@ -9,13 +9,14 @@ use crate::outcome::Trajectories;
 use crate::setup::Problem;
 use crate::setup::observations::observe;
 
-/// A line that is off by more than this many σ is said.
+/// A curve that is off by more than this many σ is said.
 const SEEN: f64 = 0.5;
 
-/// How far the straight lines of H(x) between the steps of the analysis are from the curve through its
-/// steps, where that can be seen: at a fraction w of a step the chord is off by ½ w (1 − w) |Δ²H|,
-/// with Δ²H the second difference; (ωΔt)²/8 of the amplitude of an oscillation in the middle of a
-/// step. An analysis makes up for it by an amplitude that is too large, and fits well.
+/// How far the curves of H(x) between the steps of the analysis are from the motion, where that can be seen.
+/// At a fraction w of a step a straight line is off by ½ w (1 − w) |Δ²H|, a cubic through states and
+/// rates by w² (1 − w)² |Δ⁴H|/24, with Δ²H and Δ⁴H the differences of H at steps: (ωΔt)²/8
+/// and (ωΔt)⁴/384 of the amplitude of an oscillation in the middle of a step. An analysis makes up
+/// for it by an amplitude that is too large, and fits well.
 ///
 /// # Errors
 /// [`Error::Assimilation`] where the analysis cannot be observed.
@@ -46,18 +47,24 @@ pub(super) fn remark(
         seen.insert(k, found.clone());
         Ok(found)
     };
+    let (order, curve) = if observations.is_cubic() { (4, "cubic") } else { (2, "straight line") };
     let (mut worst, mut time, mut label, mut count) = (0.0_f64, 0.0, String::new(), 0);
     for o in between() {
-        // The two second differences about the step, or the one that there is.
-        let first = o.step.saturating_sub(1);
-        let states = [first, first + 1, first + 2, first + 3].map(&mut predicted);
-        let [a, b, c, d] = states;
-        let (Some(a), Some(b), Some(c)) = (a?, b?, c?) else { continue };
-        let d = if o.step == 0 { None } else { d? };
+        // The two differences about the step, or the one that there is.
+        let first = o.step.saturating_sub(order / 2);
+        let states = (first..first + order + 2).map(&mut predicted).collect::<Result<Vec<_>, _>>()?;
+        let known: Vec<&Vec<f64>> = states.iter().map_while(Option::as_ref).collect();
+        if known.len() <= order {
+            continue;
+        }
+        let both = known.len() > order + 1 && o.step >= order / 2;
+        let inside = o.weight * (1.0 - o.weight);
         for (row, sigma) in o.rows.iter().zip(&o.sigma) {
-            let (row, before) = (*row, a[*row] - 2.0 * b[*row] + c[*row]);
-            let after = d.as_ref().map_or(before, |d| b[row] - 2.0 * c[row] + d[row]);
-            let off = 0.25 * o.weight * (1.0 - o.weight) * (before + after).abs() / sigma;
+            let values: Vec<f64> = known.iter().map(|y| y[*row]).collect();
+            let before = difference(&values[..=order]);
+            let after = if both { difference(&values[1..]) } else { before };
+            let mean = 0.5 * (before + after).abs() / sigma;
+            let off = if order == 4 { inside * inside / 24.0 } else { 0.5 * inside } * mean;
             count += usize::from(off > SEEN);
             if off > worst {
                 (worst, time) = (off, grid.start + (o.step as f64 + o.weight) * grid.step);
@@ -67,9 +74,18 @@ pub(super) fn remark(
     }
     Ok((worst > SEEN).then(|| {
         format!(
-            "{count} observed values lie between two steps where a straight line is off by more than \
+            "{count} observed values lie between two steps where a {curve} is off by more than \
              {SEEN} sigma, at most {worst:.1} ({label}, {time:.4} s): amplitudes come out too large, with a \
              good fit; take steps that end at the observations, or smaller ones"
         )
     }))
+}
+
+/// The difference of as high an order as values allow.
+fn difference(values: &[f64]) -> f64 {
+    match values {
+        [] => 0.0,
+        [one] => *one,
+        _ => difference(&values[1..]) - difference(&values[..values.len() - 1]),
+    }
 }

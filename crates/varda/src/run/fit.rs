@@ -1,15 +1,15 @@
 //! How well the analysis fits: innovations against the assumed σ, markers kept back, forecasts beside
 //! simpler ones.
 
-use varda_assimilation::{ObservationOperator, ObservationSet};
-use varda_implicit::Model;
+use varda_assimilation::{Observation, ObservationOperator, ObservationSet};
+use varda_implicit::{At, Model, Rate};
 
 use super::departures::{Departure, Surroundings};
 use crate::Error;
 use crate::outcome::{Fit, Forecast, Sight, Trajectories, Withheld};
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
-use crate::setup::observations::observe;
+use crate::setup::observations::{ObservedSpace, observe};
 
 /// Innovations at background and analysis, label by label in the order of their first appearance.
 ///
@@ -53,18 +53,36 @@ pub(crate) fn innovations(
     runs: &Trajectories,
     states: &[f64],
 ) -> Result<Vec<f64>, Error> {
-    let mut predicted = vec![0.0; observations.dim()];
-    let last = observations.last_step().unwrap_or(0);
-    for k in 0..=last {
-        match runs.state(states, k) {
-            Some(x) => observations.observe_add(k, x, &mut predicted)?,
-            // A run that ended early has no innovations; its warning says so.
-            None => return Ok(vec![f64::NAN; observations.dim()]),
+    let mut d = vec![f64::NAN; observations.dim()];
+    // A run that ended early has no innovations; its warning says so.
+    if runs.state(states, observations.last_step().unwrap_or(0)).is_some() {
+        let predicted = predicted(observations, runs, states)?;
+        observations.innovations(&predicted, &mut d);
+    }
+    Ok(d)
+}
+
+/// H(x) of a run; NaN from where it ended early.
+///
+/// # Errors
+/// [`Error::Assimilation`] where a state cannot be observed.
+pub(super) fn predicted(
+    observations: &mut ObservationSet,
+    runs: &Trajectories,
+    states: &[f64],
+) -> Result<Vec<f64>, Error> {
+    let mut prediction = observations.prediction();
+    for k in 0..=observations.last_step().unwrap_or(0) {
+        let Some(x) = runs.state(states, k) else { break };
+        observations.observe_add(k, x, &mut prediction)?;
+    }
+    let mut predicted = prediction.values().to_vec();
+    for (i, o) in observations.observations().iter().enumerate() {
+        if runs.state(states, o.last_step()).is_none() {
+            predicted[observations.rows(i)].fill(f64::NAN);
         }
     }
-    let mut d = vec![0.0; predicted.len()];
-    observations.innovations(&predicted, &mut d);
-    Ok(d)
+    Ok(predicted)
 }
 
 /// What was observed less what the analysis says, value by value.
@@ -98,7 +116,7 @@ pub(crate) fn departures(
         });
     }
     let mut shifted = |by: isize| -> Result<Vec<f64>, Error> {
-        let mut predicted = vec![0.0; observations.dim()];
+        let mut predicted = observations.prediction();
         for k in 0..=observations.last_step().unwrap_or(0) {
             let there = k.saturating_add_signed(by);
             let state = runs.state(&runs.analysis, there).or_else(|| runs.state(&runs.analysis, k));
@@ -106,7 +124,7 @@ pub(crate) fn departures(
                 observations.observe_add(k, x, &mut predicted)?;
             }
         }
-        Ok(predicted)
+        Ok(predicted.values().to_vec())
     };
     let (before, predicted, after) = (shifted(-1)?, shifted(0)?, shifted(1)?);
     let grid = &problem.experiment.grid;
@@ -176,7 +194,9 @@ pub(crate) fn beyond(
     let grid = &problem.experiment.grid;
     let end = grid.steps as f64;
     let sights = problem.observed.sights();
-    let mut places = SitePlaces::of((space.make_places)()?, *grid);
+    let (sights, mut places) = SitePlaces::of(space, sights, grid, model.rate())?;
+    let at_background = places.along(runs, &runs.background)?;
+    let at_analysis = places.along(runs, &runs.analysis)?;
     let at_rest = if sights.iter().any(|s| s.at() > end) {
         let at_rest = rod.parts.at_rest(grid.time(grid.steps))?;
         let control = rod.parts.dynamics()?.control_at_rest(&at_rest);
@@ -187,36 +207,30 @@ pub(crate) fn beyond(
         Vec::new()
     };
     for (i, site) in problem.observed.sites.iter().enumerate() {
-        let (inside, after): (Vec<&Sight>, Vec<&Sight>) =
-            sights.iter().filter(|s| s.site == i).partition(|s| s.at() <= end);
-        let mut miss = |states: &[f64], seen: &[&Sight]| -> Result<MeanErrors, Error> {
-            let mut errors = Vec::with_capacity(seen.len());
-            for sight in seen {
-                match places.at(runs, states, sight)? {
-                    Some(q) => errors.push(std::array::from_fn(|c| sight.position[c] - q[c])),
-                    // A run that ended early has no error; its warning says so.
-                    None => return Ok(MeanErrors { rms: f64::NAN, moving: f64::NAN }),
-                }
-            }
-            Ok(MeanErrors::of(&errors))
+        let of_site = (0..sights.len()).filter(|j| sights[*j].site == i);
+        let (inside, after): (Vec<usize>, Vec<usize>) = of_site.partition(|j| sights[*j].at() <= end);
+        // A run that ended early has NaN for an error; its warning says so.
+        let miss = |places: &[[f64; 3]], seen: &[usize]| {
+            let error = |j: &usize| std::array::from_fn(|c| sights[*j].position[c] - places[*j][c]);
+            MeanErrors::of(&seen.iter().map(error).collect::<Vec<[f64; 3]>>())
         };
         if site.withheld && !inside.is_empty() {
-            let analysis = miss(&runs.analysis, &inside)?;
+            let analysis = miss(&at_analysis, &inside);
             withheld.push(Withheld {
                 label: site.label.clone(),
                 count: inside.len(),
-                rms_background: miss(&runs.background, &inside)?.rms,
+                rms_background: miss(&at_background, &inside).rms,
                 rms_analysis: analysis.rms,
                 moving_analysis: analysis.moving,
             });
         }
         if !after.is_empty() {
-            let analysis = miss(&runs.analysis, &after)?;
-            let background = miss(&runs.background, &after)?;
-            let still = places.of_site(&at_rest, i, grid.steps)?;
+            let analysis = miss(&at_analysis, &after);
+            let background = miss(&at_background, &after);
+            let still = places.of_site(&at_rest, i)?;
             let constant = |q: &[f64; 3]| {
                 let errors: Vec<[f64; 3]> =
-                    after.iter().map(|s| std::array::from_fn(|c| s.position[c] - q[c])).collect();
+                    after.iter().map(|j| std::array::from_fn(|c| sights[*j].position[c] - q[c])).collect();
                 MeanErrors::of(&errors)
             };
             forecasts.push(Forecast {
@@ -225,7 +239,7 @@ pub(crate) fn beyond(
                 count: after.len(),
                 analysis: analysis.rms,
                 background: background.rms,
-                persistence: inside.last().map_or(f64::NAN, |s| constant(&s.position).rms),
+                persistence: inside.last().map_or(f64::NAN, |j| constant(&sights[*j].position).rms),
                 static_model: constant(&still).rms,
                 moving_analysis: analysis.moving,
                 moving_constant: constant(&still).moving,
@@ -235,35 +249,44 @@ pub(crate) fn beyond(
     Ok((withheld, forecasts))
 }
 
-/// SitePlaces of all sites in the model's axes.
+/// Where sites are in the model's axes.
 struct SitePlaces {
     operator: Box<dyn ObservationOperator>,
-    grid: TimeGrid,
-    values: Vec<f64>,
+    sights: ObservationSet,
+    at_end: At,
 }
 
 impl SitePlaces {
-    fn of(operator: Box<dyn ObservationOperator>, grid: TimeGrid) -> Self {
-        SitePlaces { values: vec![0.0; operator.dim()], operator, grid }
+    /// Of what was seen within window and forecast, which is given back in the order of time.
+    fn of(
+        space: &ObservedSpace,
+        mut sights: Vec<Sight>,
+        grid: &TimeGrid,
+        rate: Option<Box<dyn Rate>>,
+    ) -> Result<(Vec<Sight>, SitePlaces), Error> {
+        sights.retain(|s| s.at() <= grid.last_step() as f64);
+        sights.sort_by(|a, b| a.step.cmp(&b.step).then(a.weight.total_cmp(&b.weight)));
+        let seen = sights.iter().map(|s| {
+            let rows = (3 * s.site..3 * s.site + 3).collect();
+            Observation::new(s.step, rows, s.position.to_vec(), s.sigma).between(s.weight)
+        });
+        let mut set = ObservationSet::on_times(grid.times(), vec![(space.make_places)()?], seen.collect())?;
+        set.follow(rate);
+        let operator = (space.make_places)()?;
+        Ok((sights, SitePlaces { operator, sights: set, at_end: grid.at(grid.steps) }))
     }
 
-    /// The place of a site in a state at step k.
-    fn of_site(&mut self, state: &[f64], site: usize, step: usize) -> Result<[f64; 3], Error> {
-        observe(self.operator.as_mut(), self.grid.at(step), state, &mut self.values)?;
-        Ok(std::array::from_fn(|c| self.values[3 * site + c]))
+    /// The place of a site in a state at the end of the window.
+    fn of_site(&mut self, state: &[f64], site: usize) -> Result<[f64; 3], Error> {
+        let mut values = vec![0.0; self.operator.dim()];
+        observe(self.operator.as_mut(), self.at_end, state, &mut values)?;
+        Ok(std::array::from_fn(|c| values[3 * site + c]))
     }
 
-    /// The place in a run where and when a site was seen; `None` where the run ended before.
-    fn at(&mut self, runs: &Trajectories, states: &[f64], sight: &Sight) -> Result<Option<[f64; 3]>, Error> {
-        let Sight { site, step: k, weight: w, .. } = *sight;
-        let Some(x) = runs.state(states, k) else { return Ok(None) };
-        let p = self.of_site(x, site, k)?;
-        if w == 0.0 {
-            return Ok(Some(p));
-        }
-        let Some(next) = runs.state(states, k + 1) else { return Ok(None) };
-        let q = self.of_site(next, site, k + 1)?;
-        Ok(Some(std::array::from_fn(|i| (1.0 - w) * p[i] + w * q[i])))
+    /// The places in a run where and when sites were seen; NaN where the run ended before.
+    fn along(&mut self, runs: &Trajectories, states: &[f64]) -> Result<Vec<[f64; 3]>, Error> {
+        let predicted = predicted(&mut self.sights, runs, states)?;
+        Ok(predicted.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect())
     }
 }
 

@@ -1,14 +1,16 @@
 //! σ of the analysis at every time of window and forecast, in the state and at what is observed.
 
-use varda_assimilation::{ObservationOperator, propagate_root};
+use std::collections::BTreeMap;
+
+use varda_assimilation::{ObservationSet, Prediction, propagate_root};
 use varda_implicit::Model;
 use varda_rod::{InternalForces, RodStep};
 
+use super::fit::predicted;
 use crate::Error;
 use crate::outcome::{ObservedValue, Rejected, Trajectories};
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
-use crate::setup::observations::{Seen, observe};
 
 /// σ of the components of every state of the analysis, one state after the other, and of every row of H at
 /// the times that were seen.
@@ -65,27 +67,26 @@ pub(super) fn along(
     if root.is_empty() {
         return Ok(None);
     }
-    let (n, all) = (runs.dim, &problem.observed.seen);
+    let (n, grid) = (runs.dim, problem.experiment.grid);
+    let (mut set, order) = problem.observed.everything(&grid)?;
+    set.follow(model.rate());
     let mut spread = Spread {
         states: Vec::with_capacity(runs.analysis.len()),
-        seen: vec![Vec::new(); all.len()],
+        seen: vec![Vec::new(); problem.observed.seen.len()],
         forces: Vec::new(),
     };
     let mut within = match problem.system.rod() {
         Some(rod) => Some(ForceSpread { rod: rod.parts.dynamics()?, before: Vec::new() }),
         None => None,
     };
-    // what was seen in the order of its steps
-    let mut order: Vec<usize> = (0..all.len()).collect();
-    order.sort_by_key(|i| all[*i].step);
-    let mut operator = problem.observed.operator()?;
-    let grid = problem.experiment.grid;
-    // rows of H W of what was seen between two steps, until the later one
-    let mut waiting: Vec<(usize, Vec<f64>)> = Vec::new();
-    let mut next = order.iter().copied().peekable();
-    let mut buffer = vec![0.0; operator.dim()];
+    let (mut run, mut dy) = (set.prediction(), vec![0.0; set.dim()]);
+    observe_all(&mut set, runs, &mut run)?;
+    // Columns of H W for the rows under way, those between two steps until the later one; and the first
+    // observation that is not done.
+    let (mut waiting, mut next): (BTreeMap<usize, Vec<f64>>, usize) = (BTreeMap::new(), 0);
     let done = propagate_root(model, control, root, &runs.analysis, &mut |k, w| {
         spread.states.extend(deviations(w, n));
+        let rows = set.rows_at(k);
         let state = &runs.analysis[k * n..(k + 1) * n];
         if let Some(forces) = &mut within {
             let before = k.checked_sub(1).map(|k| &runs.analysis[k * n..(k + 1) * n]);
@@ -101,36 +102,34 @@ pub(super) fn along(
                 }
             }
         }
-        if waiting.is_empty() && next.peek().is_none_or(|i| all[*i].step != k) {
-            return Ok(());
-        }
-        observe(operator.as_mut(), grid.at(k), state, &mut buffer)?;
-        let mut seen_through = Vec::with_capacity(w.len() / n * operator.dim());
-        for column in w.chunks_exact(n) {
-            operator.tangent(grid.at(k), state, column, &mut buffer);
-            seen_through.extend_from_slice(&buffer);
-        }
-        let rows = |i: usize| -> Vec<f64> {
-            let range = problem.observed.sites[all[i].site].rows.clone();
-            seen_through.chunks_exact(buffer.len()).flat_map(|hw| &hw[range.clone()]).copied().collect()
-        };
-        for (i, before) in waiting.drain(..) {
-            let weight = all[i].weight;
-            let between: Vec<f64> =
-                before.iter().zip(rows(i)).map(|(a, b)| (1.0 - weight) * a + weight * b).collect();
-            spread.seen[i] = deviations(&between, problem.observed.sites[all[i].site].rows.len());
-        }
-        while let Some(i) = next.next_if(|i| all[*i].step == k) {
-            let at = rows(i);
-            if all[i].weight == 0.0 {
-                spread.seen[i] = deviations(&at, problem.observed.sites[all[i].site].rows.len());
-            } else {
-                waiting.push((i, at));
+        for (j, column) in w.chunks_exact(n).enumerate().filter(|_| !rows.is_empty()) {
+            set.tangent_add(k, state, column, &run, &mut dy);
+            for row in rows.clone() {
+                waiting.entry(row).or_insert_with(|| vec![0.0; w.len() / n])[j] += dy[row];
+                dy[row] = 0.0;
             }
+        }
+        while let Some(o) = set.observations().get(next).filter(|o| o.last_step() <= k) {
+            let size = |row: usize| waiting.remove(&row).map_or(0.0, |w| norm(&w));
+            spread.seen[order[next]] = set.rows(next).take(o.rows.len()).map(size).collect();
+            next += 1;
         }
         Ok(())
     });
     Ok(done.is_ok().then_some(spread))
+}
+
+/// H(x) of the analysis, as far as it ran.
+fn observe_all(set: &mut ObservationSet, runs: &Trajectories, run: &mut Prediction) -> Result<(), Error> {
+    for k in 0..=set.last_step().unwrap_or(0) {
+        let Some(x) = runs.state(&runs.analysis, k) else { break };
+        set.observe_add(k, x, run)?;
+    }
+    Ok(())
+}
+
+fn norm(x: &[f64]) -> f64 {
+    x.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
 /// Square roots of the diagonal of W Wᵀ, W with `rows` rows, by columns.
@@ -148,24 +147,22 @@ fn deviations(w: &[f64], rows: usize) -> Vec<f64> {
 /// [`Error::Assimilation`] where a state cannot be observed.
 pub(super) fn observed_values(
     problem: &Problem,
+    model: &dyn Model,
     runs: &Trajectories,
     spread: Option<&Spread>,
     rejected: &[Rejected],
 ) -> Result<Vec<ObservedValue>, Error> {
     let grid = problem.experiment.grid;
-    let mut operator = problem.observed.operator()?;
-    let mut at_background = Predicted::of(operator.dim());
-    let mut at_analysis = Predicted::of(operator.dim());
+    let (mut set, order) = problem.observed.everything(&grid)?;
+    set.follow(model.rate());
+    let at_background = predicted(&mut set, runs, &runs.background)?;
+    let at_analysis = predicted(&mut set, runs, &runs.analysis)?;
     let in_space = problem.observed.space.is_some();
-    let mut order: Vec<usize> = (0..problem.observed.seen.len()).collect();
-    let seen = &problem.observed.seen;
-    order.sort_by(|a, b| seen[*a].at().total_cmp(&seen[*b].at()));
     let mut out = Vec::new();
-    for i in order {
-        let one = &seen[i];
+    for (place, i) in order.into_iter().enumerate() {
+        let one = &problem.observed.seen[i];
         let site = &problem.observed.sites[one.site];
-        let background = at_background.rows(operator.as_mut(), &grid, runs, &runs.background, one)?;
-        let analysis = at_analysis.rows(operator.as_mut(), &grid, runs, &runs.analysis, one)?;
+        let rows = set.rows(place);
         let refused = rejected.iter().any(|r| r.label == site.label && r.step == one.step);
         let reason = match () {
             () if one.at() > grid.steps as f64 => "after the window",
@@ -175,14 +172,14 @@ pub(super) fn observed_values(
         };
         for (c, value) in one.values.iter().enumerate() {
             let Some(value) = *value else { continue };
-            let row = site.rows.start + c;
+            let row = rows.start + c;
             out.push(ObservedValue {
                 time: grid.start + one.at() * grid.step,
                 label: site.label.clone(),
                 axis: if in_space { ["x", "y", "z"][c] } else { "" },
                 value,
-                background: background[row],
-                analysis: analysis[row],
+                background: at_background[row],
+                analysis: at_analysis[row],
                 sigma: one.sigma,
                 sigma_analysis: spread.and_then(|s| s.seen[i].get(c)).copied(),
                 used: reason.is_empty(),
@@ -191,41 +188,4 @@ pub(super) fn observed_values(
         }
     }
     Ok(out)
-}
-
-/// H along a run; keeps the rows of the last two steps.
-struct Predicted {
-    steps: [Option<usize>; 2],
-    rows: [Vec<f64>; 2],
-}
-
-impl Predicted {
-    fn of(rows: usize) -> Predicted {
-        Predicted { steps: [None; 2], rows: [vec![0.0; rows], vec![0.0; rows]] }
-    }
-
-    /// All rows at the time of what was seen; NaN where the run ended before.
-    fn rows(
-        &mut self,
-        operator: &mut dyn ObservationOperator,
-        grid: &TimeGrid,
-        runs: &Trajectories,
-        states: &[f64],
-        seen: &Seen,
-    ) -> Result<Vec<f64>, Error> {
-        let mut all = vec![0.0; operator.dim()];
-        for (step, weight) in [(seen.step, 1.0 - seen.weight), (seen.step + 1, seen.weight)] {
-            if weight == 0.0 {
-                continue;
-            }
-            let Some(x) = runs.state(states, step) else { return Ok(vec![f64::NAN; all.len()]) };
-            let slot = step % 2;
-            if self.steps[slot] != Some(step) {
-                observe(operator, grid.at(step), x, &mut self.rows[slot])?;
-                self.steps[slot] = Some(step);
-            }
-            all.iter_mut().zip(&self.rows[slot]).for_each(|(sum, row)| *sum += weight * row);
-        }
-        Ok(all)
-    }
 }

@@ -107,12 +107,16 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let mut log = timed.log().clone();
     // The time of the posterior does not belong to the minimization.
     let minimizer = convergence.last().map_or(0.0, |row| row.seconds);
+    let solved = began.elapsed().as_secs_f64();
     let seconds = Seconds {
         total: 0.0,
+        set_up: began.duration_since(listener.started).as_secs_f64(),
+        minimizer,
+        posterior: solved - minimizer,
+        diagnostics: 0.0,
         forward: clock.forward(),
         adjoint: clock.adjoint(),
         tangent: clock.tangent(),
-        minimizer,
     };
     let refreshed_models = refreshing.as_ref().and_then(Refreshing::refreshed_models);
     let make_model = refreshed_models.as_ref().unwrap_or(&problem.make_model);
@@ -140,6 +144,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         trajectories(problem, model.as_mut(), &analysis.analysis, solution.states, &mut warnings, &mut log);
     let amplification = amplification(problem, make_model, &analysis, &observations, &trajectories);
     warnings.extend(amplification.and_then(|a| a.warning()));
+    observations.follow(model.rate());
     let fit = fit::fit(&mut observations, &trajectories)?;
     let (withheld, forecast) = fit::beyond(problem, &trajectories, model.as_mut())?;
     let departures = fit::departures(problem, &mut observations, &trajectories)?;
@@ -171,7 +176,8 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     if let (Some(shapes), Some(spread)) = (&mut shapes, &mut spread) {
         shapes.sigma_forces = std::mem::take(&mut spread.forces);
     }
-    let observed = spread::observed_values(problem, &trajectories, spread.as_ref(), &rejected)?;
+    let observed =
+        spread::observed_values(problem, model.as_ref(), &trajectories, spread.as_ref(), &rejected)?;
     Ok(Outcome {
         experiment: Experiment { left_out, ..experiment.clone() },
         status,
@@ -191,7 +197,11 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         sigma_states: spread.map_or_else(Vec::new, |spread| spread.states),
         observed,
         rmse,
-        seconds: Seconds { total: listener.started.elapsed().as_secs_f64(), ..seconds },
+        seconds: Seconds {
+            total: listener.started.elapsed().as_secs_f64(),
+            diagnostics: began.elapsed().as_secs_f64() - solved,
+            ..seconds
+        },
         fit,
         evidence,
         withheld,

@@ -36,6 +36,8 @@ pub struct Sizes {
     pub values: usize,
     /// Times at which something is observed.
     pub times: usize,
+    /// Those of them between two steps.
+    pub between: usize,
     /// What the model keeps of the linearization of a step.
     pub kept: usize,
     /// Steps of a window.
@@ -198,6 +200,7 @@ impl Sizes {
             control,
             values,
             times,
+            between: inputs.observed.times_between(&inputs.grid),
             kept,
             steps: inputs.file.scene.time.window,
             shown: inputs.grid.last_step(),
@@ -212,6 +215,8 @@ fn footprint(scene: &Scene, sizes: &Sizes) -> Footprint {
         runs,
         state: NUMBER * sizes.state,
         linearization: if scene.algorithm.method.is_ensemble() { 0 } else { NUMBER * sizes.kept },
+        // the states observed between steps
+        always: (runs * NUMBER * sizes.state).saturating_mul(sizes.between.div_ceil(windows(scene))),
     }
 }
 

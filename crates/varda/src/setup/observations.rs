@@ -119,6 +119,15 @@ impl Observed {
         [used().map(values).sum(), times.len()]
     }
 
+    /// The number of times between two steps that are assimilated.
+    pub(crate) fn times_between(&self, grid: &TimeGrid) -> usize {
+        let used = self.seen.iter().filter(|s| s.weight > 0.0 && self.is_assimilated(s, grid));
+        let mut times: Vec<f64> = used.map(Seen::at).collect();
+        times.sort_by(f64::total_cmp);
+        times.dedup();
+        times.len()
+    }
+
     /// Draws the values of a twin experiment: H of the truth at the observed steps, in the order of time,
     /// plus independent errors. Nothing for observations that were read.
     pub(crate) fn draw(
@@ -175,6 +184,25 @@ impl Observed {
             vec![(self.make_operator)()?],
             self.assimilated(grid),
         )?)
+    }
+
+    /// Everything that was seen in window and forecast, used or not, with a row for every row of its site:
+    /// where predictions are wanted beside what was seen. Values that are missing are zeros. Beside it the
+    /// place of each observation in `seen`, in the order of the set, which is that of time.
+    ///
+    /// # Errors
+    /// [`Error::Assimilation`].
+    pub(crate) fn everything(&self, grid: &TimeGrid) -> Result<(ObservationSet, Vec<usize>), Error> {
+        let last = grid.last_step() as f64;
+        let mut order: Vec<usize> = (0..self.seen.len()).filter(|i| self.seen[*i].at() <= last).collect();
+        let of = |i: usize| &self.seen[i];
+        order.sort_by(|a, b| of(*a).step.cmp(&of(*b).step).then(of(*a).weight.total_cmp(&of(*b).weight)));
+        let row = |i: &usize| {
+            let (s, rows) = (of(*i), self.sites[of(*i).site].rows.clone());
+            Observation::new(s.step, rows.clone().collect(), vec![0.0; rows.len()], s.sigma).between(s.weight)
+        };
+        let seen = order.iter().map(row).collect();
+        Ok((ObservationSet::on_times(grid.times(), vec![self.operator()?], seen)?, order))
     }
 
     /// H, all sites stacked.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-use varda_implicit::{ControlMap, Error, Log, Model, Work};
+use varda_implicit::{ControlMap, Error, Log, Model, Rate, Work};
 
 /// Seconds spent in models, summed over all models that share the clock (and so over threads).
 #[derive(Debug, Clone, Default)]
@@ -113,6 +113,10 @@ where
 
     fn bytes(&self) -> usize {
         self.model.bytes()
+    }
+
+    fn rate(&self) -> Option<Box<dyn Rate>> {
+        self.model.rate()
     }
 
     fn control_map(&mut self) -> Option<&mut dyn ControlMap> {

@@ -79,8 +79,11 @@ pub(in crate::suites) fn closed_form(b: &dyn Covariance) -> Result<(Vec<f64>, f6
         f(&unit, &mut column);
         DVector::from_vec(column)
     };
-    let mut observe =
-        |x: &[f64], y: &mut [f64]| set.observe_add(0, x, y).expect("a linear operator refuses nothing");
+    let mut observe = |x: &[f64], y: &mut [f64]| {
+        let mut seen = set.prediction();
+        set.observe_add(0, x, &mut seen).expect("a linear operator refuses nothing");
+        y.copy_from_slice(seen.values());
+    };
     let h = DMatrix::from_columns(&[0, 1, 2, 3, 4].map(|j| column(&mut observe, 4, j)));
     let dense = DMatrix::from_columns(&[0, 1, 2, 3, 4].map(|j| column(&mut |x, y| b.apply(x, y), 5, j)));
     let r = DMatrix::from_diagonal(&DVector::from_iterator(4, set.sigma().iter().map(|s| s * s)));
@@ -212,6 +215,9 @@ impl<M: Model> Model for WrongAdjoint<M> {
     }
     fn bytes(&self) -> usize {
         self.0.bytes()
+    }
+    fn rate(&self) -> Option<Box<dyn varda_implicit::Rate>> {
+        self.0.rate()
     }
     fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
         self.0.control_map()

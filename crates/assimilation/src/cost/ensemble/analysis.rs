@@ -6,6 +6,7 @@ use crate::cycle_members::finite_size_inflation;
 use crate::minimize::{NOISE, at_least_one, eigen, setters};
 use crate::{Error, Iteration, Minimum, Status};
 use std::ops::ControlFlow;
+use varda_linalg::Svd;
 
 /// Settings of [`EnVar::minimize`].
 #[derive(Debug, Clone, PartialEq)]
@@ -287,28 +288,54 @@ impl EnVar<'_> {
     /// # Errors
     /// An eigenvalue iteration that fails.
     pub fn posterior_variance(&self) -> Result<(Vec<f64>, f64), Error> {
-        let gram = self.gram()?;
-        let (n_z, size) = (self.transform.control_dim(), gram.values.len());
-        let (mut unit, mut u, mut w) =
-            (vec![0.0; n_z], vec![0.0; self.dim()], vec![0.0; self.observations.dim()]);
-        let mut variance = vec![0.0; n_z];
-        for (p, variance) in variance.iter_mut().enumerate() {
+        let (n, m) = (self.dim(), self.observations.dim());
+        // GGᵀ takes least memory, and is as good where its rounding is far below the smallest variance.
+        let gram = if m < n { Some(self.gram()?) } else { None };
+        let resolved = |g: &Gram| {
+            let largest = g.values.last().copied().unwrap_or(0.0);
+            g.values.len() as f64 * f64::EPSILON * largest <= 1e-6
+        };
+        let Some(gram) = gram.filter(resolved) else { return self.posterior_variance_by_g() };
+        let (mut w, size) = (vec![0.0; m], gram.values.len());
+        let variance = self.over_components(&mut |u| {
+            self.forward(u, &mut w);
+            let pairs = gram.vectors.chunks_exact(size.max(1)).zip(&gram.values);
+            let seen: f64 = pairs.map(|(z, lambda)| dot(z, &w).powi(2) / (1.0 + lambda)).sum();
+            dot(u, u) - seen
+        });
+        Ok((variance, gram.values.iter().map(|lambda| lambda / (1.0 + lambda)).sum()))
+    }
+
+    /// `posterior_variance` by the singular values of G: of u = Uᵀ e_p what nothing sees,
+    /// and the rest over μ.
+    fn posterior_variance_by_g(&self) -> Result<(Vec<f64>, f64), Error> {
+        let (n, m) = (self.dim(), self.observations.dim());
+        let Svd { values, right, .. } = Svd::thin(m, n, &self.jacobian())?;
+        let mut rest = vec![0.0; n];
+        let variance = self.over_components(&mut |u| {
+            rest.copy_from_slice(u);
+            let mut sum = 0.0;
+            for (z, s) in right.chunks_exact(n.max(1)).zip(&values) {
+                let c = dot(z, u);
+                rest.iter_mut().zip(z).for_each(|(r, z)| *r -= c * z);
+                sum += c * c / (1.0 + s * s);
+            }
+            sum + dot(&rest, &rest)
+        });
+        Ok((variance, values.iter().map(|s| s * s / (1.0 + s * s)).sum()))
+    }
+
+    /// f(Uᵀ e_p) for every component p of the control.
+    fn over_components(&self, f: &mut dyn FnMut(&[f64]) -> f64) -> Vec<f64> {
+        let n_z = self.transform.control_dim();
+        let (mut unit, mut u) = (vec![0.0; n_z], vec![0.0; self.dim()]);
+        let of = |p: usize| {
             unit[p] = 1.0;
             self.transform.adjoint(&unit, &mut u);
             unit[p] = 0.0;
-            if gram.dual {
-                self.forward(&u, &mut w);
-            }
-            let seen: &[f64] = if gram.dual { &w } else { &u };
-            let filtered: f64 = gram
-                .vectors
-                .chunks_exact(size.max(1))
-                .zip(&gram.values)
-                .map(|(z, lambda)| dot(z, seen).powi(2) / (1.0 + lambda))
-                .sum();
-            *variance = if gram.dual { dot(&u, &u) - filtered } else { filtered };
-        }
-        Ok((variance, gram.values.iter().map(|lambda| lambda / (1.0 + lambda)).sum()))
+            f(&u)
+        };
+        (0..n_z).map(of).collect()
     }
 
     /// The factor on the deviations of the members that a finite number of them asks for, at the last
