@@ -214,9 +214,9 @@ fn assimilations(options: &Options) -> Result<(Table, String)> {
     let text = match options.quick {
         true => String::new(),
         false => format!(
-            "A window of ten steps with two places observed at two times, B a Matérn 5/2 kernel conditioned on \
-             the clamp (by recursion), Gauss–Newton with conjugate gradients, a posterior of low rank: total \
-             seconds grow like segments^{:.2}, memory like segments^{:.2}.",
+            "A window of ten steps with two places observed at two times, B a Matérn 5/2 kernel \
+             conditioned on the clamp (by recursion), Gauss–Newton with conjugate gradients, a posterior \
+             of low rank: total seconds grow like segments^{:.2}, memory like segments^{:.2}.",
             slope(&seconds),
             slope(&bytes)
         ),

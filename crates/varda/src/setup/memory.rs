@@ -183,8 +183,8 @@ pub(crate) fn is_low_rank(method: Method, n: usize) -> bool {
 /// What a posterior of low rank leaves out.
 pub(crate) fn without_spread(scene: &Scene, n: usize) -> Option<String> {
     let line = format!(
-        "σ of the analysis after the start of the window: of more than {LARGEST_DENSE_POSTERIOR} unknowns the \
-         posterior is of low rank"
+        "σ of the analysis after the start of the window: of more than {LARGEST_DENSE_POSTERIOR} unknowns \
+         the posterior is of low rank"
     );
     (scene.report.posterior && is_low_rank(scene.algorithm.method, n)).then_some(line)
 }

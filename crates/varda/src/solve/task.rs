@@ -175,7 +175,7 @@ impl PosteriorSpread {
     pub(crate) fn remark(&self) -> Option<String> {
         let bound = self.error_bound.filter(|bound| !(*bound <= 1e-2))?;
         Some(format!(
-            "\u{3c3} of the analysis leaves out directions that are observed: its squares may be too large by \
+            "σ of the analysis leaves out directions that are observed: its squares may be too large by \
              {bound:.2} of the background's (a posterior of low rank, at most {MOST_PRODUCTS} directions)"
         ))
     }
