@@ -34,6 +34,7 @@ suites!(
     paper,
     stiff,
     field,
+    scaling,
     user,
     coverage
 );

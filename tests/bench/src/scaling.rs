@@ -1,11 +1,17 @@
 //! Cost of a step against the size of the model: seconds and bytes.
 
+use std::time::Instant;
+
 use super::clock::timed;
 use super::{Options, Page, Result, Table};
 use crate::cells;
 use problems::allocations::heap;
+use problems::long_rod::{self, slope};
 use problems::rods::DrivenRod;
 use varda::report::plot::{Corner, Panel, Series, Style};
+use varda::run::{Listener, assimilate};
+use varda::scene::SceneFile;
+use varda::setup::{Plan, Problem};
 use varda_implicit::lorenz::Lorenz96;
 use varda_implicit::{Model, Rk4};
 use varda_rod::TwistUnknowns;
@@ -14,10 +20,11 @@ pub(super) fn run(options: &Options) -> Result<Page> {
     let (rods, mut rod_series) = rods(options)?;
     let (lorenz, lorenz_series) = lorenz96(options)?;
     rod_series.push(lorenz_series);
+    let (assimilation, slopes) = assimilations(options)?;
     Ok(Page {
         title: "Scaling: seconds and bytes against size",
         text: TEXT.into(),
-        tables: vec![rods, lorenz],
+        tables: vec![rods, lorenz, assimilation],
         panels: vec![Panel {
             x_label: "segments, variables".into(),
             y_label: "µs per segment and Newton iteration, or per variable and step".into(),
@@ -27,7 +34,7 @@ pub(super) fn run(options: &Options) -> Result<Page> {
             series: rod_series,
             ..Panel::default()
         }],
-        remarks: PEERS.into(),
+        remarks: format!("{slopes}\n\n{PEERS}"),
     })
 }
 
@@ -156,4 +163,63 @@ fn lorenz96(options: &Options) -> Result<(Table, Series)> {
         points.push((n as f64, 1e-3 * each));
     }
     Ok((table, Series { label: "Lorenz-96, RK4".into(), style: Style::Marked(2), points }))
+}
+
+/// A scene of a rod assimilated: seconds by part, and the most memory, as counted by the allocator.
+fn assimilations(options: &Options) -> Result<(Table, String)> {
+    let mut table = Table::new(
+        "assimilation",
+        "A window assimilated from a scene",
+        &[
+            "segments",
+            "unknowns",
+            "set-up, s",
+            "minimization, s",
+            "posterior and rest, s",
+            "total, s",
+            "factorizations",
+            "heap, MB",
+            "check says, MB",
+        ],
+    );
+    let (mut seconds, mut bytes) = (Vec::new(), Vec::new());
+    let sizes = [1250, 5000, 20_000];
+    for &segments in &sizes[..if options.quick { 1 } else { 3 }] {
+        let sets = long_rod::segments(segments);
+        let file = SceneFile::parse("long-rod", "long-rod.toml", long_rod::SCENE, None, &sets)?;
+        let plan = Plan::new(&file)?;
+        let began = Instant::now();
+        let mut built = 0.0;
+        let (memory, outcome) = heap(|| {
+            let problem = Problem::from_scene(&file)?;
+            built = began.elapsed().as_secs_f64();
+            assimilate(&problem, &mut Listener::silent())
+        });
+        let (outcome, total) = (outcome?, began.elapsed().as_secs_f64());
+        let minimization = outcome.seconds.minimizer;
+        table.push(cells![
+            segments,
+            plan.n_control,
+            built,
+            minimization,
+            total - built - minimization,
+            total,
+            outcome.counts.factorizations,
+            memory.peak as f64 / 1e6,
+            plan.bytes as f64 / 1e6
+        ]);
+        seconds.push((segments as f64, total));
+        bytes.push((segments as f64, memory.peak as f64));
+    }
+    let text = match options.quick {
+        true => String::new(),
+        false => format!(
+            "A window of ten steps with two places observed at two times, B a Matérn 5/2 kernel \
+             conditioned on the clamp (by recursion), Gauss–Newton with conjugate gradients, a posterior \
+             of low rank: total seconds grow like segments^{:.2}, memory like segments^{:.2}.",
+            slope(&seconds),
+            slope(&bytes)
+        ),
+    };
+    Ok((table, text))
 }

@@ -4,6 +4,7 @@
 pub mod allocations;
 pub mod costs;
 pub mod counted;
+pub mod long_rod;
 pub mod methods;
 pub mod registers;
 pub mod rods;

@@ -12,6 +12,7 @@ mod linalg;
 mod options;
 mod order;
 mod paper;
+mod scaling;
 mod stiff;
 mod taylor;
 mod user;
@@ -88,6 +89,11 @@ pub const SUITES: &[Suite] = &[
         name: "field",
         proves: "Rods held anywhere, as people bring them, are found at rest where closed forms have them.",
         run: |options| field::run(options).into(),
+    },
+    Suite {
+        name: "scaling",
+        proves: "Rods of thousands of segments assimilate from a scene in memory linear in their number.",
+        run: |options| scaling::run(options).into(),
     },
     Suite {
         name: "user",

@@ -18,7 +18,7 @@ use crate::setup::Problem;
 use crate::setup::adaptive_steps::Refreshing;
 use crate::setup::runs::{MakeModel, run_on};
 use crate::solve::timed::{Clock, Timed};
-use crate::solve::{self, Iterate, Solution, Task};
+use crate::solve::{self, Iterate, PosteriorSpread, Solution, Task};
 
 /// Progress and cancellation callbacks of a run.
 pub struct Listener<'a> {
@@ -259,6 +259,7 @@ fn remarks(
     if let Some(reason) = &solution.no_spread {
         warnings.push(format!("there is no posterior: {reason}"));
     }
+    warnings.extend(solution.spread.as_ref().and_then(PosteriorSpread::remark));
     warnings.extend(failure.map(Failure::to_string));
     match status {
         Status::LinearizedOnce => warnings.push(

@@ -15,6 +15,13 @@ use crate::scene::{Covariance, CycledCovariance, Draw, Method, Origin, Root, Sce
 /// Bytes of a number.
 const NUMBER: usize = size_of::<f64>();
 
+/// Most unknowns of a posterior from the dense Hessian (five matrices of this size take 360 MB, eigenvectors
+/// a minute); beyond, it is the prior less the directions that Lanczos iterations find.
+const LARGEST_DENSE_POSTERIOR: usize = 3000;
+
+/// Products of a low-rank posterior, and vectors it keeps, at most.
+pub(crate) const MOST_PRODUCTS: usize = 200;
+
 /// Text of a number in a CSV file, about.
 const TEXT: usize = 20;
 
@@ -134,10 +141,16 @@ impl Memory {
         } else if algorithm.method.is_weak() {
             // G by parts, and I + G Gᵀ in the space of the observations.
             if posterior { 4 * square + m * (2 * n + errors + m) } else { 0 }
-        } else if posterior || algorithm.minimizer.settings().is_dense() || algorithm.method == Method::Blue {
+        } else if algorithm.minimizer.settings().is_dense()
+            || algorithm.method == Method::Blue
+            || (posterior && (cycled.is_some() || !is_low_rank(algorithm.method, n)))
+        {
             // Hessian, its eigenvectors with what finding them takes, the root of P_a; G, and the columns
             // under way through the model.
             5 * square + m * n + m.min(n) * sizes.state
+        } else if posterior {
+            // Lanczos vectors, Ritz vectors and the probes.
+            (2 * m.min(MOST_PRODUCTS) + 20) * n
         } else {
             0
         };
@@ -160,6 +173,20 @@ impl Memory {
             storage: Storage::KeepAll,
         }
     }
+}
+
+/// Whether the posterior of a control of `n` unknowns is of low rank.
+pub(crate) fn is_low_rank(method: Method, n: usize) -> bool {
+    method.is_strong() && n > LARGEST_DENSE_POSTERIOR
+}
+
+/// What a posterior of low rank leaves out.
+pub(crate) fn without_spread(scene: &Scene, n: usize) -> Option<String> {
+    let line = format!(
+        "σ of the analysis after the start of the window: of more than {LARGEST_DENSE_POSTERIOR} unknowns \
+         the posterior is of low rank"
+    );
+    (scene.report.posterior && is_low_rank(scene.algorithm.method, n)).then_some(line)
 }
 
 impl Sizes {

@@ -1,7 +1,7 @@
 //! What a run of a scene would take, without running anything.
 
 use super::inputs::Inputs;
-use super::memory::{Memory, Sizes, error_numbers};
+use super::memory::{Memory, Sizes, error_numbers, without_spread};
 use super::problem::without_derivatives;
 use crate::Error;
 use crate::scene::{SceneFile, TimeGrid};
@@ -70,6 +70,7 @@ impl Plan {
         let algorithm = &scene.algorithm;
         left_out.extend(scene.limits.left_out(memory.storage, steps));
         left_out.extend(without_derivatives(scene));
+        left_out.extend(without_spread(scene, sizes.control));
         Ok(Plan {
             name: file.name.clone(),
             title: scene.title.clone(),

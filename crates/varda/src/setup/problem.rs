@@ -8,7 +8,7 @@ use super::adaptive_steps::AdaptiveSteps;
 use super::covariance::Factored;
 use super::ensemble;
 use super::inputs::{Inputs, KnownBackground};
-use super::memory::{Memory, Sizes};
+use super::memory::{Memory, Sizes, without_spread};
 use super::observations::Observed;
 use super::random::{Stream, stream};
 use super::runs::MakeModel;
@@ -120,6 +120,7 @@ impl Problem {
         let mut left_out = system.left_out();
         left_out.extend(observed.left_out.iter().cloned());
         left_out.extend(without_derivatives(scene));
+        left_out.extend(without_spread(scene, n));
         let [n_state, _] = system.sizes();
         let problem = Problem {
             experiment: Experiment {

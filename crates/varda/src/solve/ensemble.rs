@@ -62,7 +62,12 @@ impl Task<'_> {
         }
         let spread = if posterior && is_whole(minimum.status) {
             let (variance, degrees_of_freedom) = cost.posterior_variance()?;
-            Some(PosteriorSpread { sigma: roots(variance), root: Vec::new(), degrees_of_freedom })
+            Some(PosteriorSpread {
+                sigma: roots(variance),
+                root: Vec::new(),
+                degrees_of_freedom,
+                error_bound: None,
+            })
         } else {
             None
         };

@@ -9,6 +9,7 @@ use super::minimizer;
 use super::task::{Iterate, PosteriorSpread, SubWindow, SubWindowEnd, Task, deviations, is_whole};
 use crate::outcome::WorkCounts;
 use crate::scene::Method;
+use crate::setup::memory::is_low_rank;
 
 impl Task<'_> {
     /// The strong constraint. 3D-Var is 4D-Var with observations at step 0 only. If the model is replaced at
@@ -69,7 +70,10 @@ impl Task<'_> {
                 // BLUE's covariance is (I + GᵀG)⁻¹ with the linearization at the background.
                 let linearized = if algorithm.method == Method::Blue { &start } else { &*v };
                 cost.evaluate(linearized, Some(&mut vec![0.0; v.len()]))?;
-                PosteriorSpread::of(Posterior::new(&mut cost), &transform, true)?
+                match is_low_rank(algorithm.method, v.len()) {
+                    true => (Some(PosteriorSpread::of_low_rank(&mut cost, &transform)?), None),
+                    false => PosteriorSpread::of(Posterior::new(&mut cost), &transform, true)?,
+                }
             } else {
                 (None, None)
             };

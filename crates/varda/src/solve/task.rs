@@ -3,8 +3,8 @@
 use std::ops::ControlFlow;
 
 use varda_assimilation::{
-    Attempt, ControlTransform, Error, Forcing, Iteration, Minimum, ObservationSet, Posterior, Rejection,
-    Status,
+    Attempt, ControlTransform, Error, Forcing, Iteration, LanczosOptions, LeastSquares, LowRankPosterior,
+    Minimum, ObservationSet, Posterior, Rejection, Status,
 };
 use varda_covariance::{Covariance, Ensemble};
 use varda_implicit::{Model, Storage};
@@ -12,6 +12,8 @@ use varda_implicit::{Model, Storage};
 use crate::outcome::WorkCounts;
 use crate::scene::Algorithm;
 use crate::setup::covariance::Factored;
+use crate::setup::memory::MOST_PRODUCTS;
+use crate::setup::random::{Stream, stream};
 
 /// Input of a solve.
 pub(crate) struct Task<'a> {
@@ -74,6 +76,8 @@ pub(crate) struct PosteriorSpread {
     pub(crate) root: Vec<f64>,
     /// Degrees of freedom for signal (of the initial state, under weak constraint).
     pub(crate) degrees_of_freedom: f64,
+    /// Of one of low rank: what its variances may be off by, as a fraction of the background's.
+    pub(crate) error_bound: Option<f64>,
 }
 
 /// An iterate, for a row of the convergence table.
@@ -141,11 +145,39 @@ impl PosteriorSpread {
                 let root = if keep_root { posterior.control_root(transform) } else { Vec::new() };
                 let sigma = roots(posterior.variance(transform));
                 let degrees_of_freedom = posterior.degrees_of_freedom();
-                Ok((Some(PosteriorSpread { sigma, root, degrees_of_freedom }), None))
+                Ok((Some(PosteriorSpread { sigma, root, degrees_of_freedom, error_bound: None }), None))
             }
             Err(reason @ Error::NotPositiveDefinite { .. }) => Ok((None, Some(reason))),
             Err(error) => Err(error),
         }
+    }
+}
+
+impl PosteriorSpread {
+    /// The spread of a posterior of low rank around the point of the last gradient, by products with the
+    /// Hessian; its random vectors are always the same.
+    pub(super) fn of_low_rank(
+        cost: &mut dyn LeastSquares,
+        transform: &ControlTransform,
+    ) -> Result<PosteriorSpread, Error> {
+        // Variances to a part in ten thousand of the background's.
+        let options = LanczosOptions::default().with_tolerance(1e-4).with_max_products(MOST_PRODUCTS);
+        let posterior = LowRankPosterior::lanczos(cost, &options, &mut stream(0, Stream::Directions))?;
+        Ok(PosteriorSpread {
+            sigma: roots(posterior.variance(transform)),
+            root: Vec::new(),
+            degrees_of_freedom: posterior.degrees_of_freedom(),
+            error_bound: posterior.error_bound(),
+        })
+    }
+
+    /// What to say of a posterior of low rank that left something out.
+    pub(crate) fn remark(&self) -> Option<String> {
+        let bound = self.error_bound.filter(|bound| !(*bound <= 1e-2))?;
+        Some(format!(
+            "σ of the analysis leaves out directions that are observed: its squares may be too large by \
+             {bound:.2} of the background's (a posterior of low rank, at most {MOST_PRODUCTS} directions)"
+        ))
     }
 }
 
