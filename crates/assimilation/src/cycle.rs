@@ -1,6 +1,6 @@
 //! Cycling: consecutive windows, each starting from the analysis of the one before.
 
-use crate::cycle_members::{mean, posterior_root, rotate, run_all_drawing_again};
+use crate::cycle_members::{mean, posterior_root, rotate, run_all_drawing_again, truncate};
 use crate::departures::{departures_at, expected_departures};
 use crate::{
     ControlTransform, CostFunction, CostTerms, Counts, Departures, EnVar, EnVarOptions, EnsembleUpdate,
@@ -73,7 +73,8 @@ pub enum CycledCovariance<'a> {
     Static(&'a dyn Covariance),
     /// The posterior of the window before (strong 4D-Var), carried to the start of the next by the tangent: B
     /// = α² M P_a Mᵀ, plus where given β² B_s for what the model does not know (an extended Kalman
-    /// smoother with iterated windows). n tangent sweeps and n² numbers more than static B.
+    /// smoother with iterated windows). As many tangent sweeps as its root has columns, n at most, and that
+    /// many times n numbers more than static B.
     Propagated {
         /// B of the first window.
         first: &'a dyn Covariance,
@@ -81,6 +82,9 @@ pub enum CycledCovariance<'a> {
         inflation: f64,
         /// B_s and β.
         static_part: Option<(&'a dyn Covariance, f64)>,
+        /// Share of the variance of every component that may be left out, so that the root has fewer columns:
+        /// what a window costs goes with them. 0 leaves out nothing. [`Cycle::dropped`] says what was.
+        dropped: f64,
     },
     /// An ensemble carried from window to window: 4D-EnVar, hybrid 4D-EnVar, the iterative ensemble Kalman
     /// smoother.
@@ -174,6 +178,10 @@ pub struct Cycle {
     pub inflation: f64,
     /// Members that failed on the way to the next window and were drawn again from the others.
     pub drawn_again: usize,
+    /// Columns of what is handed on: members, or directions of a propagated posterior.
+    pub columns: usize,
+    /// The largest share of the variance of a component that a propagated posterior was cut by.
+    pub dropped: f64,
 }
 
 impl Cycle {
@@ -280,6 +288,11 @@ pub fn cycle(
     {
         return Err(Error::Setting { what: "spread", value: *spread });
     }
+    if let CycledCovariance::Propagated { dropped, .. } = covariance
+        && !(0.0..1.0).contains(dropped)
+    {
+        return Err(Error::Setting { what: "the share of variance dropped", value: *dropped });
+    }
     if !(inflation > 0.0 && inflation.is_finite()) {
         return Err(Error::Setting { what: "inflation", value: inflation });
     }
@@ -287,8 +300,9 @@ pub fn cycle(
     while state.next < cycling.cycles {
         let (cycle, after) = match covariance {
             CycledCovariance::Static(b) => cycling.variational(state, *b, minimizer, None)?,
-            CycledCovariance::Propagated { first, inflation, static_part } => {
-                let carry = Some(Carry { inflation: *inflation, static_part: *static_part });
+            CycledCovariance::Propagated { first, inflation, static_part, dropped } => {
+                let (inflation, static_part, dropped) = (*inflation, *static_part, *dropped);
+                let carry = Some(Carry { inflation, static_part, dropped });
                 if state.columns.is_empty() {
                     cycling.variational(state, *first, minimizer, carry)?
                 } else {
@@ -296,7 +310,7 @@ pub fn cycle(
                     let carried = Ensemble::from_perturbations(&state.columns, whole)?;
                     match static_part {
                         Some((b, weight)) => {
-                            let hybrid = Hybrid::new(*b, *weight, carried, 1.0)?;
+                            let hybrid = Hybrid::new(b, weight, carried, 1.0)?;
                             cycling.variational(state, &hybrid, minimizer, carry)?
                         }
                         None => cycling.variational(state, &carried, minimizer, carry)?,
@@ -365,15 +379,19 @@ impl Cycling<'_> {
         let keep = if carry.is_some() { Keep::Linearizations } else { Keep::States };
         let mut trajectory = Trajectory::new();
         trajectory.run(&mut *model, &x_a, self.steps(), keep)?;
-        let sigma = carry.map(|Carry { inflation, static_part }| {
+        let mut dropped = 0.0;
+        if let Some(carry) = carry {
             let mut dx = vec![0.0; model.dim()];
             for column in columns.chunks_exact_mut(n_z) {
                 model.initial_tangent(column, &mut dx);
                 (0..self.shift).for_each(|k| trajectory.tangent_of_step(&mut *model, k, &mut dx));
-                column.iter_mut().zip(&dx).for_each(|(w, dx)| *w = inflation * dx);
+                column.iter_mut().zip(&dx).for_each(|(w, dx)| *w = carry.inflation * dx);
             }
+            (columns, dropped) = truncate(n_z, columns, carry.dropped)?;
+        }
+        let sigma = carry.map(|carry| {
             let mut variance = vec![0.0; n_z];
-            if let Some((b, weight)) = static_part {
+            if let Some((b, weight)) = carry.static_part {
                 b.variance(&mut variance);
                 variance.iter_mut().for_each(|v| *v *= weight * weight);
             }
@@ -386,7 +404,18 @@ impl Cycling<'_> {
         let end = trajectory.state(self.window).to_vec();
         let errors = self.errors(state.next, [&x_b, &x_a, &end]);
         let inflation = carry.map_or(1.0, |carry| carry.inflation);
-        let from = Ended { minimum, counts, sigma, errors, departures, inflation, drawn_again: 0 };
+        let count = columns.len() / n_z;
+        let from = Ended {
+            minimum,
+            counts,
+            sigma,
+            errors,
+            departures,
+            inflation,
+            drawn_again: 0,
+            columns: count,
+            dropped,
+        };
         Ok((self.cycle(state, z, end, m, from), CycleState { next: state.next + 1, background, columns }))
     }
 
@@ -473,7 +502,17 @@ impl Cycling<'_> {
         };
         let sigma = Some((0..n_z).map(|i| variance(i).sqrt()).collect());
         let errors = self.errors(state.next, [&x_b, &x_a, &end]);
-        let from = Ended { minimum, counts, sigma, errors, departures, inflation, drawn_again };
+        let from = Ended {
+            minimum,
+            counts,
+            sigma,
+            errors,
+            departures,
+            inflation,
+            drawn_again,
+            columns: count,
+            dropped: 0.0,
+        };
         let background = mean(&members, n_z);
         Ok((
             self.cycle(state, z, end, m, from),
@@ -503,7 +542,8 @@ impl Cycling<'_> {
         observations: usize,
         from: Ended,
     ) -> Cycle {
-        let Ended { minimum, counts, sigma, errors, departures, inflation, drawn_again } = from;
+        let Ended { minimum, counts, sigma, errors, departures, inflation, drawn_again, columns, dropped } =
+            from;
         Cycle {
             index: state.next,
             first_step: self.first_step(state.next),
@@ -523,6 +563,8 @@ impl Cycling<'_> {
             departures,
             inflation,
             drawn_again,
+            columns,
+            dropped,
         }
     }
 }
@@ -532,6 +574,7 @@ impl Cycling<'_> {
 struct Carry<'a> {
     inflation: f64,
     static_part: Option<(&'a dyn Covariance, f64)>,
+    dropped: f64,
 }
 
 /// What the two kinds of window have in common at their end.
@@ -543,6 +586,8 @@ struct Ended {
     departures: Option<Departures>,
     inflation: f64,
     drawn_again: usize,
+    columns: usize,
+    dropped: f64,
 }
 
 /// √(mean (a − b)²).

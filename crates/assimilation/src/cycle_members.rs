@@ -8,6 +8,7 @@ use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use varda_implicit::{Log, Model};
+use varda_linalg::Svd;
 use varda_linalg::dense::{View, product};
 
 /// What a finite number of members can ask for at most.
@@ -174,6 +175,37 @@ fn square_root(n: usize, columns: &[f64]) -> Result<Vec<f64>, Error> {
         z.iter_mut().for_each(|z| *z *= lambda.max(0.0).sqrt());
     }
     Ok(vectors)
+}
+
+/// A root of W Wᵀ, by columns of length n, with as few columns as keep the variance of every component
+/// but for a share, and the largest share that was dropped. A share of 0 is W as it is.
+pub(crate) fn truncate(n: usize, columns: Vec<f64>, share: f64) -> Result<(Vec<f64>, f64), Error> {
+    if share == 0.0 || columns.is_empty() {
+        return Ok((columns, 0.0));
+    }
+    let mut size = vec![0.0; n];
+    for w in columns.chunks_exact(n) {
+        size.iter_mut().zip(w).for_each(|(s, w)| *s += w * w);
+    }
+    // what never varies stays as it is
+    size.iter_mut().for_each(|s| *s = if *s > 0.0 { s.sqrt() } else { 1.0 });
+    let scaled: Vec<f64> = columns.iter().enumerate().map(|(i, w)| w / size[i % n]).collect();
+    let Svd { values, mut left, .. } = Svd::thin(n, columns.len() / n, &scaled)?;
+    for (z, s) in left.chunks_exact_mut(n).zip(&values) {
+        z.iter_mut().for_each(|z| *z *= s);
+    }
+    let (mut lost, mut kept) = (vec![0.0; n], values.len());
+    while kept > 1 {
+        let last = &left[(kept - 1) * n..kept * n];
+        let more: Vec<f64> = lost.iter().zip(last).map(|(l, z)| l + z * z).collect();
+        if !more.iter().all(|l| *l <= share) {
+            break;
+        }
+        (lost, kept) = (more, kept - 1);
+    }
+    left.truncate(kept * n);
+    left.iter_mut().enumerate().for_each(|(i, z)| *z *= size[i % n]);
+    Ok((left, lost.into_iter().fold(0.0, f64::max)))
 }
 
 /// The mean of vectors of length n, one after the other.

@@ -67,20 +67,22 @@ impl Spectrum {
     }
 
     /// (Σ λ)² / Σ λ²: the number of equal eigenvalues that would spread the variance as widely
-    /// (Bretherton et al. 1999). Between 1 and n.
+    /// (Bretherton et al. 1999). Between 1 and n; 0 where nothing varies.
     pub fn effective_rank(&self) -> f64 {
         let squares: f64 = self.eigenvalues.iter().map(|value| value * value).sum();
-        self.total_variance().powi(2) / squares
+        if squares == 0.0 { 0.0 } else { self.total_variance().powi(2) / squares }
     }
 
-    /// The part of the total variance in the leading `rank` directions, Σ_{k ≤ rank} λ_k / Σ λ.
+    /// The part of the total variance in the leading `rank` directions, Σ_{k ≤ rank} λ_k / Σ λ; 1 where
+    /// nothing varies.
     pub fn explained_variance(&self, rank: usize) -> f64 {
-        self.eigenvalues.iter().take(rank).sum::<f64>() / self.total_variance()
+        let total = self.total_variance();
+        if total == 0.0 { 1.0 } else { self.eigenvalues.iter().take(rank).sum::<f64>() / total }
     }
 
     /// Σ λ = tr B.
     pub fn total_variance(&self) -> f64 {
-        self.eigenvalues.iter().sum()
+        self.eigenvalues.iter().fold(0.0, |sum, value| sum + value)
     }
 }
 

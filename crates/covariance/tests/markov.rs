@@ -121,7 +121,6 @@ fn irregular(n: usize) -> Vec<f64> {
 /// L = 1000 variances are 1e-20 of σ².
 #[test]
 fn entries_have_their_digits() {
-    let mut worst = 0.0_f64;
     for (which, two_nu, length, digits) in DIGITS {
         let b = Markov::new(&matern(two_nu, length), &FREE, known(which)).unwrap();
         let full = columns(6, 6, |x, y| b.apply(x, y));
@@ -132,13 +131,11 @@ fn entries_have_their_digits() {
             // Zero: places between which one is known, for ν = 1/2.
             let scale = if digit == 0.0 { full[2][2] } else { digit.abs() };
             let error = (entry - digit).abs() / scale;
-            worst = worst.max(error);
             // What is left of the variance is down to 1e-20, that is 1e-10 of σ; f′ and f″ are carried
             // to rounding of their size, and 1/(λ d) of that shows in f at a distance d of known places.
             assert!(error <= 1e-9, "{which} {two_nu} {length} {i}: {entry:e} {digit:e} {error:e}");
         }
     }
-    println!("largest relative error {worst:e}");
 }
 
 /// (L/d)², d the least distance of a known place from another: the condition number of k_cc of two places,

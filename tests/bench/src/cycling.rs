@@ -233,9 +233,12 @@ fn run(network: &Network, case: &Case, seed: u64, mean: &[f64], b: &Dense) -> Re
     };
     let covariance = match case.method {
         Method::Static(b) => CycledCovariance::Static(b),
-        Method::Propagated { inflation, static_weight } => {
-            CycledCovariance::Propagated { first: b, inflation, static_part: Some((b, static_weight)) }
-        }
+        Method::Propagated { inflation, static_weight } => CycledCovariance::Propagated {
+            first: b,
+            inflation,
+            static_part: Some((b, static_weight)),
+            dropped: 0.0,
+        },
         Method::Ensemble { members, inflation, support, static_weight, outer } => {
             let members: Vec<f64> = (0..members)
                 .flat_map(|_| {

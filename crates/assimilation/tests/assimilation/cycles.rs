@@ -132,8 +132,12 @@ fn linear_cycles_are_a_kalman_filter_whatever_the_window_and_however_p_is_carrie
             let (mut state, covariance) = if carried_by_members {
                 (CycleState::from_members(members, N), CycledCovariance::Ensemble(ensemble(1.0)))
             } else {
-                let carried =
-                    CycledCovariance::Propagated { first: &first_b, inflation: 1.0, static_part: None };
+                let carried = CycledCovariance::Propagated {
+                    first: &first_b,
+                    inflation: 1.0,
+                    static_part: None,
+                    dropped: 0.0,
+                };
                 (CycleState::new(start), carried)
             };
             let cycling = Cycling {
@@ -196,7 +200,7 @@ fn inflation_multiplies_standard_deviations_once_a_window() {
         (CycleState::from_members(spanning(&b, &background), N), CycledCovariance::Ensemble(ensemble(1.3))),
         (
             CycleState::new(background.clone()),
-            CycledCovariance::Propagated { first: &wide, inflation: 1.3, static_part: None },
+            CycledCovariance::Propagated { first: &wide, inflation: 1.3, static_part: None, dropped: 0.0 },
         ),
     ] {
         let ended = cycle(&cycling, &mut state, &covariance, &exact(), &mut go_on);
@@ -276,8 +280,13 @@ fn every_way_to_carry_a_covariance_runs_on_a_nonlinear_model() {
         };
         let covariance = match way {
             0 => CycledCovariance::Static(&b),
-            1 => CycledCovariance::Propagated { first: &b, inflation: 1.05, static_part: None },
-            2 => CycledCovariance::Propagated { first: &b, inflation: 1.0, static_part: Some((&b, 0.05)) },
+            1 => CycledCovariance::Propagated { first: &b, inflation: 1.05, static_part: None, dropped: 0.0 },
+            2 => CycledCovariance::Propagated {
+                first: &b,
+                inflation: 1.0,
+                static_part: Some((&b, 0.05)),
+                dropped: 0.0,
+            },
             3 => ensemble(CycledUpdate::SquareRoot, None, true),
             4 => ensemble(CycledUpdate::SquareRoot, Some((&b, 0.1, 1.0)), false),
             _ => ensemble(CycledUpdate::PerturbedObservations(&noise), None, true),
@@ -346,7 +355,8 @@ fn a_sequence_can_be_ended_and_what_makes_none_is_refused() {
     }
     let members = CycleState::from_members(spanning(&b, &[0.0; N]), N);
     for inflation in [0.0, -1.0, f64::NAN] {
-        let propagated = CycledCovariance::Propagated { first: &b, inflation, static_part: None };
+        let propagated =
+            CycledCovariance::Propagated { first: &b, inflation, static_part: None, dropped: 0.0 };
         assert!(matches!(go(&good, rest(), propagated, 9), Err(Error::Setting { .. })));
         let carried = CycledCovariance::Ensemble(ensemble(inflation));
         assert!(matches!(go(&good, members.clone(), carried, 9), Err(Error::Setting { .. })));

@@ -153,7 +153,7 @@ fn the_spread_of_a_propagated_posterior_has_its_static_part() {
     let b = Diagonal::uniform(1, 1.0).unwrap();
     for (inflation, beta) in [(1.0, 1.0), (1.2, 0.5), (1.0, 0.0)] {
         let static_part = (beta > 0.0).then_some((&b as &dyn Covariance, beta));
-        let covariance = CycledCovariance::Propagated { first: &b, inflation, static_part };
+        let covariance = CycledCovariance::Propagated { first: &b, inflation, static_part, dropped: 0.0 };
         let mut state = CycleState::new(vec![0.3]);
         let minimizer = Minimizer::default();
         let go_on = &mut |_: &Cycle, _: &CycleState| ControlFlow::Continue(());

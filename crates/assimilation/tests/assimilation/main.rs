@@ -6,6 +6,7 @@ mod cost;
 mod coverage;
 mod cycle_checks;
 mod cycles;
+mod cycles_along_a_line;
 mod endings;
 mod ensemble;
 mod envar_status;

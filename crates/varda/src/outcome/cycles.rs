@@ -49,6 +49,12 @@ pub struct CycleRow {
     pub inflation: f64,
     /// Members that failed and were drawn again.
     pub drawn_again: usize,
+    /// Columns handed on: members, or directions of a propagated posterior; 0 for static B.
+    #[serde(default)]
+    pub columns: usize,
+    /// The largest share of a component's variance that a propagated posterior was cut by.
+    #[serde(default)]
+    pub dropped: f64,
     /// Seconds the window took.
     pub seconds: f64,
     /// x_b at the window's start.

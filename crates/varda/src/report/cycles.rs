@@ -63,7 +63,8 @@ fn rows(outcome: &CyclesOutcome) -> String {
         let prefix = if i == 0 { String::new() } else { format!("{}_", group.name) };
         COLUMNS.iter().for_each(|(name, _)| out.push_str(&format!(",{prefix}{name}")));
     }
-    out.push_str(",innovation_ratio,observation_ratio,background_ratio,inflation,drawn_again,seconds\n");
+    out.push_str(",innovation_ratio,observation_ratio,background_ratio,inflation,drawn_again,");
+    out.push_str("columns,dropped_variance,seconds\n");
     for r in &outcome.cycles {
         let costs = [r.time, r.j, r.j_b, r.j_o].map(number).join(",");
         let c = &r.counts;
@@ -89,7 +90,8 @@ fn rows(outcome: &CyclesOutcome) -> String {
         for ratio in [of.innovation_ratio(), of.observation_ratio(), of.background_ratio()] {
             let _ = write!(out, ",{}", optional(ratio));
         }
-        let _ = writeln!(out, ",{},{},{}", number(r.inflation), r.drawn_again, number(r.seconds));
+        let _ = write!(out, ",{},{},{}", number(r.inflation), r.drawn_again, r.columns);
+        let _ = writeln!(out, ",{},{}", number(r.dropped), number(r.seconds));
     }
     out
 }
@@ -159,6 +161,8 @@ pub fn summary_of_cycles(outcome: &CyclesOutcome) -> serde_json::Value {
             "background_ratio": departures.background_ratio(),
             "inflation": means.inflation,
             "drawn_again": outcome.cycles.iter().map(|r| r.drawn_again).sum::<usize>(),
+            "columns": outcome.cycles.last().map_or(0, |r| r.columns),
+            "dropped_variance": outcome.cycles.iter().map(|r| r.dropped).fold(0.0, f64::max),
             "not_converged": outcome.cycles.iter().filter(|r| r.status != Status::Converged).count(),
             "failures": failures(outcome),
             "seconds_each": means.seconds,

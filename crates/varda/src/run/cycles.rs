@@ -153,7 +153,8 @@ impl Sequence {
             (scene::CycledCovariance::Propagated, _) => {
                 let static_part = self.cycles.static_weight.filter(|w| *w > 0.0).map(|weight| (b, weight));
                 let inflation = self.cycles.inflation.and_then(scene::Inflation::factor).unwrap_or(1.0);
-                CycledCovariance::Propagated { first: b, inflation, static_part }
+                let dropped = self.cycles.dropped_variance.unwrap_or(1e-8);
+                CycledCovariance::Propagated { first: b, inflation, static_part, dropped }
             }
             (scene::CycledCovariance::Ensemble, Some(members)) => {
                 let ensemble = algorithm.members().unwrap_or_default();
@@ -351,6 +352,8 @@ impl Sequence {
             departures: c.departures.map(CycleDepartures::from),
             inflation: c.inflation,
             drawn_again: c.drawn_again,
+            columns: c.columns,
+            dropped: c.dropped,
             seconds,
             background: c.background.clone(),
             analysis: c.analysis.clone(),

@@ -42,6 +42,11 @@ pub struct Cycles {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("minimum" = 0.0))]
     pub static_weight: Option<f64>,
+    /// Share of the variance of every component that a propagated posterior may leave out, so that its root
+    /// has fewer columns; 1e-8 unless given, 0 leaves out nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("minimum" = 0.0, "exclusiveMaximum" = 1.0))]
+    pub dropped_variance: Option<f64>,
     /// How the perturbations of an ensemble become those of the posterior. Left out: by its square root.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub update: Option<EnsembleUpdate>,

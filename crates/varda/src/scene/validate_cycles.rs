@@ -61,6 +61,7 @@ pub(super) fn validate_cycles(cycles: &Cycles, scene: &Scene) -> Check {
         ("spread", cycles.spread.is_some(), method.is_ensemble(), "covariance = \"ensemble\""),
         ("rotation", cycles.rotation.is_some(), method.is_ensemble(), "covariance = \"ensemble\""),
         ("static_weight", cycles.static_weight.is_some(), propagated, "covariance = \"propagated\""),
+        ("dropped_variance", cycles.dropped_variance.is_some(), propagated, "covariance = \"propagated\""),
         ("update", cycles.update.is_some(), method.is_ensemble(), "covariance = \"ensemble\""),
     ] {
         if given && !belongs {
