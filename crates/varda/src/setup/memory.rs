@@ -103,7 +103,8 @@ impl Memory {
             .filter(|p| p.1 > 0)
             .map(|(what, bytes)| format!("{what} {}", shown(*bytes)))
             .collect();
-        let remedy = match scene.report.posterior && memory.dense > limit / 2 {
+        let is_newton = scene.algorithm.minimizer.settings().is_dense();
+        let remedy = match scene.report.posterior && memory.dense > limit / 2 && !is_newton {
             true => "; the posterior takes dense matrices, report.posterior = false does without",
             false => "",
         };
