@@ -185,7 +185,8 @@ pub trait ImplicitStep {
         0
     }
 
-    /// Writes them, once for every linearization.
+    /// Writes them, once for every linearization, right after the equations of x_k were prepared and u
+    /// accepted.
     fn keep(&mut self, _at: &Interval, _x: &[f64], _u: &[f64], _kept: &mut [f64]) {}
 
     /// dg = ∂G/∂x_k dx.

@@ -225,7 +225,7 @@ impl ImplicitStep for RodStep {
         let [stage, next, _] = self.kept_lengths();
         let (stage, rest) = kept.split_at_mut(stage);
         let (next, damping) = rest.split_at_mut(next);
-        self.prepare_and_shape(at, x, u);
+        self.set_edges_of(at, u);
         self.system.shape.keep_holonomy(stage);
         if let Some(viscous) = &self.viscous {
             viscous.keep(&self.system, damping);
