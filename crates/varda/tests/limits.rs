@@ -81,8 +81,8 @@ fn an_amount_that_is_none_or_too_small_is_refused() {
     assert!(error.contains("bytes are too few for this window"), "{error}");
 }
 
-/// Dense blocks of B, and a dense Hessian of 120 000 unknowns, are refused before anything is built, by `check`
-/// and by `run` alike.
+/// Dense blocks of B, and a dense Hessian of 120 000 unknowns, are refused before anything is built, by
+/// `check` and by `run` alike.
 #[test]
 fn a_scene_too_large_for_the_machine_is_refused_with_what_it_needs_and_the_limit() {
     let set = |sets: &[&str]| {
@@ -97,7 +97,8 @@ fn a_scene_too_large_for_the_machine_is_refused_with_what_it_needs_and_the_limit
     for part in ["takes about 584.", "dense Hessians and Jacobians", "limit of 8.0 GB", "[limits] memory"] {
         assert!(planned.contains(part), "{part:?} in {planned}");
     }
-    // Another minimizer and no posterior, B alone: two blocks of 3.2 GB, and seven while they are built and drawn from.
+    // Another minimizer and no posterior, B alone: two blocks of 3.2 GB, and seven while they are built and
+    // drawn from.
     let planned =
         Plan::new(&set(&["model.segments=20000", "report.posterior=false"])).unwrap_err().to_string();
     assert!(planned.contains("takes about 28.8 GB (the background covariance"), "{planned}");
