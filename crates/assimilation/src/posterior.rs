@@ -68,7 +68,8 @@ impl Posterior {
     /// If no gradient has been evaluated.
     pub fn new(cost: &mut dyn LeastSquares) -> Result<Self, Error> {
         let n = cost.dim();
-        if cost.observation_dim() < n {
+        // A cost of one's own without observations may have another Hessian than I.
+        if (1..n).contains(&cost.observation_dim()) {
             return Self::factored(cost);
         }
         let mut hessian = vec![0.0; n * n];

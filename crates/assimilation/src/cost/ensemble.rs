@@ -422,16 +422,23 @@ impl<'a> EnVar<'a> {
         }
     }
 
-    /// G, dense, by columns.
+    /// G, dense, by columns: [β_s G_s, β_e diag(Y_i) ρ for every member i]/σ-scale, without a product.
     pub(super) fn jacobian(&self) -> Vec<f64> {
         let (n, m) = (self.dim(), self.observations.dim());
-        let (mut unit, mut row) = (vec![0.0; m], vec![0.0; n]);
+        let localization = self.ensemble.localization();
+        let (members, rank, r_s) = (self.ensemble.members(), localization.rank(), self.static_dim());
+        let w_s = self.static_part.map_or(0.0, |(_, weight)| weight) / self.scale;
+        let w_e = self.ensemble_weight / self.scale;
         let mut jacobian = vec![0.0; m * n];
-        for a in 0..m {
-            unit[a] = 1.0;
-            self.transpose(&unit, &mut row);
-            unit[a] = 0.0;
-            row.iter().enumerate().for_each(|(j, g)| jacobian[a + j * m] = *g);
+        for (j, column) in jacobian.chunks_exact_mut(m.max(1)).enumerate() {
+            if j < r_s {
+                column.iter_mut().enumerate().for_each(|(a, g)| *g = w_s * self.base.g_static[a * r_s + j]);
+                continue;
+            }
+            let (i, c) = ((j - r_s) / rank, (j - r_s) % rank);
+            for (a, g) in column.iter_mut().enumerate() {
+                *g = w_e * self.base.y[a * members + i] * localization.row(self.anchors[a])[c];
+            }
         }
         jacobian
     }

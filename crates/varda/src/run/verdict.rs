@@ -56,8 +56,8 @@ pub(super) fn judge(judged: &Judged) -> Judgement {
     let most = 2.0 * highest_j_of_a_fit(judged.observed) / m;
     if let Some(why) = not_converged(judged) {
         let far = if chi2 > FAR {
-            "; so far from a fit a constant of the model, the place of a marker, a unit or an axis is likelier wrong than the \
-                minimizer"
+            "; so far from a fit a constant of the model, the place of a marker, a unit or an axis is \
+             likelier wrong than the minimizer"
         } else {
             ""
         };

@@ -27,6 +27,20 @@ pub enum ComponentPositions {
 }
 
 impl ComponentPositions {
+    /// How far they reach, in the unit of their distances.
+    pub(crate) fn extent(&self) -> f64 {
+        match self {
+            ComponentPositions::Nowhere => 0.0,
+            ComponentPositions::Ring(n) => *n as f64,
+            ComponentPositions::Line(line) => line.length,
+            ComponentPositions::Rod(s) => {
+                let [first, last] =
+                    [f64::min, f64::max].map(|of| s.iter().copied().reduce(of).unwrap_or(0.0));
+                last - first
+            }
+        }
+    }
+
     /// Distance of components i and j of the control.
     fn distance(&self, i: usize, j: usize) -> f64 {
         match self {

@@ -5,6 +5,7 @@
 //! states and linearizations of a window, the members of an ensemble, trajectories and their tables. The
 //! program itself takes some ten megabytes more.
 
+use varda_covariance::Taper;
 use varda_implicit::line::Ends;
 use varda_implicit::{Footprint, Storage};
 
@@ -44,6 +45,8 @@ pub struct Sizes {
     pub steps: usize,
     /// Steps of all windows and of the forecast.
     pub shown: usize,
+    /// Columns of the root of the localization of an ensemble, about; 0 without one.
+    pub localization: usize,
 }
 
 /// Bytes a run takes.
@@ -100,7 +103,8 @@ impl Memory {
             .filter(|p| p.1 > 0)
             .map(|(what, bytes)| format!("{what} {}", shown(*bytes)))
             .collect();
-        let remedy = match scene.report.posterior && memory.dense > limit / 2 {
+        let is_newton = scene.algorithm.minimizer.settings().is_dense();
+        let remedy = match scene.report.posterior && memory.dense > limit / 2 && !is_newton {
             true => "; the posterior takes dense matrices, report.posterior = false does without",
             false => "",
         };
@@ -136,8 +140,13 @@ impl Memory {
             None => scene.report.posterior,
         };
         let square = n.saturating_mul(n);
-        let dense = if algorithm.method.is_ensemble() {
-            0
+        if sizes.localization > 0 {
+            // The matrix of distances, its eigenvectors and what finding them takes.
+            building = building.max(n.saturating_mul(n).saturating_mul(9) / 2);
+            covariance += n.saturating_mul(sizes.localization);
+        }
+        let dense = if let Some(ensemble) = algorithm.members() {
+            ensemble_numbers(ensemble.members, sizes.localization, m)
         } else if algorithm.method.is_weak() {
             // G by parts, and I + G Gᵀ in the space of the observations.
             if posterior { 4 * square + m * (2 * n + errors + m) } else { 0 }
@@ -204,8 +213,30 @@ impl Sizes {
             kept,
             steps: inputs.file.scene.time.window,
             shown: inputs.grid.last_step(),
+            localization: localization(inputs),
         }
     }
+}
+
+/// Eigenvalues of the localization above a hundredth of the largest: those of waves longer than a third (a
+/// fifth, of a triangle) of the localization length, as counted on rings of 40 to 1000.
+fn localization(inputs: &Inputs) -> usize {
+    let Some(ensemble) = inputs.file.scene.algorithm.members() else { return 0 };
+    let waves = match ensemble.localization() {
+        Ok(Some(Taper::Triangle { support })) => 4.6 / support,
+        Ok(Some(Taper::GaspariCohn { support })) => 3.2 / support,
+        _ => return 0,
+    };
+    let extent = inputs.system.positions().extent();
+    ((waves * extent).ceil() as usize + 1).min(inputs.system.layout().len())
+}
+
+/// Numbers that the linear algebra of an ensemble takes: the eigenvectors of G Gᵀ or Gᵀ G, whichever is
+/// smaller, with what finding them takes and those of the iteration before; G itself for the second.
+fn ensemble_numbers(members: usize, rank: usize, m: usize) -> usize {
+    let n = members.saturating_mul(rank.max(1));
+    let square = m.min(n).saturating_mul(m.min(n));
+    if m <= n { square.saturating_mul(13) / 2 } else { square.saturating_mul(9) / 2 + m.saturating_mul(n) }
 }
 
 fn footprint(scene: &Scene, sizes: &Sizes) -> Footprint {
