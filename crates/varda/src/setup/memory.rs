@@ -228,7 +228,7 @@ fn localization(inputs: &Inputs) -> usize {
         _ => return 0,
     };
     let extent = inputs.system.positions().extent();
-    ((waves * extent).ceil() as usize + 1).min(inputs.system.layout().len())
+    ((waves * extent).ceil() as usize).saturating_add(1).min(inputs.system.layout().len())
 }
 
 /// Numbers that the linear algebra of an ensemble takes: the eigenvectors of G Gᵀ or Gᵀ G, whichever is
