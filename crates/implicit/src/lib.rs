@@ -122,6 +122,7 @@ mod error;
 mod explicit;
 #[cfg(feature = "implicit")]
 mod implicit;
+pub mod kuramoto;
 pub mod line;
 pub mod lorenz;
 mod model;

@@ -54,8 +54,8 @@ pub use limits::{DEFAULT_MEMORY, Limits};
 pub use loads::{Drag, Force, Moment};
 pub use method::{Method, Minimizer};
 pub use model::{
-    Burgers, Clamp, ClampAt, DampingValues, LinearAdvection, Lorenz63, Lorenz96, Material, Model, PointMass,
-    Prescribed, RestShape, RodModel, Section, ShapePoints,
+    Burgers, Clamp, ClampAt, DampingValues, KuramotoSivashinsky, LinearAdvection, Lorenz63, Lorenz96,
+    Material, Model, PointMass, Prescribed, RestShape, RodModel, Section, ShapePoints,
 };
 pub use model_error::ModelError;
 pub use motion::{

@@ -23,6 +23,9 @@ pub enum Model {
     LinearAdvection(LinearAdvection),
     /// A velocity that carries itself along a line (Burgers 1948).
     Burgers(Burgers),
+    /// Fronts on a circle that long waves feed and short ones damp: a chaotic field.
+    #[serde(rename = "kuramoto-sivashinsky")]
+    KuramotoSivashinsky(KuramotoSivashinsky),
 }
 
 impl Model {
@@ -34,6 +37,7 @@ impl Model {
             Model::Lorenz96(m) => Some(m.variables),
             Model::LinearAdvection(m) => Some(m.points),
             Model::Burgers(m) => Some(m.points),
+            Model::KuramotoSivashinsky(m) => Some(m.points),
         }
     }
 
@@ -42,6 +46,7 @@ impl Model {
         match self {
             Model::LinearAdvection(m) => Some(m.line()),
             Model::Burgers(m) => Some(m.line()),
+            Model::KuramotoSivashinsky(m) => Some(m.line()),
             Model::Rod(_) | Model::Lorenz63(_) | Model::Lorenz96(_) => None,
         }
     }
@@ -115,6 +120,31 @@ impl Burgers {
 impl Default for Burgers {
     fn default() -> Self {
         Burgers { points: 100, length: 1.0, fixed_ends: None, viscosity: 0.01 }
+    }
+}
+
+/// ∂u/∂t = −u ∂u/∂s − ∂²u/∂s² − ∂⁴u/∂s⁴ on a circle (Kuramoto and Tsuzuki 1976; Sivashinsky 1977).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct KuramotoSivashinsky {
+    /// Number of points at which u is known, five at least.
+    #[schemars(extend("minimum" = 5, "maximum" = 1000000))]
+    pub points: usize,
+    /// Length L of the circle; waves longer than 2π grow.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub length: f64,
+}
+
+impl KuramotoSivashinsky {
+    /// Its line.
+    pub fn line(&self) -> Line {
+        line(self.points, self.length, None)
+    }
+}
+
+impl Default for KuramotoSivashinsky {
+    fn default() -> Self {
+        KuramotoSivashinsky { points: 128, length: 32.0 * std::f64::consts::PI }
     }
 }
 

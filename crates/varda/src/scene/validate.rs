@@ -24,7 +24,9 @@ pub(super) fn validate(scene: &Scene) -> Check {
     match &scene.model {
         Model::Rod(_) => integrator.of_rod().map(|_| ())?,
         Model::Lorenz63(_) | Model::Lorenz96(_) => integrator.of_lorenz()?,
-        Model::LinearAdvection(_) | Model::Burgers(_) => integrator.of_line().map(|_| ())?,
+        Model::LinearAdvection(_) | Model::Burgers(_) | Model::KuramotoSivashinsky(_) => {
+            integrator.of_line().map(|_| ())?
+        }
     }
     if rod.is_none() && scene.time.tolerance.is_some() {
         return invalid("time.tolerance", "time steps are adapted to their error for rods only");
@@ -81,6 +83,16 @@ fn validate_line(model: &Model, line: &Line, integrator: Integrator, step: f64) 
         return Ok(());
     }
     let h = line.spacing();
+    if let Model::KuramotoSivashinsky(_) = model {
+        let number = step / h.powi(4);
+        return match number <= 0.17 {
+            true => Ok(()),
+            false => invalid(
+                "time.step",
+                format!("Δt/h⁴ = {number:.3} is beyond 0.17, where \"rk4\" blows up: take \"midpoint\""),
+            ),
+        };
+    }
     let (speed, diffusivity) = match model {
         Model::LinearAdvection(m) => (m.speed.abs(), m.diffusivity),
         Model::Burgers(m) => (0.0, m.viscosity),

@@ -3,6 +3,7 @@
 use std::f64::consts::TAU;
 
 use varda_implicit::Model;
+use varda_implicit::kuramoto::KuramotoSivashinsky;
 use varda_implicit::line::{Ends, Line, Transport};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
 
@@ -19,7 +20,16 @@ pub(crate) enum Equation {
     /// Lorenz's ring.
     Lorenz96 { variables: usize, forcing: f64 },
     /// A field along a line.
-    AlongLine { line: Line, transport: Transport, step: LineStep },
+    AlongLine { line: Line, field: Field, step: LineStep },
+}
+
+/// What moves a field along a line.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Field {
+    /// Advection and diffusion, of itself or at a constant speed.
+    Transport(Transport),
+    /// Fronts that feed on long waves.
+    Fronts(KuramotoSivashinsky),
 }
 
 impl Equation {
@@ -72,10 +82,16 @@ impl Equation {
         move |first| match self {
             Equation::Lorenz63(equation) => equation.rk4(first, length),
             Equation::Lorenz96 { variables, forcing } => Lorenz96::new(variables, forcing).rk4(first, length),
-            Equation::AlongLine { transport, step: LineStep::Rk4, .. } => transport.rk4(first, length),
-            Equation::AlongLine { transport, step: LineStep::Implicit(scheme), .. } => {
-                transport.implicit(scheme, tolerance, first, length)
-            }
+            Equation::AlongLine { field, step, .. } => match (field, step) {
+                (Field::Transport(transport), LineStep::Rk4) => transport.rk4(first, length),
+                (Field::Fronts(fronts), LineStep::Rk4) => fronts.rk4(first, length),
+                (Field::Transport(transport), LineStep::Implicit(scheme)) => {
+                    transport.implicit(scheme, tolerance, first, length)
+                }
+                (Field::Fronts(fronts), LineStep::Implicit(scheme)) => {
+                    fronts.implicit(scheme, tolerance, first, length)
+                }
+            },
         }
     }
 }

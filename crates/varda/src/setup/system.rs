@@ -1,11 +1,12 @@
 //! What is modelled: a rod or a model of another kind.
 
 use varda_covariance::Covariance;
+use varda_implicit::kuramoto::KuramotoSivashinsky;
 use varda_implicit::line::Transport;
 use varda_implicit::lorenz::Lorenz63;
 
 use super::adaptive_steps::AdaptiveSteps;
-use super::component_model::Equation;
+use super::component_model::{Equation, Field};
 use super::components::ComponentSystem;
 use super::covariance::Factored;
 use super::ensemble::ComponentPositions;
@@ -35,11 +36,15 @@ impl System {
             Model::Lorenz96(m) => Equation::Lorenz96 { variables: m.variables, forcing: m.forcing },
             Model::LinearAdvection(m) => {
                 let transport = Transport::advection_diffusion(m.line(), m.speed, m.diffusivity);
-                Equation::AlongLine { line: m.line(), transport, step: line_step()? }
+                Equation::AlongLine { line: m.line(), field: Field::Transport(transport), step: line_step()? }
             }
             Model::Burgers(m) => {
                 let transport = Transport::burgers(m.line(), m.viscosity);
-                Equation::AlongLine { line: m.line(), transport, step: line_step()? }
+                Equation::AlongLine { line: m.line(), field: Field::Transport(transport), step: line_step()? }
+            }
+            Model::KuramotoSivashinsky(m) => {
+                let fronts = KuramotoSivashinsky::new(m.points, m.length);
+                Equation::AlongLine { line: m.line(), field: Field::Fronts(fronts), step: line_step()? }
             }
         };
         Ok(System::Components(ComponentSystem::new(scene, equation, grid)))
