@@ -14,10 +14,10 @@ use crate::{Model, Rhs, Rk4, Structure};
 /// ū_i = (u_{i−1} + u_i + u_{i+1})/3,   h = L/n
 /// ```
 ///
-/// (Kuramoto and Tsuzuki 1976; Sivashinsky 1977.) Small waves of wave number q grow at q² − q⁴: those longer
-/// than 2π. Differences are centred, of second order; Σ u stays what it is, and so does Σ u² under transport
-/// alone. [`Rk4`] needs Δt ≲ 0.17 h⁴; implicit steps have no limit, and their Jacobian is sparse: five
-/// values in a row, four rows of them in the corners.
+/// (Kuramoto and Tsuzuki 1976; Sivashinsky 1977.) Small waves of wave number q grow at q² − q⁴: those
+/// longer than 2π. Differences are centred, of second order; Σ u stays what it is, and so does Σ u² under
+/// transport alone. [`Rk4`] needs Δt ≲ 0.17 h⁴; implicit steps have no limit, and their Jacobian is
+/// sparse: five values in a row, four rows of them in the corners.
 ///
 /// ```
 /// use varda_implicit::{Keep, Scheme, Trajectory};

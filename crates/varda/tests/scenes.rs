@@ -289,6 +289,7 @@ fn fields_along_a_line_refuse_what_they_cannot_do() {
         ("linear-advection", "model.speed=nan", "finite"),
         ("burgers", "model.viscosity=0", "greater than 0"),
         ("burgers", "time.integrator=bdf2", "integrated with \"backward-euler\" or \"midpoint\" or \"rk4\""),
+        ("burgers", "model={ kind = \"kuramoto-sivashinsky\", points = 4 }", "at least 5"),
         ("burgers", "model.visocsity=0.1", "did you mean `viscosity`"),
         ("linear-advection", "background.covariance.taper=triangle", "needs `localization_length`"),
         (

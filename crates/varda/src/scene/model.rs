@@ -123,7 +123,8 @@ impl Default for Burgers {
     }
 }
 
-/// ∂u/∂t = −u ∂u/∂s − ∂²u/∂s² − ∂⁴u/∂s⁴ on a circle (Kuramoto and Tsuzuki 1976; Sivashinsky 1977).
+/// ∂u/∂t = −u ∂u/∂s − ∂²u/∂s² − ∂⁴u/∂s⁴ on a circle (Kuramoto and Tsuzuki 1976;
+/// Sivashinsky 1977).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct KuramotoSivashinsky {
