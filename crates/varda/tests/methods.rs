@@ -213,7 +213,8 @@ fn fields_along_a_line_are_assimilated_by_any_step() {
         assert_eq!(burgers.status, Status::Converged);
         assert!(rmse(&burgers)[1] < 0.6 * rmse(&burgers)[0]);
     }
-    // On the attractor of a chaotic field; Δt/h⁴ = 0.67. Over 50 steps backward Euler has a second minimum.
+    // On the attractor of a chaotic field; Δt/h⁴ = 0.67. Over 50 steps backward Euler has a second
+    // minimum.
     let model = "model={ kind = \"kuramoto-sivashinsky\", points = 96, length = 75.0 }";
     let prior = "background.covariance.correlation_length=2.0";
     for integrator in ["midpoint", "backward-euler"] {
