@@ -77,7 +77,7 @@ fn may_grow(problem: &Problem) -> bool {
 pub(super) fn look(
     problem: &Problem,
     task: &mut Task,
-    solution: Solution,
+    mut solution: Solution,
     observations: ObservationSet,
     reserve: &Reserve,
     on_iterate: &mut OnIterate,
@@ -91,6 +91,10 @@ pub(super) fn look(
         Status::Interrupted => reserve.taken.get(),
         _ => false,
     };
+    // nobody interrupted it, whether growth is tried or not: the lowest end may not amplify
+    if minimum.status == Status::Interrupted && ended {
+        solution.minimum.status = Status::MaxIterations;
+    }
     let applies =
         ended && may_grow(problem) && used < algorithm.max_iterations && j > FAR * highest_j_of_a_fit(m);
     let first = observations.observations().iter().map(|o| o.step + 1).min().unwrap_or(steps);
@@ -138,9 +142,6 @@ pub(super) fn look(
         )
     };
     let mut best = solution;
-    if reserve.taken.get() {
-        best.minimum.status = Status::MaxIterations;
-    }
     let iterations = [used, best.minimum.inner_iterations];
     let (counts, status) = (best.counts + grown.counts, grown.minimum.status);
     let ended = [grown.minimum.outer_iterations, grown.minimum.inner_iterations];
