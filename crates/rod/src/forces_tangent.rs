@@ -1,12 +1,13 @@
 //! The tangent of the forces within a rod: what small changes of its states do to them.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use crate::Error;
 use crate::dynamics::RodStep;
 use crate::element::{self, Strains};
 use crate::forces_of_motion::{Past, edge_forces, with_forces_at};
 use crate::internal_forces::InternalForces;
+use crate::load::EdgeLoad;
 use crate::shape::Shape;
 use crate::statics::reactions::{EdgeSums, all_loads, exerted};
 use crate::system::{StageStart, System};
@@ -42,7 +43,7 @@ impl RodStep {
         with_forces_at(self, t, state, before, &mut |system, start, past| {
             let mut tangent = Tangent::new(system, start, past.filter(|_| share > 0.0), share);
             for (dx, dx_before) in dx.chunks_exact(n).zip(dx_before.chunks_exact(n)) {
-                see(&mut tangent.of(system, start, [dx, dx_before]));
+                see(tangent.of(system, start.length, [dx, dx_before]));
             }
         })
     }
@@ -96,18 +97,28 @@ struct Bent {
     strains: Strains,
 }
 
+/// A load of the motion on an edge, and ∂F/∂(places) with its directors carried along.
+struct Loaded {
+    edge: usize,
+    acts: EdgeLoad,
+    by_places: Matrix6<f64>,
+}
+
 /// The linearization about one state, the system having its shape.
 struct Tangent<'a> {
+    /// ∂(force on the second vertex)/∂e of every edge.
+    stretched: Vec<Matrix3<f64>>,
     bent: Vec<Bent>,
-    /// The forces at every edge, and ∂E/∂θ where there are angles.
+    loaded: Vec<Loaded>,
+    /// The forces at every edge.
     forces: Vec<Vector3<f64>>,
-    moments: Vec<f64>,
     past: Option<&'a Past>,
     share: f64,
     now: Increment,
     before: Increment,
     gradient: Vec<f64>,
     loads: EdgeSums,
+    out: InternalForces,
 }
 
 impl<'a> Tangent<'a> {
@@ -115,6 +126,23 @@ impl<'a> Tangent<'a> {
         let n = system.rod.segments();
         system.elastic(None);
         let reactions = exerted(system, &system.gradient, &all_loads(system, Some(start)));
+        let stretched = |e: usize| {
+            let (edge, (ea, rest)) = (&system.shape.edges[e], system.stretch[e]);
+            let (_, _, hessian) = element::stretch(edge, rest, ea);
+            if !system.layout.twist {
+                return hessian;
+            }
+            // Second derivatives in the local gauge are taken symmetric. Directors that are carried about a
+            // closed way of the tangent come back turned by its area: what is left of the moment about an
+            // edge out of equilibrium turns the force by half of that.
+            let moment = system.gradient[system.layout.angle(e)];
+            hessian + edge.t.cross_matrix() * (0.5 * moment / (edge.l * edge.l))
+        };
+        let mut loaded = Vec::new();
+        system.each_load(Some(start), |acts, motion, _| {
+            let by_places = acts.by_places_of_carried(motion);
+            loaded.push(Loaded { edge: motion.edge, acts: *acts, by_places });
+        });
         let bent = |i: usize| {
             let (a, b, k) = (&system.shape.edges[i - 1], &system.shape.edges[i], &system.bend[i - 1]);
             let (turn, strains) = (system.shape.turn(i), system.shape.strains(i));
@@ -135,34 +163,37 @@ impl<'a> Tangent<'a> {
             Bent { hessian, strains }
         };
         Tangent {
+            stretched: (0..n).map(stretched).collect(),
+            loaded,
             bent: if system.layout.bending { (1..n).map(bent).collect() } else { Vec::new() },
             forces: edge_forces(system, &system.gradient, &reactions),
-            moments: (0..n)
-                .filter(|_| system.layout.twist)
-                .map(|e| system.gradient[system.layout.angle(e)])
-                .collect(),
             past,
             share,
             now: Increment::new(n),
             before: Increment::new(n),
             gradient: vec![0.0; system.layout.full()],
             loads: EdgeSums { forces: vec![Vector3::zeros(); n + 1], moments: vec![0.0; n] },
+            out: InternalForces::default(),
         }
     }
 
-    fn of(&mut self, system: &System, start: StageStart, [dx, dx_before]: [&[f64]; 2]) -> InternalForces {
+    fn of(&mut self, system: &System, h: f64, [dx, dx_before]: [&[f64]; 2]) -> &mut InternalForces {
         self.now.set(system, &system.shape, dx);
         match self.past {
             Some(past) => self.before.set(system, &past.shape, dx_before),
             None => system.displacements(dx_before, &mut self.before.places),
         }
         self.gradient.fill(0.0);
+        let InternalForces { tension, shear, bending, twisting, .. } = &mut self.out;
+        [shear, bending].into_iter().for_each(Vec::clear);
+        [tension, twisting].into_iter().for_each(Vec::clear);
         self.stretch(system);
-        let (bending, twisting) = self.bend(system);
-        self.load(system, start);
+        self.bend(system);
+        self.load(h);
         let reactions = exerted(system, &self.gradient, &self.loads);
         let varied = edge_forces(system, &self.gradient, &reactions);
-        let (mut tension, mut shear) = (Vec::with_capacity(varied.len()), Vec::with_capacity(varied.len()));
+        self.out.reactions = reactions;
+        let InternalForces { tension, shear, .. } = &mut self.out;
         for (e, (edge, df)) in system.shape.edges.iter().zip(&varied).enumerate() {
             let moved = self.now.places[e + 1] - self.now.places[e];
             let dt = (moved - edge.t * edge.t.dot(&moved)) / edge.l;
@@ -178,25 +209,18 @@ impl<'a> Tangent<'a> {
             let f = &self.forces[e];
             shear.push([df.dot(m1) + f.dot(&dm1), df.dot(m2) + f.dot(&dm2)]);
         }
-        InternalForces { tension, shear, bending, twisting, reactions }
+        &mut self.out
     }
 
     /// What the edges add to δ(∂E/∂x).
     fn stretch(&mut self, system: &System) {
         for (e, edge) in system.shape.edges.iter().enumerate() {
             let (ea, rest) = system.stretch[e];
-            let (_, _, hessian) = element::stretch(edge, rest, ea);
             let moved = |of: &Increment| of.places[e + 1] - of.places[e];
-            let mut force = hessian * moved(&self.now);
+            let mut force = self.stretched[e] * moved(&self.now);
             if let Some(past) = self.past {
                 let longer = past.shape.edges[e].t.dot(&moved(&self.before));
                 force -= edge.t * (ea / rest * self.share * longer);
-            }
-            // Second derivatives in the local gauge are taken symmetric. Directors that are carried about a
-            // closed way of the tangent come back turned by its area: what is left of the moment about an
-            // edge out of equilibrium turns the force by half of that.
-            if let Some(moment) = self.moments.get(e) {
-                force += edge.t.cross(&moved(&self.now)) * (0.5 * moment / (edge.l * edge.l));
             }
             let (a, b) = (system.layout.vertex(e), system.layout.vertex(e + 1));
             for c in 0..3 {
@@ -207,8 +231,7 @@ impl<'a> Tangent<'a> {
     }
 
     /// What bent vertices add to it, and the changes of their moments, bending and twisting.
-    fn bend(&mut self, system: &System) -> (Vec<[f64; 2]>, Vec<f64>) {
-        let (mut bending, mut twisting) = (Vec::new(), Vec::new());
+    fn bend(&mut self, system: &System) {
         let angle = system.layout.twist.then_some([3, 7]);
         for (i, bent) in self.bent.iter().enumerate() {
             let (q, k) = (self.now.at(i + 1), &system.bend[i]);
@@ -228,8 +251,8 @@ impl<'a> Tangent<'a> {
                 strain.iter_mut().zip(rest).for_each(|(strain, rest)| *strain -= rest);
             }
             let [m1, m2, twist] = k.times(&strain);
-            bending.push([m1, m2]);
-            twisting.push(twist);
+            self.out.bending.push([m1, m2]);
+            self.out.twisting.push(twist);
             let mut add = |first: usize, values: &[f64]| {
                 self.gradient[first..].iter_mut().zip(values).for_each(|(g, v)| *g += v);
             };
@@ -240,29 +263,25 @@ impl<'a> Tangent<'a> {
                 add(system.layout.angle(i + e), &force[place..=place]);
             }
         }
-        (bending, twisting)
     }
 
     /// Changes of the forces of loads that depend on the motion.
-    fn load(&mut self, system: &System, start: StageStart) {
+    fn load(&mut self, h: f64) {
         let (now, before, loads) = (&self.now, &self.before, &mut self.loads);
         loads.forces.fill(Vector3::zeros());
         loads.moments.fill(0.0);
-        system.each_load(Some(start), |acts, motion, _| {
-            let e = motion.edge;
+        for &Loaded { edge: e, ref acts, by_places } in &self.loaded {
             let of = |i: &Increment| {
                 let [a, b] = [i.places[e], i.places[e + 1]];
-                nalgebra::Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z)
+                Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z)
             };
             let (places, turned) = (of(now), now.angles[e]);
-            let velocities = (places - of(before)) / start.length;
-            let forces = acts.by_places_of_carried(motion) * places
-                + acts.by_velocities * velocities
-                + acts.by_angle * turned;
+            let velocities = (places - of(before)) / h;
+            let forces = by_places * places + acts.by_velocities * velocities + acts.by_angle * turned;
             for (i, force) in forces.iter().enumerate() {
                 loads.forces[e + i / 3][i % 3] += force;
             }
             loads.moments[e] += acts.moment_by_places.dot(&places) + acts.moment_by_angle * turned;
-        });
+        }
     }
 }
