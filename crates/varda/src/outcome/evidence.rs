@@ -33,7 +33,7 @@ pub enum Cause {
     Clock,
     /// The recording's axes are turned.
     Frame,
-    /// The rod hangs in another shape: rest shape, stiffness, mass.
+    /// The rod hangs in another shape: rest shape, stiffness, mass, mesh.
     RestShape,
     /// The rod swings at another rate: stiffness, mass.
     Stiffness,

@@ -57,6 +57,9 @@ impl Preview {
         let plan = Plan::of(&inputs)?;
         let mut findings = findings(&inputs);
         let recording = inputs.observed.recording.clone();
+        // a twin has the mesh of its truth
+        let seen = inputs.observed.seen.iter().filter(|_| recording.is_some());
+        let finest = seen.map(|s| s.sigma).reduce(f64::min);
         let (grid, control) = (inputs.grid, plan.n_control);
         let window = grid.step * file.scene.time.window as f64;
         let forward = background::run(inputs)?;
@@ -70,7 +73,8 @@ impl Preview {
             findings.extend(numerics::too_much(&modes, window));
             // a finer mesh may have no equilibrium that is found from this one: then nothing is said of it
             mesh = numerics::halved(file, parts, &rest, t).ok();
-            findings.extend(mesh.as_ref().and_then(|m| numerics::too_coarse(m, parts.rod.segments())));
+            findings
+                .extend(mesh.as_ref().and_then(|m| numerics::too_coarse(m, parts.rod.segments(), finest)));
         }
         findings.sort_by_key(|f| std::cmp::Reverse(f.severity));
         let seconds = background::expected_seconds(&file.scene, forward.seconds, control);

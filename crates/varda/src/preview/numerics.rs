@@ -135,14 +135,18 @@ pub(super) fn halved(file: &SceneFile, parts: &RodParts, rest: &Rest, t: f64) ->
     Ok(MeshEffect { moves, arc_length, share: moves / parts.rod.length() })
 }
 
-/// Where the mesh is too coarse.
-pub(super) fn too_coarse(mesh: &MeshEffect, segments: usize) -> Option<Finding> {
-    (mesh.share > COARSE).then(|| {
+/// Where the mesh is too coarse: for the rod, or for a recording with values of this σ \[m\].
+pub(super) fn too_coarse(mesh: &MeshEffect, segments: usize, sigma: Option<f64>) -> Option<Finding> {
+    let seen = sigma.filter(|sigma| mesh.moves > *sigma);
+    (mesh.share > COARSE || seen.is_some()).then(|| {
+        let above = seen.map_or(String::new(), |sigma| {
+            format!(", more than σ = {sigma:.2e} m of what was seen: take more segments")
+        });
         Finding::warning(
             "model.segments",
             format!(
                 "twice as many as {segments} move the rod at rest by {:.4} m at s = {:.4} m, {:.1} % of its \
-                 length",
+                 length{above}",
                 mesh.moves,
                 mesh.arc_length,
                 100.0 * mesh.share
@@ -154,6 +158,16 @@ pub(super) fn too_coarse(mesh: &MeshEffect, segments: usize) -> Option<Finding> 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_mesh_that_moves_the_rod_by_more_than_what_was_seen_is_named() {
+        let mesh = MeshEffect { moves: 3e-3, arc_length: 0.25, share: 0.003 };
+        let said = too_coarse(&mesh, 20, Some(1e-3)).expect("three σ").to_string();
+        assert!(said.contains("model.segments") && said.contains("1.00e-3 m of what was seen"), "{said}");
+        assert!(too_coarse(&mesh, 20, Some(4e-3)).is_none());
+        assert!(too_coarse(&mesh, 20, None).is_none());
+        assert!(too_coarse(&MeshEffect { share: 0.02, ..mesh }, 20, None).is_some());
+    }
 
     /// Beside what running the schemes gives.
     #[test]

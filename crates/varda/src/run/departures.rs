@@ -266,8 +266,8 @@ impl Found<'_> {
         } else if lasting >= EXPLAINS {
             let _ = write!(
                 text,
-                ", {:.0} % of them constant {everywhere}: the shape at rest (rest shape, stiffness, mass) \
-                 is not that of the model",
+                ", {:.0} % of them constant {everywhere}: the shape at rest (rest shape, stiffness, mass, \
+                 mesh) is not that of the model",
                 100.0 * lasting
             );
             (Cause::RestShape, text)
