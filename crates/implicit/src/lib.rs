@@ -131,6 +131,8 @@ mod newton;
 mod observation;
 #[cfg(feature = "implicit")]
 mod one_leg;
+#[cfg(feature = "implicit")]
+mod parameters;
 mod rate;
 mod rhs;
 #[cfg(feature = "implicit")]
@@ -157,6 +159,8 @@ pub use newton::{NewtonFailure, NewtonOptions, NewtonReport, NewtonWork, solve};
 pub use observation::{At, ObservationOperator};
 #[cfg(feature = "implicit")]
 pub use one_leg::{OneLeg, OneLegEquations};
+#[cfg(feature = "implicit")]
+pub use parameters::{ParametricStep, WithParameters};
 pub use rate::{Rate, VelocityRate};
 pub use rhs::Rhs;
 #[cfg(feature = "implicit")]

@@ -120,6 +120,7 @@ mod load;
 mod marker;
 mod material;
 mod modes;
+mod parameters;
 mod predict;
 mod recorded;
 mod rod;
@@ -147,6 +148,7 @@ pub use marker::{Marker, Markers};
 pub use material::{Material, Section};
 pub use modes::{Mode, Modes, modes};
 pub use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+pub use parameters::{Change, Law, Parameter};
 pub use recorded::{
     RecordedMotion, RecordedRotation, SmoothBy, Smoothing, noise_of_rotations, noise_of_rows,
 };
