@@ -160,7 +160,7 @@ pub use observation::{At, ObservationOperator};
 #[cfg(feature = "implicit")]
 pub use one_leg::{OneLeg, OneLegEquations};
 #[cfg(feature = "implicit")]
-pub use parameters::{ParametricStep, WithParameters};
+pub use parameters::{ParameterPlaces, ParametricStep, WithParameters};
 pub use rate::{Rate, VelocityRate};
 pub use rhs::Rhs;
 #[cfg(feature = "implicit")]

@@ -129,7 +129,7 @@ pub trait ParametricStep: ImplicitStep {
 #[derive(Debug)]
 pub struct WithParameters<S> {
     step: S,
-    places: Places,
+    places: ParameterPlaces,
     /// Parameters of the equations; those behind are only carried along.
     active: usize,
     present: Vec<f64>,
@@ -140,9 +140,19 @@ pub struct WithParameters<S> {
     initial: Vec<f64>,
 }
 
-/// Where the numbers of a step's own state stand in the longer one.
-#[derive(Debug, Clone)]
-struct Places {
+/// Where the numbers of a step's own state stand in the longer one of [`WithParameters`].
+///
+/// ```
+/// use varda_implicit::ParameterPlaces;
+///
+/// // [x₀, x₁, p, y], and the first two of the state before with its p
+/// let places = ParameterPlaces::of_state(2, 1, 3, 2);
+/// let mut own = [0.0; 5];
+/// places.gather(&[1.0, 2.0, 7.0, 3.0, 4.0, 5.0], &mut own);
+/// assert_eq!((own, places.parameters()), ([1.0, 2.0, 3.0, 4.0, 5.0], 2..3));
+/// ```
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ParameterPlaces {
     /// Length of the step's control, after which p stands.
     control: usize,
     parameters: usize,
@@ -151,10 +161,39 @@ struct Places {
     history: usize,
 }
 
-impl Places {
+impl ParameterPlaces {
+    /// Those of a step with so many parameters.
+    ///
+    /// # Panics
+    /// If the control of the step is longer than its state without history.
+    pub fn of<S: ImplicitStep>(step: &S, parameters: usize) -> Self {
+        let own = step.dim() - step.history();
+        Self::of_state(step.control_dim(), parameters, own, step.history())
+    }
+
+    /// Those of a state that is led by `control` numbers, after which the parameters stand, and is `own` long
+    /// without them and without `history` first numbers of the state before.
+    ///
+    /// # Panics
+    /// If the control is longer than the state.
+    pub fn of_state(control: usize, parameters: usize, own: usize, history: usize) -> Self {
+        assert!(control <= own, "a control of {control} numbers does not lead a state of {own}");
+        Self { control, parameters, own, history }
+    }
+
+    /// Length of the longer state.
+    pub fn dim(&self) -> usize {
+        self.own + self.parameters + self.history()
+    }
+
+    /// Length of the step's own state, history included.
+    pub fn own_dim(&self) -> usize {
+        self.own + self.history
+    }
+
     /// Ranges of the longer state, own part first, then the history, that make up the step's state in order.
     fn ranges(&self) -> [Range<usize>; 4] {
-        let &Places { control, parameters, own, history } = self;
+        let &Self { control, parameters, own, history } = self;
         let start = own + parameters;
         let first = history.min(control);
         let after = start + control + parameters;
@@ -165,12 +204,16 @@ impl Places {
         self.history + if self.history > self.control { self.parameters } else { 0 }
     }
 
-    fn parameters(&self) -> Range<usize> {
+    /// Where the parameters stand, in the state as in the control.
+    pub fn parameters(&self) -> Range<usize> {
         self.control..self.control + self.parameters
     }
 
     /// The step's state, or the part of it without history, out of the longer one.
-    fn gather(&self, long: &[f64], x: &mut [f64]) {
+    ///
+    /// # Panics
+    /// If a slice is too short.
+    pub fn gather(&self, long: &[f64], x: &mut [f64]) {
         let mut to = x;
         for range in self.ranges().into_iter().filter(|r| r.end <= long.len()) {
             let (now, rest) = to.split_at_mut(range.len());
@@ -180,7 +223,10 @@ impl Places {
     }
 
     /// Puts the step's state into the longer one, whose p (and that of the history) it leaves.
-    fn scatter(&self, x: &[f64], long: &mut [f64]) {
+    ///
+    /// # Panics
+    /// If a slice is too short.
+    pub fn scatter(&self, x: &[f64], long: &mut [f64]) {
         let (mut from, length) = (x, long.len());
         for range in self.ranges().into_iter().filter(|r| r.end <= length) {
             let (now, rest) = from.split_at(range.len());
@@ -197,10 +243,8 @@ impl<S: ParametricStep> WithParameters<S> {
     /// If the control of the step is longer than its state without history.
     pub fn new(step: S, carried: usize) -> Self {
         let (own, active) = (step.dim() - step.history(), step.parameters());
-        let control = step.control_dim();
-        assert!(control <= own, "a control of {control} numbers does not lead a state of {own}");
         Self {
-            places: Places { control, parameters: active + carried, own, history: step.history() },
+            places: ParameterPlaces::of(&step, active + carried),
             active,
             present: vec![f64::NAN; active],
             x: vec![0.0; step.dim()],
@@ -211,9 +255,9 @@ impl<S: ParametricStep> WithParameters<S> {
         }
     }
 
-    /// Where the parameters and carried numbers stand in the state and in the control.
-    pub fn range(&self) -> Range<usize> {
-        self.places.parameters()
+    /// Where the parameters and carried numbers stand in the state.
+    pub fn places(&self) -> &ParameterPlaces {
+        &self.places
     }
 
     /// The step itself, taken out.
@@ -268,7 +312,7 @@ impl<S: ParametricStep> ImplicitStep for WithParameters<S> {
         S: 'a;
 
     fn dim(&self) -> usize {
-        self.places.own + self.places.parameters + self.places.history()
+        self.places.dim()
     }
 
     fn history(&self) -> usize {

@@ -57,6 +57,10 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
             line(&group.labelled("RMSE"), text);
         }
     }
+    // a field has a value at every vertex: summary.json has all
+    for e in o.estimates.iter().filter(|e| !e.name.contains("(s = ")) {
+        line(&e.name, e.in_words());
+    }
     for w in &o.withheld {
         line(
             "withheld",

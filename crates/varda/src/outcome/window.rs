@@ -8,6 +8,7 @@ use varda_assimilation::Analysis;
 use varda_implicit::check::Amplification;
 
 use super::convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
+use super::estimates::Estimated;
 use super::evidence::Evidence;
 use super::fit::{Fit, Forecast, Rejected, Withheld};
 use super::space::Shapes;
@@ -75,6 +76,8 @@ pub struct Outcome {
     pub model_counts: varda_implicit::Counts,
     /// Observed values that the background check refused.
     pub rejected: Vec<Rejected>,
+    /// Constants that were estimated beside the state.
+    pub estimates: Vec<Estimated>,
     /// RMSE of the initial state against the truth.
     pub rmse: Rmse,
     /// Where the time went.

@@ -199,7 +199,7 @@ pub(crate) fn beyond(
     let at_analysis = places.along(runs, &runs.analysis)?;
     let at_rest = if sights.iter().any(|s| s.at() > end) {
         let at_rest = rod.parts.at_rest(grid.time(grid.steps))?;
-        let control = rod.parts.dynamics()?.control_at_rest(&at_rest);
+        let control = rod.control_at_rest(&at_rest)?;
         let mut state = vec![0.0; model.dim()];
         model.initial_state(&control, &mut state)?;
         state

@@ -8,6 +8,7 @@ mod cycle_checks;
 pub mod cycles;
 mod departure_series;
 pub mod departures;
+mod estimates;
 mod fit;
 mod modes;
 mod second_minimum;

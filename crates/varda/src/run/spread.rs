@@ -75,7 +75,8 @@ pub(super) fn along(
         seen: vec![Vec::new(); problem.observed.seen.len()],
         forces: Vec::new(),
     };
-    let mut within = match problem.system.rod() {
+    // that of forces depends on the constants too: left out where these are unknown
+    let mut within = match problem.system.rod().filter(|rod| rod.estimates().is_empty()) {
         Some(rod) => Some(ForceSpread { rod: rod.parts.dynamics()?, before: Vec::new() }),
         None => None,
     };

@@ -8,11 +8,11 @@ use varda_implicit::check::Amplification;
 use varda_implicit::{Log, Model};
 
 use super::verdict::{self, Judged};
-use super::{amplification, between_steps, departures, fit, second_minimum, shapes, spread};
+use super::{amplification, between_steps, departures, estimates, fit, second_minimum, shapes, spread};
 use crate::Error;
 use crate::outcome::{
     Attempt, ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
-    Simulation, Status, Trajectories, TwinFiles, WorkCounts,
+    Simulation, Status, Trajectories, TwinFiles, WorkCounts, remarks_on_estimates,
 };
 use crate::setup::Problem;
 use crate::setup::adaptive_steps::Refreshing;
@@ -172,6 +172,8 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let mut shapes = shapes::with_observations(problem, &trajectories)?;
     let rejected = rejected(experiment, &solution.rejected);
     let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
+    let estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
+    warnings.extend(remarks_on_estimates(&estimates));
     let mut spread = spread::along(problem, make_model(0).as_mut(), &analysis.analysis, root, &trajectories)?;
     if let (Some(shapes), Some(spread)) = (&mut shapes, &mut spread) {
         shapes.sigma_forces = std::mem::take(&mut spread.forces);
@@ -197,6 +199,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         sigma_states: spread.map_or_else(Vec::new, |spread| spread.states),
         observed,
         rmse,
+        estimates,
         seconds: Seconds {
             total: listener.started.elapsed().as_secs_f64(),
             diagnostics: began.elapsed().as_secs_f64() - solved,

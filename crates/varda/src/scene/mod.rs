@@ -13,6 +13,7 @@ mod background;
 mod cycles;
 mod defaults;
 mod ensemble;
+mod estimate;
 mod file;
 mod grid;
 mod invalid;
@@ -47,6 +48,8 @@ pub use background::{
 };
 pub use cycles::{Adaptive, CycledCovariance, Cycles, EnsembleUpdate, Inflation};
 pub use ensemble::Ensemble;
+pub(crate) use estimate::PriorSpread;
+pub use estimate::{ConstantPrior, Estimate, PriorSigma, Unknown};
 pub use file::SceneFile;
 pub use grid::TimeGrid;
 pub(crate) use invalid::Invalid;
@@ -71,6 +74,8 @@ pub use sizes::{DATA_BYTES, NUMBERS, SCENE_BYTES, STEPS, VALUES};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use defaults::is_default;
 
 /// A scene of Varda. SI units throughout. A number is 0 or its size is between 1e-50 and 1e50; a scene has at
 /// most 1 MiB and a CSV file 256 MiB; the states of a run have at most 1e9 numbers, and at most 1e7 values
@@ -97,6 +102,9 @@ pub struct Scene {
     pub background: Background,
     /// What is observed, where, when, and with what error.
     pub observations: Observations,
+    /// Constants that are estimated beside the state.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub estimate: Estimate,
     /// How the cost is minimised.
     #[serde(default)]
     pub algorithm: Algorithm,

@@ -2,6 +2,7 @@
 
 use varda_implicit::line::Line;
 
+use super::estimate::validate_estimate;
 use super::grid::TimeGrid;
 use super::invalid::{Check, invalid};
 use super::sizes::validate_sizes;
@@ -54,6 +55,7 @@ pub(super) fn validate(scene: &Scene) -> Check {
     }
     scene.limits.bytes().or_else(|message| invalid("limits.memory", message))?;
     validate_algorithm(scene)?;
+    validate_estimate(&scene.estimate, scene)?;
     if let Some(cycles) = &scene.algorithm.cycles {
         validate_cycles(cycles, scene)?;
     }

@@ -10,6 +10,7 @@ use super::component_model::Equation;
 use super::covariance::{self, Factored};
 use super::csv;
 use super::ensemble::ComponentPositions;
+use super::estimate::Estimates;
 use super::files::Files;
 use super::runs::{MakeModel, run_states};
 use crate::Error;
@@ -28,6 +29,8 @@ pub struct ComponentSystem {
     line: Option<Line>,
     positions: ComponentPositions,
     start: Vec<f64>,
+    /// What is unknown beside the state.
+    pub(crate) estimates: Estimates,
     /// Makes the model, its step 0 being the given step of the model's time.
     make: Rc<dyn Fn(usize) -> Box<dyn Model + Send>>,
     spin_up: usize,
@@ -57,6 +60,7 @@ impl ComponentSystem {
             line,
             positions,
             start,
+            estimates: Estimates::default(),
             make: Rc::new(make),
             spin_up: scene.time.spin_up,
         }

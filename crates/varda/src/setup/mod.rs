@@ -8,6 +8,7 @@ mod continuity;
 pub mod covariance;
 pub mod csv;
 pub mod ensemble;
+pub mod estimate;
 pub mod files;
 pub mod inputs;
 mod loads;
@@ -24,6 +25,7 @@ pub mod rod;
 pub mod rod_model;
 pub mod rod_observations;
 pub mod runs;
+mod seen_with;
 pub mod system;
 
 pub use inputs::Inputs;

@@ -83,11 +83,13 @@ impl Problem {
         }
         let reference = known.as_ref().or(truth.as_ref()).map_or(&[][..], |z| &z[..n]);
         let (path, keys) = ("background.covariance", &scene.background.covariance);
-        let covariance = system.covariance(&one_window, path, keys, reference)?;
+        let estimates = system.estimates();
+        let covariance = estimates.behind(system.covariance(&one_window, path, keys, reference)?)?;
         let model_error = match &scene.algorithm.model_error {
             Some(error) => {
                 let path = "algorithm.model_error.covariance";
-                Some(system.covariance(&one_window, path, &error.covariance, reference)?)
+                let q = system.covariance(&one_window, path, &error.covariance, reference)?;
+                Some(estimates.without_error(q))
             }
             None => None,
         };

@@ -7,11 +7,14 @@ use varda_rod::{Marker, Markers, Matrix3, Vector3};
 
 use super::continuity::{self, Fastest};
 use super::csv::{self, Subject};
+use super::estimate::Seeing;
 use super::files::Files;
 use super::observations::{Draws, MakeOperator, Observed, ObservedSpace, Seen, Site};
 use super::reachable::{Held, Reach, Sighting};
 use super::recording::{Recorded, track};
 use super::rod::RodSystem;
+use super::rod_model::RodParts;
+use super::seen_with::SeenWith;
 use crate::Error;
 use crate::outcome::{Neighbours, RecordingSummary, RowCount};
 use crate::scene::{Frame, Model, OutsideWindow, Recording, Synthetic, TimeGrid, UnreachableRows, Use};
@@ -333,12 +336,21 @@ fn observed(
     left_out: Vec<String>,
 ) -> Observed {
     let markers: Rc<[Marker]> = sites.iter().map(|s| s.marker).collect();
-    let operator = |rotation: [[f64; 3]; 3]| -> MakeOperator {
+    let operator = |rotation: [[f64; 3]; 3], mounted: bool| -> MakeOperator {
         let (markers, parts) = (Rc::clone(&markers), rod.parts.clone());
         // values are those of the recording turned into its axes but not displaced: the origin is the model's
         let axes = Matrix3::from(rotation).transpose();
-        let seen = move || Markers::new(&parts.dynamics()?, &markers)?.in_axes(axes, Vector3::zeros());
-        Box::new(move || Ok(Box::new(seen()?)))
+        let seen = move |parts: &RodParts| {
+            Markers::new(&parts.dynamics()?, &markers)?.in_axes(axes, Vector3::zeros())
+        };
+        Box::new(move || {
+            let markers = Box::new(seen(&parts)?);
+            if parts.estimates.is_empty() {
+                return Ok(markers);
+            }
+            let seeing = if mounted { parts.estimates.seen } else { Seeing::default() };
+            Ok(Box::new(SeenWith::new(markers, parts.places()?, seeing)))
+        })
     };
     let site = |(i, site): (usize, Placed)| Site {
         label: site.label,
@@ -350,9 +362,9 @@ fn observed(
         space: Some(ObservedSpace {
             arc_lengths: markers.iter().map(|m| m.s).collect(),
             rotation,
-            make_places: operator(Frame::default().rotation_rows()),
+            make_places: operator(Frame::default().rotation_rows(), false),
         }),
-        make_operator: operator(rotation),
+        make_operator: operator(rotation, true),
         sites: sites.into_iter().enumerate().map(site).collect(),
         seen,
         left_out,

@@ -1,0 +1,142 @@
+//! What is observed of a state with unknown constants in it.
+
+use varda_assimilation::ObservationOperator;
+use varda_implicit::{At, ParameterPlaces, Refusal};
+use varda_rod::{Matrix3, Vector3};
+
+use super::estimate::Seeing;
+
+/// y = R(ρ) H(x) + t + b: H of a state without constants, turned by a small rotation ρ and displaced by t in
+/// space, with a bias b of every row. What is not unknown is left out.
+pub(crate) struct SeenWith<O: ?Sized> {
+    places: ParameterPlaces,
+    seeing: Seeing,
+    /// A state without constants, and an increment of one.
+    x: Vec<f64>,
+    dx: Vec<f64>,
+    /// H(x), or what acts on it.
+    y: Vec<f64>,
+    operator: Box<O>,
+}
+
+impl<O: ObservationOperator + ?Sized> SeenWith<O> {
+    pub(crate) fn new(operator: Box<O>, places: ParameterPlaces, seeing: Seeing) -> Self {
+        let (own, rows) = (places.own_dim(), operator.dim());
+        Self { x: vec![0.0; own], dx: vec![0.0; own], y: vec![0.0; rows], seeing, places, operator }
+    }
+
+    /// The rotation vector ρ among the constants of a state or an increment.
+    fn rotation(&self, x: &[f64]) -> Option<Vector3<f64>> {
+        let first = self.places.parameters().start + self.seeing.rotation?;
+        Some(Vector3::from_column_slice(&x[first..first + 3]))
+    }
+
+    /// Adds t and b, or their increments.
+    fn displace(&self, x: &[f64], y: &mut [f64]) {
+        let p = &x[self.places.parameters()];
+        if let Some(first) = self.seeing.translation {
+            for y in y.chunks_exact_mut(3) {
+                y.iter_mut().zip(&p[first..]).for_each(|(y, t)| *y += t);
+            }
+        }
+        if let Some(first) = self.seeing.bias {
+            y.iter_mut().zip(&p[first..]).for_each(|(y, b)| *y += b);
+        }
+    }
+}
+
+impl<O: ObservationOperator + ?Sized> ObservationOperator for SeenWith<O> {
+    fn dim(&self) -> usize {
+        self.operator.dim()
+    }
+
+    fn state_dim(&self) -> usize {
+        self.places.dim()
+    }
+
+    fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
+        self.places.gather(x, &mut self.x);
+        self.operator.observe(at, &self.x, y)?;
+        if let Some(rho) = self.rotation(x) {
+            let turn = exponential(&rho);
+            y.chunks_exact_mut(3).for_each(|y| set(y, turn * place(y)));
+        }
+        self.displace(x, y);
+        Ok(())
+    }
+
+    fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+        self.places.gather(x, &mut self.x);
+        let rotation = self.rotation(x);
+        if rotation.is_some() {
+            self.operator.observe(at, &self.x, &mut self.y).expect("this state was observed before");
+        }
+        self.places.gather(dx, &mut self.dx);
+        self.operator.tangent(at, &self.x, &self.dx, dy);
+        if let (Some(rho), Some(drho)) = (rotation, self.rotation(dx)) {
+            let (turn, turned) = (exponential(&rho), left_jacobian(&rho) * drho);
+            for (dy, y) in dy.chunks_exact_mut(3).zip(self.y.chunks_exact(3)) {
+                set(dy, turn * place(dy) + turned.cross(&(turn * place(y))));
+            }
+        }
+        self.displace(dx, dy);
+    }
+
+    fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+        let p = self.places.parameters();
+        if let Some(first) = self.seeing.translation {
+            for dy in dy.chunks_exact(3) {
+                dx[p.start + first..].iter_mut().zip(dy).for_each(|(dt, dy)| *dt += dy);
+            }
+        }
+        if let Some(first) = self.seeing.bias {
+            // a marker without a name has no bias
+            dx[p.clone()][first..].iter_mut().zip(dy).for_each(|(db, dy)| *db += dy);
+        }
+        self.places.gather(x, &mut self.x);
+        let mut back = dy.to_vec();
+        if let Some(rho) = self.rotation(x) {
+            self.operator.observe(at, &self.x, &mut self.y).expect("this state was observed before");
+            let (turn, jacobian) = (exponential(&rho), left_jacobian(&rho));
+            let mut sum = Vector3::zeros();
+            for (back, y) in back.chunks_exact_mut(3).zip(self.y.chunks_exact(3)) {
+                sum += (turn * place(y)).cross(&place(back));
+                set(back, turn.tr_mul(&place(back)));
+            }
+            let first = p.start + self.seeing.rotation.expect("there is a rotation");
+            let drho = jacobian.tr_mul(&sum);
+            dx[first..first + 3].iter_mut().zip(drho.iter()).for_each(|(dx, d)| *dx += d);
+        }
+        self.places.gather(dx, &mut self.dx);
+        self.operator.adjoint_add(at, &self.x, &back, &mut self.dx);
+        self.places.scatter(&self.dx, dx);
+    }
+}
+
+fn place(y: &[f64]) -> Vector3<f64> {
+    Vector3::from_column_slice(y)
+}
+
+fn set(y: &mut [f64], value: Vector3<f64>) {
+    y.copy_from_slice(value.as_slice());
+}
+
+/// Rodrigues' rotation exp([ρ]×).
+fn exponential(rho: &Vector3<f64>) -> Matrix3<f64> {
+    let (angle, cross) = (rho.norm(), rho.cross_matrix());
+    let half = 0.5 * angle;
+    let sinc = |x: f64| if x.abs() < 1e-4 { 1.0 - x * x / 6.0 } else { x.sin() / x };
+    Matrix3::identity() + cross * sinc(angle) + cross * cross * (0.5 * sinc(half) * sinc(half))
+}
+
+/// J with ∂(exp([ρ]×) y) δρ = (J δρ) × exp([ρ]×) y: I + (1 − cos θ)/θ² [ρ]× + (θ − sin θ)/θ³ [ρ]×².
+fn left_jacobian(rho: &Vector3<f64>) -> Matrix3<f64> {
+    let (angle, cross) = (rho.norm(), rho.cross_matrix());
+    let (first, second) = if angle < 1e-2 {
+        let square = angle * angle;
+        (0.5 - square / 24.0 + square * square / 720.0, 1.0 / 6.0 - square / 120.0 + square * square / 5040.0)
+    } else {
+        ((1.0 - angle.cos()) / (angle * angle), (angle - angle.sin()) / angle.powi(3))
+    };
+    Matrix3::identity() + cross * first + cross * cross * second
+}
