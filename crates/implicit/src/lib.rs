@@ -133,6 +133,7 @@ mod observation;
 mod one_leg;
 #[cfg(feature = "implicit")]
 mod parameters;
+mod parametric_rhs;
 mod rate;
 mod rhs;
 #[cfg(feature = "implicit")]
@@ -161,6 +162,7 @@ pub use observation::{At, ObservationOperator};
 pub use one_leg::{OneLeg, OneLegEquations};
 #[cfg(feature = "implicit")]
 pub use parameters::{ParameterPlaces, ParametricStep, WithParameters};
+pub use parametric_rhs::{ChosenParameters, Law, ParametricRhs, RhsWithParameters};
 pub use rate::{Rate, VelocityRate};
 pub use rhs::Rhs;
 #[cfg(feature = "implicit")]

@@ -148,7 +148,7 @@ pub use marker::{Marker, Markers};
 pub use material::{Material, Section};
 pub use modes::{Mode, Modes, modes};
 pub use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
-pub use parameters::{Change, Law, Parameter};
+pub use parameters::{Change, Parameter};
 pub use recorded::{
     RecordedMotion, RecordedRotation, SmoothBy, Smoothing, noise_of_rotations, noise_of_rows,
 };
@@ -157,6 +157,7 @@ pub use scalar::Real;
 pub use statics::continuation::{Found, Search, rest};
 pub use statics::reactions::Reaction;
 pub use support::{Clamp, ClampAt, Damping, EllipseDrive, Loads, Motion, Supports};
+pub use varda_implicit::Law;
 
 /// The example of README.md, compiled and run with the tests.
 #[cfg(doctest)]

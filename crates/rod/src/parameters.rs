@@ -1,7 +1,7 @@
 //! Constants of a rod as parameters: what they change, and ∂G/∂p.
 
 use nalgebra::Vector3;
-use varda_implicit::{ParametricStep, Refusal, SolvedStep};
+use varda_implicit::{Law, ParametricStep, Refusal, SolvedStep};
 
 use crate::Error;
 use crate::damping::KelvinVoigt;
@@ -69,39 +69,12 @@ impl Change {
     }
 }
 
-/// How the constants depend on a parameter p: those at p = 0, and g(p) times the change.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Law {
-    /// g = p.
-    Linear,
-    /// g = eᵖ − 1: constants that are the change at p = 0 are eᵖ times as large, and stay positive.
-    Exponential,
-}
-
-impl Law {
-    /// g(p).
-    pub fn value(self, p: f64) -> f64 {
-        match self {
-            Law::Linear => p,
-            Law::Exponential => p.exp_m1(),
-        }
-    }
-
-    /// g′(p).
-    pub fn slope(self, p: f64) -> f64 {
-        match self {
-            Law::Linear => 1.0,
-            Law::Exponential => p.exp(),
-        }
-    }
-}
-
 /// A parameter of a rod, zero at the rod as it is described.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parameter {
     /// What it changes.
     pub change: Change,
-    /// How.
+    /// The constants are those at p = 0, and g(p) times the change.
     pub law: Law,
 }
 

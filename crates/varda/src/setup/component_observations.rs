@@ -1,10 +1,12 @@
 //! Observed components of the state of a model that is not a rod.
 
 use varda_assimilation::{ObservationOperator, Selection};
+use varda_implicit::ParameterPlaces;
 
 use super::components::ComponentSystem;
 use super::files::Files;
 use super::observations::{Draws, Observed, Site};
+use super::seen_with::SeenWith;
 use crate::Error;
 use crate::scene::{Synthetic, TimeGrid};
 
@@ -26,6 +28,7 @@ pub(crate) fn synthetic(
     };
     let steps = files.scene.checked(keys.observed_steps(grid.steps))?;
     let sigma = files.scene.checked(keys.component_sigma())?;
+    let (constants, seeing) = (system.estimates.len(), system.estimates.seen);
     Ok(Observed {
         sites: components.iter().enumerate().map(site).collect(),
         seen: Vec::new(),
@@ -33,7 +36,14 @@ pub(crate) fn synthetic(
         left_out: Vec::new(),
         recording: None,
         make_operator: Box::new(move || {
-            let operator: Box<dyn ObservationOperator> = Box::new(Selection::new(components.clone(), n)?);
+            let selection = Box::new(Selection::new(components.clone(), n)?);
+            let operator: Box<dyn ObservationOperator> = match constants {
+                0 => selection,
+                _ => {
+                    let places = ParameterPlaces::of_state(n, constants, n, 0);
+                    Box::new(SeenWith::new(selection, places, seeing))
+                }
+            };
             Ok(operator)
         }),
         draws: Some(Draws { steps, sigma }),

@@ -14,7 +14,9 @@ use crate::scene::{ConstantPrior, Model, Observations, PriorSpread, RodModel, Sc
 pub struct Estimates {
     /// What they are.
     pub constants: Vec<Constant>,
-    /// Those of a rod, which come first.
+    /// How many the model depends on; they come first.
+    of_model: usize,
+    /// Those of a rod.
     pub(crate) of_rod: Vec<Parameter>,
     /// Places among `constants` of the first number of a rotation, a displacement and the biases of what is
     /// observed.
@@ -95,7 +97,7 @@ impl Estimates {
 
     /// How many of them the model does not depend on.
     pub(crate) fn carried(&self) -> usize {
-        self.len() - self.of_rod.len()
+        self.len() - self.of_model
     }
 
     /// Those of a rod and of what is observed of it.
@@ -112,6 +114,35 @@ impl Estimates {
         }
         all.add_of_observations(file, 3)?;
         Ok(all)
+    }
+
+    /// Those of an equation whose constants are these, by name, unit and value, and of what is observed of it;
+    /// with the place and law of each of the equation's.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] pointing at the key.
+    pub(crate) fn of_components(
+        file: &SceneFile,
+        known: &[(&'static str, &'static str, f64)],
+    ) -> Result<(Self, Vec<(usize, Law)>), Error> {
+        let (mut all, mut chosen) = (Estimates::default(), Vec::new());
+        for (key, unknown) in file.scene.estimate.given() {
+            let Some(place) = known.iter().position(|(name, ..)| *name == key) else { continue };
+            let (path, (_, unit, value)) = (format!("estimate.{key}"), known[place]);
+            let (path, prior) = file.checked(unknown.priors(&path, 1))?.remove(0);
+            let (law, sigma) = match file.checked(prior.spread(&path))? {
+                PriorSpread::Normal(sigma) => (Law::Linear, sigma),
+                PriorSpread::LogNormal(sigma) if value != 0.0 => (Law::Exponential, sigma),
+                PriorSpread::LogNormal(_) => {
+                    return Err(file.invalid(&path, "is 0 in the scene, and a share of it too"));
+                }
+            };
+            all.constants.push(Constant { name: key.to_string(), unit, value, law, sigma });
+            chosen.push((place, law));
+        }
+        all.of_model = chosen.len();
+        all.add_of_observations(file, 1)?;
+        Ok((all, chosen))
     }
 
     /// What the observations depend on; `width` values to a site.
@@ -210,6 +241,7 @@ impl Estimates {
             (Law::Exponential, Effect::Unit(change)) => times(change, value),
         };
         self.of_rod.push(Parameter { change, law });
+        self.of_model += 1;
         self.constants.push(Constant { name, unit, value, law, sigma });
         Ok(())
     }
@@ -245,6 +277,7 @@ impl Estimates {
                     (format!("{key}[{c}](s = {:.4} m)", s[i + 1]), model.natural_curvature[c])
                 };
                 self.of_rod.push(Parameter { change, law: Law::Linear });
+                self.of_model += 1;
                 self.constants.push(Constant { name, unit, value, law: Law::Linear, sigma });
             }
             self.fields.push((first..self.len(), s[1..=inner].to_vec(), length));

@@ -48,7 +48,7 @@ impl System {
                 Equation::AlongLine { line: m.line(), field: Field::Fronts(fronts), step: line_step()? }
             }
         };
-        Ok(System::Components(ComponentSystem::new(scene, equation, grid)))
+        Ok(System::Components(ComponentSystem::new(files.scene, equation, grid)?))
     }
 
     /// The rod, for models in space.
@@ -87,7 +87,7 @@ impl System {
     pub(crate) fn sizes(&self) -> [usize; 2] {
         match self {
             System::Rod(rod) => [rod.state, rod.kept],
-            System::Components(model) => [model.names.len(), model.kept],
+            System::Components(model) => [model.names.len() + model.estimates.len(), model.kept],
         }
     }
 
