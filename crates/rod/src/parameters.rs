@@ -6,7 +6,8 @@ use varda_implicit::{Law, ParametricStep, Refusal, SolvedStep};
 use crate::Error;
 use crate::damping::KelvinVoigt;
 use crate::dynamics::{RodStep, TwistUnknowns};
-use crate::element;
+use crate::element::{self, Strains};
+use crate::forces_of_motion::Motion;
 use crate::layout::FIXED;
 use crate::rod::Rod;
 use crate::support::{Damping, Loads, Supports};
@@ -188,7 +189,55 @@ fn check(change: &Change, rod: &Rod, damping: &Damping, bending: bool) -> Result
     Ok(())
 }
 
+/// What a parameter does to ∂E/∂(x, θ) in the full order, to the moments of bent vertices, and to the weight
+/// and inertia of every vertex.
+pub(crate) struct ChangeOfForces {
+    pub(crate) gradient: Vec<f64>,
+    pub(crate) moments: Vec<[f64; 3]>,
+    pub(crate) forces: Vec<Vector3<f64>>,
+}
+
 impl Parameters {
+    /// How many there are.
+    pub(crate) fn len(&self) -> usize {
+        self.list.len()
+    }
+
+    /// What each does to the forces within the rod, the system having the shape of a state.
+    pub(crate) fn of_forces(
+        &self,
+        system: &mut System,
+        motion: &Motion,
+        damping: &Damping,
+    ) -> Vec<ChangeOfForces> {
+        let (h, mut past) = (motion.start.length, PastStrains::default());
+        if let Some(then) = motion.past {
+            past.lengths = then.shape.edges.iter().map(|edge| edge.l).collect();
+            past.bend = then.strains.iter().map(|strains| strains.value).collect();
+        }
+        let of = |(p, slope): (&Parameter, &f64)| {
+            let Parameter { change, .. } = p;
+            let rates = [damping.stiffness / h, change.damping.stiffness / h];
+            system.change_of_elastic(change, rates, &past);
+            let stress = |i| system.change_of_stress(i, change, rates, &past).1.map(|s| slope * s);
+            let bent = if system.layout.bending { 1..system.layout.segments } else { 0..0 };
+            let force = |v: usize| {
+                let [velocity, acceleration] = motion.held[v];
+                let (mass, more) = (system.rod.masses[v], change.masses.get(v).copied().unwrap_or(0.0));
+                let gravity = system.loads.gravity;
+                let each = (gravity - acceleration - velocity * damping.mass) * more
+                    + (change.gravity - velocity * change.damping.mass) * mass;
+                each * *slope
+            };
+            ChangeOfForces {
+                moments: bent.map(stress).collect(),
+                forces: (0..system.x.len()).map(force).collect(),
+                gradient: system.gradient.iter().map(|g| slope * g).collect(),
+            }
+        };
+        self.list.iter().zip(&self.slopes).map(of).collect()
+    }
+
     /// The constants at p.
     fn constants(&mut self, p: &[f64], rod: &mut Rod) -> (Damping, Vector3<f64>) {
         rod.clone_from(&self.rod);
@@ -310,8 +359,8 @@ impl System {
     ///
     /// `rates` are r and δr; `past` has ε*, where there are such strains.
     pub(crate) fn change_of_elastic(&mut self, change: &Change, rates: [f64; 2], past: &PastStrains) {
-        let System { layout, shape, gradient, rod, .. } = self;
         let [r, dr] = rates;
+        let System { layout, shape, gradient, rod, .. } = &mut *self;
         gradient.fill(0.0);
         if !change.ea.is_empty() || dr != 0.0 {
             for (e, edge) in shape.edges.iter().enumerate() {
@@ -329,33 +378,49 @@ impl System {
         if !layout.bending || !(change.is_of_bending() || dr != 0.0) {
             return;
         }
-        for i in 1..layout.segments {
-            let (first, over) = (layout.vertex(i - 1), 1.0 / rod.voronoi_lengths[i - 1]);
-            let dei = change.ei.get(i - 1).copied().unwrap_or_default();
+        for i in 1..self.layout.segments {
+            let System { layout, shape, gradient, rod, .. } = &mut *self;
+            let first = layout.vertex(i - 1);
             if !layout.twist {
+                let dei = change.ei.get(i - 1).copied().unwrap_or_default();
+                let over = 1.0 / rod.voronoi_lengths[i - 1];
                 let (a, b, turn) = (&shape.edges[i - 1], &shape.edges[i], shape.turn(i));
                 let bent = element::isotropic_bend(a, b, turn, dei[0] * over);
                 gradient[first..].iter_mut().zip(bent.gradient).for_each(|(g, d)| *g += d);
                 continue;
             }
-            let strains = shape.strains(i);
-            let [k1, k2] = rod.natural_curvature[i - 1];
-            let rest = [k1, k2, rod.natural_twist[i - 1]];
-            let [dk1, dk2] = change.natural_curvature.get(i - 1).copied().unwrap_or_default();
-            let drest = [dk1, dk2, change.natural_twist.get(i - 1).copied().unwrap_or(0.0)];
-            let gone = past.bend.get(i - 1);
-            let gone: [f64; 3] = std::array::from_fn(|a| gone.map_or(0.0, |p| strains.value[a] - p[a]));
-            let by_stiffness: [f64; 3] = std::array::from_fn(|a| strains.value[a] - rest[a] + r * gone[a]);
-            let by_strain: [f64; 3] = std::array::from_fn(|a| dr * gone[a] - drest[a]);
-            let dgj = change.gj.get(i - 1).copied().unwrap_or(0.0);
-            let stress = sum(
-                times(dei, dgj, by_stiffness.map(|e| e * over)),
-                times(rod.ei[i - 1], rod.gj[i - 1], by_strain.map(|e| e * over)),
-            );
+            let (strains, stress) = self.change_of_stress(i, change, rates, past);
+            let gradient = &mut self.gradient;
             for (of_strain, stress) in strains.gradient.iter().zip(stress) {
                 gradient[first..].iter_mut().zip(of_strain).for_each(|(g, d)| *g += stress * d);
             }
         }
+    }
+}
+
+impl System {
+    /// Strains of an interior vertex, and the change of their stress.
+    fn change_of_stress(
+        &self,
+        i: usize,
+        change: &Change,
+        [r, dr]: [f64; 2],
+        past: &PastStrains,
+    ) -> (Strains, [f64; 3]) {
+        let (strains, rod, over) = (self.shape.strains(i), &self.rod, 1.0 / self.rod.voronoi_lengths[i - 1]);
+        let dei = change.ei.get(i - 1).copied().unwrap_or_default();
+        let [k1, k2] = rod.natural_curvature[i - 1];
+        let rest = [k1, k2, rod.natural_twist[i - 1]];
+        let [dk1, dk2] = change.natural_curvature.get(i - 1).copied().unwrap_or_default();
+        let drest = [dk1, dk2, change.natural_twist.get(i - 1).copied().unwrap_or(0.0)];
+        let gone = past.bend.get(i - 1);
+        let gone: [f64; 3] = std::array::from_fn(|a| gone.map_or(0.0, |p| strains.value[a] - p[a]));
+        let by_stiffness: [f64; 3] =
+            std::array::from_fn(|a| over * (strains.value[a] - rest[a] + r * gone[a]));
+        let by_strain: [f64; 3] = std::array::from_fn(|a| over * (dr * gone[a] - drest[a]));
+        let dgj = change.gj.get(i - 1).copied().unwrap_or(0.0);
+        let stress = sum(times(dei, dgj, by_stiffness), times(rod.ei[i - 1], rod.gj[i - 1], by_strain));
+        (strains, stress)
     }
 }
 

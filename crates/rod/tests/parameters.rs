@@ -195,6 +195,48 @@ fn each_parameter_alone_moves_the_state_as_differences_say() {
     }
 }
 
+/// What parameters do to the forces within the rod, at fixed states.
+#[test]
+fn forces_move_with_the_parameters_as_differences_say() {
+    for case in cases() {
+        let step = step(case, Scheme::Bdf2);
+        let z = control(&step);
+        let parameters = step.parameters();
+        let mut model = ImplicitModel::new(WithParameters::new(step, 0), 0, 0.01);
+        let mut states = [vec![0.0; Model::dim(&model)], vec![0.0; Model::dim(&model)]];
+        model.initial_state(&z, &mut states[0]).unwrap();
+        let [before, now] = &mut states;
+        model.step(0, before, now).unwrap();
+        let own = |model: &mut ImplicitModel<WithParameters<RodStep>>, x: &[f64]| {
+            model.step_mut().at(x).unwrap().1.to_vec()
+        };
+        let (before, now) = (own(&mut model, before), own(&mut model, now));
+        let mut step = model.into_inner().into_step();
+        let (t, then) = (0.01, 0.0);
+        let p = z[z.len() - parameters..].to_vec();
+        for i in 0..parameters {
+            let mut dp = vec![0.0; parameters];
+            dp[i] = 1.0;
+            let by_difference = common::difference(&p, &dp, 1e-3, |p| {
+                step.set_parameters(p).unwrap();
+                let mut forces = step.internal_forces(t, &now, (then, &before)).unwrap();
+                forces.numbers().map(|v| *v).collect()
+            });
+            step.set_parameters(&p).unwrap();
+            let zero = vec![0.0; now.len()];
+            let mut tangent = Vec::new();
+            step.internal_forces_tangent(t, &now, (then, &before), [&zero, &zero, &dp], &mut |f| {
+                tangent.extend(f.numbers().map(|v| *v));
+            })
+            .unwrap();
+            // GJ of a rod without twist and the like move nothing
+            let (error, size) = common::off(&tangent, &by_difference);
+            // rounding of 1e3 N over 1e-3
+            assert!(error <= 1e-8 * size.max(1e-2), "{}, {i}: off by {error:e} of {size:e}", case.name);
+        }
+    }
+}
+
 /// With all parameters zero the rod is the one described: the same states, bit for bit.
 #[test]
 fn parameters_of_zero_change_nothing() {

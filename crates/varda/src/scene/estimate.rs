@@ -15,7 +15,8 @@ pub struct Estimate {
     /// Young's modulus [Pa]: scales EA and EI, and GJ where Poisson's ratio is given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub youngs_modulus: Option<Unknown>,
-    /// Bending stiffness EI [N m²] of κ₁ and κ₂: `ei[0]`, `ei[1]`; with `together`, both by one factor.
+    /// Bending stiffness EI [N m²] of κ₁ and κ₂: `ei[0]`, `ei[1]`; with `together`, both by one
+    /// factor.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ei: Option<Unknown>,
     /// Twisting stiffness GJ [N m²].

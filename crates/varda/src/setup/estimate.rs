@@ -116,8 +116,8 @@ impl Estimates {
         Ok(all)
     }
 
-    /// Those of an equation whose constants are these, by name, unit and value, and of what is observed of it;
-    /// with the place and law of each of the equation's.
+    /// Those of an equation whose constants are these, by name, unit and value, and of what is observed of
+    /// it; with the place and law of each of the equation's.
     ///
     /// # Errors
     /// [`Error::Scene`] pointing at the key.

@@ -95,7 +95,7 @@ impl RodSystem {
     }
 
     /// A state of the rod's own step, and the rod with the constants that this state has.
-    pub(crate) fn with_constants_of(&self, state: &[f64]) -> Result<(RodStep, Vec<f64>), Error> {
+    pub fn with_constants_of(&self, state: &[f64]) -> Result<(RodStep, Vec<f64>), Error> {
         let (mut rod, places) = (self.parts.dynamics()?, self.parts.places()?);
         let mut own = vec![0.0; places.own_dim()];
         places.gather(state, &mut own);

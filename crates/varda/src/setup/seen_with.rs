@@ -6,8 +6,8 @@ use varda_rod::{Matrix3, Vector3};
 
 use super::estimate::Seeing;
 
-/// y = R(ρ) H(x) + t + b: H of a state without constants, turned by a small rotation ρ and displaced by t in
-/// space, with a bias b of every row. What is not unknown is left out.
+/// y = R(ρ) H(x) + t + b: H of a state without constants, turned by a small rotation ρ and displaced by t
+/// in space, with a bias b of every row. What is not unknown is left out.
 pub(crate) struct SeenWith<O: ?Sized> {
     places: ParameterPlaces,
     seeing: Seeing,
@@ -129,7 +129,8 @@ fn exponential(rho: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() + cross * sinc(angle) + cross * cross * (0.5 * sinc(half) * sinc(half))
 }
 
-/// J with ∂(exp([ρ]×) y) δρ = (J δρ) × exp([ρ]×) y: I + (1 − cos θ)/θ² [ρ]× + (θ − sin θ)/θ³ [ρ]×².
+/// J with ∂(exp([ρ]×) y) δρ = (J δρ) × exp([ρ]×) y: I + (1 − cos θ)/θ² [ρ]× + (θ − sin
+/// θ)/θ³ [ρ]×².
 fn left_jacobian(rho: &Vector3<f64>) -> Matrix3<f64> {
     let (angle, cross) = (rho.norm(), rho.cross_matrix());
     let (first, second) = if angle < 1e-2 {
