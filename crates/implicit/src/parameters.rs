@@ -6,8 +6,8 @@ use crate::{ImplicitStep, Interval, Refusal, SolvedStep, Structure};
 
 /// A step whose equations G(x_k, u; p) = 0 depend on parameters p that do not change in time.
 ///
-/// Each parameter is a number whose prior is about normal and whose size is about its σ: a stiffness that must
-/// stay positive is the exponential of one. The map S(x_k, u) does not depend on p.
+/// Each parameter is a number whose prior is about normal: a stiffness that must stay positive is the
+/// exponential of one. The map S(x_k, u) does not depend on p.
 /// [`WithParameters`] makes of such a step one whose state has p in it.
 pub trait ParametricStep: ImplicitStep {
     /// How many parameters there are.
@@ -19,8 +19,8 @@ pub trait ParametricStep: ImplicitStep {
     /// Values at which there are no equations.
     fn set_parameters(&mut self, p: &[f64]) -> Result<(), Refusal>;
 
-    /// The columns of ∂G/∂p at a solved step, one after the other. Called right after the equations of the
-    /// step were prepared with these parameters, u accepted and [`ImplicitStep::keep`] called.
+    /// The columns of ∂G/∂p at a solved step, one after the other. Called right after the equations of
+    /// the step were prepared with these parameters, u accepted and [`ImplicitStep::keep`] called.
     fn parameter_jacobian(&mut self, of: &SolvedStep<'_>, columns: &mut [f64]);
 
     /// The columns of ∂x₀/∂p, one after the other and without a history, right after
@@ -31,8 +31,8 @@ pub trait ParametricStep: ImplicitStep {
 }
 
 /// A step with its parameters in the state: p_{k+1} = p_k (Evensen 2009, chapter 7, calls it the augmented
-/// state). Tangent, adjoint, ensembles, covariances and posteriors of such a step see a state that is longer by
-/// p, and nothing else changes.
+/// state). Tangent, adjoint, ensembles, covariances and posteriors of such a step see a state that is longer
+/// by p, and nothing else changes.
 ///
 /// ```text
 /// x = [z, p, what follows from z]                     z: the control of the step, first in its state

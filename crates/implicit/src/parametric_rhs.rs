@@ -138,8 +138,8 @@ impl<R: ParametricRhs> ParametricRhs for ChosenParameters<R> {
     }
 }
 
-/// A right-hand side with its parameters in the state, ẋ = f(t, x; p), ṗ = 0, and `carried` constants behind
-/// them that f does not depend on.
+/// A right-hand side with its parameters in the state, ẋ = f(t, x; p), ṗ = 0, and `carried` constants
+/// behind them that f does not depend on.
 ///
 /// ```
 /// use varda_implicit::{RhsWithParameters, Rk4, check, lorenz::Lorenz63};

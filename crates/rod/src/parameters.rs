@@ -189,8 +189,8 @@ fn check(change: &Change, rod: &Rod, damping: &Damping, bending: bool) -> Result
     Ok(())
 }
 
-/// What a parameter does to ∂E/∂(x, θ) in the full order, to the moments of bent vertices, and to the weight
-/// and inertia of every vertex.
+/// What a parameter does to ∂E/∂(x, θ) in the full order, to the moments of bent vertices, and to the
+/// weight and inertia of every vertex.
 pub(crate) struct ChangeOfForces {
     pub(crate) gradient: Vec<f64>,
     pub(crate) moments: Vec<[f64; 3]>,

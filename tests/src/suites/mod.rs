@@ -103,7 +103,7 @@ pub const SUITES: &[Suite] = &[
     },
     Suite {
         name: "parameters",
-        proves: "Constants are estimated beside the state: gradients, a filter, recordings by other programs.",
+        proves: "Constants are estimated beside the state: gradients, a filter, recordings by others.",
         run: |options| parameters::run(options).into(),
     },
     Suite {

@@ -100,12 +100,13 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
     line(
         "time",
         format!(
-            "{seconds:.2} s: set-up {:.2}, minimization {:.2}, posterior {:.2}, diagnostics {:.2}, files \
+            "{seconds:.2} s: set-up {:.2}, minimization {:.2}, posterior {:.2}, diagnostics {:.2}{}, files \
              {:.2}",
             s.set_up,
             s.minimizer,
             s.posterior,
             s.diagnostics,
+            if s.mesh > 0.0 { format!(", finer mesh {:.2}", s.mesh) } else { String::new() },
             seconds - s.total
         ),
     );

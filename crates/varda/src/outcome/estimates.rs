@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 
-/// A constant whose σ_a is more than this share of its σ_b is not identifiable: the observations say nothing
-/// of it.
+/// A constant whose σ_a is more than this share of its σ_b is not identifiable: the observations say
+/// nothing of it.
 pub const IDENTIFIABLE: f64 = 0.9;
 /// Two constants whose posterior correlation is at least this are seen together only.
 const COLLINEAR: f64 = 0.95;
@@ -21,8 +21,13 @@ pub struct Estimated {
     pub prior_sigma: f64,
     /// Value of the analysis.
     pub value: f64,
-    /// Its σ; `null` without a posterior.
+    /// Its σ, with an allowance for the mesh where there is one; `null` without a posterior.
     pub sigma: Option<f64>,
+    /// σ that observations and priors leave, on the mesh of the scene.
+    pub sigma_on_mesh: Option<f64>,
+    /// What twice the segments say of the mesh's error of `value`; `null` in twins, and where it was not
+    /// computed.
+    pub mesh: Option<f64>,
     /// Ends of the interval that holds the constant with 95 %, where its prior is normal or log-normal.
     pub interval: Option<[f64; 2]>,
     /// Whether the observations say more of it than the prior: σ_a ≤ 0.9 σ_b; `null` without a posterior.
@@ -35,6 +40,11 @@ pub struct Estimated {
 }
 
 impl Estimated {
+    /// Whether more of σ is the mesh's than the observations'.
+    pub fn is_of_mesh(&self) -> bool {
+        self.mesh.zip(self.sigma_on_mesh).is_some_and(|(mesh, sigma)| mesh > sigma)
+    }
+
     /// Its value with σ and unit, in words.
     pub fn in_words(&self) -> String {
         let unit = if self.unit == "1" { String::new() } else { format!(" {}", self.unit) };
@@ -44,7 +54,11 @@ impl Estimated {
         match (self.sigma, self.identifiable) {
             (Some(_), Some(false)) => format!("not identifiable ({prior}{unit}{truth})"),
             (Some(sigma), _) => {
-                format!("{} ± {}{unit} ({prior}{truth})", number(self.value), number(sigma))
+                let mesh = match self.mesh.filter(|_| self.is_of_mesh()) {
+                    Some(mesh) => format!("; {} of it for the mesh", number(mesh)),
+                    None => String::new(),
+                };
+                format!("{} ± {}{unit} ({prior}{mesh}{truth})", number(self.value), number(sigma))
             }
             (None, _) => format!("{}{unit} ({prior}{truth})", number(self.value)),
         }

@@ -186,7 +186,7 @@ impl Serialize for Rmse {
 /// Where the time went \[s\].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Seconds {
-    /// From the start of the run to the end of the analysis: the sum of the four that follow.
+    /// From the start of the run to the end of the analysis: the sum of the five that follow.
     pub total: f64,
     /// Before the minimization: reading, the rod at rest, the truth, B.
     pub set_up: f64,
@@ -196,6 +196,8 @@ pub struct Seconds {
     pub posterior: f64,
     /// After it: runs of background and analysis, σ along them, departures, forecast.
     pub diagnostics: f64,
+    /// The same estimate with twice the segments, where constants are estimated from a recording.
+    pub mesh: f64,
     /// Of minimization and posterior, in steps of the model.
     pub forward: f64,
     /// In linearizations and adjoint products.

@@ -39,6 +39,7 @@ pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure]
             list(&summary.warnings)
         );
     }
+    body.push_str(&estimates::section(&outcome.estimates));
     body.push_str(&table_section(outcome, summary));
     for (_, title, svg) in figures {
         let _ = write!(
@@ -219,10 +220,14 @@ fn table_section(outcome: &Outcome, s: &Summary) -> String {
         ("Factorizations, Newton iterations", format!("{}, {}", c.factorizations, c.newton_iterations), ""),
         ("Time", format!("{:.3}", s.seconds.total), "s"),
         (
-            "of it set-up, minimization, posterior, diagnostics",
+            "of it set-up, minimization, posterior, diagnostics, finer mesh",
             format!(
-                "{:.3}, {:.3}, {:.3}, {:.3}",
-                s.seconds.set_up, s.seconds.minimizer, s.seconds.posterior, s.seconds.diagnostics
+                "{:.3}, {:.3}, {:.3}, {:.3}, {:.3}",
+                s.seconds.set_up,
+                s.seconds.minimizer,
+                s.seconds.posterior,
+                s.seconds.diagnostics,
+                s.seconds.mesh
             ),
             "s",
         ),
@@ -344,7 +349,7 @@ fn millimetres(length: f64) -> String {
 }
 
 /// A table that scrolls where the page is narrow.
-fn table(headings: &[&str], rows: &str) -> String {
+pub(super) fn table(headings: &[&str], rows: &str) -> String {
     let names = headings.iter().map(|n| format!("<th scope=\"col\">{n}</th>")).collect::<String>();
     format!("<div class=\"scroll\"><table><thead><tr>{names}</tr></thead><tbody>{rows}</tbody></table></div>")
 }

@@ -2,6 +2,7 @@
 
 pub mod checkpoint;
 mod cycles;
+mod estimates;
 mod figures;
 pub mod folder;
 mod forces;
@@ -44,6 +45,9 @@ pub fn write(outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
         tables::trajectory(experiment, &outcome.trajectories, &outcome.sigma_states, outcome.shapes.as_ref());
     out.write("trajectory.csv", &trajectory)?;
     out.write("observations.csv", &tables::observed_values(&outcome.observed))?;
+    if !outcome.estimates.is_empty() {
+        out.write("estimates.csv", &estimates::csv(&outcome.estimates))?;
+    }
     write_forces(&out, experiment, outcome.shapes.as_ref())?;
     // Last: a folder without it is not a result.
     out.write("summary.json", &summary.to_json())?;

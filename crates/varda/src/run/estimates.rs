@@ -4,6 +4,7 @@ use varda_assimilation::Analysis;
 
 use crate::outcome::{Estimated, IDENTIFIABLE};
 use crate::setup::Problem;
+use crate::setup::estimate::Constant;
 
 /// 95 % of a normal distribution are within so many σ.
 const INTERVAL: f64 = 1.959963984540054;
@@ -36,6 +37,8 @@ pub(super) fn estimated(
             prior_sigma: constant.sigma_at(prior, constant.sigma),
             value: constant.at(p),
             sigma: sigma_p.map(|s| constant.sigma_at(p, s)),
+            sigma_on_mesh: sigma_p.map(|s| constant.sigma_at(p, s)),
+            mesh: None,
             interval: sigma_p.map(|s| [constant.at(p - INTERVAL * s), constant.at(p + INTERVAL * s)]),
             identifiable: sigma_p.map(|s| s <= IDENTIFIABLE * constant.sigma),
             truth: problem.truth.as_ref().map(|truth| constant.at(truth[first + i])),
@@ -47,4 +50,16 @@ pub(super) fn estimated(
         }
     };
     (0..constants.len()).map(estimate).collect()
+}
+
+impl Estimated {
+    /// Widens σ and the interval by an error of p that the mesh makes, p being the analysis.
+    pub(super) fn allow_for(&mut self, error: f64, p: f64, constant: &Constant) {
+        self.mesh = Some(constant.sigma_at(p, error));
+        let Some(of_observations) = self.sigma_on_mesh else { return };
+        let sigma = of_observations / constant.sigma_at(p, 1.0);
+        let sigma = sigma.hypot(error);
+        self.sigma = Some(constant.sigma_at(p, sigma));
+        self.interval = Some([constant.at(p - INTERVAL * sigma), constant.at(p + INTERVAL * sigma)]);
+    }
 }

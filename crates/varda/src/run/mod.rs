@@ -10,6 +10,7 @@ mod departure_series;
 pub mod departures;
 mod estimates;
 mod fit;
+mod mesh;
 mod modes;
 mod second_minimum;
 mod shapes;

@@ -8,7 +8,7 @@ use varda_implicit::check::Amplification;
 use varda_implicit::{Log, Model};
 
 use super::verdict::{self, Judged};
-use super::{amplification, between_steps, departures, estimates, fit, second_minimum, shapes, spread};
+use super::{amplification, between_steps, departures, estimates, fit, mesh, second_minimum, shapes, spread};
 use crate::Error;
 use crate::outcome::{
     Attempt, ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
@@ -114,6 +114,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         minimizer,
         posterior: solved - minimizer,
         diagnostics: 0.0,
+        mesh: 0.0,
         forward: clock.forward(),
         adjoint: clock.adjoint(),
         tangent: clock.tangent(),
@@ -172,7 +173,10 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let mut shapes = shapes::with_observations(problem, &trajectories)?;
     let rejected = rejected(experiment, &solution.rejected);
     let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
-    let estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
+    let mut estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
+    let before_mesh = began.elapsed().as_secs_f64();
+    warnings.extend(mesh::allow(problem, &mut estimates, listener)?);
+    let mesh = began.elapsed().as_secs_f64() - before_mesh;
     warnings.extend(remarks_on_estimates(&estimates));
     let mut spread = spread::along(problem, make_model(0).as_mut(), &analysis.analysis, root, &trajectories)?;
     if let (Some(shapes), Some(spread)) = (&mut shapes, &mut spread) {
@@ -202,7 +206,8 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         estimates,
         seconds: Seconds {
             total: listener.started.elapsed().as_secs_f64(),
-            diagnostics: began.elapsed().as_secs_f64() - solved,
+            diagnostics: began.elapsed().as_secs_f64() - solved - mesh,
+            mesh,
             ..seconds
         },
         fit,

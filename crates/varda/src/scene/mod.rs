@@ -202,10 +202,13 @@ pub struct Report {
     pub forecast: f64,
     /// Posterior standard deviations (one tangent run per control component).
     pub posterior: bool,
+    /// Where constants of a rod are estimated from a recording: the same estimate with twice the segments,
+    /// whose difference is added to their σ.
+    pub mesh: bool,
 }
 
 impl Default for Report {
     fn default() -> Self {
-        Report { snapshots: 6, forecast: 0.0, posterior: true }
+        Report { snapshots: 6, forecast: 0.0, posterior: true, mesh: true }
     }
 }

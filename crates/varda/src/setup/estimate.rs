@@ -65,6 +65,14 @@ impl Constant {
         }
     }
 
+    /// The number p at which the constant has a value.
+    pub(crate) fn number_of(&self, value: f64) -> f64 {
+        match self.law {
+            Law::Linear => value - self.value,
+            Law::Exponential => (value / self.value).ln(),
+        }
+    }
+
     /// Its σ where that of p is `sigma`, to first order about p.
     pub fn sigma_at(&self, p: f64, sigma: f64) -> f64 {
         match self.law {

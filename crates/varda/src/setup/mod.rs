@@ -10,6 +10,7 @@ pub mod csv;
 pub mod ensemble;
 pub mod estimate;
 pub mod files;
+mod finer;
 pub mod inputs;
 mod loads;
 pub mod memory;

@@ -7,6 +7,7 @@ use varda_implicit::Model;
 use super::adaptive_steps::AdaptiveSteps;
 use super::covariance::Factored;
 use super::ensemble;
+use super::finer::finer;
 use super::inputs::{Inputs, KnownBackground};
 use super::memory::{Memory, Sizes, without_spread};
 use super::observations::Observed;
@@ -45,6 +46,8 @@ pub struct Problem {
     pub observed: Observed,
     /// Most bytes for the states and linearizations of a window: what `[limits] memory` leaves.
     pub memory: usize,
+    /// The scene with twice the segments, where σ of its constants needs an allowance for the mesh.
+    pub(crate) finer: Option<SceneFile>,
     /// The time steps of the models, if they are adaptive.
     pub(crate) adaptive_steps: Option<AdaptiveSteps>,
 }
@@ -144,6 +147,7 @@ impl Problem {
             truth,
             observed,
             memory: memory.for_window,
+            finer: finer(&one_window),
             adaptive_steps,
         };
         let method = scene.algorithm.method;
