@@ -16,9 +16,9 @@ use varda_linalg::dense::{View, product};
 /// ```
 ///
 /// Where L is largest J_q is its expectation, 2 J_q = tr(I − P)_qq with a²Q in the place of Q: the
-/// condition of Desroziers and Ivanov 2001. The interval holds all a with −2 ln L within 3.84 of the least. B and R
-/// are taken to be right: an error of theirs that looks like one of the model counts as one. About the
-/// analysis of a nonlinear problem it is right to first order.
+/// condition of Desroziers and Ivanov 2001. The interval holds all a with −2 ln L within 3.84 of the
+/// least. B and R are taken to be right: an error of theirs that looks like one of the model counts as
+/// one. About the analysis of a nonlinear problem it is right to first order.
 ///
 /// ```
 /// use std::ops::ControlFlow;

@@ -41,7 +41,7 @@ use varda_linalg::dense::{View, add_product};
 /// let posterior = WeakPosterior::new(&mut cost)?;
 /// // Of the error at step 20, that of the component seen there is known best.
 /// let variance = posterior.error_variance(&q, 1);
-/// assert!(variance[0] < variance[1] && variance[1] <= 0.04);
+/// assert!(variance[0] < variance[1] && variance[1] < 0.0401);
 /// assert!(2.0 * cost.terms().model_error < 9.0 && posterior.expected_model_error() < 1.0);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -127,7 +127,7 @@ impl WeakPosterior {
         let mut root: Vec<f64> = (0..r * r).map(|i| f64::from(i % (r + 1) == 0)).collect();
         let mut weighted = self.seen.clone();
         for y in weighted.chunks_exact_mut(r.max(1)) {
-            // (1 − (1 + s²)^{-1/2}) / ‖y‖² = 1/(1 + √(1 − ‖y‖²)), as ‖y‖² = s²/(1 + s²)
+            // (1 − (1 + s²)^{-1/2}) / ‖y‖² = 1/(1 + √(1 − ‖y‖²)): ‖y‖² = s²/(1 + s²)
             let size = 1.0 / (1.0 + (1.0 - dot(y, y)).max(0.0).sqrt());
             y.iter_mut().for_each(|y| *y *= size);
         }
