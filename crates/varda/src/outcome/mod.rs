@@ -17,7 +17,7 @@ pub use cycles::{CycleDepartures, CycleRow, CyclesOutcome, Means};
 pub use evidence::{Cause, Evidence};
 pub use fit::{Fit, Forecast, Rejected, Withheld};
 pub use modes::RodModes;
-pub use recording::{Neighbours, RecordingSummary, RowCount, TrackSummary};
+pub use recording::{Neighbours, RecordingSummary, RowCount, SitesAre, TrackSummary};
 pub use simulation::{Simulation, TwinFiles};
 pub use space::{Shapes, Sight, Track};
 pub use spread::ObservedValue;
