@@ -55,8 +55,8 @@ impl Line {
         }
     }
 
-    /// u(s) on the cubic through the four points around s (m), 0 ≤ s ≤ L: the points with their weights, and
-    /// what given ends add. At a point it is that point's u.
+    /// u(s) on the cubic through the four points around s (m) from 0 to L: the points with their weights,
+    /// and what given ends add. At a point it is that point's u.
     ///
     /// ```
     /// use varda_implicit::line::{Ends, Line};

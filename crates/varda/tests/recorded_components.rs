@@ -147,8 +147,8 @@ fn what_cannot_be_is_named_with_its_line_and_cause() {
     assert_eq!(message.unwrap().findings[0].place, "observations.sigma");
 }
 
-/// Places between the points of a line: the analysis is near the field that was seen there, and the given ends
-/// count.
+/// Places between the points of a line: the analysis is near the field that was seen there, and the given
+/// ends count.
 #[test]
 fn places_on_a_line_are_between_its_points() {
     let folder = ring("line", "time_s,s_m,value\n0.1,1,0\n");

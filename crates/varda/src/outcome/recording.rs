@@ -116,8 +116,8 @@ pub struct TrackSummary {
     pub interval: f64,
     /// Begin and length of the longest gap \[s\], where one is longer than two rows.
     pub gap: Option<[f64; 2]>,
-    /// Scatter of a coordinate or value about a smooth motion, in its unit, from third differences in time: noise, and what
-    /// moves within a few rows. `None` where rows are few or not at even times.
+    /// Scatter of a coordinate or value about a smooth motion, in its unit, from third differences in
+    /// time: noise, and what moves within a few rows. `None` where rows are few or not at even times.
     pub scatter: Option<f64>,
     /// Mean σ of its rows, in their unit.
     pub sigma: f64,

@@ -179,7 +179,7 @@ fn site(row: usize, place: Place, system: &ComponentSystem) -> Site {
 
 /// H of the places: components as they are, places on a line between its points.
 fn operator(
-    places: &Vec<Place>,
+    places: &[Place],
     n: usize,
     line: Option<Line>,
 ) -> Result<LinearObservation, varda_assimilation::Error> {
