@@ -114,7 +114,8 @@ pub(crate) fn recorded(
         tracks: sites.iter().enumerate().map(|(i, site)| track(&site.label, i, &recorded)).collect(),
         neighbours: Vec::new(),
     };
-    let (places, n, line) = (site_of.into_keys().collect(), system.names.len(), system.line);
+    let places: Vec<Place> = site_of.into_keys().collect();
+    let (n, line) = (system.names.len(), system.line);
     Ok(Observed {
         sites,
         seen,
