@@ -19,7 +19,7 @@ pub use evidence::{Cause, Evidence};
 pub use fit::{Fit, Forecast, Rejected, Withheld};
 pub use model_errors::ModelErrors;
 pub use modes::RodModes;
-pub use recording::{Neighbours, RecordingSummary, RowCount, TrackSummary};
+pub use recording::{Neighbours, RecordingSummary, RowCount, SitesAre, TrackSummary};
 pub use simulation::{Simulation, TwinFiles};
 pub use space::{Shapes, Sight, Track};
 pub use spread::ObservedValue;
