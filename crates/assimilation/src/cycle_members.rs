@@ -123,11 +123,12 @@ pub(crate) fn run_all_drawing_again<'m>(
 ///     ε = (1 + 1/N)/μ,    γ = (N + 1) μ,    μ = (1 − 1/N)^{κ/2}
 /// ```
 ///
-/// λ the eigenvalues of G Gᵀ and c the whitened innovations along its eigenvectors. κ is the mean of 1/(1 +
-/// λ) over the members, 1 where the observations say nothing: μ makes α = 1 of that (Bocquet, Raanes and
-/// Hannart 2015). Without it α is √(1 − 1/N) there, and an ensemble in a weakly nonlinear system shrinks
-/// window by window until it is lost. Nothing to be chosen, nothing carried from window to window. Never above `LARGEST_INFLATION`: where an ensemble has lost the
-/// truth the linearization says nothing farther away.
+/// λ the eigenvalues of G Gᵀ and c the whitened innovations along its eigenvectors. κ is the mean of
+/// 1/(1 + λ) over the members, 1 where the observations say nothing: μ makes α = 1 of that (Bocquet,
+/// Raanes and Hannart 2015). Without it α is √(1 − 1/N) there, and an ensemble in a weakly nonlinear
+/// system shrinks window by window until it is lost. Nothing to be chosen, nothing carried from window to
+/// window. Never above `LARGEST_INFLATION`: where an ensemble has lost the truth the linearization says
+/// nothing farther away.
 pub(crate) fn finite_size_inflation(members: usize, pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
     let pairs: Vec<(f64, f64)> = pairs.collect();
     let n = members as f64;
