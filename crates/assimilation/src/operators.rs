@@ -3,7 +3,7 @@
 use crate::Error;
 use varda_implicit::{At, ObservationOperator, Refusal};
 
-/// y = H x with a sparse matrix H (rows × length of the state).
+/// y = H x + c with a sparse matrix H (rows × length of the state) and c = 0 unless given.
 ///
 /// # Panics
 /// Its methods panic if a slice has the wrong length.
@@ -13,6 +13,8 @@ pub struct LinearObservation {
     starts: Vec<usize>,
     /// Column and value of each entry, row after row.
     entries: Vec<(usize, f64)>,
+    /// c.
+    known: Vec<f64>,
 }
 
 impl LinearObservation {
@@ -28,7 +30,17 @@ impl LinearObservation {
         let mut sorted = entries.to_vec();
         sorted.sort_by_key(|&(i, j, _)| (i, j));
         let starts = (0..=rows).map(|i| sorted.partition_point(|entry| entry.0 < i)).collect();
-        Ok(Self { state_dim, starts, entries: sorted.into_iter().map(|(_, j, h)| (j, h)).collect() })
+        let entries = sorted.into_iter().map(|(_, j, h)| (j, h)).collect();
+        Ok(Self { state_dim, starts, entries, known: vec![0.0; rows] })
+    }
+
+    /// With c, what is seen of a state of zeros.
+    ///
+    /// # Panics
+    /// If `known` has not one number for each row.
+    pub fn plus(self, known: Vec<f64>) -> Self {
+        assert_eq!(known.len(), self.known.len(), "one number a row");
+        Self { known, ..self }
     }
 
     /// The entries of H, row by row.
@@ -48,6 +60,7 @@ impl ObservationOperator for LinearObservation {
 
     fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
         self.tangent(at, x, x, y);
+        y.iter_mut().zip(&self.known).for_each(|(y, c)| *y += c);
         Ok(())
     }
 

@@ -45,6 +45,63 @@ impl Line {
             Ends::Fixed { .. } => (i + 1) as f64 * self.spacing(),
         }
     }
+
+    /// The point that is nearest to the place s (m).
+    pub fn nearest(&self, s: f64) -> usize {
+        let at = (s / self.spacing()).round().max(0.0) as usize;
+        match self.ends {
+            Ends::Periodic => at % self.points,
+            Ends::Fixed { .. } => at.saturating_sub(1).min(self.points - 1),
+        }
+    }
+
+    /// u(s) on the cubic through the four points around s (m) from 0 to L: the points with their weights,
+    /// and what given ends add. At a point it is that point's u.
+    ///
+    /// ```
+    /// use varda_implicit::line::{Ends, Line};
+    ///
+    /// let line = Line { points: 9, length: 1.0, ends: Ends::Fixed { left: 0.0, right: 1.0 } };
+    /// let u: Vec<f64> = (0..9).map(|i| line.position(i).powi(3)).collect();
+    /// for s in [0.0, 0.03, 0.5, 0.72, 1.0] {
+    ///     let (weights, of_ends) = line.between(s);
+    ///     let seen: f64 = of_ends + weights.iter().map(|(i, w)| w * u[*i]).sum::<f64>();
+    ///     assert!((seen - s.powi(3)).abs() < 1e-14);
+    /// }
+    /// ```
+    pub fn between(&self, s: f64) -> (Vec<(usize, f64)>, f64) {
+        let at = s / self.spacing();
+        // Nodes: the points of a circle, or those of a line with both ends as 0 and points + 1.
+        let last = self.points as isize + 1;
+        let node = if (at - at.round()).abs() <= 1e-9 { at.round() } else { at };
+        let below = node.floor() as isize;
+        let nodes: Vec<(isize, f64)> = if node == node.floor() {
+            vec![(below, 1.0)]
+        } else {
+            let first = match self.ends {
+                Ends::Periodic => below - 1,
+                Ends::Fixed { .. } => (below - 1).clamp(0, last - 3),
+            };
+            let t = node - first as f64;
+            let weight = |j: isize| {
+                let others = (0..4).filter(|k| *k != j);
+                others.map(|k| (t - k as f64) / (j - k) as f64).product::<f64>()
+            };
+            (0..4).map(|j| (first + j, weight(j))).collect()
+        };
+        match self.ends {
+            Ends::Periodic => {
+                let around = |i: isize| i.rem_euclid(self.points as isize) as usize;
+                (nodes.into_iter().map(|(i, w)| (around(i), w)).collect(), 0.0)
+            }
+            Ends::Fixed { left, right } => {
+                let at = |end: isize| nodes.iter().find(|n| n.0 == end).map_or(0.0, |n| n.1);
+                let of_ends = at(0) * left + at(last) * right;
+                let inside = nodes.iter().filter(|n| (1..last).contains(&n.0));
+                (inside.map(|(i, w)| (*i as usize - 1, *w)).collect(), of_ends)
+            }
+        }
+    }
 }
 
 /// A field carried along a line, by a constant speed or by itself, and spread by diffusion.

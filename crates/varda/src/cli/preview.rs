@@ -63,7 +63,7 @@ pub(super) fn table(preview: &Preview) -> String {
     if let Some(recording) = &preview.recording {
         line("data", data(recording));
         for alike in alike(&recording.tracks) {
-            line("", self::tracks(&alike));
+            line("", self::tracks(&alike, recording.sites_are.unit()));
         }
         if !recording.neighbours.is_empty() {
             line("neighbours", neighbours(&recording.neighbours));
@@ -113,9 +113,10 @@ fn data(recording: &RecordingSummary) -> String {
     let [first, last] = recording.span;
     let [from, to] = recording.window;
     format!(
-        "{}; {first} to {last} s, the window is {from:.6} to {to:.6} s; {} markers",
+        "{}; {first} to {last} s, the window is {from:.6} to {to:.6} s; {} {}",
         recording.rows,
-        recording.tracks.iter().filter(|t| t.rows > 0).count()
+        recording.tracks.iter().filter(|t| t.rows > 0).count(),
+        recording.sites_are.name()
     )
 }
 
@@ -136,7 +137,7 @@ fn alike(tracks: &[TrackSummary]) -> Vec<Vec<&TrackSummary>> {
     groups
 }
 
-fn tracks(alike: &[&TrackSummary]) -> String {
+fn tracks(alike: &[&TrackSummary], unit: &str) -> String {
     let track = alike[0];
     let labels: Vec<&str> = alike.iter().map(|t| t.label.as_str()).collect();
     let each = if alike.len() > 1 { " each" } else { "" };
@@ -147,9 +148,9 @@ fn tracks(alike: &[&TrackSummary]) -> String {
     if let Some([begin, length]) = track.gap {
         let _ = write!(text, ", longest gap {length:.4} s from {begin:.4} s");
     }
-    let _ = write!(text, ", σ {:.2e} m", track.sigma);
+    let _ = write!(text, ", σ {:.2e}{unit}", track.sigma);
     if let Some(scatter) = track.scatter {
-        let _ = write!(text, ", scatters by {scatter:.1e} m from row to row");
+        let _ = write!(text, ", scatters by {scatter:.1e}{unit} from row to row");
     }
     text
 }

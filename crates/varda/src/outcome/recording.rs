@@ -7,6 +7,8 @@ use serde::Serialize;
 /// A recording as its file has it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RecordingSummary {
+    /// What its sites are.
+    pub sites_are: SitesAre,
     /// Where its rows went.
     pub rows: RowCount,
     /// Times of the first and last row, as the file has them \[s\].
@@ -17,6 +19,37 @@ pub struct RecordingSummary {
     pub tracks: Vec<TrackSummary>,
     /// Neighbours along the rod that were seen at the same times.
     pub neighbours: Vec<Neighbours>,
+}
+
+/// What a recording observes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SitesAre {
+    /// Points of a rod, with values in metres.
+    Markers,
+    /// Components of a state.
+    Components,
+    /// Places on the line of a field.
+    Places,
+}
+
+impl SitesAre {
+    /// What they are called.
+    pub fn name(self) -> &'static str {
+        match self {
+            SitesAre::Markers => "markers",
+            SitesAre::Components => "components",
+            SitesAre::Places => "places",
+        }
+    }
+
+    /// The unit of their values after a space; nothing where they have none.
+    pub fn unit(self) -> &'static str {
+        match self {
+            SitesAre::Markers => " m",
+            SitesAre::Components | SitesAre::Places => "",
+        }
+    }
 }
 
 /// Numbers of rows: `all` is the sum of the others.
@@ -72,7 +105,7 @@ impl fmt::Display for RowCount {
     }
 }
 
-/// A marker, or a place on the rod, as a recording has it.
+/// A marker, a component, or a place, as a recording has it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TrackSummary {
     /// Its name.
@@ -83,10 +116,10 @@ pub struct TrackSummary {
     pub interval: f64,
     /// Begin and length of the longest gap \[s\], where one is longer than two rows.
     pub gap: Option<[f64; 2]>,
-    /// Scatter of a coordinate about a smooth motion \[m\], from third differences in time: noise, and what
-    /// moves within a few rows. `None` where rows are few or not at even times.
+    /// Scatter of a coordinate or value about a smooth motion, in its unit, from third differences in
+    /// time: noise, and what moves within a few rows. `None` where rows are few or not at even times.
     pub scatter: Option<f64>,
-    /// Mean σ of its rows \[m\].
+    /// Mean σ of its rows, in their unit.
     pub sigma: f64,
 }
 

@@ -75,11 +75,12 @@ pub(super) fn of_recording(recording: &RecordingSummary, step: f64) -> Vec<Findi
     if let Some(track) = loose.first()
         && 2 * loose.len() > seen().count()
     {
+        let unit = recording.sites_are.unit();
         found.push(Finding::warning(
             "observations.sigma",
             format!(
-                "σ = {:.3} m, where {} scatters by {:.1e} m from row to row: another unit, or meant for \
-                 what the model lacks?",
+                "σ = {:.3}{unit}, where {} scatters by {:.1e}{unit} from row to row: another unit, or \
+                 meant for what the model lacks?",
                 track.sigma,
                 track.label,
                 track.scatter.unwrap_or(f64::NAN)

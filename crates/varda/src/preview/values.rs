@@ -269,9 +269,11 @@ fn of_components(model: &Model, scene: &Scene, found: &mut Found) {
             format!("{step} is too long a step for this model: 0.01 to {} is usual", 0.5 * longest)
         });
     }
-    if let Observations::Synthetic(keys) = &scene.observations
-        && let Some(sigma) = keys.sigma
-    {
+    let sigma = match &scene.observations {
+        Observations::Synthetic(keys) => keys.sigma,
+        Observations::File(keys) => keys.sigma,
+    };
+    if let Some(sigma) = sigma {
         found.say(sigma > width, "observations.sigma", || {
             format!("{sigma} is more than the model ever moves ({width} at most): nothing is learnt")
         });

@@ -13,7 +13,7 @@ mod summary;
 mod tables;
 
 pub use cycles::{summary_of_cycles, write_cycles};
-pub use summary::{Summary, Terms, WindowAmplification};
+pub use summary::{ModelErrorSize, Summary, Terms, WindowAmplification};
 
 use std::path::{Path, PathBuf};
 
@@ -47,6 +47,9 @@ pub fn write(outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
     out.write("observations.csv", &tables::observed_values(&outcome.observed))?;
     if !outcome.estimates.is_empty() {
         out.write("estimates.csv", &estimates::csv(&outcome.estimates))?;
+    }
+    if let Some(errors) = &outcome.model_errors {
+        out.write("model_error.csv", &tables::model_errors(experiment, errors))?;
     }
     write_forces(&out, experiment, outcome.shapes.as_ref())?;
     // Last: a folder without it is not a result.

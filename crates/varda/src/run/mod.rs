@@ -11,6 +11,7 @@ pub mod departures;
 mod estimates;
 mod fit;
 mod mesh;
+mod model_errors;
 mod modes;
 mod second_minimum;
 mod shapes;

@@ -43,9 +43,11 @@ pub struct Synthetic {
     pub sigma_over_length: Option<f64>,
 }
 
-/// Observations of a rod read from a CSV file with the header `time_s,s_m,x_m,y_m,z_m` or
-/// `time_s,marker,x_m,y_m,z_m` and, if wanted, a column `sigma_m`. An empty cell or a missing row was not
-/// observed.
+/// Observations read from a CSV file. Rods: with the header `time_s,s_m,x_m,y_m,z_m` or
+/// `time_s,marker,x_m,y_m,z_m` and, if wanted, a column `sigma_m`. Other models: `time_s,component,value`
+/// (a component's name, as `x3`, or its number from 0) or, of a field along a line, `time_s,s_m,value` (a
+/// place between two points is on the cubic through four), and, if wanted, `sigma`. An empty cell or a
+/// missing row was not observed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Recording {
@@ -56,7 +58,8 @@ pub struct Recording {
     #[serde(default, skip_serializing_if = "is_default")]
     #[schemars(extend("x-unit" = "s"))]
     pub time_zero: f64,
-    /// Standard deviation of every coordinate where the file has no `sigma_m` [m].
+    /// Standard deviation of every coordinate where the file has no `sigma_m` [m]; of other models, of every
+    /// value where it has no `sigma`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub sigma: Option<f64>,

@@ -8,7 +8,7 @@ use varda_rod::Rod;
 use super::invalid::{Either, Invalid, invalid, one_of};
 use super::{
     Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Ensemble, Integrator, Kernel,
-    KernelCovariance, LineCovariance, Observations, Origin, RodModel, Root, Synthetic, Taper,
+    KernelCovariance, LineCovariance, Origin, RodModel, Root, Synthetic, Taper,
 };
 
 /// A standard deviation, given as it is or relative to another quantity.
@@ -226,19 +226,6 @@ impl Background {
             BackgroundSource::StaticEquilibrium => {
                 invalid("background.from", "only rods have a static equilibrium")
             }
-        }
-    }
-}
-
-impl Observations {
-    /// The observations of a model that is not a rod.
-    pub(crate) fn of_components(&self) -> Result<&Synthetic, Invalid> {
-        match self {
-            Observations::Synthetic(keys) => Ok(keys),
-            Observations::File(_) => invalid(
-                "observations.kind",
-                "observations are read from a file for rods only; take kind = \"synthetic\"",
-            ),
         }
     }
 }

@@ -9,7 +9,9 @@ use super::sizes::validate_sizes;
 use super::validate_algorithm::validate_algorithm;
 use super::validate_covariance::validate_covariance;
 use super::validate_cycles::validate_cycles;
-use super::validate_observations::{validate_components, validate_places, validate_recording};
+use super::validate_observations::{
+    validate_components, validate_places, validate_recorded_components, validate_recording,
+};
 use super::validate_rod::validate_rod;
 use super::{Background, Covariance, Draw, Integrator, Model, Observations, Origin, Scene};
 
@@ -51,7 +53,8 @@ pub(super) fn validate(scene: &Scene) -> Check {
     match (&scene.observations, rod) {
         (Observations::File(recording), Some(rod)) => validate_recording(recording, rod)?,
         (Observations::Synthetic(keys), Some(rod)) => validate_places(keys, scene, rod)?,
-        (observations, None) => validate_components(observations.of_components()?, scene)?,
+        (Observations::File(recording), None) => validate_recorded_components(recording)?,
+        (Observations::Synthetic(keys), None) => validate_components(keys, scene)?,
     }
     scene.limits.bytes().or_else(|message| invalid("limits.memory", message))?;
     validate_algorithm(scene)?;

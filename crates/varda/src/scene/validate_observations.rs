@@ -2,7 +2,7 @@
 
 use super::invalid::{Check, invalid, on_rod};
 use super::validate_frame::validate_frame;
-use super::{Origin, Recording, RodModel, Scene, Synthetic};
+use super::{Frame, Origin, Recording, RodModel, Scene, Synthetic, UnreachableRows};
 
 /// Observations of a twin experiment with a rod.
 pub(super) fn validate_places(s: &Synthetic, scene: &Scene, rod: &RodModel) -> Check {
@@ -80,4 +80,22 @@ pub(super) fn validate_recording(f: &Recording, rod: &RodModel) -> Check {
         }
     }
     validate_frame(&f.frame, "observations.frame")
+}
+
+/// Observations of another model read from a file.
+pub(super) fn validate_recorded_components(f: &Recording) -> Check {
+    let of_rods = [
+        ("frame", f.frame != Frame::default()),
+        ("unreachable", f.unreachable != UnreachableRows::default()),
+        ("max_speed", f.max_speed.is_some()),
+        ("markers", !f.markers.is_empty()),
+        ("ignore", !f.ignore.is_empty()),
+    ];
+    match of_rods.iter().find(|(_, given)| *given) {
+        Some((key, _)) => {
+            let message = "is about rods: a row of this model's file is time_s,component,value";
+            invalid(format!("observations.{key}"), message)
+        }
+        None => Ok(()),
+    }
 }

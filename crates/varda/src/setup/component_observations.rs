@@ -1,14 +1,21 @@
-//! Observed components of the state of a model that is not a rod.
+//! Observed components of a model that is not a rod, and places on a line.
 
-use varda_assimilation::{ObservationOperator, Selection};
+use std::collections::{BTreeMap, HashSet};
+
+use varda_assimilation::{LinearObservation, ObservationOperator, Selection};
 use varda_implicit::ParameterPlaces;
+use varda_implicit::line::Line;
 
+use super::component_rows::{self, ComponentRow, Subject};
 use super::components::ComponentSystem;
 use super::files::Files;
-use super::observations::{Draws, Observed, Site};
+use super::observations::{Draws, Observed, Seen, Site};
+use super::recorded_rows::{Clock, LeftOut};
+use super::recording::{Recorded, track};
 use super::seen_with::SeenWith;
 use crate::Error;
-use crate::scene::{Synthetic, TimeGrid};
+use crate::outcome::{RecordingSummary, SitesAre};
+use crate::scene::{Recording, Synthetic, TimeGrid};
 
 /// The components that a twin experiment observes; their values are not yet drawn.
 pub(crate) fn synthetic(
@@ -28,24 +35,178 @@ pub(crate) fn synthetic(
     };
     let steps = files.scene.checked(keys.observed_steps(grid.steps))?;
     let sigma = files.scene.checked(keys.component_sigma())?;
-    let (constants, seeing) = (system.estimates.len(), system.estimates.seen);
+    let seen_with = seen_with(system);
     Ok(Observed {
         sites: components.iter().enumerate().map(site).collect(),
         seen: Vec::new(),
         space: None,
         left_out: Vec::new(),
         recording: None,
-        make_operator: Box::new(move || {
-            let selection = Box::new(Selection::new(components.clone(), n)?);
-            let operator: Box<dyn ObservationOperator> = match constants {
-                0 => selection,
-                _ => {
-                    let places = ParameterPlaces::of_state(n, constants, n, 0);
-                    Box::new(SeenWith::new(selection, places, seeing))
-                }
-            };
-            Ok(operator)
-        }),
+        make_operator: Box::new(move || Ok(seen_with(Box::new(Selection::new(components.clone(), n)?)))),
         draws: Some(Draws { steps, sigma }),
     })
+}
+
+/// Makes an operator of the components one of states with the constants that are estimated.
+fn seen_with(
+    system: &ComponentSystem,
+) -> impl Fn(Box<dyn ObservationOperator>) -> Box<dyn ObservationOperator> + 'static {
+    let (n, constants, seeing) = (system.names.len(), system.estimates.len(), system.estimates.seen);
+    move |operator| match constants {
+        0 => operator,
+        _ => Box::new(SeenWith::new(operator, ParameterPlaces::of_state(n, constants, n, 0), seeing)),
+    }
+}
+
+/// A component, or a place on the line by its bits; in this order in reports.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Place {
+    Component(usize),
+    OnLine(u64),
+}
+
+/// What a recording saw, in the model's time.
+///
+/// # Errors
+/// [`Error::Data`] or [`Error::Scene`] naming the line or the key.
+pub(crate) fn recorded(
+    files: &Files,
+    recording: &Recording,
+    system: &ComponentSystem,
+    grid: TimeGrid,
+) -> Result<Observed, Error> {
+    let Some(name) = &recording.file else {
+        let message = "no file is named: give one with --set observations.file=…";
+        return Err(files.scene.invalid("observations", message));
+    };
+    let (label, text) = files.text("observations.file", name)?;
+    let rows = component_rows::rows(&label, &text)?;
+    let bad = |line: usize, message: String| Error::Data { place: format!("{label}:{line}"), message };
+
+    let places = rows.iter().map(|row| place(row, system).map_err(|e| bad(row.line, e)));
+    let places: Vec<Place> = places.collect::<Result<_, _>>()?;
+    let mut site_of: BTreeMap<Place, usize> = places.iter().map(|place| (*place, 0)).collect();
+    site_of.values_mut().enumerate().for_each(|(i, site)| *site = i);
+
+    let clock = Clock { recording, grid };
+    let mut left = LeftOut::default();
+    let (mut seen, mut recorded, mut known) = (Vec::new(), Vec::new(), HashSet::new());
+    for (row, place) in rows.iter().zip(&places) {
+        let site = site_of[place];
+        let sigma = row.sigma.or(recording.sigma).ok_or_else(|| {
+            bad(row.line, "no standard deviation: fill `sigma`, or give observations.sigma".to_string())
+        })?;
+        recorded.push(Recorded { time: row.time, site, position: [row.value, None, None], sigma });
+        let at = clock.place(row.time, row.time_rounding, &mut left).map_err(|e| bad(row.line, e))?;
+        let Some(at) = at else { continue };
+        if !known.insert((site, row.time.to_bits(), row.value.map(f64::to_bits))) {
+            left.repeated += 1;
+            continue;
+        }
+        seen.push(Seen {
+            site,
+            step: at.floor() as usize,
+            weight: at.fract(),
+            values: vec![row.value],
+            sigma,
+        });
+    }
+    let kept = |_: usize| false;
+    let sites: Vec<Site> = site_of.keys().enumerate().map(|(i, p)| site(i, *p, system)).collect();
+    let times = || rows.iter().map(|row| row.time);
+    let summary = RecordingSummary {
+        sites_are: match site_of.keys().next() {
+            Some(Place::OnLine(_)) => SitesAre::Places,
+            _ => SitesAre::Components,
+        },
+        rows: left.count(rows.len(), &seen, kept, grid),
+        span: [times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max)],
+        window: [grid.start, grid.time(grid.steps)].map(|t| t + recording.time_zero),
+        tracks: sites.iter().enumerate().map(|(i, site)| track(&site.label, i, &recorded)).collect(),
+        neighbours: Vec::new(),
+    };
+    let places: Vec<Place> = site_of.into_keys().collect();
+    let (n, line) = (system.names.len(), system.line);
+    let seen_with = seen_with(system);
+    Ok(Observed {
+        sites,
+        seen,
+        space: None,
+        left_out: left.into_texts(),
+        recording: Some(summary),
+        make_operator: Box::new(move || Ok(seen_with(Box::new(operator(&places, n, line)?)))),
+        draws: None,
+    })
+}
+
+/// What a row is about.
+fn place(row: &ComponentRow, system: &ComponentSystem) -> Result<Place, String> {
+    match (&row.subject, system.line) {
+        (Subject::Component(written), _) => component(written, &system.names).map(Place::Component),
+        (Subject::Place(s), Some(line)) => {
+            let length = line.length;
+            if *s >= 0.0 && *s <= length * (1.0 + 1e-9) {
+                // −0 is 0
+                return Ok(Place::OnLine((s + 0.0).to_bits()));
+            }
+            let in_millimetres = *s > 20.0 * length && 1e-3 * s <= length;
+            let unit = if in_millimetres { ": millimetres? Name the column s_mm" } else { "" };
+            Err(format!("s_m = {s} is off the line (0 to {length} m){unit}"))
+        }
+        (Subject::Place(_), None) => {
+            Err("this model has no line: name the observed components in a column `component`".into())
+        }
+    }
+}
+
+/// The component with a name, or a number from 0.
+fn component(written: &str, names: &[String]) -> Result<usize, String> {
+    let last = names.len() - 1;
+    let by_name = || names.iter().position(|name| name == written);
+    match written.parse::<usize>() {
+        Ok(number) if number <= last => Ok(number),
+        Ok(number) => {
+            let from_one = if number == names.len() { ": numbers count from 0" } else { "" };
+            Err(format!("component {number} is none of the model's, 0 to {last}{from_one}"))
+        }
+        Err(_) => by_name().ok_or_else(|| {
+            format!(
+                "component {written:?} is none of the model's: {} to {}, or 0 to {last}",
+                names[0], names[last]
+            )
+        }),
+    }
+}
+
+fn site(row: usize, place: Place, system: &ComponentSystem) -> Site {
+    let (label, anchor) = match (place, system.line) {
+        (Place::OnLine(s), Some(line)) => {
+            let s = f64::from_bits(s);
+            (format!("s = {s} m"), line.nearest(s))
+        }
+        (Place::Component(c), _) => (system.names[c].clone(), c),
+        (Place::OnLine(_), None) => unreachable!("a place without a line was refused"),
+    };
+    Site { label, rows: row..row + 1, anchors: vec![anchor], withheld: false }
+}
+
+/// H of the places: components as they are, places on a line between its points.
+fn operator(
+    places: &[Place],
+    n: usize,
+    line: Option<Line>,
+) -> Result<LinearObservation, varda_assimilation::Error> {
+    let (mut entries, mut known) = (Vec::new(), vec![0.0; places.len()]);
+    for (row, place) in places.iter().enumerate() {
+        match (place, line) {
+            (Place::Component(c), _) => entries.push((row, *c, 1.0)),
+            (Place::OnLine(s), Some(line)) => {
+                let (weights, of_ends) = line.between(f64::from_bits(*s));
+                entries.extend(weights.into_iter().map(|(i, w)| (row, i, w)));
+                known[row] = of_ends;
+            }
+            (Place::OnLine(_), None) => unreachable!("a place without a line was refused"),
+        }
+    }
+    LinearObservation::new(places.len(), n, &entries).map(|h| h.plus(known))
 }

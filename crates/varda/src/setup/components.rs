@@ -28,7 +28,7 @@ pub struct ComponentSystem {
     /// Whether its steps are explicit.
     pub(crate) is_explicit: bool,
     /// The line of a field along one.
-    line: Option<Line>,
+    pub(super) line: Option<Line>,
     positions: ComponentPositions,
     start: Vec<f64>,
     /// What is unknown beside the state.

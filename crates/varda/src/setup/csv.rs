@@ -170,7 +170,7 @@ fn filled<const N: usize>(
 const LARGEST: f64 = 1e50;
 
 /// A CSV file being read row by row.
-struct Table<'a> {
+pub(super) struct Table<'a> {
     file: &'a str,
     text: &'a str,
     reader: csv::Reader<&'a [u8]>,
@@ -183,7 +183,7 @@ struct Table<'a> {
 }
 
 impl<'a> Table<'a> {
-    fn open(file: &'a str, text: &'a str, known: &[&str], expected: &str) -> Result<Self, Error> {
+    pub(super) fn open(file: &'a str, text: &'a str, known: &[&str], expected: &str) -> Result<Self, Error> {
         let (_, delimiter) = header(text);
         let mut reader = csv::ReaderBuilder::new()
             .trim(csv::Trim::All)
@@ -210,11 +210,11 @@ impl<'a> Table<'a> {
         Ok(table)
     }
 
-    fn has(&self, name: &str) -> bool {
+    pub(super) fn has(&self, name: &str) -> bool {
         self.column(name).is_some()
     }
 
-    fn require(&self, name: &str, expected: &str) -> Result<(), Error> {
+    pub(super) fn require(&self, name: &str, expected: &str) -> Result<(), Error> {
         if self.has(name) {
             Ok(())
         } else {
@@ -222,7 +222,11 @@ impl<'a> Table<'a> {
         }
     }
 
-    fn next(&mut self) -> Result<bool, Error> {
+    /// Reads the next row; whether there is one.
+    ///
+    /// # Errors
+    /// A row of another length than the header.
+    pub(super) fn next(&mut self) -> Result<bool, Error> {
         match self.reader.read_record(&mut self.record) {
             Ok(more) => {
                 if let Some(at) = self.record.position() {
@@ -243,7 +247,7 @@ impl<'a> Table<'a> {
         }
     }
 
-    fn cell(&self, name: &str) -> &str {
+    pub(super) fn cell(&self, name: &str) -> &str {
         self.column(name).and_then(|i| self.record.get(i)).unwrap_or("")
     }
 
@@ -252,7 +256,7 @@ impl<'a> Table<'a> {
     }
 
     /// The number in a cell; `None` where the cell is empty or there is no such column.
-    fn number(&self, name: &str) -> Result<Option<f64>, Error> {
+    pub(super) fn number(&self, name: &str) -> Result<Option<f64>, Error> {
         let cell = self.cell(name);
         if cell.is_empty() {
             return Ok(None);
@@ -273,7 +277,7 @@ impl<'a> Table<'a> {
     }
 
     /// One unit of the last digit of the number in a cell, in the unit of the known column.
-    fn last_digit(&self, name: &str) -> f64 {
+    pub(super) fn last_digit(&self, name: &str) -> f64 {
         let cell = self.cell(name);
         let (digits, exponent) = cell.split_once(['e', 'E']).unwrap_or((cell, "0"));
         let decimals = digits.split_once(['.', ',']).map_or(0, |(_, decimals)| decimals.len());
@@ -281,11 +285,16 @@ impl<'a> Table<'a> {
         self.column(name).map_or(1.0, |i| self.factors[i]) * 10f64.powi(exponent)
     }
 
-    fn needed(&self, name: &str) -> Result<f64, Error> {
+    pub(super) fn needed(&self, name: &str) -> Result<f64, Error> {
         self.number(name)?.ok_or_else(|| self.bad(self.line, format!("`{name}` is empty")))
     }
 
-    fn bad(&self, line: usize, message: impl Into<String>) -> Error {
+    /// The line of the row that was read.
+    pub(super) fn line(&self) -> usize {
+        self.line
+    }
+
+    pub(super) fn bad(&self, line: usize, message: impl Into<String>) -> Error {
         Error::Data { place: format!("{}:{line}", self.file), message: message.into() }
     }
 }

@@ -83,8 +83,11 @@ fn observed(files: &Files, system: &System, grid: TimeGrid) -> Result<Observed, 
             rod_observations::synthetic(files, keys, rod, grid)
         }
         (System::Rod(rod), Observations::File(keys)) => rod_observations::recorded(files, keys, rod, grid),
-        (System::Components(model), keys) => {
-            component_observations::synthetic(files, files.scene.checked(keys.of_components())?, model, grid)
+        (System::Components(model), Observations::Synthetic(keys)) => {
+            component_observations::synthetic(files, keys, model, grid)
+        }
+        (System::Components(model), Observations::File(keys)) => {
+            component_observations::recorded(files, keys, model, grid)
         }
     }
 }

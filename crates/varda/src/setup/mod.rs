@@ -3,6 +3,7 @@
 pub(crate) mod adaptive_steps;
 mod component_model;
 mod component_observations;
+mod component_rows;
 pub mod components;
 mod continuity;
 pub mod covariance;
@@ -20,6 +21,7 @@ pub mod plan;
 pub mod problem;
 pub mod random;
 mod reachable;
+mod recorded_rows;
 mod recording;
 pub mod recording_scene;
 pub mod rod;

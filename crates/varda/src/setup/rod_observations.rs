@@ -11,13 +11,14 @@ use super::estimate::Seeing;
 use super::files::Files;
 use super::observations::{Draws, MakeOperator, Observed, ObservedSpace, Seen, Site};
 use super::reachable::{Held, Reach, Sighting};
+use super::recorded_rows::{Clock, LeftOut};
 use super::recording::{Recorded, track};
 use super::rod::RodSystem;
 use super::rod_model::RodParts;
 use super::seen_with::SeenWith;
 use crate::Error;
-use crate::outcome::{Neighbours, RecordingSummary, RowCount};
-use crate::scene::{Frame, Model, OutsideWindow, Recording, Synthetic, TimeGrid, UnreachableRows, Use};
+use crate::outcome::{Neighbours, RecordingSummary, SitesAre};
+use crate::scene::{Frame, Model, Recording, Synthetic, TimeGrid, UnreachableRows, Use};
 
 /// A site and its place on the rod.
 #[derive(Debug, Clone)]
@@ -131,9 +132,9 @@ pub(crate) fn recorded(
             bad(row.line, "no standard deviation: fill `sigma_m`, or give observations.sigma".to_string())
         })?;
         recorded.push(Recorded { time: row.time, site, position: row.position, sigma });
-        let Some(at) = place_in_window(row, recording, grid, &mut left).map_err(|e| bad(row.line, e))? else {
-            continue;
-        };
+        let clock = Clock { recording, grid };
+        let at = clock.place(row.time, row.time_rounding, &mut left).map_err(|e| bad(row.line, e))?;
+        let Some(at) = at else { continue };
         let values = (0..3).map(|c| row.position[c].map(|v| v + shift[c])).collect();
         seen.push(Seen { site, step: at.floor() as usize, weight: at.fract(), values, sigma });
         sightings.push(Sighting { line: row.line, site, time, written: row.position, sigma });
@@ -177,7 +178,8 @@ pub(crate) fn recorded(
     });
     let times = || rows.iter().map(|row| row.time);
     let summary = RecordingSummary {
-        rows: left.count(rows.len(), &seen, &sites, grid),
+        sites_are: SitesAre::Markers,
+        rows: left.count(rows.len(), &seen, |site| sites[site].withheld, grid),
         span: [times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max)],
         window: [grid.start, grid.time(grid.steps)].map(|t| t + recording.time_zero),
         tracks: sites.iter().enumerate().map(|(i, site)| track(&site.label, i, &recorded)).collect(),
@@ -217,100 +219,6 @@ impl Impossible<'_> {
         self.sightings.retain(|_| row.next().is_some_and(|row| !rows.contains(&row)));
         Ok(())
     }
-}
-
-/// What of a recording is not used.
-#[derive(Default)]
-struct LeftOut {
-    followed: usize,
-    ignored: usize,
-    before: usize,
-    after: usize,
-    repeated: usize,
-    refused: usize,
-    impossible: Vec<String>,
-}
-
-impl LeftOut {
-    /// Where all rows went, with what is left of them.
-    fn count(&self, all: usize, seen: &[Seen], sites: &[Placed], grid: TimeGrid) -> RowCount {
-        let mut rows = RowCount {
-            all,
-            outside: self.before + self.after,
-            refused: self.refused,
-            repeated: self.repeated,
-            ignored: self.followed + self.ignored,
-            ..RowCount::default()
-        };
-        for s in seen {
-            let part = if s.values.iter().all(Option::is_none) {
-                &mut rows.empty
-            } else if s.at() > grid.steps as f64 {
-                &mut rows.forecast
-            } else if sites[s.site].withheld {
-                &mut rows.withheld
-            } else {
-                &mut rows.used
-            };
-            *part += 1;
-        }
-        rows
-    }
-
-    fn into_texts(self) -> Vec<String> {
-        let counted = [
-            (self.followed, "rows of markers that move a support"),
-            (self.ignored, "rows of ignored markers"),
-            (self.before, "rows before the window"),
-            (self.after, "rows after the window and its forecast"),
-            (
-                self.repeated,
-                "rows that repeat time, place and values of another: one sighting is counted once",
-            ),
-        ];
-        let texts = counted.into_iter().filter(|(count, _)| *count > 0);
-        texts.map(|(count, what)| format!("{count} {what}")).chain(self.impossible).collect()
-    }
-}
-
-/// Where a row is in the window, in steps; `None` where it is left out.
-///
-/// Times are known to the digits they are written with. One that is a step's to within them is that step: a
-/// recording at 240 Hz written to milliseconds would else fall between two windows of a sequence. Where the
-/// digits are coarser than a quarter of a step, they are taken as they stand.
-///
-/// # Errors
-/// What is wrong with a time that is outside, where that is an error.
-fn place_in_window(
-    row: &csv::ObservedRow,
-    recording: &Recording,
-    grid: TimeGrid,
-    left: &mut LeftOut,
-) -> Result<Option<f64>, String> {
-    let written = row.time;
-    // Rounding of the arithmetic on top of that of the file.
-    let digits = Some(row.time_rounding / grid.step).filter(|d| *d <= 0.25).unwrap_or(0.0) + 1e-6;
-    // A time within a thousandth of a step of an end of the window was meant to be that end.
-    let slack = digits.max(1e-3);
-    let at = (written - recording.time_zero - grid.start) / grid.step;
-    let beyond = at > grid.steps as f64 + slack;
-    if at < -slack || beyond {
-        if recording.outside_window == OutsideWindow::Error {
-            let (from, to) = (grid.start + recording.time_zero, grid.time(grid.steps) + recording.time_zero);
-            let in_milliseconds = written > 20.0 * to && (from..=to).contains(&(1e-3 * written));
-            let unit = if in_milliseconds { " Milliseconds? Name the column time_ms." } else { "" };
-            return Err(format!(
-                "time_s = {written} is outside the window ({from} to {to} s): outside_window = \"skip\" \
-                 leaves such rows out, or to the forecast.{unit}"
-            ));
-        }
-        if !beyond || at > grid.last_step() as f64 + slack {
-            *(if beyond { &mut left.after } else { &mut left.before }) += 1;
-            return Ok(None);
-        }
-    }
-    let at = at.clamp(0.0, if beyond { f64::INFINITY } else { grid.steps as f64 });
-    Ok(Some(if (at - at.round()).abs() <= digits { at.round() } else { at }))
 }
 
 /// Leaves out rows whose site, time and values are those of an earlier row; how many.

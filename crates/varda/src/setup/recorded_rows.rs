@@ -1,0 +1,116 @@
+//! Where the rows of a recording go, whatever they observe.
+
+use super::observations::Seen;
+use crate::outcome::RowCount;
+use crate::scene::{OutsideWindow, Recording, TimeGrid};
+
+/// What of a recording is not used.
+#[derive(Default)]
+pub(super) struct LeftOut {
+    pub(super) followed: usize,
+    pub(super) ignored: usize,
+    pub(super) before: usize,
+    pub(super) after: usize,
+    pub(super) repeated: usize,
+    pub(super) refused: usize,
+    pub(super) impossible: Vec<String>,
+}
+
+impl LeftOut {
+    /// Where all rows went, with what is left of them.
+    pub(super) fn count(
+        &self,
+        all: usize,
+        seen: &[Seen],
+        withheld: impl Fn(usize) -> bool,
+        grid: TimeGrid,
+    ) -> RowCount {
+        let mut rows = RowCount {
+            all,
+            outside: self.before + self.after,
+            refused: self.refused,
+            repeated: self.repeated,
+            ignored: self.followed + self.ignored,
+            ..RowCount::default()
+        };
+        for s in seen {
+            let part = if s.values.iter().all(Option::is_none) {
+                &mut rows.empty
+            } else if s.at() > grid.steps as f64 {
+                &mut rows.forecast
+            } else if withheld(s.site) {
+                &mut rows.withheld
+            } else {
+                &mut rows.used
+            };
+            *part += 1;
+        }
+        rows
+    }
+
+    pub(super) fn into_texts(self) -> Vec<String> {
+        let counted = [
+            (self.followed, "rows of markers that move a support"),
+            (self.ignored, "rows of ignored markers"),
+            (self.before, "rows before the window"),
+            (self.after, "rows after the window and its forecast"),
+            (
+                self.repeated,
+                "rows that repeat time, place and values of another: one sighting is counted once",
+            ),
+        ];
+        let texts = counted.into_iter().filter(|(count, _)| *count > 0);
+        texts.map(|(count, what)| format!("{count} {what}")).chain(self.impossible).collect()
+    }
+}
+
+/// The clock of a recording beside that of a window.
+#[derive(Clone, Copy)]
+pub(super) struct Clock<'a> {
+    pub(super) recording: &'a Recording,
+    pub(super) grid: TimeGrid,
+}
+
+impl Clock<'_> {
+    /// Where a row is in the window, in steps, by the time that is written and half a unit of its last digit;
+    /// `None` where it is left out.
+    ///
+    /// Times are known to the digits they are written with. One that is a step's to within them is that step:
+    /// a recording at 240 Hz written to milliseconds would else fall between two windows of a sequence. Where
+    /// the digits are coarser than a quarter of a step, they are taken as they stand.
+    ///
+    /// # Errors
+    /// What is wrong with a time that is outside, where that is an error.
+    pub(super) fn place(
+        &self,
+        written: f64,
+        rounding: f64,
+        left: &mut LeftOut,
+    ) -> Result<Option<f64>, String> {
+        let Clock { recording, grid } = *self;
+        // Rounding of the arithmetic on top of that of the file.
+        let digits = Some(rounding / grid.step).filter(|d| *d <= 0.25).unwrap_or(0.0) + 1e-6;
+        // A time within a thousandth of a step of an end of the window was meant to be that end.
+        let slack = digits.max(1e-3);
+        let at = (written - recording.time_zero - grid.start) / grid.step;
+        let beyond = at > grid.steps as f64 + slack;
+        if at < -slack || beyond {
+            if recording.outside_window == OutsideWindow::Error {
+                let (from, to) =
+                    (grid.start + recording.time_zero, grid.time(grid.steps) + recording.time_zero);
+                let in_milliseconds = written > 20.0 * to && (from..=to).contains(&(1e-3 * written));
+                let unit = if in_milliseconds { " Milliseconds? Name the column time_ms." } else { "" };
+                return Err(format!(
+                    "time_s = {written} is outside the window ({from} to {to} s): outside_window = \"skip\" \
+                     leaves such rows out, or to the forecast.{unit}"
+                ));
+            }
+            if !beyond || at > grid.last_step() as f64 + slack {
+                *(if beyond { &mut left.after } else { &mut left.before }) += 1;
+                return Ok(None);
+            }
+        }
+        let at = at.clamp(0.0, if beyond { f64::INFINITY } else { grid.steps as f64 });
+        Ok(Some(if (at - at.round()).abs() <= digits { at.round() } else { at }))
+    }
+}
