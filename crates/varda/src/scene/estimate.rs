@@ -46,6 +46,13 @@ pub struct Estimate {
     /// Masses of `model.point_masses` [kg], one after the other.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub point_mass: Option<Unknown>,
+    /// Arc lengths of the observed places [m], each an unknown of its own: `marker_arc_length[tip]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub marker_arc_length: Option<Unknown>,
+    /// Offsets of the observed places from the centreline, along m₁, m₂ and the tangent [m]:
+    /// `marker_offset[tip].m1`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub marker_offset: Option<Unknown>,
     /// A rotation of the recording's axes against the model's [rad], a small one about each axis of the
     /// recording. It is applied to the values that the model predicts.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -192,6 +199,8 @@ impl Estimate {
             ("speed", &self.speed),
             ("diffusivity", &self.diffusivity),
             ("viscosity", &self.viscosity),
+            ("marker_arc_length", &self.marker_arc_length),
+            ("marker_offset", &self.marker_offset),
             ("mount_rotation", &self.mount_rotation),
             ("mount_translation", &self.mount_translation),
             ("bias", &self.bias),
@@ -214,7 +223,7 @@ const OF_ROD: [&str; 11] = [
     "natural_twist",
     "point_mass",
 ];
-const OF_PLACES: [&str; 2] = ["mount_rotation", "mount_translation"];
+const OF_PLACES: [&str; 4] = ["marker_arc_length", "marker_offset", "mount_rotation", "mount_translation"];
 
 fn known(model: &Model) -> &'static [&'static str] {
     match model {

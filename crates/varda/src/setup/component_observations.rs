@@ -8,11 +8,12 @@ use varda_implicit::line::Line;
 
 use super::component_rows::{self, ComponentRow, Subject};
 use super::components::ComponentSystem;
+use super::estimate::Seeing;
 use super::files::Files;
 use super::observations::{Draws, Observed, Seen, Site};
 use super::recorded_rows::{Clock, LeftOut};
 use super::recording::{Recorded, track};
-use super::seen_with::SeenWith;
+use super::seen_with::{SeenWith, Sites};
 use crate::Error;
 use crate::outcome::{RecordingSummary, SitesAre};
 use crate::scene::{Recording, Synthetic, TimeGrid};
@@ -35,26 +36,26 @@ pub(crate) fn synthetic(
     };
     let steps = files.scene.checked(keys.observed_steps(grid.steps))?;
     let sigma = files.scene.checked(keys.component_sigma())?;
-    let seen_with = seen_with(system);
+    let constants = (n, system.estimates.len(), system.estimates.seen);
     Ok(Observed {
         sites: components.iter().enumerate().map(site).collect(),
         seen: Vec::new(),
         space: None,
         left_out: Vec::new(),
         recording: None,
-        make_operator: Box::new(move || Ok(seen_with(Box::new(Selection::new(components.clone(), n)?)))),
+        make_operator: Box::new(move || Ok(seen_with(Selection::new(components.clone(), n)?, constants))),
         draws: Some(Draws { steps, sigma }),
     })
 }
 
-/// Makes an operator of the components one of states with the constants that are estimated.
-fn seen_with(
-    system: &ComponentSystem,
-) -> impl Fn(Box<dyn ObservationOperator>) -> Box<dyn ObservationOperator> + 'static {
-    let (n, constants, seeing) = (system.names.len(), system.estimates.len(), system.estimates.seen);
-    move |operator| match constants {
-        0 => operator,
-        _ => Box::new(SeenWith::new(operator, ParameterPlaces::of_state(n, constants, n, 0), seeing)),
+/// An operator of the components as one of states with the constants that are estimated.
+fn seen_with<O: Sites + 'static>(
+    operator: O,
+    (n, constants, seeing): (usize, usize, Seeing),
+) -> Box<dyn ObservationOperator> {
+    match constants {
+        0 => Box::new(operator),
+        _ => Box::new(SeenWith::new(operator, ParameterPlaces::of_state(n, constants, n, 0), seeing, &[])),
     }
 }
 
@@ -127,14 +128,14 @@ pub(crate) fn recorded(
     };
     let places: Vec<Place> = site_of.into_keys().collect();
     let (n, line) = (system.names.len(), system.line);
-    let seen_with = seen_with(system);
+    let constants = (n, system.estimates.len(), system.estimates.seen);
     Ok(Observed {
         sites,
         seen,
         space: None,
         left_out: left.into_texts(),
         recording: Some(summary),
-        make_operator: Box::new(move || Ok(seen_with(Box::new(operator(&places, n, line)?)))),
+        make_operator: Box::new(move || Ok(seen_with(operator(&places, n, line)?, constants))),
         draws: None,
     })
 }

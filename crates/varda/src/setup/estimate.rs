@@ -28,9 +28,25 @@ pub struct Estimates {
 /// Constants of the observations, by the place of their first number among all.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Seeing {
+    /// How many sites have constants of their own.
+    pub(crate) sites: usize,
+    pub(crate) arc_length: Option<usize>,
+    pub(crate) offset: Option<usize>,
     pub(crate) rotation: Option<usize>,
     pub(crate) translation: Option<usize>,
     pub(crate) bias: Option<usize>,
+}
+
+impl Seeing {
+    /// Whether the places of sites on a rod are unknown.
+    pub(crate) fn moves_sites(&self) -> bool {
+        self.arc_length.is_some() || self.offset.is_some()
+    }
+
+    /// Without what a recording's axes and errors are: places in those of the model.
+    pub(crate) fn of_places(self) -> Seeing {
+        Seeing { rotation: None, translation: None, bias: None, ..self }
+    }
 }
 
 /// An unknown constant: a number p of the control whose prior is N(0, σ²).
@@ -115,7 +131,7 @@ impl Estimates {
     pub(crate) fn of_rod(file: &SceneFile, model: &RodModel, described: &Described) -> Result<Self, Error> {
         let mut all = Estimates::default();
         for (key, unknown) in file.scene.estimate.given() {
-            if key.starts_with("mount_") || key == "bias" {
+            if key.starts_with("mount_") || key.starts_with("marker_") || key == "bias" {
                 continue;
             }
             all.add_of_rod(file, model, described, key, unknown)?;
@@ -156,7 +172,22 @@ impl Estimates {
     /// What the observations depend on; `width` values to a site.
     fn add_of_observations(&mut self, file: &SceneFile, width: usize) -> Result<(), Error> {
         let estimate = &file.scene.estimate;
+        if [&estimate.marker_arc_length, &estimate.marker_offset].into_iter().any(Option::is_some) {
+            self.seen.sites = sites(file)?.len();
+        }
         let axes = ["x", "y", "z"];
+        if let Some(unknown) = &estimate.marker_arc_length {
+            self.seen.arc_length = Some(self.len());
+            let names: Vec<String> =
+                sites(file)?.iter().map(|site| format!("marker_arc_length[{site}]")).collect();
+            self.add_additive(file, "estimate.marker_arc_length", unknown, &names, "m")?;
+        }
+        if let Some(unknown) = &estimate.marker_offset {
+            self.seen.offset = Some(self.len());
+            let of = |site: &String| ["m1", "m2", "t"].map(|axis| format!("marker_offset[{site}].{axis}"));
+            let names: Vec<String> = sites(file)?.iter().flat_map(of).collect();
+            self.add_additive(file, "estimate.marker_offset", unknown, &names, "m")?;
+        }
         let mounts = [
             ("mount_rotation", &estimate.mount_rotation, "rad"),
             ("mount_translation", &estimate.mount_translation, "m"),
@@ -482,7 +513,8 @@ fn times(change: Change, factor: f64) -> Change {
 fn sites(file: &SceneFile) -> Result<Vec<String>, Error> {
     match (&file.scene.observations, &file.scene.model) {
         (Observations::File(recording), _) if recording.markers.is_empty() => {
-            Err(file.invalid("estimate.bias", "needs [[observations.markers]], one bias for each"))
+            let message = "an unknown of every marker needs [[observations.markers]]";
+            Err(file.invalid("estimate", message))
         }
         (Observations::File(recording), _) => Ok(recording.markers.iter().map(|m| m.name.clone()).collect()),
         (Observations::Synthetic(keys), Model::Rod(_)) => {

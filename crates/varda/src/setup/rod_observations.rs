@@ -7,7 +7,6 @@ use varda_rod::{Marker, Markers, Matrix3, Vector3};
 
 use super::continuity::{self, Fastest};
 use super::csv::{self, Subject};
-use super::estimate::Seeing;
 use super::files::Files;
 use super::observations::{Draws, MakeOperator, Observed, ObservedSpace, Seen, Site};
 use super::reachable::{Held, Reach, Sighting};
@@ -248,16 +247,17 @@ fn observed(
         let (markers, parts) = (Rc::clone(&markers), rod.parts.clone());
         // values are those of the recording turned into its axes but not displaced: the origin is the model's
         let axes = Matrix3::from(rotation).transpose();
-        let seen = move |parts: &RodParts| {
-            Markers::new(&parts.dynamics()?, &markers)?.in_axes(axes, Vector3::zeros())
+        let seen = move |parts: &RodParts, markers: &[Marker]| {
+            Markers::new(&parts.dynamics()?, markers)?.in_axes(axes, Vector3::zeros())
         };
         Box::new(move || {
-            let markers = Box::new(seen(&parts)?);
+            let operator = seen(&parts, &markers)?;
             if parts.estimates.is_empty() {
-                return Ok(markers);
+                return Ok(Box::new(operator));
             }
-            let seeing = if mounted { parts.estimates.seen } else { Seeing::default() };
-            Ok(Box::new(SeenWith::new(markers, parts.places()?, seeing)))
+            let seeing = if mounted { parts.estimates.seen } else { parts.estimates.seen.of_places() };
+            let operator = if seeing.moves_sites() { operator.with_frames() } else { operator };
+            Ok(Box::new(SeenWith::new(operator, parts.places()?, seeing, &markers)))
         })
     };
     let site = |(i, site): (usize, Placed)| Site {

@@ -1,14 +1,38 @@
 //! What is observed of a state with unknown constants in it.
 
-use varda_assimilation::ObservationOperator;
+use varda_assimilation::{LinearObservation, ObservationOperator, Selection};
 use varda_implicit::{At, ParameterPlaces, Refusal};
-use varda_rod::{Matrix3, Vector3};
+use varda_rod::{Marker, Markers, Matrix3, Vector3};
 
 use super::estimate::Seeing;
 
+/// An operator whose sites may be put elsewhere on a rod.
+pub(crate) trait Sites: ObservationOperator {
+    /// Puts the sites at these places.
+    fn move_to(&mut self, _markers: &[Marker]) -> Result<(), Refusal> {
+        Ok(())
+    }
+
+    /// The columns ∂y/∂(s, o₁, o₂, o₃) of every site, three numbers each.
+    fn by_place(&mut self, _at: At, _x: &[f64], _columns: &mut [f64]) {}
+}
+
+impl Sites for Selection {}
+impl Sites for LinearObservation {}
+
+impl Sites for Markers {
+    fn move_to(&mut self, markers: &[Marker]) -> Result<(), Refusal> {
+        Ok(Markers::move_to(self, markers)?)
+    }
+
+    fn by_place(&mut self, at: At, x: &[f64], columns: &mut [f64]) {
+        Markers::by_place(self, at, x, columns).expect("this state was observed before");
+    }
+}
+
 /// y = R(ρ) H(x) + t + b: H of a state without constants, turned by a small rotation ρ and displaced by t
 /// in space, with a bias b of every row. What is not unknown is left out.
-pub(crate) struct SeenWith<O: ?Sized> {
+pub(crate) struct SeenWith<O> {
     places: ParameterPlaces,
     seeing: Seeing,
     /// A state without constants, and an increment of one.
@@ -16,13 +40,47 @@ pub(crate) struct SeenWith<O: ?Sized> {
     dx: Vec<f64>,
     /// H(x), or what acts on it.
     y: Vec<f64>,
-    operator: Box<O>,
+    /// Places of the sites in the scene, where their own are unknown; and the columns of those.
+    markers: Vec<Marker>,
+    columns: Vec<f64>,
+    operator: O,
 }
 
-impl<O: ObservationOperator + ?Sized> SeenWith<O> {
-    pub(crate) fn new(operator: Box<O>, places: ParameterPlaces, seeing: Seeing) -> Self {
+impl<O: Sites> SeenWith<O> {
+    /// `markers` are the places of the sites in the scene, read where these are unknown.
+    pub(crate) fn new(operator: O, places: ParameterPlaces, seeing: Seeing, markers: &[Marker]) -> Self {
+        let markers = if seeing.moves_sites() { markers.to_vec() } else { Vec::new() };
         let (own, rows) = (places.own_dim(), operator.dim());
-        Self { x: vec![0.0; own], dx: vec![0.0; own], y: vec![0.0; rows], seeing, places, operator }
+        let (x, dx, columns) = (vec![0.0; own], vec![0.0; own], vec![0.0; 12 * markers.len()]);
+        Self { x, dx, y: vec![0.0; rows], seeing, places, markers, columns, operator }
+    }
+
+    /// Puts the sites where the constants of a state have them.
+    fn place_sites(&mut self, x: &[f64]) -> Result<(), Refusal> {
+        if self.markers.is_empty() {
+            return Ok(());
+        }
+        let p = &x[self.places.parameters()];
+        let mut moved = self.markers.clone();
+        for (i, marker) in moved.iter_mut().enumerate().take(self.seeing.sites) {
+            marker.s += self.seeing.arc_length.map_or(0.0, |first| p[first + i]);
+            for (c, offset) in marker.offset.iter_mut().enumerate() {
+                *offset += self.seeing.offset.map_or(0.0, |first| p[first + 3 * i + c]);
+            }
+        }
+        self.operator.move_to(&moved)
+    }
+
+    /// For each number of the places of sites: its place among the constants, and its column.
+    fn each_place(&self, mut visit: impl FnMut(usize, usize, &[f64])) {
+        for (i, of_site) in self.columns.chunks_exact(12).enumerate().take(self.seeing.sites) {
+            if let Some(first) = self.seeing.arc_length {
+                visit(first + i, i, &of_site[..3]);
+            }
+            if let Some(first) = self.seeing.offset {
+                (0..3).for_each(|c| visit(first + 3 * i + c, i, &of_site[3 * c + 3..3 * c + 6]));
+            }
+        }
     }
 
     /// The rotation vector ρ among the constants of a state or an increment.
@@ -45,7 +103,7 @@ impl<O: ObservationOperator + ?Sized> SeenWith<O> {
     }
 }
 
-impl<O: ObservationOperator + ?Sized> ObservationOperator for SeenWith<O> {
+impl<O: Sites> ObservationOperator for SeenWith<O> {
     fn dim(&self) -> usize {
         self.operator.dim()
     }
@@ -56,6 +114,7 @@ impl<O: ObservationOperator + ?Sized> ObservationOperator for SeenWith<O> {
 
     fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
         self.places.gather(x, &mut self.x);
+        self.place_sites(x)?;
         self.operator.observe(at, &self.x, y)?;
         if let Some(rho) = self.rotation(x) {
             let turn = exponential(&rho);
@@ -67,12 +126,20 @@ impl<O: ObservationOperator + ?Sized> ObservationOperator for SeenWith<O> {
 
     fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
         self.places.gather(x, &mut self.x);
+        self.place_sites(x).expect("this state was observed before");
         let rotation = self.rotation(x);
         if rotation.is_some() {
             self.operator.observe(at, &self.x, &mut self.y).expect("this state was observed before");
         }
         self.places.gather(dx, &mut self.dx);
         self.operator.tangent(at, &self.x, &self.dx, dy);
+        if !self.markers.is_empty() {
+            self.operator.by_place(at, &self.x, &mut self.columns);
+            let dp = &dx[self.places.parameters()];
+            self.each_place(|p, i, column| {
+                dy[3 * i..3 * i + 3].iter_mut().zip(column).for_each(|(dy, c)| *dy += c * dp[p]);
+            });
+        }
         if let (Some(rho), Some(drho)) = (rotation, self.rotation(dx)) {
             let (turn, turned) = (exponential(&rho), left_jacobian(&rho) * drho);
             for (dy, y) in dy.chunks_exact_mut(3).zip(self.y.chunks_exact(3)) {
@@ -94,6 +161,7 @@ impl<O: ObservationOperator + ?Sized> ObservationOperator for SeenWith<O> {
             dx[p.clone()][first..].iter_mut().zip(dy).for_each(|(db, dy)| *db += dy);
         }
         self.places.gather(x, &mut self.x);
+        self.place_sites(x).expect("this state was observed before");
         let mut back = dy.to_vec();
         if let Some(rho) = self.rotation(x) {
             self.operator.observe(at, &self.x, &mut self.y).expect("this state was observed before");
@@ -106,6 +174,13 @@ impl<O: ObservationOperator + ?Sized> ObservationOperator for SeenWith<O> {
             let first = p.start + self.seeing.rotation.expect("there is a rotation");
             let drho = jacobian.tr_mul(&sum);
             dx[first..first + 3].iter_mut().zip(drho.iter()).for_each(|(dx, d)| *dx += d);
+        }
+        if !self.markers.is_empty() {
+            self.operator.by_place(at, &self.x, &mut self.columns);
+            let dp = &mut dx[self.places.parameters()];
+            self.each_place(|p, i, column| {
+                dp[p] += column.iter().zip(&back[3 * i..]).map(|(c, b)| c * b).sum::<f64>();
+            });
         }
         self.places.gather(dx, &mut self.dx);
         self.operator.adjoint_add(at, &self.x, &back, &mut self.dx);
