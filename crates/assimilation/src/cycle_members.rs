@@ -116,26 +116,32 @@ pub(crate) fn run_all_drawing_again<'m>(
 
 /// By what the deviations of N members are to be multiplied so that their covariance is the one that the
 /// observations and the finite number of members together make most likely (EnKF-N; Bocquet 2011, Bocquet and
-/// Sakov 2012, dual form): α = √((N − 1)/ζ), ζ the minimum over 0 < ζ ≤ (N + 1)/ε of
+/// Sakov 2012, dual form): α = √((N − 1)/ζ), ζ the minimum over 0 < ζ ≤ γ/ε of
 ///
 /// ```text
-///     ½ Σ c_i² / (1 + (N − 1) λ_i / ζ) + ½ ε ζ + ½ (N + 1) ln((N + 1)/ζ),    ε = 1 + 1/N,
+///     ½ Σ c_i² / (1 + (N − 1) λ_i / ζ) + ½ ε ζ − ½ γ ln ζ,
+///     ε = (1 + 1/N)/μ,    γ = (N + 1) μ,    μ = (1 − 1/N)^{κ/2}
 /// ```
 ///
-/// λ the eigenvalues of G Gᵀ and c the whitened innovations along its eigenvectors. Nothing to be chosen,
-/// nothing carried from window to window. Never above `LARGEST_INFLATION`: where an ensemble has lost the
-/// truth the linearization says nothing farther away.
+/// λ the eigenvalues of G Gᵀ and c the whitened innovations along its eigenvectors. κ is the mean of
+/// 1/(1 + λ) over the members, 1 where the observations say nothing: μ makes α = 1 of that (Bocquet,
+/// Raanes and Hannart 2015). Without it α is √(1 − 1/N) there, and an ensemble in a weakly nonlinear
+/// system shrinks window by window until it is lost. Nothing to be chosen, nothing carried from window to
+/// window. Never above `LARGEST_INFLATION`: where an ensemble has lost the truth the linearization says
+/// nothing farther away.
 pub(crate) fn finite_size_inflation(members: usize, pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
     let pairs: Vec<(f64, f64)> = pairs.collect();
     let n = members as f64;
-    let epsilon = 1.0 + 1.0 / n;
+    let said: f64 = pairs.iter().map(|(l, _)| l / (1.0 + l)).sum();
+    let mode = (1.0 - 1.0 / n).powf(0.5 * (1.0 - said / n));
+    let (epsilon, gamma) = ((1.0 + 1.0 / n) / mode, (n + 1.0) * mode);
     let cost = |log_zeta: f64| {
         let zeta = log_zeta.exp();
         let misfit: f64 = pairs.iter().map(|(l, c)| c * c / (1.0 + (n - 1.0) * l / zeta)).sum();
-        0.5 * (misfit + epsilon * zeta + (n + 1.0) * ((n + 1.0) / zeta).ln())
+        0.5 * (misfit + epsilon * zeta - gamma * log_zeta)
     };
     // The lowest of a grid, then golden section between its neighbours: the cost may have two minima.
-    let (top, points) = (((n + 1.0) / epsilon).ln(), 200);
+    let (top, points) = ((gamma / epsilon).ln(), 200);
     let bottom = ((n - 1.0) / LARGEST_INFLATION.powi(2)).ln();
     let at = |i: usize| bottom + (top - bottom) * i as f64 / points as f64;
     let lowest = (0..=points).min_by(|a, b| cost(at(*a)).total_cmp(&cost(at(*b)))).unwrap_or(points);
@@ -256,8 +262,10 @@ mod tests {
         let (as_expected, twice, thrice) = (factor(1.0), factor(2.0), factor(3.0));
         assert!((0.9..1.2).contains(&as_expected), "{as_expected}");
         assert!(as_expected < twice && twice < thrice, "{as_expected} {twice} {thrice}");
-        // Nothing seen: ζ = (N + 1)/ε = N.
+        // Nothing seen, nothing changed; next to nothing seen as expected, as little.
         let nothing = finite_size_inflation(20, std::iter::empty());
-        assert!((nothing - (19.0_f64 / 20.0).sqrt()).abs() <= 1e-6, "{nothing}");
+        assert!((nothing - 1.0).abs() <= 1e-6, "{nothing}");
+        let little = finite_size_inflation(20, (0..19).map(|_| (0.01, 1.01_f64.sqrt())));
+        assert!((1.0..1.01).contains(&little), "{little}");
     }
 }

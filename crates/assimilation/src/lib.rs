@@ -21,6 +21,7 @@
 //! | which minimizer? | [`Minimizer`]: [`trust_region`] (default), [`newton_cg`], [`newton`] |
 //! | … with gradients alone? | [`lbfgs`], [`adam`] |
 //! | … for several minima? | [`continuation`], [`auto`] |
+//! | how large are errors of the model? | [`WeakPosterior`], [`ErrorScale`] |
 //! | how sure? | [`Posterior`], [`LowRankPosterior`], [`Analysis`]; are B and R right? [`consistency`] |
 //!
 //! What it costs, in forward runs F, tangent sweeps T and adjoint sweeps A of the window for an iteration,
@@ -93,6 +94,7 @@ mod cycle;
 mod cycle_members;
 mod departures;
 mod error;
+mod error_scale;
 mod growth;
 mod inner;
 mod minimize;
@@ -105,6 +107,7 @@ mod outer_loop;
 mod posterior;
 mod posterior_lanczos;
 mod propagate;
+mod weak_posterior;
 
 pub use analysis::Analysis;
 pub use assimilation::{AnalysisResult, Assimilation};
@@ -123,6 +126,7 @@ pub use cycle::{
 };
 pub use departures::Departures;
 pub use error::Error;
+pub use error_scale::ErrorScale;
 pub use growth::{Assimilate, window_growth};
 pub use inner::{InnerEnd, InnerLimits, conjugate_gradients, restricted_conjugate_gradients};
 pub use minimize::{
@@ -141,6 +145,7 @@ pub use posterior::Posterior;
 pub use posterior_lanczos::{LanczosOptions, LowRankPosterior};
 pub use propagate::propagate_root;
 pub use varda_implicit::{At, ObservationOperator, Refusal};
+pub use weak_posterior::WeakPosterior;
 
 /// The example of README.md, compiled and run with the tests.
 #[cfg(doctest)]

@@ -1,6 +1,6 @@
 //! The posterior covariance from the dense Gauss–Newton Hessian.
 
-use crate::cost::{dense_jacobian, solve_identity_plus};
+use crate::cost::{dense_jacobian, parts, rows, solve_identity_plus};
 use crate::minimize::eigen;
 use crate::{ControlTransform, Error, LeastSquares};
 use rand::Rng;
@@ -128,18 +128,15 @@ impl Posterior {
     /// # Panics
     /// If nothing has been linearized.
     pub fn of_initial_state(problem: &mut dyn LeastSquares) -> Result<Self, Error> {
-        let (n, m, r) = (problem.background_dim(), problem.observation_dim(), problem.dim());
-        let q = r - n;
-        // G_b by columns, G_qᵀ by columns.
-        let (mut g_b, mut g_q) = (vec![0.0; m * n], vec![0.0; q * m]);
-        let (mut unit, mut row) = (vec![0.0; m], vec![0.0; r]);
-        for a in 0..m {
-            unit[a] = 1.0;
-            problem.jacobian_transpose(&unit, &mut row)?;
-            unit[a] = 0.0;
-            (0..n).for_each(|j| g_b[a + j * m] = row[j]);
-            g_q[a * q..(a + 1) * q].copy_from_slice(&row[n..]);
-        }
+        let rows = rows(problem)?;
+        Self::of_initial_rows(problem, &rows)
+    }
+
+    /// [`of_initial_state`](Self::of_initial_state) where the rows of G are at hand.
+    pub(crate) fn of_initial_rows(problem: &mut dyn LeastSquares, rows: &[f64]) -> Result<Self, Error> {
+        let (n, m) = (problem.background_dim(), problem.observation_dim());
+        let q = problem.dim() - n;
+        let [g_b, g_q] = parts(n, m, rows);
         let mut weighted = g_b.clone();
         match solve_identity_plus(View::new(&g_q, q, m), &mut weighted) {
             Err(Error::NotPositiveDefinite { .. }) => return Self::initial_factored(problem),

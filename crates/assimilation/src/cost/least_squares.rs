@@ -219,6 +219,31 @@ pub(crate) fn dense_jacobian(problem: &mut (impl LeastSquares + ?Sized)) -> Resu
     Ok(g)
 }
 
+/// Gᵀ, by columns: m adjoint sweeps.
+pub(crate) fn rows(problem: &mut (impl LeastSquares + ?Sized)) -> Result<Vec<f64>, Error> {
+    let (m, r) = (problem.observation_dim(), problem.dim());
+    let mut rows = vec![0.0; m * r];
+    let mut unit = vec![0.0; m];
+    for (a, row) in rows.chunks_exact_mut(r.max(1)).enumerate() {
+        unit[a] = 1.0;
+        problem.jacobian_transpose(&unit, row)?;
+        unit[a] = 0.0;
+    }
+    Ok(rows)
+}
+
+/// The parts of G that belong to the first `n` of `r` unknowns and to the others: G_b by columns, G_qᵀ by
+/// columns.
+pub(crate) fn parts(n: usize, m: usize, rows: &[f64]) -> [Vec<f64>; 2] {
+    let r = rows.len() / m.max(1);
+    let (mut g_b, mut g_q) = (vec![0.0; m * n], vec![0.0; (r - n.min(r)) * m]);
+    for (a, row) in rows.chunks_exact(r.max(1)).enumerate() {
+        (0..n).for_each(|j| g_b[a + j * m] = row[j]);
+        g_q[a * (r - n)..(a + 1) * (r - n)].copy_from_slice(&row[n..]);
+    }
+    [g_b, g_q]
+}
+
 /// x ← (I + WᵀW)⁻¹ x for columns x one after the other, of length n for W with n columns: Cholesky.
 pub(crate) fn solve_identity_plus(w: View, x: &mut [f64]) -> Result<(), Error> {
     let n = w.columns();

@@ -26,7 +26,7 @@ pub use function::{CostFunction, CostTerms, Counts};
 pub use huber::huber;
 pub use incremental::InnerCost;
 pub use least_squares::LeastSquares;
-pub(crate) use least_squares::{columns, dense_jacobian, solve_identity_plus};
+pub(crate) use least_squares::{columns, dense_jacobian, parts, rows, solve_identity_plus};
 pub use model_error::Forcing;
 pub use strong::StrongConstraint;
 pub use weak_forcing::WeakForcing;

@@ -27,3 +27,4 @@ mod short_form;
 mod state_length;
 mod storage;
 mod weak;
+mod weak_posterior;

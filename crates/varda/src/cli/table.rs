@@ -37,7 +37,9 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
             o.analysis.terms.background,
             o.analysis.terms.observation,
             if algorithm.method.is_weak() {
-                format!(", model error {:.4}", o.analysis.terms.model_error)
+                let expected = o.model_errors.as_ref().and_then(|e| e.expected_j_q);
+                let expected = expected.map_or(String::new(), |e| format!(" where {e:.4} is expected"));
+                format!(", model error {:.4}{expected}", o.analysis.terms.model_error)
             } else {
                 String::new()
             },

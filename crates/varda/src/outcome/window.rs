@@ -10,6 +10,7 @@ use varda_implicit::check::Amplification;
 use super::convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
 use super::evidence::Evidence;
 use super::fit::{Fit, Forecast, Rejected, Withheld};
+use super::model_errors::ModelErrors;
 use super::space::Shapes;
 use super::spread::ObservedValue;
 use super::verdict::Judgement;
@@ -90,6 +91,8 @@ pub struct Outcome {
     /// How much the window amplifies about the analysis, up to the last observation; `None` for methods
     /// without a gradient along a run.
     pub amplification: Option<Amplification>,
+    /// Errors of the model, for weak-constraint methods.
+    pub model_errors: Option<ModelErrors>,
     /// The adaptive time steps; `None` for steps of the scene's own length.
     pub accepted_steps: Option<AcceptedSteps>,
     /// Runs of the window.

@@ -196,6 +196,10 @@ fn table_section(outcome: &Outcome, s: &Summary) -> String {
         ("2J/m", format!("{:.4}", s.chi2), ""),
         ("Degrees of freedom for signal", optional(s.degrees_of_freedom), ""),
     ];
+    if let Some(e) = s.model_error {
+        rows.push(("J_q to expect", optional(e.j_q_expected), ""));
+        rows.push(("σ of the model error, times that of Q", optional(e.sigma_factor), ""));
+    }
     let labels: Vec<String> = outcome.experiment.state.groups.iter().map(rmse_label).collect();
     for ((group, rmse), label) in outcome.experiment.state.groups.iter().zip(&s.rmse.0).zip(&labels) {
         if let Some(pair) = rmse.known() {

@@ -12,7 +12,7 @@ mod summary;
 mod tables;
 
 pub use cycles::{summary_of_cycles, write_cycles};
-pub use summary::{Summary, Terms, WindowAmplification};
+pub use summary::{ModelErrorSize, Summary, Terms, WindowAmplification};
 
 use std::path::{Path, PathBuf};
 
@@ -44,6 +44,9 @@ pub fn write(outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
         tables::trajectory(experiment, &outcome.trajectories, &outcome.sigma_states, outcome.shapes.as_ref());
     out.write("trajectory.csv", &trajectory)?;
     out.write("observations.csv", &tables::observed_values(&outcome.observed))?;
+    if let Some(errors) = &outcome.model_errors {
+        out.write("model_error.csv", &tables::model_errors(experiment, errors))?;
+    }
     write_forces(&out, experiment, outcome.shapes.as_ref())?;
     // Last: a folder without it is not a result.
     out.write("summary.json", &summary.to_json())?;

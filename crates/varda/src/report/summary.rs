@@ -5,8 +5,8 @@ use varda_assimilation::CostTerms;
 use varda_implicit::check::Amplification;
 
 use crate::outcome::{
-    AcceptedSteps, Attempt, Evidence, Fit, Forecast, Outcome, Rejected, Rmse, Seconds, Verdict, Withheld,
-    WorkCounts,
+    AcceptedSteps, Attempt, Evidence, Fit, Forecast, ModelErrors, Outcome, Rejected, Rmse, Seconds, Verdict,
+    Withheld, WorkCounts,
 };
 
 /// The keys of summary.json, in their order.
@@ -47,6 +47,8 @@ pub struct Summary {
     /// How much the window amplifies and the error of its gradient; `null` for methods without a gradient
     /// along a run.
     pub amplification: Option<WindowAmplification>,
+    /// Size of the model error against Q; `null` for methods without one.
+    pub model_error: Option<ModelErrorSize>,
     /// The adaptive time steps; `null` without `time.tolerance`.
     pub accepted_steps: Option<AcceptedSteps>,
     /// Outer iterations.
@@ -100,6 +102,34 @@ impl From<Amplification> for WindowAmplification {
     }
 }
 
+/// The error of the model against its Q.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct ModelErrorSize {
+    /// How many errors η were estimated.
+    pub count: usize,
+    /// J_q at the analysis.
+    pub j_q: f64,
+    /// The J_q to expect where B, Q and R are right; `null` without a posterior.
+    pub j_q_expected: Option<f64>,
+    /// How many times σ of the model error should be what Q says, by the innovations.
+    pub sigma_factor: Option<f64>,
+    /// Its 95 % interval; `null` for an end without a bound.
+    pub sigma_factor_interval: [Option<f64>; 2],
+}
+
+impl ModelErrorSize {
+    fn new(errors: &ModelErrors, terms: &CostTerms) -> Self {
+        ModelErrorSize {
+            count: errors.steps.len(),
+            j_q: terms.model_error,
+            j_q_expected: errors.expected_j_q,
+            sigma_factor: errors.scale.map(|s| s.factor),
+            sigma_factor_interval: [errors.scale.map(|s| s.low), errors.scale.map(|s| s.high)]
+                .map(|end| end.filter(|end| end.is_finite())),
+        }
+    }
+}
+
 /// J = J_b + J_o + J_q.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Terms {
@@ -140,6 +170,10 @@ impl Summary {
             gradient_norm_first: outcome.gradient_norms[0],
             gradient_norm_last: outcome.gradient_norms[1],
             amplification: outcome.amplification.map(WindowAmplification::from),
+            model_error: outcome
+                .model_errors
+                .as_ref()
+                .map(|e| ModelErrorSize::new(e, &outcome.analysis.terms)),
             accepted_steps: outcome.accepted_steps.clone(),
             outer_iterations: outcome.iterations[0],
             inner_iterations: outcome.iterations[1],

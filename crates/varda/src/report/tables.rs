@@ -2,7 +2,9 @@
 
 use std::fmt::Write;
 
-use crate::outcome::{ConvergenceRow, Experiment, ObservedValue, Outcome, Shapes, Trajectories, TwinFiles};
+use crate::outcome::{
+    ConvergenceRow, Experiment, ModelErrors, ObservedValue, Outcome, Shapes, Trajectories, TwinFiles,
+};
 use crate::run::compare::Compared;
 use crate::scene::TimeGrid;
 use crate::setup::rod::END_ANGLE;
@@ -58,6 +60,22 @@ pub(super) fn analysis(outcome: &Outcome) -> String {
             let _ = write!(out, ",{}", number(truth[i]));
         }
         out.push('\n');
+    }
+    out
+}
+
+/// model_error.csv: every error η of the model with its σ, before and after anything was observed.
+/// `first_step` and `last_step` are those at whose end it was added.
+pub(super) fn model_errors(experiment: &Experiment, errors: &ModelErrors) -> String {
+    let mut out = String::from("error,first_step,last_step,time_s,name,unit,eta,sigma_q,sigma_eta\n");
+    let n = errors.sigma_prior.len();
+    for (j, [first, last]) in errors.steps.iter().enumerate() {
+        let time = number(experiment.grid.time(*last));
+        for (i, (name, unit)) in experiment.state.components().take(n).enumerate() {
+            let [eta, prior] = [errors.values[j * n + i], errors.sigma_prior[i]].map(number);
+            let sigma = optional(errors.sigma.get(j * n + i).copied());
+            let _ = writeln!(out, "{j},{first},{last},{time},{name},{unit},{eta},{prior},{sigma}");
+        }
     }
     out
 }

@@ -8,7 +8,7 @@ use varda_implicit::check::Amplification;
 use varda_implicit::{Log, Model};
 
 use super::verdict::{self, Judged};
-use super::{amplification, between_steps, departures, fit, second_minimum, shapes, spread};
+use super::{amplification, between_steps, departures, fit, model_errors, second_minimum, shapes, spread};
 use crate::Error;
 use crate::outcome::{
     Attempt, ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
@@ -140,6 +140,8 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     warnings.extend(late.then(|| scene.limits.remark()).flatten());
     warnings.extend(remarks_on_steps);
     let analysis = analysis(problem, &solution, observations.dim());
+    let errors_of_model = solution.model_errors;
+    warnings.extend(model_errors::remark(scene, errors_of_model.as_ref(), analysis.terms.model_error));
     let trajectories =
         trajectories(problem, model.as_mut(), &analysis.analysis, solution.states, &mut warnings, &mut log);
     let amplification = amplification(problem, make_model, &analysis, &observations, &trajectories);
@@ -207,6 +209,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         withheld,
         forecast,
         amplification,
+        model_errors: errors_of_model,
         accepted_steps,
         seen: if shapes.is_none() { seen(problem, &observations) } else { Vec::new() },
         trajectories,

@@ -148,8 +148,8 @@ impl Memory {
         let dense = if let Some(ensemble) = algorithm.members() {
             ensemble_numbers(ensemble.members, sizes.localization, m)
         } else if algorithm.method.is_weak() {
-            // G by parts, and I + G Gᵀ in the space of the observations.
-            if posterior { 4 * square + m * (2 * n + errors + m) } else { 0 }
+            // G by rows and by parts, its singular vectors, and matrices in the space of the observations.
+            if posterior { 4 * square + m * (4 * (n + errors) + 5 * m) } else { 0 }
         } else if algorithm.minimizer.settings().is_dense()
             || algorithm.method == Method::Blue
             || (posterior && (cycled.is_some() || !is_low_rank(algorithm.method, n)))

@@ -1,6 +1,8 @@
 //! Ensemble methods: forward runs of the members take the place of tangent and adjoint.
 
-use varda_assimilation::{CostFunction, EnVar, EnVarOptions, Error, Iteration, ObservationSet, Status};
+use varda_assimilation::{
+    CostFunction, EnVar, EnVarOptions, Error, Iteration, Minimum, ObservationSet, Status,
+};
 use varda_covariance::{Covariance, Ensemble, Hybrid};
 use varda_implicit::{Model, Storage};
 
@@ -33,7 +35,7 @@ impl Task<'_> {
         Ok(Members::Hybrid(Box::new(Hybrid::new(b, of_static, ensemble.clone(), of_ensemble)?)))
     }
 
-    pub(super) fn ensemble(&mut self, stage: SubWindow) -> Result<SubWindowEnd, Error> {
+    pub(super) fn ensemble(&mut self, stage: SubWindow) -> Result<(Minimum, SubWindowEnd), Error> {
         let members = self.members()?;
         let SubWindow { observations, v, posterior, before, on_iterate, .. } = stage;
         let window = observations.steps();
@@ -73,15 +75,16 @@ impl Task<'_> {
         };
         transform.control(v, &mut control);
         let sigma_background = deviations(transform.covariance());
-        Ok(SubWindowEnd {
-            minimum,
+        let end = SubWindowEnd {
             control,
             sigma_background,
             spread,
             no_spread: None,
+            model_errors: None,
             counts,
             storage: Storage::KeepAll,
-        })
+        };
+        Ok((minimum, end))
     }
 }
 

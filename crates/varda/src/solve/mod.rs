@@ -55,39 +55,38 @@ pub(crate) fn solve(
                 before: (done[0], spent),
                 on_iterate,
             };
-            let SubWindowEnd { mut minimum, control, sigma_background, spread, no_spread, counts, storage } =
-                task.stage(stage)?;
+            let (mut minimum, end) = task.stage(stage)?;
             done[0] += minimum.outer_iterations;
             done[1] += minimum.inner_iterations;
-            spent = spent + counts;
+            spent = spent + end.counts;
             stages.push((window, minimum.status));
             attempts.append(&mut minimum.attempts);
-            ended = Some((control, sigma_background, spread, no_spread, storage));
+            ended = Some(end);
             Ok(minimum)
         })?;
     stages.pop();
-    let (Some(last), Some((control, sigma_background, spread, no_spread, storage))) = (minima.pop(), ended)
-    else {
+    let (Some(last), Some(end)) = (minima.pop(), ended) else {
         return Err(Error::Setting { what: "a window of no sub-windows", value: 0.0 }.into());
     };
     let minimum = Minimum { outer_iterations: done[0], inner_iterations: done[1], ..last };
     let solved = Solution {
         minimum,
-        control,
-        sigma_background,
-        spread,
-        no_spread,
+        control: end.control,
+        sigma_background: end.sigma_background,
+        spread: end.spread,
+        no_spread: end.no_spread,
+        model_errors: end.model_errors,
         states,
         counts: spent,
         rejected,
         stages,
         attempts,
-        storage,
+        storage: end.storage,
     };
     Ok((solved, observations))
 }
 impl Task<'_> {
-    fn stage(&mut self, stage: SubWindow) -> Result<SubWindowEnd, Error> {
+    fn stage(&mut self, stage: SubWindow) -> Result<(Minimum, SubWindowEnd), Error> {
         match self.algorithm.method {
             Method::WeakForcing => self.weak_forcing(stage),
             Method::WeakState => self.weak_state(stage),

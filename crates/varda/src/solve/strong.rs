@@ -15,7 +15,7 @@ impl Task<'_> {
     /// The strong constraint. 3D-Var is 4D-Var with observations at step 0 only. If the model is replaced at
     /// the end of the minimization (adaptive time steps), the minimization continues from there, to the
     /// gradient norm that was first asked for.
-    pub(super) fn strong(&mut self, stage: SubWindow) -> Result<SubWindowEnd, Error> {
+    pub(super) fn strong(&mut self, stage: SubWindow) -> Result<(Minimum, SubWindowEnd), Error> {
         let (background, covariance) = (self.background, self.covariance);
         let transform = ControlTransform::new(background.to_vec(), covariance.as_ref())?;
         let SubWindow { observations, v, whole, posterior, before, on_iterate, .. } = stage;
@@ -84,15 +84,16 @@ impl Task<'_> {
             }
             [minimum.outer_iterations, minimum.inner_iterations] = iterations;
             let sigma_background = deviations(covariance.as_ref());
-            return Ok(SubWindowEnd {
-                minimum,
+            let end = SubWindowEnd {
                 control,
                 sigma_background,
                 spread,
                 no_spread,
+                model_errors: None,
                 counts,
                 storage,
-            });
+            };
+            return Ok((minimum, end));
         }
     }
 }

@@ -9,7 +9,7 @@ use varda_assimilation::{
 use varda_covariance::{Covariance, Ensemble};
 use varda_implicit::{Model, Storage};
 
-use crate::outcome::WorkCounts;
+use crate::outcome::{ModelErrors, WorkCounts};
 use crate::scene::Algorithm;
 use crate::setup::covariance::Factored;
 use crate::setup::memory::MOST_PRODUCTS;
@@ -53,6 +53,8 @@ pub(crate) struct Solution {
     pub(crate) spread: Option<PosteriorSpread>,
     /// Why there is no posterior, if its Hessian was indefinite by rounding.
     pub(crate) no_spread: Option<Error>,
+    /// The errors of the model, under weak constraint.
+    pub(crate) model_errors: Option<ModelErrors>,
     /// States x_0 … of the analysis under weak constraint; empty under strong constraint, where they are
     /// those of the run from z_a.
     pub(crate) states: Vec<f64>,
@@ -109,13 +111,13 @@ pub(super) struct SubWindow<'s, 'r> {
     pub(super) on_iterate: &'s mut OnIterate<'r>,
 }
 
-/// Result of a stage.
+/// Result of a stage, beside its minimum.
 pub(super) struct SubWindowEnd {
-    pub(super) minimum: Minimum,
     pub(super) control: Vec<f64>,
     pub(super) sigma_background: Vec<f64>,
     pub(super) spread: Option<PosteriorSpread>,
     pub(super) no_spread: Option<Error>,
+    pub(super) model_errors: Option<ModelErrors>,
     pub(super) counts: WorkCounts,
     pub(super) storage: Storage,
 }
@@ -141,14 +143,22 @@ impl PosteriorSpread {
         keep_root: bool,
     ) -> Result<(Option<PosteriorSpread>, Option<Error>), Error> {
         match posterior {
-            Ok(posterior) => {
-                let root = if keep_root { posterior.control_root(transform) } else { Vec::new() };
-                let sigma = roots(posterior.variance(transform));
-                let degrees_of_freedom = posterior.degrees_of_freedom();
-                Ok((Some(PosteriorSpread { sigma, root, degrees_of_freedom, error_bound: None }), None))
-            }
+            Ok(posterior) => Ok((Some(PosteriorSpread::around(&posterior, transform, keep_root)), None)),
             Err(reason @ Error::NotPositiveDefinite { .. }) => Ok((None, Some(reason))),
             Err(error) => Err(error),
+        }
+    }
+
+    pub(super) fn around(
+        posterior: &Posterior,
+        transform: &ControlTransform,
+        keep_root: bool,
+    ) -> PosteriorSpread {
+        PosteriorSpread {
+            root: if keep_root { posterior.control_root(transform) } else { Vec::new() },
+            sigma: roots(posterior.variance(transform)),
+            degrees_of_freedom: posterior.degrees_of_freedom(),
+            error_bound: None,
         }
     }
 }

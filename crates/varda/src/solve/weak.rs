@@ -1,19 +1,20 @@
 //! Weak constraint: the model errs by a forcing η, which is estimated with the initial state.
 
 use varda_assimilation::{
-    ControlTransform, CostFunction, Error, InnerSolver, Posterior, Status, WeakForcing, WeakState, outer_loop,
+    ControlTransform, CostFunction, Error, Forcing, InnerSolver, LeastSquares, Minimum, Status, WeakForcing,
+    WeakPosterior, WeakState, outer_loop,
 };
 use varda_covariance::Covariance;
 use varda_implicit::Storage;
 
 use super::minimizer;
-use super::task::{Iterate, PosteriorSpread, SubWindow, SubWindowEnd, Task, deviations, is_whole};
-use crate::outcome::WorkCounts;
+use super::task::{Iterate, PosteriorSpread, SubWindow, SubWindowEnd, Task, deviations, is_whole, roots};
+use crate::outcome::{ModelErrors, WorkCounts};
 use crate::setup::covariance::Factored;
 use crate::setup::runs::run_on;
 
 impl Task<'_> {
-    pub(super) fn weak_forcing(&mut self, stage: SubWindow) -> Result<SubWindowEnd, Error> {
+    pub(super) fn weak_forcing(&mut self, stage: SubWindow) -> Result<(Minimum, SubWindowEnd), Error> {
         let (algorithm, background, covariance) = (&self.algorithm, self.background, self.covariance);
         let missing =
             Error::Setting { what: "the covariance of a model error that is not there", value: 0.0 };
@@ -22,7 +23,8 @@ impl Task<'_> {
         let transform = ControlTransform::new(background.to_vec(), covariance.as_ref())?;
         let SubWindow { observations, v, states, posterior, before, on_iterate, .. } = stage;
         let (window, last) = (observations.steps(), observations.last_step().unwrap_or(0));
-        let mut cost = WeakForcing::new(&mut *self.model, transform.clone(), q, forcing, observations)?;
+        let mut cost =
+            WeakForcing::new(&mut *self.model, transform.clone(), q, forcing.clone(), observations)?;
         // The added part of the window starts without forcing.
         v.resize(cost.dim(), 0.0);
         let head = transform.dim();
@@ -33,30 +35,29 @@ impl Task<'_> {
         })?;
         let counts = WorkCounts::from(&cost.counts());
         states.clear();
-        let (mut spread, mut no_spread) = (None, None);
+        let mut found = Found::default();
         if minimum.status != Status::Failed {
-            cost.evaluate(v, Some(&mut vec![0.0; v.len()]))?;
+            cost.linearize(v, &mut vec![0.0; v.len()])?;
             (0..=last).for_each(|k| states.extend_from_slice(cost.state(k)));
-            if posterior && is_whole(minimum.status) {
-                (spread, no_spread) =
-                    PosteriorSpread::of(Posterior::of_initial_state(&mut cost), &transform, false)?;
-            }
+            let posterior = posterior && is_whole(minimum.status);
+            found = Found::of(&mut cost, q, &transform, &forcing, last, posterior)?;
         }
         transform.control(&v[..head], &mut control);
-        Ok(SubWindowEnd {
-            minimum,
+        let end = SubWindowEnd {
             control,
             sigma_background: deviations(covariance.as_ref()),
-            spread,
-            no_spread,
+            spread: found.spread,
+            no_spread: found.no_spread,
+            model_errors: found.model_errors,
             counts,
             storage: Storage::KeepAll,
-        })
+        };
+        Ok((minimum, end))
     }
 
     /// Starts from the run of the background; after the window has grown, from the analysed states and the
     /// model's run from the last of them.
-    pub(super) fn weak_state(&mut self, stage: SubWindow) -> Result<SubWindowEnd, Error> {
+    pub(super) fn weak_state(&mut self, stage: SubWindow) -> Result<(Minimum, SubWindowEnd), Error> {
         let (algorithm, background, covariance) = (&self.algorithm, self.background, self.covariance);
         let forcing = self.forcing();
         let transform = ControlTransform::new(background.to_vec(), covariance.as_ref())?;
@@ -71,7 +72,8 @@ impl Task<'_> {
             self.model.initial_state(background, states)?;
         }
         let run = WorkCounts::of(run_on(&mut *self.model, states, last)?.counts);
-        let mut cost = WeakState::new(&mut *self.model, background.to_vec(), b, q, forcing, observations)?;
+        let mut cost =
+            WeakState::new(&mut *self.model, background.to_vec(), b, q, forcing.clone(), observations)?;
         let (n_z, n) = (background.len(), states.len() / (last + 1));
         let mut control = if v.is_empty() { background.to_vec() } else { v[..n_z].to_vec() };
         *v = cost.control(&control, &mut |k, x| x.copy_from_slice(&states[k * n..(k + 1) * n]));
@@ -82,24 +84,83 @@ impl Task<'_> {
         })?;
         let counts = WorkCounts::from(&cost.counts()) + run;
         states.clear();
-        let (mut spread, mut no_spread) = (None, None);
+        let mut found = Found::default();
         if minimum.status != Status::Failed {
-            cost.evaluate(v, Some(&mut vec![0.0; v.len()]))?;
+            cost.linearize(v, &mut vec![0.0; v.len()])?;
             (0..=last).for_each(|k| states.extend_from_slice(cost.state(k)));
-            if posterior && is_whole(minimum.status) {
-                (spread, no_spread) =
-                    PosteriorSpread::of(Posterior::of_initial_state(&mut cost), &transform, false)?;
-            }
+            let posterior = posterior && is_whole(minimum.status);
+            found = Found::of(&mut cost, q, &transform, &forcing, last, posterior)?;
         }
         control.copy_from_slice(&v[..n_z]);
-        Ok(SubWindowEnd {
-            minimum,
+        let end = SubWindowEnd {
             control,
             sigma_background: deviations(covariance.as_ref()),
-            spread,
-            no_spread,
+            spread: found.spread,
+            no_spread: found.no_spread,
+            model_errors: found.model_errors,
             counts,
             storage: Storage::KeepAll,
-        })
+        };
+        Ok((minimum, end))
+    }
+}
+
+/// What the end of a minimization says of the initial state and of the model.
+#[derive(Default)]
+struct Found {
+    spread: Option<PosteriorSpread>,
+    no_spread: Option<Error>,
+    model_errors: Option<ModelErrors>,
+}
+
+impl Found {
+    /// Around the point that `cost` is linearized about.
+    fn of(
+        cost: &mut dyn LeastSquares,
+        q: &dyn Covariance,
+        transform: &ControlTransform,
+        forcing: &Forcing,
+        last: usize,
+        posterior: bool,
+    ) -> Result<Self, Error> {
+        let mut found = Found::default();
+        let mut errors = errors_at(cost, q, forcing, last);
+        if posterior {
+            match WeakPosterior::new(cost) {
+                Ok(posterior) => {
+                    found.spread = Some(PosteriorSpread::around(posterior.initial(), transform, false));
+                    let sigma = |j: usize| roots(posterior.error_variance(q, j));
+                    errors.sigma = (0..errors.steps.len()).flat_map(sigma).collect();
+                    errors.expected_j_q = Some(posterior.expected_model_error());
+                    errors.scale = posterior.scale();
+                }
+                Err(reason @ Error::NotPositiveDefinite { .. }) => found.no_spread = Some(reason),
+                Err(error) => return Err(error),
+            }
+        }
+        found.model_errors = Some(errors);
+        Ok(found)
+    }
+}
+
+/// η_j = Q^{1/2} p_j of the point that `cost` is linearized about, and when each is added.
+fn errors_at(cost: &dyn LeastSquares, q: &dyn Covariance, forcing: &Forcing, last: usize) -> ModelErrors {
+    let (mut b, mut d) = (vec![0.0; cost.dim()], vec![0.0; cost.observation_dim()]);
+    cost.departures(&mut b, &mut d);
+    let whitened = &b[cost.background_dim()..];
+    let count = whitened.len() / q.root_dim().max(1);
+    let mut values = vec![0.0; count * q.dim()];
+    for (p, eta) in whitened.chunks_exact(q.root_dim().max(1)).zip(values.chunks_exact_mut(q.dim())) {
+        q.root(p, eta);
+    }
+    let steps = |j: usize| {
+        let end = (j + 1) * forcing.steps;
+        if forcing.held { [j * forcing.steps + 1, end.min(last)] } else { [end, end] }
+    };
+    ModelErrors {
+        steps: (0..count).map(steps).collect(),
+        values,
+        sigma_prior: deviations(q),
+        ..ModelErrors::default()
     }
 }
