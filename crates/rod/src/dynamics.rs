@@ -4,9 +4,9 @@ use nalgebra::Vector3;
 use varda_implicit::{Interval, Refusal, Scheme};
 
 use crate::Error;
+use crate::change::Parameters;
 use crate::damping::KelvinVoigt;
 use crate::equilibrium::Rest;
-use crate::parameters::Parameters;
 use crate::predict::Carry;
 use crate::rod::Rod;
 use crate::spin::Spin;

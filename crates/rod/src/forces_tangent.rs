@@ -3,15 +3,16 @@
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use crate::Error;
+use crate::change::{Parameter, Parameters};
 use crate::dynamics::RodStep;
 use crate::element::{self, Strains};
-use crate::forces_of_motion::{Past, edge_forces, with_forces_at};
+use crate::forces_of_motion::{Motion, Past, edge_forces, with_forces_at};
 use crate::internal_forces::InternalForces;
 use crate::load::EdgeLoad;
-use crate::parameters::ChangeOfForces;
 use crate::shape::Shape;
 use crate::statics::reactions::{EdgeSums, all_loads, exerted};
-use crate::system::{StageStart, System};
+use crate::support::Damping;
+use crate::system::{PastStrains, StageStart, System};
 
 impl RodStep {
     /// The tangent of [`internal_forces`](Self::internal_forces): for every column δx of the state, and of
@@ -61,6 +62,47 @@ impl RodStep {
         });
         self.parameters = parameters;
         done
+    }
+}
+
+/// What a parameter does to ∂E/∂(x, θ) in the full order, to the moments of bent vertices, and to the
+/// weight and inertia of every vertex.
+struct ChangeOfForces {
+    gradient: Vec<f64>,
+    moments: Vec<[f64; 3]>,
+    forces: Vec<Vector3<f64>>,
+}
+
+impl Parameters {
+    /// What each does to the forces within the rod, the system having the shape of a state.
+    fn of_forces(&self, system: &mut System, motion: &Motion, damping: &Damping) -> Vec<ChangeOfForces> {
+        let (h, mut past) = (motion.start.length, PastStrains::default());
+        if let Some(then) = motion.past {
+            past.lengths = then.shape.edges.iter().map(|edge| edge.l).collect();
+            past.bend = then.strains.iter().map(|strains| strains.value).collect();
+        }
+        let of = |(p, slope): (&Parameter, &f64)| {
+            let Parameter { change, .. } = p;
+            let rates = [damping.stiffness / h, change.damping.stiffness / h];
+            system.change_of_elastic(change, rates, &past);
+            let more_gravity = self.change_of_gravity(change, &system.loads.gravity);
+            let stress = |i| system.change_of_stress(i, change, rates, &past).1.map(|s| slope * s);
+            let bent = if system.layout.bending { 1..system.layout.segments } else { 0..0 };
+            let force = |v: usize| {
+                let [velocity, acceleration] = motion.held[v];
+                let (mass, more) = (system.rod.masses[v], change.masses.get(v).copied().unwrap_or(0.0));
+                let gravity = system.loads.gravity;
+                let each = (gravity - acceleration - velocity * damping.mass) * more
+                    + (more_gravity - velocity * change.damping.mass) * mass;
+                each * *slope
+            };
+            ChangeOfForces {
+                moments: bent.map(stress).collect(),
+                forces: (0..system.x.len()).map(force).collect(),
+                gradient: system.gradient.iter().map(|g| slope * g).collect(),
+            }
+        };
+        self.list.iter().zip(&self.slopes).map(of).collect()
     }
 }
 

@@ -101,6 +101,7 @@
 
 #![forbid(unsafe_code)]
 
+mod change;
 pub mod check;
 mod clamp_frame;
 mod damping;
@@ -124,6 +125,7 @@ mod parameters;
 mod predict;
 mod recorded;
 mod rod;
+pub mod rotation;
 mod scalar;
 mod shape;
 mod spin;
@@ -134,6 +136,7 @@ mod support;
 mod system;
 mod twist_equilibrium;
 
+pub use change::{Change, Parameter};
 pub use dynamics::{RodStep, TwistUnknowns};
 pub use energy::{Derivatives, Energy, Framed, derivatives, energy};
 pub use equations::RodEquations;
@@ -148,7 +151,6 @@ pub use marker::{Marker, Markers};
 pub use material::{Material, Section};
 pub use modes::{Mode, Modes, modes};
 pub use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
-pub use parameters::{Change, Parameter};
 pub use recorded::{
     RecordedMotion, RecordedRotation, SmoothBy, Smoothing, noise_of_rotations, noise_of_rows,
 };

@@ -120,11 +120,11 @@ impl Markers {
         Ok(Markers { axes: Some((rotation, origin)), ..self })
     }
 
-    /// Puts the markers at other places; off the centreline where `new` had some there, or
-    /// [`with_frames`](Self::with_frames) was asked for.
+    /// Puts the markers at other places, beyond an end of the rod straight on; off the centreline where `new`
+    /// had some there, or [`with_frames`](Self::with_frames) was asked for.
     ///
     /// # Errors
-    /// As [`new`](Self::new).
+    /// A place or an offset that is not finite.
     ///
     /// # Panics
     /// If there are not as many, or one is off the centreline of a rod whose frames are left out.
@@ -135,7 +135,18 @@ impl Markers {
                 return Err(Error::NonFinite { what: "the offset of marker", index });
             }
             assert!(self.frames || (m.offset[0] == 0.0 && m.offset[1] == 0.0), "a rod with frames");
-            *to = (self.system.rod.place("marker", m.s)?, m.offset);
+            let rod = &self.system.rod;
+            // NaN stays NaN, and is off the rod
+            let on_rod = if m.s > rod.length() {
+                rod.length()
+            } else if m.s < 0.0 {
+                0.0
+            } else {
+                m.s
+            };
+            let mut place = rod.place("marker", on_rod)?;
+            place.fraction += (m.s - on_rod) / rod.rest_lengths[place.edge];
+            *to = (place, m.offset);
         }
         Ok(())
     }

@@ -4,8 +4,8 @@ use nalgebra::{Vector3, Vector6};
 use varda_implicit::{NewtonOptions, NewtonWork, Refusal, solve};
 
 use crate::Error;
+use crate::change::Change;
 use crate::layout::FIXED;
-use crate::parameters::Change;
 use crate::statics::{Statics, at_rest};
 use crate::system::{PastStrains, System};
 

@@ -96,6 +96,8 @@ fn unknowns(case: Case) -> Vec<Parameter> {
         exponential(Change { masses: rod.masses.clone(), spin_inertia: rod.spin_inertia.clone(), ..none() }),
         linear(Change { masses: tip, ..none() }),
         linear(Change { gravity: Vector3::new(0.0, 9.81, 0.0), ..none() }),
+        linear(Change { gravity_turn: Vector3::x(), ..none() }),
+        linear(Change { gravity_turn: Vector3::new(0.0, 1.0, 0.2), ..none() }),
     ];
     if case.damping.stiffness > 0.0 {
         let damping = Damping { stiffness: case.damping.stiffness, mass: 0.0 };

@@ -5,13 +5,13 @@ use std::fmt::Write;
 use crate::outcome::{ConvergenceRow, Fit, Forecast, Judgement, Outcome, Status, Withheld};
 use crate::state::{StateGroup, StateLayout};
 
-use super::{Summary, estimates};
+use super::Summary;
 
 /// A drawn figure: name, title, SVG text.
 pub(super) type DrawnFigure = (&'static str, String, String);
 
-/// The page.
-pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure]) -> String {
+/// The page, with a section of estimates.
+pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure], estimates: &str) -> String {
     let experiment = &outcome.experiment;
     let title = match experiment.scene.title.as_str() {
         "" => experiment.name.as_str(),
@@ -39,7 +39,7 @@ pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure]
             list(&summary.warnings)
         );
     }
-    body.push_str(&estimates::section(&outcome.estimates));
+    body.push_str(estimates);
     body.push_str(&table_section(outcome, summary));
     for (_, title, svg) in figures {
         let _ = write!(
@@ -268,18 +268,22 @@ fn fit_section(outcome: &Outcome, s: &Summary) -> String {
         let row = |f: &Fit| {
             let class = if f.is_bad() { " class=\"bad\"" } else { "" };
             let d = [f.sigma, f.rms_background, f.rms_analysis, f.mean_analysis].map(short);
-            let cells = cells(&[&[f.count.to_string()], &d[..], &[format!("{:.2}", f.ratio)]].concat());
+            let brought = f.information.map_or("–".into(), |i| format!("{i:.1}"));
+            let cells =
+                cells(&[&[f.count.to_string()], &d[..], &[format!("{:.2}", f.ratio), brought]].concat());
             format!("<tr{class}><th scope=\"row\">{}</th>{cells}</tr>", escape(&f.label))
         };
         let unit = if outcome.shapes.is_some() { " [m]" } else { "" };
         let in_unit = |name: &str| format!("{name}{unit}");
         let [sigma, background, analysis, mean] =
             ["σ", "rms d, background", "rms d, analysis", "mean d, analysis"].map(in_unit);
-        let headings = ["Observed", "values", &sigma, &background, &analysis, &mean, "rms d/σ"];
+        let headings =
+            ["Observed", "values", &sigma, &background, &analysis, &mean, "rms d/σ", "information"];
         let _ = write!(
             out,
             "<p>Innovations d = y − H(x) compared with their assumed σ. An rms of d/σ near 1 at the \
-             analysis means that both are right.</p>{}",
+             analysis means that both are right. Information: the degrees of freedom for signal that a \
+             marker's values brought.</p>{}",
             table(&headings, &s.innovations[..shown].iter().map(row).collect::<String>())
         );
         if shown < s.innovations.len() {

@@ -38,7 +38,10 @@ pub fn write(outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
         drawn.push((figure.name, figure.title, svg));
     }
     let experiment = &outcome.experiment;
-    out.write("report.html", &html::page(outcome, &summary, &drawn))?;
+    out.write(
+        "report.html",
+        &html::page(outcome, &summary, &drawn, &estimates::section(&outcome.estimates)),
+    )?;
     out.write("analysis.csv", &tables::analysis(outcome))?;
     out.write("convergence.csv", &tables::convergence(&outcome.convergence))?;
     let trajectory =

@@ -1,35 +1,26 @@
 //! The same estimate with twice the segments: what the mesh does to constants.
 
-use super::window::{Listener, assimilate};
 use crate::Error;
-use crate::outcome::{Estimated, Status};
-use crate::setup::{Inputs, Problem};
+use crate::outcome::{Estimated, Outcome, Status};
+use crate::setup::Problem;
 
 /// Errors of the mesh fall with h² (clamps at their faces): all of the difference between a mesh and one
 /// twice as fine, and a third of it more.
 const OF_DIFFERENCE: f64 = 4.0 / 3.0;
 
-/// Adds to the estimates what twice the segments make of them. Returns remarks.
+/// Adds to the estimates what twice the segments make of them: `ended` is that estimate, with its error.
+/// Returns remarks.
 pub(super) fn allow(
     problem: &Problem,
     estimates: &mut [Estimated],
-    listener: &Listener,
+    ended: Result<Outcome, Error>,
 ) -> Result<Vec<String>, Error> {
-    let Some(file) = problem.finer.as_ref().filter(|_| problem.truth.is_none()) else {
-        return Ok(Vec::new());
-    };
-    let mut quiet = Listener {
-        on_iteration: Box::new(|_| {}),
-        interrupted: Box::new(|| (listener.interrupted)()),
-        started: listener.started,
-    };
     let without = |reason: String| {
         Ok(vec![format!(
             "σ of the estimated constants is without an allowance for the mesh: with twice the segments \
                 {reason}"
         )])
     };
-    let ended = Inputs::read(file).and_then(Problem::new).and_then(|fine| assimilate(&fine, &mut quiet));
     let ended = match ended {
         Ok(ended) => ended,
         Err(error) => return without(error.to_string()),

@@ -17,9 +17,10 @@ use crate::outcome::{
     Attempt, ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
     Simulation, Status, Trajectories, TwinFiles, WorkCounts, remarks_on_estimates,
 };
-use crate::setup::Problem;
+use crate::scene::SceneFile;
 use crate::setup::adaptive_steps::Refreshing;
 use crate::setup::runs::{MakeModel, run_on};
+use crate::setup::{Inputs, Problem};
 use crate::solve::timed::{Clock, Timed};
 use crate::solve::{self, Iterate, PosteriorSpread, Solution, Task};
 
@@ -151,7 +152,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let amplification = amplification(problem, make_model, &analysis, &observations, &trajectories);
     warnings.extend(amplification.and_then(|a| a.warning()));
     observations.follow(model.rate());
-    let fit = fit::fit(&mut observations, &trajectories)?;
+    let mut fit = fit::fit(&mut observations, &trajectories)?;
     let (withheld, forecast) = fit::beyond(problem, &trajectories, model.as_mut())?;
     let departures = fit::departures(problem, &mut observations, &trajectories)?;
     let evidence =
@@ -180,7 +181,10 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
     let mut estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
     let before_mesh = began.elapsed().as_secs_f64();
-    warnings.extend(mesh::allow(problem, &mut estimates, listener)?);
+    if let Some(file) = problem.finer.as_ref().filter(|_| problem.truth.is_none()) {
+        let ended = finer(file, listener);
+        warnings.extend(mesh::allow(problem, &mut estimates, ended)?);
+    }
     let mesh = began.elapsed().as_secs_f64() - before_mesh;
     warnings.extend(remarks_on_estimates(&estimates));
     let mut spread = spread::along(problem, make_model(0).as_mut(), &analysis.analysis, root, &trajectories)?;
@@ -189,6 +193,9 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     }
     let observed =
         spread::observed_values(problem, model.as_ref(), &trajectories, spread.as_ref(), &rejected)?;
+    if scene.observations.correlation().is_none() {
+        fit::add_information(&mut fit, &observed);
+    }
     Ok(Outcome {
         experiment: Experiment { left_out, ..experiment.clone() },
         status,
@@ -228,6 +235,16 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         warnings,
         analysis,
     })
+}
+
+/// The same estimate on a finer mesh, in silence.
+fn finer(file: &SceneFile, listener: &Listener) -> Result<Outcome, Error> {
+    let mut quiet = Listener {
+        on_iteration: Box::new(|_| {}),
+        interrupted: Box::new(|| (listener.interrupted)()),
+        started: listener.started,
+    };
+    assimilate(&Problem::new(Inputs::read(file)?)?, &mut quiet)
 }
 
 /// What the model refused during the minimization, as data.

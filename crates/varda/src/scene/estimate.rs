@@ -4,8 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::defaults::is_default;
-use super::invalid::{Check, Invalid, invalid};
-use super::{Model, RodModel, Scene, Section, Shear};
+use super::invalid::{Invalid, invalid};
 
 /// Constants that nobody knows well, estimated together with the state at the start of the window. The value
 /// written elsewhere in the scene is the prior's, its σ stands here. Absent: all are known.
@@ -46,6 +45,10 @@ pub struct Estimate {
     /// Masses of `model.point_masses` [kg], one after the other.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub point_mass: Option<Unknown>,
+    /// Direction of gravity [rad]: turned about two axes across it, as where the model's z is not quite
+    /// upwards.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gravity_direction: Option<Unknown>,
     /// Arc lengths of the observed places [m], each an unknown of its own: `marker_arc_length[tip]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub marker_arc_length: Option<Unknown>,
@@ -192,6 +195,7 @@ impl Estimate {
             ("natural_curvature", &self.natural_curvature),
             ("natural_twist", &self.natural_twist),
             ("point_mass", &self.point_mass),
+            ("gravity_direction", &self.gravity_direction),
             ("forcing", &self.forcing),
             ("sigma", &self.prandtl),
             ("rho", &self.rho),
@@ -206,103 +210,5 @@ impl Estimate {
             ("bias", &self.bias),
         ];
         all.into_iter().filter_map(|(key, unknown)| Some((key, unknown.as_ref()?))).collect()
-    }
-}
-
-/// Keys of a rod, of its observations, and of each other model.
-const OF_ROD: [&str; 11] = [
-    "youngs_modulus",
-    "ei",
-    "gj",
-    "ea",
-    "density",
-    "mass_per_length",
-    "damping_stiffness",
-    "damping_mass",
-    "natural_curvature",
-    "natural_twist",
-    "point_mass",
-];
-const OF_PLACES: [&str; 4] = ["marker_arc_length", "marker_offset", "mount_rotation", "mount_translation"];
-
-fn known(model: &Model) -> &'static [&'static str] {
-    match model {
-        Model::Rod(_) => &OF_ROD,
-        Model::Lorenz63(_) => &["sigma", "rho", "beta"],
-        Model::Lorenz96(_) => &["forcing"],
-        Model::LinearAdvection(_) => &["speed", "diffusivity"],
-        Model::Burgers(_) => &["viscosity"],
-        Model::KuramotoSivashinsky(_) => &[],
-    }
-}
-
-pub(super) fn validate_estimate(estimate: &Estimate, scene: &Scene) -> Check {
-    let names = known(&scene.model);
-    let is_rod = matches!(scene.model, Model::Rod(_));
-    for (key, unknown) in estimate.given() {
-        let path = format!("estimate.{key}");
-        if !(names.contains(&key) || key == "bias" || is_rod && OF_PLACES.contains(&key)) {
-            let others = if names.is_empty() { "none but `bias`".to_string() } else { names.join(", ") };
-            return invalid(path, format!("is no constant of this model, which has {others}"));
-        }
-        let priors: Vec<&ConstantPrior> = match unknown {
-            Unknown::Every(prior) => vec![prior],
-            Unknown::Each(list) => list.iter().collect(),
-        };
-        for prior in priors {
-            prior.spread(&path)?;
-            if prior.correlation_length.is_some() && !["natural_curvature", "natural_twist"].contains(&key) {
-                return invalid(path, "is one number: only natural_curvature and natural_twist are fields");
-            }
-            if prior.together
-                && !(["ei", "point_mass"].contains(&key) && matches!(unknown, Unknown::Every(_)))
-            {
-                return invalid(path, "`together` is for one table of `ei` or `point_mass`");
-            }
-        }
-    }
-    if let Model::Rod(rod) = &scene.model {
-        validate_of_rod(estimate, rod)?;
-    }
-    if scene.time.tolerance.is_some() && !estimate.given().is_empty() {
-        return invalid("time.tolerance", "time steps that adapt do not go with [estimate]: leave one out");
-    }
-    Ok(())
-}
-
-fn validate_of_rod(estimate: &Estimate, rod: &RodModel) -> Check {
-    let both = |a: (&str, bool), b: (&str, bool)| match a.1 && b.1 {
-        true => invalid(format!("estimate.{}", a.0), format!("`{}` says the same: leave one out", b.0)),
-        false => Ok(()),
-    };
-    let e = ("youngs_modulus", estimate.youngs_modulus.is_some());
-    both(e, ("ei", estimate.ei.is_some()))?;
-    both(e, ("ea", estimate.ea.is_some()))?;
-    if rod.material.as_ref().is_some_and(|m| m.poisson_ratio.is_some()) {
-        both(e, ("gj", estimate.gj.is_some()))?;
-    }
-    both(("density", estimate.density.is_some()), ("mass_per_length", estimate.mass_per_length.is_some()))?;
-    if matches!(rod.section, Section::Stiffness { .. }) {
-        let instead = [
-            ("youngs_modulus", e.1, "ei, gj or ea"),
-            ("density", estimate.density.is_some(), "mass_per_length"),
-        ];
-        for (key, given, other) in instead {
-            if given {
-                let message = format!("a section of kind \"stiffness\" has none: estimate {other}");
-                return invalid(format!("estimate.{key}"), message);
-            }
-        }
-    }
-    if estimate.point_mass.is_some() && rod.point_masses.is_empty() {
-        return invalid("estimate.point_mass", "needs [[model.point_masses]], whose masses are the prior's");
-    }
-    Ok(())
-}
-
-impl RodModel {
-    /// Whether the shear modulus follows from Young's.
-    pub(crate) fn shear_follows(&self) -> bool {
-        self.solid_material().is_ok_and(|m| matches!(m.shear, Shear::PoissonRatio(_)))
     }
 }

@@ -35,6 +35,7 @@ mod validate;
 mod validate_algorithm;
 mod validate_covariance;
 mod validate_cycles;
+mod validate_estimate;
 mod validate_frame;
 mod validate_loads;
 mod validate_observations;

@@ -2,13 +2,13 @@
 
 use varda_implicit::line::Line;
 
-use super::estimate::validate_estimate;
 use super::grid::TimeGrid;
 use super::invalid::{Check, invalid};
 use super::sizes::validate_sizes;
 use super::validate_algorithm::validate_algorithm;
 use super::validate_covariance::validate_covariance;
 use super::validate_cycles::validate_cycles;
+use super::validate_estimate::validate_estimate;
 use super::validate_observations::{
     validate_components, validate_correlation, validate_places, validate_recorded_components,
     validate_recording,

@@ -3,7 +3,7 @@
 use varda_covariance::{
     BlockDiagonal, Covariance, CovarianceFunction, Diagonal, Kernel, Markov, Precision, Taper,
 };
-use varda_rod::{Change, Damping, Law, Parameter, Rod, Section};
+use varda_rod::{Change, Damping, Law, Parameter, Rod, Section, Vector3};
 
 use super::covariance::Factored;
 use crate::Error;
@@ -470,6 +470,14 @@ fn kinds(key: &'static str, model: &RodModel, d: &Described, together: bool) -> 
             let change = Effect::Unit(Change { natural_twist: rod.voronoi_lengths.clone(), ..none() });
             vec![kind(key.to_string(), "rad/m", model.natural_twist, change)]
         }
+        "gravity_direction" => across(model.gravity.into())
+            .into_iter()
+            .enumerate()
+            .map(|(i, axis)| {
+                let change = Effect::Unit(Change { gravity_turn: axis, ..none() });
+                kind(format!("{key}[{i}]"), "rad", 0.0, change)
+            })
+            .collect(),
         "point_mass" if together => {
             let mut rod = rod.clone();
             rod.masses.fill(0.0);
@@ -494,6 +502,15 @@ fn kinds(key: &'static str, model: &RodModel, d: &Described, together: bool) -> 
     }
 }
 
+/// Two axes across gravity: x and y of the model where it points along z.
+fn across(gravity: Vector3<f64>) -> [Vector3<f64>; 2] {
+    let down = gravity.try_normalize(0.0).unwrap_or(-Vector3::z());
+    let first = [Vector3::x(), Vector3::y()].into_iter().find(|a| a.cross(&down).norm() > 0.7);
+    let first = first.unwrap_or_else(Vector3::z);
+    let first = (first - down * first.dot(&down)).normalize();
+    [first, first.cross(&down)]
+}
+
 fn times(change: Change, factor: f64) -> Change {
     let scaled = |v: Vec<f64>| v.into_iter().map(|v| factor * v).collect();
     Change {
@@ -506,6 +523,7 @@ fn times(change: Change, factor: f64) -> Change {
         spin_inertia: scaled(change.spin_inertia),
         damping: Damping { stiffness: factor * change.damping.stiffness, mass: factor * change.damping.mass },
         gravity: change.gravity * factor,
+        gravity_turn: change.gravity_turn * factor,
     }
 }
 

@@ -2,7 +2,8 @@
 
 use varda_assimilation::{LinearObservation, ObservationOperator, Selection};
 use varda_implicit::{At, ParameterPlaces, Refusal};
-use varda_rod::{Marker, Markers, Matrix3, Vector3};
+use varda_rod::rotation::{exponential, left_jacobian};
+use varda_rod::{Marker, Markers, Vector3};
 
 use super::estimate::Seeing;
 
@@ -194,25 +195,4 @@ fn place(y: &[f64]) -> Vector3<f64> {
 
 fn set(y: &mut [f64], value: Vector3<f64>) {
     y.copy_from_slice(value.as_slice());
-}
-
-/// Rodrigues' rotation exp([ρ]×).
-fn exponential(rho: &Vector3<f64>) -> Matrix3<f64> {
-    let (angle, cross) = (rho.norm(), rho.cross_matrix());
-    let half = 0.5 * angle;
-    let sinc = |x: f64| if x.abs() < 1e-4 { 1.0 - x * x / 6.0 } else { x.sin() / x };
-    Matrix3::identity() + cross * sinc(angle) + cross * cross * (0.5 * sinc(half) * sinc(half))
-}
-
-/// J with ∂(exp([ρ]×) y) δρ = (J δρ) × exp([ρ]×) y: I + (1 − cos θ)/θ² [ρ]× + (θ − sin
-/// θ)/θ³ [ρ]×².
-fn left_jacobian(rho: &Vector3<f64>) -> Matrix3<f64> {
-    let (angle, cross) = (rho.norm(), rho.cross_matrix());
-    let (first, second) = if angle < 1e-2 {
-        let square = angle * angle;
-        (0.5 - square / 24.0 + square * square / 720.0, 1.0 / 6.0 - square / 120.0 + square * square / 5040.0)
-    } else {
-        ((1.0 - angle.cos()) / (angle * angle), (angle - angle.sin()) / angle.powi(3))
-    };
-    Matrix3::identity() + cross * first + cross * cross * second
 }

@@ -23,7 +23,15 @@ struct Constant {
 /// From files that do not depend on the constants.
 const HOSE: &[&str] = &["model.damping.mass=0.2", "time.window=30"];
 
-const CONSTANTS: [Constant; 14] = [
+const CONSTANTS: [Constant; 15] = [
+    Constant {
+        scene: "hose",
+        sets: HOSE,
+        estimate: "estimate.gravity_direction={sigma=0.1}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
     Constant {
         scene: "hose",
         sets: HOSE,
