@@ -127,8 +127,8 @@ impl<'a> Carried<'a> {
         Self { errors, root, dims: [dim, head], n, columns, open: None }
     }
 
-    /// W += E Q^{1/2} P_j after step k, P_j the rows of the root that belong to η_j; of an error that nothing
-    /// has estimated, Q^{1/2} itself in columns of its own.
+    /// W += E Q^{1/2} P_j after step k, P_j the rows of the root that belong to η_j; of an error that
+    /// nothing has estimated, Q^{1/2} itself in columns of its own.
     fn enter(&mut self, k: usize) {
         let Some(j) = self.errors.forcing.index(k) else { return };
         let ([dim, head], q, n) = (self.dims, self.errors.q, self.n);
