@@ -129,6 +129,9 @@ pub enum Error {
         /// Length of the state that the operator reads.
         found: usize,
     },
+    /// Values of one chain were given different kernels.
+    #[error("the values of one chain of observations have different kernels")]
+    MixedChain,
     /// A method for independent observation errors was given correlated ones.
     #[error("{what} asks for independent observation errors")]
     CorrelatedErrors {

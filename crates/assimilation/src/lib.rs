@@ -117,7 +117,7 @@ pub use blue::{Blue, Gain};
 pub use climatology::Climatology;
 pub use consistency::{Consistency, consistency, predicted_variance};
 pub use control::ControlTransform;
-pub use correlated::Correlated;
+pub use correlated::{Chain, Correlated};
 pub use cost::{
     CostFunction, CostTerms, Counts, Dual, EnVar, EnVarOptions, EnsembleUpdate, Forcing, InnerCost,
     LeastSquares, Rejection, StrongConstraint, WeakForcing, WeakState, highest_j_of_a_fit, huber,

@@ -1,9 +1,9 @@
 //! What was measured at one time by one operator.
 
 use crate::Error;
-use crate::correlated::Correlated;
+use crate::correlated::{Chain, Correlated};
 use std::sync::Arc;
-use varda_covariance::{Covariance, Dense, Precision};
+use varda_covariance::{Covariance, Dense, Kernel, Precision};
 
 /// What was measured at one time by one operator: some of its rows, each with its value and standard
 /// deviation.
@@ -36,6 +36,8 @@ pub struct Observation {
     pub sigma: Vec<f64>,
     /// Their covariance, where the errors of the rows are correlated.
     pub correlation: Option<Correlated>,
+    /// Where the errors of its rows are correlated with those of other observations.
+    pub chain: Option<Chain>,
     /// Whether its values are one sighting, which the background check believes or refuses whole.
     pub together: bool,
     /// The name of the instrument or place; for reports only.
@@ -58,6 +60,7 @@ impl Observation {
             values,
             sigma,
             correlation: None,
+            chain: None,
             together: false,
             label: String::new(),
         }
@@ -65,7 +68,7 @@ impl Observation {
 
     /// With a standard deviation σ for each row, and independent errors.
     pub fn sigmas(self, sigma: Vec<f64>) -> Self {
-        Self { sigma, correlation: None, ..self }
+        Self { sigma, correlation: None, chain: None, ..self }
     }
 
     /// At another step.
@@ -118,7 +121,28 @@ impl Observation {
         let mut sigma = vec![0.0; r.dim()];
         r.variance(&mut sigma);
         sigma.iter_mut().for_each(|s| *s = s.sqrt());
-        Self { sigma, correlation: Some(Correlated(r)), ..self }
+        Self { sigma, correlation: Some(Correlated(r)), chain: None, ..self }
+    }
+
+    /// With errors that are correlated along lines with those of other observations: for each row the number
+    /// of its chain and its place there. See [`Chain`].
+    ///
+    /// ```
+    /// use varda_assimilation::{Observation, ObservationSet, Selection};
+    /// use varda_covariance::Kernel;
+    ///
+    /// // One component every step, with errors that forget themselves in two steps.
+    /// let memory = Kernel::Matern12 { length: 2.0 };
+    /// let seen = |k: usize| Observation::new(k, vec![0], vec![1.0], 0.5);
+    /// let one = |k: usize| seen(k).chained(memory, vec![(0, k as f64)]);
+    /// let h = Selection::new(vec![0], 3)?;
+    /// let set = ObservationSet::new(2, vec![Box::new(h)], (0..3).map(one).collect())?;
+    /// let r = set.error_covariance();
+    /// assert!((r[0] - 0.25).abs() < 1e-15 && (r[2] - 0.25 * (-1.0_f64).exp()).abs() < 1e-15);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn chained(self, kernel: Kernel, entries: Vec<(usize, f64)>) -> Self {
+        Self { chain: Some(Chain { kernel, entries }), correlation: None, ..self }
     }
 
     /// Without the rows that `keep` refuses; of a correlated block the marginal covariance of the rows that
@@ -131,6 +155,9 @@ impl Observation {
         self.rows = kept.iter().map(|&i| self.rows[i]).collect();
         self.values = kept.iter().map(|&i| self.values[i]).collect();
         self.sigma = kept.iter().map(|&i| self.sigma[i]).collect();
+        if let Some(chain) = &mut self.chain {
+            chain.entries = kept.iter().map(|&i| chain.entries[i]).collect();
+        }
         if let Some(Correlated(r)) = self.correlation.take()
             && !kept.is_empty()
         {

@@ -35,7 +35,7 @@ impl ObservationSet {
                 unit[j] = 1.0;
                 block.covariance().apply(&unit, &mut column);
                 unit[j] = 0.0;
-                r[(rows.start + j) * m + rows.start..][..rows.len()].copy_from_slice(&column);
+                rows.iter().zip(&column).for_each(|(&row, c)| r[row + rows[j] * m] = *c);
             }
         }
         r
@@ -58,18 +58,12 @@ impl ObservationSet {
 
     /// The correlated blocks of R^{-1/2} alone.
     pub(crate) fn whiten_blocks(&self, d: &mut [f64]) {
-        for (rows, block) in &self.noise.blocks {
-            let raw = d[rows.clone()].to_vec();
-            block.covariance().whiten(&raw, &mut d[rows.clone()]);
-        }
+        self.noise.through_blocks(d, |r, d, out| r.whiten(d, out));
     }
 
     /// Their transposes.
     pub(crate) fn whiten_blocks_transpose(&self, d: &mut [f64]) {
-        for (rows, block) in &self.noise.blocks {
-            let raw = d[rows.clone()].to_vec();
-            block.covariance().whiten_transpose(&raw, &mut d[rows.clone()]);
-        }
+        self.noise.through_blocks(d, |r, d, out| r.whiten_transpose(d, out));
     }
 
     /// The blocks of R^{-1/2} on the rows of G, given as the columns of Gᵀ, each of length n.
@@ -77,9 +71,9 @@ impl ObservationSet {
         for (rows, block) in &self.noise.blocks {
             let (mut raw, mut white) = (vec![0.0; rows.len()], vec![0.0; rows.len()]);
             for j in 0..n {
-                rows.clone().zip(&mut raw).for_each(|(i, raw)| *raw = transposed[i * n + j]);
+                rows.iter().zip(&mut raw).for_each(|(i, raw)| *raw = transposed[i * n + j]);
                 block.covariance().whiten(&raw, &mut white);
-                rows.clone().zip(&white).for_each(|(i, white)| transposed[i * n + j] = *white);
+                rows.iter().zip(&white).for_each(|(i, white)| transposed[i * n + j] = *white);
             }
         }
     }

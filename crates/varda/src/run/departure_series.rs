@@ -11,7 +11,7 @@ pub struct Departure {
     pub axis: usize,
     /// When it was seen \[s\].
     pub time: f64,
-    /// d = y − H(x_a).
+    /// d = y − H(x_a); of correlated errors what it is beyond what the values before it say.
     pub value: f64,
     /// Its assumed σ.
     pub sigma: f64,

@@ -97,7 +97,7 @@ pub(crate) struct Departures {
     pub(crate) surroundings: Option<Surroundings>,
 }
 
-/// The departures at the analysis.
+/// The departures at the analysis; of correlated errors what each value says beyond those before it.
 ///
 /// # Errors
 /// [`Error::Assimilation`] where a state cannot be observed.
@@ -107,6 +107,7 @@ pub(crate) fn departures(
     runs: &Trajectories,
 ) -> Result<Departures, Error> {
     let d = innovations(observations, runs, &runs.analysis)?;
+    let d = uncorrelated(observations, d);
     if !d.iter().all(|d| d.is_finite()) {
         return Ok(Departures {
             values: Vec::new(),
@@ -159,6 +160,16 @@ pub(crate) fn departures(
         in_space: space.is_some(),
         surroundings: surroundings(problem),
     })
+}
+
+/// Departures with the correlation of their errors taken out, R^{-1/2} d in σ of each: what each says beyond
+/// those before it in its chain.
+fn uncorrelated(observations: &ObservationSet, mut d: Vec<f64>) -> Vec<f64> {
+    if observations.is_correlated() {
+        observations.whiten(&mut d);
+        d.iter_mut().zip(observations.sigma()).for_each(|(d, sigma)| *d *= sigma);
+    }
+    d
 }
 
 /// Gravity and the held points of a rod, in the axes of what was observed.

@@ -62,9 +62,9 @@ pub use motion::{
     Motion, MotionValues, PoseValues, RecordedMarkers, RecordedMotion, RecordedPose, RecordedTurns, Turns,
 };
 pub use observations::{
-    Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, UnreachableRows, Use,
+    ErrorCorrelation, Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, UnreachableRows, Use,
 };
-pub(crate) use parsed::{BackgroundSource, ComponentCovariance, LineStep, Shear};
+pub(crate) use parsed::{Along, BackgroundSource, ComponentCovariance, LineStep, Shear};
 pub use place::Place;
 pub use shipped::{SHIPPED, STARTER, Shipped, shipped_data, shipped_scene};
 pub use sizes::{DATA_BYTES, NUMBERS, SCENE_BYTES, STEPS, VALUES};

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::background::Kernel;
 use super::defaults::is_default;
 
 /// What is observed.
@@ -41,6 +42,9 @@ pub struct Synthetic {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub sigma_over_length: Option<f64>,
+    /// Correlation of the errors. Absent: all errors are independent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub correlation: Option<ErrorCorrelation>,
 }
 
 /// Observations read from a CSV file. Rods: with the header `time_s,s_m,x_m,y_m,z_m` or
@@ -63,6 +67,9 @@ pub struct Recording {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub sigma: Option<f64>,
+    /// Correlation of the errors. Absent: all errors are independent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub correlation: Option<ErrorCorrelation>,
     /// The recording's axes in those of the model.
     #[serde(default, skip_serializing_if = "is_default")]
     pub frame: Frame,
@@ -85,6 +92,38 @@ pub struct Recording {
     /// Markers of the recording that are not on the rod.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub ignore: Vec<String>,
+}
+
+/// Correlation k(d/L) of the errors of two values at a distance d: along the rod or line at one time, or in
+/// time at one place. Coordinates x, y, z are independent of each other. Give `length` or `time`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ErrorCorrelation {
+    /// Correlation length L along the rod or the line [m]; values at different times are independent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
+    pub length: Option<f64>,
+    /// Correlation time L [s]; values at different places are independent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "s"))]
+    pub time: Option<f64>,
+    /// Shape of the kernel: one of Matérn's. Left out: "matern-1/2", exp(−d/L).
+    #[serde(default = "exponential")]
+    pub kernel: Kernel,
+}
+
+fn exponential() -> Kernel {
+    Kernel::Matern12
+}
+
+impl Observations {
+    /// The correlation of the errors.
+    pub fn correlation(&self) -> Option<&ErrorCorrelation> {
+        match self {
+            Observations::Synthetic(keys) => keys.correlation.as_ref(),
+            Observations::File(keys) => keys.correlation.as_ref(),
+        }
+    }
 }
 
 /// x_model = R x_recorded + t, with R given by its rows or as a rotation about an axis. σ does not change.

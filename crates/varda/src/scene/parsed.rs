@@ -7,8 +7,8 @@ use varda_rod::Rod;
 
 use super::invalid::{Either, Invalid, invalid, one_of};
 use super::{
-    Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Ensemble, Integrator, Kernel,
-    KernelCovariance, LineCovariance, Origin, RodModel, Root, Synthetic, Taper,
+    Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Ensemble, ErrorCorrelation,
+    Integrator, Kernel, KernelCovariance, LineCovariance, Origin, RodModel, Root, Synthetic, Taper,
 };
 
 /// A standard deviation, given as it is or relative to another quantity.
@@ -255,6 +255,26 @@ impl Synthetic {
         let given =
             one_of("observations", ("sigma", self.sigma), ("sigma_over_length", self.sigma_over_length))?;
         Ok(Sigma::from_keys(given))
+    }
+}
+
+/// What errors of observations are correlated along.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Along {
+    /// The rod or line, with this correlation length \[m\].
+    Length(f64),
+    /// Time, with this correlation time \[s\].
+    Time(f64),
+}
+
+impl ErrorCorrelation {
+    /// What errors are correlated along.
+    pub(crate) fn along(&self) -> Result<Along, Invalid> {
+        let given = one_of("observations.correlation", ("length", self.length), ("time", self.time))?;
+        Ok(match given {
+            Either::First(length) => Along::Length(length),
+            Either::Second(time) => Along::Time(time),
+        })
     }
 }
 

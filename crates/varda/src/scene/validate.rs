@@ -9,7 +9,8 @@ use super::validate_algorithm::validate_algorithm;
 use super::validate_covariance::validate_covariance;
 use super::validate_cycles::validate_cycles;
 use super::validate_observations::{
-    validate_components, validate_places, validate_recorded_components, validate_recording,
+    validate_components, validate_correlation, validate_places, validate_recorded_components,
+    validate_recording,
 };
 use super::validate_rod::validate_rod;
 use super::{Background, Covariance, Draw, Integrator, Model, Observations, Origin, Scene};
@@ -55,6 +56,7 @@ pub(super) fn validate(scene: &Scene) -> Check {
         (Observations::File(recording), None) => validate_recorded_components(recording)?,
         (Observations::Synthetic(keys), None) => validate_components(keys, scene)?,
     }
+    validate_correlation(scene)?;
     scene.limits.bytes().or_else(|message| invalid("limits.memory", message))?;
     validate_algorithm(scene)?;
     if let Some(cycles) = &scene.algorithm.cycles {

@@ -1,8 +1,11 @@
 //! What `[observations]` must satisfy beyond the type of each key.
 
+use varda_implicit::line::Ends;
+
 use super::invalid::{Check, invalid, on_rod};
+use super::parsed::Along;
 use super::validate_frame::validate_frame;
-use super::{Frame, Origin, Recording, RodModel, Scene, Synthetic, UnreachableRows};
+use super::{Frame, Kernel, Model, Origin, Recording, RodModel, Scene, Synthetic, UnreachableRows};
 
 /// Observations of a twin experiment with a rod.
 pub(super) fn validate_places(s: &Synthetic, scene: &Scene, rod: &RodModel) -> Check {
@@ -97,5 +100,39 @@ pub(super) fn validate_recorded_components(f: &Recording) -> Check {
             invalid(format!("observations.{key}"), message)
         }
         None => Ok(()),
+    }
+}
+
+/// The correlation of errors.
+pub(super) fn validate_correlation(scene: &Scene) -> Check {
+    let Some(keys) = scene.observations.correlation() else { return Ok(()) };
+    let path = "observations.correlation";
+    let along = keys.along()?;
+    if keys.kernel == Kernel::Gaussian {
+        let message = "errors of observations take \"matern-1/2\", \"matern-3/2\" or \"matern-5/2\": a \
+                       Gaussian kernel has no inverse to working precision";
+        return invalid(format!("{path}.kernel"), message);
+    }
+    if scene.algorithm.background_check.is_some() {
+        let message = "the background check judges values one by one: it takes independent errors \
+                       (algorithm.robust works with correlated ones)";
+        return invalid("algorithm.background_check", message);
+    }
+    match along {
+        Along::Time(_) if scene.algorithm.cycles.is_some() => {
+            let message =
+                "errors correlated in time tie one window to the next: take one window, or `length`";
+            invalid(format!("{path}.time"), message)
+        }
+        Along::Length(_) => match (&scene.model, scene.model.line()) {
+            (Model::Rod(_), _) => Ok(()),
+            (_, Some(line)) if line.ends != Ends::Periodic => Ok(()),
+            (_, Some(_)) => invalid(
+                format!("{path}.length"),
+                "errors are correlated along a line with two ends, and this one closes to a circle",
+            ),
+            (_, None) => invalid(format!("{path}.length"), "this model has no line; take `time`"),
+        },
+        Along::Time(_) => Ok(()),
     }
 }

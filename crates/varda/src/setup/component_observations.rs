@@ -29,11 +29,13 @@ pub(crate) fn synthetic(
         label: system.names[c].clone(),
         rows: row..row + 1,
         anchors: vec![c],
+        place: system.line.map(|line| line.position(c)),
         withheld: false,
     };
     let steps = files.scene.checked(keys.observed_steps(grid.steps))?;
     let sigma = files.scene.checked(keys.component_sigma())?;
     Ok(Observed {
+        errors: None,
         sites: components.iter().enumerate().map(site).collect(),
         seen: Vec::new(),
         space: None,
@@ -117,6 +119,7 @@ pub(crate) fn recorded(
     let places: Vec<Place> = site_of.into_keys().collect();
     let (n, line) = (system.names.len(), system.line);
     Ok(Observed {
+        errors: None,
         sites,
         seen,
         space: None,
@@ -167,15 +170,15 @@ fn component(written: &str, names: &[String]) -> Result<usize, String> {
 }
 
 fn site(row: usize, place: Place, system: &ComponentSystem) -> Site {
-    let (label, anchor) = match (place, system.line) {
+    let (label, anchor, place) = match (place, system.line) {
         (Place::OnLine(s), Some(line)) => {
             let s = f64::from_bits(s);
-            (format!("s = {s} m"), line.nearest(s))
+            (format!("s = {s} m"), line.nearest(s), Some(s))
         }
-        (Place::Component(c), _) => (system.names[c].clone(), c),
+        (Place::Component(c), line) => (system.names[c].clone(), c, line.map(|line| line.position(c))),
         (Place::OnLine(_), None) => unreachable!("a place without a line was refused"),
     };
-    Site { label, rows: row..row + 1, anchors: vec![anchor], withheld: false }
+    Site { label, rows: row..row + 1, anchors: vec![anchor], place, withheld: false }
 }
 
 /// H of the places: components as they are, places on a line between its points.

@@ -267,7 +267,7 @@ fn truncated(
     Truncated::of_kernel(n, matrix, tolerance, variance).map_err(|e| file.invalid(path, e.to_string()))
 }
 
-fn kernel(kernel: scene::Kernel, length: f64) -> Kernel {
+pub(super) fn kernel(kernel: scene::Kernel, length: f64) -> Kernel {
     match kernel {
         scene::Kernel::Gaussian => Kernel::Gaussian { length },
         scene::Kernel::Matern12 => Kernel::Matern12 { length },

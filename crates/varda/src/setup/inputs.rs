@@ -64,10 +64,11 @@ impl Inputs {
         let grid = one_window.grid()?;
         let files = Files::of(&one_window);
         let mut system = System::read(&files, grid)?;
-        let (observed, fault_of_observations) = match (observed(&files, &system, grid), &system) {
+        let (mut observed, fault_of_observations) = match (observed(&files, &system, grid), &system) {
             (Err(fault), System::Rod(rod)) => (rod_observations::none(rod), Some(fault)),
             (observed, _) => (observed?, None),
         };
+        observed.correlate(&one_window, &grid)?;
         let background = background(&files, &mut system)?;
         let files = files.into_read();
         let file = file.clone();

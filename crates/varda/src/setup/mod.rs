@@ -9,6 +9,7 @@ mod continuity;
 pub mod covariance;
 pub mod csv;
 pub mod ensemble;
+mod error_correlation;
 pub mod files;
 pub mod inputs;
 mod loads;

@@ -4,16 +4,18 @@
 //! folder, which makes an [`Observed`] of it. Later stages know nothing else of it: sites are groups of rows
 //! of the observation operator, and values are read, or drawn around the truth of a twin experiment.
 
+use std::collections::HashMap;
 use std::ops::Range;
 
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet};
 use varda_implicit::{At, Model};
 
+use super::error_correlation::{Chains, ErrorKernel};
 use super::random::{Stream, normal, stream};
 use super::runs::run_states;
 use crate::Error;
 use crate::outcome::{RecordingSummary, Sight};
-use crate::scene::TimeGrid;
+use crate::scene::{SceneFile, TimeGrid};
 
 /// Makes an observation operator.
 pub type MakeOperator = Box<dyn Fn() -> Result<Box<dyn ObservationOperator>, Error>>;
@@ -30,6 +32,8 @@ pub struct Observed {
     pub left_out: Vec<String>,
     /// What its file holds, of a recording.
     pub recording: Option<RecordingSummary>,
+    /// How errors are correlated; `None` where they are independent.
+    pub(crate) errors: Option<ErrorKernel>,
     /// Makes H, all sites stacked.
     pub(crate) make_operator: MakeOperator,
     /// The values of a twin experiment that are still to be drawn.
@@ -45,6 +49,8 @@ pub struct Site {
     pub rows: Range<usize>,
     /// For each row the component of the control at the same place (localization of ensembles).
     pub anchors: Vec<usize>,
+    /// Its place along the rod or line \[m\], where the model has one.
+    pub place: Option<f64>,
     /// Whether it is kept back from the assimilation.
     pub withheld: bool,
 }
@@ -128,6 +134,42 @@ impl Observed {
         times.len()
     }
 
+    /// Takes errors for correlated, where the scene says so.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] where two values of one chain have the same place.
+    pub(super) fn correlate(&mut self, file: &SceneFile, grid: &TimeGrid) -> Result<(), Error> {
+        self.errors = ErrorKernel::of_scene(file)?;
+        let Some((_, chains)) = self.chains(grid) else { return Ok(()) };
+        let mut known: HashMap<(usize, u64), &Seen> = HashMap::new();
+        for seen in &self.seen {
+            for (chain, place) in self.entries(&chains, seen) {
+                let Some(other) = known.insert((chain, (place + 0.0).to_bits()), seen) else { continue };
+                let (label, t) =
+                    (&self.sites[seen.site].label, grid.time(seen.step) + seen.weight * grid.step);
+                let twice = match seen.site == other.site {
+                    true => format!("{label} is seen twice at {t} s"),
+                    false => format!("{} and {label} are at the same place", self.sites[other.site].label),
+                };
+                let remedy = "their errors would be equal; keep one of them, or no correlation";
+                return Err(file.invalid("observations.correlation", format!("{twice}: {remedy}")));
+            }
+        }
+        Ok(())
+    }
+
+    fn chains(&self, grid: &TimeGrid) -> Option<(ErrorKernel, Chains)> {
+        let times = self.seen.iter().map(|s| (s.step, s.weight));
+        self.errors.map(|errors| (errors, Chains::of(errors, times, grid)))
+    }
+
+    /// The chain and the place of each value that was seen.
+    fn entries(&self, chains: &Chains, seen: &Seen) -> Vec<(usize, f64)> {
+        let site = &self.sites[seen.site];
+        let present: Vec<usize> = (0..site.rows.len()).filter(|axis| seen.values[*axis].is_some()).collect();
+        chains.entries((seen.step, seen.weight), site.rows.clone(), site.place, &present)
+    }
+
     /// Draws the values of a twin experiment: H of the truth at the observed steps, in the order of time,
     /// plus independent errors. Nothing for observations that were read.
     pub(crate) fn draw(
@@ -137,19 +179,38 @@ impl Observed {
         truth: &[f64],
         seed: u64,
     ) -> Result<(), Error> {
-        let Some(Draws { steps, sigma }) = self.draws.take() else { return Ok(()) };
+        let Some(Draws { mut steps, sigma }) = self.draws.take() else { return Ok(()) };
+        if self.errors.is_some() {
+            // the order of an observation set
+            steps.sort_unstable();
+        }
         let last = steps.iter().copied().max().unwrap_or(0);
         let states = run_states(model, truth, last)?;
         let mut operator = (self.make_operator)()?;
         let mut rng = stream(seed, Stream::Observations);
         let mut y = vec![0.0; operator.dim()];
         let n = model.dim();
+        let white = if self.errors.is_some() { 1.0 } else { sigma };
+        let mut noise = Vec::new();
         for step in steps {
             observe(operator.as_mut(), grid.at(step), &states[step * n..(step + 1) * n], &mut y)?;
             for (site, place) in self.sites.iter().enumerate() {
-                let values = y[place.rows.clone()].iter().map(|y| Some(y + normal(&mut rng, sigma)));
-                self.seen.push(Seen { site, step, weight: 0.0, values: values.collect(), sigma });
+                let values = y[place.rows.clone()].iter();
+                noise.extend(values.clone().map(|_| normal(&mut rng, white)));
+                let values = values.zip(&noise[noise.len() - place.rows.len()..]);
+                let values = match self.errors {
+                    None => values.map(|(y, e)| Some(y + e)).collect(),
+                    Some(_) => values.map(|(y, _)| Some(*y)).collect(),
+                };
+                self.seen.push(Seen { site, step, weight: 0.0, values, sigma });
             }
+        }
+        if self.errors.is_some() {
+            let all: Vec<&Seen> = self.seen.iter().collect();
+            let set = ObservationSet::on_times(grid.times(), vec![operator], self.of(&all, grid))?;
+            set.errors().root(&mut noise);
+            let values = self.seen.iter_mut().flat_map(|seen| seen.values.iter_mut().flatten());
+            values.zip(noise).for_each(|(y, e)| *y += e);
         }
         Ok(())
     }
@@ -160,18 +221,28 @@ impl Observed {
 
     /// The observations that are assimilated, for operator 0.
     pub fn assimilated(&self, grid: &TimeGrid) -> Vec<Observation> {
-        let observation = |s: &Seen| {
+        let used: Vec<&Seen> = self.seen.iter().filter(|s| self.is_assimilated(s, grid)).collect();
+        self.of(&used, grid)
+    }
+
+    /// Some of what was seen as observations for operator 0, but for what has no value.
+    fn of(&self, seen: &[&Seen], grid: &TimeGrid) -> Vec<Observation> {
+        let chains = self.chains(grid);
+        let observation = |s: &&Seen| {
             let site = &self.sites[s.site];
             let present: Vec<(usize, f64)> =
                 site.rows.clone().zip(&s.values).filter_map(|(row, v)| v.map(|v| (row, v))).collect();
             let (rows, values) = present.into_iter().unzip();
             let seen = Observation::new(s.step, rows, values, s.sigma).between(s.weight);
+            let seen = match &chains {
+                Some((errors, chains)) => seen.chained(errors.kernel, self.entries(chains, s)),
+                None => seen,
+            };
             // The coordinates of a point are one sighting.
             let seen = if self.space.is_some() { seen.together() } else { seen };
             seen.label(site.label.clone())
         };
-        let used = self.seen.iter().filter(|s| self.is_assimilated(s, grid));
-        used.map(observation).filter(|o| !o.rows.is_empty()).collect()
+        seen.iter().map(observation).filter(|o| !o.rows.is_empty()).collect()
     }
 
     /// The set of the observations that are assimilated, with an operator of its own.

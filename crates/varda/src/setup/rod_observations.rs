@@ -252,9 +252,11 @@ fn observed(
         label: site.label,
         rows: 3 * i..3 * i + 3,
         anchors: [0, 1, 2].map(|c| rod.nearest_position(site.marker.s) + c).to_vec(),
+        place: Some(site.marker.s),
         withheld: site.withheld,
     };
     Observed {
+        errors: None,
         space: Some(ObservedSpace {
             arc_lengths: markers.iter().map(|m| m.s).collect(),
             rotation,

@@ -91,6 +91,27 @@ fn read(case: &mut Case, [name, scene, csv]: [&str; 3], sets: &[&str], wanted: &
 }
 
 const INPUTS: &[Input] = &[
+    (
+        "errors correlated in time",
+        RING,
+        &["observations.correlation={ time = 0.1 }"],
+        "time_s,component,value\n0.1,x1,1.5\n0.2,x1,-3\n",
+        Used([2, 2]),
+    ),
+    (
+        "correlated errors of one time and place",
+        RING,
+        &["observations.correlation={ time = 0.1 }"],
+        "time_s,component,value\n0.1,x1,1.5\n0.1,x1,-3\n",
+        Refused(&["observations.correlation", "x1 is seen twice at 0.1 s"]),
+    ),
+    (
+        "a length on a ring",
+        RING,
+        &["observations.correlation={ length = 0.1 }"],
+        "time_s,component,value\n0.1,x1,1.5\n",
+        Refused(&["correlation", "no line"]),
+    ),
     ("names and numbers", RING, &[], "time_s,component,value\n0.1,x1,1.5\n0.1,2,-3\n", Used([2, 2])),
     ("unsorted, twice", RING, &[], "value,component,time_s\n1,3,0.2\n2,3,0.1\n1,3,0.2\n", Used([2, 3])),
     ("decimal commas", RING, &[], "time_s;component;value;sigma\n0,1;x1;1,5;0,2\n", Used([1, 1])),
