@@ -17,7 +17,11 @@ pub fn exponential(rho: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() + cross * sinc(angle) + cross * cross * (0.5 * sinc(half) * sinc(half))
 }
 
-/// J with δ(exp([ρ]×) y) = (J δρ) × exp([ρ]×) y: I + (1 − cos θ)/θ² [ρ]× + (θ − sin θ)/θ³ [ρ]×².
+/// J with δ(exp([ρ]×) y) = (J δρ) × exp([ρ]×) y:
+///
+/// ```text
+/// J = I + (1 − cos θ)/θ² [ρ]× + (θ − sin θ)/θ³ [ρ]×²,   θ = |ρ|
+/// ```
 ///
 /// ```
 /// use varda_rod::{Matrix3, Vector3, rotation};
