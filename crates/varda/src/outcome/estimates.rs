@@ -74,10 +74,16 @@ fn short(v: f64) -> String {
     if v.abs() < 1e-4 || v.abs() >= 1e6 { format!("{v:.3e}") } else { format!("{v:.digits$}") }
 }
 
-/// What is to be said of the estimates: constants that the observations do not see, and such as they see
-/// together only.
-pub fn remarks(all: &[Estimated]) -> Vec<String> {
+/// What is to be said of the estimates: σ of a run that does not fit, constants that the observations do not
+/// see, and such as they see together only.
+pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
     let mut out = Vec::new();
+    if !all.is_empty() && !fits {
+        out.push(
+            "σ of the estimated constants supposes that the run fits, and it does not: do not believe it"
+                .into(),
+        );
+    }
     let unseen: Vec<&str> =
         all.iter().filter(|e| e.identifiable == Some(false)).map(|e| e.name.as_str()).collect();
     if !unseen.is_empty() {

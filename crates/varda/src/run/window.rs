@@ -15,7 +15,7 @@ use super::{
 use crate::Error;
 use crate::outcome::{
     Attempt, ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
-    Simulation, Status, Trajectories, TwinFiles, WorkCounts, remarks_on_estimates,
+    Simulation, Status, Trajectories, TwinFiles, Verdict, WorkCounts, remarks_on_estimates,
 };
 use crate::scene::SceneFile;
 use crate::setup::adaptive_steps::Refreshing;
@@ -186,7 +186,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         warnings.extend(mesh::allow(problem, &mut estimates, ended)?);
     }
     let mesh = began.elapsed().as_secs_f64() - before_mesh;
-    warnings.extend(remarks_on_estimates(&estimates));
+    warnings.extend(remarks_on_estimates(&estimates, judgement.verdict == Verdict::Fits));
     let mut spread = spread::along(problem, make_model(0).as_mut(), &analysis.analysis, root, &trajectories)?;
     if let (Some(shapes), Some(spread)) = (&mut shapes, &mut spread) {
         shapes.sigma_forces = std::mem::take(&mut spread.forces);
