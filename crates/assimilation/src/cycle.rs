@@ -1,71 +1,15 @@
 //! Cycling: consecutive windows, each starting from the analysis of the one before.
 
 use crate::cycle_members::{mean, posterior_root, rotate, run_all_drawing_again, truncate};
+use crate::cycle_window::{Carry, Cycle, CycleState, CycledErrors, Cycling, Ended, Normals};
 use crate::departures::{departures_at, expected_departures};
 use crate::{
-    ControlTransform, CostFunction, CostTerms, Counts, Departures, EnVar, EnVarOptions, EnsembleUpdate,
-    Error, Minimizer, Minimum, ObservationSet, Status, StrongConstraint,
+    ControlTransform, CostFunction, Departures, EnVar, EnVarOptions, EnsembleUpdate, Error, Minimizer,
+    ObservationSet, StrongConstraint,
 };
 use std::ops::ControlFlow;
 use varda_covariance::{Covariance, Ensemble, Hybrid, Localization};
-use varda_implicit::{Keep, Model, Trajectory};
-
-/// A sequence of windows. Window c covers the steps first + c S … first + c S + K of a long run.
-///
-/// Every observation is used once: a window after the first takes those later than step K − S, the ones no
-/// window before has seen (the single data assimilation of Bocquet and Sakov 2014). So windows overlap (S <
-/// K), share the step at which one ends and the next begins (S = K), or tile the time (S = K + 1: the
-/// background is a forecast to the first observed step). A window of K = 0 is 3D-Var, or an ensemble Kalman
-/// filter: one time is analysed, then S steps are forecast.
-#[derive(Clone, Copy)]
-pub struct Cycling<'a> {
-    /// The first step of the first window.
-    pub first: usize,
-    /// K, the length of a window in steps.
-    pub window: usize,
-    /// S, the steps from one window to the next; at most K + 1, any for K = 0.
-    pub shift: usize,
-    /// How many windows.
-    pub cycles: usize,
-    /// A model whose step 0 is the given step of the long run.
-    pub make_model: &'a dyn Fn(usize) -> Box<dyn Model + Send>,
-    /// The observations of the window that starts at the given step, with steps counted from there; also
-    /// those already seen.
-    pub observations: &'a dyn Fn(usize) -> Result<ObservationSet, Error>,
-    /// The true state at a step, where it is known.
-    pub truth: Option<&'a dyn Fn(usize) -> Vec<f64>>,
-}
-
-/// What one window hands to the next, as plain data: everything the windows to come depend on besides their
-/// settings. Stored after a window and given back to [`cycle`], the sequence goes on with the same bits.
-#[derive(Debug, Clone, PartialEq)]
-pub struct CycleState {
-    /// Index of the next window.
-    pub next: usize,
-    /// z_b at its start.
-    pub background: Vec<f64>,
-    /// Vectors of the control's length, one after the other: the members of an ensemble about z_b, not yet
-    /// inflated; W of a propagated posterior, B = W Wᵀ; nothing for static B and before the first window of
-    /// a propagated one.
-    pub columns: Vec<f64>,
-}
-
-impl CycleState {
-    /// Before the first window, from its background z_b.
-    pub fn new(background: Vec<f64>) -> Self {
-        Self { next: 0, background, columns: Vec::new() }
-    }
-
-    /// Before the first window, from the members of its background in the control, one after the other, each
-    /// of length `n`; z_b is their mean.
-    ///
-    /// # Panics
-    /// If there is no member, or a broken one.
-    pub fn from_members(members: Vec<f64>, n: usize) -> Self {
-        assert!(n > 0 && !members.is_empty() && members.len().is_multiple_of(n), "members of length {n}");
-        Self { next: 0, background: mean(&members, n), columns: members }
-    }
-}
+use varda_implicit::{Keep, Trajectory};
 
 /// Where the background covariance of a window comes from.
 pub enum CycledCovariance<'a> {
@@ -133,76 +77,6 @@ pub enum CycledUpdate<'a> {
     PerturbedObservations(&'a dyn Fn(usize) -> Normals),
 }
 
-/// A source of independent standard normals.
-pub type Normals = Box<dyn FnMut() -> f64>;
-
-/// What one window gave.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Cycle {
-    /// Index c.
-    pub index: usize,
-    /// The first step of the window.
-    pub first_step: usize,
-    /// z_b at the start of the window.
-    pub background: Vec<f64>,
-    /// z_a at the start of the window.
-    pub analysis: Vec<f64>,
-    /// The analysed state at the window's end: of the run from z_a, or the mean of the members' runs.
-    pub end: Vec<f64>,
-    /// J at the analysis.
-    pub value: f64,
-    /// Its parts.
-    pub terms: CostTerms,
-    /// m, the number of observed values used.
-    pub observations: usize,
-    /// χ² = 2J/m; 0 where nothing is observed.
-    pub chi2: f64,
-    /// How the minimization ended.
-    pub status: Status,
-    /// Why, where a failing model ended it.
-    pub failure: Option<String>,
-    /// Its outer iterations.
-    pub outer_iterations: usize,
-    /// Work of the minimization; the forecast to the next window comes on top.
-    pub counts: Counts,
-    /// Standard deviation expected of every component of the control: of the analysis at the window's end, by
-    /// the ensemble; of the background of the next window, for a propagated posterior; `None` for static B.
-    pub sigma: Option<Vec<f64>>,
-    /// Root mean square errors, where the truth is known.
-    pub errors: Option<CycleErrors>,
-    /// Departures in units of σ_o, against what B and R say of them; `None` where nothing was observed or
-    /// the minimization failed. What B says is estimated by random vectors for strong 4D-Var (an
-    /// adjoint sweep a window, 32 in all at least), exact for an ensemble.
-    pub departures: Option<Departures>,
-    /// α that the perturbations of the background were multiplied by; 1 for static B.
-    pub inflation: f64,
-    /// Members that failed on the way to the next window and were drawn again from the others.
-    pub drawn_again: usize,
-    /// Columns of what is handed on: members, or directions of a propagated posterior.
-    pub columns: usize,
-    /// The largest share of the variance of a component that a propagated posterior was cut by.
-    pub dropped: f64,
-}
-
-impl Cycle {
-    /// Root mean square of `sigma`.
-    pub fn spread(&self) -> Option<f64> {
-        let sigma = self.sigma.as_ref()?;
-        Some((sigma.iter().map(|s| s * s).sum::<f64>() / sigma.len() as f64).sqrt())
-    }
-}
-
-/// Root mean square errors over the state.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct CycleErrors {
-    /// Of the background at the window's start.
-    pub background: f64,
-    /// Of the analysis at the window's start.
-    pub start: f64,
-    /// Of the analysis at the window's end: of the run from z_a, or of the mean of the members' runs.
-    pub end: f64,
-}
-
 /// Assimilates the windows `state.next` … `cycling.cycles` − 1, one after the other:
 ///
 /// ```text
@@ -214,6 +88,8 @@ pub struct CycleErrors {
 /// | static | errors that vary little with the flow | chaos seen sparsely | 1 forward run | – |
 /// | propagated | small n, seen sparsely | alone over long cycles | 1 forward run, 2n tangent sweeps | 2n² |
 /// | ensemble | no adjoint at hand | N below the growing directions | N forward runs | N trajectories |
+///
+/// With [`Cycling::model_error`] the windows are weak ones, or B of the next window grows by Q: see there.
 ///
 /// The background of a window is the run from the analysis before (the mean of the members' runs), read off
 /// the leading components of the state, which are taken to be the control. A minimization that ends otherwise
@@ -242,6 +118,7 @@ pub struct CycleErrors {
 ///     make_model: &model,
 ///     observations: &observations,
 ///     truth: None,
+///     model_error: None,
 /// };
 /// let b = Diagonal::uniform(3, 1.0)?;
 /// let mut state = CycleState::new(vec![1.5, 1.7, 20.0]);
@@ -296,6 +173,16 @@ pub fn cycle(
     if !(inflation > 0.0 && inflation.is_finite()) {
         return Err(Error::Setting { what: "inflation", value: inflation });
     }
+    if let Some(CycledErrors { estimated, .. }) = cycling.model_error {
+        let what = match covariance {
+            CycledCovariance::Static(_) if !estimated => "Q beside a static B, which it does not change",
+            CycledCovariance::Ensemble(_) if estimated => "errors estimated over the members of an ensemble",
+            _ => "",
+        };
+        if !what.is_empty() {
+            return Err(Error::Setting { what, value: 0.0 });
+        }
+    }
     let mut cycles = Vec::new();
     while state.next < cycling.cycles {
         let (cycle, after) = match covariance {
@@ -330,23 +217,6 @@ pub fn cycle(
 }
 
 impl Cycling<'_> {
-    /// The observations of window c that no window before has used.
-    fn unseen(&self, c: usize) -> Result<ObservationSet, Error> {
-        let set = (self.observations)(self.first_step(c))?;
-        if c == 0 || self.shift > self.window {
-            return Ok(set);
-        }
-        let (times, seen) = (set.times().clone(), (self.window - self.shift) as f64);
-        let (operators, observations) = set.into_parts();
-        let unseen = observations.into_iter().filter(|o| o.step as f64 + o.weight > seen).collect();
-        ObservationSet::of(times, operators, unseen)
-    }
-
-    /// Steps to run from the analysis: to the end of this window and the start of the next.
-    fn steps(&self) -> usize {
-        self.window.max(self.shift)
-    }
-
     /// One window of strong 4D-Var; `carry` is how its posterior becomes B of the next, if it does.
     fn variational(
         &self,
@@ -355,6 +225,9 @@ impl Cycling<'_> {
         minimizer: &Minimizer,
         carry: Option<Carry>,
     ) -> Result<(Cycle, CycleState), Error> {
+        if let Some(errors) = &self.model_error {
+            return self.erring(state, b, minimizer, carry, errors);
+        }
         let mut observations = self.unseen(state.next)?;
         let m = observations.dim();
         let mut model = (self.make_model)(self.first_step(state.next));
@@ -389,17 +262,7 @@ impl Cycling<'_> {
             }
             (columns, dropped) = truncate(n_z, columns, carry.dropped)?;
         }
-        let sigma = carry.map(|carry| {
-            let mut variance = vec![0.0; n_z];
-            if let Some((b, weight)) = carry.static_part {
-                b.variance(&mut variance);
-                variance.iter_mut().for_each(|v| *v *= weight * weight);
-            }
-            for column in columns.chunks_exact(n_z) {
-                variance.iter_mut().zip(column).for_each(|(v, w)| *v += w * w);
-            }
-            variance.iter().map(|v| v.sqrt()).collect()
-        });
+        let sigma = carry.map(|carry| carry.sigma(n_z, &columns));
         let background = trajectory.state(self.shift)[..n_z].to_vec();
         let end = trajectory.state(self.window).to_vec();
         let errors = self.errors(state.next, [&x_b, &x_a, &end]);
@@ -415,6 +278,7 @@ impl Cycling<'_> {
             drawn_again: 0,
             columns: count,
             dropped,
+            model_errors: Vec::new(),
         };
         Ok((self.cycle(state, z, end, m, from), CycleState { next: state.next + 1, background, columns }))
     }
@@ -495,6 +359,9 @@ impl Cycling<'_> {
         for (member, x) in members.chunks_exact_mut(n_z).zip(at(self.shift).chunks_exact(n)) {
             member.copy_from_slice(&x[..n_z]);
         }
+        if let Some(errors) = &self.model_error {
+            errors.draw(&mut members, n_z, self.shift, state.next);
+        }
         let ends = at(self.window);
         let end = mean(&ends, n);
         let variance = |i: usize| {
@@ -512,6 +379,7 @@ impl Cycling<'_> {
             drawn_again,
             columns: count,
             dropped: 0.0,
+            model_errors: Vec::new(),
         };
         let background = mean(&members, n_z);
         Ok((
@@ -519,79 +387,4 @@ impl Cycling<'_> {
             CycleState { next: state.next + 1, background, columns: members },
         ))
     }
-
-    fn first_step(&self, c: usize) -> usize {
-        self.first + c * self.shift
-    }
-
-    fn errors(&self, c: usize, [background, start, end]: [&[f64]; 3]) -> Option<CycleErrors> {
-        let truth = self.truth?;
-        let (at_start, at_end) = (truth(self.first_step(c)), truth(self.first_step(c) + self.window));
-        Some(CycleErrors {
-            background: rms(background, &at_start),
-            start: rms(start, &at_start),
-            end: rms(end, &at_end),
-        })
-    }
-
-    fn cycle(
-        &self,
-        state: &CycleState,
-        analysis: Vec<f64>,
-        end: Vec<f64>,
-        observations: usize,
-        from: Ended,
-    ) -> Cycle {
-        let Ended { minimum, counts, sigma, errors, departures, inflation, drawn_again, columns, dropped } =
-            from;
-        Cycle {
-            index: state.next,
-            first_step: self.first_step(state.next),
-            background: state.background.clone(),
-            analysis,
-            end,
-            value: minimum.value,
-            terms: minimum.terms,
-            observations,
-            chi2: if observations == 0 { 0.0 } else { 2.0 * minimum.value / observations as f64 },
-            status: minimum.status,
-            failure: minimum.failure.map(|e| e.to_string()),
-            outer_iterations: minimum.outer_iterations,
-            counts,
-            sigma,
-            errors,
-            departures,
-            inflation,
-            drawn_again,
-            columns,
-            dropped,
-        }
-    }
-}
-
-/// How the posterior of a window becomes B of the next: α² M P_a Mᵀ + β² B_s.
-#[derive(Clone, Copy)]
-struct Carry<'a> {
-    inflation: f64,
-    static_part: Option<(&'a dyn Covariance, f64)>,
-    dropped: f64,
-}
-
-/// What the two kinds of window have in common at their end.
-struct Ended {
-    minimum: Minimum,
-    counts: Counts,
-    sigma: Option<Vec<f64>>,
-    errors: Option<CycleErrors>,
-    departures: Option<Departures>,
-    inflation: f64,
-    drawn_again: usize,
-    columns: usize,
-    dropped: f64,
-}
-
-/// √(mean (a − b)²).
-fn rms(a: &[f64], b: &[f64]) -> f64 {
-    assert_eq!(a.len(), b.len(), "length of the true state");
-    (a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>() / a.len() as f64).sqrt()
 }

@@ -1,6 +1,6 @@
 //! Departures of windows, summed: whether the errors assumed are those found.
 
-use crate::{CostFunction, Error, LeastSquares, StrongConstraint};
+use crate::{Error, LeastSquares};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -86,7 +86,7 @@ const SWEEPS: usize = 32;
 /// window of a long sequence; over all unit vectors, where those are fewer. A gradient that the
 /// minimization asks for again, and an adjoint sweep each.
 pub(crate) fn expected_departures(
-    cost: &mut StrongConstraint,
+    cost: &mut dyn LeastSquares,
     window: usize,
     windows: usize,
 ) -> Result<(Vec<f64>, f64), Error> {
@@ -114,7 +114,7 @@ pub(crate) fn expected_departures(
 
 /// Departures of a window at its analysis v; `None` where it has none.
 pub(crate) fn departures_at(
-    cost: &mut StrongConstraint,
+    cost: &mut dyn LeastSquares,
     v: &[f64],
     background: &[f64],
     predicted: f64,

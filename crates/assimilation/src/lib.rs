@@ -91,7 +91,9 @@ mod convert;
 mod correlated;
 mod cost;
 mod cycle;
+mod cycle_errors;
 mod cycle_members;
+mod cycle_window;
 mod departures;
 mod error;
 mod error_scale;
@@ -120,10 +122,8 @@ pub use cost::{
     CostFunction, CostTerms, Counts, Dual, EnVar, EnVarOptions, EnsembleUpdate, Forcing, InnerCost,
     LeastSquares, Rejection, StrongConstraint, WeakForcing, WeakState, highest_j_of_a_fit, huber,
 };
-pub use cycle::{
-    Cycle, CycleErrors, CycleState, CycledCovariance, CycledEnsemble, CycledInflation, CycledUpdate, Cycling,
-    Normals, cycle,
-};
+pub use cycle::{CycledCovariance, CycledEnsemble, CycledInflation, CycledUpdate, cycle};
+pub use cycle_window::{Cycle, CycleErrors, CycleState, CycledErrors, Cycling, Normals};
 pub use departures::Departures;
 pub use error::Error;
 pub use error_scale::ErrorScale;

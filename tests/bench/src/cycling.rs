@@ -222,6 +222,7 @@ fn run(network: &Network, case: &Case, seed: u64, mean: &[f64], b: &Dense) -> Re
         make_model: &make_model,
         observations: &observations,
         truth: Some(&true_state),
+        model_error: None,
     };
     let mut rng = stream(1);
     let background: Vec<f64> =

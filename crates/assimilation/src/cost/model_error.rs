@@ -35,6 +35,12 @@ impl Forcing {
     pub fn every_step(n: usize) -> Self {
         Self { components: (0..n).collect(), steps: 1, held: false }
     }
+
+    /// The index j of the η that enters after step k.
+    pub fn index(&self, k: usize) -> Option<usize> {
+        let n = self.steps;
+        if self.held { Some(k / n) } else { (k + 1).is_multiple_of(n).then(|| (k + 1) / n - 1) }
+    }
 }
 
 /// What the control is made of beyond the initial state.
@@ -120,8 +126,7 @@ impl<'a> ModelErrorTerm<'a> {
 
     /// Which η enters after step k.
     pub(super) fn index(&self, k: usize) -> Option<usize> {
-        let n = self.forcing.steps;
-        if self.forcing.held { Some(k / n) } else { (k + 1).is_multiple_of(n).then(|| (k + 1) / n - 1) }
+        self.forcing.index(k)
     }
 
     /// How many landings M_k(x_k) are kept.

@@ -54,6 +54,7 @@ fn drawn(seed: u64, b_factor: f64, r_factor: f64) -> Departures {
         make_model: &make,
         observations: &observations,
         truth: None,
+        model_error: None,
     };
     let assumed = coupled(n, 0.8 * f64::sqrt(b_factor));
     let covariance = CycledCovariance::Static(&assumed);
@@ -104,6 +105,7 @@ fn lorenz63(seed: u64, cycles: usize, inflation: CycledInflation, rotate: bool) 
         make_model: &make,
         observations: &observations,
         truth: Some(&known),
+        model_error: None,
     };
     let members: Vec<f64> = normals(3000 + seed, 30)
         .iter()
@@ -164,6 +166,7 @@ fn a_member_that_fails_is_drawn_again() {
         make_model: &make,
         observations: &observations,
         truth: None,
+        model_error: None,
     };
     let mut members = normals(5, 30);
     // Within the bound when it is linearized at a hundredth of it, beyond it on its own way.

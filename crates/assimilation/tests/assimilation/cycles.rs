@@ -148,6 +148,7 @@ fn linear_cycles_are_a_kalman_filter_whatever_the_window_and_however_p_is_carrie
                 make_model: &make,
                 observations: &observations(window),
                 truth: Some(&truth),
+                model_error: None,
             };
             let ended = cycle(&cycling, &mut state, &covariance, &exact(), &mut go_on).unwrap();
             assert_eq!(ended.len(), cycles);
@@ -188,6 +189,7 @@ fn inflation_multiplies_standard_deviations_once_a_window() {
         make_model: &make,
         observations: &observations(1),
         truth: Some(&truth),
+        model_error: None,
     };
     let mut wide = vec![0.0; N * N];
     for j in 0..N {
@@ -239,6 +241,7 @@ fn every_way_to_carry_a_covariance_runs_on_a_nonlinear_model() {
         make_model: &make,
         observations: &see,
         truth: Some(&true_state),
+        model_error: None,
     };
     let background: Vec<f64> = truth[0].iter().zip(normals(9, n)).map(|(x, e)| x + 0.6 * e).collect();
     let anchors = |set: &ObservationSet| -> Vec<usize> {
@@ -338,6 +341,7 @@ fn a_sequence_can_be_ended_and_what_makes_none_is_refused() {
         make_model: &make,
         observations: &see,
         truth: None,
+        model_error: None,
     };
     let go = |cycling: &Cycling, mut state: CycleState, covariance: CycledCovariance, stop: usize| {
         cycle(cycling, &mut state, &covariance, &exact(), &mut |c, after| {

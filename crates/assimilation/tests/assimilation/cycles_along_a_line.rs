@@ -90,6 +90,7 @@ fn cycled(dropped: f64) -> Vec<Cycle> {
         make_model: &make,
         observations: &observations,
         truth: None,
+        model_error: None,
     };
     let covariance = CycledCovariance::Propagated { first: &b, inflation: 1.0, static_part: None, dropped };
     let minimizer = Minimizer::TrustRegion(

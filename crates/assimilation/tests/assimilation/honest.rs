@@ -149,6 +149,7 @@ fn the_spread_of_a_propagated_posterior_has_its_static_part() {
         make_model: &make,
         observations: &nothing,
         truth: None,
+        model_error: None,
     };
     let b = Diagonal::uniform(1, 1.0).unwrap();
     for (inflation, beta) in [(1.0, 1.0), (1.2, 0.5), (1.0, 0.0)] {

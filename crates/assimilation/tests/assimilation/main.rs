@@ -6,6 +6,7 @@ mod correlated;
 mod cost;
 mod coverage;
 mod cycle_checks;
+mod cycle_errors;
 mod cycles;
 mod cycles_along_a_line;
 mod endings;

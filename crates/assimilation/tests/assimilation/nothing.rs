@@ -164,6 +164,7 @@ fn nothing_to_compare_and_nothing_to_cycle() {
             make_model: &model,
             observations: &nothing,
             truth: None,
+            model_error: None,
         };
         let mut state = CycleState::new(vec![0.4]);
         let found =

@@ -22,6 +22,9 @@ pub struct CycleRow {
     pub j_b: f64,
     /// J_o.
     pub j_o: f64,
+    /// J_q; 0 where no error of the model is estimated.
+    #[serde(default)]
+    pub j_q: f64,
     /// m, the number of observed values.
     pub observations: usize,
     /// 2J/m; 0 where nothing was observed.
@@ -37,6 +40,9 @@ pub struct CycleRow {
     /// Standard deviation expected of the analysis at the window's end (of the next background, for a
     /// propagated posterior).
     pub spread: Vec<f64>,
+    /// Root mean square of x_a − x_b at the window's start: by how much the trajectory jumps there.
+    #[serde(default)]
+    pub increment: Vec<f64>,
     /// RMSE of the background at the window's start.
     pub rmse_background: Vec<f64>,
     /// RMSE of the analysis at the window's start.
@@ -61,6 +67,9 @@ pub struct CycleRow {
     pub background: Vec<f64>,
     /// x_a at the window's start.
     pub analysis: Vec<f64>,
+    /// Errors η_j of the model that were estimated, one after the other.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub model_errors: Vec<f64>,
     /// Angle of the end clamp \[rad\], whole turns included, at the start of the next window, where it is
     /// part of the state.
     #[serde(default, skip_serializing_if = "Option::is_none")]

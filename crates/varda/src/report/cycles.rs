@@ -42,10 +42,11 @@ pub fn write_cycles(outcome: &CyclesOutcome, folder: &Path) -> Result<PathBuf, E
 }
 
 /// Errors and spread of a group of the state, by column of cycles.csv.
-type Columns<'a> = [(&'static str, &'a dyn Fn(&CycleRow) -> &[f64]); 4];
+type Columns<'a> = [(&'static str, &'a dyn Fn(&CycleRow) -> &[f64]); 5];
 
 const COLUMNS: Columns = [
     ("spread", &|r| &r.spread),
+    ("increment", &|r| &r.increment),
     ("rmse_background", &|r| &r.rmse_background),
     ("rmse_start", &|r| &r.rmse_start),
     ("rmse_end", &|r| &r.rmse_end),
@@ -55,7 +56,7 @@ const COLUMNS: Columns = [
 /// and spread are those of positions \[m\] of a rod, `velocity_` columns those of velocities [m/s].
 fn rows(outcome: &CyclesOutcome) -> String {
     let mut out = String::from(
-        "cycle,first_step,time_s,j,j_b,j_o,observations,chi2,status,outer_iterations,\
+        "cycle,first_step,time_s,j,j_b,j_o,j_q,observations,chi2,status,outer_iterations,\
          model_steps,tangent_steps,adjoint_steps",
     );
     let groups = &outcome.experiment.state.groups;
@@ -66,7 +67,7 @@ fn rows(outcome: &CyclesOutcome) -> String {
     out.push_str(",innovation_ratio,observation_ratio,background_ratio,inflation,drawn_again,");
     out.push_str("columns,dropped_variance,seconds\n");
     for r in &outcome.cycles {
-        let costs = [r.time, r.j, r.j_b, r.j_o].map(number).join(",");
+        let costs = [r.time, r.j, r.j_b, r.j_o, r.j_q].map(number).join(",");
         let c = &r.counts;
         let _ = write!(
             out,

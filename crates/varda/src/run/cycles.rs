@@ -11,8 +11,9 @@ use std::time::Instant;
 
 use rand_distr::{Distribution, StandardNormal};
 use varda_assimilation::{
-    Cycle, CycleState, CycledCovariance, CycledEnsemble, CycledInflation, CycledUpdate, Cycling, Departures,
-    EnVarOptions, Normals, Observation, ObservationOperator, ObservationSet, cycle,
+    Cycle, CycleState, CycledCovariance, CycledEnsemble, CycledErrors, CycledInflation, CycledUpdate,
+    Cycling, Departures, EnVarOptions, Forcing, Normals, Observation, ObservationOperator, ObservationSet,
+    cycle,
 };
 use varda_implicit::check::Amplification;
 use varda_implicit::{At, Model, Refusal};
@@ -27,7 +28,7 @@ use crate::scene::{self, Cycles, SceneFile, TimeGrid};
 use crate::setup::random::{Stream, stream_of_window};
 use crate::setup::runs::run_states;
 use crate::setup::{Inputs, Problem, ensemble};
-use crate::solve::minimizer;
+use crate::solve::{forcing, minimizer};
 
 /// A sequence of windows, ready to run. It does not change.
 pub struct Sequence {
@@ -185,6 +186,17 @@ impl Sequence {
             }
             _ => CycledCovariance::Static(b),
         };
+        let drawn_errors = |c: usize| -> Normals {
+            let mut rng = stream_of_window(seed, Stream::ModelErrors, c);
+            Box::new(move || StandardNormal.sample(&mut rng))
+        };
+        let forcing = self.forcing();
+        let model_error = self.problem.model_error.as_ref().map(|q| CycledErrors {
+            q: q.as_ref(),
+            forcing: &forcing,
+            estimated: algorithm.method.is_weak(),
+            normals: &drawn_errors,
+        });
         let cycling = Cycling {
             first: 0,
             window: self.window,
@@ -193,6 +205,7 @@ impl Sequence {
             make_model: &make_model,
             observations: &observations,
             truth: None,
+            model_error,
         };
         let mut on_cycle = |cycle: &Cycle, after: &CycleState| {
             let mut row = self.row(cycle, began.elapsed().as_secs_f64());
@@ -343,6 +356,7 @@ impl Sequence {
             j: c.value,
             j_b: c.terms.background,
             j_o: c.terms.observation,
+            j_q: c.terms.model_error,
             observations: c.observations,
             chi2: c.chi2,
             status: c.status.into(),
@@ -350,6 +364,7 @@ impl Sequence {
             outer_iterations: c.outer_iterations,
             counts: WorkCounts::from(&c.counts),
             spread: c.sigma.as_ref().map_or(Vec::new(), spread),
+            increment: layout.rms_difference(&c.analysis, &c.background),
             rmse_background: rmse(&c.background, c.first_step),
             rmse_start: rmse(&c.analysis, c.first_step),
             rmse_end: rmse(&c.end, c.first_step + self.window),
@@ -361,6 +376,7 @@ impl Sequence {
             seconds,
             background: c.background.clone(),
             analysis: c.analysis.clone(),
+            model_errors: c.model_errors.clone(),
             next_end_angle: None,
         }
     }
@@ -376,11 +392,34 @@ impl Sequence {
     /// Where a window leaves the end clamp at the start of the next one: its places do not say whole turns.
     fn next_end_angle(&self, row: &CycleRow, before: Option<f64>) -> Option<f64> {
         let rod = self.problem.system.rod().filter(|rod| rod.has_end_angle())?;
+        let states = self.states_of(row, before, self.shift).ok()?;
+        rod.end_angle(&states[states.len() / (self.shift + 1) * self.shift..]).ok()?
+    }
+
+    /// When errors of the model enter.
+    fn forcing(&self) -> Forcing {
+        let n = self.problem.background.len();
+        forcing(self.problem.experiment.scene.algorithm.model_error.as_ref(), n)
+    }
+
+    /// The states of a window from its analysis on, with the errors of the model that it found.
+    fn states_of(&self, row: &CycleRow, before: Option<f64>, steps: usize) -> Result<Vec<f64>, Error> {
         let mut model = self.model_of(row.first_step, before);
         let mut x = vec![0.0; model.dim()];
-        model.initial_state(&row.analysis, &mut x).ok()?;
-        let states = run_states(&mut *model, &x, self.shift).ok()?;
-        rod.end_angle(&states[self.shift * x.len()..]).ok()?
+        model.initial_state(&row.analysis, &mut x)?;
+        if row.model_errors.is_empty() {
+            return run_states(&mut *model, &x, steps);
+        }
+        let (forcing, size) = (self.forcing(), row.analysis.len());
+        let (mut states, mut next) = (x.clone(), x.clone());
+        for k in 0..steps {
+            model.step(k, &x, &mut next)?;
+            let error = forcing.index(k).and_then(|j| row.model_errors.get(j * size..(j + 1) * size));
+            error.unwrap_or(&[]).iter().zip(&mut next).for_each(|(eta, x)| *x += eta);
+            std::mem::swap(&mut x, &mut next);
+            states.extend_from_slice(&x);
+        }
+        Ok(states)
     }
 
     /// ‖M‖ of the last window about its analysis, for methods that have a gradient along a run.
@@ -399,20 +438,14 @@ impl Sequence {
     }
 
     /// Runs from every window's analysis to the next one's start, the last to its end; and the truth over the
-    /// same steps.
+    /// same steps. A step that two windows share has the later one's value, which has seen more.
     fn trajectories(&self, rows: &[CycleRow], warnings: &mut Vec<String>) -> Trajectories {
         let dim = self.problem.experiment.n_state;
         let mut analysis = Vec::new();
         for (i, row) in rows.iter().enumerate() {
             let last = i + 1 == rows.len();
             let before = i.checked_sub(1).and_then(|before| rows[before].next_end_angle);
-            let mut model = self.model_of(row.first_step, before);
-            let mut x = vec![0.0; dim];
-            let run = model
-                .initial_state(&row.analysis, &mut x)
-                .map_err(Error::from)
-                .and_then(|()| run_states(&mut *model, &x, if last { self.window } else { self.shift - 1 }));
-            match run {
+            match self.states_of(row, before, if last { self.window } else { self.shift - 1 }) {
                 Ok(states) => analysis.extend(states),
                 Err(e) => {
                     warnings.push(format!("the run of the analysis ends early, in cycle {}: {e}", row.cycle));

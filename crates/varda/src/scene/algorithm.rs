@@ -38,7 +38,7 @@ pub struct Algorithm {
     /// ended. The last must be the window. Empty: the whole window at once.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub window_growth: Vec<usize>,
-    /// The error of the model (methods weak-forcing and weak-state).
+    /// The error of the model (methods weak-forcing and weak-state; others with [algorithm.cycles]).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model_error: Option<ModelError>,
     /// The ensemble (methods 4denvar and hybrid-4denvar).

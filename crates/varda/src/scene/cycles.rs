@@ -5,9 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use super::Method;
 
-/// Cycling (methods 4dvar, 3dvar, 4denvar, hybrid-4denvar): every window starts from the analysis of the one
-/// before, run to its start. Windows are `time.window` steps long; an observation belongs to the first window
-/// that holds it.
+/// Cycling (methods 4dvar, 3dvar, weak-forcing, 4denvar, hybrid-4denvar): every window starts from the
+/// analysis of the one before, run to its start. Windows are `time.window` steps long; an observation belongs
+/// to the first window that holds it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Cycles {

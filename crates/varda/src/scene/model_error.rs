@@ -5,8 +5,10 @@ use serde::{Deserialize, Serialize};
 
 use super::{Covariance, defaults::is_default};
 
-/// The error of the model: x_{k+1} = M_k(x_k) + η, η drawn from N(0, Q) (methods weak-forcing and
-/// weak-state).
+/// The error of the model: x_{k+1} = M_k(x_k) + η, η drawn from N(0, Q). Methods weak-forcing and
+/// weak-state estimate it. With [algorithm.cycles] it goes with other methods too: Q then widens what a
+/// window hands on, a propagated B by every error on the way to the next window, members by draws at its
+/// start.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ModelError {

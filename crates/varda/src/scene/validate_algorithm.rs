@@ -39,12 +39,13 @@ type Takes = fn(Method) -> bool;
 /// Refuses keys that the method does not use.
 fn validate_keys(algorithm: &Algorithm) -> Check {
     let method = algorithm.method;
+    let of_one_window = algorithm.cycles.is_none();
     let keys: [(&str, bool, Takes); 8] = [
         ("minimizer", algorithm.minimizer != Minimizer::Auto, Method::takes_minimizer),
         ("sigma_stages", !algorithm.sigma_stages.is_empty(), Method::takes_minimizer),
         ("robust", algorithm.robust.is_some(), Method::takes_robust),
         ("window_growth", !algorithm.window_growth.is_empty(), Method::takes_window_growth),
-        ("model_error", algorithm.model_error.is_some(), Method::is_weak),
+        ("model_error", algorithm.model_error.is_some() && of_one_window, Method::is_weak),
         ("ensemble", algorithm.ensemble.is_some(), Method::is_ensemble),
         (
             "gradient_tolerance",
@@ -107,7 +108,7 @@ fn validate_model_error(error: &ModelError, scene: &Scene) -> Check {
     let path = "algorithm.model_error";
     validate_covariance(&error.covariance, &format!("{path}.covariance"), &scene.model)?;
     let window = scene.time.window;
-    if error.every > window {
+    if error.every > window && scene.algorithm.method.is_weak() {
         return invalid(
             format!("{path}.every"),
             format!("no sub-window of {} steps ends in the window, which has {window}", error.every),

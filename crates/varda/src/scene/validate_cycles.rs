@@ -8,9 +8,11 @@ pub(super) fn validate_cycles(cycles: &Cycles, scene: &Scene) -> Check {
     let (algorithm, window) = (&scene.algorithm, scene.time.window);
     let method = algorithm.method;
     let refuse = |key: &str, message: String| invalid(format!("algorithm.cycles{key}"), message);
-    if !matches!(method, Method::FourDVar | Method::ThreeDVar) && !method.is_ensemble() {
+    let is_cycled = matches!(method, Method::FourDVar | Method::ThreeDVar | Method::WeakForcing);
+    if !is_cycled && !method.is_ensemble() {
         let message = format!(
-            "method {:?} is not cycled; \"4dvar\", \"3dvar\", \"4denvar\" and \"hybrid-4denvar\" are",
+            "method {:?} is not cycled; \"4dvar\", \"3dvar\", \"weak-forcing\", \"4denvar\" and \
+             \"hybrid-4denvar\" are",
             method.name()
         );
         return refuse("", message);
@@ -39,6 +41,20 @@ pub(super) fn validate_cycles(cycles: &Cycles, scene: &Scene) -> Check {
             covariance.name()
         );
         return refuse(".covariance", message);
+    }
+    if let Some(error) = algorithm.model_error.as_ref().filter(|_| !method.is_weak()) {
+        if covariance == CycledCovariance::Static {
+            let message = "Q does not change a static B: take cycles.covariance = \"propagated\", or method \
+                           \"weak-forcing\", which estimates the errors";
+            return invalid("algorithm.model_error", message);
+        }
+        if error.every > cycles.shift_of(window) {
+            let message = format!(
+                "no error enters between two windows, which are {} steps apart",
+                cycles.shift_of(window)
+            );
+            return invalid("algorithm.model_error.every", message);
+        }
     }
     let factor = cycles.inflation.and_then(Inflation::factor);
     let found = cycles.inflation.is_some() && factor.is_none();

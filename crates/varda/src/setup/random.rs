@@ -20,6 +20,8 @@ pub enum Stream {
     Directions = 4,
     /// Rotations of an ensemble between windows.
     Rotations = 5,
+    /// Errors of the model, drawn for members.
+    ModelErrors = 6,
 }
 
 /// ChaCha with 8 rounds, one stream per purpose: the same numbers on every machine and in every version.

@@ -10,7 +10,7 @@ use varda_covariance::{Covariance, Ensemble};
 use varda_implicit::{Model, Storage};
 
 use crate::outcome::{ModelErrors, WorkCounts};
-use crate::scene::Algorithm;
+use crate::scene::{Algorithm, ModelError};
 use crate::setup::covariance::Factored;
 use crate::setup::memory::MOST_PRODUCTS;
 use crate::setup::random::{Stream, stream};
@@ -125,12 +125,16 @@ pub(super) struct SubWindowEnd {
 impl Task<'_> {
     /// Where and how often the model errs: in the components of the control, which lead the state.
     pub(super) fn forcing(&self) -> Forcing {
-        let error = self.algorithm.model_error.as_ref();
-        Forcing {
-            components: (0..self.background.len()).collect(),
-            steps: error.map_or(1, |e| e.every),
-            held: error.is_some_and(|e| e.held),
-        }
+        forcing(self.algorithm.model_error.as_ref(), self.background.len())
+    }
+}
+
+/// Where and how often the model errs: in the n components of the control, which lead the state.
+pub(crate) fn forcing(error: Option<&ModelError>, n: usize) -> Forcing {
+    Forcing {
+        components: (0..n).collect(),
+        steps: error.map_or(1, |e| e.every),
+        held: error.is_some_and(|e| e.held),
     }
 }
 
