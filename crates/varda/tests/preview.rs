@@ -103,8 +103,8 @@ fn warnings_end_in_0_and_errors_in_1_and_run_says_the_same() {
     assert!(text(&nothing.stdout).contains("nothing is observed"), "{}", text(&nothing.stdout));
 }
 
-/// A rod that sags from a level clamp: a scene of its recording gets so many segments that `check` has nothing
-/// to say of them.
+/// A rod that sags from a level clamp: a scene of its recording gets so many segments that `check` has
+/// nothing to say of them.
 #[test]
 fn a_new_scene_of_a_recording_has_enough_segments() {
     let level = scene().replace("tangent = [0.0, 0.0, -1.0]", "tangent = [1.0, 0.0, 0.0]");

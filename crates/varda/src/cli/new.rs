@@ -48,7 +48,8 @@ pub(super) fn new(name: &str, from: From) -> Result<(), Error> {
     Ok(())
 }
 
-/// The scene with so many segments that twice as many move the rod by less than σ of its recording, up to 120.
+/// The scene with so many segments, up to 120, that twice as many move the rod by less than σ of its
+/// recording.
 fn with_enough_segments(path: &Path, scene: String) -> String {
     const MOST: usize = 120;
     let folder = path.parent().unwrap_or(Path::new(""));

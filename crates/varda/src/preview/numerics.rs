@@ -135,8 +135,8 @@ pub(super) fn halved(file: &SceneFile, parts: &RodParts, rest: &Rest, t: f64) ->
     Ok(MeshEffect { moves, arc_length, share: moves / parts.rod.length() })
 }
 
-/// Segments of a rod at which twice as many move it at rest by less than σ of its recording, from those of the
-/// scene up to `most`; `None` where that cannot be said.
+/// Segments of a rod at which twice as many move it at rest by less than σ of its recording, from those of
+/// the scene up to `most`; `None` where that cannot be said.
 pub fn enough_segments(file: &SceneFile, most: usize) -> Option<usize> {
     let Observations::File(recording) = &file.scene.observations else { return None };
     let (sigma, t) = (recording.sigma?, file.grid().ok()?.start);
