@@ -10,6 +10,7 @@ mod departure_series;
 pub mod departures;
 mod estimates;
 mod fit;
+mod interrupted;
 mod mesh;
 mod model_errors;
 mod modes;
