@@ -1,5 +1,6 @@
 //! Eigenvalues of dense symmetric matrices (faer's).
 
+use crate::interrupt::apart;
 use crate::{Error, clear_upper_registers};
 use faer::diag::Diag;
 use faer::dyn_stack::{MemBuffer, MemStack};
@@ -36,19 +37,22 @@ impl Eigen {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Eigen`] if the iteration fails or a value is not finite (an entry is NaN, say).
+    /// [`Error::Eigen`] if the iteration fails or a value is not finite (an entry is NaN, say);
+    /// [`Error::Interrupted`] where it was asked to end.
     ///
     /// # Panics
     /// If `matrix` is not of length n².
     pub fn new(n: usize, matrix: &[f64]) -> Result<Self, Error> {
-        let mut vectors = Mat::zeros(n, n);
-        let values = evd(n, matrix, Some(&mut vectors))?;
-        let vectors: Vec<f64> = vectors.col_iter().flat_map(|z| z.iter()).copied().collect();
-        if vectors.iter().all(|z| z.is_finite()) {
-            Ok(Self { values, vectors })
-        } else {
-            Err(Error::Eigen { dim: n })
-        }
+        apart(n, matrix, move |matrix| {
+            let mut vectors = Mat::zeros(n, n);
+            let values = evd(n, matrix, Some(&mut vectors))?;
+            let vectors: Vec<f64> = vectors.col_iter().flat_map(|z| z.iter()).copied().collect();
+            if vectors.iter().all(|z| z.is_finite()) {
+                Ok(Self { values, vectors })
+            } else {
+                Err(Error::Eigen { dim: n })
+            }
+        })
     }
 }
 
@@ -66,7 +70,7 @@ impl Eigen {
 /// # Panics
 /// As for [`Eigen::new`].
 pub fn eigenvalues(n: usize, matrix: &[f64]) -> Result<Vec<f64>, Error> {
-    evd(n, matrix, None)
+    apart(n, matrix, move |matrix| evd(n, matrix, None))
 }
 
 fn evd(n: usize, matrix: &[f64], vectors: Option<&mut Mat<f64>>) -> Result<Vec<f64>, Error> {

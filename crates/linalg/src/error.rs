@@ -4,6 +4,9 @@
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
+    /// It was asked to end ([`interrupt::within`](crate::interrupt::within)).
+    #[error("interrupted")]
+    Interrupted,
     /// An entry is NaN or infinite.
     #[error("entry ({row}, {column}) of the matrix is {value}")]
     NonFinite {

@@ -59,6 +59,8 @@ pub mod dense;
 mod eigen;
 mod error;
 #[cfg(feature = "faer")]
+pub mod interrupt;
+#[cfg(feature = "faer")]
 pub mod krylov;
 #[cfg(feature = "faer")]
 mod registers;

@@ -1,5 +1,6 @@
 //! Singular values of dense matrices (faer's).
 
+use crate::interrupt::apart;
 use crate::{Error, clear_upper_registers};
 use faer::diag::Diag;
 use faer::dyn_stack::{MemBuffer, MemStack};
@@ -34,7 +35,8 @@ impl Svd {
     /// Of the m × n matrix given column by column.
     ///
     /// # Errors
-    /// [`Error::Eigen`] if the iteration fails or a value is not finite (an entry is NaN, say).
+    /// [`Error::Eigen`] if the iteration fails or a value is not finite (an entry is NaN, say);
+    /// [`Error::Interrupted`] where it was asked to end.
     ///
     /// # Panics
     /// If `matrix` is not of length m n.
@@ -43,7 +45,7 @@ impl Svd {
             let right = (0..n * n).map(|i| f64::from(i % (n + 1) == 0)).collect();
             return Ok(Self { values: Vec::new(), left: Vec::new(), right });
         }
-        Self::of(m, n, matrix, ComputeSvdVectors::Full)
+        apart(m.min(n), matrix, move |matrix| Self::of(m, n, matrix, ComputeSvdVectors::Full))
     }
 
     /// As [`new`](Self::new), without the v of no singular value: for m ≪ n in time n m² and memory n m.
@@ -57,7 +59,7 @@ impl Svd {
         if m.min(n) == 0 {
             return Ok(Self { values: Vec::new(), left: Vec::new(), right: Vec::new() });
         }
-        Self::of(m, n, matrix, ComputeSvdVectors::Thin)
+        apart(m.min(n), matrix, move |matrix| Self::of(m, n, matrix, ComputeSvdVectors::Thin))
     }
 
     fn of(m: usize, n: usize, matrix: &[f64], vectors: ComputeSvdVectors) -> Result<Self, Error> {

@@ -29,6 +29,7 @@ fn an_interrupted_run_ends_with_what_is_done() {
     let mut listener = Listener {
         on_iteration: Box::new(|_| rows.set(rows.get() + 1)),
         interrupted: Box::new(|| rows.get() >= 3),
+        ends: None,
         started: Instant::now(),
     };
     let outcome = assimilate(&problem, &mut listener).unwrap();

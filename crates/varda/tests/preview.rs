@@ -6,8 +6,9 @@ mod rod_scene;
 use std::process::{Command, Output};
 
 use rod_scene::{Folder, ROD, SEEN};
-use varda::preview::Preview;
+use varda::preview::{Preview, enough_segments};
 use varda::run::{Listener, assimilate};
+use varda::scene::SceneFile;
 use varda::setup::Problem;
 
 fn scene() -> String {
@@ -100,4 +101,27 @@ fn warnings_end_in_0_and_errors_in_1_and_run_says_the_same() {
     let nothing = varda(&folder, &late, "check", &[]);
     assert_eq!(nothing.status.code(), Some(1));
     assert!(text(&nothing.stdout).contains("nothing is observed"), "{}", text(&nothing.stdout));
+}
+
+/// A rod that sags from a level clamp: a scene of its recording gets so many segments that `check` has
+/// nothing to say of them.
+#[test]
+fn a_new_scene_of_a_recording_has_enough_segments() {
+    let level = scene().replace("tangent = [0.0, 0.0, -1.0]", "tangent = [1.0, 0.0, 0.0]");
+    let level = level.replace("director = [1.0, 0.0, 0.0]", "director = [0.0, 0.0, 1.0]");
+    let none = "time_s,s_m,x_m,y_m,z_m\n0.1,0.5,,,\n0.2,0.3,0.2,0,0.9\n";
+    let folder = Folder::new("preview-segments").with("seen.csv", none);
+    let scene = |segments: usize| {
+        let sets = [&format!("model.segments={segments}")[..], "observations.sigma=0.0005"];
+        folder.scene(&level, &sets).unwrap()
+    };
+    let mesh = |segments: usize| Preview::new(&scene(segments)).unwrap().mesh.unwrap().moves;
+    assert!(mesh(8) > 0.0005, "{}", mesh(8));
+    let enough = enough_segments(&scene(8), 120).unwrap();
+    assert!(mesh(enough) <= 0.0005 && enough <= 100, "{enough}: {}", mesh(enough));
+    // no more than a third above what is needed, and none where there are enough
+    assert!(mesh(enough * 3 / 4 - 4) > 0.0005, "{enough}");
+    assert_eq!(enough_segments(&scene(enough), 120), Some(enough));
+    assert_eq!(enough_segments(&scene(8), 12), Some(12));
+    assert_eq!(enough_segments(&SceneFile::open("lorenz96", &[]).unwrap(), 120), None);
 }

@@ -18,6 +18,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use clap::{Args, Parser, Subcommand};
+use varda_linalg::interrupt::{self, Ends};
 
 use crate::Error;
 use crate::convert::{Options, Unit, Up};
@@ -252,6 +253,8 @@ fn run_scene(
     let stop = stop_on_signals();
     let mut progress = ProgressDisplay::new(quiet, started, file.scene.limits.seconds);
     let interrupted = || stop.load(Ordering::SeqCst);
+    let flag = Arc::clone(&stop);
+    let ends: Ends = Arc::new(move || flag.load(Ordering::SeqCst));
     if resume && file.scene.algorithm.cycles.is_none() {
         return Err(file.invalid("algorithm", "only a run with [algorithm.cycles] can be resumed"));
     }
@@ -265,14 +268,23 @@ fn run_scene(
         let sequence = Sequence::new(settings.clone(), inputs)?;
         eprint!("{said}");
         let start = cycles::SequenceStart { file: &file, files: &files, folder: &folder, resumed };
-        return cycles::run(&sequence, start, &mut progress, &interrupted, options, started);
+        return interrupt::within(ends, || {
+            cycles::run(&sequence, start, &mut progress, &interrupted, options, started)
+        });
     }
-    let problem = Problem::new(inputs)?;
+    let problem = match interrupt::within(Arc::clone(&ends), || Problem::new(inputs)) {
+        Err(_) if interrupted() => {
+            eprintln!("interrupted before the first value of J: nothing is written");
+            return Ok(ExitCode::from(INTERRUPTED));
+        }
+        problem => problem?,
+    };
     eprint!("{said}");
     progress.expect(problem.observations()?.dim(), problem.experiment.grid.steps);
     let mut listener = Listener {
         on_iteration: Box::new(|row| progress.row(row)),
         interrupted: Box::new(interrupted),
+        ends: Some(Arc::clone(&ends)),
         started,
     };
     let outcome = assimilate(&problem, &mut listener)?;

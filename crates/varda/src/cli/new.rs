@@ -5,7 +5,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use crate::Error;
-use crate::scene::{STARTER, Shipped, shipped_data, shipped_scene};
+use crate::preview::enough_segments;
+use crate::scene::{STARTER, SceneFile, Shipped, shipped_data, shipped_scene};
 use crate::setup::recording_scene::scene_of_recording;
 
 /// What a new scene is made of.
@@ -32,7 +33,7 @@ pub(super) fn new(name: &str, from: From) -> Result<(), Error> {
             let read = |reason| Error::Read { place: place(), path: file.clone(), reason };
             let text = String::from_utf8(super::bytes_of(&file).map_err(read)?)
                 .map_err(|e| read(std::io::Error::new(std::io::ErrorKind::InvalidData, e)))?;
-            scene_of_recording(&seen_from(&file, &path), &text)?
+            with_enough_segments(&path, scene_of_recording(&seen_from(&file, &path), &text)?)
         }
         From::Shipped(scene) => {
             let shipped = shipped_scene(&scene)?;
@@ -45,6 +46,23 @@ pub(super) fn new(name: &str, from: From) -> Result<(), Error> {
     write_new(&path, &text)?;
     println!("wrote {0}; next: varda check {0}", path.display());
     Ok(())
+}
+
+/// The scene with so many segments, up to 120, that twice as many move the rod by less than σ of its
+/// recording.
+fn with_enough_segments(path: &Path, scene: String) -> String {
+    const MOST: usize = 120;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let file = SceneFile::parse("new", "new", &scene, Some(folder), &[]);
+    let Some(segments) = file.ok().and_then(|file| enough_segments(&file, MOST)) else { return scene };
+    let with = |line: &str| match line.strip_prefix("segments = ") {
+        Some(rest) => {
+            let rest = rest.trim_start_matches(|c: char| c.is_ascii_digit());
+            format!("segments = {segments}{rest}\n")
+        }
+        None => format!("{line}\n"),
+    };
+    scene.lines().map(with).collect()
 }
 
 /// Prints the TOML of a shipped scene.

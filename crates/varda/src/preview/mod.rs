@@ -9,7 +9,7 @@ mod values;
 
 pub use background::Misfit;
 pub use finding::{Finding, Severity};
-pub use numerics::{MeshEffect, ModeDamping, numerical_damping};
+pub use numerics::{MeshEffect, ModeDamping, enough_segments, numerical_damping};
 
 use crate::Error;
 use crate::outcome::RecordingSummary;

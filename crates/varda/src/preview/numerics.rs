@@ -6,7 +6,7 @@ use varda_rod::{Rest, Vector3, modes};
 
 use super::finding::Finding;
 use crate::Error;
-use crate::scene::{Model, SceneFile};
+use crate::scene::{Model, Observations, SceneFile};
 use crate::setup::files::Files;
 use crate::setup::rod_model::RodParts;
 
@@ -133,6 +133,30 @@ pub(super) fn halved(file: &SceneFile, parts: &RodParts, rest: &Rest, t: f64) ->
     let (vertex, moves) = most.expect("a rod has vertices");
     let arc_length = parts.rod.arc_lengths()[vertex];
     Ok(MeshEffect { moves, arc_length, share: moves / parts.rod.length() })
+}
+
+/// Segments of a rod at which twice as many move it at rest by less than σ of its recording, from those of
+/// the scene up to `most`; `None` where that cannot be said.
+pub fn enough_segments(file: &SceneFile, most: usize) -> Option<usize> {
+    let Observations::File(recording) = &file.scene.observations else { return None };
+    let (sigma, t) = (recording.sigma?, file.grid().ok()?.start);
+    let mut file = file.clone();
+    loop {
+        let Model::Rod(model) = &mut file.scene.model else { return None };
+        let segments = model.segments?;
+        let model = model.clone();
+        let parts = RodParts::read(&Files::of(&file), &model).ok()?;
+        let rest = parts.at_rest(t).ok()?;
+        let moves = halved(&file, &parts, &rest, t).ok()?.moves;
+        if moves <= sigma || segments >= most {
+            return Some(segments);
+        }
+        // the error falls with the square of a segment's length
+        let wanted = (segments as f64 * (moves / sigma).sqrt()).ceil() as usize;
+        if let Model::Rod(model) = &mut file.scene.model {
+            model.segments = Some(wanted.next_multiple_of(4).clamp(segments + 4, most.max(segments + 4)));
+        }
+    }
 }
 
 /// Where the mesh is too coarse: for the rod, or for a recording with values of this σ \[m\].

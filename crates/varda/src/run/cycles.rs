@@ -17,6 +17,7 @@ use varda_assimilation::{
 };
 use varda_implicit::check::Amplification;
 use varda_implicit::{At, Model, Refusal};
+use varda_linalg::interrupt;
 
 use super::{amplification, cycle_checks, shapes, verdict};
 use crate::Error;
@@ -233,7 +234,10 @@ impl Sequence {
         let (mut warnings, mut failure) = (Vec::new(), None);
         let mut status =
             rows.iter().map(|r| r.status).max_by_key(|s| severity(*s)).unwrap_or(Status::Converged);
-        if let Err(error) = ended {
+        // in a long calculation of a window
+        let left = ended.is_err() && !rows.is_empty() && interrupt::requested();
+        interrupted = interrupted || left;
+        if let (Err(error), false) = (ended, left) {
             if rows.is_empty() {
                 return Err(error.into());
             }

@@ -9,6 +9,7 @@ pub mod cycles;
 mod departure_series;
 pub mod departures;
 mod fit;
+mod interrupted;
 mod model_errors;
 mod modes;
 mod second_minimum;

@@ -6,7 +6,9 @@ use std::time::Instant;
 use varda_assimilation::{Analysis, ObservationSet, Rejection, huber};
 use varda_implicit::check::Amplification;
 use varda_implicit::{Log, Model};
+use varda_linalg::interrupt::{self, Ends};
 
+use super::interrupted::{Asked, Lowest};
 use super::verdict::{self, Judged};
 use super::{amplification, between_steps, departures, fit, model_errors, second_minimum, shapes, spread};
 use crate::Error;
@@ -26,6 +28,9 @@ pub struct Listener<'a> {
     pub on_iteration: Box<dyn FnMut(&ConvergenceRow) + 'a>,
     /// Called after every iteration: true ends the run with the result so far.
     pub interrupted: Box<dyn Fn() -> bool + 'a>,
+    /// Asked during long calculations, from any thread: true ends the run at once with the lowest point so
+    /// far. `None`: only the seconds of `[limits]` end one.
+    pub ends: Option<Ends>,
     /// When the run began; `seconds.total` counts from here.
     pub started: Instant,
 }
@@ -33,7 +38,12 @@ pub struct Listener<'a> {
 impl Listener<'_> {
     /// A listener that does nothing; the run begins now.
     pub fn silent() -> Self {
-        Listener { on_iteration: Box::new(|_| {}), interrupted: Box::new(|| false), started: Instant::now() }
+        Listener {
+            on_iteration: Box::new(|_| {}),
+            interrupted: Box::new(|| false),
+            ends: None,
+            started: Instant::now(),
+        }
     }
 }
 
@@ -52,10 +62,18 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let began = Instant::now();
     let mut convergence: Vec<ConvergenceRow> = Vec::new();
     let mut late = false;
+    let asked = Asked::of(listener.ends.clone(), &scene.limits, listener.started);
+    let lowest = Lowest::default();
     let observations = problem.observations()?;
     let reserve = second_minimum::Reserve::of(problem, &observations);
     let mut on_iterate = |r: &Iterate| {
+        if asked.requested() {
+            // what was computed since it was asked to end is not to be believed
+            return ControlFlow::Break(());
+        }
         let i = r.iteration;
+        lowest.add(r);
+        asked.begin();
         let row = ConvergenceRow {
             iteration: r.before.0 + i.index,
             seconds: began.elapsed().as_secs_f64(),
@@ -101,9 +119,17 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
             Some(Box::new(Timed::new(model, &clock)))
         },
     };
-    let (solution, observations) = solve::solve(&mut task, observations, &mut on_iterate)?;
-    let (solution, mut observations, second) =
-        second_minimum::look(problem, &mut task, solution, observations, &reserve, &mut on_iterate)?;
+    let solved = interrupt::within(asked.ends(), || {
+        let (solution, observations) = solve::solve(&mut task, observations, &mut on_iterate)?;
+        second_minimum::look(problem, &mut task, solution, observations, &reserve, &mut on_iterate)
+    });
+    let ended_early = asked.was_told();
+    late = late || (ended_early && scene.limits.over(listener.started.elapsed()));
+    let left = if ended_early { lowest.solution(problem) } else { None };
+    let (solution, mut observations, second) = match left {
+        Some(solution) => (solution, problem.observations()?, None),
+        None => solved?,
+    };
     let mut log = timed.log().clone();
     // The time of the posterior does not belong to the minimization.
     let minimizer = convergence.last().map_or(0.0, |row| row.seconds);
@@ -144,7 +170,10 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     warnings.extend(model_errors::remark(scene, errors_of_model.as_ref(), analysis.terms.model_error));
     let trajectories =
         trajectories(problem, model.as_mut(), &analysis.analysis, solution.states, &mut warnings, &mut log);
-    let amplification = amplification(problem, make_model, &analysis, &observations, &trajectories);
+    let amplification = match ended_early {
+        true => None,
+        false => amplification(problem, make_model, &analysis, &observations, &trajectories),
+    };
     warnings.extend(amplification.and_then(|a| a.warning()));
     observations.follow(model.rate());
     let fit = fit::fit(&mut observations, &trajectories)?;

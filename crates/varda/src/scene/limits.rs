@@ -20,8 +20,9 @@ pub struct Limits {
     #[serde(skip_serializing_if = "String::is_empty")]
     pub memory: String,
     /// Most seconds of a run \[s\], reading files and setting up included: looked at after every iteration
-    /// (of cycles, every window). A run that takes longer ends with the best point so far, status
-    /// "interrupted", and writes its report, without posterior; for a forecast and the report it takes the
+    /// and, once there is a J, at every step of the model and during large decompositions (of cycles, after
+    /// every window). A run that takes longer ends with the best point so far, status "interrupted", and
+    /// writes its report, without posterior; for a forecast and the report it takes the
     /// time it needs. None where it is not given.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]

@@ -16,7 +16,7 @@ use varda_assimilation::{
 use crate::outcome::WorkCounts;
 use crate::scene::Method;
 use crate::setup::ensemble::anchors;
-pub(crate) use task::{Iterate, OnIterate, PosteriorSpread, Solution, Task, forcing};
+pub(crate) use task::{Iterate, OnIterate, PosteriorSpread, Solution, Task, deviations, forcing};
 use task::{SubWindow, SubWindowEnd};
 
 /// Checks the observations against the background if the scene asks for that, and minimises: the whole window

@@ -196,7 +196,7 @@ impl PosteriorSpread {
 }
 
 /// The square roots of the diagonal of a covariance.
-pub(super) fn deviations(covariance: &dyn Covariance) -> Vec<f64> {
+pub(crate) fn deviations(covariance: &dyn Covariance) -> Vec<f64> {
     let mut variance = vec![0.0; covariance.dim()];
     covariance.variance(&mut variance);
     roots(variance)

@@ -5,7 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-use varda_implicit::{ControlMap, Error, Log, Model, Rate, Work};
+use varda_implicit::{ControlMap, Error, Log, Model, Rate, Refusal, Work};
+use varda_linalg::interrupt;
 
 /// Seconds spent in models, summed over all models that share the clock (and so over threads).
 #[derive(Debug, Clone, Default)]
@@ -82,6 +83,9 @@ where
     }
 
     fn step(&mut self, k: usize, x: &[f64], x_next: &mut [f64]) -> Result<Work, Error> {
+        if interrupt::requested() {
+            return Err(Error::Refused { step: k, reason: Refusal::new("interrupted") });
+        }
         let work = timing(&self.clock.0.forward, || self.model.step(k, x, x_next))?;
         self.log.step(k, work.clone());
         Ok(work)
@@ -94,11 +98,18 @@ where
     }
 
     fn tangent(&mut self, slot: usize, dx: &mut [f64]) {
+        if interrupt::requested() {
+            // what comes of it is not looked at
+            return;
+        }
         self.log.counts.tangent_steps += dx.len() / self.model.dim().max(1);
         timing(&self.clock.0.tangent, || self.model.tangent(slot, dx));
     }
 
     fn adjoint(&mut self, slot: usize, lambda: &mut [f64]) {
+        if interrupt::requested() {
+            return;
+        }
         self.log.counts.adjoint_steps += lambda.len() / self.model.dim().max(1);
         timing(&self.clock.0.adjoint, || self.model.adjoint(slot, lambda));
     }
