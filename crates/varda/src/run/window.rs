@@ -210,7 +210,9 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
     let mut estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
     let before_mesh = began.elapsed().as_secs_f64();
-    if let Some(file) = problem.finer.as_ref().filter(|_| problem.truth.is_none()) {
+    if let Some(file) =
+        problem.finer.as_ref().filter(|_| problem.truth.is_none() && status != Status::Interrupted)
+    {
         let ended = finer(file, listener);
         warnings.extend(mesh::allow(problem, &mut estimates, ended)?);
     }
@@ -271,6 +273,7 @@ fn finer(file: &SceneFile, listener: &Listener) -> Result<Outcome, Error> {
     let mut quiet = Listener {
         on_iteration: Box::new(|_| {}),
         interrupted: Box::new(|| (listener.interrupted)()),
+        ends: listener.ends.clone(),
         started: listener.started,
     };
     assimilate(&Problem::new(Inputs::read(file)?)?, &mut quiet)
