@@ -243,10 +243,12 @@ impl Estimates {
         unknown: &Unknown,
     ) -> Result<(), Error> {
         let path = format!("estimate.{key}");
-        if let (Unknown::Every(prior), "natural_curvature" | "natural_twist") = (unknown, key) {
-            if let Some(length) = prior.correlation_length {
-                return self.add_field(file, &path, key, prior, length, described.rod, model);
-            }
+        let field = match (unknown, key) {
+            (Unknown::Every(prior), "natural_curvature" | "natural_twist") => Some(prior),
+            _ => None,
+        };
+        if let Some((prior, length)) = field.and_then(|prior| Some((prior, prior.correlation_length?))) {
+            return self.add_field(file, &path, key, prior, length, described.rod, model);
         }
         let kinds = kinds(key, model, described, unknown.together());
         let priors = file.checked(unknown.priors(&path, kinds.len()))?;

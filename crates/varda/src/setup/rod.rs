@@ -94,7 +94,13 @@ impl RodSystem {
         .with_constants(self.parts.estimates.constants.iter().map(Constant::of_control))
     }
 
-    /// A state of the rod's own step, and the rod with the constants that this state has.
+    /// The rod with the constants that a state has, and that state of the rod's own step.
+    ///
+    /// # Errors
+    /// Constants at which there is no rod.
+    ///
+    /// # Panics
+    /// If `state` is shorter than a state.
     pub fn with_constants_of(&self, state: &[f64]) -> Result<(RodStep, Vec<f64>), Error> {
         let (mut rod, places) = (self.parts.dynamics()?, self.parts.places()?);
         let mut own = vec![0.0; places.own_dim()];

@@ -23,7 +23,7 @@ pub enum System {
     /// A rod.
     Rod(Box<RodSystem>),
     /// Another model.
-    Components(ComponentSystem),
+    Components(Box<ComponentSystem>),
 }
 
 impl System {
@@ -48,7 +48,7 @@ impl System {
                 Equation::AlongLine { line: m.line(), field: Field::Fronts(fronts), step: line_step()? }
             }
         };
-        Ok(System::Components(ComponentSystem::new(files.scene, equation, grid)?))
+        Ok(System::Components(Box::new(ComponentSystem::new(files.scene, equation, grid)?)))
     }
 
     /// The rod, for models in space.
