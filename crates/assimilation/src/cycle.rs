@@ -64,7 +64,8 @@ pub enum CycledInflation {
     /// By the same factor α > 0 before every window.
     Fixed(f64),
     /// By what the innovations of the window and the finite number of members ask for (EnKF-N: Bocquet 2011,
-    /// Bocquet and Sakov 2012). For ensembles without localization. Costs one linearization a window more.
+    /// Bocquet and Sakov 2012); with localization by their likelihood under an inverse χ² of as many
+    /// degrees of freedom as members. Costs one linearization a window more.
     FiniteSize,
 }
 
@@ -151,12 +152,6 @@ pub fn cycle(
         CycledCovariance::Propagated { inflation, .. } => *inflation,
         CycledCovariance::Ensemble(ensemble) => match ensemble.inflation {
             CycledInflation::Fixed(inflation) => inflation,
-            CycledInflation::FiniteSize if ensemble.localization.rank() > 1 => {
-                return Err(Error::Setting {
-                    what: "finite-size inflation with localization, rank",
-                    value: ensemble.localization.rank() as f64,
-                });
-            }
             CycledInflation::FiniteSize => 1.0,
         },
     };

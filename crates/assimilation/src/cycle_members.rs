@@ -140,12 +140,39 @@ pub(crate) fn finite_size_inflation(members: usize, pairs: impl Iterator<Item = 
         let misfit: f64 = pairs.iter().map(|(l, c)| c * c / (1.0 + (n - 1.0) * l / zeta)).sum();
         0.5 * (misfit + epsilon * zeta - gamma * log_zeta)
     };
-    // The lowest of a grid, then golden section between its neighbours: the cost may have two minima.
-    let (top, points) = ((gamma / epsilon).ln(), 200);
-    let bottom = ((n - 1.0) / LARGEST_INFLATION.powi(2)).ln();
+    let (top, bottom) = ((gamma / epsilon).ln(), ((n - 1.0) / LARGEST_INFLATION.powi(2)).ln());
+    ((n - 1.0) / lowest(&cost, bottom, top).exp()).sqrt()
+}
+
+/// The same for an ensemble with localization, whose covariance has more directions than members: α² where
+/// the innovations and the number of members together make it most likely, the minimum of
+///
+/// ```text
+///     Σ ln(1 + α² λ_i) + c_i² / (1 + α² λ_i)  +  (N − 1) (ln α² + (1 + 1/N)/α²)
+/// ```
+///
+/// that is −2 ln of the likelihood of the innovations (Dee 1995) and of an inverse χ² of N − 1
+/// degrees of freedom about α² = 1 + 1/N, by which the truth is farther from the mean of N draws than
+/// they are (as in Raanes, Bocquet and Carrassi 2019). λ and c are those of the localized G.
+pub(crate) fn localized_inflation(members: usize, pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
+    let pairs: Vec<(f64, f64)> = pairs.collect();
+    let n = members as f64;
+    let cost = |log: f64| {
+        let a2 = log.exp();
+        let misfit: f64 = pairs.iter().map(|(l, c)| (a2 * l).ln_1p() + c * c / (1.0 + a2 * l)).sum();
+        misfit + (n - 1.0) * (log + (1.0 + 1.0 / n) / a2)
+    };
+    let most = 2.0 * LARGEST_INFLATION.ln();
+    (0.5 * lowest(&cost, -most, most)).exp()
+}
+
+/// Where a function of one number is lowest between two: on a grid, then by golden sections between its
+/// neighbours, for it may have two minima.
+fn lowest(cost: &dyn Fn(f64) -> f64, bottom: f64, top: f64) -> f64 {
+    let points = 200;
     let at = |i: usize| bottom + (top - bottom) * i as f64 / points as f64;
-    let lowest = (0..=points).min_by(|a, b| cost(at(*a)).total_cmp(&cost(at(*b)))).unwrap_or(points);
-    let (mut a, mut b) = (at(lowest.saturating_sub(1)), at((lowest + 1).min(points)));
+    let best = (0..=points).min_by(|a, b| cost(at(*a)).total_cmp(&cost(at(*b)))).unwrap_or(points);
+    let (mut a, mut b) = (at(best.saturating_sub(1)), at((best + 1).min(points)));
     let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
     for _ in 0..60 {
         let (left, right) = (b - golden * (b - a), a + golden * (b - a));
@@ -155,7 +182,7 @@ pub(crate) fn finite_size_inflation(members: usize, pairs: impl Iterator<Item = 
             a = left;
         }
     }
-    ((n - 1.0) / (0.5 * (a + b)).exp()).sqrt()
+    0.5 * (a + b)
 }
 
 /// A square root of P_a at v, by columns, no more of them than the control is long.
@@ -267,5 +294,20 @@ mod tests {
         assert!((nothing - 1.0).abs() <= 1e-6, "{nothing}");
         let little = finite_size_inflation(20, (0..19).map(|_| (0.01, 1.01_f64.sqrt())));
         assert!((1.0..1.01).contains(&little), "{little}");
+    }
+
+    /// With localization the innovations of many directions are weighed against the members: as expected they
+    /// leave the mode √(1 + 1/N) of the prior nearly as it is; many that are twice as large are believed.
+    #[test]
+    fn innovations_of_a_localized_ensemble_are_weighed_against_its_members() {
+        let factor = |count: usize, size: f64| {
+            localized_inflation(20, (0..count).map(|_| (4.0, size * 5.0_f64.sqrt())))
+        };
+        let nothing = localized_inflation(20, std::iter::empty());
+        assert!((nothing - 1.05_f64.sqrt()).abs() <= 1e-6, "{nothing}");
+        assert!((0.99..nothing).contains(&factor(400, 1.0)), "{}", factor(400, 1.0));
+        // 1 + 4 α² = 20 makes them as expected: α = 2.18.
+        assert!((factor(4000, 2.0) - 2.18).abs() <= 0.02, "{}", factor(4000, 2.0));
+        assert!(factor(40, 2.0) > 1.5 && factor(40, 2.0) < factor(400, 2.0));
     }
 }

@@ -378,6 +378,13 @@ fn a_sequence_says_whether_its_errors_are_as_assumed() {
     }
     assert!(!good["warnings"].to_string().contains("is expected"), "{}", good["warnings"]);
 
+    // With localization, ten members hold the truth, which they lose without (below).
+    let few = ["algorithm.ensemble.members=10", "algorithm.ensemble.localization_length=20"];
+    let local = &run(&[&adaptive[..1], &adaptive[3..], &few[..]].concat(), 0)["cycles"];
+    let of = |key: &str| local[key].as_f64().unwrap();
+    assert!(of("rmse_end") < 0.25 && (1.0..1.15).contains(&of("inflation")), "{local}");
+    assert!((0.8..1.25).contains(&(of("rmse_end") / of("spread"))), "{local}");
+
     let lost = run(&["algorithm.ensemble.members=10", "algorithm.ensemble.inflation=1.0"], 3);
     let warnings = lost["warnings"].to_string();
     assert!(lost["cycles"]["rmse_end"].as_f64().unwrap() > 1.0, "{}", lost["cycles"]);
@@ -389,7 +396,7 @@ fn a_sequence_says_whether_its_errors_are_as_assumed() {
 
     for (sets, part) in [
         (&["algorithm.cycles.spread=2.0"][..], "spread"),
-        (&["algorithm.cycles.inflation=adaptive"], "its own inflation"),
+        (&["algorithm.cycles.inflation=adaptive"], "ensemble's own inflation"),
         (&["algorithm.cycles.inflation=adaptively"], "inflation"),
     ] {
         let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();

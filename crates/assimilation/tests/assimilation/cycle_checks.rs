@@ -183,12 +183,4 @@ fn a_member_that_fails_is_drawn_again() {
     assert_eq!((done.len(), done[0].drawn_again), (2, 1), "{:?}", done[0]);
     assert!(state.columns.iter().all(|x| x.abs() <= 6.0));
     assert_eq!(run().1, state);
-    // Finite-size inflation is for ensembles without localization.
-    let taper = varda_covariance::Taper::GaspariCohn { support: 2.0 };
-    let mut local = settings(CycledInflation::FiniteSize, None);
-    local.localization = Localization::by_distance(taper, 3, |i, j| i.abs_diff(j) as f64, 0.0).unwrap();
-    let mut state = CycleState::from_members(normals(5, 30), 3);
-    let refused =
-        cycle(&cycling, &mut state, &CycledCovariance::Ensemble(local), &Minimizer::default(), &mut go_on);
-    assert!(matches!(refused, Err(Error::Setting { .. })));
 }

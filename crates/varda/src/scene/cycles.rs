@@ -24,8 +24,8 @@ pub struct Cycles {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub covariance: Option<CycledCovariance>,
     /// Factor on the standard deviations of the propagated posterior (that of an ensemble is in
-    /// [algorithm.ensemble]); or "adaptive", for an ensemble without localization: what the innovations of a
-    /// window and the finite number of members ask for.
+    /// [algorithm.ensemble]); or "adaptive", for an ensemble: what the innovations of a window and the finite
+    /// number of members ask for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inflation: Option<Inflation>,
     /// Part of the members' deviations over which the ensemble is linearized by differences; 1, the default,

@@ -65,9 +65,8 @@ pub(super) fn validate_cycles(cycles: &Cycles, scene: &Scene) -> Check {
         return refuse(".spread", format!("{spread} is not in (0, 1]"));
     }
     let ensemble = algorithm.members();
-    if found && ensemble.as_ref().is_some_and(|e| e.localization_length.is_some() || e.inflation != 1.0) {
-        let message = "\"adaptive\" is for an ensemble without localization_length, and takes the place of \
-                       its own inflation";
+    if found && ensemble.as_ref().is_some_and(|e| e.inflation != 1.0) {
+        let message = "\"adaptive\" takes the place of the ensemble's own inflation";
         return refuse(".inflation", message.into());
     }
     let propagated = covariance == CycledCovariance::Propagated;

@@ -2,7 +2,7 @@
 
 use super::EnVar;
 use crate::cost::{CostFunction, CostTerms, dot, norm};
-use crate::cycle_members::finite_size_inflation;
+use crate::cycle_members::{finite_size_inflation, localized_inflation};
 use crate::minimize::{NOISE, at_least_one, eigen, setters};
 use crate::{Error, Iteration, Minimum, Status};
 use std::ops::ControlFlow;
@@ -339,7 +339,7 @@ impl EnVar<'_> {
     }
 
     /// The factor on the deviations of the members that a finite number of them asks for, at the last
-    /// linearization: see `finite_size_inflation`.
+    /// linearization: see `finite_size_inflation`, and with localization `localized_inflation`.
     pub(crate) fn finite_size_inflation(&self) -> Result<f64, Error> {
         let gram = self.gram()?;
         let mut along = self.base.d.clone();
@@ -356,6 +356,9 @@ impl EnVar<'_> {
             let c = if gram.dual { c } else { c / lambda.sqrt() };
             (*lambda, if unseen { 0.0 } else { c })
         });
+        if self.ensemble.localization().rank() > 1 {
+            return Ok(localized_inflation(self.ensemble.members(), pairs));
+        }
         Ok(finite_size_inflation(self.ensemble.members(), pairs))
     }
 
