@@ -184,8 +184,8 @@ impl Memory {
     }
 }
 
-/// Numbers that a dense posterior takes, or a method with dense matrices. Of m < n values: the root of P_a, its
-/// product with that of B, and the singular vectors of G with what finding them takes (fitted to resident
+/// Numbers that a dense posterior takes, or a method with dense matrices. Of m < n values: the root of P_a,
+/// its product with that of B, and the singular vectors of G with what finding them takes (fitted to resident
 /// memory of 1000 unknowns, m = 80 to 656: within 7 %). Else the Hessian, its eigenvectors with what finding
 /// them takes, the root of P_a, and G.
 fn decomposition(method: Method, n: usize, m: usize) -> usize {
