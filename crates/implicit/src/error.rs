@@ -183,7 +183,7 @@ impl Error {
     /// What a step's own equations refused; an error of this crate among it (of a solve within the step) is
     /// told as it is, once.
     #[cfg(feature = "implicit")]
-    pub(crate) fn refused(step: usize, reason: Refusal) -> Error {
+    pub fn refused(step: usize, reason: Refusal) -> Error {
         match reason.downcast::<Error>() {
             Ok(error) => error.at_step(step),
             Err(reason) => Error::Refused { step, reason },

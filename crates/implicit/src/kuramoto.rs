@@ -2,7 +2,7 @@
 
 #[cfg(feature = "implicit")]
 use crate::{ImplicitModel, OneLeg, Scheme};
-use crate::{Model, Rhs, Rk4, Structure};
+use crate::{Model, ParametricRhs, Rhs, Rk4, Structure};
 
 /// A field on a circle that long waves feed, short ones damp, and transport by itself ties together: chaotic
 /// in space and time where the circle is long.
@@ -109,6 +109,17 @@ impl KuramotoSivashinsky {
         row[3] -= carried + carries;
         row
     }
+}
+
+/// None.
+impl ParametricRhs for KuramotoSivashinsky {
+    fn parameters(&self) -> usize {
+        0
+    }
+
+    fn set_parameters(&mut self, _p: &[f64]) {}
+
+    fn parameter_jacobian(&mut self, _t: f64, _u: &[f64], _columns: &mut [f64]) {}
 }
 
 impl Rhs for KuramotoSivashinsky {

@@ -131,6 +131,9 @@ mod newton;
 mod observation;
 #[cfg(feature = "implicit")]
 mod one_leg;
+#[cfg(feature = "implicit")]
+mod parameters;
+mod parametric_rhs;
 mod rate;
 mod rhs;
 #[cfg(feature = "implicit")]
@@ -157,6 +160,9 @@ pub use newton::{NewtonFailure, NewtonOptions, NewtonReport, NewtonWork, solve};
 pub use observation::{At, ObservationOperator};
 #[cfg(feature = "implicit")]
 pub use one_leg::{OneLeg, OneLegEquations};
+#[cfg(feature = "implicit")]
+pub use parameters::{ParameterPlaces, ParametricStep, WithParameters};
+pub use parametric_rhs::{ChosenParameters, Law, ParametricRhs, RhsWithParameters};
 pub use rate::{Rate, VelocityRate};
 pub use rhs::Rhs;
 #[cfg(feature = "implicit")]

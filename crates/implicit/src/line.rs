@@ -2,7 +2,7 @@
 
 #[cfg(feature = "implicit")]
 use crate::{ImplicitModel, OneLeg, Scheme};
-use crate::{Model, Rhs, Rk4, Structure};
+use crate::{Model, ParametricRhs, Rhs, Rk4, Structure};
 
 /// The line that a field u is carried along, 0 ≤ s ≤ L, by points at equal distances h.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -196,6 +196,16 @@ impl Transport {
         Box::new(ImplicitModel::new(OneLeg::new(self, scheme, tolerance), first_index, length))
     }
 
+    /// The speed c and the diffusivity ν.
+    pub fn constants(&self) -> [f64; 2] {
+        [self.speed, self.diffusivity]
+    }
+
+    /// Whether u carries itself.
+    pub fn steepens(&self) -> bool {
+        self.steepening != 0.0
+    }
+
     /// The line.
     pub fn line(&self) -> &Line {
         &self.line
@@ -242,6 +252,26 @@ fn near(u: &[f64], beyond: [f64; 2], i: usize) -> [f64; 3] {
     let left = if i == 0 { beyond[0] } else { u[i - 1] };
     let right = if i + 1 == u.len() { beyond[1] } else { u[i + 1] };
     [left, u[i], right]
+}
+
+/// The speed c and the diffusivity ν.
+impl ParametricRhs for Transport {
+    fn parameters(&self) -> usize {
+        2
+    }
+
+    fn set_parameters(&mut self, p: &[f64]) {
+        (self.speed, self.diffusivity) = (p[0], p[1]);
+    }
+
+    fn parameter_jacobian(&mut self, _t: f64, u: &[f64], columns: &mut [f64]) {
+        let (n, h, beyond) = (u.len(), self.line.spacing(), self.beyond(u));
+        let (by_speed, by_diffusivity) = columns.split_at_mut(n);
+        for (i, (c, d)) in by_speed.iter_mut().zip(by_diffusivity).enumerate() {
+            let [l, m, r] = near(u, beyond, i);
+            (*c, *d) = (-0.5 * (r - l) / h, (l - 2.0 * m + r) / (h * h));
+        }
+    }
 }
 
 impl Rhs for Transport {

@@ -1,6 +1,6 @@
 //! Standard test models: the Lorenz equations of 1963 and 1996.
 
-use crate::{Model, Rhs, Rk4};
+use crate::{Model, ParametricRhs, Rhs, Rk4};
 
 /// Lorenz 1963, three variables, chaotic for the classical parameters.
 ///
@@ -95,6 +95,37 @@ impl Lorenz96 {
     /// As [`Rk4::new`].
     pub fn rk4(self, first_index: usize, length: f64) -> Box<dyn Model + Send> {
         Box::new(Rk4::new(self, first_index, length))
+    }
+}
+
+/// σ, ρ, β.
+impl ParametricRhs for Lorenz63 {
+    fn parameters(&self) -> usize {
+        3
+    }
+
+    fn set_parameters(&mut self, p: &[f64]) {
+        (self.sigma, self.rho, self.beta) = (p[0], p[1], p[2]);
+    }
+
+    fn parameter_jacobian(&mut self, _t: f64, x: &[f64], columns: &mut [f64]) {
+        columns.fill(0.0);
+        (columns[0], columns[4], columns[8]) = (x[1] - x[0], x[0], -x[2]);
+    }
+}
+
+/// The forcing F.
+impl ParametricRhs for Lorenz96 {
+    fn parameters(&self) -> usize {
+        1
+    }
+
+    fn set_parameters(&mut self, p: &[f64]) {
+        self.forcing = p[0];
+    }
+
+    fn parameter_jacobian(&mut self, _t: f64, _x: &[f64], columns: &mut [f64]) {
+        columns.fill(1.0);
     }
 }
 

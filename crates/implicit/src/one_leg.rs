@@ -2,7 +2,8 @@
 
 use crate::rhs::Jacobian;
 use crate::{
-    Equations, ImplicitStep, Interval, Refusal, Rhs, Scheme, SolvedStep, Stage, StepEquations, Structure,
+    Equations, ImplicitStep, Interval, ParametricRhs, ParametricStep, Refusal, Rhs, Scheme, SolvedStep,
+    Stage, StepEquations, Structure,
 };
 
 /// A one-leg step of ẋ = f(t, x) by one of the schemes of [`Scheme`]: f is taken once, at the stage y.
@@ -142,6 +143,24 @@ impl<R: Rhs> StepEquations for OneLegEquations<'_, R> {
     fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal> {
         u.copy_from_slice(&self.x[..u.len()]);
         Ok(())
+    }
+}
+
+impl<R: ParametricRhs> ParametricStep for OneLeg<R> {
+    fn parameters(&self) -> usize {
+        self.rhs.parameters()
+    }
+
+    fn set_parameters(&mut self, p: &[f64]) -> Result<(), Refusal> {
+        self.rhs.set_parameters(p);
+        Ok(())
+    }
+
+    /// ∂G/∂p = −η ∂f/∂p(t*, u).
+    fn parameter_jacobian(&mut self, of: &SolvedStep<'_>, columns: &mut [f64]) {
+        let stage = self.scheme.stage(of.at);
+        self.rhs.parameter_jacobian(stage.time, of.u, columns);
+        columns.iter_mut().for_each(|c| *c *= -stage.length);
     }
 }
 

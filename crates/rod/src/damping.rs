@@ -82,6 +82,11 @@ impl KelvinVoigt {
         }
     }
 
+    /// ε*.
+    pub(crate) fn past(&self) -> &PastStrains {
+        &self.past
+    }
+
     /// Folds ε* into the stiffness of `system`, r = β/η.
     pub(crate) fn fold_in(&mut self, system: &mut System, r: f64) {
         self.share = r / (1.0 + r);

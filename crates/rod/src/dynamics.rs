@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use varda_implicit::{Interval, Refusal, Scheme};
 
 use crate::Error;
+use crate::change::Parameters;
 use crate::damping::KelvinVoigt;
 use crate::equilibrium::Rest;
 use crate::predict::Carry;
@@ -76,6 +77,7 @@ pub struct RodStep {
     pub(crate) twist: Option<TwistEquilibrium>,
     pub(crate) spin: Option<Spin>,
     spins_in_control: bool,
+    pub(crate) parameters: Option<Box<Parameters>>,
     pub(crate) carry: Carry,
     /// X* and X* + η V* of the free vertices in the step being worked on.
     pub(crate) start: Vec<Vector3<f64>>,
@@ -112,14 +114,27 @@ impl RodStep {
         damping: Damping,
         twist: TwistUnknowns,
     ) -> Result<Self, Error> {
+        Self::build(rod, supports, loads, damping, twist, false)
+    }
+
+    /// `by_angle`: bending may come to depend on the angles of sections though it does not now.
+    pub(crate) fn build(
+        rod: Rod,
+        supports: Supports,
+        loads: Loads,
+        damping: Damping,
+        twist: TwistUnknowns,
+        by_angle: bool,
+    ) -> Result<Self, Error> {
         let system = System::new(rod, supports, loads, &damping, twist == TwistUnknowns::Always)?;
         let (n, free) = (system.rod.segments(), system.layout.free_vertices.len());
         Ok(RodStep {
             scheme: Scheme::BackwardEuler,
             viscous: (damping.stiffness > 0.0).then(|| KelvinVoigt::new(&system, 1)),
-            spin: Spin::new(&system, damping.stiffness > 0.0),
-            twist: (!system.layout.free_angles.is_empty()).then(|| TwistEquilibrium::new(&system)),
+            spin: Spin::new(&system, damping.stiffness > 0.0 || by_angle),
+            twist: (!system.layout.free_angles.is_empty()).then(|| TwistEquilibrium::new(&system, by_angle)),
             spins_in_control: false,
+            parameters: None,
             carry: Carry::new(&system),
             tolerance: 1e-11 * system.rod.length(),
             start: vec![Vector3::zeros(); free],

@@ -15,6 +15,15 @@ pub(crate) struct Past {
     pub(crate) strains: Vec<Strains>,
 }
 
+/// The motion of a rod since an earlier state.
+pub(crate) struct Motion<'a> {
+    pub(crate) start: StageStart<'a>,
+    /// Where strain rates are.
+    pub(crate) past: Option<&'a Past>,
+    /// Velocity and acceleration of every vertex that is held; zero of the others.
+    pub(crate) held: &'a [[Vector3<f64>; 2]],
+}
+
 /// Calls `act` with the system in the shape of a state, its stiffness and loads those of the motion since an
 /// earlier one, and the shape that strain rates are differences to.
 pub(crate) fn with_forces_at(
@@ -22,7 +31,7 @@ pub(crate) fn with_forces_at(
     t: f64,
     state: &[f64],
     before: (f64, &[f64]),
-    act: &mut dyn FnMut(&mut System, StageStart<'_>, Option<&Past>),
+    act: &mut dyn FnMut(&mut System, &Motion<'_>),
 ) -> Result<(), Error> {
     let h = t - before.0;
     if !(h > 0.0 && h.is_finite()) {
@@ -41,9 +50,11 @@ pub(crate) fn with_forces_at(
     };
     let places = [held(system, t - h)?, held(system, t)?, held(system, t + h)?];
     shape_of(system, t, state)?;
+    let mut moves = vec![[Vector3::zeros(); 2]; system.x.len()];
     for v in (0..=system.rod.segments()).filter(|v| system.layout.free_vertices.binary_search(v).is_err()) {
         let [a, b, c] = [0, 1, 2].map(|k: usize| places[k][v]);
         let (velocity, acceleration) = ((c - a) / (2.0 * h), (c - 2.0 * b + a) / (h * h));
+        moves[v] = [velocity, acceleration];
         system.forces[v] -= (acceleration + velocity * damping.mass) * system.rod.masses[v];
     }
     if let Some(past) = &past {
@@ -54,7 +65,8 @@ pub(crate) fn with_forces_at(
         bend.resize(system.rod.ei.len(), [0.0; 3]);
         system.set_stiffness(damping.stiffness / h, Some(&PastStrains { lengths, bend }));
     }
-    act(system, StageStart { places: &start, length: h }, past.as_ref());
+    let start = StageStart { places: &start, length: h };
+    act(system, &Motion { start, past: past.as_ref(), held: &moves });
     if past.is_some() {
         system.set_stiffness(0.0, None);
     }

@@ -3,25 +3,28 @@
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use crate::Error;
+use crate::change::{Parameter, Parameters};
 use crate::dynamics::RodStep;
 use crate::element::{self, Strains};
-use crate::forces_of_motion::{Past, edge_forces, with_forces_at};
+use crate::forces_of_motion::{Motion, Past, edge_forces, with_forces_at};
 use crate::internal_forces::InternalForces;
 use crate::load::EdgeLoad;
 use crate::shape::Shape;
 use crate::statics::reactions::{EdgeSums, all_loads, exerted};
-use crate::system::{StageStart, System};
+use crate::support::Damping;
+use crate::system::{PastStrains, StageStart, System};
 
 impl RodStep {
     /// The tangent of [`internal_forces`](Self::internal_forces): for every column δx of the state, and of
     /// the state before, `see` is called with
     ///
     /// ```text
-    /// δF = ∂F/∂x δx + ∂F/∂x_before δx_before
+    /// δF = ∂F/∂x δx + ∂F/∂x_before δx_before + ∂F/∂p δp
     /// ```
     ///
-    /// δx is made of columns of the length of a state, one after the other. With W Wᵀ the covariance of a
-    /// state, the sums of squares over the columns of W are the variances of its forces.
+    /// δx is made of columns of the length of a state, one after the other, δp of as many columns of the
+    /// rod's parameters ([`RodStep::with_parameters`]). With W Wᵀ the covariance of a state, the sums of
+    /// squares over the columns of W are the variances of its forces.
     ///
     /// # Errors
     /// As [`internal_forces`](Self::internal_forces).
@@ -34,18 +37,72 @@ impl RodStep {
         t: f64,
         state: &[f64],
         before: (f64, &[f64]),
-        [dx, dx_before]: [&[f64]; 2],
+        [dx, dx_before, dp]: [&[f64]; 3],
         see: &mut dyn FnMut(&mut InternalForces),
     ) -> Result<(), Error> {
         let n = state.len();
         assert!(dx.len() == dx_before.len() && dx.len().is_multiple_of(n), "a column has {n} values");
         let share = self.damping.stiffness / (t - before.0 + self.damping.stiffness);
-        with_forces_at(self, t, state, before, &mut |system, start, past| {
-            let mut tangent = Tangent::new(system, start, past.filter(|_| share > 0.0), share);
-            for (dx, dx_before) in dx.chunks_exact(n).zip(dx_before.chunks_exact(n)) {
-                see(tangent.of(system, start.length, [dx, dx_before]));
+        let (parameters, columns) = (self.parameters.take(), dx.len() / n);
+        let known = parameters.as_ref().map_or(0, |p| p.len());
+        assert!(dp.len() == columns * known, "a column has {known} parameters");
+        let damping = self.damping;
+        let done = with_forces_at(self, t, state, before, &mut |system, motion| {
+            let changes =
+                parameters.as_ref().map_or_else(Vec::new, |p| p.of_forces(system, motion, &damping));
+            let past = motion.past.filter(|_| share > 0.0);
+            let mut tangent = Tangent::new(system, motion.start, past, share, changes);
+            for (c, (dx, dx_before)) in dx.chunks_exact(n).zip(dx_before.chunks_exact(n)).enumerate() {
+                see(tangent.of(
+                    system,
+                    motion.start.length,
+                    [dx, dx_before, &dp[c * known..(c + 1) * known]],
+                ));
             }
-        })
+        });
+        self.parameters = parameters;
+        done
+    }
+}
+
+/// What a parameter does to ∂E/∂(x, θ) in the full order, to the moments of bent vertices, and to the
+/// weight and inertia of every vertex.
+struct ChangeOfForces {
+    gradient: Vec<f64>,
+    moments: Vec<[f64; 3]>,
+    forces: Vec<Vector3<f64>>,
+}
+
+impl Parameters {
+    /// What each does to the forces within the rod, the system having the shape of a state.
+    fn of_forces(&self, system: &mut System, motion: &Motion, damping: &Damping) -> Vec<ChangeOfForces> {
+        let (h, mut past) = (motion.start.length, PastStrains::default());
+        if let Some(then) = motion.past {
+            past.lengths = then.shape.edges.iter().map(|edge| edge.l).collect();
+            past.bend = then.strains.iter().map(|strains| strains.value).collect();
+        }
+        let of = |(p, slope): (&Parameter, &f64)| {
+            let Parameter { change, .. } = p;
+            let rates = [damping.stiffness / h, change.damping.stiffness / h];
+            system.change_of_elastic(change, rates, &past);
+            let more_gravity = self.change_of_gravity(change, &system.loads.gravity);
+            let stress = |i| system.change_of_stress(i, change, rates, &past).1.map(|s| slope * s);
+            let bent = if system.layout.bending { 1..system.layout.segments } else { 0..0 };
+            let force = |v: usize| {
+                let [velocity, acceleration] = motion.held[v];
+                let (mass, more) = (system.rod.masses[v], change.masses.get(v).copied().unwrap_or(0.0));
+                let gravity = system.loads.gravity;
+                let each = (gravity - acceleration - velocity * damping.mass) * more
+                    + (more_gravity - velocity * change.damping.mass) * mass;
+                each * *slope
+            };
+            ChangeOfForces {
+                moments: bent.map(stress).collect(),
+                forces: (0..system.x.len()).map(force).collect(),
+                gradient: system.gradient.iter().map(|g| slope * g).collect(),
+            }
+        };
+        self.list.iter().zip(&self.slopes).map(of).collect()
     }
 }
 
@@ -116,13 +173,21 @@ struct Tangent<'a> {
     share: f64,
     now: Increment,
     before: Increment,
+    /// What each parameter does.
+    changes: Vec<ChangeOfForces>,
     gradient: Vec<f64>,
     loads: EdgeSums,
     out: InternalForces,
 }
 
 impl<'a> Tangent<'a> {
-    fn new(system: &mut System, start: StageStart, past: Option<&'a Past>, share: f64) -> Tangent<'a> {
+    fn new(
+        system: &mut System,
+        start: StageStart,
+        past: Option<&'a Past>,
+        share: f64,
+        changes: Vec<ChangeOfForces>,
+    ) -> Tangent<'a> {
         let n = system.rod.segments();
         system.elastic(None);
         let reactions = exerted(system, &system.gradient, &all_loads(system, Some(start)));
@@ -169,6 +234,7 @@ impl<'a> Tangent<'a> {
             forces: edge_forces(system, &system.gradient, &reactions),
             past,
             share,
+            changes,
             now: Increment::new(n),
             before: Increment::new(n),
             gradient: vec![0.0; system.layout.full()],
@@ -177,7 +243,7 @@ impl<'a> Tangent<'a> {
         }
     }
 
-    fn of(&mut self, system: &System, h: f64, [dx, dx_before]: [&[f64]; 2]) -> &mut InternalForces {
+    fn of(&mut self, system: &System, h: f64, [dx, dx_before, dp]: [&[f64]; 3]) -> &mut InternalForces {
         self.now.set(system, &system.shape, dx);
         match self.past {
             Some(past) => self.before.set(system, &past.shape, dx_before),
@@ -190,6 +256,7 @@ impl<'a> Tangent<'a> {
         self.stretch(system);
         self.bend(system);
         self.load(h);
+        self.change(dp);
         let reactions = exerted(system, &self.gradient, &self.loads);
         let varied = edge_forces(system, &self.gradient, &reactions);
         self.out.reactions = reactions;
@@ -261,6 +328,20 @@ impl<'a> Tangent<'a> {
             }
             for (e, place) in angle.into_iter().flatten().enumerate() {
                 add(system.layout.angle(i + e), &force[place..=place]);
+            }
+        }
+    }
+
+    /// What the parameters add to all of it.
+    fn change(&mut self, dp: &[f64]) {
+        for (change, dp) in self.changes.iter().zip(dp) {
+            self.gradient.iter_mut().zip(&change.gradient).for_each(|(g, c)| *g += c * dp);
+            self.loads.forces.iter_mut().zip(&change.forces).for_each(|(f, c)| *f += c * *dp);
+            let moments = self.out.bending.iter_mut().zip(&mut self.out.twisting);
+            for (([m1, m2], twist), [a, b, c]) in moments.zip(&change.moments) {
+                *m1 += a * dp;
+                *m2 += b * dp;
+                *twist += c * dp;
             }
         }
     }

@@ -112,8 +112,8 @@ impl RodStep {
         before: (f64, &[f64]),
     ) -> Result<InternalForces, Error> {
         let mut forces = InternalForces::default();
-        with_forces_at(self, t, state, before, &mut |system, start, _| {
-            forces = of_shape(system, Some(start))
+        with_forces_at(self, t, state, before, &mut |system, motion| {
+            forces = of_shape(system, Some(motion.start))
         })?;
         Ok(forces)
     }

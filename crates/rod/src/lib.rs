@@ -101,6 +101,7 @@
 
 #![forbid(unsafe_code)]
 
+mod change;
 pub mod check;
 mod clamp_frame;
 mod damping;
@@ -120,9 +121,11 @@ mod load;
 mod marker;
 mod material;
 mod modes;
+mod parameters;
 mod predict;
 mod recorded;
 mod rod;
+pub mod rotation;
 mod scalar;
 mod shape;
 mod spin;
@@ -133,6 +136,7 @@ mod support;
 mod system;
 mod twist_equilibrium;
 
+pub use change::{Change, Parameter};
 pub use dynamics::{RodStep, TwistUnknowns};
 pub use energy::{Derivatives, Energy, Framed, derivatives, energy};
 pub use equations::RodEquations;
@@ -155,6 +159,7 @@ pub use scalar::Real;
 pub use statics::continuation::{Found, Search, rest};
 pub use statics::reactions::Reaction;
 pub use support::{Clamp, ClampAt, Damping, EllipseDrive, Loads, Motion, Supports};
+pub use varda_implicit::Law;
 
 /// The example of README.md, compiled and run with the tests.
 #[cfg(doctest)]

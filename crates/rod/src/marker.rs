@@ -120,6 +120,67 @@ impl Markers {
         Ok(Markers { axes: Some((rotation, origin)), ..self })
     }
 
+    /// Puts the markers at other places, beyond an end of the rod straight on; off the centreline where `new`
+    /// had some there, or [`with_frames`](Self::with_frames) was asked for.
+    ///
+    /// # Errors
+    /// A place or an offset that is not finite.
+    ///
+    /// # Panics
+    /// If there are not as many, or one is off the centreline of a rod whose frames are left out.
+    pub fn move_to(&mut self, markers: &[Marker]) -> Result<(), Error> {
+        assert_eq!(markers.len(), self.markers.len(), "as many markers as before");
+        for (index, (to, m)) in self.markers.iter_mut().zip(markers).enumerate() {
+            if !m.offset.iter().all(|o| o.is_finite()) {
+                return Err(Error::NonFinite { what: "the offset of marker", index });
+            }
+            assert!(self.frames || (m.offset[0] == 0.0 && m.offset[1] == 0.0), "a rod with frames");
+            let rod = &self.system.rod;
+            // NaN stays NaN, and is off the rod
+            let on_rod = if m.s > rod.length() {
+                rod.length()
+            } else if m.s < 0.0 {
+                0.0
+            } else {
+                m.s
+            };
+            let mut place = rod.place("marker", on_rod)?;
+            place.fraction += (m.s - on_rod) / rod.rest_lengths[place.edge];
+            *to = (place, m.offset);
+        }
+        Ok(())
+    }
+
+    /// The same markers, which may come to be off the centreline.
+    #[must_use]
+    pub fn with_frames(self) -> Markers {
+        Markers { frames: true, ..self }
+    }
+
+    /// ∂y/∂(s, o₁, o₂, o₃) of every marker at a state, four columns of three numbers each: what its
+    /// place on the rod does to where it is seen. Along s it jumps where a vertex is passed.
+    ///
+    /// # Errors
+    /// A state that cannot be observed.
+    ///
+    /// # Panics
+    /// If a slice has the wrong length, or there are no frames ([`with_frames`](Self::with_frames)).
+    pub fn by_place(&mut self, at: At, x: &[f64], columns: &mut [f64]) -> Result<(), Error> {
+        assert_eq!(columns.len(), 12 * self.markers.len(), "twelve numbers for every marker");
+        assert!(self.frames, "a rod with frames");
+        self.set(at.time, x)?;
+        let (shape, lengths) = (&self.system.shape, &self.system.rod.rest_lengths);
+        for ((place, _), out) in self.markers.iter().zip(columns.chunks_exact_mut(12)) {
+            let e = place.edge;
+            let along = (self.system.x[e + 1] - self.system.x[e]) / lengths[e];
+            let by = [along, shape.m1[e], shape.m2[e], shape.edges[e].t];
+            for (column, by) in out.chunks_exact_mut(3).zip(by) {
+                column.copy_from_slice(self.turned(by).as_slice());
+            }
+        }
+        Ok(())
+    }
+
     /// δp or p of a marker into the axes of the observer; p − c already taken.
     fn turned(&self, v: Vector3<f64>) -> Vector3<f64> {
         match &self.axes {

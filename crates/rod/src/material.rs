@@ -121,3 +121,8 @@ pub(crate) fn not_negative(field: &'static str, value: f64) -> Result<(), Error>
         Err(Error::Value { field, value, expected: "zero or a positive number" })
     }
 }
+
+/// Damping that is there stays positive, and damping that is not stays zero.
+pub(crate) fn positive_or_none(field: &'static str, before: f64, value: f64) -> Result<(), Error> {
+    if before == 0.0 { not_negative(field, value) } else { positive(field, value) }
+}

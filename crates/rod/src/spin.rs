@@ -116,9 +116,9 @@ pub(crate) fn angle_on_branch(carried: &Vector3<f64>, to: &Vector3<f64>, q: &Vec
 impl Spin {
     /// That of a rod whose sections have inertia, or of one which holds no director, where it has one: its
     /// common turn is an unknown.
-    pub(crate) fn new(system: &System, damped: bool) -> Option<Spin> {
+    pub(crate) fn new(system: &System, sees_angles: bool) -> Option<Spin> {
         let n = system.rod.segments();
-        let share = if damped || system.rod.bends_by_angle() { SLIGHT } else { 1.0 };
+        let share = if sees_angles || system.rod.bends_by_angle() { SLIGHT } else { 1.0 };
         let resistance = match (system.layout.spins, system.layout.turns_freely()) {
             (true, _) => vec![0.0; n],
             (false, true) => vec![share * system.rod.section_stiffness(1)],
@@ -265,6 +265,31 @@ impl Spin {
             system.add_entries(values, unknown, |i, j| a * slope[i] * slope[j] + second(i, j));
         }
         Ok(potential)
+    }
+
+    /// What a change of the inertia of sections, and α/η by `rate`, does to the equations at the spins last
+    /// measured: δ(I ((1/η² + α/η)(s − s*))), s* = η ω*/(1 + α η) − the share of s_{k−1}.
+    pub(crate) fn change(
+        &self,
+        system: &System,
+        inertia: &[f64],
+        [k, c]: [f64; 2],
+        rate: f64,
+        dg: &mut [f64],
+    ) {
+        let layout = &system.layout;
+        for &e in &layout.free_angles {
+            let Spun { turn, edge, spin, .. } = self.now[e];
+            let more = inertia.get(e).copied().unwrap_or(0.0);
+            let spun = spin + self.from[1] * self.reference[e].spun_before;
+            let moment = more * (k + c) * (spin - self.target[e]) + system.rod.spin_inertia[e] * rate * spun;
+            let v = turn.kb * (0.5 / edge.l);
+            let slope = [-v.x, -v.y, -v.z, 1.0, v.x, v.y, v.z];
+            let unknown = &layout.unknown[layout.vertex(e)..][..7];
+            for i in (0..7).filter(|&i| unknown[i] != FIXED) {
+                dg[unknown[i]] += moment * slope[i];
+            }
+        }
     }
 
     /// Takes over increments of x_k and x_{k−1}.

@@ -4,9 +4,10 @@ use nalgebra::{Vector3, Vector6};
 use varda_implicit::{NewtonOptions, NewtonWork, Refusal, solve};
 
 use crate::Error;
+use crate::change::Change;
 use crate::layout::FIXED;
 use crate::statics::{Statics, at_rest};
-use crate::system::System;
+use crate::system::{PastStrains, System};
 
 /// Share of its stiffness by which the first angle of a rod that holds no director is held near where it
 /// started, where bending depends on angles: it decides where a straight rod does not.
@@ -39,14 +40,14 @@ pub(crate) struct TwistEquilibrium {
 }
 
 impl TwistEquilibrium {
-    pub(crate) fn new(system: &System) -> TwistEquilibrium {
+    pub(crate) fn new(system: &System, by_angle: bool) -> TwistEquilibrium {
         let mut held = system.clone();
         held.layout = system.layout.angles_only();
         // forces act on vertices, and these are held
         held.loads.of_motion.retain(|load| load.has_moment());
         let n = system.rod.segments();
         let angles = system.layout.free_angles.len();
-        let share = if system.rod.bends_by_angle() { SLIGHT } else { 1.0 };
+        let share = if by_angle || system.rod.bends_by_angle() { SLIGHT } else { 1.0 };
         let free = system.layout.turns_freely();
         let hold = if free { share * system.rod.section_stiffness(1) } else { 0.0 };
         let statics = Statics::new(held, 0.0, 1e-12);
@@ -188,6 +189,24 @@ impl TwistEquilibrium {
     /// Vertices whose places enter ∂E/∂θ^e: those of the two turns at its ends.
     fn neighbours(&self, e: usize) -> std::ops::RangeInclusive<usize> {
         e.saturating_sub(1)..=(e + 2).min(self.full.layout.segments)
+    }
+
+    /// Takes the rod of another system.
+    pub(crate) fn take_constants(&mut self, from: &System) {
+        for system in [&mut self.statics.system, &mut self.full] {
+            system.rod.clone_from(&from.rod);
+            system.set_stiffness(0.0, None);
+        }
+    }
+
+    /// δθ₀ = −E_θθ⁻¹ δE_θ for a change of the rod's constants, at the angles last found.
+    pub(crate) fn change(&mut self, change: &Change, dtheta: &mut [f64]) {
+        self.full.change_of_elastic(change, [0.0; 2], &PastStrains::default());
+        for (rhs, &e) in self.rhs.iter_mut().zip(&self.full.layout.free_angles) {
+            *rhs = -self.full.gradient[self.full.layout.angle(e)];
+        }
+        self.solve_angles();
+        dtheta.copy_from_slice(&self.rhs);
     }
 
     pub(crate) fn tangent(&mut self, dx: &[f64], dtheta: &mut [f64]) {

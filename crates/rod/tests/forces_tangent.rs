@@ -102,7 +102,7 @@ fn it_is_the_derivative_of_the_forces_for_rods_of_every_kind() {
                 numbers(step.internal_forces(t, &both[n..], (then, &both[..n])).unwrap())
             });
             let mut tangent = Vec::new();
-            let columns = [&dx[n..], &dx[..n]];
+            let columns = [&dx[n..], &dx[..n], &[]];
             step.internal_forces_tangent(t, &now, (then, &before), columns, &mut |f| {
                 tangent.extend(f.numbers().map(|v| *v));
             })

@@ -15,6 +15,8 @@ pub struct StateLayout {
     pub names: Vec<String>,
     /// Where the vectors of the groups are, for models in space.
     pub geometry: Option<Geometry>,
+    /// Units of the constants that are estimated: the last names are theirs.
+    pub constants: Vec<&'static str>,
 }
 
 /// Numbers of the control that mean the same thing.
@@ -60,7 +62,7 @@ impl StateLayout {
     /// The layout of a model whose components are all alike.
     pub fn of_components(names: Vec<String>) -> Self {
         let group = StateGroup { name: WHOLE_STATE, unit: "1", range: 0..names.len(), width: 1 };
-        StateLayout { groups: vec![group], names, geometry: None }
+        StateLayout { groups: vec![group], names, geometry: None, constants: Vec::new() }
     }
 
     /// The layout [X, V] of a rod's free vertices, or [X, V, θ, ω] with its free edges.
@@ -80,7 +82,16 @@ impl StateLayout {
             names.extend(geometry.free_edges.iter().map(|e| format!("{name}[{e}]")));
             groups.push(StateGroup { name, unit, range: first..names.len(), width: 1 });
         }
-        StateLayout { groups, names, geometry: Some(geometry) }
+        StateLayout { groups, names, geometry: Some(geometry), constants: Vec::new() }
+    }
+
+    /// The same with constants behind the state, by name and unit.
+    pub fn with_constants(mut self, constants: impl IntoIterator<Item = (String, &'static str)>) -> Self {
+        for (name, unit) in constants {
+            self.names.push(name);
+            self.constants.push(unit);
+        }
+        self
     }
 
     /// Length of the control.
@@ -96,7 +107,7 @@ impl StateLayout {
     /// Name and unit of every number of the control.
     pub fn components(&self) -> impl Iterator<Item = (&str, &'static str)> {
         let units = self.groups.iter().flat_map(|g| g.range.clone().map(|_| g.unit));
-        self.names.iter().map(String::as_str).zip(units)
+        self.names.iter().map(String::as_str).zip(units.chain(self.constants.iter().copied()))
     }
 
     /// For each group the root of the mean squared length of the vectors of a − b.

@@ -14,6 +14,8 @@ pub mod own_covariance {}
 pub mod rod_without_scenes {}
 #[doc = include_str!("../own-load.md")]
 pub mod own_load {}
+#[doc = include_str!("../estimates.md")]
+pub mod estimates {}
 #[doc = include_str!("../motion-capture.md")]
 pub mod motion_capture {}
 #[doc = include_str!("../observation-files.md")]

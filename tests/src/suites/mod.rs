@@ -12,6 +12,7 @@ mod linalg;
 mod options;
 mod order;
 mod paper;
+mod parameters;
 mod scaling;
 mod stiff;
 mod taylor;
@@ -99,6 +100,11 @@ pub const SUITES: &[Suite] = &[
         name: "user",
         proves: "What a user gets wrong is refused or named with its value and what was probably meant.",
         run: |options| user::run(options).into(),
+    },
+    Suite {
+        name: "parameters",
+        proves: "Constants are estimated beside the state: gradients, a filter, recordings by others.",
+        run: |options| parameters::run(options).into(),
     },
     Suite {
         name: "coverage",

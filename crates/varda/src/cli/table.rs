@@ -59,6 +59,10 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
             line(&group.labelled("RMSE"), text);
         }
     }
+    // a field has a value at every vertex: summary.json has all
+    for e in o.estimates.iter().filter(|e| !e.name.contains("(s = ")) {
+        line(&e.name, e.in_words());
+    }
     for w in &o.withheld {
         line(
             "withheld",
@@ -98,12 +102,13 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
     line(
         "time",
         format!(
-            "{seconds:.2} s: set-up {:.2}, minimization {:.2}, posterior {:.2}, diagnostics {:.2}, files \
+            "{seconds:.2} s: set-up {:.2}, minimization {:.2}, posterior {:.2}, diagnostics {:.2}{}, files \
              {:.2}",
             s.set_up,
             s.minimizer,
             s.posterior,
             s.diagnostics,
+            if s.mesh > 0.0 { format!(", finer mesh {:.2}", s.mesh) } else { String::new() },
             seconds - s.total
         ),
     );

@@ -19,6 +19,9 @@ pub struct Fit {
     pub mean_analysis: f64,
     /// Root mean square of d/σ at the analysis: about 1 where model and σ are right.
     pub ratio: f64,
+    /// Degrees of freedom for signal that its values brought, Σ (σ of H(x_a) over σ)²; `null` without a
+    /// posterior.
+    pub information: Option<f64>,
 }
 
 impl Fit {

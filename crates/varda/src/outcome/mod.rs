@@ -2,6 +2,7 @@
 
 mod convergence;
 mod cycles;
+mod estimates;
 mod evidence;
 mod fit;
 mod model_errors;
@@ -15,6 +16,7 @@ mod window;
 
 pub use convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
 pub use cycles::{CycleDepartures, CycleRow, CyclesOutcome, Means};
+pub use estimates::{Estimated, IDENTIFIABLE, remarks as remarks_on_estimates};
 pub use evidence::{Cause, Evidence};
 pub use fit::{Fit, Forecast, Rejected, Withheld};
 pub use model_errors::ModelErrors;

@@ -8,6 +8,7 @@ use varda_assimilation::Analysis;
 use varda_implicit::check::Amplification;
 
 use super::convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
+use super::estimates::Estimated;
 use super::evidence::Evidence;
 use super::fit::{Fit, Forecast, Rejected, Withheld};
 use super::model_errors::ModelErrors;
@@ -76,6 +77,8 @@ pub struct Outcome {
     pub model_counts: varda_implicit::Counts,
     /// Observed values that the background check refused.
     pub rejected: Vec<Rejected>,
+    /// Constants that were estimated beside the state.
+    pub estimates: Vec<Estimated>,
     /// RMSE of the initial state against the truth.
     pub rmse: Rmse,
     /// Where the time went.
@@ -186,7 +189,7 @@ impl Serialize for Rmse {
 /// Where the time went \[s\].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Seconds {
-    /// From the start of the run to the end of the analysis: the sum of the four that follow.
+    /// From the start of the run to the end of the analysis: the sum of the five that follow.
     pub total: f64,
     /// Before the minimization: reading, the rod at rest, the truth, B.
     pub set_up: f64,
@@ -196,6 +199,8 @@ pub struct Seconds {
     pub posterior: f64,
     /// After it: runs of background and analysis, σ along them, departures, forecast.
     pub diagnostics: f64,
+    /// The same estimate with twice the segments, where constants are estimated from a recording.
+    pub mesh: f64,
     /// Of minimization and posterior, in steps of the model.
     pub forward: f64,
     /// In linearizations and adjoint products.

@@ -10,8 +10,8 @@ use super::Summary;
 /// A drawn figure: name, title, SVG text.
 pub(super) type DrawnFigure = (&'static str, String, String);
 
-/// The page.
-pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure]) -> String {
+/// The page, with a section of estimates.
+pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure], estimates: &str) -> String {
     let experiment = &outcome.experiment;
     let title = match experiment.scene.title.as_str() {
         "" => experiment.name.as_str(),
@@ -39,6 +39,7 @@ pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure]
             list(&summary.warnings)
         );
     }
+    body.push_str(estimates);
     body.push_str(&table_section(outcome, summary));
     for (_, title, svg) in figures {
         let _ = write!(
@@ -223,10 +224,14 @@ fn table_section(outcome: &Outcome, s: &Summary) -> String {
         ("Factorizations, Newton iterations", format!("{}, {}", c.factorizations, c.newton_iterations), ""),
         ("Time", format!("{:.3}", s.seconds.total), "s"),
         (
-            "of it set-up, minimization, posterior, diagnostics",
+            "of it set-up, minimization, posterior, diagnostics, finer mesh",
             format!(
-                "{:.3}, {:.3}, {:.3}, {:.3}",
-                s.seconds.set_up, s.seconds.minimizer, s.seconds.posterior, s.seconds.diagnostics
+                "{:.3}, {:.3}, {:.3}, {:.3}, {:.3}",
+                s.seconds.set_up,
+                s.seconds.minimizer,
+                s.seconds.posterior,
+                s.seconds.diagnostics,
+                s.seconds.mesh
             ),
             "s",
         ),
@@ -263,18 +268,22 @@ fn fit_section(outcome: &Outcome, s: &Summary) -> String {
         let row = |f: &Fit| {
             let class = if f.is_bad() { " class=\"bad\"" } else { "" };
             let d = [f.sigma, f.rms_background, f.rms_analysis, f.mean_analysis].map(short);
-            let cells = cells(&[&[f.count.to_string()], &d[..], &[format!("{:.2}", f.ratio)]].concat());
+            let brought = f.information.map_or("–".into(), |i| format!("{i:.1}"));
+            let cells =
+                cells(&[&[f.count.to_string()], &d[..], &[format!("{:.2}", f.ratio), brought]].concat());
             format!("<tr{class}><th scope=\"row\">{}</th>{cells}</tr>", escape(&f.label))
         };
         let unit = if outcome.shapes.is_some() { " [m]" } else { "" };
         let in_unit = |name: &str| format!("{name}{unit}");
         let [sigma, background, analysis, mean] =
             ["σ", "rms d, background", "rms d, analysis", "mean d, analysis"].map(in_unit);
-        let headings = ["Observed", "values", &sigma, &background, &analysis, &mean, "rms d/σ"];
+        let headings =
+            ["Observed", "values", &sigma, &background, &analysis, &mean, "rms d/σ", "information"];
         let _ = write!(
             out,
             "<p>Innovations d = y − H(x) compared with their assumed σ. An rms of d/σ near 1 at the \
-             analysis means that both are right.</p>{}",
+             analysis means that both are right. Information: the degrees of freedom for signal that a \
+             marker's values brought.</p>{}",
             table(&headings, &s.innovations[..shown].iter().map(row).collect::<String>())
         );
         if shown < s.innovations.len() {
@@ -348,7 +357,7 @@ fn millimetres(length: f64) -> String {
 }
 
 /// A table that scrolls where the page is narrow.
-fn table(headings: &[&str], rows: &str) -> String {
+pub(super) fn table(headings: &[&str], rows: &str) -> String {
     let names = headings.iter().map(|n| format!("<th scope=\"col\">{n}</th>")).collect::<String>();
     format!("<div class=\"scroll\"><table><thead><tr>{names}</tr></thead><tbody>{rows}</tbody></table></div>")
 }

@@ -2,6 +2,7 @@
 
 pub mod checkpoint;
 mod cycles;
+mod estimates;
 mod figures;
 pub mod folder;
 mod forces;
@@ -37,13 +38,19 @@ pub fn write(outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
         drawn.push((figure.name, figure.title, svg));
     }
     let experiment = &outcome.experiment;
-    out.write("report.html", &html::page(outcome, &summary, &drawn))?;
+    out.write(
+        "report.html",
+        &html::page(outcome, &summary, &drawn, &estimates::section(&outcome.estimates)),
+    )?;
     out.write("analysis.csv", &tables::analysis(outcome))?;
     out.write("convergence.csv", &tables::convergence(&outcome.convergence))?;
     let trajectory =
         tables::trajectory(experiment, &outcome.trajectories, &outcome.sigma_states, outcome.shapes.as_ref());
     out.write("trajectory.csv", &trajectory)?;
     out.write("observations.csv", &tables::observed_values(&outcome.observed))?;
+    if !outcome.estimates.is_empty() {
+        out.write("estimates.csv", &estimates::csv(&outcome.estimates))?;
+    }
     if let Some(errors) = &outcome.model_errors {
         out.write("model_error.csv", &tables::model_errors(experiment, errors))?;
     }

@@ -5,8 +5,8 @@ use varda_assimilation::CostTerms;
 use varda_implicit::check::Amplification;
 
 use crate::outcome::{
-    AcceptedSteps, Attempt, Evidence, Fit, Forecast, ModelErrors, Outcome, Rejected, Rmse, Seconds, Verdict,
-    Withheld, WorkCounts,
+    AcceptedSteps, Attempt, Estimated, Evidence, Fit, Forecast, ModelErrors, Outcome, Rejected, Rmse,
+    Seconds, Verdict, Withheld, WorkCounts,
 };
 
 /// The keys of summary.json, in their order.
@@ -65,6 +65,8 @@ pub struct Summary {
     pub chi2: f64,
     /// Degrees of freedom for signal; `null` without a posterior.
     pub degrees_of_freedom: Option<f64>,
+    /// Constants that were estimated, with prior and posterior.
+    pub estimates: Vec<Estimated>,
     /// RMSE against the truth of the initial state, where it is known.
     pub rmse: Rmse,
     /// Where the time went \[s\].
@@ -182,6 +184,7 @@ impl Summary {
             rejected: outcome.rejected.clone(),
             chi2: outcome.analysis.chi2,
             degrees_of_freedom: outcome.has_posterior.then_some(outcome.analysis.degrees_of_freedom),
+            estimates: outcome.estimates.clone(),
             rmse: outcome.rmse.clone(),
             seconds: outcome.seconds,
             peak_bytes: peak_bytes(),

@@ -6,7 +6,7 @@ use varda_implicit::{At, Model, Rate};
 
 use super::departures::{Departure, Surroundings};
 use crate::Error;
-use crate::outcome::{Fit, Forecast, Sight, Trajectories, Withheld};
+use crate::outcome::{Fit, Forecast, ObservedValue, Sight, Trajectories, Withheld};
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
 use crate::setup::observations::{ObservedSpace, observe};
@@ -42,9 +42,22 @@ pub(crate) fn fit(observations: &mut ObservationSet, runs: &Trajectories) -> Res
             rms_analysis: mean(&|r| at_analysis[r].powi(2)).sqrt(),
             mean_analysis: mean(&|r| at_analysis[r]),
             ratio: mean(&|r| (at_analysis[r] / sigma[r]).powi(2)).sqrt(),
+            information: None,
         }
     };
     Ok(labels.iter().map(of_label).collect())
+}
+
+/// Adds what the values of each marker, place or component brought: their shares of tr(H P_a Hᵀ R⁻¹),
+/// the degrees of freedom for signal (Cardinali, Pezzulli and Andersson 2004). Values that were refused, kept
+/// back or seen later brought nothing.
+pub(super) fn add_information(fits: &mut [Fit], observed: &[ObservedValue]) {
+    for fit in fits {
+        let used = observed.iter().filter(|o| o.used && o.label == fit.label);
+        let shares: Option<Vec<f64>> =
+            used.map(|o| o.sigma_analysis.map(|s| (s / o.sigma).powi(2))).collect();
+        fit.information = shares.map(|shares| shares.iter().sum());
+    }
 }
 
 /// d = y − H(x) of a run; NaN where it ended early.
@@ -210,7 +223,7 @@ pub(crate) fn beyond(
     let at_analysis = places.along(runs, &runs.analysis)?;
     let at_rest = if sights.iter().any(|s| s.at() > end) {
         let at_rest = rod.parts.at_rest(grid.time(grid.steps))?;
-        let control = rod.parts.dynamics()?.control_at_rest(&at_rest);
+        let control = rod.control_at_rest(&at_rest)?;
         let mut state = vec![0.0; model.dim()];
         model.initial_state(&control, &mut state)?;
         state

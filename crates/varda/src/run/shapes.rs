@@ -51,11 +51,17 @@ pub(crate) fn with_observations(problem: &Problem, runs: &Trajectories) -> Resul
 /// Forces and moments within the rod of the analysis, from step 1 on.
 fn forces(problem: &Problem, runs: &Trajectories) -> Result<Vec<InternalForces>, Error> {
     let Some(rod) = problem.system.rod() else { return Ok(Vec::new()) };
-    let mut dynamics = rod.parts.dynamics()?;
-    let grid = &problem.experiment.grid;
-    let states: Vec<&[f64]> = runs.analysis.chunks_exact(runs.dim).collect();
+    let Some(first) = runs.analysis.get(..runs.dim) else { return Ok(Vec::new()) };
+    let (mut dynamics, _) = rod.with_constants_of(first)?;
+    let (grid, places) = (&problem.experiment.grid, rod.parts.places()?);
+    let own = |x: &[f64]| {
+        let mut own = vec![0.0; places.own_dim()];
+        places.gather(x, &mut own);
+        own
+    };
+    let states: Vec<Vec<f64>> = runs.analysis.chunks_exact(runs.dim).map(own).collect();
     let pairs = states.windows(2).enumerate();
-    let found = pairs.map(|(k, x)| dynamics.internal_forces(grid.time(k + 1), x[1], (grid.time(k), x[0])));
+    let found = pairs.map(|(k, x)| dynamics.internal_forces(grid.time(k + 1), &x[1], (grid.time(k), &x[0])));
     Ok(found.collect::<Result<_, _>>()?)
 }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use varda_assimilation::{ObservationSet, Prediction, propagate_root};
-use varda_implicit::Model;
+use varda_implicit::{Model, ParameterPlaces};
 use varda_rod::{InternalForces, RodStep};
 
 use super::fit::predicted;
@@ -11,6 +11,7 @@ use crate::Error;
 use crate::outcome::{ObservedValue, Rejected, Trajectories};
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
+use crate::setup::rod::RodSystem;
 
 /// σ of the components of every state of the analysis, one state after the other, and of every row of H at
 /// the times that were seen.
@@ -25,22 +26,46 @@ pub(super) struct Spread {
 /// σ of the forces within a rod, from step to step.
 struct ForceSpread {
     rod: RodStep,
-    /// W of the state before.
+    /// Where unknown constants stand in a state, and how many of them the rod depends on.
+    places: ParameterPlaces,
+    constants: usize,
+    /// W of the state before, without its constants.
     before: Vec<f64>,
 }
 
 impl ForceSpread {
-    /// Of the analysis at step k ≥ 1, W its columns there: √Σ (∂F/∂x_{k−1} w_{k−1} + ∂F/∂x_k
-    /// w_k)².
+    /// Of a rod with the constants of a state.
+    fn of(rod: &RodSystem, state: &[f64]) -> Result<ForceSpread, Error> {
+        let (places, constants) = (rod.parts.places()?, rod.estimates().of_rod.len());
+        Ok(ForceSpread { rod: rod.with_constants_of(state)?.0, places, constants, before: Vec::new() })
+    }
+
+    /// Columns of states without their constants, and the constants of the rod in each.
+    fn split(&self, columns: &[f64]) -> [Vec<f64>; 2] {
+        let (own, count) = (self.places.own_dim(), columns.len() / self.places.dim());
+        let (mut states, mut constants) = (vec![0.0; count * own], Vec::new());
+        for (long, own) in columns.chunks_exact(self.places.dim()).zip(states.chunks_exact_mut(own)) {
+            self.places.gather(long, own);
+            constants.extend_from_slice(&long[self.places.parameters()][..self.constants]);
+        }
+        [states, constants]
+    }
+
+    /// Of the analysis at step k, from the state before and now, W its columns there:
+    /// √Σ (∂F/∂x_{k−1} w_{k−1} + ∂F/∂x_k w_k + ∂F/∂p w_p)². `None` at the first step.
     fn at(
         &mut self,
         grid: &TimeGrid,
         k: usize,
-        states: [&[f64]; 2],
+        before: Option<&[f64]>,
+        now: &[f64],
         w: &[f64],
-    ) -> Result<InternalForces, varda_rod::Error> {
+    ) -> Result<Option<InternalForces>, varda_rod::Error> {
+        let [dx, dp] = self.split(w);
+        let dx_before = std::mem::replace(&mut self.before, dx);
+        let Some(before) = before else { return Ok(None) };
+        let [[before, _], [now, _]] = [before, now].map(|x| self.split(x));
         let (mut sigma, mut squares) = (InternalForces::default(), Vec::new());
-        let before = (grid.time(k - 1), states[0]);
         let mut add = |of: &mut InternalForces| {
             if squares.is_empty() {
                 sigma = of.clone();
@@ -49,9 +74,11 @@ impl ForceSpread {
             let mut next = squares.iter_mut();
             of.numbers().for_each(|v| *next.next().expect("as many numbers as before") += *v * *v);
         };
-        self.rod.internal_forces_tangent(grid.time(k), states[1], before, [w, &self.before], &mut add)?;
+        let columns = [&self.before, &dx_before, &dp].map(Vec::as_slice);
+        let before = (grid.time(k - 1), before.as_slice());
+        self.rod.internal_forces_tangent(grid.time(k), &now, before, columns, &mut add)?;
         sigma.numbers().zip(squares).for_each(|(sigma, square)| *sigma = square.sqrt());
-        Ok(sigma)
+        Ok(Some(sigma))
     }
 }
 
@@ -76,7 +103,7 @@ pub(super) fn along(
         forces: Vec::new(),
     };
     let mut within = match problem.system.rod() {
-        Some(rod) => Some(ForceSpread { rod: rod.parts.dynamics()?, before: Vec::new() }),
+        Some(rod) => Some(ForceSpread::of(rod, &runs.analysis[..n])?),
         None => None,
     };
     let (mut run, mut dy) = (set.prediction(), vec![0.0; set.dim()]);
@@ -90,12 +117,8 @@ pub(super) fn along(
         let state = &runs.analysis[k * n..(k + 1) * n];
         if let Some(forces) = &mut within {
             let before = k.checked_sub(1).map(|k| &runs.analysis[k * n..(k + 1) * n]);
-            match before.map(|before| forces.at(&grid, k, [before, state], w)).transpose() {
-                Ok(sigma) => {
-                    spread.forces.extend(sigma);
-                    forces.before.clear();
-                    forces.before.extend_from_slice(w);
-                }
+            match forces.at(&grid, k, before, state, w) {
+                Ok(sigma) => spread.forces.extend(sigma),
                 Err(_) => {
                     spread.forces.clear();
                     within = None;

@@ -10,15 +10,19 @@ use varda_linalg::interrupt::{self, Ends};
 
 use super::interrupted::{Asked, Lowest};
 use super::verdict::{self, Judged};
-use super::{amplification, between_steps, departures, fit, model_errors, second_minimum, shapes, spread};
+use super::{
+    amplification, between_steps, departures, estimates, fit, mesh, model_errors, second_minimum, shapes,
+    spread,
+};
 use crate::Error;
 use crate::outcome::{
     Attempt, ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
-    Simulation, Status, Trajectories, TwinFiles, WorkCounts,
+    Simulation, Status, Trajectories, TwinFiles, Verdict, WorkCounts, remarks_on_estimates,
 };
-use crate::setup::Problem;
+use crate::scene::SceneFile;
 use crate::setup::adaptive_steps::Refreshing;
 use crate::setup::runs::{MakeModel, run_on};
+use crate::setup::{Inputs, Problem};
 use crate::solve::timed::{Clock, Timed};
 use crate::solve::{self, Iterate, PosteriorSpread, Solution, Task};
 
@@ -140,6 +144,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         minimizer,
         posterior: solved - minimizer,
         diagnostics: 0.0,
+        mesh: 0.0,
         forward: clock.forward(),
         adjoint: clock.adjoint(),
         tangent: clock.tangent(),
@@ -176,7 +181,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     };
     warnings.extend(amplification.and_then(|a| a.warning()));
     observations.follow(model.rate());
-    let fit = fit::fit(&mut observations, &trajectories)?;
+    let mut fit = fit::fit(&mut observations, &trajectories)?;
     let (withheld, forecast) = fit::beyond(problem, &trajectories, model.as_mut())?;
     let departures = fit::departures(problem, &mut observations, &trajectories)?;
     let evidence =
@@ -203,12 +208,25 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let mut shapes = shapes::with_observations(problem, &trajectories)?;
     let rejected = rejected(experiment, &solution.rejected);
     let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
+    let mut estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
+    let before_mesh = began.elapsed().as_secs_f64();
+    if let Some(file) =
+        problem.finer.as_ref().filter(|_| problem.truth.is_none() && status != Status::Interrupted)
+    {
+        let ended = finer(file, listener);
+        warnings.extend(mesh::allow(problem, &mut estimates, ended)?);
+    }
+    let mesh = began.elapsed().as_secs_f64() - before_mesh;
+    warnings.extend(remarks_on_estimates(&estimates, judgement.verdict == Verdict::Fits));
     let mut spread = spread::along(problem, make_model(0).as_mut(), &analysis.analysis, root, &trajectories)?;
     if let (Some(shapes), Some(spread)) = (&mut shapes, &mut spread) {
         shapes.sigma_forces = std::mem::take(&mut spread.forces);
     }
     let observed =
         spread::observed_values(problem, model.as_ref(), &trajectories, spread.as_ref(), &rejected)?;
+    if scene.observations.correlation().is_none() {
+        fit::add_information(&mut fit, &observed);
+    }
     Ok(Outcome {
         experiment: Experiment { left_out, ..experiment.clone() },
         status,
@@ -228,9 +246,11 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         sigma_states: spread.map_or_else(Vec::new, |spread| spread.states),
         observed,
         rmse,
+        estimates,
         seconds: Seconds {
             total: listener.started.elapsed().as_secs_f64(),
-            diagnostics: began.elapsed().as_secs_f64() - solved,
+            diagnostics: began.elapsed().as_secs_f64() - solved - mesh,
+            mesh,
             ..seconds
         },
         fit,
@@ -246,6 +266,17 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         warnings,
         analysis,
     })
+}
+
+/// The same estimate on a finer mesh, in silence.
+fn finer(file: &SceneFile, listener: &Listener) -> Result<Outcome, Error> {
+    let mut quiet = Listener {
+        on_iteration: Box::new(|_| {}),
+        interrupted: Box::new(|| (listener.interrupted)()),
+        ends: listener.ends.clone(),
+        started: listener.started,
+    };
+    assimilate(&Problem::new(Inputs::read(file)?)?, &mut quiet)
 }
 
 /// What the model refused during the minimization, as data.

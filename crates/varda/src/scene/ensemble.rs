@@ -14,7 +14,9 @@ pub struct Ensemble {
     #[schemars(extend("minimum" = 2, "maximum" = 10000))]
     pub members: usize,
     /// Distance beyond which the ensemble's covariances are set to zero: [m] on a rod or a line, in
-    /// components on lorenz96's ring. Left out: no localization.
+    /// components on lorenz96's ring. Left out: no localization. On a rod, waves and tension carry
+    /// what is seen farther than any such length within a window: take one well above the way that waves go
+    /// between two observations, or method 4dvar, which needs none.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub localization_length: Option<f64>,

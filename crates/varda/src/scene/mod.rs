@@ -13,6 +13,7 @@ mod background;
 mod cycles;
 mod defaults;
 mod ensemble;
+mod estimate;
 mod file;
 mod grid;
 mod invalid;
@@ -34,6 +35,7 @@ mod validate;
 mod validate_algorithm;
 mod validate_covariance;
 mod validate_cycles;
+mod validate_estimate;
 mod validate_frame;
 mod validate_loads;
 mod validate_observations;
@@ -47,6 +49,8 @@ pub use background::{
 };
 pub use cycles::{Adaptive, CycledCovariance, Cycles, EnsembleUpdate, Inflation};
 pub use ensemble::Ensemble;
+pub(crate) use estimate::PriorSpread;
+pub use estimate::{ConstantPrior, Estimate, PriorSigma, Unknown};
 pub use file::SceneFile;
 pub use grid::TimeGrid;
 pub(crate) use invalid::Invalid;
@@ -71,6 +75,8 @@ pub use sizes::{DATA_BYTES, NUMBERS, SCENE_BYTES, STEPS, VALUES};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use defaults::is_default;
 
 /// A scene of Varda. SI units throughout. A number is 0 or its size is between 1e-50 and 1e50; a scene has at
 /// most 1 MiB and a CSV file 256 MiB; the states of a run have at most 1e9 numbers, and at most 1e7 values
@@ -97,6 +103,9 @@ pub struct Scene {
     pub background: Background,
     /// What is observed, where, when, and with what error.
     pub observations: Observations,
+    /// Constants that are estimated beside the state.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub estimate: Estimate,
     /// How the cost is minimised.
     #[serde(default)]
     pub algorithm: Algorithm,
@@ -194,10 +203,13 @@ pub struct Report {
     pub forecast: f64,
     /// Posterior standard deviations (one tangent run per control component).
     pub posterior: bool,
+    /// Where constants of a rod are estimated from a recording: the same estimate with twice the segments,
+    /// whose difference is added to their σ.
+    pub mesh: bool,
 }
 
 impl Default for Report {
     fn default() -> Self {
-        Report { snapshots: 6, forecast: 0.0, posterior: true }
+        Report { snapshots: 6, forecast: 0.0, posterior: true, mesh: true }
     }
 }

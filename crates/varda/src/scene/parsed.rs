@@ -319,6 +319,11 @@ impl RodModel {
         Ok(lengths)
     }
 
+    /// Whether the shear modulus follows from Young's.
+    pub(crate) fn shear_follows(&self) -> bool {
+        self.solid_material().is_ok_and(|m| matches!(m.shear, Shear::PoissonRatio(_)))
+    }
+
     /// The material of a section that needs one.
     pub(crate) fn solid_material(&self) -> Result<SolidMaterial, Invalid> {
         let Some(m) = &self.material else {

@@ -168,18 +168,31 @@ fn check_range(node: &Node, path: &str, value: f64, schema: &Json) -> Result<(),
     }
 }
 
-/// The same as `resolve`; of a value that may be a table, a word or a number, the part that the value is of.
+/// The same as `resolve`; of a value that may be a table, a list, a word or a number, the part that the value
+/// is of.
 fn resolve_for<'a>(node: &Node, schema: &'a Json, root: &'a Json) -> &'a Json {
-    let (table, word) = (matches!(node.value, Value::Table(_)), matches!(node.value, Value::String(_)));
+    let kinds: &[&str] = match node.value {
+        Value::Table(_) => &["object"],
+        Value::Array(_) => &["array"],
+        Value::String(_) => &["string"],
+        Value::Integer(_) | Value::Float(_) => &["number", "integer"],
+        Value::Boolean(_) => &["boolean"],
+        Value::Datetime => &[],
+    };
+    let is_table = kinds == ["object"];
     let mut inner = schema;
     loop {
         inner = if let Some(name) = inner["$ref"].as_str().and_then(|r| r.strip_prefix("#/$defs/")) {
             &root["$defs"][name]
         } else if let Some(all) = inner["anyOf"].as_array() {
-            let fits = |s: &&Json| s["type"] != "null" && (resolve(s, root)["type"] == "object") == table;
-            let is_word = |s: &&Json| fits(s) && resolve(s, root)["oneOf"][0]["type"] == "string";
-            let by_kind = all.iter().find(|s| word && is_word(s)).or_else(|| all.iter().find(fits));
-            match by_kind.or_else(|| all.iter().find(|s| s["type"] != "null")) {
+            let is = |s: &Json| {
+                let s = resolve(s, root);
+                let of = |s: &Json| s["type"].as_str().is_some_and(|t| kinds.contains(&t));
+                of(s) || of(&s["oneOf"][0])
+            };
+            let near = |s: &&Json| (resolve(s, root)["type"] == "object") == is_table;
+            let some = || all.iter().filter(|s| s["type"] != "null");
+            match some().find(|s| is(s)).or_else(|| some().find(near)).or_else(|| some().next()) {
                 Some(one) => one,
                 None => return inner,
             }

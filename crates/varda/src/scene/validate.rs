@@ -8,6 +8,7 @@ use super::sizes::validate_sizes;
 use super::validate_algorithm::validate_algorithm;
 use super::validate_covariance::validate_covariance;
 use super::validate_cycles::validate_cycles;
+use super::validate_estimate::validate_estimate;
 use super::validate_observations::{
     validate_components, validate_correlation, validate_places, validate_recorded_components,
     validate_recording,
@@ -59,6 +60,7 @@ pub(super) fn validate(scene: &Scene) -> Check {
     validate_correlation(scene)?;
     scene.limits.bytes().or_else(|message| invalid("limits.memory", message))?;
     validate_algorithm(scene)?;
+    validate_estimate(&scene.estimate, scene)?;
     if let Some(cycles) = &scene.algorithm.cycles {
         validate_cycles(cycles, scene)?;
     }

@@ -1,7 +1,7 @@
 //! Adaptive time steps of a rod: chosen from an error estimate along one trajectory, fixed during a
 //! minimization, chosen again if the estimate along the analysis exceeds the tolerance.
 
-use varda_implicit::{Adaptive, Error, Model, accepted_times, largest_error};
+use varda_implicit::{Adaptive, Error, ImplicitModel, Model, WithParameters, accepted_times, largest_error};
 use varda_rod::RodStep;
 
 use super::rod_model::RodParts;
@@ -167,7 +167,12 @@ pub(crate) fn rod_models(
     let parts = parts.clone();
     Box::new(move |first| {
         let step = dynamics(&parts);
+        let carried = parts.estimates.carried();
         match &times {
+            None if !parts.estimates.is_empty() => {
+                let step = WithParameters::new(step, carried);
+                Box::new(ImplicitModel::new(step, spin_up + first, grid.step))
+            }
             None => step.model(spin_up + first, grid.step),
             Some(times) => {
                 let from = times.partition_point(|t| *t < grid.time(first));

@@ -2,10 +2,13 @@
 
 use std::f64::consts::TAU;
 
-use varda_implicit::Model;
 use varda_implicit::kuramoto::KuramotoSivashinsky;
 use varda_implicit::line::{Ends, Line, Transport};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
+use varda_implicit::{
+    ChosenParameters, ImplicitModel, Law, Model, OneLeg, ParametricRhs, RhsWithParameters, Rk4,
+    WithParameters,
+};
 
 use crate::scene::LineStep;
 
@@ -71,14 +74,57 @@ impl Equation {
         }
     }
 
+    /// Names, units and values of the constants, in the order of the equation's parameters.
+    pub(crate) fn constants(&self) -> Vec<(&'static str, &'static str, f64)> {
+        match self {
+            Equation::Lorenz63(m) => {
+                vec![("sigma", "1", m.sigma), ("rho", "1", m.rho), ("beta", "1", m.beta)]
+            }
+            Equation::Lorenz96 { forcing, .. } => vec![("forcing", "1", *forcing)],
+            Equation::AlongLine { field: Field::Transport(transport), .. } => {
+                let [speed, diffusivity] = transport.constants();
+                let name = if transport.steepens() { "viscosity" } else { "diffusivity" };
+                vec![("speed", "m/s", speed), (name, "m²/s", diffusivity)]
+            }
+            Equation::AlongLine { field: Field::Fronts(_), .. } => Vec::new(),
+        }
+    }
+
+    /// Makes the model with some constants, by their place in [`Equation::constants`], and `carried` numbers
+    /// behind its state.
+    pub(crate) fn factory_with(
+        self,
+        chosen: Vec<(usize, Law)>,
+        carried: usize,
+        start: &[f64],
+        length: f64,
+    ) -> impl Fn(usize) -> Box<dyn Model + Send> + 'static {
+        let tolerance = tolerance(start);
+        let known: Vec<f64> = self.constants().iter().map(|c| c.2).collect();
+        move |first| {
+            let grid = (first, length);
+            match self {
+                Equation::Lorenz63(equation) => explicit(unknown(equation, &known, &chosen), carried, grid),
+                Equation::Lorenz96 { variables, forcing } => {
+                    explicit(unknown(Lorenz96::new(variables, forcing), &known, &chosen), carried, grid)
+                }
+                Equation::AlongLine { field: Field::Transport(field), step, .. } => {
+                    along_line(unknown(field, &known, &chosen), carried, step, tolerance, grid)
+                }
+                Equation::AlongLine { field: Field::Fronts(field), step, .. } => {
+                    along_line(unknown(field, &known, &chosen), carried, step, tolerance, grid)
+                }
+            }
+        }
+    }
+
     /// Makes the model, its step 0 being step `first` of the model's time; `start` is a state of usual size.
     pub(crate) fn factory(
         self,
         start: &[f64],
         length: f64,
     ) -> impl Fn(usize) -> Box<dyn Model + Send> + 'static {
-        let size = start.iter().fold(0.0_f64, |size, u| size.max(u.abs()));
-        let tolerance = TOLERANCE * if size > 0.0 { size } else { 1.0 };
+        let tolerance = tolerance(start);
         move |first| match self {
             Equation::Lorenz63(equation) => equation.rk4(first, length),
             Equation::Lorenz96 { variables, forcing } => Lorenz96::new(variables, forcing).rk4(first, length),
@@ -92,6 +138,44 @@ impl Equation {
                     fronts.implicit(scheme, tolerance, first, length)
                 }
             },
+        }
+    }
+}
+
+/// At which Newton's method ends, `start` being a state of usual size.
+fn tolerance(start: &[f64]) -> f64 {
+    let size = start.iter().fold(0.0_f64, |size, u| size.max(u.abs()));
+    TOLERANCE * if size > 0.0 { size } else { 1.0 }
+}
+
+fn unknown<R: ParametricRhs>(rhs: R, known: &[f64], chosen: &[(usize, Law)]) -> ChosenParameters<R> {
+    ChosenParameters::new(rhs, known, chosen.to_vec())
+}
+
+type Grid = (usize, f64);
+
+fn explicit<R>(rhs: R, carried: usize, (first, length): Grid) -> Box<dyn Model + Send>
+where
+    R: ParametricRhs + Clone + Send + 'static,
+{
+    Box::new(Rk4::new(RhsWithParameters::new(rhs, carried), first, length))
+}
+
+fn along_line<R>(
+    rhs: R,
+    carried: usize,
+    step: LineStep,
+    tolerance: f64,
+    (first, length): Grid,
+) -> Box<dyn Model + Send>
+where
+    R: ParametricRhs + Clone + Send + 'static,
+{
+    match step {
+        LineStep::Rk4 => explicit(rhs, carried, (first, length)),
+        LineStep::Implicit(scheme) => {
+            let step = WithParameters::new(OneLeg::new(rhs, scheme, tolerance), carried);
+            Box::new(ImplicitModel::new(step, first, length))
         }
     }
 }

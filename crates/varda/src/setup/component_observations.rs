@@ -3,14 +3,17 @@
 use std::collections::{BTreeMap, HashSet};
 
 use varda_assimilation::{LinearObservation, ObservationOperator, Selection};
+use varda_implicit::ParameterPlaces;
 use varda_implicit::line::Line;
 
 use super::component_rows::{self, ComponentRow, Subject};
 use super::components::ComponentSystem;
+use super::estimate::Seeing;
 use super::files::Files;
 use super::observations::{Draws, Observed, Seen, Site};
 use super::recorded_rows::{Clock, LeftOut};
 use super::recording::{Recorded, track};
+use super::seen_with::{SeenWith, Sites};
 use crate::Error;
 use crate::outcome::{RecordingSummary, SitesAre};
 use crate::scene::{Recording, Synthetic, TimeGrid};
@@ -34,6 +37,7 @@ pub(crate) fn synthetic(
     };
     let steps = files.scene.checked(keys.observed_steps(grid.steps))?;
     let sigma = files.scene.checked(keys.component_sigma())?;
+    let constants = (n, system.estimates.len(), system.estimates.seen);
     Ok(Observed {
         errors: None,
         sites: components.iter().enumerate().map(site).collect(),
@@ -41,12 +45,20 @@ pub(crate) fn synthetic(
         space: None,
         left_out: Vec::new(),
         recording: None,
-        make_operator: Box::new(move || {
-            let operator: Box<dyn ObservationOperator> = Box::new(Selection::new(components.clone(), n)?);
-            Ok(operator)
-        }),
+        make_operator: Box::new(move || Ok(seen_with(Selection::new(components.clone(), n)?, constants))),
         draws: Some(Draws { steps, sigma }),
     })
+}
+
+/// An operator of the components as one of states with the constants that are estimated.
+fn seen_with<O: Sites + 'static>(
+    operator: O,
+    (n, constants, seeing): (usize, usize, Seeing),
+) -> Box<dyn ObservationOperator> {
+    match constants {
+        0 => Box::new(operator),
+        _ => Box::new(SeenWith::new(operator, ParameterPlaces::of_state(n, constants, n, 0), seeing, &[])),
+    }
 }
 
 /// A component, or a place on the line by its bits; in this order in reports.
@@ -118,6 +130,7 @@ pub(crate) fn recorded(
     };
     let places: Vec<Place> = site_of.into_keys().collect();
     let (n, line) = (system.names.len(), system.line);
+    let constants = (n, system.estimates.len(), system.estimates.seen);
     Ok(Observed {
         errors: None,
         sites,
@@ -125,7 +138,7 @@ pub(crate) fn recorded(
         space: None,
         left_out: left.into_texts(),
         recording: Some(summary),
-        make_operator: Box::new(move || Ok(Box::new(operator(&places, n, line)?))),
+        make_operator: Box::new(move || Ok(seen_with(operator(&places, n, line)?, constants))),
         draws: None,
     })
 }

@@ -10,11 +10,14 @@ use super::component_model::Equation;
 use super::covariance::{self, Factored};
 use super::csv;
 use super::ensemble::ComponentPositions;
+use super::estimate::{Constant, Estimates};
 use super::files::Files;
 use super::runs::{MakeModel, run_states};
 use crate::Error;
-use crate::scene::{self, ComponentCovariance, Invalid, Scene, SceneFile, TimeGrid};
+use crate::scene::{self, ComponentCovariance, Invalid, SceneFile, TimeGrid};
 use crate::state::StateLayout;
+
+type MakeHere = Rc<dyn Fn(usize) -> Box<dyn Model + Send>>;
 
 /// A model whose state is a list of components of one kind.
 pub struct ComponentSystem {
@@ -28,14 +31,22 @@ pub struct ComponentSystem {
     pub(super) line: Option<Line>,
     positions: ComponentPositions,
     start: Vec<f64>,
+    /// What is unknown beside the state.
+    pub(crate) estimates: Estimates,
     /// Makes the model, its step 0 being the given step of the model's time.
-    make: Rc<dyn Fn(usize) -> Box<dyn Model + Send>>,
+    make: MakeHere,
+    /// The same without unknown constants.
+    without: MakeHere,
     spin_up: usize,
 }
 
 impl ComponentSystem {
     /// The model of a scene with this equation.
-    pub(crate) fn new(scene: &Scene, equation: Equation, grid: TimeGrid) -> Self {
+    ///
+    /// # Errors
+    /// [`Error::Scene`] pointing at a constant that cannot be estimated.
+    pub(crate) fn new(file: &SceneFile, equation: Equation, grid: TimeGrid) -> Result<Self, Error> {
+        let scene = &file.scene;
         let n = equation.dim();
         let numbered = |letter: &str| (0..n).map(|i| format!("{letter}{i}")).collect();
         let (names, positions) = match &equation {
@@ -48,8 +59,14 @@ impl ComponentSystem {
         let line = equation.line();
         let is_explicit = equation.is_explicit();
         let start = scene.truth.as_ref().map_or_else(|| equation.start(), |truth| truth.state.clone());
-        let make = equation.factory(&start, grid.step);
-        ComponentSystem {
+        let (estimates, chosen) = Estimates::of_components(file, &equation.constants())?;
+        let without: MakeHere = Rc::new(equation.factory(&start, grid.step));
+        let make = if estimates.is_empty() {
+            Rc::clone(&without)
+        } else {
+            Rc::new(equation.factory_with(chosen, estimates.carried(), &start, grid.step))
+        };
+        Ok(ComponentSystem {
             names,
             // Explicit: four stages. Implicit: the states and a factor of about six numbers a row.
             kept: if is_explicit { 4 * n } else { 8 * n },
@@ -57,19 +74,28 @@ impl ComponentSystem {
             line,
             positions,
             start,
-            make: Rc::new(make),
+            estimates,
+            make,
+            without,
             spin_up: scene.time.spin_up,
-        }
+        })
     }
 
     /// The layout of its state.
     pub(crate) fn layout(&self) -> StateLayout {
         StateLayout::of_components(self.names.clone())
+            .with_constants(self.estimates.constants.iter().map(Constant::of_control))
     }
 
     /// Where its components are.
     pub(crate) fn positions(&self) -> ComponentPositions {
         self.positions.clone()
+    }
+
+    /// A state with the constants of the scene behind it.
+    fn with_known_constants(&self, mut state: Vec<f64>) -> Vec<f64> {
+        state.resize(self.names.len() + self.estimates.len(), 0.0);
+        state
     }
 
     /// What explicit steps do without.
@@ -80,8 +106,9 @@ impl ComponentSystem {
     /// The truth of a twin experiment: the state after the spin-up from the start.
     pub(crate) fn truth(&self) -> Result<Vec<f64>, Error> {
         let mut model = (self.make)(0);
-        let states = run_states(model.as_mut(), &self.start, self.spin_up)?;
-        Ok(states[self.spin_up * self.start.len()..].to_vec())
+        let start = self.with_known_constants(self.start.clone());
+        let states = run_states(model.as_mut(), &start, self.spin_up)?;
+        Ok(states[self.spin_up * start.len()..].to_vec())
     }
 
     /// The state in a CSV file with one row for each component.
@@ -96,7 +123,7 @@ impl ComponentSystem {
                 message: format!("expected one row for each component 0 to {}, in order", n - 1),
             });
         }
-        Ok(rows.iter().map(|r| r[1]).collect())
+        Ok(self.with_known_constants(rows.iter().map(|r| r[1]).collect()))
     }
 
     /// The covariance that the key `path` describes. A climatology runs the model.
@@ -111,7 +138,7 @@ impl ComponentSystem {
             ComponentCovariance::Line(k, line) => covariance::along_line(file, path, k, &line),
             ComponentCovariance::Diagonal(d) => covariance::diagonal(file, path, n, d.sigma),
             ComponentCovariance::Climatology(c) => {
-                let mut model = (self.make)(0);
+                let mut model = (self.without)(0);
                 let climate = Climatology::of_run(model.as_mut(), &self.start, self.spin_up, c.steps)
                     .map_err(|reason| Error::Preparation { stage: "climatology", reason })?;
                 covariance::scaled(file, path, n, c.scale, &climate.covariance)

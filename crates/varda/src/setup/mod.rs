@@ -10,7 +10,9 @@ pub mod covariance;
 pub mod csv;
 pub mod ensemble;
 mod error_correlation;
+pub mod estimate;
 pub mod files;
+mod finer;
 pub mod inputs;
 mod loads;
 pub mod memory;
@@ -27,6 +29,7 @@ pub mod rod;
 pub mod rod_model;
 pub mod rod_observations;
 pub mod runs;
+mod seen_with;
 pub mod system;
 
 pub use inputs::Inputs;

@@ -7,6 +7,7 @@ use varda_implicit::Model;
 use super::adaptive_steps::AdaptiveSteps;
 use super::covariance::Factored;
 use super::ensemble;
+use super::finer::finer;
 use super::inputs::{Inputs, KnownBackground};
 use super::memory::{Memory, Sizes, without_spread};
 use super::observations::Observed;
@@ -45,6 +46,8 @@ pub struct Problem {
     pub observed: Observed,
     /// Most bytes for the states and linearizations of a window: what `[limits] memory` leaves.
     pub memory: usize,
+    /// The scene with twice the segments, where σ of its constants needs an allowance for the mesh.
+    pub(crate) finer: Option<SceneFile>,
     /// The time steps of the models, if they are adaptive.
     pub(crate) adaptive_steps: Option<AdaptiveSteps>,
 }
@@ -83,11 +86,13 @@ impl Problem {
         }
         let reference = known.as_ref().or(truth.as_ref()).map_or(&[][..], |z| &z[..n]);
         let (path, keys) = ("background.covariance", &scene.background.covariance);
-        let covariance = system.covariance(&one_window, path, keys, reference)?;
+        let estimates = system.estimates();
+        let covariance = estimates.behind(system.covariance(&one_window, path, keys, reference)?)?;
         let model_error = match &scene.algorithm.model_error {
             Some(error) => {
                 let path = "algorithm.model_error.covariance";
-                Some(system.covariance(&one_window, path, &error.covariance, reference)?)
+                let q = system.covariance(&one_window, path, &error.covariance, reference)?;
+                Some(estimates.without_error(q))
             }
             None => None,
         };
@@ -142,6 +147,7 @@ impl Problem {
             truth,
             observed,
             memory: memory.for_window,
+            finer: finer(&one_window),
             adaptive_steps,
         };
         let method = scene.algorithm.method;

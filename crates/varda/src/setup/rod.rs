@@ -1,13 +1,14 @@
 //! A rod as the system of a problem: its truth, background, covariance and models.
 
 use varda_covariance::Covariance;
-use varda_implicit::{ImplicitStep, Model, Structure};
-use varda_rod::RodStep;
+use varda_implicit::{ImplicitStep, Model, ParametricStep, Structure};
+use varda_rod::{Rest, RodStep};
 
 use super::adaptive_steps::{AdaptiveSteps, rod_models};
 use super::covariance::{self, Factored, Places, Sigmas};
 use super::csv;
 use super::ensemble::ComponentPositions;
+use super::estimate::{Constant, Estimates};
 use super::files::Files;
 use super::rod_model::RodParts;
 use super::runs::MakeModel;
@@ -47,7 +48,7 @@ impl RodSystem {
     pub(crate) fn read(files: &Files, model: &RodModel, grid: TimeGrid) -> Result<Self, Error> {
         let parts = RodParts::read(files, model)?;
         let dynamics = parts.dynamics()?;
-        let s = parts.rod.arc_lengths();
+        let (s, unknown) = (parts.rod.arc_lengths(), parts.estimates.len());
         let free = dynamics.free_vertices().to_vec();
         let spins = parts.spins_in_control;
         let free_edges = if spins { dynamics.free_angles().to_vec() } else { Vec::new() };
@@ -60,9 +61,9 @@ impl RodSystem {
         };
         Ok(RodSystem {
             places,
-            state: dynamics.dim(),
-            control: dynamics.control_len(),
-            kept: kept(&dynamics),
+            state: parts.places()?.dim(),
+            control: dynamics.control_len() + unknown,
+            kept: kept(&dynamics) + parts.estimates.of_rod.len() * dynamics.unknowns(),
             has_end_angle: dynamics.end_angle(&vec![0.0; dynamics.dim()]).is_some(),
             left_out: dynamics.left_out().into_iter().chain(parts.remarks.iter().cloned()).collect(),
             free,
@@ -90,6 +91,17 @@ impl RodSystem {
             free: self.free.clone(),
             free_edges: self.free_edges.clone(),
         })
+        .with_constants(self.parts.estimates.constants.iter().map(Constant::of_control))
+    }
+
+    /// A state of the rod's own step, and the rod with the constants that this state has.
+    pub fn with_constants_of(&self, state: &[f64]) -> Result<(RodStep, Vec<f64>), Error> {
+        let (mut rod, places) = (self.parts.dynamics()?, self.parts.places()?);
+        let mut own = vec![0.0; places.own_dim()];
+        places.gather(state, &mut own);
+        let p = &state[places.parameters()][..self.parts.estimates.of_rod.len()];
+        rod.set_parameters(p).map_err(|reason| varda_implicit::Error::refused(0, reason))?;
+        Ok((rod, own))
     }
 
     /// Where the components of its control are.
@@ -108,7 +120,7 @@ impl RodSystem {
     /// The truth of a twin experiment: the state after the spin-up from rest.
     pub(crate) fn truth(&mut self) -> Result<Vec<f64>, Error> {
         let control = self.start_at_rest(0.0)?;
-        let mut model = self.parts.dynamics()?.model(0, self.grid.step);
+        let mut model = rod_models(&self.parts, 0, self.grid, None)(0);
         let failed = |reason| Error::Preparation { stage: "spin-up of the truth", reason };
         let mut x = vec![0.0; model.dim()];
         model.initial_state(&control, &mut x).map_err(failed)?;
@@ -129,8 +141,15 @@ impl RodSystem {
     fn start_at_rest(&mut self, t: f64) -> Result<Vec<f64>, Error> {
         self.parts.first = None;
         let rest = self.parts.at_rest(t)?;
-        let control = self.parts.dynamics()?.control_at_rest(&rest);
+        let control = self.control_at_rest(&rest)?;
         self.parts.first = Some((rest, t));
+        Ok(control)
+    }
+
+    /// The control of the rod at rest in a shape, constants as the scene has them.
+    pub(crate) fn control_at_rest(&self, shape: &Rest) -> Result<Vec<f64>, Error> {
+        let mut control = self.parts.dynamics()?.control_at_rest(shape);
+        control.resize(self.control, 0.0);
         Ok(control)
     }
 
@@ -188,7 +207,9 @@ impl RodSystem {
             .into_iter()
             .enumerate()
             .map(|(i, value)| value.ok_or_else(|| Error::Data { place: label.clone(), message: missing(i) }));
-        filled.collect()
+        let mut control = filled.collect::<Result<Vec<f64>, Error>>()?;
+        control.resize(self.control, 0.0);
+        Ok(control)
     }
 
     /// The column of a file that has one angle.
@@ -214,7 +235,8 @@ impl RodSystem {
 
     /// The angle of the end clamp in a state \[rad\], whole turns included, where it is part of the state.
     pub(crate) fn end_angle(&self, state: &[f64]) -> Result<Option<f64>, Error> {
-        Ok(self.parts.dynamics()?.end_angle(state))
+        let (rod, own) = self.with_constants_of(state)?;
+        Ok(rod.end_angle(&own))
     }
 
     /// Runs from the start of the window have the end clamp's angle of a state there.
@@ -311,6 +333,11 @@ impl RodSystem {
     /// Adaptive time steps along the run from a control.
     pub(crate) fn adaptive_steps(&self, tolerance: f64, control: &[f64]) -> Result<AdaptiveSteps, Error> {
         AdaptiveSteps::along(&self.parts, self.spin_up, self.grid, tolerance, control)
+    }
+
+    /// What is unknown beside the state.
+    pub fn estimates(&self) -> &Estimates {
+        &self.parts.estimates
     }
 
     /// Makes models with steps of the scene's length.

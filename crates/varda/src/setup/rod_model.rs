@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use varda_implicit::Scheme;
+use varda_implicit::{ParameterPlaces, Scheme};
 use varda_rod::{
     Clamp, ClampAt, Damping, Loads, Material, Rest, Rod, RodStep, Search, Section, Supports, Vector3, rest,
 };
@@ -10,6 +10,7 @@ use varda_rod::{
 use crate::Error;
 use crate::scene::{self, RodModel, SceneFile, Shear};
 use crate::setup::csv;
+use crate::setup::estimate::{Described, Estimates};
 use crate::setup::files::Files;
 use crate::setup::loads::loads;
 use crate::setup::motion::{Held, Motions, Moving};
@@ -40,6 +41,8 @@ pub struct RodParts {
     /// Angle of the end clamp \[rad\], whole turns included, at a time \[s\] from which runs start, where a
     /// file or an earlier window says it.
     pub end_angle: Option<(f64, f64)>,
+    /// What is unknown beside the state.
+    pub estimates: Estimates,
 }
 
 impl RodParts {
@@ -61,6 +64,7 @@ impl RodParts {
         if model.twist_inertia {
             rod = rod.with_rotary_inertia(rotary_inertia);
         }
+        let line_masses = rod.masses.clone();
         for (i, mass) in model.point_masses.iter().enumerate() {
             rod.add_point_mass(mass.arc_length, mass.mass)
                 .map_err(refuse(&format!("model.point_masses.{i}")))?;
@@ -97,7 +101,12 @@ impl RodParts {
         remarks.extend(edge_clamps(model, &rod));
         let covariance = file.checked(file.scene.background.covariance.of_rod("background.covariance"))?;
         let spins_in_control = file.checked(covariance.spin_sigmas("background.covariance"))?.is_some();
+        let between_faces = rod.clone().with_faces(supports.faces());
+        let described =
+            Described { section: &section, line_masses: &line_masses, rod: &between_faces, damping };
+        let estimates = Estimates::of_rod(file, model, &described)?;
         let parts = RodParts {
+            estimates,
             rod,
             supports,
             loads,
@@ -120,7 +129,11 @@ impl RodParts {
     /// What varda-rod finds impossible.
     pub fn dynamics(&self) -> Result<RodStep, varda_rod::Error> {
         let (rod, supports, loads) = (self.rod.clone(), self.supports.clone(), self.loads.clone());
-        let mut step = RodStep::new(rod, supports, loads, self.damping)?.with_scheme(self.scheme);
+        let step = match self.estimates.of_rod.clone() {
+            none if none.is_empty() => RodStep::new(rod, supports, loads, self.damping)?,
+            unknown => RodStep::with_parameters(rod, supports, loads, self.damping, unknown)?,
+        };
+        let mut step = step.with_scheme(self.scheme);
         if self.spins_in_control {
             step = step.with_spins_in_control();
         }
@@ -132,6 +145,14 @@ impl RodParts {
             Some((angle, t)) => step.with_end_angle(angle, t),
             None => step,
         })
+    }
+
+    /// Where the unknown constants stand in a state.
+    ///
+    /// # Errors
+    /// What varda-rod finds impossible.
+    pub(crate) fn places(&self) -> Result<ParameterPlaces, varda_rod::Error> {
+        Ok(ParameterPlaces::of(&self.dynamics()?, self.estimates.len()))
     }
 
     /// The rod at rest, supports where they are at time t \[s\].

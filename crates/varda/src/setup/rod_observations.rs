@@ -13,6 +13,8 @@ use super::reachable::{Held, Reach, Sighting};
 use super::recorded_rows::{Clock, LeftOut};
 use super::recording::{Recorded, track};
 use super::rod::RodSystem;
+use super::rod_model::RodParts;
+use super::seen_with::SeenWith;
 use crate::Error;
 use crate::outcome::{Neighbours, RecordingSummary, SitesAre};
 use crate::scene::{Frame, Model, Recording, Synthetic, TimeGrid, UnreachableRows, Use};
@@ -241,12 +243,22 @@ fn observed(
     left_out: Vec<String>,
 ) -> Observed {
     let markers: Rc<[Marker]> = sites.iter().map(|s| s.marker).collect();
-    let operator = |rotation: [[f64; 3]; 3]| -> MakeOperator {
+    let operator = |rotation: [[f64; 3]; 3], mounted: bool| -> MakeOperator {
         let (markers, parts) = (Rc::clone(&markers), rod.parts.clone());
         // values are those of the recording turned into its axes but not displaced: the origin is the model's
         let axes = Matrix3::from(rotation).transpose();
-        let seen = move || Markers::new(&parts.dynamics()?, &markers)?.in_axes(axes, Vector3::zeros());
-        Box::new(move || Ok(Box::new(seen()?)))
+        let seen = move |parts: &RodParts, markers: &[Marker]| {
+            Markers::new(&parts.dynamics()?, markers)?.in_axes(axes, Vector3::zeros())
+        };
+        Box::new(move || {
+            let operator = seen(&parts, &markers)?;
+            if parts.estimates.is_empty() {
+                return Ok(Box::new(operator));
+            }
+            let seeing = if mounted { parts.estimates.seen } else { parts.estimates.seen.of_places() };
+            let operator = if seeing.moves_sites() { operator.with_frames() } else { operator };
+            Ok(Box::new(SeenWith::new(operator, parts.places()?, seeing, &markers)))
+        })
     };
     let site = |(i, site): (usize, Placed)| Site {
         label: site.label,
@@ -260,9 +272,9 @@ fn observed(
         space: Some(ObservedSpace {
             arc_lengths: markers.iter().map(|m| m.s).collect(),
             rotation,
-            make_places: operator(Frame::default().rotation_rows()),
+            make_places: operator(Frame::default().rotation_rows(), false),
         }),
-        make_operator: operator(rotation),
+        make_operator: operator(rotation, true),
         sites: sites.into_iter().enumerate().map(site).collect(),
         seen,
         left_out,

@@ -10,6 +10,7 @@ use super::component_model::{Equation, Field};
 use super::components::ComponentSystem;
 use super::covariance::Factored;
 use super::ensemble::ComponentPositions;
+use super::estimate::Estimates;
 use super::files::Files;
 use super::rod::RodSystem;
 use super::runs::MakeModel;
@@ -47,7 +48,7 @@ impl System {
                 Equation::AlongLine { line: m.line(), field: Field::Fronts(fronts), step: line_step()? }
             }
         };
-        Ok(System::Components(ComponentSystem::new(scene, equation, grid)))
+        Ok(System::Components(ComponentSystem::new(files.scene, equation, grid)?))
     }
 
     /// The rod, for models in space.
@@ -55,6 +56,14 @@ impl System {
         match self {
             System::Rod(rod) => Some(rod),
             System::Components(_) => None,
+        }
+    }
+
+    /// What is unknown beside the state.
+    pub(crate) fn estimates(&self) -> &Estimates {
+        match self {
+            System::Rod(rod) => rod.estimates(),
+            System::Components(model) => &model.estimates,
         }
     }
 
@@ -78,7 +87,7 @@ impl System {
     pub(crate) fn sizes(&self) -> [usize; 2] {
         match self {
             System::Rod(rod) => [rod.state, rod.kept],
-            System::Components(model) => [model.names.len(), model.kept],
+            System::Components(model) => [model.names.len() + model.estimates.len(), model.kept],
         }
     }
 
@@ -152,7 +161,13 @@ impl System {
         reference: &[f64],
     ) -> Result<Option<Box<dyn Covariance>>, Error> {
         match (self, file.scene.background.draw) {
-            (System::Rod(rod), Draw::Kernel) => rod.without_taper(file, path, keys, reference).map(Some),
+            (System::Rod(rod), Draw::Kernel) => {
+                let of_state = Factored::Singular(rod.without_taper(file, path, keys, reference)?);
+                match rod.estimates().behind(of_state)? {
+                    Factored::Full(c) => Ok(Some(Box::new(c))),
+                    Factored::Singular(c) => Ok(Some(c)),
+                }
+            }
             _ => Ok(None),
         }
     }

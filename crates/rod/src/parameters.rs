@@ -1,0 +1,199 @@
+//! Constants of a rod as parameters: what they change, and ∂G/∂p.
+
+use nalgebra::Vector3;
+use varda_implicit::{ParametricStep, Refusal, SolvedStep};
+
+use crate::Error;
+use crate::change::{Change, Parameter, Parameters};
+use crate::damping::KelvinVoigt;
+use crate::dynamics::{RodStep, TwistUnknowns};
+use crate::layout::FIXED;
+use crate::rod::Rod;
+use crate::support::{Damping, Loads, Supports};
+use crate::system::PastStrains;
+
+impl RodStep {
+    /// The step of a rod that some constants of are parameters, each zero at the rod given: inside
+    /// [`WithParameters`](varda_implicit::WithParameters) they are part of the state. By backward Euler;
+    /// [`RodStep::with_scheme`] chooses another.
+    ///
+    /// Twist is among the unknowns where it would be with the constants that parameters lead to. A list of a
+    /// change is that of the rod between the faces of its clamps ([`Rod::with_faces`]).
+    ///
+    /// ```
+    /// use varda_implicit::{ImplicitModel, Model, WithParameters};
+    /// use varda_rod::{
+    ///     Change, Clamp, ClampAt, Damping, Law, Loads, Material, Parameter, Rod, RodStep, Section, Supports,
+    ///     Vector3, straight_guess,
+    /// };
+    ///
+    /// let section = Section::circle(&Material::new(1e6, 0.5, 1100.0), 0.01);
+    /// let rod = Rod::uniform(1.0, 20, &section)?;
+    /// let stiffness = Change { ei: rod.ei.clone(), ..Change::default() };
+    /// let unknown = vec![Parameter { change: stiffness, law: Law::Exponential }];
+    /// let clamp = Clamp::new(ClampAt::Edge, [0.0; 3], Vector3::x(), Vector3::z());
+    /// let supports = Supports::clamped_start(clamp);
+    /// let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
+    /// let step = RodStep::with_parameters(rod, supports, loads, Damping::default(), unknown)?;
+    /// let guess = straight_guess(step.rod(), step.supports(), 0.0, Vector3::x())?;
+    /// let mut control = step.control_at_rest(&guess);
+    /// control.push(0.2); // 22 % stiffer
+    ///
+    /// let mut model = ImplicitModel::new(WithParameters::new(step, 0), 0, 0.01);
+    /// let (mut x, mut next) = (vec![0.0; model.dim()], vec![0.0; model.dim()]);
+    /// model.initial_state(&control, &mut x)?;
+    /// model.step(0, &x, &mut next)?;
+    /// assert_eq!(next[control.len() - 1], 0.2);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`RodStep::new`]; a list of the wrong length; a change of what the rod does not have: bending of a
+    /// chain, spin inertia of massless twist, damping that is zero.
+    pub fn with_parameters(
+        rod: Rod,
+        supports: Supports,
+        loads: Loads,
+        damping: Damping,
+        parameters: Vec<Parameter>,
+    ) -> Result<RodStep, Error> {
+        let twist = match parameters.iter().any(|p| p.change.needs_angles()) {
+            true => TwistUnknowns::Always,
+            false => TwistUnknowns::WhereNeeded,
+        };
+        let by_angle = parameters.iter().any(|p| p.change.bends_by_angle());
+        let mut step = RodStep::build(rod, supports, loads, damping, twist, by_angle)?;
+        let rod = step.rod().clone();
+        for parameter in &parameters {
+            check(&parameter.change, &rod, &damping, step.system.layout.bending)?;
+        }
+        let gravity = step.system.loads.gravity;
+        let slopes = vec![1.0; parameters.len()];
+        let none = PastStrains::default();
+        let turn = Vector3::zeros();
+        let all = Parameters { list: parameters, rod, damping, gravity, slopes, turn, none };
+        step.parameters = Some(Box::new(all));
+        Ok(step)
+    }
+}
+
+/// # Errors
+/// See [`RodStep::with_parameters`].
+fn check(change: &Change, rod: &Rod, damping: &Damping, bending: bool) -> Result<(), Error> {
+    let (n, inner) = (rod.segments(), rod.ei.len());
+    let lists = [
+        ("change of EA", change.ea.len(), n),
+        ("change of EI", change.ei.len(), inner),
+        ("change of GJ", change.gj.len(), inner),
+        ("change of natural curvature", change.natural_curvature.len(), inner),
+        ("change of natural twist", change.natural_twist.len(), inner),
+        ("change of masses", change.masses.len(), n + 1),
+        ("change of spin inertia", change.spin_inertia.len(), rod.spin_inertia.len()),
+    ];
+    for (field, found, expected) in lists {
+        if found != 0 && found != expected {
+            return Err(Error::Count { field, found, expected });
+        }
+    }
+    if change.is_of_bending() && !bending {
+        return Err(Error::Value { field: "EI of a parameter", value: 0.0, expected: "a rod that bends" });
+    }
+    let pairs = [
+        ("damping.stiffness", change.damping.stiffness, damping.stiffness),
+        ("damping.mass", change.damping.mass, damping.mass),
+    ];
+    for (field, change, value) in pairs {
+        if change != 0.0 && !(value > 0.0) {
+            let expected = "a positive number, the prior of its parameter";
+            return Err(Error::Value { field, value, expected });
+        }
+    }
+    Ok(())
+}
+
+impl ParametricStep for RodStep {
+    fn parameters(&self) -> usize {
+        self.parameters.as_ref().map_or(0, |p| p.list.len())
+    }
+
+    fn set_parameters(&mut self, p: &[f64]) -> Result<(), Refusal> {
+        let Some(parameters) = &mut self.parameters else { return Ok(()) };
+        let (damping, gravity) = parameters.constants(p, &mut self.system.rod);
+        self.system.rod.check()?;
+        crate::material::positive_or_none("damping.stiffness", self.damping.stiffness, damping.stiffness)?;
+        crate::material::positive_or_none("damping.mass", self.damping.mass, damping.mass)?;
+        self.damping = damping;
+        self.system.loads.gravity = gravity;
+        self.system.set_stiffness(0.0, None);
+        if let Some(twist) = &mut self.twist {
+            twist.take_constants(&self.system);
+        }
+        Ok(())
+    }
+
+    fn parameter_jacobian(&mut self, of: &SolvedStep<'_>, columns: &mut [f64]) {
+        self.set_edges_of(of.at, of.u);
+        if let Some(spin) = &mut self.spin {
+            spin.measure(&self.system).expect("the step was accepted before");
+        }
+        let Some(parameters) = self.parameters.take() else { return };
+        let all = parameters.list.iter().zip(&parameters.slopes);
+        for ((p, &slope), column) in all.zip(columns.chunks_exact_mut(of.u.len())) {
+            let gravity = parameters.change_of_gravity(&p.change, &self.system.loads.gravity);
+            self.change_of_equations(of, &p.change, gravity, &parameters.none, column);
+            column.iter_mut().for_each(|g| *g *= slope);
+        }
+        self.parameters = Some(parameters);
+    }
+
+    fn initial_parameter_jacobian(&mut self, columns: &mut [f64]) {
+        columns.fill(0.0);
+        let (layout, given) = (&self.system.layout, self.control_len());
+        let (Some(parameters), Some(twist)) = (&self.parameters, &mut self.twist) else { return };
+        // angles that are part of the control do not follow
+        let first = 6 * layout.free_vertices.len();
+        if given > first {
+            return;
+        }
+        let all = parameters.list.iter().zip(&parameters.slopes);
+        for ((p, slope), column) in all.zip(columns.chunks_exact_mut(layout.state())) {
+            let angles = &mut column[first..first + layout.free_angles.len()];
+            twist.change(&p.change, angles);
+            angles.iter_mut().for_each(|a| *a *= slope);
+        }
+    }
+}
+
+impl RodStep {
+    /// What a change of the constants does to G at the present shape, that of a solved step.
+    fn change_of_equations(
+        &mut self,
+        of: &SolvedStep<'_>,
+        change: &Change,
+        more_gravity: Vector3<f64>,
+        none: &PastStrains,
+        dg: &mut [f64],
+    ) {
+        let h = self.scheme.stage(of.at).length;
+        let past = self.viscous.as_ref().map_or(none, KelvinVoigt::past);
+        let rates = [self.damping.stiffness / h, change.damping.stiffness / h];
+        self.system.change_of_elastic(change, rates, past);
+        for (full, &unknown) in self.system.layout.unknown.iter().enumerate() {
+            if unknown != FIXED {
+                dg[unknown] = self.system.gradient[full];
+            }
+        }
+        let s = &self.system;
+        let ([k, c], rate) = (self.inertia(h), change.damping.mass / h);
+        for (f, &v) in s.layout.free_vertices.iter().enumerate() {
+            let (mass, more) = (s.rod.masses[v], change.masses.get(v).copied().unwrap_or(0.0));
+            let (d, e) = (s.x[v] - self.target[f], s.x[v] - self.start[f]);
+            let force = (d * k + e * c - s.loads.gravity) * more + (e * rate - more_gravity) * mass;
+            let i = s.layout.unknown[s.layout.vertex(v)];
+            (0..3).for_each(|a| dg[i + a] += force[a]);
+        }
+        if let Some(spin) = self.spin.as_ref().filter(|_| s.layout.spins) {
+            spin.change(s, &change.spin_inertia, [k, c], rate, dg);
+        }
+    }
+}

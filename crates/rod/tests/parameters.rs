@@ -1,0 +1,360 @@
+//! Constants of a rod as parameters: ∂G/∂p in tangent and adjoint, against differences of whole steps.
+
+mod common;
+
+use std::f64::consts::PI;
+
+use common::{assert_close, noise, products};
+use varda_implicit::{
+    Error, ImplicitModel, ImplicitStep, Model, ParametricStep, Scheme, SolvedStep, WithParameters,
+};
+use varda_rod::{
+    Change, Clamp, ClampAt, Damping, Law, Loads, Material, Parameter, Rod, RodStep, Section, Supports,
+    TwistUnknowns, Vector3, straight_guess,
+};
+
+const SEGMENTS: usize = 8;
+
+/// What of a rod differs from case to case.
+#[derive(Clone, Copy)]
+struct Case {
+    name: &'static str,
+    anisotropic: bool,
+    curved: bool,
+    damping: Damping,
+    spins: bool,
+    end: bool,
+    held: bool,
+}
+
+const PLAIN: Case = Case {
+    name: "plain",
+    anisotropic: false,
+    curved: false,
+    damping: Damping { stiffness: 0.0, mass: 0.0 },
+    spins: false,
+    end: false,
+    held: true,
+};
+const LOST: Damping = Damping { stiffness: 0.02, mass: 0.4 };
+
+fn cases() -> Vec<Case> {
+    vec![
+        PLAIN,
+        Case { name: "mass-damped", damping: Damping { mass: 0.7, ..LOST }, ..PLAIN },
+        Case { name: "curved", curved: true, ..PLAIN },
+        Case { name: "anisotropic and damped", anisotropic: true, damping: LOST, ..PLAIN },
+        Case { name: "curved, held at both ends", curved: true, end: true, damping: LOST, ..PLAIN },
+        Case { name: "spinning", anisotropic: true, curved: true, spins: true, damping: LOST, ..PLAIN },
+        Case { name: "no director held", curved: true, held: false, ..PLAIN },
+    ]
+}
+
+fn rod(case: Case) -> Rod {
+    let material = Material::new(1e6, 0.45, 1100.0);
+    let section = if case.anisotropic {
+        Section::ellipse(&material, 0.01, 0.007)
+    } else {
+        Section::circle(&material, 0.01)
+    };
+    let mut rod = Rod::uniform(1.0, SEGMENTS, &section).unwrap();
+    rod.add_point_mass(1.0, 0.05).unwrap();
+    if case.curved {
+        rod = rod.naturally([0.4, -0.3], 0.2);
+    }
+    if case.spins {
+        rod = rod.with_rotary_inertia(section.rotary_inertia(&material));
+    }
+    rod
+}
+
+fn supports(case: Case) -> Supports {
+    let place = |t: f64| [0.05 * (5.0 * t).sin(), 0.0, 0.0];
+    let mut supports = if case.held {
+        Supports::clamped_start(Clamp::new(ClampAt::Edge, place, Vector3::x(), Vector3::z()))
+    } else {
+        Supports { prescribed: vec![(0, std::sync::Arc::new(place))], ..Supports::default() }
+    };
+    if case.end {
+        supports.end = Some(Clamp::new(ClampAt::Edge, [0.93, 0.1, 0.0], Vector3::x(), Vector3::z()));
+    }
+    supports
+}
+
+/// Every kind of parameter that a case has.
+fn unknowns(case: Case) -> Vec<Parameter> {
+    let rod = rod(case);
+    let none = Change::default;
+    let exponential = |change: Change| Parameter { change, law: Law::Exponential };
+    let linear = |change: Change| Parameter { change, law: Law::Linear };
+    let mut tip = vec![0.0; SEGMENTS + 1];
+    tip[SEGMENTS] = 0.02;
+    let mut all = vec![
+        exponential(Change { ea: rod.ea.clone(), ..none() }),
+        exponential(Change { ei: rod.ei.clone(), ..none() }),
+        exponential(Change { gj: rod.gj.clone(), ..none() }),
+        exponential(Change { masses: rod.masses.clone(), spin_inertia: rod.spin_inertia.clone(), ..none() }),
+        linear(Change { masses: tip, ..none() }),
+        linear(Change { gravity: Vector3::new(0.0, 9.81, 0.0), ..none() }),
+        linear(Change { gravity_turn: Vector3::x(), ..none() }),
+        linear(Change { gravity_turn: Vector3::new(0.0, 1.0, 0.2), ..none() }),
+    ];
+    if case.damping.stiffness > 0.0 {
+        let damping = Damping { stiffness: case.damping.stiffness, mass: 0.0 };
+        all.push(exponential(Change { damping, ..none() }));
+    }
+    if case.damping.mass > 0.0 {
+        let damping = Damping { stiffness: 0.0, mass: case.damping.mass };
+        all.push(exponential(Change { damping, ..none() }));
+    }
+    if case.curved {
+        let lengths = &rod.voronoi_lengths;
+        let curvature = |c: [f64; 2]| lengths.iter().map(|l| c.map(|c| c * l)).collect();
+        all.push(linear(Change { natural_curvature: curvature([1.0, 0.0]), ..none() }));
+        all.push(linear(Change { natural_curvature: curvature([0.0, 1.0]), ..none() }));
+        all.push(linear(Change { natural_twist: lengths.clone(), ..none() }));
+    }
+    if case.anisotropic {
+        let ei2 = rod.ei.iter().map(|k| [0.0, 0.0, k[2]]).collect();
+        all.push(exponential(Change { ei: ei2, ..none() }));
+    }
+    all
+}
+
+const DOWN: Loads =
+    Loads { gravity: Vector3::new(0.0, 0.0, -9.81), point_forces: Vec::new(), of_motion: Vec::new() };
+
+fn step(case: Case, scheme: Scheme) -> RodStep {
+    let unknown = unknowns(case);
+    RodStep::with_parameters(rod(case), supports(case), DOWN, case.damping, unknown)
+        .unwrap()
+        .with_scheme(scheme)
+}
+
+/// A control off the straight shape, moving, its parameters not zero.
+fn control(step: &RodStep) -> Vec<f64> {
+    let guess = straight_guess(step.rod(), step.supports(), 0.0, [1.0, 0.1, 0.0]).unwrap();
+    let mut z = step.control_at_rest(&guess);
+    let half = z.len() / 2;
+    z.iter_mut().zip(noise(1)).enumerate().for_each(|(i, (z, e))| {
+        *z += e * if i < half { 0.004 } else { 0.05 };
+    });
+    z.extend(noise(2).take(step.parameters()).map(|e| 0.2 * e));
+    z
+}
+
+#[test]
+fn tangent_and_adjoint_of_every_parameter() {
+    for scheme in [Scheme::BackwardEuler, Scheme::Midpoint, Scheme::Bdf2] {
+        for case in cases() {
+            let name = format!("{}, {scheme:?}", case.name);
+            let step = step(case, scheme);
+            let z = control(&step);
+            let mut model = ImplicitModel::new(WithParameters::new(step, 1), 0, 0.01);
+            let z: Vec<f64> = z.into_iter().chain([3.0]).collect();
+            for product in products(&mut model, &z) {
+                assert_eq!(product.substeps, 0, "{name}");
+                // differences of a solve to 1e-11 m over 1e-4
+                assert_close(&name, &product.tangent, &product.by_difference, 3e-6);
+                assert!(product.gap <= 1e-12, "{name}: the transposes differ by {:e}", product.gap);
+            }
+        }
+    }
+}
+
+/// One column of ∂G/∂p alone, so that no other term hides it.
+#[test]
+fn each_parameter_alone_moves_the_state_as_differences_say() {
+    for scheme in [Scheme::BackwardEuler, Scheme::Bdf2] {
+        for case in cases() {
+            let step = step(case, scheme);
+            let (z, parameters) = (control(&step), step.parameters());
+            let mut model = ImplicitModel::new(WithParameters::new(step, 0), 0, 0.01);
+            let run = |model: &mut ImplicitModel<_>, z: &[f64]| {
+                let mut states = vec![vec![0.0; Model::dim(model)]; 4];
+                model.initial_state(z, &mut states[0]).unwrap();
+                for k in 0..3 {
+                    let (past, next) = states.split_at_mut(k + 1);
+                    model.step(k, &past[k], &mut next[0]).unwrap();
+                }
+                states
+            };
+            for p in z.len() - parameters..z.len() {
+                let states = run(&mut model, &z);
+                let mut dz = vec![0.0; z.len()];
+                dz[p] = 1.0;
+                let mut dx = vec![0.0; Model::dim(&model)];
+                model.initial_tangent(&dz, &mut dx);
+                for k in 0..3 {
+                    model.linearize(0, k, &states[k], &states[k + 1]).unwrap();
+                    model.tangent(0, &mut dx);
+                }
+                let differences = common::difference(&z, &dz, 1e-3, |z| run(&mut model, z).remove(3));
+                let name = format!("{}, {scheme:?}, parameter {}", case.name, p + parameters - z.len());
+                assert_close(&name, &dx, &differences, 1e-5);
+            }
+        }
+    }
+}
+
+/// What parameters do to the forces within the rod, at fixed states.
+#[test]
+fn forces_move_with_the_parameters_as_differences_say() {
+    for case in cases() {
+        let step = step(case, Scheme::Bdf2);
+        let z = control(&step);
+        let parameters = step.parameters();
+        let mut model = ImplicitModel::new(WithParameters::new(step, 0), 0, 0.01);
+        let mut states = [vec![0.0; Model::dim(&model)], vec![0.0; Model::dim(&model)]];
+        model.initial_state(&z, &mut states[0]).unwrap();
+        let [before, now] = &mut states;
+        model.step(0, before, now).unwrap();
+        let own = |model: &mut ImplicitModel<WithParameters<RodStep>>, x: &[f64]| {
+            model.step_mut().at(x).unwrap().1.to_vec()
+        };
+        let (before, now) = (own(&mut model, before), own(&mut model, now));
+        let mut step = model.into_inner().into_step();
+        let (t, then) = (0.01, 0.0);
+        let p = z[z.len() - parameters..].to_vec();
+        for i in 0..parameters {
+            let mut dp = vec![0.0; parameters];
+            dp[i] = 1.0;
+            let by_difference = common::difference(&p, &dp, 1e-3, |p| {
+                step.set_parameters(p).unwrap();
+                let mut forces = step.internal_forces(t, &now, (then, &before)).unwrap();
+                forces.numbers().map(|v| *v).collect()
+            });
+            step.set_parameters(&p).unwrap();
+            let zero = vec![0.0; now.len()];
+            let mut tangent = Vec::new();
+            step.internal_forces_tangent(t, &now, (then, &before), [&zero, &zero, &dp], &mut |f| {
+                tangent.extend(f.numbers().map(|v| *v));
+            })
+            .unwrap();
+            // GJ of a rod without twist and the like move nothing
+            let (error, size) = common::off(&tangent, &by_difference);
+            // rounding of 1e3 N over 1e-3
+            assert!(error <= 1e-8 * size.max(1e-2), "{}, {i}: off by {error:e} of {size:e}", case.name);
+        }
+    }
+}
+
+/// With all parameters zero the rod is the one described: the same states, bit for bit.
+#[test]
+fn parameters_of_zero_change_nothing() {
+    let case = Case { curved: true, damping: LOST, ..PLAIN };
+    let with = step(case, Scheme::Bdf2);
+    let mut z = control(&with);
+    let n = z.len() - with.parameters();
+    z[n..].fill(0.0);
+    let plain = RodStep::with_twist(rod(case), supports(case), DOWN, LOST, TwistUnknowns::Always).unwrap();
+    let mut plain = ImplicitModel::new(plain.with_scheme(Scheme::Bdf2), 0, 0.01);
+    let mut with = ImplicitModel::new(WithParameters::new(with, 0), 0, 0.01);
+    let (mut x, mut y) = (vec![0.0; plain.dim()], vec![0.0; with.dim()]);
+    plain.initial_state(&z[..n], &mut x).unwrap();
+    with.initial_state(&z, &mut y).unwrap();
+    for k in 0..5 {
+        let (before, then) = (x.clone(), y.clone());
+        plain.step(k, &before, &mut x).unwrap();
+        with.step(k, &then, &mut y).unwrap();
+        assert_eq!(x[..n], y[..n], "step {k}");
+    }
+}
+
+/// The checks see one wrong entry of ∂G/∂p.
+#[test]
+fn a_wrong_column_is_caught() {
+    struct Wrong(RodStep);
+    macro_rules! same {
+        ($($name:ident($($arg:ident: $of:ty),*) $(-> $out:ty)?;)*) => {
+            $(fn $name(&mut self, $($arg: $of),*) $(-> $out)? { self.0.$name($($arg),*) })*
+        };
+    }
+    impl ImplicitStep for Wrong {
+        type Equations<'a> = <RodStep as ImplicitStep>::Equations<'a>;
+        fn dim(&self) -> usize {
+            self.0.dim()
+        }
+        fn unknowns(&self) -> usize {
+            self.0.unknowns()
+        }
+        fn structure(&self) -> varda_implicit::Structure {
+            self.0.structure()
+        }
+        fn control_dim(&self) -> usize {
+            self.0.control_dim()
+        }
+        fn kept(&self) -> usize {
+            self.0.kept()
+        }
+        fn equations<'a>(
+            &'a mut self,
+            at: &varda_implicit::Interval,
+            x: &'a [f64],
+        ) -> Result<Self::Equations<'a>, varda_implicit::Refusal> {
+            self.0.equations(at, x)
+        }
+        same! {
+            advance(at: &varda_implicit::Interval, x: &[f64], u: &[f64], next: &mut [f64]);
+            recover(at: &varda_implicit::Interval, x: &[f64], next: &[f64], u: &mut [f64]);
+            keep(at: &varda_implicit::Interval, x: &[f64], u: &[f64], kept: &mut [f64]);
+            previous(of: &SolvedStep<'_>, dx: &[f64], dg: &mut [f64]);
+            previous_transpose_add(of: &SolvedStep<'_>, mu: &[f64], dx: &mut [f64]);
+            advance_tangent(of: &SolvedStep<'_>, dx: &[f64], du: &[f64], next: &mut [f64]);
+            advance_adjoint(of: &SolvedStep<'_>, lambda: &[f64], dx: &mut [f64], du: &mut [f64]);
+            initial_state(t: f64, z: &[f64], x: &mut [f64]) -> Result<(), varda_implicit::Refusal>;
+            initial_tangent(t: f64, dz: &[f64], dx: &mut [f64]);
+            initial_adjoint(t: f64, lambda: &[f64], dz: &mut [f64]);
+        }
+    }
+    impl ParametricStep for Wrong {
+        fn parameters(&self) -> usize {
+            self.0.parameters()
+        }
+        fn set_parameters(&mut self, p: &[f64]) -> Result<(), varda_implicit::Refusal> {
+            self.0.set_parameters(p)
+        }
+        fn parameter_jacobian(&mut self, of: &SolvedStep<'_>, columns: &mut [f64]) {
+            self.0.parameter_jacobian(of, columns);
+            let unknowns = of.u.len();
+            columns[unknowns + 10] *= 1.5;
+        }
+    }
+    let step = step(PLAIN, Scheme::BackwardEuler);
+    let z = control(&step);
+    // small changes of the state, so that those of the parameters show
+    let mut scale = vec![1e-3; z.len()];
+    scale[z.len() - step.parameters()..].fill(0.1);
+    let mut right = ImplicitModel::new(WithParameters::new(step, 0), 0, 0.01);
+    let report = varda_implicit::check::model(&mut right, &z, 3, &scale, 1).unwrap();
+    assert!(report.passed(), "{report}");
+    let mut wrong =
+        ImplicitModel::new(WithParameters::new(Wrong(right.into_inner().into_step()), 0), 0, 0.01);
+    assert!(!varda_implicit::check::model(&mut wrong, &z, 3, &scale, 1).unwrap().passed());
+}
+
+#[test]
+fn what_cannot_be_a_parameter_is_refused() {
+    let refused = |change: Change, damping: Damping| {
+        let parameter = vec![Parameter { change, law: Law::Exponential }];
+        let made = RodStep::with_parameters(rod(PLAIN), supports(PLAIN), DOWN, damping, parameter);
+        made.err().expect("refused").to_string()
+    };
+    let none = Change::default;
+    let damping = Damping { stiffness: 0.1, mass: 0.0 };
+    assert!(refused(Change { damping, ..none() }, Damping::default()).contains("damping.stiffness"));
+    assert!(refused(Change { ea: vec![1.0; 3], ..none() }, damping).contains("change of EA"));
+    let spin_inertia = vec![1e-6; SEGMENTS];
+    assert!(refused(Change { spin_inertia, ..none() }, damping).contains("spin inertia"));
+    // a value at which there is no rod ends the step, and names the constant
+    let masses = rod(PLAIN).masses.iter().map(|m| -2.0 * m).collect();
+    let parameter = vec![Parameter { change: Change { masses, ..none() }, law: Law::Linear }];
+    let step =
+        RodStep::with_parameters(rod(PLAIN), supports(PLAIN), DOWN, Damping::default(), parameter).unwrap();
+    let mut z = control(&step);
+    *z.last_mut().unwrap() = PI;
+    let mut model = ImplicitModel::new(WithParameters::new(step, 0), 0, 0.01);
+    let mut x = vec![0.0; model.dim()];
+    let error: Error = model.initial_state(&z, &mut x).unwrap_err();
+    assert!(error.to_string().contains("vertex mass"), "{error}");
+}

@@ -1,0 +1,122 @@
+//! Constants that were estimated, as plain data.
+
+use serde::Serialize;
+
+/// A constant whose σ_a is more than this share of its σ_b is not identifiable: the observations say
+/// nothing of it.
+pub const IDENTIFIABLE: f64 = 0.9;
+/// Two constants whose posterior correlation is at least this are seen together only.
+const COLLINEAR: f64 = 0.95;
+
+/// An estimated constant: prior and posterior in its unit.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Estimated {
+    /// Name, as `ei[0]`.
+    pub name: String,
+    /// SI unit; "1" for none.
+    pub unit: &'static str,
+    /// Value before the observations.
+    pub prior: f64,
+    /// Its σ.
+    pub prior_sigma: f64,
+    /// Value of the analysis.
+    pub value: f64,
+    /// Its σ, with an allowance for the mesh where there is one; `null` without a posterior.
+    pub sigma: Option<f64>,
+    /// σ that observations and priors leave, on the mesh of the scene.
+    pub sigma_on_mesh: Option<f64>,
+    /// What twice the segments say of the mesh's error of `value`; `null` in twins, and where it was not
+    /// computed.
+    pub mesh: Option<f64>,
+    /// Ends of the interval that holds the constant with 95 %, where its prior is normal or log-normal.
+    pub interval: Option<[f64; 2]>,
+    /// Whether the observations say more of it than the prior: σ_a ≤ 0.9 σ_b; `null` without a posterior.
+    pub identifiable: Option<bool>,
+    /// Its value in the truth of a twin experiment.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub truth: Option<f64>,
+    /// Correlations with the other constants under the posterior, in their order; empty without a posterior.
+    pub correlations: Vec<f64>,
+}
+
+impl Estimated {
+    /// Whether more of σ is the mesh's than the observations'.
+    pub fn is_of_mesh(&self) -> bool {
+        self.mesh.zip(self.sigma_on_mesh).is_some_and(|(mesh, sigma)| mesh > sigma)
+    }
+
+    /// Its value with σ and unit, in words.
+    pub fn in_words(&self) -> String {
+        let unit = if self.unit == "1" { String::new() } else { format!(" {}", self.unit) };
+        let number = short;
+        let prior = format!("prior {} ± {}", number(self.prior), number(self.prior_sigma));
+        let truth = self.truth.map_or(String::new(), |t| format!("; truth {}", number(t)));
+        match (self.sigma, self.identifiable) {
+            (Some(_), Some(false)) => format!("not identifiable ({prior}{unit}{truth})"),
+            (Some(sigma), _) => {
+                let mesh = match self.mesh.filter(|_| self.is_of_mesh()) {
+                    Some(mesh) => format!("; {} of it for the mesh", number(mesh)),
+                    None => String::new(),
+                };
+                format!("{} ± {}{unit} ({prior}{mesh}{truth})", number(self.value), number(sigma))
+            }
+            (None, _) => format!("{}{unit} ({prior}{truth})", number(self.value)),
+        }
+    }
+}
+
+/// Four digits.
+fn short(v: f64) -> String {
+    if v == 0.0 {
+        return "0".into();
+    }
+    let digits = (3 - v.abs().log10().floor() as i64).clamp(0, 12) as usize;
+    if v.abs() < 1e-4 || v.abs() >= 1e6 { format!("{v:.3e}") } else { format!("{v:.digits$}") }
+}
+
+/// What is to be said of the estimates: σ of a run that does not fit, constants that the observations do not
+/// see, and such as they see together only.
+pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
+    let mut out = Vec::new();
+    if !all.is_empty() && !fits {
+        out.push(
+            "σ of the estimated constants supposes that the run fits, and it does not: do not believe it"
+                .into(),
+        );
+    }
+    let unseen: Vec<&str> =
+        all.iter().filter(|e| e.identifiable == Some(false)).map(|e| e.name.as_str()).collect();
+    if !unseen.is_empty() {
+        out.push(format!(
+            "not identifiable: {}: these observations leave more than {:.0} % of the prior's σ, and what is \
+             printed is the prior",
+            few(&unseen),
+            100.0 * IDENTIFIABLE
+        ));
+    }
+    let mut seen = vec![false; all.len()];
+    for i in 0..all.len() {
+        let like = |j: &usize| all[i].correlations.get(*j).is_some_and(|c| c.abs() >= COLLINEAR);
+        let group: Vec<usize> = (i..all.len()).filter(|j| !seen[*j] && (*j == i || like(j))).collect();
+        if seen[i] || group.len() < 2 {
+            continue;
+        }
+        group.iter().for_each(|j| seen[*j] = true);
+        let names: Vec<&str> = group.iter().map(|j| all[*j].name.as_str()).collect();
+        let least = group[1..].iter().map(|j| all[i].correlations[*j].abs()).fold(1.0, f64::min);
+        out.push(format!(
+            "{} are seen together only (correlation {least:.3} or more): their combination is known better \
+             than each",
+            few(&names)
+        ));
+    }
+    out
+}
+
+fn few(names: &[&str]) -> String {
+    const SHOWN: usize = 6;
+    match names.len() {
+        n if n <= SHOWN => names.join(", "),
+        n => format!("{} and {} others", names[..SHOWN].join(", "), n - SHOWN),
+    }
+}

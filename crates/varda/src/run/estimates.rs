@@ -1,0 +1,65 @@
+//! The constants of an analysis, with their σ and correlations.
+
+use varda_assimilation::Analysis;
+
+use crate::outcome::{Estimated, IDENTIFIABLE};
+use crate::setup::Problem;
+use crate::setup::estimate::Constant;
+
+/// 95 % of a normal distribution are within so many σ.
+const INTERVAL: f64 = 1.959963984540054;
+
+/// Estimates of an analysis whose posterior has this root, by columns of the length of the control; no root
+/// where there is none, and then `has_posterior` says whether its σ are known all the same.
+pub(super) fn estimated(
+    problem: &Problem,
+    analysis: &Analysis,
+    has_posterior: bool,
+    root: &[f64],
+) -> Vec<Estimated> {
+    let constants = &problem.system.estimates().constants;
+    let n = analysis.analysis.len();
+    let first = n - constants.len();
+    let row = |i: usize| root.chunks_exact(n).map(move |column| column[first + i]);
+    let product = |i: usize, j: usize| row(i).zip(row(j)).map(|(a, b)| a * b).sum::<f64>();
+    let estimate = |i: usize| {
+        let (constant, p) = (&constants[i], analysis.analysis[first + i]);
+        let prior = analysis.background[first + i];
+        let sigma_p = has_posterior.then(|| analysis.sigma_analysis[first + i]);
+        let correlation = |j: usize| {
+            let size = (product(i, i) * product(j, j)).sqrt();
+            if size > 0.0 { product(i, j) / size } else { 0.0 }
+        };
+        Estimated {
+            name: constant.name.clone(),
+            unit: constant.unit,
+            prior: constant.at(prior),
+            prior_sigma: constant.sigma_at(prior, constant.sigma),
+            value: constant.at(p),
+            sigma: sigma_p.map(|s| constant.sigma_at(p, s)),
+            sigma_on_mesh: sigma_p.map(|s| constant.sigma_at(p, s)),
+            mesh: None,
+            interval: sigma_p.map(|s| [constant.at(p - INTERVAL * s), constant.at(p + INTERVAL * s)]),
+            identifiable: sigma_p.map(|s| s <= IDENTIFIABLE * constant.sigma),
+            truth: problem.truth.as_ref().map(|truth| constant.at(truth[first + i])),
+            correlations: if root.is_empty() {
+                Vec::new()
+            } else {
+                (0..constants.len()).map(correlation).collect()
+            },
+        }
+    };
+    (0..constants.len()).map(estimate).collect()
+}
+
+impl Estimated {
+    /// Widens σ and the interval by an error of p that the mesh makes, p being the analysis.
+    pub(super) fn allow_for(&mut self, error: f64, p: f64, constant: &Constant) {
+        self.mesh = Some(constant.sigma_at(p, error));
+        let Some(of_observations) = self.sigma_on_mesh else { return };
+        let sigma = of_observations / constant.sigma_at(p, 1.0);
+        let sigma = sigma.hypot(error);
+        self.sigma = Some(constant.sigma_at(p, sigma));
+        self.interval = Some([constant.at(p - INTERVAL * sigma), constant.at(p + INTERVAL * sigma)]);
+    }
+}

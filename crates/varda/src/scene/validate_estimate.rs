@@ -1,0 +1,96 @@
+//! What `[estimate]` must satisfy beyond the type of each key.
+
+use super::invalid::{Check, invalid};
+use super::{ConstantPrior, Estimate, Model, RodModel, Scene, Section, Unknown};
+
+/// Keys of a rod, of its observations, and of each other model.
+const OF_ROD: [&str; 12] = [
+    "gravity_direction",
+    "youngs_modulus",
+    "ei",
+    "gj",
+    "ea",
+    "density",
+    "mass_per_length",
+    "damping_stiffness",
+    "damping_mass",
+    "natural_curvature",
+    "natural_twist",
+    "point_mass",
+];
+const OF_PLACES: [&str; 4] = ["marker_arc_length", "marker_offset", "mount_rotation", "mount_translation"];
+
+fn known(model: &Model) -> &'static [&'static str] {
+    match model {
+        Model::Rod(_) => &OF_ROD,
+        Model::Lorenz63(_) => &["sigma", "rho", "beta"],
+        Model::Lorenz96(_) => &["forcing"],
+        Model::LinearAdvection(_) => &["speed", "diffusivity"],
+        Model::Burgers(_) => &["viscosity"],
+        Model::KuramotoSivashinsky(_) => &[],
+    }
+}
+
+pub(super) fn validate_estimate(estimate: &Estimate, scene: &Scene) -> Check {
+    let names = known(&scene.model);
+    let is_rod = matches!(scene.model, Model::Rod(_));
+    for (key, unknown) in estimate.given() {
+        let path = format!("estimate.{key}");
+        if !(names.contains(&key) || key == "bias" || is_rod && OF_PLACES.contains(&key)) {
+            let others = if names.is_empty() { "none but `bias`".to_string() } else { names.join(", ") };
+            return invalid(path, format!("is no constant of this model, which has {others}"));
+        }
+        let priors: Vec<&ConstantPrior> = match unknown {
+            Unknown::Every(prior) => vec![prior],
+            Unknown::Each(list) => list.iter().collect(),
+        };
+        for prior in priors {
+            prior.spread(&path)?;
+            if prior.correlation_length.is_some() && !["natural_curvature", "natural_twist"].contains(&key) {
+                return invalid(path, "is one number: only natural_curvature and natural_twist are fields");
+            }
+            if prior.together
+                && !(["ei", "point_mass"].contains(&key) && matches!(unknown, Unknown::Every(_)))
+            {
+                return invalid(path, "`together` is for one table of `ei` or `point_mass`");
+            }
+        }
+    }
+    if let Model::Rod(rod) = &scene.model {
+        validate_of_rod(estimate, rod)?;
+    }
+    if scene.time.tolerance.is_some() && !estimate.given().is_empty() {
+        return invalid("time.tolerance", "time steps that adapt do not go with [estimate]: leave one out");
+    }
+    Ok(())
+}
+
+fn validate_of_rod(estimate: &Estimate, rod: &RodModel) -> Check {
+    let both = |a: (&str, bool), b: (&str, bool)| match a.1 && b.1 {
+        true => invalid(format!("estimate.{}", a.0), format!("`{}` says the same: leave one out", b.0)),
+        false => Ok(()),
+    };
+    let e = ("youngs_modulus", estimate.youngs_modulus.is_some());
+    both(e, ("ei", estimate.ei.is_some()))?;
+    both(e, ("ea", estimate.ea.is_some()))?;
+    if rod.material.as_ref().is_some_and(|m| m.poisson_ratio.is_some()) {
+        both(e, ("gj", estimate.gj.is_some()))?;
+    }
+    both(("density", estimate.density.is_some()), ("mass_per_length", estimate.mass_per_length.is_some()))?;
+    if matches!(rod.section, Section::Stiffness { .. }) {
+        let instead = [
+            ("youngs_modulus", e.1, "ei, gj or ea"),
+            ("density", estimate.density.is_some(), "mass_per_length"),
+        ];
+        for (key, given, other) in instead {
+            if given {
+                let message = format!("a section of kind \"stiffness\" has none: estimate {other}");
+                return invalid(format!("estimate.{key}"), message);
+            }
+        }
+    }
+    if estimate.point_mass.is_some() && rod.point_masses.is_empty() {
+        return invalid("estimate.point_mass", "needs [[model.point_masses]], whose masses are the prior's");
+    }
+    Ok(())
+}

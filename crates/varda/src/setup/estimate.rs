@@ -1,0 +1,546 @@
+//! From `[estimate]` to unknown constants behind the state in the control.
+
+use varda_covariance::{
+    BlockDiagonal, Covariance, CovarianceFunction, Diagonal, Kernel, Markov, Precision, Taper,
+};
+use varda_rod::{Change, Damping, Law, Parameter, Rod, Section, Vector3};
+
+use super::covariance::Factored;
+use crate::Error;
+use crate::scene::{ConstantPrior, Model, Observations, PriorSpread, RodModel, SceneFile, Unknown};
+
+/// Unknown constants p, in the order of the control. Each is zero at the value that the scene writes.
+#[derive(Debug, Clone, Default)]
+pub struct Estimates {
+    /// What they are.
+    pub constants: Vec<Constant>,
+    /// How many the model depends on; they come first.
+    of_model: usize,
+    /// Those of a rod.
+    pub(crate) of_rod: Vec<Parameter>,
+    /// Places among `constants` of the first number of a rotation, a displacement and the biases of what is
+    /// observed.
+    pub(crate) seen: Seeing,
+    /// Fields among the constants: their places \[m\] and the length over which they are alike.
+    fields: Vec<(std::ops::Range<usize>, Vec<f64>, f64)>,
+}
+
+/// Constants of the observations, by the place of their first number among all.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Seeing {
+    /// How many sites have constants of their own.
+    pub(crate) sites: usize,
+    pub(crate) arc_length: Option<usize>,
+    pub(crate) offset: Option<usize>,
+    pub(crate) rotation: Option<usize>,
+    pub(crate) translation: Option<usize>,
+    pub(crate) bias: Option<usize>,
+}
+
+impl Seeing {
+    /// Whether the places of sites on a rod are unknown.
+    pub(crate) fn moves_sites(&self) -> bool {
+        self.arc_length.is_some() || self.offset.is_some()
+    }
+
+    /// Without what a recording's axes and errors are: places in those of the model.
+    pub(crate) fn of_places(self) -> Seeing {
+        Seeing { rotation: None, translation: None, bias: None, ..self }
+    }
+}
+
+/// An unknown constant: a number p of the control whose prior is N(0, σ²).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Constant {
+    /// Its name, as `ei[0]`.
+    pub name: String,
+    /// Its SI unit; "1" for none.
+    pub unit: &'static str,
+    /// Its value at p = 0.
+    pub value: f64,
+    /// Linear: the constant is `value` + p. Exponential: it is `value` eᵖ.
+    pub law: Law,
+    /// σ of p.
+    pub sigma: f64,
+}
+
+impl Constant {
+    /// Name and unit of its number in the control.
+    pub(crate) fn of_control(&self) -> (String, &'static str) {
+        match self.law {
+            Law::Linear => (format!("change of {}", self.name), self.unit),
+            Law::Exponential => (format!("ln of {} over its prior", self.name), "1"),
+        }
+    }
+
+    /// The constant at p.
+    pub fn at(&self, p: f64) -> f64 {
+        match self.law {
+            Law::Linear => self.value + p,
+            Law::Exponential => self.value * p.exp(),
+        }
+    }
+
+    /// The number p at which the constant has a value.
+    pub(crate) fn number_of(&self, value: f64) -> f64 {
+        match self.law {
+            Law::Linear => value - self.value,
+            Law::Exponential => (value / self.value).ln(),
+        }
+    }
+
+    /// Its σ where that of p is `sigma`, to first order about p.
+    pub fn sigma_at(&self, p: f64, sigma: f64) -> f64 {
+        match self.law {
+            Law::Linear => sigma,
+            Law::Exponential => self.at(p).abs() * sigma,
+        }
+    }
+}
+
+/// The rod before and after the masses hung on it, and its section.
+pub(crate) struct Described<'a> {
+    pub(crate) section: &'a Section,
+    /// Masses of the vertices without those hung on them \[kg\].
+    pub(crate) line_masses: &'a [f64],
+    /// The rod between the faces of its clamps.
+    pub(crate) rod: &'a Rod,
+    pub(crate) damping: Damping,
+}
+
+impl Estimates {
+    /// Whether nothing is unknown but the state.
+    pub fn is_empty(&self) -> bool {
+        self.constants.is_empty()
+    }
+
+    /// How many numbers follow the state in the control.
+    pub fn len(&self) -> usize {
+        self.constants.len()
+    }
+
+    /// How many of them the model does not depend on.
+    pub(crate) fn carried(&self) -> usize {
+        self.len() - self.of_model
+    }
+
+    /// Those of a rod and of what is observed of it.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] pointing at the key.
+    pub(crate) fn of_rod(file: &SceneFile, model: &RodModel, described: &Described) -> Result<Self, Error> {
+        let mut all = Estimates::default();
+        for (key, unknown) in file.scene.estimate.given() {
+            if key.starts_with("mount_") || key.starts_with("marker_") || key == "bias" {
+                continue;
+            }
+            all.add_of_rod(file, model, described, key, unknown)?;
+        }
+        all.add_of_observations(file, 3)?;
+        Ok(all)
+    }
+
+    /// Those of an equation whose constants are these, by name, unit and value, and of what is observed of
+    /// it; with the place and law of each of the equation's.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] pointing at the key.
+    pub(crate) fn of_components(
+        file: &SceneFile,
+        known: &[(&'static str, &'static str, f64)],
+    ) -> Result<(Self, Vec<(usize, Law)>), Error> {
+        let (mut all, mut chosen) = (Estimates::default(), Vec::new());
+        for (key, unknown) in file.scene.estimate.given() {
+            let Some(place) = known.iter().position(|(name, ..)| *name == key) else { continue };
+            let (path, (_, unit, value)) = (format!("estimate.{key}"), known[place]);
+            let (path, prior) = file.checked(unknown.priors(&path, 1))?.remove(0);
+            let (law, sigma) = match file.checked(prior.spread(&path))? {
+                PriorSpread::Normal(sigma) => (Law::Linear, sigma),
+                PriorSpread::LogNormal(sigma) if value != 0.0 => (Law::Exponential, sigma),
+                PriorSpread::LogNormal(_) => {
+                    return Err(file.invalid(&path, "is 0 in the scene, and a share of it too"));
+                }
+            };
+            all.constants.push(Constant { name: key.to_string(), unit, value, law, sigma });
+            chosen.push((place, law));
+        }
+        all.of_model = chosen.len();
+        all.add_of_observations(file, 1)?;
+        Ok((all, chosen))
+    }
+
+    /// What the observations depend on; `width` values to a site.
+    fn add_of_observations(&mut self, file: &SceneFile, width: usize) -> Result<(), Error> {
+        let estimate = &file.scene.estimate;
+        if [&estimate.marker_arc_length, &estimate.marker_offset].into_iter().any(Option::is_some) {
+            self.seen.sites = sites(file)?.len();
+        }
+        let axes = ["x", "y", "z"];
+        if let Some(unknown) = &estimate.marker_arc_length {
+            self.seen.arc_length = Some(self.len());
+            let names: Vec<String> =
+                sites(file)?.iter().map(|site| format!("marker_arc_length[{site}]")).collect();
+            self.add_additive(file, "estimate.marker_arc_length", unknown, &names, "m")?;
+        }
+        if let Some(unknown) = &estimate.marker_offset {
+            self.seen.offset = Some(self.len());
+            let of = |site: &String| ["m1", "m2", "t"].map(|axis| format!("marker_offset[{site}].{axis}"));
+            let names: Vec<String> = sites(file)?.iter().flat_map(of).collect();
+            self.add_additive(file, "estimate.marker_offset", unknown, &names, "m")?;
+        }
+        let mounts = [
+            ("mount_rotation", &estimate.mount_rotation, "rad"),
+            ("mount_translation", &estimate.mount_translation, "m"),
+        ];
+        for (key, unknown, unit) in mounts {
+            let Some(unknown) = unknown else { continue };
+            let first = self.len();
+            match key {
+                "mount_rotation" => self.seen.rotation = Some(first),
+                _ => self.seen.translation = Some(first),
+            }
+            let names = axes.map(|axis| format!("{key}.{axis}"));
+            self.add_additive(file, &format!("estimate.{key}"), unknown, &names, unit)?;
+        }
+        if let Some(unknown) = &estimate.bias {
+            self.seen.bias = Some(self.len());
+            let sites = sites(file)?;
+            let name = |site: &String| {
+                let axis = |c: usize| if width == 1 { String::new() } else { format!(".{}", axes[c]) };
+                (0..width).map(|c| format!("bias[{site}]{}", axis(c))).collect::<Vec<_>>()
+            };
+            let names: Vec<String> = sites.iter().flat_map(name).collect();
+            self.add_additive(file, "estimate.bias", unknown, &names, if width == 1 { "1" } else { "m" })?;
+        }
+        Ok(())
+    }
+
+    /// Numbers that are zero in the scene and added to what is observed.
+    fn add_additive(
+        &mut self,
+        file: &SceneFile,
+        path: &str,
+        unknown: &Unknown,
+        names: &[String],
+        unit: &'static str,
+    ) -> Result<(), Error> {
+        let priors = file.checked(unknown.priors(path, names.len()))?;
+        for (name, (path, prior)) in names.iter().zip(priors) {
+            let PriorSpread::Normal(sigma) = file.checked(prior.spread(&path))? else {
+                return Err(file.invalid(&path, "is zero in the scene: give sigma in its unit, not a share"));
+            };
+            self.constants.push(Constant { name: name.clone(), unit, value: 0.0, law: Law::Linear, sigma });
+        }
+        Ok(())
+    }
+
+    fn add_of_rod(
+        &mut self,
+        file: &SceneFile,
+        model: &RodModel,
+        described: &Described,
+        key: &'static str,
+        unknown: &Unknown,
+    ) -> Result<(), Error> {
+        let path = format!("estimate.{key}");
+        if let (Unknown::Every(prior), "natural_curvature" | "natural_twist") = (unknown, key) {
+            if let Some(length) = prior.correlation_length {
+                return self.add_field(file, &path, key, prior, length, described.rod, model);
+            }
+        }
+        let kinds = kinds(key, model, described, unknown.together());
+        let priors = file.checked(unknown.priors(&path, kinds.len()))?;
+        for (kind, (path, prior)) in kinds.into_iter().zip(priors) {
+            self.add(file, &path, kind, prior)?;
+        }
+        Ok(())
+    }
+
+    /// A constant of the rod, and what it changes.
+    fn add(&mut self, file: &SceneFile, path: &str, kind: Kind, prior: &ConstantPrior) -> Result<(), Error> {
+        let Kind { name, unit, value, change } = kind;
+        let (law, sigma) = match file.checked(prior.spread(path))? {
+            PriorSpread::Normal(sigma) => (Law::Linear, sigma),
+            PriorSpread::LogNormal(sigma) if value != 0.0 => (Law::Exponential, sigma),
+            PriorSpread::LogNormal(_) => {
+                let message =
+                    format!("{name} is 0 in the scene, and a share of it too: give sigma in {unit}");
+                return Err(file.invalid(path, message));
+            }
+        };
+        let change = match (law, change) {
+            // linear in p, in the unit of the constant
+            (Law::Linear, Effect::Share(_)) if value == 0.0 => {
+                let message = format!("{name} is 0 in the scene: give it a positive value, its prior's");
+                return Err(file.invalid(path, message));
+            }
+            (Law::Linear, Effect::Share(change)) => times(change, 1.0 / value),
+            (Law::Exponential, Effect::Share(change)) => change,
+            (Law::Linear, Effect::Unit(change)) => change,
+            (Law::Exponential, Effect::Unit(change)) => times(change, value),
+        };
+        self.of_rod.push(Parameter { change, law });
+        self.of_model += 1;
+        self.constants.push(Constant { name, unit, value, law, sigma });
+        Ok(())
+    }
+
+    /// A field along the rod: one number at every interior vertex, for each component.
+    fn add_field(
+        &mut self,
+        file: &SceneFile,
+        path: &str,
+        key: &'static str,
+        prior: &ConstantPrior,
+        length: f64,
+        rod: &Rod,
+        model: &RodModel,
+    ) -> Result<(), Error> {
+        let s = rod.arc_lengths();
+        let inner = rod.voronoi_lengths.len();
+        let PriorSpread::Normal(sigma) = file.checked(prior.spread(path))? else {
+            return Err(file.invalid(path, "a field is known to so much of its unit, not to a share"));
+        };
+        let (components, unit) = if key == "natural_twist" { (1, "rad/m") } else { (2, "1/m") };
+        for c in 0..components {
+            let first = self.len();
+            for i in 0..inner {
+                let mut change = Change::default();
+                let (name, value) = if key == "natural_twist" {
+                    change.natural_twist = vec![0.0; inner];
+                    change.natural_twist[i] = rod.voronoi_lengths[i];
+                    (format!("{key}(s = {:.4} m)", s[i + 1]), model.natural_twist)
+                } else {
+                    change.natural_curvature = vec![[0.0; 2]; inner];
+                    change.natural_curvature[i][c] = rod.voronoi_lengths[i];
+                    (format!("{key}[{c}](s = {:.4} m)", s[i + 1]), model.natural_curvature[c])
+                };
+                self.of_rod.push(Parameter { change, law: Law::Linear });
+                self.of_model += 1;
+                self.constants.push(Constant { name, unit, value, law: Law::Linear, sigma });
+            }
+            self.fields.push((first..self.len(), s[1..=inner].to_vec(), length));
+        }
+        Ok(())
+    }
+
+    /// The covariance of their prior.
+    ///
+    /// # Errors
+    /// [`Error::Covariance`] where that of a field cannot be formed.
+    pub(crate) fn covariance(&self) -> Result<Box<dyn Precision>, Error> {
+        let mut parts: Vec<Box<dyn Precision>> = Vec::new();
+        let mut next = 0;
+        while next < self.len() {
+            match self.fields.iter().find(|field| field.0.start == next) {
+                Some((range, places, length)) => {
+                    let kernel = Kernel::Matern52 { length: *length };
+                    let sigma = self.constants[next].sigma;
+                    let function = CovarianceFunction { sigma, kernel, taper: Taper::None };
+                    parts.push(Box::new(Markov::new(&function, places, &[])?));
+                    next = range.end;
+                }
+                None => {
+                    parts.push(Box::new(Diagonal::uniform(1, self.constants[next].sigma)?));
+                    next += 1;
+                }
+            }
+        }
+        Ok(Box::new(BlockDiagonal::new(parts)))
+    }
+
+    /// `of_state` with the prior of the constants behind it.
+    pub(crate) fn behind(&self, of_state: Factored) -> Result<Factored, Error> {
+        if self.is_empty() {
+            return Ok(of_state);
+        }
+        let mine = self.covariance()?;
+        Ok(match of_state {
+            Factored::Full(b) => Factored::Full(Box::new(BlockDiagonal::new(vec![b, mine]))),
+            Factored::Singular(b) => {
+                let mine: Box<dyn Covariance> = Box::new(mine);
+                Factored::Singular(Box::new(BlockDiagonal::new(vec![b, mine])))
+            }
+        })
+    }
+
+    /// `of_state` with nothing behind it: constants have no model error.
+    pub(crate) fn without_error(&self, of_state: Factored) -> Factored {
+        if self.is_empty() {
+            return of_state;
+        }
+        let of_state: Box<dyn Covariance> = match of_state {
+            Factored::Full(b) => Box::new(b),
+            Factored::Singular(b) => b,
+        };
+        Factored::Singular(Box::new(BlockDiagonal::new(vec![of_state, Box::new(Nothing(self.len()))])))
+    }
+}
+
+/// The covariance of numbers without error.
+struct Nothing(usize);
+
+impl Covariance for Nothing {
+    fn dim(&self) -> usize {
+        self.0
+    }
+    fn root_dim(&self) -> usize {
+        0
+    }
+    fn apply(&self, _: &[f64], y: &mut [f64]) {
+        y.fill(0.0);
+    }
+    fn root(&self, _: &[f64], x: &mut [f64]) {
+        x.fill(0.0);
+    }
+    fn root_transpose(&self, _: &[f64], _: &mut [f64]) {}
+    fn variance(&self, variance: &mut [f64]) {
+        variance.fill(0.0);
+    }
+}
+
+/// A constant of a rod.
+struct Kind {
+    name: String,
+    unit: &'static str,
+    value: f64,
+    change: Effect,
+}
+
+/// What a constant changes.
+enum Effect {
+    /// At its full value: the change is proportional to it.
+    Share(Change),
+    /// Where it grows by one unit.
+    Unit(Change),
+}
+
+/// The components of a key, in order.
+fn kinds(key: &'static str, model: &RodModel, d: &Described, together: bool) -> Vec<Kind> {
+    let rod = d.rod;
+    let none = Change::default;
+    let kind = |name: String, unit, value, change| Kind { name, unit, value, change };
+    let named = |unit, value, change| vec![kind(key.to_string(), unit, value, Effect::Share(change))];
+    let ei = |c: usize| -> Vec<[f64; 3]> {
+        rod.ei.iter().map(|k| std::array::from_fn(|i| if i == 2 * c { k[i] } else { 0.0 })).collect()
+    };
+    let lengths = |c: usize| -> Vec<[f64; 2]> {
+        rod.voronoi_lengths.iter().map(|l| std::array::from_fn(|i| if i == c { *l } else { 0.0 })).collect()
+    };
+    match key {
+        "youngs_modulus" => {
+            let gj = if model.shear_follows() { rod.gj.clone() } else { Vec::new() };
+            let change = Change { ea: rod.ea.clone(), ei: rod.ei.clone(), gj, ..none() };
+            named("Pa", model.material.as_ref().map_or(0.0, |m| m.youngs_modulus), change)
+        }
+        "ei" if together => named("N m²", d.section.ei1, Change { ei: rod.ei.clone(), ..none() }),
+        "ei" => [d.section.ei1, d.section.ei2]
+            .into_iter()
+            .enumerate()
+            .map(|(c, value)| {
+                let change = Effect::Share(Change { ei: ei(c), ..none() });
+                kind(format!("ei[{c}]"), "N m²", value, change)
+            })
+            .collect(),
+        "gj" => named("N m²", d.section.gj, Change { gj: rod.gj.clone(), ..none() }),
+        "ea" => named("N", d.section.ea, Change { ea: rod.ea.clone(), ..none() }),
+        "density" | "mass_per_length" => {
+            let masses = d.line_masses.to_vec();
+            let change = Change { masses, spin_inertia: rod.spin_inertia.clone(), ..none() };
+            match key {
+                "density" => named("kg/m³", model.material.as_ref().map_or(0.0, |m| m.density), change),
+                _ => named("kg/m", d.section.mass_per_length, change),
+            }
+        }
+        "damping_stiffness" => {
+            let damping = Damping { stiffness: d.damping.stiffness, mass: 0.0 };
+            named("s", d.damping.stiffness, Change { damping, ..none() })
+        }
+        "damping_mass" => {
+            let damping = Damping { stiffness: 0.0, mass: d.damping.mass };
+            named("1/s", d.damping.mass, Change { damping, ..none() })
+        }
+        "natural_curvature" => (0..2)
+            .map(|c| {
+                let change = Effect::Unit(Change { natural_curvature: lengths(c), ..none() });
+                kind(format!("{key}[{c}]"), "1/m", model.natural_curvature[c], change)
+            })
+            .collect(),
+        "natural_twist" => {
+            let change = Effect::Unit(Change { natural_twist: rod.voronoi_lengths.clone(), ..none() });
+            vec![kind(key.to_string(), "rad/m", model.natural_twist, change)]
+        }
+        "gravity_direction" => across(model.gravity.into())
+            .into_iter()
+            .enumerate()
+            .map(|(i, axis)| {
+                let change = Effect::Unit(Change { gravity_turn: axis, ..none() });
+                kind(format!("{key}[{i}]"), "rad", 0.0, change)
+            })
+            .collect(),
+        "point_mass" if together => {
+            let mut rod = rod.clone();
+            rod.masses.fill(0.0);
+            for m in &model.point_masses {
+                rod.add_point_mass(m.arc_length, m.mass).expect("hung on the rod before");
+            }
+            let value = model.point_masses.iter().map(|m| m.mass).sum();
+            named("kg", value, Change { masses: rod.masses, ..none() })
+        }
+        _ => model
+            .point_masses
+            .iter()
+            .enumerate()
+            .map(|(i, m)| {
+                let mut rod = rod.clone();
+                rod.masses.fill(0.0);
+                rod.add_point_mass(m.arc_length, 1.0).expect("hung on the rod before");
+                let change = Effect::Unit(Change { masses: rod.masses, ..none() });
+                kind(format!("point_mass[{i}]"), "kg", m.mass, change)
+            })
+            .collect(),
+    }
+}
+
+/// Two axes across gravity: x and y of the model where it points along z.
+fn across(gravity: Vector3<f64>) -> [Vector3<f64>; 2] {
+    let down = gravity.try_normalize(0.0).unwrap_or(-Vector3::z());
+    let first = [Vector3::x(), Vector3::y()].into_iter().find(|a| a.cross(&down).norm() > 0.7);
+    let first = first.unwrap_or_else(Vector3::z);
+    let first = (first - down * first.dot(&down)).normalize();
+    [first, first.cross(&down)]
+}
+
+fn times(change: Change, factor: f64) -> Change {
+    let scaled = |v: Vec<f64>| v.into_iter().map(|v| factor * v).collect();
+    Change {
+        ea: scaled(change.ea),
+        ei: change.ei.into_iter().map(|k| k.map(|k| factor * k)).collect(),
+        gj: scaled(change.gj),
+        natural_curvature: change.natural_curvature.into_iter().map(|k| k.map(|k| factor * k)).collect(),
+        natural_twist: scaled(change.natural_twist),
+        masses: scaled(change.masses),
+        spin_inertia: scaled(change.spin_inertia),
+        damping: Damping { stiffness: factor * change.damping.stiffness, mass: factor * change.damping.mass },
+        gravity: change.gravity * factor,
+        gravity_turn: change.gravity_turn * factor,
+    }
+}
+
+/// Names of what is observed, in the order of its rows.
+fn sites(file: &SceneFile) -> Result<Vec<String>, Error> {
+    match (&file.scene.observations, &file.scene.model) {
+        (Observations::File(recording), _) if recording.markers.is_empty() => {
+            let message = "an unknown of every marker needs [[observations.markers]]";
+            Err(file.invalid("estimate", message))
+        }
+        (Observations::File(recording), _) => Ok(recording.markers.iter().map(|m| m.name.clone()).collect()),
+        (Observations::Synthetic(keys), Model::Rod(_)) => {
+            Ok(keys.places.iter().map(|s| format!("s = {s} m")).collect())
+        }
+        (Observations::Synthetic(keys), model) if keys.components.is_empty() => {
+            Ok((0..model.components().unwrap_or(0)).map(|c| c.to_string()).collect())
+        }
+        (Observations::Synthetic(keys), _) => Ok(keys.components.iter().map(usize::to_string).collect()),
+    }
+}

@@ -1,0 +1,198 @@
+//! What is observed of a state with unknown constants in it.
+
+use varda_assimilation::{LinearObservation, ObservationOperator, Selection};
+use varda_implicit::{At, ParameterPlaces, Refusal};
+use varda_rod::rotation::{exponential, left_jacobian};
+use varda_rod::{Marker, Markers, Vector3};
+
+use super::estimate::Seeing;
+
+/// An operator whose sites may be put elsewhere on a rod.
+pub(crate) trait Sites: ObservationOperator {
+    /// Puts the sites at these places.
+    fn move_to(&mut self, _markers: &[Marker]) -> Result<(), Refusal> {
+        Ok(())
+    }
+
+    /// The columns ∂y/∂(s, o₁, o₂, o₃) of every site, three numbers each.
+    fn by_place(&mut self, _at: At, _x: &[f64], _columns: &mut [f64]) {}
+}
+
+impl Sites for Selection {}
+impl Sites for LinearObservation {}
+
+impl Sites for Markers {
+    fn move_to(&mut self, markers: &[Marker]) -> Result<(), Refusal> {
+        Ok(Markers::move_to(self, markers)?)
+    }
+
+    fn by_place(&mut self, at: At, x: &[f64], columns: &mut [f64]) {
+        Markers::by_place(self, at, x, columns).expect("this state was observed before");
+    }
+}
+
+/// y = R(ρ) H(x) + t + b: H of a state without constants, turned by a small rotation ρ and displaced by t
+/// in space, with a bias b of every row. What is not unknown is left out.
+pub(crate) struct SeenWith<O> {
+    places: ParameterPlaces,
+    seeing: Seeing,
+    /// A state without constants, and an increment of one.
+    x: Vec<f64>,
+    dx: Vec<f64>,
+    /// H(x), or what acts on it.
+    y: Vec<f64>,
+    /// Places of the sites in the scene, where their own are unknown; and the columns of those.
+    markers: Vec<Marker>,
+    columns: Vec<f64>,
+    operator: O,
+}
+
+impl<O: Sites> SeenWith<O> {
+    /// `markers` are the places of the sites in the scene, read where these are unknown.
+    pub(crate) fn new(operator: O, places: ParameterPlaces, seeing: Seeing, markers: &[Marker]) -> Self {
+        let markers = if seeing.moves_sites() { markers.to_vec() } else { Vec::new() };
+        let (own, rows) = (places.own_dim(), operator.dim());
+        let (x, dx, columns) = (vec![0.0; own], vec![0.0; own], vec![0.0; 12 * markers.len()]);
+        Self { x, dx, y: vec![0.0; rows], seeing, places, markers, columns, operator }
+    }
+
+    /// Puts the sites where the constants of a state have them.
+    fn place_sites(&mut self, x: &[f64]) -> Result<(), Refusal> {
+        if self.markers.is_empty() {
+            return Ok(());
+        }
+        let p = &x[self.places.parameters()];
+        let mut moved = self.markers.clone();
+        for (i, marker) in moved.iter_mut().enumerate().take(self.seeing.sites) {
+            marker.s += self.seeing.arc_length.map_or(0.0, |first| p[first + i]);
+            for (c, offset) in marker.offset.iter_mut().enumerate() {
+                *offset += self.seeing.offset.map_or(0.0, |first| p[first + 3 * i + c]);
+            }
+        }
+        self.operator.move_to(&moved)
+    }
+
+    /// For each number of the places of sites: its place among the constants, and its column.
+    fn each_place(&self, mut visit: impl FnMut(usize, usize, &[f64])) {
+        for (i, of_site) in self.columns.chunks_exact(12).enumerate().take(self.seeing.sites) {
+            if let Some(first) = self.seeing.arc_length {
+                visit(first + i, i, &of_site[..3]);
+            }
+            if let Some(first) = self.seeing.offset {
+                (0..3).for_each(|c| visit(first + 3 * i + c, i, &of_site[3 * c + 3..3 * c + 6]));
+            }
+        }
+    }
+
+    /// The rotation vector ρ among the constants of a state or an increment.
+    fn rotation(&self, x: &[f64]) -> Option<Vector3<f64>> {
+        let first = self.places.parameters().start + self.seeing.rotation?;
+        Some(Vector3::from_column_slice(&x[first..first + 3]))
+    }
+
+    /// Adds t and b, or their increments.
+    fn displace(&self, x: &[f64], y: &mut [f64]) {
+        let p = &x[self.places.parameters()];
+        if let Some(first) = self.seeing.translation {
+            for y in y.chunks_exact_mut(3) {
+                y.iter_mut().zip(&p[first..]).for_each(|(y, t)| *y += t);
+            }
+        }
+        if let Some(first) = self.seeing.bias {
+            y.iter_mut().zip(&p[first..]).for_each(|(y, b)| *y += b);
+        }
+    }
+}
+
+impl<O: Sites> ObservationOperator for SeenWith<O> {
+    fn dim(&self) -> usize {
+        self.operator.dim()
+    }
+
+    fn state_dim(&self) -> usize {
+        self.places.dim()
+    }
+
+    fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
+        self.places.gather(x, &mut self.x);
+        self.place_sites(x)?;
+        self.operator.observe(at, &self.x, y)?;
+        if let Some(rho) = self.rotation(x) {
+            let turn = exponential(&rho);
+            y.chunks_exact_mut(3).for_each(|y| set(y, turn * place(y)));
+        }
+        self.displace(x, y);
+        Ok(())
+    }
+
+    fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+        self.places.gather(x, &mut self.x);
+        self.place_sites(x).expect("this state was observed before");
+        let rotation = self.rotation(x);
+        if rotation.is_some() {
+            self.operator.observe(at, &self.x, &mut self.y).expect("this state was observed before");
+        }
+        self.places.gather(dx, &mut self.dx);
+        self.operator.tangent(at, &self.x, &self.dx, dy);
+        if !self.markers.is_empty() {
+            self.operator.by_place(at, &self.x, &mut self.columns);
+            let dp = &dx[self.places.parameters()];
+            self.each_place(|p, i, column| {
+                dy[3 * i..3 * i + 3].iter_mut().zip(column).for_each(|(dy, c)| *dy += c * dp[p]);
+            });
+        }
+        if let (Some(rho), Some(drho)) = (rotation, self.rotation(dx)) {
+            let (turn, turned) = (exponential(&rho), left_jacobian(&rho) * drho);
+            for (dy, y) in dy.chunks_exact_mut(3).zip(self.y.chunks_exact(3)) {
+                set(dy, turn * place(dy) + turned.cross(&(turn * place(y))));
+            }
+        }
+        self.displace(dx, dy);
+    }
+
+    fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+        let p = self.places.parameters();
+        if let Some(first) = self.seeing.translation {
+            for dy in dy.chunks_exact(3) {
+                dx[p.start + first..].iter_mut().zip(dy).for_each(|(dt, dy)| *dt += dy);
+            }
+        }
+        if let Some(first) = self.seeing.bias {
+            // a marker without a name has no bias
+            dx[p.clone()][first..].iter_mut().zip(dy).for_each(|(db, dy)| *db += dy);
+        }
+        self.places.gather(x, &mut self.x);
+        self.place_sites(x).expect("this state was observed before");
+        let mut back = dy.to_vec();
+        if let Some(rho) = self.rotation(x) {
+            self.operator.observe(at, &self.x, &mut self.y).expect("this state was observed before");
+            let (turn, jacobian) = (exponential(&rho), left_jacobian(&rho));
+            let mut sum = Vector3::zeros();
+            for (back, y) in back.chunks_exact_mut(3).zip(self.y.chunks_exact(3)) {
+                sum += (turn * place(y)).cross(&place(back));
+                set(back, turn.tr_mul(&place(back)));
+            }
+            let first = p.start + self.seeing.rotation.expect("there is a rotation");
+            let drho = jacobian.tr_mul(&sum);
+            dx[first..first + 3].iter_mut().zip(drho.iter()).for_each(|(dx, d)| *dx += d);
+        }
+        if !self.markers.is_empty() {
+            self.operator.by_place(at, &self.x, &mut self.columns);
+            let dp = &mut dx[self.places.parameters()];
+            self.each_place(|p, i, column| {
+                dp[p] += column.iter().zip(&back[3 * i..]).map(|(c, b)| c * b).sum::<f64>();
+            });
+        }
+        self.places.gather(dx, &mut self.dx);
+        self.operator.adjoint_add(at, &self.x, &back, &mut self.dx);
+        self.places.scatter(&self.dx, dx);
+    }
+}
+
+fn place(y: &[f64]) -> Vector3<f64> {
+    Vector3::from_column_slice(y)
+}
+
+fn set(y: &mut [f64], value: Vector3<f64>) {
+    y.copy_from_slice(value.as_slice());
+}

@@ -1,0 +1,244 @@
+//! ∂J/∂p of the assembled cost, against differences of J, and J against that of a scene which says the
+//! value.
+
+use varda::scene::{STARTER, SceneFile};
+use varda::setup::Problem;
+use varda_assimilation::{ControlTransform, CostFunction, StrongConstraint};
+
+use crate::row::{Case, Outcome, Rows};
+
+/// A constant, with its key and prior in the scene, and how another value is written there.
+struct Constant {
+    scene: &'static str,
+    /// Needed so that there is the constant, and background and observations do not move with it.
+    sets: &'static [&'static str],
+    estimate: &'static str,
+    /// The same scene at p: assignments with the value in place of {}.
+    written: &'static [&'static str],
+    /// The value at p = 0, and whether the prior is log-normal.
+    value: f64,
+    exponential: bool,
+}
+
+/// From files that do not depend on the constants.
+const HOSE: &[&str] = &["model.damping.mass=0.2", "time.window=30"];
+
+const CONSTANTS: [Constant; 15] = [
+    Constant {
+        scene: "hose",
+        sets: HOSE,
+        estimate: "estimate.gravity_direction={sigma=0.1}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+    Constant {
+        scene: "hose",
+        sets: HOSE,
+        estimate: "estimate.ei={sigma=\"30%\",together=true}",
+        written: &["model.section.ei=[{},{}]"],
+        value: 0.3,
+        exponential: true,
+    },
+    Constant {
+        scene: "hose",
+        sets: HOSE,
+        estimate: "estimate.ei={sigma=0.1,together=true}",
+        written: &["model.section.ei=[{},{}]"],
+        value: 0.3,
+        exponential: false,
+    },
+    Constant {
+        scene: "hose",
+        sets: HOSE,
+        estimate: "estimate.gj={sigma=\"30%\"}",
+        written: &["model.section.gj={}"],
+        value: 0.2,
+        exponential: true,
+    },
+    Constant {
+        scene: "hose",
+        sets: HOSE,
+        estimate: "estimate.mass_per_length={sigma=\"30%\"}",
+        written: &["model.section.mass_per_length={}"],
+        value: 0.35,
+        exponential: true,
+    },
+    Constant {
+        scene: "hose",
+        sets: HOSE,
+        estimate: "estimate.point_mass={sigma=0.02}",
+        written: &["model.point_masses.0.mass={}"],
+        value: 0.05,
+        exponential: false,
+    },
+    Constant {
+        scene: "hose",
+        sets: HOSE,
+        estimate: "estimate.damping_stiffness={sigma=\"50%\"}",
+        written: &["model.damping.stiffness={}"],
+        value: 0.008,
+        exponential: true,
+    },
+    Constant {
+        scene: "hose",
+        sets: HOSE,
+        estimate: "estimate.damping_mass={sigma=\"50%\"}",
+        written: &["model.damping.mass={}"],
+        value: 0.2,
+        exponential: true,
+    },
+    Constant {
+        scene: "hose",
+        sets: HOSE,
+        estimate: "estimate.natural_curvature=[{sigma=0.5},{sigma=0.5}]",
+        written: &["model.natural_curvature=[{},0.0]"],
+        value: 1.0,
+        exponential: false,
+    },
+    Constant {
+        scene: "hose",
+        sets: HOSE,
+        estimate: "estimate.ea={sigma=\"30%\"}",
+        written: &["model.section.ea={}"],
+        value: 1e5,
+        exponential: true,
+    },
+    Constant {
+        scene: "starter",
+        sets: &[],
+        estimate: "estimate.marker_arc_length={sigma=0.004}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+    Constant {
+        scene: "starter",
+        sets: &[],
+        estimate: "estimate.marker_offset={sigma=0.004}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+    Constant {
+        scene: "starter",
+        sets: &[],
+        estimate: "estimate.mount_rotation={sigma=0.2}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+    Constant {
+        scene: "starter",
+        sets: &[],
+        estimate: "estimate.mount_translation={sigma=0.01}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+    Constant {
+        scene: "starter",
+        sets: &[],
+        estimate: "estimate.bias={sigma=0.01}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+];
+
+pub(super) fn run(rows: &mut Rows) {
+    rows.area("gradient of J");
+    for constant in rows.grid("constants", &CONSTANTS) {
+        let name = constant.estimate.split('=').next().unwrap_or("").to_string();
+        let law = if constant.exponential { "log-normal" } else { "normal" };
+        rows.case(&format!("{name}, {law}"), |case| gradient(case, constant));
+    }
+}
+
+/// J and its gradient at a control, as a function of v.
+fn cost_at(
+    problem: &Problem,
+    v: &[f64],
+    gradient: Option<&mut [f64]>,
+) -> Result<f64, Box<dyn std::error::Error>> {
+    let mut observations = problem.observations()?;
+    let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref())?;
+    let mut model = problem.model();
+    let mut cost = StrongConstraint::new(model.as_mut(), transform, &mut observations)?;
+    Ok(cost.evaluate(v, gradient)?)
+}
+
+fn problem(scene: &str, sets: &[String]) -> Result<Problem, varda::Error> {
+    let file = match scene {
+        "starter" => SceneFile::parse("starter", "starter.toml", STARTER, None, sets)?,
+        shipped => SceneFile::open(shipped, sets)?,
+    };
+    Problem::from_scene(&file)
+}
+
+fn gradient(case: &mut Case, constant: &Constant) -> Outcome {
+    let base: Vec<String> = constant.sets.iter().map(|s| s.to_string()).collect();
+    let with: Vec<String> = base.iter().cloned().chain([constant.estimate.to_string()]).collect();
+    let (with, without) = (problem(constant.scene, &with)?, problem(constant.scene, &base)?);
+    let (n, known) = (with.background.len(), without.background.len());
+    let columns = with.covariance.as_ref().root_dim();
+    let of_state = without.covariance.as_ref().root_dim();
+
+    // off the background, in state and constants
+    let mut v: Vec<f64> = (0..columns).map(|i| 0.2 * (1.0 + 1.7 * i as f64).sin()).collect();
+    let mut gradient = vec![0.0; columns];
+    cost_at(&with, &v, Some(&mut gradient))?;
+    for p in of_state..columns {
+        let mut at = |h: f64| {
+            let before = v[p];
+            v[p] += h;
+            let j = cost_at(&with, &v, None);
+            v[p] = before;
+            j
+        };
+        let mut central = |h: f64| Ok::<f64, Box<dyn std::error::Error>>((at(h)? - at(-h)?) / (2.0 * h));
+        let difference = (4.0 * central(1e-3)? - central(2e-3)?) / 3.0;
+        let size = gradient.iter().fold(1.0_f64, |size, g| size.max(g.abs()));
+        case.at_most(
+            &format!("∂J/∂p[{}] off its difference", p - of_state),
+            (gradient[p] - difference).abs() / gradient[p].abs().max(1e-6 * size),
+            1e-6,
+            "-",
+        )
+        .because("extrapolated differences of J: h⁴ of its fifth derivative, and rounding of J over h");
+    }
+
+    // the same cost where the scene says the value that p stands for
+    if constant.written.is_empty() {
+        return Ok(());
+    }
+    let mut z = vec![0.0; n];
+    let transform = ControlTransform::new(with.background.clone(), with.covariance.as_ref())?;
+    transform.control(&v, &mut z);
+    z[known + 1..].fill(0.0);
+    let value =
+        if constant.exponential { constant.value * z[known].exp() } else { constant.value + z[known] };
+    let written = constant.written.iter().map(|s| s.replace("{}", &format!("{value:e}")));
+    let said = problem(constant.scene, &base.iter().cloned().chain(written).collect::<Vec<_>>())?;
+    let of = |problem: &Problem, z: &[f64]| -> Result<f64, Box<dyn std::error::Error>> {
+        let mut observations = problem.observations()?;
+        let mut model = problem.model();
+        observations.follow(model.rate());
+        let mut x = vec![0.0; model.dim()];
+        model.initial_state(z, &mut x)?;
+        let mut run = observations.prediction();
+        let (mut next, mut d) = (x.clone(), vec![0.0; observations.dim()]);
+        for k in 0..=observations.last_step().unwrap_or(0) {
+            observations.observe_add(k, &x, &mut run)?;
+            model.step(k, &x, &mut next)?;
+            std::mem::swap(&mut x, &mut next);
+        }
+        observations.innovations(run.values(), &mut d);
+        Ok(0.5 * d.iter().zip(observations.sigma()).map(|(d, s)| (d / s).powi(2)).sum::<f64>())
+    };
+    let (in_state, in_scene) = (of(&with, &z)?, of(&said, &z[..known])?);
+    case.at_most("J_o off that of the scene with this value", (in_state / in_scene - 1.0).abs(), 1e-9, "-")
+        .because("Newton's 1e-11 of the length in each step, over σ")
+        .computed(in_state);
+    Ok(())
+}

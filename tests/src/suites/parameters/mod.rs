@@ -1,0 +1,16 @@
+//! Constants estimated beside the state.
+
+mod filter;
+mod gradients;
+mod recovery;
+
+use super::Options;
+use crate::row::{Row, Rows};
+
+pub(super) fn run(options: &Options) -> Vec<Row> {
+    let mut rows = Rows::new("parameters").of(options);
+    gradients::run(&mut rows);
+    filter::run(&mut rows);
+    recovery::run(&mut rows);
+    rows.finish()
+}
