@@ -68,25 +68,39 @@ pub(super) struct Held {
     sites: Vec<Reach>,
     /// 1 + ε, ε the strain of the taut rod.
     stretch: f64,
+    /// Standard deviations that a row may be beyond.
+    sigmas: f64,
 }
 
-/// Standard deviations that a row may be beyond the rod's reach.
-const SIGMAS: f64 = 4.0;
+/// Standard deviations that a row may be beyond the rod's reach: 4 for one row, and as improbable that one of
+/// n is beyond it, since exp(−z²/2) falls by n.
+fn sigmas(rows: usize) -> f64 {
+    (16.0 + 2.0 * (rows.max(1) as f64).ln()).sqrt()
+}
+
 /// The share of rows that an explanation has to explain, of those that are beyond reach.
 const MOST: f64 = 0.9;
 
 impl Held {
-    pub(super) fn new(parts: &RodParts, axes: Matrix3<f64>, shift: [f64; 3], sites: Vec<Reach>) -> Self {
+    /// `rows` are to be looked at.
+    pub(super) fn new(
+        parts: &RodParts,
+        axes: Matrix3<f64>,
+        shift: [f64; 3],
+        sites: Vec<Reach>,
+        rows: usize,
+    ) -> Self {
         let (supports, s) = (&parts.supports, parts.rod.arc_lengths());
         let mut points: Vec<(f64, Arc<dyn Motion>)> =
             supports.prescribed.iter().map(|(vertex, place)| (s[*vertex], Arc::clone(place))).collect();
         points.extend(supports.start.iter().map(|clamp| (0.0, Arc::clone(&clamp.position))));
         points.extend(supports.end.iter().map(|clamp| (parts.rod.length(), Arc::clone(&clamp.position))));
-        Held { points, axes, shift: shift.into(), sites, stretch: 1.0 + weight_strain(parts) }
+        let stretch = 1.0 + weight_strain(parts);
+        Held { points, axes, shift: shift.into(), sites, stretch, sigmas: sigmas(rows) }
     }
 
     /// The rows that are beyond reach: farther from a held point than the rod between, with the strain of the
-    /// taut rod and 4 σ.
+    /// taut rod and 4 σ, more where there are many rows.
     pub(super) fn unreachable(&self, rows: &[Sighting]) -> Vec<Unreachable> {
         let beyond = |(i, row): (usize, &Sighting)| {
             self.beyond(row, row.site, &|p| p).map(|by| Unreachable { row: i, by })
@@ -110,7 +124,7 @@ impl Held {
             let away = place - self.axes * motion.at(row.time);
             let distance = away.iter().filter(|v| v.is_finite()).map(|v| v * v).sum::<f64>().sqrt();
             let between = (arc_length - held).abs();
-            let reach = between * stretch + offset + SIGMAS * row.sigma + 1e-9 * between;
+            let reach = between * stretch + offset + self.sigmas * row.sigma + 1e-9 * between;
             // Places that overflow are for the model to refuse.
             (distance > reach && distance.is_finite()).then_some(Beyond { distance, reach, held: *held })
         })
@@ -137,7 +151,7 @@ impl Held {
                 let (other, q) = b.get(time)?;
                 let stretch = self.stretch.max(self.taut(row.time));
                 let sigma = row.sigma.hypot(other.sigma);
-                let allowed = arc * stretch + start.offset + end.offset + SIGMAS * sigma;
+                let allowed = arc * stretch + start.offset + end.offset + self.sigmas * sigma;
                 Some(Chord { sites: [pair[0], pair[1]], arc, farthest: (p - q).norm(), allowed })
             };
             let beyond = |c: &Chord| c.farthest - c.allowed;
@@ -169,9 +183,10 @@ impl Held {
         };
         format!(
             "{} at time {} s is {distance:.4} m from where the rod is held at s = {held:.4} m, and the rod \
-             reaches {reach:.4} m with its strain and {SIGMAS} σ.{others} {}",
+             reaches {reach:.4} m with its strain and {:.1} σ.{others} {}",
             labels[row.site],
             row.time,
+            self.sigmas,
             self.cause(rows, found, row, labels)
         )
     }

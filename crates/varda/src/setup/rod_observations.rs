@@ -143,7 +143,7 @@ pub(crate) fn recorded(
     // nalgebra takes the rows of R for columns: this is Rᵀ.
     let axes = Matrix3::from(rotation);
     let reach = sites.iter().map(Placed::reach).collect();
-    let held = Held::new(&rod.parts, axes, shift, reach);
+    let held = Held::new(&rod.parts, axes, shift, reach, sightings.len());
     let labels: Vec<&str> = sites.iter().map(|s| s.label.as_str()).collect();
     let mut impossible = Impossible { recording, bad: &bad, left: &mut left, seen, sightings };
 
