@@ -239,7 +239,9 @@ fn tracks(track: &Track, shapes: &Shapes, grid: &TimeGrid) -> Figure {
 fn components(outcome: &Outcome) -> Figure {
     let all = &outcome.trajectories;
     let runs = drawn(&all.truth, &all.background, &all.analysis, |run| run.is_empty());
-    let (grid, names_of) = (&outcome.experiment.grid, &outcome.experiment.state.names);
+    let (grid, layout) = (&outcome.experiment.grid, &outcome.experiment.state);
+    // without constants, which stand behind the state
+    let names_of = &layout.names[..layout.names.len() - layout.constants.len()];
     let chosen: Vec<usize> = (0..names_of.len()).step_by(names_of.len().div_ceil(6).max(1)).collect();
     let panel = |(i, &c): (usize, &usize)| {
         let line = |(style, label, states): &(Style, &str, &Vec<f64>)| Series {

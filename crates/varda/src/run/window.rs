@@ -210,11 +210,10 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
     let mut estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
     let before_mesh = began.elapsed().as_secs_f64();
-    if let Some(file) =
-        problem.finer.as_ref().filter(|_| problem.truth.is_none() && status != Status::Interrupted)
-    {
-        let ended = finer(file, listener);
-        warnings.extend(mesh::allow(problem, &mut estimates, ended)?);
+    let ended = matches!(status, Status::Converged | Status::Stalled) && analysis.chi2 <= mesh::MOST_CHI2;
+    if let Some(file) = problem.finer.as_ref().filter(|_| problem.truth.is_none() && ended) {
+        let finer = finer(file, listener);
+        warnings.extend(mesh::allow(problem, &mut estimates, analysis.chi2, finer));
     }
     let mesh = began.elapsed().as_secs_f64() - before_mesh;
     warnings.extend(remarks_on_estimates(&estimates, judgement.verdict == Verdict::Fits));

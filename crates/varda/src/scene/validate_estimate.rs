@@ -1,7 +1,7 @@
 //! What `[estimate]` must satisfy beyond the type of each key.
 
 use super::invalid::{Check, invalid};
-use super::{ConstantPrior, Estimate, Model, RodModel, Scene, Section, Unknown};
+use super::{ConstantPrior, Estimate, Method, Model, RodModel, Scene, Section, Unknown};
 
 /// Keys of a rod, of its observations, and of each other model.
 const OF_ROD: [&str; 12] = [
@@ -59,8 +59,25 @@ pub(super) fn validate_estimate(estimate: &Estimate, scene: &Scene) -> Check {
     if let Model::Rod(rod) = &scene.model {
         validate_of_rod(estimate, rod)?;
     }
-    if scene.time.tolerance.is_some() && !estimate.given().is_empty() {
+    if estimate.given().is_empty() {
+        return Ok(());
+    }
+    if scene.time.tolerance.is_some() {
         return invalid("time.tolerance", "time steps that adapt do not go with [estimate]: leave one out");
+    }
+    let algorithm = &scene.algorithm;
+    if algorithm.cycles.is_some() {
+        return invalid("algorithm.cycles", "constants are estimated in one window: leave [estimate] out");
+    }
+    if algorithm.method == Method::WeakState {
+        let message = "constants have no model error, and \"weak-state\" needs the inverse of Q: with \
+                       [estimate] take \"weak-forcing\"";
+        return invalid("algorithm.method", message);
+    }
+    if algorithm.members().is_some_and(|ensemble| ensemble.localization_length.is_some()) {
+        let message = "constants have no place that a distance could be taken from: leave it out, or \
+            [estimate]";
+        return invalid("algorithm.ensemble.localization_length", message);
     }
     Ok(())
 }

@@ -12,6 +12,10 @@ pub(crate) fn finer(file: &SceneFile) -> Option<SceneFile> {
     if !wanted || !scene.algorithm.method.is_strong() {
         return None;
     }
+    // a vertex beside a clamp's face is not at the same place in both meshes
+    if !rod.prescribed.is_empty() && rod.faces() != [false; 2] {
+        return None;
+    }
     match (&mut rod.segments, &mut rod.segment_lengths) {
         (Some(segments), _) => *segments *= 2,
         (None, Some(lengths)) => *lengths = lengths.iter().flat_map(|l| [0.5 * l; 2]).collect(),
