@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-/// exp([ρ]×): the rotation about ρ by |ρ| rad (Rodrigues).
+/// exp(\[ρ\]×): the rotation about ρ by |ρ| rad (Rodrigues).
 ///
 /// ```
 /// use varda_rod::{Vector3, rotation};
@@ -17,7 +17,7 @@ pub fn exponential(rho: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() + cross * sinc(angle) + cross * cross * (0.5 * sinc(half) * sinc(half))
 }
 
-/// J with δ(exp([ρ]×) y) = (J δρ) × exp([ρ]×) y:
+/// J with δ(exp(\[ρ\]×) y) = (J δρ) × exp(\[ρ\]×) y:
 ///
 /// ```text
 /// J = I + (1 − cos θ)/θ² [ρ]× + (θ − sin θ)/θ³ [ρ]×²,   θ = |ρ|
