@@ -50,7 +50,8 @@ pub struct CycledErrors<'a> {
 }
 
 /// What one window hands to the next, as plain data: everything the windows to come depend on besides their
-/// settings. Stored after a window and given back to [`cycle`](crate::cycle), the sequence goes on with the same bits.
+/// settings. Stored after a window and given back to [`cycle`](crate::cycle), the sequence goes on with the
+/// same bits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CycleState {
     /// Index of the next window.
