@@ -36,6 +36,7 @@ suites!(
     field,
     scaling,
     user,
+    parameters,
     coverage
 );
 

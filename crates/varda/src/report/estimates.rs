@@ -61,7 +61,7 @@ fn bar(e: &Estimated, [low, high]: [f64; 2]) -> String {
     let (from, to) = (place(low.min(high)), place(high.max(low)));
     let text = format!("{}: {} to {}", e.name, short(low), short(high));
     format!(
-        "<svg viewBox=\"0 0 100 10\" width=\"120\" height=\"12\" role=\"img\" \
+        "<svg viewBox=\"0 0 100 10\" width=\"120\" height=\"12\" style=\"max-width:none\" role=\"img\" \
          aria-label=\"{0}\"><title>{0}</title><line x1=\"0\" y1=\"5\" x2=\"100\" y2=\"5\" \
          stroke=\"currentColor\" stroke-opacity=\"0.25\"/><rect x=\"{from:.1}\" y=\"3\" width=\"{1:.1}\" \
          height=\"4\" fill=\"#0072b2\"/><line x1=\"{2:.1}\" y1=\"1\" x2=\"{2:.1}\" y2=\"9\" \
