@@ -7,6 +7,7 @@ mod equivalence;
 mod field;
 mod folder;
 mod golden;
+mod gripped_cable;
 mod hessian;
 mod linalg;
 mod options;

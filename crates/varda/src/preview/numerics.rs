@@ -8,6 +8,7 @@ use super::finding::Finding;
 use crate::Error;
 use crate::scene::{Model, Observations, SceneFile};
 use crate::setup::files::Files;
+use crate::setup::finer::halve;
 use crate::setup::rod_model::RodParts;
 
 /// How many modes are looked at.
@@ -117,9 +118,7 @@ pub(super) fn too_much(modes: &[ModeDamping], window: f64) -> Option<Finding> {
 pub(super) fn halved(file: &SceneFile, parts: &RodParts, rest: &Rest, t: f64) -> Result<MeshEffect, Error> {
     let mut finer = file.clone();
     let Model::Rod(model) = &mut finer.scene.model else { unreachable!("the parts are those of a rod") };
-    let halves = parts.rod.rest_lengths.iter().flat_map(|l| [0.5 * l; 2]).collect();
-    (model.length, model.segments, model.segment_lengths) = (None, None, Some(halves));
-    model.prescribed.iter_mut().for_each(|p| p.vertex *= 2);
+    file.checked(halve(model))?;
     let model = model.clone();
     let mut fine = RodParts::read(&Files::of(&finer), &model)?;
     // the same branch, where there are several

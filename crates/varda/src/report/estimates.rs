@@ -15,43 +15,54 @@ pub(super) fn section(all: &[Estimated]) -> String {
         return String::new();
     }
     let rows: String = all.iter().map(row).collect();
-    let headings = [
-        "constant",
-        "unit",
-        "prior ± σ",
-        "analysis ± σ",
-        "95 % interval",
-        "",
-        "of σ for the \
-        mesh",
-    ];
+    let headings = ["constant", "prior", "analysis", "95 % interval", "", "mesh"];
     format!(
-        "<section><h2>Estimated constants</h2>{}<p>The bar is the 95 % interval within that of the prior; \
-         the mark is the analysis.</p>{}</section>",
+        "<section><h2>Estimated constants</h2>{}<p>Values ± σ. The bar is the 95 % interval within that of \
+         the prior; the mark is the analysis. mesh: the part of σ that allows for the mesh.</p>{}</section>",
         table(&headings, &rows),
         correlations(all)
     )
 }
 
 fn row(e: &Estimated) -> String {
-    let with = |value: f64, sigma: Option<f64>| match sigma {
-        Some(sigma) => format!("{} ± {}", short(value), short(sigma)),
-        None => short(value),
-    };
     let seen = e.identifiable != Some(false);
-    let analysis = if seen { with(e.value, e.sigma) } else { "not identifiable".to_string() };
+    let analysis = match e.sigma {
+        _ if !seen => "not identifiable".to_string(),
+        Some(sigma) => with_sigma(e.value, sigma),
+        None => short(e.value),
+    };
     let interval = e.interval.filter(|_| seen);
+    let unit = if e.unit == "1" { String::new() } else { format!(" [{}]", e.unit) };
     format!(
-        "<tr><th \
-            scope=\"row\">{}</th><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
+        "<tr><th scope=\"row\">{}{unit}</th><td>{}</td><td>{analysis}</td><td>{}</td><td>{}</td>\
+         <td>{}</td></tr>",
         escape(&e.name),
-        if e.unit == "1" { "–" } else { e.unit },
-        with(e.prior, Some(e.prior_sigma)),
-        analysis,
-        interval.map_or("–".into(), |[low, high]| format!("{} to {}", short(low), short(high))),
+        with_sigma(e.prior, e.prior_sigma),
+        interval.map_or("–".into(), |[low, high]| between(low, high)),
         interval.map_or(String::new(), |interval| bar(e, interval)),
-        e.mesh.map_or("–".into(), short)
+        e.mesh.map_or("–".into(), |mesh| format!("{mesh:.1e}"))
     )
+}
+
+/// "0.2951 ± 0.0061": two digits of σ, and as many decimals of the value.
+fn with_sigma(value: f64, sigma: f64) -> String {
+    let (power, decimals) = digits(value.abs().max(sigma), sigma);
+    let [v, s] = [value, sigma].map(|v| format!("{:.decimals$}", v / 10_f64.powi(power)));
+    if power == 0 { format!("{v} ± {s}") } else { format!("({v} ± {s})e{power}") }
+}
+
+/// "0.283 to 0.307": two digits of the length of the interval.
+fn between(low: f64, high: f64) -> String {
+    let (power, decimals) = digits(low.abs().max(high.abs()), (high - low).abs());
+    let [l, h] = [low, high].map(|v| format!("{:.decimals$}", v / 10_f64.powi(power)));
+    if power == 0 { format!("{l} to {h}") } else { format!("({l} to {h})e{power}") }
+}
+
+/// A power of ten to take out of numbers up to `size`, and the decimals after that with two digits of `width`.
+fn digits(size: f64, width: f64) -> (i32, usize) {
+    let order = |v: f64| if v > 0.0 && v.is_finite() { v.log10().floor() as i32 } else { 0 };
+    let power = if (-3..5).contains(&order(size)) { 0 } else { order(size) };
+    (power, (1 - order(width) + power).clamp(0, 9) as usize)
 }
 
 /// An interval within ± 2σ of the prior.
@@ -61,7 +72,7 @@ fn bar(e: &Estimated, [low, high]: [f64; 2]) -> String {
     let (from, to) = (place(low.min(high)), place(high.max(low)));
     let text = format!("{}: {} to {}", e.name, short(low), short(high));
     format!(
-        "<svg viewBox=\"0 0 100 10\" width=\"120\" height=\"12\" style=\"max-width:none\" role=\"img\" \
+        "<svg viewBox=\"0 0 100 10\" width=\"110\" height=\"12\" style=\"max-width:none\" role=\"img\" \
          aria-label=\"{0}\"><title>{0}</title><line x1=\"0\" y1=\"5\" x2=\"100\" y2=\"5\" \
          stroke=\"currentColor\" stroke-opacity=\"0.25\"/><rect x=\"{from:.1}\" y=\"3\" width=\"{1:.1}\" \
          height=\"4\" fill=\"#0072b2\"/><line x1=\"{2:.1}\" y1=\"1\" x2=\"{2:.1}\" y2=\"9\" \
@@ -80,7 +91,7 @@ fn correlations(all: &[Estimated]) -> String {
     }
     let mut rows = String::new();
     for (i, e) in all.iter().enumerate() {
-        let _ = write!(rows, "<tr><th scope=\"row\">{}</th>", escape(&e.name));
+        let _ = write!(rows, "<tr><th scope=\"row\">{} {}</th>", i + 1, escape(&e.name));
         for (j, c) in e.correlations.iter().enumerate() {
             let text = if j < i { format!("{c:.3}") } else { String::new() };
             let shade = if j < i { c.abs() } else { 0.0 };
@@ -89,9 +100,9 @@ fn correlations(all: &[Estimated]) -> String {
         }
         rows.push_str("</tr>");
     }
-    let names: Vec<String> = all.iter().map(|e| escape(&e.name)).collect();
+    let numbers: Vec<String> = (1..=n).map(|i| i.to_string()).collect();
     let headings: Vec<&str> =
-        std::iter::once("correlation").chain(names.iter().map(String::as_str)).collect();
+        std::iter::once("correlation with").chain(numbers.iter().map(String::as_str)).collect();
     format!("<h3>Correlations of the analysis</h3>{}", table(&headings, &rows))
 }
 
@@ -115,4 +126,20 @@ pub(super) fn csv(all: &[Estimated]) -> String {
         );
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_have_the_digits_that_their_sigma_allows() {
+        assert_eq!(with_sigma(0.295_13, 0.006_07), "0.2951 ± 0.0061");
+        assert_eq!(with_sigma(123.4, 45.6), "123 ± 46");
+        assert_eq!(with_sigma(6.96e-5, 8.88e-4), "(0.7 ± 8.9)e-4");
+        assert_eq!(with_sigma(2.1e9, 3.4e7), "(2.100 ± 0.034)e9");
+        assert_eq!(with_sigma(0.0, 0.5), "0.00 ± 0.50");
+        assert_eq!(between(0.283_2, 0.306_98), "0.283 to 0.307");
+        assert_eq!(between(-0.001_7, 0.001_8), "-0.0017 to 0.0018");
+    }
 }

@@ -1,39 +1,56 @@
 //! The same estimate with twice the segments: what the mesh does to constants.
 
+use std::time::Instant;
+
 use crate::Error;
 use crate::outcome::{Estimated, Outcome, Status};
+use crate::scene::SceneFile;
 use crate::setup::Problem;
+use crate::setup::finer::Finer;
 
-/// Errors of the mesh fall with h² (clamps at their faces): all of the difference between a mesh and one
-/// twice as fine, and a third of it more.
-const OF_DIFFERENCE: f64 = 4.0 / 3.0;
 /// Where 2J/m is larger, more than the mesh is wrong, and nothing is computed.
-pub(super) const MOST_CHI2: f64 = 4.0;
-/// A finer mesh that fits so many times worse came to another minimum.
+const MOST_CHI2: f64 = 4.0;
+/// A finer mesh that fits so many times worse, and worse than noise alone, came to another minimum.
 const WORSE: f64 = 2.0;
 
-/// Adds to the estimates what twice the segments make of them: `finer` is that estimate, `chi2` is 2J/m of
-/// the scene's own mesh. Returns remarks.
+/// Adds to the estimates what twice the segments make of them; the run of the scene's own mesh ended as
+/// `status` with 2J/m = `chi2`, and `assimilate` runs another. Returns remarks, and the seconds that it took:
+/// 0 where nothing was computed.
 pub(super) fn allow(
     problem: &Problem,
     estimates: &mut [Estimated],
-    chi2: f64,
-    finer: Result<Outcome, Error>,
-) -> Vec<String> {
+    (status, chi2): (Status, f64),
+    assimilate: impl FnOnce(&SceneFile) -> Result<Outcome, Error>,
+) -> (Vec<String>, f64) {
     let without = |reason: String| {
-        vec![format!(
-            "σ of the estimated constants is without an allowance for the mesh: with twice the segments \
-                {reason}"
-        )]
+        vec![format!("σ of the estimated constants is without an allowance for the mesh: {reason}")]
     };
+    let (file, of_difference) = match &problem.finer {
+        // a twin has the same mesh in truth and model
+        _ if problem.truth.is_some() => return (Vec::new(), 0.0),
+        Finer::Unwanted => return (Vec::new(), 0.0),
+        Finer::Without(reason) => return (without(reason.to_string()), 0.0),
+        Finer::Scene(file, of_difference) => (file, *of_difference),
+    };
+    if !ended(status) {
+        return (without(format!("the minimization ended as {}", status.name())), 0.0);
+    }
+    if !(chi2 <= MOST_CHI2) {
+        let reason = format!("2J/m is {chi2:.2}, above {MOST_CHI2}: more than the mesh is wrong");
+        return (without(reason), 0.0);
+    }
+    let began = Instant::now();
+    let finer = assimilate(file);
+    let seconds = began.elapsed().as_secs_f64();
+    let without = |reason: String| (without(format!("with twice the segments {reason}")), seconds);
     let finer = match finer {
         Ok(finer) => finer,
         Err(error) => return without(error.to_string()),
     };
-    if !matches!(finer.status, Status::Converged | Status::Stalled) {
+    if !ended(finer.status) {
         return without(format!("the minimization ended as {}", finer.status.name()));
     }
-    if !(finer.analysis.chi2 <= WORSE * chi2) {
+    if !(finer.analysis.chi2 <= WORSE * chi2.max(1.0)) {
         return without(format!("it came to another minimum, with 2J/m = {:.2}", finer.analysis.chi2));
     }
     let constants = &problem.system.estimates().constants;
@@ -41,16 +58,22 @@ pub(super) fn allow(
         // fields have other vertices
         let Some(fine) = finer.estimates.iter().find(|fine| fine.name == estimate.name) else { continue };
         let [coarse, fine] = [estimate.value, fine.value].map(|value| constant.number_of(value));
-        estimate.allow_for(OF_DIFFERENCE * (fine - coarse).abs(), coarse, constant);
+        estimate.allow_for(of_difference * (fine - coarse).abs(), coarse, constant);
     }
     let coarse: Vec<&str> = estimates.iter().filter(|e| e.is_of_mesh()).map(|e| e.name.as_str()).collect();
     if coarse.is_empty() {
-        return Vec::new();
+        return (Vec::new(), seconds);
     }
-    vec![format!(
+    let remark = format!(
         "twice the segments move {} by more than what the observations leave open (2J/m {:.3} there, \
          {chi2:.3} here): their σ is the mesh's, and more segments would lower it",
         coarse.join(", "),
         finer.analysis.chi2
-    )]
+    );
+    (vec![remark], seconds)
+}
+
+/// Whether a minimization came to an end of its own.
+fn ended(status: Status) -> bool {
+    matches!(status, Status::Converged | Status::Stalled)
 }

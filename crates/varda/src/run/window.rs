@@ -209,13 +209,9 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let rejected = rejected(experiment, &solution.rejected);
     let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
     let mut estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
-    let before_mesh = began.elapsed().as_secs_f64();
-    let ended = matches!(status, Status::Converged | Status::Stalled) && analysis.chi2 <= mesh::MOST_CHI2;
-    if let Some(file) = problem.finer.as_ref().filter(|_| problem.truth.is_none() && ended) {
-        let finer = finer(file, listener);
-        warnings.extend(mesh::allow(problem, &mut estimates, analysis.chi2, finer));
-    }
-    let mesh = began.elapsed().as_secs_f64() - before_mesh;
+    let run = (status, analysis.chi2);
+    let (of_mesh, mesh) = mesh::allow(problem, &mut estimates, run, |file| finer(file, listener));
+    warnings.extend(of_mesh);
     warnings.extend(remarks_on_estimates(&estimates, judgement.verdict == Verdict::Fits));
     let mut spread = spread::along(problem, make_model(0).as_mut(), &analysis.analysis, root, &trajectories)?;
     if let (Some(shapes), Some(spread)) = (&mut shapes, &mut spread) {

@@ -2,20 +2,19 @@
 
 use std::collections::{BTreeMap, HashSet};
 
-use varda_assimilation::{LinearObservation, ObservationOperator, Selection};
+use varda_assimilation::{LinearObservation, Selection};
 use varda_implicit::ParameterPlaces;
 use varda_implicit::line::Line;
 
 use super::component_rows::{self, ComponentRow, Subject};
 use super::components::ComponentSystem;
-use super::estimate::Seeing;
 use super::files::Files;
 use super::observations::{Draws, Observed, Seen, Site};
-use super::recorded_rows::{Clock, LeftOut};
-use super::recording::{Recorded, track};
-use super::seen_with::{SeenWith, Sites};
+use super::recorded_rows::{Clock, LeftOut, summary, text_of};
+use super::recording::Recorded;
+use super::seen_with::with_constants;
 use crate::Error;
-use crate::outcome::{RecordingSummary, SitesAre};
+use crate::outcome::SitesAre;
 use crate::scene::{Recording, Synthetic, TimeGrid};
 
 /// The components that a twin experiment observes; their values are not yet drawn.
@@ -37,7 +36,7 @@ pub(crate) fn synthetic(
     };
     let steps = files.scene.checked(keys.observed_steps(grid.steps))?;
     let sigma = files.scene.checked(keys.component_sigma())?;
-    let constants = (n, system.estimates.len(), system.estimates.seen);
+    let (constants, seeing) = (places(system), system.estimates.seen);
     Ok(Observed {
         errors: None,
         sites: components.iter().enumerate().map(site).collect(),
@@ -45,20 +44,17 @@ pub(crate) fn synthetic(
         space: None,
         left_out: Vec::new(),
         recording: None,
-        make_operator: Box::new(move || Ok(seen_with(Selection::new(components.clone(), n)?, constants))),
+        make_operator: Box::new(move || {
+            Ok(with_constants(Selection::new(components.clone(), n)?, constants.clone(), seeing, &[]))
+        }),
         draws: Some(Draws { steps, sigma }),
     })
 }
 
-/// An operator of the components as one of states with the constants that are estimated.
-fn seen_with<O: Sites + 'static>(
-    operator: O,
-    (n, constants, seeing): (usize, usize, Seeing),
-) -> Box<dyn ObservationOperator> {
-    match constants {
-        0 => Box::new(operator),
-        _ => Box::new(SeenWith::new(operator, ParameterPlaces::of_state(n, constants, n, 0), seeing, &[])),
-    }
+/// Where the constants that are estimated stand in a state.
+fn places(system: &ComponentSystem) -> Option<ParameterPlaces> {
+    let (n, constants) = (system.names.len(), system.estimates.len());
+    (constants > 0).then(|| ParameterPlaces::of_state(n, constants, n, 0))
 }
 
 /// A component, or a place on the line by its bits; in this order in reports.
@@ -78,11 +74,7 @@ pub(crate) fn recorded(
     system: &ComponentSystem,
     grid: TimeGrid,
 ) -> Result<Observed, Error> {
-    let Some(name) = &recording.file else {
-        let message = "no file is named: give one with --set observations.file=…";
-        return Err(files.scene.invalid("observations", message));
-    };
-    let (label, text) = files.text("observations.file", name)?;
+    let (label, text) = text_of(files, recording)?;
     let rows = component_rows::rows(&label, &text)?;
     let bad = |line: usize, message: String| Error::Data { place: format!("{label}:{line}"), message };
 
@@ -116,21 +108,17 @@ pub(crate) fn recorded(
     }
     let kept = |_: usize| false;
     let sites: Vec<Site> = site_of.keys().enumerate().map(|(i, p)| site(i, *p, system)).collect();
-    let times = || rows.iter().map(|row| row.time);
-    let summary = RecordingSummary {
-        sites_are: match site_of.keys().next() {
-            Some(Place::OnLine(_)) => SitesAre::Places,
-            _ => SitesAre::Components,
-        },
-        rows: left.count(rows.len(), &seen, kept, grid),
-        span: [times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max)],
-        window: [grid.start, grid.time(grid.steps)].map(|t| t + recording.time_zero),
-        tracks: sites.iter().enumerate().map(|(i, site)| track(&site.label, i, &recorded)).collect(),
-        neighbours: Vec::new(),
+    let times: Vec<f64> = rows.iter().map(|row| row.time).collect();
+    let sites_are = match site_of.keys().next() {
+        Some(Place::OnLine(_)) => SitesAre::Places,
+        _ => SitesAre::Components,
     };
+    let counted = left.count(rows.len(), &seen, kept, grid);
+    let sites_by_name = sites.iter().map(|site| site.label.as_str());
+    let summary = summary(sites_are, counted, (&times, &clock), sites_by_name, &recorded);
     let places: Vec<Place> = site_of.into_keys().collect();
     let (n, line) = (system.names.len(), system.line);
-    let constants = (n, system.estimates.len(), system.estimates.seen);
+    let (constants, seeing) = (self::places(system), system.estimates.seen);
     Ok(Observed {
         errors: None,
         sites,
@@ -138,7 +126,9 @@ pub(crate) fn recorded(
         space: None,
         left_out: left.into_texts(),
         recording: Some(summary),
-        make_operator: Box::new(move || Ok(seen_with(operator(&places, n, line)?, constants))),
+        make_operator: Box::new(move || {
+            Ok(with_constants(operator(&places, n, line)?, constants.clone(), seeing, &[]))
+        }),
         draws: None,
     })
 }

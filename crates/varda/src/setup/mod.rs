@@ -12,7 +12,7 @@ pub mod ensemble;
 mod error_correlation;
 pub mod estimate;
 pub mod files;
-mod finer;
+pub(crate) mod finer;
 pub mod inputs;
 mod loads;
 pub mod memory;

@@ -7,7 +7,7 @@ use varda_implicit::Model;
 use super::adaptive_steps::AdaptiveSteps;
 use super::covariance::Factored;
 use super::ensemble;
-use super::finer::finer;
+use super::finer::{Finer, finer};
 use super::inputs::{Inputs, KnownBackground};
 use super::memory::{Memory, Sizes, without_spread};
 use super::observations::Observed;
@@ -47,7 +47,7 @@ pub struct Problem {
     /// Most bytes for the states and linearizations of a window: what `[limits] memory` leaves.
     pub memory: usize,
     /// The scene with twice the segments, where σ of its constants needs an allowance for the mesh.
-    pub(crate) finer: Option<SceneFile>,
+    pub(crate) finer: Finer,
     /// The time steps of the models, if they are adaptive.
     pub(crate) adaptive_steps: Option<AdaptiveSteps>,
 }
@@ -147,7 +147,7 @@ impl Problem {
             truth,
             observed,
             memory: memory.for_window,
-            finer: finer(&one_window),
+            finer: one_window.checked(finer(&one_window))?,
             adaptive_steps,
         };
         let method = scene.algorithm.method;

@@ -1,8 +1,49 @@
 //! Where the rows of a recording go, whatever they observe.
 
+use std::rc::Rc;
+
+use super::files::Files;
 use super::observations::Seen;
-use crate::outcome::RowCount;
+use super::recording::{Recorded, track};
+use crate::Error;
+use crate::outcome::{RecordingSummary, RowCount, SitesAre};
 use crate::scene::{OutsideWindow, Recording, TimeGrid};
+
+/// Name and text of a recording's file.
+///
+/// # Errors
+/// [`Error::Scene`] where none is named, or it cannot be read.
+pub(super) fn text_of(files: &Files, recording: &Recording) -> Result<(String, Rc<str>), Error> {
+    match &recording.file {
+        Some(name) => files.text("observations.file", name),
+        None => {
+            let message = "no file is named: give one with --set observations.file=…";
+            Err(files.scene.invalid("observations", message))
+        }
+    }
+}
+
+/// What a recording holds: of which sites, where its rows went, its times \[s\], and every site's rows.
+pub(super) fn summary<'a>(
+    sites_are: SitesAre,
+    rows: RowCount,
+    (times, clock): (&[f64], &Clock),
+    labels: impl Iterator<Item = &'a str>,
+    recorded: &[Recorded],
+) -> RecordingSummary {
+    let Clock { recording, grid } = clock;
+    RecordingSummary {
+        sites_are,
+        rows,
+        span: [
+            times.iter().copied().fold(f64::INFINITY, f64::min),
+            times.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+        ],
+        window: [grid.start, grid.time(grid.steps)].map(|t| t + recording.time_zero),
+        tracks: labels.enumerate().map(|(i, label)| track(label, i, recorded)).collect(),
+        neighbours: Vec::new(),
+    }
+}
 
 /// What of a recording is not used.
 #[derive(Default)]

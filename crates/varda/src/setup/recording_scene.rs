@@ -20,6 +20,9 @@ const STEP: f64 = 0.01;
 const WINDOW: f64 = 1.0;
 /// A marker moves where it travels this many times σ.
 const MOVES: f64 = 5.0;
+/// A marker at a moved clamp travels at least this share of its neighbour's way: beside a clamp at rest travel
+/// grows with s², beside a hook at rest with s.
+const IS_CARRIED: f64 = 0.5;
 /// Frames of a block that may be quiet.
 const BLOCK: usize = 20;
 /// Shares of the largest chords between two markers that noise may have made.
@@ -30,7 +33,8 @@ const LARGEST: f64 = 0.95;
 ///
 /// Read from the recording: markers with their arc lengths (column `s_m`; by name the sums of the largest
 /// chords between neighbours, which are lower bounds), rate, window, σ (third differences in time, frames at
-/// rest), places of the rod before it is held, and how far it moves.
+/// rest), places of the rod before it is held, and how far it moves. Named markers are put in a row from the
+/// end that moves less; a comment says so, and what the arc lengths are from the other end.
 ///
 /// # Errors
 /// [`Error::Data`] for a file that is no recording of points in space, or has fewer than four frames.
@@ -184,6 +188,34 @@ impl Recorded {
         if count > 0.0 { sum / count } else { sum }
     }
 
+    /// A named marker at arc length 0 that the clamp follows: it moves, and not as what is beside a support at
+    /// rest.
+    fn hand(&self, sigma: f64) -> Option<&str> {
+        let (first, next) = (self.tracks.first()?, self.tracks.get(1));
+        let carried = next.is_none_or(|next| first.travel() >= IS_CARRIED * next.travel());
+        let moves = first.arc_length == 0.0 && first.travel() > MOVES * sigma && carried;
+        first.name.as_deref().filter(|_| moves)
+    }
+
+    /// Which end of named markers was taken for the start, as a comment of the scene.
+    fn order(&self) -> String {
+        let ends = [self.tracks.first(), self.tracks.last()];
+        let [Some((Some(first), start)), Some((Some(last), end))] =
+            ends.map(|track| track.map(|t| (t.name.as_deref(), 1e3 * t.travel())))
+        else {
+            return String::new();
+        };
+        if self.tracks.len() < 2 {
+            return String::new();
+        }
+        format!(
+            "\n# Arc lengths count from marker {first:?}, which moves by {start:.1} mm (rms), to {last:?}, \
+             {end:.1} mm: from the\n# end that moves less. Where the rod starts at {last:?}, take the numbers \
+             from the other end, and hold [model.start]\n# there; a support at the far end is [model.end], or \
+             a vertex of [[model.prescribed]]. A column s_m decides by itself.\n"
+        )
+    }
+
     /// The scene, from a template.
     fn scene(&self, file: &str) -> String {
         let length = self.length();
@@ -207,9 +239,7 @@ impl Recorded {
         let vector = |v: V| format!("[{:.4}, {:.4}, {:.4}]", v.x, v.y, v.z);
         let whole = |x: f64| format!("{x:.0}");
         let sigma = self.sigma();
-        // A named marker at arc length 0 that moves is what the clamp follows.
-        let base = self.tracks.first().filter(|t| t.arc_length == 0.0 && t.travel() > MOVES * sigma);
-        let hand = base.and_then(|t| t.name.as_deref());
+        let hand = self.hand(sigma);
         let followed = hand.unwrap_or("hand");
         let [held, moved] = if hand.is_some() { ["# ", ""] } else { ["", "# "] };
         let values = [
@@ -237,14 +267,16 @@ impl Recorded {
             ("{sigma}", number(rounded(sigma))),
         ];
         let mut out = filled(TEMPLATE, &values);
+        out.push_str(&self.order());
         for track in &self.tracks {
             if let Some(name) = track.name.as_deref().filter(|name| Some(*name) != hand) {
                 let _ = write!(
                     out,
                     "\n[[observations.markers]]\nname = {name:?}\n# m, yours: a lower bound, from distances \
-                     between markers\narc_length = {:.4}\n# use = \"withhold\"               # keep it back \
-                     to test the analysis\n",
-                    track.arc_length
+                     between markers\narc_length = {:.4}              # {:.4} from the other end\n\
+                     # use = \"withhold\"               # keep it back to test the analysis\n",
+                    track.arc_length,
+                    length - track.arc_length
                 );
             }
         }
@@ -348,4 +380,62 @@ fn frame_interval(gaps: &mut [f64], span: f64) -> Option<f64> {
 fn rate_made_whole(interval: f64) -> f64 {
     let rate = 1.0 / interval;
     if (rate - rate.round()).abs() < 1e-3 * rate && rate >= 1.0 { 1.0 / rate.round() } else { interval }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Five markers 0.1 m apart on a cable from x = 0 to 0.5 m, seen 60 times: `travel` of each at its arc
+    /// length, across the cable.
+    fn recording(names: [&str; 5], travel: impl Fn(f64) -> f64) -> String {
+        let mut text = "time_s,marker,x_m,y_m,z_m\n".to_string();
+        for k in 0..60 {
+            let t = 0.01 * k as f64;
+            for (i, name) in names.iter().enumerate() {
+                let s = 0.05 + 0.1 * i as f64;
+                let y = travel(s) * (8.0 * t).sin();
+                let _ = writeln!(text, "{t},{name},{s},{y},0.0");
+            }
+        }
+        text
+    }
+
+    fn scene(names: [&str; 5], travel: impl Fn(f64) -> f64) -> String {
+        scene_of_recording("seen.csv", &recording(names, travel)).unwrap()
+    }
+
+    const NAMES: [&str; 5] = ["a", "b", "c", "d", "e"];
+
+    #[test]
+    fn a_marker_beside_a_support_at_rest_is_no_hand() {
+        // a hook moved at the far end, and a clamp, or a hook, at rest at the near one
+        for near in [|s: f64| 0.4 * s * s, |s: f64| 0.2 * s] {
+            let text = scene(NAMES, near);
+            assert!(text.contains("# motion = ") && text.contains("\nposition = "), "{text}");
+            assert!(text.contains("from marker \"a\""), "{text}");
+            assert_eq!(text.matches("[[observations.markers]]").count(), 5);
+            // the far end first: the same order
+            let turned = scene(["e", "d", "c", "b", "a"], |s| near(0.5 - s));
+            assert!(turned.contains("from marker \"a\"") && turned.contains("# motion = "), "{turned}");
+        }
+    }
+
+    #[test]
+    fn a_moved_end_is_a_hand() {
+        let text = scene(NAMES, |s| 0.05 + 0.1 * s);
+        assert!(text.contains("\nmotion = { kind = \"markers\", names = [\"a\"] }"), "{text}");
+        assert_eq!(text.matches("[[observations.markers]]").count(), 4);
+    }
+
+    #[test]
+    fn arc_lengths_are_given_from_both_ends() {
+        let text = scene(NAMES, |s| 0.4 * s * s);
+        assert!(text.contains("name = \"b\"\n"), "{text}");
+        let b = text.split("name = \"b\"").nth(1).unwrap();
+        let line = b.lines().find(|line| line.starts_with("arc_length = ")).unwrap();
+        let numbers: Vec<f64> = line.split_whitespace().filter_map(|word| word.parse().ok()).collect();
+        // a length of 0.4 m and a little from the first marker to the last
+        assert!((numbers[0] + numbers[1] - 0.4).abs() < 2e-2 && numbers[0] < 0.11, "{line}");
+    }
 }

@@ -10,11 +10,11 @@ use super::csv::{self, Subject};
 use super::files::Files;
 use super::observations::{Draws, MakeOperator, Observed, ObservedSpace, Seen, Site};
 use super::reachable::{Held, Reach, Sighting};
-use super::recorded_rows::{Clock, LeftOut};
-use super::recording::{Recorded, track};
+use super::recorded_rows::{Clock, LeftOut, summary, text_of};
+use super::recording::Recorded;
 use super::rod::RodSystem;
 use super::rod_model::RodParts;
-use super::seen_with::SeenWith;
+use super::seen_with::with_constants;
 use crate::Error;
 use crate::outcome::{Neighbours, RecordingSummary, SitesAre};
 use crate::scene::{Frame, Model, Recording, Synthetic, TimeGrid, UnreachableRows, Use};
@@ -66,11 +66,7 @@ pub(crate) fn recorded(
     rod: &RodSystem,
     grid: TimeGrid,
 ) -> Result<Observed, Error> {
-    let Some(name) = &recording.file else {
-        let message = "no file is named: give one with --set observations.file=…";
-        return Err(files.scene.invalid("observations", message));
-    };
-    let (label, text) = files.text("observations.file", name)?;
+    let (label, text) = text_of(files, recording)?;
     let rows = csv::observations(&label, &text)?;
     let bad = |line: usize, message: String| Error::Data { place: format!("{label}:{line}"), message };
     let length = rod.length();
@@ -175,15 +171,12 @@ pub(crate) fn recorded(
         farthest: chord.farthest,
         allowed: chord.allowed,
     });
-    let times = || rows.iter().map(|row| row.time);
-    let summary = RecordingSummary {
-        sites_are: SitesAre::Markers,
-        rows: left.count(rows.len(), &seen, |site| sites[site].withheld, grid),
-        span: [times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max)],
-        window: [grid.start, grid.time(grid.steps)].map(|t| t + recording.time_zero),
-        tracks: sites.iter().enumerate().map(|(i, site)| track(&site.label, i, &recorded)).collect(),
-        neighbours: neighbours.collect(),
-    };
+    let times: Vec<f64> = rows.iter().map(|row| row.time).collect();
+    let counted = left.count(rows.len(), &seen, |site| sites[site].withheld, grid);
+    let sites_by_name = sites.iter().map(|site| site.label.as_str());
+    let clock = Clock { recording, grid };
+    let summary = summary(SitesAre::Markers, counted, (&times, &clock), sites_by_name, &recorded);
+    let summary = RecordingSummary { neighbours: neighbours.collect(), ..summary };
     let observed = observed(rod, sites, rotation, seen, None, left.into_texts());
     Ok(Observed { recording: Some(summary), ..observed })
 }
@@ -252,12 +245,10 @@ fn observed(
         };
         Box::new(move || {
             let operator = seen(&parts, &markers)?;
-            if parts.estimates.is_empty() {
-                return Ok(Box::new(operator));
-            }
             let seeing = if mounted { parts.estimates.seen } else { parts.estimates.seen.of_places() };
             let operator = if seeing.moves_sites() { operator.with_frames() } else { operator };
-            Ok(Box::new(SeenWith::new(operator, parts.places()?, seeing, &markers)))
+            let places = (!parts.estimates.is_empty()).then(|| parts.places()).transpose()?;
+            Ok(with_constants(operator, places, seeing, &markers))
         })
     };
     let site = |(i, site): (usize, Placed)| Site {

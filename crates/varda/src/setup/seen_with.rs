@@ -41,19 +41,38 @@ pub(crate) struct SeenWith<O> {
     dx: Vec<f64>,
     /// H(x), or what acts on it.
     y: Vec<f64>,
-    /// Places of the sites in the scene, where their own are unknown; and the columns of those.
+    /// What acts on the values in the operator's own axes.
+    back: Vec<f64>,
+    /// Places of the sites in the scene, where their own are unknown; where they are; and the columns of those.
     markers: Vec<Marker>,
+    moved: Vec<Marker>,
     columns: Vec<f64>,
     operator: O,
 }
 
+/// What an operator of a state sees of the longer one with constants in it, at these places; the operator
+/// itself where there are none. `markers` are the places of the sites in
+/// the scene, read where these are unknown.
+pub(crate) fn with_constants<O: Sites + 'static>(
+    operator: O,
+    places: Option<ParameterPlaces>,
+    seeing: Seeing,
+    markers: &[Marker],
+) -> Box<dyn ObservationOperator> {
+    match places {
+        None => Box::new(operator),
+        Some(places) => Box::new(SeenWith::new(operator, places, seeing, markers)),
+    }
+}
+
 impl<O: Sites> SeenWith<O> {
     /// `markers` are the places of the sites in the scene, read where these are unknown.
-    pub(crate) fn new(operator: O, places: ParameterPlaces, seeing: Seeing, markers: &[Marker]) -> Self {
+    fn new(operator: O, places: ParameterPlaces, seeing: Seeing, markers: &[Marker]) -> Self {
         let markers = if seeing.moves_sites() { markers.to_vec() } else { Vec::new() };
         let (own, rows) = (places.own_dim(), operator.dim());
         let (x, dx, columns) = (vec![0.0; own], vec![0.0; own], vec![0.0; 12 * markers.len()]);
-        Self { x, dx, y: vec![0.0; rows], seeing, places, markers, columns, operator }
+        let (y, back, moved) = (vec![0.0; rows], vec![0.0; rows], markers.clone());
+        Self { places, seeing, x, dx, y, back, markers, moved, columns, operator }
     }
 
     /// Puts the sites where the constants of a state have them.
@@ -62,14 +81,14 @@ impl<O: Sites> SeenWith<O> {
             return Ok(());
         }
         let p = &x[self.places.parameters()];
-        let mut moved = self.markers.clone();
-        for (i, marker) in moved.iter_mut().enumerate().take(self.seeing.sites) {
+        self.moved.copy_from_slice(&self.markers);
+        for (i, marker) in self.moved.iter_mut().enumerate().take(self.seeing.sites) {
             marker.s += self.seeing.arc_length.map_or(0.0, |first| p[first + i]);
             for (c, offset) in marker.offset.iter_mut().enumerate() {
                 *offset += self.seeing.offset.map_or(0.0, |first| p[first + 3 * i + c]);
             }
         }
-        self.operator.move_to(&moved)
+        self.operator.move_to(&self.moved)
     }
 
     /// For each number of the places of sites: its place among the constants, and its column.
@@ -163,12 +182,12 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
         }
         self.places.gather(x, &mut self.x);
         self.place_sites(x).expect("this state was observed before");
-        let mut back = dy.to_vec();
+        self.back.copy_from_slice(dy);
         if let Some(rho) = self.rotation(x) {
             self.operator.observe(at, &self.x, &mut self.y).expect("this state was observed before");
             let (turn, jacobian) = (exponential(&rho), left_jacobian(&rho));
             let mut sum = Vector3::zeros();
-            for (back, y) in back.chunks_exact_mut(3).zip(self.y.chunks_exact(3)) {
+            for (back, y) in self.back.chunks_exact_mut(3).zip(self.y.chunks_exact(3)) {
                 sum += (turn * place(y)).cross(&place(back));
                 set(back, turn.tr_mul(&place(back)));
             }
@@ -180,11 +199,11 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
             self.operator.by_place(at, &self.x, &mut self.columns);
             let dp = &mut dx[self.places.parameters()];
             self.each_place(|p, i, column| {
-                dp[p] += column.iter().zip(&back[3 * i..]).map(|(c, b)| c * b).sum::<f64>();
+                dp[p] += column.iter().zip(&self.back[3 * i..]).map(|(c, b)| c * b).sum::<f64>();
             });
         }
         self.places.gather(dx, &mut self.dx);
-        self.operator.adjoint_add(at, &self.x, &back, &mut self.dx);
+        self.operator.adjoint_add(at, &self.x, &self.back, &mut self.dx);
         self.places.scatter(&self.dx, dx);
     }
 }

@@ -1,12 +1,11 @@
 //! A cable between two grippers that move, recorded: what markers kept back, and the time after, say of it.
 
-use super::folder::scene_in;
 use crate::row::{Case, Outcome, Rows};
 use crate::suites::Options;
+use crate::suites::gripped_cable::{SIGMA, gripped_cable};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use std::ops::ControlFlow;
-use std::path::Path;
 use std::time::Instant;
 use varda::setup::Problem;
 use varda_assimilation::{
@@ -27,9 +26,6 @@ const WINDOWS: [(f64, f64, f64); 9] = [
     (4.5, 1.7, 39.4),
 ];
 
-/// σ of a coordinate of a marker \[m\].
-const SIGMA: f64 = 1e-3;
-
 pub(super) fn run(options: &Options, rows: &mut Rows) {
     rows.area("gripped cable");
     let every = if options.quick { 10 } else { 1 };
@@ -38,66 +34,9 @@ pub(super) fn run(options: &Options, rows: &mut Rows) {
     }
 }
 
-fn scene(begin: f64) -> String {
-    let marker = |i: usize| {
-        let used = if i.is_multiple_of(2) { "withhold" } else { "assimilate" };
-        format!("{{ name = \"m{i}\", arc_length = {}, use = \"{used}\" }}, ", i as f64 / 12.0)
-    };
-    let markers: String = (1..=11).map(marker).collect();
-    let gripper = |file: &str| {
-        format!(
-            "motion = {{ kind = \"pose\", file = \"{file}\", time_zero = {begin}, sigma = 1e-4, \
-             sigma_angle = 8.727e-4 }}"
-        )
-    };
-    format!(
-        r#"
-[model]
-kind = "rod"
-length = 1.0
-segments = 61
-clamp = "face"
-gravity = [0.0, 0.0, -9.81]
-section = {{ kind = "stiffness", ea = 1e3, ei = [3e-3, 3e-3], gj = 3e-3, mass_per_length = 0.08 }}
-natural_curvature = [2.0, 0.0]
-damping = {{ stiffness = 0.02, mass = 0.7 }}
-[model.start]
-{}
-[model.end]
-{}
-[time]
-integrator = "bdf2"
-step = 0.01
-window = 50
-[background]
-from = "static-equilibrium"
-[background.covariance]
-kind = "kernel"
-sigma_x = 0.03
-sigma_v = 0.5
-correlation_length_x = 0.2
-correlation_length_v = 0.2
-localization_length = 1.0
-prior = "clamp"
-[observations]
-kind = "file"
-file = "markers.csv"
-sigma = {SIGMA}
-time_zero = {begin}
-outside_window = "skip"
-markers = [{markers}]
-[report]
-forecast = 0.5
-"#,
-        gripper("poses_a.csv"),
-        gripper("poses_b.csv")
-    )
-}
-
 fn gripped(case: &mut Case, (end, spline, persistence): (f64, f64, f64)) -> Outcome {
     let began = Instant::now();
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/gripped-cable");
-    let problem = Problem::from_scene(&scene_in(&folder, &scene(end - 0.5), &[])?)?;
+    let problem = Problem::from_scene(&gripped_cable(end - 0.5, &[])?)?;
     let mut observations = problem.observations()?;
     let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref())?;
     let mut model = problem.model();

@@ -2,6 +2,7 @@
 
 mod filter;
 mod gradients;
+mod gripped;
 mod recovery;
 
 use super::Options;
@@ -12,5 +13,8 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     gradients::run(&mut rows);
     filter::run(&mut rows);
     recovery::run(&mut rows);
+    if options.full {
+        gripped::run(&mut rows);
+    }
     rows.finish()
 }
