@@ -3,6 +3,7 @@
 mod adjoint;
 mod counts;
 mod coverage;
+mod driven_rod;
 mod equivalence;
 mod field;
 mod folder;

@@ -15,7 +15,7 @@ pub(super) fn section(all: &[Estimated]) -> String {
         return String::new();
     }
     let rows: String = all.iter().map(row).collect();
-    let headings = ["constant", "prior", "analysis", "95 % interval", "", "mesh"];
+    let headings = ["constant", "analysis", "prior", "95 % interval", "", "mesh"];
     format!(
         "<section><h2>Estimated constants</h2>{}<p>Values ± σ. The bar is the 95 % interval within that of \
          the prior; the mark is the analysis. mesh: the part of σ that allows for the mesh.</p>{}</section>",
@@ -34,7 +34,7 @@ fn row(e: &Estimated) -> String {
     let interval = e.interval.filter(|_| seen);
     let unit = if e.unit == "1" { String::new() } else { format!(" [{}]", e.unit) };
     format!(
-        "<tr><th scope=\"row\">{}{unit}</th><td>{}</td><td>{analysis}</td><td>{}</td><td>{}</td>\
+        "<tr><th scope=\"row\">{}{unit}</th><td>{analysis}</td><td>{}</td><td>{}</td><td>{}</td>\
          <td>{}</td></tr>",
         escape(&e.name),
         with_sigma(e.prior, e.prior_sigma),
@@ -85,6 +85,8 @@ fn bar(e: &Estimated, [low, high]: [f64; 2]) -> String {
 
 /// The lower triangle of their correlations.
 fn correlations(all: &[Estimated]) -> String {
+    // σ of observations has none: it is no number of the control
+    let all: Vec<&Estimated> = all.iter().filter(|e| !e.correlations.is_empty()).collect();
     let n = all.len();
     if !(2..=MOST_CORRELATED).contains(&n) || all.iter().any(|e| e.correlations.len() != n) {
         return String::new();

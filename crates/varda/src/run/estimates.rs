@@ -7,7 +7,7 @@ use crate::setup::Problem;
 use crate::setup::estimate::Constant;
 
 /// 95 % of a normal distribution are within so many σ.
-const INTERVAL: f64 = 1.959963984540054;
+pub(super) const INTERVAL: f64 = 1.959963984540054;
 
 /// Estimates of an analysis whose posterior has this root, by columns of the length of the control; no root
 /// where there is none, and then `has_posterior` says whether its σ are known all the same.

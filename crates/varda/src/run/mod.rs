@@ -14,6 +14,7 @@ mod interrupted;
 mod mesh;
 mod model_errors;
 mod modes;
+mod passes;
 mod second_minimum;
 mod shapes;
 mod spread;
@@ -21,4 +22,5 @@ mod verdict;
 pub mod window;
 
 pub use modes::modes;
-pub use window::{Listener, assimilate, simulate};
+pub use passes::assimilate;
+pub use window::{Listener, simulate};

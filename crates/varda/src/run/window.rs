@@ -11,18 +11,16 @@ use varda_linalg::interrupt::{self, Ends};
 use super::interrupted::{Asked, Lowest};
 use super::verdict::{self, Judged};
 use super::{
-    amplification, between_steps, departures, estimates, fit, mesh, model_errors, second_minimum, shapes,
-    spread,
+    amplification, between_steps, departures, estimates, fit, model_errors, second_minimum, shapes, spread,
 };
 use crate::Error;
 use crate::outcome::{
     Attempt, ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
-    Simulation, Status, Trajectories, TwinFiles, Verdict, WorkCounts, remarks_on_estimates,
+    Simulation, Status, Trajectories, TwinFiles, WorkCounts,
 };
-use crate::scene::SceneFile;
+use crate::setup::Problem;
 use crate::setup::adaptive_steps::Refreshing;
 use crate::setup::runs::{MakeModel, run_on};
-use crate::setup::{Inputs, Problem};
 use crate::solve::timed::{Clock, Timed};
 use crate::solve::{self, Iterate, PosteriorSpread, Solution, Task};
 
@@ -49,15 +47,21 @@ impl Listener<'_> {
             started: Instant::now(),
         }
     }
+
+    /// A listener that says nothing and ends when this one does.
+    pub(super) fn quiet(&self) -> Listener<'_> {
+        Listener {
+            on_iteration: Box::new(|_| {}),
+            interrupted: Box::new(|| (self.interrupted)()),
+            ends: self.ends.clone(),
+            started: self.started,
+        }
+    }
 }
 
-/// Minimises the cost of a problem by the method of its scene, and collects all that a report needs. The same
-/// problem gives the same bits every time.
-///
-/// # Errors
-/// [`Error::Assimilation`] where the cost cannot be evaluated at the background; [`Error::Model`],
-/// [`Error::Rod`]. How a minimization ended is a [`Status`].
-pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome, Error> {
+/// One pass of [`assimilate`](super::assimilate): observations as the problem has them, σ of constants without
+/// an allowance for the mesh and without remarks.
+pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome, Error> {
     let experiment = &problem.experiment;
     let (scene, layout, grid) = (&experiment.scene, &experiment.state, &experiment.grid);
     let truth = problem.truth.as_ref().map(|x| x[..problem.background.len()].to_vec());
@@ -208,11 +212,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     let mut shapes = shapes::with_observations(problem, &trajectories)?;
     let rejected = rejected(experiment, &solution.rejected);
     let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
-    let mut estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
-    let run = (status, analysis.chi2);
-    let (of_mesh, mesh) = mesh::allow(problem, &mut estimates, run, |file| finer(file, listener));
-    warnings.extend(of_mesh);
-    warnings.extend(remarks_on_estimates(&estimates, judgement.verdict == Verdict::Fits));
+    let estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
     let mut spread = spread::along(problem, make_model(0).as_mut(), &analysis.analysis, root, &trajectories)?;
     if let (Some(shapes), Some(spread)) = (&mut shapes, &mut spread) {
         shapes.sigma_forces = std::mem::take(&mut spread.forces);
@@ -244,8 +244,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         estimates,
         seconds: Seconds {
             total: listener.started.elapsed().as_secs_f64(),
-            diagnostics: began.elapsed().as_secs_f64() - solved - mesh,
-            mesh,
+            diagnostics: began.elapsed().as_secs_f64() - solved,
             ..seconds
         },
         fit,
@@ -261,17 +260,6 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         warnings,
         analysis,
     })
-}
-
-/// The same estimate on a finer mesh, in silence.
-fn finer(file: &SceneFile, listener: &Listener) -> Result<Outcome, Error> {
-    let mut quiet = Listener {
-        on_iteration: Box::new(|_| {}),
-        interrupted: Box::new(|| (listener.interrupted)()),
-        ends: listener.ends.clone(),
-        started: listener.started,
-    };
-    assimilate(&Problem::new(Inputs::read(file)?)?, &mut quiet)
 }
 
 /// What the model refused during the minimization, as data.

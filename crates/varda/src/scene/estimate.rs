@@ -67,6 +67,13 @@ pub struct Estimate {
     /// `bias[tip].x`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bias: Option<Unknown>,
+    /// Offset of the recording's clock [s]: what it wrote down at t was at t + `clock` by the model's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clock: Option<Unknown>,
+    /// A factor of σ of all observations, by its likelihood: σ is that of the scene times a number near 1, known
+    /// to the share that is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub observation_sigma: Option<Unknown>,
     /// Forcing F of `lorenz96`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub forcing: Option<Unknown>,
@@ -89,6 +96,11 @@ pub struct Estimate {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub viscosity: Option<Unknown>,
 }
+
+/// Keys of what a rod's observations depend on, and of those of any model.
+pub(crate) const OF_PLACES: [&str; 4] =
+    ["marker_arc_length", "marker_offset", "mount_rotation", "mount_translation"];
+pub(crate) const OF_OBSERVATIONS: [&str; 3] = ["bias", "clock", "observation_sigma"];
 
 /// The prior of a constant: of every component alike, or one after the other.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -208,6 +220,8 @@ impl Estimate {
             ("mount_rotation", &self.mount_rotation),
             ("mount_translation", &self.mount_translation),
             ("bias", &self.bias),
+            ("clock", &self.clock),
+            ("observation_sigma", &self.observation_sigma),
         ];
         all.into_iter().filter_map(|(key, unknown)| Some((key, unknown.as_ref()?))).collect()
     }

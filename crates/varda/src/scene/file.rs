@@ -20,9 +20,26 @@ pub struct SceneFile {
     pub name: String,
     /// The scene.
     pub scene: Scene,
+    /// What an estimate has found of the observations so far; nothing of that is in the file.
+    pub(crate) adjusted: Adjusted,
     label: String,
     folder: Option<PathBuf>,
     places: BTreeMap<String, Place>,
+}
+
+/// What passes of an estimate change in how observations are read.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Adjusted {
+    /// Added to the times of a recording \[s\].
+    pub(crate) clock: f64,
+    /// Factor of σ of all observations.
+    pub(crate) sigma: f64,
+}
+
+impl Default for Adjusted {
+    fn default() -> Self {
+        Adjusted { clock: 0.0, sigma: 1.0 }
+    }
 }
 
 impl SceneFile {
@@ -81,6 +98,7 @@ impl SceneFile {
         let file = SceneFile {
             name: name.to_string(),
             scene,
+            adjusted: Adjusted::default(),
             label: label.to_string(),
             folder: folder.map(Path::to_path_buf),
             places,

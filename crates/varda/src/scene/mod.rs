@@ -49,8 +49,9 @@ pub use background::{
 };
 pub use cycles::{Adaptive, CycledCovariance, Cycles, EnsembleUpdate, Inflation};
 pub use ensemble::Ensemble;
-pub(crate) use estimate::PriorSpread;
 pub use estimate::{ConstantPrior, Estimate, PriorSigma, Unknown};
+pub(crate) use estimate::{OF_OBSERVATIONS, OF_PLACES, PriorSpread};
+pub(crate) use file::Adjusted;
 pub use file::SceneFile;
 pub use grid::TimeGrid;
 pub(crate) use invalid::Invalid;

@@ -1,5 +1,6 @@
 //! What `[estimate]` must satisfy beyond the type of each key.
 
+use super::estimate::{OF_OBSERVATIONS, OF_PLACES, PriorSpread};
 use super::invalid::{Check, invalid};
 use super::{ConstantPrior, Estimate, Method, Model, RodModel, Scene, Section, Unknown};
 
@@ -18,7 +19,6 @@ const OF_ROD: [&str; 12] = [
     "natural_twist",
     "point_mass",
 ];
-const OF_PLACES: [&str; 4] = ["marker_arc_length", "marker_offset", "mount_rotation", "mount_translation"];
 
 fn known(model: &Model) -> &'static [&'static str] {
     match model {
@@ -36,8 +36,12 @@ pub(super) fn validate_estimate(estimate: &Estimate, scene: &Scene) -> Check {
     let is_rod = matches!(scene.model, Model::Rod(_));
     for (key, unknown) in estimate.given() {
         let path = format!("estimate.{key}");
-        if !(names.contains(&key) || key == "bias" || is_rod && OF_PLACES.contains(&key)) {
-            let others = if names.is_empty() { "none but `bias`".to_string() } else { names.join(", ") };
+        if !(names.contains(&key) || OF_OBSERVATIONS.contains(&key) || is_rod && OF_PLACES.contains(&key)) {
+            let others = if names.is_empty() {
+                format!("none but those of observations: {}", OF_OBSERVATIONS.join(", "))
+            } else {
+                names.join(", ")
+            };
             return invalid(path, format!("is no constant of this model, which has {others}"));
         }
         let priors: Vec<&ConstantPrior> = match unknown {
@@ -66,6 +70,9 @@ pub(super) fn validate_estimate(estimate: &Estimate, scene: &Scene) -> Check {
         return invalid("time.tolerance", "time steps that adapt do not go with [estimate]: leave one out");
     }
     let algorithm = &scene.algorithm;
+    if estimate.observation_sigma.is_some() {
+        validate_sigma(estimate, scene)?;
+    }
     if algorithm.cycles.is_some() {
         return invalid("algorithm.cycles", "constants are estimated in one window: leave [estimate] out");
     }
@@ -78,6 +85,26 @@ pub(super) fn validate_estimate(estimate: &Estimate, scene: &Scene) -> Check {
         let message = "constants have no place that a distance could be taken from: leave it out, or \
             [estimate]";
         return invalid("algorithm.ensemble.localization_length", message);
+    }
+    Ok(())
+}
+
+/// σ by its likelihood needs the degrees of freedom that an analysis takes, and errors that are normal.
+fn validate_sigma(estimate: &Estimate, scene: &Scene) -> Check {
+    const KEY: &str = "estimate.observation_sigma";
+    let Some(unknown) = &estimate.observation_sigma else { return Ok(()) };
+    for (path, prior) in unknown.priors(KEY, 1)? {
+        if let PriorSpread::Normal(_) = prior.spread(&path)? {
+            return invalid(path, "is a factor: give sigma as a share, \"50%\"");
+        }
+    }
+    if !scene.report.posterior {
+        return invalid("report.posterior", "estimate.observation_sigma needs it: leave one out");
+    }
+    if scene.algorithm.robust.is_some() {
+        let message =
+            "is no likelihood that σ could be found by: leave it out, or estimate.observation_sigma";
+        return invalid("algorithm.robust", message);
     }
     Ok(())
 }

@@ -36,7 +36,7 @@ pub(crate) fn synthetic(
     };
     let steps = files.scene.checked(keys.observed_steps(grid.steps))?;
     let sigma = files.scene.checked(keys.component_sigma())?;
-    let (constants, seeing) = (places(system), system.estimates.seen);
+    let (constants, seeing, models) = (places(system), system.estimates.seen, system.models());
     Ok(Observed {
         errors: None,
         sites: components.iter().enumerate().map(site).collect(),
@@ -45,7 +45,13 @@ pub(crate) fn synthetic(
         left_out: Vec::new(),
         recording: None,
         make_operator: Box::new(move || {
-            Ok(with_constants(Selection::new(components.clone(), n)?, constants.clone(), seeing, &[]))
+            Ok(with_constants(
+                Selection::new(components.clone(), n)?,
+                constants.clone(),
+                seeing,
+                &[],
+                &models,
+            ))
         }),
         draws: Some(Draws { steps, sigma }),
     })
@@ -83,7 +89,7 @@ pub(crate) fn recorded(
     let mut site_of: BTreeMap<Place, usize> = places.iter().map(|place| (*place, 0)).collect();
     site_of.values_mut().enumerate().for_each(|(i, site)| *site = i);
 
-    let clock = Clock { recording, grid };
+    let clock = Clock { recording, grid, shift: files.scene.adjusted.clock };
     let mut left = LeftOut::default();
     let (mut seen, mut recorded, mut known) = (Vec::new(), Vec::new(), HashSet::new());
     for (row, place) in rows.iter().zip(&places) {
@@ -118,7 +124,7 @@ pub(crate) fn recorded(
     let summary = summary(sites_are, counted, (&times, &clock), sites_by_name, &recorded);
     let places: Vec<Place> = site_of.into_keys().collect();
     let (n, line) = (system.names.len(), system.line);
-    let (constants, seeing) = (self::places(system), system.estimates.seen);
+    let (constants, seeing, models) = (self::places(system), system.estimates.seen, system.models());
     Ok(Observed {
         errors: None,
         sites,
@@ -127,7 +133,7 @@ pub(crate) fn recorded(
         left_out: left.into_texts(),
         recording: Some(summary),
         make_operator: Box::new(move || {
-            Ok(with_constants(operator(&places, n, line)?, constants.clone(), seeing, &[]))
+            Ok(with_constants(operator(&places, n, line)?, constants.clone(), seeing, &[], &models))
         }),
         draws: None,
     })

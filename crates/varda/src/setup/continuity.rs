@@ -33,16 +33,7 @@ impl Fastest {
         if let Some(speed) = stated {
             return Fastest { speed, stated: true };
         }
-        const SAMPLES: usize = 500;
-        let supports = &parts.supports;
-        let clamps = [&supports.start, &supports.end].into_iter().flatten().map(|clamp| &clamp.position);
-        let moving = clamps.chain(supports.prescribed.iter().map(|(_, place)| place));
-        let h = (run[1] - run[0]) / SAMPLES as f64;
-        let time = |k: usize| run[0] + h * k as f64;
-        let speeds = moving.flat_map(|place| {
-            (0..SAMPLES).map(move |k| (place.at(time(k + 1)) - place.at(time(k))).norm() / h)
-        });
-        let support = speeds.fold(0.0, f64::max);
+        let support = speed_of_supports(parts, run);
         let rod = &parts.rod;
         let (length, mass) = (rod.length(), rod.masses.iter().sum::<f64>());
         let fall = (2.0 * parts.loads.gravity.norm() * length).sqrt();
@@ -50,6 +41,19 @@ impl Fastest {
         let swing = 0.5 * 1.875_f64.powi(2) / length * (ei * length / mass).sqrt();
         Fastest { speed: MARGIN * (support + fall + swing), stated: false }
     }
+}
+
+/// The largest speed of a support between two times \[m/s\].
+pub(super) fn speed_of_supports(parts: &RodParts, run: [f64; 2]) -> f64 {
+    const SAMPLES: usize = 500;
+    let supports = &parts.supports;
+    let clamps = [&supports.start, &supports.end].into_iter().flatten().map(|clamp| &clamp.position);
+    let moving = clamps.chain(supports.prescribed.iter().map(|(_, place)| place));
+    let h = (run[1] - run[0]) / SAMPLES as f64;
+    let time = |k: usize| run[0] + h * k as f64;
+    let speeds = moving
+        .flat_map(|place| (0..SAMPLES).map(move |k| (place.at(time(k + 1)) - place.at(time(k))).norm() / h));
+    speeds.fold(0.0, f64::max)
 }
 
 impl std::fmt::Display for Fastest {

@@ -7,7 +7,9 @@ use varda_rod::{Change, Damping, Law, Parameter, Rod, Section, Vector3};
 
 use super::covariance::Factored;
 use crate::Error;
-use crate::scene::{ConstantPrior, Model, Observations, PriorSpread, RodModel, SceneFile, Unknown};
+use crate::scene::{
+    ConstantPrior, Model, OF_OBSERVATIONS, OF_PLACES, Observations, PriorSpread, RodModel, SceneFile, Unknown,
+};
 
 /// Unknown constants p, in the order of the control. Each is zero at the value that the scene writes.
 #[derive(Debug, Clone, Default)]
@@ -26,7 +28,7 @@ pub struct Estimates {
 }
 
 /// Constants of the observations, by the place of their first number among all.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Seeing {
     /// How many sites have constants of their own.
     pub(crate) sites: usize,
@@ -35,6 +37,9 @@ pub(crate) struct Seeing {
     pub(crate) rotation: Option<usize>,
     pub(crate) translation: Option<usize>,
     pub(crate) bias: Option<usize>,
+    pub(crate) clock: Option<usize>,
+    /// What of the clock's offset is in the times of the observations already \[s\].
+    pub(crate) clock_known: f64,
 }
 
 impl Seeing {
@@ -131,7 +136,7 @@ impl Estimates {
     pub(crate) fn of_rod(file: &SceneFile, model: &RodModel, described: &Described) -> Result<Self, Error> {
         let mut all = Estimates::default();
         for (key, unknown) in file.scene.estimate.given() {
-            if key.starts_with("mount_") || key.starts_with("marker_") || key == "bias" {
+            if OF_PLACES.contains(&key) || OF_OBSERVATIONS.contains(&key) {
                 continue;
             }
             all.add_of_rod(file, model, described, key, unknown)?;
@@ -211,6 +216,10 @@ impl Estimates {
             };
             let names: Vec<String> = sites.iter().flat_map(name).collect();
             self.add_additive(file, "estimate.bias", unknown, &names, if width == 1 { "1" } else { "m" })?;
+        }
+        if let Some(unknown) = &estimate.clock {
+            (self.seen.clock, self.seen.clock_known) = (Some(self.len()), file.adjusted.clock);
+            self.add_additive(file, "estimate.clock", unknown, &["clock".to_string()], "s")?;
         }
         Ok(())
     }

@@ -1,6 +1,7 @@
 //! From a scene to a [`Problem`]: models, background, covariance, observations.
 
 pub(crate) mod adaptive_steps;
+mod clocked;
 mod component_model;
 mod component_observations;
 mod component_rows;

@@ -48,6 +48,8 @@ pub struct Problem {
     pub memory: usize,
     /// The scene with twice the segments, where σ of its constants needs an allowance for the mesh.
     pub(crate) finer: Finer,
+    /// The scene, where passes of an estimate adjust how its observations are read.
+    pub(crate) adjustable: Option<Box<SceneFile>>,
     /// The time steps of the models, if they are adaptive.
     pub(crate) adaptive_steps: Option<AdaptiveSteps>,
 }
@@ -122,6 +124,7 @@ impl Problem {
             let mut model = make_truth.as_ref().unwrap_or(&make_model)(0);
             observed.draw(model.as_mut(), &grid, truth, scene.seed)?;
         }
+        observed.seen.iter_mut().for_each(|seen| seen.sigma *= one_window.adjusted.sigma);
         let mut left_out = system.left_out();
         left_out.extend(observed.left_out.iter().cloned());
         left_out.extend(without_derivatives(scene));
@@ -147,6 +150,7 @@ impl Problem {
             truth,
             observed,
             memory: memory.for_window,
+            adjustable: adjustable(&one_window),
             finer: one_window.checked(finer(&one_window))?,
             adaptive_steps,
         };
@@ -192,4 +196,10 @@ impl Problem {
 pub(crate) fn without_derivatives(scene: &Scene) -> Option<String> {
     let line = "tangent and adjoint: an ensemble of forward runs takes their place";
     scene.algorithm.method.is_ensemble().then(|| line.to_string())
+}
+
+/// The scene, where its clock or σ is estimated.
+fn adjustable(file: &SceneFile) -> Option<Box<SceneFile>> {
+    let estimate = &file.scene.estimate;
+    (estimate.clock.is_some() || estimate.observation_sigma.is_some()).then(|| Box::new(file.clone()))
 }

@@ -31,7 +31,7 @@ pub(super) fn summary<'a>(
     labels: impl Iterator<Item = &'a str>,
     recorded: &[Recorded],
 ) -> RecordingSummary {
-    let Clock { recording, grid } = clock;
+    let Clock { recording, grid, .. } = clock;
     RecordingSummary {
         sites_are,
         rows,
@@ -110,6 +110,9 @@ impl LeftOut {
 pub(super) struct Clock<'a> {
     pub(super) recording: &'a Recording,
     pub(super) grid: TimeGrid,
+    /// What is known of the recording's offset against the model \[s\]: added to the times of its rows. A row of
+    /// the window that it takes out of there is left out.
+    pub(super) shift: f64,
 }
 
 impl Clock<'_> {
@@ -128,7 +131,7 @@ impl Clock<'_> {
         rounding: f64,
         left: &mut LeftOut,
     ) -> Result<Option<f64>, String> {
-        let Clock { recording, grid } = *self;
+        let Clock { recording, grid, shift } = *self;
         // Rounding of the arithmetic on top of that of the file.
         let digits = Some(rounding / grid.step).filter(|d| *d <= 0.25).unwrap_or(0.0) + 1e-6;
         // A time within a thousandth of a step of an end of the window was meant to be that end.
@@ -152,6 +155,19 @@ impl Clock<'_> {
             }
         }
         let at = at.clamp(0.0, if beyond { f64::INFINITY } else { grid.steps as f64 });
-        Ok(Some(if (at - at.round()).abs() <= digits { at.round() } else { at }))
+        let at = if (at - at.round()).abs() <= digits { at.round() } else { at };
+        if shift == 0.0 {
+            return Ok(Some(at));
+        }
+        let (at, last) = (at + shift / grid.step, if beyond { grid.last_step() } else { grid.steps });
+        let outside = if at < 0.0 { Some(&mut left.before) } else { None };
+        let outside = if at > last as f64 { Some(&mut left.after) } else { outside };
+        Ok(match outside {
+            Some(count) => {
+                *count += 1;
+                None
+            }
+            None => Some(at),
+        })
     }
 }

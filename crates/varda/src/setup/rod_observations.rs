@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use varda_rod::{Marker, Markers, Matrix3, Vector3};
 
-use super::continuity::{self, Fastest};
+use super::continuity::{self, Fastest, speed_of_supports};
 use super::csv::{self, Subject};
 use super::files::Files;
 use super::observations::{Draws, MakeOperator, Observed, ObservedSpace, Seen, Site};
@@ -17,7 +17,9 @@ use super::rod_model::RodParts;
 use super::seen_with::with_constants;
 use crate::Error;
 use crate::outcome::{Neighbours, RecordingSummary, SitesAre};
-use crate::scene::{Frame, Model, Recording, Synthetic, TimeGrid, UnreachableRows, Use};
+use crate::scene::{
+    Frame, Model, PriorSpread, Recording, Synthetic, TimeGrid, Unknown, UnreachableRows, Use,
+};
 
 /// A site and its place on the rod.
 #[derive(Debug, Clone)]
@@ -92,6 +94,9 @@ pub(crate) fn recorded(
         Model::Rod(model) => model.followed_markers().collect(),
         _ => HashSet::new(),
     };
+    let clock = Clock { recording, grid, shift: files.scene.adjusted.clock };
+    let run = [grid.start, grid.time(grid.last_step())];
+    let (rows_may_be, late) = unknown_errors(files, rod, run)?;
     let mut left = LeftOut::default();
     let mut seen = Vec::new();
     let mut sightings = Vec::new();
@@ -122,16 +127,16 @@ pub(crate) fn recorded(
                 })
             }
         };
-        let time = row.time - recording.time_zero;
+        let time = row.time - recording.time_zero + clock.shift;
         let sigma = row.sigma.or(recording.sigma).ok_or_else(|| {
             bad(row.line, "no standard deviation: fill `sigma_m`, or give observations.sigma".to_string())
         })?;
         recorded.push(Recorded { time: row.time, site, position: row.position, sigma });
-        let clock = Clock { recording, grid };
         let at = clock.place(row.time, row.time_rounding, &mut left).map_err(|e| bad(row.line, e))?;
         let Some(at) = at else { continue };
         let values = (0..3).map(|c| row.position[c].map(|v| v + shift[c])).collect();
         seen.push(Seen { site, step: at.floor() as usize, weight: at.fract(), values, sigma });
+        let sigma = (rows_may_be * sigma).hypot(late);
         sightings.push(Sighting { line: row.line, site, time, written: row.position, sigma });
     }
     left.repeated = leave_out_repeated(&mut seen, &mut sightings);
@@ -158,7 +163,7 @@ pub(crate) fn recorded(
         let rows = unreachable.iter().map(|u| u.row).collect();
         impossible.leave_out("rows beyond the rod's reach", rows, &reason)?;
     }
-    let fastest = Fastest::of(&rod.parts, recording.max_speed, [grid.start, grid.time(grid.last_step())]);
+    let fastest = Fastest::of(&rod.parts, recording.max_speed, run);
     let jumps = continuity::jumps(&impossible.sightings, fastest);
     if !jumps.is_empty() {
         let reason = continuity::explain_jumps(&impossible.sightings, &jumps, fastest, &labels);
@@ -174,11 +179,26 @@ pub(crate) fn recorded(
     let times: Vec<f64> = rows.iter().map(|row| row.time).collect();
     let counted = left.count(rows.len(), &seen, |site| sites[site].withheld, grid);
     let sites_by_name = sites.iter().map(|site| site.label.as_str());
-    let clock = Clock { recording, grid };
     let summary = summary(SitesAre::Markers, counted, (&times, &clock), sites_by_name, &recorded);
     let summary = RecordingSummary { neighbours: neighbours.collect(), ..summary };
     let observed = observed(rod, sites, rotation, seen, None, left.into_texts());
     Ok(Observed { recording: Some(summary), ..observed })
+}
+
+/// By how much σ of rows may be larger than the scene says, and how far supports may be from where they are
+/// taken to be \[m\], where σ and clock are estimated: two σ, and one.
+fn unknown_errors(files: &Files, rod: &RodSystem, run: [f64; 2]) -> Result<(f64, f64), Error> {
+    let prior = |key: &str, unknown: &Option<Unknown>| -> Result<f64, Error> {
+        let Some(unknown) = unknown else { return Ok(0.0) };
+        let (path, prior) = files.scene.checked(unknown.priors(&format!("estimate.{key}"), 1))?.remove(0);
+        let (PriorSpread::Normal(sigma) | PriorSpread::LogNormal(sigma)) =
+            files.scene.checked(prior.spread(&path))?;
+        Ok(sigma)
+    };
+    let estimate = &files.scene.scene.estimate;
+    let share = prior("observation_sigma", &estimate.observation_sigma)?;
+    let late = prior("clock", &estimate.clock)? * speed_of_supports(&rod.parts, run);
+    Ok(((2.0 * share).exp(), late))
 }
 
 /// Rows of a recording while those that cannot be true are looked for.
@@ -237,7 +257,7 @@ fn observed(
 ) -> Observed {
     let markers: Rc<[Marker]> = sites.iter().map(|s| s.marker).collect();
     let operator = |rotation: [[f64; 3]; 3], mounted: bool| -> MakeOperator {
-        let (markers, parts) = (Rc::clone(&markers), rod.parts.clone());
+        let (markers, parts, models) = (Rc::clone(&markers), rod.parts.clone(), rod.models());
         // values are those of the recording turned into its axes but not displaced: the origin is the model's
         let axes = Matrix3::from(rotation).transpose();
         let seen = move |parts: &RodParts, markers: &[Marker]| {
@@ -248,7 +268,7 @@ fn observed(
             let seeing = if mounted { parts.estimates.seen } else { parts.estimates.seen.of_places() };
             let operator = if seeing.moves_sites() { operator.with_frames() } else { operator };
             let places = (!parts.estimates.is_empty()).then(|| parts.places()).transpose()?;
-            Ok(with_constants(operator, places, seeing, &markers))
+            Ok(with_constants(operator, places, seeing, &markers, &models))
         })
     };
     let site = |(i, site): (usize, Placed)| Site {

@@ -5,7 +5,9 @@ use varda_implicit::{At, ParameterPlaces, Refusal};
 use varda_rod::rotation::{exponential, left_jacobian};
 use varda_rod::{Marker, Markers, Vector3};
 
+use super::clocked::Clocked;
 use super::estimate::Seeing;
+use super::runs::MakeModel;
 
 /// An operator whose sites may be put elsewhere on a rod.
 pub(crate) trait Sites: ObservationOperator {
@@ -51,17 +53,27 @@ pub(crate) struct SeenWith<O> {
 }
 
 /// What an operator of a state sees of the longer one with constants in it, at these places; the operator
-/// itself where there are none. `markers` are the places of the sites in
-/// the scene, read where these are unknown.
+/// itself where there are none. `markers` are the places of the sites in the scene, read where these are
+/// unknown; `models` has the rates of a state, for a recording whose clock is.
+///
+/// # Panics
+/// If the clock is unknown and the model has no rates: [`Inputs`](super::Inputs) refuses that.
 pub(crate) fn with_constants<O: Sites + 'static>(
     operator: O,
     places: Option<ParameterPlaces>,
     seeing: Seeing,
     markers: &[Marker],
+    models: &MakeModel,
 ) -> Box<dyn ObservationOperator> {
-    match places {
-        None => Box::new(operator),
-        Some(places) => Box::new(SeenWith::new(operator, places, seeing, markers)),
+    let Some(places) = places else { return Box::new(operator) };
+    let first = places.parameters().start;
+    let seen = Box::new(SeenWith::new(operator, places, seeing, markers));
+    match seeing.clock {
+        None => seen,
+        Some(clock) => {
+            let rate = models(0).rate().expect("a clock is refused without rates");
+            Box::new(Clocked::new(seen, rate, first + clock, seeing.clock_known))
+        }
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::folder::{Folder, scene_in};
 use crate::row::{Case, Outcome, Rows};
+use crate::suites::driven_rod::{DRIVEN_ROD, RECORDING, TWIN};
 use std::fmt::Write;
 use std::path::Path;
 use varda::outcome::{self, Cause, Status, Verdict};
@@ -213,59 +214,9 @@ const FAULTS: [Fault; 7] = [
     },
 ];
 
-/// A rod clamped level, its clamp driven around an ellipse, seen at four places.
-const ROD: &str = r#"
-[model]
-kind = "rod"
-length = 0.5
-segments = 10
-gravity = [0.0, 0.0, -9.81]
-section = { kind = "circle", radius = 0.008 }
-material = { youngs_modulus = 5e6, poisson_ratio = 0.5, density = 1100.0 }
-damping = { mass = 0.5 }
-[model.start]
-position = [0.0, 0.0, 0.0]
-tangent = [1.0, 0.0, 0.0]
-director = [0.0, 1.0, 0.0]
-motion = { kind = "ellipse", radii = [0.03, 0.02], omega = 8.0, ramp_periods = 1.0 }
-[time]
-integrator = "bdf2"
-step = 0.01
-spin_up = 150
-window = 100
-[background.covariance]
-kind = "kernel"
-sigma_x = 0.03
-sigma_v = 0.3
-correlation_length_x = 0.25
-correlation_length_v = 0.25
-localization_length = 0.5
-prior = "clamp"
-"#;
-
-const TRUE: &str = r#"
-[background]
-from = "truth-plus-draw"
-[observations]
-kind = "synthetic"
-places = [0.125, 0.25, 0.375, 0.5]
-every = 2
-sigma = 0.002
-"#;
-
-const RECORDED: &str = r#"
-[background]
-from = "static-equilibrium"
-[observations]
-kind = "file"
-file = "seen.csv"
-sigma = 0.002
-outside_window = "skip"
-"#;
-
 fn planted(case: &mut Case, fault: &Fault) -> Outcome {
     let folder = Folder::new(fault.name)?;
-    let truth = Problem::from_scene(&folder.scene(&format!("{TRUE}{ROD}"), fault.truth)?)?;
+    let truth = Problem::from_scene(&folder.scene(&format!("{TWIN}{DRIVEN_ROD}"), fault.truth)?)?;
     let grid = truth.experiment.grid;
     let mut csv = String::from("time_s,s_m,x_m,y_m,z_m\n");
     for sight in truth.observed.sights() {
@@ -273,7 +224,7 @@ fn planted(case: &mut Case, fault: &Fault) -> Outcome {
         writeln!(csv, "{},{},{x},{y},{z}", grid.time(sight.step), sight.arc_length)?;
     }
     folder.write("seen.csv", csv.as_bytes())?;
-    let outcome = ended(&folder.scene(&format!("{RECORDED}{ROD}"), fault.scene)?)?;
+    let outcome = ended(&folder.scene(&format!("{RECORDING}{DRIVEN_ROD}"), fault.scene)?)?;
     let text = outcome.evidence.as_ref().map_or("", |e| e.text.as_str()).to_string();
     let cause = outcome.evidence.as_ref().map(|e| e.cause);
     let right = cause.map_or(fault.named.is_empty(), |cause| fault.named.contains(&cause));

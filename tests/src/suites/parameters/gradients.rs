@@ -23,7 +23,7 @@ struct Constant {
 /// From files that do not depend on the constants.
 const HOSE: &[&str] = &["model.damping.mass=0.2", "time.window=30"];
 
-const CONSTANTS: [Constant; 15] = [
+const CONSTANTS: [Constant; 17] = [
     Constant {
         scene: "hose",
         sets: HOSE,
@@ -140,6 +140,23 @@ const CONSTANTS: [Constant; 15] = [
         scene: "starter",
         sets: &[],
         estimate: "estimate.bias={sigma=0.01}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+    Constant {
+        scene: "starter",
+        sets: &[],
+        estimate: "estimate.clock={sigma=0.004}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+    // between two steps
+    Constant {
+        scene: "hose",
+        sets: &["model.damping.mass=0.2", "time.window=30", "observations.time_zero=0.004"],
+        estimate: "estimate.clock={sigma=0.004}",
         written: &[],
         value: 0.0,
         exponential: false,

@@ -3,6 +3,7 @@
 mod filter;
 mod gradients;
 mod gripped;
+mod observed;
 mod recovery;
 
 use super::Options;
@@ -13,6 +14,7 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     gradients::run(&mut rows);
     filter::run(&mut rows);
     recovery::run(&mut rows);
+    observed::run(&mut rows);
     if options.full {
         gripped::run(&mut rows);
     }
