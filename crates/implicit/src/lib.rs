@@ -136,6 +136,7 @@ mod parameters;
 mod parametric_rhs;
 mod rate;
 mod rhs;
+mod second_order;
 #[cfg(feature = "implicit")]
 mod scheme;
 #[cfg(feature = "implicit")]
@@ -168,7 +169,8 @@ pub use rhs::Rhs;
 #[cfg(feature = "implicit")]
 pub use scheme::{Scheme, Stage};
 #[cfg(feature = "implicit")]
-pub use step::{ImplicitStep, Interval, SolvedStep, StepEquations};
+pub use step::{ImplicitStep, Interval, Multipliers, SolvedStep, StepEquations};
+pub use second_order::SecondOrder;
 pub use storage::{Footprint, Storage};
 pub use substepped::Substepped;
 pub use trajectory::{Keep, LinearizedStep, Trajectory};
