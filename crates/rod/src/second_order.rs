@@ -55,12 +55,18 @@ impl Increment<'_> {
 
 impl System {
     fn moved(&self, e: usize, mu: &Increment) -> Moved {
-        let (layout, shape) = (&self.layout, &self.shape);
-        let [a, b] = [e, e + 1].map(|v| dual(self.x[v], mu.place(layout, v)));
+        let layout = &self.layout;
+        let turn = if layout.twist { mu.0[layout.angle(e)] } else { 0.0 };
+        self.moved_by(e, [e, e + 1].map(|v| mu.place(layout, v)), turn)
+    }
+
+    /// Edge e where its ends are moved by ε `places` and its sections turned by ε `turn`.
+    fn moved_by(&self, e: usize, places: [Vector3<f64>; 2], turn: f64) -> Moved {
+        let shape = &self.shape;
+        let [a, b] = [0, 1].map(|i| dual(self.x[e + i], places[i]));
         let edge = Edge::between(&a, &b, e).expect("this shape was assembled before");
         let (t, dt) = (shape.edges[e].t, slope(&edge.t));
         let area = dt.cross(&t) / (2.0 * shape.edges[e].l);
-        let turn = if layout.twist { mu.0[layout.angle(e)] } else { 0.0 };
         let (m1, m2) = (shape.m1[e], shape.m2[e]);
         let carried = |m: &Vector3<f64>, across: Vector3<f64>| dual(*m, across * turn - t * m.dot(&dt));
         Moved { edge, m1: carried(&m1, m2), m2: carried(&m2, -m1), area }
@@ -171,14 +177,46 @@ impl System {
         for (e, &weight) in weights.iter().enumerate().filter(|(_, weight)| **weight != 0.0) {
             if e > 0 {
                 let h = twist(&shape.edges[e - 1], &shape.edges[e], shape.turn(e), weight);
-                Band { layout, values: band }.add(layout.vertex(e - 1), &h);
+                let mut band = Band { layout, values: band };
+                if layout.twist {
+                    band.add(layout.vertex(e - 1), &h);
+                } else {
+                    band.add(layout.vertex(e - 1), &without_angles::<11, 9>(&h, [3, 7]));
+                }
             } else if let (FirstFrame::Carried { tangent, .. }, Some(turn)) = (&self.first, shape.first_turn()) {
                 // from a direction that does not move: an edge of no end
                 let h = twist(&Edge { t: *tangent, l: 1e100 }, &shape.edges[0], turn, weight);
                 let own: [[f64; 7]; 7] = std::array::from_fn(|i| std::array::from_fn(|j| h[4 + i][4 + j]));
-                Band { layout, values: band }.add(layout.vertex(0), &own);
+                let mut band = Band { layout, values: band };
+                if layout.twist {
+                    band.add(layout.vertex(0), &own);
+                } else {
+                    band.add(layout.vertex(0), &without_angles::<7, 6>(&own, [3, 7]));
+                }
             }
         }
+    }
+
+    /// Adds the second derivatives of f·p, p = o₁ m₁ + o₂ m₂ + o₃ t of edge e, times an increment of its ends and
+    /// angle, to forces on these. Returns ∂(f·p)/∂α.
+    pub(crate) fn offset_second_add(
+        &self,
+        e: usize,
+        [force, offset]: [&Vector3<f64>; 2],
+        (places, turn): ([Vector3<f64>; 2], f64),
+        on_places: &mut [Vector3<f64>],
+        on_angle: &mut f64,
+    ) -> f64 {
+        let Moved { edge, m1, m2, area } = self.moved_by(e, places, turn);
+        let [f, o] = [force, offset].map(|v| dual(*v, Vector3::zeros()));
+        let by_angle = (m2 * o[0] - m1 * o[1]).dot(&f);
+        let by_tangent = f * o[2] - (m1 * o[0] + m2 * o[1]) * edge.t.dot(&f);
+        let rate = (by_tangent - edge.t * by_tangent.dot(&edge.t)) / edge.l;
+        let second = slope(&rate) + area * by_angle.re;
+        on_places[0] -= second;
+        on_places[1] += second;
+        *on_angle += by_angle.eps;
+        by_angle.re
     }
 
     /// Adds Σ s ∂²ε of the strains of another shape, one stress for each (see `KelvinVoigt::keep`), to a lower
@@ -202,4 +240,10 @@ impl System {
             Band { layout, values: band }.add(layout.vertex(e - 1), &h);
         }
     }
+}
+
+/// A matrix without two rows and columns.
+fn without_angles<const N: usize, const M: usize>(h: &[[f64; N]; N], angles: [usize; 2]) -> [[f64; M]; M] {
+    let at = |i: usize| i + usize::from(i >= angles[0]) + usize::from(i + 1 >= angles[1]);
+    std::array::from_fn(|i| std::array::from_fn(|j| h[at(i)][at(j)]))
 }
