@@ -162,6 +162,24 @@ impl Posterior {
         Self::of_pairs(eigenvalues, left)
     }
 
+    /// From the exact Hessian ∇²J around the point of the last gradient of `cost`, in place of A: the Laplace
+    /// approximation itself. Where the two differ the problem is nonlinear within the spread of its posterior.
+    ///
+    /// Cost: n products of the second-order adjoint, and an eigenvalue decomposition.
+    ///
+    /// # Errors
+    /// [`Error::NotPositiveDefinite`] where J is not convex at that point, [`Error::NoSecondDerivatives`] for a
+    /// cost without; products that fail.
+    ///
+    /// # Panics
+    /// If no gradient has been evaluated.
+    pub fn exact(cost: &mut dyn LeastSquares) -> Result<Self, Error> {
+        let n = cost.dim();
+        let mut hessian = vec![0.0; n * n];
+        cost.exact_hessian(&mut hessian)?;
+        Self::from_hessian(n, &hessian)
+    }
+
     /// From a Hessian in the control variable, n × n.
     ///
     /// # Errors

@@ -136,9 +136,9 @@ mod parameters;
 mod parametric_rhs;
 mod rate;
 mod rhs;
-mod second_order;
 #[cfg(feature = "implicit")]
 mod scheme;
+mod second_order;
 #[cfg(feature = "implicit")]
 mod step;
 mod storage;
@@ -168,9 +168,9 @@ pub use rate::{Rate, VelocityRate};
 pub use rhs::Rhs;
 #[cfg(feature = "implicit")]
 pub use scheme::{Scheme, Stage};
+pub use second_order::SecondOrder;
 #[cfg(feature = "implicit")]
 pub use step::{ImplicitStep, Interval, Multipliers, SolvedStep, StepEquations};
-pub use second_order::SecondOrder;
 pub use storage::{Footprint, Storage};
 pub use substepped::Substepped;
 pub use trajectory::{Keep, LinearizedStep, Trajectory};

@@ -2,8 +2,8 @@
 
 use crate::rhs::Jacobian;
 use crate::{
-    Equations, ImplicitStep, Interval, Multipliers, ParametricRhs, ParametricStep, Refusal, Rhs, Scheme, SolvedStep,
-    Stage, StepEquations, Structure,
+    Equations, ImplicitStep, Interval, Multipliers, ParametricRhs, ParametricStep, Refusal, Rhs, Scheme,
+    SolvedStep, Stage, StepEquations, Structure,
 };
 
 /// A one-leg step of ẋ = f(t, x) by one of the schemes of [`Scheme`]: f is taken once, at the stage y.

@@ -235,7 +235,13 @@ pub trait ImplicitStep {
     /// ```
     ///
     /// Called only where `second_kept` is not `None`.
-    fn second_add(&mut self, _of: &SolvedStep<'_>, _at: &Multipliers<'_>, _by: [&[f64]; 2], _to: [&mut [f64]; 2]) {
+    fn second_add(
+        &mut self,
+        _of: &SolvedStep<'_>,
+        _at: &Multipliers<'_>,
+        _by: [&[f64]; 2],
+        _to: [&mut [f64]; 2],
+    ) {
     }
 
     /// Components of the state, and the first of as many whose values are their rates: for

@@ -81,7 +81,8 @@ impl Linearized {
     pub(crate) fn bytes(&self) -> usize {
         let substep = |s: &Substep| substep_bytes(s.x.len() + s.u.len() + s.kept.len(), &s.factor);
         let second = |s: &Second| {
-            (s.lambda.capacity() + s.mu.capacity() + s.kept.capacity()) * size_of::<f64>() + size_of::<Second>()
+            (s.lambda.capacity() + s.mu.capacity() + s.kept.capacity()) * size_of::<f64>()
+                + size_of::<Second>()
         };
         size_of::<Self>()
             + self.second_of.capacity() * size_of::<f64>()
@@ -217,8 +218,7 @@ impl Products {
         let (history, nu, next) = (&mut self.history[..past], &mut self.u, &mut now[..n]);
         history.copy_from_slice(&derivative[own..]);
         derivative[own..].fill(0.0);
-        for ((substep, second), at) in
-            substeps.iter().zip(seconds).zip(path.chunks_exact(n + unknowns)).rev()
+        for ((substep, second), at) in substeps.iter().zip(seconds).zip(path.chunks_exact(n + unknowns)).rev()
         {
             let (dx, du) = at.split_at(n);
             step.advance_adjoint(&substep.solved(), &derivative[..own], next, nu);

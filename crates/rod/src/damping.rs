@@ -301,7 +301,6 @@ impl KelvinVoigt {
     }
 }
 
-
 fn put_edge(kept: &mut [f64], t: &Vector3<f64>) {
     kept[..3].copy_from_slice(t.as_slice());
 }

@@ -4,7 +4,8 @@ use std::ops::Range;
 
 use nalgebra::Vector3;
 use varda_implicit::{
-    ImplicitModel, ImplicitStep, Interval, Model, Multipliers, Refusal, Scheme, SolvedStep, Structure, Substepped,
+    ImplicitModel, ImplicitStep, Interval, Model, Multipliers, Refusal, Scheme, SolvedStep, Structure,
+    Substepped,
 };
 
 use crate::Error;

@@ -125,8 +125,7 @@ impl System {
         let tau = Dual64::new(here.value[2], untwist);
         let moved = Strains::of(&a.edge, &b.edge, turn, &directors, tau);
         let real = |x: f64| Dual64::from(x);
-        let stiffness =
-            Stiffness { bend: k.bend.map(real), twist: real(k.twist), rest: k.rest.map(real) };
+        let stiffness = Stiffness { bend: k.bend.map(real), twist: real(k.twist), rest: k.rest.map(real) };
         let element = element::bend_twist(&a.edge, &b.edge, turn, &directors, &moved, &stiffness);
         // rows 3 and 7 of K
         let by_place = |area: &Vector3<f64>, at: usize| {
@@ -183,7 +182,9 @@ impl System {
                 } else {
                     band.add(layout.vertex(e - 1), &without_angles::<11, 9>(&h, [3, 7]));
                 }
-            } else if let (FirstFrame::Carried { tangent, .. }, Some(turn)) = (&self.first, shape.first_turn()) {
+            } else if let (FirstFrame::Carried { tangent, .. }, Some(turn)) =
+                (&self.first, shape.first_turn())
+            {
                 // from a direction that does not move: an edge of no end
                 let h = twist(&Edge { t: *tangent, l: 1e100 }, &shape.edges[0], turn, weight);
                 let own: [[f64; 7]; 7] = std::array::from_fn(|i| std::array::from_fn(|j| h[4 + i][4 + j]));
@@ -225,7 +226,8 @@ impl System {
         let layout = &self.layout;
         for (e, &[along, bend @ ..]) in stress.iter().enumerate() {
             let edge = &shape.edges[e];
-            let h = (nalgebra::Matrix3::identity() - crate::geometry::outer(&edge.t, &edge.t)) * (along / edge.l);
+            let h =
+                (nalgebra::Matrix3::identity() - crate::geometry::outer(&edge.t, &edge.t)) * (along / edge.l);
             if layout.twist {
                 Band { layout, values: band }.add(layout.vertex(e), &edge_hessian::<7>(&h, 4));
             } else {

@@ -110,13 +110,11 @@ pub(super) fn reference(rows: &mut Rows) {
     });
     rows.case("no second derivatives", |case| {
         let mut model = Rk4::new(problems::small_problems::Linear::ring(3), 0, 0.1);
-        let mut set =
-            ObservationSet::new(1, vec![Box::new(Selection::new(vec![0], 3)?)], vec![Observation::new(
-                1,
-                vec![0],
-                vec![1.0],
-                0.5,
-            )])?;
+        let mut set = ObservationSet::new(
+            1,
+            vec![Box::new(Selection::new(vec![0], 3)?)],
+            vec![Observation::new(1, vec![0], vec![1.0], 0.5)],
+        )?;
         let b = Diagonal::uniform(3, 1.0)?;
         let refused = model.second_order().is_none();
         let mut cost = StrongConstraint::new(&mut model, ControlTransform::new(vec![0.0; 3], &b)?, &mut set)?;
