@@ -507,7 +507,7 @@ impl ObservationSet {
     }
 
     /// Whether all operators have second derivatives.
-    pub(crate) fn has_second_derivatives(&self) -> bool {
+    pub fn has_second_derivatives(&self) -> bool {
         self.operators.iter().all(|operator| operator.has_second_derivatives())
     }
 

@@ -493,6 +493,13 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
 }
 
 impl<S: ImplicitStep> SecondOrder for ImplicitModel<S> {
+    fn tangent_kept(&mut self, slot: usize, dx: &mut [f64]) {
+        assert_eq!(dx.len(), self.dim(), "a column has {} values", self.dim());
+        let Self { step, work, slots, products, .. } = self;
+        linearized(slots, slot);
+        products.tangent_kept(step, &mut work.solver, &mut slots[slot], dx);
+    }
+
     fn adjoint_derivative(
         &mut self,
         slot: usize,

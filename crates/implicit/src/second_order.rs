@@ -1,6 +1,6 @@
 //! Second derivatives of the steps of a model.
 
-use crate::Error;
+use crate::{Error, Model};
 
 /// What the second-order adjoint needs of a [`Model`](crate::Model) beside its products: the derivative of
 /// the adjoint step along a perturbation of the state it is taken at.
@@ -38,11 +38,21 @@ use crate::Error;
 /// }
 /// # Ok::<(), varda_implicit::Error>(())
 /// ```
-pub trait SecondOrder {
+pub trait SecondOrder: Model {
+    /// dx ← M dx as [`Model::tangent`], for one column; what `adjoint_derivative` needs along the way may be kept in
+    /// the slot.
+    ///
+    /// # Panics
+    /// As [`Model::tangent`].
+    fn tangent_kept(&mut self, slot: usize, dx: &mut [f64]) {
+        self.tangent(slot, dx);
+    }
+
     /// λ̇ ← M'ᵀ λ̇ + Σ_i λ_i ∂²M_i/∂x² dx in place, with the linearization in the slot: `lambda` is λ_{k+1}, at
     /// the end of the step, `dx` the perturbation at its start.
     ///
-    /// What does not depend on dx may be kept in the slot, for the next call with the same λ.
+    /// What does not depend on dx may be kept in the slot, for the next call with the same λ; what
+    /// `tangent_kept` left there is taken over where its dx was the same.
     ///
     /// # Errors
     /// Second derivatives that are not finite.

@@ -31,6 +31,8 @@ pub(crate) struct Linearized {
     second_of: Vec<f64>,
     /// What second derivatives keep of each substep.
     seconds: Vec<Second>,
+    /// dx and du of every substep for the dx that stands first; empty where there is none.
+    path: Vec<f64>,
 }
 
 /// What second derivatives keep of a substep.
@@ -75,6 +77,7 @@ impl Linearized {
     pub(crate) fn forget(&mut self) {
         self.used = 0;
         self.second_of.clear();
+        self.path.clear();
     }
 
     /// Bytes held.
@@ -85,7 +88,7 @@ impl Linearized {
                 + size_of::<Second>()
         };
         size_of::<Self>()
-            + self.second_of.capacity() * size_of::<f64>()
+            + (self.second_of.capacity() + self.path.capacity()) * size_of::<f64>()
             + self.substeps.iter().map(substep).sum::<usize>()
             + self.seconds.iter().map(second).sum::<usize>()
     }
@@ -108,20 +111,12 @@ pub(crate) struct Products {
     dx: Vec<f64>,
     /// The histories of the columns, one after the other: the first components of dx, or the last of λ.
     history: Vec<f64>,
-    /// dx and du of every substep; nothing until second derivatives are asked for.
-    path: Vec<f64>,
 }
 
 impl Products {
     /// Work space for single columns; that for many is allocated by the first product with many.
     pub(crate) fn new(state: usize, unknowns: usize, history: usize) -> Self {
-        Self {
-            u: vec![0.0; unknowns],
-            rows: Vec::new(),
-            dx: vec![0.0; state],
-            history: vec![0.0; history],
-            path: Vec::new(),
-        }
+        Self { u: vec![0.0; unknowns], rows: Vec::new(), dx: vec![0.0; state], history: vec![0.0; history] }
     }
 
     fn resize_for_many(&mut self, state: usize, history: usize) {
@@ -196,26 +191,15 @@ impl Products {
         if linearized.second_of != lambda {
             self.keep_second(step, solver, linearized, lambda);
         }
-        let Linearized { used, substeps, seconds, .. } = linearized;
+        if linearized.path.get(..dx.len()) != Some(dx) {
+            self.keep_path(step, solver, linearized, dx);
+        }
+        let Linearized { used, substeps, seconds, path, .. } = linearized;
         let (substeps, seconds) = (&substeps[..*used], &seconds[..*used]);
         let (n, past, unknowns) = (dx.len(), step.history(), self.u.len());
         let own = n - past;
-        // dx and du of every substep
-        let mut path = std::mem::take(&mut self.path);
-        path.resize(substeps.len() * (n + unknowns), 0.0);
-        let mut now = std::mem::take(&mut self.dx);
-        now.resize(now.len().max(n), 0.0);
-        now[..n].copy_from_slice(dx);
-        for (substep, at) in substeps.iter().zip(path.chunks_exact_mut(n + unknowns)) {
-            let (before, du) = at.split_at_mut(n);
-            before.copy_from_slice(&now[..n]);
-            step.previous(&substep.solved(), before, du);
-            solver.solve(&substep.factor, du);
-            du.iter_mut().for_each(|d| *d = -*d);
-            step.advance_tangent(&substep.solved(), before, du, &mut now[..own]);
-            now[own..n].copy_from_slice(&before[..past]);
-        }
-        let (history, nu, next) = (&mut self.history[..past], &mut self.u, &mut now[..n]);
+        let now = &mut self.dx[..n];
+        let (history, nu, next) = (&mut self.history[..past], &mut self.u, now);
         history.copy_from_slice(&derivative[own..]);
         derivative[own..].fill(0.0);
         for ((substep, second), at) in substeps.iter().zip(seconds).zip(path.chunks_exact(n + unknowns)).rev()
@@ -230,7 +214,45 @@ impl Products {
             derivative.copy_from_slice(next);
         }
         add(&mut derivative[..past], history);
-        (self.path, self.dx) = (path, now);
+    }
+
+    /// dx ← M dx as `tangent`, the way kept.
+    pub(crate) fn tangent_kept<S: ImplicitStep>(
+        &mut self,
+        step: &mut S,
+        solver: &mut LinearSolver,
+        linearized: &mut Linearized,
+        dx: &mut [f64],
+    ) {
+        self.keep_path(step, solver, linearized, dx);
+        let past = step.history();
+        let own = dx.len() - past;
+        dx.copy_from_slice(&self.dx[..dx.len()]);
+        dx[own..].copy_from_slice(&linearized.path[..past]);
+    }
+
+    /// dx and du of every substep into the slot; dx after the last one, its history aside, into `self.dx`.
+    fn keep_path<S: ImplicitStep>(
+        &mut self,
+        step: &mut S,
+        solver: &mut LinearSolver,
+        linearized: &mut Linearized,
+        dx: &[f64],
+    ) {
+        let Linearized { used, substeps, path, .. } = linearized;
+        let (n, past, unknowns) = (dx.len(), step.history(), self.u.len());
+        let (own, now) = (n - past, &mut self.dx[..n]);
+        path.resize(*used * (n + unknowns), 0.0);
+        now.copy_from_slice(dx);
+        for (substep, at) in substeps[..*used].iter().zip(path.chunks_exact_mut(n + unknowns)) {
+            let (before, du) = at.split_at_mut(n);
+            before.copy_from_slice(now);
+            step.previous(&substep.solved(), before, du);
+            solver.solve(&substep.factor, du);
+            du.iter_mut().for_each(|d| *d = -*d);
+            step.advance_tangent(&substep.solved(), before, du, &mut now[..own]);
+            now[own..].copy_from_slice(&before[..past]);
+        }
     }
 
     /// λ and μ of every substep, and what the step keeps for them.
@@ -241,7 +263,7 @@ impl Products {
         linearized: &mut Linearized,
         lambda: &[f64],
     ) {
-        let Linearized { used, substeps, second_of, seconds } = linearized;
+        let Linearized { used, substeps, second_of, seconds, .. } = linearized;
         let (n, past) = (lambda.len(), step.history());
         let own = n - past;
         second_of.clear();
@@ -279,7 +301,7 @@ impl Products {
     ) {
         let (past, own) = (step.history(), n - step.history());
         self.resize_for_many(n, past);
-        let Self { u: du, rows, dx: dx_next, history, .. } = self;
+        let Self { u: du, rows, dx: dx_next, history } = self;
         for columns in dx.chunks_mut(BLOCK * n) {
             for (c, dx) in columns.chunks_exact(n).enumerate() {
                 history[c * past..(c + 1) * past].copy_from_slice(&dx[..past]);
@@ -317,7 +339,7 @@ impl Products {
     ) {
         let (past, own) = (step.history(), n - step.history());
         self.resize_for_many(n, past);
-        let Self { u: mu, rows, dx, history, .. } = self;
+        let Self { u: mu, rows, dx, history } = self;
         for columns in lambda.chunks_mut(BLOCK * n) {
             for (c, lambda) in columns.chunks_exact_mut(n).enumerate() {
                 history[c * past..(c + 1) * past].copy_from_slice(&lambda[own..]);

@@ -183,7 +183,7 @@ fn minimize(scene: &str, way: Way, seeds: usize) -> Result<Vec<super::Cell>> {
         let mut note = |i: &Iteration| {
             if i.step_norm > 0.0 {
                 steps += 1;
-                exact_steps += usize::from(i.hessian == Hessian::Exact);
+                exact_steps += usize::from(i.hessian == Some(Hessian::Exact));
             }
             ControlFlow::Continue(())
         };

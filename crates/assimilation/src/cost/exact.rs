@@ -167,7 +167,11 @@ impl StrongConstraint<'_> {
         match model {
             Some(model) => {
                 model.initial_tangent(dz, dx);
-                base.trajectory.tangent(&mut **model, dx, &mut see)?;
+                see(0, base.trajectory.state(0), dx);
+                base.trajectory.for_each_step(&mut **model, &mut |step| {
+                    step.tangent_kept(dx);
+                    see(step.k + 1, step.x_next, dx);
+                })?;
             }
             None => {
                 dx.copy_from_slice(dz);

@@ -28,8 +28,9 @@ pub struct Iteration<'a> {
     pub rejected: usize,
     /// Inner (Lanczos) iterations for that step; 0 where a dense solve was used.
     pub inner_iterations: usize,
-    /// The Hessian that step was made with.
-    pub hessian: Hessian,
+    /// The Hessian that step was made with; `None` from others than [`trust_region`](crate::trust_region()) and
+    /// [`auto`](crate::auto()), and at the start.
+    pub hessian: Option<Hessian>,
     /// What σ is multiplied by at this stage (1 = the true cost).
     pub observation_scale: f64,
     /// ‖∇J‖ at which this run has converged.
@@ -91,7 +92,7 @@ impl Minimum {
             damping: 0.0,
             rejected: 0,
             inner_iterations: 0,
-            hessian: Hessian::GaussNewton,
+            hessian: None,
             observation_scale: 1.0,
             gradient_goal: 0.0,
             attempt: 1,
@@ -162,7 +163,7 @@ pub(crate) struct Progress {
     pub(crate) rejected: usize,
     pub(crate) inner: usize,
     /// That of the last step.
-    pub(crate) hessian: Hessian,
+    pub(crate) hessian: Option<Hessian>,
     /// Every step so far lowered J as its quadratic model said.
     pub(crate) quadratic: bool,
 }
@@ -203,7 +204,7 @@ impl Progress {
             damping: 0.0,
             rejected: 0,
             inner: 0,
-            hessian: Hessian::GaussNewton,
+            hessian: None,
             quadratic: false,
         })
     }

@@ -203,8 +203,14 @@ pub(super) fn run(
             }
             secant.update(&p, &dropped);
         }
-        let mut spectral =
-            inner.model(cost, (hessian, &secant), &g, forcing(&progress), radius, &mut progress.inner)?;
+        let mut spectral = inner.model(
+            cost,
+            (hessian, &secant),
+            &g,
+            solved_to(&progress, hessian),
+            radius,
+            &mut progress.inner,
+        )?;
         progress.inner_total += progress.inner;
         progress.rejected = 0;
 
@@ -263,7 +269,7 @@ pub(super) fn run(
                         v.copy_from_slice(&trial);
                         std::mem::swap(&mut g, &mut g_trial);
                         progress.advance(cost, &g, step.norm, step.damping);
-                        progress.hessian = hessian;
+                        progress.hessian = Some(hessian);
                         let halved = progress.gradient_norm <= 0.5 * to_halve;
                         if !by_gradient || halved {
                             (unseen, to_halve) = (0, progress.gradient_norm);
@@ -302,8 +308,14 @@ pub(super) fn run(
             if secant.trusted() {
                 secant.distrust();
                 let mut more = 0;
-                spectral =
-                    inner.model(cost, (hessian, &secant), &g, forcing(&progress), radius, &mut more)?;
+                spectral = inner.model(
+                    cost,
+                    (hessian, &secant),
+                    &g,
+                    solved_to(&progress, hessian),
+                    radius,
+                    &mut more,
+                )?;
                 progress.inner += more;
                 progress.inner_total += more;
             }
@@ -311,6 +323,13 @@ pub(super) fn run(
         first = false;
         ritz = spectral.pairs();
     }
+}
+
+/// How far the inner problem is solved, relative to its gradient: with the exact Hessian so far that the end is
+/// quadratic.
+fn solved_to(progress: &Progress, hessian: Hessian) -> f64 {
+    let superlinear = forcing(progress);
+    if hessian == Hessian::Exact { superlinear.min(superlinear * superlinear).min(0.1) } else { superlinear }
 }
 
 /// The Hessian that predicts better how the gradient changed over the last step p, from `before` to g: both at

@@ -144,6 +144,15 @@ impl<M: DerefMut> SecondOrder for Timed<M>
 where
     M::Target: Model,
 {
+    fn tangent_kept(&mut self, slot: usize, dx: &mut [f64]) {
+        if interrupt::requested() {
+            return;
+        }
+        self.log.counts.tangent_steps += 1;
+        let model = self.model.second_order().expect("asked for only where it is");
+        timing(&self.clock.0.tangent, || model.tangent_kept(slot, dx));
+    }
+
     fn adjoint_derivative(
         &mut self,
         slot: usize,

@@ -128,7 +128,7 @@ impl EnVar<'_> {
                 damping: 0.0,
                 rejected: step.rejected,
                 inner_iterations: 0,
-                hessian: crate::Hessian::GaussNewton,
+                hessian: None,
                 observation_scale: self.scale,
                 gradient_goal: 0.0,
                 attempt: 1,
