@@ -58,7 +58,8 @@ fn between(low: f64, high: f64) -> String {
     if power == 0 { format!("{l} to {h}") } else { format!("({l} to {h})e{power}") }
 }
 
-/// A power of ten to take out of numbers up to `size`, and the decimals after that with two digits of `width`.
+/// A power of ten to take out of numbers up to `size`, and the decimals after that with two digits of
+/// `width`.
 fn digits(size: f64, width: f64) -> (i32, usize) {
     let order = |v: f64| if v > 0.0 && v.is_finite() { v.log10().floor() as i32 } else { 0 };
     let power = if (-3..5).contains(&order(size)) { 0 } else { order(size) };

@@ -1,5 +1,5 @@
-//! An assimilation in passes: where the clock of a recording or σ of its observations is estimated, each pass
-//! reads the observations as the one before has found them.
+//! An assimilation in passes: where the clock of a recording or σ of its observations is estimated, each
+//! pass reads the observations as the one before has found them.
 
 use super::estimates::INTERVAL;
 use super::mesh;
@@ -58,8 +58,8 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         }
         if let Some(found) = sigma(&file, last.as_ref().unwrap_or(problem), &outcome)? {
             outcome.estimates.push(found);
-            let remark = "σ of the observations is estimated from their own residuals: 2J/m is near 1 whatever \
-                          the model, and no test of it";
+            let remark = "σ of the observations is estimated from their own residuals: 2J/m is near 1 \
+                          whatever the model, and no test of it";
             outcome.warnings.push(remark.to_string());
         }
     }
@@ -118,8 +118,8 @@ fn likely(outcome: &Outcome, now: f64, share: f64) -> [f64; 2] {
     solved(analysis.observations as f64 - analysis.degrees_of_freedom, squares, share)
 }
 
-/// The root ln s of free − Σ/s² + ln s/τ² and 1/√(2 free + 1/τ²), by Newton's method: the function grows and
-/// is concave, so that steps from below it stay below it.
+/// The root ln s of free − Σ/s² + ln s/τ² and 1/√(2 free + 1/τ²), by Newton's method: the function grows
+/// and is concave, so that steps from below it stay below it.
 fn solved(free: f64, squares: f64, share: f64) -> [f64; 2] {
     let (free, precision) = (free.max(0.0), 1.0 / (share * share));
     let mut log = if free > 0.0 && squares > 0.0 { 0.5 * (squares / free).ln() } else { 0.0 };
@@ -134,7 +134,8 @@ fn solved(free: f64, squares: f64, share: f64) -> [f64; 2] {
     [log, 1.0 / (2.0 * free + precision).sqrt()]
 }
 
-/// σ of the observations among the estimates: that of the scene where all values have the same, else a factor.
+/// σ of the observations among the estimates: that of the scene where all values have the same, else a
+/// factor.
 fn sigma(file: &SceneFile, problem: &Problem, outcome: &Outcome) -> Result<Option<Estimated>, Error> {
     let Some(share) = share(file)? else { return Ok(None) };
     let [log, open] = likely(outcome, file.adjusted.sigma, share);

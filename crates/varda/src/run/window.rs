@@ -59,8 +59,8 @@ impl Listener<'_> {
     }
 }
 
-/// One pass of [`assimilate`](super::assimilate): observations as the problem has them, σ of constants without
-/// an allowance for the mesh and without remarks.
+/// One pass of [`assimilate`](super::assimilate): observations as the problem has them, σ of constants
+/// without an allowance for the mesh and without remarks.
 pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome, Error> {
     let experiment = &problem.experiment;
     let (scene, layout, grid) = (&experiment.scene, &experiment.state, &experiment.grid);

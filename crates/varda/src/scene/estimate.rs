@@ -70,8 +70,8 @@ pub struct Estimate {
     /// Offset of the recording's clock [s]: what it wrote down at t was at t + `clock` by the model's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub clock: Option<Unknown>,
-    /// A factor of σ of all observations, by its likelihood: σ is that of the scene times a number near 1, known
-    /// to the share that is given.
+    /// A factor of σ of all observations, by its likelihood: σ is that of the scene times a number near 1,
+    /// known to the share that is given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub observation_sigma: Option<Unknown>,
     /// Forcing F of `lorenz96`.

@@ -10,9 +10,9 @@ use varda_implicit::{At, Rate, Refusal};
 ///     dy = H'(dx + δ ẋ'dx + ẋ dc) + ∂H/∂t dc
 /// ```
 ///
-/// with c₀ what the times of the observations contain already. To first order in δ: the state at t + δ is off
-/// by ½δ² of its acceleration, and exact where δ = 0. ∂H/∂t at a given state is that of moving supports, by a
-/// difference.
+/// with c₀ what the times of the observations contain already. To first order in δ: the state at t + δ is
+/// off by ½δ² of its acceleration, and exact where δ = 0. ∂H/∂t at a given state is that of moving
+/// supports, by a difference.
 pub(crate) struct Clocked {
     operator: Box<dyn ObservationOperator>,
     rate: Box<dyn Rate>,

@@ -70,8 +70,8 @@ impl Inputs {
         };
         observed.correlate(&one_window, &grid)?;
         if system.estimates().seen.clock.is_some() && system.models()(0).rate().is_none() {
-            let message = "a clock needs the velocities of steps, which this integrator does not have: \"bdf2\" or \
-                           \"backward-euler\", or an explicit one";
+            let message = "a clock needs the velocities of steps, which this integrator does not have: \
+                           \"bdf2\" or \"backward-euler\", or an explicit one";
             return Err(file.invalid("estimate.clock", message));
         }
         let background = background(&files, &mut system)?;

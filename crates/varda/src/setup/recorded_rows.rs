@@ -110,8 +110,8 @@ impl LeftOut {
 pub(super) struct Clock<'a> {
     pub(super) recording: &'a Recording,
     pub(super) grid: TimeGrid,
-    /// What is known of the recording's offset against the model \[s\]: added to the times of its rows. A row of
-    /// the window that it takes out of there is left out.
+    /// What is known of the recording's offset against the model \[s\]: added to the times of its rows. A row
+    /// of the window that it takes out of there is left out.
     pub(super) shift: f64,
 }
 

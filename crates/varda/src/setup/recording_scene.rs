@@ -20,8 +20,8 @@ const STEP: f64 = 0.01;
 const WINDOW: f64 = 1.0;
 /// A marker moves where it travels this many times σ.
 const MOVES: f64 = 5.0;
-/// A marker at a moved clamp travels at least this share of its neighbour's way: beside a clamp at rest travel
-/// grows with s², beside a hook at rest with s.
+/// A marker at a moved clamp travels at least this share of its neighbour's way: beside a clamp at rest
+/// travel grows with s², beside a hook at rest with s.
 const IS_CARRIED: f64 = 0.5;
 /// Frames of a block that may be quiet.
 const BLOCK: usize = 20;
@@ -188,8 +188,8 @@ impl Recorded {
         if count > 0.0 { sum / count } else { sum }
     }
 
-    /// A named marker at arc length 0 that the clamp follows: it moves, and not as what is beside a support at
-    /// rest.
+    /// A named marker at arc length 0 that the clamp follows: it moves, and not as what is beside a support
+    /// at rest.
     fn hand(&self, sigma: f64) -> Option<&str> {
         let (first, next) = (self.tracks.first()?, self.tracks.get(1));
         let carried = next.is_none_or(|next| first.travel() >= IS_CARRIED * next.travel());
@@ -210,9 +210,9 @@ impl Recorded {
         }
         format!(
             "\n# Arc lengths count from marker {first:?}, which moves by {start:.1} mm (rms), to {last:?}, \
-             {end:.1} mm: from the\n# end that moves less. Where the rod starts at {last:?}, take the numbers \
-             from the other end, and hold [model.start]\n# there; a support at the far end is [model.end], or \
-             a vertex of [[model.prescribed]]. A column s_m decides by itself.\n"
+             {end:.1} mm: from the\n# end that moves less. Where the rod starts at {last:?}, take the \
+             numbers from the other end, and hold [model.start]\n# there; a support at the far end is \
+             [model.end], or a vertex of [[model.prescribed]]. A column s_m decides by itself.\n"
         )
     }
 

@@ -45,7 +45,7 @@ pub(crate) struct SeenWith<O> {
     y: Vec<f64>,
     /// What acts on the values in the operator's own axes.
     back: Vec<f64>,
-    /// Places of the sites in the scene, where their own are unknown; where they are; and the columns of those.
+    /// Places of the sites in the scene, where their own are unknown; where they are; the columns of those.
     markers: Vec<Marker>,
     moved: Vec<Marker>,
     columns: Vec<f64>,
