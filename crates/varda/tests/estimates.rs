@@ -43,7 +43,7 @@ fn hook(vertex: usize, x: f64) -> String {
     format!("[[model.prescribed]]\nvertex = {vertex}\nposition = [{x}, 0.0, 0.0]\n")
 }
 
-fn is_without(remark: &String) -> bool {
+fn is_without(remark: &str) -> bool {
     remark.contains("without an allowance for the mesh")
 }
 
@@ -60,7 +60,7 @@ fn rods_held_anywhere_have_an_allowance_for_the_mesh() {
     ] {
         let run = estimated(name, &held, &[&format!("observations.sigma={sigma}")]);
         let ei = &run.estimates[0];
-        assert!(!run.warnings.iter().any(is_without), "{name}: {:?}", run.warnings);
+        assert!(!run.warnings.iter().any(|w| is_without(w)), "{name}: {:?}", run.warnings);
         let (mesh, on_mesh) = (ei.mesh.expect(name), ei.sigma_on_mesh.unwrap());
         assert!(mesh > 0.0 && run.seconds.mesh > 0.0, "{name}");
         // the recording was made on this mesh, and EI is what it was made with
@@ -74,11 +74,11 @@ fn rods_held_anywhere_have_an_allowance_for_the_mesh() {
 fn where_there_is_no_allowance_it_is_said_and_takes_no_time() {
     let run = estimated("not-wanted", START, &["report.mesh=false"]);
     assert!(run.seconds.mesh == 0.0 && run.estimates[0].mesh.is_none());
-    assert!(!run.warnings.iter().any(is_without), "{:?}", run.warnings);
+    assert!(!run.warnings.iter().any(|w| is_without(w)), "{:?}", run.warnings);
 
     let run = estimated("ended", START, &["algorithm.max_iterations=1"]);
     assert!(run.seconds.mesh == 0.0 && run.estimates[0].mesh.is_none());
-    assert!(run.warnings.iter().any(is_without), "{:?}", run.warnings);
+    assert!(run.warnings.iter().any(|w| is_without(w)), "{:?}", run.warnings);
 
     let run = estimated("wrong", START, &["observations.frame.translation=[0.0,0.05,0.0]"]);
     assert!(run.seconds.mesh == 0.0 && run.estimates[0].mesh.is_none());

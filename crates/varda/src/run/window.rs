@@ -240,6 +240,7 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
         counts: solution.counts,
         model_counts: log.counts,
         rejected,
+        next_observation: spread.as_mut().and_then(|spread| spread.next.take()),
         sigma_states: spread.map_or_else(Vec::new, |spread| spread.states),
         observed,
         rmse,
