@@ -118,8 +118,8 @@ fn likely(outcome: &Outcome, now: f64, share: f64) -> [f64; 2] {
     solved(analysis.observations as f64 - analysis.degrees_of_freedom, squares, share)
 }
 
-/// The root ln s of free − Σ/s² + ln s/τ² and 1/√(2 free + 1/τ²), by Newton's method: the function grows
-/// and is concave, so that steps from below it stay below it.
+/// The root ln s of free − Σ/s² + ln s/τ² and 1/√(2 free + 1/τ²), by Newton's method: the function
+/// grows and is concave, so that steps from below it stay below it.
 fn solved(free: f64, squares: f64, share: f64) -> [f64; 2] {
     let (free, precision) = (free.max(0.0), 1.0 / (share * share));
     let mut log = if free > 0.0 && squares > 0.0 { 0.5 * (squares / free).ln() } else { 0.0 };
