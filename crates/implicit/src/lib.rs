@@ -138,7 +138,6 @@ mod rate;
 mod rhs;
 #[cfg(feature = "implicit")]
 mod scheme;
-mod second_order;
 #[cfg(feature = "implicit")]
 mod step;
 mod storage;
@@ -155,7 +154,7 @@ pub use error::{Error, Refusal};
 pub use explicit::Rk4;
 #[cfg(feature = "implicit")]
 pub use implicit::{ImplicitModel, Linearization, MAX_HALVINGS};
-pub use model::{ControlMap, Counts, Log, Model, Warning, Work};
+pub use model::{ControlMap, Counts, Log, Model, SecondOrder, Warning, Work};
 #[cfg(feature = "implicit")]
 pub use newton::{NewtonFailure, NewtonOptions, NewtonReport, NewtonWork, solve};
 pub use observation::{At, ObservationOperator};
@@ -168,7 +167,6 @@ pub use rate::{Rate, VelocityRate};
 pub use rhs::Rhs;
 #[cfg(feature = "implicit")]
 pub use scheme::{Scheme, Stage};
-pub use second_order::SecondOrder;
 #[cfg(feature = "implicit")]
 pub use step::{ImplicitStep, Interval, Multipliers, SolvedStep, StepEquations};
 pub use storage::{Footprint, Storage};

@@ -1,35 +1,10 @@
 //! Products with the exact Hessian of a window: the second-order adjoint.
 
 use super::StrongConstraint;
+use super::exact_work::Exact;
 use super::model_error::WeakControl;
-use crate::{Error, Prediction};
+use crate::Error;
 use varda_implicit::Storage;
-
-/// Work space of exact products.
-#[derive(Default)]
-pub(super) struct Exact {
-    /// ∂J_o/∂H(x) at the base point, stacked.
-    slope: Vec<f64>,
-    /// λ_k of the base point, k = 0 … N, where all are kept, and whether they are there.
-    lambdas: Vec<f64>,
-    known: bool,
-    /// dx_k, k = 0 … N.
-    path: Vec<f64>,
-    /// Derivatives of the states observed between steps.
-    moved: Option<Prediction>,
-    derivative: Vec<f64>,
-    dy: Vec<f64>,
-    dz: Vec<f64>,
-}
-
-impl Exact {
-    /// Takes note of a new base point.
-    pub(super) fn start(&mut self, slope: &[f64]) {
-        self.slope.clear();
-        self.slope.extend_from_slice(slope);
-        self.known = false;
-    }
-}
 
 impl StrongConstraint<'_> {
     /// Whether model and operators have second derivatives; not where v is states.

@@ -7,6 +7,7 @@ mod dense_work;
 mod dual;
 mod ensemble;
 mod exact;
+mod exact_work;
 mod function;
 mod huber;
 mod incremental;

@@ -1,7 +1,7 @@
 //! Strong-constraint 4D-Var; with a window of zero steps, 3D-Var.
 
 use super::dense_work::Dense;
-use super::exact::Exact;
+use super::exact_work::Exact;
 use super::model_error::{ModelErrorTerm, WeakControl};
 use super::{CostFunction, CostTerms, Counts, LeastSquares, dot};
 use crate::{ControlTransform, Error, ObservationSet, Prediction};
