@@ -257,6 +257,7 @@ impl EnVar<'_> {
         let gram = self.gram()?;
         let size = ((members - 1).max(1) as f64).sqrt();
         let mut whitened: Vec<f64> = self.base.y.iter().map(|y| -y / self.scale).collect();
+        self.observations.whiten_rows(members, &mut whitened);
         if let EnsembleUpdate::PerturbedObservations(normal) = &mut *update {
             let noise: Vec<f64> = (0..members * m).map(|_| normal() / size).collect();
             for a in 0..m {
@@ -362,8 +363,11 @@ impl EnVar<'_> {
         Ok(finite_size_inflation(self.ensemble.members(), pairs))
     }
 
-    /// tr G Gᵀ at the last linearization.
+    /// tr G Gᵀ at the last linearization, with σ of the observations as they are.
     pub(crate) fn predicted_trace(&self) -> f64 {
+        if self.observations.is_correlated() {
+            return self.jacobian().iter().map(|g| (g * self.scale).powi(2)).sum();
+        }
         let (members, r_s) = (self.ensemble.members(), self.static_dim());
         let w_s = self.static_part.map_or(0.0, |(_, weight)| weight * weight);
         let w_e = self.ensemble_weight * self.ensemble_weight;
@@ -399,6 +403,10 @@ impl EnVar<'_> {
                     matrix[a + b * m] = value / (self.scale * self.scale);
                     matrix[b + a * m] = matrix[a + b * m];
                 }
+            }
+            if self.observations.is_correlated() {
+                self.observations.whiten_rows(m, &mut matrix);
+                matrix.chunks_exact_mut(m).for_each(|row| self.observations.whiten_blocks(row));
             }
         } else {
             self.normal_matrix(&mut matrix);
