@@ -173,7 +173,8 @@ fn weak_methods_give_the_closed_form_of_states_and_errors() {
         close(what, &found, &states);
         assert!((j - value).abs() <= 1e-9 * value, "{what}: {j} {value}");
         let posterior = WeakPosterior::new(cost).unwrap();
-        let diagonal = |block: usize| (0..N).map(|i| p.at(block * N + i, block * N + i)).collect::<Vec<f64>>();
+        let diagonal =
+            |block: usize| (0..N).map(|i| p.at(block * N + i, block * N + i)).collect::<Vec<f64>>();
         close(&format!("{what}: σ² of x₀"), &posterior.initial().variance(&transform), &diagonal(0));
         for j in 0..STEPS {
             close(&format!("{what}: σ² of η"), &posterior.error_variance(&q, j), &diagonal(j + 1));
@@ -373,8 +374,7 @@ fn cycles_are_a_kalman_filter_with_the_dense_covariance() {
         ("ensemble", false, &of_ensemble),
     ] {
         let with_q = Matrix::of(&q);
-        let filter =
-            kalman(&step, &Matrix::of(&b), weak.then_some(&with_q), &background, &whole, ALL).0;
+        let filter = kalman(&step, &Matrix::of(&b), weak.then_some(&with_q), &background, &whole, ALL).0;
         let truth = |k: usize| filter[k].0.clone();
         let errors = CycledErrors { q: &q, forcing: &forcing, estimated: true, normals: &draws };
         let cycling = Cycling {
@@ -391,9 +391,8 @@ fn cycles_are_a_kalman_filter_with_the_dense_covariance() {
             "ensemble" => CycleState::from_members(spanning(&b, &background), N),
             _ => CycleState::new(background.clone()),
         };
-        let ended = cycle(&cycling, &mut state, carried, &exact(), &mut |_, _| {
-            std::ops::ControlFlow::Continue(())
-        });
+        let ended =
+            cycle(&cycling, &mut state, carried, &exact(), &mut |_, _| std::ops::ControlFlow::Continue(()));
         let ended = ended.unwrap();
         assert_eq!(ended.len(), 3);
         for c in &ended {

@@ -272,11 +272,16 @@ const ENSEMBLES: &[Input] = &[
         "an ensemble localized to less than a wave travels",
         &["algorithm={ method = \"4denvar\", ensemble = { members = 20, localization_length = 0.1 } }"],
         clean,
-        Warned("algorithm.ensemble.localization_length", &["0.1 m", "30 m/s", "0.500 m of its 0.500 m", "4dvar"]),
+        Warned(
+            "algorithm.ensemble.localization_length",
+            &["0.1 m", "30 m/s", "0.500 m of its 0.500 m", "4dvar"],
+        ),
     ),
     (
         "a hybrid ensemble localized to less than a wave travels",
-        &["algorithm={ method = \"hybrid-4denvar\", ensemble = { members = 20, localization_length = 0.1 } }"],
+        &[
+            "algorithm={ method = \"hybrid-4denvar\", ensemble = { members = 20, localization_length = 0.1 } }",
+        ],
         clean,
         Warned("algorithm.ensemble.localization_length", &["0.1 m", "4dvar"]),
     ),

@@ -6,7 +6,7 @@ use crate::cycle_members::{finite_size_inflation, localized_inflation};
 use crate::minimize::{NOISE, at_least_one, eigen, setters};
 use crate::{Error, Iteration, Minimum, Status};
 use std::ops::ControlFlow;
-use varda_linalg::Svd;
+use varda_linalg::{Svd, interrupt};
 
 /// Settings of [`EnVar::minimize`].
 #[derive(Debug, Clone, PartialEq)]
@@ -331,6 +331,10 @@ impl EnVar<'_> {
         let n_z = self.transform.control_dim();
         let (mut unit, mut u) = (vec![0.0; n_z], vec![0.0; self.dim()]);
         let of = |p: usize| {
+            if interrupt::requested() {
+                // what comes of it is not looked at
+                return f64::NAN;
+            }
             unit[p] = 1.0;
             self.transform.adjoint(&unit, &mut u);
             unit[p] = 0.0;
@@ -397,6 +401,9 @@ impl EnVar<'_> {
             let y = |a: usize| &self.base.y[a * members..][..members];
             let g = |a: usize| &self.base.g_static[a * r_s..][..r_s];
             for a in 0..m {
+                if interrupt::requested() {
+                    return Err(varda_linalg::Error::Interrupted.into());
+                }
                 for b in 0..=a {
                     let c = dot(localization.row(self.anchors[a]), localization.row(self.anchors[b]));
                     let value = w_e * c * dot(y(a), y(b)) + w_s * dot(g(a), g(b));
