@@ -71,6 +71,19 @@ impl Between {
         self.rate.adjoint_add(k, x, &self.values, dx);
     }
 
+    /// out += the second derivative of x(w)·λ in x_k, times dx: that of the rate.
+    pub(crate) fn second_adjoint_add(
+        &mut self,
+        (interval, k, w): (usize, usize, f64),
+        [x, dx]: [&[f64]; 2],
+        lambda: &[f64],
+        out: &mut [f64],
+    ) {
+        let (share, known) = (self.share(interval, k, w), self.rate.components());
+        self.values.iter_mut().zip(&lambda[known]).for_each(|(v, l)| *v = share.rate * l);
+        self.rate.second_adjoint_add(k, x, dx, &self.values, out);
+    }
+
     /// `sum` += the shares of x and of its rate in `values`.
     fn add_shares(&self, interval: usize, k: usize, w: f64, x: &[f64], sum: &mut [f64]) {
         let (share, known) = (self.share(interval, k, w), self.rate.components());

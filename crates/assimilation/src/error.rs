@@ -154,6 +154,12 @@ pub enum Error {
         /// The length it has.
         found: usize,
     },
+    /// The exact Hessian was asked for, and the model or an observation operator has no second derivatives.
+    #[error(
+        "no exact Hessian: the model or an observation operator has no second derivatives (a cost over states \
+         has none either); use the Hessian of Gauss and Newton"
+    )]
+    NoSecondDerivatives,
     /// A setting outside its range.
     #[error("{what} = {value} is out of range")]
     Setting {

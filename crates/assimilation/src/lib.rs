@@ -130,9 +130,9 @@ pub use error_scale::ErrorScale;
 pub use growth::{Assimilate, window_growth};
 pub use inner::{InnerEnd, InnerLimits, conjugate_gradients, restricted_conjugate_gradients};
 pub use minimize::{
-    AdamOptions, Attempt, AttemptFrom, AutoOptions, InverseHessian, Iteration, LbfgsOptions, Minimizer,
-    Minimum, NewtonCgOptions, NewtonOptions, RawVariables, RitzPair, Status, Stopping, TrustRegionOptions,
-    adam, auto, continuation, lbfgs, newton, newton_cg, trust_region,
+    AdamOptions, Attempt, AttemptFrom, AutoOptions, Hessian, InverseHessian, Iteration, LbfgsOptions,
+    Minimizer, Minimum, NewtonCgOptions, NewtonOptions, RawVariables, RitzPair, Status, Stopping,
+    TrustRegionOptions, adam, auto, continuation, lbfgs, newton, newton_cg, trust_region,
 };
 #[cfg(feature = "argmin")]
 pub use minimize::{ArgminLbfgsOptions, ArgminTrustRegionOptions, argmin_lbfgs, argmin_trust_region};

@@ -79,6 +79,10 @@ impl ObservationOperator for LinearObservation {
             }
         }
     }
+
+    fn has_second_derivatives(&self) -> bool {
+        true
+    }
 }
 
 /// y_i = x_{c_i}: some components of the state, seen directly.
@@ -132,5 +136,9 @@ impl ObservationOperator for Selection {
         for (dy, &c) in dy.iter().zip(&self.components) {
             dx[c] += dy;
         }
+    }
+
+    fn has_second_derivatives(&self) -> bool {
+        true
     }
 }

@@ -1,6 +1,6 @@
 //! The classical explicit Runge–Kutta method, with its exact discrete adjoint.
 
-use crate::{ControlMap, Error, Model, Rate, Rhs, Work};
+use crate::{ControlMap, Error, Model, Rate, Rhs, SecondOrder, Work};
 use std::ops::Range;
 
 /// ẋ = f(t, x) by the classical Runge–Kutta method of order four on a uniform grid of time.
@@ -48,6 +48,8 @@ pub struct Rk4<R> {
     sum: Vec<f64>,
     point: Vec<f64>,
     slots: Vec<Stages>,
+    /// Work space of second derivatives: nothing until they are asked for.
+    second: Vec<f64>,
 }
 
 /// The linearization of a step: its stages X₁ … X₄, one after the other; none in an empty slot.
@@ -80,6 +82,7 @@ impl<R: Rhs> Rk4<R> {
             sum: vec![0.0; n],
             point: vec![0.0; n],
             slots: Vec::new(),
+            second: Vec::new(),
         }
     }
 
@@ -180,6 +183,74 @@ impl<R: Rhs + Clone + 'static> Model for Rk4<R> {
     fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
         None
     }
+
+    fn second_order(&mut self) -> Option<&mut dyn SecondOrder> {
+        if self.rhs.has_second_derivatives() { Some(self) } else { None }
+    }
+}
+
+impl<R: Rhs + Clone + 'static> SecondOrder for Rk4<R> {
+    /// With δX_i the tangents of the stages and μ_i, p_i = (∂f/∂X_i)ᵀ μ_i the adjoint's:
+    ///
+    /// ```text
+    /// ṗ_i = (∂f/∂X_i)ᵀ μ̇_i + Σ_j μ_{i,j} ∂²f_j/∂x²(X_i) δX_i
+    /// ```
+    fn adjoint_derivative(
+        &mut self,
+        slot: usize,
+        dx: &[f64],
+        lambda: &[f64],
+        derivative: &mut [f64],
+    ) -> Result<(), Error> {
+        self.check(slot, derivative);
+        let n = dx.len();
+        let k = self.slots[slot].step;
+        self.second.resize(8 * n, 0.0);
+        let mut second = std::mem::take(&mut self.second);
+        let (moved, rest) = second.split_at_mut(4 * n);
+        let [mu, mu_dot, p, p_dot] = fourths(rest, n);
+        moved[..n].copy_from_slice(dx);
+        for i in 0..3 {
+            let t = self.time(k, i);
+            let stage = &self.slots[slot].values[i * n..(i + 1) * n];
+            let (done, next) = moved.split_at_mut((i + 1) * n);
+            self.rhs.tangent(t, stage, &done[i * n..], &mut self.slope);
+            let h = PLACE[i + 1] * self.length;
+            next[..n].iter_mut().zip(dx).zip(&self.slope).for_each(|((next, d), s)| *next = d + h * s);
+        }
+        // λ + Σ p_i, and its derivative, in place
+        self.sum.copy_from_slice(derivative);
+        (p.fill(0.0), p_dot.fill(0.0));
+        for i in (0..4).rev() {
+            let (t, weight) = (self.time(k, i), self.length * WEIGHT[i]);
+            let after = PLACE.get(i + 1).map_or(0.0, |c| self.length * c);
+            for j in 0..n {
+                mu[j] = weight * lambda[j] + after * p[j];
+                mu_dot[j] = weight * derivative[j] + after * p_dot[j];
+            }
+            let at = i * n..(i + 1) * n;
+            let stage = &self.slots[slot].values[at.clone()];
+            self.rhs.adjoint(t, stage, mu, p);
+            self.rhs.adjoint(t, stage, mu_dot, p_dot);
+            self.rhs.second_adjoint_add(t, stage, &moved[at], mu, p_dot);
+            add(1.0, p_dot, &mut self.sum);
+        }
+        derivative.copy_from_slice(&self.sum);
+        self.second = second;
+        if derivative.iter().all(|d| d.is_finite()) {
+            Ok(())
+        } else {
+            Err(Error::NonFinite { step: k, what: "the second derivative of x_{k+1}" })
+        }
+    }
+}
+
+/// Four slices of length n, one after the other.
+fn fourths(all: &mut [f64], n: usize) -> [&mut [f64]; 4] {
+    let (a, rest) = all.split_at_mut(n);
+    let (b, rest) = rest.split_at_mut(n);
+    let (c, d) = rest.split_at_mut(n);
+    [a, b, c, &mut d[..n]]
 }
 
 impl<R: Rhs> Rk4<R> {
@@ -275,6 +346,10 @@ impl<R: Rhs> Rate for RhsRate<R> {
 
     fn adjoint_add(&mut self, k: usize, x: &[f64], lambda: &[f64], dx: &mut [f64]) {
         self.rhs.adjoint_add(self.time(k), x, lambda, dx);
+    }
+
+    fn second_adjoint_add(&mut self, k: usize, x: &[f64], dx: &[f64], lambda: &[f64], out: &mut [f64]) {
+        self.rhs.second_adjoint_add(self.time(k), x, dx, lambda, out);
     }
 }
 

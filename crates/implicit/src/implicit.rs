@@ -2,7 +2,7 @@
 
 use crate::newton::{self, NewtonOptions, NewtonWork};
 use crate::substeps::{Linearized, Products, add, substep_bytes};
-use crate::{ControlMap, Equations, Error, ImplicitStep, Interval, Model, StepEquations, Work};
+use crate::{ControlMap, Equations, Error, ImplicitStep, Interval, Model, SecondOrder, StepEquations, Work};
 use crate::{Rate, VelocityRate};
 
 /// Steps on a grid of time, each solved by Newton's method, with tangent and adjoint from kept factors
@@ -405,7 +405,7 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
     fn linearize(&mut self, slot: usize, k: usize, x: &[f64], x_next: &[f64]) -> Result<Work, Error> {
         assert!(x.len() == self.dim() && x_next.len() == self.dim(), "a state has {} values", self.dim());
         let mut did = Work::default();
-        self.slot(slot).used = 0;
+        self.slot(slot).forget();
         if self.linearization == Linearization::LastFactor
             && self.last_factor
             && self.last.at.len() == 1
@@ -485,6 +485,47 @@ impl<S: ImplicitStep> Model for ImplicitModel<S> {
 
     fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
         Some(self)
+    }
+
+    fn second_order(&mut self) -> Option<&mut dyn SecondOrder> {
+        if self.step.second_kept().is_some() { Some(self) } else { None }
+    }
+}
+
+impl<S: ImplicitStep> SecondOrder for ImplicitModel<S> {
+    fn tangent_kept(&mut self, slot: usize, dx: &mut [f64]) {
+        assert_eq!(dx.len(), self.dim(), "a column has {} values", self.dim());
+        let Self { step, work, slots, products, .. } = self;
+        linearized(slots, slot);
+        products.tangent_kept(step, &mut work.solver, &mut slots[slot], dx);
+    }
+
+    fn adjoint_derivative(
+        &mut self,
+        slot: usize,
+        dx: &[f64],
+        lambda: &[f64],
+        derivative: &mut [f64],
+    ) -> Result<(), Error> {
+        let n = self.dim();
+        assert!([dx.len(), lambda.len(), derivative.len()] == [n; 3], "a state has {n} values");
+        let Self { step, work, slots, products, .. } = self;
+        let k = linearized(slots, slot)[0].at.index;
+        products.adjoint_derivative(step, &mut work.solver, &mut slots[slot], [dx, lambda], derivative);
+        if derivative.iter().all(|d| d.is_finite()) {
+            Ok(())
+        } else {
+            Err(Error::NonFinite { step: k, what: "the second derivative of x_{k+1}" })
+        }
+    }
+
+    fn initial_adjoint_derivative(&mut self, delta: &[f64], lambda: &[f64], dz: &mut [f64]) {
+        let t = self.time(0);
+        let (own, history) = lambda.split_at(lambda.len() - self.step.history());
+        let sum = &mut self.sum[..own.len()];
+        sum.copy_from_slice(own);
+        add(&mut sum[..history.len()], history);
+        self.step.initial_second_add(t, delta, sum, dz);
     }
 }
 

@@ -153,6 +153,23 @@ impl Rhs for KuramotoSivashinsky {
         }
     }
 
+    fn has_second_derivatives(&self) -> bool {
+        true
+    }
+
+    /// The transport −(l + m + r)(r − l)/6h is quadratic.
+    fn second_adjoint_add(&mut self, _t: f64, _u: &[f64], du: &[f64], lambda: &[f64], out: &mut [f64]) {
+        let (_, transport) = self.linear();
+        for (i, lambda) in lambda.iter().enumerate() {
+            let [_, l, m, r, _] = self.near(i);
+            let share = transport / 3.0 * lambda;
+            let (sum, difference) = (du[l] + du[m] + du[r], du[r] - du[l]);
+            out[l] -= share * (difference - sum);
+            out[m] -= share * difference;
+            out[r] -= share * (difference + sum);
+        }
+    }
+
     fn structure(&self) -> Structure {
         let (mut columns, mut rows) = (vec![0], Vec::with_capacity(WIDTH * self.points));
         for j in 0..self.points {

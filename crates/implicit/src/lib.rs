@@ -138,6 +138,7 @@ mod rate;
 mod rhs;
 #[cfg(feature = "implicit")]
 mod scheme;
+mod second_order;
 #[cfg(feature = "implicit")]
 mod step;
 mod storage;
@@ -167,8 +168,9 @@ pub use rate::{Rate, VelocityRate};
 pub use rhs::Rhs;
 #[cfg(feature = "implicit")]
 pub use scheme::{Scheme, Stage};
+pub use second_order::SecondOrder;
 #[cfg(feature = "implicit")]
-pub use step::{ImplicitStep, Interval, SolvedStep, StepEquations};
+pub use step::{ImplicitStep, Interval, Multipliers, SolvedStep, StepEquations};
 pub use storage::{Footprint, Storage};
 pub use substepped::Substepped;
 pub use trajectory::{Keep, LinearizedStep, Trajectory};

@@ -311,6 +311,28 @@ impl Rhs for Transport {
         }
     }
 
+    fn has_second_derivatives(&self) -> bool {
+        true
+    }
+
+    /// The transport −a (l + m + r)(r − l)/6h is quadratic.
+    fn second_adjoint_add(&mut self, _t: f64, u: &[f64], du: &[f64], lambda: &[f64], out: &mut [f64]) {
+        let (n, beyond, [transport, _]) = (u.len(), self.beyond_tangent(du), self.scales());
+        let mut outside = [0.0; 2];
+        for (i, lambda) in lambda.iter().enumerate() {
+            let [l, m, r] = near(du, beyond, i);
+            let share = transport * self.steepening / 3.0 * lambda;
+            let (sum, difference) = (l + m + r, r - l);
+            *(if i == 0 { &mut outside[0] } else { &mut out[i - 1] }) -= share * (difference - sum);
+            out[i] -= share * difference;
+            *(if i + 1 == n { &mut outside[1] } else { &mut out[i + 1] }) -= share * (difference + sum);
+        }
+        if self.line.ends == Ends::Periodic {
+            out[n - 1] += outside[0];
+            out[0] += outside[1];
+        }
+    }
+
     fn structure(&self) -> Structure {
         let n = self.line.points;
         if self.line.ends != Ends::Periodic {

@@ -66,6 +66,16 @@ impl Rhs for Lorenz63 {
         dx[1] += self.sigma * l[0] - l[1] + x[0] * l[2];
         dx[2] += -x[0] * l[1] - self.beta * l[2];
     }
+
+    fn has_second_derivatives(&self) -> bool {
+        true
+    }
+
+    fn second_adjoint_add(&mut self, _t: f64, _x: &[f64], dx: &[f64], l: &[f64], out: &mut [f64]) {
+        out[0] += dx[1] * l[2] - dx[2] * l[1];
+        out[1] += dx[0] * l[2];
+        out[2] -= dx[0] * l[1];
+    }
 }
 
 /// Lorenz 1996, N ≥ 4 variables on a circle.
@@ -162,6 +172,21 @@ impl Rhs for Lorenz96 {
 
     fn adjoint(&mut self, _t: f64, x: &[f64], l: &[f64], dx: &mut [f64]) {
         self.columns(x, l, dx, |dx, column| *dx = column);
+    }
+
+    fn has_second_derivatives(&self) -> bool {
+        true
+    }
+
+    fn second_adjoint_add(&mut self, _t: f64, _x: &[f64], dx: &[f64], l: &[f64], out: &mut [f64]) {
+        // f is quadratic: its second derivative is the Jacobian's linear part at dx
+        let n = self.n;
+        for i in 0..n {
+            let (back2, back, ahead) = ((i + n - 2) % n, (i + n - 1) % n, (i + 1) % n);
+            out[ahead] += l[i] * dx[back];
+            out[back2] -= l[i] * dx[back];
+            out[back] += l[i] * (dx[ahead] - dx[back2]);
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! The traits of a discrete model, and the work that its calls report.
 
-use crate::{Error, Rate};
+use crate::{Error, Rate, SecondOrder};
 use std::ops::{Add, Sub};
 
 /// A discrete model x_{k+1} = M_k(x_k) with its tangent linear and its adjoint (paper 2.16, 2.24, 2.25).
@@ -11,8 +11,9 @@ use std::ops::{Add, Sub};
 /// slot holds.
 ///
 /// A model counts nothing and decides nothing about storage: it says what a call did ([`Work`]), and its
-/// caller adds that up. Every method is required but [`rate`](Self::rate) and those of the control, which
-/// follow from [`control_map`](Self::control_map): a wrapper that forgets another does not compile.
+/// caller adds that up. Every method is required but [`rate`](Self::rate), [`second_order`](Self::second_order)
+/// and those of the control, which follow from [`control_map`](Self::control_map): a wrapper that forgets
+/// another does not compile.
 ///
 /// ```
 /// use varda_implicit::{ControlMap, Error, Model, Work, check};
@@ -129,6 +130,12 @@ pub trait Model {
     /// The map from the control z, what is estimated, to the initial state; `None` where they are the same
     /// vector.
     fn control_map(&mut self) -> Option<&mut dyn ControlMap>;
+
+    /// Second derivatives of the steps, for the exact Hessian of a cost; `None` (the default) where there are
+    /// none, and Hessians are those of Gauss and Newton.
+    fn second_order(&mut self) -> Option<&mut dyn SecondOrder> {
+        None
+    }
 
     /// Length of the control z.
     fn control_dim(&mut self) -> usize {
@@ -278,6 +285,8 @@ pub struct Counts {
     pub factorizations: usize,
     /// Newton iterations.
     pub newton_iterations: usize,
+    /// Derivatives of the adjoint step ([`SecondOrder`]).
+    pub adjoint_derivatives: usize,
 }
 
 impl Counts {
@@ -291,6 +300,7 @@ impl Counts {
             reused: f(self.reused, other.reused),
             factorizations: f(self.factorizations, other.factorizations),
             newton_iterations: f(self.newton_iterations, other.newton_iterations),
+            adjoint_derivatives: f(self.adjoint_derivatives, other.adjoint_derivatives),
         }
     }
 

@@ -46,6 +46,15 @@ pub struct At {
 ///         dx[0] += dy[0] / x[1];
 ///         dx[1] -= x[0] / x[1] * dy[0] / x[1];
 ///     }
+///     // for exact Hessians; may be left out
+///     fn has_second_derivatives(&self) -> bool {
+///         true
+///     }
+///     fn second_adjoint_add(&mut self, _: At, x: &[f64], dx: &[f64], dy: &[f64], out: &mut [f64]) {
+///         let mixed = -dy[0] / (x[1] * x[1]);
+///         out[0] += mixed * dx[1];
+///         out[1] += mixed * dx[0] - 2.0 * mixed * x[0] / x[1] * dx[1];
+///     }
 /// }
 ///
 /// let mut y = [0.0];
@@ -71,4 +80,14 @@ pub trait ObservationOperator {
 
     /// dx += H'(t_k, x)ᵀ dy. Called only at states that `observe` accepted.
     fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]);
+
+    /// Whether `second_adjoint_add` is given, for exact Hessians. False by default: say true for an operator
+    /// that is linear in the state, too.
+    fn has_second_derivatives(&self) -> bool {
+        false
+    }
+
+    /// out += Σ_i dy_i ∂²H_i/∂x²(t_k, x) dx: nothing for a linear operator. Called only where
+    /// `has_second_derivatives` says so, at states that `observe` accepted.
+    fn second_adjoint_add(&mut self, _: At, _x: &[f64], _dx: &[f64], _dy: &[f64], _out: &mut [f64]) {}
 }

@@ -2,8 +2,8 @@
 
 use crate::rhs::Jacobian;
 use crate::{
-    Equations, ImplicitStep, Interval, ParametricRhs, ParametricStep, Refusal, Rhs, Scheme, SolvedStep,
-    Stage, StepEquations, Structure,
+    Equations, ImplicitStep, Interval, Multipliers, ParametricRhs, ParametricStep, Refusal, Rhs, Scheme,
+    SolvedStep, Stage, StepEquations, Structure,
 };
 
 /// A one-leg step of ẋ = f(t, x) by one of the schemes of [`Scheme`]: f is taken once, at the stage y.
@@ -37,6 +37,8 @@ pub struct OneLeg<R> {
     scheme: Scheme,
     tolerance: f64,
     jacobian: Jacobian,
+    /// Work space of second derivatives.
+    product: Vec<f64>,
 }
 
 impl<R: Rhs> OneLeg<R> {
@@ -84,7 +86,7 @@ impl<R: Rhs> OneLeg<R> {
         }
         let on_diagonal = (0..n).all(|i| structure.diagonal(n, i).is_some());
         assert!(on_diagonal, "the pattern of ∂f/∂x must contain its diagonal");
-        Self { rhs, scheme, tolerance, jacobian: Jacobian::new(n, structure) }
+        Self { rhs, scheme, tolerance, jacobian: Jacobian::new(n, structure), product: vec![0.0; n] }
     }
 
     /// The right-hand side.
@@ -222,6 +224,25 @@ impl<R: Rhs> ImplicitStep for OneLeg<R> {
         for ((next, du), dx) in dx_next.iter_mut().zip(du).zip(dx) {
             *next = b0 * du + b1 * dx;
         }
+    }
+
+    fn second_kept(&self) -> Option<usize> {
+        // f is asked itself
+        self.rhs.has_second_derivatives().then_some(0)
+    }
+
+    /// ∂²L/∂u² = −η Σ_i μ_i ∂²f_i/∂x²; the rest of G and S is linear.
+    fn second_add(
+        &mut self,
+        of: &SolvedStep<'_>,
+        at: &Multipliers<'_>,
+        [_, du]: [&[f64]; 2],
+        [_, ru]: [&mut [f64]; 2],
+    ) {
+        let stage = self.scheme.stage(of.at);
+        self.product.fill(0.0);
+        self.rhs.second_adjoint_add(stage.time, of.u, du, at.mu, &mut self.product);
+        ru.iter_mut().zip(&self.product).for_each(|(r, p)| *r -= stage.length * p);
     }
 
     fn advance_adjoint(&mut self, of: &SolvedStep<'_>, lambda: &[f64], dx: &mut [f64], du: &mut [f64]) {

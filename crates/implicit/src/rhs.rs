@@ -65,6 +65,14 @@ pub trait Rhs {
     fn jacobian(&mut self, _t: f64, _x: &[f64], _values: &mut [f64]) -> bool {
         false
     }
+
+    /// Whether `second_adjoint_add` is given, for exact Hessians.
+    fn has_second_derivatives(&self) -> bool {
+        false
+    }
+
+    /// out += Σ_i λ_i ∂²f_i/∂x²(t, x) dx. Called only where `has_second_derivatives` says so.
+    fn second_adjoint_add(&mut self, _t: f64, _x: &[f64], _dx: &[f64], _lambda: &[f64], _out: &mut [f64]) {}
 }
 
 /// How the values of ∂f/∂x come about.

@@ -37,6 +37,17 @@ pub struct SolvedStep<'a> {
     pub kept: &'a [f64],
 }
 
+/// The multipliers of the adjoint at a solved step, as its second derivatives see them.
+#[derive(Debug, Clone, Copy)]
+pub struct Multipliers<'a> {
+    /// λ of x_{k+1}, without the history.
+    pub lambda: &'a [f64],
+    /// μ = −(∂G/∂u)⁻ᵀ (∂S/∂u)ᵀ λ.
+    pub mu: &'a [f64],
+    /// What [`ImplicitStep::keep_second`] wrote.
+    pub kept: &'a [f64],
+}
+
 /// A step x_{k+1} = M_k(x_k) given by equations G(x_k, u) = 0 in unknowns u, from which x_{k+1} = S(x_k, u)
 /// follows without a solve.
 ///
@@ -206,6 +217,33 @@ pub trait ImplicitStep {
         du.copy_from_slice(lambda);
     }
 
+    /// How many numbers the second derivatives of a solved step keep; `None` (the default) where the step has
+    /// none, and Hessians are those of Gauss and Newton.
+    fn second_kept(&self) -> Option<usize> {
+        None
+    }
+
+    /// Writes them, once for every λ and μ: what `second_add` needs of L = λᵀ S(x_k, u) + μᵀ G(x_k, u) beside
+    /// the two vectors.
+    fn keep_second(&mut self, _of: &SolvedStep<'_>, _lambda: &[f64], _mu: &[f64], _kept: &mut [f64]) {}
+
+    /// Adds the second derivatives of L = λᵀ S(x_k, u) + μᵀ G(x_k, u), in the increments that the products above
+    /// are given:
+    ///
+    /// ```text
+    /// rx += ∂²L/∂x² dx + ∂²L/∂x∂u du,    ru += ∂²L/∂u∂x dx + ∂²L/∂u² du
+    /// ```
+    ///
+    /// Called only where `second_kept` is not `None`.
+    fn second_add(
+        &mut self,
+        _of: &SolvedStep<'_>,
+        _at: &Multipliers<'_>,
+        _by: [&[f64]; 2],
+        _to: [&mut [f64]; 2],
+    ) {
+    }
+
     /// Components of the state, and the first of as many whose values are their rates: for
     /// [`Model::rate`](crate::Model::rate). Not where rates ring or jump within a step, as midpoint's do.
     fn velocities(&self) -> Option<(Range<usize>, usize)> {
@@ -236,6 +274,10 @@ pub trait ImplicitStep {
     fn initial_adjoint(&mut self, _t: f64, lambda: &[f64], dz: &mut [f64]) {
         dz.copy_from_slice(lambda);
     }
+
+    /// out += Σ_i λ_i ∂²x_{0,i}/∂z² dz at the control of the last `initial_state`. Nothing (the default) where
+    /// the map is linear.
+    fn initial_second_add(&mut self, _t: f64, _dz: &[f64], _lambda: &[f64], _out: &mut [f64]) {}
 }
 
 /// The equations G(x_k, u) = 0 of one interval and one x_k: what only holds once a step has been prepared.

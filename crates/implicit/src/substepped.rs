@@ -1,6 +1,6 @@
 //! Several steps of a model as one.
 
-use crate::{ControlMap, Error, Model, Rate, Work};
+use crate::{ControlMap, Error, Model, Rate, SecondOrder, Work};
 use std::ops::Range;
 
 /// A model whose step k is the steps `first[k]` … `first[k + 1]` − 1 of another, in order: M_k =
@@ -35,6 +35,9 @@ pub struct Substepped<M> {
     states: Vec<f64>,
     /// The step whose linearization a slot holds.
     linearized: Vec<usize>,
+    /// Work space of second derivatives.
+    tangents: Vec<f64>,
+    adjoints: Vec<f64>,
 }
 
 impl<M: Model> Substepped<M> {
@@ -45,7 +48,15 @@ impl<M: Model> Substepped<M> {
     pub fn new(model: M, first: Vec<usize>) -> Self {
         let ascending = first.windows(2).all(|f| f[0] < f[1]);
         assert!(first.len() > 1 && ascending, "groups of steps need two or more ascending boundaries");
-        Self { model, first, last: None, states: Vec::new(), linearized: Vec::new() }
+        Self {
+            model,
+            first,
+            last: None,
+            states: Vec::new(),
+            linearized: Vec::new(),
+            tangents: Vec::new(),
+            adjoints: Vec::new(),
+        }
     }
 
     /// Groups the steps between `times` so that they end at the times of `through`, which must be among them.
@@ -148,6 +159,51 @@ impl<M: Model> Model for Substepped<M> {
     fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
         self.model.control_map()
     }
+
+    fn second_order(&mut self) -> Option<&mut dyn SecondOrder> {
+        if self.model.second_order().is_some() { Some(self) } else { None }
+    }
+}
+
+impl<M: Model> SecondOrder for Substepped<M> {
+    fn adjoint_derivative(
+        &mut self,
+        slot: usize,
+        dx: &[f64],
+        lambda: &[f64],
+        derivative: &mut [f64],
+    ) -> Result<(), Error> {
+        let (n, inner) = (dx.len(), self.inner(slot));
+        let steps = inner.len();
+        // dx at the start of every inner step, λ at its end
+        self.tangents.resize(steps * n, 0.0);
+        self.adjoints.resize(steps * n, 0.0);
+        self.tangents[..n].copy_from_slice(dx);
+        self.adjoints[(steps - 1) * n..].copy_from_slice(lambda);
+        for i in 1..steps {
+            let (before, after) = self.tangents.split_at_mut(i * n);
+            after[..n].copy_from_slice(&before[(i - 1) * n..]);
+            self.model.tangent(inner.start + i - 1, &mut after[..n]);
+        }
+        for i in (1..steps).rev() {
+            let (before, after) = self.adjoints.split_at_mut(i * n);
+            let before = &mut before[(i - 1) * n..];
+            before.copy_from_slice(&after[..n]);
+            self.model.adjoint(inner.start + i, before);
+        }
+        let second = self.model.second_order().expect("asked for only where it is");
+        for (i, slot) in inner.enumerate().rev() {
+            let at = i * n..(i + 1) * n;
+            second.adjoint_derivative(slot, &self.tangents[at.clone()], &self.adjoints[at], derivative)?;
+        }
+        Ok(())
+    }
+
+    fn initial_adjoint_derivative(&mut self, delta: &[f64], lambda: &[f64], dz: &mut [f64]) {
+        if let Some(second) = self.model.second_order() {
+            second.initial_adjoint_derivative(delta, lambda, dz);
+        }
+    }
 }
 
 /// The rate of a model whose steps are those of another in groups.
@@ -175,5 +231,9 @@ impl Rate for Grouped {
 
     fn adjoint_add(&mut self, k: usize, x: &[f64], lambda: &[f64], dx: &mut [f64]) {
         self.rate.adjoint_add(self.first[k], x, lambda, dx);
+    }
+
+    fn second_adjoint_add(&mut self, k: usize, x: &[f64], dx: &[f64], lambda: &[f64], out: &mut [f64]) {
+        self.rate.second_adjoint_add(self.first[k], x, dx, lambda, out);
     }
 }

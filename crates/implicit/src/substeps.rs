@@ -1,6 +1,6 @@
 //! The linearization of a step as a list of substeps, and its products with one column or many.
 
-use crate::{ImplicitStep, Interval, SolvedStep};
+use crate::{ImplicitStep, Interval, Multipliers, SolvedStep};
 use varda_linalg::band::BLOCK;
 use varda_linalg::{Factor, LinearSolver};
 
@@ -27,6 +27,27 @@ impl Substep {
 pub(crate) struct Linearized {
     pub(crate) used: usize,
     pub(crate) substeps: Vec<Substep>,
+    /// λ at the end of the step that `seconds` belongs to; empty where it belongs to none.
+    second_of: Vec<f64>,
+    /// What second derivatives keep of each substep.
+    seconds: Vec<Second>,
+    /// dx and du of every substep for the dx that stands first; empty where there is none.
+    path: Vec<f64>,
+}
+
+/// What second derivatives keep of a substep.
+#[derive(Debug, Default)]
+struct Second {
+    /// λ of the state after it without the history, and μ.
+    lambda: Vec<f64>,
+    mu: Vec<f64>,
+    kept: Vec<f64>,
+}
+
+impl Second {
+    fn multipliers(&self) -> Multipliers<'_> {
+        Multipliers { lambda: &self.lambda, mu: &self.mu, kept: &self.kept }
+    }
 }
 
 impl Linearized {
@@ -52,10 +73,24 @@ impl Linearized {
         &mut self.substeps[p]
     }
 
+    /// To be called when the slot is linearized anew.
+    pub(crate) fn forget(&mut self) {
+        self.used = 0;
+        self.second_of.clear();
+        self.path.clear();
+    }
+
     /// Bytes held.
     pub(crate) fn bytes(&self) -> usize {
         let substep = |s: &Substep| substep_bytes(s.x.len() + s.u.len() + s.kept.len(), &s.factor);
-        size_of::<Self>() + self.substeps.iter().map(substep).sum::<usize>()
+        let second = |s: &Second| {
+            (s.lambda.capacity() + s.mu.capacity() + s.kept.capacity()) * size_of::<f64>()
+                + size_of::<Second>()
+        };
+        size_of::<Self>()
+            + (self.second_of.capacity() + self.path.capacity()) * size_of::<f64>()
+            + self.substeps.iter().map(substep).sum::<usize>()
+            + self.seconds.iter().map(second).sum::<usize>()
     }
 }
 
@@ -137,6 +172,122 @@ impl Products {
             lambda.copy_from_slice(dx);
         }
         add(&mut lambda[..past], history);
+    }
+
+    /// λ̇ ← M'ᵀ λ̇ + Σ λ_i ∂²M_i dx through all substeps: with w = (dx, du), L = λᵀS + μᵀG,
+    ///
+    /// ```text
+    /// r = (∂S/∂u)ᵀ λ̇ + ∂²L/∂u∂(x,u) w,   ν = −(∂G/∂u)⁻ᵀ r
+    /// λ̇ ← (∂S/∂x)ᵀ λ̇ + ∂²L/∂x∂(x,u) w + (∂G/∂x)ᵀ ν
+    /// ```
+    pub(crate) fn adjoint_derivative<S: ImplicitStep>(
+        &mut self,
+        step: &mut S,
+        solver: &mut LinearSolver,
+        linearized: &mut Linearized,
+        [dx, lambda]: [&[f64]; 2],
+        derivative: &mut [f64],
+    ) {
+        if linearized.second_of != lambda {
+            self.keep_second(step, solver, linearized, lambda);
+        }
+        if linearized.path.get(..dx.len()) != Some(dx) {
+            self.keep_path(step, solver, linearized, dx);
+        }
+        let Linearized { used, substeps, seconds, path, .. } = linearized;
+        let (substeps, seconds) = (&substeps[..*used], &seconds[..*used]);
+        let (n, past, unknowns) = (dx.len(), step.history(), self.u.len());
+        let own = n - past;
+        let now = &mut self.dx[..n];
+        let (history, nu, next) = (&mut self.history[..past], &mut self.u, now);
+        history.copy_from_slice(&derivative[own..]);
+        derivative[own..].fill(0.0);
+        for ((substep, second), at) in substeps.iter().zip(seconds).zip(path.chunks_exact(n + unknowns)).rev()
+        {
+            let (dx, du) = at.split_at(n);
+            step.advance_adjoint(&substep.solved(), &derivative[..own], next, nu);
+            step.second_add(&substep.solved(), &second.multipliers(), [dx, du], [next, nu]);
+            solver.solve_transpose(&substep.factor, nu);
+            nu.iter_mut().for_each(|m| *m = -*m);
+            step.previous_transpose_add(&substep.solved(), nu, next);
+            add(&mut next[..past], &derivative[own..]);
+            derivative.copy_from_slice(next);
+        }
+        add(&mut derivative[..past], history);
+    }
+
+    /// dx ← M dx as `tangent`, the way kept.
+    pub(crate) fn tangent_kept<S: ImplicitStep>(
+        &mut self,
+        step: &mut S,
+        solver: &mut LinearSolver,
+        linearized: &mut Linearized,
+        dx: &mut [f64],
+    ) {
+        self.keep_path(step, solver, linearized, dx);
+        let past = step.history();
+        let own = dx.len() - past;
+        dx.copy_from_slice(&self.dx[..dx.len()]);
+        dx[own..].copy_from_slice(&linearized.path[..past]);
+    }
+
+    /// dx and du of every substep into the slot; dx after the last one, its history aside, into `self.dx`.
+    fn keep_path<S: ImplicitStep>(
+        &mut self,
+        step: &mut S,
+        solver: &mut LinearSolver,
+        linearized: &mut Linearized,
+        dx: &[f64],
+    ) {
+        let Linearized { used, substeps, path, .. } = linearized;
+        let (n, past, unknowns) = (dx.len(), step.history(), self.u.len());
+        let (own, now) = (n - past, &mut self.dx[..n]);
+        path.resize(*used * (n + unknowns), 0.0);
+        now.copy_from_slice(dx);
+        for (substep, at) in substeps[..*used].iter().zip(path.chunks_exact_mut(n + unknowns)) {
+            let (before, du) = at.split_at_mut(n);
+            before.copy_from_slice(now);
+            step.previous(&substep.solved(), before, du);
+            solver.solve(&substep.factor, du);
+            du.iter_mut().for_each(|d| *d = -*d);
+            step.advance_tangent(&substep.solved(), before, du, &mut now[..own]);
+            now[own..].copy_from_slice(&before[..past]);
+        }
+    }
+
+    /// λ and μ of every substep, and what the step keeps for them.
+    fn keep_second<S: ImplicitStep>(
+        &mut self,
+        step: &mut S,
+        solver: &mut LinearSolver,
+        linearized: &mut Linearized,
+        lambda: &[f64],
+    ) {
+        let Linearized { used, substeps, second_of, seconds, .. } = linearized;
+        let (n, past) = (lambda.len(), step.history());
+        let own = n - past;
+        second_of.clear();
+        second_of.extend_from_slice(lambda);
+        if seconds.len() < *used {
+            seconds.resize_with(*used, Second::default);
+        }
+        let numbers = step.second_kept().expect("asked for only where there are second derivatives");
+        let mut lambda = lambda.to_vec();
+        lambda[own..].fill(0.0);
+        let dx = &mut self.dx[..n];
+        for (substep, second) in substeps[..*used].iter().zip(seconds.iter_mut()).rev() {
+            second.kept.resize(numbers, 0.0);
+            second.mu.resize(self.u.len(), 0.0);
+            second.lambda.clear();
+            second.lambda.extend_from_slice(&lambda[..own]);
+            step.advance_adjoint(&substep.solved(), &lambda[..own], dx, &mut second.mu);
+            solver.solve_transpose(&substep.factor, &mut second.mu);
+            second.mu.iter_mut().for_each(|m| *m = -*m);
+            step.previous_transpose_add(&substep.solved(), &second.mu, dx);
+            add(&mut dx[..past], &lambda[own..]);
+            lambda.copy_from_slice(dx);
+            step.keep_second(&substep.solved(), &second.lambda, &second.mu, &mut second.kept);
+        }
     }
 
     /// `tangent` of every column of length n: one pass over a factor for every few of them.

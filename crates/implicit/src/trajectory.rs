@@ -83,6 +83,35 @@ impl LinearizedStep<'_> {
         self.log.counts.adjoint_steps += lambda.len() / self.x.len().max(1);
         self.model.adjoint(self.slot, lambda);
     }
+
+    /// dx ← M_k dx, what [`adjoint_derivative`](Self::adjoint_derivative) needs of it kept where the storage keeps
+    /// linearizations.
+    ///
+    /// # Panics
+    /// If the model has no second derivatives.
+    pub fn tangent_kept(&mut self, dx: &mut [f64]) {
+        self.log.counts.tangent_steps += 1;
+        let second = self.model.second_order().expect("a model with second derivatives");
+        second.tangent_kept(self.slot, dx);
+    }
+
+    /// λ̇ ← M_kᵀ λ̇ + Σ_i λ_i ∂²M_{k,i}/∂x² dx, see [`SecondOrder`](crate::SecondOrder).
+    ///
+    /// # Errors
+    /// As [`SecondOrder::adjoint_derivative`](crate::SecondOrder::adjoint_derivative).
+    ///
+    /// # Panics
+    /// If the model has no second derivatives.
+    pub fn adjoint_derivative(
+        &mut self,
+        dx: &[f64],
+        lambda: &[f64],
+        derivative: &mut [f64],
+    ) -> Result<(), Error> {
+        self.log.counts.adjoint_derivatives += 1;
+        let second = self.model.second_order().expect("a model with second derivatives");
+        second.adjoint_derivative(self.slot, dx, lambda, derivative)
+    }
 }
 
 impl Trajectory {

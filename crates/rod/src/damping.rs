@@ -8,8 +8,8 @@
 
 use nalgebra::Vector3;
 
-use crate::element::Strains;
-use crate::layout::{FIXED, Layout};
+use crate::element::{LOCAL, STRAINS, Strains};
+use crate::layout::{FIXED, Layout, band_product_add};
 use crate::shape::{HOLONOMY, Shape, holonomy, holonomy_transpose_add, kept_bend};
 use crate::stage::{RodStage, mixed, mixed_add};
 use crate::system::{PastStrains, System};
@@ -27,6 +27,9 @@ pub(crate) struct KelvinVoigt {
     sum: Vec<f64>,
     displacement: Vec<Vector3<f64>>,
     psi: Vec<f64>,
+    /// Work space of second derivatives: nothing until they are asked for.
+    of_stage: Vec<f64>,
+    unknowns: [Vec<f64>; 2],
 }
 
 /// A configuration of the past, and the weight of its strains in ε*.
@@ -49,6 +52,8 @@ impl KelvinVoigt {
             sum: vec![0.0; system.layout.full()],
             displacement: vec![Vector3::zeros(); n + 1],
             psi: vec![0.0; n],
+            of_stage: Vec::new(),
+            unknowns: [Vec::new(), Vec::new()],
         }
     }
 
@@ -154,23 +159,9 @@ impl KelvinVoigt {
         dx: &[f64],
         dg: &mut [f64],
     ) {
-        let own = layout.state();
-        let angles = 6 * layout.free_vertices.len();
         self.sum.fill(0.0);
         for (of, strains, bends) in Self::kept_past(layout, stage, kept) {
-            self.full.fill(0.0);
-            self.displacement.fill(Vector3::zeros());
-            for (f, &v) in layout.free_vertices.iter().enumerate() {
-                let moved = Vector3::from_fn(|c, _| mixed(of, dx, own, 3 * f + c));
-                self.displacement[v] = moved;
-                self.full[layout.vertex(v)..layout.vertex(v) + 3].copy_from_slice(moved.as_slice());
-            }
-            if !layout.free_angles.is_empty() {
-                holonomy(kept_bend(bends), &self.displacement, &mut self.psi);
-                for (f, &e) in layout.free_angles.iter().enumerate() {
-                    self.full[layout.angle(e)] = mixed(of, dx, own, angles + f) - self.psi[e];
-                }
-            }
+            self.of_past(layout, of, bends, dx);
             couple(layout, strains, kept, &self.full, &mut self.sum);
         }
         for (value, &unknown) in self.sum.iter().zip(&layout.unknown) {
@@ -189,63 +180,161 @@ impl KelvinVoigt {
         mu: &[f64],
         dx: &mut [f64],
     ) {
-        for (full, &unknown) in self.full.iter_mut().zip(&layout.unknown) {
-            *full = if unknown == FIXED { 0.0 } else { mu[unknown] };
-        }
-        let (own, angles) = (layout.state(), 6 * layout.free_vertices.len());
+        layout.fill(mu, &mut self.full);
         for (of, strains, bends) in Self::kept_past(layout, stage, kept) {
             self.sum.fill(0.0);
             couple(layout, kept, strains, &self.full, &mut self.sum);
-            let back = &mut self.displacement;
-            for (v, back) in back.iter_mut().enumerate() {
-                let first = layout.vertex(v);
-                *back = Vector3::from_column_slice(&self.sum[first..first + 3]);
-            }
-            if !layout.free_angles.is_empty() {
-                // An angle that is given turns with its clamp: nothing comes back through it.
-                self.psi.fill(0.0);
-                for (f, &e) in layout.free_angles.iter().enumerate() {
-                    let angle = self.sum[layout.angle(e)];
-                    mixed_add(of, dx, own, angles + f, [angle]);
-                    self.psi[e] = -angle;
-                }
-                holonomy_transpose_add(kept_bend(bends), &self.psi, back);
-            }
-            for (f, &v) in layout.free_vertices.iter().enumerate() {
-                mixed_add(of, dx, own, 3 * f, [back[v].x, back[v].y, back[v].z]);
+            self.of_past_transpose_add(layout, of, bends, dx);
+        }
+    }
+
+    /// `full` = the increment of a configuration of the past, in its own local angles.
+    fn of_past(&mut self, layout: &Layout, of: [f64; 2], bends: &[f64], dx: &[f64]) {
+        let (own, angles) = (layout.state(), 6 * layout.free_vertices.len());
+        self.full.fill(0.0);
+        self.displacement.fill(Vector3::zeros());
+        for (f, &v) in layout.free_vertices.iter().enumerate() {
+            let moved = Vector3::from_fn(|c, _| mixed(of, dx, own, 3 * f + c));
+            self.displacement[v] = moved;
+            self.full[layout.vertex(v)..layout.vertex(v) + 3].copy_from_slice(moved.as_slice());
+        }
+        if !layout.free_angles.is_empty() {
+            holonomy(kept_bend(bends), &self.displacement, &mut self.psi);
+            for (f, &e) in layout.free_angles.iter().enumerate() {
+                self.full[layout.angle(e)] = mixed(of, dx, own, angles + f) - self.psi[e];
             }
         }
     }
-}
 
-/// Degrees of freedom at a bent vertex: three places and two angles.
-const LOCAL: usize = 11;
-/// Numbers kept for an edge and the vertex it starts at: the gradient of its length, and those of the three
-/// strains there.
-const STRAINS: usize = 3 + 3 * LOCAL;
+    /// The transpose: dx += that of `sum`.
+    fn of_past_transpose_add(&mut self, layout: &Layout, of: [f64; 2], bends: &[f64], dx: &mut [f64]) {
+        let (own, angles) = (layout.state(), 6 * layout.free_vertices.len());
+        let back = &mut self.displacement;
+        for (v, back) in back.iter_mut().enumerate() {
+            let first = layout.vertex(v);
+            *back = Vector3::from_column_slice(&self.sum[first..first + 3]);
+        }
+        if !layout.free_angles.is_empty() {
+            // An angle that is given turns with its clamp: nothing comes back through it.
+            self.psi.fill(0.0);
+            for (f, &e) in layout.free_angles.iter().enumerate() {
+                let angle = self.sum[layout.angle(e)];
+                mixed_add(of, dx, own, angles + f, [angle]);
+                self.psi[e] = -angle;
+            }
+            holonomy_transpose_add(kept_bend(bends), &self.psi, back);
+        }
+        for (f, &v) in layout.free_vertices.iter().enumerate() {
+            mixed_add(of, dx, own, 3 * f, [back[v].x, back[v].y, back[v].z]);
+        }
+    }
+
+    /// How many numbers second derivatives keep of a solved step: k ∂²ε[μ] of the stage, then a band for every
+    /// configuration of the past.
+    pub(crate) fn second_kept(&self, layout: &Layout) -> usize {
+        STRAINS * layout.segments + self.configurations.len() * layout.band()
+    }
+
+    /// Writes the bands: with the stresses s = k ∂ε(y)[μ] of the stage, and its own share and weight −r w,
+    /// Σ s ∂²ε of each configuration of the past, in its stored angles. `mu` is in the full order; the rest of
+    /// what is kept `System::third_add` writes.
+    pub(crate) fn keep_second(&self, system: &System, kept: &[f64], mu: &[f64], bands: &mut [f64]) {
+        let (layout, n) = (&system.layout, system.layout.segments);
+        let mut stresses = vec![[0.0; 4]; n];
+        for_each_strain(layout, &kept[..STRAINS * n], mu, |e, strain, value| stresses[e][strain] = value);
+        let used = self.configurations[..self.used].iter();
+        for (past, band) in used.zip(bands.chunks_exact_mut(layout.band().max(1))) {
+            band.fill(0.0);
+            let scaled: Vec<[f64; 4]> =
+                stresses.iter().map(|s| s.map(|s| -self.share * past.weight * s)).collect();
+            system.strains_second_add(&past.shape, &scaled, band);
+            if layout.free_angles.is_empty() {
+                continue;
+            }
+            // what its local angles are moved by: −ψ
+            let mut weights = vec![0.0; n];
+            for (vertex, strains) in past.strains.iter().enumerate() {
+                let [_, stress @ ..] = scaled[vertex + 1];
+                for (gradient, s) in strains.gradient.iter().zip(stress) {
+                    weights[vertex] -= s * gradient[3];
+                    weights[vertex + 1] -= s * gradient[7];
+                }
+            }
+            for e in (0..n).filter(|e| layout.free_angles.binary_search(e).is_err()) {
+                weights[e] = 0.0;
+            }
+            system.holonomy_second_add(&past.shape, &mut weights, band);
+        }
+    }
+
+    /// (rx, ru) += the second derivatives of μᵀG in x_k and u, those in u alone excepted.
+    pub(crate) fn second_add(
+        &mut self,
+        layout: &Layout,
+        stage: &RodStage,
+        [kept, second]: [&[f64]; 2],
+        [dx, du]: [&[f64]; 2],
+        [rx, ru]: [&mut [f64]; 2],
+    ) {
+        let (strained, bands) = second.split_at(STRAINS * layout.segments);
+        let mut bands = bands.chunks_exact(layout.band().max(1));
+        let mut of_stage = std::mem::take(&mut self.of_stage);
+        of_stage.resize(layout.full(), 0.0);
+        layout.fill(du, &mut of_stage);
+        let [mut own, mut product] = std::mem::take(&mut self.unknowns);
+        own.resize(layout.unknowns, 0.0);
+        product.resize(layout.unknowns, 0.0);
+        for (of, strains, bends) in Self::kept_past(layout, stage, kept) {
+            self.of_past(layout, of, bends, dx);
+            self.sum.fill(0.0);
+            couple(layout, strains, strained, &self.full, &mut self.sum);
+            layout.take(&self.sum, &mut product);
+            ru.iter_mut().zip(&product).for_each(|(r, p)| *r += p);
+            layout.take(&self.full, &mut own);
+            product.fill(0.0);
+            band_product_add(layout.half_bandwidth, bands.next().unwrap_or(&[]), &own, &mut product);
+            layout.fill(&product, &mut self.sum);
+            couple(layout, strained, strains, &of_stage, &mut self.sum);
+            self.of_past_transpose_add(layout, of, bends, rx);
+        }
+        (self.of_stage, self.unknowns) = (of_stage, [own, product]);
+    }
+}
 
 fn put_edge(kept: &mut [f64], t: &Vector3<f64>) {
     kept[..3].copy_from_slice(t.as_slice());
 }
 
-/// out += Σ to (from·q) over all strains, the gradients `from` and `to` as they were kept.
-fn couple(layout: &Layout, from: &[f64], to: &[f64], q: &[f64], out: &mut [f64]) {
-    let edges = from.chunks_exact(STRAINS).zip(to.chunks_exact(STRAINS));
-    for (e, (from, to)) in edges.take(layout.segments).enumerate() {
+/// Each strain's gradient, as it was kept, times q: `visit(e, strain, value)` for the length of edge e, strain
+/// 0, and the strains 1 to 3 of the vertex it starts at.
+fn for_each_strain(layout: &Layout, from: &[f64], q: &[f64], mut visit: impl FnMut(usize, usize, f64)) {
+    for (e, from) in from.chunks_exact(STRAINS).enumerate().take(layout.segments) {
         let (a, b) = (layout.vertex(e), layout.vertex(e + 1));
-        let longer: f64 = (0..3).map(|c| from[c] * (q[b + c] - q[a + c])).sum();
-        for c in 0..3 {
-            out[a + c] -= to[c] * longer;
-            out[b + c] += to[c] * longer;
-        }
+        visit(e, 0, (0..3).map(|c| from[c] * (q[b + c] - q[a + c])).sum());
         if !layout.bending || e == 0 {
             continue;
         }
         let first = layout.vertex(e - 1);
-        let (q, out) = (&q[first..first + LOCAL], &mut out[first..first + LOCAL]);
-        for (from, to) in from[3..].chunks_exact(LOCAL).zip(to[3..].chunks_exact(LOCAL)) {
-            let strain: f64 = from.iter().zip(q).map(|(g, q)| g * q).sum();
-            out.iter_mut().zip(to).for_each(|(out, g)| *out += g * strain);
+        for (strain, from) in from[3..].chunks_exact(LOCAL).enumerate() {
+            visit(e, strain + 1, from.iter().zip(&q[first..first + LOCAL]).map(|(g, q)| g * q).sum());
         }
     }
+}
+
+/// out += Σ to (from·q) over all strains, the gradients `from` and `to` as they were kept.
+fn couple(layout: &Layout, from: &[f64], to: &[f64], q: &[f64], out: &mut [f64]) {
+    for_each_strain(layout, from, q, |e, strain, value| {
+        let to = &to[STRAINS * e..STRAINS * (e + 1)];
+        let Some(strain) = strain.checked_sub(1) else {
+            let (a, b) = (layout.vertex(e), layout.vertex(e + 1));
+            for c in 0..3 {
+                out[a + c] -= to[c] * value;
+                out[b + c] += to[c] * value;
+            }
+            return;
+        };
+        let first = layout.vertex(e - 1);
+        let to = &to[3 + LOCAL * strain..3 + LOCAL * (strain + 1)];
+        out[first..first + LOCAL].iter_mut().zip(to).for_each(|(out, g)| *out += g * value);
+    });
 }

@@ -13,6 +13,12 @@ use nalgebra::{Matrix3, Vector3};
 use crate::geometry::{Edge, Turn, outer, symmetric_product};
 use crate::scalar::{Real, square};
 
+/// Degrees of freedom at a bent vertex with frames: three places and two angles.
+pub(crate) const LOCAL: usize = 11;
+/// Numbers for an edge and the vertex it starts at: the gradient of its length, and those of the three strains
+/// there.
+pub(crate) const STRAINS: usize = 3 + 3 * LOCAL;
+
 /// Energy, gradient and lower triangle of the Hessian of an element with N degrees of freedom.
 pub(crate) struct Element<T, const N: usize> {
     pub(crate) energy: T,
@@ -197,6 +203,21 @@ pub(crate) fn bend_twist<T: Real>(
         }
     }
 
+    strain_hessian_add(a, b, turn, m, strains, &s, &mut out.hessian);
+    out
+}
+
+/// Adds Σ_a s_a ∂²ε_a, the second derivatives of the strains of a vertex with frames, to a lower triangle.
+pub(crate) fn strain_hessian_add<T: Real>(
+    a: &Edge<T>,
+    b: &Edge<T>,
+    turn: &Turn<T>,
+    m: &Directors<T>,
+    strains: &Strains<T>,
+    s: &[T; 3],
+    hessian: &mut [[T; 11]; 11],
+) {
+    let zero = T::zero();
     let (p, q, chi, kb, tilde) = (&a.t, &b.t, turn.chi, &turn.kb, &turn.tilde);
     let (le, lf) = (a.l, b.l);
     let [p1e, p2e, p1f, p2f] = &strains.parts;
@@ -217,22 +238,21 @@ pub(crate) fn bend_twist<T: Real>(
         - outer(tilde, &ks_f) / le
         - (i3 + outer(p, q)) * (ks / (chi * le * lf))
         - outer(kb, tilde) * (s3 / (two * le * lf));
-    vertex_hessian(&ee, &ef, &ff, X, &mut out.hessian);
+    vertex_hessian(&ee, &ef, &ff, X, hessian);
     // ∂κ₁/∂θ = −½ m₁·κb, ∂κ₂/∂θ = −½ m₂·κb; once more: −½ m₂·κb and ½
     // m₁·κb.
     let mixed = |m1: &Part<T>, m2: &Part<T>| (m1.1 * -s1 - m2.1 * s2, m1.2 * -s1 - m2.2 * s2);
-    let second = strains.angle_curvature(&s);
+    let second = strains.angle_curvature(s);
     for (row, (e, f), second) in [(3, mixed(p1e, p2e), second[0]), (7, mixed(p1f, p2f), second[1])] {
         let mut g = [zero; 11];
         vertex_gradient(&e, &f, X, &mut g);
         for j in 0..11 {
             if j != 3 && j != 7 {
-                out.hessian[row.max(j)][row.min(j)] += g[j];
+                hessian[row.max(j)][row.min(j)] += g[j];
             }
         }
-        out.hessian[row][row] += second;
+        hessian[row][row] += second;
     }
-    out
 }
 
 /// From derivatives in the edges e = x_i − x_{i−1}, f = x_{i+1} − x_i to those in the vertices,

@@ -4,12 +4,16 @@ use std::ops::Range;
 
 use nalgebra::Vector3;
 use varda_implicit::{
-    ImplicitModel, ImplicitStep, Interval, Model, Refusal, Scheme, SolvedStep, Structure, Substepped,
+    ImplicitModel, ImplicitStep, Interval, Model, Multipliers, Refusal, Scheme, SolvedStep, Structure,
+    Substepped,
 };
 
 use crate::Error;
 use crate::dynamics::RodStep;
+use crate::element::STRAINS;
 use crate::equations::RodEquations;
+use crate::layout::band_product_add;
+use crate::second_order::Increment;
 use crate::shape::{HOLONOMY, holonomy, holonomy_transpose_add, kept_bend};
 use crate::stage::{RodStage, mixed, mixed_add};
 
@@ -99,6 +103,36 @@ impl RodStep {
                 lambda[3 * f + c] += self.displacement[v][c];
             }
         }
+    }
+
+    /// Bands that second derivatives keep beside damping's: of the stage, and of the end clamp's angle.
+    fn second_bands(&self) -> usize {
+        1 + usize::from(self.system.layout.end_angle().is_some())
+    }
+
+    /// The second derivatives of the end clamp's angle at x_{k+1}, from their band.
+    fn second_of_end_angle(
+        &mut self,
+        step: &SolvedStep<'_>,
+        band: &[f64],
+        [dx, du]: [&[f64]; 2],
+        [rx, ru]: [&mut [f64]; 2],
+    ) {
+        let mut next = vec![0.0; self.system.layout.state()];
+        self.follow(step.at, dx, du, &mut next);
+        let layout = &self.system.layout;
+        let [mut moved, mut by] = [vec![0.0; layout.unknowns], vec![0.0; layout.unknowns]];
+        let place = |v: usize| layout.unknown[layout.vertex(v)];
+        for (next, &v) in next.chunks_exact(3).zip(&layout.free_vertices) {
+            moved[place(v)..place(v) + 3].copy_from_slice(next);
+        }
+        band_product_add(layout.half_bandwidth, band, &moved, &mut by);
+        next.fill(0.0);
+        for (next, &v) in next.chunks_exact_mut(3).zip(&layout.free_vertices) {
+            next.copy_from_slice(&by[place(v)..place(v) + 3]);
+        }
+        self.follow_transpose(step, &next, rx, &mut moved);
+        ru.iter_mut().zip(&moved).for_each(|(r, m)| *r += m);
     }
 
     /// Whether ∂G/∂x_k depends on the shapes of x_k and u, beside inertia and damping.
@@ -356,6 +390,81 @@ impl ImplicitStep for RodStep {
             self.spins_onto_stage(du);
         }
         self.lambda = to;
+    }
+
+    /// Not with loads of the motion, spins, a common turn that is free, or parameters.
+    fn second_kept(&self) -> Option<usize> {
+        let layout = &self.system.layout;
+        let given = !self.couples() && self.parameters.is_none();
+        let damping = self.viscous.as_ref().map_or(0, |viscous| viscous.second_kept(layout));
+        given.then(|| self.second_bands() * layout.band() + damping)
+    }
+
+    fn keep_second(&mut self, step: &SolvedStep<'_>, lambda: &[f64], mu: &[f64], second: &mut [f64]) {
+        let bands = self.second_bands() * self.system.layout.band();
+        let (bands, damping) = second.split_at_mut(bands);
+        let (band, next) = bands.split_at_mut(self.system.layout.band());
+        if let Some(end) = self.system.layout.end_angle() {
+            next.fill(0.0);
+            if lambda[end] != 0.0 {
+                self.set_edges_of_next(step.at, step.x, step.u);
+                self.psi.fill(0.0);
+                *self.psi.last_mut().expect("a rod has edges") = lambda[end];
+                self.system.holonomy_second_add(&self.system.shape, &mut self.psi, next);
+            }
+        }
+        self.prepare_and_shape(step.at, step.x, step.u);
+        let mut full = vec![0.0; self.system.layout.full()];
+        self.system.layout.fill(mu, &mut full);
+        band.fill(0.0);
+        let (system, kept) = (&self.system, self.kept_lengths());
+        match &self.viscous {
+            Some(viscous) => {
+                let (strained, bands) = damping.split_at_mut(STRAINS * system.layout.segments);
+                system.third_add(&Increment(&full), band, Some(strained));
+                viscous.keep_second(system, &step.kept[kept[0] + kept[1]..], &full, bands);
+            }
+            None => system.third_add(&Increment(&full), band, None),
+        }
+        let share = self.stage(step.at).angle[0];
+        let (layout, angles) = (&self.system.layout, 6 * self.system.layout.free_vertices.len());
+        self.psi.fill(0.0);
+        for (f, &e) in layout.free_angles.iter().enumerate() {
+            self.psi[e] = share * lambda[angles + f];
+        }
+        self.system.holonomy_second_add(&self.system.shape, &mut self.psi, band);
+    }
+
+    fn second_add(
+        &mut self,
+        step: &SolvedStep<'_>,
+        at: &Multipliers<'_>,
+        [dx, du]: [&[f64]; 2],
+        [rx, ru]: [&mut [f64]; 2],
+    ) {
+        let layout = &self.system.layout;
+        let (bands, damping) = at.kept.split_at(self.second_bands() * layout.band());
+        let (band, next) = bands.split_at(layout.band());
+        band_product_add(layout.half_bandwidth, band, du, ru);
+        let [angles, end, _] = self.kept_lengths();
+        let stage = self.stage(step.at);
+        if let Some(viscous) = &mut self.viscous {
+            let kept = &step.kept[angles + end..];
+            viscous.second_add(&self.system.layout, &stage, [kept, damping], [dx, du], [&mut *rx, &mut *ru]);
+        }
+        let end = self.system.layout.end_angle().filter(|end| at.lambda[*end] != 0.0);
+        if end.is_some() {
+            self.second_of_end_angle(step, next, [dx, du], [rx, ru]);
+        }
+    }
+
+    fn initial_second_add(&mut self, _t: f64, dz: &[f64], lambda: &[f64], out: &mut [f64]) {
+        let Some(twist) = &mut self.twist else { return };
+        let layout = &self.system.layout;
+        let (n, first) = (6 * layout.free_vertices.len(), layout.first_spin());
+        let mut angles = lambda[n..first].to_vec();
+        angles.extend(layout.end_angle().map(|end| lambda[end]));
+        twist.second_add(&dz[..n / 2], &angles, &mut out[..n / 2]);
     }
 
     fn control_dim(&self) -> usize {

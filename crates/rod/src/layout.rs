@@ -115,6 +115,27 @@ impl Layout {
         self.unknown.len()
     }
 
+    /// Numbers of the lower band of a symmetric matrix over the unknowns.
+    pub(crate) fn band(&self) -> usize {
+        self.unknowns * (self.half_bandwidth + 1)
+    }
+
+    /// The full order from the unknowns; zero for what is held.
+    pub(crate) fn fill(&self, unknowns: &[f64], full: &mut [f64]) {
+        for (full, &unknown) in full.iter_mut().zip(&self.unknown) {
+            *full = if unknown == FIXED { 0.0 } else { unknowns[unknown] };
+        }
+    }
+
+    /// The unknowns from the full order.
+    pub(crate) fn take(&self, full: &[f64], unknowns: &mut [f64]) {
+        for (&full, &unknown) in full.iter().zip(&self.unknown) {
+            if unknown != FIXED {
+                unknowns[unknown] = full;
+            }
+        }
+    }
+
     /// First degree of freedom of a vertex in the full order.
     pub(crate) fn vertex(&self, v: usize) -> usize {
         self.stride * v
@@ -167,6 +188,20 @@ pub(crate) fn mirror(lower: &[f64], w: usize, values: &mut [f64]) {
             values[i * (2 * w + 1) + j + w - i] = value;
             values[j * (2 * w + 1) + i + w - j] = value;
         }
+    }
+}
+
+/// out += the symmetric matrix of a lower band times x, in the order of the unknowns.
+pub(crate) fn band_product_add(w: usize, band: &[f64], x: &[f64], out: &mut [f64]) {
+    for (i, row) in band.chunks_exact(w + 1).enumerate() {
+        let first = i.saturating_sub(w);
+        let row = &row[w + first - i..];
+        let mut sum = row[i - first] * x[i];
+        for (j, h) in (first..i).zip(row) {
+            sum += h * x[j];
+            out[j] += h * x[i];
+        }
+        out[i] += sum;
     }
 }
 

@@ -127,6 +127,7 @@ mod recorded;
 mod rod;
 pub mod rotation;
 mod scalar;
+mod second_order;
 mod shape;
 mod spin;
 mod spin_advance;

@@ -5,6 +5,7 @@ use varda_implicit::{At, ImplicitStep, ObservationOperator, Refusal};
 
 use crate::Error;
 use crate::dynamics::RodStep;
+use crate::layout::band_product_add;
 use crate::rod::Place;
 use crate::system::System;
 
@@ -220,23 +221,28 @@ impl Markers {
 
     /// The transpose: from forces on `angle` to forces on the displacements and on δθ.
     fn turn_angles_transpose(&mut self, dx: &mut [f64]) {
+        self.weigh_holonomy();
         let s = &self.system;
-        let n = self.psi.len();
-        for e in 0..n {
-            self.psi[e] = -self.angle[e];
-        }
         if s.layout.twist {
             let angles = &mut dx[6 * s.layout.free_vertices.len()..];
             for (f, &e) in s.layout.free_angles.iter().enumerate() {
                 angles[f] += self.angle[e];
             }
-            if s.supports.end.is_some() {
-                self.psi[n - 1] = 0.0;
-            }
-        } else if s.supports.end.is_some() {
-            self.psi[n - 1] += self.angle.iter().sum::<f64>();
         }
         s.shape.holonomy_transpose_add(&self.psi, &mut self.displacement);
+    }
+
+    /// `psi` = what forces on `angle` are on ψ.
+    fn weigh_holonomy(&mut self) {
+        let s = &self.system;
+        let n = self.psi.len();
+        for e in 0..n {
+            self.psi[e] = -self.angle[e];
+        }
+        if s.supports.end.is_some() {
+            let all = if s.layout.twist { self.angle[n - 1] } else { self.angle.iter().sum() };
+            self.psi[n - 1] += all;
+        }
     }
 }
 
@@ -319,6 +325,61 @@ impl ObservationOperator for Markers {
         for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
             for c in 0..3 {
                 dx[3 * f + c] += self.displacement[v][c];
+            }
+        }
+    }
+    fn has_second_derivatives(&self) -> bool {
+        !self.frames || self.system.layout.bending
+    }
+
+    /// # Panics
+    /// If a slice has the wrong length, or `observe` refuses this state.
+    fn second_adjoint_add(&mut self, at: At, x: &[f64], dx: &[f64], dy: &[f64], out: &mut [f64]) {
+        if self.markers.iter().all(|(_, o)| *o == Vector3::zeros()) {
+            return;
+        }
+        self.set(at.time, x).expect("this state was observed before");
+        self.system.displacements(dx, &mut self.displacement);
+        let n = self.psi.len();
+        if self.frames {
+            self.turn_angles(dx);
+        }
+        let mut on_places = vec![Vector3::zeros(); n + 1];
+        let [mut on_angles, mut by_angle] = [vec![0.0; n], vec![0.0; n]];
+        for ((place, o), dy) in self.markers.iter().zip(dy.chunks_exact(3)) {
+            let e = place.edge;
+            let dy = Vector3::from_column_slice(dy);
+            let force = self.axes.as_ref().map_or(dy, |(rotation, _)| rotation * dy);
+            let turn = if self.frames { self.angle[e] } else { 0.0 };
+            let moved = ([self.displacement[e], self.displacement[e + 1]], turn);
+            let places = &mut on_places[e..e + 2];
+            by_angle[e] += self.system.offset_second_add(e, [&force, o], moved, places, &mut on_angles[e]);
+        }
+        if self.frames {
+            // ψ itself is curved
+            self.angle.copy_from_slice(&by_angle);
+            self.weigh_holonomy();
+            let layout = &self.system.layout;
+            let mut band = vec![0.0; layout.band()];
+            self.system.holonomy_second_add(&self.system.shape, &mut self.psi, &mut band);
+            let [mut by, mut product] = [vec![0.0; layout.unknowns], vec![0.0; layout.unknowns]];
+            let unknown = |v: usize| layout.unknown[layout.vertex(v)];
+            for &v in &layout.free_vertices {
+                by[unknown(v)..unknown(v) + 3].copy_from_slice(self.displacement[v].as_slice());
+            }
+            band_product_add(layout.half_bandwidth, &band, &by, &mut product);
+            for &v in &layout.free_vertices {
+                on_places[v] += Vector3::from_column_slice(&product[unknown(v)..unknown(v) + 3]);
+            }
+        }
+        self.displacement.copy_from_slice(&on_places);
+        if self.frames {
+            self.angle.copy_from_slice(&on_angles);
+            self.turn_angles_transpose(out);
+        }
+        for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
+            for c in 0..3 {
+                out[3 * f + c] += self.displacement[v][c];
             }
         }
     }

@@ -62,6 +62,11 @@ impl<T: Real> Shape<T> {
         &self.turns[vertex]
     }
 
+    /// The turn between the reference tangent and the first edge, where the first frame is carried.
+    pub(crate) fn first_turn(&self) -> Option<&Turn<T>> {
+        self.carried.then(|| &self.turns[0])
+    }
+
     /// Takes over another shape of the same rod, without asking for memory.
     pub(crate) fn copy_from(&mut self, other: &Shape<T>) {
         let Shape { edges, turns, carried, d1, m1, m2, tau } = other;

@@ -28,7 +28,7 @@ pub(crate) struct System {
     pub(crate) x: Vec<Vector3<f64>>,
     pub(crate) theta: Vec<f64>,
     pub(crate) shape: Shape,
-    first: FirstFrame,
+    pub(crate) first: FirstFrame,
     end_director: Option<Vector3<f64>>,
     /// Stiffness and rest strain of every edge (EA, l̄) and interior vertex, with the damping of the present
     /// step in it.
@@ -542,7 +542,7 @@ fn add(target: &mut [f64], values: &[f64]) {
 
 /// The Hessian of an edge with respect to both its vertices, `second` the place of the second one; an angle
 /// between is zero.
-fn edge_hessian<const N: usize>(h: &Matrix3<f64>, second: usize) -> [[f64; N]; N] {
+pub(crate) fn edge_hessian<const N: usize>(h: &Matrix3<f64>, second: usize) -> [[f64; N]; N] {
     let mut out = [[0.0; N]; N];
     for i in 0..3 {
         for j in 0..3 {

@@ -5,7 +5,8 @@ use varda_implicit::{NewtonOptions, NewtonWork, Refusal, solve};
 
 use crate::Error;
 use crate::change::Change;
-use crate::layout::FIXED;
+use crate::layout::{FIXED, band_product_add};
+use crate::second_order::Increment;
 use crate::statics::{Statics, at_rest};
 use crate::system::{PastStrains, System};
 
@@ -260,6 +261,61 @@ impl TwistEquilibrium {
             }
         }
         self.displacement = displacement;
+    }
+}
+
+impl TwistEquilibrium {
+    /// out += Σ_i λ_i ∂²θ_i/∂X² dx, with L = λᵀ(α + ψ(x)) + μᵀ E_α, μ = −E_θθ⁻¹ λ.
+    pub(crate) fn second_add(&mut self, dx: &[f64], lambda: &[f64], out: &mut [f64]) {
+        if lambda.iter().all(|l| *l == 0.0) {
+            return;
+        }
+        let (own, end) = lambda.split_at(self.rhs.len());
+        self.rhs.copy_from_slice(own);
+        self.solve_angles();
+        let layout = &self.full.layout;
+        let (mut mu, mut weights) = (vec![0.0; layout.full()], vec![0.0; layout.segments]);
+        for (f, &e) in layout.free_angles.iter().enumerate() {
+            mu[layout.angle(e)] = -self.rhs[f];
+            weights[e] = own[f];
+        }
+        if let (Some(weight), Some(end)) = (weights.last_mut(), end.first()) {
+            *weight += end;
+        }
+        let mut band = vec![0.0; layout.band()];
+        self.full.third_add(&Increment(&mu), &mut band, None);
+        self.full.holonomy_second_add(&self.full.shape, &mut weights, &mut band);
+
+        let mut theta = vec![0.0; lambda.len()];
+        self.tangent(dx, &mut theta);
+        // dx and the local angles that follow
+        let layout = &self.full.layout;
+        let [mut by, mut product] = [vec![0.0; layout.unknowns], vec![0.0; layout.unknowns]];
+        for (f, &v) in layout.free_vertices.iter().enumerate() {
+            let i = layout.unknown[layout.vertex(v)];
+            by[i..i + 3].copy_from_slice(&dx[3 * f..3 * f + 3]);
+        }
+        for (f, &e) in layout.free_angles.iter().enumerate() {
+            by[layout.unknown[layout.angle(e)]] = self.rhs[f];
+        }
+        band_product_add(layout.half_bandwidth, &band, &by, &mut product);
+        for (rhs, &e) in self.rhs.iter_mut().zip(&layout.free_angles) {
+            *rhs = product[layout.unknown[layout.angle(e)]];
+        }
+        self.solve_angles();
+        let layout = &self.full.layout;
+        for (f, &v) in layout.free_vertices.iter().enumerate() {
+            let i = layout.unknown[layout.vertex(v)];
+            (0..3).for_each(|c| out[3 * f + c] += product[i + c]);
+        }
+        for f in 0..self.rhs.len() {
+            for v in self.neighbours(layout.free_angles[f]) {
+                let Ok(at) = layout.free_vertices.binary_search(&v) else { continue };
+                for c in 0..3 {
+                    out[3 * at + c] -= self.by_place(f, v, c) * self.rhs[f];
+                }
+            }
+        }
     }
 }
 

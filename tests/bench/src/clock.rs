@@ -39,6 +39,16 @@ pub fn timed<E>(samples: usize, mut code: impl FnMut() -> Result<(), E>) -> Resu
     Ok(Timing::of((0..samples).map(|_| sample(repeats)).collect::<Result<_, E>>()?))
 }
 
+/// Seconds of one call.
+///
+/// # Errors
+/// What `code` returns.
+pub fn seconds_of<E>(code: impl FnOnce() -> Result<(), E>) -> Result<f64, E> {
+    let start = seconds();
+    code()?;
+    Ok(seconds() - start)
+}
+
 /// CPU time of this thread \[s\].
 #[cfg(unix)]
 fn seconds() -> f64 {

@@ -14,6 +14,7 @@ pub mod page;
 mod assimilation;
 mod build;
 mod gradient;
+mod hessian;
 mod instructions;
 mod interrupts;
 mod leftout;
@@ -39,6 +40,7 @@ pub struct Bench {
 pub const BENCHES: &[Bench] = &[
     Bench { name: "time", run: time::run },
     Bench { name: "gradient", run: gradient::run },
+    Bench { name: "hessian", run: hessian::run },
     Bench { name: "assimilation", run: assimilation::run },
     Bench { name: "scaling", run: scaling::run },
     Bench { name: "statics", run: statics::run },

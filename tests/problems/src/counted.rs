@@ -84,4 +84,8 @@ impl<M: Model> Model for Counted<M> {
     fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
         self.model.control_map()
     }
+
+    fn second_order(&mut self) -> Option<&mut dyn varda_implicit::SecondOrder> {
+        self.model.second_order()
+    }
 }

@@ -74,6 +74,8 @@ pub struct Counts {
     pub tangent_sweeps: usize,
     /// Products with Gᵀ, gradients included.
     pub adjoint_sweeps: usize,
+    /// Sweeps of the second-order adjoint: products with the exact Hessian.
+    pub exact_sweeps: usize,
     /// Work of the model since the cost was made; zero where there is none.
     pub model: varda_implicit::Counts,
 }

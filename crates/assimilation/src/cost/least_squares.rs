@@ -149,6 +149,49 @@ pub trait LeastSquares: CostFunction {
         columns(n, out, &mut |unit, column| self.hessian_apply(unit, column))
     }
 
+    /// Whether the exact Hessian ∇²J is given: model and observation operators have second derivatives
+    /// ([`Model::second_order`](varda_implicit::Model::second_order)). False by default.
+    fn has_exact_hessian(&mut self) -> bool {
+        false
+    }
+
+    /// out = ∇²J p, with the second derivatives that A leaves out,
+    ///
+    /// ```text
+    ///     ∇²J = A − Σ_i d_i ∂²(R^{-1/2} H M B^{1/2})_i
+    /// ```
+    ///
+    /// by one tangent sweep and one sweep of the second-order adjoint. It may be indefinite.
+    ///
+    /// # Errors
+    /// As for `jacobian`; [`Error::NoSecondDerivatives`] where `has_exact_hessian` is false.
+    ///
+    /// # Panics
+    /// As for `jacobian`.
+    fn exact_hessian_apply(&mut self, _p: &[f64], _out: &mut [f64]) -> Result<(), Error> {
+        Err(Error::NoSecondDerivatives)
+    }
+
+    /// ∇²J, dense, column by column (`out` has length n²): n products, made symmetric.
+    ///
+    /// # Errors
+    /// As for `exact_hessian_apply`.
+    ///
+    /// # Panics
+    /// As for `jacobian`.
+    fn exact_hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        let n = self.dim();
+        assert_eq!(out.len(), n * n, "length of the Hessian");
+        columns(n, out, &mut |unit, column| self.exact_hessian_apply(unit, column))?;
+        for j in 0..n {
+            for i in 0..j {
+                let mean = 0.5 * (out[i + j * n] + out[j + i * n]);
+                (out[i + j * n], out[j + i * n]) = (mean, mean);
+            }
+        }
+        Ok(())
+    }
+
     /// G, dense, m × n column by column: by n tangent or m adjoint sweeps, whichever are fewer.
     ///
     /// # Errors

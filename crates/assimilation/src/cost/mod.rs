@@ -6,6 +6,7 @@ mod dense;
 mod dense_work;
 mod dual;
 mod ensemble;
+mod exact;
 mod function;
 mod huber;
 mod incremental;

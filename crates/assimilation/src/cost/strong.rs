@@ -1,6 +1,7 @@
 //! Strong-constraint 4D-Var; with a window of zero steps, 3D-Var.
 
 use super::dense_work::Dense;
+use super::exact::Exact;
 use super::model_error::{ModelErrorTerm, WeakControl};
 use super::{CostFunction, CostTerms, Counts, LeastSquares, dot};
 use crate::{ControlTransform, Error, ObservationSet, Prediction};
@@ -80,6 +81,8 @@ pub struct StrongConstraint<'a> {
     pub(super) dy: Vec<f64>,
     /// Work space of the dense Hessian, allocated by the first.
     pub(super) dense: Dense,
+    /// Of exact products, the same.
+    pub(super) exact: Exact,
 }
 
 /// A forward run: everything that follows from v without derivatives.
@@ -187,6 +190,7 @@ impl<'a> StrongConstraint<'a> {
             dz: vec![0.0; n_z],
             dy: vec![0.0; m],
             dense: Dense::default(),
+            exact: Exact::default(),
             transform,
             observations,
             errors,
@@ -463,6 +467,7 @@ impl CostFunction for StrongConstraint<'_> {
             self.based = true;
             self.return_to_base()?;
             self.counts.gradients += 1;
+            self.exact.start(&self.dy);
             if self.observations.dim() == 0 {
                 gradient.fill(0.0);
             } else {
@@ -561,6 +566,14 @@ impl LeastSquares for StrongConstraint<'_> {
     fn dense_jacobian(&mut self, out: &mut [f64]) -> Result<(), Error> {
         self.return_to_base()?;
         self.dense_g(out)
+    }
+
+    fn has_exact_hessian(&mut self) -> bool {
+        self.has_second_derivatives()
+    }
+
+    fn exact_hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error> {
+        self.exact_product(dv, out)
     }
 }
 

@@ -169,4 +169,12 @@ impl LeastSquares for WeakForcing<'_> {
     fn hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
         self.window.hessian(out)
     }
+
+    fn has_exact_hessian(&mut self) -> bool {
+        self.window.has_exact_hessian()
+    }
+
+    fn exact_hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error> {
+        self.window.exact_hessian_apply(dv, out)
+    }
 }

@@ -1,5 +1,6 @@
 //! What a minimization reports: its iterations and its end.
 
+use super::hessian::Hessian;
 use super::inverse_hessian::InverseHessian;
 use super::stopping::{Status, Stopping};
 use crate::cost::norm;
@@ -27,6 +28,9 @@ pub struct Iteration<'a> {
     pub rejected: usize,
     /// Inner (Lanczos) iterations for that step; 0 where a dense solve was used.
     pub inner_iterations: usize,
+    /// The Hessian that step was made with; `None` from others than [`trust_region`](crate::trust_region()) and
+    /// [`auto`](crate::auto()), and at the start.
+    pub hessian: Option<Hessian>,
     /// What σ is multiplied by at this stage (1 = the true cost).
     pub observation_scale: f64,
     /// ‖∇J‖ at which this run has converged.
@@ -88,6 +92,7 @@ impl Minimum {
             damping: 0.0,
             rejected: 0,
             inner_iterations: 0,
+            hessian: None,
             observation_scale: 1.0,
             gradient_goal: 0.0,
             attempt: 1,
@@ -157,6 +162,8 @@ pub(crate) struct Progress {
     pub(crate) damping: f64,
     pub(crate) rejected: usize,
     pub(crate) inner: usize,
+    /// That of the last step.
+    pub(crate) hessian: Option<Hessian>,
     /// Every step so far lowered J as its quadratic model said.
     pub(crate) quadratic: bool,
 }
@@ -197,6 +204,7 @@ impl Progress {
             damping: 0.0,
             rejected: 0,
             inner: 0,
+            hessian: None,
             quadratic: false,
         })
     }
@@ -247,6 +255,7 @@ impl Progress {
             damping: self.damping,
             rejected: self.rejected,
             inner_iterations: self.inner,
+            hessian: self.hessian,
             observation_scale: self.scale,
             gradient_goal: stopping.gradient_goal(self.gradient_norm_first),
             attempt: self.attempt[0],

@@ -1,5 +1,6 @@
 //! The default minimizer: a trust region in the control space, on the true J.
 
+use super::hessian::Hessian;
 use super::method::{Method, method};
 use super::minimum::{Iteration, Minimum, Progress, Start, forcing};
 use super::secant::Secant;
@@ -42,6 +43,8 @@ pub struct TrustRegionOptions {
     pub secant_terms: usize,
     /// Maximum number of perturbed retries after a step is rejected at a discontinuity of J; 0 disables them.
     pub jump_retries: usize,
+    /// Which second derivatives the quadratic model has.
+    pub hessian: Hessian,
 }
 
 impl Default for TrustRegionOptions {
@@ -53,6 +56,7 @@ impl Default for TrustRegionOptions {
             max_inner: 100,
             secant_terms: 60,
             jump_retries: 0,
+            hessian: Hessian::GaussNewton,
         }
     }
 }
@@ -63,6 +67,7 @@ setters!(TrustRegionOptions, stopping, {
     with_max_inner: max_inner: usize,
     with_secant_terms: secant_terms: usize,
     with_jump_retries: jump_retries: usize,
+    with_hessian: hessian: Hessian,
 });
 
 /// Levenberg–Marquardt in trust-region form:
@@ -83,6 +88,11 @@ setters!(TrustRegionOptions, stopping, {
 ///
 /// **A linear problem** takes one iteration: where the first decrease is that of the model to 10⁻⁶, J is
 /// quadratic, and the whole step is tried at once, whatever the radius.
+///
+/// **Exact Hessian.** With [`Hessian::Exact`] the model has ∇²J in place of A + S once that predicted the change
+/// of the gradient over the last step better than A, and the end is quadratic. It may be indefinite: the step is
+/// then the one of least model value on the sphere ‖p‖ = Δ. The price is one product with each an iteration to
+/// choose by, and products of the second-order adjoint, which take about twice the time of A's.
 ///
 /// **Jumps of J.** An implicit step from a wild state may have several solutions, and which one is found may
 /// change from one point to the next without pattern: J then jumps between smooth sheets. Where
@@ -157,7 +167,13 @@ pub(super) fn run(
     } else {
         Inner::Krylov { lanczos: Lanczos::new(n), iterations: options.max_inner }
     };
-    let mut secant = Secant::new(options.secant_terms);
+    let exact = options.hessian == Hessian::Exact;
+    if exact && !cost.has_exact_hessian() {
+        return Err(Error::NoSecondDerivatives);
+    }
+    let mut secant = Secant::new(if exact { 0 } else { options.secant_terms });
+    // which Hessian the next step is made with
+    let mut hessian = Hessian::GaussNewton;
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let mut ritz = Vec::new();
     let mut failure = None;
@@ -174,8 +190,11 @@ pub(super) fn run(
             let status = Status::without_step(0.0, progress.value, now, first);
             return Ok(progress.end(status, None, ritz));
         }
-        inner.refresh(cost)?;
-        if progress.step_norm > 0.0 && options.secant_terms > 0 {
+        if progress.step_norm > 0.0 && exact {
+            hessian = better(cost, &p, &g, &g_trial)?;
+        }
+        inner.refresh(cost, hessian)?;
+        if progress.step_norm > 0.0 && options.secant_terms > 0 && !exact {
             // p and g_trial hold the last step and, after the swap, the gradient before it.
             let mut dropped = vec![0.0; n];
             inner.gauss_newton(cost, &p, &mut dropped)?;
@@ -184,7 +203,14 @@ pub(super) fn run(
             }
             secant.update(&p, &dropped);
         }
-        let mut spectral = inner.model(cost, &secant, &g, forcing(&progress), radius, &mut progress.inner)?;
+        let mut spectral = inner.model(
+            cost,
+            (hessian, &secant),
+            &g,
+            solved_to(&progress, hessian),
+            radius,
+            &mut progress.inner,
+        )?;
         progress.inner_total += progress.inner;
         progress.rejected = 0;
 
@@ -223,7 +249,7 @@ pub(super) fn run(
                     // as far as a minimum is asked for
                     let residual = 0.1 * options.stopping.gradient_tolerance;
                     let mut more = 0;
-                    spectral = inner.model(cost, &secant, &g, residual, radius, &mut more)?;
+                    spectral = inner.model(cost, (hessian, &secant), &g, residual, radius, &mut more)?;
                     progress.inner += more;
                     progress.inner_total += more;
                 }
@@ -243,6 +269,7 @@ pub(super) fn run(
                         v.copy_from_slice(&trial);
                         std::mem::swap(&mut g, &mut g_trial);
                         progress.advance(cost, &g, step.norm, step.damping);
+                        progress.hessian = Some(hessian);
                         let halved = progress.gradient_norm <= 0.5 * to_halve;
                         if !by_gradient || halved {
                             (unseen, to_halve) = (0, progress.gradient_norm);
@@ -281,7 +308,14 @@ pub(super) fn run(
             if secant.trusted() {
                 secant.distrust();
                 let mut more = 0;
-                spectral = inner.model(cost, &secant, &g, forcing(&progress), radius, &mut more)?;
+                spectral = inner.model(
+                    cost,
+                    (hessian, &secant),
+                    &g,
+                    solved_to(&progress, hessian),
+                    radius,
+                    &mut more,
+                )?;
                 progress.inner += more;
                 progress.inner_total += more;
             }
@@ -289,6 +323,27 @@ pub(super) fn run(
         first = false;
         ritz = spectral.pairs();
     }
+}
+
+/// How far the inner problem is solved, relative to its gradient: with the exact Hessian so far that the end is
+/// quadratic.
+fn solved_to(progress: &Progress, hessian: Hessian) -> f64 {
+    let superlinear = forcing(progress);
+    if hessian == Hessian::Exact { superlinear.min(superlinear * superlinear).min(0.1) } else { superlinear }
+}
+
+/// The Hessian that predicts better how the gradient changed over the last step p, from `before` to g: both at
+/// the point of g.
+fn better(cost: &mut dyn LeastSquares, p: &[f64], g: &[f64], before: &[f64]) -> Result<Hessian, Error> {
+    let mut product = vec![0.0; p.len()];
+    let missed = |product: &[f64]| {
+        let differences = g.iter().zip(before).zip(product).map(|((g, b), hp)| g - b - hp);
+        differences.fold(0.0, |sum, d| sum + d * d)
+    };
+    cost.hessian_apply(p, &mut product)?;
+    let by_gauss_newton = missed(&product);
+    cost.exact_hessian_apply(p, &mut product)?;
+    Ok(if missed(&product) < by_gauss_newton { Hessian::Exact } else { Hessian::GaussNewton })
 }
 
 /// Where the quadratic model comes from.
@@ -300,11 +355,12 @@ enum Inner {
 }
 
 impl Inner {
-    /// Fetches A at the point of the last gradient.
-    fn refresh(&mut self, cost: &mut dyn LeastSquares) -> Result<(), Error> {
-        match self {
-            Self::Dense { hessian, .. } => cost.hessian(hessian),
-            Self::Krylov { .. } => Ok(()),
+    /// Fetches the Hessian at the point of the last gradient.
+    fn refresh(&mut self, cost: &mut dyn LeastSquares, which: Hessian) -> Result<(), Error> {
+        match (self, which) {
+            (Self::Dense { hessian, .. }, Hessian::GaussNewton) => cost.hessian(hessian),
+            (Self::Dense { hessian, .. }, Hessian::Exact) => cost.exact_hessian(hessian),
+            (Self::Krylov { .. }, _) => Ok(()),
         }
     }
 
@@ -326,7 +382,7 @@ impl Inner {
     fn model(
         &mut self,
         cost: &mut dyn LeastSquares,
-        secant: &Secant,
+        (which, secant): (Hessian, &Secant),
         g: &[f64],
         residual: f64,
         radius: f64,
@@ -342,7 +398,10 @@ impl Inner {
             }
             Self::Krylov { lanczos, iterations } => {
                 let mut product = |p: &[f64], out: &mut [f64]| {
-                    cost.hessian_apply(p, out)?;
+                    match which {
+                        Hessian::GaussNewton => cost.hessian_apply(p, out)?,
+                        Hessian::Exact => cost.exact_hessian_apply(p, out)?,
+                    }
                     if secant.trusted() {
                         secant.apply_add(p, out);
                     }

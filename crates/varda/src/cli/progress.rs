@@ -148,6 +148,7 @@ mod tests {
             attempts: 9,
             rmse: Vec::new(),
             sigma_factor: 1.0,
+            hessian: None,
             window: 100,
             counts: WorkCounts::default(),
         }

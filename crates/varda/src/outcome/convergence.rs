@@ -34,6 +34,8 @@ pub struct ConvergenceRow {
     pub sigma_factor: f64,
     /// Steps of the sub-window; J is that of its observations.
     pub window: usize,
+    /// The Hessian of the step that led here, where the minimizer has one; see `algorithm.hessian`.
+    pub hessian: Option<&'static str>,
     /// Work of the model so far.
     pub counts: WorkCounts,
 }

@@ -10,6 +10,7 @@ use varda_implicit::check::Amplification;
 use super::convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
 use super::estimates::Estimated;
 use super::evidence::Evidence;
+use super::exact_hessian::ExactHessian;
 use super::fit::{Fit, Forecast, Rejected, Withheld};
 use super::model_errors::ModelErrors;
 use super::space::Shapes;
@@ -61,6 +62,8 @@ pub struct Outcome {
     pub analysis: Analysis,
     /// Whether σ_a was computed.
     pub has_posterior: bool,
+    /// What second derivatives of the model do to it, where the scene asks for the exact Hessian.
+    pub exact_hessian: Option<ExactHessian>,
     /// The truth, in the control.
     pub truth: Option<Vec<f64>>,
     /// J at the background.

@@ -197,6 +197,12 @@ fn table_section(outcome: &Outcome, s: &Summary) -> String {
         ("2J/m", format!("{:.4}", s.chi2), ""),
         ("Degrees of freedom for signal", optional(s.degrees_of_freedom), ""),
     ];
+    if let Some(e) = s.exact_hessian {
+        rows.push(("Smallest eigenvalue of the exact Hessian", optional(e.smallest_eigenvalue), ""));
+        let percent = |share: Option<f64>| optional(share.map(|s| 100.0 * s));
+        rows.push(("σ against Gauss–Newton's, at most", percent(e.sigma_change), "%"));
+        rows.push(("Draws of the posterior that count", percent(e.effective_share), "%"));
+    }
     if let Some(e) = s.model_error {
         rows.push(("J_q to expect", optional(e.j_q_expected), ""));
         rows.push(("σ of the model error, times that of Q", optional(e.sigma_factor), ""));

@@ -5,8 +5,8 @@ use varda_assimilation::CostTerms;
 use varda_implicit::check::Amplification;
 
 use crate::outcome::{
-    AcceptedSteps, Attempt, Estimated, Evidence, Fit, Forecast, ModelErrors, Outcome, Rejected, Rmse,
-    Seconds, Verdict, Withheld, WorkCounts,
+    AcceptedSteps, Attempt, Estimated, Evidence, ExactHessian, Fit, Forecast, ModelErrors, Outcome, Rejected,
+    Rmse, Seconds, Verdict, Withheld, WorkCounts,
 };
 
 /// The keys of summary.json, in their order.
@@ -65,6 +65,9 @@ pub struct Summary {
     pub chi2: f64,
     /// Degrees of freedom for signal; `null` without a posterior.
     pub degrees_of_freedom: Option<f64>,
+    /// What second derivatives of the model do to the posterior, where the scene asks for the exact Hessian.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub exact_hessian: Option<ExactHessian>,
     /// Constants that were estimated, with prior and posterior.
     pub estimates: Vec<Estimated>,
     /// RMSE against the truth of the initial state, where it is known.
@@ -184,6 +187,7 @@ impl Summary {
             rejected: outcome.rejected.clone(),
             chi2: outcome.analysis.chi2,
             degrees_of_freedom: outcome.has_posterior.then_some(outcome.analysis.degrees_of_freedom),
+            exact_hessian: outcome.exact_hessian,
             estimates: outcome.estimates.clone(),
             rmse: outcome.rmse.clone(),
             seconds: outcome.seconds,

@@ -85,14 +85,14 @@ pub(super) fn model_errors(experiment: &Experiment, errors: &ModelErrors) -> Str
 pub(super) fn convergence(rows: &[ConvergenceRow]) -> String {
     let mut out = String::from(
         "iteration,seconds,j,j_b,j_o,j_q,gradient_norm,rmse_position,rmse_velocity,sigma_factor,window,\
-         model_steps,tangent_steps,adjoint_steps,factorizations,newton_iterations\n",
+         model_steps,tangent_steps,adjoint_steps,factorizations,newton_iterations,hessian\n",
     );
     for r in rows {
         let values = [r.seconds, r.j, r.j_b, r.j_o, r.j_q, r.gradient_norm].map(number).join(",");
         let c = &r.counts;
         let _ = writeln!(
             out,
-            "{},{values},{},{},{},{},{},{},{},{},{}",
+            "{},{values},{},{},{},{},{},{},{},{},{},{}",
             r.iteration,
             optional(r.rmse.first().copied()),
             optional(r.rmse.get(1).copied()),
@@ -102,7 +102,8 @@ pub(super) fn convergence(rows: &[ConvergenceRow]) -> String {
             c.tangent_steps,
             c.adjoint_steps,
             c.factorizations,
-            c.newton_iterations
+            c.newton_iterations,
+            r.hessian.unwrap_or("")
         );
     }
     out

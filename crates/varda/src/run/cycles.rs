@@ -556,4 +556,12 @@ impl ObservationOperator for FromStep {
     fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
         self.operator.borrow_mut().adjoint_add(self.moved(at), x, dy, dx);
     }
+
+    fn has_second_derivatives(&self) -> bool {
+        self.operator.borrow().has_second_derivatives()
+    }
+
+    fn second_adjoint_add(&mut self, at: At, x: &[f64], dx: &[f64], dy: &[f64], out: &mut [f64]) {
+        self.operator.borrow_mut().second_adjoint_add(self.moved(at), x, dx, dy, out);
+    }
 }

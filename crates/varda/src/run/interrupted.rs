@@ -117,6 +117,7 @@ impl Lowest {
             sigma_background: deviations(problem.covariance.as_ref()),
             spread: None,
             no_spread: None,
+            exact_hessian: None,
             model_errors: None,
             states: Vec::new(),
             counts: point.counts,

@@ -16,8 +16,8 @@ use super::{
 };
 use crate::Error;
 use crate::outcome::{
-    Attempt, ConvergenceRow, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds, SeenComponent,
-    Simulation, Status, Trajectories, TwinFiles, Verdict, WorkCounts, remarks_on_estimates,
+    Attempt, ConvergenceRow, ExactHessian, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds,
+    SeenComponent, Simulation, Status, Trajectories, TwinFiles, Verdict, WorkCounts, remarks_on_estimates,
 };
 use crate::scene::SceneFile;
 use crate::setup::adaptive_steps::Refreshing;
@@ -91,6 +91,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
             attempts: i.attempts,
             rmse: errors(r.control).unwrap_or_default(),
             sigma_factor: i.observation_scale,
+            hessian: i.hessian.map(|h| h.name()),
             window: r.window,
             counts: r.before.1 + WorkCounts::from(&i.counts),
         };
@@ -234,6 +235,7 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         attempts: solution.attempts.iter().map(Attempt::from).collect(),
         failure,
         has_posterior: solution.spread.is_some(),
+        exact_hessian: solution.exact_hessian,
         truth,
         j_background,
         gradient_norms: [solution.minimum.gradient_norm_first, solution.minimum.gradient_norm],
@@ -321,6 +323,7 @@ fn remarks(
     if let Some(reason) = &solution.no_spread {
         warnings.push(format!("there is no posterior: {reason}"));
     }
+    warnings.extend(solution.exact_hessian.iter().flat_map(ExactHessian::remarks));
     warnings.extend(solution.spread.as_ref().and_then(PosteriorSpread::remark));
     warnings.extend(failure.map(Failure::to_string));
     match status {

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Cycles, Ensemble, Method, Minimizer, ModelError};
+use super::{Cycles, Ensemble, Hessian, Method, Minimizer, ModelError};
 
 /// How the cost is minimised.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -13,6 +13,9 @@ pub struct Algorithm {
     pub method: Method,
     /// The minimizer of methods 4dvar, 3dvar and weak-forcing. The other methods have their own loop.
     pub minimizer: Minimizer,
+    /// The Hessian (methods 4dvar and 3dvar with minimizer auto or trust-region).
+    #[serde(skip_serializing_if = "is_gauss_newton")]
+    pub hessian: Hessian,
     /// Most outer iterations, at most 1e6: over all that a run of one window does, further starts, σ stages
     /// and sub-windows included.
     #[schemars(extend("minimum" = 1, "maximum" = 1000000))]
@@ -49,11 +52,16 @@ pub struct Algorithm {
     pub cycles: Option<Cycles>,
 }
 
+fn is_gauss_newton(hessian: &Hessian) -> bool {
+    *hessian == Hessian::GaussNewton
+}
+
 impl Default for Algorithm {
     fn default() -> Self {
         Algorithm {
             method: Method::FourDVar,
             minimizer: Minimizer::Auto,
+            hessian: Hessian::GaussNewton,
             max_iterations: 1000,
             gradient_tolerance: 1e-8,
             sigma_stages: Vec::new(),

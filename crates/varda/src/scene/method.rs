@@ -115,6 +115,20 @@ impl Method {
     }
 }
 
+/// The Hessian of minimizers and posterior.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Hessian {
+    /// Without second derivatives of the model: I + GᵀG.
+    #[default]
+    GaussNewton,
+    /// With them, by the second-order adjoint: the minimizer uses it where it predicts better, and σ of the
+    /// analysis is that of the exact Hessian at the minimum, beside the largest difference from Gauss–Newton's
+    /// and a check by draws that the posterior is Gaussian. For models with second derivatives: not with
+    /// [estimate], loads of the motion, spins or a rod whose common turn is free.
+    Exact,
+}
+
 /// The enumeration of minimizers: each is the variant of the same name of `varda_assimilation::Minimizer`.
 macro_rules! minimizers {
     ($($(#[$attribute:meta])* $variant:ident,)*) => {

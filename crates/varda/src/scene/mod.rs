@@ -56,7 +56,7 @@ pub use grid::TimeGrid;
 pub(crate) use invalid::Invalid;
 pub use limits::{DEFAULT_MEMORY, Limits};
 pub use loads::{Drag, Force, Moment};
-pub use method::{Method, Minimizer};
+pub use method::{Hessian, Method, Minimizer};
 pub use model::{
     Burgers, Clamp, ClampAt, DampingValues, KuramotoSivashinsky, LinearAdvection, Lorenz63, Lorenz96,
     Material, Model, PointMass, Prescribed, RestShape, RodModel, Section, ShapePoints,

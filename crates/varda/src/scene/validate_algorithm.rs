@@ -3,7 +3,7 @@
 
 use super::invalid::{Check, invalid};
 use super::validate_covariance::validate_covariance;
-use super::{Algorithm, Ensemble, Method, Minimizer, Model, ModelError, Observations, Root, Scene};
+use super::{Algorithm, Ensemble, Hessian, Method, Minimizer, Model, ModelError, Observations, Root, Scene};
 
 pub(super) fn validate_algorithm(scene: &Scene) -> Check {
     let algorithm = &scene.algorithm;
@@ -40,8 +40,9 @@ type Takes = fn(Method) -> bool;
 fn validate_keys(algorithm: &Algorithm) -> Check {
     let method = algorithm.method;
     let of_one_window = algorithm.cycles.is_none();
-    let keys: [(&str, bool, Takes); 8] = [
+    let keys: [(&str, bool, Takes); 9] = [
         ("minimizer", algorithm.minimizer != Minimizer::Auto, Method::takes_minimizer),
+        ("hessian", algorithm.hessian != Hessian::GaussNewton, Method::takes_robust),
         ("sigma_stages", !algorithm.sigma_stages.is_empty(), Method::takes_minimizer),
         ("robust", algorithm.robust.is_some(), Method::takes_robust),
         ("window_growth", !algorithm.window_growth.is_empty(), Method::takes_window_growth),
@@ -56,6 +57,14 @@ fn validate_keys(algorithm: &Algorithm) -> Check {
             !matches!(method, Method::Blue | Method::HybridFourDEnVar)
         }),
     ];
+    let exact = algorithm.hessian == Hessian::Exact;
+    if exact && !matches!(algorithm.minimizer, Minimizer::Auto | Minimizer::TrustRegion) {
+        let message = format!(
+            "minimizer {:?} has no exact Hessian; \"auto\" and \"trust-region\" have",
+            algorithm.minimizer.name()
+        );
+        return invalid("algorithm.hessian", message);
+    }
     let Some((key, _, takes)) = keys.iter().find(|(_, given, takes)| *given && !takes(method)) else {
         return Ok(());
     };

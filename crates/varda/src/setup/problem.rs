@@ -16,7 +16,7 @@ use super::runs::MakeModel;
 use super::system::System;
 use crate::Error;
 use crate::outcome::{AcceptedSteps, Experiment};
-use crate::scene::{Scene, SceneFile};
+use crate::scene::{Hessian, Scene, SceneFile};
 
 /// Everything an assimilation needs. It does not change: a second run of the same problem gives the same
 /// bits.
@@ -150,6 +150,7 @@ impl Problem {
             finer: finer(&one_window),
             adaptive_steps,
         };
+        problem.check_hessian(&file)?;
         let method = scene.algorithm.method;
         if let (true, Some(last @ 1..)) = (method.is_of_one_instant(), problem.observations()?.last_step()) {
             let message = format!(
@@ -159,6 +160,22 @@ impl Problem {
             return Err(file.invalid("algorithm.method", message));
         }
         Ok(problem)
+    }
+
+    /// Refuses the exact Hessian of a model without second derivatives.
+    fn check_hessian(&self, file: &SceneFile) -> Result<(), Error> {
+        if self.experiment.scene.algorithm.hessian == Hessian::GaussNewton {
+            return Ok(());
+        }
+        let what = if self.model().second_order().is_none() {
+            "this model has no second derivatives ([estimate], loads of the motion, spins, a rod whose common turn \
+             is free)"
+        } else if !self.observations()?.has_second_derivatives() {
+            "these observations have no second derivatives"
+        } else {
+            return Ok(());
+        };
+        Err(file.invalid("algorithm.hessian", format!("{what}: leave the key out")))
     }
 
     /// Length of the control.

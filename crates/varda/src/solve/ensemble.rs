@@ -80,6 +80,7 @@ impl Task<'_> {
             sigma_background,
             spread,
             no_spread: None,
+            exact_hessian: None,
             model_errors: None,
             counts,
             storage: Storage::KeepAll,

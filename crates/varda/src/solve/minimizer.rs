@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 
 use varda_assimilation::{
-    Blue, CostFunction, Error, Gain, InnerSolver, Iteration, LeastSquares, Minimizer, Minimum,
+    Blue, CostFunction, Error, Gain, Hessian, InnerSolver, Iteration, LeastSquares, Minimizer, Minimum,
     OuterLoopOptions, Status, Stopping, StrongConstraint, continuation, outer_loop,
 };
 use varda_linalg::norm;
@@ -45,7 +45,16 @@ pub(crate) fn minimize(
 
 /// The minimizer that a scene names, with the scene's stopping rule.
 pub(crate) fn minimizer(algorithm: &Algorithm) -> Minimizer {
-    algorithm.minimizer.settings().with_stopping(stopping(algorithm))
+    let mut minimizer = algorithm.minimizer.settings().with_stopping(stopping(algorithm));
+    if algorithm.hessian == crate::scene::Hessian::Exact {
+        match &mut minimizer {
+            Minimizer::Auto(options) => options.trust_region.hessian = Hessian::Exact,
+            Minimizer::TrustRegion(options) => options.hessian = Hessian::Exact,
+            // refused when the scene was read
+            _ => {}
+        }
+    }
+    minimizer
 }
 
 /// The scene's stopping rule.

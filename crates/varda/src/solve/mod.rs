@@ -2,6 +2,7 @@
 //! its spread and, where the analysis is not a run of the model, the analysed trajectory.
 
 mod ensemble;
+mod exact_hessian;
 pub(crate) mod minimizer;
 mod strong;
 mod task;
@@ -75,6 +76,7 @@ pub(crate) fn solve(
         sigma_background: end.sigma_background,
         spread: end.spread,
         no_spread: end.no_spread,
+        exact_hessian: end.exact_hessian,
         model_errors: end.model_errors,
         states,
         counts: spent,

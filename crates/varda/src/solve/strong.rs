@@ -5,10 +5,10 @@ use varda_assimilation::{
 };
 use varda_implicit::Model;
 
-use super::minimizer;
 use super::task::{Iterate, PosteriorSpread, SubWindow, SubWindowEnd, Task, deviations, is_whole};
+use super::{exact_hessian, minimizer};
 use crate::outcome::WorkCounts;
-use crate::scene::Method;
+use crate::scene::{Hessian, Method};
 use crate::setup::memory::is_low_rank;
 
 impl Task<'_> {
@@ -66,13 +66,21 @@ impl Task<'_> {
                 first.get_or_insert(minimum);
                 continue;
             }
+            let mut exact = None;
             let (spread, no_spread) = if posterior && is_whole(minimum.status) {
                 // BLUE's covariance is (I + GᵀG)⁻¹ with the linearization at the background.
                 let linearized = if algorithm.method == Method::Blue { &start } else { &*v };
                 cost.evaluate(linearized, Some(&mut vec![0.0; v.len()]))?;
-                match is_low_rank(algorithm.method, v.len()) {
-                    true => (Some(PosteriorSpread::of_low_rank(&mut cost, &transform)?), None),
-                    false => PosteriorSpread::of(Posterior::new(&mut cost), &transform, true)?,
+                match (is_low_rank(algorithm.method, v.len()), algorithm.hessian) {
+                    (true, _) => (Some(PosteriorSpread::of_low_rank(&mut cost, &transform)?), None),
+                    (false, Hessian::GaussNewton) => {
+                        PosteriorSpread::of(Posterior::new(&mut cost), &transform, true)?
+                    }
+                    (false, Hessian::Exact) => {
+                        let (spread, no_spread, found) = exact_hessian::spread(&mut cost, &transform, v)?;
+                        exact = Some(found);
+                        (spread, no_spread)
+                    }
                 }
             } else {
                 (None, None)
@@ -89,6 +97,7 @@ impl Task<'_> {
                 sigma_background,
                 spread,
                 no_spread,
+                exact_hessian: exact,
                 model_errors: None,
                 counts,
                 storage,

@@ -9,7 +9,7 @@ use varda_assimilation::{
 use varda_covariance::{Covariance, Ensemble};
 use varda_implicit::{Model, Storage};
 
-use crate::outcome::{ModelErrors, WorkCounts};
+use crate::outcome::{ExactHessian, ModelErrors, WorkCounts};
 use crate::scene::{Algorithm, ModelError};
 use crate::setup::covariance::Factored;
 use crate::setup::memory::MOST_PRODUCTS;
@@ -53,6 +53,8 @@ pub(crate) struct Solution {
     pub(crate) spread: Option<PosteriorSpread>,
     /// Why there is no posterior, if its Hessian was indefinite by rounding.
     pub(crate) no_spread: Option<Error>,
+    /// What second derivatives do to it, where the scene asks for them.
+    pub(crate) exact_hessian: Option<ExactHessian>,
     /// The errors of the model, under weak constraint.
     pub(crate) model_errors: Option<ModelErrors>,
     /// States x_0 … of the analysis under weak constraint; empty under strong constraint, where they are
@@ -117,6 +119,8 @@ pub(super) struct SubWindowEnd {
     pub(super) sigma_background: Vec<f64>,
     pub(super) spread: Option<PosteriorSpread>,
     pub(super) no_spread: Option<Error>,
+    /// Where the scene asks for the exact Hessian.
+    pub(super) exact_hessian: Option<ExactHessian>,
     pub(super) model_errors: Option<ModelErrors>,
     pub(super) counts: WorkCounts,
     pub(super) storage: Storage,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-use varda_implicit::{ControlMap, Error, Log, Model, Rate, Refusal, Work};
+use varda_implicit::{ControlMap, Error, Log, Model, Rate, Refusal, SecondOrder, Work};
 use varda_linalg::interrupt;
 
 /// Seconds spent in models, summed over all models that share the clock (and so over threads).
@@ -132,6 +132,46 @@ where
 
     fn control_map(&mut self) -> Option<&mut dyn ControlMap> {
         if self.model.control_map().is_some() { Some(self) } else { None }
+    }
+
+    fn second_order(&mut self) -> Option<&mut dyn SecondOrder> {
+        if self.model.second_order().is_some() { Some(self) } else { None }
+    }
+}
+
+/// The second derivatives of the model: their time is the adjoint's.
+impl<M: DerefMut> SecondOrder for Timed<M>
+where
+    M::Target: Model,
+{
+    fn tangent_kept(&mut self, slot: usize, dx: &mut [f64]) {
+        if interrupt::requested() {
+            return;
+        }
+        self.log.counts.tangent_steps += 1;
+        let model = self.model.second_order().expect("asked for only where it is");
+        timing(&self.clock.0.tangent, || model.tangent_kept(slot, dx));
+    }
+
+    fn adjoint_derivative(
+        &mut self,
+        slot: usize,
+        dx: &[f64],
+        lambda: &[f64],
+        derivative: &mut [f64],
+    ) -> Result<(), Error> {
+        if interrupt::requested() {
+            return Ok(());
+        }
+        self.log.counts.adjoint_derivatives += 1;
+        let model = self.model.second_order().expect("asked for only where it is");
+        timing(&self.clock.0.adjoint, || model.adjoint_derivative(slot, dx, lambda, derivative))
+    }
+
+    fn initial_adjoint_derivative(&mut self, delta: &[f64], lambda: &[f64], dz: &mut [f64]) {
+        if let Some(model) = self.model.second_order() {
+            model.initial_adjoint_derivative(delta, lambda, dz);
+        }
     }
 }
 

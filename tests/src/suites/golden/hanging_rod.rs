@@ -97,6 +97,9 @@ pub(super) struct Reference {
     J_star: f64,
     analysis: Vec<f64>,
     posterior_variance_gauss_newton: Option<Vec<f64>>,
+    posterior_variance_exact_hessian: Option<Vec<f64>>,
+    exact_hessian_min_eig_control: Option<f64>,
+    exact_hessian_max_eig_control: Option<f64>,
 }
 
 /// Most segments of a rod, and steps to the end of its window.
@@ -298,6 +301,25 @@ pub(super) fn check(case: &mut Case, folder: &Path) -> Outcome {
         let relative = ours.iter().zip(theirs).map(|(a, b)| (a - b) / b).collect::<Vec<_>>();
         let trace = ours.iter().sum();
         case.at_most("posterior_variance", largest(&relative), 1e-6, "-").computed(trace);
+    }
+    if let Some(theirs) = &reference.posterior_variance_exact_hessian {
+        expect_length("posterior_variance_exact_hessian", theirs.len(), n)?;
+        let posterior = Posterior::exact(&mut cost)?;
+        let ours = posterior.variance(cost.transform());
+        let relative = ours.iter().zip(theirs).map(|(a, b)| (a - b) / b).collect::<Vec<_>>();
+        let trace = ours.iter().sum();
+        case.at_most("posterior_variance_exact_hessian", largest(&relative), 1e-6, "-").computed(trace);
+        let spectrum = posterior.spectrum();
+        let ends = [
+            ("smallest", reference.exact_hessian_min_eig_control, spectrum.first()),
+            ("largest", reference.exact_hessian_max_eig_control, spectrum.last()),
+        ];
+        for (which, theirs, ours) in ends {
+            if let (Some(theirs), Some(&ours)) = (theirs, ours) {
+                let what = format!("{which} eigenvalue of the exact Hessian");
+                case.at_most(&what, (ours / theirs - 1.0).abs(), 1e-8, "-").computed(ours);
+            }
+        }
     }
 
     let mut v = vec![0.0; n];

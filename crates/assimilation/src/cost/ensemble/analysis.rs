@@ -128,6 +128,7 @@ impl EnVar<'_> {
                 damping: 0.0,
                 rejected: step.rejected,
                 inner_iterations: 0,
+                hessian: None,
                 observation_scale: self.scale,
                 gradient_goal: 0.0,
                 attempt: 1,

@@ -1,4 +1,6 @@
-//! Second derivatives of the rod's energy, and Gauss–Newton products.
+//! Second derivatives of the rod's energy, Gauss–Newton products and those of the exact Hessian.
+
+mod exact;
 
 use super::Options;
 use crate::row::{Case, Outcome, Row, Rows};
@@ -24,12 +26,16 @@ pub(super) fn run(_options: &Options) -> Vec<Row> {
         });
     }
     let outcome = for_each_cost(&mut |name, cost| {
-        rows.case(name, |case| products(case, cost));
+        rows.case(name, |case| {
+            products(case, cost)?;
+            if cost.has_exact_hessian() { exact::product(case, cost) } else { Ok(()) }
+        });
         Ok(())
     });
     if let Err(error) = outcome {
         rows.case("assembled costs", |_| Err(error));
     }
+    exact::reference(&mut rows);
     rows.finish()
 }
 
