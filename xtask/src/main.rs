@@ -17,8 +17,8 @@ cargo xtask verify [SUITE…] [--quick | --full] [-v] [--json FILE] [--fixtures 
     --list: what each suite proves. --help: all options.
 cargo xtask bench [NAME…] [--quick] [--out DIR]
     Error against run time (time, gradient, assimilation, scaling, statics, leftout, instructions, memory,
-    interrupts, build) in a release build: prints tables and writes docs/results/NAME.md, .csv and .svg. --quick: few
-    cases and samples, nothing written. --out: another folder.
+    interrupts, build) in a release build: prints tables and writes docs/results/NAME.md, .csv and .svg.
+    --quick: few cases and samples, nothing written. --out: another folder.
 cargo xtask bench case4 [OPTION…]
     The study of minimizers on case 4 of the paper, 100 seeds of two priors: docs/results/case4.md.
     --help: its options.

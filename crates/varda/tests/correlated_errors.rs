@@ -130,8 +130,8 @@ fn every_method_carries_it() {
     }
 }
 
-/// J before and after is that of the dense R, whatever the method, along the line and in time: ½ dᵀR⁻¹d of the
-/// values of both runs.
+/// J before and after is that of the dense R, whatever the method, along the line and in time: ½ dᵀR⁻¹d
+/// of the values of both runs.
 #[test]
 fn j_of_every_method_is_that_of_the_dense_covariance() {
     let error = "algorithm.model_error={ every = 6, covariance = { kind = \"line\", sigma = 0.05, \

@@ -9,9 +9,9 @@ use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 
 /// Signals a run, each in a process of its own.
-const SIGNALS: usize = 6;
+const SIGNALS: usize = 4;
 /// A run that lasts longer is not waited for to its end \[s\].
-const LONGEST: f64 = 40.0;
+const LONGEST: f64 = 15.0;
 
 /// A name, a scene, keys that are set.
 type Run = (&'static str, &'static str, &'static [&'static str]);
@@ -101,17 +101,17 @@ pub(super) fn run(options: &Options) -> Result<Page> {
         title: "How soon Ctrl-C ends a run",
         text: format!(
             "A run in a process of its own is sent SIGINT at a random time between its begin and its end (up \
-             to {LONGEST} s), {SIGNALS} times. *To the end*: seconds until the process is gone, its result \
-             written. Exit code 130: interrupted; 0, 3 and 4: the signal came while the result was being \
-             written. A signal that came after the end is left out."
+             to {LONGEST} s after it), {SIGNALS} times. *To the end*: seconds until the process is gone, its \
+             result written. Exit code 130: interrupted; 0, 3 and 4: the signal came while the result was \
+             being written. A signal that came after the end is left out."
         ),
         tables: vec![table],
         ..Page::default()
     })
 }
 
-/// Sends SIGINT after so many seconds. The seconds from there to the end and the exit code; of a run that ended
-/// before, how long it took, and no code.
+/// Sends SIGINT after so many seconds. The seconds from there to the end and the exit code; of a run that
+/// ended before, how long it took, and no code.
 fn ended(scene: &str, sets: &[&str], after: f64) -> Result<(f64, Option<i32>)> {
     let folder = std::env::temp_dir().join(format!("varda-bench-interrupts-{}", std::process::id()));
     let mut command = super::memory::program()?;

@@ -429,7 +429,8 @@ impl<'a> EnVar<'a> {
         }
     }
 
-    /// G, dense, by columns: R^{-1/2} [β_s G_s, β_e diag(Y_i) ρ for every member i]/σ-scale, without a product.
+    /// G, dense, by columns: R^{-1/2} [β_s G_s, β_e diag(Y_i) ρ for every member i]/σ-scale, without a
+    /// product.
     pub(super) fn jacobian(&self) -> Vec<f64> {
         let (n, m) = (self.dim(), self.observations.dim());
         let localization = self.ensemble.localization();

@@ -293,8 +293,8 @@ impl LeastSquares for WeakState<'_> {
         Ok(())
     }
 
-    /// By block-tridiagonal Cholesky, where every component of the state must be forced; from the columns of G
-    /// where errors of observations are tied from one time to another.
+    /// By block-tridiagonal Cholesky, where every component of the state must be forced; from the columns of
+    /// G where errors of observations are tied from one time to another.
     fn direct(&mut self, gradient: &[f64], p: &mut [f64]) -> Result<(), Error> {
         if self.window.observations.observations().iter().any(|o| o.chain.is_some()) {
             let (n, m) = (self.dim(), self.observation_dim());

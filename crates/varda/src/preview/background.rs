@@ -61,8 +61,8 @@ pub(super) fn run(mut inputs: Inputs) -> Result<ForwardRun, Error> {
     Ok(ForwardRun { seconds, misfit, rod: rod_of(&problem.system) })
 }
 
-/// d = y − H(x) of the window in σ, of correlated errors what each value says beyond those before it; `None`
-/// where nothing was seen.
+/// d = y − H(x) of the window in σ, of correlated errors what each value says beyond those before it;
+/// `None` where nothing was seen.
 fn misfit(
     problem: &Problem,
     grid: &TimeGrid,

@@ -11,7 +11,9 @@ use varda_implicit::{Footprint, Storage};
 
 use super::inputs::Inputs;
 use crate::Error;
-use crate::scene::{Covariance, CycledCovariance, Draw, Method, Model, Origin, Root, Scene, SceneFile};
+use crate::scene::{
+    Covariance, CycledCovariance, Draw, Method, Model, Observations, Origin, Root, Scene, SceneFile,
+};
 
 /// Bytes of a number.
 const NUMBER: usize = size_of::<f64>();
@@ -26,9 +28,12 @@ pub(crate) const MOST_PRODUCTS: usize = 200;
 /// Text of a number in a CSV file, about.
 const TEXT: usize = 20;
 
-/// What is kept of an observed value beside the linear algebra, in bytes: value, σ, place, label, departures,
-/// both predictions and the row of its table.
+/// What is kept of an observed value beside the linear algebra, in bytes: value, σ, place, label,
+/// departures, both predictions and the row of its table.
 const OF_A_VALUE: usize = 1000;
+
+/// The same in a sequence of windows of a twin, for each value of all windows, and of the present one again.
+const OF_A_CYCLED_VALUE: usize = 450;
 
 /// Sizes of a scene, in numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -157,7 +162,7 @@ impl Memory {
         }
         let ensemble = algorithm.members().map(|e| EnsembleSize::of(scene, e.members, sizes, m));
         let dense = if let Some(ensemble) = &ensemble {
-            ensemble.dense(posterior)
+            ensemble.dense(posterior).saturating_add(if cycled.is_some() { ensemble.carried() } else { 0 })
         } else if algorithm.method.is_weak() {
             if posterior { weak_posterior(n, n + errors, m) } else { 0 }
         } else if algorithm.minimizer.settings().is_dense()
@@ -171,6 +176,8 @@ impl Memory {
                 .saturating_add(m.min(n).saturating_mul(sizes.state))
                 // σ of a rod's forces: their tangents along the columns of the root
                 .saturating_add(if forces { square } else { 0 })
+                // the root that is carried on, cut by its singular values
+                .saturating_add(if cycled.is_some() && posterior { square.saturating_mul(9) } else { 0 })
         } else if posterior {
             // Lanczos vectors, Ritz vectors and the probes.
             (2 * m.min(MOST_PRODUCTS) + 20) * n
@@ -183,7 +190,11 @@ impl Memory {
         let (shown, runs) =
             (sizes.shown + 1, 2 + usize::from(scene.background.from == Origin::TruthPlusDraw));
         let states = shown.saturating_mul(sizes.state).saturating_mul(runs);
-        let values = m.saturating_mul(OF_A_VALUE);
+        let values = match (&algorithm.cycles, &scene.observations) {
+            (None, _) => m.saturating_mul(OF_A_VALUE),
+            (Some(_), Observations::Synthetic(_)) => (sizes.values + m).saturating_mul(OF_A_CYCLED_VALUE),
+            (Some(_), Observations::File(_)) => 0,
+        };
         let footprint = footprint(scene, sizes);
         Memory {
             covariance: NUMBER * covariance,
@@ -289,9 +300,9 @@ impl EnsembleSize<'_> {
         EnsembleSize { members, fixed, sizes, m }
     }
 
-    /// Numbers of its linear algebra: the eigenvectors of G Gᵀ or Gᵀ G, whichever is smaller, with what finding
-    /// them takes and, where it is linearized again, the matrix of the iteration before; of more values than
-    /// unknowns G and its singular vectors.
+    /// Numbers of its linear algebra: the eigenvectors of G Gᵀ or Gᵀ G, whichever is smaller, with what
+    /// finding them takes and, where it is linearized again, the matrix of the iteration before; of more
+    /// values than unknowns G and its singular vectors.
     fn dense(&self, posterior: bool) -> usize {
         let n = self.members.saturating_mul(self.sizes.localization.max(1)).saturating_add(self.fixed);
         let (m, of_g) = (self.m, self.m.saturating_mul(n));
@@ -303,6 +314,11 @@ impl EnsembleSize<'_> {
             true => of_g.saturating_mul(5).saturating_add(n.saturating_mul(n).saturating_mul(6)),
             false => of_g.saturating_add(eigenvectors(n)),
         }
+    }
+
+    /// Numbers of the members that one window hands to the next, and of Y for them.
+    fn carried(&self) -> usize {
+        self.members.saturating_mul(2 * self.m + 8 * self.sizes.control)
     }
 
     /// Numbers of the members, twice while they are drawn, of a model, a control and a trajectory each, and

@@ -279,9 +279,7 @@ const ENSEMBLES: &[Input] = &[
     ),
     (
         "a hybrid ensemble localized to less than a wave travels",
-        &[
-            "algorithm={ method = \"hybrid-4denvar\", ensemble = { members = 20, localization_length = 0.1 } }",
-        ],
+        &["algorithm={ method = \"hybrid-4denvar\", ensemble = { localization_length = 0.1 } }"],
         clean,
         Warned("algorithm.ensemble.localization_length", &["0.1 m", "4dvar"]),
     ),
