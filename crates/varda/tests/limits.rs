@@ -94,7 +94,7 @@ fn a_scene_too_large_for_the_machine_is_refused_with_what_it_needs_and_the_limit
     let planned = Plan::new(&large).unwrap_err().to_string();
     let run = Problem::from_scene(&large).err().unwrap().to_string();
     assert_eq!(planned, run);
-    for part in ["takes about 353.", "dense Hessians and Jacobians", "limit of 8.0 GB", "[limits] memory"] {
+    for part in ["takes about 468.", "dense Hessians and Jacobians", "limit of 8.0 GB", "[limits] memory"] {
         assert!(planned.contains(part), "{part:?} in {planned}");
     }
     // Another minimizer and no posterior, B alone: two blocks of 3.2 GB, and seven while they are built and

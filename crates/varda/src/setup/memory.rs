@@ -12,7 +12,8 @@ use varda_implicit::{Footprint, Storage};
 use super::inputs::Inputs;
 use crate::Error;
 use crate::scene::{
-    Covariance, CycledCovariance, Draw, Method, Model, Observations, Origin, Root, Scene, SceneFile,
+    Covariance, CycledCovariance, Draw, Method, Minimizer, Model, Observations, Origin, Root, Scene,
+    SceneFile,
 };
 
 /// Bytes of a number.
@@ -174,8 +175,15 @@ impl Memory {
                 matches!(scene.model, Model::Rod(_)) && posterior && !is_low_rank(algorithm.method, n);
             decomposition(algorithm.method, n, m)
                 .saturating_add(m.min(n).saturating_mul(sizes.state))
-                // σ of a rod's forces: their tangents along the columns of the root
-                .saturating_add(if forces { square } else { 0 })
+                // σ of a rod's forces: their tangents along the columns of the root, beside what is left of
+                // the Hessian
+                .saturating_add(match (forces, m < n) {
+                    (false, _) => 0,
+                    (true, true) => square,
+                    (true, false) => square.saturating_mul(4),
+                })
+                // Newton's factor beside the Hessian
+                .saturating_add(if algorithm.minimizer == Minimizer::Newton { square } else { 0 })
                 // the root that is carried on, cut by its singular values
                 .saturating_add(if cycled.is_some() && posterior { square.saturating_mul(9) } else { 0 })
         } else if posterior {
@@ -228,13 +236,15 @@ fn decomposition(method: Method, n: usize, m: usize) -> usize {
 }
 
 /// Numbers that the posterior of a weak form takes, `n` of its `r` unknowns being the initial state: G, its
-/// singular vectors with what finding them takes, a whole basis of the observations twice, and P_b.
+/// singular vectors with what finding them takes, a whole basis of the observations twice, and P_b; or, of a
+/// large initial state and few values, the eigenvectors of P_b.
 fn weak_posterior(n: usize, r: usize, m: usize) -> usize {
     let k = r.min(m);
     let of_g = m.saturating_mul(r).saturating_add(r.saturating_mul(k).saturating_mul(7));
     let of_values =
         k.saturating_mul(k).saturating_mul(8).saturating_add(m.saturating_mul(m).saturating_mul(2));
-    of_g.saturating_add(of_values).saturating_add(n.saturating_mul(n))
+    let of_errors = of_g.saturating_add(of_values).saturating_add(n.saturating_mul(n));
+    of_errors.max(eigenvectors(n).saturating_add(m.saturating_mul(r)))
 }
 
 /// Whether the posterior of a control of `n` unknowns is of low rank.
