@@ -4,8 +4,8 @@ use problems::rods::{HangingRod, rod_scale};
 use std::path::Path;
 use std::process::Command;
 use varda_implicit::{
-    ControlMap, Equations, Error, ImplicitModel, ImplicitStep, Interval, Model, Refusal, SolvedStep,
-    StepEquations, Structure, Work, check,
+    ControlMap, Equations, Error, ImplicitModel, ImplicitStep, Interval, Model, Multipliers, Refusal,
+    SolvedStep, StepEquations, Structure, Work, check,
 };
 use varda_rod::{Damping, Loads, RodEquations, RodStep};
 
@@ -19,6 +19,8 @@ enum Wrong {
     PreviousTranspose,
     /// A number that a damped step keeps of its strains.
     Kept,
+    /// A number that a step keeps of its second derivatives.
+    Second,
 }
 
 const OFF: f64 = 1e-3;
@@ -126,6 +128,26 @@ impl ImplicitStep for Mutated {
     fn advance_adjoint(&mut self, of: &SolvedStep<'_>, l: &[f64], dx: &mut [f64], du: &mut [f64]) {
         self.0.advance_adjoint(of, l, dx, du);
     }
+    fn second_kept(&self) -> Option<usize> {
+        self.0.second_kept()
+    }
+    fn keep_second(&mut self, of: &SolvedStep<'_>, lambda: &[f64], mu: &[f64], kept: &mut [f64]) {
+        self.0.keep_second(of, lambda, mu, kept);
+        if self.1 == Wrong::Second {
+            // the largest of them
+            let i = (0..kept.len()).max_by(|i, j| kept[*i].abs().total_cmp(&kept[*j].abs())).unwrap();
+            kept[i] *= 1.0 + OFF;
+        }
+    }
+    fn second_add(
+        &mut self,
+        of: &SolvedStep<'_>,
+        at: &Multipliers<'_>,
+        by: [&[f64]; 2],
+        to: [&mut [f64]; 2],
+    ) {
+        self.0.second_add(of, at, by, to);
+    }
 }
 
 /// The flagship at the start of its window, with a wrong entry or none.
@@ -159,6 +181,18 @@ fn a_mutated_kept_number_is_caught_by_taylor() {
     };
     assert!(passes(Wrong::Nothing));
     assert!(!passes(Wrong::Kept));
+}
+
+#[test]
+fn a_mutated_second_derivative_is_caught_by_taylor() {
+    let passes = |wrong| {
+        let (mut model, x, scale) = flagship(wrong);
+        let findings = check::second_order(&mut model, 0, &x, &scale, 1).unwrap();
+        assert_eq!(findings.len(), 3);
+        findings.iter().all(|f| f.pass)
+    };
+    assert!(passes(Wrong::Nothing));
+    assert!(!passes(Wrong::Second));
 }
 
 fn taylor_passes(wrong: Wrong) -> bool {

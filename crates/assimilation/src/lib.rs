@@ -97,6 +97,7 @@ mod cycle_window;
 mod departures;
 mod error;
 mod error_scale;
+mod further;
 mod growth;
 mod inner;
 mod minimize;
@@ -127,6 +128,7 @@ pub use cycle_window::{Cycle, CycleErrors, CycleState, CycledErrors, Cycling, No
 pub use departures::Departures;
 pub use error::Error;
 pub use error_scale::ErrorScale;
+pub use further::variance_after;
 pub use growth::{Assimilate, window_growth};
 pub use inner::{InnerEnd, InnerLimits, conjugate_gradients, restricted_conjugate_gradients};
 pub use minimize::{

@@ -355,6 +355,12 @@ pub fn rods() -> Result<Vec<RodCase>> {
         rod_case("anisotropic rod with both dampings", curved()?, clamped(), damping(0.004, 0.7))?,
         rod_case("rod clamped at both ends", straight(8, false)?, both_ends(), damping(0.0, 0.0))?,
         rod_case("damped anisotropic rod clamped at both ends", curved()?, both_ends(), damping(0.004, 0.7))?,
+        rod_case(
+            "damped anisotropic rod hung and clamped",
+            curved()?,
+            hung_and_clamped(),
+            damping(0.004, 0.7),
+        )?,
         rod_case("pinned anisotropic rod", curved()?, pinned(), damping(0.004, 0.0))?,
         rod_case("chain", straight(8, true)?, clamped(), damping(0.004, 0.7))?,
         by(Scheme::Midpoint, rod_case("rod by midpoint", straight(8, false)?, clamped(), damping(0.0, 0.7))?),
@@ -395,9 +401,10 @@ fn rod_case(name: &'static str, rod: Rod, supports: Supports, damping: Damping) 
         ..Loads::default()
     };
     let start = FIRST as f64 * DT;
+    let clamped_at_end = supports.end.is_some();
     let clamps = supports.start.iter().count() + supports.end.iter().count();
     let mut shape = straight_guess(&rod, &supports, start, [0.0, 0.0, -1.0])?;
-    if clamps == 2 {
+    if clamped_at_end {
         shape = equilibrium(&rod, &supports, &loads, start, &shape)?.0;
     }
     let model = ImplicitModel::new(RodStep::new(rod, supports, loads, damping)?, FIRST, DT);
@@ -468,6 +475,23 @@ fn both_ends() -> Supports {
         |t: f64| [(2.0 * t).sin(), (2.0 * t).cos(), 0.3],
     );
     Supports { start: Some(swinging()), end: Some(end), ..Supports::default() }
+}
+
+/// The first vertex driven, the last edge held at its face: the first frame is carried from a direction that does
+/// not move.
+fn hung_and_clamped() -> Supports {
+    let end = Clamp::new(
+        ClampAt::Face,
+        |t: f64| [0.35 + 0.05 * t, 0.1, -0.4],
+        [0.8, 0.2, 0.6],
+        |t: f64| [(2.0 * t).sin(), (2.0 * t).cos(), 0.3],
+    );
+    Supports {
+        end: Some(end),
+        prescribed: vec![(0, Arc::new(drive()))],
+        free_frame: ([0.0, 0.0, -1.0].into(), [1.0, 0.0, 0.0].into()),
+        ..Supports::default()
+    }
 }
 
 /// The first vertex driven, a later one held; the frame of the first edge carried from straight down.

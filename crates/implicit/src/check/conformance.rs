@@ -1,6 +1,7 @@
 //! Every check of a model: its steps, its products, its slots, the map of its control.
 
 use super::products::{compare, dot_product};
+use super::second_order::second_order;
 use super::taylor::{fit, taylor_step};
 use super::vectors::norm_of;
 use crate::{Error, Model};
@@ -154,7 +155,7 @@ fn slots(
 /// Every check of a model on step k from the state x, with perturbations of the size of `scale`: same input,
 /// same bits; a zero perturbation stays zero; the tangent is linear; it is the derivative (Taylor); the
 /// adjoint is its transpose; products with several columns are those of the single ones; linearizing twice
-/// gives the same bits.
+/// gives the same bits; and where the model has second derivatives those of [`second_order`].
 ///
 /// # Errors
 /// Those of the model and of the single checks.
@@ -223,6 +224,7 @@ pub fn conformance(
         bound: 2.0 - slope.bound,
         pass: slope.pass,
     });
+    findings.extend(second_order(model, k, x, scale, seed)?);
     Ok(findings)
 }
 

@@ -14,6 +14,7 @@ mod conformance;
 mod operator;
 mod products;
 mod rhs;
+mod second_order;
 mod taylor;
 mod vectors;
 
@@ -22,5 +23,6 @@ pub use conformance::{conformance, model};
 pub use operator::operator;
 pub use products::{DotProduct, compare, dot_product, window};
 pub use rhs::rhs;
+pub use second_order::second_order;
 pub use taylor::{Taylor, taylor, taylor_step};
 pub use varda_linalg::check::{Finding, Random, Report, differing};

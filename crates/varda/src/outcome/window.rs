@@ -13,6 +13,7 @@ use super::evidence::Evidence;
 use super::exact_hessian::ExactHessian;
 use super::fit::{Fit, Forecast, Rejected, Withheld};
 use super::model_errors::ModelErrors;
+use super::next_observation::NextObservation;
 use super::space::Shapes;
 use super::spread::ObservedValue;
 use super::verdict::Judgement;
@@ -62,6 +63,8 @@ pub struct Outcome {
     pub analysis: Analysis,
     /// Whether σ_a was computed.
     pub has_posterior: bool,
+    /// Where one more observation would help most; `None` without a posterior, or where it would take long.
+    pub next_observation: Option<NextObservation>,
     /// What second derivatives of the model do to it, where the scene asks for the exact Hessian.
     pub exact_hessian: Option<ExactHessian>,
     /// The truth, in the control.

@@ -1,6 +1,6 @@
 //! Which figures a run draws.
 
-use crate::outcome::{ConvergenceRow, Outcome, Shapes, Sight, Track, Trajectories};
+use crate::outcome::{ConvergenceRow, NextObservation, Outcome, Shapes, Sight, Track, Trajectories};
 use crate::run::compare::{Compared, lowest};
 use crate::scene::TimeGrid;
 use crate::state::{Geometry, StateGroup};
@@ -21,6 +21,7 @@ pub(super) fn all(outcome: &Outcome) -> Vec<Figure> {
     if outcome.has_posterior {
         figures.push(spread(outcome));
     }
+    figures.extend(outcome.next_observation.as_ref().and_then(next_observation));
     figures
 }
 
@@ -316,6 +317,35 @@ fn spread(outcome: &Outcome) -> Figure {
         columns,
         panel_size: if columns > 1 { (460, 300) } else { (760, 300) },
     }
+}
+
+/// σ of the places at the end of the window with one more marker, against where it sits; of rods only.
+fn next_observation(next: &NextObservation) -> Option<Figure> {
+    let places: Option<Vec<(f64, f64)>> =
+        next.candidates.iter().map(|c| Some((c.arc_length?, c.sigma))).collect();
+    let places = places.filter(|places| !places.is_empty())?;
+    let now = places.iter().map(|(s, _)| (*s, next.sigma_now)).collect();
+    let series = |label: &str, style, points| Series { label: label.into(), style, points };
+    Some(Figure {
+        name: "next-marker",
+        title: format!(
+            "Standard deviation of the places at the end of the window with one more marker, seen {} times with \
+             σ = {} m, against its place",
+            next.times, next.sigma_seen
+        ),
+        panels: vec![Panel {
+            x_label: "arc length of the marker [m]".into(),
+            y_label: "σ of places at the end [m]".into(),
+            legend: Some(Corner::Top),
+            series: vec![
+                series("as it is", Style::Background, now),
+                series("with one more marker", Style::Analysis, places),
+            ],
+            ..Panel::default()
+        }],
+        columns: 1,
+        panel_size: (760, 300),
+    })
 }
 
 /// The root mean square of σ over each vector of a group, against arc length or index.

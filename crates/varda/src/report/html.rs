@@ -177,6 +177,7 @@ fn table_section(outcome: &Outcome, s: &Summary) -> String {
     let t = &s.j_terms;
     let c = &s.counts;
     let grid = &outcome.experiment.grid;
+    let mut further = None;
     let mut rows: Vec<(&str, String, &str)> = vec![
         ("State, control", format!("{}, {}", s.n_state, s.n_control), "numbers"),
         ("Observed values m", s.n_obs.to_string(), ""),
@@ -197,6 +198,23 @@ fn table_section(outcome: &Outcome, s: &Summary) -> String {
         ("2J/m", format!("{:.4}", s.chi2), ""),
         ("Degrees of freedom for signal", optional(s.degrees_of_freedom), ""),
     ];
+    if let Some((next, best)) = s.next_observation.as_ref().and_then(|n| Some((n, n.best()?))) {
+        let place = match (best.arc_length, &best.component) {
+            (Some(arc), _) => {
+                format!("one more marker helps most at {} m: σ of places at the end", short(arc))
+            }
+            (None, component) => {
+                format!(
+                    "one more component helps most: {}; σ at the end",
+                    component.as_deref().unwrap_or_default()
+                )
+            }
+        };
+        further = Some((place, format!("{} → {}", short(next.sigma_now), short(best.sigma))));
+    }
+    if let Some((place, sigma)) = &further {
+        rows.push((place, sigma.clone(), if outcome.experiment.state.geometry.is_some() { "m" } else { "" }));
+    }
     if let Some(e) = s.exact_hessian {
         rows.push(("Smallest eigenvalue of the exact Hessian", optional(e.smallest_eigenvalue), ""));
         let percent = |share: Option<f64>| optional(share.map(|s| 100.0 * s));

@@ -5,8 +5,8 @@ use varda_assimilation::CostTerms;
 use varda_implicit::check::Amplification;
 
 use crate::outcome::{
-    AcceptedSteps, Attempt, Estimated, Evidence, ExactHessian, Fit, Forecast, ModelErrors, Outcome, Rejected,
-    Rmse, Seconds, Verdict, Withheld, WorkCounts,
+    AcceptedSteps, Attempt, Estimated, Evidence, ExactHessian, Fit, Forecast, ModelErrors, NextObservation,
+    Outcome, Rejected, Rmse, Seconds, Verdict, Withheld, WorkCounts,
 };
 
 /// The keys of summary.json, in their order.
@@ -65,6 +65,9 @@ pub struct Summary {
     pub chi2: f64,
     /// Degrees of freedom for signal; `null` without a posterior.
     pub degrees_of_freedom: Option<f64>,
+    /// Where one more marker or component would help most, and what σ would be with it at each place.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub next_observation: Option<NextObservation>,
     /// What second derivatives of the model do to the posterior, where the scene asks for the exact Hessian.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exact_hessian: Option<ExactHessian>,
@@ -188,6 +191,7 @@ impl Summary {
             chi2: outcome.analysis.chi2,
             degrees_of_freedom: outcome.has_posterior.then_some(outcome.analysis.degrees_of_freedom),
             exact_hessian: outcome.exact_hessian,
+            next_observation: outcome.next_observation.clone(),
             estimates: outcome.estimates.clone(),
             rmse: outcome.rmse.clone(),
             seconds: outcome.seconds,

@@ -14,6 +14,7 @@ mod interrupted;
 mod mesh;
 mod model_errors;
 mod modes;
+mod next_observation;
 mod second_minimum;
 mod shapes;
 mod spread;

@@ -7,8 +7,9 @@ use varda_implicit::{Model, ParameterPlaces};
 use varda_rod::{InternalForces, RodStep};
 
 use super::fit::predicted;
+use super::next_observation::Gathering;
 use crate::Error;
-use crate::outcome::{ObservedValue, Rejected, Trajectories};
+use crate::outcome::{NextObservation, ObservedValue, Rejected, Trajectories};
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
 use crate::setup::rod::RodSystem;
@@ -21,6 +22,8 @@ pub(super) struct Spread {
     seen: Vec<Vec<f64>>,
     /// σ of the forces within a rod and of its reactions, from step 1 on.
     pub(super) forces: Vec<InternalForces>,
+    /// Where one more observation would help most.
+    pub(super) next: Option<NextObservation>,
 }
 
 /// σ of the forces within a rod, from step to step.
@@ -101,7 +104,9 @@ pub(super) fn along(
         states: Vec::with_capacity(runs.analysis.len()),
         seen: vec![Vec::new(); problem.observed.seen.len()],
         forces: Vec::new(),
+        next: None,
     };
+    let mut further = Gathering::new(problem, root.len() / control.len().max(1));
     let mut within = match problem.system.rod() {
         Some(rod) => Some(ForceSpread::of(rod, &runs.analysis[..n])?),
         None => None,
@@ -113,6 +118,9 @@ pub(super) fn along(
     let (mut waiting, mut next): (BTreeMap<usize, Vec<f64>>, usize) = (BTreeMap::new(), 0);
     let done = propagate_root(model, control, root, &runs.analysis, &mut |k, w| {
         spread.states.extend(deviations(w, n));
+        if let Some(further) = &mut further {
+            further.see(k, n, w);
+        }
         let rows = set.rows_at(k);
         let state = &runs.analysis[k * n..(k + 1) * n];
         if let Some(forces) = &mut within {
@@ -139,6 +147,9 @@ pub(super) fn along(
         }
         Ok(())
     });
+    if done.is_ok() {
+        spread.next = further.map(Gathering::answer).transpose()?.flatten();
+    }
     Ok(done.is_ok().then_some(spread))
 }
 

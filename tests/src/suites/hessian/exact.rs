@@ -13,9 +13,8 @@ use varda_implicit::{Keep, Model, Rk4, Storage, Trajectory};
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
 /// ∇²J p against extrapolated differences of the gradient, its symmetry, and the matrix of its columns.
-pub(super) fn product(case: &mut Case, cost: &mut dyn LeastSquares) -> Outcome {
+pub(in crate::suites) fn product(case: &mut Case, cost: &mut dyn LeastSquares, v: &[f64]) -> Outcome {
     let n = cost.dim();
-    let v: Vec<f64> = (0..n).map(|i| 0.2 * wave(i, 71)).collect();
     let a: Vec<f64> = (0..n).map(|i| wave(i, 72)).collect();
     let b: Vec<f64> = (0..n).map(|i| wave(i, 73)).collect();
     let mut difference = |h: f64| -> Result<Vec<f64>> {
@@ -35,7 +34,7 @@ pub(super) fn product(case: &mut Case, cost: &mut dyn LeastSquares) -> Outcome {
     let better = [once(&steps[0], &steps[1], 4.0), once(&steps[1], &steps[2], 4.0)];
     let best = once(&better[0], &better[1], 16.0);
 
-    cost.evaluate(&v, Some(&mut vec![0.0; n]))?;
+    cost.evaluate(v, Some(&mut vec![0.0; n]))?;
     let [mut product_a, mut product_b, mut gauss_newton] = std::array::from_fn(|_| vec![0.0; n]);
     cost.exact_hessian_apply(&a, &mut product_a)?;
     cost.exact_hessian_apply(&b, &mut product_b)?;

@@ -1,0 +1,96 @@
+//! Where one more observation would help most, and the exact Hessian of a scene.
+
+use varda::outcome::{Outcome, Status};
+use varda::run::{Listener, assimilate};
+use varda::scene::SceneFile;
+use varda::setup::Problem;
+
+fn run(scene: &str, set: &[&str]) -> Outcome {
+    let set: Vec<String> = set.iter().map(|s| s.to_string()).collect();
+    let problem = Problem::from_scene(&SceneFile::open(scene, &set).unwrap()).unwrap();
+    assimilate(&problem, &mut Listener::silent()).unwrap()
+}
+
+fn refused(scene: &str, set: &[&str]) -> String {
+    let set: Vec<String> = set.iter().map(|s| s.to_string()).collect();
+    let file = match SceneFile::open(scene, &set) {
+        Ok(file) => file,
+        Err(error) => return error.to_string(),
+    };
+    Problem::from_scene(&file).err().map_or(String::new(), |error| error.to_string())
+}
+
+/// Root mean square σ of all components at the end.
+fn at_the_end(outcome: &Outcome) -> f64 {
+    let n = outcome.trajectories.dim;
+    let last = &outcome.sigma_states[outcome.sigma_states.len() - n..];
+    (last.iter().map(|s| s * s).sum::<f64>() / n as f64).sqrt()
+}
+
+/// Of a linear problem what was said is what a run with that component more finds.
+#[test]
+fn one_more_component_does_what_was_said() {
+    let outcome = run("linear-advection", &[]);
+    let next = outcome.next_observation.as_ref().unwrap();
+    assert_eq!((next.times, next.candidates.len()), (8, 25));
+    assert!((next.sigma_now / at_the_end(&outcome) - 1.0).abs() <= 1e-9);
+    let best = next.best().unwrap();
+    let component: usize = best
+        .component
+        .as_ref()
+        .unwrap()
+        .chars()
+        .filter(char::is_ascii_digit)
+        .collect::<String>()
+        .parse()
+        .unwrap();
+    let more = run("linear-advection", &[&format!("observations.components=[0,16,32,48,64,{component}]")]);
+    // two decompositions of a matrix of condition 1e3
+    assert!((best.sigma / at_the_end(&more) - 1.0).abs() <= 1e-9, "{} {}", best.sigma, at_the_end(&more));
+    assert!(best.sigma < 0.95 * next.sigma_now);
+}
+
+/// Of a rod the places are its free vertices; a marker more never makes σ larger.
+#[test]
+fn one_more_marker_of_a_rod() {
+    let outcome = run("hanging-rod-case2", &[]);
+    let next = outcome.next_observation.as_ref().unwrap();
+    assert_eq!(next.candidates.len(), 24);
+    let along = |i: usize| next.candidates[i].arc_length.unwrap();
+    assert!((along(0) - 0.08).abs() < 1e-12 && (along(23) - 1.0).abs() < 1e-12);
+    assert!(next.candidates.iter().all(|c| c.sigma > 0.0 && c.sigma <= next.sigma_now * (1.0 + 1e-12)));
+}
+
+#[test]
+fn a_scene_asks_for_the_exact_hessian() {
+    let plain = run("hanging-rod-case1", &[]);
+    let exact = run("hanging-rod-case1", &["algorithm.hessian=exact"]);
+    assert_eq!((plain.status, exact.status), (Status::Converged, Status::Converged));
+    assert!((exact.analysis.value / plain.analysis.value - 1.0).abs() <= 1e-8);
+    assert!(exact.iterations[0] < plain.iterations[0], "{:?} {:?}", exact.iterations, plain.iterations);
+    let made_with =
+        |outcome: &Outcome, name: &str| outcome.convergence.iter().any(|r| r.hessian == Some(name));
+    assert!(made_with(&exact, "exact") && made_with(&exact, "gauss-newton") && !made_with(&plain, "exact"));
+    assert!(plain.exact_hessian.is_none());
+    let found = exact.exact_hessian.unwrap();
+    let (smallest, change) = (found.smallest_eigenvalue.unwrap(), found.sigma_change.unwrap());
+    assert!(smallest > 0.3 && smallest < 1.0, "{smallest}");
+    assert!(change > 0.01 && change < 1.0, "{change}");
+    let share = found.effective_share.unwrap();
+    assert!(share > 0.0 && share <= 1.0, "{share}");
+    // a linear problem has one Hessian, and its posterior is Gaussian
+    let linear = run("linear-advection", &["algorithm.method=4dvar", "algorithm.hessian=exact"]);
+    let found = linear.exact_hessian.unwrap();
+    assert!(found.sigma_change.unwrap() <= 1e-7, "{found:?}");
+    assert!(found.effective_share.unwrap() >= 1.0 - 1e-6, "{found:?}");
+}
+
+#[test]
+fn the_exact_hessian_is_refused_where_there_is_none() {
+    let lbfgs = refused("hanging-rod-case1", &["algorithm.hessian=exact", "algorithm.minimizer=lbfgs"]);
+    assert!(lbfgs.contains("algorithm.hessian") && lbfgs.contains("trust-region"), "{lbfgs}");
+    let weak = refused("hanging-rod-weak", &["algorithm.hessian=exact"]);
+    assert!(weak.contains("algorithm.hessian") && weak.contains("4dvar"), "{weak}");
+    let drag = refused("tether-in-current", &["algorithm.hessian=exact"]);
+    assert!(drag.contains("no second derivatives"), "{drag}");
+}
