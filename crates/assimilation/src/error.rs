@@ -156,8 +156,8 @@ pub enum Error {
     },
     /// The exact Hessian was asked for, and the model or an observation operator has no second derivatives.
     #[error(
-        "no exact Hessian: the model or an observation operator has no second derivatives (a cost over states \
-         has none either); use the Hessian of Gauss and Newton"
+        "no exact Hessian: the model or an observation operator has no second derivatives (a cost over \
+         states has none either); use the Hessian of Gauss and Newton"
     )]
     NoSecondDerivatives,
     /// A setting outside its range.

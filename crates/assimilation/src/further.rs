@@ -2,18 +2,18 @@
 
 use crate::Error;
 use crate::cost::solve_identity_plus;
-use varda_linalg::dense::{View, add_product, product};
+use varda_linalg::dense::{View, product};
 
-/// The diagonal of E P' Eᵀ, the variances of some quantities e = E x after further observations, from a root W of
-/// the posterior, P = W Wᵀ:
+/// The diagonal of E P' Eᵀ, the variances of some quantities e = E x after further observations, from a
+/// root W of the posterior, P = W Wᵀ:
 ///
 /// ```text
 ///     P' = W (I + GᵀG)⁻¹ Wᵀ,    G = R^{-1/2} H W
 /// ```
 ///
 /// for the linearized problem; no value is needed. `root` is
-/// E W, t × r by columns; `rows` are the rows of G, r numbers each. Costs some m² r + m r t for m rows below r, else
-/// r³ and m r².
+/// E W, t × r by columns; `rows` are the rows of G, r numbers each. Costs some m² r + m r t for m rows
+/// below r, else r³ and m r².
 ///
 /// ```
 /// use varda_assimilation::variance_after;
@@ -51,8 +51,7 @@ pub fn variance_after(r: usize, root: &[f64], rows: &[f64]) -> Result<Vec<f64>, 
             *variance -= seen.iter().zip(solved).map(|(a, b)| a * b).sum::<f64>();
         }
     } else {
-        let mut back = vec![0.0; r * t];
-        add_product(1.0, e.transpose(), View::new(&identity(t), t, t), &mut back);
+        let back = e.transpose().to_matrix().into_columns();
         let mut solved = back.clone();
         solve_identity_plus(gt.transpose(), &mut solved)?;
         for (variance, (e, solved)) in
@@ -62,10 +61,6 @@ pub fn variance_after(r: usize, root: &[f64], rows: &[f64]) -> Result<Vec<f64>, 
         }
     }
     Ok(variance)
-}
-
-fn identity(n: usize) -> Vec<f64> {
-    (0..n * n).map(|i| f64::from(i % (n + 1) == 0)).collect()
 }
 
 #[cfg(test)]

@@ -162,14 +162,15 @@ impl Posterior {
         Self::of_pairs(eigenvalues, left)
     }
 
-    /// From the exact Hessian ∇²J around the point of the last gradient of `cost`, in place of A: the Laplace
-    /// approximation itself. Where the two differ the problem is nonlinear within the spread of its posterior.
+    /// From the exact Hessian ∇²J around the point of the last gradient of `cost`, in place of A: the
+    /// Laplace approximation itself. Where the two differ the problem is nonlinear within the spread of its
+    /// posterior.
     ///
     /// Cost: n products of the second-order adjoint, and an eigenvalue decomposition.
     ///
     /// # Errors
-    /// [`Error::NotPositiveDefinite`] where J is not convex at that point, [`Error::NoSecondDerivatives`] for a
-    /// cost without; products that fail.
+    /// [`Error::NotPositiveDefinite`] where J is not convex at that point, [`Error::NoSecondDerivatives`] for
+    /// a cost without; products that fail.
     ///
     /// # Panics
     /// If no gradient has been evaluated.
@@ -275,16 +276,16 @@ impl Posterior {
         z
     }
 
-    /// How Gaussian the posterior is within its own spread: draws v + A^{-1/2} ξ, |ξ|² = 2 ΔJ̃ by the quadratic
-    /// model, evaluated by J itself, weigh w = exp(ΔJ̃ − ΔJ), and the share of them that counts is that of
-    /// importance sampling (Kong 1992),
+    /// How Gaussian the posterior is within its own spread: draws v + A^{-1/2} ξ, |ξ|² = 2 ΔJ̃ by the
+    /// quadratic model, evaluated by J itself, weigh w = exp(ΔJ̃ − ΔJ), and the share of them that
+    /// counts is that of importance sampling (Kong 1992),
     ///
     /// ```text
     ///     (Σ w)² / (N Σ w²)
     /// ```
     ///
-    /// 1 for a quadratic J. A draw from which the model cannot be run weighs nothing. Costs a forward run each;
-    /// the cost's last gradient is still that at v.
+    /// 1 for a quadratic J. A draw from which the model cannot be run weighs nothing. Costs a forward run
+    /// each; the cost's last gradient is still that at v.
     ///
     /// # Errors
     /// A cost that cannot be evaluated at v.

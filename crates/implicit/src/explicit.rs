@@ -220,7 +220,8 @@ impl<R: Rhs + Clone + 'static> SecondOrder for Rk4<R> {
         }
         // λ + Σ p_i, and its derivative, in place
         self.sum.copy_from_slice(derivative);
-        (p.fill(0.0), p_dot.fill(0.0));
+        p.fill(0.0);
+        p_dot.fill(0.0);
         for i in (0..4).rev() {
             let (t, weight) = (self.time(k, i), self.length * WEIGHT[i]);
             let after = PLACE.get(i + 1).map_or(0.0, |c| self.length * c);

@@ -11,9 +11,9 @@ use std::ops::{Add, Sub};
 /// slot holds.
 ///
 /// A model counts nothing and decides nothing about storage: it says what a call did ([`Work`]), and its
-/// caller adds that up. Every method is required but [`rate`](Self::rate), [`second_order`](Self::second_order)
-/// and those of the control, which follow from [`control_map`](Self::control_map): a wrapper that forgets
-/// another does not compile.
+/// caller adds that up. Every method is required but [`rate`](Self::rate),
+/// [`second_order`](Self::second_order) and those of the control, which follow from
+/// [`control_map`](Self::control_map): a wrapper that forgets another does not compile.
 ///
 /// ```
 /// use varda_implicit::{ControlMap, Error, Model, Work, check};

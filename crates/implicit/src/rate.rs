@@ -26,8 +26,8 @@ pub trait Rate {
     /// dx += (∂ẋ/∂x)ᵀ λ.
     fn adjoint_add(&mut self, k: usize, x: &[f64], lambda: &[f64], dx: &mut [f64]);
 
-    /// out += Σ_i λ_i ∂²ẋ_i/∂x² dx, where the model has second derivatives. Nothing (the default) where the
-    /// rate is linear in the state.
+    /// out += Σ_i λ_i ∂²ẋ_i/∂x² dx, where the model has second derivatives. Nothing (the default)
+    /// where the rate is linear in the state.
     fn second_adjoint_add(&mut self, _k: usize, _x: &[f64], _dx: &[f64], _lambda: &[f64], _out: &mut [f64]) {}
 }
 

@@ -39,8 +39,8 @@ use crate::{Error, Model};
 /// # Ok::<(), varda_implicit::Error>(())
 /// ```
 pub trait SecondOrder: Model {
-    /// dx ← M dx as [`Model::tangent`], for one column; what `adjoint_derivative` needs along the way may be kept in
-    /// the slot.
+    /// dx ← M dx as [`Model::tangent`], for one column; what `adjoint_derivative` needs along the way may
+    /// be kept in the slot.
     ///
     /// # Panics
     /// As [`Model::tangent`].
@@ -48,8 +48,8 @@ pub trait SecondOrder: Model {
         self.tangent(slot, dx);
     }
 
-    /// λ̇ ← M'ᵀ λ̇ + Σ_i λ_i ∂²M_i/∂x² dx in place, with the linearization in the slot: `lambda` is λ_{k+1}, at
-    /// the end of the step, `dx` the perturbation at its start.
+    /// λ̇ ← M'ᵀ λ̇ + Σ_i λ_i ∂²M_i/∂x² dx in place, with the linearization in the slot:
+    /// `lambda` is λ_{k+1}, at the end of the step, `dx` the perturbation at its start.
     ///
     /// What does not depend on dx may be kept in the slot, for the next call with the same λ; what
     /// `tangent_kept` left there is taken over where its dx was the same.
@@ -68,6 +68,7 @@ pub trait SecondOrder: Model {
     ) -> Result<(), Error>;
 
     /// dz += Σ_i λ_i ∂²x_{0,i}/∂z² δz, λ that of the initial state, at the control of the last
-    /// `initial_state`. Nothing where control and state are the same vector, or the map between them is linear.
+    /// `initial_state`. Nothing where control and state are the same vector, or the map between them is
+    /// linear.
     fn initial_adjoint_derivative(&mut self, _delta: &[f64], _lambda: &[f64], _dz: &mut [f64]) {}
 }

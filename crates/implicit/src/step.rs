@@ -223,12 +223,12 @@ pub trait ImplicitStep {
         None
     }
 
-    /// Writes them, once for every λ and μ: what `second_add` needs of L = λᵀ S(x_k, u) + μᵀ G(x_k, u) beside
-    /// the two vectors.
+    /// Writes them, once for every λ and μ: what `second_add` needs of L = λᵀ S(x_k, u) + μᵀ G(x_k,
+    /// u) beside the two vectors.
     fn keep_second(&mut self, _of: &SolvedStep<'_>, _lambda: &[f64], _mu: &[f64], _kept: &mut [f64]) {}
 
-    /// Adds the second derivatives of L = λᵀ S(x_k, u) + μᵀ G(x_k, u), in the increments that the products above
-    /// are given:
+    /// Adds the second derivatives of L = λᵀ S(x_k, u) + μᵀ G(x_k, u), in the increments that the
+    /// products above are given:
     ///
     /// ```text
     /// rx += ∂²L/∂x² dx + ∂²L/∂x∂u du,    ru += ∂²L/∂u∂x dx + ∂²L/∂u² du
@@ -275,8 +275,8 @@ pub trait ImplicitStep {
         dz.copy_from_slice(lambda);
     }
 
-    /// out += Σ_i λ_i ∂²x_{0,i}/∂z² dz at the control of the last `initial_state`. Nothing (the default) where
-    /// the map is linear.
+    /// out += Σ_i λ_i ∂²x_{0,i}/∂z² dz at the control of the last `initial_state`. Nothing (the
+    /// default) where the map is linear.
     fn initial_second_add(&mut self, _t: f64, _dz: &[f64], _lambda: &[f64], _out: &mut [f64]) {}
 }
 

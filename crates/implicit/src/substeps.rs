@@ -174,7 +174,8 @@ impl Products {
         add(&mut lambda[..past], history);
     }
 
-    /// λ̇ ← M'ᵀ λ̇ + Σ λ_i ∂²M_i dx through all substeps: with w = (dx, du), L = λᵀS + μᵀG,
+    /// λ̇ ← M'ᵀ λ̇ + Σ λ_i ∂²M_i dx through all substeps: with w = (dx, du), L = λᵀS +
+    /// μᵀG,
     ///
     /// ```text
     /// r = (∂S/∂u)ᵀ λ̇ + ∂²L/∂u∂(x,u) w,   ν = −(∂G/∂u)⁻ᵀ r

@@ -84,8 +84,8 @@ impl LinearizedStep<'_> {
         self.model.adjoint(self.slot, lambda);
     }
 
-    /// dx ← M_k dx, what [`adjoint_derivative`](Self::adjoint_derivative) needs of it kept where the storage keeps
-    /// linearizations.
+    /// dx ← M_k dx, what [`adjoint_derivative`](Self::adjoint_derivative) needs of it kept where the
+    /// storage keeps linearizations.
     ///
     /// # Panics
     /// If the model has no second derivatives.

@@ -229,15 +229,15 @@ impl KelvinVoigt {
         }
     }
 
-    /// How many numbers second derivatives keep of a solved step: k ∂²ε[μ] of the stage, then a band for every
-    /// configuration of the past.
+    /// How many numbers second derivatives keep of a solved step: k ∂²ε[μ] of the stage, then a band for
+    /// every configuration of the past.
     pub(crate) fn second_kept(&self, layout: &Layout) -> usize {
         STRAINS * layout.segments + self.configurations.len() * layout.band()
     }
 
-    /// Writes the bands: with the stresses s = k ∂ε(y)[μ] of the stage, and its own share and weight −r w,
-    /// Σ s ∂²ε of each configuration of the past, in its stored angles. `mu` is in the full order; the rest of
-    /// what is kept `System::third_add` writes.
+    /// Writes the bands: with the stresses s = k ∂ε(y)[μ] of the stage, and its own share and weight −r
+    /// w, Σ s ∂²ε of each configuration of the past, in its stored angles. `mu` is in the full order;
+    /// the rest of what is kept `System::third_add` writes.
     pub(crate) fn keep_second(&self, system: &System, kept: &[f64], mu: &[f64], bands: &mut [f64]) {
         let (layout, n) = (&system.layout, system.layout.segments);
         let mut stresses = vec![[0.0; 4]; n];
@@ -305,8 +305,8 @@ fn put_edge(kept: &mut [f64], t: &Vector3<f64>) {
     kept[..3].copy_from_slice(t.as_slice());
 }
 
-/// Each strain's gradient, as it was kept, times q: `visit(e, strain, value)` for the length of edge e, strain
-/// 0, and the strains 1 to 3 of the vertex it starts at.
+/// Each strain's gradient, as it was kept, times q: `visit(e, strain, value)` for the length of edge e,
+/// strain 0, and the strains 1 to 3 of the vertex it starts at.
 fn for_each_strain(layout: &Layout, from: &[f64], q: &[f64], mut visit: impl FnMut(usize, usize, f64)) {
     for (e, from) in from.chunks_exact(STRAINS).enumerate().take(layout.segments) {
         let (a, b) = (layout.vertex(e), layout.vertex(e + 1));

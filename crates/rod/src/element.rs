@@ -15,8 +15,8 @@ use crate::scalar::{Real, square};
 
 /// Degrees of freedom at a bent vertex with frames: three places and two angles.
 pub(crate) const LOCAL: usize = 11;
-/// Numbers for an edge and the vertex it starts at: the gradient of its length, and those of the three strains
-/// there.
+/// Numbers for an edge and the vertex it starts at: the gradient of its length, and those of the three
+/// strains there.
 pub(crate) const STRAINS: usize = 3 + 3 * LOCAL;
 
 /// Energy, gradient and lower triangle of the Hessian of an element with N degrees of freedom.
@@ -207,7 +207,8 @@ pub(crate) fn bend_twist<T: Real>(
     out
 }
 
-/// Adds Σ_a s_a ∂²ε_a, the second derivatives of the strains of a vertex with frames, to a lower triangle.
+/// Adds Σ_a s_a ∂²ε_a, the second derivatives of the strains of a vertex with frames, to a lower
+/// triangle.
 pub(crate) fn strain_hessian_add<T: Real>(
     a: &Edge<T>,
     b: &Edge<T>,

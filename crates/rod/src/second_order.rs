@@ -1,21 +1,23 @@
 //! Third derivatives of the energy, and second ones of the holonomy: what the exact Hessian of a window needs
 //! of a rod's step.
 //!
-//! Increments of unknowns are (δx, α): the director of an edge is carried from its present tangent t₀ to the
-//! tangent t along the shortest arc, and turned by α. In these coordinates, fixed at one configuration, the
-//! energy of a vertex depends on its own places and angles only, to every order, so that all derivatives are
-//! bands. The stored angle is θ = θ₀ + α + ψ(x), with ψ the angle between the director so carried and Bishop's:
-//! a sum along the rod of functions of three vertices.
+//! Increments of unknowns are (δx, α): the director of an edge is carried from its present tangent t₀ to
+//! the tangent t along the shortest arc, and turned by α. In these coordinates, fixed at one configuration,
+//! the energy of a vertex depends on its own places and angles only, to every order, so that all derivatives
+//! are bands. The stored angle is θ = θ₀ + α + ψ(x), with ψ the angle between the director so carried
+//! and Bishop's: a sum along the rod of functions of three vertices.
 //!
-//! Hessians of elements are those at their own configuration. Moved by ε μ, that is in coordinates that start
-//! at the moved configuration, whose angles differ by the area of the triangle of tangents (t₀, t₀ + ε δt, t):
+//! Hessians of elements are those at their own configuration. Moved by ε μ, that is in coordinates that
+//! start at the moved configuration, whose angles differ by the area of the triangle of tangents (t₀, t₀
+//! + ε δt, t):
 //!
 //! ```text
-//! α' = α − ½ ε (t₀ × δt)·(t − t₀) + …    ⇒    ∂³E[μ] = d/dε H + KᵀH + H K,   K = ∂²α'/∂ε∂x = (δt × t₀)·δe/2l
+//! α' = α − ½ ε (t₀ × δt)·(t − t₀) + …    ⇒    ∂³E[μ] = d/dε H + KᵀH + H K,   K =
+//! ∂²α'/∂ε∂x = (δt × t₀)·δe/2l
 //! ```
 //!
-//! The term with ∂E/∂α itself vanishes where the angles are in equilibrium, as they are in a solved step. d/dε is
-//! that of dual numbers.
+//! The term with ∂E/∂α itself vanishes where the angles are in equilibrium, as they are in a solved
+//! step. d/dε is that of dual numbers.
 
 use nalgebra::Vector3;
 use num_dual::Dual64;
@@ -72,8 +74,9 @@ impl System {
         Moved { edge, m1: carried(&m1, m2), m2: carried(&m2, -m1), area }
     }
 
-    /// Adds ∂³E/∂c³[μ] at the present shape, with the stiffness of the present step, to the lower band of
-    /// ∂G/∂u; where asked for writes k ∂²ε[μ] of all strains to `strains` (see `KelvinVoigt::keep`).
+    /// Adds ∂³E/∂c³[μ] at the present shape, with the stiffness of the present step, to the lower band
+    /// of ∂G/∂u; where asked for writes k ∂²ε[μ] of all strains to `strains` (see
+    /// `KelvinVoigt::keep`).
     pub(crate) fn third_add(&self, mu: &Increment, band: &mut [f64], mut strains: Option<&mut [f64]>) {
         let layout = &self.layout;
         let real = |x: f64| Dual64::from(x);
@@ -198,8 +201,8 @@ impl System {
         }
     }
 
-    /// Adds the second derivatives of f·p, p = o₁ m₁ + o₂ m₂ + o₃ t of edge e, times an increment of its ends and
-    /// angle, to forces on these. Returns ∂(f·p)/∂α.
+    /// Adds the second derivatives of f·p, p = o₁ m₁ + o₂ m₂ + o₃ t of edge e, times an increment
+    /// of its ends and angle, to forces on these. Returns ∂(f·p)/∂α.
     pub(crate) fn offset_second_add(
         &self,
         e: usize,
@@ -220,8 +223,8 @@ impl System {
         by_angle.re
     }
 
-    /// Adds Σ s ∂²ε of the strains of another shape, one stress for each (see `KelvinVoigt::keep`), to a lower
-    /// band.
+    /// Adds Σ s ∂²ε of the strains of another shape, one stress for each (see `KelvinVoigt::keep`), to a
+    /// lower band.
     pub(crate) fn strains_second_add(&self, shape: &Shape, stress: &[[f64; 4]], band: &mut [f64]) {
         let layout = &self.layout;
         for (e, &[along, bend @ ..]) in stress.iter().enumerate() {

@@ -57,15 +57,15 @@ pub(super) fn run(options: &Options) -> Result<Page> {
 }
 
 const TEXT: &str = "\
-**Products.** Milliseconds of the thread, least of the samples, at one point: a gradient with its forward run; a \
-product with A = I + GᵀG; one with ∇²J; and what the first one at a point takes beside, the matrices Σ λ·∂²G of \
-all steps, in linearizations of the window.
+**Products.** Milliseconds of the thread, least of the samples, at one point: a gradient with its forward \
+run; a product with A = I + GᵀG; one with ∇²J; and what the first one at a point takes beside, the \
+matrices Σ λ·∂²G of all steps, in linearizations of the window.
 
-**Minima.** To ‖∇J‖ ≤ 1e-9 of the first, from the background, at most 200 iterations: outer iterations (median \
-and most over the seeds), how many converged, stalled (J jumps, or its rounding is reached) or ended otherwise, the \
-share of steps made with the exact Hessian, and seconds of the thread (median). *Posterior*: the largest difference \
-of a standard deviation by the exact Hessian from that of Gauss and Newton, at the minimum (median over seeds whose \
-exact Hessian is positive definite; their number).";
+**Minima.** To ‖∇J‖ ≤ 1e-9 of the first, from the background, at most 200 iterations: outer \
+iterations (median and most over the seeds), how many converged, stalled (J jumps, or its rounding is \
+reached) or ended otherwise, the share of steps made with the exact Hessian, and seconds of the thread \
+(median). *Posterior*: the largest difference of a standard deviation by the exact Hessian from that of \
+Gauss and Newton, at the minimum (median over seeds whose exact Hessian is positive definite; their number).";
 
 const PRODUCTS: &[&str] = &[
     "problem",

@@ -477,8 +477,8 @@ fn both_ends() -> Supports {
     Supports { start: Some(swinging()), end: Some(end), ..Supports::default() }
 }
 
-/// The first vertex driven, the last edge held at its face: the first frame is carried from a direction that does
-/// not move.
+/// The first vertex driven, the last edge held at its face: the first frame is carried from a direction that
+/// does not move.
 fn hung_and_clamped() -> Supports {
     let end = Clamp::new(
         ClampAt::Face,

@@ -43,7 +43,8 @@ impl StrongConstraint<'_> {
     ///
     /// ```text
     ///     dx_{k+1} = M_k dx_k
-    ///     λ̇_k = M_kᵀ λ̇_{k+1} + Σ_i λ_{k+1,i} ∂²M_{k,i} dx_k + H_kᵀ R_k⁻¹ H_k dx_k − Σ_j (R_k⁻¹ d_k)_j ∂²H_{k,j} dx_k
+    ///     λ̇_k = M_kᵀ λ̇_{k+1} + Σ_i λ_{k+1,i} ∂²M_{k,i} dx_k
+    ///           + H_kᵀ R_k⁻¹ H_k dx_k − Σ_j (R_k⁻¹ d_k)_j ∂²H_{k,j} dx_k
     /// ```
     ///
     /// Memory: the path dx_k, and where all linearizations are kept λ_k with it.

@@ -6,8 +6,9 @@ pub enum Hessian {
     /// A = I + GᵀG, without second derivatives of the model.
     #[default]
     GaussNewton,
-    /// ∇²J, with them: in [`trust_region`](crate::trust_region()) wherever it predicted the last change of the gradient better than A,
-    /// which is near a minimum; far from one it is as a rule indefinite, and A the better guide.
+    /// ∇²J, with them: in [`trust_region`](crate::trust_region()) wherever it predicted the last change of
+    /// the gradient better than A, which is near a minimum; far from one it is as a rule indefinite, and A
+    /// the better guide.
     Exact,
 }
 

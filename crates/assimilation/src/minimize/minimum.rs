@@ -28,8 +28,8 @@ pub struct Iteration<'a> {
     pub rejected: usize,
     /// Inner (Lanczos) iterations for that step; 0 where a dense solve was used.
     pub inner_iterations: usize,
-    /// The Hessian that step was made with; `None` from others than [`trust_region`](crate::trust_region()) and
-    /// [`auto`](crate::auto()), and at the start.
+    /// The Hessian that step was made with; `None` from others than [`trust_region`](crate::trust_region())
+    /// and [`auto`](crate::auto()), and at the start.
     pub hessian: Option<Hessian>,
     /// What σ is multiplied by at this stage (1 = the true cost).
     pub observation_scale: f64,

@@ -89,10 +89,11 @@ setters!(TrustRegionOptions, stopping, {
 /// **A linear problem** takes one iteration: where the first decrease is that of the model to 10⁻⁶, J is
 /// quadratic, and the whole step is tried at once, whatever the radius.
 ///
-/// **Exact Hessian.** With [`Hessian::Exact`] the model has ∇²J in place of A + S once that predicted the change
-/// of the gradient over the last step better than A, and the end is quadratic. It may be indefinite: the step is
-/// then the one of least model value on the sphere ‖p‖ = Δ. The price is one product with each an iteration to
-/// choose by, and products of the second-order adjoint, which take about twice the time of A's.
+/// **Exact Hessian.** With [`Hessian::Exact`] the model has ∇²J in place of A + S once that predicted the
+/// change of the gradient over the last step better than A, and the end is quadratic. It may be indefinite:
+/// the step is then the one of least model value on the sphere ‖p‖ = Δ. The price is one product with
+/// each an iteration to choose by, and what the second-order adjoint builds at every point where it is asked
+/// for (docs/results/hessian.md).
 ///
 /// **Jumps of J.** An implicit step from a wild state may have several solutions, and which one is found may
 /// change from one point to the next without pattern: J then jumps between smooth sheets. Where
@@ -325,15 +326,15 @@ pub(super) fn run(
     }
 }
 
-/// How far the inner problem is solved, relative to its gradient: with the exact Hessian so far that the end is
-/// quadratic.
+/// How far the inner problem is solved, relative to its gradient: with the exact Hessian so far that the end
+/// is quadratic.
 fn solved_to(progress: &Progress, hessian: Hessian) -> f64 {
     let superlinear = forcing(progress);
     if hessian == Hessian::Exact { superlinear.min(superlinear * superlinear).min(0.1) } else { superlinear }
 }
 
-/// The Hessian that predicts better how the gradient changed over the last step p, from `before` to g: both at
-/// the point of g.
+/// The Hessian that predicts better how the gradient changed over the last step p, from `before` to g: both
+/// at the point of g.
 fn better(cost: &mut dyn LeastSquares, p: &[f64], g: &[f64], before: &[f64]) -> Result<Hessian, Error> {
     let mut product = vec![0.0; p.len()];
     let missed = |product: &[f64]| {

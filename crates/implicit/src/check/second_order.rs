@@ -6,16 +6,17 @@ use crate::{Error, Model};
 use varda_linalg::check::{Finding, Random};
 use varda_linalg::dot;
 
-/// Two second derivatives that should be one may differ by this share of their size: the rounding of a step and
-/// of the solves in it.
+/// Two second derivatives that should be one may differ by this share of their size: the rounding of a step
+/// and of the solves in it.
 const SYMMETRY: f64 = 1e-10;
 
-/// Checks the second derivatives of step k of a model at x ([`SecondOrder`](crate::SecondOrder)), with perturbations
-/// of the size of `scale`: ‖M'(x + h d)ᵀλ − M'(x)ᵀλ − h D‖ must fall like h², with D = Σ_i λ_i ∂²M_i/∂x² d; the form
-/// is symmetric, D_a·b = D_b·a; λ̇ that is given is carried by the adjoint. Nothing where the model has none.
+/// Checks the second derivatives of step k of a model at x ([`SecondOrder`](crate::SecondOrder)), with
+/// perturbations of the size of `scale`: ‖M'(x + h d)ᵀλ − M'(x)ᵀλ − h D‖ must fall like h²,
+/// with D = Σ_i λ_i ∂²M_i/∂x² d; the form is symmetric, D_a·b = D_b·a; λ̇ that is given is
+/// carried by the adjoint. Nothing where the model has none.
 ///
-/// [`conformance`](super::conformance) and [`model`](super::model) do this too. A step whose second derivative
-/// vanishes along the direction only has to give zero.
+/// [`conformance`](super::conformance) and [`model`](super::model) do this too. A step whose second
+/// derivative vanishes along the direction only has to give zero.
 ///
 /// # Errors
 /// Those of the model; [`Error::EmptyTest`] where no range of steps is left between truncation and rounding.

@@ -6,8 +6,8 @@ use serde::Serialize;
 /// The exact Hessian at the analysis, beside Gauss–Newton's.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct ExactHessian {
-    /// Its smallest eigenvalue in the control variable, where Gauss–Newton's is at least 1; not positive where J is
-    /// not convex. `None` where there are too many unknowns for a dense Hessian.
+    /// Its smallest eigenvalue in the control variable, where Gauss–Newton's is at least 1; not positive
+    /// where J is not convex. `None` where there are too many unknowns for a dense Hessian.
     pub smallest_eigenvalue: Option<f64>,
     /// The largest |σ/σ_GN − 1|; `None` where there is no posterior of the exact Hessian.
     pub sigma_change: Option<f64>,
@@ -29,24 +29,25 @@ impl ExactHessian {
         let mut remarks = Vec::new();
         match (self.smallest_eigenvalue, self.sigma_change) {
             (None, _) => remarks.push(
-                "σ of the analysis is that of the Gauss–Newton Hessian: too many unknowns for a dense exact one"
+                "σ of the analysis is that of the Gauss–Newton Hessian: too many unknowns for a dense \
+                 exact one"
                     .into(),
             ),
             (Some(smallest), None) => remarks.push(format!(
-                "J is not convex at the analysis (smallest eigenvalue of the exact Hessian {smallest:.2e}): it is \
-                 no minimum, or a jump of J is near; σ is that of the Gauss–Newton Hessian"
+                "J is not convex at the analysis (smallest eigenvalue of the exact Hessian {smallest:.2e}): \
+                 it is no minimum, or a jump of J is near; σ is that of the Gauss–Newton Hessian"
             )),
             (_, Some(change)) if !(change <= LARGE) => remarks.push(format!(
-                "second derivatives of the model change σ of the analysis by up to {:.0} %: σ here is that of the \
-                 exact Hessian",
+                "second derivatives of the model change σ of the analysis by up to {:.0} %: σ here is that \
+                 of the exact Hessian",
                 100.0 * change
             )),
             _ => {}
         }
         if let Some(share) = self.effective_share.filter(|share| !(*share >= GAUSSIAN)) {
             remarks.push(format!(
-                "the posterior is not Gaussian within its own spread: of {} draws run through the model {:.0} % \
-                 count; believe the intervals as an order of magnitude",
+                "the posterior is not Gaussian within its own spread: of {} draws run through the model \
+                 {:.0} % count; believe the intervals as an order of magnitude",
                 self.draws,
                 100.0 * share
             ));

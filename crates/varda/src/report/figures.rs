@@ -329,8 +329,8 @@ fn next_observation(next: &NextObservation) -> Option<Figure> {
     Some(Figure {
         name: "next-marker",
         title: format!(
-            "Standard deviation of the places at the end of the window with one more marker, seen {} times with \
-             σ = {} m, against its place",
+            "Standard deviation of the places at the end of the window with one more marker, seen {} times \
+             with σ = {} m, against its place",
             next.times, next.sigma_seen
         ),
         panels: vec![Panel {

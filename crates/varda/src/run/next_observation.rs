@@ -1,5 +1,5 @@
-//! Where one more observation would help most: σ at the end of the window with one more marker or component, from
-//! the posterior carried along the run.
+//! Where one more observation would help most: σ at the end of the window with one more marker or component,
+//! from the posterior carried along the run.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -10,8 +10,8 @@ use crate::Error;
 use crate::outcome::{Candidate, NextObservation};
 use crate::setup::Problem;
 
-/// Places looked at, times at which they are seen, and columns of a root, at most: more of either and the answer
-/// takes longer than the rest of the diagnostics.
+/// Places looked at, times at which they are seen, and columns of a root, at most: more of either and the
+/// answer takes longer than the rest of the diagnostics.
 const PLACES: usize = 25;
 const TIMES: usize = 40;
 const COLUMNS: usize = 300;
@@ -33,8 +33,8 @@ pub(super) struct Gathering {
 }
 
 impl Gathering {
-    /// For a root of so many columns; `None` where it is too large, nothing is observed, or observed errors are
-    /// correlated.
+    /// For a root of so many columns; `None` where it is too large, nothing is observed, or observed errors
+    /// are correlated.
     pub(super) fn new(problem: &Problem, columns: usize) -> Option<Gathering> {
         let (grid, layout) = (problem.experiment.grid, &problem.experiment.state);
         let in_window = |at: f64| at <= grid.steps as f64;

@@ -9,8 +9,8 @@ use crate::setup::random::{Stream, stream};
 /// Draws that are run through the model.
 const DRAWS: usize = 32;
 
-/// The spread by the exact Hessian around v, the point of the last gradient; by that of Gauss and Newton where J is
-/// not convex there.
+/// The spread by the exact Hessian around v, the point of the last gradient; by that of Gauss and Newton
+/// where J is not convex there.
 pub(super) fn spread(
     cost: &mut dyn LeastSquares,
     transform: &ControlTransform,

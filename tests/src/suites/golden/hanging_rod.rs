@@ -102,8 +102,10 @@ pub(super) struct Reference {
     exact_hessian_max_eig_control: Option<f64>,
 }
 
-/// How far the exact Hessians of the fixtures are from the limit of differences of ∇J at the same point: 2e-9 to
-/// 1.1e-4, that of case 4 with the prior "clamp". Ours agrees with these differences to 1e-9 (the row beside).
+/// How far the exact Hessians of the fixtures are from the limit of differences of ∇J at the same point:
+/// 2e-9 to
+/// 1.1e-4, that of case 4 with the prior "clamp". Ours agrees with these differences to 1e-9 (the row
+/// beside).
 const THEIR_HESSIAN: f64 = 2e-4;
 const OF_THEIR_HESSIAN: &str =
     "differences of gradients at this point are as far from the fixture (up to 1.1e-4), and agree with ours";

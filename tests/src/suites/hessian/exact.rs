@@ -63,8 +63,8 @@ pub(in crate::suites) fn product(case: &mut Case, cost: &mut dyn LeastSquares, v
     Ok(())
 }
 
-/// vᵀ∇²J v of the problem "Lorenz-96 values" (docs/reference-problems.md), v_i = cos i, in another program; and
-/// the same bits whatever is kept.
+/// vᵀ∇²J v of the problem "Lorenz-96 values" (docs/reference-problems.md), v_i = cos i, in another
+/// program; and the same bits whatever is kept.
 pub(super) fn reference(rows: &mut Rows) {
     rows.case("lorenz96 reference problem", |case| {
         let n = 40;
