@@ -16,9 +16,9 @@ cargo xtask verify [SUITE…] [--quick | --full] [-v] [--json FILE] [--fixtures 
     Runs the verification suites in a release build and prints one line a suite and every row that failed.
     --list: what each suite proves. --help: all options.
 cargo xtask bench [NAME…] [--quick] [--out DIR]
-    Error against run time (time, gradient, assimilation, scaling, statics, leftout, instructions, workers,
-    build) in a release build: prints tables and writes docs/results/NAME.md, .csv and .svg. --quick: few
-    cases and samples, nothing written. --out: another folder.
+    Error against run time (time, gradient, assimilation, scaling, statics, leftout, instructions, memory,
+    interrupts, build) in a release build: prints tables and writes docs/results/NAME.md, .csv and .svg.
+    --quick: few cases and samples, nothing written. --out: another folder.
 cargo xtask bench case4 [OPTION…]
     The study of minimizers on case 4 of the paper, 100 seeds of two priors: docs/results/case4.md.
     --help: its options.

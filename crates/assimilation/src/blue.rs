@@ -2,8 +2,8 @@
 
 use crate::cost::{columns, dot, norm, solve_identity_plus};
 use crate::{ControlTransform, Error, LeastSquares};
-use varda_linalg::Svd;
 use varda_linalg::dense::View;
+use varda_linalg::{Svd, interrupt};
 
 /// In which space the gain is computed; both forms are equal (paper 2.2).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -123,6 +123,9 @@ impl Blue {
             }
             (None, Gain::Observation) => {
                 for (j, column) in covariance.chunks_exact_mut(n.max(1)).enumerate() {
+                    if interrupt::requested() {
+                        return Err(varda_linalg::Error::Interrupted.into());
+                    }
                     column[j] = 1.0;
                     for (k, g) in k.chunks_exact(n.max(1)).zip(&g[j * m..]) {
                         column.iter_mut().zip(k).for_each(|(c, k)| *c -= k * g);
@@ -181,6 +184,9 @@ fn factored(n: usize, m: usize, g: &[f64]) -> Result<(Vec<f64>, Vec<f64>), Error
         Svd::new(m, n, g).map_err(|_| Error::NotPositiveDefinite { smallest: f64::NAN })?;
     let (mut k, mut covariance) = (vec![0.0; n * m], vec![0.0; n * n]);
     for (i, v) in right.chunks_exact(n.max(1)).enumerate() {
+        if interrupt::requested() {
+            return Err(varda_linalg::Error::Interrupted.into());
+        }
         let s = values.get(i).copied().unwrap_or(0.0);
         // hypot: s² may overflow
         let length = s.hypot(1.0);

@@ -5,8 +5,8 @@ use crate::minimize::eigen;
 use crate::{ControlTransform, Error, LeastSquares};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
-use varda_linalg::Svd;
 use varda_linalg::dense::{View, add_product};
+use varda_linalg::{Svd, interrupt};
 
 /// The posterior of a linear-Gaussian problem, or its Laplace approximation around the linearized point:
 ///
@@ -248,6 +248,9 @@ impl Posterior {
         let n = transform.control_dim();
         let mut covariance = vec![0.0; n * n];
         for w in self.control_root(transform).chunks_exact(n) {
+            if interrupt::requested() {
+                break;
+            }
             for (column, wj) in covariance.chunks_exact_mut(n).zip(w) {
                 column.iter_mut().zip(w).for_each(|(c, wi)| *c += wi * wj);
             }
@@ -328,6 +331,9 @@ impl Posterior {
         assert_eq!(transform.dim(), n, "length of the control variable");
         let mut root = vec![0.0; n * n_z];
         for (v, z) in self.root.chunks_exact(n.max(1)).zip(root.chunks_exact_mut(n_z)) {
+            if interrupt::requested() {
+                break;
+            }
             transform.tangent(v, z);
         }
         root

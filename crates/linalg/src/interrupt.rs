@@ -1,6 +1,6 @@
 //! Long calculations that end early when they are asked to.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::sync::Arc;
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::time::Duration;
@@ -13,6 +13,8 @@ pub type Ends = Arc<dyn Fn() -> bool + Send + Sync>;
 thread_local! {
     /// Those of the scopes of [`within`] that this thread is in.
     static ASKED: RefCell<Vec<Ends>> = const { RefCell::new(Vec::new()) };
+    /// Whether something of this thread was told to end since it came into the outermost scope.
+    static TOLD: Cell<bool> = const { Cell::new(false) };
 }
 
 /// How often a decomposition is asked while it runs.
@@ -46,14 +48,58 @@ pub fn within<T>(ends: Ends, work: impl FnOnce() -> T) -> T {
             ASKED.with(|asked| asked.borrow_mut().pop());
         }
     }
-    ASKED.with(|asked| asked.borrow_mut().push(ends));
+    ASKED.with(|asked| {
+        if asked.borrow().is_empty() {
+            TOLD.set(false);
+        }
+        asked.borrow_mut().push(ends);
+    });
     let _scope = Scope;
     work()
 }
 
 /// Whether the work of this thread is to end; false outside of [`within`].
 pub fn requested() -> bool {
-    ASKED.with(|asked| asked.borrow().iter().any(|ends| ends()))
+    let now = ASKED.with(|asked| asked.borrow().iter().any(|ends| ends()));
+    if now {
+        TOLD.set(true);
+    }
+    now
+}
+
+/// Whether something that this thread computed in its present scope was told to end, and may be left half
+/// done.
+pub fn was_told() -> bool {
+    ASKED.with(|asked| !asked.borrow().is_empty()) && TOLD.get()
+}
+
+/// The question of this thread, for others that work for it; `None` outside of [`within`].
+///
+/// ```
+/// use std::sync::Arc;
+/// use varda_linalg::interrupt;
+///
+/// let told = interrupt::within(Arc::new(|| true), || {
+///     let ends = interrupt::asked().expect("it is asked here");
+///     std::thread::spawn(move || interrupt::within(ends, interrupt::requested)).join().unwrap()
+/// });
+/// assert!(told && interrupt::asked().is_none());
+/// ```
+pub fn asked() -> Option<Ends> {
+    let all = ASKED.with(|asked| asked.borrow().clone());
+    (!all.is_empty()).then(|| -> Ends { Arc::new(move || all.iter().any(|ends| ends())) })
+}
+
+/// Multiplications between two questions: some hundredths of a second.
+const PART: usize = 500_000_000;
+
+/// Columns of a result, `each` multiplications a column, in parts of which none takes long: the first of a
+/// part and how many. Ends early where the work is to end; what is left out is then not looked at.
+pub(crate) fn parts(each: usize, columns: usize) -> impl Iterator<Item = (usize, usize)> {
+    // whole panels of the kernels
+    let width = (PART / each.max(1)).max(16).next_multiple_of(16);
+    let from = (0..columns).step_by(width).take_while(|from| *from == 0 || !requested());
+    from.map(move |from| (from, width.min(columns - from)))
 }
 
 /// A calculation on a matrix of size n by `work`, which owns all it needs: on this thread, or, where it is
@@ -109,6 +155,49 @@ mod tests {
         assert_eq!((asked.load(Ordering::SeqCst), ended.load(Ordering::SeqCst)), (3, 0));
         drop(release);
         assert!(!requested());
+    }
+
+    /// A product asks before each part but the first, and leaves out what follows a yes.
+    #[test]
+    fn a_large_product_is_left_between_its_parts() {
+        use crate::dense::{View, gram, product};
+        let n = 1200;
+        let a: Vec<f64> = (0..n * n).map(|i| (1.7 * i as f64).sin()).collect();
+        let width = PART / (n * n) / 16 * 16 + 16;
+        let parts = n.div_ceil(width);
+        assert!(parts >= 4, "{parts}");
+        let run = |question: usize, whole: &dyn Fn(&mut [f64])| {
+            let asked = Arc::new(AtomicUsize::new(0));
+            let count = Arc::clone(&asked);
+            let mut c = vec![0.0; n * n];
+            within(Arc::new(move || count.fetch_add(1, Ordering::SeqCst) >= question), || whole(&mut c));
+            (asked.load(Ordering::SeqCst), c)
+        };
+        let view = || View::new(&a, n, n);
+        let by_product = |c: &mut [f64]| product(view(), view().transpose(), c);
+        let by_gram = |c: &mut [f64]| gram(view(), c);
+        let both: [&dyn Fn(&mut [f64]); 2] = [&by_product, &by_gram];
+        for whole in both {
+            let (asked, all) = run(usize::MAX, whole);
+            assert_eq!(asked, parts - 1);
+            let (asked, some) = run(1, whole);
+            assert_eq!(asked, 2);
+            // two parts are done, in the columns from the first on
+            assert_eq!(some[..n], all[..n]);
+            assert_eq!(some[n * n - 1], 0.0);
+            // sums of n terms of size one
+            let entry: f64 = (0..n).map(|k| a[7 + k * n] * a[n - 1 + k * n]).sum();
+            assert!((all[7 + (n - 1) * n] - entry).abs() <= 1e-11, "{} {entry}", all[7 + (n - 1) * n]);
+        }
+    }
+
+    #[test]
+    fn a_large_factorization_is_left() {
+        let n = LARGE;
+        let matrix: Vec<f64> = (0..n * n).map(|i| f64::from(u8::from(i % (n + 1) == 0))).collect();
+        let ended = within(Arc::new(|| true), || crate::dense::Cholesky::new(n, &matrix));
+        assert!(matches!(ended, Err(Error::Interrupted)));
+        assert!(within(Arc::new(|| false), || crate::dense::Cholesky::new(n, &matrix)).is_ok());
     }
 
     #[test]

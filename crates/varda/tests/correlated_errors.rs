@@ -4,10 +4,11 @@
 mod rod_scene;
 
 use rod_scene::{Folder, ROD, SEEN};
-use varda::outcome::{Outcome, Verdict};
+use varda::outcome::{ObservedValue, Outcome, Verdict};
 use varda::run::{Listener, assimilate};
 use varda::scene::{SHIPPED, SceneFile};
 use varda::setup::{Inputs, Problem};
+use varda_covariance::{Dense, Precision};
 
 /// A linear problem: what is seen of a field that is carried along. Its posterior is exact.
 const FIELD: &str = r#"
@@ -126,6 +127,56 @@ fn every_method_carries_it() {
             assert!((a - b).abs() <= 1e-5, "{name}: {a} {b}");
         }
         assert!((first.value - other.value).abs() <= 1e-6 * first.value, "{name}");
+    }
+}
+
+/// J before and after is that of the dense R, whatever the method, along the line and in time: ½ dᵀR⁻¹d
+/// of the values of both runs.
+#[test]
+fn j_of_every_method_is_that_of_the_dense_covariance() {
+    let error = "algorithm.model_error={ every = 6, covariance = { kind = \"line\", sigma = 0.05, \
+                 correlation_length = 0.2 } }";
+    let members = "algorithm.ensemble={ members = 12, localization_length = 0.5 }";
+    let methods: [(&str, &[&str]); 9] = [
+        ("4dvar", &[]),
+        ("4dvar-incremental", &[]),
+        ("4d-psas", &[]),
+        ("blue", &[]),
+        ("weak-forcing", &[error]),
+        ("weak-state", &[error]),
+        ("4denvar", &[members]),
+        ("hybrid-4denvar", &[members]),
+        ("psas", &["time.window=0"]),
+    ];
+    // of one instant
+    let at_once = FIELD.replace("every = 1", "steps = [0]");
+    for key in ["{ time = 0.05 }", "{ length = 0.3, kernel = \"matern-3/2\" }"] {
+        for (method, more) in methods {
+            let mut sets =
+                vec![format!("observations.correlation={key}"), format!("algorithm.method={method}")];
+            sets.extend(more.iter().map(|s| s.to_string()));
+            let sets: Vec<&str> = sets.iter().map(String::as_str).collect();
+            let problem = problem(if method == "psas" { &at_once } else { FIELD }, 3, &sets);
+            let outcome = run(&problem);
+            let set = problem.observations().unwrap();
+            let (m, r) = (set.dim(), set.error_covariance());
+            let dense = Dense::new(m, &r).unwrap();
+            // values are draws: each stands for itself
+            let of = |y: &f64| outcome.observed.iter().find(|o| o.value == *y).unwrap();
+            let half = |h: &dyn Fn(&ObservedValue) -> f64| {
+                let d: Vec<f64> = set.values().iter().map(|y| y - h(of(y))).collect();
+                let mut solved = vec![0.0; m];
+                dense.solve(&d, &mut solved);
+                0.5 * d.iter().zip(&solved).map(|(d, s)| d * s).sum::<f64>()
+            };
+            let (before, after) = (half(&|o| o.background), half(&|o| o.analysis));
+            // R has a condition number below 1e4
+            let near = |a: f64, b: f64| (a - b).abs() <= 1e-9 * b;
+            assert!(near(outcome.j_background, before), "{method}: {} {before}", outcome.j_background);
+            let j_o = outcome.analysis.terms.observation;
+            assert!(near(j_o, after), "{method} {key}: {j_o} {after}");
+            assert!(after < before, "{method} {key}: {before} {after}");
+        }
     }
 }
 

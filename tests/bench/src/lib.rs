@@ -8,6 +8,7 @@ pub mod clock;
 pub mod cycling;
 pub mod kernels;
 pub mod machine;
+pub mod memory;
 pub mod page;
 
 mod assimilation;
@@ -15,6 +16,7 @@ mod build;
 mod gradient;
 mod hessian;
 mod instructions;
+mod interrupts;
 mod leftout;
 mod options;
 mod priors;
@@ -46,5 +48,7 @@ pub const BENCHES: &[Bench] = &[
     Bench { name: "twins", run: twins::run },
     Bench { name: "leftout", run: leftout::run },
     Bench { name: "instructions", run: instructions::run },
+    Bench { name: "memory", run: memory::run },
+    Bench { name: "interrupts", run: interrupts::run },
     Bench { name: "build", run: build::run },
 ];

@@ -1,11 +1,14 @@
 //! Runs benchmarks: `cargo xtask bench [NAME…] [--quick] [--out DIR]`.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
-use bench::{BENCHES, Options, case4, cycling, kernels};
+use bench::{BENCHES, Options, case4, cycling, kernels, memory};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    if let Some(code) = memory::as_child() {
+        return code;
+    }
     match bench(std::env::args().skip(1)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(message) => {

@@ -7,6 +7,8 @@ pub use analysis::{EnVarOptions, EnsembleUpdate};
 use runs::run_all;
 pub(crate) use runs::run_each;
 
+use std::borrow::Cow;
+
 use super::{CostFunction, CostTerms, Counts, LeastSquares, dot};
 use crate::{ControlTransform, Error, ObservationSet, Prediction};
 use varda_covariance::{Covariance, Ensemble, Hybrid};
@@ -19,8 +21,8 @@ use varda_linalg::dense::{View, product};
 /// ```text
 ///     J(v)   = ½‖v‖² + ½‖d₀ − G (v − v₀)‖²,    d₀ = R^{-1/2} (y − H(M(z₀))),
 ///     z₀ = z_b + U v₀
-///     G      = [β_s R^{-1/2} H' P U_s,  β_e Y_i ∘ ρ_j],    v = [v_s, v_e]
-///     Y_i    = R^{-1/2} (H(M(z₀ + ε √(N−1) x_i)) − mean) / (ε √(N−1)),
+///     G      = R^{-1/2} [β_s H' P U_s,  β_e Y_i ∘ ρ_j],    v = [v_s, v_e]
+///     Y_i    = (H(M(z₀ + ε √(N−1) x_i)) − mean) / (ε √(N−1)),
 ///     ρ_j = localization root c_j at the observations
 /// ```
 ///
@@ -102,15 +104,17 @@ pub struct EnVar<'a> {
     counts: Counts,
 }
 
-/// A linearization, with R^{-1/2} at the true σ.
+/// A linearization, at the true σ. Rows of Y and G_s with independent errors are over their σ; correlated
+/// blocks of R^{-1/2} come after the localization of the rows: they mix rows of several places, and each is
+/// localized about its own.
 #[derive(Clone)]
 struct Base {
     v: Vec<f64>,
-    /// d₀.
+    /// d₀, whitened.
     d: Vec<f64>,
     /// Y, m rows of N.
     y: Vec<f64>,
-    /// R^{-1/2} H' P U_s without its weight, m rows of r_s.
+    /// H' P U_s without its weight, m rows of r_s.
     g_static: Vec<f64>,
 }
 
@@ -300,7 +304,6 @@ impl<'a> EnVar<'a> {
                 self.next.y[a * members + i] = (self.predicted.values()[a] - from[a]) / (sigma[a] * size);
             }
         }
-        self.observations.whiten_rows(members, &mut self.next.y);
         if self.centred {
             for row in self.next.y.chunks_exact_mut(members) {
                 let mean = row.iter().sum::<f64>() / members as f64;
@@ -322,7 +325,6 @@ impl<'a> EnVar<'a> {
                     let x = &self.states[k * n..(k + 1) * n];
                     self.observations.persistent_tangent_add(k, x, &dx, &control, &mut self.dy);
                 }
-                self.observations.whiten_blocks(&mut self.dy);
                 for a in 0..m {
                     self.next.g_static[a * r_s + j] = self.dy[a] / sigma[a];
                 }
@@ -402,6 +404,7 @@ impl<'a> EnVar<'a> {
             let persisted = dot(&self.base.g_static[a * r_s..][..r_s], v_s);
             *dy = (static_weight * persisted + self.ensemble_weight * sum) / self.scale;
         }
+        self.observations.whiten_blocks(dy);
     }
 
     /// dv = Gᵀ dy.
@@ -411,6 +414,10 @@ impl<'a> EnVar<'a> {
         let static_weight = self.static_part.map_or(0.0, |(_, weight)| weight);
         dv.fill(0.0);
         let (v_s, v_e) = dv.split_at_mut(r_s);
+        let mut dy = Cow::Borrowed(dy);
+        if self.observations.is_correlated() {
+            self.observations.whiten_blocks_transpose(dy.to_mut());
+        }
         for (a, dy) in dy.iter().enumerate() {
             let rho = localization.row(self.anchors[a]);
             let y = &self.base.y[a * members..][..members];
@@ -422,7 +429,8 @@ impl<'a> EnVar<'a> {
         }
     }
 
-    /// G, dense, by columns: [β_s G_s, β_e diag(Y_i) ρ for every member i]/σ-scale, without a product.
+    /// G, dense, by columns: R^{-1/2} [β_s G_s, β_e diag(Y_i) ρ for every member i]/σ-scale, without a
+    /// product.
     pub(super) fn jacobian(&self) -> Vec<f64> {
         let (n, m) = (self.dim(), self.observations.dim());
         let localization = self.ensemble.localization();
@@ -433,12 +441,13 @@ impl<'a> EnVar<'a> {
         for (j, column) in jacobian.chunks_exact_mut(m.max(1)).enumerate() {
             if j < r_s {
                 column.iter_mut().enumerate().for_each(|(a, g)| *g = w_s * self.base.g_static[a * r_s + j]);
-                continue;
+            } else {
+                let (i, c) = ((j - r_s) / rank, (j - r_s) % rank);
+                for (a, g) in column.iter_mut().enumerate() {
+                    *g = w_e * self.base.y[a * members + i] * localization.row(self.anchors[a])[c];
+                }
             }
-            let (i, c) = ((j - r_s) / rank, (j - r_s) % rank);
-            for (a, g) in column.iter_mut().enumerate() {
-                *g = w_e * self.base.y[a * members + i] * localization.row(self.anchors[a])[c];
-            }
+            self.observations.whiten_blocks(column);
         }
         jacobian
     }

@@ -233,11 +233,22 @@ pub trait LeastSquares: CostFunction {
     /// As for `jacobian`.
     fn direct(&mut self, gradient: &[f64], p: &mut [f64]) -> Result<(), Error> {
         let (n, m) = (self.dim(), self.observation_dim());
-        let mut g = vec![0.0; m * n];
-        columns(n, &mut g, &mut |unit, column| self.jacobian(unit, column))?;
-        p.iter_mut().zip(gradient).for_each(|(p, g)| *p = -g);
-        solve_identity_plus(View::new(&g, m, n), p)
+        direct_by_columns(n, m, &mut |unit, column| self.jacobian(unit, column), gradient, p)
     }
+}
+
+/// p = −(I + GᵀG)⁻¹ g from the columns of G, an m × n matrix.
+pub(super) fn direct_by_columns(
+    n: usize,
+    m: usize,
+    jacobian: &mut Map,
+    gradient: &[f64],
+    p: &mut [f64],
+) -> Result<(), Error> {
+    let mut g = vec![0.0; m * n];
+    columns(n, &mut g, jacobian)?;
+    p.iter_mut().zip(gradient).for_each(|(p, g)| *p = -g);
+    solve_identity_plus(View::new(&g, m, n), p)
 }
 
 /// y = a linear map of x.

@@ -1,5 +1,6 @@
 //! Weak-constraint 4D-Var over all states.
 
+use super::least_squares::direct_by_columns;
 use super::model_error::{ModelErrorTerm, WeakControl};
 use super::{CostFunction, CostTerms, Counts, Forcing, LeastSquares, StrongConstraint};
 use crate::{ControlTransform, Error, ObservationSet};
@@ -22,7 +23,8 @@ use varda_implicit::Model;
 /// increments are solved for in p = D^{-1/2} L δx, D = diag(B, Q, Q …), L the model's tangent as a
 /// bidiagonal matrix: there it is I + GᵀG, the same as in [`WeakForcing`](super::WeakForcing), and δx =
 /// L⁻¹ D^{1/2} p is one tangent sweep. Minimize with [`outer_loop`](crate::outer_loop), which works in p
-/// (`InnerSolver::Direct` is a block-tridiagonal solve, as a reference for small problems). The gradient of
+/// (`InnerSolver::Direct` is a block-tridiagonal solve, as a reference for small problems, or a dense one
+/// where errors of observations are tied along chains). The gradient of
 /// [`CostFunction::evaluate`] is that in the states, for other minimizers.
 ///
 /// When to use: long windows, where a start from states near the observations avoids the minima that a
@@ -291,8 +293,14 @@ impl LeastSquares for WeakState<'_> {
         Ok(())
     }
 
-    /// By block-tridiagonal Cholesky; every component of the state must be forced.
+    /// By block-tridiagonal Cholesky, where every component of the state must be forced; from the columns of
+    /// G where errors of observations are tied from one time to another.
     fn direct(&mut self, gradient: &[f64], p: &mut [f64]) -> Result<(), Error> {
+        if self.window.observations.observations().iter().any(|o| o.chain.is_some()) {
+            let (n, m) = (self.dim(), self.observation_dim());
+            let window = &mut self.window;
+            return direct_by_columns(n, m, &mut |unit, column| window.jacobian(unit, column), gradient, p);
+        }
         super::tridiagonal::solve(&mut self.window, self.q, gradient, p)
     }
 }

@@ -3,6 +3,7 @@
 mod between;
 mod chained;
 mod correlated;
+mod correlated_methods;
 mod cost;
 mod coverage;
 mod cycle_checks;

@@ -123,7 +123,8 @@ pub(crate) fn linear_window(n: usize, steps: usize) -> (Rk4<Linear>, Vec<f64>, O
 type Estimates = Vec<(Vec<f64>, Matrix)>;
 
 /// Means and covariances of every step: filtered (analyses), and smoothed over the window by Rauch, Tung and
-/// Striebel (1965). The operators of `set` must be whole states, its times whole steps.
+/// Striebel (1965). The operators of `set` must be whole states, its times whole steps; errors of different
+/// observations are independent.
 pub(crate) fn kalman(
     step: &Matrix,
     b: &Matrix,
@@ -135,6 +136,7 @@ pub(crate) fn kalman(
     let n = background.len();
     let (mut x, mut p) = (background.to_vec(), b.clone());
     let (mut forecasts, mut filtered): (Estimates, Estimates) = (Vec::new(), Vec::new());
+    let (m, errors) = (set.dim(), set.error_covariance());
     for k in 0..=steps {
         if k > 0 {
             x = step.apply(&x);
@@ -144,9 +146,10 @@ pub(crate) fn kalman(
             }
         }
         forecasts.push((x.clone(), p.clone()));
-        for o in set.observations().iter().filter(|o| o.step == k) {
+        for (of_set, o) in set.observations().iter().enumerate().filter(|(_, o)| o.step == k) {
             let h = Matrix::new(o.rows.len(), n, |i, j| if o.rows[i] == j { 1.0 } else { 0.0 });
-            let r = Matrix::diagonal(&o.sigma.iter().map(|s| s * s).collect::<Vec<_>>());
+            let first = set.rows(of_set).start;
+            let r = Matrix::new(o.rows.len(), o.rows.len(), |i, j| errors[first + i + (first + j) * m]);
             let hp = h.times(&p);
             // Kᵀ = S⁻¹ H P.
             let kt = hp.times(&h.transpose()).plus(&r).solve(&hp);

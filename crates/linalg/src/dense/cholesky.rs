@@ -1,5 +1,6 @@
 //! A = L Lᵀ.
 
+use crate::interrupt::{apart, parts};
 use crate::vector::{axpy, dot_in_lanes};
 use crate::{Error, clear_upper_registers};
 use faer::dyn_stack::{MemBuffer, MemStack};
@@ -33,12 +34,17 @@ impl Cholesky {
     ///
     /// # Errors
     /// [`Error::NonFinite`] for an entry of the triangle or, in a matrix of huge entries, of the factor;
-    /// [`Error::NotPositiveDefinite`] or [`Error::Singular`] for a pivot that is not positive.
+    /// [`Error::NotPositiveDefinite`] or [`Error::Singular`] for a pivot that is not positive;
+    /// [`Error::Interrupted`] where it was asked to end.
     ///
     /// # Panics
     /// If `matrix` is not of length n².
     pub fn new(n: usize, matrix: &[f64]) -> Result<Self, Error> {
         assert_eq!(matrix.len(), n * n, "a {n} × {n} matrix");
+        apart(n, matrix, move |matrix| Self::of(n, matrix))
+    }
+
+    fn of(n: usize, matrix: &[f64]) -> Result<Self, Error> {
         for j in 0..n {
             if let Some(i) = (j..n).find(|&i| !matrix[i + j * n].is_finite()) {
                 return Err(Error::NonFinite { row: i, column: j, value: matrix[i + j * n] });
@@ -179,9 +185,12 @@ impl Cholesky {
         }
         assert!(x.len().is_multiple_of(n), "columns of {n} values");
         let columns = x.len() / n;
-        let x = MatMut::from_column_major_slice_mut(x, n, columns);
+        let mut x = MatMut::from_column_major_slice_mut(x, n, columns);
         let mut scratch = MemBuffer::new(llt::solve::solve_in_place_scratch::<f64>(n, columns, Par::Seq));
-        llt::solve::solve_in_place(self.l.as_ref(), x, Par::Seq, MemStack::new(&mut scratch));
+        for (from, count) in parts(n * n, columns) {
+            let part = x.as_mut().subcols_mut(from, count);
+            llt::solve::solve_in_place(self.l.as_ref(), part, Par::Seq, MemStack::new(&mut scratch));
+        }
         clear_upper_registers();
     }
 

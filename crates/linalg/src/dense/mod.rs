@@ -6,6 +6,7 @@ pub(crate) mod lu;
 pub use cholesky::Cholesky;
 
 use crate::clear_upper_registers;
+use crate::interrupt::parts;
 use faer::linalg::matmul::{matmul, triangular};
 use faer::{Accum, MatMut, MatRef, Par};
 use std::ops::{Index, IndexMut};
@@ -172,8 +173,7 @@ impl IndexMut<(usize, usize)> for Matrix {
 /// # Panics
 /// If the sizes do not fit.
 pub fn product(a: View, b: View, c: &mut [f64]) {
-    matmul(result(a, b, c), Accum::Replace, a.faer(), b.faer(), 1.0, Par::Seq);
-    clear_upper_registers();
+    accumulate(Accum::Replace, 1.0, a, b, c);
 }
 
 /// C ← C + α A B.
@@ -181,7 +181,16 @@ pub fn product(a: View, b: View, c: &mut [f64]) {
 /// # Panics
 /// If the sizes do not fit.
 pub fn add_product(alpha: f64, a: View, b: View, c: &mut [f64]) {
-    matmul(result(a, b, c), Accum::Add, a.faer(), b.faer(), alpha, Par::Seq);
+    accumulate(Accum::Add, alpha, a, b, c);
+}
+
+/// The columns of C in parts, between which a long product can be left.
+fn accumulate(how: Accum, alpha: f64, a: View, b: View, c: &mut [f64]) {
+    let mut whole = result(a, b, c);
+    for (from, count) in parts(a.rows() * a.columns(), b.columns()) {
+        let part = whole.as_mut().subcols_mut(from, count);
+        matmul(part, how, a.faer(), b.faer().subcols(from, count), alpha, Par::Seq);
+    }
     clear_upper_registers();
 }
 
@@ -200,17 +209,27 @@ pub fn add_product(alpha: f64, a: View, b: View, c: &mut [f64]) {
 /// If `c` is not of length n².
 pub fn gram(a: View, c: &mut [f64]) {
     let n = a.rows();
-    triangular::matmul(
-        result(a, a.transpose(), c),
-        triangular::BlockStructure::TriangularLower,
-        Accum::Replace,
-        a.faer(),
-        triangular::BlockStructure::Rectangular,
-        a.faer().transpose(),
-        triangular::BlockStructure::Rectangular,
-        1.0,
-        Par::Seq,
-    );
+    let mut lower = result(a, a.transpose(), c);
+    for (from, count) in parts(n * a.columns(), n) {
+        let rows = a.faer().subrows(from, count);
+        triangular::matmul(
+            lower.as_mut().submatrix_mut(from, from, count, count),
+            triangular::BlockStructure::TriangularLower,
+            Accum::Replace,
+            rows,
+            triangular::BlockStructure::Rectangular,
+            rows.transpose(),
+            triangular::BlockStructure::Rectangular,
+            1.0,
+            Par::Seq,
+        );
+        let after = from + count;
+        if after < n {
+            let below = lower.as_mut().submatrix_mut(after, from, n - after, count);
+            let (left, right) = (a.faer().subrows(after, n - after), rows.transpose());
+            matmul(below, Accum::Replace, left, right, 1.0, Par::Seq);
+        }
+    }
     clear_upper_registers();
     for j in 0..n {
         for i in 0..j {

@@ -61,7 +61,8 @@ pub(super) fn run(mut inputs: Inputs) -> Result<ForwardRun, Error> {
     Ok(ForwardRun { seconds, misfit, rod: rod_of(&problem.system) })
 }
 
-/// d = y − H(x) of the window in σ; `None` where nothing was seen.
+/// d = y − H(x) of the window in σ, of correlated errors what each value says beyond those before it;
+/// `None` where nothing was seen.
 fn misfit(
     problem: &Problem,
     grid: &TimeGrid,
@@ -77,7 +78,8 @@ fn misfit(
     }
     let mut d = vec![0.0; observations.dim()];
     observations.innovations(predicted.values(), &mut d);
-    let squares: Vec<f64> = d.iter().zip(observations.sigma()).map(|(d, s)| (d / s).powi(2)).collect();
+    observations.whiten(&mut d);
+    let squares: Vec<f64> = d.iter().map(|d| d.powi(2)).collect();
     let mut sites: Vec<(&str, f64, usize)> = Vec::new();
     for (i, o) in observations.observations().iter().enumerate() {
         let rows = observations.rows(i);

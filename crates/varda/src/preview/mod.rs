@@ -3,6 +3,7 @@
 
 mod background;
 mod finding;
+mod localization;
 mod numerics;
 mod recording;
 mod values;
@@ -90,7 +91,9 @@ impl Preview {
 
 /// What looks wrong in a scene and its files, without a run: the values and the recording.
 pub fn findings(inputs: &Inputs) -> Vec<Finding> {
-    let mut found = values::values(&inputs.file.scene);
+    let scene = &inputs.file.scene;
+    let mut found = values::values(scene);
+    found.extend(localization::too_short(scene, inputs.grid.step * scene.time.window as f64));
     if let Some(recording) = &inputs.observed.recording {
         let of_recording = recording::of_recording(recording, inputs.grid.step);
         let new = |f: &Finding| !found.iter().any(|known| known.place == f.place);

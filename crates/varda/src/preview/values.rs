@@ -291,13 +291,28 @@ fn thickness(section: &Section) -> f64 {
 }
 
 /// Mass per length \[kg/m\].
-fn line_mass(rod: &RodModel) -> f64 {
-    let density = rod.material.as_ref().map_or(0.0, |m| m.density);
+pub(super) fn line_mass(rod: &RodModel) -> f64 {
     match &rod.section {
-        Section::Circle { radius } => density * std::f64::consts::PI * radius * radius,
-        Section::Ellipse { semi_axes: [a, b] } => density * std::f64::consts::PI * a * b,
-        Section::Rectangle { width, height } => density * width * height,
         Section::Stiffness { mass_per_length, .. } => *mass_per_length,
+        section => rod.material.as_ref().map_or(0.0, |m| m.density) * area(section),
+    }
+}
+
+/// Stretching stiffness EA \[N\].
+pub(super) fn axial_stiffness(rod: &RodModel) -> f64 {
+    match &rod.section {
+        Section::Stiffness { ea, .. } => *ea,
+        section => rod.material.as_ref().map_or(0.0, |m| m.youngs_modulus) * area(section),
+    }
+}
+
+/// Area of a section \[m²\]; 0 where the section does not say.
+fn area(section: &Section) -> f64 {
+    match section {
+        Section::Circle { radius } => std::f64::consts::PI * radius * radius,
+        Section::Ellipse { semi_axes: [a, b] } => std::f64::consts::PI * a * b,
+        Section::Rectangle { width, height } => width * height,
+        Section::Stiffness { .. } => 0.0,
     }
 }
 

@@ -208,6 +208,14 @@ impl Sequence {
             model_error,
         };
         let mut on_cycle = |cycle: &Cycle, after: &CycleState| {
+            if interrupt::was_told() {
+                // what it was told in is left half done
+                interrupted = true;
+                if rows.is_empty() {
+                    refused = Some(varda_assimilation::Error::from(varda_linalg::Error::Interrupted).into());
+                }
+                return ControlFlow::Break(());
+            }
             let mut row = self.row(cycle, began.elapsed().as_secs_f64());
             row.next_end_angle = self.next_end_angle(&row, end_angle.get());
             end_angle.set(row.next_end_angle);

@@ -424,8 +424,9 @@ fn cost_of_run(
     runs: &Trajectories,
 ) -> Result<f64, Error> {
     let delta = robust.unwrap_or(f64::INFINITY);
-    let d = fit::innovations(observations, runs, &runs.background)?;
-    Ok(d.iter().zip(observations.sigma()).map(|(d, sigma)| huber(delta, d / sigma).0).sum())
+    let mut d = fit::innovations(observations, runs, &runs.background)?;
+    observations.whiten(&mut d);
+    Ok(d.iter().map(|d| huber(delta, *d).0).sum())
 }
 
 /// The components that were observed, value by value.

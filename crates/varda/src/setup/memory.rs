@@ -11,7 +11,10 @@ use varda_implicit::{Footprint, Storage};
 
 use super::inputs::Inputs;
 use crate::Error;
-use crate::scene::{Covariance, CycledCovariance, Draw, Method, Origin, Root, Scene, SceneFile};
+use crate::scene::{
+    Covariance, CycledCovariance, Draw, Method, Minimizer, Model, Observations, Origin, Root, Scene,
+    SceneFile,
+};
 
 /// Bytes of a number.
 const NUMBER: usize = size_of::<f64>();
@@ -25,6 +28,13 @@ pub(crate) const MOST_PRODUCTS: usize = 200;
 
 /// Text of a number in a CSV file, about.
 const TEXT: usize = 20;
+
+/// What is kept of an observed value beside the linear algebra, in bytes: value, σ, place, label,
+/// departures, both predictions and the row of its table.
+const OF_A_VALUE: usize = 1000;
+
+/// The same in a sequence of windows of a twin, for each value of all windows, and of the present one again.
+const OF_A_CYCLED_VALUE: usize = 450;
 
 /// Sizes of a scene, in numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -58,8 +68,10 @@ pub struct Memory {
     pub building: usize,
     /// Dense Hessians and Jacobians of the method and of the posterior.
     pub dense: usize,
-    /// Ensemble, trajectories, tables.
+    /// Ensemble, trajectories, observed values.
     pub other: usize,
+    /// Tables as text, written when the dense matrices are gone.
+    pub text: usize,
     /// States and linearizations of the window.
     pub window: usize,
     /// What they may take: the limit less everything else.
@@ -79,8 +91,7 @@ impl Memory {
         let mut memory = Memory::of(scene, sizes);
         let footprint = footprint(scene, sizes);
         let fixed = Memory { window: 0, ..memory }.total();
-        memory.for_window =
-            limit.saturating_sub(memory.covariance.saturating_add(memory.dense).saturating_add(memory.other));
+        memory.for_window = limit.saturating_sub(memory.covariance.saturating_add(memory.beside_window()));
         // Only the strong constraint over one window knows how to keep less.
         if scene.algorithm.method.is_strong() && scene.algorithm.cycles.is_none() && fixed < limit {
             memory.storage = footprint.within(memory.for_window).map_err(|e| {
@@ -94,7 +105,7 @@ impl Memory {
         let mut parts = [
             ("the background covariance (dense blocks)", memory.covariance + memory.building),
             ("dense Hessians and Jacobians", memory.dense),
-            ("ensemble, trajectories and tables", memory.other),
+            ("ensemble, trajectories and tables", memory.other + memory.text),
             ("states and linearizations", memory.window),
         ];
         parts.sort_by_key(|(_, bytes)| std::cmp::Reverse(*bytes));
@@ -120,8 +131,13 @@ impl Memory {
 
     /// The most that is held at a time.
     pub fn total(&self) -> usize {
-        let run = self.dense.saturating_add(self.other).saturating_add(self.window);
+        let run = self.beside_window().saturating_add(self.window);
         self.covariance.saturating_add(self.building.max(run))
+    }
+
+    /// What a run holds beside B and the window.
+    fn beside_window(&self) -> usize {
+        self.other.saturating_add(self.dense.max(self.text))
     }
 
     /// Where everything of a window is kept.
@@ -142,20 +158,34 @@ impl Memory {
         let square = n.saturating_mul(n);
         if sizes.localization > 0 {
             // The matrix of distances, its eigenvectors and what finding them takes.
-            building = building.max(n.saturating_mul(n).saturating_mul(9) / 2);
+            building = building.max(eigenvectors(n));
             covariance += n.saturating_mul(sizes.localization);
         }
-        let dense = if let Some(ensemble) = algorithm.members() {
-            ensemble_numbers(ensemble.members, sizes.localization, m)
+        let ensemble = algorithm.members().map(|e| EnsembleSize::of(scene, e.members, sizes, m));
+        let dense = if let Some(ensemble) = &ensemble {
+            ensemble.dense(posterior).saturating_add(if cycled.is_some() { ensemble.carried() } else { 0 })
         } else if algorithm.method.is_weak() {
-            // G by rows and by parts, its singular vectors, and matrices in the space of the observations.
-            if posterior { 4 * square + m * (4 * (n + errors) + 5 * m) } else { 0 }
+            if posterior { weak_posterior(n, n + errors, m) } else { 0 }
         } else if algorithm.minimizer.settings().is_dense()
             || algorithm.method == Method::Blue
             || (posterior && (cycled.is_some() || !is_low_rank(algorithm.method, n)))
         {
             // G, and its columns under way through the model.
-            decomposition(algorithm.method, n, m) + m.min(n) * sizes.state
+            let forces =
+                matches!(scene.model, Model::Rod(_)) && posterior && !is_low_rank(algorithm.method, n);
+            decomposition(algorithm.method, n, m)
+                .saturating_add(m.min(n).saturating_mul(sizes.state))
+                // σ of a rod's forces: their tangents along the columns of the root, beside what is left of
+                // the Hessian
+                .saturating_add(match (forces, m < n) {
+                    (false, _) => 0,
+                    (true, true) => square,
+                    (true, false) => square.saturating_mul(4),
+                })
+                // Newton's factor beside the Hessian
+                .saturating_add(if algorithm.minimizer == Minimizer::Newton { square } else { 0 })
+                // the root that is carried on, cut by its singular values
+                .saturating_add(if cycled.is_some() && posterior { square.saturating_mul(9) } else { 0 })
         } else if posterior {
             // Lanczos vectors, Ritz vectors and the probes.
             (2 * m.min(MOST_PRODUCTS) + 20) * n
@@ -163,20 +193,23 @@ impl Memory {
             0
         };
         let mut other = 2 * (n + errors) * 8;
-        if let Some(ensemble) = algorithm.members() {
-            other += (ensemble.members + 1) * (sizes.steps + 1) * sizes.state;
-            other += 2 * ensemble.members * (m + n);
-        }
+        other = other.saturating_add(ensemble.map_or(0, |e| e.runs()));
         // Background, analysis and, of a twin, truth, and the table of their states.
         let (shown, runs) =
             (sizes.shown + 1, 2 + usize::from(scene.background.from == Origin::TruthPlusDraw));
-        let tables = shown.saturating_mul(sizes.state).saturating_mul(runs * (NUMBER + TEXT));
+        let states = shown.saturating_mul(sizes.state).saturating_mul(runs);
+        let values = match (&algorithm.cycles, &scene.observations) {
+            (None, _) => m.saturating_mul(OF_A_VALUE),
+            (Some(_), Observations::Synthetic(_)) => (sizes.values + m).saturating_mul(OF_A_CYCLED_VALUE),
+            (Some(_), Observations::File(_)) => 0,
+        };
         let footprint = footprint(scene, sizes);
         Memory {
             covariance: NUMBER * covariance,
             building: NUMBER * building,
             dense: NUMBER.saturating_mul(dense),
-            other: (NUMBER * other).saturating_add(tables),
+            other: NUMBER.saturating_mul(other.saturating_add(states)).saturating_add(values),
+            text: states.saturating_mul(TEXT),
             window: footprint.bytes(Storage::KeepAll),
             for_window: usize::MAX,
             storage: Storage::KeepAll,
@@ -184,16 +217,34 @@ impl Memory {
     }
 }
 
+/// Numbers that eigenvectors of a matrix of size n take with the matrix and what finding them takes.
+fn eigenvectors(n: usize) -> usize {
+    n.saturating_mul(n).saturating_mul(11) / 2
+}
+
 /// Numbers that a dense posterior takes, or a method with dense matrices. Of m < n values: the root of P_a,
-/// its product with that of B, and the singular vectors of G with what finding them takes (fitted to resident
-/// memory of 1000 unknowns, m = 80 to 656: within 7 %). Else the Hessian, its eigenvectors with what finding
-/// them takes, the root of P_a, and G.
+/// its product with that of B, and the singular vectors of G with what finding them takes. Else the Hessian,
+/// its eigenvectors with what finding them takes, the root of P_a, and G; the closed form has G twice. Here
+/// and below the counts are fitted to the memory that runs take (`cargo xtask bench memory`).
 fn decomposition(method: Method, n: usize, m: usize) -> usize {
-    let square = n.saturating_mul(n);
-    match m < n && method != Method::Blue {
-        true => 3 * square + 3 * m * n + 7 * m * m,
-        false => 5 * square + m * n,
+    let (square, of_g) = (n.saturating_mul(n), m.saturating_mul(n));
+    match m < n {
+        true => 3 * square + 3 * of_g + 7 * m * m,
+        false if method == Method::Blue => square.saturating_mul(5).saturating_add(of_g.saturating_mul(2)),
+        false => square.saturating_mul(5).saturating_add(of_g),
     }
+}
+
+/// Numbers that the posterior of a weak form takes, `n` of its `r` unknowns being the initial state: G, its
+/// singular vectors with what finding them takes, a whole basis of the observations twice, and P_b; or, of a
+/// large initial state and few values, the eigenvectors of P_b.
+fn weak_posterior(n: usize, r: usize, m: usize) -> usize {
+    let k = r.min(m);
+    let of_g = m.saturating_mul(r).saturating_add(r.saturating_mul(k).saturating_mul(7));
+    let of_values =
+        k.saturating_mul(k).saturating_mul(8).saturating_add(m.saturating_mul(m).saturating_mul(2));
+    let of_errors = of_g.saturating_add(of_values).saturating_add(n.saturating_mul(n));
+    of_errors.max(eigenvectors(n).saturating_add(m.saturating_mul(r)))
 }
 
 /// Whether the posterior of a control of `n` unknowns is of low rank.
@@ -243,12 +294,51 @@ fn localization(inputs: &Inputs) -> usize {
     ((waves * extent).ceil() as usize).saturating_add(1).min(inputs.system.layout().len())
 }
 
-/// Numbers that the linear algebra of an ensemble takes: the eigenvectors of G Gᵀ or Gᵀ G, whichever is
-/// smaller, with what finding them takes and those of the iteration before; G itself for the second.
-fn ensemble_numbers(members: usize, rank: usize, m: usize) -> usize {
-    let n = members.saturating_mul(rank.max(1));
-    let square = m.min(n).saturating_mul(m.min(n));
-    if m <= n { square.saturating_mul(13) / 2 } else { square.saturating_mul(9) / 2 + m.saturating_mul(n) }
+/// What the memory of an ensemble grows with.
+struct EnsembleSize<'s> {
+    members: usize,
+    /// Columns of the static part of a hybrid.
+    fixed: usize,
+    sizes: &'s Sizes,
+    /// Values of a window.
+    m: usize,
+}
+
+impl EnsembleSize<'_> {
+    fn of<'s>(scene: &Scene, members: usize, sizes: &'s Sizes, m: usize) -> EnsembleSize<'s> {
+        let fixed = if scene.algorithm.method == Method::HybridFourDEnVar { sizes.control } else { 0 };
+        EnsembleSize { members, fixed, sizes, m }
+    }
+
+    /// Numbers of its linear algebra: the eigenvectors of G Gᵀ or Gᵀ G, whichever is smaller, with what
+    /// finding them takes and, where it is linearized again, the matrix of the iteration before; of more
+    /// values than unknowns G and its singular vectors.
+    fn dense(&self, posterior: bool) -> usize {
+        let n = self.members.saturating_mul(self.sizes.localization.max(1)).saturating_add(self.fixed);
+        let (m, of_g) = (self.m, self.m.saturating_mul(n));
+        if m <= n {
+            let before = if self.fixed == 0 { m.saturating_mul(m) } else { 0 };
+            return eigenvectors(m).saturating_add(before);
+        }
+        match posterior {
+            true => of_g.saturating_mul(5).saturating_add(n.saturating_mul(n).saturating_mul(6)),
+            false => of_g.saturating_add(eigenvectors(n)),
+        }
+    }
+
+    /// Numbers of the members that one window hands to the next, and of Y for them.
+    fn carried(&self) -> usize {
+        self.members.saturating_mul(2 * self.m + 8 * self.sizes.control)
+    }
+
+    /// Numbers of the members, twice while they are drawn, of a model, a control and a trajectory each, and
+    /// of Y and the static part of G at two points.
+    fn runs(&self) -> usize {
+        let Sizes { state, control, kept, steps, .. } = *self.sizes;
+        let each = (steps + 4) * state + kept + control;
+        let members = (self.members + 1).saturating_mul(each).saturating_add(2 * self.members * control);
+        members.saturating_add(2 * self.m.saturating_mul(self.members + self.fixed))
+    }
 }
 
 fn footprint(scene: &Scene, sizes: &Sizes) -> Footprint {

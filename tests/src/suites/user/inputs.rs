@@ -30,6 +30,10 @@ pub(super) fn run(rows: &mut Rows) {
     for (name, sets, recording, wanted) in VALUES {
         rows.case(name, |case| looked_at(case, name, sets, recording(), wanted, false));
     }
+    rows.area("ensemble");
+    for (name, sets, recording, wanted) in ENSEMBLES {
+        rows.case(name, |case| looked_at(case, name, sets, recording(), wanted, false));
+    }
     rows.area("recording");
     for (name, sets, recording, wanted) in RECORDINGS {
         rows.case(name, |case| looked_at(case, name, sets, recording(), wanted, false));
@@ -259,6 +263,40 @@ const VALUES: &[Input] = &[
           mass_per_length = 0.086 }"],
         clean,
         Warned("model.section.gj", &["330 N m²"]),
+    ),
+];
+
+/// Ensembles of a rod.
+const ENSEMBLES: &[Input] = &[
+    (
+        "an ensemble localized to less than a wave travels",
+        &["algorithm={ method = \"4denvar\", ensemble = { members = 20, localization_length = 0.1 } }"],
+        clean,
+        Warned(
+            "algorithm.ensemble.localization_length",
+            &["0.1 m", "30 m/s", "0.500 m of its 0.500 m", "4dvar"],
+        ),
+    ),
+    (
+        "a hybrid ensemble localized to less than a wave travels",
+        &["algorithm={ method = \"hybrid-4denvar\", ensemble = { localization_length = 0.1 } }"],
+        clean,
+        Warned("algorithm.ensemble.localization_length", &["0.1 m", "4dvar"]),
+    ),
+    (
+        "a window too short for a wave to cross",
+        &[
+            "algorithm={ method = \"4denvar\", ensemble = { members = 20, localization_length = 0.4 } }",
+            "time={ integrator = \"bdf2\", step = 0.0004, window = 25 }",
+        ],
+        || recorded(|t| 0.02 * t, |x| x, 21),
+        Right,
+    ),
+    (
+        "an ensemble without localization",
+        &["algorithm={ method = \"4denvar\", ensemble = { members = 20 } }"],
+        clean,
+        Right,
     ),
 ];
 

@@ -6,7 +6,7 @@ use crate::cycle_members::{finite_size_inflation, localized_inflation};
 use crate::minimize::{NOISE, at_least_one, eigen, setters};
 use crate::{Error, Iteration, Minimum, Status};
 use std::ops::ControlFlow;
-use varda_linalg::Svd;
+use varda_linalg::{Svd, interrupt};
 
 /// Settings of [`EnVar::minimize`].
 #[derive(Debug, Clone, PartialEq)]
@@ -258,6 +258,7 @@ impl EnVar<'_> {
         let gram = self.gram()?;
         let size = ((members - 1).max(1) as f64).sqrt();
         let mut whitened: Vec<f64> = self.base.y.iter().map(|y| -y / self.scale).collect();
+        self.observations.whiten_rows(members, &mut whitened);
         if let EnsembleUpdate::PerturbedObservations(normal) = &mut *update {
             let noise: Vec<f64> = (0..members * m).map(|_| normal() / size).collect();
             for a in 0..m {
@@ -331,6 +332,10 @@ impl EnVar<'_> {
         let n_z = self.transform.control_dim();
         let (mut unit, mut u) = (vec![0.0; n_z], vec![0.0; self.dim()]);
         let of = |p: usize| {
+            if interrupt::requested() {
+                // what comes of it is not looked at
+                return f64::NAN;
+            }
             unit[p] = 1.0;
             self.transform.adjoint(&unit, &mut u);
             unit[p] = 0.0;
@@ -363,8 +368,11 @@ impl EnVar<'_> {
         Ok(finite_size_inflation(self.ensemble.members(), pairs))
     }
 
-    /// tr G Gᵀ at the last linearization.
+    /// tr G Gᵀ at the last linearization, with σ of the observations as they are.
     pub(crate) fn predicted_trace(&self) -> f64 {
+        if self.observations.is_correlated() {
+            return self.jacobian().iter().map(|g| (g * self.scale).powi(2)).sum();
+        }
         let (members, r_s) = (self.ensemble.members(), self.static_dim());
         let w_s = self.static_part.map_or(0.0, |(_, weight)| weight * weight);
         let w_e = self.ensemble_weight * self.ensemble_weight;
@@ -394,12 +402,19 @@ impl EnVar<'_> {
             let y = |a: usize| &self.base.y[a * members..][..members];
             let g = |a: usize| &self.base.g_static[a * r_s..][..r_s];
             for a in 0..m {
+                if interrupt::requested() {
+                    return Err(varda_linalg::Error::Interrupted.into());
+                }
                 for b in 0..=a {
                     let c = dot(localization.row(self.anchors[a]), localization.row(self.anchors[b]));
                     let value = w_e * c * dot(y(a), y(b)) + w_s * dot(g(a), g(b));
                     matrix[a + b * m] = value / (self.scale * self.scale);
                     matrix[b + a * m] = matrix[a + b * m];
                 }
+            }
+            if self.observations.is_correlated() {
+                self.observations.whiten_rows(m, &mut matrix);
+                matrix.chunks_exact_mut(m).for_each(|row| self.observations.whiten_blocks(row));
             }
         } else {
             self.normal_matrix(&mut matrix);

@@ -3,7 +3,11 @@
 use crate::Error;
 #[cfg(feature = "rayon")]
 use rayon::prelude::*;
+#[cfg(feature = "rayon")]
+use std::sync::Arc;
 use varda_implicit::{Log, Model};
+#[cfg(feature = "rayon")]
+use varda_linalg::interrupt;
 
 /// Runs every model from its control over `steps` steps, in parallel with the feature `rayon`. A run is a
 /// pure function of its control, so that who runs it does not matter; the error is that of the first model
@@ -29,11 +33,20 @@ pub(crate) fn run_each<'m>(
     let (n, n_z) = (models[0].dim(), models[0].control_dim());
     let length = (steps + 1) * n;
     #[cfg(feature = "rayon")]
+    let asked = interrupt::asked();
+    #[cfg(feature = "rayon")]
     let ended: Vec<(Log, Result<(), varda_implicit::Error>)> = models
         .par_iter_mut()
         .zip(controls.par_chunks_exact(n_z))
         .zip(states.par_chunks_exact_mut(length))
-        .map(|((model, z), states)| run_one(&mut **model, z, states, n))
+        .map(|((model, z), states)| {
+            let mut run = || run_one(&mut **model, z, states, n);
+            // a question is one of a thread: the others ask it too
+            match &asked {
+                Some(ends) => interrupt::within(Arc::clone(ends), run),
+                None => run(),
+            }
+        })
         .collect();
     #[cfg(not(feature = "rayon"))]
     let ended: Vec<(Log, Result<(), varda_implicit::Error>)> = models
