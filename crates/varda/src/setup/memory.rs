@@ -12,7 +12,7 @@ use varda_implicit::{Footprint, Storage};
 use super::inputs::Inputs;
 use crate::Error;
 use crate::scene::{
-    Covariance, CycledCovariance, Draw, Method, Minimizer, Model, Observations, Origin, Root, Scene,
+    Covariance, CycledCovariance, Draw, Hessian, Method, Minimizer, Model, Observations, Origin, Root, Scene,
     SceneFile,
 };
 
@@ -192,7 +192,19 @@ impl Memory {
         } else {
             0
         };
+        let exact = algorithm.hessian == Hessian::Exact;
+        let dense = match exact && posterior && !is_low_rank(algorithm.method, n) {
+            // the exact Hessian, its eigenvectors with what finding them takes, and the root of its posterior
+            true => dense.saturating_add(square).saturating_add(eigenvectors(n)),
+            false => dense,
+        };
         let mut other = 2 * (n + errors) * 8;
+        if exact {
+            // of every step λ, μ, the path of a perturbation, twice, and matrices about as large as the
+            // factor
+            let step = sizes.state.saturating_mul(6).saturating_add(sizes.kept);
+            other = other.saturating_add((sizes.steps + 1).saturating_mul(step));
+        }
         other = other.saturating_add(ensemble.map_or(0, |e| e.runs()));
         // Background, analysis and, of a twin, truth, and the table of their states.
         let (shown, runs) =
