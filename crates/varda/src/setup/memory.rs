@@ -194,8 +194,8 @@ impl Memory {
         };
         let exact = algorithm.hessian == Hessian::Exact;
         let dense = match exact && posterior && !is_low_rank(algorithm.method, n) {
-            // the exact Hessian, its eigenvectors with what finding them takes, and the root of its posterior
-            true => dense.saturating_add(square).saturating_add(eigenvectors(n)),
+            // beside the root of the other posterior
+            true => dense.max(square.saturating_add(eigenvectors(n))),
             false => dense,
         };
         let mut other = 2 * (n + errors) * 8;
