@@ -85,12 +85,12 @@ fn the_flagship_writes_everything_it_promises() {
     );
 
     let page = folder.read(&format!("{here}/report.html"));
-    assert_eq!(page.matches("<svg").count(), 4);
+    assert_eq!(page.matches("<svg").count(), 5);
     for outside in ["http://", "https://", "src=", "<script", "<link", "@import"] {
         let found = page.replace("http://www.w3.org/2000/svg", "");
         assert!(!found.contains(outside), "the report reaches outside itself: {outside}");
     }
-    for figure in ["convergence", "snapshots", "tracks", "spread"] {
+    for figure in ["convergence", "snapshots", "tracks", "spread", "next-marker"] {
         assert!(folder.read(&format!("{here}/figures/{figure}.svg")).starts_with("<svg"));
     }
 }

@@ -72,6 +72,8 @@ fn a_scene_asks_for_the_exact_hessian() {
         |outcome: &Outcome, name: &str| outcome.convergence.iter().any(|r| r.hessian == Some(name));
     assert!(made_with(&exact, "exact") && made_with(&exact, "gauss-newton") && !made_with(&plain, "exact"));
     assert!(plain.exact_hessian.is_none());
+    assert_eq!(plain.model_counts.adjoint_derivatives, 0);
+    assert!(exact.model_counts.adjoint_derivatives > 0);
     let found = exact.exact_hessian.unwrap();
     let (smallest, change) = (found.smallest_eigenvalue.unwrap(), found.sigma_change.unwrap());
     assert!(smallest > 0.3 && smallest < 1.0, "{smallest}");

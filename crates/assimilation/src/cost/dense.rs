@@ -4,6 +4,7 @@ use super::dense_work::Dense;
 use super::{CostFunction, StrongConstraint};
 use crate::Error;
 use varda_linalg::dense::{View, gram};
+use varda_linalg::interrupt;
 
 impl StrongConstraint<'_> {
     /// A = I + GᵀG at the base point. A column of G takes a tangent product for every step of the window, a
@@ -12,6 +13,10 @@ impl StrongConstraint<'_> {
         let (n, m) = (self.dim(), self.observations.dim());
         assert_eq!(out.len(), n * n, "length of the Hessian");
         let (dense, by_rows, swept) = self.dense_factor();
+        if swept.is_err() {
+            self.dense = dense;
+            return swept;
+        }
         let gt = if by_rows {
             View::new(&dense.jacobian, n, m)
         } else {
@@ -22,7 +27,7 @@ impl StrongConstraint<'_> {
         for j in 0..n {
             out[j + j * n] += 1.0;
         }
-        swept
+        Ok(())
     }
 
     /// G by columns, at the base point.
@@ -83,6 +88,9 @@ impl StrongConstraint<'_> {
             Some(model) if last > 0 => {
                 let mut first = m;
                 base.trajectory.for_each_step_reversed(&mut **model, &mut |step| {
+                    if interrupt::requested() {
+                        return;
+                    }
                     if step.k + 1 == last {
                         first = add(last, step.x_next, block);
                     }
@@ -95,6 +103,7 @@ impl StrongConstraint<'_> {
             }
         }
         for (row, lambda) in jacobian.chunks_exact_mut(n).zip(block.chunks_exact(size)) {
+            left_early()?;
             match model {
                 Some(model) => model.initial_adjoint(lambda, dz),
                 None => dz.copy_from_slice(lambda),
@@ -132,6 +141,9 @@ impl StrongConstraint<'_> {
         let predicted = &base.predicted;
         let mut see = |k: usize, x: &[f64], block: &mut [f64]| {
             for (j, (dx, dy)) in block.chunks_exact_mut(*size).zip(jacobian.chunks_exact_mut(m)).enumerate() {
+                if j % ASKED_EVERY == 0 && interrupt::requested() {
+                    return;
+                }
                 if let (Some(errors), Some(before)) = (&mut *errors, k.checked_sub(1)) {
                     dv[j] = 1.0;
                     errors.tangent_add(before, &dv[head..], dx);
@@ -143,14 +155,27 @@ impl StrongConstraint<'_> {
         see(0, base.trajectory.state(0), block);
         if let Some(model) = model {
             base.trajectory.for_each_step(&mut **model, &mut |step| {
+                if interrupt::requested() {
+                    return;
+                }
                 step.tangent(block);
                 see(step.k + 1, step.x_next, block);
             })?;
         }
-        jacobian.chunks_exact_mut(m).for_each(|column| self.observations.whiten_blocks(column));
-        for (i, whitening) in (0..m).map(|i| (i, self.whitening(i))) {
-            jacobian.iter_mut().skip(i).step_by(m).for_each(|g| *g *= whitening);
+        let whitening: Vec<f64> = (0..m).map(|i| self.whitening(i)).collect();
+        for column in jacobian.chunks_exact_mut(m) {
+            left_early()?;
+            self.observations.whiten_blocks(column);
+            column.iter_mut().zip(&whitening).for_each(|(g, whitening)| *g *= whitening);
         }
         Ok(())
     }
+}
+
+/// Columns between two questions whether to end.
+const ASKED_EVERY: usize = 64;
+
+/// An error where this thread was told to end: G is not whole.
+fn left_early() -> Result<(), Error> {
+    if interrupt::requested() { Err(varda_linalg::Error::Interrupted.into()) } else { Ok(()) }
 }

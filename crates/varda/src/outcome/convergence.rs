@@ -47,7 +47,7 @@ pub struct WorkCounts {
     pub model_steps: usize,
     /// Products with M_k.
     pub tangent_steps: usize,
-    /// Products with M_kᵀ.
+    /// Products with M_kᵀ, and with their derivative where the exact Hessian is asked for.
     pub adjoint_steps: usize,
     /// Numerical factorizations.
     pub factorizations: usize,
@@ -67,7 +67,7 @@ impl WorkCounts {
         WorkCounts {
             model_steps: model.model_steps,
             tangent_steps: model.tangent_steps,
-            adjoint_steps: model.adjoint_steps,
+            adjoint_steps: model.adjoint_steps + model.adjoint_derivatives,
             factorizations: model.factorizations,
             newton_iterations: model.newton_iterations,
         }

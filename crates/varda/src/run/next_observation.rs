@@ -14,7 +14,9 @@ use crate::setup::Problem;
 /// answer takes longer than the rest of the diagnostics.
 const PLACES: usize = 25;
 const TIMES: usize = 40;
-const COLUMNS: usize = 300;
+const COLUMNS: usize = 1000;
+/// Numbers gathered at most: of a larger root fewer times are looked at.
+const NUMBERS: usize = 2_000_000;
 
 /// What is gathered on the way.
 pub(super) struct Gathering {
@@ -59,8 +61,12 @@ impl Gathering {
             (candidate, first..first + group.width)
         });
         let places: Vec<_> = places.collect();
+        let times = TIMES.min(NUMBERS / (columns * places.len() * group.width).max(1));
+        if times == 0 {
+            return None;
+        }
         Some(Gathering {
-            steps: evenly(steps.len(), TIMES).map(|i| steps[i]).collect(),
+            steps: evenly(steps.len(), times).map(|i| steps[i]).collect(),
             end: grid.steps,
             sigma: sigmas[sigmas.len() / 2],
             rows: vec![Vec::new(); places.len()],
