@@ -9,14 +9,7 @@ use varda_assimilation::variance_after;
 use crate::Error;
 use crate::outcome::{Candidate, NextObservation};
 use crate::setup::Problem;
-
-/// Places looked at, times at which they are seen, and columns of a root, at most: more of either and the
-/// answer takes longer than the rest of the diagnostics.
-const PLACES: usize = 25;
-const TIMES: usize = 40;
-const COLUMNS: usize = 1000;
-/// Numbers gathered at most: of a larger root fewer times are looked at.
-const NUMBERS: usize = 2_000_000;
+use crate::setup::memory::{FURTHER_COLUMNS, FURTHER_NUMBERS, FURTHER_PLACES, FURTHER_TIMES};
 
 /// What is gathered on the way.
 pub(super) struct Gathering {
@@ -43,14 +36,14 @@ impl Gathering {
         let used: Vec<_> = problem.observed.seen.iter().filter(|s| in_window(s.at())).collect();
         let steps: Vec<usize> = used.iter().map(|s| s.step).collect::<BTreeSet<_>>().into_iter().collect();
         let correlated = problem.experiment.scene.observations.correlation().is_some();
-        if columns > COLUMNS || steps.is_empty() || correlated {
+        if columns > FURTHER_COLUMNS || steps.is_empty() || correlated {
             return None;
         }
         let mut sigmas: Vec<f64> = used.iter().map(|s| s.sigma).collect();
         sigmas.sort_by(f64::total_cmp);
         let group = layout.groups.first()?;
         let vectors = group.range.len() / group.width;
-        let places = evenly(vectors, PLACES).map(|i| {
+        let places = evenly(vectors, FURTHER_PLACES).map(|i| {
             let first = group.range.start + i * group.width;
             let geometry = layout.geometry.as_ref();
             let candidate = Candidate {
@@ -61,7 +54,8 @@ impl Gathering {
             (candidate, first..first + group.width)
         });
         let places: Vec<_> = places.collect();
-        let times = TIMES.min(NUMBERS / (columns * places.len() * group.width).max(1));
+        let of_a_time = (columns * places.len() * group.width).max(1);
+        let times = FURTHER_TIMES.min(FURTHER_NUMBERS / of_a_time).min(steps.len());
         if times == 0 {
             return None;
         }
@@ -69,7 +63,7 @@ impl Gathering {
             steps: evenly(steps.len(), times).map(|i| steps[i]).collect(),
             end: grid.steps,
             sigma: sigmas[sigmas.len() / 2],
-            rows: vec![Vec::new(); places.len()],
+            rows: places.iter().map(|_| Vec::with_capacity(columns * group.width * times)).collect(),
             places,
             target: group.range.clone(),
             vectors,
@@ -88,7 +82,8 @@ impl Gathering {
             }
         }
         if k == self.end {
-            self.root = w.chunks_exact(n).flat_map(|column| &column[self.target.clone()]).copied().collect();
+            self.root.reserve_exact(self.target.len() * self.columns);
+            w.chunks_exact(n).for_each(|column| self.root.extend_from_slice(&column[self.target.clone()]));
         }
     }
 

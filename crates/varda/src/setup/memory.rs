@@ -26,6 +26,14 @@ const LARGEST_DENSE_POSTERIOR: usize = 3000;
 /// Products of a low-rank posterior, and vectors it keeps, at most.
 pub(crate) const MOST_PRODUCTS: usize = 200;
 
+/// Where one more observation would help: places looked at, times at which they are seen, and columns of a
+/// root, at most (more of either and the answer takes longer than the rest of the diagnostics); and numbers
+/// gathered at most, so that fewer times are looked at of a larger root.
+pub(crate) const FURTHER_PLACES: usize = 25;
+pub(crate) const FURTHER_TIMES: usize = 40;
+pub(crate) const FURTHER_COLUMNS: usize = 1000;
+pub(crate) const FURTHER_NUMBERS: usize = 2_000_000;
+
 /// Text of a number in a CSV file, about.
 const TEXT: usize = 20;
 
@@ -206,6 +214,10 @@ impl Memory {
             other = other.saturating_add((sizes.steps + 1).saturating_mul(step));
         }
         other = other.saturating_add(ensemble.map_or(0, |e| e.runs()));
+        if posterior && cycled.is_none() && algorithm.method.is_strong() && n <= FURTHER_COLUMNS {
+            let seen = (3 * FURTHER_PLACES).min(n) * sizes.times.min(FURTHER_TIMES) * n;
+            other = other.saturating_add(seen.min(FURTHER_NUMBERS)).saturating_add(square / 2);
+        }
         // Background, analysis and, of a twin, truth, and the table of their states.
         let (shown, runs) =
             (sizes.shown + 1, 2 + usize::from(scene.background.from == Origin::TruthPlusDraw));
