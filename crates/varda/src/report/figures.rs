@@ -322,9 +322,9 @@ fn spread(outcome: &Outcome) -> Figure {
 /// σ of the places at the end of the window with one more marker, against where it sits; of rods only.
 fn next_observation(next: &NextObservation) -> Option<Figure> {
     let places: Option<Vec<(f64, f64)>> =
-        next.candidates.iter().map(|c| Some((c.arc_length?, c.sigma))).collect();
+        next.candidates.iter().map(|c| Some((c.arc_length?, 1e3 * c.sigma))).collect();
     let places = places.filter(|places| !places.is_empty())?;
-    let now = places.iter().map(|(s, _)| (*s, next.sigma_now)).collect();
+    let now = places.iter().map(|(s, _)| (*s, 1e3 * next.sigma_now)).collect();
     let series = |label: &str, style, points| Series { label: label.into(), style, points };
     Some(Figure {
         name: "next-marker",
@@ -335,7 +335,7 @@ fn next_observation(next: &NextObservation) -> Option<Figure> {
         ),
         panels: vec![Panel {
             x_label: "arc length of the marker [m]".into(),
-            y_label: "σ of places at the end [m]".into(),
+            y_label: "σ of places at the end [mm]".into(),
             legend: Some(Corner::Top),
             series: vec![
                 series("as it is", Style::Background, now),

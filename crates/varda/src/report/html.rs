@@ -178,6 +178,7 @@ fn table_section(outcome: &Outcome, s: &Summary) -> String {
     let c = &s.counts;
     let grid = &outcome.experiment.grid;
     let mut further = None;
+    let unit = if outcome.experiment.state.geometry.is_some() { (1e3, "mm") } else { (1.0, "") };
     let mut rows: Vec<(&str, String, &str)> = vec![
         ("State, control", format!("{}, {}", s.n_state, s.n_control), "numbers"),
         ("Observed values m", s.n_obs.to_string(), ""),
@@ -201,19 +202,19 @@ fn table_section(outcome: &Outcome, s: &Summary) -> String {
     if let Some((next, best)) = s.next_observation.as_ref().and_then(|n| Some((n, n.best()?))) {
         let place = match (best.arc_length, &best.component) {
             (Some(arc), _) => {
-                format!("one more marker helps most at {} m: σ of places at the end", short(arc))
+                format!("One more marker helps most at {} m: σ of places at the end", short(arc))
             }
             (None, component) => {
                 format!(
-                    "one more component helps most: {}; σ at the end",
+                    "One more component helps most: {}; σ at the end",
                     component.as_deref().unwrap_or_default()
                 )
             }
         };
-        further = Some((place, format!("{} → {}", short(next.sigma_now), short(best.sigma))));
+        further = Some((place, [next.sigma_now, best.sigma].map(|s| short(unit.0 * s)).join(" → ")));
     }
     if let Some((place, sigma)) = &further {
-        rows.push((place, sigma.clone(), if outcome.experiment.state.geometry.is_some() { "m" } else { "" }));
+        rows.push((place, sigma.clone(), unit.1));
     }
     if let Some(e) = s.exact_hessian {
         rows.push(("Smallest eigenvalue of the exact Hessian", optional(e.smallest_eigenvalue), ""));
