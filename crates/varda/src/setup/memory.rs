@@ -30,7 +30,7 @@ pub(crate) const MOST_PRODUCTS: usize = 200;
 /// root, at most (more of either and the answer takes longer than the rest of the diagnostics); and numbers
 /// gathered at most, so that fewer times are looked at of a larger root.
 pub(crate) const FURTHER_PLACES: usize = 25;
-pub(crate) const FURTHER_TIMES: usize = 40;
+pub(crate) const FURTHER_TIMES: usize = 20;
 pub(crate) const FURTHER_COLUMNS: usize = 1000;
 pub(crate) const FURTHER_NUMBERS: usize = 2_000_000;
 
