@@ -98,6 +98,14 @@ struct Inside {
     rows: Vec<[usize; 2]>,
 }
 
+impl Inside {
+    /// What stacked values act with on the rows of the operator.
+    fn acting(&self, dy: &[f64], seen: &mut [f64]) {
+        seen.fill(0.0);
+        self.rows.iter().for_each(|&[from, to]| seen[from] += dy[to]);
+    }
+}
+
 /// The times t_0 … t_K of the steps of a window.
 #[derive(Debug, Clone)]
 pub(crate) enum Times {
@@ -140,6 +148,16 @@ struct Sample {
     /// Range in `parts`.
     first: usize,
     end: usize,
+}
+
+impl Sample {
+    /// What stacked values act with on the rows of the operator.
+    fn acting(&self, parts: &[Part], dy: &[f64], seen: &mut [f64]) {
+        seen.fill(0.0);
+        for part in &parts[self.first..self.end] {
+            seen[part.operator_row] += part.weight * dy[part.row];
+        }
+    }
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -488,10 +506,7 @@ impl ObservationSet {
         for sample in &self.samples[self.samples_of(k)] {
             let operator = &mut self.operators[sample.operator];
             let seen = &mut self.tangent[..operator.dim()];
-            seen.fill(0.0);
-            for part in &self.parts[sample.first..sample.end] {
-                seen[part.operator_row] += part.weight * dy[part.row];
-            }
+            sample.acting(&self.parts, dy, seen);
             operator.adjoint_add(at, x, seen, dx);
         }
         for i in self.between_of(k) {
@@ -500,8 +515,7 @@ impl ObservationSet {
             let b = &self.between[i];
             let operator = &mut self.operators[b.operator];
             let seen = &mut self.tangent[..operator.dim()];
-            seen.fill(0.0);
-            b.rows.iter().for_each(|&[from, to]| seen[from] += dy[to]);
+            b.acting(dy, seen);
             lambda.fill(0.0);
             operator.adjoint_add(at, &run.states[i * x.len()..(i + 1) * x.len()], seen, lambda);
             curve.adjoint_add((b.step, k, b.weight), x, lambda, dx);

@@ -111,12 +111,14 @@ pub(crate) struct Products {
     dx: Vec<f64>,
     /// The histories of the columns, one after the other: the first components of dx, or the last of λ.
     history: Vec<f64>,
+    /// λ on its way through substeps, where second derivatives are kept.
+    lambda: Vec<f64>,
 }
 
 impl Products {
     /// Work space for single columns; that for many is allocated by the first product with many.
     pub(crate) fn new(state: usize, unknowns: usize, history: usize) -> Self {
-        Self { u: vec![0.0; unknowns], rows: Vec::new(), dx: vec![0.0; state], history: vec![0.0; history] }
+        Self { u: vec![0.0; unknowns], dx: vec![0.0; state], history: vec![0.0; history], ..Self::default() }
     }
 
     fn resize_for_many(&mut self, state: usize, history: usize) {
@@ -273,20 +275,22 @@ impl Products {
             seconds.resize_with(*used, Second::default);
         }
         let numbers = step.second_kept().expect("asked for only where there are second derivatives");
-        let mut lambda = lambda.to_vec();
-        lambda[own..].fill(0.0);
-        let dx = &mut self.dx[..n];
+        let Self { u, dx, lambda: now, .. } = self;
+        let dx = &mut dx[..n];
+        now.clear();
+        now.extend_from_slice(lambda);
+        now[own..].fill(0.0);
         for (substep, second) in substeps[..*used].iter().zip(seconds.iter_mut()).rev() {
             second.kept.resize(numbers, 0.0);
-            second.mu.resize(self.u.len(), 0.0);
+            second.mu.resize(u.len(), 0.0);
             second.lambda.clear();
-            second.lambda.extend_from_slice(&lambda[..own]);
-            step.advance_adjoint(&substep.solved(), &lambda[..own], dx, &mut second.mu);
+            second.lambda.extend_from_slice(&now[..own]);
+            step.advance_adjoint(&substep.solved(), &now[..own], dx, &mut second.mu);
             solver.solve_transpose(&substep.factor, &mut second.mu);
             second.mu.iter_mut().for_each(|m| *m = -*m);
             step.previous_transpose_add(&substep.solved(), &second.mu, dx);
-            add(&mut dx[..past], &lambda[own..]);
-            lambda.copy_from_slice(dx);
+            add(&mut dx[..past], &now[own..]);
+            now.copy_from_slice(dx);
             step.keep_second(&substep.solved(), &second.lambda, &second.mu, &mut second.kept);
         }
     }
@@ -302,7 +306,7 @@ impl Products {
     ) {
         let (past, own) = (step.history(), n - step.history());
         self.resize_for_many(n, past);
-        let Self { u: du, rows, dx: dx_next, history } = self;
+        let Self { u: du, rows, dx: dx_next, history, .. } = self;
         for columns in dx.chunks_mut(BLOCK * n) {
             for (c, dx) in columns.chunks_exact(n).enumerate() {
                 history[c * past..(c + 1) * past].copy_from_slice(&dx[..past]);
@@ -340,7 +344,7 @@ impl Products {
     ) {
         let (past, own) = (step.history(), n - step.history());
         self.resize_for_many(n, past);
-        let Self { u: mu, rows, dx, history } = self;
+        let Self { u: mu, rows, dx, history, .. } = self;
         for columns in lambda.chunks_mut(BLOCK * n) {
             for (c, lambda) in columns.chunks_exact_mut(n).enumerate() {
                 history[c * past..(c + 1) * past].copy_from_slice(&lambda[own..]);

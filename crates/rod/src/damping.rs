@@ -30,6 +30,8 @@ pub(crate) struct KelvinVoigt {
     /// Work space of second derivatives: nothing until they are asked for.
     of_stage: Vec<f64>,
     unknowns: [Vec<f64>; 2],
+    stresses: Vec<[f64; 4]>,
+    weights: Vec<f64>,
 }
 
 /// A configuration of the past, and the weight of its strains in ε*.
@@ -54,6 +56,8 @@ impl KelvinVoigt {
             psi: vec![0.0; n],
             of_stage: Vec::new(),
             unknowns: [Vec::new(), Vec::new()],
+            stresses: Vec::new(),
+            weights: Vec::new(),
         }
     }
 
@@ -238,23 +242,24 @@ impl KelvinVoigt {
     /// Writes the bands: with the stresses s = k ∂ε(y)[μ] of the stage, and its own share and weight −r
     /// w, Σ s ∂²ε of each configuration of the past, in its stored angles. `mu` is in the full order;
     /// the rest of what is kept `System::third_add` writes.
-    pub(crate) fn keep_second(&self, system: &System, kept: &[f64], mu: &[f64], bands: &mut [f64]) {
+    pub(crate) fn keep_second(&mut self, system: &System, kept: &[f64], mu: &[f64], bands: &mut [f64]) {
         let (layout, n) = (&system.layout, system.layout.segments);
-        let mut stresses = vec![[0.0; 4]; n];
+        let Self { configurations, used, share, stresses, weights, .. } = self;
+        stresses.resize(n, [0.0; 4]);
         for_each_strain(layout, &kept[..STRAINS * n], mu, |e, strain, value| stresses[e][strain] = value);
-        let used = self.configurations[..self.used].iter();
+        let used = configurations[..*used].iter();
         for (past, band) in used.zip(bands.chunks_exact_mut(layout.band().max(1))) {
             band.fill(0.0);
-            let scaled: Vec<[f64; 4]> =
-                stresses.iter().map(|s| s.map(|s| -self.share * past.weight * s)).collect();
-            system.strains_second_add(&past.shape, &scaled, band);
+            let share = -*share * past.weight;
+            system.strains_second_add(&past.shape, stresses, share, band);
             if layout.free_angles.is_empty() {
                 continue;
             }
             // what its local angles are moved by: −ψ
-            let mut weights = vec![0.0; n];
+            weights.clear();
+            weights.resize(n, 0.0);
             for (vertex, strains) in past.strains.iter().enumerate() {
-                let [_, stress @ ..] = scaled[vertex + 1];
+                let [_, stress @ ..] = stresses[vertex + 1].map(|s| share * s);
                 for (gradient, s) in strains.gradient.iter().zip(stress) {
                     weights[vertex] -= s * gradient[3];
                     weights[vertex + 1] -= s * gradient[7];
@@ -263,7 +268,7 @@ impl KelvinVoigt {
             for e in (0..n).filter(|e| layout.free_angles.binary_search(e).is_err()) {
                 weights[e] = 0.0;
             }
-            system.holonomy_second_add(&past.shape, &mut weights, band);
+            system.holonomy_second_add(&past.shape, weights, band);
         }
     }
 

@@ -91,6 +91,10 @@ pub struct RodStep {
     pub(crate) lambda: Vec<f64>,
     pub(crate) displacement: Vec<Vector3<f64>>,
     pub(crate) psi: Vec<f64>,
+    /// Work space of second derivatives, nothing until they are asked for: μ in the full order, and two
+    /// vectors of unknowns.
+    pub(crate) full: Vec<f64>,
+    pub(crate) of_unknowns: [Vec<f64>; 2],
 }
 
 impl RodStep {
@@ -146,6 +150,8 @@ impl RodStep {
             lambda: Vec::new(),
             displacement: vec![Vector3::zeros(); n + 1],
             psi: vec![0.0; n],
+            full: Vec::new(),
+            of_unknowns: [Vec::new(), Vec::new()],
             damping,
             system,
         })

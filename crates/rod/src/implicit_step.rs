@@ -118,10 +118,13 @@ impl RodStep {
         [dx, du]: [&[f64]; 2],
         [rx, ru]: [&mut [f64]; 2],
     ) {
-        let mut next = vec![0.0; self.system.layout.state()];
+        let mut next = std::mem::take(&mut self.state);
         self.follow(step.at, dx, du, &mut next);
+        let [mut moved, mut by] = std::mem::take(&mut self.of_unknowns);
         let layout = &self.system.layout;
-        let [mut moved, mut by] = [vec![0.0; layout.unknowns], vec![0.0; layout.unknowns]];
+        moved.resize(layout.unknowns, 0.0);
+        by.clear();
+        by.resize(layout.unknowns, 0.0);
         let place = |v: usize| layout.unknown[layout.vertex(v)];
         for (next, &v) in next.chunks_exact(3).zip(&layout.free_vertices) {
             moved[place(v)..place(v) + 3].copy_from_slice(next);
@@ -133,6 +136,7 @@ impl RodStep {
         }
         self.follow_transpose(step, &next, rx, &mut moved);
         ru.iter_mut().zip(&moved).for_each(|(r, m)| *r += m);
+        (self.state, self.of_unknowns) = (next, [moved, by]);
     }
 
     /// Whether ∂G/∂x_k depends on the shapes of x_k and u, beside inertia and damping.
@@ -414,17 +418,18 @@ impl ImplicitStep for RodStep {
             }
         }
         self.prepare_and_shape(step.at, step.x, step.u);
-        let mut full = vec![0.0; self.system.layout.full()];
-        self.system.layout.fill(mu, &mut full);
+        self.full.resize(self.system.layout.full(), 0.0);
+        self.system.layout.fill(mu, &mut self.full);
         band.fill(0.0);
-        let (system, kept) = (&self.system, self.kept_lengths());
-        match &self.viscous {
+        let kept = self.kept_lengths();
+        let Self { system, full, viscous, .. } = self;
+        match viscous {
             Some(viscous) => {
                 let (strained, bands) = damping.split_at_mut(STRAINS * system.layout.segments);
-                system.third_add(&Increment(&full), band, Some(strained));
-                viscous.keep_second(system, &step.kept[kept[0] + kept[1]..], &full, bands);
+                system.third_add(&Increment(full), band, Some(strained));
+                viscous.keep_second(system, &step.kept[kept[0] + kept[1]..], full, bands);
             }
-            None => system.third_add(&Increment(&full), band, None),
+            None => system.third_add(&Increment(full), band, None),
         }
         let share = self.stage(step.at).angle[0];
         let (layout, angles) = (&self.system.layout, 6 * self.system.layout.free_vertices.len());
@@ -462,9 +467,10 @@ impl ImplicitStep for RodStep {
         let Some(twist) = &mut self.twist else { return };
         let layout = &self.system.layout;
         let (n, first) = (6 * layout.free_vertices.len(), layout.first_spin());
-        let mut angles = lambda[n..first].to_vec();
-        angles.extend(layout.end_angle().map(|end| lambda[end]));
-        twist.second_add(&dz[..n / 2], &angles, &mut out[..n / 2]);
+        self.lambda.clear();
+        self.lambda.extend_from_slice(&lambda[n..first]);
+        self.lambda.extend(layout.end_angle().map(|end| lambda[end]));
+        twist.second_add(&dz[..n / 2], &self.lambda, &mut out[..n / 2]);
     }
 
     fn control_dim(&self) -> usize {

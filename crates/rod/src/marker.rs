@@ -62,6 +62,20 @@ pub struct Markers {
     displacement: Vec<Vector3<f64>>,
     psi: Vec<f64>,
     angle: Vec<f64>,
+    second: Second,
+}
+
+/// Work space of second derivatives: nothing until they are asked for.
+#[derive(Default)]
+struct Second {
+    /// Forces on places and angles; the derivative by the angle of every edge.
+    on_places: Vec<Vector3<f64>>,
+    on_angles: Vec<f64>,
+    by_angle: Vec<f64>,
+    /// The second derivative of what acts on ψ; an increment of the unknowns, and its product with it.
+    band: Vec<f64>,
+    by: Vec<f64>,
+    product: Vec<f64>,
 }
 
 impl Markers {
@@ -87,6 +101,7 @@ impl Markers {
             displacement: vec![Vector3::zeros(); n + 1],
             psi: vec![0.0; n],
             angle: vec![0.0; n],
+            second: Second::default(),
         })
     }
 
@@ -344,8 +359,14 @@ impl ObservationOperator for Markers {
         if self.frames {
             self.turn_angles(dx);
         }
-        let mut on_places = vec![Vector3::zeros(); n + 1];
-        let [mut on_angles, mut by_angle] = [vec![0.0; n], vec![0.0; n]];
+        let mut second = std::mem::take(&mut self.second);
+        let Second { on_places, on_angles, by_angle, band, by, product } = &mut second;
+        on_places.clear();
+        on_places.resize(n + 1, Vector3::zeros());
+        for zeroed in [&mut *on_angles, by_angle] {
+            zeroed.clear();
+            zeroed.resize(n, 0.0);
+        }
         for ((place, o), dy) in self.markers.iter().zip(dy.chunks_exact(3)) {
             let e = place.edge;
             let dy = Vector3::from_column_slice(dy);
@@ -357,24 +378,28 @@ impl ObservationOperator for Markers {
         }
         if self.frames {
             // ψ itself is curved
-            self.angle.copy_from_slice(&by_angle);
+            self.angle.copy_from_slice(by_angle);
             self.weigh_holonomy();
             let layout = &self.system.layout;
-            let mut band = vec![0.0; layout.band()];
-            self.system.holonomy_second_add(&self.system.shape, &mut self.psi, &mut band);
-            let [mut by, mut product] = [vec![0.0; layout.unknowns], vec![0.0; layout.unknowns]];
+            for (zeroed, length) in
+                [(&mut *band, layout.band()), (by, layout.unknowns), (product, layout.unknowns)]
+            {
+                zeroed.clear();
+                zeroed.resize(length, 0.0);
+            }
+            self.system.holonomy_second_add(&self.system.shape, &mut self.psi, band);
             let unknown = |v: usize| layout.unknown[layout.vertex(v)];
             for &v in &layout.free_vertices {
                 by[unknown(v)..unknown(v) + 3].copy_from_slice(self.displacement[v].as_slice());
             }
-            band_product_add(layout.half_bandwidth, &band, &by, &mut product);
+            band_product_add(layout.half_bandwidth, band, by, product);
             for &v in &layout.free_vertices {
                 on_places[v] += Vector3::from_column_slice(&product[unknown(v)..unknown(v) + 3]);
             }
         }
-        self.displacement.copy_from_slice(&on_places);
+        self.displacement.copy_from_slice(on_places);
         if self.frames {
-            self.angle.copy_from_slice(&on_angles);
+            self.angle.copy_from_slice(on_angles);
             self.turn_angles_transpose(out);
         }
         for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
@@ -382,5 +407,6 @@ impl ObservationOperator for Markers {
                 out[3 * f + c] += self.displacement[v][c];
             }
         }
+        self.second = second;
     }
 }

@@ -223,11 +223,18 @@ impl System {
         by_angle.re
     }
 
-    /// Adds Σ s ∂²ε of the strains of another shape, one stress for each (see `KelvinVoigt::keep`), to a
-    /// lower band.
-    pub(crate) fn strains_second_add(&self, shape: &Shape, stress: &[[f64; 4]], band: &mut [f64]) {
+    /// Adds `share` Σ s ∂²ε of the strains of another shape, one stress for each (see
+    /// `KelvinVoigt::keep`), to a lower band.
+    pub(crate) fn strains_second_add(
+        &self,
+        shape: &Shape,
+        stress: &[[f64; 4]],
+        share: f64,
+        band: &mut [f64],
+    ) {
         let layout = &self.layout;
-        for (e, &[along, bend @ ..]) in stress.iter().enumerate() {
+        for (e, stress) in stress.iter().enumerate() {
+            let [along, bend @ ..] = stress.map(|s| share * s);
             let edge = &shape.edges[e];
             let h =
                 (nalgebra::Matrix3::identity() - crate::geometry::outer(&edge.t, &edge.t)) * (along / edge.l);

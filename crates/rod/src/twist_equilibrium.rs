@@ -38,6 +38,21 @@ pub(crate) struct TwistEquilibrium {
     hold: f64,
     /// Angles of all edges to start from, in place of zero, and the turns of the clamps that are in them.
     pub(crate) first: Option<(Vec<f64>, f64)>,
+    second: Second,
+}
+
+/// Work space of second derivatives: nothing until they are asked for.
+#[derive(Default)]
+struct Second {
+    /// μ in the full order.
+    mu: Vec<f64>,
+    /// What acts on ψ.
+    weights: Vec<f64>,
+    band: Vec<f64>,
+    /// An increment of the unknowns, and its product with the band.
+    by: Vec<f64>,
+    product: Vec<f64>,
+    theta: Vec<f64>,
 }
 
 impl TwistEquilibrium {
@@ -66,6 +81,7 @@ impl TwistEquilibrium {
             full: system.clone(),
             hold,
             first: None,
+            second: Second::default(),
         }
     }
 
@@ -270,11 +286,22 @@ impl TwistEquilibrium {
         if lambda.iter().all(|l| *l == 0.0) {
             return;
         }
+        let mut second = std::mem::take(&mut self.second);
         let (own, end) = lambda.split_at(self.rhs.len());
         self.rhs.copy_from_slice(own);
         self.solve_angles();
         let layout = &self.full.layout;
-        let (mut mu, mut weights) = (vec![0.0; layout.full()], vec![0.0; layout.segments]);
+        let Second { mu, weights, band, by, product, theta } = &mut second;
+        mu.resize(layout.full(), 0.0);
+        theta.resize(lambda.len(), 0.0);
+        for (zeroed, length) in [(&mut *weights, layout.segments), (band, layout.band())] {
+            zeroed.clear();
+            zeroed.resize(length, 0.0);
+        }
+        for zeroed in [&mut *by, product] {
+            zeroed.clear();
+            zeroed.resize(layout.unknowns, 0.0);
+        }
         for (f, &e) in layout.free_angles.iter().enumerate() {
             mu[layout.angle(e)] = -self.rhs[f];
             weights[e] = own[f];
@@ -282,15 +309,12 @@ impl TwistEquilibrium {
         if let (Some(weight), Some(end)) = (weights.last_mut(), end.first()) {
             *weight += end;
         }
-        let mut band = vec![0.0; layout.band()];
-        self.full.third_add(&Increment(&mu), &mut band, None);
-        self.full.holonomy_second_add(&self.full.shape, &mut weights, &mut band);
+        self.full.third_add(&Increment(mu), band, None);
+        self.full.holonomy_second_add(&self.full.shape, weights, band);
 
-        let mut theta = vec![0.0; lambda.len()];
-        self.tangent(dx, &mut theta);
+        self.tangent(dx, theta);
         // dx and the local angles that follow
         let layout = &self.full.layout;
-        let [mut by, mut product] = [vec![0.0; layout.unknowns], vec![0.0; layout.unknowns]];
         for (f, &v) in layout.free_vertices.iter().enumerate() {
             let i = layout.unknown[layout.vertex(v)];
             by[i..i + 3].copy_from_slice(&dx[3 * f..3 * f + 3]);
@@ -298,7 +322,7 @@ impl TwistEquilibrium {
         for (f, &e) in layout.free_angles.iter().enumerate() {
             by[layout.unknown[layout.angle(e)]] = self.rhs[f];
         }
-        band_product_add(layout.half_bandwidth, &band, &by, &mut product);
+        band_product_add(layout.half_bandwidth, band, by, product);
         for (rhs, &e) in self.rhs.iter_mut().zip(&layout.free_angles) {
             *rhs = product[layout.unknown[layout.angle(e)]];
         }
@@ -316,6 +340,7 @@ impl TwistEquilibrium {
                 }
             }
         }
+        self.second = second;
     }
 }
 

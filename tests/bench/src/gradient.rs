@@ -125,12 +125,7 @@ struct Benchmark {
 impl Benchmark {
     fn flagship(&mut self, what: &str, twist: TwistUnknowns, linearization: Linearization) -> Result<()> {
         let (rod, truth) = HangingRod::flagship(1, true)?;
-        let mut i = 0;
-        let mut noise = || {
-            i += 1;
-            wave(i, 3)
-        };
-        let observations = rod.observe(&truth, &mut noise)?;
+        let observations = rod.observe_with_waves(&truth)?;
         let mut model = rod.model_with(rod.first_step, twist)?.with_linearization(linearization);
         let mut set = rod.observation_set(model.dim(), observations)?;
         let b = rod.background_covariance()?;

@@ -21,12 +21,7 @@ pub(super) fn run(options: &Options) -> Result<Page> {
     let kinds = [("without angles", TwistUnknowns::WhereNeeded), ("with angles", TwistUnknowns::Always)];
     for (name, twist) in kinds {
         let (rod, truth) = HangingRod::flagship(1, true)?;
-        let mut i = 0;
-        let mut noise = || {
-            i += 1;
-            wave(i, 3)
-        };
-        let observations = rod.observe(&truth, &mut noise)?;
+        let observations = rod.observe_with_waves(&truth)?;
         let mut model = rod.model_with(rod.first_step, twist)?;
         let mut set = rod.observation_set(model.dim(), observations)?;
         let b = rod.background_covariance()?;

@@ -74,12 +74,7 @@ const OFF_CENTRELINE: [Marker; 3] = [
 /// The window of case 2 with the prior conditioned on the clamp.
 fn flagship(visit: &mut Visit) -> Result<()> {
     let (rod, truth) = HangingRod::flagship(2, true)?;
-    let mut i = 0;
-    let mut noise = || {
-        i += 1;
-        wave(i, 3)
-    };
-    let observations = rod.observe(&truth, &mut noise)?;
+    let observations = rod.observe_with_waves(&truth)?;
     let mut model = rod.model(rod.first_step)?;
     let mut set = rod.observation_set(model.dim(), observations)?;
     let b = rod.background_covariance()?;

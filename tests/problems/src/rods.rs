@@ -230,6 +230,18 @@ impl HangingRod {
         Ok(ObservationSet::new(self.steps, vec![Box::new(self.operator(state_dim)?)], observations)?)
     }
 
+    /// The same with noise from a fixed sequence.
+    ///
+    /// # Errors
+    /// As [`observe`](Self::observe).
+    pub fn observe_with_waves(&self, truth: &[f64]) -> Result<Vec<Observation>> {
+        let mut i = 0;
+        self.observe(truth, &mut || {
+            i += 1;
+            wave(i, 3)
+        })
+    }
+
     /// Observations of the window from the control `truth`, every tenth step, with errors from `noise` (in
     /// units of σ).
     ///

@@ -405,7 +405,18 @@ fn cost_allocations(case: &mut Case, cost: &mut dyn LeastSquares) -> Outcome {
         outcome?;
         let (apply, outcome) = allocations(|| cost.hessian_apply(&g, &mut product));
         outcome?;
+        let exact = match cost.has_exact_hessian() {
+            true => {
+                let (exact, outcome) = allocations(|| cost.exact_hessian_apply(&g, &mut product));
+                outcome?;
+                Some(exact)
+            }
+            false => None,
+        };
         if round == 1 {
+            if let Some(exact) = exact {
+                case.count("allocations: exact_hessian_apply", exact, 0);
+            }
             case.count("allocations: evaluate", trial, 0);
             case.count("allocations: evaluate with gradient", gradient, 0);
             case.count("allocations: hessian_apply", apply, 0);

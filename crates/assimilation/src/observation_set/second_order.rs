@@ -34,10 +34,7 @@ impl ObservationSet {
         for sample in &self.samples[self.samples_of(k)] {
             let operator = &mut self.operators[sample.operator];
             let seen = &mut self.tangent[..operator.dim()];
-            seen.fill(0.0);
-            for part in &self.parts[sample.first..sample.end] {
-                seen[part.operator_row] += part.weight * dy[part.row];
-            }
+            sample.acting(&self.parts, dy, seen);
             operator.second_adjoint_add(at, x, dx, seen, out);
         }
         for i in self.between_of(k) {
@@ -46,8 +43,7 @@ impl ObservationSet {
             let b = &self.between[i];
             let operator = &mut self.operators[b.operator];
             let seen = &mut self.tangent[..operator.dim()];
-            seen.fill(0.0);
-            b.rows.iter().for_each(|&[from, to]| seen[from] += dy[to]);
+            b.acting(dy, seen);
             let of = i * x.len()..(i + 1) * x.len();
             let (state, by) = (&run.states[of.clone()], &moved.states[of]);
             lambda.fill(0.0);

@@ -151,6 +151,11 @@ impl Status {
             Status::Failed => "failed",
         }
     }
+
+    /// Whether the minimization came to an end of its own.
+    pub fn is_settled(self) -> bool {
+        matches!(self, Status::Converged | Status::Stalled)
+    }
 }
 
 impl From<varda_assimilation::Status> for Status {

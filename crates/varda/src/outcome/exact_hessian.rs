@@ -33,7 +33,7 @@ impl ExactHessian {
                  exact one"
                     .into(),
             ),
-            (Some(smallest), None) => remarks.push(format!(
+            (Some(smallest), _) if !(smallest > 0.0) => remarks.push(format!(
                 "J is not convex at the analysis (smallest eigenvalue of the exact Hessian {smallest:.2e}): \
                  it is no minimum, or a jump of J is near; σ is that of the Gauss–Newton Hessian"
             )),

@@ -32,7 +32,7 @@ pub(super) fn allow(
         Finer::Without(reason) => return (without(reason.to_string()), 0.0),
         Finer::Scene(file, of_difference) => (file, *of_difference),
     };
-    if !ended(status) {
+    if !status.is_settled() {
         return (without(format!("the minimization ended as {}", status.name())), 0.0);
     }
     if !(chi2 <= MOST_CHI2) {
@@ -47,7 +47,7 @@ pub(super) fn allow(
         Ok(finer) => finer,
         Err(error) => return without(error.to_string()),
     };
-    if !ended(finer.status) {
+    if !finer.status.is_settled() {
         return without(format!("the minimization ended as {}", finer.status.name()));
     }
     if !(finer.analysis.chi2 <= WORSE * chi2.max(1.0)) {
@@ -71,9 +71,4 @@ pub(super) fn allow(
         finer.analysis.chi2
     );
     (vec![remark], seconds)
-}
-
-/// Whether a minimization came to an end of its own.
-fn ended(status: Status) -> bool {
-    matches!(status, Status::Converged | Status::Stalled)
 }

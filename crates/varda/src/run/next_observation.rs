@@ -10,6 +10,7 @@ use crate::Error;
 use crate::outcome::{Candidate, NextObservation};
 use crate::setup::Problem;
 use crate::setup::memory::{FURTHER_COLUMNS, FURTHER_NUMBERS, FURTHER_PLACES, FURTHER_TIMES};
+use crate::setup::observations::Seen;
 
 /// What is gathered on the way.
 pub(super) struct Gathering {
@@ -32,8 +33,9 @@ impl Gathering {
     /// are correlated.
     pub(super) fn new(problem: &Problem, columns: usize) -> Option<Gathering> {
         let (grid, layout) = (problem.experiment.grid, &problem.experiment.state);
-        let in_window = |at: f64| at <= grid.steps as f64;
-        let used: Vec<_> = problem.observed.seen.iter().filter(|s| in_window(s.at())).collect();
+        let observed = &problem.observed;
+        let is_used = |s: &&Seen| s.at() <= grid.steps as f64 && !observed.sites[s.site].withheld;
+        let used: Vec<&Seen> = observed.seen.iter().filter(is_used).collect();
         let steps: Vec<usize> = used.iter().map(|s| s.step).collect::<BTreeSet<_>>().into_iter().collect();
         let correlated = problem.experiment.scene.observations.correlation().is_some();
         if columns > FURTHER_COLUMNS || steps.is_empty() || correlated {

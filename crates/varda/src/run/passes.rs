@@ -5,7 +5,7 @@ use super::estimates::INTERVAL;
 use super::mesh;
 use super::window::{self, Listener};
 use crate::Error;
-use crate::outcome::{Estimated, IDENTIFIABLE, Outcome, Status, Verdict, remarks_on_estimates};
+use crate::outcome::{Estimated, IDENTIFIABLE, Outcome, Verdict, remarks_on_estimates};
 use crate::scene::{Adjusted, PriorSpread, SceneFile};
 use crate::setup::{Inputs, Problem};
 
@@ -34,14 +34,14 @@ const OF_SIGMA: f64 = 0.05;
 ///
 /// # Errors
 /// [`Error::Assimilation`] where the cost cannot be evaluated at the background; [`Error::Model`],
-/// [`Error::Rod`]. How a minimization ended is a [`Status`].
+/// [`Error::Rod`]. How a minimization ended is a [`Status`](crate::outcome::Status).
 pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome, Error> {
     let mut outcome = window::assimilate(problem, listener)?;
     let mut last: Option<Problem> = None;
     if let Some(file) = &problem.adjustable {
         let mut file = SceneFile::clone(file);
         let (mut passes, mut settled) = (1, false);
-        while passes < PASSES && ended(&outcome) && !settled {
+        while passes < PASSES && outcome.status.is_settled() && !settled {
             let next = adjusted(&file, last.as_ref().unwrap_or(problem), &outcome)?;
             settled = next == file.adjusted;
             if !settled {
@@ -76,11 +76,6 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
     Ok(outcome)
 }
 
-/// Whether a minimization came to an end of its own.
-fn ended(outcome: &Outcome) -> bool {
-    matches!(outcome.status, Status::Converged | Status::Stalled)
-}
-
 /// How the next pass reads the observations; as this one, where it has found what there is.
 fn adjusted(file: &SceneFile, problem: &Problem, outcome: &Outcome) -> Result<Adjusted, Error> {
     let (mut next, estimates) = (file.adjusted, problem.system.estimates());
@@ -103,11 +98,11 @@ fn adjusted(file: &SceneFile, problem: &Problem, outcome: &Outcome) -> Result<Ad
 
 /// τ, how well σ is known before; `None` where it is not estimated.
 fn share(file: &SceneFile) -> Result<Option<f64>, Error> {
-    let Some(unknown) = &file.scene.estimate.observation_sigma else { return Ok(None) };
-    let (path, prior) = file.checked(unknown.priors("estimate.observation_sigma", 1))?.remove(0);
-    Ok(match file.checked(prior.spread(&path))? {
-        PriorSpread::LogNormal(share) => Some(share),
-        PriorSpread::Normal(_) => unreachable!("the scene was checked"),
+    let unknown = &file.scene.estimate.observation_sigma;
+    Ok(match file.prior_of_one("estimate.observation_sigma", unknown)? {
+        None => None,
+        Some(PriorSpread::LogNormal(share)) => Some(share),
+        Some(PriorSpread::Normal(_)) => unreachable!("the scene was checked"),
     })
 }
 

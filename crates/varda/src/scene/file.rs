@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
+use super::estimate::{PriorSpread, Unknown};
 use super::grid::TimeGrid;
 use super::invalid::Invalid;
 use super::place::Place;
@@ -110,6 +111,20 @@ impl SceneFile {
     /// An error that points at the key `path` (dotted; its nearest written parent where it was not written).
     pub fn invalid(&self, path: &str, message: impl Into<String>) -> Error {
         Error::Scene { place: locate(&self.label, self.place(path)), message: message.into() }
+    }
+
+    /// The prior of an unknown that is one number; `None` where it is not estimated.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] naming its key.
+    pub(crate) fn prior_of_one(
+        &self,
+        key: &str,
+        unknown: &Option<Unknown>,
+    ) -> Result<Option<PriorSpread>, Error> {
+        let Some(unknown) = unknown else { return Ok(None) };
+        let (path, prior) = self.checked(unknown.priors(key, 1))?.remove(0);
+        self.checked(prior.spread(&path)).map(Some)
     }
 
     /// Turns a wrong key into the error that points at it.

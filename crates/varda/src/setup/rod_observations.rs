@@ -189,15 +189,14 @@ pub(crate) fn recorded(
 /// taken to be \[m\], where σ and clock are estimated: two σ, and one.
 fn unknown_errors(files: &Files, rod: &RodSystem, run: [f64; 2]) -> Result<(f64, f64), Error> {
     let prior = |key: &str, unknown: &Option<Unknown>| -> Result<f64, Error> {
-        let Some(unknown) = unknown else { return Ok(0.0) };
-        let (path, prior) = files.scene.checked(unknown.priors(&format!("estimate.{key}"), 1))?.remove(0);
-        let (PriorSpread::Normal(sigma) | PriorSpread::LogNormal(sigma)) =
-            files.scene.checked(prior.spread(&path))?;
-        Ok(sigma)
+        Ok(match files.scene.prior_of_one(key, unknown)? {
+            Some(PriorSpread::Normal(sigma) | PriorSpread::LogNormal(sigma)) => sigma,
+            None => 0.0,
+        })
     };
     let estimate = &files.scene.scene.estimate;
-    let share = prior("observation_sigma", &estimate.observation_sigma)?;
-    let late = prior("clock", &estimate.clock)? * speed_of_supports(&rod.parts, run);
+    let share = prior("estimate.observation_sigma", &estimate.observation_sigma)?;
+    let late = prior("estimate.clock", &estimate.clock)? * speed_of_supports(&rod.parts, run);
     Ok(((2.0 * share).exp(), late))
 }
 
