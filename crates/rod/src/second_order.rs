@@ -7,17 +7,18 @@
 //! are bands. The stored angle is θ = θ₀ + α + ψ(x), with ψ the angle between the director so carried
 //! and Bishop's: a sum along the rod of functions of three vertices.
 //!
-//! Hessians of elements are those at their own configuration. Moved by ε μ, that is in coordinates that
-//! start at the moved configuration, whose angles differ by the area of the triangle of tangents (t₀, t₀
-//! + ε δt, t):
+//! Hessians of elements are those at their own configuration. Moved by ε μ they are in coordinates that
+//! start at the moved configuration, whose angles differ by the area of the triangle of tangents
+//! (t₀, t₀ + ε δt, t),
 //!
 //! ```text
-//! α' = α − ½ ε (t₀ × δt)·(t − t₀) + …    ⇒    ∂³E[μ] = d/dε H + KᵀH + H K,   K =
-//! ∂²α'/∂ε∂x = (δt × t₀)·δe/2l
+//! α' = α + ε K δx,   K δx = (δt × t₀)·δe/2l    ⇒    ∂³E[μ] = d/dε H + KᵀH + H K
 //! ```
 //!
-//! The term with ∂E/∂α itself vanishes where the angles are in equilibrium, as they are in a solved
-//! step. d/dε is that of dual numbers.
+//! with d/dε that of dual numbers. In a step KᵀH and H K are left out: both are rows of angles, and the
+//! angles solve ∂G/∂u δu + ∂G/∂x_k δx_k = 0 with the places, so that the two come to nothing in
+//! every product. What is seen of an angle itself, a marker off the centreline, needs K. The term with
+//! ∂E/∂α vanishes where the angles are in equilibrium, as they are in a solved step.
 
 use nalgebra::Vector3;
 use num_dual::Dual64;
@@ -34,7 +35,7 @@ struct Moved {
     edge: Edge<Dual64>,
     m1: Vector3<Dual64>,
     m2: Vector3<Dual64>,
-    /// (δt × t₀)/2l.
+    /// (δt × t₀)/2l, which is K.
     area: Vector3<f64>,
 }
 
@@ -130,32 +131,11 @@ impl System {
         let real = |x: f64| Dual64::from(x);
         let stiffness = Stiffness { bend: k.bend.map(real), twist: real(k.twist), rest: k.rest.map(real) };
         let element = element::bend_twist(&a.edge, &b.edge, turn, &directors, &moved, &stiffness);
-        // rows 3 and 7 of K
-        let by_place = |area: &Vector3<f64>, at: usize| {
-            let mut row = [0.0; LOCAL];
-            for c in 0..3 {
-                (row[at + c], row[at + 4 + c]) = (-area[c], area[c]);
-            }
-            row
-        };
-        let angles = [(3, by_place(&a.area, 0)), (7, by_place(&b.area, 4))];
-        let h = |i: usize, j: usize| element.hessian[i.max(j)][i.min(j)].re;
-        let mut third = [[0.0; LOCAL]; LOCAL];
-        for i in 0..LOCAL {
-            for j in 0..=i {
-                third[i][j] = element.hessian[i][j].eps;
-                for (r, row) in &angles {
-                    third[i][j] += row[i] * h(*r, j) + h(i, *r) * row[j];
-                }
-            }
-        }
+        let third = element.hessian.map(|row| row.map(|h| h.eps));
         Band { layout, values: band }.add(first, &third);
         let Some(kept) = kept else { return };
         for i in 0..LOCAL {
-            let by = moved.gradient.each_ref().map(|gradient| {
-                let carried: f64 = angles.iter().map(|(r, row)| row[i] * gradient[*r].re).sum();
-                gradient[i].eps + carried
-            });
+            let by = moved.gradient.each_ref().map(|gradient| gradient[i].eps);
             let stress = k.times(&by);
             (0..3).for_each(|s| kept[3 + LOCAL * s + i] = stress[s]);
         }
