@@ -13,6 +13,9 @@ const COLLINEAR: f64 = 0.95;
 pub struct Estimated {
     /// Name, as `ei[0]`.
     pub name: String,
+    /// Its place on the rod \[m\], of one number of a field along it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub arc_length: Option<f64>,
     /// SI unit; "1" for none.
     pub unit: &'static str,
     /// Value before the observations.
@@ -40,6 +43,11 @@ pub struct Estimated {
 }
 
 impl Estimated {
+    /// The field that it is a number of.
+    pub fn field(&self) -> Option<&str> {
+        self.arc_length.and_then(|_| self.name.split("(s = ").next())
+    }
+
     /// Whether more of σ is the mesh's than the observations'.
     pub fn is_of_mesh(&self) -> bool {
         self.mesh.zip(self.sigma_on_mesh).is_some_and(|(mesh, sigma)| mesh > sigma)
@@ -84,8 +92,21 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
                 .into(),
         );
     }
-    let unseen: Vec<&str> =
-        all.iter().filter(|e| e.identifiable == Some(false)).map(|e| e.name.as_str()).collect();
+    let mut unseen: Vec<String> = Vec::new();
+    for e in all.iter().filter(|e| e.identifiable == Some(false)) {
+        let name = match e.field() {
+            Some(field) => {
+                let of_it = |o: &&Estimated| o.field() == Some(field);
+                let places = all.iter().filter(of_it);
+                let dark = places.clone().filter(|o| o.identifiable == Some(false)).count();
+                format!("{field} at {dark} of {} places", places.count())
+            }
+            None => e.name.clone(),
+        };
+        if unseen.last() != Some(&name) {
+            unseen.push(name);
+        }
+    }
     if !unseen.is_empty() {
         out.push(format!(
             "not identifiable: {}: these observations leave more than {:.0} % of the prior's σ, and what is \
@@ -96,13 +117,16 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
     }
     let mut seen = vec![false; all.len()];
     for i in 0..all.len() {
-        let like = |j: &usize| all[i].correlations.get(*j).is_some_and(|c| c.abs() >= COLLINEAR);
+        // numbers of a field beside each other are alike by its prior
+        let apart = |j: usize| all[i].field().is_none() || all[i].field() != all[j].field();
+        let correlated = |j: usize| all[i].correlations.get(j).is_some_and(|c| c.abs() >= COLLINEAR);
+        let like = |j: &usize| apart(*j) && correlated(*j);
         let group: Vec<usize> = (i..all.len()).filter(|j| !seen[*j] && (*j == i || like(j))).collect();
         if seen[i] || group.len() < 2 {
             continue;
         }
         group.iter().for_each(|j| seen[*j] = true);
-        let names: Vec<&str> = group.iter().map(|j| all[*j].name.as_str()).collect();
+        let names: Vec<String> = group.iter().map(|j| all[*j].name.clone()).collect();
         let least = group[1..].iter().map(|j| all[i].correlations[*j].abs()).fold(1.0, f64::min);
         out.push(format!(
             "{} are seen together only (correlation {least:.3} or more): their combination is known better \
@@ -113,7 +137,7 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
     out
 }
 
-fn few(names: &[&str]) -> String {
+fn few(names: &[String]) -> String {
     const SHOWN: usize = 6;
     match names.len() {
         n if n <= SHOWN => names.join(", "),
