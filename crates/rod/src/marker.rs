@@ -62,6 +62,8 @@ pub struct Markers {
     displacement: Vec<Vector3<f64>>,
     psi: Vec<f64>,
     angle: Vec<f64>,
+    /// Parameters of the step that move its supports.
+    moving: Vec<usize>,
     second: Second,
 }
 
@@ -101,6 +103,7 @@ impl Markers {
             displacement: vec![Vector3::zeros(); n + 1],
             psi: vec![0.0; n],
             angle: vec![0.0; n],
+            moving: rod.system.moves.parameters(),
             second: Second::default(),
         })
     }
@@ -206,8 +209,8 @@ impl Markers {
     }
 
     /// Those parameters that move supports, ascending: the columns of [`by_parameters`](Self::by_parameters).
-    pub fn moving_parameters(&self) -> Vec<usize> {
-        self.system.moves.parameters()
+    pub fn moving_parameters(&self) -> &[usize] {
+        &self.moving
     }
 
     /// ∂y/∂p at a state of those parameters that move supports, one column after the other.
@@ -219,10 +222,11 @@ impl Markers {
     /// If a slice has the wrong length.
     pub fn by_parameters(&mut self, at: At, x: &[f64], columns: &mut [f64]) -> Result<(), Error> {
         self.set(at.time, x)?;
-        let (moving, rows) = (self.moving_parameters(), 3 * self.markers.len());
-        assert_eq!(columns.len(), moving.len() * rows, "a column of {rows} numbers for every parameter");
-        for (p, column) in moving.into_iter().zip(columns.chunks_exact_mut(rows.max(1))) {
-            let Self { system, displacement, angle, .. } = &mut *self;
+        let rows = 3 * self.markers.len();
+        assert_eq!(columns.len(), self.moving.len() * rows, "a column of {rows} numbers for every parameter");
+        for (i, column) in columns.chunks_exact_mut(rows.max(1)).enumerate() {
+            let Self { system, displacement, angle, moving, .. } = &mut *self;
+            let p = moving[i];
             match system.moved_increment(&system.shape, p, at.time, displacement, angle) {
                 Some(_) => self.of_increment(column),
                 None => column.fill(0.0),

@@ -45,6 +45,23 @@ pub struct Moved {
     pub by: MovedBy,
 }
 
+impl Moved {
+    /// The same by a multiple of g.
+    #[must_use]
+    pub fn times(self, factor: f64) -> Moved {
+        let by = match self.by {
+            MovedBy::Turn(by) => MovedBy::Turn(by * factor),
+            MovedBy::Drive { drive, radii, phase } => {
+                MovedBy::Drive { drive, radii: radii.map(|r| r * factor), phase: phase * factor }
+            }
+            MovedBy::Along(Displacement(along)) => {
+                MovedBy::Along(Displacement(Arc::new(move |t: f64| along.at(t) * factor)))
+            }
+        };
+        Moved { of: self.of, by }
+    }
+}
+
 /// How a parameter moves a support.
 #[derive(Debug, Clone, PartialEq)]
 pub enum MovedBy {

@@ -348,7 +348,7 @@ fn markers_move_with_the_supports_as_differences_say() {
         let step = model.into_inner().into_step();
         let places = [0.02, 0.09, 0.31, 0.55, 0.97].map(|s| Marker { s, offset: [0.01, -0.02, 0.03].into() });
         let mut markers = Markers::new(&step, &places).unwrap();
-        let (at, moving) = (At { step: 0, time: 0.0 }, markers.moving_parameters());
+        let (at, moving) = (At { step: 0, time: 0.0 }, markers.moving_parameters().to_vec());
         let mut columns = vec![0.0; 15 * moving.len()];
         markers.set_parameters(&p);
         markers.by_parameters(at, &x, &mut columns).unwrap();

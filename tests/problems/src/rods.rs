@@ -78,7 +78,13 @@ impl HangingRod {
         let prior = background.covariance;
         let mut problem = HangingRod {
             rod: Rod::uniform(model.length, model.segments, &Section::circle(&material, radius))?,
-            drive: EllipseDrive { centre: [0.0; 3].into(), radii, omega, phase: 0.0, ramp: ramp_periods * TAU / omega },
+            drive: EllipseDrive {
+                centre: [0.0; 3].into(),
+                radii,
+                omega,
+                phase: 0.0,
+                ramp: ramp_periods * TAU / omega,
+            },
             director: model.start.director,
             gravity: model.gravity,
             dt: TAU / (time.steps_per_period * omega),

@@ -60,7 +60,7 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
         }
     }
     // a field has a value at every vertex: summary.json has all
-    for e in o.estimates.iter().filter(|e| !e.name.contains("(s = ")) {
+    for e in o.estimates.iter().filter(|e| !e.is_of_field()) {
         line(&e.name, e.in_words());
     }
     for w in &o.withheld {

@@ -40,6 +40,17 @@ pub struct Estimated {
 }
 
 impl Estimated {
+    /// Whether it is one value of a field along the rod, or of an error in time.
+    pub(crate) fn is_of_field(&self) -> bool {
+        self.name.contains("(s = ") || self.is_of_input()
+    }
+
+    /// Whether it is one value of an error in time of what was recorded: whether the observations see each is
+    /// no question.
+    pub(crate) fn is_of_input(&self) -> bool {
+        self.name.contains("(t = ")
+    }
+
     /// Whether more of σ is the mesh's than the observations'.
     pub fn is_of_mesh(&self) -> bool {
         self.mesh.zip(self.sigma_on_mesh).is_some_and(|(mesh, sigma)| mesh > sigma)
@@ -84,8 +95,11 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
                 .into(),
         );
     }
-    let unseen: Vec<&str> =
-        all.iter().filter(|e| e.identifiable == Some(false)).map(|e| e.name.as_str()).collect();
+    let unseen: Vec<&str> = all
+        .iter()
+        .filter(|e| e.identifiable == Some(false) && !e.is_of_input())
+        .map(|e| e.name.as_str())
+        .collect();
     if !unseen.is_empty() {
         out.push(format!(
             "not identifiable: {}: these observations leave more than {:.0} % of the prior's σ, and what is \
@@ -96,9 +110,11 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
     }
     let mut seen = vec![false; all.len()];
     for i in 0..all.len() {
-        let like = |j: &usize| all[i].correlations.get(*j).is_some_and(|c| c.abs() >= COLLINEAR);
+        let like = |j: &usize| {
+            !all[*j].is_of_input() && all[i].correlations.get(*j).is_some_and(|c| c.abs() >= COLLINEAR)
+        };
         let group: Vec<usize> = (i..all.len()).filter(|j| !seen[*j] && (*j == i || like(j))).collect();
-        if seen[i] || group.len() < 2 {
+        if seen[i] || all[i].is_of_input() || group.len() < 2 {
             continue;
         }
         group.iter().for_each(|j| seen[*j] = true);
@@ -108,6 +124,34 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
             "{} are seen together only (correlation {least:.3} or more): their combination is known better \
              than each",
             few(&names)
+        ));
+    }
+    out.extend(of_inputs(all));
+    out
+}
+
+/// How far recorded places were moved: the root mean squares of the numbers of an error in time.
+fn of_inputs(all: &[Estimated]) -> Vec<String> {
+    let mut out = Vec::new();
+    let inputs: Vec<&Estimated> = all.iter().filter(|e| e.is_of_input()).collect();
+    let support = |e: &Estimated| e.name.split('.').next().unwrap_or_default().to_string();
+    for of in inputs.chunk_by(|a, b| support(a) == support(b)) {
+        let mean = |of_one: &dyn Fn(&Estimated) -> f64| {
+            (of.iter().map(|e| of_one(e).powi(2)).sum::<f64>() / of.len() as f64).sqrt()
+        };
+        let sigma = match of.iter().all(|e| e.sigma.is_some()) {
+            true => format!(
+                ", σ of each {:.2e} m before and {:.2e} m after",
+                of[0].prior_sigma,
+                mean(&|e| { e.sigma.unwrap_or(f64::NAN) })
+            ),
+            false => String::new(),
+        };
+        out.push(format!(
+            "{}: the recorded place is moved by an error of {} numbers, {:.2e} m in the root mean square{sigma}",
+            support(of[0]),
+            of.len(),
+            mean(&|e| e.value)
         ));
     }
     out

@@ -11,10 +11,11 @@ const MOST_CORRELATED: usize = 12;
 
 /// The section of the page; empty where nothing was estimated.
 pub(super) fn section(all: &[Estimated]) -> String {
-    if all.is_empty() {
+    if all.iter().all(Estimated::is_of_input) {
         return String::new();
     }
-    let rows: String = all.iter().map(row).collect();
+    // errors in time are in estimates.csv, and a remark has their size
+    let rows: String = all.iter().filter(|e| !e.is_of_input()).map(row).collect();
     let headings = ["constant", "analysis", "prior", "95 % interval", "", "mesh"];
     format!(
         "<section><h2>Estimated constants</h2>{}<p>Values ± σ. The bar is the 95 % interval within that of \
