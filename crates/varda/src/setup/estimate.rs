@@ -129,6 +129,11 @@ impl Estimates {
         self.constants.len()
     }
 
+    /// Whether their priors are independent of each other.
+    pub(crate) fn are_independent(&self) -> bool {
+        self.fields.is_empty()
+    }
+
     /// How many of them the model does not depend on.
     pub(crate) fn carried(&self) -> usize {
         self.len() - self.of_model
