@@ -83,7 +83,7 @@ impl RodStep {
     }
 
     /// Edges and turns of x_{k+1}, for the holonomy of the end clamp's angle.
-    fn set_edges_of_next(&mut self, at: &Interval, x: &[f64], u: &[f64]) {
+    pub(crate) fn set_edges_of_next(&mut self, at: &Interval, x: &[f64], u: &[f64]) {
         let mut next = std::mem::take(&mut self.state);
         self.follow(at, x, u, &mut next);
         self.system.place(at.end()).expect("the step was accepted before");
@@ -145,7 +145,7 @@ impl RodStep {
     }
 
     /// Lengths of what a solved step keeps: the holonomies of the stage and of x_{k+1}, and damping's part.
-    fn kept_lengths(&self) -> [usize; 3] {
+    pub(crate) fn kept_lengths(&self) -> [usize; 3] {
         let layout = &self.system.layout;
         let holonomy = |needed: bool| if needed { HOLONOMY * layout.segments } else { 0 };
         let damping = self.viscous.as_ref().map_or(0, |viscous| viscous.kept(layout));

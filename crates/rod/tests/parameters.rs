@@ -6,11 +6,13 @@ use std::f64::consts::PI;
 
 use common::{assert_close, noise, products};
 use varda_implicit::{
-    Error, ImplicitModel, ImplicitStep, Model, ParametricStep, Scheme, SolvedStep, WithParameters,
+    At, Error, ImplicitModel, ImplicitStep, Model, ObservationOperator, ParametricStep, Scheme, SolvedStep,
+    WithParameters,
 };
 use varda_rod::{
-    Change, Clamp, ClampAt, Damping, Law, Loads, Material, Parameter, Rod, RodStep, Section, Supports,
-    TwistUnknowns, Vector3, straight_guess,
+    Change, Clamp, ClampAt, Damping, Displacement, Drag, EdgeLoad, EdgeMotion, EllipseDrive, HeldAt, Law,
+    Load, Loads, Marker, Markers, Material, Motion, Moved, MovedBy, Parameter, Rod, RodStep, Section,
+    Supports, TwistUnknowns, Vector3, straight_guess,
 };
 
 const SEGMENTS: usize = 8;
@@ -25,6 +27,9 @@ struct Case {
     spins: bool,
     end: bool,
     held: bool,
+    /// Parameters move the supports.
+    moved: bool,
+    drag: bool,
 }
 
 const PLAIN: Case = Case {
@@ -35,6 +40,8 @@ const PLAIN: Case = Case {
     spins: false,
     end: false,
     held: true,
+    moved: false,
+    drag: false,
 };
 const LOST: Damping = Damping { stiffness: 0.02, mass: 0.4 };
 
@@ -46,6 +53,11 @@ fn cases() -> Vec<Case> {
         Case { name: "anisotropic and damped", anisotropic: true, damping: LOST, ..PLAIN },
         Case { name: "curved, held at both ends", curved: true, end: true, damping: LOST, ..PLAIN },
         Case { name: "spinning", anisotropic: true, curved: true, spins: true, damping: LOST, ..PLAIN },
+        Case { name: "moved", moved: true, ..PLAIN },
+        Case { name: "moved in a fluid", moved: true, drag: true, ..PLAIN },
+        Case { name: "moved, curved and damped", moved: true, curved: true, damping: LOST, ..PLAIN },
+        Case { name: "moved at both ends", moved: true, curved: true, anisotropic: true, end: true, ..PLAIN },
+        Case { name: "moved at both ends and damped", moved: true, end: true, damping: LOST, ..PLAIN },
         Case { name: "no director held", curved: true, held: false, ..PLAIN },
     ]
 }
@@ -70,15 +82,66 @@ fn rod(case: Case) -> Rod {
 
 fn supports(case: Case) -> Supports {
     let place = |t: f64| [0.05 * (5.0 * t).sin(), 0.0, 0.0];
-    let mut supports = if case.held {
+    let (turning, face) = (|t: f64| [1.0, 2.0 * t, 0.3 * t], |t: f64| [0.3 * t, -t, 1.0]);
+    let mut supports = if case.moved {
+        Supports::clamped_start(Clamp::new(ClampAt::Face, DRIVE, turning, face))
+    } else if case.held {
         Supports::clamped_start(Clamp::new(ClampAt::Edge, place, Vector3::x(), Vector3::z()))
     } else {
         Supports { prescribed: vec![(0, std::sync::Arc::new(place))], ..Supports::default() }
     };
     if case.end {
-        supports.end = Some(Clamp::new(ClampAt::Edge, [0.93, 0.1, 0.0], Vector3::x(), Vector3::z()));
+        let end = if case.moved { DRIVE.at(0.0).x + 0.93 } else { 0.93 };
+        supports.end = Some(Clamp::new(ClampAt::Edge, [end, 0.1, 0.0], Vector3::x(), Vector3::z()));
+    } else if case.moved {
+        let near = straight(case, SEGMENTS - 2);
+        supports.prescribed.push((SEGMENTS - 2, std::sync::Arc::new(near)));
     }
     supports
+}
+
+const DRIVE: EllipseDrive = EllipseDrive {
+    centre: Vector3::new(0.0, 0.0, 0.0),
+    radii: [0.04, 0.02],
+    omega: 7.0,
+    phase: 0.3,
+    ramp: 0.0,
+};
+
+/// Where a vertex of the straight rod is.
+fn straight(case: Case, vertex: usize) -> [f64; 3] {
+    let s = rod(case).with_faces([true, false]).arc_lengths()[vertex];
+    let start = DRIVE.at(0.0);
+    [start.x + 0.99 * s, start.y + 0.05, start.z]
+}
+
+/// What moves the supports.
+fn moves(case: Case) -> Vec<Parameter> {
+    let linear = |of: HeldAt, by: MovedBy| {
+        let change = Change { supports: vec![Moved { of, by }], ..Change::default() };
+        Parameter { change, law: Law::Linear }
+    };
+    let drive = |radii, phase| MovedBy::Drive { drive: DRIVE, radii, phase };
+    let along = |v: Vector3<f64>| {
+        MovedBy::Along(Displacement(std::sync::Arc::new(move |t: f64| v * (1.0 + (30.0 * t).sin()) * 0.01)))
+    };
+    let mut all = vec![
+        linear(HeldAt::Start, MovedBy::Turn(Vector3::x())),
+        linear(HeldAt::Start, MovedBy::Turn(Vector3::y())),
+        linear(HeldAt::Start, MovedBy::Turn(Vector3::new(0.1, 0.0, 1.0))),
+        Parameter { law: Law::Exponential, ..linear(HeldAt::Start, drive([0.04, 0.0], 0.0)) },
+        linear(HeldAt::Start, drive([0.0, 0.01], 0.0)),
+        linear(HeldAt::Start, drive([0.0; 2], 1.0)),
+        linear(HeldAt::Start, along(Vector3::new(1.0, 0.3, -0.4))),
+    ];
+    if case.end {
+        all.push(linear(HeldAt::End, MovedBy::Turn(Vector3::new(0.0, 1.0, 0.2))));
+        all.push(linear(HeldAt::End, MovedBy::Turn(Vector3::z())));
+        all.push(linear(HeldAt::End, along(Vector3::new(-0.4, 1.0, 0.3))));
+    } else {
+        all.push(linear(HeldAt::Vertex(SEGMENTS - 2), along(Vector3::new(-0.4, 1.0, 0.3))));
+    }
+    all
 }
 
 /// Every kind of parameter that a case has.
@@ -118,7 +181,32 @@ fn unknowns(case: Case) -> Vec<Parameter> {
         let ei2 = rod.ei.iter().map(|k| [0.0, 0.0, k[2]]).collect();
         all.push(exponential(Change { ei: ei2, ..none() }));
     }
+    if case.moved {
+        all.extend(moves(case));
+    }
     all
+}
+
+/// A force −c (v_b − v_a) on the second vertex of an edge and its opposite on the first: that on a free one
+/// depends on how fast the held one moves.
+struct Dashpot(f64);
+
+impl Load for Dashpot {
+    fn has_potential(&self) -> bool {
+        false
+    }
+    fn on_edge(&self, motion: &EdgeMotion) -> EdgeLoad {
+        let [a, b] = motion.velocities;
+        let mut load = EdgeLoad::zero();
+        let force = (b - a) * self.0;
+        for c in 0..3 {
+            (load.forces[c], load.forces[3 + c]) = (force[c], -force[c]);
+            for (row, column, sign) in [(0, 0, -1.0), (0, 3, 1.0), (3, 0, 1.0), (3, 3, -1.0)] {
+                load.by_velocities[(row + c, column + c)] = sign * self.0;
+            }
+        }
+        load
+    }
 }
 
 const DOWN: Loads =
@@ -126,7 +214,14 @@ const DOWN: Loads =
 
 fn step(case: Case, scheme: Scheme) -> RodStep {
     let unknown = unknowns(case);
-    RodStep::with_parameters(rod(case), supports(case), DOWN, case.damping, unknown)
+    let mut loads = DOWN;
+    if case.drag {
+        let flow = Vector3::new(0.1, 0.4, 0.0);
+        let drag = Drag { fluid_density: 200.0, diameter: 0.02, normal: 1.2, tangential: 0.3, flow };
+        loads.of_motion.push(std::sync::Arc::new(drag));
+        loads.of_motion.push(std::sync::Arc::new(Dashpot(0.3)));
+    }
+    RodStep::with_parameters(rod(case), supports(case), loads, case.damping, unknown)
         .unwrap()
         .with_scheme(scheme)
 }
@@ -235,6 +330,42 @@ fn forces_move_with_the_parameters_as_differences_say() {
             let (error, size) = common::off(&tangent, &by_difference);
             // rounding of 1e3 N over 1e-3
             assert!(error <= 1e-8 * size.max(1e-2), "{}, {i}: off by {error:e} of {size:e}", case.name);
+        }
+    }
+}
+
+/// Places of markers at a fixed state, off the centreline too.
+#[test]
+fn markers_move_with_the_supports_as_differences_say() {
+    for case in cases().into_iter().filter(|case| case.moved) {
+        let step = step(case, Scheme::BackwardEuler);
+        let z = control(&step);
+        let p = z[z.len() - step.parameters()..].to_vec();
+        let mut model = ImplicitModel::new(WithParameters::new(step, 0), 0, 0.01);
+        let mut x = vec![0.0; Model::dim(&model)];
+        model.initial_state(&z, &mut x).unwrap();
+        let x = model.step_mut().at(&x).unwrap().1.to_vec();
+        let step = model.into_inner().into_step();
+        let places = [0.02, 0.09, 0.31, 0.55, 0.97].map(|s| Marker { s, offset: [0.01, -0.02, 0.03].into() });
+        let mut markers = Markers::new(&step, &places).unwrap();
+        let (at, moving) = (At { step: 0, time: 0.0 }, markers.moving_parameters().to_vec());
+        let mut columns = vec![0.0; 15 * moving.len()];
+        markers.set_parameters(&p);
+        markers.by_parameters(at, &x, &mut columns).unwrap();
+        assert_eq!(moving.len(), moves(case).len());
+        for (&i, column) in moving.iter().zip(columns.chunks_exact(15)) {
+            let mut dp = vec![0.0; p.len()];
+            dp[i] = 1.0;
+            let by_difference = common::difference(&p, &dp, 1e-3, |p| {
+                let mut y = vec![0.0; 15];
+                markers.set_parameters(p);
+                markers.observe(at, &x, &mut y).unwrap();
+                y
+            });
+            markers.set_parameters(&p);
+            // rounding of 1 m over 1e-3; a vertex far from the markers moves none
+            let (error, size) = common::off(column, &by_difference);
+            assert!(error <= 1e-10 * size.max(1.0), "{}, {i}: off by {error:e} of {size:e}", case.name);
         }
     }
 }

@@ -60,7 +60,7 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
         }
     }
     // a field has a value at every vertex: estimates.csv has all
-    for e in o.estimates.iter().filter(|e| e.arc_length.is_none()) {
+    for e in o.estimates.iter().filter(|e| !e.is_of_field()) {
         line(&e.name, e.in_words());
     }
     for w in &o.withheld {

@@ -43,9 +43,20 @@ pub struct Estimated {
 }
 
 impl Estimated {
-    /// The field that it is a number of.
+    /// The field along the rod that it is a number of.
     pub fn field(&self) -> Option<&str> {
         self.arc_length.and_then(|_| self.name.split("(s = ").next())
+    }
+
+    /// Whether it is one value of a field along the rod, or of an error in time.
+    pub(crate) fn is_of_field(&self) -> bool {
+        self.arc_length.is_some() || self.is_of_input()
+    }
+
+    /// Whether it is one value of an error in time of what was recorded: whether the observations see each is
+    /// no question.
+    pub(crate) fn is_of_input(&self) -> bool {
+        self.name.contains("(t = ")
     }
 
     /// Whether more of σ is the mesh's than the observations'.
@@ -93,7 +104,7 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
         );
     }
     let mut unseen: Vec<String> = Vec::new();
-    for e in all.iter().filter(|e| e.identifiable == Some(false)) {
+    for e in all.iter().filter(|e| e.identifiable == Some(false) && !e.is_of_input()) {
         let name = match e.field() {
             Some(field) => {
                 let of_it = |o: &&Estimated| o.field() == Some(field);
@@ -120,9 +131,9 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
         // numbers of a field beside each other are alike by its prior
         let apart = |j: usize| all[i].field().is_none() || all[i].field() != all[j].field();
         let correlated = |j: usize| all[i].correlations.get(j).is_some_and(|c| c.abs() >= COLLINEAR);
-        let like = |j: &usize| apart(*j) && correlated(*j);
+        let like = |j: &usize| apart(*j) && correlated(*j) && !all[*j].is_of_input();
         let group: Vec<usize> = (i..all.len()).filter(|j| !seen[*j] && (*j == i || like(j))).collect();
-        if seen[i] || group.len() < 2 {
+        if seen[i] || all[i].is_of_input() || group.len() < 2 {
             continue;
         }
         group.iter().for_each(|j| seen[*j] = true);
@@ -132,6 +143,34 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
             "{} are seen together only (correlation {least:.3} or more): their combination is known better \
              than each",
             few(&names)
+        ));
+    }
+    out.extend(of_inputs(all));
+    out
+}
+
+/// How far recorded places were moved: the root mean squares of the numbers of an error in time.
+fn of_inputs(all: &[Estimated]) -> Vec<String> {
+    let mut out = Vec::new();
+    let inputs: Vec<&Estimated> = all.iter().filter(|e| e.is_of_input()).collect();
+    let support = |e: &Estimated| e.name.split('.').next().unwrap_or_default().to_string();
+    for of in inputs.chunk_by(|a, b| support(a) == support(b)) {
+        let mean = |of_one: &dyn Fn(&Estimated) -> f64| {
+            (of.iter().map(|e| of_one(e).powi(2)).sum::<f64>() / of.len() as f64).sqrt()
+        };
+        let sigma = match of.iter().all(|e| e.sigma.is_some()) {
+            true => format!(
+                ", σ of each {:.2e} m before and {:.2e} m after",
+                of[0].prior_sigma,
+                mean(&|e| { e.sigma.unwrap_or(f64::NAN) })
+            ),
+            false => String::new(),
+        };
+        out.push(format!(
+            "{}: the recorded place is moved by an error of {} numbers, {:.2e} m in the root mean square{sigma}",
+            support(of[0]),
+            of.len(),
+            mean(&|e| e.value)
         ));
     }
     out

@@ -14,6 +14,7 @@ use super::exact_hessian::ExactHessian;
 use super::fit::{Fit, Forecast, Rejected, Withheld};
 use super::model_errors::ModelErrors;
 use super::next_observation::NextObservation;
+use super::shares::{KnownConstants, Share};
 use super::space::Shapes;
 use super::spread::ObservedValue;
 use super::verdict::Judgement;
@@ -93,6 +94,11 @@ pub struct Outcome {
     pub rejected: Vec<Rejected>,
     /// Constants that were estimated beside the state.
     pub estimates: Vec<Estimated>,
+    /// What J is made of.
+    pub shares: Vec<Share>,
+    /// σ at the start and at the end of the window, and what it would be with these constants known; empty
+    /// without such or without a dense posterior.
+    pub with_constants_known: Vec<KnownConstants>,
     /// RMSE of the initial state against the truth.
     pub rmse: Rmse,
     /// Where the time went.

@@ -11,10 +11,11 @@ const MOST_CORRELATED: usize = 12;
 
 /// The section of the page; empty where nothing was estimated.
 pub(super) fn section(all: &[Estimated]) -> String {
-    if all.is_empty() {
+    if all.iter().all(Estimated::is_of_input) {
         return String::new();
     }
-    let rows: String = all.iter().filter(|e| e.arc_length.is_none()).map(row).collect();
+    // errors in time are in estimates.csv, and a remark has their size
+    let rows: String = all.iter().filter(|e| !e.is_of_field()).map(row).collect();
     let fields = match all.iter().any(|e| e.arc_length.is_some()) {
         true => "<p>Fields along the rod are drawn below; their numbers are in estimates.csv.</p>",
         false => "",

@@ -8,8 +8,9 @@ use varda_rod::{InternalForces, RodStep};
 
 use super::fit::predicted;
 use super::next_observation::Gathering;
+use super::shares::Given;
 use crate::Error;
-use crate::outcome::{NextObservation, ObservedValue, Rejected, Trajectories};
+use crate::outcome::{KnownConstants, NextObservation, ObservedValue, Rejected, Trajectories};
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
 use crate::setup::rod::RodSystem;
@@ -22,6 +23,8 @@ pub(super) struct Spread {
     seen: Vec<Vec<f64>>,
     /// σ of the forces within a rod and of its reactions, from step 1 on.
     pub(super) forces: Vec<InternalForces>,
+    /// σ with and without the constants known, at the start and at the end of the window.
+    pub(super) known: Vec<KnownConstants>,
     /// Where one more observation would help most.
     pub(super) next: Option<NextObservation>,
 }
@@ -104,8 +107,10 @@ pub(super) fn along(
         states: Vec::with_capacity(runs.analysis.len()),
         seen: vec![Vec::new(); problem.observed.seen.len()],
         forces: Vec::new(),
+        known: Vec::new(),
         next: None,
     };
+    let given = Given::of(root, control.len(), problem.system.estimates().len());
     let mut further = Gathering::new(problem, root.len() / control.len().max(1));
     let mut within = match problem.system.rod() {
         Some(rod) => Some(ForceSpread::of(rod, &runs.analysis[..n])?),
@@ -120,6 +125,9 @@ pub(super) fn along(
         spread.states.extend(deviations(w, n));
         if let Some(further) = &mut further {
             further.see(k, n, w);
+        }
+        if let Some(given) = given.as_ref().filter(|_| k == 0 || k == grid.steps) {
+            spread.known.extend(given.shown(problem, k, n, w));
         }
         let rows = set.rows_at(k);
         let state = &runs.analysis[k * n..(k + 1) * n];

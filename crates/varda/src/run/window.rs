@@ -11,7 +11,8 @@ use varda_linalg::interrupt::{self, Ends};
 use super::interrupted::{Asked, Lowest};
 use super::verdict::{self, Judged};
 use super::{
-    amplification, between_steps, departures, estimates, fit, model_errors, second_minimum, shapes, spread,
+    amplification, between_steps, departures, estimates, fit, model_errors, second_minimum, shapes, shares,
+    spread,
 };
 use crate::Error;
 use crate::outcome::{
@@ -214,6 +215,8 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
     let rejected = rejected(experiment, &solution.rejected);
     let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
     let estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
+    let shares =
+        shares::shares(problem, &analysis, errors_of_model.as_ref(), solution.spread.is_some(), root)?;
     let mut spread = spread::along(problem, make_model(0).as_mut(), &analysis.analysis, root, &trajectories)?;
     if let (Some(shapes), Some(spread)) = (&mut shapes, &mut spread) {
         shapes.sigma_forces = std::mem::take(&mut spread.forces);
@@ -240,6 +243,8 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
         counts: solution.counts,
         model_counts: log.counts,
         rejected,
+        with_constants_known: spread.as_mut().map_or_else(Vec::new, |s| std::mem::take(&mut s.known)),
+        shares,
         next_observation: spread.as_mut().and_then(|spread| spread.next.take()),
         sigma_states: spread.map_or_else(Vec::new, |spread| spread.states),
         observed,

@@ -6,6 +6,8 @@ use varda_covariance::{
 use varda_rod::{Change, Damping, Law, Parameter, Rod, Section, Vector3};
 
 use super::covariance::{Factored, WithoutError};
+use super::estimate_supports;
+use super::motion::Followed;
 use crate::Error;
 use crate::scene::{
     ConstantPrior, Model, OF_OBSERVATIONS, OF_PLACES, Observations, PriorSpread, RodModel, SceneFile, Unknown,
@@ -111,6 +113,9 @@ pub(crate) struct Described<'a> {
     /// The rod between the faces of its clamps.
     pub(crate) rod: &'a Rod,
     pub(crate) damping: Damping,
+    /// Recorded motions that its supports follow, and the first and last time of a run \[s\].
+    pub(super) followed: &'a [Followed],
+    pub(super) run: [f64; 2],
 }
 
 impl Estimates {
@@ -122,6 +127,11 @@ impl Estimates {
     /// How many numbers follow the state in the control.
     pub fn len(&self) -> usize {
         self.constants.len()
+    }
+
+    /// Whether their priors are independent of each other.
+    pub(crate) fn are_independent(&self) -> bool {
+        self.fields.is_empty()
     }
 
     /// How many of them the model does not depend on.
@@ -259,10 +269,36 @@ impl Estimates {
         if let Some((prior, length)) = field.and_then(|prior| Some((prior, prior.correlation_length?))) {
             return self.add_field(file, &path, key, prior, length, described.rod, model);
         }
-        let kinds = kinds(key, model, described, unknown.together());
+        if key == "base" {
+            return self.add_base(file, model, described, unknown);
+        }
+        let section = described.section;
+        let isotropic = section.ei1 == section.ei2;
+        let of_supports = estimate_supports::kinds(key, model, &file.scene.estimate, isotropic);
+        let kinds = of_supports.unwrap_or_else(|| kinds(key, model, described, unknown.together()));
         let priors = file.checked(unknown.priors(&path, kinds.len()))?;
         for (kind, (path, prior)) in kinds.into_iter().zip(priors) {
             self.add(file, &path, kind, prior)?;
+        }
+        Ok(())
+    }
+
+    /// Errors of recorded places.
+    fn add_base(
+        &mut self,
+        file: &SceneFile,
+        model: &RodModel,
+        described: &Described,
+        unknown: &Unknown,
+    ) -> Result<(), Error> {
+        let path = "estimate.base";
+        let prior = file.prior_of_one(path, &Some(unknown.clone()))?;
+        let Some(PriorSpread::Normal(sigma)) = prior else { unreachable!("the scene was checked") };
+        let all = estimate_supports::of_base(unknown, sigma, model, described.followed, described.run);
+        for (constant, parameter) in all.map_err(|message| file.invalid(path, message))? {
+            self.of_rod.push(parameter);
+            self.of_model += 1;
+            self.constants.push(constant);
         }
         Ok(())
     }
@@ -395,15 +431,15 @@ impl Estimates {
 }
 
 /// A constant of a rod.
-struct Kind {
-    name: String,
-    unit: &'static str,
-    value: f64,
-    change: Effect,
+pub(super) struct Kind {
+    pub(super) name: String,
+    pub(super) unit: &'static str,
+    pub(super) value: f64,
+    pub(super) change: Effect,
 }
 
 /// What a constant changes.
-enum Effect {
+pub(super) enum Effect {
     /// At its full value: the change is proportional to it.
     Share(Change),
     /// Where it grows by one unit.
@@ -519,6 +555,7 @@ fn times(change: Change, factor: f64) -> Change {
         damping: Damping { stiffness: factor * change.damping.stiffness, mass: factor * change.damping.mass },
         gravity: change.gravity * factor,
         gravity_turn: change.gravity_turn * factor,
+        supports: change.supports.into_iter().map(|moved| moved.times(factor)).collect(),
     }
 }
 

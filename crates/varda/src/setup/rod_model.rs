@@ -99,7 +99,7 @@ impl RodParts {
         let (loads, pull) = loads(file, &mut motions, model, &rod)?;
         let damping = Damping { stiffness: model.damping.stiffness, mass: model.damping.mass };
         let scheme = file.checked(file.scene.time.integrator.of_rod())?;
-        let mut remarks = motions.remarks;
+        let (run, followed, mut remarks) = (motions.run, motions.followed, motions.remarks);
         remarks.extend(edge_clamps(model, &rod));
         let covariance = file.checked(file.scene.background.covariance.of_rod("background.covariance"))?;
         let spins_in_control = match covariance {
@@ -107,8 +107,14 @@ impl RodParts {
             None => false,
         };
         let between_faces = rod.clone().with_faces(supports.faces());
-        let described =
-            Described { section: &section, line_masses: &line_masses, rod: &between_faces, damping };
+        let described = Described {
+            section: &section,
+            line_masses: &line_masses,
+            rod: &between_faces,
+            damping,
+            followed: &followed,
+            run,
+        };
         let estimates = Estimates::of_rod(file, model, &described)?;
         let parts = RodParts {
             estimates,

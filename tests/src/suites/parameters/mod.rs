@@ -5,6 +5,7 @@ mod gradients;
 mod gripped;
 mod observed;
 mod recovery;
+mod supports;
 
 use super::Options;
 use crate::row::{Row, Rows};
@@ -15,6 +16,7 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     filter::run(&mut rows);
     recovery::run(&mut rows);
     observed::run(&mut rows);
+    supports::run(&mut rows, options.quick);
     if options.full {
         gripped::run(&mut rows);
     }
