@@ -27,6 +27,8 @@ pub(crate) struct AtRest {
     /// The columns of ∂G/∂p, and an increment of x that is none.
     columns: Vec<f64>,
     none: Vec<f64>,
+    /// One parameter alone.
+    dp: Vec<f64>,
 }
 
 impl RodStep {
@@ -111,6 +113,7 @@ impl RodStep {
             g: vec![0.0; unknowns],
             columns: vec![0.0; unknowns * self.parameters()],
             none: vec![0.0; self.system.layout.state()],
+            dp: vec![0.0; self.parameters()],
         }));
         Ok(self)
     }
@@ -156,15 +159,19 @@ impl RodStep {
     pub(crate) fn rest_by_parameters(&mut self, into: &mut [f64]) {
         let Some(mut rest) = self.at_rest.take() else { return };
         let at = at_rest(rest.t);
-        let AtRest { from, u, kept, solver, factor, columns, none, .. } = &mut *rest;
+        let AtRest { from, u, kept, solver, factor, columns, none, dp, .. } = &mut *rest;
         let of = SolvedStep { at: &at, x: from, u, kept };
         self.prepare(&at, from).expect("the equilibrium was found before");
         self.parameter_jacobian(&of, columns);
         let own = self.system.layout.state();
-        for (column, into) in columns.chunks_exact_mut(u.len().max(1)).zip(into.chunks_exact_mut(own)) {
+        let columns = columns.chunks_exact_mut(u.len().max(1));
+        for (p, (column, into)) in columns.zip(into.chunks_exact_mut(own)).enumerate() {
             solver.solve(factor, column);
             column.iter_mut().for_each(|du| *du = -*du);
             self.advance_tangent(&of, none, column, into);
+            dp.fill(0.0);
+            dp[p] = 1.0;
+            self.advance_parameters_tangent(&of, dp, into);
             self.stand_still(into);
         }
         self.at_rest = Some(rest);

@@ -239,6 +239,8 @@ impl RodStep {
                 s.moved_places(p, time, one).expect("the step was accepted before");
                 start.iter_mut().zip(&*one).for_each(|(start, one)| *start += one * share);
             }
+            // nothing moves at rest
+            let from = (!self.is_at_rest).then_some(from);
             s.moved_loads_add(from, [places, start], angles, dg);
         }
         let [holonomy, end, _] = self.kept_lengths();
