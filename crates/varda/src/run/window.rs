@@ -214,7 +214,9 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
     let rejected = rejected(experiment, &solution.rejected);
     let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
     let estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
-    let mut spread = spread::along(problem, make_model(0).as_mut(), &analysis.analysis, root, &trajectories)?;
+    let posterior = solution.spread.as_ref();
+    let mut spread =
+        spread::along(problem, make_model(0).as_mut(), &analysis.analysis, posterior, &trajectories)?;
     if let (Some(shapes), Some(spread)) = (&mut shapes, &mut spread) {
         shapes.sigma_forces = std::mem::take(&mut spread.forces);
     }

@@ -26,6 +26,10 @@ const LARGEST_DENSE_POSTERIOR: usize = 3000;
 /// Products of a low-rank posterior, and vectors it keeps, at most.
 pub(crate) const MOST_PRODUCTS: usize = 200;
 
+/// Most columns of a root of the posterior of a weak form that is carried along the window; of more unknowns
+/// it is the prior less what was learnt.
+pub(crate) const MOST_ROOT_COLUMNS: usize = 1000;
+
 /// Where one more observation would help: places looked at, times at which they are seen, and columns of a
 /// root, at most (more of either and the answer takes longer than the rest of the diagnostics); and numbers
 /// gathered at most, so that fewer times are looked at of a larger root.

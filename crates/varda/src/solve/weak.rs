@@ -11,6 +11,7 @@ use super::minimizer;
 use super::task::{Iterate, PosteriorSpread, SubWindow, SubWindowEnd, Task, deviations, is_whole, roots};
 use crate::outcome::{ModelErrors, WorkCounts};
 use crate::setup::covariance::Factored;
+use crate::setup::memory::MOST_ROOT_COLUMNS;
 use crate::setup::runs::run_on;
 
 impl Task<'_> {
@@ -130,7 +131,10 @@ impl Found {
         if posterior {
             match WeakPosterior::new(cost) {
                 Ok(posterior) => {
-                    found.spread = Some(PosteriorSpread::around(posterior.initial(), transform, false));
+                    found.spread = Some(PosteriorSpread {
+                        with_errors: Some(posterior.with_errors(transform, q, MOST_ROOT_COLUMNS)),
+                        ..PosteriorSpread::around(posterior.initial(), transform, false)
+                    });
                     let sigma = |j: usize| roots(posterior.error_variance(q, j));
                     errors.sigma = (0..errors.steps.len()).flat_map(sigma).collect();
                     errors.expected_j_q = Some(posterior.expected_model_error());
