@@ -1,9 +1,9 @@
 //! The posterior of a model that errs, at later times.
 
+use crate::cycle_members::shorten;
 use crate::{At, ControlTransform, Error, Forcing, ObservationOperator, WeakPosterior};
 use varda_covariance::Covariance;
 use varda_implicit::Model;
-use varda_linalg::Svd;
 
 /// The covariance of the initial state and of the errors of a model, W Wᵀ − V Vᵀ
 /// ([`WeakPosterior::with_errors`]): columns of an initial state, δz, and of what is known of the errors,
@@ -248,12 +248,8 @@ impl Entering<'_> {
         }
         let count = now.len() / n - less;
         if count + self.q.root_dim() > 2 * n && count > n {
-            let Svd { values, left, .. } = Svd::thin(n, count, &now[less * n..])?;
-            now.truncate(less * n);
-            now.extend_from_slice(&left);
-            for (column, s) in now[less * n..].chunks_exact_mut(n).zip(&values) {
-                column.iter_mut().for_each(|w| *w *= s);
-            }
+            let added = now.split_off(less * n);
+            now.extend(shorten(n, added)?);
         }
         self.fresh = now.len() / n;
         now.resize(now.len() + n * self.q.root_dim(), 0.0);

@@ -98,6 +98,7 @@ mod cycle_window;
 mod departures;
 mod error;
 mod error_scale;
+mod full_rank;
 mod further;
 mod growth;
 mod inner;
@@ -126,7 +127,9 @@ pub use cost::{
     LeastSquares, Rejection, StrongConstraint, WeakForcing, WeakState, highest_j_of_a_fit, huber,
 };
 pub use cycle::{CycledCovariance, CycledEnsemble, CycledInflation, CycledUpdate, cycle};
-pub use cycle_window::{Cycle, CycleErrors, CycleState, CycledErrors, Cycling, Normals};
+pub use cycle_window::{
+    Cycle, CycleErrors, CycleState, CycledErrors, CycledEstimate, CycledMinimizer, Cycling, Normals,
+};
 pub use departures::Departures;
 pub use error::Error;
 pub use error_scale::ErrorScale;

@@ -1,7 +1,7 @@
 //! Weak constraint: the model errs by a forcing η, which is estimated with the initial state.
 
 use varda_assimilation::{
-    ControlTransform, CostFunction, Error, Forcing, InnerSolver, LeastSquares, Minimum, Status, WeakForcing,
+    ControlTransform, CostFunction, Error, Forcing, LeastSquares, Minimum, Status, WeakForcing,
     WeakPosterior, WeakState, outer_loop,
 };
 use varda_covariance::Covariance;
@@ -79,7 +79,7 @@ impl Task<'_> {
         let (n_z, n) = (background.len(), states.len() / (last + 1));
         let mut control = if v.is_empty() { background.to_vec() } else { v[..n_z].to_vec() };
         *v = cost.control(&control, &mut |k, x| x.copy_from_slice(&states[k * n..(k + 1) * n]));
-        let options = minimizer::outer(algorithm, InnerSolver::Primal);
+        let options = minimizer::outer_of(algorithm).unwrap_or_default();
         let before_this = (before.0, before.1 + run);
         let minimum = outer_loop(&mut cost, v, &options, &mut |iteration| {
             on_iterate(&Iterate { iteration, control: &iteration.v[..n_z], window, before: before_this })
