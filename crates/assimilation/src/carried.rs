@@ -28,8 +28,8 @@ struct Columns {
 }
 
 impl ErrorColumns {
-    /// (I − Y Yᵀ) of the initial state and all errors: W = U ⊕ Q^{1/2} ⊕ …, of which the errors enter as
-    /// they come, and V = W Y.
+    /// (I − Y Yᵀ) of the initial state and all errors: W = U ⊕ Q^{1/2} ⊕ …, of which the errors enter
+    /// as they come, and V = W Y.
     pub(crate) fn difference(
         y: &[f64],
         errors: usize,
@@ -143,9 +143,9 @@ impl Carried<'_> {
 ///     P_k = W_k W_kᵀ − V_k V_kᵀ
 /// ```
 ///
-/// with M_k linearized along `states` (x₀, x₁, … one after the other). Errors that the analysis knows nothing
-/// of, after its last observation, enter with their Q, so that a forecast is as uncertain as the model is
-/// said to be. `on_state` is called at every step; columns of different calls need not belong together.
+/// with M_k linearized along `states` (x₀, x₁, … one after the other). Errors that the analysis knows
+/// nothing of, after its last observation, enter with their Q, so that a forecast is as uncertain as the
+/// model is said to be. `on_state` is called at every step; columns of different calls need not belong together.
 /// On a linear problem it is the covariance of the Kalman smoother, and of the filter's forecast.
 ///
 /// Takes at every step one linearization (into slot 0) and a tangent product for each column, and a step of

@@ -53,8 +53,8 @@ pub struct CycledErrors<'a> {
 /// How the errors of a model are estimated in the windows of a sequence.
 #[derive(Clone, Copy)]
 pub enum CycledEstimate<'a> {
-    /// They are not: the window is strong, and Q widens what it hands on: a propagated B by every error on the
-    /// way to the next window, carried to its start by the tangent; members by draws at the start of the
+    /// They are not: the window is strong, and Q widens what it hands on: a propagated B by every error on
+    /// the way to the next window, carried to its start by the tangent; members by draws at the start of the
     /// next window, of the covariance of the errors on the way as if all had entered at its end.
     No,
     /// Weak-constraint 4D-Var over the forcing ([`WeakForcing`](crate::WeakForcing)).

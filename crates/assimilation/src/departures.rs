@@ -82,9 +82,9 @@ impl Add for Departures {
 /// Adjoint sweeps that a sequence spends on what B says of its innovations, at least one a window.
 const SWEEPS: usize = 32;
 
-/// Whitened departures of the background, which is the control `start`, and tr GGᵀ = E ‖Gᵀw‖² over vectors w of signs, one a
-/// window of a long sequence; over all unit vectors, where those are fewer. A gradient that the
-/// minimization asks for again, and an adjoint sweep each.
+/// Whitened departures of the background, which is the control `start`, and tr GGᵀ = E ‖Gᵀw‖² over
+/// vectors w of signs, one a window of a long sequence; over all unit vectors, where those are fewer. A gradient that
+/// the minimization asks for again, and an adjoint sweep each.
 pub(crate) fn expected_departures(
     cost: &mut dyn LeastSquares,
     start: &[f64],

@@ -118,8 +118,9 @@ impl WeakPosterior {
         self.scale
     }
 
-    /// A square root of P, by columns of the length of the control: I − Σ (1 − (1 + s²)^{-1/2}) z zᵀ, or
-    /// the columns (1 + s²)^{-1/2} z where they are a whole basis. Needs the square of that length in memory.
+    /// A square root of P, by columns of the length of the control: I − Σ (1 − (1 + s²)^{-1/2}) z zᵀ,
+    /// or the columns (1 + s²)^{-1/2} z where they are a whole basis. Needs the square of that length in
+    /// memory.
     pub fn root(&self) -> Vec<f64> {
         let [r, _] = self.dims;
         let mut weighted = self.directions.clone();
