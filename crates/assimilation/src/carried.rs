@@ -28,7 +28,7 @@ struct Columns {
 }
 
 impl ErrorColumns {
-    /// (I − Y Yᵀ) of the initial state and all errors: W = U ⊕ Q^{1/2} ⊕ …, of which the errors enter
+    /// (I − Y Yᵀ) of the initial state and all errors: W = U ⊕ Q^{1/2} ⊕ …, the errors entering
     /// as they come, and V = W Y.
     pub(crate) fn difference(
         y: &[f64],
@@ -145,8 +145,8 @@ impl Carried<'_> {
 ///
 /// with M_k linearized along `states` (x₀, x₁, … one after the other). Errors that the analysis knows
 /// nothing of, after its last observation, enter with their Q, so that a forecast is as uncertain as the
-/// model is said to be. `on_state` is called at every step; columns of different calls need not belong together.
-/// On a linear problem it is the covariance of the Kalman smoother, and of the filter's forecast.
+/// model is said to be. `on_state` is called at every step; columns of different calls need not belong
+/// together. On a linear problem it is the covariance of the Kalman smoother, and of the filter's forecast.
 ///
 /// Takes at every step one linearization (into slot 0) and a tangent product for each column, and a step of
 /// the model where an error entered; where nothing more is known of errors to come, columns beyond twice the

@@ -83,8 +83,8 @@ impl Add for Departures {
 const SWEEPS: usize = 32;
 
 /// Whitened departures of the background, which is the control `start`, and tr GGᵀ = E ‖Gᵀw‖² over
-/// vectors w of signs, one a window of a long sequence; over all unit vectors, where those are fewer. A gradient that
-/// the minimization asks for again, and an adjoint sweep each.
+/// vectors w of signs, one a window of a long sequence; over all unit vectors, where those are fewer. A
+/// gradient that the minimization asks for again, and an adjoint sweep each.
 pub(crate) fn expected_departures(
     cost: &mut dyn LeastSquares,
     start: &[f64],
