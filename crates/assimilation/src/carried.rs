@@ -1,9 +1,9 @@
 //! The posterior of a model that errs, at later times.
 
-use crate::cycle_members::shorten;
 use crate::{At, ControlTransform, Error, Forcing, ObservationOperator, WeakPosterior};
 use varda_covariance::Covariance;
 use varda_implicit::Model;
+use varda_linalg::dense::shorter_root;
 
 /// The covariance of the initial state and of the errors of a model, W Wᵀ − V Vᵀ
 /// ([`WeakPosterior::with_errors`]): columns of an initial state, δz, and of what is known of the errors,
@@ -120,17 +120,57 @@ impl Carried<'_> {
     /// # Panics
     /// If a column is of another length.
     pub fn sum_of_squares<'c>(&self, rows: usize, columns: impl Iterator<Item = &'c [f64]>) -> Vec<f64> {
-        let mut sums = [vec![0.0; rows], vec![0.0; rows]];
-        for (c, column) in columns.enumerate() {
-            assert_eq!(column.len(), rows, "length of a column");
-            let sum = &mut sums[usize::from(c >= self.less)];
-            sum.iter_mut().zip(column).for_each(|(s, w)| *s += w * w);
+        let mut sums = self.squares(rows);
+        columns.for_each(|column| sums.add(column.iter().copied()));
+        sums.end()
+    }
+
+    /// The same, given one column after the other.
+    pub fn squares(&self, rows: usize) -> Squares {
+        Squares { less: self.less, seen: 0, sums: [vec![0.0; rows], vec![0.0; rows]] }
+    }
+}
+
+/// Sums of squares along the rows of what columns lead to ([`Carried::squares`]).
+///
+/// ```
+/// use varda_assimilation::Carried;
+///
+/// let at = Carried { step: 0, dim: 1, before: &[], now: &[0.6, 1.0], less: 1 };
+/// let mut squares = at.squares(1);
+/// at.now.iter().for_each(|x| squares.add([2.0 * x].into_iter()));
+/// assert!((squares.end()[0] - 4.0 * 0.64).abs() < 1e-15);
+/// ```
+#[derive(Debug, Clone)]
+pub struct Squares {
+    less: usize,
+    seen: usize,
+    sums: [Vec<f64>; 2],
+}
+
+impl Squares {
+    /// The next column.
+    ///
+    /// # Panics
+    /// If it is of another length than there are rows.
+    pub fn add(&mut self, column: impl Iterator<Item = f64>) {
+        let sum = &mut self.sums[usize::from(self.seen >= self.less)];
+        let (mut rows, mut entries) = (0, column);
+        for (s, w) in sum.iter_mut().zip(&mut entries) {
+            *s += w * w;
+            rows += 1;
         }
-        let [less, added] = sums;
+        assert!(rows == self.sums[0].len() && entries.next().is_none(), "length of a column");
+        self.seen += 1;
+    }
+
+    /// The variances.
+    pub fn end(self) -> Vec<f64> {
+        let Self { less: count, sums: [less, added], .. } = self;
         added
             .iter()
             .zip(less)
-            .map(|(a, l)| (a - l).max(if self.less > 0 { f64::EPSILON * a } else { 0.0 }))
+            .map(|(a, l)| (a - l).max(if count > 0 { f64::EPSILON * a } else { 0.0 }))
             .collect()
     }
 }
@@ -150,7 +190,7 @@ impl Carried<'_> {
 ///
 /// Takes at every step one linearization (into slot 0) and a tangent product for each column, and a step of
 /// the model where an error entered; where nothing more is known of errors to come, columns beyond twice the
-/// length of a state are brought down to that length by singular values.
+/// length of a state are brought down to that length.
 ///
 /// ```
 /// use std::ops::ControlFlow;
@@ -248,8 +288,9 @@ impl Entering<'_> {
         }
         let count = now.len() / n - less;
         if count + self.q.root_dim() > 2 * n && count > n {
-            let added = now.split_off(less * n);
-            now.extend(shorten(n, added)?);
+            let shorter = shorter_root(n, &now[less * n..])?;
+            now.truncate(less * n);
+            now.extend(shorter);
         }
         self.fresh = now.len() / n;
         now.resize(now.len() + n * self.q.root_dim(), 0.0);

@@ -1,6 +1,6 @@
 //! Windows of a sequence whose model errs.
 
-use crate::cycle_members::{shorten, truncate};
+use crate::cycle_members::truncate;
 use crate::cycle_window::{
     Carry, Cycle, CycleState, CycledErrors, CycledEstimate, CycledMinimizer, Cycling, Ended,
 };
@@ -8,6 +8,7 @@ use crate::departures::{departures_at, expected_departures};
 use crate::full_rank::FullRank;
 use crate::{ControlTransform, Error, LeastSquares, StrongConstraint, WeakForcing, WeakPosterior, WeakState};
 use varda_covariance::{Covariance, Precision};
+use varda_linalg::dense::shorter_root;
 
 impl Cycling<'_> {
     /// One window of 4D-Var with errors of the model: weak where they are estimated, else strong.
@@ -115,7 +116,7 @@ impl Cycling<'_> {
                 (false, _) => 0.0,
                 (true, None) => f64::EPSILON,
                 (true, Some(_)) => {
-                    columns = shorten(n_z, columns)?;
+                    columns = shorter_root(n_z, &columns)?;
                     0.0
                 }
             };

@@ -210,16 +210,12 @@ fn square_root(n: usize, columns: &[f64]) -> Result<Vec<f64>, Error> {
     Ok(vectors)
 }
 
-/// A root of W Wᵀ with no more columns than rows, by singular values.
-pub(crate) fn shorten(n: usize, columns: Vec<f64>) -> Result<Vec<f64>, Error> {
-    let [mut left, size] = scaled_directions(n, &columns)?;
-    left.iter_mut().enumerate().for_each(|(i, z)| *z *= size[i % n]);
-    Ok(left)
-}
-
-/// Columns u s of the singular value decomposition of W with its rows brought to length 1, longest first,
-/// and the lengths of the rows.
-fn scaled_directions(n: usize, columns: &[f64]) -> Result<[Vec<f64>; 2], Error> {
+/// A root of W Wᵀ, by columns of length n, with as few columns as keep the variance of every component
+/// but for a share, and the largest share that was dropped. A share of 0 is W as it is.
+pub(crate) fn truncate(n: usize, columns: Vec<f64>, share: f64) -> Result<(Vec<f64>, f64), Error> {
+    if share == 0.0 || columns.is_empty() {
+        return Ok((columns, 0.0));
+    }
     let mut size = vec![0.0; n];
     for w in columns.chunks_exact(n) {
         size.iter_mut().zip(w).for_each(|(s, w)| *s += w * w);
@@ -231,17 +227,7 @@ fn scaled_directions(n: usize, columns: &[f64]) -> Result<[Vec<f64>; 2], Error> 
     for (z, s) in left.chunks_exact_mut(n).zip(&values) {
         z.iter_mut().for_each(|z| *z *= s);
     }
-    Ok([left, size])
-}
-
-/// A root of W Wᵀ, by columns of length n, with as few columns as keep the variance of every component
-/// but for a share, and the largest share that was dropped. A share of 0 is W as it is.
-pub(crate) fn truncate(n: usize, columns: Vec<f64>, share: f64) -> Result<(Vec<f64>, f64), Error> {
-    if share == 0.0 || columns.is_empty() {
-        return Ok((columns, 0.0));
-    }
-    let [mut left, size] = scaled_directions(n, &columns)?;
-    let (mut lost, mut kept) = (vec![0.0; n], left.len() / n);
+    let (mut lost, mut kept) = (vec![0.0; n], values.len());
     while kept > 1 {
         let last = &left[(kept - 1) * n..kept * n];
         let more: Vec<f64> = lost.iter().zip(last).map(|(l, z)| l + z * z).collect();

@@ -1,8 +1,8 @@
 //! A covariance known by a root of full rank, with its inverse.
 
 use crate::Error;
-use crate::cycle_members::shorten;
 use varda_covariance::{Covariance, Precision};
+use varda_linalg::dense::shorter_root;
 use varda_linalg::{Svd, axpy, dot};
 
 /// B = U S² Uᵀ from a root of it, W = U S Vᵀ, of n columns or more; its own root is U S.
@@ -27,7 +27,7 @@ impl FullRank {
             unit[j] = 0.0;
         }
         if count > n {
-            root = shorten(n, root)?;
+            root = shorter_root(n, &root)?;
         }
         let Svd { values: sizes, left: directions, .. } = Svd::thin(n, root.len() / n.max(1), &root)?;
         let least = n as f64 * f64::EPSILON * sizes.first().copied().unwrap_or(0.0);

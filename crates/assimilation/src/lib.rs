@@ -117,7 +117,7 @@ mod weak_posterior;
 pub use analysis::Analysis;
 pub use assimilation::{AnalysisResult, Assimilation};
 pub use blue::{Blue, Gain};
-pub use carried::{Carried, ErrorColumns, propagate_errors};
+pub use carried::{Carried, ErrorColumns, Squares, propagate_errors};
 pub use climatology::Climatology;
 pub use consistency::{Consistency, consistency, predicted_variance};
 pub use control::ControlTransform;

@@ -51,7 +51,8 @@ fn carried(of: &ErrorColumns, forcing: &Forcing, q: &dyn Covariance, states: &[f
         };
         let p = product(at.now, at.now);
         let (variance, now) = (at.variance(), p.clone());
-        (0..N).for_each(|i| assert!((variance[i] - now.at(i, i)).abs() <= 1e-13 * now.at(i, i).max(1.0)));
+        // differences of sums a thousand times as large, in another order
+        (0..N).for_each(|i| assert!((variance[i] - now.at(i, i)).abs() <= 1e-11 * now.at(i, i).max(1.0)));
         let seen = at.of(&mut Selection::new(vec![4, 1], N).unwrap(), At { step: 0, time: 0.0 }, &[0.0; N]);
         assert_eq!(seen, [variance[4], variance[1]]);
         out.push([p, if at.step == 0 { Matrix::new(N, N, |_, _| 0.0) } else { product(at.before, at.now) }]);

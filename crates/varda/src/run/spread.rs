@@ -1,6 +1,8 @@
 //! σ of the analysis at every time of window and forecast, in the state and at what is observed.
 
-use varda_assimilation::{Carried, ObservationSet, Prediction, propagate_errors, propagate_root};
+use std::borrow::Cow;
+
+use varda_assimilation::{Carried, ObservationSet, Prediction, Squares, propagate_errors, propagate_root};
 use varda_implicit::{Model, ParameterPlaces};
 use varda_rod::{InternalForces, RodStep};
 
@@ -41,14 +43,17 @@ impl ForceSpread {
     }
 
     /// Columns of states without their constants, and the constants of the rod in each.
-    fn split(&self, columns: &[f64]) -> [Vec<f64>; 2] {
+    fn split<'c>(&self, columns: &'c [f64]) -> (Cow<'c, [f64]>, Vec<f64>) {
+        if self.places.own_dim() == self.places.dim() {
+            return (Cow::Borrowed(columns), Vec::new());
+        }
         let (own, count) = (self.places.own_dim(), columns.len() / self.places.dim());
         let (mut states, mut constants) = (vec![0.0; count * own], Vec::new());
         for (long, own) in columns.chunks_exact(self.places.dim()).zip(states.chunks_exact_mut(own)) {
             self.places.gather(long, own);
             constants.extend_from_slice(&long[self.places.parameters()][..self.constants]);
         }
-        [states, constants]
+        (Cow::Owned(states), constants)
     }
 
     /// Of the analysis at a step, from the states before and now, W their columns:
@@ -60,22 +65,23 @@ impl ForceSpread {
         before: &[f64],
         now: &[f64],
     ) -> Result<InternalForces, varda_rod::Error> {
-        let [[dx_before, _], [dx, dp]] = [at.before, at.now].map(|w| self.split(w));
-        let [[before, _], [now, _]] = [before, now].map(|x| self.split(x));
-        let (mut sigma, mut values, mut count) = (InternalForces::default(), Vec::new(), 0);
+        let [(dx_before, _), (dx, dp)] = [at.before, at.now].map(|w| self.split(w));
+        let [(before, _), (now, _)] = [before, now].map(|x| self.split(x));
+        let mut sums: Option<(InternalForces, Squares)> = None;
         let mut add = |of: &mut InternalForces| {
-            if count == 0 {
-                sigma = of.clone();
-            }
-            values.extend(of.numbers().map(|v| *v));
-            count += 1;
+            let first = || (of.clone(), at.squares(of.clone().numbers().count()));
+            sums.get_or_insert_with(first).1.add(of.numbers().map(|v| *v));
         };
-        let columns = [&dx, &dx_before, &dp].map(Vec::as_slice);
-        let before = (grid.time(at.step - 1), before.as_slice());
-        self.rod.internal_forces_tangent(grid.time(at.step), &now, before, columns, &mut add)?;
-        let rows = sigma.numbers().count();
-        let squares = at.sum_of_squares(rows, values.chunks_exact(rows.max(1)));
-        sigma.numbers().zip(squares).for_each(|(sigma, square)| *sigma = square.sqrt());
+        let before = (grid.time(at.step - 1), &before[..]);
+        self.rod.internal_forces_tangent(
+            grid.time(at.step),
+            &now,
+            before,
+            [&dx, &dx_before, &dp],
+            &mut add,
+        )?;
+        let Some((mut sigma, squares)) = sums else { return Ok(InternalForces::default()) };
+        sigma.numbers().zip(squares.end()).for_each(|(sigma, square)| *sigma = square.sqrt());
         Ok(sigma)
     }
 }

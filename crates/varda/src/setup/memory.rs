@@ -27,7 +27,8 @@ const LARGEST_DENSE_POSTERIOR: usize = 3000;
 pub(crate) const MOST_PRODUCTS: usize = 200;
 
 /// Most columns of a root of the posterior of a weak form that is carried along the window; of more unknowns
-/// it is the prior less what was learnt.
+/// it is the prior less what was learnt. Of an initial state of more it is not carried: bringing the
+/// prior's columns down at every error would take longer than all else.
 pub(crate) const MOST_ROOT_COLUMNS: usize = 1000;
 
 /// Where one more observation would help: places looked at, times at which they are seen, and columns of a
@@ -177,7 +178,8 @@ impl Memory {
         let dense = if let Some(ensemble) = &ensemble {
             ensemble.dense(posterior).saturating_add(if cycled.is_some() { ensemble.carried() } else { 0 })
         } else if algorithm.method.is_weak() {
-            if posterior { weak_posterior(n, n + errors, m) } else { 0 }
+            let carried = if cycled.is_none() { weak_carried(n, n + errors, m, sizes.state) } else { 0 };
+            if posterior { weak_posterior(n, n + errors, m).max(carried) } else { 0 }
         } else if algorithm.minimizer.settings().is_dense()
             || algorithm.method == Method::Blue
             || (posterior && (cycled.is_some() || !is_low_rank(algorithm.method, n)))
@@ -275,6 +277,27 @@ fn weak_posterior(n: usize, r: usize, m: usize) -> usize {
     of_errors.max(eigenvectors(n).saturating_add(m.saturating_mul(r)))
 }
 
+/// Whether the posterior of a weak form is carried along the window, of `n` numbers of the initial state.
+pub(crate) fn carries_errors(n: usize) -> bool {
+    n <= MOST_ROOT_COLUMNS
+}
+
+/// Numbers that the posterior of a weak form takes while it is carried along the window, with what comes
+/// before: `n` of its `r` unknowns are the initial state.
+fn weak_carried(n: usize, r: usize, m: usize, state: usize) -> usize {
+    let k = r.min(m);
+    if !carries_errors(n) {
+        return 0;
+    }
+    if r <= MOST_ROOT_COLUMNS || m >= r {
+        // directions and root, whitened and not; then columns at two steps
+        return r.saturating_mul(2 * k + 2 * r).max(r.saturating_mul(r + 2 * state));
+    }
+    // the columns before and after they are brought down to n
+    let columns = k + 2 * n;
+    k.saturating_mul(r).saturating_add(columns.saturating_mul(2 * state)).saturating_add(4 * n * n)
+}
+
 /// Whether the posterior of a control of `n` unknowns is of low rank.
 pub(crate) fn is_low_rank(method: Method, n: usize) -> bool {
     method.is_strong() && n > LARGEST_DENSE_POSTERIOR
@@ -282,11 +305,15 @@ pub(crate) fn is_low_rank(method: Method, n: usize) -> bool {
 
 /// What a posterior of low rank leaves out.
 pub(crate) fn without_spread(scene: &Scene, n: usize) -> Option<String> {
-    let line = format!(
-        "σ of the analysis after the start of the window: of more than {LARGEST_DENSE_POSTERIOR} unknowns \
-         the posterior is of low rank"
-    );
-    (scene.report.posterior && is_low_rank(scene.algorithm.method, n)).then_some(line)
+    let why = if is_low_rank(scene.algorithm.method, n) {
+        format!("of more than {LARGEST_DENSE_POSTERIOR} unknowns the posterior is of low rank")
+    } else if scene.algorithm.method.is_weak() && !carries_errors(n) {
+        format!("under weak constraint it is computed for at most {MOST_ROOT_COLUMNS} numbers of a state")
+    } else {
+        return None;
+    };
+    let line = format!("σ of the analysis after the start of the window: {why}");
+    scene.report.posterior.then_some(line)
 }
 
 impl Sizes {

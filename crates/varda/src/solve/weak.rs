@@ -11,7 +11,7 @@ use super::minimizer;
 use super::task::{Iterate, PosteriorSpread, SubWindow, SubWindowEnd, Task, deviations, is_whole, roots};
 use crate::outcome::{ModelErrors, WorkCounts};
 use crate::setup::covariance::Factored;
-use crate::setup::memory::MOST_ROOT_COLUMNS;
+use crate::setup::memory::{MOST_ROOT_COLUMNS, carries_errors};
 use crate::setup::runs::run_on;
 
 impl Task<'_> {
@@ -132,7 +132,8 @@ impl Found {
             match WeakPosterior::new(cost) {
                 Ok(posterior) => {
                     found.spread = Some(PosteriorSpread {
-                        with_errors: Some(posterior.with_errors(transform, q, MOST_ROOT_COLUMNS)),
+                        with_errors: carries_errors(transform.control_dim())
+                            .then(|| posterior.with_errors(transform, q, MOST_ROOT_COLUMNS)),
                         ..PosteriorSpread::around(posterior.initial(), transform, false)
                     });
                     let sigma = |j: usize| roots(posterior.error_variance(q, j));
