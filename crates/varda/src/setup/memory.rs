@@ -1,20 +1,25 @@
 //! The memory a run takes, counted before anything is built: `varda check` prints it, and it must be below
 //! `[limits] memory`.
 //!
-//! Counted is what grows with a scene: B and Q with what building them takes, dense Hessians and Jacobians,
-//! states and linearizations of a window, the members of an ensemble, trajectories and their tables. The
-//! program itself takes some ten megabytes more.
+//! Counted are the program at rest and what grows with a scene: B and Q with what building them takes, dense
+//! Hessians and Jacobians, states and linearizations of a window, the members of an ensemble, trajectories
+//! and their tables.
 
 use varda_covariance::Taper;
 use varda_implicit::line::Ends;
 use varda_implicit::{Footprint, Storage};
 
+use super::finer::{Finer, finer};
 use super::inputs::Inputs;
 use crate::Error;
 use crate::scene::{
-    Covariance, CycledCovariance, Draw, Hessian, Method, Minimizer, Model, Observations, Origin, Root, Scene,
-    SceneFile,
+    Covariance, CycledCovariance, Draw, Hessian, Kernel, Method, Minimizer, Model, Observations, Origin,
+    Root, Scene, SceneFile,
 };
+
+/// What a process holds beside a scene's own numbers, in bytes: code, stacks, the allocator, an empty report.
+/// Measured, as the peak of a run of three unknowns.
+const AT_REST: usize = 11_800_000;
 
 /// Bytes of a number.
 const NUMBER: usize = size_of::<f64>();
@@ -85,6 +90,10 @@ pub struct Memory {
     pub other: usize,
     /// Tables as text, written when the dense matrices are gone.
     pub text: usize,
+    /// The same estimate on a finer mesh, made while the results of this one are held.
+    pub finer: usize,
+    /// What it may take: the limit less the results of this one.
+    pub for_finer: usize,
     /// States and linearizations of the window.
     pub window: usize,
     /// What they may take: the limit less everything else.
@@ -102,9 +111,19 @@ impl Memory {
         let scene = &file.scene;
         let limit = scene.limits.bytes().map_err(|message| file.invalid("limits.memory", message))?;
         let mut memory = Memory::of(scene, sizes);
+        let held = memory.covariance.saturating_add(memory.other);
+        memory.for_finer = limit.saturating_sub(held);
+        // One that is too large is left out of the run, which says so.
+        if let Finer::Scene(finer, _) = file.checked(finer(file))?.within(memory.for_finer)
+            && scene.background.from != Origin::TruthPlusDraw
+            && let Ok(finer) = Memory::within_limit(&finer, &sizes.on_finer_mesh())
+        {
+            memory.finer = finer.of_run().saturating_add(held);
+        }
         let footprint = footprint(scene, sizes);
         let fixed = Memory { window: 0, ..memory }.total();
-        memory.for_window = limit.saturating_sub(memory.covariance.saturating_add(memory.beside_window()));
+        let others = AT_REST.saturating_add(memory.covariance).saturating_add(memory.beside_window());
+        memory.for_window = limit.saturating_sub(others);
         // Only the strong constraint over one window knows how to keep less.
         if scene.algorithm.method.is_strong() && scene.algorithm.cycles.is_none() && fixed < limit {
             memory.storage = footprint.within(memory.for_window).map_err(|e| {
@@ -116,10 +135,12 @@ impl Memory {
             return Ok(memory);
         }
         let mut parts = [
+            ("the program itself", AT_REST),
             ("the background covariance (dense blocks)", memory.covariance + memory.building),
             ("dense Hessians and Jacobians", memory.dense),
             ("ensemble, trajectories and tables", memory.other + memory.text),
             ("states and linearizations", memory.window),
+            ("the estimate on a finer mesh", memory.finer.saturating_sub(memory.of_run())),
         ];
         parts.sort_by_key(|(_, bytes)| std::cmp::Reverse(*bytes));
         let parts: Vec<String> = parts
@@ -144,6 +165,11 @@ impl Memory {
 
     /// The most that is held at a time.
     pub fn total(&self) -> usize {
+        AT_REST.saturating_add(self.of_run().max(self.finer))
+    }
+
+    /// The same without the program, on this mesh.
+    fn of_run(&self) -> usize {
         let run = self.beside_window().saturating_add(self.window);
         self.covariance.saturating_add(self.building.max(run))
     }
@@ -161,7 +187,7 @@ impl Memory {
         if let Some(error) = &algorithm.model_error {
             let q = self::covariance(scene, &error.covariance, n);
             (covariance, building) = (covariance + q[0], building.max(q[1]));
-            errors = error_numbers(scene, n);
+            errors = error_columns(scene, n, &error.covariance);
         }
         let cycled = algorithm.cycles.as_ref().map(|c| c.covariance_of(algorithm.method));
         let posterior = match cycled {
@@ -240,6 +266,8 @@ impl Memory {
             dense: NUMBER.saturating_mul(dense),
             other: NUMBER.saturating_mul(other.saturating_add(states)).saturating_add(values),
             text: states.saturating_mul(TEXT),
+            finer: 0,
+            for_finer: usize::MAX,
             window: footprint.bytes(Storage::KeepAll),
             for_window: usize::MAX,
             storage: Storage::KeepAll,
@@ -317,6 +345,11 @@ pub(crate) fn without_spread(scene: &Scene, n: usize) -> Option<String> {
 }
 
 impl Sizes {
+    /// Of a rod with twice the segments.
+    fn on_finer_mesh(&self) -> Sizes {
+        Sizes { state: 2 * self.state, control: 2 * self.control, kept: 2 * self.kept, ..*self }
+    }
+
     /// The sizes of a scene that has been read; adaptive time steps count as if none were divided.
     pub fn of(inputs: &Inputs) -> Sizes {
         let [values, times] = inputs.observed.sizes(&inputs.grid);
@@ -440,6 +473,25 @@ pub(crate) fn error_numbers(scene: &Scene, control: usize) -> usize {
     scene.algorithm.model_error.as_ref().map_or(0, |error| {
         control * if error.held { steps.div_ceil(error.every) } else { steps / error.every }
     })
+}
+
+/// The same with what a truncated root of Q is expected to keep.
+fn error_columns(scene: &Scene, control: usize, q: &Covariance) -> usize {
+    let (Covariance::Kernel(k), Model::Rod(rod)) = (q, &scene.model) else {
+        return error_numbers(scene, control);
+    };
+    let length = rod.rest_lengths().map_or(f64::INFINITY, |l| l.iter().sum());
+    let is_smooth = k.kernel == Kernel::Gaussian && k.localization_length.is_none();
+    if !is_smooth || q.root() != Root::Truncated || k.sigma_theta.is_some() {
+        return error_numbers(scene, control);
+    }
+    // The spectrum of the kernel falls as exp(−(π j L/l)²/2), and its ends take two waves more.
+    let waves = |correlation: f64| {
+        let waves = (2.0 * (1.0 / k.truncation).ln()).sqrt() * length / (std::f64::consts::PI * correlation);
+        (waves.ceil() as usize).saturating_add(2).saturating_mul(3)
+    };
+    let columns = waves(k.correlation_length_x).saturating_add(waves(k.correlation_length_v));
+    error_numbers(scene, columns.min(control))
 }
 
 fn windows(scene: &Scene) -> usize {
