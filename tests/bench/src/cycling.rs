@@ -111,9 +111,10 @@ pub fn table(arguments: &[String]) -> Result<(), Failure> {
     ];
     println!(
         "| observed | method | window | members | inflation | RMSE, mean ± spread of seeds | bound | worst \
-         seed | RMSE at the start | expected spread | CPU ms a window | a time | not converged |"
+         seed | RMSE at the start | expected spread | background off, seen and not | σ_b, seen and not | CPU \
+         ms a window | a time | not converged |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
     for (network, cases) in [(&all, &dense[..]), (&half, &sparse[..])] {
         for case in cases.iter().filter(|case| format!("{}: {}", network.name, case.name).contains(wanted)) {
             row(network, case, seeds, &mean, &b)?;
@@ -158,10 +159,15 @@ fn row(network: &Network, case: &Case, seeds: u64, mean: &[f64], b: &Dense) -> R
         Some(own) => Case { method: Method::Static(own), ..*case },
         None => Case { method: case.method, ..*case },
     };
+    let (mut off, mut count) = (vec![0.0; N], 0.0);
     let (mut ends, mut starts, mut spreads, mut seconds, mut cycles, mut stopped) =
         (Vec::new(), 0.0, 0.0, 0.0, 0, 0);
     for seed in 0..seeds {
         let run = run(network, case, seed, mean, b)?;
+        for e in &run.errors {
+            off.iter_mut().zip(e).for_each(|(off, e)| *off += e * e);
+            count += 1.0;
+        }
         ends.push(run.end);
         starts += run.start / seeds as f64;
         spreads += run.spread / seeds as f64;
@@ -171,6 +177,15 @@ fn row(network: &Network, case: &Case, seeds: u64, mean: &[f64], b: &Dense) -> R
     }
     let average = ends.iter().sum::<f64>() / seeds as f64;
     let variance = ends.iter().map(|e| (e - average).powi(2)).sum::<f64>() / (seeds.max(2) - 1) as f64;
+    off.iter_mut().for_each(|off| *off /= count);
+    let sigma = match case.method {
+        Method::Static(b) => {
+            let mut variance = vec![0.0; N];
+            b.variance(&mut variance);
+            by_seen(network, &variance)
+        }
+        _ => "–".into(),
+    };
     let (members, inflation) = match case.method {
         Method::Static(_) | Method::OfItsErrors => (String::from("–"), String::from("–")),
         Method::Propagated { inflation, .. } => (String::from("–"), format!("{inflation}")),
@@ -179,7 +194,7 @@ fn row(network: &Network, case: &Case, seeds: u64, mean: &[f64], b: &Dense) -> R
     let time = 1e3 * seconds / cycles as f64;
     println!(
         "| {} | {} | {} | {members} | {inflation} | {average:.3} ± {:.3} | {} | {:.3} | {starts:.3} | {} | \
-            {time:.2} | {:.2} | {stopped} |",
+            {} | {sigma} | {time:.2} | {:.2} | {stopped} |",
         network.name,
         case.name,
         case.window,
@@ -187,9 +202,19 @@ fn row(network: &Network, case: &Case, seeds: u64, mean: &[f64], b: &Dense) -> R
         shown(case.bound),
         ends.iter().fold(0.0, |m: f64, e| m.max(*e)),
         shown(spreads),
+        by_seen(network, &off),
         time / case.window.max(1) as f64,
     );
     Ok(())
+}
+
+/// Root means of the squares of components that are seen, and of those that are not.
+fn by_seen(network: &Network, squares: &[f64]) -> String {
+    let mean = |seen: bool| {
+        let of: Vec<f64> = (0..N).filter(|i| network.rows.contains(i) == seen).map(|i| squares[i]).collect();
+        (of.iter().sum::<f64>() / of.len() as f64).sqrt()
+    };
+    format!("{}, {}", shown(mean(true)), shown(mean(false)))
 }
 
 /// A number, or nothing.

@@ -215,13 +215,9 @@ impl Memory {
                 matches!(scene.model, Model::Rod(_)) && posterior && !is_low_rank(algorithm.method, n);
             decomposition(algorithm.method, n, m)
                 .saturating_add(m.min(n).saturating_mul(sizes.state))
-                // σ of a rod's forces: their tangents along the columns of the root, beside what is left of
-                // the Hessian
-                .saturating_add(match (forces, m < n) {
-                    (false, _) => 0,
-                    (true, true) => square,
-                    (true, false) => square.saturating_mul(4),
-                })
+                // σ of a rod's forces: their tangents along the columns of the root at two steps, beside what
+                // is left of the Hessian
+                .saturating_add(if forces && m >= n { square.saturating_mul(3) } else { 0 })
                 // Newton's factor beside the Hessian
                 .saturating_add(if algorithm.minimizer == Minimizer::Newton { square } else { 0 })
                 // the root that is carried on, cut by its singular values
@@ -238,7 +234,10 @@ impl Memory {
             true => dense.max(square.saturating_add(eigenvectors(n))),
             false => dense,
         };
-        let mut other = 2 * (n + errors) * 8;
+        // Vectors of a minimization; what L-BFGS has learnt is kept with the minimum.
+        let vectors = 2 * (n + errors) * 8;
+        let is_kept = algorithm.minimizer == Minimizer::Lbfgs;
+        let (mut other, dense) = if is_kept { (vectors, dense) } else { (0, dense.saturating_add(vectors)) };
         if exact {
             // of every step λ, μ, the path of a perturbation, twice, and matrices about as large as the
             // factor
