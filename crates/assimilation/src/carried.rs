@@ -4,6 +4,7 @@ use crate::{At, ControlTransform, Error, Forcing, ObservationOperator, WeakPoste
 use varda_covariance::Covariance;
 use varda_implicit::Model;
 use varda_linalg::dense::shorter_root;
+use varda_linalg::interrupt;
 
 /// The covariance of the initial state and of the errors of a model, W Wᵀ − V Vᵀ
 /// ([`WeakPosterior::with_errors`]): columns of an initial state, δz, and of what is known of the errors,
@@ -222,7 +223,7 @@ impl Squares {
 /// ```
 ///
 /// # Errors
-/// A step that fails or cannot be linearized, and those of `on_state`.
+/// A step that fails or cannot be linearized, a calculation that was told to end, and those of `on_state`.
 ///
 /// # Panics
 /// If `states` is not made of whole states, or the columns are those of another model or Q.
@@ -248,6 +249,9 @@ pub fn propagate_errors(
     let (mut before, mut landing) = (Vec::new(), vec![0.0; n]);
     let mut entering = Entering { forcing, q, columns, current: None, fresh: 0, eta: vec![0.0; q.dim()] };
     for (k, state) in states.chunks_exact(n).enumerate() {
+        if interrupt::requested() {
+            return Err(varda_linalg::Error::Interrupted.into());
+        }
         on_state(&Carried { step: k, dim: n, before: &before, now: &now, less })?;
         let Some(next) = states.get((k + 1) * n..(k + 2) * n) else { break };
         entering.make_room(k, n, less, &mut now)?;

@@ -7,7 +7,8 @@ use crate::{ImplicitStep, Interval, Refusal, SolvedStep, Structure};
 /// A step whose equations G(x_k, u; p) = 0 depend on parameters p that do not change in time.
 ///
 /// Each parameter is a number whose prior is about normal: a stiffness that must stay positive is the
-/// exponential of one. The map S(x_k, u) does not depend on p.
+/// exponential of one. The map S(x_k, u) does not depend on p, unless a step says how
+/// ([`advance_parameters_tangent`](Self::advance_parameters_tangent)).
 /// [`WithParameters`] makes of such a step one whose state has p in it.
 pub trait ParametricStep: ImplicitStep {
     /// How many parameters there are.
@@ -28,6 +29,12 @@ pub trait ParametricStep: ImplicitStep {
     fn initial_parameter_jacobian(&mut self, columns: &mut [f64]) {
         columns.fill(0.0);
     }
+
+    /// dx_next (without a history) += ∂S/∂p dp; nothing where S(x_k, u) does not depend on p, as above.
+    fn advance_parameters_tangent(&mut self, _of: &SolvedStep<'_>, _dp: &[f64], _dx_next: &mut [f64]) {}
+
+    /// dp += (∂S/∂p)ᵀ λ.
+    fn advance_parameters_adjoint(&mut self, _of: &SolvedStep<'_>, _lambda: &[f64], _dp: &mut [f64]) {}
 }
 
 /// A step with its parameters in the state: p_{k+1} = p_k (Evensen 2009, chapter 7, calls it the augmented
@@ -387,9 +394,11 @@ impl<S: ParametricStep> ImplicitStep for WithParameters<S> {
         let places = self.places.clone();
         let mut increment = std::mem::take(&mut self.increment);
         places.gather(dx, &mut increment);
+        let active = self.active;
         let (step, own, next) = self.own(of);
         let next = &mut next[..places.own];
         step.advance_tangent(&own, &increment, du, next);
+        step.advance_parameters_tangent(&own, &dx[places.parameters()][..active], next);
         places.scatter(next, dx_next);
         dx_next[places.parameters()].copy_from_slice(&dx[places.parameters()]);
         self.increment = increment;
@@ -400,11 +409,13 @@ impl<S: ParametricStep> ImplicitStep for WithParameters<S> {
         let mut increment = std::mem::take(&mut self.increment);
         let own_lambda = &mut increment[..places.own];
         places.gather(lambda, own_lambda);
+        let active = self.active;
         let (step, own, back) = self.own(of);
         step.advance_adjoint(&own, own_lambda, back, du);
         dx.fill(0.0);
         places.scatter(back, dx);
         dx[places.parameters()].copy_from_slice(&lambda[places.parameters()]);
+        step.advance_parameters_adjoint(&own, own_lambda, &mut dx[places.parameters()][..active]);
         self.increment = increment;
     }
 

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use varda_implicit::Law;
 
 use crate::element::{self, Strains};
+use crate::moved::{Increments, Moved};
 use crate::rod::Rod;
 use crate::rotation::{exponential, left_jacobian};
 use crate::support::Damping;
@@ -47,6 +48,8 @@ pub struct Change {
     pub gravity: Vector3<f64>,
     /// A rotation vector by which gravity is turned \[rad\]; those of several parameters are added.
     pub gravity_turn: Vector3<f64>,
+    /// Of the supports.
+    pub supports: Vec<Moved>,
 }
 
 impl Change {
@@ -54,6 +57,17 @@ impl Change {
     pub(crate) fn bends_by_angle(&self) -> bool {
         self.ei.iter().any(|k| k[0] != k[2] || k[1] != 0.0)
             || self.natural_curvature.iter().any(|k| *k != [0.0; 2])
+    }
+
+    /// Whether it changes anything but supports.
+    pub(crate) fn is_of_constants(&self) -> bool {
+        let lists = [&self.ea, &self.gj, &self.natural_twist, &self.masses, &self.spin_inertia];
+        lists.into_iter().any(|list| !list.is_empty())
+            || !self.ei.is_empty()
+            || !self.natural_curvature.is_empty()
+            || self.damping != Damping::default()
+            || self.gravity != Vector3::zeros()
+            || self.gravity_turn != Vector3::zeros()
     }
 
     pub(crate) fn needs_angles(&self) -> bool {
@@ -89,6 +103,8 @@ pub(crate) struct Parameters {
     pub(crate) turn: Vector3<f64>,
     /// δσ of a Kelvin–Voigt element comes from the strains of the past, where there are any.
     pub(crate) none: PastStrains,
+    /// Work space of parameters that move supports.
+    pub(crate) moved: Increments,
 }
 
 impl Parameters {

@@ -2,10 +2,11 @@
 
 use std::f64::consts::TAU;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use crate::Error;
 use crate::geometry::{Turn, perpendicular, signed_angle};
+use crate::rotation::exponential;
 use crate::scalar::{length, unit};
 use crate::support::{Clamp, ClampAt};
 
@@ -17,10 +18,17 @@ pub(crate) struct ClampFrame {
     pub(crate) director: Vector3<f64>,
     /// Turns that are in the director.
     pub(crate) turns: f64,
+    /// The axes (m₁, m₂, t) before these and before what a parameter turns them by.
+    pub(crate) axes: Matrix3<f64>,
 }
 
 impl Clamp {
     pub(crate) fn frame(&self, t: f64) -> Result<ClampFrame, Error> {
+        self.frame_turned(t, &Vector3::zeros())
+    }
+
+    /// The same, turned by a rotation vector in its own axes.
+    pub(crate) fn frame_turned(&self, t: f64, turn: &Vector3<f64>) -> Result<ClampFrame, Error> {
         let bad = |what, index| Error::NonFinite { what, index };
         let position = self.position.at(t);
         let tangent = self.tangent.at(t);
@@ -29,7 +37,7 @@ impl Clamp {
         if !(size > 0.0 && size.is_finite()) {
             return Err(bad("a clamp's tangent, component", 0));
         }
-        let tangent = tangent / size;
+        let mut tangent = tangent / size;
         let across = director - tangent * director.dot(&tangent);
         if !(length(&across) > 1e-9 * length(&director)) {
             return Err(Error::Value {
@@ -42,6 +50,11 @@ impl Clamp {
             return Err(bad("a clamp's position, component", 0));
         }
         let mut director = unit(&across);
+        let axes = Matrix3::from_columns(&[director, tangent.cross(&director), tangent]);
+        if *turn != Vector3::zeros() {
+            let turned = axes * exponential(turn);
+            (director, tangent) = (turned.column(0).into_owned(), turned.column(2).into_owned());
+        }
         let turns = self.turns_at(t);
         if !turns.is_finite() {
             return Err(bad("a clamp's turns, component", 0));
@@ -50,12 +63,15 @@ impl Clamp {
             let (sin, cos) = (TAU * turns).sin_cos();
             director = director * cos + tangent.cross(&director) * sin;
         }
-        Ok(ClampFrame { at: self.at, position, tangent, director, turns })
+        Ok(ClampFrame { at: self.at, position, tangent, director, turns, axes })
     }
+}
 
-    /// How far it turns about its tangent from one time to another \[rad\]: whole turns where it says them.
-    pub(crate) fn turned(&self, from: f64, to: f64) -> Result<f64, Error> {
-        let (a, b) = (self.frame(from)?, self.frame(to)?);
+impl ClampFrame {
+    /// How far a clamp turned about its tangent since it had another frame \[rad\]: whole turns where it
+    /// says them; with the times of the two.
+    pub(crate) fn turned_since(&self, a: &ClampFrame, [from, to]: [f64; 2]) -> Result<f64, Error> {
+        let b = self;
         let said = TAU * (b.turns - a.turns);
         let over = |_| Error::ClampTurns { turn: std::f64::consts::PI, from, to };
         let turn = Turn::between(&a.tangent, &b.tangent, 0).map_err(over)?;

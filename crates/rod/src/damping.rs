@@ -7,9 +7,11 @@
 //! a rigid motion, so neither does ε*.
 
 use nalgebra::Vector3;
+use varda_implicit::Interval;
 
 use crate::element::{LOCAL, STRAINS, Strains};
 use crate::layout::{FIXED, Layout, band_product_add};
+use crate::moved::{Increments, in_full_order};
 use crate::shape::{HOLONOMY, Shape, holonomy, holonomy_transpose_add, kept_bend};
 use crate::stage::{RodStage, mixed, mixed_add};
 use crate::system::{PastStrains, System};
@@ -189,6 +191,35 @@ impl KelvinVoigt {
             self.sum.fill(0.0);
             couple(layout, kept, strains, &self.full, &mut self.sum);
             self.of_past_transpose_add(layout, of, bends, dx);
+        }
+    }
+
+    /// dg += what a parameter does that moves the supports of the past, right after the step was prepared,
+    /// with what was kept of it.
+    pub(crate) fn moved_add(
+        &mut self,
+        system: &System,
+        (at, stage): (&Interval, &RodStage),
+        kept: &[f64],
+        parameter: usize,
+        work: &mut Increments,
+        dg: &mut [f64],
+    ) {
+        let (layout, before) = (&system.layout, at.previous.unwrap_or(0.0));
+        let Increments { places, angles, full, .. } = work;
+        self.sum.fill(0.0);
+        let ages = stage.past().zip(&self.configurations);
+        for (((_, age, _), past), (_, strains, _)) in ages.zip(Self::kept_past(layout, stage, kept)) {
+            let time = at.start - age * before;
+            if system.moved_increment(&past.shape, parameter, time, places, angles).is_some() {
+                in_full_order(layout, places, angles, full);
+                couple(layout, strains, kept, full, &mut self.sum);
+            }
+        }
+        for (value, &unknown) in self.sum.iter().zip(&layout.unknown) {
+            if unknown != FIXED {
+                dg[unknown] += value;
+            }
         }
     }
 

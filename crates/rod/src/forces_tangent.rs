@@ -10,7 +10,7 @@ use crate::forces_of_motion::{Motion, Past, edge_forces, with_forces_at};
 use crate::internal_forces::InternalForces;
 use crate::load::EdgeLoad;
 use crate::shape::Shape;
-use crate::statics::reactions::{EdgeSums, all_loads, exerted};
+use crate::statics::reactions::{EdgeSums, Reaction, all_loads, exerted};
 use crate::support::Damping;
 use crate::system::{PastStrains, StageStart, System};
 
@@ -46,10 +46,10 @@ impl RodStep {
         let (parameters, columns) = (self.parameters.take(), dx.len() / n);
         let known = parameters.as_ref().map_or(0, |p| p.len());
         assert!(dp.len() == columns * known, "a column has {known} parameters");
-        let damping = self.damping;
+        let (damping, times) = (self.damping, [t, before.0]);
         let done = with_forces_at(self, t, state, before, &mut |system, motion| {
             let changes =
-                parameters.as_ref().map_or_else(Vec::new, |p| p.of_forces(system, motion, &damping));
+                parameters.as_ref().map_or_else(Vec::new, |p| p.of_forces(system, motion, &damping, times));
             let past = motion.past.filter(|_| share > 0.0);
             let mut tangent = Tangent::new(system, motion.start, past, share, changes);
             for (c, (dx, dx_before)) in dx.chunks_exact(n).zip(dx_before.chunks_exact(n)).enumerate() {
@@ -71,17 +71,25 @@ struct ChangeOfForces {
     gradient: Vec<f64>,
     moments: Vec<[f64; 3]>,
     forces: Vec<Vector3<f64>>,
+    /// Increments of the present configuration and of the one before, where it moves supports.
+    moved: Option<[Increment; 2]>,
 }
 
 impl Parameters {
     /// What each does to the forces within the rod, the system having the shape of a state.
-    fn of_forces(&self, system: &mut System, motion: &Motion, damping: &Damping) -> Vec<ChangeOfForces> {
+    fn of_forces(
+        &self,
+        system: &mut System,
+        motion: &Motion,
+        damping: &Damping,
+        times: [f64; 2],
+    ) -> Vec<ChangeOfForces> {
         let (h, mut past) = (motion.start.length, PastStrains::default());
         if let Some(then) = motion.past {
             past.lengths = then.shape.edges.iter().map(|edge| edge.l).collect();
             past.bend = then.strains.iter().map(|strains| strains.value).collect();
         }
-        let of = |(p, slope): (&Parameter, &f64)| {
+        let of = |(index, (p, slope)): (usize, (&Parameter, &f64))| {
             let Parameter { change, .. } = p;
             let rates = [damping.stiffness / h, change.damping.stiffness / h];
             system.change_of_elastic(change, rates, &past);
@@ -96,14 +104,55 @@ impl Parameters {
                     + (more_gravity - velocity * change.damping.mass) * mass;
                 each * *slope
             };
-            ChangeOfForces {
+            let mut of = ChangeOfForces {
                 moments: bent.map(stress).collect(),
                 forces: (0..system.x.len()).map(force).collect(),
                 gradient: system.gradient.iter().map(|g| slope * g).collect(),
+                moved: None,
+            };
+            if !change.supports.is_empty() {
+                let accelerated = accelerated(system, index, h, damping.mass, times[0]);
+                of.forces.iter_mut().zip(accelerated).for_each(|(f, a)| *f -= a);
+                of.moved = Some(moved(system, motion, index, times));
             }
+            of
         };
-        self.list.iter().zip(&self.slopes).map(of).collect()
+        self.list.iter().zip(&self.slopes).enumerate().map(of).collect()
     }
+}
+
+/// M (δẍ + α δẋ) of held vertices that a parameter moves, differences over h on both sides of t.
+fn accelerated(system: &System, parameter: usize, h: f64, alpha: f64, t: f64) -> Vec<Vector3<f64>> {
+    let at = |t: f64| {
+        let mut places = vec![Vector3::zeros(); system.x.len()];
+        system.moved_places(parameter, t, &mut places).expect("supports were placed at these times");
+        places
+    };
+    let (a, b, c) = (at(t - h), at(t), at(t + h));
+    let of = |v: usize| {
+        let (velocity, acceleration) = ((c[v] - a[v]) / (2.0 * h), (c[v] - b[v] * 2.0 + a[v]) / (h * h));
+        (acceleration + velocity * alpha) * system.rod.masses[v]
+    };
+    (0..a.len()).map(of).collect()
+}
+
+/// The increments of two configurations by supports that a parameter moves.
+fn moved(system: &System, motion: &Motion, parameter: usize, times: [f64; 2]) -> [Increment; 2] {
+    let of = |shape: Option<&Shape>, t: f64| {
+        let mut moved = Increment::new(system.rod.segments());
+        let Increment { places, angles } = &mut moved;
+        match shape {
+            Some(shape) => {
+                system.moved_increment(shape, parameter, t, places, angles);
+            }
+            // places alone are read there
+            None => {
+                system.moved_places(parameter, t, places).expect("supports were placed at these times");
+            }
+        }
+        moved
+    };
+    [of(Some(&system.shape), times[0]), of(motion.past.map(|past| &past.shape), times[1])]
 }
 
 /// What an increment of a configuration does to its vertices, and to its angles in their local gauge.
@@ -138,6 +187,11 @@ impl Increment {
             };
             free += usize::from(is_free);
         }
+    }
+
+    fn add(&mut self, other: &Increment, times: f64) {
+        self.places.iter_mut().zip(&other.places).for_each(|(a, b)| *a += b * times);
+        self.angles.iter_mut().zip(&other.angles).for_each(|(a, b)| *a += b * times);
     }
 
     /// The eleven numbers at a bent vertex.
@@ -175,6 +229,9 @@ struct Tangent<'a> {
     before: Increment,
     /// What each parameter does.
     changes: Vec<ChangeOfForces>,
+    /// What a clamp at the start and one at the end exert on the vertex beside their place, and about the
+    /// tangent.
+    clamped: [Option<(Vector3<f64>, f64)>; 2],
     gradient: Vec<f64>,
     loads: EdgeSums,
     out: InternalForces,
@@ -190,7 +247,17 @@ impl<'a> Tangent<'a> {
     ) -> Tangent<'a> {
         let n = system.rod.segments();
         system.elastic(None);
-        let reactions = exerted(system, &system.gradient, &all_loads(system, Some(start)));
+        let all = all_loads(system, Some(start));
+        let reactions = exerted(system, &system.gradient, &all);
+        let clamped = |beside: usize, edge: usize| {
+            let (layout, i) = (&system.layout, system.layout.vertex(beside));
+            let force = Vector3::from_column_slice(&system.gradient[i..i + 3]) - all.forces[beside];
+            let angle = layout.twist.then(|| system.gradient[layout.angle(edge)] - all.moments[edge]);
+            (force, angle.unwrap_or(0.0))
+        };
+        let (start_clamp, end_clamp) = (&system.supports.start, &system.supports.end);
+        let clamped =
+            [start_clamp.as_ref().map(|_| clamped(1, 0)), end_clamp.as_ref().map(|_| clamped(n - 1, n - 1))];
         let stretched = |e: usize| {
             let (edge, (ea, rest)) = (&system.shape.edges[e], system.stretch[e]);
             let (_, _, hessian) = element::stretch(edge, rest, ea);
@@ -235,6 +302,7 @@ impl<'a> Tangent<'a> {
             past,
             share,
             changes,
+            clamped,
             now: Increment::new(n),
             before: Increment::new(n),
             gradient: vec![0.0; system.layout.full()],
@@ -249,6 +317,12 @@ impl<'a> Tangent<'a> {
             Some(past) => self.before.set(system, &past.shape, dx_before),
             None => system.displacements(dx_before, &mut self.before.places),
         }
+        for (change, dp) in self.changes.iter().zip(dp) {
+            if let Some([now, before]) = &change.moved {
+                self.now.add(now, *dp);
+                self.before.add(before, *dp);
+            }
+        }
         self.gradient.fill(0.0);
         let InternalForces { tension, shear, bending, twisting, .. } = &mut self.out;
         [shear, bending].into_iter().for_each(Vec::clear);
@@ -257,7 +331,8 @@ impl<'a> Tangent<'a> {
         self.bend(system);
         self.load(h);
         self.change(dp);
-        let reactions = exerted(system, &self.gradient, &self.loads);
+        let mut reactions = exerted(system, &self.gradient, &self.loads);
+        self.turn_clamps(system, &mut reactions);
         let varied = edge_forces(system, &self.gradient, &reactions);
         self.out.reactions = reactions;
         let InternalForces { tension, shear, .. } = &mut self.out;
@@ -329,6 +404,24 @@ impl<'a> Tangent<'a> {
             for (e, place) in angle.into_iter().flatten().enumerate() {
                 add(system.layout.angle(i + e), &force[place..=place]);
             }
+        }
+    }
+
+    /// What a clamp that moves does to the moment it exerts: to its arm, and to the direction of its twist.
+    fn turn_clamps(&self, system: &System, reactions: &mut [Reaction]) {
+        if system.moves.is_empty() {
+            return;
+        }
+        let n = system.rod.segments();
+        for ([vertex, beside, edge], held) in [[0, 1, 0], [n, n - 1, n - 1]].into_iter().zip(&self.clamped) {
+            let (Some((force, twist)), Some(reaction)) =
+                (held, reactions.iter_mut().find(|r| r.vertex == vertex))
+            else {
+                continue;
+            };
+            let arm = self.now.places[beside] - self.now.places[vertex];
+            let along = (self.now.places[edge + 1] - self.now.places[edge]) / system.shape.edges[edge].l;
+            reaction.moment += arm.cross(force) + along * *twist;
         }
     }
 

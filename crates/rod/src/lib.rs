@@ -101,6 +101,7 @@
 
 #![forbid(unsafe_code)]
 
+mod at_rest;
 mod change;
 pub mod check;
 mod clamp_frame;
@@ -121,6 +122,7 @@ mod load;
 mod marker;
 mod material;
 mod modes;
+mod moved;
 mod parameters;
 mod predict;
 mod recorded;
@@ -151,6 +153,7 @@ pub use load::{EdgeLoad, EdgeMotion, Load};
 pub use marker::{Marker, Markers};
 pub use material::{Material, Section};
 pub use modes::{Mode, Modes, modes};
+pub use moved::{Displacement, HeldAt, Moved, MovedBy};
 pub use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 pub use recorded::{
     RecordedMotion, RecordedRotation, SmoothBy, Smoothing, noise_of_rotations, noise_of_rows,

@@ -62,6 +62,8 @@ pub struct Markers {
     displacement: Vec<Vector3<f64>>,
     psi: Vec<f64>,
     angle: Vec<f64>,
+    /// Parameters of the step that move its supports.
+    moving: Vec<usize>,
     second: Second,
 }
 
@@ -101,6 +103,7 @@ impl Markers {
             displacement: vec![Vector3::zeros(); n + 1],
             psi: vec![0.0; n],
             angle: vec![0.0; n],
+            moving: rod.system.moves.parameters(),
             second: Second::default(),
         })
     }
@@ -195,6 +198,59 @@ impl Markers {
             }
         }
         Ok(())
+    }
+
+    /// Takes the values of the parameters of the rod's step, which may move its supports.
+    ///
+    /// # Panics
+    /// If there are fewer than the step has.
+    pub fn set_parameters(&mut self, p: &[f64]) {
+        self.system.moves.take(p);
+    }
+
+    /// Those parameters that move supports, ascending: the columns of [`by_parameters`](Self::by_parameters).
+    pub fn moving_parameters(&self) -> &[usize] {
+        &self.moving
+    }
+
+    /// ∂y/∂p at a state of those parameters that move supports, one column after the other.
+    ///
+    /// # Errors
+    /// A state that cannot be observed.
+    ///
+    /// # Panics
+    /// If a slice has the wrong length.
+    pub fn by_parameters(&mut self, at: At, x: &[f64], columns: &mut [f64]) -> Result<(), Error> {
+        self.set(at.time, x)?;
+        let rows = 3 * self.markers.len();
+        assert_eq!(columns.len(), self.moving.len() * rows, "a column of {rows} numbers for every parameter");
+        for (i, column) in columns.chunks_exact_mut(rows.max(1)).enumerate() {
+            let Self { system, displacement, angle, moving, .. } = &mut *self;
+            let p = moving[i];
+            match system.moved_increment(&system.shape, p, at.time, displacement, angle) {
+                Some(_) => self.of_increment(column),
+                None => column.fill(0.0),
+            }
+        }
+        Ok(())
+    }
+
+    /// dy of the increment in `displacement` and, where there are frames, `angle`.
+    fn of_increment(&self, dy: &mut [f64]) {
+        let s = &self.system;
+        for ((place, o), out) in self.markers.iter().zip(dy.chunks_exact_mut(3)) {
+            let (i, w, tangent) = (place.edge, place.fraction, s.shape.edges[place.edge].t);
+            let (a, b) = (&self.displacement[i], &self.displacement[i + 1]);
+            let rate = (b - a) / s.shape.edges[i].l;
+            let dt = rate - tangent * rate.dot(&tangent);
+            let mut d = a * (1.0 - w) + b * w + dt * o[2];
+            if self.frames {
+                let (m1, m2) = (&s.shape.m1[i], &s.shape.m2[i]);
+                d -= tangent * (o[0] * m1.dot(&dt) + o[1] * m2.dot(&dt));
+                d += (m2 * o[0] - m1 * o[1]) * self.angle[i];
+            }
+            out.copy_from_slice(self.turned(d).as_slice());
+        }
     }
 
     /// δp or p of a marker into the axes of the observer; p − c already taken.
@@ -296,20 +352,7 @@ impl ObservationOperator for Markers {
         if self.frames {
             self.turn_angles(dx);
         }
-        let s = &self.system;
-        for ((place, o), out) in self.markers.iter().zip(dy.chunks_exact_mut(3)) {
-            let (i, w, tangent) = (place.edge, place.fraction, s.shape.edges[place.edge].t);
-            let (a, b) = (&self.displacement[i], &self.displacement[i + 1]);
-            let rate = (b - a) / s.shape.edges[i].l;
-            let dt = rate - tangent * rate.dot(&tangent);
-            let mut d = a * (1.0 - w) + b * w + dt * o[2];
-            if self.frames {
-                let (m1, m2) = (&s.shape.m1[i], &s.shape.m2[i]);
-                d -= tangent * (o[0] * m1.dot(&dt) + o[1] * m2.dot(&dt));
-                d += (m2 * o[0] - m1 * o[1]) * self.angle[i];
-            }
-            out.copy_from_slice(self.turned(d).as_slice());
-        }
+        self.of_increment(dy);
     }
 
     /// # Panics

@@ -8,9 +8,10 @@ use crate::change::{Change, Parameter, Parameters};
 use crate::damping::KelvinVoigt;
 use crate::dynamics::{RodStep, TwistUnknowns};
 use crate::layout::FIXED;
+use crate::moved::{self, Increments, Moves};
 use crate::rod::Rod;
 use crate::support::{Damping, Loads, Supports};
-use crate::system::PastStrains;
+use crate::system::{PastStrains, StageStart};
 
 impl RodStep {
     /// The step of a rod that some constants of are parameters, each zero at the rod given: inside
@@ -66,12 +67,17 @@ impl RodStep {
         let rod = step.rod().clone();
         for parameter in &parameters {
             check(&parameter.change, &rod, &damping, step.system.layout.bending)?;
+            for moved in &parameter.change.supports {
+                moved::check(moved, &step.system)?;
+            }
         }
         let gravity = step.system.loads.gravity;
         let slopes = vec![1.0; parameters.len()];
         let none = PastStrains::default();
         let turn = Vector3::zeros();
-        let all = Parameters { list: parameters, rod, damping, gravity, slopes, turn, none };
+        let moved = Increments::of(&step.system);
+        step.take_moves(Moves::of(&parameters));
+        let all = Parameters { list: parameters, rod, damping, gravity, slopes, turn, none, moved };
         step.parameters = Some(Box::new(all));
         Ok(step)
     }
@@ -124,9 +130,10 @@ impl ParametricStep for RodStep {
         crate::material::positive_or_none("damping.mass", self.damping.mass, damping.mass)?;
         self.damping = damping;
         self.system.loads.gravity = gravity;
+        self.system.moves.take(p);
         self.system.set_stiffness(0.0, None);
         if let Some(twist) = &mut self.twist {
-            twist.take_constants(&self.system);
+            twist.take_constants(&self.system, p);
         }
         Ok(())
     }
@@ -136,35 +143,129 @@ impl ParametricStep for RodStep {
         if let Some(spin) = &mut self.spin {
             spin.measure(&self.system).expect("the step was accepted before");
         }
-        let Some(parameters) = self.parameters.take() else { return };
+        let Some(mut parameters) = self.parameters.take() else { return };
         let all = parameters.list.iter().zip(&parameters.slopes);
+        columns.fill(0.0);
         for ((p, &slope), column) in all.zip(columns.chunks_exact_mut(of.u.len())) {
+            if !p.change.is_of_constants() {
+                continue;
+            }
             let gravity = parameters.change_of_gravity(&p.change, &self.system.loads.gravity);
             self.change_of_equations(of, &p.change, gravity, &parameters.none, column);
             column.iter_mut().for_each(|g| *g *= slope);
+        }
+        for p in 0..parameters.len() {
+            if !parameters.list[p].change.supports.is_empty() {
+                let column = &mut columns[p * of.u.len()..(p + 1) * of.u.len()];
+                self.moved_equations(of, p, &mut parameters.moved, column);
+            }
         }
         self.parameters = Some(parameters);
     }
 
     fn initial_parameter_jacobian(&mut self, columns: &mut [f64]) {
         columns.fill(0.0);
+        if self.is_at_rest {
+            return self.rest_by_parameters(columns);
+        }
         let (layout, given) = (&self.system.layout, self.control_len());
-        let (Some(parameters), Some(twist)) = (&self.parameters, &mut self.twist) else { return };
+        let (Some(parameters), Some(twist)) = (&mut self.parameters, &mut self.twist) else { return };
         // angles that are part of the control do not follow
         let first = 6 * layout.free_vertices.len();
         if given > first {
             return;
         }
         let all = parameters.list.iter().zip(&parameters.slopes);
-        for ((p, slope), column) in all.zip(columns.chunks_exact_mut(layout.state())) {
+        for (p, ((of, slope), column)) in all.zip(columns.chunks_exact_mut(layout.state())).enumerate() {
             let angles = &mut column[first..first + layout.free_angles.len()];
-            twist.change(&p.change, angles);
+            twist.change(&of.change, angles);
             angles.iter_mut().for_each(|a| *a *= slope);
+            if !of.change.supports.is_empty() {
+                twist.moved_add(p, &mut parameters.moved, &mut column[first..first + layout.following()]);
+            }
+        }
+    }
+
+    fn advance_parameters_tangent(&mut self, of: &SolvedStep<'_>, dp: &[f64], dx_next: &mut [f64]) {
+        if let Some(end) = self.system.layout.end_angle() {
+            self.end_angle_by_parameters(of, |p, rate| dx_next[end] += rate * dp[p]);
+        }
+    }
+
+    fn advance_parameters_adjoint(&mut self, of: &SolvedStep<'_>, lambda: &[f64], dp: &mut [f64]) {
+        if let Some(end) = self.system.layout.end_angle().filter(|end| lambda[*end] != 0.0) {
+            self.end_angle_by_parameters(of, |p, rate| dp[p] += rate * lambda[end]);
         }
     }
 }
 
 impl RodStep {
+    /// Parameters move supports from now on.
+    fn take_moves(&mut self, moves: Moves) {
+        if let Some(twist) = &mut self.twist {
+            twist.take_moves(&moves);
+        }
+        self.system.moves = moves;
+    }
+
+    /// What supports that a parameter moves add to ∂G/∂p at the present shape, that of a solved step: with
+    /// w(t) the increment of held places and local angles at the time of a configuration,
+    ///
+    /// ```text
+    /// ∂²Φ/∂u∂(x, α) w(t*) − (β/η) Σ_j w_j ∇ε k ∇ε(past j)ᵀ w(t_j) − ∂F/∂v (w(t*) − w*)/η
+    /// ```
+    fn moved_equations(&mut self, of: &SolvedStep<'_>, p: usize, work: &mut Increments, dg: &mut [f64]) {
+        let stage = self.stage(of.at);
+        let (s, Increments { places, start, one, angles, full }) = (&self.system, &mut *work);
+        full.fill(0.0);
+        let moved = s.moved_increment(&s.shape, p, stage.of.time, places, angles).is_some();
+        if moved {
+            s.elastic_second_add(places, angles, full);
+            for (&g, &unknown) in full.iter().zip(&s.layout.unknown) {
+                if unknown != FIXED {
+                    dg[unknown] += g;
+                }
+            }
+        }
+        if !s.loads.of_motion.is_empty() {
+            if !moved {
+                places.fill(Vector3::zeros());
+                angles.fill(0.0);
+            }
+            let from = StageStart { places: &self.start_of_all, length: stage.of.length };
+            start.fill(Vector3::zeros());
+            let times = [of.at.start, of.at.start - of.at.previous.unwrap_or(0.0)];
+            for (share, time) in stage.of.from.into_iter().zip(times).filter(|(share, _)| *share != 0.0) {
+                s.moved_places(p, time, one).expect("the step was accepted before");
+                start.iter_mut().zip(&*one).for_each(|(start, one)| *start += one * share);
+            }
+            // nothing moves at rest
+            let from = (!self.is_at_rest).then_some(from);
+            s.moved_loads_add(from, [places, start], angles, dg);
+        }
+        let [holonomy, end, _] = self.kept_lengths();
+        if let Some(viscous) = &mut self.viscous {
+            viscous.moved_add(&self.system, (of.at, &stage), &of.kept[holonomy + end..], p, work, dg);
+        }
+    }
+
+    /// How the end clamp's angle at x_{k+1} depends on parameters that move supports: `see(p, rate)`.
+    fn end_angle_by_parameters(&mut self, of: &SolvedStep<'_>, mut see: impl FnMut(usize, f64)) {
+        if self.system.moves.is_empty() {
+            return;
+        }
+        let Some(mut parameters) = self.parameters.take() else { return };
+        self.set_edges_of_next(of.at, of.x, of.u);
+        let Increments { places, angles, .. } = &mut parameters.moved;
+        let s = &self.system;
+        for (p, _) in parameters.list.iter().enumerate().filter(|(_, p)| !p.change.supports.is_empty()) {
+            if let Some(rate) = s.moved_increment(&s.shape, p, of.at.end(), places, angles) {
+                see(p, rate);
+            }
+        }
+        self.parameters = Some(parameters);
+    }
+
     /// What a change of the constants does to G at the present shape, that of a solved step.
     fn change_of_equations(
         &mut self,
@@ -176,7 +277,8 @@ impl RodStep {
     ) {
         let h = self.scheme.stage(of.at).length;
         let past = self.viscous.as_ref().map_or(none, KelvinVoigt::past);
-        let rates = [self.damping.stiffness / h, change.damping.stiffness / h];
+        let moves = if self.is_at_rest { 0.0 } else { 1.0 / h };
+        let rates = [self.damping.stiffness, change.damping.stiffness].map(|beta| moves * beta);
         self.system.change_of_elastic(change, rates, past);
         for (full, &unknown) in self.system.layout.unknown.iter().enumerate() {
             if unknown != FIXED {
@@ -184,7 +286,7 @@ impl RodStep {
             }
         }
         let s = &self.system;
-        let ([k, c], rate) = (self.inertia(h), change.damping.mass / h);
+        let ([k, c], rate) = (self.inertia(h), moves * change.damping.mass);
         for (f, &v) in s.layout.free_vertices.iter().enumerate() {
             let (mass, more) = (s.rod.masses[v], change.masses.get(v).copied().unwrap_or(0.0));
             let (d, e) = (s.x[v] - self.target[f], s.x[v] - self.start[f]);

@@ -44,15 +44,15 @@ impl Carry {
     ) -> Result<(), Error> {
         let n = system.rod.segments();
         self.anchors.clear();
-        if let Some(clamp) = &system.supports.start {
-            self.anchors.push(between(0, &clamp.frame(from)?, &clamp.frame(to)?));
+        if let (Some(a), Some(b)) = (system.clamp_frame(false, from)?, system.clamp_frame(false, to)?) {
+            self.anchors.push(between(0, &a, &b));
         }
         for (vertex, motion) in &system.supports.prescribed {
-            let (from, to) = (motion.at(from), motion.at(to));
+            let [from, to] = [from, to].map(|t| system.moves.place(*vertex, motion.as_ref(), t));
             self.anchors.push(Anchor { vertex: *vertex, from, to, rotation: Matrix3::identity() });
         }
-        if let Some(clamp) = &system.supports.end {
-            self.anchors.push(between(n, &clamp.frame(from)?, &clamp.frame(to)?));
+        if let (Some(a), Some(b)) = (system.clamp_frame(true, from)?, system.clamp_frame(true, to)?) {
+            self.anchors.push(between(n, &a, &b));
         }
         self.anchors.sort_unstable_by_key(|a| a.vertex);
         system.scatter_state(state);

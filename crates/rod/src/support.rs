@@ -44,7 +44,7 @@ impl<V: Into<Vector3<f64>>, F: Fn(f64) -> V + Send + Sync> Motion for F {
 /// The paper's drive: an ellipse in the xy plane, faded in by a quintic ramp.
 ///
 /// ```text
-/// x(t) = c + a(u) (r_x cos ωt, r_y sin ωt, 0),   a = u³ (10 − 15u + 6u²),   u = min(1, t / T_ramp)
+/// x(t) = c + a(u) (r_x cos(ωt + φ), r_y sin(ωt + φ), 0),   a = u³ (10 − 15u + 6u²),   u = min(1, t / T_ramp)
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EllipseDrive {
@@ -54,16 +54,31 @@ pub struct EllipseDrive {
     pub radii: [f64; 2],
     /// Angular frequency ω [rad/s].
     pub omega: f64,
+    /// Phase φ \[rad\]; 0 in the paper.
+    pub phase: f64,
     /// Duration of the ramp \[s\]; 0 for none.
     pub ramp: f64,
 }
 
 impl Motion for EllipseDrive {
     fn at(&self, t: f64) -> Vector3<f64> {
-        let u = if self.ramp > 0.0 { (t / self.ramp).clamp(0.0, 1.0) } else { 1.0 };
-        let a = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u);
-        let (sin, cos) = (self.omega * t).sin_cos();
+        let (a, (sin, cos)) = (self.faded_in(t), (self.omega * t + self.phase).sin_cos());
         self.centre + Vector3::new(a * self.radii[0] * cos, a * self.radii[1] * sin, 0.0)
+    }
+}
+
+impl EllipseDrive {
+    /// a(t).
+    fn faded_in(&self, t: f64) -> f64 {
+        let u = if self.ramp > 0.0 { (t / self.ramp).clamp(0.0, 1.0) } else { 1.0 };
+        u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
+    }
+
+    /// What changes of its semi-axes and phase do to its place at time t.
+    pub(crate) fn rate_by(&self, radii: [f64; 2], phase: f64, t: f64) -> Vector3<f64> {
+        let (a, (sin, cos)) = (self.faded_in(t), (self.omega * t + self.phase).sin_cos());
+        let [rx, ry] = self.radii;
+        Vector3::new(a * (radii[0] * cos - rx * phase * sin), a * (radii[1] * sin + ry * phase * cos), 0.0)
     }
 }
 

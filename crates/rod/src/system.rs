@@ -4,14 +4,16 @@ use nalgebra::{Matrix3, Vector3};
 use varda_implicit::Structure;
 
 use crate::Error;
+use crate::clamp_frame::ClampFrame;
 use crate::element::{self, Stiffness};
 use crate::geometry::{any_perpendicular, perpendicular, signed_angle};
 use crate::layout::{Band, FIXED, Layout, mirror};
 use crate::load::{EdgeLoad, EdgeMotion};
+use crate::moved::{HeldAt, Moves};
 use crate::rod::Rod;
 use crate::scalar::length;
 use crate::shape::{FirstFrame, Shape};
-use crate::support::{Clamp, Damping, Loads, Supports};
+use crate::support::{Damping, Loads, Supports};
 
 /// Largest |δθ| of one Newton update \[rad\], where bending depends on angles: it does so with periods of
 /// π and 2π.
@@ -23,6 +25,8 @@ pub(crate) struct System {
     pub(crate) rod: Rod,
     pub(crate) supports: Supports,
     pub(crate) loads: Loads,
+    /// What parameters do to the supports.
+    pub(crate) moves: Moves,
     pub(crate) layout: Layout,
     /// Prescribed vertices with their motion's origin resolved at the last `place`.
     pub(crate) x: Vec<Vector3<f64>>,
@@ -106,6 +110,7 @@ impl System {
             forces: vec![Vector3::zeros(); n + 1],
             time: 0.0,
             lower: Vec::new(),
+            moves: Moves::default(),
             rod,
             supports,
             loads,
@@ -148,17 +153,15 @@ impl System {
         let n = self.rod.segments();
         self.time = t;
         for (vertex, motion) in &self.supports.prescribed {
-            self.x[*vertex] = motion.at(t);
+            self.x[*vertex] = self.moves.place(*vertex, motion.as_ref(), t);
         }
-        if let Some(clamp) = &self.supports.start {
-            let f = clamp.frame(t)?;
+        if let Some(f) = self.clamp_frame(false, t)? {
             self.x[0] = f.position;
             self.x[1] = f.position + f.tangent * self.rod.rest_lengths[0];
             self.first = FirstFrame::Clamped(f.director);
             self.theta[0] = 0.0;
         }
-        if let Some(clamp) = &self.supports.end {
-            let f = clamp.frame(t)?;
+        if let Some(f) = self.clamp_frame(true, t)? {
             self.x[n] = f.position;
             self.x[n - 1] = f.position - f.tangent * self.rod.rest_lengths[n - 1];
             self.end_director = Some(f.director);
@@ -176,11 +179,27 @@ impl System {
         Ok(())
     }
 
+    /// The frame of the start clamp, or of the end clamp, at time t, where there is one.
+    pub(crate) fn clamp_frame(&self, end: bool, t: f64) -> Result<Option<ClampFrame>, Error> {
+        let (clamp, of) =
+            if end { (&self.supports.end, HeldAt::End) } else { (&self.supports.start, HeldAt::Start) };
+        let Some(clamp) = clamp else { return Ok(None) };
+        if self.moves.is_empty() {
+            return clamp.frame(t).map(Some);
+        }
+        let mut frame = clamp.frame_turned(t, self.moves.turn(end))?;
+        frame.position += self.moves.displaced(of, t);
+        Ok(Some(frame))
+    }
+
     /// How far the end clamp turns against the start clamp from one time to another, and the larger of their
     /// turns \[rad\].
     pub(crate) fn clamps_turn(&self, from: f64, to: f64) -> Result<(f64, f64), Error> {
-        let turned = |clamp: &Option<Clamp>| clamp.as_ref().map_or(Ok(0.0), |c| c.turned(from, to));
-        let (start, end) = (turned(&self.supports.start)?, turned(&self.supports.end)?);
+        let turned = |end: bool| match (self.clamp_frame(end, from)?, self.clamp_frame(end, to)?) {
+            (Some(a), Some(b)) => b.turned_since(&a, [from, to]),
+            _ => Ok(0.0),
+        };
+        let (start, end) = (turned(false)?, turned(true)?);
         Ok((end - start, if start.abs() > end.abs() { start } else { end }))
     }
 

@@ -6,6 +6,7 @@ use varda_implicit::{NewtonOptions, NewtonWork, Refusal, solve};
 use crate::Error;
 use crate::change::Change;
 use crate::layout::{FIXED, band_product_add};
+use crate::moved::{Increments, Moves};
 use crate::second_order::Increment;
 use crate::statics::{Statics, at_rest};
 use crate::system::{PastStrains, System};
@@ -208,10 +209,18 @@ impl TwistEquilibrium {
         e.saturating_sub(1)..=(e + 2).min(self.full.layout.segments)
     }
 
-    /// Takes the rod of another system.
-    pub(crate) fn take_constants(&mut self, from: &System) {
+    /// Parameters move supports from now on.
+    pub(crate) fn take_moves(&mut self, moves: &Moves) {
+        for system in [&mut self.statics.system, &mut self.full] {
+            system.moves = moves.clone();
+        }
+    }
+
+    /// Takes the rod of another system, and the parameters that move its supports.
+    pub(crate) fn take_constants(&mut self, from: &System, p: &[f64]) {
         for system in [&mut self.statics.system, &mut self.full] {
             system.rod.clone_from(&from.rod);
+            system.moves.take(p);
             system.set_stiffness(0.0, None);
         }
     }
@@ -224,6 +233,26 @@ impl TwistEquilibrium {
         }
         self.solve_angles();
         dtheta.copy_from_slice(&self.rhs);
+    }
+
+    /// dtheta, of the free angles and the end clamp's, += what a parameter does that moves supports, at the
+    /// angles last found.
+    pub(crate) fn moved_add(&mut self, parameter: usize, work: &mut Increments, dtheta: &mut [f64]) {
+        let Increments { places, angles, full, .. } = work;
+        let s = &self.full;
+        let Some(end) = s.moved_increment(&s.shape, parameter, s.time, places, angles) else { return };
+        full.fill(0.0);
+        s.elastic_second_add(places, angles, full);
+        for (f, &e) in s.layout.free_angles.iter().enumerate() {
+            let moments = self.moments.get(f).map_or(0.0, |(by_angle, by_places)| {
+                let [a, b] = [places[e], places[e + 1]];
+                by_angle * angles[e] + by_places.dot(&Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z))
+            });
+            self.rhs[f] = moments - full[s.layout.angle(e)];
+        }
+        self.solve_angles();
+        dtheta.iter_mut().zip(&self.rhs).for_each(|(d, more)| *d += more);
+        dtheta[self.rhs.len()..].iter_mut().for_each(|d| *d += end);
     }
 
     pub(crate) fn tangent(&mut self, dx: &[f64], dtheta: &mut [f64]) {

@@ -31,7 +31,7 @@ fn clamp(
 }
 
 fn drive() -> EllipseDrive {
-    EllipseDrive { centre: [0.0; 3].into(), radii: [0.06, 0.03], omega: 10.0, ramp: 0.1 }
+    EllipseDrive { centre: [0.0; 3].into(), radii: [0.06, 0.03], omega: 10.0, phase: 0.0, ramp: 0.1 }
 }
 
 /// A rod with everything: anisotropic, naturally curved and twisted, unequal segments, a point mass.

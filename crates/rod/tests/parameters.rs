@@ -6,11 +6,13 @@ use std::f64::consts::PI;
 
 use common::{assert_close, noise, products};
 use varda_implicit::{
-    Error, ImplicitModel, ImplicitStep, Model, ParametricStep, Scheme, SolvedStep, WithParameters,
+    At, Error, ImplicitModel, ImplicitStep, Model, ObservationOperator, ParametricStep, Scheme, SolvedStep,
+    WithParameters,
 };
 use varda_rod::{
-    Change, Clamp, ClampAt, Damping, Law, Loads, Material, Parameter, Rod, RodStep, Section, Supports,
-    TwistUnknowns, Vector3, straight_guess,
+    Change, Clamp, ClampAt, Damping, Displacement, Drag, EdgeLoad, EdgeMotion, EllipseDrive, HeldAt, Law,
+    Load, Loads, Marker, Markers, Material, Motion, Moved, MovedBy, Parameter, Rod, RodStep, Section,
+    Supports, TwistUnknowns, Vector3, straight_guess,
 };
 
 const SEGMENTS: usize = 8;
@@ -25,6 +27,9 @@ struct Case {
     spins: bool,
     end: bool,
     held: bool,
+    /// Parameters move the supports.
+    moved: bool,
+    drag: bool,
 }
 
 const PLAIN: Case = Case {
@@ -35,6 +40,8 @@ const PLAIN: Case = Case {
     spins: false,
     end: false,
     held: true,
+    moved: false,
+    drag: false,
 };
 const LOST: Damping = Damping { stiffness: 0.02, mass: 0.4 };
 
@@ -46,6 +53,11 @@ fn cases() -> Vec<Case> {
         Case { name: "anisotropic and damped", anisotropic: true, damping: LOST, ..PLAIN },
         Case { name: "curved, held at both ends", curved: true, end: true, damping: LOST, ..PLAIN },
         Case { name: "spinning", anisotropic: true, curved: true, spins: true, damping: LOST, ..PLAIN },
+        Case { name: "moved", moved: true, ..PLAIN },
+        Case { name: "moved in a fluid", moved: true, drag: true, ..PLAIN },
+        Case { name: "moved, curved and damped", moved: true, curved: true, damping: LOST, ..PLAIN },
+        Case { name: "moved at both ends", moved: true, curved: true, anisotropic: true, end: true, ..PLAIN },
+        Case { name: "moved at both ends and damped", moved: true, end: true, damping: LOST, ..PLAIN },
         Case { name: "no director held", curved: true, held: false, ..PLAIN },
     ]
 }
@@ -70,15 +82,66 @@ fn rod(case: Case) -> Rod {
 
 fn supports(case: Case) -> Supports {
     let place = |t: f64| [0.05 * (5.0 * t).sin(), 0.0, 0.0];
-    let mut supports = if case.held {
+    let (turning, face) = (|t: f64| [1.0, 2.0 * t, 0.3 * t], |t: f64| [0.3 * t, -t, 1.0]);
+    let mut supports = if case.moved {
+        Supports::clamped_start(Clamp::new(ClampAt::Face, DRIVE, turning, face))
+    } else if case.held {
         Supports::clamped_start(Clamp::new(ClampAt::Edge, place, Vector3::x(), Vector3::z()))
     } else {
         Supports { prescribed: vec![(0, std::sync::Arc::new(place))], ..Supports::default() }
     };
     if case.end {
-        supports.end = Some(Clamp::new(ClampAt::Edge, [0.93, 0.1, 0.0], Vector3::x(), Vector3::z()));
+        let end = if case.moved { DRIVE.at(0.0).x + 0.93 } else { 0.93 };
+        supports.end = Some(Clamp::new(ClampAt::Edge, [end, 0.1, 0.0], Vector3::x(), Vector3::z()));
+    } else if case.moved {
+        let near = straight(case, SEGMENTS - 2);
+        supports.prescribed.push((SEGMENTS - 2, std::sync::Arc::new(near)));
     }
     supports
+}
+
+const DRIVE: EllipseDrive = EllipseDrive {
+    centre: Vector3::new(0.0, 0.0, 0.0),
+    radii: [0.04, 0.02],
+    omega: 7.0,
+    phase: 0.3,
+    ramp: 0.0,
+};
+
+/// Where a vertex of the straight rod is.
+fn straight(case: Case, vertex: usize) -> [f64; 3] {
+    let s = rod(case).with_faces([true, false]).arc_lengths()[vertex];
+    let start = DRIVE.at(0.0);
+    [start.x + 0.99 * s, start.y + 0.05, start.z]
+}
+
+/// What moves the supports.
+fn moves(case: Case) -> Vec<Parameter> {
+    let linear = |of: HeldAt, by: MovedBy| {
+        let change = Change { supports: vec![Moved { of, by }], ..Change::default() };
+        Parameter { change, law: Law::Linear }
+    };
+    let drive = |radii, phase| MovedBy::Drive { drive: DRIVE, radii, phase };
+    let along = |v: Vector3<f64>| {
+        MovedBy::Along(Displacement(std::sync::Arc::new(move |t: f64| v * (1.0 + (30.0 * t).sin()) * 0.01)))
+    };
+    let mut all = vec![
+        linear(HeldAt::Start, MovedBy::Turn(Vector3::x())),
+        linear(HeldAt::Start, MovedBy::Turn(Vector3::y())),
+        linear(HeldAt::Start, MovedBy::Turn(Vector3::new(0.1, 0.0, 1.0))),
+        Parameter { law: Law::Exponential, ..linear(HeldAt::Start, drive([0.04, 0.0], 0.0)) },
+        linear(HeldAt::Start, drive([0.0, 0.01], 0.0)),
+        linear(HeldAt::Start, drive([0.0; 2], 1.0)),
+        linear(HeldAt::Start, along(Vector3::new(1.0, 0.3, -0.4))),
+    ];
+    if case.end {
+        all.push(linear(HeldAt::End, MovedBy::Turn(Vector3::new(0.0, 1.0, 0.2))));
+        all.push(linear(HeldAt::End, MovedBy::Turn(Vector3::z())));
+        all.push(linear(HeldAt::End, along(Vector3::new(-0.4, 1.0, 0.3))));
+    } else {
+        all.push(linear(HeldAt::Vertex(SEGMENTS - 2), along(Vector3::new(-0.4, 1.0, 0.3))));
+    }
+    all
 }
 
 /// Every kind of parameter that a case has.
@@ -118,15 +181,51 @@ fn unknowns(case: Case) -> Vec<Parameter> {
         let ei2 = rod.ei.iter().map(|k| [0.0, 0.0, k[2]]).collect();
         all.push(exponential(Change { ei: ei2, ..none() }));
     }
+    if case.moved {
+        all.extend(moves(case));
+    }
     all
+}
+
+/// A force −c (v_b − v_a) on the second vertex of an edge and its opposite on the first: that on a free one
+/// depends on how fast the held one moves.
+struct Dashpot(f64);
+
+impl Load for Dashpot {
+    fn has_potential(&self) -> bool {
+        false
+    }
+    fn on_edge(&self, motion: &EdgeMotion) -> EdgeLoad {
+        let [a, b] = motion.velocities;
+        let mut load = EdgeLoad::zero();
+        let force = (b - a) * self.0;
+        for c in 0..3 {
+            (load.forces[c], load.forces[3 + c]) = (force[c], -force[c]);
+            for (row, column, sign) in [(0, 0, -1.0), (0, 3, 1.0), (3, 0, 1.0), (3, 3, -1.0)] {
+                load.by_velocities[(row + c, column + c)] = sign * self.0;
+            }
+        }
+        load
+    }
 }
 
 const DOWN: Loads =
     Loads { gravity: Vector3::new(0.0, 0.0, -9.81), point_forces: Vec::new(), of_motion: Vec::new() };
 
+fn loads(case: Case) -> Loads {
+    let mut loads = DOWN;
+    if case.drag {
+        let flow = Vector3::new(0.1, 0.4, 0.0);
+        let drag = Drag { fluid_density: 200.0, diameter: 0.02, normal: 1.2, tangential: 0.3, flow };
+        loads.of_motion.push(std::sync::Arc::new(drag));
+        loads.of_motion.push(std::sync::Arc::new(Dashpot(0.3)));
+    }
+    loads
+}
+
 fn step(case: Case, scheme: Scheme) -> RodStep {
     let unknown = unknowns(case);
-    RodStep::with_parameters(rod(case), supports(case), DOWN, case.damping, unknown)
+    RodStep::with_parameters(rod(case), supports(case), loads(case), case.damping, unknown)
         .unwrap()
         .with_scheme(scheme)
 }
@@ -235,6 +334,42 @@ fn forces_move_with_the_parameters_as_differences_say() {
             let (error, size) = common::off(&tangent, &by_difference);
             // rounding of 1e3 N over 1e-3
             assert!(error <= 1e-8 * size.max(1e-2), "{}, {i}: off by {error:e} of {size:e}", case.name);
+        }
+    }
+}
+
+/// Places of markers at a fixed state, off the centreline too.
+#[test]
+fn markers_move_with_the_supports_as_differences_say() {
+    for case in cases().into_iter().filter(|case| case.moved) {
+        let step = step(case, Scheme::BackwardEuler);
+        let z = control(&step);
+        let p = z[z.len() - step.parameters()..].to_vec();
+        let mut model = ImplicitModel::new(WithParameters::new(step, 0), 0, 0.01);
+        let mut x = vec![0.0; Model::dim(&model)];
+        model.initial_state(&z, &mut x).unwrap();
+        let x = model.step_mut().at(&x).unwrap().1.to_vec();
+        let step = model.into_inner().into_step();
+        let places = [0.02, 0.09, 0.31, 0.55, 0.97].map(|s| Marker { s, offset: [0.01, -0.02, 0.03].into() });
+        let mut markers = Markers::new(&step, &places).unwrap();
+        let (at, moving) = (At { step: 0, time: 0.0 }, markers.moving_parameters().to_vec());
+        let mut columns = vec![0.0; 15 * moving.len()];
+        markers.set_parameters(&p);
+        markers.by_parameters(at, &x, &mut columns).unwrap();
+        assert_eq!(moving.len(), moves(case).len());
+        for (&i, column) in moving.iter().zip(columns.chunks_exact(15)) {
+            let mut dp = vec![0.0; p.len()];
+            dp[i] = 1.0;
+            let by_difference = common::difference(&p, &dp, 1e-3, |p| {
+                let mut y = vec![0.0; 15];
+                markers.set_parameters(p);
+                markers.observe(at, &x, &mut y).unwrap();
+                y
+            });
+            markers.set_parameters(&p);
+            // rounding of 1 m over 1e-3; a vertex far from the markers moves none
+            let (error, size) = common::off(column, &by_difference);
+            assert!(error <= 1e-10 * size.max(1.0), "{}, {i}: off by {error:e} of {size:e}", case.name);
         }
     }
 }
@@ -357,4 +492,115 @@ fn what_cannot_be_a_parameter_is_refused() {
     let mut x = vec![0.0; model.dim()];
     let error: Error = model.initial_state(&z, &mut x).unwrap_err();
     assert!(error.to_string().contains("vertex mass"), "{error}");
+}
+
+/// Cases of rods at rest: nothing of a motion in them, gravity as it is, and `still` supports too.
+fn at_rest(still: bool) -> impl Iterator<Item = (Case, WithParameters<RodStep>, Vec<f64>)> {
+    cases().into_iter().filter(|case| !case.spins && case.held).map(move |case| {
+        let case = Case { damping: PLAIN.damping, ..case };
+        let step = step(case, Scheme::BackwardEuler).at_rest().unwrap();
+        let (rod, supports) = (step.rod(), step.supports());
+        let found = varda_rod::rest(rod, supports, &loads(case), 0.0, &varda_rod::Search::default()).unwrap();
+        let mut z = step.control_at_rest(&found.rest);
+        let first = z.len();
+        z.extend(noise(2).take(step.parameters()).map(|e| 0.2 * e));
+        for (z, p) in z[first..].iter_mut().zip(unknowns(case)) {
+            let known = [p.change.gravity, p.change.gravity_turn] == [Vector3::zeros(); 2];
+            if !known || !p.change.supports.is_empty() && still {
+                *z = 0.0;
+            }
+        }
+        (case, WithParameters::new(step, 0), z)
+    })
+}
+
+/// Every step, the first included, ends at the equilibrium of the rod with those constants, which another
+/// function finds.
+#[test]
+fn a_rod_at_rest_is_in_equilibrium_at_every_step() {
+    for (case, step, z) in at_rest(true) {
+        let mut model = ImplicitModel::new(step, 0, 0.01);
+        let mut x = vec![0.0; Model::dim(&model)];
+        model.initial_state(&z, &mut x).unwrap();
+        let mut next = x.clone();
+        for k in 0..4 {
+            if k > 0 {
+                model.step(k - 1, &x, &mut next).unwrap();
+                std::mem::swap(&mut x, &mut next);
+            }
+            let t = 0.01 * k as f64;
+            let (rod, own) = model.step_mut().at(&x).unwrap();
+            let own = own.to_vec();
+            let vertices = rod.vertices(t, &own).unwrap();
+            let guess = varda_rod::Rest { theta: vec![0.0; SEGMENTS], vertices };
+            let (found, _) =
+                varda_rod::equilibrium(rod.rod(), rod.supports(), &loads(case), t, &guess).unwrap();
+            let apart = |(a, b): (&Vector3<f64>, &Vector3<f64>)| (a - b).norm();
+            let most = found.vertices.iter().zip(&guess.vertices).map(apart).fold(0.0, f64::max);
+            // both solve to 1e-11 of the length
+            assert!(most <= 1e-9, "{}, step {k}: off by {most:e} m", case.name);
+        }
+    }
+}
+
+/// What can turn about a point has no equilibrium of its own, and what spins is not at rest.
+#[test]
+fn a_rod_that_is_free_to_turn_is_not_at_rest() {
+    let hung = step(Case { held: false, ..PLAIN }, Scheme::BackwardEuler);
+    assert!(hung.at_rest().err().unwrap().to_string().contains("two prescribed vertices"));
+    let spinning = step(Case { spins: true, ..PLAIN }, Scheme::BackwardEuler);
+    assert!(spinning.at_rest().err().unwrap().to_string().contains("nothing spins at rest"));
+}
+
+/// ∂x₀/∂p and its transpose, each parameter alone; places and velocities of the control move nothing.
+#[test]
+fn the_first_state_at_rest_moves_with_parameters_alone() {
+    for (case, step, z) in at_rest(false) {
+        let parameters = step.places().parameters();
+        let mut model = ImplicitModel::new(step, 0, 0.01);
+        let n = Model::dim(&model);
+        let start = |model: &mut ImplicitModel<_>, z: &[f64]| {
+            let mut x = vec![0.0; n];
+            model.initial_state(z, &mut x).unwrap();
+            x
+        };
+        for p in parameters.clone() {
+            let mut dz = vec![0.0; z.len()];
+            dz[p] = 1.0;
+            let differences = common::difference(&z, &dz, 1e-3, |z| start(&mut model, z));
+            start(&mut model, &z);
+            let mut dx = vec![0.0; n];
+            model.initial_tangent(&dz, &mut dx);
+            let name = format!("{}, parameter {}", case.name, p - parameters.start);
+            // rounding of 1e-11 m over 1e-3, and the third derivative
+            assert_close(&name, &dx, &differences, 1e-6);
+            // a check that cannot fail is none
+            dx.iter_mut().take(parameters.start).for_each(|d| *d *= 1.001);
+            let (error, size) = common::off(&dx, &differences);
+            let moves = dx[..parameters.start].iter().any(|d| d.abs() > 1e-2);
+            assert!(!moves || error > 1e-6 * size, "{name}: a tangent 0.1 % too large passes");
+        }
+        let dz: Vec<f64> = noise(3).take(z.len()).collect();
+        let lambda: Vec<f64> = noise(5).take(n).collect();
+        let (mut dx, mut back) = (vec![0.0; n], vec![0.0; z.len()]);
+        model.initial_tangent(&dz, &mut dx);
+        model.initial_adjoint(&lambda, &mut back);
+        let gap = (common::dot(&dx, &lambda) - common::dot(&dz, &back)).abs();
+        assert!(gap <= 1e-13 * common::norm(&dx) * common::norm(&lambda), "{}: {gap:e}", case.name);
+        assert!(back[..parameters.start].iter().all(|b| *b == 0.0), "{}", case.name);
+    }
+}
+
+/// Steps from one equilibrium to the next, supports moving.
+#[test]
+fn tangent_and_adjoint_of_steps_at_rest() {
+    for (case, step, z) in at_rest(false) {
+        let mut model = ImplicitModel::new(step, 0, 0.01);
+        for product in products(&mut model, &z) {
+            assert_eq!(product.substeps, 0, "{}", case.name);
+            // velocities are differences of places over 0.01 s
+            assert_close(case.name, &product.tangent, &product.by_difference, 3e-6);
+            assert!(product.gap <= 1e-12, "{}: the transposes differ by {:e}", case.name, product.gap);
+        }
+    }
 }

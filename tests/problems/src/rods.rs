@@ -78,7 +78,13 @@ impl HangingRod {
         let prior = background.covariance;
         let mut problem = HangingRod {
             rod: Rod::uniform(model.length, model.segments, &Section::circle(&material, radius))?,
-            drive: EllipseDrive { centre: [0.0; 3].into(), radii, omega, ramp: ramp_periods * TAU / omega },
+            drive: EllipseDrive {
+                centre: [0.0; 3].into(),
+                radii,
+                omega,
+                phase: 0.0,
+                ramp: ramp_periods * TAU / omega,
+            },
             director: model.start.director,
             gravity: model.gravity,
             dt: TAU / (time.steps_per_period * omega),
@@ -476,7 +482,7 @@ fn swinging() -> Clamp {
 }
 
 fn drive() -> EllipseDrive {
-    EllipseDrive { centre: [0.0; 3].into(), radii: [0.06, 0.03], omega: 10.0, ramp: 0.1 }
+    EllipseDrive { centre: [0.0; 3].into(), radii: [0.06, 0.03], omega: 10.0, phase: 0.0, ramp: 0.1 }
 }
 
 fn both_ends() -> Supports {

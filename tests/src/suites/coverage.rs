@@ -19,7 +19,7 @@ struct Twin {
     allowance: f64,
 }
 
-const TWINS: [Twin; 7] = [
+const TWINS: [Twin; 8] = [
     Twin { name: "linear advection", scene: "linear-advection", sets: &[], allowance: 0.02 },
     Twin {
         name: "Lorenz-63, short window",
@@ -49,6 +49,16 @@ const TWINS: [Twin; 7] = [
             "estimate.youngs_modulus={sigma=\"15%\"}",
             "estimate.damping_stiffness={sigma=\"30%\"}",
             "estimate.natural_curvature={sigma=0.2}",
+        ],
+        allowance: 0.02,
+    },
+    Twin {
+        name: "rod with unknown clamp direction and drive",
+        scene: "starter",
+        sets: &[
+            "estimate.clamp_direction={sigma=0.05}",
+            "estimate.drive_radii={sigma=\"10%\"}",
+            "estimate.drive_phase={sigma=0.1}",
         ],
         allowance: 0.02,
     },

@@ -61,7 +61,7 @@ pub(crate) fn products(model: &mut dyn Model, z: &[f64]) -> Vec<Product> {
         let substeps = model.step(k, &x, &mut next).unwrap().substeps;
         model.linearize(k, k, &x, &next).unwrap();
         let dx: Vec<f64> = noise(4 + k).take(n).collect();
-        let by_difference = difference(&x, &dx, 1e-4, |x| {
+        let by_difference = difference(&x, &dx, 3e-5, |x| {
             let mut next = vec![0.0; n];
             model.step(k, x, &mut next).unwrap();
             next

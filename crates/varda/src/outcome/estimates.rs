@@ -13,6 +13,9 @@ const COLLINEAR: f64 = 0.95;
 pub struct Estimated {
     /// Name, as `ei[0]`.
     pub name: String,
+    /// Its place on the rod \[m\], of one number of a field along it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub arc_length: Option<f64>,
     /// SI unit; "1" for none.
     pub unit: &'static str,
     /// Value before the observations.
@@ -40,6 +43,22 @@ pub struct Estimated {
 }
 
 impl Estimated {
+    /// The field along the rod that it is a number of.
+    pub fn field(&self) -> Option<&str> {
+        self.arc_length.and_then(|_| self.name.split("(s = ").next())
+    }
+
+    /// Whether it is one value of a field along the rod, or of an error in time.
+    pub(crate) fn is_of_field(&self) -> bool {
+        self.arc_length.is_some() || self.is_of_input()
+    }
+
+    /// Whether it is one value of an error in time of what was recorded: whether the observations see each is
+    /// no question.
+    pub(crate) fn is_of_input(&self) -> bool {
+        self.name.contains("(t = ")
+    }
+
     /// Whether more of σ is the mesh's than the observations'.
     pub fn is_of_mesh(&self) -> bool {
         self.mesh.zip(self.sigma_on_mesh).is_some_and(|(mesh, sigma)| mesh > sigma)
@@ -84,8 +103,21 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
                 .into(),
         );
     }
-    let unseen: Vec<&str> =
-        all.iter().filter(|e| e.identifiable == Some(false)).map(|e| e.name.as_str()).collect();
+    let mut unseen: Vec<String> = Vec::new();
+    for e in all.iter().filter(|e| e.identifiable == Some(false) && !e.is_of_input()) {
+        let name = match e.field() {
+            Some(field) => {
+                let of_it = |o: &&Estimated| o.field() == Some(field);
+                let places = all.iter().filter(of_it);
+                let dark = places.clone().filter(|o| o.identifiable == Some(false)).count();
+                format!("{field} at {dark} of {} places", places.count())
+            }
+            None => e.name.clone(),
+        };
+        if unseen.last() != Some(&name) {
+            unseen.push(name);
+        }
+    }
     if !unseen.is_empty() {
         out.push(format!(
             "not identifiable: {}: these observations leave more than {:.0} % of the prior's σ, and what is \
@@ -96,13 +128,16 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
     }
     let mut seen = vec![false; all.len()];
     for i in 0..all.len() {
-        let like = |j: &usize| all[i].correlations.get(*j).is_some_and(|c| c.abs() >= COLLINEAR);
+        // numbers of a field beside each other are alike by its prior
+        let apart = |j: usize| all[i].field().is_none() || all[i].field() != all[j].field();
+        let correlated = |j: usize| all[i].correlations.get(j).is_some_and(|c| c.abs() >= COLLINEAR);
+        let like = |j: &usize| apart(*j) && correlated(*j) && !all[*j].is_of_input();
         let group: Vec<usize> = (i..all.len()).filter(|j| !seen[*j] && (*j == i || like(j))).collect();
-        if seen[i] || group.len() < 2 {
+        if seen[i] || all[i].is_of_input() || group.len() < 2 {
             continue;
         }
         group.iter().for_each(|j| seen[*j] = true);
-        let names: Vec<&str> = group.iter().map(|j| all[*j].name.as_str()).collect();
+        let names: Vec<String> = group.iter().map(|j| all[*j].name.clone()).collect();
         let least = group[1..].iter().map(|j| all[i].correlations[*j].abs()).fold(1.0, f64::min);
         out.push(format!(
             "{} are seen together only (correlation {least:.3} or more): their combination is known better \
@@ -110,10 +145,38 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
             few(&names)
         ));
     }
+    out.extend(of_inputs(all));
     out
 }
 
-fn few(names: &[&str]) -> String {
+/// How far recorded places were moved: the root mean squares of the numbers of an error in time.
+fn of_inputs(all: &[Estimated]) -> Vec<String> {
+    let mut out = Vec::new();
+    let inputs: Vec<&Estimated> = all.iter().filter(|e| e.is_of_input()).collect();
+    let support = |e: &Estimated| e.name.split('.').next().unwrap_or_default().to_string();
+    for of in inputs.chunk_by(|a, b| support(a) == support(b)) {
+        let mean = |of_one: &dyn Fn(&Estimated) -> f64| {
+            (of.iter().map(|e| of_one(e).powi(2)).sum::<f64>() / of.len() as f64).sqrt()
+        };
+        let sigma = match of.iter().all(|e| e.sigma.is_some()) {
+            true => format!(
+                ", σ of each {:.2e} m before and {:.2e} m after",
+                of[0].prior_sigma,
+                mean(&|e| { e.sigma.unwrap_or(f64::NAN) })
+            ),
+            false => String::new(),
+        };
+        out.push(format!(
+            "{}: the recorded place is moved by an error of {} numbers, {:.2e} m in the root mean square{sigma}",
+            support(of[0]),
+            of.len(),
+            mean(&|e| e.value)
+        ));
+    }
+    out
+}
+
+fn few(names: &[String]) -> String {
     const SHOWN: usize = 6;
     match names.len() {
         n if n <= SHOWN => names.join(", "),

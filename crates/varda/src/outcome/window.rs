@@ -14,10 +14,11 @@ use super::exact_hessian::ExactHessian;
 use super::fit::{Fit, Forecast, Rejected, Withheld};
 use super::model_errors::ModelErrors;
 use super::next_observation::NextObservation;
+use super::shares::{KnownConstants, Share};
 use super::space::Shapes;
 use super::spread::ObservedValue;
 use super::verdict::Judgement;
-use crate::scene::{Scene, TimeGrid};
+use crate::scene::{Covariance, Scene, TimeGrid};
 use crate::state::StateLayout;
 
 /// What is run: the scene, its grid of time, and the meaning of the numbers of a state.
@@ -41,6 +42,14 @@ impl Experiment {
     /// Length of the control.
     pub fn n_control(&self) -> usize {
         self.state.len()
+    }
+
+    /// How many numbers of the control are unknown.
+    pub fn n_unknown(&self) -> usize {
+        match self.scene.background.covariance {
+            Covariance::Known(_) => self.state.constants.len(),
+            _ => self.state.len(),
+        }
     }
 }
 
@@ -85,6 +94,11 @@ pub struct Outcome {
     pub rejected: Vec<Rejected>,
     /// Constants that were estimated beside the state.
     pub estimates: Vec<Estimated>,
+    /// What J is made of.
+    pub shares: Vec<Share>,
+    /// σ at the start and at the end of the window, and what it would be with these constants known; empty
+    /// without such or without a dense posterior.
+    pub with_constants_known: Vec<KnownConstants>,
     /// RMSE of the initial state against the truth.
     pub rmse: Rmse,
     /// Where the time went.

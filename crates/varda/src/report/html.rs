@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use crate::outcome::{ConvergenceRow, Fit, Forecast, Judgement, Outcome, Status, Withheld};
+use crate::outcome::{ConvergenceRow, Fit, Forecast, Judgement, KnownConstants, Outcome, Status, Withheld};
 use crate::state::{StateGroup, StateLayout};
 
 use super::Summary;
@@ -172,10 +172,32 @@ pub(super) fn tile_list(tiles: &[(String, String, String)]) -> String {
     format!("<dl class=\"tiles\">{}</dl>", tiles.iter().map(tile).collect::<String>())
 }
 
+/// "σ of the place of the tip at 1 s, and with the constants known": "2.1 mm, 0.8 mm".
+fn with_constants_known(of: &KnownConstants) -> (String, String) {
+    let (factor, unit) = match of.unit {
+        "m" => (1e3, " mm".to_string()),
+        "1" => (1.0, String::new()),
+        unit => (1.0, format!(" {unit}")),
+    };
+    let sigma = [of.sigma, of.sigma_known].map(|s| format!("{}{unit}", short(factor * s)));
+    let name = format!("σ of the {} at {} s, and with the constants known", of.of, short(of.time));
+    (name, sigma.join(", "))
+}
+
 fn table_section(outcome: &Outcome, s: &Summary) -> String {
     let optional = |v: Option<f64>| v.map_or("–".to_string(), short);
-    let t = &s.j_terms;
     let c = &s.counts;
+    let parts: Vec<&str> = s.j_shares.iter().map(|share| share.part).collect();
+    let parts = format!("of it {} (to expect)", parts.join(", "));
+    let shares: Vec<String> = s
+        .j_shares
+        .iter()
+        .map(|share| match share.expected {
+            Some(expected) => format!("{} ({})", short(share.j), short(expected)),
+            None => short(share.j),
+        })
+        .collect();
+    let known: Vec<(String, String)> = s.with_constants_known.iter().map(with_constants_known).collect();
     let grid = &outcome.experiment.grid;
     let mut further = None;
     let unit = if outcome.experiment.state.geometry.is_some() { (1e3, "mm") } else { (1.0, "") };
@@ -185,11 +207,7 @@ fn table_section(outcome: &Outcome, s: &Summary) -> String {
         ("Window", format!("{} steps of {}", grid.steps, short(grid.step)), "s"),
         ("J at the background", short(s.j_background), ""),
         ("J at the analysis", short(s.j_analysis), ""),
-        (
-            "of it J_b, J_o, J_q",
-            format!("{}, {}, {}", short(t.background), short(t.observation), short(t.model_error)),
-            "",
-        ),
+        (&parts, shares.join("; "), ""),
         (
             "Gradient norm, first and last",
             format!("{:.2e}, {:.2e}", s.gradient_norm_first, s.gradient_norm_last),
@@ -215,6 +233,9 @@ fn table_section(outcome: &Outcome, s: &Summary) -> String {
     }
     if let Some((place, sigma)) = &further {
         rows.push((place, sigma.clone(), unit.1));
+    }
+    for (name, sigma) in &known {
+        rows.push((name, sigma.clone(), ""));
     }
     if let Some(e) = s.exact_hessian {
         rows.push(("Smallest eigenvalue of the exact Hessian", optional(e.smallest_eigenvalue), ""));

@@ -5,8 +5,8 @@ use varda_assimilation::CostTerms;
 use varda_implicit::check::Amplification;
 
 use crate::outcome::{
-    AcceptedSteps, Attempt, Estimated, Evidence, ExactHessian, Fit, Forecast, ModelErrors, NextObservation,
-    Outcome, Rejected, Rmse, Seconds, Verdict, Withheld, WorkCounts,
+    AcceptedSteps, Attempt, Estimated, Evidence, ExactHessian, Fit, Forecast, KnownConstants, ModelErrors,
+    NextObservation, Outcome, Rejected, Rmse, Seconds, Share, Verdict, Withheld, WorkCounts,
 };
 
 /// The keys of summary.json, in their order.
@@ -40,6 +40,8 @@ pub struct Summary {
     pub j_analysis: f64,
     /// J at the analysis, part by part.
     pub j_terms: Terms,
+    /// What J is made of, each part with its mean.
+    pub j_shares: Vec<Share>,
     /// ‖∇J‖ at the first point, in the control variable.
     pub gradient_norm_first: f64,
     /// ‖∇J‖ at the last point.
@@ -73,6 +75,9 @@ pub struct Summary {
     pub exact_hessian: Option<ExactHessian>,
     /// Constants that were estimated, with prior and posterior.
     pub estimates: Vec<Estimated>,
+    /// σ at the start and at the end of the window, and what it would be with these constants known.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub with_constants_known: Vec<KnownConstants>,
     /// RMSE against the truth of the initial state, where it is known.
     pub rmse: Rmse,
     /// Where the time went \[s\].
@@ -175,6 +180,7 @@ impl Summary {
             j_background: outcome.j_background,
             j_analysis: outcome.analysis.value,
             j_terms: outcome.analysis.terms.into(),
+            j_shares: outcome.shares.clone(),
             gradient_norm_first: outcome.gradient_norms[0],
             gradient_norm_last: outcome.gradient_norms[1],
             amplification: outcome.amplification.map(WindowAmplification::from),
@@ -193,6 +199,7 @@ impl Summary {
             exact_hessian: outcome.exact_hessian,
             next_observation: outcome.next_observation.clone(),
             estimates: outcome.estimates.clone(),
+            with_constants_known: outcome.with_constants_known.clone(),
             rmse: outcome.rmse.clone(),
             seconds: outcome.seconds,
             peak_bytes: peak_bytes(),

@@ -18,6 +18,7 @@ mod next_observation;
 mod passes;
 mod second_minimum;
 mod shapes;
+mod shares;
 mod spread;
 mod verdict;
 pub mod window;

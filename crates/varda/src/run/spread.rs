@@ -8,8 +8,9 @@ use varda_rod::{InternalForces, RodStep};
 
 use super::fit::predicted;
 use super::next_observation::Gathering;
+use super::shares::Given;
 use crate::Error;
-use crate::outcome::{NextObservation, ObservedValue, Rejected, Trajectories};
+use crate::outcome::{KnownConstants, NextObservation, ObservedValue, Rejected, Trajectories};
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
 use crate::setup::rod::RodSystem;
@@ -23,6 +24,8 @@ pub(super) struct Spread {
     seen: Vec<Vec<f64>>,
     /// σ of the forces within a rod and of its reactions, from step 1 on.
     pub(super) forces: Vec<InternalForces>,
+    /// σ with and without the constants known, at the start and at the end of the window.
+    pub(super) known: Vec<KnownConstants>,
     /// Where one more observation would help most.
     pub(super) next: Option<NextObservation>,
 }
@@ -110,8 +113,7 @@ pub(super) fn along(
     if root.is_empty() {
         return Ok(None);
     }
-    let further = Gathering::new(problem, root.len() / control.len().max(1));
-    let mut along = Along::new(problem, model, runs, further)?;
+    let mut along = Along::new(problem, model, runs, Some((root, control.len())))?;
     let mut before: Vec<f64> = Vec::new();
     let done = propagate_root(model, control, root, &runs.analysis, &mut |step, now| {
         along.see(&Carried { step, dim: runs.dim, before: &before, now, less: 0 });
@@ -126,6 +128,7 @@ pub(super) fn along(
 
 /// What is gathered at every step.
 struct Along<'a> {
+    problem: &'a Problem,
     runs: &'a Trajectories,
     grid: TimeGrid,
     set: ObservationSet,
@@ -137,15 +140,17 @@ struct Along<'a> {
     next: usize,
     forces: Option<ForceSpread>,
     further: Option<Gathering>,
+    given: Option<Given>,
     spread: Spread,
 }
 
 impl<'a> Along<'a> {
+    /// A root of the posterior with the length of its columns, if it has one.
     fn new(
-        problem: &Problem,
+        problem: &'a Problem,
         model: &dyn Model,
         runs: &'a Trajectories,
-        further: Option<Gathering>,
+        root: Option<(&[f64], usize)>,
     ) -> Result<Self, Error> {
         let grid = problem.experiment.grid;
         let (mut set, order) = problem.observed.everything(&grid)?;
@@ -160,9 +165,13 @@ impl<'a> Along<'a> {
             states: Vec::with_capacity(runs.analysis.len()),
             seen: vec![Vec::new(); problem.observed.seen.len()],
             forces: Vec::new(),
+            known: Vec::new(),
             next: None,
         };
-        Ok(Along { runs, grid, set, order, run, next: 0, forces, further, spread })
+        let further = root.and_then(|(root, length)| Gathering::new(problem, root.len() / length.max(1)));
+        let constants = problem.system.estimates().len();
+        let given = root.and_then(|(root, length)| Given::of(root, length, constants));
+        Ok(Along { problem, runs, grid, set, order, run, next: 0, forces, further, given, spread })
     }
 
     /// Whether columns of the step before are asked for.
@@ -175,6 +184,9 @@ impl<'a> Along<'a> {
         self.spread.states.extend(at.variance().into_iter().map(f64::sqrt));
         if let Some(further) = &mut self.further {
             further.see(k, at.dim, at.now);
+        }
+        if let Some(given) = self.given.as_ref().filter(|_| k == 0 || k == self.grid.steps) {
+            self.spread.known.extend(given.shown(self.problem, k, at.dim, at.now));
         }
         if let (Some(forces), Some(before)) = (&mut self.forces, k.checked_sub(1)) {
             let [before, now] = [before, k].map(|k| &self.runs.analysis[k * at.dim..(k + 1) * at.dim]);

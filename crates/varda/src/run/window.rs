@@ -1,6 +1,7 @@
 //! One window: a problem assimilated, or run forward. A problem does not change; results are plain data.
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 use std::time::Instant;
 
 use varda_assimilation::{Analysis, ObservationSet, Rejection, huber};
@@ -11,13 +12,15 @@ use varda_linalg::interrupt::{self, Ends};
 use super::interrupted::{Asked, Lowest};
 use super::verdict::{self, Judged};
 use super::{
-    amplification, between_steps, departures, estimates, fit, model_errors, second_minimum, shapes, spread,
+    amplification, between_steps, departures, estimates, fit, model_errors, second_minimum, shapes, shares,
+    spread,
 };
 use crate::Error;
 use crate::outcome::{
     Attempt, ConvergenceRow, ExactHessian, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds,
     SeenComponent, Simulation, Status, Trajectories, TwinFiles, WorkCounts,
 };
+use crate::scene::Integrator;
 use crate::setup::Problem;
 use crate::setup::adaptive_steps::Refreshing;
 use crate::setup::runs::{MakeModel, run_on};
@@ -195,6 +198,7 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
         status,
         late,
         is_ensemble: scene.algorithm.method.is_ensemble(),
+        at_rest: scene.time.integrator == Integrator::QuasiStatic,
         iterations: solution.minimum.outer_iterations,
         max_iterations: scene.algorithm.max_iterations,
         gradient_norms: [solution.minimum.gradient_norm_first, solution.minimum.gradient_norm],
@@ -214,9 +218,20 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
     let rejected = rejected(experiment, &solution.rejected);
     let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
     let estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
+    let shares =
+        shares::shares(problem, &analysis, errors_of_model.as_ref(), solution.spread.is_some(), root)?;
     let posterior = solution.spread.as_ref();
-    let mut spread =
-        spread::along(problem, make_model(0).as_mut(), &analysis.analysis, posterior, &trajectories)?;
+    // Ctrl-C leaves out what goes beyond the analysis; the seconds of `[limits]` do not.
+    let leave: Ends = listener.ends.clone().unwrap_or_else(|| Arc::new(|| false));
+    let (spread, left) = interrupt::within(leave, || {
+        let spread =
+            spread::along(problem, make_model(0).as_mut(), &analysis.analysis, posterior, &trajectories);
+        (spread, interrupt::was_told())
+    });
+    if left && !ended_early {
+        warnings.push("interrupted after the analysis: σ after the start of the window is left out".into());
+    }
+    let mut spread = spread?;
     if let (Some(shapes), Some(spread)) = (&mut shapes, &mut spread) {
         shapes.sigma_forces = std::mem::take(&mut spread.forces);
     }
@@ -242,6 +257,8 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
         counts: solution.counts,
         model_counts: log.counts,
         rejected,
+        with_constants_known: spread.as_mut().map_or_else(Vec::new, |s| std::mem::take(&mut s.known)),
+        shares,
         next_observation: spread.as_mut().and_then(|spread| spread.next.take()),
         sigma_states: spread.map_or_else(Vec::new, |spread| spread.states),
         observed,

@@ -5,9 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use super::Method;
 
-/// Cycling (every method but blue): every window starts from the analysis of the one before, run to its
-/// start. Windows are `time.window` steps long; an observation belongs
-/// to the first window that holds it.
+/// Cycling (every method but blue and static): every window starts from the analysis of the one before, run
+/// to its start. Windows are `time.window` steps long; an observation belongs to the first window that holds
+/// it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Cycles {

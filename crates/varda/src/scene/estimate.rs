@@ -49,6 +49,21 @@ pub struct Estimate {
     /// upwards.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gravity_direction: Option<Unknown>,
+    /// Directions of the clamps [rad], each turned about its own axes: `clamp_direction[start].m1`, `.m2`; and
+    /// about the tangent (`.t`) where a turn of the section shows: with clamps at both ends, of a section that
+    /// is not isotropic, or of a curved rod.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clamp_direction: Option<Unknown>,
+    /// Semi-axes of the ellipse that a support is driven along [m]: `drive_radii[0]`, `drive_radii[1]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub drive_radii: Option<Unknown>,
+    /// Phase of that motion [rad]: how far it is ahead of cos ωt, sin ωt.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub drive_phase: Option<Unknown>,
+    /// Errors of the recorded places of supports, an uncertain input: σ of a coordinate of a row [m], or with
+    /// `correlation_time` that of the motion followed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub base: Option<Unknown>,
     /// Arc lengths of the observed places [m], each an unknown of its own: `marker_arc_length[tip]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub marker_arc_length: Option<Unknown>,
@@ -126,6 +141,11 @@ pub struct ConstantPrior {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub correlation_length: Option<f64>,
+    /// Of `base`: time over which errors of the motion are alike [s]. Absent: those of rows are independent,
+    /// and what smoothing leaves of them is estimated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "s"))]
+    pub correlation_time: Option<f64>,
 }
 
 /// A standard deviation.
@@ -208,6 +228,10 @@ impl Estimate {
             ("natural_twist", &self.natural_twist),
             ("point_mass", &self.point_mass),
             ("gravity_direction", &self.gravity_direction),
+            ("clamp_direction", &self.clamp_direction),
+            ("drive_radii", &self.drive_radii),
+            ("drive_phase", &self.drive_phase),
+            ("base", &self.base),
             ("forcing", &self.forcing),
             ("sigma", &self.prandtl),
             ("rho", &self.rho),

@@ -273,14 +273,18 @@ impl RodModel {
             _ => None,
         }
     }
+
+    /// How its supports move.
+    pub(crate) fn motions(&self) -> impl Iterator<Item = &Motion> {
+        let clamps = [&self.start, &self.end].into_iter().flatten().map(|clamp| &clamp.motion);
+        clamps.chain(self.prescribed.iter().map(|p| &p.motion)).flatten()
+    }
 }
 
 impl RodModel {
     /// Markers of the observation file that supports follow.
     pub(crate) fn followed_markers(&self) -> impl Iterator<Item = &str> {
-        let clamps = [&self.start, &self.end].into_iter().flatten().map(|clamp| &clamp.motion);
-        let motions = clamps.chain(self.prescribed.iter().map(|p| &p.motion)).flatten();
-        motions.flat_map(|motion| match motion {
+        self.motions().flat_map(|motion| match motion {
             Motion::Markers(keys) => keys.names.iter().map(String::as_str).collect(),
             Motion::Ellipse { .. } | Motion::Table(_) | Motion::Pose(_) => Vec::new(),
         })

@@ -14,6 +14,11 @@ pub(super) fn validate_cycles(cycles: &Cycles, scene: &Scene) -> Check {
                        same in one outer iteration";
         return refuse("", message.into());
     }
+    if method == Method::Static {
+        let message =
+            "method \"static\" is not cycled: its shapes have no times, and constants do not move on";
+        return refuse("", message.into());
+    }
     if method.is_of_one_instant() && window > 0 {
         let message = format!(
             "cycled, method {:?} analyses one step, time.window = 0, and runs on to the next: that is \

@@ -2,10 +2,14 @@
 
 use super::estimate::{OF_OBSERVATIONS, OF_PLACES, PriorSpread};
 use super::invalid::{Check, invalid};
-use super::{ConstantPrior, Estimate, Method, Model, RodModel, Scene, Section, Unknown};
+use super::{ConstantPrior, Estimate, Method, Model, Motion, RodModel, Scene, Section, Unknown};
 
 /// Keys of a rod, of its observations, and of each other model.
-const OF_ROD: [&str; 12] = [
+const OF_ROD: [&str; 16] = [
+    "clamp_direction",
+    "drive_radii",
+    "drive_phase",
+    "base",
     "gravity_direction",
     "youngs_modulus",
     "ei",
@@ -52,6 +56,9 @@ pub(super) fn validate_estimate(estimate: &Estimate, scene: &Scene) -> Check {
             prior.spread(&path)?;
             if prior.correlation_length.is_some() && !["natural_curvature", "natural_twist"].contains(&key) {
                 return invalid(path, "is one number: only natural_curvature and natural_twist are fields");
+            }
+            if prior.correlation_time.is_some() && key != "base" {
+                return invalid(path, "correlation_time is for `base` alone");
             }
             if prior.together
                 && !(["ei", "point_mass"].contains(&key) && matches!(unknown, Unknown::Every(_)))
@@ -131,6 +138,29 @@ fn validate_of_rod(estimate: &Estimate, rod: &RodModel) -> Check {
                 let message = format!("a section of kind \"stiffness\" has none: estimate {other}");
                 return invalid(format!("estimate.{key}"), message);
             }
+        }
+    }
+    if estimate.clamp_direction.is_some() && rod.start.is_none() && rod.end.is_none() {
+        return invalid("estimate.clamp_direction", "needs [model.start] or [model.end]");
+    }
+    for (key, given) in
+        [("drive_radii", estimate.drive_radii.is_some()), ("drive_phase", estimate.drive_phase.is_some())]
+    {
+        if given && !rod.motions().any(|motion| matches!(motion, Motion::Ellipse { .. })) {
+            return invalid(format!("estimate.{key}"), "needs a support with motion.kind = \"ellipse\"");
+        }
+    }
+    if let Some(base) = &estimate.base {
+        const KEY: &str = "estimate.base";
+        if !rod.motions().any(|motion| !matches!(motion, Motion::Ellipse { .. })) {
+            return invalid(KEY, "needs a support that moves as a file or markers say");
+        }
+        let Unknown::Every(prior) = base else { return invalid(KEY, "is one table") };
+        if let PriorSpread::LogNormal(_) = prior.spread(KEY)? {
+            return invalid("estimate.base.sigma", "is in m, not a share");
+        }
+        if prior.correlation_time.is_some_and(|t| !(t > 0.0 && t.is_finite())) {
+            return invalid("estimate.base.correlation_time", "is greater than 0");
         }
     }
     if estimate.point_mass.is_some() && rod.point_masses.is_empty() {

@@ -5,7 +5,9 @@ use varda_covariance::{
 };
 use varda_rod::{Change, Damping, Law, Parameter, Rod, Section, Vector3};
 
-use super::covariance::Factored;
+use super::covariance::{Factored, WithoutError};
+use super::estimate_supports;
+use super::motion::Followed;
 use crate::Error;
 use crate::scene::{
     ConstantPrior, Model, OF_OBSERVATIONS, OF_PLACES, Observations, PriorSpread, RodModel, SceneFile, Unknown,
@@ -111,6 +113,9 @@ pub(crate) struct Described<'a> {
     /// The rod between the faces of its clamps.
     pub(crate) rod: &'a Rod,
     pub(crate) damping: Damping,
+    /// Recorded motions that its supports follow, and the first and last time of a run \[s\].
+    pub(super) followed: &'a [Followed],
+    pub(super) run: [f64; 2],
 }
 
 impl Estimates {
@@ -122,6 +127,11 @@ impl Estimates {
     /// How many numbers follow the state in the control.
     pub fn len(&self) -> usize {
         self.constants.len()
+    }
+
+    /// Whether their priors are independent of each other.
+    pub(crate) fn are_independent(&self) -> bool {
+        self.fields.is_empty()
     }
 
     /// How many of them the model does not depend on.
@@ -259,10 +269,36 @@ impl Estimates {
         if let Some((prior, length)) = field.and_then(|prior| Some((prior, prior.correlation_length?))) {
             return self.add_field(file, &path, key, prior, length, described.rod, model);
         }
-        let kinds = kinds(key, model, described, unknown.together());
+        if key == "base" {
+            return self.add_base(file, model, described, unknown);
+        }
+        let section = described.section;
+        let isotropic = section.ei1 == section.ei2;
+        let of_supports = estimate_supports::kinds(key, model, &file.scene.estimate, isotropic);
+        let kinds = of_supports.unwrap_or_else(|| kinds(key, model, described, unknown.together()));
         let priors = file.checked(unknown.priors(&path, kinds.len()))?;
         for (kind, (path, prior)) in kinds.into_iter().zip(priors) {
             self.add(file, &path, kind, prior)?;
+        }
+        Ok(())
+    }
+
+    /// Errors of recorded places.
+    fn add_base(
+        &mut self,
+        file: &SceneFile,
+        model: &RodModel,
+        described: &Described,
+        unknown: &Unknown,
+    ) -> Result<(), Error> {
+        let path = "estimate.base";
+        let prior = file.prior_of_one(path, &Some(unknown.clone()))?;
+        let Some(PriorSpread::Normal(sigma)) = prior else { unreachable!("the scene was checked") };
+        let all = estimate_supports::of_base(unknown, sigma, model, described.followed, described.run);
+        for (constant, parameter) in all.map_err(|message| file.invalid(path, message))? {
+            self.of_rod.push(parameter);
+            self.of_model += 1;
+            self.constants.push(constant);
         }
         Ok(())
     }
@@ -335,6 +371,12 @@ impl Estimates {
         Ok(())
     }
 
+    /// Where the i-th is along the rod \[m\], of a field.
+    pub(crate) fn arc_length(&self, i: usize) -> Option<f64> {
+        let (range, places, _) = self.fields.iter().find(|field| field.0.contains(&i))?;
+        Some(places[i - range.start])
+    }
+
     /// The covariance of their prior.
     ///
     /// # Errors
@@ -384,42 +426,20 @@ impl Estimates {
             Factored::Full(b) => Box::new(b),
             Factored::Singular(b) => b,
         };
-        Factored::Singular(Box::new(BlockDiagonal::new(vec![of_state, Box::new(Nothing(self.len()))])))
-    }
-}
-
-/// The covariance of numbers without error.
-struct Nothing(usize);
-
-impl Covariance for Nothing {
-    fn dim(&self) -> usize {
-        self.0
-    }
-    fn root_dim(&self) -> usize {
-        0
-    }
-    fn apply(&self, _: &[f64], y: &mut [f64]) {
-        y.fill(0.0);
-    }
-    fn root(&self, _: &[f64], x: &mut [f64]) {
-        x.fill(0.0);
-    }
-    fn root_transpose(&self, _: &[f64], _: &mut [f64]) {}
-    fn variance(&self, variance: &mut [f64]) {
-        variance.fill(0.0);
+        Factored::Singular(Box::new(BlockDiagonal::new(vec![of_state, Box::new(WithoutError(self.len()))])))
     }
 }
 
 /// A constant of a rod.
-struct Kind {
-    name: String,
-    unit: &'static str,
-    value: f64,
-    change: Effect,
+pub(super) struct Kind {
+    pub(super) name: String,
+    pub(super) unit: &'static str,
+    pub(super) value: f64,
+    pub(super) change: Effect,
 }
 
 /// What a constant changes.
-enum Effect {
+pub(super) enum Effect {
     /// At its full value: the change is proportional to it.
     Share(Change),
     /// Where it grows by one unit.
@@ -535,6 +555,7 @@ fn times(change: Change, factor: f64) -> Change {
         damping: Damping { stiffness: factor * change.damping.stiffness, mass: factor * change.damping.mass },
         gravity: change.gravity * factor,
         gravity_turn: change.gravity_turn * factor,
+        supports: change.supports.into_iter().map(|moved| moved.times(factor)).collect(),
     }
 }
 

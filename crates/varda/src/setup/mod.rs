@@ -12,6 +12,7 @@ pub mod csv;
 pub mod ensemble;
 mod error_correlation;
 pub mod estimate;
+mod estimate_supports;
 pub mod files;
 pub(crate) mod finer;
 pub mod inputs;

@@ -18,6 +18,17 @@ pub(crate) trait Sites: ObservationOperator {
 
     /// The columns ∂y/∂(s, o₁, o₂, o₃) of every site, three numbers each.
     fn by_place(&mut self, _at: At, _x: &[f64], _columns: &mut [f64]) {}
+
+    /// Those of the model's constants that move what is observed at a given state, ascending.
+    fn moving(&self) -> Vec<usize> {
+        Vec::new()
+    }
+
+    /// Takes the constants of the model.
+    fn set_constants(&mut self, _p: &[f64]) {}
+
+    /// The columns ∂y/∂p of those.
+    fn by_constants(&mut self, _at: At, _x: &[f64], _columns: &mut [f64]) {}
 }
 
 impl Sites for Selection {}
@@ -30,6 +41,18 @@ impl Sites for Markers {
 
     fn by_place(&mut self, at: At, x: &[f64], columns: &mut [f64]) {
         Markers::by_place(self, at, x, columns).expect("this state was observed before");
+    }
+
+    fn moving(&self) -> Vec<usize> {
+        self.moving_parameters().to_vec()
+    }
+
+    fn set_constants(&mut self, p: &[f64]) {
+        self.set_parameters(p);
+    }
+
+    fn by_constants(&mut self, at: At, x: &[f64], columns: &mut [f64]) {
+        self.by_parameters(at, x, columns).expect("this state was observed before");
     }
 }
 
@@ -49,6 +72,9 @@ pub(crate) struct SeenWith<O> {
     markers: Vec<Marker>,
     moved: Vec<Marker>,
     columns: Vec<f64>,
+    /// Constants of the model that move what is observed, by supports; their columns.
+    moving: Vec<usize>,
+    by_constants: Vec<f64>,
     operator: O,
 }
 
@@ -84,11 +110,16 @@ impl<O: Sites> SeenWith<O> {
         let (own, rows) = (places.own_dim(), operator.dim());
         let (x, dx, columns) = (vec![0.0; own], vec![0.0; own], vec![0.0; 12 * markers.len()]);
         let (y, back, moved) = (vec![0.0; rows], vec![0.0; rows], markers.clone());
-        Self { places, seeing, x, dx, y, back, markers, moved, columns, operator }
+        let moving = operator.moving();
+        let by_constants = vec![0.0; moving.len() * rows];
+        Self { places, seeing, x, dx, y, back, markers, moved, columns, moving, by_constants, operator }
     }
 
-    /// Puts the sites where the constants of a state have them.
+    /// Puts the sites, and supports, where the constants of a state have them.
     fn place_sites(&mut self, x: &[f64]) -> Result<(), Refusal> {
+        if !self.moving.is_empty() {
+            self.operator.set_constants(&x[self.places.parameters()]);
+        }
         if self.markers.is_empty() {
             return Ok(());
         }
@@ -172,6 +203,13 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
                 dy[3 * i..3 * i + 3].iter_mut().zip(column).for_each(|(dy, c)| *dy += c * dp[p]);
             });
         }
+        if !self.moving.is_empty() {
+            self.operator.by_constants(at, &self.x, &mut self.by_constants);
+            let dp = &dx[self.places.parameters()];
+            for (&p, column) in self.moving.iter().zip(self.by_constants.chunks_exact(dy.len())) {
+                dy.iter_mut().zip(column).for_each(|(dy, c)| *dy += c * dp[p]);
+            }
+        }
         if let (Some(rho), Some(drho)) = (rotation, self.rotation(dx)) {
             let (turn, turned) = (exponential(&rho), left_jacobian(&rho) * drho);
             for (dy, y) in dy.chunks_exact_mut(3).zip(self.y.chunks_exact(3)) {
@@ -213,6 +251,13 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
             self.each_place(|p, i, column| {
                 dp[p] += column.iter().zip(&self.back[3 * i..]).map(|(c, b)| c * b).sum::<f64>();
             });
+        }
+        if !self.moving.is_empty() {
+            self.operator.by_constants(at, &self.x, &mut self.by_constants);
+            let dp = &mut dx[self.places.parameters()];
+            for (&p, column) in self.moving.iter().zip(self.by_constants.chunks_exact(self.back.len())) {
+                dp[p] += column.iter().zip(&self.back).map(|(c, b)| c * b).sum::<f64>();
+            }
         }
         self.places.gather(dx, &mut self.dx);
         self.operator.adjoint_add(at, &self.x, &self.back, &mut self.dx);

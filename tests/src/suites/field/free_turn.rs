@@ -47,6 +47,7 @@ fn drawn(i: usize, frame: f64) -> Result<RodStep, Box<dyn std::error::Error>> {
         centre: Vector3::zeros(),
         radii: [0.05 * draw(8), 0.05 * draw(9)],
         omega: 4.0 + 8.0 * draw(10),
+        phase: 0.0,
         ramp: TAU / 9.0,
     };
     let mut prescribed: Vec<(usize, Arc<dyn Motion>)> = vec![(0, Arc::new(drive))];
@@ -109,8 +110,13 @@ fn other_frame(case: &mut Case, scheme: Scheme) -> Outcome {
         let area = std::f64::consts::PI * radius * radius;
         let section =
             Section { ea: area * 1e6, ei1: ei, ei2: ei, gj: 2.0 / 3.0 * ei, mass_per_length: area * 1100.0 };
-        let drive =
-            EllipseDrive { centre: Vector3::zeros(), radii: [0.05, 0.03], omega: 9.0, ramp: TAU / 9.0 };
+        let drive = EllipseDrive {
+            centre: Vector3::zeros(),
+            radii: [0.05, 0.03],
+            omega: 9.0,
+            phase: 0.0,
+            ramp: TAU / 9.0,
+        };
         let supports = Supports {
             prescribed: vec![(0, Arc::new(drive))],
             free_frame: (-Vector3::z(), Vector3::new(frame.cos(), frame.sin(), 0.0)),

@@ -207,6 +207,7 @@ impl Problem {
                 centre: [0.0; 3].into(),
                 radii: [d.rx, d.ry],
                 omega: d.omega,
+                phase: 0.0,
                 ramp: d.ramp_periods * TAU / d.omega,
             },
             director: turned(f.clamped_d1.unwrap_or([1.0, 0.0, 0.0]), f.clamped_theta),

@@ -23,7 +23,47 @@ struct Constant {
 /// From files that do not depend on the constants.
 const HOSE: &[&str] = &["model.damping.mass=0.2", "time.window=30"];
 
-const CONSTANTS: [Constant; 17] = [
+const CONSTANTS: [Constant; 22] = [
+    Constant {
+        scene: "hose",
+        sets: HOSE,
+        estimate: "estimate.clamp_direction={sigma=0.1}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+    Constant {
+        scene: "hanging-rod-csv",
+        sets: &[],
+        estimate: "estimate.clamp_direction={sigma=0.1}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+    Constant {
+        scene: "hanging-rod-csv",
+        sets: &[],
+        estimate: "estimate.drive_radii=[{sigma=\"10%\"},{sigma=\"10%\"}]",
+        written: &["model.start.motion.radii=[{},0.06]"],
+        value: 0.10,
+        exponential: true,
+    },
+    Constant {
+        scene: "hanging-rod-csv",
+        sets: &[],
+        estimate: "estimate.drive_radii={sigma=0.01}",
+        written: &["model.start.motion.radii=[{},0.06]"],
+        value: 0.10,
+        exponential: false,
+    },
+    Constant {
+        scene: "hanging-rod-csv",
+        sets: &[],
+        estimate: "estimate.drive_phase={sigma=0.05}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
     Constant {
         scene: "hose",
         sets: HOSE,

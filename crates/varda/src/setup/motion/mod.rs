@@ -23,8 +23,25 @@ use rows::{Axes, Source};
 pub(super) struct Motions<'a> {
     files: &'a Files<'a>,
     /// First and last model time of a run \[s\].
-    run: [f64; 2],
+    pub(super) run: [f64; 2],
     pub(super) remarks: Vec<String>,
+    pub(super) followed: Vec<Followed>,
+}
+
+/// A recorded motion that the support at `path` follows.
+pub(super) struct Followed {
+    pub(super) path: String,
+    /// Mean time between its rows \[s\].
+    pub(super) interval: f64,
+    /// The frequency from which on it is smoothed \[Hz\].
+    pub(super) cut_off: Option<f64>,
+}
+
+/// The drive that keys say of a support at this position.
+pub(super) fn drive(position: [f64; 3], motion: &scene::Motion) -> Option<EllipseDrive> {
+    let &scene::Motion::Ellipse { radii, omega, ramp_periods } = motion else { return None };
+    let (centre, ramp) = (position.into(), ramp_periods * TAU / omega);
+    Some(EllipseDrive { centre, radii, omega, phase: 0.0, ramp })
 }
 
 /// Turns of a clamp as a function of time.
@@ -83,7 +100,12 @@ impl<'a> Motions<'a> {
         let grid = files.scene.grid()?;
         // The truth of a twin experiment runs from 0 on.
         let first = if files.scene.scene.time.spin_up > 0 { 0.0 } else { grid.start };
-        Ok(Motions { files, run: [first, grid.time(grid.last_step())], remarks: Vec::new() })
+        Ok(Motions {
+            files,
+            run: [first, grid.time(grid.last_step())],
+            remarks: Vec::new(),
+            followed: Vec::new(),
+        })
     }
 
     /// The motion of a support that the key `path` describes.
@@ -100,17 +122,14 @@ impl<'a> Motions<'a> {
         let position = held.position.unwrap_or_default();
         let place: Arc<dyn Motion> = match motion {
             None => Arc::new(position),
-            Some(&scene::Motion::Ellipse { radii, omega, ramp_periods }) => Arc::new(EllipseDrive {
-                centre: position.into(),
-                radii,
-                omega,
-                ramp: ramp_periods * TAU / omega,
-            }),
+            Some(motion @ scene::Motion::Ellipse { .. }) => {
+                Arc::new(drive(position, motion).expect("keys of a drive"))
+            }
             Some(scene::Motion::Table(keys)) => Arc::new(self.table(path, position.into(), keys)?),
             Some(scene::Motion::Pose(keys)) => return Ok(self.pose(path, held, keys)?.into()),
             Some(scene::Motion::Markers(keys)) => match self.markers(path, held, keys)? {
-                Followed::Body(carried) => return Ok(carried.into()),
-                Followed::Point(place) => Arc::new(place),
+                Following::Body(carried) => return Ok(carried.into()),
+                Following::Point(place) => Arc::new(place),
             },
         };
         Ok(Moving {
@@ -204,6 +223,7 @@ impl<'a> Motions<'a> {
         };
         let motion = motion.map_err(|e| source.refused(e))?;
         self.say(path, "motion", &source.label, by, motion.smoothing());
+        self.follows(path, &times, &motion);
         Ok(motion)
     }
 
@@ -241,7 +261,7 @@ impl<'a> Motions<'a> {
         })
     }
 
-    fn markers(&mut self, path: &str, held: Held, keys: &scene::RecordedMarkers) -> Result<Followed, Error> {
+    fn markers(&mut self, path: &str, held: Held, keys: &scene::RecordedMarkers) -> Result<Following, Error> {
         let key = format!("{path}.motion.names");
         let scene = self.files.scene;
         let Observations::File(recording) = &scene.scene.observations else {
@@ -259,9 +279,9 @@ impl<'a> Motions<'a> {
         let sigma = keys.sigma.or(if keys.cutoff.is_some() { None } else { sigma });
         let seen = SeenMarkers { source, written, times, frames, sigma };
         match keys.names.len() {
-            1 => self.one_marker(path, held, keys, &seen).map(Followed::Point),
-            2 => self.two_markers(path, held, keys, &seen).map(Followed::Body),
-            _ => self.three_markers(path, held, keys, &seen).map(Followed::Body),
+            1 => self.one_marker(path, held, keys, &seen).map(Following::Point),
+            2 => self.two_markers(path, held, keys, &seen).map(Following::Body),
+            _ => self.three_markers(path, held, keys, &seen).map(Following::Body),
         }
     }
 
@@ -277,6 +297,7 @@ impl<'a> Motions<'a> {
         let by = choice(seen.sigma, keys.cutoff, || noise_of_rows(&seen.times, &places));
         let motion = curve(&seen.times, &places, by).map_err(|e| seen.source.refused(e))?;
         self.say(path, "motion", &format!("of marker {}", keys.names[0]), by, motion.smoothing());
+        self.follows(path, &seen.times, &motion);
         let displaced = held.position.filter(|_| keys.values == PoseValues::Displacement);
         let shift = displaced.map(|p| Vector3::from(p) - motion.at(0.0)).unwrap_or_default();
         Ok(Shifted { motion, shift })
@@ -380,6 +401,7 @@ impl<'a> Motions<'a> {
         };
         let rotation = rotation.map_err(|e| source.refused(e))?;
         self.say(path, "motion", &source.label, by_place, place.smoothing());
+        self.follows(path, times, &place);
         self.say(path, "rotation", &source.label, by_angle, rotation.smoothing());
         Ok((place, rotation))
     }
@@ -416,6 +438,15 @@ impl<'a> Motions<'a> {
         Source { scene: self.files.scene, key, label, time_zero, run: self.run }
     }
 
+    fn follows(&mut self, path: &str, times: &[f64], motion: &RecordedMotion) {
+        let interval = match times {
+            [first, .., last] => (last - first) / (times.len() - 1) as f64,
+            _ => f64::INFINITY,
+        };
+        let cut_off = motion.smoothing().map(|s| s.cut_off);
+        self.followed.push(Followed { path: path.to_string(), interval, cut_off });
+    }
+
     fn say(&mut self, path: &str, what: &str, label: &str, by: Option<SmoothBy>, done: Option<Smoothing>) {
         let (Some(by), Some(Smoothing { sigma, cut_off })) = (by, done) else { return };
         let unit = if what == "rotation" { "rad" } else { "m" };
@@ -450,7 +481,7 @@ struct SeenMarkers<'a> {
 }
 
 /// What follows markers.
-enum Followed {
+enum Following {
     Point(Shifted),
     Body(Carried),
 }
