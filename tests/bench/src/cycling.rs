@@ -111,8 +111,8 @@ pub fn table(arguments: &[String]) -> Result<(), Failure> {
     ];
     println!(
         "| observed | method | window | members | inflation | RMSE, mean ± spread of seeds | bound | worst \
-         seed | RMSE at the start | expected spread | background off, seen and not | σ_b, seen and not | CPU \
-         ms a window | a time | not converged |"
+         seed | RMSE at the start | expected spread | background off, seen and not | σ_b, seen and not | \
+         CPU ms a window | a time | not converged |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
     for (network, cases) in [(&all, &dense[..]), (&half, &sparse[..])] {

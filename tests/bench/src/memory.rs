@@ -152,11 +152,11 @@ pub(super) fn run(options: &Options) -> Result<Page> {
     Ok(Page {
         title: "Memory: what `check` says and what a run takes",
         text: format!(
-            "*Said*: by `varda check`, and what `[limits] memory` is compared with. *Taken*: the most that a \
-             process of `varda run` has resident, tables and report included. Said is within {:.0} % of taken \
-             in {within} of {rows} rows. Minimizations end after two iterations, which changes no matrix; the \
-             posterior is computed all the same. Those of small scenes run on, as does that with constants \
-             estimated, for the estimate on a finer mesh.",
+            "*Said*: by `varda check`, and what `[limits] memory` is compared with. *Taken*: the most that \
+             a process of `varda run` has resident, tables and report included. Said is within {:.0} % of \
+             taken in {within} of {rows} rows. Minimizations end after two iterations, which changes no \
+             matrix; the posterior is computed all the same. Those of small scenes run on, as does that \
+             with constants estimated, for the estimate on a finer mesh.",
             100.0 * OFF
         ),
         tables: vec![table],

@@ -215,8 +215,8 @@ impl Memory {
                 matches!(scene.model, Model::Rod(_)) && posterior && !is_low_rank(algorithm.method, n);
             decomposition(algorithm.method, n, m)
                 .saturating_add(m.min(n).saturating_mul(sizes.state))
-                // σ of a rod's forces: their tangents along the columns of the root at two steps, beside what
-                // is left of the Hessian
+                // σ of a rod's forces: their tangents along the columns of the root at two steps, beside
+                // what is left of the Hessian
                 .saturating_add(if forces && m >= n { square.saturating_mul(3) } else { 0 })
                 // Newton's factor beside the Hessian
                 .saturating_add(if algorithm.minimizer == Minimizer::Newton { square } else { 0 })
