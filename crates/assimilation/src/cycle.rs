@@ -1,11 +1,13 @@
 //! Cycling: consecutive windows, each starting from the analysis of the one before.
 
 use crate::cycle_members::{mean, posterior_root, rotate, run_all_drawing_again, truncate};
-use crate::cycle_window::{Carry, Cycle, CycleState, CycledErrors, Cycling, Ended, Normals};
+use crate::cycle_window::{
+    Carry, Cycle, CycleState, CycledErrors, CycledEstimate, CycledMinimizer, Cycling, Ended, Normals,
+};
 use crate::departures::{departures_at, expected_departures};
 use crate::{
-    ControlTransform, CostFunction, Departures, EnVar, EnVarOptions, EnsembleUpdate, Error, Minimizer,
-    ObservationSet, StrongConstraint,
+    ControlTransform, CostFunction, Departures, EnVar, EnVarOptions, EnsembleUpdate, Error, ObservationSet,
+    StrongConstraint,
 };
 use std::ops::ControlFlow;
 use varda_covariance::{Covariance, Ensemble, Hybrid, Localization};
@@ -91,6 +93,8 @@ pub enum CycledUpdate<'a> {
 /// | ensemble | no adjoint at hand | N below the growing directions | N forward runs | N trajectories |
 ///
 /// With [`Cycling::model_error`] the windows are weak ones, or B of the next window grows by Q: see there.
+/// `minimizer` is a [`Minimizer`](crate::Minimizer), or the options of an outer loop: incremental 4D-Var or
+/// 4D-PSAS. Methods of ensembles have their own.
 ///
 /// The background of a window is the run from the analysis before (the mean of the members' runs), read off
 /// the leading components of the state, which are taken to be the control. A minimization that ends otherwise
@@ -137,13 +141,14 @@ pub enum CycledUpdate<'a> {
 /// # Errors
 /// A shift of 0 or beyond K + 1, an inflation that is not positive; a model that fails at a background or
 /// between two windows, observations or covariances that cannot be built.
-pub fn cycle(
+pub fn cycle<'m>(
     cycling: &Cycling,
     state: &mut CycleState,
     covariance: &CycledCovariance,
-    minimizer: &Minimizer,
+    minimizer: impl Into<CycledMinimizer<'m>>,
     on_cycle: &mut dyn FnMut(&Cycle, &CycleState) -> ControlFlow<()>,
 ) -> Result<Vec<Cycle>, Error> {
+    let minimizer = minimizer.into();
     if cycling.shift == 0 || (cycling.window > 0 && cycling.shift > cycling.window + 1) {
         return Err(Error::Setting { what: "the shift between windows", value: cycling.shift as f64 });
     }
@@ -169,6 +174,7 @@ pub fn cycle(
         return Err(Error::Setting { what: "inflation", value: inflation });
     }
     if let Some(CycledErrors { estimated, .. }) = cycling.model_error {
+        let estimated = !matches!(estimated, CycledEstimate::No);
         let what = match covariance {
             CycledCovariance::Static(_) if !estimated => "Q beside a static B, which it does not change",
             CycledCovariance::Ensemble(_) if estimated => "errors estimated over the members of an ensemble",
@@ -217,7 +223,7 @@ impl Cycling<'_> {
         &self,
         state: &CycleState,
         b: &dyn Covariance,
-        minimizer: &Minimizer,
+        minimizer: CycledMinimizer,
         carry: Option<Carry>,
     ) -> Result<(Cycle, CycleState), Error> {
         if let Some(errors) = &self.model_error {
@@ -230,8 +236,8 @@ impl Cycling<'_> {
         let n_z = transform.control_dim();
         let mut cost = StrongConstraint::new(&mut *model, transform.clone(), &mut observations)?;
         let mut v = vec![0.0; cost.dim()];
-        let (background, predicted) = expected_departures(&mut cost, state.next, self.cycles)?;
-        let minimum = minimizer.minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(()))?;
+        let (background, predicted) = expected_departures(&mut cost, &v, state.next, self.cycles)?;
+        let minimum = minimizer.minimize(&mut cost, &mut v)?;
         let departures = departures_at(&mut cost, &v, &background, predicted);
         let mut columns = match carry {
             Some(_) => posterior_root(&mut cost, &transform, &v)?,

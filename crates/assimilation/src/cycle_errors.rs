@@ -1,11 +1,14 @@
 //! Windows of a sequence whose model errs.
 
 use crate::cycle_members::truncate;
-use crate::cycle_window::{Carry, Cycle, CycleState, CycledErrors, Cycling, Ended};
+use crate::cycle_window::{
+    Carry, Cycle, CycleState, CycledErrors, CycledEstimate, CycledMinimizer, Cycling, Ended,
+};
 use crate::departures::{departures_at, expected_departures};
-use crate::{ControlTransform, Error, LeastSquares, Minimizer, StrongConstraint, WeakForcing, WeakPosterior};
-use std::ops::ControlFlow;
-use varda_covariance::Covariance;
+use crate::full_rank::FullRank;
+use crate::{ControlTransform, Error, LeastSquares, StrongConstraint, WeakForcing, WeakPosterior, WeakState};
+use varda_covariance::{Covariance, Precision};
+use varda_linalg::dense::shorter_root;
 
 impl Cycling<'_> {
     /// One window of 4D-Var with errors of the model: weak where they are estimated, else strong.
@@ -13,28 +16,54 @@ impl Cycling<'_> {
         &self,
         state: &CycleState,
         b: &dyn Covariance,
-        minimizer: &Minimizer,
+        minimizer: CycledMinimizer,
         carry: Option<Carry>,
         errors: &CycledErrors,
     ) -> Result<(Cycle, CycleState), Error> {
         let mut observations = self.unseen(state.next)?;
         let m = observations.dim();
         let mut model = (self.make_model)(self.first_step(state.next));
-        let transform = ControlTransform::new(state.background.clone(), b)?;
-        let (n, n_z, head) = (model.dim(), transform.control_dim(), transform.dim());
-        let (mut weak, mut strong);
-        let cost: &mut dyn LeastSquares = if errors.estimated {
-            let forcing = errors.forcing.clone();
-            weak = WeakForcing::new(&mut *model, transform.clone(), errors.q, forcing, &mut observations)?;
-            &mut weak
-        } else {
-            strong = StrongConstraint::new(&mut *model, transform.clone(), &mut observations)?;
-            &mut strong
+        let over_states = match errors.estimated {
+            CycledEstimate::States { b: first, q } => Some((first, q)),
+            CycledEstimate::No | CycledEstimate::Forcing => None,
         };
-        let mut v = vec![0.0; cost.dim()];
-        let (background, predicted) = expected_departures(cost, state.next, self.cycles)?;
-        let minimum = minimizer.minimize(cost, &mut v, &mut |_| ControlFlow::Continue(()))?;
+        let carried_b = match over_states {
+            Some(_) if !state.columns.is_empty() => Some(FullRank::new(b)?),
+            _ => None,
+        };
+        let b: &dyn Covariance = carried_b.as_ref().map_or(b, |b| b);
+        let z_b = &state.background;
+        let transform = ControlTransform::new(z_b.clone(), b)?;
+        let (n, n_z, head) = (model.dim(), transform.control_dim(), transform.dim());
+        let forcing = errors.forcing.clone();
+        let (mut states, mut weak, mut strong);
+        let mut v = Vec::new();
+        let cost: &mut dyn LeastSquares = match errors.estimated {
+            CycledEstimate::States { b: first, q } => {
+                let b: &dyn Precision = carried_b.as_ref().map_or(first, |b| b);
+                states = WeakState::new(&mut *model, z_b.clone(), b, q, forcing, &mut observations)?;
+                v = states.background()?;
+                &mut states
+            }
+            CycledEstimate::Forcing => {
+                weak =
+                    WeakForcing::new(&mut *model, transform.clone(), errors.q, forcing, &mut observations)?;
+                &mut weak
+            }
+            CycledEstimate::No => {
+                strong = StrongConstraint::new(&mut *model, transform.clone(), &mut observations)?;
+                &mut strong
+            }
+        };
+        v.resize(cost.dim(), 0.0);
+        let (background, predicted) = expected_departures(cost, &v, state.next, self.cycles)?;
+        let minimum = minimizer.minimize(cost, &mut v)?;
         let departures = departures_at(cost, &v, &background, predicted);
+        let mut whitened = v.clone();
+        if over_states.is_some() {
+            cost.linearize(&v, &mut vec![0.0; v.len()])?;
+            cost.departures(&mut whitened, &mut vec![0.0; m]);
+        }
         let root = match carry {
             Some(_) => {
                 cost.linearize(&v, &mut vec![0.0; v.len()])?;
@@ -45,8 +74,11 @@ impl Cycling<'_> {
         let counts = cost.counts();
 
         let mut z = vec![0.0; n_z];
-        transform.control(&v[..head], &mut z);
-        let eta = errors.values(&v[head..]);
+        match over_states {
+            Some(_) => z.copy_from_slice(&v[..n_z]),
+            None => transform.control(&v[..head], &mut z),
+        }
+        let eta = errors.values(&whitened[head..]);
         let (mut x_b, mut x) = (vec![0.0; n], vec![0.0; n]);
         model.initial_state(&state.background, &mut x_b)?;
         model.initial_state(&z, &mut x)?;
@@ -78,8 +110,16 @@ impl Cycling<'_> {
         let (mut columns, mut dropped) = (Vec::new(), 0.0);
         if let Some(carry) = carry {
             columns = carried.columns.chunks_exact(n).flat_map(|dx| &dx[..n_z]).copied().collect();
-            // Errors add columns window by window: never more than the control is long.
-            let least = if columns.len() > n_z * n_z { f64::EPSILON } else { 0.0 };
+            // Errors add columns window by window: never more than the control is long, and without what has
+            // no variance but rounding's, unless its inverse is asked for.
+            let least = match (columns.len() > n_z * n_z, over_states) {
+                (false, _) => 0.0,
+                (true, None) => f64::EPSILON,
+                (true, Some(_)) => {
+                    columns = shorter_root(n_z, &columns)?;
+                    0.0
+                }
+            };
             (columns, dropped) = truncate(n_z, columns, carry.dropped.max(least))?;
         }
         let from = Ended {

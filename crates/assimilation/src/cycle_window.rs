@@ -1,8 +1,12 @@
 //! Windows of a sequence: what they are made of, what they give, what they hand on.
 
 use crate::cycle_members::mean;
-use crate::{CostTerms, Counts, Departures, Error, Forcing, Minimum, ObservationSet, Status};
-use varda_covariance::Covariance;
+use crate::{
+    CostTerms, Counts, Departures, Error, Forcing, Iteration, LeastSquares, Minimizer, Minimum,
+    ObservationSet, OuterLoopOptions, Status, outer_loop,
+};
+use std::ops::ControlFlow;
+use varda_covariance::{Covariance, Precision};
 use varda_implicit::Model;
 
 /// A sequence of windows. Window c covers the steps first + c S … first + c S + K of a long run.
@@ -40,13 +44,62 @@ pub struct CycledErrors<'a> {
     pub q: &'a dyn Covariance,
     /// Where and how often errors enter.
     pub forcing: &'a Forcing,
-    /// Whether η is estimated in every window: weak-constraint 4D-Var over the forcing. Otherwise the window
-    /// is strong, and Q widens what it hands on: a propagated B by every error on the way to the next
-    /// window, carried to its start by the tangent; members by draws at the start of the next window, of the
-    /// covariance of the errors on the way as if all had entered at its end.
-    pub estimated: bool,
+    /// Whether and how η is estimated in every window.
+    pub estimated: CycledEstimate<'a>,
     /// Makes the source of standard normals of the window of an index, for the draws of members.
     pub normals: &'a dyn Fn(usize) -> Normals,
+}
+
+/// How the errors of a model are estimated in the windows of a sequence.
+#[derive(Clone, Copy)]
+pub enum CycledEstimate<'a> {
+    /// They are not: the window is strong, and Q widens what it hands on: a propagated B by every error on
+    /// the way to the next window, carried to its start by the tangent; members by draws at the start of the
+    /// next window, of the covariance of the errors on the way as if all had entered at its end.
+    No,
+    /// Weak-constraint 4D-Var over the forcing ([`WeakForcing`](crate::WeakForcing)).
+    Forcing,
+    /// Weak-constraint 4D-Var over states ([`WeakState`](crate::WeakState)), by an outer loop or L-BFGS. A
+    /// propagated B must keep its full rank, of which it takes the inverse window by window.
+    States {
+        /// The B of every window if it is static, else that of the first.
+        b: &'a dyn Precision,
+        /// Q.
+        q: &'a dyn Precision,
+    },
+}
+
+/// How the windows of a sequence are minimized.
+#[derive(Clone, Copy)]
+pub enum CycledMinimizer<'a> {
+    /// In the control variable.
+    Minimizer(&'a Minimizer),
+    /// By quadratic inner problems, in the control's space (incremental 4D-Var) or in that of the
+    /// observations (4D-PSAS).
+    OuterLoop(&'a OuterLoopOptions),
+}
+
+impl<'a> From<&'a Minimizer> for CycledMinimizer<'a> {
+    fn from(minimizer: &'a Minimizer) -> Self {
+        CycledMinimizer::Minimizer(minimizer)
+    }
+}
+
+impl<'a> From<&'a OuterLoopOptions> for CycledMinimizer<'a> {
+    fn from(options: &'a OuterLoopOptions) -> Self {
+        CycledMinimizer::OuterLoop(options)
+    }
+}
+
+impl CycledMinimizer<'_> {
+    /// The minimum of a window, from `v`.
+    pub(crate) fn minimize(&self, cost: &mut dyn LeastSquares, v: &mut [f64]) -> Result<Minimum, Error> {
+        let go_on = &mut |_: &Iteration| ControlFlow::Continue(());
+        match self {
+            CycledMinimizer::Minimizer(minimizer) => minimizer.minimize(cost, v, go_on),
+            CycledMinimizer::OuterLoop(options) => outer_loop(cost, v, options, go_on),
+        }
+    }
 }
 
 /// What one window hands to the next, as plain data: everything the windows to come depend on besides their

@@ -82,11 +82,12 @@ impl Add for Departures {
 /// Adjoint sweeps that a sequence spends on what B says of its innovations, at least one a window.
 const SWEEPS: usize = 32;
 
-/// Whitened departures of the background, and tr GGᵀ = E ‖Gᵀw‖² over vectors w of signs, one a
-/// window of a long sequence; over all unit vectors, where those are fewer. A gradient that the
-/// minimization asks for again, and an adjoint sweep each.
+/// Whitened departures of the background, which is the control `start`, and tr GGᵀ = E ‖Gᵀw‖² over
+/// vectors w of signs, one a window of a long sequence; over all unit vectors, where those are fewer. A
+/// gradient that the minimization asks for again, and an adjoint sweep each.
 pub(crate) fn expected_departures(
     cost: &mut dyn LeastSquares,
+    start: &[f64],
     window: usize,
     windows: usize,
 ) -> Result<(Vec<f64>, f64), Error> {
@@ -95,7 +96,7 @@ pub(crate) fn expected_departures(
     if m == 0 {
         return Ok((d, 0.0));
     }
-    cost.evaluate(&vec![0.0; n], Some(&mut back))?;
+    cost.evaluate(start, Some(&mut back))?;
     cost.departures(&mut b, &mut d);
     let sweeps = (SWEEPS / windows.max(1)).max(1);
     let mut rng = ChaCha8Rng::seed_from_u64(window as u64);

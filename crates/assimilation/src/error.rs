@@ -168,6 +168,17 @@ pub enum Error {
         /// The value given.
         value: f64,
     },
+    /// A carried covariance has no inverse.
+    #[error(
+        "the covariance that is carried on has {rank} directions of {dim}, and weak constraint over states \
+         needs its inverse: leave nothing out of it, add a static part, or take the forcing form"
+    )]
+    Singular {
+        /// Its rank.
+        rank: usize,
+        /// Its size.
+        dim: usize,
+    },
     /// A Hessian that should be positive definite is not, or its factorization failed.
     #[error("the Hessian is not positive definite: smallest eigenvalue {smallest:e}")]
     NotPositiveDefinite {

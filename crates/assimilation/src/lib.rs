@@ -83,6 +83,7 @@ mod analysis;
 mod assimilation;
 mod between;
 mod blue;
+mod carried;
 mod climatology;
 mod consistency;
 mod control;
@@ -97,6 +98,7 @@ mod cycle_window;
 mod departures;
 mod error;
 mod error_scale;
+mod full_rank;
 mod further;
 mod growth;
 mod inner;
@@ -115,6 +117,7 @@ mod weak_posterior;
 pub use analysis::Analysis;
 pub use assimilation::{AnalysisResult, Assimilation};
 pub use blue::{Blue, Gain};
+pub use carried::{Carried, ErrorColumns, Squares, propagate_errors};
 pub use climatology::Climatology;
 pub use consistency::{Consistency, consistency, predicted_variance};
 pub use control::ControlTransform;
@@ -124,7 +127,9 @@ pub use cost::{
     LeastSquares, Rejection, StrongConstraint, WeakForcing, WeakState, highest_j_of_a_fit, huber,
 };
 pub use cycle::{CycledCovariance, CycledEnsemble, CycledInflation, CycledUpdate, cycle};
-pub use cycle_window::{Cycle, CycleErrors, CycleState, CycledErrors, Cycling, Normals};
+pub use cycle_window::{
+    Cycle, CycleErrors, CycleState, CycledErrors, CycledEstimate, CycledMinimizer, Cycling, Normals,
+};
 pub use departures::Departures;
 pub use error::Error;
 pub use error_scale::ErrorScale;

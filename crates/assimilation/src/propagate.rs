@@ -1,6 +1,7 @@
 //! The posterior at later times.
 
 use varda_implicit::Model;
+use varda_linalg::interrupt;
 
 use crate::Error;
 
@@ -35,7 +36,8 @@ use crate::Error;
 /// ```
 ///
 /// # Errors
-/// A step that cannot be linearized, a control without a state, and those of `on_state`.
+/// A step that cannot be linearized, a control without a state, a calculation that was told to end, and
+/// those of `on_state`.
 ///
 /// # Panics
 /// If `root` is not made of columns of the length of the control, or `states` not of whole states.
@@ -57,6 +59,9 @@ pub fn propagate_root(
         model.initial_tangent(dz, dx);
     }
     for (k, state) in states.chunks_exact(n).enumerate() {
+        if interrupt::requested() {
+            return Err(varda_linalg::Error::Interrupted.into());
+        }
         on_state(k, &columns)?;
         if let Some(next) = states.get((k + 1) * n..(k + 2) * n) {
             model.linearize(0, k, state, next)?;

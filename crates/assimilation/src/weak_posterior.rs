@@ -49,8 +49,9 @@ pub struct WeakPosterior {
     initial: Posterior,
     /// Length of the control, and of its part that is the initial state.
     dims: [usize; 2],
-    /// Y, by columns.
-    seen: Vec<f64>,
+    /// z, by columns, and s.
+    directions: Vec<f64>,
+    signal: Vec<f64>,
     scale: Option<ErrorScale>,
 }
 
@@ -66,12 +67,7 @@ impl WeakPosterior {
         let (n, m, r) = (problem.background_dim(), problem.observation_dim(), problem.dim());
         let rows = rows(problem)?;
         let initial = Posterior::of_initial_rows(problem, &rows)?;
-        let Svd { values, left, .. } = Svd::thin(r, m, &rows)?;
-        let mut seen = left;
-        for (z, s) in seen.chunks_exact_mut(r.max(1)).zip(&values) {
-            let size = s / s.hypot(1.0);
-            z.iter_mut().for_each(|z| *z *= size);
-        }
+        let Svd { values: signal, left: directions, .. } = Svd::thin(r, m, &rows)?;
         let (mut b, mut d) = (vec![0.0; r], vec![0.0; m]);
         problem.departures(&mut b, &mut d);
         // y − H of the run from the background without errors, to first order.
@@ -79,7 +75,7 @@ impl WeakPosterior {
             *d += dot(row, &b);
         }
         let scale = if r > n { ErrorScale::most_likely(n, &rows, &d)? } else { None };
-        Ok(Self { initial, dims: [r, n], seen, scale })
+        Ok(Self { initial, dims: [r, n], directions, signal, scale })
     }
 
     /// The posterior of the initial state, errors of the model integrated out.
@@ -99,9 +95,10 @@ impl WeakPosterior {
         let (mut variance, mut eta) = (vec![0.0; q.dim()], vec![0.0; q.dim()]);
         q.variance(&mut variance);
         let prior = variance.clone();
-        for y in self.seen.chunks_exact(r) {
-            q.root(&y[first..first + k], &mut eta);
-            variance.iter_mut().zip(&eta).for_each(|(v, eta)| *v -= eta * eta);
+        for (z, s) in self.directions.chunks_exact(r).zip(&self.signal) {
+            q.root(&z[first..first + k], &mut eta);
+            let size = s / s.hypot(1.0);
+            variance.iter_mut().zip(&eta).for_each(|(v, eta)| *v -= (size * eta).powi(2));
         }
         // What rounding leaves of an error that is known far better than Q says.
         variance.iter_mut().zip(prior).for_each(|(v, q)| *v = v.max(f64::EPSILON * q));
@@ -111,7 +108,8 @@ impl WeakPosterior {
     /// tr(I − P)_qq / 2, the J_q to expect where B, Q and R are right.
     pub fn expected_model_error(&self) -> f64 {
         let [r, n] = self.dims;
-        0.5 * self.seen.chunks_exact(r.max(1)).map(|y| dot(&y[n..], &y[n..])).sum::<f64>()
+        let directions = self.directions.chunks_exact(r.max(1)).zip(&self.signal);
+        0.5 * directions.map(|(z, s)| (s / s.hypot(1.0)).powi(2) * dot(&z[n..], &z[n..])).sum::<f64>()
     }
 
     /// How many times σ of the model error should be what Q says, by the innovations; `None` where nothing
@@ -120,20 +118,45 @@ impl WeakPosterior {
         self.scale
     }
 
-    /// A square root of P, by columns of the length of the control: I − Σ (1 − (1 + s²)^{-1/2}) z zᵀ.
-    /// Needs the square of that length in memory.
+    /// A square root of P, by columns of the length of the control: I − Σ (1 − (1 + s²)^{-1/2}) z zᵀ,
+    /// or the columns (1 + s²)^{-1/2} z where they are a whole basis. Needs the square of that length in
+    /// memory.
     pub fn root(&self) -> Vec<f64> {
         let [r, _] = self.dims;
+        let mut weighted = self.directions.clone();
+        let whole = self.is_whole();
+        for (z, s) in weighted.chunks_exact_mut(r.max(1)).zip(&self.signal) {
+            let length = s.hypot(1.0);
+            // 1 − (1 + s²)^{-1/2}, which keeps its digits for small s
+            let size = if whole { 1.0 / length } else { s / length * (s / (length + 1.0)) };
+            z.iter_mut().for_each(|z| *z *= size);
+        }
+        if whole {
+            return weighted;
+        }
         let mut root: Vec<f64> = (0..r * r).map(|i| f64::from(i % (r + 1) == 0)).collect();
-        let mut weighted = self.seen.clone();
-        for y in weighted.chunks_exact_mut(r.max(1)) {
-            // (1 − (1 + s²)^{-1/2}) / ‖y‖² = 1/(1 + √(1 − ‖y‖²)): ‖y‖² = s²/(1 + s²)
-            let size = 1.0 / (1.0 + (1.0 - dot(y, y)).max(0.0).sqrt());
+        let directions = View::new(&self.directions, r, self.signal.len());
+        add_product(-1.0, View::new(&weighted, r, self.signal.len()), directions.transpose(), &mut root);
+        root
+    }
+
+    /// Lengths of the control and of its part that is the initial state.
+    pub(crate) fn dims(&self) -> [usize; 2] {
+        self.dims
+    }
+
+    /// Whether the directions that the observations see are a basis.
+    pub(crate) fn is_whole(&self) -> bool {
+        self.signal.len() == self.dims[0]
+    }
+
+    /// Y, by columns.
+    pub(crate) fn learnt(&self) -> Vec<f64> {
+        let mut y = self.directions.clone();
+        for (y, s) in y.chunks_exact_mut(self.dims[0].max(1)).zip(&self.signal) {
+            let size = s / s.hypot(1.0);
             y.iter_mut().for_each(|y| *y *= size);
         }
-        let columns = self.seen.len() / r.max(1);
-        let seen = View::new(&self.seen, r, columns);
-        add_product(-1.0, View::new(&weighted, r, columns), seen.transpose(), &mut root);
-        root
+        y
     }
 }

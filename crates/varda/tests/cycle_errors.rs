@@ -91,8 +91,52 @@ fn q_widens_what_windows_hand_on() {
 fn q_that_nothing_uses_is_refused() {
     let refusal = |sets: &[&str]| sequence(STRONG, sets).err().expect("cannot be meant").to_string();
     assert!(refusal(&Q).contains("Q does not change a static B"), "{}", refusal(&Q));
-    let late = ["algorithm.cycles.covariance=propagated", Q[0], Q[1], "algorithm.model_error.every=9"];
+    let propagated = ["algorithm.cycles.covariance=propagated"];
+    let late = [propagated[0], Q[0], Q[1], "algorithm.model_error.every=9"];
     assert!(refusal(&late).contains("no error enters between two windows"), "{}", refusal(&late));
-    let state = ["algorithm.method=weak-state", Q[0], Q[1], "algorithm.minimizer=auto"];
-    assert!(refusal(&state).contains("\"weak-state\" is not cycled"), "{}", refusal(&state));
+    let lost = ["algorithm.method=weak-state", "algorithm.minimizer=auto", Q[0], Q[1], propagated[0]];
+    assert!(refusal(&lost).contains("needs the inverse of B"), "{}", refusal(&lost));
+    assert!(refusal(&["algorithm.method=blue", "algorithm.minimizer=auto"]).contains("linearized once"));
+}
+
+/// Incremental 4D-Var and 4D-PSAS end where 4D-Var does, window after window; the weak form over states where
+/// that over the forcing does, with a static B and with a propagated one.
+#[test]
+fn methods_of_outer_loops_are_cycled() {
+    let tight =
+        ["algorithm.gradient_tolerance=1e-10", "algorithm.max_iterations=60", "algorithm.minimizer=auto"];
+    let ended = |sets: &[&str]| run(STRONG, &[&tight[..], sets].concat()).1;
+    let largest =
+        |a: &CyclesOutcome, b: &CyclesOutcome| gap(&a.trajectories.analysis, &b.trajectories.analysis);
+    let full = ended(&[]);
+    for method in ["algorithm.method=4dvar-incremental", "algorithm.method=4d-psas"] {
+        // gradients of 1e-10 of the first, and six windows of a chaotic model
+        let gap = largest(&ended(&[method]), &full);
+        assert!(gap < 1e-6, "{method}: {gap}");
+    }
+    for propagated in
+        [&[][..], &["algorithm.cycles.covariance=propagated", "algorithm.cycles.dropped_variance=0"]]
+    {
+        let over = |method| ended(&[&[method][..], &Q, propagated].concat());
+        let [forcing, states] = ["algorithm.method=weak-forcing", "algorithm.method=weak-state"].map(over);
+        let gap = largest(&forcing, &states);
+        assert!(gap < 1e-5, "{propagated:?}: {gap}");
+        assert_eq!(states.cycles[0].model_errors.len(), 2 * 40);
+        assert!((states.cycles[5].j_q - forcing.cycles[5].j_q).abs() < 1e-4 * forcing.cycles[5].j_q);
+    }
+}
+
+/// Methods of one instant: incremental 3D-Var and PSAS.
+#[test]
+fn methods_of_one_instant_are_cycled() {
+    let ended = |method: &str| -> Result<CyclesOutcome, varda::Error> {
+        let sets = [method, "algorithm.minimizer=auto", "algorithm.gradient_tolerance=1e-10"];
+        let sequence = sequence("lorenz96-cycling-3dvar", &sets)?;
+        sequence.run(sequence.start(), Vec::new(), &mut CycleListener::silent())
+    };
+    let full = ended("algorithm.method=3dvar").unwrap();
+    for method in ["algorithm.method=3dvar-incremental", "algorithm.method=psas"] {
+        let gap = gap(&ended(method).unwrap().trajectories.analysis, &full.trajectories.analysis);
+        assert!(gap < 1e-6, "{method}: {gap}");
+    }
 }

@@ -78,3 +78,27 @@ fn being_asked_changes_nothing() {
     assert_eq!(asked.analysis, alone.analysis);
     assert_eq!((asked.status, asked.model_counts), (alone.status, alone.model_counts));
 }
+
+/// Told after the analysis, a run leaves out σ along the window, says so, and keeps all else.
+#[test]
+fn what_goes_beyond_the_analysis_is_left_out() {
+    let ended = |question: usize| {
+        let sets: Vec<String> = ["time.window=8", "observations.components=[]"].map(String::from).to_vec();
+        let problem = Problem::from_scene(&SceneFile::open("lorenz96", &sets).unwrap()).unwrap();
+        let asked = Arc::new(AtomicUsize::new(0));
+        let count = Arc::clone(&asked);
+        let ends = Arc::new(move || count.fetch_add(1, Ordering::SeqCst) >= question);
+        let mut listener = Listener { ends: Some(ends), ..Listener::silent() };
+        let outcome = assimilate(&problem, &mut listener).unwrap();
+        (outcome, asked.load(Ordering::SeqCst))
+    };
+    let (whole, questions) = ended(usize::MAX);
+    assert!(!whole.sigma_states.is_empty() && whole.next_observation.is_some());
+    // the last questions are one at each candidate for one more observation, and before them one a step
+    let (left, _) = ended(questions - 28);
+    assert_eq!((left.status, left.has_posterior), (whole.status, true));
+    assert_eq!(left.analysis, whole.analysis);
+    assert!(left.sigma_states.is_empty() && left.next_observation.is_none());
+    let said = left.warnings.iter().any(|w| w.contains("interrupted after the analysis"));
+    assert!(said, "{:?}", left.warnings);
+}

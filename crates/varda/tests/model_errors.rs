@@ -145,3 +145,37 @@ fn errors_are_written_with_their_sigma() {
     assert_eq!((summary.count, summary.j_q), (9, outcome.analysis.terms.model_error));
     assert!(summary.j_q_expected.unwrap() > 1.0 && summary.sigma_factor_interval[1].is_some());
 }
+
+#[test]
+fn sigma_is_known_along_window_and_forecast() {
+    let windy = Windy::new("wind-sigma");
+    let outcome = windy.run("weak", 10.0).1;
+    let runs = &outcome.trajectories;
+    assert_eq!(outcome.sigma_states.len(), runs.analysis.len());
+    let sigma = |k: usize| runs.state(&outcome.sigma_states, k).unwrap();
+    let start = &outcome.analysis.sigma_analysis;
+    assert!(start.iter().zip(sigma(0)).all(|(a, s)| (a - s).abs() <= 1e-9 * a), "that of the initial state");
+    // Every value has its σ; seen with 2 mm, the analysis is known better than that.
+    let seen = |v: &varda::outcome::ObservedValue| v.sigma_analysis.unwrap();
+    assert!(outcome.observed.iter().all(|v| seen(v) > 0.0 && seen(v) < 0.002));
+    // Of the tip after the last observation, at step 49, an error of 5 mm/s at step 50 is to be expected too.
+    let tip = outcome.experiment.state.groups[1].range.end - 1;
+    assert!(sigma(50)[tip] > sigma(49)[tip], "{:?}", [sigma(49)[tip], sigma(50)[tip]]);
+    let shapes = outcome.shapes.as_ref().unwrap();
+    assert_eq!(shapes.sigma_forces.len(), shapes.forces.len());
+    // The truth is known: of all vertices and steps about 95 % are within 1.96 σ.
+    let (mut inside, mut count) = (0, 0);
+    let free = &outcome.experiment.state.geometry.as_ref().unwrap().free;
+    for (k, truth) in windy.truth.iter().enumerate() {
+        for (i, v) in free.iter().enumerate() {
+            for c in 0..3 {
+                let off = shapes.analysis[k][*v][c] - truth[*v][c];
+                inside += usize::from(off.abs() <= 1.96 * sigma(k)[3 * i + c]);
+                count += 1;
+            }
+        }
+    }
+    let share = inside as f64 / count as f64;
+    // one wind, not drawn from the Q assumed
+    assert!((0.85..=1.0).contains(&share), "{share}");
+}

@@ -376,7 +376,8 @@ fn cycles_are_a_kalman_filter_with_the_dense_covariance() {
         let with_q = Matrix::of(&q);
         let filter = kalman(&step, &Matrix::of(&b), weak.then_some(&with_q), &background, &whole, ALL).0;
         let truth = |k: usize| filter[k].0.clone();
-        let errors = CycledErrors { q: &q, forcing: &forcing, estimated: true, normals: &draws };
+        let errors =
+            CycledErrors { q: &q, forcing: &forcing, estimated: CycledEstimate::Forcing, normals: &draws };
         let cycling = Cycling {
             first: 0,
             window: 4,

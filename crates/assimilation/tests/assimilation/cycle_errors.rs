@@ -31,6 +31,14 @@ fn exact() -> Minimizer {
     Minimizer::TrustRegion(options)
 }
 
+fn loops(inner: InnerSolver) -> OuterLoopOptions {
+    OuterLoopOptions::default()
+        .with_inner(inner)
+        .with_gradient_tolerance(1e-12)
+        .with_inner_tolerance(1e-13)
+        .with_max_inner(200)
+}
+
 /// Analyses and covariances of the filter, step by step.
 fn filter(b: &dyn Covariance, q: &dyn Covariance, background: &[f64]) -> Vec<(Vec<f64>, Matrix)> {
     let step = step_matrix(&mut linear(N), N);
@@ -49,9 +57,26 @@ fn weak_cycles_and_strong_ones_with_q_are_a_kalman_filter() {
     let filter = filter(&b, &q, &background);
     let truth = |k: usize| filter[k].0.clone();
     let forcing = Forcing::every_step(N);
-    for (window, shift, estimated) in
-        [(4, 4, true), (1, 1, true), (2, 3, true), (0, 1, true), (0, 1, false), (0, 3, false)]
-    {
+    let (no, over_forcing) = (CycledEstimate::No, CycledEstimate::Forcing);
+    let over_states = CycledEstimate::States { b: &b, q: &q };
+    let [primal, dual] = [InnerSolver::Primal, InnerSolver::Dual].map(loops);
+    let trust_region = &exact();
+    for (window, shift, estimated, minimizer) in [
+        (4, 4, over_forcing, CycledMinimizer::from(trust_region)),
+        (1, 1, over_forcing, trust_region.into()),
+        (2, 3, over_forcing, trust_region.into()),
+        (0, 1, over_forcing, trust_region.into()),
+        (0, 1, no, trust_region.into()),
+        (0, 3, no, trust_region.into()),
+        (4, 4, over_forcing, (&primal).into()),
+        (4, 4, over_forcing, (&dual).into()),
+        (0, 1, no, (&dual).into()),
+        (4, 4, over_states, (&primal).into()),
+        (4, 4, over_states, (&dual).into()),
+        (1, 1, over_states, (&primal).into()),
+        (2, 3, over_states, (&primal).into()),
+        (0, 1, over_states, (&primal).into()),
+    ] {
         let cycling = Cycling {
             first: 0,
             window,
@@ -68,8 +93,9 @@ fn weak_cycles_and_strong_ones_with_q_are_a_kalman_filter() {
         let carried =
             CycledCovariance::Propagated { first: &b, inflation: 1.0, static_part: None, dropped: 0.0 };
         let mut state = CycleState::new(background.clone());
-        let ended = cycle(&cycling, &mut state, &carried, &exact(), &mut |_, _| ControlFlow::Continue(()));
+        let ended = cycle(&cycling, &mut state, &carried, minimizer, &mut |_, _| ControlFlow::Continue(()));
         let ended = ended.unwrap();
+        let estimated = !matches!(estimated, CycledEstimate::No);
         if shift == 3 && window == 0 {
             // Against a filter that sees every third step alone.
             let step = step_matrix(&mut linear(N), N);
@@ -108,15 +134,17 @@ fn weak_cycles_and_strong_ones_with_q_are_a_kalman_filter() {
     }
 }
 
-/// A static B: the state a window hands on is that of its weak trajectory, which another window alone finds.
+/// A static B: the state a window hands on is that of its weak trajectory, which another window alone finds,
+/// over the forcing or over states.
 #[test]
 fn a_weak_window_hands_on_the_end_of_its_own_trajectory() {
     let (b, q, background) = (coupled(N, 0.8), coupled(N, 0.3), normals(1, N));
-    for forcing in [
-        Forcing { steps: 2, ..Forcing::every_step(N) },
-        Forcing { steps: 3, held: true, ..Forcing::every_step(N) },
-    ] {
-        let errors = CycledErrors { q: &q, forcing: &forcing, estimated: true, normals: &no_draws };
+    let (some, held) = (Forcing { steps: 2, ..Forcing::every_step(N) }, Forcing::every_step(N));
+    let held = Forcing { steps: 3, held: true, ..held };
+    let states = CycledEstimate::States { b: &b, q: &q };
+    for (forcing, estimated) in
+        [(&some, CycledEstimate::Forcing), (&held, CycledEstimate::Forcing), (&some, states)]
+    {
         let cycling = Cycling {
             first: 0,
             window: 6,
@@ -125,11 +153,12 @@ fn a_weak_window_hands_on_the_end_of_its_own_trajectory() {
             make_model: &make,
             observations: &seen(6),
             truth: None,
-            model_error: Some(errors),
+            model_error: Some(CycledErrors { q: &q, forcing, estimated, normals: &no_draws }),
         };
         let mut state = CycleState::new(background.clone());
         let b_static = CycledCovariance::Static(&b);
-        let ended = cycle(&cycling, &mut state, &b_static, &exact(), &mut |_, _| ControlFlow::Continue(()));
+        let options = loops(InnerSolver::Primal);
+        let ended = cycle(&cycling, &mut state, &b_static, &options, &mut |_, _| ControlFlow::Continue(()));
         let (mut model, mut set) = (linear(N), seen(6)(0).unwrap());
         let transform = ControlTransform::new(background.clone(), &b).unwrap();
         let mut cost = WeakForcing::new(&mut model, transform, &q, forcing.clone(), &mut set).unwrap();
@@ -143,6 +172,57 @@ fn a_weak_window_hands_on_the_end_of_its_own_trajectory() {
         cost.forcing(&v, 1, &mut eta);
         assert!(crate::cost::relative(&one.model_errors[N..2 * N], &eta) <= 1e-10);
     }
+}
+
+/// An outer loop in either space ends where the minimizer does, window after window with a static B.
+#[test]
+fn incremental_and_dual_windows_are_those_of_4d_var() {
+    let (b, background) = (coupled(N, 0.8), normals(1, N));
+    let ended = |minimizer: CycledMinimizer| {
+        let cycling = Cycling {
+            first: 0,
+            window: 6,
+            shift: 6,
+            cycles: 4,
+            make_model: &make,
+            observations: &seen(6),
+            truth: None,
+            model_error: None,
+        };
+        let mut state = CycleState::new(background.clone());
+        let b = CycledCovariance::Static(&b);
+        cycle(&cycling, &mut state, &b, minimizer, &mut |_, _| ControlFlow::Continue(())).unwrap();
+        state.background
+    };
+    let full = ended((&exact()).into());
+    for inner in [InnerSolver::Primal, InnerSolver::Dual] {
+        let gap = crate::cost::relative(&ended((&loops(inner)).into()), &full);
+        assert!(gap <= 1e-11, "{inner:?}: {gap:e}");
+    }
+}
+
+/// Over states a carried covariance needs its inverse.
+#[test]
+fn states_with_a_covariance_that_lost_its_rank_are_refused() {
+    let (b, q, background) = (coupled(N, 0.8), coupled(N, 0.3), normals(1, N));
+    // nine tenths of every variance may be left out
+    let forcing = Forcing::every_step(N);
+    let estimated = CycledEstimate::States { b: &b, q: &q };
+    let cycling = Cycling {
+        first: 0,
+        window: 4,
+        shift: 4,
+        cycles: 2,
+        make_model: &make,
+        observations: &seen(4),
+        truth: None,
+        model_error: Some(CycledErrors { q: &q, forcing: &forcing, estimated, normals: &no_draws }),
+    };
+    let mut state = CycleState::new(background);
+    let carried = CycledCovariance::Propagated { first: &b, inflation: 1.0, static_part: None, dropped: 0.9 };
+    let options = loops(InnerSolver::Primal);
+    let ended = cycle(&cycling, &mut state, &carried, &options, &mut |_, _| ControlFlow::Continue(()));
+    assert!(matches!(ended, Err(Error::Singular { rank: 1..N, dim: N })), "{ended:?}");
 }
 
 /// Members carry Q by draws: the spread of many is the filter's.
@@ -173,7 +253,12 @@ fn members_are_spread_by_q() {
             make_model: &make,
             observations: &seen(0),
             truth: Some(&truth),
-            model_error: q.map(|q| CycledErrors { q, forcing: &forcing, estimated: false, normals: &source }),
+            model_error: q.map(|q| CycledErrors {
+                q,
+                forcing: &forcing,
+                estimated: CycledEstimate::No,
+                normals: &source,
+            }),
         };
         let ensemble = CycledCovariance::Ensemble(CycledEnsemble {
             inflation: CycledInflation::Fixed(1.0),
@@ -211,7 +296,12 @@ fn q_where_nothing_uses_it_is_refused() {
         make_model: &make,
         observations: &seen(2),
         truth: None,
-        model_error: Some(CycledErrors { q: &q, forcing: &forcing, estimated: false, normals: &no_draws }),
+        model_error: Some(CycledErrors {
+            q: &q,
+            forcing: &forcing,
+            estimated: CycledEstimate::No,
+            normals: &no_draws,
+        }),
     };
     let mut state = CycleState::new(vec![0.0; N]);
     let ended = cycle(&cycling, &mut state, &CycledCovariance::Static(&b), &exact(), &mut |_, _| {

@@ -37,9 +37,14 @@ fn covariance() -> Vec<f64> {
     (0..N * N).map(|e| of(e % N, e / N)).collect()
 }
 
-/// x_a and σ of the next background of every window, by x ← M x, P ← M P Mᵀ and one value
+/// Q of an error at the end of every window: 0.3² of B, and more of every other error.
+fn q() -> Vec<f64> {
+    covariance().iter().enumerate().map(|(e, b)| 0.09 * b + if e / N == e % N { 1e-3 } else { 0.0 }).collect()
+}
+
+/// x_a and σ of the next background of every window, by x ← M x, P ← M P Mᵀ + Q and one value
 /// after the other.
-fn kalman() -> Vec<(Vec<f64>, Vec<f64>)> {
+fn kalman(q: Option<&[f64]>) -> Vec<(Vec<f64>, Vec<f64>)> {
     let through = |x: &[f64]| -> Vec<f64> {
         let (mut model, mut x, mut next) = (make(0), x.to_vec(), vec![0.0; N]);
         for k in 0..WINDOW {
@@ -59,6 +64,7 @@ fn kalman() -> Vec<(Vec<f64>, Vec<f64>)> {
     for c in 0..CYCLES {
         x = through(&x);
         p = both_sides(&p);
+        p.iter_mut().zip(q.unwrap_or(&[])).for_each(|(p, q)| *p += q);
         for (&i, y) in seen().iter().zip(values(c)) {
             let gain: Vec<f64> = (0..N).map(|j| p[j + i * N] / (p[i + i * N] + SIGMA * SIGMA)).collect();
             let innovation = y - x[i];
@@ -74,7 +80,15 @@ fn kalman() -> Vec<(Vec<f64>, Vec<f64>)> {
 }
 
 fn cycled(dropped: f64) -> Vec<Cycle> {
-    let b = Dense::new(N, &covariance()).unwrap();
+    let minimizer = Minimizer::TrustRegion(
+        TrustRegionOptions::default().with_gradient_tolerance(1e-14).with_initial_radius(1e4),
+    );
+    cycled_by((&minimizer).into(), dropped, None)
+}
+
+/// With a model error by the given form, if there is one.
+fn cycled_by(minimizer: CycledMinimizer, dropped: f64, over: Option<&str>) -> Vec<Cycle> {
+    let (b, q) = (Dense::new(N, &covariance()).unwrap(), Dense::new(N, &q()).unwrap());
     assert_eq!(b.root_dim(), N);
     let observations = |first: usize| {
         let y = values(first / WINDOW);
@@ -82,6 +96,16 @@ fn cycled(dropped: f64) -> Vec<Cycle> {
         let h = Selection::new(seen(), N)?;
         ObservationSet::new(WINDOW, vec![Box::new(h)], vec![Observation::new(WINDOW, rows, y, SIGMA)])
     };
+    let forcing = Forcing { steps: WINDOW, ..Forcing::every_step(N) };
+    let errors = over.map(|form| CycledErrors {
+        q: &q,
+        forcing: &forcing,
+        estimated: match form {
+            "forcing" => CycledEstimate::Forcing,
+            _ => CycledEstimate::States { b: &b, q: &q },
+        },
+        normals: &|_| Box::new(|| f64::NAN),
+    });
     let cycling = Cycling {
         first: 0,
         window: WINDOW,
@@ -90,15 +114,12 @@ fn cycled(dropped: f64) -> Vec<Cycle> {
         make_model: &make,
         observations: &observations,
         truth: None,
-        model_error: None,
+        model_error: errors,
     };
     let covariance = CycledCovariance::Propagated { first: &b, inflation: 1.0, static_part: None, dropped };
-    let minimizer = Minimizer::TrustRegion(
-        TrustRegionOptions::default().with_gradient_tolerance(1e-14).with_initial_radius(1e4),
-    );
     let mut state = CycleState::new(normals(1, N));
     let go_on = &mut |_: &Cycle, _: &CycleState| ControlFlow::Continue(());
-    cycle(&cycling, &mut state, &covariance, &minimizer, go_on).unwrap()
+    cycle(&cycling, &mut state, &covariance, minimizer, go_on).unwrap()
 }
 
 fn largest(a: &[f64], b: &[f64]) -> f64 {
@@ -108,7 +129,7 @@ fn largest(a: &[f64], b: &[f64]) -> f64 {
 /// The requirement is 1e-12 of fields of size 1.
 #[test]
 fn linear_advection_with_a_propagated_posterior_is_the_kalman_filter() {
-    for (c, (x, sigma)) in cycled(0.0).iter().zip(kalman()) {
+    for (c, (x, sigma)) in cycled(0.0).iter().zip(kalman(None)) {
         let off = largest(&c.end, &x);
         assert!(off <= 1e-12, "window {}: {off:e}", c.index);
         let off = largest(c.sigma.as_ref().unwrap(), &sigma);
@@ -135,4 +156,38 @@ fn a_truncated_root_keeps_the_variance() {
     let fine = cycled(1e-12);
     let size = dot(&whole[CYCLES - 1].end, &whole[CYCLES - 1].end).sqrt();
     assert!(largest(&fine[CYCLES - 1].end, &whole[CYCLES - 1].end) <= 1e-5 * size);
+}
+
+/// Incremental, dual and both weak forms with Q: the same filter to 1e-12.
+#[test]
+fn linear_advection_by_every_method_is_the_kalman_filter() {
+    let loops = |inner| {
+        OuterLoopOptions::default()
+            .with_inner(inner)
+            .with_gradient_tolerance(1e-13)
+            .with_inner_tolerance(1e-14)
+            .with_max_inner(500)
+    };
+    let (primal, dual) = (loops(InnerSolver::Primal), loops(InnerSolver::Dual));
+    let trust_region = Minimizer::TrustRegion(
+        TrustRegionOptions::default().with_gradient_tolerance(1e-14).with_initial_radius(1e4),
+    );
+    let methods: [(&str, CycledMinimizer, Option<&str>); 6] = [
+        ("incremental", (&primal).into(), None),
+        ("dual", (&dual).into(), None),
+        ("weak-forcing", (&trust_region).into(), Some("forcing")),
+        ("weak-forcing, dual", (&dual).into(), Some("forcing")),
+        ("weak-state", (&primal).into(), Some("states")),
+        ("weak-state, dual", (&dual).into(), Some("states")),
+    ];
+    for (name, minimizer, over) in methods {
+        let filter = kalman(over.map(|_| q()).as_deref());
+        for (c, (x, sigma)) in cycled_by(minimizer, 0.0, over).iter().zip(filter) {
+            let off = largest(&c.end, &x);
+            assert!(off <= 1e-12, "{name}, window {}: {off:e}", c.index);
+            let off = largest(c.sigma.as_ref().unwrap(), &sigma);
+            assert!(off <= 1e-12, "{name}, σ after window {}: {off:e}", c.index);
+            assert_eq!(c.columns, N);
+        }
+    }
 }

@@ -1,6 +1,7 @@
 //! Tests of the crate through its public face.
 
 mod between;
+mod carried;
 mod chained;
 mod correlated;
 mod correlated_methods;

@@ -155,7 +155,11 @@ impl<F: Field> Model for Rk4<F> {
         Ok(Work::default())
     }
 
-    fn linearize(&mut self, slot: usize, k: usize, x: &[f64], _x_next: &[f64]) -> Result<Work, Error> {
+    /// A linearization is at an accepted step: what errors of the model add to it does not belong there.
+    fn linearize(&mut self, slot: usize, k: usize, x: &[f64], x_next: &[f64]) -> Result<Work, Error> {
+        let mut accepted = x.to_vec();
+        self.step(k, x, &mut accepted)?;
+        assert_eq!(accepted, x_next, "linearized away from the step");
         self.kept[slot] = Some((k, self.stages(x).0));
         Ok(Work::default())
     }

@@ -11,9 +11,9 @@ use std::time::Instant;
 
 use rand_distr::{Distribution, StandardNormal};
 use varda_assimilation::{
-    Cycle, CycleState, CycledCovariance, CycledEnsemble, CycledErrors, CycledInflation, CycledUpdate,
-    Cycling, Departures, EnVarOptions, Forcing, Normals, Observation, ObservationOperator, ObservationSet,
-    cycle,
+    Cycle, CycleState, CycledCovariance, CycledEnsemble, CycledErrors, CycledEstimate, CycledInflation,
+    CycledMinimizer, CycledUpdate, Cycling, Departures, EnVarOptions, Forcing, Normals, Observation,
+    ObservationOperator, ObservationSet, cycle,
 };
 use varda_implicit::check::Amplification;
 use varda_implicit::{At, Model, Refusal};
@@ -194,7 +194,11 @@ impl Sequence {
         let model_error = self.problem.model_error.as_ref().map(|q| CycledErrors {
             q: q.as_ref(),
             forcing: &forcing,
-            estimated: algorithm.method.is_weak(),
+            estimated: match (algorithm.method, self.problem.covariance.precision(), q.precision()) {
+                (scene::Method::WeakState, Some(b), Some(q)) => CycledEstimate::States { b, q },
+                (scene::Method::WeakForcing, ..) => CycledEstimate::Forcing,
+                _ => CycledEstimate::No,
+            },
             normals: &drawn_errors,
         });
         let cycling = Cycling {
@@ -234,8 +238,9 @@ impl Sequence {
                 }
             }
         };
-        let minimizer = minimizer::minimizer(algorithm);
-        let ended = cycle(&cycling, &mut state, &covariance, &minimizer, &mut on_cycle);
+        let (minimizer, outer) = (minimizer::minimizer(algorithm), minimizer::outer_of(algorithm));
+        let minimizer = outer.as_ref().map_or(CycledMinimizer::from(&minimizer), CycledMinimizer::from);
+        let ended = cycle(&cycling, &mut state, &covariance, minimizer, &mut on_cycle);
         if let Some(error) = refused {
             return Err(error);
         }

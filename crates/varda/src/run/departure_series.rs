@@ -1,5 +1,7 @@
 //! Departures as series in time, their correlations, and what a few columns explain of them.
 
+use std::collections::BTreeMap;
+
 use varda_linalg::dense::Cholesky;
 
 /// One observed value after the analysis.
@@ -28,20 +30,23 @@ const WHITE: f64 = 0.3;
 pub(super) struct Series {
     /// Site, axis, and the indices with their d/σ.
     pub(super) each: Vec<(usize, usize, Vec<(usize, f64, f64)>)>,
+    /// Which of them is that of an axis and a site.
+    places: BTreeMap<(usize, usize), usize>,
 }
 
 impl Series {
     pub(super) fn of(departures: &[Departure], r: &[f64]) -> Series {
         let mut each: Vec<(usize, usize, Vec<(usize, f64, f64)>)> = Vec::new();
+        let mut places = BTreeMap::new();
         for (i, d) in departures.iter().enumerate() {
-            let found = each.iter_mut().find(|s| (s.0, s.1) == (d.site, d.axis));
-            match found {
-                Some(series) => series.2.push((i, d.time, r[i])),
-                None => each.push((d.site, d.axis, vec![(i, d.time, r[i])])),
-            }
+            let place = *places.entry((d.axis, d.site)).or_insert_with(|| {
+                each.push((d.site, d.axis, Vec::new()));
+                each.len() - 1
+            });
+            each[place].2.push((i, d.time, r[i]));
         }
         each.iter_mut().for_each(|s| s.2.sort_by(|a, b| a.1.total_cmp(&b.1)));
-        Series { each }
+        Series { each, places }
     }
 
     pub(super) fn pairs_in_time(&self) -> Vec<[f64; 2]> {
@@ -61,9 +66,9 @@ impl Series {
     pub(super) fn pairs_of_neighbours(&self) -> Vec<[f64; 2]> {
         let mut pairs = Vec::new();
         for (site, axis, values) in &self.each {
-            let next = self.each.iter().filter(|s| s.1 == *axis && s.0 > *site).min_by_key(|s| s.0);
+            let next = self.places.range((*axis, site + 1)..(axis + 1, 0)).next();
             for (_, time, value) in values {
-                let beside = next.and_then(|s| s.2.iter().find(|v| v.1 == *time));
+                let beside = next.and_then(|(_, s)| at_time(&self.each[*s].2, *time));
                 pairs.extend(beside.map(|v| [*value, v.2]));
             }
         }
@@ -94,12 +99,16 @@ impl Series {
     /// For every value the predicted place of its site at its time; `None` where an axis was not seen.
     pub(super) fn places(&self, departures: &[Departure]) -> Vec<Option<[f64; 3]>> {
         let at = |d: &Departure, axis: usize| {
-            let series = self.each.iter().find(|s| (s.0, s.1) == (d.site, axis))?;
-            let value = series.2.iter().find(|v| v.1 == d.time)?;
-            Some(departures[value.0].predicted)
+            let series = &self.each[*self.places.get(&(axis, d.site))?];
+            Some(departures[at_time(&series.2, d.time)?.0].predicted)
         };
         departures.iter().map(|d| Some([at(d, 0)?, at(d, 1)?, at(d, 2)?])).collect()
     }
+}
+
+/// The first value of a series at a time.
+fn at_time(series: &[(usize, f64, f64)], time: f64) -> Option<&(usize, f64, f64)> {
+    series.get(series.partition_point(|v| v.1 < time)).filter(|v| v.1 == time)
 }
 
 /// A correlation of neighbouring values.

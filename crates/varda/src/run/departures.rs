@@ -92,14 +92,13 @@ impl Found<'_> {
             return None;
         }
         let of = |site: usize| self.departures.iter().zip(self.r).filter(move |(d, _)| d.site == site);
-        let square = |site: usize| of(site).map(|(_, r)| r * r).sum::<f64>();
-        let count = |site: usize| of(site).count() as f64;
-        let seen = (0..sites).filter(|s| count(*s) > 0.0);
-        let worst = seen.max_by(|a, b| (square(*a) / count(*a)).total_cmp(&(square(*b) / count(*b))))?;
-        let others: Vec<usize> = (0..sites).filter(|s| *s != worst).collect();
-        let seen_others = others.iter().filter(|s| count(**s) > 0.0);
-        let rest = seen_others.map(|s| square(*s) / count(*s)).fold(0.0, f64::max);
-        let own = square(worst) / count(worst);
+        let means = mean_squares(sites, self.departures.iter().map(|d| d.site).zip(self.r));
+        let seen = |s: &usize| !means[*s].is_nan();
+        let worst = (0..sites).filter(seen).max_by(|a, b| means[*a].total_cmp(&means[*b]))?;
+        let others = (0..sites).filter(seen).filter(|s| *s != worst);
+        let rest = others.map(|s| means[s]).fold(0.0, f64::max);
+        let own = means[worst];
+        let square = own * of(worst).count() as f64;
         if !(own > STANDS_OUT * rest.max(0.5)) {
             return None;
         }
@@ -116,7 +115,7 @@ impl Found<'_> {
             }
         }
         let own_series = Correlation::of(&self.series.pairs_in_time_of(worst));
-        Some(if of_means >= EXPLAINS * square(worst) {
+        Some(if of_means >= EXPLAINS * square {
             let bias = bias.join(", ");
             (Cause::BiasedMarker, format!("{start}: it is biased, its values are off by ({bias}) throughout"))
         } else if own_series.is_white() {
@@ -315,26 +314,23 @@ impl Found<'_> {
     /// The sites and times with the largest departures.
     fn where_largest(&self) -> String {
         const NAMED: usize = 3;
-        let rms = |of: &dyn Fn(&Departure) -> bool| {
-            let all = self.departures.iter().zip(self.r).filter(|(d, _)| of(d));
-            let (n, sum) = all.fold((0.0, 0.0), |(n, sum), (_, r)| (n + 1.0, sum + r * r));
-            if n > 0.0 { (sum / n).sqrt() } else { 0.0 }
-        };
-        let mut sites: Vec<(usize, f64)> =
-            (0..self.labels.len()).map(|s| (s, rms(&|d| d.site == s))).collect();
+        let means = mean_squares(self.labels.len(), self.departures.iter().map(|d| d.site).zip(self.r));
+        let rms = |mean: f64| if mean.is_nan() { 0.0 } else { mean.sqrt() };
+        let mut sites: Vec<(usize, f64)> = means.into_iter().map(rms).enumerate().collect();
         sites.sort_by(|a, b| b.1.total_cmp(&a.1));
         let named: Vec<String> =
             sites.iter().take(NAMED).map(|(s, r)| format!("{} ({r:.1} σ)", self.labels[*s])).collect();
         let mut times: Vec<f64> = self.departures.iter().map(|d| d.time).collect();
         times.sort_by(f64::total_cmp);
         times.dedup();
-        let of_time = |t: &f64| (*t, rms(&|d| d.time == *t));
+        let place = |d: &Departure| times.partition_point(|t| *t < d.time);
+        let of_times = mean_squares(times.len(), self.departures.iter().map(place).zip(self.r));
         // a single time says little: tenths of the window
         let parts = times.len().min(10);
         let tenths = (0..parts).map(|i| {
-            let part = &times[times.len() * i / parts..times.len() * (i + 1) / parts];
-            let mean = part.iter().map(|t| of_time(t).1.powi(2)).sum::<f64>() / part.len() as f64;
-            (part[0], part[part.len() - 1], mean.sqrt())
+            let part = times.len() * i / parts..times.len() * (i + 1) / parts;
+            let mean = of_times[part.clone()].iter().sum::<f64>() / part.len() as f64;
+            (times[part.start], times[part.end - 1], mean.sqrt())
         });
         let worst = tenths.max_by(|a, b| a.2.total_cmp(&b.2)).expect("departures have times");
         format!(
@@ -365,6 +361,16 @@ impl Found<'_> {
     fn column(&self, of: impl Fn(&Departure) -> f64) -> Vec<f64> {
         self.departures.iter().map(|d| of(d) / d.sigma).collect()
     }
+}
+
+/// Mean squares of so many groups, from the group of each value and the value; NaN of a group without.
+fn mean_squares<'v>(groups: usize, values: impl Iterator<Item = (usize, &'v f64)>) -> Vec<f64> {
+    let mut sums = vec![(0.0, 0.0); groups];
+    for (group, r) in values {
+        sums[group].0 += r * r;
+        sums[group].1 += 1.0;
+    }
+    sums.into_iter().map(|(sum, n)| sum / n).collect()
 }
 
 /// Four digits, without zeros at their end.

@@ -1,6 +1,8 @@
 //! How well the analysis fits: innovations against the assumed σ, markers kept back, forecasts beside
 //! simpler ones.
 
+use std::collections::HashMap;
+
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet};
 use varda_implicit::{At, Model, Rate};
 
@@ -18,20 +20,16 @@ use crate::setup::observations::{ObservedSpace, observe};
 pub(crate) fn fit(observations: &mut ObservationSet, runs: &Trajectories) -> Result<Vec<Fit>, Error> {
     let at_background = innovations(observations, runs, &runs.background)?;
     let at_analysis = innovations(observations, runs, &runs.analysis)?;
-    let mut labels: Vec<&str> = Vec::new();
-    for o in observations.observations() {
-        if !labels.contains(&o.label.as_str()) {
-            labels.push(&o.label);
-        }
+    let mut labels: Vec<(&str, Vec<usize>)> = Vec::new();
+    let mut places = HashMap::new();
+    for (i, o) in observations.observations().iter().enumerate() {
+        let place = *places.entry(o.label.as_str()).or_insert_with(|| {
+            labels.push((&o.label, Vec::new()));
+            labels.len() - 1
+        });
+        labels[place].1.extend(observations.rows(i));
     }
-    let of_label = |label: &&str| {
-        let rows: Vec<usize> = observations
-            .observations()
-            .iter()
-            .enumerate()
-            .filter(|(_, o)| o.label == **label)
-            .flat_map(|(i, _)| observations.rows(i))
-            .collect();
+    let of_label = |(label, rows): &(&str, Vec<usize>)| {
         let sigma = observations.sigma();
         let mean = |f: &dyn Fn(usize) -> f64| rows.iter().map(|&r| f(r)).sum::<f64>() / rows.len() as f64;
         Fit {
@@ -52,11 +50,13 @@ pub(crate) fn fit(observations: &mut ObservationSet, runs: &Trajectories) -> Res
 /// the degrees of freedom for signal (Cardinali, Pezzulli and Andersson 2004). Values that were refused, kept
 /// back or seen later brought nothing.
 pub(super) fn add_information(fits: &mut [Fit], observed: &[ObservedValue]) {
+    let mut sums: HashMap<&str, Option<f64>> = HashMap::new();
+    for o in observed.iter().filter(|o| o.used) {
+        let sum = sums.entry(&o.label).or_insert(Some(0.0));
+        *sum = sum.zip(o.sigma_analysis).map(|(sum, s)| sum + (s / o.sigma).powi(2));
+    }
     for fit in fits {
-        let used = observed.iter().filter(|o| o.used && o.label == fit.label);
-        let shares: Option<Vec<f64>> =
-            used.map(|o| o.sigma_analysis.map(|s| (s / o.sigma).powi(2))).collect();
-        fit.information = shares.map(|shares| shares.iter().sum());
+        fit.information = sums.get(fit.label.as_str()).copied().unwrap_or(Some(0.0));
     }
 }
 
@@ -148,11 +148,14 @@ pub(crate) fn departures(
     if let Some(space) = space {
         order.sort_by(|a, b| space.arc_lengths[*a].total_cmp(&space.arc_lengths[*b]));
     }
+    let rows = sites.iter().map(|site| site.rows.end).max().unwrap_or(0);
+    let mut site_of = vec![None; rows];
+    order.iter().enumerate().rev().for_each(|(i, s)| site_of[sites[*s].rows.clone()].fill(Some(i)));
     let sigma = observations.sigma().to_vec();
     let mut departures = Vec::with_capacity(d.len());
     for (i, o) in observations.observations().iter().enumerate() {
         for (row, h_row) in observations.rows(i).zip(&o.rows) {
-            let Some(site) = order.iter().position(|s| sites[*s].rows.contains(h_row)) else { continue };
+            let Some(site) = site_of.get(*h_row).copied().flatten() else { continue };
             let ahead = runs.state(&runs.analysis, o.step + 2).is_some();
             let change = if ahead { after[row] - predicted[row] } else { predicted[row] - before[row] };
             departures.push(Departure {
@@ -230,9 +233,11 @@ pub(crate) fn beyond(
     } else {
         Vec::new()
     };
-    for (i, site) in problem.observed.sites.iter().enumerate() {
-        let of_site = (0..sights.len()).filter(|j| sights[*j].site == i);
-        let (inside, after): (Vec<usize>, Vec<usize>) = of_site.partition(|j| sights[*j].at() <= end);
+    let mut of_sites = vec![Vec::new(); problem.observed.sites.len()];
+    sights.iter().enumerate().for_each(|(j, sight)| of_sites[sight.site].push(j));
+    for (i, (site, of_site)) in problem.observed.sites.iter().zip(of_sites).enumerate() {
+        let (inside, after): (Vec<usize>, Vec<usize>) =
+            of_site.into_iter().partition(|j| sights[*j].at() <= end);
         // A run that ended early has NaN for an error; its warning says so.
         let miss = |places: &[[f64; 3]], seen: &[usize]| {
             let error = |j: &usize| std::array::from_fn(|c| sights[*j].position[c] - places[*j][c]);

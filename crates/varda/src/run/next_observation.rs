@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use std::ops::Range;
 
 use varda_assimilation::variance_after;
+use varda_linalg::interrupt;
 
 use crate::Error;
 use crate::outcome::{Candidate, NextObservation};
@@ -100,6 +101,9 @@ impl Gathering {
         let mut candidates = Vec::with_capacity(self.places.len());
         for ((candidate, _), rows) in self.places.iter().zip(&self.rows) {
             candidates.push(Candidate { sigma: after(rows)?, ..candidate.clone() });
+            if interrupt::requested() {
+                return Ok(None);
+            }
         }
         Ok(Some(NextObservation { sigma_now, sigma_seen: self.sigma, times: self.steps.len(), candidates }))
     }

@@ -1,8 +1,8 @@
 //! σ of the analysis at every time of window and forecast, in the state and at what is observed.
 
-use std::collections::BTreeMap;
+use std::borrow::Cow;
 
-use varda_assimilation::{ObservationSet, Prediction, propagate_root};
+use varda_assimilation::{Carried, ObservationSet, Prediction, Squares, propagate_errors, propagate_root};
 use varda_implicit::{Model, ParameterPlaces};
 use varda_rod::{InternalForces, RodStep};
 
@@ -14,6 +14,7 @@ use crate::outcome::{KnownConstants, NextObservation, ObservedValue, Rejected, T
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
 use crate::setup::rod::RodSystem;
+use crate::solve::{PosteriorSpread, forcing};
 
 /// σ of the components of every state of the analysis, one state after the other, and of every row of H at
 /// the times that were seen.
@@ -35,130 +36,207 @@ struct ForceSpread {
     /// Where unknown constants stand in a state, and how many of them the rod depends on.
     places: ParameterPlaces,
     constants: usize,
-    /// W of the state before, without its constants.
-    before: Vec<f64>,
 }
 
 impl ForceSpread {
     /// Of a rod with the constants of a state.
     fn of(rod: &RodSystem, state: &[f64]) -> Result<ForceSpread, Error> {
         let (places, constants) = (rod.parts.places()?, rod.estimates().of_rod.len());
-        Ok(ForceSpread { rod: rod.with_constants_of(state)?.0, places, constants, before: Vec::new() })
+        Ok(ForceSpread { rod: rod.with_constants_of(state)?.0, places, constants })
     }
 
     /// Columns of states without their constants, and the constants of the rod in each.
-    fn split(&self, columns: &[f64]) -> [Vec<f64>; 2] {
+    fn split<'c>(&self, columns: &'c [f64]) -> (Cow<'c, [f64]>, Vec<f64>) {
+        if self.places.own_dim() == self.places.dim() {
+            return (Cow::Borrowed(columns), Vec::new());
+        }
         let (own, count) = (self.places.own_dim(), columns.len() / self.places.dim());
         let (mut states, mut constants) = (vec![0.0; count * own], Vec::new());
         for (long, own) in columns.chunks_exact(self.places.dim()).zip(states.chunks_exact_mut(own)) {
             self.places.gather(long, own);
             constants.extend_from_slice(&long[self.places.parameters()][..self.constants]);
         }
-        [states, constants]
+        (Cow::Owned(states), constants)
     }
 
-    /// Of the analysis at step k, from the state before and now, W its columns there:
-    /// √Σ (∂F/∂x_{k−1} w_{k−1} + ∂F/∂x_k w_k + ∂F/∂p w_p)². `None` at the first step.
+    /// Of the analysis at a step, from the states before and now, W their columns:
+    /// √Σ (∂F/∂x_{k−1} w_{k−1} + ∂F/∂x_k w_k + ∂F/∂p w_p)².
     fn at(
         &mut self,
         grid: &TimeGrid,
-        k: usize,
-        before: Option<&[f64]>,
+        at: &Carried,
+        before: &[f64],
         now: &[f64],
-        w: &[f64],
-    ) -> Result<Option<InternalForces>, varda_rod::Error> {
-        let [dx, dp] = self.split(w);
-        let dx_before = std::mem::replace(&mut self.before, dx);
-        let Some(before) = before else { return Ok(None) };
-        let [[before, _], [now, _]] = [before, now].map(|x| self.split(x));
-        let (mut sigma, mut squares) = (InternalForces::default(), Vec::new());
+    ) -> Result<InternalForces, varda_rod::Error> {
+        let [(dx_before, _), (dx, dp)] = [at.before, at.now].map(|w| self.split(w));
+        let [(before, _), (now, _)] = [before, now].map(|x| self.split(x));
+        let mut sums: Option<(InternalForces, Squares)> = None;
         let mut add = |of: &mut InternalForces| {
-            if squares.is_empty() {
-                sigma = of.clone();
-                squares.resize(of.numbers().count(), 0.0);
-            }
-            let mut next = squares.iter_mut();
-            of.numbers().for_each(|v| *next.next().expect("as many numbers as before") += *v * *v);
+            let first = || (of.clone(), at.squares(of.clone().numbers().count()));
+            sums.get_or_insert_with(first).1.add(of.numbers().map(|v| *v));
         };
-        let columns = [&self.before, &dx_before, &dp].map(Vec::as_slice);
-        let before = (grid.time(k - 1), before.as_slice());
-        self.rod.internal_forces_tangent(grid.time(k), &now, before, columns, &mut add)?;
-        sigma.numbers().zip(squares).for_each(|(sigma, square)| *sigma = square.sqrt());
-        Ok(Some(sigma))
+        let before = (grid.time(at.step - 1), &before[..]);
+        self.rod.internal_forces_tangent(
+            grid.time(at.step),
+            &now,
+            before,
+            [&dx, &dx_before, &dp],
+            &mut add,
+        )?;
+        let Some((mut sigma, squares)) = sums else { return Ok(InternalForces::default()) };
+        sigma.numbers().zip(squares.end()).for_each(|(sigma, square)| *sigma = square.sqrt());
+        Ok(sigma)
     }
 }
 
-/// Carries the posterior of the control along the run of the analysis; `None` where there is no root of it,
-/// or the run cannot be linearized.
+/// Carries a posterior along the run of the analysis; `None` where it has no root, or the run cannot be
+/// linearized.
 pub(super) fn along(
     problem: &Problem,
     model: &mut dyn Model,
     control: &[f64],
-    root: &[f64],
+    posterior: Option<&PosteriorSpread>,
     runs: &Trajectories,
 ) -> Result<Option<Spread>, Error> {
+    let Some(posterior) = posterior else { return Ok(None) };
+    if let (Some(columns), Some(q)) = (&posterior.with_errors, &problem.model_error) {
+        let mut along = Along::new(problem, model, runs, None)?;
+        let forcing = forcing(problem.experiment.scene.algorithm.model_error.as_ref(), control.len());
+        let errors = (&forcing, q.as_ref());
+        let done = propagate_errors(model, columns, errors, &runs.analysis, &mut |at| {
+            along.see(at);
+            Ok(())
+        });
+        return if done.is_ok() { along.end().map(Some) } else { Ok(None) };
+    }
+    let root = &posterior.root;
     if root.is_empty() {
         return Ok(None);
     }
-    let (n, grid) = (runs.dim, problem.experiment.grid);
-    let (mut set, order) = problem.observed.everything(&grid)?;
-    set.follow(model.rate());
-    let mut spread = Spread {
-        states: Vec::with_capacity(runs.analysis.len()),
-        seen: vec![Vec::new(); problem.observed.seen.len()],
-        forces: Vec::new(),
-        known: Vec::new(),
-        next: None,
-    };
-    let given = Given::of(root, control.len(), problem.system.estimates().len());
-    let mut further = Gathering::new(problem, root.len() / control.len().max(1));
-    let mut within = match problem.system.rod() {
-        Some(rod) => Some(ForceSpread::of(rod, &runs.analysis[..n])?),
-        None => None,
-    };
-    let (mut run, mut dy) = (set.prediction(), vec![0.0; set.dim()]);
-    observe_all(&mut set, runs, &mut run)?;
-    // Columns of H W for the rows under way, those between two steps until the later one; and the first
-    // observation that is not done.
-    let (mut waiting, mut next): (BTreeMap<usize, Vec<f64>>, usize) = (BTreeMap::new(), 0);
-    let done = propagate_root(model, control, root, &runs.analysis, &mut |k, w| {
-        spread.states.extend(deviations(w, n));
-        if let Some(further) = &mut further {
-            further.see(k, n, w);
-        }
-        if let Some(given) = given.as_ref().filter(|_| k == 0 || k == grid.steps) {
-            spread.known.extend(given.shown(problem, k, n, w));
-        }
-        let rows = set.rows_at(k);
-        let state = &runs.analysis[k * n..(k + 1) * n];
-        if let Some(forces) = &mut within {
-            let before = k.checked_sub(1).map(|k| &runs.analysis[k * n..(k + 1) * n]);
-            match forces.at(&grid, k, before, state, w) {
-                Ok(sigma) => spread.forces.extend(sigma),
-                Err(_) => {
-                    spread.forces.clear();
-                    within = None;
-                }
-            }
-        }
-        for (j, column) in w.chunks_exact(n).enumerate().filter(|_| !rows.is_empty()) {
-            set.tangent_add(k, state, column, &run, &mut dy);
-            for row in rows.clone() {
-                waiting.entry(row).or_insert_with(|| vec![0.0; w.len() / n])[j] += dy[row];
-                dy[row] = 0.0;
-            }
-        }
-        while let Some(o) = set.observations().get(next).filter(|o| o.last_step() <= k) {
-            let size = |row: usize| waiting.remove(&row).map_or(0.0, |w| norm(&w));
-            spread.seen[order[next]] = set.rows(next).take(o.rows.len()).map(size).collect();
-            next += 1;
+    let mut along = Along::new(problem, model, runs, Some((root, control.len())))?;
+    let mut before: Vec<f64> = Vec::new();
+    let done = propagate_root(model, control, root, &runs.analysis, &mut |step, now| {
+        along.see(&Carried { step, dim: runs.dim, before: &before, now, less: 0 });
+        if along.looks_back() {
+            before.clear();
+            before.extend_from_slice(now);
         }
         Ok(())
     });
-    if done.is_ok() {
-        spread.next = further.map(Gathering::answer).transpose()?.flatten();
+    if done.is_ok() { along.end().map(Some) } else { Ok(None) }
+}
+
+/// What is gathered at every step.
+struct Along<'a> {
+    problem: &'a Problem,
+    runs: &'a Trajectories,
+    grid: TimeGrid,
+    set: ObservationSet,
+    /// For each of the observations the number of what was seen.
+    order: Vec<usize>,
+    /// H(x) of the analysis.
+    run: Prediction,
+    /// The first observation that is not done.
+    next: usize,
+    forces: Option<ForceSpread>,
+    further: Option<Gathering>,
+    given: Option<Given>,
+    spread: Spread,
+}
+
+impl<'a> Along<'a> {
+    /// A root of the posterior with the length of its columns, if it has one.
+    fn new(
+        problem: &'a Problem,
+        model: &dyn Model,
+        runs: &'a Trajectories,
+        root: Option<(&[f64], usize)>,
+    ) -> Result<Self, Error> {
+        let grid = problem.experiment.grid;
+        let (mut set, order) = problem.observed.everything(&grid)?;
+        set.follow(model.rate());
+        let forces = match problem.system.rod() {
+            Some(rod) => Some(ForceSpread::of(rod, &runs.analysis[..runs.dim])?),
+            None => None,
+        };
+        let mut run = set.prediction();
+        observe_all(&mut set, runs, &mut run)?;
+        let spread = Spread {
+            states: Vec::with_capacity(runs.analysis.len()),
+            seen: vec![Vec::new(); problem.observed.seen.len()],
+            forces: Vec::new(),
+            known: Vec::new(),
+            next: None,
+        };
+        let further = root.and_then(|(root, length)| Gathering::new(problem, root.len() / length.max(1)));
+        let constants = problem.system.estimates().len();
+        let given = root.and_then(|(root, length)| Given::of(root, length, constants));
+        Ok(Along { problem, runs, grid, set, order, run, next: 0, forces, further, given, spread })
     }
-    Ok(done.is_ok().then_some(spread))
+
+    /// Whether columns of the step before are asked for.
+    fn looks_back(&self) -> bool {
+        self.forces.is_some() || self.set.observations()[self.next..].iter().any(|o| o.step < o.last_step())
+    }
+
+    fn see(&mut self, at: &Carried) {
+        let k = at.step;
+        self.spread.states.extend(at.variance().into_iter().map(f64::sqrt));
+        if let Some(further) = &mut self.further {
+            further.see(k, at.dim, at.now);
+        }
+        if let Some(given) = self.given.as_ref().filter(|_| k == 0 || k == self.grid.steps) {
+            self.spread.known.extend(given.shown(self.problem, k, at.dim, at.now));
+        }
+        if let (Some(forces), Some(before)) = (&mut self.forces, k.checked_sub(1)) {
+            let [before, now] = [before, k].map(|k| &self.runs.analysis[k * at.dim..(k + 1) * at.dim]);
+            match forces.at(&self.grid, at, before, now) {
+                Ok(sigma) => self.spread.forces.push(sigma),
+                Err(_) => {
+                    self.spread.forces.clear();
+                    self.forces = None;
+                }
+            }
+        }
+        self.observe(at);
+    }
+
+    /// σ of the rows whose observations end at this step.
+    fn observe(&mut self, at: &Carried) {
+        let (k, n, first) = (at.step, at.dim, self.next);
+        let Self { set, run, runs, .. } = self;
+        let ended = |o: &&varda_assimilation::Observation| o.last_step() <= k;
+        let count = set.observations()[first..].iter().take_while(ended).count();
+        if count == 0 {
+            return;
+        }
+        let looks_back = set.observations()[first..first + count].iter().any(|o| o.step < k);
+        let rows = set.rows(first).start..set.rows(first + count - 1).end;
+        let (mut dy, mut values) = (vec![0.0; set.dim()], Vec::new());
+        for (c, column) in at.now.chunks_exact(n).enumerate() {
+            if looks_back {
+                let (before, k) = (&at.before[c * n..(c + 1) * n], k - 1);
+                set.tangent_add(k, &runs.analysis[k * n..(k + 1) * n], before, run, &mut dy);
+            }
+            set.tangent_add(k, &runs.analysis[k * n..(k + 1) * n], column, run, &mut dy);
+            values.extend_from_slice(&dy[rows.clone()]);
+            for k in [k.saturating_sub(1), k] {
+                dy[set.rows_at(k)].fill(0.0);
+            }
+        }
+        let squares = at.sum_of_squares(rows.len(), values.chunks_exact(rows.len().max(1)));
+        for i in first..first + count {
+            let own = set.observations()[i].rows.len();
+            let size = |row: usize| squares[row - rows.start].sqrt();
+            self.spread.seen[self.order[i]] = set.rows(i).take(own).map(size).collect();
+        }
+        self.next += count;
+    }
+
+    fn end(self) -> Result<Spread, Error> {
+        let next = self.further.map(Gathering::answer).transpose()?.flatten();
+        Ok(Spread { next, ..self.spread })
+    }
 }
 
 /// H(x) of the analysis, as far as it ran.
@@ -168,19 +246,6 @@ fn observe_all(set: &mut ObservationSet, runs: &Trajectories, run: &mut Predicti
         set.observe_add(k, x, run)?;
     }
     Ok(())
-}
-
-fn norm(x: &[f64]) -> f64 {
-    x.iter().map(|x| x * x).sum::<f64>().sqrt()
-}
-
-/// Square roots of the diagonal of W Wᵀ, W with `rows` rows, by columns.
-fn deviations(w: &[f64], rows: usize) -> Vec<f64> {
-    let mut sum = vec![0.0; rows];
-    for column in w.chunks_exact(rows) {
-        sum.iter_mut().zip(column).for_each(|(s, w)| *s += w * w);
-    }
-    sum.into_iter().map(f64::sqrt).collect()
 }
 
 /// Everything that was seen, with background, analysis and σ beside it, in the order of time.

@@ -215,8 +215,10 @@ fn standing_out(judged: &Judged) -> Vec<Group> {
             groups.push(Group { name, rms: mean.sqrt(), deviations });
         }
     };
-    for (site, label) in judged.labels.iter().enumerate() {
-        group(label.clone(), &mut d.iter().filter(|d| d.site == site));
+    let mut by_site: Vec<&Departure> = d.iter().collect();
+    by_site.sort_by_key(|d| d.site);
+    for members in by_site.chunk_by(|a, b| a.site == b.site) {
+        group(judged.labels[members[0].site].clone(), &mut members.iter().copied());
     }
     let mut times: Vec<f64> = d.iter().map(|d| d.time).collect();
     times.sort_by(f64::total_cmp);

@@ -1,6 +1,7 @@
 //! One window: a problem assimilated, or run forward. A problem does not change; results are plain data.
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 use std::time::Instant;
 
 use varda_assimilation::{Analysis, ObservationSet, Rejection, huber};
@@ -219,7 +220,18 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
     let estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
     let shares =
         shares::shares(problem, &analysis, errors_of_model.as_ref(), solution.spread.is_some(), root)?;
-    let mut spread = spread::along(problem, make_model(0).as_mut(), &analysis.analysis, root, &trajectories)?;
+    let posterior = solution.spread.as_ref();
+    // Ctrl-C leaves out what goes beyond the analysis; the seconds of `[limits]` do not.
+    let leave: Ends = listener.ends.clone().unwrap_or_else(|| Arc::new(|| false));
+    let (spread, left) = interrupt::within(leave, || {
+        let spread =
+            spread::along(problem, make_model(0).as_mut(), &analysis.analysis, posterior, &trajectories);
+        (spread, interrupt::was_told())
+    });
+    if left && !ended_early {
+        warnings.push("interrupted after the analysis: σ after the start of the window is left out".into());
+    }
+    let mut spread = spread?;
     if let (Some(shapes), Some(spread)) = (&mut shapes, &mut spread) {
         shapes.sigma_forces = std::mem::take(&mut spread.forces);
     }

@@ -5,9 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use super::Method;
 
-/// Cycling (methods 4dvar, 3dvar, weak-forcing, 4denvar, hybrid-4denvar): every window starts from the
-/// analysis of the one before, run to its start. Windows are `time.window` steps long; an observation belongs
-/// to the first window that holds it.
+/// Cycling (every method but blue and static): every window starts from the analysis of the one before, run
+/// to its start. Windows are `time.window` steps long; an observation belongs to the first window that holds
+/// it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Cycles {
@@ -43,7 +43,8 @@ pub struct Cycles {
     #[schemars(extend("minimum" = 0.0))]
     pub static_weight: Option<f64>,
     /// Share of the variance of every component that a propagated posterior may leave out, so that its root
-    /// has fewer columns; 1e-8 unless given, 0 leaves out nothing.
+    /// has fewer columns; 1e-8 unless given, 0 leaves out nothing (weak-state, which needs the inverse of B,
+    /// takes 0 or a static weight).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("minimum" = 0.0, "exclusiveMaximum" = 1.0))]
     pub dropped_variance: Option<f64>,

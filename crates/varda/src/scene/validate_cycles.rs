@@ -8,14 +8,16 @@ pub(super) fn validate_cycles(cycles: &Cycles, scene: &Scene) -> Check {
     let (algorithm, window) = (&scene.algorithm, scene.time.window);
     let method = algorithm.method;
     let refuse = |key: &str, message: String| invalid(format!("algorithm.cycles{key}"), message);
-    let is_cycled = matches!(method, Method::FourDVar | Method::ThreeDVar | Method::WeakForcing);
-    if !is_cycled && !method.is_ensemble() {
-        let message = format!(
-            "method {:?} is not cycled; \"4dvar\", \"3dvar\", \"weak-forcing\", \"4denvar\" and \
-             \"hybrid-4denvar\" are",
-            method.name()
-        );
-        return refuse("", message);
+    if method == Method::Blue {
+        let message = "method \"blue\" is not cycled: it is linearized once, about a background that gets no \
+                       better where the window is not linear; where it is, \"4dvar-incremental\" gives the \
+                       same in one outer iteration";
+        return refuse("", message.into());
+    }
+    if method == Method::Static {
+        let message =
+            "method \"static\" is not cycled: its shapes have no times, and constants do not move on";
+        return refuse("", message.into());
     }
     if method.is_of_one_instant() && window > 0 {
         let message = format!(
@@ -42,10 +44,19 @@ pub(super) fn validate_cycles(cycles: &Cycles, scene: &Scene) -> Check {
         );
         return refuse(".covariance", message);
     }
+    if method == Method::WeakState
+        && covariance == CycledCovariance::Propagated
+        && cycles.dropped_variance != Some(0.0)
+        && !cycles.static_weight.is_some_and(|w| w > 0.0)
+    {
+        let message = "method \"weak-state\" needs the inverse of B, which a propagated one has only where \
+                       nothing is left out of it: dropped_variance = 0, or a static_weight";
+        return refuse(".dropped_variance", message.into());
+    }
     if let Some(error) = algorithm.model_error.as_ref().filter(|_| !method.is_weak()) {
         if covariance == CycledCovariance::Static {
             let message = "Q does not change a static B: take cycles.covariance = \"propagated\", or method \
-                           \"weak-forcing\", which estimates the errors";
+                           \"weak-forcing\" or \"weak-state\", which estimate the errors";
             return invalid("algorithm.model_error", message);
         }
         if error.every > cycles.shift_of(window) {

@@ -12,7 +12,7 @@ use super::csv;
 use super::ensemble::ComponentPositions;
 use super::estimate::{Constant, Estimates};
 use super::files::Files;
-use super::runs::{MakeModel, run_states};
+use super::runs::{MakeModel, state_after};
 use crate::Error;
 use crate::scene::{self, ComponentCovariance, Invalid, SceneFile, TimeGrid};
 use crate::state::StateLayout;
@@ -107,8 +107,7 @@ impl ComponentSystem {
     pub(crate) fn truth(&self) -> Result<Vec<f64>, Error> {
         let mut model = (self.make)(0);
         let start = self.with_known_constants(self.start.clone());
-        let states = run_states(model.as_mut(), &start, self.spin_up)?;
-        Ok(states[self.spin_up * start.len()..].to_vec())
+        Ok(state_after(model.as_mut(), &start, self.spin_up)?)
     }
 
     /// The state in a CSV file with one row for each component.

@@ -14,6 +14,16 @@ pub(crate) enum Finer {
     Scene(Box<SceneFile>, f64),
 }
 
+impl Finer {
+    /// With this many bytes for its limit of memory.
+    pub(crate) fn within(mut self, bytes: usize) -> Finer {
+        if let Finer::Scene(file, _) = &mut self {
+            file.scene.limits.memory = format!("{} B", bytes.max(1));
+        }
+        self
+    }
+}
+
 /// Errors fall with h², clamps being at their faces: 1/(1 − ¼) of the difference.
 const SECOND_ORDER: f64 = 4.0 / 3.0;
 /// A held edge makes the rod half a segment too short, an error that falls with h.

@@ -1,20 +1,25 @@
 //! The memory a run takes, counted before anything is built: `varda check` prints it, and it must be below
 //! `[limits] memory`.
 //!
-//! Counted is what grows with a scene: B and Q with what building them takes, dense Hessians and Jacobians,
-//! states and linearizations of a window, the members of an ensemble, trajectories and their tables. The
-//! program itself takes some ten megabytes more.
+//! Counted are the program at rest and what grows with a scene: B and Q with what building them takes, dense
+//! Hessians and Jacobians, states and linearizations of a window, the members of an ensemble, trajectories
+//! and their tables.
 
 use varda_covariance::Taper;
 use varda_implicit::line::Ends;
 use varda_implicit::{Footprint, Storage};
 
+use super::finer::{Finer, finer};
 use super::inputs::Inputs;
 use crate::Error;
 use crate::scene::{
-    Covariance, CycledCovariance, Draw, Hessian, Method, Minimizer, Model, Observations, Origin, Root, Scene,
-    SceneFile,
+    Covariance, CycledCovariance, Draw, Hessian, Kernel, Method, Minimizer, Model, Observations, Origin,
+    Root, Scene, SceneFile,
 };
+
+/// What a process holds beside a scene's own numbers, in bytes: code, stacks, the allocator, an empty report.
+/// Measured, as the peak of a run of three unknowns.
+const AT_REST: usize = 11_800_000;
 
 /// Bytes of a number.
 const NUMBER: usize = size_of::<f64>();
@@ -25,6 +30,11 @@ const LARGEST_DENSE_POSTERIOR: usize = 3000;
 
 /// Products of a low-rank posterior, and vectors it keeps, at most.
 pub(crate) const MOST_PRODUCTS: usize = 200;
+
+/// Most columns of a root of the posterior of a weak form that is carried along the window; of more unknowns
+/// it is the prior less what was learnt. Of an initial state of more it is not carried: bringing the
+/// prior's columns down at every error would take longer than all else.
+pub(crate) const MOST_ROOT_COLUMNS: usize = 1000;
 
 /// Where one more observation would help: places looked at, times at which they are seen, and columns of a
 /// root, at most (more of either and the answer takes longer than the rest of the diagnostics); and numbers
@@ -80,6 +90,10 @@ pub struct Memory {
     pub other: usize,
     /// Tables as text, written when the dense matrices are gone.
     pub text: usize,
+    /// The same estimate on a finer mesh, made while the results of this one are held.
+    pub finer: usize,
+    /// What it may take: the limit less the results of this one.
+    pub for_finer: usize,
     /// States and linearizations of the window.
     pub window: usize,
     /// What they may take: the limit less everything else.
@@ -97,9 +111,19 @@ impl Memory {
         let scene = &file.scene;
         let limit = scene.limits.bytes().map_err(|message| file.invalid("limits.memory", message))?;
         let mut memory = Memory::of(scene, sizes);
+        let held = memory.covariance.saturating_add(memory.other);
+        memory.for_finer = limit.saturating_sub(held);
+        // One that is too large is left out of the run, which says so.
+        if let Finer::Scene(finer, _) = file.checked(finer(file))?.within(memory.for_finer)
+            && scene.background.from != Origin::TruthPlusDraw
+            && let Ok(finer) = Memory::within_limit(&finer, &sizes.on_finer_mesh())
+        {
+            memory.finer = finer.of_run().saturating_add(held);
+        }
         let footprint = footprint(scene, sizes);
         let fixed = Memory { window: 0, ..memory }.total();
-        memory.for_window = limit.saturating_sub(memory.covariance.saturating_add(memory.beside_window()));
+        let others = AT_REST.saturating_add(memory.covariance).saturating_add(memory.beside_window());
+        memory.for_window = limit.saturating_sub(others);
         // Only the strong constraint over one window knows how to keep less.
         if scene.algorithm.method.is_strong() && scene.algorithm.cycles.is_none() && fixed < limit {
             memory.storage = footprint.within(memory.for_window).map_err(|e| {
@@ -111,10 +135,12 @@ impl Memory {
             return Ok(memory);
         }
         let mut parts = [
+            ("the program itself", AT_REST),
             ("the background covariance (dense blocks)", memory.covariance + memory.building),
             ("dense Hessians and Jacobians", memory.dense),
             ("ensemble, trajectories and tables", memory.other + memory.text),
             ("states and linearizations", memory.window),
+            ("the estimate on a finer mesh", memory.finer.saturating_sub(memory.of_run())),
         ];
         parts.sort_by_key(|(_, bytes)| std::cmp::Reverse(*bytes));
         let parts: Vec<String> = parts
@@ -139,6 +165,11 @@ impl Memory {
 
     /// The most that is held at a time.
     pub fn total(&self) -> usize {
+        AT_REST.saturating_add(self.of_run().max(self.finer))
+    }
+
+    /// The same without the program, on this mesh.
+    fn of_run(&self) -> usize {
         let run = self.beside_window().saturating_add(self.window);
         self.covariance.saturating_add(self.building.max(run))
     }
@@ -156,7 +187,7 @@ impl Memory {
         if let Some(error) = &algorithm.model_error {
             let q = self::covariance(scene, &error.covariance, n);
             (covariance, building) = (covariance + q[0], building.max(q[1]));
-            errors = error_numbers(scene, n);
+            errors = error_columns(scene, n, &error.covariance);
         }
         let cycled = algorithm.cycles.as_ref().map(|c| c.covariance_of(algorithm.method));
         let posterior = match cycled {
@@ -173,7 +204,8 @@ impl Memory {
         let dense = if let Some(ensemble) = &ensemble {
             ensemble.dense(posterior).saturating_add(if cycled.is_some() { ensemble.carried() } else { 0 })
         } else if algorithm.method.is_weak() {
-            if posterior { weak_posterior(n, n + errors, m) } else { 0 }
+            let carried = if cycled.is_none() { weak_carried(n, n + errors, m, sizes.state) } else { 0 };
+            if posterior { weak_posterior(n, n + errors, m).max(carried) } else { 0 }
         } else if algorithm.minimizer.settings().is_dense()
             || algorithm.method == Method::Blue
             || (posterior && (cycled.is_some() || !is_low_rank(algorithm.method, n)))
@@ -183,13 +215,9 @@ impl Memory {
                 matches!(scene.model, Model::Rod(_)) && posterior && !is_low_rank(algorithm.method, n);
             decomposition(algorithm.method, n, m)
                 .saturating_add(m.min(n).saturating_mul(sizes.state))
-                // σ of a rod's forces: their tangents along the columns of the root, beside what is left of
-                // the Hessian
-                .saturating_add(match (forces, m < n) {
-                    (false, _) => 0,
-                    (true, true) => square,
-                    (true, false) => square.saturating_mul(4),
-                })
+                // σ of a rod's forces: their tangents along the columns of the root at two steps, beside
+                // what is left of the Hessian
+                .saturating_add(if forces && m >= n { square.saturating_mul(3) } else { 0 })
                 // Newton's factor beside the Hessian
                 .saturating_add(if algorithm.minimizer == Minimizer::Newton { square } else { 0 })
                 // the root that is carried on, cut by its singular values
@@ -206,7 +234,10 @@ impl Memory {
             true => dense.max(square.saturating_add(eigenvectors(n))),
             false => dense,
         };
-        let mut other = 2 * (n + errors) * 8;
+        // Vectors of a minimization; what L-BFGS has learnt is kept with the minimum.
+        let vectors = 2 * (n + errors) * 8;
+        let is_kept = algorithm.minimizer == Minimizer::Lbfgs;
+        let (mut other, dense) = if is_kept { (vectors, dense) } else { (0, dense.saturating_add(vectors)) };
         if exact {
             // of every step λ, μ, the path of a perturbation, twice, and matrices about as large as the
             // factor
@@ -234,6 +265,8 @@ impl Memory {
             dense: NUMBER.saturating_mul(dense),
             other: NUMBER.saturating_mul(other.saturating_add(states)).saturating_add(values),
             text: states.saturating_mul(TEXT),
+            finer: 0,
+            for_finer: usize::MAX,
             window: footprint.bytes(Storage::KeepAll),
             for_window: usize::MAX,
             storage: Storage::KeepAll,
@@ -271,6 +304,27 @@ fn weak_posterior(n: usize, r: usize, m: usize) -> usize {
     of_errors.max(eigenvectors(n).saturating_add(m.saturating_mul(r)))
 }
 
+/// Whether the posterior of a weak form is carried along the window, of `n` numbers of the initial state.
+pub(crate) fn carries_errors(n: usize) -> bool {
+    n <= MOST_ROOT_COLUMNS
+}
+
+/// Numbers that the posterior of a weak form takes while it is carried along the window, with what comes
+/// before: `n` of its `r` unknowns are the initial state.
+fn weak_carried(n: usize, r: usize, m: usize, state: usize) -> usize {
+    let k = r.min(m);
+    if !carries_errors(n) {
+        return 0;
+    }
+    if r <= MOST_ROOT_COLUMNS || m >= r {
+        // directions and root, whitened and not; then columns at two steps
+        return r.saturating_mul(2 * k + 2 * r).max(r.saturating_mul(r + 2 * state));
+    }
+    // the columns before and after they are brought down to n
+    let columns = k + 2 * n;
+    k.saturating_mul(r).saturating_add(columns.saturating_mul(2 * state)).saturating_add(4 * n * n)
+}
+
 /// Whether the posterior of a control of `n` unknowns is of low rank.
 pub(crate) fn is_low_rank(method: Method, n: usize) -> bool {
     method.is_strong() && n > LARGEST_DENSE_POSTERIOR
@@ -278,14 +332,23 @@ pub(crate) fn is_low_rank(method: Method, n: usize) -> bool {
 
 /// What a posterior of low rank leaves out.
 pub(crate) fn without_spread(scene: &Scene, n: usize) -> Option<String> {
-    let line = format!(
-        "σ of the analysis after the start of the window: of more than {LARGEST_DENSE_POSTERIOR} unknowns \
-         the posterior is of low rank"
-    );
-    (scene.report.posterior && is_low_rank(scene.algorithm.method, n)).then_some(line)
+    let why = if is_low_rank(scene.algorithm.method, n) {
+        format!("of more than {LARGEST_DENSE_POSTERIOR} unknowns the posterior is of low rank")
+    } else if scene.algorithm.method.is_weak() && !carries_errors(n) {
+        format!("under weak constraint it is computed for at most {MOST_ROOT_COLUMNS} numbers of a state")
+    } else {
+        return None;
+    };
+    let line = format!("σ of the analysis after the start of the window: {why}");
+    scene.report.posterior.then_some(line)
 }
 
 impl Sizes {
+    /// Of a rod with twice the segments.
+    fn on_finer_mesh(&self) -> Sizes {
+        Sizes { state: 2 * self.state, control: 2 * self.control, kept: 2 * self.kept, ..*self }
+    }
+
     /// The sizes of a scene that has been read; adaptive time steps count as if none were divided.
     pub fn of(inputs: &Inputs) -> Sizes {
         let [values, times] = inputs.observed.sizes(&inputs.grid);
@@ -410,6 +473,25 @@ pub(crate) fn error_numbers(scene: &Scene, control: usize) -> usize {
     scene.algorithm.model_error.as_ref().map_or(0, |error| {
         control * if error.held { steps.div_ceil(error.every) } else { steps / error.every }
     })
+}
+
+/// The same with what a truncated root of Q is expected to keep.
+fn error_columns(scene: &Scene, control: usize, q: &Covariance) -> usize {
+    let (Covariance::Kernel(k), Model::Rod(rod)) = (q, &scene.model) else {
+        return error_numbers(scene, control);
+    };
+    let length = rod.rest_lengths().map_or(f64::INFINITY, |l| l.iter().sum());
+    let is_smooth = k.kernel == Kernel::Gaussian && k.localization_length.is_none();
+    if !is_smooth || q.root() != Root::Truncated || k.sigma_theta.is_some() {
+        return error_numbers(scene, control);
+    }
+    // The spectrum of the kernel falls as exp(−(π j L/l)²/2), and its ends take two waves more.
+    let waves = |correlation: f64| {
+        let waves = (2.0 * (1.0 / k.truncation).ln()).sqrt() * length / (std::f64::consts::PI * correlation);
+        (waves.ceil() as usize).saturating_add(2).saturating_mul(3)
+    };
+    let columns = waves(k.correlation_length_x).saturating_add(waves(k.correlation_length_v));
+    error_numbers(scene, columns.min(control))
 }
 
 fn windows(scene: &Scene) -> usize {

@@ -151,7 +151,7 @@ impl Problem {
             observed,
             memory: memory.for_window,
             adjustable: adjustable(&one_window),
-            finer: one_window.checked(finer(&one_window))?,
+            finer: one_window.checked(finer(&one_window))?.within(memory.for_finer),
             adaptive_steps,
         };
         problem.check_hessian(&file)?;

@@ -11,7 +11,7 @@ use super::ensemble::ComponentPositions;
 use super::estimate::{Constant, Estimates};
 use super::files::Files;
 use super::rod_model::RodParts;
-use super::runs::MakeModel;
+use super::runs::{MakeModel, state_after};
 use crate::Error;
 use crate::scene::{self, RodModel, SceneFile, TimeGrid};
 use crate::state::{Geometry, StateLayout};
@@ -130,12 +130,7 @@ impl RodSystem {
         let failed = |reason| Error::Preparation { stage: "spin-up of the truth", reason };
         let mut x = vec![0.0; model.dim()];
         model.initial_state(&control, &mut x).map_err(failed)?;
-        let mut next = x.clone();
-        for k in 0..self.spin_up {
-            model.step(k, &x, &mut next).map_err(failed)?;
-            std::mem::swap(&mut x, &mut next);
-        }
-        Ok(x)
+        state_after(model.as_mut(), &x, self.spin_up).map_err(failed)
     }
 
     /// The control of the rod at rest at the start of the window. Its runs start from the angles it has

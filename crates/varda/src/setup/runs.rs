@@ -19,6 +19,23 @@ pub fn run_states(model: &mut dyn Model, x0: &[f64], steps: usize) -> Result<Vec
     Ok(states)
 }
 
+/// The state after `steps` steps from `x0`.
+///
+/// # Errors
+/// A step that fails.
+pub fn state_after(
+    model: &mut dyn Model,
+    x0: &[f64],
+    steps: usize,
+) -> Result<Vec<f64>, varda_implicit::Error> {
+    let (mut x, mut next) = (x0.to_vec(), x0.to_vec());
+    for k in 0..steps {
+        model.step(k, &x, &mut next)?;
+        std::mem::swap(&mut x, &mut next);
+    }
+    Ok(x)
+}
+
 /// Continues a run from the last of its `states` to step `steps`, and returns what the model did. After an
 /// error the states before the step that failed are there.
 ///

@@ -67,6 +67,7 @@ impl Task<'_> {
             Some(PosteriorSpread {
                 sigma: roots(variance),
                 root: Vec::new(),
+                with_errors: None,
                 degrees_of_freedom,
                 error_bound: None,
             })

@@ -17,15 +17,10 @@ pub(crate) fn strong(
     v: &mut [f64],
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
-    match algorithm.method {
-        Method::FourDVarIncremental | Method::ThreeDVarIncremental => {
-            outer_loop(cost, v, &outer(algorithm, InnerSolver::Primal), on_iteration)
-        }
-        Method::FourDPsas | Method::Psas => {
-            outer_loop(cost, v, &outer(algorithm, InnerSolver::Dual), on_iteration)
-        }
-        Method::Blue => blue(algorithm, cost, v, on_iteration),
-        _ => minimize(algorithm, cost, v, on_iteration),
+    match outer_of(algorithm) {
+        Some(options) => outer_loop(cost, v, &options, on_iteration),
+        None if algorithm.method == Method::Blue => blue(algorithm, cost, v, on_iteration),
+        None => minimize(algorithm, cost, v, on_iteration),
     }
 }
 
@@ -62,9 +57,14 @@ fn stopping(algorithm: &Algorithm) -> Stopping {
     Stopping::new(algorithm.gradient_tolerance, algorithm.max_iterations)
 }
 
-/// Options of an outer loop with the given solver of its inner problem.
-pub(crate) fn outer(algorithm: &Algorithm, inner: InnerSolver) -> OuterLoopOptions {
-    OuterLoopOptions::default().with_inner(inner).with_stopping(stopping(algorithm))
+/// Options of the outer loop of a method that has one.
+pub(crate) fn outer_of(algorithm: &Algorithm) -> Option<OuterLoopOptions> {
+    let inner = match algorithm.method {
+        Method::FourDVarIncremental | Method::ThreeDVarIncremental | Method::WeakState => InnerSolver::Primal,
+        Method::FourDPsas | Method::Psas => InnerSolver::Dual,
+        _ => return None,
+    };
+    Some(OuterLoopOptions::default().with_inner(inner).with_stopping(stopping(algorithm)))
 }
 
 /// The closed form, linearized once at `v`. `Converged` only if the true gradient is below the tolerance;

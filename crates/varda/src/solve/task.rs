@@ -3,8 +3,8 @@
 use std::ops::ControlFlow;
 
 use varda_assimilation::{
-    Attempt, ControlTransform, Error, Forcing, Iteration, LanczosOptions, LeastSquares, LowRankPosterior,
-    Minimum, ObservationSet, Posterior, Rejection, Status,
+    Attempt, ControlTransform, Error, ErrorColumns, Forcing, Iteration, LanczosOptions, LeastSquares,
+    LowRankPosterior, Minimum, ObservationSet, Posterior, Rejection, Status,
 };
 use varda_covariance::{Covariance, Ensemble};
 use varda_implicit::{Model, Storage};
@@ -78,6 +78,8 @@ pub(crate) struct PosteriorSpread {
     /// A square root of P_a, by columns of the length of the control; empty where the analysis is not a run
     /// of the model (weak constraint, ensembles).
     pub(crate) root: Vec<f64>,
+    /// Under weak constraint the covariance of the initial state and of the errors of the model.
+    pub(crate) with_errors: Option<ErrorColumns>,
     /// Degrees of freedom for signal (of the initial state, under weak constraint).
     pub(crate) degrees_of_freedom: f64,
     /// Of one of low rank: what its variances may be off by, as a fraction of the background's.
@@ -165,6 +167,7 @@ impl PosteriorSpread {
         PosteriorSpread {
             root: if keep_root { posterior.control_root(transform) } else { Vec::new() },
             sigma: roots(posterior.variance(transform)),
+            with_errors: None,
             degrees_of_freedom: posterior.degrees_of_freedom(),
             error_bound: None,
         }
@@ -184,6 +187,7 @@ impl PosteriorSpread {
         Ok(PosteriorSpread {
             sigma: roots(posterior.variance(transform)),
             root: Vec::new(),
+            with_errors: None,
             degrees_of_freedom: posterior.degrees_of_freedom(),
             error_bound: posterior.error_bound(),
         })

@@ -1,7 +1,7 @@
 //! Weak constraint: the model errs by a forcing η, which is estimated with the initial state.
 
 use varda_assimilation::{
-    ControlTransform, CostFunction, Error, Forcing, InnerSolver, LeastSquares, Minimum, Status, WeakForcing,
+    ControlTransform, CostFunction, Error, Forcing, LeastSquares, Minimum, Status, WeakForcing,
     WeakPosterior, WeakState, outer_loop,
 };
 use varda_covariance::Covariance;
@@ -11,6 +11,7 @@ use super::minimizer;
 use super::task::{Iterate, PosteriorSpread, SubWindow, SubWindowEnd, Task, deviations, is_whole, roots};
 use crate::outcome::{ModelErrors, WorkCounts};
 use crate::setup::covariance::Factored;
+use crate::setup::memory::{MOST_ROOT_COLUMNS, carries_errors};
 use crate::setup::runs::run_on;
 
 impl Task<'_> {
@@ -78,7 +79,7 @@ impl Task<'_> {
         let (n_z, n) = (background.len(), states.len() / (last + 1));
         let mut control = if v.is_empty() { background.to_vec() } else { v[..n_z].to_vec() };
         *v = cost.control(&control, &mut |k, x| x.copy_from_slice(&states[k * n..(k + 1) * n]));
-        let options = minimizer::outer(algorithm, InnerSolver::Primal);
+        let options = minimizer::outer_of(algorithm).unwrap_or_default();
         let before_this = (before.0, before.1 + run);
         let minimum = outer_loop(&mut cost, v, &options, &mut |iteration| {
             on_iterate(&Iterate { iteration, control: &iteration.v[..n_z], window, before: before_this })
@@ -130,7 +131,11 @@ impl Found {
         if posterior {
             match WeakPosterior::new(cost) {
                 Ok(posterior) => {
-                    found.spread = Some(PosteriorSpread::around(posterior.initial(), transform, false));
+                    found.spread = Some(PosteriorSpread {
+                        with_errors: carries_errors(transform.control_dim())
+                            .then(|| posterior.with_errors(transform, q, MOST_ROOT_COLUMNS)),
+                        ..PosteriorSpread::around(posterior.initial(), transform, false)
+                    });
                     let sigma = |j: usize| roots(posterior.error_variance(q, j));
                     errors.sigma = (0..errors.steps.len()).flat_map(sigma).collect();
                     errors.expected_j_q = Some(posterior.expected_model_error());

@@ -3,9 +3,11 @@
 use super::common::{gap, tight};
 use super::linear::{TIGHT, dense, kalman, step_matrix};
 use crate::row::{Case, Outcome, Rows};
+use nalgebra::DMatrix;
 use problems::small_problems::{self, LINEAR_STEPS, coupled, difference};
 use varda_assimilation::{
-    ControlTransform, CostFunction, Forcing, InnerSolver, Status, StrongConstraint, WeakForcing, WeakState,
+    ControlTransform, CostFunction, Forcing, InnerSolver, LeastSquares, Status, StrongConstraint,
+    WeakForcing, WeakPosterior, WeakState, propagate_errors,
 };
 use varda_covariance::Diagonal;
 
@@ -34,12 +36,26 @@ fn smoother(case: &mut Case) -> Outcome {
     case.reason(TIGHT);
     for (name, inner) in SOLVERS {
         let transform = ControlTransform::new(background.clone(), &b)?;
-        let mut forcing = WeakForcing::new(&mut model, transform, &q, Forcing::every_step(4), &mut set)?;
+        let mut forcing =
+            WeakForcing::new(&mut model, transform.clone(), &q, Forcing::every_step(4), &mut set)?;
         let mut v = vec![0.0; forcing.dim()];
         tight(&mut forcing, &mut v, inner)?;
         let gap = worst(&|k| forcing.state(k).to_vec());
         case.at_most(&format!("weak-forcing, {name} = rts smoother"), gap, 1e-9, "-");
-        drop(forcing);
+        if inner == InnerSolver::Primal {
+            forcing.linearize(&v, &mut vec![0.0; v.len()])?;
+            let columns = WeakPosterior::new(&mut forcing)?.with_errors(&transform, &q, 1000);
+            let states: Vec<f64> = (0..=LINEAR_STEPS).flat_map(|k| forcing.state(k).to_vec()).collect();
+            drop(forcing);
+            let (mut worst, every) = (0.0, Forcing::every_step(4));
+            propagate_errors(&mut model, &columns, (&every, &q), &states, &mut |at| {
+                let w = DMatrix::from_column_slice(4, at.now.len() / 4, at.now);
+                let gap = difference((&w * w.transpose()).as_slice(), smoothed[at.step].1.as_slice());
+                worst = if gap <= worst { worst } else { gap };
+                Ok(())
+            })?;
+            case.at_most("weak-forcing: every covariance = rts smoother's", worst, 1e-9, "-");
+        }
         let every = Forcing::every_step(4);
         let mut states = WeakState::new(&mut model, background.clone(), &b, &q, every, &mut set)?;
         let mut v = states.background()?;
