@@ -122,6 +122,7 @@ mod marker;
 mod material;
 mod modes;
 mod moved;
+mod moved_increment;
 mod parameters;
 mod predict;
 mod recorded;

@@ -65,6 +65,8 @@ pub struct Sizes {
     pub shown: usize,
     /// Columns of the root of the localization of an ensemble, about; 0 without one.
     pub localization: usize,
+    /// Constants that are estimated, the last numbers of the control.
+    pub constants: usize,
 }
 
 /// Bytes a run takes.
@@ -190,6 +192,12 @@ impl Memory {
                     (true, true) => square,
                     (true, false) => square.saturating_mul(4),
                 })
+                // an orthonormal basis of what the columns of the root are in the constants, and what each
+                // constant does to forces
+                .saturating_add(match posterior {
+                    true => sizes.constants.saturating_mul(n.saturating_add(3 * sizes.state)),
+                    false => 0,
+                })
                 // Newton's factor beside the Hessian
                 .saturating_add(if algorithm.minimizer == Minimizer::Newton { square } else { 0 })
                 // the root that is carried on, cut by its singular values
@@ -301,6 +309,7 @@ impl Sizes {
             steps: inputs.file.scene.time.window,
             shown: inputs.grid.last_step(),
             localization: localization(inputs),
+            constants: inputs.system.layout().constants.len(),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Supports that are not quite where the scene has them: clamps askew, drives, and a base recorded with noise.
+//! Supports that are not quite where the scene has them: clamps askew, drives, a base recorded with noise.
 
 use std::fmt::Write;
 
@@ -66,7 +66,7 @@ fn gripped(case: &mut Case) -> Outcome {
         };
         let mut central = |h: f64| Ok::<f64, varda_assimilation::Error>((at(h)? - at(-h)?) / (2.0 * h));
         let difference = (4.0 * central(1e-3)? - central(2e-3)?) / 3.0;
-        let error = (gradient[p] - difference).abs() / gradient[p].abs().max(1e-6 * size);
+        let error = (gradient[p] - difference).abs() / gradient[p].abs().max(1e-5 * size);
         // six directions stand before the errors of the places
         let kind = usize::from(p >= n - constants + 6);
         worst[kind] = worst[kind].max(error);
