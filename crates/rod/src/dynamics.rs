@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use varda_implicit::{Interval, Refusal, Scheme};
 
 use crate::Error;
+use crate::at_rest::AtRest;
 use crate::change::Parameters;
 use crate::damping::KelvinVoigt;
 use crate::equilibrium::Rest;
@@ -78,6 +79,9 @@ pub struct RodStep {
     pub(crate) spin: Option<Spin>,
     spins_in_control: bool,
     pub(crate) parameters: Option<Box<Parameters>>,
+    /// Every step ends at rest, and what the first state then needs.
+    pub(crate) is_at_rest: bool,
+    pub(crate) at_rest: Option<Box<AtRest>>,
     pub(crate) carry: Carry,
     /// X* and X* + η V* of the free vertices in the step being worked on.
     pub(crate) start: Vec<Vector3<f64>>,
@@ -139,6 +143,8 @@ impl RodStep {
             twist: (!system.layout.free_angles.is_empty()).then(|| TwistEquilibrium::new(&system, by_angle)),
             spins_in_control: false,
             parameters: None,
+            is_at_rest: false,
+            at_rest: None,
             carry: Carry::new(&system),
             tolerance: 1e-11 * system.rod.length(),
             start: vec![Vector3::zeros(); free],
@@ -305,6 +311,10 @@ impl RodStep {
         if fixed > 0 {
             out.push(format!("{} unknowns and their Hessian blocks: {fixed} prescribed vertices", 3 * fixed));
         }
+        if self.is_at_rest {
+            out.push("inertia and damping: the rod is at rest at every step".to_string());
+            return out;
+        }
         if self.viscous.is_none() {
             out.push("strain-rate damping".to_string());
         }
@@ -410,9 +420,9 @@ impl RodStep {
         }
     }
 
-    /// What M is multiplied by in the stage's equations: 1/η² and α/η.
+    /// What M is multiplied by in the stage's equations: 1/η² and α/η, nothing at rest.
     pub(crate) fn inertia(&self, h: f64) -> [f64; 2] {
-        [1.0 / (h * h), self.damping.mass / h]
+        if self.is_at_rest { [0.0; 2] } else { [1.0 / (h * h), self.damping.mass / h] }
     }
 
     /// How many components at the end of the state repeat the first ones of the state before.

@@ -50,7 +50,9 @@ impl Equations for RodEquations<'_> {
             }
         }
         if !step.system.loads.of_motion.is_empty() {
-            potential += step.system.add_loads(Some(step.stage_start(h)), g, jacobian);
+            // nothing moves at rest
+            let start = (!step.is_at_rest).then(|| step.stage_start(h));
+            potential += step.system.add_loads(start, g, jacobian);
         }
         Ok(step.system.has_potential().then_some(potential))
     }
@@ -114,7 +116,8 @@ impl StepEquations for RodEquations<'_> {
         self.predict(u)?;
         let stage = self.step.scheme.stage(&self.at);
         let start = self.step.start_of_all.clone();
-        let start = StageStart { places: &start, length: stage.length };
+        let moves = !self.step.is_at_rest;
+        let start = moves.then_some(StageStart { places: &start, length: stage.length });
         let (system, end_angle) = (&mut self.step.system, self.step.end_angle);
         let loads = system.freeze_loads(u, end_angle, start)?;
         let mut work = NewtonWork::new(u.len(), &system.structure());
@@ -163,7 +166,7 @@ impl System {
         &mut self,
         u: &[f64],
         end_angle: f64,
-        start: StageStart,
+        start: Option<StageStart>,
     ) -> Result<Vec<Arc<dyn Load>>, Error> {
         self.scatter(u);
         self.update_shape(true, end_angle)?;
@@ -171,7 +174,7 @@ impl System {
         let (kept, frozen) = all.iter().cloned().partition(|load| load.has_potential());
         self.loads.of_motion = frozen;
         let mut dead = vec![Vector3::zeros(); self.forces.len()];
-        self.each_load(Some(start), |acts, motion, _| {
+        self.each_load(start, |acts, motion, _| {
             for (i, force) in acts.forces.iter().enumerate() {
                 dead[motion.edge + i / 3][i % 3] += force;
             }

@@ -141,7 +141,7 @@ impl RodStep {
 
     /// Whether ∂G/∂x_k depends on the shapes of x_k and u, beside inertia and damping.
     fn couples(&self) -> bool {
-        self.spin.is_some() || !self.system.loads.of_motion.is_empty()
+        !self.is_at_rest && (self.spin.is_some() || !self.system.loads.of_motion.is_empty())
     }
 
     /// Lengths of what a solved step keeps: the holonomies of the stage and of x_{k+1}, and damping's part.
@@ -218,10 +218,12 @@ impl ImplicitStep for RodStep {
         self.system.structure()
     }
 
-    /// Velocities are the rates of positions; not midpoint's, which ring in motions faster than a step.
+    /// Velocities are the rates of positions; not midpoint's, which ring in motions faster than a step, and
+    /// not those of a rod at rest, which are differences.
     fn velocities(&self) -> Option<(Range<usize>, usize)> {
         let positions = 3 * self.system.layout.free_vertices.len();
-        (self.scheme != Scheme::Midpoint).then_some((0..positions, positions))
+        let rated = self.scheme != Scheme::Midpoint && !self.is_at_rest;
+        rated.then_some((0..positions, positions))
     }
 
     fn equations<'a>(&'a mut self, at: &Interval, x: &'a [f64]) -> Result<RodEquations<'a>, Refusal> {
@@ -396,10 +398,10 @@ impl ImplicitStep for RodStep {
         self.lambda = to;
     }
 
-    /// Not with loads of the motion, spins, a common turn that is free, or parameters.
+    /// Not with loads of the motion, spins, a common turn that is free, parameters, or a rod at rest.
     fn second_kept(&self) -> Option<usize> {
         let layout = &self.system.layout;
-        let given = !self.couples() && self.parameters.is_none();
+        let given = !self.couples() && self.parameters.is_none() && !self.is_at_rest;
         let damping = self.viscous.as_ref().map_or(0, |viscous| viscous.second_kept(layout));
         given.then(|| self.second_bands() * layout.band() + damping)
     }
@@ -485,10 +487,13 @@ impl ImplicitStep for RodStep {
             twist.solve(t, &z[..n / 2], &mut x[n..n + following])?;
         }
         self.place_angles(&z[n..], &mut x[..own]);
-        Ok(())
+        self.come_to_rest(t, &mut x[..own])
     }
 
     fn initial_tangent(&mut self, _t: f64, dz: &[f64], dx: &mut [f64]) {
+        if self.is_at_rest {
+            return dx.fill(0.0);
+        }
         let (n, own) = (6 * self.system.layout.free_vertices.len(), self.system.layout.state());
         dx[..n].copy_from_slice(&dz[..n]);
         if let Some(twist) = &mut self.twist {
@@ -499,6 +504,9 @@ impl ImplicitStep for RodStep {
     }
 
     fn initial_adjoint(&mut self, _t: f64, lambda: &[f64], dz: &mut [f64]) {
+        if self.is_at_rest {
+            return dz.fill(0.0);
+        }
         let layout = &self.system.layout;
         let (n, first) = (6 * layout.free_vertices.len(), layout.first_spin());
         let given = (dz.len() - n) / 2;

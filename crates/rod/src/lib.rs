@@ -101,6 +101,7 @@
 
 #![forbid(unsafe_code)]
 
+mod at_rest;
 mod change;
 pub mod check;
 mod clamp_frame;

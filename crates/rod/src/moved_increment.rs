@@ -132,13 +132,13 @@ impl System {
     /// that it starts from.
     pub(crate) fn moved_loads_add(
         &self,
-        start: StageStart,
+        start: Option<StageStart>,
         [places, start_places]: [&[Vector3<f64>]; 2],
         angles: &[f64],
         dg: &mut [f64],
     ) {
-        let rate = 1.0 / start.length;
-        self.each_load(Some(start), |acts, motion, unknown| {
+        let rate = start.map_or(0.0, |start| 1.0 / start.length);
+        self.each_load(start, |acts, motion, unknown| {
             let e = motion.edge;
             let moved = |of: &[Vector3<f64>], b: usize| of[e + b / 3][b % 3];
             let by_places = acts.by_places_of_carried(motion);

@@ -166,6 +166,9 @@ impl ParametricStep for RodStep {
 
     fn initial_parameter_jacobian(&mut self, columns: &mut [f64]) {
         columns.fill(0.0);
+        if self.is_at_rest {
+            return self.rest_by_parameters(columns);
+        }
         let (layout, given) = (&self.system.layout, self.control_len());
         let (Some(parameters), Some(twist)) = (&mut self.parameters, &mut self.twist) else { return };
         // angles that are part of the control do not follow
@@ -238,6 +241,8 @@ impl RodStep {
                 s.moved_places(p, time, one).expect("the step was accepted before");
                 start.iter_mut().zip(&*one).for_each(|(start, one)| *start += one * share);
             }
+            // nothing moves at rest
+            let from = (!self.is_at_rest).then_some(from);
             s.moved_loads_add(from, [places, start], angles, dg);
         }
         let [holonomy, end, _] = self.kept_lengths();
@@ -274,7 +279,8 @@ impl RodStep {
     ) {
         let h = self.scheme.stage(of.at).length;
         let past = self.viscous.as_ref().map_or(none, KelvinVoigt::past);
-        let rates = [self.damping.stiffness / h, change.damping.stiffness / h];
+        let moves = if self.is_at_rest { 0.0 } else { 1.0 / h };
+        let rates = [self.damping.stiffness, change.damping.stiffness].map(|beta| moves * beta);
         self.system.change_of_elastic(change, rates, past);
         for (full, &unknown) in self.system.layout.unknown.iter().enumerate() {
             if unknown != FIXED {
@@ -282,7 +288,7 @@ impl RodStep {
             }
         }
         let s = &self.system;
-        let ([k, c], rate) = (self.inertia(h), change.damping.mass / h);
+        let ([k, c], rate) = (self.inertia(h), moves * change.damping.mass);
         for (f, &v) in s.layout.free_vertices.iter().enumerate() {
             let (mass, more) = (s.rod.masses[v], change.masses.get(v).copied().unwrap_or(0.0));
             let (d, e) = (s.x[v] - self.target[f], s.x[v] - self.start[f]);

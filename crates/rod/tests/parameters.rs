@@ -212,8 +212,7 @@ impl Load for Dashpot {
 const DOWN: Loads =
     Loads { gravity: Vector3::new(0.0, 0.0, -9.81), point_forces: Vec::new(), of_motion: Vec::new() };
 
-fn step(case: Case, scheme: Scheme) -> RodStep {
-    let unknown = unknowns(case);
+fn loads(case: Case) -> Loads {
     let mut loads = DOWN;
     if case.drag {
         let flow = Vector3::new(0.1, 0.4, 0.0);
@@ -221,7 +220,12 @@ fn step(case: Case, scheme: Scheme) -> RodStep {
         loads.of_motion.push(std::sync::Arc::new(drag));
         loads.of_motion.push(std::sync::Arc::new(Dashpot(0.3)));
     }
-    RodStep::with_parameters(rod(case), supports(case), loads, case.damping, unknown)
+    loads
+}
+
+fn step(case: Case, scheme: Scheme) -> RodStep {
+    let unknown = unknowns(case);
+    RodStep::with_parameters(rod(case), supports(case), loads(case), case.damping, unknown)
         .unwrap()
         .with_scheme(scheme)
 }
@@ -488,4 +492,115 @@ fn what_cannot_be_a_parameter_is_refused() {
     let mut x = vec![0.0; model.dim()];
     let error: Error = model.initial_state(&z, &mut x).unwrap_err();
     assert!(error.to_string().contains("vertex mass"), "{error}");
+}
+
+/// Cases of rods at rest: nothing of a motion in them, gravity as it is, and `still` supports too.
+fn at_rest(still: bool) -> impl Iterator<Item = (Case, WithParameters<RodStep>, Vec<f64>)> {
+    cases().into_iter().filter(|case| !case.spins && case.held).map(move |case| {
+        let case = Case { damping: PLAIN.damping, ..case };
+        let step = step(case, Scheme::BackwardEuler).at_rest().unwrap();
+        let (rod, supports) = (step.rod(), step.supports());
+        let found = varda_rod::rest(rod, supports, &loads(case), 0.0, &varda_rod::Search::default()).unwrap();
+        let mut z = step.control_at_rest(&found.rest);
+        let first = z.len();
+        z.extend(noise(2).take(step.parameters()).map(|e| 0.2 * e));
+        for (z, p) in z[first..].iter_mut().zip(unknowns(case)) {
+            let known = [p.change.gravity, p.change.gravity_turn] == [Vector3::zeros(); 2];
+            if !known || !p.change.supports.is_empty() && still {
+                *z = 0.0;
+            }
+        }
+        (case, WithParameters::new(step, 0), z)
+    })
+}
+
+/// Every step, the first included, ends at the equilibrium of the rod with those constants, which another
+/// function finds.
+#[test]
+fn a_rod_at_rest_is_in_equilibrium_at_every_step() {
+    for (case, step, z) in at_rest(true) {
+        let mut model = ImplicitModel::new(step, 0, 0.01);
+        let mut x = vec![0.0; Model::dim(&model)];
+        model.initial_state(&z, &mut x).unwrap();
+        let mut next = x.clone();
+        for k in 0..4 {
+            if k > 0 {
+                model.step(k - 1, &x, &mut next).unwrap();
+                std::mem::swap(&mut x, &mut next);
+            }
+            let t = 0.01 * k as f64;
+            let (rod, own) = model.step_mut().at(&x).unwrap();
+            let own = own.to_vec();
+            let vertices = rod.vertices(t, &own).unwrap();
+            let guess = varda_rod::Rest { theta: vec![0.0; SEGMENTS], vertices };
+            let (found, _) =
+                varda_rod::equilibrium(rod.rod(), rod.supports(), &loads(case), t, &guess).unwrap();
+            let apart = |(a, b): (&Vector3<f64>, &Vector3<f64>)| (a - b).norm();
+            let most = found.vertices.iter().zip(&guess.vertices).map(apart).fold(0.0, f64::max);
+            // both solve to 1e-11 of the length
+            assert!(most <= 1e-9, "{}, step {k}: off by {most:e} m", case.name);
+        }
+    }
+}
+
+/// What can turn about a point has no equilibrium of its own, and what spins is not at rest.
+#[test]
+fn a_rod_that_is_free_to_turn_is_not_at_rest() {
+    let hung = step(Case { held: false, ..PLAIN }, Scheme::BackwardEuler);
+    assert!(hung.at_rest().err().unwrap().to_string().contains("two prescribed vertices"));
+    let spinning = step(Case { spins: true, ..PLAIN }, Scheme::BackwardEuler);
+    assert!(spinning.at_rest().err().unwrap().to_string().contains("nothing spins at rest"));
+}
+
+/// ∂x₀/∂p and its transpose, each parameter alone; places and velocities of the control move nothing.
+#[test]
+fn the_first_state_at_rest_moves_with_parameters_alone() {
+    for (case, step, z) in at_rest(false) {
+        let parameters = step.places().parameters();
+        let mut model = ImplicitModel::new(step, 0, 0.01);
+        let n = Model::dim(&model);
+        let start = |model: &mut ImplicitModel<_>, z: &[f64]| {
+            let mut x = vec![0.0; n];
+            model.initial_state(z, &mut x).unwrap();
+            x
+        };
+        for p in parameters.clone() {
+            let mut dz = vec![0.0; z.len()];
+            dz[p] = 1.0;
+            let differences = common::difference(&z, &dz, 1e-3, |z| start(&mut model, z));
+            start(&mut model, &z);
+            let mut dx = vec![0.0; n];
+            model.initial_tangent(&dz, &mut dx);
+            let name = format!("{}, parameter {}", case.name, p - parameters.start);
+            // rounding of 1e-11 m over 1e-3, and the third derivative
+            assert_close(&name, &dx, &differences, 1e-6);
+            // a check that cannot fail is none
+            dx.iter_mut().take(parameters.start).for_each(|d| *d *= 1.001);
+            let (error, size) = common::off(&dx, &differences);
+            let moves = dx[..parameters.start].iter().any(|d| d.abs() > 1e-2);
+            assert!(!moves || error > 1e-6 * size, "{name}: a tangent 0.1 % too large passes");
+        }
+        let dz: Vec<f64> = noise(3).take(z.len()).collect();
+        let lambda: Vec<f64> = noise(5).take(n).collect();
+        let (mut dx, mut back) = (vec![0.0; n], vec![0.0; z.len()]);
+        model.initial_tangent(&dz, &mut dx);
+        model.initial_adjoint(&lambda, &mut back);
+        let gap = (common::dot(&dx, &lambda) - common::dot(&dz, &back)).abs();
+        assert!(gap <= 1e-13 * common::norm(&dx) * common::norm(&lambda), "{}: {gap:e}", case.name);
+        assert!(back[..parameters.start].iter().all(|b| *b == 0.0), "{}", case.name);
+    }
+}
+
+/// Steps from one equilibrium to the next, supports moving.
+#[test]
+fn tangent_and_adjoint_of_steps_at_rest() {
+    for (case, step, z) in at_rest(false) {
+        let mut model = ImplicitModel::new(step, 0, 0.01);
+        for product in products(&mut model, &z) {
+            assert_eq!(product.substeps, 0, "{}", case.name);
+            // velocities are differences of places over 0.01 s
+            assert_close(case.name, &product.tangent, &product.by_difference, 3e-6);
+            assert!(product.gap <= 1e-12, "{}: the transposes differ by {:e}", case.name, product.gap);
+        }
+    }
 }

@@ -29,7 +29,8 @@ pub(super) fn table(preview: &Preview) -> String {
         line("title", p.title.clone());
     }
     line("state", format!("{} numbers", p.n_state));
-    line("control", format!("{} numbers", p.n_control));
+    let known = if p.n_known > 0 { format!(", {} of them known", p.n_known) } else { String::new() };
+    line("control", format!("{} numbers{known}", p.n_control));
     line("method", p.method.clone());
     if p.n_errors > 0 {
         line("model error", format!("{} numbers at most", p.n_errors));
@@ -37,14 +38,18 @@ pub(super) fn table(preview: &Preview) -> String {
     if p.members > 0 {
         line("ensemble", format!("{} members, {} runs of the window at a time", p.members, p.members + 1));
     }
-    line("observations", format!("{} values at {} times", p.n_obs, p.times));
-    line(
-        "window",
-        format!(
-            "{} steps of {:.6} s from t = {:.6} s, after {} steps of spin-up",
-            p.window.steps, p.window.step, p.window.start, p.spin_up
-        ),
-    );
+    if p.is_one_shape {
+        line("observations", format!("{} values of one shape, without times", p.n_obs));
+    } else {
+        line("observations", format!("{} values at {} times", p.n_obs, p.times));
+        line(
+            "window",
+            format!(
+                "{} steps of {:.6} s from t = {:.6} s, after {} steps of spin-up",
+                p.window.steps, p.window.step, p.window.start, p.spin_up
+            ),
+        );
+    }
     if let Some([count, shift, steps]) = p.cycles {
         line("cycles", format!("{count} windows, {shift} steps apart: {steps} steps"));
     }
@@ -110,10 +115,13 @@ fn headline(findings: &[Finding]) -> String {
 }
 
 fn data(recording: &RecordingSummary) -> String {
-    let [first, last] = recording.span;
-    let [from, to] = recording.window;
+    let ([first, last], [from, to]) = (recording.span, recording.window);
+    let times = match first == last && from == to {
+        true => String::new(),
+        false => format!(" {first} to {last} s, the window is {from:.6} to {to:.6} s;"),
+    };
     format!(
-        "{}; {first} to {last} s, the window is {from:.6} to {to:.6} s; {} {}",
+        "{};{times} {} {}",
         recording.rows,
         recording.tracks.iter().filter(|t| t.rows > 0).count(),
         recording.sites_are.name()

@@ -23,7 +23,7 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
         "sizes",
         format!(
             "{} unknowns, {} observed values, {} steps",
-            experiment.n_control(),
+            experiment.n_unknown(),
             o.analysis.observations,
             experiment.grid.steps
         ),
@@ -59,22 +59,19 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
             line(&group.labelled("RMSE"), text);
         }
     }
-    // a field has a value at every vertex: summary.json has all
+    // a field has a value at every vertex: estimates.csv has all
     for e in o.estimates.iter().filter(|e| !e.is_of_field()) {
         line(&e.name, e.in_words());
     }
     for w in &o.withheld {
-        line(
-            "withheld",
-            format!(
-                "{}: {:.2} mm -> {:.2} mm rms over {} times ({:.2} with its constant offset aside)",
-                w.label,
-                1e3 * w.rms_background,
-                1e3 * w.rms_analysis,
-                w.count,
-                1e3 * w.moving_analysis
-            ),
-        );
+        let of_all = match w.count {
+            1 => String::new(),
+            n => {
+                format!(" rms over {n} times ({:.2} with its constant offset aside)", 1e3 * w.moving_analysis)
+            }
+        };
+        let [b, a] = [w.rms_background, w.rms_analysis].map(|m| 1e3 * m);
+        line("withheld", format!("{}: {b:.2} mm -> {a:.2} mm{of_all}", w.label));
     }
     for f in &o.forecast {
         line(

@@ -13,6 +13,9 @@ const COLLINEAR: f64 = 0.95;
 pub struct Estimated {
     /// Name, as `ei[0]`.
     pub name: String,
+    /// Its place on the rod \[m\], of one number of a field along it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub arc_length: Option<f64>,
     /// SI unit; "1" for none.
     pub unit: &'static str,
     /// Value before the observations.
@@ -40,9 +43,14 @@ pub struct Estimated {
 }
 
 impl Estimated {
+    /// The field along the rod that it is a number of.
+    pub fn field(&self) -> Option<&str> {
+        self.arc_length.and_then(|_| self.name.split("(s = ").next())
+    }
+
     /// Whether it is one value of a field along the rod, or of an error in time.
     pub(crate) fn is_of_field(&self) -> bool {
-        self.name.contains("(s = ") || self.is_of_input()
+        self.arc_length.is_some() || self.is_of_input()
     }
 
     /// Whether it is one value of an error in time of what was recorded: whether the observations see each is
@@ -95,11 +103,21 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
                 .into(),
         );
     }
-    let unseen: Vec<&str> = all
-        .iter()
-        .filter(|e| e.identifiable == Some(false) && !e.is_of_input())
-        .map(|e| e.name.as_str())
-        .collect();
+    let mut unseen: Vec<String> = Vec::new();
+    for e in all.iter().filter(|e| e.identifiable == Some(false) && !e.is_of_input()) {
+        let name = match e.field() {
+            Some(field) => {
+                let of_it = |o: &&Estimated| o.field() == Some(field);
+                let places = all.iter().filter(of_it);
+                let dark = places.clone().filter(|o| o.identifiable == Some(false)).count();
+                format!("{field} at {dark} of {} places", places.count())
+            }
+            None => e.name.clone(),
+        };
+        if unseen.last() != Some(&name) {
+            unseen.push(name);
+        }
+    }
     if !unseen.is_empty() {
         out.push(format!(
             "not identifiable: {}: these observations leave more than {:.0} % of the prior's σ, and what is \
@@ -110,15 +128,16 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
     }
     let mut seen = vec![false; all.len()];
     for i in 0..all.len() {
-        let like = |j: &usize| {
-            !all[*j].is_of_input() && all[i].correlations.get(*j).is_some_and(|c| c.abs() >= COLLINEAR)
-        };
+        // numbers of a field beside each other are alike by its prior
+        let apart = |j: usize| all[i].field().is_none() || all[i].field() != all[j].field();
+        let correlated = |j: usize| all[i].correlations.get(j).is_some_and(|c| c.abs() >= COLLINEAR);
+        let like = |j: &usize| apart(*j) && correlated(*j) && !all[*j].is_of_input();
         let group: Vec<usize> = (i..all.len()).filter(|j| !seen[*j] && (*j == i || like(j))).collect();
         if seen[i] || all[i].is_of_input() || group.len() < 2 {
             continue;
         }
         group.iter().for_each(|j| seen[*j] = true);
-        let names: Vec<&str> = group.iter().map(|j| all[*j].name.as_str()).collect();
+        let names: Vec<String> = group.iter().map(|j| all[*j].name.clone()).collect();
         let least = group[1..].iter().map(|j| all[i].correlations[*j].abs()).fold(1.0, f64::min);
         out.push(format!(
             "{} are seen together only (correlation {least:.3} or more): their combination is known better \
@@ -158,7 +177,7 @@ fn of_inputs(all: &[Estimated]) -> Vec<String> {
     out
 }
 
-fn few(names: &[&str]) -> String {
+fn few(names: &[String]) -> String {
     const SHOWN: usize = 6;
     match names.len() {
         n if n <= SHOWN => names.join(", "),

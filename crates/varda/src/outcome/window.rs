@@ -18,7 +18,7 @@ use super::shares::{KnownConstants, Share};
 use super::space::Shapes;
 use super::spread::ObservedValue;
 use super::verdict::Judgement;
-use crate::scene::{Scene, TimeGrid};
+use crate::scene::{Covariance, Scene, TimeGrid};
 use crate::state::StateLayout;
 
 /// What is run: the scene, its grid of time, and the meaning of the numbers of a state.
@@ -42,6 +42,14 @@ impl Experiment {
     /// Length of the control.
     pub fn n_control(&self) -> usize {
         self.state.len()
+    }
+
+    /// How many numbers of the control are unknown.
+    pub fn n_unknown(&self) -> usize {
+        match self.scene.background.covariance {
+            Covariance::Known(_) => self.state.constants.len(),
+            _ => self.state.len(),
+        }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::finding::Finding;
 use crate::scene::{
-    Clamp, Covariance, KernelCovariance, Model, Motion, Observations, RodModel, Scene, Section,
+    Clamp, Covariance, Integrator, KernelCovariance, Model, Motion, Observations, RodModel, Scene, Section,
 };
 
 /// What of a scene looks as if it were not meant.
@@ -162,7 +162,8 @@ fn of_clamp(clamp: &Clamp, path: &str, length: f64, found: &mut Found) {
 
 fn of_time(scene: &Scene, found: &mut Found) {
     if let Some(step) = scene.time.step {
-        found.say(step >= 1.0, "time.step", || {
+        let moves = scene.time.integrator != Integrator::QuasiStatic;
+        found.say(step >= 1.0 && moves, "time.step", || {
             format!("{step} s to a step of a rod; milliseconds, {} s?", rounded(1e-3 * step))
         });
         found.say(step < 1e-6, "time.step", || format!("{step:e} s to a step; {:e} s?", rounded(1e3 * step)));

@@ -15,11 +15,15 @@ pub(super) fn section(all: &[Estimated]) -> String {
         return String::new();
     }
     // errors in time are in estimates.csv, and a remark has their size
-    let rows: String = all.iter().filter(|e| !e.is_of_input()).map(row).collect();
+    let rows: String = all.iter().filter(|e| !e.is_of_field()).map(row).collect();
+    let fields = match all.iter().any(|e| e.arc_length.is_some()) {
+        true => "<p>Fields along the rod are drawn below; their numbers are in estimates.csv.</p>",
+        false => "",
+    };
     let headings = ["constant", "analysis", "prior", "95 % interval", "", "mesh"];
     format!(
         "<section><h2>Estimated constants</h2>{}<p>Values ± σ. The bar is the 95 % interval within that of \
-         the prior; the mark is the analysis. mesh: the part of σ that allows for the mesh.</p>{}</section>",
+         the prior; the mark is the analysis. mesh: the part of σ that allows for the mesh.</p>{fields}{}</section>",
         table(&headings, &rows),
         correlations(all)
     )

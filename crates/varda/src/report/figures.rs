@@ -1,8 +1,10 @@
 //! Which figures a run draws.
 
-use crate::outcome::{ConvergenceRow, NextObservation, Outcome, Shapes, Sight, Track, Trajectories};
+use crate::outcome::{
+    ConvergenceRow, Estimated, NextObservation, Outcome, Shapes, Sight, Track, Trajectories,
+};
 use crate::run::compare::{Compared, lowest};
-use crate::scene::TimeGrid;
+use crate::scene::{Covariance, TimeGrid};
 use crate::state::{Geometry, StateGroup};
 
 use super::plot::{Corner, Figure, Panel, Series, Style};
@@ -10,15 +12,18 @@ use super::plot::{Corner, Figure, Panel, Series, Style};
 /// All figures of a run, in the order of the report.
 pub(super) fn all(outcome: &Outcome) -> Vec<Figure> {
     let mut figures = vec![convergence(outcome)];
+    figures.extend(fields(&outcome.estimates));
     match &outcome.shapes {
         Some(shapes) => {
             figures.push(snapshots(shapes, outcome));
-            figures
-                .extend(shapes.track.as_ref().map(|track| tracks(track, shapes, &outcome.experiment.grid)));
+            let grid = &outcome.experiment.grid;
+            let track = shapes.track.as_ref().filter(|_| grid.last_step() > 0);
+            figures.extend(track.map(|track| tracks(track, shapes, grid)));
         }
         None => figures.push(components(outcome)),
     }
-    if outcome.has_posterior {
+    let known = matches!(outcome.experiment.scene.background.covariance, Covariance::Known(_));
+    if outcome.has_posterior && !known {
         figures.push(spread(outcome));
     }
     figures.extend(outcome.next_observation.as_ref().and_then(next_observation));
@@ -317,6 +322,38 @@ fn spread(outcome: &Outcome) -> Figure {
         columns,
         panel_size: if columns > 1 { (460, 300) } else { (760, 300) },
     }
+}
+
+/// The fields along the rod that were estimated, with their 95 % intervals.
+fn fields(all: &[Estimated]) -> Option<Figure> {
+    let mut panels: Vec<Panel> = Vec::new();
+    for e in all {
+        let (Some(field), Some(s)) = (e.field(), e.arc_length) else { continue };
+        let y_label = format!("{field} [{}]", e.unit);
+        if panels.last().is_none_or(|panel| panel.y_label != y_label) {
+            let series = |(label, style)| Series { label: String::from(label), style, points: Vec::new() };
+            let known = [("analysis", Style::Analysis), ("prior", Style::Background)];
+            let ends = [("95 % interval", Style::Line(2)), ("", Style::Line(2))];
+            let ends = ends.into_iter().take(if e.interval.is_some() { 2 } else { 0 });
+            panels.push(Panel {
+                x_label: "arc length [m]".into(),
+                y_label,
+                legend: panels.is_empty().then_some(Corner::Top),
+                series: known.into_iter().chain(ends).map(series).collect(),
+                ..Panel::default()
+            });
+        }
+        let values = [e.value, e.prior].into_iter().chain(e.interval.into_iter().flatten());
+        let series = panels.last_mut().into_iter().flat_map(|panel| &mut panel.series);
+        series.zip(values).for_each(|(series, value)| series.points.push((s, value)));
+    }
+    (!panels.is_empty()).then(|| Figure {
+        name: "fields",
+        title: "Fields along the rod that were estimated".into(),
+        columns: panels.len().min(2),
+        panel_size: if panels.len() > 1 { (460, 300) } else { (760, 300) },
+        panels,
+    })
 }
 
 /// σ of the places at the end of the window with one more marker, against where it sits; of rods only.

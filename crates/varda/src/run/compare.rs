@@ -128,7 +128,10 @@ pub fn compare(
     for method in Method::ALL {
         let one_instant = last_observed.unwrap_or(0) == 0;
         let right_dimension = method == Method::Blue || method.is_of_one_instant() == one_instant;
-        if !right_dimension || (algorithm.robust.is_some() && !method.takes_robust()) {
+        // the same as 3D-Var, but for what its scenes leave out
+        let other = if algorithm.method == Method::Static { Method::ThreeDVar } else { Method::Static };
+        let said_twice = method == other;
+        if !right_dimension || said_twice || (algorithm.robust.is_some() && !method.takes_robust()) {
             continue;
         }
         let mut note = String::new();

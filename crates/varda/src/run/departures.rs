@@ -243,10 +243,14 @@ impl Found<'_> {
 
     /// A pattern: where it lies.
     fn correlated(&self, in_space: bool) -> (Cause, String) {
-        let mut text =
-            format!("the departures are correlated from one time to the next ({:.2})", self.in_time.value);
+        let at_one_time = self.in_time.pairs == 0;
+        let mut text = "the departures are correlated".to_string();
+        if !at_one_time {
+            let _ = write!(text, " from one time to the next ({:.2})", self.in_time.value);
+        }
         if in_space && self.along.pairs > 0 {
-            let _ = write!(text, " and along the rod ({:.2})", self.along.value);
+            let and = if at_one_time { "" } else { " and" };
+            let _ = write!(text, "{and} along the rod ({:.2})", self.along.value);
         }
         let _ = write!(text, "; {}", self.where_largest());
         let share = |columns: &[Vec<f64>]| explained(self.r, columns).map_or(0.0, |(share, _)| share);
@@ -263,6 +267,11 @@ impl Found<'_> {
                 100.0 * lasting
             );
             (Cause::Model, text)
+        } else if at_one_time {
+            text.push_str(
+                ": the shape at rest (supports, rest shape, stiffness, mass, mesh) is not that of the model",
+            );
+            (Cause::RestShape, text)
         } else if lasting >= EXPLAINS {
             let _ = write!(
                 text,

@@ -17,7 +17,8 @@ pub(super) fn estimated(
     has_posterior: bool,
     root: &[f64],
 ) -> Vec<Estimated> {
-    let constants = &problem.system.estimates().constants;
+    let estimates = problem.system.estimates();
+    let constants = &estimates.constants;
     let n = analysis.analysis.len();
     let first = n - constants.len();
     let row = |i: usize| root.chunks_exact(n).map(move |column| column[first + i]);
@@ -32,6 +33,7 @@ pub(super) fn estimated(
         };
         Estimated {
             name: constant.name.clone(),
+            arc_length: estimates.arc_length(i),
             unit: constant.unit,
             prior: constant.at(prior),
             prior_sigma: constant.sigma_at(prior, constant.sigma),

@@ -141,6 +141,7 @@ fn sigma(file: &SceneFile, problem: &Problem, outcome: &Outcome) -> Result<Optio
     let prior = if is_one { first } else { 1.0 };
     let at = |deviations: f64| prior * (log + deviations * open).exp();
     Ok(Some(Estimated {
+        arc_length: None,
         name: "observation_sigma".to_string(),
         unit,
         prior,

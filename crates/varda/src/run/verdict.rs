@@ -25,6 +25,8 @@ pub(super) struct Judged<'a> {
     pub late: bool,
     /// Whether J comes from an ensemble, which resolves no gradient: it then ends where it stalls.
     pub is_ensemble: bool,
+    /// Whether the rod is at rest at every step.
+    pub at_rest: bool,
     /// Iterations done, and those that the scene allows.
     pub iterations: usize,
     pub max_iterations: usize,
@@ -116,6 +118,11 @@ fn not_converged(judged: &Judged) -> Option<String> {
     match judged.status {
         Status::Converged | Status::LinearizedOnce => None,
         Status::Stalled if judged.is_ensemble || last <= AT_THE_MINIMUM * first => None,
+        Status::Stalled if judged.at_rest => Some(format!(
+            "the minimizer stalled after {} iterations, {gradient}: near these constants the rod comes to rest \
+             in another shape; priors, or a `model.initial_shape`, nearer to what was seen may help",
+            judged.iterations
+        )),
         Status::Stalled => Some(format!(
             "the minimizer stalled after {} iterations, {gradient}: try shorter time steps or another \
              `algorithm.minimizer`",
@@ -269,6 +276,7 @@ mod tests {
 
     fn judged<'a>(departures: &'a [Departure], labels: &'a [String]) -> Judged<'a> {
         Judged {
+            at_rest: false,
             status: Status::Converged,
             late: false,
             is_ensemble: false,

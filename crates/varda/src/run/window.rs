@@ -19,6 +19,7 @@ use crate::outcome::{
     Attempt, ConvergenceRow, ExactHessian, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds,
     SeenComponent, Simulation, Status, Trajectories, TwinFiles, WorkCounts,
 };
+use crate::scene::Integrator;
 use crate::setup::Problem;
 use crate::setup::adaptive_steps::Refreshing;
 use crate::setup::runs::{MakeModel, run_on};
@@ -196,6 +197,7 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
         status,
         late,
         is_ensemble: scene.algorithm.method.is_ensemble(),
+        at_rest: scene.time.integrator == Integrator::QuasiStatic,
         iterations: solution.minimum.outer_iterations,
         max_iterations: scene.algorithm.max_iterations,
         gradient_norms: [solution.minimum.gradient_norm_first, solution.minimum.gradient_norm],

@@ -84,7 +84,9 @@ impl Algorithm {
     /// The solver of the method's problem in tables: its minimizer, or its own loop.
     pub fn solver_name(&self) -> &'static str {
         match self.method {
-            Method::FourDVar | Method::ThreeDVar | Method::WeakForcing => self.minimizer.name(),
+            Method::FourDVar | Method::ThreeDVar | Method::Static | Method::WeakForcing => {
+                self.minimizer.name()
+            }
             Method::FourDVarIncremental | Method::ThreeDVarIncremental | Method::WeakState => "outer-loop",
             Method::FourDEnVar | Method::HybridFourDEnVar => "ensemble",
             Method::FourDPsas | Method::Psas => "outer-loop-dual",

@@ -26,6 +26,18 @@ pub struct Background {
     pub covariance: Covariance,
 }
 
+impl Background {
+    /// That of a scene without `[background]`: a rod at rest, whose shape follows from its constants.
+    pub(crate) fn of_shapes() -> Background {
+        Background {
+            from: Origin::StaticEquilibrium,
+            file: None,
+            draw: Draw::Covariance,
+            covariance: Covariance::Known(KnownState {}),
+        }
+    }
+}
+
 /// What the error of x_b in a twin experiment is drawn from.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -63,6 +75,8 @@ pub enum Covariance {
     Kernel(KernelCovariance),
     /// A kernel in the distance along a line times a taper (linear-advection, burgers).
     Line(LineCovariance),
+    /// No error: the state at the start of the window is known, and only the constants of [estimate] are not.
+    Known(KnownState),
 }
 
 impl Covariance {
@@ -75,6 +89,7 @@ impl Covariance {
                 Covariance::Climatology(ClimatologyCovariance { scale: factor * factor * c.scale, ..c })
             }
             Covariance::Line(k) => Covariance::Line(LineCovariance { sigma: factor * k.sigma, ..k }),
+            Covariance::Known(known) => Covariance::Known(known),
             Covariance::Kernel(k) => Covariance::Kernel(KernelCovariance {
                 sigma_x: by(k.sigma_x),
                 sigma_x_over_length: by(k.sigma_x_over_length),
@@ -93,9 +108,15 @@ impl Covariance {
             Covariance::Diagonal(_) | Covariance::Climatology(_) => Root::Cholesky,
             Covariance::Kernel(k) => k.root(),
             Covariance::Line(k) => k.root(),
+            Covariance::Known(_) => Root::Truncated,
         }
     }
 }
+
+/// A state without error.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct KnownState {}
 
 /// Independent errors of one σ.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -11,7 +11,7 @@ use super::grid::TimeGrid;
 use super::invalid::Invalid;
 use super::place::Place;
 use super::sizes::{DATA_BYTES, SCENE_BYTES};
-use super::{Scene, schema_check, shipped, tree, validate};
+use super::{Method, Scene, schema_check, shipped, tree, validate};
 use crate::Error;
 
 /// A scene that has been read and checked. It can point at the lines of its keys and find its files.
@@ -104,6 +104,11 @@ impl SceneFile {
             folder: folder.map(Path::to_path_buf),
             places,
         };
+        let of_shapes = file.scene.algorithm.method == Method::Static;
+        let missing = ["time", "background"].into_iter().find(|key| !file.places.contains_key(*key));
+        if let (false, Some(key)) = (of_shapes, missing) {
+            return Err(file.invalid("", format!("[{key}] is missing; only method \"static\" has none")));
+        }
         file.checked(validate::validate(&file.scene))?;
         Ok(file)
     }

@@ -29,6 +29,11 @@ pub enum Method {
     /// PSAS, the dual of incremental 3D-Var: everything is observed at step 0.
     #[serde(rename = "psas")]
     Psas,
+    /// Shapes without times: a rod at rest, whose constants [estimate] alone are unknown. Observed places are
+    /// those of the equilibrium, by 3D-Var over the constants. Without [time] and [background], and with a
+    /// file that has no column `time_s`.
+    #[serde(rename = "static")]
+    Static,
     /// Weak-constraint 4D-Var over the initial state and the forcing η of the model.
     #[serde(rename = "weak-forcing")]
     WeakForcing,
@@ -57,6 +62,7 @@ impl Method {
             Method::ThreeDVar => "3dvar",
             Method::ThreeDVarIncremental => "3dvar-incremental",
             Method::Psas => "psas",
+            Method::Static => "static",
             Method::WeakForcing => "weak-forcing",
             Method::WeakState => "weak-state",
             Method::FourDEnVar => "4denvar",
@@ -65,7 +71,7 @@ impl Method {
     }
 
     /// All of them.
-    pub const ALL: [Method; 11] = [
+    pub const ALL: [Method; 12] = [
         Method::FourDVar,
         Method::FourDVarIncremental,
         Method::FourDPsas,
@@ -73,6 +79,7 @@ impl Method {
         Method::ThreeDVar,
         Method::ThreeDVarIncremental,
         Method::Psas,
+        Method::Static,
         Method::WeakForcing,
         Method::WeakState,
         Method::FourDEnVar,
@@ -81,12 +88,12 @@ impl Method {
 
     /// Takes a minimizer, and with it σ stages.
     pub fn takes_minimizer(self) -> bool {
-        matches!(self, Method::FourDVar | Method::ThreeDVar | Method::WeakForcing)
+        matches!(self, Method::FourDVar | Method::ThreeDVar | Method::Static | Method::WeakForcing)
     }
 
     /// Takes the Huber norm.
     pub fn takes_robust(self) -> bool {
-        matches!(self, Method::FourDVar | Method::ThreeDVar)
+        matches!(self, Method::FourDVar | Method::ThreeDVar | Method::Static)
     }
 
     /// Estimates the error of the model.
@@ -111,7 +118,7 @@ impl Method {
 
     /// Analyses one instant: nothing may be observed after step 0.
     pub fn is_of_one_instant(self) -> bool {
-        matches!(self, Method::ThreeDVar | Method::ThreeDVarIncremental | Method::Psas)
+        matches!(self, Method::ThreeDVar | Method::ThreeDVarIncremental | Method::Psas | Method::Static)
     }
 }
 

@@ -40,12 +40,13 @@ mod validate_frame;
 mod validate_loads;
 mod validate_observations;
 mod validate_rod;
+mod validate_static;
 mod validate_support;
 
 pub use algorithm::Algorithm;
 pub use background::{
     Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Draw, Kernel, KernelCovariance,
-    LineCovariance, Origin, Prior, Root, Taper,
+    KnownState, LineCovariance, Origin, Prior, Root, Taper,
 };
 pub use cycles::{Adaptive, CycledCovariance, Cycles, EnsembleUpdate, Inflation};
 pub use ensemble::Ensemble;
@@ -95,12 +96,14 @@ pub struct Scene {
     pub seed: u64,
     /// The dynamical system.
     pub model: Model,
-    /// Integrator, step and window.
+    /// Integrator, step and window. Method "static" has none.
+    #[serde(default = "Time::of_shapes")]
     pub time: Time,
     /// The state the truth of a twin experiment starts from.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub truth: Option<Truth>,
-    /// The background x_b and its error covariance B.
+    /// The background x_b and its error covariance B. Method "static" has none: the rod is at rest.
+    #[serde(default = "Background::of_shapes")]
     pub background: Background,
     /// What is observed, where, when, and with what error.
     pub observations: Observations,
@@ -157,6 +160,14 @@ pub struct Time {
     pub spin_up: usize,
 }
 
+impl Time {
+    /// One instant at which a rod is at rest, of a scene without `[time]`.
+    pub(crate) fn of_shapes() -> Time {
+        let integrator = Integrator::QuasiStatic;
+        Time { integrator, step: Some(1.0), steps_per_period: None, tolerance: None, window: 0, spin_up: 0 }
+    }
+}
+
 /// How a step is taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -167,6 +178,9 @@ pub enum Integrator {
     Midpoint,
     /// Second-order backward differences (rods).
     Bdf2,
+    /// None: the rod is at rest under its loads at every step, the first included, without inertia and
+    /// damping. For supports that move slowly, with `background.covariance.kind = "known"`.
+    QuasiStatic,
     /// Explicit Runge–Kutta of fourth order (Lorenz models, lines).
     Rk4,
 }
@@ -178,6 +192,7 @@ impl Integrator {
             Integrator::BackwardEuler => "backward-euler",
             Integrator::Midpoint => "midpoint",
             Integrator::Bdf2 => "bdf2",
+            Integrator::QuasiStatic => "quasi-static",
             Integrator::Rk4 => "rk4",
         }
     }

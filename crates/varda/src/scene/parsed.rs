@@ -159,14 +159,17 @@ pub(crate) enum ComponentCovariance<'a> {
     Climatology(&'a ClimatologyCovariance),
     /// A kernel along a line.
     Line(&'a LineCovariance, Line),
+    /// No error.
+    Known,
 }
 
 impl Covariance {
-    /// The covariance of a rod's control.
-    pub(crate) fn of_rod(&self, path: &str) -> Result<&KernelCovariance, Invalid> {
+    /// The covariance of a rod's control; `None` where that is known.
+    pub(crate) fn of_rod(&self, path: &str) -> Result<Option<&KernelCovariance>, Invalid> {
         match self {
-            Covariance::Kernel(k) => Ok(k),
-            _ => invalid(format!("{path}.kind"), "rods take kind = \"kernel\""),
+            Covariance::Kernel(k) => Ok(Some(k)),
+            Covariance::Known(_) => Ok(None),
+            _ => invalid(format!("{path}.kind"), "rods take kind = \"kernel\" or \"known\""),
         }
     }
 
@@ -175,6 +178,7 @@ impl Covariance {
         match self {
             Covariance::Diagonal(d) => Ok(ComponentCovariance::Diagonal(d)),
             Covariance::Climatology(c) => Ok(ComponentCovariance::Climatology(c)),
+            Covariance::Known(_) => Ok(ComponentCovariance::Known),
             Covariance::Kernel(_) | Covariance::Line(_) => {
                 invalid(format!("{path}.kind"), "Lorenz models take kind = \"diagonal\" or \"climatology\"")
             }
@@ -186,6 +190,7 @@ impl Covariance {
         match self {
             Covariance::Diagonal(d) => Ok(ComponentCovariance::Diagonal(d)),
             Covariance::Line(k) => Ok(ComponentCovariance::Line(k, line)),
+            Covariance::Known(_) => Ok(ComponentCovariance::Known),
             Covariance::Kernel(_) | Covariance::Climatology(_) => {
                 invalid(format!("{path}.kind"), "a field along a line takes kind = \"line\" or \"diagonal\"")
             }
@@ -356,10 +361,12 @@ impl Integrator {
     /// The scheme of a rod.
     pub(crate) fn of_rod(self) -> Result<Scheme, Invalid> {
         match self {
-            Integrator::BackwardEuler => Ok(Scheme::BackwardEuler),
+            Integrator::BackwardEuler | Integrator::QuasiStatic => Ok(Scheme::BackwardEuler),
             Integrator::Midpoint => Ok(Scheme::Midpoint),
             Integrator::Bdf2 => Ok(Scheme::Bdf2),
-            Integrator::Rk4 => unsupported("rods are", "\"backward-euler\" or \"midpoint\" or \"bdf2\""),
+            Integrator::Rk4 => {
+                unsupported("rods are", "\"backward-euler\" or \"midpoint\" or \"bdf2\" or \"quasi-static\"")
+            }
         }
     }
 
@@ -369,7 +376,7 @@ impl Integrator {
             Integrator::BackwardEuler => Ok(LineStep::Implicit(Scheme::BackwardEuler)),
             Integrator::Midpoint => Ok(LineStep::Implicit(Scheme::Midpoint)),
             Integrator::Rk4 => Ok(LineStep::Rk4),
-            Integrator::Bdf2 => {
+            Integrator::Bdf2 | Integrator::QuasiStatic => {
                 unsupported("fields along a line are", "\"backward-euler\" or \"midpoint\" or \"rk4\"")
             }
         }

@@ -31,6 +31,7 @@ pub const SHIPPED: &[Shipped] = shipped![
     "beam-release"
     "hose"
     "tether-in-current"
+    "wire"
     "lorenz63"
     "lorenz63-window"
     "lorenz96"
@@ -51,6 +52,7 @@ const DATA: &[(&str, &str)] = &[
     ("data/hanging-rod-observations.csv", include_str!("../../scenes/data/hanging-rod-observations.csv")),
     ("data/hose.csv", include_str!("../../scenes/data/hose.csv")),
     ("data/tether-pull.csv", include_str!("../../scenes/data/tether-pull.csv")),
+    ("data/wire.csv", include_str!("../../scenes/data/wire.csv")),
 ];
 
 /// The shipped scene of a name.

@@ -14,6 +14,7 @@ use super::validate_observations::{
     validate_recording,
 };
 use super::validate_rod::validate_rod;
+use super::validate_static::validate_static;
 use super::{Background, Covariance, Draw, Integrator, Model, Observations, Origin, Scene};
 
 pub(super) fn validate(scene: &Scene) -> Check {
@@ -60,6 +61,7 @@ pub(super) fn validate(scene: &Scene) -> Check {
     validate_correlation(scene)?;
     scene.limits.bytes().or_else(|message| invalid("limits.memory", message))?;
     validate_algorithm(scene)?;
+    validate_static(scene)?;
     validate_estimate(&scene.estimate, scene)?;
     if let Some(cycles) = &scene.algorithm.cycles {
         validate_cycles(cycles, scene)?;

@@ -11,7 +11,7 @@ use super::{Covariance, Model};
 pub(super) fn validate_covariance(covariance: &Covariance, path: &str, model: &Model) -> Check {
     match model {
         Model::Rod(rod) => {
-            let kernel = covariance.of_rod(path)?;
+            let Some(kernel) = covariance.of_rod(path)? else { return Ok(()) };
             kernel.sigmas(path)?;
             if kernel.spin_sigmas(path)?.is_some() && !rod.twist_inertia {
                 let message = "sections without inertia have their angles in equilibrium: set \

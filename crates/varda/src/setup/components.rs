@@ -137,6 +137,7 @@ impl ComponentSystem {
         match file.checked(self.covariance_keys(path, keys))? {
             ComponentCovariance::Line(k, line) => covariance::along_line(file, path, k, &line),
             ComponentCovariance::Diagonal(d) => covariance::diagonal(file, path, n, d.sigma),
+            ComponentCovariance::Known => Ok(covariance::none(n)),
             ComponentCovariance::Climatology(c) => {
                 let mut model = (self.without)(0);
                 let climate = Climatology::of_run(model.as_mut(), &self.start, self.spin_up, c.steps)

@@ -36,6 +36,33 @@ impl AsRef<dyn Covariance> for Factored {
     }
 }
 
+/// `n` components without error.
+pub(crate) fn none(n: usize) -> Factored {
+    Factored::Singular(Box::new(WithoutError(n)))
+}
+
+/// The covariance of numbers without error.
+pub(crate) struct WithoutError(pub(crate) usize);
+
+impl Covariance for WithoutError {
+    fn dim(&self) -> usize {
+        self.0
+    }
+    fn root_dim(&self) -> usize {
+        0
+    }
+    fn apply(&self, _: &[f64], y: &mut [f64]) {
+        y.fill(0.0);
+    }
+    fn root(&self, _: &[f64], x: &mut [f64]) {
+        x.fill(0.0);
+    }
+    fn root_transpose(&self, _: &[f64], _: &mut [f64]) {}
+    fn variance(&self, variance: &mut [f64]) {
+        variance.fill(0.0);
+    }
+}
+
 /// Independent errors of one σ in `n` components.
 ///
 /// # Errors

@@ -40,11 +40,34 @@ pub enum Subject {
 /// [`Error::Data`] naming file and line.
 pub fn observations(file: &str, text: &str) -> Result<Vec<ObservedRow>, Error> {
     let expected = "time_s,s_m,x_m,y_m,z_m or time_s,marker,x_m,y_m,z_m, optionally sigma_m";
-    let mut table =
+    let table =
         Table::open(file, text, &["time_s", "s_m", "marker", "x_m", "y_m", "z_m", "sigma_m"], expected)?;
-    for name in ["time_s", "x_m", "y_m", "z_m"] {
+    table.require("time_s", expected)?;
+    observed(table, expected)
+}
+
+/// Reads a shape without times, its rows at time 0: header `s_m,x_m,y_m,z_m` or `marker,x_m,y_m,z_m`,
+/// optionally `sigma_m`.
+///
+/// # Errors
+/// [`Error::Data`] naming file and line.
+pub fn shape(file: &str, text: &str) -> Result<Vec<ObservedRow>, Error> {
+    let expected = "s_m,x_m,y_m,z_m or marker,x_m,y_m,z_m, optionally sigma_m";
+    let names = ["time_s", "s_m", "marker", "x_m", "y_m", "z_m", "sigma_m"];
+    let table = Table::open(file, text, &names, expected)?;
+    if table.has("time_s") {
+        let message = "has `time_s`, and method \"static\" takes one shape without times: average the frames \
+                       in which the rod is at rest";
+        return Err(table.bad(1, message));
+    }
+    observed(table, expected)
+}
+
+fn observed(mut table: Table, expected: &str) -> Result<Vec<ObservedRow>, Error> {
+    for name in ["x_m", "y_m", "z_m"] {
         table.require(name, expected)?;
     }
+    let timed = table.has("time_s");
     let by_marker = match (table.has("marker"), table.has("s_m")) {
         (true, false) => true,
         (false, true) => false,
@@ -60,7 +83,9 @@ pub fn observations(file: &str, text: &str) -> Result<Vec<ObservedRow>, Error> {
     let mut rows: Vec<ObservedRow> = Vec::new();
     let mut finest = f64::INFINITY;
     while table.next()? {
-        finest = finest.min(table.last_digit("time_s"));
+        if timed {
+            finest = finest.min(table.last_digit("time_s"));
+        }
         let subject = if by_marker {
             let name = table.cell("marker");
             if name.is_empty() {
@@ -76,7 +101,7 @@ pub fn observations(file: &str, text: &str) -> Result<Vec<ObservedRow>, Error> {
         }
         rows.push(ObservedRow {
             line: table.line,
-            time: table.needed("time_s")?,
+            time: if timed { table.needed("time_s")? } else { 0.0 },
             time_rounding: 0.0,
             subject,
             position: [table.number("x_m")?, table.number("y_m")?, table.number("z_m")?],
@@ -86,7 +111,9 @@ pub fn observations(file: &str, text: &str) -> Result<Vec<ObservedRow>, Error> {
     if rows.is_empty() {
         return Err(table.bad(1, "holds no observations"));
     }
-    rows.iter_mut().for_each(|row| row.time_rounding = 0.5 * finest);
+    if timed {
+        rows.iter_mut().for_each(|row| row.time_rounding = 0.5 * finest);
+    }
     Ok(rows)
 }
 

@@ -7,7 +7,7 @@ use varda_rod::{Change, Damping, Law, Parameter, Rod, Section, Vector3};
 
 pub use super::constant::Constant;
 use super::constant::{Effect, Kind, times};
-use super::covariance::Factored;
+use super::covariance::{Factored, WithoutError};
 use super::estimate_supports;
 use super::motion::Followed;
 use crate::Error;
@@ -324,6 +324,12 @@ impl Estimates {
         Ok(())
     }
 
+    /// Where the i-th is along the rod \[m\], of a field.
+    pub(crate) fn arc_length(&self, i: usize) -> Option<f64> {
+        let (range, places, _) = self.fields.iter().find(|field| field.0.contains(&i))?;
+        Some(places[i - range.start])
+    }
+
     /// The covariance of their prior.
     ///
     /// # Errors
@@ -373,29 +379,7 @@ impl Estimates {
             Factored::Full(b) => Box::new(b),
             Factored::Singular(b) => b,
         };
-        Factored::Singular(Box::new(BlockDiagonal::new(vec![of_state, Box::new(Nothing(self.len()))])))
-    }
-}
-
-/// The covariance of numbers without error.
-struct Nothing(usize);
-
-impl Covariance for Nothing {
-    fn dim(&self) -> usize {
-        self.0
-    }
-    fn root_dim(&self) -> usize {
-        0
-    }
-    fn apply(&self, _: &[f64], y: &mut [f64]) {
-        y.fill(0.0);
-    }
-    fn root(&self, _: &[f64], x: &mut [f64]) {
-        x.fill(0.0);
-    }
-    fn root_transpose(&self, _: &[f64], _: &mut [f64]) {}
-    fn variance(&self, variance: &mut [f64]) {
-        variance.fill(0.0);
+        Factored::Singular(Box::new(BlockDiagonal::new(vec![of_state, Box::new(WithoutError(self.len()))])))
     }
 }
 

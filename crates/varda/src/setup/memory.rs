@@ -393,6 +393,7 @@ fn covariance(scene: &Scene, covariance: &Covariance, n: usize) -> [usize; 2] {
     let is_line = || scene.model.line().is_some_and(|line| matches!(line.ends, Ends::Fixed { .. }));
     let (edge, blocks, drawn) = match covariance {
         Covariance::Diagonal(_) => return [2 * n, 0],
+        Covariance::Known(_) => return [0, 0],
         // Twelve numbers a place and block; building it keeps two matrices and what is known ahead.
         Covariance::Kernel(k) if k.is_markov() => return [4 * n, 50 * n],
         Covariance::Line(k) if k.is_markov() && is_line() => return [12 * n, 60 * n],

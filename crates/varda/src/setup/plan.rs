@@ -4,7 +4,7 @@ use super::inputs::Inputs;
 use super::memory::{Memory, Sizes, error_numbers, without_spread};
 use super::problem::without_derivatives;
 use crate::Error;
-use crate::scene::{SceneFile, TimeGrid};
+use crate::scene::{Covariance, Method, SceneFile, TimeGrid};
 
 /// Sizes of a scene, and what it leaves out.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,6 +19,10 @@ pub struct Plan {
     pub n_state: usize,
     /// Length of the control.
     pub n_control: usize,
+    /// How many of them are known: those of a state without error.
+    pub n_known: usize,
+    /// Whether one shape without times is observed.
+    pub is_one_shape: bool,
     /// Numbers of model error in the control beyond it, at most (weak-constraint methods).
     pub n_errors: usize,
     /// Members of the ensemble; 0 where there is none.
@@ -77,6 +81,11 @@ impl Plan {
             method: format!("{}, {}", algorithm.method.name(), algorithm.solver_name()),
             n_state: sizes.state,
             n_control: sizes.control,
+            n_known: match b {
+                Covariance::Known(_) => sizes.control - inputs.system.estimates().len(),
+                _ => 0,
+            },
+            is_one_shape: algorithm.method == Method::Static,
             n_errors: error_numbers(scene, sizes.control),
             members: algorithm.members().map_or(0, |e| e.members),
             n_obs: sizes.values,

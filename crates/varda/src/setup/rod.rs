@@ -5,7 +5,7 @@ use varda_implicit::{ImplicitStep, Model, ParametricStep, Structure};
 use varda_rod::{Rest, RodStep};
 
 use super::adaptive_steps::{AdaptiveSteps, rod_models};
-use super::covariance::{self, Factored, Places, Sigmas};
+use super::covariance::{self, Factored, Places, Sigmas, WithoutError};
 use super::csv;
 use super::ensemble::ComponentPositions;
 use super::estimate::{Constant, Estimates};
@@ -304,7 +304,9 @@ impl RodSystem {
         keys: &scene::Covariance,
         reference: &[f64],
     ) -> Result<Factored, Error> {
-        let kernel = file.checked(keys.of_rod(path))?;
+        let Some(kernel) = file.checked(keys.of_rod(path))? else {
+            return Ok(covariance::none(self.layout().len() - self.parts.estimates.len()));
+        };
         let sigmas = self.sigmas(file, path, kernel, reference)?;
         covariance::localized(file, path, kernel, &self.places, sigmas)
     }
@@ -317,7 +319,7 @@ impl RodSystem {
         path: &str,
         keys: &scene::Covariance,
     ) -> Result<(), Error> {
-        let kernel = file.checked(keys.of_rod(path))?;
+        let Some(kernel) = file.checked(keys.of_rod(path))? else { return Ok(()) };
         let sigmas = self.sigmas_at(file, path, kernel, 1.0)?;
         covariance::localized(file, path, kernel, &self.places, sigmas)?;
         Ok(())
@@ -331,7 +333,9 @@ impl RodSystem {
         keys: &scene::Covariance,
         reference: &[f64],
     ) -> Result<Box<dyn Covariance>, Error> {
-        let kernel = file.checked(keys.of_rod(path))?;
+        let Some(kernel) = file.checked(keys.of_rod(path))? else {
+            return Ok(Box::new(WithoutError(self.layout().len() - self.parts.estimates.len())));
+        };
         let sigmas = self.sigmas(file, path, kernel, reference)?;
         covariance::unlocalized(file, path, kernel, &self.places, sigmas)
     }

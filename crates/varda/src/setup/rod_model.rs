@@ -8,7 +8,7 @@ use varda_rod::{
 };
 
 use crate::Error;
-use crate::scene::{self, RodModel, SceneFile, Shear};
+use crate::scene::{self, Integrator, RodModel, SceneFile, Shear};
 use crate::setup::csv;
 use crate::setup::estimate::{Described, Estimates};
 use crate::setup::files::Files;
@@ -30,6 +30,8 @@ pub struct RodParts {
     pub damping: Damping,
     /// How it is integrated.
     pub scheme: Scheme,
+    /// It is at rest at every step.
+    pub at_rest_always: bool,
     /// What picks its equilibrium.
     pub search: Search,
     /// How the recorded motions of its supports are followed.
@@ -100,7 +102,10 @@ impl RodParts {
         let (run, followed, mut remarks) = (motions.run, motions.followed, motions.remarks);
         remarks.extend(edge_clamps(model, &rod));
         let covariance = file.checked(file.scene.background.covariance.of_rod("background.covariance"))?;
-        let spins_in_control = file.checked(covariance.spin_sigmas("background.covariance"))?.is_some();
+        let spins_in_control = match covariance {
+            Some(kernel) => file.checked(kernel.spin_sigmas("background.covariance"))?.is_some(),
+            None => false,
+        };
         let between_faces = rod.clone().with_faces(supports.faces());
         let described = Described {
             section: &section,
@@ -119,6 +124,7 @@ impl RodParts {
             pull,
             damping,
             scheme,
+            at_rest_always: file.scene.time.integrator == Integrator::QuasiStatic,
             search,
             remarks,
             spins_in_control,
@@ -139,7 +145,7 @@ impl RodParts {
             none if none.is_empty() => RodStep::new(rod, supports, loads, self.damping)?,
             unknown => RodStep::with_parameters(rod, supports, loads, self.damping, unknown)?,
         };
-        let mut step = step.with_scheme(self.scheme);
+        let mut step = if self.at_rest_always { step.at_rest()? } else { step.with_scheme(self.scheme) };
         if self.spins_in_control {
             step = step.with_spins_in_control();
         }

@@ -18,7 +18,7 @@ use super::seen_with::with_constants;
 use crate::Error;
 use crate::outcome::{Neighbours, RecordingSummary, SitesAre};
 use crate::scene::{
-    Frame, Model, PriorSpread, Recording, Synthetic, TimeGrid, Unknown, UnreachableRows, Use,
+    Frame, Method, Model, PriorSpread, Recording, Synthetic, TimeGrid, Unknown, UnreachableRows, Use,
 };
 
 /// A site and its place on the rod.
@@ -69,7 +69,10 @@ pub(crate) fn recorded(
     grid: TimeGrid,
 ) -> Result<Observed, Error> {
     let (label, text) = text_of(files, recording)?;
-    let rows = csv::observations(&label, &text)?;
+    let rows = match files.scene.scene.algorithm.method {
+        Method::Static => csv::shape(&label, &text)?,
+        _ => csv::observations(&label, &text)?,
+    };
     let bad = |line: usize, message: String| Error::Data { place: format!("{label}:{line}"), message };
     let length = rod.length();
     let mut sites: Vec<Placed> = recording

@@ -5,6 +5,7 @@ mod gradients;
 mod gripped;
 mod observed;
 mod recovery;
+mod shapes;
 mod supports;
 
 use super::Options;
@@ -16,6 +17,7 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     filter::run(&mut rows);
     recovery::run(&mut rows);
     observed::run(&mut rows);
+    shapes::run(&mut rows, options);
     supports::run(&mut rows, options.quick);
     if options.full {
         gripped::run(&mut rows);
