@@ -3,7 +3,7 @@
 use varda_covariance::{
     BlockDiagonal, Covariance, CovarianceFunction, Diagonal, Kernel, Markov, Precision, Taper,
 };
-use varda_rod::{Change, Damping, Law, Parameter, Rod, Section, Vector3};
+use varda_rod::{Change, Damping, Law, MovedBy, Parameter, Rod, Section, Vector3};
 
 pub use super::constant::Constant;
 use super::constant::{Effect, Kind, times};
@@ -85,6 +85,25 @@ impl Estimates {
     /// Whether their priors are independent of each other.
     pub(crate) fn are_independent(&self) -> bool {
         self.fields.is_empty()
+    }
+
+    /// σ of how far drives and recorded places of supports are off \[m\].
+    pub(crate) fn supports_off(&self) -> f64 {
+        let (mut recorded, mut driven) = (0.0_f64, 0.0);
+        for (parameter, constant) in self.of_rod.iter().zip(&self.constants) {
+            for moved in &parameter.change.supports {
+                match &moved.by {
+                    MovedBy::Along(_) => recorded = recorded.max(constant.sigma),
+                    MovedBy::Drive { drive, radii, phase } => {
+                        let by_phase = phase * drive.radii[0].max(drive.radii[1]);
+                        driven += (constant.sigma * radii[0].hypot(radii[1]).hypot(by_phase)).powi(2);
+                    }
+                    // what is on the rod stays as far from its support
+                    MovedBy::Turn(_) => {}
+                }
+            }
+        }
+        recorded.hypot(driven.sqrt())
     }
 
     /// How many of them the model does not depend on.
