@@ -126,6 +126,7 @@ mod moved;
 mod moved_increment;
 mod parameters;
 mod predict;
+mod quasi_static;
 mod recorded;
 mod rod;
 pub mod rotation;
