@@ -75,6 +75,8 @@ pub struct Sizes {
     pub shown: usize,
     /// Columns of the root of the localization of an ensemble, about; 0 without one.
     pub localization: usize,
+    /// Constants that are estimated, the last numbers of the control.
+    pub constants: usize,
 }
 
 /// Bytes a run takes.
@@ -215,9 +217,25 @@ impl Memory {
                 matches!(scene.model, Model::Rod(_)) && posterior && !is_low_rank(algorithm.method, n);
             decomposition(algorithm.method, n, m)
                 .saturating_add(m.min(n).saturating_mul(sizes.state))
+<<<<<<< HEAD
                 // σ of a rod's forces: their tangents along the columns of the root at two steps, beside
                 // what is left of the Hessian
                 .saturating_add(if forces && m >= n { square.saturating_mul(3) } else { 0 })
+=======
+                // σ of a rod's forces: their tangents along the columns of the root, beside what is left of
+                // the Hessian
+                .saturating_add(match (forces, m < n) {
+                    (false, _) => 0,
+                    (true, true) => square,
+                    (true, false) => square.saturating_mul(4),
+                })
+                // an orthonormal basis of what the columns of the root are in the constants, and what each
+                // constant does to forces
+                .saturating_add(match posterior {
+                    true => sizes.constants.saturating_mul(n.saturating_add(3 * sizes.state)),
+                    false => 0,
+                })
+>>>>>>> aa
                 // Newton's factor beside the Hessian
                 .saturating_add(if algorithm.minimizer == Minimizer::Newton { square } else { 0 })
                 // the root that is carried on, cut by its singular values
@@ -364,6 +382,7 @@ impl Sizes {
             steps: inputs.file.scene.time.window,
             shown: inputs.grid.last_step(),
             localization: localization(inputs),
+            constants: inputs.system.layout().constants.len(),
         }
     }
 }
