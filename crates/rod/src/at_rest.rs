@@ -1,179 +1,44 @@
-//! A rod that is at rest at every step: the equilibrium under its loads where its supports are.
+//! What a rod at rest keeps of its first state.
 
-use varda_implicit::{
-    Equations, Factor, ImplicitStep, LinearSolver, NewtonOptions, NewtonWork, ParametricStep, Refusal,
-    SolvedStep, StepEquations, solve,
-};
-
-use crate::Error;
-use crate::damping::KelvinVoigt;
-use crate::dynamics::RodStep;
-use crate::statics::at_rest;
-use crate::support::Damping;
+use varda_implicit::{Factor, LinearSolver, NewtonWork, Structure};
 
 /// What a rod at rest at every step has beside one in motion: its first state is an equilibrium too.
 pub(crate) struct AtRest {
     /// Time of the first state \[s\], that state before it came to rest, and its unknowns at rest.
-    t: f64,
-    from: Vec<f64>,
-    u: Vec<f64>,
+    pub(crate) t: f64,
+    pub(crate) from: Vec<f64>,
+    pub(crate) u: Vec<f64>,
     /// What the equilibrium keeps, as a step does.
-    kept: Vec<f64>,
-    work: NewtonWork,
-    solver: LinearSolver,
-    factor: Factor,
-    values: Vec<f64>,
-    g: Vec<f64>,
+    pub(crate) kept: Vec<f64>,
+    pub(crate) work: NewtonWork,
+    pub(crate) solver: LinearSolver,
+    pub(crate) factor: Factor,
+    pub(crate) values: Vec<f64>,
+    pub(crate) g: Vec<f64>,
     /// The columns of ∂G/∂p, and an increment of x that is none.
-    columns: Vec<f64>,
-    none: Vec<f64>,
+    pub(crate) columns: Vec<f64>,
+    pub(crate) none: Vec<f64>,
     /// One parameter alone.
-    dp: Vec<f64>,
+    pub(crate) dp: Vec<f64>,
 }
 
-impl RodStep {
-    /// The same rod at rest at every step, the supports where they are at its time: shapes without times, and
-    /// motions so slow that inertia and damping do not show.
-    ///
-    /// ```text
-    /// ∂E/∂u(Y, θ; p) − F_ext(t_{k+1}) = 0,   V_{k+1} = (X_{k+1} − X_k)/Δt
-    /// ```
-    ///
-    /// The first state x₀ is such an equilibrium as well, the one that Newton's method finds downhill from
-    /// the places of the control: it depends on parameters alone, ∂x₀/∂p = −(∂G/∂u)⁻¹ ∂G/∂p, and not on the
-    /// control, whose places only choose between equilibria. V₀ = 0. By backward Euler, the damping given is
-    /// left out, loads see no velocity.
-    ///
-    /// ```
-    /// use varda_implicit::{ImplicitModel, Model, WithParameters};
-    /// use varda_rod::{Change, Clamp, ClampAt, Damping, Law, Loads, Material, Parameter, Rod, RodStep};
-    /// use varda_rod::{Section, Supports, Vector3, straight_guess};
-    ///
-    /// // A cantilever of unknown stiffness: its tip sinks by w L⁴/(8 EI).
-    /// let section = Section::circle(&Material::new(1e7, 0.5, 1100.0), 0.005);
-    /// let rod = Rod::uniform_between(0.1, 40, &section, [true, false])?;
-    /// let clamp = Clamp::new(ClampAt::Face, [0.0; 3], Vector3::x(), Vector3::z());
-    /// let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
-    /// let stiffness = Change { ei: rod.ei.clone(), ..Change::default() };
-    /// let unknown = vec![Parameter { change: stiffness, law: Law::Exponential }];
-    /// let supports = Supports::clamped_start(clamp);
-    /// let step = RodStep::with_parameters(rod, supports, loads, Damping::default(), unknown)?.at_rest()?;
-    /// let guess = straight_guess(step.rod(), step.supports(), 0.0, Vector3::x())?;
-    /// let mut control = step.control_at_rest(&guess);
-    /// let (n, tip) = (control.len(), 3 * step.free_vertices().len() - 1);
-    /// control.push(0.0);
-    /// let mut model = ImplicitModel::new(WithParameters::new(step, 0), 0, 1.0);
-    /// let mut x = vec![0.0; model.dim()];
-    /// model.initial_state(&control, &mut x)?;
-    /// let sinks = 9.81 * section.mass_per_length * 0.1_f64.powi(4) / (8.0 * section.ei1);
-    /// assert!((-x[tip] / sinks - 1.0).abs() < 0.015); // it is not quite linear any more
-    ///
-    /// // 1 % stiffer, it sinks 1 % less
-    /// let (mut dz, mut dx) = (vec![0.0; n + 1], vec![0.0; model.dim()]);
-    /// dz[n] = 0.01;
-    /// model.initial_tangent(&dz, &mut dx);
-    /// assert!((dx[tip] / (-0.01 * x[tip]) - 1.0).abs() < 0.03);
-    /// # Ok::<(), Box<dyn std::error::Error>>(())
-    /// ```
-    ///
-    /// # Errors
-    /// [`Error::Value`] where sections have inertia against twist: nothing spins at rest; where neither a clamp
-    /// nor two prescribed vertices hold the rod, which may then turn as it likes.
-    pub fn at_rest(mut self) -> Result<RodStep, Error> {
-        if let Some(&value) = self.rod().spin_inertia.first() {
-            let expected = "none: nothing spins at rest";
-            return Err(Error::Value { field: "spin_inertia", value, expected });
-        }
-        let supports = self.supports();
-        let held = supports.prescribed.len();
-        if supports.start.is_none() && supports.end.is_none() && held < 2 {
-            let expected =
-                "a clamp or two prescribed vertices: what turns about a point has no one equilibrium";
-            return Err(Error::Value {
-                field: "number of prescribed vertices",
-                value: held as f64,
-                expected,
-            });
-        }
-        self = self.with_scheme(varda_implicit::Scheme::BackwardEuler);
-        self.damping = Damping::default();
-        self.viscous = None::<KelvinVoigt>;
-        let (unknowns, structure) = (self.unknowns(), self.structure());
-        let solver = LinearSolver::new(unknowns, &structure);
-        self.is_at_rest = true;
-        self.at_rest = Some(Box::new(AtRest {
+impl AtRest {
+    /// Of so many unknowns, numbers of a state and of what a step keeps, and parameters.
+    pub(crate) fn new(structure: &Structure, [unknowns, state, kept, parameters]: [usize; 4]) -> AtRest {
+        let solver = LinearSolver::new(unknowns, structure);
+        AtRest {
             t: f64::NAN,
             from: Vec::new(),
             u: vec![0.0; unknowns],
-            kept: vec![0.0; self.kept()],
-            work: NewtonWork::new(unknowns, &structure),
+            kept: vec![0.0; kept],
+            work: NewtonWork::new(unknowns, structure),
             factor: solver.empty_factor(),
             values: vec![0.0; solver.values_len()],
             solver,
             g: vec![0.0; unknowns],
-            columns: vec![0.0; unknowns * self.parameters()],
-            none: vec![0.0; self.system.layout.state()],
-            dp: vec![0.0; self.parameters()],
-        }));
-        Ok(self)
-    }
-
-    /// Replaces the first state by the equilibrium downhill from it.
-    pub(crate) fn come_to_rest(&mut self, t: f64, x: &mut [f64]) -> Result<(), Refusal> {
-        let Some(mut rest) = self.at_rest.take() else { return Ok(()) };
-        rest.t = t;
-        rest.from.clear();
-        rest.from.extend_from_slice(x);
-        let found = self.find_equilibrium(&mut rest, x);
-        self.at_rest = Some(rest);
-        found
-    }
-
-    /// The equilibrium downhill from `rest.from`, into x, and the factor of ∂G/∂u there.
-    fn find_equilibrium(&mut self, rest: &mut AtRest, x: &mut [f64]) -> Result<(), Refusal> {
-        let AtRest { t, from, u, kept, work, solver, factor, values, g, .. } = rest;
-        let at = at_rest(*t);
-        self.prepare(&at, from)?;
-        self.system.scatter_state(from);
-        self.system.gather(u);
-        let mut equations = self.equations(&at, from)?;
-        // as `equilibrium` has it
-        let options = NewtonOptions::default().with_max_iterations(2000);
-        solve(&mut equations, u, work, &options).map_err(|failure| failure.in_step(&at))?;
-        equations.assemble(u, g, Some(values))?;
-        equations.accepted(u)?;
-        solver.factor(values, factor)?;
-        self.keep(&at, from, u, kept);
-        self.advance(&at, from, u, x);
-        self.stand_still(x);
-        Ok(())
-    }
-
-    /// No velocities: a step of no length has differences over zero there.
-    fn stand_still(&self, x: &mut [f64]) {
-        let places = 3 * self.system.layout.free_vertices.len();
-        x[places..2 * places].fill(0.0);
-    }
-
-    /// The columns of ∂x₀/∂p at the equilibrium last found.
-    pub(crate) fn rest_by_parameters(&mut self, into: &mut [f64]) {
-        let Some(mut rest) = self.at_rest.take() else { return };
-        let at = at_rest(rest.t);
-        let AtRest { from, u, kept, solver, factor, columns, none, dp, .. } = &mut *rest;
-        let of = SolvedStep { at: &at, x: from, u, kept };
-        self.prepare(&at, from).expect("the equilibrium was found before");
-        self.parameter_jacobian(&of, columns);
-        let own = self.system.layout.state();
-        let columns = columns.chunks_exact_mut(u.len().max(1));
-        for (p, (column, into)) in columns.zip(into.chunks_exact_mut(own)).enumerate() {
-            solver.solve(factor, column);
-            column.iter_mut().for_each(|du| *du = -*du);
-            self.advance_tangent(&of, none, column, into);
-            dp.fill(0.0);
-            dp[p] = 1.0;
-            self.advance_parameters_tangent(&of, dp, into);
-            self.stand_still(into);
+            columns: vec![0.0; unknowns * parameters],
+            none: vec![0.0; state],
+            dp: vec![0.0; parameters],
         }
-        self.at_rest = Some(rest);
     }
 }

@@ -125,6 +125,7 @@ mod modes;
 mod moved;
 mod parameters;
 mod predict;
+mod quasi_static;
 mod recorded;
 mod rod;
 pub mod rotation;

@@ -208,11 +208,12 @@ impl RodStep {
         self.system.moves = moves;
     }
 
-    /// What supports that a parameter moves add to ∂G/∂p at the present shape, that of a solved step: with
-    /// w(t) the increment of held places and local angles at the time of a configuration,
+    /// What supports that a parameter moves add to ∂G/∂p at the present shape, that of a solved step:
+    /// with w(t) the increment of held places and local angles at the time of a configuration,
     ///
     /// ```text
-    /// ∂²Φ/∂u∂(x, α) w(t*) − (β/η) Σ_j w_j ∇ε k ∇ε(past j)ᵀ w(t_j) − ∂F/∂v (w(t*) − w*)/η
+    /// ∂²Φ/∂u∂(x, α) w(t*) − (β/η) Σ_j w_j ∇ε k ∇ε(past j)ᵀ w(t_j) − ∂F/∂v (w(t*)
+    /// − w*)/η
     /// ```
     fn moved_equations(&mut self, of: &SolvedStep<'_>, p: usize, work: &mut Increments, dg: &mut [f64]) {
         let stage = self.stage(of.at);

@@ -187,8 +187,8 @@ fn unknowns(case: Case) -> Vec<Parameter> {
     all
 }
 
-/// A force −c (v_b − v_a) on the second vertex of an edge and its opposite on the first: that on a free one
-/// depends on how fast the held one moves.
+/// A force −c (v_b − v_a) on the second vertex of an edge and its opposite on the first: that on a free
+/// one depends on how fast the held one moves.
 struct Dashpot(f64);
 
 impl Load for Dashpot {

@@ -167,7 +167,8 @@ fn of_inputs(all: &[Estimated]) -> Vec<String> {
             false => String::new(),
         };
         out.push(format!(
-            "{}: the recorded place is moved by an error of {} numbers, {:.2e} m in the root mean square{sigma}",
+            "{}: the recorded place is moved by an error of {} numbers, {:.2e} m in the root mean \
+             square{sigma}",
             support(of[0]),
             of.len(),
             mean(&|e| e.value)

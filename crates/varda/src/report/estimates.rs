@@ -23,7 +23,8 @@ pub(super) fn section(all: &[Estimated]) -> String {
     let headings = ["constant", "analysis", "prior", "95 % interval", "", "mesh"];
     format!(
         "<section><h2>Estimated constants</h2>{}<p>Values ± σ. The bar is the 95 % interval within that of \
-         the prior; the mark is the analysis. mesh: the part of σ that allows for the mesh.</p>{fields}{}</section>",
+         the prior; the mark is the analysis. mesh: the part of σ that allows for the \
+         mesh.</p>{fields}{}</section>",
         table(&headings, &rows),
         correlations(all)
     )

@@ -126,6 +126,8 @@ fn names<T>(runs: &[(Style, &'static str, T)]) -> String {
 type DrawnRun<Point> = (Style, &'static str, Vec<Point>);
 
 /// Snapshots of a rod, seen from the side: the vertical against the horizontal in which it extends most.
+const AXES: [&str; 3] = ["x", "y", "z"];
+
 fn snapshots(shapes: &Shapes, outcome: &Outcome) -> Figure {
     let grid = &outcome.experiment.grid;
     let count = outcome.experiment.scene.report.snapshots.min(grid.steps + 1);
@@ -146,8 +148,10 @@ fn snapshots(shapes: &Shapes, outcome: &Outcome) -> Figure {
         (low, high)
     };
     let width = |c: usize| extent(c).1 - extent(c).0;
-    let across = if width(0) >= width(1) { 0 } else { 1 };
-    let (x, z) = (extent(across), extent(2));
+    // the two axes along which there is most to see, z upwards where it is one of them
+    let least = if width(2) < width(0).min(width(1)) { 2 } else { usize::from(width(0) >= width(1)) };
+    let [across, up] = [[1, 2], [0, 2], [0, 1]][least];
+    let (x, z) = (extent(across), extent(up));
     let columns = count.min(3);
     // Equal scales in a panel: the plot's own area is the panel less labels and margins.
     let panel_size = if z.1 - z.0 >= x.1 - x.0 { (310u32, 350u32) } else { (310, 250) };
@@ -165,22 +169,22 @@ fn snapshots(shapes: &Shapes, outcome: &Outcome) -> Figure {
             let line = |(style, label, shape): DrawnRun<[f64; 3]>| Series {
                 label: label.into(),
                 style,
-                points: shape.iter().map(|p| (p[across], p[2])).collect(),
+                points: shape.iter().map(|p| (p[across], p[up])).collect(),
             };
             let mut series: Vec<Series> = here.into_iter().map(line).collect();
             for (withheld, style, label) in
                 [(false, Style::Observation, "observed"), (true, Style::Withheld, "kept back")]
             {
                 let here = seen.iter().filter(|(at, kind, _)| *at == k && *kind == withheld);
-                let points: Vec<(f64, f64)> = here.map(|(_, _, p)| (p[across], p[2])).collect();
+                let points: Vec<(f64, f64)> = here.map(|(_, _, p)| (p[across], p[up])).collect();
                 if !points.is_empty() {
                     series.push(Series { label: label.into(), style, points });
                 }
             }
             Panel {
                 title: format!("t = {:.3} s", grid.time(k)),
-                x_label: format!("{} [m]", ["x", "y"][across]),
-                y_label: if i % columns == 0 { "z [m]".into() } else { String::new() },
+                x_label: format!("{} [m]", AXES[across]),
+                y_label: if i % columns == 0 { format!("{} [m]", AXES[up]) } else { String::new() },
                 equal: Some(ranges),
                 legend: (i + 1 == count).then_some(Corner::LowerLeft),
                 series,
@@ -191,8 +195,10 @@ fn snapshots(shapes: &Shapes, outcome: &Outcome) -> Figure {
     Figure {
         name: "snapshots",
         title: format!(
-            "The rod at {count} instants of the window, {}-z plane: {} and observations",
-            ["x", "y"][across],
+            "The rod{}, {}-{} plane: {} and observations",
+            if count > 1 { format!(" at {count} instants of the window") } else { String::new() },
+            AXES[across],
+            AXES[up],
             names(&runs)
         ),
         panels,

@@ -119,8 +119,8 @@ fn not_converged(judged: &Judged) -> Option<String> {
         Status::Converged | Status::LinearizedOnce => None,
         Status::Stalled if judged.is_ensemble || last <= AT_THE_MINIMUM * first => None,
         Status::Stalled if judged.at_rest => Some(format!(
-            "the minimizer stalled after {} iterations, {gradient}: near these constants the rod comes to rest \
-             in another shape; priors, or a `model.initial_shape`, nearer to what was seen may help",
+            "the minimizer stalled after {} iterations, {gradient}: near these constants the rod comes to \
+             rest in another shape; priors, or a `model.initial_shape`, nearer to what was seen may help",
             judged.iterations
         )),
         Status::Stalled => Some(format!(

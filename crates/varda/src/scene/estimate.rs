@@ -49,9 +49,9 @@ pub struct Estimate {
     /// upwards.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gravity_direction: Option<Unknown>,
-    /// Directions of the clamps [rad], each turned about its own axes: `clamp_direction[start].m1`, `.m2`; and
-    /// about the tangent (`.t`) where a turn of the section shows: with clamps at both ends, of a section that
-    /// is not isotropic, or of a curved rod.
+    /// Directions of the clamps [rad], each turned about its own axes: `clamp_direction[start].m1`, `.m2`;
+    /// and about the tangent (`.t`) where a turn of the section shows: with clamps at both ends, of a section
+    /// that is not isotropic, or of a curved rod.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub clamp_direction: Option<Unknown>,
     /// Semi-axes of the ellipse that a support is driven along [m]: `drive_radii[0]`, `drive_radii[1]`.
@@ -60,8 +60,8 @@ pub struct Estimate {
     /// Phase of that motion [rad]: how far it is ahead of cos ωt, sin ωt.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drive_phase: Option<Unknown>,
-    /// Errors of the recorded places of supports, an uncertain input: σ of a coordinate of a row [m], or with
-    /// `correlation_time` that of the motion followed.
+    /// Errors of the recorded places of supports, an uncertain input: σ of a coordinate of a row [m], or
+    /// with `correlation_time` that of the motion followed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub base: Option<Unknown>,
     /// Arc lengths of the observed places [m], each an unknown of its own: `marker_arc_length[tip]`.

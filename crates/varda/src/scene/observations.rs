@@ -48,7 +48,8 @@ pub struct Synthetic {
 }
 
 /// Observations read from a CSV file. Rods: with the header `time_s,s_m,x_m,y_m,z_m` or
-/// `time_s,marker,x_m,y_m,z_m` and, if wanted, a column `sigma_m`. Other models: `time_s,component,value`
+/// `time_s,marker,x_m,y_m,z_m` and, if wanted, columns `sigma_m` and, beside names, `s_m`: the place of a
+/// marker that `markers` does not list. Other models: `time_s,component,value`
 /// (a component's name, as `x3`, or its number from 0) or, of a field along a line, `time_s,s_m,value` (a
 /// place between two points is on the cubic through four), and, if wanted, `sigma`. An empty cell or a
 /// missing row was not observed.

@@ -18,6 +18,8 @@ pub struct ObservedRow {
     pub time_rounding: f64,
     /// What was seen.
     pub subject: Subject,
+    /// Arc length of a named marker, where the file has that too \[m\].
+    pub arc_length: Option<f64>,
     /// Its coordinates \[m\]; `None` was not observed.
     pub position: [Option<f64>; 3],
     /// Standard deviation of a coordinate \[m\], if the file has it.
@@ -33,8 +35,8 @@ pub enum Subject {
     Marker(String),
 }
 
-/// Reads observations: header `time_s,s_m,x_m,y_m,z_m` or `time_s,marker,x_m,y_m,z_m`, optionally `sigma_m`;
-/// columns in any order. `file` is its name in messages.
+/// Reads observations: header `time_s,s_m,x_m,y_m,z_m` or `time_s,marker,x_m,y_m,z_m`, optionally `sigma_m`,
+/// and with names `s_m` too; columns in any order. `file` is its name in messages.
 ///
 /// # Errors
 /// [`Error::Data`] naming file and line.
@@ -68,18 +70,10 @@ fn observed(mut table: Table, expected: &str) -> Result<Vec<ObservedRow>, Error>
         table.require(name, expected)?;
     }
     let timed = table.has("time_s");
-    let by_marker = match (table.has("marker"), table.has("s_m")) {
-        (true, false) => true,
-        (false, true) => false,
-        (true, true) => {
-            return Err(table.bad(1, "has both `marker` and `s_m`: a row is about one or the other"));
-        }
-        (false, false) => {
-            return Err(
-                table.bad(1, format!("the header has neither `s_m` nor `marker`; expected {expected}"))
-            );
-        }
-    };
+    let by_marker = table.has("marker");
+    if !(by_marker || table.has("s_m")) {
+        return Err(table.bad(1, format!("the header has neither `s_m` nor `marker`; expected {expected}")));
+    }
     let mut rows: Vec<ObservedRow> = Vec::new();
     let mut finest = f64::INFINITY;
     while table.next()? {
@@ -104,6 +98,7 @@ fn observed(mut table: Table, expected: &str) -> Result<Vec<ObservedRow>, Error>
             time: if timed { table.needed("time_s")? } else { 0.0 },
             time_rounding: 0.0,
             subject,
+            arc_length: if by_marker { table.number("s_m")? } else { None },
             position: [table.number("x_m")?, table.number("y_m")?, table.number("z_m")?],
             sigma,
         });

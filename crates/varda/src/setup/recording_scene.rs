@@ -81,6 +81,8 @@ impl Track {
 /// A recording by its tracks, in the order of arc length.
 struct Recorded {
     tracks: Vec<Track>,
+    /// Whether the file has the places of named markers.
+    placed: bool,
     /// Time between two frames \[s\].
     interval: f64,
     /// First and last time \[s\].
@@ -93,7 +95,7 @@ impl Recorded {
         for row in rows {
             let [Some(x), Some(y), Some(z)] = row.position else { continue };
             let (name, s) = match &row.subject {
-                Subject::Marker(name) => (Some(name.clone()), 0.0),
+                Subject::Marker(name) => (Some(name.clone()), row.arc_length.unwrap_or(0.0)),
                 Subject::ArcLength(s) => (None, *s),
             };
             let known = tracks.iter().position(|t| t.name == name && t.arc_length == s);
@@ -112,12 +114,13 @@ impl Recorded {
         let mut gaps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
         let span = [times.first(), times.last()].map(|t| t.copied().unwrap_or(0.0));
         let interval = frame_interval(&mut gaps, span[1] - span[0]).unwrap_or(STEP);
-        if tracks.iter().all(|t| t.name.is_some()) {
+        let placed = rows.iter().any(|row| row.arc_length.is_some());
+        if tracks.iter().all(|t| t.name.is_some()) && !placed {
             tracks = in_a_row(tracks);
         } else {
             tracks.sort_by(|a, b| a.arc_length.total_cmp(&b.arc_length));
         }
-        Recorded { tracks, interval, span }
+        Recorded { tracks, placed, interval, span }
     }
 
     /// Arc length of the last marker \[m\].
@@ -205,7 +208,7 @@ impl Recorded {
         else {
             return String::new();
         };
-        if self.tracks.len() < 2 {
+        if self.tracks.len() < 2 || self.placed {
             return String::new();
         }
         format!(
@@ -228,7 +231,7 @@ impl Recorded {
         let [place, tangent] = self.clamp();
         let up = if tangent.z.abs() < 0.95 { V::z() } else { V::x() };
         let director = (up - tangent * up.dot(&tangent)).normalize();
-        let are_named = self.tracks.iter().all(|t| t.name.is_some());
+        let are_named = self.tracks.iter().all(|t| t.name.is_some()) && !self.placed;
         let note = if are_named {
             "the sum of the largest distances between markers, a lower bound"
         } else {
@@ -270,6 +273,15 @@ impl Recorded {
         out.push_str(&self.order());
         for track in &self.tracks {
             if let Some(name) = track.name.as_deref().filter(|name| Some(*name) != hand) {
+                if self.placed {
+                    let s = track.arc_length;
+                    let _ = write!(
+                        out,
+                        "\n[[observations.markers]]\nname = {name:?}\narc_length = {s:?}              # from the \
+                         file\n# use = \"withhold\"               # keep it back to test the analysis\n"
+                    );
+                    continue;
+                }
                 let _ = write!(
                     out,
                     "\n[[observations.markers]]\nname = {name:?}\n# m, yours: a lower bound, from distances \

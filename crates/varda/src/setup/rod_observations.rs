@@ -86,6 +86,12 @@ pub(crate) fn recorded(
         .collect();
     // −0 is 0.
     let bits = |s: f64| (s + 0.0).to_bits();
+    let on_the_rod = |line: usize, s: f64| match s >= 0.0 && s <= length * (1.0 + 1e-9) {
+        true => Ok(()),
+        false => Err(bad(line, format!("s_m = {s} is off the rod (0 to {length} m)"))),
+    };
+    // markers whose places the file has
+    let mut placed: HashMap<String, usize> = HashMap::new();
     let mut site_of = HashMap::new();
     for (i, site) in sites.iter().enumerate() {
         site_of.entry(bits(site.marker.s)).or_insert(i);
@@ -115,15 +121,30 @@ pub(crate) fn recorded(
                 continue;
             }
             Subject::Marker(name) => {
-                recording.markers.iter().position(|m| m.name == *name).ok_or_else(|| {
-                    let remedy = "add it to [[observations.markers]] or to observations.ignore";
-                    bad(row.line, format!("marker {name:?} has no place: {remedy}"))
-                })?
+                let in_scene = recording.markers.iter().position(|m| m.name == *name);
+                match (in_scene, row.arc_length, placed.get(name)) {
+                    (Some(site), ..) => site,
+                    (None, Some(s), Some(&site)) if bits(s) == bits(sites[site].marker.s) => site,
+                    (None, Some(s), Some(&site)) => {
+                        let before = sites[site].marker.s;
+                        let message = format!("marker {name:?} is at s_m = {s}, in a row before at {before}");
+                        return Err(bad(row.line, message));
+                    }
+                    (None, Some(s), None) => {
+                        on_the_rod(row.line, s)?;
+                        placed.insert(name.clone(), sites.len());
+                        sites.push(Placed { label: format!("marker {name}"), ..Placed::at_arc_length(s) });
+                        sites.len() - 1
+                    }
+                    (None, None, _) => {
+                        let remedy = "add it to [[observations.markers]] or to observations.ignore, or \
+                                      give its `s_m` in the file";
+                        return Err(bad(row.line, format!("marker {name:?} has no place: {remedy}")));
+                    }
+                }
             }
             Subject::ArcLength(s) => {
-                if !(*s >= 0.0 && *s <= length * (1.0 + 1e-9)) {
-                    return Err(bad(row.line, format!("s_m = {s} is off the rod (0 to {length} m)")));
-                }
+                on_the_rod(row.line, *s)?;
                 *site_of.entry(bits(*s)).or_insert_with(|| {
                     sites.push(Placed::at_arc_length(*s));
                     sites.len() - 1

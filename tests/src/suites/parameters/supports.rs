@@ -1,4 +1,5 @@
-//! Supports that are not quite where the scene has them: clamps askew, drives, and a base recorded with noise.
+//! Supports that are not quite where the scene has them: clamps askew, drives, and a base recorded with
+//! noise.
 
 use std::fmt::Write;
 

@@ -333,6 +333,18 @@ const RECORDINGS: &[Input] = &[
         Warned("observations.file", &["left out", "500 rows"]),
     ),
     (
+        "a marker with its place in the file",
+        &["observations.outside_window=skip"],
+        || placed([0.375, 0.375]),
+        Right,
+    ),
+    (
+        "a marker at two places",
+        &["observations.outside_window=skip"],
+        || placed([0.375, 0.38]),
+        Refused(&["seen.csv:4", "marker \"third\" is at s_m = 0.38", "0.375"]),
+    ),
+    (
         "markers that were never seen",
         &[],
         || "time_s,marker,x_m,y_m,z_m\n0.1,tip,,,\n0.2,tip,,,\n".into(),
@@ -435,6 +447,12 @@ fn clean() -> String {
 }
 
 /// Too little to contradict a drive.
+/// A marker that the scene does not list, at places of its own.
+fn placed(places: [f64; 2]) -> String {
+    let [a, b] = places.map(|s| format!("third,{s},0,0,{}", 1.0 - places[0]));
+    format!("time_s,marker,s_m,x_m,y_m,z_m\n0,tip,,0,0,0.5\n0,{a}\n0.01,{b}\n0.01,tip,,0,0,0.5\n")
+}
+
 fn none() -> String {
     "time_s,marker,x_m,y_m,z_m\n0,tip,0,0,0.5\n".into()
 }
