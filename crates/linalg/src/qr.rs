@@ -1,6 +1,6 @@
 //! A root of a covariance with no more columns than rows (faer's QR decomposition).
 
-use super::View;
+use crate::dense::View;
 use crate::interrupt::apart;
 use crate::{Error, clear_upper_registers};
 use faer::dyn_stack::{MemBuffer, MemStack};
@@ -13,7 +13,7 @@ use faer::{Mat, MatMut, Par};
 ///
 /// ```
 /// // (3, 4) is as (5)
-/// let l = varda_linalg::dense::shorter_root(1, &[3.0, 4.0])?;
+/// let l = varda_linalg::shorter_root(1, &[3.0, 4.0])?;
 /// assert!(l.len() == 1 && (l[0].abs() - 5.0).abs() < 1e-14);
 /// # Ok::<(), varda_linalg::Error>(())
 /// ```
