@@ -4,7 +4,8 @@ use nalgebra::Vector3;
 use varda_implicit::Law;
 
 use crate::element::{self, Strains};
-use crate::moved::{Increments, Moved};
+use crate::moved::Moved;
+use crate::moved_increment::Increments;
 use crate::rod::Rod;
 use crate::rotation::{exponential, left_jacobian};
 use crate::support::Damping;

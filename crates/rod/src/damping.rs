@@ -11,7 +11,7 @@ use varda_implicit::Interval;
 
 use crate::element::{LOCAL, STRAINS, Strains};
 use crate::layout::{FIXED, Layout, band_product_add};
-use crate::moved::{Increments, in_full_order};
+use crate::moved_increment::{Increments, in_full_order};
 use crate::shape::{HOLONOMY, Shape, holonomy, holonomy_transpose_add, kept_bend};
 use crate::stage::{RodStage, mixed, mixed_add};
 use crate::system::{PastStrains, System};

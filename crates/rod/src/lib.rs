@@ -123,6 +123,7 @@ mod marker;
 mod material;
 mod modes;
 mod moved;
+mod moved_increment;
 mod parameters;
 mod predict;
 mod quasi_static;

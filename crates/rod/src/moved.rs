@@ -7,13 +7,7 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 use varda_implicit::Law;
 
-use crate::Error;
-use crate::change::Parameter;
-use crate::layout::{FIXED, Layout};
-use crate::rotation::left_jacobian;
-use crate::shape::Shape;
-use crate::support::{EllipseDrive, Motion, Supports};
-use crate::system::{StageStart, System};
+use crate::support::{EllipseDrive, Motion};
 
 /// A support of a rod.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -99,13 +93,13 @@ impl PartialEq for Displacement {
 
 /// A motion of a support by a parameter.
 #[derive(Clone)]
-struct Item {
+pub(crate) struct Item {
     parameter: usize,
     law: Law,
-    moved: Moved,
+    pub(crate) moved: Moved,
     /// g and g′ at the present values.
     g: f64,
-    slope: f64,
+    pub(crate) slope: f64,
 }
 
 /// All of them, and where they have the supports at the present values.
@@ -119,16 +113,17 @@ pub(crate) struct Moves {
 }
 
 impl Moves {
-    pub(crate) fn of(parameters: &[Parameter]) -> Moves {
+    /// Of parameters with these laws, in their order.
+    pub(crate) fn of<'a>(parameters: impl IntoIterator<Item = (Law, &'a [Moved])>) -> Moves {
         let mut all = Moves::default();
-        for (parameter, Parameter { change, law }) in parameters.iter().enumerate() {
-            for moved in &change.supports {
+        for (parameter, (law, supports)) in parameters.into_iter().enumerate() {
+            for moved in supports {
                 if let MovedBy::Drive { drive, .. } = moved.by
                     && all.drives.iter().all(|known| known.0 != moved.of)
                 {
                     all.drives.push((moved.of, [drive; 2]));
                 }
-                let (law, moved) = (*law, moved.clone());
+                let moved = moved.clone();
                 all.items.push(Item { parameter, law, moved, g: 0.0, slope: 1.0 });
             }
         }
@@ -167,6 +162,12 @@ impl Moves {
         }
     }
 
+    /// What one of them does.
+    pub(crate) fn of_parameter(&self, parameter: usize) -> impl Iterator<Item = &Item> {
+        let first = self.items.partition_point(|item| item.parameter < parameter);
+        self.items[first..].iter().take_while(move |item| item.parameter == parameter)
+    }
+
     /// The rotation vector of a clamp in its own axes.
     pub(crate) fn turn(&self, end: bool) -> &Vector3<f64> {
         &self.turns[usize::from(end)]
@@ -193,7 +194,7 @@ impl Moves {
     }
 
     /// ∂(place)/∂p at time t.
-    fn rate(&self, item: &Item, t: f64) -> Vector3<f64> {
+    pub(crate) fn rate(&self, item: &Item, t: f64) -> Vector3<f64> {
         let by = match &item.moved.by {
             MovedBy::Turn(_) => Vector3::zeros(),
             MovedBy::Along(along) => along.0.at(t),
@@ -204,226 +205,4 @@ impl Moves {
         };
         by * item.slope
     }
-}
-
-/// What a parameter does to the supports of a rod at one time.
-#[derive(Clone, Copy)]
-pub(crate) struct MovedSupports {
-    /// Whether it moves any.
-    any: bool,
-    /// By how much the two clamps turn about their tangents, beyond what carries their section along.
-    about: [f64; 2],
-}
-
-impl System {
-    /// ∂(places)/∂p at time t in all vertices, zero in those that are free.
-    pub(crate) fn moved_places(
-        &self,
-        parameter: usize,
-        t: f64,
-        places: &mut [Vector3<f64>],
-    ) -> Result<MovedSupports, Error> {
-        places.fill(Vector3::zeros());
-        let (n, mut of) = (self.rod.segments(), MovedSupports { any: false, about: [0.0; 2] });
-        let items = &self.moves.items;
-        let first = items.partition_point(|item| item.parameter < parameter);
-        for item in items[first..].iter().take_while(|item| item.parameter == parameter) {
-            let moved = self.moves.rate(item, t);
-            let [vertex, beside] = match item.moved.of {
-                HeldAt::Vertex(v) => [v, v],
-                HeldAt::Start => [0, 1],
-                HeldAt::End => [n, n - 1],
-            };
-            of.any |= moved != Vector3::zeros();
-            places[vertex] += moved;
-            if beside == vertex {
-                continue;
-            }
-            places[beside] += moved;
-            if let MovedBy::Turn(by) = &item.moved.by {
-                let end = item.moved.of == HeldAt::End;
-                let frame = self.clamp_frame(end, t)?.expect("a clamp that turns is one of the rod");
-                let omega = frame.axes * (left_jacobian(self.moves.turn(end)) * by) * item.slope;
-                let length = self.rod.rest_lengths[if end { n - 1 } else { 0 }];
-                let arm = frame.tangent * if end { -length } else { length };
-                places[beside] += omega.cross(&arm);
-                of.about[usize::from(end)] += omega.dot(&frame.tangent);
-                of.any |= omega != Vector3::zeros();
-            }
-        }
-        Ok(of)
-    }
-
-    /// What a parameter does to a configuration by moving supports, its stored angles and free vertices as
-    /// they are: `places` of all vertices, and `angles` of all edges in their local gauge. Returns how
-    /// the end clamp's stored angle changes; `None` where nothing moves.
-    pub(crate) fn moved_increment(
-        &self,
-        shape: &Shape,
-        parameter: usize,
-        t: f64,
-        places: &mut [Vector3<f64>],
-        angles: &mut [f64],
-    ) -> Option<f64> {
-        let moved = self.moved_places(parameter, t, places).expect("supports were placed at this time");
-        if !moved.any {
-            return None;
-        }
-        angles.fill(0.0);
-        if !self.layout.bending {
-            return Some(0.0);
-        }
-        shape.holonomy(places, angles);
-        let [start, end] = moved.about;
-        let psi = angles.last().copied().unwrap_or(0.0);
-        // a stored angle stays while the frame it is measured from is turned
-        let all = if !self.layout.twist && self.supports.end.is_some() { psi + end } else { start };
-        angles.iter_mut().for_each(|angle| *angle = all - *angle);
-        if let (Some(last), true) = (angles.last_mut(), self.supports.end.is_some()) {
-            *last = end;
-        }
-        Some(end - start + psi)
-    }
-
-    /// out (in the full order) += the second derivatives of the elastic energy of the present shape and
-    /// stiffness times an increment of all places and local angles.
-    pub(crate) fn elastic_second_add(&self, places: &[Vector3<f64>], angles: &[f64], out: &mut [f64]) {
-        use crate::element;
-        let System { layout, shape, stretch, bend, .. } = self;
-        for (e, edge) in shape.edges.iter().enumerate() {
-            let longer = places[e + 1] - places[e];
-            if longer == Vector3::zeros() {
-                continue;
-            }
-            let (k, rest) = stretch[e];
-            let force = element::stretch(edge, rest, k).2 * longer;
-            let (a, b) = (layout.vertex(e), layout.vertex(e + 1));
-            for c in 0..3 {
-                out[a + c] -= force[c];
-                out[b + c] += force[c];
-            }
-        }
-        if !layout.bending {
-            return;
-        }
-        for i in 1..layout.segments {
-            let (a, b, turn, k) = (&shape.edges[i - 1], &shape.edges[i], shape.turn(i), &bend[i - 1]);
-            let near = [places[i - 1], places[i], places[i + 1]];
-            let out = &mut out[layout.vertex(i - 1)..];
-            if layout.twist {
-                let [x, y, z] = near;
-                let (p, q) = (angles[i - 1], angles[i]);
-                let by = [x.x, x.y, x.z, p, y.x, y.y, y.z, q, z.x, z.y, z.z];
-                if by != [0.0; 11] {
-                    let (m, strains) = (shape.directors(i), shape.strains(i));
-                    lower_times_add(&element::bend_twist(a, b, turn, &m, &strains, k).hessian, &by, out);
-                }
-            } else if near.iter().any(|place| *place != Vector3::zeros()) {
-                let [x, y, z] = near;
-                let by = [x.x, x.y, x.z, y.x, y.y, y.z, z.x, z.y, z.z];
-                lower_times_add(&element::isotropic_bend(a, b, turn, k.bend[0]).hessian, &by, out);
-            }
-        }
-    }
-
-    /// dg += what moved supports do to loads of the motion, by increments of the stage and of the places
-    /// that it starts from.
-    pub(crate) fn moved_loads_add(
-        &self,
-        start: Option<StageStart>,
-        [places, start_places]: [&[Vector3<f64>]; 2],
-        angles: &[f64],
-        dg: &mut [f64],
-    ) {
-        let rate = start.map_or(0.0, |start| 1.0 / start.length);
-        self.each_load(start, |acts, motion, unknown| {
-            let e = motion.edge;
-            let moved = |of: &[Vector3<f64>], b: usize| of[e + b / 3][b % 3];
-            let by_places = acts.by_places_of_carried(motion);
-            for a in (0..6).filter(|&a| unknown[a] != FIXED) {
-                let by = |b: usize| {
-                    let velocity = rate * (moved(places, b) - moved(start_places, b));
-                    by_places[(a, b)] * moved(places, b) + acts.by_velocities[(a, b)] * velocity
-                };
-                dg[unknown[a]] -= (0..6).map(by).sum::<f64>() + acts.by_angle[a] * angles[e];
-            }
-            if unknown[6] != FIXED {
-                let by = |b: usize| acts.moment_by_places[b] * moved(places, b);
-                dg[unknown[6]] -= (0..6).map(by).sum::<f64>() + acts.moment_by_angle * angles[e];
-            }
-        });
-    }
-}
-
-/// Work space: increments of places and local angles.
-pub(crate) struct Increments {
-    pub(crate) places: Vec<Vector3<f64>>,
-    pub(crate) start: Vec<Vector3<f64>>,
-    pub(crate) one: Vec<Vector3<f64>>,
-    pub(crate) angles: Vec<f64>,
-    pub(crate) full: Vec<f64>,
-}
-
-impl Increments {
-    pub(crate) fn of(system: &System) -> Increments {
-        let n = system.rod.segments();
-        let places = || vec![Vector3::zeros(); n + 1];
-        Increments {
-            places: places(),
-            start: places(),
-            one: places(),
-            angles: vec![0.0; n],
-            full: vec![0.0; system.layout.full()],
-        }
-    }
-}
-
-/// An increment of places and local angles in the full order.
-pub(crate) fn in_full_order(layout: &Layout, places: &[Vector3<f64>], angles: &[f64], full: &mut [f64]) {
-    for (v, place) in places.iter().enumerate() {
-        full[layout.vertex(v)..layout.vertex(v) + 3].copy_from_slice(place.as_slice());
-    }
-    if layout.twist {
-        for (e, angle) in angles.iter().enumerate() {
-            full[layout.angle(e)] = *angle;
-        }
-    }
-}
-
-/// out += a symmetric matrix, of which the lower triangle is read, times x.
-fn lower_times_add<const N: usize>(h: &[[f64; N]; N], x: &[f64; N], out: &mut [f64]) {
-    for i in 0..N {
-        let mut sum = h[i][i] * x[i];
-        for j in 0..i {
-            sum += h[i][j] * x[j];
-            out[j] += h[i][j] * x[i];
-        }
-        out[i] += sum;
-    }
-}
-
-/// # Errors
-/// A parameter that moves a support which the rod does not have, or a rod that resists spins, whose frames
-/// such a parameter would move.
-pub(crate) fn check(moved: &Moved, system: &System) -> Result<(), Error> {
-    let Supports { start, end, prescribed, .. } = &system.supports;
-    let n = system.rod.segments();
-    let (vertex, is) = match moved.of {
-        HeldAt::Start => (0, start.is_some()),
-        HeldAt::End => (n, end.is_some()),
-        HeldAt::Vertex(v) => {
-            (v, prescribed.iter().any(|p| p.0 == v) && !matches!(moved.by, MovedBy::Turn(_)))
-        }
-    };
-    let refused = |reason| Err(Error::Support { vertex, reason });
-    if !is {
-        return refused("a parameter moves or turns it, and no such support holds it");
-    }
-    if system.layout.spins {
-        return refused("it is not moved by a parameter where sections have inertia against twist");
-    }
-    if system.layout.twist && system.layout.turns_freely() {
-        return refused("it is not moved by a parameter where the rod twists and no clamp holds a section");
-    }
-    Ok(())
 }

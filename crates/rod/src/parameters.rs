@@ -8,7 +8,8 @@ use crate::change::{Change, Parameter, Parameters};
 use crate::damping::KelvinVoigt;
 use crate::dynamics::{RodStep, TwistUnknowns};
 use crate::layout::FIXED;
-use crate::moved::{self, Increments, Moves};
+use crate::moved::Moves;
+use crate::moved_increment::{self, Increments};
 use crate::rod::Rod;
 use crate::support::{Damping, Loads, Supports};
 use crate::system::{PastStrains, StageStart};
@@ -68,7 +69,7 @@ impl RodStep {
         for parameter in &parameters {
             check(&parameter.change, &rod, &damping, step.system.layout.bending)?;
             for moved in &parameter.change.supports {
-                moved::check(moved, &step.system)?;
+                moved_increment::check(moved, &step.system)?;
             }
         }
         let gravity = step.system.loads.gravity;
@@ -76,7 +77,7 @@ impl RodStep {
         let none = PastStrains::default();
         let turn = Vector3::zeros();
         let moved = Increments::of(&step.system);
-        step.take_moves(Moves::of(&parameters));
+        step.take_moves(Moves::of(parameters.iter().map(|p| (p.law, &p.change.supports[..]))));
         let all = Parameters { list: parameters, rod, damping, gravity, slopes, turn, none, moved };
         step.parameters = Some(Box::new(all));
         Ok(step)
@@ -212,8 +213,8 @@ impl RodStep {
     /// with w(t) the increment of held places and local angles at the time of a configuration,
     ///
     /// ```text
-    /// ∂²Φ/∂u∂(x, α) w(t*) − (β/η) Σ_j w_j ∇ε k ∇ε(past j)ᵀ w(t_j) − ∂F/∂v (w(t*)
-    /// − w*)/η
+    /// ∂²Φ/∂u∂(x, α) w(t*) − (β/η) Σ_j w_j ∇ε k ∇ε(past j)ᵀ w(t_j)
+    ///                     − ∂F/∂v (w(t*) − w*)/η
     /// ```
     fn moved_equations(&mut self, of: &SolvedStep<'_>, p: usize, work: &mut Increments, dg: &mut [f64]) {
         let stage = self.stage(of.at);

@@ -44,8 +44,8 @@ impl<V: Into<Vector3<f64>>, F: Fn(f64) -> V + Send + Sync> Motion for F {
 /// The paper's drive: an ellipse in the xy plane, faded in by a quintic ramp.
 ///
 /// ```text
-/// x(t) = c + a(u) (r_x cos(ωt + φ), r_y sin(ωt + φ), 0),   a = u³ (10 − 15u + 6u²),   u = min(1, t /
-/// T_ramp)
+/// x(t) = c + a(u) (r_x cos(ωt + φ), r_y sin(ωt + φ), 0)
+/// a = u³ (10 − 15u + 6u²),   u = min(1, t / T_ramp)
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EllipseDrive {

@@ -4,15 +4,15 @@ mod common;
 
 use std::f64::consts::PI;
 
-use common::{assert_close, noise, products};
+use common::{Dashpot, assert_close, noise, products};
 use varda_implicit::{
     At, Error, ImplicitModel, ImplicitStep, Model, ObservationOperator, ParametricStep, Scheme, SolvedStep,
     WithParameters,
 };
 use varda_rod::{
-    Change, Clamp, ClampAt, Damping, Displacement, Drag, EdgeLoad, EdgeMotion, EllipseDrive, HeldAt, Law,
-    Load, Loads, Marker, Markers, Material, Motion, Moved, MovedBy, Parameter, Rod, RodStep, Section,
-    Supports, TwistUnknowns, Vector3, straight_guess,
+    Change, Clamp, ClampAt, Damping, Displacement, Drag, EllipseDrive, HeldAt, Law, Loads, Marker, Markers,
+    Material, Motion, Moved, MovedBy, Parameter, Rod, RodStep, Section, Supports, TwistUnknowns, Vector3,
+    straight_guess,
 };
 
 const SEGMENTS: usize = 8;
@@ -185,28 +185,6 @@ fn unknowns(case: Case) -> Vec<Parameter> {
         all.extend(moves(case));
     }
     all
-}
-
-/// A force −c (v_b − v_a) on the second vertex of an edge and its opposite on the first: that on a free
-/// one depends on how fast the held one moves.
-struct Dashpot(f64);
-
-impl Load for Dashpot {
-    fn has_potential(&self) -> bool {
-        false
-    }
-    fn on_edge(&self, motion: &EdgeMotion) -> EdgeLoad {
-        let [a, b] = motion.velocities;
-        let mut load = EdgeLoad::zero();
-        let force = (b - a) * self.0;
-        for c in 0..3 {
-            (load.forces[c], load.forces[3 + c]) = (force[c], -force[c]);
-            for (row, column, sign) in [(0, 0, -1.0), (0, 3, 1.0), (3, 0, 1.0), (3, 3, -1.0)] {
-                load.by_velocities[(row + c, column + c)] = sign * self.0;
-            }
-        }
-        load
-    }
 }
 
 const DOWN: Loads =

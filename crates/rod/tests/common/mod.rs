@@ -4,6 +4,7 @@
 #![allow(dead_code)]
 
 use varda_implicit::Model;
+use varda_rod::{EdgeLoad, EdgeMotion, Load};
 
 /// A smooth pseudo-random sequence in [−1, 1].
 pub(crate) fn noise(seed: usize) -> impl Iterator<Item = f64> {
@@ -76,4 +77,26 @@ pub(crate) fn products(model: &mut dyn Model, z: &[f64]) -> Vec<Product> {
         x = next;
     }
     all
+}
+
+/// A force −c (v_b − v_a) on the second vertex of an edge and its opposite on the first: that on a free
+/// one depends on how fast the held one moves.
+pub(crate) struct Dashpot(pub(crate) f64);
+
+impl Load for Dashpot {
+    fn has_potential(&self) -> bool {
+        false
+    }
+    fn on_edge(&self, motion: &EdgeMotion) -> EdgeLoad {
+        let [a, b] = motion.velocities;
+        let mut load = EdgeLoad::zero();
+        let force = (b - a) * self.0;
+        for c in 0..3 {
+            (load.forces[c], load.forces[3 + c]) = (force[c], -force[c]);
+            for (row, column, sign) in [(0, 0, -1.0), (0, 3, 1.0), (3, 0, 1.0), (3, 3, -1.0)] {
+                load.by_velocities[(row + c, column + c)] = sign * self.0;
+            }
+        }
+        load
+    }
 }

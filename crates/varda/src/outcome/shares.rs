@@ -9,9 +9,9 @@ pub struct Share {
     pub part: &'static str,
     /// Its J.
     pub j: f64,
-    /// Its mean where B, Q and R are right and the model is about linear within them: ½ tr(I − A⁻¹) of
-    /// its unknowns, and ½m less those of the observations; `null` without a posterior, or with a robust
-    /// norm.
+    /// Its mean where B, Q and R are right and the model is about linear within them: half of its degrees
+    /// of freedom for signal, and for the observations what these leave of ½m; `null` without a posterior,
+    /// or with a robust norm.
     pub expected: Option<f64>,
 }
 

@@ -82,9 +82,10 @@ impl Prior {
 /// The posterior given the constants. With the rows W_x, W_p of a root of P_a,
 ///
 /// ```text
-/// P_{x|p} = P_x − P_xp P_p⁻¹ P_px = W_x (I − Q Qᵀ) W_xᵀ,   Q an orthonormal basis of the rows of
-/// W_p
+/// P_{x|p} = P_x − P_xp P_p⁻¹ P_px = W_x (I − Q Qᵀ) W_xᵀ
 /// ```
+///
+/// with Q an orthonormal basis of the rows of W_p.
 pub(super) struct Given {
     /// The vectors of Q, one after the other.
     basis: Vec<f64>,

@@ -3,8 +3,10 @@
 use varda_covariance::{
     BlockDiagonal, Covariance, CovarianceFunction, Diagonal, Kernel, Markov, Precision, Taper,
 };
-use varda_rod::{Change, Damping, Law, Parameter, Rod, Section, Vector3};
+use varda_rod::{Change, Damping, Law, MovedBy, Parameter, Rod, Section, Vector3};
 
+pub use super::constant::Constant;
+use super::constant::{Effect, Kind, times};
 use super::covariance::{Factored, WithoutError};
 use super::estimate_supports;
 use super::motion::Followed;
@@ -56,55 +58,6 @@ impl Seeing {
     }
 }
 
-/// An unknown constant: a number p of the control whose prior is N(0, σ²).
-#[derive(Debug, Clone, PartialEq)]
-pub struct Constant {
-    /// Its name, as `ei[0]`.
-    pub name: String,
-    /// Its SI unit; "1" for none.
-    pub unit: &'static str,
-    /// Its value at p = 0.
-    pub value: f64,
-    /// Linear: the constant is `value` + p. Exponential: it is `value` eᵖ.
-    pub law: Law,
-    /// σ of p.
-    pub sigma: f64,
-}
-
-impl Constant {
-    /// Name and unit of its number in the control.
-    pub(crate) fn of_control(&self) -> (String, &'static str) {
-        match self.law {
-            Law::Linear => (format!("change of {}", self.name), self.unit),
-            Law::Exponential => (format!("ln of {} over its prior", self.name), "1"),
-        }
-    }
-
-    /// The constant at p.
-    pub fn at(&self, p: f64) -> f64 {
-        match self.law {
-            Law::Linear => self.value + p,
-            Law::Exponential => self.value * p.exp(),
-        }
-    }
-
-    /// The number p at which the constant has a value.
-    pub(crate) fn number_of(&self, value: f64) -> f64 {
-        match self.law {
-            Law::Linear => value - self.value,
-            Law::Exponential => (value / self.value).ln(),
-        }
-    }
-
-    /// Its σ where that of p is `sigma`, to first order about p.
-    pub fn sigma_at(&self, p: f64, sigma: f64) -> f64 {
-        match self.law {
-            Law::Linear => sigma,
-            Law::Exponential => self.at(p).abs() * sigma,
-        }
-    }
-}
-
 /// The rod before and after the masses hung on it, and its section.
 pub(crate) struct Described<'a> {
     pub(crate) section: &'a Section,
@@ -132,6 +85,25 @@ impl Estimates {
     /// Whether their priors are independent of each other.
     pub(crate) fn are_independent(&self) -> bool {
         self.fields.is_empty()
+    }
+
+    /// σ of how far drives and recorded places of supports are off \[m\].
+    pub(crate) fn supports_off(&self) -> f64 {
+        let (mut recorded, mut driven) = (0.0_f64, 0.0);
+        for (parameter, constant) in self.of_rod.iter().zip(&self.constants) {
+            for moved in &parameter.change.supports {
+                match &moved.by {
+                    MovedBy::Along(_) => recorded = recorded.max(constant.sigma),
+                    MovedBy::Drive { drive, radii, phase } => {
+                        let by_phase = phase * drive.radii[0].max(drive.radii[1]);
+                        driven += (constant.sigma * radii[0].hypot(radii[1]).hypot(by_phase)).powi(2);
+                    }
+                    // what is on the rod stays as far from its support
+                    MovedBy::Turn(_) => {}
+                }
+            }
+        }
+        recorded.hypot(driven.sqrt())
     }
 
     /// How many of them the model does not depend on.
@@ -430,22 +402,6 @@ impl Estimates {
     }
 }
 
-/// A constant of a rod.
-pub(super) struct Kind {
-    pub(super) name: String,
-    pub(super) unit: &'static str,
-    pub(super) value: f64,
-    pub(super) change: Effect,
-}
-
-/// What a constant changes.
-pub(super) enum Effect {
-    /// At its full value: the change is proportional to it.
-    Share(Change),
-    /// Where it grows by one unit.
-    Unit(Change),
-}
-
 /// The components of a key, in order.
 fn kinds(key: &'static str, model: &RodModel, d: &Described, together: bool) -> Vec<Kind> {
     let rod = d.rod;
@@ -540,23 +496,6 @@ fn across(gravity: Vector3<f64>) -> [Vector3<f64>; 2] {
     let first = first.unwrap_or_else(Vector3::z);
     let first = (first - down * first.dot(&down)).normalize();
     [first, first.cross(&down)]
-}
-
-fn times(change: Change, factor: f64) -> Change {
-    let scaled = |v: Vec<f64>| v.into_iter().map(|v| factor * v).collect();
-    Change {
-        ea: scaled(change.ea),
-        ei: change.ei.into_iter().map(|k| k.map(|k| factor * k)).collect(),
-        gj: scaled(change.gj),
-        natural_curvature: change.natural_curvature.into_iter().map(|k| k.map(|k| factor * k)).collect(),
-        natural_twist: scaled(change.natural_twist),
-        masses: scaled(change.masses),
-        spin_inertia: scaled(change.spin_inertia),
-        damping: Damping { stiffness: factor * change.damping.stiffness, mass: factor * change.damping.mass },
-        gravity: change.gravity * factor,
-        gravity_turn: change.gravity_turn * factor,
-        supports: change.supports.into_iter().map(|moved| moved.times(factor)).collect(),
-    }
 }
 
 /// Names of what is observed, in the order of its rows.

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use varda_rod::{Change, Displacement, EllipseDrive, HeldAt, Law, Moved, MovedBy, Parameter, Vector3};
 
-use super::estimate::{Constant, Effect, Kind};
+use super::constant::{Constant, Effect, Kind};
 use super::motion::{Followed, drive};
 use crate::scene::{Estimate, Motion, RodModel, Unknown};
 
@@ -102,10 +102,15 @@ pub(super) fn kinds(key: &str, model: &RodModel, estimate: &Estimate, isotropic:
 ///
 /// Σ B² is between 0.46 and 0.5, 0.4799 in the mean, so that e has the variance σ_e² within 4 %. With a
 /// `correlation_time` that is h, and σ_e what is given. Without, errors of rows are independent with the σ
-/// given, Δt apart; smoothing by third differences (cut-off f) leaves σ_e² = σ² 2Δt ∫ (1 +
-/// (ν/f)⁶)⁻² dν = 1.745 f Δt σ² of it, with the spectral density σ² Δt well below f and a
-/// quarter of that at f. e has the density σ_c² h sinc⁸(νh): with h = 1/4f, 0.91 and 0.39 times σ²
-/// Δt. Where every row is followed, f is half of their rate.
+/// given, Δt apart; smoothing by third differences with the cut-off f leaves of it
+///
+/// ```text
+/// σ_e² = σ² 2Δt ∫ (1 + (ν/f)⁶)⁻² dν = 1.745 f Δt σ²
+/// ```
+///
+/// with the spectral density σ² Δt well below f and a quarter of that at f. That of e is
+/// σ_c² h sinc⁸(νh): with h = 1/4f, 0.91 and 0.39 times σ² Δt. Where every row is followed, f is half
+/// of their rate.
 ///
 /// # Errors
 /// What is wrong with the key.

@@ -75,6 +75,8 @@ pub struct Sizes {
     pub shown: usize,
     /// Columns of the root of the localization of an ensemble, about; 0 without one.
     pub localization: usize,
+    /// Constants that are estimated, the last numbers of the control.
+    pub constants: usize,
 }
 
 /// Bytes a run takes.
@@ -203,6 +205,10 @@ impl Memory {
         let ensemble = algorithm.members().map(|e| EnsembleSize::of(scene, e.members, sizes, m));
         let dense = if let Some(ensemble) = &ensemble {
             ensemble.dense(posterior).saturating_add(if cycled.is_some() { ensemble.carried() } else { 0 })
+        } else if is_known(scene) && !algorithm.method.is_weak() {
+            // G, and columns of the length of the control: roots of B and P_a, and what is carried along
+            let columns = sizes.constants;
+            columns.saturating_mul(4 * n + 3 * sizes.state + 3 * m).saturating_add(5 * columns * columns)
         } else if algorithm.method.is_weak() {
             let carried = if cycled.is_none() { weak_carried(n, n + errors, m, sizes.state) } else { 0 };
             if posterior { weak_posterior(n, n + errors, m).max(carried) } else { 0 }
@@ -218,6 +224,12 @@ impl Memory {
                 // σ of a rod's forces: their tangents along the columns of the root at two steps, beside
                 // what is left of the Hessian
                 .saturating_add(if forces && m >= n { square.saturating_mul(3) } else { 0 })
+                // an orthonormal basis of what the columns of the root are in the constants, and what each
+                // constant does to forces
+                .saturating_add(match posterior {
+                    true => sizes.constants.saturating_mul(n.saturating_add(3 * sizes.state)),
+                    false => 0,
+                })
                 // Newton's factor beside the Hessian
                 .saturating_add(if algorithm.minimizer == Minimizer::Newton { square } else { 0 })
                 // the root that is carried on, cut by its singular values
@@ -364,6 +376,7 @@ impl Sizes {
             steps: inputs.file.scene.time.window,
             shown: inputs.grid.last_step(),
             localization: localization(inputs),
+            constants: inputs.system.layout().constants.len(),
         }
     }
 }
@@ -492,6 +505,11 @@ fn error_columns(scene: &Scene, control: usize, q: &Covariance) -> usize {
     };
     let columns = waves(k.correlation_length_x).saturating_add(waves(k.correlation_length_v));
     error_numbers(scene, columns.min(control))
+}
+
+/// Whether only the constants of `[estimate]` are unknown.
+fn is_known(scene: &Scene) -> bool {
+    matches!(scene.background.covariance, Covariance::Known(_))
 }
 
 fn windows(scene: &Scene) -> usize {

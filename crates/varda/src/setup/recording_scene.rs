@@ -277,8 +277,8 @@ impl Recorded {
                     let s = track.arc_length;
                     let _ = write!(
                         out,
-                        "\n[[observations.markers]]\nname = {name:?}\narc_length = {s:?}              # from the \
-                         file\n# use = \"withhold\"               # keep it back to test the analysis\n"
+                        "\n[[observations.markers]]\nname = {name:?}\narc_length = {s:?}  # from the file\n\
+                         # use = \"withhold\"               # keep it back to test the analysis\n"
                     );
                     continue;
                 }

@@ -210,7 +210,7 @@ pub(crate) fn recorded(
 }
 
 /// By how much σ of rows may be larger than the scene says, and how far supports may be from where they are
-/// taken to be \[m\], where σ and clock are estimated: two σ, and one.
+/// taken to be \[m\], where σ, clock, drives and recorded places are estimated: two σ, and one.
 fn unknown_errors(files: &Files, rod: &RodSystem, run: [f64; 2]) -> Result<(f64, f64), Error> {
     let prior = |key: &str, unknown: &Option<Unknown>| -> Result<f64, Error> {
         Ok(match files.scene.prior_of_one(key, unknown)? {
@@ -221,7 +221,7 @@ fn unknown_errors(files: &Files, rod: &RodSystem, run: [f64; 2]) -> Result<(f64,
     let estimate = &files.scene.scene.estimate;
     let share = prior("estimate.observation_sigma", &estimate.observation_sigma)?;
     let late = prior("estimate.clock", &estimate.clock)? * speed_of_supports(&rod.parts, run);
-    Ok(((2.0 * share).exp(), late))
+    Ok(((2.0 * share).exp(), late.hypot(rod.parts.estimates.supports_off())))
 }
 
 /// Rows of a recording while those that cannot be true are looked for.

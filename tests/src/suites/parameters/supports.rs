@@ -1,5 +1,4 @@
-//! Supports that are not quite where the scene has them: clamps askew, drives, and a base recorded with
-//! noise.
+//! Supports that are not quite where the scene has them: clamps askew, drives, a base recorded with noise.
 
 use std::fmt::Write;
 
@@ -26,6 +25,7 @@ pub(super) fn run(rows: &mut Rows, quick: bool) {
     rows.case("products of what supports move", products);
     let seeds = if quick { 6 } else { 40 };
     rows.case("a base recorded with 1 mm of noise", |case| base(case, seeds));
+    rows.case("a row just beyond the reach of a recorded base", beyond);
     rows.case("parts of J, and σ with the constants known", parts);
     for p in rows.grid("priors of supports", [1e-6, 1.0, 1e3, 1e6]) {
         rows.case(&format!("supports at {p:e} times their priors"), |case| extreme(case, p));
@@ -67,7 +67,7 @@ fn gripped(case: &mut Case) -> Outcome {
         };
         let mut central = |h: f64| Ok::<f64, varda_assimilation::Error>((at(h)? - at(-h)?) / (2.0 * h));
         let difference = (4.0 * central(1e-3)? - central(2e-3)?) / 3.0;
-        let error = (gradient[p] - difference).abs() / gradient[p].abs().max(1e-6 * size);
+        let error = (gradient[p] - difference).abs() / gradient[p].abs().max(1e-5 * size);
         // six directions stand before the errors of the places
         let kind = usize::from(p >= n - constants + 6);
         worst[kind] = worst[kind].max(error);
@@ -285,6 +285,25 @@ fn base(case: &mut Case, seeds: u64) -> Outcome {
         .because("σ that does not know of an error is too small: else this case shows nothing")
         .computed(without)
         .note(format!("mean σ {:.3} mm", sigma[0]));
+    Ok(())
+}
+
+/// 3 cm beyond where the rod reaches from the recorded place: more than stretch and noise of the marker, and
+/// about one σ of the base.
+fn beyond(case: &mut Case) -> Outcome {
+    let folder = Folder::new("beyond")?;
+    folder.write("base.csv", rows_of_base(|| 0.0).as_bytes())?;
+    let tip = moved(0.1) + Vector3::new(0.0, 0.0, 1.0 - PLACES[3] - 0.03);
+    let row = format!("time_s,marker,x_m,y_m,z_m\n0.1,m3,{},{},{}\n", tip.x, tip.y, tip.z);
+    folder.write("seen.csv", row.as_bytes())?;
+    let refused = |sets: &[&str]| -> Result<bool, varda::Error> {
+        let sets = [&["observations.sigma=0.0005"], sets].concat();
+        let problem = Problem::from_scene(&folder.scene(&driven("cutoff = 20.0"), &sets)?);
+        Ok(problem.is_err_and(|error| error.to_string().contains("reach")))
+    };
+    case.count("refused where the base is known", usize::from(refused(&[])?), 1);
+    let known = refused(&["estimate.base={sigma=0.03}"])?;
+    case.count("refused where it is uncertain", usize::from(known), 0);
     Ok(())
 }
 
