@@ -7,15 +7,9 @@ use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::qr::no_pivoting::factor::{qr_in_place, qr_in_place_scratch, recommended_block_size};
 use faer::{Mat, MatMut, Par};
 
-<<<<<<< HEAD:crates/linalg/src/dense/shorter_root.rs
-/// L, n × n and lower triangular, with L Lᵀ = W Wᵀ, from W of n rows and more columns: Rᵀ of Wᵀ = Q
-/// R. Keeps the digits that the product W Wᵀ would lose. Both by columns; a W of n columns or fewer is
-/// given back.
-=======
 /// A root with n columns: L, lower triangular, with L Lᵀ = W Wᵀ, from W of n rows and more columns;
 /// Rᵀ of Wᵀ = Q R. It keeps the digits that the product W Wᵀ would lose. Both by columns; a W of n
 /// columns or fewer is given back.
->>>>>>> bb:crates/linalg/src/qr.rs
 ///
 /// ```
 /// // (3, 4) is as (5)
