@@ -39,10 +39,11 @@ fn what_a_shape_has_not_is_named() {
     let times = "time_s,s_m,x_m,y_m,z_m\n0,0.25,0.24,0,-0.04\n";
     let damped = "[model.damping]\nstiffness = 0.01\n";
     let hook = "prescribed = [{ vertex = 0, position = [0.0, 0.0, 0.0] }]\n";
-    let cases: [(&str, String, &str, &str); 10] = [
+    let cases: [(&str, String, &str, &str); 11] = [
         ("right", scene(&[EI, STATIC]), SHAPE, "nothing"),
         ("times", scene(&[EI, STATIC]), times, "average the frames"),
         ("time", scene(&[EI, STATIC, timed]), SHAPE, "leave [time] out"),
+        ("timeless", scene(&[EI, timed, kernel]), SHAPE, "method \"static\""),
         ("no-time", scene(&[EI]), SHAPE, "[time] is missing"),
         ("background", scene(&[EI, STATIC, kernel]), SHAPE, "leave [background] out"),
         ("nothing-unknown", scene(&[STATIC]), SHAPE, "nothing is unknown"),

@@ -44,6 +44,13 @@ pub fn observations(file: &str, text: &str) -> Result<Vec<ObservedRow>, Error> {
     let expected = "time_s,s_m,x_m,y_m,z_m or time_s,marker,x_m,y_m,z_m, optionally sigma_m";
     let table =
         Table::open(file, text, &["time_s", "s_m", "marker", "x_m", "y_m", "z_m", "sigma_m"], expected)?;
+    if !table.has("time_s") && table.has("x_m") {
+        let message = format!(
+            "the header has no `time_s`; expected {expected}. A shape without times is for method \"static\": \
+             `varda show wire`"
+        );
+        return Err(table.bad(1, message));
+    }
     table.require("time_s", expected)?;
     observed(table, expected)
 }
