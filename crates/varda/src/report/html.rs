@@ -211,7 +211,10 @@ fn table_section(outcome: &Outcome, s: &Summary) -> String {
     let mut rows: Vec<(&str, String, &str)> = vec![
         ("State, control", format!("{}, {}", s.n_state, s.n_control), "numbers"),
         ("Observed values m", s.n_obs.to_string(), ""),
-        ("Window", format!("{} steps of {}", grid.steps, short(grid.step)), "s"),
+        match grid.last_step() {
+            0 => ("Window", "one instant".to_string(), ""),
+            _ => ("Window", format!("{} steps of {}", grid.steps, short(grid.step)), "s"),
+        },
         ("J at the background", short(s.j_background), ""),
         ("J at the analysis", short(s.j_analysis), ""),
         (&parts, shares.join("; "), ""),
