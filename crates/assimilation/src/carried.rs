@@ -3,8 +3,8 @@
 use crate::{At, ControlTransform, Error, Forcing, ObservationOperator, WeakPosterior};
 use varda_covariance::Covariance;
 use varda_implicit::Model;
-use varda_linalg::dense::shorter_root;
 use varda_linalg::interrupt;
+use varda_linalg::shorter_root;
 
 /// The covariance of the initial state and of the errors of a model, W Wᵀ − V Vᵀ
 /// ([`WeakPosterior::with_errors`]): columns of an initial state, δz, and of what is known of the errors,

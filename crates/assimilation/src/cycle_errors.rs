@@ -8,7 +8,7 @@ use crate::departures::{departures_at, expected_departures};
 use crate::full_rank::FullRank;
 use crate::{ControlTransform, Error, LeastSquares, StrongConstraint, WeakForcing, WeakPosterior, WeakState};
 use varda_covariance::{Covariance, Precision};
-use varda_linalg::dense::shorter_root;
+use varda_linalg::shorter_root;
 
 impl Cycling<'_> {
     /// One window of 4D-Var with errors of the model: weak where they are estimated, else strong.

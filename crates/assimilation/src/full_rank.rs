@@ -2,7 +2,7 @@
 
 use crate::Error;
 use varda_covariance::{Covariance, Precision};
-use varda_linalg::dense::shorter_root;
+use varda_linalg::shorter_root;
 use varda_linalg::{Svd, axpy, dot};
 
 /// B = U S² Uᵀ from a root of it, W = U S Vᵀ, of n columns or more; its own root is U S.

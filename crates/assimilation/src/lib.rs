@@ -112,6 +112,7 @@ mod outer_loop;
 mod posterior;
 mod posterior_lanczos;
 mod propagate;
+mod sensitivity;
 mod weak_posterior;
 
 pub use analysis::Analysis;
@@ -151,6 +152,7 @@ pub use outer_loop::{InnerSolver, OuterLoopOptions, outer_loop};
 pub use posterior::Posterior;
 pub use posterior_lanczos::{LanczosOptions, LowRankPosterior};
 pub use propagate::propagate_root;
+pub use sensitivity::sensitivity;
 pub use varda_implicit::{At, ObservationOperator, Refusal};
 pub use weak_posterior::WeakPosterior;
 

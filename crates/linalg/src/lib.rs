@@ -63,6 +63,8 @@ pub mod interrupt;
 #[cfg(feature = "faer")]
 pub mod krylov;
 #[cfg(feature = "faer")]
+mod qr;
+#[cfg(feature = "faer")]
 mod registers;
 #[cfg(feature = "faer")]
 mod solver;
@@ -77,6 +79,8 @@ pub use band::BadPivot;
 #[cfg(feature = "faer")]
 pub use eigen::{Eigen, eigenvalues};
 pub use error::Error;
+#[cfg(feature = "faer")]
+pub use qr::shorter_root;
 #[cfg(feature = "faer")]
 use registers::clear_upper_registers;
 #[cfg(feature = "faer")]

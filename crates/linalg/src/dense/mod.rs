@@ -2,10 +2,8 @@
 
 mod cholesky;
 pub(crate) mod lu;
-mod shorter_root;
 
 pub use cholesky::Cholesky;
-pub use shorter_root::shorter_root;
 
 use crate::clear_upper_registers;
 use crate::interrupt::parts;

@@ -15,6 +15,7 @@ use super::fit::{Fit, Forecast, Rejected, Withheld};
 use super::model_errors::ModelErrors;
 use super::next_observation::NextObservation;
 use super::shares::{KnownConstants, Share};
+use super::sources::{Sensitivity, Sources};
 use super::space::Shapes;
 use super::spread::ObservedValue;
 use super::verdict::Judgement;
@@ -74,6 +75,10 @@ pub struct Outcome {
     pub has_posterior: bool,
     /// Where one more observation would help most; `None` without a posterior, or where it would take long.
     pub next_observation: Option<NextObservation>,
+    /// What the uncertainty of some numbers of the run comes from.
+    pub sources: Vec<Sources>,
+    /// How these depend on the observed values.
+    pub sensitivities: Vec<Sensitivity>,
     /// What second derivatives of the model do to it, where the scene asks for the exact Hessian.
     pub exact_hessian: Option<ExactHessian>,
     /// The truth, in the control.

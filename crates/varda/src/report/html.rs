@@ -11,7 +11,12 @@ use super::Summary;
 pub(super) type DrawnFigure = (&'static str, String, String);
 
 /// The page, with a section of estimates.
-pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure], estimates: &str) -> String {
+pub(super) fn page(
+    outcome: &Outcome,
+    summary: &Summary,
+    figures: &[DrawnFigure],
+    sections: [&str; 2],
+) -> String {
     let experiment = &outcome.experiment;
     let title = match experiment.scene.title.as_str() {
         "" => experiment.name.as_str(),
@@ -39,6 +44,7 @@ pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure]
             list(&summary.warnings)
         );
     }
+    let [estimates, sources] = sections;
     body.push_str(estimates);
     body.push_str(&table_section(outcome, summary));
     for (_, title, svg) in figures {
@@ -49,6 +55,7 @@ pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: &[DrawnFigure]
         );
     }
     body.push_str(&fit_section(outcome, summary));
+    body.push_str(sources);
     let scene = toml::to_string(&experiment.scene).unwrap_or_default();
     let _ = write!(
         body,

@@ -9,6 +9,7 @@ mod forces;
 mod html;
 mod modes;
 pub mod plot;
+mod sources;
 mod summary;
 mod tables;
 
@@ -40,7 +41,12 @@ pub fn write(outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
     let experiment = &outcome.experiment;
     out.write(
         "report.html",
-        &html::page(outcome, &summary, &drawn, &estimates::section(&outcome.estimates)),
+        &html::page(
+            outcome,
+            &summary,
+            &drawn,
+            [&estimates::section(&outcome.estimates), &sources::section(&outcome.sources)],
+        ),
     )?;
     out.write("analysis.csv", &tables::analysis(outcome))?;
     out.write("convergence.csv", &tables::convergence(&outcome.convergence))?;
@@ -50,6 +56,10 @@ pub fn write(outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
     out.write("observations.csv", &tables::observed_values(&outcome.observed))?;
     if !outcome.estimates.is_empty() {
         out.write("estimates.csv", &estimates::csv(&outcome.estimates))?;
+    }
+    if !outcome.sources.is_empty() {
+        let text = sources::csv(&outcome.sources, &outcome.sensitivities);
+        out.write("sensitivities.csv", &text)?;
     }
     if let Some(errors) = &outcome.model_errors {
         out.write("model_error.csv", &tables::model_errors(experiment, errors))?;

@@ -6,7 +6,7 @@ use varda_implicit::check::Amplification;
 
 use crate::outcome::{
     AcceptedSteps, Attempt, Estimated, Evidence, ExactHessian, Fit, Forecast, KnownConstants, ModelErrors,
-    NextObservation, Outcome, Rejected, Rmse, Seconds, Share, Verdict, Withheld, WorkCounts,
+    NextObservation, Outcome, Rejected, Rmse, Seconds, Share, Sources, Verdict, Withheld, WorkCounts,
 };
 
 /// The keys of summary.json, in their order.
@@ -70,6 +70,9 @@ pub struct Summary {
     /// Where one more marker or component would help most, and what σ would be with it at each place.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub next_observation: Option<NextObservation>,
+    /// What the uncertainty of what is known least comes from.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub sources: Vec<Sources>,
     /// What second derivatives of the model do to the posterior, where the scene asks for the exact Hessian.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exact_hessian: Option<ExactHessian>,
@@ -198,6 +201,7 @@ impl Summary {
             degrees_of_freedom: outcome.has_posterior.then_some(outcome.analysis.degrees_of_freedom),
             exact_hessian: outcome.exact_hessian,
             next_observation: outcome.next_observation.clone(),
+            sources: outcome.sources.clone(),
             estimates: outcome.estimates.clone(),
             with_constants_known: outcome.with_constants_known.clone(),
             rmse: outcome.rmse.clone(),

@@ -19,6 +19,7 @@ mod passes;
 mod second_minimum;
 mod shapes;
 mod shares;
+mod sources;
 mod spread;
 mod verdict;
 pub mod window;

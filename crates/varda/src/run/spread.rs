@@ -9,8 +9,11 @@ use varda_rod::{InternalForces, RodStep};
 use super::fit::predicted;
 use super::next_observation::Gathering;
 use super::shares::Given;
+use super::sources::SourcesOfSpread;
 use crate::Error;
-use crate::outcome::{KnownConstants, NextObservation, ObservedValue, Rejected, Trajectories};
+use crate::outcome::{
+    KnownConstants, NextObservation, ObservedValue, Rejected, Sensitivity, Sources, Trajectories,
+};
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
 use crate::setup::rod::RodSystem;
@@ -28,6 +31,8 @@ pub(super) struct Spread {
     pub(super) known: Vec<KnownConstants>,
     /// Where one more observation would help most.
     pub(super) next: Option<NextObservation>,
+    /// What the uncertainty of some numbers of the run comes from, and how they depend on observed values.
+    pub(super) sources: (Vec<Sources>, Vec<Sensitivity>),
 }
 
 /// σ of the forces within a rod, from step to step.
@@ -89,14 +94,35 @@ impl ForceSpread {
     }
 }
 
+impl ForceSpread {
+    /// The segment with the largest tension at a step, and what columns of the states do to it.
+    fn tightest(
+        &mut self,
+        grid: &TimeGrid,
+        at: &Carried,
+        before: &[f64],
+        now: &[f64],
+    ) -> Result<(usize, Vec<f64>), varda_rod::Error> {
+        let [(dx_before, _), (dx, dp)] = [at.before, at.now].map(|w| self.split(w));
+        let [(before, _), (now, _)] = [before, now].map(|x| self.split(x));
+        let (t, before) = (grid.time(at.step), (grid.time(at.step - 1), &before[..]));
+        let tension = self.rod.internal_forces(t, &now, before)?.tension;
+        let edge = (0..tension.len()).max_by(|a, b| tension[*a].total_cmp(&tension[*b])).unwrap_or(0);
+        let mut row = Vec::new();
+        let mut see = |of: &mut InternalForces| row.push(of.tension[edge]);
+        self.rod.internal_forces_tangent(t, &now, before, [&dx, &dx_before, &dp], &mut see)?;
+        Ok((edge, row))
+    }
+}
+
 /// Carries a posterior along the run of the analysis; `None` where it has no root, or the run cannot be
 /// linearized.
 pub(super) fn along(
     problem: &Problem,
     model: &mut dyn Model,
-    control: &[f64],
-    posterior: Option<&PosteriorSpread>,
+    (control, posterior): (&[f64], Option<&PosteriorSpread>),
     runs: &Trajectories,
+    rejected: &[Rejected],
 ) -> Result<Option<Spread>, Error> {
     let Some(posterior) = posterior else { return Ok(None) };
     if let (Some(columns), Some(q)) = (&posterior.with_errors, &problem.model_error) {
@@ -114,6 +140,7 @@ pub(super) fn along(
         return Ok(None);
     }
     let mut along = Along::new(problem, model, runs, Some((root, control.len())))?;
+    along.sources = SourcesOfSpread::new(problem, rejected, root.len() / control.len().max(1));
     let mut before: Vec<f64> = Vec::new();
     let done = propagate_root(model, control, root, &runs.analysis, &mut |step, now| {
         along.see(&Carried { step, dim: runs.dim, before: &before, now, less: 0 });
@@ -123,7 +150,11 @@ pub(super) fn along(
         }
         Ok(())
     });
-    if done.is_ok() { along.end().map(Some) } else { Ok(None) }
+    if done.is_err() {
+        return Ok(None);
+    }
+    let sources = along.sources.take().map(|sources| sources.answer(root, control.len()));
+    Ok(Some(Spread { sources: sources.unwrap_or_default(), ..along.end()? }))
 }
 
 /// What is gathered at every step.
@@ -141,6 +172,7 @@ struct Along<'a> {
     forces: Option<ForceSpread>,
     further: Option<Gathering>,
     given: Option<Given>,
+    sources: Option<SourcesOfSpread<'a>>,
     spread: Spread,
 }
 
@@ -167,11 +199,25 @@ impl<'a> Along<'a> {
             forces: Vec::new(),
             known: Vec::new(),
             next: None,
+            sources: Default::default(),
         };
         let further = root.and_then(|(root, length)| Gathering::new(problem, root.len() / length.max(1)));
         let constants = problem.system.estimates().len();
         let given = root.and_then(|(root, length)| Given::of(root, length, constants));
-        Ok(Along { problem, runs, grid, set, order, run, next: 0, forces, further, given, spread })
+        Ok(Along {
+            problem,
+            runs,
+            grid,
+            set,
+            order,
+            run,
+            next: 0,
+            forces,
+            further,
+            given,
+            sources: None,
+            spread,
+        })
     }
 
     /// Whether columns of the step before are asked for.
@@ -199,6 +245,16 @@ impl<'a> Along<'a> {
             }
         }
         self.observe(at);
+        if let Some(sources) = self.sources.as_mut().filter(|_| k == self.grid.steps) {
+            sources.end(at.dim, at.now);
+            if let (Some(forces), Some(before)) = (&mut self.forces, k.checked_sub(1)) {
+                let [before, now] = [before, k].map(|k| &self.runs.analysis[k * at.dim..(k + 1) * at.dim]);
+                if let Ok((edge, row)) = forces.tightest(&self.grid, at, before, now) {
+                    let when = self.grid.time(k);
+                    sources.add(format!("tension of segment {edge}, t = {when:.4} s"), "N", row);
+                }
+            }
+        }
     }
 
     /// σ of the rows whose observations end at this step.
@@ -229,6 +285,12 @@ impl<'a> Along<'a> {
             let own = set.observations()[i].rows.len();
             let size = |row: usize| squares[row - rows.start].sqrt();
             self.spread.seen[self.order[i]] = set.rows(i).take(own).map(size).collect();
+            if let Some(sources) = &mut self.sources {
+                for (c, row) in set.rows(i).take(own).enumerate() {
+                    let of_row = values.chunks_exact(rows.len()).map(|column| column[row - rows.start]);
+                    sources.see(self.order[i], c, of_row);
+                }
+            }
         }
         self.next += count;
     }

@@ -224,8 +224,13 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
     // Ctrl-C leaves out what goes beyond the analysis; the seconds of `[limits]` do not.
     let leave: Ends = listener.ends.clone().unwrap_or_else(|| Arc::new(|| false));
     let (spread, left) = interrupt::within(leave, || {
-        let spread =
-            spread::along(problem, make_model(0).as_mut(), &analysis.analysis, posterior, &trajectories);
+        let spread = spread::along(
+            problem,
+            make_model(0).as_mut(),
+            (&analysis.analysis, posterior),
+            &trajectories,
+            &rejected,
+        );
         (spread, interrupt::was_told())
     });
     if left && !ended_early {
@@ -260,6 +265,8 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
         with_constants_known: spread.as_mut().map_or_else(Vec::new, |s| std::mem::take(&mut s.known)),
         shares,
         next_observation: spread.as_mut().and_then(|spread| spread.next.take()),
+        sensitivities: spread.as_mut().map_or_else(Vec::new, |s| std::mem::take(&mut s.sources.1)),
+        sources: spread.as_mut().map_or_else(Vec::new, |s| std::mem::take(&mut s.sources.0)),
         sigma_states: spread.map_or_else(Vec::new, |spread| spread.states),
         observed,
         rmse,

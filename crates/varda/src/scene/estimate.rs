@@ -54,6 +54,10 @@ pub struct Estimate {
     /// that is not isotropic, or of a curved rod.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub clamp_direction: Option<Unknown>,
+    /// Places of clamps and prescribed vertices [m], each displaced from where the scene and its motion put it:
+    /// `support_position[start].x`, `support_position[prescribed.0].z`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub support_position: Option<Unknown>,
     /// Semi-axes of the ellipse that a support is driven along [m]: `drive_radii[0]`, `drive_radii[1]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drive_radii: Option<Unknown>,
@@ -229,6 +233,7 @@ impl Estimate {
             ("point_mass", &self.point_mass),
             ("gravity_direction", &self.gravity_direction),
             ("clamp_direction", &self.clamp_direction),
+            ("support_position", &self.support_position),
             ("drive_radii", &self.drive_radii),
             ("drive_phase", &self.drive_phase),
             ("base", &self.base),

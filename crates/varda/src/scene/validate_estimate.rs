@@ -5,8 +5,9 @@ use super::invalid::{Check, invalid};
 use super::{ConstantPrior, Estimate, Method, Model, Motion, RodModel, Scene, Section, Unknown};
 
 /// Keys of a rod, of its observations, and of each other model.
-const OF_ROD: [&str; 16] = [
+const OF_ROD: [&str; 17] = [
     "clamp_direction",
+    "support_position",
     "drive_radii",
     "drive_phase",
     "base",

@@ -60,6 +60,16 @@ pub(super) fn kinds(key: &str, model: &RodModel, estimate: &Estimate, isotropic:
         });
         return Some(all.collect());
     }
+    if key == "support_position" {
+        let axes = [("x", Vector3::x()), ("y", Vector3::y()), ("z", Vector3::z())];
+        let all = supports(model).flat_map(|(support, of, ..)| {
+            axes.map(|(axis, by): (&str, Vector3<f64>)| {
+                let by = MovedBy::Along(Displacement(Arc::new(by)));
+                kind(format!("{key}[{support}].{axis}"), "m", 0.0, of, by)
+            })
+        });
+        return Some(all.collect());
+    }
     let drives: Vec<(String, HeldAt, EllipseDrive)> = supports(model)
         .filter_map(|(name, of, position, motion)| Some((name, of, drive(position, motion?)?)))
         .collect();

@@ -44,6 +44,10 @@ pub(crate) const FURTHER_TIMES: usize = 20;
 pub(crate) const FURTHER_COLUMNS: usize = 1000;
 pub(crate) const FURTHER_NUMBERS: usize = 2_000_000;
 
+/// Numbers gathered at most for what the uncertainty of a result comes from: columns of the root times
+/// values.
+pub(crate) const SOURCE_NUMBERS: usize = 5_000_000;
+
 /// Text of a number in a CSV file, about.
 const TEXT: usize = 20;
 
@@ -260,6 +264,8 @@ impl Memory {
         if posterior && cycled.is_none() && algorithm.method.is_strong() && n <= FURTHER_COLUMNS {
             let seen = (3 * FURTHER_PLACES).min(n) * sizes.times.min(FURTHER_TIMES) * n;
             other = other.saturating_add(seen.min(FURTHER_NUMBERS)).saturating_add(square / 2);
+            let sources = m.saturating_mul(n);
+            other = other.saturating_add(if sources <= SOURCE_NUMBERS { sources } else { 0 });
         }
         // Background, analysis and, of a twin, truth, and the table of their states.
         let (shown, runs) =
@@ -344,7 +350,7 @@ pub(crate) fn is_low_rank(method: Method, n: usize) -> bool {
 
 /// What a posterior of low rank leaves out.
 pub(crate) fn without_spread(scene: &Scene, n: usize) -> Option<String> {
-    let why = if is_low_rank(scene.algorithm.method, n) {
+    let why = if is_low_rank(scene.algorithm.method, n) && !is_known(scene) {
         format!("of more than {LARGEST_DENSE_POSTERIOR} unknowns the posterior is of low rank")
     } else if scene.algorithm.method.is_weak() && !carries_errors(n) {
         format!("under weak constraint it is computed for at most {MOST_ROOT_COLUMNS} numbers of a state")

@@ -23,7 +23,15 @@ struct Constant {
 /// From files that do not depend on the constants.
 const HOSE: &[&str] = &["model.damping.mass=0.2", "time.window=30"];
 
-const CONSTANTS: [Constant; 22] = [
+const CONSTANTS: [Constant; 23] = [
+    Constant {
+        scene: "hose",
+        sets: HOSE,
+        estimate: "estimate.support_position={sigma=0.01}",
+        written: &["model.start.position=[{},0.0,0.0]"],
+        value: 0.0,
+        exponential: false,
+    },
     Constant {
         scene: "hose",
         sets: HOSE,

@@ -1,19 +1,19 @@
 //! A root of a covariance with no more columns than rows (faer's QR decomposition).
 
-use super::View;
+use crate::dense::View;
 use crate::interrupt::apart;
 use crate::{Error, clear_upper_registers};
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::qr::no_pivoting::factor::{qr_in_place, qr_in_place_scratch, recommended_block_size};
 use faer::{Mat, MatMut, Par};
 
-/// L, n × n and lower triangular, with L Lᵀ = W Wᵀ, from W of n rows and more columns: Rᵀ of Wᵀ = Q R.
-/// Keeps the digits that the product W Wᵀ would lose. Both by columns; a W of n columns or fewer is given
-/// back.
+/// A root with n columns: L, lower triangular, with L Lᵀ = W Wᵀ, from W of n rows and more columns;
+/// Rᵀ of Wᵀ = Q R. It keeps the digits that the product W Wᵀ would lose. Both by columns; a W of n
+/// columns or fewer is given back.
 ///
 /// ```
 /// // (3, 4) is as (5)
-/// let l = varda_linalg::dense::shorter_root(1, &[3.0, 4.0])?;
+/// let l = varda_linalg::shorter_root(1, &[3.0, 4.0])?;
 /// assert!(l.len() == 1 && (l[0].abs() - 5.0).abs() < 1e-14);
 /// # Ok::<(), varda_linalg::Error>(())
 /// ```

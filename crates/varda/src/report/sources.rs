@@ -1,0 +1,59 @@
+//! What the uncertainty of a result comes from: a table for the page, and sensitivities.csv.
+
+use std::fmt::Write;
+
+use super::html::{escape, short, table};
+use super::tables::number;
+use crate::outcome::{Sensitivity, Sources};
+
+/// Rows of the table, the largest first; the rest go together.
+const SHOWN: usize = 12;
+
+/// The section of the page; empty where nothing is known of it.
+pub(super) fn section(all: &[Sources]) -> String {
+    let Some(first) = all.first() else { return String::new() };
+    let share = |of: &Sources, source: &str| {
+        of.shares.iter().filter(|s| s.source == source).map(|s| s.share).sum::<f64>()
+    };
+    let mut sources: Vec<&str> = first.shares.iter().map(|s| s.source.as_str()).collect();
+    let largest = |source: &str| all.iter().map(|of| share(of, source)).fold(0.0, f64::max);
+    sources.sort_by(|a, b| largest(b).total_cmp(&largest(a)));
+    let (shown, rest) = sources.split_at(SHOWN.min(sources.len()));
+    let row = |name: &str, shares: Vec<f64>| {
+        let cells: String =
+            shares.iter().map(|share| format!("<td>{:.1} %</td>", 100.0 * share.max(0.0))).collect();
+        format!("<tr><th scope=\"row\">{}</th>{cells}</tr>", escape(name))
+    };
+    let mut rows: String =
+        shown.iter().map(|source| row(source, all.iter().map(|of| share(of, source)).collect())).collect();
+    if !rest.is_empty() {
+        let sums = all.iter().map(|of| rest.iter().map(|source| share(of, source)).sum()).collect();
+        rows.push_str(&row(&format!("{} others", rest.len()), sums));
+    }
+    let heads: Vec<String> =
+        all.iter().map(|of| format!("{}: σ = {} {}", of.of, short(of.sigma), of.unit)).collect();
+    let headings: Vec<&str> =
+        std::iter::once("share of the variance").chain(heads.iter().map(String::as_str)).collect();
+    format!(
+        "<section><h2>Where the uncertainty comes from</h2>{}<p>Of what is known least at the end of the \
+         window{}. Errors of each marker or component, priors of constants, background of the state; \
+         sensitivities.csv has the derivative by every observed value.</p></section>",
+        table(&headings, &rows),
+        if all.iter().any(|of| of.unit == "N") { ", and of the largest tension there" } else { "" }
+    )
+}
+
+/// sensitivities.csv: the derivative of each number by every observed value.
+pub(super) fn csv(all: &[Sources], sensitivities: &[Sensitivity]) -> String {
+    let mut out = String::from("time_s,observed,component");
+    for of in all {
+        let _ = write!(out, ",\"d({})\"", of.of);
+    }
+    out.push('\n');
+    for s in sensitivities {
+        let _ = write!(out, "{},\"{}\",{}", number(s.time), s.label, s.axis);
+        s.by_value.iter().for_each(|v| out.push_str(&format!(",{}", number(*v))));
+        out.push('\n');
+    }
+    out
+}

@@ -1,0 +1,132 @@
+//! What the uncertainty of a result comes from: sensitivities of some numbers of the run to observed values
+//! and priors, from the posterior carried along it.
+//!
+//! With P_a = W Wᵀ, H the rows of an observed value y and E that of a number s of the run,
+//!
+//! ```text
+//!     ∂s/∂y = E W (H W)ᵀ/σ²,    ∂s/∂p_b = E W (W_p)ᵀ/σ_p²
+//!     Var s = Σ (∂s/∂y σ)² + Σ (∂s/∂p_b σ_p)² + what is left: the background of the state
+//! ```
+//!
+//! (P_a = K R Kᵀ + (I − K H) B (I − K H)ᵀ), for independent errors.
+
+use varda_assimilation::sensitivity;
+
+use crate::outcome::{Rejected, Sensitivity, SourceShare, Sources};
+use crate::scene::Hessian;
+use crate::setup::Problem;
+use crate::setup::memory::{FURTHER_COLUMNS, SOURCE_NUMBERS};
+
+/// What is gathered on the way.
+pub(super) struct SourcesOfSpread<'a> {
+    problem: &'a Problem,
+    rejected: &'a [Rejected],
+    columns: usize,
+    /// Values that were assimilated: their place among what was seen, component, σ, and H W.
+    rows: Vec<(usize, usize, f64, Vec<f64>)>,
+    /// What is asked of, with its unit, and E W.
+    numbers: Vec<(String, &'static str, Vec<f64>)>,
+}
+
+impl<'a> SourcesOfSpread<'a> {
+    /// For a root of so many columns; `None` where it is too large, or its P_a is not that of the observed
+    /// values with their σ: correlated errors, Huber's norm, the exact Hessian.
+    pub(super) fn new(problem: &'a Problem, rejected: &'a [Rejected], columns: usize) -> Option<Self> {
+        let scene = &problem.experiment.scene;
+        let simple = scene.observations.correlation().is_none()
+            && scene.algorithm.robust.is_none()
+            && scene.algorithm.hessian == Hessian::GaussNewton
+            && scene.algorithm.method.is_strong();
+        let values = problem.observed.sizes(&problem.experiment.grid)[0];
+        let fits = columns <= FURTHER_COLUMNS && values.saturating_mul(columns) <= SOURCE_NUMBERS;
+        let rows = Vec::new();
+        (simple && fits && values > 0).then(|| Self { problem, rejected, columns, rows, numbers: Vec::new() })
+    }
+
+    /// A row H W of component c of what was seen.
+    pub(super) fn see(&mut self, seen: usize, c: usize, row: impl Iterator<Item = f64>) {
+        let one = &self.problem.observed.seen[seen];
+        let site = &self.problem.observed.sites[one.site];
+        let in_window = one.at() <= self.problem.experiment.grid.steps as f64;
+        let refused = self.rejected.iter().any(|r| r.label == site.label && r.step == one.step);
+        if in_window && !site.withheld && !refused && one.values.get(c).is_some_and(Option::is_some) {
+            self.rows.push((seen, c, one.sigma, row.collect()));
+        }
+    }
+
+    /// The end of the window: the place, or the component, that is known least, of states of n numbers.
+    pub(super) fn end(&mut self, n: usize, w: &[f64]) {
+        let (layout, grid) = (&self.problem.experiment.state, self.problem.experiment.grid);
+        let Some(group) = layout.groups.first() else { return };
+        let square = |i: usize| w.chunks_exact(n).map(|column| column[i].powi(2)).sum::<f64>();
+        let first = |v: usize| group.range.start + v * group.width;
+        let of_vector = |v: usize| (first(v)..first(v) + group.width).map(square).sum::<f64>();
+        let vectors = 0..group.range.len() / group.width;
+        let Some(least) = vectors.max_by(|a, b| of_vector(*a).total_cmp(&of_vector(*b))) else { return };
+        let t = grid.time(grid.steps);
+        let when = if grid.last_step() > 0 { format!(", t = {t:.4} s") } else { String::new() };
+        for c in 0..group.width {
+            let i = first(least) + c;
+            let name = match &layout.geometry {
+                Some(geometry) => {
+                    format!("{} at s = {:.4} m{when}", ["x", "y", "z"][c % 3], geometry.place(group, least))
+                }
+                None => format!("{}{when}", layout.names[i]),
+            };
+            self.add(name, group.unit, w.chunks_exact(n).map(|column| column[i]).collect());
+        }
+    }
+
+    /// One more number of the run.
+    pub(super) fn add(&mut self, name: String, unit: &'static str, row: Vec<f64>) {
+        if row.len() == self.columns && row.iter().any(|e| *e != 0.0) {
+            self.numbers.push((name, unit, row));
+        }
+    }
+
+    /// The shares, with the root of P_a of the control, whose columns are that long.
+    pub(super) fn answer(self, root: &[f64], length: usize) -> (Vec<Sources>, Vec<Sensitivity>) {
+        let Self { problem, rows, numbers, .. } = self;
+        let (observed, grid) = (&problem.observed, problem.experiment.grid);
+        let in_space = observed.space.is_some();
+        let constants = &problem.system.estimates().constants;
+        let mut sensitivities: Vec<Sensitivity> = rows
+            .iter()
+            .map(|(seen, c, ..)| {
+                let one = &observed.seen[*seen];
+                Sensitivity {
+                    time: grid.start + one.at() * grid.step,
+                    label: observed.sites[one.site].label.clone(),
+                    axis: if in_space { ["x", "y", "z"][*c] } else { "" },
+                    by_value: Vec::new(),
+                }
+            })
+            .collect();
+        let mut sources = Vec::new();
+        for (of, unit, scalar) in numbers {
+            let variance = scalar.iter().map(|e| e * e).sum::<f64>();
+            let mut shares: Vec<SourceShare> = Vec::new();
+            let mut add = |source: &str, share: f64| match shares.iter_mut().find(|s| s.source == source) {
+                Some(known) => known.share += share,
+                None => shares.push(SourceShare { source: source.to_string(), share }),
+            };
+            for ((_, _, sigma, row), sensitivity_of) in rows.iter().zip(&mut sensitivities) {
+                let by_value = sensitivity(&scalar, row, *sigma);
+                sensitivity_of.by_value.push(by_value);
+                add(&sensitivity_of.label, (by_value * sigma).powi(2) / variance);
+            }
+            for (j, constant) in constants.iter().enumerate() {
+                let at = length - constants.len() + j;
+                let row: Vec<f64> = root.chunks_exact(length).map(|column| column[at]).collect();
+                let by_prior = sensitivity(&scalar, &row, constant.sigma);
+                let name = constant.name.split("(s = ").next().unwrap_or_default();
+                let name = name.split("(t = ").next().unwrap_or_default();
+                add(&format!("prior of {name}"), (by_prior * constant.sigma).powi(2) / variance);
+            }
+            let rest = 1.0 - shares.iter().map(|s| s.share).sum::<f64>();
+            shares.push(SourceShare { source: "background of the state".into(), share: rest });
+            sources.push(Sources { of, unit, sigma: variance.sqrt(), shares });
+        }
+        (sources, sensitivities)
+    }
+}
