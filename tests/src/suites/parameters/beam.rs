@@ -1,8 +1,8 @@
 //! The modulus and the damping of a silicone beam, from a real recording of its release.
 //!
-//! The reference is a damped cosine fitted to the same rows, x(t) = c + e^(−δt) (a cos ωt + b sin ωt), and
-//! linear theory: ω₀² = ω² + δ² = β⁴ EI/(ρA L⁴) with β = 1.8751, δ = τ ω₀²/2 for strain-rate damping of
-//! time τ.
+//! The reference is a damped cosine fitted to the same rows, c + e^(−δt) (a cos ωt + b sin ωt), and
+//! linear theory: ω² + δ² = ω₀² = β⁴ EI/(ρA L⁴) with β = 1.8751, and
+//! δ = τ ω₀²/2 for strain-rate damping of time τ.
 
 use varda::outcome::{Outcome as Ended, Verdict};
 use varda::run::{Listener, assimilate};
