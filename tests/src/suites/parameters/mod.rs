@@ -1,5 +1,6 @@
 //! Constants estimated beside the state.
 
+mod beam;
 mod filter;
 mod gradients;
 mod gripped;
@@ -18,6 +19,7 @@ pub(super) fn run(options: &Options) -> Vec<Row> {
     recovery::run(&mut rows);
     observed::run(&mut rows);
     shapes::run(&mut rows, options);
+    beam::run(&mut rows, options);
     supports::run(&mut rows, options.quick);
     if options.full {
         gripped::run(&mut rows);
