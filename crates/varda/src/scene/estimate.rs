@@ -54,8 +54,8 @@ pub struct Estimate {
     /// that is not isotropic, or of a curved rod.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub clamp_direction: Option<Unknown>,
-    /// Places of clamps and prescribed vertices [m], each displaced from where the scene and its motion put it:
-    /// `support_position[start].x`, `support_position[prescribed.0].z`.
+    /// Places of clamps and prescribed vertices [m], each displaced from where the scene and its motion put
+    /// it: `support_position[start].x`, `support_position[prescribed.0].z`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub support_position: Option<Unknown>,
     /// Semi-axes of the ellipse that a support is driven along [m]: `drive_radii[0]`, `drive_radii[1]`.
