@@ -46,8 +46,8 @@ pub fn observations(file: &str, text: &str) -> Result<Vec<ObservedRow>, Error> {
         Table::open(file, text, &["time_s", "s_m", "marker", "x_m", "y_m", "z_m", "sigma_m"], expected)?;
     if !table.has("time_s") && table.has("x_m") {
         let message = format!(
-            "the header has no `time_s`; expected {expected}. A shape without times is for method \"static\": \
-             `varda show wire`"
+            "the header has no `time_s`; expected {expected}. A shape without times is for method \
+             \"static\": `varda show wire`"
         );
         return Err(table.bad(1, message));
     }

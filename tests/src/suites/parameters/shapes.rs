@@ -137,8 +137,8 @@ method = "static"
 }
 
 /// A wire of the recordings: stiffness with a prior of 50 % about the value listed for it, directions of the
-/// clamps from the first and the last chord, known to 0.3 rad, and their places as seen; points 3 and 7 are kept
-/// back.
+/// clamps from the first and the last chord, known to 0.3 rad, and their places as seen; points 3 and 7 are
+/// kept back.
 fn wire(case: &mut Case, pose: &str, settles: bool) -> Outcome {
     let (wire, number) = pose.split_once(' ').ok_or("wire and pose")?;
     let point = |line: &str| -> Option<[f64; 3]> {
