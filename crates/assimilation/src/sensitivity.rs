@@ -7,7 +7,7 @@
 /// ```
 ///
 /// The derivative of the minimum of a linear problem, of a nonlinear one by Gauss and Newton (implicit
-/// function theorem; Le Dimet, Ngodock, Luong and Verron 1997). `scalar` is E W, `row` is H W, a number for
+/// function theorem). `scalar` is E W, `row` is H W, a number for
 /// each column of the root. With the row of a component of the control in place of H, and its σ_b, it is the
 /// derivative by the background, where that component's error is independent of all others.
 ///

@@ -60,8 +60,9 @@ fn base(i: usize) -> toml::Table {
     set(&["algorithm", "ensemble", "members"], 5);
     set(&["algorithm", "model_error", "every"], 4);
     // Lists of steps were written for a longer window.
-    let window = scene["time"]["window"].as_integer().unwrap();
-    if let Some(toml::Value::Array(steps)) = scene["observations"].get_mut("steps") {
+    let window = scene.get("time").and_then(|time| time["window"].as_integer());
+    if let (Some(window), Some(toml::Value::Array(steps))) = (window, scene["observations"].get_mut("steps"))
+    {
         steps.retain(|k| k.as_integer().is_some_and(|k| k <= window));
     }
     if let Some(algorithm) = scene.get_mut("algorithm").and_then(toml::Value::as_table_mut) {
