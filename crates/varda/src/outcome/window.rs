@@ -19,7 +19,7 @@ use super::sources::{Sensitivity, Sources};
 use super::space::Shapes;
 use super::spread::ObservedValue;
 use super::verdict::Judgement;
-use crate::scene::{Covariance, Scene, TimeGrid};
+use crate::scene::{Scene, TimeGrid};
 use crate::state::StateLayout;
 
 /// What is run: the scene, its grid of time, and the meaning of the numbers of a state.
@@ -47,9 +47,9 @@ impl Experiment {
 
     /// How many numbers of the control are unknown.
     pub fn n_unknown(&self) -> usize {
-        match self.scene.background.covariance {
-            Covariance::Known(_) => self.state.constants.len(),
-            _ => self.state.len(),
+        match self.scene.background.covariance.is_of_known_state() {
+            true => self.state.constants.len(),
+            false => self.state.len(),
         }
     }
 }

@@ -4,7 +4,7 @@ use crate::outcome::{
     ConvergenceRow, Estimated, NextObservation, Outcome, Shapes, Sight, Track, Trajectories,
 };
 use crate::run::compare::{Compared, lowest};
-use crate::scene::{Covariance, TimeGrid};
+use crate::scene::TimeGrid;
 use crate::state::{Geometry, StateGroup};
 
 use super::plot::{Corner, Figure, Panel, Series, Style};
@@ -22,7 +22,7 @@ pub(super) fn all(outcome: &Outcome) -> Vec<Figure> {
         }
         None => figures.push(components(outcome)),
     }
-    let known = matches!(outcome.experiment.scene.background.covariance, Covariance::Known(_));
+    let known = outcome.experiment.scene.background.covariance.is_of_known_state();
     if outcome.has_posterior && !known {
         figures.push(spread(outcome));
     }

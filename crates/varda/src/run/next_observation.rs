@@ -35,8 +35,7 @@ impl Gathering {
     pub(super) fn new(problem: &Problem, columns: usize) -> Option<Gathering> {
         let (grid, layout) = (problem.experiment.grid, &problem.experiment.state);
         let observed = &problem.observed;
-        let is_used = |s: &&Seen| s.at() <= grid.steps as f64 && !observed.sites[s.site].withheld;
-        let used: Vec<&Seen> = observed.seen.iter().filter(is_used).collect();
+        let used: Vec<&Seen> = observed.seen.iter().filter(|s| observed.is_assimilated(s, &grid)).collect();
         let steps: Vec<usize> = used.iter().map(|s| s.step).collect::<BTreeSet<_>>().into_iter().collect();
         let correlated = problem.experiment.scene.observations.correlation().is_some();
         if columns > FURTHER_COLUMNS || steps.is_empty() || correlated {

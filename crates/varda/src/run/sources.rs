@@ -45,11 +45,12 @@ impl<'a> SourcesOfSpread<'a> {
 
     /// A row H W of component c of what was seen.
     pub(super) fn see(&mut self, seen: usize, c: usize, row: impl Iterator<Item = f64>) {
-        let one = &self.problem.observed.seen[seen];
-        let site = &self.problem.observed.sites[one.site];
-        let in_window = one.at() <= self.problem.experiment.grid.steps as f64;
-        let refused = self.rejected.iter().any(|r| r.label == site.label && r.step == one.step);
-        if in_window && !site.withheld && !refused && one.values.get(c).is_some_and(Option::is_some) {
+        let observed = &self.problem.observed;
+        let one = &observed.seen[seen];
+        let label = &observed.sites[one.site].label;
+        let refused = self.rejected.iter().any(|r| r.label == *label && r.step == one.step);
+        let used = observed.is_assimilated(one, &self.problem.experiment.grid) && !refused;
+        if used && one.values.get(c).is_some_and(Option::is_some) {
             self.rows.push((seen, c, one.sigma, row.collect()));
         }
     }

@@ -102,6 +102,11 @@ impl Covariance {
         }
     }
 
+    /// Whether there is no error: only the constants of [estimate] are unknown.
+    pub(crate) fn is_of_known_state(&self) -> bool {
+        matches!(self, Covariance::Known(_))
+    }
+
     /// The kind of its square root.
     pub(crate) fn root(&self) -> Root {
         match self {

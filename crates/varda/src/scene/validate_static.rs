@@ -2,14 +2,14 @@
 
 use super::estimate::OF_OBSERVATIONS;
 use super::invalid::{Check, invalid};
-use super::{Covariance, Integrator, Method, Model, Scene, Time};
+use super::{Integrator, Method, Model, Scene, Time};
 
 /// Keys of `[estimate]` that only a motion shows.
 const OF_MOTION: [&str; 3] = ["damping_stiffness", "damping_mass", "clock"];
 
 pub(super) fn validate_static(scene: &Scene) -> Check {
     let (method, integrator) = (scene.algorithm.method, scene.time.integrator);
-    let known = matches!(scene.background.covariance, Covariance::Known(_));
+    let known = scene.background.covariance.is_of_known_state();
     if method == Method::Static {
         if scene.time != Time::of_shapes() {
             let message = "method \"static\" is for shapes without times: leave [time] out; of supports that \
@@ -40,7 +40,7 @@ pub(super) fn validate_static(scene: &Scene) -> Check {
         }
         let given = scene.estimate.given();
         if let Some((key, _)) = given.iter().find(|(key, _)| OF_MOTION.contains(key)) {
-            return invalid(format!("estimate.{key}"), "a rod at rest does not show it");
+            return invalid(format!("estimate.{key}"), format!("`{key}`: a rod at rest does not show it"));
         }
     }
     if !known {

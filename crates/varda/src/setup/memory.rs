@@ -209,7 +209,7 @@ impl Memory {
         let ensemble = algorithm.members().map(|e| EnsembleSize::of(scene, e.members, sizes, m));
         let dense = if let Some(ensemble) = &ensemble {
             ensemble.dense(posterior).saturating_add(if cycled.is_some() { ensemble.carried() } else { 0 })
-        } else if is_known(scene) && !algorithm.method.is_weak() {
+        } else if scene.background.covariance.is_of_known_state() && !algorithm.method.is_weak() {
             // G, and columns of the length of the control: roots of B and P_a, and what is carried along
             let columns = sizes.constants;
             columns.saturating_mul(4 * n + 3 * sizes.state + 3 * m).saturating_add(5 * columns * columns)
@@ -350,7 +350,7 @@ pub(crate) fn is_low_rank(method: Method, n: usize) -> bool {
 
 /// What a posterior of low rank leaves out.
 pub(crate) fn without_spread(scene: &Scene, n: usize) -> Option<String> {
-    let why = if is_low_rank(scene.algorithm.method, n) && !is_known(scene) {
+    let why = if is_low_rank(scene.algorithm.method, n) && !scene.background.covariance.is_of_known_state() {
         format!("of more than {LARGEST_DENSE_POSTERIOR} unknowns the posterior is of low rank")
     } else if scene.algorithm.method.is_weak() && !carries_errors(n) {
         format!("under weak constraint it is computed for at most {MOST_ROOT_COLUMNS} numbers of a state")
@@ -511,11 +511,6 @@ fn error_columns(scene: &Scene, control: usize, q: &Covariance) -> usize {
     };
     let columns = waves(k.correlation_length_x).saturating_add(waves(k.correlation_length_v));
     error_numbers(scene, columns.min(control))
-}
-
-/// Whether only the constants of `[estimate]` are unknown.
-fn is_known(scene: &Scene) -> bool {
-    matches!(scene.background.covariance, Covariance::Known(_))
 }
 
 fn windows(scene: &Scene) -> usize {

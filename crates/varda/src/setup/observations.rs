@@ -215,7 +215,8 @@ impl Observed {
         Ok(())
     }
 
-    fn is_assimilated(&self, seen: &Seen, grid: &TimeGrid) -> bool {
+    /// Whether it is in the window and not kept back.
+    pub(crate) fn is_assimilated(&self, seen: &Seen, grid: &TimeGrid) -> bool {
         !self.sites[seen.site].withheld && seen.at() <= grid.steps as f64
     }
 

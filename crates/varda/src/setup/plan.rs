@@ -4,7 +4,7 @@ use super::inputs::Inputs;
 use super::memory::{Memory, Sizes, error_numbers, without_spread};
 use super::problem::without_derivatives;
 use crate::Error;
-use crate::scene::{Covariance, Method, SceneFile, TimeGrid};
+use crate::scene::{Method, SceneFile, TimeGrid};
 
 /// Sizes of a scene, and what it leaves out.
 #[derive(Debug, Clone, PartialEq)]
@@ -81,9 +81,9 @@ impl Plan {
             method: format!("{}, {}", algorithm.method.name(), algorithm.solver_name()),
             n_state: sizes.state,
             n_control: sizes.control,
-            n_known: match b {
-                Covariance::Known(_) => sizes.control - inputs.system.estimates().len(),
-                _ => 0,
+            n_known: match b.is_of_known_state() {
+                true => sizes.control - inputs.system.estimates().len(),
+                false => 0,
             },
             is_one_shape: algorithm.method == Method::Static,
             n_errors: error_numbers(scene, sizes.control),

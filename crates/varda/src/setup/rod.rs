@@ -84,6 +84,11 @@ impl RodSystem {
         &self.left_out
     }
 
+    /// Numbers of its control that are none of the constants.
+    fn without_constants(&self) -> usize {
+        self.control - self.parts.estimates.len()
+    }
+
     /// The layout of its control.
     pub(crate) fn layout(&self) -> StateLayout {
         StateLayout::of_rod(Geometry {
@@ -300,7 +305,7 @@ impl RodSystem {
         reference: &[f64],
     ) -> Result<Factored, Error> {
         let Some(kernel) = file.checked(keys.of_rod(path))? else {
-            return Ok(covariance::none(self.layout().len() - self.parts.estimates.len()));
+            return Ok(covariance::none(self.without_constants()));
         };
         let sigmas = self.sigmas(file, path, kernel, reference)?;
         covariance::localized(file, path, kernel, &self.places, sigmas)
@@ -329,7 +334,7 @@ impl RodSystem {
         reference: &[f64],
     ) -> Result<Box<dyn Covariance>, Error> {
         let Some(kernel) = file.checked(keys.of_rod(path))? else {
-            return Ok(Box::new(WithoutError(self.layout().len() - self.parts.estimates.len())));
+            return Ok(Box::new(WithoutError(self.without_constants())));
         };
         let sigmas = self.sigmas(file, path, kernel, reference)?;
         covariance::unlocalized(file, path, kernel, &self.places, sigmas)
