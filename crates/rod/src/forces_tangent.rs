@@ -75,15 +75,28 @@ struct ChangeOfForces {
     moved: Option<[Increment; 2]>,
 }
 
+impl ChangeOfForces {
+    fn is_none(&self) -> bool {
+        let nothing = |moved: &Increment| {
+            moved.places.iter().all(|x| *x == Vector3::zeros()) && moved.angles.iter().all(|a| *a == 0.0)
+        };
+        self.gradient.iter().all(|g| *g == 0.0)
+            && self.moments.iter().all(|m| *m == [0.0; 3])
+            && self.forces.iter().all(|f| *f == Vector3::zeros())
+            && self.moved.as_ref().is_none_or(|moved| moved.iter().all(nothing))
+    }
+}
+
 impl Parameters {
-    /// What each does to the forces within the rod, the system having the shape of a state.
+    /// What those do that change them to the forces within the rod, the system having the shape of a state:
+    /// of an error in time only the numbers about that time.
     fn of_forces(
         &self,
         system: &mut System,
         motion: &Motion,
         damping: &Damping,
         times: [f64; 2],
-    ) -> Vec<ChangeOfForces> {
+    ) -> Vec<(usize, ChangeOfForces)> {
         let (h, mut past) = (motion.start.length, PastStrains::default());
         if let Some(then) = motion.past {
             past.lengths = then.shape.edges.iter().map(|edge| edge.l).collect();
@@ -115,9 +128,9 @@ impl Parameters {
                 of.forces.iter_mut().zip(accelerated).for_each(|(f, a)| *f -= a);
                 of.moved = Some(moved(system, motion, index, times));
             }
-            of
+            (!of.is_none()).then_some((index, of))
         };
-        self.list.iter().zip(&self.slopes).enumerate().map(of).collect()
+        self.list.iter().zip(&self.slopes).enumerate().filter_map(of).collect()
     }
 }
 
@@ -227,8 +240,8 @@ struct Tangent<'a> {
     share: f64,
     now: Increment,
     before: Increment,
-    /// What each parameter does.
-    changes: Vec<ChangeOfForces>,
+    /// What parameters do, by their numbers.
+    changes: Vec<(usize, ChangeOfForces)>,
     /// What a clamp at the start and one at the end exert on the vertex beside their place, and about the
     /// tangent.
     clamped: [Option<(Vector3<f64>, f64)>; 2],
@@ -243,7 +256,7 @@ impl<'a> Tangent<'a> {
         start: StageStart,
         past: Option<&'a Past>,
         share: f64,
-        changes: Vec<ChangeOfForces>,
+        changes: Vec<(usize, ChangeOfForces)>,
     ) -> Tangent<'a> {
         let n = system.rod.segments();
         system.elastic(None);
@@ -317,7 +330,7 @@ impl<'a> Tangent<'a> {
             Some(past) => self.before.set(system, &past.shape, dx_before),
             None => system.displacements(dx_before, &mut self.before.places),
         }
-        for (change, dp) in self.changes.iter().zip(dp) {
+        for (change, dp) in self.changes.iter().map(|(p, change)| (change, &dp[*p])) {
             if let Some([now, before]) = &change.moved {
                 self.now.add(now, *dp);
                 self.before.add(before, *dp);
@@ -427,7 +440,7 @@ impl<'a> Tangent<'a> {
 
     /// What the parameters add to all of it.
     fn change(&mut self, dp: &[f64]) {
-        for (change, dp) in self.changes.iter().zip(dp) {
+        for (change, dp) in self.changes.iter().map(|(p, change)| (change, &dp[*p])) {
             self.gradient.iter_mut().zip(&change.gradient).for_each(|(g, c)| *g += c * dp);
             self.loads.forces.iter_mut().zip(&change.forces).for_each(|(f, c)| *f += c * *dp);
             let moments = self.out.bending.iter_mut().zip(&mut self.out.twisting);

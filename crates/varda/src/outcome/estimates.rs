@@ -153,7 +153,7 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
 fn of_inputs(all: &[Estimated]) -> Vec<String> {
     let mut out = Vec::new();
     let inputs: Vec<&Estimated> = all.iter().filter(|e| e.is_of_input()).collect();
-    let support = |e: &Estimated| e.name.split('.').next().unwrap_or_default().to_string();
+    let support = |e: &Estimated| e.name.split_inclusive(']').next().unwrap_or_default().to_string();
     for of in inputs.chunk_by(|a, b| support(a) == support(b)) {
         let mean = |of_one: &dyn Fn(&Estimated) -> f64| {
             (of.iter().map(|e| of_one(e).powi(2)).sum::<f64>() / of.len() as f64).sqrt()
