@@ -117,32 +117,38 @@ fn products(case: &mut Case) -> Outcome {
     ];
     let file = SceneFile::parse("starter", "starter.toml", STARTER, None, &sets.map(String::from))?;
     let problem = Problem::from_scene(&file)?;
-    let (mut operator, mut model) = (problem.observed.operator()?, problem.model());
-    let (n, rows) = (operator.state_dim(), operator.dim());
-    let mut x = vec![0.0; n];
+    let mut model = problem.model();
+    let mut x = vec![0.0; model.dim()];
     model.initial_state(&problem.background, &mut x)?;
+    products_at(case, &problem, 3, &x)
+}
+
+/// H of a problem at a step and a state: no allocation after the first call, and the dot product.
+pub(super) fn products_at(case: &mut Case, problem: &Problem, step: usize, x: &[f64]) -> Outcome {
+    let mut operator = problem.observed.operator()?;
+    let (n, rows) = (operator.state_dim(), operator.dim());
     let wave = |i: usize, w: f64| (1.0 + w * i as f64).sin();
     let dx: Vec<f64> = (0..n).map(|i| wave(i, 1.7)).collect();
     let dy: Vec<f64> = (0..rows).map(|i| wave(i, 2.3)).collect();
     let (mut y, mut back, mut forth) = (vec![0.0; rows], vec![0.0; n], vec![0.0; rows]);
-    let at = problem.experiment.grid.at(3);
+    let at = problem.experiment.grid.at(step);
     for round in 0..2 {
         let (asked, outcome) = allocations(|| {
             back.fill(0.0);
-            operator.observe(at, &x, &mut y)?;
-            operator.tangent(at, &x, &dx, &mut forth);
-            operator.adjoint_add(at, &x, &dy, &mut back);
+            operator.observe(at, x, &mut y)?;
+            operator.tangent(at, x, &dx, &mut forth);
+            operator.adjoint_add(at, x, &dy, &mut back);
             Ok::<(), varda_implicit::Refusal>(())
         });
         outcome?;
         if round > 0 {
-            case.count("allocations", asked, 0);
+            case.count("allocations, observations", asked, 0);
         }
     }
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let (a, b) = (dot(&forth, &dy), dot(&dx, &back));
     let size = forth.iter().zip(&dy).map(|(a, b)| (a * b).abs()).sum::<f64>();
-    case.at_most("adjoint off the tangent", (a - b).abs() / size, 1e-13, "-")
+    case.at_most("observations: adjoint off the tangent", (a - b).abs() / size, 1e-13, "-")
         .computed(a)
         .because("rounding of sums");
     Ok(())
