@@ -339,8 +339,8 @@ pub fn solve<E: Equations + ?Sized>(
 }
 
 /// The size of the update after one of size d₃, where two before it had sizes d₁, d₂ and the three
-/// shrink fast: d₃ r' (r'/r) with rates r = d₂/d₁ and r' = d₃/d₂, as if the rate improved by the same
-/// factor once more; near a solution it improves by more. Infinite elsewhere.
+/// shrink fast: d₃ r' (r'/r) with rates r = d₂/d₁ and r' = d₃/d₂, as if the rate improved by the
+/// same factor once more; near a solution it improves by more. Infinite elsewhere.
 fn expected_update([first, second]: [f64; 2], third: f64) -> f64 {
     let (before, now) = (second / first, third / second);
     let fast = before <= SHRINKS[0] && now <= SHRINKS[1];
