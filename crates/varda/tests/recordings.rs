@@ -100,18 +100,16 @@ fn a_constant_of_a_recording_alone_is_named_with_it() {
     }
 }
 
+const WEAK: &str = "algorithm.model_error={every=10,covariance={kind=\"kernel\",sigma_x=0.001,sigma_v=0.01,\
+                    correlation_length_x=0.1,correlation_length_v=0.1}}";
+const OTHER: &str = "[[recordings]]\nname = \"a\"\n[[recordings]]\nname = \"b\"\n\
+                     model = { material = { youngs_modulus = 2e6 } }\n";
+
 #[test]
 fn what_cannot_be_is_refused_with_the_key() {
     for (recordings, sets, expected) in [
         (TWO, &["algorithm.method=4denvar"][..], "takes one recording"),
-        (
-            TWO,
-            &[
-                "algorithm.method=weak-forcing",
-                "algorithm.model_error={every=10,covariance={kind=\"kernel\",sigma_x=0.001,sigma_v=0.01,correlation_length_x=0.1,correlation_length_v=0.1}}",
-            ][..],
-            "takes one recording",
-        ),
+        (TWO, &["algorithm.method=weak-forcing", WEAK][..], "takes one recording"),
         (TWO, &["algorithm.window_growth=[10,30]"][..], "leave it out"),
         (TWO, &["algorithm.background_check=5.0"][..], "leave it out"),
         (TWO, &["estimate.clock={sigma=0.01}"][..], "passes over one recording"),
@@ -124,11 +122,7 @@ fn what_cannot_be_is_refused_with_the_key() {
         ),
         ("[[recordings]]\nname = \"a\"\ntime = { windou = 3 }\n", &[][..], "did you mean `window`"),
         ("[[recordings]]\nname = \"a\"\nalgorithm = { }\n", &[][..], "unknown key `algorithm`"),
-        (
-            "[[recordings]]\nname = \"a\"\n[[recordings]]\nname = \"b\"\nmodel = { material = { youngs_modulus = 2e6 } }\n",
-            &[][..],
-            "are the same in all recordings",
-        ),
+        (OTHER, &[][..], "are the same in all recordings"),
         (
             "[[recordings]]\nname = \"a\"\nestimate = { youngs_modulus = { sigma = \"5%\" } }\n",
             &[][..],

@@ -86,9 +86,9 @@ pub struct Wire {
 }
 
 impl Wire {
-    /// The wire and the pose of this name, as "black 2": stiffness with a prior of 50 % about the value listed
-    /// for it, directions of the clamps from the first and the last chord, known to 0.3 rad, and their places
-    /// as seen; points 3 and 7 are kept back.
+    /// The wire and the pose of this name, as "black 2": stiffness with a prior of 50 % about the value
+    /// listed for it, directions of the clamps from the first and the last chord, known to 0.3 rad, and their
+    /// places as seen; points 3 and 7 are kept back.
     pub fn of(pose: &str) -> Option<Wire> {
         let (wire, number) = pose.split_once(' ')?;
         let point = |line: &str| -> Option<[f64; 3]> {

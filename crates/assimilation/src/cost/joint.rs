@@ -47,7 +47,8 @@ use crate::Error;
 /// let b = BlockDiagonal::new(vec![Diagonal::uniform(1, 0.5)?, Diagonal::uniform(1, 0.3)?]);
 /// let transform = ControlTransform::new(vec![1.0, 0.5], &b)?;
 /// let run = |start: f64| -> Result<_, Error> {
-///     let seen = (1..5).map(|k| Observation::new(5 * k, vec![0], vec![start * (-0.4 * k as f64).exp()], 0.01));
+///     let value = |k: usize| start * (-0.4 * k as f64).exp();
+///     let seen = (1..5).map(|k| Observation::new(5 * k, vec![0], vec![value(k)], 0.01));
 ///     ObservationSet::new(20, vec![Box::new(Selection::new(vec![0], 2)?)], seen.collect())
 /// };
 /// let mut models = [0, 1].map(|_| Rk4::new(RhsWithParameters::new(Decay(0.0), 0), 0, 0.1));

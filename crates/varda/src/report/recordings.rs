@@ -135,8 +135,8 @@ fn page(outcome: &JointOutcome, summary: &JointSummary) -> String {
         title => title,
     };
     let mut body = format!(
-        "<header><h1>{}</h1><p class=\"sub\">scene <code>{}</code> · seed {} · {} by {} · {} recordings · <span \
-         class=\"status {}\">{}</span></p></header>{}",
+        "<header><h1>{}</h1><p class=\"sub\">scene <code>{}</code> · seed {} · {} by {} · {} \
+         recordings · <span class=\"status {}\">{}</span></p></header>{}",
         escape(title),
         escape(&outcome.name),
         summary.seed,

@@ -274,7 +274,10 @@ pub(super) fn described(problem: &Problem, ended: Ended, listener: &Listener) ->
     let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
     let estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
     let shares = match ended.is_one_of_several {
-        true => Vec::new(),
+        true => shares::of_one_of_several(
+            &analysis,
+            solution.spread.is_some() && scene.algorithm.robust.is_none(),
+        ),
         false => {
             shares::shares(problem, &analysis, errors_of_model.as_ref(), solution.spread.is_some(), root)?
         }

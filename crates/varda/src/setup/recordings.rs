@@ -19,12 +19,12 @@ pub struct Recordings {
 }
 
 impl Recordings {
-    /// The recordings of a scene that has `[[recordings]]`. In a twin experiment the first draws what it would
-    /// alone, and its draw of the shared constants is that of all.
+    /// The recordings of a scene that has `[[recordings]]`. In a twin experiment the first draws what it
+    /// would alone, and its draw of the shared constants is that of all.
     ///
     /// # Errors
-    /// [`Error`] naming the key, the file's line, or the step; constants of `[estimate]` that are not the same
-    /// in all recordings.
+    /// [`Error`] naming the key, the file's line, or the step; constants of `[estimate]` that are not the
+    /// same in all recordings.
     pub fn from_scene(file: &SceneFile) -> Result<Recordings, Error> {
         let mut problems = Vec::new();
         for inputs in Recordings::inputs(file)? {

@@ -40,8 +40,8 @@ fn background(r: usize) -> Vec<f64> {
     state.chain([0.2]).collect()
 }
 
-/// x₀¹, x₀² and F of the normal equations of both windows at once, and their covariance: G from the response
-/// of runs to single numbers, B diagonal.
+/// Both initial states and F of the normal equations of both windows at once, and their covariance: G from
+/// the response of runs to single numbers, B diagonal.
 fn closed() -> Result<(DVector<f64>, DMatrix<f64>), Box<dyn std::error::Error>> {
     let n = 2 * N + 1;
     let mut precision = DMatrix::from_diagonal(&DVector::from_fn(n, |i, _| {

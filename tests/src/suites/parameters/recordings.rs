@@ -34,7 +34,7 @@ fn logarithm(e: &Estimated) -> Result<[f64; 2], String> {
     Ok([(e.value / e.prior).ln(), e.sigma.ok_or("no σ")? / e.value])
 }
 
-/// Precisions add, the prior's once: 1/σ² = 1/σ₁² + 1/σ₂² − 1/σ_b², and p/σ² = p₁/σ₁² + p₂/σ₂².
+/// Precisions w = 1/σ² add, the prior's once: w = w₁ + w₂ − w_b, and w p = w₁ p₁ + w₂ p₂.
 fn twice(case: &mut Case, second: &str, bounds: [f64; 2]) -> Outcome {
     let prior = 0.3_f64;
     let alone = |observations: &str| -> Result<[f64; 2], Box<dyn std::error::Error>> {
@@ -76,9 +76,9 @@ fn twice(case: &mut Case, second: &str, bounds: [f64; 2]) -> Outcome {
 /// Modulus, damping and curvature of a rod in two runs that start at other times of its drive.
 fn covered(case: &mut Case, seeds: u64) -> Outcome {
     let text = format!(
-        "{STARTER}\n[estimate]\nyoungs_modulus = {{ sigma = \"15%\" }}\ndamping_stiffness = {{ sigma = \"30%\" }}\n\
-         natural_curvature = {{ sigma = 0.2 }}\n[[recordings]]\nname = \"a\"\n[[recordings]]\nname = \"b\"\n\
-         time = {{ spin_up = 37 }}\n"
+        "{STARTER}\n[estimate]\nyoungs_modulus = {{ sigma = \"15%\" }}\n\
+         damping_stiffness = {{ sigma = \"30%\" }}\nnatural_curvature = {{ sigma = 0.2 }}\n\
+         [[recordings]]\nname = \"a\"\n[[recordings]]\nname = \"b\"\ntime = {{ spin_up = 37 }}\n"
     );
     let (mut inside, mut count, mut squares) = (0.0, 0.0, 0.0);
     for seed in 0..seeds {
