@@ -114,7 +114,7 @@ pub struct Scene {
     #[serde(default, skip_serializing_if = "is_default")]
     pub estimate: Estimate,
     /// Several recordings of one system in one estimate: each has a state of its own, the constants of
-    /// [estimate] are the same. Absent: one, that of [observations].
+    /// `[estimate]` are the same. Absent: one, that of `[observations]`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub recordings: Vec<OneRecording>,
     /// How the cost is minimised.

@@ -12,7 +12,7 @@ use super::tree::{self, Node};
 pub struct Keys(pub(super) Map<String, Value>);
 
 /// One of several recordings of one system: its state at the start is its own, and the constants of
-/// [estimate] are those of all. Its tables have the keys that differ from the scene's; a table with another
+/// `[estimate]` are those of all. Its tables have the keys that differ from the scene's; a table with another
 /// `kind` stands in place of the scene's.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
