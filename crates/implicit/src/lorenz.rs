@@ -127,14 +127,7 @@ impl ParametricRhs for Lorenz63 {
         true
     }
 
-    fn second_parameters(
-        &mut self,
-        _t: f64,
-        _x: &[f64],
-        l: &[f64],
-        columns: &mut [f64],
-        square: &mut [f64],
-    ) {
+    fn second_parameters(&mut self, _t: f64, _x: &[f64], l: &[f64], columns: &mut [f64], square: &mut [f64]) {
         columns.fill(0.0);
         square.fill(0.0);
         (columns[0], columns[1], columns[3], columns[8]) = (-l[0], l[0], l[1], -l[2]);

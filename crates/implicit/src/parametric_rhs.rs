@@ -279,14 +279,7 @@ impl<R: ParametricRhs> Rhs for RhsWithParameters<R> {
         given && self.rhs.has_second_derivatives()
     }
 
-    fn second_adjoint_add(
-        &mut self,
-        t: f64,
-        long: &[f64],
-        dlong: &[f64],
-        lambda: &[f64],
-        out: &mut [f64],
-    ) {
+    fn second_adjoint_add(&mut self, t: f64, long: &[f64], dlong: &[f64], lambda: &[f64], out: &mut [f64]) {
         let x = self.take(long);
         let m = self.rhs.parameters();
         let ((dx, dp), (out, out_p)) = (dlong.split_at(x.len()), out.split_at_mut(x.len()));
