@@ -216,7 +216,7 @@ const CONSTANTS: [Constant; 23] = [
 
 pub(super) fn run(rows: &mut Rows) {
     rows.area("gradient of J");
-    for constant in CONSTANTS.iter() {
+    for constant in rows.grid("constants", &CONSTANTS) {
         let name = constant.estimate.split('=').next().unwrap_or("").to_string();
         let law = if constant.exponential { "log-normal" } else { "normal" };
         rows.case(&format!("{name}, {law}"), |case| gradient(case, constant));
