@@ -102,6 +102,7 @@ mod full_rank;
 mod further;
 mod growth;
 mod inner;
+mod lanczos_space;
 mod minimize;
 mod noise;
 mod observation;

@@ -113,6 +113,19 @@ fn estimates_have_the_exact_hessian_too() {
     }
 }
 
+/// Beyond 3000 unknowns.
+#[test]
+fn the_exact_hessian_has_a_posterior_of_low_rank() {
+    let sets = ["model.segments=520", "time.window=10", "report.mesh=false"];
+    let with: Vec<&str> = sets.into_iter().chain(["algorithm.hessian=exact"]).collect();
+    let (plain, exact) = (run("hose", &sets), run("hose", &with));
+    assert!(plain.exact_hessian.is_none());
+    let found = exact.exact_hessian.unwrap();
+    assert!(found.smallest_eigenvalue.is_some_and(|mu| mu > 0.0 && mu <= 1.0), "{found:?}");
+    assert!(found.sigma_change.is_some_and(|change| change > 0.0 && change < 0.5), "{found:?}");
+    assert_eq!((found.draws, found.effective_share), (0, None));
+}
+
 #[test]
 fn the_exact_hessian_is_refused_where_there_is_none() {
     let moved = refused("hose", &["algorithm.hessian=exact", "estimate.clamp_direction={sigma=0.1}"]);

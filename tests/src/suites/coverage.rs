@@ -54,7 +54,7 @@ const TWINS: [Twin; 9] = [
     },
     // clock and constants of the model in one Hessian, with the second derivatives of both
     Twin {
-        name: "rod with unknown EI, damping, curvature and clock, exact Hessian",
+        name: "rod with unknown modulus, damping, curvature and clock, exact Hessian",
         scene: "starter",
         sets: &[
             "model.damping.stiffness=0.01",
