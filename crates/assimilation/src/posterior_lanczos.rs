@@ -22,7 +22,7 @@ use varda_linalg::krylov::{Lanczos, Product, Ritz};
 /// | made by | products with A | error |
 /// |---|---|---|
 /// | [`lanczos`](Self::lanczos) | about twice the pairs kept | a bound, to the tolerance asked for |
-/// | [`lanczos_exact`](Self::lanczos_exact) | the same with the exact Hessian | a bound, where that is definite |
+/// | [`lanczos_exact`](Self::lanczos_exact) | the same, with ∇²J | a bound, if definite |
 /// | [`from_inverse_hessian`](Self::from_inverse_hessian) | none | an estimate, often no better than 1 |
 /// | [`refined`](Self::refined) | one for each direction of L-BFGS, and what is missing | a bound |
 ///
@@ -122,15 +122,15 @@ impl LowRankPosterior {
     }
 
     /// The same of the exact Hessian A of J at that point, whose eigenvalues lie on both sides of 1. Kept are
-    /// the pairs farthest from 1; with φ = ν + ω, scaled as above, ω of the rest and μ_1 the least that is
-    /// kept,
+    /// the pairs farthest from 1; with φ = ν + ω, scaled as above, ω of the rest and μ_1 the least that
+    /// is kept,
     ///
     /// ```text
     ///     ‖P_v − A⁻¹‖₂ ≤ φ / (1 − φ) / min(1, μ_1)    where φ < 1
     /// ```
     ///
-    /// since D^{-1/2} A D^{-1/2} = I + F with D the blocks of P_v⁻¹ and ‖F‖ ≤ φ: A is then positive definite.
-    /// There is no bound ([`Self::error_bound`] is `None`) where φ stays above 1.
+    /// since D^{-1/2} A D^{-1/2} = I + F with D the blocks of P_v⁻¹ and ‖F‖ ≤ φ: A is then positive
+    /// definite. There is no bound ([`Self::error_bound`] is `None`) where φ stays above 1.
     ///
     /// # Errors
     /// [`Error::NoSecondDerivatives`]; [`Error::NotPositiveDefinite`] where a Ritz value, and with it an

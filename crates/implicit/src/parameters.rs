@@ -43,10 +43,10 @@ pub trait ParametricStep: ImplicitStep {
         false
     }
 
-    /// The second derivatives of L = λᵀ S(x_k, u; p) + μᵀ G(x_k, u; p) with parameters, in the increments
-    /// that products are given: the columns of ∂²L/∂x∂p (each as long as the step's state, history
-    /// included), those of ∂²L/∂u∂p, and ∂²L/∂p² row by row, all overwritten. Called once for every λ and μ,
-    /// right after [`ImplicitStep::keep_second`] with the same.
+    /// The second derivatives of L = λᵀ S(x_k, u; p) + μᵀ G(x_k, u; p) with parameters, in the
+    /// increments that products are given: the columns of ∂²L/∂x∂p (each as long as the step's state,
+    /// history included), those of ∂²L/∂u∂p, and ∂²L/∂p² row by row, all overwritten. Called
+    /// once for every λ and μ, right after [`ImplicitStep::keep_second`] with the same.
     fn keep_second_parameters(
         &mut self,
         _of: &SolvedStep<'_>,
@@ -84,8 +84,8 @@ pub trait ParametricStep: ImplicitStep {
 /// and the step does not, as the offset of a clock.
 ///
 /// ∂G/∂p is kept with each linearization: a product takes one vector operation a parameter more, and no
-/// further solve. So are, for exact Hessians, the columns of ∂²L/∂(x, u)∂p with L = λᵀS + μᵀG, and ∂²L/∂p².
-/// Where x_{k−1} is part of the state, so is its p, on which nothing depends.
+/// further solve. So are, for exact Hessians, the columns of ∂²L/∂(x, u)∂p with L = λᵀS + μᵀG,
+/// and ∂²L/∂p². Where x_{k−1} is part of the state, so is its p, on which nothing depends.
 ///
 /// # Examples
 ///
@@ -343,7 +343,8 @@ impl<S: ParametricStep> WithParameters<S> {
         (&mut self.step, SolvedStep { at: of.at, x: &self.x, u: of.u, kept }, &mut self.next)
     }
 
-    /// What second derivatives keep: the step's own, the columns of ∂²L/∂x∂p and ∂²L/∂u∂p, and ∂²L/∂p².
+    /// What second derivatives keep: the step's own, the columns of ∂²L/∂x∂p and ∂²L/∂u∂p, and
+    /// ∂²L/∂p².
     fn second_lengths(&self) -> [usize; 4] {
         let (own, active) = (self.step.second_kept().unwrap_or(0), self.active);
         [own, active * self.step.dim(), active * self.step.unknowns(), active * active]

@@ -23,8 +23,8 @@ pub trait ParametricRhs: Rhs {
         false
     }
 
-    /// The columns of ∂²(λᵀf)/∂x∂p(t, x), one after the other, and ∂²(λᵀf)/∂p² row by row, both
-    /// overwritten. Called only where `has_second_parameters` says so.
+    /// The columns of ∂²(λᵀf)/∂x∂p(t, x), one after the other, and ∂²(λᵀf)/∂p² row by row,
+    /// both overwritten. Called only where `has_second_parameters` says so.
     fn second_parameters(
         &mut self,
         _t: f64,

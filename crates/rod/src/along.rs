@@ -25,8 +25,8 @@ pub(crate) struct EdgeAlong {
     pub(crate) turned: Vector3<f64>,
 }
 
-/// κ₁, κ₂, τ of a vertex with frames; where there are none the first is its energy for a stiffness of one,
-/// and its gradient stands in the first nine places.
+/// κ₁, κ₂, τ of a vertex with frames; where there are none the first is its energy for a stiffness of
+/// one, and its gradient stands in the first nine places.
 pub(crate) struct VertexAlong {
     pub(crate) value: [f64; 3],
     pub(crate) gradient: [[f64; LOCAL]; 3],

@@ -233,8 +233,8 @@ impl KelvinVoigt {
         }
     }
 
-    /// dx += Σ_j w_j Σ s ∂ε/∂x_k of the strains of the past, one stress s for each of edge and vertex, right
-    /// after the step was prepared, with what was kept of it.
+    /// dx += Σ_j w_j Σ s ∂ε/∂x_k of the strains of the past, one stress s for each of edge and vertex,
+    /// right after the step was prepared, with what was kept of it.
     pub(crate) fn past_transpose_add(
         &mut self,
         layout: &Layout,

@@ -253,8 +253,8 @@ impl Markers {
         }
     }
 
-    /// The transpose of an offset's increment on edge e: what a force does to the end of the edge (less to its
-    /// start), and to its angle, where there are frames.
+    /// The transpose of an offset's increment on edge e: what a force does to the end of the edge (less to
+    /// its start), and to its angle, where there are frames.
     fn offset_transpose(&self, e: usize, o: &Vector3<f64>, force: &Vector3<f64>) -> (Vector3<f64>, f64) {
         let (shape, edge) = (&self.system.shape, &self.system.shape.edges[e]);
         let (mut dt, mut turn) = (force * o[2], 0.0);
@@ -278,10 +278,10 @@ impl Markers {
         }
     }
 
-    /// The second derivatives of Σ dy·y with the places (s, o₁, o₂, o₃) of the markers, four numbers each, and
-    /// the state: adds those of an increment of both to `out` and, by places, to `out_places`. Those of the
-    /// state alone [`second_adjoint_add`](ObservationOperator::second_adjoint_add) adds; of places alone there
-    /// are none.
+    /// The second derivatives of Σ dy·y with the places (s, o₁, o₂, o₃) of the markers, four numbers
+    /// each, and the state: adds those of an increment of both to `out` and, by places, to `out_places`.
+    /// Those of the state alone [`second_adjoint_add`](ObservationOperator::second_adjoint_add) adds; of
+    /// places alone there are none.
     ///
     /// # Errors
     /// A state that cannot be observed.

@@ -1,7 +1,7 @@
 //! Second derivatives of elastic and Kelvin–Voigt forces with constants of a rod.
 //!
-//! Forces are Σ σ ∇ε with σ affine in each constant, and quadratic in all of them. With F the derivative of
-//! the energy by a constant and μ the multipliers of the forces, what a product asks for is
+//! Forces are Σ σ ∇ε with σ affine in each constant, and quadratic in all of them. With F the
+//! derivative of the energy by a constant and μ the multipliers of the forces, what a product asks for is
 //!
 //! ```text
 //! ∂²(μᵀ∇E)/∂c∂p = Σ δσ (∇ε)' + δσ' ∇ε,     ' along μ
@@ -33,7 +33,8 @@ impl Strained<'_> {
 }
 
 impl System {
-    /// Overwrites `full` with ∂²(μᵀ∇E)/∂c∂g of a change, in the full order, and returns μᵀ ∂∇E/∂g.
+    /// Overwrites `full` with ∂²(μᵀ∇E)/∂c∂g of a change, in the full order, and returns μᵀ
+    /// ∂∇E/∂g.
     pub(crate) fn second_of_change(&self, change: &Change, of: Strained, full: &mut [f64]) -> f64 {
         full.fill(0.0);
         let (layout, rod, rates) = (&self.layout, &self.rod, of.rates(change));
@@ -89,8 +90,8 @@ impl System {
         (stress, by.stress_of(&vertex.rate, rates))
     }
 
-    /// −(δk r + k δr) μ·∇ε of every edge and of the vertex it starts at: what the strains of the past are
-    /// multiplied by in ∂²(μᵀ∇E)/∂x∂g. Returns whether there is anything.
+    /// −(δk r + k δr) μ·∇ε of every edge and of the vertex it starts at: what the strains of the
+    /// past are multiplied by in ∂²(μᵀ∇E)/∂x∂g. Returns whether there is anything.
     pub(crate) fn past_of_change(&self, change: &Change, of: Strained, stresses: &mut Vec<[f64; 4]>) -> bool {
         let [r, dr] = of.rates(change);
         stresses.clear();

@@ -325,12 +325,12 @@ impl TwistEquilibrium {
 }
 
 impl TwistEquilibrium {
-    /// out += Σ_i λ_i ∂²θ_i/∂X² dx, with L = λᵀ(α + ψ(x)) + μᵀ E_α, μ = −E_θθ⁻¹ λ; with parameters
-    /// p of the constants where they are given, those of ∂(X, p)² times (dx, dp). The increment of α is that
-    /// of both, and with F_i = ∂E/∂p_i
+    /// out += Σ_i λ_i ∂²θ_i/∂X² dx, with L = λᵀ(α + ψ(x)) + μᵀ E_α, μ = −E_θθ⁻¹ λ;
+    /// with parameters p of the constants where they are given, those of ∂(X, p)² times (dx, dp). The
+    /// increment of α is that of both, and with F_i = ∂E/∂p_i
     ///
     /// ```text
-    /// ∂²L/∂c∂p_i = ∂²F_i/∂c∂α μ,   out_p += ∂²L/∂p∂c dc + ∂²L/∂p² dp − F_αᵀ E_θθ⁻¹ (∂²L/∂α∂(c, p) (dc, dp))
+    /// L_cp = ∂F/∂c∂α μ,   out_p += L_pc dc + L_pp dp − F_αᵀ E_θθ⁻¹ (L_αc dc + L_αp dp)
     /// ```
     ///
     /// K of μ is zero: μ moves no places.

@@ -69,10 +69,10 @@ reached) or ended otherwise, the share of steps made with the exact Hessian, and
 (median). *Posterior*: the largest difference of a standard deviation by the exact Hessian from that of \
 Gauss and Newton, at the minimum (median over seeds whose exact Hessian is positive definite; their number).
 
-**Estimates.** Twins whose constants are unknown, estimated with their state, posterior and all: iterations and \
-seconds of the thread (medians over the seeds), the root mean square of value − truth over σ of all constants \
-(1 where σ is right), the share of them within their 95 % intervals, and the largest change of a σ by second \
-derivatives (median).";
+**Estimates.** Twins whose constants are unknown, estimated with their state, posterior and all: iterations \
+and seconds of the thread (medians over the seeds), the root mean square of value − truth over σ of all \
+constants (1 where σ is right), the share of them within their 95 % intervals, and the largest change of \
+a σ by second derivatives (median).";
 
 const ESTIMATES: &[&str] = &[
     "twin",

@@ -7,8 +7,8 @@ use serde::Serialize;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct ExactHessian {
     /// Its smallest eigenvalue in the control variable, where Gauss–Newton's is at least 1; not positive
-    /// where J is not convex. Of a posterior of low rank the smallest that was found; `None` where that has no
-    /// error bound.
+    /// where J is not convex. Of a posterior of low rank the smallest that was found; `None` where that has
+    /// no error bound.
     pub smallest_eigenvalue: Option<f64>,
     /// The largest |σ/σ_GN − 1|; `None` where there is no posterior of the exact Hessian.
     pub sigma_change: Option<f64>,

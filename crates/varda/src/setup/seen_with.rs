@@ -19,8 +19,8 @@ pub(crate) trait Sites: ObservationOperator {
     /// The columns ∂y/∂(s, o₁, o₂, o₃) of every site, three numbers each.
     fn by_place(&mut self, _at: At, _x: &[f64], _columns: &mut [f64]) {}
 
-    /// The second derivatives of Σ dy·y with those places, four numbers each, and the state: adds those of an
-    /// increment of both to `out` and, by places, to the other.
+    /// The second derivatives of Σ dy·y with those places, four numbers each, and the state: adds those of
+    /// an increment of both to `out` and, by places, to the other.
     fn second_by_place_add(
         &mut self,
         _at: At,

@@ -94,7 +94,7 @@ pub(in crate::suites) fn along(
     )
     .computed(dropped)
     .because(
-        "gradients good to 1e-12 over steps of 2e-3 or more; computed: the share that Gauss and Newton leave out",
+        "gradients good to 1e-12 over steps of 2e-3; computed: the share that Gauss and Newton leave out",
     );
     let [coarse, fine] = [away(&steps[0], &product), away(&steps[1], &product)];
     if coarse > 1e-6 * size {
