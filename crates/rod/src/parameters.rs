@@ -410,11 +410,11 @@ impl RodStep {
                 mixed_add(from, by_x, own, 3 * f, (-on_place).into());
                 mixed_add(from, by_x, own, 3 * (nf + f), (mu * (-more * k * h)).into());
             }
-            if let Some(viscous) = &mut self.viscous {
-                if self.system.past_of_change(change, strained, stresses) {
-                    let kept = &of.kept[kept_lengths[0] + kept_lengths[1]..];
-                    viscous.past_transpose_add(&self.system.layout, &stage, kept, stresses, by_x);
-                }
+            if let Some(viscous) = &mut self.viscous
+                && self.system.past_of_change(change, strained, stresses)
+            {
+                let kept = &of.kept[kept_lengths[0] + kept_lengths[1]..];
+                viscous.past_transpose_add(&self.system.layout, &stage, kept, stresses, by_x);
             }
             by_x.iter_mut().chain(by_u).for_each(|b| *b *= slope);
             first.push(sum);

@@ -5,18 +5,14 @@ mod common;
 use std::f64::consts::PI;
 
 use common::rods_with_parameters::{
-    Case, DOWN, LOST, PLAIN, SEGMENTS, cases, control, loads, rod, step, supports, unknowns,
+    Case, DOWN, LOST, PLAIN, SEGMENTS, cases, control, loads, moves, rod, step, supports, unknowns,
 };
 use common::{assert_close, noise, products};
 use varda_implicit::{
     At, Error, ImplicitModel, ImplicitStep, Model, ObservationOperator, ParametricStep, Scheme, SolvedStep,
     WithParameters,
 };
-use varda_rod::{
-    Change, Clamp, ClampAt, Damping, Displacement, Drag, EllipseDrive, HeldAt, Law, Loads, Marker, Markers,
-    Material, Motion, Moved, MovedBy, Parameter, Rod, RodStep, Section, Supports, TwistUnknowns, Vector3,
-    straight_guess,
-};
+use varda_rod::{Change, Damping, Law, Marker, Markers, Parameter, RodStep, TwistUnknowns, Vector3};
 
 #[test]
 fn tangent_and_adjoint_of_every_parameter() {

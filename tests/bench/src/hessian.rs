@@ -36,6 +36,13 @@ pub(super) fn run(options: &Options) -> Result<Page> {
     cost.evaluate(&v, None)?;
     products.push(product("Lorenz-96, N = 40, RK4", &mut cost, options)?);
 
+    let (name, scene, sets) = UNKNOWN[0];
+    let problem = twin(scene, sets, &[])?;
+    let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref())?;
+    let (mut model, mut set) = (problem.model(), problem.observations()?);
+    let mut cost = StrongConstraint::new(model.as_mut(), transform, &mut set)?;
+    products.push(product(name, &mut cost, options)?);
+
     let mut minima = Table::new("minima", "The trust region with either Hessian", MINIMA);
     let seeds = if options.quick { 2 } else { 20 };
     for scene in SCENES {
@@ -269,12 +276,7 @@ fn estimate((name, scene, sets): Unknown, hessian: &str, seeds: usize) -> Result
     let (mut squares, mut inside, mut count) = (0.0, 0_usize, 0_usize);
     for seed in 0..seeds {
         let own = [format!("seed={seed}"), format!("algorithm.hessian=\"{hessian}\"")];
-        let sets: Vec<String> = sets.iter().map(|s| s.to_string()).chain(own).collect();
-        let file = match scene {
-            "starter" => SceneFile::parse(scene, "starter.toml", STARTER, None, &sets)?,
-            shipped => SceneFile::open(shipped, &sets)?,
-        };
-        let problem = Problem::from_scene(&file)?;
+        let problem = twin(scene, sets, &own)?;
         let mut outcome = None;
         seconds.push(seconds_of(|| {
             outcome = Some(assimilate(&problem, &mut Listener::silent())?);
@@ -302,6 +304,15 @@ fn estimate((name, scene, sets): Unknown, hessian: &str, seeds: usize) -> Result
         100.0 * inside as f64 / count as f64,
         median(changes).map(|c| 100.0 * c)
     ])
+}
+
+fn twin(scene: &str, sets: &[&str], more: &[String]) -> Result<Problem> {
+    let sets: Vec<String> = sets.iter().map(|s| s.to_string()).chain(more.iter().cloned()).collect();
+    let file = match scene {
+        "starter" => SceneFile::parse(scene, "starter.toml", STARTER, None, &sets)?,
+        shipped => SceneFile::open(shipped, &sets)?,
+    };
+    Ok(Problem::from_scene(&file)?)
 }
 
 fn median(mut values: Vec<f64>) -> Option<f64> {
