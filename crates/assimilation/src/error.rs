@@ -138,10 +138,10 @@ pub enum Error {
         /// The method.
         what: &'static str,
     },
-    /// A minimizer that uses the Hessian was given a cost whose control is not whitened.
-    #[error("{minimizer} works in whitened variables, this cost does not: use the outer loop or lbfgs")]
+    /// A minimizer that uses the Hessian, or a joint cost, was given a cost whose control is not whitened.
+    #[error("{minimizer} works in whitened variables, this cost does not (the outer loop and lbfgs take it)")]
     NotWhitened {
-        /// Name of the minimizer.
+        /// Name of the minimizer, or "a joint cost".
         minimizer: &'static str,
     },
     /// Two parts of a problem disagree about a length.

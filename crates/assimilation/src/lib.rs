@@ -12,6 +12,7 @@
 //! | what is known before? | a [`ControlTransform`]: background x_b and any `varda_covariance::Covariance` |
 //! | nothing known before? | the [`Climatology`] of the model |
 //! | which cost? | [`StrongConstraint`]: 4D-Var, and 3D-Var where nothing is observed after step 0 |
+//! | several windows with constants in common? | [`Joint`], and [`Posterior::marginal`] |
 //! | and if the model errs? | [`WeakForcing`] or [`WeakState`], with [`Forcing`] |
 //! | a cheaper inner problem? | [`outer_loop`], [`InnerSolver::Dual`] for PSAS; [`Blue`] |
 //! | without tangent and adjoint? | [`EnVar`]: 4D-EnVar, hybrid, iterative ensemble smoother |
@@ -125,7 +126,7 @@ pub use consistency::{Consistency, consistency, predicted_variance};
 pub use control::ControlTransform;
 pub use correlated::{Chain, Correlated};
 pub use cost::{
-    CostFunction, CostTerms, Counts, Dual, EnVar, EnVarOptions, EnsembleUpdate, Forcing, InnerCost,
+    CostFunction, CostTerms, Counts, Dual, EnVar, EnVarOptions, EnsembleUpdate, Forcing, InnerCost, Joint,
     LeastSquares, Rejection, StrongConstraint, WeakForcing, WeakState, highest_j_of_a_fit, huber,
 };
 pub use cycle::{CycledCovariance, CycledEnsemble, CycledInflation, CycledUpdate, cycle};

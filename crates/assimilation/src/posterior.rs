@@ -154,10 +154,24 @@ impl Posterior {
     /// From a singular value decomposition of all of G: the leading rows of a root of (I + GᵀG)⁻¹
     /// are a root of P_b, and have a decomposition of their own.
     fn initial_factored(problem: &mut dyn LeastSquares) -> Result<Self, Error> {
-        let (n, r) = (problem.background_dim(), problem.dim());
-        let whole = Self::factored(problem)?;
-        let leading: Vec<f64> = whole.root.chunks_exact(r.max(1)).flat_map(|z| &z[..n]).copied().collect();
-        let Svd { values, left, .. } = Svd::new(n, r, &leading)?;
+        let leading: Vec<usize> = (0..problem.background_dim()).collect();
+        Self::factored(problem)?.marginal(&leading)
+    }
+
+    /// The posterior of some components of v, whatever the others are: the rows of a root of P_v that belong
+    /// to them are a root of their covariance, and have a singular value decomposition of their own. Of one
+    /// cost among several ([`Joint`](crate::Joint)) it is that of its own v.
+    ///
+    /// # Errors
+    /// A decomposition that fails.
+    ///
+    /// # Panics
+    /// If there is no such component.
+    pub fn marginal(&self, components: &[usize]) -> Result<Self, Error> {
+        let (n, r) = (components.len(), self.eigenvalues.len());
+        let rows: Vec<f64> =
+            self.root.chunks_exact(r.max(1)).flat_map(|z| components.iter().map(|i| z[*i])).collect();
+        let Svd { values, left, .. } = Svd::new(n, r, &rows)?;
         let eigenvalues = values.iter().map(|s| 1.0 / (s * s)).collect();
         Self::of_pairs(eigenvalues, left)
     }

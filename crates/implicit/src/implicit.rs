@@ -1,6 +1,6 @@
 //! A [`Model`] made from any [`ImplicitStep`].
 
-use crate::newton::{self, NewtonOptions, NewtonWork};
+use crate::newton::{self, NewtonFailure, NewtonOptions, NewtonWork};
 use crate::substeps::{Linearized, Products, add, substep_bytes};
 use crate::{ControlMap, Equations, Error, ImplicitStep, Interval, Model, SecondOrder, StepEquations, Work};
 use crate::{Rate, VelocityRate};
@@ -247,7 +247,7 @@ impl<S: ImplicitStep> ImplicitModel<S> {
             let from = substeps.len() * n;
             states.resize(from + 2 * n, 0.0);
             let (x, x_next) = states[from..].split_at_mut(n);
-            let warning = match solve_substep(step, &at, x, u, work, options, did) {
+            let warning = match solve_substep(step, &at, size < SHORTEST, x, u, work, options, did) {
                 Ok(warning) => warning,
                 Err(Unsolved::Newton(_)) if size > 1 => {
                     size /= 2;
@@ -351,10 +351,12 @@ enum Unsolved {
     Refused(Error),
 }
 
-/// Solves the equations of one substep for u; returns the step's warning.
+/// Solves the equations of one substep for u, `part` of a whole on which both first guesses failed; returns
+/// the step's warning.
 fn solve_substep<S: ImplicitStep>(
     step: &mut S,
     at: &Interval,
+    part: bool,
     x: &[f64],
     u: &mut [f64],
     work: &mut NewtonWork,
@@ -363,20 +365,20 @@ fn solve_substep<S: ImplicitStep>(
 ) -> Result<Option<String>, Unsolved> {
     let refused = |reason| Error::refused(at.index, reason);
     let mut equations = step.equations(at, x).map_err(|reason| Unsolved::Newton(refused(reason)))?;
-    equations.predict(u).map_err(|reason| Unsolved::Newton(refused(reason)))?;
-    let mut count = |[iterations, factorizations]: [usize; 2]| {
-        did.newton_iterations += iterations;
-        did.factorizations += factorizations;
-    };
     let took = |work: &NewtonWork| [work.report().iterations, work.report().factorizations];
-    let mut solved = newton::solve(&mut equations, u, work, options);
-    count(took(work));
-    if solved.is_err() {
-        let again = equations.predict_again(u).map_err(|reason| Unsolved::Newton(refused(reason)))?;
-        if let Some(spent) = again {
-            count(spent);
-            solved = newton::solve(&mut equations, u, work, options);
-            count(took(work));
+    let mut solved = Err(NewtonFailure::NonFinite { what: "the guess" });
+    // the cautious guess first, where the bold one has failed already
+    for cautious in [part, !part] {
+        let guess =
+            if cautious { equations.predict_again(u) } else { equations.predict(u).map(|()| Some([0, 0])) };
+        let Some(spent) = guess.map_err(|reason| Unsolved::Newton(refused(reason)))? else { continue };
+        solved = newton::solve(&mut equations, u, work, options);
+        for [iterations, factorizations] in [spent, took(work)] {
+            did.newton_iterations += iterations;
+            did.factorizations += factorizations;
+        }
+        if solved.is_ok() {
+            break;
         }
     }
     solved.map_err(|failure| Unsolved::Newton(failure.in_step(at)))?;

@@ -358,9 +358,12 @@ impl<S: ParametricStep> WithParameters<S> {
         own
     }
 
-    /// The columns of ∂G/∂p.
-    fn columns<'a>(&self, of: &SolvedStep<'a>) -> std::slice::ChunksExact<'a, f64> {
-        of.kept[self.step.kept()..].chunks_exact(of.u.len().max(1))
+    /// The columns of ∂G/∂p that are not zero, with the parameter of each: errors in time of what moves a
+    /// support act on few steps.
+    fn columns<'a>(&self, of: &SolvedStep<'a>) -> impl Iterator<Item = (usize, &'a [f64])> + use<'a, S> {
+        let (columns, acts) = of.kept[self.step.kept()..].split_at(self.active * of.u.len());
+        let columns = columns.chunks_exact(of.u.len().max(1)).zip(acts).enumerate();
+        columns.filter(|(_, (_, acts))| **acts != 0.0).map(|(p, (column, _))| (p, column))
     }
 }
 
@@ -409,14 +412,18 @@ impl<S: ParametricStep> ImplicitStep for WithParameters<S> {
     }
 
     fn kept(&self) -> usize {
-        self.step.kept() + self.active * self.step.unknowns()
+        self.step.kept() + self.active * (self.step.unknowns() + 1)
     }
 
     fn keep(&mut self, at: &Interval, x: &[f64], u: &[f64], kept: &mut [f64]) {
         self.take(x).expect("the equations were solved with these parameters");
         let (own, columns) = kept.split_at_mut(self.step.kept());
         self.step.keep(at, &self.x, u, own);
+        let (columns, acts) = columns.split_at_mut(self.active * u.len());
         self.step.parameter_jacobian(&SolvedStep { at, x: &self.x, u, kept: own }, columns);
+        for (acts, column) in acts.iter_mut().zip(columns.chunks_exact(u.len().max(1))) {
+            *acts = f64::from(u8::from(column.iter().any(|c| *c != 0.0)));
+        }
     }
 
     fn previous(&mut self, of: &SolvedStep<'_>, dx: &[f64], dg: &mut [f64]) {
@@ -425,8 +432,9 @@ impl<S: ParametricStep> ImplicitStep for WithParameters<S> {
         let (step, own, inner) = self.own(of);
         places.gather(dx, inner);
         step.previous(&own, inner, dg);
-        for (column, dp) in columns.zip(&dx[places.parameters()]) {
-            dg.iter_mut().zip(column).for_each(|(dg, c)| *dg += c * dp);
+        let dp = &dx[places.parameters()];
+        for (p, column) in columns {
+            dg.iter_mut().zip(column).for_each(|(dg, c)| *dg += c * dp[p]);
         }
     }
 
@@ -437,8 +445,9 @@ impl<S: ParametricStep> ImplicitStep for WithParameters<S> {
         places.gather(dx, inner);
         step.previous_transpose_add(&own, mu, inner);
         places.scatter(inner, dx);
-        for (column, dp) in columns.zip(&mut dx[places.parameters()]) {
-            *dp += column.iter().zip(mu).map(|(c, m)| c * m).sum::<f64>();
+        let dp = &mut dx[places.parameters()];
+        for (p, column) in columns {
+            dp[p] += column.iter().zip(mu).map(|(c, m)| c * m).sum::<f64>();
         }
     }
 

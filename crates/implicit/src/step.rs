@@ -288,8 +288,9 @@ pub trait StepEquations: Equations {
     /// Where there is none.
     fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal>;
 
-    /// Another first guess of u, asked for where Newton's method failed from the first. Returns the Newton
-    /// iterations and factorizations it took; `None` where there is no other.
+    /// Another first guess of u, more cautious: asked for where Newton's method failed from the first, and
+    /// before the first in parts of a step that failed as a whole. Returns the Newton iterations and
+    /// factorizations it took; `None` where there is no other.
     ///
     /// # Errors
     /// Where the equations cannot be assembled.

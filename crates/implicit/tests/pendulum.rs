@@ -126,7 +126,7 @@ impl ImplicitStep for Spring {
 
 /// A model whose Newton iteration is cut so short that wild steps must be halved.
 fn halving() -> ImplicitModel<Spring> {
-    let options = NewtonOptions::default().with_max_iterations(4);
+    let options = NewtonOptions::default().with_max_iterations(3);
     ImplicitModel::new(SPRING, 3, 0.1).with_options(options)
 }
 

@@ -48,7 +48,8 @@ use crate::twist_equilibrium::TwistEquilibrium;
 /// of the clamps, and each step takes it on the branch that their motion leads to. Use it inside
 /// [`ImplicitModel`](varda_implicit::ImplicitModel); [`RodStep::model`] does.
 ///
-/// First guess of a step: X_k carried along rigidly with the supports, θ_k.
+/// First guess of a step: X_k carried along rigidly with the supports, θ_k; where Φ is lower there, with
+/// its edges turned towards those of X* + η V* as well.
 ///
 /// ```
 /// use varda_implicit::{Model, Scheme};

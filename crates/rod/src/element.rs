@@ -66,10 +66,17 @@ pub(crate) fn isotropic_bend<T: Real>(a: &Edge<T>, b: &Edge<T>, turn: &Turn<T>, 
     let ef = outer(&ce, &cf) * d2 + (i3 - qq - pp + outer(p, q) * c) * (d1 / lef);
     let zero = T::zero();
     let mut out =
-        Element { energy: T::of(2.0) * k * one_minus_c / chi, gradient: [zero; 9], hessian: [[zero; 9]; 9] };
+        Element { energy: isotropic_energy(a, b, turn, k), gradient: [zero; 9], hessian: [[zero; 9]; 9] };
     vertex_gradient(&(ce * d1), &(cf * d1), [0, 3, 6], &mut out.gradient);
     vertex_hessian(&ee, &ef, &ff, [0, 3, 6], &mut out.hessian);
     out
+}
+
+/// The energy alone of [`isotropic_bend`].
+pub(crate) fn isotropic_energy<T: Real>(a: &Edge<T>, b: &Edge<T>, turn: &Turn<T>, k: T) -> T {
+    // 1 − c, exact for nearly parallel edges
+    let one_minus_c = T::of(0.5) * square(&(b.t - a.t));
+    T::of(2.0) * k * one_minus_c / turn.chi
 }
 
 /// Material directors of the two edges at a vertex.

@@ -100,20 +100,26 @@ impl Equations for RodEquations<'_> {
 
 impl StepEquations for RodEquations<'_> {
     fn predict(&mut self, u: &mut [f64]) -> Result<(), Refusal> {
+        self.carry(u)?;
+        if self.step.is_at_rest {
+            return Ok(());
+        }
+        let carried = self.potential_of_guess();
         let step = &mut *self.step;
-        let to = step.scheme.stage(&self.at).time;
-        step.carry.guess(&mut step.system, self.at.start, to, self.x)?;
-        step.system.gather(u);
+        if step.carry.coast(&mut step.system, &step.target) && self.potential_of_guess() <= carried {
+            self.step.system.gather(u);
+        }
         Ok(())
     }
 
-    /// The stage with its loads without a potential as they are at the first guess: that has a minimum, which
-    /// Newton's method finds past saddles, where for the root with the loads it may only fail.
+    /// The shape that supports carried along, without its own motion. With loads that have no potential,
+    /// the stage with these as they are at that guess: it has a minimum, which Newton's method finds past
+    /// saddles, where for the root with the loads it may only fail.
     fn predict_again(&mut self, u: &mut [f64]) -> Result<Option<[usize; 2]>, Refusal> {
+        self.carry(u)?;
         if self.step.system.has_potential() {
-            return Ok(None);
+            return Ok(Some([0, 0]));
         }
-        self.predict(u)?;
         let stage = self.step.scheme.stage(&self.at);
         let start = self.step.start_of_all.clone();
         let moves = !self.step.is_at_rest;
@@ -156,6 +162,32 @@ impl StepEquations for RodEquations<'_> {
                  (pivot {pivot:.1e} of its natural size)"
             )
         }))
+    }
+}
+
+impl RodEquations<'_> {
+    fn carry(&mut self, u: &mut [f64]) -> Result<(), Refusal> {
+        let step = &mut *self.step;
+        let to = step.scheme.stage(&self.at).time;
+        step.carry.guess(&mut step.system, self.at.start, to, self.x)?;
+        step.system.gather(u);
+        Ok(())
+    }
+
+    /// Φ at the system's present vertices without stretching and loads of the motion, to compare guesses
+    /// with the same lengths of edges; NaN where there is none.
+    fn potential_of_guess(&mut self) -> f64 {
+        let step = &mut *self.step;
+        let [k, c] = step.inertia(step.scheme.stage(&self.at).length);
+        let s = &mut step.system;
+        if s.update_shape(s.layout.twist, step.end_angle).is_err() {
+            return f64::NAN;
+        }
+        let of_vertex = |(f, &v): (usize, &usize)| {
+            let (d, e) = (s.x[v] - step.target[f], s.x[v] - step.start[f]);
+            0.5 * s.rod.masses[v] * (k * d.norm_squared() + c * e.norm_squared()) - s.forces[v].dot(&e)
+        };
+        s.bending_energy() + s.layout.free_vertices.iter().enumerate().map(of_vertex).sum::<f64>()
     }
 }
 

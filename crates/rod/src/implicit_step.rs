@@ -167,7 +167,9 @@ impl RodStep {
         let layout = &self.system.layout;
         let holonomy = |needed: bool| if needed { HOLONOMY * layout.segments } else { 0 };
         let damping = self.viscous.as_ref().map_or(0, |viscous| viscous.kept(layout));
-        [holonomy(!layout.free_angles.is_empty()), holonomy(layout.end_angle().is_some()), damping]
+        // behind that of the next configuration what parameters do to its end angle
+        let end = layout.end_angle().map_or(0, |_| holonomy(true) + self.system.moves.span());
+        [holonomy(!layout.free_angles.is_empty()), end, damping]
     }
 
     /// The transpose of `follow`, and of the holonomy between the unknowns' angles and those stored.
@@ -290,7 +292,9 @@ impl ImplicitStep for RodStep {
         }
         if !next.is_empty() {
             self.set_edges_of_next(at, x, u);
-            self.system.shape.keep_holonomy(next);
+            let (holonomy, rates) = next.split_at_mut(HOLONOMY * self.system.layout.segments);
+            self.system.shape.keep_holonomy(holonomy);
+            self.end_angle_by_parameters(at, rates);
         }
     }
 

@@ -141,6 +141,11 @@ impl Moves {
         all
     }
 
+    /// One more than the last parameter that moves something.
+    pub(crate) fn span(&self) -> usize {
+        self.items.iter().map(|item| item.parameter + 1).max().unwrap_or(0)
+    }
+
     /// Takes the values of the parameters.
     pub(crate) fn take(&mut self, p: &[f64]) {
         let Moves { items, turns, drives } = self;

@@ -1,7 +1,7 @@
 //! Constants of a rod as parameters: what they change, and ∂G/∂p.
 
 use nalgebra::Vector3;
-use varda_implicit::{ParametricStep, Refusal, SolvedStep};
+use varda_implicit::{Interval, ParametricStep, Refusal, SolvedStep};
 
 use crate::Error;
 use crate::change::{Change, Parameter, Parameters, Second};
@@ -13,6 +13,7 @@ use crate::moved_increment::{self, Increments};
 use crate::rod::Rod;
 use crate::second_order::Increment;
 use crate::second_parameters::Strained;
+use crate::shape::HOLONOMY;
 use crate::stage::mixed_add;
 use crate::support::{Damping, Loads, Supports};
 use crate::system::{PastStrains, StageStart, System};
@@ -204,13 +205,17 @@ impl ParametricStep for RodStep {
 
     fn advance_parameters_tangent(&mut self, of: &SolvedStep<'_>, dp: &[f64], dx_next: &mut [f64]) {
         if let Some(end) = self.system.layout.end_angle() {
-            self.end_angle_by_parameters(of, |p, rate| dx_next[end] += rate * dp[p]);
+            for (dp, rate) in dp.iter().zip(self.end_angle_rates(of)) {
+                dx_next[end] += rate * dp;
+            }
         }
     }
 
     fn advance_parameters_adjoint(&mut self, of: &SolvedStep<'_>, lambda: &[f64], dp: &mut [f64]) {
         if let Some(end) = self.system.layout.end_angle().filter(|end| lambda[*end] != 0.0) {
-            self.end_angle_by_parameters(of, |p, rate| dp[p] += rate * lambda[end]);
+            for (dp, rate) in dp.iter_mut().zip(self.end_angle_rates(of)) {
+                *dp += rate * lambda[end];
+            }
         }
     }
 
@@ -298,21 +303,24 @@ impl RodStep {
         }
     }
 
-    /// How the end clamp's angle at x_{k+1} depends on parameters that move supports: `see(p, rate)`.
-    fn end_angle_by_parameters(&mut self, of: &SolvedStep<'_>, mut see: impl FnMut(usize, f64)) {
-        if self.system.moves.is_empty() {
-            return;
-        }
-        let Some(mut parameters) = self.parameters.take() else { return };
-        self.set_edges_of_next(of.at, of.x, of.u);
+    /// How the end clamp's angle depends on parameters that move supports, in the present shape, that of
+    /// x_{k+1}: a rate for each.
+    pub(crate) fn end_angle_by_parameters(&mut self, at: &Interval, rates: &mut [f64]) {
+        rates.fill(0.0);
+        let Some(parameters) = self.parameters.as_mut().filter(|_| !rates.is_empty()) else { return };
         let Increments { places, angles, .. } = &mut parameters.moved;
         let s = &self.system;
-        for (p, _) in parameters.list.iter().enumerate().filter(|(_, p)| !p.change.supports.is_empty()) {
-            if let Some(rate) = s.moved_increment(&s.shape, p, of.at.end(), places, angles) {
-                see(p, rate);
+        for (p, rate) in rates.iter_mut().enumerate() {
+            if !parameters.list[p].change.supports.is_empty() {
+                *rate = s.moved_increment(&s.shape, p, at.end(), places, angles).unwrap_or(0.0);
             }
         }
-        self.parameters = Some(parameters);
+    }
+
+    /// These rates, as they were kept.
+    fn end_angle_rates<'a>(&self, of: &SolvedStep<'a>) -> &'a [f64] {
+        let [stage, next, _] = self.kept_lengths();
+        &of.kept[stage..stage + next][HOLONOMY * self.system.layout.segments..]
     }
 
     /// What a change of the constants does to G at the present shape, that of a solved step.

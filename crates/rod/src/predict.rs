@@ -1,4 +1,4 @@
-//! First guess of a step: the old shape carried along with the supports.
+//! First guess of a step: the old shape carried along with the supports, and on with its own motion.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -26,11 +26,18 @@ impl Anchor {
 /// its support.
 pub(crate) struct Carry {
     anchors: Vec<Anchor>,
+    edges: Vec<Vector3<f64>>,
 }
+
+/// The guess goes on with the motion only where that turns no edge by more than this \[rad\] and moves no
+/// vertex by more than this share of the rod's length, so that it does not choose between the solutions of a
+/// violent step.
+const LARGEST_TURN: f64 = 0.25;
 
 impl Carry {
     pub(crate) fn new(system: &System) -> Carry {
-        Carry { anchors: Vec::with_capacity(system.supports.prescribed.len() + 2) }
+        let edges = vec![Vector3::zeros(); system.rod.segments()];
+        Carry { anchors: Vec::with_capacity(system.supports.prescribed.len() + 2), edges }
     }
 
     /// Sets the free vertices of `system` (whose supports stand where they are at time `to`) to the guess,
@@ -71,6 +78,59 @@ impl Carry {
             };
         }
         Ok(())
+    }
+
+    /// Turns the edges of the guess towards those of `target`, X* + η V* of the free vertices (where inertia
+    /// alone takes them), and keeps their lengths: stretching is stiff, and a straight line would stretch
+    /// what turns. Between two supports the gap that this leaves is spread over the vertices. Returns
+    /// whether it did.
+    pub(crate) fn coast(&mut self, system: &mut System, target: &[Vector3<f64>]) -> bool {
+        let System { layout, x, rod, .. } = system;
+        let (free, n) = (&layout.free_vertices, layout.segments);
+        let (cosine, farthest) = (LARGEST_TURN.cos(), LARGEST_TURN * rod.length());
+        let mut f = 0;
+        let mut before = x[0];
+        for v in 0..=n {
+            let here = if free.get(f) == Some(&v) { target[f] } else { x[v] };
+            f += usize::from(free.get(f) == Some(&v));
+            if !((here - x[v]).norm_squared() <= farthest * farthest) {
+                return false;
+            }
+            if v > 0 {
+                let (old, new) = (x[v] - x[v - 1], here - before);
+                let lengths = (old.norm_squared() * new.norm_squared()).sqrt();
+                if !(lengths > 0.0 && old.dot(&new) >= cosine * lengths) {
+                    return false;
+                }
+                self.edges[v - 1] = new * (old.norm_squared() / lengths);
+            }
+            before = here;
+        }
+        let mut first = 0;
+        for run in free.chunk_by(|a, b| a + 1 == *b) {
+            let (a, b) = (run[0], run[run.len() - 1]);
+            let target = &target[first..first + run.len()];
+            first += run.len();
+            if a > 0 || b == n {
+                x[a] = if a > 0 { x[a - 1] + self.edges[a - 1] } else { target[0] };
+                for v in a + 1..=b {
+                    x[v] = x[v - 1] + self.edges[v - 1];
+                }
+            } else {
+                for v in (a..=b).rev() {
+                    x[v] = x[v + 1] - self.edges[v];
+                }
+            }
+            let last = b - a + 1;
+            if a > 0 && b < n {
+                let gap = x[b + 1] - x[b] - self.edges[b];
+                (a..=b).for_each(|v| x[v] += gap * ((v + 1 - a) as f64 / (last + 1) as f64));
+            } else if a == 0 && b == n {
+                let off = (a..=b).map(|v| target[v] - x[v]).sum::<Vector3<f64>>() / last as f64;
+                (a..=b).for_each(|v| x[v] += off);
+            }
+        }
+        true
     }
 }
 

@@ -327,6 +327,23 @@ impl System {
         energy
     }
 
+    /// Elastic energy of bending and twisting of the present shape.
+    pub(crate) fn bending_energy(&self) -> f64 {
+        if !self.layout.bending {
+            return 0.0;
+        }
+        let (shape, twist) = (&self.shape, self.layout.twist);
+        let of = |(i, k): (usize, &Stiffness)| {
+            if twist {
+                let (bend, twist) = element::energies(&shape.strains(i), k);
+                bend + twist
+            } else {
+                element::isotropic_energy(&shape.edges[i - 1], &shape.edges[i], shape.turn(i), k.bend[0])
+            }
+        };
+        (1..).zip(&self.bend).map(of).sum()
+    }
+
     /// Whether all loads have a potential: then ∂G/∂u is symmetric.
     pub(crate) fn has_potential(&self) -> bool {
         self.loads.of_motion.iter().all(|load| load.has_potential())

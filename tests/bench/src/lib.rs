@@ -13,6 +13,7 @@ pub mod page;
 
 mod assimilation;
 mod build;
+mod estimation;
 mod gradient;
 mod hessian;
 mod instructions;
@@ -42,6 +43,7 @@ pub const BENCHES: &[Bench] = &[
     Bench { name: "gradient", run: gradient::run },
     Bench { name: "hessian", run: hessian::run },
     Bench { name: "assimilation", run: assimilation::run },
+    Bench { name: "estimation", run: estimation::run },
     Bench { name: "scaling", run: scaling::run },
     Bench { name: "statics", run: statics::run },
     Bench { name: "priors", run: priors::run },

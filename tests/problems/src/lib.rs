@@ -6,6 +6,7 @@ pub mod costs;
 pub mod counted;
 pub mod long_rod;
 pub mod methods;
+pub mod recordings;
 pub mod registers;
 pub mod rods;
 mod scene;

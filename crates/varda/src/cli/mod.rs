@@ -8,6 +8,7 @@ mod exit;
 mod new;
 mod preview;
 mod progress;
+mod recordings;
 mod table;
 
 use std::io::Read;
@@ -258,6 +259,9 @@ fn run_scene(
     if resume && file.scene.algorithm.cycles.is_none() {
         return Err(file.invalid("algorithm", "only a run with [algorithm.cycles] can be resumed"));
     }
+    if file.has_recordings() {
+        return recordings::run(&file, &folder, &mut progress, &interrupted, options, started);
+    }
     let inputs = Inputs::read(&file)?;
     // said before it starts, but an error is the one message of a run that cannot
     let said = if quiet { String::new() } else { preview::in_short(&inputs) };
@@ -374,6 +378,9 @@ fn modes(arguments: &SceneArguments, count: usize, out: Option<&Path>) -> Result
 }
 
 fn check(file: &SceneFile) -> Result<ExitCode, Error> {
+    if file.has_recordings() {
+        return recordings::check(file);
+    }
     let preview = Preview::new(file)?;
     print!("{}", preview::table(&preview));
     Ok(if preview.has_errors() { ExitCode::FAILURE } else { ExitCode::SUCCESS })

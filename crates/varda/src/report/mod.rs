@@ -9,11 +9,13 @@ mod forces;
 mod html;
 mod modes;
 pub mod plot;
+mod recordings;
 mod sources;
 mod summary;
 mod tables;
 
 pub use cycles::{summary_of_cycles, write_cycles};
+pub use recordings::{JointSummary, write_recordings};
 pub use summary::{ModelErrorSize, Summary, Terms, WindowAmplification};
 
 use std::path::{Path, PathBuf};
@@ -31,15 +33,22 @@ use crate::scene::SceneFile;
 /// [`Error::Occupied`], [`Error::Write`], [`Error::Plot`].
 pub fn write(outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
     let out = ResultFolder::begin(folder)?;
+    write_one(&out, "", outcome)?;
+    out.publish()
+}
+
+/// Writes the files of a run, with this in front of their names.
+fn write_one(out: &ResultFolder, at: &str, outcome: &Outcome) -> Result<(), Error> {
+    let write = |name: &str, text: &str| out.write(&format!("{at}{name}"), text);
     let summary = Summary::new(outcome);
     let mut drawn = Vec::new();
     for figure in figures::all(outcome) {
         let svg = figure.svg()?;
-        out.write(&format!("figures/{}.svg", figure.name), &svg)?;
+        write(&format!("figures/{}.svg", figure.name), &svg)?;
         drawn.push((figure.name, figure.title, svg));
     }
     let experiment = &outcome.experiment;
-    out.write(
+    write(
         "report.html",
         &html::page(
             outcome,
@@ -48,26 +57,25 @@ pub fn write(outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
             [&estimates::section(&outcome.estimates), &sources::section(&outcome.sources)],
         ),
     )?;
-    out.write("analysis.csv", &tables::analysis(outcome))?;
-    out.write("convergence.csv", &tables::convergence(&outcome.convergence))?;
+    write("analysis.csv", &tables::analysis(outcome))?;
+    write("convergence.csv", &tables::convergence(&outcome.convergence))?;
     let trajectory =
         tables::trajectory(experiment, &outcome.trajectories, &outcome.sigma_states, outcome.shapes.as_ref());
-    out.write("trajectory.csv", &trajectory)?;
-    out.write("observations.csv", &tables::observed_values(&outcome.observed))?;
+    write("trajectory.csv", &trajectory)?;
+    write("observations.csv", &tables::observed_values(&outcome.observed))?;
     if !outcome.estimates.is_empty() {
-        out.write("estimates.csv", &estimates::csv(&outcome.estimates))?;
+        write("estimates.csv", &estimates::csv(&outcome.estimates))?;
     }
     if !outcome.sources.is_empty() {
         let text = sources::csv(&outcome.sources, &outcome.sensitivities);
-        out.write("sensitivities.csv", &text)?;
+        write("sensitivities.csv", &text)?;
     }
     if let Some(errors) = &outcome.model_errors {
-        out.write("model_error.csv", &tables::model_errors(experiment, errors))?;
+        write("model_error.csv", &tables::model_errors(experiment, errors))?;
     }
-    write_forces(&out, experiment, outcome.shapes.as_ref())?;
+    write_forces(&write, experiment, outcome.shapes.as_ref())?;
     // Last: a folder without it is not a result.
-    out.write("summary.json", &summary.to_json())?;
-    out.publish()
+    write("summary.json", &summary.to_json())
 }
 
 /// Writes a comparison to `folder`, whole or not at all: compare.csv, compare.svg, summary.json.
@@ -119,16 +127,20 @@ pub fn write_modes(modes: &RodModes, folder: &Path) -> Result<PathBuf, Error> {
 }
 
 /// forces.csv, moments.csv and reactions.csv of a rod.
-fn write_forces(out: &ResultFolder, experiment: &Experiment, shapes: Option<&Shapes>) -> Result<(), Error> {
+fn write_forces(
+    write: &dyn Fn(&str, &str) -> Result<(), Error>,
+    experiment: &Experiment,
+    shapes: Option<&Shapes>,
+) -> Result<(), Error> {
     let (Some(shapes), Some(geometry)) = (shapes, &experiment.state.geometry) else { return Ok(()) };
     let s = &geometry.arc_lengths;
     let forces = Forces { grid: &experiment.grid, steps: &shapes.forces, sigma: &shapes.sigma_forces };
-    out.write("forces.csv", &forces.edges(s))?;
+    write("forces.csv", &forces.edges(s))?;
     if shapes.forces.iter().any(|f| !f.twisting.is_empty()) {
-        out.write("moments.csv", &forces.vertices(s))?;
+        write("moments.csv", &forces.vertices(s))?;
     }
     if shapes.forces.iter().any(|f| !f.reactions.is_empty()) {
-        out.write("reactions.csv", &forces.supports())?;
+        write("reactions.csv", &forces.supports())?;
     }
     Ok(())
 }
@@ -160,7 +172,7 @@ pub fn write_simulation(simulation: &Simulation, seconds: f64, folder: &Path) ->
     out.write("summary.json", &format!("{summary:#}\n"))?;
     let shapes = simulation.shapes.as_ref();
     out.write("trajectory.csv", &tables::trajectory(experiment, &simulation.trajectories, &[], shapes))?;
-    write_forces(&out, experiment, shapes)?;
+    write_forces(&|name, text| out.write(name, text), experiment, shapes)?;
     if let (Some(twin), Some(shapes), Some(geometry)) = (&simulation.twin, shapes, &experiment.state.geometry)
     {
         out.write("background.csv", &tables::background(geometry, twin))?;

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use crate::Error;
-use crate::outcome::{Estimated, Outcome, Status};
+use crate::outcome::{Estimated, Status};
 use crate::scene::SceneFile;
 use crate::setup::Problem;
 use crate::setup::finer::Finer;
@@ -13,25 +13,39 @@ const MOST_CHI2: f64 = 4.0;
 /// A finer mesh that fits so many times worse, and worse than noise alone, came to another minimum.
 const WORSE: f64 = 2.0;
 
-/// Adds to the estimates what twice the segments make of them; the run of the scene's own mesh ended as
-/// `status` with 2J/m = `chi2`, and `assimilate` runs another. Returns remarks, and the seconds that it took:
-/// 0 where nothing was computed.
+/// What came of a finer mesh.
+pub(super) struct Finest {
+    pub(super) status: Status,
+    pub(super) chi2: f64,
+    /// The constants of each problem.
+    pub(super) estimates: Vec<Vec<Estimated>>,
+}
+
+/// Adds to the estimates of problems what twice the segments make of them; the run of the scenes' own mesh
+/// ended as `status` with 2J/m = `chi2`, and `assimilate` runs the scenes of the finer one. Returns remarks,
+/// and the seconds that it took: 0 where nothing was computed.
 pub(super) fn allow(
-    problem: &Problem,
-    estimates: &mut [Estimated],
+    problems: &[&Problem],
+    estimates: &mut [&mut Vec<Estimated>],
     (status, chi2): (Status, f64),
-    assimilate: impl FnOnce(&SceneFile) -> Result<Outcome, Error>,
+    assimilate: impl FnOnce(&[&SceneFile]) -> Result<Finest, Error>,
 ) -> (Vec<String>, f64) {
     let without = |reason: String| {
         vec![format!("σ of the estimated constants is without an allowance for the mesh: {reason}")]
     };
-    let (file, of_difference) = match &problem.finer {
-        // a twin has the same mesh in truth and model
-        _ if problem.truth.is_some() => return (Vec::new(), 0.0),
-        Finer::Unwanted => return (Vec::new(), 0.0),
-        Finer::Without(reason) => return (without(reason.to_string()), 0.0),
-        Finer::Scene(file, of_difference) => (file, *of_difference),
-    };
+    let (mut files, mut of_differences) = (Vec::new(), Vec::new());
+    for problem in problems {
+        match &problem.finer {
+            // a twin has the same mesh in truth and model
+            _ if problem.truth.is_some() => return (Vec::new(), 0.0),
+            Finer::Unwanted => return (Vec::new(), 0.0),
+            Finer::Without(reason) => return (without(reason.to_string()), 0.0),
+            Finer::Scene(file, of_difference) => {
+                files.push(file.as_ref());
+                of_differences.push(*of_difference);
+            }
+        }
+    }
     if !status.is_settled() {
         return (without(format!("the minimization ended as {}", status.name())), 0.0);
     }
@@ -40,7 +54,7 @@ pub(super) fn allow(
         return (without(reason), 0.0);
     }
     let began = Instant::now();
-    let finer = assimilate(file);
+    let finer = assimilate(&files);
     let seconds = began.elapsed().as_secs_f64();
     let without = |reason: String| (without(format!("with twice the segments {reason}")), seconds);
     let finer = match finer {
@@ -50,17 +64,24 @@ pub(super) fn allow(
     if !finer.status.is_settled() {
         return without(format!("the minimization ended as {}", finer.status.name()));
     }
-    if !(finer.analysis.chi2 <= WORSE * chi2.max(1.0)) {
-        return without(format!("it came to another minimum, with 2J/m = {:.2}", finer.analysis.chi2));
+    if !(finer.chi2 <= WORSE * chi2.max(1.0)) {
+        return without(format!("it came to another minimum, with 2J/m = {:.2}", finer.chi2));
     }
-    let constants = &problem.system.estimates().constants;
-    for (estimate, constant) in estimates.iter_mut().zip(constants) {
-        // fields have other vertices
-        let Some(fine) = finer.estimates.iter().find(|fine| fine.name == estimate.name) else { continue };
-        let [coarse, fine] = [estimate.value, fine.value].map(|value| constant.number_of(value));
-        estimate.allow_for(of_difference * (fine - coarse).abs(), coarse, constant);
+    let mut coarse: Vec<String> = Vec::new();
+    for (((problem, estimates), finest), of_difference) in
+        problems.iter().zip(estimates).zip(&finer.estimates).zip(&of_differences)
+    {
+        let constants = &problem.system.estimates().constants;
+        for (estimate, constant) in estimates.iter_mut().zip(constants) {
+            // fields have other vertices
+            let Some(fine) = finest.iter().find(|fine| fine.name == estimate.name) else { continue };
+            let [coarse, fine] = [estimate.value, fine.value].map(|value| constant.number_of(value));
+            estimate.allow_for(of_difference * (fine - coarse).abs(), coarse, constant);
+        }
+        let moved = estimates.iter().filter(|e| e.is_of_mesh() && !coarse.contains(&e.name));
+        let moved: Vec<String> = moved.map(|e| e.name.clone()).collect();
+        coarse.extend(moved);
     }
-    let coarse: Vec<&str> = estimates.iter().filter(|e| e.is_of_mesh()).map(|e| e.name.as_str()).collect();
     if coarse.is_empty() {
         return (Vec::new(), seconds);
     }
@@ -68,7 +89,7 @@ pub(super) fn allow(
         "twice the segments move {} by more than what the observations leave open (2J/m {:.3} there, \
          {chi2:.3} here): their σ is the mesh's, and more segments would lower it",
         coarse.join(", "),
-        finer.analysis.chi2
+        finer.chi2
     );
     (vec![remark], seconds)
 }

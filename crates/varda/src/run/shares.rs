@@ -63,6 +63,17 @@ pub(super) fn shares(
     Ok(all)
 }
 
+/// The same of one of several recordings: its own unknowns and its observations. The degrees of freedom of
+/// the analysis are those that its observations determine.
+pub(super) fn of_one_of_several(analysis: &Analysis, has_mean: bool) -> Vec<Share> {
+    let left = 0.5 * (analysis.observations as f64 - analysis.degrees_of_freedom);
+    let expected = has_mean.then_some(left);
+    vec![
+        Share { part: "background of its own unknowns", j: analysis.terms.background, expected: None },
+        Share { part: "observations", j: analysis.terms.observation, expected },
+    ]
+}
+
 /// B_p⁻¹.
 struct Prior(Box<dyn Precision>);
 

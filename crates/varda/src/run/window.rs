@@ -10,6 +10,7 @@ use varda_implicit::{Log, Model};
 use varda_linalg::interrupt::{self, Ends};
 
 use super::interrupted::{Asked, Lowest};
+use super::second_minimum::Second;
 use super::verdict::{self, Judged};
 use super::{
     amplification, between_steps, departures, estimates, fit, model_errors, second_minimum, shapes, shares,
@@ -17,8 +18,8 @@ use super::{
 };
 use crate::Error;
 use crate::outcome::{
-    Attempt, ConvergenceRow, ExactHessian, Experiment, Failure, GroupRmse, Outcome, Rejected, Rmse, Seconds,
-    SeenComponent, Simulation, Status, Trajectories, TwinFiles, WorkCounts,
+    AcceptedSteps, Attempt, ConvergenceRow, ExactHessian, Experiment, Failure, GroupRmse, Outcome, Rejected,
+    Rmse, Seconds, SeenComponent, Status, Trajectories, WorkCounts,
 };
 use crate::scene::Integrator;
 use crate::setup::Problem;
@@ -66,7 +67,7 @@ impl Listener<'_> {
 /// without an allowance for the mesh and without remarks.
 pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome, Error> {
     let experiment = &problem.experiment;
-    let (scene, layout, grid) = (&experiment.scene, &experiment.state, &experiment.grid);
+    let (scene, layout) = (&experiment.scene, &experiment.state);
     let truth = problem.truth.as_ref().map(|x| x[..problem.background.len()].to_vec());
     let errors = |control: &[f64]| truth.as_ref().map(|truth| layout.rms_difference(control, truth));
 
@@ -82,30 +83,13 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
             // what was computed since it was asked to end is not to be believed
             return ControlFlow::Break(());
         }
-        let i = r.iteration;
         lowest.add(r);
         asked.begin();
-        let row = ConvergenceRow {
-            iteration: r.before.0 + i.index,
-            seconds: began.elapsed().as_secs_f64(),
-            j: i.value,
-            j_b: i.terms.background,
-            j_o: i.terms.observation,
-            j_q: i.terms.model_error,
-            gradient_norm: i.gradient_norm,
-            gradient_goal: i.gradient_goal,
-            attempt: i.attempt,
-            attempts: i.attempts,
-            rmse: errors(r.control).unwrap_or_default(),
-            sigma_factor: i.observation_scale,
-            hessian: i.hessian.map(|h| h.name()),
-            window: r.window,
-            counts: r.before.1 + WorkCounts::from(&i.counts),
-        };
+        let row = row(r, began, errors(r.control).unwrap_or_default());
         (listener.on_iteration)(&row);
         convergence.push(row);
         late = late || scene.limits.over(listener.started.elapsed());
-        if reserve.ends(r.before.0 + i.index, i.value, r.control) {
+        if reserve.ends(r.before.0 + r.iteration.index, r.iteration.value, r.control) {
             return ControlFlow::Break(());
         }
         if late || (listener.interrupted)() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -138,28 +122,25 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
     let ended_early = asked.was_told();
     late = late || (ended_early && scene.limits.over(listener.started.elapsed()));
     let left = if ended_early { lowest.solution(problem) } else { None };
-    let (solution, mut observations, second) = match left {
+    let (solution, observations, second) = match left {
         Some(solution) => (solution, problem.observations()?, None),
         None => solved?,
     };
-    let mut log = timed.log().clone();
+    let log = timed.log().clone();
     // The time of the posterior does not belong to the minimization.
     let minimizer = convergence.last().map_or(0.0, |row| row.seconds);
     let solved = began.elapsed().as_secs_f64();
     let seconds = Seconds {
-        total: 0.0,
         set_up: began.duration_since(listener.started).as_secs_f64(),
         minimizer,
         posterior: solved - minimizer,
-        diagnostics: 0.0,
-        mesh: 0.0,
         forward: clock.forward(),
         adjoint: clock.adjoint(),
         tangent: clock.tangent(),
+        ..Seconds::default()
     };
     let refreshed_models = refreshing.as_ref().and_then(Refreshing::refreshed_models);
-    let make_model = refreshed_models.as_ref().unwrap_or(&problem.make_model);
-    if refreshed_models.is_some() {
+    if let Some(make_model) = &refreshed_models {
         model = make_model(0);
     }
     let (accepted_steps, remarks_on_steps) = match refreshing {
@@ -169,6 +150,80 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
         }
         None => (None, Vec::new()),
     };
+    let ended = Ended {
+        solution,
+        observations,
+        second,
+        convergence,
+        seconds,
+        log,
+        late,
+        early: ended_early,
+        model,
+        models: refreshed_models,
+        accepted_steps,
+        remarks_on_steps,
+        is_one_of_several: false,
+    };
+    described(problem, ended, listener)
+}
+
+/// How the minimization of one window ended.
+pub(super) struct Ended {
+    pub(super) solution: Solution,
+    pub(super) observations: ObservationSet,
+    pub(super) second: Option<Second>,
+    pub(super) convergence: Vec<ConvergenceRow>,
+    /// Up to the posterior.
+    pub(super) seconds: Seconds,
+    pub(super) log: Log,
+    pub(super) late: bool,
+    /// Told to end in the middle of a calculation.
+    pub(super) early: bool,
+    pub(super) model: Box<dyn Model + Send>,
+    /// What makes models, where that is not the problem's any more.
+    pub(super) models: Option<MakeModel>,
+    pub(super) accepted_steps: Option<AcceptedSteps>,
+    pub(super) remarks_on_steps: Vec<String>,
+    /// J and its prior of constants are shared with other recordings.
+    pub(super) is_one_of_several: bool,
+}
+
+/// An iterate as a row of the convergence table of a run that began then.
+pub(super) fn row(r: &Iterate, began: Instant, rmse: Vec<f64>) -> ConvergenceRow {
+    let i = r.iteration;
+    ConvergenceRow {
+        iteration: r.before.0 + i.index,
+        seconds: began.elapsed().as_secs_f64(),
+        j: i.value,
+        j_b: i.terms.background,
+        j_o: i.terms.observation,
+        j_q: i.terms.model_error,
+        gradient_norm: i.gradient_norm,
+        gradient_goal: i.gradient_goal,
+        attempt: i.attempt,
+        attempts: i.attempts,
+        rmse,
+        sigma_factor: i.observation_scale,
+        hessian: i.hessian.map(|h| h.name()),
+        window: r.window,
+        counts: r.before.1 + WorkCounts::from(&i.counts),
+    }
+}
+
+/// All that a report needs of a window whose minimization has ended.
+///
+/// # Errors
+/// As for [`assimilate`](super::assimilate).
+pub(super) fn described(problem: &Problem, ended: Ended, listener: &Listener) -> Result<Outcome, Error> {
+    let began = Instant::now();
+    let experiment = &problem.experiment;
+    let (scene, layout, grid) = (&experiment.scene, &experiment.state, &experiment.grid);
+    let truth = problem.truth.as_ref().map(|x| x[..problem.background.len()].to_vec());
+    let errors = |control: &[f64]| truth.as_ref().map(|truth| layout.rms_difference(control, truth));
+    let Ended { solution, mut observations, second, convergence, seconds, mut log, late, .. } = ended;
+    let (ended_early, mut model) = (ended.early, ended.model);
+    let make_model = ended.models.as_ref().unwrap_or(&problem.make_model);
     let mut left_out = experiment.left_out.clone();
     left_out.extend(scene.limits.left_out(solution.storage, grid.steps));
 
@@ -177,7 +232,7 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
     let late = late && status == Status::Interrupted;
     let mut warnings = remarks(experiment, &log, &solution, status, observations.dim(), failure.as_ref());
     warnings.extend(late.then(|| scene.limits.remark()).flatten());
-    warnings.extend(remarks_on_steps);
+    warnings.extend(ended.remarks_on_steps);
     let analysis = analysis(problem, &solution, observations.dim());
     let errors_of_model = solution.model_errors;
     warnings.extend(model_errors::remark(scene, errors_of_model.as_ref(), analysis.terms.model_error));
@@ -218,8 +273,15 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
     let rejected = rejected(experiment, &solution.rejected);
     let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
     let estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
-    let shares =
-        shares::shares(problem, &analysis, errors_of_model.as_ref(), solution.spread.is_some(), root)?;
+    let shares = match ended.is_one_of_several {
+        true => shares::of_one_of_several(
+            &analysis,
+            solution.spread.is_some() && scene.algorithm.robust.is_none(),
+        ),
+        false => {
+            shares::shares(problem, &analysis, errors_of_model.as_ref(), solution.spread.is_some(), root)?
+        }
+    };
     let posterior = solution.spread.as_ref();
     // Ctrl-C leaves out what goes beyond the analysis; the seconds of `[limits]` do not.
     let leave: Ends = listener.ends.clone().unwrap_or_else(|| Arc::new(|| false));
@@ -273,7 +335,7 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
         estimates,
         seconds: Seconds {
             total: listener.started.elapsed().as_secs_f64(),
-            diagnostics: began.elapsed().as_secs_f64() - solved,
+            diagnostics: began.elapsed().as_secs_f64(),
             ..seconds
         },
         fit,
@@ -282,7 +344,7 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
         forecast,
         amplification,
         model_errors: errors_of_model,
-        accepted_steps,
+        accepted_steps: ended.accepted_steps,
         seen: if shapes.is_none() { seen(problem, &observations) } else { Vec::new() },
         trajectories,
         shapes,
@@ -352,7 +414,7 @@ fn remarks(
 }
 
 /// The remarks of the model's solver in one line.
-fn merged(log: &Log) -> Option<String> {
+pub(super) fn merged(log: &Log) -> Option<String> {
     let first = log.warnings.first()?;
     let first_text = format!("step {}: {}", first.step, first.text);
     let others = log.warnings.iter().filter(|w| (w.step, &w.text) != (first.step, &first.text)).count();
@@ -504,50 +566,4 @@ fn trajectories(
         warn("truth", run);
     }
     Trajectories { dim, background, analysis: states, truth }
-}
-
-/// Runs the model forward over the window and its forecast: from the truth where there is one, else from the
-/// background.
-///
-/// # Errors
-/// [`Error::Model`] naming the step that failed.
-pub fn simulate(problem: &Problem) -> Result<Simulation, Error> {
-    let steps = problem.experiment.grid.last_step();
-    let mut model = match (&problem.truth, &problem.make_truth) {
-        (Some(_), Some(make)) => make(0),
-        _ => problem.model(),
-    };
-    let dim = model.dim();
-    let mut states = vec![0.0; dim];
-    let of = match &problem.truth {
-        Some(truth) => {
-            states.copy_from_slice(truth);
-            "truth"
-        }
-        None => {
-            model.initial_state(&problem.background, &mut states)?;
-            "background"
-        }
-    };
-    let log = run_on(model.as_mut(), &mut states, steps)?;
-    let trajectories = Trajectories { dim, analysis: states, ..Trajectories::default() };
-    let shapes = shapes::with_observations(problem, &trajectories)?;
-    let twin = match problem.system.rod().filter(|_| problem.truth.is_some()) {
-        Some(rod) => {
-            let mut start = vec![0.0; dim];
-            model.initial_state(&problem.background, &mut start)?;
-            Some(TwinFiles { background: problem.background.clone(), end_angle: rod.end_angle(&start)? })
-        }
-        None => None,
-    };
-    Ok(Simulation {
-        experiment: problem.experiment.clone(),
-        of,
-        shapes,
-        trajectories,
-        steps,
-        counts: WorkCounts::of(log.counts),
-        twin,
-        warnings: merged(&log).into_iter().collect(),
-    })
 }

@@ -11,7 +11,8 @@ use super::grid::TimeGrid;
 use super::invalid::Invalid;
 use super::place::Place;
 use super::sizes::{DATA_BYTES, SCENE_BYTES};
-use super::{Method, Scene, schema_check, shipped, tree, validate};
+use super::tree::Node;
+use super::{Method, Scene, recordings, schema_check, shipped, tree, validate};
 use crate::Error;
 
 /// A scene that has been read and checked. It can point at the lines of its keys and find its files.
@@ -21,6 +22,8 @@ pub struct SceneFile {
     pub name: String,
     /// The scene.
     pub scene: Scene,
+    /// The scenes of `[[recordings]]`, each with what differs in it.
+    pub(crate) recordings: Vec<SceneFile>,
     /// What an estimate has found of the observations so far; nothing of that is in the file.
     pub(crate) adjusted: Adjusted,
     label: String,
@@ -90,18 +93,36 @@ impl SceneFile {
         }
         tree::rename(&mut root, label, ["model", "point_forces", "forces"])?;
         let schema = serde_json::to_value(schemars::schema_for!(Scene)).expect("a schema is plain JSON");
+        let folder = folder.map(Path::to_path_buf);
+        let mut file = SceneFile::from_tree(name, label, &root, folder.clone(), &schema)?;
+        let parts = recordings::trees(&root, file.scene.recordings.len());
+        for (one, part) in file.scene.recordings.iter().zip(parts) {
+            let part = SceneFile::from_tree(&one.name, label, &part, folder.clone(), &schema)?;
+            file.recordings.push(part);
+        }
+        Ok(file)
+    }
+
+    fn from_tree(
+        name: &str,
+        label: &str,
+        root: &Node,
+        folder: Option<PathBuf>,
+        schema: &serde_json::Value,
+    ) -> Result<SceneFile, Error> {
         let wrong =
             |place: &Place, message: String| Error::Scene { place: locate(label, Some(place)), message };
-        schema_check::check(&root, "", &schema, &schema).map_err(|w| wrong(&w.place, w.message))?;
+        schema_check::check(root, "", schema, schema).map_err(|w| wrong(&w.place, w.message))?;
         let scene = Scene::deserialize(root.to_json()).map_err(|e| wrong(&root.place, e.to_string()))?;
         let mut places = BTreeMap::new();
         root.places("", &mut places);
         let file = SceneFile {
             name: name.to_string(),
             scene,
+            recordings: Vec::new(),
             adjusted: Adjusted::default(),
             label: label.to_string(),
-            folder: folder.map(Path::to_path_buf),
+            folder,
             places,
         };
         let of_shapes = file.scene.algorithm.method == Method::Static;
@@ -111,6 +132,11 @@ impl SceneFile {
         }
         file.checked(validate::validate(&file.scene))?;
         Ok(file)
+    }
+
+    /// Whether the scene has `[[recordings]]`, several recordings in one estimate.
+    pub fn has_recordings(&self) -> bool {
+        !self.recordings.is_empty()
     }
 
     /// An error that points at the key `path` (dotted; its nearest written parent where it was not written).

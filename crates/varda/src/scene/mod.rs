@@ -26,6 +26,7 @@ mod motion;
 mod observations;
 mod parsed;
 mod place;
+mod recordings;
 mod schema_check;
 mod sequence;
 mod shipped;
@@ -39,6 +40,7 @@ mod validate_estimate;
 mod validate_frame;
 mod validate_loads;
 mod validate_observations;
+mod validate_recordings;
 mod validate_rod;
 mod validate_static;
 mod validate_support;
@@ -72,6 +74,7 @@ pub use observations::{
 };
 pub(crate) use parsed::{Along, BackgroundSource, ComponentCovariance, LineStep, Shear};
 pub use place::Place;
+pub use recordings::{Keys, OneRecording};
 pub use shipped::{SHIPPED, STARTER, Shipped, shipped_data, shipped_scene};
 pub use sizes::{DATA_BYTES, NUMBERS, SCENE_BYTES, STEPS, VALUES};
 
@@ -110,6 +113,10 @@ pub struct Scene {
     /// Constants that are estimated beside the state.
     #[serde(default, skip_serializing_if = "is_default")]
     pub estimate: Estimate,
+    /// Several recordings of one system in one estimate: each has a state of its own, the constants of
+    /// `[estimate]` are the same. Absent: one, that of `[observations]`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub recordings: Vec<OneRecording>,
     /// How the cost is minimised.
     #[serde(default)]
     pub algorithm: Algorithm,

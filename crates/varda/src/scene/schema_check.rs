@@ -74,6 +74,10 @@ pub(super) fn check(node: &Node, path: &str, schema: &Json, root: &Json) -> Resu
 
 fn check_table(node: &Node, path: &str, schema: &Json, root: &Json) -> Result<(), Wrong> {
     let Value::Table(entries) = &node.value else { return Ok(()) };
+    if schema["additionalProperties"] == true {
+        // keys of another table, checked where they are put in
+        return Ok(());
+    }
     let empty = serde_json::Map::new();
     let known = schema["properties"].as_object().unwrap_or(&empty);
     let section = if path.is_empty() { "the top level".to_string() } else { format!("[{path}]") };

@@ -32,6 +32,7 @@ pub const SHIPPED: &[Shipped] = shipped![
     "hose"
     "tether-in-current"
     "wire"
+    "wires"
     "lorenz63"
     "lorenz63-window"
     "lorenz96"
@@ -52,6 +53,8 @@ const DATA: &[(&str, &str)] = &[
     ("data/hanging-rod-observations.csv", include_str!("../../scenes/data/hanging-rod-observations.csv")),
     ("data/hose.csv", include_str!("../../scenes/data/hose.csv")),
     ("data/tether-pull.csv", include_str!("../../scenes/data/tether-pull.csv")),
+    ("data/wire-white-0.csv", include_str!("../../scenes/data/wire-white-0.csv")),
+    ("data/wire-white-2.csv", include_str!("../../scenes/data/wire-white-2.csv")),
     ("data/wire.csv", include_str!("../../scenes/data/wire.csv")),
 ];
 

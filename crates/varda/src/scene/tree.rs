@@ -112,7 +112,58 @@ pub(super) fn set(root: &mut Node, assignment: &str) -> Result<(), Error> {
     Ok(())
 }
 
+/// Puts `from` into `into`: tables key by key, anything else, and a table of another `kind`, as a whole.
+pub(super) fn merge(into: &mut Node, from: &Node) {
+    let kind = |node: &Node| node.child("kind").map(Node::to_json);
+    let other = kind(from).is_some() && kind(from) != kind(into);
+    match (&mut into.value, &from.value) {
+        (Value::Table(_), Value::Table(entries)) if !other => {
+            for entry in entries {
+                if into.child(&entry.key).is_some() {
+                    merge(into.child_or_table(&entry.key, &entry.place), &entry.node);
+                } else {
+                    *into.child_or_table(&entry.key, &entry.place) = entry.node.clone();
+                }
+            }
+        }
+        _ => *into = from.clone(),
+    }
+}
+
 impl Node {
+    /// What a key of a table says.
+    pub(super) fn child(&self, key: &str) -> Option<&Node> {
+        let Value::Table(entries) = &self.value else { return None };
+        entries.iter().find(|e| e.key == key).map(|e| &e.node)
+    }
+
+    /// One of a list.
+    pub(super) fn item(&self, i: usize) -> Option<&Node> {
+        let Value::Array(items) = &self.value else { return None };
+        items.get(i)
+    }
+
+    /// A key of a table, made one where it is no table.
+    pub(super) fn child_or_table(&mut self, key: &str, place: &Place) -> &mut Node {
+        if !matches!(self.value, Value::Table(_)) {
+            self.value = Value::Table(Vec::new());
+        }
+        let Value::Table(entries) = &mut self.value else { unreachable!("made one") };
+        let at = entries.iter().position(|e| e.key == key).unwrap_or_else(|| {
+            let node = Node { place: place.clone(), value: Value::Table(Vec::new()) };
+            entries.push(Entry { key: key.to_string(), place: place.clone(), node });
+            entries.len() - 1
+        });
+        &mut entries[at].node
+    }
+
+    /// Takes a key out of a table.
+    pub(super) fn remove(&mut self, key: &str) {
+        if let Value::Table(entries) = &mut self.value {
+            entries.retain(|e| e.key != key);
+        }
+    }
+
     /// The value as JSON (what serde reads the scene from).
     pub(super) fn to_json(&self) -> serde_json::Value {
         match &self.value {

@@ -13,6 +13,7 @@ use super::validate_observations::{
     validate_components, validate_correlation, validate_places, validate_recorded_components,
     validate_recording,
 };
+use super::validate_recordings::validate_recordings;
 use super::validate_rod::validate_rod;
 use super::validate_static::validate_static;
 use super::{Background, Covariance, Draw, Integrator, Model, Observations, Origin, Scene};
@@ -61,6 +62,7 @@ pub(super) fn validate(scene: &Scene) -> Check {
     validate_correlation(scene)?;
     scene.limits.bytes().or_else(|message| invalid("limits.memory", message))?;
     validate_algorithm(scene)?;
+    validate_recordings(scene)?;
     validate_static(scene)?;
     validate_estimate(&scene.estimate, scene)?;
     if let Some(cycles) = &scene.algorithm.cycles {

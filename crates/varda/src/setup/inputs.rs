@@ -60,6 +60,11 @@ impl Inputs {
     /// # Errors
     /// [`Error::Read`], [`Error::Data`] or [`Error::Scene`], naming the key or the line.
     pub fn for_simulation(file: &SceneFile) -> Result<Inputs, Error> {
+        if !file.recordings.is_empty() {
+            let message = "several recordings are only assimilated (run) and checked, all at once; the scene \
+                           without them: --set recordings=[]";
+            return Err(file.invalid("recordings", message));
+        }
         let one_window = file.as_one_window();
         let grid = one_window.grid()?;
         let files = Files::of(&one_window);

@@ -26,7 +26,7 @@ const NUMBER: usize = size_of::<f64>();
 
 /// Most unknowns of a posterior from the dense Hessian (five matrices of this size take 360 MB, eigenvectors
 /// a minute); beyond, it is the prior less the directions that Lanczos iterations find.
-const LARGEST_DENSE_POSTERIOR: usize = 3000;
+pub(crate) const LARGEST_DENSE_POSTERIOR: usize = 3000;
 
 /// Products of a low-rank posterior, and vectors it keeps, at most.
 pub(crate) const MOST_PRODUCTS: usize = 200;

@@ -88,9 +88,7 @@ pub(crate) struct SeenWith<O> {
     markers: Vec<Marker>,
     moved: Vec<Marker>,
     columns: Vec<f64>,
-    /// Constants of the model that move what is observed, by supports; their columns.
-    moving: Vec<usize>,
-    by_constants: Vec<f64>,
+    moving: Moving,
     second: Second,
     operator: O,
 }
@@ -106,6 +104,58 @@ struct Second {
     /// An increment of H(x), and what acts on H(x) as its axes turn.
     moved: Vec<f64>,
     acting: Vec<f64>,
+}
+
+/// Constants of the model that move what is observed, by supports.
+struct Moving {
+    /// Which.
+    constants: Vec<usize>,
+    /// Their columns at states that were asked for, by step.
+    known: Vec<Known>,
+    /// How many of these there is room for.
+    room: usize,
+}
+
+/// Columns at a state: products come back to the same ones.
+#[derive(Clone, Default)]
+struct Known {
+    time: f64,
+    x: Vec<f64>,
+    columns: Vec<f64>,
+}
+
+/// Bytes of all of them, about; one there is always.
+const KNOWN_BYTES: usize = 8_000_000;
+
+impl Moving {
+    /// Of observations with so many rows of a state with so many numbers.
+    fn of(constants: Vec<usize>, rows: usize, state: usize) -> Moving {
+        let one = size_of::<f64>() * (constants.len() * rows + state);
+        Moving { constants, known: Vec::new(), room: (KNOWN_BYTES / one.max(1)).max(1) }
+    }
+
+    /// The columns at a state, and the constant of each; `find` computes them where they are not known.
+    fn at(
+        &mut self,
+        at: At,
+        x: &[f64],
+        rows: usize,
+        find: impl FnOnce(&mut [f64]),
+    ) -> impl Iterator<Item = (usize, &[f64])> {
+        let slot = at.step % self.room;
+        if self.known.len() <= slot {
+            self.known.resize(slot + 1, Known::default());
+        }
+        let known = &mut self.known[slot];
+        if !(known.time == at.time && known.x == x) {
+            known.columns.resize(self.constants.len() * rows, 0.0);
+            find(&mut known.columns);
+            known.x.clear();
+            known.x.extend_from_slice(x);
+            known.time = at.time;
+        }
+        self.constants.iter().copied().zip(known.columns.chunks_exact(rows.max(1)))
+    }
 }
 
 /// What an operator of a state sees of the longer one with constants in it, at these places; the operator
@@ -140,9 +190,7 @@ impl<O: Sites> SeenWith<O> {
         let (own, rows) = (places.own_dim(), operator.dim());
         let (x, dx, columns) = (vec![0.0; own], vec![0.0; own], vec![0.0; 12 * markers.len()]);
         let (y, back, moved) = (vec![0.0; rows], vec![0.0; rows], markers.clone());
-        let moving = operator.moving();
-        let by_constants = vec![0.0; moving.len() * rows];
-        let second = Second::default();
+        let moving = Moving::of(operator.moving(), rows, places.dim());
         Self {
             places,
             seeing,
@@ -154,15 +202,14 @@ impl<O: Sites> SeenWith<O> {
             moved,
             columns,
             moving,
-            by_constants,
-            second,
+            second: Second::default(),
             operator,
         }
     }
 
     /// Puts the sites, and supports, where the constants of a state have them.
     fn place_sites(&mut self, x: &[f64]) -> Result<(), Refusal> {
-        if !self.moving.is_empty() {
+        if !self.moving.constants.is_empty() {
             self.operator.set_constants(&x[self.places.parameters()]);
         }
         if self.markers.is_empty() {
@@ -262,10 +309,10 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
             self.operator.by_place(at, &self.x, &mut self.columns);
             self.by_places_add(&dx[self.places.parameters()], dy);
         }
-        if !self.moving.is_empty() {
-            self.operator.by_constants(at, &self.x, &mut self.by_constants);
-            let dp = &dx[self.places.parameters()];
-            for (&p, column) in self.moving.iter().zip(self.by_constants.chunks_exact(dy.len())) {
+        if !self.moving.constants.is_empty() {
+            let Self { operator, moving, x: own, places, .. } = self;
+            let dp = &dx[places.parameters()];
+            for (p, column) in moving.at(at, x, dy.len(), |into| operator.by_constants(at, own, into)) {
                 dy.iter_mut().zip(column).for_each(|(dy, c)| *dy += c * dp[p]);
             }
         }
@@ -308,11 +355,11 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
             self.operator.by_place(at, &self.x, &mut self.columns);
             self.by_places_transpose_add(&self.back, &mut dx[self.places.parameters()]);
         }
-        if !self.moving.is_empty() {
-            self.operator.by_constants(at, &self.x, &mut self.by_constants);
-            let dp = &mut dx[self.places.parameters()];
-            for (&p, column) in self.moving.iter().zip(self.by_constants.chunks_exact(self.back.len())) {
-                dp[p] += column.iter().zip(&self.back).map(|(c, b)| c * b).sum::<f64>();
+        if !self.moving.constants.is_empty() {
+            let Self { operator, moving, x: own, places, back, .. } = self;
+            let dp = &mut dx[places.parameters()];
+            for (p, column) in moving.at(at, x, back.len(), |into| operator.by_constants(at, own, into)) {
+                dp[p] += column.iter().zip(&*back).map(|(c, b)| c * b).sum::<f64>();
             }
         }
         self.places.gather(dx, &mut self.dx);
@@ -322,7 +369,7 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
 
     /// Not where constants of the model move what is observed, by supports.
     fn has_second_derivatives(&self) -> bool {
-        self.moving.is_empty() && self.operator.has_second_derivatives()
+        self.moving.constants.is_empty() && self.operator.has_second_derivatives()
     }
 
     /// With f = Rᵀ dy, a = J dρ, δ(Rh) = a × Rh + R δh and m the places of sites:

@@ -3,17 +3,17 @@
 use std::ops::ControlFlow;
 
 use varda_assimilation::{
-    Blue, CostFunction, Error, Gain, Hessian, InnerSolver, Iteration, LeastSquares, Minimizer, Minimum,
-    OuterLoopOptions, Status, Stopping, StrongConstraint, continuation, outer_loop,
+    Blue, Error, Gain, Hessian, InnerSolver, Iteration, LeastSquares, Minimizer, Minimum, OuterLoopOptions,
+    Status, Stopping, continuation, outer_loop,
 };
 use varda_linalg::norm;
 
 use crate::scene::{Algorithm, Method};
 
-/// The minimum of the strong-constraint cost by the scene's method.
+/// The minimum of a strong-constraint cost, or of several, by the scene's method.
 pub(crate) fn strong(
     algorithm: &Algorithm,
-    cost: &mut StrongConstraint,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
@@ -71,7 +71,7 @@ pub(crate) fn outer_of(algorithm: &Algorithm) -> Option<OuterLoopOptions> {
 /// `Failed`, with `v` unchanged, if the model cannot be run from the estimate.
 fn blue(
     algorithm: &Algorithm,
-    cost: &mut StrongConstraint,
+    cost: &mut dyn LeastSquares,
     v: &mut [f64],
     on_iteration: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Minimum, Error> {
@@ -96,7 +96,7 @@ fn blue(
     if on_iteration(&now.iteration(0.0, cost.counts(), v)).is_break() {
         return Ok(now);
     }
-    let gain = if cost.observations().dim() < v.len() { Gain::Observation } else { Gain::Information };
+    let gain = if cost.observation_dim() < v.len() { Gain::Observation } else { Gain::Information };
     let estimate = Blue::new(cost, v, gain)?.control_variable;
     match cost.evaluate(&estimate, Some(&mut gradient)) {
         Ok(value) => now.value = value,

@@ -3,6 +3,7 @@
 
 mod ensemble;
 mod exact_hessian;
+pub(crate) mod joint;
 pub(crate) mod minimizer;
 mod strong;
 mod task;

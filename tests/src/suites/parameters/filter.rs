@@ -13,12 +13,12 @@ use varda_implicit::{
 use crate::row::{Case, Outcome, Rows};
 
 /// Three coupled oscillators without a name, pushed by F (1, −½, 0, …).
-#[derive(Clone)]
-struct Pushed {
+#[derive(Clone, Default)]
+pub(super) struct Pushed {
     forcing: f64,
 }
 
-const N: usize = 6;
+pub(super) const N: usize = 6;
 const STEPS: usize = 24;
 const SIGMA: f64 = 0.1;
 
@@ -71,7 +71,7 @@ impl ParametricRhs for Pushed {
 
 pub(super) fn run(rows: &mut Rows) {
     rows.area("Kalman filter of the augmented state");
-    let rhs = || Pushed { forcing: 0.0 };
+    let rhs = Pushed::default;
     rows.case("RK4", |case| filtered(case, &mut Rk4::new(RhsWithParameters::new(rhs(), 0), 0, 0.1)));
     for scheme in [Scheme::BackwardEuler, Scheme::Midpoint, Scheme::Bdf2] {
         rows.case(&format!("{scheme:?}"), |case| {

@@ -151,6 +151,18 @@ pub(super) fn products_at(case: &mut Case, problem: &Problem, step: usize, x: &[
     case.at_most("observations: adjoint off the tangent", (a - b).abs() / size, 1e-13, "-")
         .computed(a)
         .because("rounding of sums");
+    // what is kept of one state is not taken for another, nor lost by coming back
+    let other: Vec<f64> = x.iter().enumerate().map(|(i, x)| x + 1e-4 * wave(i, 0.7)).collect();
+    let mut unlike = 0;
+    for state in [&other[..], x, &other[..]] {
+        let (mut fresh, mut expected) = (problem.observed.operator()?, vec![0.0; rows]);
+        fresh.observe(at, state, &mut y)?;
+        fresh.tangent(at, state, &dx, &mut expected);
+        operator.observe(at, state, &mut y)?;
+        operator.tangent(at, state, &dx, &mut forth);
+        unlike += forth.iter().zip(&expected).filter(|(a, b)| a.to_bits() != b.to_bits()).count();
+    }
+    case.count("numbers of a tangent that depend on what was asked before", unlike, 0);
     Ok(())
 }
 

@@ -1,5 +1,6 @@
 //! Shapes without times: constants of a rod at rest.
 
+use problems::recordings::Wire;
 use varda::outcome::{Estimated, Outcome as Ended, Verdict};
 use varda::run::{Listener, assimilate};
 use varda::scene::SceneFile;
@@ -8,9 +9,6 @@ use varda::setup::Problem;
 use crate::row::{Case, Outcome, Rows};
 use crate::suites::Options;
 use crate::suites::folder::Folder;
-
-/// Points of the wires, by wire and pose.
-const WIRES: &str = include_str!("../../../fixtures/wires/shapes.csv");
 
 pub(super) fn run(rows: &mut Rows, options: &Options) {
     rows.area("shapes");
@@ -136,68 +134,11 @@ method = "static"
     Ok(())
 }
 
-/// A wire of the recordings: stiffness with a prior of 50 % about the value listed for it, directions of the
-/// clamps from the first and the last chord, known to 0.3 rad, and their places as seen; points 3 and 7 are
-/// kept back.
+/// EI of a wire from one shape; points 3 and 7 are kept back.
 fn wire(case: &mut Case, pose: &str, settles: bool) -> Outcome {
-    let (wire, number) = pose.split_once(' ').ok_or("wire and pose")?;
-    let point = |line: &str| -> Option<[f64; 3]> {
-        let mut cells = line.split(',');
-        (cells.next()? == wire && cells.next()? == number).then_some(())?;
-        let mut next = || cells.next()?.parse().ok();
-        next()?;
-        Some([next()?, next()?, next()?])
-    };
-    let points: Vec<[f64; 3]> = WIRES.lines().filter_map(point).collect();
-    let (mass, ei, gj) = match wire {
-        "white" => (0.087 / 5.0, 5.8e-5, 5.6e-5),
-        "black" => (0.079 / 2.98, 1e-3, 1.1e-3),
-        _ => (0.043 / 2.0, 6.4e-4, 1.2e-3),
-    };
-    let chord = |a: usize, b: usize| std::array::from_fn::<f64, 3, _>(|c| points[b][c] - points[a][c]);
-    // across the chord, as upright as it can be
-    let across = |t: [f64; 3]| {
-        let square: f64 = t.iter().map(|t| t * t).sum();
-        std::array::from_fn::<f64, 3, _>(|c| f64::from(u8::from(c == 2)) - t[2] * t[c] / square)
-    };
-    let mut text = "marker,x_m,y_m,z_m\n".to_string();
-    let mut markers = String::new();
-    for (i, [x, y, z]) in points.iter().enumerate() {
-        text += &format!("p{i},{x},{y},{z}\n");
-        let used = if i == 3 || i == 7 { "withhold" } else { "assimilate" };
-        markers += &format!("{{ name = \"p{i}\", arc_length = {}, use = \"{used}\" }},", 0.04 * i as f64);
-    }
-    let [first, last] = [chord(0, 1), chord(9, 10)];
-    let clamp = |at: usize, t: [f64; 3]| {
-        format!("{{ position = {:?}, tangent = {t:?}, director = {:?} }}", points[at], across(t))
-    };
-    let folder = Folder::new(&format!("wire-{wire}-{number}"))?;
-    folder.write("seen.csv", text.as_bytes())?;
-    let scene = format!(
-        r#"
-[model]
-kind = "rod"
-length = 0.4
-segments = 40
-gravity = [0.0, 0.0, -9.81]
-section = {{ kind = "stiffness", ea = 1e3, ei = [{ei}, {ei}], gj = {gj}, mass_per_length = {mass} }}
-start = {}
-end = {}
-[observations]
-kind = "file"
-file = "seen.csv"
-sigma = 0.004
-markers = [{markers}]
-[estimate]
-ei = {{ sigma = "50%", together = true }}
-clamp_direction = {{ sigma = 0.3 }}
-support_position = {{ sigma = 0.004 }}
-[algorithm]
-method = "static"
-"#,
-        clamp(0, first),
-        clamp(10, last)
-    );
+    let Wire { csv, scene, ei } = Wire::of(pose).ok_or("no such wire")?;
+    let folder = Folder::new(&format!("wire {pose}"))?;
+    folder.write("seen.csv", csv.as_bytes())?;
     let ended = ended(&folder.scene(&scene, &[])?)?;
     let e = named(&ended, "ei")?;
     let sigma = e.sigma.ok_or("no σ")?;

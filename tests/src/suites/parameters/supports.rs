@@ -24,6 +24,7 @@ pub(super) fn run(rows: &mut Rows, quick: bool) {
     rows.case("∂J/∂p of a cable between two grippers", gripped);
     rows.case("clamp and drive of a twin", twin);
     rows.case("products of what supports move", products);
+    rows.case("products of markers beside the centreline", beside);
     let seeds = if quick { 6 } else { 40 };
     rows.case("a base recorded with 1 mm of noise", |case| base(case, seeds));
     rows.case("a row just beyond the reach of a recorded base", beyond);
@@ -108,6 +109,16 @@ fn twin(case: &mut Case) -> Outcome {
             .because("what moves the whole rod is seen");
     }
     Ok(())
+}
+
+/// Markers beside the centreline: they turn with the frames of a clamp, as the shape between carries them.
+fn beside(case: &mut Case) -> Outcome {
+    let sets = ["estimate.clamp_direction={sigma=0.03}".to_string()];
+    let problem = Problem::from_scene(&SceneFile::open("beam-release", &sets)?)?;
+    let mut model = problem.model();
+    let mut x = vec![0.0; model.dim()];
+    model.initial_state(&problem.background, &mut x)?;
+    products_at(case, &problem, 0, &x)
 }
 
 /// Of the model and of what is observed: exact transposes that ask for no memory.

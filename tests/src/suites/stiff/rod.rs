@@ -187,7 +187,7 @@ fn stiff_ends(rows: &mut Rows, name: &str, base: &Hanging) {
 
 /// Too few Newton iterations for whole steps: they are taken in parts, and derivatives go through these.
 fn in_parts(case: &mut Case, hanging: &Hanging) -> Outcome {
-    let options = NewtonOptions::default().with_max_iterations(4);
+    let options = NewtonOptions::default().with_max_iterations(3);
     let mut model = Counted::new(hanging.model()?.into_inner().with_options(options));
     let (mut x, mut next) = (vec![0.0; model.dim()], vec![0.0; model.dim()]);
     model.initial_state(&hanging.start(0.0, 0.0), &mut x)?;
