@@ -317,7 +317,7 @@ impl KelvinVoigt {
         let (layout, n) = (&system.layout, system.layout.segments);
         let Self { configurations, used, share, stresses, weights, .. } = self;
         stresses.resize(n, [0.0; 4]);
-        for_each_strain(layout, &kept[..STRAINS * n], mu, |e, strain, value| stresses[e][strain] = value);
+        for_each_strain(layout, &kept[..STRAINS * n], mu, |e, value| stresses[e] = value);
         let used = configurations[..*used].iter();
         for (past, band) in used.zip(bands.chunks_exact_mut(layout.band().max(1))) {
             band.fill(0.0);
@@ -381,36 +381,48 @@ fn put_edge(kept: &mut [f64], t: &Vector3<f64>) {
     kept[..3].copy_from_slice(t.as_slice());
 }
 
-/// Each strain's gradient, as it was kept, times q: `visit(e, strain, value)` for the length of edge e,
-/// strain 0, and the strains 1 to 3 of the vertex it starts at.
-fn for_each_strain(layout: &Layout, from: &[f64], q: &[f64], mut visit: impl FnMut(usize, usize, f64)) {
-    for (e, from) in from.chunks_exact(STRAINS).enumerate().take(layout.segments) {
+/// The gradients of the strains of edge e and of the vertex it starts at, as they were kept: of its length,
+/// and of the three strains of the vertex in the local order.
+fn kept_at(kept: &[f64], e: usize) -> (&[f64; 3], &[[f64; LOCAL]]) {
+    let (edge, vertex) = kept[STRAINS * e..STRAINS * (e + 1)].split_first_chunk().expect("an edge's numbers");
+    (edge, vertex.as_chunks().0)
+}
+
+/// The local numbers, in the full order, of the vertex that edge e starts at.
+fn local(layout: &Layout, e: usize) -> std::ops::Range<usize> {
+    layout.vertex(e - 1)..layout.vertex(e - 1) + LOCAL
+}
+
+/// Each strain's gradient, as it was kept, times q: `visit(e, [l, κ₁, κ₂, τ])` for the length of edge e
+/// and the strains of the vertex it starts at (zero where nothing bends).
+fn for_each_strain(layout: &Layout, from: &[f64], q: &[f64], mut visit: impl FnMut(usize, [f64; 4])) {
+    for e in 0..layout.segments {
+        let (edge, bends) = kept_at(from, e);
         let (a, b) = (layout.vertex(e), layout.vertex(e + 1));
-        visit(e, 0, (0..3).map(|c| from[c] * (q[b + c] - q[a + c])).sum());
-        if !layout.bending || e == 0 {
-            continue;
+        let mut value = [(0..3).map(|c| edge[c] * (q[b + c] - q[a + c])).sum(), 0.0, 0.0, 0.0];
+        if layout.bending && e > 0 {
+            // the three sums side by side: one after the other each waits for its last addition
+            for (i, q) in q[local(layout, e)].iter().enumerate() {
+                (0..3).for_each(|strain| value[strain + 1] += bends[strain][i] * q);
+            }
         }
-        let first = layout.vertex(e - 1);
-        for (strain, from) in from[3..].chunks_exact(LOCAL).enumerate() {
-            visit(e, strain + 1, from.iter().zip(&q[first..first + LOCAL]).map(|(g, q)| g * q).sum());
-        }
+        visit(e, value);
     }
 }
 
 /// out += Σ to (from·q) over all strains, the gradients `from` and `to` as they were kept.
 fn couple(layout: &Layout, from: &[f64], to: &[f64], q: &[f64], out: &mut [f64]) {
-    for_each_strain(layout, from, q, |e, strain, value| {
-        let to = &to[STRAINS * e..STRAINS * (e + 1)];
-        let Some(strain) = strain.checked_sub(1) else {
-            let (a, b) = (layout.vertex(e), layout.vertex(e + 1));
-            for c in 0..3 {
-                out[a + c] -= to[c] * value;
-                out[b + c] += to[c] * value;
+    for_each_strain(layout, from, q, |e, [longer, bent @ ..]| {
+        let (edge, bends) = kept_at(to, e);
+        let (a, b) = (layout.vertex(e), layout.vertex(e + 1));
+        for c in 0..3 {
+            out[a + c] -= edge[c] * longer;
+            out[b + c] += edge[c] * longer;
+        }
+        if layout.bending && e > 0 {
+            for (i, out) in out[local(layout, e)].iter_mut().enumerate() {
+                (0..3).for_each(|strain| *out += bends[strain][i] * bent[strain]);
             }
-            return;
-        };
-        let first = layout.vertex(e - 1);
-        let to = &to[3 + LOCAL * strain..3 + LOCAL * (strain + 1)];
-        out[first..first + LOCAL].iter_mut().zip(to).for_each(|(out, g)| *out += g * value);
+        }
     });
 }

@@ -109,6 +109,18 @@ type Part<T> = (T, Vector3<T>, Vector3<T>);
 /// Where x_{i−1}, x_i, x_{i+1} begin in the local order with frames; θ^{i−1} is 3, θ^i is 7.
 const X: [usize; 3] = [0, 4, 8];
 
+impl Strains {
+    /// What the strains change by along q, in the local order.
+    pub(crate) fn along(&self, q: &[f64; LOCAL]) -> [f64; 3] {
+        let mut changes = [0.0; 3];
+        // the three sums side by side: one after the other each waits for its last addition
+        for (i, q) in q.iter().enumerate() {
+            changes.iter_mut().zip(&self.gradient).for_each(|(change, gradient)| *change += gradient[i] * q);
+        }
+        changes
+    }
+}
+
 impl<T: Real> Strains<T> {
     pub(crate) fn of(a: &Edge<T>, b: &Edge<T>, turn: &Turn<T>, m: &Directors<T>, tau: T) -> Strains<T> {
         let half = T::of(0.5);

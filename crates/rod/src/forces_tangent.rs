@@ -390,15 +390,15 @@ impl<'a> Tangent<'a> {
         let angle = system.layout.twist.then_some([3, 7]);
         for (i, bent) in self.bent.iter().enumerate() {
             let (q, k) = (self.now.at(i + 1), &system.bend[i]);
-            let product = |rows: &[[f64; 11]], q: &[f64; 11], a: usize| -> f64 {
-                rows[a].iter().zip(q).map(|(h, q)| h * q).sum()
-            };
-            let mut force: [f64; 11] = std::array::from_fn(|a| product(&bent.hessian, &q, a));
-            let mut strain: [f64; 3] = std::array::from_fn(|a| product(&bent.strains.gradient, &q, a));
+            // by rows of the symmetric matrix: eleven sums side by side
+            let mut force = [0.0; 11];
+            for (row, q) in bent.hessian.iter().zip(&q) {
+                force.iter_mut().zip(row).for_each(|(force, h)| *force += h * q);
+            }
+            let mut strain = bent.strains.along(&q);
             if let Some(past) = self.past {
                 let q = self.before.at(i + 1);
-                let rest: [f64; 3] =
-                    std::array::from_fn(|a| self.share * product(&past.strains[i].gradient, &q, a));
+                let rest = past.strains[i].along(&q).map(|strain| self.share * strain);
                 let stress = k.times(&rest);
                 for (c, force) in force.iter_mut().enumerate() {
                     *force -= (0..3).map(|a| bent.strains.gradient[a][c] * stress[a]).sum::<f64>();
