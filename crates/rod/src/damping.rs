@@ -393,8 +393,8 @@ fn local(layout: &Layout, e: usize) -> std::ops::Range<usize> {
     layout.vertex(e - 1)..layout.vertex(e - 1) + LOCAL
 }
 
-/// Each strain's gradient, as it was kept, times q: `visit(e, [l, κ₁, κ₂, τ])` for the length of edge e
-/// and the strains of the vertex it starts at (zero where nothing bends).
+/// Each strain's gradient, as it was kept, times q: `visit(e, [l, κ₁, κ₂, τ])` for the length of edge
+/// e and the strains of the vertex it starts at (zero where nothing bends).
 fn for_each_strain(layout: &Layout, from: &[f64], q: &[f64], mut visit: impl FnMut(usize, [f64; 4])) {
     for e in 0..layout.segments {
         let (edge, bends) = kept_at(from, e);
