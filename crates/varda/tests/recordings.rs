@@ -51,6 +51,7 @@ fn one_recording_is_the_scene_without() {
     assert!((joint.degrees_of_freedom.unwrap() - plain.analysis.degrees_of_freedom).abs() < 1e-8);
     assert!((one.analysis.degrees_of_freedom - plain.analysis.degrees_of_freedom).abs() < 1e-6);
     assert_eq!(joint.judgement.verdict, Verdict::Fits, "{}", joint.judgement.text);
+    assert!(joint.judgement.text.ends_with(" values in one recording"), "{}", joint.judgement.text);
 }
 
 #[test]

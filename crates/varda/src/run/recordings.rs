@@ -192,7 +192,7 @@ fn judged(recordings: &[Outcome], j: f64, m: usize) -> Judgement {
     for verdict in [Verdict::NothingObserved, Verdict::NotConverged, Verdict::DoesNotFit] {
         if let Some(first) = of(verdict).first() {
             let names: Vec<&str> = of(verdict).iter().map(|one| one.experiment.name.as_str()).collect();
-            let which = match names.len() == recordings.len() {
+            let which = match names.len() > 1 && names.len() == recordings.len() {
                 true => "all".to_string(),
                 false => names.join(", "),
             };
@@ -201,6 +201,7 @@ fn judged(recordings: &[Outcome], j: f64, m: usize) -> Judgement {
         }
     }
     match j <= highest_j_of_a_fit(m) {
+        true if recordings.len() == 1 => Judgement { verdict: Verdict::Fits, text: numbers },
         true => Judgement { verdict: Verdict::Fits, text: format!("{numbers}; each fits") },
         false => {
             let text = format!("{numbers}: each by itself is within chance, all together are not");
