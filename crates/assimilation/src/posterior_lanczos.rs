@@ -1,11 +1,11 @@
 //! The posterior covariance as the identity less a few directions: from Lanczos iterations or from what
 //! L-BFGS has learnt.
 
-use crate::cost::{dot, norm};
-use crate::minimize::{at_least_one, eigen, setters};
+use crate::cost::dot;
+use crate::lanczos_space::{Around, Space, Split, best_split, normals, probe};
+use crate::minimize::{at_least_one, setters};
 use crate::{ControlTransform, Error, InverseHessian, LeastSquares};
 use rand::Rng;
-use rand_distr::{Distribution, StandardNormal};
 use varda_linalg::krylov::{Lanczos, Product, Ritz};
 
 /// A posterior of low rank around the prior, in the control variable:
@@ -22,6 +22,7 @@ use varda_linalg::krylov::{Lanczos, Product, Ritz};
 /// | made by | products with A | error |
 /// |---|---|---|
 /// | [`lanczos`](Self::lanczos) | about twice the pairs kept | a bound, to the tolerance asked for |
+/// | [`lanczos_exact`](Self::lanczos_exact) | the same, with ∇²J | a bound, if definite |
 /// | [`from_inverse_hessian`](Self::from_inverse_hessian) | none | an estimate, often no better than 1 |
 /// | [`refined`](Self::refined) | one for each direction of L-BFGS, and what is missing | a bound |
 ///
@@ -116,14 +117,50 @@ impl LowRankPosterior {
         options: &LanczosOptions,
         rng: &mut R,
     ) -> Result<Self, Error> {
-        options.check()?;
         let n = cost.dim();
-        let probes = probe(cost, options.probes, rng)?;
+        Self::iterate(n, &mut |p, out| cost.hessian_apply(p, out), Around::AboveOne, options, rng)
+    }
+
+    /// The same of the exact Hessian A of J at that point, whose eigenvalues lie on both sides of 1. Kept are
+    /// the pairs farthest from 1; with φ = ν + ω, scaled as above, ω of the rest and μ_1 the least that
+    /// is kept,
+    ///
+    /// ```text
+    ///     ‖P_v − A⁻¹‖₂ ≤ φ / (1 − φ) / min(1, μ_1)    where φ < 1
+    /// ```
+    ///
+    /// since D^{-1/2} A D^{-1/2} = I + F with D the blocks of P_v⁻¹ and ‖F‖ ≤ φ: A is then positive
+    /// definite. There is no bound ([`Self::error_bound`] is `None`) where φ stays above 1.
+    ///
+    /// # Errors
+    /// [`Error::NoSecondDerivatives`]; [`Error::NotPositiveDefinite`] where a Ritz value, and with it an
+    /// eigenvalue of A, is not positive; those of [`Self::lanczos`].
+    ///
+    /// # Panics
+    /// If no gradient has been evaluated.
+    pub fn lanczos_exact<R: Rng + ?Sized>(
+        cost: &mut dyn LeastSquares,
+        options: &LanczosOptions,
+        rng: &mut R,
+    ) -> Result<Self, Error> {
+        let n = cost.dim();
+        Self::iterate(n, &mut |p, out| cost.exact_hessian_apply(p, out), Around::BothSides, options, rng)
+    }
+
+    fn iterate<R: Rng + ?Sized>(
+        n: usize,
+        product: &mut Product<Error>,
+        around: Around,
+        options: &LanczosOptions,
+        rng: &mut R,
+    ) -> Result<Self, Error> {
+        options.check()?;
+        let probes = probe(n, product, options.probes, rng)?;
         let mut lanczos = Lanczos::new(n);
         lanczos.begin(&normals(n, rng));
         let mut next_check = 1;
         loop {
-            lanczos.extend(&mut |p: &[f64], out: &mut [f64]| cost.hessian_apply(p, out))?;
+            lanczos.extend(product)?;
             let k = lanczos.iterations();
             let ended = lanczos.invariant() || k >= options.max_products;
             if k < next_check && !ended {
@@ -133,13 +170,15 @@ impl LowRankPosterior {
             let Ritz { values, vectors, coupling } = lanczos.ritz()?;
             let q = lanczos.extension();
             let residuals: Vec<f64> = coupling.iter().flat_map(|c| q.iter().map(move |q| c * q)).collect();
-            let split = best_split(&values, &vectors, &residuals, &probes);
+            let split = best_split(around, &values, &vectors, &residuals, &probes);
             if split.bound <= options.tolerance || k >= options.max_products.min(n) {
-                return Ok(Self::kept(n, &values, &vectors, &split, k + options.probes));
+                return Self::kept(n, &values, &vectors, &split, k + options.probes);
             }
             if ended {
-                let space = Space::of(values, vectors, residuals);
-                return space.grown(cost, options, &probes, rng);
+                let mut space = Space::of(values, vectors, residuals);
+                let until = (options.tolerance, options.max_products);
+                let (values, vectors, split) = space.grown(product, until, (around, &probes), rng)?;
+                return Self::kept(n, &values, &vectors, &split, space.dim() + options.probes);
             }
         }
     }
@@ -199,27 +238,37 @@ impl LowRankPosterior {
         options.check()?;
         let n = cost.dim();
         assert_eq!(inverse.dim(), n, "length of the control variable");
-        let probes = probe(cost, options.probes, rng)?;
+        let mut product = |p: &[f64], out: &mut [f64]| cost.hessian_apply(p, out);
+        let probes = probe(n, &mut product, options.probes, rng)?;
         let mut space = Space::new(n);
         for i in (0..inverse.pairs()).rev() {
             if space.dim() < options.max_products {
-                let mut product = |p: &[f64], out: &mut [f64]| cost.hessian_apply(p, out);
                 space.add_measured(inverse.pair(i).0, &mut product)?;
             }
         }
-        space.grown(cost, options, &probes, rng)
+        let (known, until) = ((Around::AboveOne, &probes), (options.tolerance, options.max_products));
+        let (values, vectors, split) = space.grown(&mut product, until, known, rng)?;
+        Self::kept(n, &values, &vectors, &split, space.dim() + options.probes)
     }
 
     /// The pairs of a split.
-    fn kept(n: usize, values: &[f64], vectors: &[f64], split: &Split, products: usize) -> Self {
-        let left_out = values.len() - split.kept;
-        Self {
-            n,
-            values: values[left_out..].to_vec(),
-            vectors: vectors[left_out * n..].to_vec(),
-            error_bound: Some(split.bound),
-            products,
+    fn kept(
+        n: usize,
+        values: &[f64],
+        vectors: &[f64],
+        split: &Split,
+        products: usize,
+    ) -> Result<Self, Error> {
+        if let Some(&smallest) = values.first().filter(|smallest| !(**smallest > 0.0)) {
+            return Err(Error::NotPositiveDefinite { smallest });
         }
+        Ok(Self {
+            n,
+            values: split.kept.iter().map(|&i| values[i]).collect(),
+            vectors: split.kept.iter().flat_map(|&i| &vectors[i * n..][..n]).copied().collect(),
+            error_bound: Some(split.bound).filter(|bound| bound.is_finite()),
+            products,
+        })
     }
 
     /// Upper bound of ‖P_v − A⁻¹‖₂, with the probability stated at [`Self::lanczos`]; `None` where
@@ -352,204 +401,4 @@ impl LanczosOptions {
         at_least_one("max_products", self.max_products)?;
         at_least_one("probes", self.probes)
     }
-}
-
-/// Random vectors w and (A − I) w.
-type Probes = Vec<(Vec<f64>, Vec<f64>)>;
-
-fn probe<R: Rng + ?Sized>(cost: &mut dyn LeastSquares, count: usize, rng: &mut R) -> Result<Probes, Error> {
-    let n = cost.dim();
-    let mut probes = Vec::new();
-    for _ in 0..count {
-        let w = normals(n, rng);
-        let mut image = vec![0.0; n];
-        cost.hessian_apply(&w, &mut image)?;
-        image.iter_mut().zip(&w).for_each(|(a, w)| *a -= w);
-        probes.push((w, image));
-    }
-    Ok(probes)
-}
-
-fn normals<R: Rng + ?Sized>(n: usize, rng: &mut R) -> Vec<f64> {
-    (0..n).map(|_| StandardNormal.sample(rng)).collect()
-}
-
-/// A space and A on it: Q orthonormal and A Q, one column after the other.
-struct Space {
-    n: usize,
-    basis: Vec<f64>,
-    images: Vec<f64>,
-}
-
-impl Space {
-    fn new(n: usize) -> Self {
-        Self { n, basis: Vec::new(), images: Vec::new() }
-    }
-
-    /// That of Ritz pairs with their residuals A z − μ z.
-    fn of(values: Vec<f64>, vectors: Vec<f64>, residuals: Vec<f64>) -> Self {
-        let n = vectors.len() / values.len();
-        let mut images = residuals;
-        for ((image, z), mu) in images.chunks_exact_mut(n).zip(vectors.chunks_exact(n)).zip(values) {
-            image.iter_mut().zip(z).for_each(|(r, z)| *r += mu * z);
-        }
-        Self { n, basis: vectors, images }
-    }
-
-    /// Adds one direction after the other, the largest residual, or where that is far below what the probes
-    /// find a random one, until the bound is at most the tolerance.
-    fn grown<R: Rng + ?Sized>(
-        mut self,
-        cost: &mut dyn LeastSquares,
-        options: &LanczosOptions,
-        probes: &Probes,
-        rng: &mut R,
-    ) -> Result<LowRankPosterior, Error> {
-        let n = self.n;
-        let mut product = |p: &[f64], out: &mut [f64]| cost.hessian_apply(p, out);
-        loop {
-            let (values, vectors) = self.ritz()?;
-            let residuals = self.residuals(&values, &vectors);
-            let split = best_split(&values, &vectors, &residuals, probes);
-            let ended = split.bound <= options.tolerance || self.dim() >= options.max_products.min(n);
-            // Not along what the probes found: they would no longer be independent of the space they judge.
-            let next = match split.worst {
-                Some(i) => residuals[i * n..][..n].to_vec(),
-                None => normals(n, rng),
-            };
-            if ended || !self.add_measured(&next, &mut product)? {
-                let products = self.dim() + options.probes;
-                return Ok(LowRankPosterior::kept(n, &values, &vectors, &split, products));
-            }
-        }
-    }
-
-    fn dim(&self) -> usize {
-        self.basis.len() / self.n.max(1)
-    }
-
-    /// Adds the direction of s with y = A s, if more than 10⁻³ of it is new; says whether it was.
-    fn add(&mut self, s: &[f64], y: &[f64]) -> bool {
-        let (mut q, mut aq) = (s.to_vec(), y.to_vec());
-        // Twice is enough.
-        for _ in 0..2 {
-            for (p, ap) in self.basis.chunks_exact(self.n).zip(self.images.chunks_exact(self.n)) {
-                let c = dot(p, &q);
-                q.iter_mut().zip(p).for_each(|(q, p)| *q -= c * p);
-                aq.iter_mut().zip(ap).for_each(|(q, p)| *q -= c * p);
-            }
-        }
-        let left = norm(&q);
-        let new = left > 1e-3 * norm(s);
-        if new {
-            self.basis.extend(q.iter().map(|q| q / left));
-            self.images.extend(aq.iter().map(|aq| aq / left));
-        }
-        new
-    }
-
-    /// Adds the direction of s with its image from a product.
-    fn add_measured(&mut self, s: &[f64], product: &mut Product<Error>) -> Result<bool, Error> {
-        let new = self.add(s, s);
-        if new {
-            let last = self.basis.len() - self.n;
-            product(&self.basis[last..], &mut self.images[last..])?;
-        }
-        Ok(new)
-    }
-
-    /// Ritz values, ascending, and vectors, one after the other.
-    fn ritz(&self) -> Result<(Vec<f64>, Vec<f64>), Error> {
-        let (n, k) = (self.n, self.dim());
-        let mut small = vec![0.0; k * k];
-        for (j, aq) in self.images.chunks_exact(n).enumerate() {
-            for (i, q) in self.basis.chunks_exact(n).enumerate() {
-                small[i + j * k] += 0.5 * dot(q, aq);
-                small[j + i * k] += 0.5 * dot(q, aq);
-            }
-        }
-        let (values, small) = eigen(k, &small)?;
-        Ok((values, self.combine(&self.basis, &small)))
-    }
-
-    /// A z_i − μ_i z_i of the Ritz pairs, from the space's images.
-    fn residuals(&self, values: &[f64], vectors: &[f64]) -> Vec<f64> {
-        let n = self.n;
-        let along = |z: &[f64]| self.basis.chunks_exact(n).map(|q| dot(q, z)).collect::<Vec<f64>>();
-        let small: Vec<f64> = vectors.chunks_exact(n).flat_map(along).collect();
-        let mut residuals = self.combine(&self.images, &small);
-        for ((r, z), mu) in residuals.chunks_exact_mut(n).zip(vectors.chunks_exact(n)).zip(values) {
-            r.iter_mut().zip(z).for_each(|(r, z)| *r -= mu * z);
-        }
-        residuals
-    }
-
-    /// The columns times a k × k matrix.
-    fn combine(&self, columns: &[f64], matrix: &[f64]) -> Vec<f64> {
-        let (n, k) = (self.n, self.dim());
-        let mut out = vec![0.0; n * k];
-        for (z, w) in out.chunks_exact_mut(n).zip(matrix.chunks_exact(k.max(1))) {
-            for (q, w) in columns.chunks_exact(n).zip(w) {
-                z.iter_mut().zip(q).for_each(|(z, q)| *z += w * q);
-            }
-        }
-        out
-    }
-}
-
-/// A residual below this part of what the probes find is left for another direction.
-const FOLLOWED: f64 = 1e-3;
-
-/// Which of the Ritz pairs to keep.
-struct Split {
-    /// How many, from the top.
-    kept: usize,
-    /// The error bound with these.
-    bound: f64,
-    /// The pair with the largest residual, scaled as in ν; `None` where the probes find more beside all
-    /// pairs.
-    worst: Option<usize>,
-}
-
-/// How many of the Ritz pairs, ascending, with their residuals, to keep for the least error bound.
-fn best_split(values: &[f64], vectors: &[f64], residuals: &[f64], probes: &Probes) -> Split {
-    // Π(A − I)w less R Zᵀw is Π(A − I)Πw, with R the residuals of the pairs Z that Π projects out.
-    let n = probes[0].0.len();
-    let mut rest: Vec<(Vec<f64>, Vec<f64>)> =
-        probes.iter().map(|(_, image)| (image.clone(), vec![0.0; n])).collect();
-    let mut nu = 0.0;
-    let mut best = Split { kept: 0, bound: f64::INFINITY, worst: None };
-    let (mut largest, mut missed) = (0.0, 0.0);
-    for kept in 0..=values.len() {
-        if kept > 0 {
-            let i = values.len() - kept;
-            let (z, r) = (&vectors[i * n..][..n], &residuals[i * n..][..n]);
-            let size = norm(r) / values[i].sqrt();
-            nu = f64::hypot(nu, size);
-            if size > largest {
-                (largest, best.worst) = (size, Some(i));
-            }
-            for ((image, along), (w, _)) in rest.iter_mut().zip(probes) {
-                let (c, d) = (dot(z, image), dot(z, w));
-                image.iter_mut().zip(z).for_each(|(a, z)| *a -= c * z);
-                along.iter_mut().zip(r).for_each(|(a, r)| *a += d * r);
-            }
-        }
-        let found = |(image, along): &(Vec<f64>, Vec<f64>)| {
-            image.iter().zip(along).map(|(a, r)| (a - r) * (a - r)).sum::<f64>().sqrt()
-        };
-        missed = rest.iter().map(found).fold(0.0, f64::max);
-        let omega = 10.0 * (2.0 / std::f64::consts::PI).sqrt() * missed;
-        // P_v and A⁻¹ both lie between 0 and I.
-        let bound = if nu < 1.0 { (nu / (1.0 - nu) + omega / (1.0 + omega)).min(1.0) } else { 1.0 };
-        if bound < best.bound {
-            (best.kept, best.bound) = (kept, bound);
-        }
-    }
-    // A probe has norm √n or so, a Ritz vector 1. What is known to be inexact is followed to its end first:
-    // of a multiple eigenvalue one more copy is then found for two products.
-    if missed * FOLLOWED >= largest * (n as f64).sqrt() {
-        best.worst = None;
-    }
-    best
 }

@@ -120,6 +120,10 @@ impl ParametricRhs for KuramotoSivashinsky {
     fn set_parameters(&mut self, _p: &[f64]) {}
 
     fn parameter_jacobian(&mut self, _t: f64, _u: &[f64], _columns: &mut [f64]) {}
+
+    fn has_second_parameters(&self) -> bool {
+        true
+    }
 }
 
 impl Rhs for KuramotoSivashinsky {

@@ -272,6 +272,36 @@ impl ParametricRhs for Transport {
             (*c, *d) = (-0.5 * (r - l) / h, (l - 2.0 * m + r) / (h * h));
         }
     }
+
+    fn has_second_parameters(&self) -> bool {
+        true
+    }
+
+    fn second_parameters(
+        &mut self,
+        _t: f64,
+        u: &[f64],
+        lambda: &[f64],
+        columns: &mut [f64],
+        square: &mut [f64],
+    ) {
+        let (n, h) = (u.len(), self.line.spacing());
+        let periodic = self.line.ends == Ends::Periodic;
+        square.fill(0.0);
+        columns.fill(0.0);
+        let (by_speed, by_diffusivity) = columns.split_at_mut(n);
+        for (i, l) in lambda.iter().enumerate() {
+            // values beyond ends that are held do not move
+            let left = if i > 0 { Some(i - 1) } else { periodic.then_some(n - 1) };
+            let right = if i + 1 < n { Some(i + 1) } else { periodic.then_some(0) };
+            by_diffusivity[i] -= 2.0 * l / (h * h);
+            for (j, sign) in [(left, -1.0), (right, 1.0)] {
+                let Some(j) = j else { continue };
+                by_speed[j] -= 0.5 * sign * l / h;
+                by_diffusivity[j] += l / (h * h);
+            }
+        }
+    }
 }
 
 impl Rhs for Transport {

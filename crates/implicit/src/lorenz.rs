@@ -122,6 +122,16 @@ impl ParametricRhs for Lorenz63 {
         columns.fill(0.0);
         (columns[0], columns[4], columns[8]) = (x[1] - x[0], x[0], -x[2]);
     }
+
+    fn has_second_parameters(&self) -> bool {
+        true
+    }
+
+    fn second_parameters(&mut self, _t: f64, _x: &[f64], l: &[f64], columns: &mut [f64], square: &mut [f64]) {
+        columns.fill(0.0);
+        square.fill(0.0);
+        (columns[0], columns[1], columns[3], columns[8]) = (-l[0], l[0], l[1], -l[2]);
+    }
 }
 
 /// The forcing F.
@@ -136,6 +146,22 @@ impl ParametricRhs for Lorenz96 {
 
     fn parameter_jacobian(&mut self, _t: f64, _x: &[f64], columns: &mut [f64]) {
         columns.fill(1.0);
+    }
+
+    fn has_second_parameters(&self) -> bool {
+        true
+    }
+
+    fn second_parameters(
+        &mut self,
+        _t: f64,
+        _x: &[f64],
+        _lambda: &[f64],
+        columns: &mut [f64],
+        square: &mut [f64],
+    ) {
+        columns.fill(0.0);
+        square.fill(0.0);
     }
 }
 

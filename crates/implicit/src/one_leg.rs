@@ -164,6 +164,25 @@ impl<R: ParametricRhs> ParametricStep for OneLeg<R> {
         self.rhs.parameter_jacobian(stage.time, of.u, columns);
         columns.iter_mut().for_each(|c| *c *= -stage.length);
     }
+
+    fn has_second_parameters(&self) -> bool {
+        self.rhs.has_second_parameters()
+    }
+
+    /// Those of −η μᵀf(t*, u).
+    fn keep_second_parameters(
+        &mut self,
+        of: &SolvedStep<'_>,
+        _lambda: &[f64],
+        mu: &[f64],
+        [by_x, by_u]: [&mut [f64]; 2],
+        square: &mut [f64],
+    ) {
+        let stage = self.scheme.stage(of.at);
+        by_x.fill(0.0);
+        self.rhs.second_parameters(stage.time, of.u, mu, by_u, square);
+        by_u.iter_mut().chain(square).for_each(|c| *c *= -stage.length);
+    }
 }
 
 impl<R: Rhs> ImplicitStep for OneLeg<R> {

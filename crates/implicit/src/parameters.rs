@@ -2,7 +2,9 @@
 
 use std::ops::Range;
 
-use crate::{ImplicitStep, Interval, Refusal, SolvedStep, Structure};
+use varda_linalg::dot;
+
+use crate::{ImplicitStep, Interval, Multipliers, Refusal, SolvedStep, Structure};
 
 /// A step whose equations G(x_k, u; p) = 0 depend on parameters p that do not change in time.
 ///
@@ -35,6 +37,37 @@ pub trait ParametricStep: ImplicitStep {
 
     /// dp += (∂S/∂p)ᵀ λ.
     fn advance_parameters_adjoint(&mut self, _of: &SolvedStep<'_>, _lambda: &[f64], _dp: &mut [f64]) {}
+
+    /// Whether the second derivatives with parameters below are given, for exact Hessians; false by default.
+    fn has_second_parameters(&self) -> bool {
+        false
+    }
+
+    /// The second derivatives of L = λᵀ S(x_k, u; p) + μᵀ G(x_k, u; p) with parameters, in the
+    /// increments that products are given: the columns of ∂²L/∂x∂p (each as long as the step's state,
+    /// history included), those of ∂²L/∂u∂p, and ∂²L/∂p² row by row, all overwritten. Called
+    /// once for every λ and μ, right after [`ImplicitStep::keep_second`] with the same.
+    fn keep_second_parameters(
+        &mut self,
+        _of: &SolvedStep<'_>,
+        _lambda: &[f64],
+        _mu: &[f64],
+        _columns: [&mut [f64]; 2],
+        _square: &mut [f64],
+    ) {
+    }
+
+    /// Adds Σ_i λ_i ∂²x_{0,i}/∂(z, p)² times (dz, dp) to (out_z, out_p), at the control of the last
+    /// `initial_state`. A step that gives `initial_parameter_jacobian` gives this, too.
+    fn initial_second_parameters_add(
+        &mut self,
+        t: f64,
+        [dz, _dp]: [&[f64]; 2],
+        lambda: &[f64],
+        [out_z, _out_p]: [&mut [f64]; 2],
+    ) {
+        self.initial_second_add(t, dz, lambda, out_z);
+    }
 }
 
 /// A step with its parameters in the state: p_{k+1} = p_k (Evensen 2009, chapter 7, calls it the augmented
@@ -51,7 +84,8 @@ pub trait ParametricStep: ImplicitStep {
 /// and the step does not, as the offset of a clock.
 ///
 /// ∂G/∂p is kept with each linearization: a product takes one vector operation a parameter more, and no
-/// further solve. Where x_{k−1} is part of the state, so is its p, on which nothing depends.
+/// further solve. So are, for exact Hessians, the columns of ∂²L/∂(x, u)∂p with L = λᵀS + μᵀG,
+/// and ∂²L/∂p². Where x_{k−1} is part of the state, so is its p, on which nothing depends.
 ///
 /// # Examples
 ///
@@ -145,6 +179,8 @@ pub struct WithParameters<S> {
     increment: Vec<f64>,
     /// The columns of ∂x₀/∂p.
     initial: Vec<f64>,
+    /// λ of the step's own state: nothing until second derivatives are asked for.
+    lambda: Vec<f64>,
 }
 
 /// Where the numbers of a step's own state stand in the longer one of [`WithParameters`].
@@ -258,6 +294,7 @@ impl<S: ParametricStep> WithParameters<S> {
             next: vec![0.0; step.dim()],
             increment: vec![0.0; step.dim()],
             initial: vec![0.0; active * own],
+            lambda: Vec::new(),
             step,
         }
     }
@@ -304,6 +341,21 @@ impl<S: ParametricStep> WithParameters<S> {
         self.take(of.x).expect("the step was accepted with these parameters");
         let kept = &of.kept[..self.step.kept()];
         (&mut self.step, SolvedStep { at: of.at, x: &self.x, u: of.u, kept }, &mut self.next)
+    }
+
+    /// What second derivatives keep: the step's own, the columns of ∂²L/∂x∂p and ∂²L/∂u∂p, and
+    /// ∂²L/∂p².
+    fn second_lengths(&self) -> [usize; 4] {
+        let (own, active) = (self.step.second_kept().unwrap_or(0), self.active);
+        [own, active * self.step.dim(), active * self.step.unknowns(), active * active]
+    }
+
+    /// λ of the step's own state.
+    fn own_lambda(&mut self, lambda: &[f64]) -> Vec<f64> {
+        let mut own = std::mem::take(&mut self.lambda);
+        own.resize(self.places.own, 0.0);
+        self.places.gather(lambda, &mut own);
+        own
     }
 
     /// The columns of ∂G/∂p that are not zero, with the parameter of each: errors in time of what moves a
@@ -428,6 +480,58 @@ impl<S: ParametricStep> ImplicitStep for WithParameters<S> {
         self.increment = increment;
     }
 
+    fn second_kept(&self) -> Option<usize> {
+        let given = self.active == 0 || self.step.has_second_parameters();
+        (given && self.step.second_kept().is_some()).then(|| self.second_lengths().iter().sum())
+    }
+
+    fn keep_second(&mut self, of: &SolvedStep<'_>, lambda: &[f64], mu: &[f64], kept: &mut [f64]) {
+        let [own_kept, x, u, _] = self.second_lengths();
+        let lambda = self.own_lambda(lambda);
+        let (own_kept, rest) = kept.split_at_mut(own_kept);
+        let (by_x, rest) = rest.split_at_mut(x);
+        let (by_u, square) = rest.split_at_mut(u);
+        let active = self.active;
+        let (step, own, _) = self.own(of);
+        step.keep_second(&own, &lambda, mu, own_kept);
+        if active > 0 {
+            step.keep_second_parameters(&own, &lambda, mu, [by_x, by_u], square);
+        }
+        self.lambda = lambda;
+    }
+
+    fn second_add(
+        &mut self,
+        of: &SolvedStep<'_>,
+        at: &Multipliers<'_>,
+        [dx, du]: [&[f64]; 2],
+        [rx, ru]: [&mut [f64]; 2],
+    ) {
+        let places = self.places.clone();
+        let [own_kept, x, u, _] = self.second_lengths();
+        let (own_kept, rest) = at.kept.split_at(own_kept);
+        let (by_x, rest) = rest.split_at(x);
+        let (by_u, square) = rest.split_at(u);
+        let lambda = self.own_lambda(at.lambda);
+        let mut increment = std::mem::take(&mut self.increment);
+        places.gather(dx, &mut increment);
+        let active = self.active;
+        let (step, own, back) = self.own(of);
+        places.gather(rx, back);
+        let multipliers = Multipliers { lambda: &lambda, mu: at.mu, kept: own_kept };
+        step.second_add(&own, &multipliers, [&increment, du], [&mut *back, &mut *ru]);
+        let p = places.control..places.control + active;
+        let columns = by_x.chunks_exact(back.len().max(1)).zip(by_u.chunks_exact(du.len().max(1)));
+        for (((by_x, by_u), row), i) in columns.zip(square.chunks_exact(active.max(1))).zip(p.clone()) {
+            let dp = dx[i];
+            back.iter_mut().zip(by_x).for_each(|(r, c)| *r += c * dp);
+            ru.iter_mut().zip(by_u).for_each(|(r, c)| *r += c * dp);
+            rx[i] += dot(by_x, &increment) + dot(by_u, du) + dot(row, &dx[p.clone()]);
+        }
+        places.scatter(back, rx);
+        (self.increment, self.lambda) = (increment, lambda);
+    }
+
     fn velocities(&self) -> Option<(Range<usize>, usize)> {
         self.step.velocities()
     }
@@ -467,5 +571,14 @@ impl<S: ParametricStep> ImplicitStep for WithParameters<S> {
         for (column, dp) in self.initial.chunks_exact(own.len()).zip(&mut dz[p]) {
             *dp += column.iter().zip(own.iter()).map(|(c, l)| c * l).sum::<f64>();
         }
+    }
+
+    fn initial_second_add(&mut self, t: f64, dz: &[f64], lambda: &[f64], out: &mut [f64]) {
+        let (first, active) = (self.places.control, self.active);
+        let lambda = self.own_lambda(lambda);
+        let ((dz, dp), (out, out_p)) = (dz.split_at(first), out.split_at_mut(first));
+        let (dp, out_p) = (&dp[..active], &mut out_p[..active]);
+        self.step.initial_second_parameters_add(t, [dz, dp], &lambda, [out, out_p]);
+        self.lambda = lambda;
     }
 }

@@ -14,12 +14,14 @@ fn checked<R: ParametricRhs + Clone + 'static>(rhs: R, z: &[f64], length: f64) -
     let z: Vec<f64> = z.iter().copied().chain([0.7]).collect();
     let scale = |model: &dyn Model| vec![0.1; model.dim()];
     let mut explicit = Rk4::new(RhsWithParameters::new(rhs.clone(), 1), 0, length);
+    assert!(explicit.second_order().is_some());
     let scales = scale(&explicit);
     let report = check::model(&mut explicit, &z, 4, &scales, 1)?;
     assert!(report.passed(), "RK4: {report}");
     for scheme in SCHEMES {
         let step = WithParameters::new(OneLeg::new(rhs.clone(), scheme, 1e-12), 1);
         let mut implicit = ImplicitModel::new(step, 0, length);
+        assert!(implicit.second_order().is_some());
         let scales = scale(&implicit);
         let report = check::model(&mut implicit, &z, 4, &scales, 1)?;
         assert!(report.passed(), "{scheme:?}: {report}");
@@ -65,6 +67,65 @@ fn parameters_in_the_state_are_constants() -> Result<(), Error> {
         assert_eq!(x[..], y[..3], "step {k}");
     }
     assert_eq!(y[3..], [10.0, rho, beta]);
+    Ok(())
+}
+
+/// The checks see one wrong entry of ∂²(λᵀf)/∂x∂p, and of ∂²(λᵀf)/∂p².
+#[test]
+fn a_wrong_second_derivative_is_caught() -> Result<(), Error> {
+    #[derive(Clone)]
+    struct Wrong(ChosenParameters<Lorenz63>, [f64; 2]);
+    impl Rhs for Wrong {
+        fn dim(&self) -> usize {
+            3
+        }
+        fn eval(&mut self, t: f64, x: &[f64], f: &mut [f64]) {
+            self.0.eval(t, x, f);
+        }
+        fn tangent(&mut self, t: f64, x: &[f64], dx: &[f64], df: &mut [f64]) {
+            self.0.tangent(t, x, dx, df);
+        }
+        fn adjoint_add(&mut self, t: f64, x: &[f64], lambda: &[f64], dx: &mut [f64]) {
+            self.0.adjoint_add(t, x, lambda, dx);
+        }
+        fn has_second_derivatives(&self) -> bool {
+            true
+        }
+        fn second_adjoint_add(&mut self, t: f64, x: &[f64], dx: &[f64], l: &[f64], out: &mut [f64]) {
+            self.0.second_adjoint_add(t, x, dx, l, out);
+        }
+    }
+    impl ParametricRhs for Wrong {
+        fn parameters(&self) -> usize {
+            self.0.parameters()
+        }
+        fn set_parameters(&mut self, p: &[f64]) {
+            self.0.set_parameters(p);
+        }
+        fn parameter_jacobian(&mut self, t: f64, x: &[f64], columns: &mut [f64]) {
+            self.0.parameter_jacobian(t, x, columns);
+        }
+        fn has_second_parameters(&self) -> bool {
+            true
+        }
+        fn second_parameters(&mut self, t: f64, x: &[f64], l: &[f64], columns: &mut [f64], pp: &mut [f64]) {
+            self.0.second_parameters(t, x, l, columns, pp);
+            columns[0] *= self.1[0];
+            pp[0] *= self.1[1];
+        }
+    }
+    let rhs = ChosenParameters::new(Lorenz63::default(), &[10.0, 28.0, 2.6], vec![(1, Law::Exponential)]);
+    let z = [1.0, 3.0, 20.0, 0.1];
+    for (factors, right) in [([1.0, 1.0], true), ([1.001, 1.0], false), ([1.0, 1.001], false)] {
+        let wrong = Wrong(rhs.clone(), factors);
+        let mut explicit = Rk4::new(RhsWithParameters::new(wrong.clone(), 0), 0, 0.01);
+        let step = WithParameters::new(OneLeg::new(wrong, Scheme::BackwardEuler, 1e-12), 0);
+        let mut implicit = ImplicitModel::new(step, 0, 0.01);
+        for model in [&mut explicit as &mut dyn Model, &mut implicit] {
+            let report = check::model(model, &z, 4, &[0.1; 4], 1)?;
+            assert_eq!(report.passed(), right, "{factors:?}: {report}");
+        }
+    }
     Ok(())
 }
 

@@ -3,11 +3,12 @@
 use nalgebra::Vector3;
 use varda_implicit::Law;
 
+use crate::along::Along;
 use crate::element::{self, Strains};
 use crate::moved::Moved;
 use crate::moved_increment::Increments;
 use crate::rod::Rod;
-use crate::rotation::{exponential, left_jacobian};
+use crate::rotation::{exponential, left_jacobian, left_jacobian_derivative};
 use crate::support::Damping;
 use crate::system::{PastStrains, System};
 
@@ -71,6 +72,12 @@ impl Change {
             || self.gravity_turn != Vector3::zeros()
     }
 
+    /// Whether it changes stiffness, damped or not: changes of anything else have no second derivative with
+    /// each other in the elastic forces.
+    pub(crate) fn is_of_stiffness(&self) -> bool {
+        !(self.ea.is_empty() && self.ei.is_empty() && self.gj.is_empty()) || self.damping.stiffness != 0.0
+    }
+
     pub(crate) fn needs_angles(&self) -> bool {
         self.bends_by_angle() || self.natural_twist.iter().any(|t| *t != 0.0)
     }
@@ -98,14 +105,32 @@ pub(crate) struct Parameters {
     pub(crate) rod: Rod,
     pub(crate) damping: Damping,
     pub(crate) gravity: Vector3<f64>,
-    /// g′ of each at the present values.
+    /// g′ of each at the present values, and g″.
     pub(crate) slopes: Vec<f64>,
+    pub(crate) curvatures: Vec<f64>,
     /// The rotation of gravity at the present values.
     pub(crate) turn: Vector3<f64>,
     /// δσ of a Kelvin–Voigt element comes from the strains of the past, where there are any.
     pub(crate) none: PastStrains,
     /// Work space of parameters that move supports.
     pub(crate) moved: Increments,
+    /// Work space of second derivatives: nothing until they are asked for.
+    pub(crate) second: Second,
+}
+
+/// Work space of second derivatives.
+#[derive(Default)]
+pub(crate) struct Second {
+    pub(crate) along: Along,
+    /// μ, and a column, in the full order.
+    pub(crate) mu: Vec<f64>,
+    pub(crate) full: Vec<f64>,
+    /// Changes of gravity, one a parameter.
+    pub(crate) gravities: Vec<Vector3<f64>>,
+    /// Stresses of edges and the vertices they start at.
+    pub(crate) stresses: Vec<[f64; 4]>,
+    /// μᵀ ∂G/∂g of each parameter.
+    pub(crate) first: Vec<f64>,
 }
 
 impl Parameters {
@@ -119,9 +144,12 @@ impl Parameters {
         rod.clone_from(&self.rod);
         let (mut damping, mut gravity) = (self.damping, self.gravity);
         self.turn = Vector3::zeros();
-        for ((Parameter { change, law }, slope), &p) in self.list.iter().zip(&mut self.slopes).zip(p) {
+        let derivatives = self.slopes.iter_mut().zip(&mut self.curvatures);
+        for ((Parameter { change, law }, (slope, curvature)), &p) in self.list.iter().zip(derivatives).zip(p)
+        {
             let g = law.value(p);
             *slope = law.slope(p);
+            *curvature = law.curvature(p);
             add(&mut rod.ea, &change.ea, g);
             add(&mut rod.gj, &change.gj, g);
             add(&mut rod.natural_twist, &change.natural_twist, g);
@@ -143,6 +171,19 @@ impl Parameters {
     pub(crate) fn change_of_gravity(&self, change: &Change, gravity: &Vector3<f64>) -> Vector3<f64> {
         let turned = left_jacobian(&self.turn) * change.gravity_turn;
         exponential(&self.turn) * change.gravity + turned.cross(gravity)
+    }
+
+    /// What a second change does to that, the `changes` of gravity being those of both.
+    pub(crate) fn second_change_of_gravity(
+        &self,
+        [a, b]: [&Change; 2],
+        changes: [&Vector3<f64>; 2],
+        gravity: &Vector3<f64>,
+    ) -> Vector3<f64> {
+        let (rotation, jacobian) = (exponential(&self.turn), left_jacobian(&self.turn));
+        let curved = left_jacobian_derivative(&self.turn, &b.gravity_turn) * a.gravity_turn;
+        let [by_a, by_b] = [a, b].map(|change| jacobian * change.gravity_turn);
+        by_b.cross(&(rotation * a.gravity)) + by_a.cross(changes[1]) + curved.cross(gravity)
     }
 }
 
@@ -180,13 +221,12 @@ impl System {
             return;
         }
         for i in 1..self.layout.segments {
-            let System { layout, shape, gradient, rod, .. } = &mut *self;
+            let by = self.change_of_vertex(i, change);
+            let System { layout, shape, gradient, .. } = &mut *self;
             let first = layout.vertex(i - 1);
             if !layout.twist {
-                let dei = change.ei.get(i - 1).copied().unwrap_or_default();
-                let over = 1.0 / rod.voronoi_lengths[i - 1];
                 let (a, b, turn) = (&shape.edges[i - 1], &shape.edges[i], shape.turn(i));
-                let bent = element::isotropic_bend(a, b, turn, dei[0] * over);
+                let bent = element::isotropic_bend(a, b, turn, by.isotropic());
                 gradient[first..].iter_mut().zip(bent.gradient).for_each(|(g, d)| *g += d);
                 continue;
             }
@@ -208,21 +248,93 @@ impl System {
         [r, dr]: [f64; 2],
         past: &PastStrains,
     ) -> (Strains, [f64; 3]) {
-        let (strains, rod, over) = (self.shape.strains(i), &self.rod, 1.0 / self.rod.voronoi_lengths[i - 1]);
-        let dei = change.ei.get(i - 1).copied().unwrap_or_default();
-        let [k1, k2] = rod.natural_curvature[i - 1];
-        let rest = [k1, k2, rod.natural_twist[i - 1]];
-        let [dk1, dk2] = change.natural_curvature.get(i - 1).copied().unwrap_or_default();
-        let drest = [dk1, dk2, change.natural_twist.get(i - 1).copied().unwrap_or(0.0)];
-        let gone = past.bend.get(i - 1);
-        let gone: [f64; 3] = std::array::from_fn(|a| gone.map_or(0.0, |p| strains.value[a] - p[a]));
-        let by_stiffness: [f64; 3] =
-            std::array::from_fn(|a| over * (strains.value[a] - rest[a] + r * gone[a]));
-        let by_strain: [f64; 3] = std::array::from_fn(|a| over * (dr * gone[a] - drest[a]));
-        let dgj = change.gj.get(i - 1).copied().unwrap_or(0.0);
-        let stress = sum(times(dei, dgj, by_stiffness), times(rod.ei[i - 1], rod.gj[i - 1], by_strain));
+        let strains = self.shape.strains(i);
+        let stress = self.change_of_vertex(i, change).stress(&strains.value, [r, dr], past.bend.get(i - 1));
         (strains, stress)
     }
+}
+
+/// What a change does to the stiffness and rest strains of an interior vertex, beside what they are, all of
+/// one vertex.
+pub(crate) struct VertexChange {
+    over: f64,
+    ei: [f64; 3],
+    gj: f64,
+    rest: [f64; 3],
+    dei: [f64; 3],
+    dgj: f64,
+    drest: [f64; 3],
+}
+
+impl System {
+    /// That of vertex i.
+    pub(crate) fn change_of_vertex(&self, i: usize, change: &Change) -> VertexChange {
+        let rod = &self.rod;
+        let [k1, k2] = rod.natural_curvature[i - 1];
+        let [dk1, dk2] = change.natural_curvature.get(i - 1).copied().unwrap_or_default();
+        VertexChange {
+            over: 1.0 / rod.voronoi_lengths[i - 1],
+            ei: rod.ei[i - 1],
+            gj: rod.gj[i - 1],
+            rest: [k1, k2, rod.natural_twist[i - 1]],
+            dei: change.ei.get(i - 1).copied().unwrap_or_default(),
+            dgj: change.gj.get(i - 1).copied().unwrap_or(0.0),
+            drest: [dk1, dk2, change.natural_twist.get(i - 1).copied().unwrap_or(0.0)],
+        }
+    }
+}
+
+impl VertexChange {
+    /// δk of a vertex that bends alike in all directions.
+    pub(crate) fn isotropic(&self) -> f64 {
+        self.dei[0] * self.over
+    }
+
+    /// δk d.
+    fn by_stiffness(&self, d: [f64; 3]) -> [f64; 3] {
+        times(self.dei, self.dgj, d.map(|d| self.over * d))
+    }
+
+    /// k d.
+    fn stiffness(&self, d: [f64; 3]) -> [f64; 3] {
+        times(self.ei, self.gj, d.map(|d| self.over * d))
+    }
+
+    /// δσ at strains ε, `past` being ε*.
+    pub(crate) fn stress(&self, value: &[f64; 3], [r, dr]: [f64; 2], past: Option<&[f64; 3]>) -> [f64; 3] {
+        let gone = gone(value, past);
+        let by_stiffness = std::array::from_fn(|a| value[a] - self.rest[a] + r * gone[a]);
+        let by_strain = std::array::from_fn(|a| dr * gone[a] - self.drest[a]);
+        sum(self.by_stiffness(by_stiffness), self.stiffness(by_strain))
+    }
+
+    /// ∂δσ/∂ε times a change of strains: δk (1 + r) + k δr.
+    pub(crate) fn stress_of(&self, rate: &[f64; 3], [r, dr]: [f64; 2]) -> [f64; 3] {
+        sum(self.by_stiffness(rate.map(|e| (1.0 + r) * e)), self.stiffness(rate.map(|e| dr * e)))
+    }
+
+    /// ∂δσ/∂ε* times a change of strains: −δk r − k δr.
+    pub(crate) fn stress_of_past(&self, rate: &[f64; 3], [r, dr]: [f64; 2]) -> [f64; 3] {
+        sum(self.by_stiffness(rate.map(|e| -r * e)), self.stiffness(rate.map(|e| -dr * e)))
+    }
+
+    /// What a second change does to δσ.
+    pub(crate) fn second(
+        &self,
+        other: &VertexChange,
+        [dr, other_dr]: [f64; 2],
+        value: &[f64; 3],
+        past: Option<&[f64; 3]>,
+    ) -> [f64; 3] {
+        let gone = gone(value, past);
+        let strain = |of: &VertexChange, dr: f64| std::array::from_fn(|a| dr * gone[a] - of.drest[a]);
+        sum(self.by_stiffness(strain(other, other_dr)), other.by_stiffness(strain(self, dr)))
+    }
+}
+
+/// ε − ε*, where there is a past.
+fn gone(value: &[f64; 3], past: Option<&[f64; 3]>) -> [f64; 3] {
+    std::array::from_fn(|a| past.map_or(0.0, |p| value[a] - p[a]))
 }
 
 fn times([k11, k12, k22]: [f64; 3], twist: f64, d: [f64; 3]) -> [f64; 3] {

@@ -98,6 +98,16 @@ impl KelvinVoigt {
         &self.past
     }
 
+    /// ε*, taken out for a while.
+    pub(crate) fn take_past(&mut self) -> PastStrains {
+        std::mem::take(&mut self.past)
+    }
+
+    /// Puts it back.
+    pub(crate) fn put_past(&mut self, past: PastStrains) {
+        self.past = past;
+    }
+
     /// Folds ε* into the stiffness of `system`, r = β/η.
     pub(crate) fn fold_in(&mut self, system: &mut System, r: f64) {
         self.share = r / (1.0 + r);
@@ -220,6 +230,36 @@ impl KelvinVoigt {
             if unknown != FIXED {
                 dg[unknown] += value;
             }
+        }
+    }
+
+    /// dx += Σ_j w_j Σ s ∂ε/∂x_k of the strains of the past, one stress s for each of edge and vertex,
+    /// right after the step was prepared, with what was kept of it.
+    pub(crate) fn past_transpose_add(
+        &mut self,
+        layout: &Layout,
+        stage: &RodStage,
+        kept: &[f64],
+        stresses: &[[f64; 4]],
+        dx: &mut [f64],
+    ) {
+        for (j, (of, _, bends)) in Self::kept_past(layout, stage, kept).enumerate() {
+            self.sum.fill(0.0);
+            let past = &self.configurations[j];
+            for (e, stress) in stresses.iter().enumerate() {
+                let [along, bend @ ..] = stress.map(|s| past.weight * s);
+                let (a, b) = (layout.vertex(e), layout.vertex(e + 1));
+                for c in 0..3 {
+                    self.sum[a + c] -= along * past.shape.edges[e].t[c];
+                    self.sum[b + c] += along * past.shape.edges[e].t[c];
+                }
+                let Some(strains) = e.checked_sub(1).and_then(|v| past.strains.get(v)) else { continue };
+                let local = &mut self.sum[layout.vertex(e - 1)..];
+                for (gradient, s) in strains.gradient.iter().zip(bend) {
+                    local.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += s * g);
+                }
+            }
+            self.of_past_transpose_add(layout, of, bends, dx);
         }
     }
 

@@ -16,6 +16,7 @@ use crate::layout::band_product_add;
 use crate::second_order::Increment;
 use crate::shape::{HOLONOMY, holonomy, holonomy_transpose_add, kept_bend};
 use crate::stage::{RodStage, mixed, mixed_add};
+use crate::twist_equilibrium::ByParameters;
 
 impl RodStep {
     /// The model whose step k starts at (first_index + k) · length seconds, compiled in this crate.
@@ -103,6 +104,23 @@ impl RodStep {
                 lambda[3 * f + c] += self.displacement[v][c];
             }
         }
+    }
+
+    /// Second derivatives of the first state, by parameters too where these and their increment are given.
+    pub(crate) fn second_of_initial(
+        &mut self,
+        dz: &[f64],
+        lambda: &[f64],
+        out: &mut [f64],
+        by: Option<ByParameters>,
+    ) {
+        let Some(twist) = &mut self.twist else { return };
+        let layout = &self.system.layout;
+        let (n, first) = (6 * layout.free_vertices.len(), layout.first_spin());
+        self.lambda.clear();
+        self.lambda.extend_from_slice(&lambda[n..first]);
+        self.lambda.extend(layout.end_angle().map(|end| lambda[end]));
+        twist.second_add(&dz[..n / 2], &self.lambda, &mut out[..n / 2], by);
     }
 
     /// Bands that second derivatives keep beside damping's: of the stage, and of the end clamp's angle.
@@ -402,10 +420,11 @@ impl ImplicitStep for RodStep {
         self.lambda = to;
     }
 
-    /// Not with loads of the motion, spins, a common turn that is free, parameters, or a rod at rest.
+    /// Not with loads of the motion, spins, a common turn that is free, parameters that move supports, or a
+    /// rod at rest.
     fn second_kept(&self) -> Option<usize> {
         let layout = &self.system.layout;
-        let given = !self.couples() && self.parameters.is_none() && !self.is_at_rest;
+        let given = !self.couples() && self.system.moves.is_empty() && !self.is_at_rest;
         let damping = self.viscous.as_ref().map_or(0, |viscous| viscous.second_kept(layout));
         given.then(|| self.second_bands() * layout.band() + damping)
     }
@@ -470,13 +489,7 @@ impl ImplicitStep for RodStep {
     }
 
     fn initial_second_add(&mut self, _t: f64, dz: &[f64], lambda: &[f64], out: &mut [f64]) {
-        let Some(twist) = &mut self.twist else { return };
-        let layout = &self.system.layout;
-        let (n, first) = (6 * layout.free_vertices.len(), layout.first_spin());
-        self.lambda.clear();
-        self.lambda.extend_from_slice(&lambda[n..first]);
-        self.lambda.extend(layout.end_angle().map(|end| lambda[end]));
-        twist.second_add(&dz[..n / 2], &self.lambda, &mut out[..n / 2]);
+        self.second_of_initial(dz, lambda, out, None);
     }
 
     fn control_dim(&self) -> usize {

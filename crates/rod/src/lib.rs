@@ -101,6 +101,7 @@
 
 #![forbid(unsafe_code)]
 
+mod along;
 mod at_rest;
 mod change;
 pub mod check;
@@ -132,6 +133,7 @@ mod rod;
 pub mod rotation;
 mod scalar;
 mod second_order;
+mod second_parameters;
 mod shape;
 mod spin;
 mod spin_advance;

@@ -253,12 +253,93 @@ impl Markers {
         }
     }
 
+    /// The transpose of an offset's increment on edge e: what a force does to the end of the edge (less to
+    /// its start), and to its angle, where there are frames.
+    fn offset_transpose(&self, e: usize, o: &Vector3<f64>, force: &Vector3<f64>) -> (Vector3<f64>, f64) {
+        let (shape, edge) = (&self.system.shape, &self.system.shape.edges[e]);
+        let (mut dt, mut turn) = (force * o[2], 0.0);
+        if self.frames {
+            let (m1, m2) = (&shape.m1[e], &shape.m2[e]);
+            dt -= (m1 * o[0] + m2 * o[1]) * edge.t.dot(force);
+            turn = (m2 * o[0] - m1 * o[1]).dot(force);
+        }
+        ((dt - edge.t * dt.dot(&edge.t)) / edge.l, turn)
+    }
+
+    /// dx += what acts on `displacement` and, where there are frames, on `angle`.
+    fn displacements_transpose_add(&mut self, dx: &mut [f64]) {
+        if self.frames {
+            self.turn_angles_transpose(dx);
+        }
+        for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
+            for c in 0..3 {
+                dx[3 * f + c] += self.displacement[v][c];
+            }
+        }
+    }
+
+    /// The second derivatives of Σ dy·y with the places (s, o₁, o₂, o₃) of the markers, four numbers
+    /// each, and the state: adds those of an increment of both to `out` and, by places, to `out_places`.
+    /// Those of the state alone [`second_adjoint_add`](ObservationOperator::second_adjoint_add) adds; of
+    /// places alone there are none.
+    ///
+    /// # Errors
+    /// A state that cannot be observed.
+    ///
+    /// # Panics
+    /// If a slice has the wrong length, or there are no frames ([`with_frames`](Self::with_frames)).
+    pub fn second_by_place_add(
+        &mut self,
+        at: At,
+        x: &[f64],
+        [dx, places]: [&[f64]; 2],
+        dy: &[f64],
+        [out, out_places]: [&mut [f64]; 2],
+    ) -> Result<(), Error> {
+        let four = 4 * self.markers.len();
+        assert!(places.len() == four && out_places.len() == four, "four numbers for every marker");
+        assert!(self.frames, "a rod with frames");
+        self.set(at.time, x)?;
+        self.system.displacements(dx, &mut self.displacement);
+        self.turn_angles(dx);
+        let units = [Vector3::x(), Vector3::y(), Vector3::z()];
+        for ((place, _), (dy, out)) in
+            self.markers.iter().zip(dy.chunks_exact(3).zip(out_places.chunks_exact_mut(4)))
+        {
+            let (e, force) = (place.edge, self.force(dy));
+            let moved = self.displacement[e + 1] - self.displacement[e];
+            out[0] += force.dot(&moved) / self.system.rod.rest_lengths[e];
+            for (unit, out) in units.iter().zip(&mut out[1..]) {
+                let (rate, turn) = self.offset_transpose(e, unit, &force);
+                *out += rate.dot(&moved) + turn * self.angle[e];
+            }
+        }
+        self.displacement.fill(Vector3::zeros());
+        self.angle.fill(0.0);
+        for (m, (places, dy)) in places.chunks_exact(4).zip(dy.chunks_exact(3)).enumerate() {
+            let (e, force) = (self.markers[m].0.edge, self.force(dy));
+            let (rate, turn) = self.offset_transpose(e, &Vector3::from_column_slice(&places[1..]), &force);
+            let on_end = rate + force * (places[0] / self.system.rod.rest_lengths[e]);
+            self.angle[e] += turn;
+            self.displacement[e] -= on_end;
+            self.displacement[e + 1] += on_end;
+        }
+        self.displacements_transpose_add(out);
+        Ok(())
+    }
+
     /// δp or p of a marker into the axes of the observer; p − c already taken.
     fn turned(&self, v: Vector3<f64>) -> Vector3<f64> {
         match &self.axes {
             Some((rotation, _)) => rotation.tr_mul(&v),
             None => v,
         }
+    }
+
+    /// What acts on a marker, in the model's axes.
+    fn force(&self, dy: &[f64]) -> Vector3<f64> {
+        let dy = Vector3::from_column_slice(dy);
+        self.axes.as_ref().map_or(dy, |(rotation, _)| rotation * dy)
     }
 
     fn set(&mut self, t: f64, state: &[f64]) -> Result<(), Error> {
@@ -362,30 +443,17 @@ impl ObservationOperator for Markers {
         self.set(at.time, x).expect("this state was observed before");
         self.displacement.fill(Vector3::zeros());
         self.angle.fill(0.0);
-        let s = &self.system;
         for ((place, o), dy) in self.markers.iter().zip(dy.chunks_exact(3)) {
-            let (i, w, edge) = (place.edge, place.fraction, &s.shape.edges[place.edge]);
-            let dy = Vector3::from_column_slice(dy);
-            let dp = self.axes.as_ref().map_or(dy, |(rotation, _)| rotation * dy);
-            let mut dt = dp * o[2];
-            if self.frames {
-                let (m1, m2) = (&s.shape.m1[i], &s.shape.m2[i]);
-                dt -= (m1 * o[0] + m2 * o[1]) * edge.t.dot(&dp);
-                self.angle[i] += (m2 * o[0] - m1 * o[1]).dot(&dp);
-            }
-            let rate = (dt - edge.t * dt.dot(&edge.t)) / edge.l;
+            let (i, w) = (place.edge, place.fraction);
+            let dp = self.force(dy);
+            let (rate, turn) = self.offset_transpose(place.edge, o, &dp);
+            self.angle[i] += turn;
             self.displacement[i] += dp * (1.0 - w) - rate;
             self.displacement[i + 1] += dp * w + rate;
         }
-        if self.frames {
-            self.turn_angles_transpose(dx);
-        }
-        for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
-            for c in 0..3 {
-                dx[3 * f + c] += self.displacement[v][c];
-            }
-        }
+        self.displacements_transpose_add(dx);
     }
+
     fn has_second_derivatives(&self) -> bool {
         !self.frames || self.system.layout.bending
     }
@@ -412,8 +480,7 @@ impl ObservationOperator for Markers {
         }
         for ((place, o), dy) in self.markers.iter().zip(dy.chunks_exact(3)) {
             let e = place.edge;
-            let dy = Vector3::from_column_slice(dy);
-            let force = self.axes.as_ref().map_or(dy, |(rotation, _)| rotation * dy);
+            let force = self.force(dy);
             let turn = if self.frames { self.angle[e] } else { 0.0 };
             let moved = ([self.displacement[e], self.displacement[e + 1]], turn);
             let places = &mut on_places[e..e + 2];
@@ -443,13 +510,8 @@ impl ObservationOperator for Markers {
         self.displacement.copy_from_slice(on_places);
         if self.frames {
             self.angle.copy_from_slice(on_angles);
-            self.turn_angles_transpose(out);
         }
-        for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
-            for c in 0..3 {
-                out[3 * f + c] += self.displacement[v][c];
-            }
-        }
+        self.displacements_transpose_add(out);
         self.second = second;
     }
 }

@@ -4,16 +4,19 @@ use nalgebra::Vector3;
 use varda_implicit::{Interval, ParametricStep, Refusal, SolvedStep};
 
 use crate::Error;
-use crate::change::{Change, Parameter, Parameters};
+use crate::change::{Change, Parameter, Parameters, Second};
 use crate::damping::KelvinVoigt;
 use crate::dynamics::{RodStep, TwistUnknowns};
 use crate::layout::FIXED;
 use crate::moved::Moves;
 use crate::moved_increment::{self, Increments};
 use crate::rod::Rod;
+use crate::second_order::Increment;
+use crate::second_parameters::Strained;
 use crate::shape::HOLONOMY;
+use crate::stage::mixed_add;
 use crate::support::{Damping, Loads, Supports};
-use crate::system::{PastStrains, StageStart};
+use crate::system::{PastStrains, StageStart, System};
 
 impl RodStep {
     /// The step of a rod that some constants of are parameters, each zero at the rod given: inside
@@ -74,12 +77,24 @@ impl RodStep {
             }
         }
         let gravity = step.system.loads.gravity;
-        let slopes = vec![1.0; parameters.len()];
+        let (slopes, curvatures) = (vec![1.0; parameters.len()], vec![0.0; parameters.len()]);
         let none = PastStrains::default();
         let turn = Vector3::zeros();
         let moved = Increments::of(&step.system);
         step.take_moves(Moves::of(parameters.iter().map(|p| (p.law, &p.change.supports[..]))));
-        let all = Parameters { list: parameters, rod, damping, gravity, slopes, turn, none, moved };
+        let second = Second::default();
+        let all = Parameters {
+            list: parameters,
+            rod,
+            damping,
+            gravity,
+            slopes,
+            curvatures,
+            turn,
+            none,
+            moved,
+            second,
+        };
         step.parameters = Some(Box::new(all));
         Ok(step)
     }
@@ -203,6 +218,38 @@ impl ParametricStep for RodStep {
             }
         }
     }
+
+    /// Those of constants: a step whose supports move has no second derivatives.
+    fn has_second_parameters(&self) -> bool {
+        self.system.moves.is_empty()
+    }
+
+    fn keep_second_parameters(
+        &mut self,
+        of: &SolvedStep<'_>,
+        _lambda: &[f64],
+        mu: &[f64],
+        columns: [&mut [f64]; 2],
+        square: &mut [f64],
+    ) {
+        let Some(mut parameters) = self.parameters.take() else { return };
+        let mut work = std::mem::take(&mut parameters.second);
+        self.second_of_constants(of, mu, (&parameters, &mut work), columns, square);
+        parameters.second = work;
+        self.parameters = Some(parameters);
+    }
+
+    fn initial_second_parameters_add(
+        &mut self,
+        _t: f64,
+        [dz, dp]: [&[f64]; 2],
+        lambda: &[f64],
+        [out_z, out_p]: [&mut [f64]; 2],
+    ) {
+        let parameters = self.parameters.take();
+        self.second_of_initial(dz, lambda, out_z, parameters.as_deref().map(|p| (p, dp, out_p)));
+        self.parameters = parameters;
+    }
 }
 
 impl RodStep {
@@ -306,6 +353,119 @@ impl RodStep {
         }
         if let Some(spin) = self.spin.as_ref().filter(|_| s.layout.spins) {
             spin.change(s, &change.spin_inertia, [k, c], rate, dg);
+        }
+    }
+}
+
+impl RodStep {
+    /// Second derivatives of μᵀG with constants: see `keep_second_parameters`. Inertia and gravity give
+    ///
+    /// ```text
+    /// μ·(d k + e c − g) m,   d = Y − X* − η V*,  e = Y − X*
+    /// ```
+    fn second_of_constants(
+        &mut self,
+        of: &SolvedStep<'_>,
+        mu: &[f64],
+        (parameters, work): (&Parameters, &mut Second),
+        [by_x, by_u]: [&mut [f64]; 2],
+        square: &mut [f64],
+    ) {
+        let stage = self.stage(of.at);
+        let (h, from) = (stage.of.length, stage.of.from);
+        let s = &self.system;
+        let (own, nf) = (s.layout.state(), s.layout.free_vertices.len());
+        let Second { along, mu: all, full, gravities, stresses, first } = work;
+        all.resize(s.layout.full(), 0.0);
+        full.resize(s.layout.full(), 0.0);
+        s.layout.fill(mu, all);
+        s.along(&Increment(all), along);
+        let past = self.viscous.as_mut().map(KelvinVoigt::take_past);
+        let strained = Strained {
+            rate: self.damping.stiffness / h,
+            moves: 1.0 / h,
+            past: past.as_ref().unwrap_or(&parameters.none),
+            along,
+        };
+        let [k, c] = self.inertia(h);
+        let kept_lengths = self.kept_lengths();
+        let gravity = s.loads.gravity;
+        gravities.clear();
+        gravities.extend(parameters.list.iter().map(|p| parameters.change_of_gravity(&p.change, &gravity)));
+        let moved = |s: &System, v: usize| {
+            let first = s.layout.vertex(v);
+            Vector3::from_column_slice(&all[first..first + 3])
+        };
+        by_x.fill(0.0);
+        first.clear();
+        let (states, unknowns) = (of.x.len(), of.u.len());
+        for (p, (parameter, slope)) in parameters.list.iter().zip(&parameters.slopes).enumerate() {
+            let change = &parameter.change;
+            let by_x = &mut by_x[p * states..(p + 1) * states];
+            let by_u = &mut by_u[p * unknowns..(p + 1) * unknowns];
+            let mut sum = self.system.second_of_change(change, strained, full);
+            self.system.layout.take(full, by_u);
+            let rate = change.damping.mass / h;
+            for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
+                let s = &self.system;
+                let (mass, more) = (s.rod.masses[v], change.masses.get(v).copied().unwrap_or(0.0));
+                let (d, e, mu) = (s.x[v] - self.target[f], s.x[v] - self.start[f], moved(s, v));
+                let force = (d * k + e * c - gravity) * more + (e * rate - gravities[p]) * mass;
+                sum += force.dot(&mu);
+                let i = s.layout.unknown[s.layout.vertex(v)];
+                let on_place = mu * (more * (k + c) + mass * rate);
+                (0..3).for_each(|a| by_u[i + a] += on_place[a]);
+                mixed_add(from, by_x, own, 3 * f, (-on_place).into());
+                mixed_add(from, by_x, own, 3 * (nf + f), (mu * (-more * k * h)).into());
+            }
+            if let Some(viscous) = &mut self.viscous
+                && self.system.past_of_change(change, strained, stresses)
+            {
+                let kept = &of.kept[kept_lengths[0] + kept_lengths[1]..];
+                viscous.past_transpose_add(&self.system.layout, &stage, kept, stresses, by_x);
+            }
+            by_x.iter_mut().chain(by_u).for_each(|b| *b *= slope);
+            first.push(sum);
+        }
+        square.fill(0.0);
+        parameters.square_add(&self.system, strained, first, square);
+        self.second_of_masses(parameters, (all, gravities), h, square);
+        if let (Some(viscous), Some(past)) = (&mut self.viscous, past) {
+            viscous.put_past(past);
+        }
+    }
+
+    /// What inertia, mass-proportional damping and gravity add to ∂²(μᵀG)/∂p².
+    fn second_of_masses(
+        &self,
+        parameters: &Parameters,
+        (all, gravities): (&[f64], &[Vector3<f64>]),
+        h: f64,
+        square: &mut [f64],
+    ) {
+        let s = &self.system;
+        let moved = |v: usize| Vector3::from_column_slice(&all[s.layout.vertex(v)..s.layout.vertex(v) + 3]);
+        let weighed: Vector3<f64> = s.layout.free_vertices.iter().map(|&v| moved(v) * s.rod.masses[v]).sum();
+        for (i, a) in parameters.list.iter().enumerate() {
+            for (j, b) in parameters.list.iter().enumerate().take(i + 1) {
+                let [a, b] = [&a.change, &b.change];
+                let mut sum = 0.0;
+                if !(a.masses.is_empty() && b.masses.is_empty()) {
+                    let rates = [a, b].map(|change| change.damping.mass / h);
+                    for (f, &v) in s.layout.free_vertices.iter().enumerate() {
+                        let e = s.x[v] - self.start[f];
+                        let [ma, mb] = [a, b].map(|change| change.masses.get(v).copied().unwrap_or(0.0));
+                        let force = (e * rates[1] - gravities[j]) * ma + (e * rates[0] - gravities[i]) * mb;
+                        sum += force.dot(&moved(v));
+                    }
+                }
+                if a.gravity_turn != Vector3::zeros() || b.gravity_turn != Vector3::zeros() {
+                    let changes = [&gravities[i], &gravities[j]];
+                    sum -=
+                        parameters.second_change_of_gravity([a, b], changes, &s.loads.gravity).dot(&weighed);
+                }
+                parameters.both_add(square, [i, j], sum);
+            }
         }
     }
 }

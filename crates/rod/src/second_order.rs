@@ -31,8 +31,8 @@ use crate::system::{System, edge_hessian};
 
 /// An edge moved by ε μ.
 #[derive(Clone, Copy)]
-struct Moved {
-    edge: Edge<Dual64>,
+pub(crate) struct Moved {
+    pub(crate) edge: Edge<Dual64>,
     m1: Vector3<Dual64>,
     m2: Vector3<Dual64>,
     /// (δt × t₀)/2l, which is K.
@@ -43,7 +43,7 @@ fn dual(value: Vector3<f64>, slope: Vector3<f64>) -> Vector3<Dual64> {
     Vector3::from_fn(|c, _| Dual64::new(value[c], slope[c]))
 }
 
-fn slope(v: &Vector3<Dual64>) -> Vector3<f64> {
+pub(crate) fn slope(v: &Vector3<Dual64>) -> Vector3<f64> {
     v.map(|v| v.eps)
 }
 
@@ -57,7 +57,8 @@ impl Increment<'_> {
 }
 
 impl System {
-    fn moved(&self, e: usize, mu: &Increment) -> Moved {
+    /// Edge e moved by ε μ.
+    pub(crate) fn moved(&self, e: usize, mu: &Increment) -> Moved {
         let layout = &self.layout;
         let turn = if layout.twist { mu.0[layout.angle(e)] } else { 0.0 };
         self.moved_by(e, [e, e + 1].map(|v| mu.place(layout, v)), turn)
@@ -111,6 +112,23 @@ impl System {
         }
     }
 
+    /// Strains of a vertex with frames moved by ε μ, and the directors of its edges.
+    pub(crate) fn moved_strains(
+        &self,
+        vertex: usize,
+        mu: &Increment,
+        [a, b]: [&Moved; 2],
+        turn: &Turn<Dual64>,
+    ) -> (Strains<Dual64>, Directors<Dual64>) {
+        let first = self.layout.vertex(vertex - 1);
+        let here = self.shape.strains(vertex);
+        let local = &mu.0[first..first + LOCAL];
+        let untwist: f64 = here.gradient[2].iter().zip(local).map(|(g, mu)| g * mu).sum();
+        let directors = Directors { m1e: a.m1, m2e: a.m2, m1f: b.m1, m2f: b.m2 };
+        let tau = Dual64::new(here.value[2], untwist);
+        (Strains::of(&a.edge, &b.edge, turn, &directors, tau), directors)
+    }
+
     fn third_of_vertex(
         &self,
         vertex: usize,
@@ -122,12 +140,7 @@ impl System {
     ) {
         let (layout, k) = (&self.layout, &self.bend[vertex - 1]);
         let first = layout.vertex(vertex - 1);
-        let local = &mu.0[first..first + LOCAL];
-        let here = self.shape.strains(vertex);
-        let untwist: f64 = here.gradient[2].iter().zip(local).map(|(g, mu)| g * mu).sum();
-        let directors = Directors { m1e: a.m1, m2e: a.m2, m1f: b.m1, m2f: b.m2 };
-        let tau = Dual64::new(here.value[2], untwist);
-        let moved = Strains::of(&a.edge, &b.edge, turn, &directors, tau);
+        let (moved, directors) = self.moved_strains(vertex, mu, [a, b], turn);
         let real = |x: f64| Dual64::from(x);
         let stiffness = Stiffness { bend: k.bend.map(real), twist: real(k.twist), rest: k.rest.map(real) };
         let element = element::bend_twist(&a.edge, &b.edge, turn, &directors, &moved, &stiffness);

@@ -2,13 +2,16 @@
 
 use nalgebra::{Vector3, Vector6};
 use varda_implicit::{NewtonOptions, NewtonWork, Refusal, solve};
+use varda_linalg::dot;
 
 use crate::Error;
-use crate::change::Change;
+use crate::along::Along;
+use crate::change::{Change, Parameters};
 use crate::layout::{FIXED, band_product_add};
 use crate::moved::Moves;
 use crate::moved_increment::Increments;
 use crate::second_order::Increment;
+use crate::second_parameters::Strained;
 use crate::statics::{Statics, at_rest};
 use crate::system::{PastStrains, System};
 
@@ -55,7 +58,18 @@ struct Second {
     by: Vec<f64>,
     product: Vec<f64>,
     theta: Vec<f64>,
+    /// Of parameters: strains along μ, a column in the full order, that of the unknowns, F_α of each, and
+    /// first and second derivatives of μᵀE_α.
+    along: Along,
+    full: Vec<f64>,
+    column: Vec<f64>,
+    by_angles: Vec<f64>,
+    first: Vec<f64>,
+    square: Vec<f64>,
 }
+
+/// The parameters of a rod, an increment of them, and what a product adds to.
+pub(crate) type ByParameters<'a> = (&'a Parameters, &'a [f64], &'a mut [f64]);
 
 impl TwistEquilibrium {
     pub(crate) fn new(system: &System, by_angle: bool) -> TwistEquilibrium {
@@ -311,8 +325,22 @@ impl TwistEquilibrium {
 }
 
 impl TwistEquilibrium {
-    /// out += Σ_i λ_i ∂²θ_i/∂X² dx, with L = λᵀ(α + ψ(x)) + μᵀ E_α, μ = −E_θθ⁻¹ λ.
-    pub(crate) fn second_add(&mut self, dx: &[f64], lambda: &[f64], out: &mut [f64]) {
+    /// out += Σ_i λ_i ∂²θ_i/∂X² dx, with L = λᵀ(α + ψ(x)) + μᵀ E_α, μ = −E_θθ⁻¹ λ;
+    /// with parameters p of the constants where they are given, those of ∂(X, p)² times (dx, dp). The
+    /// increment of α is that of both, and with F_i = ∂E/∂p_i
+    ///
+    /// ```text
+    /// L_cp = ∂F/∂c∂α μ,   out_p += L_pc dc + L_pp dp − F_αᵀ E_θθ⁻¹ (L_αc dc + L_αp dp)
+    /// ```
+    ///
+    /// K of μ is zero: μ moves no places.
+    pub(crate) fn second_add(
+        &mut self,
+        dx: &[f64],
+        lambda: &[f64],
+        out: &mut [f64],
+        mut parameters: Option<ByParameters>,
+    ) {
         if lambda.iter().all(|l| *l == 0.0) {
             return;
         }
@@ -321,7 +349,7 @@ impl TwistEquilibrium {
         self.rhs.copy_from_slice(own);
         self.solve_angles();
         let layout = &self.full.layout;
-        let Second { mu, weights, band, by, product, theta } = &mut second;
+        let Second { mu, weights, band, by, product, theta, .. } = &mut second;
         mu.resize(layout.full(), 0.0);
         theta.resize(lambda.len(), 0.0);
         for (zeroed, length) in [(&mut *weights, layout.segments), (band, layout.band())] {
@@ -353,6 +381,10 @@ impl TwistEquilibrium {
             by[layout.unknown[layout.angle(e)]] = self.rhs[f];
         }
         band_product_add(layout.half_bandwidth, band, by, product);
+        if let Some((parameters, dp, out)) = &mut parameters {
+            self.second_of_parameters(&mut second, (parameters, dp, out));
+        }
+        let (layout, Second { product, .. }) = (&self.full.layout, &mut second);
         for (rhs, &e) in self.rhs.iter_mut().zip(&layout.free_angles) {
             *rhs = product[layout.unknown[layout.angle(e)]];
         }
@@ -370,7 +402,55 @@ impl TwistEquilibrium {
                 }
             }
         }
+        if let Some((_, _, out)) = parameters {
+            for (out, by_angles) in out.iter_mut().zip(second.by_angles.chunks_exact(self.rhs.len())) {
+                *out -= dot(by_angles, &self.rhs);
+            }
+        }
         self.second = second;
+    }
+
+    /// Adds what parameters do to the increment of angles `by` and to its `product`, and the product of
+    /// their own rows but for what comes back through the angles.
+    fn second_of_parameters(&mut self, second: &mut Second, (parameters, dp, out): ByParameters) {
+        let Second { mu, band, by, product, along, full, column, by_angles, first, square, .. } = second;
+        let (angles, none) = (self.rhs.len(), &parameters.none);
+        by_angles.resize(parameters.len() * angles, 0.0);
+        self.rhs.fill(0.0);
+        let all = parameters.list.iter().zip(&parameters.slopes);
+        for (((p, slope), dp), to) in all.clone().zip(dp).zip(by_angles.chunks_exact_mut(angles)) {
+            self.full.change_of_elastic(&p.change, [0.0; 2], none);
+            for ((to, rhs), &e) in to.iter_mut().zip(&mut self.rhs).zip(&self.full.layout.free_angles) {
+                *to = slope * self.full.gradient[self.full.layout.angle(e)];
+                *rhs -= *to * dp;
+            }
+        }
+        self.solve_angles();
+        let s = &self.full;
+        column.clear();
+        column.resize(s.layout.unknowns, 0.0);
+        for (rhs, &e) in self.rhs.iter().zip(&s.layout.free_angles) {
+            let i = s.layout.unknown[s.layout.angle(e)];
+            column[i] = *rhs;
+            by[i] += rhs;
+        }
+        band_product_add(s.layout.half_bandwidth, band, column, product);
+        s.along(&Increment(mu), along);
+        full.resize(s.layout.full(), 0.0);
+        first.clear();
+        let strained = Strained { rate: 0.0, moves: 0.0, past: none, along };
+        for ((p, slope), (dp, out)) in all.zip(dp.iter().zip(out.iter_mut())) {
+            first.push(s.second_of_change(&p.change, strained, full));
+            s.layout.take(full, column);
+            product.iter_mut().zip(&*column).for_each(|(product, c)| *product += slope * dp * c);
+            *out += slope * dot(column, by);
+        }
+        square.clear();
+        square.resize(parameters.len() * parameters.len(), 0.0);
+        parameters.square_add(s, strained, first, square);
+        for (out, row) in out.iter_mut().zip(square.chunks_exact(parameters.len().max(1))) {
+            *out += dot(row, dp);
+        }
     }
 }
 

@@ -87,8 +87,49 @@ fn a_scene_asks_for_the_exact_hessian() {
     assert!(found.effective_share.unwrap() >= 1.0 - 1e-6, "{found:?}");
 }
 
+/// A hose whose bending stiffness, damping and curvature are unknown.
+const UNKNOWN: [&str; 4] = [
+    "model.damping.mass=0.2",
+    "estimate.ei={sigma=\"30%\",together=true}",
+    "estimate.damping_stiffness={sigma=\"50%\"}",
+    "estimate.natural_curvature={sigma=0.5}",
+];
+
+#[test]
+fn estimates_have_the_exact_hessian_too() {
+    let with: Vec<&str> = UNKNOWN.into_iter().chain(["algorithm.hessian=exact"]).collect();
+    let (plain, exact) = (run("hose", &UNKNOWN), run("hose", &with));
+    assert_eq!((plain.status, exact.status), (Status::Converged, Status::Converged));
+    assert!((exact.analysis.value / plain.analysis.value - 1.0).abs() <= 1e-6);
+    assert_eq!(plain.model_counts.adjoint_derivatives, 0);
+    assert!(exact.convergence.iter().any(|r| r.hessian == Some("exact")));
+    let found = exact.exact_hessian.unwrap();
+    assert!(found.smallest_eigenvalue.unwrap() > 0.0, "{found:?}");
+    for (one, other) in plain.estimates.iter().zip(&exact.estimates) {
+        assert!((one.value - other.value).abs() <= 1e-3 * other.sigma.unwrap(), "{}", one.name);
+        // by second derivatives of the model, and not the same number
+        let change = other.sigma.unwrap() / one.sigma.unwrap() - 1.0;
+        assert!(change != 0.0 && change.abs() <= found.sigma_change.unwrap() * 1.01, "{change}");
+    }
+}
+
+/// Beyond 3000 unknowns.
+#[test]
+fn the_exact_hessian_has_a_posterior_of_low_rank() {
+    let sets = ["model.segments=520", "time.window=10", "report.mesh=false"];
+    let with: Vec<&str> = sets.into_iter().chain(["algorithm.hessian=exact"]).collect();
+    let (plain, exact) = (run("hose", &sets), run("hose", &with));
+    assert!(plain.exact_hessian.is_none());
+    let found = exact.exact_hessian.unwrap();
+    assert!(found.smallest_eigenvalue.is_some_and(|mu| mu > 0.0 && mu <= 1.0), "{found:?}");
+    assert!(found.sigma_change.is_some_and(|change| change > 0.0 && change < 0.5), "{found:?}");
+    assert_eq!((found.draws, found.effective_share), (0, None));
+}
+
 #[test]
 fn the_exact_hessian_is_refused_where_there_is_none() {
+    let moved = refused("hose", &["algorithm.hessian=exact", "estimate.clamp_direction={sigma=0.1}"]);
+    assert!(moved.contains("algorithm.hessian") && moved.contains("move supports"), "{moved}");
     let lbfgs = refused("hanging-rod-case1", &["algorithm.hessian=exact", "algorithm.minimizer=lbfgs"]);
     assert!(lbfgs.contains("algorithm.hessian") && lbfgs.contains("trust-region"), "{lbfgs}");
     let weak = refused("hanging-rod-weak", &["algorithm.hessian=exact"]);

@@ -20,6 +20,8 @@ fn add_up(outcome: &Outcome) {
     for of in &outcome.sources {
         let sum: f64 = of.shares.iter().map(|s| s.share).sum();
         assert!((sum - 1.0).abs() <= 1e-12, "{}: {sum}", of.of);
+        let moves: f64 = of.shares.iter().map(|s| s.by_relative_sigma).sum();
+        assert!(moves.abs() <= 1e-12 * of.sigma, "{}: {moves}", of.of);
         for share in &of.shares {
             assert!(share.share >= -1e-6, "{}: {} {:e}", of.of, share.source, share.share);
         }
@@ -54,6 +56,46 @@ fn a_changed_value_moves_the_result_as_was_said() {
         assert!((moved - seen.by_value[0]).abs() <= 1e-8, "{moved} {}", seen.by_value[0]);
         assert!(i != 7 || seen.by_value[0].abs() > 1e-6, "a value that says nothing");
     }
+}
+
+/// And with the σ of a component changed, or that of the background.
+#[test]
+fn a_changed_sigma_moves_the_result_as_was_said() {
+    let mut problem = problem("linear-advection", &["algorithm.gradient_tolerance=1e-13"]);
+    let before = ended(&problem);
+    let of = &before.sources[0];
+    let name = of.of.split(',').next().unwrap().to_string();
+    let component = before.experiment.state.names.iter().position(|n| *n == name).unwrap();
+    let last = problem.experiment.grid.steps;
+    let at_end = |o: &Outcome| o.trajectories.state(&o.trajectories.analysis, last).unwrap()[component];
+    let of_background = of.shares.last().unwrap();
+    assert!(of_background.by_relative_sigma.abs() > 1e-3 * of.sigma, "a background that pulls at nothing");
+    let largest = |s: &&varda::outcome::SourceShare| s.by_relative_sigma.abs();
+    let marker = of.shares[..of.shares.len() - 1].iter().max_by(|a, b| largest(a).total_cmp(&largest(b)));
+    let marker = marker.unwrap();
+    let label = |i: usize, p: &Problem| p.observed.sites[p.observed.seen[i].site].label.clone();
+    // central differences, h² of the third derivative
+    let h = 1e-3_f64;
+    let mut by = |own: bool| {
+        let mut moved = [h, -h].map(|h| {
+            let old: Vec<f64> = problem.observed.seen.iter().map(|one| one.sigma).collect();
+            for i in 0..old.len() {
+                if (label(i, &problem) == marker.source) == own {
+                    problem.observed.seen[i].sigma *= h.exp();
+                }
+            }
+            let end = at_end(&ended(&problem));
+            problem.observed.seen.iter_mut().zip(old).for_each(|(one, old)| one.sigma = old);
+            end
+        });
+        moved[0] -= moved[1];
+        moved[0] / (2.0 * h)
+    };
+    let (own, others) = (by(true), by(false));
+    assert!((own - marker.by_relative_sigma).abs() <= 1e-5 * of.sigma, "{own} {marker:?}");
+    // all markers together undo what the background does
+    let all = own + others + of_background.by_relative_sigma;
+    assert!(all.abs() <= 1e-5 * of.sigma, "{all} {of_background:?}");
 }
 
 fn o_sigma(outcome: &Outcome, step: usize, component: usize) -> f64 {

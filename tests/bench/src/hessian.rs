@@ -6,7 +6,8 @@ use crate::cells;
 use problems::rods::{HangingRod, wave};
 use problems::small_problems::lorenz96_window;
 use std::ops::ControlFlow;
-use varda::scene::SceneFile;
+use varda::run::{Listener, assimilate};
+use varda::scene::{STARTER, SceneFile};
 use varda::setup::Problem;
 use varda_assimilation::{
     ControlTransform, CostFunction, Hessian, Iteration, LeastSquares, Posterior, Status, StrongConstraint,
@@ -35,6 +36,13 @@ pub(super) fn run(options: &Options) -> Result<Page> {
     cost.evaluate(&v, None)?;
     products.push(product("Lorenz-96, N = 40, RK4", &mut cost, options)?);
 
+    let (name, scene, sets) = UNKNOWN[0];
+    let problem = twin(scene, sets, &[])?;
+    let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref())?;
+    let (mut model, mut set) = (problem.model(), problem.observations()?);
+    let mut cost = StrongConstraint::new(model.as_mut(), transform, &mut set)?;
+    products.push(product(name, &mut cost, options)?);
+
     let mut minima = Table::new("minima", "The trust region with either Hessian", MINIMA);
     let seeds = if options.quick { 2 } else { 20 };
     for scene in SCENES {
@@ -42,10 +50,16 @@ pub(super) fn run(options: &Options) -> Result<Page> {
             minima.push(minimize(scene, way, seeds)?);
         }
     }
+    let mut estimates = Table::new("estimates", "Estimates of constants with either Hessian", ESTIMATES);
+    for (name, scene, sets) in UNKNOWN {
+        for hessian in ["gauss-newton", "exact"] {
+            estimates.push(estimate((name, scene, sets), hessian, seeds)?);
+        }
+    }
     Ok(Page {
         title: "Exact Hessian",
         text: TEXT.into(),
-        tables: vec![products, minima],
+        tables: vec![products, minima, estimates],
         remarks: String::new(),
         ..Page::default()
     })
@@ -60,7 +74,45 @@ matrices Σ λ·∂²G of all steps, in linearizations of the window.
 iterations (median and most over the seeds), how many converged, stalled (J jumps, or its rounding is \
 reached) or ended otherwise, the share of steps made with the exact Hessian, and seconds of the thread \
 (median). *Posterior*: the largest difference of a standard deviation by the exact Hessian from that of \
-Gauss and Newton, at the minimum (median over seeds whose exact Hessian is positive definite; their number).";
+Gauss and Newton, at the minimum (median over seeds whose exact Hessian is positive definite; their number).
+
+**Estimates.** Twins whose constants are unknown, estimated with their state, posterior and all: iterations \
+and seconds of the thread (medians over the seeds), the root mean square of value − truth over σ of all \
+constants (1 where σ is right), the share of them within their 95 % intervals, and the largest change of \
+a σ by second derivatives (median).";
+
+const ESTIMATES: &[&str] = &[
+    "twin",
+    "Hessian",
+    "seeds",
+    "iterations, median",
+    "seconds, median",
+    "(value − truth)/σ, rms",
+    "in 95 % intervals (%)",
+    "σ, exact against Gauss–Newton (%)",
+];
+
+/// A twin whose constants are unknown: its name, scene and settings.
+type Unknown = (&'static str, &'static str, &'static [&'static str]);
+
+const UNKNOWN: [Unknown; 2] = [
+    (
+        "starter: modulus, damping, curvature",
+        "starter",
+        &[
+            "model.damping.stiffness=0.01",
+            "model.damping.mass=0.5",
+            "estimate.youngs_modulus={sigma=\"15%\"}",
+            "estimate.damping_stiffness={sigma=\"30%\"}",
+            "estimate.natural_curvature={sigma=0.2}",
+        ],
+    ),
+    (
+        "Lorenz-96: forcing",
+        "lorenz96",
+        &["estimate.forcing={sigma=\"5%\"}", "background.covariance.sigma=0.1"],
+    ),
+];
 
 const PRODUCTS: &[&str] = &[
     "problem",
@@ -202,10 +254,6 @@ fn minimize(scene: &str, way: Way, seeds: usize) -> Result<Vec<super::Cell>> {
         }
     }
     iterations.sort_unstable();
-    let median = |mut values: Vec<f64>| {
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied()
-    };
     let definite = changes.len();
     Ok(cells![
         scene,
@@ -221,6 +269,55 @@ fn minimize(scene: &str, way: Way, seeds: usize) -> Result<Vec<super::Cell>> {
         median(changes).map(|c| 100.0 * c),
         if way == Way::Exact { definite.to_string() } else { "–".into() }
     ])
+}
+
+fn estimate((name, scene, sets): Unknown, hessian: &str, seeds: usize) -> Result<Vec<super::Cell>> {
+    let (mut iterations, mut seconds, mut changes) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut squares, mut inside, mut count) = (0.0, 0_usize, 0_usize);
+    for seed in 0..seeds {
+        let own = [format!("seed={seed}"), format!("algorithm.hessian=\"{hessian}\"")];
+        let problem = twin(scene, sets, &own)?;
+        let mut outcome = None;
+        seconds.push(seconds_of(|| {
+            outcome = Some(assimilate(&problem, &mut Listener::silent())?);
+            Ok::<(), varda::Error>(())
+        })?);
+        let outcome = outcome.ok_or("an outcome")?;
+        iterations.push(outcome.iterations[0]);
+        changes.extend(outcome.exact_hessian.and_then(|e| e.sigma_change));
+        for e in &outcome.estimates {
+            let (truth, sigma, interval) = (e.truth, e.sigma, e.interval);
+            let (Some(truth), Some(sigma), Some([low, high])) = (truth, sigma, interval) else { continue };
+            squares += ((e.value - truth) / sigma).powi(2);
+            inside += usize::from(low <= truth && truth <= high);
+            count += 1;
+        }
+    }
+    iterations.sort_unstable();
+    Ok(cells![
+        name,
+        if hessian == "exact" { "exact where better" } else { "Gauss–Newton" },
+        seeds,
+        iterations[iterations.len() / 2],
+        median(seconds),
+        (squares / count as f64).sqrt(),
+        100.0 * inside as f64 / count as f64,
+        median(changes).map(|c| 100.0 * c)
+    ])
+}
+
+fn twin(scene: &str, sets: &[&str], more: &[String]) -> Result<Problem> {
+    let sets: Vec<String> = sets.iter().map(|s| s.to_string()).chain(more.iter().cloned()).collect();
+    let file = match scene {
+        "starter" => SceneFile::parse(scene, "starter.toml", STARTER, None, &sets)?,
+        shipped => SceneFile::open(shipped, &sets)?,
+    };
+    Ok(Problem::from_scene(&file)?)
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
 }
 
 fn norm(a: &[f64]) -> f64 {

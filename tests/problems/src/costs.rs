@@ -8,7 +8,7 @@ use varda_assimilation::{
 };
 use varda_covariance::{Covariance, Dense, Diagonal};
 use varda_implicit::lorenz::{Lorenz63, Lorenz96};
-use varda_implicit::{At, ImplicitModel, Model, OneLeg, Rk4};
+use varda_implicit::{At, ImplicitModel, Model, OneLeg, RhsWithParameters, Rk4, Scheme, WithParameters};
 use varda_rod::{Marker, Markers, Vector3};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -45,6 +45,16 @@ pub fn for_each_cost(visit: &mut Visit) -> Result<()> {
     };
     let mut rk4 = Rk4::new(Lorenz63::default(), 0, 0.01);
     problem("lorenz63 rk4", &mut rk4, &x63, &b, all(3, 2)?, 1.0, &when, visit)?;
+    // σ, ρ, β unknown too
+    let with: Vec<f64> = x63.into_iter().chain([10.0, 28.0, 8.0 / 3.0]).collect();
+    let of_constants = Diagonal::new(vec![1.0, 1.0, 1.4, 0.5, 1.0, 0.1])?;
+    let mut rk4 = Rk4::new(RhsWithParameters::new(Lorenz63::default(), 0), 0, 0.01);
+    let seen: Box<dyn ObservationOperator> = Box::new(Selection::new(vec![0, 2], 6)?);
+    problem("lorenz63 rk4 with its constants", &mut rk4, &with, &of_constants, seen, 1.0, &when, visit)?;
+    let step = OneLeg::new(Lorenz63::default(), Scheme::Bdf2, 1e-13);
+    let mut bdf2 = ImplicitModel::new(WithParameters::new(step, 0), 0, 0.01);
+    let seen: Box<dyn ObservationOperator> = Box::new(Selection::new(vec![0, 2], bdf2.dim())?);
+    problem("lorenz63 bdf2 with its constants", &mut bdf2, &with, &of_constants, seen, 1.0, &when, visit)?;
     let mut euler = ImplicitModel::new(OneLeg::implicit_euler(Lorenz63::default(), 1e-13), 0, 0.01);
     problem("lorenz63 implicit euler", &mut euler, &x63, &b, all(3, 1)?, 1.0, &when, visit)?;
     let x96: Vec<f64> = (0..40).map(|i| 8.0 + 4.0 * (0.9 * i as f64).sin()).collect();

@@ -19,7 +19,7 @@ struct Twin {
     allowance: f64,
 }
 
-const TWINS: [Twin; 8] = [
+const TWINS: [Twin; 9] = [
     Twin { name: "linear advection", scene: "linear-advection", sets: &[], allowance: 0.02 },
     Twin {
         name: "Lorenz-63, short window",
@@ -49,6 +49,21 @@ const TWINS: [Twin; 8] = [
             "estimate.youngs_modulus={sigma=\"15%\"}",
             "estimate.damping_stiffness={sigma=\"30%\"}",
             "estimate.natural_curvature={sigma=0.2}",
+        ],
+        allowance: 0.02,
+    },
+    // clock and constants of the model in one Hessian, with the second derivatives of both
+    Twin {
+        name: "rod with unknown modulus, damping, curvature and clock, exact Hessian",
+        scene: "starter",
+        sets: &[
+            "model.damping.stiffness=0.01",
+            "model.damping.mass=0.5",
+            "estimate.youngs_modulus={sigma=\"15%\"}",
+            "estimate.damping_stiffness={sigma=\"30%\"}",
+            "estimate.natural_curvature={sigma=0.2}",
+            "estimate.clock={sigma=0.004}",
+            "algorithm.hessian=\"exact\"",
         ],
         allowance: 0.02,
     },

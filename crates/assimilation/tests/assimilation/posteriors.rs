@@ -255,3 +255,84 @@ fn ratios_are_one_where_b_and_r_are_right_and_not_where_they_are_wrong() {
     assert!(chi2 < 0.8, "{chi2}");
     assert!(consistency(&[1.0], &[1.0], &[0.0], &[0.5], &[1.0], &[1])[0].observation_ratio.is_nan());
 }
+
+/// A chaotic model at a point where second derivatives matter; so many times and components seen with
+/// σ = 1/scale.
+fn lorenz96_away_from_the_minimum(
+    (times, components, scale): (usize, usize, f64),
+    check: &mut dyn FnMut(&mut dyn LeastSquares),
+) {
+    let n = 40;
+    let background: Vec<f64> = (0..n).map(|i| 8.0 + 4.0 * (0.9 * i as f64).sin()).collect();
+    let seen = (1..=times).map(|i| {
+        let y = (0..components).map(|j| 8.0 + 4.0 * (0.8 * (j + i) as f64).cos()).collect();
+        Observation::new(4 * i, (0..components).collect(), y, 1.0 / scale)
+    });
+    let even = Selection::new((0..n / 2).map(|j| 2 * j).collect(), n).unwrap();
+    let mut set = ObservationSet::new(20, vec![Box::new(even)], seen.collect()).unwrap();
+    let b = varda_covariance::Diagonal::uniform(n, 0.5).unwrap();
+    let mut model = varda_implicit::Rk4::new(varda_implicit::lorenz::Lorenz96::new(n, 8.0), 0, 0.01);
+    let transform = ControlTransform::new(background, &b).unwrap();
+    let mut cost = StrongConstraint::new(&mut model, transform, &mut set).unwrap();
+    let v: Vec<f64> = (0..n).map(|i| 0.2 * (i as f64).sin()).collect();
+    cost.evaluate(&v, Some(&mut vec![0.0; n])).unwrap();
+    check(&mut cost);
+}
+
+#[test]
+fn the_exact_hessian_has_a_posterior_of_low_rank_with_a_bound() {
+    lorenz96_away_from_the_minimum((5, 20, 0.2), &mut |cost| {
+        let n = cost.dim();
+        let (dense, inverse) = dense_exact(cost);
+        // on both sides of what Gauss and Newton have
+        assert!(dense.spectrum()[0] < 0.999 && dense.spectrum()[n - 1] > 1.2, "{:?}", dense.spectrum());
+        for (tolerance, most) in [(1e-9, 200), (1e-6, 12), (1e-6, 25)] {
+            let low = low_rank(cost, tolerance, most);
+            assert!(most < n || low.error_bound().is_some_and(|bound| bound <= tolerance));
+            let found = error(&low, &inverse);
+            // 1e-11: the rounding of the inverse compared
+            assert!(low.error_bound().is_none_or(|bound| found <= bound + 1e-11), "{found:e}");
+        }
+        // Gauss–Newton's is another one
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let other = LowRankPosterior::lanczos(cost, &LanczosOptions::default(), &mut rng).unwrap();
+        assert!(error(&other, &inverse) > 1e-3);
+    });
+    // few values: few directions
+    lorenz96_away_from_the_minimum((1, 2, 1.0), &mut |cost| {
+        let (dense, inverse) = dense_exact(cost);
+        assert!(dense.spectrum()[0] < 0.999, "{:?}", dense.spectrum());
+        let low = low_rank(cost, 1e-5, 200);
+        let (bound, found) = (low.error_bound().unwrap(), error(&low, &inverse));
+        assert!(found <= bound + 1e-11 && bound <= 1e-5, "{found:e} {bound:e}");
+        assert!(low.products() < cost.dim() && low.spectrum()[0] < 0.999, "{}", low.products());
+    });
+    lorenz96_away_from_the_minimum((5, 20, 3.0), &mut |cost| {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let indefinite = LowRankPosterior::lanczos_exact(cost, &LanczosOptions::default(), &mut rng);
+        let Err(Error::NotPositiveDefinite { smallest }) = indefinite else { panic!("{indefinite:?}") };
+        let dense = Posterior::exact(cost);
+        let Err(Error::NotPositiveDefinite { smallest: least }) = dense else { panic!("definite") };
+        assert!(smallest <= 0.0 && smallest >= least * (1.0 + 1e-9), "{smallest} {least}");
+    });
+}
+
+fn low_rank(cost: &mut dyn LeastSquares, tolerance: f64, most: usize) -> LowRankPosterior {
+    let options = LanczosOptions::default().with_tolerance(tolerance).with_max_products(most);
+    LowRankPosterior::lanczos_exact(cost, &options, &mut ChaCha8Rng::seed_from_u64(5)).unwrap()
+}
+
+/// The posterior of the dense exact Hessian, and the Hessian's inverse.
+fn dense_exact(cost: &mut dyn LeastSquares) -> (Posterior, Vec<f64>) {
+    let n = cost.dim();
+    let dense = Posterior::exact(cost).unwrap();
+    let identity = varda_covariance::Diagonal::uniform(n, 1.0).unwrap();
+    let root = dense.control_root(&ControlTransform::new(vec![0.0; n], &identity).unwrap());
+    let mut inverse = vec![0.0; n * n];
+    for column in root.chunks_exact(n) {
+        for (out, c) in inverse.chunks_exact_mut(n).zip(column) {
+            out.iter_mut().zip(column).for_each(|(out, d)| *out += c * d);
+        }
+    }
+    (dense, inverse)
+}

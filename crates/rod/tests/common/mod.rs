@@ -3,6 +3,8 @@
 // each test takes a part
 #![allow(dead_code)]
 
+pub(crate) mod rods_with_parameters;
+
 use varda_implicit::Model;
 use varda_rod::{EdgeLoad, EdgeMotion, Load};
 

@@ -7,12 +7,13 @@ use serde::Serialize;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct ExactHessian {
     /// Its smallest eigenvalue in the control variable, where Gauss–Newton's is at least 1; not positive
-    /// where J is not convex. `None` where there are too many unknowns for a dense Hessian.
+    /// where J is not convex. Of a posterior of low rank the smallest that was found; `None` where that has
+    /// no error bound.
     pub smallest_eigenvalue: Option<f64>,
     /// The largest |σ/σ_GN − 1|; `None` where there is no posterior of the exact Hessian.
     pub sigma_change: Option<f64>,
-    /// Draws of that posterior that were run through the model, and the share of them that counts: 1 for a
-    /// Gaussian posterior.
+    /// Draws of that posterior that were run through the model (0 of a posterior of low rank), and the share
+    /// of them that counts: 1 for a Gaussian posterior.
     pub draws: usize,
     /// See `draws`.
     pub effective_share: Option<f64>,
@@ -30,7 +31,7 @@ impl ExactHessian {
         match (self.smallest_eigenvalue, self.sigma_change) {
             (None, _) => remarks.push(
                 "σ of the analysis is that of the Gauss–Newton Hessian: too many unknowns for a dense \
-                 exact one"
+                 exact one, and its posterior of low rank leaves out more than can be bounded"
                     .into(),
             ),
             (Some(smallest), _) if !(smallest > 0.0) => remarks.push(format!(

@@ -23,6 +23,9 @@ pub struct SourceShare {
     pub source: String,
     /// Its share.
     pub share: f64,
+    /// ∂s/∂ln σ, in the unit of the number s: a tenth of it is how far s moves if σ of this source is a
+    /// tenth larger. They sum to zero, as an analysis does not change with the unit of all errors.
+    pub by_relative_sigma: f64,
 }
 
 /// How the numbers of [`Sources`] depend on one observed value.

@@ -12,31 +12,40 @@ const SHOWN: usize = 12;
 /// The section of the page; empty where nothing is known of it.
 pub(super) fn section(all: &[Sources]) -> String {
     let Some(first) = all.first() else { return String::new() };
-    let share = |of: &Sources, source: &str| {
-        of.shares.iter().filter(|s| s.source == source).map(|s| s.share).sum::<f64>()
+    let of_source = |of: &Sources, source: &str| {
+        let own = of.shares.iter().filter(|s| s.source == source);
+        own.fold([0.0, 0.0], |sum, s| [sum[0] + s.share, sum[1] + s.by_relative_sigma])
     };
     let mut sources: Vec<&str> = first.shares.iter().map(|s| s.source.as_str()).collect();
-    let largest = |source: &str| all.iter().map(|of| share(of, source)).fold(0.0, f64::max);
+    let largest = |source: &str| all.iter().map(|of| of_source(of, source)[0]).fold(0.0, f64::max);
     sources.sort_by(|a, b| largest(b).total_cmp(&largest(a)));
     let (shown, rest) = sources.split_at(SHOWN.min(sources.len()));
-    let row = |name: &str, shares: Vec<f64>| {
-        let cells: String =
-            shares.iter().map(|share| format!("<td>{:.1} %</td>", 100.0 * share.max(0.0))).collect();
+    let row = |name: &str, sums: Vec<[f64; 2]>| {
+        let cell = |(of, [share, by_sigma]): (&Sources, [f64; 2])| {
+            let moves = short(0.1 * by_sigma);
+            format!("<td>{:.1} %<br>{moves} {}</td>", 100.0 * share.max(0.0), of.unit)
+        };
+        let cells: String = all.iter().zip(sums).map(cell).collect();
         format!("<tr><th scope=\"row\">{}</th>{cells}</tr>", escape(name))
     };
-    let mut rows: String =
-        shown.iter().map(|source| row(source, all.iter().map(|of| share(of, source)).collect())).collect();
+    let mut rows: String = shown
+        .iter()
+        .map(|source| row(source, all.iter().map(|of| of_source(of, source)).collect()))
+        .collect();
     if !rest.is_empty() {
-        let sums = all.iter().map(|of| rest.iter().map(|source| share(of, source)).sum()).collect();
-        rows.push_str(&row(&format!("{} others", rest.len()), sums));
+        let add = |a: [f64; 2], b: [f64; 2]| [a[0] + b[0], a[1] + b[1]];
+        let sum = |of| rest.iter().map(|source| of_source(of, source)).fold([0.0; 2], add);
+        rows.push_str(&row(&format!("{} others", rest.len()), all.iter().map(sum).collect()));
     }
     let heads: Vec<String> =
         all.iter().map(|of| format!("{}: σ = {} {}", of.of, short(of.sigma), of.unit)).collect();
-    let headings: Vec<&str> =
-        std::iter::once("share of the variance").chain(heads.iter().map(String::as_str)).collect();
+    let headings: Vec<&str> = std::iter::once("share of the variance, and how far it moves")
+        .chain(heads.iter().map(String::as_str))
+        .collect();
     format!(
         "<section><h2>Where the uncertainty comes from</h2>{}<p>Of what is known least at the end of the \
          window{}. Errors of each marker or component, priors of constants, background of the state; \
+         below its share, how far the number moves if σ of that source is 10 % larger. \
          sensitivities.csv has the derivative by every observed value.</p></section>",
         table(&headings, &rows),
         if all.iter().any(|of| of.unit == "N") { ", and of the largest tension there" } else { "" }

@@ -5,6 +5,7 @@
 //!
 //! ```text
 //!     ∂s/∂y = E W (H W)ᵀ/σ²,    ∂s/∂p_b = E W (W_p)ᵀ/σ_p²
+//!     ∂s/∂ln σ = −2 (y − h(x_a)) ∂s/∂y,  of all values and priors that have this σ
 //!     Var s = Σ (∂s/∂y σ)² + Σ (∂s/∂p_b σ_p)² + what is left: the background of the state
 //! ```
 //!
@@ -25,10 +26,21 @@ pub(super) struct SourcesOfSpread<'a> {
     columns: usize,
     /// What the rest of a variance comes from.
     rest: &'static str,
-    /// Values that were assimilated: their place among what was seen, component, σ, and H W.
-    rows: Vec<(usize, usize, f64, Vec<f64>)>,
+    /// Values that were assimilated.
+    rows: Vec<Row>,
     /// What is asked of, with its unit, and E W.
     numbers: Vec<(String, &'static str, Vec<f64>)>,
+}
+
+/// A value that was assimilated.
+struct Row {
+    /// Its place among what was seen, and its component.
+    seen: (usize, usize),
+    sigma: f64,
+    /// y − h(x_a).
+    departure: f64,
+    /// H W.
+    of_columns: Vec<f64>,
 }
 
 impl<'a> SourcesOfSpread<'a> {
@@ -56,15 +68,17 @@ impl<'a> SourcesOfSpread<'a> {
         (simple && fits && values > 0).then_some(Self { problem, rejected, columns, rest, rows, numbers })
     }
 
-    /// A row H W of component c of what was seen.
-    pub(super) fn see(&mut self, seen: usize, c: usize, row: impl Iterator<Item = f64>) {
+    /// A row H W of component c of what was seen, and h(x_a).
+    pub(super) fn see(&mut self, seen: usize, c: usize, analysis: f64, row: impl Iterator<Item = f64>) {
         let observed = &self.problem.observed;
         let one = &observed.seen[seen];
         let label = &observed.sites[one.site].label;
         let refused = self.rejected.iter().any(|r| r.label == *label && r.step == one.step);
         let used = observed.is_assimilated(one, &self.problem.experiment.grid) && !refused;
-        if used && one.values.get(c).is_some_and(Option::is_some) {
-            self.rows.push((seen, c, one.sigma, row.collect()));
+        if let Some(value) = one.values.get(c).copied().flatten().filter(|_| used) {
+            let departure = value - analysis;
+            let (sigma, of_columns) = (one.sigma, row.collect());
+            self.rows.push(Row { seen: (seen, c), sigma, departure, of_columns });
         }
     }
 
@@ -98,20 +112,22 @@ impl<'a> SourcesOfSpread<'a> {
         }
     }
 
-    /// The shares, with the root of P_a of the control, whose columns are that long.
-    pub(super) fn answer(self, root: &[f64], length: usize) -> (Vec<Sources>, Vec<Sensitivity>) {
+    /// The shares, with the control of the analysis and the root of its P_a.
+    pub(super) fn answer(self, control: &[f64], root: &[f64]) -> (Vec<Sources>, Vec<Sensitivity>) {
+        let length = control.len();
         let Self { problem, rest: of_rest, rows, numbers, .. } = self;
         let (observed, grid) = (&problem.observed, problem.experiment.grid);
         let in_space = observed.space.is_some();
         let constants = &problem.system.estimates().constants;
         let mut sensitivities: Vec<Sensitivity> = rows
             .iter()
-            .map(|(seen, c, ..)| {
-                let one = &observed.seen[*seen];
+            .map(|row| {
+                let (seen, c) = row.seen;
+                let one = &observed.seen[seen];
                 Sensitivity {
                     time: grid.start + one.at() * grid.step,
                     label: observed.sites[one.site].label.clone(),
-                    axis: if in_space { ["x", "y", "z"][*c] } else { "" },
+                    axis: if in_space { ["x", "y", "z"][c] } else { "" },
                     by_value: Vec::new(),
                 }
             })
@@ -120,14 +136,24 @@ impl<'a> SourcesOfSpread<'a> {
         for (of, unit, scalar) in numbers {
             let variance = scalar.iter().map(|e| e * e).sum::<f64>();
             let mut shares: Vec<SourceShare> = Vec::new();
-            let mut add = |source: &str, share: f64| match shares.iter_mut().find(|s| s.source == source) {
-                Some(known) => known.share += share,
-                None => shares.push(SourceShare { source: source.to_string(), share }),
+            // a value, or the prior of a constant
+            let mut add = |source: &str, by_value: f64, sigma: f64, departure: f64| {
+                let share = (by_value * sigma).powi(2) / variance;
+                let by_relative_sigma = -2.0 * departure * by_value;
+                match shares.iter_mut().find(|s| s.source == source) {
+                    Some(known) => {
+                        known.share += share;
+                        known.by_relative_sigma += by_relative_sigma;
+                    }
+                    None => {
+                        shares.push(SourceShare { source: source.to_string(), share, by_relative_sigma });
+                    }
+                }
             };
-            for ((_, _, sigma, row), sensitivity_of) in rows.iter().zip(&mut sensitivities) {
-                let by_value = sensitivity(&scalar, row, *sigma);
+            for (row, sensitivity_of) in rows.iter().zip(&mut sensitivities) {
+                let by_value = sensitivity(&scalar, &row.of_columns, row.sigma);
                 sensitivity_of.by_value.push(by_value);
-                add(&sensitivity_of.label, (by_value * sigma).powi(2) / variance);
+                add(&sensitivity_of.label, by_value, row.sigma, row.departure);
             }
             for (j, constant) in constants.iter().enumerate() {
                 let at = length - constants.len() + j;
@@ -135,10 +161,13 @@ impl<'a> SourcesOfSpread<'a> {
                 let by_prior = sensitivity(&scalar, &row, constant.sigma);
                 let name = constant.name.split("(s = ").next().unwrap_or_default();
                 let name = name.split("(t = ").next().unwrap_or_default();
-                add(&format!("prior of {name}"), (by_prior * constant.sigma).powi(2) / variance);
+                let departure = problem.background[at] - control[at];
+                add(&format!("prior of {name}"), by_prior, constant.sigma, departure);
             }
             let rest = 1.0 - shares.iter().map(|s| s.share).sum::<f64>();
-            shares.push(SourceShare { source: of_rest.into(), share: rest });
+            let by_rest = -shares.iter().map(|s| s.by_relative_sigma).sum::<f64>();
+            let source = of_rest.into();
+            shares.push(SourceShare { source, share: rest, by_relative_sigma: by_rest });
             sources.push(Sources { of, unit, sigma: variance.sqrt(), shares });
         }
         (sources, sensitivities)

@@ -155,7 +155,7 @@ pub(super) fn along(
     if done.is_err() {
         return Ok(None);
     }
-    let sources = along.sources.take().map(|sources| sources.answer(root, control.len()));
+    let sources = along.sources.take().map(|sources| sources.answer(control, root));
     Ok(Some(Spread { sources: sources.unwrap_or_default(), ..along.end()? }))
 }
 
@@ -290,7 +290,7 @@ impl<'a> Along<'a> {
             if let Some(sources) = &mut self.sources {
                 for (c, row) in set.rows(i).take(own).enumerate() {
                     let of_row = values.chunks_exact(rows.len()).map(|column| column[row - rows.start]);
-                    sources.see(self.order[i], c, of_row);
+                    sources.see(self.order[i], c, run.values()[row], of_row);
                 }
             }
         }

@@ -31,7 +31,21 @@ pub(crate) struct Clocked {
     increment: Vec<f64>,
     of_rates: Vec<f64>,
     values: Vec<f64>,
+    second: Second,
 }
+
+/// Work space of second derivatives: nothing until they are asked for.
+#[derive(Default)]
+struct Second {
+    /// dξ, ∂H/∂ξᵀ dy, its change, and the same at another time.
+    moved: Vec<f64>,
+    acting: Vec<f64>,
+    change: Vec<f64>,
+    later: Vec<f64>,
+}
+
+/// Half the interval of the difference for ∂²H/∂t² \[s\].
+const SECOND_DIFFERENCE: f64 = 1e-4;
 
 /// Half the interval of the difference for ∂H/∂t \[s\].
 const DIFFERENCE: f64 = 1e-5;
@@ -58,6 +72,7 @@ impl Clocked {
             increment: vec![0.0; n],
             of_rates: vec![0.0; rates],
             values: vec![0.0; rows],
+            second: Second::default(),
         }
     }
 
@@ -138,6 +153,75 @@ impl ObservationOperator for Clocked {
         dx[self.place] += by_state + by_time;
         self.of_rates.iter_mut().zip(acting).for_each(|(r, l)| *r = delta * l);
         self.rate.adjoint_add(at.step, x, &self.of_rates, dx);
+    }
+
+    fn has_second_derivatives(&self) -> bool {
+        self.operator.has_second_derivatives()
+    }
+
+    /// With ξ = x + δ ẋ, dξ = dx + δ ẋ'dx + ẋ dc, g = ∂H/∂ξᵀ dy and
+    /// dg = ∂²(dyᵀH)/∂ξ² dξ + ∂²(dyᵀH)/∂ξ∂t dc:
+    ///
+    /// ```text
+    /// x: dg + ẋ'ᵀ (dc g + δ dg) + δ gᵀẋ'' dx
+    /// c: dg·ẋ + g·ẋ'dx + ∂²(dyᵀH)/∂t∂ξ dξ + ∂²(dyᵀH)/∂t² dc
+    /// ```
+    ///
+    /// of this y, in which the state moves by its rate: what its acceleration does is not in it.
+    fn second_adjoint_add(&mut self, at: At, x: &[f64], dx: &[f64], dy: &[f64], out: &mut [f64]) {
+        self.linearize(at, x);
+        let (delta, dc) = (self.shift(x), dx[self.place]);
+        let components = self.rate.components();
+        let mut second = std::mem::take(&mut self.second);
+        let Second { moved, acting, change, later } = &mut second;
+        moved.clear();
+        moved.extend_from_slice(dx);
+        self.rate.tangent(at.step, x, dx, &mut self.of_rates);
+        for ((dx, rate), d) in moved[components.clone()].iter_mut().zip(&self.rates).zip(&self.of_rates) {
+            *dx += delta * d + dc * rate;
+        }
+        for zeroed in [&mut *acting, &mut *change, &mut *later] {
+            zeroed.clear();
+            zeroed.resize(x.len(), 0.0);
+        }
+        let now = self.time(at, x, 0.0);
+        self.operator.adjoint_add(now, &self.moved, dy, acting);
+        // ∂²(dyᵀH)/∂ξ∂t
+        self.operator.adjoint_add(self.time(at, x, -DIFFERENCE), &self.moved, dy, change);
+        self.operator.adjoint_add(self.time(at, x, DIFFERENCE), &self.moved, dy, later);
+        for (late, early) in later.iter_mut().zip(change.iter_mut()) {
+            *late = (*late - *early) / (2.0 * DIFFERENCE);
+            *early = dc * *late;
+        }
+        self.operator.second_adjoint_add(now, &self.moved, moved, dy, change);
+
+        let by_time = later.iter().zip(&*moved).map(|(l, d)| l * d).sum::<f64>();
+        let of_change = change[components.clone()].iter().zip(&self.rates).map(|(c, r)| c * r);
+        let of_rates = acting[components.clone()].iter().zip(&self.of_rates).map(|(g, r)| g * r);
+        out[self.place] += by_time + of_change.sum::<f64>() + of_rates.sum::<f64>();
+        out[self.place] += dc * self.second_by_time(at, x, dy);
+        out.iter_mut().zip(&*change).for_each(|(out, c)| *out += c);
+        let acting = &acting[components.clone()];
+        for ((r, g), c) in self.of_rates.iter_mut().zip(acting).zip(&change[components]) {
+            *r = dc * g + delta * c;
+        }
+        self.rate.adjoint_add(at.step, x, &self.of_rates, out);
+        self.of_rates.iter_mut().zip(acting).for_each(|(r, g)| *r = delta * g);
+        self.rate.second_adjoint_add(at.step, x, dx, &self.of_rates, out);
+        self.second = second;
+    }
+}
+
+impl Clocked {
+    /// Σ dy ∂²H/∂t² of moving supports, by a difference.
+    fn second_by_time(&mut self, at: At, x: &[f64], dy: &[f64]) -> f64 {
+        [(-1.0, 1.0), (0.0, -2.0), (1.0, 1.0)].into_iter().fold(0.0, |sum, (side, weight)| {
+            let there = self.time(at, x, side * SECOND_DIFFERENCE);
+            let seen = self.operator.observe(there, &self.moved, &mut self.values);
+            seen.expect("this state was observed before");
+            let values = self.values.iter().zip(dy).map(|(y, dy)| y * dy).sum::<f64>();
+            sum + weight * values / (SECOND_DIFFERENCE * SECOND_DIFFERENCE)
+        })
     }
 }
 

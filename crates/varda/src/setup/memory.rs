@@ -255,9 +255,10 @@ impl Memory {
         let is_kept = algorithm.minimizer == Minimizer::Lbfgs;
         let (mut other, dense) = if is_kept { (vectors, dense) } else { (0, dense.saturating_add(vectors)) };
         if exact {
-            // of every step λ, μ, the path of a perturbation, twice, and matrices about as large as the
-            // factor
-            let step = sizes.state.saturating_mul(6).saturating_add(sizes.kept);
+            // of every step λ, μ, the path of a perturbation, twice, matrices about as large as the factor,
+            // and two columns of every constant
+            let vectors = 6 + 2 * sizes.constants;
+            let step = sizes.state.saturating_mul(vectors).saturating_add(sizes.kept);
             other = other.saturating_add((sizes.steps + 1).saturating_mul(step));
         }
         other = other.saturating_add(ensemble.map_or(0, |e| e.runs()));

@@ -172,8 +172,8 @@ impl Problem {
             return Ok(());
         }
         let what = if self.model().second_order().is_none() {
-            "this model has no second derivatives ([estimate], loads of the motion, spins, a rod whose \
-             common turn is free)"
+            "this model has no second derivatives (constants in [estimate] that move supports, a rod at \
+             rest, loads of the motion, spins, a rod whose common turn is free)"
         } else if !self.observations()?.has_second_derivatives() {
             "these observations have no second derivatives"
         } else {

@@ -2,7 +2,7 @@
 
 use varda_assimilation::{LinearObservation, ObservationOperator, Selection};
 use varda_implicit::{At, ParameterPlaces, Refusal};
-use varda_rod::rotation::{exponential, left_jacobian};
+use varda_rod::rotation::{exponential, left_jacobian, left_jacobian_derivative};
 use varda_rod::{Marker, Markers, Vector3};
 
 use super::clocked::Clocked;
@@ -18,6 +18,18 @@ pub(crate) trait Sites: ObservationOperator {
 
     /// The columns ∂y/∂(s, o₁, o₂, o₃) of every site, three numbers each.
     fn by_place(&mut self, _at: At, _x: &[f64], _columns: &mut [f64]) {}
+
+    /// The second derivatives of Σ dy·y with those places, four numbers each, and the state: adds those of
+    /// an increment of both to `out` and, by places, to the other.
+    fn second_by_place_add(
+        &mut self,
+        _at: At,
+        _x: &[f64],
+        _by: [&[f64]; 2],
+        _dy: &[f64],
+        _out: [&mut [f64]; 2],
+    ) {
+    }
 
     /// Those of the model's constants that move what is observed at a given state, ascending.
     fn moving(&self) -> Vec<usize> {
@@ -41,6 +53,10 @@ impl Sites for Markers {
 
     fn by_place(&mut self, at: At, x: &[f64], columns: &mut [f64]) {
         Markers::by_place(self, at, x, columns).expect("this state was observed before");
+    }
+
+    fn second_by_place_add(&mut self, at: At, x: &[f64], by: [&[f64]; 2], dy: &[f64], out: [&mut [f64]; 2]) {
+        Markers::second_by_place_add(self, at, x, by, dy, out).expect("this state was observed before");
     }
 
     fn moving(&self) -> Vec<usize> {
@@ -73,7 +89,21 @@ pub(crate) struct SeenWith<O> {
     moved: Vec<Marker>,
     columns: Vec<f64>,
     moving: Moving,
+    second: Second,
     operator: O,
+}
+
+/// Work space of second derivatives: nothing until they are asked for.
+#[derive(Default)]
+struct Second {
+    /// What is added to a state without constants.
+    out: Vec<f64>,
+    /// An increment of the places of sites and what is added to them, four numbers each.
+    places: Vec<f64>,
+    out_places: Vec<f64>,
+    /// An increment of H(x), and what acts on H(x) as its axes turn.
+    moved: Vec<f64>,
+    acting: Vec<f64>,
 }
 
 /// Constants of the model that move what is observed, by supports.
@@ -161,7 +191,20 @@ impl<O: Sites> SeenWith<O> {
         let (x, dx, columns) = (vec![0.0; own], vec![0.0; own], vec![0.0; 12 * markers.len()]);
         let (y, back, moved) = (vec![0.0; rows], vec![0.0; rows], markers.clone());
         let moving = Moving::of(operator.moving(), rows, places.dim());
-        Self { places, seeing, x, dx, y, back, markers, moved, columns, moving, operator }
+        Self {
+            places,
+            seeing,
+            x,
+            dx,
+            y,
+            back,
+            markers,
+            moved,
+            columns,
+            moving,
+            second: Second::default(),
+            operator,
+        }
     }
 
     /// Puts the sites, and supports, where the constants of a state have them.
@@ -183,16 +226,33 @@ impl<O: Sites> SeenWith<O> {
         self.operator.move_to(&self.moved)
     }
 
-    /// For each number of the places of sites: its place among the constants, and its column.
-    fn each_place(&self, mut visit: impl FnMut(usize, usize, &[f64])) {
-        for (i, of_site) in self.columns.chunks_exact(12).enumerate().take(self.seeing.sites) {
+    /// For each number of the places of sites: its place among the constants, its site, and which of s, o₁,
+    /// o₂, o₃ it is.
+    fn each_place(&self, mut visit: impl FnMut(usize, usize, usize)) {
+        for i in 0..self.seeing.sites.min(self.markers.len()) {
             if let Some(first) = self.seeing.arc_length {
-                visit(first + i, i, &of_site[..3]);
+                visit(first + i, i, 0);
             }
             if let Some(first) = self.seeing.offset {
-                (0..3).for_each(|c| visit(first + 3 * i + c, i, &of_site[3 * c + 3..3 * c + 6]));
+                (0..3).for_each(|c| visit(first + 3 * i + c, i, c + 1));
             }
         }
+    }
+
+    /// dy += what an increment of the places of sites does.
+    fn by_places_add(&self, dp: &[f64], dy: &mut [f64]) {
+        self.each_place(|p, i, c| {
+            let column = &self.columns[12 * i + 3 * c..][..3];
+            dy[3 * i..3 * i + 3].iter_mut().zip(column).for_each(|(dy, c)| *dy += c * dp[p]);
+        });
+    }
+
+    /// The transpose.
+    fn by_places_transpose_add(&self, dy: &[f64], dp: &mut [f64]) {
+        self.each_place(|p, i, c| {
+            let column = &self.columns[12 * i + 3 * c..][..3];
+            dp[p] += column.iter().zip(&dy[3 * i..]).map(|(c, b)| c * b).sum::<f64>();
+        });
     }
 
     /// The rotation vector ρ among the constants of a state or an increment.
@@ -247,10 +307,7 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
         self.operator.tangent(at, &self.x, &self.dx, dy);
         if !self.markers.is_empty() {
             self.operator.by_place(at, &self.x, &mut self.columns);
-            let dp = &dx[self.places.parameters()];
-            self.each_place(|p, i, column| {
-                dy[3 * i..3 * i + 3].iter_mut().zip(column).for_each(|(dy, c)| *dy += c * dp[p]);
-            });
+            self.by_places_add(&dx[self.places.parameters()], dy);
         }
         if !self.moving.constants.is_empty() {
             let Self { operator, moving, x: own, places, .. } = self;
@@ -296,10 +353,7 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
         }
         if !self.markers.is_empty() {
             self.operator.by_place(at, &self.x, &mut self.columns);
-            let dp = &mut dx[self.places.parameters()];
-            self.each_place(|p, i, column| {
-                dp[p] += column.iter().zip(&self.back[3 * i..]).map(|(c, b)| c * b).sum::<f64>();
-            });
+            self.by_places_transpose_add(&self.back, &mut dx[self.places.parameters()]);
         }
         if !self.moving.constants.is_empty() {
             let Self { operator, moving, x: own, places, back, .. } = self;
@@ -311,6 +365,74 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
         self.places.gather(dx, &mut self.dx);
         self.operator.adjoint_add(at, &self.x, &self.back, &mut self.dx);
         self.places.scatter(&self.dx, dx);
+    }
+
+    /// Not where constants of the model move what is observed, by supports.
+    fn has_second_derivatives(&self) -> bool {
+        self.moving.constants.is_empty() && self.operator.has_second_derivatives()
+    }
+
+    /// With f = Rᵀ dy, a = J dρ, δ(Rh) = a × Rh + R δh and m the places of sites:
+    ///
+    /// ```text
+    /// x, m: ∂²(fᵀH)/∂(x, m)² (dx, dm) + (∂H/∂(x, m))ᵀ Rᵀ (dy × a)
+    /// ρ:    dJᵀ Σ Rh × dy + Jᵀ Σ δ(Rh) × dy
+    /// ```
+    fn second_adjoint_add(&mut self, at: At, x: &[f64], dx: &[f64], dy: &[f64], out: &mut [f64]) {
+        let constants = self.places.parameters();
+        self.places.gather(x, &mut self.x);
+        self.place_sites(x).expect("this state was observed before");
+        self.places.gather(dx, &mut self.dx);
+        let mut second = std::mem::take(&mut self.second);
+        let Second { out: own, places, out_places, moved, acting } = &mut second;
+        own.resize(self.dx.len(), 0.0);
+        self.places.gather(out, own);
+        self.back.copy_from_slice(dy);
+        let turned = self.rotation(x).zip(self.rotation(dx));
+        if let Some((rho, _)) = turned {
+            let turn = exponential(&rho);
+            self.back.chunks_exact_mut(3).for_each(|back| set(back, turn.tr_mul(&place(back))));
+        }
+        self.operator.second_adjoint_add(at, &self.x, &self.dx, &self.back, own);
+        if !self.markers.is_empty() {
+            for zeroed in [&mut *places, out_places] {
+                zeroed.clear();
+                zeroed.resize(4 * self.markers.len(), 0.0);
+            }
+            self.each_place(|p, i, c| places[4 * i + c] = dx[constants.start + p]);
+            let (by, to) = ([&self.dx[..], places], [&mut own[..], out_places]);
+            self.operator.second_by_place_add(at, &self.x, by, &self.back, to);
+            self.each_place(|p, i, c| out[constants.start + p] += out_places[4 * i + c]);
+        }
+        if let Some((rho, drho)) = turned {
+            let (turn, jacobian) = (exponential(&rho), left_jacobian(&rho));
+            let by = jacobian * drho;
+            self.operator.observe(at, &self.x, &mut self.y).expect("this state was observed before");
+            moved.resize(dy.len(), 0.0);
+            acting.resize(dy.len(), 0.0);
+            self.operator.tangent(at, &self.x, &self.dx, moved);
+            if !self.markers.is_empty() {
+                self.operator.by_place(at, &self.x, &mut self.columns);
+                self.by_places_add(&dx[constants.clone()], moved);
+            }
+            let (mut first, mut change) = (Vector3::zeros(), Vector3::zeros());
+            let rows = dy.chunks_exact(3).zip(self.y.chunks_exact(3)).zip(moved.chunks_exact(3));
+            for (((dy, y), moved), acting) in rows.zip(acting.chunks_exact_mut(3)) {
+                let (dy, y) = (place(dy), turn * place(y));
+                first += y.cross(&dy);
+                change += (by.cross(&y) + turn * place(moved)).cross(&dy);
+                set(acting, turn.tr_mul(&dy.cross(&by)));
+            }
+            self.operator.adjoint_add(at, &self.x, acting, own);
+            if !self.markers.is_empty() {
+                self.by_places_transpose_add(acting, &mut out[constants.clone()]);
+            }
+            let of_rho = left_jacobian_derivative(&rho, &drho).tr_mul(&first) + jacobian.tr_mul(&change);
+            let at = constants.start + self.seeing.rotation.expect("there is a rotation");
+            out[at..at + 3].iter_mut().zip(of_rho.iter()).for_each(|(out, d)| *out += d);
+        }
+        self.places.scatter(own, out);
+        self.second = second;
     }
 }
 

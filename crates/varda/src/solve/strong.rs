@@ -72,7 +72,14 @@ impl Task<'_> {
                 let linearized = if algorithm.method == Method::Blue { &start } else { &*v };
                 cost.evaluate(linearized, Some(&mut vec![0.0; v.len()]))?;
                 match (is_low_rank(algorithm.method, v.len()), algorithm.hessian) {
-                    (true, _) => (Some(PosteriorSpread::of_low_rank(&mut cost, &transform)?), None),
+                    (true, Hessian::GaussNewton) => {
+                        (Some(PosteriorSpread::of_low_rank(&mut cost, &transform)?), None)
+                    }
+                    (true, Hessian::Exact) => {
+                        let (spread, found) = exact_hessian::low_rank(&mut cost, &transform)?;
+                        exact = Some(found);
+                        (Some(spread), None)
+                    }
                     (false, Hessian::GaussNewton) => {
                         PosteriorSpread::of(Posterior::new(&mut cost), &transform, true)?
                     }

@@ -176,31 +176,42 @@ impl PosteriorSpread {
 
 impl PosteriorSpread {
     /// The spread of a posterior of low rank around the point of the last gradient, by products with the
-    /// Hessian; its random vectors are always the same.
+    /// Gauss–Newton Hessian; its random vectors are always the same.
     pub(super) fn of_low_rank(
         cost: &mut dyn LeastSquares,
         transform: &ControlTransform,
     ) -> Result<PosteriorSpread, Error> {
-        // Variances to a part in ten thousand of the background's.
-        let options = LanczosOptions::default().with_tolerance(1e-4).with_max_products(MOST_PRODUCTS);
-        let posterior = LowRankPosterior::lanczos(cost, &options, &mut stream(0, Stream::Directions))?;
-        Ok(PosteriorSpread {
+        let posterior =
+            LowRankPosterior::lanczos(cost, &low_rank_options(), &mut stream(0, Stream::Directions))?;
+        Ok(PosteriorSpread::around_low_rank(&posterior, transform))
+    }
+
+    pub(super) fn around_low_rank(
+        posterior: &LowRankPosterior,
+        transform: &ControlTransform,
+    ) -> PosteriorSpread {
+        PosteriorSpread {
             sigma: roots(posterior.variance(transform)),
             root: Vec::new(),
             with_errors: None,
             degrees_of_freedom: posterior.degrees_of_freedom(),
             error_bound: posterior.error_bound(),
-        })
+        }
     }
 
     /// What to say of a posterior of low rank that left something out.
     pub(crate) fn remark(&self) -> Option<String> {
         let bound = self.error_bound.filter(|bound| !(*bound <= 1e-2))?;
         Some(format!(
-            "σ of the analysis leaves out directions that are observed: its squares may be too large by \
+            "σ of the analysis leaves out directions that are observed: its squares may be off by \
              {bound:.2} of the background's (a posterior of low rank, at most {MOST_PRODUCTS} directions)"
         ))
     }
+}
+
+/// Variances to a part in ten thousand of the background's.
+pub(super) fn low_rank_options() -> LanczosOptions {
+    LanczosOptions::default().with_tolerance(1e-4).with_max_products(MOST_PRODUCTS)
 }
 
 /// The square roots of the diagonal of a covariance.

@@ -2,6 +2,7 @@
 
 use super::fixture::{Fixture, expect_length, expect_size, largest, largest_difference, norm};
 use crate::row::{Case, Outcome};
+use crate::suites::hessian::exact;
 use problems::rods::{HangingRod, Prior};
 use serde::Deserialize;
 use std::error::Error;
@@ -316,7 +317,7 @@ pub(super) fn check(case: &mut Case, folder: &Path) -> Outcome {
     cost.evaluate(&v, Some(&mut gradient))?;
     if let Some(theirs) = &reference.posterior_variance_exact_hessian {
         expect_length("posterior_variance_exact_hessian", theirs.len(), n)?;
-        crate::suites::hessian::exact::product(case, &mut cost, &v_reference)?;
+        exact::product(case, &mut cost, &v_reference, exact::Accuracy::GOOD)?;
         let posterior = Posterior::exact(&mut cost)?;
         let ours = posterior.variance(cost.transform());
         let relative = ours.iter().zip(theirs).map(|(a, b)| (a - b) / b).collect::<Vec<_>>();

@@ -32,7 +32,7 @@ pub(super) fn run(_options: &Options) -> Vec<Row> {
                 return Ok(());
             }
             let v: Vec<f64> = (0..cost.dim()).map(|i| 0.2 * wave(i, 71)).collect();
-            exact::product(case, cost, &v)
+            exact::product(case, cost, &v, exact::Accuracy::GOOD)
         });
         Ok(())
     });

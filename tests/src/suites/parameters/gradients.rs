@@ -1,11 +1,14 @@
 //! ∂J/∂p of the assembled cost, against differences of J, and J against that of a scene which says the
 //! value.
 
+use problems::allocations::allocations;
 use varda::scene::{STARTER, SceneFile};
 use varda::setup::Problem;
-use varda_assimilation::{ControlTransform, CostFunction, StrongConstraint};
+use varda_assimilation::{ControlTransform, CostFunction, LeastSquares, StrongConstraint};
+use varda_implicit::Storage;
 
 use crate::row::{Case, Outcome, Rows};
+use crate::suites::hessian::exact;
 
 /// A constant, with its key and prior in the scene, and how another value is written there.
 struct Constant {
@@ -220,6 +223,53 @@ pub(super) fn run(rows: &mut Rows) {
     }
 }
 
+impl Constant {
+    /// Whether it moves supports: then there are no second derivatives.
+    fn moves_supports(&self) -> bool {
+        ["support_position", "clamp_direction", "drive"].iter().any(|of| self.estimate.contains(of))
+    }
+}
+
+/// Steps of a stiff rod are solved to 1e-11 of its length, and gradients are as good.
+const ACCURACY: exact::Accuracy = exact::Accuracy { reach: 0.05, rounding: 1e-10, symmetry: 4e-12 };
+
+/// Products with the exact Hessian, along all unknowns and along single constants.
+fn second(case: &mut Case, problem: &Problem, v: &[f64], of_state: usize, refused: bool) -> Outcome {
+    let mut observations = problem.observations()?;
+    let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref())?;
+    let mut model = problem.model();
+    let mut cost = StrongConstraint::new(model.as_mut(), transform, &mut observations)?;
+    cost.evaluate(v, Some(&mut vec![0.0; v.len()]))?;
+    if refused {
+        let offered = f64::from(cost.has_exact_hessian());
+        case.at_most("an exact Hessian of supports that move", offered, 0.0, "-");
+        return Ok(());
+    }
+    exact::product(case, &mut cost, v, ACCURACY)?;
+    let p: Vec<f64> = (0..v.len()).map(|i| (1.0 + i as f64).sin()).collect();
+    let mut products = Vec::new();
+    for storage in [Storage::KeepAll, Storage::States, Storage::Checkpoints { states: 3 }] {
+        cost.set_storage(storage);
+        cost.evaluate(v, Some(&mut vec![0.0; v.len()]))?;
+        let mut product = vec![0.0; v.len()];
+        cost.exact_hessian_apply(&p, &mut product)?;
+        let (requests, outcome) = allocations(|| cost.exact_hessian_apply(&p, &mut product));
+        outcome?;
+        if storage == Storage::KeepAll {
+            case.count("allocations: exact_hessian_apply", requests, 0);
+        }
+        products.push(product);
+    }
+    let differ = products[1..].iter().filter(|p| **p != products[0]).count();
+    case.at_most("storage policies with other bits", differ as f64, 0.0, "policies");
+    cost.set_storage(Storage::KeepAll);
+    for p in (of_state..v.len()).take(6) {
+        let alone: Vec<f64> = (0..v.len()).map(|i| f64::from(i == p)).collect();
+        exact::along(case, &format!(", p[{}] alone", p - of_state), &mut cost, [v, &alone], ACCURACY)?;
+    }
+    Ok(())
+}
+
 /// J and its gradient at a control, as a function of v.
 fn cost_at(
     problem: &Problem,
@@ -272,6 +322,8 @@ fn gradient(case: &mut Case, constant: &Constant) -> Outcome {
         )
         .because("extrapolated differences of J: h⁴ of its fifth derivative, and rounding of J over h");
     }
+
+    second(case, &with, &v, of_state, constant.moves_supports())?;
 
     // the same cost where the scene says the value that p stands for
     if constant.written.is_empty() {

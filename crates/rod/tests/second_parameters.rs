@@ -1,0 +1,164 @@
+//! Second derivatives with constants of a rod: products with the exact Hessian of a sum over a window,
+//! against differences of its gradient.
+
+mod common;
+
+use common::rods_with_parameters::{Case, cases, control, step};
+use common::{dot, noise, norm};
+use varda_implicit::{ImplicitModel, Model, ParametricStep, Scheme, WithParameters};
+use varda_rod::RodStep;
+
+const STEPS: usize = 4;
+
+/// Σ_k c_k·x_k over a window.
+struct Window {
+    model: ImplicitModel<WithParameters<RodStep>>,
+    weights: Vec<Vec<f64>>,
+    states: Vec<Vec<f64>>,
+}
+
+impl Window {
+    fn new(step: RodStep) -> Window {
+        let model = ImplicitModel::new(WithParameters::new(step, 1), 0, 0.01);
+        let n = Model::dim(&model);
+        let weights = (0..=STEPS).map(|k| noise(20 + k).take(n).collect()).collect();
+        Window { model, weights, states: vec![vec![0.0; n]; STEPS + 1] }
+    }
+
+    fn gradient(&mut self, z: &[f64]) -> Vec<f64> {
+        let Window { model, weights, states } = self;
+        model.initial_state(z, &mut states[0]).unwrap();
+        for k in 0..STEPS {
+            let (past, next) = states.split_at_mut(k + 1);
+            model.step(k, &past[k], &mut next[0]).unwrap();
+            model.linearize(k, k, &past[k], &next[0]).unwrap();
+        }
+        let mut lambda = weights[STEPS].clone();
+        for k in (0..STEPS).rev() {
+            model.adjoint(k, &mut lambda);
+            lambda.iter_mut().zip(&weights[k]).for_each(|(l, w)| *l += w);
+        }
+        let mut dz = vec![0.0; z.len()];
+        model.initial_adjoint(&lambda, &mut dz);
+        dz
+    }
+
+    /// At the control of the last gradient.
+    fn product(&mut self, dz: &[f64]) -> Vec<f64> {
+        let Window { model, weights, states } = self;
+        let mut dx = states[0].clone();
+        model.initial_tangent(dz, &mut dx);
+        let mut path = vec![dx];
+        let second = model.second_order().unwrap();
+        for k in 0..STEPS {
+            let mut dx = path[k].clone();
+            second.tangent_kept(k, &mut dx);
+            path.push(dx);
+        }
+        let (mut lambda, mut derivative) = (weights[STEPS].clone(), vec![0.0; states[0].len()]);
+        for k in (0..STEPS).rev() {
+            second.adjoint_derivative(k, &path[k], &lambda, &mut derivative).unwrap();
+            second.adjoint(k, &mut lambda);
+            lambda.iter_mut().zip(&weights[k]).for_each(|(l, w)| *l += w);
+        }
+        let mut out = vec![0.0; dz.len()];
+        second.initial_adjoint(&derivative, &mut out);
+        second.initial_adjoint_derivative(dz, &lambda, &mut out);
+        out
+    }
+}
+
+/// A direction of the whole control, and each parameter alone.
+fn directions(z: &[f64], parameters: usize) -> Vec<Vec<f64>> {
+    let first = z.len() - 1 - parameters;
+    let all: Vec<f64> = noise(7).take(z.len()).enumerate().map(|(i, e)| scale(i, first) * e).collect();
+    let alone = |p: usize| (0..z.len()).map(|i| if i == p { scale(i, first) } else { 0.0 }).collect();
+    std::iter::once(all).chain((first..z.len() - 1).map(alone)).collect()
+}
+
+/// Of a number of the control, the parameters starting at `first`.
+fn scale(i: usize, first: usize) -> f64 {
+    if i < first / 2 {
+        0.004
+    } else if i < first {
+        0.04
+    } else {
+        0.5
+    }
+}
+
+/// The larger error of a product against differences, extrapolated twice, relative to itself: of places and
+/// velocities, or of parameters; and the slope of plain differences.
+fn errors(window: &mut Window, z: &[f64], dz: &[f64], parameters: usize) -> (f64, Option<f64>) {
+    let mut difference = |h: f64| -> Vec<f64> {
+        let mut at = |h: f64| window.gradient(&z.iter().zip(dz).map(|(z, d)| z + h * d).collect::<Vec<_>>());
+        at(h).iter().zip(at(-h)).map(|(p, m)| (p - m) / (2.0 * h)).collect()
+    };
+    let steps = [0.08, 0.04, 0.02].map(&mut difference);
+    let better = |coarse: &[f64], fine: &[f64], k: f64| -> Vec<f64> {
+        coarse.iter().zip(fine).map(|(c, f)| f + (f - c) / (k - 1.0)).collect()
+    };
+    let once = [better(&steps[0], &steps[1], 4.0), better(&steps[1], &steps[2], 4.0)];
+    let best = better(&once[0], &once[1], 16.0);
+    window.gradient(z);
+    let product = window.product(dz);
+    let first = z.len() - 1 - parameters;
+    let weighed = |a: &[f64], b: &[f64], range: std::ops::Range<usize>| {
+        norm(&range.map(|i| scale(i, first) * (a[i] - b[i])).collect::<Vec<_>>())
+    };
+    let whole = 0..z.len() - 1;
+    let size = weighed(&product, &vec![0.0; z.len()], whole.clone());
+    if size == 0.0 {
+        // a parameter that nothing depends on
+        return (weighed(&steps[0], &product, whole), None);
+    }
+    let error = [0..first, first..z.len() - 1].map(|r| weighed(&best, &product, r) / size);
+    let [coarse, fine] = [0, 1].map(|i| weighed(&steps[i], &product, whole.clone()));
+    (error[0].max(error[1]), Some((coarse / fine).log2()))
+}
+
+fn cases_with_second_derivatives() -> impl Iterator<Item = Case> {
+    cases().into_iter().filter(|case| !case.moved && !case.spins && case.held)
+}
+
+const SCHEMES: [Scheme; 3] = [Scheme::BackwardEuler, Scheme::Midpoint, Scheme::Bdf2];
+
+#[test]
+fn products_are_those_of_differences() {
+    for (scheme, case) in
+        SCHEMES.into_iter().flat_map(|s| cases_with_second_derivatives().map(move |c| (s, c)))
+    {
+        let step = step(case, scheme);
+        let parameters = step.parameters();
+        let z: Vec<f64> = control(&step).into_iter().chain([3.0]).collect();
+        let mut window = Window::new(step);
+        for (i, dz) in directions(&z, parameters).iter().enumerate() {
+            let (error, slope) = errors(&mut window, &z, dz, parameters);
+            let name = format!("{}, {scheme:?}, direction {i}: {error:.1e}, slope {slope:?}", case.name);
+            // gradients of steps solved to 1e-11 m, over differences of 1e-2
+            assert!(error <= 1e-8, "{name}");
+            assert!(slope.is_none_or(|slope| (slope - 2.0).abs() <= 0.05), "{name}");
+        }
+    }
+}
+
+#[test]
+fn products_are_symmetric() {
+    for (scheme, case) in
+        SCHEMES.into_iter().flat_map(|s| cases_with_second_derivatives().map(move |c| (s, c)))
+    {
+        let step = step(case, scheme);
+        let parameters = step.parameters();
+        let z: Vec<f64> = control(&step).into_iter().chain([3.0]).collect();
+        let mut window = Window::new(step);
+        let all = directions(&z, parameters);
+        window.gradient(&z);
+        let products: Vec<Vec<f64>> = all.iter().map(|dz| window.product(dz)).collect();
+        for (a, by_a) in all.iter().zip(&products) {
+            for (b, by_b) in all.iter().zip(&products) {
+                let gap = (dot(by_a, b) - dot(by_b, a)).abs();
+                assert!(gap <= 1e-12 * norm(b) * norm(by_a), "{}, {scheme:?}: {gap:e}", case.name);
+            }
+        }
+    }
+}
