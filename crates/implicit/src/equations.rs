@@ -74,7 +74,8 @@ pub trait Equations {
         1.0
     }
 
-    /// Newton ends when a full step was no larger than this.
+    /// Newton ends when a full step was no larger than this, or the next one is expected to be
+    /// ([`solve`](crate::solve)).
     fn converged_below(&self) -> f64;
 
     /// Full steps no larger than this are accepted without a decrease test (a test on Φ stalls at rounding).

@@ -110,8 +110,9 @@ pub enum Linearization {
     Accepted,
     /// Where a step is linearized right after it was taken (in one piece): at the last iterate but one of
     /// Newton's method, whose factor is taken over for nothing. The gradient is then wrong by the size of the
-    /// last accepted update, which no dot-product test sees. Other linearizations are exact:
-    /// [`Counts::reused`](crate::Counts::reused) tells how many were not.
+    /// last accepted update, which no dot-product test sees, and which may be far above
+    /// [`converged_below`](crate::Equations::converged_below) where the next one was foretold. Other
+    /// linearizations are exact: [`Counts::reused`](crate::Counts::reused) tells how many were not.
     LastFactor,
 }
 

@@ -97,7 +97,7 @@ fn the_state_before_conforms_on_any_grid() {
 /// Newton's method cut short: steps are halved, and every part has the part before it for its past.
 #[test]
 fn steps_in_parts_conform_and_hand_on_whole_steps() {
-    let options = NewtonOptions::default().with_max_iterations(4);
+    let options = NewtonOptions::default().with_max_iterations(3);
     let mut model =
         ImplicitModel::new(OneLeg::bdf2(Lorenz63::default(), 1e-11), 0, 0.1).with_options(options);
     let x = [1.0, 3.0, 20.0, 1.1, 2.6, 21.0];

@@ -111,6 +111,21 @@ pub enum Error {
     Assimilation(varda_assimilation::Error),
 }
 
+impl Error {
+    /// The same of one of several recordings: its keys and rows are also those of others.
+    pub(crate) fn of_recording(self, name: &str) -> Error {
+        match self {
+            Error::Scene { place, message } => {
+                Error::Scene { place, message: format!("recording {name:?}: {message}") }
+            }
+            Error::Data { place, message } => {
+                Error::Data { place, message: format!("recording {name:?}: {message}") }
+            }
+            other => other,
+        }
+    }
+}
+
 impl From<varda_rod::Error> for Error {
     fn from(reason: varda_rod::Error) -> Self {
         Error::Rod(reason)

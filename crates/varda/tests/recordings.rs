@@ -1,5 +1,7 @@
 //! Several recordings in one estimate.
 
+use std::path::PathBuf;
+
 use varda::outcome::{JointOutcome, Verdict};
 use varda::report::write_recordings;
 use varda::run::{Listener, assimilate, assimilate_recordings};
@@ -49,6 +51,7 @@ fn one_recording_is_the_scene_without() {
     assert!((joint.degrees_of_freedom.unwrap() - plain.analysis.degrees_of_freedom).abs() < 1e-8);
     assert!((one.analysis.degrees_of_freedom - plain.analysis.degrees_of_freedom).abs() < 1e-6);
     assert_eq!(joint.judgement.verdict, Verdict::Fits, "{}", joint.judgement.text);
+    assert!(joint.judgement.text.ends_with(" values in one recording"), "{}", joint.judgement.text);
 }
 
 #[test]
@@ -122,11 +125,16 @@ fn what_cannot_be_is_refused_with_the_key() {
         ),
         ("[[recordings]]\nname = \"a\"\ntime = { windou = 3 }\n", &[][..], "did you mean `window`"),
         ("[[recordings]]\nname = \"a\"\nalgorithm = { }\n", &[][..], "unknown key `algorithm`"),
+        (
+            "[[recordings]]\nname = \"a\"\n[[recordings]]\nname = \"b\"\nmodel = { length = 0.3 }\n",
+            &[][..],
+            "recording \"b\": arc length 0.5 m is off the rod",
+        ),
         (OTHER, &[][..], "are the same in all recordings"),
         (
             "[[recordings]]\nname = \"a\"\nestimate = { youngs_modulus = { sigma = \"5%\" } }\n",
             &[][..],
-            "[estimate] has it for all",
+            "leave it out there or here",
         ),
     ] {
         let message = message(recordings, sets);
@@ -138,6 +146,77 @@ fn what_cannot_be_is_refused_with_the_key() {
     assert!(message.starts_with(&format!("several.toml:{line}:")), "{message}, line {line}");
     let one = Problem::from_scene(&scene(TWO, &SMALL).unwrap()).err().map(|e| e.to_string()).unwrap();
     assert!(one.contains("--set recordings=[]"), "{one}");
+}
+
+/// A folder with seen.csv: a tip seen four times.
+fn folder_with_file(of: &str) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("varda-recordings-{of}-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let rows = [1.05, 1.1, 1.15, 1.2].map(|t| format!("{t},0.5,0.1,0.0,-0.45\n")).concat();
+    std::fs::write(folder.join("seen.csv"), format!("time_s,s_m,x_m,y_m,z_m\n{rows}")).unwrap();
+    folder
+}
+
+const OF_FILE: &str = "observations = { kind = \"file\", file = \"seen.csv\", time_zero = 0.0, sigma = 0.5, \
+                       outside_window = \"skip\" }\nbackground = { from = \"static-equilibrium\" }\n";
+
+fn of_files(of: &str, recordings: &str) -> Result<Recordings, varda::Error> {
+    let folder = folder_with_file(of);
+    let text = format!("{STARTER}\n[estimate]\nyoungs_modulus = {{ sigma = \"15%\" }}\n{recordings}");
+    let sets = [&SMALL[..], &["algorithm.max_iterations=30"]].concat();
+    let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
+    let all = SceneFile::parse("several", "several.toml", &text, Some(&folder), &sets)
+        .and_then(|file| Recordings::from_scene(&file));
+    std::fs::remove_dir_all(&folder).unwrap();
+    all
+}
+
+/// The prior of what a twin shares is drawn around the truth, that of a real recording is the scene's: one
+/// number would have two values.
+#[test]
+fn twins_and_real_recordings_are_not_mixed() {
+    for (first, second) in [("", OF_FILE), (OF_FILE, "")] {
+        let both = format!("[[recordings]]\nname = \"a\"\n{first}[[recordings]]\nname = \"b\"\n{second}");
+        let message = of_files("mixed", &both).err().map(|error| error.to_string()).unwrap();
+        assert!(message.contains("make all of them synthetic, or none"), "{message}");
+    }
+}
+
+#[test]
+fn a_recording_with_nothing_in_its_window_does_not_fit() {
+    let both = format!(
+        "[[recordings]]\nname = \"a\"\n{OF_FILE}[[recordings]]\nname = \"b\"\n{OF_FILE}time = {{ spin_up = \
+         300 }}\n"
+    );
+    let joint = assimilate_recordings(&of_files("empty", &both).unwrap(), &mut Listener::silent()).unwrap();
+    assert_eq!([0, 1].map(|r| joint.recordings[r].analysis.observations), [12, 0]);
+    assert_eq!(
+        joint.recordings[0].judgement.verdict,
+        Verdict::Fits,
+        "{}",
+        joint.recordings[0].judgement.text
+    );
+    assert_eq!(joint.judgement.verdict, Verdict::NothingObserved, "{}", joint.judgement.text);
+    assert!(joint.judgement.text.starts_with("b ("), "{}", joint.judgement.text);
+}
+
+#[test]
+fn remarks_that_are_of_all_are_said_once() {
+    let joint = run(&scene(TWO, &[&SMALL[..], &["algorithm.max_iterations=1"]].concat()).unwrap());
+    let notes = joint.notes();
+    let count = joint.recordings[0].warnings.len();
+    assert!(count > 0 && notes.len() < joint.warnings.len() + 2 * count, "{notes:?}");
+    assert!(joint.judgement.text.starts_with("all ("), "{}", joint.judgement.text);
+}
+
+/// What markers and priors of one recording leave of a variance is not only its background's.
+#[test]
+fn the_rest_of_a_variance_is_also_that_of_other_recordings() {
+    let joint = run(&scene(TWO, &SMALL).unwrap());
+    for one in &joint.recordings {
+        let last = one.sources[0].shares.last().unwrap();
+        assert_eq!(last.source, "background of the state, other recordings");
+    }
 }
 
 #[test]
@@ -154,6 +233,10 @@ fn the_folder_has_one_of_each_and_their_sum() {
         assert_eq!(one.experiment.name, *name);
         for of_one in ["summary.json", "report.html", "observations.csv", "analysis.csv"] {
             assert!(folder.join(name).join(of_one).is_file(), "{name}/{of_one}");
+        }
+        // iterations are of all
+        for of_all in ["convergence.csv", "figures/convergence.svg"] {
+            assert!(!folder.join(name).join(of_all).exists(), "{name}/{of_all}");
         }
     }
     let text = std::fs::read_to_string(folder.join("summary.json")).unwrap();

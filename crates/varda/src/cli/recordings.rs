@@ -8,7 +8,7 @@ use std::time::Instant;
 use super::progress::ProgressDisplay;
 use super::{RunOptions, Shown, exit, preview};
 use crate::Error;
-use crate::outcome::{JointOutcome, Status};
+use crate::outcome::{JointOutcome, Status, in_words};
 use crate::preview::Preview;
 use crate::report::{JointSummary, write_recordings};
 use crate::run::{Listener, assimilate_recordings};
@@ -89,8 +89,8 @@ fn table(o: &JointOutcome, folder: &Path, seconds: f64) -> String {
     line(
         "sizes",
         format!(
-            "{} recordings, {} unknowns, {} observed values",
-            o.recordings.len(),
+            "{}, {} unknowns, {} observed values",
+            in_words(o.recordings.len()),
             o.unknowns,
             o.observations
         ),
@@ -131,10 +131,7 @@ fn table(o: &JointOutcome, folder: &Path, seconds: f64) -> String {
             if s.mesh > 0.0 { format!(", finer mesh {:.2}", s.mesh) } else { String::new() }
         ),
     );
-    let of_each = o.recordings.iter().flat_map(|one| {
-        one.warnings.iter().map(move |warning| format!("{}: {warning}", one.experiment.name))
-    });
-    let notes: Vec<String> = o.warnings.iter().cloned().chain(of_each).collect();
+    let notes = o.notes();
     notes.iter().take(MOST_NOTES).for_each(|note| line("note", note.clone()));
     if notes.len() > MOST_NOTES {
         line("note", format!("{} more in summary.json", notes.len() - MOST_NOTES));

@@ -52,3 +52,32 @@ pub struct JointOutcome {
     /// Remarks for the user that are of no recording alone.
     pub warnings: Vec<String>,
 }
+
+impl JointOutcome {
+    /// All remarks, each once, with the names of the recordings that it is of.
+    pub fn notes(&self) -> Vec<String> {
+        let mut notes: Vec<(&str, Vec<&str>)> = Vec::new();
+        for one in &self.recordings {
+            for warning in one.warnings.iter().filter(|warning| !self.warnings.contains(warning)) {
+                let name = one.experiment.name.as_str();
+                match notes.iter_mut().find(|(text, _)| text == warning) {
+                    Some((_, names)) => names.push(name),
+                    None => notes.push((warning, vec![name])),
+                }
+            }
+        }
+        let of_each = notes.into_iter().map(|(text, names)| match names.len() == self.recordings.len() {
+            true if names.len() > 1 => format!("each recording: {text}"),
+            _ => format!("{}: {text}", names.join(", ")),
+        });
+        self.warnings.iter().cloned().chain(of_each).collect()
+    }
+}
+
+/// So many recordings.
+pub(crate) fn in_words(recordings: usize) -> String {
+    match recordings {
+        1 => "one recording".to_string(),
+        n => format!("{n} recordings"),
+    }
+}

@@ -26,6 +26,7 @@ pub use evidence::{Cause, Evidence};
 pub use exact_hessian::ExactHessian;
 pub use fit::{Fit, Forecast, Rejected, Withheld};
 pub use joint::JointOutcome;
+pub(crate) use joint::in_words;
 pub use model_errors::ModelErrors;
 pub use modes::RodModes;
 pub use next_observation::{Candidate, NextObservation};

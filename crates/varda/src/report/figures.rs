@@ -11,7 +11,9 @@ use super::plot::{Corner, Figure, Panel, Series, Style};
 
 /// All figures of a run, in the order of the report.
 pub(super) fn all(outcome: &Outcome) -> Vec<Figure> {
-    let mut figures = vec![convergence(outcome)];
+    // one of several recordings has no iterations of its own
+    let mut figures: Vec<Figure> =
+        (!outcome.convergence.is_empty()).then(|| convergence(outcome)).into_iter().collect();
     figures.extend(fields(&outcome.estimates));
     match &outcome.shapes {
         Some(shapes) => {

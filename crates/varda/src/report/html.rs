@@ -60,15 +60,15 @@ pub(super) fn page(
     let _ = write!(
         body,
         "<section><h2>What was left out</h2><p>Not needed by this scene, and not computed:</p>{}</section>\
-         <section><h2>Convergence</h2>{}</section>\
-         <section><h2>The scene as it was run</h2><details><summary>TOML, overrides and defaults \
+         {}<section><h2>The scene as it was run</h2><details><summary>TOML, overrides and defaults \
          included</summary><pre>{}</pre></details></section>\
          <footer><p>Made by Varda {}. Files beside this page: summary.json, analysis.csv, trajectory.csv, \
-         observations.csv, convergence.csv, figures/{}.</p></footer>",
+         observations.csv, {}figures/{}.</p></footer>",
         list(&summary.left_out),
-        convergence_table(outcome),
+        convergence_section(outcome),
         escape(&scene),
         summary.version,
+        if outcome.convergence.is_empty() { "" } else { "convergence.csv, " },
         if experiment.state.geometry.is_some() {
             "; of the rod also its forces, moments and reactions"
         } else {
@@ -418,7 +418,11 @@ pub(super) fn table(headings: &[&str], rows: &str) -> String {
     format!("<div class=\"scroll\"><table><thead><tr>{names}</tr></thead><tbody>{rows}</tbody></table></div>")
 }
 
-fn convergence_table(outcome: &Outcome) -> String {
+/// Iteration by iteration; nothing of one of several recordings, which has none of its own.
+fn convergence_section(outcome: &Outcome) -> String {
+    if outcome.convergence.is_empty() {
+        return String::new();
+    }
     let row = |r: &ConvergenceRow| {
         format!(
             "<tr><td>{}</td><td>{:.3}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.2e}</td>{}</tr>",
@@ -441,7 +445,11 @@ fn convergence_table(outcome: &Outcome) -> String {
     let first = ["iteration", "seconds", "J", "J_b", "J_o", "gradient norm"];
     let headings: Vec<&str> = first.into_iter().chain(errors.iter().map(String::as_str)).collect();
     let rows: String = outcome.convergence.iter().map(row).collect();
-    format!("<details><summary>Iteration by iteration</summary>{}</details>", table(&headings, &rows))
+    format!(
+        "<section><h2>Convergence</h2><details><summary>Iteration by \
+         iteration</summary>{}</details></section>",
+        table(&headings, &rows)
+    )
 }
 
 pub(super) fn list(items: &[String]) -> String {

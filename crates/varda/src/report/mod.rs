@@ -58,7 +58,9 @@ fn write_one(out: &ResultFolder, at: &str, outcome: &Outcome) -> Result<(), Erro
         ),
     )?;
     write("analysis.csv", &tables::analysis(outcome))?;
-    write("convergence.csv", &tables::convergence(&outcome.convergence))?;
+    if !outcome.convergence.is_empty() {
+        write("convergence.csv", &tables::convergence(&outcome.convergence))?;
+    }
     let trajectory =
         tables::trajectory(experiment, &outcome.trajectories, &outcome.sigma_states, outcome.shapes.as_ref());
     write("trajectory.csv", &trajectory)?;

@@ -10,7 +10,7 @@ use super::html::{document, escape, list, short, status_words, table, verdict};
 use super::summary::peak_bytes;
 use super::{Summary, estimates, tables, write_one};
 use crate::Error;
-use crate::outcome::{Estimated, JointOutcome, Outcome, Seconds, Share, Verdict, WorkCounts};
+use crate::outcome::{Estimated, JointOutcome, Outcome, Seconds, Share, Verdict, WorkCounts, in_words};
 
 /// The keys of summary.json of several recordings, in their order; `recordings` has those of each.
 #[derive(Debug, Serialize)]
@@ -136,13 +136,13 @@ fn page(outcome: &JointOutcome, summary: &JointSummary) -> String {
     };
     let mut body = format!(
         "<header><h1>{}</h1><p class=\"sub\">scene <code>{}</code> · seed {} · {} by {} · {} \
-         recordings · <span class=\"status {}\">{}</span></p></header>{}",
+         · <span class=\"status {}\">{}</span></p></header>{}",
         escape(title),
         escape(&outcome.name),
         summary.seed,
         summary.method,
         summary.minimizer,
-        outcome.recordings.len(),
+        in_words(outcome.recordings.len()),
         summary.status,
         status_words(outcome.status),
         verdict(&outcome.judgement),
@@ -198,6 +198,8 @@ fn section(one: &Outcome) -> String {
             f.ratio
         )
     };
+    let unit = if one.shapes.is_some() { " [m]" } else { "" };
+    let [before, after] = ["background", "analysis"].map(|of| format!("rms d, {of}{unit}"));
     let mut out = format!(
         "<section><h2>Recording {0}</h2>{1}<p>J {2}, 2J/m = {3:.3} of {4} values; <a \
          href=\"{0}/report.html\">its own page</a> has figures, trajectory and forecast.</p>{5}",
@@ -207,7 +209,7 @@ fn section(one: &Outcome) -> String {
         one.analysis.chi2,
         one.analysis.observations,
         table(
-            &["what is seen", "values", "rms before", "rms after", "over σ"],
+            &["what is seen", "values", &before, &after, "rms d/σ"],
             &one.fit.iter().map(row).collect::<String>()
         ),
     );

@@ -11,7 +11,7 @@ use super::window::{Ended, Listener, described, row};
 use crate::Error;
 use crate::outcome::{
     ConvergenceRow, Estimated, JointOutcome, Judgement, Outcome, Seconds, Share, Status, Verdict, WorkCounts,
-    remarks_on_estimates,
+    in_words, remarks_on_estimates,
 };
 use crate::scene::SceneFile;
 use crate::setup::{Inputs, Problem, Recordings};
@@ -178,28 +178,30 @@ fn minimized(all: &Recordings, listener: &mut Listener) -> Result<JointOutcome, 
     })
 }
 
-/// All fit, and J of all is no larger than chance makes it.
+/// All fit, and J of all is no larger than chance makes it; nothing fits where nothing is seen.
 fn judged(recordings: &[Outcome], j: f64, m: usize) -> Judgement {
     let of = |verdict: Verdict| -> Vec<&Outcome> {
         recordings.iter().filter(|one| one.judgement.verdict == verdict).collect()
     };
-    let count = match recordings.len() {
-        1 => "one recording".to_string(),
-        n => format!("{n} recordings"),
-    };
+    let count = in_words(recordings.len());
     let numbers = format!("2J/m = {:.3} of {m} values in {count}", 2.0 * j / m.max(1) as f64);
     if m == 0 {
         let text = "no value is observed: the analyses are the backgrounds".to_string();
         return Judgement { verdict: Verdict::NothingObserved, text };
     }
-    for verdict in [Verdict::NotConverged, Verdict::DoesNotFit] {
+    for verdict in [Verdict::NothingObserved, Verdict::NotConverged, Verdict::DoesNotFit] {
         if let Some(first) = of(verdict).first() {
             let names: Vec<&str> = of(verdict).iter().map(|one| one.experiment.name.as_str()).collect();
-            let text = format!("{} ({numbers}); {}: {}", names.join(", "), names[0], first.judgement.text);
+            let which = match names.len() > 1 && names.len() == recordings.len() {
+                true => "all".to_string(),
+                false => names.join(", "),
+            };
+            let text = format!("{which} ({numbers}); {}: {}", names[0], first.judgement.text);
             return Judgement { verdict, text };
         }
     }
     match j <= highest_j_of_a_fit(m) {
+        true if recordings.len() == 1 => Judgement { verdict: Verdict::Fits, text: numbers },
         true => Judgement { verdict: Verdict::Fits, text: format!("{numbers}; each fits") },
         false => {
             let text = format!("{numbers}: each by itself is within chance, all together are not");

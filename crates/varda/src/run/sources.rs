@@ -9,7 +9,8 @@
 //!     Var s = Σ (∂s/∂y σ)² + Σ (∂s/∂p_b σ_p)² + what is left: the background of the state
 //! ```
 //!
-//! (P_a = K R Kᵀ + (I − K H) B (I − K H)ᵀ), for independent errors.
+//! (P_a = K R Kᵀ + (I − K H) B (I − K H)ᵀ), for independent errors. Of one of several
+//! recordings what is left is also what the others leave open.
 
 use varda_assimilation::sensitivity;
 
@@ -23,6 +24,8 @@ pub(super) struct SourcesOfSpread<'a> {
     problem: &'a Problem,
     rejected: &'a [Rejected],
     columns: usize,
+    /// What the rest of a variance comes from.
+    rest: &'static str,
     /// Values that were assimilated.
     rows: Vec<Row>,
     /// What is asked of, with its unit, and E W.
@@ -43,7 +46,12 @@ struct Row {
 impl<'a> SourcesOfSpread<'a> {
     /// For a root of so many columns; `None` where it is too large, or its P_a is not that of the observed
     /// values with their σ: correlated errors, Huber's norm, the exact Hessian.
-    pub(super) fn new(problem: &'a Problem, rejected: &'a [Rejected], columns: usize) -> Option<Self> {
+    pub(super) fn new(
+        problem: &'a Problem,
+        rejected: &'a [Rejected],
+        columns: usize,
+        is_one_of_several: bool,
+    ) -> Option<Self> {
         let scene = &problem.experiment.scene;
         let simple = scene.observations.correlation().is_none()
             && scene.algorithm.robust.is_none()
@@ -52,7 +60,12 @@ impl<'a> SourcesOfSpread<'a> {
         let values = problem.observed.sizes(&problem.experiment.grid)[0];
         let fits = columns <= FURTHER_COLUMNS && values.saturating_mul(columns) <= SOURCE_NUMBERS;
         let rows = Vec::new();
-        (simple && fits && values > 0).then(|| Self { problem, rejected, columns, rows, numbers: Vec::new() })
+        let rest = match is_one_of_several {
+            true => "background of the state, other recordings",
+            false => "background of the state",
+        };
+        let numbers = Vec::new();
+        (simple && fits && values > 0).then_some(Self { problem, rejected, columns, rest, rows, numbers })
     }
 
     /// A row H W of component c of what was seen, and h(x_a).
@@ -102,7 +115,7 @@ impl<'a> SourcesOfSpread<'a> {
     /// The shares, with the control of the analysis and the root of its P_a.
     pub(super) fn answer(self, control: &[f64], root: &[f64]) -> (Vec<Sources>, Vec<Sensitivity>) {
         let length = control.len();
-        let Self { problem, rows, numbers, .. } = self;
+        let Self { problem, rest: of_rest, rows, numbers, .. } = self;
         let (observed, grid) = (&problem.observed, problem.experiment.grid);
         let in_space = observed.space.is_some();
         let constants = &problem.system.estimates().constants;
@@ -153,7 +166,7 @@ impl<'a> SourcesOfSpread<'a> {
             }
             let rest = 1.0 - shares.iter().map(|s| s.share).sum::<f64>();
             let by_rest = -shares.iter().map(|s| s.by_relative_sigma).sum::<f64>();
-            let source = "background of the state".into();
+            let source = of_rest.into();
             shares.push(SourceShare { source, share: rest, by_relative_sigma: by_rest });
             sources.push(Sources { of, unit, sigma: variance.sqrt(), shares });
         }

@@ -123,6 +123,7 @@ pub(super) fn along(
     (control, posterior): (&[f64], Option<&PosteriorSpread>),
     runs: &Trajectories,
     rejected: &[Rejected],
+    is_one_of_several: bool,
 ) -> Result<Option<Spread>, Error> {
     let Some(posterior) = posterior else { return Ok(None) };
     if let (Some(columns), Some(q)) = (&posterior.with_errors, &problem.model_error) {
@@ -140,7 +141,8 @@ pub(super) fn along(
         return Ok(None);
     }
     let mut along = Along::new(problem, model, runs, Some((root, control.len())))?;
-    along.sources = SourcesOfSpread::new(problem, rejected, root.len() / control.len().max(1));
+    let columns = root.len() / control.len().max(1);
+    along.sources = SourcesOfSpread::new(problem, rejected, columns, is_one_of_several);
     let mut before: Vec<f64> = Vec::new();
     let done = propagate_root(model, control, root, &runs.analysis, &mut |step, now| {
         along.see(&Carried { step, dim: runs.dim, before: &before, now, less: 0 });

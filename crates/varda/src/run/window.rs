@@ -292,6 +292,7 @@ pub(super) fn described(problem: &Problem, ended: Ended, listener: &Listener) ->
             (&analysis.analysis, posterior),
             &trajectories,
             &rejected,
+            ended.is_one_of_several,
         );
         (spread, interrupt::was_told())
     });

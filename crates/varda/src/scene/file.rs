@@ -97,8 +97,8 @@ impl SceneFile {
         let mut file = SceneFile::from_tree(name, label, &root, folder.clone(), &schema)?;
         let parts = recordings::trees(&root, file.scene.recordings.len());
         for (one, part) in file.scene.recordings.iter().zip(parts) {
-            let part = SceneFile::from_tree(&one.name, label, &part, folder.clone(), &schema)?;
-            file.recordings.push(part);
+            let part = SceneFile::from_tree(&one.name, label, &part, folder.clone(), &schema);
+            file.recordings.push(part.map_err(|error| error.of_recording(&one.name))?);
         }
         Ok(file)
     }

@@ -19,7 +19,7 @@ pub(super) fn validate_recordings(scene: &Scene) -> Check {
         }
         let both = one.estimate.0.keys().find(|key| is_shared(scene, key));
         if let Some(key) = both {
-            let message = format!("[estimate] has it for all recordings: leave it out there, or of {path}");
+            let message = "[estimate] has it for all recordings: leave it out there or here";
             return invalid(format!("recordings.{i}.estimate.{key}"), message);
         }
         if let Some(key) = OF_PASSES.into_iter().find(|key| one.estimate.0.contains_key(*key)) {

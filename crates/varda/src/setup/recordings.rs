@@ -24,7 +24,7 @@ impl Recordings {
     ///
     /// # Errors
     /// [`Error`] naming the key, the file's line, or the step; constants of `[estimate]` that are not the
-    /// same in all recordings.
+    /// same in all recordings; recordings of which only some are a twin experiment.
     pub fn from_scene(file: &SceneFile) -> Result<Recordings, Error> {
         let mut problems = Vec::new();
         for inputs in Recordings::inputs(file)? {
@@ -47,7 +47,7 @@ impl Recordings {
             let mut part = part.clone();
             part.scene.seed = part.scene.seed.wrapping_add(r as u64 * SEEDS_APART);
             part.scene.limits.memory = format!("{} B", (limit / count).max(1));
-            Inputs::read(&part)
+            Inputs::read(&part).map_err(|error| error.of_recording(&part.name))
         };
         file.recordings.iter().enumerate().map(one).collect()
     }
@@ -81,7 +81,12 @@ impl Recordings {
                 );
                 return Err(file.invalid(&path, message));
             }
-            if problem.truth.is_some() && first.truth.is_some() {
+            if problem.truth.is_some() != first.truth.is_some() {
+                let message = "some recordings are a twin experiment with a drawn background and others are \
+                               not, and they share one prior: make all of them synthetic, or none";
+                return Err(file.invalid(&format!("recordings.{}", r + 1), message));
+            }
+            if problem.truth.is_some() {
                 let ends = [first.background.len(), problem.background.len()];
                 let counts = [of_first.len(), constants.len()];
                 for (a, b) in shared[0].iter().zip(mine) {
