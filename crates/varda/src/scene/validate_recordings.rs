@@ -52,7 +52,7 @@ pub(super) fn validate_recordings(scene: &Scene) -> Check {
         );
         return invalid("algorithm.method", message);
     }
-    let one_only = "several recordings are assimilated as they are: leave it out";
+    let one_only = "this is for one recording: leave it out beside [[recordings]]";
     for (key, is_given) in [
         ("cycles", algorithm.cycles.is_some()),
         ("window_growth", !algorithm.window_growth.is_empty()),
