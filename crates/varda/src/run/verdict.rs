@@ -27,6 +27,8 @@ pub(super) struct Judged<'a> {
     pub is_ensemble: bool,
     /// Whether the rod is at rest at every step.
     pub at_rest: bool,
+    /// Whether the window could grow, and does not.
+    pub may_grow: bool,
     /// Iterations done, and those that the scene allows.
     pub iterations: usize,
     pub max_iterations: usize,
@@ -121,6 +123,12 @@ fn not_converged(judged: &Judged) -> Option<String> {
         Status::Stalled if judged.at_rest => Some(format!(
             "the minimizer stalled after {} iterations, {gradient}: near these constants the rod comes to \
              rest in another shape; priors, or a `model.initial_shape`, nearer to what was seen may help",
+            judged.iterations
+        )),
+        Status::Stalled if judged.may_grow => Some(format!(
+            "the minimizer stalled after {} iterations, {gradient}: let the window grow \
+             (algorithm.window_growth = [2, 4, 8, …], minimizer = \"trust-region\"), give the background a \
+             longer correlation length, or try shorter time steps",
             judged.iterations
         )),
         Status::Stalled => Some(format!(
@@ -279,6 +287,7 @@ mod tests {
     fn judged<'a>(departures: &'a [Departure], labels: &'a [String]) -> Judged<'a> {
         Judged {
             at_rest: false,
+            may_grow: false,
             status: Status::Converged,
             late: false,
             is_ensemble: false,

@@ -254,6 +254,7 @@ pub(super) fn described(problem: &Problem, ended: Ended, listener: &Listener) ->
         late,
         is_ensemble: scene.algorithm.method.is_ensemble(),
         at_rest: scene.time.integrator == Integrator::QuasiStatic,
+        may_grow: scene.algorithm.method.takes_window_growth() && scene.algorithm.window_growth.is_empty(),
         iterations: solution.minimum.outer_iterations,
         max_iterations: scene.algorithm.max_iterations,
         gradient_norms: [solution.minimum.gradient_norm_first, solution.minimum.gradient_norm],

@@ -18,6 +18,9 @@ const COMMENTS: usize = 33;
 const STEP: f64 = 0.01;
 /// The longest window and forecast that are proposed \[s\].
 const WINDOW: f64 = 1.0;
+/// Markers move far where σ_x is more than this share of the rod's length: a minimization over the whole
+/// window then starts from a rod that is far from all that was seen.
+const FAR: f64 = 0.2;
 /// A marker moves where it travels this many times σ.
 const MOVES: f64 = 5.0;
 /// A marker at a moved clamp travels at least this share of its neighbour's way: beside a clamp at rest
@@ -263,8 +266,9 @@ impl Recorded {
             ("{window_seconds}", format!("{:.3}", window * step)),
             ("{sigma_x}", number(far)),
             ("{sigma_v}", number(fast)),
-            ("{correlation_x}", number(rounded(0.25 * length))),
-            ("{correlation_v}", number(rounded(0.25 * length))),
+            ("{correlation_x}", number(rounded(0.5 * length))),
+            ("{correlation_v}", number(rounded(0.5 * length))),
+            ("{growth}", growth(window, far > FAR * length)),
             ("{path}", format!("{file:?}")),
             ("{time_zero}", number(self.span[0])),
             ("{sigma}", number(rounded(sigma))),
@@ -297,6 +301,21 @@ impl Recorded {
         }
         out
     }
+}
+
+/// How the window grows; a proposal, unless markers move far.
+fn growth(window: f64, far: bool) -> String {
+    let sizes = (1..).map(|i| 2.0_f64.powi(i)).take_while(|size| 1.5 * size <= window);
+    let sizes: Vec<String> = sizes.chain([window]).map(|size| format!("{size:.0}")).collect();
+    let (mark, why) = if far {
+        ("", "markers go far for this rod: the window grows from its first steps")
+    } else {
+        ("# ", "where a run does not converge, let the window grow from its first steps:")
+    };
+    format!(
+        "{mark}[algorithm]  # {why}\n{mark}window_growth = [{}]\n{mark}minimizer = \"trust-region\"",
+        sizes.join(", ")
+    )
 }
 
 /// Lines with values for their keys; a comment behind a value stays in its column where there is room.
@@ -438,6 +457,16 @@ mod tests {
         let text = scene(NAMES, |s| 0.05 + 0.1 * s);
         assert!(text.contains("\nmotion = { kind = \"markers\", names = [\"a\"] }"), "{text}");
         assert_eq!(text.matches("[[observations.markers]]").count(), 4);
+    }
+
+    #[test]
+    fn the_window_grows_where_markers_go_far() {
+        let grows = |text: &str| text.contains("\n[algorithm]  #");
+        let growth = "window_growth = [2, 4, 8, 16, ";
+        let far = scene(NAMES, |s| 1.6 * s * s);
+        assert!(grows(&far) && far.contains(&format!("\n{growth}")), "{far}");
+        let near = scene(NAMES, |s| 0.1 * s * s);
+        assert!(!grows(&near) && near.contains(&format!("\n# {growth}")), "{near}");
     }
 
     #[test]
