@@ -3,7 +3,7 @@
 use super::clock;
 use super::{Cell, Options, Page, Result, Table};
 use crate::cells;
-use problems::recordings::{Wire, gripped_cable, gripped_cable_folder};
+use problems::recordings::{CABLE_CONSTANTS, CABLE_PRIORS, Wire, gripped_cable, gripped_cable_folder};
 use std::path::PathBuf;
 use varda::outcome::{Estimated, Outcome};
 use varda::report::plot::{Corner, Panel, Series, Style};
@@ -156,26 +156,6 @@ const HOSE: [(&str, f64); 5] = [
     ("natural_curvature[1]", 0.0),
     ("point_mass[0]", 0.05),
 ];
-const CABLE: [(&str, f64); 6] = [
-    ("ei", 3e-3),
-    ("gj", 3e-3),
-    ("damping_stiffness", 0.02),
-    ("damping_mass", 0.7),
-    ("natural_curvature[0]", 2.0),
-    ("natural_curvature[1]", 0.0),
-];
-const CABLE_OFF: [&str; 10] = [
-    "time.window=150",
-    "model.section.ei=[4.2e-3,4.2e-3]",
-    "model.section.gj=2e-3",
-    "model.damping={stiffness=0.03,mass=1.05}",
-    "model.natural_curvature=[1.2,0.0]",
-    "estimate.ei={sigma=\"40%\",together=true}",
-    "estimate.gj={sigma=\"50%\"}",
-    "estimate.damping_stiffness={sigma=\"50%\"}",
-    "estimate.damping_mass={sigma=\"50%\"}",
-    "estimate.natural_curvature={sigma=0.8}",
-];
 const BEAM: [&str; 7] = [
     "model.material.youngs_modulus=342971",
     "model.damping.stiffness=0.00154",
@@ -206,8 +186,8 @@ fn recordings() -> Vec<Recording> {
             name: "gripped cable".into(),
             unknown: "EI, GJ, both dampings, curvature",
             scene: Source::Text(gripped_cable(0.0), gripped_cable_folder()),
-            sets: owned(&[&CABLE_OFF]),
-            references: CABLE.to_vec(),
+            sets: owned(&[&CABLE_PRIORS]),
+            references: CABLE_CONSTANTS.to_vec(),
             mesh: true,
         },
         Recording {
@@ -406,7 +386,7 @@ fn twins_of() -> Vec<Twin> {
         cable = format!("{head}[observations]\n{CABLE_SEEN}\n[report]{report}");
     }
     let cable = Source::Text(cable, gripped_cable_folder());
-    let cable_sets = owned(&[&CABLE_KNOWN, &CABLE_OFF[1..]]);
+    let cable_sets = owned(&[&CABLE_KNOWN, &CABLE_PRIORS[1..]]);
     vec![
         twin("Lorenz-63, 50 steps", Source::Shipped("lorenz63"), 40, &LORENZ63),
         twin(

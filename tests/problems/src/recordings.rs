@@ -12,6 +12,30 @@ fn fixtures() -> PathBuf {
 /// σ of a coordinate of a marker of the gripped cable \[m\].
 pub const CABLE_SIGMA: f64 = 1e-3;
 
+/// Constants that the recording of the gripped cable was made with, by their names in `[estimate]`.
+pub const CABLE_CONSTANTS: [(&str, f64); 6] = [
+    ("ei", 3e-3),
+    ("gj", 3e-3),
+    ("damping_stiffness", 0.02),
+    ("damping_mass", 0.7),
+    ("natural_curvature[0]", 2.0),
+    ("natural_curvature[1]", 0.0),
+];
+
+/// Keys of a scene of it with priors 30 to 50 % off.
+pub const CABLE_PRIORS: [&str; 10] = [
+    "time.window=150",
+    "model.section.ei=[4.2e-3,4.2e-3]",
+    "model.section.gj=2e-3",
+    "model.damping={stiffness=0.03,mass=1.05}",
+    "model.natural_curvature=[1.2,0.0]",
+    "estimate.ei={sigma=\"40%\",together=true}",
+    "estimate.gj={sigma=\"50%\"}",
+    "estimate.damping_stiffness={sigma=\"50%\"}",
+    "estimate.damping_mass={sigma=\"50%\"}",
+    "estimate.natural_curvature={sigma=0.8}",
+];
+
 /// Where the files of the gripped cable are.
 pub fn gripped_cable_folder() -> PathBuf {
     fixtures().join("gripped-cable")

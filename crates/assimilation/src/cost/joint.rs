@@ -218,12 +218,12 @@ impl<'a> Joint<'a> {
     }
 }
 
-impl CostFunction for Joint<'_> {
-    fn dim(&self) -> usize {
-        self.dim
-    }
+/// J of a cost at v, and its gradient.
+type WithGradient = fn(&mut (dyn LeastSquares + '_), &[f64], &mut [f64]) -> Result<f64, Error>;
 
-    fn evaluate(&mut self, v: &[f64], gradient: Option<&mut [f64]>) -> Result<f64, Error> {
+impl Joint<'_> {
+    /// J at v, and its gradient from those of the costs.
+    fn at(&mut self, v: &[f64], gradient: Option<(&mut [f64], WithGradient)>) -> Result<f64, Error> {
         assert_eq!(v.len(), self.dim, "length of v");
         self.parts.iter_mut().for_each(|part| gather(&part.places, v, &mut part.v));
         let mut terms = CostTerms::default();
@@ -232,11 +232,11 @@ impl CostFunction for Joint<'_> {
         for part in self.parts.iter_mut().filter(|_| runs_first) {
             part.cost.evaluate(&part.v, None)?;
         }
-        if let Some(gradient) = gradient {
+        if let Some((gradient, of)) = gradient {
             assert_eq!(gradient.len(), self.dim, "length of the gradient");
             gradient.fill(0.0);
             for part in &mut self.parts {
-                part.cost.evaluate(&part.v, Some(&mut part.out))?;
+                of(&mut *part.cost, &part.v, &mut part.out)?;
                 part.scatter_add(gradient);
             }
             self.take_surplus(v, gradient);
@@ -251,6 +251,17 @@ impl CostFunction for Joint<'_> {
         terms.background -= 0.5 * self.surplus() * dot(shared, shared);
         self.terms = terms;
         Ok(terms.total())
+    }
+}
+
+impl CostFunction for Joint<'_> {
+    fn dim(&self) -> usize {
+        self.dim
+    }
+
+    fn evaluate(&mut self, v: &[f64], gradient: Option<&mut [f64]>) -> Result<f64, Error> {
+        let of: WithGradient = |cost, v, gradient| cost.evaluate(v, Some(gradient));
+        self.at(v, gradient.map(|gradient| (gradient, of)))
     }
 
     fn terms(&self) -> CostTerms {
@@ -284,12 +295,8 @@ impl LeastSquares for Joint<'_> {
     }
 
     fn linearize(&mut self, v: &[f64], gradient: &mut [f64]) -> Result<f64, Error> {
-        let value = self.evaluate(v, Some(gradient))?;
         // costs that are no sums of squares refuse
-        for part in &mut self.parts {
-            part.cost.linearize(&part.v, &mut part.out)?;
-        }
-        Ok(value)
+        self.at(v, Some((gradient, |cost, v, gradient| cost.linearize(v, gradient))))
     }
 
     fn departures(&self, b: &mut [f64], d: &mut [f64]) {

@@ -68,7 +68,7 @@ pub(super) fn run(
 pub(super) fn check(file: &SceneFile) -> Result<ExitCode, Error> {
     let mut wrong = false;
     for inputs in Recordings::inputs(file)? {
-        let preview = Preview::new(&inputs.file)?;
+        let preview = Preview::of(inputs)?;
         print!("{}", preview::table(&preview));
         wrong |= preview.has_errors();
     }

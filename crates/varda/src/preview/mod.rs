@@ -54,7 +54,15 @@ impl Preview {
     /// Those of [`Problem::from_scene`](crate::setup::Problem::from_scene); [`Error::Model`] where the
     /// forward run fails.
     pub fn new(file: &SceneFile) -> Result<Preview, Error> {
-        let inputs = Inputs::read(file)?;
+        Preview::of(Inputs::read(file)?)
+    }
+
+    /// The same of inputs that were read.
+    ///
+    /// # Errors
+    /// As for [`Preview::new`].
+    pub fn of(inputs: Inputs) -> Result<Preview, Error> {
+        let file = inputs.file.clone();
         let plan = Plan::of(&inputs)?;
         let mut findings = findings(&inputs);
         let recording = inputs.observed.recording.clone();
@@ -75,7 +83,7 @@ impl Preview {
                 findings.extend(numerics::too_much(&modes, window));
             }
             // a finer mesh may have no equilibrium that is found from this one: then nothing is said of it
-            mesh = numerics::halved(file, parts, &rest, t).ok();
+            mesh = numerics::halved(&file, parts, &rest, t).ok();
             findings
                 .extend(mesh.as_ref().and_then(|m| numerics::too_coarse(m, parts.rod.segments(), finest)));
         }

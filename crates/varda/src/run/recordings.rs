@@ -7,7 +7,7 @@ use varda_assimilation::{Iteration, highest_j_of_a_fit};
 use varda_implicit::Model;
 
 use super::mesh::{self, Finest};
-use super::window::{Ended, Listener, described, row};
+use super::window::{Ended, Listener, described, row, seconds_so_far};
 use crate::Error;
 use crate::outcome::{
     ConvergenceRow, Estimated, JointOutcome, Judgement, Outcome, Seconds, Share, Status, Verdict, WorkCounts,
@@ -99,17 +99,8 @@ fn minimized(all: &Recordings, listener: &mut Listener) -> Result<JointOutcome, 
     let solution = joint(&scene.algorithm, posterior, parts, &mut on_iteration)?;
     let logs: Vec<_> = timed.iter().map(|model| model.log().clone()).collect();
     drop(timed);
-    let minimizer = convergence.last().map_or(0.0, |row| row.seconds);
-    let solved = began.elapsed().as_secs_f64();
-    let seconds = Seconds {
-        set_up: began.duration_since(listener.started).as_secs_f64(),
-        minimizer,
-        posterior: solved - minimizer,
-        forward: clock.forward(),
-        adjoint: clock.adjoint(),
-        tangent: clock.tangent(),
-        ..Seconds::default()
-    };
+    let seconds = seconds_so_far([listener.started, began], &convergence, &clock);
+    let described_from = Instant::now();
     let JointSolution { minimum, parts, shared, spread, no_spread, counts } = solution;
     let status = Status::from(minimum.status);
     let late = late && status == Status::Interrupted;
@@ -173,7 +164,7 @@ fn minimized(all: &Recordings, listener: &mut Listener) -> Result<JointOutcome, 
         iterations: [minimum.outer_iterations, minimum.inner_iterations],
         convergence,
         counts,
-        seconds: Seconds { diagnostics: began.elapsed().as_secs_f64() - solved, ..seconds },
+        seconds: Seconds { diagnostics: described_from.elapsed().as_secs_f64(), ..seconds },
         warnings,
     })
 }

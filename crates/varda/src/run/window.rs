@@ -127,18 +127,7 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
         None => solved?,
     };
     let log = timed.log().clone();
-    // The time of the posterior does not belong to the minimization.
-    let minimizer = convergence.last().map_or(0.0, |row| row.seconds);
-    let solved = began.elapsed().as_secs_f64();
-    let seconds = Seconds {
-        set_up: began.duration_since(listener.started).as_secs_f64(),
-        minimizer,
-        posterior: solved - minimizer,
-        forward: clock.forward(),
-        adjoint: clock.adjoint(),
-        tangent: clock.tangent(),
-        ..Seconds::default()
-    };
+    let seconds = seconds_so_far([listener.started, began], &convergence, &clock);
     let refreshed_models = refreshing.as_ref().and_then(Refreshing::refreshed_models);
     if let Some(make_model) = &refreshed_models {
         model = make_model(0);
@@ -413,6 +402,25 @@ fn remarks(
         Status::Converged | Status::MaxIterations | Status::Stalled | Status::Failed => {}
     }
     warnings
+}
+
+/// Seconds of a run that started, and began to minimize, at these times and has its posterior now, whose time
+/// does not belong to the minimization.
+pub(super) fn seconds_so_far(
+    [started, began]: [Instant; 2],
+    convergence: &[ConvergenceRow],
+    clock: &Clock,
+) -> Seconds {
+    let minimizer = convergence.last().map_or(0.0, |row| row.seconds);
+    Seconds {
+        set_up: began.duration_since(started).as_secs_f64(),
+        minimizer,
+        posterior: began.elapsed().as_secs_f64() - minimizer,
+        forward: clock.forward(),
+        adjoint: clock.adjoint(),
+        tangent: clock.tangent(),
+        ..Seconds::default()
+    }
 }
 
 /// The remarks of the model's solver in one line.

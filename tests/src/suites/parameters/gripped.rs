@@ -1,5 +1,6 @@
 //! Six constants of a cable between two grippers, recorded by another program, from half of its markers.
 
+use problems::recordings::{CABLE_CONSTANTS, CABLE_PRIORS};
 use varda::outcome::Verdict;
 use varda::run::{Listener, assimilate};
 use varda::setup::Problem;
@@ -7,39 +8,15 @@ use varda::setup::Problem;
 use crate::row::{Case, Outcome, Rows};
 use crate::suites::gripped_cable::gripped_cable;
 
-/// Names, and the constants that the recording was made with.
-const CONSTANTS: [(&str, f64); 6] = [
-    ("ei", 3e-3),
-    ("gj", 3e-3),
-    ("damping_stiffness", 0.02),
-    ("damping_mass", 0.7),
-    ("natural_curvature[0]", 2.0),
-    ("natural_curvature[1]", 0.0),
-];
-
-/// Priors 30 to 50 % off.
-const PRIORS: [&str; 10] = [
-    "time.window=150",
-    "model.section.ei=[4.2e-3,4.2e-3]",
-    "model.section.gj=2e-3",
-    "model.damping={stiffness=0.03,mass=1.05}",
-    "model.natural_curvature=[1.2,0.0]",
-    "estimate.ei={sigma=\"40%\",together=true}",
-    "estimate.gj={sigma=\"50%\"}",
-    "estimate.damping_stiffness={sigma=\"50%\"}",
-    "estimate.damping_mass={sigma=\"50%\"}",
-    "estimate.natural_curvature={sigma=0.8}",
-];
-
 pub(super) fn run(rows: &mut Rows) {
     rows.area("gripped cable");
     rows.case("six constants from half of the markers", gripped);
 }
 
 fn gripped(case: &mut Case) -> Outcome {
-    let problem = Problem::from_scene(&gripped_cable(0.0, &PRIORS)?)?;
+    let problem = Problem::from_scene(&gripped_cable(0.0, &CABLE_PRIORS)?)?;
     let ended = assimilate(&problem, &mut Listener::silent())?;
-    for (name, truth) in CONSTANTS {
+    for (name, truth) in CABLE_CONSTANTS {
         let e = ended.estimates.iter().find(|e| e.name == name).ok_or(format!("no estimate of {name}"))?;
         let (sigma, on_mesh) = (e.sigma.ok_or("no σ")?, e.sigma_on_mesh.ok_or("no σ")?);
         case.at_most(
