@@ -169,8 +169,8 @@ const MOST_TESTED: usize = 50;
 const ESCAPE: f64 = 1e4;
 /// A matrix that this share of its largest diagonal entry makes positive definite is taken for semidefinite.
 const SEMIDEFINITE: f64 = 1e-13;
-/// Factors by which two updates in a row must have shrunk for the next to be foretold. Of the steps of the
-/// stiff cases and the shipped rods none then left an update above a twentieth of the tolerance; with a tenth
+/// Factors by which two updates in a row must have shrunk for the next to be predicted. Of the steps of the
+/// stiff cases and two shipped rods none then left an update above a twentieth of the tolerance; with a tenth
 /// and a hundredth, one left 2e4 of it.
 const SHRINKS: [f64; 2] = [0.05, 0.002];
 /// A residual below this many roundings of the unknowns is rounding.

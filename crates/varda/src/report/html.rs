@@ -279,25 +279,34 @@ fn table_section(outcome: &Outcome, s: &Summary) -> String {
         ),
         ("Factorizations, Newton iterations", format!("{}, {}", c.factorizations, c.newton_iterations), ""),
         ("Time", format!("{:.3}", s.seconds.total), "s"),
-        (
-            "of it set-up, minimization, posterior, diagnostics, finer mesh",
-            format!(
-                "{:.3}, {:.3}, {:.3}, {:.3}, {:.3}",
-                s.seconds.set_up,
-                s.seconds.minimizer,
-                s.seconds.posterior,
-                s.seconds.diagnostics,
-                s.seconds.mesh
-            ),
-            "s",
-        ),
-        (
-            "of minimization and posterior: forward, tangent, adjoint",
-            format!("{:.3}, {:.3}, {:.3}", s.seconds.forward, s.seconds.tangent, s.seconds.adjoint),
-            "s",
-        ),
-        ("Peak memory", s.peak_bytes.map_or("–".into(), |b| format!("{:.1}", b as f64 / 1e6)), "MB"),
     ]);
+    // of one of several recordings they are those of all, on the page of all
+    if s.seconds.minimizer > 0.0 {
+        rows.extend([
+            (
+                "of it set-up, minimization, posterior, diagnostics, finer mesh",
+                format!(
+                    "{:.3}, {:.3}, {:.3}, {:.3}, {:.3}",
+                    s.seconds.set_up,
+                    s.seconds.minimizer,
+                    s.seconds.posterior,
+                    s.seconds.diagnostics,
+                    s.seconds.mesh
+                ),
+                "s",
+            ),
+            (
+                "of minimization and posterior: forward, tangent, adjoint",
+                format!("{:.3}, {:.3}, {:.3}", s.seconds.forward, s.seconds.tangent, s.seconds.adjoint),
+                "s",
+            ),
+        ]);
+    }
+    rows.extend([(
+        "Peak memory",
+        s.peak_bytes.map_or("–".into(), |b| format!("{:.1}", b as f64 / 1e6)),
+        "MB",
+    )]);
     numbers(&rows)
 }
 
