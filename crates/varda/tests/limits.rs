@@ -23,13 +23,13 @@ fn assimilated(memory: &str) -> (Vec<String>, Outcome) {
 fn a_memory_limit_changes_no_bit_of_the_analysis_and_is_reported() {
     let (left_out, unlimited) = assimilated("");
     assert!(!left_out.iter().any(|text| text.contains("limits.memory")));
-    let (left_out, limited) = assimilated("11.845 MB");
+    let (left_out, limited) = assimilated("13.845 MB");
     let said = left_out.iter().find(|text| text.contains("limits.memory")).unwrap();
     assert!(said.starts_with("all states but"), "{said}");
     assert_eq!(limited.analysis.analysis, unlimited.analysis.analysis);
     assert_eq!(limited.analysis.value.to_bits(), unlimited.analysis.value.to_bits());
     assert!(limited.counts.model_steps > unlimited.counts.model_steps);
-    let plan = Plan::new(&open("11.845 MB").unwrap()).unwrap();
+    let plan = Plan::new(&open("13.845 MB").unwrap()).unwrap();
     assert!(plan.left_out.iter().any(|text| text.contains("limits.memory")), "{:?}", plan.left_out);
     assert!(plan.bytes < Plan::new(&open("").unwrap()).unwrap().bytes);
 }
@@ -70,14 +70,14 @@ fn a_window_beyond_the_horizon_of_its_gradient_is_flagged() {
 fn an_amount_that_is_none_or_too_small_is_refused() {
     let error = open("plenty").unwrap_err().to_string();
     assert!(error.contains("limits.memory") || error.contains("amount of memory"), "{error}");
-    // All but the window takes 11.8 MB of the program and 44.3 kB, most of it the observed values and the
+    // All but the window takes 13.8 MB of the program and 44.3 kB, most of it the observed values and the
     // table of states; one checkpoint 112 bytes and a linearization 96.
     let error = Plan::new(&open("64 B").unwrap()).unwrap_err().to_string();
     assert!(
         error.contains("this run takes about") && error.contains("more than the limit of 0.1 kB"),
         "{error}"
     );
-    let error = Plan::new(&open("11.8446 MB").unwrap()).unwrap_err().to_string();
+    let error = Plan::new(&open("13.8446 MB").unwrap()).unwrap_err().to_string();
     assert!(error.contains("bytes are too few for this window"), "{error}");
 }
 
@@ -109,6 +109,12 @@ fn a_scene_too_large_for_the_machine_is_refused_with_what_it_needs_and_the_limit
     assert!(Plan::new(&raised).is_ok());
 }
 
+/// How far the memory of a run may be from what was said: 20 %, and 1.5 MB for the pages of the program's own
+/// file, of which the system maps more or fewer from one run to the next.
+fn bound(said: f64) -> f64 {
+    0.2 * said + 1.5e6
+}
+
 /// What `check` says is what a run takes, small ones too.
 #[test]
 fn the_estimate_is_that_of_a_run() {
@@ -132,7 +138,7 @@ fn the_estimate_is_that_of_a_run() {
         let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
         // Only Linux tells.
         let Some(peak) = summary["peak_bytes"].as_f64() else { continue };
-        assert!((peak / planned - 1.0).abs() <= 0.2, "{sets:?}: planned {planned:e}, held {peak:e}");
+        assert!((peak - planned).abs() <= bound(planned), "{sets:?}: planned {planned:e}, held {peak:e}");
     }
     std::fs::remove_dir_all(&folder).unwrap();
 }
@@ -227,6 +233,6 @@ fn an_ensemble_takes_the_memory_that_is_said() {
         let sets = [set.to_string()];
         let said = Plan::new(&SceneFile::open("lorenz96-4denvar", &sets).unwrap()).unwrap().bytes as f64;
         let taken = resident(&["run", "lorenz96-4denvar", "--quiet", "--set", set]);
-        assert!((taken / said - 1.0).abs() <= 0.2, "{set}: {said:e} said, {taken:e} taken");
+        assert!((taken - said).abs() <= bound(said), "{set}: {said:e} said, {taken:e} taken");
     }
 }
