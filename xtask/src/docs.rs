@@ -5,12 +5,12 @@
 //! Afterwards links between .md files are turned into links between pages, and formulas (`` $`…`$ `` and
 //! blocks marked `math`, as GitHub writes them) are marked for KaTeX, which stands beside the pages.
 
-mod browser;
 mod front;
-mod html;
+pub(crate) mod html;
 mod links;
 mod pages;
 
+use crate::browser::{self, Report};
 use crate::{cargo, root, run};
 use std::path::{Path, PathBuf};
 
@@ -59,7 +59,14 @@ fn build() -> Result<PathBuf, String> {
 fn check() -> Result<(), String> {
     let site = build()?;
     let mut faults = links::check(&site)?;
-    faults.extend(browser::check(&site, &browser_pages(&site)?)?);
+    let pages = browser_pages(&site)?;
+    if let Some(report) = browser::look(&site, &pages, include_str!("docs/harness.js"))? {
+        let Report { faults: found, seen, counts } = report;
+        if counts.len() != 2 || counts[0] != 2 * pages.len() || counts[1] == 0 {
+            return Err(format!("the browser looked at {seen} of {} pages in two widths", pages.len()));
+        }
+        faults.extend(found);
+    }
     faults.iter().for_each(|fault| println!("{fault}"));
     if faults.is_empty() { Ok(()) } else { Err(format!("{} faults in the documentation", faults.len())) }
 }

@@ -2,11 +2,13 @@
 #![forbid(unsafe_code)]
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
+mod browser;
 mod compare;
 mod deps;
 mod docs;
 mod lint;
 mod package;
+mod reports;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -28,6 +30,9 @@ cargo xtask docs [--check]
     Documentation of all crates with guides, theory, results and an index page, in target/doc. --check: no
     broken link, and in a browser, where one is installed, no formula that is not rendered and no page
     wider than a telephone.
+cargo xtask reports [VARDA]
+    Pages of results, made by a binary of varda (default: a release build), in a browser where one is
+    installed: everything drawn, turning, playing, with names and keyboard, at two widths.
 cargo xtask compare OLD NEW [SCENE…]
     The shipped scenes by two binaries of varda, number by number. --help: the rules and options.
 cargo xtask lint
@@ -50,6 +55,7 @@ fn main() -> ExitCode {
         ["verify", rest @ ..] => release("tests", rest),
         ["bench", rest @ ..] => release("bench", rest),
         ["docs", rest @ ..] => docs::command(rest),
+        ["reports", rest @ ..] => reports::check(rest),
         ["compare", rest @ ..] => compare::run(rest),
         ["lint"] => lint::check(),
         ["deps"] => deps::check(),
@@ -78,6 +84,14 @@ fn release(package: &str, arguments: &[&str]) -> Result<(), String> {
     let target = ["--release", "--package", package, "--bin", package, "--manifest-path"];
     run(cargo().arg("build").args(target).arg(&manifest))?;
     run(cargo().args(["run", "--quiet"]).args(target).arg(&manifest).arg("--").args(arguments))
+}
+
+/// A release build of a package's binary.
+fn release_binary(package: &str) -> Result<PathBuf, String> {
+    let manifest = root().join("Cargo.toml");
+    run(cargo().args(["build", "--release", "--package", package, "--manifest-path"]).arg(&manifest))?;
+    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from);
+    Ok(target.join("release").join(package))
 }
 
 /// The workspace's top folder.

@@ -2,7 +2,7 @@
 
 use super::clock::Timing;
 use super::{Cell, Options, Page, Result, Table};
-use varda::report::plot::{Corner, Panel, Series, Style};
+use varda::report::chart::{Corner, Panel, Series, Style};
 use varda::run::compare::{Compared, compare, lowest};
 use varda::scene::SceneFile;
 

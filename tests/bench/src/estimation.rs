@@ -6,7 +6,7 @@ use crate::cells;
 use problems::recordings::{CABLE_CONSTANTS, CABLE_PRIORS, Wire, gripped_cable, gripped_cable_folder};
 use std::path::PathBuf;
 use varda::outcome::{Estimated, Outcome};
-use varda::report::plot::{Corner, Panel, Series, Style};
+use varda::report::chart::{Corner, Panel, Series, Style};
 use varda::run::{Listener, assimilate};
 use varda::scene::{STARTER, SceneFile};
 use varda::setup::Problem;

@@ -7,7 +7,7 @@ use problems::rods::{HangingRod, wave};
 use problems::small_problems::lorenz96_window;
 use problems::small_problems::{all_of, dot, long_lorenz63, observation};
 use std::f64::consts::TAU;
-use varda::report::plot::{Corner, Panel, Series, Style};
+use varda::report::chart::{Corner, Panel, Series, Style};
 use varda_assimilation::{ControlTransform, CostFunction, LeastSquares, ObservationSet, StrongConstraint};
 use varda_covariance::{Covariance, Diagonal};
 use varda_implicit::line::{Ends, Line, Transport};

@@ -3,7 +3,7 @@
 use super::machine;
 use std::fmt::Write;
 use std::path::Path;
-use varda::report::plot::{Figure, Panel};
+use varda::report::chart::{Figure, Panel};
 
 /// The result of one benchmark.
 #[derive(Default)]

@@ -8,7 +8,7 @@ use crate::cells;
 use problems::allocations::heap;
 use problems::long_rod::{self, slope};
 use problems::rods::DrivenRod;
-use varda::report::plot::{Corner, Panel, Series, Style};
+use varda::report::chart::{Corner, Panel, Series, Style};
 use varda::run::{Listener, assimilate};
 use varda::scene::SceneFile;
 use varda::setup::{Plan, Problem};

@@ -5,7 +5,7 @@ use super::{Options, Page, Result, Table};
 use crate::cells;
 use problems::statics::{Catenary, Kirchhoff, Section as End, elastica};
 use std::sync::Arc;
-use varda::report::plot::{Corner, Panel, Series, Style};
+use varda::report::chart::{Corner, Panel, Series, Style};
 use varda_rod::{Clamp, ClampAt, Found, Loads, Rod, Search, Section, Supports, Vector3, rest};
 
 type V = Vector3<f64>;

@@ -7,7 +7,7 @@ use problems::rods::DrivenRod;
 use std::cell::RefCell;
 use std::f64::consts::TAU;
 use std::rc::Rc;
-use varda::report::plot::{Corner, Panel, Series, Style};
+use varda::report::chart::{Corner, Panel, Series, Style};
 use varda_implicit::lorenz::Lorenz63;
 use varda_implicit::{
     Adaptive, Counts, Equations, ImplicitModel, ImplicitStep, Interval, Log, Model, OneLeg, Rhs, Rk4, Scheme,

@@ -147,6 +147,7 @@ mod tests {
             attempt,
             attempts: 9,
             rmse: Vec::new(),
+            constants: Vec::new(),
             sigma_factor: 1.0,
             hessian: None,
             window: 100,

@@ -30,6 +30,8 @@ pub struct ConvergenceRow {
     pub attempts: usize,
     /// RMSE of the initial state for each group of the state; empty where the truth is not known.
     pub rmse: Vec<f64>,
+    /// The numbers of the control that stand for estimated constants.
+    pub constants: Vec<f64>,
     /// The factor on σ of the observations at this stage.
     pub sigma_factor: f64,
     /// Steps of the sub-window; J is that of its observations.

@@ -1,6 +1,7 @@
 //! Results as plain data: what a run found, and all that a report needs of it.
 
 mod convergence;
+mod covariances;
 mod cycles;
 mod estimates;
 mod evidence;
@@ -20,6 +21,7 @@ mod verdict;
 mod window;
 
 pub use convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
+pub use covariances::CovarianceBlock;
 pub use cycles::{CycleDepartures, CycleRow, CyclesOutcome, Means};
 pub use estimates::{Estimated, IDENTIFIABLE, remarks as remarks_on_estimates};
 pub use evidence::{Cause, Evidence};

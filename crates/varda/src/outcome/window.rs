@@ -8,6 +8,7 @@ use varda_assimilation::Analysis;
 use varda_implicit::check::Amplification;
 
 use super::convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
+use super::covariances::CovarianceBlock;
 use super::estimates::Estimated;
 use super::evidence::Evidence;
 use super::exact_hessian::ExactHessian;
@@ -73,6 +74,8 @@ pub struct Outcome {
     pub analysis: Analysis,
     /// Whether σ_a was computed.
     pub has_posterior: bool,
+    /// Blocks of B and P_a to be looked at; empty without a posterior, or where they would take long.
+    pub covariances: Vec<CovarianceBlock>,
     /// Where one more observation would help most; `None` without a posterior, or where it would take long.
     pub next_observation: Option<NextObservation>,
     /// What the uncertainty of some numbers of the run comes from.

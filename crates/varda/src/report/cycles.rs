@@ -9,9 +9,13 @@ use crate::Error;
 use crate::outcome::{CycleRow, CyclesOutcome, Status};
 use crate::state::StateGroup;
 
+use super::chart::{Corner, Figure, Panel, Series, Style};
 use super::folder::ResultFolder;
-use super::html::{document, error_name, escape, list, numbers, short, status_words, tile_list, verdict};
-use super::plot::{Corner, Figure, Panel, Series, Style};
+use super::html::{
+    error_name, escape, folded_numbers, list, scene_section, short, status_words, tile_list, verdict,
+};
+use super::page::Page;
+use super::page::rod::RodView;
 use super::summary::{WindowAmplification, peak_bytes};
 use super::tables::{self, number, optional};
 
@@ -22,14 +26,12 @@ use super::tables::{self, number, optional};
 /// [`Error::Occupied`], [`Error::Write`], [`Error::Plot`].
 pub fn write_cycles(outcome: &CyclesOutcome, folder: &Path) -> Result<PathBuf, Error> {
     let out = ResultFolder::begin(folder)?;
-    let mut drawn = Vec::new();
-    for figure in figures(outcome) {
-        let svg = figure.svg()?;
-        out.write(&format!("figures/{}.svg", figure.name), &svg)?;
-        drawn.push((figure.title, svg));
+    let figures = figures(outcome);
+    for figure in &figures {
+        out.write(&format!("figures/{}.svg", figure.name), &figure.svg()?)?;
     }
     let summary = summary_of_cycles(outcome);
-    out.write("report.html", &page(outcome, &drawn))?;
+    out.write("report.html", &page(outcome, figures))?;
     out.write("summary.json", &format!("{summary:#}\n"))?;
     out.write("cycles.csv", &rows(outcome))?;
     out.write("analysis.csv", &analysis(outcome))?;
@@ -244,12 +246,13 @@ fn figures(outcome: &CyclesOutcome) -> Vec<Figure> {
     figures
 }
 
-fn page(outcome: &CyclesOutcome, figures: &[(String, String)]) -> String {
+fn page(outcome: &CyclesOutcome, figures: Vec<Figure>) -> String {
     let experiment = &outcome.experiment;
     let scene = &experiment.scene;
     let title = if scene.title.is_empty() { &experiment.name } else { &scene.title };
     let (done, asked) = (outcome.cycles.len(), outcome.asked_for);
-    let mut body = format!(
+    let mut page = Page::new(title);
+    page.push(&format!(
         "<header><h1>{}</h1><p class=\"sub\">scene <code>{}</code> · seed {} · {} by {}, {done} of {asked} \
          cycles, B {} · <span class=\"status {}\">{}</span></p></header>",
         escape(title),
@@ -260,37 +263,36 @@ fn page(outcome: &CyclesOutcome, figures: &[(String, String)]) -> String {
         outcome.covariance,
         outcome.status.name(),
         status_words(outcome.status),
-    );
-    body.push_str(&verdict(&outcome.judgement));
-    body.push_str(&tiles(outcome));
+    ));
+    page.push(&verdict(&outcome.judgement));
+    page.push(&tiles(outcome));
     if !outcome.warnings.is_empty() {
-        let _ = write!(
-            body,
-            "<section class=\"notes\"><h2>What to know</h2>{}</section>",
-            list(&outcome.warnings)
+        let notes = list(&outcome.warnings);
+        page.push(&format!("<section class=\"notes\"><h2>What to know</h2>{notes}</section>"));
+    }
+    let view = outcome
+        .shapes
+        .as_ref()
+        .zip(experiment.state.geometry.as_ref())
+        .and_then(|(shapes, geometry)| RodView::of_runs(shapes, geometry, &experiment.grid));
+    if let Some(view) = view {
+        page.rod(
+            view,
+            "The rod through the whole sequence. Drag to turn it, scroll to zoom; with the keyboard: arrow keys, \
+             plus and minus, Home, and the space bar to play. x is red, y green, z blue.",
+            "",
         );
     }
-    for (title, svg) in figures {
-        let _ = write!(
-            body,
-            "<figure><div class=\"scroll\">{svg}</div><figcaption>{}</figcaption></figure>",
-            escape(title)
-        );
-    }
-    body.push_str(&in_numbers(outcome));
-    let toml = toml::to_string(scene).unwrap_or_default();
-    let _ = write!(
-        body,
-        "<section><h2>What was left out</h2>{}</section>\
-         <section><h2>The scene as it was run</h2><details><summary>TOML, overrides and defaults \
-         included</summary><pre>{}</pre></details></section>\
-         <footer><p>Made by Varda {}. Files beside this page: summary.json, cycles.csv, analysis.csv (last \
+    figures.into_iter().for_each(|figure| page.figure(figure));
+    page.push(&format!("<section><h2>What was left out</h2>{}</section>", list(&experiment.left_out)));
+    page.push(&in_numbers(outcome));
+    page.push(&scene_section(scene));
+    page.push(&format!(
+        "<footer><p>Made by Varda {}. Files beside this page: summary.json, cycles.csv, analysis.csv (last \
          window), trajectory.csv (whole sequence), figures/.</p></footer>",
-        list(&experiment.left_out),
-        escape(&toml),
         env!("CARGO_PKG_VERSION"),
-    );
-    document(title, &body)
+    ));
+    page.finish()
 }
 
 fn tiles(outcome: &CyclesOutcome) -> String {
@@ -356,7 +358,7 @@ fn in_numbers(outcome: &CyclesOutcome) -> String {
         ("Time, a cycle of it", format!("{:.3}, {}", outcome.seconds, shown(means.seconds)), "s"),
         ("Peak memory", peak_bytes().map_or("–".into(), |b| format!("{:.1}", b as f64 / 1e6)), "MB"),
     ]);
-    numbers(&rows)
+    folded_numbers(&rows)
 }
 
 /// Names of the RMSE and of the spread of a group.

@@ -1,30 +1,25 @@
-//! report.html: one file, readable offline, on a phone and on paper.
+//! The page of a run: its order, tiles, tables and words.
 
 use std::fmt::Write;
 
 use crate::outcome::{ConvergenceRow, Fit, Forecast, Judgement, KnownConstants, Outcome, Status, Withheld};
 use crate::state::{StateGroup, StateLayout};
 
-use super::Summary;
+use super::chart::Figure;
+use super::page::Page;
+use super::page::rod::RodView;
+use super::{Summary, estimates, figures, sources};
+use crate::scene::Scene;
 
-/// A drawn figure: name, title, SVG text.
-pub(super) type DrawnFigure = (&'static str, String, String);
-
-/// The page, with a section of estimates.
-pub(super) fn page(
-    outcome: &Outcome,
-    summary: &Summary,
-    figures: &[DrawnFigure],
-    sections: [&str; 2],
-) -> String {
+/// The page of a run. `figures` are its charts but those of single markers, `picture` the rod as SVG.
+pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: Vec<Figure>, picture: &str) -> String {
     let experiment = &outcome.experiment;
     let title = match experiment.scene.title.as_str() {
         "" => experiment.name.as_str(),
         title => title,
     };
-    let mut body = String::new();
-    let _ = write!(
-        body,
+    let mut page = Page::new(title);
+    page.push(&format!(
         "<header><h1>{}</h1><p class=\"sub\">scene <code>{}</code> · seed {} · {} by {} · <span \
          class=\"status {}\">{}</span></p></header>",
         escape(title),
@@ -34,39 +29,50 @@ pub(super) fn page(
         summary.minimizer,
         summary.status,
         status_words(outcome.status),
-    );
-    body.push_str(&verdict(&outcome.judgement));
-    body.push_str(&tiles(summary, &experiment.state));
+    ));
+    page.push(&verdict(&outcome.judgement));
+    page.push(&tiles(summary, &experiment.state));
     if !summary.warnings.is_empty() {
-        let _ = write!(
-            body,
-            "<section class=\"notes\"><h2>What to know</h2>{}</section>",
-            list(&summary.warnings)
-        );
+        let notes = list(&summary.warnings);
+        page.push(&format!("<section class=\"notes\"><h2>What to know</h2>{notes}</section>"));
     }
-    let [estimates, sources] = sections;
-    body.push_str(estimates);
-    body.push_str(&table_section(outcome, summary));
-    for (_, title, svg) in figures {
-        let _ = write!(
-            body,
-            "<figure><div class=\"scroll\">{svg}</div><figcaption>{}</figcaption></figure>",
-            escape(title)
-        );
+    let mut figures: Vec<Option<Figure>> = figures.into_iter().map(Some).collect();
+    let mut show = |page: &mut Page, names: &[&str]| {
+        for name in names {
+            let of_name = figures.iter_mut().find(|f| f.as_ref().is_some_and(|f| f.name == *name));
+            if let Some(figure) = of_name.and_then(Option::take) {
+                page.figure(figure);
+            }
+        }
+    };
+    if let Some(view) = RodView::of_outcome(outcome) {
+        page.rod(view, &rod_caption(outcome), picture);
     }
-    body.push_str(&fit_section(outcome, summary));
-    body.push_str(sources);
-    let scene = toml::to_string(&experiment.scene).unwrap_or_default();
-    let _ = write!(
-        body,
-        "<section><h2>What was left out</h2><p>Not needed by this scene, and not computed:</p>{}</section>\
-         {}<section><h2>The scene as it was run</h2><details><summary>TOML, overrides and defaults \
-         included</summary><pre>{}</pre></details></section>\
-         <footer><p>Made by Varda {}. Files beside this page: summary.json, analysis.csv, trajectory.csv, \
+    show(&mut page, &["field", "components"]);
+    let markers = figures::markers(outcome);
+    if !markers.is_empty() {
+        page.one_of("Against time:", markers);
+    }
+    show(&mut page, &["departures"]);
+    page.push(&fit_section(outcome, summary));
+    page.push(&estimates::section(&outcome.estimates));
+    show(&mut page, &["fields", "constants", "convergence", "spread"]);
+    let covariances = figures::covariances(outcome);
+    if !covariances.is_empty() {
+        page.one_of("Covariance of", covariances);
+    }
+    show(&mut page, &["information", "next-marker"]);
+    page.push(&sources::section(&outcome.sources));
+    page.push(&format!(
+        "<section><h2>What was left out</h2><p>Not needed by this scene, and not computed:</p>{}</section>",
+        list(&summary.left_out)
+    ));
+    page.push(&table_section(outcome, summary));
+    page.push(&convergence_section(outcome));
+    page.push(&scene_section(&experiment.scene));
+    page.push(&format!(
+        "<footer><p>Made by Varda {}. Files beside this page: summary.json, analysis.csv, trajectory.csv, \
          observations.csv, {}figures/{}.</p></footer>",
-        list(&summary.left_out),
-        convergence_section(outcome),
-        escape(&scene),
         summary.version,
         if outcome.convergence.is_empty() { "" } else { "convergence.csv, " },
         if experiment.state.geometry.is_some() {
@@ -74,8 +80,34 @@ pub(super) fn page(
         } else {
             ""
         },
-    );
-    document(title, &body)
+    ));
+    page.finish()
+}
+
+/// What is shown of the rod, and how it is turned.
+fn rod_caption(outcome: &Outcome) -> String {
+    let sigma = if outcome.sigma_states.is_empty() { "" } else { " with ±2σ around it" };
+    let forecast = match outcome.experiment.grid.forecast {
+        0 => String::new(),
+        _ => format!(
+            "; after {} s it is a forecast",
+            short(outcome.experiment.grid.time(outcome.experiment.grid.steps))
+        ),
+    };
+    format!(
+        "The rod through time, the analysis{sigma}{forecast}. Drag to turn it, scroll to zoom; with the keyboard: \
+         arrow keys, plus and minus, Home, and the space bar to play. x is red, y green, z blue."
+    )
+}
+
+/// The scene as it was run, folded.
+pub(super) fn scene_section(scene: &Scene) -> String {
+    let text = toml::to_string(scene).unwrap_or_default();
+    format!(
+        "<section><h2>The scene as it was run</h2><details><summary>TOML, overrides and defaults \
+         included</summary><pre>{}</pre></details></section>",
+        escape(&text)
+    )
 }
 
 /// The verdict in words, first on a page.
@@ -85,17 +117,6 @@ pub(super) fn verdict(judgement: &Judgement) -> String {
         judgement.verdict.name(),
         judgement.verdict.heading(),
         escape(&judgement.text)
-    )
-}
-
-/// A whole page.
-pub(super) fn document(title: &str, body: &str) -> String {
-    format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{} – \
-         Varda</title>\n<style>\n{STYLE}</style>\n</head>\n\
-         <body>\n<main>{body}</main>\n</body>\n</html>\n",
-        escape(title)
     )
 }
 
@@ -307,7 +328,7 @@ fn table_section(outcome: &Outcome, s: &Summary) -> String {
         s.peak_bytes.map_or("–".into(), |b| format!("{:.1}", b as f64 / 1e6)),
         "MB",
     )]);
-    numbers(&rows)
+    folded_numbers(&rows)
 }
 
 fn rmse_label(group: &StateGroup) -> String {
@@ -317,13 +338,17 @@ fn rmse_label(group: &StateGroup) -> String {
     }
 }
 
-/// A table of quantities, their values and units.
-pub(super) fn numbers(rows: &[(&str, String, &str)]) -> String {
+/// A table of quantities, their values and units, folded.
+pub(super) fn folded_numbers(rows: &[(&str, String, &str)]) -> String {
     let row = |(name, value, unit): &(&str, String, &str)| {
         format!("<tr><th scope=\"row\">{}</th><td>{}</td><td>{unit}</td></tr>", escape(name), escape(value))
     };
     let rows: String = rows.iter().map(row).collect();
-    format!("<section><h2>In numbers</h2>{}</section>", table(&["Quantity", "Value", "Unit"], &rows))
+    format!(
+        "<section><h2>In numbers</h2><details><summary>Sizes, cost, work, seconds, memory</summary>{}</details>\
+         </section>",
+        table(&["Quantity", "Value", "Unit"], &rows)
+    )
 }
 
 fn fit_section(outcome: &Outcome, s: &Summary) -> String {
@@ -493,8 +518,6 @@ pub(super) fn escape(text: &str) -> String {
     }
     out
 }
-
-const STYLE: &str = include_str!("style.css");
 
 #[cfg(test)]
 mod tests {

@@ -1,5 +1,6 @@
 //! Reports of results: summary.json, CSV files, figures and report.html.
 
+pub mod chart;
 pub mod checkpoint;
 mod cycles;
 mod estimates;
@@ -8,10 +9,11 @@ pub mod folder;
 mod forces;
 mod html;
 mod modes;
-pub mod plot;
+mod page;
 mod recordings;
 mod sources;
 mod summary;
+mod svg;
 mod tables;
 
 pub use cycles::{summary_of_cycles, write_cycles};
@@ -41,22 +43,17 @@ pub fn write(outcome: &Outcome, folder: &Path) -> Result<PathBuf, Error> {
 fn write_one(out: &ResultFolder, at: &str, outcome: &Outcome) -> Result<(), Error> {
     let write = |name: &str, text: &str| out.write(&format!("{at}{name}"), text);
     let summary = Summary::new(outcome);
-    let mut drawn = Vec::new();
-    for figure in figures::all(outcome) {
+    let figures = figures::all(outcome);
+    let mut rod = String::new();
+    for figure in figures.iter().chain(figures::covariances(outcome).iter().map(|(_, figure)| figure)) {
         let svg = figure.svg()?;
         write(&format!("figures/{}.svg", figure.name), &svg)?;
-        drawn.push((figure.name, figure.title, svg));
+        if figure.name == "snapshots" {
+            rod = svg;
+        }
     }
     let experiment = &outcome.experiment;
-    write(
-        "report.html",
-        &html::page(
-            outcome,
-            &summary,
-            &drawn,
-            [&estimates::section(&outcome.estimates), &sources::section(&outcome.sources)],
-        ),
-    )?;
+    write("report.html", &html::page(outcome, &summary, figures, &rod))?;
     write("analysis.csv", &tables::analysis(outcome))?;
     if !outcome.convergence.is_empty() {
         write("convergence.csv", &tables::convergence(&outcome.convergence))?;

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::folder::ResultFolder;
-use super::html::{document, escape, list, short, status_words, table, verdict};
+use super::html::{escape, list, scene_section, short, status_words, table, verdict};
+use super::page::Page;
 use super::summary::peak_bytes;
 use super::{Summary, estimates, tables, write_one};
 use crate::Error;
@@ -173,16 +174,16 @@ fn page(outcome: &JointOutcome, summary: &JointSummary) -> String {
         table(&["part of J", "is", "to expect"], &outcome.shares.iter().map(share).collect::<String>()),
     );
     outcome.recordings.iter().for_each(|one| body.push_str(&section(one)));
-    let scene = toml::to_string(&outcome.scene).unwrap_or_default();
+    body.push_str(&scene_section(&outcome.scene));
     let _ = write!(
         body,
-        "<section><h2>The scene as it was run</h2><details><summary>TOML, overrides and defaults \
-         included</summary><pre>{}</pre></details></section><footer><p>Made by Varda {}. Files beside this \
-         page: summary.json, estimates.csv, convergence.csv, and a folder for each recording.</p></footer>",
-        escape(&scene),
+        "<footer><p>Made by Varda {}. Files beside this page: summary.json, estimates.csv, convergence.csv, \
+         and a folder for each recording.</p></footer>",
         summary.version,
     );
-    document(title, &body)
+    let mut page = Page::new(title);
+    page.push(&body);
+    page.finish()
 }
 
 /// One recording: its verdict, how well it is fitted, and where its own page is.

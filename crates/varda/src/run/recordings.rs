@@ -85,7 +85,7 @@ fn minimized(all: &Recordings, listener: &mut Listener) -> Result<JointOutcome, 
     }
     let mut on_iteration = |iteration: &Iteration| {
         let before = (0, WorkCounts::default());
-        let row = row(&Iterate { iteration, control: &[], window, before }, began, Vec::new());
+        let row = row(&Iterate { iteration, control: &[], window, before }, began, Vec::new(), 0);
         (listener.on_iteration)(&row);
         convergence.push(row);
         late = late || scene.limits.over(listener.started.elapsed());

@@ -13,8 +13,8 @@ use super::interrupted::{Asked, Lowest};
 use super::second_minimum::Second;
 use super::verdict::{self, Judged};
 use super::{
-    amplification, between_steps, departures, estimates, fit, model_errors, second_minimum, shapes, shares,
-    spread,
+    amplification, between_steps, covariances, departures, estimates, fit, model_errors, second_minimum,
+    shapes, shares, spread,
 };
 use crate::Error;
 use crate::outcome::{
@@ -85,7 +85,7 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
         }
         lowest.add(r);
         asked.begin();
-        let row = row(r, began, errors(r.control).unwrap_or_default());
+        let row = row(r, began, errors(r.control).unwrap_or_default(), layout.constants.len());
         (listener.on_iteration)(&row);
         convergence.push(row);
         late = late || scene.limits.over(listener.started.elapsed());
@@ -178,8 +178,9 @@ pub(super) struct Ended {
     pub(super) is_one_of_several: bool,
 }
 
-/// An iterate as a row of the convergence table of a run that began then.
-pub(super) fn row(r: &Iterate, began: Instant, rmse: Vec<f64>) -> ConvergenceRow {
+/// An iterate as a row of the convergence table of a run that began then; so many numbers at the end of the
+/// control are constants.
+pub(super) fn row(r: &Iterate, began: Instant, rmse: Vec<f64>, constants: usize) -> ConvergenceRow {
     let i = r.iteration;
     ConvergenceRow {
         iteration: r.before.0 + i.index,
@@ -193,6 +194,7 @@ pub(super) fn row(r: &Iterate, began: Instant, rmse: Vec<f64>) -> ConvergenceRow
         attempt: i.attempt,
         attempts: i.attempts,
         rmse,
+        constants: r.control[r.control.len() - constants..].to_vec(),
         sigma_factor: i.observation_scale,
         hessian: i.hessian.map(|h| h.name()),
         window: r.window,
@@ -307,6 +309,7 @@ pub(super) fn described(problem: &Problem, ended: Ended, listener: &Listener) ->
         failure,
         has_posterior: solution.spread.is_some(),
         exact_hessian: solution.exact_hessian,
+        covariances: covariances::covariances(layout, problem.covariance.as_ref(), posterior),
         truth,
         j_background,
         gradient_norms: [solution.minimum.gradient_norm_first, solution.minimum.gradient_norm],

@@ -1,5 +1,11 @@
 //! Which figures a run draws.
 
+mod images;
+mod observed;
+
+pub(super) use images::covariances;
+pub(super) use observed::markers;
+
 use crate::outcome::{
     ConvergenceRow, Estimated, NextObservation, Outcome, Shapes, Sight, Track, Trajectories,
 };
@@ -7,29 +13,77 @@ use crate::run::compare::{Compared, lowest};
 use crate::scene::TimeGrid;
 use crate::state::{Geometry, StateGroup};
 
-use super::plot::{Corner, Figure, Panel, Series, Style};
+use super::chart::{Band, Corner, Figure, Panel, Series, Style};
 
-/// All figures of a run, in the order of the report.
+/// All figures of a run but those of every marker and of covariances.
 pub(super) fn all(outcome: &Outcome) -> Vec<Figure> {
-    // one of several recordings has no iterations of its own
-    let mut figures: Vec<Figure> =
-        (!outcome.convergence.is_empty()).then(|| convergence(outcome)).into_iter().collect();
-    figures.extend(fields(&outcome.estimates));
+    let mut figures = Vec::new();
+    let grid = &outcome.experiment.grid;
     match &outcome.shapes {
         Some(shapes) => {
             figures.push(snapshots(shapes, outcome));
-            let grid = &outcome.experiment.grid;
             let track = shapes.track.as_ref().filter(|_| grid.last_step() > 0);
             figures.extend(track.map(|track| tracks(track, shapes, grid)));
         }
-        None => figures.push(components(outcome)),
+        None => {
+            figures.extend(images::field(outcome));
+            figures.push(components(outcome));
+        }
+    }
+    figures.extend(observed::departures(outcome));
+    figures.extend(fields(&outcome.estimates));
+    figures.extend(constants(outcome));
+    // one of several recordings has no iterations of its own
+    if !outcome.convergence.is_empty() {
+        figures.push(convergence(outcome));
     }
     let known = outcome.experiment.scene.background.covariance.is_of_known_state();
     if outcome.has_posterior && !known {
         figures.push(spread(outcome));
     }
+    figures.extend(observed::information(outcome));
     figures.extend(outcome.next_observation.as_ref().and_then(next_observation));
     figures
+}
+
+/// Constants that are estimated against iterations, as their distance from the prior in σ of the prior.
+fn constants(outcome: &Outcome) -> Option<Figure> {
+    let (rows, estimates) = (&outcome.convergence, &outcome.estimates);
+    let first = outcome.experiment.state.len() - outcome.experiment.state.constants.len();
+    let prior = |i: usize| {
+        Some((
+            *outcome.analysis.background.get(first + i)?,
+            *outcome.analysis.sigma_background.get(first + i)?,
+        ))
+    };
+    let followed = |i: &usize| !estimates[*i].is_of_field() && prior(*i).is_some_and(|(_, s)| s > 0.0);
+    let shown: Vec<usize> = (0..estimates.len()).filter(followed).collect();
+    let line = |(colour, i): (usize, &usize)| {
+        let e = &estimates[*i];
+        let at = |r: &ConvergenceRow| {
+            let (background, sigma) = prior(*i)?;
+            Some((r.iteration as f64, (r.constants.get(*i)? - background) / sigma))
+        };
+        Series {
+            label: e.name.clone(),
+            style: Style::Line(colour),
+            points: rows.iter().filter_map(at).collect(),
+        }
+    };
+    let series: Vec<Series> = shown.iter().enumerate().map(line).filter(|s| s.points.len() > 1).collect();
+    (!series.is_empty()).then(|| Figure {
+        name: "constants",
+        title: "Estimated constants against iterations: distance from the prior, in σ of the prior".into(),
+        panels: vec![Panel {
+            x_label: "outer iterations".into(),
+            y_label: "(value − prior)/σ of the prior".into(),
+            legend: Some(Corner::Top),
+            series,
+            ..Panel::default()
+        }],
+        columns: 1,
+        panel_size: (760, 300),
+    })
 }
 
 /// Error against seconds, of every method that got under way.
@@ -127,9 +181,9 @@ fn names<T>(runs: &[(Style, &'static str, T)]) -> String {
 /// How a run is drawn, its name, and its points.
 type DrawnRun<Point> = (Style, &'static str, Vec<Point>);
 
-/// Snapshots of a rod, seen from the side: the vertical against the horizontal in which it extends most.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
+/// Snapshots of a rod, seen from the side: the vertical against the horizontal in which it extends most.
 fn snapshots(shapes: &Shapes, outcome: &Outcome) -> Figure {
     let grid = &outcome.experiment.grid;
     let count = outcome.experiment.scene.report.snapshots.min(grid.steps + 1);
@@ -264,6 +318,15 @@ fn components(outcome: &Outcome) -> Figure {
             points: values(all, states, c, grid),
         };
         let mut series: Vec<Series> = runs.iter().map(line).collect();
+        let band = |(k, x): (usize, &[f64])| {
+            let two = 2.0 * all.state(&outcome.sigma_states, k)?[c];
+            Some((grid.time(k), x[c] - two, x[c] + two))
+        };
+        let band: Vec<_> = all.analysis.chunks_exact(all.dim).enumerate().filter_map(band).collect();
+        let bands = match band.is_empty() {
+            true => Vec::new(),
+            false => vec![Band { label: "analysis ± 2σ".into(), style: Style::Analysis, points: band }],
+        };
         let seen = outcome.seen.iter().filter(|s| s.component == c);
         let points: Vec<(f64, f64)> = seen.map(|s| (s.time, s.value)).collect();
         if !points.is_empty() {
@@ -273,6 +336,7 @@ fn components(outcome: &Outcome) -> Figure {
             x_label: "time".into(),
             y_label: names_of[c].clone(),
             legend: (i == 0).then_some(Corner::Top),
+            bands,
             series,
             ..Panel::default()
         }

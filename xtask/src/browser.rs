@@ -1,8 +1,5 @@
-//! The pages in a headless browser: formulas rendered, pictures there, nothing wider than the window, text
-//! large enough.
-//!
-//! The pages are served on a port of this machine; a page of ours opens each in a frame of two widths, looks,
-//! and sends back what it found. No other program is needed than the browser.
+//! Pages in a headless browser: they are served on a port of this machine; a page of ours, the harness, opens
+//! each in a frame, looks, and sends back what it found. No other program is needed than the browser.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -16,40 +13,54 @@ const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "chro
 /// The longest that all pages may take.
 const PATIENCE: Duration = Duration::from_secs(240);
 
-/// What is wrong with pages as a reader sees them; without a browser nothing, and a word about it.
-pub(crate) fn check(site: &Path, pages: &[String]) -> Result<Vec<String>, String> {
+/// What the harness sends back of the pages of a folder: a line for each fault, and a last line with what was
+/// looked at. Without a browser nothing, and a word about it.
+///
+/// The harness is a script that finds the names of the pages in `pages`.
+pub(crate) fn look(site: &Path, pages: &[String], harness: &str) -> Result<Option<Report>, String> {
     let listener = TcpListener::bind("127.0.0.1:0").map_err(|e| format!("no port to serve pages on: {e}"))?;
     let port = listener.local_addr().map_err(|e| e.to_string())?.port();
-    let profile = std::env::temp_dir().join(format!("varda-docs-{}", std::process::id()));
+    let profile = std::env::temp_dir().join(format!("varda-pages-{}", std::process::id()));
     let Some(mut browser) = start(&format!("http://127.0.0.1:{port}/check"), &profile)? else {
         println!(
             "skipped: no browser ({}) is installed, rendered pages were not looked at",
             NAMES.join(", ")
         );
-        return Ok(Vec::new());
+        return Ok(None);
     };
-    let result = serve(&listener, site, pages);
+    let result = serve(&listener, site, &page_of(pages, harness));
     let _ = browser.kill();
     let _ = browser.wait();
     let _ = std::fs::remove_dir_all(&profile);
-    let report = result?;
-    let mut lines: Vec<String> = report.lines().map(str::to_string).collect();
-    // The last line tells what was seen, so that a harness that saw nothing cannot pass.
-    let seen = lines.pop().unwrap_or_default();
-    let counts: Vec<usize> = seen.split(' ').filter_map(|word| word.parse().ok()).collect();
+    let mut faults: Vec<String> = result?.lines().map(str::to_string).collect();
+    let seen = faults.pop().unwrap_or_default();
     println!("browser: {seen}");
-    if counts.len() != 2 || counts[0] != 2 * pages.len() || counts[1] == 0 {
-        return Err(format!("the browser looked at {seen} of {} pages in two widths", pages.len()));
-    }
-    Ok(lines)
+    let counts = seen.split([' ', ',']).filter_map(|word| word.parse().ok()).collect();
+    Ok(Some(Report { faults, seen, counts }))
+}
+
+/// What a harness found.
+pub(crate) struct Report {
+    pub(crate) faults: Vec<String>,
+    /// What was looked at, in words: a harness that saw nothing cannot pass.
+    pub(crate) seen: String,
+    /// The numbers in it.
+    pub(crate) counts: Vec<usize>,
 }
 
 /// The browser on a page, or none.
 fn start(page: &str, profile: &Path) -> Result<Option<Child>, String> {
     for name in NAMES {
         let mut command = Command::new(name);
-        command.args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"]);
+        command.args([
+            "--headless",
+            "--no-sandbox",
+            "--use-angle=swiftshader",
+            "--disable-quic",
+            "--no-first-run",
+        ]);
         command.args(["--disable-background-networking", "--disable-component-update", "--disable-sync"]);
+        command.arg("--enable-unsafe-swiftshader");
         command.args(["--remote-debugging-port=0", "--window-size=1600,1000"]);
         command.arg(format!("--user-data-dir={}", profile.display())).arg(page);
         match command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn() {
@@ -62,7 +73,7 @@ fn start(page: &str, profile: &Path) -> Result<Option<Child>, String> {
 }
 
 /// Serves files until the harness has sent its report.
-fn serve(listener: &TcpListener, site: &Path, pages: &[String]) -> Result<String, String> {
+fn serve(listener: &TcpListener, site: &Path, harness: &str) -> Result<String, String> {
     listener.set_nonblocking(true).map_err(|e| e.to_string())?;
     let end = Instant::now() + PATIENCE;
     while Instant::now() < end {
@@ -71,7 +82,7 @@ fn serve(listener: &TcpListener, site: &Path, pages: &[String]) -> Result<String
                 let _ = stream.set_nonblocking(false);
                 let _ = stream.set_read_timeout(Some(Duration::from_secs(5)));
                 // After a broken connection the browser asks again, or the report never comes.
-                if let Ok(Some(report)) = answer(stream, site, pages) {
+                if let Ok(Some(report)) = answer(stream, site, harness) {
                     return Ok(report);
                 }
             }
@@ -82,7 +93,7 @@ fn serve(listener: &TcpListener, site: &Path, pages: &[String]) -> Result<String
 }
 
 /// Answers one request; the report, if it was that.
-fn answer(mut stream: TcpStream, site: &Path, pages: &[String]) -> std::io::Result<Option<String>> {
+fn answer(mut stream: TcpStream, site: &Path, harness: &str) -> std::io::Result<Option<String>> {
     let mut reader = BufReader::new(stream.try_clone()?);
     let mut request = String::new();
     reader.read_line(&mut request)?;
@@ -104,9 +115,9 @@ fn answer(mut stream: TcpStream, site: &Path, pages: &[String]) -> std::io::Resu
             send(&mut stream, "200 OK", "text/plain", b"")?;
             return Ok(Some(String::from_utf8_lossy(&body).into_owned()));
         }
-        "/check" => ("text/html", harness(pages).into_bytes()),
+        "/check" => ("text/html", harness.as_bytes().to_vec()),
         path => {
-            let file = super::html::normal(Path::new(path.trim_start_matches('/')));
+            let file = crate::docs::html::normal(Path::new(path.trim_start_matches('/')));
             let kind = match file.extension().and_then(|e| e.to_str()) {
                 Some("html") => "text/html; charset=utf-8",
                 Some("css") => "text/css",
@@ -138,15 +149,13 @@ fn send(stream: &mut TcpStream, status: &str, kind: &str, body: &[u8]) -> std::i
 }
 
 /// The page that looks at pages.
-fn harness(pages: &[String]) -> String {
+fn page_of(pages: &[String], harness: &str) -> String {
     let list: Vec<String> = pages.iter().map(|page| format!("\"{page}\"")).collect();
     format!(
-        "<!DOCTYPE html><meta charset=\"utf-8\"><script>const pages = [{}];{HARNESS}</script>",
+        "<!DOCTYPE html><meta charset=\"utf-8\"><script>const pages = [{}];{harness}</script>",
         list.join(",")
     )
 }
-
-const HARNESS: &str = include_str!("harness.js");
 
 #[cfg(test)]
 mod tests {
@@ -172,7 +181,7 @@ mod tests {
             ask("POST /report HTTP/1.1\r\nContent-Length: 4\r\n\r\ndone");
             (found, missing)
         });
-        assert_eq!(serve(&listener, &site, &[]).as_deref(), Ok("done"));
+        assert_eq!(serve(&listener, &site, "").as_deref(), Ok("done"));
         let (found, missing) = reader.join().unwrap();
         assert!(found.ends_with("text"), "{found}");
         assert!(missing.starts_with("HTTP/1.1 404"), "{missing}");

@@ -1,9 +1,10 @@
-//! Charts as SVG text: curves and points with labelled axes and a legend, one panel or several side by side.
+//! Charts drawn as SVG text.
 
 use plotters::coord::Shift;
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 
+use super::chart::{Corner, Figure, Image, Panel, Style};
 use crate::Error;
 
 /// Figures are drawn this much larger than they are shown: the SVG backend rounds coordinates to whole
@@ -11,85 +12,6 @@ use crate::Error;
 const FINE: u32 = 4;
 
 type Drawing = DrawingAreaErrorKind<<SVGBackend<'static> as DrawingBackend>::ErrorType>;
-
-/// A chart of one or more panels.
-pub struct Figure {
-    /// Its file name, without ending.
-    pub name: &'static str,
-    /// Title, and alternative text of the picture.
-    pub title: String,
-    /// Row by row.
-    pub panels: Vec<Panel>,
-    /// Panels in a row.
-    pub columns: usize,
-    /// Size of one panel \[px\].
-    pub panel_size: (u32, u32),
-}
-
-/// One set of axes.
-#[derive(Clone, Default)]
-pub struct Panel {
-    /// Written above; may be empty.
-    pub title: String,
-    /// What x is, with its unit.
-    pub x_label: String,
-    /// What y is, with its unit.
-    pub y_label: String,
-    /// x on a logarithmic scale; points without a logarithm are left out.
-    pub log_x: bool,
-    /// y on a logarithmic scale; points without a logarithm are left out.
-    pub log_y: bool,
-    /// Both axes have the same scale, and these ranges.
-    pub equal: Option<[(f64, f64); 2]>,
-    /// Where the legend is; `None` for no legend.
-    pub legend: Option<Corner>,
-    /// The curves, those drawn last on top.
-    pub series: Vec<Series>,
-    /// No axes: the names of the series, a line each.
-    pub is_key: bool,
-}
-
-/// Where a legend is. At the top it gets room of its own above the curves.
-#[derive(Clone, Copy, PartialEq)]
-pub enum Corner {
-    /// Above the curves.
-    Top,
-    /// Over the curves, lower left.
-    LowerLeft,
-    /// Over the curves, lower right.
-    LowerRight,
-}
-
-/// One curve or cloud of points.
-#[derive(Clone)]
-pub struct Series {
-    /// Its name in the legend.
-    pub label: String,
-    /// How it is drawn.
-    pub style: Style,
-    /// (x, y), in the order they are joined.
-    pub points: Vec<(f64, f64)>,
-}
-
-/// How a series is drawn. Colours are Okabe and Ito's (2008), which colour-blind readers can tell apart;
-/// lines differ in dash too.
-#[derive(Clone, Copy, PartialEq)]
-pub enum Style {
-    /// Dotted, grey.
-    Truth,
-    /// Dashed.
-    Background,
-    /// A line.
-    Analysis,
-    /// Dots.
-    Observation,
-    /// Crosses.
-    Withheld,
-    /// A line of colour i.
-    Line(usize),
-    /// A line of colour i with a dot at every point, dashed once the colours begin again.
-    Marked(usize),
-}
 
 const PALETTE: [RGBColor; 9] = [
     RGBColor(0, 114, 178),
@@ -109,12 +31,12 @@ impl Style {
         match self {
             Style::Truth => Some((2 * FINE, 3 * FINE)),
             Style::Background => Some((7 * FINE, 4 * FINE)),
-            Style::Line(i) | Style::Marked(i) => match i / PALETTE.len() {
+            Style::Line(i) | Style::Marked(i) | Style::Dots(i) => match i / PALETTE.len() {
                 0 => None,
                 1 => Some((8 * FINE, 4 * FINE)),
                 _ => Some((2 * FINE, 3 * FINE)),
             },
-            Style::Analysis | Style::Observation | Style::Withheld => None,
+            Style::Analysis | Style::Observation | Style::Withheld | Style::Refused => None,
         }
     }
 
@@ -125,7 +47,8 @@ impl Style {
             Style::Analysis => PALETTE[0],
             Style::Observation => RGBColor(0, 120, 90),
             Style::Withheld => PALETTE[3],
-            Style::Line(i) | Style::Marked(i) => PALETTE[i % PALETTE.len()],
+            Style::Refused => RGBColor(192, 0, 0),
+            Style::Line(i) | Style::Marked(i) | Style::Dots(i) => PALETTE[i % PALETTE.len()],
         }
     }
 }
@@ -174,9 +97,74 @@ impl Panel {
         Ok(())
     }
 
+    /// Cells of colour, and beside them the scale of colours.
+    fn draw_image(&self, image: &Image, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Drawing> {
+        let font = |size: u32| ("sans-serif", FINE * size).into_font().color(&RGBColor(40, 40, 40));
+        let (wide, _) = area.dim_in_pixel();
+        let (picture, scale) = area.split_horizontally(wide - FINE * 78);
+        let (rows, columns) = (image.values.len() / image.columns, image.columns);
+        let y = if image.downwards { image.y[1]..image.y[0] } else { image.y[0]..image.y[1] };
+        let mut builder = ChartBuilder::on(&picture);
+        builder.margin(FINE * 8).x_label_area_size(FINE * 36).y_label_area_size(FINE * 52);
+        if !self.title.is_empty() {
+            builder.caption(&self.title, font(15));
+        }
+        let mut chart = builder.build_cartesian_2d(image.x[0]..image.x[1], y)?;
+        let digits = |[low, high]: [f64; 2]| decimals((low.min(high), high.max(low)));
+        let (x_digits, y_digits) = (digits(image.x), digits(image.y));
+        chart
+            .configure_mesh()
+            .disable_mesh()
+            .x_desc(&self.x_label)
+            .y_desc(&self.y_label)
+            .x_labels(5)
+            .y_labels(6)
+            .x_label_formatter(&|x| fixed(*x, x_digits))
+            .y_label_formatter(&|y| fixed(*y, y_digits))
+            .label_style(font(12))
+            .axis_desc_style(font(13))
+            .draw()?;
+        let at = |[low, high]: [f64; 2], i: usize, n: usize| low + (high - low) * i as f64 / n as f64;
+        let known = image.values.iter().enumerate().filter(|(_, v)| v.is_finite());
+        chart.draw_series(known.map(|(i, v)| {
+            let (row, column) = (i / columns, i % columns);
+            let corners = [
+                (at(image.x, column, columns), at(image.y, row, rows)),
+                (at(image.x, column + 1, columns), at(image.y, row + 1, rows)),
+            ];
+            Rectangle::new(corners, image.colour(*v).filled())
+        }))?;
+        let mut scale = ChartBuilder::on(&scale)
+            .margin(FINE * 8)
+            .margin_bottom(FINE * 44)
+            .margin_top(FINE * if self.title.is_empty() { 8 } else { 34 })
+            .right_y_label_area_size(FINE * 46)
+            .build_cartesian_2d(0.0..1.0, image.range[0]..image.range[1])?;
+        let scale_digits = digits(image.range);
+        scale
+            .configure_mesh()
+            .disable_mesh()
+            .disable_x_axis()
+            .y_labels(5)
+            .y_desc(&image.label)
+            .y_label_formatter(&|v| fixed(*v, scale_digits))
+            .label_style(font(11))
+            .axis_desc_style(font(12))
+            .draw()?;
+        const SHADES: usize = 48;
+        scale.draw_series((0..SHADES).map(|i| {
+            let corners = [(0.0, at(image.range, i, SHADES)), (1.0, at(image.range, i + 1, SHADES))];
+            Rectangle::new(corners, image.colour(0.5 * (corners[0].1 + corners[1].1)).filled())
+        }))?;
+        Ok(())
+    }
+
     fn draw(&self, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Drawing> {
         if self.is_key {
             return self.draw_key(area);
+        }
+        if let Some(image) = &self.image {
+            return self.draw_image(image, area);
         }
         let y_of = |y: f64| if self.log_y { y.log10() } else { y };
         let x_of = |x: f64| if self.log_x { x.log10() } else { x };
@@ -186,6 +174,7 @@ impl Panel {
             .iter()
             .flat_map(|s| s.points.iter().filter(usable))
             .map(|p| (x_of(p.0), y_of(p.1)))
+            .chain(self.bands.iter().flat_map(|b| &b.points).flat_map(|p| [(p.0, p.1), (p.0, p.2)]))
             .collect();
         let (x_range, y_range) = match self.equal {
             Some([x, y]) => (x, y),
@@ -194,7 +183,7 @@ impl Panel {
         let y_range = match (self.legend, self.equal) {
             (Some(Corner::Top), None) => {
                 // A line of the legend is about 16 px high; the curves keep the rest.
-                let legend = f64::from(FINE) * (16.0 * self.series.len() as f64 + 12.0);
+                let legend = f64::from(FINE) * (16.0 * (self.series.len() + self.bands.len()) as f64 + 12.0);
                 let plot = f64::from(area.dim_in_pixel().1) - 60.0 * f64::from(FINE);
                 (
                     y_range.0,
@@ -244,6 +233,17 @@ impl Panel {
             .axis_desc_style(font(13))
             .draw()?;
         let wide_mark = 18 * FINE as i32;
+        for band in &self.bands {
+            let fill = band.style.colour().mix(0.18).filled();
+            let upper = band.points.iter().map(|p| (p.0, p.2));
+            let outline: Vec<(f64, f64)> =
+                band.points.iter().map(|p| (p.0, p.1)).chain(upper.rev()).collect();
+            chart.draw_series(std::iter::once(Polygon::new(outline, fill)))?.label(&band.label).legend(
+                move |(x, y)| {
+                    Rectangle::new([(x, y - 5 * FINE as i32), (x + wide_mark, y + 5 * FINE as i32)], fill)
+                },
+            );
+        }
         for series in &self.series {
             let colour = series.style.colour();
             let points: Vec<(f64, f64)> =
@@ -253,7 +253,11 @@ impl Panel {
                     .draw_series(points.iter().map(|p| Circle::new(*p, FINE * 3, colour.filled())))?
                     .label(&series.label)
                     .legend(move |(x, y)| Circle::new((x + wide_mark / 2, y), FINE * 3, colour.filled())),
-                Style::Withheld => chart
+                Style::Dots(_) => chart
+                    .draw_series(points.iter().map(|p| Circle::new(*p, FINE * 2, colour.mix(0.7).filled())))?
+                    .label(&series.label)
+                    .legend(move |(x, y)| Circle::new((x + wide_mark / 2, y), FINE * 3, colour.filled())),
+                Style::Withheld | Style::Refused => chart
                     .draw_series(
                         points.iter().map(|p| Cross::new(*p, FINE * 3, colour.stroke_width(2 * FINE))),
                     )?
@@ -298,6 +302,31 @@ impl Panel {
                 .draw()?;
         }
         Ok(())
+    }
+}
+
+/// Colours of the scale viridis (Smith and van der Walt, 2015), dark to bright.
+const VIRIDIS: [[f64; 3]; 9] = [
+    [68.0, 1.0, 84.0],
+    [71.0, 44.0, 122.0],
+    [59.0, 81.0, 139.0],
+    [44.0, 113.0, 142.0],
+    [33.0, 144.0, 141.0],
+    [39.0, 173.0, 129.0],
+    [92.0, 200.0, 99.0],
+    [170.0, 220.0, 50.0],
+    [253.0, 231.0, 37.0],
+];
+
+impl Image {
+    fn colour(&self, value: f64) -> RGBColor {
+        let [low, high] = self.range;
+        let place = ((value - low) / (high - low).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+        let at = place * (VIRIDIS.len() - 1) as f64;
+        let i = (at as usize).min(VIRIDIS.len() - 2);
+        let mix = |c: usize| VIRIDIS[i][c] + (at - i as f64) * (VIRIDIS[i + 1][c] - VIRIDIS[i][c]);
+        let [red, green, blue] = [mix(0), mix(1), mix(2)].map(|v| v.round() as u8);
+        RGBColor(red, green, blue)
     }
 }
 
