@@ -2,19 +2,21 @@
 //! their pages at two widths, uses them as a reader does, and reports what fails.
 
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use crate::browser::{self, Report};
 use crate::{release_binary, root};
 
 /// Commands that make pages, each with its folder.
-const RUNS: [(&str, &[&str]); 7] = [
+const RUNS: [(&str, &[&str]); 9] = [
     ("hose", &["run", "hose"]),
     ("rod", &["run", "hanging-rod"]),
     ("wires", &["run", "wires"]),
     ("lorenz96", &["run", "lorenz96"]),
     ("cycles", &["run", "lorenz96-cycling-4dvar", "--set", "algorithm.cycles.count=40"]),
     ("rod-cycles", &["run", "hanging-rod-cycling", "--set", "algorithm.cycles.count=3"]),
+    ("compare", &["compare", "lorenz63"]),
+    ("modes", &["modes", "beam-release"]),
     ("weak", &["run", "hanging-rod-weak"]),
 ];
 
@@ -37,7 +39,7 @@ pub(crate) fn check(arguments: &[&str]) -> Result<(), String> {
     for (name, arguments) in RUNS {
         let folder = site.join(name);
         let mut command = Command::new(&varda);
-        command.args(arguments).arg("--quiet").arg("--out").arg(&folder).current_dir(root());
+        command.args(arguments).arg("--out").arg(&folder).current_dir(root()).stdout(Stdio::null());
         // Codes 3 and 4 say that a run does not fit or did not converge: it has a page all the same.
         let code = command.status().map_err(|e| format!("{command:?}: {e}"))?.code();
         if !matches!(code, Some(0 | 3 | 4)) {

@@ -85,7 +85,7 @@ pub enum Error {
     #[error("cannot draw {figure}: {reason}")]
     Plot {
         /// Which one.
-        figure: &'static str,
+        figure: String,
         /// Why.
         reason: String,
     },

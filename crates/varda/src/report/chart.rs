@@ -7,7 +7,7 @@ use serde::{Serialize, Serializer};
 #[derive(Clone, Serialize)]
 pub struct Figure {
     /// Its file name, without ending.
-    pub name: &'static str,
+    pub name: String,
     /// Title, and alternative text of the picture.
     pub title: String,
     /// Row by row.

@@ -229,7 +229,7 @@ fn figures(outcome: &CyclesOutcome) -> Vec<Figure> {
     if !errors.is_empty() {
         let columns = errors.len();
         figures.push(Figure {
-            name: "errors",
+            name: "errors".into(),
             title: "Error and spread against the cycle".into(),
             panels: errors,
             columns,
@@ -237,7 +237,7 @@ fn figures(outcome: &CyclesOutcome) -> Vec<Figure> {
         });
     }
     figures.push(Figure {
-        name: "chi2",
+        name: "chi2".into(),
         title: "Cost against the number of observations: 2J/m is about 1 where B and R are right".into(),
         panels: vec![panel("2J/m".into(), chi2)],
         columns: 1,

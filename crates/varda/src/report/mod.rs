@@ -2,6 +2,7 @@
 
 pub mod chart;
 pub mod checkpoint;
+mod comparison;
 mod cycles;
 mod estimates;
 mod figures;
@@ -77,7 +78,7 @@ fn write_one(out: &ResultFolder, at: &str, outcome: &Outcome) -> Result<(), Erro
     write("summary.json", &summary.to_json())
 }
 
-/// Writes a comparison to `folder`, whole or not at all: compare.csv, compare.svg, summary.json.
+/// Writes a comparison to `folder`, whole or not at all: compare.csv, compare.svg, report.html, summary.json.
 ///
 /// # Errors
 /// As [`write()`].
@@ -98,12 +99,14 @@ pub fn write_comparison(
     });
     out.write("summary.json", &format!("{summary:#}\n"))?;
     out.write("compare.csv", &tables::comparison(rows))?;
-    out.write("compare.svg", &figures::comparison(rows).svg()?)?;
+    let figure = figures::comparison(rows);
+    out.write("compare.svg", &figure.svg()?)?;
+    out.write("report.html", &comparison::page(file, rows, interrupted, figure))?;
     out.publish()
 }
 
 /// Writes the natural modes of a rod to `folder`, whole or not at all: modes.csv with their frequencies,
-/// mode_shapes.csv, summary.json.
+/// mode_shapes.csv, report.html with a figure of every mode, summary.json.
 ///
 /// # Errors
 /// As [`write()`].
@@ -122,6 +125,11 @@ pub fn write_modes(modes: &RodModes, folder: &Path) -> Result<PathBuf, Error> {
     out.write("summary.json", &format!("{summary:#}\n"))?;
     out.write("modes.csv", &modes::frequencies(modes))?;
     out.write("mode_shapes.csv", &modes::shapes(modes))?;
+    let figures = modes::figures(modes);
+    for (_, figure) in &figures {
+        out.write(&format!("figures/{}.svg", figure.name), &figure.svg()?)?;
+    }
+    out.write("report.html", &modes::page(modes, figures))?;
     out.publish()
 }
 

@@ -64,7 +64,8 @@ impl Figure {
         let mut text = String::new();
         {
             let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
-            self.draw(&root, rows).map_err(|e| Error::Plot { figure: self.name, reason: e.to_string() })?;
+            self.draw(&root, rows)
+                .map_err(|e| Error::Plot { figure: self.name.clone(), reason: e.to_string() })?;
         }
         Ok(accessible(&text, size, &self.title))
     }

@@ -39,7 +39,7 @@ pub(super) fn field(outcome: &Outcome) -> Option<Figure> {
     }
     let columns = panels.len();
     Some(Figure {
-        name: "field",
+        name: "field".into(),
         title: "The state over space and time (Hovmöller diagram)".into(),
         panels,
         columns,
@@ -79,7 +79,7 @@ pub(in crate::report) fn covariances(outcome: &Outcome) -> Vec<(String, Figure)>
         let prior = blocks.iter().map(|b| panel(outcome, b, "prior", &b.prior));
         let posterior = blocks.iter().map(|b| panel(outcome, b, "posterior", &b.posterior));
         let figure = Figure {
-            name,
+            name: name.into(),
             title: format!("Covariances of the initial {group}, before and after the observations"),
             panels: prior.chain(posterior).collect(),
             columns: blocks.len(),

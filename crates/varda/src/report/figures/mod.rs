@@ -72,7 +72,7 @@ fn constants(outcome: &Outcome) -> Option<Figure> {
     };
     let series: Vec<Series> = shown.iter().enumerate().map(line).filter(|s| s.points.len() > 1).collect();
     (!series.is_empty()).then(|| Figure {
-        name: "constants",
+        name: "constants".into(),
         title: "Estimated constants against iterations: distance from the prior, in σ of the prior".into(),
         panels: vec![Panel {
             x_label: "outer iterations".into(),
@@ -116,7 +116,7 @@ pub(super) fn comparison(rows: &[Compared]) -> Figure {
     // Too many names for a corner of a plot: they have a panel of their own.
     panels.push(Panel { is_key: true, ..panel("", &|_| Vec::new()) });
     Figure {
-        name: "compare",
+        name: "compare".into(),
         title: "Error of every method and minimizer against seconds".into(),
         columns: panels.len(),
         panels,
@@ -152,7 +152,7 @@ fn convergence(outcome: &Outcome) -> Figure {
         }
     };
     Figure {
-        name: "convergence",
+        name: "convergence".into(),
         title: "Convergence: cost, gradient norm and error against iterations and against seconds".into(),
         panels: vec![
             panel("outer iterations", &|r| r.iteration as f64, Some(Corner::LowerLeft)),
@@ -249,7 +249,7 @@ fn snapshots(shapes: &Shapes, outcome: &Outcome) -> Figure {
         })
         .collect();
     Figure {
-        name: "snapshots",
+        name: "snapshots".into(),
         title: format!(
             "The rod{}, {}-{} plane: {} and observations",
             if count > 1 { format!(" at {count} instants of the window") } else { String::new() },
@@ -295,7 +295,7 @@ fn tracks(track: &Track, shapes: &Shapes, grid: &TimeGrid) -> Figure {
         String::new()
     };
     Figure {
-        name: "tracks",
+        name: "tracks".into(),
         title: format!("Coordinates of {name} against time{after}"),
         panels: (0..3).map(panel).collect(),
         columns: 3,
@@ -342,7 +342,7 @@ fn components(outcome: &Outcome) -> Figure {
         }
     };
     Figure {
-        name: "components",
+        name: "components".into(),
         title: format!("Components of the state against time: {} and observations", names(&runs)),
         panels: chosen.iter().enumerate().map(panel).collect(),
         columns: chosen.len().min(3),
@@ -388,7 +388,7 @@ fn spread(outcome: &Outcome) -> Figure {
     };
     let columns = layout.groups.len();
     Figure {
-        name: "spread",
+        name: "spread".into(),
         title,
         panels: layout.groups.iter().enumerate().map(panel).collect(),
         columns,
@@ -420,7 +420,7 @@ fn fields(all: &[Estimated]) -> Option<Figure> {
         series.zip(values).for_each(|(series, value)| series.points.push((s, value)));
     }
     (!panels.is_empty()).then(|| Figure {
-        name: "fields",
+        name: "fields".into(),
         title: "Fields along the rod that were estimated".into(),
         columns: panels.len().min(2),
         panel_size: if panels.len() > 1 { (460, 300) } else { (760, 300) },
@@ -436,7 +436,7 @@ fn next_observation(next: &NextObservation) -> Option<Figure> {
     let now = places.iter().map(|(s, _)| (*s, 1e3 * next.sigma_now)).collect();
     let series = |label: &str, style, points| Series { label: label.into(), style, points };
     Some(Figure {
-        name: "next-marker",
+        name: "next-marker".into(),
         title: format!(
             "Standard deviation of the places at the end of the window with one more marker, seen {} times \
              with σ = {} m, against its place",

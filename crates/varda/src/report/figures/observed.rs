@@ -83,7 +83,7 @@ fn marker(track: &Track, outcome: &Outcome) -> Figure {
     };
     let panels: Vec<Panel> = axes.into_iter().map(panel).collect();
     Figure {
-        name: "marker",
+        name: "marker".into(),
         title: format!("{} against time, at the times at which it was seen", track.label),
         columns: panels.len().min(3),
         panels,
@@ -142,7 +142,7 @@ fn rod_through_time(outcome: &Outcome) -> Option<(String, Figure)> {
         }
     };
     let figure = Figure {
-        name: "end",
+        name: "end".into(),
         title: format!("Place of {name}"),
         panels: (0..3).map(panel).collect(),
         columns: 3,
@@ -186,7 +186,7 @@ pub(super) fn departures(outcome: &Outcome) -> Option<Figure> {
     let (first, last) = times.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), t| (l.min(t), h.max(t)));
     let expected = vec![(first, -2.0, 2.0), (last, -2.0, 2.0)];
     Some(Figure {
-        name: "departures",
+        name: "departures".into(),
         title:
             "Departures of the analysis, (y − H)/σ, against time: 95 % are expected between −2 and 2. Far \
                 from 0 the scale is logarithmic"
@@ -218,7 +218,7 @@ pub(super) fn information(outcome: &Outcome) -> Option<Figure> {
         }
     }
     (points.len() > 1).then(|| Figure {
-        name: "information",
+        name: "information".into(),
         title: "Information by time of observation: degrees of freedom for signal that the values of a time \
                 brought"
             .into(),

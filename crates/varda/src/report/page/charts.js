@@ -2,7 +2,8 @@
 // Draws the charts of the page with uPlot, and images on a canvas.
 {
   const dashes = { truth: [3, 4], background: [8, 5] };
-  const pointsOnly = ["observation", "withheld", "dots"];
+  const shown = (_, v) => (v === null ? "" : varda.short(v));
+  const pointsOnly = ["observation", "withheld", "refused", "dots"];
 
   // Series share one column of x; where one has no value there is null.
   const joined = (panel) => {
@@ -29,8 +30,8 @@
     return {
       label: s.label, stroke: colour, width: dots ? 0 : 2, dash: dashes[kind], spanGaps: true,
       paths: dots ? () => null : undefined,
-      points: { show, size: kind === "dots" ? 4 : 6, fill: kind === "withheld" ? "transparent" : colour, stroke: colour },
-      value: (_, v) => varda.short(v),
+      points: { show, size: kind === "dots" ? 4 : 6, fill: kind === "withheld" || kind === "refused" ? "transparent" : colour, stroke: colour },
+      value: shown,
     };
   };
 
@@ -48,7 +49,7 @@
       const colour = varda.ofStyle(b.style);
       bands.push({ series: [first + 1, first], fill: colour + "33" });
       const edge = (label) => ({ label, stroke: colour + "66", width: 1, spanGaps: true, points: { show: false },
-        value: (_, v) => varda.short(v) });
+        value: shown });
       return [edge(b.label + ", low"), edge(b.label + ", high")];
     });
     return {
@@ -56,7 +57,7 @@
       cursor: { drag: { x: true, y: true, uni: 20 } },
       scales: { x: { time: false, distr: panel.log_x ? 3 : 1 }, y: { distr: panel.log_y ? 3 : panel.symlog_y ? 4 : 1 } },
       axes: [axis(panel.x_label, 50), axis(panel.y_label, 70)],
-      series: [{ label: panel.x_label, value: (_, v) => varda.short(v) }, ...panel.series.map(ofSeries), ...edges],
+      series: [{ label: panel.x_label, value: shown }, ...panel.series.map(ofSeries), ...edges],
       legend: { live: true, markers: { width: 2 } },
     };
   };
@@ -166,7 +167,7 @@
     new ResizeObserver(() => {
       if (element.clientWidth === width) return;
       width = element.clientWidth;
-      draw();
+      requestAnimationFrame(draw);
     }).observe(element);
     varda.redraw.push(draw);
   });

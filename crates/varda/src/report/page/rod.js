@@ -87,6 +87,7 @@
     const canvas = renderer.domElement;
     canvas.tabIndex = 0;
     canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", "The rod");
     view.append(canvas);
     const controls = new THREE.OrbitControls(camera, canvas);
     home();
@@ -235,7 +236,7 @@
       camera.updateProjectionMatrix();
       draw();
     };
-    new ResizeObserver(resize).observe(view);
+    new ResizeObserver(() => requestAnimationFrame(resize)).observe(view);
     controls.addEventListener("change", () => renderer.render(scene, camera));
     const show = (f) => { frame = Math.min(Math.max(f, 0), frames - 1); slider.value = frame; draw(); };
 
