@@ -30,6 +30,8 @@ cargo xtask docs [--check]
     Documentation of all crates with guides, theory, results and an index page, in target/doc. --check: no
     broken link, and in a browser, where one is installed, no formula that is not rendered and no page
     wider than a telephone.
+cargo xtask figures
+    Figures 1 to 4 of the paper from the shipped scenes, into docs/figures, and docs/results/figures.md.
 cargo xtask reports [VARDA]
     Pages of results, made by a binary of varda (default: a release build), in a browser where one is
     installed: everything drawn, turning, playing, with names and keyboard, at two widths.
@@ -55,6 +57,7 @@ fn main() -> ExitCode {
         ["verify", rest @ ..] => release("tests", rest),
         ["bench", rest @ ..] => release("bench", rest),
         ["docs", rest @ ..] => docs::command(rest),
+        ["figures"] => release("bench", &["figures"]),
         ["reports", rest @ ..] => reports::check(rest),
         ["compare", rest @ ..] => compare::run(rest),
         ["lint"] => lint::check(),

@@ -55,6 +55,8 @@ pub mod results {
     pub mod build {}
     #[doc = include_str!("../../results/case4.md")]
     pub mod case4 {}
+    #[doc = include_str!("../../results/figures.md")]
+    pub mod figures {}
     #[doc = include_str!("../../results/gradient.md")]
     pub mod gradient {}
     #[doc = include_str!("../../results/instructions.md")]

@@ -6,6 +6,7 @@
 pub mod case4;
 pub mod clock;
 pub mod cycling;
+pub mod figures;
 pub mod kernels;
 pub mod machine;
 pub mod memory;

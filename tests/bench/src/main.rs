@@ -1,7 +1,7 @@
 //! Runs benchmarks: `cargo xtask bench [NAME…] [--quick] [--out DIR]`.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
-use bench::{BENCHES, Options, case4, cycling, kernels, memory};
+use bench::{BENCHES, Options, case4, cycling, figures, kernels, memory};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -29,6 +29,10 @@ fn bench(arguments: impl Iterator<Item = String>) -> Result<(), String> {
     // Studies with arguments of their own.
     match words.split_first() {
         Some((word, rest)) if word == "case4" => return case4::run(rest).map_err(|e| e.to_string()),
+        Some((word, [])) if word == "figures" => {
+            let top = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).ok_or("no workspace")?;
+            return figures::draw(top).map_err(|e| e.to_string());
+        }
         Some((word, rest)) if word == "lorenz96-cycling" => {
             return cycling::table(rest).map_err(|e| e.to_string());
         }

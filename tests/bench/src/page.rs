@@ -226,7 +226,7 @@ impl Page {
 
     fn figure(&self, name: &'static str) -> Figure {
         Figure {
-            name,
+            name: name.into(),
             title: self.title.to_string(),
             panels: self.panels.clone(),
             columns: self.panels.len().min(2),

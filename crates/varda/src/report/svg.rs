@@ -209,7 +209,7 @@ impl Panel {
         let mut chart = builder.build_cartesian_2d(x_range.0..x_range.1, y_range.0..y_range.1)?;
         let decimals = decimals(y_range);
         let text = |value: f64, log: bool, range: (f64, f64), decimals: usize| match log {
-            true if (value - value.round()).abs() < 1e-6 => format!("1e{}", value.round()),
+            true if (value - value.round()).abs() < 1e-6 => format!("1e{}", value.round() as i64),
             true if range.1 - range.0 < 2.5 => format!("{:.1e}", 10f64.powf(value)),
             true => String::new(),
             false => fixed(value, decimals),
@@ -364,7 +364,7 @@ fn accessible(svg: &str, (wide, high): (u32, u32), title: &str) -> String {
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {wide} {high}\" width=\"{width}\" \
          height=\"{height}\" role=\"img\" \
-         aria-label=\"{0}\">\n<title>{0}</title>{inner}",
+         aria-label=\"{0}\">\n<title>{0}</title><style>rect{{shape-rendering:crispEdges}}</style>{inner}",
         super::html::escape(title)
     )
 }
