@@ -6,6 +6,7 @@ mod browser;
 mod compare;
 mod deps;
 mod docs;
+mod gallery;
 mod lint;
 mod package;
 mod reports;
@@ -32,6 +33,8 @@ cargo xtask docs [--check]
     wider than a telephone.
 cargo xtask figures
     Figures 1 to 4 of the paper from the shipped scenes, into docs/figures, and docs/results/figures.md.
+cargo xtask gallery
+    Pages about shipped scenes with pictures and numbers of their runs: docs/guide/gallery.
 cargo xtask reports [VARDA]
     Pages of results, made by a binary of varda (default: a release build), in a browser where one is
     installed: everything drawn, turning, playing, with names and keyboard, at two widths.
@@ -57,6 +60,7 @@ fn main() -> ExitCode {
         ["verify", rest @ ..] => release("tests", rest),
         ["bench", rest @ ..] => release("bench", rest),
         ["docs", rest @ ..] => docs::command(rest),
+        ["gallery"] => gallery::write(),
         ["figures"] => release("bench", &["figures"]),
         ["reports", rest @ ..] => reports::check(rest),
         ["compare", rest @ ..] => compare::run(rest),

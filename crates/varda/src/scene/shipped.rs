@@ -30,6 +30,10 @@ pub const SHIPPED: &[Shipped] = shipped![
     "hanging-rod-weak"
     "beam-release"
     "hose"
+    "soft-arm"
+    "cable-between-posts"
+    "tether-on-base"
+    "twisted-rod"
     "tether-in-current"
     "wire"
     "wires"
@@ -49,9 +53,13 @@ pub const STARTER: &str = include_str!("../../scenes/starter.toml");
 
 const DATA: &[(&str, &str)] = &[
     ("data/beam-release.csv", include_str!("../../scenes/data/beam-release.csv")),
+    ("data/cable-between-posts.csv", include_str!("../../scenes/data/cable-between-posts.csv")),
     ("data/hanging-rod-background.csv", include_str!("../../scenes/data/hanging-rod-background.csv")),
     ("data/hanging-rod-observations.csv", include_str!("../../scenes/data/hanging-rod-observations.csv")),
     ("data/hose.csv", include_str!("../../scenes/data/hose.csv")),
+    ("data/soft-arm.csv", include_str!("../../scenes/data/soft-arm.csv")),
+    ("data/tether-on-base-poses.csv", include_str!("../../scenes/data/tether-on-base-poses.csv")),
+    ("data/tether-on-base.csv", include_str!("../../scenes/data/tether-on-base.csv")),
     ("data/tether-pull.csv", include_str!("../../scenes/data/tether-pull.csv")),
     ("data/wire-white-0.csv", include_str!("../../scenes/data/wire-white-0.csv")),
     ("data/wire-white-2.csv", include_str!("../../scenes/data/wire-white-2.csv")),
