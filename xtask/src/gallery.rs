@@ -19,78 +19,87 @@ const EXHIBITS: &[Exhibit] = &[
     Exhibit {
         scene: "hose",
         figure: "snapshots",
-        words: "Everything fits: the constants are those that the recording was made with, and the two programs agree. What \
-                remains of the forecast's error is the noise of the markers. With other constants it does not fit: 3 % in EI is \
-                seen at once; let them be estimated (`[estimate]`) where they are not known.",
+        words: "Everything fits: the constants are those that the recording was made with, and the two \
+                programs agree. What remains of the forecast's error is the noise of the markers. With \
+                other constants it does not fit: 3 % in EI is seen at once; let them be estimated \
+                (`[estimate]`) where they are not known.",
     },
     Exhibit {
         scene: "soft-arm",
         figure: "snapshots",
-        words: "The modulus comes within its σ from a guess 40 % too low, damping from one 67 % too high. Most of σ of the modulus \
-                is an allowance for the mesh: twenty segments bend a little differently from a continuous arm, which the same \
-                estimate with forty measures. More segments make it smaller.",
+        words: "The modulus comes within two of its σ from a guess 40 % too low, damping from one 67 % too high. \
+                Most of σ of the modulus is an allowance for the mesh: twenty segments bend a little \
+                differently from a continuous arm, which the same estimate with forty measures. More \
+                segments make it smaller.",
     },
     Exhibit {
         scene: "cable-between-posts",
         figure: "snapshots",
-        words: "Damping and the shape in the wind are found, and the lost marker does not disturb. Stiffness is not estimated: a \
-                cable that hangs by its ends moves by its tension; bending matters at the hooks only, and a few per cent of the \
-                motion would have to be right for it. The minimizer ends as stalled: places at the start that stretch this cable by \
-                more than it can make the first step violent, and J is not smooth there.",
+        words: "Damping and the shape in the wind are found, and the lost marker does not disturb. \
+                Stiffness is not estimated: a cable that hangs by its ends moves by its tension; bending \
+                matters at the hooks only, and a few per cent of the motion would have to be right for it. \
+                The minimizer ends as stalled: places at the start that stretch this cable by more than it \
+                can make the first step violent, and J is not smooth there.",
     },
     Exhibit {
         scene: "tether-on-base",
         figure: "snapshots",
-        words: "Stiffness comes to 0.1 % and a marker that was kept back to its noise. Damping is 4 % low, two of its σ: at 5 ms a \
-                step BDF2 damps a little of its own, which the estimate takes off. The noise of the poses is taken out by a smooth \
-                curve; `[estimate] base` would make it part of the estimate instead.",
+        words: "Stiffness comes to 0.1 % and a marker that was kept back to its noise. Damping is 4 % low, \
+                two of its σ: at 5 ms a step BDF2 damps a little of its own, which the estimate takes off. \
+                The noise of the poses is taken out by a smooth curve; `[estimate] base` would make it part \
+                of the estimate instead.",
     },
     Exhibit {
         scene: "twisted-rod",
         figure: "snapshots",
-        words: "Twist is not seen, only the places of the centreline; but a rod with turns in it leaves its plane, and how far tells \
-                GJ within a hundredth. Without the turns (`model.end.turns = 0`) the same rod says nothing of GJ.",
+        words: "Twist is not seen, only the places of the centreline; but a rod with turns in it leaves its \
+                plane, and how far tells GJ within a hundredth. Without the turns (`model.end.turns = 0`) \
+                the same rod says nothing of GJ.",
     },
     Exhibit {
         scene: "beam-release",
         figure: "tracks",
-        words: "A real recording, and a beam that is not quite a rod: it is short and thick, so that shear and a clamp that gives way \
-                change its frequency by per cents. σ of the markers stands for that misfit, a hundred times their noise.",
+        words: "A real recording, and a beam that is not quite a rod: it is short and thick, so that shear \
+                and a clamp that gives way change its frequency by per cents. σ of the markers stands for \
+                that misfit, a hundred times their noise.",
     },
     Exhibit {
         scene: "wire",
         figure: "snapshots",
-        words: "A shape without times, from points picked by hand in a depth image, some millimetres off. The stiffness that explains \
-                it agrees with what its makers list within its σ, which is large: the wire's own set is not part of the scene.",
+        words: "A shape without times, from points picked by hand in a depth image, some millimetres off. \
+                The stiffness that explains it agrees with what its makers list within its σ, which is \
+                large: the wire's own set is not part of the scene.",
     },
     Exhibit {
         scene: "wires",
         figure: "",
-        words: "Two shapes of another wire in one estimate. Each alone gives a stiffness, and together they agree within their σ, \
-                but all are above the listed value: this wire keeps a set from its coil, which the scene does not know.",
+        words: "Two shapes of another wire in one estimate. Each alone gives a stiffness, and together they \
+                agree within their σ, but all are above the listed value: this wire keeps a set from its \
+                coil, which the scene does not know.",
     },
     Exhibit {
         scene: "tether-in-current",
         figure: "snapshots",
-        words: "A twin experiment with drag, a sinker and a recorded pull. Velocities gain little: four places seen with σ = 1 cm \
-                over a second say little of errors as rough as those drawn here.",
+        words: "A twin experiment with drag, a sinker and a recorded pull. Velocities gain little: four \
+                places seen with σ = 1 cm over a second say little of errors as rough as those drawn here.",
     },
     Exhibit {
         scene: "hanging-rod-case1",
         figure: "snapshots",
-        words: "The paper's rod. Its background is drawn from a smoother covariance than the one assumed, as in the paper, so σ of \
-                velocities is too large: their errors are about two thirds of it.",
+        words: "The paper's rod. Its background is drawn from a smoother covariance than the one assumed, \
+                as in the paper, so σ of velocities is too large: their errors are about two thirds of it.",
     },
     Exhibit {
         scene: "lorenz63",
         figure: "components",
-        words: "A short window: the posterior is Gaussian and σ can be believed. Over windows beyond three time units J has several \
-                minima; see the scene `lorenz63-window`.",
+        words: "A short window: the posterior is Gaussian and σ can be believed. Over windows beyond three \
+                time units J has several minima; see the scene `lorenz63-window`.",
     },
     Exhibit {
         scene: "lorenz96",
         figure: "field",
-        words: "Half of the variables are seen; the others are known from the model alone, and their σ is larger.",
+        words: "Half of the variables are seen; the others are known from the model alone, and their σ is \
+         larger.",
     },
     Exhibit {
         scene: "burgers",
@@ -105,7 +114,8 @@ const EXHIBITS: &[Exhibit] = &[
     Exhibit {
         scene: "lorenz96-cycling-4dvar",
         figure: "errors",
-        words: "Windows in turn with a static B. B is too large for what is left after some cycles, and the report says by how much.",
+        words: "Windows in turn with a static B. B is too large for what is left after some cycles, and the \
+         report says by how much.",
     },
 ];
 
@@ -144,9 +154,9 @@ pub(crate) fn write() -> Result<(), String> {
 const HEAD: &str = "\
 # Gallery
 
-Scenes that come with the program and run without a network, each with its picture, its numbers, and what fits and what does
-not. `varda run NAME` runs one; `varda new my-scene --from NAME` copies it with its data to start from. The pages are written by
-`cargo xtask gallery` from runs of the scenes.
+Scenes that come with the program and run without a network, each with its picture, its numbers, and what
+fits and what does not. `varda run NAME` runs one; `varda new my-scene --from NAME` copies it with its data to
+start from. The pages are written by `cargo xtask gallery` from runs of the scenes.
 
 | what | scene | verdict |
 |---|---|---|
@@ -189,8 +199,8 @@ fn page(exhibit: &Exhibit, scene: &str, title: &str, summary: &Value) -> String 
     }
     let _ = write!(
         page,
-        "\n## What fits, what does not\n\n{}\n\n## To run it\n\n```sh\nvarda run {name}\nvarda show {name}     # the \
-         scene\nvarda new mine --from {name}     # a copy to start from, with its data\n```\n",
+        "\n## What fits, what does not\n\n{}\n\n## To run it\n\n```sh\nvarda run {name}\nvarda show {name}  \
+            # the scene\nvarda new mine --from {name}     # a copy to start from, with its data\n```\n",
         exhibit.words
     );
     page

@@ -1,4 +1,4 @@
-//! `cargo xtask reports`: pages of results in a headless browser. Scenes of every kind are run; a script opens
+//! `cargo xtask reports`: pages of results in a headless browser. Scenes of every kind run; a script opens
 //! their pages at two widths, uses them as a reader does, and reports what fails.
 
 use std::path::Path;

@@ -96,6 +96,7 @@ fn a_sequence_writes_what_it_promises() {
     assert!(analysis.starts_with("index,name,unit,x_b,x_a,truth\n") && analysis.lines().count() == 41);
     let page = folder.read("r/report.html");
     assert_eq!(page.matches("<figure").count(), 2);
+    assert!(!page.contains(" src="));
     assert!(!folder.0.join("r.partial").exists(), "a finished run leaves nothing beside its result");
 }
 

@@ -24,6 +24,39 @@ pub mod observation_files {}
 pub mod methods {}
 #[doc = include_str!("../report.md")]
 pub mod report {}
+#[doc = include_str!("../gallery/README.md")]
+pub mod gallery {
+    #[doc = include_str!("../gallery/hose.md")]
+    pub mod hose {}
+    #[doc = include_str!("../gallery/soft-arm.md")]
+    pub mod soft_arm {}
+    #[doc = include_str!("../gallery/cable-between-posts.md")]
+    pub mod cable_between_posts {}
+    #[doc = include_str!("../gallery/tether-on-base.md")]
+    pub mod tether_on_base {}
+    #[doc = include_str!("../gallery/twisted-rod.md")]
+    pub mod twisted_rod {}
+    #[doc = include_str!("../gallery/beam-release.md")]
+    pub mod beam_release {}
+    #[doc = include_str!("../gallery/wire.md")]
+    pub mod wire {}
+    #[doc = include_str!("../gallery/wires.md")]
+    pub mod wires {}
+    #[doc = include_str!("../gallery/tether-in-current.md")]
+    pub mod tether_in_current {}
+    #[doc = include_str!("../gallery/hanging-rod-case1.md")]
+    pub mod hanging_rod_case1 {}
+    #[doc = include_str!("../gallery/lorenz63.md")]
+    pub mod lorenz63 {}
+    #[doc = include_str!("../gallery/lorenz96.md")]
+    pub mod lorenz96 {}
+    #[doc = include_str!("../gallery/burgers.md")]
+    pub mod burgers {}
+    #[doc = include_str!("../gallery/linear-advection.md")]
+    pub mod linear_advection {}
+    #[doc = include_str!("../gallery/lorenz96-cycling-4dvar.md")]
+    pub mod lorenz96_cycling_4dvar {}
+}
 #[doc = include_str!("../../theory/README.md")]
 pub mod theory {
     #[doc = include_str!("../../theory/covariance.md")]

@@ -43,10 +43,10 @@ pub fn draw(top: &Path) -> Result<()> {
 const HEAD: &str = "\
 # The paper's figures
 
-Figures 1 to 4 of Gabbard's paper, drawn anew from the shipped scenes `hanging-rod-case1` to `hanging-rod-case3` by
-`cargo xtask figures`, each with what the paper says of it. The draws of background and observations are ours (seed 0 of
-the scenes), so numbers differ from the paper's while what they show can be compared. The prior of these scenes knows that
-the clamp has no error.
+Figures 1 to 4 of Gabbard's paper, drawn anew from the shipped scenes `hanging-rod-case1` to
+`hanging-rod-case3` by `cargo xtask figures`, each with what the paper says of it. The draws of background and
+observations are ours (seed 0 of the scenes), so numbers differ from the paper's while what they show can be
+compared. The prior of these scenes knows that the clamp has no error.
 ";
 
 fn outcome(scene: &str, sets: &[String]) -> Result<Outcome> {
@@ -102,9 +102,9 @@ fn rod(case1: &Outcome) -> Result<Figure> {
 }
 
 fn rod_words() -> &'static str {
-    "The paper: a hanging rod oscillates due to an elliptical drive at its fixed upper end; dots are the observation points. \
-     Ours: the truth of case 1 over the window of two periods, every tenth step; from the second picture on dots are \
-     the four observed places with their noise (σ is a tenth of the length)."
+    "The paper: a hanging rod oscillates due to an elliptical drive at its fixed upper end; dots are the \
+     observation points. Ours: the truth of case 1 over the window of two periods, every tenth step; from \
+     the second picture on dots are the four observed places with their noise (σ is a tenth of the length)."
 }
 
 /// Figure 2: J, gradient and errors of positions and velocities by Newton's method, cases 1 to 3.
@@ -144,9 +144,10 @@ fn convergence(outcomes: &[Outcome]) -> Figure {
 
 fn convergence_words(outcomes: &[Outcome]) -> String {
     let mut words = String::from(
-        "The paper: initial velocities are assimilated much faster and more effectively than initial positions, which change \
-         little; in all cases loss and gradient plateau after about a dozen iterations. Ours:\n\n\
-         | case | iterations | J | RMSE of positions | RMSE of velocities |\n|---|---|---|---|---|\n",
+        "The paper: initial velocities are assimilated much faster and more effectively than initial \
+         positions, which change little; in all cases loss and gradient plateau after about a dozen \
+         iterations. Ours:\n\n| case | iterations | J | RMSE of positions | RMSE of velocities \
+         |\n|---|---|---|---|---|\n",
     );
     for (i, o) in outcomes.iter().enumerate() {
         let ratio = |group: &str| {
@@ -203,9 +204,10 @@ fn covariance_words(blocks: &[CovarianceBlock]) -> String {
     };
     let number = |group, component| ratio(group, component, 0.5).unwrap_or(f64::NAN);
     format!(
-        "The paper (its caption says x, its text z; both are drawn): a noticeable decrease in the variance of the velocity \
-         midway down the centerline; the covariances of positions are virtually unchanged. Ours, σ after over σ before at half \
-         of the length: {:.2} and {:.2} for velocities along x and z, {:.2} and {:.2} for positions.",
+        "The paper (its caption says x, its text z; both are drawn): a noticeable decrease in the variance \
+         of the velocity midway down the centerline; the covariances of positions are virtually unchanged. \
+         Ours, σ after over σ before at half of the length: {:.2} and {:.2} for velocities along x and z, \
+         {:.2} and {:.2} for positions.",
         number("velocity", "x"),
         number("velocity", "z"),
         number("position", "x"),
@@ -275,9 +277,10 @@ fn precision(case3: &Outcome) -> Result<(Figure, String)> {
         }
     }
     let words = format!(
-        "The paper: positions are observed directly and affected strongly by single values; the precision of velocities is more \
-         diffuse, since they are assimilated through the dynamics, and decreases at later times. Ours, largest entry at the second, \
-         fifth and tenth time: {:.3}, {:.3}, {:.3} for positions and {:.4}, {:.4}, {:.4} for velocities.",
+        "The paper: positions are observed directly and affected strongly by single values; the precision \
+         of velocities is more diffuse, since they are assimilated through the dynamics, and decreases at \
+         later times. Ours, largest entry at the second, fifth and tenth time: {:.3}, {:.3}, {:.3} for \
+         positions and {:.4}, {:.4}, {:.4} for velocities.",
         largest[0], largest[1], largest[2], largest[3], largest[4], largest[5]
     );
     let figure = Figure {

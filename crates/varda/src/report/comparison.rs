@@ -1,7 +1,7 @@
 //! The page of a comparison: error against run time of every method and minimizer.
 
 use super::chart::Figure;
-use super::html::{escape, scene_section, short, table};
+use super::markup::{escape, scene_section, short, table};
 use super::page::Page;
 use crate::run::compare::Compared;
 use crate::scene::SceneFile;
@@ -13,8 +13,8 @@ pub(super) fn page(file: &SceneFile, rows: &[Compared], interrupted: bool, mut f
     let mut page = Page::new(title);
     let ended = rows.iter().filter(|r| r.status == "converged").count();
     page.push(&format!(
-        "<header><h1>{}</h1><p class=\"sub\">scene <code>{}</code> · seed {} · every method and minimizer that \
-         applies</p></header><p class=\"verdict\"><strong>{}</strong> {ended} of {} converged.</p>",
+        "<header><h1>{}</h1><p class=\"sub\">scene <code>{}</code> · seed {} · every method and minimizer \
+         that applies</p></header><p class=\"verdict\"><strong>{}</strong> {ended} of {} converged.</p>",
         escape(title),
         escape(&file.name),
         scene.seed,
@@ -51,13 +51,14 @@ pub(super) fn page(file: &SceneFile, rows: &[Compared], interrupted: bool, mut f
         "remark",
     ];
     page.push(&format!(
-        "<section><h2>In numbers</h2>{}<p>gap = (J − J*)/(J₀ − J*): J₀ at the background, J* the lowest of all. \
-         Weak-constraint and ensemble methods minimize another J and have none.</p></section>",
+        "<section><h2>In numbers</h2>{}<p>gap = (J − J*)/(J₀ − J*): J₀ at the background, J* the \
+         lowest of all. Weak-constraint and ensemble methods minimize another J and have none.</p></section>",
         table(&headings, &rows.iter().map(row).collect::<String>())
     ));
     page.push(&scene_section(scene));
     page.push(&format!(
-        "<footer><p>Made by Varda {}. Files beside this page: summary.json, compare.csv, compare.svg.</p></footer>",
+        "<footer><p>Made by Varda {}. Files beside this page: summary.json, compare.csv, \
+         compare.svg.</p></footer>",
         env!("CARGO_PKG_VERSION")
     ));
     page.finish()

@@ -11,7 +11,7 @@ use crate::state::StateGroup;
 
 use super::chart::{Corner, Figure, Panel, Series, Style};
 use super::folder::ResultFolder;
-use super::html::{
+use super::markup::{
     error_name, escape, folded_numbers, list, scene_section, short, status_words, tile_list, verdict,
 };
 use super::page::Page;
@@ -278,8 +278,8 @@ fn page(outcome: &CyclesOutcome, figures: Vec<Figure>) -> String {
     if let Some(view) = view {
         page.rod(
             view,
-            "The rod through the whole sequence. Drag to turn it, scroll to zoom; with the keyboard: arrow keys, \
-             plus and minus, Home, and the space bar to play. x is red, y green, z blue.",
+            "The rod through the whole sequence. Drag to turn it, scroll to zoom; with the keyboard: arrow \
+             keys, plus and minus, Home, and the space bar to play. x is red, y green, z blue.",
             "",
         );
     }

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::html::{escape, short, table};
+use super::markup::{escape, short, table};
 use super::tables::{number, optional};
 use crate::outcome::Estimated;
 

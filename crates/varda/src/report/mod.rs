@@ -8,10 +8,11 @@ mod estimates;
 mod figures;
 pub mod folder;
 mod forces;
-mod html;
+mod markup;
 mod modes;
 mod page;
 mod recordings;
+mod run_page;
 mod sources;
 mod summary;
 mod svg;
@@ -54,7 +55,7 @@ fn write_one(out: &ResultFolder, at: &str, outcome: &Outcome) -> Result<(), Erro
         }
     }
     let experiment = &outcome.experiment;
-    write("report.html", &html::page(outcome, &summary, figures, &rod))?;
+    write("report.html", &run_page::page(outcome, &summary, figures, &rod))?;
     write("analysis.csv", &tables::analysis(outcome))?;
     if !outcome.convergence.is_empty() {
         write("convergence.csv", &tables::convergence(&outcome.convergence))?;

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use varda_rod::Mode;
 
 use super::chart::{Corner, Figure, Panel, Series, Style};
-use super::html::{escape, short, table};
+use super::markup::{escape, short, table};
 use super::page::Page;
 use super::tables::{number, optional};
 use crate::outcome::RodModes;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::folder::ResultFolder;
-use super::html::{escape, list, scene_section, short, status_words, table, verdict};
+use super::markup::{escape, list, scene_section, short, status_words, table, verdict};
 use super::page::Page;
 use super::summary::peak_bytes;
 use super::{Summary, estimates, tables, write_one};

@@ -126,14 +126,12 @@ impl Panel {
             .axis_desc_style(font(13))
             .draw()?;
         let at = |[low, high]: [f64; 2], i: usize, n: usize| low + (high - low) * i as f64 / n as f64;
-        let known = image.values.iter().enumerate().filter(|(_, v)| v.is_finite());
-        chart.draw_series(known.map(|(i, v)| {
-            let (row, column) = (i / columns, i % columns);
+        chart.draw_series(image.runs().into_iter().map(|(row, from, to, shade)| {
             let corners = [
-                (at(image.x, column, columns), at(image.y, row, rows)),
-                (at(image.x, column + 1, columns), at(image.y, row + 1, rows)),
+                (at(image.x, from, columns), at(image.y, row, rows)),
+                (at(image.x, to, columns), at(image.y, row + 1, rows)),
             ];
-            Rectangle::new(corners, image.colour(*v).filled())
+            Rectangle::new(corners, shade_colour(shade).filled())
         }))?;
         let mut scale = ChartBuilder::on(&scale)
             .margin(FINE * 8)
@@ -152,10 +150,9 @@ impl Panel {
             .label_style(font(11))
             .axis_desc_style(font(12))
             .draw()?;
-        const SHADES: usize = 48;
         scale.draw_series((0..SHADES).map(|i| {
             let corners = [(0.0, at(image.range, i, SHADES)), (1.0, at(image.range, i + 1, SHADES))];
-            Rectangle::new(corners, image.colour(0.5 * (corners[0].1 + corners[1].1)).filled())
+            Rectangle::new(corners, shade_colour(i).filled())
         }))?;
         Ok(())
     }
@@ -319,16 +316,36 @@ const VIRIDIS: [[f64; 3]; 9] = [
     [253.0, 231.0, 37.0],
 ];
 
+/// Colours of an image in a file: cells side by side that share one are drawn as one.
+const SHADES: usize = 40;
+
 impl Image {
-    fn colour(&self, value: f64) -> RGBColor {
+    /// Cells that are known, as (row, first column, column after the last, shade).
+    fn runs(&self) -> Vec<(usize, usize, usize, usize)> {
         let [low, high] = self.range;
-        let place = ((value - low) / (high - low).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
-        let at = place * (VIRIDIS.len() - 1) as f64;
-        let i = (at as usize).min(VIRIDIS.len() - 2);
-        let mix = |c: usize| VIRIDIS[i][c] + (at - i as f64) * (VIRIDIS[i + 1][c] - VIRIDIS[i][c]);
-        let [red, green, blue] = [mix(0), mix(1), mix(2)].map(|v| v.round() as u8);
-        RGBColor(red, green, blue)
+        let shade = |v: f64| {
+            let place = ((v - low) / (high - low).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+            ((place * SHADES as f64) as usize).min(SHADES - 1)
+        };
+        let mut runs: Vec<(usize, usize, usize, usize)> = Vec::new();
+        for (row, cells) in self.values.chunks_exact(self.columns).enumerate() {
+            for (column, v) in cells.iter().enumerate().filter(|(_, v)| v.is_finite()) {
+                match runs.last_mut() {
+                    Some(run) if run.0 == row && run.2 == column && run.3 == shade(*v) => run.2 += 1,
+                    _ => runs.push((row, column, column + 1, shade(*v))),
+                }
+            }
+        }
+        runs
     }
+}
+
+fn shade_colour(shade: usize) -> RGBColor {
+    let at = shade as f64 / (SHADES - 1) as f64 * (VIRIDIS.len() - 1) as f64;
+    let i = (at as usize).min(VIRIDIS.len() - 2);
+    let mix = |c: usize| VIRIDIS[i][c] + (at - i as f64) * (VIRIDIS[i + 1][c] - VIRIDIS[i][c]);
+    let [red, green, blue] = [mix(0), mix(1), mix(2)].map(|v| v.round() as u8);
+    RGBColor(red, green, blue)
 }
 
 /// The range of some values with a margin; around 0 where there are none.
@@ -365,6 +382,6 @@ fn accessible(svg: &str, (wide, high): (u32, u32), title: &str) -> String {
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {wide} {high}\" width=\"{width}\" \
          height=\"{height}\" role=\"img\" \
          aria-label=\"{0}\">\n<title>{0}</title><style>rect{{shape-rendering:crispEdges}}</style>{inner}",
-        super::html::escape(title)
+        super::markup::escape(title)
     )
 }

@@ -6,7 +6,7 @@ use crate::report::chart::{Figure, Image, Panel};
 /// Components from which on a state is drawn as a field.
 const LEAST_COMPONENTS: usize = 8;
 /// Cells across and up at most; a cell of more is their mean.
-const MOST_CELLS: [usize; 2] = [120, 64];
+const MOST_CELLS: [usize; 2] = [80, 40];
 
 /// The analysis over space and time, its distance from the truth (or from the background), and σ, of models
 /// with one number a place.

@@ -187,10 +187,9 @@ pub(super) fn departures(outcome: &Outcome) -> Option<Figure> {
     let expected = vec![(first, -2.0, 2.0), (last, -2.0, 2.0)];
     Some(Figure {
         name: "departures".into(),
-        title:
-            "Departures of the analysis, (y − H)/σ, against time: 95 % are expected between −2 and 2. Far \
-                from 0 the scale is logarithmic"
-                .into(),
+        title: "Departures of the analysis, (y − H)/σ, against time: 95 % are expected between −2 and \
+                2. Far from 0 the scale is logarithmic"
+            .into(),
         panels: vec![Panel {
             x_label: if outcome.shapes.is_some() { "time [s]" } else { "time" }.into(),
             y_label: "(y − H)/σ".into(),

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use self::rod::RodView;
 use super::chart::Figure;
-use super::html::escape;
+use super::markup::escape;
 
 const STYLE: &str = include_str!("style.css");
 const UPLOT_STYLE: &str = include_str!("vendor/uplot.css");
@@ -134,8 +134,8 @@ impl Page {
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
              <meta name=\"color-scheme\" content=\"light dark\">\n<link rel=\"icon\" href=\"data:,\">\n\
              <title>{title} – Varda</title>\n<style>\n{more_style}\n{STYLE}</style>\n</head>\n\
-             <body>\n<main>{body}</main>\n<noscript><p class=\"noscript\">Figures are drawn by scripts of this \
-             page; as pictures they are in the folder figures/.</p></noscript>\n\
+             <body>\n<main>{body}</main>\n<noscript><p class=\"noscript\">Figures are drawn by scripts of \
+             this page; as pictures they are in the folder figures/.</p></noscript>\n\
              <script type=\"application/json\" id=\"data\">{json}</script>\n{scripts}</body>\n</html>\n"
         )
     }

@@ -1,15 +1,16 @@
-//! The page of a run: its order, tiles, tables and words.
+//! The page of the run of one window: its order, tiles, tables and words.
 
 use std::fmt::Write;
 
-use crate::outcome::{ConvergenceRow, Fit, Forecast, Judgement, KnownConstants, Outcome, Status, Withheld};
-use crate::state::{StateGroup, StateLayout};
-
 use super::chart::Figure;
+use super::markup::{
+    error_name, escape, folded_numbers, list, scene_section, short, status_words, table, tile_list, verdict,
+};
 use super::page::Page;
 use super::page::rod::RodView;
 use super::{Summary, estimates, figures, sources};
-use crate::scene::Scene;
+use crate::outcome::{ConvergenceRow, Fit, Forecast, KnownConstants, Outcome, Withheld};
+use crate::state::{StateGroup, StateLayout};
 
 /// The page of a run. `figures` are its charts but those of single markers, `picture` the rod as SVG.
 pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: Vec<Figure>, picture: &str) -> String {
@@ -95,40 +96,9 @@ fn rod_caption(outcome: &Outcome) -> String {
         ),
     };
     format!(
-        "The rod through time, the analysis{sigma}{forecast}. Drag to turn it, scroll to zoom; with the keyboard: \
-         arrow keys, plus and minus, Home, and the space bar to play. x is red, y green, z blue."
+        "The rod through time, the analysis{sigma}{forecast}. Drag to turn it, scroll to zoom; with the \
+         keyboard: arrow keys, plus and minus, Home, and the space bar to play. x is red, y green, z blue."
     )
-}
-
-/// The scene as it was run, folded.
-pub(super) fn scene_section(scene: &Scene) -> String {
-    let text = toml::to_string(scene).unwrap_or_default();
-    format!(
-        "<section><h2>The scene as it was run</h2><details><summary>TOML, overrides and defaults \
-         included</summary><pre>{}</pre></details></section>",
-        escape(&text)
-    )
-}
-
-/// The verdict in words, first on a page.
-pub(super) fn verdict(judgement: &Judgement) -> String {
-    format!(
-        "<p class=\"verdict {}\"><strong>{}</strong> {}</p>",
-        judgement.verdict.name(),
-        judgement.verdict.heading(),
-        escape(&judgement.text)
-    )
-}
-
-pub(super) fn status_words(status: Status) -> &'static str {
-    match status {
-        Status::Converged => "converged",
-        Status::MaxIterations => "out of iterations",
-        Status::LinearizedOnce => "linearized once",
-        Status::Stalled => "stalled",
-        Status::Interrupted => "interrupted",
-        Status::Failed => "failed",
-    }
 }
 
 /// The numbers one looks for first.
@@ -178,26 +148,6 @@ fn tiles(s: &Summary, layout: &StateLayout) -> String {
         format!("{} outer iterations", s.outer_iterations),
     ));
     tile_list(&tiles)
-}
-
-/// The name of the error of a group of the state: "Position error (RMSE)".
-pub(super) fn error_name(group: &StateGroup) -> String {
-    let Some(name) = group.part() else { return "Error (RMSE)".to_string() };
-    let (first, rest) = name.split_at(1);
-    format!("{}{rest} error (RMSE)", first.to_uppercase())
-}
-
-/// Tiles of name, value and note.
-pub(super) fn tile_list(tiles: &[(String, String, String)]) -> String {
-    let tile = |(name, value, note): &(String, String, String)| {
-        format!(
-            "<div class=\"tile\"><dt>{}</dt><dd>{}</dd><dd class=\"note\">{}</dd></div>",
-            escape(name),
-            escape(value),
-            escape(note)
-        )
-    };
-    format!("<dl class=\"tiles\">{}</dl>", tiles.iter().map(tile).collect::<String>())
 }
 
 /// "σ of the place of the tip at 1 s, and with the constants known": "2.1 mm, 0.8 mm".
@@ -338,19 +288,6 @@ fn rmse_label(group: &StateGroup) -> String {
     }
 }
 
-/// A table of quantities, their values and units, folded.
-pub(super) fn folded_numbers(rows: &[(&str, String, &str)]) -> String {
-    let row = |(name, value, unit): &(&str, String, &str)| {
-        format!("<tr><th scope=\"row\">{}</th><td>{}</td><td>{unit}</td></tr>", escape(name), escape(value))
-    };
-    let rows: String = rows.iter().map(row).collect();
-    format!(
-        "<section><h2>In numbers</h2><details><summary>Sizes, cost, work, seconds, memory</summary>{}</details>\
-         </section>",
-        table(&["Quantity", "Value", "Unit"], &rows)
-    )
-}
-
 fn fit_section(outcome: &Outcome, s: &Summary) -> String {
     let mut out = String::from("<section><h2>What fits and what does not</h2>");
     if !s.innovations.is_empty() {
@@ -446,12 +383,6 @@ fn millimetres(length: f64) -> String {
     format!("{:.2}", 1e3 * length)
 }
 
-/// A table that scrolls where the page is narrow.
-pub(super) fn table(headings: &[&str], rows: &str) -> String {
-    let names = headings.iter().map(|n| format!("<th scope=\"col\">{n}</th>")).collect::<String>();
-    format!("<div class=\"scroll\"><table><thead><tr>{names}</tr></thead><tbody>{rows}</tbody></table></div>")
-}
-
 /// Iteration by iteration; nothing of one of several recordings, which has none of its own.
 fn convergence_section(outcome: &Outcome) -> String {
     if outcome.convergence.is_empty() {
@@ -484,58 +415,4 @@ fn convergence_section(outcome: &Outcome) -> String {
          iteration</summary>{}</details></section>",
         table(&headings, &rows)
     )
-}
-
-pub(super) fn list(items: &[String]) -> String {
-    format!("<ul>{}</ul>", items.iter().map(|i| format!("<li>{}</li>", escape(i))).collect::<String>())
-}
-
-/// A number in five significant digits.
-pub(super) fn short(value: f64) -> String {
-    let size = value.abs();
-    if !value.is_finite() {
-        "–".into()
-    } else if size != 0.0 && !(1e-3..1e5).contains(&size) {
-        format!("{value:.4e}")
-    } else {
-        let digits = if size == 0.0 { 0 } else { (4.0 - size.log10().floor()).max(0.0) as usize };
-        format!("{value:.digits$}")
-    }
-}
-
-/// Text that is safe between tags and in attributes.
-pub(super) fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            c => out.push(c),
-        }
-    }
-    out
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn text_of_a_user_cannot_become_markup() {
-        assert_eq!(
-            escape("<script>alert('&\"')</script>"),
-            "&lt;script&gt;alert(&#39;&amp;&quot;&#39;)&lt;/script&gt;"
-        );
-    }
-
-    #[test]
-    fn numbers_have_five_digits() {
-        assert_eq!(short(61.844234), "61.844");
-        assert_eq!(short(0.0123456), "0.012346");
-        assert_eq!(short(-1234567.0), "-1.2346e6");
-        assert_eq!(short(f64::NAN), "–");
-    }
 }
