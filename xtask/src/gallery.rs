@@ -27,8 +27,8 @@ const EXHIBITS: &[Exhibit] = &[
     Exhibit {
         scene: "soft-arm",
         figure: "snapshots",
-        words: "The modulus comes within two of its σ from a guess 40 % too low, damping from one 67 % too high. \
-                Most of σ of the modulus is an allowance for the mesh: twenty segments bend a little \
+        words: "The modulus comes within two of its σ from a guess 40 % too low, damping from one 67 % too \
+                high. Most of σ of the modulus is an allowance for the mesh: twenty segments bend a little \
                 differently from a continuous arm, which the same estimate with forty measures. More \
                 segments make it smaller.",
     },
