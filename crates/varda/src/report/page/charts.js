@@ -35,10 +35,16 @@
     };
   };
 
-  const axis = (label, size) => ({
+  // Lines of a logarithmic grid at powers of ten only, once there are several of them.
+  const powers = (_, at) => {
+    const tens = at.filter((v) => v !== 0 && Number.isInteger(Math.round(1e6 * Math.log10(Math.abs(v))) / 1e6));
+    return tens.length < 3 ? at : at.map((v) => (v === 0 || tens.includes(v) ? v : null));
+  };
+
+  const axis = (label, size, log) => ({
     label, labelSize: 20, size, stroke: varda.colour("ink"), font: "12px system-ui, sans-serif",
-    labelFont: "12px system-ui, sans-serif", grid: { stroke: varda.colour("line"), width: 1 },
-    ticks: { stroke: varda.colour("line"), width: 1 },
+    labelFont: "12px system-ui, sans-serif", grid: { stroke: varda.colour("line"), width: 1, ...(log ? { filter: powers } : {}) },
+    ticks: { stroke: varda.colour("line"), width: 1, ...(log ? { filter: powers } : {}) },
     values: (_, at) => at.map((v) => (v === null ? "" : varda.short(v))),
   });
 
@@ -56,7 +62,7 @@
       title: panel.title || undefined, width, height: 270, bands,
       cursor: { drag: { x: true, y: true, uni: 20 } },
       scales: { x: { time: false, distr: panel.log_x ? 3 : 1 }, y: { distr: panel.log_y ? 3 : panel.symlog_y ? 4 : 1 } },
-      axes: [axis(panel.x_label, 50), axis(panel.y_label, 70)],
+      axes: [axis(panel.x_label, 50, panel.log_x), axis(panel.y_label, 70, panel.log_y || panel.symlog_y)],
       series: [{ label: panel.x_label, value: shown }, ...panel.series.map(ofSeries), ...edges],
       legend: { live: true, markers: { width: 2 } },
     };
