@@ -95,7 +95,7 @@ fn a_sequence_writes_what_it_promises() {
     let analysis = folder.read("r/analysis.csv");
     assert!(analysis.starts_with("index,name,unit,x_b,x_a,truth\n") && analysis.lines().count() == 41);
     let page = folder.read("r/report.html");
-    assert_eq!(page.matches("<figure").count(), 2);
+    assert_eq!(page.matches("<figure").count(), 4);
     assert!(!page.contains(" src="));
     assert!(!folder.0.join("r.partial").exists(), "a finished run leaves nothing beside its result");
 }

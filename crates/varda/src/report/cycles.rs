@@ -10,6 +10,7 @@ use crate::outcome::{CycleRow, CyclesOutcome, Status};
 use crate::state::StateGroup;
 
 use super::chart::{Corner, Figure, Panel, Series, Style};
+use super::figures::{field, rod_through_time};
 use super::folder::ResultFolder;
 use super::markup::{
     error_name, escape, folded_numbers, list, scene_section, short, status_words, tile_list, verdict,
@@ -184,7 +185,8 @@ fn failures(outcome: &CyclesOutcome) -> Vec<serde_json::Value> {
     failed.map(|(cycle, reason)| serde_json::json!({ "cycle": cycle, "reason": reason })).collect()
 }
 
-/// RMSE and spread against the cycle, a panel for each group of the state, and χ² with its mean.
+/// RMSE and spread against the cycle, a panel for each group of the state; χ² with its mean; ratios of
+/// departures; the state over space and time.
 fn figures(outcome: &CyclesOutcome) -> Vec<Figure> {
     let rows = &outcome.cycles;
     let line = |label: &str, style, of: &dyn Fn(&CycleRow) -> Option<f64>| Series {
@@ -243,6 +245,30 @@ fn figures(outcome: &CyclesOutcome) -> Vec<Figure> {
         columns: 1,
         panel_size: wide(1),
     });
+    let ratio = |of: fn(&Departures) -> Option<f64>| {
+        move |r: &CycleRow| of(&Departures::from(r.departures?)).filter(|v| v.is_finite())
+    };
+    let consistency = panel(
+        "ratio".into(),
+        vec![
+            line("innovations", Style::Analysis, &ratio(Departures::innovation_ratio)),
+            line("observations: R", Style::Line(2), &ratio(Departures::observation_ratio)),
+            line("background: B", Style::Background, &ratio(Departures::background_ratio)),
+            line("expected: 1", Style::Truth, &|r| r.departures.map(|_| 1.0)),
+        ],
+    );
+    if consistency.series.len() > 1 {
+        figures.push(Figure {
+            name: "consistency".into(),
+            title: "Consistency of every window: what departures say of innovations, R and B over what was \
+                    assumed (Desroziers)"
+                .into(),
+            panels: vec![consistency],
+            columns: 1,
+            panel_size: wide(1),
+        });
+    }
+    figures.extend(field(&outcome.experiment, &outcome.trajectories, &[]));
     figures
 }
 
@@ -283,6 +309,11 @@ fn page(outcome: &CyclesOutcome, figures: Vec<Figure>) -> String {
             "",
         );
     }
+    let rod = outcome
+        .shapes
+        .as_ref()
+        .and_then(|shapes| rod_through_time(experiment, shapes, &outcome.trajectories, &[]));
+    rod.into_iter().for_each(|(_, figure)| page.figure(figure));
     figures.into_iter().for_each(|figure| page.figure(figure));
     page.push(&format!("<section><h2>What was left out</h2>{}</section>", list(&experiment.left_out)));
     page.push(&in_numbers(outcome));

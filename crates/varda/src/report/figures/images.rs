@@ -1,6 +1,6 @@
 //! Figures of numbers as colours: a field over space and time, and covariances.
 
-use crate::outcome::{CovarianceBlock, Outcome};
+use crate::outcome::{CovarianceBlock, Experiment, Outcome, Trajectories};
 use crate::report::chart::{Figure, Image, Panel};
 
 /// Components from which on a state is drawn as a field.
@@ -10,11 +10,18 @@ const MOST_CELLS: [usize; 2] = [80, 40];
 
 /// The analysis over space and time, its distance from the truth (or from the background), and σ, of models
 /// with one number a place.
-pub(super) fn field(outcome: &Outcome) -> Option<Figure> {
-    let experiment = &outcome.experiment;
-    let (grid, runs) = (&experiment.grid, &outcome.trajectories);
+pub(in crate::report) fn field(
+    experiment: &Experiment,
+    runs: &Trajectories,
+    sigma: &[f64],
+) -> Option<Figure> {
+    let grid = &experiment.grid;
     let n = experiment.state.len() - experiment.state.constants.len();
-    if experiment.state.geometry.is_some() || n < LEAST_COMPONENTS || grid.last_step() == 0 {
+    if other_is_missing(runs)
+        || experiment.state.geometry.is_some()
+        || n < LEAST_COMPONENTS
+        || grid.last_step() == 0
+    {
         return None;
     }
     let (other, name) = match runs.truth.is_empty() {
@@ -34,8 +41,8 @@ pub(super) fn field(outcome: &Outcome) -> Option<Figure> {
         panel("analysis", &|k, i| at(&runs.analysis, k, i)),
         panel(name, &|k, i| at(&runs.analysis, k, i) - at(other, k, i)),
     ];
-    if !outcome.sigma_states.is_empty() {
-        panels.push(panel("σ of the analysis", &|k, i| at(&outcome.sigma_states, k, i)));
+    if !sigma.is_empty() {
+        panels.push(panel("σ of the analysis", &|k, i| at(sigma, k, i)));
     }
     let columns = panels.len();
     Some(Figure {
@@ -45,6 +52,11 @@ pub(super) fn field(outcome: &Outcome) -> Option<Figure> {
         columns,
         panel_size: (if columns > 2 { 360 } else { 460 }, 320),
     })
+}
+
+/// Whether there is nothing to compare the analysis with.
+fn other_is_missing(runs: &Trajectories) -> bool {
+    runs.truth.is_empty() && runs.background.is_empty()
 }
 
 /// n[0] instants across, n[1] components up, as means over cells.

@@ -3,8 +3,8 @@
 mod images;
 mod observed;
 
-pub(super) use images::covariances;
-pub(super) use observed::markers;
+pub(super) use images::{covariances, field};
+pub(super) use observed::{markers, rod_through_time};
 
 use crate::outcome::{
     ConvergenceRow, Estimated, NextObservation, Outcome, Shapes, Sight, Track, Trajectories,
@@ -26,7 +26,7 @@ pub(super) fn all(outcome: &Outcome) -> Vec<Figure> {
             figures.extend(track.map(|track| tracks(track, shapes, grid)));
         }
         None => {
-            figures.extend(images::field(outcome));
+            figures.extend(images::field(&outcome.experiment, &outcome.trajectories, &outcome.sigma_states));
             figures.push(components(outcome));
         }
     }

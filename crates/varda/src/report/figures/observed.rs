@@ -1,7 +1,7 @@
 //! Figures of what was observed: every marker against time, departures against their σ, and information by
 //! time.
 
-use crate::outcome::{ObservedValue, Outcome};
+use crate::outcome::{Experiment, ObservedValue, Outcome, Shapes, Trajectories};
 use crate::report::chart::{Band, Corner, Figure, Panel, Series, Style};
 
 /// Most values of all markers in a page; of more, only some markers are shown.
@@ -37,7 +37,11 @@ pub(in crate::report) fn markers(outcome: &Outcome) -> Vec<(String, Figure)> {
     }
     let all = tracks(outcome);
     let every = outcome.observed.len().div_ceil(MOST_VALUES).max(1);
-    let mut figures: Vec<(String, Figure)> = rod_through_time(outcome).into_iter().collect();
+    let shapes = outcome.shapes.as_ref();
+    let rod = shapes.and_then(|shapes| {
+        rod_through_time(&outcome.experiment, shapes, &outcome.trajectories, &outcome.sigma_states)
+    });
+    let mut figures: Vec<(String, Figure)> = rod.into_iter().collect();
     figures.extend(all.iter().step_by(every).map(|track| (track.label.to_string(), marker(track, outcome))));
     figures
 }
@@ -99,10 +103,14 @@ fn bands(label: &str, points: Vec<(f64, f64, f64)>) -> Vec<Band> {
 }
 
 /// A point of the rod at every step: its free end, or its middle where the end is held.
-fn rod_through_time(outcome: &Outcome) -> Option<(String, Figure)> {
-    let shapes = outcome.shapes.as_ref()?;
-    let geometry = outcome.experiment.state.geometry.as_ref()?;
-    let grid = &outcome.experiment.grid;
+pub(in crate::report) fn rod_through_time(
+    experiment: &Experiment,
+    shapes: &Shapes,
+    states: &Trajectories,
+    sigma: &[f64],
+) -> Option<(String, Figure)> {
+    let geometry = experiment.state.geometry.as_ref()?;
+    let grid = &experiment.grid;
     let last = geometry.arc_lengths.len().checked_sub(1)?;
     let (vertex, at) = match geometry.free.binary_search(&last) {
         Ok(at) => (last, at),
@@ -116,7 +124,6 @@ fn rod_through_time(outcome: &Outcome) -> Option<(String, Figure)> {
         true => "the free end, every step".to_string(),
         false => format!("the rod at s = {s:.4} m, every step"),
     };
-    let states = &outcome.trajectories;
     let runs = [
         ("truth", Style::Truth, &shapes.truth),
         ("background", Style::Background, &shapes.background),
@@ -129,7 +136,7 @@ fn rod_through_time(outcome: &Outcome) -> Option<(String, Figure)> {
             points: run.iter().enumerate().map(|(k, shape)| (grid.time(k), shape[vertex][c])).collect(),
         };
         let band = |(k, shape): (usize, &Vec<[f64; 3]>)| {
-            let two = 2.0 * states.state(&outcome.sigma_states, k)?.get(3 * at + c)?;
+            let two = 2.0 * states.state(sigma, k)?.get(3 * at + c)?;
             Some((grid.time(k), shape[vertex][c] - two, shape[vertex][c] + two))
         };
         let band: Vec<_> = shapes.analysis.iter().enumerate().filter_map(band).collect();
