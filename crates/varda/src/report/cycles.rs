@@ -9,7 +9,9 @@ use crate::Error;
 use crate::outcome::{CycleRow, CyclesOutcome, Status};
 use crate::state::StateGroup;
 
+use super::dataset::Dataset;
 use super::folder::ResultFolder;
+use super::formats::write_formats;
 use super::html::{document, error_name, escape, list, numbers, short, status_words, tile_list, verdict};
 use super::plot::{Corner, Figure, Panel, Series, Style};
 use super::summary::{WindowAmplification, peak_bytes};
@@ -38,6 +40,7 @@ pub fn write_cycles(outcome: &CyclesOutcome, folder: &Path) -> Result<PathBuf, E
         "trajectory.csv",
         &tables::trajectory(&outcome.experiment, &outcome.trajectories, &[], shapes),
     )?;
+    write_formats(&out, "", &outcome.experiment.scene.output, || Dataset::of_cycles(outcome))?;
     out.publish()
 }
 

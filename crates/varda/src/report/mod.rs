@@ -2,25 +2,33 @@
 
 pub mod checkpoint;
 mod cycles;
+mod dataset;
+mod described;
 mod estimates;
 mod figures;
 pub mod folder;
 mod forces;
+mod formats;
 mod html;
 mod modes;
+mod netcdf;
+mod npz;
 pub mod plot;
 mod recordings;
 mod sources;
 mod summary;
 mod tables;
+mod vtk;
 
 pub use cycles::{summary_of_cycles, write_cycles};
+pub use dataset::{Array, Dataset, Values};
 pub use recordings::{JointSummary, write_recordings};
 pub use summary::{ModelErrorSize, Summary, Terms, WindowAmplification};
 
 use std::path::{Path, PathBuf};
 
 use self::forces::Forces;
+use self::formats::write_formats;
 use crate::Error;
 use crate::outcome::{Experiment, Outcome, RodModes, Shapes, Simulation};
 use crate::report::folder::ResultFolder;
@@ -76,6 +84,7 @@ fn write_one(out: &ResultFolder, at: &str, outcome: &Outcome) -> Result<(), Erro
         write("model_error.csv", &tables::model_errors(experiment, errors))?;
     }
     write_forces(&write, experiment, outcome.shapes.as_ref())?;
+    write_formats(out, at, &experiment.scene.output, || Dataset::of(outcome))?;
     // Last: a folder without it is not a result.
     write("summary.json", &summary.to_json())
 }
@@ -180,5 +189,6 @@ pub fn write_simulation(simulation: &Simulation, seconds: f64, folder: &Path) ->
         out.write("background.csv", &tables::background(geometry, twin))?;
         out.write("observations.csv", &tables::observations(shapes, &experiment.grid))?;
     }
+    write_formats(&out, "", &experiment.scene.output, || Dataset::of_simulation(simulation))?;
     out.publish()
 }

@@ -278,13 +278,19 @@ impl Memory {
             (Some(_), Observations::Synthetic(_)) => (sizes.values + m).saturating_mul(OF_A_CYCLED_VALUE),
             (Some(_), Observations::File(_)) => 0,
         };
+        // The same as named arrays, with σ and of a rod its forces: once described, once in a file.
+        let beside = if matches!(scene.model, Model::Rod(_)) { 3 } else { 1 };
+        let arrays = match scene.output.is_more_than_csv() {
+            true => states.saturating_add(shown.saturating_mul(sizes.state).saturating_mul(beside)),
+            false => 0,
+        };
         let footprint = footprint(scene, sizes);
         Memory {
             covariance: NUMBER * covariance,
             building: NUMBER * building,
             dense: NUMBER.saturating_mul(dense),
             other: NUMBER.saturating_mul(other.saturating_add(states)).saturating_add(values),
-            text: states.saturating_mul(TEXT),
+            text: states.saturating_mul(TEXT).max(arrays.saturating_mul(2 * NUMBER)),
             finer: 0,
             for_finer: usize::MAX,
             window: footprint.bytes(Storage::KeepAll),
