@@ -1,5 +1,6 @@
 //! Files in other formats, opened by the Python packages that their readers use: NetCDF by xarray, NPZ by
-//! NumPy, VTK by meshio. Every number is compared with the tables (`python/check.py`).
+//! NumPy, VTK by meshio. Every number is compared with the tables (`python/check.py`). Scenes are checked by
+//! the schema beside them with Taplo, as editors do.
 //!
 //! The packages are installed into a virtual environment in the target folder, once. Where there is no
 //! Python, or the packages cannot be had, the test says so and passes.
@@ -12,18 +13,32 @@ mod support {
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::OnceLock;
 
 use support::program::{Folder, text};
 
-const PACKAGES: [&str; 4] = ["numpy", "xarray", "netCDF4", "meshio"];
+const PACKAGES: [&str; 5] = ["numpy", "xarray", "netCDF4", "meshio", "taplo"];
 
-/// A Python with the packages, or why there is none.
-fn python() -> Result<PathBuf, String> {
+/// A Python with the packages, or why there is none: that is said, once for every test.
+fn python() -> Option<PathBuf> {
+    static PYTHON: OnceLock<Result<PathBuf, String>> = OnceLock::new();
+    match PYTHON.get_or_init(installed) {
+        Ok(python) => Some(python.clone()),
+        Err(reason) => {
+            println!("skipped: {reason}");
+            None
+        }
+    }
+}
+
+fn installed() -> Result<PathBuf, String> {
     let environment = Path::new(env!("CARGO_TARGET_TMPDIR")).join("python");
     let python = environment.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" });
     let imports = |python: &Path| {
         let code = "import numpy, xarray, netCDF4, meshio";
-        Command::new(python).args(["-c", code]).output().is_ok_and(|done| done.status.success())
+        let imported = Command::new(python).args(["-c", code]).output();
+        let linter = Command::new(python.with_file_name("taplo")).arg("--version").output();
+        [imported, linter].into_iter().all(|done| done.is_ok_and(|done| done.status.success()))
     };
     if !imports(&python) {
         let done = |command: &mut Command, what: &str| match command.output() {
@@ -45,14 +60,7 @@ fn python() -> Result<PathBuf, String> {
 
 #[test]
 fn other_programs_read_the_same_numbers() {
-    let python = match python() {
-        Ok(python) => python,
-        Err(reason) => {
-            println!("skipped: {reason}");
-            eprintln!("skipped: files in other formats are not opened, {reason}");
-            return;
-        }
-    };
+    let Some(python) = python() else { return };
     let folder = Folder::new("formats");
     let check = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/check.py");
     for (scene, model, formats, sets) in [
@@ -66,6 +74,27 @@ fn other_programs_read_the_same_numbers() {
         assert!(output.status.success(), "{scene}: {}", String::from_utf8_lossy(&output.stderr));
         print!("{scene}: {}", String::from_utf8_lossy(&output.stdout));
     }
+}
+
+#[test]
+fn an_editor_checks_scenes_by_the_schema_beside_them() {
+    let Some(python) = python() else { return };
+    let folder = Folder::new("editor");
+    let lint = |scene: &str| {
+        let mut taplo = Command::new(python.with_file_name("taplo"));
+        let output = taplo.args(["lint", scene]).current_dir(&folder.0).output().unwrap();
+        (output.status.success(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    for (name, from) in [("starter", None), ("rod", Some("hanging-rod-case4")), ("field", Some("burgers"))] {
+        let from = from.map_or(Vec::new(), |scene| vec!["--from", scene]);
+        text(&folder.varda(&[&["new", name], &from[..]].concat()));
+        let (fits, said) = lint(&format!("{name}.toml"));
+        assert!(fits, "{name}: {said}");
+    }
+    let scene = folder.read("field.toml");
+    std::fs::write(folder.0.join("odd.toml"), scene.replacen("window = ", "windo = ", 1)).unwrap();
+    let (fits, said) = lint("odd.toml");
+    assert!(!fits && said.contains("windo"), "{said}");
 }
 
 #[test]

@@ -100,18 +100,23 @@ pub fn write_comparison(
     folder: &Path,
 ) -> Result<PathBuf, Error> {
     let out = ResultFolder::begin(folder)?;
-    let summary = serde_json::json!({
+    let summary = summary_of_comparison(file, rows, interrupted);
+    out.write("summary.json", &format!("{summary:#}\n"))?;
+    out.write("compare.csv", &tables::comparison(rows))?;
+    out.write("compare.svg", &figures::comparison(rows).svg()?)?;
+    out.publish()
+}
+
+/// summary.json of a comparison.
+pub fn summary_of_comparison(file: &SceneFile, rows: &[Compared], interrupted: bool) -> serde_json::Value {
+    serde_json::json!({
         "scene": file.name,
         "seed": file.scene.seed,
         "version": env!("CARGO_PKG_VERSION"),
         "method": "compare",
         "status": if interrupted { "interrupted" } else { "converged" },
         "rows": rows,
-    });
-    out.write("summary.json", &format!("{summary:#}\n"))?;
-    out.write("compare.csv", &tables::comparison(rows))?;
-    out.write("compare.svg", &figures::comparison(rows).svg()?)?;
-    out.publish()
+    })
 }
 
 /// Writes the natural modes of a rod to `folder`, whole or not at all: modes.csv with their frequencies,
@@ -121,8 +126,17 @@ pub fn write_comparison(
 /// As [`write()`].
 pub fn write_modes(modes: &RodModes, folder: &Path) -> Result<PathBuf, Error> {
     let out = ResultFolder::begin(folder)?;
+    let summary = summary_of_modes(modes);
+    out.write("summary.json", &format!("{summary:#}\n"))?;
+    out.write("modes.csv", &modes::frequencies(modes))?;
+    out.write("mode_shapes.csv", &modes::shapes(modes))?;
+    out.publish()
+}
+
+/// summary.json of natural modes.
+pub fn summary_of_modes(modes: &RodModes) -> serde_json::Value {
     let frequencies: Vec<_> = modes.found.modes.iter().map(varda_rod::Mode::frequency).collect();
-    let summary = serde_json::json!({
+    serde_json::json!({
         "scene": modes.name,
         "version": env!("CARGO_PKG_VERSION"),
         "method": "modes",
@@ -130,11 +144,7 @@ pub fn write_modes(modes: &RodModes, folder: &Path) -> Result<PathBuf, Error> {
         "time_s": modes.time,
         "frequencies_hz": frequencies,
         "unstable": modes.found.unstable,
-    });
-    out.write("summary.json", &format!("{summary:#}\n"))?;
-    out.write("modes.csv", &modes::frequencies(modes))?;
-    out.write("mode_shapes.csv", &modes::shapes(modes))?;
-    out.publish()
+    })
 }
 
 /// forces.csv, moments.csv and reactions.csv of a rod.
@@ -164,22 +174,7 @@ fn write_forces(
 pub fn write_simulation(simulation: &Simulation, seconds: f64, folder: &Path) -> Result<PathBuf, Error> {
     let out = ResultFolder::begin(folder)?;
     let experiment = &simulation.experiment;
-    let summary = serde_json::json!({
-        "scene": experiment.name,
-        "seed": experiment.scene.seed,
-        "version": env!("CARGO_PKG_VERSION"),
-        "method": "simulate",
-        "status": "converged",
-        "of": simulation.of,
-        "n_state": experiment.n_state,
-        "n_control": experiment.n_control(),
-        "steps": simulation.steps,
-        "counts": simulation.counts,
-        "tip_m": simulation.tip(),
-        "seconds": { "total": seconds },
-        "left_out": experiment.left_out,
-        "warnings": simulation.warnings,
-    });
+    let summary = summary_of_simulation(simulation, seconds);
     out.write("summary.json", &format!("{summary:#}\n"))?;
     let shapes = simulation.shapes.as_ref();
     out.write("trajectory.csv", &tables::trajectory(experiment, &simulation.trajectories, &[], shapes))?;
@@ -191,4 +186,27 @@ pub fn write_simulation(simulation: &Simulation, seconds: f64, folder: &Path) ->
     }
     write_formats(&out, "", &experiment.scene.output, || Dataset::of_simulation(simulation))?;
     out.publish()
+}
+
+/// summary.json of a forward run.
+pub fn summary_of_simulation(simulation: &Simulation, seconds: f64) -> serde_json::Value {
+    let experiment = &simulation.experiment;
+    serde_json::json!({
+        "scene": experiment.name,
+        "seed": experiment.scene.seed,
+        "version": env!("CARGO_PKG_VERSION"),
+        "method": "simulate",
+        "status": "converged",
+        "of": simulation.of,
+        "n_state": experiment.n_state,
+        "n_control": experiment.n_control(),
+        "steps": simulation.steps,
+        "counts": simulation.counts,
+        "tip_m": simulation.tip(),
+        "rms_distance": simulation.rms_distance(),
+        "distances": simulation.distances,
+        "seconds": { "total": seconds },
+        "left_out": experiment.left_out,
+        "warnings": simulation.warnings,
+    })
 }

@@ -58,7 +58,7 @@ pub(crate) use estimate::{OF_OBSERVATIONS, OF_PLACES, PriorSpread};
 pub(crate) use file::Adjusted;
 pub use file::SceneFile;
 pub use grid::TimeGrid;
-pub(crate) use invalid::Invalid;
+pub(crate) use invalid::{Invalid, rounded};
 pub use limits::{DEFAULT_MEMORY, Limits};
 pub use loads::{Drag, Force, Moment};
 pub use method::{Hessian, Method, Minimizer};
