@@ -1,7 +1,7 @@
 //! What the command line offers beside its runs: JSON of every command, help, completions, manual pages,
 //! colours, the line at fault, and how far a forward run is from a recording.
 
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 #[path = "support/program.rs"]
 mod program;
@@ -32,7 +32,7 @@ fn check_tells_findings_and_errors_as_json() {
     let folder = Folder::new("json-check");
     let found = json(&folder, &["check", "lorenz96", "--json", "--set", "observations.sigma=100.0"]);
     assert_eq!(found["findings"][0]["place"], "observations.sigma");
-    assert_eq!(found["recordings"][0]["plan"]["n_state"], 40);
+    assert_eq!(found["scenes"][0]["plan"]["n_state"], 40);
     let output = folder.varda(&["check", "lorenz63", "--json", "--set", "time.step=-1.0"]);
     assert_eq!(output.status.code(), Some(1));
     let found: Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -40,7 +40,7 @@ fn check_tells_findings_and_errors_as_json() {
     let text = found["findings"][0]["text"].as_str().unwrap();
     assert!(text.contains("time.step") && output.stderr.is_empty(), "{text}");
     let both = json(&folder, &["check", "wires", "--json"]);
-    assert_eq!(both["recordings"].as_array().map(Vec::len), Some(2));
+    assert_eq!(both["scenes"].as_array().map(Vec::len), Some(2));
 }
 
 #[test]
@@ -64,6 +64,20 @@ fn every_command_has_examples_and_every_run_its_exit_codes() {
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
         let script = text(&folder.varda(&["completions", shell]));
         assert!(script.contains("simulate") && script.contains("resume"), "{shell}");
+    }
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_error() {
+    let folder = Folder::new("pipe");
+    for arguments in ["schema", "check hanging-rod --json", "completions bash", "run lorenz63 --json"] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_varda"));
+        command.args(arguments.split(' ')).current_dir(&folder.0);
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        drop(child.stdout.take());
+        let output = child.wait_with_output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && said.is_empty(), "{arguments}: {said}");
     }
 }
 

@@ -88,14 +88,14 @@ pub(super) fn run(
             outcome.judgement.verdict,
             &table(&outcome, &folder, started.elapsed().as_secs_f64()),
         ),
-        Shown::Json => println!("{:#}", report::summary_of_cycles(&outcome)),
+        Shown::Json => style::line(format_args!("{:#}", report::summary_of_cycles(&outcome))),
     }
     if outcome.status == Status::Failed {
         style::message(outcome.failure.as_deref().unwrap_or("a minimization failed"));
         return Ok(ExitCode::FAILURE);
     }
     if outcome.status == Status::Interrupted && shown == Shown::Table {
-        println!("{:<14} add --resume to the same command", "to continue");
+        style::line(format_args!("{:<14} add --resume to the same command", "to continue"));
     }
     let warned = strict && !outcome.warnings.is_empty();
     Ok(exit::code(&outcome.judgement, outcome.status, outcome.late, warned))

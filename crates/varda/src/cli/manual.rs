@@ -1,7 +1,5 @@
 //! Examples and exit codes in the help, manual pages, completions of a shell.
 
-use std::io::Write;
-
 use clap::{Command, CommandFactory, error::ErrorKind};
 use clap_complete::Shell;
 
@@ -92,16 +90,15 @@ Examples:
   varda man > varda.1
   varda man run > varda-run.1";
 
-/// Prints the completions of a shell.
-pub(super) fn completions<C: CommandFactory>(shell: Shell, mut out: impl Write) {
-    clap_complete::generate(shell, &mut C::command(), "varda", &mut out);
+/// The completions of a shell.
+pub(super) fn completions<C: CommandFactory>(shell: Shell) -> String {
+    let mut script = Vec::new();
+    clap_complete::generate(shell, &mut C::command(), "varda", &mut script);
+    String::from_utf8_lossy(&script).into_owned()
 }
 
-/// Prints the manual page of the program or of one of its commands.
-///
-/// # Errors
-/// Those of `out`.
-pub(super) fn man<C: CommandFactory>(command: Option<&str>, mut out: impl Write) -> std::io::Result<()> {
+/// The manual page of the program or of one of its commands; ends the program where there is no such command.
+pub(super) fn man<C: CommandFactory>(command: Option<&str>) -> String {
     let mut program = C::command();
     program.build();
     let page: Command = match command {
@@ -115,5 +112,7 @@ pub(super) fn man<C: CommandFactory>(command: Option<&str>, mut out: impl Write)
             }
         },
     };
-    clap_mangen::Man::new(page).render(&mut out)
+    let mut text = Vec::new();
+    clap_mangen::Man::new(page).render(&mut text).expect("memory can be written to");
+    String::from_utf8_lossy(&text).into_owned()
 }

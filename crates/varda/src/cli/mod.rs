@@ -227,7 +227,7 @@ pub fn main() -> ExitCode {
             convert::convert(&file, out, &Options { up, unit }).map(|()| ExitCode::SUCCESS)
         }
         Command::Schema => {
-            println!("{}", Scene::schema());
+            style::line(Scene::schema());
             Ok(ExitCode::SUCCESS)
         }
         Command::Scenes => {
@@ -235,12 +235,13 @@ pub fn main() -> ExitCode {
             Ok(ExitCode::SUCCESS)
         }
         Command::Completions { shell } => {
-            manual::completions::<Cli>(shell, std::io::stdout());
+            style::print(&manual::completions::<Cli>(shell));
             Ok(ExitCode::SUCCESS)
         }
-        Command::Man { command } => manual::man::<Cli>(command.as_deref(), std::io::stdout())
-            .map(|()| ExitCode::SUCCESS)
-            .map_err(|reason| Error::Write { path: "the manual page".into(), reason }),
+        Command::Man { command } => {
+            style::print(&manual::man::<Cli>(command.as_deref()));
+            Ok(ExitCode::SUCCESS)
+        }
     };
     done.unwrap_or_else(|error| {
         style::error(&error);
@@ -352,7 +353,7 @@ fn run_scene(
             outcome.judgement.verdict,
             &table::outcome(&outcome, &folder, started.elapsed().as_secs_f64()),
         ),
-        Shown::Json => print!("{}", Summary::new(&outcome).to_json()),
+        Shown::Json => style::print(&Summary::new(&outcome).to_json()),
     }
     Ok(exit_code(&outcome, strict))
 }
@@ -402,9 +403,9 @@ fn simulate(
     match shown {
         Shown::Nothing => {}
         Shown::Table => {
-            print!("{}", table::simulation(&simulation, &folder, started.elapsed().as_secs_f64()));
+            style::print(&table::simulation(&simulation, &folder, started.elapsed().as_secs_f64()));
         }
-        Shown::Json => println!("{:#}", report::summary_of_simulation(&simulation, seconds)),
+        Shown::Json => style::line(format_args!("{:#}", report::summary_of_simulation(&simulation, seconds))),
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -423,8 +424,8 @@ fn compare_all(arguments: &SceneArguments, out: Option<&Path>, json: bool) -> Re
     let rows = compare(&file, &mut on_row, &interrupted)?;
     let folder = report::write_comparison(&file, &rows, interrupted(), &folder)?;
     match json {
-        true => println!("{:#}", report::summary_of_comparison(&file, &rows, interrupted())),
-        false => print!("{}", table::comparison(&rows, &folder)),
+        true => style::line(format_args!("{:#}", report::summary_of_comparison(&file, &rows, interrupted()))),
+        false => style::print(&table::comparison(&rows, &folder)),
     }
     Ok(if interrupted() { ExitCode::from(INTERRUPTED) } else { ExitCode::SUCCESS })
 }
@@ -442,8 +443,8 @@ fn modes(
     let modes = run::modes(&file, count)?;
     let folder = report::write_modes(&modes, &folder)?;
     match json {
-        true => println!("{:#}", report::summary_of_modes(&modes)),
-        false => print!("{}", table::modes(&modes, &folder)),
+        true => style::line(format_args!("{:#}", report::summary_of_modes(&modes))),
+        false => style::print(&table::modes(&modes, &folder)),
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -453,7 +454,7 @@ fn check(file: &SceneFile) -> Result<ExitCode, Error> {
         return recordings::check(file);
     }
     let preview = Preview::new(file)?;
-    print!("{}", preview::table(&preview));
+    style::print(&preview::table(&preview));
     Ok(if preview.has_errors() { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
@@ -473,7 +474,7 @@ fn list() {
     for shipped in SHIPPED {
         let title =
             shipped.text.lines().find_map(|l| l.strip_prefix("title = ")).unwrap_or("").trim_matches('"');
-        println!("{:width$}  {title}", shipped.name);
+        style::line(format_args!("{:width$}  {title}", shipped.name));
     }
-    println!("\nhanging-rod is short for hanging-rod-case1.");
+    style::line(format_args!("\nhanging-rod is short for hanging-rod-case1."));
 }

@@ -4,6 +4,7 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use super::style;
 use crate::Error;
 use crate::preview::enough_segments;
 use crate::scene::{STARTER, Scene, SceneFile, Shipped, shipped_data, shipped_scene};
@@ -51,7 +52,7 @@ pub(super) fn new(name: &str, from: From) -> Result<(), Error> {
     let schema = path.with_file_name(SCHEMA);
     std::fs::write(&schema, Scene::schema() + "\n")
         .map_err(|reason| Error::Write { path: schema, reason })?;
-    println!("wrote {0}; next: varda check {0}", path.display());
+    style::line(format_args!("wrote {0}; next: varda check {0}", path.display()));
     Ok(())
 }
 
@@ -78,7 +79,7 @@ fn with_enough_segments(path: &Path, scene: String) -> String {
 /// [`Error::NoScene`].
 pub(super) fn show(scene: &str) -> Result<(), Error> {
     let Shipped { text, .. } = shipped_scene(scene)?;
-    print!("{text}");
+    style::print(text);
     Ok(())
 }
 

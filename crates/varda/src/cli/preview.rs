@@ -3,6 +3,7 @@
 use std::fmt::Write;
 use std::process::ExitCode;
 
+use super::style;
 use crate::Error;
 use crate::outcome::{Neighbours, RecordingSummary, TrackSummary};
 use crate::preview::{Finding, MeshEffect, Misfit, ModeDamping, Preview, Severity, findings};
@@ -55,9 +56,9 @@ pub(super) fn check_as_json(opened: Result<SceneFile, Error>) -> ExitCode {
         "version": env!("CARGO_PKG_VERSION"),
         "method": "check",
         "findings": findings,
-        "recordings": previews,
+        "scenes": previews,
     });
-    println!("{found:#}");
+    style::line(format_args!("{found:#}"));
     if wrong { ExitCode::FAILURE } else { ExitCode::SUCCESS }
 }
 

@@ -57,7 +57,7 @@ pub(super) fn run(
             outcome.judgement.verdict,
             &table(&outcome, &folder, started.elapsed().as_secs_f64()),
         ),
-        Shown::Json => print!("{}", JointSummary::new(&outcome).to_json()),
+        Shown::Json => style::print(&JointSummary::new(&outcome).to_json()),
     }
     if outcome.status == Status::Failed {
         style::message(outcome.warnings.first().map_or("the minimizer failed", String::as_str));
@@ -72,7 +72,7 @@ pub(super) fn check(file: &SceneFile) -> Result<ExitCode, Error> {
     let mut wrong = false;
     for inputs in Recordings::inputs(file)? {
         let preview = Preview::of(inputs)?;
-        print!("{}", preview::table(&preview));
+        style::print(&preview::table(&preview));
         wrong |= preview.has_errors();
     }
     // what they share must be the same

@@ -1,4 +1,6 @@
-//! Colours: of errors and verdicts, on a terminal, unless NO_COLOR is set.
+//! Printing: texts, and errors and verdicts in colour on a terminal, unless NO_COLOR is set.
+
+use std::io::Write;
 
 use clap::builder::styling::{AnsiColor, Style};
 
@@ -19,6 +21,16 @@ pub(super) fn message(text: &str) {
     anstream::eprintln!("{style}error:{style:#} {text}");
 }
 
+/// Prints to stdout; a reader that has gone away (`| head`) is no error.
+pub(super) fn print(text: &str) {
+    let _ = anstream::stdout().lock().write_all(text.as_bytes());
+}
+
+/// Prints a line to stdout.
+pub(super) fn line(text: impl std::fmt::Display) {
+    print(&format!("{text}\n"));
+}
+
 /// Prints a table whose first word is a verdict.
 pub(super) fn table(verdict: Verdict, table: &str) {
     let style = colour(match verdict {
@@ -27,8 +39,8 @@ pub(super) fn table(verdict: Verdict, table: &str) {
         Verdict::NothingObserved => AnsiColor::Red,
     });
     match table.strip_prefix(verdict.heading()) {
-        Some(rest) => anstream::print!("{style}{}{style:#}{rest}", verdict.heading()),
-        None => anstream::print!("{table}"),
+        Some(rest) => print(&format!("{style}{}{style:#}{rest}", verdict.heading())),
+        None => print(table),
     }
 }
 
