@@ -19,6 +19,8 @@ use support::program::{Folder, text};
 
 const PACKAGES: [&str; 5] = ["numpy", "xarray", "netCDF4", "meshio", "taplo"];
 
+const ALL: &str = "output.formats=[\"netcdf\", \"npz\", \"vtk\"]";
+
 /// A Python with the packages, or why there is none: that is said, once for every test.
 fn python() -> Option<PathBuf> {
     static PYTHON: OnceLock<Result<PathBuf, String>> = OnceLock::new();
@@ -65,6 +67,8 @@ fn other_programs_read_the_same_numbers() {
     let check = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/check.py");
     for (scene, model, formats, sets) in [
         ("hanging-rod", "rod", r#"["csv", "netcdf", "npz", "vtk"]"#, "time.window=20"),
+        ("hanging-rod-weak", "rod", r#"["netcdf", "npz", "vtk"]"#, "report.posterior=true"),
+        ("wire", "rod", r#"["netcdf", "npz", "vtk"]"#, "seed=1"),
         ("lorenz63", "components", r#"["netcdf", "npz"]"#, "seed=1"),
     ] {
         let formats = format!("output.formats={formats}");
@@ -73,6 +77,24 @@ fn other_programs_read_the_same_numbers() {
         let output = command.arg(&check).arg(folder.0.join(scene)).arg(model).output().unwrap();
         assert!(output.status.success(), "{scene}: {}", String::from_utf8_lossy(&output.stderr));
         print!("{scene}: {}", String::from_utf8_lossy(&output.stdout));
+    }
+}
+
+#[test]
+fn the_python_of_the_guide_runs() {
+    let Some(python) = python() else { return };
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/guide/output-files.md");
+    let page = std::fs::read_to_string(page).unwrap();
+    let folder = Folder::new("formats-guide");
+    text(&folder.varda(&["run", "hanging-rod", "--quiet", "--set", ALL]));
+    let blocks = page.split("```python\n").skip(1).map(|rest| rest.split("```").next().unwrap());
+    // PyVista needs VTK, hundreds of megabytes, and opens a window
+    let blocks: Vec<&str> = blocks.filter(|block| !block.contains("import pyvista")).collect();
+    assert_eq!(blocks.len(), 3);
+    for block in blocks {
+        let output = Command::new(&python).args(["-c", block]).current_dir(&folder.0).output().unwrap();
+        assert!(output.status.success(), "{block}: {}", String::from_utf8_lossy(&output.stderr));
+        assert!(!output.stdout.is_empty(), "{block}");
     }
 }
 
@@ -100,9 +122,8 @@ fn an_editor_checks_scenes_by_the_schema_beside_them() {
 #[test]
 fn formats_are_of_every_command_that_leaves_a_result() {
     let folder = Folder::new("formats-commands");
-    let all = "output.formats=[\"netcdf\", \"npz\", \"vtk\"]";
     let short = "time.window=20";
-    text(&folder.varda(&["simulate", "hanging-rod", "--quiet", "--out", "s", "--set", all, "--set", short]));
+    text(&folder.varda(&["simulate", "hanging-rod", "--quiet", "--out", "s", "--set", ALL, "--set", short]));
     let pvd = folder.read("s/result.pvd");
     assert_eq!(pvd.matches("<DataSet").count(), 21, "{pvd}");
     let components = "output.formats=[\"netcdf\", \"npz\"]";

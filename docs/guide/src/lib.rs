@@ -24,6 +24,8 @@ pub mod observation_files {}
 pub mod methods {}
 #[doc = include_str!("../report.md")]
 pub mod report {}
+#[doc = include_str!("../output-files.md")]
+pub mod output_files {}
 #[doc = include_str!("../../theory/README.md")]
 pub mod theory {
     #[doc = include_str!("../../theory/covariance.md")]

@@ -61,18 +61,23 @@ def netcdf(folder, model):
         same("component", data.component, np.array(["x", "y", "z"]))
         of = {"position": "", "position_background": "b_", "position_truth": "truth_"}
         of = {name: [f"{axis}_{prefix}m" for axis in "xyz"] for name, prefix in of.items()}
+        # a recording has no truth
+        assert ("position_truth" in data) == ("x_truth_m" in columns)
+        of = {name: names for name, names in of.items() if name in data}
         of["velocity"] = [f"v{axis}_m_s" for axis in "xyz"]
         of["position_sigma"] = [f"sigma_{axis}_m" for axis in "xyz"]
         of["velocity_sigma"] = [f"sigma_v{axis}_m_s" for axis in "xyz"]
         for name, names in of.items():
             same(name, data[name], vectors(columns, names, steps))
-        forces = table(folder / "forces.csv")
-        for name in ["tension", "tension_sigma"]:
-            column = "sigma_tension_n" if name.endswith("sigma") else "tension_n"
-            same(name, data[name][1:], forces[column].reshape(steps - 1, -1))
-        assert np.isnan(data.tension[0]).all() and data.tension.attrs["units"] == "N"
+        # forces are those after a step; one shape has none
+        assert ("tension" in data) == (steps > 1)
+        if "tension" in data:
+            forces = table(folder / "forces.csv")
+            for name, column in [("tension", "tension_n"), ("tension_sigma", "sigma_tension_n")]:
+                same(name, data[name][1:], forces[column].reshape(steps - 1, -1))
+            assert np.isnan(data.tension[0]).all() and data.tension.attrs["units"] == "N"
         # a place and a time are found by their values
-        middle = data.position.sel(s=float(data.s[-1]) / 2, time=float(data.time[3]), method="nearest")
+        middle = data.position.sel(s=float(data.s[-1]) / 2, time=float(data.time[-1]), method="nearest")
         assert middle.shape == (3,)
     else:
         for name, column in [("state", "x_a"), ("state_background", "x_b"), ("state_truth", "truth"),
@@ -84,6 +89,15 @@ def netcdf(folder, model):
                          ("sigma", "sigma_y"), ("marker", "marker")]:
         same(f"obs_{name}", data[f"obs_{name}"], seen[column])
     assert set(data.obs_value.coords) == {"obs_time", "obs_marker", "obs_axis"}, data.obs_value.coords
+    if "constant_value" in data:
+        constants = table(folder / "estimates.csv")
+        same("constant", data.constant, constants["name"])
+        for name in ["prior", "prior_sigma", "value", "sigma", "low_95", "high_95"]:
+            same(f"constant_{name}", data[f"constant_{name}"], constants[name])
+    if "model_error" in data:
+        errors = table(folder / "model_error.csv")
+        same("model_error", data.model_error.values.ravel(), errors["eta"])
+        same("model_error_sigma", data.model_error_sigma.values.ravel(), errors["sigma_eta"])
     control = table(folder / "analysis.csv")
     same("control", data.control, control["name"])
     same("control_analysis", data.control_analysis, control["x_a"])
@@ -104,7 +118,7 @@ def vtk(folder, data):
 
     steps = xml.parse(folder / "result.pvd").getroot().findall("Collection/DataSet")
     same("times of the collection", [float(step.get("timestep")) for step in steps], data.time)
-    for number in [0, 7, len(steps) - 1]:
+    for number in {0, len(steps) // 2, len(steps) - 1}:
         grid = meshio.read(folder / steps[number].get("file"))
         now = data.isel(time=number)
         same("points", grid.points, now.position)
@@ -114,7 +128,8 @@ def vtk(folder, data):
         same("speed", grid.point_data["speed"].ravel(), np.sqrt((now.velocity**2).sum("component", skipna=False)))
         moved = now.position - now.position_background
         same("displacement", grid.point_data["displacement_from_background"], moved)
-        same("tension", grid.cell_data["tension"][0].ravel(), now.tension)
+        if "tension" in data:
+            same("tension", grid.cell_data["tension"][0].ravel(), now.tension)
         same("TimeValue", np.ravel(grid.field_data["TimeValue"]), [float(data.time[number])])
     print(f"vtk: {len(steps)} steps")
 
