@@ -154,20 +154,14 @@ impl Dataset {
         let Some((shapes, geometry)) = shapes.zip(experiment.state.geometry.as_ref()) else {
             let names = experiment.state.names.len();
             for (suffix, of, states) in known() {
-                let row = |k| runs.state(states, k).map_or(vec![f64::NAN; names], |x| x[..names].to_vec());
+                let row = |k| runs.state(states, k).map(|x| x[..names].to_vec());
                 let what = if of.is_empty() {
                     "standard deviation of the state".into()
                 } else {
                     format!("state, {of}")
                 };
                 let dimensions = [("time", steps), ("component", names)];
-                self.put(
-                    format!("state{suffix}"),
-                    &dimensions,
-                    (0..steps).flat_map(row).collect(),
-                    "1",
-                    what,
-                );
+                self.put(format!("state{suffix}"), &dimensions, rows(steps, names, row), "1", what);
             }
             self.locate("component", "s");
             return;
@@ -179,18 +173,10 @@ impl Dataset {
             ("_truth", "truth", &shapes.truth),
         ];
         for (suffix, of, run) in places.into_iter().filter(|(_, _, run)| !run.is_empty()) {
-            let step = |k: usize| match run.get(k) {
-                Some(shape) => shape.as_flattened().to_vec(),
-                None => vec![f64::NAN; 3 * geometry.arc_lengths.len()],
-            };
-            let values = (0..steps).flat_map(step).collect();
-            self.put(
-                format!("position{suffix}"),
-                &in_space,
-                values,
-                "m",
-                format!("position of vertices, {of}"),
-            );
+            let step = |k: usize| run.get(k).map(|shape| shape.as_flattened().to_vec());
+            let values = rows(steps, 3 * geometry.arc_lengths.len(), step);
+            let what = format!("position of vertices, {of}");
+            self.put(format!("position{suffix}"), &in_space, values, "m", what);
         }
         for group in &experiment.state.groups {
             for (suffix, of, states) in known() {
@@ -200,10 +186,10 @@ impl Dataset {
                 }
                 // a held vertex is known
                 let held = if group.name == "position" { 0.0 } else { f64::NAN };
-                let values =
-                    (0..steps).flat_map(|k| spread(runs.state(states, k), group, geometry, held)).collect();
                 let along_edges = [("time", steps), ("s_edge", geometry.arc_lengths.len() - 1)];
                 let dimensions = if group.width == 3 { &in_space[..] } else { &along_edges };
+                let step = |k| runs.state(states, k).map(|state| spread(state, group, geometry, held));
+                let values = rows(steps, dimensions[1..].iter().map(|(_, n)| n).product(), step);
                 let what = if is_sigma {
                     format!("standard deviation of {}", group.name)
                 } else {
@@ -234,12 +220,8 @@ impl Dataset {
                           what: &str,
                           values: &dyn Fn(&InternalForces) -> Vec<f64>| {
             let length: usize = dimensions[1..].iter().map(|(_, n)| n).product();
-            let missing = vec![f64::NAN; length];
-            let step = |k: usize| match k.checked_sub(1).and_then(|i| steps.get(i)) {
-                Some(forces) => values(forces),
-                None => missing.clone(),
-            };
-            let values = (0..=last_step).flat_map(step).collect();
+            let step = |k: usize| Some(values(steps.get(k.checked_sub(1)?)?));
+            let values = rows(last_step + 1, length, step);
             self.put(format!("{name}{suffix}"), dimensions, values, unit, format!("{of}{what}"));
         };
         series("tension", &[time, edges], "N", "tension", &|f| f.tension.clone());
@@ -365,16 +347,27 @@ impl Dataset {
     }
 }
 
+/// So many rows of so many numbers, one after the other; NaN in those that are not known.
+fn rows(count: usize, length: usize, row: impl Fn(usize) -> Option<Vec<f64>>) -> Vec<f64> {
+    let mut all = Vec::with_capacity(count * length);
+    for k in 0..count {
+        match row(k) {
+            Some(row) => all.extend(row),
+            None => all.extend(std::iter::repeat_n(f64::NAN, length)),
+        }
+    }
+    all
+}
+
 /// The vectors of a group at all vertices, or its numbers at all edges; `held` where they are not free.
-fn spread(state: Option<&[f64]>, group: &StateGroup, geometry: &Geometry, held: f64) -> Vec<f64> {
+fn spread(state: &[f64], group: &StateGroup, geometry: &Geometry, held: f64) -> Vec<f64> {
     let vertices = geometry.arc_lengths.len();
     let (places, free) = match group.width {
         3 => (vertices, &geometry.free),
         _ => (vertices - 1, &geometry.free_edges),
     };
-    let mut all = vec![if state.is_some() { held } else { f64::NAN }; group.width * places];
-    let values = state.and_then(|state| state.get(group.range.clone())).unwrap_or_default();
-    for (value, place) in values.chunks(group.width).zip(free) {
+    let mut all = vec![held; group.width * places];
+    for (value, place) in state[group.range.clone()].chunks(group.width).zip(free) {
         all[group.width * place..][..group.width].copy_from_slice(value);
     }
     all

@@ -19,9 +19,6 @@ pub(super) fn write_formats(
     }
     let data = data();
     let has = |format: Format| output.formats.contains(&format);
-    if has(Format::Netcdf) {
-        out.write_with(&format!("{at}result.nc"), |file| netcdf::write(&data, file))?;
-    }
     if has(Format::Npz) {
         out.write_with(&format!("{at}result.npz"), |file| npz::write(&data, file))?;
     }
@@ -31,6 +28,10 @@ pub(super) fn write_formats(
             out.write_with(&format!("{at}{}", step.file), |file| vtk::write_step(&data, step, file))?;
         }
         out.write(&format!("{at}result.pvd"), &vtk::collection(&steps))?;
+    }
+    // last: it takes the arrays apart
+    if has(Format::Netcdf) {
+        out.write_with(&format!("{at}result.nc"), |file| netcdf::write(data, file))?;
     }
     Ok(())
 }

@@ -10,17 +10,18 @@ use super::dataset::{Array, Dataset, Values};
 ///
 /// # Errors
 /// Those of the file; an array of more than 4 GB, which the format has no room for.
-pub(super) fn write(data: &Dataset, file: &mut dyn Write) -> Result<(), Error> {
+pub(super) fn write(data: Dataset, file: &mut dyn Write) -> Result<(), Error> {
     build(data)
         .and_then(|builder| builder.write(file, NcWriteOptions::offset64()))
         .map(|_| ())
         .map_err(Error::other)
 }
 
-fn build(data: &Dataset) -> netcdf_writer::Result<NcFileBuilder> {
+/// The file in memory; each array is gone when it is in it.
+fn build(data: Dataset) -> netcdf_writer::Result<NcFileBuilder> {
     let mut file = NcFileBuilder::new();
-    for (name, text) in &data.attributes {
-        file.add_attribute(*name, NcAttrValue::Chars(text.clone()))?;
+    for (name, text) in data.attributes {
+        file.add_attribute(name, NcAttrValue::Chars(text))?;
     }
     let mut known: Vec<(String, DimensionId)> = Vec::new();
     let mut dimension = |file: &mut NcFileBuilder, name: &str, length: usize| {
@@ -31,7 +32,7 @@ fn build(data: &Dataset) -> netcdf_writer::Result<NcFileBuilder> {
         known.push((name.to_string(), id));
         netcdf_writer::Result::Ok(id)
     };
-    for array in &data.arrays {
+    for array in data.arrays {
         let mut dimensions = Vec::new();
         for (name, length) in array.dimensions.iter().zip(&array.shape) {
             dimensions.push(dimension(&mut file, name, *length)?);
@@ -60,7 +61,7 @@ fn build(data: &Dataset) -> netcdf_writer::Result<NcFileBuilder> {
                 variable
             }
         };
-        describe(&mut file, variable, array)?;
+        describe(&mut file, variable, &array)?;
     }
     Ok(file)
 }
