@@ -79,9 +79,9 @@ pub enum Error {
     /// Cholesky met a pivot that is zero to rounding: there is no usable Cholesky root and no inverse.
     #[error(
         "the covariance is singular to working precision and has no usable Cholesky root: pivot \
-         {pivot} is {value:.3e}, not above rounding in its variance {variance:.3e} ({tolerance:.3e}); localize \
-         the kernel with a compact taper (triangle, Gaspari–Cohn), shorten its length, or take a truncated \
-         root (eigen or pivoted Cholesky), which needs no inverse"
+         {pivot} is {value:.3e}, not above rounding in its variance {variance:.3e} ({tolerance:.3e}); \
+         localize the kernel with a compact taper (triangle, Gaspari–Cohn), shorten its length, or take a \
+         truncated root (eigen or pivoted Cholesky), which needs no inverse"
     )]
     Singular {
         /// Index of the pivot.
