@@ -65,8 +65,8 @@ pub enum Error {
     },
     /// Cholesky met a clearly negative pivot: the matrix is no covariance at all.
     #[error(
-        "the matrix is not positive definite, so it is no covariance: pivot {pivot} is {value:e}, \
-         its variance {variance:e}"
+        "the matrix is not positive definite, so it is no covariance: pivot {pivot} is {value:.3e}, \
+         its variance {variance:.3e}"
     )]
     NotPositiveDefinite {
         /// Index of the pivot.
@@ -79,9 +79,9 @@ pub enum Error {
     /// Cholesky met a pivot that is zero to rounding: there is no usable Cholesky root and no inverse.
     #[error(
         "the covariance is singular to working precision and has no usable Cholesky root: pivot \
-         {pivot} is {value:e}, not above rounding in its variance {variance:e} ({tolerance:e}); localize the \
-         kernel with a compact taper (triangle, Gaspari–Cohn), shorten its length, or take a truncated \
-         root (eigen or pivoted Cholesky), which needs no inverse"
+         {pivot} is {value:.3e}, not above rounding in its variance {variance:.3e} ({tolerance:.3e}); \
+         localize the kernel with a compact taper (triangle, Gaspari–Cohn), shorten its length, or take a \
+         truncated root (eigen or pivoted Cholesky), which needs no inverse"
     )]
     Singular {
         /// Index of the pivot.
@@ -120,8 +120,7 @@ pub enum Error {
     /// The known points on which a kernel is conditioned are too close to tell apart, or coincide.
     #[error(
         "known point {point} says nothing new: given the known points before it, its variance \
-         (relative to 1) is {value:e}; \
-         they coincide or lie too close for this kernel"
+         (relative to 1) is {value:.3e}; they coincide or lie too close for this kernel"
     )]
     KnownPoints {
         /// Index among the known points.

@@ -83,8 +83,10 @@ pub enum Error {
     /// Newton's method ran out of iterations, or its line search out of room, and so did the halving of the
     /// step.
     #[error(
-        "step {step} (t = {time} s, Δt = {length} s): Newton stopped after {iterations} iterations with \
-         |du| = {update:e} (wanted {tolerance:e})"
+        "step {step} (t = {} s, Δt = {} s): Newton stopped after {iterations} iterations with \
+         |du| = {update:.3e} (wanted {tolerance:.3e})",
+        rounded(*time),
+        rounded(*length)
     )]
     NewtonDiverged {
         /// Index k of the step.
@@ -156,8 +158,9 @@ pub enum Error {
     },
     /// The shortest step allowed is too long for the error asked for.
     #[error(
-        "t = {time} s: a step of {length:e} s has an error of {error:e} (wanted {tolerance:e}); no shorter \
-            one is allowed"
+        "t = {} s: a step of {length:.3e} s has an error of {error:.3e} (wanted {tolerance:e}); no shorter \
+         one is allowed",
+        rounded(*time)
     )]
     ToleranceNotMet {
         /// Time at the start of the step (s).
@@ -203,4 +206,9 @@ impl Error {
         }
         self
     }
+}
+
+/// A number with the ten digits that matter in a message: 0.6, not 0.6000000000000001.
+fn rounded(value: f64) -> f64 {
+    format!("{value:.9e}").parse().unwrap_or(value)
 }

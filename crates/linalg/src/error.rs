@@ -31,8 +31,8 @@ pub enum Error {
     },
     /// Cholesky met a negative pivot.
     #[error(
-        "the matrix is not positive definite: pivot {pivot} is {value:e}, from a diagonal entry of \
-         {diagonal:e}"
+        "the matrix is not positive definite: pivot {pivot} is {value:.3e}, from a diagonal entry of \
+         {diagonal:.3e}"
     )]
     NotPositiveDefinite {
         /// Index of the pivot.
@@ -44,9 +44,8 @@ pub enum Error {
     },
     /// Cholesky met a pivot that is zero to rounding.
     #[error(
-        "the matrix is singular to working precision: pivot {pivot} is {value:e}, not above rounding \
-         ({tolerance:e}) \
-         in its diagonal entry of {diagonal:e}"
+        "the matrix is singular to working precision: pivot {pivot} is {value:.3e}, not above rounding \
+         ({tolerance:.3e}) in its diagonal entry of {diagonal:.3e}"
     )]
     Singular {
         /// Index of the pivot.

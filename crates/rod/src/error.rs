@@ -48,8 +48,10 @@ pub enum Error {
     },
     /// A clamp turned so far within a step that whole turns cannot be told from none.
     #[error(
-        "a clamp turns by {turn:.3} rad in the step from t = {from} s to {to} s, and more than a quarter \
-         turn leaves its whole turns undecided: a shorter step or a slower drive helps"
+        "a clamp turns by {turn:.3} rad in the step from t = {} s to {} s, and more than a quarter \
+         turn leaves its whole turns undecided: a shorter step or a slower drive helps",
+        rounded(*from),
+        rounded(*to)
     )]
     ClampTurns {
         /// Its turn about its tangent \[rad\].
@@ -110,7 +112,7 @@ pub enum Error {
         expected: usize,
     },
     /// A place along the rod is outside it.
-    #[error("{what} at arc length {s} m is off the rod (0 to {length} m)")]
+    #[error("{what} at arc length {} m is off the rod (0 to {} m)", rounded(*s), rounded(*length))]
     OffRod {
         /// What was placed.
         what: &'static str,
@@ -127,4 +129,9 @@ pub enum Error {
         /// Why not.
         reason: &'static str,
     },
+}
+
+/// A number with the ten digits that matter in a message: 0.6, not 0.6000000000000001.
+fn rounded(value: f64) -> f64 {
+    format!("{value:.9e}").parse().unwrap_or(value)
 }

@@ -16,6 +16,8 @@ pub enum Error {
         place: String,
         /// What is wrong and what would be right.
         message: String,
+        /// The line of the scene and a mark below the place; empty where there is none.
+        excerpt: String,
     },
     /// A data file (CSV) cannot be used. `place` is `file:line`.
     #[error("{place}: {message}")]
@@ -112,11 +114,27 @@ pub enum Error {
 }
 
 impl Error {
+    /// The line of the scene that is at fault and a mark below the place, two lines of text; `None` where the
+    /// error is of no such line.
+    ///
+    /// ```
+    /// let scene = "[model]\nkind = \"lorenz63\"\nsigmas = 10.0\n";
+    /// let error = varda::scene::SceneFile::parse("odd", "odd.toml", scene, None, &[]).unwrap_err();
+    /// assert!(error.to_string().starts_with("odd.toml:3:1: unknown key"));
+    /// assert_eq!(error.excerpt(), Some("    3 | sigmas = 10.0\n      | ^\n"));
+    /// ```
+    pub fn excerpt(&self) -> Option<&str> {
+        match self {
+            Error::Scene { excerpt, .. } if !excerpt.is_empty() => Some(excerpt),
+            _ => None,
+        }
+    }
+
     /// The same of one of several recordings: its keys and rows are also those of others.
     pub(crate) fn of_recording(self, name: &str) -> Error {
         match self {
-            Error::Scene { place, message } => {
-                Error::Scene { place, message: format!("recording {name:?}: {message}") }
+            Error::Scene { place, message, excerpt } => {
+                Error::Scene { place, message: format!("recording {name:?}: {message}"), excerpt }
             }
             Error::Data { place, message } => {
                 Error::Data { place, message: format!("recording {name:?}: {message}") }

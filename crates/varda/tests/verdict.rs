@@ -168,7 +168,7 @@ fn shipped_scenes_are_shown_and_copied_with_their_data() {
     let shown = text(&folder.varda(&["show", "beam-release"]));
     assert_eq!(shown, varda::scene::shipped_scene("beam-release").unwrap().text);
     text(&folder.varda(&["new", "beam", "--from", "beam-release"]));
-    assert_eq!(folder.read("beam.toml"), shown);
+    assert_eq!(folder.read("beam.toml"), format!("#:schema ./varda-schema.json\n{shown}"));
     text(&folder.varda(&["check", "beam.toml"]));
     // The data from before are the same: they are let alone.
     text(&folder.varda(&["new", "again", "--from", "beam-release"]));

@@ -57,6 +57,8 @@ pub mod gallery {
     #[doc = include_str!("../gallery/lorenz96-cycling-4dvar.md")]
     pub mod lorenz96_cycling_4dvar {}
 }
+#[doc = include_str!("../output-files.md")]
+pub mod output_files {}
 #[doc = include_str!("../../theory/README.md")]
 pub mod theory {
     #[doc = include_str!("../../theory/covariance.md")]

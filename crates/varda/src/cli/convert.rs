@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::style;
 use crate::Error;
 use crate::convert::{Options, Recording, Unit, Up, read};
 
@@ -31,8 +32,8 @@ pub(super) fn convert(file: &Path, out: Option<PathBuf>, options: &Options) -> R
         return Err(failed(std::io::Error::other("it is there already: choose a name with --out")));
     }
     std::fs::write(&out, recording.to_csv()).map_err(failed)?;
-    print!("{}", table(&recording));
-    println!("\nwrote {}", out.display());
+    style::print(&table(&recording));
+    style::line(format_args!("\nwrote {}", out.display()));
     Ok(())
 }
 

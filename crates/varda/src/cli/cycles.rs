@@ -16,7 +16,7 @@ use crate::scene::SceneFile;
 use crate::setup::files::InputFile;
 
 use super::progress::ProgressDisplay;
-use super::{RunOptions, Shown, exit};
+use super::{RunOptions, Shown, exit, style};
 
 /// Where a sequence starts and where its result goes.
 pub(super) struct SequenceStart<'a> {
@@ -84,15 +84,18 @@ pub(super) fn run(
     }
     match shown {
         Shown::Nothing => {}
-        Shown::Table => print!("{}", table(&outcome, &folder, started.elapsed().as_secs_f64())),
-        Shown::Json => println!("{:#}", report::summary_of_cycles(&outcome)),
+        Shown::Table => style::table(
+            outcome.judgement.verdict,
+            &table(&outcome, &folder, started.elapsed().as_secs_f64()),
+        ),
+        Shown::Json => style::line(format_args!("{:#}", report::summary_of_cycles(&outcome))),
     }
     if outcome.status == Status::Failed {
-        eprintln!("error: {}", outcome.failure.as_deref().unwrap_or("a minimization failed"));
+        style::message(outcome.failure.as_deref().unwrap_or("a minimization failed"));
         return Ok(ExitCode::FAILURE);
     }
     if outcome.status == Status::Interrupted && shown == Shown::Table {
-        println!("{:<14} add --resume to the same command", "to continue");
+        style::line(format_args!("{:<14} add --resume to the same command", "to continue"));
     }
     let warned = strict && !outcome.warnings.is_empty();
     Ok(exit::code(&outcome.judgement, outcome.status, outcome.late, warned))

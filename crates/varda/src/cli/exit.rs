@@ -1,4 +1,4 @@
-//! Exit codes.
+//! Exit codes; clap itself ends with 2.
 
 use std::process::ExitCode;
 
@@ -12,11 +12,6 @@ const DOES_NOT_FIT: u8 = 3;
 const NOT_CONVERGED: u8 = 4;
 /// What a shell reports for a program ended by Ctrl-C.
 pub(super) const INTERRUPTED: u8 = 130;
-
-/// What the exit codes of `run` mean; clap itself ends with 2.
-pub(super) const HELP: &str = "\
-Exit codes: 0 the analysis fits, 1 an error or nothing was observed, 2 wrong usage, 3 it does not fit (with
---strict also any warning), 4 not converged, 130 interrupted.";
 
 /// How the program ends after a run whose minimization did not fail.
 pub(super) fn code(judgement: &Judgement, status: Status, late: bool, warned: bool) -> ExitCode {

@@ -5,10 +5,12 @@
 mod convert;
 mod cycles;
 mod exit;
+mod manual;
 mod new;
 mod preview;
 mod progress;
 mod recordings;
+mod style;
 mod table;
 
 use std::io::Read;
@@ -19,6 +21,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use clap::{Args, Parser, Subcommand};
+use clap_complete::Shell;
 use varda_linalg::interrupt::{self, Ends};
 
 use crate::Error;
@@ -41,7 +44,8 @@ use progress::ProgressDisplay;
 #[command(
     name = "varda",
     version,
-    about = "Estimates the state of a dynamical system from noisy, sparse observations"
+    about = "Estimates the state of a dynamical system from noisy, sparse observations",
+    after_help = manual::PROGRAM
 )]
 struct Cli {
     #[command(subcommand)]
@@ -51,7 +55,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// Assimilate: minimise the cost of a scene and write a report
-    #[command(after_help = exit::HELP)]
+    #[command(after_help = manual::RUN)]
     Run {
         #[command(flatten)]
         scene: SceneArguments,
@@ -72,6 +76,7 @@ enum Command {
         resume: bool,
     },
     /// Run the model forward only: from the truth where there is one, else from the background
+    #[command(after_help = manual::SIMULATE)]
     Simulate {
         #[command(flatten)]
         scene: SceneArguments,
@@ -81,16 +86,24 @@ enum Command {
         /// Print nothing but errors
         #[arg(long)]
         quiet: bool,
+        /// Print summary.json instead of the table
+        #[arg(long, conflicts_with = "quiet")]
+        json: bool,
     },
     /// Run every method and minimizer that applies; print and draw error against seconds
+    #[command(after_help = manual::COMPARE)]
     Compare {
         #[command(flatten)]
         scene: SceneArguments,
         /// Folder for the result [default: out/<scene name>-compare]
         #[arg(long, value_name = "DIR")]
         out: Option<PathBuf>,
+        /// Print summary.json instead of the table
+        #[arg(long)]
+        json: bool,
     },
     /// Find the natural frequencies and modes of a rod about its shape at rest
+    #[command(after_help = manual::MODES)]
     Modes {
         #[command(flatten)]
         scene: SceneArguments,
@@ -100,13 +113,21 @@ enum Command {
         /// Folder for the result [default: out/<scene name>-modes]
         #[arg(long, value_name = "DIR")]
         out: Option<PathBuf>,
+        /// Print summary.json instead of the table
+        #[arg(long)]
+        json: bool,
     },
     /// Check a scene and look at the data beside the model: one forward run, no minimization
+    #[command(after_help = manual::CHECK)]
     Check {
         #[command(flatten)]
         scene: SceneArguments,
+        /// Print the findings and all numbers as JSON
+        #[arg(long)]
+        json: bool,
     },
     /// Write a scene to start from to NAME.toml: a commented one, one for a recording, or a shipped one
+    #[command(after_help = manual::NEW)]
     New {
         /// Name of the scene
         name: String,
@@ -118,11 +139,13 @@ enum Command {
         from: Option<String>,
     },
     /// Print a scene that comes with the program
+    #[command(after_help = manual::SHOW)]
     Show {
         /// Its name
         scene: String,
     },
     /// Convert a recording (C3D, CSV of Motive or Nexus, TRC) to time_s,marker,x_m,y_m,z_m, z upwards
+    #[command(after_help = manual::CONVERT)]
     Convert {
         /// The recording
         file: PathBuf,
@@ -137,9 +160,23 @@ enum Command {
         unit: Option<Unit>,
     },
     /// Print the JSON Schema of a scene
+    #[command(after_help = manual::SCHEMA)]
     Schema,
     /// List the scenes that come with the program
+    #[command(after_help = manual::SCENES)]
     Scenes,
+    /// Print what a shell needs to complete commands and flags
+    #[command(after_help = manual::COMPLETIONS)]
+    Completions {
+        /// The shell
+        shell: Shell,
+    },
+    /// Print the manual page of the program, or of one of its commands
+    #[command(after_help = manual::MAN)]
+    Man {
+        /// The command
+        command: Option<String>,
+    },
 }
 
 #[derive(Args)]
@@ -167,19 +204,16 @@ pub fn main() -> ExitCode {
     let started = Instant::now();
     let done = match Cli::parse().command {
         Command::Run { scene, out, quiet, json, strict, resume } => {
-            let shown = if quiet {
-                Shown::Nothing
-            } else if json {
-                Shown::Json
-            } else {
-                Shown::Table
-            };
-            run_scene(&scene, out.as_deref(), RunOptions { shown, strict, resume }, started)
+            let options = RunOptions { shown: Shown::of(quiet, json), strict, resume };
+            run_scene(&scene, out.as_deref(), options, started)
         }
-        Command::Simulate { scene, out, quiet } => simulate(&scene, out.as_deref(), quiet, started),
-        Command::Compare { scene, out } => compare_all(&scene, out.as_deref()),
-        Command::Modes { scene, count, out } => modes(&scene, count, out.as_deref()),
-        Command::Check { scene } => scene.open().and_then(|file| check(&file)),
+        Command::Simulate { scene, out, quiet, json } => {
+            simulate(&scene, out.as_deref(), Shown::of(quiet, json), started)
+        }
+        Command::Compare { scene, out, json } => compare_all(&scene, out.as_deref(), json),
+        Command::Modes { scene, count, out, json } => modes(&scene, count, out.as_deref(), json),
+        Command::Check { scene, json: true } => Ok(preview::check_as_json(scene.open())),
+        Command::Check { scene, json: false } => scene.open().and_then(|file| check(&file)),
         Command::New { name, recording, from } => {
             let from = match (recording, from) {
                 (Some(file), _) => new::From::Recording(file),
@@ -193,16 +227,24 @@ pub fn main() -> ExitCode {
             convert::convert(&file, out, &Options { up, unit }).map(|()| ExitCode::SUCCESS)
         }
         Command::Schema => {
-            println!("{}", Scene::schema());
+            style::line(Scene::schema());
             Ok(ExitCode::SUCCESS)
         }
         Command::Scenes => {
             list();
             Ok(ExitCode::SUCCESS)
         }
+        Command::Completions { shell } => {
+            style::print(&manual::completions::<Cli>(shell));
+            Ok(ExitCode::SUCCESS)
+        }
+        Command::Man { command } => {
+            style::print(&manual::man::<Cli>(command.as_deref()));
+            Ok(ExitCode::SUCCESS)
+        }
     };
     done.unwrap_or_else(|error| {
-        eprintln!("error: {error}");
+        style::error(&error);
         ExitCode::FAILURE
     })
 }
@@ -228,6 +270,16 @@ enum Shown {
     Table,
     /// summary.json.
     Json,
+}
+
+impl Shown {
+    fn of(quiet: bool, json: bool) -> Shown {
+        match (quiet, json) {
+            (true, _) => Shown::Nothing,
+            (false, true) => Shown::Json,
+            (false, false) => Shown::Table,
+        }
+    }
 }
 
 /// Flags of `run`.
@@ -297,8 +349,11 @@ fn run_scene(
     let folder = report::write(&outcome, &folder)?;
     match shown {
         Shown::Nothing => {}
-        Shown::Table => print!("{}", table::outcome(&outcome, &folder, started.elapsed().as_secs_f64())),
-        Shown::Json => print!("{}", Summary::new(&outcome).to_json()),
+        Shown::Table => style::table(
+            outcome.judgement.verdict,
+            &table::outcome(&outcome, &folder, started.elapsed().as_secs_f64()),
+        ),
+        Shown::Json => style::print(&Summary::new(&outcome).to_json()),
     }
     Ok(exit_code(&outcome, strict))
 }
@@ -306,7 +361,7 @@ fn run_scene(
 fn exit_code(outcome: &Outcome, strict: bool) -> ExitCode {
     if outcome.status == Status::Failed {
         let reason = outcome.failure.as_ref().map(ToString::to_string);
-        eprintln!("error: {}", reason.as_deref().unwrap_or("the minimizer failed"));
+        style::message(reason.as_deref().unwrap_or("the minimizer failed"));
         return ExitCode::FAILURE;
     }
     exit::code(&outcome.judgement, outcome.status, outcome.late, strict && !outcome.warnings.is_empty())
@@ -329,9 +384,10 @@ fn refuse_occupied(folder: &Path, quiet: bool) -> Result<(), Error> {
 fn simulate(
     arguments: &SceneArguments,
     out: Option<&Path>,
-    quiet: bool,
+    shown: Shown,
     started: Instant,
 ) -> Result<ExitCode, Error> {
+    let quiet = shown == Shown::Nothing;
     let file = arguments.open()?;
     let default = || Path::new("out").join(format!("{}-simulation", file.name));
     let folder = out.map_or_else(default, Path::to_path_buf);
@@ -342,14 +398,19 @@ fn simulate(
     }
     let problem = Problem::new(inputs)?;
     let simulation = run::simulate(&problem)?;
-    let folder = report::write_simulation(&simulation, started.elapsed().as_secs_f64(), &folder)?;
-    if !quiet {
-        print!("{}", table::simulation(&simulation, &folder, started.elapsed().as_secs_f64()));
+    let seconds = started.elapsed().as_secs_f64();
+    let folder = report::write_simulation(&simulation, seconds, &folder)?;
+    match shown {
+        Shown::Nothing => {}
+        Shown::Table => {
+            style::print(&table::simulation(&simulation, &folder, started.elapsed().as_secs_f64()));
+        }
+        Shown::Json => style::line(format_args!("{:#}", report::summary_of_simulation(&simulation, seconds))),
     }
     Ok(ExitCode::SUCCESS)
 }
 
-fn compare_all(arguments: &SceneArguments, out: Option<&Path>) -> Result<ExitCode, Error> {
+fn compare_all(arguments: &SceneArguments, out: Option<&Path>, json: bool) -> Result<ExitCode, Error> {
     let file = arguments.open()?;
     let default = || Path::new("out").join(format!("{}-compare", file.name));
     let folder = out.map_or_else(default, Path::to_path_buf);
@@ -362,18 +423,29 @@ fn compare_all(arguments: &SceneArguments, out: Option<&Path>) -> Result<ExitCod
     let mut on_row = |r: &Compared| eprintln!("{} {}: {}", r.method, r.solver, r.status);
     let rows = compare(&file, &mut on_row, &interrupted)?;
     let folder = report::write_comparison(&file, &rows, interrupted(), &folder)?;
-    print!("{}", table::comparison(&rows, &folder));
+    match json {
+        true => style::line(format_args!("{:#}", report::summary_of_comparison(&file, &rows, interrupted()))),
+        false => style::print(&table::comparison(&rows, &folder)),
+    }
     Ok(if interrupted() { ExitCode::from(INTERRUPTED) } else { ExitCode::SUCCESS })
 }
 
-fn modes(arguments: &SceneArguments, count: usize, out: Option<&Path>) -> Result<ExitCode, Error> {
+fn modes(
+    arguments: &SceneArguments,
+    count: usize,
+    out: Option<&Path>,
+    json: bool,
+) -> Result<ExitCode, Error> {
     let file = arguments.open()?;
     let default = || Path::new("out").join(format!("{}-modes", file.name));
     let folder = out.map_or_else(default, Path::to_path_buf);
     refuse_occupied(&folder, false)?;
     let modes = run::modes(&file, count)?;
     let folder = report::write_modes(&modes, &folder)?;
-    print!("{}", table::modes(&modes, &folder));
+    match json {
+        true => style::line(format_args!("{:#}", report::summary_of_modes(&modes))),
+        false => style::print(&table::modes(&modes, &folder)),
+    }
     Ok(ExitCode::SUCCESS)
 }
 
@@ -382,7 +454,7 @@ fn check(file: &SceneFile) -> Result<ExitCode, Error> {
         return recordings::check(file);
     }
     let preview = Preview::new(file)?;
-    print!("{}", preview::table(&preview));
+    style::print(&preview::table(&preview));
     Ok(if preview.has_errors() { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
@@ -402,7 +474,7 @@ fn list() {
     for shipped in SHIPPED {
         let title =
             shipped.text.lines().find_map(|l| l.strip_prefix("title = ")).unwrap_or("").trim_matches('"');
-        println!("{:width$}  {title}", shipped.name);
+        style::line(format_args!("{:width$}  {title}", shipped.name));
     }
-    println!("\nhanging-rod is short for hanging-rod-case1.");
+    style::line(format_args!("\nhanging-rod is short for hanging-rod-case1."));
 }

@@ -4,10 +4,14 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use super::style;
 use crate::Error;
 use crate::preview::enough_segments;
-use crate::scene::{STARTER, SceneFile, Shipped, shipped_data, shipped_scene};
+use crate::scene::{STARTER, Scene, SceneFile, Shipped, shipped_data, shipped_scene};
 use crate::setup::recording_scene::scene_of_recording;
+
+/// The schema beside a scene, which its first line names: editors complete and check keys by it.
+const SCHEMA: &str = "varda-schema.json";
 
 /// What a new scene is made of.
 pub(super) enum From {
@@ -19,7 +23,7 @@ pub(super) enum From {
     Shipped(String),
 }
 
-/// Writes a scene to NAME.toml, with the files that a shipped one names beside it.
+/// Writes a scene to NAME.toml; beside it the files that a shipped one names, and the schema.
 ///
 /// # Errors
 /// [`Error::Write`] where something is there already, [`Error::Data`] for a file that is no recording,
@@ -43,8 +47,12 @@ pub(super) fn new(name: &str, from: From) -> Result<(), Error> {
             shipped.text.to_string()
         }
     };
-    write_new(&path, &text)?;
-    println!("wrote {0}; next: varda check {0}", path.display());
+    write_new(&path, &format!("#:schema ./{SCHEMA}\n{text}"))?;
+    // it is that of this program, whatever another version has left there
+    let schema = path.with_file_name(SCHEMA);
+    std::fs::write(&schema, Scene::schema() + "\n")
+        .map_err(|reason| Error::Write { path: schema, reason })?;
+    style::line(format_args!("wrote {0}; next: varda check {0}", path.display()));
     Ok(())
 }
 
@@ -71,7 +79,7 @@ fn with_enough_segments(path: &Path, scene: String) -> String {
 /// [`Error::NoScene`].
 pub(super) fn show(scene: &str) -> Result<(), Error> {
     let Shipped { text, .. } = shipped_scene(scene)?;
-    print!("{text}");
+    style::print(text);
     Ok(())
 }
 

@@ -1,10 +1,14 @@
 //! What `check` prints, and what `run` says of a scene before it starts.
 
 use std::fmt::Write;
+use std::process::ExitCode;
 
+use super::style;
+use crate::Error;
 use crate::outcome::{Neighbours, RecordingSummary, TrackSummary};
 use crate::preview::{Finding, MeshEffect, Misfit, ModeDamping, Preview, Severity, findings};
-use crate::setup::Inputs;
+use crate::scene::SceneFile;
+use crate::setup::{Inputs, Recordings};
 
 /// The lines of `run` before it starts: the rows of a recording, and what looks wrong.
 pub(super) fn in_short(inputs: &Inputs) -> String {
@@ -16,6 +20,46 @@ pub(super) fn in_short(inputs: &Inputs) -> String {
         let _ = writeln!(out, "{}: {finding}", name(finding.severity));
     }
     out
+}
+
+/// `check --json`: what was found and all numbers behind it, or the error of a scene that cannot be read.
+pub(super) fn check_as_json(opened: Result<SceneFile, Error>) -> ExitCode {
+    let previews = opened.and_then(|file| {
+        let previews = match file.has_recordings() {
+            true => {
+                let each = Recordings::inputs(&file)?.into_iter().map(Preview::of);
+                let previews = each.collect::<Result<Vec<_>, _>>()?;
+                // what they share must be the same
+                Recordings::from_scene(&file)?;
+                previews
+            }
+            false => vec![Preview::new(&file)?],
+        };
+        Ok((file.name, previews))
+    });
+    let (scene, findings, previews) = match previews {
+        Ok((scene, previews)) => {
+            let findings = previews.iter().flat_map(|p| p.findings.clone()).collect::<Vec<_>>();
+            (Some(scene), findings, previews)
+        }
+        Err(error) => {
+            let (place, text) = match error {
+                Error::Scene { place, message, .. } | Error::Data { place, message } => (place, message),
+                other => (String::new(), other.to_string()),
+            };
+            (None, vec![Finding { severity: Severity::Error, place, text }], Vec::new())
+        }
+    };
+    let wrong = findings.iter().any(|finding| finding.severity == Severity::Error);
+    let found = serde_json::json!({
+        "scene": scene,
+        "version": env!("CARGO_PKG_VERSION"),
+        "method": "check",
+        "findings": findings,
+        "scenes": previews,
+    });
+    style::line(format_args!("{found:#}"));
+    if wrong { ExitCode::FAILURE } else { ExitCode::SUCCESS }
 }
 
 /// What `check` prints.

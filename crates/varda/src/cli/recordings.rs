@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use super::progress::ProgressDisplay;
-use super::{RunOptions, Shown, exit, preview};
+use super::{RunOptions, Shown, exit, preview, style};
 use crate::Error;
 use crate::outcome::{JointOutcome, Status, in_words};
 use crate::preview::Preview;
@@ -53,11 +53,14 @@ pub(super) fn run(
     let folder = write_recordings(&outcome, folder)?;
     match options.shown {
         Shown::Nothing => {}
-        Shown::Table => print!("{}", table(&outcome, &folder, started.elapsed().as_secs_f64())),
-        Shown::Json => print!("{}", JointSummary::new(&outcome).to_json()),
+        Shown::Table => style::table(
+            outcome.judgement.verdict,
+            &table(&outcome, &folder, started.elapsed().as_secs_f64()),
+        ),
+        Shown::Json => style::print(&JointSummary::new(&outcome).to_json()),
     }
     if outcome.status == Status::Failed {
-        eprintln!("error: {}", outcome.warnings.first().map_or("the minimizer failed", String::as_str));
+        style::message(outcome.warnings.first().map_or("the minimizer failed", String::as_str));
         return Ok(ExitCode::FAILURE);
     }
     let warned =
@@ -69,7 +72,7 @@ pub(super) fn check(file: &SceneFile) -> Result<ExitCode, Error> {
     let mut wrong = false;
     for inputs in Recordings::inputs(file)? {
         let preview = Preview::of(inputs)?;
-        print!("{}", preview::table(&preview));
+        style::print(&preview::table(&preview));
         wrong |= preview.has_errors();
     }
     // what they share must be the same

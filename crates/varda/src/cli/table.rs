@@ -8,6 +8,8 @@ use crate::run::compare::Compared;
 
 /// Most notes in a table; the report has all of them.
 const MOST_NOTES: usize = 6;
+/// Most markers of a recording in a table; summary.json has all of them.
+const MOST_DISTANCES: usize = 12;
 
 pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
     let experiment = &o.experiment;
@@ -186,6 +188,21 @@ pub(super) fn simulation(s: &Simulation, folder: &Path, seconds: f64) -> String 
     line("run", format!("of the {}: {} steps of {:.6} s from t = {:.6} s", s.of, s.steps, w.step, w.start));
     if let Some(tip) = s.tip() {
         line("tip at the end", format!("({:.6}, {:.6}, {:.6}) m", tip[0], tip[1], tip[2]));
+    }
+    if let Some(rms) = s.rms_distance() {
+        // of a rod in space, of numbers without a unit otherwise
+        let shown = |rms: f64| match s.shapes {
+            Some(_) => format!("{:.2} mm rms", 1e3 * rms),
+            None => format!("{rms:.3e} rms"),
+        };
+        let count: usize = s.distances.iter().map(|d| d.count).sum();
+        line("off recording", format!("{} over {count} sightings", shown(rms)));
+        for d in s.distances.iter().take(MOST_DISTANCES) {
+            line("", format!("{}: {} over {}", d.label, shown(d.rms), d.count));
+        }
+        if s.distances.len() > MOST_DISTANCES {
+            line("", format!("{} more in summary.json", s.distances.len() - MOST_DISTANCES));
+        }
     }
     line(
         "work",

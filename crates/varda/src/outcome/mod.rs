@@ -34,7 +34,7 @@ pub use modes::RodModes;
 pub use next_observation::{Candidate, NextObservation};
 pub use recording::{Neighbours, RecordingSummary, RowCount, SitesAre, TrackSummary};
 pub use shares::{KnownConstants, Share};
-pub use simulation::{Simulation, TwinFiles};
+pub use simulation::{Distance, Simulation, TwinFiles};
 pub use sources::{Sensitivity, SourceShare, Sources};
 pub use space::{Shapes, Sight, Track};
 pub use spread::ObservedValue;

@@ -1,5 +1,7 @@
 //! A forward run.
 
+use serde::Serialize;
+
 use super::{Experiment, Shapes, Trajectories, WorkCounts};
 
 /// A forward run over the window and its forecast.
@@ -19,11 +21,31 @@ pub struct Simulation {
     pub counts: WorkCounts,
     /// For a twin experiment in space: the files from which its problem can be read again.
     pub twin: Option<TwinFiles>,
+    /// How far it is from a recording, marker by marker; empty without a recording.
+    pub distances: Vec<Distance>,
     /// Remarks for the user.
     pub warnings: Vec<String>,
 }
 
+/// How far a forward run is from what a recording saw of a marker, a place or a component.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Distance {
+    /// The marker, place or component.
+    pub label: String,
+    /// How often it was seen.
+    pub count: usize,
+    /// Root mean square of the distance \[m\], of the difference for a component.
+    pub rms: f64,
+}
+
 impl Simulation {
+    /// Root mean square of the distance from a recording over all that was seen; `None` without a recording.
+    pub fn rms_distance(&self) -> Option<f64> {
+        let count: usize = self.distances.iter().map(|d| d.count).sum();
+        let squares: f64 = self.distances.iter().map(|d| d.count as f64 * d.rms * d.rms).sum();
+        (count > 0).then(|| (squares / count as f64).sqrt())
+    }
+
     /// The last vertex at the end of the run \[m\]: the free end of a hanging rod.
     pub fn tip(&self) -> Option<[f64; 3]> {
         self.shapes.as_ref()?.analysis.last()?.last().copied()

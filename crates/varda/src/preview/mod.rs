@@ -12,6 +12,8 @@ pub use background::Misfit;
 pub use finding::{Finding, Severity};
 pub use numerics::{MeshEffect, ModeDamping, enough_segments, numerical_damping};
 
+use serde::Serialize;
+
 use crate::Error;
 use crate::outcome::RecordingSummary;
 use crate::scene::SceneFile;
@@ -29,7 +31,7 @@ use crate::setup::{Inputs, Plan};
 /// assert_eq!(odd.findings[0].place, "observations.sigma");
 /// # Ok::<(), varda::Error>(())
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Preview {
     /// Sizes and memory.
     pub plan: Plan,

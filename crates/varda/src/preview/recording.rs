@@ -2,6 +2,7 @@
 
 use super::finding::Finding;
 use crate::outcome::RecordingSummary;
+use crate::scene::rounded;
 
 /// Rows are few where so many times as many are left out.
 const MOST_LEFT_OUT: usize = 9;
@@ -12,8 +13,8 @@ const FAR_ABOVE: f64 = 100.0;
 pub(super) fn of_recording(recording: &RecordingSummary, step: f64) -> Vec<Finding> {
     let mut found = Vec::new();
     let rows = &recording.rows;
-    let [from, to] = recording.window;
-    let [first, last] = recording.span;
+    let [from, to] = recording.window.map(rounded);
+    let [first, last] = recording.span.map(rounded);
     let in_window = rows.used + rows.withheld + rows.forecast;
     let left_out = rows.outside + rows.refused;
     if rows.used == 0 {
@@ -47,7 +48,7 @@ pub(super) fn of_recording(recording: &RecordingSummary, step: f64) -> Vec<Findi
         ));
     }
     let seen = || recording.tracks.iter().filter(|track| track.rows > 1);
-    let window = to - from;
+    let window = rounded(to - from);
     if rows.used > 0
         && let Some(track) = seen().find(|track| track.interval > 0.5 * window && track.rows > 3)
     {
@@ -56,7 +57,8 @@ pub(super) fn of_recording(recording: &RecordingSummary, step: f64) -> Vec<Findi
             format!(
                 "{} is seen every {} s, and the window is {window} s long; milliseconds? Name the column \
                  time_ms",
-                track.label, track.interval
+                track.label,
+                rounded(track.interval)
             ),
         ));
     }
@@ -95,7 +97,7 @@ fn meant(recording: &RecordingSummary) -> String {
     let [from, to] = recording.window;
     let [first, last] = recording.span;
     let overlap = |first: f64, last: f64| last.min(to) - first.max(from);
-    let window = to - from;
+    let window = rounded(to - from);
     // as seconds these are few frames a second, as milliseconds they are not too many
     let slow = recording.tracks.iter().any(|track| track.interval >= 0.2);
     if slow

@@ -3,6 +3,7 @@
 use super::finding::Finding;
 use crate::scene::{
     Clamp, Covariance, Integrator, KernelCovariance, Model, Motion, Observations, RodModel, Scene, Section,
+    rounded,
 };
 
 /// What of a scene looks as if it were not meant.
@@ -127,7 +128,7 @@ fn of_rod(rod: &RodModel, length: f64, found: &mut Found) {
     }
     let place = |clamp: &Option<Clamp>| clamp.as_ref().filter(|c| c.motion.is_none())?.position;
     if let (Some(a), Some(b)) = (place(&rod.start), place(&rod.end)) {
-        let apart = norm(&[b[0] - a[0], b[1] - a[1], b[2] - a[2]]);
+        let apart = rounded(norm(&[b[0] - a[0], b[1] - a[1], b[2] - a[2]]));
         found.say(apart > 1.2 * length, "model.end.position", || {
             format!(
                 "the clamps are {apart} m apart and the rod is {length} m long: it is stretched by {:.0} %",
@@ -315,11 +316,6 @@ fn area(section: &Section) -> f64 {
         Section::Rectangle { width, height } => width * height,
         Section::Stiffness { .. } => 0.0,
     }
-}
-
-/// Without what rounding adds.
-fn rounded(value: f64) -> f64 {
-    format!("{value:.9e}").parse().unwrap_or(value)
 }
 
 fn norm(v: &[f64; 3]) -> f64 {

@@ -10,8 +10,10 @@ use crate::outcome::{CycleRow, CyclesOutcome, Status};
 use crate::state::StateGroup;
 
 use super::chart::{Corner, Figure, Panel, Series, Style};
+use super::dataset::Dataset;
 use super::figures::{field, rod_through_time};
 use super::folder::ResultFolder;
+use super::formats::write_formats;
 use super::markup::{
     error_name, escape, folded_numbers, list, scene_section, short, status_words, tile_list, verdict,
 };
@@ -41,6 +43,7 @@ pub fn write_cycles(outcome: &CyclesOutcome, folder: &Path) -> Result<PathBuf, E
         "trajectory.csv",
         &tables::trajectory(&outcome.experiment, &outcome.trajectories, &[], shapes),
     )?;
+    write_formats(&out, "", &outcome.experiment.scene.output, || Dataset::of_cycles(outcome))?;
     out.publish()
 }
 

@@ -7,7 +7,7 @@
 //! replace.
 
 use std::fs::{File, OpenOptions};
-use std::io::ErrorKind;
+use std::io::{BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -73,10 +73,26 @@ impl ResultFolder {
     /// # Errors
     /// [`Error::Write`].
     pub fn write(&self, name: &str, text: &str) -> Result<(), Error> {
+        self.write_with(name, |file| file.write_all(text.as_bytes()))
+    }
+
+    /// Writes one file piece by piece; `name` is relative to the folder.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn write_with(
+        &self,
+        name: &str,
+        write: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
+    ) -> Result<(), Error> {
         let path = self.temporary.join(name);
         let folder = path.parent().unwrap_or(&self.temporary);
         std::fs::create_dir_all(folder)
-            .and_then(|()| std::fs::write(&path, text))
+            .and_then(|()| {
+                let mut file = BufWriter::new(File::create(&path)?);
+                write(&mut file)?;
+                file.flush()
+            })
             .map_err(|reason| Error::Write { path: self.target.join(name), reason })
     }
 

@@ -4,12 +4,17 @@ pub mod chart;
 pub mod checkpoint;
 mod comparison;
 mod cycles;
+mod dataset;
+mod described;
 mod estimates;
 mod figures;
 pub mod folder;
 mod forces;
+mod formats;
 mod markup;
 mod modes;
+mod netcdf;
+mod npz;
 mod page;
 mod recordings;
 mod run_page;
@@ -17,14 +22,17 @@ mod sources;
 mod summary;
 mod svg;
 mod tables;
+mod vtk;
 
 pub use cycles::{summary_of_cycles, write_cycles};
+pub use dataset::{Array, Dataset, Values};
 pub use recordings::{JointSummary, write_recordings};
 pub use summary::{ModelErrorSize, Summary, Terms, WindowAmplification};
 
 use std::path::{Path, PathBuf};
 
 use self::forces::Forces;
+use self::formats::write_formats;
 use crate::Error;
 use crate::outcome::{Experiment, Outcome, RodModes, Shapes, Simulation};
 use crate::report::folder::ResultFolder;
@@ -75,6 +83,7 @@ fn write_one(out: &ResultFolder, at: &str, outcome: &Outcome) -> Result<(), Erro
         write("model_error.csv", &tables::model_errors(experiment, errors))?;
     }
     write_forces(&write, experiment, outcome.shapes.as_ref())?;
+    write_formats(out, at, &experiment.scene.output, || Dataset::of(outcome))?;
     // Last: a folder without it is not a result.
     write("summary.json", &summary.to_json())
 }
@@ -90,20 +99,25 @@ pub fn write_comparison(
     folder: &Path,
 ) -> Result<PathBuf, Error> {
     let out = ResultFolder::begin(folder)?;
-    let summary = serde_json::json!({
-        "scene": file.name,
-        "seed": file.scene.seed,
-        "version": env!("CARGO_PKG_VERSION"),
-        "method": "compare",
-        "status": if interrupted { "interrupted" } else { "converged" },
-        "rows": rows,
-    });
+    let summary = summary_of_comparison(file, rows, interrupted);
     out.write("summary.json", &format!("{summary:#}\n"))?;
     out.write("compare.csv", &tables::comparison(rows))?;
     let figure = figures::comparison(rows);
     out.write("compare.svg", &figure.svg()?)?;
     out.write("report.html", &comparison::page(file, rows, interrupted, figure))?;
     out.publish()
+}
+
+/// summary.json of a comparison.
+pub fn summary_of_comparison(file: &SceneFile, rows: &[Compared], interrupted: bool) -> serde_json::Value {
+    serde_json::json!({
+        "scene": file.name,
+        "seed": file.scene.seed,
+        "version": env!("CARGO_PKG_VERSION"),
+        "method": "compare",
+        "status": if interrupted { "interrupted" } else { "converged" },
+        "rows": rows,
+    })
 }
 
 /// Writes the natural modes of a rod to `folder`, whole or not at all: modes.csv with their frequencies,
@@ -113,16 +127,7 @@ pub fn write_comparison(
 /// As [`write()`].
 pub fn write_modes(modes: &RodModes, folder: &Path) -> Result<PathBuf, Error> {
     let out = ResultFolder::begin(folder)?;
-    let frequencies: Vec<_> = modes.found.modes.iter().map(varda_rod::Mode::frequency).collect();
-    let summary = serde_json::json!({
-        "scene": modes.name,
-        "version": env!("CARGO_PKG_VERSION"),
-        "method": "modes",
-        "status": "converged",
-        "time_s": modes.time,
-        "frequencies_hz": frequencies,
-        "unstable": modes.found.unstable,
-    });
+    let summary = summary_of_modes(modes);
     out.write("summary.json", &format!("{summary:#}\n"))?;
     out.write("modes.csv", &modes::frequencies(modes))?;
     out.write("mode_shapes.csv", &modes::shapes(modes))?;
@@ -132,6 +137,20 @@ pub fn write_modes(modes: &RodModes, folder: &Path) -> Result<PathBuf, Error> {
     }
     out.write("report.html", &modes::page(modes, figures))?;
     out.publish()
+}
+
+/// summary.json of natural modes.
+pub fn summary_of_modes(modes: &RodModes) -> serde_json::Value {
+    let frequencies: Vec<_> = modes.found.modes.iter().map(varda_rod::Mode::frequency).collect();
+    serde_json::json!({
+        "scene": modes.name,
+        "version": env!("CARGO_PKG_VERSION"),
+        "method": "modes",
+        "status": "converged",
+        "time_s": modes.time,
+        "frequencies_hz": frequencies,
+        "unstable": modes.found.unstable,
+    })
 }
 
 /// forces.csv, moments.csv and reactions.csv of a rod.
@@ -161,7 +180,24 @@ fn write_forces(
 pub fn write_simulation(simulation: &Simulation, seconds: f64, folder: &Path) -> Result<PathBuf, Error> {
     let out = ResultFolder::begin(folder)?;
     let experiment = &simulation.experiment;
-    let summary = serde_json::json!({
+    let summary = summary_of_simulation(simulation, seconds);
+    out.write("summary.json", &format!("{summary:#}\n"))?;
+    let shapes = simulation.shapes.as_ref();
+    out.write("trajectory.csv", &tables::trajectory(experiment, &simulation.trajectories, &[], shapes))?;
+    write_forces(&|name, text| out.write(name, text), experiment, shapes)?;
+    if let (Some(twin), Some(shapes), Some(geometry)) = (&simulation.twin, shapes, &experiment.state.geometry)
+    {
+        out.write("background.csv", &tables::background(geometry, twin))?;
+        out.write("observations.csv", &tables::observations(shapes, &experiment.grid))?;
+    }
+    write_formats(&out, "", &experiment.scene.output, || Dataset::of_simulation(simulation))?;
+    out.publish()
+}
+
+/// summary.json of a forward run.
+pub fn summary_of_simulation(simulation: &Simulation, seconds: f64) -> serde_json::Value {
+    let experiment = &simulation.experiment;
+    serde_json::json!({
         "scene": experiment.name,
         "seed": experiment.scene.seed,
         "version": env!("CARGO_PKG_VERSION"),
@@ -173,18 +209,10 @@ pub fn write_simulation(simulation: &Simulation, seconds: f64, folder: &Path) ->
         "steps": simulation.steps,
         "counts": simulation.counts,
         "tip_m": simulation.tip(),
+        "rms_distance": simulation.rms_distance(),
+        "distances": simulation.distances,
         "seconds": { "total": seconds },
         "left_out": experiment.left_out,
         "warnings": simulation.warnings,
-    });
-    out.write("summary.json", &format!("{summary:#}\n"))?;
-    let shapes = simulation.shapes.as_ref();
-    out.write("trajectory.csv", &tables::trajectory(experiment, &simulation.trajectories, &[], shapes))?;
-    write_forces(&|name, text| out.write(name, text), experiment, shapes)?;
-    if let (Some(twin), Some(shapes), Some(geometry)) = (&simulation.twin, shapes, &experiment.state.geometry)
-    {
-        out.write("background.csv", &tables::background(geometry, twin))?;
-        out.write("observations.csv", &tables::observations(shapes, &experiment.grid))?;
-    }
-    out.publish()
+    })
 }

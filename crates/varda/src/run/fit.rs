@@ -8,10 +8,10 @@ use varda_implicit::{At, Model, Rate};
 
 use super::departures::{Departure, Surroundings};
 use crate::Error;
-use crate::outcome::{Fit, Forecast, ObservedValue, Sight, Trajectories, Withheld};
+use crate::outcome::{Distance, Fit, Forecast, ObservedValue, Sight, Trajectories, Withheld};
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
-use crate::setup::observations::{ObservedSpace, observe};
+use crate::setup::observations::{ObservedSpace, Site, observe};
 
 /// Innovations at background and analysis, label by label in the order of their first appearance.
 ///
@@ -276,6 +276,42 @@ pub(crate) fn beyond(
         }
     }
     Ok((withheld, forecasts))
+}
+
+/// How far a run is from what was seen, site by site, markers that are kept back included.
+///
+/// # Errors
+/// [`Error::Assimilation`] where a state cannot be observed.
+pub(crate) fn distances(
+    problem: &Problem,
+    runs: &Trajectories,
+    rate: Option<Box<dyn Rate>>,
+) -> Result<Vec<Distance>, Error> {
+    let (observed, grid) = (&problem.observed, &problem.experiment.grid);
+    let mut sums = vec![(0, 0.0); observed.sites.len()];
+    if let Some(space) = &observed.space {
+        let (sights, mut places) = SitePlaces::of(space, observed.sights(), grid, rate)?;
+        for (sight, place) in sights.iter().zip(places.along(runs, &runs.analysis)?) {
+            let sum = &mut sums[sight.site];
+            sum.0 += 1;
+            sum.1 += (0..3).map(|c| (sight.position[c] - place[c]).powi(2)).sum::<f64>();
+        }
+    } else {
+        let mut observations = observed.set(grid)?;
+        observations.follow(rate);
+        let d = innovations(&mut observations, runs, &runs.analysis)?;
+        for (i, o) in observations.observations().iter().enumerate() {
+            let Some(site) = observed.sites.iter().position(|site| site.label == o.label) else { continue };
+            sums[site].0 += observations.rows(i).len();
+            sums[site].1 += d[observations.rows(i)].iter().map(|d| d * d).sum::<f64>();
+        }
+    }
+    let of_site = |(site, (count, sum)): (&Site, (usize, f64))| Distance {
+        label: site.label.clone(),
+        count,
+        rms: (sum / count as f64).sqrt(),
+    };
+    Ok(observed.sites.iter().zip(sums).filter(|(_, sum)| sum.0 > 0).map(of_site).collect())
 }
 
 /// Where sites are in the model's axes.

@@ -1,5 +1,6 @@
 //! A run of the model forward, without observations.
 
+use super::fit::distances;
 use super::shapes;
 use super::window::merged;
 use crate::Error;
@@ -41,6 +42,10 @@ pub fn simulate(problem: &Problem) -> Result<Simulation, Error> {
         }
         None => None,
     };
+    let distances = match problem.observed.recording {
+        Some(_) => distances(problem, &trajectories, model.rate())?,
+        None => Vec::new(),
+    };
     Ok(Simulation {
         experiment: problem.experiment.clone(),
         of,
@@ -49,6 +54,7 @@ pub fn simulate(problem: &Problem) -> Result<Simulation, Error> {
         steps,
         counts: WorkCounts::of(log.counts),
         twin,
+        distances,
         warnings: merged(&log).into_iter().collect(),
     })
 }

@@ -21,7 +21,7 @@ use crate::outcome::{
     AcceptedSteps, Attempt, ConvergenceRow, ExactHessian, Experiment, Failure, GroupRmse, Outcome, Rejected,
     Rmse, Seconds, SeenComponent, Status, Trajectories, WorkCounts,
 };
-use crate::scene::Integrator;
+use crate::scene::{Integrator, rounded};
 use crate::setup::Problem;
 use crate::setup::adaptive_steps::Refreshing;
 use crate::setup::runs::{MakeModel, run_on};
@@ -447,7 +447,7 @@ fn first_sightings(experiment: &Experiment, rejected: &[Rejection]) -> String {
     let named: Vec<String> = sightings
         .iter()
         .take(SHOWN)
-        .map(|r| format!("{} at {} s ({:.1} σ)", r.label, experiment.grid.time(r.step), r.distance))
+        .map(|r| format!("{} at {} s ({:.1} σ)", r.label, rounded(experiment.grid.time(r.step)), r.distance))
         .collect();
     let more = sightings.len().saturating_sub(SHOWN);
     if more > 0 { format!("{} and {more} others", named.join(", ")) } else { named.join(", ") }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde::Deserialize;
 
@@ -27,6 +28,7 @@ pub struct SceneFile {
     /// What an estimate has found of the observations so far; nothing of that is in the file.
     pub(crate) adjusted: Adjusted,
     label: String,
+    text: Arc<str>,
     folder: Option<PathBuf>,
     places: BTreeMap<String, Place>,
 }
@@ -85,19 +87,20 @@ impl SceneFile {
     ) -> Result<SceneFile, Error> {
         if text.len() as u64 > SCENE_BYTES {
             let message = format!("{} bytes: a scene has at most {SCENE_BYTES}", text.len());
-            return Err(Error::Scene { place: label.to_string(), message });
+            return Err(Error::Scene { place: label.to_string(), message, excerpt: String::new() });
         }
         let mut root = tree::parse(label, text)?;
         for assignment in overrides {
             tree::set(&mut root, assignment)?;
         }
-        tree::rename(&mut root, label, ["model", "point_forces", "forces"])?;
+        tree::rename(&mut root, (label, text), ["model", "point_forces", "forces"])?;
         let schema = serde_json::to_value(schemars::schema_for!(Scene)).expect("a schema is plain JSON");
         let folder = folder.map(Path::to_path_buf);
-        let mut file = SceneFile::from_tree(name, label, &root, folder.clone(), &schema)?;
+        let written = Written { label, text: &Arc::from(text) };
+        let mut file = SceneFile::from_tree(name, written, &root, folder.clone(), &schema)?;
         let parts = recordings::trees(&root, file.scene.recordings.len());
         for (one, part) in file.scene.recordings.iter().zip(parts) {
-            let part = SceneFile::from_tree(&one.name, label, &part, folder.clone(), &schema);
+            let part = SceneFile::from_tree(&one.name, written, &part, folder.clone(), &schema);
             file.recordings.push(part.map_err(|error| error.of_recording(&one.name))?);
         }
         Ok(file)
@@ -105,13 +108,16 @@ impl SceneFile {
 
     fn from_tree(
         name: &str,
-        label: &str,
+        written: Written,
         root: &Node,
         folder: Option<PathBuf>,
         schema: &serde_json::Value,
     ) -> Result<SceneFile, Error> {
-        let wrong =
-            |place: &Place, message: String| Error::Scene { place: locate(label, Some(place)), message };
+        let Written { label, text } = written;
+        let wrong = |place: &Place, message: String| {
+            let excerpt = place.excerpt(text);
+            Error::Scene { place: locate(label, Some(place)), message, excerpt }
+        };
         schema_check::check(root, "", schema, schema).map_err(|w| wrong(&w.place, w.message))?;
         let scene = Scene::deserialize(root.to_json()).map_err(|e| wrong(&root.place, e.to_string()))?;
         let mut places = BTreeMap::new();
@@ -122,6 +128,7 @@ impl SceneFile {
             recordings: Vec::new(),
             adjusted: Adjusted::default(),
             label: label.to_string(),
+            text: Arc::clone(text),
             folder,
             places,
         };
@@ -141,7 +148,12 @@ impl SceneFile {
 
     /// An error that points at the key `path` (dotted; its nearest written parent where it was not written).
     pub fn invalid(&self, path: &str, message: impl Into<String>) -> Error {
-        Error::Scene { place: locate(&self.label, self.place(path)), message: message.into() }
+        let place = self.place(path);
+        Error::Scene {
+            place: locate(&self.label, place),
+            message: message.into(),
+            excerpt: place.map_or(String::new(), |place| place.excerpt(&self.text)),
+        }
     }
 
     /// The prior of an unknown that is one number; `None` where it is not estimated.
@@ -206,6 +218,13 @@ impl SceneFile {
             }
         }
     }
+}
+
+/// The text of a scene and its name in messages.
+#[derive(Clone, Copy)]
+struct Written<'a> {
+    label: &'a str,
+    text: &'a Arc<str>,
 }
 
 /// Where a data file is.

@@ -2,13 +2,14 @@
 
 use std::f64::consts::TAU;
 
+use serde::Serialize;
 use varda_implicit::At;
 
 use super::invalid::{Either, Invalid, invalid, one_of};
 use super::{Model, Scene};
 
 /// Times of a window and its forecast: step k is at `start + k · step` seconds.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TimeGrid {
     /// Model time at the start \[s\].
     pub start: f64,

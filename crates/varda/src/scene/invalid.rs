@@ -42,6 +42,27 @@ pub(super) fn on_rod(path: &str, s: f64, length: f64) -> Check {
     if s >= 0.0 && s <= length * (1.0 + 1e-9) {
         Ok(())
     } else {
+        let [s, length] = [s, length].map(rounded);
         invalid(path, format!("arc length {s} m is off the rod (0 to {length} m)"))
+    }
+}
+
+/// A number in a message, with the ten digits that matter: a sum of lengths is 0.6, not 0.6000000000000001.
+pub(crate) fn rounded(value: f64) -> f64 {
+    format!("{value:.9e}").parse().unwrap_or(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::rounded;
+
+    #[test]
+    fn rounding_of_sums_is_not_rounded() {
+        assert_eq!(rounded(0.1 + 0.2 + 0.3), 0.6);
+        assert_eq!(rounded(1.0 - 0.9), 0.1);
+        for kept in [0.0, 0.600_000_1, 1e-50, -9.81, 1e7 / 3.0, f64::INFINITY] {
+            assert!((rounded(kept) - kept).abs() <= 1e-9 * kept.abs() || rounded(kept) == kept);
+        }
+        assert!(rounded(f64::NAN).is_nan());
     }
 }

@@ -24,6 +24,7 @@ mod model;
 mod model_error;
 mod motion;
 mod observations;
+mod output;
 mod parsed;
 mod place;
 mod recordings;
@@ -57,7 +58,7 @@ pub(crate) use estimate::{OF_OBSERVATIONS, OF_PLACES, PriorSpread};
 pub(crate) use file::Adjusted;
 pub use file::SceneFile;
 pub use grid::TimeGrid;
-pub(crate) use invalid::Invalid;
+pub(crate) use invalid::{Invalid, rounded};
 pub use limits::{DEFAULT_MEMORY, Limits};
 pub use loads::{Drag, Force, Moment};
 pub use method::{Hessian, Method, Minimizer};
@@ -72,6 +73,7 @@ pub use motion::{
 pub use observations::{
     ErrorCorrelation, Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, UnreachableRows, Use,
 };
+pub use output::{Format, Output};
 pub(crate) use parsed::{Along, BackgroundSource, ComponentCovariance, LineStep, Shear};
 pub use place::Place;
 pub use recordings::{Keys, OneRecording};
@@ -126,6 +128,9 @@ pub struct Scene {
     /// What the report shows.
     #[serde(default)]
     pub report: Report,
+    /// Which files a run leaves.
+    #[serde(default)]
+    pub output: Output,
 }
 
 impl Scene {

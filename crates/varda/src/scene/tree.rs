@@ -37,9 +37,13 @@ pub(super) struct Entry {
 pub(super) fn parse(label: &str, text: &str) -> Result<Node, Error> {
     let lines = Lines::new(text);
     let place = |span: std::ops::Range<usize>| lines.place(span.start);
-    let table = DeTable::parse(text).map_err(|e| Error::Scene {
-        place: format!("{label}{}", e.span().map_or(String::new(), |s| format!(":{}", place(s)))),
-        message: format!("not TOML: {}", e.message().replace('\n', ", ")),
+    let table = DeTable::parse(text).map_err(|e| {
+        let at = e.span().map(place);
+        Error::Scene {
+            place: at.as_ref().map_or(label.to_string(), |at| format!("{label}:{at}")),
+            message: format!("not TOML: {}", e.message().replace('\n', ", ")),
+            excerpt: at.map_or(String::new(), |at| at.excerpt(text)),
+        }
     })?;
     let value = convert_table(table.get_ref(), &place);
     Ok(Node { place: Place::Text { line: 1, column: 1 }, value })
@@ -49,7 +53,11 @@ pub(super) fn parse(label: &str, text: &str) -> Result<Node, Error> {
 ///
 /// # Errors
 /// [`Error::Scene`] where both are there.
-pub(super) fn rename(root: &mut Node, label: &str, [table, other, key]: [&str; 3]) -> Result<(), Error> {
+pub(super) fn rename(
+    root: &mut Node,
+    (label, text): (&str, &str),
+    [table, other, key]: [&str; 3],
+) -> Result<(), Error> {
     let Value::Table(entries) = &mut root.value else { return Ok(()) };
     let Some(entry) = entries.iter_mut().find(|e| e.key == table) else { return Ok(()) };
     let Value::Table(keys) = &mut entry.node.value else { return Ok(()) };
@@ -60,7 +68,7 @@ pub(super) fn rename(root: &mut Node, label: &str, [table, other, key]: [&str; 3
             Place::Text { line, column } => format!("{label}:{line}:{column}"),
             set => set.to_string(),
         };
-        return Err(Error::Scene { place, message });
+        return Err(Error::Scene { place, message, excerpt: keys[at].place.excerpt(text) });
     }
     keys[at].key = key.to_string();
     Ok(())
@@ -68,7 +76,8 @@ pub(super) fn rename(root: &mut Node, label: &str, [table, other, key]: [&str; 3
 
 /// The tree with `key=value` put in (a dotted key; the value as TOML, or as a string where it is not TOML).
 pub(super) fn set(root: &mut Node, assignment: &str) -> Result<(), Error> {
-    let bad = |message: String| Error::Scene { place: format!("--set {assignment}"), message };
+    let place = format!("--set {assignment}");
+    let bad = |message: String| Error::Scene { place: place.clone(), message, excerpt: String::new() };
     let Some((key, text)) = assignment.split_once('=') else {
         return Err(bad("expected key=value, for example --set algorithm.max_iterations=20".into()));
     };

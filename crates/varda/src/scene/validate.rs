@@ -16,7 +16,7 @@ use super::validate_observations::{
 use super::validate_recordings::validate_recordings;
 use super::validate_rod::validate_rod;
 use super::validate_static::validate_static;
-use super::{Background, Covariance, Draw, Integrator, Model, Observations, Origin, Scene};
+use super::{Background, Covariance, Draw, Format, Integrator, Model, Observations, Origin, Scene};
 
 pub(super) fn validate(scene: &Scene) -> Check {
     let rod = match &scene.model {
@@ -61,6 +61,10 @@ pub(super) fn validate(scene: &Scene) -> Check {
     }
     validate_correlation(scene)?;
     scene.limits.bytes().or_else(|message| invalid("limits.memory", message))?;
+    if rod.is_none() && scene.output.formats.contains(&Format::Vtk) {
+        let message = "\"vtk\" is a format of curves in space: of this model take \"netcdf\" or \"npz\"";
+        return invalid("output.formats", message);
+    }
     validate_algorithm(scene)?;
     validate_recordings(scene)?;
     validate_static(scene)?;

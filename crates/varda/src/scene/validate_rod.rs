@@ -1,6 +1,6 @@
 //! What `[model]` of a rod must satisfy beyond the type of each key.
 
-use super::invalid::{Check, invalid, on_rod};
+use super::invalid::{Check, invalid, on_rod, rounded};
 use super::validate_loads::validate_loads;
 use super::validate_support::{validate_clamp, validate_prescribed};
 use super::{RodModel, Section, ShapePoints};
@@ -18,9 +18,10 @@ pub(super) fn validate_rod(rod: &RodModel) -> Check {
         return invalid(
             format!("model.section.{key}"),
             format!(
-                "a section {} m thick on a rod {total} m long: lengths are in metres, was another unit \
+                "a section {} m thick on a rod {} m long: lengths are in metres, was another unit \
                  meant?",
-                2.0 * thickest
+                rounded(2.0 * thickest),
+                rounded(total)
             ),
         );
     }

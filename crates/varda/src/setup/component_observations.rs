@@ -15,7 +15,7 @@ use super::recording::Recorded;
 use super::seen_with::with_constants;
 use crate::Error;
 use crate::outcome::SitesAre;
-use crate::scene::{Recording, Synthetic, TimeGrid};
+use crate::scene::{Recording, Synthetic, TimeGrid, rounded};
 
 /// The components that a twin experiment observes; their values are not yet drawn.
 pub(crate) fn synthetic(
@@ -151,7 +151,7 @@ fn place(row: &ComponentRow, system: &ComponentSystem) -> Result<Place, String> 
             }
             let in_millimetres = *s > 20.0 * length && 1e-3 * s <= length;
             let unit = if in_millimetres { ": millimetres? Name the column s_mm" } else { "" };
-            Err(format!("s_m = {s} is off the line (0 to {length} m){unit}"))
+            Err(format!("s_m = {} is off the line (0 to {length} m){unit}", rounded(*s)))
         }
         (Subject::Place(_), None) => {
             Err("this model has no line: name the observed components in a column `component`".into())

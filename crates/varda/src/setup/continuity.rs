@@ -6,6 +6,7 @@ use varda_rod::Vector3;
 
 use super::reachable::Sighting;
 use super::rod_model::RodParts;
+use crate::scene::rounded;
 
 /// Standard deviations that a move may have beyond the speed: of a difference in space √2 χ₃ σ is
 /// expected, beyond 8 σ once in a million.
@@ -209,8 +210,9 @@ pub(super) fn explain_exchanges(rows: &[Sighting], found: &[Exchange], labels: &
         let (first, last) = (&rows[e.rows[0]], &rows[e.rows[e.rows.len() - 1]]);
         let lines: Vec<usize> = e.rows.iter().map(|i| rows[*i].line).collect();
         let (from, to) = (lines.iter().min().unwrap_or(&0), lines.iter().max().unwrap_or(&0));
-        let until = if e.ends { format!("to {} s", last.time) } else { "on, to the end".to_string() };
-        format!("{a} and {b} from {} s {until} (lines {from} to {to})", first.time)
+        let until =
+            if e.ends { format!("to {} s", rounded(last.time)) } else { "on, to the end".to_string() };
+        format!("{a} and {b} from {} s {until} (lines {from} to {to})", rounded(first.time))
     };
     let shown: Vec<String> = found.iter().take(SHOWN).map(one).collect();
     let more = found.len().saturating_sub(SHOWN);
@@ -243,7 +245,9 @@ pub(super) fn explain_jumps(rows: &[Sighting], found: &[Jump], fastest: Fastest,
     format!(
         "{} at time {} s is at ({x}, {y}, {z}), {distance:.4} m from where it was {after:.4} s before (line \
          {}): {speed}, and {fastest}.{others} {cause}",
-        labels[row.site], row.time, before.line
+        labels[row.site],
+        rounded(row.time),
+        before.line
     )
 }
 

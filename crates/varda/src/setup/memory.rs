@@ -13,8 +13,8 @@ use super::finer::{Finer, finer};
 use super::inputs::Inputs;
 use crate::Error;
 use crate::scene::{
-    Covariance, CycledCovariance, Draw, Hessian, Kernel, Method, Minimizer, Model, Observations, Origin,
-    Root, Scene, SceneFile,
+    Covariance, CycledCovariance, Draw, Format, Hessian, Kernel, Method, Minimizer, Model, Observations,
+    Origin, Root, Scene, SceneFile,
 };
 
 /// What a process holds beside a scene's own numbers, in bytes: code, stacks, the allocator, an empty report.
@@ -51,6 +51,9 @@ pub(crate) const SOURCE_NUMBERS: usize = 5_000_000;
 
 /// Text of a number in a CSV file, about.
 const TEXT: usize = 20;
+/// So often the arrays of a result are in memory while the NetCDF library writes them: as they are, and three
+/// times as planned.
+const COPIES_OF_NETCDF: usize = 4;
 
 /// What is kept of an observed value beside the linear algebra, in bytes: value, σ, place, label,
 /// departures, both predictions and the row of its table.
@@ -278,13 +281,20 @@ impl Memory {
             (Some(_), Observations::Synthetic(_)) => (sizes.values + m).saturating_mul(OF_A_CYCLED_VALUE),
             (Some(_), Observations::File(_)) => 0,
         };
+        // The same as named arrays, with σ and of a rod its forces.
+        let beside = if matches!(scene.model, Model::Rod(_)) { 3 } else { 1 };
+        let arrays = states.saturating_add(shown.saturating_mul(sizes.state).saturating_mul(beside));
+        let copies = match &scene.output {
+            output if output.formats.contains(&Format::Netcdf) => COPIES_OF_NETCDF,
+            output => usize::from(output.is_more_than_csv()),
+        };
         let footprint = footprint(scene, sizes);
         Memory {
             covariance: NUMBER * covariance,
             building: NUMBER * building,
             dense: NUMBER.saturating_mul(dense),
             other: NUMBER.saturating_mul(other.saturating_add(states)).saturating_add(values),
-            text: states.saturating_mul(TEXT),
+            text: states.saturating_mul(TEXT).max(arrays.saturating_mul(copies * NUMBER)),
             finer: 0,
             for_finer: usize::MAX,
             window: footprint.bytes(Storage::KeepAll),

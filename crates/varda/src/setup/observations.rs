@@ -15,7 +15,7 @@ use super::random::{Stream, normal, stream};
 use super::runs::run_states;
 use crate::Error;
 use crate::outcome::{RecordingSummary, Sight};
-use crate::scene::{SceneFile, TimeGrid};
+use crate::scene::{SceneFile, TimeGrid, rounded};
 
 /// Makes an observation operator.
 pub type MakeOperator = Box<dyn Fn() -> Result<Box<dyn ObservationOperator>, Error>>;
@@ -146,7 +146,7 @@ impl Observed {
             for (chain, place) in self.entries(&chains, seen) {
                 let Some(other) = known.insert((chain, (place + 0.0).to_bits()), seen) else { continue };
                 let (label, t) =
-                    (&self.sites[seen.site].label, grid.time(seen.step) + seen.weight * grid.step);
+                    (&self.sites[seen.site].label, rounded(grid.time(seen.step) + seen.weight * grid.step));
                 let twice = match seen.site == other.site {
                     true => format!("{label} is seen twice at {t} s"),
                     false => format!("{} and {label} are at the same place", self.sites[other.site].label),

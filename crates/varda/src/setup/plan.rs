@@ -1,5 +1,7 @@
 //! What a run of a scene would take, without running anything.
 
+use serde::Serialize;
+
 use super::inputs::Inputs;
 use super::memory::{Memory, Sizes, error_numbers, without_spread};
 use super::problem::without_derivatives;
@@ -7,7 +9,7 @@ use crate::Error;
 use crate::scene::{Method, SceneFile, TimeGrid};
 
 /// Sizes of a scene, and what it leaves out.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Plan {
     /// Name of the scene.
     pub name: String,

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use varda_rod::{Matrix3, Motion, Vector3};
 
 use super::rod_model::RodParts;
+use crate::scene::rounded;
 
 /// A row of a recording, in the recording's axes.
 #[derive(Debug, Clone)]
@@ -185,7 +186,7 @@ impl Held {
             "{} at time {} s is {distance:.4} m from where the rod is held at s = {held:.4} m, and the rod \
              reaches {reach:.4} m with its strain and {:.1} σ.{others} {}",
             labels[row.site],
-            row.time,
+            rounded(row.time),
             self.sigmas,
             self.cause(rows, found, row, labels)
         )

@@ -7,7 +7,7 @@ use super::observations::Seen;
 use super::recording::{Recorded, track};
 use crate::Error;
 use crate::outcome::{RecordingSummary, RowCount, SitesAre};
-use crate::scene::{OutsideWindow, Recording, TimeGrid};
+use crate::scene::{OutsideWindow, Recording, TimeGrid, rounded};
 
 /// Name and text of a recording's file.
 ///
@@ -144,6 +144,7 @@ impl Clock<'_> {
                     (grid.start + recording.time_zero, grid.time(grid.steps) + recording.time_zero);
                 let in_milliseconds = written > 20.0 * to && (from..=to).contains(&(1e-3 * written));
                 let unit = if in_milliseconds { " Milliseconds? Name the column time_ms." } else { "" };
+                let [written, from, to] = [written, from, to].map(rounded);
                 return Err(format!(
                     "time_s = {written} is outside the window ({from} to {to} s): outside_window = \"skip\" \
                      leaves such rows out, or to the forecast.{unit}"

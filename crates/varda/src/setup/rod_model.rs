@@ -8,7 +8,7 @@ use varda_rod::{
 };
 
 use crate::Error;
-use crate::scene::{self, Integrator, RodModel, SceneFile, Shear};
+use crate::scene::{self, Integrator, RodModel, SceneFile, Shear, rounded};
 use crate::setup::csv;
 use crate::setup::estimate::{Described, Estimates};
 use crate::setup::files::Files;
@@ -197,7 +197,7 @@ fn shape(files: &Files, path: &str, keys: &scene::ShapePoints, rod: &Rod) -> Res
     let rows = csv::numbers(&label, &text, ["s_m", "x_m", "y_m", "z_m"])?;
     let length = rod.length();
     if let Some(i) = rows.iter().position(|r| !(r[0] >= 0.0 && r[0] <= length * (1.0 + 1e-9))) {
-        let message = format!("arc length {} m is off the rod (0 to {length} m)", rows[i][0]);
+        let message = format!("arc length {} m is off the rod (0 to {} m)", rows[i][0], rounded(length));
         return Err(Error::Data { place: format!("{label}, row {}", i + 1), message });
     }
     let s: Vec<f64> = rows.iter().map(|r| r[0]).collect();
@@ -250,7 +250,7 @@ fn edge_clamps(model: &RodModel, rod: &Rod) -> Vec<String> {
     held.sort_unstable();
     let pairs = held.windows(2).filter(|pair| pair[0] + 1 == pair[1]);
     let remark = |pair: &[usize]| {
-        let half = 0.5 * rod.rest_lengths[pair[0]];
+        let half = rounded(0.5 * rod.rest_lengths[pair[0]]);
         format!(
             "prescribed vertices {} and {} hold the edge between them as a clamp does: the rod bends as if \
              it were half a segment ({half} m) shorter; [model.start] and [model.end] hold it at their faces",

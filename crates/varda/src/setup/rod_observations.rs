@@ -18,7 +18,7 @@ use super::seen_with::with_constants;
 use crate::Error;
 use crate::outcome::{Neighbours, RecordingSummary, SitesAre};
 use crate::scene::{
-    Frame, Method, Model, PriorSpread, Recording, Synthetic, TimeGrid, Unknown, UnreachableRows, Use,
+    Frame, Method, Model, PriorSpread, Recording, Synthetic, TimeGrid, Unknown, UnreachableRows, Use, rounded,
 };
 
 /// A site and its place on the rod.
@@ -88,7 +88,7 @@ pub(crate) fn recorded(
     let bits = |s: f64| (s + 0.0).to_bits();
     let on_the_rod = |line: usize, s: f64| match s >= 0.0 && s <= length * (1.0 + 1e-9) {
         true => Ok(()),
-        false => Err(bad(line, format!("s_m = {s} is off the rod (0 to {length} m)"))),
+        false => Err(bad(line, format!("s_m = {} is off the rod (0 to {} m)", rounded(s), rounded(length)))),
     };
     // markers whose places the file has
     let mut placed: HashMap<String, usize> = HashMap::new();

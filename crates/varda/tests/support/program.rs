@@ -27,7 +27,14 @@ impl Folder {
         assert!(!output.status.success(), "{arguments:?} should fail");
         assert!(output.stdout.is_empty(), "an error prints to stderr only");
         let message = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(message.lines().count(), 1, "one message: {message}");
+        let mut lines = message.lines();
+        assert!(lines.next().is_some_and(|line| line.starts_with("error: ")), "one message: {message}");
+        // an error of a scene shows its line, with a mark below
+        let excerpt: Vec<&str> = lines.collect();
+        let is_excerpt = |lines: &[&str]| {
+            lines.len() == 2 && lines[0].contains(" | ") && lines[1].trim_start().starts_with("| ")
+        };
+        assert!(excerpt.is_empty() || is_excerpt(&excerpt), "one message: {message}");
         assert_eq!(self.entries(), before, "nothing half-written is left");
         message
     }

@@ -3,7 +3,7 @@
 use varda_rod::{Matrix3, UnitQuaternion, Vector3};
 
 use crate::Error;
-use crate::scene::{Frame, SceneFile};
+use crate::scene::{Frame, SceneFile, rounded};
 
 /// What the rows of a recording are about, for messages.
 pub(super) struct Source<'a> {
@@ -52,6 +52,7 @@ impl Source<'_> {
         let interval = (last - first) / (times.len() - 1).max(1) as f64;
         let slack = (1e-6 * (last - first).max(to - from)).max(0.1 * interval);
         if *first > from + slack || *last < to - slack {
+            let [first, last, from, to] = [*first, *last, from, to].map(rounded);
             return Err(self.invalid(format!(
                 "{} has rows from {first} to {last} s of the model's clock, and the run needs {from} to \
                  {to} s: set {time_zero_key} (now {time_zero}), the window or report.forecast",
@@ -73,7 +74,9 @@ impl Source<'_> {
             format!(
                 "{} has no rows from {} to {} s of the model's clock, elsewhere every {usual:.4} s: the \
                  motion is drawn across",
-                self.label, longest[0], longest[1]
+                self.label,
+                rounded(longest[0]),
+                rounded(longest[1])
             )
         })
     }
