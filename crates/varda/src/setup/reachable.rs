@@ -81,6 +81,8 @@ fn sigmas(rows: usize) -> f64 {
 
 /// The share of rows that an explanation has to explain, of those that are beyond reach.
 const MOST: f64 = 0.9;
+/// So many rows of one marker and of no other are not false detections.
+const MANY_OF_ONE: usize = 5;
 
 impl Held {
     /// `rows` are to be looked at.
@@ -232,6 +234,11 @@ impl Held {
                 labels[row.site], labels[other.site], row.line, other.line
             ),
             None if many => "Another unit, other axes or another origin (observations.frame)?".into(),
+            None if found.len() >= MANY_OF_ONE && found.iter().all(|f| rows[f.row].site == row.site) => {
+                "All are of this marker: is it farther along the rod than its arc length says, or is the rod \
+                 held elsewhere?"
+                    .into()
+            }
             None => "A false detection, or another marker's label?".into(),
         }
     }

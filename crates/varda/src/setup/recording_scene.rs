@@ -23,6 +23,8 @@ const WINDOW: f64 = 1.0;
 const FAR: f64 = 0.2;
 /// A marker moves where it travels this many times σ.
 const MOVES: f64 = 5.0;
+/// A marker at rest travels at most this many times σ: noise of three coordinates is √3 σ.
+const AT_REST: f64 = 3.0;
 /// A marker at a moved clamp travels at least this share of its neighbour's way: beside a clamp at rest
 /// travel grows with s², beside a hook at rest with s.
 const IS_CARRIED: f64 = 0.5;
@@ -204,7 +206,7 @@ impl Recorded {
     }
 
     /// Which end of named markers was taken for the start, as a comment of the scene.
-    fn order(&self) -> String {
+    fn order(&self, sigma: f64, hand: Option<&str>) -> String {
         let ends = [self.tracks.first(), self.tracks.last()];
         let [Some((Some(first), start)), Some((Some(last), end))] =
             ends.map(|track| track.map(|t| (t.name.as_deref(), 1e3 * t.travel())))
@@ -214,11 +216,20 @@ impl Recorded {
         if self.tracks.len() < 2 || self.placed {
             return String::new();
         }
+        let beside = self.tracks[0].travel() > AT_REST * sigma && hand.is_none();
+        let aside = match beside {
+            true => format!(
+                "# {first:?} moves too, so it is not where the rod is held: add its distance from there along \
+                 the rod to every\n# arc_length and to model.length, and write the support's place into \
+                 [model.start].\n"
+            ),
+            false => String::new(),
+        };
         format!(
             "\n# Arc lengths count from marker {first:?}, which moves by {start:.1} mm (rms), to {last:?}, \
              {end:.1} mm: from the\n# end that moves less. Where the rod starts at {last:?}, take the \
              numbers from the other end, and hold [model.start]\n# there; a support at the far end is \
-             [model.end], or a vertex of [[model.prescribed]]. A column s_m decides by itself.\n"
+             [model.end], or a vertex of [[model.prescribed]]. A column s_m decides by itself.\n{aside}"
         )
     }
 
@@ -274,7 +285,7 @@ impl Recorded {
             ("{sigma}", number(rounded(sigma))),
         ];
         let mut out = filled(TEMPLATE, &values);
-        out.push_str(&self.order());
+        out.push_str(&self.order(sigma, hand));
         for track in &self.tracks {
             if let Some(name) = track.name.as_deref().filter(|name| Some(*name) != hand) {
                 if self.placed {
