@@ -42,8 +42,8 @@ const WIDEST: f64 = 1e3;
 /// v = c_y + f_y (y D + p₁ (q + 2 y²) + 2 p₂ x y)
 /// ```
 ///
-/// (Brown 1971, in the form and order k₁, k₂, p₁, p₂, k₃ of OpenCV). R has the camera's axes for rows, c is its
-/// centre: of OpenCV's `rvec`, `tvec` R = Rodrigues(rvec) and c = −Rᵀ tvec.
+/// (Brown 1971, in the form and order k₁, k₂, p₁, p₂, k₃ of OpenCV). R has the camera's axes for rows, c is
+/// its centre: of OpenCV's `rvec`, `tvec` R = Rodrigues(rvec) and c = −Rᵀ tvec.
 ///
 /// # Examples
 ///
@@ -82,8 +82,8 @@ impl Camera {
     /// Without distortion, at the origin, with the model's axes: f and c in pixels.
     ///
     /// # Errors
-    /// [`Error::Value`] for a focal length that is not above 0, [`Error::NonFinite`] for a principal point that
-    /// is not finite.
+    /// [`Error::Value`] for a focal length that is not above 0, [`Error::NonFinite`] for a principal point
+    /// that is not finite.
     pub fn new(focal: [f64; 2], principal_point: [f64; 2]) -> Result<Camera, Error> {
         if let Some(value) = focal.into_iter().find(|f| !(*f > 0.0 && f.is_finite())) {
             return Err(Error::Value {

@@ -32,7 +32,8 @@ impl View {
         }
     }
 
-    fn point(&self) -> usize {
+    /// The point.
+    pub fn point(&self) -> usize {
         match *self {
             View::Place { point } | View::Pixels { point, .. } => point,
         }

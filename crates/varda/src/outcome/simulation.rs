@@ -37,4 +37,21 @@ pub struct TwinFiles {
     pub background: Vec<f64>,
     /// The angle of the end clamp at its start \[rad\], whole turns included, where it is part of the state.
     pub end_angle: Option<f64>,
+    /// What cameras saw.
+    pub pixels: Vec<PixelSight>,
+}
+
+/// A point of a rod in the image of a camera at one time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PixelSight {
+    /// Model time \[s\].
+    pub time: f64,
+    /// The camera.
+    pub camera: String,
+    /// Arc length of the point \[m\].
+    pub arc_length: f64,
+    /// u and v \[px\].
+    pub pixel: [f64; 2],
+    /// Their standard deviation \[px\].
+    pub sigma: f64,
 }

@@ -37,7 +37,9 @@ pub fn simulate(problem: &Problem) -> Result<Simulation, Error> {
         Some(rod) => {
             let mut start = vec![0.0; dim];
             model.initial_state(&problem.background, &mut start)?;
-            Some(TwinFiles { background: problem.background.clone(), end_angle: rod.end_angle(&start)? })
+            let (grid, end_angle) = (problem.experiment.grid, rod.end_angle(&start)?);
+            let pixels = problem.observed.pixels(&grid);
+            Some(TwinFiles { background: problem.background.clone(), end_angle, pixels })
         }
         None => None,
     };
