@@ -64,27 +64,30 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
         line(&e.name, e.in_words());
     }
     for w in &o.withheld {
+        let (scale, unit) = w.quantity.shown();
         let of_all = match w.count {
             1 => String::new(),
             n => {
-                format!(" rms over {n} times ({:.2} with its constant offset aside)", 1e3 * w.moving_analysis)
+                let aside = scale * w.moving_analysis;
+                format!(" rms over {n} times ({aside:.2} with its constant offset aside)")
             }
         };
-        let [b, a] = [w.rms_background, w.rms_analysis].map(|m| 1e3 * m);
-        line("withheld", format!("{}: {b:.2} mm -> {a:.2} mm{of_all}", w.label));
+        let [b, a] = [w.rms_background, w.rms_analysis].map(|d| scale * d);
+        line("withheld", format!("{}: {b:.2} {unit} -> {a:.2} {unit}{of_all}", w.label));
     }
     for f in &o.forecast {
+        let (scale, unit) = f.quantity.shown();
         line(
             "forecast",
             format!(
-                "{}: {:.2} mm rms; persistence {:.2}, static model {:.2} (offset aside: {:.2}, best constant \
+                "{}: {:.2} {unit} rms; persistence {:.2}, static model {:.2} (offset aside: {:.2}, best constant \
                  {:.2})",
                 f.label,
-                1e3 * f.analysis,
-                1e3 * f.persistence,
-                1e3 * f.static_model,
-                1e3 * f.moving_analysis,
-                1e3 * f.moving_constant
+                scale * f.analysis,
+                scale * f.persistence,
+                scale * f.static_model,
+                scale * f.moving_analysis,
+                scale * f.moving_constant
             ),
         );
     }

@@ -33,6 +33,15 @@ impl Quantity {
         }
     }
 
+    /// The unit that distances are shown in, and how many of it one of [`unit`](Self::unit) is.
+    pub fn shown(self) -> (f64, &'static str) {
+        match self {
+            Quantity::Place => (1e3, "mm"),
+            Quantity::Pixels => (1.0, "px"),
+            Quantity::Component => (1.0, ""),
+        }
+    }
+
     /// The unit after a space; nothing where there is none.
     pub fn unit_after(self) -> &'static str {
         match self {

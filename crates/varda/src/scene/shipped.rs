@@ -30,6 +30,7 @@ pub const SHIPPED: &[Shipped] = shipped![
     "hanging-rod-weak"
     "beam-release"
     "hose"
+    "rope-two-cameras"
     "tether-in-current"
     "wire"
     "wires"
@@ -52,6 +53,7 @@ const DATA: &[(&str, &str)] = &[
     ("data/hanging-rod-background.csv", include_str!("../../scenes/data/hanging-rod-background.csv")),
     ("data/hanging-rod-observations.csv", include_str!("../../scenes/data/hanging-rod-observations.csv")),
     ("data/hose.csv", include_str!("../../scenes/data/hose.csv")),
+    ("data/rope-pixels.csv", include_str!("../../scenes/data/rope-pixels.csv")),
     ("data/tether-pull.csv", include_str!("../../scenes/data/tether-pull.csv")),
     ("data/wire-white-0.csv", include_str!("../../scenes/data/wire-white-0.csv")),
     ("data/wire-white-2.csv", include_str!("../../scenes/data/wire-white-2.csv")),
