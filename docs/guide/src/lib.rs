@@ -18,6 +18,8 @@ pub mod own_load {}
 pub mod estimates {}
 #[doc = include_str!("../motion-capture.md")]
 pub mod motion_capture {}
+#[doc = include_str!("../cameras.md")]
+pub mod cameras {}
 #[doc = include_str!("../observation-files.md")]
 pub mod observation_files {}
 #[doc = include_str!("../methods.md")]

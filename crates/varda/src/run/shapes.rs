@@ -88,7 +88,7 @@ fn track(
         Ok(line)
     };
     Ok(Some(Track {
-        label: sites[site].label.clone(),
+        label: sites[site].of_point().to_string(),
         site,
         withheld: sites[site].withheld,
         background: of(&runs.background)?,

@@ -116,6 +116,14 @@ pub(super) fn is_within(pixel: f64, size: f64) -> bool {
     pixel >= -0.5 && pixel <= size - 0.5
 }
 
+impl Site {
+    /// Its name without that of its camera.
+    pub(crate) fn of_point(&self) -> &str {
+        let of_camera = self.camera.as_ref().map(|camera| format!(" in camera {camera}"));
+        of_camera.and_then(|of| self.label.strip_suffix(&of)).unwrap_or(&self.label)
+    }
+}
+
 impl Seen {
     /// Time within the window, in steps.
     pub fn at(&self) -> f64 {
