@@ -42,8 +42,8 @@ const WIDEST: f64 = 1e3;
 /// v = c_y + f_y (y D + p₁ (q + 2 y²) + 2 p₂ x y)
 /// ```
 ///
-/// (Brown 1971, in the form and order k₁, k₂, p₁, p₂, k₃ of OpenCV). R has the camera's axes for rows, c is
-/// its centre: of OpenCV's `rvec`, `tvec` R = Rodrigues(rvec) and c = −Rᵀ tvec.
+/// (Brown 1971, in the form and order k₁, k₂, p₁, p₂, k₃ of OpenCV). R has the camera's axes for
+/// rows, c is its centre: of OpenCV's `rvec`, `tvec` R = Rodrigues(rvec) and c = −Rᵀ tvec.
 ///
 /// # Examples
 ///
@@ -235,7 +235,7 @@ impl Camera {
         let q = x * x + y * y;
         let d1 = k1 + q * (2.0 * k2 + 3.0 * k3 * q);
         let d2 = 2.0 * k2 + 6.0 * k3 * q;
-        // ∂²/∂x∂x of the first, ∂²/∂x∂y of the first and ∂²/∂x∂x of the second, and so on
+        // ∂²/∂x² of the first, ∂²/∂x∂y of the first and ∂²/∂x² of the second, and so on
         let xxx = 6.0 * x * d1 + 4.0 * x.powi(3) * d2 + 6.0 * p2;
         let xxy = 2.0 * y * d1 + 4.0 * x * x * y * d2 + 2.0 * p1;
         let xyy = 2.0 * x * d1 + 4.0 * x * y * y * d2 + 2.0 * p2;

@@ -112,8 +112,8 @@ pub struct Views {
     acting: Vec<f64>,
 }
 
-/// Whether a view, by step and index, is needed there.
-type MustBeSeen = Box<dyn Fn(usize, usize) -> bool>;
+/// Whether a view, by its index, is needed there.
+type MustBeSeen = Box<dyn Fn(At, usize) -> bool>;
 
 impl Views {
     /// Views of the points of an operator, with names for errors; everything must be seen at all times.
@@ -141,9 +141,9 @@ impl Views {
         Ok(Views { points, cameras, views, must_be_seen: Box::new(|_, _| true), rows, places, moved, acting })
     }
 
-    /// Only where this says so, by step and index of the view, must a point be seen.
+    /// Only where this says so, by step and time and the index of the view, must a point be seen.
     #[must_use]
-    pub fn seen_where(self, must_be_seen: impl Fn(usize, usize) -> bool + 'static) -> Views {
+    pub fn seen_where(self, must_be_seen: impl Fn(At, usize) -> bool + 'static) -> Views {
         Views { must_be_seen: Box::new(must_be_seen), ..self }
     }
 
@@ -202,7 +202,7 @@ impl ObservationOperator for Views {
                 View::Pixels { camera, point } => {
                     match self.cameras[camera].project(&place(&self.places, point)) {
                         Ok(seen) => out.copy_from_slice(&seen),
-                        Err(why) if (self.must_be_seen)(at.step, i) => {
+                        Err(why) if (self.must_be_seen)(at, i) => {
                             let not_seen = NotSeen { name: name.clone(), time: at.time, why };
                             return Err(not_seen.into());
                         }

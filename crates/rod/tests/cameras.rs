@@ -35,8 +35,8 @@ fn camera() -> Camera {
     Camera::new(FOCAL, CENTER).unwrap().distorted(LENS).unwrap().posed(POSITION.into(), rotation()).unwrap()
 }
 
-/// Point, pixel and ∂(u, v)/∂p of `cv2.projectPoints` (opencv-python-headless 5.0.0) for these rvec, tvec,
-/// camera matrix and coefficients; the derivative from its columns of tvec, times R.
+/// Point, pixel and ∂(u, v)/∂p of `cv2.projectPoints` (opencv-python-headless 5.0.0) for these rvec,
+/// tvec, camera matrix and coefficients; the derivative from its columns of tvec, times R.
 const OPENCV: [([f64; 3], [f64; 2], [[f64; 3]; 2]); 5] = [
     (
         [0.1, 0.2, 0.3],
@@ -312,7 +312,7 @@ fn only_what_must_be_seen_is_an_error() {
     let mut strict = Views::new(markers(), vec![away.clone()], view()).unwrap();
     let said = strict.observe(At { step: 3, time: 0.25 }, &x, &mut y).unwrap_err().to_string();
     assert!(said.starts_with("marker tip in camera left cannot be seen at t = 0.25 s: it is -"), "{said}");
-    let mut lax = Views::new(markers(), vec![away], view()).unwrap().seen_where(|step, _| step == 4);
+    let mut lax = Views::new(markers(), vec![away], view()).unwrap().seen_where(|at, _| at.step == 4);
     lax.observe(At { step: 3, time: 0.25 }, &x, &mut y).unwrap();
     lax.tangent(At { step: 3, time: 0.25 }, &x, &x, &mut y);
     assert_eq!(y, [0.0; 2]);

@@ -347,3 +347,25 @@ fn the_gradient_of_a_cost_in_pixels() {
         assert!((derivative - difference).abs() < 1e-6 * derivative.abs(), "{derivative} {difference}");
     }
 }
+
+/// Windows of a sequence count their own steps; what must be in sight is known by its time.
+#[test]
+fn windows_of_a_sequence_see_pixels_too() {
+    let (folder, _) = Folder::of_twin("cycles", &format!("{ROD}{TWIN}{LEFT}{RIGHT}"));
+    let run = |cameras: &str, out: &str| {
+        folder.write("scene.toml", &format!("{ROD}{RECORDED}pixels = \"pixels.csv\"\n{cameras}"));
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_varda"));
+        command.args(["run", "scene.toml", "--out", out, "--set", "time.window=20"]);
+        command.args(["--set", "algorithm.cycles={count=2}"]).current_dir(&folder.0).output().unwrap()
+    };
+    let fits = run(&format!("{LEFT}{RIGHT}"), "fits");
+    let said = String::from_utf8_lossy(&fits.stdout).into_owned() + &String::from_utf8_lossy(&fits.stderr);
+    assert!(fits.status.success() && said.contains("FITS"), "{said}");
+    // a camera that looks away names its marker in the first window
+    let away =
+        RIGHT.replace("[0.0, 1.0, 0.0]", "[0.0, -1.0, 0.0]").replace("[-1.0, 0.0, 0.0]]", "[1.0, 0.0, 0.0]]");
+    let refused = run(&format!("{LEFT}{away}"), "away");
+    let said =
+        String::from_utf8_lossy(&refused.stdout).into_owned() + &String::from_utf8_lossy(&refused.stderr);
+    assert!(!refused.status.success() && said.contains("in camera right cannot be seen at t = "), "{said}");
+}

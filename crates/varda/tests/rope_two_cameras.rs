@@ -32,8 +32,8 @@ fn truth() -> Problem {
     // 25 Hz, the first at the start of the window
     let frames: Vec<usize> = (0..=20).map(|frame| 4 * SHORTER * frame).collect();
     let twin = format!(
-        "seed = 3\n{}\n{}\n[background]\nfrom = \"truth-plus-draw\"\n{}\n[observations]\nkind = \"synthetic\"\n\
-         places = {places:?}\nsteps = {frames:?}\n{}",
+        "seed = 3\n{}\n{}\n[background]\nfrom = \"truth-plus-draw\"\n{}\n[observations]\n\
+         kind = \"synthetic\"\nplaces = {places:?}\nsteps = {frames:?}\n{}",
         part("[model]", "[time]"),
         part("[time]", "[background]"),
         part("[background.covariance]", "[estimate]"),

@@ -80,8 +80,8 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
         line(
             "forecast",
             format!(
-                "{}: {:.2} {unit} rms; persistence {:.2}, static model {:.2} (offset aside: {:.2}, best constant \
-                 {:.2})",
+                "{}: {:.2} {unit} rms; persistence {:.2}, static model {:.2} (offset aside: {:.2}, best \
+                 constant {:.2})",
                 f.label,
                 scale * f.analysis,
                 scale * f.persistence,

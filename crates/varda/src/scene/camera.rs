@@ -7,8 +7,8 @@ use super::defaults::is_default;
 use super::marker::Use;
 
 /// A calibrated camera. A point p is at (X, Y, Z) = R (p − c) in its axes, x right, y down, z forward, and
-/// at the pixel u = c_x + f_x x″, v = c_y + f_y y″ in the image, with (x″, y″) the distorted (X/Z, Y/Z), as
-/// in OpenCV. Places are in the axes of `frame`: the model's without one.
+/// at the pixel u = c_x + f_x x″, v = c_y + f_y y″ in the image, with (x″, y″) the distorted (X/Z,
+/// Y/Z), as in OpenCV. Places are in the axes of `frame`: the model's without one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Camera {

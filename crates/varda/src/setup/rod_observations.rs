@@ -329,7 +329,7 @@ fn observed(rod: &RodSystem, what: What, seen: Vec<Seen>, grid: Option<TimeGrid>
             let site = s.site;
             (s.step..=s.step + usize::from(s.weight > 0.0)).map(move |step| (step, site))
         };
-        Rc::new(used.flat_map(steps).collect::<HashSet<(usize, usize)>>())
+        (grid, Rc::new(used.flat_map(steps).collect::<HashSet<(usize, usize)>>()))
     });
     let is_seen_whole = views.iter().enumerate().all(|(i, view)| *view == View::Place { point: i });
     let seen_as = |operator: MakeOperator, named: Vec<(String, View)>| -> MakeOperator {
@@ -341,7 +341,11 @@ fn observed(rod: &RodSystem, what: What, seen: Vec<Seen>, grid: Option<TimeGrid>
             let views = Views::new(operator()?, cameras.clone(), named.clone())?;
             Ok(match in_sight.clone() {
                 None => Box::new(views),
-                Some(seen) => Box::new(views.seen_where(move |step, view| seen.contains(&(step, view)))),
+                // steps of windows of a sequence are their own: the time says which it is of all
+                Some((grid, seen)) => Box::new(views.seen_where(move |at, view| {
+                    let step = ((at.time - grid.start) / grid.step + 1e-6).floor() as usize;
+                    seen.contains(&(step, view))
+                })),
             })
         })
     };
