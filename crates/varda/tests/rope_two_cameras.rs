@@ -125,8 +125,6 @@ fn the_scene_fits_and_has_the_truth_within_its_sigma() {
 
     // Along the window the analysis is about a pixel off, and the background a hundred.
     let [before, after] = [&analysis.background, &analysis.analysis].map(|run| distance(run, &truth));
-    println!("{before} m before, {after} m after, {rms} σ; EI {} ± {}", ei.value, ei.sigma.unwrap());
-    println!("chi2 {} of {}", outcome.analysis.chi2, outcome.analysis.observations);
     assert!(before > 0.03 && after < 2e-3, "{before} {after}");
     in_pixels(&outcome);
 }

@@ -48,7 +48,7 @@ pub(crate) fn synthetic(
         draws.sigma.resize(views.len(), sigma);
         draws.within.resize(views.len(), of.image);
     }
-    let cameras = cameras(&files.scene, &keys.cameras, [0.0; 3])?;
+    let cameras = cameras(files.scene, &keys.cameras, [0.0; 3])?;
     let what =
         What { points, views, names: &keys.cameras, cameras, rotation: Frame::default().rotation_rows() };
     Ok(Observed { draws: Some(draws), ..observed(rod, what, Vec::new(), None) })
@@ -190,7 +190,7 @@ pub(crate) fn recorded(
         views: (0..places).map(|point| View::Place { point }).chain(seen_by).collect(),
         points: sites,
         names: &recording.cameras,
-        cameras: cameras(&files.scene, &recording.cameras, shift)?,
+        cameras: cameras(files.scene, &recording.cameras, shift)?,
         rotation,
     };
     let times: Vec<f64> = rows.iter().map(|row| row.time).chain(pixels.times).collect();
