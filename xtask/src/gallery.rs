@@ -50,6 +50,14 @@ const EXHIBITS: &[Exhibit] = &[
                 of the estimate instead.",
     },
     Exhibit {
+        scene: "rope-two-cameras",
+        figure: "snapshots",
+        words: "Pixels of two calibrated cameras place the rope to half a millimetre though no marker is \
+                seen in space, and the background is 7 cm off. Every marker is hidden from one camera for a \
+                while. Stiffness comes within its σ, which is mostly the mesh's: a rope that hangs moves by \
+                its weight. One camera alone leaves depth to the model, and σ along its axis says so.",
+    },
+    Exhibit {
         scene: "twisted-rod",
         figure: "snapshots",
         words: "Twist is not seen, only the places of the centreline; but a rod with turns in it leaves its \

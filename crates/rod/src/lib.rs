@@ -103,6 +103,7 @@
 
 mod along;
 mod at_rest;
+mod camera;
 mod change;
 pub mod check;
 mod clamp_frame;
@@ -142,7 +143,9 @@ mod statics;
 mod support;
 mod system;
 mod twist_equilibrium;
+mod views;
 
+pub use camera::{Camera, OutOfSight};
 pub use change::{Change, Parameter};
 pub use dynamics::{RodStep, TwistUnknowns};
 pub use energy::{Derivatives, Energy, Framed, derivatives, energy};
@@ -168,6 +171,7 @@ pub use statics::continuation::{Found, Search, rest};
 pub use statics::reactions::Reaction;
 pub use support::{Clamp, ClampAt, Damping, EllipseDrive, Loads, Motion, Supports};
 pub use varda_implicit::Law;
+pub use views::{NotSeen, View, Views};
 
 /// The example of README.md, compiled and run with the tests.
 #[cfg(doctest)]

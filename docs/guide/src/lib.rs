@@ -18,6 +18,8 @@ pub mod own_load {}
 pub mod estimates {}
 #[doc = include_str!("../motion-capture.md")]
 pub mod motion_capture {}
+#[doc = include_str!("../cameras.md")]
+pub mod cameras {}
 #[doc = include_str!("../observation-files.md")]
 pub mod observation_files {}
 #[doc = include_str!("../methods.md")]
@@ -34,6 +36,8 @@ pub mod gallery {
     pub mod cable_between_posts {}
     #[doc = include_str!("../gallery/tether-on-base.md")]
     pub mod tether_on_base {}
+    #[doc = include_str!("../gallery/rope-two-cameras.md")]
+    pub mod rope_two_cameras {}
     #[doc = include_str!("../gallery/twisted-rod.md")]
     pub mod twisted_rod {}
     #[doc = include_str!("../gallery/beam-release.md")]

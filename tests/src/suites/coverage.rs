@@ -19,7 +19,7 @@ struct Twin {
     allowance: f64,
 }
 
-const TWINS: [Twin; 9] = [
+const TWINS: [Twin; 10] = [
     Twin { name: "linear advection", scene: "linear-advection", sets: &[], allowance: 0.02 },
     Twin {
         name: "Lorenz-63, short window",
@@ -74,6 +74,24 @@ const TWINS: [Twin; 9] = [
             "estimate.clamp_direction={sigma=0.05}",
             "estimate.drive_radii={sigma=\"10%\"}",
             "estimate.drive_phase={sigma=0.1}",
+        ],
+        allowance: 0.02,
+    },
+    // two cameras at 1.3 m: half a pixel is half a millimetre; coordinates say little beside them
+    Twin {
+        name: "rod in pixels of two cameras",
+        scene: "starter",
+        sets: &[
+            "observations.sigma=0.05",
+            "observations.cameras=[\
+             { name = \"left\", focal_length = [1400.0, 1400.0], principal_point = [960.0, 540.0], \
+             distortion = [-0.12, 0.05, 1e-3, -5e-4, 0.0], position = [-0.6, -1.2, -0.1], sigma = 0.5, \
+             rotation = [[0.894427, -0.447214, 0.0], [-0.049689, -0.099379, -0.993808], \
+             [0.444445, 0.888889, -0.111111]] }, \
+             { name = \"right\", focal_length = [1400.0, 1400.0], principal_point = [960.0, 540.0], \
+             position = [0.7, -1.1, -0.2], sigma = 0.5, \
+             rotation = [[0.843661, 0.536875, 0.0], [0.020584, -0.032347, -0.999265], \
+             [-0.536481, 0.843041, -0.038341]] }]",
         ],
         allowance: 0.02,
     },

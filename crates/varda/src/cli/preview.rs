@@ -112,7 +112,7 @@ pub(super) fn table(preview: &Preview) -> String {
     if let Some(recording) = &preview.recording {
         line("data", data(recording));
         for alike in alike(&recording.tracks) {
-            line("", self::tracks(&alike, recording.sites_are.unit()));
+            line("", self::tracks(&alike));
         }
         if !recording.neighbours.is_empty() {
             line("neighbours", neighbours(&recording.neighbours));
@@ -177,7 +177,10 @@ fn alike(tracks: &[TrackSummary]) -> Vec<Vec<&TrackSummary>> {
     let mut groups: Vec<Vec<&TrackSummary>> = Vec::new();
     let same = |a: &TrackSummary, b: &TrackSummary| {
         let close = |x: f64, y: f64| (x - y).abs() <= 1e-6 * x.abs();
-        a.rows == b.rows && close(a.interval, b.interval) && close(a.sigma, b.sigma)
+        a.rows == b.rows
+            && a.quantity == b.quantity
+            && close(a.interval, b.interval)
+            && close(a.sigma, b.sigma)
     };
     for track in tracks {
         let whole = |t: &TrackSummary| t.gap.is_none();
@@ -189,8 +192,9 @@ fn alike(tracks: &[TrackSummary]) -> Vec<Vec<&TrackSummary>> {
     groups
 }
 
-fn tracks(alike: &[&TrackSummary], unit: &str) -> String {
+fn tracks(alike: &[&TrackSummary]) -> String {
     let track = alike[0];
+    let unit = track.quantity.unit_after();
     let labels: Vec<&str> = alike.iter().map(|t| t.label.as_str()).collect();
     let each = if alike.len() > 1 { " each" } else { "" };
     let mut text = format!("{}: {} rows{each}", labels.join(", "), track.rows);

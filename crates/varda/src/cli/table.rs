@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use crate::outcome::{Outcome, RodModes, Simulation, Status};
+use crate::outcome::{Outcome, Quantity, RodModes, Simulation, Status};
 use crate::run::compare::Compared;
 
 /// Most notes in a table; the report has all of them.
@@ -66,27 +66,30 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
         line(&e.name, e.in_words());
     }
     for w in &o.withheld {
+        let (scale, unit) = w.quantity.shown();
         let of_all = match w.count {
             1 => String::new(),
             n => {
-                format!(" rms over {n} times ({:.2} with its constant offset aside)", 1e3 * w.moving_analysis)
+                let aside = scale * w.moving_analysis;
+                format!(" rms over {n} times ({aside:.2} with its constant offset aside)")
             }
         };
-        let [b, a] = [w.rms_background, w.rms_analysis].map(|m| 1e3 * m);
-        line("withheld", format!("{}: {b:.2} mm -> {a:.2} mm{of_all}", w.label));
+        let [b, a] = [w.rms_background, w.rms_analysis].map(|d| scale * d);
+        line("withheld", format!("{}: {b:.2} {unit} -> {a:.2} {unit}{of_all}", w.label));
     }
     for f in &o.forecast {
+        let (scale, unit) = f.quantity.shown();
         line(
             "forecast",
             format!(
-                "{}: {:.2} mm rms; persistence {:.2}, static model {:.2} (offset aside: {:.2}, best constant \
-                 {:.2})",
+                "{}: {:.2} {unit} rms; persistence {:.2}, static model {:.2} (offset aside: {:.2}, best \
+                 constant {:.2})",
                 f.label,
-                1e3 * f.analysis,
-                1e3 * f.persistence,
-                1e3 * f.static_model,
-                1e3 * f.moving_analysis,
-                1e3 * f.moving_constant
+                scale * f.analysis,
+                scale * f.persistence,
+                scale * f.static_model,
+                scale * f.moving_analysis,
+                scale * f.moving_constant
             ),
         );
     }
@@ -189,16 +192,17 @@ pub(super) fn simulation(s: &Simulation, folder: &Path, seconds: f64) -> String 
     if let Some(tip) = s.tip() {
         line("tip at the end", format!("({:.6}, {:.6}, {:.6}) m", tip[0], tip[1], tip[2]));
     }
-    if let Some(rms) = s.rms_distance() {
-        // of a rod in space, of numbers without a unit otherwise
-        let shown = |rms: f64| match s.shapes {
-            Some(_) => format!("{:.2} mm rms", 1e3 * rms),
-            None => format!("{rms:.3e} rms"),
+    if let Some(first) = s.distances.first() {
+        let shown = |quantity: Quantity, rms: f64| match quantity.shown() {
+            (_, "") => format!("{rms:.3e} rms"),
+            (scale, unit) => format!("{:.2} {unit} rms", scale * rms),
         };
         let count: usize = s.distances.iter().map(|d| d.count).sum();
-        line("off recording", format!("{} over {count} sightings", shown(rms)));
+        let all =
+            s.rms_distance().map_or(String::new(), |rms| format!("{} over ", shown(first.quantity, rms)));
+        line("off recording", format!("{all}{count} sightings"));
         for d in s.distances.iter().take(MOST_DISTANCES) {
-            line("", format!("{}: {} over {}", d.label, shown(d.rms), d.count));
+            line("", format!("{}: {} over {}", d.label, shown(d.quantity, d.rms), d.count));
         }
         if s.distances.len() > MOST_DISTANCES {
             line("", format!("{} more in summary.json", s.distances.len() - MOST_DISTANCES));

@@ -2,11 +2,15 @@
 
 use serde::Serialize;
 
+use super::quantity::Quantity;
+
 /// Innovations d = y − H(x) of one marker, place or component.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Fit {
-    /// The marker, place or component.
+    /// The marker, place or component, or the marker in a camera.
     pub label: String,
+    /// What its values are; numbers below are in their unit.
+    pub quantity: Quantity,
     /// Number of observed values.
     pub count: usize,
     /// Assumed σ (root mean square over the values).
@@ -31,43 +35,46 @@ impl Fit {
     }
 }
 
-/// Distances \[m\] between a marker that was kept back and its place in the model, root mean square over the
-/// window.
+/// Distances between a marker that was kept back and its place in the model, or in the image, root mean
+/// square over the window.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Withheld {
-    /// The marker.
+    /// The marker, perhaps in a camera.
     pub label: String,
+    /// What its values are: places, with distances in metres, or pixels.
+    pub quantity: Quantity,
     /// Number of times.
     pub count: usize,
-    /// From x_b \[m\].
+    /// From x_b.
     pub rms_background: f64,
-    /// From x_a \[m\].
+    /// From x_a.
     pub rms_analysis: f64,
-    /// From x_a, less the mean error \[m\]: what remains if the marker's place in the scene is a constant
-    /// off.
+    /// From x_a, less the mean error: what remains if the marker's place in the scene is a constant off.
     pub moving_analysis: f64,
 }
 
-/// Distances \[m\] between a marker and its forecast, root mean square over the time after the window.
+/// Distances between a marker and its forecast, root mean square over the time after the window.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Forecast {
-    /// The marker.
+    /// The marker, perhaps in a camera.
     pub label: String,
+    /// What its values are: places, with distances in metres, or pixels.
+    pub quantity: Quantity,
     /// Whether it was assimilated in the window.
     pub assimilated: bool,
     /// Number of times.
     pub count: usize,
-    /// The model from x_a \[m\].
+    /// The model from x_a.
     pub analysis: f64,
-    /// The model from x_b \[m\].
+    /// The model from x_b.
     pub background: f64,
-    /// Persistence: the marker stays where it was last seen in the window \[m\].
+    /// Persistence: the marker stays where it was last seen in the window.
     pub persistence: f64,
-    /// The model at rest in its static equilibrium \[m\].
+    /// The model at rest in its static equilibrium.
     pub static_model: f64,
-    /// The model from x_a, less its mean error \[m\].
+    /// The model from x_a, less its mean error.
     pub moving_analysis: f64,
-    /// The best constant forecast: how far the marker moves about its mean place \[m\].
+    /// The best constant forecast: how far the marker moves about its mean place.
     pub moving_constant: f64,
 }
 

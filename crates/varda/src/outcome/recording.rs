@@ -4,6 +4,8 @@ use std::fmt;
 
 use serde::Serialize;
 
+use super::quantity::Quantity;
+
 /// A recording as its file has it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RecordingSummary {
@@ -40,14 +42,6 @@ impl SitesAre {
             SitesAre::Markers => "markers",
             SitesAre::Components => "components",
             SitesAre::Places => "places",
-        }
-    }
-
-    /// The unit of their values after a space; nothing where they have none.
-    pub fn unit(self) -> &'static str {
-        match self {
-            SitesAre::Markers => " m",
-            SitesAre::Components | SitesAre::Places => "",
         }
     }
 }
@@ -110,6 +104,8 @@ impl fmt::Display for RowCount {
 pub struct TrackSummary {
     /// Its name.
     pub label: String,
+    /// What its values are.
+    pub quantity: Quantity,
     /// Rows in which it was seen.
     pub rows: usize,
     /// Median time from one row to the next \[s\]; 0 for a single row.

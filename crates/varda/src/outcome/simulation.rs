@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::{Experiment, Shapes, Trajectories, WorkCounts};
+use super::{Experiment, Quantity, Shapes, Trajectories, WorkCounts};
 
 /// A forward run over the window and its forecast.
 #[derive(Debug)]
@@ -34,16 +34,20 @@ pub struct Distance {
     pub label: String,
     /// How often it was seen.
     pub count: usize,
-    /// Root mean square of the distance \[m\], of the difference for a component.
+    /// What its values are.
+    pub quantity: Quantity,
+    /// Root mean square of the distance, in the unit of the values.
     pub rms: f64,
 }
 
 impl Simulation {
-    /// Root mean square of the distance from a recording over all that was seen; `None` without a recording.
+    /// Root mean square of the distance from a recording over all that was seen, in the unit of the values;
+    /// `None` without a recording, or where places and pixels have none in common.
     pub fn rms_distance(&self) -> Option<f64> {
         let count: usize = self.distances.iter().map(|d| d.count).sum();
         let squares: f64 = self.distances.iter().map(|d| d.count as f64 * d.rms * d.rms).sum();
-        (count > 0).then(|| (squares / count as f64).sqrt())
+        let alike = self.distances.windows(2).all(|d| d[0].quantity == d[1].quantity);
+        (count > 0 && alike).then(|| (squares / count as f64).sqrt())
     }
 
     /// The last vertex at the end of the run \[m\]: the free end of a hanging rod.
@@ -59,4 +63,21 @@ pub struct TwinFiles {
     pub background: Vec<f64>,
     /// The angle of the end clamp at its start \[rad\], whole turns included, where it is part of the state.
     pub end_angle: Option<f64>,
+    /// What cameras saw.
+    pub pixels: Vec<PixelSight>,
+}
+
+/// A point of a rod in the image of a camera at one time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PixelSight {
+    /// Model time \[s\].
+    pub time: f64,
+    /// The camera.
+    pub camera: String,
+    /// Arc length of the point \[m\].
+    pub arc_length: f64,
+    /// u and v \[px\].
+    pub pixel: [f64; 2],
+    /// Their standard deviation \[px\].
+    pub sigma: f64,
 }

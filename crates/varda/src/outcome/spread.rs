@@ -5,10 +5,12 @@
 pub struct ObservedValue {
     /// Model time \[s\].
     pub time: f64,
-    /// The marker, place or component.
+    /// The marker, place or component, or the marker in a camera.
     pub label: String,
-    /// Axis of the recording ("x", "y", "z"); empty for models that are not in space.
+    /// Axis of the recording ("x", "y", "z") or the image ("u", "v"); empty for a component.
     pub axis: &'static str,
+    /// The unit of the value; empty where the scene does not say.
+    pub unit: &'static str,
     /// The value y.
     pub value: f64,
     /// H of the background's run.

@@ -15,8 +15,9 @@ pub use numerics::{MeshEffect, ModeDamping, enough_segments, numerical_damping};
 use serde::Serialize;
 
 use crate::Error;
-use crate::outcome::RecordingSummary;
+use crate::outcome::{Quantity, RecordingSummary};
 use crate::scene::SceneFile;
+use crate::setup::observations::Seen;
 use crate::setup::{Inputs, Plan};
 
 /// What can be said of a scene without a minimization: one forward run, and two equilibria of a rod at most.
@@ -69,7 +70,8 @@ impl Preview {
         let mut findings = findings(&inputs);
         let recording = inputs.observed.recording.clone();
         // a twin has the mesh of its truth
-        let seen = inputs.observed.seen.iter().filter(|_| recording.is_some());
+        let of_places = |s: &&Seen| inputs.observed.sites[s.site].quantity == Quantity::Place;
+        let seen = inputs.observed.seen.iter().filter(|_| recording.is_some()).filter(of_places);
         let finest = seen.map(|s| s.sigma).reduce(f64::min);
         let (grid, control) = (inputs.grid, plan.n_control);
         let window = grid.step * file.scene.time.window as f64;

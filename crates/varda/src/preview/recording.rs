@@ -1,7 +1,7 @@
 //! What of a recording looks as if it were not meant.
 
 use super::finding::Finding;
-use crate::outcome::RecordingSummary;
+use crate::outcome::{Quantity, RecordingSummary};
 use crate::scene::rounded;
 
 /// Rows are few where so many times as many are left out.
@@ -77,9 +77,13 @@ pub(super) fn of_recording(recording: &RecordingSummary, step: f64) -> Vec<Findi
     if let Some(track) = loose.first()
         && 2 * loose.len() > seen().count()
     {
-        let unit = recording.sites_are.unit();
+        let unit = track.quantity.unit_after();
+        let key = match track.quantity {
+            Quantity::Pixels => "observations.cameras",
+            _ => "observations.sigma",
+        };
         found.push(Finding::warning(
-            "observations.sigma",
+            key,
             format!(
                 "σ = {:.3}{unit}, where {} scatters by {:.1e}{unit} from row to row: another unit, or \
                  meant for what the model lacks?",

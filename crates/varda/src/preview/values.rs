@@ -2,8 +2,8 @@
 
 use super::finding::Finding;
 use crate::scene::{
-    Clamp, Covariance, Integrator, KernelCovariance, Model, Motion, Observations, RodModel, Scene, Section,
-    rounded,
+    Camera, Clamp, Covariance, Integrator, KernelCovariance, Model, Motion, Observations, RodModel, Scene,
+    Section, rounded,
 };
 
 /// What of a scene looks as if it were not meant.
@@ -16,6 +16,7 @@ pub(super) fn values(scene: &Scene) -> Vec<Finding> {
             of_time(scene, &mut found);
             of_background(&scene.background.covariance, length, &mut found);
             of_observations(&scene.observations, length, &mut found);
+            scene.observations.cameras().iter().enumerate().for_each(|(i, c)| of_camera(c, i, &mut found));
         }
         other => of_components(other, scene, &mut found),
     }
@@ -248,6 +249,38 @@ fn of_observations(observations: &Observations, length: f64, found: &mut Found) 
             format!("{sigma:e} m is finer than atoms on a rod {length} m long; {:e} m?", rounded(1e3 * sigma))
         });
     }
+}
+
+/// A calibration in other units, or of an image of another size.
+fn of_camera(camera: &Camera, index: usize, found: &mut Found) {
+    let key = |name: &str| format!("observations.cameras.{index}.{name}");
+    let [fx, fy] = camera.focal_length;
+    let name = &camera.name;
+    found.say(fx.min(fy) < 50.0, &key("focal_length"), || {
+        format!("{fx} and {fy} px: millimetres? In pixels it is f over the size of a pixel, some hundreds")
+    });
+    found.say(!(0.8..=1.25).contains(&(fx / fy)), &key("focal_length"), || {
+        format!("{fx} and {fy} px: pixels of camera {name} would be far from square")
+    });
+    if let Some([width, height]) = camera.image {
+        let [cx, cy] = camera.principal_point;
+        let inside = (0.0..width).contains(&cx) && (0.0..height).contains(&cy);
+        found.say(!inside, &key("principal_point"), || {
+            format!("({cx}, {cy}) px is outside the image, {width} × {height} px: of another size of image?")
+        });
+    }
+    if let Some(sigma) = camera.sigma {
+        found.say(sigma > 0.1 * fx.min(fy), &key("sigma"), || {
+            format!("{sigma} px, at a focal length of {fx} px, says nothing of a place")
+        });
+        found.say(sigma < 1e-3, &key("sigma"), || {
+            format!("{sigma:e} px is finer than any image; metres? It is in pixels")
+        });
+    }
+    let away = norm(&camera.position);
+    found.say(away > 100.0, &key("position"), || {
+        format!("camera {name} is {away} m from the origin: millimetres, {} m?", rounded(1e-3 * away))
+    });
 }
 
 /// More than half a turn; more than a whole one is refused when the scene is read.

@@ -315,9 +315,12 @@ impl Dataset {
     /// Everything that was seen: what observations.csv has.
     fn observations(&mut self, seen: &[ObservedValue]) {
         let dimension = [("obs", seen.len())];
-        let unit = if seen.iter().any(|v| !v.axis.is_empty()) { "m" } else { "1" };
+        let first = seen.first().map_or("", |v| v.unit);
+        let alike = !first.is_empty() && seen.iter().all(|v| v.unit == first);
+        let unit = if alike { first } else { "1" };
         self.put("obs_time", &dimension, seen.iter().map(|v| v.time).collect(), "s", "model time");
         self.texts("obs_marker", &dimension, seen.iter().map(|v| &v.label), "marker, place or component");
+        self.texts("obs_unit", &dimension, seen.iter().map(|v| v.unit), "unit of the value");
         self.texts("obs_axis", &dimension, seen.iter().map(|v| v.axis), "axis");
         let mut put = |name: &str, value: &dyn Fn(&ObservedValue) -> f64, what: &str| {
             self.put(format!("obs_{name}"), &dimension, seen.iter().map(value).collect(), unit, what);

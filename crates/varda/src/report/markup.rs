@@ -1,5 +1,7 @@
 //! Pieces of HTML that pages share.
 
+use std::collections::BTreeSet;
+
 use crate::outcome::{Judgement, Status};
 use crate::scene::Scene;
 use crate::state::StateGroup;
@@ -72,6 +74,15 @@ pub(super) fn folded_numbers(rows: &[(&str, String, &str)]) -> String {
 pub(super) fn table(headings: &[&str], rows: &str) -> String {
     let names = headings.iter().map(|n| format!("<th scope=\"col\">{n}</th>")).collect::<String>();
     format!("<div class=\"scroll\"><table><thead><tr>{names}</tr></thead><tbody>{rows}</tbody></table></div>")
+}
+
+/// " [m]", " [m, px]", or nothing.
+pub(super) fn in_brackets<'a>(units: impl Iterator<Item = &'a str>) -> String {
+    let units: BTreeSet<&str> = units.filter(|unit| !unit.is_empty()).collect();
+    match units.is_empty() {
+        true => String::new(),
+        false => format!(" [{}]", units.into_iter().collect::<Vec<_>>().join(", ")),
+    }
 }
 
 pub(super) fn list(items: &[String]) -> String {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::folder::ResultFolder;
-use super::markup::{escape, list, scene_section, short, status_words, table, verdict};
+use super::markup::{escape, in_brackets, list, scene_section, short, status_words, table, verdict};
 use super::page::Page;
 use super::summary::peak_bytes;
 use super::{Summary, estimates, tables, write_one};
@@ -199,7 +199,7 @@ fn section(one: &Outcome) -> String {
             f.ratio
         )
     };
-    let unit = if one.shapes.is_some() { " [m]" } else { "" };
+    let unit = in_brackets(one.fit.iter().map(|f| f.quantity.unit()));
     let [before, after] = ["background", "analysis"].map(|of| format!("rms d, {of}{unit}"));
     let mut out = format!(
         "<section><h2>Recording {0}</h2>{1}<p>J {2}, 2J/m = {3:.3} of {4} values; <a \

@@ -4,12 +4,13 @@ use std::fmt::Write;
 
 use super::chart::Figure;
 use super::markup::{
-    error_name, escape, folded_numbers, list, scene_section, short, status_words, table, tile_list, verdict,
+    error_name, escape, folded_numbers, in_brackets, list, scene_section, short, status_words, table,
+    tile_list, verdict,
 };
 use super::page::Page;
 use super::page::rod::RodView;
 use super::{Summary, estimates, figures, sources};
-use crate::outcome::{ConvergenceRow, Fit, Forecast, KnownConstants, Outcome, Withheld};
+use crate::outcome::{ConvergenceRow, Fit, Forecast, KnownConstants, Outcome, Quantity, Withheld};
 use crate::state::{StateGroup, StateLayout};
 
 /// The page of a run. `figures` are its charts but those of single markers, `picture` the rod as SVG.
@@ -120,15 +121,21 @@ fn tiles(s: &Summary, layout: &StateLayout) -> String {
     for w in &s.withheld {
         tiles.push((
             format!("Kept back: {}", w.label),
-            format!("{:.2} → {:.2} mm", 1e3 * w.rms_background, 1e3 * w.rms_analysis),
+            {
+                let [b, a] = [w.rms_background, w.rms_analysis].map(|d| shown(w.quantity, d));
+                format!("{b} → {a} {}", w.quantity.shown().1)
+            },
             format!("rms distance over {} times", w.count),
         ));
     }
     if let Some(f) = s.forecast.iter().find(|f| !f.assimilated).or(s.forecast.first()) {
         tiles.push((
             format!("Forecast of {}", f.label),
-            format!("{:.2} mm", 1e3 * f.analysis),
-            format!("persistence {:.2}, static model {:.2} mm", 1e3 * f.persistence, 1e3 * f.static_model),
+            format!("{} {}", shown(f.quantity, f.analysis), f.quantity.shown().1),
+            {
+                let [p, m] = [f.persistence, f.static_model].map(|d| shown(f.quantity, d));
+                format!("persistence {p}, static model {m} {}", f.quantity.shown().1)
+            },
         ));
     }
     if let Some(a) = &s.accepted_steps {
@@ -300,7 +307,7 @@ fn fit_section(outcome: &Outcome, s: &Summary) -> String {
                 cells(&[&[f.count.to_string()], &d[..], &[format!("{:.2}", f.ratio), brought]].concat());
             format!("<tr{class}><th scope=\"row\">{}</th>{cells}</tr>", escape(&f.label))
         };
-        let unit = if outcome.shapes.is_some() { " [m]" } else { "" };
+        let unit = in_brackets(s.innovations.iter().map(|f| f.quantity.unit()));
         let in_unit = |name: &str| format!("{name}{unit}");
         let [sigma, background, analysis, mean] =
             ["σ", "rms d, background", "rms d, analysis", "mean d, analysis"].map(in_unit);
@@ -319,12 +326,14 @@ fn fit_section(outcome: &Outcome, s: &Summary) -> String {
     }
     if !s.withheld.is_empty() {
         let row = |w: &Withheld| {
-            let mm = [w.rms_background, w.rms_analysis, w.moving_analysis].map(millimetres);
-            let cells = cells(&[&[w.count.to_string()], &mm[..]].concat());
+            let d = [w.rms_background, w.rms_analysis, w.moving_analysis].map(|d| shown(w.quantity, d));
+            let cells = cells(&[&[w.count.to_string()], &d[..]].concat());
             format!("<tr><th scope=\"row\">{}</th>{cells}</tr>", escape(&w.label))
         };
-        let headings =
-            ["Marker", "times", "background [mm]", "analysis [mm]", "analysis without constant offset [mm]"];
+        let unit = in_brackets(s.withheld.iter().map(|w| w.quantity.shown().1));
+        let [background, analysis, moving] =
+            ["background", "analysis", "analysis without constant offset"].map(|h| format!("{h}{unit}"));
+        let headings = ["Marker", "times", &background, &analysis, &moving];
         let _ = write!(
             out,
             "<h3>Markers kept back</h3><p>They were not assimilated. Distance between the marker as seen and \
@@ -335,7 +344,7 @@ fn fit_section(outcome: &Outcome, s: &Summary) -> String {
     if !s.forecast.is_empty() {
         let row = |f: &Forecast| {
             let used = if f.assimilated { "assimilated" } else { "kept back" };
-            let mm = [
+            let distances = [
                 f.analysis,
                 f.persistence,
                 f.static_model,
@@ -344,19 +353,29 @@ fn fit_section(outcome: &Outcome, s: &Summary) -> String {
                 f.moving_constant,
             ];
             let first = [used.to_string(), f.count.to_string()];
-            let cells = cells(&[&first[..], &mm.map(millimetres)].concat());
+            let cells = cells(&[&first[..], &distances.map(|d| shown(f.quantity, d))].concat());
             format!("<tr><th scope=\"row\">{}</th>{cells}</tr>", escape(&f.label))
         };
+        let unit = in_brackets(s.forecast.iter().map(|f| f.quantity.shown().1));
+        let headings = [
+            "analysis",
+            "persistence",
+            "static model",
+            "background",
+            "analysis without offset",
+            "best constant",
+        ]
+        .map(|heading| format!("{heading}{unit}"));
         let headings = [
             "Marker",
             "in the window",
             "times",
-            "analysis [mm]",
-            "persistence [mm]",
-            "static model [mm]",
-            "background [mm]",
-            "analysis without offset [mm]",
-            "best constant [mm]",
+            &headings[0],
+            &headings[1],
+            &headings[2],
+            &headings[3],
+            &headings[4],
+            &headings[5],
         ];
         let _ = write!(
             out,
@@ -378,9 +397,9 @@ fn cells(values: &[String]) -> String {
     values.iter().map(|v| format!("<td>{v}</td>")).collect()
 }
 
-/// A length in millimetres.
-fn millimetres(length: f64) -> String {
-    format!("{:.2}", 1e3 * length)
+/// A distance in millimetres, or pixels.
+fn shown(quantity: Quantity, distance: f64) -> String {
+    format!("{:.2}", quantity.shown().0 * distance)
 }
 
 /// Iteration by iteration; nothing of one of several recordings, which has none of its own.

@@ -3,7 +3,8 @@
 use std::fmt::Write;
 
 use crate::outcome::{
-    ConvergenceRow, Experiment, ModelErrors, ObservedValue, Outcome, Shapes, Trajectories, TwinFiles,
+    ConvergenceRow, Experiment, ModelErrors, ObservedValue, Outcome, PixelSight, Shapes, Trajectories,
+    TwinFiles,
 };
 use crate::run::compare::Compared;
 use crate::scene::TimeGrid;
@@ -128,14 +129,14 @@ pub(super) fn trajectory(
 pub(super) fn observed_values(values: &[ObservedValue]) -> String {
     let mut out = String::from(
         "time_s,marker,component,y,h_background,h_analysis,sigma_y,sigma_h_analysis,departure_over_sigma,\
-         used,reason\n",
+         used,reason,unit\n",
     );
     for v in values {
         let label = v.label.replace('"', "\"\"");
         let departure = (v.value - v.analysis) / v.sigma;
         let _ = writeln!(
             out,
-            "{},\"{label}\",{},{},{},{},{},{},{},{},{}",
+            "{},\"{label}\",{},{},{},{},{},{},{},{},{},{}",
             number(v.time),
             v.axis,
             number(v.value),
@@ -145,7 +146,8 @@ pub(super) fn observed_values(values: &[ObservedValue]) -> String {
             optional(v.sigma_analysis),
             number(departure),
             v.used,
-            v.reason
+            v.reason,
+            v.unit
         );
     }
     out
@@ -254,6 +256,17 @@ pub(super) fn observations(shapes: &Shapes, grid: &TimeGrid) -> String {
         let p = s.position;
         let fields = [grid.start + s.at() * grid.step, s.arc_length, p[0], p[1], p[2], s.sigma];
         let _ = writeln!(out, "{}", fields.map(number).join(","));
+    }
+    out
+}
+
+/// pixels.csv: what cameras saw of a rod, in the form `[observations] pixels` reads.
+pub(super) fn pixels(seen: &[PixelSight]) -> String {
+    let mut out = String::from("time_s,camera,s_m,u_px,v_px,sigma_px\n");
+    for s in seen {
+        let [time, place, u, v, sigma] = [s.time, s.arc_length, s.pixel[0], s.pixel[1], s.sigma].map(number);
+        let camera = s.camera.replace('"', "\"\"");
+        let _ = writeln!(out, "{time},\"{camera}\",{place},{u},{v},{sigma}");
     }
     out
 }

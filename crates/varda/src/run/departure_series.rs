@@ -4,12 +4,16 @@ use std::collections::BTreeMap;
 
 use varda_linalg::dense::Cholesky;
 
+use crate::outcome::Quantity;
+
 /// One observed value after the analysis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Departure {
     /// Index of its marker, place or component; in space in the order of arc length.
     pub site: usize,
-    /// Axis of the value, 0 to 2 in space; 0 elsewhere.
+    /// What the value is of.
+    pub quantity: Quantity,
+    /// Axis of the value, 0 to 2 in space, 0 and 1 in an image; 0 elsewhere.
     pub axis: usize,
     /// When it was seen \[s\].
     pub time: f64,

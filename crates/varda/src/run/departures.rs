@@ -41,7 +41,8 @@ const FOLLOWS: f64 = 0.2;
 ///
 /// with H = H(x_a) at the marker, its time mean H̄ and a point p where the rod is held. An analysis takes up
 /// what it can of a fault, so that these are likely causes, not proofs. `labels` are the names of the sites;
-/// `space` is known where axes are those of places. `None` where 2J_o/m ≤ 1 + 4 √(2/m), and for fewer
+/// `space` is known for a rod, `up` and pivots
+/// where axes are those of places. `None` where 2J_o/m ≤ 1 + 4 √(2/m), and for fewer
 /// than eight values.
 ///
 /// # Panics
@@ -117,7 +118,9 @@ impl Found<'_> {
         let own_series = Correlation::of(&self.series.pairs_in_time_of(worst));
         Some(if of_means >= EXPLAINS * square {
             let bias = bias.join(", ");
-            (Cause::BiasedMarker, format!("{start}: it is biased, its values are off by ({bias}) throughout"))
+            let unit = of(worst).next().map_or("", |(d, _)| d.quantity.unit_after());
+            let text = format!("{start}: it is biased, its values are off by ({bias}){unit} throughout");
+            (Cause::BiasedMarker, text)
         } else if own_series.is_white() {
             let sigma = own.sqrt();
             (
@@ -383,6 +386,7 @@ fn in_short(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::outcome::Quantity;
 
     /// Four markers in space that swing, seen at 50 times with σ = 1 mm, and what is added to each
     /// departure, beside its own noise, of size `noise` σ.
@@ -403,7 +407,8 @@ mod tests {
                     let white = (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
                     let value = 1e-3 * noise * white + fault(site, axis, t, place, rate);
                     let (predicted, rate) = (place[axis], rate[axis]);
-                    out.push(Departure { site, axis, time: t, value, sigma: 1e-3, predicted, rate });
+                    let (quantity, sigma) = (Quantity::Place, 1e-3);
+                    out.push(Departure { site, quantity, axis, time: t, value, sigma, predicted, rate });
                 }
             }
         }

@@ -2,22 +2,29 @@
 //! simpler ones.
 
 use std::collections::HashMap;
+use std::ops::Range;
 
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet};
 use varda_implicit::{At, Model, Rate};
 
 use super::departures::{Departure, Surroundings};
 use crate::Error;
-use crate::outcome::{Distance, Fit, Forecast, ObservedValue, Sight, Trajectories, Withheld};
+use crate::outcome::{Distance, Fit, Forecast, ObservedValue, Quantity, Trajectories, Withheld};
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
-use crate::setup::observations::{ObservedSpace, Site, observe};
+use crate::setup::observations::{MakeOperator, Observed, Site, observe};
 
 /// Innovations at background and analysis, label by label in the order of their first appearance.
 ///
 /// # Errors
 /// [`Error::Assimilation`] where a state cannot be observed.
-pub(crate) fn fit(observations: &mut ObservationSet, runs: &Trajectories) -> Result<Vec<Fit>, Error> {
+pub(crate) fn fit(
+    observed: &Observed,
+    observations: &mut ObservationSet,
+    runs: &Trajectories,
+) -> Result<Vec<Fit>, Error> {
+    let quantities: HashMap<&str, Quantity> =
+        observed.sites.iter().map(|site| (site.label.as_str(), site.quantity)).collect();
     let at_background = innovations(observations, runs, &runs.background)?;
     let at_analysis = innovations(observations, runs, &runs.analysis)?;
     let mut labels: Vec<(&str, Vec<usize>)> = Vec::new();
@@ -34,6 +41,7 @@ pub(crate) fn fit(observations: &mut ObservationSet, runs: &Trajectories) -> Res
         let mean = |f: &dyn Fn(usize) -> f64| rows.iter().map(|&r| f(r)).sum::<f64>() / rows.len() as f64;
         Fit {
             label: label.to_string(),
+            quantity: quantities.get(label).copied().unwrap_or(Quantity::Component),
             count: rows.len(),
             sigma: mean(&|r| sigma[r].powi(2)).sqrt(),
             rms_background: mean(&|r| at_background[r].powi(2)).sqrt(),
@@ -104,8 +112,8 @@ pub(crate) struct Departures {
     pub(crate) values: Vec<Departure>,
     /// Names of the sites; in space in the order of arc length.
     pub(crate) labels: Vec<String>,
-    /// Whether the axes of values are those of places.
-    pub(crate) in_space: bool,
+    /// The camera of each of them.
+    pub(crate) cameras: Vec<Option<String>>,
     /// Of a rod.
     pub(crate) surroundings: Option<Surroundings>,
 }
@@ -125,7 +133,7 @@ pub(crate) fn departures(
         return Ok(Departures {
             values: Vec::new(),
             labels: Vec::new(),
-            in_space: false,
+            cameras: Vec::new(),
             surroundings: None,
         });
     }
@@ -143,10 +151,11 @@ pub(crate) fn departures(
     let (before, predicted, after) = (shifted(-1)?, shifted(0)?, shifted(1)?);
     let grid = &problem.experiment.grid;
     let (sites, space) = (&problem.observed.sites, problem.observed.space.as_ref());
-    // in space the sites stand in the order of arc length
+    // in space the sites stand in the order of arc length, those of each camera together
     let mut order: Vec<usize> = (0..sites.len()).collect();
     if let Some(space) = space {
-        order.sort_by(|a, b| space.arc_lengths[*a].total_cmp(&space.arc_lengths[*b]));
+        let along = |a: &usize, b: &usize| space.arc_lengths[*a].total_cmp(&space.arc_lengths[*b]);
+        order.sort_by(|a, b| sites[*a].camera.cmp(&sites[*b].camera).then(along(a, b)));
     }
     let rows = sites.iter().map(|site| site.rows.end).max().unwrap_or(0);
     let mut site_of = vec![None; rows];
@@ -160,6 +169,7 @@ pub(crate) fn departures(
             let change = if ahead { after[row] - predicted[row] } else { predicted[row] - before[row] };
             departures.push(Departure {
                 site,
+                quantity: sites[order[site]].quantity,
                 axis: h_row - sites[order[site]].rows.start,
                 time: grid.time(o.step) + o.weight * grid.step,
                 value: d[row],
@@ -173,7 +183,7 @@ pub(crate) fn departures(
     Ok(Departures {
         values: departures,
         labels,
-        in_space: space.is_some(),
+        cameras: order.iter().map(|s| sites[*s].camera.clone()).collect(),
         surroundings: surroundings(problem),
     })
 }
@@ -188,9 +198,12 @@ fn uncorrelated(observations: &ObservationSet, mut d: Vec<f64>) -> Vec<f64> {
     d
 }
 
-/// Gravity and the held points of a rod, in the axes of what was observed.
+/// Gravity and the held points of a rod, in the axes of what was observed; neither where that is an image.
 fn surroundings(problem: &Problem) -> Option<Surroundings> {
     let (rod, space) = (problem.system.rod()?, problem.observed.space.as_ref()?);
+    if problem.observed.sites.iter().any(|site| site.quantity != Quantity::Place) {
+        return Some(Surroundings::default());
+    }
     let turned = |x: [f64; 3]| -> [f64; 3] {
         std::array::from_fn(|i| (0..3).map(|j| space.rotation[j][i] * x[j]).sum())
     };
@@ -220,58 +233,61 @@ pub(crate) fn beyond(
     };
     let grid = &problem.experiment.grid;
     let end = grid.steps as f64;
-    let sights = problem.observed.sights();
-    let (sights, mut places) = SitePlaces::of(space, sights, grid, model.rate())?;
-    let at_background = places.along(runs, &runs.background)?;
-    let at_analysis = places.along(runs, &runs.analysis)?;
-    let at_rest = if sights.iter().any(|s| s.at() > end) {
-        let at_rest = rod.parts.at_rest(grid.time(grid.steps))?;
-        let control = rod.control_at_rest(&at_rest)?;
-        let mut state = vec![0.0; model.dim()];
-        model.initial_state(&control, &mut state)?;
-        state
-    } else {
-        Vec::new()
-    };
-    let mut of_sites = vec![Vec::new(); problem.observed.sites.len()];
-    sights.iter().enumerate().for_each(|(j, sight)| of_sites[sight.site].push(j));
-    for (i, (site, of_site)) in problem.observed.sites.iter().zip(of_sites).enumerate() {
-        let (inside, after): (Vec<usize>, Vec<usize>) =
-            of_site.into_iter().partition(|j| sights[*j].at() <= end);
-        // A run that ended early has NaN for an error; its warning says so.
-        let miss = |places: &[[f64; 3]], seen: &[usize]| {
-            let error = |j: &usize| std::array::from_fn(|c| sights[*j].position[c] - places[*j][c]);
-            MeanErrors::of(&seen.iter().map(error).collect::<Vec<[f64; 3]>>())
-        };
-        if site.withheld && !inside.is_empty() {
-            let analysis = miss(&at_analysis, &inside);
-            withheld.push(Withheld {
-                label: site.label.clone(),
-                count: inside.len(),
-                rms_background: miss(&at_background, &inside).rms,
-                rms_analysis: analysis.rms,
-                moving_analysis: analysis.moving,
-            });
+    let observed = &problem.observed;
+    let mut at_rest = None;
+    for (make_operator, seen) in whole(observed, &space.make_places) {
+        let mut beside = Beside::of(make_operator, seen, grid, model.rate())?;
+        let at_background = beside.along(runs, &runs.background)?;
+        let at_analysis = beside.along(runs, &runs.analysis)?;
+        if at_rest.is_none() && beside.seen.iter().any(|s| s.at() > end) {
+            let control = rod.control_at_rest(&rod.parts.at_rest(grid.time(grid.steps))?)?;
+            let mut state = vec![0.0; model.dim()];
+            model.initial_state(&control, &mut state)?;
+            at_rest = Some(state);
         }
-        if !after.is_empty() {
+        let mut of_sites = vec![Vec::new(); observed.sites.len()];
+        beside.seen.iter().enumerate().for_each(|(j, seen)| of_sites[seen.site].push(j));
+        for (site, of_site) in observed.sites.iter().zip(of_sites) {
+            let (inside, after): (Vec<usize>, Vec<usize>) =
+                of_site.into_iter().partition(|j| beside.seen[*j].at() <= end);
+            // A run that ended early has NaN for an error; its warning says so.
+            let miss = |predicted: &[Vec<f64>], seen: &[usize]| {
+                let error = |j: &usize| less(&beside.seen[*j].values, &predicted[*j]);
+                MeanErrors::of(&seen.iter().map(error).collect::<Vec<_>>())
+            };
+            if site.withheld && !inside.is_empty() {
+                let analysis = miss(&at_analysis, &inside);
+                withheld.push(Withheld {
+                    label: site.label.clone(),
+                    quantity: site.quantity,
+                    count: inside.len(),
+                    rms_background: miss(&at_background, &inside).rms,
+                    rms_analysis: analysis.rms,
+                    moving_analysis: analysis.moving,
+                });
+            }
+            let (Some(first), Some(at_rest)) = (after.first(), &at_rest) else { continue };
+            let rows = beside.seen[*first].rows.clone();
             let analysis = miss(&at_analysis, &after);
             let background = miss(&at_background, &after);
-            let still = places.of_site(&at_rest, i)?;
-            let constant = |q: &[f64; 3]| {
-                let errors: Vec<[f64; 3]> =
-                    after.iter().map(|j| std::array::from_fn(|c| sights[*j].position[c] - q[c])).collect();
+            let seen = &beside.seen;
+            let constant = |q: &[f64]| {
+                let errors: Vec<Vec<f64>> = after.iter().map(|j| less(&seen[*j].values, q)).collect();
                 MeanErrors::of(&errors)
             };
+            let last = inside.last().map(|j| constant(&seen[*j].values).rms);
+            let still = constant(&still(beside.operator.as_mut(), grid.at(grid.steps), at_rest, rows)?);
             forecasts.push(Forecast {
                 label: site.label.clone(),
+                quantity: site.quantity,
                 assimilated: !site.withheld,
                 count: after.len(),
                 analysis: analysis.rms,
                 background: background.rms,
-                persistence: inside.last().map_or(f64::NAN, |j| constant(&sights[*j].position).rms),
-                static_model: constant(&still).rms,
+                persistence: last.unwrap_or(f64::NAN),
+                static_model: still.rms,
                 moving_analysis: analysis.moving,
-                moving_constant: constant(&still).moving,
+                moving_constant: still.moving,
             });
         }
     }
@@ -285,20 +301,23 @@ pub(crate) fn beyond(
 pub(crate) fn distances(
     problem: &Problem,
     runs: &Trajectories,
-    rate: Option<Box<dyn Rate>>,
+    model: &dyn Model,
 ) -> Result<Vec<Distance>, Error> {
     let (observed, grid) = (&problem.observed, &problem.experiment.grid);
     let mut sums = vec![(0, 0.0); observed.sites.len()];
     if let Some(space) = &observed.space {
-        let (sights, mut places) = SitePlaces::of(space, observed.sights(), grid, rate)?;
-        for (sight, place) in sights.iter().zip(places.along(runs, &runs.analysis)?) {
-            let sum = &mut sums[sight.site];
-            sum.0 += 1;
-            sum.1 += (0..3).map(|c| (sight.position[c] - place[c]).powi(2)).sum::<f64>();
+        for (make_operator, seen) in whole(observed, &space.make_places) {
+            let mut beside = Beside::of(make_operator, seen, grid, model.rate())?;
+            let predicted = beside.along(runs, &runs.analysis)?;
+            for (seen, predicted) in beside.seen.iter().zip(predicted) {
+                let sum = &mut sums[seen.site];
+                sum.0 += 1;
+                sum.1 += less(&seen.values, &predicted).iter().map(|d| d * d).sum::<f64>();
+            }
         }
     } else {
         let mut observations = observed.set(grid)?;
-        observations.follow(rate);
+        observations.follow(model.rate());
         let d = innovations(&mut observations, runs, &runs.analysis)?;
         for (i, o) in observations.observations().iter().enumerate() {
             let Some(site) = observed.sites.iter().position(|site| site.label == o.label) else { continue };
@@ -308,51 +327,101 @@ pub(crate) fn distances(
     }
     let of_site = |(site, (count, sum)): (&Site, (usize, f64))| Distance {
         label: site.label.clone(),
+        quantity: site.quantity,
         count,
         rms: (sum / count as f64).sqrt(),
     };
     Ok(observed.sites.iter().zip(sums).filter(|(_, sum)| sum.0 > 0).map(of_site).collect())
 }
 
-/// Where sites are in the model's axes.
-struct SitePlaces {
-    operator: Box<dyn ObservationOperator>,
-    sights: ObservationSet,
-    at_end: At,
+/// What was seen whole: places, and what cameras saw, each with the operator for it.
+fn whole<'a>(observed: &'a Observed, make_places: &'a MakeOperator) -> Vec<(&'a MakeOperator, Vec<Whole>)> {
+    let is_place = |i: usize| observed.sites[i].quantity == Quantity::Place;
+    let of_places = observed.sights().into_iter().map(|s| Whole {
+        site: s.site,
+        rows: 3 * s.site..3 * s.site + 3,
+        step: s.step,
+        weight: s.weight,
+        values: s.position.to_vec(),
+        sigma: s.sigma,
+    });
+    let of_images = observed.seen.iter().filter(|s| !is_place(s.site)).filter_map(|s| {
+        let values = s.values.iter().copied().collect::<Option<_>>()?;
+        let rows = observed.sites[s.site].rows.clone();
+        Some(Whole { site: s.site, rows, step: s.step, weight: s.weight, values, sigma: s.sigma })
+    });
+    let kinds =
+        [(make_places, of_places.collect()), (&observed.make_operator, of_images.collect::<Vec<_>>())];
+    kinds.into_iter().filter(|(_, seen): &(_, Vec<Whole>)| !seen.is_empty()).collect()
 }
 
-impl SitePlaces {
-    /// Of what was seen within window and forecast, which is given back in the order of time.
+/// All values of a site at one time.
+struct Whole {
+    site: usize,
+    /// Its rows of the operator.
+    rows: Range<usize>,
+    step: usize,
+    weight: f64,
+    values: Vec<f64>,
+    sigma: f64,
+}
+
+impl Whole {
+    /// Time within the window, in steps.
+    fn at(&self) -> f64 {
+        self.step as f64 + self.weight
+    }
+}
+
+/// What was seen whole within window and forecast, in the order of time, and an operator for it.
+struct Beside {
+    operator: Box<dyn ObservationOperator>,
+    seen: Vec<Whole>,
+    set: ObservationSet,
+}
+
+impl Beside {
     fn of(
-        space: &ObservedSpace,
-        mut sights: Vec<Sight>,
+        make_operator: &MakeOperator,
+        mut seen: Vec<Whole>,
         grid: &TimeGrid,
         rate: Option<Box<dyn Rate>>,
-    ) -> Result<(Vec<Sight>, SitePlaces), Error> {
-        sights.retain(|s| s.at() <= grid.last_step() as f64);
-        sights.sort_by(|a, b| a.step.cmp(&b.step).then(a.weight.total_cmp(&b.weight)));
-        let seen = sights.iter().map(|s| {
-            let rows = (3 * s.site..3 * s.site + 3).collect();
-            Observation::new(s.step, rows, s.position.to_vec(), s.sigma).between(s.weight)
-        });
-        let mut set = ObservationSet::on_times(grid.times(), vec![(space.make_places)()?], seen.collect())?;
+    ) -> Result<Beside, Error> {
+        seen.retain(|s| s.at() <= grid.last_step() as f64);
+        seen.sort_by(|a, b| a.step.cmp(&b.step).then(a.weight.total_cmp(&b.weight)));
+        let observation = |s: &Whole| {
+            Observation::new(s.step, s.rows.clone().collect(), s.values.clone(), s.sigma).between(s.weight)
+        };
+        let observations = seen.iter().map(observation).collect();
+        let mut set = ObservationSet::on_times(grid.times(), vec![make_operator()?], observations)?;
         set.follow(rate);
-        let operator = (space.make_places)()?;
-        Ok((sights, SitePlaces { operator, sights: set, at_end: grid.at(grid.steps) }))
+        Ok(Beside { operator: make_operator()?, seen, set })
     }
 
-    /// The place of a site in a state at the end of the window.
-    fn of_site(&mut self, state: &[f64], site: usize) -> Result<[f64; 3], Error> {
-        let mut values = vec![0.0; self.operator.dim()];
-        observe(self.operator.as_mut(), self.at_end, state, &mut values)?;
-        Ok(std::array::from_fn(|c| values[3 * site + c]))
+    /// What a run has where and when sites were seen; NaN where the run ended before.
+    fn along(&mut self, runs: &Trajectories, states: &[f64]) -> Result<Vec<Vec<f64>>, Error> {
+        let predicted = predicted(&mut self.set, runs, states)?;
+        Ok((0..self.seen.len()).map(|i| predicted[self.set.rows(i)].to_vec()).collect())
     }
+}
 
-    /// The places in a run where and when sites were seen; NaN where the run ended before.
-    fn along(&mut self, runs: &Trajectories, states: &[f64]) -> Result<Vec<[f64; 3]>, Error> {
-        let predicted = predicted(&mut self.sights, runs, states)?;
-        Ok(predicted.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect())
+/// Some rows of a state; NaN where it cannot be observed.
+fn still(
+    operator: &mut dyn ObservationOperator,
+    at: At,
+    state: &[f64],
+    rows: Range<usize>,
+) -> Result<Vec<f64>, Error> {
+    let mut values = vec![f64::NAN; operator.dim()];
+    match observe(operator, at, state, &mut values) {
+        Ok(()) => Ok(values[rows].to_vec()),
+        Err(varda_assimilation::Error::Observe { .. }) => Ok(vec![f64::NAN; rows.len()]),
+        Err(error) => Err(error.into()),
     }
+}
+
+fn less(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
 }
 
 /// Root mean square of some error vectors, with their mean and without it.
@@ -362,13 +431,13 @@ struct MeanErrors {
 }
 
 impl MeanErrors {
-    fn of(errors: &[[f64; 3]]) -> MeanErrors {
-        let n = errors.len() as f64;
-        let mean: [f64; 3] = std::array::from_fn(|i| errors.iter().map(|e| e[i]).sum::<f64>() / n);
-        let rms = |about: [f64; 3]| {
-            let squares = errors.iter().flat_map(|e| (0..3).map(move |i| (e[i] - about[i]).powi(2)));
+    fn of(errors: &[Vec<f64>]) -> MeanErrors {
+        let (n, width) = (errors.len() as f64, errors.first().map_or(0, Vec::len));
+        let mean: Vec<f64> = (0..width).map(|i| errors.iter().map(|e| e[i]).sum::<f64>() / n).collect();
+        let rms = |about: &[f64]| {
+            let squares = errors.iter().flat_map(|e| e.iter().zip(about).map(|(e, a)| (e - a).powi(2)));
             (squares.sum::<f64>() / n).sqrt()
         };
-        MeanErrors { rms: rms([0.0; 3]), moving: rms(mean) }
+        MeanErrors { rms: rms(&vec![0.0; width]), moving: rms(&mean) }
     }
 }

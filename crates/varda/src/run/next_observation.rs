@@ -8,7 +8,7 @@ use varda_assimilation::variance_after;
 use varda_linalg::interrupt;
 
 use crate::Error;
-use crate::outcome::{Candidate, NextObservation};
+use crate::outcome::{Candidate, NextObservation, Quantity};
 use crate::setup::Problem;
 use crate::setup::memory::{FURTHER_COLUMNS, FURTHER_NUMBERS, FURTHER_PLACES, FURTHER_TIMES};
 use crate::setup::observations::Seen;
@@ -41,9 +41,11 @@ impl Gathering {
         if columns > FURTHER_COLUMNS || steps.is_empty() || correlated {
             return None;
         }
-        let mut sigmas: Vec<f64> = used.iter().map(|s| s.sigma).collect();
+        // of one more marker or component: pixels say nothing of its σ
+        let seen_whole = used.iter().filter(|s| observed.sites[s.site].quantity != Quantity::Pixels);
+        let mut sigmas: Vec<f64> = seen_whole.map(|s| s.sigma).collect();
         sigmas.sort_by(f64::total_cmp);
-        let group = layout.groups.first()?;
+        let (group, sigma) = (layout.groups.first()?, *sigmas.get(sigmas.len() / 2)?);
         let vectors = group.range.len() / group.width;
         let places = evenly(vectors, FURTHER_PLACES).map(|i| {
             let first = group.range.start + i * group.width;
@@ -64,7 +66,7 @@ impl Gathering {
         Some(Gathering {
             steps: evenly(steps.len(), times).map(|i| steps[i]).collect(),
             end: grid.steps,
-            sigma: sigmas[sigmas.len() / 2],
+            sigma,
             rows: places.iter().map(|_| Vec::with_capacity(columns * group.width * times)).collect(),
             places,
             target: group.range.clone(),

@@ -76,19 +76,19 @@ fn track(
     let sites = &observed.sites;
     let Some(last) = sites.len().checked_sub(1) else { return Ok(None) };
     let site = sites.iter().position(|s| s.withheld).unwrap_or(last);
-    let rows = sites[site].rows.clone();
+    let row = 3 * site;
     let mut operator = (space.make_places)()?;
     let mut places = vec![0.0; operator.dim()];
     let mut of = |states: &[f64]| -> Result<Vec<[f64; 3]>, Error> {
         let mut line = Vec::new();
         for (step, x) in states.chunks_exact(runs.dim).enumerate() {
             observe(operator.as_mut(), grid.at(step), x, &mut places)?;
-            line.push([places[rows.start], places[rows.start + 1], places[rows.start + 2]]);
+            line.push([places[row], places[row + 1], places[row + 2]]);
         }
         Ok(line)
     };
     Ok(Some(Track {
-        label: sites[site].label.clone(),
+        label: sites[site].of_point().to_string(),
         site,
         withheld: sites[site].withheld,
         background: of(&runs.background)?,

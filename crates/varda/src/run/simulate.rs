@@ -38,12 +38,14 @@ pub fn simulate(problem: &Problem) -> Result<Simulation, Error> {
         Some(rod) => {
             let mut start = vec![0.0; dim];
             model.initial_state(&problem.background, &mut start)?;
-            Some(TwinFiles { background: problem.background.clone(), end_angle: rod.end_angle(&start)? })
+            let (grid, end_angle) = (problem.experiment.grid, rod.end_angle(&start)?);
+            let pixels = problem.observed.pixels(&grid);
+            Some(TwinFiles { background: problem.background.clone(), end_angle, pixels })
         }
         None => None,
     };
     let distances = match problem.observed.recording {
-        Some(_) => distances(problem, &trajectories, model.rate())?,
+        Some(_) => distances(problem, &trajectories, model.as_ref())?,
         None => Vec::new(),
     };
     Ok(Simulation {

@@ -117,7 +117,6 @@ impl<'a> SourcesOfSpread<'a> {
         let length = control.len();
         let Self { problem, rest: of_rest, rows, numbers, .. } = self;
         let (observed, grid) = (&problem.observed, problem.experiment.grid);
-        let in_space = observed.space.is_some();
         let constants = &problem.system.estimates().constants;
         let mut sensitivities: Vec<Sensitivity> = rows
             .iter()
@@ -127,7 +126,7 @@ impl<'a> SourcesOfSpread<'a> {
                 Sensitivity {
                     time: grid.start + one.at() * grid.step,
                     label: observed.sites[one.site].label.clone(),
-                    axis: if in_space { ["x", "y", "z"][c] } else { "" },
+                    axis: observed.sites[one.site].quantity.axes()[c],
                     by_value: Vec::new(),
                 }
             })

@@ -328,7 +328,6 @@ pub(super) fn observed_values(
     set.follow(model.rate());
     let at_background = predicted(&mut set, runs, &runs.background)?;
     let at_analysis = predicted(&mut set, runs, &runs.analysis)?;
-    let in_space = problem.observed.space.is_some();
     let mut out = Vec::new();
     for (place, i) in order.into_iter().enumerate() {
         let one = &problem.observed.seen[i];
@@ -347,7 +346,8 @@ pub(super) fn observed_values(
             out.push(ObservedValue {
                 time: grid.start + one.at() * grid.step,
                 label: site.label.clone(),
-                axis: if in_space { ["x", "y", "z"][c] } else { "" },
+                axis: site.quantity.axes()[c],
+                unit: site.quantity.unit(),
                 value,
                 background: at_background[row],
                 analysis: at_analysis[row],

@@ -1,17 +1,18 @@
 //! The verdict of a window: plain data in, plain data out.
 
+use std::collections::BTreeSet;
 use std::fmt::Write;
 
 use varda_assimilation::{highest_j_of_a_fit, huber};
 
 use super::departures::Departure;
 use super::second_minimum::Second;
-use crate::outcome::{CycleRow, Evidence, Judgement, Status, Verdict};
+use crate::outcome::{CycleRow, Evidence, Judgement, Quantity, Status, Verdict};
 
 /// A stalled minimization whose gradient fell below this share of the first has come to the minimum as nearly
 /// as rounding, or the noise of J, allows.
 const AT_THE_MINIMUM: f64 = 1e-3;
-/// A marker, time or axis stands out beyond this many standard deviations.
+/// A marker, time, axis or camera stands out beyond this many standard deviations.
 const STANDS_OUT: f64 = 4.0;
 /// 2J/m from which on the model itself is doubted.
 const FAR: f64 = 30.0;
@@ -43,7 +44,8 @@ pub(super) struct Judged<'a> {
     pub departures: &'a [Departure],
     /// Names of the sites that departures count.
     pub labels: &'a [String],
-    pub in_space: bool,
+    /// The camera of each site that has one.
+    pub cameras: &'a [Option<String>],
     pub evidence: Option<&'a Evidence>,
     /// What was found out about a second minimum.
     pub second_minimum: Option<&'a Second>,
@@ -201,7 +203,7 @@ pub(super) fn judge_windows(
     Judgement { verdict, text }
 }
 
-/// A marker, a time or an axis.
+/// A marker, a time, an axis or a camera.
 struct Group {
     name: String,
     /// Root mean square of d/σ.
@@ -210,7 +212,7 @@ struct Group {
     deviations: f64,
 }
 
-/// Markers, times and axes whose departures are too large for their number, the largest first.
+/// Markers, times, axes and cameras whose departures are too large for their number, the largest first.
 fn standing_out(judged: &Judged) -> Vec<Group> {
     let delta = judged.robust.unwrap_or(f64::INFINITY);
     let d = judged.departures;
@@ -239,10 +241,16 @@ fn standing_out(judged: &Judged) -> Vec<Group> {
             group(format!("t = {:.4} s", members[0].time), &mut members.iter().copied());
         }
     }
-    if judged.in_space {
-        for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
-            group(format!("axis {name}"), &mut d.iter().filter(|d| d.axis == axis));
+    for quantity in [Quantity::Place, Quantity::Pixels] {
+        for (axis, name) in quantity.axes().iter().enumerate() {
+            let of_axis = d.iter().filter(|d| d.quantity == quantity && d.axis == axis);
+            group(format!("axis {name}"), &mut of_axis.into_iter());
         }
+    }
+    let cameras: BTreeSet<&String> = judged.cameras.iter().flatten().collect();
+    for camera in cameras {
+        let of_camera = d.iter().filter(|d| judged.cameras[d.site].as_ref() == Some(camera));
+        group(format!("camera {camera}"), &mut of_camera.into_iter());
     }
     groups.sort_by(|a, b| b.deviations.total_cmp(&a.deviations));
     groups
@@ -274,6 +282,7 @@ mod tests {
     fn departures(off: impl Fn(usize, usize) -> f64) -> Vec<Departure> {
         let one = |k: usize, site: usize| Departure {
             site,
+            quantity: Quantity::Component,
             axis: 0,
             time: k as f64,
             value: off(k, site),
@@ -299,7 +308,7 @@ mod tests {
             robust: None,
             departures,
             labels,
-            in_space: false,
+            cameras: &[],
             evidence: None,
             second_minimum: None,
         }

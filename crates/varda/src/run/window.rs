@@ -235,7 +235,7 @@ pub(super) fn described(problem: &Problem, ended: Ended, listener: &Listener) ->
     };
     warnings.extend(amplification.and_then(|a| a.warning()));
     observations.follow(model.rate());
-    let mut fit = fit::fit(&mut observations, &trajectories)?;
+    let mut fit = fit::fit(&problem.observed, &mut observations, &trajectories)?;
     let (withheld, forecast) = fit::beyond(problem, &trajectories, model.as_mut())?;
     let departures = fit::departures(problem, &mut observations, &trajectories)?;
     let evidence =
@@ -254,7 +254,7 @@ pub(super) fn described(problem: &Problem, ended: Ended, listener: &Listener) ->
         robust: scene.algorithm.robust,
         departures: &departures.values,
         labels: &departures.labels,
-        in_space: departures.in_space,
+        cameras: &departures.cameras,
         evidence: evidence.as_ref(),
         second_minimum: second.as_ref(),
     });

@@ -10,6 +10,7 @@
 
 mod algorithm;
 mod background;
+mod camera;
 mod cycles;
 mod defaults;
 mod ensemble;
@@ -19,6 +20,7 @@ mod grid;
 mod invalid;
 mod limits;
 mod loads;
+mod marker;
 mod method;
 mod model;
 mod model_error;
@@ -51,6 +53,7 @@ pub use background::{
     Background, ClimatologyCovariance, Covariance, DiagonalCovariance, Draw, Kernel, KernelCovariance,
     KnownState, LineCovariance, Origin, Prior, Root, Taper,
 };
+pub use camera::Camera;
 pub use cycles::{Adaptive, CycledCovariance, Cycles, EnsembleUpdate, Inflation};
 pub use ensemble::Ensemble;
 pub use estimate::{ConstantPrior, Estimate, PriorSigma, Unknown};
@@ -61,6 +64,7 @@ pub use grid::TimeGrid;
 pub(crate) use invalid::{Invalid, rounded};
 pub use limits::{DEFAULT_MEMORY, Limits};
 pub use loads::{Drag, Force, Moment};
+pub use marker::{Marker, Use};
 pub use method::{Hessian, Method, Minimizer};
 pub use model::{
     Burgers, Clamp, ClampAt, DampingValues, KuramotoSivashinsky, LinearAdvection, Lorenz63, Lorenz96,
@@ -71,7 +75,7 @@ pub use motion::{
     Motion, MotionValues, PoseValues, RecordedMarkers, RecordedMotion, RecordedPose, RecordedTurns, Turns,
 };
 pub use observations::{
-    ErrorCorrelation, Frame, Marker, Observations, OutsideWindow, Recording, Synthetic, UnreachableRows, Use,
+    ErrorCorrelation, Frame, Observations, OutsideWindow, Recording, Synthetic, UnreachableRows,
 };
 pub use output::{Format, Output};
 pub(crate) use parsed::{Along, BackgroundSource, ComponentCovariance, LineStep, Shear};

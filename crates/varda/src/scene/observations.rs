@@ -4,7 +4,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::background::Kernel;
+use super::camera::Camera;
 use super::defaults::is_default;
+use super::marker::Marker;
 
 /// What is observed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -20,7 +22,8 @@ pub enum Observations {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Synthetic {
-    /// Arc lengths of the observed points of a rod [m]; all three coordinates are observed.
+    /// Arc lengths of the observed points of a rod [m]; all three coordinates are observed, if σ of them is
+    /// given, and the pixels of `cameras`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schemars(extend("x-unit" = "m"))]
     pub places: Vec<f64>,
@@ -34,7 +37,7 @@ pub struct Synthetic {
     /// Observed after these numbers of steps of the window.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps: Option<Vec<usize>>,
-    /// Standard deviation of an observed value [m]. Give this or `sigma_over_length`.
+    /// Standard deviation of an observed value [m]. Give this or `sigma_over_length`, or `cameras` alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub sigma: Option<f64>,
@@ -42,6 +45,9 @@ pub struct Synthetic {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub sigma_over_length: Option<f64>,
+    /// Cameras that see the places of a rod, each with its `sigma`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub cameras: Vec<Camera>,
     /// Correlation of the errors. Absent: all errors are independent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub correlation: Option<ErrorCorrelation>,
@@ -59,6 +65,13 @@ pub struct Recording {
     /// The file. May be left to `--set observations.file=…`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,
+    /// The file of what `cameras` saw of markers, `time_s,camera,marker,u_px,v_px` and, if wanted,
+    /// `sigma_px`; beside `file`, or alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pixels: Option<String>,
+    /// The cameras of `pixels`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub cameras: Vec<Camera>,
     /// Time in the recording at which the model's clock reads 0 [s].
     #[serde(default, skip_serializing_if = "is_default")]
     #[schemars(extend("x-unit" = "s"))]
@@ -79,7 +92,7 @@ pub struct Recording {
     pub outside_window: OutsideWindow,
     /// What to do with rows that cannot be true: farther from where the rod is held than the rod between,
     /// with the strain of the taut rod and 4 σ (more of many rows: 5.8 of 6000); labels of two markers
-    /// exchanged; jumps faster than `max_speed`.
+    /// exchanged; jumps faster than `max_speed`; pixels outside the image.
     #[serde(default, skip_serializing_if = "is_default")]
     pub unreachable: UnreachableRows,
     /// The fastest that a marker moves [m/s]. Absent: five times the sum of the supports' greatest speed,
@@ -125,6 +138,14 @@ impl Observations {
             Observations::File(keys) => keys.correlation.as_ref(),
         }
     }
+
+    /// The cameras.
+    pub fn cameras(&self) -> &[Camera] {
+        match self {
+            Observations::Synthetic(keys) => &keys.cameras,
+            Observations::File(keys) => &keys.cameras,
+        }
+    }
 }
 
 /// x_model = R x_recorded + t, with R given by its rows or as a rotation about an axis. σ does not change.
@@ -166,33 +187,4 @@ pub enum UnreachableRows {
     Error,
     /// Leave them out and list them.
     Skip,
-}
-
-/// A marker and its place on the rod.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Marker {
-    /// Its name in the column `marker`.
-    pub name: String,
-    /// Arc length of its section [m].
-    #[schemars(extend("minimum" = 0.0, "x-unit" = "m"))]
-    pub arc_length: f64,
-    /// Its place in the frame of the section, along (m₁, m₂, t) [m].
-    #[serde(default, skip_serializing_if = "is_default")]
-    #[schemars(extend("x-unit" = "m"))]
-    pub offset: [f64; 3],
-    /// What it is used for.
-    #[serde(default, rename = "use")]
-    pub used: Use,
-}
-
-/// What a marker is used for.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Use {
-    /// Assimilated.
-    #[default]
-    Assimilate,
-    /// Kept back: the report compares the analysis with it.
-    Withhold,
 }

@@ -261,6 +261,14 @@ impl Synthetic {
             one_of("observations", ("sigma", self.sigma), ("sigma_over_length", self.sigma_over_length))?;
         Ok(Sigma::from_keys(given))
     }
+
+    /// σ of a coordinate of a rod; `None` where cameras alone see it.
+    pub(crate) fn place_sigma(&self) -> Result<Option<Sigma>, Invalid> {
+        match (self.sigma, self.sigma_over_length) {
+            (None, None) if !self.cameras.is_empty() => Ok(None),
+            _ => self.sigma().map(Some),
+        }
+    }
 }
 
 /// What errors of observations are correlated along.

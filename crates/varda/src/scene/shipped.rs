@@ -34,6 +34,7 @@ pub const SHIPPED: &[Shipped] = shipped![
     "cable-between-posts"
     "tether-on-base"
     "twisted-rod"
+    "rope-two-cameras"
     "tether-in-current"
     "wire"
     "wires"
@@ -60,6 +61,7 @@ const DATA: &[(&str, &str)] = &[
     ("data/soft-arm.csv", include_str!("../../scenes/data/soft-arm.csv")),
     ("data/tether-on-base-poses.csv", include_str!("../../scenes/data/tether-on-base-poses.csv")),
     ("data/tether-on-base.csv", include_str!("../../scenes/data/tether-on-base.csv")),
+    ("data/rope-pixels.csv", include_str!("../../scenes/data/rope-pixels.csv")),
     ("data/tether-pull.csv", include_str!("../../scenes/data/tether-pull.csv")),
     ("data/wire-white-0.csv", include_str!("../../scenes/data/wire-white-0.csv")),
     ("data/wire-white-2.csv", include_str!("../../scenes/data/wire-white-2.csv")),

@@ -75,7 +75,10 @@ pub(super) fn validate_sizes(scene: &Scene) -> Check {
     let Observations::Synthetic(synthetic) = &scene.observations else { return Ok(()) };
     let each = match (synthetic.places.len(), synthetic.components.len()) {
         (0, 0) => state,
-        (places, components) => 3 * places + components,
+        (places, components) => {
+            let each = if synthetic.place_sigma()?.is_some() { 3 } else { 0 };
+            (each + 2 * synthetic.cameras.len()) * places + components
+        }
     };
     let (times, key) = match (&synthetic.steps, synthetic.every) {
         (Some(list), _) => (list.len() * cycles.map_or(1, |c| c.count), "observations.steps"),

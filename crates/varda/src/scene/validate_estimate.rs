@@ -78,6 +78,10 @@ pub(super) fn validate_estimate(estimate: &Estimate, scene: &Scene) -> Check {
         return invalid("time.tolerance", "time steps that adapt do not go with [estimate]: leave one out");
     }
     let algorithm = &scene.algorithm;
+    if estimate.bias.is_some() && !scene.observations.cameras().is_empty() {
+        let message = "is of coordinates: beside cameras take marker_offset, or mount_translation";
+        return invalid("estimate.bias", message);
+    }
     if estimate.observation_sigma.is_some() {
         validate_sigma(estimate, scene)?;
     }

@@ -20,29 +20,24 @@ pub(super) fn validate_frame(frame: &Frame, path: &str) -> Check {
                 angle.to_radians()
             ),
         ),
-        (Some(r), None, None) => {
-            for i in 0..3 {
-                for j in 0..3 {
-                    let product: f64 = (0..3).map(|k| r[i][k] * r[j][k]).sum();
-                    // Rows written with four digits are meant as a rotation; a mirrored or scaled frame is
-                    // not.
-                    if !((product - f64::from(i == j)).abs() < 1e-3) {
-                        return invalid(
-                            format!("{path}.rotation"),
-                            "its rows are not perpendicular unit vectors",
-                        );
-                    }
-                }
-            }
-            let det = r[0][0] * (r[1][1] * r[2][2] - r[1][2] * r[2][1])
-                - r[0][1] * (r[1][0] * r[2][2] - r[1][2] * r[2][0])
-                + r[0][2] * (r[1][0] * r[2][1] - r[1][1] * r[2][0]);
-            if det > 0.0 {
-                Ok(())
-            } else {
-                invalid(format!("{path}.rotation"), "it mirrors: its determinant is −1")
-            }
-        }
+        (Some(r), None, None) => validate_rotation(r, &format!("{path}.rotation")),
         _ => Ok(()),
     }
+}
+
+/// The rows of a rotation at a path.
+pub(super) fn validate_rotation(r: &[[f64; 3]; 3], path: &str) -> Check {
+    for i in 0..3 {
+        for j in 0..3 {
+            let product: f64 = (0..3).map(|k| r[i][k] * r[j][k]).sum();
+            // Rows written with four digits are meant as a rotation; a mirrored or scaled frame is not.
+            if !((product - f64::from(i == j)).abs() < 1e-3) {
+                return invalid(path, "its rows are not perpendicular unit vectors");
+            }
+        }
+    }
+    let det = r[0][0] * (r[1][1] * r[2][2] - r[1][2] * r[2][1])
+        - r[0][1] * (r[1][0] * r[2][2] - r[1][2] * r[2][0])
+        + r[0][2] * (r[1][0] * r[2][1] - r[1][1] * r[2][0]);
+    if det > 0.0 { Ok(()) } else { invalid(path, "it mirrors: its determinant is −1") }
 }

@@ -4,12 +4,23 @@ use varda_implicit::line::Ends;
 
 use super::invalid::{Check, invalid, on_rod};
 use super::parsed::Along;
-use super::validate_frame::validate_frame;
-use super::{Frame, Kernel, Model, Origin, Recording, RodModel, Scene, Synthetic, UnreachableRows};
+use super::validate_frame::{validate_frame, validate_rotation};
+use super::{
+    Camera, Frame, Kernel, Model, Origin, Recording, RodModel, Scene, Synthetic, UnreachableRows, Use,
+};
 
 /// Observations of a twin experiment with a rod.
 pub(super) fn validate_places(s: &Synthetic, scene: &Scene, rod: &RodModel) -> Check {
-    s.sigma()?;
+    s.place_sigma()?;
+    validate_cameras(&s.cameras)?;
+    for (i, camera) in s.cameras.iter().enumerate() {
+        if camera.sigma.is_none() {
+            return invalid(format!("observations.cameras.{i}.sigma"), "a twin draws pixels with it [px]");
+        }
+        if camera.used == Use::Withhold {
+            return invalid(format!("observations.cameras.{i}.use"), "a twin assimilates what it draws");
+        }
+    }
     validate_times(s, scene)?;
     let length = rod.rest_lengths()?.iter().sum();
     if s.places.is_empty() {
@@ -27,6 +38,9 @@ pub(super) fn validate_components(s: &Synthetic, scene: &Scene) -> Check {
     validate_times(s, scene)?;
     if !s.places.is_empty() {
         return invalid("observations.places", "this model is observed in `components`");
+    }
+    if !s.cameras.is_empty() {
+        return invalid("observations.cameras", "cameras see a rod");
     }
     s.component_sigma()?;
     let n = scene.model.components().unwrap_or(0);
@@ -82,7 +96,28 @@ pub(super) fn validate_recording(f: &Recording, rod: &RodModel) -> Check {
             );
         }
     }
+    validate_cameras(&f.cameras)?;
+    if f.pixels.is_some() && f.cameras.is_empty() {
+        return invalid("observations.pixels", "needs [[observations.cameras]]");
+    }
     validate_frame(&f.frame, "observations.frame")
+}
+
+fn validate_cameras(cameras: &[Camera]) -> Check {
+    for (i, camera) in cameras.iter().enumerate() {
+        let key = |name: &str| format!("observations.cameras.{i}.{name}");
+        if cameras[..i].iter().any(|other| other.name == camera.name) {
+            return invalid(key("name"), format!("camera {:?} is there twice", camera.name));
+        }
+        if let Some(f) = camera.focal_length.iter().find(|f| !(**f > 0.0)) {
+            return invalid(key("focal_length"), format!("{f} px: a focal length is above 0"));
+        }
+        if let Some(size) = camera.image.iter().flatten().find(|size| !(**size > 0.0)) {
+            return invalid(key("image"), format!("{size} px: width and height are above 0"));
+        }
+        validate_rotation(&camera.rotation, &key("rotation"))?;
+    }
+    Ok(())
 }
 
 /// Observations of another model read from a file.
@@ -93,6 +128,8 @@ pub(super) fn validate_recorded_components(f: &Recording) -> Check {
         ("max_speed", f.max_speed.is_some()),
         ("markers", !f.markers.is_empty()),
         ("ignore", !f.ignore.is_empty()),
+        ("pixels", f.pixels.is_some()),
+        ("cameras", !f.cameras.is_empty()),
     ];
     match of_rods.iter().find(|(_, given)| *given) {
         Some((key, _)) => {
@@ -119,6 +156,10 @@ pub(super) fn validate_correlation(scene: &Scene) -> Check {
         return invalid("algorithm.background_check", message);
     }
     match along {
+        Along::Length(_) if !scene.observations.cameras().is_empty() => {
+            let message = "pixels of several cameras have no common line: take `time`";
+            invalid(format!("{path}.length"), message)
+        }
         Along::Time(_) if scene.algorithm.cycles.is_some() => {
             let message =
                 "errors correlated in time tie one window to the next: take one window, or `length`";

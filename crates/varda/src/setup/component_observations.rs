@@ -14,7 +14,7 @@ use super::recorded_rows::{Clock, LeftOut, summary, text_of};
 use super::recording::Recorded;
 use super::seen_with::with_constants;
 use crate::Error;
-use crate::outcome::SitesAre;
+use crate::outcome::{Quantity, SitesAre};
 use crate::scene::{Recording, Synthetic, TimeGrid, rounded};
 
 /// The components that a twin experiment observes; their values are not yet drawn.
@@ -29,13 +29,15 @@ pub(crate) fn synthetic(
         if keys.components.is_empty() { (0..n).collect() } else { keys.components.clone() };
     let site = |(row, &c): (usize, &usize)| Site {
         label: system.names[c].clone(),
+        quantity: Quantity::Component,
+        camera: None,
         rows: row..row + 1,
         anchors: vec![c],
         place: system.line.map(|line| line.position(c)),
         withheld: false,
     };
     let steps = files.scene.checked(keys.observed_steps(grid.steps))?;
-    let sigma = files.scene.checked(keys.component_sigma())?;
+    let (sigma, count) = (files.scene.checked(keys.component_sigma())?, components.len());
     let (constants, seeing, models) = (places(system), system.estimates.seen, system.models());
     Ok(Observed {
         errors: None,
@@ -53,7 +55,7 @@ pub(crate) fn synthetic(
                 &models,
             ))
         }),
-        draws: Some(Draws { steps, sigma }),
+        draws: Some(Draws { steps, sigma: vec![sigma; count], within: vec![None; count] }),
     })
 }
 
@@ -80,7 +82,7 @@ pub(crate) fn recorded(
     system: &ComponentSystem,
     grid: TimeGrid,
 ) -> Result<Observed, Error> {
-    let (label, text) = text_of(files, recording)?;
+    let (label, text) = text_of(files, "observations.file", &recording.file)?;
     let rows = component_rows::rows(&label, &text)?;
     let bad = |line: usize, message: String| Error::Data { place: format!("{label}:{line}"), message };
 
@@ -120,8 +122,7 @@ pub(crate) fn recorded(
         _ => SitesAre::Components,
     };
     let counted = left.count(rows.len(), &seen, kept, grid);
-    let sites_by_name = sites.iter().map(|site| site.label.as_str());
-    let summary = summary(sites_are, counted, (&times, &clock), sites_by_name, &recorded);
+    let summary = summary(sites_are, counted, (&times, &clock), &sites, &recorded);
     let places: Vec<Place> = site_of.into_keys().collect();
     let (n, line) = (system.names.len(), system.line);
     let (constants, seeing, models) = (self::places(system), system.estimates.seen, system.models());
@@ -187,7 +188,8 @@ fn site(row: usize, place: Place, system: &ComponentSystem) -> Site {
         (Place::Component(c), line) => (system.names[c].clone(), c, line.map(|line| line.position(c))),
         (Place::OnLine(_), None) => unreachable!("a place without a line was refused"),
     };
-    Site { label, rows: row..row + 1, anchors: vec![anchor], place, withheld: false }
+    let (quantity, camera) = (Quantity::Component, None);
+    Site { label, quantity, camera, rows: row..row + 1, anchors: vec![anchor], place, withheld: false }
 }
 
 /// H of the places: components as they are, places on a line between its points.

@@ -14,7 +14,7 @@ use super::error_correlation::{Chains, ErrorKernel};
 use super::random::{Stream, normal, stream};
 use super::runs::run_states;
 use crate::Error;
-use crate::outcome::{RecordingSummary, Sight};
+use crate::outcome::{PixelSight, Quantity, RecordingSummary, Sight};
 use crate::scene::{SceneFile, TimeGrid, rounded};
 
 /// Makes an observation operator.
@@ -40,11 +40,16 @@ pub struct Observed {
     pub(crate) draws: Option<Draws>,
 }
 
-/// A marker, place or component that is observed: some rows of the observation operator.
+/// A marker, place or component that is observed, or a marker in a camera: some rows of the observation
+/// operator.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Site {
-    /// Name in reports: "marker …", an arc length, the name of a component.
+    /// Name in reports: "marker …", an arc length, the name of a component; with " in camera …".
     pub label: String,
+    /// What its values are.
+    pub quantity: Quantity,
+    /// The name of the camera that saw it.
+    pub camera: Option<String>,
     /// Its rows of H.
     pub rows: Range<usize>,
     /// For each row the component of the control at the same place (localization of ensembles).
@@ -70,13 +75,13 @@ pub struct Seen {
     pub sigma: f64,
 }
 
-/// Sites in space, with three rows each.
+/// Sites in space.
 pub struct ObservedSpace {
     /// Arc length of every site \[m\].
     pub arc_lengths: Vec<f64>,
-    /// The rotation R from the axes of the values to those of the model, by rows.
+    /// The rotation R from the axes of coordinates that were seen to those of the model, by rows.
     pub rotation: [[f64; 3]; 3],
-    /// Makes the operator that gives the places of all sites in the model's axes.
+    /// Makes the operator that gives the places of all sites in the model's axes, three rows a site.
     pub(crate) make_places: MakeOperator,
 }
 
@@ -85,8 +90,11 @@ pub struct ObservedSpace {
 pub(crate) struct Draws {
     /// Steps of the window.
     pub(crate) steps: Vec<usize>,
-    /// Standard deviation of a value.
-    pub(crate) sigma: f64,
+    /// Standard deviation of a value of each site.
+    pub(crate) sigma: Vec<f64>,
+    /// Width and height within which the values of each site are, where that is bounded: the image of a
+    /// camera \[px\].
+    pub(crate) within: Vec<Option<[f64; 2]>>,
 }
 
 /// H(x) of all rows, with the step in the error.
@@ -101,6 +109,19 @@ pub(crate) fn observe(
 ) -> Result<(), varda_assimilation::Error> {
     let failed = |reason| varda_assimilation::Error::Observe { operator: 0, step: at.step, reason };
     operator.observe(at, x, y).map_err(failed)
+}
+
+/// Whether a coordinate is within an image whose first pixel has its middle at 0.
+pub(super) fn is_within(pixel: f64, size: f64) -> bool {
+    pixel >= -0.5 && pixel <= size - 0.5
+}
+
+impl Site {
+    /// Its name without that of its camera.
+    pub(crate) fn of_point(&self) -> &str {
+        let of_camera = self.camera.as_ref().map(|camera| format!(" in camera {camera}"));
+        of_camera.and_then(|of| self.label.strip_suffix(&of)).unwrap_or(&self.label)
+    }
 }
 
 impl Seen {
@@ -179,7 +200,7 @@ impl Observed {
         truth: &[f64],
         seed: u64,
     ) -> Result<(), Error> {
-        let Some(Draws { mut steps, sigma }) = self.draws.take() else { return Ok(()) };
+        let Some(Draws { mut steps, sigma, within }) = self.draws.take() else { return Ok(()) };
         if self.errors.is_some() {
             // the order of an observation set
             steps.sort_unstable();
@@ -190,14 +211,18 @@ impl Observed {
         let mut rng = stream(seed, Stream::Observations);
         let mut y = vec![0.0; operator.dim()];
         let n = model.dim();
-        let white = if self.errors.is_some() { 1.0 } else { sigma };
         let mut noise = Vec::new();
         for step in steps {
             observe(operator.as_mut(), grid.at(step), &states[step * n..(step + 1) * n], &mut y)?;
             for (site, place) in self.sites.iter().enumerate() {
-                let values = y[place.rows.clone()].iter();
-                noise.extend(values.clone().map(|_| normal(&mut rng, white)));
-                let values = values.zip(&noise[noise.len() - place.rows.len()..]);
+                let (sigma, y) = (sigma[site], &y[place.rows.clone()]);
+                let inside = |size: [f64; 2]| y.iter().zip(size).all(|(y, size)| is_within(*y, size));
+                if !within[site].is_none_or(inside) {
+                    continue;
+                }
+                let white = if self.errors.is_some() { 1.0 } else { sigma };
+                noise.extend(y.iter().map(|_| normal(&mut rng, white)));
+                let values = y.iter().zip(&noise[noise.len() - y.len()..]);
                 let values = match self.errors {
                     None => values.map(|(y, e)| Some(y + e)).collect(),
                     Some(_) => values.map(|(y, _)| Some(*y)).collect(),
@@ -240,7 +265,7 @@ impl Observed {
                 None => seen,
             };
             // The coordinates of a point are one sighting.
-            let seen = if self.space.is_some() { seen.together() } else { seen };
+            let seen = if site.quantity != Quantity::Component { seen.together() } else { seen };
             seen.label(site.label.clone())
         };
         seen.iter().map(observation).filter(|o| !o.rows.is_empty()).collect()
@@ -288,6 +313,22 @@ impl Observed {
     /// For each row of the operator the component of the control at the same place.
     pub fn anchors(&self) -> Vec<usize> {
         self.sites.iter().flat_map(|s| s.anchors.iter().copied()).collect()
+    }
+
+    /// What cameras saw of both u and v.
+    pub fn pixels(&self, grid: &TimeGrid) -> Vec<PixelSight> {
+        let sight = |s: &Seen| {
+            let site = &self.sites[s.site];
+            let [Some(u), Some(v)] = s.values[..] else { return None };
+            Some(PixelSight {
+                time: grid.start + s.at() * grid.step,
+                camera: site.camera.clone()?,
+                arc_length: site.place?,
+                pixel: [u, v],
+                sigma: s.sigma,
+            })
+        };
+        self.seen.iter().filter_map(sight).collect()
     }
 
     /// What was seen whole of sites in space, in the model's axes.

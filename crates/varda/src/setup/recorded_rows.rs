@@ -3,19 +3,19 @@
 use std::rc::Rc;
 
 use super::files::Files;
-use super::observations::Seen;
+use super::observations::{Seen, Site};
 use super::recording::{Recorded, track};
 use crate::Error;
 use crate::outcome::{RecordingSummary, RowCount, SitesAre};
 use crate::scene::{OutsideWindow, Recording, TimeGrid, rounded};
 
-/// Name and text of a recording's file.
+/// Name and text of a recording's file, which a key names.
 ///
 /// # Errors
 /// [`Error::Scene`] where none is named, or it cannot be read.
-pub(super) fn text_of(files: &Files, recording: &Recording) -> Result<(String, Rc<str>), Error> {
-    match &recording.file {
-        Some(name) => files.text("observations.file", name),
+pub(super) fn text_of(files: &Files, key: &str, name: &Option<String>) -> Result<(String, Rc<str>), Error> {
+    match name {
+        Some(name) => files.text(key, name),
         None => {
             let message = "no file is named: give one with --set observations.file=…";
             Err(files.scene.invalid("observations", message))
@@ -24,11 +24,11 @@ pub(super) fn text_of(files: &Files, recording: &Recording) -> Result<(String, R
 }
 
 /// What a recording holds: of which sites, where its rows went, its times \[s\], and every site's rows.
-pub(super) fn summary<'a>(
+pub(super) fn summary(
     sites_are: SitesAre,
     rows: RowCount,
     (times, clock): (&[f64], &Clock),
-    labels: impl Iterator<Item = &'a str>,
+    sites: &[Site],
     recorded: &[Recorded],
 ) -> RecordingSummary {
     let Clock { recording, grid, .. } = clock;
@@ -40,7 +40,7 @@ pub(super) fn summary<'a>(
             times.iter().copied().fold(f64::NEG_INFINITY, f64::max),
         ],
         window: [grid.start, grid.time(grid.steps)].map(|t| t + recording.time_zero),
-        tracks: labels.enumerate().map(|(i, label)| track(label, i, recorded)).collect(),
+        tracks: sites.iter().enumerate().map(|(i, s)| track((&s.label, s.quantity), i, recorded)).collect(),
         neighbours: Vec::new(),
     }
 }

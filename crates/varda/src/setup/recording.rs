@@ -1,6 +1,6 @@
 //! What a recording holds, from its rows.
 
-use crate::outcome::TrackSummary;
+use crate::outcome::{Quantity, TrackSummary};
 
 /// A row of a site, before any is left out.
 #[derive(Debug, Clone, Copy)]
@@ -9,9 +9,9 @@ pub(super) struct Recorded {
     pub(super) time: f64,
     /// Index of the site.
     pub(super) site: usize,
-    /// Its coordinates \[m\].
+    /// Its coordinates \[m\], or pixel \[px\].
     pub(super) position: [Option<f64>; 3],
-    /// Its σ \[m\].
+    /// Its σ, in their unit.
     pub(super) sigma: f64,
 }
 
@@ -23,7 +23,7 @@ const UNEVEN: f64 = 0.3;
 const FEWEST: usize = 8;
 
 /// The rows of one site.
-pub(super) fn track(label: &str, site: usize, rows: &[Recorded]) -> TrackSummary {
+pub(super) fn track((label, quantity): (&str, Quantity), site: usize, rows: &[Recorded]) -> TrackSummary {
     let mut own: Vec<&Recorded> =
         rows.iter().filter(|r| r.site == site && r.position.iter().any(Option::is_some)).collect();
     own.sort_by(|a, b| a.time.total_cmp(&b.time));
@@ -34,7 +34,7 @@ pub(super) fn track(label: &str, site: usize, rows: &[Recorded]) -> TrackSummary
     let sigma = own.iter().map(|r| r.sigma).sum::<f64>() / own.len().max(1) as f64;
     let places: Vec<_> = own.iter().map(|r| (r.time, r.position)).collect();
     let scatter = scatter(&places, interval);
-    TrackSummary { label: label.to_string(), rows: own.len(), interval, gap, scatter, sigma }
+    TrackSummary { label: label.to_string(), quantity, rows: own.len(), interval, gap, scatter, sigma }
 }
 
 fn median(values: &[f64]) -> f64 {
@@ -74,7 +74,7 @@ mod tests {
 
     #[test]
     fn gaps_and_scatter_are_found() {
-        let smooth = track("tip", 0, &rows(|_| 0.0));
+        let smooth = track(("tip", Quantity::Place), 0, &rows(|_| 0.0));
         // a mean of equal numbers, to rounding
         assert!(smooth.rows == 55 && (smooth.sigma - 1e-3).abs() < 1e-17, "{smooth:?}");
         assert!((smooth.interval - 0.01).abs() < 1e-12);
@@ -82,9 +82,9 @@ mod tests {
         assert!((gap[0] - 0.19).abs() < 1e-12 && (gap[1] - 0.06).abs() < 1e-12, "{gap:?}");
         assert!(smooth.scatter.unwrap() < 1e-5);
         // ±1 mm in turn: third differences of 8 mm, in one coordinate of two
-        let noisy = track("tip", 0, &rows(|k| if k % 2 == 0 { 1e-3 } else { -1e-3 }));
+        let noisy = track(("tip", Quantity::Place), 0, &rows(|k| if k % 2 == 0 { 1e-3 } else { -1e-3 }));
         let expected = 8e-3 / 20.0_f64.sqrt() / 2.0_f64.sqrt();
         assert!((noisy.scatter.unwrap() - expected).abs() < 1e-5, "{:?} {expected}", noisy.scatter);
-        assert_eq!(track("other", 1, &rows(|_| 0.0)).rows, 0);
+        assert_eq!(track(("other", Quantity::Place), 1, &rows(|_| 0.0)).rows, 0);
     }
 }

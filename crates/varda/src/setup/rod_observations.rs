@@ -1,43 +1,28 @@
-//! Observations of a rod: points on it at times, in the axes of a recording.
+//! Observations of a rod: points on it at times, in the axes of a recording or in the images of cameras.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashSet;
 use std::rc::Rc;
 
-use varda_rod::{Marker, Markers, Matrix3, Vector3};
+use varda_rod::{Camera, Marker, Markers, Matrix3, Vector3, View, Views};
 
 use super::continuity::{self, Fastest, speed_of_supports};
-use super::csv::{self, Subject};
+use super::csv;
 use super::files::Files;
 use super::observations::{Draws, MakeOperator, Observed, ObservedSpace, Seen, Site};
-use super::reachable::{Held, Reach, Sighting};
+use super::pixels::{self, Pixels};
+use super::points::{About, Placed, Points};
+use super::reachable::{Held, Sighting};
 use super::recorded_rows::{Clock, LeftOut, summary, text_of};
 use super::recording::Recorded;
 use super::rod::RodSystem;
 use super::rod_model::RodParts;
 use super::seen_with::with_constants;
 use crate::Error;
-use crate::outcome::{Neighbours, RecordingSummary, SitesAre};
+use crate::outcome::{Neighbours, Quantity, RecordingSummary, SitesAre};
 use crate::scene::{
-    Frame, Method, Model, PriorSpread, Recording, Synthetic, TimeGrid, Unknown, UnreachableRows, Use, rounded,
+    self, Frame, Method, PriorSpread, Recording, SceneFile, Synthetic, TimeGrid, Unknown, UnreachableRows,
+    Use,
 };
-
-/// A site and its place on the rod.
-#[derive(Debug, Clone)]
-struct Placed {
-    label: String,
-    marker: Marker,
-    withheld: bool,
-}
-
-impl Placed {
-    fn at_arc_length(s: f64) -> Self {
-        Placed { label: format!("s = {s} m"), marker: Marker { s, offset: [0.0; 3].into() }, withheld: false }
-    }
-
-    fn reach(&self) -> Reach {
-        Reach { arc_length: self.marker.s, offset: self.marker.offset.norm() }
-    }
-}
 
 /// Points at the arc lengths that a twin experiment observes; their values are not yet drawn.
 pub(crate) fn synthetic(
@@ -46,16 +31,51 @@ pub(crate) fn synthetic(
     rod: &RodSystem,
     grid: TimeGrid,
 ) -> Result<Observed, Error> {
-    let sites = keys.places.iter().map(|s| Placed::at_arc_length(*s)).collect();
+    let points: Vec<Placed> = keys.places.iter().map(|s| Placed::at_arc_length(*s)).collect();
     let steps = files.scene.checked(keys.observed_steps(grid.steps))?;
-    let sigma = files.scene.checked(keys.sigma())?.of(rod.length());
-    let draws = Draws { steps, sigma };
-    Ok(observed(rod, sites, Frame::default().rotation_rows(), Vec::new(), Some(draws), Vec::new()))
+    let sigma = files.scene.checked(keys.place_sigma())?.map(|sigma| sigma.of(rod.length()));
+    let places = if sigma.is_some() { points.len() } else { 0 };
+    let mut views: Vec<View> = (0..places).map(|point| View::Place { point }).collect();
+    let mut draws =
+        Draws { steps, sigma: vec![sigma.unwrap_or_default(); places], within: vec![None; places] };
+    for (camera, of) in keys.cameras.iter().enumerate() {
+        views.extend((0..points.len()).map(|point| View::Pixels { camera, point }));
+        let sigma = of.sigma.ok_or_else(|| {
+            files
+                .scene
+                .invalid(&format!("observations.cameras.{camera}.sigma"), "a twin draws pixels with it")
+        })?;
+        draws.sigma.resize(views.len(), sigma);
+        draws.within.resize(views.len(), of.image);
+    }
+    let cameras = cameras(files.scene, &keys.cameras, [0.0; 3])?;
+    let what =
+        What { points, views, names: &keys.cameras, cameras, rotation: Frame::default().rotation_rows() };
+    Ok(Observed { draws: Some(draws), ..observed(rod, what, Vec::new(), None) })
 }
 
 /// Nothing observed, for a forward run.
 pub(crate) fn none(rod: &RodSystem) -> Observed {
-    observed(rod, Vec::new(), Frame::default().rotation_rows(), Vec::new(), None, Vec::new())
+    let rotation = Frame::default().rotation_rows();
+    let what = What { points: Vec::new(), views: Vec::new(), names: &[], cameras: Vec::new(), rotation };
+    observed(rod, what, Vec::new(), None)
+}
+
+/// The cameras of a scene, with their places displaced, in axes that are turned alike.
+///
+/// # Errors
+/// [`Error::Scene`] for what is no camera.
+fn cameras(file: &SceneFile, keys: &[scene::Camera], shift: [f64; 3]) -> Result<Vec<Camera>, Error> {
+    let camera = |(i, keys): (usize, &scene::Camera)| {
+        let place = Vector3::from(keys.position) + Vector3::from(shift);
+        // nalgebra takes the rows of R for columns
+        let rotation = Matrix3::from(keys.rotation).transpose();
+        Camera::new(keys.focal_length, keys.principal_point)
+            .and_then(|camera| camera.distorted(keys.distortion))
+            .and_then(|camera| camera.posed(place, rotation))
+            .map_err(|e| file.invalid(&format!("observations.cameras.{i}"), e.to_string()))
+    };
+    keys.iter().enumerate().map(camera).collect()
 }
 
 /// What a recording saw, in the model's time.
@@ -68,41 +88,21 @@ pub(crate) fn recorded(
     rod: &RodSystem,
     grid: TimeGrid,
 ) -> Result<Observed, Error> {
-    let (label, text) = text_of(files, recording)?;
-    let rows = match files.scene.scene.algorithm.method {
-        Method::Static => csv::shape(&label, &text)?,
-        _ => csv::observations(&label, &text)?,
+    let timed = files.scene.scene.algorithm.method != Method::Static;
+    // pixels alone are a recording too
+    let (label, rows) = match (&recording.file, &recording.pixels) {
+        (None, Some(_)) => (String::new(), Vec::new()),
+        (file, _) => {
+            let (label, text) = text_of(files, "observations.file", file)?;
+            let rows = if timed { csv::observations(&label, &text)? } else { csv::shape(&label, &text)? };
+            (label, rows)
+        }
     };
     let bad = |line: usize, message: String| Error::Data { place: format!("{label}:{line}"), message };
-    let length = rod.length();
-    let mut sites: Vec<Placed> = recording
-        .markers
-        .iter()
-        .map(|m| Placed {
-            label: format!("marker {}", m.name),
-            marker: Marker { s: m.arc_length, offset: m.offset.into() },
-            withheld: m.used == Use::Withhold,
-        })
-        .collect();
-    // −0 is 0.
-    let bits = |s: f64| (s + 0.0).to_bits();
-    let on_the_rod = |line: usize, s: f64| match s >= 0.0 && s <= length * (1.0 + 1e-9) {
-        true => Ok(()),
-        false => Err(bad(line, format!("s_m = {} is off the rod (0 to {} m)", rounded(s), rounded(length)))),
-    };
-    // markers whose places the file has
-    let mut placed: HashMap<String, usize> = HashMap::new();
-    let mut site_of = HashMap::new();
-    for (i, site) in sites.iter().enumerate() {
-        site_of.entry(bits(site.marker.s)).or_insert(i);
-    }
+    let mut points = Points::of(files, recording, rod.length());
     let rotation = recording.frame.rotation_rows();
     let shift: [f64; 3] =
         std::array::from_fn(|c| (0..3).map(|j| rotation[j][c] * recording.frame.translation[j]).sum());
-    let followed: HashSet<&str> = match &files.scene.scene.model {
-        Model::Rod(model) => model.followed_markers().collect(),
-        _ => HashSet::new(),
-    };
     let clock = Clock { recording, grid, shift: files.scene.adjusted.clock };
     let run = [grid.start, grid.time(grid.last_step())];
     let (rows_may_be, late) = unknown_errors(files, rod, run)?;
@@ -111,44 +111,15 @@ pub(crate) fn recorded(
     let mut sightings = Vec::new();
     let mut recorded = Vec::new();
     for row in &rows {
-        let site = match &row.subject {
-            Subject::Marker(name) if followed.contains(name.as_str()) => {
+        let site = match points.about(&row.subject, row.arc_length).map_err(|e| bad(row.line, e))? {
+            About::Point(point) => point,
+            About::Followed => {
                 left.followed += 1;
                 continue;
             }
-            Subject::Marker(name) if recording.ignore.contains(name) => {
+            About::Ignored => {
                 left.ignored += 1;
                 continue;
-            }
-            Subject::Marker(name) => {
-                let in_scene = recording.markers.iter().position(|m| m.name == *name);
-                match (in_scene, row.arc_length, placed.get(name)) {
-                    (Some(site), ..) => site,
-                    (None, Some(s), Some(&site)) if bits(s) == bits(sites[site].marker.s) => site,
-                    (None, Some(s), Some(&site)) => {
-                        let before = sites[site].marker.s;
-                        let message = format!("marker {name:?} is at s_m = {s}, in a row before at {before}");
-                        return Err(bad(row.line, message));
-                    }
-                    (None, Some(s), None) => {
-                        on_the_rod(row.line, s)?;
-                        placed.insert(name.clone(), sites.len());
-                        sites.push(Placed { label: format!("marker {name}"), ..Placed::at_arc_length(s) });
-                        sites.len() - 1
-                    }
-                    (None, None, _) => {
-                        let remedy = "add it to [[observations.markers]] or to observations.ignore, or \
-                                      give its `s_m` in the file";
-                        return Err(bad(row.line, format!("marker {name:?} has no place: {remedy}")));
-                    }
-                }
-            }
-            Subject::ArcLength(s) => {
-                on_the_rod(row.line, *s)?;
-                *site_of.entry(bits(*s)).or_insert_with(|| {
-                    sites.push(Placed::at_arc_length(*s));
-                    sites.len() - 1
-                })
             }
         };
         let time = row.time - recording.time_zero + clock.shift;
@@ -164,6 +135,14 @@ pub(crate) fn recorded(
         sightings.push(Sighting { line: row.line, site, time, written: row.position, sigma });
     }
     left.repeated = leave_out_repeated(&mut seen, &mut sightings);
+    let pixels = match &recording.pixels {
+        None => Pixels::default(),
+        Some(_) => {
+            let (label, text) = text_of(files, "observations.pixels", &recording.pixels)?;
+            pixels::recorded((&label, &text), timed, &clock, &mut points, &mut left)?
+        }
+    };
+    let sites = points.all;
 
     // nalgebra takes the rows of R for columns: this is Rᵀ.
     let axes = Matrix3::from(rotation);
@@ -193,20 +172,33 @@ pub(crate) fn recorded(
         let reason = continuity::explain_jumps(&impossible.sightings, &jumps, fastest, &labels);
         impossible.leave_out("rows that jump", jumps.iter().map(|j| j.row).collect(), &reason)?;
     }
-    let Impossible { seen, sightings, .. } = impossible;
+    let Impossible { mut seen, sightings, .. } = impossible;
     let neighbours = held.chords(&sightings).into_iter().map(|chord| Neighbours {
         labels: chord.sites.map(|site| sites[site].label.clone()),
         arc: chord.arc,
         farthest: chord.farthest,
         allowed: chord.allowed,
     });
-    let times: Vec<f64> = rows.iter().map(|row| row.time).collect();
-    let counted = left.count(rows.len(), &seen, |site| sites[site].withheld, grid);
-    let sites_by_name = sites.iter().map(|site| site.label.as_str());
-    let summary = summary(SitesAre::Markers, counted, (&times, &clock), sites_by_name, &recorded);
-    let summary = RecordingSummary { neighbours: neighbours.collect(), ..summary };
-    let observed = observed(rod, sites, rotation, seen, None, left.into_texts());
-    Ok(Observed { recording: Some(summary), ..observed })
+    let neighbours = neighbours.collect();
+
+    let places = if recording.file.is_some() { sites.len() } else { 0 };
+    let later = |site: usize| site + places;
+    seen.extend(pixels.seen.into_iter().map(|s| Seen { site: later(s.site), ..s }));
+    recorded.extend(pixels.recorded.into_iter().map(|r| Recorded { site: later(r.site), ..r }));
+    let seen_by = pixels.sites.iter().map(|&(camera, point)| View::Pixels { camera, point });
+    let what = What {
+        views: (0..places).map(|point| View::Place { point }).chain(seen_by).collect(),
+        points: sites,
+        names: &recording.cameras,
+        cameras: cameras(files.scene, &recording.cameras, shift)?,
+        rotation,
+    };
+    let times: Vec<f64> = rows.iter().map(|row| row.time).chain(pixels.times).collect();
+    let observed = observed(rod, what, seen, Some(grid));
+    let counted = left.count(times.len(), &observed.seen, |site| observed.sites[site].withheld, grid);
+    let summary = summary(SitesAre::Markers, counted, (&times, &clock), &observed.sites, &recorded);
+    let recording = Some(RecordingSummary { neighbours, ..summary });
+    Ok(Observed { recording, left_out: left.into_texts(), ..observed })
 }
 
 /// By how much σ of rows may be larger than the scene says, and how far supports may be from where they are
@@ -270,15 +262,24 @@ fn leave_out_repeated(seen: &mut Vec<Seen>, sightings: &mut Vec<Sighting>) -> us
     new.iter().filter(|new| !**new).count()
 }
 
-fn observed(
-    rod: &RodSystem,
-    sites: Vec<Placed>,
+/// What is seen of a rod, and how.
+struct What<'a> {
+    /// Points of the rod.
+    points: Vec<Placed>,
+    /// A view of one of them for every site.
+    views: Vec<View>,
+    /// The cameras of views, in the axes of coordinates, and their keys.
+    names: &'a [scene::Camera],
+    cameras: Vec<Camera>,
+    /// From the axes of coordinates to those of the model, by rows.
     rotation: [[f64; 3]; 3],
-    seen: Vec<Seen>,
-    draws: Option<Draws>,
-    left_out: Vec<String>,
-) -> Observed {
-    let markers: Rc<[Marker]> = sites.iter().map(|s| s.marker).collect();
+}
+
+/// Observations of this, with the grid of a recording: what was seen in its window must be in sight there. A
+/// twin experiment sees everything at all times.
+fn observed(rod: &RodSystem, what: What, seen: Vec<Seen>, grid: Option<TimeGrid>) -> Observed {
+    let What { points, views, names, cameras, rotation } = what;
+    let markers: Rc<[Marker]> = points.iter().map(|p| p.marker).collect();
     let operator = |rotation: [[f64; 3]; 3], mounted: bool| -> MakeOperator {
         let (markers, parts, models) = (Rc::clone(&markers), rod.parts.clone(), rod.models());
         // values are those of the recording turned into its axes but not displaced: the origin is the model's
@@ -294,26 +295,73 @@ fn observed(
             Ok(with_constants(operator, places, seeing, &markers, &models))
         })
     };
-    let site = |(i, site): (usize, Placed)| Site {
-        label: site.label,
-        rows: 3 * i..3 * i + 3,
-        anchors: [0, 1, 2].map(|c| rod.nearest_position(site.marker.s) + c).to_vec(),
-        place: Some(site.marker.s),
-        withheld: site.withheld,
+    let mut rows = 0;
+    let sites: Vec<Site> = views
+        .iter()
+        .map(|view| {
+            let (point, camera) = match *view {
+                View::Place { point } => (&points[point], None),
+                View::Pixels { camera, point } => (&points[point], Some(&names[camera])),
+            };
+            rows += view.rows();
+            let nearest = rod.nearest_position(point.marker.s);
+            Site {
+                label: match camera {
+                    None => point.label.clone(),
+                    Some(camera) => format!("{} in camera {}", point.label, camera.name),
+                },
+                quantity: if camera.is_some() { Quantity::Pixels } else { Quantity::Place },
+                camera: camera.map(|camera| camera.name.clone()),
+                rows: rows - view.rows()..rows,
+                anchors: (0..view.rows()).map(|c| nearest + c).collect(),
+                place: Some(point.marker.s),
+                withheld: point.withheld || camera.is_some_and(|camera| camera.used == Use::Withhold),
+            }
+        })
+        .collect();
+    let named = sites.iter().zip(&views).map(|(site, view)| (site.label.clone(), *view)).collect();
+    let of_places = views.iter().map(|view| (String::new(), View::Place { point: view.point() })).collect();
+    let in_sight = grid.map(|grid| {
+        let used = seen.iter().filter(|s| !sites[s.site].withheld && s.at() <= grid.steps as f64);
+        let used = used.filter(|s| s.values.iter().any(Option::is_some));
+        // a time between two steps needs both
+        let steps = |s: &Seen| {
+            let site = s.site;
+            (s.step..=s.step + usize::from(s.weight > 0.0)).map(move |step| (step, site))
+        };
+        (grid, Rc::new(used.flat_map(steps).collect::<HashSet<(usize, usize)>>()))
+    });
+    let is_seen_whole = views.iter().enumerate().all(|(i, view)| *view == View::Place { point: i });
+    let seen_as = |operator: MakeOperator, named: Vec<(String, View)>| -> MakeOperator {
+        if is_seen_whole {
+            return operator;
+        }
+        let (cameras, in_sight) = (cameras.clone(), in_sight.clone());
+        Box::new(move || {
+            let views = Views::new(operator()?, cameras.clone(), named.clone())?;
+            Ok(match in_sight.clone() {
+                None => Box::new(views),
+                // steps of windows of a sequence are their own: the time says which it is of all
+                Some((grid, seen)) => Box::new(views.seen_where(move |at, view| {
+                    let step = ((at.time - grid.start) / grid.step + 1e-6).floor() as usize;
+                    seen.contains(&(step, view))
+                })),
+            })
+        })
     };
     Observed {
         errors: None,
         space: Some(ObservedSpace {
-            arc_lengths: markers.iter().map(|m| m.s).collect(),
+            arc_lengths: views.iter().map(|view| markers[view.point()].s).collect(),
             rotation,
-            make_places: operator(Frame::default().rotation_rows(), false),
+            make_places: seen_as(operator(Frame::default().rotation_rows(), false), of_places),
         }),
-        make_operator: operator(rotation, true),
-        sites: sites.into_iter().enumerate().map(site).collect(),
+        make_operator: seen_as(operator(rotation, true), named),
+        sites,
         seen,
-        left_out,
+        left_out: Vec::new(),
         recording: None,
-        draws,
+        draws: None,
     }
 }
 

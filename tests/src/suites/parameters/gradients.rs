@@ -26,7 +26,15 @@ struct Constant {
 /// From files that do not depend on the constants.
 const HOSE: &[&str] = &["model.damping.mass=0.2", "time.window=30"];
 
-const CONSTANTS: [Constant; 23] = [
+/// Pixels of two cameras, also between two steps.
+const IN_PIXELS: &[&str] = &[
+    "estimate={}",
+    "time.window=20",
+    "observations.time_zero=10.697",
+    "observations.outside_window=\"skip\"",
+];
+
+const CONSTANTS: [Constant; 29] = [
     Constant {
         scene: "hose",
         sets: HOSE,
@@ -208,6 +216,55 @@ const CONSTANTS: [Constant; 23] = [
         scene: "hose",
         sets: &["model.damping.mass=0.2", "time.window=30", "observations.time_zero=0.004"],
         estimate: "estimate.clock={sigma=0.004}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+    // by cameras
+    Constant {
+        scene: "rope-two-cameras",
+        sets: IN_PIXELS,
+        estimate: "estimate.marker_arc_length={sigma=0.005}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+    Constant {
+        scene: "rope-two-cameras",
+        sets: IN_PIXELS,
+        estimate: "estimate.marker_offset={sigma=0.005}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+    Constant {
+        scene: "rope-two-cameras",
+        sets: IN_PIXELS,
+        estimate: "estimate.mount_rotation={sigma=0.02}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+    Constant {
+        scene: "rope-two-cameras",
+        sets: IN_PIXELS,
+        estimate: "estimate.mount_translation={sigma=0.01}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+    Constant {
+        scene: "rope-two-cameras",
+        sets: IN_PIXELS,
+        estimate: "estimate.clock={sigma=0.01}",
+        written: &[],
+        value: 0.0,
+        exponential: false,
+    },
+    Constant {
+        scene: "rope-two-cameras",
+        sets: IN_PIXELS,
+        estimate: "estimate.clamp_direction={sigma=0.05}",
         written: &[],
         value: 0.0,
         exponential: false,

@@ -264,6 +264,68 @@ const VALUES: &[Input] = &[
         clean,
         Warned("model.section.gj", &["330 N m²"]),
     ),
+    (
+        "a focal length in millimetres",
+        &["observations.cameras=[{ name = \"left\", focal_length = [8.0, 8.0], \
+          principal_point = [640.0, 360.0], \
+          image = [1280.0, 720.0], sigma = 0.5, position = [0.0, -2.0, 0.5], \
+          rotation = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]] }]"],
+        clean,
+        Warned("observations.cameras.0.focal_length", &["millimetres"]),
+    ),
+    (
+        "a focal length with a digit lost",
+        &["observations.cameras=[{ name = \"left\", focal_length = [900.0, 90.0], \
+          principal_point = [640.0, 360.0], \
+          image = [1280.0, 720.0], sigma = 0.5, position = [0.0, -2.0, 0.5], \
+          rotation = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]] }]"],
+        clean,
+        Warned("observations.cameras.0.focal_length", &["square"]),
+    ),
+    (
+        "a principal point of a larger image",
+        &["observations.cameras=[{ name = \"left\", focal_length = [900.0, 900.0], \
+          principal_point = [960.0, 540.0], \
+          image = [1280.0, 720.0], sigma = 0.5, position = [0.0, -2.0, 0.5], \
+          rotation = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]] }]"],
+        clean,
+        Right,
+    ),
+    (
+        "a principal point outside the image",
+        &["observations.cameras=[{ name = \"left\", focal_length = [900.0, 900.0], \
+          principal_point = [1930.0, 1085.0], \
+          image = [1280.0, 720.0], sigma = 0.5, position = [0.0, -2.0, 0.5], \
+          rotation = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]] }]"],
+        clean,
+        Warned("observations.cameras.0.principal_point", &["outside the image", "another size"]),
+    ),
+    (
+        "σ of pixels in metres",
+        &["observations.cameras=[{ name = \"left\", focal_length = [900.0, 900.0], \
+          principal_point = [640.0, 360.0], \
+          image = [1280.0, 720.0], sigma = 5e-4, position = [0.0, -2.0, 0.5], \
+          rotation = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]] }]"],
+        clean,
+        Warned("observations.cameras.0.sigma", &["pixels"]),
+    ),
+    (
+        "a camera placed in millimetres",
+        &["observations.cameras=[{ name = \"left\", focal_length = [900.0, 900.0], \
+          principal_point = [640.0, 360.0], \
+          image = [1280.0, 720.0], sigma = 0.5, position = [0.0, -2000.0, 500.0], \
+          rotation = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]] }]"],
+        clean,
+        Warned("observations.cameras.0.position", &["millimetres"]),
+    ),
+    (
+        "a camera that mirrors",
+        &["observations.cameras=[{ name = \"left\", focal_length = [900.0, 900.0], \
+          position = [0.0, -2.0, 0.5], principal_point = [640.0, 360.0], \
+          rotation = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]] }]"],
+        clean,
+        Refused(&["it mirrors"]),
+    ),
 ];
 
 /// Ensembles of a rod.

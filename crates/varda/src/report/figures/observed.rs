@@ -75,7 +75,10 @@ fn marker(track: &Track, outcome: &Outcome) -> Figure {
             of("kept back or later", Style::Withheld, &|v| !v.used && v.reason != "background check"),
             of("refused", Style::Refused, &|v| v.reason == "background check"),
         ];
-        let unit = if in_space { " [m]" } else { "" };
+        let unit = match values.first().map_or("", |v| v.unit) {
+            "" => String::new(),
+            unit => format!(" [{unit}]"),
+        };
         let name = if axis.is_empty() { track.label } else { axis };
         Panel {
             x_label: if in_space { "time [s]" } else { "time" }.into(),

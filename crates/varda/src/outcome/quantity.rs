@@ -1,0 +1,53 @@
+//! What kind of value was observed.
+
+use serde::Serialize;
+
+/// What the values of a site are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Quantity {
+    /// Coordinates x, y, z of a point of a rod \[m\].
+    Place,
+    /// Pixel (u, v) of a point of a rod in a camera \[px\].
+    Pixels,
+    /// A component of a state, or a field at a place, in its own unit.
+    Component,
+}
+
+impl Quantity {
+    /// Names of its values; one without a name of a component.
+    pub fn axes(self) -> &'static [&'static str] {
+        match self {
+            Quantity::Place => &["x", "y", "z"],
+            Quantity::Pixels => &["u", "v"],
+            Quantity::Component => &[""],
+        }
+    }
+
+    /// The unit of its values; nothing where the scene does not say.
+    pub fn unit(self) -> &'static str {
+        match self {
+            Quantity::Place => "m",
+            Quantity::Pixels => "px",
+            Quantity::Component => "",
+        }
+    }
+
+    /// The unit that distances are shown in, and how many of it one of [`unit`](Self::unit) is.
+    pub fn shown(self) -> (f64, &'static str) {
+        match self {
+            Quantity::Place => (1e3, "mm"),
+            Quantity::Pixels => (1.0, "px"),
+            Quantity::Component => (1.0, ""),
+        }
+    }
+
+    /// The unit after a space; nothing where there is none.
+    pub fn unit_after(self) -> &'static str {
+        match self {
+            Quantity::Place => " m",
+            Quantity::Pixels => " px",
+            Quantity::Component => "",
+        }
+    }
+}
