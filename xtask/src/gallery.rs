@@ -127,9 +127,14 @@ const EXHIBITS: &[Exhibit] = &[
     },
 ];
 
-/// Runs the scenes of the gallery and writes docs/guide/gallery and docs/figures/gallery.
-pub(crate) fn write() -> Result<(), String> {
-    let varda = release_binary("varda")?;
+/// `cargo xtask gallery [VARDA]`: runs the scenes of the gallery and writes docs/guide/gallery and
+/// docs/figures/gallery.
+pub(crate) fn write(arguments: &[&str]) -> Result<(), String> {
+    let varda = match arguments {
+        [] => release_binary("varda")?,
+        [binary] => Path::new(binary).to_path_buf(),
+        other => return Err(format!("unknown arguments of gallery: {}", other.join(" "))),
+    };
     let (pages, pictures) = (root().join("docs/guide/gallery"), root().join("docs/figures/gallery"));
     for folder in [&pages, &pictures] {
         std::fs::create_dir_all(folder).map_err(|e| format!("{}: {e}", folder.display()))?;

@@ -33,7 +33,7 @@ cargo xtask docs [--check]
     wider than a telephone.
 cargo xtask figures
     Figures 1 to 4 of the paper from the shipped scenes, into docs/figures, and docs/results/figures.md.
-cargo xtask gallery
+cargo xtask gallery [VARDA]
     Pages about shipped scenes with pictures and numbers of their runs: docs/guide/gallery.
 cargo xtask reports [VARDA]
     Pages of results, made by a binary of varda (default: a release build), in a browser where one is
@@ -60,7 +60,7 @@ fn main() -> ExitCode {
         ["verify", rest @ ..] => release("tests", rest),
         ["bench", rest @ ..] => release("bench", rest),
         ["docs", rest @ ..] => docs::command(rest),
-        ["gallery"] => gallery::write(),
+        ["gallery", rest @ ..] => gallery::write(rest),
         ["figures"] => release("bench", &["figures"]),
         ["reports", rest @ ..] => reports::check(rest),
         ["compare", rest @ ..] => compare::run(rest),

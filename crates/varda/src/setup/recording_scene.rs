@@ -219,9 +219,9 @@ impl Recorded {
         let beside = self.tracks[0].travel() > AT_REST * sigma && hand.is_none();
         let aside = match beside {
             true => format!(
-                "# {first:?} moves too, so it is not where the rod is held: add its distance from there along \
-                 the rod to every\n# arc_length and to model.length, and write the support's place into \
-                 [model.start].\n"
+                "# {first:?} moves too, so it is not where the rod is held: add its distance from there \
+                 along the rod to every\n# arc_length and to model.length, and write the support's place \
+                 into [model.start].\n"
             ),
             false => String::new(),
         };
