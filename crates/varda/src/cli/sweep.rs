@@ -68,8 +68,11 @@ pub(super) fn run(arguments: &SweepArguments, started: Instant) -> Result<ExitCo
     let plan = Plan::new(scene, &arguments.sets, arguments.seeds.as_deref())?;
     let default = || Path::new("out").join(format!("{}-sweep", plan.scene));
     let folder = arguments.out.clone().unwrap_or_else(default);
-    let program = std::env::current_exe()
-        .map_err(|reason| Error::Read { place: "sweep".into(), path: "varda".into(), reason })?;
+    let program = std::env::current_exe().map_err(|reason| Error::Read {
+        place: "sweep".into(),
+        path: "varda".into(),
+        reason,
+    })?;
     let cores = || std::thread::available_parallelism().map_or(1, usize::from);
     let study = Study {
         program: &program,

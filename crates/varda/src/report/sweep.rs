@@ -209,8 +209,8 @@ fn against_key(table: &Table, key: usize, errors: &[Measure]) -> Option<Figure> 
             style: Style::Marked(i),
             points: points(members),
         };
-        let area = |(i, (_, members)): (usize, &(String, Vec<usize>))| Band {
-            label: String::new(),
+        let area = |(i, (name, members)): (usize, &(String, Vec<usize>))| Band {
+            label: if named { format!("{name}, 95 % interval") } else { "95 % interval".into() },
             style: Style::Marked(i),
             points: band(members),
         };

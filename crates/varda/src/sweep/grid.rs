@@ -141,7 +141,8 @@ impl Plan {
         let combination = index / self.seeds.len();
         let settings = self.settings(combination);
         let seed = self.seeds[index % self.seeds.len()];
-        let all = format!("{}\n{settings:?}\n{seed}\n{}\n{}", self.text, self.data[combination], self.version);
+        let all =
+            format!("{}\n{settings:?}\n{seed}\n{}\n{}", self.text, self.data[combination], self.version);
         Run { index, settings, seed, checksum: format!("{:016x}", checksum(&all)) }
     }
 

@@ -11,6 +11,7 @@ use serde_json::Value;
 
 use super::grid::{Part, Plan, Run};
 use crate::Error;
+use crate::setup::constant::is_of_constant;
 
 /// How long to wait before children are asked again whether they have ended.
 const PAUSE: Duration = Duration::from_millis(4);
@@ -235,7 +236,7 @@ fn last_message(text: &str) -> Option<String> {
 }
 
 /// Of a run's analysis.csv, or those of its recordings: how many components of the truth are within 1.96 σ of
-/// the analysis, and how many have a σ.
+/// the analysis, and how many have a σ. Constants are none of the state.
 fn state_within(result: &Path, summary: Option<&Value>) -> Option<[usize; 2]> {
     let names = summary?["recordings"].as_array();
     let folders: Vec<PathBuf> = match names {
@@ -247,9 +248,12 @@ fn state_within(result: &Path, summary: Option<&Value>) -> Option<[usize; 2]> {
         let mut table = csv::Reader::from_path(folder.join("analysis.csv")).ok()?;
         let header = table.headers().ok()?.clone();
         let place = |name: &str| header.iter().position(|n| n == name);
-        let places = [place("x_a")?, place("sigma_a")?, place("truth")?];
+        let (name, places) = (place("name")?, [place("x_a")?, place("sigma_a")?, place("truth")?]);
         for row in table.records() {
             let row = row.ok()?;
+            if is_of_constant(row.get(name)?) {
+                continue;
+            }
             let numbers = places.map(|at| row.get(at).and_then(|cell| cell.parse::<f64>().ok()));
             let [Some(analysis), Some(sigma), Some(truth)] = numbers else { continue };
             if sigma > 0.0 {
