@@ -223,7 +223,7 @@ fn constants_come_with_sigma_truth_and_coverage() {
     // a scene that has changed is another study
     std::fs::write(folder.0.join("mine.toml"), format!("{scene}\n[estimate]\nrho = {{ sigma = 2.0 }}\n"))
         .unwrap();
-    let again = [&arguments[..], &["--out", "s", "--quiet"]].concat();
+    let again = [&arguments[..], &["--out", "s"]].concat();
     let message = folder.refusal(&again);
     assert!(
         message.contains("the text of the scene has changed") && message.contains("--fresh"),

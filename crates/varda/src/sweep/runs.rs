@@ -96,6 +96,7 @@ impl Study<'_> {
         interrupted: &dyn Fn() -> bool,
     ) -> Result<Progress, Error> {
         begin(self.folder, self.plan, self.part, self.fresh)?;
+        clear_work(self.folder, self.part);
         let share: Vec<usize> = self.part.runs(self.plan.count()).collect();
         let mut progress = Progress { done: 0, before: 0, count: share.len(), failures: 0 };
         let mut open = Vec::new();
@@ -140,14 +141,12 @@ impl Study<'_> {
                 open.clear();
             }
         }
-        // It stays where another share is still running.
-        let _ = std::fs::remove_dir(self.folder.join(WORK));
+        clear_work(self.folder, self.part);
         Ok(progress)
     }
 
     fn start(&self, run: Run) -> Result<Running, Error> {
         let work = self.folder.join(WORK);
-        remove_earlier(&work, run.index);
         let folder = work.join(format!("{}-{}", run.index, std::process::id()));
         let failed = |path: &Path| {
             let path = path.to_path_buf();
@@ -320,13 +319,17 @@ fn unless_missing(reason: std::io::Error) -> std::io::Result<()> {
     if reason.kind() == std::io::ErrorKind::NotFound { Ok(()) } else { Err(reason) }
 }
 
-/// Removes what killed processes of a run have left.
-fn remove_earlier(work: &Path, index: usize) {
-    let prefix = format!("{index}-");
-    let entries = std::fs::read_dir(work).into_iter().flatten().flatten();
-    for entry in entries.filter(|e| e.file_name().to_string_lossy().starts_with(&prefix)) {
-        let _ = std::fs::remove_dir_all(entry.path());
+/// Removes what killed processes of a share have left; the folder stays where another share is running.
+fn clear_work(folder: &Path, part: Part) {
+    let work = folder.join(WORK);
+    for entry in std::fs::read_dir(&work).into_iter().flatten().flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let index = name.split('-').next().and_then(|index| index.parse::<usize>().ok());
+        if index.is_some_and(|index| index % part.of == part.which - 1) {
+            let _ = std::fs::remove_dir_all(entry.path());
+        }
     }
+    let _ = std::fs::remove_dir(&work);
 }
 
 fn file_of(folder: &Path, index: usize) -> PathBuf {
