@@ -11,7 +11,7 @@
 //! | [`setup`] | a scene and its files | [`Problem`](setup::Problem): models, x_b, B, observations |
 //! | [`solve`] | a problem | the minimum of its cost over one window |
 //! | [`run`] | a problem | [`Outcome`](outcome::Outcome): all that a report needs, plain data |
-//! | [`sweep`] | a scene, lists of values, seeds | [`Table`](sweep::table::Table): runs as processes, their rows and means |
+//! | [`sweep`] | a scene, values, seeds | [`Table`](sweep::table::Table): a process each, rows and means |
 //! | [`report`] | an outcome | a folder with tables, figures and a page |
 //! | [`cli`] | arguments | all of these, and messages |
 //! | [`convert`] | a file of a motion-capture system | [`Recording`](convert::Recording): markers, to our CSV

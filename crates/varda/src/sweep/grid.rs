@@ -83,9 +83,9 @@ impl Plan {
         }
         let first = SceneFile::open(scene, &[])?;
         let seeds = seeds.map_or_else(|| Ok(vec![first.scene.seed]), parse_seeds)?;
-        let counts = swept.iter().map(|s| s.values.len()).chain([seeds.len()]);
-        let count = counts.fold(Some(1_usize), |all, n| all?.checked_mul(n));
-        if !count.is_some_and(|count| count <= MOST_RUNS) {
+        let mut counts = swept.iter().map(|s| s.values.len()).chain([seeds.len()]);
+        let count = counts.try_fold(1_usize, |all, n| all.checked_mul(n));
+        if count.is_none_or(|count| count > MOST_RUNS) {
             return Err(wrong("sweep".into(), format!("a sweep has at most {MOST_RUNS} runs")));
         }
         let mut plan = Plan {

@@ -226,16 +226,16 @@ fn ended(running: &mut Vec<Running>) -> Result<Vec<(Running, ExitStatus)>, Error
     Ok(ended)
 }
 
-/// The last error that a program has told, else its last line: an excerpt of a scene follows the first, advice
-/// follows a panic.
+/// The last error that a program has told, else its last line: an excerpt of a scene follows the first,
+/// advice follows a panic.
 fn last_message(text: &str) -> Option<String> {
     let lines = || text.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with("note: "));
     let error = lines().filter_map(|line| line.strip_prefix("error: ")).next_back();
     error.or_else(|| lines().next_back()).map(str::to_string)
 }
 
-/// Of a run's analysis.csv, or those of its recordings: how many components of the truth are within 1.96 σ of
-/// the analysis, and how many have a σ. Constants are none of the state.
+/// Of a run's analysis.csv, or those of its recordings: how many components of the truth are within 1.96 σ
+/// of the analysis, and how many have a σ. Constants are none of the state.
 fn state_within(result: &Path, summary: Option<&Value>) -> Option<[usize; 2]> {
     let names = summary?["recordings"].as_array();
     let folders: Vec<PathBuf> = match names {
@@ -295,8 +295,8 @@ fn begin(folder: &Path, plan: &Plan, part: Part, fresh: bool) -> Result<(), Erro
         match difference {
             Some(difference) if !fresh => {
                 let reason = format!(
-                    "it holds another sweep ({difference}); begin again with --fresh, or choose another folder \
-                     with --out"
+                    "it holds another sweep ({difference}); begin again with --fresh, or choose another \
+                     folder with --out"
                 );
                 return Err(Error::Sweep { path: folder.to_path_buf(), reason });
             }
