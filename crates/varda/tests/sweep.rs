@@ -122,6 +122,8 @@ fn a_study_ended_in_the_middle_goes_on_to_the_same_table() {
     sweep(&folder, &LONG, &["--out", "whole", "--jobs", "2"]);
     let whole = rows(&folder, "whole/sweep.csv");
     assert_eq!(whole.len(), 41);
+    sweep(&folder, &LONG, &["--out", "alone", "--jobs", "1"]);
+    assert_eq!(rows(&folder, "alone/sweep.csv"), whole, "the bits do not depend on how many run at a time");
     let means = rows(&folder, "whole/sweep-means.csv");
     for name in ["-KILL", "-TERM"] {
         let out = format!("s{name}");

@@ -14,6 +14,9 @@ use crate::sweep::table::{Combination, Mean, Row, Table};
 /// Most failures on the page; sweep.csv has all.
 const MOST_FAILURES: usize = 20;
 
+/// Most curves that are drawn with their intervals.
+const MOST_BANDS: usize = 4;
+
 /// Writes the tables and the page of a study into its folder, each file whole or not at all.
 ///
 /// # Errors
@@ -192,6 +195,8 @@ fn against_key(table: &Table, key: usize, errors: &[Measure]) -> Option<Figure> 
     let (least, largest) = x.iter().fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
     let is_wide = least > 0.0 && largest >= 10.0 * least;
     let named = curves.len() > 1;
+    // More areas than this hide one another.
+    let shown = if curves.len() <= MOST_BANDS { &curves[..] } else { &[] };
     let panel = |y_label: &str, mean: &dyn Fn(usize) -> Mean| {
         let points = |members: &[usize]| -> Vec<(f64, f64)> {
             members.iter().filter_map(|i| Some((x[*i], mean(*i).mean?))).collect()
@@ -219,7 +224,7 @@ fn against_key(table: &Table, key: usize, errors: &[Measure]) -> Option<Figure> 
             y_label: y_label.to_string(),
             log_x: is_wide,
             legend: named.then_some(Corner::Top),
-            bands: curves.iter().enumerate().map(area).filter(|band| band.points.len() > 1).collect(),
+            bands: shown.iter().enumerate().map(area).filter(|band| band.points.len() > 1).collect(),
             series: curves.iter().enumerate().map(curve).collect(),
             ..Panel::default()
         }
@@ -263,7 +268,7 @@ fn against_seconds(table: &Table, errors: &[Measure]) -> Option<Figure> {
 /// The table of combinations.
 fn combinations(table: &Table) -> String {
     let mean = |m: &Mean| match (m.mean, m.standard_error) {
-        (Some(mean), Some(error)) => format!("{} ± {}", short(mean), short(error)),
+        (Some(mean), Some(error)) => format!("{} ± {}", short(mean), rough(error)),
         (Some(mean), None) => short(mean),
         (None, _) => "–".into(),
     };
@@ -300,6 +305,12 @@ fn combinations(table: &Table) -> String {
          median.</p></section>",
         html_table(&headings, &table.combinations.iter().map(row).collect::<String>())
     )
+}
+
+/// A standard error in two significant digits.
+fn rough(value: f64) -> String {
+    let digits = (1.0 - value.log10().floor()).max(0.0) as usize;
+    if (1e-3..1e5).contains(&value) { format!("{value:.digits$}") } else { format!("{value:.1e}") }
 }
 
 /// The runs without a result.
