@@ -8,7 +8,7 @@ use crate::browser::{self, Report};
 use crate::{release_binary, root};
 
 /// Commands that make pages, each with its folder.
-const RUNS: [(&str, &[&str]); 9] = [
+const RUNS: [(&str, &[&str]); 10] = [
     ("hose", &["run", "hose"]),
     ("rod", &["run", "hanging-rod"]),
     ("wires", &["run", "wires"]),
@@ -16,6 +16,7 @@ const RUNS: [(&str, &[&str]); 9] = [
     ("cycles", &["run", "lorenz96-cycling-4dvar", "--set", "algorithm.cycles.count=40"]),
     ("rod-cycles", &["run", "hanging-rod-cycling", "--set", "algorithm.cycles.count=3"]),
     ("compare", &["compare", "lorenz63"]),
+    ("sweep", &["sweep", "lorenz63", "--set", "observations.sigma=0.5,1,2", "--seeds", "0..4", "--fresh"]),
     ("modes", &["modes", "beam-release"]),
     ("weak", &["run", "hanging-rod-weak"]),
 ];

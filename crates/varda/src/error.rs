@@ -83,6 +83,14 @@ pub enum Error {
         /// Why.
         reason: String,
     },
+    /// A folder of a study cannot be used.
+    #[error("{path}: {reason}")]
+    Sweep {
+        /// The folder, or the file in it.
+        path: PathBuf,
+        /// Why, and what to do.
+        reason: String,
+    },
     /// A plot could not be drawn.
     #[error("cannot draw {figure}: {reason}")]
     Plot {

@@ -11,6 +11,7 @@
 //! | [`setup`] | a scene and its files | [`Problem`](setup::Problem): models, x_b, B, observations |
 //! | [`solve`] | a problem | the minimum of its cost over one window |
 //! | [`run`] | a problem | [`Outcome`](outcome::Outcome): all that a report needs, plain data |
+//! | [`sweep`] | a scene, values, seeds | [`Table`](sweep::table::Table): a process each, rows and means |
 //! | [`report`] | an outcome | a folder with tables, figures and a page |
 //! | [`cli`] | arguments | all of these, and messages |
 //! | [`convert`] | a file of a motion-capture system | [`Recording`](convert::Recording): markers, to our CSV
@@ -74,6 +75,7 @@ pub mod scene;
 pub mod setup;
 pub mod solve;
 pub mod state;
+pub mod sweep;
 
 pub use error::Error;
 

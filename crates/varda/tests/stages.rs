@@ -17,9 +17,9 @@ use std::path::{Path, PathBuf};
 use support::imports::{Tree, circles};
 
 /// From below to above: a stage may import from itself and from those before it.
-const STAGES: [&str; 12] = [
-    "error", "convert", "scene", "state", "outcome", "setup", "preview", "solve", "run", "report", "cli",
-    "lib",
+const STAGES: [&str; 13] = [
+    "error", "convert", "scene", "state", "outcome", "setup", "preview", "solve", "run", "sweep", "report",
+    "cli", "lib",
 ];
 
 /// The stage of a file: its folder, or its name.

@@ -26,6 +26,8 @@ pub mod observation_files {}
 pub mod methods {}
 #[doc = include_str!("../report.md")]
 pub mod report {}
+#[doc = include_str!("../sweeps.md")]
+pub mod sweeps {}
 #[doc = include_str!("../gallery/README.md")]
 pub mod gallery {
     #[doc = include_str!("../gallery/hose.md")]

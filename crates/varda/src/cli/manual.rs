@@ -35,6 +35,17 @@ Examples:
 Exit codes: 0 every method was run (some may have failed: see their status), 1 an error, 2 wrong usage,
 130 interrupted.";
 
+pub(super) const SWEEP: &str = "\
+Examples:
+  varda sweep lorenz63 --set observations.sigma=0.5,1,2 --seeds 0..99
+  varda sweep mine.toml --set time.window=50,100 --set 'background.sigma=[0.1,0.2],[0.3,0.4]' --jobs 4
+  varda sweep mine.toml --seeds 0..999 --part 3/20 --out study   the third of twenty jobs
+  varda sweep --merge study                                      and the table of all of them
+
+Ended at any time, the same command goes on where it was. A run that fails is a row with its error.
+
+Exit codes: 0 all runs ended (whatever their verdict), 1 an error, 2 wrong usage, 130 interrupted.";
+
 pub(super) const MODES: &str = "\
 Examples:
   varda modes hanging-rod --count 5

@@ -11,6 +11,7 @@ mod preview;
 mod progress;
 mod recordings;
 mod style;
+mod sweep;
 mod table;
 
 use std::io::Read;
@@ -102,6 +103,9 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
+    /// Run a scene with several values and seeds, each a process; tables, means and charts of all
+    #[command(after_help = manual::SWEEP)]
+    Sweep(sweep::SweepArguments),
     /// Find the natural frequencies and modes of a rod about its shape at rest
     #[command(after_help = manual::MODES)]
     Modes {
@@ -211,6 +215,7 @@ pub fn main() -> ExitCode {
             simulate(&scene, out.as_deref(), Shown::of(quiet, json), started)
         }
         Command::Compare { scene, out, json } => compare_all(&scene, out.as_deref(), json),
+        Command::Sweep(arguments) => sweep::run(&arguments, started),
         Command::Modes { scene, count, out, json } => modes(&scene, count, out.as_deref(), json),
         Command::Check { scene, json: true } => Ok(preview::check_as_json(scene.open())),
         Command::Check { scene, json: false } => scene.open().and_then(|file| check(&file)),

@@ -8,6 +8,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use varda_assimilation::highest_j_of_a_fit;
 
 use crate::outcome::{ConvergenceRow, CycleRow};
+use crate::sweep::runs::Progress as SweepProgress;
 
 /// A run shorter than this shows only its table.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -66,6 +67,16 @@ impl ProgressDisplay {
         let left = seconds_left(self.started.elapsed(), share);
         let left = left.map_or(String::new(), |s| format!("  about {s:.0} s left"));
         self.show(share, format!("cycle {now} of {count}  2J/m {:.3}{rmse}{left}", row.chi2));
+    }
+
+    /// A run of a sweep has ended.
+    pub(super) fn sweep(&mut self, now: &SweepProgress) {
+        let SweepProgress { done, before, count, failures } = *now;
+        let share = (done - before) as f64 / (count - before).max(1) as f64;
+        let left = seconds_left(self.started.elapsed(), share);
+        let left = left.map_or(String::new(), |s| format!("  about {s:.0} s left"));
+        let failed = if failures == 0 { String::new() } else { format!("  {failures} failed") };
+        self.show(share, format!("run {done} of {count}{failed}{left}"));
     }
 
     /// Shows a message and how much is done.

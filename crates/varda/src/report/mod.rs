@@ -21,6 +21,7 @@ mod run_page;
 mod sources;
 mod summary;
 mod svg;
+mod sweep;
 mod tables;
 mod vtk;
 
@@ -28,6 +29,7 @@ pub use cycles::{summary_of_cycles, write_cycles};
 pub use dataset::{Array, Dataset, Values};
 pub use recordings::{JointSummary, write_recordings};
 pub use summary::{ModelErrorSize, Summary, Terms, WindowAmplification};
+pub use sweep::{summary_of_sweep, write_sweep};
 
 use std::path::{Path, PathBuf};
 

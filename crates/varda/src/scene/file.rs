@@ -141,6 +141,11 @@ impl SceneFile {
         Ok(file)
     }
 
+    /// The text that was read, without what overrides say.
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
     /// Whether the scene has `[[recordings]]`, several recordings in one estimate.
     pub fn has_recordings(&self) -> bool {
         !self.recordings.is_empty()

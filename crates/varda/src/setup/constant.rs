@@ -17,12 +17,21 @@ pub struct Constant {
     pub sigma: f64,
 }
 
+/// How the names of constants begin in the control.
+const OF_CONTROL: [&str; 2] = ["change of ", "ln of "];
+
+/// Whether this is the name of a constant's number in the control, and of no component of the state.
+pub(crate) fn is_of_constant(name: &str) -> bool {
+    OF_CONTROL.iter().any(|start| name.starts_with(start))
+}
+
 impl Constant {
     /// Name and unit of its number in the control.
     pub(crate) fn of_control(&self) -> (String, &'static str) {
+        let [change, ln] = OF_CONTROL;
         match self.law {
-            Law::Linear => (format!("change of {}", self.name), self.unit),
-            Law::Exponential => (format!("ln of {} over its prior", self.name), "1"),
+            Law::Linear => (format!("{change}{}", self.name), self.unit),
+            Law::Exponential => (format!("{ln}{} over its prior", self.name), "1"),
         }
     }
 

@@ -44,8 +44,7 @@ impl<'a> Files<'a> {
             None => Rc::from(source.read()?),
         };
         self.texts.borrow_mut().insert(label.clone(), Rc::clone(&text));
-        let step = |sum: u64, byte: u8| (sum ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
-        let checksum = text.bytes().fold(0xcbf2_9ce4_8422_2325, step);
+        let checksum = checksum(&text);
         let mut read = self.read.borrow_mut();
         if !read.iter().any(|file| file.key == key) {
             read.push(InputFile { key: key.to_string(), path: label.clone(), checksum });
@@ -57,4 +56,10 @@ impl<'a> Files<'a> {
     pub(crate) fn into_read(self) -> Vec<InputFile> {
         self.read.into_inner()
     }
+}
+
+/// FNV-1a of a text (64 bit).
+pub(crate) fn checksum(text: &str) -> u64 {
+    let step = |sum: u64, byte: u8| (sum ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
+    text.bytes().fold(0xcbf2_9ce4_8422_2325, step)
 }

@@ -6,7 +6,7 @@ mod component_model;
 mod component_observations;
 mod component_rows;
 pub mod components;
-mod constant;
+pub(crate) mod constant;
 mod continuity;
 pub mod covariance;
 pub mod csv;
