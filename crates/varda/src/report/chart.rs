@@ -1,5 +1,5 @@
 //! Charts as plain data: curves, bands, points and images with labelled axes, one panel or several side by
-//! side. [`svg`](super::svg) draws them as files, the page of a result in the browser.
+//! side. `svg` draws them as files, the page of a result in the browser.
 
 use serde::{Serialize, Serializer};
 
