@@ -17,7 +17,7 @@ use varda_implicit::{Keep, Model, Trajectory, check};
 use crate::error::{AssimilationError, raised};
 use crate::model::{PythonModel, Raised};
 use crate::outcome::array;
-use crate::signals::listening;
+use crate::signals::{Leave, listening};
 
 /// B: standard deviations alone, or a matrix.
 #[derive(Clone)]
@@ -191,20 +191,21 @@ pub(crate) fn analyse(py: Python<'_>, model: Py<PyAny>, problem: Problem) -> PyR
     let result = match problem.method.as_str() {
         "4denvar" => {
             let ensemble = problem.ensemble(covariance.covariance()).map_err(of_b)?;
+            let (background, of_models) = (problem.background.clone(), failed.clone());
             // members are run on threads of their own
-            let found = listening(py, |ends| {
+            let found = listening(py, Leave::No, move |ends| {
                 let make = || -> Box<dyn Model + Send> {
                     let object = Python::attach(|py| model.clone_ref(py));
-                    Box::new(PythonModel::new(object, n, failed.clone()).ending(ends.clone()))
+                    Box::new(PythonModel::new(object, n, of_models.clone()).ending(ends.clone()))
                 };
-                of_ensemble(&problem, &make, &ensemble, &failed).map_err(varda::Error::Assimilation)
+                of_ensemble(&problem, &make, &ensemble, &of_models).map_err(varda::Error::Assimilation)
             });
+            let interrupted = |e: &PyErr| !e.is_instance_of::<AssimilationError>(py);
             return match (failed.take(), found) {
-                (_, Ok(found)) => Ok(AnalysisOf { background: problem.background, covariance, found }),
-                (first, Err(error)) if error.is_instance_of::<AssimilationError>(py) => {
-                    Err(first.unwrap_or(error))
-                }
-                (_, Err(error)) => Err(error),
+                (_, Err(error)) if interrupted(&error) => Err(error),
+                (Some(exception), _) => Err(exception),
+                (None, Err(error)) => Err(error),
+                (None, Ok(found)) => Ok(AnalysisOf { background, covariance, found }),
             };
         }
         "4dvar" | "4dvar-incremental" | "4d-psas" | "3dvar" => {

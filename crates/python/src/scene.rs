@@ -14,7 +14,7 @@ use varda_linalg::interrupt::{self, Ends};
 
 use crate::error::{SceneError, raised};
 use crate::outcome::{Kind, Outcome, Simulation};
-use crate::signals::listening;
+use crate::signals::{Leave, listening};
 
 /// Where a scene comes from.
 #[derive(FromPyObject)]
@@ -52,9 +52,9 @@ pub(crate) fn run(
 ) -> PyResult<Outcome> {
     let started = Instant::now();
     let file = source.open(&overrides)?;
-    let outcome = listening(py, |ends| {
-        let outcome = Outcome(assimilated(&file, ends, started)?);
-        if let Some(folder) = out {
+    let outcome = listening(py, Leave::Yes, move |ends| {
+        let outcome = Outcome(assimilated(&file, ends.clone(), started)?);
+        if let Some(folder) = out.filter(|_| !ends()) {
             outcome.store(Path::new(&folder))?;
         }
         Ok(outcome)
@@ -101,13 +101,13 @@ pub(crate) fn simulate(
 ) -> PyResult<Simulation> {
     let started = Instant::now();
     let file = source.open(&overrides)?;
-    listening(py, |ends| {
-        let simulation = interrupt::within(ends, || {
+    listening(py, Leave::Yes, move |ends| {
+        let simulation = interrupt::within(ends.clone(), || {
             let problem = Problem::new(Inputs::for_simulation(&file.as_one_window())?)?;
             varda::run::simulate(&problem)
         })?;
         let simulation = Simulation { simulation, seconds: started.elapsed().as_secs_f64() };
-        if let Some(folder) = out {
+        if let Some(folder) = out.filter(|_| !ends()) {
             simulation.store(Path::new(&folder))?;
         }
         Ok(simulation)
@@ -122,7 +122,7 @@ pub(crate) fn check(
     overrides: Vec<String>,
 ) -> PyResult<Vec<(&'static str, String, String)>> {
     let file = source.open(&overrides)?;
-    let found = listening(py, |ends| {
+    let found = listening(py, Leave::Yes, move |ends| {
         interrupt::within(ends, || {
             if !file.has_recordings() {
                 return Ok(Preview::new(&file)?.findings);
@@ -149,7 +149,8 @@ pub(crate) fn modes<'py>(
     count: usize,
 ) -> PyResult<Bound<'py, pyo3::types::PyDict>> {
     let file = source.open(&overrides)?;
-    let modes = listening(py, |ends| interrupt::within(ends, || varda::run::modes(&file, count)))?;
+    let modes =
+        listening(py, Leave::Yes, move |ends| interrupt::within(ends, || varda::run::modes(&file, count)))?;
     crate::outcome::modes(py, &modes)
 }
 
