@@ -20,6 +20,8 @@ pub mod estimates {}
 pub mod motion_capture {}
 #[doc = include_str!("../observation-files.md")]
 pub mod observation_files {}
+#[doc = include_str!("../python.md")]
+pub mod python {}
 #[doc = include_str!("../methods.md")]
 pub mod methods {}
 #[doc = include_str!("../report.md")]

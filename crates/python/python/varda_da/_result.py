@@ -217,10 +217,10 @@ class Result(_Arrays):
     def observations(self) -> Optional[np.ndarray]:
         """Everything that was seen, one row a value: a structured array with time [s], label, axis, value,
         sigma, background and analysis (H of the two runs), sigma_analysis, used, reason."""
-        columns = self._get("observations")
-        if columns is None:
+        seen = self._arrays.get("observations")
+        if seen is None:
             return None
-        columns = {name: np.asarray(column) for name, column in columns.items()}
+        columns = {name: np.asarray(column) for name, column in seen.items()}
         rows = len(columns["value"])
         kinds = [(name, column.dtype if rows else float) for name, column in columns.items()]
         out = np.empty(rows, dtype=kinds)
