@@ -2,10 +2,13 @@
 # Builds the wheel into a virtual environment below the target folder and runs its tests there.
 # Says "skipped: ..." and succeeds where Python, its venv or the packages from PyPI cannot be had.
 set -euo pipefail
-cd "$(dirname "$0")"
-target=$(cd "${CARGO_TARGET_DIR:-../../target}" 2>/dev/null && pwd || echo "$PWD/../../target")
+here=$(cd "$(dirname "$0")" && pwd)
+target=${CARGO_TARGET_DIR:-$here/../../target}
+mkdir -p "$target"
+target=$(cd "$target" && pwd)
 export CARGO_TARGET_DIR=$target
 environment=$target/python
+cd "$here"
 
 skip() {
     echo "skipped: the Python module: $1"
@@ -22,6 +25,9 @@ if [ ! -x "$environment/bin/pytest" ] || [ ! -x "$environment/bin/maturin" ]; th
 fi
 
 cargo fetch --locked --quiet 2>/dev/null || skip "its crates cannot be fetched"
+
+# The workspace above formats its own members only.
+! cargo fmt --version >/dev/null 2>&1 || cargo fmt --check
 
 # The profile that the tests of the workspace have built: only what depends on the interpreter is new.
 "$environment/bin/maturin" build --quiet --profile dev --locked --interpreter "$environment/bin/python" \

@@ -7,6 +7,7 @@ mod assimilate;
 mod error;
 mod model;
 mod outcome;
+mod rod;
 mod scene;
 mod signals;
 
@@ -21,6 +22,8 @@ mod _core {
     use crate::assimilate::{AnalysisOf, analyse, check_model};
     #[pymodule_export]
     use crate::outcome::{Outcome, Simulation};
+    #[pymodule_export]
+    use crate::rod::Rod;
     #[pymodule_export]
     use crate::scene::{check, modes, run, scenes, show, simulate};
 

@@ -27,7 +27,7 @@ pub(crate) struct Source {
 }
 
 impl Source {
-    fn open(&self, overrides: &[String]) -> PyResult<SceneFile> {
+    pub(crate) fn open(&self, overrides: &[String]) -> PyResult<SceneFile> {
         let parse = |text: &str| SceneFile::parse("scene", "scene", text, Some(Path::new("")), overrides);
         let opened = match self.kind.as_str() {
             "name" => SceneFile::open(&self.text, overrides),

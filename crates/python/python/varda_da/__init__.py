@@ -22,6 +22,7 @@ from ._core import (
     __version__,
 )
 from ._result import Modes, Result, Simulation
+from ._rod import Energy, Rest, Rod
 from ._scene import Finding, check, modes, run, scenes, show, simulate
 
 __all__ = [
@@ -30,11 +31,14 @@ __all__ = [
     "Check",
     "CheckReport",
     "DataError",
+    "Energy",
     "Finding",
     "ModelError",
     "Modes",
+    "Rest",
     "Result",
     "ResultError",
+    "Rod",
     "SceneError",
     "Simulation",
     "VardaError",
