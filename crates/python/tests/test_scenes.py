@@ -215,7 +215,10 @@ def test_ctrl_c_ends_a_run():
     sent = time.perf_counter()
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
-    print(f"KeyboardInterrupt {1e3 * (time.perf_counter() - sent):.0f} ms after the signal")
+    seconds = time.perf_counter() - sent
+    print(f"KeyboardInterrupt {1e3 * seconds:.0f} ms after the signal")
+    # 50 ms to hear it, 250 ms of patience, the end of the interpreter; setting up alone takes longer than this
+    assert seconds < 5.0
     assert "KeyboardInterrupt" in err and out == "" and process.returncode != 0
 
 
@@ -234,7 +237,7 @@ def test_other_threads_go_on():
     done.set()
     thread.join()
     # with the lock held there would be hardly a tick
-    assert len(ticks) > 0.2 * seconds / 0.005
+    assert len(ticks) > 0.1 * seconds / 0.005
 
 
 def test_documented_examples():
