@@ -192,7 +192,16 @@ fn title(scene: &str) -> &str {
 fn introduction(scene: &str) -> String {
     let lines = scene.lines().map_while(|line| line.strip_prefix('#')).map(str::trim);
     let kept: Vec<&str> = lines.take_while(|line| !line.starts_with("Measured")).collect();
-    kept.join("\n").trim().to_string()
+    // A table of a scene in brackets is code, not a link.
+    let word = |word: &str| match word.find(']').filter(|_| word.starts_with('[')) {
+        Some(_) => {
+            let end = word.rfind(']').map_or(word.len(), |at| at + 1);
+            format!("`{}`{}", &word[..end], &word[end..])
+        }
+        None => word.to_string(),
+    };
+    let line = |line: &&str| line.split(' ').map(word).collect::<Vec<_>>().join(" ");
+    kept.iter().map(line).collect::<Vec<_>>().join("\n").trim().to_string()
 }
 
 fn verdict(summary: &Value) -> String {

@@ -22,6 +22,8 @@ pub mod motion_capture {}
 pub mod cameras {}
 #[doc = include_str!("../observation-files.md")]
 pub mod observation_files {}
+#[doc = include_str!("../python.md")]
+pub mod python {}
 #[doc = include_str!("../methods.md")]
 pub mod methods {}
 #[doc = include_str!("../report.md")]

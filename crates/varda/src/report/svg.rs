@@ -303,7 +303,7 @@ impl Panel {
     }
 }
 
-/// Colours of the scale viridis (Smith and van der Walt, 2015), dark to bright.
+/// Colours of the scale viridis (Van der Walt and Smith 2015), dark to bright.
 const VIRIDIS: [[f64; 3]; 9] = [
     [68.0, 1.0, 84.0],
     [71.0, 44.0, 122.0],

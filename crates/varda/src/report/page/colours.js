@@ -12,7 +12,7 @@ varda.ofStyle = (style) => {
   return varda.colour(i === undefined ? kind : "c" + (Number(i) % 9));
 };
 
-// Scale viridis (Smith and van der Walt, 2015), 0 dark to 1 bright, as [red, green, blue] in 0 … 255.
+// Scale viridis (Van der Walt and Smith 2015), 0 dark to 1 bright, as [red, green, blue] in 0 … 255.
 varda.viridis = (x) => {
   const shades = [[68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33, 144, 141], [39, 173, 129],
     [92, 200, 99], [170, 220, 50], [253, 231, 37]];

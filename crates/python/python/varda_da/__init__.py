@@ -1,0 +1,54 @@
+"""Variational data assimilation: the state of a dynamical system from a background and noisy, sparse
+observations.
+
+    import varda_da as varda
+
+    result = varda.run("hanging-rod")      # a shipped scene, a file, TOML text or a dict
+    result.verdict, result.positions       # "fits", metres as (time, vertex, 3)
+
+    analysis = varda.assimilate(model, background, covariance, observations)   # a model in NumPy
+
+Numbers are in SI units. What a scene can say: `varda.show("hanging-rod")`, and the guide of Varda.
+"""
+
+from ._assimilate import Analysis, Check, CheckReport, assimilate, check_model
+from ._core import (
+    AssimilationError,
+    DataError,
+    ModelError,
+    ResultError,
+    SceneError,
+    VardaError,
+    __version__,
+)
+from ._result import Modes, Result, Simulation
+from ._rod import Energy, Rest, Rod
+from ._scene import Finding, check, modes, run, scenes, show, simulate
+
+__all__ = [
+    "Analysis",
+    "AssimilationError",
+    "Check",
+    "CheckReport",
+    "DataError",
+    "Energy",
+    "Finding",
+    "ModelError",
+    "Modes",
+    "Rest",
+    "Result",
+    "ResultError",
+    "Rod",
+    "SceneError",
+    "Simulation",
+    "VardaError",
+    "__version__",
+    "assimilate",
+    "check",
+    "check_model",
+    "modes",
+    "run",
+    "scenes",
+    "show",
+    "simulate",
+]
