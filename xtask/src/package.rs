@@ -82,13 +82,16 @@ fn programs(folder: &Path) -> Result<Vec<String>, String> {
     Ok(names)
 }
 
-/// The names of the packages in crates/, those below first.
+/// The names of the packages in crates/ that are published; the Python module has a way of its own.
 fn crates() -> Result<Vec<String>, String> {
     let folder = root().join("crates");
     let entries = std::fs::read_dir(&folder).map_err(|e| format!("{}: {e}", folder.display()))?;
     let mut names = Vec::new();
     for path in entries.flatten().map(|e| e.path().join("Cargo.toml")).filter(|p| p.is_file()) {
         let text = std::fs::read_to_string(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+        if text.lines().any(|line| line == "publish = false") {
+            continue;
+        }
         let name = text.lines().find_map(|l| l.strip_prefix("name = "));
         names.push(name.ok_or(format!("{}: no name", path.display()))?.trim_matches('"').to_string());
     }
