@@ -24,7 +24,13 @@ if [ ! -x "$environment/bin/pytest" ] || [ ! -x "$environment/bin/maturin" ]; th
         >/dev/null 2>&1 || skip "pip cannot install maturin, numpy, pytest, xarray and scipy"
 fi
 
-cargo fetch --locked --quiet 2>/dev/null || skip "its crates cannot be fetched"
+# A lock file that does not go with the crates above is a fault; a network that is not there is none.
+if ! said=$(cargo fetch --locked --quiet 2>&1); then
+    case $said in
+        *"lock file"*) echo "error: crates/python/Cargo.lock is behind: cargo fetch in crates/python" >&2; exit 1 ;;
+        *) skip "its crates cannot be fetched" ;;
+    esac
+fi
 
 # The workspace above formats its own members only.
 ! cargo fmt --version >/dev/null 2>&1 || cargo fmt --check
