@@ -30,6 +30,8 @@ const AT_REST: f64 = 3.0;
 const IS_CARRIED: f64 = 0.5;
 /// Frames of a block that may be quiet.
 const BLOCK: usize = 20;
+/// Noise alone makes the quietest of ten blocks, of 20 frames each, this much quieter than it is.
+const ALIKE: f64 = 1.35;
 /// Share of the chords between two markers that the one which is taken for the largest is above.
 const LARGEST: f64 = 0.95;
 /// Its place among normal numbers of variance 1.
@@ -81,7 +83,9 @@ impl Track {
         let blocks = self.seen.chunks_exact(BLOCK.min(self.seen.len().max(4)));
         let of = |block: &[(f64, V)]| {
             let mean = block.iter().map(|(_, x)| x[axis]).sum::<f64>() / block.len() as f64;
-            root_mean_square(&block.iter().map(|(_, x)| x[axis] - mean).collect::<Vec<_>>())
+            let off = root_mean_square(&block.iter().map(|(_, x)| x[axis] - mean).collect::<Vec<_>>());
+            // the mean is taken from the block itself
+            off * (block.len() as f64 / (block.len() as f64 - 1.0)).sqrt()
         };
         blocks.map(of).fold(f64::INFINITY, f64::min)
     }
@@ -137,8 +141,8 @@ impl Recorded {
         self.tracks.last().map_or(1.0, |t| t.arc_length).max(1e-3)
     }
 
-    /// σ of a coordinate \[m\]: the smaller of what third differences in time and the quietest frames say,
-    /// in the middle of all markers.
+    /// σ of a coordinate \[m\], in the middle of all markers: what third differences in time say, which have
+    /// most values; where the quietest frames say far less, they, since motion adds to differences.
     fn sigma(&self) -> f64 {
         let places =
             |t: &Track| -> Vec<_> { t.seen.iter().map(|(t, x)| (*t, [x.x, x.y, x.z].map(Some))).collect() };
@@ -146,7 +150,8 @@ impl Recorded {
         let scatter = quantile(&mut scatters.collect::<Vec<_>>(), 0.5);
         let quiet = self.tracks.iter().flat_map(|t| (0..3).map(|axis| t.quietest(axis)));
         let quiet = quantile(&mut quiet.collect::<Vec<_>>(), 0.5);
-        let sigma = scatter.unwrap_or(f64::INFINITY).min(quiet.unwrap_or(f64::INFINITY));
+        let (scatter, quiet) = (scatter.unwrap_or(f64::INFINITY), quiet.unwrap_or(f64::INFINITY));
+        let sigma = if scatter <= ALIKE * quiet { scatter } else { quiet };
         if sigma.is_finite() && sigma > 0.0 { sigma } else { 1e-3 * self.length() }
     }
 
