@@ -365,14 +365,7 @@ impl AnalysisOf {
     /// How the minimization ended.
     #[getter]
     fn status(&self) -> &'static str {
-        match self.found.minimum.status {
-            Status::Converged => "converged",
-            Status::MaxIterations => "max_iterations",
-            Status::LinearizedOnce => "linearized_once",
-            Status::Stalled => "stalled",
-            Status::Interrupted => "interrupted",
-            Status::Failed => "failed",
-        }
+        varda::outcome::Status::from(self.found.minimum.status).name()
     }
 
     /// J_b and J_o.
