@@ -1,11 +1,12 @@
 //! Cameras in scenes: pixels read and drawn, beside coordinates and alone, and what is said of wrong ones.
 
-use std::path::{Path, PathBuf};
+#[path = "support/rod_scene.rs"]
+mod rod_scene;
 
+use rod_scene::Folder;
 use varda::outcome::{Outcome, Verdict};
 use varda::report::write_simulation;
 use varda::run::{Listener, assimilate, simulate};
-use varda::scene::SceneFile;
 use varda::setup::Problem;
 use varda_assimilation::{ControlTransform, CostFunction, LeastSquares, StrongConstraint};
 
@@ -66,45 +67,24 @@ image = [640.0, 480.0]
 sigma = 0.5
 "#;
 
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(name: &str) -> Folder {
-        let folder = std::env::temp_dir().join(format!("varda-cameras-{}-{name}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        Folder(folder)
+/// A folder with the files of a twin.
+fn of_twin(name: &str, twin: &str) -> (Folder, Problem) {
+    let folder = Folder::new(&format!("cameras-{name}"));
+    let problem = Problem::from_scene(&folder.scene(twin, &[]).unwrap()).unwrap();
+    let simulation = simulate(&problem).unwrap();
+    write_simulation(&simulation, 0.0, &folder.path().join("twin")).unwrap();
+    for file in ["background.csv", "observations.csv", "pixels.csv"] {
+        let _ = std::fs::copy(folder.path().join("twin").join(file), folder.path().join(file));
     }
-
-    /// With the files of a twin.
-    fn of_twin(name: &str, twin: &str) -> (Folder, Problem) {
-        let folder = Folder::new(name);
-        let problem = Problem::from_scene(&scene(twin, &folder.0, &[]).unwrap()).unwrap();
-        let simulation = simulate(&problem).unwrap();
-        write_simulation(&simulation, 0.0, &folder.0.join("twin")).unwrap();
-        for file in ["background.csv", "observations.csv", "pixels.csv"] {
-            let _ = std::fs::copy(folder.0.join("twin").join(file), folder.0.join(file));
-        }
-        (folder, problem)
-    }
-
-    fn write(&self, file: &str, text: &str) {
-        std::fs::write(self.0.join(file), text).unwrap();
-    }
-
-    fn read(&self, file: &str) -> String {
-        std::fs::read_to_string(self.0.join(file)).unwrap()
-    }
+    (folder, problem)
 }
 
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
+fn write(folder: &Folder, file: &str, text: &str) {
+    std::fs::write(folder.path().join(file), text).unwrap();
 }
 
-fn scene(text: &str, folder: &Path, sets: &[&str]) -> Result<SceneFile, varda::Error> {
-    let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
-    SceneFile::parse("scene", "scene.toml", text, Some(folder), &sets)
+fn read(folder: &Folder, file: &str) -> String {
+    std::fs::read_to_string(folder.path().join(file)).unwrap()
 }
 
 fn run(problem: &Problem) -> Outcome {
@@ -112,7 +92,7 @@ fn run(problem: &Problem) -> Outcome {
 }
 
 fn ran(text: &str, folder: &Folder, sets: &[&str]) -> Outcome {
-    run(&Problem::from_scene(&scene(text, &folder.0, sets).unwrap()).unwrap())
+    run(&Problem::from_scene(&folder.scene(text, sets).unwrap()).unwrap())
 }
 
 /// One camera, two, and two beside coordinates: what a twin writes is read back to the same cost.
@@ -130,7 +110,7 @@ fn what_a_twin_draws_is_read_back() {
     ];
     let mut sigmas = Vec::new();
     for (name, sigma, cameras, files) in cases {
-        let (folder, problem) = Folder::of_twin(name, &format!("{ROD}{TWIN}{sigma}{cameras}"));
+        let (folder, problem) = of_twin(name, &format!("{ROD}{TWIN}{sigma}{cameras}"));
         let twin = run(&problem);
         let read = ran(&format!("{ROD}{RECORDED}{files}{cameras}"), &folder, &[]);
         let (a, b) = (&twin.analysis, &read.analysis);
@@ -153,11 +133,11 @@ fn rms(values: &[f64]) -> f64 {
 /// Cameras calibrated in other axes than the model's, with their frame.
 #[test]
 fn a_frame_turns_and_displaces_cameras_too() {
-    let (folder, _) = Folder::of_twin("frame", &format!("{ROD}{TWIN}sigma = 0.002\n{LEFT}"));
+    let (folder, _) = of_twin("frame", &format!("{ROD}{TWIN}sigma = 0.002\n{LEFT}"));
     let files = "file = \"observations.csv\"\npixels = \"pixels.csv\"\n";
     let plain = ran(&format!("{ROD}{RECORDED}{files}{LEFT}"), &folder, &[]);
     // x_model = R x_recorded + t, R about z by 90°: recorded = (y − t_y, −(x − t_x), z − t_z)
-    let text = folder.read("observations.csv");
+    let text = read(&folder, "observations.csv");
     let turned: Vec<String> = text
         .lines()
         .enumerate()
@@ -171,7 +151,7 @@ fn a_frame_turns_and_displaces_cameras_too() {
             format!("{},{},{x},{y},{z},{}", cells[0], cells[1], cells[5])
         })
         .collect();
-    folder.write("observations.csv", &turned.join("\n"));
+    write(&folder, "observations.csv", &turned.join("\n"));
     let frame = "[observations.frame]\naxis = [0.0, 0.0, 1.0]\nangle = 1.5707963267948966\n\
                  translation = [0.1, 0.2, -0.3]\n";
     // the camera's place and axes in the recording's
@@ -188,12 +168,12 @@ fn a_frame_turns_and_displaces_cameras_too() {
 /// What is refused, with the words of it.
 #[test]
 fn what_is_wrong_is_named() {
-    let (folder, _) = Folder::of_twin("wrong", &format!("{ROD}{TWIN}{LEFT}"));
+    let (folder, _) = of_twin("wrong", &format!("{ROD}{TWIN}{LEFT}"));
     let marker = "[[observations.markers]]\nname = \"tip\"\narc_length = 0.5\n";
     let text = |camera: &str| format!("{ROD}{RECORDED}pixels = \"rows.csv\"\n{camera}{marker}");
     let refused = |rows: &str, camera: &str, sets: &[&str]| {
-        folder.write("rows.csv", rows);
-        let file = match scene(&text(camera), &folder.0, sets) {
+        write(&folder, "rows.csv", rows);
+        let file = match folder.scene(&text(camera), sets) {
             Ok(file) => file,
             Err(error) => return error.to_string(),
         };
@@ -243,11 +223,11 @@ fn what_is_wrong_is_named() {
 /// Rows outside the image are left out where the scene wants that, and listed.
 #[test]
 fn rows_outside_the_image_may_be_left_out() {
-    let (folder, _) = Folder::of_twin("outside", &format!("{ROD}{TWIN}{LEFT}"));
-    let rows = format!("{}1.3,left,0.5,-900.0,20.0,0.5\n", folder.read("pixels.csv"));
-    folder.write("pixels.csv", &rows);
+    let (folder, _) = of_twin("outside", &format!("{ROD}{TWIN}{LEFT}"));
+    let rows = format!("{}1.3,left,0.5,-900.0,20.0,0.5\n", read(&folder, "pixels.csv"));
+    write(&folder, "pixels.csv", &rows);
     let text = format!("{ROD}{RECORDED}pixels = \"pixels.csv\"\nunreachable = \"skip\"\n{LEFT}");
-    let problem = Problem::from_scene(&scene(&text, &folder.0, &[]).unwrap()).unwrap();
+    let problem = Problem::from_scene(&folder.scene(&text, &[]).unwrap()).unwrap();
     let recording = problem.observed.recording.as_ref().unwrap();
     assert_eq!((recording.rows.refused, recording.rows.used, recording.rows.all), (1, 20, 21));
     let listed = &problem.observed.left_out;
@@ -259,7 +239,7 @@ fn rows_outside_the_image_may_be_left_out() {
 #[test]
 fn a_camera_that_is_kept_back_is_judged_in_pixels() {
     let twin = format!("{ROD}{TWIN}sigma = 0.002\n{LEFT}{RIGHT}");
-    let (folder, _) = Folder::of_twin("withheld", &twin);
+    let (folder, _) = of_twin("withheld", &twin);
     let right = RIGHT.replace("sigma = 0.5", "sigma = 0.5\nuse = \"withhold\"");
     let files = "file = \"observations.csv\"\npixels = \"pixels.csv\"\noutside_window = \"skip\"\n";
     let text = format!("{ROD}{RECORDED}{files}{LEFT}{right}").replace("window = 40", "window = 30");
@@ -280,8 +260,8 @@ fn a_camera_that_is_kept_back_is_judged_in_pixels() {
 #[test]
 fn depth_that_no_camera_sees_is_uncertain_and_not_nan() {
     let same = LEFT.replace("\"left\"", "\"beside\"");
-    let across = ran(&format!("{ROD}{TWIN}{LEFT}{RIGHT}"), &Folder::new("across"), &[]);
-    let one_place = ran(&format!("{ROD}{TWIN}{LEFT}{same}"), &Folder::new("beside"), &[]);
+    let across = ran(&format!("{ROD}{TWIN}{LEFT}{RIGHT}"), &Folder::new("cameras-across"), &[]);
+    let one_place = ran(&format!("{ROD}{TWIN}{LEFT}{same}"), &Folder::new("cameras-beside"), &[]);
     // y of the tip, the depth of the camera on the left
     let depth = |outcome: &Outcome| outcome.analysis.sigma_analysis[3 * 8 + 1];
     let [alone, seen] = [&one_place, &across].map(depth);
@@ -294,7 +274,7 @@ fn depth_that_no_camera_sees_is_uncertain_and_not_nan() {
         .replace("[800.0, 805.0]", "[1e6, 1e6]")
         .replace("position = [0.0, -1.5, -0.3]", "position = [0.0, -1000.0, -0.3]")
         .replace("image = [640.0, 480.0]\n", "");
-    let far = ran(&format!("{ROD}{TWIN}{far}"), &Folder::new("far"), &[]);
+    let far = ran(&format!("{ROD}{TWIN}{far}"), &Folder::new("cameras-far"), &[]);
     assert!(far.analysis.value.is_finite() && far.analysis.sigma_analysis.iter().all(|s| s.is_finite()));
     assert_eq!(far.judgement.verdict, Verdict::Fits, "{}", far.judgement.text);
 }
@@ -303,7 +283,7 @@ fn depth_that_no_camera_sees_is_uncertain_and_not_nan() {
 #[test]
 fn a_camera_whose_calibration_is_off_stands_out() {
     let twin = format!("{ROD}{TWIN}sigma = 0.001\n{LEFT}{RIGHT}");
-    let (folder, _) = Folder::of_twin("off", &twin);
+    let (folder, _) = of_twin("off", &twin);
     let files = "file = \"observations.csv\"\npixels = \"pixels.csv\"\n";
     let off = RIGHT.replace("principal_point = [320.0, 240.0]", "principal_point = [326.0, 240.0]");
     let outcome = ran(&format!("{ROD}{RECORDED}{files}{LEFT}{off}"), &folder, &[]);
@@ -316,7 +296,7 @@ fn a_camera_whose_calibration_is_off_stands_out() {
 #[test]
 fn the_gradient_of_a_cost_in_pixels() {
     let twin = format!("{ROD}{TWIN}sigma = 0.002\n{LEFT}{RIGHT}");
-    let problem = Problem::from_scene(&scene(&twin, &std::env::temp_dir(), &[]).unwrap()).unwrap();
+    let problem = Problem::from_scene(&Folder::new("cameras-two").scene(&twin, &[]).unwrap()).unwrap();
     let mut observations = problem.observations().unwrap();
     let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref()).unwrap();
     let mut model = problem.model();
@@ -351,12 +331,12 @@ fn the_gradient_of_a_cost_in_pixels() {
 /// Windows of a sequence count their own steps; what must be in sight is known by its time.
 #[test]
 fn windows_of_a_sequence_see_pixels_too() {
-    let (folder, _) = Folder::of_twin("cycles", &format!("{ROD}{TWIN}{LEFT}{RIGHT}"));
+    let (folder, _) = of_twin("cycles", &format!("{ROD}{TWIN}{LEFT}{RIGHT}"));
     let run = |cameras: &str, out: &str| {
-        folder.write("scene.toml", &format!("{ROD}{RECORDED}pixels = \"pixels.csv\"\n{cameras}"));
+        write(&folder, "scene.toml", &format!("{ROD}{RECORDED}pixels = \"pixels.csv\"\n{cameras}"));
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_varda"));
         command.args(["run", "scene.toml", "--out", out, "--set", "time.window=20"]);
-        command.args(["--set", "algorithm.cycles={count=2}"]).current_dir(&folder.0).output().unwrap()
+        command.args(["--set", "algorithm.cycles={count=2}"]).current_dir(folder.path()).output().unwrap()
     };
     let fits = run(&format!("{LEFT}{RIGHT}"), "fits");
     let said = String::from_utf8_lossy(&fits.stdout).into_owned() + &String::from_utf8_lossy(&fits.stderr);

@@ -57,7 +57,8 @@ fn write_one(out: &ResultFolder, at: &str, outcome: &Outcome) -> Result<(), Erro
     let summary = Summary::new(outcome);
     let figures = figures::all(outcome);
     let mut rod = String::new();
-    for figure in figures.iter().chain(figures::covariances(outcome).iter().map(|(_, figure)| figure)) {
+    let covariances = figures::covariances(outcome);
+    for figure in figures.iter().chain(covariances.iter().map(|(_, figure)| figure)) {
         let svg = figure.svg()?;
         write(&format!("figures/{}.svg", figure.name), &svg)?;
         if figure.name == "snapshots" {
@@ -65,7 +66,7 @@ fn write_one(out: &ResultFolder, at: &str, outcome: &Outcome) -> Result<(), Erro
         }
     }
     let experiment = &outcome.experiment;
-    write("report.html", &run_page::page(outcome, &summary, figures, &rod))?;
+    write("report.html", &run_page::page(outcome, &summary, figures, covariances, &rod))?;
     write("analysis.csv", &tables::analysis(outcome))?;
     if !outcome.convergence.is_empty() {
         write("convergence.csv", &tables::convergence(&outcome.convergence))?;

@@ -13,8 +13,15 @@ use super::{Summary, estimates, figures, sources};
 use crate::outcome::{ConvergenceRow, Fit, Forecast, KnownConstants, Outcome, Quantity, Withheld};
 use crate::state::{StateGroup, StateLayout};
 
-/// The page of a run. `figures` are its charts but those of single markers, `picture` the rod as SVG.
-pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: Vec<Figure>, picture: &str) -> String {
+/// The page of a run. `figures` are its charts but those of single markers and of covariances by group;
+/// `picture` is the rod as SVG.
+pub(super) fn page(
+    outcome: &Outcome,
+    summary: &Summary,
+    figures: Vec<Figure>,
+    covariances: Vec<(String, Figure)>,
+    picture: &str,
+) -> String {
     let experiment = &outcome.experiment;
     let title = match experiment.scene.title.as_str() {
         "" => experiment.name.as_str(),
@@ -59,7 +66,6 @@ pub(super) fn page(outcome: &Outcome, summary: &Summary, figures: Vec<Figure>, p
     page.push(&fit_section(outcome, summary));
     page.push(&estimates::section(&outcome.estimates));
     show(&mut page, &["fields", "constants", "convergence", "spread"]);
-    let covariances = figures::covariances(outcome);
     if !covariances.is_empty() {
         page.one_of("Covariance of", covariances);
     }

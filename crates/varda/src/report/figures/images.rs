@@ -17,18 +17,17 @@ pub(in crate::report) fn field(
 ) -> Option<Figure> {
     let grid = &experiment.grid;
     let n = experiment.state.len() - experiment.state.constants.len();
-    if other_is_missing(runs)
-        || experiment.state.geometry.is_some()
-        || n < LEAST_COMPONENTS
-        || grid.last_step() == 0
-    {
+    if experiment.state.geometry.is_some() || n < LEAST_COMPONENTS {
         return None;
     }
     let (other, name) = match runs.truth.is_empty() {
         false => (&runs.truth, "analysis − truth"),
         true => (&runs.background, "analysis − background"),
     };
-    let steps = (runs.analysis.len() / runs.dim).min(other.len() / runs.dim);
+    let steps = runs.analysis.len().min(other.len()) / runs.dim;
+    if steps < 2 {
+        return None;
+    }
     let at = |states: &[f64], k: usize, i: usize| states.get(k * runs.dim + i).copied().unwrap_or(f64::NAN);
     let panel = |title: &str, of: &dyn Fn(usize, usize) -> f64| Panel {
         title: title.into(),
@@ -52,11 +51,6 @@ pub(in crate::report) fn field(
         columns,
         panel_size: (if columns > 2 { 360 } else { 460 }, 320),
     })
-}
-
-/// Whether there is nothing to compare the analysis with.
-fn other_is_missing(runs: &Trajectories) -> bool {
-    runs.truth.is_empty() && runs.background.is_empty()
 }
 
 /// n[0] instants across, n[1] components up, as means over cells.

@@ -71,8 +71,9 @@ impl RodView {
     /// The runs of a window, with σ and forces of the analysis.
     pub(in crate::report) fn of_outcome(outcome: &Outcome) -> Option<RodView> {
         let (shapes, geometry) = (outcome.shapes.as_ref()?, outcome.experiment.state.geometry.as_ref()?);
-        let mut view = RodView::of_runs(shapes, geometry, &outcome.experiment.grid)?;
-        view.show(shapes, geometry, outcome);
+        let shown = Shown::of(shapes, geometry)?;
+        let mut view = RodView::new(shapes, geometry, &outcome.experiment.grid, shown);
+        view.add(shapes, geometry, outcome, shown);
         Some(view)
     }
 
@@ -82,13 +83,12 @@ impl RodView {
         geometry: &Geometry,
         grid: &TimeGrid,
     ) -> Option<RodView> {
-        let all =
-            [("truth", &shapes.truth), ("background", &shapes.background), ("analysis", &shapes.analysis)];
-        let all: Vec<_> = all.into_iter().filter(|(_, run)| !run.is_empty()).collect();
-        let last = all.iter().map(|(_, run)| run.len()).max()?;
-        let vertices = Every::of(geometry.arc_lengths.len(), MOST_VERTICES);
-        let frames = MOST_FRAMES.min(MOST_NUMBERS / (3 * vertices.count() * all.len()));
-        let instants = Every::of(last, frames.max(2));
+        Some(RodView::new(shapes, geometry, grid, Shown::of(shapes, geometry)?))
+    }
+
+    fn new(shapes: &Shapes, geometry: &Geometry, grid: &TimeGrid, shown: Shown) -> RodView {
+        let Shown { vertices, instants } = shown;
+        let all = runs(shapes);
         let runs = all.iter().map(|(name, run)| {
             let shown = instants.all().flat_map(|k| run.get(k.min(run.len() - 1)));
             let places = shown.flat_map(|shape| vertices.all().flat_map(|v| shape[v]));
@@ -99,7 +99,7 @@ impl RodView {
             let near = (instants.index(at) as f64 - s.at()).abs() <= 0.5 * instants.stride().max(1.0);
             near.then_some(Seen { frame: at, kept_back: s.withheld, place: s.position.map(|c| c as f32) })
         };
-        Some(RodView {
+        RodView {
             times: instants.all().map(|k| grid.time(k)).collect(),
             window_end: grid.time(grid.steps),
             arc_lengths: vertices.all().map(|v| geometry.arc_lengths[v]).collect(),
@@ -107,14 +107,12 @@ impl RodView {
             sigma: Packed::default(),
             colours: Vec::new(),
             seen: shapes.seen.iter().filter_map(frame).collect(),
-        })
+        }
     }
 
     /// Adds σ, tension and bending moment of the analysis.
-    fn show(&mut self, shapes: &Shapes, geometry: &Geometry, outcome: &Outcome) {
-        let vertices = Every::of(geometry.arc_lengths.len(), MOST_VERTICES);
-        let last = [&shapes.truth, &shapes.background, &shapes.analysis].map(Vec::len).into_iter().max();
-        let instants = Every::of(last.unwrap_or(0), self.times.len());
+    fn add(&mut self, shapes: &Shapes, geometry: &Geometry, outcome: &Outcome, shown: Shown) {
+        let Shown { vertices, instants } = shown;
         let n = geometry.arc_lengths.len();
         let states = &outcome.trajectories;
         if !outcome.sigma_states.is_empty() {
@@ -159,6 +157,30 @@ impl RodView {
         if shapes.forces.iter().any(|f| !f.bending.is_empty()) {
             add("bending moment", "N m", &moment);
         }
+    }
+}
+
+/// The runs that exist, with their names.
+fn runs(shapes: &Shapes) -> Vec<(&'static str, &Vec<Vec<[f64; 3]>>)> {
+    let all = [("truth", &shapes.truth), ("background", &shapes.background), ("analysis", &shapes.analysis)];
+    all.into_iter().filter(|(_, run)| !run.is_empty()).collect()
+}
+
+/// The vertices and instants that a page shows.
+#[derive(Clone, Copy)]
+struct Shown {
+    vertices: Every,
+    instants: Every,
+}
+
+impl Shown {
+    /// `None` without a run.
+    fn of(shapes: &Shapes, geometry: &Geometry) -> Option<Shown> {
+        let all = runs(shapes);
+        let last = all.iter().map(|(_, run)| run.len()).max()?;
+        let vertices = Every::of(geometry.arc_lengths.len(), MOST_VERTICES);
+        let frames = MOST_FRAMES.min(MOST_NUMBERS / (3 * vertices.count() * all.len()));
+        Some(Shown { vertices, instants: Every::of(last, frames.max(2)) })
     }
 }
 
