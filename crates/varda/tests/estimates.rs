@@ -84,3 +84,38 @@ fn where_there_is_no_allowance_it_is_said_and_takes_no_time() {
     assert!(run.seconds.mesh == 0.0 && run.estimates[0].mesh.is_none());
     assert!(run.warnings.iter().any(|w| is_without(w) && w.contains("2J/m is")), "{:?}", run.warnings);
 }
+
+/// A ring of eight variables, seen at all of them four times a time unit, made with short steps and read with
+/// long ones.
+#[test]
+fn a_step_that_is_too_long_is_allowed_for() {
+    let scene = |forcing: f64, step: f64, window: usize| {
+        format!(
+            "[model]\nkind = \"lorenz96\"\nvariables = 8\nforcing = {forcing}\n\
+             [time]\nintegrator = \"rk4\"\nstep = {step}\nwindow = {window}\n\
+             [background]\nfrom = \"file\"\nfile = \"first.csv\"\n\
+             covariance = {{ kind = \"known\" }}\n\
+             [estimate]\nforcing = {{ sigma = 0.3 }}\n\
+             [observations]\nkind = \"file\"\nfile = \"seen.csv\"\nsigma = 0.15\n"
+        )
+    };
+    let first: String = (0..8).map(|i| format!("{i},{:e}\n", 2.0 + 3.0 * f64::from(i).sin())).collect();
+    let folder = Folder::new("estimates-steps")
+        .with("first.csv", &format!("component,value\n{first}"))
+        .with("seen.csv", "time_s,component,value\n0.25,0,1\n");
+    let truth = Problem::from_scene(&folder.scene(&scene(8.0, 0.00625, 160), &[]).unwrap()).unwrap();
+    let made = simulate(&truth).unwrap().trajectories;
+    let mut rows = "time_s,component,value\n".to_string();
+    for (k, state) in made.analysis.chunks_exact(made.dim).enumerate().step_by(40).skip(1) {
+        let seen = state.iter().take(8).enumerate();
+        rows.extend(seen.map(|(i, x)| format!("{},{i},{x:e}\n", 0.00625 * k as f64)));
+    }
+    let folder = folder.with("seen.csv", &rows);
+    let problem = Problem::from_scene(&folder.scene(&scene(7.7, 0.125, 8), &[]).unwrap()).unwrap();
+    let run = assimilate(&problem, &mut Listener::silent()).unwrap();
+    let forcing = &run.estimates[0];
+    let error = (forcing.value - 8.0).abs();
+    assert!(error > 3.0 * forcing.sigma_on_mesh.unwrap(), "{forcing:?}");
+    assert!(error < 2.0 * forcing.sigma.unwrap(), "{forcing:?}");
+    assert!(run.warnings.iter().any(|w| w.contains("half the step move")), "{:?}", run.warnings);
+}

@@ -26,10 +26,10 @@ pub struct Estimated {
     pub value: f64,
     /// Its σ, with an allowance for the mesh where there is one; `null` without a posterior.
     pub sigma: Option<f64>,
-    /// σ that observations and priors leave, on the mesh of the scene.
+    /// σ that observations and priors leave, with the segments and the step of the scene.
     pub sigma_on_mesh: Option<f64>,
-    /// What twice the segments say of the mesh's error of `value`; `null` in twins, and where it was not
-    /// computed.
+    /// What half the step and twice the segments say of the mesh's error of `value`; `null` in twins, and
+    /// where it was not computed.
     pub mesh: Option<f64>,
     /// Ends of the interval that holds the constant with 95 %, where its prior is normal or log-normal.
     pub interval: Option<[f64; 2]>,

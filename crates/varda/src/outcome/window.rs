@@ -227,7 +227,7 @@ pub struct Seconds {
     pub posterior: f64,
     /// After it: runs of background and analysis, σ along them, departures, forecast.
     pub diagnostics: f64,
-    /// The same estimate with twice the segments, where constants are estimated from a recording.
+    /// The same estimate on a finer mesh, where constants are estimated from a recording.
     pub mesh: f64,
     /// Of minimization and posterior, in steps of the model.
     pub forward: f64,

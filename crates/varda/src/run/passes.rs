@@ -2,7 +2,7 @@
 //! pass reads the observations as the one before has found them.
 
 use super::estimates::INTERVAL;
-use super::mesh::{self, Finest};
+use super::mesh::{self, Coarse, Finest};
 use super::window::{self, Listener};
 use crate::Error;
 use crate::outcome::{Estimated, IDENTIFIABLE, Outcome, Verdict, remarks_on_estimates};
@@ -64,9 +64,10 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         }
     }
     let here = last.as_ref().unwrap_or(problem);
-    let run = (outcome.status, outcome.analysis.chi2);
+    let run =
+        Coarse { status: outcome.status, iterations: outcome.iterations[0], chi2: outcome.analysis.chi2 };
     let (of_mesh, seconds) = mesh::allow(&[here], &mut [&mut outcome.estimates], run, |files| {
-        let finer = window::assimilate(&Problem::new(Inputs::read(files[0])?)?, &mut listener.quiet())?;
+        let finer = window::assimilate(&Problem::new(Inputs::read(&files[0])?)?, &mut listener.quiet())?;
         Ok(Finest { status: finer.status, chi2: finer.analysis.chi2, estimates: vec![finer.estimates] })
     });
     outcome.warnings.extend(of_mesh);

@@ -6,7 +6,7 @@ use std::time::Instant;
 use varda_assimilation::{Iteration, highest_j_of_a_fit};
 use varda_implicit::Model;
 
-use super::mesh::{self, Finest};
+use super::mesh::{self, Coarse, Finest};
 use super::window::{Ended, Listener, described, row, seconds_so_far};
 use crate::Error;
 use crate::outcome::{
@@ -201,14 +201,14 @@ fn judged(recordings: &[Outcome], j: f64, m: usize) -> Judgement {
     }
 }
 
-/// The allowance for the mesh: all recordings with twice the segments.
+/// The allowance for the mesh: all recordings on a finer one.
 fn allow_for_mesh(all: &Recordings, outcome: &mut JointOutcome, listener: &Listener) -> (Vec<String>, f64) {
-    let run = (outcome.status, outcome.chi2);
+    let run = Coarse { status: outcome.status, iterations: outcome.iterations[0], chi2: outcome.chi2 };
     let problems: Vec<&Problem> = all.problems.iter().collect();
     let mut estimates: Vec<&mut Vec<Estimated>> =
         outcome.recordings.iter_mut().map(|one| &mut one.estimates).collect();
     mesh::allow(&problems, &mut estimates, run, |files| {
-        let problem = |file: &&SceneFile| Problem::new(Inputs::read(file)?);
+        let problem = |file: &SceneFile| Problem::new(Inputs::read(file)?);
         let problems = files.iter().map(problem).collect::<Result<Vec<_>, _>>()?;
         let finer = minimized(&Recordings::of(all.file.clone(), problems)?, &mut listener.quiet())?;
         let estimates = finer.recordings.into_iter().map(|one| one.estimates).collect();

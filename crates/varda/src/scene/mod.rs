@@ -235,8 +235,8 @@ pub struct Report {
     pub forecast: f64,
     /// Posterior standard deviations (one tangent run per control component).
     pub posterior: bool,
-    /// Where constants of a rod are estimated from a recording: the same estimate with twice the segments,
-    /// whose difference is added to their σ.
+    /// Where constants are estimated from a recording: the same estimate with half the step and, of a rod,
+    /// twice the segments, whose difference is added to their σ.
     pub mesh: bool,
 }
 

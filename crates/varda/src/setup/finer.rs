@@ -1,6 +1,6 @@
-//! A scene on a finer mesh.
+//! A scene on a finer mesh in space and time.
 
-use crate::scene::{ClampAt, Invalid, Model, Prescribed, RodModel, SceneFile};
+use crate::scene::{ClampAt, Integrator, Invalid, Model, Prescribed, RodModel, SceneFile, Time};
 
 /// What says how far the mesh moves estimated constants.
 #[derive(Debug, Clone)]
@@ -9,27 +9,37 @@ pub(crate) enum Finer {
     Unwanted,
     /// There is no finer mesh, for this reason.
     Without(&'static str),
-    /// The scene with twice the segments, without posterior and forecast; and the error of the coarse mesh as
-    /// a multiple of the difference between both.
-    Scene(Box<SceneFile>, f64),
+    /// A scene on the finer mesh.
+    Scene(Box<FinerScene>),
+}
+
+/// A scene with half the step and, of a rod, twice the segments; without posterior and forecast.
+#[derive(Debug, Clone)]
+pub(crate) struct FinerScene {
+    pub file: SceneFile,
+    /// The error of the coarse mesh, as a multiple of the difference between both.
+    pub of_difference: f64,
+    /// What was changed, in words.
+    pub change: &'static str,
 }
 
 impl Finer {
     /// With this many bytes for its limit of memory.
     pub(crate) fn within(mut self, bytes: usize) -> Finer {
-        if let Finer::Scene(file, _) = &mut self {
-            file.scene.limits.memory = format!("{} B", bytes.max(1));
+        if let Finer::Scene(finer) = &mut self {
+            finer.file.scene.limits.memory = format!("{} B", bytes.max(1));
         }
         self
     }
 }
 
-/// Errors fall with h², clamps being at their faces: 1/(1 − ¼) of the difference.
+/// Errors fall with h² (clamps at their faces) and Δt²: 1/(1 − ¼) of the difference.
 const SECOND_ORDER: f64 = 4.0 / 3.0;
-/// A held edge makes the rod half a segment too short, an error that falls with h.
+/// A held edge makes the rod half a segment too short, an error that falls with h; that of backward Euler
+/// falls with Δt.
 const FIRST_ORDER: f64 = 2.0;
 
-/// The scene with twice the segments, where constants are estimated.
+/// The scene with half the step and twice the segments, where constants are estimated.
 ///
 /// # Errors
 /// [`Invalid`] where the lengths of segments are.
@@ -39,25 +49,55 @@ pub(crate) fn finer(file: &SceneFile) -> Result<Finer, Invalid> {
     if !scene.report.mesh || scene.estimate.given().is_empty() {
         return Ok(Finer::Unwanted);
     }
-    let Model::Rod(rod) = &mut scene.model else {
-        let is_field = scene.model.line().is_some();
-        return Ok(if is_field {
-            Finer::Without("only a rod is given a finer mesh")
-        } else {
-            Finer::Unwanted
-        });
-    };
     if !scene.algorithm.method.is_strong() {
         return Ok(Finer::Without("it takes a method with a strong constraint"));
     }
-    let by_clamps = rod.clamp == ClampAt::Edge && (rod.start.is_some() || rod.end.is_some());
-    let neighbours = |p: &Prescribed| rod.prescribed.iter().any(|q| p.vertex + 1 == q.vertex);
-    let held_edge = by_clamps || rod.prescribed.iter().any(neighbours);
-    double(rod)?;
+    let has_steps = scene.time.window > 0 && scene.time.integrator != Integrator::QuasiStatic;
+    let mut first_order = has_steps && scene.time.integrator == Integrator::BackwardEuler;
+    let change = match (&mut scene.model, has_steps) {
+        (Model::Rod(rod), _) => {
+            first_order |= holds_an_edge(rod);
+            double(rod)?;
+            if has_steps { "twice the segments and half the step" } else { "twice the segments" }
+        }
+        (model, _) if model.line().is_some() => {
+            return Ok(Finer::Without("only a rod is given a finer mesh"));
+        }
+        (_, true) => "half the step",
+        (_, false) => return Ok(Finer::Unwanted),
+    };
+    if has_steps {
+        halve_step(&mut scene.time);
+        scene.algorithm.window_growth.iter_mut().for_each(|end| *end *= 2);
+    }
     scene.report.mesh = false;
     scene.report.posterior = false;
     scene.report.forecast = 0.0;
-    Ok(Finer::Scene(Box::new(file), if held_edge { FIRST_ORDER } else { SECOND_ORDER }))
+    let of_difference = if first_order { FIRST_ORDER } else { SECOND_ORDER };
+    Ok(Finer::Scene(Box::new(FinerScene { file, of_difference, change })))
+}
+
+/// Whether two neighbouring vertices are held, as by the paper's clamp.
+fn holds_an_edge(rod: &RodModel) -> bool {
+    let by_clamps = rod.clamp == ClampAt::Edge && (rod.start.is_some() || rod.end.is_some());
+    let neighbours = |p: &Prescribed| rod.prescribed.iter().any(|q| p.vertex + 1 == q.vertex);
+    by_clamps || rod.prescribed.iter().any(neighbours)
+}
+
+/// The same time in twice as many steps. Where steps are divided by a tolerance, each part is halved: the
+/// error of one falls with the cube of its length, with the square of it by backward Euler.
+fn halve_step(time: &mut Time) {
+    match (&mut time.step, &mut time.steps_per_period, &mut time.tolerance) {
+        (_, _, Some(tolerance)) => {
+            *tolerance /= if time.integrator == Integrator::BackwardEuler { 4.0 } else { 8.0 };
+            return;
+        }
+        (Some(step), _, None) => *step /= 2.0,
+        (None, Some(steps), None) => *steps *= 2,
+        (None, None, None) => {}
+    }
+    time.window *= 2;
+    time.spin_up *= 2;
 }
 
 /// Twice the segments, equal ones where no held vertex is moved by that.

@@ -124,9 +124,9 @@ impl Memory {
         let held = memory.covariance.saturating_add(memory.other);
         memory.for_finer = limit.saturating_sub(held);
         // One that is too large is left out of the run, which says so.
-        if let Finer::Scene(finer, _) = file.checked(finer(file))?.within(memory.for_finer)
+        if let Finer::Scene(finer) = file.checked(finer(file))?.within(memory.for_finer)
             && scene.background.from != Origin::TruthPlusDraw
-            && let Ok(finer) = Memory::within_limit(&finer, &sizes.on_finer_mesh())
+            && let Ok(finer) = Memory::within_limit(&finer.file, &sizes.on_finer_mesh(&finer.file.scene))
         {
             memory.finer = finer.of_run().saturating_add(held);
         }
@@ -374,9 +374,17 @@ pub(crate) fn without_spread(scene: &Scene, n: usize) -> Option<String> {
 }
 
 impl Sizes {
-    /// Of a rod with twice the segments.
-    fn on_finer_mesh(&self) -> Sizes {
-        Sizes { state: 2 * self.state, control: 2 * self.control, kept: 2 * self.kept, ..*self }
+    /// Of the scene on its finer mesh, of a rod with twice the segments.
+    fn on_finer_mesh(&self, finer: &Scene) -> Sizes {
+        let times = if matches!(finer.model, Model::Rod(_)) { 2 } else { 1 };
+        Sizes {
+            state: times * self.state,
+            control: times * self.control,
+            kept: times * self.kept,
+            steps: finer.time.window,
+            shown: finer.time.window,
+            ..*self
+        }
     }
 
     /// The sizes of a scene that has been read; adaptive time steps count as if none were divided.

@@ -46,7 +46,7 @@ pub struct Problem {
     pub observed: Observed,
     /// Most bytes for the states and linearizations of a window: what `[limits] memory` leaves.
     pub memory: usize,
-    /// The scene with twice the segments, where σ of its constants needs an allowance for the mesh.
+    /// The scene on a finer mesh, where σ of its constants needs an allowance for the mesh.
     pub(crate) finer: Finer,
     /// The scene, where passes of an estimate adjust how its observations are read.
     pub(crate) adjustable: Option<Box<SceneFile>>,

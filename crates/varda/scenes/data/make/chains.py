@@ -1,6 +1,6 @@
 """Recordings of the gallery's scenes, made by a program that shares nothing with Varda: explicit chains of point
-masses with springs along them and E = EI/(2 l^3) sum |x(i-1) - 2 x(i) + x(i+1)|^2 for bending, of much smaller elements and
-steps than the scenes have. Needs NumPy; writes the CSV files beside this folder."""
+masses with springs along them and E = EI/(2 l) sum |t(i) - t(i-1)|^2 of the directions t of the links for bending, of much
+smaller elements and steps than the scenes have. Needs NumPy; writes the CSV files beside this folder."""
 import math
 import os
 
@@ -12,11 +12,26 @@ STRETCH_TIME = 2e-5  # s: damps waves along the chain
 
 
 def bending(n, ei, l):
-    """Matrix K of the forces of bending -K x of n vertices."""
+    """Matrix K of the forces of bending -K x of n vertices, where links are not stretched and turn little."""
     second = np.zeros((n - 2, n))
     for i in range(n - 2):
         second[i, i:i + 3] = [1, -2, 1]
     return ei / l**3 * second.T @ second
+
+
+def bent(x, ei, l):
+    """Forces of bending."""
+    edge = x[1:] - x[:-1]
+    length = np.linalg.norm(edge, axis=1)[:, None]
+    t = edge / length
+    neighbours = np.zeros_like(t)
+    neighbours[:-1] += t[1:]
+    neighbours[1:] += t[:-1]
+    pull = -ei / l * (neighbours - np.einsum("ij,ij->i", t, neighbours)[:, None] * t) / length
+    force = np.zeros_like(x)
+    force[:-1] += pull
+    force[1:] -= pull
+    return force
 
 
 def stretching(x, v, ea, l, tau):
@@ -49,7 +64,7 @@ def turning(x, v, ei, l, tau):
 
 
 def run(x, v, mass, ei, ea, l, tau, alpha, held, seconds, dt, every, load=None):
-    """Bending and damping implicit, the rest explicit; held(t) gives vertices, their places and velocities. Yields (t, x)."""
+    """Changes of bending and damping in a step implicit, the rest explicit; held(t) gives vertices, their places and velocities. Yields (t, x)."""
     k_bend = bending(len(x), ei, l)
     fixed = [vertex for vertex, _, _ in held(0.0)]
     free = [i for i in range(len(x)) if i not in fixed]
@@ -62,7 +77,7 @@ def run(x, v, mass, ei, ea, l, tau, alpha, held, seconds, dt, every, load=None):
             x[vertex], v[vertex] = place, velocity
         if k % every == 0:
             yield t, x.copy()
-        force = stretching(x, v, ea, l, STRETCH_TIME) + mass[:, None] * GRAVITY - k_bend @ x
+        force = stretching(x, v, ea, l, STRETCH_TIME) + mass[:, None] * GRAVITY + bent(x, ei, l)
         if tau > 0:
             force += turning(x, v, ei, l, tau)
         if load is not None:
