@@ -235,9 +235,13 @@ fn background(misfit: &Misfit) -> String {
 
 fn mode(mode: &ModeDamping) -> String {
     format!(
-        "{:.4} Hz, {:.0} steps a period: damped by {:.3} 1/s by the integrator, {:.3} 1/s at most by the \
-         material",
-        mode.frequency, mode.steps, mode.numerical, mode.material
+        "{:.4} Hz, {:.0} steps a period: slowed by {:.2} % and damped by {:.3} 1/s by the integrator, {:.3} 1/s \
+         at most by the material",
+        mode.frequency,
+        mode.steps,
+        100.0 * mode.slowed,
+        mode.numerical,
+        mode.material
     )
 }
 
@@ -260,7 +264,7 @@ fn expected([least, most]: [f64; 2]) -> String {
         s => format!("{:.0} min", s / 60.0),
     };
     if most < 0.01 {
-        return "below 0.01 s for the minimization, by one forward run".into();
+        return "below 0.01 s for the analysis, by one forward run".into();
     }
-    format!("about {} to {} for the minimization, by one forward run", shown(least), shown(most))
+    format!("about {} to {} for the analysis, by one forward run", shown(least), shown(most))
 }

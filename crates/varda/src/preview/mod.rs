@@ -10,13 +10,14 @@ mod values;
 
 pub use background::Misfit;
 pub use finding::{Finding, Severity};
-pub use numerics::{MeshEffect, ModeDamping, enough_segments, numerical_damping};
+pub use numerics::{MeshEffect, ModeDamping, enough_segments, numerical_damping, numerical_slowing};
 
 use serde::Serialize;
 
 use crate::Error;
 use crate::outcome::{Quantity, RecordingSummary};
 use crate::scene::SceneFile;
+use crate::setup::finer::{Finer, finer};
 use crate::setup::observations::Seen;
 use crate::setup::{Inputs, Plan};
 
@@ -92,7 +93,12 @@ impl Preview {
                 .extend(mesh.as_ref().and_then(|m| numerics::too_coarse(m, parts.rod.segments(), finest)));
         }
         findings.sort_by_key(|f| std::cmp::Reverse(f.severity));
+        let again = match file.checked(finer(&file))? {
+            Finer::Scene(finer) if recording.is_some() => finer.work,
+            _ => 0.0,
+        };
         let seconds = background::expected_seconds(&file.scene, forward.seconds, control);
+        let seconds = seconds.map(|s| (1.0 + again) * s);
         let misfit = forward.misfit;
         Ok(Preview { plan, recording, misfit, modes, mesh, seconds, findings })
     }

@@ -27,6 +27,8 @@ pub struct ModeDamping {
     pub steps: f64,
     /// Rate at which the integrator damps its amplitude \[1/s\].
     pub numerical: f64,
+    /// The share of its frequency that the integrator takes.
+    pub slowed: f64,
     /// The most at which the material does \[1/s\]: ½(α + τω²); what gravity holds is not damped.
     pub material: f64,
 }
@@ -60,13 +62,42 @@ pub fn numerical_damping(scheme: Scheme, omega: f64, dt: f64) -> f64 {
         Scheme::BackwardEuler => 0.5 * (w * w).ln_1p() / dt,
         Scheme::Midpoint => 0.0,
         Scheme::Bdf2 => {
-            // (3 − 2iw) z² − 4z + 1 = 0: z = (2 + √(1 + 2iw))/(3 − 2iw)
-            let size = 1.0_f64.hypot(2.0 * w);
-            let root = [(0.5 * (size + 1.0)).sqrt(), (0.5 * (size - 1.0)).sqrt()];
+            let root = bdf2_root(w);
             let z = (2.0 + root[0]).hypot(root[1]) / 3.0_f64.hypot(2.0 * w);
             -z.ln() / dt
         }
     }
+}
+
+/// The share of its frequency that a scheme takes of ẍ = −ω²x with steps Δt: 1 − arg z/(ωΔt), z as in
+/// [`numerical_damping`]. For small ωΔt it is (ωΔt)²/3 for backward Euler and BDF2, (ωΔt)²/12 for the
+/// midpoint rule.
+///
+/// ```
+/// use varda::preview::numerical_slowing;
+/// use varda_implicit::Scheme;
+///
+/// let (omega, dt) = (2.0, 0.01);
+/// let share = numerical_slowing(Scheme::Bdf2, omega, dt);
+/// assert!((share / ((omega * dt).powi(2) / 3.0) - 1.0).abs() < 1e-2);
+/// ```
+pub fn numerical_slowing(scheme: Scheme, omega: f64, dt: f64) -> f64 {
+    let w = omega * dt;
+    let turned = match scheme {
+        Scheme::BackwardEuler => w.atan(),
+        Scheme::Midpoint => 2.0 * (0.5 * w).atan(),
+        Scheme::Bdf2 => {
+            let root = bdf2_root(w);
+            root[1].atan2(2.0 + root[0]) + (2.0 * w).atan2(3.0)
+        }
+    };
+    1.0 - turned / w
+}
+
+/// √(1 + 2iw), with which the root of (3 − 2iw) z² − 4z + 1 = 0 is z = (2 + √(1 + 2iw))/(3 − 2iw).
+fn bdf2_root(w: f64) -> [f64; 2] {
+    let size = 1.0_f64.hypot(2.0 * w);
+    [(0.5 * (size + 1.0)).sqrt(), (0.5 * (size - 1.0)).sqrt()]
 }
 
 /// The slowest modes, and what is damped; none where the rod has no natural modes (loads without potential).
@@ -80,6 +111,7 @@ pub(super) fn damping(parts: &RodParts, rest: &Rest, t: f64, dt: f64) -> Vec<Mod
             frequency: omega / std::f64::consts::TAU,
             steps: std::f64::consts::TAU / (omega * dt),
             numerical: numerical_damping(parts.scheme, omega, dt),
+            slowed: numerical_slowing(parts.scheme, omega, dt),
             material: 0.5 * (parts.damping.mass + parts.damping.stiffness * omega_squared),
         }
     };
@@ -211,6 +243,13 @@ mod tests {
         let rate = -(size(steps) / size(steps / 2)).ln() / (dt * (steps / 2) as f64);
         assert!((numerical_damping(Scheme::Bdf2, omega, dt) / rate - 1.0).abs() < 1e-9);
         assert!((rate / (0.25 * omega.powi(4) * dt.powi(3)) - 1.0).abs() < 0.05);
+        let step = divide(z[steps], z[steps - 1]);
+        let slowed = 1.0 - step[1].atan2(step[0]) / w;
+        assert!((numerical_slowing(Scheme::Bdf2, omega, dt) / slowed - 1.0).abs() < 1e-9);
+        for (scheme, of_square) in [(Scheme::BackwardEuler, 3.0), (Scheme::Midpoint, 12.0)] {
+            let expected = w * w / of_square;
+            assert!((numerical_slowing(scheme, omega, dt) / expected - 1.0).abs() < 0.01, "{scheme:?}");
+        }
         let euler = numerical_damping(Scheme::BackwardEuler, omega, dt);
         assert!((euler * dt - 1.0_f64.hypot(w).ln()).abs() < 1e-15);
         assert_eq!(numerical_damping(Scheme::Midpoint, omega, dt), 0.0);

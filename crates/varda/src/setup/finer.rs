@@ -21,6 +21,8 @@ pub(crate) struct FinerScene {
     pub of_difference: f64,
     /// What was changed, in words.
     pub change: &'static str,
+    /// Its work as a multiple of the scene's own.
+    pub work: f64,
 }
 
 impl Finer {
@@ -54,16 +56,19 @@ pub(crate) fn finer(file: &SceneFile) -> Result<Finer, Invalid> {
     }
     let has_steps = scene.time.window > 0 && scene.time.integrator != Integrator::QuasiStatic;
     let mut first_order = has_steps && scene.time.integrator == Integrator::BackwardEuler;
-    let change = match (&mut scene.model, has_steps) {
+    let (change, work) = match (&mut scene.model, has_steps) {
         (Model::Rod(rod), _) => {
             first_order |= holds_an_edge(rod);
             double(rod)?;
-            if has_steps { "twice the segments and half the step" } else { "twice the segments" }
+            match has_steps {
+                true => ("twice the segments and half the step", 4.0),
+                false => ("twice the segments", 2.0),
+            }
         }
         (model, _) if model.line().is_some() => {
             return Ok(Finer::Without("only a rod is given a finer mesh"));
         }
-        (_, true) => "half the step",
+        (_, true) => ("half the step", 2.0),
         (_, false) => return Ok(Finer::Unwanted),
     };
     if has_steps {
@@ -74,7 +79,7 @@ pub(crate) fn finer(file: &SceneFile) -> Result<Finer, Invalid> {
     scene.report.posterior = false;
     scene.report.forecast = 0.0;
     let of_difference = if first_order { FIRST_ORDER } else { SECOND_ORDER };
-    Ok(Finer::Scene(Box::new(FinerScene { file, of_difference, change })))
+    Ok(Finer::Scene(Box::new(FinerScene { file, of_difference, change, work })))
 }
 
 /// Whether two neighbouring vertices are held, as by the paper's clamp.
