@@ -27,9 +27,9 @@ const EXHIBITS: &[Exhibit] = &[
     Exhibit {
         scene: "soft-arm",
         figure: "snapshots",
-        words: "The modulus comes to 0.1 % from a guess 40 % too low, damping to 1 % from one 67 % too high, \
-                both within their σ, which counts what the mesh does: the same estimate is made with forty \
-                segments and half the step.",
+        words: "The modulus comes to 0.1 % from a guess 40 % too low, damping to 1 % from one 67 % too \
+                high, both within their σ, which counts what the mesh does: the same estimate is made with \
+                forty segments and half the step.",
     },
     Exhibit {
         scene: "cable-between-posts",
@@ -38,7 +38,7 @@ const EXHIBITS: &[Exhibit] = &[
                 Stiffness is not estimated here: a cable that hangs by its ends moves by its tension, and \
                 bending shows in short waves only. Steps of 10 ms slow those, and the estimate makes up for \
                 it by stiffness. With `--set estimate.ei={sigma=\"50%\",together=true}` and \
-                `--set report.mesh=true` the run finds EI 0.0026 ± 0.0006 N m² (it was made with 0.002) and \
+                `--set report.mesh=true` it finds EI 0.0026 ± 0.0006 N m² (it was made with 0.002) and \
                 says that the mesh is what limits it; with steps of 2.5 ms (`time.step`, `time.window`) and \
                 no allowance it finds 0.00210 ± 0.00003. The minimizer ends as stalled at 10 ms: places at \
                 the start that stretch this cable by more than it can make the first step violent, and J is \

@@ -88,10 +88,10 @@ const TEXT: &str = "\
 State and constants are estimated together by 4D-Var from priors that are off, minimizer `auto`, with σ of \
 everything. *Reference*: the constants of the program that made the recording (hose, gripped cable), those \
 that the makers list for theirs (beam, wires). *Worst error*: of the constants, in σ of the observations \
-alone, and in σ with the allowance for the mesh, which is the same estimate with twice the segments and half \
-the step. *Kept back* and *forecast*: distance of markers that were not assimilated, and of all markers \
-after the window, root mean square. *Model runs*: steps of the model in windows; *products*: steps of tangents and adjoints \
-in windows. *CPU s*: of the whole run with posterior and diagnostics, without and with the finer mesh.
+alone, and in σ with the allowance for the mesh, which is the same estimate with twice the segments and \
+half the step. *Kept back* and *forecast*: distance of markers that were not assimilated, and of all markers \
+after the window, root mean square. *Model runs*: steps of the model in windows; *products*: steps of \
+tangents and adjoints in windows. *CPU s*: of the whole run with posterior and diagnostics, without and with the finer mesh.
 
 Other programs: MuJoCo's toolbox of system identification (least squares by finite differences, no state \
 with a prior, no σ of an observation) took on the recording of scene `hose`, in the plane, on a machine of \

@@ -235,8 +235,8 @@ fn background(misfit: &Misfit) -> String {
 
 fn mode(mode: &ModeDamping) -> String {
     format!(
-        "{:.4} Hz, {:.0} steps a period: slowed by {:.2} % and damped by {:.3} 1/s by the integrator, {:.3} 1/s \
-         at most by the material",
+        "{:.4} Hz, {:.0} steps a period: slowed by {:.2} % and damped by {:.3} 1/s by the integrator, \
+         {:.3} 1/s at most by the material",
         mode.frequency,
         mode.steps,
         100.0 * mode.slowed,

@@ -2,6 +2,7 @@
 //! `cargo xtask bench case4`.
 #![allow(clippy::print_stdout)]
 
+mod edges;
 mod report;
 mod runs;
 
@@ -18,11 +19,12 @@ const WORDS: &str = include_str!("words.md");
 
 const HELP: &str = "\
 cargo xtask bench case4 [--seeds N] [--first N] [--threads N] [--priors clamp,plain] [--adam N]
-                        [--only NAME,…] [--again NAME,…] [--out DIR]
+                        [--only NAME,…] [--again NAME,…] [--edges SEED,…] [--out DIR]
     Runs the default, the paper's minimizers and the reference on N seeds (100; Adam on the first 5) of
     either prior and writes DIR/case4.md, .csv and .svg (docs/results). Runs already in
     target/case4/runs.csv are not repeated but for those of --again; --only runs nothing else, and writes
-    no report; --threads 0 runs nothing and reports what is there.
+    no report; --threads 0 runs nothing and reports what is there. --edges looks for
+    the jump of J next to where these seeds end with the plain prior, and writes DIR/case4-edges.md.
 ";
 
 struct Options {
@@ -34,6 +36,8 @@ struct Options {
     adam: u64,
     only: Vec<Way>,
     again: Vec<Way>,
+    /// Seeds beside whose end the jump of J is looked for; nothing else is run.
+    edges: Vec<u64>,
     out: PathBuf,
 }
 
@@ -46,7 +50,14 @@ pub fn run(arguments: &[String]) -> Result<(), Box<dyn Error>> {
         println!("{HELP}");
         return Ok(());
     }
-    study(&options(arguments)?)
+    let options = options(arguments)?;
+    if options.edges.is_empty() {
+        return study(&options);
+    }
+    let page = edges::page(&options.edges)?;
+    std::fs::write(options.out.join("case4-edges.md"), &page)?;
+    println!("{page}");
+    Ok(())
 }
 
 fn options(arguments: &[String]) -> Result<Options, Box<dyn Error>> {
@@ -59,6 +70,7 @@ fn options(arguments: &[String]) -> Result<Options, Box<dyn Error>> {
         adam: 5,
         only: Vec::new(),
         again: Vec::new(),
+        edges: Vec::new(),
         out: top.join("docs/results"),
     };
     let ways = |text: &str| -> Result<Vec<Way>, String> {
@@ -78,6 +90,9 @@ fn options(arguments: &[String]) -> Result<Options, Box<dyn Error>> {
             "--adam" => options.adam = value.parse()?,
             "--only" => options.only = ways(value)?,
             "--again" => options.again = ways(value)?,
+            "--edges" => {
+                options.edges = value.split(',').map(str::parse).collect::<Result<_, _>>()?;
+            }
             "--out" => options.out = value.into(),
             _ => return Err(format!("unknown option {argument}").into()),
         }

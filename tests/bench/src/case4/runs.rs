@@ -17,7 +17,7 @@ use varda_assimilation::{
 };
 
 /// Relative gradient at which every run ends: that of scenes.
-const TOLERANCE: f64 = 1e-8;
+pub(super) const TOLERANCE: f64 = 1e-8;
 /// Draws of the prior from which the reference starts Levenberg–Marquardt.
 const DRAWS: usize = 5;
 /// Curves are sampled at 10^(i/10 − 2.5) s.
@@ -262,7 +262,7 @@ impl Curve {
     }
 }
 
-fn norm(v: &[f64]) -> f64 {
+pub(super) fn norm(v: &[f64]) -> f64 {
     v.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
