@@ -90,8 +90,9 @@ everything. *Reference*: the constants of the program that made the recording (h
 that the makers list for theirs (beam, wires). *Worst error*: of the constants, in σ of the observations \
 alone, and in σ with the allowance for the mesh, which is the same estimate with twice the segments and \
 half the step. *Kept back* and *forecast*: distance of markers that were not assimilated, and of all markers \
-after the window, root mean square. *Model runs*: steps of the model in windows; *products*: steps of \
-tangents and adjoints in windows. *CPU s*: of the whole run with posterior and diagnostics, without and with the finer mesh.
+after the window, root mean square. *Model runs*: steps of the model in windows; *products*: steps \
+of tangents and adjoints in windows. *CPU s*: of the whole run with posterior and diagnostics, without and \
+with the finer mesh.
 
 Other programs: MuJoCo's toolbox of system identification (least squares by finite differences, no state \
 with a prior, no σ of an observation) took on the recording of scene `hose`, in the plane, on a machine of \
