@@ -16,9 +16,10 @@ skip() {
 
 # mpicc finds headers and libraries, libclang reads them.
 have() {
-    command -v mpicc >/dev/null && command -v mpirun >/dev/null &&
-        { [ -n "${LIBCLANG_PATH:-}" ] || ls /usr/lib/llvm*/lib/libclang*.so* /usr/lib*/libclang*.so* \
-            /usr/lib/*/libclang*.so* >/dev/null 2>&1; }
+    local library
+    library=${LIBCLANG_PATH:-$(find /usr/lib /usr/lib64 /usr/local/lib \
+        \( -name 'libclang.so*' -o -name 'libclang-[0-9]*.so*' \) -print -quit 2>/dev/null || true)}
+    command -v mpicc >/dev/null && command -v mpirun >/dev/null && [ -n "$library" ]
 }
 if ! have && [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
     { apt-get update -qq && apt-get install -y -qq openmpi-bin libopenmpi-dev libclang-dev; } >/dev/null 2>&1 ||

@@ -43,7 +43,7 @@ fn main() -> ExitCode {
         eprintln!("error: MPI cannot be initialized");
         return ExitCode::FAILURE;
     };
-    let world = Rc::new(World::new(universe));
+    let world = Rc::new(World::new(universe, counts));
     if !is_known {
         if ranks::Ranks::rank(&*world) == 0 {
             eprint!("{USAGE}");
@@ -81,10 +81,10 @@ fn said(panic: &(dyn Any + Send)) -> String {
 }
 
 fn sent(tally: &Tally) -> String {
-    let Tally { ranks, gathers, bytes, longest, shortest } = tally;
+    let Tally { ranks, gathers, bytes, longest, shortest, busiest, idlest } = tally;
     format!(
         "{ranks} ranks, {gathers} gathers, {} messages a rank, {bytes} bytes received by each; {shortest:.3} to \
-         {longest:.3} s a rank in gathers",
+         {longest:.3} s a rank in gathers, {idlest:.3} to {busiest:.3} CPU s outside",
         2 * gathers * (ranks - 1)
     )
 }

@@ -18,6 +18,10 @@ pub(crate) struct World {
     gathers: Cell<usize>,
     bytes: Cell<usize>,
     waited: Cell<Duration>,
+    /// Whether CPU seconds are read.
+    counts: bool,
+    /// CPU seconds in gathers.
+    idle: Cell<f64>,
 }
 
 /// What a rank says before a gather: what it is about to do, a checksum of what its numbers follow from, and
@@ -39,16 +43,24 @@ pub(crate) struct Tally {
     pub(crate) longest: f64,
     /// Of the one that waited least \[s\].
     pub(crate) shortest: f64,
+    /// CPU seconds outside of gathers, of the rank with most and of the one with least; NaN where the system
+    /// does not tell them.
+    pub(crate) busiest: f64,
+    /// See there.
+    pub(crate) idlest: f64,
 }
 
 impl World {
-    pub(crate) fn new(universe: Universe) -> Self {
+    /// `counts` says whether CPU seconds are read, some microseconds a gather.
+    pub(crate) fn new(universe: Universe, counts: bool) -> Self {
         World {
             communicator: universe.world(),
             universe: RefCell::new(Some(universe)),
             gathers: Cell::new(0),
             bytes: Cell::new(0),
             waited: Cell::new(Duration::ZERO),
+            counts,
+            idle: Cell::new(0.0),
         }
     }
 
@@ -59,16 +71,27 @@ impl World {
         if headers.iter().any(|header| header[0] != ENDS) {
             self.give_up(&headers, failure);
         }
-        let mut waited = vec![0.0; self.count()];
-        self.communicator.all_gather_into(&self.waited.get().as_secs_f64(), &mut waited[..]);
+        let mine = [self.waited.get().as_secs_f64(), self.cpu() - self.idle.get()];
+        let mut all = vec![0.0; mine.len() * self.count()];
+        self.communicator.all_gather_into(&mine[..], &mut all[..]);
         self.universe.take();
+        let of = |i: usize, start: f64, f: fn(f64, f64) -> f64| {
+            all.iter().skip(i).step_by(2).copied().fold(start, f)
+        };
         Tally {
-            ranks: waited.len(),
+            ranks: all.len() / mine.len(),
             gathers: self.gathers.get(),
             bytes: self.bytes.get(),
-            longest: waited.iter().copied().fold(0.0, f64::max),
-            shortest: waited.iter().copied().fold(f64::INFINITY, f64::min),
+            longest: of(0, 0.0, f64::max),
+            shortest: of(0, f64::INFINITY, f64::min),
+            busiest: of(1, f64::NAN, f64::max),
+            idlest: of(1, f64::NAN, f64::min),
         }
+    }
+
+    /// CPU seconds of this process, where Linux tells them and they are asked for.
+    fn cpu(&self) -> f64 {
+        if self.counts { cpu_seconds().unwrap_or(f64::NAN) } else { f64::NAN }
     }
 
     /// The headers of all ranks.
@@ -132,7 +155,7 @@ impl Ranks for World {
     }
 
     fn all_gather(&self, inputs: &[f64], mine: &[f64]) -> Vec<f64> {
-        let started = Instant::now();
+        let (started, cpu) = (Instant::now(), self.cpu());
         let headers = self.say([GATHERS, checksum(inputs), mine.len() as u64]);
         if headers.iter().any(|header| header[..2] != headers[0][..2] || header[0] != GATHERS) {
             self.give_up(&headers, None);
@@ -146,8 +169,19 @@ impl Ranks for World {
         self.gathers.set(self.gathers.get() + 1);
         self.bytes.set(self.bytes.get() + 8 * all.len() + size_of::<Header>() * headers.len());
         self.waited.set(self.waited.get() + started.elapsed());
+        self.idle.set(self.idle.get() + self.cpu() - cpu);
         all
     }
+}
+
+/// CPU seconds of the threads of this process.
+fn cpu_seconds() -> Option<f64> {
+    let mut nanoseconds = 0;
+    for thread in std::fs::read_dir("/proc/self/task").ok()?.flatten() {
+        let text = std::fs::read_to_string(thread.path().join("schedstat")).ok()?;
+        nanoseconds += text.split_whitespace().next()?.parse::<u64>().ok()?;
+    }
+    Some(1e-9 * nanoseconds as f64)
 }
 
 /// Why a job ends, a line for each rank at fault; one for all where they say the same. `told` are host and

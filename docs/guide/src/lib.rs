@@ -30,6 +30,8 @@ pub mod methods {}
 pub mod report {}
 #[doc = include_str!("../sweeps.md")]
 pub mod sweeps {}
+#[doc = include_str!("../many-hosts.md")]
+pub mod many_hosts {}
 #[doc = include_str!("../gallery/README.md")]
 pub mod gallery {
     #[doc = include_str!("../gallery/hose.md")]
