@@ -27,9 +27,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     let samples: usize = std::env::args().nth(1).map_or(Ok(5), |text| text.parse())?;
     let out = std::env::temp_dir().join(format!("varda-mpi-scaling-{}", std::process::id()));
     println!(
-        "| job | ranks | s, least | median | minimization, least | median | CPU s of a rank, least | median | RMSE (m) | sent |"
+        "| job | ranks | s, least | median | minimization, least | median | CPU s of a rank, least | median \
+         | RMSE (m) | sent |"
     );
-    println!("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | --- |");
+    println!("|{} --- |", " --- |".repeat(9));
     for name in ["strong", "weak", "sweep"] {
         for ranks in RANKS {
             let members = if name == "weak" { 20 * ranks - 1 } else { 39 };
@@ -52,7 +53,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             let (busiest, busy) = of(|s| s.busiest);
             let last = &all[samples - 1];
             println!(
-                "| {name} | {ranks} | {whole:.3} | {median:.3} | {least:.3} | {middle:.3} | {busiest:.3} | {busy:.3} | {:.10} | {} |",
+                "| {name} | {ranks} | {whole:.3} | {median:.3} | {least:.3} | {middle:.3} | {busiest:.3} | \
+                 {busy:.3} | {:.10} | {} |",
                 last.error, last.counts
             );
         }

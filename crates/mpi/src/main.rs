@@ -83,8 +83,8 @@ fn said(panic: &(dyn Any + Send)) -> String {
 fn sent(tally: &Tally) -> String {
     let Tally { ranks, gathers, bytes, longest, shortest, busiest, idlest } = tally;
     format!(
-        "{ranks} ranks, {gathers} gathers, {} messages a rank, {bytes} bytes received by each; {shortest:.3} to \
-         {longest:.3} s a rank in gathers, {idlest:.3} to {busiest:.3} CPU s outside",
+        "{ranks} ranks, {gathers} gathers, {} messages a rank, {bytes} bytes received by each; \
+         {shortest:.3} to {longest:.3} s a rank in gathers, {idlest:.3} to {busiest:.3} CPU s outside",
         2 * gathers * (ranks - 1)
     )
 }
