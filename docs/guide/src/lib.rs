@@ -108,6 +108,8 @@ pub mod results {
     pub mod instructions {}
     #[doc = include_str!("../../results/leftout.md")]
     pub mod leftout {}
+    #[doc = include_str!("../../results/mpi.md")]
+    pub mod mpi {}
     #[doc = include_str!("../../results/lorenz96-cycling.md")]
     pub mod lorenz96_cycling {}
     #[doc = include_str!("../../results/scaling.md")]
