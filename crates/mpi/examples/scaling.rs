@@ -1,4 +1,5 @@
-//! Seconds of jobs of 1, 2 and 4 ranks, as a table: `cargo run --release --example scaling [SAMPLES]`.
+//! Seconds of jobs of 1, 2 and 4 ranks, as a table: `cargo build`, then
+//! `cargo run --example scaling [SAMPLES]`, both with `--release` or without.
 //!
 //! *strong*: the same ensemble on all; *weak*: twenty runs a rank; *sweep*: twenty runs of a study.
 
