@@ -11,7 +11,7 @@ const WITHOUT: [(&str, &[&str]); 6] = [
     ("varda-implicit", &["nalgebra", "sprs", "ndarray", "rand", "serde"]),
     ("varda-rod", &["sprs", "ndarray", "rand", "serde"]),
     ("varda-assimilation", &["nalgebra", "sprs", "ndarray", "argmin", "serde", "varda-rod"]),
-    ("varda", &["openssl-sys"]),
+    ("varda", &["openssl-sys", "pyo3", "mpi", "mpi-sys"]),
 ];
 
 pub(crate) fn check() -> Result<(), String> {

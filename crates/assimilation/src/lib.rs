@@ -114,6 +114,7 @@ mod outer_loop;
 mod posterior;
 mod posterior_lanczos;
 mod propagate;
+pub mod ranks;
 mod sensitivity;
 mod weak_posterior;
 

@@ -30,6 +30,8 @@ pub mod methods {}
 pub mod report {}
 #[doc = include_str!("../sweeps.md")]
 pub mod sweeps {}
+#[doc = include_str!("../many-hosts.md")]
+pub mod many_hosts {}
 #[doc = include_str!("../gallery/README.md")]
 pub mod gallery {
     #[doc = include_str!("../gallery/hose.md")]
@@ -106,6 +108,8 @@ pub mod results {
     pub mod instructions {}
     #[doc = include_str!("../../results/leftout.md")]
     pub mod leftout {}
+    #[doc = include_str!("../../results/mpi.md")]
+    pub mod mpi {}
     #[doc = include_str!("../../results/lorenz96-cycling.md")]
     pub mod lorenz96_cycling {}
     #[doc = include_str!("../../results/scaling.md")]

@@ -5,12 +5,12 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 
-use varda_assimilation::Departures;
+use varda_assimilation::{CycleState, Departures, ranks};
 
 use crate::Error;
-use crate::outcome::{CyclesOutcome, Status};
+use crate::outcome::{CycleRow, CyclesOutcome, Status};
 use crate::report;
-use crate::report::checkpoint::{Checkpoint, Resumed};
+use crate::report::checkpoint::{self, Checkpoint, Resumed};
 use crate::run::cycles::{CycleListener, Sequence};
 use crate::scene::SceneFile;
 use crate::setup::files::InputFile;
@@ -37,15 +37,9 @@ pub(super) fn run(
     options: RunOptions,
     started: Instant,
 ) -> Result<ExitCode, Error> {
-    let SequenceStart { file, files, folder, resumed } = start;
-    let RunOptions { shown, strict, .. } = options;
-    let Resumed { mut checkpoint, state, done } = match resumed {
-        Some(resumed) => resumed,
-        None => {
-            let checkpoint = Checkpoint::begin(folder, file, files)?;
-            Resumed { checkpoint, state: None, done: Vec::new() }
-        }
-    };
+    let folder = start.folder;
+    let RunOptions { shown, strict, resume } = options;
+    let (mut checkpoint, state, done) = begin(start, resume)?;
     let resumed = done.len();
     let count = sequence.cycles.count;
     let start = sequence.start();
@@ -60,7 +54,7 @@ pub(super) fn run(
     let mut listener = CycleListener {
         on_cycle: Box::new(|row, after| {
             progress.cycle(row, resumed, count);
-            checkpoint.store(row, after)
+            checkpoint.as_mut().map_or(Ok(()), |checkpoint| checkpoint.store(row, after))
         }),
         interrupted: Box::new(interrupted),
         started,
@@ -72,15 +66,18 @@ pub(super) fn run(
         Err(error) => {
             // No window was done: there is nothing to resume.
             if !matches!(error, Error::Write { .. }) {
-                checkpoint.remove()?;
+                checkpoint.map_or(Ok(()), Checkpoint::remove)?;
             }
             return Err(error);
         }
     };
     progress.finish();
-    let folder = report::write_cycles(&outcome, folder)?;
+    let folder = match ranks::is_first() {
+        true => report::write_cycles(&outcome, folder)?,
+        false => folder.to_path_buf(),
+    };
     if outcome.cycles.len() == count || outcome.status == Status::Failed {
-        checkpoint.remove()?;
+        checkpoint.map_or(Ok(()), Checkpoint::remove)?;
     }
     match shown {
         Shown::Nothing => {}
@@ -91,7 +88,9 @@ pub(super) fn run(
         Shown::Json => style::line(format_args!("{:#}", report::summary_of_cycles(&outcome))),
     }
     if outcome.status == Status::Failed {
-        style::message(outcome.failure.as_deref().unwrap_or("a minimization failed"));
+        if ranks::is_first() {
+            style::message(outcome.failure.as_deref().unwrap_or("a minimization failed"));
+        }
         return Ok(ExitCode::FAILURE);
     }
     if outcome.status == Status::Interrupted && shown == Shown::Table {
@@ -99,6 +98,28 @@ pub(super) fn run(
     }
     let warned = strict && !outcome.warnings.is_empty();
     Ok(exit::code(&outcome.judgement, outcome.status, outcome.late, warned))
+}
+
+/// The checkpoint, which the first of several processes keeps, and where the sequence starts.
+fn begin(
+    start: SequenceStart,
+    resume: bool,
+) -> Result<(Option<Checkpoint>, Option<CycleState>, Vec<CycleRow>), Error> {
+    let SequenceStart { file, files, folder, resumed } = start;
+    let (checkpoint, state, done) = match resumed {
+        Some(Resumed { checkpoint, state, done }) => (Some(checkpoint), state, done),
+        None if ranks::is_first() => (Some(Checkpoint::begin(folder, file, files)?), None, Vec::new()),
+        None => (None, None, Vec::new()),
+    };
+    if !resume || ranks::current().is_none() {
+        return Ok((checkpoint, state, done));
+    }
+    let said = ranks::said_by_first(checkpoint::to_text(state.as_ref(), &done));
+    let (state, done) = checkpoint::from_text(&said).map_err(|e| {
+        let reason = format!("what the first process has read cannot be read: {e}");
+        Error::Resume { path: Checkpoint::folder(folder), reason }
+    })?;
+    Ok((checkpoint, state, done))
 }
 
 fn table(o: &CyclesOutcome, folder: &Path, seconds: f64) -> String {

@@ -1,4 +1,4 @@
-//! Exit codes; clap itself ends with 2.
+//! Exit codes.
 
 use std::process::ExitCode;
 
@@ -6,6 +6,8 @@ use crate::outcome::{Judgement, Status, Verdict};
 
 /// An error, or nothing was observed.
 const ERROR: u8 = 1;
+/// Arguments that make no sense.
+pub(super) const USAGE: u8 = 2;
 /// The analysis does not explain the observations.
 const DOES_NOT_FIT: u8 = 3;
 /// The minimization did not come to its minimum.

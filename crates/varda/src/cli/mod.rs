@@ -14,6 +14,7 @@ mod style;
 mod sweep;
 mod table;
 
+use std::ffi::OsString;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -23,6 +24,7 @@ use std::time::Instant;
 
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
+use varda_assimilation::ranks;
 use varda_linalg::interrupt::{self, Ends};
 
 use crate::Error;
@@ -203,10 +205,32 @@ impl SceneArguments {
     }
 }
 
-/// Runs the program: parses the arguments, does what they say, prints one message on error.
+/// Runs the program: parses its arguments, does what they say, prints one message on error.
 pub fn main() -> ExitCode {
+    run(std::env::args_os()).unwrap_or_else(|error| {
+        style::error(&error);
+        ExitCode::FAILURE
+    })
+}
+
+/// Does what the arguments say, the first of which names the program. Where several processes share the work
+/// ([`ranks::within`]), rank 0 prints and writes: commands `run` and `sweep`.
+///
+/// # Errors
+/// As the command has them; nothing is printed of them.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> Result<ExitCode, Error> {
     let started = Instant::now();
-    let done = match Cli::parse().command {
+    let parsed = match Cli::try_parse_from(arguments) {
+        Ok(parsed) => parsed,
+        // a text that was asked for is one of these errors
+        Err(error) => {
+            if ranks::is_first() {
+                let _ = error.print();
+            }
+            return Ok(ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(exit::USAGE)));
+        }
+    };
+    match parsed.command {
         Command::Run { scene, out, quiet, json, strict, resume } => {
             let options = RunOptions { shown: Shown::of(quiet, json), strict, resume };
             run_scene(&scene, out.as_deref(), options, started)
@@ -247,11 +271,13 @@ pub fn main() -> ExitCode {
             style::print(&manual::man::<Cli>(command.as_deref()));
             Ok(ExitCode::SUCCESS)
         }
-    };
-    done.unwrap_or_else(|error| {
-        style::error(&error);
-        ExitCode::FAILURE
-    })
+    }
+}
+
+/// Whether several processes share the work. Each must do what the others do: a signal, or an end of the time
+/// allowed, would be heard by one before the other.
+fn is_shared() -> bool {
+    ranks::current().is_some_and(|ranks| ranks.count() > 1)
 }
 
 /// Becomes true at Ctrl-C, SIGTERM or SIGHUP; the run then ends with the result so far. A second signal ends
@@ -278,8 +304,9 @@ enum Shown {
 }
 
 impl Shown {
+    /// What the first of several processes prints; the others print nothing.
     fn of(quiet: bool, json: bool) -> Shown {
-        match (quiet, json) {
+        match (quiet || !ranks::is_first(), json) {
             (true, _) => Shown::Nothing,
             (false, true) => Shown::Json,
             (false, false) => Shown::Table,
@@ -306,9 +333,15 @@ fn run_scene(
     let quiet = shown == Shown::Nothing;
     let file = arguments.open()?;
     let folder = out.map_or_else(|| Path::new("out").join(&file.name), Path::to_path_buf);
-    refuse_occupied(&folder, quiet)?;
+    if is_shared() {
+        refuse_unshared(&file)?;
+    }
+    if ranks::is_first() {
+        refuse_occupied(&folder, quiet)?;
+    }
 
-    let stop = stop_on_signals();
+    // of several processes a signal ends all, by its default
+    let stop = if is_shared() { Arc::default() } else { stop_on_signals() };
     let mut progress = ProgressDisplay::new(quiet, started, file.scene.limits.seconds);
     let interrupted = || stop.load(Ordering::SeqCst);
     let flag = Arc::clone(&stop);
@@ -324,7 +357,10 @@ fn run_scene(
     let said = if quiet { String::new() } else { preview::in_short(&inputs) };
     if let Some(settings) = &file.scene.algorithm.cycles {
         // Before anything is run: the scene or its files may have changed since the run began.
-        let resumed = if resume { Some(Checkpoint::resume(&folder, &file, &inputs.files)?) } else { None };
+        let resumed = match resume && ranks::is_first() {
+            true => Some(Checkpoint::resume(&folder, &file, &inputs.files)?),
+            false => None,
+        };
         let files = inputs.files.clone();
         let sequence = Sequence::new(settings.clone(), inputs)?;
         eprint!("{said}");
@@ -351,7 +387,7 @@ fn run_scene(
     let outcome = assimilate(&problem, &mut listener)?;
     drop(listener);
     progress.finish();
-    let folder = report::write(&outcome, &folder)?;
+    let folder = if ranks::is_first() { report::write(&outcome, &folder)? } else { folder };
     match shown {
         Shown::Nothing => {}
         Shown::Table => style::table(
@@ -366,10 +402,29 @@ fn run_scene(
 fn exit_code(outcome: &Outcome, strict: bool) -> ExitCode {
     if outcome.status == Status::Failed {
         let reason = outcome.failure.as_ref().map(ToString::to_string);
-        style::message(reason.as_deref().unwrap_or("the minimizer failed"));
+        if ranks::is_first() {
+            style::message(reason.as_deref().unwrap_or("the minimizer failed"));
+        }
         return ExitCode::FAILURE;
     }
     exit::code(&outcome.judgement, outcome.status, outcome.late, strict && !outcome.warnings.is_empty())
+}
+
+/// Refuses what several processes would not do alike, or of which they would share nothing.
+fn refuse_unshared(file: &SceneFile) -> Result<(), Error> {
+    if file.has_recordings() {
+        return Err(file.invalid("recordings", "several processes share nothing of a scene of recordings"));
+    }
+    if file.scene.limits.seconds.is_some() {
+        let message = "several processes have no clock in common: the limit cannot be kept";
+        return Err(file.invalid("limits.seconds", message));
+    }
+    if !file.scene.algorithm.method.is_ensemble() {
+        let message = "several processes share the members of an ensemble, or the runs of a sweep; this \
+                       method has neither";
+        return Err(file.invalid("algorithm.method", message));
+    }
+    Ok(())
 }
 
 /// Refuses an occupied folder before the work, not after it; reports what killed runs had left there.

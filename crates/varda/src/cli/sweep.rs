@@ -7,6 +7,7 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use clap::Args;
+use varda_assimilation::ranks::{self, Ranks};
 
 use super::exit::INTERRUPTED;
 use super::progress::ProgressDisplay;
@@ -14,7 +15,7 @@ use super::{Shown, stop_on_signals, style};
 use crate::Error;
 use crate::report::{summary_of_sweep, write_sweep};
 use crate::sweep::grid::{Part, Plan};
-use crate::sweep::runs::{Study, merge, records};
+use crate::sweep::runs::{Progress, Study, begin, merge, records};
 use crate::sweep::table::{Mean, Table};
 
 /// Most combinations in a table; sweep-means.csv has all.
@@ -61,6 +62,9 @@ pub(super) fn run(arguments: &SweepArguments, started: Instant) -> Result<ExitCo
     let shown = Shown::of(arguments.quiet, arguments.json);
     let Some(scene) = &arguments.scene else {
         let out = arguments.out.as_ref().unwrap_or(&arguments.merge[0]);
+        if !ranks::is_first() {
+            return Ok(ExitCode::SUCCESS);
+        }
         let plan = merge(&arguments.merge, out)?;
         return finish(&plan, out, shown);
     };
@@ -74,8 +78,9 @@ pub(super) fn run(arguments: &SweepArguments, started: Instant) -> Result<ExitCo
         reason,
     })?;
     let cores = || std::thread::available_parallelism().map_or(1, usize::from);
-    let study = Study {
+    let mut study = Study {
         program: &program,
+        leading: &[],
         scene,
         plan: &plan,
         part,
@@ -83,18 +88,26 @@ pub(super) fn run(arguments: &SweepArguments, started: Instant) -> Result<ExitCo
         jobs: arguments.jobs.unwrap_or_else(cores),
         fresh: arguments.fresh,
     };
+    let ranks = ranks::current();
+    if let Some(ranks) = &ranks {
+        divide(&mut study, &**ranks, arguments.jobs)?;
+    }
     let stop = stop_on_signals();
-    let mut display = ProgressDisplay::new(arguments.quiet, started, None);
+    let mut display = ProgressDisplay::new(shown == Shown::Nothing, started, None);
     let ended = study.run(&mut |now| display.sweep(&now), &|| stop.load(Ordering::SeqCst))?;
     display.finish();
+    let ended = ranks.map_or(ended, |ranks| of_all(&*ranks, ended));
     if ended.done < ended.count {
-        if !arguments.quiet {
+        if shown != Shown::Nothing {
             eprintln!(
                 "interrupted after {} of {} runs; the same command does the others",
                 ended.done, ended.count
             );
         }
         return Ok(ExitCode::from(INTERRUPTED));
+    }
+    if !ranks::is_first() {
+        return Ok(ExitCode::SUCCESS);
     }
     if part != Part::WHOLE {
         if shown == Shown::Table {
@@ -111,6 +124,32 @@ pub(super) fn run(arguments: &SweepArguments, started: Instant) -> Result<ExitCo
         return Ok(ExitCode::SUCCESS);
     }
     finish(&plan, &folder, shown)
+}
+
+/// Gives a process its part of a study, and one run at a time: a rank is a place for a run. The first makes
+/// the folder, before another looks for it.
+fn divide(study: &mut Study, ranks: &dyn Ranks, jobs: Option<usize>) -> Result<(), Error> {
+    if study.part != Part::WHOLE {
+        let message = "several processes divide the whole sweep among themselves".into();
+        return Err(Error::Scene { place: "--part".into(), message, excerpt: String::new() });
+    }
+    if ranks.rank() == 0 {
+        begin(study.folder, study.plan, Part::WHOLE, study.fresh)?;
+    }
+    ranks.all_gather(&[], &[]);
+    study.part = Part { which: ranks.rank() + 1, of: ranks.count() };
+    study.fresh = false;
+    study.jobs = jobs.unwrap_or(1);
+    study.leading = &["alone"];
+    Ok(())
+}
+
+/// How far all processes have come.
+fn of_all(ranks: &dyn Ranks, of_this: Progress) -> Progress {
+    let Progress { done, before, count, failures } = of_this;
+    let all = ranks.all_gather(&[], &[done, before, count, failures].map(|n| n as f64));
+    let sum = |i: usize| all.iter().skip(i).step_by(4).sum::<f64>() as usize;
+    Progress { done: sum(0), before: sum(1), count: sum(2), failures: sum(3) }
 }
 
 /// Writes and prints the tables of a study whose runs have all ended.

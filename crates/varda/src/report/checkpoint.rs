@@ -142,14 +142,15 @@ impl Checkpoint {
             if done.len() != written.next {
                 return Err(refuse("cycles.jsonl has fewer rows than state.json says"));
             }
-            let Stored { next, background, columns, .. } = written;
+            let after = written.state();
+            let CycleState { background, columns, .. } = &after;
             let n = background.len();
             let fits = |row: &CycleRow| row.background.len() == n && row.analysis.len() == n;
-            let finite = background.iter().chain(&columns).all(|x| x.is_finite());
+            let finite = background.iter().chain(columns).all(|x| x.is_finite());
             if n == 0 || columns.len() % n != 0 || !finite || !done.iter().all(fits) {
                 return Err(refuse("state.json and cycles.jsonl do not fit one another"));
             }
-            state = Some(CycleState { next, background, columns });
+            state = Some(after);
         }
         rows.set_len(length).and_then(|()| rows.seek(std::io::SeekFrom::End(0))).map_err(failed)?;
         Ok(Resumed { checkpoint: Checkpoint { folder, rows, _lock: lock }, state, done })
@@ -165,13 +166,7 @@ impl Checkpoint {
         self.rows
             .write_all(line.as_bytes())
             .map_err(|reason| Error::Write { path: self.folder.join("cycles.jsonl"), reason })?;
-        let stored = Stored {
-            version: env!("CARGO_PKG_VERSION").to_string(),
-            next: state.next,
-            background: state.background.clone(),
-            columns: state.columns.clone(),
-        };
-        replace(&self.folder, "state.json", &json(&stored))
+        replace(&self.folder, "state.json", &json(&Stored::of(state)))
     }
 
     /// Removes the folder: its run is finished.
@@ -181,6 +176,35 @@ impl Checkpoint {
     pub fn remove(self) -> Result<(), Error> {
         std::fs::remove_dir_all(&self.folder)
             .map_err(|reason| Error::Write { path: self.folder.clone(), reason })
+    }
+}
+
+/// The rows of the finished windows and the state after them as a text, for processes that share the run.
+pub fn to_text(state: Option<&CycleState>, done: &[CycleRow]) -> String {
+    json(&(state.map(Stored::of), done))
+}
+
+/// What [`to_text`] has written.
+///
+/// # Errors
+/// What serde says of another text.
+pub fn from_text(text: &str) -> Result<(Option<CycleState>, Vec<CycleRow>), serde_json::Error> {
+    let (state, done): (Option<Stored>, Vec<CycleRow>) = stored(text)?;
+    Ok((state.map(Stored::state), done))
+}
+
+impl Stored {
+    fn of(state: &CycleState) -> Stored {
+        Stored {
+            version: env!("CARGO_PKG_VERSION").to_string(),
+            next: state.next,
+            background: state.background.clone(),
+            columns: state.columns.clone(),
+        }
+    }
+
+    fn state(self) -> CycleState {
+        CycleState { next: self.next, background: self.background, columns: self.columns }
     }
 }
 

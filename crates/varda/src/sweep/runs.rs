@@ -69,6 +69,8 @@ pub struct Progress {
 pub struct Study<'a> {
     /// The program `varda`.
     pub program: &'a Path,
+    /// What stands before `run` in its arguments.
+    pub leading: &'a [&'a str],
     /// The scene as the program is given it.
     pub scene: &'a str,
     /// Which runs there are.
@@ -156,7 +158,7 @@ impl Study<'_> {
         let messages = folder.join(MESSAGES);
         let stderr = File::create(&messages).map_err(failed(&messages))?;
         let mut command = Command::new(self.program);
-        command.arg("run").arg(self.scene);
+        command.args(self.leading).arg("run").arg(self.scene);
         run.settings.iter().for_each(|setting| {
             command.arg("--set").arg(setting);
         });
@@ -271,8 +273,12 @@ const WORK: &str = "work";
 const RESULT: &str = "result";
 const MESSAGES: &str = "stderr";
 
-/// Makes the folder of a study, or finds it: the same study goes on.
-fn begin(folder: &Path, plan: &Plan, part: Part, fresh: bool) -> Result<(), Error> {
+/// Makes the folder of a study, or finds it: the same study goes on, its runs of this part once more where
+/// `fresh`.
+///
+/// # Errors
+/// [`Error::Occupied`], [`Error::Sweep`] where the folder holds another study, [`Error::Write`].
+pub fn begin(folder: &Path, plan: &Plan, part: Part, fresh: bool) -> Result<(), Error> {
     // Another share may be about to write its plan.
     let is_plan = |name: &OsStr| name.to_string_lossy().starts_with(&format!(".{PLAN}."));
     let is_new = match std::fs::read_dir(folder) {
