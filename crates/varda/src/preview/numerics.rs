@@ -70,8 +70,8 @@ pub fn numerical_damping(scheme: Scheme, omega: f64, dt: f64) -> f64 {
 }
 
 /// The share of its frequency that a scheme takes of ẍ = −ω²x with steps Δt: 1 − arg z/(ωΔt), with
-/// z of [`numerical_damping`]. For small ωΔt it is (ωΔt)²/3 for backward Euler and BDF2, (ωΔt)²/12 for
-/// the midpoint rule.
+/// z of [`numerical_damping`]. For small ωΔt it is (ωΔt)²/3 for backward Euler and BDF2, and
+/// (ωΔt)²/12 for the midpoint rule.
 ///
 /// ```
 /// use varda::preview::numerical_slowing;
