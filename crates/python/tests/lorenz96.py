@@ -4,10 +4,10 @@ import numpy as np
 
 
 class Lorenz96:
-    """Lorenz's ring (Lorenz 1996) by the classical Runge-Kutta method, with tangent and adjoint of one vector
-    or, where it is `batched`, of the rows of an array."""
+    """Lorenz's ring (Lorenz 1996) by the classical Runge-Kutta method, with tangent and adjoint of the
+    rows of an array or, where it is not `batched`, of one vector."""
 
-    batched = False
+    batched = True
 
     def __init__(self, step=0.025, forcing=8.0):
         self.dt, self.forcing = step, forcing
