@@ -80,7 +80,7 @@ plt.plot(later["time_s"], later["z_m"], "r.", ms=3, label="recorded later")
 plt.axvline(1.0, color="grey", lw=1)
 plt.xlabel("time (s)")
 plt.ylabel("z of the tip (m)")
-plt.legend();
+plt.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0));
 
 # %%
 at = np.interp(later["time_s"], result.time, result.positions[:, -1, 2])

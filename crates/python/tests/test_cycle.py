@@ -212,7 +212,7 @@ def test_exceptions_come_out_as_themselves():
         ("does not go with method", {"carry": "propagated", "method": "4denvar"}),
         ('inflation "adaptive" is that of an ensemble', {"inflation": "adaptive"}),
         ("a number or", {"inflation": "much"}),
-        ("none of square-root", {"update": "none"}),
+        ("square-root or", {"update": "none"}),
         ("inflation", {"method": "4denvar", "inflation": -1.0}),
         ("Q beside a static B", {"model_error": 0.1}),
     ],

@@ -49,12 +49,14 @@ def assimilate(
 
     - "4dvar", "4dvar-incremental", "4d-psas", "blue" (the closed form, linearized once);
     - "3dvar", "3dvar-incremental", "psas": observations at step 0 only; `model` may be None;
-    - "weak-forcing", "weak-state": the model errs, x_{k+1} = M_k(x_k) + η_j, and its errors are estimated with
-      ½ Σ_j ‖η_j‖²_{Q⁻¹} in J. `model_error` is Q, given as B is, or a `Forcing` that says when and where;
+    - "weak-forcing", "weak-state": the model errs, x_{k+1} = M_k(x_k) + η_j, and its errors are estimated
+      with ½ Σ_j ‖η_j‖²_{Q⁻¹} in J. `model_error` is Q, given as B is, or a `Forcing` that says when and
+      where;
     - "4denvar", "hybrid-4denvar": forward runs of an ensemble in the place of tangent and adjoint.
 
-    `minimizer`, for "4dvar", "3dvar" and "weak-forcing": "trust-region", "gauss-newton-cg", "newton", "lbfgs",
-    "adam", "auto". `robust`, for "4dvar" and "3dvar": departures beyond so many σ count linearly (Huber).
+    `minimizer`, for "4dvar", "3dvar" and "weak-forcing": "trust-region", "gauss-newton-cg", "newton",
+    "lbfgs", "adam", "auto". `robust`, for "4dvar" and "3dvar": departures beyond so many σ count linearly
+    (Huber).
     `steps` is the length of the window; without it the window ends at the last observation. Up to some
     thousand unknowns; `posterior=False` leaves out the posterior, n tangent or m adjoint sweeps.
 
@@ -76,7 +78,7 @@ def assimilate(
         )
     if model_error is not None and not method.startswith("weak-"):
         raise _core.AssimilationError(
-            f"method {method!r} takes the model to be right: model_error goes with weak-forcing and weak-state"
+            f"method {method!r} takes the model to be right: model_error goes with weak-forcing, weak-state"
         )
     problem = {
         "background": x_b.tolist(),
@@ -183,8 +185,8 @@ class Analysis:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """P_a, n × n: the inverse of the Gauss-Newton Hessian at the analysis, errors of the model integrated
-        out. Not for an ensemble of more than 2000 directions (members × rank of the localization)."""
+        """P_a, n × n: the inverse of the Gauss-Newton Hessian at the analysis, errors of the model
+        integrated out. Not for an ensemble of more than 2000 directions (members × rank of the localization)."""
         return self._analysis.covariance()
 
     def draws(self, count: int, seed: int = 0) -> np.ndarray:

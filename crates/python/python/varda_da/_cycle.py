@@ -186,17 +186,17 @@ def cycle(
     n = len(x_b)
     window, shift = int(window), int(max(window, 1) if shift is None else shift)
     if window < 0 or shift < 1 or (window > 0 and shift > window + 1):
-        raise _core.AssimilationError(f"windows of {window} steps, {shift} apart: 1 to the window + 1 apart")
+        raise _core.AssimilationError(f"windows of {window} steps, {shift} apart: from 1 to the window + 1")
     seen = [_problem.observation(i, n, *one) for i, one in enumerate(observations)]
     last = max((one["step"] for one in seen), default=0)
     if count is None:
         count = 1 + max(0, -((window - last) // shift) if window else last // shift)
-    used = [len(_windows_of(one["step"], window, shift, count)) > 0 for one in seen]
+    used = [bool(_windows_of(one["step"], window, shift, count)) for one in seen]
     if not all(used):
         unused = sum(len(one["values"]) for one, inside in zip(seen, used) if not inside)
         warnings.warn(f"{unused} observed values are in no window", stacklevel=2)
     if update not in ("square-root", "perturbed-observations"):
-        raise _core.AssimilationError(f"update {update!r} is none of square-root, perturbed-observations")
+        raise _core.AssimilationError(f"update {update!r}: square-root or perturbed-observations")
     if isinstance(inflation, str) and inflation != "adaptive":
         raise _core.AssimilationError(f'inflation {inflation!r}: a number or "adaptive"')
     ensemble = method in ("4denvar", "hybrid-4denvar")

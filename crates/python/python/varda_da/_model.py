@@ -46,7 +46,7 @@ class JaxModel:
 
         if not jax.config.jax_enable_x64:
             raise _core.AssimilationError(
-                'JAX is in single precision, with derivatives to 1e-7: jax.config.update("jax_enable_x64", True)'
+                'JAX is in single precision: jax.config.update("jax_enable_x64", True) before its first use'
             )
 
         def tangent(k: Any, x: Any, dx: Any) -> Any:
