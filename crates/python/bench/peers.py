@@ -1,11 +1,11 @@
 """Varda from Python beside other programs, on the same problems: error and CPU seconds of one process.
 
     pip install . dapper adao mujoco absl-py colorama tabulate pyyaml
-    python bench/peers.py                      # all of them; or: overhead, lorenz, hose
-    VARDA_BINARY=../../target/release/varda python bench/peers.py overhead
+    VARDA_BINARY=../../target/release/varda python bench/peers.py       # or some of: overhead lorenz hose
 
-Prints tables in Markdown: docs/results/peers.md has them. A program that is not installed is left out, with a word.
-Seconds are CPU seconds of this process (user and system), the least of some runs; ratios are of one run of this script.
+Prints tables in Markdown: docs/results/peers.md has them. A program that is not installed is left out, with
+a word. Seconds are CPU seconds of this process (user and system) on one thread, the least of some runs;
+ratios are of one run of this script.
 """
 
 import contextlib
@@ -17,6 +17,7 @@ import resource
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS"):
@@ -26,7 +27,7 @@ import numpy as np
 
 import varda_da as varda
 
-RUNS = 3
+RUNS = 2
 
 
 def timed(work, runs=RUNS):
@@ -66,7 +67,7 @@ def children():
     return used.ru_utime + used.ru_stime
 
 
-def overhead(runs=15):
+def overhead(runs=9):
     binary = os.environ.get("VARDA_BINARY")
     if not binary:
         return print("overhead: VARDA_BINARY names no program")
@@ -78,7 +79,7 @@ def overhead(runs=15):
         # in turn, so that both meet the same load
         for _ in range(runs):
             cpu, wall = children(), time.perf_counter()
-            subprocess.run([binary, "run", scene, "--out", out, "--force"], check=True, capture_output=True)
+            subprocess.run([binary, "run", scene, "--out", out], check=True, capture_output=True)
             walls["binary"].append(time.perf_counter() - wall)
             cpus["binary"].append(children() - cpu)
             cpu, wall = time.process_time(), time.perf_counter()
@@ -86,9 +87,11 @@ def overhead(runs=15):
             walls["Python"].append(time.perf_counter() - wall)
             cpus["Python"].append(time.process_time() - cpu)
         numbers = [1e3 * min(part[who]) for part in (cpus, walls) for who in ("binary", "Python")]
-        rows.append([f"`{scene}`", *(f"{x:.1f}" for x in numbers[:2]), f"{numbers[1] - numbers[0]:+.1f}",
-                     *(f"{x:.1f}" for x in numbers[2:]), f"{numbers[3] - numbers[2]:+.1f}"])
-    table(["scene", "binary, CPU ms", "Python, CPU ms", "over", "binary, wall ms", "Python, wall ms", "over"], rows)
+        shown = [f"{x:.1f}" for x in numbers]
+        shown.insert(2, f"{numbers[1] - numbers[0]:+.1f}")
+        rows.append([f"`{scene}`", *shown, f"{numbers[3] - numbers[2]:+.1f}"])
+    head = ["binary, CPU ms", "Python, CPU ms", "over", "binary, clock ms", "Python, clock ms", "over"]
+    table(["scene", *head], rows)
 
 
 # 4D-Var of Lorenz-96, the model in NumPy
@@ -158,8 +161,8 @@ class Lorenz96:
 
 SIGMA = 0.4
 #: B: σ 1, correlated over three variables.
-DISTANCE = np.minimum(abs(np.arange(40)[:, None] - np.arange(40)), 40 - abs(np.arange(40)[:, None] - np.arange(40)))
-B = np.exp(-0.5 * (DISTANCE / 1.5) ** 2)
+APART = abs(np.arange(40)[:, None] - np.arange(40))
+B = np.exp(-0.5 * (np.minimum(APART, 40 - APART) / 1.5) ** 2)
 
 
 class Twin:
@@ -195,7 +198,7 @@ def by_varda(twin, **keys):
 
 
 class Observed:
-    """H. Var4D of DAPPER 1.7.1 calls the operator of an observation with the number of that observation first."""
+    """H. Var4D of DAPPER 1.7.1 calls the operator of an observation with its number first."""
 
     def __init__(self, twin):
         self.seen, self.h = twin.seen, twin.h
@@ -221,10 +224,14 @@ def by_dapper(twin):
         return twin.model.step(0, x)
 
     tseq = Chronology(dt=1.0, dko=1, K=1, BurnIn=0)
-    dynamics = Operator(40, model=step, linear=lambda x, t, dt: twin.model.tangent(0, x, np.eye(40)).T, noise=0)
+
+    def linear(x, t, dt):
+        return twin.model.tangent(0, x, np.eye(40)).T
+
+    dynamics = Operator(40, model=step, linear=linear, noise=0)
     seen = {"M": len(twin.seen), "model": Observed(twin), "noise": SIGMA**2}
     hmm = HiddenMarkovModel(dynamics, seen, tseq, GaussRV(mu=twin.background, C=B))
-    method = Var4D(B=B.copy(), nIter=30, wtol=1e-12, Lag=1)
+    method = Var4D(B=B.copy(), nIter=30, wtol=1e-9, Lag=1)
     xx = np.array([twin.background, twin.background])
     method.assimilate(hmm, xx, np.array(twin.values), liveplots=False)
     # the start of its last run: what follows is a step of less than the square root of wtol
@@ -232,8 +239,8 @@ def by_dapper(twin):
 
 
 def by_adao(twin, before=False):
-    """4DVAR asks for the adjoint of a step, as a matrix, at the state after the step (std4dvar.py). `before` finds
-    the state before it, where the derivative of J has it, among those that were run."""
+    """4DVAR asks for the adjoint of a step, as a matrix, at the state after the step (std4dvar.py). `before`
+    finds the state before it, where the derivative of J has it, among those that were run."""
     from adao import adaoBuilder
 
     model, starts = twin.model, {}
@@ -273,7 +280,7 @@ def by_adao(twin, before=False):
     return flat(case.get("Analysis")[-1])
 
 
-def lorenz(seeds=20):
+def lorenz(seeds=8):
     programs = [
         ("Varda, trust region", "varda-da", by_varda),
         ("Varda, L-BFGS, without σ", "varda-da",
@@ -305,7 +312,8 @@ def lorenz(seeds=20):
             j, start, end, _ = np.mean(found, axis=0)
             seconds = np.median([row[3] for row in found])
             first = first or seconds
-            rows.append([name, f"{j:.3f}", f"{start**0.5:.3f}", f"{end**0.5:.3f}", f"{1e3 * seconds:.1f}", f"{seconds / first:.2f}"])
+            shown = [f"{j:.3f}", f"{start**0.5:.3f}", f"{end**0.5:.3f}"]
+            rows.append([name, *shown, f"{1e3 * seconds:.1f}", f"{seconds / first:.2f}"])
         table(["program", "J", "RMSE at the start", "RMSE at the end", "CPU ms", "over the first"], rows)
 
 
@@ -338,15 +346,17 @@ class Chain:
         self.mujoco, self.segments, self.every = mujoco, segments, round(0.02 / step)
         size = self.length / segments
         mass = 0.35 * size
+        inertia = mass * size**2 / 12
         inner, outer = "", ""
         for i in range(segments):
             place = 0.0 if i == 0 else size
             inner += (
                 f'<body pos="{place} 0 0"><joint type="hinge" axis="0 -1 0"/>'
-                f'<inertial pos="{size / 2} 0 0" mass="{mass}" diaginertia="1e-9 {mass * size**2 / 12} {mass * size**2 / 12}"/>'
+                f'<inertial pos="{size / 2} 0 0" mass="{mass}" diaginertia="1e-9 {inertia} {inertia}"/>'
             )
             outer = "</body>" + outer
-        tip = f'<body pos="{size} 0 0"><inertial pos="0 0 0" mass="0.05" diaginertia="1e-9 1e-9 1e-9"/></body>'
+        weight = '<inertial pos="0 0 0" mass="0.05" diaginertia="1e-9 1e-9 1e-9"/>'
+        tip = f'<body pos="{size} 0 0">{weight}</body>'
         tangent, across = "0.7849 0.3660 0.5", "-0.42262 0.90631 0"
         self.model = mujoco.MjModel.from_xml_string(
             f'<mujoco><option timestep="{step}" integrator="implicitfast" gravity="0 0 -9.81"/><worldbody>'
@@ -443,26 +453,32 @@ def hose():
     programs = [("Varda, scene `hose`, 24 segments", "varda-da", hose_by_varda)]
     for segments, step in ((24, 0.001), (60, 0.0005)):
         title = f"MuJoCo {version('mujoco')}, {segments} links, {1e3 * step:g} ms"
-        programs.append((title, "mujoco", lambda segments=segments, step=step: hose_by_mujoco(segments, step)))
+        programs.append((title, "mujoco", partial(hose_by_mujoco, segments, step)))
     rows, first = [], None
     for name, package, by in programs:
         if package != "varda-da" and version(package) is None:
             print(f"{package} is not installed")
             continue
-        (ei, damping, chi2), seconds = timed(by, 2)
+        with quiet():
+            (ei, damping, chi2), seconds = timed(by)
         first = first or seconds
         rows.append([
             name,
-            f"{ei[0]:.4f} ± {ei[1]:.4f}", f"{100 * (ei[0] / TRUE_EI - 1):+.2f} %",
-            f"{1e3 * damping[0]:.3f} ± {1e3 * damping[1]:.3f}", f"{100 * (damping[0] / TRUE_TIME - 1):+.1f} %",
-            f"{chi2:.3f}", f"{seconds:.2f}", f"{seconds / first:.2f}",
+            f"{ei[0]:.4f} ± {ei[1]:.4f}",
+            f"{100 * (ei[0] / TRUE_EI - 1):+.2f} %",
+            f"{1e3 * damping[0]:.3f} ± {1e3 * damping[1]:.3f}",
+            f"{100 * (damping[0] / TRUE_TIME - 1):+.1f} %",
+            f"{chi2:.3f}",
+            f"{seconds:.2f}",
+            f"{seconds / first:.2f}",
         ])
     table(["program", "EI, N m²", "error", "damping, ms", "error", "2J/m", "CPU s", "over the first"], rows)
 
 
 if __name__ == "__main__":
     asked = sys.argv[1:] or ["overhead", "lorenz", "hose"]
-    print(f"{platform.machine()}, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}; Python "
-          f"{platform.python_version()}, NumPy {np.__version__}, SciPy {version('scipy')}, varda_da {varda.__version__}")
+    print(f"{platform.machine()}, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}")
+    versions = [f"{name} {version(name)}" for name in ("numpy", "scipy", "dapper", "adao", "mujoco")]
+    print(f"Python {platform.python_version()}, varda_da {varda.__version__}, {', '.join(versions)}")
     for name in asked:
         globals()[name]()
