@@ -165,7 +165,8 @@ def cycle(
 
     `carry` says where B of the next window comes from: "static", the same B; "propagated", the posterior
     carried by the tangent, α² M P_a Mᵀ + β² B with α `inflation` and β `static_weight`, without what is
-    below a share `dropped_variance` of every variance; "ensemble", the members' runs ("4denvar" and
+    below a share `dropped_variance` of every variance ("weak-state" inverts B: it takes 0 or a static
+    weight); "ensemble", the members' runs ("4denvar" and
     "hybrid-4denvar", and they alone). `inflation` multiplies the members' deviations before a
     window; "adaptive" is what the innovations ask for. `spread` is the part of the deviations over which an
     ensemble is linearized, `rotation` turns members at random about their mean, `update` is "square-root" or
