@@ -204,7 +204,8 @@ def test_a_step_of_the_wrong_length():
 
 
 @pytest.mark.parametrize("method", ["4dvar", "4denvar"])
-def test_ctrl_c_in_a_model(method):
+@pytest.mark.parametrize("call", ["assimilate", "cycle"])
+def test_ctrl_c_in_a_model(call, method):
     program = (
         "import time, numpy as np, varda_da as varda\n"
         "class Slow:\n"
@@ -212,8 +213,8 @@ def test_ctrl_c_in_a_model(method):
         "    def tangent(self, k, x, dx): return dx\n"
         "    adjoint = tangent\n"
         "print('begins', flush=True)\n"
-        "varda.assimilate(Slow(), np.ones(4), 1.0, [(5000, [0], [1.0], 0.1)],"
-        f" method={method!r})\n"
+        f"varda.{call}(Slow(), np.ones(4), 1.0, [(5000, [0], [1.0], 0.1)],"
+        f" method={method!r}{', window=5000' if call == 'cycle' else ''})\n"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
