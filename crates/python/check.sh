@@ -23,6 +23,11 @@ if [ ! -x "$environment/bin/pytest" ] || [ ! -x "$environment/bin/maturin" ]; th
     "$environment/bin/pip" install -q --disable-pip-version-check 'maturin>=1.9,<2' numpy pytest xarray scipy \
         >/dev/null 2>&1 || skip "pip cannot install maturin, numpy, pytest, xarray and scipy"
 fi
+# What the notebooks and models in JAX need; without it their tests are skipped and say so.
+if [ ! -x "$environment/bin/jupytext" ]; then
+    "$environment/bin/pip" install -q --disable-pip-version-check nbclient ipykernel jupytext matplotlib jax \
+        >/dev/null 2>&1 || echo "skipped: the notebooks: pip cannot install nbclient, ipykernel, jupytext, matplotlib, jax"
+fi
 
 # A lock file that does not go with the crates above is a fault; a network that is not there is none.
 if ! said=$(cargo fetch --locked --quiet 2>&1); then

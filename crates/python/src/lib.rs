@@ -4,9 +4,11 @@
 #![forbid(unsafe_op_in_unsafe_fn)]
 
 mod assimilate;
+mod cycle;
 mod error;
 mod model;
 mod outcome;
+mod problem;
 mod rod;
 mod scene;
 mod signals;
@@ -20,6 +22,8 @@ mod _core {
 
     #[pymodule_export]
     use crate::assimilate::{AnalysisOf, analyse, check_model};
+    #[pymodule_export]
+    use crate::cycle::{Between, cycle_window};
     #[pymodule_export]
     use crate::outcome::{Outcome, Simulation};
     #[pymodule_export]

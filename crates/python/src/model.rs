@@ -1,11 +1,13 @@
 //! A model written in Python.
 
-use numpy::{PyArray1, PyReadonlyArray1};
+use numpy::{PyArray1, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::sync::{Arc, Mutex};
 use varda_implicit::{ControlMap, Error, Model, Refusal, Work};
 use varda_linalg::interrupt::Ends;
+
+use crate::error::VardaError;
 
 /// The first exception that a model raised.
 #[derive(Clone, Default)]
@@ -28,6 +30,19 @@ impl Raised {
     pub(crate) fn is_there(&self) -> bool {
         self.0.lock().is_ok_and(|first| first.is_some())
     }
+
+    /// The exception of the model, if there is one, in the place of what became of it.
+    pub(crate) fn or<T>(&self, result: PyResult<T>) -> PyResult<T> {
+        self.take().map_or(result, Err)
+    }
+
+    /// The same, but a signal of Python that ended the run goes first.
+    pub(crate) fn or_interrupted<T>(&self, py: Python<'_>, result: PyResult<T>) -> PyResult<T> {
+        match result {
+            Err(error) if !error.is_instance_of::<VardaError>(py) => Err(error),
+            result => self.or(result),
+        }
+    }
 }
 
 /// An object with `step(k, x)` and, unless the method does without, `tangent(k, x, dx)` and
@@ -35,6 +50,10 @@ impl Raised {
 pub(crate) struct PythonModel {
     object: Py<PyAny>,
     dim: usize,
+    /// The step of a long run that step 0 is.
+    first: usize,
+    /// Whether `tangent` and `adjoint` take several vectors at once, one a row.
+    batched: bool,
     raised: Raised,
     /// Whether the run is to end; `None`: it ends with the exceptions of the object alone.
     ends: Option<Ends>,
@@ -44,7 +63,16 @@ pub(crate) struct PythonModel {
 
 impl PythonModel {
     pub(crate) fn new(object: Py<PyAny>, dim: usize, raised: Raised) -> Self {
-        PythonModel { object, dim, raised, ends: None, slots: Vec::new() }
+        let batched = Python::attach(|py| {
+            let batched = object.bind(py).getattr("batched").and_then(|b| b.is_truthy());
+            batched.unwrap_or(false)
+        });
+        PythonModel { object, dim, first: 0, batched, raised, ends: None, slots: Vec::new() }
+    }
+
+    /// The same, whose step 0 is a later step of a long run.
+    pub(crate) fn from(self, first: usize) -> Self {
+        PythonModel { first, ..self }
     }
 
     /// The same, whose steps are refused once `ends` says so.
@@ -52,21 +80,19 @@ impl PythonModel {
         PythonModel { ends: Some(ends), ..self }
     }
 
-    /// Calls a function of the object; its result has the length of a state and only finite numbers.
-    fn call(&self, name: &str, k: usize, vectors: &[&[f64]]) -> PyResult<Vec<f64>> {
+    /// Calls a function of the object with a state and, beside `step`, one vector or several.
+    fn call(&self, name: &str, k: usize, x: &[f64], vectors: Option<&[f64]>) -> PyResult<Vec<f64>> {
         Python::attach(|py| {
-            let of = |v: &[f64]| PyArray1::from_slice(py, v).into_any();
-            let result = match vectors {
-                [x] => self.object.bind(py).call_method1(name, (k, of(x)))?,
-                [x, y] => self.object.bind(py).call_method1(name, (k, of(x), of(y)))?,
-                _ => return Err(PyValueError::new_err("a function of a model takes one vector or two")),
+            let (object, k) = (self.object.bind(py), self.first + k);
+            let x = PyArray1::from_slice(py, x);
+            let what = format!("{name}({k}, …)");
+            let Some(vectors) = vectors else {
+                return numbers(&object.call_method1(name, (k, x))?, &what, &[self.dim]);
             };
-            let result = vector(&result, &format!("{name}({k}, …)"))?;
-            if result.len() != self.dim {
-                let text = format!("{name}({k}, …) has {} numbers, a state {}", result.len(), self.dim);
-                return Err(PyValueError::new_err(text));
-            }
-            Ok(result)
+            let shape = [vectors.len() / self.dim, self.dim];
+            let shape = if self.batched { &shape[..] } else { &shape[1..] };
+            let vectors = PyArray1::from_slice(py, vectors).reshape(shape)?;
+            numbers(&object.call_method1(name, (k, x, vectors))?, &what, shape)
         })
     }
 
@@ -75,30 +101,38 @@ impl PythonModel {
         let Some(Some((k, x))) = self.slots.get(slot) else {
             panic!("slot {slot} of the model is empty");
         };
-        for column in columns.chunks_exact_mut(self.dim) {
+        let at_once = if self.batched { columns.len() } else { self.dim };
+        for vectors in columns.chunks_exact_mut(at_once.max(1)) {
             if self.raised.is_there() {
-                return column.fill(f64::NAN);
+                vectors.fill(f64::NAN);
+                continue;
             }
-            match self.call(name, *k, &[x, column]) {
-                Ok(result) => column.copy_from_slice(&result),
+            match self.call(name, *k, x, Some(vectors)) {
+                Ok(result) => vectors.copy_from_slice(&result),
                 Err(error) => {
                     self.raised.keep(error);
-                    column.fill(f64::NAN);
+                    vectors.fill(f64::NAN);
                 }
             }
         }
     }
 }
 
-/// An array, or anything that NumPy makes one of, as numbers.
-pub(crate) fn vector(value: &Bound<'_, PyAny>, what: &str) -> PyResult<Vec<f64>> {
+/// An array of a shape, or anything that NumPy makes one of, as finite or other numbers.
+fn numbers(value: &Bound<'_, PyAny>, what: &str, shape: &[usize]) -> PyResult<Vec<f64>> {
     let py = value.py();
     let wrong =
-        |e: &dyn std::fmt::Display| PyValueError::new_err(format!("{what} is no vector of numbers: {e}"));
+        |e: &dyn std::fmt::Display| PyValueError::new_err(format!("{what} is no array of numbers: {e}"));
     let asarray = py.import("numpy")?.getattr("asarray")?;
     let array = asarray.call1((value, "float64")).map_err(|e| wrong(&e))?;
-    let array: PyReadonlyArray1<'_, f64> = array.extract().map_err(|e| wrong(&e))?;
-    Ok(array.as_array().to_vec())
+    let array: PyReadonlyArrayDyn<'_, f64> = array.extract().map_err(|e| wrong(&e))?;
+    match (array.shape(), shape) {
+        (found, shape) if found == shape => Ok(array.as_array().iter().copied().collect()),
+        ([found], [n]) => Err(PyValueError::new_err(format!("{what} has {found} numbers, a state {n}"))),
+        (found, shape) => {
+            Err(PyValueError::new_err(format!("{what} has the shape {found:?}, what it is given {shape:?}")))
+        }
+    }
 }
 
 impl Model for PythonModel {
@@ -110,7 +144,7 @@ impl Model for PythonModel {
         if self.raised.is_there() || self.ends.as_ref().is_some_and(|ends| ends()) {
             return Err(Error::Refused { step: k, reason: Refusal::new("the run was told to end") });
         }
-        match self.call("step", k, &[x]) {
+        match self.call("step", k, x, None) {
             Ok(next) => {
                 if !next.iter().all(|v| v.is_finite()) {
                     return Err(Error::NonFinite { step: k, what: "x_{k+1}" });

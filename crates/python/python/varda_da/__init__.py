@@ -7,11 +7,12 @@ observations.
     result.verdict, result.positions       # "fits", metres as (time, vertex, 3)
 
     analysis = varda.assimilate(model, background, covariance, observations)   # a model in NumPy
+    cycles = varda.cycle(model, background, covariance, observations, window=8)
 
 Numbers are in SI units. What a scene can say: `varda.show("hanging-rod")`, and the guide of Varda.
 """
 
-from ._assimilate import Analysis, Check, CheckReport, assimilate, check_model
+from ._assimilate import Analysis, assimilate
 from ._core import (
     AssimilationError,
     DataError,
@@ -21,6 +22,9 @@ from ._core import (
     VardaError,
     __version__,
 )
+from ._cycle import Cycles, Window, cycle
+from ._model import Check, CheckReport, JaxModel, Model, check_model
+from ._problem import Forcing, Terms
 from ._result import Modes, Result, Simulation
 from ._rod import Energy, Rest, Rod
 from ._scene import Finding, check, modes, run, scenes, show, simulate
@@ -30,9 +34,13 @@ __all__ = [
     "AssimilationError",
     "Check",
     "CheckReport",
+    "Cycles",
     "DataError",
     "Energy",
     "Finding",
+    "Forcing",
+    "JaxModel",
+    "Model",
     "ModelError",
     "Modes",
     "Rest",
@@ -41,11 +49,14 @@ __all__ = [
     "Rod",
     "SceneError",
     "Simulation",
+    "Terms",
     "VardaError",
+    "Window",
     "__version__",
     "assimilate",
     "check",
     "check_model",
+    "cycle",
     "modes",
     "run",
     "scenes",

@@ -78,7 +78,7 @@ pub(crate) fn joint(
     let places: Vec<Vec<usize>> = (0..count).map(|r| all.places(r).to_vec()).collect();
     let mut v = vec![0.0; all.dim()];
     let start = v.clone();
-    let minimum = minimizer::strong(algorithm, &mut all, &mut v, on_iteration)?;
+    let minimum = minimizer::minimum(algorithm, &mut all, &mut v, on_iteration)?;
     let counts = WorkCounts::from(&all.counts());
     let (mut whole, mut no_spread) = (None, None);
     if posterior && is_whole(minimum.status) {

@@ -10,8 +10,12 @@ use varda_linalg::norm;
 
 use crate::scene::{Algorithm, Method};
 
-/// The minimum of a strong-constraint cost, or of several, by the scene's method.
-pub(crate) fn strong(
+/// The minimum of a cost from `v`, by the method and minimizer of a scene: an outer loop, the closed form, or
+/// the minimizer itself. Of methods that run an ensemble the cost minimizes itself.
+///
+/// # Errors
+/// A cost that cannot be evaluated at `v`; second derivatives that are asked for and not there.
+pub fn minimum(
     algorithm: &Algorithm,
     cost: &mut dyn LeastSquares,
     v: &mut [f64],
@@ -39,7 +43,7 @@ pub(crate) fn minimize(
 }
 
 /// The minimizer that a scene names, with the scene's stopping rule.
-pub(crate) fn minimizer(algorithm: &Algorithm) -> Minimizer {
+pub fn minimizer(algorithm: &Algorithm) -> Minimizer {
     let mut minimizer = algorithm.minimizer.settings().with_stopping(stopping(algorithm));
     if algorithm.hessian == crate::scene::Hessian::Exact {
         match &mut minimizer {
@@ -58,7 +62,7 @@ fn stopping(algorithm: &Algorithm) -> Stopping {
 }
 
 /// Options of the outer loop of a method that has one.
-pub(crate) fn outer_of(algorithm: &Algorithm) -> Option<OuterLoopOptions> {
+pub fn outer_of(algorithm: &Algorithm) -> Option<OuterLoopOptions> {
     let inner = match algorithm.method {
         Method::FourDVarIncremental | Method::ThreeDVarIncremental | Method::WeakState => InnerSolver::Primal,
         Method::FourDPsas | Method::Psas => InnerSolver::Dual,

@@ -4,7 +4,7 @@
 mod ensemble;
 mod exact_hessian;
 pub(crate) mod joint;
-pub(crate) mod minimizer;
+pub mod minimizer;
 mod strong;
 mod task;
 pub mod timed;

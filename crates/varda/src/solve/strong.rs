@@ -53,7 +53,7 @@ impl Task<'_> {
                 transform.control(iteration.v, &mut control);
                 on_iterate(&Iterate { iteration, control: &control, window, before: so_far })
             };
-            let mut minimum = minimizer::strong(&algorithm, &mut cost, v, &mut on_iteration)?;
+            let mut minimum = minimizer::minimum(&algorithm, &mut cost, v, &mut on_iteration)?;
             transform.control(v, &mut control);
             counts = counts + WorkCounts::from(&cost.counts());
             iterations[0] += minimum.outer_iterations;
