@@ -25,9 +25,8 @@ impl Line {
     fn set(&self) -> ObservationSet {
         let [a, b] = self.sigma;
         let rows = LinearObservation::new(2, 3, &[(0, 0, 1.0), (0, 1, -0.5), (1, 2, 2.0)]).unwrap();
-        let seen = [(0, a), (1, b)].map(|(i, sigma)| {
-            Observation::new(0, vec![0, 1], self.values[2 * i..2 * i + 2].to_vec(), sigma)
-        });
+        let seen = [(0, a), (1, b)]
+            .map(|(i, sigma)| Observation::new(0, vec![0, 1], self.values[2 * i..2 * i + 2].to_vec(), sigma));
         ObservationSet::new(0, vec![Box::new(rows)], seen.to_vec()).unwrap()
     }
 
@@ -44,12 +43,7 @@ impl Line {
 }
 
 fn line() -> Line {
-    Line {
-        background: vec![1.0, -0.4, 0.3],
-        sigma_b: 0.8,
-        values: [2.0, 0.1, 1.2, 1.7],
-        sigma: [0.5, 0.9],
-    }
+    Line { background: vec![1.0, -0.4, 0.3], sigma_b: 0.8, values: [2.0, 0.1, 1.2, 1.7], sigma: [0.5, 0.9] }
 }
 
 /// Central differences, extrapolated twice: h⁶.

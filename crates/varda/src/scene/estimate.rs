@@ -2,6 +2,7 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::defaults::is_default;
 use super::invalid::{Invalid, invalid};
@@ -217,6 +218,17 @@ impl Unknown {
 }
 
 impl Estimate {
+    /// With the keys of another one beside its own.
+    #[allow(clippy::missing_panics_doc)] // both are plain JSON
+    pub(crate) fn with(&self, other: &Estimate) -> Estimate {
+        let mut own = serde_json::to_value(self).expect("plain JSON");
+        let other = serde_json::to_value(other).expect("plain JSON");
+        if let (Some(own), Value::Object(other)) = (own.as_object_mut(), other) {
+            own.extend(other);
+        }
+        serde_json::from_value(own).expect("keys of this type")
+    }
+
     /// The keys that are given.
     pub(crate) fn given(&self) -> Vec<(&'static str, &Unknown)> {
         let all = [

@@ -1,6 +1,6 @@
 //! A scene on a finer mesh.
 
-use crate::scene::{ClampAt, Invalid, Model, Prescribed, RodModel, SceneFile};
+use crate::scene::{ClampAt, Estimate, Invalid, Model, Prescribed, RodModel, SceneFile};
 
 /// What says how far the mesh moves estimated constants.
 #[derive(Debug, Clone)]
@@ -57,6 +57,7 @@ pub(crate) fn finer(file: &SceneFile) -> Result<Finer, Invalid> {
     scene.report.mesh = false;
     scene.report.posterior = false;
     scene.report.forecast = 0.0;
+    scene.consider = Estimate::default();
     Ok(Finer::Scene(Box::new(file), if held_edge { FIRST_ORDER } else { SECOND_ORDER }))
 }
 
