@@ -33,7 +33,7 @@ pub fn sensitivity(scalar: &[f64], row: &[f64], sigma: f64) -> f64 {
 }
 
 /// How a number s(v) of a minimum depends on values, errors and background, by one solve with the Hessian A
-/// there (Le Dimet et al. 1997):
+/// there (Le Dimet, Ngodock, Luong and Verron 1997):
 ///
 /// ```text
 ///     A w = ∂s/∂v

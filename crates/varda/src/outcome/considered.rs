@@ -9,13 +9,26 @@ pub struct Considered {
     pub of: String,
     /// SI unit.
     pub unit: &'static str,
-    /// Its σ, constants known; `null` without a posterior.
+    /// Its σ, constants known and on this mesh; `null` without a posterior.
     pub sigma: Option<f64>,
     /// The same with σ of all constants that are considered, independent of each other; the analysis stays as
     /// it is.
     pub sigma_with_considered: Option<f64>,
     /// Constant by constant.
     pub by: Vec<ByConstant>,
+}
+
+impl Considered {
+    /// What these constants do to it, in words.
+    pub fn in_words(&self) -> String {
+        let unit = if self.unit == "1" { String::new() } else { format!(" {}", self.unit) };
+        let by: Vec<String> = self.by.iter().map(|c| format!("{} {:+.3e}", c.name, c.moves)).collect();
+        let sigma = match (self.sigma, self.sigma_with_considered) {
+            (Some(sigma), Some(with)) => format!("σ {sigma:.3e} -> {with:.3e}{unit} "),
+            _ => String::new(),
+        };
+        format!("{}: {sigma}(by one σ of {})", self.of, by.join(", "))
+    }
 }
 
 /// The derivative of a number of the result by a constant.
