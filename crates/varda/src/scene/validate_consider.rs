@@ -1,5 +1,6 @@
 //! What `[consider]` must satisfy beyond the type of each key.
 
+use super::estimate::OF_BASE;
 use super::invalid::{Check, invalid};
 use super::validate_estimate::validate_estimate;
 use super::{Scene, Unknown};
@@ -16,7 +17,7 @@ pub(super) fn validate_consider(scene: &Scene) -> Check {
             return invalid(path, "is estimated: leave it out here, or in [estimate]");
         }
         let is_field = matches!(unknown, Unknown::Every(prior) if prior.correlation_length.is_some());
-        if is_field || *key == "base" {
+        if is_field || OF_BASE.iter().any(|(base, _)| base == key) {
             let message = "is a function of place or time: [estimate] takes such, [consider] takes numbers";
             return invalid(path, message);
         }

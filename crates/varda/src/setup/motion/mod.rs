@@ -35,6 +35,17 @@ pub(super) struct Followed {
     pub(super) interval: f64,
     /// The frequency from which on it is smoothed \[Hz\].
     pub(super) cut_off: Option<f64>,
+    /// Of a body that turns.
+    pub(super) turned: Option<Turned>,
+}
+
+/// A recorded rotation that a clamp follows.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Turned {
+    /// The frequency from which on it is smoothed \[Hz\].
+    pub(super) cut_off: Option<f64>,
+    /// The clamp's place from the body's origin, in the clamp's axes (m₁, m₂, t) \[m\].
+    pub(super) arm: Vector3<f64>,
 }
 
 /// The drive that keys say of a support at this position.
@@ -82,6 +93,15 @@ impl Carried {
     }
 }
 
+impl Carried {
+    /// The offset in the support's axes (m₁, m₂, t).
+    fn arm(&self) -> Vector3<f64> {
+        let tangent = self.tangent.normalize();
+        let m1 = (self.director - tangent * tangent.dot(&self.director)).normalize();
+        Vector3::new(m1.dot(&self.offset), tangent.cross(&m1).dot(&self.offset), tangent.dot(&self.offset))
+    }
+}
+
 impl From<Carried> for Moving {
     fn from(carried: Carried) -> Moving {
         let Carried { place, rotation, offset, tangent, director } = carried;
@@ -126,9 +146,12 @@ impl<'a> Motions<'a> {
                 Arc::new(drive(position, motion).expect("keys of a drive"))
             }
             Some(scene::Motion::Table(keys)) => Arc::new(self.table(path, position.into(), keys)?),
-            Some(scene::Motion::Pose(keys)) => return Ok(self.pose(path, held, keys)?.into()),
+            Some(scene::Motion::Pose(keys)) => {
+                let carried = self.pose(path, held, keys)?;
+                return Ok(self.turns_with(carried));
+            }
             Some(scene::Motion::Markers(keys)) => match self.markers(path, held, keys)? {
-                Following::Body(carried) => return Ok(carried.into()),
+                Following::Body(carried) => return Ok(self.turns_with(carried)),
                 Following::Point(place) => Arc::new(place),
             },
         };
@@ -444,7 +467,16 @@ impl<'a> Motions<'a> {
             _ => f64::INFINITY,
         };
         let cut_off = motion.smoothing().map(|s| s.cut_off);
-        self.followed.push(Followed { path: path.to_string(), interval, cut_off });
+        self.followed.push(Followed { path: path.to_string(), interval, cut_off, turned: None });
+    }
+
+    /// The support whose motion was followed last turns with a body.
+    fn turns_with(&mut self, carried: Carried) -> Moving {
+        let cut_off = carried.rotation.smoothing().map(|s| s.cut_off);
+        if let Some(last) = self.followed.last_mut() {
+            last.turned = Some(Turned { cut_off, arm: carried.arm() });
+        }
+        carried.into()
     }
 
     fn say(&mut self, path: &str, what: &str, label: &str, by: Option<SmoothBy>, done: Option<Smoothing>) {
