@@ -71,7 +71,7 @@ fn gripped(case: &mut Case) -> Outcome {
             j
         };
         let mut central = |h: f64| Ok::<f64, varda_assimilation::Error>((at(h)? - at(-h)?) / (2.0 * h));
-        let difference = (4.0 * central(1e-3)? - central(2e-3)?) / 3.0;
+        let difference = (4.0 * central(0.016)? - central(0.032)?) / 3.0;
         let error = (gradient[p] - difference).abs() / gradient[p].abs().max(1e-5 * size);
         let name = &names[names.len() + p - n];
         let kind = ["base[", "base_rotation["].iter().position(|kind| name.contains(kind));
