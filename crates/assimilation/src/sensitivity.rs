@@ -72,8 +72,8 @@ pub struct ScalarSensitivity {
 }
 
 impl ScalarSensitivity {
-    /// At the linearized point of a cost, a minimum; `by_v` is ∂s/∂v there. Products with A: at most one for
-    /// each number of v, as a rule as many as there are degrees of freedom for signal.
+    /// At the linearized point of a cost, a minimum; `by_v` is ∂s/∂v there. Products with A: at
+    /// most one for each number of v, as a rule as many as there are degrees of freedom for signal.
     ///
     /// # Errors
     /// Those of the products; [`Error::NoSecondDerivatives`]; [`Error::NotPositiveDefinite`].
@@ -119,9 +119,9 @@ impl ScalarSensitivity {
 ///     A_ff δv_f = −A_fh δv_h
 /// ```
 ///
-/// (implicit function theorem). `held` are (place in v, δv_h). What a number of the analysis does then is its
-/// tangent with the δv returned: what follows from the held numbers themselves, and from the minimum that
-/// moves. Costs as [`ScalarSensitivity::new`].
+/// (implicit function theorem). `held` are (place in v, δv_h). What a number of the analysis does then
+/// is its tangent with the δv returned: what follows from the held numbers themselves, and from the
+/// minimum that moves. Costs as [`ScalarSensitivity::new`].
 ///
 /// ```
 /// use varda_assimilation::*;

@@ -72,14 +72,14 @@ pub enum MovedBy {
     },
     /// It is displaced \[m\] in time.
     Along(Displacement),
-    /// A clamp is turned in time with the body that carries it, by a rotation vector \[rad\] in the clamp's own
-    /// axes (m₁, m₂, t) before [`Clamp::turns`](crate::Clamp::turns): those of several parameters are added, to
-    /// those of `Turn` too.
+    /// A clamp is turned in time with the body that carries it, by a rotation vector \[rad\] in the
+    /// clamp's own axes (m₁, m₂, t) before [`Clamp::turns`](crate::Clamp::turns): those of several
+    /// parameters are added, to those of `Turn` too.
     TurnAlong {
         /// The rotation vector in time.
         along: Displacement,
-        /// The place of the clamp from the point that the body turns about, in the clamp's own axes \[m\]; one
-        /// for all parameters that turn a clamp.
+        /// The place of the clamp from the point that the body turns about, in the clamp's own axes
+        /// \[m\]; one for all parameters that turn a clamp.
         arm: Vector3<f64>,
     },
 }

@@ -271,15 +271,16 @@ fn a_background_at_rest_and_estimates_move_too() {
     ] {
         let expected = differences(&before, &at, (scene, &set), key, value);
         let found = derivatives(&before, name);
-        // EA is 1e5 N here: a tension is known to 1e-7 N, over 1e-3 of the constant; measured 9e-6, places 1e-9
+        // EA is 1e5 N here: a tension is known to 1e-7 N, over 1e-3 of the constant; measured 9e-6,
+        // places 1e-9
         for (numbers, part) in [(0..3, 1e-7), (3..4, 1e-4), (4..5, 1e-6)] {
             near(&found[numbers.clone()], &expected[numbers], part, name);
         }
     }
 }
 
-/// Of a rod, with the exact Hessian: a run with σ of a marker, the prior of a constant or a value changed moves
-/// by the derivatives, those of the constant too.
+/// Of a rod, with the exact Hessian: a run with σ of a marker, the prior of a constant or a value
+/// changed moves by the derivatives, those of the constant too.
 #[test]
 fn values_and_their_sigma_move_a_rod_as_was_said() {
     let ei = |share: f64| format!("estimate.ei={{sigma=\"{share}%\",together=true}}");

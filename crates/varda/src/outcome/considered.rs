@@ -11,8 +11,8 @@ pub struct Considered {
     pub unit: &'static str,
     /// Its σ, constants known and on this mesh; `null` without a posterior.
     pub sigma: Option<f64>,
-    /// The same with σ of all constants that are considered, independent of each other; the analysis stays as
-    /// it is.
+    /// The same with σ of all constants that are considered, independent of each other; the analysis
+    /// stays as it is.
     pub sigma_with_considered: Option<f64>,
     /// Constant by constant.
     pub by: Vec<ByConstant>,

@@ -77,9 +77,9 @@ pub(super) fn considered(all: &[Considered]) -> String {
         )
     };
     format!(
-        "<section><h2>Constants taken for known</h2>{}<p>How far each number moves with one σ of a constant \
-         of [consider], the analysis moving with it; σ of the number as the run has it, and with these added \
-         in squares. `considered` of summary.json has the derivatives.</p></section>",
+        "<section><h2>Constants taken for known</h2>{}<p>How far each number moves with one σ of a \
+         constant of [consider], the analysis moving with it; σ of the number as the run has it, and with \
+         these added in squares. `considered` of summary.json has the derivatives.</p></section>",
         table(&headings, &all.iter().map(row).collect::<String>())
     )
 }

@@ -163,8 +163,8 @@ impl<'a> SourcesOfSpread<'a> {
     }
 }
 
-/// Components of the place, or the component, with the largest variance at the end of the window: place in the
-/// state, name and unit.
+/// Components of the place, or the component, with the largest variance at the end of the window: place
+/// in the state, name and unit.
 pub(super) fn least_known(
     layout: &StateLayout,
     grid: &TimeGrid,

@@ -153,8 +153,8 @@ pub struct ConstantPrior {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub correlation_length: Option<f64>,
-    /// Of `base`, `base_rotation`: time over which errors of the motion are alike [s]. Absent: those of rows are independent,
-    /// and what smoothing leaves of them is estimated.
+    /// Of `base`, `base_rotation`: time over which errors of the motion are alike [s]. Absent: those of
+    /// rows are independent, and what smoothing leaves of them is estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "s"))]
     pub correlation_time: Option<f64>,

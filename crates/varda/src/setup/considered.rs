@@ -85,8 +85,8 @@ impl Considered {
         (0..self.own.len()).filter(|i| self.own[*i].is_none()).collect()
     }
 
-    /// ∂z_b/∂p of each constant that is considered, in the longer control: that of the rod at rest, zero of
-    /// other backgrounds; one in its own place.
+    /// ∂z_b/∂p of each constant that is considered, in the longer control: that of the rod at rest,
+    /// zero of other backgrounds; one in its own place.
     ///
     /// # Errors
     /// [`Error::Model`] where no equilibrium is found.

@@ -224,9 +224,8 @@ impl Recorded {
                 ];
                 let model = keys.iter().fold(model.to_string(), |model, key| model.replace(key, ""));
                 let axes = "tangent_axis = [0.0, 0.0, -1.0], director_axis = [1.0, 0.0, 0.0]";
-                let motion = format!(
-                    "motion = {{ kind = \"pose\", file = \"base.csv\", offset = {OFFSET:?}, {axes}, {smoothing} }}"
-                );
+                let keys = format!("offset = {OFFSET:?}, {axes}, {smoothing}");
+                let motion = format!("motion = {{ kind = \"pose\", file = \"base.csv\", {keys} }}");
                 model.replace("# motion", &motion)
             }
         };

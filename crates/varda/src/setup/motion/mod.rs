@@ -1,6 +1,7 @@
 //! How the supports of a rod move: from keys and recordings to motions of varda-rod.
 
 mod body;
+mod held;
 mod rows;
 
 use std::collections::BTreeMap;
@@ -17,6 +18,8 @@ use super::files::Files;
 use crate::Error;
 use crate::scene::{self, MotionValues, Observations, PoseValues, Recording};
 use body::{Body, without_spin};
+use held::Carried;
+pub(super) use held::{Held, Moving};
 use rows::{Axes, Source};
 
 /// Reads motions; keeps what there is to say of them.
@@ -57,63 +60,6 @@ pub(super) fn drive(position: [f64; 3], motion: &scene::Motion) -> Option<Ellips
 
 /// Turns of a clamp as a function of time.
 type TurnsInTime = Arc<dyn Fn(f64) -> f64 + Send + Sync>;
-
-/// A support: where it is and how it is turned. Keys that the motion says are absent.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Held {
-    pub(super) position: Option<[f64; 3]>,
-    pub(super) tangent: Option<[f64; 3]>,
-    pub(super) director: Option<[f64; 3]>,
-}
-
-/// Place, tangent and director of a support as they move.
-pub(super) struct Moving {
-    pub(super) place: Arc<dyn Motion>,
-    pub(super) tangent: Arc<dyn Motion>,
-    pub(super) director: Arc<dyn Motion>,
-}
-
-/// A body that moves, and the support on it, in the body's axes.
-struct Carried {
-    place: RecordedMotion,
-    rotation: RecordedRotation,
-    offset: Vector3<f64>,
-    tangent: Vector3<f64>,
-    director: Vector3<f64>,
-}
-
-impl Carried {
-    /// The support where its own keys have it at model time 0.
-    fn from_time_zero(place: RecordedMotion, rotation: RecordedRotation, held: Held) -> Carried {
-        let Held { position, tangent, director } = held;
-        let own = |v: Option<[f64; 3]>| Vector3::from(v.unwrap_or_default());
-        let back = rotation.at(0.0).inverse();
-        let offset = back * (own(position) - place.at(0.0));
-        Carried { offset, tangent: back * own(tangent), director: back * own(director), place, rotation }
-    }
-}
-
-impl Carried {
-    /// The offset in the support's axes (m₁, m₂, t).
-    fn arm(&self) -> Vector3<f64> {
-        let tangent = self.tangent.normalize();
-        let m1 = (self.director - tangent * tangent.dot(&self.director)).normalize();
-        Vector3::new(m1.dot(&self.offset), tangent.cross(&m1).dot(&self.offset), tangent.dot(&self.offset))
-    }
-}
-
-impl From<Carried> for Moving {
-    fn from(carried: Carried) -> Moving {
-        let Carried { place, rotation, offset, tangent, director } = carried;
-        let rotation = Arc::new(rotation);
-        let turned = |own: Vector3<f64>| -> Arc<dyn Motion> {
-            let rotation = Arc::clone(&rotation);
-            Arc::new(move |t: f64| rotation.at(t) * own)
-        };
-        let (tangent, director) = (turned(tangent), turned(director));
-        Moving { place: Arc::new(move |t: f64| place.at(t) + rotation.at(t) * offset), tangent, director }
-    }
-}
 
 impl<'a> Motions<'a> {
     pub(super) fn of(files: &'a Files<'a>) -> Result<Self, Error> {
