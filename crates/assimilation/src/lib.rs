@@ -155,7 +155,7 @@ pub use outer_loop::{InnerSolver, OuterLoopOptions, outer_loop};
 pub use posterior::Posterior;
 pub use posterior_lanczos::{LanczosOptions, LowRankPosterior};
 pub use propagate::propagate_root;
-pub use sensitivity::sensitivity;
+pub use sensitivity::{ScalarSensitivity, sensitivity, with_held};
 pub use varda_implicit::{At, ObservationOperator, Refusal};
 pub use weak_posterior::WeakPosterior;
 

@@ -48,9 +48,8 @@ impl Moved {
             MovedBy::Drive { drive, radii, phase } => {
                 MovedBy::Drive { drive, radii: radii.map(|r| r * factor), phase: phase * factor }
             }
-            MovedBy::Along(Displacement(along)) => {
-                MovedBy::Along(Displacement(Arc::new(move |t: f64| along.at(t) * factor)))
-            }
+            MovedBy::Along(along) => MovedBy::Along(along.times(factor)),
+            MovedBy::TurnAlong { along, arm } => MovedBy::TurnAlong { along: along.times(factor), arm },
         };
         Moved { of: self.of, by }
     }
@@ -73,11 +72,27 @@ pub enum MovedBy {
     },
     /// It is displaced \[m\] in time.
     Along(Displacement),
+    /// A clamp is turned in time with the body that carries it, by a rotation vector \[rad\] in the
+    /// clamp's own axes (m₁, m₂, t) before [`Clamp::turns`](crate::Clamp::turns): those of several
+    /// parameters are added, to those of `Turn` too.
+    TurnAlong {
+        /// The rotation vector in time.
+        along: Displacement,
+        /// The place of the clamp from the point that the body turns about, in the clamp's own axes
+        /// \[m\]; one for all parameters that turn a clamp.
+        arm: Vector3<f64>,
+    },
 }
 
 /// A displacement in time, equal to itself and to copies of it alone.
 #[derive(Clone)]
 pub struct Displacement(pub Arc<dyn Motion>);
+
+impl Displacement {
+    fn times(self, factor: f64) -> Displacement {
+        Displacement(Arc::new(move |t: f64| self.0.at(t) * factor))
+    }
+}
 
 impl fmt::Debug for Displacement {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -162,7 +177,7 @@ impl Moves {
                         now.phase += phase * item.g;
                     }
                 }
-                MovedBy::Along(_) => {}
+                MovedBy::Along(_) | MovedBy::TurnAlong { .. } => {}
             }
         }
     }
@@ -173,9 +188,21 @@ impl Moves {
         self.items[first..].iter().take_while(move |item| item.parameter == parameter)
     }
 
-    /// The rotation vector of a clamp in its own axes.
-    pub(crate) fn turn(&self, end: bool) -> &Vector3<f64> {
-        &self.turns[usize::from(end)]
+    /// The rotation vector of a clamp in its own axes at time t.
+    pub(crate) fn turn(&self, end: bool, t: f64) -> Vector3<f64> {
+        self.turns[usize::from(end)] + self.turned(end, t).map_or_else(Vector3::zeros, |(turn, _)| turn)
+    }
+
+    /// The part of it by which the body turns that carries the clamp, and the clamp's place in that body.
+    pub(crate) fn turned(&self, end: bool, t: f64) -> Option<(Vector3<f64>, Vector3<f64>)> {
+        let of = if end { HeldAt::End } else { HeldAt::Start };
+        let mut sum: Option<(Vector3<f64>, Vector3<f64>)> = None;
+        for item in self.items.iter().filter(|item| item.moved.of == of) {
+            if let MovedBy::TurnAlong { along, arm } = &item.moved.by {
+                sum.get_or_insert((Vector3::zeros(), *arm)).0 += along.0.at(t) * item.g;
+            }
+        }
+        sum
     }
 
     /// The place of a prescribed vertex at time t.
@@ -201,7 +228,7 @@ impl Moves {
     /// ∂(place)/∂p at time t.
     pub(crate) fn rate(&self, item: &Item, t: f64) -> Vector3<f64> {
         let by = match &item.moved.by {
-            MovedBy::Turn(_) => Vector3::zeros(),
+            MovedBy::Turn(_) | MovedBy::TurnAlong { .. } => Vector3::zeros(),
             MovedBy::Along(along) => along.0.at(t),
             MovedBy::Drive { radii, phase, .. } => {
                 let known = self.drives.iter().find(|known| known.0 == item.moved.of);

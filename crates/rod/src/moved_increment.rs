@@ -6,7 +6,7 @@ use crate::Error;
 use crate::element;
 use crate::layout::{FIXED, Layout};
 use crate::moved::{HeldAt, Moved, MovedBy};
-use crate::rotation::left_jacobian;
+use crate::rotation::{exponential, left_jacobian};
 use crate::shape::Shape;
 use crate::support::Supports;
 use crate::system::{StageStart, System};
@@ -43,10 +43,23 @@ impl System {
                 continue;
             }
             places[beside] += moved;
-            if let MovedBy::Turn(by) = &item.moved.by {
+            let by = match &item.moved.by {
+                MovedBy::Turn(by) => *by,
+                MovedBy::TurnAlong { along, .. } => along.0.at(t),
+                MovedBy::Along(_) | MovedBy::Drive { .. } => continue,
+            };
+            if by != Vector3::zeros() {
                 let end = item.moved.of == HeldAt::End;
                 let frame = self.clamp_frame(end, t)?.expect("a clamp that turns is one of the rod");
-                let omega = frame.axes * (left_jacobian(self.moves.turn(end)) * by) * item.slope;
+                let omega = frame.axes * (left_jacobian(&self.moves.turn(end, t)) * by) * item.slope;
+                if let (MovedBy::TurnAlong { .. }, Some((turn, arm))) =
+                    (&item.moved.by, self.moves.turned(end, t))
+                {
+                    let carried = (left_jacobian(&turn) * by).cross(&(exponential(&turn) * arm));
+                    let carried = frame.axes * carried * item.slope;
+                    places[vertex] += carried;
+                    places[beside] += carried;
+                }
                 let length = self.rod.rest_lengths[if end { n - 1 } else { 0 }];
                 let arm = frame.tangent * if end { -length } else { length };
                 places[beside] += omega.cross(&arm);
@@ -214,7 +227,8 @@ pub(crate) fn check(moved: &Moved, system: &System) -> Result<(), Error> {
         HeldAt::Start => (0, start.is_some()),
         HeldAt::End => (n, end.is_some()),
         HeldAt::Vertex(v) => {
-            (v, prescribed.iter().any(|p| p.0 == v) && !matches!(moved.by, MovedBy::Turn(_)))
+            let turns = matches!(moved.by, MovedBy::Turn(_) | MovedBy::TurnAlong { .. });
+            (v, prescribed.iter().any(|p| p.0 == v) && !turns)
         }
     };
     let refused = |reason| Err(Error::Support { vertex, reason });

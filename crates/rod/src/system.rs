@@ -11,6 +11,7 @@ use crate::layout::{Band, FIXED, Layout, mirror};
 use crate::load::{EdgeLoad, EdgeMotion};
 use crate::moved::{HeldAt, Moves};
 use crate::rod::Rod;
+use crate::rotation::exponential;
 use crate::scalar::length;
 use crate::shape::{FirstFrame, Shape};
 use crate::support::{Damping, Loads, Supports};
@@ -187,8 +188,11 @@ impl System {
         if self.moves.is_empty() {
             return clamp.frame(t).map(Some);
         }
-        let mut frame = clamp.frame_turned(t, self.moves.turn(end))?;
+        let mut frame = clamp.frame_turned(t, &self.moves.turn(end, t))?;
         frame.position += self.moves.displaced(of, t);
+        if let Some((turn, arm)) = self.moves.turned(end, t) {
+            frame.position += frame.axes * (exponential(&turn) * arm - arm);
+        }
         Ok(Some(frame))
     }
 

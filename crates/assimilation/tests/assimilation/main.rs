@@ -26,6 +26,7 @@ mod nothing;
 mod observations;
 mod posteriors;
 mod robust;
+mod sensitivities;
 mod short_form;
 mod state_length;
 mod storage;

@@ -118,7 +118,13 @@ pub(crate) fn moves(case: Case) -> Vec<Parameter> {
     let along = |v: Vector3<f64>| {
         MovedBy::Along(Displacement(std::sync::Arc::new(move |t: f64| v * (1.0 + (30.0 * t).sin()) * 0.01)))
     };
+    let turn = |v: Vector3<f64>, arm: Vector3<f64>| {
+        let along = Displacement(std::sync::Arc::new(move |t: f64| v * (1.0 + (40.0 * t).sin())));
+        MovedBy::TurnAlong { along, arm }
+    };
     let mut all = vec![
+        linear(HeldAt::Start, turn(Vector3::new(0.7, -0.4, 0.5), Vector3::new(0.02, 0.01, -0.03))),
+        linear(HeldAt::Start, turn(Vector3::new(0.1, 0.9, 0.2), Vector3::new(0.02, 0.01, -0.03))),
         linear(HeldAt::Start, MovedBy::Turn(Vector3::x())),
         linear(HeldAt::Start, MovedBy::Turn(Vector3::y())),
         linear(HeldAt::Start, MovedBy::Turn(Vector3::new(0.1, 0.0, 1.0))),
@@ -130,6 +136,7 @@ pub(crate) fn moves(case: Case) -> Vec<Parameter> {
     if case.end {
         all.push(linear(HeldAt::End, MovedBy::Turn(Vector3::new(0.0, 1.0, 0.2))));
         all.push(linear(HeldAt::End, MovedBy::Turn(Vector3::z())));
+        all.push(linear(HeldAt::End, turn(Vector3::new(0.3, -0.6, 1.0), Vector3::zeros())));
         all.push(linear(HeldAt::End, along(Vector3::new(-0.4, 1.0, 0.3))));
     } else {
         all.push(linear(HeldAt::Vertex(SEGMENTS - 2), along(Vector3::new(-0.4, 1.0, 0.3))));

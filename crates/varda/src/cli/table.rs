@@ -65,6 +65,9 @@ pub(super) fn outcome(o: &Outcome, folder: &Path, seconds: f64) -> String {
     for e in o.estimates.iter().filter(|e| !e.is_of_field()) {
         line(&e.name, e.in_words());
     }
+    for of in &o.considered {
+        line("[consider]", of.in_words());
+    }
     for w in &o.withheld {
         let (scale, unit) = w.quantity.shown();
         let of_all = match w.count {

@@ -158,18 +158,19 @@ fn of_inputs(all: &[Estimated]) -> Vec<String> {
         let mean = |of_one: &dyn Fn(&Estimated) -> f64| {
             (of.iter().map(|e| of_one(e).powi(2)).sum::<f64>() / of.len() as f64).sqrt()
         };
+        let unit = of[0].unit;
         let sigma = match of.iter().all(|e| e.sigma.is_some()) {
             true => format!(
-                ", σ of each {:.2e} m before and {:.2e} m after",
+                ", σ of each {:.2e} {unit} before and {:.2e} {unit} after",
                 of[0].prior_sigma,
                 mean(&|e| { e.sigma.unwrap_or(f64::NAN) })
             ),
             false => String::new(),
         };
         out.push(format!(
-            "{}: the recorded place is moved by an error of {} numbers, {:.2e} m in the root mean \
-             square{sigma}",
+            "{}: the recorded {} by an error of {} numbers, {:.2e} {unit} in the root mean square{sigma}",
             support(of[0]),
+            if unit == "rad" { "rotation is turned" } else { "place is moved" },
             of.len(),
             mean(&|e| e.value)
         ));

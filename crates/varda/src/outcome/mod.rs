@@ -1,5 +1,6 @@
 //! Results as plain data: what a run found, and all that a report needs of it.
 
+mod considered;
 mod convergence;
 mod covariances;
 mod cycles;
@@ -21,6 +22,7 @@ mod spread;
 mod verdict;
 mod window;
 
+pub use considered::{ByConstant, Considered};
 pub use convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
 pub use covariances::CovarianceBlock;
 pub use cycles::{CycleDepartures, CycleRow, CyclesOutcome, Means};

@@ -7,6 +7,7 @@ use serde::ser::SerializeMap;
 use varda_assimilation::Analysis;
 use varda_implicit::check::Amplification;
 
+use super::considered::Considered;
 use super::convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
 use super::covariances::CovarianceBlock;
 use super::estimates::Estimated;
@@ -82,6 +83,8 @@ pub struct Outcome {
     pub sources: Vec<Sources>,
     /// How these depend on the observed values.
     pub sensitivities: Vec<Sensitivity>,
+    /// What constants that are taken for known do to the result.
+    pub considered: Vec<Considered>,
     /// What second derivatives of the model do to it, where the scene asks for the exact Hessian.
     pub exact_hessian: Option<ExactHessian>,
     /// The truth, in the control.

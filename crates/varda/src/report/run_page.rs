@@ -71,6 +71,7 @@ pub(super) fn page(
     }
     show(&mut page, &["information", "next-marker"]);
     page.push(&sources::section(&outcome.sources));
+    page.push(&sources::considered(&outcome.considered));
     page.push(&format!(
         "<section><h2>What was left out</h2><p>Not needed by this scene, and not computed:</p>{}</section>",
         list(&summary.left_out)

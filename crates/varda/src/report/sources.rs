@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::markup::{escape, short, table};
 use super::tables::number;
-use crate::outcome::{Sensitivity, Sources};
+use crate::outcome::{Considered, Sensitivity, Sources};
 
 /// Rows of the table, the largest first; the rest go together.
 const SHOWN: usize = 12;
@@ -49,6 +49,38 @@ pub(super) fn section(all: &[Sources]) -> String {
          sensitivities.csv has the derivative by every observed value.</p></section>",
         table(&headings, &rows),
         if all.iter().any(|of| of.unit == "N") { ", and of the largest tension there" } else { "" }
+    )
+}
+
+/// The section on constants that are considered; empty where there are none.
+pub(super) fn considered(all: &[Considered]) -> String {
+    let Some(first) = all.first() else { return String::new() };
+    let heads: Vec<String> = first
+        .by
+        .iter()
+        .map(|c| match c.unit {
+            "1" => format!("{}: {} ± {}", c.name, short(c.value), short(c.sigma)),
+            unit => format!("{}: {} ± {} {unit}", c.name, short(c.value), short(c.sigma)),
+        })
+        .collect();
+    let headings: Vec<&str> =
+        ["", "σ", "with these"].into_iter().chain(heads.iter().map(String::as_str)).collect();
+    let sigma = |sigma: Option<f64>| sigma.map_or("–".into(), short);
+    let row = |of: &Considered| {
+        let unit = if of.unit == "1" { String::new() } else { format!(" [{}]", of.unit) };
+        let moves: String = of.by.iter().map(|c| format!("<td>{}</td>", short(c.moves))).collect();
+        format!(
+            "<tr><th scope=\"row\">{}{unit}</th><td>{}</td><td>{}</td>{moves}</tr>",
+            escape(&of.of),
+            sigma(of.sigma),
+            sigma(of.sigma_with_considered)
+        )
+    };
+    format!(
+        "<section><h2>Constants taken for known</h2>{}<p>How far each number moves with one σ of a \
+         constant of [consider], the analysis moving with it; σ of the number as the run has it, and with \
+         these added in squares. `considered` of summary.json has the derivatives.</p></section>",
+        table(&headings, &all.iter().map(row).collect::<String>())
     )
 }
 

@@ -5,8 +5,9 @@ use varda_assimilation::CostTerms;
 use varda_implicit::check::Amplification;
 
 use crate::outcome::{
-    AcceptedSteps, Attempt, Estimated, Evidence, ExactHessian, Fit, Forecast, KnownConstants, ModelErrors,
-    NextObservation, Outcome, Rejected, Rmse, Seconds, Share, Sources, Verdict, Withheld, WorkCounts,
+    AcceptedSteps, Attempt, Considered, Estimated, Evidence, ExactHessian, Fit, Forecast, KnownConstants,
+    ModelErrors, NextObservation, Outcome, Rejected, Rmse, Seconds, Share, Sources, Verdict, Withheld,
+    WorkCounts,
 };
 
 /// The keys of summary.json, in their order.
@@ -73,6 +74,9 @@ pub struct Summary {
     /// What the uncertainty of what is known least comes from.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub sources: Vec<Sources>,
+    /// What constants that are taken for known do to the result.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub considered: Vec<Considered>,
     /// What second derivatives of the model do to the posterior, where the scene asks for the exact Hessian.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exact_hessian: Option<ExactHessian>,
@@ -202,6 +206,7 @@ impl Summary {
             exact_hessian: outcome.exact_hessian,
             next_observation: outcome.next_observation.clone(),
             sources: outcome.sources.clone(),
+            considered: outcome.considered.clone(),
             estimates: outcome.estimates.clone(),
             with_constants_known: outcome.with_constants_known.clone(),
             rmse: outcome.rmse.clone(),

@@ -4,6 +4,7 @@
 mod amplification;
 mod between_steps;
 pub mod compare;
+mod considered;
 mod covariances;
 mod cycle_checks;
 pub mod cycles;

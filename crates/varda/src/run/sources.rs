@@ -10,14 +10,16 @@
 //! ```
 //!
 //! (P_a = K R Kᵀ + (I − K H) B (I − K H)ᵀ), for independent errors. Of one of several
-//! recordings what is left is also what the others leave open.
+//! recordings what is left is also what the others leave open. With the exact Hessian the derivatives are
+//! exact, and what is left is also what second derivatives do to P_a.
 
 use varda_assimilation::sensitivity;
 
 use crate::outcome::{Rejected, Sensitivity, SourceShare, Sources};
-use crate::scene::Hessian;
+use crate::scene::{Hessian, TimeGrid};
 use crate::setup::Problem;
 use crate::setup::memory::{FURTHER_COLUMNS, SOURCE_NUMBERS};
+use crate::state::StateLayout;
 
 /// What is gathered on the way.
 pub(super) struct SourcesOfSpread<'a> {
@@ -45,7 +47,7 @@ struct Row {
 
 impl<'a> SourcesOfSpread<'a> {
     /// For a root of so many columns; `None` where it is too large, or its P_a is not that of the observed
-    /// values with their σ: correlated errors, Huber's norm, the exact Hessian.
+    /// values with their σ: correlated errors, Huber's norm.
     pub(super) fn new(
         problem: &'a Problem,
         rejected: &'a [Rejected],
@@ -55,14 +57,16 @@ impl<'a> SourcesOfSpread<'a> {
         let scene = &problem.experiment.scene;
         let simple = scene.observations.correlation().is_none()
             && scene.algorithm.robust.is_none()
-            && scene.algorithm.hessian == Hessian::GaussNewton
             && scene.algorithm.method.is_strong();
         let values = problem.observed.sizes(&problem.experiment.grid)[0];
         let fits = columns <= FURTHER_COLUMNS && values.saturating_mul(columns) <= SOURCE_NUMBERS;
         let rows = Vec::new();
-        let rest = match is_one_of_several {
-            true => "background of the state, other recordings",
-            false => "background of the state",
+        let is_exact = scene.algorithm.hessian == Hessian::Exact;
+        let rest = match (is_one_of_several, is_exact) {
+            (true, false) => "background of the state, other recordings",
+            (true, true) => "background of the state, other recordings, second derivatives",
+            (false, false) => "background of the state",
+            (false, true) => "background of the state, second derivatives",
         };
         let numbers = Vec::new();
         (simple && fits && values > 0).then_some(Self { problem, rejected, columns, rest, rows, numbers })
@@ -85,23 +89,9 @@ impl<'a> SourcesOfSpread<'a> {
     /// The end of the window: the place, or the component, that is known least, of states of n numbers.
     pub(super) fn end(&mut self, n: usize, w: &[f64]) {
         let (layout, grid) = (&self.problem.experiment.state, self.problem.experiment.grid);
-        let Some(group) = layout.groups.first() else { return };
         let square = |i: usize| w.chunks_exact(n).map(|column| column[i].powi(2)).sum::<f64>();
-        let first = |v: usize| group.range.start + v * group.width;
-        let of_vector = |v: usize| (first(v)..first(v) + group.width).map(square).sum::<f64>();
-        let vectors = 0..group.range.len() / group.width;
-        let Some(least) = vectors.max_by(|a, b| of_vector(*a).total_cmp(&of_vector(*b))) else { return };
-        let t = grid.time(grid.steps);
-        let when = if grid.last_step() > 0 { format!(", t = {t:.4} s") } else { String::new() };
-        for c in 0..group.width {
-            let i = first(least) + c;
-            let name = match &layout.geometry {
-                Some(geometry) => {
-                    format!("{} at s = {:.4} m{when}", ["x", "y", "z"][c % 3], geometry.place(group, least))
-                }
-                None => format!("{}{when}", layout.names[i]),
-            };
-            self.add(name, group.unit, w.chunks_exact(n).map(|column| column[i]).collect());
+        for (i, name, unit) in least_known(layout, &grid, square) {
+            self.add(name, unit, w.chunks_exact(n).map(|column| column[i]).collect());
         }
     }
 
@@ -171,4 +161,33 @@ impl<'a> SourcesOfSpread<'a> {
         }
         (sources, sensitivities)
     }
+}
+
+/// Components of the place, or the component, with the largest variance at the end of the window: place
+/// in the state, name and unit.
+pub(super) fn least_known(
+    layout: &StateLayout,
+    grid: &TimeGrid,
+    variance: impl Fn(usize) -> f64,
+) -> Vec<(usize, String, &'static str)> {
+    let Some(group) = layout.groups.first() else { return Vec::new() };
+    let first = |v: usize| group.range.start + v * group.width;
+    let of_vector = |v: usize| (first(v)..first(v) + group.width).map(&variance).sum::<f64>();
+    let vectors = 0..group.range.len() / group.width;
+    let Some(least) = vectors.max_by(|a, b| of_vector(*a).total_cmp(&of_vector(*b))) else {
+        return Vec::new();
+    };
+    let t = grid.time(grid.steps);
+    let when = if grid.last_step() > 0 { format!(", t = {t:.4} s") } else { String::new() };
+    let named = |c: usize| {
+        let i = first(least) + c;
+        let name = match &layout.geometry {
+            Some(geometry) => {
+                format!("{} at s = {:.4} m{when}", ["x", "y", "z"][c % 3], geometry.place(group, least))
+            }
+            None => format!("{}{when}", layout.names[i]),
+        };
+        (i, name, group.unit)
+    };
+    (0..group.width).map(named).collect()
 }

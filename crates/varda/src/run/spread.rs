@@ -36,7 +36,7 @@ pub(super) struct Spread {
 }
 
 /// σ of the forces within a rod, from step to step.
-struct ForceSpread {
+pub(super) struct ForceSpread {
     rod: RodStep,
     /// Where unknown constants stand in a state, and how many of them the rod depends on.
     places: ParameterPlaces,
@@ -45,7 +45,7 @@ struct ForceSpread {
 
 impl ForceSpread {
     /// Of a rod with the constants of a state.
-    fn of(rod: &RodSystem, state: &[f64]) -> Result<ForceSpread, Error> {
+    pub(super) fn of(rod: &RodSystem, state: &[f64]) -> Result<ForceSpread, Error> {
         let (places, constants) = (rod.parts.places()?, rod.estimates().of_rod.len());
         Ok(ForceSpread { rod: rod.with_constants_of(state)?.0, places, constants })
     }
@@ -96,7 +96,7 @@ impl ForceSpread {
 
 impl ForceSpread {
     /// The segment with the largest tension at a step, and what columns of the states do to it.
-    fn tightest(
+    pub(super) fn tightest(
         &mut self,
         grid: &TimeGrid,
         at: &Carried,

@@ -13,8 +13,8 @@ use super::interrupted::{Asked, Lowest};
 use super::second_minimum::Second;
 use super::verdict::{self, Judged};
 use super::{
-    amplification, between_steps, covariances, departures, estimates, fit, model_errors, second_minimum,
-    shapes, shares, spread,
+    amplification, between_steps, considered, covariances, departures, estimates, fit, model_errors,
+    second_minimum, shapes, shares, spread,
 };
 use crate::Error;
 use crate::outcome::{
@@ -295,6 +295,21 @@ pub(super) fn described(problem: &Problem, ended: Ended, listener: &Listener) ->
     if let (Some(shapes), Some(spread)) = (&mut shapes, &mut spread) {
         shapes.sigma_forces = std::mem::take(&mut spread.forces);
     }
+    let known = considered::Known {
+        control: &analysis.analysis,
+        rejected: &solution.rejected.iter().map(|r| r.row).collect::<Vec<_>>(),
+        sigma_states: spread.as_ref().map_or(&[], |s| &s.states),
+        sigma_forces: shapes.as_ref().map_or(&[], |s| &s.sigma_forces),
+        estimates: &estimates,
+    };
+    let considered = match status.is_settled() && !ended_early {
+        true => considered::considered(problem, &known),
+        false => Ok(Vec::new()),
+    };
+    let considered = considered.unwrap_or_else(|reason| {
+        warnings.push(format!("what [consider] does is left out: {reason}"));
+        Vec::new()
+    });
     let observed =
         spread::observed_values(problem, model.as_ref(), &trajectories, spread.as_ref(), &rejected)?;
     if scene.observations.correlation().is_none() {
@@ -308,6 +323,7 @@ pub(super) fn described(problem: &Problem, ended: Ended, listener: &Listener) ->
         attempts: solution.attempts.iter().map(Attempt::from).collect(),
         failure,
         has_posterior: solution.spread.is_some(),
+        considered,
         exact_hessian: solution.exact_hessian,
         covariances: covariances::covariances(layout, problem.covariance.as_ref(), posterior),
         truth,

@@ -2,6 +2,7 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::defaults::is_default;
 use super::invalid::{Invalid, invalid};
@@ -68,6 +69,10 @@ pub struct Estimate {
     /// with `correlation_time` that of the motion followed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub base: Option<Unknown>,
+    /// Errors of the recorded rotations of clamps, an uncertain input: σ about each axis of a row [rad], or
+    /// with `correlation_time` that of the motion followed. The clamp turns about the body's origin.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub base_rotation: Option<Unknown>,
     /// Arc lengths of the observed places [m], each an unknown of its own: `marker_arc_length[tip]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub marker_arc_length: Option<Unknown>,
@@ -121,6 +126,9 @@ pub(crate) const OF_PLACES: [&str; 4] =
     ["marker_arc_length", "marker_offset", "mount_rotation", "mount_translation"];
 pub(crate) const OF_OBSERVATIONS: [&str; 3] = ["bias", "clock", "observation_sigma"];
 
+/// Keys of errors in time of what was recorded of supports, with their unit.
+pub(crate) const OF_BASE: [(&str, &str); 2] = [("base", "m"), ("base_rotation", "rad")];
+
 /// The prior of a constant: of every component alike, or one after the other.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
@@ -145,8 +153,8 @@ pub struct ConstantPrior {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub correlation_length: Option<f64>,
-    /// Of `base`: time over which errors of the motion are alike [s]. Absent: those of rows are independent,
-    /// and what smoothing leaves of them is estimated.
+    /// Of `base`, `base_rotation`: time over which errors of the motion are alike [s]. Absent: those of
+    /// rows are independent, and what smoothing leaves of them is estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "s"))]
     pub correlation_time: Option<f64>,
@@ -217,6 +225,17 @@ impl Unknown {
 }
 
 impl Estimate {
+    /// With the keys of another one beside its own.
+    #[allow(clippy::missing_panics_doc)] // both are plain JSON
+    pub(crate) fn with(&self, other: &Estimate) -> Estimate {
+        let mut own = serde_json::to_value(self).expect("plain JSON");
+        let other = serde_json::to_value(other).expect("plain JSON");
+        if let (Some(own), Value::Object(other)) = (own.as_object_mut(), other) {
+            own.extend(other);
+        }
+        serde_json::from_value(own).expect("keys of this type")
+    }
+
     /// The keys that are given.
     pub(crate) fn given(&self) -> Vec<(&'static str, &Unknown)> {
         let all = [
@@ -237,6 +256,7 @@ impl Estimate {
             ("drive_radii", &self.drive_radii),
             ("drive_phase", &self.drive_phase),
             ("base", &self.base),
+            ("base_rotation", &self.base_rotation),
             ("forcing", &self.forcing),
             ("sigma", &self.prandtl),
             ("rho", &self.rho),

@@ -151,6 +151,22 @@ impl SceneFile {
         !self.recordings.is_empty()
     }
 
+    /// The scene with the constants of `[consider]` among those of `[estimate]`; `None` where there are none.
+    pub(crate) fn with_considered(&self) -> Option<SceneFile> {
+        if self.scene.consider.given().is_empty() {
+            return None;
+        }
+        let mut file = self.clone();
+        let considered = std::mem::take(&mut file.scene.consider);
+        file.scene.estimate = file.scene.estimate.with(&considered);
+        let keys = self.places.iter().filter_map(|(path, place)| {
+            let key = path.strip_prefix("consider.")?;
+            Some((format!("estimate.{key}"), place.clone()))
+        });
+        file.places.extend(keys);
+        Some(file)
+    }
+
     /// An error that points at the key `path` (dotted; its nearest written parent where it was not written).
     pub fn invalid(&self, path: &str, message: impl Into<String>) -> Error {
         let place = self.place(path);

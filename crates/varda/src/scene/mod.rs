@@ -37,6 +37,7 @@ mod sizes;
 mod tree;
 mod validate;
 mod validate_algorithm;
+mod validate_consider;
 mod validate_covariance;
 mod validate_cycles;
 mod validate_estimate;
@@ -57,7 +58,7 @@ pub use camera::Camera;
 pub use cycles::{Adaptive, CycledCovariance, Cycles, EnsembleUpdate, Inflation};
 pub use ensemble::Ensemble;
 pub use estimate::{ConstantPrior, Estimate, PriorSigma, Unknown};
-pub(crate) use estimate::{OF_OBSERVATIONS, OF_PLACES, PriorSpread};
+pub(crate) use estimate::{OF_BASE, OF_OBSERVATIONS, OF_PLACES, PriorSpread};
 pub(crate) use file::Adjusted;
 pub use file::SceneFile;
 pub use grid::TimeGrid;
@@ -119,6 +120,10 @@ pub struct Scene {
     /// Constants that are estimated beside the state.
     #[serde(default, skip_serializing_if = "is_default")]
     pub estimate: Estimate,
+    /// Constants that are taken for known and are not quite (consider parameters), with keys and σ as in
+    /// `[estimate]`: the run says what one σ of each does to its results, all else being as it is.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub consider: Estimate,
     /// Several recordings of one system in one estimate: each has a state of its own, the constants of
     /// `[estimate]` are the same. Absent: one, that of `[observations]`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

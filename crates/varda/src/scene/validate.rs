@@ -6,6 +6,7 @@ use super::grid::TimeGrid;
 use super::invalid::{Check, invalid};
 use super::sizes::validate_sizes;
 use super::validate_algorithm::validate_algorithm;
+use super::validate_consider::validate_consider;
 use super::validate_covariance::validate_covariance;
 use super::validate_cycles::validate_cycles;
 use super::validate_estimate::validate_estimate;
@@ -69,6 +70,7 @@ pub(super) fn validate(scene: &Scene) -> Check {
     validate_recordings(scene)?;
     validate_static(scene)?;
     validate_estimate(&scene.estimate, scene)?;
+    validate_consider(scene)?;
     if let Some(cycles) = &scene.algorithm.cycles {
         validate_cycles(cycles, scene)?;
     }

@@ -1,16 +1,17 @@
 //! What `[estimate]` must satisfy beyond the type of each key.
 
-use super::estimate::{OF_OBSERVATIONS, OF_PLACES, PriorSpread};
+use super::estimate::{OF_BASE, OF_OBSERVATIONS, OF_PLACES, PriorSpread};
 use super::invalid::{Check, invalid};
 use super::{ConstantPrior, Estimate, Method, Model, Motion, RodModel, Scene, Section, Unknown};
 
 /// Keys of a rod, of its observations, and of each other model.
-const OF_ROD: [&str; 17] = [
+const OF_ROD: [&str; 18] = [
     "clamp_direction",
     "support_position",
     "drive_radii",
     "drive_phase",
     "base",
+    "base_rotation",
     "gravity_direction",
     "youngs_modulus",
     "ei",
@@ -58,8 +59,8 @@ pub(super) fn validate_estimate(estimate: &Estimate, scene: &Scene) -> Check {
             if prior.correlation_length.is_some() && !["natural_curvature", "natural_twist"].contains(&key) {
                 return invalid(path, "is one number: only natural_curvature and natural_twist are fields");
             }
-            if prior.correlation_time.is_some() && key != "base" {
-                return invalid(path, "correlation_time is for `base` alone");
+            if prior.correlation_time.is_some() && OF_BASE.iter().all(|(base, _)| *base != key) {
+                return invalid(path, "correlation_time is for `base` and `base_rotation` alone");
             }
             if prior.together
                 && !(["ei", "point_mass"].contains(&key) && matches!(unknown, Unknown::Every(_)))
@@ -155,17 +156,18 @@ fn validate_of_rod(estimate: &Estimate, rod: &RodModel) -> Check {
             return invalid(format!("estimate.{key}"), "needs a support with motion.kind = \"ellipse\"");
         }
     }
-    if let Some(base) = &estimate.base {
-        const KEY: &str = "estimate.base";
+    for (key, unit) in OF_BASE {
+        let Some((_, base)) = estimate.given().into_iter().find(|(given, _)| *given == key) else { continue };
+        let path = format!("estimate.{key}");
         if !rod.motions().any(|motion| !matches!(motion, Motion::Ellipse { .. })) {
-            return invalid(KEY, "needs a support that moves as a file or markers say");
+            return invalid(path, "needs a support that moves as a file or markers say");
         }
-        let Unknown::Every(prior) = base else { return invalid(KEY, "is one table") };
-        if let PriorSpread::LogNormal(_) = prior.spread(KEY)? {
-            return invalid("estimate.base.sigma", "is in m, not a share");
+        let Unknown::Every(prior) = base else { return invalid(path, "is one table") };
+        if let PriorSpread::LogNormal(_) = prior.spread(&path)? {
+            return invalid(format!("{path}.sigma"), format!("is in {unit}, not a share"));
         }
         if prior.correlation_time.is_some_and(|t| !(t > 0.0 && t.is_finite())) {
-            return invalid("estimate.base.correlation_time", "is greater than 0");
+            return invalid(format!("{path}.correlation_time"), "is greater than 0");
         }
     }
     if estimate.point_mass.is_some() && rod.point_masses.is_empty() {

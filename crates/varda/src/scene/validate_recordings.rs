@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use super::estimate::OF_BASE;
 use super::invalid::{Check, invalid};
 use super::{Hessian, Scene};
 
@@ -38,10 +39,10 @@ pub(super) fn validate_recordings(scene: &Scene) -> Check {
     if let Some((key, _)) = given.iter().find(|(key, _)| OF_PASSES.contains(key)) {
         return invalid(format!("estimate.{key}"), of_passes(key));
     }
-    if scene.estimate.base.is_some() {
+    if let Some((key, _)) = given.iter().find(|(key, _)| OF_BASE.iter().any(|(base, _)| base == key)) {
         let message = "errors of a recorded base are each recording's own: name it in the `estimate` of \
                        [[recordings]]";
-        return invalid("estimate.base", message);
+        return invalid(format!("estimate.{key}"), message);
     }
     let algorithm = &scene.algorithm;
     if !algorithm.method.is_strong() {

@@ -43,6 +43,14 @@ impl Constant {
         }
     }
 
+    /// Its derivative by p.
+    pub(crate) fn slope_at(&self, p: f64) -> f64 {
+        match self.law {
+            Law::Linear => 1.0,
+            Law::Exponential => self.at(p),
+        }
+    }
+
     /// The number p at which the constant has a value.
     pub(crate) fn number_of(&self, value: f64) -> f64 {
         match self.law {

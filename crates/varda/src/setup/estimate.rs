@@ -12,7 +12,8 @@ use super::estimate_supports;
 use super::motion::Followed;
 use crate::Error;
 use crate::scene::{
-    ConstantPrior, Model, OF_OBSERVATIONS, OF_PLACES, Observations, PriorSpread, RodModel, SceneFile, Unknown,
+    ConstantPrior, Model, OF_BASE, OF_OBSERVATIONS, OF_PLACES, Observations, PriorSpread, RodModel,
+    SceneFile, Unknown,
 };
 
 /// Unknown constants p, in the order of the control. Each is zero at the value that the scene writes.
@@ -89,7 +90,7 @@ impl Estimates {
 
     /// σ of how far drives and recorded places of supports are off \[m\].
     pub(crate) fn supports_off(&self) -> f64 {
-        let (mut recorded, mut driven) = (0.0_f64, 0.0);
+        let (mut recorded, mut turned, mut driven) = (0.0_f64, 0.0_f64, 0.0);
         for (parameter, constant) in self.of_rod.iter().zip(&self.constants) {
             for moved in &parameter.change.supports {
                 match &moved.by {
@@ -100,10 +101,11 @@ impl Estimates {
                     }
                     // what is on the rod stays as far from its support
                     MovedBy::Turn(_) => {}
+                    MovedBy::TurnAlong { arm, .. } => turned = turned.max(constant.sigma * arm.norm()),
                 }
             }
         }
-        recorded.hypot(driven.sqrt())
+        recorded.hypot(turned).hypot(driven.sqrt())
     }
 
     /// How many of them the model does not depend on.
@@ -241,8 +243,8 @@ impl Estimates {
         if let Some((prior, length)) = field.and_then(|prior| Some((prior, prior.correlation_length?))) {
             return self.add_field(file, &path, key, prior, length, described.rod, model);
         }
-        if key == "base" {
-            return self.add_base(file, model, described, unknown);
+        if OF_BASE.iter().any(|(base, _)| *base == key) {
+            return self.add_base(file, model, described, key, unknown);
         }
         let section = described.section;
         let isotropic = section.ei1 == section.ei2;
@@ -255,18 +257,25 @@ impl Estimates {
         Ok(())
     }
 
-    /// Errors of recorded places.
+    /// Errors of recorded places or rotations.
     fn add_base(
         &mut self,
         file: &SceneFile,
         model: &RodModel,
         described: &Described,
+        key: &str,
         unknown: &Unknown,
     ) -> Result<(), Error> {
-        let path = "estimate.base";
+        let path = &format!("estimate.{key}");
         let prior = file.prior_of_one(path, &Some(unknown.clone()))?;
         let Some(PriorSpread::Normal(sigma)) = prior else { unreachable!("the scene was checked") };
-        let all = estimate_supports::of_base(unknown, sigma, model, described.followed, described.run);
+        let (followed, run) = (described.followed, described.run);
+        let isotropic = described.section.ei1 == described.section.ei2;
+        let about_t = estimate_supports::turns_show(model, &file.scene.estimate, isotropic);
+        let all = match key {
+            "base" => estimate_supports::of_base(unknown, sigma, model, followed, run),
+            _ => estimate_supports::of_base_rotation(unknown, sigma, model, followed, (run, about_t)),
+        };
         for (constant, parameter) in all.map_err(|message| file.invalid(path, message))? {
             self.of_rod.push(parameter);
             self.of_model += 1;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use varda_rod::{Change, Displacement, EllipseDrive, HeldAt, Law, Moved, MovedBy, Parameter, Vector3};
 
 use super::constant::{Constant, Effect, Kind};
-use super::motion::{Followed, drive};
+use super::motion::{Followed, Turned, drive};
 use crate::scene::{Estimate, Motion, RodModel, Unknown};
 
 /// Coefficients of the error of a coordinate at most.
@@ -35,7 +35,7 @@ fn held_at(model: &RodModel, path: &str) -> Option<HeldAt> {
 }
 
 /// Whether a turn of a clamp about its tangent shows in the places of the centreline.
-fn turns_show(model: &RodModel, estimate: &Estimate, isotropic: bool) -> bool {
+pub(super) fn turns_show(model: &RodModel, estimate: &Estimate, isotropic: bool) -> bool {
     let curved = model.natural_curvature != [0.0; 2]
         || model.rest_shape.is_some()
         || estimate.natural_curvature.is_some();
@@ -131,11 +131,74 @@ pub(super) fn of_base(
     followed: &[Followed],
     [first, last]: [f64; 2],
 ) -> Result<Vec<(Constant, Parameter)>, String> {
-    let Unknown::Every(prior) = unknown else { unreachable!("the scene was checked") };
     let mut all = Vec::new();
-    for Followed { path, interval, cut_off } in followed {
+    for Followed { path, interval, cut_off, .. } in followed {
         let Some(of) = held_at(model, path) else { continue };
         let name = path.strip_prefix("model.").unwrap_or(path);
+        let spline = Spline::of(unknown, sigma, (path, *interval, *cut_off), [first, last])?;
+        for (c, axis) in ["x", "y", "z"].into_iter().enumerate() {
+            spline.add(&format!("base[{name}].{axis}"), "m", c, &mut all, |along| Moved {
+                of,
+                by: MovedBy::Along(along),
+            });
+        }
+    }
+    Ok(all)
+}
+
+/// Errors of recorded rotations in the same way, each a rotation vector in the clamp's own axes, about the
+/// origin of the body; about the tangent where that shows.
+///
+/// # Errors
+/// What is wrong with the key.
+pub(super) fn of_base_rotation(
+    unknown: &Unknown,
+    sigma: f64,
+    model: &RodModel,
+    followed: &[Followed],
+    (run, about_t): ([f64; 2], bool),
+) -> Result<Vec<(Constant, Parameter)>, String> {
+    let mut all = Vec::new();
+    for Followed { path, interval, turned, .. } in followed {
+        let (Some(of), Some(Turned { cut_off, arm })) = (held_at(model, path), *turned) else { continue };
+        let name = path.strip_prefix("model.").unwrap_or(path);
+        let spline = Spline::of(unknown, sigma, (path, *interval, cut_off), run)?;
+        // with an arm a turn about the tangent moves the clamp
+        let axes = if about_t || arm.x != 0.0 || arm.y != 0.0 { 3 } else { 2 };
+        for (c, axis) in ["m1", "m2", "t"].into_iter().enumerate().take(axes) {
+            spline.add(&format!("base_rotation[{name}].{axis}"), "rad", c, &mut all, |along| Moved {
+                of,
+                by: MovedBy::TurnAlong { along, arm },
+            });
+        }
+    }
+    match all.is_empty() {
+        true => Err("needs a clamp whose rotation is recorded: motion.kind = \"pose\", or \"markers\" with \
+                     two names or more"
+            .into()),
+        false => Ok(all),
+    }
+}
+
+/// Coefficients of an error in time of one coordinate.
+struct Spline {
+    /// Time between knots \[s\], the first knot, and how many.
+    h: f64,
+    first: f64,
+    count: usize,
+    /// σ of a coefficient.
+    sigma: f64,
+}
+
+impl Spline {
+    /// Of what was recorded at these intervals \[s\] and smoothed from this frequency \[Hz\] on.
+    fn of(
+        unknown: &Unknown,
+        sigma: f64,
+        (path, interval, cut_off): (&str, f64, Option<f64>),
+        [first, last]: [f64; 2],
+    ) -> Result<Spline, String> {
+        let Unknown::Every(prior) = unknown else { unreachable!("the scene was checked") };
         let f = cut_off.unwrap_or(f64::INFINITY).min(0.5 / interval);
         let (h, sigma) = match prior.correlation_time {
             Some(time) => (time, sigma),
@@ -148,26 +211,34 @@ pub(super) fn of_base(
                  more than {MOST}: smooth the motion (its `cutoff` or `sigma`), or give `correlation_time`"
             ));
         }
-        let sigma = sigma / MEAN_SQUARES.sqrt();
-        for (c, axis) in ["x", "y", "z"].into_iter().enumerate() {
-            for j in 0..count as usize {
-                let knot = first + (j as f64 - 1.0) * h;
-                let along = move |t: f64| {
-                    let mut moved = Vector3::zeros();
-                    moved[c] = bump((t - knot) / h);
-                    moved
-                };
-                let by = MovedBy::Along(Displacement(Arc::new(along)));
-                let change = Change { supports: vec![Moved { of, by }], ..Change::default() };
-                let name = format!("base[{name}].{axis}(t = {knot:.4} s)");
-                all.push((
-                    Constant { name, unit: "m", value: 0.0, law: Law::Linear, sigma },
-                    Parameter { change, law: Law::Linear },
-                ));
-            }
+        Ok(Spline { h, first, count: count as usize, sigma: sigma / MEAN_SQUARES.sqrt() })
+    }
+
+    /// Adds the coefficients of component c.
+    fn add(
+        &self,
+        name: &str,
+        unit: &'static str,
+        c: usize,
+        all: &mut Vec<(Constant, Parameter)>,
+        moved: impl Fn(Displacement) -> Moved,
+    ) {
+        for j in 0..self.count {
+            let (h, knot) = (self.h, self.first + (j as f64 - 1.0) * self.h);
+            let along = move |t: f64| {
+                let mut moved = Vector3::zeros();
+                moved[c] = bump((t - knot) / h);
+                moved
+            };
+            let supports = vec![moved(Displacement(Arc::new(along)))];
+            let change = Change { supports, ..Change::default() };
+            let name = format!("{name}(t = {knot:.4} s)");
+            all.push((
+                Constant { name, unit, value: 0.0, law: Law::Linear, sigma: self.sigma },
+                Parameter { change, law: Law::Linear },
+            ));
         }
     }
-    Ok(all)
 }
 
 /// 2 ∫₀^∞ (1 + u⁶)⁻² du = (5/3) (π/6)/sin(π/6).

@@ -1,6 +1,6 @@
 //! A scene on a finer mesh in space and time.
 
-use crate::scene::{ClampAt, Integrator, Invalid, Model, Prescribed, RodModel, SceneFile, Time};
+use crate::scene::{ClampAt, Estimate, Integrator, Invalid, Model, Prescribed, RodModel, Scene, SceneFile};
 
 /// What says how far the mesh moves estimated constants.
 #[derive(Debug, Clone)]
@@ -72,12 +72,12 @@ pub(crate) fn finer(file: &SceneFile) -> Result<Finer, Invalid> {
         (_, false) => return Ok(Finer::Unwanted),
     };
     if has_steps {
-        halve_step(&mut scene.time);
-        scene.algorithm.window_growth.iter_mut().for_each(|end| *end *= 2);
+        halve_step(scene);
     }
     scene.report.mesh = false;
     scene.report.posterior = false;
     scene.report.forecast = 0.0;
+    scene.consider = Estimate::default();
     let of_difference = if first_order { FIRST_ORDER } else { SECOND_ORDER };
     Ok(Finer::Scene(Box::new(FinerScene { file, of_difference, change, work })))
 }
@@ -91,7 +91,8 @@ fn holds_an_edge(rod: &RodModel) -> bool {
 
 /// The same time in twice as many steps. Where steps are divided by a tolerance, each part is halved: the
 /// error of one falls with the cube of its length, with the square of it by backward Euler.
-fn halve_step(time: &mut Time) {
+fn halve_step(scene: &mut Scene) {
+    let time = &mut scene.time;
     match (&mut time.step, &mut time.steps_per_period, &mut time.tolerance) {
         (_, _, Some(tolerance)) => {
             *tolerance /= if time.integrator == Integrator::BackwardEuler { 4.0 } else { 8.0 };
@@ -103,6 +104,7 @@ fn halve_step(time: &mut Time) {
     }
     time.window *= 2;
     time.spin_up *= 2;
+    scene.algorithm.window_growth.iter_mut().for_each(|end| *end *= 2);
 }
 
 /// Twice the segments, equal ones where no held vertex is moved by that.

@@ -272,6 +272,16 @@ impl Memory {
             let sources = m.saturating_mul(n);
             other = other.saturating_add(if sources <= SOURCE_NUMBERS { sources } else { 0 });
         }
+        let considered = scene.consider.given().len();
+        if considered > 0 {
+            // the run with these constants, columns along it, and the vectors of conjugate gradients
+            let unknowns = match scene.background.covariance.is_of_known_state() {
+                true => sizes.constants,
+                false => n,
+            };
+            let run = (sizes.steps + 1 + 12 * considered).saturating_mul(sizes.state);
+            other = other.saturating_add(run).saturating_add((unknowns.min(m) + 8).saturating_mul(unknowns));
+        }
         // Background, analysis and, of a twin, truth, and the table of their states.
         let (shown, runs) =
             (sizes.shown + 1, 2 + usize::from(scene.background.from == Origin::TruthPlusDraw));

@@ -6,6 +6,7 @@ mod component_model;
 mod component_observations;
 mod component_rows;
 pub mod components;
+pub(crate) mod considered;
 pub(crate) mod constant;
 mod continuity;
 pub mod covariance;

@@ -276,11 +276,19 @@ impl Observed {
     /// # Errors
     /// [`Error::Assimilation`].
     pub fn set(&self, grid: &TimeGrid) -> Result<ObservationSet, Error> {
-        Ok(ObservationSet::on_times(
-            grid.times_of_window(),
-            vec![(self.make_operator)()?],
-            self.assimilated(grid),
-        )?)
+        self.set_with(self.operator()?, grid)
+    }
+
+    /// The same with another operator, of states that are longer.
+    ///
+    /// # Errors
+    /// [`Error::Assimilation`].
+    pub(crate) fn set_with(
+        &self,
+        operator: Box<dyn ObservationOperator>,
+        grid: &TimeGrid,
+    ) -> Result<ObservationSet, Error> {
+        Ok(ObservationSet::on_times(grid.times_of_window(), vec![operator], self.assimilated(grid))?)
     }
 
     /// Everything that was seen in window and forecast, used or not, with a row for every row of its site:

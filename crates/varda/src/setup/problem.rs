@@ -5,6 +5,7 @@ use varda_covariance::{Ensemble, sample};
 use varda_implicit::Model;
 
 use super::adaptive_steps::AdaptiveSteps;
+use super::considered::Considered;
 use super::covariance::Factored;
 use super::ensemble;
 use super::finer::{Finer, finer};
@@ -50,6 +51,8 @@ pub struct Problem {
     pub(crate) finer: Finer,
     /// The scene, where passes of an estimate adjust how its observations are read.
     pub(crate) adjustable: Option<Box<SceneFile>>,
+    /// The same with the constants of `[consider]` among the unknowns.
+    pub(crate) considered: Option<Considered>,
     /// The time steps of the models, if they are adaptive.
     pub(crate) adaptive_steps: Option<AdaptiveSteps>,
 }
@@ -141,6 +144,7 @@ impl Problem {
             },
             make_model,
             make_truth,
+            considered: Considered::read(&one_window, &system)?,
             system,
             covariance,
             model_error,

@@ -12,7 +12,7 @@ use varda::scene::SceneFile;
 use varda::setup::Problem;
 use varda_assimilation::{ControlTransform, CostFunction, ObservationOperator, StrongConstraint};
 use varda_implicit::{At, check};
-use varda_rod::{Marker, Markers, Vector3};
+use varda_rod::{Marker, Markers, UnitQuaternion, Vector3};
 
 use super::observed::products_at;
 use crate::row::{Case, Outcome, Rows};
@@ -26,7 +26,8 @@ pub(super) fn run(rows: &mut Rows, quick: bool) {
     rows.case("products of what supports move", products);
     rows.case("products of markers beside the centreline", beside);
     let seeds = if quick { 6 } else { 40 };
-    rows.case("a base recorded with 1 mm of noise", |case| base(case, seeds));
+    rows.case("a base recorded with 1 mm of noise", |case| base(case, Recorded::Places, seeds));
+    rows.case("a base recorded with 0.02 rad of noise", |case| base(case, Recorded::Rotations, seeds));
     rows.case("a row just beyond the reach of a recorded base", beyond);
     rows.case("parts of J, and σ with the constants known", parts);
     for p in rows.grid("priors of supports", [1e-6, 1.0, 1e3, 1e6]) {
@@ -46,19 +47,21 @@ fn gripped(case: &mut Case) -> Outcome {
         "model.segments=19",
         "estimate.clamp_direction={sigma=0.05}",
         "estimate.base={sigma=0.001,correlation_time=0.1}",
+        "estimate.base_rotation={sigma=0.01,correlation_time=0.1}",
         "report.forecast=0.0",
     ];
     let problem = Problem::from_scene(&gripped_cable(0.0, &sets)?)?;
     let mut observations = problem.observations()?;
     let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref())?;
     let (n, constants) = (problem.covariance.as_ref().root_dim(), problem.experiment.state.constants.len());
+    let names = problem.experiment.state.names.clone();
     let mut model = problem.model();
     let mut cost = StrongConstraint::new(model.as_mut(), transform, &mut observations)?;
     let mut v: Vec<f64> = (0..n).map(|i| 0.2 * (1.0 + 1.7 * i as f64).sin()).collect();
     let mut gradient = vec![0.0; n];
     cost.evaluate(&v, Some(&mut gradient))?;
     let size = gradient.iter().fold(1.0_f64, |size, g| size.max(g.abs()));
-    let mut worst = [0.0_f64; 2];
+    let mut worst = [(0.0_f64, 0); 3];
     for p in n - constants..n {
         let mut at = |h: f64| {
             let before = v[p];
@@ -68,17 +71,21 @@ fn gripped(case: &mut Case) -> Outcome {
             j
         };
         let mut central = |h: f64| Ok::<f64, varda_assimilation::Error>((at(h)? - at(-h)?) / (2.0 * h));
-        let difference = (4.0 * central(1e-3)? - central(2e-3)?) / 3.0;
+        let difference = (4.0 * central(0.016)? - central(0.032)?) / 3.0;
         let error = (gradient[p] - difference).abs() / gradient[p].abs().max(1e-5 * size);
-        // six directions stand before the errors of the places
-        let kind = usize::from(p >= n - constants + 6);
-        worst[kind] = worst[kind].max(error);
+        let name = &names[names.len() + p - n];
+        let kind = ["base[", "base_rotation["].iter().position(|kind| name.contains(kind));
+        let worst = &mut worst[kind.map_or(0, |kind| kind + 1)];
+        *worst = (worst.0.max(error), worst.1 + 1);
     }
     let because = "extrapolated differences of J: h⁴ of its fifth derivative, and rounding of J over h";
-    case.at_most("directions: ∂J/∂p off its difference", worst[0], 1e-6, "-").because(because);
-    case.at_most("base: ∂J/∂p off its difference", worst[1], 1e-6, "-")
-        .because(because)
-        .note(format!("{} numbers", constants - 6));
+    for (kind, (error, count)) in ["directions", "base", "base_rotation"].into_iter().zip(worst) {
+        case.at_most(&format!("{kind}: ∂J/∂p off its difference"), error, 1e-6, "-")
+            .because(because)
+            .note(format!("{count} numbers"));
+    }
+    case.count("directions", worst[0].1, 6);
+    case.count("axes of rotations as of places", worst[1].1, worst[2].1);
     Ok(())
 }
 
@@ -123,7 +130,12 @@ fn beside(case: &mut Case) -> Outcome {
 
 /// Of the model and of what is observed: exact transposes that ask for no memory.
 fn products(case: &mut Case) -> Outcome {
-    let sets = ["time.window=6", "estimate.clamp_direction={sigma=0.05}", "estimate.base={sigma=0.001}"];
+    let sets = [
+        "time.window=6",
+        "estimate.clamp_direction={sigma=0.05}",
+        "estimate.base={sigma=0.001}",
+        "estimate.base_rotation={sigma=0.01}",
+    ];
     let problem = Problem::from_scene(&gripped_cable(0.0, &sets)?)?;
     let mut model = problem.model();
     let n = model.dim();
@@ -180,42 +192,101 @@ fn moved(t: f64) -> Vector3<f64> {
     Vector3::new(0.03 * (8.0 * t).sin(), 0.02 * (5.0 * t).cos(), 0.01 * (6.0 * t).sin())
 }
 
-/// The scene of a rod whose base is recorded in base.csv.
-fn driven(smoothing: &str) -> String {
-    let motion = format!("motion = {{ kind = \"table\", file = \"base.csv\", {smoothing} }}");
-    let (model, _) = RECORDED_ROD.split_once("[[observations.markers]]").unwrap_or((RECORDED_ROD, ""));
-    let mut text = model
-        .replace("# motion", &motion)
-        .replace("sigma_x = 0.02", "sigma_x = 0.005")
-        .replace("sigma_v = 0.3", "sigma_v = 0.1");
-    for (i, s) in PLACES.into_iter().enumerate() {
-        let used = if i % 2 == 0 { "withhold" } else { "assimilate" };
-        let _ =
-            write!(text, "[[observations.markers]]\nname = \"m{i}\"\narc_length = {s}\nuse = \"{used}\"\n");
-    }
-    text
+/// What of the base is recorded with errors.
+#[derive(Clone, Copy)]
+enum Recorded {
+    Places,
+    Rotations,
 }
 
-fn rows_of_base(mut error: impl FnMut() -> f64) -> String {
-    let mut text = String::from("time_s,x_m,y_m,z_m\n");
-    for k in 0..ROWS.1 {
-        let t = ROWS.0 + 0.01 * k as f64;
-        let [x, y, z] = [0, 1, 2].map(|c| moved(t)[c] + error());
-        let _ = writeln!(text, "{t:.4},{x},{y},{z}");
+/// σ of a rotation about an axis of a row \[rad\], and where the clamp is on the body that turns \[m\].
+const TURN_NOISE: f64 = 0.02;
+const OFFSET: [f64; 3] = [0.02, 0.03, -0.01];
+
+fn turned(t: f64) -> Vector3<f64> {
+    Vector3::new(0.2 * (6.0 * t).sin(), 0.15 * (4.0 * t).cos(), 0.1 * (5.0 * t).sin())
+}
+
+impl Recorded {
+    /// The scene of a rod whose base is recorded in base.csv, by a key that smooths what has errors.
+    fn scene(self, smoothing: &str) -> String {
+        let (model, _) = RECORDED_ROD.split_once("[[observations.markers]]").unwrap_or((RECORDED_ROD, ""));
+        let model = match self {
+            Recorded::Places => {
+                let motion = format!("motion = {{ kind = \"table\", file = \"base.csv\", {smoothing} }}");
+                model.replace("# motion", &motion)
+            }
+            Recorded::Rotations => {
+                let keys = [
+                    "position = [0.0, 0.0, 1.0]",
+                    "tangent = [0.0, 0.0, -1.0]",
+                    "director = [1.0, 0.0, 0.0]",
+                ];
+                let model = keys.iter().fold(model.to_string(), |model, key| model.replace(key, ""));
+                let axes = "tangent_axis = [0.0, 0.0, -1.0], director_axis = [1.0, 0.0, 0.0]";
+                let keys = format!("offset = {OFFSET:?}, {axes}, {smoothing}");
+                let motion = format!("motion = {{ kind = \"pose\", file = \"base.csv\", {keys} }}");
+                model.replace("# motion", &motion)
+            }
+        };
+        let mut text =
+            model.replace("sigma_x = 0.02", "sigma_x = 0.005").replace("sigma_v = 0.3", "sigma_v = 0.1");
+        for (i, s) in PLACES.into_iter().enumerate() {
+            let used = if i % 2 == 0 { "withhold" } else { "assimilate" };
+            let _ = write!(
+                text,
+                "[[observations.markers]]\nname = \"m{i}\"\narc_length = {s}\nuse = \"{used}\"\n"
+            );
+        }
+        text
     }
-    text
+
+    /// Its rows, each with errors of size one times what they are.
+    fn rows(self, mut error: impl FnMut() -> f64) -> String {
+        let mut text = String::from(match self {
+            Recorded::Places => "time_s,x_m,y_m,z_m\n",
+            Recorded::Rotations => "time_s,x_m,y_m,z_m,qx,qy,qz,qw\n",
+        });
+        for k in 0..ROWS.1 {
+            let t = ROWS.0 + 0.01 * k as f64;
+            match self {
+                Recorded::Places => {
+                    let [x, y, z] = [0, 1, 2].map(|c| moved(t)[c] + NOISE[1] * error());
+                    let _ = writeln!(text, "{t:.4},{x},{y},{z}");
+                }
+                Recorded::Rotations => {
+                    let off = Vector3::from([0, 1, 2].map(|_| TURN_NOISE * error()));
+                    let q = UnitQuaternion::new(turned(t)) * UnitQuaternion::new(off);
+                    let (p, q) = (moved(t) + Vector3::new(0.0, 0.0, 1.0), q.coords);
+                    let _ = writeln!(text, "{t:.4},{},{},{},{},{},{},{}", p.x, p.y, p.z, q.x, q.y, q.z, q.w);
+                }
+            }
+        }
+        text
+    }
+
+    /// How errors of this size are smoothed, and the key that estimates what that leaves.
+    fn keys(self) -> [String; 2] {
+        match self {
+            Recorded::Places => ["sigma = 0.001".into(), format!("estimate.base={{sigma={}}}", NOISE[1])],
+            Recorded::Rotations => [
+                format!("sigma = 0.0, sigma_angle = {TURN_NOISE}"),
+                format!("estimate.base_rotation={{sigma={TURN_NOISE}}}"),
+            ],
+        }
+    }
 }
 
 /// Shares of withheld coordinates within 1.96 σ, without and with the errors of the base, and the mean σ of
 /// those coordinates.
-fn covered(seed: u64) -> Result<[[f64; 2]; 2], Box<dyn std::error::Error>> {
+fn covered(what: Recorded, seed: u64) -> Result<[[f64; 2]; 2], Box<dyn std::error::Error>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut normal = move || -> f64 { StandardNormal.sample(&mut rng) };
     let folder = Folder::new(&format!("base-{seed}"))?;
-    folder.write("base.csv", rows_of_base(|| 0.0).as_bytes())?;
+    folder.write("base.csv", what.rows(|| 0.0).as_bytes())?;
     folder.write("seen.csv", b"time_s,marker,x_m,y_m,z_m\n0.0,m1,0.0,0.02,0.75\n")?;
     let sets = ["observations.unreachable=\"skip\""];
-    let truth = Problem::from_scene(&folder.scene(&driven("cutoff = 40.0"), &sets)?)?;
+    let truth = Problem::from_scene(&folder.scene(&what.scene("cutoff = 40.0"), &sets)?)?;
     let transform = ControlTransform::new(truth.background.clone(), truth.covariance.as_ref())?;
     let v: Vec<f64> = (0..truth.covariance.as_ref().root_dim()).map(|_| normal()).collect();
     let mut z = truth.background.clone();
@@ -242,11 +313,11 @@ fn covered(seed: u64) -> Result<[[f64; 2]; 2], Box<dyn std::error::Error>> {
         }
     }
     folder.write("seen.csv", seen.as_bytes())?;
-    folder.write("base.csv", rows_of_base(|| NOISE[1] * normal()).as_bytes())?;
+    folder.write("base.csv", what.rows(&mut normal).as_bytes())?;
     let sigma = format!("observations.sigma={}", NOISE[0]);
-    let estimate = format!("estimate.base={{sigma={}}}", NOISE[1]);
+    let [smoothing, estimate] = what.keys();
     let of = |sets: &[&str]| -> Result<[f64; 2], Box<dyn std::error::Error>> {
-        let ended = ended(&folder.scene(&driven("sigma = 0.001"), sets)?)?;
+        let ended = ended(&folder.scene(&what.scene(&smoothing), sets)?)?;
         let kept: Vec<_> = ended.observed.iter().filter(|o| o.reason == "withheld").collect();
         let sigmas: Option<Vec<f64>> = kept.iter().map(|o| o.sigma_analysis).collect();
         let sigmas = sigmas.ok_or("no σ of a withheld coordinate")?;
@@ -260,10 +331,10 @@ fn covered(seed: u64) -> Result<[[f64; 2]; 2], Box<dyn std::error::Error>> {
     Ok([of(&common)?, of(&[&common[..], &[estimate.as_str()]].concat())?])
 }
 
-fn base(case: &mut Case, seeds: u64) -> Outcome {
+fn base(case: &mut Case, what: Recorded, seeds: u64) -> Outcome {
     let mut all = Vec::new();
     for seed in 0..seeds {
-        all.push(covered(seed)?);
+        all.push(covered(what, seed)?);
     }
     let count = all.len() as f64;
     let mean = |of: &dyn Fn(&[[f64; 2]; 2]) -> f64| all.iter().map(of).sum::<f64>() / count;
@@ -285,13 +356,13 @@ fn base(case: &mut Case, seeds: u64) -> Outcome {
 /// about one σ of the base.
 fn beyond(case: &mut Case) -> Outcome {
     let folder = Folder::new("beyond")?;
-    folder.write("base.csv", rows_of_base(|| 0.0).as_bytes())?;
+    folder.write("base.csv", Recorded::Places.rows(|| 0.0).as_bytes())?;
     let tip = moved(0.1) + Vector3::new(0.0, 0.0, 1.0 - PLACES[3] - 0.03);
     let row = format!("time_s,marker,x_m,y_m,z_m\n0.1,m3,{},{},{}\n", tip.x, tip.y, tip.z);
     folder.write("seen.csv", row.as_bytes())?;
     let refused = |sets: &[&str]| -> Result<bool, varda::Error> {
         let sets = [&["observations.sigma=0.0005"], sets].concat();
-        let problem = Problem::from_scene(&folder.scene(&driven("cutoff = 20.0"), &sets)?);
+        let problem = Problem::from_scene(&folder.scene(&Recorded::Places.scene("cutoff = 20.0"), &sets)?);
         Ok(problem.is_err_and(|error| error.to_string().contains("reach")))
     };
     case.count("refused where the base is known", usize::from(refused(&[])?), 1);

@@ -1,6 +1,7 @@
 //! How the supports of a rod move: from keys and recordings to motions of varda-rod.
 
 mod body;
+mod held;
 mod rows;
 
 use std::collections::BTreeMap;
@@ -17,6 +18,8 @@ use super::files::Files;
 use crate::Error;
 use crate::scene::{self, MotionValues, Observations, PoseValues, Recording};
 use body::{Body, without_spin};
+use held::Carried;
+pub(super) use held::{Held, Moving};
 use rows::{Axes, Source};
 
 /// Reads motions; keeps what there is to say of them.
@@ -35,6 +38,17 @@ pub(super) struct Followed {
     pub(super) interval: f64,
     /// The frequency from which on it is smoothed \[Hz\].
     pub(super) cut_off: Option<f64>,
+    /// Of a body that turns.
+    pub(super) turned: Option<Turned>,
+}
+
+/// A recorded rotation that a clamp follows.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Turned {
+    /// The frequency from which on it is smoothed \[Hz\].
+    pub(super) cut_off: Option<f64>,
+    /// The clamp's place from the body's origin, in the clamp's axes (m₁, m₂, t) \[m\].
+    pub(super) arm: Vector3<f64>,
 }
 
 /// The drive that keys say of a support at this position.
@@ -46,54 +60,6 @@ pub(super) fn drive(position: [f64; 3], motion: &scene::Motion) -> Option<Ellips
 
 /// Turns of a clamp as a function of time.
 type TurnsInTime = Arc<dyn Fn(f64) -> f64 + Send + Sync>;
-
-/// A support: where it is and how it is turned. Keys that the motion says are absent.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Held {
-    pub(super) position: Option<[f64; 3]>,
-    pub(super) tangent: Option<[f64; 3]>,
-    pub(super) director: Option<[f64; 3]>,
-}
-
-/// Place, tangent and director of a support as they move.
-pub(super) struct Moving {
-    pub(super) place: Arc<dyn Motion>,
-    pub(super) tangent: Arc<dyn Motion>,
-    pub(super) director: Arc<dyn Motion>,
-}
-
-/// A body that moves, and the support on it, in the body's axes.
-struct Carried {
-    place: RecordedMotion,
-    rotation: RecordedRotation,
-    offset: Vector3<f64>,
-    tangent: Vector3<f64>,
-    director: Vector3<f64>,
-}
-
-impl Carried {
-    /// The support where its own keys have it at model time 0.
-    fn from_time_zero(place: RecordedMotion, rotation: RecordedRotation, held: Held) -> Carried {
-        let Held { position, tangent, director } = held;
-        let own = |v: Option<[f64; 3]>| Vector3::from(v.unwrap_or_default());
-        let back = rotation.at(0.0).inverse();
-        let offset = back * (own(position) - place.at(0.0));
-        Carried { offset, tangent: back * own(tangent), director: back * own(director), place, rotation }
-    }
-}
-
-impl From<Carried> for Moving {
-    fn from(carried: Carried) -> Moving {
-        let Carried { place, rotation, offset, tangent, director } = carried;
-        let rotation = Arc::new(rotation);
-        let turned = |own: Vector3<f64>| -> Arc<dyn Motion> {
-            let rotation = Arc::clone(&rotation);
-            Arc::new(move |t: f64| rotation.at(t) * own)
-        };
-        let (tangent, director) = (turned(tangent), turned(director));
-        Moving { place: Arc::new(move |t: f64| place.at(t) + rotation.at(t) * offset), tangent, director }
-    }
-}
 
 impl<'a> Motions<'a> {
     pub(super) fn of(files: &'a Files<'a>) -> Result<Self, Error> {
@@ -126,9 +92,12 @@ impl<'a> Motions<'a> {
                 Arc::new(drive(position, motion).expect("keys of a drive"))
             }
             Some(scene::Motion::Table(keys)) => Arc::new(self.table(path, position.into(), keys)?),
-            Some(scene::Motion::Pose(keys)) => return Ok(self.pose(path, held, keys)?.into()),
+            Some(scene::Motion::Pose(keys)) => {
+                let carried = self.pose(path, held, keys)?;
+                return Ok(self.turns_with(carried));
+            }
             Some(scene::Motion::Markers(keys)) => match self.markers(path, held, keys)? {
-                Following::Body(carried) => return Ok(carried.into()),
+                Following::Body(carried) => return Ok(self.turns_with(carried)),
                 Following::Point(place) => Arc::new(place),
             },
         };
@@ -444,7 +413,16 @@ impl<'a> Motions<'a> {
             _ => f64::INFINITY,
         };
         let cut_off = motion.smoothing().map(|s| s.cut_off);
-        self.followed.push(Followed { path: path.to_string(), interval, cut_off });
+        self.followed.push(Followed { path: path.to_string(), interval, cut_off, turned: None });
+    }
+
+    /// The support whose motion was followed last turns with a body.
+    fn turns_with(&mut self, carried: Carried) -> Moving {
+        let cut_off = carried.rotation.smoothing().map(|s| s.cut_off);
+        if let Some(last) = self.followed.last_mut() {
+            last.turned = Some(Turned { cut_off, arm: carried.arm() });
+        }
+        carried.into()
     }
 
     fn say(&mut self, path: &str, what: &str, label: &str, by: Option<SmoothBy>, done: Option<Smoothing>) {
