@@ -22,6 +22,20 @@ pub enum Error {
         /// Its length \[m\].
         length: f64,
     },
+    /// A force of a support is asked for where there is none.
+    #[error("no {what} holds the rod at s = {} m", rounded(*s))]
+    NotHeld {
+        /// The arc length \[m\].
+        s: f64,
+        /// Support or clamp.
+        what: &'static str,
+    },
+    /// Forces of a state need strain rates that it does not have.
+    #[error(
+        "forces of a rod that twists with strain-rate damping need the angles of the state before, which \
+         backward Euler does not keep: the schemes of second order, BDF2 and midpoint, do"
+    )]
+    NoRates,
     /// A coordinate, angle or prescribed value is not finite.
     #[error("{what} {index} is not finite")]
     NonFinite {
