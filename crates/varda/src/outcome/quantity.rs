@@ -10,16 +10,34 @@ pub enum Quantity {
     Place,
     /// Pixel (u, v) of a point of a rod in a camera \[px\].
     Pixels,
+    /// Components of a force \[N\].
+    Force,
+    /// A force along the rod \[N\].
+    AxialForce,
+    /// Components of an acceleration [m/s²].
+    Acceleration,
     /// A component of a state, or a field at a place, in its own unit.
     Component,
 }
 
 impl Quantity {
+    /// Those of what is observed of a rod.
+    pub const OF_RODS: [Quantity; 5] = [
+        Quantity::Place,
+        Quantity::Pixels,
+        Quantity::Force,
+        Quantity::AxialForce,
+        Quantity::Acceleration,
+    ];
+
     /// Names of its values; one without a name of a component.
     pub fn axes(self) -> &'static [&'static str] {
         match self {
             Quantity::Place => &["x", "y", "z"],
             Quantity::Pixels => &["u", "v"],
+            Quantity::Force => &["fx", "fy", "fz"],
+            Quantity::AxialForce => &["f"],
+            Quantity::Acceleration => &["ax", "ay", "az"],
             Quantity::Component => &[""],
         }
     }
@@ -29,6 +47,8 @@ impl Quantity {
         match self {
             Quantity::Place => "m",
             Quantity::Pixels => "px",
+            Quantity::Force | Quantity::AxialForce => "N",
+            Quantity::Acceleration => "m/s²",
             Quantity::Component => "",
         }
     }
@@ -38,6 +58,8 @@ impl Quantity {
         match self {
             Quantity::Place => (1e3, "mm"),
             Quantity::Pixels => (1.0, "px"),
+            Quantity::Force | Quantity::AxialForce => (1e3, "mN"),
+            Quantity::Acceleration => (1.0, "m/s²"),
             Quantity::Component => (1.0, ""),
         }
     }
@@ -47,6 +69,8 @@ impl Quantity {
         match self {
             Quantity::Place => " m",
             Quantity::Pixels => " px",
+            Quantity::Force | Quantity::AxialForce => " N",
+            Quantity::Acceleration => " m/s²",
             Quantity::Component => "",
         }
     }

@@ -80,6 +80,7 @@ pub(super) fn of_recording(recording: &RecordingSummary, step: f64) -> Vec<Findi
         let unit = track.quantity.unit_after();
         let key = match track.quantity {
             Quantity::Pixels => "observations.cameras",
+            Quantity::Force | Quantity::AxialForce | Quantity::Acceleration => "observations.sensors",
             _ => "observations.sigma",
         };
         found.push(Finding::warning(
