@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use crate::Error;
 use crate::dynamics::RodStep;
 use crate::element::Strains;
+use crate::geometry::Edge;
 use crate::shape::Shape;
 use crate::statics::reactions::Reaction;
 use crate::support::Damping;
@@ -14,6 +15,27 @@ use crate::system::{PastStrains, StageStart, System};
 pub(crate) struct Past {
     pub(crate) shape: Shape,
     pub(crate) strains: Vec<Strains>,
+    /// Lengths l* of its edges, and ∂l*/∂e by the edges of then and of now.
+    pub(crate) lengths: Vec<f64>,
+    pub(crate) by_edge: Vec<[Vector3<f64>; 2]>,
+}
+
+impl Past {
+    pub(crate) fn strains(&self) -> PastStrains {
+        let bend = self.strains.iter().map(|strains| strains.value).collect();
+        PastStrains { lengths: self.lengths.clone(), bend }
+    }
+
+    /// Takes edges to have become longer by what lies along them: l* = l − t·(e − e*). One that turns by
+    /// φ does not shorten by ½φ² then, as it does where e* is drawn back along velocities.
+    fn along(&mut self, edges: &[Edge]) {
+        for (e, (now, then)) in edges.iter().zip(&self.shape.edges).enumerate() {
+            let change = now.t * now.l - then.t * then.l;
+            let longer = now.t.dot(&change);
+            self.lengths[e] = now.l - longer;
+            self.by_edge[e] = [now.t, (now.t * longer - change) / now.l];
+        }
+    }
 }
 
 /// The motion of a rod since an earlier state.
@@ -40,15 +62,15 @@ pub(crate) fn with_forces_at(
     if !(h > 0.0 && h.is_finite()) {
         return Err(Error::Value { field: "time between two states", value: h, expected: "above zero" });
     }
-    with_forces(step, (t, state), before, Some(h), act)
+    with_forces(step, (t, state), (before, false), Some(h), act)
 }
 
-/// The same of one state with its velocities: rates are those over the short time since `before`, the
-/// acceleration of supports is a difference over `interval` on both sides; none of a rod at rest.
+/// The same with rates over the time since `before`, where that may be drawn back along velocities, and
+/// accelerations of supports as differences over `interval` on both sides; none of a rod at rest.
 pub(crate) fn with_forces(
     step: &mut RodStep,
     (t, state): (f64, &[f64]),
-    before: (f64, &[f64]),
+    (before, along_velocities): ((f64, &[f64]), bool),
     interval: Option<f64>,
     act: &mut dyn FnMut(&mut System, &Motion<'_>),
 ) -> Result<(), Error> {
@@ -57,9 +79,15 @@ pub(crate) fn with_forces(
     let system = &mut step.system;
     shape_of(system, before.0, before.1)?;
     let start = system.x.clone();
-    let past = (damping.stiffness > 0.0).then(|| {
-        let bent = if system.layout.bending { 1..system.rod.segments() } else { 0..0 };
-        Past { shape: system.shape.clone(), strains: bent.map(|v| system.shape.strains(v)).collect() }
+    let mut past = (damping.stiffness > 0.0).then(|| {
+        let (shape, bent) =
+            (system.shape.clone(), if system.layout.bending { 1..system.rod.segments() } else { 0..0 });
+        Past {
+            strains: bent.map(|v| shape.strains(v)).collect(),
+            lengths: shape.edges.iter().map(|edge| edge.l).collect(),
+            by_edge: shape.edges.iter().map(|edge| [edge.t, Vector3::zeros()]).collect(),
+            shape,
+        }
     });
     let held = |system: &mut System, time: f64| -> Result<Vec<Vector3<f64>>, Error> {
         system.place(time)?;
@@ -78,13 +106,15 @@ pub(crate) fn with_forces(
     for (v, [velocity, acceleration]) in moves.iter().enumerate() {
         system.forces[v] -= (acceleration + velocity * damping.mass) * system.rod.masses[v];
     }
-    if let Some(past) = &past {
+    if let Some(past) = &mut past {
+        if along_velocities {
+            past.along(&system.shape.edges);
+        }
         // the rate (ε − ε*)/length: its stress is that of a spring of stiffness k β/length about ε*
-        let lengths = past.shape.edges.iter().map(|edge| edge.l).collect();
-        let mut bend: Vec<_> = past.strains.iter().map(|strains| strains.value).collect();
+        let mut strains = past.strains();
         // a chain has no strains there
-        bend.resize(system.rod.ei.len(), [0.0; 3]);
-        system.set_stiffness(damping.stiffness / length, Some(&PastStrains { lengths, bend }));
+        strains.bend.resize(system.rod.ei.len(), [0.0; 3]);
+        system.set_stiffness(damping.stiffness / length, Some(&strains));
     }
     let start = StageStart { places: &start, length };
     act(system, &Motion { start, past: past.as_ref(), held: &moves, interval });

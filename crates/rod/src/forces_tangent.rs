@@ -99,11 +99,8 @@ impl Parameters {
         damping: &Damping,
         times: [f64; 2],
     ) -> Vec<(usize, ChangeOfForces)> {
-        let (h, mut past) = (motion.start.length, PastStrains::default());
-        if let Some(then) = motion.past {
-            past.lengths = then.shape.edges.iter().map(|edge| edge.l).collect();
-            past.bend = then.strains.iter().map(|strains| strains.value).collect();
-        }
+        let h = motion.start.length;
+        let past = motion.past.map_or_else(PastStrains::default, |past| past.strains());
         let of = |(index, (p, slope)): (usize, (&Parameter, &f64))| {
             let Parameter { change, .. } = p;
             let rates = [damping.stiffness / h, change.damping.stiffness / h];
@@ -383,7 +380,8 @@ impl<'a> Tangent<'a> {
             let moved = |of: &Increment| of.places[e + 1] - of.places[e];
             let mut force = self.stretched[e] * moved(&self.now);
             if let Some(past) = self.past {
-                let longer = past.shape.edges[e].t.dot(&moved(&self.before));
+                let [by_then, by_now] = &past.by_edge[e];
+                let longer = by_then.dot(&moved(&self.before)) + by_now.dot(&moved(&self.now));
                 force -= edge.t * (ea / rest * self.share * longer);
             }
             let (a, b) = (system.layout.vertex(e), system.layout.vertex(e + 1));

@@ -79,7 +79,7 @@ enum Placed {
 /// ```
 ///
 /// with F_v the loads of a vertex, and stress of strain rates and drag from the velocities in the state:
-/// ε̇ is a difference over 1e-5 of the interval Δt, back along V. Accelerations are those that the forces of
+/// ε̇ is a difference over a thousandth of the interval Δt, back along V. Accelerations are those that the forces of
 /// the state make (Newton's second law), not differences between steps: one state is enough, and it is what
 /// the equations of a step of backward Euler and BDF2 have for V̇. Those of supports are second
 /// differences over Δt. The rate of a stored angle, where strain rates need it, is that since the state
@@ -143,9 +143,8 @@ struct Known {
 /// Bytes of all of them, about; one there is always.
 const KNOWN_BYTES: usize = 8_000_000;
 
-/// Strain rates are differences over this share of the interval: a longer one takes an edge that turns for
-/// one that shortens, by half its angle squared, and a shorter one is lost in rounding.
-const SHARE: f64 = 1e-5;
+/// Strain rates are differences over this share of the interval; a much smaller one is lost in rounding.
+const SHARE: f64 = 1e-3;
 
 impl Sensors {
     /// Sensors on the rod of a step, whose states are `interval` \[s\] apart.
@@ -156,7 +155,11 @@ impl Sensors {
     /// [`Error::Value`] for an interval that is not positive.
     pub fn new(step: RodStep, interval: f64, sensors: &[Sensor]) -> Result<Sensors, Error> {
         if !(interval > 0.0 && interval.is_finite()) {
-            return Err(Error::Value { field: "interval of sensors", value: interval, expected: "above zero" });
+            return Err(Error::Value {
+                field: "interval of sensors",
+                value: interval,
+                expected: "above zero",
+            });
         }
         let layout = &step.system.layout;
         let rates = !step.is_at_rest && step.damping.stiffness > 0.0 && layout.twist;
@@ -263,7 +266,7 @@ impl Sensors {
         let damping = if at_rest { Damping::default() } else { step.damping };
         let times = [t, t - SHARE * *interval];
         let held_over = (!at_rest).then_some(*interval);
-        with_forces(step, (t, x), (times[1], before), held_over, &mut |system, motion| {
+        with_forces(step, (t, x), ((times[1], before), true), held_over, &mut |system, motion| {
             system.elastic(None);
             let (layout, n) = (&system.layout, system.x.len());
             let (mut is_free, mut velocities) = (vec![false; n], vec![Vector3::zeros(); n]);

@@ -6,7 +6,8 @@ mod common;
 use common::rods_with_parameters::{Case, LOST, PLAIN, SEGMENTS, cases, control, step};
 use common::{difference, noise, off};
 use varda_implicit::{
-    At, ImplicitModel, ImplicitStep, Model, ObservationOperator, ParametricStep, Scheme, WithParameters, check,
+    At, ImplicitModel, Model, ObservationOperator, ParametricStep, Scheme, WithParameters,
+    check,
 };
 use varda_rod::{Error, RodStep, Sensor, Sensors};
 
@@ -74,8 +75,7 @@ fn without_rates(case: &Case) -> bool {
 fn forces_are_those_within_the_rod() {
     for case in cases().into_iter().filter(without_rates) {
         let (mut rod, p, states) = run(case, Scheme::BackwardEuler, STEP, 3);
-        let forces =
-            rod.internal_forces(3.0 * STEP, &states[3], (2.0 * STEP, &states[2])).unwrap();
+        let forces = rod.internal_forces(3.0 * STEP, &states[3], (2.0 * STEP, &states[2])).unwrap();
         let all = sensors(case, &rod);
         let (length, n) = (rod.rod().length(), SEGMENTS);
         let arc_lengths = rod.rod().arc_lengths();
@@ -105,8 +105,8 @@ fn forces_are_those_within_the_rod() {
                 _ => continue,
             };
             let (error, size) = off(values, &expected);
-            // rounding of EA ε, 3e2 N of strain 1e-16 / l, and of velocities over 1e-5 Δt
-            assert!(error < 1e-8 * size.max(1.0), "{}: {sensor:?} {values:?} {expected:?}", case.name);
+            // rounding of EA ε, 3e2 N of strain 1e-16 / l
+            assert!(error < 1e-10 * size.max(1.0), "{}: {sensor:?} {values:?} {expected:?}", case.name);
         }
         assert!(length > 0.9 && supports.start.is_some() == (case.held || case.moved));
     }
@@ -173,14 +173,17 @@ fn close(case: Case, sensors: &[Sensor], derivative: &[f64], by_difference: &[f6
         let rows = row..row + sensor.rows();
         row = rows.end;
         let (error, size) = off(&derivative[rows.clone()], &by_difference[rows]);
-        // rounding of EA ε, 3e2 N in edges of 0.1 m with strains of 1e-16, of rates over 1e-5 Δt times
-        // β = 0.02 s (5e5); of accelerations over masses of 0.04 kg
-        let rounding = if case.damping.stiffness > 0.0 { 3e-7 } else { 1e-11 };
-        let rounding = if case.drag { 1e-9_f64.max(rounding) } else { rounding };
+        // rounding of EA ε, 3e2 N in edges of 0.1 m with strains of 1e-16, of rates over 1e-3 Δt times
+        // β = 0.02 s (5e3); of accelerations over masses of 0.04 kg
+        let rounding = if case.damping.stiffness > 0.0 || case.drag { 3e-9 } else { 1e-11 };
         let per_mass = if let Sensor::Acceleration { .. } = sensor { 30.0 } else { 1.0 };
         let bound = 1e-7 * size + rounding * per_mass / h;
         assert!(error <= bound, "{}, {what}, {sensor:?}: off by {error:e} of {size:e}, {bound:e}", case.name);
-        assert!(bound <= 1e-2 * size.max(1.0), "{}, {what}, {sensor:?}: a bound that sees nothing", case.name);
+        assert!(
+            bound <= 1e-4 * size.max(1.0),
+            "{}, {what}, {sensor:?}: a bound that sees nothing",
+            case.name
+        );
     }
 }
 
@@ -205,8 +208,7 @@ fn every_check_of_an_operator() {
             for (i, dx) in (0..4).map(|seed| noise(seed).take(x.len()).collect::<Vec<f64>>()).enumerate() {
                 let mut tangent = vec![0.0; sensors.dim()];
                 sensors.tangent(at(3, STEP), x, &dx, &mut tangent);
-                let by_difference =
-                    difference(x, &dx, 1e-5, |x| observed(&mut sensors, at(3, STEP), x));
+                let by_difference = difference(x, &dx, 1e-5, |x| observed(&mut sensors, at(3, STEP), x));
                 close(case, &all, &tangent, &by_difference, 1e-5, &format!("{scheme:?}, {i}"));
             }
         }

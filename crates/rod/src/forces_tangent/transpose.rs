@@ -78,7 +78,10 @@ impl Tangent<'_> {
             add(now, self.stretched[e].tr_mul(&along));
             if let Some(past) = self.past {
                 let (ea, rest) = system.stretch[e];
-                add(before, past.shape.edges[e].t * (-ea / rest * self.share * edge.t.dot(&along)));
+                let (stress, [by_then, by_now]) =
+                    (-ea / rest * self.share * edge.t.dot(&along), past.by_edge[e]);
+                add(before, by_then * stress);
+                add(now, by_now * stress);
             }
         }
         for (i, (bent, k)) in self.bent.iter().zip(&system.bend).enumerate() {
