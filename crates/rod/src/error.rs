@@ -30,6 +30,18 @@ pub enum Error {
         /// Support or clamp.
         what: &'static str,
     },
+    /// A sensor on a section of a chain, whose edges have no sections.
+    #[error("a chain has no sections that a sensor could be fixed to: observe accelerations in space")]
+    NoSections,
+    /// The spin of a section is not in the state.
+    #[error(
+        "the spin of edge {edge} is not in the state: give the rod inertia against it, and take an edge \
+             that no clamp holds"
+    )]
+    NoSpin {
+        /// Number of the edge.
+        edge: usize,
+    },
     /// Forces of a state need strain rates that it does not have.
     #[error(
         "forces of a rod that twists with strain-rate damping need the angles of the state before, which \
@@ -84,7 +96,7 @@ pub enum Error {
         "a moment, a force across the section that follows it, or twist inertia is asked of a rod without \
          sections: it has one segment, or neither bending nor twisting stiffness (a chain)"
     )]
-    NoSections,
+    NoFrames,
     /// The search for a shape at rest used up its iterations.
     #[error("no shape at rest was found in {iterations} Newton iterations: a first shape near it would help")]
     NotAtRest {

@@ -3,15 +3,19 @@
 
 mod common;
 
-use common::rods_with_parameters::{Case, LOST, PLAIN, SEGMENTS, cases, control, step};
+use common::rods_with_parameters::{Case, DOWN, LOST, PLAIN, SEGMENTS, cases, control, step};
 use common::{difference, noise, off};
 use varda_implicit::{
-    At, ImplicitModel, Model, ObservationOperator, ParametricStep, Scheme, WithParameters,
-    check,
+    At, ImplicitModel, Model, ObservationOperator, ParametricStep, Scheme, WithParameters, check,
 };
-use varda_rod::{Error, RodStep, Sensor, Sensors};
+use varda_rod::{Error, Marker, Markers, Matrix3, RodStep, Sensor, Sensors, Vector3, rotation};
 
 const STEP: f64 = 0.004;
+
+/// A rotation about no axis of a section.
+fn turned() -> Matrix3<f64> {
+    rotation::exponential(&Vector3::new(0.4, -0.9, 1.3))
+}
 
 /// Every sensor that fits the supports of a case.
 fn sensors(case: Case, rod: &RodStep) -> Vec<Sensor> {
@@ -22,7 +26,13 @@ fn sensors(case: Case, rod: &RodStep) -> Vec<Sensor> {
         Sensor::SupportForce { s: 0.0 },
         Sensor::Acceleration { s: 0.29 },
         Sensor::Acceleration { s: 0.6 },
+        Sensor::SpecificForce { s: 0.44, axes: Matrix3::identity() },
+        Sensor::SpecificForce { s: 0.8, axes: turned() },
+        Sensor::AngularRate { s: 0.55 },
     ];
+    if case.spins {
+        all.push(Sensor::Spin { s: 0.7 });
+    }
     if case.held || case.moved {
         all.extend([Sensor::AxialSupportForce { s: 0.0 }, Sensor::Tension { s: 0.01 }]);
     }
@@ -140,6 +150,60 @@ fn accelerations_are_those_of_the_schemes() {
     }
 }
 
+/// Sections are those that markers off the centreline have; an edge turns as its ends move.
+#[test]
+fn what_is_fixed_to_a_section_sees_its_axes() {
+    for case in cases() {
+        let (rod, p, states) = run(case, Scheme::Bdf2, STEP, 3);
+        let (s, x, at) = (0.44, &states[3], at(3, STEP));
+        let units = [Vector3::zeros(), Vector3::x(), Vector3::y(), Vector3::z()];
+        let mut markers = Markers::new(&rod, &units.map(|offset| Marker { s, offset })).unwrap();
+        markers.set_parameters(&p);
+        let axes = |markers: &mut Markers, x: &[f64]| -> Matrix3<f64> {
+            let mut y = [0.0; 12];
+            markers.observe(at, x, &mut y).unwrap();
+            let [o, m1, m2, t] = [0, 3, 6, 9].map(|i| Vector3::from_column_slice(&y[i..i + 3]));
+            Matrix3::from_columns(&[m1 - o, m2 - o, t - o])
+        };
+        let section = axes(&mut markers, x);
+        let all = [
+            Sensor::Acceleration { s },
+            Sensor::SpecificForce { s, axes: Matrix3::identity() },
+            Sensor::SpecificForce { s, axes: turned() },
+            Sensor::AngularRate { s },
+        ];
+        let places = 3 * rod.free_vertices().len();
+        let gravity = gravity_of(case, &p);
+        let mut sensors = Sensors::new(rod, STEP, &all).unwrap();
+        sensors.set_parameters(&p).unwrap();
+        let y = observed(&mut sensors, at, x);
+        let [a, f, turned_f] = [0, 3, 6].map(|i| Vector3::from_column_slice(&y[i..i + 3]));
+        let expected = section.tr_mul(&(a - gravity));
+        // a few roundings
+        assert!((f - expected).norm() < 1e-12 * expected.norm(), "{}: {f} {expected}", case.name);
+        assert!((turned_f - turned() * f).norm() < 1e-12 * f.norm(), "{}", case.name);
+        // ω = t × ṫ beside tangents a microsecond of the state's velocities before and after
+        let moved = |h: f64| -> Vec<f64> {
+            let mut moved = x.clone();
+            (0..places).for_each(|i| moved[i] += h * x[places + i]);
+            moved
+        };
+        let t = |markers: &mut Markers, h: f64| axes(markers, &moved(h)).column(2).into_owned();
+        let rate = (t(&mut markers, 1e-6) - t(&mut markers, -1e-6)) / 2e-6;
+        let omega = section.tr_mul(&section.column(2).cross(&rate));
+        // rounding of a tangent over a microsecond
+        assert!((omega.x - y[9]).abs().max((omega.y - y[10]).abs()) < 1e-8, "{}: {omega} {y:?}", case.name);
+        assert!(f.norm() > 1.0 && omega.norm() > 1e-2, "{}: nothing moves", case.name);
+    }
+}
+
+/// Gravity with the parameters of a case: those of `unknowns`, 5 to 7.
+fn gravity_of(case: Case, p: &[f64]) -> Vector3<f64> {
+    assert!(p.len() > 7, "{}: gravity is turned", case.name);
+    let turn = Vector3::x() * p[6] + Vector3::new(0.0, 1.0, 0.2) * p[7];
+    rotation::exponential(&turn) * (DOWN.gravity + Vector3::new(0.0, 9.81, 0.0) * p[5])
+}
+
 /// With strain rates, beside differences of velocities over fine steps.
 #[test]
 fn damped_accelerations_are_those_of_a_fine_run() {
@@ -176,8 +240,12 @@ fn close(case: Case, sensors: &[Sensor], derivative: &[f64], by_difference: &[f6
         // rounding of EA ε, 3e2 N in edges of 0.1 m with strains of 1e-16, of rates over 1e-3 Δt times
         // β = 0.02 s (5e3); of accelerations over masses of 0.04 kg
         let rounding = if case.damping.stiffness > 0.0 || case.drag { 3e-9 } else { 1e-11 };
-        let per_mass = if let Sensor::Acceleration { .. } = sensor { 30.0 } else { 1.0 };
-        let bound = 1e-7 * size + rounding * per_mass / h;
+        let rounding = match sensor {
+            Sensor::Acceleration { .. } | Sensor::SpecificForce { .. } => 30.0 * rounding,
+            Sensor::AngularRate { .. } | Sensor::Spin { .. } => 1e-11,
+            _ => rounding,
+        };
+        let bound = 1e-7 * size + rounding / h;
         assert!(error <= bound, "{}, {what}, {sensor:?}: off by {error:e} of {size:e}, {bound:e}", case.name);
         assert!(
             bound <= 1e-4 * size.max(1.0),
@@ -248,6 +316,10 @@ fn what_cannot_be_measured_is_refused() {
     let loose = Case { held: false, ..PLAIN };
     assert_eq!(of(loose, bdf2, Sensor::SupportForce { s: 0.0 }), None);
     assert_eq!(of(loose, bdf2, Sensor::AxialSupportForce { s: 0.0 }), not_held(0.0, "clamp"));
+    let spin = Sensor::Spin { s: 0.5 };
+    assert!(matches!(of(PLAIN, bdf2, spin), Some(Error::NoSpin { edge: 3 })));
+    let skew = Sensor::SpecificForce { s: 0.5, axes: Matrix3::identity() * 2.0 };
+    assert!(matches!(of(PLAIN, bdf2, skew), Some(Error::Value { field: "axes of a sensor", .. })));
     assert!(matches!(of(PLAIN, bdf2, Sensor::Tension { s: 1.2 }), Some(Error::OffRod { s: 1.2, .. })));
     assert!(matches!(of(PLAIN, bdf2, Sensor::Acceleration { s: f64::NAN }), Some(Error::OffRod { .. })));
     let damped = Case { damping: LOST, ..PLAIN };

@@ -14,20 +14,26 @@ pub enum Quantity {
     Force,
     /// A force along the rod \[N\].
     AxialForce,
-    /// Components of an acceleration [m/s²].
+    /// Components of an acceleration, or of one less gravity [m/s²].
     Acceleration,
+    /// Angular rates along m₁ and m₂ of a section [rad/s].
+    AngularRate,
+    /// The angular rate about its tangent [rad/s].
+    Spin,
     /// A component of a state, or a field at a place, in its own unit.
     Component,
 }
 
 impl Quantity {
     /// Those of what is observed of a rod.
-    pub const OF_RODS: [Quantity; 5] = [
+    pub const OF_RODS: [Quantity; 7] = [
         Quantity::Place,
         Quantity::Pixels,
         Quantity::Force,
         Quantity::AxialForce,
         Quantity::Acceleration,
+        Quantity::AngularRate,
+        Quantity::Spin,
     ];
 
     /// Names of its values; one without a name of a component.
@@ -38,6 +44,8 @@ impl Quantity {
             Quantity::Force => &["fx", "fy", "fz"],
             Quantity::AxialForce => &["f"],
             Quantity::Acceleration => &["ax", "ay", "az"],
+            Quantity::AngularRate => &["w1", "w2"],
+            Quantity::Spin => &["w"],
             Quantity::Component => &[""],
         }
     }
@@ -49,6 +57,7 @@ impl Quantity {
             Quantity::Pixels => "px",
             Quantity::Force | Quantity::AxialForce => "N",
             Quantity::Acceleration => "m/s²",
+            Quantity::AngularRate | Quantity::Spin => "rad/s",
             Quantity::Component => "",
         }
     }
@@ -60,6 +69,7 @@ impl Quantity {
             Quantity::Pixels => (1.0, "px"),
             Quantity::Force | Quantity::AxialForce => (1e3, "mN"),
             Quantity::Acceleration => (1.0, "m/s²"),
+            Quantity::AngularRate | Quantity::Spin => (1e3, "mrad/s"),
             Quantity::Component => (1.0, ""),
         }
     }
@@ -71,6 +81,7 @@ impl Quantity {
             Quantity::Pixels => " px",
             Quantity::Force | Quantity::AxialForce => " N",
             Quantity::Acceleration => " m/s²",
+            Quantity::AngularRate | Quantity::Spin => " rad/s",
             Quantity::Component => "",
         }
     }

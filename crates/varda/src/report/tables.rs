@@ -3,8 +3,8 @@
 use std::fmt::Write;
 
 use crate::outcome::{
-    ConvergenceRow, Experiment, ModelErrors, ObservedValue, Outcome, PixelSight, Reading, Shapes, Trajectories,
-    TwinFiles,
+    ConvergenceRow, Experiment, ModelErrors, ObservedValue, Outcome, PixelSight, Reading, Shapes,
+    Trajectories, TwinFiles,
 };
 use crate::run::compare::Compared;
 use crate::scene::TimeGrid;

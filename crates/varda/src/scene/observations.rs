@@ -49,7 +49,7 @@ pub struct Synthetic {
     /// Cameras that see the places of a rod, each with its `sigma`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cameras: Vec<Camera>,
-    /// Sensors of forces and accelerations on a rod, each with its `sigma`.
+    /// Sensors of forces, accelerations and angular rates on a rod, each with its `sigma`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<Sensor>,
     /// Correlation of the errors. Absent: all errors are independent.

@@ -1,4 +1,4 @@
-//! `[[observations.sensors]]`: force cells and accelerometers on a rod.
+//! `[[observations.sensors]]`: force cells, accelerometers and gyroscopes on a rod.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::defaults::is_default;
 use super::marker::Use;
 
-/// A sensor on a rod. Its readings are forces or accelerations of the state at their time.
+/// A sensor on a rod. Its readings are forces, accelerations or angular rates of the state at their
+/// time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sensor {
@@ -21,6 +22,10 @@ pub struct Sensor {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub sigma: Option<f64>,
+    /// Axes of an accelerometer along (m₁, m₂, t) of its section, a row for each; of kind "specific-force".
+    /// Absent: those of the section.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub axes: Option<[[f64; 3]; 3]>,
     /// What it is used for.
     #[serde(default, rename = "use", skip_serializing_if = "is_default")]
     pub used: Use,
@@ -38,15 +43,25 @@ pub enum SensorKind {
     AxialSupportForce,
     /// Acceleration of a point of the centreline, in the model's axes: `ax_m_s2`, `ay_m_s2`, `az_m_s2` [m/s²].
     Acceleration,
+    /// What an accelerometer fixed to a section reads, acceleration less gravity along its axes:
+    /// `fx_m_s2`, `fy_m_s2`, `fz_m_s2` [m/s²]; at rest 9.81 upwards.
+    SpecificForce,
+    /// Angular rate of a section across its tangent, along m₁ and m₂: `w1_rad_s`, `w2_rad_s` [rad/s].
+    AngularRate,
+    /// Angular rate of a section about its tangent, of a rod with `twist_inertia`: `spin_rad_s` [rad/s].
+    Spin,
 }
 
 impl SensorKind {
     /// All of them.
-    pub const ALL: [SensorKind; 4] = [
+    pub const ALL: [SensorKind; 7] = [
         SensorKind::Tension,
         SensorKind::SupportForce,
         SensorKind::AxialSupportForce,
         SensorKind::Acceleration,
+        SensorKind::SpecificForce,
+        SensorKind::AngularRate,
+        SensorKind::Spin,
     ];
 
     /// Its name in a scene.
@@ -56,6 +71,9 @@ impl SensorKind {
             SensorKind::SupportForce => "support-force",
             SensorKind::AxialSupportForce => "axial-support-force",
             SensorKind::Acceleration => "acceleration",
+            SensorKind::SpecificForce => "specific-force",
+            SensorKind::AngularRate => "angular-rate",
+            SensorKind::Spin => "spin",
         }
     }
 
@@ -66,6 +84,9 @@ impl SensorKind {
             SensorKind::SupportForce => &["fx_n", "fy_n", "fz_n"],
             SensorKind::AxialSupportForce => &["force_n"],
             SensorKind::Acceleration => &["ax_m_s2", "ay_m_s2", "az_m_s2"],
+            SensorKind::SpecificForce => &["fx_m_s2", "fy_m_s2", "fz_m_s2"],
+            SensorKind::AngularRate => &["w1_rad_s", "w2_rad_s"],
+            SensorKind::Spin => &["spin_rad_s"],
         }
     }
 }

@@ -6,7 +6,7 @@ use super::invalid::{Check, invalid, on_rod};
 use super::parsed::Along;
 use super::validate_frame::{validate_frame, validate_rotation};
 use super::{
-    Camera, Frame, Hessian, Kernel, Model, Origin, Recording, RodModel, Scene, Sensor, Synthetic,
+    Camera, Frame, Hessian, Kernel, Model, Origin, Recording, RodModel, Scene, Sensor, SensorKind, Synthetic,
     UnreachableRows, Use,
 };
 
@@ -132,6 +132,13 @@ fn validate_sensors(sensors: &[Sensor], scene: &Scene, rod: &RodModel) -> Check 
         if sensors[..i].iter().any(|other| other.name == sensor.name) {
             let message = format!("sensor {:?} is there twice", sensor.name);
             return invalid(format!("observations.sensors.{i}.name"), message);
+        }
+        if let Some(axes) = &sensor.axes {
+            let key = format!("observations.sensors.{i}.axes");
+            validate_rotation(axes, &key)?;
+            if sensor.kind != SensorKind::SpecificForce {
+                return invalid(key, "is of kind \"specific-force\" alone");
+            }
         }
     }
     if sensors.is_empty() {

@@ -1,9 +1,9 @@
-//! What sensors on a rod read of forces and accelerations: rows of a file.
+//! What sensors on a rod read: rows of a file.
 
 use std::collections::HashSet;
 use std::rc::Rc;
 
-use varda_rod::Sensors;
+use varda_rod::{Matrix3, Sensors};
 
 use super::csv::Table;
 use super::estimate::Seeing;
@@ -14,7 +14,7 @@ use super::rod::RodSystem;
 use super::seen_with::with_constants;
 use crate::Error;
 use crate::outcome::Quantity;
-use crate::scene::{Sensor, SensorKind};
+use crate::scene::{SceneFile, Sensor, SensorKind};
 
 /// What a file of readings holds.
 #[derive(Default)]
@@ -33,7 +33,9 @@ impl SensorKind {
         match self {
             SensorKind::Tension | SensorKind::AxialSupportForce => Quantity::AxialForce,
             SensorKind::SupportForce => Quantity::Force,
-            SensorKind::Acceleration => Quantity::Acceleration,
+            SensorKind::Acceleration | SensorKind::SpecificForce => Quantity::Acceleration,
+            SensorKind::AngularRate => Quantity::AngularRate,
+            SensorKind::Spin => Quantity::Spin,
         }
     }
 }
@@ -46,6 +48,13 @@ fn of_rod(sensor: &Sensor) -> varda_rod::Sensor {
         SensorKind::SupportForce => varda_rod::Sensor::SupportForce { s },
         SensorKind::AxialSupportForce => varda_rod::Sensor::AxialSupportForce { s },
         SensorKind::Acceleration => varda_rod::Sensor::Acceleration { s },
+        SensorKind::SpecificForce => varda_rod::Sensor::SpecificForce {
+            s,
+            // nalgebra takes rows for columns
+            axes: sensor.axes.map_or_else(Matrix3::identity, |rows| Matrix3::from(rows).transpose()),
+        },
+        SensorKind::AngularRate => varda_rod::Sensor::AngularRate { s },
+        SensorKind::Spin => varda_rod::Sensor::Spin { s },
     }
 }
 
@@ -54,16 +63,19 @@ fn of_rod(sensor: &Sensor) -> varda_rod::Sensor {
 /// # Errors
 /// The key of a sensor that does not fit the rod, its integrator or its supports.
 pub(super) fn operator(
-    file: &crate::scene::SceneFile,
+    file: &SceneFile,
     rod: &RodSystem,
     sensors: &[Sensor],
     interval: f64,
 ) -> Result<MakeOperator, Error> {
     for (i, sensor) in sensors.iter().enumerate() {
         Sensors::new(rod.parts.dynamics()?, interval, &[of_rod(sensor)]).map_err(|e| {
-            let key = if let varda_rod::Error::NoRates = e { "time.integrator" } else { "" };
-            let of_sensor = format!("observations.sensors.{i}.arc_length");
-            file.invalid(if key.is_empty() { &of_sensor } else { key }, e.to_string())
+            let key = match e {
+                varda_rod::Error::NoRates => "time.integrator".to_string(),
+                varda_rod::Error::NoFrames => format!("observations.sensors.{i}.kind"),
+                _ => format!("observations.sensors.{i}.arc_length"),
+            };
+            file.invalid(&key, e.to_string())
         })?;
     }
     let all: Rc<[varda_rod::Sensor]> = sensors.iter().map(of_rod).collect();
@@ -130,8 +142,7 @@ pub(super) fn recorded(
         let sigma = sigma.or(sensors[site].sigma).ok_or_else(|| {
             table.bad(line, "no standard deviation: fill `sigma`, or give the sensor's `sigma`")
         })?;
-        let values =
-            columns.iter().map(|column| table.number(column)).collect::<Result<Vec<_>, Error>>()?;
+        let values = columns.iter().map(|column| table.number(column)).collect::<Result<Vec<_>, Error>>()?;
         rows.push((line, if timed { table.needed("time_s")? } else { 0.0 }, site, values, sigma));
     }
     if rows.is_empty() {
