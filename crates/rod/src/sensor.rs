@@ -104,4 +104,72 @@ pub(crate) struct Row<'a> {
     pub(crate) direction: Vector3<f64>,
 }
 
+/// A sensor on the edges and vertices of a rod.
+pub(crate) fn placed(system: &System, sensor: &Sensor) -> Result<Placed, Error> {
+    let (rod, supports, n) = (&system.rod, &system.supports, system.rod.segments());
+    let clamps = [
+        supports.start.as_ref().map(|_| (0.0, 0..2, 0)),
+        supports.end.as_ref().map(|_| (rod.length(), n - 1..n + 1, n - 1)),
+    ];
+    let is_at = |place: f64, s: f64| (place - s).abs() <= 1e-6 * rod.length();
+    let clamp = |s: f64| clamps.iter().flatten().find(|(place, ..)| is_at(*place, s));
+    Ok(match *sensor {
+        Sensor::Tension { s } => {
+            let e = rod.place("tension", s)?.edge;
+            let held = clamps.iter().flatten().find(|(.., edge)| *edge == e);
+            let sum = match held {
+                // an edge that a clamp holds carries what the clamp takes
+                Some((place, vertices, _)) => {
+                    let sign = if *place == 0.0 { -1.0 } else { 1.0 };
+                    Sum { vertices: vertices.clone(), sign, loaded: true }
+                }
+                None => Sum { vertices: 0..e + 1, sign: -1.0, loaded: false },
+            };
+            Placed::Along(sum, e)
+        }
+        Sensor::SupportForce { s } => {
+            rod.place("support force", s)?;
+            let arc_lengths = rod.arc_lengths();
+            let at_vertex = |(vertex, _): &&(usize, _)| is_at(arc_lengths[*vertex], s);
+            let vertices = match (clamp(s), supports.prescribed.iter().find(at_vertex)) {
+                (Some((_, vertices, _)), _) => vertices.clone(),
+                (None, Some((vertex, _))) => *vertex..vertex + 1,
+                (None, None) => return Err(Error::NotHeld { s, what: "support" }),
+            };
+            Placed::Force(Sum { vertices, sign: 1.0, loaded: true })
+        }
+        Sensor::AxialSupportForce { s } => {
+            rod.place("support force", s)?;
+            let (_, vertices, edge) = clamp(s).ok_or(Error::NotHeld { s, what: "clamp" })?;
+            Placed::Along(Sum { vertices: vertices.clone(), sign: 1.0, loaded: true }, *edge)
+        }
+        Sensor::Acceleration { s } => Placed::Acceleration(rod.place("acceleration", s)?),
+        Sensor::SpecificForce { s, axes } => {
+            let skew = (axes.tr_mul(&axes) - Matrix3::identity()).abs().max();
+            if !(skew <= 1e-3 && axes.determinant() > 0.0) {
+                let expected = "a rotation: RᵀR = I, det R > 0";
+                return Err(Error::Value { field: "axes of a sensor", value: skew, expected });
+            }
+            Placed::SpecificForce(with_sections(system, rod.place("specific force", s)?)?, axes)
+        }
+        Sensor::AngularRate { s } => {
+            Placed::AngularRate(with_sections(system, rod.place("angular rate", s)?)?.edge)
+        }
+        Sensor::Spin { s } => {
+            let edge = rod.place("spin", s)?.edge;
+            let layout = &system.layout;
+            match layout.free_angles.binary_search(&edge) {
+                Ok(i) if layout.spins => Placed::Spin(layout.first_spin() + i),
+                _ => return Err(Error::NoSpin { edge }),
+            }
+        }
+    })
+}
 
+/// A place of a rod whose sections are known.
+fn with_sections(system: &System, place: Place) -> Result<Place, Error> {
+    match system.layout.bending {
+        true => Ok(place),
+        false => Err(Error::NoFrames),
+    }
+}
