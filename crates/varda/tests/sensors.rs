@@ -182,8 +182,8 @@ fn a_sensor_that_is_kept_back_is_judged_in_its_unit() {
     assert_eq!(outcome.withheld.len(), 1);
     let w = &outcome.withheld[0];
     assert!(w.label == "sensor clamp" && w.quantity.unit() == "N" && w.count == 7, "{w:?}");
-    // noise of 0.01 N in three components, and what is left unknown
-    assert!(w.rms_analysis < 0.05 && w.rms_analysis < 0.1 * w.rms_background, "{w:?}");
+    // noise of 0.01 N in three components, 0.017 N, of 21 values to 4 of its standard deviations
+    assert!(w.rms_analysis < 0.03 && w.rms_analysis < 0.2 * w.rms_background, "{w:?}");
     let units: Vec<&str> = outcome.forecast.iter().map(|f| f.quantity.unit()).collect();
     assert_eq!(units, ["m", "m", "N", "N", "N", "m/s²", "m/s²", "rad/s"]);
     assert!(outcome.observed.iter().any(|o| o.reason == "withheld" && o.unit == "N" && o.axis == "fz"));
@@ -248,10 +248,20 @@ fn what_is_wrong_is_named() {
         ),
         (good.clone(), &format!("{cell}{cell}"), &[], &["\"cell\" is there twice"]),
         (good.clone(), "", &[], &["needs [[observations.sensors]]"]),
-        (good.clone(), &sensor("cell", "tension", 0.7, 0.01), &[], &["sensors.0.arc_length", "off the rod"]),
-        (good.clone(), &hook, &[], &["no support holds the rod at s = 0.3 m"]),
-        (good.clone(), &sensor("cell", "spin", 0.3, 0.01), &[], &["spin of edge", "is not in the state"]),
-        (good.clone(), &axes, &[], &["sensors.0.axes", "specific-force"]),
+        (good.clone(), &sensor("cell", "tension", 0.7, 0.01), &[], &["arc length 0.7 m is off the rod"]),
+        (
+            "time_s,sensor,fx_n,fy_n,fz_n\n1.3,hook,1,1,1\n".into(),
+            &hook,
+            &[],
+            &["no support holds the rod at s = 0.3 m"],
+        ),
+        (
+            "time_s,sensor,spin_rad_s\n1.3,cell,1.0\n".into(),
+            &sensor("cell", "spin", 0.3, 0.01),
+            &[],
+            &["spin of edge", "is not in the state"],
+        ),
+        (good.clone(), &axes, &[], &["is of kind \"specific-force\" alone"]),
         (good.clone(), &cell, &[euler], &["time.integrator", "angles of the state before"]),
         (good.clone(), &cell, &["time.tolerance=1e-3"], &["time.tolerance", "leave it out"]),
         (good.clone(), &cell, &["estimate.clock={sigma=0.01}"], &["estimate.clock"]),
@@ -296,10 +306,17 @@ fn the_gradient_of_a_cost_with_readings_and_constants() {
             cost.evaluate(&moved, None).unwrap()
         };
         let mut central = |h: f64| (at(h) - at(-h)) / (2.0 * h);
-        let difference = (4.0 * central(5e-5) - central(1e-4)) / 3.0;
         let derivative = dot(&gradient, &along);
-        // h⁴ of the fifth derivative, and rounding of J over h
-        assert!((derivative - difference).abs() < 1e-5 * derivative.abs(), "{derivative} {difference}");
+        let mut errors = Vec::new();
+        for h in [1e-4, 3e-4, 1e-3, 3e-3] {
+            let difference = (4.0 * central(h) - central(2.0 * h)) / 3.0;
+            errors.push((derivative - difference).abs() / derivative.abs());
+        }
+        // a step ends at updates of 1e-11 m, which are 1e-7 N of EA: 1e-5 σ of a reading, over h; and h⁴ of
+        // the fifth derivative beyond
+        let best = errors.iter().copied().fold(f64::INFINITY, f64::min);
+        println!("gradient: {errors:?}");
+        assert!(best < 1e-6, "{derivative}: {errors:?}");
     }
 }
 
