@@ -33,20 +33,26 @@ pub enum Sensor {
         /// Its place \[m\].
         s: f64,
     },
-    /// What an accelerometer fixed to a section reads, f = Aᵀ(a − g) \[m/s²\]: three values along its axes,
-    /// 9.81 upwards at rest.
+    /// What an accelerometer fixed to a section reads, f = Aᵀ(a − g) \[m/s²\]: three values along its
+    /// axes, 9.81 upwards at rest.
     SpecificForce {
         /// Its place \[m\].
         s: f64,
         /// Its axes along (m₁, m₂, t) of the edge: a row for each.
         axes: Matrix3<f64>,
     },
+    /// The unit tangent of the edge at s in space, towards greater s: three values.
+    Direction {
+        /// Its place \[m\].
+        s: f64,
+    },
     /// The angular rate of a section across its tangent \[rad/s\], along m₁ and m₂: two values.
     AngularRate {
         /// Its place \[m\].
         s: f64,
     },
-    /// The angular rate of a section about its tangent \[rad/s\], of a rod with inertia against it: one value.
+    /// The angular rate of a section about its tangent \[rad/s\], of a rod with inertia against it: one
+    /// value.
     Spin {
         /// Its place \[m\].
         s: f64,
@@ -59,7 +65,10 @@ impl Sensor {
         match self {
             Sensor::Tension { .. } | Sensor::AxialSupportForce { .. } | Sensor::Spin { .. } => 1,
             Sensor::AngularRate { .. } => 2,
-            Sensor::SupportForce { .. } | Sensor::Acceleration { .. } | Sensor::SpecificForce { .. } => 3,
+            Sensor::SupportForce { .. }
+            | Sensor::Acceleration { .. }
+            | Sensor::SpecificForce { .. }
+            | Sensor::Direction { .. } => 3,
         }
     }
 }
@@ -82,6 +91,8 @@ pub(crate) enum Placed {
     Acceleration(Place),
     /// The same less gravity, along axes of the section.
     SpecificForce(Place, Matrix3<f64>),
+    /// The tangent of an edge.
+    Direction(usize),
     /// How fast the tangent of an edge turns, along m₁ and m₂.
     AngularRate(usize),
     /// A number of the state.
@@ -93,12 +104,15 @@ impl Placed {
         match self {
             Placed::Along(..) | Placed::Spin(_) => 1,
             Placed::AngularRate(_) => 2,
-            Placed::Force(_) | Placed::Acceleration(_) | Placed::SpecificForce(..) => 3,
+            Placed::Force(_) | Placed::Acceleration(_) | Placed::SpecificForce(..) | Placed::Direction(_) => {
+                3
+            }
         }
     }
 }
 
-/// A row: its sensor, and its direction in space or, of a sensor on a section, along (m₁, m₂, t).
+/// A row: its sensor, and its direction in space or, of a sensor on a section, along (m₁, m₂, t). Of a
+/// direction it is the axis in space that is seen along the tangent.
 pub(crate) struct Row<'a> {
     pub(crate) sensor: &'a Placed,
     pub(crate) direction: Vector3<f64>,
@@ -152,6 +166,7 @@ pub(crate) fn placed(system: &System, sensor: &Sensor) -> Result<Placed, Error> 
             }
             Placed::SpecificForce(with_sections(system, rod.place("specific force", s)?)?, axes)
         }
+        Sensor::Direction { s } => Placed::Direction(rod.place("direction", s)?.edge),
         Sensor::AngularRate { s } => {
             Placed::AngularRate(with_sections(system, rod.place("angular rate", s)?)?.edge)
         }

@@ -25,9 +25,9 @@ use crate::system::System;
 /// ```
 ///
 /// with F_v the loads of a vertex, and stress of strain rates and drag from the velocities in the state:
-/// ε̇ is a difference over a thousandth of the interval Δt, back along V. Accelerations are those that the forces of
-/// the state make (Newton's second law), not differences between steps: one state is enough, and it is what
-/// the equations of a step of backward Euler and BDF2 have for V̇. Those of supports are second
+/// ε̇ is a difference over a thousandth of the interval Δt, back along V. Accelerations are those that the
+/// forces of the state make (Newton's second law), not differences between steps: one
+/// state is enough, and it is what the equations of a step of backward Euler and BDF2 have for V̇. Those of supports are second
 /// differences over Δt. The rate of a stored angle, where strain rates need it, is that since the state
 /// before, which a two-step state has (zero at step 0, whose past is itself). At rest there are neither
 /// rates nor inertia.
@@ -54,8 +54,9 @@ use crate::system::System;
 /// let mut x = step.control_at_rest(&found.rest);
 /// x.resize(step.dim(), 0.0);
 ///
-/// let cells = [Sensor::SupportForce { s: 0.0 }, Sensor::Tension { s: 0.5 }, Sensor::Acceleration { s: 1.0 }];
-/// let mut sensors = Sensors::new(step, 0.01, &cells)?;
+/// let cell = Sensor::SupportForce { s: 0.0 };
+/// let all = [cell, Sensor::Tension { s: 0.5 }, Sensor::Acceleration { s: 1.0 }];
+/// let mut sensors = Sensors::new(step, 0.01, &all)?;
 /// let mut y = [0.0; 7];
 /// sensors.observe(At { step: 0, time: 0.0 }, &x, &mut y)?;
 /// assert!((y[2] - weight).abs() < 1e-9 * weight && y[3] > 0.4 * weight && y[3] < 0.6 * weight);
@@ -384,7 +385,7 @@ impl Present<'_> {
     /// The direction of a row in space.
     fn direction(&self, system: &System, row: &Row) -> Vector3<f64> {
         match row.sensor {
-            Placed::Along(_, e) => system.shape.edges[*e].t,
+            Placed::Along(_, e) | Placed::Direction(e) => system.shape.edges[*e].t,
             Placed::SpecificForce(Place { edge: e, .. }, _) | Placed::AngularRate(e) => {
                 Self::section(system, *e) * row.direction
             }
@@ -403,6 +404,7 @@ impl Present<'_> {
             Placed::AngularRate(e) => {
                 (self.velocity(motion, e + 1) - self.velocity(motion, *e)) / system.shape.edges[*e].l
             }
+            Placed::Direction(_) => row.direction,
             Placed::Spin(i) => row.direction * self.state[*i],
         }
     }
@@ -437,9 +439,10 @@ impl Present<'_> {
             }
             _ => {}
         }
-        // the direction turns: δm₁ = −(m₁·δt) t + δφ m₂, δm₂ = −(m₂·δt) t − δφ m₁, δt = (I − t tᵀ) δe/l
+        // the direction turns: δm₁ = −(m₁·δt) t + δφ m₂ and δm₂ = −(m₂·δt) t − δφ m₁
+        // with δt = (I − t tᵀ) δe/l
         let (e, [a, b, c]) = match row.sensor {
-            Placed::Along(_, e) => (*e, [0.0, 0.0, 1.0]),
+            Placed::Along(_, e) | Placed::Direction(e) => (*e, [0.0, 0.0, 1.0]),
             Placed::SpecificForce(Place { edge: e, .. }, _) | Placed::AngularRate(e) => {
                 (*e, row.direction.into())
             }

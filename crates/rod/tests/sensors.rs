@@ -29,6 +29,7 @@ fn sensors(case: Case, rod: &RodStep) -> Vec<Sensor> {
         Sensor::SpecificForce { s: 0.44, axes: Matrix3::identity() },
         Sensor::SpecificForce { s: 0.8, axes: turned() },
         Sensor::AngularRate { s: 0.55 },
+        Sensor::Direction { s: 0.55 },
     ];
     if case.spins {
         all.push(Sensor::Spin { s: 0.7 });
@@ -171,6 +172,7 @@ fn what_is_fixed_to_a_section_sees_its_axes() {
             Sensor::SpecificForce { s, axes: Matrix3::identity() },
             Sensor::SpecificForce { s, axes: turned() },
             Sensor::AngularRate { s },
+            Sensor::Direction { s },
         ];
         let places = 3 * rod.free_vertices().len();
         let gravity = gravity_of(case, &p);
@@ -182,6 +184,8 @@ fn what_is_fixed_to_a_section_sees_its_axes() {
         // a few roundings
         assert!((f - expected).norm() < 1e-12 * expected.norm(), "{}: {f} {expected}", case.name);
         assert!((turned_f - turned() * f).norm() < 1e-12 * f.norm(), "{}", case.name);
+        let direction = Vector3::from_column_slice(&y[11..14]);
+        assert!((direction - section.column(2)).norm() < 1e-12, "{}: {direction}", case.name);
         // ω = t × ṫ beside tangents a microsecond of the state's velocities before and after
         let moved = |h: f64| -> Vec<f64> {
             let mut moved = x.clone();
@@ -242,7 +246,7 @@ fn close(case: Case, sensors: &[Sensor], derivative: &[f64], by_difference: &[f6
         let rounding = if case.damping.stiffness > 0.0 || case.drag { 3e-9 } else { 1e-11 };
         let rounding = match sensor {
             Sensor::Acceleration { .. } | Sensor::SpecificForce { .. } => 30.0 * rounding,
-            Sensor::AngularRate { .. } | Sensor::Spin { .. } => 1e-11,
+            Sensor::AngularRate { .. } | Sensor::Direction { .. } | Sensor::Spin { .. } => 1e-11,
             _ => rounding,
         };
         let bound = 1e-7 * size + rounding / h;

@@ -17,8 +17,14 @@ kind = "rod"
 length = 0.5
 segments = 10
 gravity = [0.0, 0.0, -9.81]
-section = { kind = "stiffness", ea = 1005.0, ei = [0.0161, 0.0161], gj = 0.0107, mass_per_length = 0.221, rotary_inertia = 7.08e-6 }
 damping = { mass = 0.5, stiffness = 0.01 }
+[model.section]
+kind = "stiffness"
+ea = 1005.0
+ei = [0.0161, 0.0161]
+gj = 0.0107
+mass_per_length = 0.221
+rotary_inertia = 7.08e-6
 [model.start]
 position = [0.0, 0.0, 0.0]
 tangent = [0.0, 0.0, -1.0]
@@ -62,6 +68,7 @@ fn all_kinds() -> String {
         sensor("chip", "acceleration", 0.4, 0.1),
         sensor("imu", "specific-force", 0.45, 0.1),
         sensor("gyro", "angular-rate", 0.45, 0.05),
+        sensor("pointer", "direction", 0.2, 0.01),
     ]
     .concat()
 }
@@ -84,14 +91,15 @@ fn sigma(found: &Estimated) -> f64 {
 fn every_kind_fits_in_a_twin_and_lowers_sigma() {
     let folder = Folder::new("sensors-kinds");
     let alone = ran(&format!("{ROD}{TWIN}{PLACES}"), &folder, &[]);
-    // σ of places and of velocities, over all kinds; the bound is of what the kind sees best
+    // the share of σ that is left, a fifth above the 0.75, 0.51, 0.59, 0.57, 0.59 and 0.83 of this scene
     let kinds = [
-        ("tension", 0.3, 0.01, "N", 0.97),
-        ("support-force", 0.0, 0.01, "N", 0.9),
-        ("axial-support-force", 0.0, 0.01, "N", 0.97),
-        ("acceleration", 0.4, 0.1, "m/s²", 0.9),
-        ("specific-force", 0.4, 0.1, "m/s²", 0.9),
-        ("angular-rate", 0.4, 0.05, "rad/s", 0.9),
+        ("tension", 0.3, 0.01, "N", 0.9),
+        ("support-force", 0.0, 0.01, "N", 0.61),
+        ("axial-support-force", 0.0, 0.01, "N", 0.71),
+        ("acceleration", 0.4, 0.1, "m/s²", 0.69),
+        ("specific-force", 0.4, 0.1, "m/s²", 0.71),
+        ("angular-rate", 0.4, 0.05, "rad/s", 0.99),
+        ("direction", 0.4, 0.005, "rad", 0.99),
     ];
     for (kind, s, sigma, unit, bound) in kinds {
         let text = format!("{ROD}{TWIN}{PLACES}{}", sensor("it", kind, s, sigma));
@@ -102,11 +110,8 @@ fn every_kind_fits_in_a_twin_and_lowers_sigma() {
         // four standard deviations of χ²/m
         assert!((chi2 - 1.0).abs() < 4.0 * (2.0 / m).sqrt(), "{kind}: 2J/m = {chi2}");
         assert!(outcome.observed.iter().any(|o| o.label == "sensor it" && o.unit == unit), "{kind}");
-        let ratio =
-            rms(&outcome.analysis.sigma_analysis[27..54]) / rms(&alone.analysis.sigma_analysis[27..54]);
-        let places = rms(&outcome.analysis.sigma_analysis[..27]) / rms(&alone.analysis.sigma_analysis[..27]);
-        println!("{kind}: 2J/m {chi2:.3}, σ of places {places:.3}, of velocities {ratio:.3}");
-        assert!(ratio.min(places) < bound, "{kind}: σ {places} and {ratio} of that by markers");
+        let share = rms(&outcome.analysis.sigma_analysis[..27]) / rms(&alone.analysis.sigma_analysis[..27]);
+        assert!(share < bound, "{kind}: σ of places {share} of that by markers");
     }
 }
 
@@ -126,7 +131,6 @@ fn a_force_cell_finds_the_mass_that_markers_do_not() {
     assert!(sigma(&mass) > 0.15 * mass.value && sigma(&ei) > 0.15 * ei.value, "{mass:?} {ei:?}");
     let with = of(&sensor("clamp", "support-force", 0.0, 0.01));
     let [mass, ei] = ["mass_per_length", "ei"].map(|name| with[name].clone());
-    println!("markers {:?}\nwith a cell {mass:?} {ei:?}", markers["mass_per_length"]);
     // ten readings of 0.01 N of a weight of 1.08 N
     assert!(sigma(&mass) < 0.01 * mass.value && sigma(&ei) < 0.05 * ei.value, "{mass:?} {ei:?}");
     for found in [mass, ei] {
@@ -185,7 +189,7 @@ fn a_sensor_that_is_kept_back_is_judged_in_its_unit() {
     // noise of 0.01 N in three components, 0.017 N, of 21 values to 4 of its standard deviations
     assert!(w.rms_analysis < 0.03 && w.rms_analysis < 0.2 * w.rms_background, "{w:?}");
     let units: Vec<&str> = outcome.forecast.iter().map(|f| f.quantity.unit()).collect();
-    assert_eq!(units, ["m", "m", "N", "N", "N", "m/s²", "m/s²", "rad/s"]);
+    assert_eq!(units, ["m", "m", "N", "N", "N", "m/s²", "m/s²", "rad/s", "rad"]);
     assert!(outcome.observed.iter().any(|o| o.reason == "withheld" && o.unit == "N" && o.axis == "fz"));
 }
 
@@ -312,15 +316,15 @@ fn the_gradient_of_a_cost_with_readings_and_constants() {
             let difference = (4.0 * central(h) - central(2.0 * h)) / 3.0;
             errors.push((derivative - difference).abs() / derivative.abs());
         }
-        // a step ends at updates of 1e-11 m, which are 1e-7 N of EA: 1e-5 σ of a reading, over h; and h⁴ of
-        // the fifth derivative beyond
+        // a step ends at updates of 1e-11 m, which are 1e-7 N of EA: 1e-5 σ of a reading, over h; and h⁴
+        // of the fifth derivative beyond
         let best = errors.iter().copied().fold(f64::INFINITY, f64::min);
-        println!("gradient: {errors:?}");
         assert!(best < 1e-6, "{derivative}: {errors:?}");
     }
 }
 
-/// A rod at rest: its mass by the force on its clamp, and how it hangs by an accelerometer, which sees gravity.
+/// A rod at rest: its mass by the force on its clamp, and how it hangs by an accelerometer, which sees
+/// gravity.
 #[test]
 fn a_rod_at_rest_is_weighed() {
     let rod = ROD.split("[time]").next().unwrap().replace("motion = ", "# motion = ").replace(
@@ -329,8 +333,9 @@ fn a_rod_at_rest_is_weighed() {
     );
     let rod = rod.replace("damping = { mass = 0.5, stiffness = 0.01 }\n", "");
     let text = format!(
-        "{rod}[algorithm]\nmethod = \"static\"\n[estimate]\nmass_per_length = {{ sigma = \"30%\" }}\nei = {{ sigma = \"30%\", \
-         together = true }}\n[observations]\nkind = \"file\"\nreadings = \"rows.csv\"\n{}{}",
+        "{rod}[algorithm]\nmethod = \"static\"\n[estimate]\nmass_per_length = {{ sigma = \"30%\" }}\n\
+         ei = {{ sigma = \"30%\", together = true }}\n[observations]\n\
+         kind = \"file\"\nreadings = \"rows.csv\"\n{}{}",
         sensor("clamp", "support-force", 0.0, 0.01),
         sensor("imu", "specific-force", 0.45, 0.02)
     );

@@ -16,6 +16,8 @@ pub enum Quantity {
     AxialForce,
     /// Components of an acceleration, or of one less gravity [m/s²].
     Acceleration,
+    /// Components of a unit vector, whose small changes are angles \[rad\].
+    Direction,
     /// Angular rates along m₁ and m₂ of a section [rad/s].
     AngularRate,
     /// The angular rate about its tangent [rad/s].
@@ -26,12 +28,13 @@ pub enum Quantity {
 
 impl Quantity {
     /// Those of what is observed of a rod.
-    pub const OF_RODS: [Quantity; 7] = [
+    pub const OF_RODS: [Quantity; 8] = [
         Quantity::Place,
         Quantity::Pixels,
         Quantity::Force,
         Quantity::AxialForce,
         Quantity::Acceleration,
+        Quantity::Direction,
         Quantity::AngularRate,
         Quantity::Spin,
     ];
@@ -44,6 +47,7 @@ impl Quantity {
             Quantity::Force => &["fx", "fy", "fz"],
             Quantity::AxialForce => &["f"],
             Quantity::Acceleration => &["ax", "ay", "az"],
+            Quantity::Direction => &["tx", "ty", "tz"],
             Quantity::AngularRate => &["w1", "w2"],
             Quantity::Spin => &["w"],
             Quantity::Component => &[""],
@@ -57,6 +61,7 @@ impl Quantity {
             Quantity::Pixels => "px",
             Quantity::Force | Quantity::AxialForce => "N",
             Quantity::Acceleration => "m/s²",
+            Quantity::Direction => "rad",
             Quantity::AngularRate | Quantity::Spin => "rad/s",
             Quantity::Component => "",
         }
@@ -69,6 +74,7 @@ impl Quantity {
             Quantity::Pixels => (1.0, "px"),
             Quantity::Force | Quantity::AxialForce => (1e3, "mN"),
             Quantity::Acceleration => (1.0, "m/s²"),
+            Quantity::Direction => (1e3, "mrad"),
             Quantity::AngularRate | Quantity::Spin => (1e3, "mrad/s"),
             Quantity::Component => (1.0, ""),
         }
@@ -81,6 +87,7 @@ impl Quantity {
             Quantity::Pixels => " px",
             Quantity::Force | Quantity::AxialForce => " N",
             Quantity::Acceleration => " m/s²",
+            Quantity::Direction => " rad",
             Quantity::AngularRate | Quantity::Spin => " rad/s",
             Quantity::Component => "",
         }

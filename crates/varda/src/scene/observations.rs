@@ -38,7 +38,8 @@ pub struct Synthetic {
     /// Observed after these numbers of steps of the window.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps: Option<Vec<usize>>,
-    /// Standard deviation of an observed value [m]. Give this or `sigma_over_length`, or `cameras` or `sensors` alone.
+    /// Standard deviation of an observed value [m]. Give this or `sigma_over_length`, or `cameras` or
+    /// `sensors` alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub sigma: Option<f64>,

@@ -22,8 +22,8 @@ pub struct Sensor {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub sigma: Option<f64>,
-    /// Axes of an accelerometer along (m₁, m₂, t) of its section, a row for each; of kind "specific-force".
-    /// Absent: those of the section.
+    /// Axes of an accelerometer along (m₁, m₂, t) of its section, a row for each; of kind
+    /// "specific-force". Absent: those of the section.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub axes: Option<[[f64; 3]; 3]>,
     /// What it is used for.
@@ -39,13 +39,18 @@ pub enum SensorKind {
     Tension,
     /// Force of a support on the rod, in the model's axes: `fx_n`, `fy_n`, `fz_n` [N].
     SupportForce,
-    /// Force of a clamp on the rod along its tangent, which points towards greater arc lengths: `force_n` [N].
+    /// Force of a clamp on the rod along its tangent, which points towards greater arc lengths:
+    /// `force_n` [N].
     AxialSupportForce,
-    /// Acceleration of a point of the centreline, in the model's axes: `ax_m_s2`, `ay_m_s2`, `az_m_s2` [m/s²].
+    /// Acceleration of a point of the centreline, in the model's axes: `ax_m_s2`, `ay_m_s2`, `az_m_s2`
+    /// [m/s²].
     Acceleration,
     /// What an accelerometer fixed to a section reads, acceleration less gravity along its axes:
     /// `fx_m_s2`, `fy_m_s2`, `fz_m_s2` [m/s²]; at rest 9.81 upwards.
     SpecificForce,
+    /// Direction of the rod, its unit tangent towards greater arc lengths, in the model's axes: `tx`, `ty`,
+    /// `tz`, with σ in rad.
+    Direction,
     /// Angular rate of a section across its tangent, along m₁ and m₂: `w1_rad_s`, `w2_rad_s` [rad/s].
     AngularRate,
     /// Angular rate of a section about its tangent, of a rod with `twist_inertia`: `spin_rad_s` [rad/s].
@@ -54,12 +59,13 @@ pub enum SensorKind {
 
 impl SensorKind {
     /// All of them.
-    pub const ALL: [SensorKind; 7] = [
+    pub const ALL: [SensorKind; 8] = [
         SensorKind::Tension,
         SensorKind::SupportForce,
         SensorKind::AxialSupportForce,
         SensorKind::Acceleration,
         SensorKind::SpecificForce,
+        SensorKind::Direction,
         SensorKind::AngularRate,
         SensorKind::Spin,
     ];
@@ -72,6 +78,7 @@ impl SensorKind {
             SensorKind::AxialSupportForce => "axial-support-force",
             SensorKind::Acceleration => "acceleration",
             SensorKind::SpecificForce => "specific-force",
+            SensorKind::Direction => "direction",
             SensorKind::AngularRate => "angular-rate",
             SensorKind::Spin => "spin",
         }
@@ -85,6 +92,7 @@ impl SensorKind {
             SensorKind::AxialSupportForce => &["force_n"],
             SensorKind::Acceleration => &["ax_m_s2", "ay_m_s2", "az_m_s2"],
             SensorKind::SpecificForce => &["fx_m_s2", "fy_m_s2", "fz_m_s2"],
+            SensorKind::Direction => &["tx", "ty", "tz"],
             SensorKind::AngularRate => &["w1_rad_s", "w2_rad_s"],
             SensorKind::Spin => &["spin_rad_s"],
         }

@@ -34,6 +34,7 @@ impl SensorKind {
             SensorKind::Tension | SensorKind::AxialSupportForce => Quantity::AxialForce,
             SensorKind::SupportForce => Quantity::Force,
             SensorKind::Acceleration | SensorKind::SpecificForce => Quantity::Acceleration,
+            SensorKind::Direction => Quantity::Direction,
             SensorKind::AngularRate => Quantity::AngularRate,
             SensorKind::Spin => Quantity::Spin,
         }
@@ -53,6 +54,7 @@ fn of_rod(sensor: &Sensor) -> varda_rod::Sensor {
             // nalgebra takes rows for columns
             axes: sensor.axes.map_or_else(Matrix3::identity, |rows| Matrix3::from(rows).transpose()),
         },
+        SensorKind::Direction => varda_rod::Sensor::Direction { s },
         SensorKind::AngularRate => varda_rod::Sensor::AngularRate { s },
         SensorKind::Spin => varda_rod::Sensor::Spin { s },
     }
