@@ -26,11 +26,11 @@ use crate::system::System;
 ///
 /// with F_v the loads of a vertex, and stress of strain rates and drag from the velocities in the state:
 /// ε̇ is a difference over a thousandth of the interval Δt, back along V. Accelerations are those that the
-/// forces of the state make (Newton's second law), not differences between steps: one
-/// state is enough, and it is what the equations of a step of backward Euler and BDF2 have for V̇. Those of supports are second
-/// differences over Δt. The rate of a stored angle, where strain rates need it, is that since the state
-/// before, which a two-step state has (zero at step 0, whose past is itself). At rest there are neither
-/// rates nor inertia.
+/// forces of the state make (Newton's second law), not differences between steps: one state is enough,
+/// and it is what the equations of a step of backward Euler and BDF2 have for V̇. Those of supports are
+/// second differences over Δt. The rate of a stored angle, where strain rates need it, is that since the
+/// state before, which a two-step state has (zero at step 0, whose past is itself). At rest there are
+/// neither rates nor inertia.
 ///
 /// Forces are those of [`InternalForces`](crate::InternalForces). They depend on the parameters of the rod:
 /// [`by_parameters`](Self::by_parameters).
@@ -439,8 +439,8 @@ impl Present<'_> {
             }
             _ => {}
         }
-        // the direction turns: δm₁ = −(m₁·δt) t + δφ m₂ and δm₂ = −(m₂·δt) t − δφ m₁
-        // with δt = (I − t tᵀ) δe/l
+        // the direction turns: δm₁ = −(m₁·δt) t + δφ m₂,
+        // δm₂ = −(m₂·δt) t − δφ m₁ with δt = (I − t tᵀ) δe/l
         let (e, [a, b, c]) = match row.sensor {
             Placed::Along(_, e) | Placed::Direction(e) => (*e, [0.0, 0.0, 1.0]),
             Placed::SpecificForce(Place { edge: e, .. }, _) | Placed::AngularRate(e) => {
