@@ -32,7 +32,7 @@ pub enum Error {
     },
     /// A sensor on a section of a chain, whose edges have no sections.
     #[error("a chain has no sections that a sensor could be fixed to: observe accelerations in space")]
-    NoSections,
+    NoFrames,
     /// The spin of a section is not in the state.
     #[error(
         "the spin of edge {edge} is not in the state: give the rod inertia against it, and take an edge \
@@ -96,7 +96,7 @@ pub enum Error {
         "a moment, a force across the section that follows it, or twist inertia is asked of a rod without \
          sections: it has one segment, or neither bending nor twisting stiffness (a chain)"
     )]
-    NoFrames,
+    NoSections,
     /// The search for a shape at rest used up its iterations.
     #[error("no shape at rest was found in {iterations} Newton iterations: a first shape near it would help")]
     NotAtRest {

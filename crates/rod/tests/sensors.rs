@@ -3,12 +3,12 @@
 
 mod common;
 
-use common::rods_with_parameters::{Case, DOWN, LOST, PLAIN, SEGMENTS, cases, control, step};
+use common::rods_with_parameters::{Case, DOWN, LOST, PLAIN, SEGMENTS, cases, control, rod, step, supports};
 use common::{difference, noise, off};
 use varda_implicit::{
     At, ImplicitModel, Model, ObservationOperator, ParametricStep, Scheme, WithParameters, check,
 };
-use varda_rod::{Error, Marker, Markers, Matrix3, RodStep, Sensor, Sensors, Vector3, rotation};
+use varda_rod::{Damping, Error, Marker, Markers, Matrix3, RodStep, Sensor, Sensors, Vector3, rotation};
 
 const STEP: f64 = 0.004;
 
@@ -329,6 +329,11 @@ fn what_cannot_be_measured_is_refused() {
     let damped = Case { damping: LOST, ..PLAIN };
     let euler = Scheme::BackwardEuler;
     assert_eq!(of(damped, euler, Sensor::Tension { s: 0.5 }), Some(Error::NoRates));
+    let mut chain = rod(PLAIN);
+    chain.ei.fill([0.0; 3]);
+    chain.gj.fill(0.0);
+    let chain = RodStep::new(chain, supports(PLAIN), DOWN, Damping::default()).unwrap();
+    assert_eq!(Sensors::new(chain, STEP, &[Sensor::AngularRate { s: 0.5 }]).err(), Some(Error::NoFrames));
     let wrong = Sensors::new(step(PLAIN, bdf2), 0.0, &[]).err();
     assert!(matches!(wrong, Some(Error::Value { field: "interval of sensors", .. })));
 }
