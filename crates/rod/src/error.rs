@@ -22,6 +22,32 @@ pub enum Error {
         /// Its length \[m\].
         length: f64,
     },
+    /// A force of a support is asked for where there is none.
+    #[error("no {what} holds the rod at s = {} m", rounded(*s))]
+    NotHeld {
+        /// The arc length \[m\].
+        s: f64,
+        /// Support or clamp.
+        what: &'static str,
+    },
+    /// A sensor on a section of a chain, whose edges have no sections.
+    #[error("a chain has no sections that a sensor could be fixed to: observe accelerations in space")]
+    NoFrames,
+    /// The spin of a section is not in the state.
+    #[error(
+        "the spin of edge {edge} is not in the state: give the rod inertia against it, and take an edge \
+             that no clamp holds"
+    )]
+    NoSpin {
+        /// Number of the edge.
+        edge: usize,
+    },
+    /// Forces of a state need strain rates that it does not have.
+    #[error(
+        "forces of a rod that twists with strain-rate damping need the angles of the state before, which \
+         backward Euler does not keep: the schemes of second order, BDF2 and midpoint, do"
+    )]
+    NoRates,
     /// A coordinate, angle or prescribed value is not finite.
     #[error("{what} {index} is not finite")]
     NonFinite {

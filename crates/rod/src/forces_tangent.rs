@@ -1,5 +1,7 @@
 //! The tangent of the forces within a rod: what small changes of its states do to them.
 
+pub(crate) mod transpose;
+
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use crate::Error;
@@ -67,7 +69,7 @@ impl RodStep {
 
 /// What a parameter does to ∂E/∂(x, θ) in the full order, to the moments of bent vertices, and to the
 /// weight and inertia of every vertex.
-struct ChangeOfForces {
+pub(crate) struct ChangeOfForces {
     gradient: Vec<f64>,
     moments: Vec<[f64; 3]>,
     forces: Vec<Vector3<f64>>,
@@ -90,18 +92,15 @@ impl ChangeOfForces {
 impl Parameters {
     /// What those do that change them to the forces within the rod, the system having the shape of a state:
     /// of an error in time only the numbers about that time.
-    fn of_forces(
+    pub(crate) fn of_forces(
         &self,
         system: &mut System,
         motion: &Motion,
         damping: &Damping,
         times: [f64; 2],
     ) -> Vec<(usize, ChangeOfForces)> {
-        let (h, mut past) = (motion.start.length, PastStrains::default());
-        if let Some(then) = motion.past {
-            past.lengths = then.shape.edges.iter().map(|edge| edge.l).collect();
-            past.bend = then.strains.iter().map(|strains| strains.value).collect();
-        }
+        let h = motion.start.length;
+        let past = motion.past.map_or_else(PastStrains::default, |past| past.strains());
         let of = |(index, (p, slope)): (usize, (&Parameter, &f64))| {
             let Parameter { change, .. } = p;
             let rates = [damping.stiffness / h, change.damping.stiffness / h];
@@ -124,8 +123,13 @@ impl Parameters {
                 moved: None,
             };
             if !change.supports.is_empty() {
-                let accelerated = accelerated(system, index, h, damping.mass, times[0]);
-                of.forces.iter_mut().zip(accelerated).for_each(|(f, a)| *f -= a);
+                if let Some(interval) = motion.interval {
+                    let moved = moved_by(system, index, interval, times[0]);
+                    let inertia = |[v, a]: [Vector3<f64>; 2], m: f64| (a + v * damping.mass) * m;
+                    for ((force, moved), mass) in of.forces.iter_mut().zip(moved).zip(&system.rod.masses) {
+                        *force -= inertia(moved, *mass);
+                    }
+                }
                 of.moved = Some(moved(system, motion, index, times));
             }
             (!of.is_none()).then_some((index, of))
@@ -134,18 +138,15 @@ impl Parameters {
     }
 }
 
-/// M (δẍ + α δẋ) of held vertices that a parameter moves, differences over h on both sides of t.
-fn accelerated(system: &System, parameter: usize, h: f64, alpha: f64, t: f64) -> Vec<Vector3<f64>> {
+/// (δẋ, δẍ) of held vertices that a parameter moves, differences over h on both sides of t.
+pub(crate) fn moved_by(system: &System, parameter: usize, h: f64, t: f64) -> Vec<[Vector3<f64>; 2]> {
     let at = |t: f64| {
         let mut places = vec![Vector3::zeros(); system.x.len()];
         system.moved_places(parameter, t, &mut places).expect("supports were placed at these times");
         places
     };
     let (a, b, c) = (at(t - h), at(t), at(t + h));
-    let of = |v: usize| {
-        let (velocity, acceleration) = ((c[v] - a[v]) / (2.0 * h), (c[v] - b[v] * 2.0 + a[v]) / (h * h));
-        (acceleration + velocity * alpha) * system.rod.masses[v]
-    };
+    let of = |v: usize| [(c[v] - a[v]) / (2.0 * h), (c[v] - b[v] * 2.0 + a[v]) / (h * h)];
     (0..a.len()).map(of).collect()
 }
 
@@ -169,13 +170,13 @@ fn moved(system: &System, motion: &Motion, parameter: usize, times: [f64; 2]) ->
 }
 
 /// What an increment of a configuration does to its vertices, and to its angles in their local gauge.
-struct Increment {
-    places: Vec<Vector3<f64>>,
-    angles: Vec<f64>,
+pub(crate) struct Increment {
+    pub(crate) places: Vec<Vector3<f64>>,
+    pub(crate) angles: Vec<f64>,
 }
 
 impl Increment {
-    fn new(segments: usize) -> Increment {
+    pub(crate) fn new(segments: usize) -> Increment {
         Increment { places: vec![Vector3::zeros(); segments + 1], angles: vec![0.0; segments] }
     }
 
@@ -229,7 +230,7 @@ struct Loaded {
 }
 
 /// The linearization about one state, the system having its shape.
-struct Tangent<'a> {
+pub(crate) struct Tangent<'a> {
     /// ∂(force on the second vertex)/∂e of every edge.
     stretched: Vec<Matrix3<f64>>,
     bent: Vec<Bent>,
@@ -238,20 +239,20 @@ struct Tangent<'a> {
     forces: Vec<Vector3<f64>>,
     past: Option<&'a Past>,
     share: f64,
-    now: Increment,
-    before: Increment,
+    pub(crate) now: Increment,
+    pub(crate) before: Increment,
     /// What parameters do, by their numbers.
     changes: Vec<(usize, ChangeOfForces)>,
     /// What a clamp at the start and one at the end exert on the vertex beside their place, and about the
     /// tangent.
     clamped: [Option<(Vector3<f64>, f64)>; 2],
-    gradient: Vec<f64>,
-    loads: EdgeSums,
+    pub(crate) gradient: Vec<f64>,
+    pub(crate) loads: EdgeSums,
     out: InternalForces,
 }
 
 impl<'a> Tangent<'a> {
-    fn new(
+    pub(crate) fn new(
         system: &mut System,
         start: StageStart,
         past: Option<&'a Past>,
@@ -324,7 +325,8 @@ impl<'a> Tangent<'a> {
         }
     }
 
-    fn of(&mut self, system: &System, h: f64, [dx, dx_before, dp]: [&[f64]; 3]) -> &mut InternalForces {
+    /// Changes of both configurations, of ∂E/∂(x, θ), of moments and of loads.
+    pub(crate) fn vary(&mut self, system: &System, h: f64, [dx, dx_before, dp]: [&[f64]; 3]) {
         self.now.set(system, &system.shape, dx);
         match self.past {
             Some(past) => self.before.set(system, &past.shape, dx_before),
@@ -344,6 +346,10 @@ impl<'a> Tangent<'a> {
         self.bend(system);
         self.load(h);
         self.change(dp);
+    }
+
+    fn of(&mut self, system: &System, h: f64, increments: [&[f64]; 3]) -> &mut InternalForces {
+        self.vary(system, h, increments);
         let mut reactions = exerted(system, &self.gradient, &self.loads);
         self.turn_clamps(system, &mut reactions);
         let varied = edge_forces(system, &self.gradient, &reactions);
@@ -374,7 +380,8 @@ impl<'a> Tangent<'a> {
             let moved = |of: &Increment| of.places[e + 1] - of.places[e];
             let mut force = self.stretched[e] * moved(&self.now);
             if let Some(past) = self.past {
-                let longer = past.shape.edges[e].t.dot(&moved(&self.before));
+                let [by_then, by_now] = &past.by_edge[e];
+                let longer = by_then.dot(&moved(&self.before)) + by_now.dot(&moved(&self.now));
                 force -= edge.t * (ea / rest * self.share * longer);
             }
             let (a, b) = (system.layout.vertex(e), system.layout.vertex(e + 1));

@@ -23,6 +23,7 @@
 //! | find its natural modes | [`modes()`]: [`Modes`], each a [`Mode`] |
 //! | find tension, moments, reactions | [`internal_forces()`]: [`InternalForces`] with every [`Reaction`] |
 //! | observe points on it | [`Markers`], a [`varda_implicit::ObservationOperator`] |
+//! | observe forces, accelerations, angular rates | [`Sensors`], each a [`Sensor`] |
 //! | use its energy elsewhere | [`derivatives`]: gradient and Hessian; [`energy`] of any [`Real`] number |
 //!
 //! A step is by backward Euler, the midpoint rule or BDF2: a pure function of (k, x_k), O(n), with exact
@@ -135,6 +136,8 @@ pub mod rotation;
 mod scalar;
 mod second_order;
 mod second_parameters;
+mod sensor;
+mod sensors;
 mod shape;
 mod spin;
 mod spin_advance;
@@ -167,6 +170,8 @@ pub use recorded::{
 };
 pub use rod::{Place, Rod};
 pub use scalar::Real;
+pub use sensor::Sensor;
+pub use sensors::Sensors;
 pub use statics::continuation::{Found, Search, rest};
 pub use statics::reactions::Reaction;
 pub use support::{Clamp, ClampAt, Damping, EllipseDrive, Loads, Motion, Supports};

@@ -20,6 +20,8 @@ pub mod estimates {}
 pub mod motion_capture {}
 #[doc = include_str!("../cameras.md")]
 pub mod cameras {}
+#[doc = include_str!("../sensors.md")]
+pub mod sensors {}
 #[doc = include_str!("../observation-files.md")]
 pub mod observation_files {}
 #[doc = include_str!("../python.md")]

@@ -38,7 +38,7 @@ pub use next_observation::{Candidate, NextObservation};
 pub use quantity::Quantity;
 pub use recording::{Neighbours, RecordingSummary, RowCount, SitesAre, TrackSummary};
 pub use shares::{KnownConstants, Share};
-pub use simulation::{Distance, PixelSight, Simulation, TwinFiles};
+pub use simulation::{Distance, PixelSight, Reading, Simulation, TwinFiles};
 pub use sources::{Sensitivity, SourceShare, Sources};
 pub use space::{Shapes, Sight, Track};
 pub use spread::ObservedValue;

@@ -10,16 +10,46 @@ pub enum Quantity {
     Place,
     /// Pixel (u, v) of a point of a rod in a camera \[px\].
     Pixels,
+    /// Components of a force \[N\].
+    Force,
+    /// A force along the rod \[N\].
+    AxialForce,
+    /// Components of an acceleration, or of one less gravity [m/s²].
+    Acceleration,
+    /// Components of a unit vector, whose small changes are angles \[rad\].
+    Direction,
+    /// Angular rates along m₁ and m₂ of a section [rad/s].
+    AngularRate,
+    /// The angular rate about its tangent [rad/s].
+    Spin,
     /// A component of a state, or a field at a place, in its own unit.
     Component,
 }
 
 impl Quantity {
+    /// Those of what is observed of a rod.
+    pub const OF_RODS: [Quantity; 8] = [
+        Quantity::Place,
+        Quantity::Pixels,
+        Quantity::Force,
+        Quantity::AxialForce,
+        Quantity::Acceleration,
+        Quantity::Direction,
+        Quantity::AngularRate,
+        Quantity::Spin,
+    ];
+
     /// Names of its values; one without a name of a component.
     pub fn axes(self) -> &'static [&'static str] {
         match self {
             Quantity::Place => &["x", "y", "z"],
             Quantity::Pixels => &["u", "v"],
+            Quantity::Force => &["fx", "fy", "fz"],
+            Quantity::AxialForce => &["f"],
+            Quantity::Acceleration => &["ax", "ay", "az"],
+            Quantity::Direction => &["tx", "ty", "tz"],
+            Quantity::AngularRate => &["w1", "w2"],
+            Quantity::Spin => &["w"],
             Quantity::Component => &[""],
         }
     }
@@ -29,6 +59,10 @@ impl Quantity {
         match self {
             Quantity::Place => "m",
             Quantity::Pixels => "px",
+            Quantity::Force | Quantity::AxialForce => "N",
+            Quantity::Acceleration => "m/s²",
+            Quantity::Direction => "rad",
+            Quantity::AngularRate | Quantity::Spin => "rad/s",
             Quantity::Component => "",
         }
     }
@@ -38,6 +72,10 @@ impl Quantity {
         match self {
             Quantity::Place => (1e3, "mm"),
             Quantity::Pixels => (1.0, "px"),
+            Quantity::Force | Quantity::AxialForce => (1e3, "mN"),
+            Quantity::Acceleration => (1.0, "m/s²"),
+            Quantity::Direction => (1e3, "mrad"),
+            Quantity::AngularRate | Quantity::Spin => (1e3, "mrad/s"),
             Quantity::Component => (1.0, ""),
         }
     }
@@ -47,6 +85,10 @@ impl Quantity {
         match self {
             Quantity::Place => " m",
             Quantity::Pixels => " px",
+            Quantity::Force | Quantity::AxialForce => " N",
+            Quantity::Acceleration => " m/s²",
+            Quantity::Direction => " rad",
+            Quantity::AngularRate | Quantity::Spin => " rad/s",
             Quantity::Component => "",
         }
     }

@@ -65,6 +65,23 @@ pub struct TwinFiles {
     pub end_angle: Option<f64>,
     /// What cameras saw.
     pub pixels: Vec<PixelSight>,
+    /// What sensors read.
+    pub readings: Vec<Reading>,
+}
+
+/// What a sensor read at one time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reading {
+    /// Model time \[s\].
+    pub time: f64,
+    /// The sensor.
+    pub sensor: String,
+    /// The columns of its values.
+    pub columns: &'static [&'static str],
+    /// A value for each; `None` was not read.
+    pub values: Vec<Option<f64>>,
+    /// Their standard deviation, in their unit.
+    pub sigma: f64,
 }
 
 /// A point of a rod in the image of a camera at one time.

@@ -80,7 +80,8 @@ pub(super) fn of_recording(recording: &RecordingSummary, step: f64) -> Vec<Findi
         let unit = track.quantity.unit_after();
         let key = match track.quantity {
             Quantity::Pixels => "observations.cameras",
-            _ => "observations.sigma",
+            Quantity::Place | Quantity::Component => "observations.sigma",
+            _ => "observations.sensors",
         };
         found.push(Finding::warning(
             key,

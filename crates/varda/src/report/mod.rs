@@ -191,11 +191,14 @@ pub fn write_simulation(simulation: &Simulation, seconds: f64, folder: &Path) ->
     if let (Some(twin), Some(shapes), Some(geometry)) = (&simulation.twin, shapes, &experiment.state.geometry)
     {
         out.write("background.csv", &tables::background(geometry, twin))?;
-        if twin.pixels.is_empty() || !shapes.seen.is_empty() {
+        if twin.pixels.is_empty() && twin.readings.is_empty() || !shapes.seen.is_empty() {
             out.write("observations.csv", &tables::observations(shapes, &experiment.grid))?;
         }
         if !twin.pixels.is_empty() {
             out.write("pixels.csv", &tables::pixels(&twin.pixels))?;
+        }
+        if !twin.readings.is_empty() {
+            out.write("readings.csv", &tables::readings(&twin.readings))?;
         }
     }
     write_formats(&out, "", &experiment.scene.output, || Dataset::of_simulation(simulation))?;

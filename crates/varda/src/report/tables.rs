@@ -3,8 +3,8 @@
 use std::fmt::Write;
 
 use crate::outcome::{
-    ConvergenceRow, Experiment, ModelErrors, ObservedValue, Outcome, PixelSight, Shapes, Trajectories,
-    TwinFiles,
+    ConvergenceRow, Experiment, ModelErrors, ObservedValue, Outcome, PixelSight, Reading, Shapes,
+    Trajectories, TwinFiles,
 };
 use crate::run::compare::Compared;
 use crate::scene::TimeGrid;
@@ -267,6 +267,26 @@ pub(super) fn pixels(seen: &[PixelSight]) -> String {
         let [time, place, u, v, sigma] = [s.time, s.arc_length, s.pixel[0], s.pixel[1], s.sigma].map(number);
         let camera = s.camera.replace('"', "\"\"");
         let _ = writeln!(out, "{time},\"{camera}\",{place},{u},{v},{sigma}");
+    }
+    out
+}
+
+/// readings.csv: what sensors on a rod read, in the form `[observations] readings` reads.
+pub(super) fn readings(all: &[Reading]) -> String {
+    let mut columns: Vec<&str> = Vec::new();
+    for column in all.iter().flat_map(|reading| reading.columns) {
+        if !columns.contains(column) {
+            columns.push(column);
+        }
+    }
+    let mut out = format!("time_s,sensor,{},sigma\n", columns.join(","));
+    for reading in all {
+        let of = |column: &&str| reading.columns.iter().position(|own| own == column);
+        let cell = |column| of(column).and_then(|c| reading.values[c]).map(number).unwrap_or_default();
+        let cells: Vec<String> = columns.iter().map(cell).collect();
+        let (time, name, sigma) =
+            (number(reading.time), reading.sensor.replace('"', "\"\""), number(reading.sigma));
+        let _ = writeln!(out, "{time},\"{name}\",{},{sigma}", cells.join(","));
     }
     out
 }

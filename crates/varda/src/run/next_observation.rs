@@ -41,8 +41,9 @@ impl Gathering {
         if columns > FURTHER_COLUMNS || steps.is_empty() || correlated {
             return None;
         }
-        // of one more marker or component: pixels say nothing of its σ
-        let seen_whole = used.iter().filter(|s| observed.sites[s.site].quantity != Quantity::Pixels);
+        // of one more marker or component: pixels and readings say nothing of its σ
+        let is_whole = |quantity| matches!(quantity, Quantity::Place | Quantity::Component);
+        let seen_whole = used.iter().filter(|s| is_whole(observed.sites[s.site].quantity));
         let mut sigmas: Vec<f64> = seen_whole.map(|s| s.sigma).collect();
         sigmas.sort_by(f64::total_cmp);
         let (group, sigma) = (layout.groups.first()?, *sigmas.get(sigmas.len() / 2)?);

@@ -40,7 +40,8 @@ pub fn simulate(problem: &Problem) -> Result<Simulation, Error> {
             model.initial_state(&problem.background, &mut start)?;
             let (grid, end_angle) = (problem.experiment.grid, rod.end_angle(&start)?);
             let pixels = problem.observed.pixels(&grid);
-            Some(TwinFiles { background: problem.background.clone(), end_angle, pixels })
+            let readings = problem.observed.readings(&grid);
+            Some(TwinFiles { background: problem.background.clone(), end_angle, pixels, readings })
         }
         None => None,
     };

@@ -241,7 +241,7 @@ fn standing_out(judged: &Judged) -> Vec<Group> {
             group(format!("t = {:.4} s", members[0].time), &mut members.iter().copied());
         }
     }
-    for quantity in [Quantity::Place, Quantity::Pixels] {
+    for quantity in Quantity::OF_RODS {
         for (axis, name) in quantity.axes().iter().enumerate() {
             let of_axis = d.iter().filter(|d| d.quantity == quantity && d.axis == axis);
             group(format!("axis {name}"), &mut of_axis.into_iter());

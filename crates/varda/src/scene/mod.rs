@@ -31,6 +31,7 @@ mod parsed;
 mod place;
 mod recordings;
 mod schema_check;
+mod sensor;
 mod sequence;
 mod shipped;
 mod sizes;
@@ -82,6 +83,7 @@ pub use output::{Format, Output};
 pub(crate) use parsed::{Along, BackgroundSource, ComponentCovariance, LineStep, Shear};
 pub use place::Place;
 pub use recordings::{Keys, OneRecording};
+pub use sensor::{Sensor, SensorKind};
 pub use shipped::{SHIPPED, STARTER, Shipped, shipped_data, shipped_scene};
 pub use sizes::{DATA_BYTES, NUMBERS, SCENE_BYTES, STEPS, VALUES};
 

@@ -7,6 +7,7 @@ use super::background::Kernel;
 use super::camera::Camera;
 use super::defaults::is_default;
 use super::marker::Marker;
+use super::sensor::Sensor;
 
 /// What is observed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -37,7 +38,8 @@ pub struct Synthetic {
     /// Observed after these numbers of steps of the window.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps: Option<Vec<usize>>,
-    /// Standard deviation of an observed value [m]. Give this or `sigma_over_length`, or `cameras` alone.
+    /// Standard deviation of an observed value [m]. Give this or `sigma_over_length`, or `cameras` or
+    /// `sensors` alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0, "x-unit" = "m"))]
     pub sigma: Option<f64>,
@@ -48,6 +50,9 @@ pub struct Synthetic {
     /// Cameras that see the places of a rod, each with its `sigma`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cameras: Vec<Camera>,
+    /// Sensors of forces, accelerations and angular rates on a rod, each with its `sigma`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sensors: Vec<Sensor>,
     /// Correlation of the errors. Absent: all errors are independent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub correlation: Option<ErrorCorrelation>,
@@ -72,6 +77,13 @@ pub struct Recording {
     /// The cameras of `pixels`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cameras: Vec<Camera>,
+    /// The file of what `sensors` read, `time_s,sensor`, the columns of their kinds and, if wanted, `sigma`;
+    /// beside `file`, or alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub readings: Option<String>,
+    /// The sensors of `readings`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sensors: Vec<Sensor>,
     /// Time in the recording at which the model's clock reads 0 [s].
     #[serde(default, skip_serializing_if = "is_default")]
     #[schemars(extend("x-unit" = "s"))]
@@ -144,6 +156,14 @@ impl Observations {
         match self {
             Observations::Synthetic(keys) => &keys.cameras,
             Observations::File(keys) => &keys.cameras,
+        }
+    }
+
+    /// The sensors on a rod.
+    pub fn sensors(&self) -> &[Sensor] {
+        match self {
+            Observations::Synthetic(keys) => &keys.sensors,
+            Observations::File(keys) => &keys.sensors,
         }
     }
 }

@@ -262,10 +262,11 @@ impl Synthetic {
         Ok(Sigma::from_keys(given))
     }
 
-    /// σ of a coordinate of a rod; `None` where cameras alone see it.
+    /// σ of a coordinate of a rod; `None` where cameras or sensors alone observe it.
     pub(crate) fn place_sigma(&self) -> Result<Option<Sigma>, Invalid> {
         match (self.sigma, self.sigma_over_length) {
             (None, None) if !self.cameras.is_empty() => Ok(None),
+            (None, None) if self.places.is_empty() && !self.sensors.is_empty() => Ok(None),
             _ => self.sigma().map(Some),
         }
     }

@@ -74,10 +74,11 @@ pub(super) fn validate_sizes(scene: &Scene) -> Check {
     }
     let Observations::Synthetic(synthetic) = &scene.observations else { return Ok(()) };
     let each = match (synthetic.places.len(), synthetic.components.len()) {
-        (0, 0) => state,
+        (0, 0) if synthetic.sensors.is_empty() => state,
         (places, components) => {
             let each = if synthetic.place_sigma()?.is_some() { 3 } else { 0 };
-            (each + 2 * synthetic.cameras.len()) * places + components
+            let sensors = synthetic.sensors.iter().map(|s| s.kind.columns().len()).sum::<usize>();
+            (each + 2 * synthetic.cameras.len()) * places + components + sensors
         }
     };
     let (times, key) = match (&synthetic.steps, synthetic.every) {

@@ -55,7 +55,7 @@ pub(super) fn validate(scene: &Scene) -> Check {
     }
     validate_background(&scene.background, &scene.model)?;
     match (&scene.observations, rod) {
-        (Observations::File(recording), Some(rod)) => validate_recording(recording, rod)?,
+        (Observations::File(recording), Some(rod)) => validate_recording(recording, scene, rod)?,
         (Observations::Synthetic(keys), Some(rod)) => validate_places(keys, scene, rod)?,
         (Observations::File(recording), None) => validate_recorded_components(recording)?,
         (Observations::Synthetic(keys), None) => validate_components(keys, scene)?,

@@ -6,7 +6,8 @@ use super::invalid::{Check, invalid, on_rod};
 use super::parsed::Along;
 use super::validate_frame::{validate_frame, validate_rotation};
 use super::{
-    Camera, Frame, Kernel, Model, Origin, Recording, RodModel, Scene, Synthetic, UnreachableRows, Use,
+    Camera, Frame, Hessian, Kernel, Model, Origin, Recording, RodModel, Scene, Sensor, SensorKind, Synthetic,
+    UnreachableRows, Use,
 };
 
 /// Observations of a twin experiment with a rod.
@@ -21,9 +22,19 @@ pub(super) fn validate_places(s: &Synthetic, scene: &Scene, rod: &RodModel) -> C
             return invalid(format!("observations.cameras.{i}.use"), "a twin assimilates what it draws");
         }
     }
+    validate_sensors(&s.sensors, scene, rod)?;
+    for (i, sensor) in s.sensors.iter().enumerate() {
+        if sensor.sigma.is_none() {
+            let message = format!("a twin draws {} with it", sensor.kind.columns().join(", "));
+            return invalid(format!("observations.sensors.{i}.sigma"), message);
+        }
+        if sensor.used == Use::Withhold {
+            return invalid(format!("observations.sensors.{i}.use"), "a twin assimilates what it draws");
+        }
+    }
     validate_times(s, scene)?;
     let length = rod.rest_lengths()?.iter().sum();
-    if s.places.is_empty() {
+    if s.places.is_empty() && (s.sensors.is_empty() || !s.cameras.is_empty()) {
         return invalid("observations", "a rod needs `places`, the observed arc lengths [m]");
     }
     if !s.components.is_empty() {
@@ -41,6 +52,9 @@ pub(super) fn validate_components(s: &Synthetic, scene: &Scene) -> Check {
     }
     if !s.cameras.is_empty() {
         return invalid("observations.cameras", "cameras see a rod");
+    }
+    if !s.sensors.is_empty() {
+        return invalid("observations.sensors", "sensors are on a rod");
     }
     s.component_sigma()?;
     let n = scene.model.components().unwrap_or(0);
@@ -79,7 +93,7 @@ fn validate_times(s: &Synthetic, scene: &Scene) -> Check {
 }
 
 /// Observations of a rod read from a file.
-pub(super) fn validate_recording(f: &Recording, rod: &RodModel) -> Check {
+pub(super) fn validate_recording(f: &Recording, scene: &Scene, rod: &RodModel) -> Check {
     let length = rod.rest_lengths()?.iter().sum();
     for (i, marker) in f.markers.iter().enumerate() {
         on_rod(&format!("observations.markers.{i}.arc_length"), marker.arc_length, length)?;
@@ -100,7 +114,50 @@ pub(super) fn validate_recording(f: &Recording, rod: &RodModel) -> Check {
     if f.pixels.is_some() && f.cameras.is_empty() {
         return invalid("observations.pixels", "needs [[observations.cameras]]");
     }
+    validate_sensors(&f.sensors, scene, rod)?;
+    if f.readings.is_some() == f.sensors.is_empty() {
+        let (key, other) = match f.sensors.is_empty() {
+            true => ("readings", "[[observations.sensors]]"),
+            false => ("sensors", "`readings`, the file of what they read"),
+        };
+        return invalid(format!("observations.{key}"), format!("needs {other}"));
+    }
     validate_frame(&f.frame, "observations.frame")
+}
+
+fn validate_sensors(sensors: &[Sensor], scene: &Scene, rod: &RodModel) -> Check {
+    let length = rod.rest_lengths()?.iter().sum();
+    for (i, sensor) in sensors.iter().enumerate() {
+        on_rod(&format!("observations.sensors.{i}.arc_length"), sensor.arc_length, length)?;
+        if sensors[..i].iter().any(|other| other.name == sensor.name) {
+            let message = format!("sensor {:?} is there twice", sensor.name);
+            return invalid(format!("observations.sensors.{i}.name"), message);
+        }
+        if let Some(axes) = &sensor.axes {
+            let key = format!("observations.sensors.{i}.axes");
+            validate_rotation(axes, &key)?;
+            if sensor.kind != SensorKind::SpecificForce {
+                return invalid(key, "is of kind \"specific-force\" alone");
+            }
+        }
+    }
+    if sensors.is_empty() {
+        return Ok(());
+    }
+    if scene.time.tolerance.is_some() {
+        let message = "sensors on a rod take the rates of a state from steps of the grid: leave it out";
+        return invalid("time.tolerance", message);
+    }
+    if scene.estimate.clock.is_some() {
+        let message = "the forces of a state that is moved along its velocities by a clock's offset are \
+                       those of a stretched rod: leave it out, or [[observations.sensors]]";
+        return invalid("estimate.clock", message);
+    }
+    if scene.algorithm.hessian == Hessian::Exact {
+        let message = "what sensors read has no second derivatives here: take \"gauss-newton\"";
+        return invalid("algorithm.hessian", message);
+    }
+    Ok(())
 }
 
 fn validate_cameras(cameras: &[Camera]) -> Check {
@@ -130,6 +187,8 @@ pub(super) fn validate_recorded_components(f: &Recording) -> Check {
         ("ignore", !f.ignore.is_empty()),
         ("pixels", f.pixels.is_some()),
         ("cameras", !f.cameras.is_empty()),
+        ("readings", f.readings.is_some()),
+        ("sensors", !f.sensors.is_empty()),
     ];
     match of_rods.iter().find(|(_, given)| *given) {
         Some((key, _)) => {
@@ -156,6 +215,9 @@ pub(super) fn validate_correlation(scene: &Scene) -> Check {
         return invalid("algorithm.background_check", message);
     }
     match along {
+        Along::Length(_) if !scene.observations.sensors().is_empty() => {
+            invalid(format!("{path}.length"), "sensors and markers have no common line: take `time`")
+        }
         Along::Length(_) if !scene.observations.cameras().is_empty() => {
             let message = "pixels of several cameras have no common line: take `time`";
             invalid(format!("{path}.length"), message)

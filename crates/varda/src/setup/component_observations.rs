@@ -31,6 +31,7 @@ pub(crate) fn synthetic(
         label: system.names[c].clone(),
         quantity: Quantity::Component,
         camera: None,
+        sensor: None,
         rows: row..row + 1,
         anchors: vec![c],
         place: system.line.map(|line| line.position(c)),
@@ -189,7 +190,8 @@ fn site(row: usize, place: Place, system: &ComponentSystem) -> Site {
         (Place::OnLine(_), None) => unreachable!("a place without a line was refused"),
     };
     let (quantity, camera) = (Quantity::Component, None);
-    Site { label, quantity, camera, rows: row..row + 1, anchors: vec![anchor], place, withheld: false }
+    let (rows, anchors, sensor) = (row..row + 1, vec![anchor], None);
+    Site { label, quantity, camera, sensor, rows, anchors, place, withheld: false }
 }
 
 /// H of the places: components as they are, places on a line between its points.

@@ -70,7 +70,7 @@ impl Inputs {
         let files = Files::of(&one_window);
         let mut system = System::read(&files, grid)?;
         let (mut observed, fault_of_observations) = match (observed(&files, &system, grid), &system) {
-            (Err(fault), System::Rod(rod)) => (rod_observations::none(rod), Some(fault)),
+            (Err(fault), System::Rod(rod)) => (rod_observations::none(&files, rod, grid)?, Some(fault)),
             (observed, _) => (observed?, None),
         };
         observed.correlate(&one_window, &grid)?;

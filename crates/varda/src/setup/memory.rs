@@ -55,6 +55,9 @@ const TEXT: usize = 20;
 /// times as planned.
 const COPIES_OF_NETCDF: usize = 4;
 
+/// The most that is kept of rows of H' of sensors, and of their columns of constants, in bytes.
+const OF_SENSORS: usize = 16_000_000;
+
 /// What is kept of an observed value beside the linear algebra, in bytes: value, σ, place, label,
 /// departures, both predictions and the row of its table.
 const OF_A_VALUE: usize = 1000;
@@ -298,12 +301,13 @@ impl Memory {
             output if output.formats.contains(&Format::Netcdf) => COPIES_OF_NETCDF,
             output => usize::from(output.is_more_than_csv()),
         };
+        let sensors = if scene.observations.sensors().is_empty() { 0 } else { OF_SENSORS };
         let footprint = footprint(scene, sizes);
         Memory {
             covariance: NUMBER * covariance,
             building: NUMBER * building,
             dense: NUMBER.saturating_mul(dense),
-            other: NUMBER.saturating_mul(other.saturating_add(states)).saturating_add(values),
+            other: NUMBER.saturating_mul(other.saturating_add(states)).saturating_add(values + sensors),
             text: states.saturating_mul(TEXT).max(arrays.saturating_mul(copies * NUMBER)),
             finer: 0,
             for_finer: usize::MAX,

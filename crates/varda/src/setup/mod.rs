@@ -28,6 +28,7 @@ mod points;
 pub mod problem;
 pub mod random;
 mod reachable;
+mod readings;
 mod recorded_rows;
 mod recording;
 pub mod recording_scene;
@@ -37,6 +38,7 @@ pub mod rod_model;
 pub mod rod_observations;
 pub mod runs;
 mod seen_with;
+mod stacked;
 pub mod system;
 
 pub use inputs::Inputs;

@@ -14,7 +14,7 @@ use super::error_correlation::{Chains, ErrorKernel};
 use super::random::{Stream, normal, stream};
 use super::runs::run_states;
 use crate::Error;
-use crate::outcome::{PixelSight, Quantity, RecordingSummary, Sight};
+use crate::outcome::{PixelSight, Quantity, Reading, RecordingSummary, Sight};
 use crate::scene::{SceneFile, TimeGrid, rounded};
 
 /// Makes an observation operator.
@@ -50,6 +50,8 @@ pub struct Site {
     pub quantity: Quantity,
     /// The name of the camera that saw it.
     pub camera: Option<String>,
+    /// The name of the sensor that it is, and the columns of its values.
+    pub sensor: Option<(String, &'static [&'static str])>,
     /// Its rows of H.
     pub rows: Range<usize>,
     /// For each row the component of the control at the same place (localization of ensembles).
@@ -339,11 +341,29 @@ impl Observed {
         self.seen.iter().filter_map(sight).collect()
     }
 
+    /// What sensors read.
+    pub fn readings(&self, grid: &TimeGrid) -> Vec<Reading> {
+        let reading = |s: &Seen| {
+            let (name, columns) = self.sites[s.site].sensor.clone()?;
+            Some(Reading {
+                time: grid.start + s.at() * grid.step,
+                sensor: name,
+                columns,
+                values: s.values.clone(),
+                sigma: s.sigma,
+            })
+        };
+        self.seen.iter().filter_map(reading).collect()
+    }
+
     /// What was seen whole of sites in space, in the model's axes.
     pub fn sights(&self) -> Vec<Sight> {
         let Some(space) = &self.space else { return Vec::new() };
         let r = &space.rotation;
         let sight = |s: &Seen| {
+            if self.sites[s.site].quantity != Quantity::Place {
+                return None;
+            }
             let [Some(a), Some(b), Some(c)] = s.values[..] else { return None };
             Some(Sight {
                 site: s.site,

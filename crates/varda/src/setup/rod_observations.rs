@@ -12,16 +12,18 @@ use super::observations::{Draws, MakeOperator, Observed, ObservedSpace, Seen, Si
 use super::pixels::{self, Pixels};
 use super::points::{About, Placed, Points};
 use super::reachable::{Held, Sighting};
+use super::readings::{self, Readings};
 use super::recorded_rows::{Clock, LeftOut, summary, text_of};
 use super::recording::Recorded;
 use super::rod::RodSystem;
 use super::rod_model::RodParts;
 use super::seen_with::with_constants;
+use super::stacked::Stacked;
 use crate::Error;
 use crate::outcome::{Neighbours, Quantity, RecordingSummary, SitesAre};
 use crate::scene::{
-    self, Frame, Method, PriorSpread, Recording, SceneFile, Synthetic, TimeGrid, Unknown, UnreachableRows,
-    Use,
+    self, Frame, Method, PriorSpread, Recording, SceneFile, Sensor, Synthetic, TimeGrid, Unknown,
+    UnreachableRows, Use,
 };
 
 /// Points at the arc lengths that a twin experiment observes; their values are not yet drawn.
@@ -48,17 +50,30 @@ pub(crate) fn synthetic(
         draws.sigma.resize(views.len(), sigma);
         draws.within.resize(views.len(), of.image);
     }
-    let cameras = cameras(files.scene, &keys.cameras, [0.0; 3])?;
-    let what =
-        What { points, views, names: &keys.cameras, cameras, rotation: Frame::default().rotation_rows() };
-    Ok(Observed { draws: Some(draws), ..observed(rod, what, Vec::new(), None) })
+    for (i, sensor) in keys.sensors.iter().enumerate() {
+        let sigma = sensor.sigma.ok_or_else(|| {
+            files.scene.invalid(&format!("observations.sensors.{i}.sigma"), "a twin draws readings with it")
+        })?;
+        draws.sigma.push(sigma);
+        draws.within.push(None);
+    }
+    let what = What {
+        points,
+        views,
+        names: &keys.cameras,
+        cameras: cameras(files.scene, &keys.cameras, [0.0; 3])?,
+        rotation: Frame::default().rotation_rows(),
+        sensors: &keys.sensors,
+    };
+    Ok(Observed { draws: Some(draws), ..observed(files.scene, rod, what, Vec::new(), grid, false)? })
 }
 
 /// Nothing observed, for a forward run.
-pub(crate) fn none(rod: &RodSystem) -> Observed {
+pub(crate) fn none(files: &Files, rod: &RodSystem, grid: TimeGrid) -> Result<Observed, Error> {
     let rotation = Frame::default().rotation_rows();
-    let what = What { points: Vec::new(), views: Vec::new(), names: &[], cameras: Vec::new(), rotation };
-    observed(rod, what, Vec::new(), None)
+    let (points, views, cameras) = (Vec::new(), Vec::new(), Vec::new());
+    let what = What { points, views, names: &[], cameras, rotation, sensors: &[] };
+    observed(files.scene, rod, what, Vec::new(), grid, false)
 }
 
 /// The cameras of a scene, with their places displaced, in axes that are turned alike.
@@ -89,8 +104,8 @@ pub(crate) fn recorded(
     grid: TimeGrid,
 ) -> Result<Observed, Error> {
     let timed = files.scene.scene.algorithm.method != Method::Static;
-    // pixels alone are a recording too
-    let (label, rows) = match (&recording.file, &recording.pixels) {
+    // pixels or readings alone are a recording too
+    let (label, rows) = match (&recording.file, recording.pixels.as_ref().or(recording.readings.as_ref())) {
         (None, Some(_)) => (String::new(), Vec::new()),
         (file, _) => {
             let (label, text) = text_of(files, "observations.file", file)?;
@@ -142,6 +157,13 @@ pub(crate) fn recorded(
             pixels::recorded((&label, &text), timed, &clock, &mut points, &mut left)?
         }
     };
+    let readings = match &recording.readings {
+        None => Readings::default(),
+        Some(_) => {
+            let (label, text) = text_of(files, "observations.readings", &recording.readings)?;
+            readings::recorded((&label, &text), timed, &clock, &mut left)?
+        }
+    };
     let sites = points.all;
 
     // nalgebra takes the rows of R for columns: this is Rᵀ.
@@ -186,15 +208,21 @@ pub(crate) fn recorded(
     seen.extend(pixels.seen.into_iter().map(|s| Seen { site: later(s.site), ..s }));
     recorded.extend(pixels.recorded.into_iter().map(|r| Recorded { site: later(r.site), ..r }));
     let seen_by = pixels.sites.iter().map(|&(camera, point)| View::Pixels { camera, point });
+    let views: Vec<View> = (0..places).map(|point| View::Place { point }).chain(seen_by).collect();
+    let later = |site: usize| site + views.len();
+    seen.extend(readings.seen.into_iter().map(|s| Seen { site: later(s.site), ..s }));
+    recorded.extend(readings.recorded.into_iter().map(|r| Recorded { site: later(r.site), ..r }));
     let what = What {
-        views: (0..places).map(|point| View::Place { point }).chain(seen_by).collect(),
+        views,
         points: sites,
+        sensors: &recording.sensors,
         names: &recording.cameras,
         cameras: cameras(files.scene, &recording.cameras, shift)?,
         rotation,
     };
-    let times: Vec<f64> = rows.iter().map(|row| row.time).chain(pixels.times).collect();
-    let observed = observed(rod, what, seen, Some(grid));
+    let times = rows.iter().map(|row| row.time).chain(pixels.times).chain(readings.times);
+    let times: Vec<f64> = times.collect();
+    let observed = observed(files.scene, rod, what, seen, grid, true)?;
     let counted = left.count(times.len(), &observed.seen, |site| observed.sites[site].withheld, grid);
     let summary = summary(SitesAre::Markers, counted, (&times, &clock), &observed.sites, &recorded);
     let recording = Some(RecordingSummary { neighbours, ..summary });
@@ -273,15 +301,27 @@ struct What<'a> {
     cameras: Vec<Camera>,
     /// From the axes of coordinates to those of the model, by rows.
     rotation: [[f64; 3]; 3],
+    /// Sensors on it.
+    sensors: &'a [Sensor],
 }
 
-/// Observations of this, with the grid of a recording: what was seen in its window must be in sight there. A
-/// twin experiment sees everything at all times.
-fn observed(rod: &RodSystem, what: What, seen: Vec<Seen>, grid: Option<TimeGrid>) -> Observed {
-    let What { points, views, names, cameras, rotation } = what;
+/// Observations of this; what a recording saw in its window must be in sight there. A twin experiment sees
+/// everything at all times.
+///
+/// # Errors
+/// [`Error::Scene`] for a sensor that does not fit the rod.
+fn observed(
+    file: &SceneFile,
+    rod: &RodSystem,
+    what: What,
+    seen: Vec<Seen>,
+    grid: TimeGrid,
+    is_recording: bool,
+) -> Result<Observed, Error> {
+    let What { points, mut views, names, cameras, rotation, sensors } = what;
     let markers: Rc<[Marker]> = points.iter().map(|p| p.marker).collect();
-    let operator = |rotation: [[f64; 3]; 3], mounted: bool| -> MakeOperator {
-        let (markers, parts, models) = (Rc::clone(&markers), rod.parts.clone(), rod.models());
+    let operator = |markers: &Rc<[Marker]>, rotation: [[f64; 3]; 3], mounted: bool| -> MakeOperator {
+        let (markers, parts, models) = (Rc::clone(markers), rod.parts.clone(), rod.models());
         // values are those of the recording turned into its axes but not displaced: the origin is the model's
         let axes = Matrix3::from(rotation).transpose();
         let seen = move |parts: &RodParts, markers: &[Marker]| {
@@ -296,7 +336,7 @@ fn observed(rod: &RodSystem, what: What, seen: Vec<Seen>, grid: Option<TimeGrid>
         })
     };
     let mut rows = 0;
-    let sites: Vec<Site> = views
+    let mut sites: Vec<Site> = views
         .iter()
         .map(|view| {
             let (point, camera) = match *view {
@@ -312,6 +352,7 @@ fn observed(rod: &RodSystem, what: What, seen: Vec<Seen>, grid: Option<TimeGrid>
                 },
                 quantity: if camera.is_some() { Quantity::Pixels } else { Quantity::Place },
                 camera: camera.map(|camera| camera.name.clone()),
+                sensor: None,
                 rows: rows - view.rows()..rows,
                 anchors: (0..view.rows()).map(|c| nearest + c).collect(),
                 place: Some(point.marker.s),
@@ -320,9 +361,10 @@ fn observed(rod: &RodSystem, what: What, seen: Vec<Seen>, grid: Option<TimeGrid>
         })
         .collect();
     let named = sites.iter().zip(&views).map(|(site, view)| (site.label.clone(), *view)).collect();
-    let of_places = views.iter().map(|view| (String::new(), View::Place { point: view.point() })).collect();
-    let in_sight = grid.map(|grid| {
-        let used = seen.iter().filter(|s| !sites[s.site].withheld && s.at() <= grid.steps as f64);
+    let in_sight = is_recording.then(|| {
+        // readings of sensors come behind
+        let is_used = |s: &&Seen| sites.get(s.site).is_some_and(|site| !site.withheld);
+        let used = seen.iter().filter(is_used).filter(|s| s.at() <= grid.steps as f64);
         let used = used.filter(|s| s.values.iter().any(Option::is_some));
         // a time between two steps needs both
         let steps = |s: &Seen| {
@@ -331,9 +373,8 @@ fn observed(rod: &RodSystem, what: What, seen: Vec<Seen>, grid: Option<TimeGrid>
         };
         (grid, Rc::new(used.flat_map(steps).collect::<HashSet<(usize, usize)>>()))
     });
-    let is_seen_whole = views.iter().enumerate().all(|(i, view)| *view == View::Place { point: i });
     let seen_as = |operator: MakeOperator, named: Vec<(String, View)>| -> MakeOperator {
-        if is_seen_whole {
+        if named.iter().enumerate().all(|(i, (_, view))| *view == View::Place { point: i }) {
             return operator;
         }
         let (cameras, in_sight) = (cameras.clone(), in_sight.clone());
@@ -349,20 +390,47 @@ fn observed(rod: &RodSystem, what: What, seen: Vec<Seen>, grid: Option<TimeGrid>
             })
         })
     };
-    Observed {
+    let is_all = sensors.is_empty();
+    let mut make_operator = seen_as(operator(&markers, rotation, true), named);
+    // sensors have places too
+    let mut all_markers = markers.to_vec();
+    for sensor in sensors {
+        let (place, count) = (Placed::at_arc_length(sensor.arc_length), sensor.kind.columns().len());
+        let nearest = rod.nearest_position(sensor.arc_length);
+        sites.push(Site {
+            label: format!("sensor {}", sensor.name),
+            quantity: sensor.kind.quantity(),
+            camera: None,
+            sensor: Some((sensor.name.clone(), sensor.kind.columns())),
+            rows: rows..rows + count,
+            anchors: (0..count).map(|c| nearest + c).collect(),
+            place: Some(sensor.arc_length),
+            withheld: sensor.used == Use::Withhold,
+        });
+        rows += count;
+        views.push(View::Place { point: all_markers.len() });
+        all_markers.push(place.marker);
+    }
+    if !is_all {
+        let of_sensors = readings::operator(file, rod, sensors, grid.step)?;
+        make_operator = Box::new(move || Ok(Stacked::of(vec![make_operator()?, of_sensors()?])));
+    }
+    let of_places = views.iter().map(|view| (String::new(), View::Place { point: view.point() })).collect();
+    let markers: Rc<[Marker]> = all_markers.into();
+    Ok(Observed {
         errors: None,
         space: Some(ObservedSpace {
             arc_lengths: views.iter().map(|view| markers[view.point()].s).collect(),
             rotation,
-            make_places: seen_as(operator(Frame::default().rotation_rows(), false), of_places),
+            make_places: seen_as(operator(&markers, Frame::default().rotation_rows(), false), of_places),
         }),
-        make_operator: seen_as(operator(rotation, true), named),
+        make_operator,
         sites,
         seen,
         left_out: Vec::new(),
         recording: None,
         draws: None,
-    }
+    })
 }
 
 impl Frame {

@@ -3,7 +3,7 @@
 use varda_assimilation::{LinearObservation, ObservationOperator, Selection};
 use varda_implicit::{At, ParameterPlaces, Refusal};
 use varda_rod::rotation::{exponential, left_jacobian, left_jacobian_derivative};
-use varda_rod::{Marker, Markers, Vector3};
+use varda_rod::{Marker, Markers, Sensors, Vector3};
 
 use super::clocked::Clocked;
 use super::estimate::Seeing;
@@ -37,7 +37,12 @@ pub(crate) trait Sites: ObservationOperator {
     }
 
     /// Takes the constants of the model.
-    fn set_constants(&mut self, _p: &[f64]) {}
+    ///
+    /// # Errors
+    /// Constants at which nothing can be observed.
+    fn set_constants(&mut self, _p: &[f64]) -> Result<(), Refusal> {
+        Ok(())
+    }
 
     /// The columns ∂y/∂p of those.
     fn by_constants(&mut self, _at: At, _x: &[f64], _columns: &mut [f64]) {}
@@ -63,8 +68,23 @@ impl Sites for Markers {
         self.moving_parameters().to_vec()
     }
 
-    fn set_constants(&mut self, p: &[f64]) {
+    fn set_constants(&mut self, p: &[f64]) -> Result<(), Refusal> {
         self.set_parameters(p);
+        Ok(())
+    }
+
+    fn by_constants(&mut self, at: At, x: &[f64], columns: &mut [f64]) {
+        self.by_parameters(at, x, columns).expect("this state was observed before");
+    }
+}
+
+impl Sites for Sensors {
+    fn moving(&self) -> Vec<usize> {
+        (0..self.parameters()).collect()
+    }
+
+    fn set_constants(&mut self, p: &[f64]) -> Result<(), Refusal> {
+        self.set_parameters(&p[..self.parameters()])
     }
 
     fn by_constants(&mut self, at: At, x: &[f64], columns: &mut [f64]) {
@@ -210,7 +230,7 @@ impl<O: Sites> SeenWith<O> {
     /// Puts the sites, and supports, where the constants of a state have them.
     fn place_sites(&mut self, x: &[f64]) -> Result<(), Refusal> {
         if !self.moving.constants.is_empty() {
-            self.operator.set_constants(&x[self.places.parameters()]);
+            self.operator.set_constants(&x[self.places.parameters()])?;
         }
         if self.markers.is_empty() {
             return Ok(());

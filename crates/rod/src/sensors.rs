@@ -1,0 +1,538 @@
+//! Sensors on a rod that see forces, accelerations and angular rates of one state.
+
+use nalgebra::{Matrix3, Vector3};
+use varda_implicit::{At, ImplicitStep, ObservationOperator, ParametricStep, Refusal};
+
+use crate::Error;
+use crate::dynamics::RodStep;
+use crate::forces_of_motion::{Motion, with_forces};
+use crate::forces_tangent::transpose::Weights;
+use crate::forces_tangent::{ChangeOfForces, Tangent, moved_by};
+use crate::rod::Place;
+use crate::sensor::{Placed, Row, Sensor, Sum, placed};
+use crate::statics::reactions::all_loads;
+use crate::support::Damping;
+use crate::system::System;
+
+/// What sensors measure of a rod in one state, with tangent and adjoint: an observation operator.
+///
+/// ```text
+/// F^e = −Σ_{v ≤ e} ∂E/∂x_v,   N = F^e·t^e                       tension of edge e [N]
+/// R = Σ_v (∂E/∂x_v − F_v + m_v (ẍ_v + α ẋ_v))            over the held vertices of a support [N]
+/// a_v = (F_v − ∂E/∂x_v)/m_v − α V_v,   a = (1−w) a_i + w a_{i+1}      acceleration [m/s²]
+/// f = Aᵀ(a − g)                                              specific force, A = (m₁, m₂, t) [m/s²]
+/// ω = t × ṫ,   ṫ = (I − t tᵀ)(V_{e+1} − V_e)/l^e              angular rate of a section [rad/s]
+/// ```
+///
+/// with F_v the loads of a vertex, and stress of strain rates and drag from the velocities in the state:
+/// ε̇ is a difference over a thousandth of the interval Δt, back along V. Accelerations are those that the
+/// forces of the state make (Newton's second law), not differences between steps: one state is enough,
+/// and it is what the equations of a step of backward Euler and BDF2 have for V̇. Those of supports are
+/// second differences over Δt. The rate of a stored angle, where strain rates need it, is that since the
+/// state before, which a two-step state has (zero at step 0, whose past is itself). At rest there are
+/// neither rates nor inertia.
+///
+/// Forces are those of [`InternalForces`](crate::InternalForces). They depend on the parameters of the rod:
+/// [`by_parameters`](Self::by_parameters).
+///
+/// # Examples
+///
+/// A cell in the clamp of a rod that hangs at rest feels its weight:
+///
+/// ```
+/// use varda_implicit::{At, ImplicitStep, ObservationOperator};
+/// use varda_rod::{Clamp, ClampAt, Damping, Loads, Material, Rod, RodStep, Search, Section, Sensor};
+/// use varda_rod::{Sensors, Supports, Vector3, rest};
+///
+/// let section = Section::circle(&Material::new(1e7, 0.5, 1100.0), 0.005);
+/// let rod = Rod::uniform(1.0, 20, &section)?;
+/// let weight = 9.81 * rod.masses.iter().sum::<f64>();
+/// let supports = Supports::clamped_start(Clamp::new(ClampAt::Edge, [0.0; 3], -Vector3::z(), Vector3::x()));
+/// let loads = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..Loads::default() };
+/// let found = rest(&rod, &supports, &loads, 0.0, &Search::default())?;
+/// let step = RodStep::new(rod, supports, loads, Damping::default())?;
+/// let mut x = step.control_at_rest(&found.rest);
+/// x.resize(step.dim(), 0.0);
+///
+/// let cell = Sensor::SupportForce { s: 0.0 };
+/// let all = [cell, Sensor::Tension { s: 0.5 }, Sensor::Acceleration { s: 1.0 }];
+/// let mut sensors = Sensors::new(step, 0.01, &all)?;
+/// let mut y = [0.0; 7];
+/// sensors.observe(At { step: 0, time: 0.0 }, &x, &mut y)?;
+/// assert!((y[2] - weight).abs() < 1e-9 * weight && y[3] > 0.4 * weight && y[3] < 0.6 * weight);
+/// assert!(y[4..].iter().all(|a| a.abs() < 1e-6));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct Sensors {
+    step: RodStep,
+    /// Δt \[s\].
+    interval: f64,
+    sensors: Vec<Placed>,
+    rows: usize,
+    state_dim: usize,
+    parameters: Vec<f64>,
+    /// The state a little earlier.
+    before: Vec<f64>,
+    /// Rows of H' at states that were asked for, by step, and how many of these there is room for.
+    known: Vec<Known>,
+    room: usize,
+}
+
+/// The rows of H' at a state: products come back to the same ones.
+#[derive(Clone, Default)]
+struct Known {
+    time: f64,
+    x: Vec<f64>,
+    parameters: Vec<f64>,
+    rows: Vec<f64>,
+}
+
+/// Bytes of all of them, about; one there is always.
+const KNOWN_BYTES: usize = 8_000_000;
+
+/// Strain rates are differences over this share of the interval; a much smaller one is lost in rounding.
+const SHARE: f64 = 1e-3;
+
+impl Sensors {
+    /// Sensors on the rod of a step, whose states are `interval` \[s\] apart.
+    ///
+    /// # Errors
+    /// [`Error::OffRod`] for a place off the rod, [`Error::NotHeld`] where no support (no clamp) is,
+    /// [`Error::NoRates`] where strain rates need angles of the state before and there are none,
+    /// [`Error::Value`] for an interval that is not positive.
+    pub fn new(step: RodStep, interval: f64, sensors: &[Sensor]) -> Result<Sensors, Error> {
+        if !(interval > 0.0 && interval.is_finite()) {
+            return Err(Error::Value {
+                field: "interval of sensors",
+                value: interval,
+                expected: "above zero",
+            });
+        }
+        let layout = &step.system.layout;
+        let rates = !step.is_at_rest && step.damping.stiffness > 0.0 && layout.twist;
+        if rates && step.repeated() == 0 {
+            return Err(Error::NoRates);
+        }
+        let placed = sensors.iter().map(|sensor| placed(&step.system, sensor));
+        let sensors_placed = placed.collect::<Result<Vec<_>, _>>()?;
+        let rows = sensors.iter().map(Sensor::rows).sum();
+        let (state_dim, parameters) = (step.dim(), step.parameters());
+        let one = size_of::<f64>() * ((rows + 1) * state_dim + parameters);
+        Ok(Sensors {
+            interval,
+            sensors: sensors_placed,
+            rows,
+            state_dim,
+            parameters: vec![0.0; parameters],
+            before: vec![0.0; state_dim],
+            known: Vec::new(),
+            room: (KNOWN_BYTES / one).max(1),
+            step,
+        })
+    }
+
+    /// Takes the values of the parameters of the rod's step.
+    ///
+    /// # Errors
+    /// Values at which there is no rod.
+    ///
+    /// # Panics
+    /// If there are not as many as the step has.
+    pub fn set_parameters(&mut self, p: &[f64]) -> Result<(), Refusal> {
+        if p != self.parameters {
+            self.step.set_parameters(p)?;
+            self.parameters.copy_from_slice(p);
+        }
+        Ok(())
+    }
+
+    /// Number of the parameters of the rod's step.
+    pub fn parameters(&self) -> usize {
+        self.parameters.len()
+    }
+
+    /// ∂y/∂p at a state of all parameters of the step, one column after the other.
+    ///
+    /// # Errors
+    /// A state that cannot be observed.
+    ///
+    /// # Panics
+    /// If a slice has the wrong length.
+    pub fn by_parameters(&mut self, at: At, x: &[f64], columns: &mut [f64]) -> Result<(), Error> {
+        let (rows, count) = (self.rows, self.parameters.len());
+        assert_eq!(columns.len(), rows * count, "a column of {rows} rows for every parameter");
+        let Some(parameters) = self.step.parameters.take() else { return Ok(()) };
+        let (zero, mut dp) = (vec![0.0; x.len()], vec![0.0; count]);
+        let done = self.with_state(at.time, x, &mut |system, motion, present| {
+            let changes = parameters.of_forces(system, motion, &present.damping, present.times);
+            let mut tangent = present.tangent(system, motion, changes);
+            let all = present.rows();
+            for (p, column) in columns.chunks_exact_mut(rows).enumerate() {
+                dp.fill(0.0);
+                dp[p] = 1.0;
+                tangent.vary(system, motion.start.length, [&zero, &zero, &dp]);
+                let change = &parameters.list[p].change;
+                let moved = motion.interval.filter(|_| !change.supports.is_empty());
+                let moved = moved.map(|h| moved_by(system, p, h, present.times[0]));
+                let slope = parameters.slopes[p];
+                // what of an acceleration is not the force on the vertex over its mass
+                let inertia = |v: usize| match (present.is_free[v], &moved) {
+                    (false, Some(moved)) => moved[v][1],
+                    (false, None) => Vector3::zeros(),
+                    (true, _) => {
+                        let more = change.masses.get(v).copied().unwrap_or(0.0) / system.rod.masses[v];
+                        let slower = present.velocities[v] * change.damping.mass;
+                        (present.net(v) * (more / system.rod.masses[v]) - slower) * slope
+                    }
+                };
+                let faster = |v: usize| match (present.is_free[v], &moved) {
+                    (false, Some(moved)) => moved[v][0],
+                    _ => Vector3::zeros(),
+                };
+                let at = |place: &Place, of: &dyn Fn(usize) -> Vector3<f64>| {
+                    of(place.edge) * (1.0 - place.fraction) + of(place.edge + 1) * place.fraction
+                };
+                let gravity = parameters.change_of_gravity(change, &system.loads.gravity) * slope;
+                for (out, row) in column.iter_mut().zip(&all) {
+                    *out = present.weights(system, motion, row).along(system, &tangent);
+                    let axis = present.direction(system, row);
+                    *out += match row.sensor {
+                        Placed::Acceleration(place) if !present.at_rest => axis.dot(&at(place, &inertia)),
+                        Placed::SpecificForce(..) if present.at_rest => -axis.dot(&gravity),
+                        Placed::SpecificForce(place, _) => axis.dot(&(at(place, &inertia) - gravity)),
+                        Placed::AngularRate(e) => {
+                            axis.dot(&(faster(e + 1) - faster(*e))) / system.shape.edges[*e].l
+                        }
+                        _ => 0.0,
+                    };
+                }
+            }
+        });
+        self.step.parameters = Some(parameters);
+        done
+    }
+
+    /// Calls `act` with the rod in a state.
+    fn with_state(
+        &mut self,
+        t: f64,
+        x: &[f64],
+        act: &mut dyn FnMut(&mut System, &Motion<'_>, &Present<'_>),
+    ) -> Result<(), Error> {
+        assert_eq!(x.len(), self.state_dim, "a state of the rod's step");
+        let Sensors { step, interval, sensors, before, .. } = self;
+        let at_rest = step.is_at_rest;
+        earlier(step, if at_rest { 0.0 } else { SHARE }, *interval, x, before);
+        let damping = if at_rest { Damping::default() } else { step.damping };
+        let times = [t, t - SHARE * *interval];
+        let held_over = (!at_rest).then_some(*interval);
+        with_forces(step, (t, x), ((times[1], before), true), held_over, &mut |system, motion| {
+            system.elastic(None);
+            let (layout, n) = (&system.layout, system.x.len());
+            let (mut is_free, mut velocities) = (vec![false; n], vec![Vector3::zeros(); n]);
+            let first = 3 * layout.free_vertices.len();
+            for (f, &v) in layout.free_vertices.iter().enumerate() {
+                is_free[v] = true;
+                velocities[v] = Vector3::from_column_slice(&x[first + 3 * f..][..3]);
+            }
+            let gradient = |v: usize| Vector3::from_column_slice(&system.gradient[layout.vertex(v)..][..3]);
+            let present = Present {
+                sensors,
+                gradient: (0..n).map(gradient).collect(),
+                loads: all_loads(system, Some(motion.start)).forces,
+                is_free,
+                velocities,
+                damping,
+                times,
+                at_rest,
+                state: x,
+            };
+            act(system, motion, &present);
+        })
+    }
+
+    /// The rows of H' at a state that was observed before, one after the other.
+    fn rows_of(&mut self, at: At, x: &[f64]) -> usize {
+        let slot = at.step % self.room;
+        if self.known.len() <= slot {
+            self.known.resize(slot + 1, Known::default());
+        }
+        let known = &self.known[slot];
+        if known.time == at.time && known.x == x && known.parameters == self.parameters {
+            return slot;
+        }
+        let mut known = std::mem::take(&mut self.known[slot]);
+        known.time = at.time;
+        known.x.clear();
+        known.x.extend_from_slice(x);
+        known.parameters.clone_from(&self.parameters);
+        known.rows.clear();
+        known.rows.resize(self.rows * x.len(), 0.0);
+        let (history, at_rest) = (self.step.repeated(), self.step.is_at_rest);
+        let back = if at_rest { 0.0 } else { SHARE * self.interval };
+        let mut on_earlier = vec![0.0; x.len()];
+        let done = self.with_state(at.time, x, &mut |system, motion, present| {
+            let tangent = present.tangent(system, motion, Vec::new());
+            for (row, of) in known.rows.chunks_exact_mut(x.len()).zip(&present.rows()) {
+                if let Placed::Spin(i) = of.sensor {
+                    row[*i] += 1.0;
+                    continue;
+                }
+                let mut on = present.weights(system, motion, of);
+                tangent.transpose_add(system, motion.start.length, &mut on);
+                on.now.transpose_add(system, &system.shape, row);
+                on_earlier.fill(0.0);
+                let then = motion.past.map_or(&system.shape, |past| &past.shape);
+                on.before.transpose_add(system, then, &mut on_earlier);
+                let places = 3 * system.layout.free_vertices.len();
+                for i in 0..places {
+                    row[i] += on_earlier[i];
+                    row[places + i] -= back * on_earlier[i];
+                }
+                for (f, &v) in system.layout.free_vertices.iter().enumerate() {
+                    (0..3).for_each(|c| row[places + 3 * f + c] += on.velocities[v][c]);
+                }
+                for i in 2 * places..2 * places + system.layout.free_angles.len() {
+                    let share = if history > 0 && !at_rest { SHARE } else { 0.0 };
+                    row[i] += (1.0 - share) * on_earlier[i];
+                    if share > 0.0 {
+                        row[system.layout.state() + i] += share * on_earlier[i];
+                    }
+                }
+            }
+        });
+        done.expect("this state was observed before");
+        self.known[slot] = known;
+        slot
+    }
+}
+
+/// The rod in a state: ∂E/∂x and loads of every vertex, and how free ones move.
+struct Present<'a> {
+    sensors: &'a [Placed],
+    gradient: Vec<Vector3<f64>>,
+    loads: Vec<Vector3<f64>>,
+    is_free: Vec<bool>,
+    velocities: Vec<Vector3<f64>>,
+    damping: Damping,
+    /// That of the state, and that of the one a little earlier \[s\].
+    times: [f64; 2],
+    at_rest: bool,
+    state: &'a [f64],
+}
+
+impl Present<'_> {
+    fn tangent<'a>(
+        &self,
+        system: &mut System,
+        motion: &Motion<'a>,
+        changes: Vec<(usize, ChangeOfForces)>,
+    ) -> Tangent<'a> {
+        let share = self.damping.stiffness / (motion.start.length + self.damping.stiffness);
+        Tangent::new(system, motion.start, motion.past.filter(|_| share > 0.0), share, changes)
+    }
+
+    /// ∂E/∂x_v − F_v.
+    fn net(&self, v: usize) -> Vector3<f64> {
+        self.gradient[v] - self.loads[v]
+    }
+
+    fn sum(&self, of: &Sum) -> Vector3<f64> {
+        let of_vertex = |v: usize| if of.loaded { self.net(v) } else { self.gradient[v] };
+        of.vertices.clone().map(of_vertex).sum::<Vector3<f64>>() * of.sign
+    }
+
+    fn velocity(&self, motion: &Motion, v: usize) -> Vector3<f64> {
+        if self.is_free[v] { self.velocities[v] } else { motion.held[v][0] }
+    }
+
+    /// The acceleration of a place; nothing accelerates at rest.
+    fn acceleration(&self, system: &System, motion: &Motion, place: &Place) -> Vector3<f64> {
+        let of = |v: usize| match self.is_free[v] {
+            true => -self.net(v) / system.rod.masses[v] - self.velocities[v] * self.damping.mass,
+            false => motion.held[v][1],
+        };
+        match self.at_rest {
+            true => Vector3::zeros(),
+            false => of(place.edge) * (1.0 - place.fraction) + of(place.edge + 1) * place.fraction,
+        }
+    }
+
+    /// What turns with the section of an edge: m₁, m₂, t as columns.
+    fn section(system: &System, e: usize) -> Matrix3<f64> {
+        Matrix3::from_columns(&[system.shape.m1[e], system.shape.m2[e], system.shape.edges[e].t])
+    }
+
+    /// The rows of all sensors.
+    fn rows(&self) -> Vec<Row<'_>> {
+        let mut all = Vec::new();
+        for sensor in self.sensors {
+            let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
+            all.extend(axes.into_iter().take(sensor.rows()).enumerate().map(|(i, axis)| Row {
+                sensor,
+                direction: match sensor {
+                    Placed::SpecificForce(_, axes) => axes.row(i).transpose(),
+                    // ω·m₁ = −m₂·ṫ, ω·m₂ = m₁·ṫ
+                    Placed::AngularRate(_) if i == 0 => -Vector3::y(),
+                    Placed::AngularRate(_) => Vector3::x(),
+                    _ => axis,
+                },
+            }));
+        }
+        all
+    }
+
+    /// The direction of a row in space.
+    fn direction(&self, system: &System, row: &Row) -> Vector3<f64> {
+        match row.sensor {
+            Placed::Along(_, e) | Placed::Direction(e) => system.shape.edges[*e].t,
+            Placed::SpecificForce(Place { edge: e, .. }, _) | Placed::AngularRate(e) => {
+                Self::section(system, *e) * row.direction
+            }
+            _ => row.direction,
+        }
+    }
+
+    /// The vector whose component a row is.
+    fn measured(&self, system: &System, motion: &Motion, row: &Row) -> Vector3<f64> {
+        match row.sensor {
+            Placed::Force(sum) | Placed::Along(sum, _) => self.sum(sum),
+            Placed::Acceleration(place) => self.acceleration(system, motion, place),
+            Placed::SpecificForce(place, _) => {
+                self.acceleration(system, motion, place) - system.loads.gravity
+            }
+            Placed::AngularRate(e) => {
+                (self.velocity(motion, e + 1) - self.velocity(motion, *e)) / system.shape.edges[*e].l
+            }
+            Placed::Direction(_) => row.direction,
+            Placed::Spin(i) => row.direction * self.state[*i],
+        }
+    }
+
+    /// What a row is on forces, velocities and configurations.
+    fn weights(&self, system: &System, motion: &Motion, row: &Row) -> Weights {
+        let mut on = Weights::new(system.rod.segments());
+        let (direction, measured) = (self.direction(system, row), self.measured(system, motion, row));
+        match row.sensor {
+            Placed::Force(sum) | Placed::Along(sum, _) => {
+                for v in sum.vertices.clone() {
+                    on.gradient[v] += direction * sum.sign;
+                    if sum.loaded {
+                        on.loads[v] -= direction * sum.sign;
+                    }
+                }
+            }
+            Placed::Acceleration(place) | Placed::SpecificForce(place, _) if !self.at_rest => {
+                for (v, share) in [(place.edge, 1.0 - place.fraction), (place.edge + 1, place.fraction)] {
+                    if self.is_free[v] {
+                        let by_force = direction * (share / system.rod.masses[v]);
+                        on.gradient[v] -= by_force;
+                        on.loads[v] += by_force;
+                        on.velocities[v] -= direction * (share * self.damping.mass);
+                    }
+                }
+            }
+            Placed::AngularRate(e) => {
+                let by_velocity = direction / system.shape.edges[*e].l;
+                on.velocities[*e] -= by_velocity;
+                on.velocities[e + 1] += by_velocity;
+            }
+            _ => {}
+        }
+        // the direction turns: δm₁ = −(m₁·δt) t + δφ m₂,
+        // δm₂ = −(m₂·δt) t − δφ m₁ with δt = (I − t tᵀ) δe/l
+        let (e, [a, b, c]) = match row.sensor {
+            Placed::Along(_, e) | Placed::Direction(e) => (*e, [0.0, 0.0, 1.0]),
+            Placed::SpecificForce(Place { edge: e, .. }, _) | Placed::AngularRate(e) => {
+                (*e, row.direction.into())
+            }
+            _ => return on,
+        };
+        let (edge, along) = (&system.shape.edges[e], measured.dot(&system.shape.edges[e].t));
+        let mut by_edge = (measured - edge.t * along) * c;
+        if a != 0.0 || b != 0.0 {
+            let (m1, m2) = (system.shape.m1[e], system.shape.m2[e]);
+            by_edge -= (m1 * a + m2 * b) * along;
+            on.now.angles[e] += a * measured.dot(&m2) - b * measured.dot(&m1);
+        }
+        if let Placed::AngularRate(_) = row.sensor {
+            // and the length is in the denominator
+            by_edge -= edge.t * direction.dot(&measured);
+        }
+        on.now.places[e] -= by_edge / edge.l;
+        on.now.places[e + 1] += by_edge / edge.l;
+        on
+    }
+}
+
+impl Weights {
+    /// Their sum with changes of ∂E/∂x, loads and the present configuration.
+    fn along(&self, system: &System, tangent: &Tangent) -> f64 {
+        let mut sum = 0.0;
+        for v in 0..self.gradient.len() {
+            let first = system.layout.vertex(v);
+            sum += self.gradient[v].dot(&Vector3::from_column_slice(&tangent.gradient[first..first + 3]));
+            sum += self.loads[v].dot(&tangent.loads.forces[v]);
+            sum += self.now.places[v].dot(&tangent.now.places[v]);
+        }
+        sum + self.now.angles.iter().zip(&tangent.now.angles).map(|(w, a)| w * a).sum::<f64>()
+    }
+}
+
+impl ObservationOperator for Sensors {
+    fn dim(&self) -> usize {
+        self.rows
+    }
+
+    fn state_dim(&self) -> usize {
+        self.state_dim
+    }
+
+    /// # Panics
+    /// If `x` or `y` has the wrong length.
+    fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
+        assert_eq!(y.len(), self.rows, "a number for every row");
+        self.with_state(at.time, x, &mut |system, motion, present| {
+            for (y, row) in y.iter_mut().zip(&present.rows()) {
+                *y = present.direction(system, row).dot(&present.measured(system, motion, row));
+            }
+        })?;
+        Ok(())
+    }
+
+    /// # Panics
+    /// If a slice has the wrong length, or `observe` refuses this state.
+    fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+        assert_eq!(dy.len(), self.rows, "a number for every row");
+        let slot = self.rows_of(at, x);
+        for (dy, row) in dy.iter_mut().zip(self.known[slot].rows.chunks_exact(x.len())) {
+            *dy = row.iter().zip(dx).map(|(row, dx)| row * dx).sum();
+        }
+    }
+
+    /// # Panics
+    /// If a slice has the wrong length, or `observe` refuses this state.
+    fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+        assert_eq!(dy.len(), self.rows, "a number for every row");
+        let slot = self.rows_of(at, x);
+        for (dy, row) in dy.iter().zip(self.known[slot].rows.chunks_exact(x.len())) {
+            dx.iter_mut().zip(row).for_each(|(dx, row)| *dx += dy * row);
+        }
+    }
+}
+
+/// The state a little earlier: places back along their velocities, angles along what they did since the
+/// state before, where there is one.
+fn earlier(step: &RodStep, share: f64, interval: f64, x: &[f64], before: &mut [f64]) {
+    let (layout, history) = (&step.system.layout, step.repeated());
+    let places = 3 * layout.free_vertices.len();
+    before.copy_from_slice(x);
+    for i in 0..places {
+        before[i] -= share * interval * x[places + i];
+    }
+    if history > 0 {
+        for i in 2 * places..2 * places + layout.free_angles.len() {
+            before[i] -= share * (x[i] - x[layout.state() + i]);
+        }
+    }
+}

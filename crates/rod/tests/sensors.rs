@@ -1,0 +1,339 @@
+//! Sensors of forces and accelerations: values beside the forces within the rod and beside the velocities of
+//! a run, derivatives beside differences, for rods of every kind.
+
+mod common;
+
+use common::rods_with_parameters::{Case, DOWN, LOST, PLAIN, SEGMENTS, cases, control, rod, step, supports};
+use common::{difference, noise, off};
+use varda_implicit::{
+    At, ImplicitModel, Model, ObservationOperator, ParametricStep, Scheme, WithParameters, check,
+};
+use varda_rod::{Damping, Error, Marker, Markers, Matrix3, RodStep, Sensor, Sensors, Vector3, rotation};
+
+const STEP: f64 = 0.004;
+
+/// A rotation about no axis of a section.
+fn turned() -> Matrix3<f64> {
+    rotation::exponential(&Vector3::new(0.4, -0.9, 1.3))
+}
+
+/// Every sensor that fits the supports of a case.
+fn sensors(case: Case, rod: &RodStep) -> Vec<Sensor> {
+    let length = rod.rod().length();
+    let mut all = vec![
+        Sensor::Tension { s: 0.31 },
+        Sensor::Tension { s: 0.97 * length },
+        Sensor::SupportForce { s: 0.0 },
+        Sensor::Acceleration { s: 0.29 },
+        Sensor::Acceleration { s: 0.6 },
+        Sensor::SpecificForce { s: 0.44, axes: Matrix3::identity() },
+        Sensor::SpecificForce { s: 0.8, axes: turned() },
+        Sensor::AngularRate { s: 0.55 },
+        Sensor::Direction { s: 0.55 },
+    ];
+    if case.spins {
+        all.push(Sensor::Spin { s: 0.7 });
+    }
+    if case.held || case.moved {
+        all.extend([Sensor::AxialSupportForce { s: 0.0 }, Sensor::Tension { s: 0.01 }]);
+    }
+    if case.end {
+        all.extend([Sensor::SupportForce { s: length }, Sensor::AxialSupportForce { s: length }]);
+    } else if case.moved {
+        let hook = rod.rod().arc_lengths()[SEGMENTS - 2];
+        all.extend([Sensor::SupportForce { s: hook }, Sensor::Acceleration { s: hook - 0.01 }]);
+    }
+    all
+}
+
+/// A run of some steps: the step, its parameters and all states.
+fn run(case: Case, scheme: Scheme, interval: f64, steps: usize) -> (RodStep, Vec<f64>, Vec<Vec<f64>>) {
+    let step = step(case, scheme);
+    let z = control(&step);
+    let p = z[z.len() - step.parameters()..].to_vec();
+    let mut model = ImplicitModel::new(WithParameters::new(step, 0), 0, interval);
+    let mut states = vec![vec![0.0; Model::dim(&model)]];
+    model.initial_state(&z, &mut states[0]).unwrap();
+    for k in 0..steps {
+        let mut next = states[k].clone();
+        model.step(k, &states[k], &mut next).unwrap();
+        states.push(next);
+    }
+    let own = |x: &Vec<f64>, model: &mut ImplicitModel<WithParameters<RodStep>>| {
+        model.step_mut().at(x).unwrap().1.to_vec()
+    };
+    let states = states.iter().map(|x| own(x, &mut model)).collect();
+    (model.into_inner().into_step(), p, states)
+}
+
+fn at(k: usize, interval: f64) -> At {
+    At { step: k, time: k as f64 * interval }
+}
+
+fn observed(sensors: &mut Sensors, at: At, x: &[f64]) -> Vec<f64> {
+    let mut y = vec![f64::NAN; sensors.dim()];
+    sensors.observe(at, x, &mut y).unwrap();
+    y
+}
+
+/// Neither strain rates nor drag, whose velocities of supports are differences.
+fn without_rates(case: &Case) -> bool {
+    case.damping.stiffness == 0.0 && !case.drag
+}
+
+/// Backward Euler has X_{k−1} = X_k − Δt V_k: without strain rates its forces are the same numbers.
+#[test]
+fn forces_are_those_within_the_rod() {
+    for case in cases().into_iter().filter(without_rates) {
+        let (mut rod, p, states) = run(case, Scheme::BackwardEuler, STEP, 3);
+        let forces = rod.internal_forces(3.0 * STEP, &states[3], (2.0 * STEP, &states[2])).unwrap();
+        let all = sensors(case, &rod);
+        let (length, n) = (rod.rod().length(), SEGMENTS);
+        let arc_lengths = rod.rod().arc_lengths();
+        let supports = rod.supports().clone();
+        let vertices = rod.vertices(3.0 * STEP, &states[3]).unwrap();
+        let mut sensors = Sensors::new(rod, STEP, &all).unwrap();
+        sensors.set_parameters(&p).unwrap();
+        let y = observed(&mut sensors, at(3, STEP), &states[3]);
+        let mut row = 0;
+        for sensor in &all {
+            let values = &y[row..row + sensor.rows()];
+            row += sensor.rows();
+            let reaction = |s: f64| {
+                let found = forces.reactions.iter().find(|r| (arc_lengths[r.vertex] - s).abs() < 1e-9);
+                found.unwrap_or_else(|| panic!("{}: no reaction at {s}", case.name)).force
+            };
+            let expected: Vec<f64> = match *sensor {
+                Sensor::Tension { s } => {
+                    let edge = arc_lengths[1..].iter().position(|end| s <= *end).unwrap_or(n - 1);
+                    vec![forces.tension[edge]]
+                }
+                Sensor::SupportForce { s } => reaction(s).as_slice().to_vec(),
+                Sensor::AxialSupportForce { s } => {
+                    let e = if s == 0.0 { 0 } else { n - 1 };
+                    vec![reaction(s).dot(&(vertices[e + 1] - vertices[e]).normalize())]
+                }
+                _ => continue,
+            };
+            let (error, size) = off(values, &expected);
+            // rounding of EA ε, 3e2 N of strain 1e-16 / l
+            assert!(error < 1e-10 * size.max(1.0), "{}: {sensor:?} {values:?} {expected:?}", case.name);
+        }
+        assert!(length > 0.9 && supports.start.is_some() == (case.held || case.moved));
+    }
+}
+
+/// The acceleration that forces make is the rate of velocity in the equations of the step: of backward Euler
+/// (V_k − V_{k−1})/Δt, of BDF2 (3V_k − 4V_{k−1} + V_{k−2})/2Δt.
+#[test]
+fn accelerations_are_those_of_the_schemes() {
+    for case in cases().into_iter().filter(without_rates) {
+        for scheme in [Scheme::BackwardEuler, Scheme::Bdf2] {
+            let (rod, p, states) = run(case, scheme, STEP, 4);
+            let (free, places) = (rod.free_vertices().to_vec(), 3 * rod.free_vertices().len());
+            let arc_lengths = rod.rod().arc_lengths();
+            let all: Vec<Sensor> = free.iter().map(|v| Sensor::Acceleration { s: arc_lengths[*v] }).collect();
+            let mut sensors = Sensors::new(rod, STEP, &all).unwrap();
+            sensors.set_parameters(&p).unwrap();
+            let y = observed(&mut sensors, at(4, STEP), &states[4]);
+            let v = |k: usize, i: usize| states[k][places + i];
+            let rates: Vec<f64> = (0..places)
+                .map(|i| match scheme {
+                    Scheme::BackwardEuler => (v(4, i) - v(3, i)) / STEP,
+                    _ => (3.0 * v(4, i) - 4.0 * v(3, i) + v(2, i)) / (2.0 * STEP),
+                })
+                .collect();
+            let (error, size) = off(&y, &rates);
+            // a step ends at an update of 1e-11 m, which is 1e-11/Δt² = 6e-7 of acceleration times
+            // the stiffest EA/(l m) Δt² = 4e2
+            assert!(error < 1e-5 * size && size > 1.0, "{}, {scheme:?}: {error:e} of {size:e}", case.name);
+        }
+    }
+}
+
+/// Sections are those that markers off the centreline have; an edge turns as its ends move.
+#[test]
+fn what_is_fixed_to_a_section_sees_its_axes() {
+    for case in cases() {
+        let (rod, p, states) = run(case, Scheme::Bdf2, STEP, 3);
+        let (s, x, at) = (0.44, &states[3], at(3, STEP));
+        let units = [Vector3::zeros(), Vector3::x(), Vector3::y(), Vector3::z()];
+        let mut markers = Markers::new(&rod, &units.map(|offset| Marker { s, offset })).unwrap();
+        markers.set_parameters(&p);
+        let axes = |markers: &mut Markers, x: &[f64]| -> Matrix3<f64> {
+            let mut y = [0.0; 12];
+            markers.observe(at, x, &mut y).unwrap();
+            let [o, m1, m2, t] = [0, 3, 6, 9].map(|i| Vector3::from_column_slice(&y[i..i + 3]));
+            Matrix3::from_columns(&[m1 - o, m2 - o, t - o])
+        };
+        let section = axes(&mut markers, x);
+        let all = [
+            Sensor::Acceleration { s },
+            Sensor::SpecificForce { s, axes: Matrix3::identity() },
+            Sensor::SpecificForce { s, axes: turned() },
+            Sensor::AngularRate { s },
+            Sensor::Direction { s },
+        ];
+        let places = 3 * rod.free_vertices().len();
+        let gravity = gravity_of(case, &p);
+        let mut sensors = Sensors::new(rod, STEP, &all).unwrap();
+        sensors.set_parameters(&p).unwrap();
+        let y = observed(&mut sensors, at, x);
+        let [a, f, turned_f] = [0, 3, 6].map(|i| Vector3::from_column_slice(&y[i..i + 3]));
+        let expected = section.tr_mul(&(a - gravity));
+        // a few roundings
+        assert!((f - expected).norm() < 1e-12 * expected.norm(), "{}: {f} {expected}", case.name);
+        assert!((turned_f - turned() * f).norm() < 1e-12 * f.norm(), "{}", case.name);
+        let direction = Vector3::from_column_slice(&y[11..14]);
+        assert!((direction - section.column(2)).norm() < 1e-12, "{}: {direction}", case.name);
+        // ω = t × ṫ beside tangents a microsecond of the state's velocities before and after
+        let moved = |h: f64| -> Vec<f64> {
+            let mut moved = x.clone();
+            (0..places).for_each(|i| moved[i] += h * x[places + i]);
+            moved
+        };
+        let t = |markers: &mut Markers, h: f64| axes(markers, &moved(h)).column(2).into_owned();
+        let rate = (t(&mut markers, 1e-6) - t(&mut markers, -1e-6)) / 2e-6;
+        let omega = section.tr_mul(&section.column(2).cross(&rate));
+        // rounding of a tangent over a microsecond
+        assert!((omega.x - y[9]).abs().max((omega.y - y[10]).abs()) < 1e-8, "{}: {omega} {y:?}", case.name);
+        assert!(f.norm() > 1.0 && omega.norm() > 1e-2, "{}: nothing moves", case.name);
+    }
+}
+
+/// Gravity with the parameters of a case: those of `unknowns`, 5 to 7.
+fn gravity_of(case: Case, p: &[f64]) -> Vector3<f64> {
+    assert!(p.len() > 7, "{}: gravity is turned", case.name);
+    let turn = Vector3::x() * p[6] + Vector3::new(0.0, 1.0, 0.2) * p[7];
+    rotation::exponential(&turn) * (DOWN.gravity + Vector3::new(0.0, 9.81, 0.0) * p[5])
+}
+
+/// With strain rates, beside differences of velocities over fine steps.
+#[test]
+fn damped_accelerations_are_those_of_a_fine_run() {
+    let fine = 1e-4;
+    for case in cases().into_iter().filter(|case| !without_rates(case)) {
+        let mut errors = Vec::new();
+        for (interval, k) in [(2.0 * fine, 50), (fine, 100)] {
+            let (rod, p, states) = run(case, Scheme::Bdf2, interval, k + 1);
+            let (first, places) = (rod.free_vertices()[0], 3 * rod.free_vertices().len());
+            let middle = rod.free_vertices().len() / 2;
+            let s = rod.rod().arc_lengths()[first + middle];
+            let mut sensors = Sensors::new(rod, interval, &[Sensor::Acceleration { s }]).unwrap();
+            sensors.set_parameters(&p).unwrap();
+            let y = observed(&mut sensors, at(k, interval), &states[k]);
+            let rate: Vec<f64> = (0..3)
+                .map(|c| places + 3 * middle + c)
+                .map(|i| (states[k + 1][i] - states[k - 1][i]) / (2.0 * interval))
+                .collect();
+            let (error, size) = off(&y, &rate);
+            errors.push(error / size);
+        }
+        // first order in Δt: what BDF2 is not, the rate of angles is
+        assert!(errors[1] < 0.02 && errors[1] < 0.7 * errors[0], "{}: {errors:?}", case.name);
+    }
+}
+
+/// Derivatives beside differences over h, sensor by sensor.
+fn close(case: Case, sensors: &[Sensor], derivative: &[f64], by_difference: &[f64], h: f64, what: &str) {
+    let mut row = 0;
+    for sensor in sensors {
+        let rows = row..row + sensor.rows();
+        row = rows.end;
+        let (error, size) = off(&derivative[rows.clone()], &by_difference[rows]);
+        // rounding of EA ε, 3e2 N in edges of 0.1 m with strains of 1e-16, of rates over 1e-3 Δt times
+        // β = 0.02 s (5e3); of accelerations over masses of 0.04 kg
+        let rounding = if case.damping.stiffness > 0.0 || case.drag { 3e-9 } else { 1e-11 };
+        let rounding = match sensor {
+            Sensor::Acceleration { .. } | Sensor::SpecificForce { .. } => 30.0 * rounding,
+            Sensor::AngularRate { .. } | Sensor::Direction { .. } | Sensor::Spin { .. } => 1e-11,
+            _ => rounding,
+        };
+        let bound = 1e-7 * size + rounding / h;
+        assert!(error <= bound, "{}, {what}, {sensor:?}: off by {error:e} of {size:e}, {bound:e}", case.name);
+        assert!(
+            bound <= 1e-4 * size.max(1.0),
+            "{}, {what}, {sensor:?}: a bound that sees nothing",
+            case.name
+        );
+    }
+}
+
+#[test]
+fn every_check_of_an_operator() {
+    for case in cases() {
+        for scheme in [Scheme::BackwardEuler, Scheme::Midpoint, Scheme::Bdf2] {
+            let (rod, p, states) = run(case, scheme, STEP, 3);
+            let all = sensors(case, &rod);
+            let mut sensors = match Sensors::new(rod, STEP, &all) {
+                Ok(sensors) => sensors,
+                Err(error) => {
+                    let needs_past = scheme == Scheme::BackwardEuler && case.damping.stiffness > 0.0;
+                    assert!(error == Error::NoRates && needs_past, "{}: {error}", case.name);
+                    continue;
+                }
+            };
+            sensors.set_parameters(&p).unwrap();
+            let x = &states[3];
+            let report = check::operator(&mut sensors, at(3, STEP), x, &vec![1e-3; x.len()], 3).unwrap();
+            assert!(report.passed(), "{}, {scheme:?}: {report}", case.name);
+            for (i, dx) in (0..4).map(|seed| noise(seed).take(x.len()).collect::<Vec<f64>>()).enumerate() {
+                let mut tangent = vec![0.0; sensors.dim()];
+                sensors.tangent(at(3, STEP), x, &dx, &mut tangent);
+                let by_difference = difference(x, &dx, 1e-5, |x| observed(&mut sensors, at(3, STEP), x));
+                close(case, &all, &tangent, &by_difference, 1e-5, &format!("{scheme:?}, {i}"));
+            }
+        }
+    }
+}
+
+#[test]
+fn constants_change_what_sensors_see_as_differences_say() {
+    for case in cases() {
+        let (rod, p, states) = run(case, Scheme::Bdf2, STEP, 3);
+        let all = sensors(case, &rod);
+        let mut sensors = Sensors::new(rod, STEP, &all).unwrap();
+        let (rows, x, at) = (sensors.dim(), &states[3], at(3, STEP));
+        sensors.set_parameters(&p).unwrap();
+        let mut columns = vec![f64::NAN; rows * p.len()];
+        sensors.by_parameters(at, x, &mut columns).unwrap();
+        for (i, column) in columns.chunks_exact(rows).enumerate() {
+            let mut dp = vec![0.0; p.len()];
+            dp[i] = 1.0;
+            let by_difference = difference(&p, &dp, 1e-3, |p| {
+                sensors.set_parameters(p).unwrap();
+                observed(&mut sensors, at, x)
+            });
+            sensors.set_parameters(&p).unwrap();
+            close(case, &all, column, &by_difference, 1e-3, &format!("constant {i}"));
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_measured_is_refused() {
+    let of = |case: Case, scheme, sensor| Sensors::new(step(case, scheme), STEP, &[sensor]).err();
+    let bdf2 = Scheme::Bdf2;
+    let not_held = |s, what| Some(Error::NotHeld { s, what });
+    assert_eq!(of(PLAIN, bdf2, Sensor::SupportForce { s: 0.5 }), not_held(0.5, "support"));
+    assert_eq!(of(PLAIN, bdf2, Sensor::AxialSupportForce { s: 1.0 }), not_held(1.0, "clamp"));
+    let loose = Case { held: false, ..PLAIN };
+    assert_eq!(of(loose, bdf2, Sensor::SupportForce { s: 0.0 }), None);
+    assert_eq!(of(loose, bdf2, Sensor::AxialSupportForce { s: 0.0 }), not_held(0.0, "clamp"));
+    let spin = Sensor::Spin { s: 0.5 };
+    assert!(matches!(of(PLAIN, bdf2, spin), Some(Error::NoSpin { edge: 3 })));
+    let skew = Sensor::SpecificForce { s: 0.5, axes: Matrix3::identity() * 2.0 };
+    assert!(matches!(of(PLAIN, bdf2, skew), Some(Error::Value { field: "axes of a sensor", .. })));
+    assert!(matches!(of(PLAIN, bdf2, Sensor::Tension { s: 1.2 }), Some(Error::OffRod { s: 1.2, .. })));
+    assert!(matches!(of(PLAIN, bdf2, Sensor::Acceleration { s: f64::NAN }), Some(Error::OffRod { .. })));
+    let damped = Case { damping: LOST, ..PLAIN };
+    let euler = Scheme::BackwardEuler;
+    assert_eq!(of(damped, euler, Sensor::Tension { s: 0.5 }), Some(Error::NoRates));
+    let mut chain = rod(PLAIN);
+    chain.ei.fill([0.0; 3]);
+    chain.gj.fill(0.0);
+    let chain = RodStep::new(chain, supports(PLAIN), DOWN, Damping::default()).unwrap();
+    assert_eq!(Sensors::new(chain, STEP, &[Sensor::AngularRate { s: 0.5 }]).err(), Some(Error::NoFrames));
+    let wrong = Sensors::new(step(PLAIN, bdf2), 0.0, &[]).err();
+    assert!(matches!(wrong, Some(Error::Value { field: "interval of sensors", .. })));
+}

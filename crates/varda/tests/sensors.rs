@@ -1,0 +1,352 @@
+//! Force cells, accelerometers and gyroscopes in scenes: twins of each kind, what they find that markers do
+//! not, readings read back, and what is said of wrong ones.
+
+#[path = "support/rod_scene.rs"]
+mod rod_scene;
+
+use rod_scene::Folder;
+use varda::outcome::{Estimated, Outcome, Verdict};
+use varda::report::write_simulation;
+use varda::run::{Listener, assimilate, simulate};
+use varda::setup::Problem;
+use varda_assimilation::{ControlTransform, CostFunction, LeastSquares, StrongConstraint};
+
+const ROD: &str = r#"
+[model]
+kind = "rod"
+length = 0.5
+segments = 10
+gravity = [0.0, 0.0, -9.81]
+damping = { mass = 0.5, stiffness = 0.01 }
+[model.section]
+kind = "stiffness"
+ea = 1005.0
+ei = [0.0161, 0.0161]
+gj = 0.0107
+mass_per_length = 0.221
+rotary_inertia = 7.08e-6
+[model.start]
+position = [0.0, 0.0, 0.0]
+tangent = [0.0, 0.0, -1.0]
+director = [1.0, 0.0, 0.0]
+motion = { kind = "ellipse", radii = [0.03, 0.02], omega = 8.0, ramp_periods = 1.0 }
+[time]
+integrator = "bdf2"
+step = 0.01
+spin_up = 100
+window = 40
+[background.covariance]
+kind = "kernel"
+sigma_x = 0.01
+sigma_v = 0.1
+correlation_length_x = 0.25
+correlation_length_v = 0.25
+"#;
+
+const TWIN: &str =
+    "[background]\nfrom = \"truth-plus-draw\"\n[observations]\nkind = \"synthetic\"\nevery = 4\n";
+const PLACES: &str = "places = [0.25, 0.5]\nsigma = 0.002\n";
+const BOTH: &str = "estimate={mass_per_length={sigma=\"30%\"},ei={sigma=\"30%\",together=true}}";
+
+/// From a folder with what a twin has written.
+const RECORDED: &str =
+    "[background]\nfrom = \"file\"\nfile = \"background.csv\"\n[observations]\nkind = \"file\"\n";
+
+fn sensor(name: &str, kind: &str, arc_length: f64, sigma: f64) -> String {
+    format!(
+        "[[observations.sensors]]\nname = \"{name}\"\nkind = \"{kind}\"\narc_length = {arc_length}\n\
+         sigma = {sigma}\n"
+    )
+}
+
+/// One of every kind that this rod has.
+fn all_kinds() -> String {
+    [
+        sensor("strand", "tension", 0.3, 0.01),
+        sensor("clamp", "support-force", 0.0, 0.01),
+        sensor("axis", "axial-support-force", 0.0, 0.02),
+        sensor("chip", "acceleration", 0.4, 0.1),
+        sensor("imu", "specific-force", 0.45, 0.1),
+        sensor("gyro", "angular-rate", 0.45, 0.05),
+        sensor("pointer", "direction", 0.2, 0.01),
+    ]
+    .concat()
+}
+
+fn ran(text: &str, folder: &Folder, sets: &[&str]) -> Outcome {
+    let problem = Problem::from_scene(&folder.scene(text, sets).unwrap()).unwrap();
+    assimilate(&problem, &mut Listener::silent()).unwrap()
+}
+
+fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+fn sigma(found: &Estimated) -> f64 {
+    found.sigma.unwrap()
+}
+
+/// Each kind beside markers: the run fits, and σ at the start is smaller than by markers alone.
+#[test]
+fn every_kind_fits_in_a_twin_and_lowers_sigma() {
+    let folder = Folder::new("sensors-kinds");
+    let alone = ran(&format!("{ROD}{TWIN}{PLACES}"), &folder, &[]);
+    // the share of σ that is left, a fifth above the 0.75, 0.51, 0.59, 0.57, 0.59 and 0.83 of this scene
+    let kinds = [
+        ("tension", 0.3, 0.01, "N", 0.9),
+        ("support-force", 0.0, 0.01, "N", 0.61),
+        ("axial-support-force", 0.0, 0.01, "N", 0.71),
+        ("acceleration", 0.4, 0.1, "m/s²", 0.69),
+        ("specific-force", 0.4, 0.1, "m/s²", 0.71),
+        ("angular-rate", 0.4, 0.05, "rad/s", 0.99),
+        ("direction", 0.4, 0.005, "rad", 0.99),
+    ];
+    for (kind, s, sigma, unit, bound) in kinds {
+        let text = format!("{ROD}{TWIN}{PLACES}{}", sensor("it", kind, s, sigma));
+        let outcome = ran(&text, &folder, &[]);
+        assert_eq!(outcome.judgement.verdict, Verdict::Fits, "{kind}: {}", outcome.judgement.text);
+        let m = outcome.analysis.observations as f64;
+        let chi2 = 2.0 * outcome.analysis.value / m;
+        // four standard deviations of χ²/m
+        assert!((chi2 - 1.0).abs() < 4.0 * (2.0 / m).sqrt(), "{kind}: 2J/m = {chi2}");
+        assert!(outcome.observed.iter().any(|o| o.label == "sensor it" && o.unit == unit), "{kind}");
+        let share = rms(&outcome.analysis.sigma_analysis[..27]) / rms(&alone.analysis.sigma_analysis[..27]);
+        assert!(share < bound, "{kind}: σ of places {share} of that by markers");
+    }
+}
+
+/// Markers find the ratio of stiffness and mass alone: a motion without forces has no kilogram in it.
+#[test]
+fn a_force_cell_finds_the_mass_that_markers_do_not() {
+    let folder = Folder::new("sensors-mass");
+    let of = |sensors: &str| {
+        let outcome = ran(&format!("{ROD}{TWIN}{PLACES}{sensors}"), &folder, &[BOTH]);
+        assert_eq!(outcome.judgement.verdict, Verdict::Fits, "{}", outcome.judgement.text);
+        let found = outcome.estimates.into_iter().map(|e| (e.name.clone(), e));
+        found.collect::<std::collections::BTreeMap<_, _>>()
+    };
+    let markers = of("");
+    let [mass, ei] = ["mass_per_length", "ei"].map(|name| markers[name].clone());
+    // the prior of the common factor, 30 % of two logarithms, is left: 21 %
+    assert!(sigma(&mass) > 0.15 * mass.value && sigma(&ei) > 0.15 * ei.value, "{mass:?} {ei:?}");
+    let with = of(&sensor("clamp", "support-force", 0.0, 0.01));
+    let [mass, ei] = ["mass_per_length", "ei"].map(|name| with[name].clone());
+    // ten readings of 0.01 N of a weight of 1.08 N
+    assert!(sigma(&mass) < 0.01 * mass.value && sigma(&ei) < 0.05 * ei.value, "{mass:?} {ei:?}");
+    for found in [mass, ei] {
+        let truth = found.truth.unwrap();
+        // of a draw: less than four σ
+        assert!((found.value - truth).abs() < 4.0 * sigma(&found), "{found:?}");
+    }
+}
+
+/// A folder with the files of a twin.
+fn of_twin(name: &str, twin: &str, sets: &[&str]) -> (Folder, Problem) {
+    let folder = Folder::new(&format!("sensors-{name}"));
+    let problem = Problem::from_scene(&folder.scene(twin, sets).unwrap()).unwrap();
+    let simulation = simulate(&problem).unwrap();
+    write_simulation(&simulation, 0.0, &folder.path().join("twin")).unwrap();
+    for file in ["background.csv", "observations.csv", "readings.csv"] {
+        let _ = std::fs::copy(folder.path().join("twin").join(file), folder.path().join(file));
+    }
+    (folder, problem)
+}
+
+#[test]
+fn what_a_twin_draws_is_read_back() {
+    let spins = ["model.twist_inertia=true"];
+    let more = sensor("turn", "spin", 0.4, 0.05);
+    let cases: [(&str, &str, String, &str, &[&str]); 3] = [
+        ("alone", "", all_kinds(), "readings = \"readings.csv\"\n", &[]),
+        ("both", PLACES, all_kinds(), "file = \"observations.csv\"\nreadings = \"readings.csv\"\n", &[]),
+        ("spins", "", all_kinds() + &more, "readings = \"readings.csv\"\n", &spins),
+    ];
+    for (name, places, sensors, files, sets) in cases {
+        let (folder, problem) = of_twin(name, &format!("{ROD}{TWIN}{places}{sensors}"), sets);
+        let twin = assimilate(&problem, &mut Listener::silent()).unwrap();
+        let read = ran(&format!("{ROD}{RECORDED}{files}{sensors}"), &folder, sets);
+        let (a, b) = (&twin.analysis, &read.analysis);
+        assert_eq!((a.observations, twin.fit.len()), (b.observations, read.fit.len()), "{name}");
+        // the same numbers through text, and the same minimum to its tolerance
+        assert!((twin.j_background - read.j_background).abs() < 1e-9 * twin.j_background, "{name}");
+        assert!((a.value - b.value).abs() < 1e-6 * a.value, "{name}: {} {}", a.value, b.value);
+        assert_eq!(twin.judgement.verdict, Verdict::Fits, "{name}: {}", twin.judgement.text);
+    }
+}
+
+/// Readings kept back and after the window are judged in their own unit.
+#[test]
+fn a_sensor_that_is_kept_back_is_judged_in_its_unit() {
+    let (folder, _) = of_twin("withheld", &format!("{ROD}{TWIN}{PLACES}{}", all_kinds()), &[]);
+    let kept_back =
+        all_kinds().replace("kind = \"support-force\"", "kind = \"support-force\"\nuse = \"withhold\"");
+    let files = "file = \"observations.csv\"\nreadings = \"readings.csv\"\noutside_window = \"skip\"\n";
+    let text = format!("{ROD}{RECORDED}{files}{kept_back}").replace("window = 40", "window = 30");
+    let outcome = ran(&text, &folder, &["report.forecast=0.1"]);
+    assert_eq!(outcome.withheld.len(), 1);
+    let w = &outcome.withheld[0];
+    assert!(w.label == "sensor clamp" && w.quantity.unit() == "N" && w.count == 7, "{w:?}");
+    // noise of 0.01 N in three components, 0.017 N, of 21 values to 4 of its standard deviations
+    assert!(w.rms_analysis < 0.03 && w.rms_analysis < 0.2 * w.rms_background, "{w:?}");
+    let units: Vec<&str> = outcome.forecast.iter().map(|f| f.quantity.unit()).collect();
+    assert_eq!(units, ["m", "m", "N", "N", "N", "m/s²", "m/s²", "rad/s", "rad"]);
+    assert!(outcome.observed.iter().any(|o| o.reason == "withheld" && o.unit == "N" && o.axis == "fz"));
+}
+
+/// A cell that reads 2 % too much stands out, by its name.
+#[test]
+fn a_cell_that_is_off_stands_out() {
+    let (folder, _) = of_twin("off", &format!("{ROD}{TWIN}{PLACES}{}", all_kinds()), &[]);
+    let path = folder.path().join("readings.csv");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let heavier = |line: &str| {
+        let mut cells: Vec<String> = line.split(',').map(String::from).collect();
+        if cells[1] == "\"clamp\"" {
+            let z = cells.iter().rposition(|c| c.parse::<f64>().is_ok_and(|v| v > 0.5)).unwrap();
+            cells[z] = (cells[z].parse::<f64>().unwrap() + 0.1).to_string();
+        }
+        cells.join(",")
+    };
+    std::fs::write(&path, text.lines().map(heavier).collect::<Vec<_>>().join("\n")).unwrap();
+    let files = "file = \"observations.csv\"\nreadings = \"readings.csv\"\n";
+    let outcome = ran(&format!("{ROD}{RECORDED}{files}{}", all_kinds()), &folder, &[]);
+    assert_eq!(outcome.judgement.verdict, Verdict::DoesNotFit);
+    assert!(outcome.judgement.text.contains("sensor clamp"), "{}", outcome.judgement.text);
+}
+
+/// What is refused, with the words of it.
+#[test]
+fn what_is_wrong_is_named() {
+    let (folder, _) = of_twin("wrong", &format!("{ROD}{TWIN}{}", all_kinds()), &[]);
+    let refused = |rows: &str, sensors: &str, sets: &[&str]| {
+        std::fs::write(folder.path().join("rows.csv"), rows).unwrap();
+        let text = format!("{ROD}{RECORDED}readings = \"rows.csv\"\n{sensors}");
+        match folder.scene(&text, sets) {
+            Ok(file) => Problem::from_scene(&file).err().map_or_else(String::new, |e| e.to_string()),
+            Err(error) => error.to_string(),
+        }
+    };
+    let cell = sensor("cell", "tension", 0.3, 0.01);
+    let no_sigma = cell.replace("sigma = 0.01\n", "");
+    let clamp = sensor("clamp", "support-force", 0.0, 0.01);
+    let (two, hook) = (format!("{cell}{clamp}"), sensor("hook", "support-force", 0.3, 0.01));
+    let header = "time_s,sensor,tension_n";
+    let good = format!("{header}\n1.3,cell,1.0\n");
+    let row = |row: &str| format!("{header}\n{row}\n");
+    let euler = "time.integrator=\"backward-euler\"";
+    let axes = format!("{cell}axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]\n");
+    let cases: [(String, &str, &[&str], &[&str]); 20] = [
+        (good.clone(), &cell, &[], &[]),
+        (row("1.3,scale,1.0"), &cell, &[], &["rows.csv:2", "\"scale\"", "cell"]),
+        (row("1.3,cell,NaN"), &cell, &[], &["rows.csv:2", "`tension_n` is NaN"]),
+        (row("1.3,cell,1.0"), &no_sigma, &[], &["rows.csv:2", "the sensor's `sigma`"]),
+        (row("9.3,cell,1.0"), &cell, &[], &["rows.csv:2", "outside the window"]),
+        (format!("{header}\n"), &cell, &[], &["rows.csv:1", "no readings"]),
+        ("time_s,sensor,force\n1.3,cell,1.0\n".into(), &cell, &[], &["rows.csv:1", "tension_n"]),
+        ("time_s,sensor,fx_n\n1.3,cell,1.0\n".into(), &cell, &[], &["rows.csv:1", "no column \"tension_n\""]),
+        (
+            format!("{header},fx_n,fy_n,fz_n\n1.3,cell,,0.1,0.2,0.3\n"),
+            &two,
+            &[],
+            &["rows.csv:2", "`fx_n`", "tension"],
+        ),
+        (good.clone(), &format!("{cell}{cell}"), &[], &["\"cell\" is there twice"]),
+        (good.clone(), "", &[], &["needs [[observations.sensors]]"]),
+        (good.clone(), &sensor("cell", "tension", 0.7, 0.01), &[], &["arc length 0.7 m is off the rod"]),
+        (
+            "time_s,sensor,fx_n,fy_n,fz_n\n1.3,hook,1,1,1\n".into(),
+            &hook,
+            &[],
+            &["no support holds the rod at s = 0.3 m"],
+        ),
+        (
+            "time_s,sensor,spin_rad_s\n1.3,cell,1.0\n".into(),
+            &sensor("cell", "spin", 0.3, 0.01),
+            &[],
+            &["spin of edge", "is not in the state"],
+        ),
+        (good.clone(), &axes, &[], &["is of kind \"specific-force\" alone"]),
+        (good.clone(), &cell, &[euler], &["time.integrator", "angles of the state before"]),
+        (good.clone(), &cell, &["time.tolerance=1e-3"], &["time.tolerance", "leave it out"]),
+        (good.clone(), &cell, &["estimate.clock={sigma=0.01}"], &["estimate.clock"]),
+        (good.clone(), &cell, &["algorithm.hessian=\"exact\""], &["algorithm.hessian", "gauss-newton"]),
+        (good, &cell, &["observations.correlation={length=0.1}"], &["take `time`"]),
+    ];
+    for (rows, sensors, sets, words) in cases {
+        let said = refused(&rows, sensors, sets);
+        assert!(words.iter().all(|word| said.contains(word)), "{said}: {words:?}");
+        assert_eq!(said.is_empty(), words.is_empty(), "{said}");
+    }
+}
+
+/// ∇J with constants, at two controls one after the other, and Gᵀ beside G.
+#[test]
+fn the_gradient_of_a_cost_with_readings_and_constants() {
+    let text = format!("{ROD}{TWIN}{PLACES}{}", all_kinds());
+    let file =
+        Folder::new("sensors-gradient").scene(&text, &[BOTH, "estimate.damping_stiffness={sigma=\"30%\"}"]);
+    let problem = Problem::from_scene(&file.unwrap()).unwrap();
+    let mut observations = problem.observations().unwrap();
+    let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref()).unwrap();
+    let mut model = problem.model();
+    let mut cost = StrongConstraint::new(model.as_mut(), transform, &mut observations).unwrap();
+    let n = cost.dim();
+    let wave = |a: f64, b: f64| (0..n).map(|i| a * (b + 1.7 * i as f64).sin()).collect::<Vec<f64>>();
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    for v in [wave(0.2, 1.0), wave(0.3, -2.0)] {
+        let mut gradient = vec![0.0; n];
+        cost.linearize(&v, &mut gradient).unwrap();
+        let (along, rows) = (wave(1.0, 0.4), cost.observation_dim());
+        let weights: Vec<f64> = (0..rows).map(|i| (0.3 * i as f64).cos()).collect();
+        let (mut forward, mut back) = (vec![0.0; rows], vec![0.0; n]);
+        cost.jacobian(&along, &mut forward).unwrap();
+        cost.jacobian_transpose(&weights, &mut back).unwrap();
+        let (left, right) = (dot(&weights, &forward), dot(&along, &back));
+        // a few hundred roundings of each number through 40 steps
+        let size = dot(&forward, &forward).sqrt() * dot(&weights, &weights).sqrt();
+        assert!((left - right).abs() < 1e-12 * size, "{left} {right}");
+        let mut at = |h: f64| {
+            let moved: Vec<f64> = v.iter().zip(&along).map(|(v, a)| v + h * a).collect();
+            cost.evaluate(&moved, None).unwrap()
+        };
+        let mut central = |h: f64| (at(h) - at(-h)) / (2.0 * h);
+        let derivative = dot(&gradient, &along);
+        let mut errors = Vec::new();
+        for h in [1e-4, 3e-4, 1e-3, 3e-3] {
+            let difference = (4.0 * central(h) - central(2.0 * h)) / 3.0;
+            errors.push((derivative - difference).abs() / derivative.abs());
+        }
+        // a step ends at updates of 1e-11 m, which are 1e-7 N of EA: 1e-5 σ of a reading, over h; and h⁴
+        // of the fifth derivative beyond
+        let best = errors.iter().copied().fold(f64::INFINITY, f64::min);
+        assert!(best < 1e-6, "{derivative}: {errors:?}");
+    }
+}
+
+/// A rod at rest: its mass by the force on its clamp, and how it hangs by an accelerometer, which sees
+/// gravity.
+#[test]
+fn a_rod_at_rest_is_weighed() {
+    let rod = ROD.split("[time]").next().unwrap().replace("motion = ", "# motion = ").replace(
+        "tangent = [0.0, 0.0, -1.0]\ndirector = [1.0, 0.0, 0.0]",
+        "tangent = [1.0, 0.0, 0.0]\ndirector = [0.0, 0.0, 1.0]",
+    );
+    let rod = rod.replace("damping = { mass = 0.5, stiffness = 0.01 }\n", "");
+    let text = format!(
+        "{rod}[algorithm]\nmethod = \"static\"\n[estimate]\nmass_per_length = {{ sigma = \"30%\" }}\n\
+         ei = {{ sigma = \"30%\", together = true }}\n[observations]\n\
+         kind = \"file\"\nreadings = \"rows.csv\"\n{}{}",
+        sensor("clamp", "support-force", 0.0, 0.01),
+        sensor("imu", "specific-force", 0.45, 0.02)
+    );
+    let rows = "sensor,fx_n,fy_n,fz_n,fx_m_s2,fy_m_s2,fz_m_s2\nclamp,0.0,0.0,1.3,,,\nimu,,,,6.2,0.0,-7.6\n";
+    let folder = Folder::new("sensors-static").with("rows.csv", rows);
+    let outcome = ran(&text, &folder, &[]);
+    let mass = outcome.estimates.iter().find(|e| e.name == "mass_per_length").unwrap();
+    // 1.3 N over g and half a metre, ± 0.01 N; the prior is 100 times wider
+    let weighed = 1.3 / (9.81 * 0.5);
+    assert!((mass.value - weighed).abs() < 1e-3 * weighed, "{mass:?}");
+    assert!((sigma(mass) - 0.01 / (9.81 * 0.5)).abs() < 1e-2 * sigma(mass), "{mass:?}");
+    let ei = outcome.estimates.iter().find(|e| e.name == "ei").unwrap();
+    assert!(sigma(ei) < 0.2 * ei.prior_sigma, "{ei:?}");
+}
