@@ -8,7 +8,17 @@ use crate::Error;
 use crate::rod::Place;
 use crate::system::System;
 
-/// What a sensor measures, and where: rest arc lengths s in m.
+/// What a sensor measures, and where: rest arc lengths s in m. What it reads in a state is that of
+/// [`Sensors`](crate::Sensors).
+///
+/// ```
+/// use varda_rod::{Matrix3, Sensor};
+///
+/// // an accelerometer whose first axis points along the rod: a row for each of its axes along (m₁, m₂, t)
+/// let axes = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
+/// let imu = Sensor::SpecificForce { s: 0.45, axes };
+/// assert_eq!((imu.rows(), Sensor::Tension { s: 0.1 }.rows()), (3, 1));
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum Sensor {

@@ -23,6 +23,8 @@ const WINDOW: f64 = 1.0;
 const FAR: f64 = 0.2;
 /// A marker moves where it travels this many times σ.
 const MOVES: f64 = 5.0;
+/// Length of the rod, and place of its only marker, where nothing says them \[m\].
+const ALONE: f64 = 1.0;
 /// A marker at rest travels at most this many times σ: noise of three coordinates is √3 σ.
 const AT_REST: f64 = 3.0;
 /// A marker at a moved clamp travels at least this share of its neighbour's way: beside a clamp at rest
@@ -45,7 +47,8 @@ const NEAR: usize = 9;
 /// Read from the recording: markers with their arc lengths (column `s_m`; by name the sums of the largest
 /// chords between neighbours, which are lower bounds), rate, window, σ (third differences in time, frames at
 /// rest), places of the rod before it is held, and how far it moves. Named markers are put in a row from the
-/// end that moves less; a comment says so, and what the arc lengths are from the other end.
+/// end that moves less; a comment says so, and what the arc lengths are from the other end. A single one
+/// stands at the end of a rod of 1 m, which is the user's to change.
 ///
 /// # Errors
 /// [`Error::Data`] for a file that is no recording of points in space, or has fewer than four frames.
@@ -130,6 +133,9 @@ impl Recorded {
         let placed = rows.iter().any(|row| row.arc_length.is_some());
         if tracks.iter().all(|t| t.name.is_some()) && !placed {
             tracks = in_a_row(tracks);
+            if let [alone] = &mut tracks[..] {
+                alone.arc_length = ALONE;
+            }
         } else {
             tracks.sort_by(|a, b| a.arc_length.total_cmp(&b.arc_length));
         }
@@ -255,10 +261,10 @@ impl Recorded {
         let up = if tangent.z.abs() < 0.95 { V::z() } else { V::x() };
         let director = (up - tangent * up.dot(&tangent)).normalize();
         let are_named = self.tracks.iter().all(|t| t.name.is_some()) && !self.placed;
-        let note = if are_named {
-            "the sum of the largest distances between markers, a lower bound"
-        } else {
-            "the recording's last point; from the clamp's face"
+        let note = match (are_named, self.tracks.len()) {
+            (true, 1) => "one marker says nothing of it",
+            (true, _) => "the sum of the largest distances between markers, a lower bound",
+            (false, _) => "the recording's last point; from the clamp's face",
         };
         let steps = if parts > 1.0 { format!("{parts} steps") } else { "a step".to_string() };
         let number = |x: f64| format!("{x:?}");
@@ -303,6 +309,13 @@ impl Recorded {
                         out,
                         "\n[[observations.markers]]\nname = {name:?}\narc_length = {s:?}  # from the file\n\
                          # use = \"withhold\"               # keep it back to test the analysis\n"
+                    );
+                    continue;
+                }
+                if self.tracks.len() == 1 {
+                    let _ = write!(
+                        out,
+                        "\n[[observations.markers]]\nname = {name:?}\narc_length = {ALONE:?}  # m, yours\n"
                     );
                     continue;
                 }
@@ -504,6 +517,20 @@ mod tests {
             let turned = scene(["e", "d", "c", "b", "a"], |s| near(0.5 - s));
             assert!(turned.contains("from marker \"a\"") && turned.contains("# motion = "), "{turned}");
         }
+    }
+
+    #[test]
+    fn one_marker_is_no_clamp_and_gives_no_length() {
+        let mut text = "time_s,marker,x_m,y_m,z_m\n".to_string();
+        for k in 0..100 {
+            let t = 0.01 * f64::from(k);
+            text += &format!("{t},tip,{},0.0,-0.1\n", 0.05 * (9.0 * t).sin());
+        }
+        let scene = scene_of_recording("seen.csv", &text).unwrap();
+        for line in ["length = 1.0000", "one marker says nothing of it", "name = \"tip\"\narc_length = 1.0"] {
+            assert!(scene.contains(line), "{line}: {scene}");
+        }
+        assert!(scene.contains("# motion = { kind = \"markers\""), "{scene}");
     }
 
     #[test]
