@@ -115,6 +115,18 @@ fn every_kind_fits_in_a_twin_and_lowers_sigma() {
     }
 }
 
+#[test]
+fn a_force_that_is_read_at_the_start_is_warned_of() {
+    let folder = Folder::new("sensors-early");
+    let warned = |every: usize| {
+        let text = format!("{ROD}{TWIN}{PLACES}{}", sensor("imu", "specific-force", 0.4, 0.1));
+        let scene = folder.scene(&text, &[&format!("observations.every={every}")]).unwrap();
+        let preview = varda::preview::Preview::new(&scene).unwrap();
+        preview.findings.iter().any(|f| f.text.contains("imu is read 1.0 steps after the start"))
+    };
+    assert!(warned(1) && !warned(2));
+}
+
 /// Markers find the ratio of stiffness and mass alone: a motion without forces has no kilogram in it.
 #[test]
 fn a_force_cell_finds_the_mass_that_markers_do_not() {

@@ -2,6 +2,7 @@
 //! says in short before it starts.
 
 mod background;
+mod early;
 mod finding;
 mod localization;
 mod numerics;
@@ -113,6 +114,7 @@ impl Preview {
 pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     let scene = &inputs.file.scene;
     let mut found = values::values(scene);
+    found.extend(early::reading(inputs));
     found.extend(localization::too_short(scene, inputs.grid.step * scene.time.window as f64));
     if let Some(recording) = &inputs.observed.recording {
         let of_recording = recording::of_recording(recording, inputs.grid.step);
