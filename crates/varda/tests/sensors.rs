@@ -6,6 +6,7 @@ mod rod_scene;
 
 use rod_scene::Folder;
 use varda::outcome::{Estimated, Outcome, Verdict};
+use varda::preview::Preview;
 use varda::report::write_simulation;
 use varda::run::{Listener, assimilate, simulate};
 use varda::setup::Problem;
@@ -115,18 +116,6 @@ fn every_kind_fits_in_a_twin_and_lowers_sigma() {
     }
 }
 
-#[test]
-fn a_force_that_is_read_at_the_start_is_warned_of() {
-    let folder = Folder::new("sensors-early");
-    let warned = |every: usize| {
-        let text = format!("{ROD}{TWIN}{PLACES}{}", sensor("imu", "specific-force", 0.4, 0.1));
-        let scene = folder.scene(&text, &[&format!("observations.every={every}")]).unwrap();
-        let preview = varda::preview::Preview::new(&scene).unwrap();
-        preview.findings.iter().any(|f| f.text.contains("imu is read 1.0 steps after the start"))
-    };
-    assert!(warned(1) && !warned(2));
-}
-
 /// Markers find the ratio of stiffness and mass alone: a motion without forces has no kilogram in it.
 #[test]
 fn a_force_cell_finds_the_mass_that_markers_do_not() {
@@ -184,6 +173,20 @@ fn what_a_twin_draws_is_read_back() {
         assert!((a.value - b.value).abs() < 1e-6 * a.value, "{name}: {} {}", a.value, b.value);
         assert_eq!(twin.judgement.verdict, Verdict::Fits, "{name}: {}", twin.judgement.text);
     }
+}
+
+#[test]
+fn a_force_that_is_read_at_the_start_is_warned_of() {
+    let imu = sensor("imu", "specific-force", 0.4, 0.1);
+    let warned = |every: usize| {
+        let sets = [format!("observations.every={every}")];
+        let sets: Vec<&str> = sets.iter().map(String::as_str).collect();
+        let (folder, _) = of_twin(&format!("early-{every}"), &format!("{ROD}{TWIN}{imu}"), &sets);
+        let text = format!("{ROD}{RECORDED}readings = \"readings.csv\"\n{imu}");
+        let preview = Preview::new(&folder.scene(&text, &[]).unwrap()).unwrap();
+        preview.findings.iter().any(|f| f.text.contains("imu is read 1.0 steps after the start"))
+    };
+    assert!(warned(1) && !warned(2));
 }
 
 /// Readings kept back and after the window are judged in their own unit.
