@@ -14,7 +14,7 @@ use crate::system::System;
 /// ```
 /// use varda_rod::{Matrix3, Sensor};
 ///
-/// // an accelerometer whose first axis points along the rod: a row for each of its axes along (m₁, m₂, t)
+/// // an accelerometer whose first axis points along the rod: a row for each axis, along (m₁, m₂, t)
 /// let axes = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
 /// let imu = Sensor::SpecificForce { s: 0.45, axes };
 /// assert_eq!((imu.rows(), Sensor::Tension { s: 0.1 }.rows()), (3, 1));
