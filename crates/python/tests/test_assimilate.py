@@ -207,7 +207,9 @@ def test_a_step_of_the_wrong_length():
 @pytest.mark.parametrize("call", ["assimilate", "cycle"])
 def test_ctrl_c_in_a_model(call, method):
     program = (
-        "import time, numpy as np, varda_da as varda\n"
+        "import signal, time, numpy as np, varda_da as varda\n"
+        # a shell may start its background jobs with the signal ignored
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "class Slow:\n"
         "    def step(self, k, x): time.sleep(0.01); return x\n"
         "    def tangent(self, k, x, dx): return dx\n"
