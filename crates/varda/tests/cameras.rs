@@ -1,5 +1,7 @@
 //! Cameras in scenes: pixels read and drawn, beside coordinates and alone, and what is said of wrong ones.
 
+#[path = "support/cost_gradient.rs"]
+mod cost_gradient;
 #[path = "support/rod_scene.rs"]
 mod rod_scene;
 
@@ -8,7 +10,6 @@ use varda::outcome::{Outcome, Verdict};
 use varda::report::write_simulation;
 use varda::run::{Listener, assimilate, simulate};
 use varda::setup::Problem;
-use varda_assimilation::{ControlTransform, CostFunction, LeastSquares, StrongConstraint};
 
 const ROD: &str = r#"
 [model]
@@ -297,35 +298,7 @@ fn a_camera_whose_calibration_is_off_stands_out() {
 fn the_gradient_of_a_cost_in_pixels() {
     let twin = format!("{ROD}{TWIN}sigma = 0.002\n{LEFT}{RIGHT}");
     let problem = Problem::from_scene(&Folder::new("cameras-two").scene(&twin, &[]).unwrap()).unwrap();
-    let mut observations = problem.observations().unwrap();
-    let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref()).unwrap();
-    let mut model = problem.model();
-    let mut cost = StrongConstraint::new(model.as_mut(), transform, &mut observations).unwrap();
-    let n = cost.dim();
-    let wave = |a: f64, b: f64| (0..n).map(|i| a * (b + 1.7 * i as f64).sin()).collect::<Vec<f64>>();
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    for v in [wave(0.2, 1.0), wave(0.3, -2.0)] {
-        let mut gradient = vec![0.0; n];
-        cost.linearize(&v, &mut gradient).unwrap();
-        let (along, rows) = (wave(1.0, 0.4), cost.observation_dim());
-        let weights: Vec<f64> = (0..rows).map(|i| (0.3 * i as f64).cos()).collect();
-        let (mut forward, mut back) = (vec![0.0; rows], vec![0.0; n]);
-        cost.jacobian(&along, &mut forward).unwrap();
-        cost.jacobian_transpose(&weights, &mut back).unwrap();
-        let (left, right) = (dot(&weights, &forward), dot(&along, &back));
-        // a few hundred roundings of each of 42 numbers through 40 steps
-        let size = dot(&forward, &forward).sqrt() * dot(&weights, &weights).sqrt();
-        assert!((left - right).abs() < 1e-12 * size, "{left} {right}");
-        let mut at = |h: f64| {
-            let moved: Vec<f64> = v.iter().zip(&along).map(|(v, a)| v + h * a).collect();
-            cost.evaluate(&moved, None).unwrap()
-        };
-        let mut central = |h: f64| (at(h) - at(-h)) / (2.0 * h);
-        let difference = (4.0 * central(1e-4) - central(2e-4)) / 3.0;
-        // h⁴ of the fifth derivative, and rounding of J over h
-        let derivative = dot(&gradient, &along);
-        assert!((derivative - difference).abs() < 1e-6 * derivative.abs(), "{derivative} {difference}");
-    }
+    cost_gradient::is_that_of_differences(&problem);
 }
 
 /// Windows of a sequence count their own steps; what must be in sight is known by its time.

@@ -1,6 +1,8 @@
 //! Force cells, accelerometers and gyroscopes in scenes: twins of each kind, what they find that markers do
 //! not, readings read back, and what is said of wrong ones.
 
+#[path = "support/cost_gradient.rs"]
+mod cost_gradient;
 #[path = "support/rod_scene.rs"]
 mod rod_scene;
 
@@ -10,7 +12,6 @@ use varda::preview::Preview;
 use varda::report::write_simulation;
 use varda::run::{Listener, assimilate, simulate};
 use varda::setup::Problem;
-use varda_assimilation::{ControlTransform, CostFunction, LeastSquares, StrongConstraint};
 
 const ROD: &str = r#"
 [model]
@@ -301,41 +302,7 @@ fn the_gradient_of_a_cost_with_readings_and_constants() {
     let file =
         Folder::new("sensors-gradient").scene(&text, &[BOTH, "estimate.damping_stiffness={sigma=\"30%\"}"]);
     let problem = Problem::from_scene(&file.unwrap()).unwrap();
-    let mut observations = problem.observations().unwrap();
-    let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref()).unwrap();
-    let mut model = problem.model();
-    let mut cost = StrongConstraint::new(model.as_mut(), transform, &mut observations).unwrap();
-    let n = cost.dim();
-    let wave = |a: f64, b: f64| (0..n).map(|i| a * (b + 1.7 * i as f64).sin()).collect::<Vec<f64>>();
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    for v in [wave(0.2, 1.0), wave(0.3, -2.0)] {
-        let mut gradient = vec![0.0; n];
-        cost.linearize(&v, &mut gradient).unwrap();
-        let (along, rows) = (wave(1.0, 0.4), cost.observation_dim());
-        let weights: Vec<f64> = (0..rows).map(|i| (0.3 * i as f64).cos()).collect();
-        let (mut forward, mut back) = (vec![0.0; rows], vec![0.0; n]);
-        cost.jacobian(&along, &mut forward).unwrap();
-        cost.jacobian_transpose(&weights, &mut back).unwrap();
-        let (left, right) = (dot(&weights, &forward), dot(&along, &back));
-        // a few hundred roundings of each number through 40 steps
-        let size = dot(&forward, &forward).sqrt() * dot(&weights, &weights).sqrt();
-        assert!((left - right).abs() < 1e-12 * size, "{left} {right}");
-        let mut at = |h: f64| {
-            let moved: Vec<f64> = v.iter().zip(&along).map(|(v, a)| v + h * a).collect();
-            cost.evaluate(&moved, None).unwrap()
-        };
-        let mut central = |h: f64| (at(h) - at(-h)) / (2.0 * h);
-        let derivative = dot(&gradient, &along);
-        let mut errors = Vec::new();
-        for h in [1e-4, 3e-4, 1e-3, 3e-3] {
-            let difference = (4.0 * central(h) - central(2.0 * h)) / 3.0;
-            errors.push((derivative - difference).abs() / derivative.abs());
-        }
-        // a step ends at updates of 1e-11 m, which are 1e-7 N of EA: 1e-5 σ of a reading, over h; and h⁴
-        // of the fifth derivative beyond
-        let best = errors.iter().copied().fold(f64::INFINITY, f64::min);
-        assert!(best < 1e-6, "{derivative}: {errors:?}");
-    }
+    cost_gradient::is_that_of_differences(&problem);
 }
 
 /// A rod at rest: its mass by the force on its clamp, and how it hangs by an accelerometer, which sees
