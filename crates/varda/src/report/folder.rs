@@ -9,7 +9,7 @@
 use std::fs::{File, OpenOptions};
 use std::io::{BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use crate::Error;
 
@@ -42,6 +42,8 @@ struct Lock {
 
 /// How often [`ResultFolder::publish`] gives way to another run that puts its folder into the same place.
 const ATTEMPTS: usize = 100;
+/// How often [`replaceable`] looks at a folder that seems to be no result, a millisecond apart.
+const LOOKS: usize = 20;
 
 impl ResultFolder {
     /// Starts a folder that will become `target`. Clears away first what killed runs into it have left: see
@@ -247,28 +249,37 @@ fn clear(parent: &Path, prefix: &str, target: &Path) -> Result<Found, Error> {
     Ok(found)
 }
 
-/// A result of Varda is a folder with a `summary.json` that has its keys `scene`, `version` and `status`.
+/// Whether `target` is free for a result, or holds one. Another run may exchange the folder between two looks
+/// at it, which then seems to be no result: only what stays so is occupied.
 fn replaceable(target: &Path) -> Result<(), Error> {
-    let occupied = |reason| Err(Error::Occupied { path: target.to_path_buf(), reason });
+    for _ in 1..LOOKS {
+        if in_the_way(target).is_none() {
+            return Ok(());
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    match in_the_way(target) {
+        None => Ok(()),
+        Some(reason) => Err(Error::Occupied { path: target.to_path_buf(), reason }),
+    }
+}
+
+/// Why what is at `target` is not to be replaced. A result of Varda is a folder with a `summary.json` that has
+/// its keys `scene`, `version` and `status`.
+fn in_the_way(target: &Path) -> Option<&'static str> {
     if !target.exists() {
-        return Ok(());
+        return None;
     }
     if !target.is_dir() {
-        return occupied("it is a file");
+        return Some("it is a file");
     }
-    let empty = std::fs::read_dir(target).map(|mut d| d.next().is_none()).unwrap_or(false);
-    if empty {
-        return Ok(());
+    if std::fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none()) {
+        return None;
     }
     let summary = std::fs::read_to_string(target.join("summary.json")).unwrap_or_default();
-    match serde_json::from_str::<serde_json::Value>(&summary) {
-        Ok(json)
-            if json["version"].is_string() && json["scene"].is_string() && json["status"].is_string() =>
-        {
-            Ok(())
-        }
-        _ => occupied("it has no summary.json of Varda's"),
-    }
+    let keys = serde_json::from_str::<serde_json::Value>(&summary).unwrap_or_default();
+    let is_result = ["version", "scene", "status"].iter().all(|key| keys[key].is_string());
+    (!is_result).then_some("it has no summary.json of Varda's")
 }
 
 #[cfg(test)]
