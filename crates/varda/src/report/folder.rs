@@ -249,8 +249,8 @@ fn clear(parent: &Path, prefix: &str, target: &Path) -> Result<Found, Error> {
     Ok(found)
 }
 
-/// Whether `target` is free for a result, or holds one. Another run may exchange the folder between two looks
-/// at it, which then seems to be no result: only what stays so is occupied.
+/// Whether `target` is free for a result, or holds one. Another run may exchange the folder between two
+/// looks at it, which then seems to be no result: only what stays so is occupied.
 fn replaceable(target: &Path) -> Result<(), Error> {
     for _ in 1..LOOKS {
         if in_the_way(target).is_none() {
@@ -264,8 +264,8 @@ fn replaceable(target: &Path) -> Result<(), Error> {
     }
 }
 
-/// Why what is at `target` is not to be replaced. A result of Varda is a folder with a `summary.json` that has
-/// its keys `scene`, `version` and `status`.
+/// Why what is at `target` is not to be replaced. A result of Varda is a folder with a `summary.json` that
+/// has its keys `scene`, `version` and `status`.
 fn in_the_way(target: &Path) -> Option<&'static str> {
     if !target.exists() {
         return None;
