@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use crate::Error;
-use crate::outcome::{Estimated, Status};
+use crate::outcome::{Estimated, Status, Verdict};
 use crate::scene::SceneFile;
 use crate::setup::Problem;
 use crate::setup::finer::Finer;
@@ -19,6 +19,7 @@ const ITERATIONS: [usize; 2] = [2, 20];
 /// How the run of the scenes' own mesh ended.
 pub(super) struct Coarse {
     pub(super) status: Status,
+    pub(super) verdict: Verdict,
     pub(super) iterations: usize,
     pub(super) chi2: f64,
 }
@@ -36,7 +37,7 @@ pub(super) struct Finest {
 pub(super) fn allow(
     problems: &[&Problem],
     estimates: &mut [&mut Vec<Estimated>],
-    Coarse { status, iterations, chi2 }: Coarse,
+    Coarse { status, verdict, iterations, chi2 }: Coarse,
     assimilate: impl FnOnce(&[SceneFile]) -> Result<Finest, Error>,
 ) -> (Vec<String>, f64) {
     let without = |reason: String| {
@@ -52,7 +53,7 @@ pub(super) fn allow(
             Finer::Scene(finer) => scenes.push(finer.as_ref()),
         }
     }
-    if !status.is_settled() {
+    if !status.is_settled() || verdict == Verdict::NotConverged {
         return (without(format!("the minimization ended as {}", status.name())), 0.0);
     }
     if !(chi2 <= MOST_CHI2) {

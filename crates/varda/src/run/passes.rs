@@ -64,8 +64,12 @@ pub fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<Outcome,
         }
     }
     let here = last.as_ref().unwrap_or(problem);
-    let run =
-        Coarse { status: outcome.status, iterations: outcome.iterations[0], chi2: outcome.analysis.chi2 };
+    let run = Coarse {
+        status: outcome.status,
+        verdict: outcome.judgement.verdict,
+        iterations: outcome.iterations[0],
+        chi2: outcome.analysis.chi2,
+    };
     let (of_mesh, seconds) = mesh::allow(&[here], &mut [&mut outcome.estimates], run, |files| {
         let finer = window::assimilate(&Problem::new(Inputs::read(&files[0])?)?, &mut listener.quiet())?;
         Ok(Finest { status: finer.status, chi2: finer.analysis.chi2, estimates: vec![finer.estimates] })

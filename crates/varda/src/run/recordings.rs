@@ -203,7 +203,12 @@ fn judged(recordings: &[Outcome], j: f64, m: usize) -> Judgement {
 
 /// The allowance for the mesh: all recordings on a finer one.
 fn allow_for_mesh(all: &Recordings, outcome: &mut JointOutcome, listener: &Listener) -> (Vec<String>, f64) {
-    let run = Coarse { status: outcome.status, iterations: outcome.iterations[0], chi2: outcome.chi2 };
+    let run = Coarse {
+        status: outcome.status,
+        verdict: outcome.judgement.verdict,
+        iterations: outcome.iterations[0],
+        chi2: outcome.chi2,
+    };
     let problems: Vec<&Problem> = all.problems.iter().collect();
     let mut estimates: Vec<&mut Vec<Estimated>> =
         outcome.recordings.iter_mut().map(|one| &mut one.estimates).collect();

@@ -34,6 +34,13 @@ pub(super) fn validate_prescribed(vertex: &Prescribed, path: &str) -> Check {
 fn place(position: &Option<[f64; 3]>, motion: Option<&Motion>, said: Said, path: &str) -> Check {
     // A table of places has always been allowed beside a position.
     let said = said.place && !(position.is_some() && matches!(motion, Some(Motion::Table(_))));
+    if let (None, false, Some(Motion::Table(_))) = (position, said, motion) {
+        let message = format!(
+            "[{path}] needs the key `position`, or motion.values = \"absolute\" where the table has places \
+             and not displacements"
+        );
+        return invalid(path, message);
+    }
     needed("position", position.is_some(), said, path)
 }
 
