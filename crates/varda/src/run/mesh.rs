@@ -53,12 +53,12 @@ pub(super) fn allow(
             Finer::Scene(finer) => scenes.push(finer.as_ref()),
         }
     }
-    if !status.is_settled() || verdict == Verdict::NotConverged {
-        return (without(format!("the minimization ended as {}", status.name())), 0.0);
-    }
-    if !(chi2 <= MOST_CHI2) {
+    if status.is_settled() && !(chi2 <= MOST_CHI2) {
         let reason = format!("2J/m is {chi2:.2}, above {MOST_CHI2}: more than the mesh is wrong");
         return (without(reason), 0.0);
+    }
+    if !status.is_settled() || verdict == Verdict::NotConverged {
+        return (without(format!("the minimization ended as {}", status.name())), 0.0);
     }
     let Some(change) = scenes.first().map(|scene| scene.change) else { return (Vec::new(), 0.0) };
     let began = Instant::now();
