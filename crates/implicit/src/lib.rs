@@ -135,6 +135,7 @@ mod one_leg;
 mod parameters;
 mod parametric_rhs;
 mod rate;
+mod remembered;
 mod rhs;
 #[cfg(feature = "implicit")]
 mod scheme;
@@ -164,6 +165,7 @@ pub use one_leg::{OneLeg, OneLegEquations};
 pub use parameters::{ParameterPlaces, ParametricStep, WithParameters};
 pub use parametric_rhs::{ChosenParameters, Law, ParametricRhs, RhsWithParameters};
 pub use rate::{Rate, VelocityRate};
+pub use remembered::Remembered;
 pub use rhs::Rhs;
 #[cfg(feature = "implicit")]
 pub use scheme::{Scheme, Stage};

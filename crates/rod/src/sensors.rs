@@ -1,7 +1,7 @@
 //! Sensors on a rod that see forces, accelerations and angular rates of one state.
 
 use nalgebra::{Matrix3, Vector3};
-use varda_implicit::{At, ImplicitStep, ObservationOperator, ParametricStep, Refusal};
+use varda_implicit::{At, ImplicitStep, ObservationOperator, ParametricStep, Refusal, Remembered};
 
 use crate::Error;
 use crate::dynamics::RodStep;
@@ -73,22 +73,9 @@ pub struct Sensors {
     parameters: Vec<f64>,
     /// The state a little earlier.
     before: Vec<f64>,
-    /// Rows of H' at states that were asked for, by step, and how many of these there is room for.
-    known: Vec<Known>,
-    room: usize,
+    /// Rows of H', one after the other.
+    known: Remembered,
 }
-
-/// The rows of H' at a state: products come back to the same ones.
-#[derive(Clone, Default)]
-struct Known {
-    time: f64,
-    x: Vec<f64>,
-    parameters: Vec<f64>,
-    rows: Vec<f64>,
-}
-
-/// Bytes of all of them, about; one there is always.
-const KNOWN_BYTES: usize = 8_000_000;
 
 /// Strain rates are differences over this share of the interval; a much smaller one is lost in rounding.
 const SHARE: f64 = 1e-3;
@@ -117,7 +104,6 @@ impl Sensors {
         let sensors_placed = placed.collect::<Result<Vec<_>, _>>()?;
         let rows = sensors.iter().map(Sensor::rows).sum();
         let (state_dim, parameters) = (step.dim(), step.parameters());
-        let one = size_of::<f64>() * ((rows + 1) * state_dim + parameters);
         Ok(Sensors {
             interval,
             sensors: sensors_placed,
@@ -125,8 +111,7 @@ impl Sensors {
             state_dim,
             parameters: vec![0.0; parameters],
             before: vec![0.0; state_dim],
-            known: Vec::new(),
-            room: (KNOWN_BYTES / one).max(1),
+            known: Remembered::new(state_dim, rows * state_dim),
             step,
         })
     }
@@ -142,6 +127,7 @@ impl Sensors {
         if p != self.parameters {
             self.step.set_parameters(p)?;
             self.parameters.copy_from_slice(p);
+            self.known.forget();
         }
         Ok(())
     }
@@ -251,29 +237,21 @@ impl Sensors {
         })
     }
 
-    /// The rows of H' at a state that was observed before, one after the other.
-    fn rows_of(&mut self, at: At, x: &[f64]) -> usize {
-        let slot = at.step % self.room;
-        if self.known.len() <= slot {
-            self.known.resize(slot + 1, Known::default());
-        }
-        let known = &self.known[slot];
-        if known.time == at.time && known.x == x && known.parameters == self.parameters {
-            return slot;
-        }
-        let mut known = std::mem::take(&mut self.known[slot]);
-        known.time = at.time;
-        known.x.clear();
-        known.x.extend_from_slice(x);
-        known.parameters.clone_from(&self.parameters);
-        known.rows.clear();
-        known.rows.resize(self.rows * x.len(), 0.0);
+    /// Calls `act` with the rows of H' at a state that was observed before, one after the other.
+    fn with_rows(&mut self, at: At, x: &[f64], act: impl FnOnce(std::slice::ChunksExact<'_, f64>)) {
+        let mut known = std::mem::take(&mut self.known);
+        act(known.at(at, x, |rows| self.fill_rows(at, x, rows)).chunks_exact(x.len()));
+        self.known = known;
+    }
+
+    /// Fills zeros with these rows.
+    fn fill_rows(&mut self, at: At, x: &[f64], rows: &mut [f64]) {
         let (history, at_rest) = (self.step.repeated(), self.step.is_at_rest);
         let back = if at_rest { 0.0 } else { SHARE * self.interval };
         let mut on_earlier = vec![0.0; x.len()];
         let done = self.with_state(at.time, x, &mut |system, motion, present| {
             let tangent = present.tangent(system, motion, Vec::new());
-            for (row, of) in known.rows.chunks_exact_mut(x.len()).zip(&present.rows()) {
+            for (row, of) in rows.chunks_exact_mut(x.len()).zip(&present.rows()) {
                 if let Placed::Spin(i) = of.sensor {
                     row[*i] += 1.0;
                     continue;
@@ -302,8 +280,6 @@ impl Sensors {
             }
         });
         done.expect("this state was observed before");
-        self.known[slot] = known;
-        slot
     }
 }
 
@@ -504,20 +480,22 @@ impl ObservationOperator for Sensors {
     /// If a slice has the wrong length, or `observe` refuses this state.
     fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
         assert_eq!(dy.len(), self.rows, "a number for every row");
-        let slot = self.rows_of(at, x);
-        for (dy, row) in dy.iter_mut().zip(self.known[slot].rows.chunks_exact(x.len())) {
-            *dy = row.iter().zip(dx).map(|(row, dx)| row * dx).sum();
-        }
+        self.with_rows(at, x, |rows| {
+            for (dy, row) in dy.iter_mut().zip(rows) {
+                *dy = row.iter().zip(dx).map(|(row, dx)| row * dx).sum();
+            }
+        });
     }
 
     /// # Panics
     /// If a slice has the wrong length, or `observe` refuses this state.
     fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
         assert_eq!(dy.len(), self.rows, "a number for every row");
-        let slot = self.rows_of(at, x);
-        for (dy, row) in dy.iter().zip(self.known[slot].rows.chunks_exact(x.len())) {
-            dx.iter_mut().zip(row).for_each(|(dx, row)| *dx += dy * row);
-        }
+        self.with_rows(at, x, |rows| {
+            for (dy, row) in dy.iter().zip(rows) {
+                dx.iter_mut().zip(row).for_each(|(dx, row)| *dx += dy * row);
+            }
+        });
     }
 }
 

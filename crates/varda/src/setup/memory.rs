@@ -7,7 +7,7 @@
 
 use varda_covariance::Taper;
 use varda_implicit::line::Ends;
-use varda_implicit::{Footprint, Storage};
+use varda_implicit::{Footprint, Remembered, Storage};
 
 use super::finer::{Finer, finer};
 use super::inputs::Inputs;
@@ -56,7 +56,7 @@ const TEXT: usize = 20;
 const COPIES_OF_NETCDF: usize = 4;
 
 /// The most that is kept of rows of H' of sensors, and of their columns of constants, in bytes.
-const OF_SENSORS: usize = 16_000_000;
+const OF_SENSORS: usize = 2 * Remembered::BYTES;
 
 /// What is kept of an observed value beside the linear algebra, in bytes: value, σ, place, label,
 /// departures, both predictions and the row of its table.

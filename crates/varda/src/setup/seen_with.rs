@@ -1,7 +1,7 @@
 //! What is observed of a state with unknown constants in it.
 
 use varda_assimilation::{LinearObservation, ObservationOperator, Selection};
-use varda_implicit::{At, ParameterPlaces, Refusal};
+use varda_implicit::{At, ParameterPlaces, Refusal, Remembered};
 use varda_rod::rotation::{exponential, left_jacobian, left_jacobian_derivative};
 use varda_rod::{Marker, Markers, Sensors, Vector3};
 
@@ -130,28 +130,15 @@ struct Second {
 struct Moving {
     /// Which.
     constants: Vec<usize>,
-    /// Their columns at states that were asked for, by step.
-    known: Vec<Known>,
-    /// How many of these there is room for.
-    room: usize,
+    /// Their columns.
+    columns: Remembered,
 }
-
-/// Columns at a state: products come back to the same ones.
-#[derive(Clone, Default)]
-struct Known {
-    time: f64,
-    x: Vec<f64>,
-    columns: Vec<f64>,
-}
-
-/// Bytes of all of them, about; one there is always.
-const KNOWN_BYTES: usize = 8_000_000;
 
 impl Moving {
     /// Of observations with so many rows of a state with so many numbers.
     fn of(constants: Vec<usize>, rows: usize, state: usize) -> Moving {
-        let one = size_of::<f64>() * (constants.len() * rows + state);
-        Moving { constants, known: Vec::new(), room: (KNOWN_BYTES / one.max(1)).max(1) }
+        let columns = Remembered::new(state, constants.len() * rows);
+        Moving { constants, columns }
     }
 
     /// The columns at a state, and the constant of each; `find` computes them where they are not known.
@@ -162,19 +149,8 @@ impl Moving {
         rows: usize,
         find: impl FnOnce(&mut [f64]),
     ) -> impl Iterator<Item = (usize, &[f64])> {
-        let slot = at.step % self.room;
-        if self.known.len() <= slot {
-            self.known.resize(slot + 1, Known::default());
-        }
-        let known = &mut self.known[slot];
-        if !(known.time == at.time && known.x == x) {
-            known.columns.resize(self.constants.len() * rows, 0.0);
-            find(&mut known.columns);
-            known.x.clear();
-            known.x.extend_from_slice(x);
-            known.time = at.time;
-        }
-        self.constants.iter().copied().zip(known.columns.chunks_exact(rows.max(1)))
+        let columns = self.columns.at(at, x, find);
+        self.constants.iter().copied().zip(columns.chunks_exact(rows.max(1)))
     }
 }
 
