@@ -83,7 +83,7 @@ proptest! {
             prop_assert!((x[i] - reference[(i, 0)]).abs() <= 1e-13);
         }
 
-        // right-hand sides at once are as many solves, and no column sees the others
+        // right-hand sides at once are as many solves, bit by bit, and no column sees the others
         let scale: [f64; BLOCK] = std::array::from_fn(|c| 1.0 - 2.0 * c as f64);
         let mut block: Vec<[f64; BLOCK]> = b.iter().map(|b| scale.map(|s| s * b)).collect();
         let first = |b: &f64| scale.map(|s| if s == 1.0 { *b } else { 0.0 });
@@ -95,6 +95,7 @@ proptest! {
                 prop_assert!((v - s * x[i]).abs() <= 1e-14 * s.abs());
             }
             prop_assert_eq!(block[i][0].to_bits(), alone[i][0].to_bits());
+            prop_assert_eq!(block[i][0].to_bits(), x[i].to_bits());
         }
 
         let mut z = vec![0.0; n];

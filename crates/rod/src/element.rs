@@ -41,6 +41,29 @@ pub(crate) fn stretch<T: Real>(edge: &Edge<T>, rest: T, ea: T) -> (T, T, Matrix3
     (T::of(0.5) * k * d * d, s, hessian)
 }
 
+/// The Hessian of an edge with respect to both its vertices, `second` the place of the second one; an angle
+/// between is zero.
+pub(crate) fn edge_hessian<const N: usize>(h: &Matrix3<f64>, second: usize) -> [[f64; N]; N] {
+    let mut out = [[0.0; N]; N];
+    add_edge_hessian(&mut out, [0, second], h);
+    out
+}
+
+/// Adds that Hessian to an element in which the vertices of the edge have the places `first` and `second`.
+pub(crate) fn add_edge_hessian<const N: usize>(
+    out: &mut [[f64; N]; N],
+    [first, second]: [usize; 2],
+    h: &Matrix3<f64>,
+) {
+    for i in 0..3 {
+        for j in 0..3 {
+            out[first + i][first + j] += h[(i, j)];
+            out[second + i][second + j] += h[(i, j)];
+            out[second + i][first + j] -= h[(i, j)];
+        }
+    }
+}
+
 /// Bending of an isotropic, naturally straight vertex without frames,
 ///
 /// ```text

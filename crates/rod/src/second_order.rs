@@ -27,7 +27,7 @@ use crate::element::{self, Directors, LOCAL, STRAINS, Stiffness, Strains};
 use crate::geometry::{Edge, Turn};
 use crate::layout::{Band, Layout};
 use crate::shape::{FirstFrame, Shape};
-use crate::system::{System, edge_hessian};
+use crate::system::System;
 
 /// An edge moved by ε μ.
 #[derive(Clone, Copy)]
@@ -90,9 +90,9 @@ impl System {
             let h = h.map(|h| h.eps);
             let first = layout.vertex(e);
             if layout.twist {
-                Band { layout, values: band }.add(first, &edge_hessian::<7>(&h, 4));
+                Band { layout, values: band }.add(first, &element::edge_hessian::<7>(&h, 4));
             } else {
-                Band { layout, values: band }.add(first, &edge_hessian::<6>(&h, 3));
+                Band { layout, values: band }.add(first, &element::edge_hessian::<6>(&h, 3));
             }
             let kept = strains.as_deref_mut().map(|all| &mut all[STRAINS * e..STRAINS * (e + 1)]);
             let mut kept = kept;
@@ -232,9 +232,9 @@ impl System {
             let h =
                 (nalgebra::Matrix3::identity() - crate::geometry::outer(&edge.t, &edge.t)) * (along / edge.l);
             if layout.twist {
-                Band { layout, values: band }.add(layout.vertex(e), &edge_hessian::<7>(&h, 4));
+                Band { layout, values: band }.add(layout.vertex(e), &element::edge_hessian::<7>(&h, 4));
             } else {
-                Band { layout, values: band }.add(layout.vertex(e), &edge_hessian::<6>(&h, 3));
+                Band { layout, values: band }.add(layout.vertex(e), &element::edge_hessian::<6>(&h, 3));
             }
             if !layout.bending || e == 0 {
                 continue;

@@ -1,6 +1,6 @@
 //! One rod with its supports and loads: places the prescribed parts, sums the elements.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use varda_implicit::Structure;
 
 use crate::Error;
@@ -286,8 +286,8 @@ impl System {
         let System { layout, shape, gradient, stretch, bend, .. } = self;
         gradient.fill(0.0);
         let mut energy = 0.0;
-        for (e, edge) in shape.edges.iter().enumerate() {
-            let (k, rest) = stretch[e];
+        let mut stretch_of = |e: usize, gradient: &mut [f64]| {
+            let (edge, (k, rest)) = (&shape.edges[e], stretch[e]);
             let (value, force, h) = element::stretch(edge, rest, k);
             energy += value;
             let (a, b) = (layout.vertex(e), layout.vertex(e + 1));
@@ -295,40 +295,49 @@ impl System {
                 gradient[a + c] -= force * edge.t[c];
                 gradient[b + c] += force * edge.t[c];
             }
+            h
+        };
+        // with bending the Hessian of an edge goes with the element at the vertex before it
+        for e in 0..if layout.bending { 1 } else { layout.segments } {
+            let h = stretch_of(e, gradient);
             if let Some(values) = jacobian.as_deref_mut() {
                 let mut band = Band { layout, values };
                 if layout.twist {
-                    band.add(a, &edge_hessian::<7>(&h, 4))
+                    band.add(layout.vertex(e), &element::edge_hessian::<7>(&h, 4))
                 } else {
-                    band.add(a, &edge_hessian::<6>(&h, 3))
+                    band.add(layout.vertex(e), &element::edge_hessian::<6>(&h, 3))
                 }
             }
         }
         if !layout.bending {
             return energy;
         }
+        let mut bending = 0.0;
         for i in 1..layout.segments {
             let (a, b, turn, k) = (&shape.edges[i - 1], &shape.edges[i], shape.turn(i), &bend[i - 1]);
             let first = layout.vertex(i - 1);
+            let h = stretch_of(i, gradient);
             if layout.twist {
                 let m = shape.directors(i);
                 let strains = shape.strains(i);
-                let el = element::bend_twist(a, b, turn, &m, &strains, k);
-                energy += el.energy;
+                let mut el = element::bend_twist(a, b, turn, &m, &strains, k);
+                bending += el.energy;
                 add(&mut gradient[first..], &el.gradient);
                 if let Some(values) = jacobian.as_deref_mut() {
+                    element::add_edge_hessian(&mut el.hessian, [4, 8], &h);
                     Band { layout, values }.add(first, &el.hessian);
                 }
             } else {
-                let el = element::isotropic_bend(a, b, turn, k.bend[0]);
-                energy += el.energy;
+                let mut el = element::isotropic_bend(a, b, turn, k.bend[0]);
+                bending += el.energy;
                 add(&mut gradient[first..], &el.gradient);
                 if let Some(values) = jacobian.as_deref_mut() {
+                    element::add_edge_hessian(&mut el.hessian, [3, 6], &h);
                     Band { layout, values }.add(first, &el.hessian);
                 }
             }
         }
-        energy
+        energy + bending
     }
 
     /// Elastic energy of bending and twisting of the present shape.
@@ -578,20 +587,4 @@ fn add(target: &mut [f64], values: &[f64]) {
     for (t, v) in target.iter_mut().zip(values) {
         *t += v;
     }
-}
-
-/// The Hessian of an edge with respect to both its vertices, `second` the place of the second one; an angle
-/// between is zero.
-pub(crate) fn edge_hessian<const N: usize>(h: &Matrix3<f64>, second: usize) -> [[f64; N]; N] {
-    let mut out = [[0.0; N]; N];
-    for i in 0..3 {
-        for j in 0..3 {
-            if j <= i {
-                out[i][j] = h[(i, j)];
-                out[second + i][second + j] = h[(i, j)];
-            }
-            out[second + i][j] = -h[(i, j)];
-        }
-    }
-    out
 }

@@ -52,23 +52,19 @@ pub fn ldlt_factor(w: usize, a: &mut [f64]) -> Result<usize, BadPivot> {
 /// If the length of `a` is not w + 1 times that of `b`.
 pub fn ldlt_solve(w: usize, a: &[f64], b: &mut [f64]) {
     assert_eq!(a.len(), b.len() * (w + 1), "factor and right-hand side differ in size");
-    let s = w + 1;
-    for i in 0..b.len() {
-        let reach = i.min(w);
-        let dot: f64 = a[i * s + w - reach..i * s + w].iter().zip(&b[i - reach..i]).map(|(l, y)| l * y).sum();
-        b[i] -= dot;
+    match w {
+        5 => ldlt_solve_fixed::<5>(a, b),
+        8 => ldlt_solve_fixed::<8>(a, b),
+        10 => ldlt_solve_fixed::<10>(a, b),
+        _ => ldlt_solve_any(w, a, b),
     }
-    for (row, y) in a.chunks_exact(s).zip(b.iter_mut()) {
-        *y *= row[w];
-    }
-    back_substitute(w, a, b);
 }
 
 /// Right-hand sides that [`ldlt_solve_block`] takes at once: enough to fill the registers of a processor.
 pub const BLOCK: usize = 16;
 
 /// B ← A⁻¹ B for a block of right-hand sides with the factor of [`ldlt_factor`]; B is n rows: entry (i,
-/// c) is `b[i][c]`. A column's bits do not depend on the others.
+/// c) is `b[i][c]`. The bits of a column are those of [`ldlt_solve`].
 ///
 /// # Panics
 /// If the length of `a` is not w + 1 times the number of rows of `b`.
@@ -109,7 +105,7 @@ fn solve_block(w: usize, a: &[f64], b: &mut [[f64; BLOCK]]) {
         let mut row = b[i].map(|y| y * a[i * s + w]);
         let reach = (n - 1 - i).min(w);
         // l_{i+d,i} lies d w after the diagonal of row i
-        for d in 1..=reach {
+        for d in (1..=reach).rev() {
             subtract(&mut row, a[i * s + w + d * w], &b[i + d]);
         }
         b[i] = row;
@@ -231,7 +227,65 @@ fn ldlt_factor_any(w: usize, a: &mut [f64]) -> Result<usize, BadPivot> {
     Ok(negative)
 }
 
-/// b ← L⁻ᵀ b.
+/// Row by row; every number takes its terms one after the other, that of the nearest row last.
+fn ldlt_solve_any(w: usize, a: &[f64], b: &mut [f64]) {
+    let s = w + 1;
+    for i in 0..b.len() {
+        let reach = i.min(w);
+        let l = &a[i * s + w - reach..i * s + w];
+        b[i] = l.iter().zip(&b[i - reach..i]).fold(b[i], |x, (l, y)| x - l * y);
+    }
+    for (row, y) in a.chunks_exact(s).zip(b.iter_mut()) {
+        *y *= row[w];
+    }
+    back_substitute(w, a, b);
+}
+
+/// The same sums, those of the next W rows in registers: a number that is found goes to all that wait for it,
+/// and a row waits for one product and one difference.
+fn ldlt_solve_fixed<const W: usize>(a: &[f64], b: &mut [f64]) {
+    let (n, s) = (b.len(), W + 1);
+    if n <= W {
+        return ldlt_solve_any(W, a, b);
+    }
+    // sums[d] of row i + d
+    let mut sums: [f64; W] = std::array::from_fn(|d| b[d]);
+    for i in 0..n - W {
+        let x = sums[0];
+        // l_{i+d,i} lies d W after the diagonal of row i
+        let column = &a[i * s + W..i * s + W + W * W + 1];
+        for d in 1..W {
+            sums[d - 1] = sums[d] - column[d * W] * x;
+        }
+        sums[W - 1] = b[i + W] - column[W * W] * x;
+        b[i] = x * column[0];
+    }
+    b[n - W..].copy_from_slice(&sums);
+    for i in n - W..n {
+        let x = b[i];
+        for d in 1..n - i {
+            b[i + d] -= a[i * s + W + d * W] * x;
+        }
+        b[i] = x * a[i * s + W];
+    }
+    // sums[d] of row i − d
+    let mut sums: [f64; W] = std::array::from_fn(|d| b[n - 1 - d]);
+    for i in (W..n).rev() {
+        let x = sums[0];
+        let row = &a[i * s..i * s + W];
+        for d in 1..W {
+            sums[d - 1] = sums[d] - row[W - d] * x;
+        }
+        sums[W - 1] = b[i - W] - row[0] * x;
+        b[i] = x;
+    }
+    for d in 0..W {
+        b[W - 1 - d] = sums[d];
+    }
+    back_substitute(W, a, &mut b[..W]);
+}
+
+/// b ← L⁻ᵀ b for the first rows of L, as many as b has.
 fn back_substitute(w: usize, a: &[f64], b: &mut [f64]) {
     let s = w + 1;
     for i in (0..b.len()).rev() {
