@@ -103,6 +103,7 @@ mod full_rank;
 mod further;
 mod growth;
 mod inner;
+mod interval;
 mod lanczos_space;
 mod minimize;
 mod noise;

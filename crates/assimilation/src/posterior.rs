@@ -227,6 +227,11 @@ impl Posterior {
         &self.eigenvalues
     }
 
+    /// The columns of a square root of P_v.
+    pub(crate) fn columns(&self) -> impl Iterator<Item = &[f64]> {
+        self.root.chunks_exact(self.eigenvalues.len().max(1))
+    }
+
     /// Degrees of freedom for signal, tr(I − A⁻¹) = Σ (1 − 1/μ): how many directions the
     /// observations determine.
     pub fn degrees_of_freedom(&self) -> f64 {

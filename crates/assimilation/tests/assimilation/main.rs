@@ -18,6 +18,7 @@ mod family;
 mod fixtures;
 mod growth;
 mod honest;
+mod intervals;
 mod matrix;
 mod minima;
 mod minimizers;

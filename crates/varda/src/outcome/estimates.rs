@@ -31,7 +31,8 @@ pub struct Estimated {
     /// What half the step and twice the segments say of the mesh's error of `value`; `null` in twins, and
     /// where it was not computed.
     pub mesh: Option<f64>,
-    /// Ends of the interval that holds the constant with 95 %, where its prior is normal or log-normal.
+    /// Ends of the interval that holds the constant with 95 %: by J along it where it was followed (up to 16
+    /// constants, strong constraint), else by σ of a normal or log-normal constant.
     pub interval: Option<[f64; 2]>,
     /// Whether the observations say more of it than the prior: σ_a ≤ 0.9 σ_b; `null` without a posterior.
     pub identifiable: Option<bool>,

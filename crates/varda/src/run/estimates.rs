@@ -5,18 +5,20 @@ use varda_assimilation::Analysis;
 use crate::outcome::{Estimated, IDENTIFIABLE};
 use crate::setup::Problem;
 use crate::setup::estimate::Constant;
+use crate::solve::PosteriorSpread;
 
 /// 95 % of a normal distribution are within so many σ.
 pub(super) const INTERVAL: f64 = 1.959963984540054;
 
-/// Estimates of an analysis whose posterior has this root, by columns of the length of the control; no root
-/// where there is none, and then `has_posterior` says whether its σ are known all the same.
+/// Estimates of an analysis with this posterior.
 pub(super) fn estimated(
     problem: &Problem,
     analysis: &Analysis,
-    has_posterior: bool,
-    root: &[f64],
+    posterior: Option<&PosteriorSpread>,
 ) -> Vec<Estimated> {
+    let root = posterior.map_or(&[][..], |posterior| &posterior.root);
+    let profiles = posterior.map_or(&[][..], |posterior| &posterior.intervals);
+    let profiled = problem.single_constants();
     let estimates = problem.system.estimates();
     let constants = &estimates.constants;
     let n = analysis.analysis.len();
@@ -26,7 +28,8 @@ pub(super) fn estimated(
     let estimate = |i: usize| {
         let (constant, p) = (&constants[i], analysis.analysis[first + i]);
         let prior = analysis.background[first + i];
-        let sigma_p = has_posterior.then(|| analysis.sigma_analysis[first + i]);
+        let sigma_p = posterior.map(|_| analysis.sigma_analysis[first + i]);
+        let profile = profiled.iter().zip(profiles).find(|(at, _)| **at == first + i).map(|(_, ends)| *ends);
         let correlation = |j: usize| {
             let size = (product(i, i) * product(j, j)).sqrt();
             if size > 0.0 { product(i, j) / size } else { 0.0 }
@@ -41,7 +44,10 @@ pub(super) fn estimated(
             sigma: sigma_p.map(|s| constant.sigma_at(p, s)),
             sigma_on_mesh: sigma_p.map(|s| constant.sigma_at(p, s)),
             mesh: None,
-            interval: sigma_p.map(|s| [constant.at(p - INTERVAL * s), constant.at(p + INTERVAL * s)]),
+            interval: sigma_p.map(|s| {
+                let ends = profile.unwrap_or([-INTERVAL * s, INTERVAL * s]);
+                ends.map(|end| constant.at(p + end))
+            }),
             identifiable: sigma_p.map(|s| s <= IDENTIFIABLE * constant.sigma),
             truth: problem.truth.as_ref().map(|truth| constant.at(truth[first + i])),
             correlations: if root.is_empty() {
@@ -62,6 +68,9 @@ impl Estimated {
         let sigma = of_observations / constant.sigma_at(p, 1.0);
         let sigma = sigma.hypot(error);
         self.sigma = Some(constant.sigma_at(p, sigma));
-        self.interval = Some([constant.at(p - INTERVAL * sigma), constant.at(p + INTERVAL * sigma)]);
+        self.interval = self.interval.map(|ends| {
+            let [low, high] = ends.map(|end| (constant.number_of(end) - p).abs().hypot(INTERVAL * error));
+            [constant.at(p - low), constant.at(p + high)]
+        });
     }
 }

@@ -80,6 +80,7 @@ fn minimized(all: &Recordings, listener: &mut Listener) -> Result<JointOutcome, 
             background: &problem.background,
             covariance: &problem.covariance,
             shared: shared.iter().map(|i| constants - 1 - i).collect(),
+            constants: problem.single_constants(),
             memory: problem.memory,
         });
     }

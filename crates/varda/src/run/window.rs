@@ -99,6 +99,7 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
     let mut model = problem.model();
     let mut timed = Timed::new(model.as_mut(), &clock);
     let make_timed = || -> Box<dyn Model + Send> { Box::new(Timed::new(problem.model(), &clock)) };
+    let constants = problem.single_constants();
     let mut task = Task {
         algorithm: scene.algorithm.clone(),
         model: &mut timed,
@@ -108,6 +109,7 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
         model_error: problem.model_error.as_ref(),
         ensemble: problem.ensemble.as_ref(),
         anchors: &problem.anchors,
+        constants: &constants,
         posterior: scene.report.posterior,
         memory: problem.memory,
         refresh: &mut |control| {
@@ -264,7 +266,7 @@ pub(super) fn described(problem: &Problem, ended: Ended, listener: &Listener) ->
     let mut shapes = shapes::with_observations(problem, &trajectories)?;
     let rejected = rejected(experiment, &solution.rejected);
     let root = solution.spread.as_ref().map_or(&[][..], |spread| &spread.root);
-    let estimates = estimates::estimated(problem, &analysis, solution.spread.is_some(), root);
+    let estimates = estimates::estimated(problem, &analysis, solution.spread.as_ref());
     let shares = match ended.is_one_of_several {
         true => shares::of_one_of_several(
             &analysis,

@@ -32,6 +32,9 @@ pub struct Estimates {
     fields: Vec<(std::ops::Range<usize>, Vec<f64>, f64)>,
 }
 
+/// Most constants whose intervals are those of J along each: one takes some seven gradients.
+const MOST_PROFILED: usize = 16;
+
 /// Constants of the observations, by the place of their first number among all.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Seeing {
@@ -356,6 +359,13 @@ impl Estimates {
     pub(crate) fn arc_length(&self, i: usize) -> Option<f64> {
         let (range, places, _) = self.fields.iter().find(|field| field.0.contains(&i))?;
         Some(places[i - range.start])
+    }
+
+    /// Which of them are numbers of their own, of no field and of no error in time; none where they are many.
+    pub(crate) fn single(&self) -> Vec<usize> {
+        let is_single = |i: &usize| self.arc_length(*i).is_none() && !self.constants[*i].is_of_input();
+        let all: Vec<usize> = (0..self.len()).filter(is_single).collect();
+        if all.len() > MOST_PROFILED { Vec::new() } else { all }
     }
 
     /// The covariance of their prior.

@@ -58,6 +58,13 @@ pub struct Problem {
 }
 
 impl Problem {
+    /// Components of the control that are constants of their own, where they are few.
+    pub(crate) fn single_constants(&self) -> Vec<usize> {
+        let estimates = self.system.estimates();
+        let first = self.background.len() - estimates.len();
+        estimates.single().iter().map(|i| first + i).collect()
+    }
+
     /// The problem that a scene describes; of its first window, where it has `[algorithm.cycles]`. Runs the
     /// truth up to the last observation where there is one.
     ///

@@ -70,6 +70,7 @@ impl Task<'_> {
                 with_errors: None,
                 degrees_of_freedom,
                 error_bound: None,
+                intervals: Vec::new(),
             })
         } else {
             None

@@ -2,6 +2,7 @@
 
 use varda_assimilation::{ControlTransform, Error, LeastSquares, LowRankPosterior, Posterior};
 
+use super::intervals;
 use super::task::{PosteriorSpread, low_rank_options};
 use crate::outcome::ExactHessian;
 use crate::setup::random::{Stream, stream};
@@ -48,12 +49,17 @@ pub(super) fn spread(
     cost: &mut dyn LeastSquares,
     transform: &ControlTransform,
     v: &[f64],
+    constants: &[usize],
 ) -> Result<(Option<PosteriorSpread>, Option<Error>, ExactHessian), Error> {
     let gauss_newton = Posterior::new(cost);
     let exact = match Posterior::exact(cost) {
         Ok(exact) => exact,
         Err(Error::NotPositiveDefinite { smallest }) => {
-            let (spread, no_spread) = PosteriorSpread::of(gauss_newton, transform, true)?;
+            let (spread, no_spread) = match gauss_newton {
+                Ok(posterior) => (Some(PosteriorSpread::around(&posterior, transform, true)), None),
+                Err(reason @ Error::NotPositiveDefinite { .. }) => (None, Some(reason)),
+                Err(error) => return Err(error),
+            };
             return Ok((spread, no_spread, ExactHessian { smallest_eigenvalue: Some(smallest), ..NONE }));
         }
         Err(error) => return Err(error),
@@ -69,5 +75,5 @@ pub(super) fn spread(
         draws: DRAWS,
         effective_share: Some(share),
     };
-    Ok((Some(PosteriorSpread::around(&exact, transform, true)), None, found))
+    Ok((Some(intervals::spread(&exact, cost, transform, v, constants)?), None, found))
 }

@@ -9,6 +9,7 @@ use varda_assimilation::{
 use varda_covariance::Diagonal;
 use varda_implicit::Model;
 
+use super::intervals::Found;
 use super::minimizer;
 use super::task::{PosteriorSpread, Solution, deviations, is_whole};
 use crate::outcome::WorkCounts;
@@ -23,6 +24,8 @@ pub(crate) struct JointPart<'a> {
     pub(crate) covariance: &'a Factored,
     /// Which numbers of its control are those of all, counted from the last backwards: 0 is the last.
     pub(crate) shared: Vec<usize>,
+    /// Components of its control whose 95 % intervals are wanted.
+    pub(crate) constants: Vec<usize>,
     /// Most bytes for its states and linearizations.
     pub(crate) memory: usize,
 }
@@ -59,6 +62,7 @@ pub(crate) fn joint(
 ) -> Result<JointSolution, Error> {
     let (mut costs, mut transforms, mut shared, mut sigmas) =
         (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut constants = Vec::new();
     for part in parts {
         let transform = ControlTransform::new(part.background.to_vec(), part.covariance.as_ref())?;
         let mut cost = StrongConstraint::new(part.model, transform.clone(), part.observations)?;
@@ -71,6 +75,7 @@ pub(crate) fn joint(
         shared.push(part.shared.iter().map(|back| last - 1 - back).collect::<Vec<usize>>());
         sigmas.push(deviations(part.covariance.as_ref()));
         transforms.push(transform);
+        constants.push(part.constants);
         costs.push(cost);
     }
     let mut all = Joint::new(costs.iter_mut().map(|cost| cost as &mut dyn LeastSquares).collect(), &shared)?;
@@ -89,6 +94,14 @@ pub(crate) fn joint(
             Ok(found) => whole = Some(found),
             Err(reason @ Error::NotPositiveDefinite { .. }) => no_spread = Some(reason),
             Err(error) => return Err(error),
+        }
+    }
+    let mut intervals = vec![Vec::new(); count];
+    if let Some(whole) = whole.as_ref().filter(|_| algorithm.method != Method::Blue) {
+        let mut found = Found::default();
+        for (r, intervals) in intervals.iter_mut().enumerate() {
+            let of = (&transforms[r], &places[r][..]);
+            *intervals = found.of(whole, &mut all, &v, of, &constants[r])?;
         }
     }
     let at_linearized: Vec<_> = (0..count).map(|r| all.terms_of(r)).collect();
@@ -110,6 +123,7 @@ pub(crate) fn joint(
                 let marginal = whole.marginal(places)?;
                 let mut spread = PosteriorSpread::around(&marginal, transform, true);
                 spread.degrees_of_freedom = signal(&mut cost, &marginal)?;
+                spread.intervals = std::mem::take(&mut intervals[r]);
                 Some(spread)
             }
             None => None,

@@ -3,6 +3,7 @@
 
 mod ensemble;
 mod exact_hessian;
+mod intervals;
 pub(crate) mod joint;
 pub mod minimizer;
 mod strong;

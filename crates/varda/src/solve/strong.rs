@@ -6,7 +6,7 @@ use varda_assimilation::{
 use varda_implicit::Model;
 
 use super::task::{Iterate, PosteriorSpread, SubWindow, SubWindowEnd, Task, deviations, is_whole};
-use super::{exact_hessian, minimizer};
+use super::{exact_hessian, intervals, minimizer};
 use crate::outcome::WorkCounts;
 use crate::scene::{Hessian, Method};
 use crate::setup::memory::is_low_rank;
@@ -69,7 +69,9 @@ impl Task<'_> {
             let mut exact = None;
             let (spread, no_spread) = if posterior && is_whole(minimum.status) {
                 // BLUE's covariance is (I + GᵀG)⁻¹ with the linearization at the background.
-                let linearized = if algorithm.method == Method::Blue { &start } else { &*v };
+                let is_linear = algorithm.method == Method::Blue;
+                let linearized = if is_linear { &start } else { &*v };
+                let constants = if is_linear { &[] } else { self.constants };
                 cost.evaluate(linearized, Some(&mut vec![0.0; v.len()]))?;
                 match (is_low_rank(algorithm.method, v.len()), algorithm.hessian) {
                     (true, Hessian::GaussNewton) => {
@@ -80,11 +82,17 @@ impl Task<'_> {
                         exact = Some(found);
                         (Some(spread), None)
                     }
-                    (false, Hessian::GaussNewton) => {
-                        PosteriorSpread::of(Posterior::new(&mut cost), &transform, true)?
-                    }
+                    (false, Hessian::GaussNewton) => match Posterior::new(&mut cost) {
+                        Ok(posterior) => {
+                            let of = intervals::spread(&posterior, &mut cost, &transform, v, constants)?;
+                            (Some(of), None)
+                        }
+                        Err(reason @ Error::NotPositiveDefinite { .. }) => (None, Some(reason)),
+                        Err(error) => return Err(error),
+                    },
                     (false, Hessian::Exact) => {
-                        let (spread, no_spread, found) = exact_hessian::spread(&mut cost, &transform, v)?;
+                        let (spread, no_spread, found) =
+                            exact_hessian::spread(&mut cost, &transform, v, constants)?;
                         exact = Some(found);
                         (spread, no_spread)
                     }

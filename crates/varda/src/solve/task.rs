@@ -31,6 +31,8 @@ pub(crate) struct Task<'a> {
     pub(crate) anchors: &'a [usize],
     /// Whether to compute σ of the analysis.
     pub(crate) posterior: bool,
+    /// Components of the control whose 95 % intervals are wanted beside σ (strong constraint, dense posterior).
+    pub(crate) constants: &'a [usize],
     /// Most bytes for the states and linearizations of a window (strong constraint).
     pub(crate) memory: usize,
     /// Gives another model of the same control if the present one is not accurate enough along this analysis
@@ -84,6 +86,9 @@ pub(crate) struct PosteriorSpread {
     pub(crate) degrees_of_freedom: f64,
     /// Of one of low rank: what its variances may be off by, as a fraction of the background's.
     pub(crate) error_bound: Option<f64>,
+    /// Ends of 95 % intervals of the constants that the task names, less the analysis; empty where they are
+    /// the Gaussian's.
+    pub(crate) intervals: Vec<[f64; 2]>,
 }
 
 /// An iterate, for a row of the convergence table.
@@ -145,20 +150,6 @@ pub(crate) fn forcing(error: Option<&ModelError>, n: usize) -> Forcing {
 }
 
 impl PosteriorSpread {
-    /// The spread of a posterior; only the reason, if its Hessian is indefinite by rounding, as over a window
-    /// that amplifies too much.
-    pub(super) fn of(
-        posterior: Result<Posterior, Error>,
-        transform: &ControlTransform,
-        keep_root: bool,
-    ) -> Result<(Option<PosteriorSpread>, Option<Error>), Error> {
-        match posterior {
-            Ok(posterior) => Ok((Some(PosteriorSpread::around(&posterior, transform, keep_root)), None)),
-            Err(reason @ Error::NotPositiveDefinite { .. }) => Ok((None, Some(reason))),
-            Err(error) => Err(error),
-        }
-    }
-
     pub(super) fn around(
         posterior: &Posterior,
         transform: &ControlTransform,
@@ -170,6 +161,7 @@ impl PosteriorSpread {
             with_errors: None,
             degrees_of_freedom: posterior.degrees_of_freedom(),
             error_bound: None,
+            intervals: Vec::new(),
         }
     }
 }
@@ -196,6 +188,7 @@ impl PosteriorSpread {
             with_errors: None,
             degrees_of_freedom: posterior.degrees_of_freedom(),
             error_bound: posterior.error_bound(),
+            intervals: Vec::new(),
         }
     }
 
