@@ -8,7 +8,7 @@ use super::style;
 use crate::Error;
 use crate::preview::enough_segments;
 use crate::scene::{STARTER, Scene, SceneFile, Shipped, shipped_data, shipped_scene};
-use crate::setup::recording_scene::scene_of_recording;
+use crate::setup::shape_scene::scene_of_file;
 
 /// The schema beside a scene, which its first line names: editors complete and check keys by it.
 const SCHEMA: &str = "varda-schema.json";
@@ -37,7 +37,7 @@ pub(super) fn new(name: &str, from: From) -> Result<(), Error> {
             let read = |reason| Error::Read { place: place(), path: file.clone(), reason };
             let text = String::from_utf8(super::bytes_of(&file).map_err(read)?)
                 .map_err(|e| read(std::io::Error::new(std::io::ErrorKind::InvalidData, e)))?;
-            with_enough_segments(&path, scene_of_recording(&seen_from(&file, &path), &text)?)
+            with_enough_segments(&path, scene_of_file(&seen_from(&file, &path), &text)?)
         }
         From::Shipped(scene) => {
             let shipped = shipped_scene(&scene)?;

@@ -164,6 +164,13 @@ pub fn has_column(text: &str, name: &str) -> bool {
     header.split(delimiter).any(|column| column.trim_start_matches('\u{feff}').trim() == name)
 }
 
+/// Whether the header has places and no times, in whatever units.
+pub fn is_shape(text: &str) -> bool {
+    let (header, delimiter) = header(text);
+    let mut columns = header.split(delimiter).map(|column| column.trim_start_matches('\u{feff}').trim());
+    columns.clone().any(|column| column.starts_with("x_")) && !columns.any(|c| c.starts_with("time"))
+}
+
 /// The line of the header, and what parts its columns.
 fn header(text: &str) -> (&str, char) {
     let line = text.lines().find(|l| !l.is_empty() && !l.starts_with('#')).unwrap_or("");
@@ -247,7 +254,11 @@ impl<'a> Table<'a> {
         if self.has(name) {
             Ok(())
         } else {
-            Err(self.bad(1, format!("no column {name:?}; expected the header {expected}")))
+            let aside = match name {
+                "x_m" | "y_m" | "z_m" => ". A coordinate that was not seen is a column of empty cells",
+                _ => "",
+            };
+            Err(self.bad(1, format!("no column {name:?}; expected the header {expected}{aside}")))
         }
     }
 

@@ -31,13 +31,14 @@ mod reachable;
 mod readings;
 mod recorded_rows;
 mod recording;
-pub mod recording_scene;
+mod recording_scene;
 pub mod recordings;
 pub mod rod;
 pub mod rod_model;
 pub mod rod_observations;
 pub mod runs;
 mod seen_with;
+pub mod shape_scene;
 mod stacked;
 pub mod system;
 

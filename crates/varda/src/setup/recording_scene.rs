@@ -52,7 +52,7 @@ const NEAR: usize = 9;
 ///
 /// # Errors
 /// [`Error::Data`] for a file that is no recording of points in space, or has fewer than four frames.
-pub fn scene_of_recording(file: &str, text: &str) -> Result<String, Error> {
+pub(super) fn scene_of_recording(file: &str, text: &str) -> Result<String, Error> {
     let rows = csv::observations(file, text)?;
     let recording = Recorded::of(&rows);
     if recording.tracks.iter().all(|t| t.seen.len() < 4) {
@@ -63,15 +63,15 @@ pub fn scene_of_recording(file: &str, text: &str) -> Result<String, Error> {
 }
 
 /// A marker or point through time.
-struct Track {
-    name: Option<String>,
-    arc_length: f64,
+pub(super) struct Track {
+    pub(super) name: Option<String>,
+    pub(super) arc_length: f64,
     /// Times \[s\] and whole places \[m\], in the order of time.
     seen: Vec<(f64, V)>,
 }
 
 impl Track {
-    fn mean(&self) -> V {
+    pub(super) fn mean(&self) -> V {
         self.seen.iter().map(|(_, x)| x).sum::<V>() / self.seen.len().max(1) as f64
     }
 
@@ -95,10 +95,10 @@ impl Track {
 }
 
 /// A recording by its tracks, in the order of arc length.
-struct Recorded {
-    tracks: Vec<Track>,
+pub(super) struct Recorded {
+    pub(super) tracks: Vec<Track>,
     /// Whether the file has the places of named markers.
-    placed: bool,
+    pub(super) placed: bool,
     /// Time between two frames \[s\].
     interval: f64,
     /// First and last time \[s\].
@@ -106,7 +106,7 @@ struct Recorded {
 }
 
 impl Recorded {
-    fn of(rows: &[ObservedRow]) -> Recorded {
+    pub(super) fn of(rows: &[ObservedRow]) -> Recorded {
         let mut tracks: Vec<Track> = Vec::new();
         for row in rows {
             let [Some(x), Some(y), Some(z)] = row.position else { continue };
@@ -143,7 +143,7 @@ impl Recorded {
     }
 
     /// Arc length of the last marker \[m\].
-    fn length(&self) -> f64 {
+    pub(super) fn length(&self) -> f64 {
         self.tracks.last().map_or(1.0, |t| t.arc_length).max(1e-3)
     }
 
@@ -352,7 +352,7 @@ fn growth(window: f64, far: bool) -> String {
 }
 
 /// Lines with values for their keys; a comment behind a value stays in its column where there is room.
-fn filled(template: &str, values: &[(&str, String)]) -> String {
+pub(super) fn filled(template: &str, values: &[(&str, String)]) -> String {
     let mut out = String::with_capacity(2 * template.len());
     for line in template.lines() {
         let mut line = line.to_string();
@@ -440,7 +440,7 @@ fn root_mean_square(values: &[f64]) -> f64 {
 }
 
 /// Two significant digits.
-fn rounded(value: f64) -> f64 {
+pub(super) fn rounded(value: f64) -> f64 {
     format!("{value:.1e}").parse().unwrap_or(value)
 }
 
