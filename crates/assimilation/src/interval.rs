@@ -20,22 +20,23 @@ struct Node {
 }
 
 impl Posterior {
-    /// The ends of the interval of aᵀ(w − v) that leaves `outside`/2 of its probability below and above, where
-    /// J is not quadratic within the posterior's own spread; v is the minimum, and the point that the
-    /// posterior is of.
+    /// The ends of the interval of aᵀ(w − v) that leaves `outside`/2 of its probability below and above,
+    /// where J is not quadratic within the posterior's own spread; v is the minimum, and the point that
+    /// the posterior is of.
     ///
-    /// With σ² = aᵀ P a and d = P a/σ, J is minimized over all else at t = aᵀ(w − v)/σ = ± 1, ± 2, …, by one
-    /// Newton step from where the last one ended, with the posterior's own Hessian:
+    /// With σ² = aᵀ P a and d = P a/σ, J is minimized over all else at t = aᵀ(w − v)/σ = ± 1, ± 2, …,
+    /// by one Newton step from where the last one ended, with the posterior's own Hessian:
     ///
     /// ```text
     /// w ← w + d,   g = ∇J(w),   w ← w − (P − d dᵀ) g
-    /// ΔJ(t) = J − ½ gᵀ(P − d dᵀ) g − J(v),   ΔJ′(t) = gᵀ d
+    /// ΔJ(t) = J − ½ gᵀ(P − d dᵀ) g − J(v)
+    /// ΔJ′(t) = gᵀ d
     /// ```
     ///
-    /// until ΔJ is that of three σ. The density is exp(−ΔJ(t)), with cubics between the points (a profile
-    /// likelihood: how much room the other unknowns leave is taken to be the same along it). For a quadratic J
-    /// the ends are the Gaussian's, −1.96 σ and 1.96 σ for `outside` = 0.05. From where the model cannot be run
-    /// the density is zero.
+    /// until ΔJ is that of three σ. The density is exp(−ΔJ(t)), with cubics between the points (a
+    /// profile likelihood: how much room the other unknowns leave is taken to be the same along it). For a
+    /// quadratic J the ends are the Gaussian's, −1.96 σ and 1.96 σ for `outside` = 0.05. From where the
+    /// model cannot be run the density is zero.
     ///
     /// When to use: constants of a model, whose effect is seldom linear within their σ. When not: many
     /// numbers, since each takes some six gradients. The cost's last gradient is that at v again.

@@ -137,8 +137,8 @@ enum Command {
     New {
         /// Name of the scene
         name: String,
-        /// A recording of a rod: time_s, s_m or marker, x_m, y_m, z_m (see convert for other formats); without
-        /// times a shape at rest
+        /// A recording of a rod: time_s, s_m or marker, x_m, y_m, z_m (see convert for other formats);
+        /// without times a shape at rest
         #[arg(long, value_name = "FILE.csv", conflicts_with = "from")]
         recording: Option<PathBuf>,
         /// A scene that comes with the program (see scenes), with the files it names

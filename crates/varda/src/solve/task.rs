@@ -31,7 +31,8 @@ pub(crate) struct Task<'a> {
     pub(crate) anchors: &'a [usize],
     /// Whether to compute σ of the analysis.
     pub(crate) posterior: bool,
-    /// Components of the control whose 95 % intervals are wanted beside σ (strong constraint, dense posterior).
+    /// Components of the control whose 95 % intervals are wanted beside σ (strong constraint, dense
+    /// posterior).
     pub(crate) constants: &'a [usize],
     /// Most bytes for the states and linearizations of a window (strong constraint).
     pub(crate) memory: usize,
