@@ -24,8 +24,8 @@ impl Posterior {
     /// where J is not quadratic within the posterior's own spread; v is the minimum, and the point that
     /// the posterior is of.
     ///
-    /// With σ² = aᵀ P a and d = P a/σ, J is minimized over all else at t = aᵀ(w − v)/σ = ± 1, ± 2, …,
-    /// by one Newton step from where the last one ended, with the posterior's own Hessian:
+    /// With σ² = aᵀ P a and d = P a/σ, J is minimized over all else at t = aᵀ(w − v)/σ = ± 1, …,
+    /// by one Newton step from where the last one ended, with the Hessian of the posterior:
     ///
     /// ```text
     /// w ← w + d,   g = ∇J(w),   w ← w − (P − d dᵀ) g
