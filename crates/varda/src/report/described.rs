@@ -77,7 +77,9 @@ impl Dataset {
         let mut data = Dataset::about(experiment, "analysis of each window up to the start of the next");
         data.attributes.push(("status", outcome.status.name().to_string()));
         data.attributes.push(("verdict", outcome.judgement.verdict.heading().to_string()));
-        data.runs(experiment, &outcome.trajectories, &[], outcome.shapes.as_ref(), "analysis");
+        let sigma = &outcome.sigma_states;
+        data.runs(experiment, &outcome.trajectories, sigma, outcome.shapes.as_ref(), "analysis");
+        data.observations(&outcome.observed);
         let windows = [("window", outcome.cycles.len())];
         let times = outcome.cycles.iter().map(|cycle| cycle.time).collect();
         data.put("window", &windows, times, "s", "model time at the start of a window");
