@@ -17,8 +17,9 @@ use super::formats::write_formats;
 use super::markup::{
     error_name, escape, folded_numbers, list, scene_section, short, status_words, tile_list, verdict,
 };
-use super::page::Page;
 use super::page::rod::RodView;
+use super::page::{Page, PageData};
+use super::plot::write_page;
 use super::summary::{WindowAmplification, peak_bytes};
 use super::tables::{self, number, optional};
 
@@ -34,7 +35,7 @@ pub fn write_cycles(outcome: &CyclesOutcome, folder: &Path) -> Result<PathBuf, E
         out.write(&format!("figures/{}.svg", figure.name), &figure.svg()?)?;
     }
     let summary = summary_of_cycles(outcome);
-    out.write("report.html", &page(outcome, figures))?;
+    write_page(&out, "", &page(outcome, figures))?;
     out.write("summary.json", &format!("{summary:#}\n"))?;
     out.write("cycles.csv", &rows(outcome))?;
     out.write("analysis.csv", &analysis(outcome))?;
@@ -277,7 +278,7 @@ fn figures(outcome: &CyclesOutcome) -> Vec<Figure> {
     figures
 }
 
-fn page(outcome: &CyclesOutcome, figures: Vec<Figure>) -> String {
+fn page(outcome: &CyclesOutcome, figures: Vec<Figure>) -> PageData {
     let experiment = &outcome.experiment;
     let scene = &experiment.scene;
     let title = if scene.title.is_empty() { &experiment.name } else { &scene.title };

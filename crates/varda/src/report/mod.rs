@@ -16,6 +16,7 @@ mod modes;
 mod netcdf;
 mod npz;
 mod page;
+pub mod plot;
 mod recordings;
 mod run_page;
 mod sources;
@@ -35,6 +36,7 @@ use std::path::{Path, PathBuf};
 
 use self::forces::Forces;
 use self::formats::write_formats;
+use self::plot::write_page;
 use crate::Error;
 use crate::outcome::{Experiment, Outcome, RodModes, Shapes, Simulation};
 use crate::report::folder::ResultFolder;
@@ -66,7 +68,7 @@ fn write_one(out: &ResultFolder, at: &str, outcome: &Outcome) -> Result<(), Erro
         }
     }
     let experiment = &outcome.experiment;
-    write("report.html", &run_page::page(outcome, &summary, figures, covariances, &rod))?;
+    write_page(out, at, &run_page::page(outcome, &summary, figures, covariances, &rod))?;
     write("analysis.csv", &tables::analysis(outcome))?;
     if !outcome.convergence.is_empty() {
         write("convergence.csv", &tables::convergence(&outcome.convergence))?;
@@ -107,7 +109,7 @@ pub fn write_comparison(
     out.write("compare.csv", &tables::comparison(rows))?;
     let figure = figures::comparison(rows);
     out.write("compare.svg", &figure.svg()?)?;
-    out.write("report.html", &comparison::page(file, rows, interrupted, figure))?;
+    write_page(&out, "", &comparison::page(file, rows, interrupted, figure))?;
     out.publish()
 }
 
@@ -138,7 +140,7 @@ pub fn write_modes(modes: &RodModes, folder: &Path) -> Result<PathBuf, Error> {
     for (_, figure) in &figures {
         out.write(&format!("figures/{}.svg", figure.name), &figure.svg()?)?;
     }
-    out.write("report.html", &modes::page(modes, figures))?;
+    write_page(&out, "", &modes::page(modes, figures))?;
     out.publish()
 }
 
