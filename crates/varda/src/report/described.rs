@@ -1,6 +1,6 @@
 //! Results as [`Dataset`]s.
 
-use varda_rod::InternalForces;
+use varda_rod::{Curvature, InternalForces};
 
 use super::dataset::{Dataset, Values};
 use crate::outcome::{
@@ -47,6 +47,7 @@ impl Dataset {
         data.runs(experiment, &outcome.trajectories, &outcome.sigma_states, shapes, "analysis");
         if let (Some(shapes), Some(geometry)) = (shapes, &experiment.state.geometry) {
             data.forces("", "", &shapes.forces, geometry, experiment.grid.last_step());
+            data.curvature(&shapes.curvature, geometry, experiment.grid.last_step());
             data.forces("_sigma", "sigma of ", &shapes.sigma_forces, geometry, experiment.grid.last_step());
         }
         data.control(outcome);
@@ -67,6 +68,7 @@ impl Dataset {
         data.runs(experiment, &simulation.trajectories, &[], shapes, &of);
         if let (Some(shapes), Some(geometry)) = (shapes, &experiment.state.geometry) {
             data.forces("", "", &shapes.forces, geometry, experiment.grid.last_step());
+            data.curvature(&shapes.curvature, geometry, experiment.grid.last_step());
         }
         data
     }
@@ -199,6 +201,26 @@ impl Dataset {
                 };
                 self.put(format!("{}{suffix}", group.name), dimensions, values, unit(group.unit), what);
             }
+        }
+    }
+
+    /// Curvature and rate of twist of a rod, vertex by vertex between two edges.
+    fn curvature(&mut self, steps: &[Option<Curvature>], geometry: &Geometry, last_step: usize) {
+        let inner = geometry.arc_lengths.len().saturating_sub(2);
+        let twists = steps.iter().flatten().any(|of| !of.twist_rate.is_empty());
+        if inner == 0 || steps.iter().all(Option::is_none) {
+            return;
+        }
+        let mut put = |name: &str, unit, what: &str, values: &dyn Fn(&Curvature) -> Vec<f64>| {
+            let count = last_step + 1;
+            let values = rows(count, inner, |k| steps.get(k)?.as_ref().map(values));
+            self.put(name, &[("time", count), ("s_inner", inner)], values, unit, what);
+        };
+        put("curvature", "m-1", "curvature, 2 tan(φ/2) over the length of the vertex", &|of| {
+            of.curvature.clone()
+        });
+        if twists {
+            put("twist_rate", "rad m-1", "rate of twist", &|of| of.twist_rate.clone());
         }
     }
 

@@ -5,14 +5,12 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use varda_assimilation::{
-    Carried, CyclePosterior, Error as AssimilationError, Observation, ObservationOperator, ObservationSet,
-    propagate_errors, propagate_root,
+    Carried, CyclePosterior, Error as AssimilationError, Observation, propagate_errors, propagate_root,
 };
-use varda_implicit::{At, Refusal};
 
-use super::cycles::{Sequence, at};
 use super::fit::predicted;
 use super::seen_spread::SeenSpread;
+use super::sequence::{Sequence, SharedOperator, at};
 use super::spread::values_of;
 use crate::Error;
 use crate::outcome::{CycleRow, CycleSigma, ObservedValue, Trajectories};
@@ -27,9 +25,6 @@ pub(super) struct Runs {
     pub(super) sigma_states: Vec<f64>,
     pub(super) observed: Vec<ObservedValue>,
 }
-
-/// An observation operator that the windows of a sequence share.
-pub(super) type SharedOperator = Rc<RefCell<Box<dyn ObservationOperator>>>;
 
 /// Everything that was seen in a sequence, also what is kept back, in the order of time.
 pub(super) struct Everything {
@@ -64,48 +59,6 @@ impl Sequence {
     /// Steps of a window that the sequence shows, or may show: to its end, and to the start of the next.
     fn steps(&self) -> usize {
         self.window.max(self.shift)
-    }
-
-    /// Observations of some steps from `first` on, with steps counted from there.
-    pub(super) fn from_step<'o>(
-        &self,
-        operators: &[SharedOperator],
-        first: usize,
-        steps: usize,
-        observations: impl Iterator<Item = &'o Observation>,
-    ) -> Result<ObservationSet, AssimilationError> {
-        let seen = observations.map(|o| o.clone().at_step(o.step - first)).collect();
-        let operator = |operator: &SharedOperator| -> Box<dyn ObservationOperator> {
-            Box::new(FromStep { operator: Rc::clone(operator), first })
-        };
-        let grid = &self.problem.experiment.grid;
-        let times = (first..=first + steps).map(|k| grid.time(k)).collect();
-        ObservationSet::on_times(times, operators.iter().map(operator).collect(), seen)
-    }
-
-    /// The states of a window from its analysis on, with the errors of the model that it found.
-    pub(super) fn states_of(
-        &self,
-        row: &CycleRow,
-        before: Option<f64>,
-        steps: usize,
-    ) -> Result<Vec<f64>, Error> {
-        let mut model = self.model_of(row.first_step, before);
-        let mut x = vec![0.0; model.dim()];
-        model.initial_state(&row.analysis, &mut x)?;
-        if row.model_errors.is_empty() {
-            return run_states(&mut *model, &x, steps);
-        }
-        let (forcing, size) = (self.forcing(), row.analysis.len());
-        let (mut states, mut next) = (x.clone(), x.clone());
-        for k in 0..steps {
-            model.step(k, &x, &mut next)?;
-            let error = forcing.index(k).and_then(|j| row.model_errors.get(j * size..(j + 1) * size));
-            error.unwrap_or(&[]).iter().zip(&mut next).for_each(|(eta, x)| *x += eta);
-            std::mem::swap(&mut x, &mut next);
-            states.extend_from_slice(&x);
-        }
-        Ok(states)
     }
 
     /// σ along a window that was done, of its posterior. What it lacks is said in the result.
@@ -296,46 +249,4 @@ fn without_sigma(rows: &[CycleRow]) -> Option<String> {
         "σ is left out in {count} of {} cycles, the first of them cycle {first}: {reason}",
         rows.len()
     ))
-}
-
-/// An operator of the sequence, in a window that starts at its step `first`.
-struct FromStep {
-    operator: SharedOperator,
-    first: usize,
-}
-
-impl FromStep {
-    fn moved(&self, at: At) -> At {
-        At { step: self.first + at.step, ..at }
-    }
-}
-
-impl ObservationOperator for FromStep {
-    fn dim(&self) -> usize {
-        self.operator.borrow().dim()
-    }
-
-    fn state_dim(&self) -> usize {
-        self.operator.borrow().state_dim()
-    }
-
-    fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
-        self.operator.borrow_mut().observe(self.moved(at), x, y)
-    }
-
-    fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
-        self.operator.borrow_mut().tangent(self.moved(at), x, dx, dy);
-    }
-
-    fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
-        self.operator.borrow_mut().adjoint_add(self.moved(at), x, dy, dx);
-    }
-
-    fn has_second_derivatives(&self) -> bool {
-        self.operator.borrow().has_second_derivatives()
-    }
-
-    fn second_adjoint_add(&mut self, at: At, x: &[f64], dx: &[f64], dy: &[f64], out: &mut [f64]) {
-        self.operator.borrow_mut().second_adjoint_add(self.moved(at), x, dx, dy, out);
-    }
 }

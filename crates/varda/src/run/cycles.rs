@@ -1,6 +1,6 @@
 //! Cycling: a scene with `[algorithm.cycles]`, window after window.
 //!
-//! The windows are cut out of one long [`Problem`], whose only window is the whole sequence: one run of the
+//! The windows are cut out of one long [`Problem`](crate::setup::Problem), whose only window is the whole sequence: one run of the
 //! truth, one draw of observations in the order of time, one recording read. So more cycles do not change the
 //! first ones.
 
@@ -12,40 +12,22 @@ use std::time::Instant;
 use rand_distr::{Distribution, StandardNormal};
 use varda_assimilation::{
     Cycle, CycleState, CycledCovariance, CycledEnsemble, CycledErrors, CycledEstimate, CycledInflation,
-    CycledMinimizer, CycledUpdate, Cycling, Departures, EnVarOptions, Forcing, Normals, Observation,
-    ObservationSet, cycle,
+    CycledMinimizer, CycledUpdate, Cycling, Departures, EnVarOptions, Normals, ObservationSet, cycle,
 };
-use varda_implicit::Model;
 use varda_implicit::check::Amplification;
 use varda_linalg::interrupt;
 
-use super::cycle_runs::{Everything, Runs, SharedOperator};
+use super::cycle_runs::{Everything, Runs};
+pub use super::sequence::Sequence;
 use super::{amplification, cycle_checks, shapes, verdict};
 use crate::Error;
 use crate::outcome::{
     CycleDepartures, CycleRow, CycleSigma, CyclesOutcome, Experiment, Means, Status, Trajectories, WorkCounts,
 };
-use crate::scene::{self, Cycles, SceneFile, TimeGrid};
+use crate::scene::{self, TimeGrid};
+use crate::setup::ensemble;
 use crate::setup::random::{Stream, stream_of_window};
-use crate::setup::runs::run_states;
-use crate::setup::{Inputs, Problem, ensemble};
-use crate::solve::{forcing, minimizer};
-
-/// A sequence of windows, ready to run. It does not change.
-pub struct Sequence {
-    /// Its settings.
-    pub cycles: Cycles,
-    /// K, the length of a window in steps.
-    pub window: usize,
-    /// S, steps from one window to the next.
-    pub shift: usize,
-    /// The whole sequence as one window: its truth and background are at the first step.
-    pub problem: Problem,
-    /// The states of the truth, step by step; empty where there is none.
-    pub truth: Vec<f64>,
-    /// What was observed, in the order of time, steps counted from the start of the sequence.
-    observations: Vec<Observation>,
-}
+use crate::solve::minimizer;
 
 /// Progress and cancellation callbacks of a sequence.
 pub struct CycleListener<'a> {
@@ -69,39 +51,6 @@ impl CycleListener<'_> {
 }
 
 impl Sequence {
-    /// The sequence that a scene describes; `None` for a scene without `[algorithm.cycles]`. Runs the truth
-    /// from end to end where there is one.
-    ///
-    /// # Errors
-    /// Those of [`Problem::from_scene`].
-    pub fn from_scene(file: &SceneFile) -> Result<Option<Sequence>, Error> {
-        match &file.scene.algorithm.cycles {
-            Some(cycles) => Sequence::new(cycles.clone(), Inputs::read(file)?).map(Some),
-            None => Ok(None),
-        }
-    }
-
-    /// The sequence of a scene that has been read.
-    ///
-    /// # Errors
-    /// Those of [`Problem::new`].
-    pub fn new(cycles: Cycles, inputs: Inputs) -> Result<Sequence, Error> {
-        let mut problem = Problem::new(inputs)?;
-        let window = problem.experiment.scene.time.window;
-        let truth = match &problem.truth {
-            Some(truth) => run_states(problem.model().as_mut(), truth, problem.experiment.grid.steps)?,
-            None => Vec::new(),
-        };
-        let mut observations = problem.observed.assimilated(&problem.experiment.grid);
-        observations.sort_by(|a, b| at(a).total_cmp(&at(b)));
-        let shift = cycles.shift_of(window);
-        let unused = unused(&observations, &cycles, window);
-        if unused > 0 {
-            problem.experiment.left_out.push(format!("{unused} observed values between two windows"));
-        }
-        Ok(Sequence { cycles, window, shift, problem, truth, observations })
-    }
-
     /// The state before the first window: the background, and the members of an ensemble about it, their
     /// mean.
     pub fn start(&self) -> CycleState {
@@ -335,31 +284,6 @@ impl Sequence {
         })
     }
 
-    /// The true state at a step, where it is known.
-    pub fn true_state(&self, k: usize) -> Option<&[f64]> {
-        let n = self.problem.truth.as_ref()?.len();
-        self.truth.get(k * n..(k + 1) * n)
-    }
-
-    /// Observed values that fall into windows, and those that fall between two.
-    pub fn values(&self) -> [usize; 2] {
-        let all: usize = self.observations.iter().map(|o| o.rows.len()).sum();
-        let unused = unused(&self.observations, &self.cycles, self.window);
-        [all - unused, unused]
-    }
-
-    /// What was observed in the window that starts at a step, including what an earlier window has used.
-    fn of_window(
-        &self,
-        operators: &[SharedOperator],
-        first: usize,
-    ) -> Result<ObservationSet, varda_assimilation::Error> {
-        let last = (first + self.window) as f64;
-        let from = self.observations.partition_point(|o| o.step < first);
-        let inside = self.observations[from..].iter().take_while(|o| at(o) <= last);
-        self.from_step(operators, first, self.window, inside)
-    }
-
     fn row(&self, c: &Cycle) -> CycleRow {
         let layout = &self.problem.experiment.state;
         let rmse = |x: &[f64], k: usize| {
@@ -399,25 +323,11 @@ impl Sequence {
         }
     }
 
-    /// The model of the window that starts at a step, where the window before left the end clamp at an angle.
-    pub(super) fn model_of(&self, first: usize, end_angle: Option<f64>) -> Box<dyn Model + Send> {
-        match (self.problem.system.rod(), end_angle) {
-            (Some(rod), Some(angle)) => rod.model_turned(first, angle),
-            _ => (self.problem.make_model)(first),
-        }
-    }
-
     /// Where a window leaves the end clamp at the start of the next one: its places do not say whole turns.
     fn next_end_angle(&self, row: &CycleRow, before: Option<f64>) -> Option<f64> {
         let rod = self.problem.system.rod().filter(|rod| rod.has_end_angle())?;
         let states = self.states_of(row, before, self.shift).ok()?;
         rod.end_angle(&states[states.len() / (self.shift + 1) * self.shift..]).ok()?
-    }
-
-    /// When errors of the model enter.
-    pub(super) fn forcing(&self) -> Forcing {
-        let n = self.problem.background.len();
-        forcing(self.problem.experiment.scene.algorithm.model_error.as_ref(), n)
     }
 
     /// ‖M‖ of the last window about its analysis, for methods that have a gradient along a run.
@@ -436,11 +346,6 @@ impl Sequence {
     }
 }
 
-/// Time of an observation in steps.
-pub(super) fn at(o: &Observation) -> f64 {
-    o.step as f64 + o.weight
-}
-
 /// Higher for worse ends.
 fn severity(status: Status) -> usize {
     match status {
@@ -451,17 +356,6 @@ fn severity(status: Status) -> usize {
         Status::Interrupted => 4,
         Status::Failed => 5,
     }
-}
-
-/// Observed values that fall between two windows.
-fn unused(observations: &[Observation], cycles: &Cycles, window: usize) -> usize {
-    let shift = cycles.shift_of(window);
-    let is_used = |o: &&Observation| {
-        // The last window that starts no later than the observation.
-        let c = (o.step / shift).min(cycles.count - 1);
-        at(o) <= (c * shift + window) as f64
-    };
-    observations.iter().filter(|o| !is_used(o)).map(|o| o.rows.len()).sum()
 }
 
 fn means(rows: &[CycleRow], spin_up: usize, groups: usize) -> Means {

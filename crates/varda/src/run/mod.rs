@@ -22,6 +22,7 @@ mod passes;
 mod recordings;
 mod second_minimum;
 mod seen_spread;
+mod sequence;
 mod shapes;
 mod shares;
 mod simulate;

@@ -130,6 +130,21 @@ def vtk(folder, data):
         same("displacement", grid.point_data["displacement_from_background"], moved)
         if "tension" in data:
             same("tension", grid.cell_data["tension"][0].ravel(), now.tension)
+        # 2 tan(φ/2) over half of both edges; next to a clamp's face the vertex has more of the first edge
+        tangents = np.diff(grid.points, axis=0)
+        tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+        across = np.linalg.norm(np.cross(tangents[:-1], tangents[1:]), axis=1)
+        angles = np.arctan2(across, np.sum(tangents[:-1] * tangents[1:], axis=1))
+        arcs = data.s.values
+        bent = 2 * np.tan(angles / 2) / (0.5 * (arcs[2:] - arcs[:-2]))
+        curvature = grid.point_data["curvature"].ravel()
+        assert np.isnan(curvature[[0, -1]]).all() and not np.isnan(curvature[1:-1]).any(), curvature
+        # arc lengths are sums of lengths, which round
+        assert np.allclose(curvature[2:-2], bent[1:-1], rtol=1e-10, atol=1e-12), np.abs(curvature[2:-2] - bent[1:-1]).max()
+        assert np.abs(curvature[1:-1]).max() > 1e-3, "the rod is bent"
+        same("curvature of NetCDF", now.curvature, curvature[1:-1])
+        if "twist_rate" in data:
+            same("twist_rate", grid.point_data["twist_rate"].ravel()[1:-1], now.twist_rate)
         same("TimeValue", np.ravel(grid.field_data["TimeValue"]), [float(data.time[number])])
     print(f"vtk: {len(steps)} steps")
 
