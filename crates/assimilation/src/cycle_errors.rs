@@ -11,8 +11,8 @@ use crate::{ControlTransform, Error, LeastSquares, StrongConstraint, WeakForcing
 use varda_covariance::{Covariance, Precision};
 use varda_linalg::shorter_root;
 
-/// Most unknowns of a weak window whose posterior is handed out as a root; of more, and of fewer values, it is
-/// the prior less what was learnt.
+/// Most unknowns of a weak window whose posterior is handed out as a root; of more, and of fewer values, it
+/// is the prior less what was learnt.
 const MOST_ROOT_COLUMNS: usize = 1000;
 
 impl Cycling<'_> {

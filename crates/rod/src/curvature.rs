@@ -78,8 +78,8 @@ mod tests {
     use super::*;
     use crate::{Clamp, ClampAt, Damping, Loads, Material, Rod, Section, Supports, straight_guess};
 
-    /// A straight rod whose end is turned by a quarter of a turn: the same τ at every vertex between the edges
-    /// that are held, and T = GJ τ/l̄.
+    /// A straight rod whose end is turned by a quarter of a turn: the same τ at every vertex between the
+    /// edges that are held, and T = GJ τ/l̄.
     #[test]
     fn the_rate_of_twist_is_that_of_the_twisting_moment() {
         let (x, z, segments) = (Vector3::x(), Vector3::z(), 6);

@@ -1,5 +1,5 @@
-//! σ along a whole sequence of windows: that of a single window, of an independent calculation, of the members
-//! of an ensemble; in the tables and on the page; and that nobody pays who does not ask.
+//! σ along a whole sequence of windows: that of a single window, of an independent calculation, of the
+//! members of an ensemble; in the tables and on the page; and that nobody pays who does not ask.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -87,7 +87,8 @@ fn sigma_of_a_later_window_is_that_of_differences() {
             ahead.iter().zip(behind).map(|(a, b)| [0, 1, 2].map(|i| (a[i] - b[i]) / (2.0 * h))).collect()
         })
         .collect();
-    // B = I; all three components seen with variance 2 every fifth step, the first of them by the window before.
+    // B = I; all three components seen with variance 2 every fifth step, the first of them by the window
+    // before.
     let mut precision = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     for k in (5..=window).step_by(5) {
         for (i, row) in precision.iter_mut().enumerate() {

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use varda_assimilation::Departures;
 use varda_implicit::check::Amplification;
 
-use super::{Experiment, Judgement, ObservedValue, Shapes, Status, Trajectories, WorkCounts};
+use super::{Experiment, Judgement, Members, ObservedValue, Shapes, Status, Trajectories, WorkCounts};
 
 /// The result of one window: a row of cycles.csv, and the start of the window. RMSE and spread have a number
 /// for each group of the state; they are empty where the truth, or the spread, is not known.
@@ -153,6 +153,8 @@ pub struct CyclesOutcome {
     /// σ of every component of the states of the analysis, one state after the other; NaN in windows of which
     /// it is not known, empty where it is known of none.
     pub sigma_states: Vec<f64>,
+    /// Members of the analysis of the last window, where a format asks for them.
+    pub members: Option<Members>,
     /// Everything that was seen, with background, analysis and σ beside it: in each window up to the start of
     /// the next.
     pub observed: Vec<ObservedValue>,

@@ -44,5 +44,6 @@ pub use space::{Shapes, Sight, Track};
 pub use spread::ObservedValue;
 pub use verdict::{Judgement, Verdict};
 pub use window::{
-    AcceptedSteps, Experiment, Failure, GroupRmse, Outcome, Rmse, Seconds, SeenComponent, Trajectories,
+    AcceptedSteps, Experiment, Failure, GroupRmse, Members, Outcome, Rmse, Seconds, SeenComponent,
+    Trajectories,
 };

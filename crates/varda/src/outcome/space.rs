@@ -17,7 +17,8 @@ pub struct Shapes {
     pub track: Option<Track>,
     /// Forces and moments within the rod of the analysis, from step 1 on: rates are those over a step.
     pub forces: Vec<InternalForces>,
-    /// Curvature and rate of twist of the analysis, from step 0 on; none of a step at which the rod is folded.
+    /// Curvature and rate of twist of the analysis, from step 0 on; none of a step at which the rod is
+    /// folded.
     pub curvature: Vec<Option<Curvature>>,
     /// Standard deviations of the forces, where there is a posterior.
     pub sigma_forces: Vec<InternalForces>,

@@ -57,7 +57,7 @@ impl Sequence {
     }
 
     /// Steps of a window that the sequence shows, or may show: to its end, and to the start of the next.
-    fn steps(&self) -> usize {
+    pub(super) fn steps(&self) -> usize {
         self.window.max(self.shift)
     }
 

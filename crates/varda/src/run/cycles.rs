@@ -1,8 +1,8 @@
 //! Cycling: a scene with `[algorithm.cycles]`, window after window.
 //!
-//! The windows are cut out of one long [`Problem`](crate::setup::Problem), whose only window is the whole sequence: one run of the
-//! truth, one draw of observations in the order of time, one recording read. So more cycles do not change the
-//! first ones.
+//! The windows are cut out of one long [`Problem`](crate::setup::Problem), whose only window is the whole
+//! sequence: one run of the truth, one draw of observations in the order of time, one recording read. So
+//! more cycles do not change the first ones.
 
 use std::cell::{Cell, RefCell};
 use std::ops::ControlFlow;
@@ -11,15 +11,16 @@ use std::time::Instant;
 
 use rand_distr::{Distribution, StandardNormal};
 use varda_assimilation::{
-    Cycle, CycleState, CycledCovariance, CycledEnsemble, CycledErrors, CycledEstimate, CycledInflation,
-    CycledMinimizer, CycledUpdate, Cycling, Departures, EnVarOptions, Normals, ObservationSet, cycle,
+    Cycle, CyclePosterior, CycleState, CycledCovariance, CycledEnsemble, CycledErrors, CycledEstimate,
+    CycledInflation, CycledMinimizer, CycledUpdate, Cycling, Departures, EnVarOptions, Normals,
+    ObservationSet, cycle,
 };
 use varda_implicit::check::Amplification;
 use varda_linalg::interrupt;
 
 use super::cycle_runs::{Everything, Runs};
 pub use super::sequence::Sequence;
-use super::{amplification, cycle_checks, shapes, verdict};
+use super::{amplification, cycle_checks, members, shapes, verdict};
 use crate::Error;
 use crate::outcome::{
     CycleDepartures, CycleRow, CycleSigma, CyclesOutcome, Experiment, Means, Status, Trajectories, WorkCounts,
@@ -80,6 +81,7 @@ impl Sequence {
     ) -> Result<CyclesOutcome, Error> {
         let mut rows = done;
         let (mut refused, mut interrupted, mut late) = (None, false, false);
+        let mut members = None;
         let limits = &self.problem.experiment.scene.limits;
         let mut began = Instant::now();
         let end_angle = Cell::new(rows.last().and_then(|row| row.next_end_angle));
@@ -163,6 +165,12 @@ impl Sequence {
         let mut on_cycle = |cycle: &Cycle, after: &CycleState| {
             let mut row = self.row(cycle);
             if self.has_sigma() && !interrupt::was_told() {
+                if let Some(CyclePosterior::Members(runs)) = &cycle.posterior
+                    && self.problem.experiment.scene.output.is_more_than_csv()
+                {
+                    let (n, steps) = (self.problem.experiment.n_state, [self.steps(), self.window]);
+                    members = Some(members::of_cycle(runs, n, row.first_step, steps));
+                }
                 row.sigma = self.sigma_along(&row, cycle.posterior.as_ref(), end_angle.get(), &everything);
             }
             if interrupt::was_told() {
@@ -276,6 +284,7 @@ impl Sequence {
             cycles: rows,
             trajectories,
             sigma_states,
+            members,
             observed,
             means,
             seconds: listener.started.elapsed().as_secs_f64(),

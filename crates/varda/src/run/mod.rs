@@ -14,6 +14,7 @@ pub mod departures;
 mod estimates;
 mod fit;
 mod interrupted;
+mod members;
 mod mesh;
 mod model_errors;
 mod modes;

@@ -13,7 +13,7 @@ use super::interrupted::{Asked, Lowest};
 use super::second_minimum::Second;
 use super::verdict::{self, Judged};
 use super::{
-    amplification, between_steps, considered, covariances, departures, estimates, fit, model_errors,
+    amplification, between_steps, considered, covariances, departures, estimates, fit, members, model_errors,
     second_minimum, shapes, shares, spread,
 };
 use crate::Error;
@@ -109,6 +109,7 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
         ensemble: problem.ensemble.as_ref(),
         anchors: &problem.anchors,
         posterior: scene.report.posterior,
+        members: scene.output.is_more_than_csv(),
         memory: problem.memory,
         refresh: &mut |control| {
             let model = refreshing.as_mut()?.refresh(control)?;
@@ -326,6 +327,7 @@ pub(super) fn described(problem: &Problem, ended: Ended, listener: &Listener) ->
         considered,
         exact_hessian: solution.exact_hessian,
         covariances: covariances::covariances(layout, problem.covariance.as_ref(), posterior),
+        members: members::of_window(problem, make_model, posterior),
         truth,
         j_background,
         gradient_norms: [solution.minimum.gradient_norm_first, solution.minimum.gradient_norm],

@@ -9,6 +9,7 @@ use varda_covariance::Taper;
 use varda_implicit::line::Ends;
 use varda_implicit::{Footprint, Remembered, Storage};
 
+use super::ensemble::steps_of_members;
 use super::finer::{Finer, finer};
 use super::inputs::Inputs;
 use crate::Error;
@@ -309,7 +310,17 @@ impl Memory {
         };
         // The same as named arrays, with σ and of a rod its forces.
         let beside = if matches!(scene.model, Model::Rod(_)) { 3 } else { 1 };
-        let arrays = states.saturating_add(shown.saturating_mul(sizes.state).saturating_mul(beside));
+        // members of the analysis, of the last window of a sequence
+        let members = match algorithm.members() {
+            Some(e) if scene.report.posterior && scene.output.is_more_than_csv() => {
+                let last = if cycled.is_some() { sizes.steps } else { sizes.shown };
+                e.members * steps_of_members(e.members, last, sizes.state).len() * sizes.state
+            }
+            _ => 0,
+        };
+        let arrays = states
+            .saturating_add(members)
+            .saturating_add(shown.saturating_mul(sizes.state).saturating_mul(beside));
         let copies = match &scene.output {
             output if output.formats.contains(&Format::Netcdf) => COPIES_OF_NETCDF,
             output => usize::from(output.is_more_than_csv()),
@@ -320,7 +331,9 @@ impl Memory {
             covariance: NUMBER * covariance,
             building: NUMBER * building,
             dense: NUMBER.saturating_mul(dense),
-            other: NUMBER.saturating_mul(other.saturating_add(states)).saturating_add(values + sensors),
+            other: NUMBER
+                .saturating_mul(other.saturating_add(states + members))
+                .saturating_add(values + sensors),
             text: states.saturating_mul(TEXT).max(arrays.saturating_mul(copies * NUMBER)),
             finer: 0,
             for_finer: usize::MAX,
