@@ -26,8 +26,8 @@ fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// The first window of a sequence is that of a run without cycles: the same σ of states and of what was seen,
-/// to the last bit, of a rod whose B is the posterior before and of a model with static B.
+/// The first window of a sequence is that of a run without cycles: the same σ of states and of what was
+/// seen, to the last bit, of a rod whose B is the posterior before and of a model with static B.
 #[test]
 fn the_first_window_has_the_sigma_of_a_run_of_its_own() {
     let rod = SHIPPED.iter().find(|s| s.name == "hanging-rod-cycling").unwrap().text;
@@ -58,7 +58,8 @@ fn the_first_window_has_the_sigma_of_a_run_of_its_own() {
     }
 }
 
-/// In the second window σ is √diag(M P Mᵀ), P⁻¹ = B⁻¹ + Σ MᵀHᵀR⁻¹HM, with M by differences of runs.
+/// In the second window σ is √diag(M P Mᵀ), P⁻¹ = B⁻¹ + Σ MᵀHᵀR⁻¹HM,
+/// with M by differences of runs.
 #[test]
 fn sigma_of_a_later_window_is_that_of_differences() {
     let sequence = sequence("lorenz63", &["algorithm.cycles.count=2"]);
@@ -139,7 +140,8 @@ fn sigma_at_the_end_is_the_spread_of_the_last_window() {
     }
 }
 
-/// Weak windows, and strong ones whose model errs: σ of every step, and wider where the model is said to err.
+/// Weak windows, and strong ones whose model errs: σ of every step, and wider where the model is said to
+/// err.
 #[test]
 fn windows_of_a_model_that_errs_have_sigma_too() {
     let few = [

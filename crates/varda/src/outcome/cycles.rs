@@ -150,13 +150,13 @@ pub struct CyclesOutcome {
     pub trajectories: Trajectories,
     /// The vertices of these runs, for models in space.
     pub shapes: Option<Shapes>,
-    /// σ of every component of the states of the analysis, one state after the other; NaN in windows of which
-    /// it is not known, empty where it is known of none.
+    /// σ of every component of the states of the analysis, one state after the other; NaN in windows of
+    /// which it is not known, empty where it is known of none.
     pub sigma_states: Vec<f64>,
     /// Members of the analysis of the last window, where a format asks for them.
     pub members: Option<Members>,
-    /// Everything that was seen, with background, analysis and σ beside it: in each window up to the start of
-    /// the next.
+    /// Everything that was seen, with background, analysis and σ beside it: in each window up to the start
+    /// of the next.
     pub observed: Vec<ObservedValue>,
     /// Means over the windows after `spin_up`.
     pub means: Means,

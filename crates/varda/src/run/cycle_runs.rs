@@ -44,7 +44,7 @@ impl Everything {
     }
 
     /// Index of the first observation from a step on.
-    fn from(&self, first: usize) -> usize {
+    fn first_at(&self, first: usize) -> usize {
         self.observations.partition_point(|o| o.step < first)
     }
 }
@@ -93,9 +93,9 @@ impl Sequence {
         let states = self.states_of(row, before, steps)?;
         let mut model = self.model_of(row.first_step, before);
         let last = (row.first_step + steps) as f64;
-        let seen = everything.observations[everything.from(row.first_step)..].iter();
+        let seen = everything.observations[everything.first_at(row.first_step)..].iter();
         let seen = seen.take_while(|o| at(o) <= last);
-        let mut set = self.from_step(&everything.operators, row.first_step, steps, seen)?;
+        let mut set = self.set_from(&everything.operators, row.first_step, steps, seen)?;
         set.follow(model.rate());
         let mut seen = SeenSpread::new(set, &states, n)?;
         // The start of the next window is shown as that window has it, unless there is none.
@@ -194,11 +194,11 @@ impl Sequence {
         everything: &Everything,
         out: &mut Vec<ObservedValue>,
     ) -> Result<(), Error> {
-        let (first, from) = (row.first_step, everything.from(row.first_step));
+        let (first, from) = (row.first_step, everything.first_at(row.first_step));
         let end = (first + steps) as f64;
         let seen = everything.observations[from..].iter();
         let seen = seen.take_while(|o| if last { at(o) <= end } else { at(o) < end });
-        let mut set = self.from_step(&everything.operators, first, steps, seen)?;
+        let mut set = self.set_from(&everything.operators, first, steps, seen)?;
         let mut model = self.model_of(first, before);
         set.follow(model.rate());
         let mut x = vec![0.0; model.dim()];

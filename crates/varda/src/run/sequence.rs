@@ -90,11 +90,11 @@ impl Sequence {
         let last = (first + self.window) as f64;
         let from = self.observations.partition_point(|o| o.step < first);
         let inside = self.observations[from..].iter().take_while(|o| at(o) <= last);
-        self.from_step(operators, first, self.window, inside)
+        self.set_from(operators, first, self.window, inside)
     }
 
     /// Observations of some steps from `first` on, with steps counted from there.
-    pub(super) fn from_step<'o>(
+    pub(super) fn set_from<'o>(
         &self,
         operators: &[SharedOperator],
         first: usize,
