@@ -1,8 +1,8 @@
 //! The posterior of a model that errs, at later times.
 
-use crate::{At, ControlTransform, Error, Forcing, ObservationOperator, WeakPosterior};
+use crate::{ControlTransform, Error, Forcing, WeakPosterior};
 use varda_covariance::Covariance;
-use varda_implicit::Model;
+use varda_implicit::{At, Model, ObservationOperator};
 use varda_linalg::interrupt;
 use varda_linalg::shorter_root;
 
@@ -195,7 +195,8 @@ impl Squares {
 ///
 /// ```
 /// use std::ops::ControlFlow;
-/// use varda_assimilation::*;
+/// use varda_assimilation::{ControlTransform, CostFunction, Forcing, LeastSquares, Minimizer, Observation};
+/// use varda_assimilation::{ObservationSet, Selection, WeakForcing, WeakPosterior, propagate_errors};
 /// use varda_covariance::Diagonal;
 /// use varda_implicit::{Rk4, lorenz::Lorenz63};
 ///

@@ -2,7 +2,8 @@
 
 use crate::cycle_members::{mean, posterior_root, rotate, run_all_drawing_again, truncate};
 use crate::cycle_window::{
-    Carry, Cycle, CycleState, CycledErrors, CycledEstimate, CycledMinimizer, Cycling, Ended, Normals,
+    Carry, Cycle, CyclePosterior, CycleState, CycledErrors, CycledEstimate, CycledMinimizer, Cycling, Ended,
+    Normals, is_whole,
 };
 use crate::departures::{departures_at, expected_departures};
 use crate::{
@@ -124,6 +125,7 @@ pub enum CycledUpdate<'a> {
 ///     observations: &observations,
 ///     truth: None,
 ///     model_error: None,
+///     posterior: false,
 /// };
 /// let b = Diagonal::uniform(3, 1.0)?;
 /// let mut state = CycleState::new(vec![1.5, 1.7, 20.0]);
@@ -209,7 +211,7 @@ pub fn cycle<'m>(
         };
         *state = after;
         let flow = on_cycle(&cycle, state);
-        cycles.push(cycle);
+        cycles.push(Cycle { posterior: None, ..cycle });
         if flow.is_break() {
             break;
         }
@@ -244,6 +246,13 @@ impl Cycling<'_> {
             None => Vec::new(),
         };
         let counts = cost.counts();
+        let posterior = match (self.posterior && is_whole(minimum.status), carry) {
+            (false, _) => None,
+            (true, Some(_)) => Some(CyclePosterior::Root(columns.clone())),
+            (true, None) => {
+                Some(CyclePosterior::of(posterior_root(&mut cost, &transform, &v), CyclePosterior::Root)?)
+            }
+        };
 
         let mut z = vec![0.0; n_z];
         transform.control(&v, &mut z);
@@ -280,6 +289,7 @@ impl Cycling<'_> {
             columns: count,
             dropped,
             model_errors: Vec::new(),
+            posterior,
         };
         Ok((self.cycle(state, z, end, m, from), CycleState { next: state.next + 1, background, columns }))
     }
@@ -370,6 +380,8 @@ impl Cycling<'_> {
         };
         let sigma = Some((0..n_z).map(|i| variance(i).sqrt()).collect());
         let errors = self.errors(state.next, [&x_b, &x_a, &end]);
+        let whole = self.posterior && is_whole(minimum.status);
+        let posterior = whole.then_some(CyclePosterior::Members(states));
         let from = Ended {
             minimum,
             counts,
@@ -381,6 +393,7 @@ impl Cycling<'_> {
             columns: count,
             dropped: 0.0,
             model_errors: Vec::new(),
+            posterior,
         };
         let background = mean(&members, n_z);
         Ok((

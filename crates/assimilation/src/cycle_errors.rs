@@ -2,13 +2,18 @@
 
 use crate::cycle_members::truncate;
 use crate::cycle_window::{
-    Carry, Cycle, CycleState, CycledErrors, CycledEstimate, CycledMinimizer, Cycling, Ended,
+    Carry, Cycle, CyclePosterior, CycleState, CycledErrors, CycledEstimate, CycledMinimizer, Cycling, Ended,
+    is_whole,
 };
 use crate::departures::{departures_at, expected_departures};
 use crate::full_rank::FullRank;
 use crate::{ControlTransform, Error, LeastSquares, StrongConstraint, WeakForcing, WeakPosterior, WeakState};
 use varda_covariance::{Covariance, Precision};
 use varda_linalg::shorter_root;
+
+/// Most unknowns of a weak window whose posterior is handed out as a root; of more, and of fewer values, it
+/// is the prior less what was learnt.
+const MOST_ROOT_COLUMNS: usize = 1000;
 
 impl Cycling<'_> {
     /// One window of 4D-Var with errors of the model: weak where they are estimated, else strong.
@@ -64,14 +69,27 @@ impl Cycling<'_> {
             cost.linearize(&v, &mut vec![0.0; v.len()])?;
             cost.departures(&mut whitened, &mut vec![0.0; m]);
         }
-        let root = match carry {
+        let asked = self.posterior && is_whole(minimum.status);
+        let found = match carry {
             Some(_) => {
                 cost.linearize(&v, &mut vec![0.0; v.len()])?;
-                WeakPosterior::new(cost)?.root()
+                Some(WeakPosterior::new(cost)?)
             }
-            None => Vec::new(),
+            None => None,
         };
+        let root = found.as_ref().map_or(Vec::new(), WeakPosterior::root);
         let counts = cost.counts();
+        let with_errors = |posterior: &WeakPosterior| {
+            CyclePosterior::WithErrors(posterior.with_errors(&transform, errors.q, MOST_ROOT_COLUMNS))
+        };
+        let posterior = match (asked, &found) {
+            (false, _) => None,
+            (true, Some(found)) => Some(with_errors(found)),
+            (true, None) => {
+                cost.linearize(&v, &mut vec![0.0; v.len()])?;
+                Some(CyclePosterior::of(WeakPosterior::new(cost), |found| with_errors(&found))?)
+            }
+        };
 
         let mut z = vec![0.0; n_z];
         match over_states {
@@ -133,6 +151,7 @@ impl Cycling<'_> {
             columns: columns.len() / n_z,
             dropped,
             model_errors: eta,
+            posterior,
         };
         next.truncate(n_z);
         let after = CycleState { next: state.next + 1, background: next, columns };

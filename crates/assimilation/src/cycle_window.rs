@@ -2,7 +2,7 @@
 
 use crate::cycle_members::mean;
 use crate::{
-    CostTerms, Counts, Departures, Error, Forcing, Iteration, LeastSquares, Minimizer, Minimum,
+    CostTerms, Counts, Departures, Error, ErrorColumns, Forcing, Iteration, LeastSquares, Minimizer, Minimum,
     ObservationSet, OuterLoopOptions, Status, outer_loop,
 };
 use std::ops::ControlFlow;
@@ -35,6 +35,10 @@ pub struct Cycling<'a> {
     pub truth: Option<&'a dyn Fn(usize) -> Vec<f64>>,
     /// Errors of the model; `None` takes it to be right.
     pub model_error: Option<CycledErrors<'a>>,
+    /// Whether `on_cycle` is given the posterior of every window whose minimization ended by itself
+    /// ([`Cycle::posterior`]). A static B costs a dense posterior a window then; of a propagated B and of an
+    /// ensemble it is there anyway.
+    pub posterior: bool,
 }
 
 /// Q, and what a sequence does with it.
@@ -185,6 +189,38 @@ pub struct Cycle {
     pub dropped: f64,
     /// η_j that were estimated, on the forced components, one after the other; empty where none were.
     pub model_errors: Vec<f64>,
+    /// The posterior, for `on_cycle` alone: the windows that [`cycle`](crate::cycle) gives back are without.
+    /// `None` where it was not asked for, or the minimization was interrupted or failed.
+    pub posterior: Option<CyclePosterior>,
+}
+
+/// The posterior of a window, as what is carried along it.
+#[derive(Debug, Clone, PartialEq)]
+pub enum CyclePosterior {
+    /// A root of P_a, by columns of the length of the control: for
+    /// [`propagate_root`](crate::propagate_root).
+    Root(Vec<f64>),
+    /// Of the initial state and the errors of the model: for
+    /// [`propagate_errors`](crate::propagate_errors). Errors that were not estimated enter with their Q.
+    WithErrors(ErrorColumns),
+    /// The members' runs from the analysis on, to the end of the window or the start of the next, whichever
+    /// is later: the states of one, then those of the next.
+    Members(Vec<f64>),
+    /// It cannot be computed, and why: its Hessian is indefinite by rounding.
+    Indefinite(String),
+}
+
+impl CyclePosterior {
+    /// What a posterior that may be indefinite by rounding is; other errors are errors.
+    pub(crate) fn of<T>(found: Result<T, Error>, is: impl FnOnce(T) -> Self) -> Result<Self, Error> {
+        match found {
+            Ok(found) => Ok(is(found)),
+            Err(reason @ Error::NotPositiveDefinite { .. }) => {
+                Ok(CyclePosterior::Indefinite(reason.to_string()))
+            }
+            Err(error) => Err(error),
+        }
+    }
 }
 
 impl Cycle {
@@ -269,8 +305,14 @@ impl Cycling<'_> {
             columns: from.columns,
             dropped: from.dropped,
             model_errors: from.model_errors,
+            posterior: from.posterior,
         }
     }
+}
+
+/// Whether a minimization ended by itself, so that its end has a posterior.
+pub(crate) fn is_whole(status: Status) -> bool {
+    !matches!(status, Status::Interrupted | Status::Failed)
 }
 
 /// How the posterior of a window becomes B of the next: α² M P_a Mᵀ + β² B_s.
@@ -309,6 +351,8 @@ pub(crate) struct Ended {
     pub(crate) dropped: f64,
     /// η_j, one after the other.
     pub(crate) model_errors: Vec<f64>,
+    /// Where it was asked for.
+    pub(crate) posterior: Option<CyclePosterior>,
 }
 
 /// √(mean (a − b)²).

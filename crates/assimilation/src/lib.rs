@@ -133,7 +133,8 @@ pub use cost::{
 };
 pub use cycle::{CycledCovariance, CycledEnsemble, CycledInflation, CycledUpdate, cycle};
 pub use cycle_window::{
-    Cycle, CycleErrors, CycleState, CycledErrors, CycledEstimate, CycledMinimizer, Cycling, Normals,
+    Cycle, CycleErrors, CyclePosterior, CycleState, CycledErrors, CycledEstimate, CycledMinimizer, Cycling,
+    Normals,
 };
 pub use departures::Departures;
 pub use error::Error;

@@ -227,6 +227,7 @@ impl Setting {
             observations: &observations,
             truth: None,
             model_error,
+            posterior: false,
         };
         let (minimizer, outer) = (minimizer::minimizer(algorithm), minimizer::outer_of(algorithm));
         let minimizer = outer.as_ref().map_or(CycledMinimizer::from(&minimizer), CycledMinimizer::from);

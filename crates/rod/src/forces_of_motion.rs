@@ -125,7 +125,7 @@ pub(crate) fn with_forces(
 }
 
 /// Supports, edges and frames of a state.
-fn shape_of(system: &mut System, t: f64, state: &[f64]) -> Result<(), Error> {
+pub(crate) fn shape_of(system: &mut System, t: f64, state: &[f64]) -> Result<(), Error> {
     system.place(t)?;
     system.scatter_state(state);
     let guess = system.end_angle_guess();

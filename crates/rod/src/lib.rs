@@ -22,6 +22,7 @@
 //! | find its shape at rest | [`equilibrium`] from [`straight_guess`] |
 //! | find its natural modes | [`modes()`]: [`Modes`], each a [`Mode`] |
 //! | find tension, moments, reactions | [`internal_forces()`]: [`InternalForces`] with every [`Reaction`] |
+//! | find curvature and rate of twist | [`RodStep::curvature`] |
 //! | observe points on it | [`Markers`], a [`varda_implicit::ObservationOperator`] |
 //! | observe forces, accelerations, angular rates | [`Sensors`], each a [`Sensor`] |
 //! | use its energy elsewhere | [`derivatives`]: gradient and Hessian; [`energy`] of any [`Real`] number |
@@ -108,6 +109,7 @@ mod camera;
 mod change;
 pub mod check;
 mod clamp_frame;
+mod curvature;
 mod damping;
 mod dynamics;
 mod element;
@@ -150,6 +152,7 @@ mod views;
 
 pub use camera::{Camera, OutOfSight};
 pub use change::{Change, Parameter};
+pub use curvature::Curvature;
 pub use dynamics::{RodStep, TwistUnknowns};
 pub use energy::{Derivatives, Energy, Framed, derivatives, energy};
 pub use equations::RodEquations;

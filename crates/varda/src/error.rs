@@ -91,6 +91,14 @@ pub enum Error {
         /// Why, and what to do.
         reason: String,
     },
+    /// The page of a result cannot be drawn again.
+    #[error("{path}: its page cannot be drawn: {reason}")]
+    Page {
+        /// The folder of the result.
+        path: PathBuf,
+        /// What is missing, or which version wrote it.
+        reason: String,
+    },
     /// A plot could not be drawn.
     #[error("cannot draw {figure}: {reason}")]
     Plot {

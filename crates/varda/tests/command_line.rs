@@ -50,7 +50,7 @@ fn every_command_has_examples_and_every_run_its_exit_codes() {
     let names = whole.split("Commands:").nth(1).unwrap().split("Options:").next().unwrap();
     let names: Vec<&str> = names.lines().filter_map(|l| l.strip_prefix("  ")?.split(' ').next()).collect();
     let names: Vec<&str> = names.into_iter().filter(|n| !n.is_empty() && *n != "help").collect();
-    assert_eq!(names.len(), 13, "{names:?}");
+    assert_eq!(names.len(), 14, "{names:?}");
     for name in names {
         let help = text(&folder.varda(&[name, "--help"]));
         assert!(help.contains("Examples:\n  varda "), "{name}: {help}");

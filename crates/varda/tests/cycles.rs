@@ -95,7 +95,10 @@ fn a_sequence_writes_what_it_promises() {
     let analysis = folder.read("r/analysis.csv");
     assert!(analysis.starts_with("index,name,unit,x_b,x_a,truth\n") && analysis.lines().count() == 41);
     let page = folder.read("r/report.html");
-    assert_eq!(page.matches("<figure").count(), 4);
+    // errors, 2J/m, consistency, the field and components of it, and one of the observed components
+    assert_eq!(page.matches("<figure").count(), 6);
+    assert_eq!(folder.read("r/observations.csv").lines().count(), 1 + 12 * 4 * 40);
+    assert!(folder.read("r/trajectory.csv").starts_with("step,time_s,component,x_a,truth,sigma_a\n"));
     assert!(!page.contains(" src="));
     assert!(!folder.0.join("r.partial").exists(), "a finished run leaves nothing beside its result");
 }

@@ -17,6 +17,7 @@ use std::process::Command;
 use std::sync::OnceLock;
 
 use support::program::{Folder, text};
+use varda::scene::SHIPPED;
 
 const PACKAGES: [&str; 5] = ["numpy", "xarray", "netCDF4", "meshio", "taplo"];
 
@@ -80,6 +81,57 @@ fn other_programs_read_the_same_numbers() {
         assert!(output.status.success(), "{scene}: {}", String::from_utf8_lossy(&output.stderr));
         print!("{scene}: {}", String::from_utf8_lossy(&output.stdout));
     }
+}
+
+/// Members of the analysis of ensembles, with and without localization, of a field and of a rod; of the last
+/// window of a sequence.
+#[test]
+fn members_of_an_ensemble_are_in_the_files() {
+    let Some(python) = python() else { return };
+    let folder = Folder::new("formats-members");
+    let check = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/check.py");
+    let local = SHIPPED.iter().find(|s| s.name == "lorenz96-4denvar").unwrap().text;
+    let whole: String = local
+        .lines()
+        .filter(|l| !l.starts_with("localization"))
+        .fold(String::new(), |all, line| all + line + "\n");
+    std::fs::write(folder.0.join("whole.toml"), whole).unwrap();
+    let of_rod = "algorithm={ method = \"4denvar\", ensemble = { members = 12 } }";
+    let hybrid = "algorithm.method=hybrid-4denvar";
+    let two = "output.formats=[\"netcdf\", \"npz\"]";
+    for (out, scene, model, sets) in [
+        ("local", "lorenz96-4denvar", "components", [two, "seed=1"]),
+        ("whole", "whole.toml", "components", [two, "seed=1"]),
+        ("hybrid", "lorenz96-4denvar", "components", [two, hybrid]),
+        ("rod", "hanging-rod", "rod", [ALL, of_rod]),
+    ] {
+        let output =
+            folder.varda(&["run", scene, "--quiet", "--out", out, "--set", sets[0], "--set", sets[1]]);
+        // an ensemble of a few members need not fit
+        assert!(matches!(output.status.code(), Some(0 | 3 | 4)), "{out}: {output:?}");
+        let output = Command::new(&python).arg(&check).arg(folder.0.join(out)).arg(model).output().unwrap();
+        assert!(output.status.success(), "{out}: {}", String::from_utf8_lossy(&output.stderr));
+        let names = "import sys, numpy; print(*numpy.load(sys.argv[1]).files)";
+        let listed = folder.0.join(out).join("result.npz");
+        let output = Command::new(&python).args(["-c", names]).arg(listed).output().unwrap();
+        assert!(text(&output).contains("_members"), "{out}");
+    }
+    let few = ["--set", "algorithm.cycles.count=3", "--set", "algorithm.cycles.spin_up=1"];
+    let small = ["--set", "background.covariance.steps=3000", "--set", two];
+    let cycles = ["run", "lorenz96-cycling-4denvar", "--quiet", "--out", "c"];
+    folder.varda(&[&cycles[..], &few, &small].concat());
+    let code = "import xarray\nd = xarray.open_dataset('c/result.nc')\n\
+                last = d.state_members.isel(member_time=-1).std('member', ddof=1)\n\
+                assert abs(last - d.state_sigma.isel(time=-1)).max() < 1e-12 * last.max()\n\
+                assert (d.member_time.values == d.time.values[8:]).all() and d.sizes['member_time'] == 5";
+    let output = Command::new(&python).args(["-c", code]).current_dir(&folder.0).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    // nobody runs members who does not ask for a format that has them, or for no posterior
+    let none = ["--set", "report.posterior=false", "--set", two, "--out", "none"];
+    folder.varda(&[&["run", "lorenz96-4denvar", "--quiet"], &none[..]].concat());
+    let code = "import xarray; assert 'member' not in xarray.open_dataset('none/result.nc').sizes";
+    let output = Command::new(&python).args(["-c", code]).current_dir(&folder.0).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
 #[test]

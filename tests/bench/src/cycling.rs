@@ -293,6 +293,7 @@ fn run(network: &Network, case: &Case, seed: u64, mean: &[f64], b: &Dense) -> Re
         observations: &observations,
         truth: Some(&true_state),
         model_error: None,
+        posterior: false,
     };
     let mut rng = stream(1);
     let background: Vec<f64> =

@@ -387,6 +387,7 @@ fn cycles_are_a_kalman_filter_with_the_dense_covariance() {
             observations: &|first| seen(4)(first),
             truth: Some(&truth),
             model_error: weak.then_some(errors),
+            posterior: false,
         };
         let mut state = match what {
             "ensemble" => CycleState::from_members(spanning(&b, &background), N),

@@ -55,6 +55,7 @@ fn drawn(seed: u64, b_factor: f64, r_factor: f64) -> Departures {
         observations: &observations,
         truth: None,
         model_error: None,
+        posterior: false,
     };
     let assumed = coupled(n, 0.8 * f64::sqrt(b_factor));
     let covariance = CycledCovariance::Static(&assumed);
@@ -106,6 +107,7 @@ fn lorenz63(seed: u64, cycles: usize, inflation: CycledInflation, rotate: bool) 
         observations: &observations,
         truth: Some(&known),
         model_error: None,
+        posterior: false,
     };
     let members: Vec<f64> = normals(3000 + seed, 30)
         .iter()
@@ -167,6 +169,7 @@ fn a_member_that_fails_is_drawn_again() {
         observations: &observations,
         truth: None,
         model_error: None,
+        posterior: false,
     };
     let mut members = normals(5, 30);
     // Within the bound when it is linearized at a hundredth of it, beyond it on its own way.

@@ -89,6 +89,7 @@ fn weak_cycles_and_strong_ones_with_q_are_a_kalman_filter() {
             },
             truth: Some(&truth),
             model_error: Some(CycledErrors { q: &q, forcing: &forcing, estimated, normals: &no_draws }),
+            posterior: false,
         };
         let carried =
             CycledCovariance::Propagated { first: &b, inflation: 1.0, static_part: None, dropped: 0.0 };
@@ -154,6 +155,7 @@ fn a_weak_window_hands_on_the_end_of_its_own_trajectory() {
             observations: &seen(6),
             truth: None,
             model_error: Some(CycledErrors { q: &q, forcing, estimated, normals: &no_draws }),
+            posterior: false,
         };
         let mut state = CycleState::new(background.clone());
         let b_static = CycledCovariance::Static(&b);
@@ -188,6 +190,7 @@ fn incremental_and_dual_windows_are_those_of_4d_var() {
             observations: &seen(6),
             truth: None,
             model_error: None,
+            posterior: false,
         };
         let mut state = CycleState::new(background.clone());
         let b = CycledCovariance::Static(&b);
@@ -217,6 +220,7 @@ fn states_with_a_covariance_that_lost_its_rank_are_refused() {
         observations: &seen(4),
         truth: None,
         model_error: Some(CycledErrors { q: &q, forcing: &forcing, estimated, normals: &no_draws }),
+        posterior: false,
     };
     let mut state = CycleState::new(background);
     let carried = CycledCovariance::Propagated { first: &b, inflation: 1.0, static_part: None, dropped: 0.9 };
@@ -259,6 +263,7 @@ fn members_are_spread_by_q() {
                 estimated: CycledEstimate::No,
                 normals: &source,
             }),
+            posterior: false,
         };
         let ensemble = CycledCovariance::Ensemble(CycledEnsemble {
             inflation: CycledInflation::Fixed(1.0),
@@ -302,6 +307,7 @@ fn q_where_nothing_uses_it_is_refused() {
             estimated: CycledEstimate::No,
             normals: &no_draws,
         }),
+        posterior: false,
     };
     let mut state = CycleState::new(vec![0.0; N]);
     let ended = cycle(&cycling, &mut state, &CycledCovariance::Static(&b), &exact(), &mut |_, _| {

@@ -149,6 +149,7 @@ fn linear_cycles_are_a_kalman_filter_whatever_the_window_and_however_p_is_carrie
                 observations: &observations(window),
                 truth: Some(&truth),
                 model_error: None,
+                posterior: false,
             };
             let ended = cycle(&cycling, &mut state, &covariance, &exact(), &mut go_on).unwrap();
             assert_eq!(ended.len(), cycles);
@@ -190,6 +191,7 @@ fn inflation_multiplies_standard_deviations_once_a_window() {
         observations: &observations(1),
         truth: Some(&truth),
         model_error: None,
+        posterior: false,
     };
     let mut wide = vec![0.0; N * N];
     for j in 0..N {
@@ -242,6 +244,7 @@ fn every_way_to_carry_a_covariance_runs_on_a_nonlinear_model() {
         observations: &see,
         truth: Some(&true_state),
         model_error: None,
+        posterior: false,
     };
     let background: Vec<f64> = truth[0].iter().zip(normals(9, n)).map(|(x, e)| x + 0.6 * e).collect();
     let anchors = |set: &ObservationSet| -> Vec<usize> {
@@ -342,6 +345,7 @@ fn a_sequence_can_be_ended_and_what_makes_none_is_refused() {
         observations: &see,
         truth: None,
         model_error: None,
+        posterior: false,
     };
     let go = |cycling: &Cycling, mut state: CycleState, covariance: CycledCovariance, stop: usize| {
         cycle(cycling, &mut state, &covariance, &exact(), &mut |c, after| {

@@ -115,6 +115,7 @@ fn cycled_by(minimizer: CycledMinimizer, dropped: f64, over: Option<&str>) -> Ve
         observations: &observations,
         truth: None,
         model_error: errors,
+        posterior: false,
     };
     let covariance = CycledCovariance::Propagated { first: &b, inflation: 1.0, static_part: None, dropped };
     let mut state = CycleState::new(normals(1, N));

@@ -150,6 +150,7 @@ fn the_spread_of_a_propagated_posterior_has_its_static_part() {
         observations: &nothing,
         truth: None,
         model_error: None,
+        posterior: false,
     };
     let b = Diagonal::uniform(1, 1.0).unwrap();
     for (inflation, beta) in [(1.0, 1.0), (1.2, 0.5), (1.0, 0.0)] {

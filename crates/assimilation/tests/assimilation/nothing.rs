@@ -165,6 +165,7 @@ fn nothing_to_compare_and_nothing_to_cycle() {
             observations: &nothing,
             truth: None,
             model_error: None,
+            posterior: false,
         };
         let mut state = CycleState::new(vec![0.4]);
         let found =

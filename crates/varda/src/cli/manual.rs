@@ -53,6 +53,16 @@ Examples:
 
 Exit codes: 0 the modes were found, 1 an error, 2 wrong usage.";
 
+pub(super) const PLOT: &str = "\
+Examples:
+  varda plot out/hanging-rod-case1     the page again, as this version of the program draws it
+  for result in out/*/; do varda plot $result; done
+
+It is drawn from report.json of the folder; pages of several recordings are drawn with that of all.
+
+Exit codes: 0 the page was written, 1 an error (a folder without report.json, or one of another form), 2 wrong
+usage.";
+
 pub(super) const CHECK: &str = "\
 Examples:
   varda check mine.toml

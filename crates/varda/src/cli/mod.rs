@@ -123,6 +123,13 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
+    /// Draw the page of a finished result again, report.html, without running anything
+    #[command(after_help = manual::PLOT)]
+    Plot {
+        /// Folder of the result: of run, compare, modes or sweep
+        #[arg(value_name = "FOLDER")]
+        folder: PathBuf,
+    },
     /// Check a scene and look at the data beside the model: one forward run, no minimization
     #[command(after_help = manual::CHECK)]
     Check {
@@ -242,6 +249,11 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> Result<ExitCode, Er
         Command::Compare { scene, out, json } => compare_all(&scene, out.as_deref(), json),
         Command::Sweep(arguments) => sweep::run(&arguments, started),
         Command::Modes { scene, count, out, json } => modes(&scene, count, out.as_deref(), json),
+        Command::Plot { folder } => {
+            let pages = report::plot::draw_again(&folder)?;
+            pages.iter().for_each(|page| style::line(page.display()));
+            Ok(ExitCode::SUCCESS)
+        }
         Command::Check { scene, json: true } => Ok(preview::check_as_json(scene.open())),
         Command::Check { scene, json: false } => scene.open().and_then(|file| check(&file)),
         Command::New { name, recording, from } => {

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use varda_assimilation::Departures;
 use varda_implicit::check::Amplification;
 
-use super::{Experiment, Judgement, Shapes, Status, Trajectories, WorkCounts};
+use super::{Experiment, Judgement, Members, ObservedValue, Shapes, Status, Trajectories, WorkCounts};
 
 /// The result of one window: a row of cycles.csv, and the start of the window. RMSE and spread have a number
 /// for each group of the state; they are empty where the truth, or the spread, is not known.
@@ -74,6 +74,21 @@ pub struct CycleRow {
     /// part of the state.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub next_end_angle: Option<f64>,
+    /// σ along the window, where the scene asks for a posterior.
+    #[serde(default)]
+    pub sigma: CycleSigma,
+}
+
+/// σ along a window, of its posterior or of the spread of its members.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct CycleSigma {
+    /// Of the components of the states that the sequence shows of this window, one state after the other.
+    pub states: Vec<f64>,
+    /// Of H of the analysis: for each of what was seen from the window's start on, in the order of time, the
+    /// rows of its site.
+    pub seen: Vec<Vec<f64>>,
+    /// Why it is not known.
+    pub missing: Option<String>,
 }
 
 /// Sums over the observed values of a window, whitened: see [`varda_assimilation::Departures`].
@@ -135,6 +150,14 @@ pub struct CyclesOutcome {
     pub trajectories: Trajectories,
     /// The vertices of these runs, for models in space.
     pub shapes: Option<Shapes>,
+    /// σ of every component of the states of the analysis, one state after the other; NaN in windows of
+    /// which it is not known, empty where it is known of none.
+    pub sigma_states: Vec<f64>,
+    /// Members of the analysis of the last window, where a format asks for them.
+    pub members: Option<Members>,
+    /// Everything that was seen, with background, analysis and σ beside it: in each window up to the start
+    /// of the next.
+    pub observed: Vec<ObservedValue>,
     /// Means over the windows after `spin_up`.
     pub means: Means,
     /// Seconds since the run began.

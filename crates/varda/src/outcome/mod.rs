@@ -25,7 +25,7 @@ mod window;
 pub use considered::{ByConstant, Considered};
 pub use convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
 pub use covariances::CovarianceBlock;
-pub use cycles::{CycleDepartures, CycleRow, CyclesOutcome, Means};
+pub use cycles::{CycleDepartures, CycleRow, CycleSigma, CyclesOutcome, Means};
 pub use estimates::{Estimated, IDENTIFIABLE, remarks as remarks_on_estimates};
 pub use evidence::{Cause, Evidence};
 pub use exact_hessian::ExactHessian;
@@ -44,5 +44,6 @@ pub use space::{Shapes, Sight, Track};
 pub use spread::ObservedValue;
 pub use verdict::{Judgement, Verdict};
 pub use window::{
-    AcceptedSteps, Experiment, Failure, GroupRmse, Outcome, Rmse, Seconds, SeenComponent, Trajectories,
+    AcceptedSteps, Experiment, Failure, GroupRmse, Members, Outcome, Rmse, Seconds, SeenComponent,
+    Trajectories,
 };

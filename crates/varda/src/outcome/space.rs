@@ -1,6 +1,6 @@
 //! Runs and observations of a curve in space.
 
-use varda_rod::InternalForces;
+use varda_rod::{Curvature, InternalForces};
 
 /// Vertices \[m\] at every step of the runs of a curve; a run that ended early has fewer steps.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -17,7 +17,10 @@ pub struct Shapes {
     pub track: Option<Track>,
     /// Forces and moments within the rod of the analysis, from step 1 on: rates are those over a step.
     pub forces: Vec<InternalForces>,
-    /// Their standard deviations, where there is a posterior.
+    /// Curvature and rate of twist of the analysis, from step 0 on; none of a step at which the rod is
+    /// folded.
+    pub curvature: Vec<Option<Curvature>>,
+    /// Standard deviations of the forces, where there is a posterior.
     pub sigma_forces: Vec<InternalForces>,
 }
 

@@ -77,6 +77,8 @@ pub struct Outcome {
     pub has_posterior: bool,
     /// Blocks of B and P_a to be looked at; empty without a posterior, or where they would take long.
     pub covariances: Vec<CovarianceBlock>,
+    /// Members of the analysis of an ensemble, where a format asks for them.
+    pub members: Option<Members>,
     /// Where one more observation would help most; `None` without a posterior, or where it would take long.
     pub next_observation: Option<NextObservation>,
     /// What the uncertainty of some numbers of the run comes from.
@@ -258,6 +260,17 @@ impl Trajectories {
     pub fn state<'a>(&self, states: &'a [f64], k: usize) -> Option<&'a [f64]> {
         states.get(k * self.dim..(k + 1) * self.dim)
     }
+}
+
+/// Members of the analysis of an ensemble, at some steps.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Members {
+    /// How many.
+    pub count: usize,
+    /// The steps; first and last of the window where those of all would be too many numbers.
+    pub steps: Vec<usize>,
+    /// States at these steps of one member, then those of the next; NaN after a run has failed.
+    pub states: Vec<f64>,
 }
 
 /// Adaptive time steps.

@@ -2,12 +2,12 @@
 
 use super::chart::Figure;
 use super::markup::{escape, scene_section, short, table};
-use super::page::Page;
+use super::page::{Page, PageData};
 use crate::run::compare::Compared;
 use crate::scene::SceneFile;
 
 /// The page, with the figure that is drawn of these rows.
-pub(super) fn page(file: &SceneFile, rows: &[Compared], interrupted: bool, mut figure: Figure) -> String {
+pub(super) fn page(file: &SceneFile, rows: &[Compared], interrupted: bool, mut figure: Figure) -> PageData {
     let scene = &file.scene;
     let title = if scene.title.is_empty() { &file.name } else { &scene.title };
     let mut page = Page::new(title);

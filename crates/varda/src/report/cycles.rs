@@ -11,19 +11,20 @@ use crate::state::StateGroup;
 
 use super::chart::{Corner, Figure, Panel, Series, Style};
 use super::dataset::Dataset;
-use super::figures::{field, rod_through_time};
+use super::figures::{components_of_cycles, field, markers};
 use super::folder::ResultFolder;
 use super::formats::write_formats;
 use super::markup::{
     error_name, escape, folded_numbers, list, scene_section, short, status_words, tile_list, verdict,
 };
-use super::page::Page;
 use super::page::rod::RodView;
+use super::page::{Page, PageData};
+use super::plot::write_page;
 use super::summary::{WindowAmplification, peak_bytes};
 use super::tables::{self, number, optional};
 
 /// Writes the result of a sequence to `folder`, whole or not at all: summary.json, cycles.csv, analysis.csv
-/// of the last window, trajectory.csv of the sequence, report.html and its figures.
+/// of the last window, trajectory.csv and observations.csv of the sequence, report.html and its figures.
 ///
 /// # Errors
 /// [`Error::Occupied`], [`Error::Write`], [`Error::Plot`].
@@ -34,15 +35,16 @@ pub fn write_cycles(outcome: &CyclesOutcome, folder: &Path) -> Result<PathBuf, E
         out.write(&format!("figures/{}.svg", figure.name), &figure.svg()?)?;
     }
     let summary = summary_of_cycles(outcome);
-    out.write("report.html", &page(outcome, figures))?;
+    write_page(&out, "", &page(outcome, figures))?;
     out.write("summary.json", &format!("{summary:#}\n"))?;
     out.write("cycles.csv", &rows(outcome))?;
     out.write("analysis.csv", &analysis(outcome))?;
     let shapes = outcome.shapes.as_ref();
     out.write(
         "trajectory.csv",
-        &tables::trajectory(&outcome.experiment, &outcome.trajectories, &[], shapes),
+        &tables::trajectory(&outcome.experiment, &outcome.trajectories, &outcome.sigma_states, shapes),
     )?;
+    out.write("observations.csv", &tables::observed_values(&outcome.observed))?;
     write_formats(&out, "", &outcome.experiment.scene.output, || Dataset::of_cycles(outcome))?;
     out.publish()
 }
@@ -271,11 +273,12 @@ fn figures(outcome: &CyclesOutcome) -> Vec<Figure> {
             panel_size: wide(1),
         });
     }
-    figures.extend(field(&outcome.experiment, &outcome.trajectories, &[]));
+    figures.extend(field(&outcome.experiment, &outcome.trajectories, &outcome.sigma_states));
+    figures.extend(components_of_cycles(outcome));
     figures
 }
 
-fn page(outcome: &CyclesOutcome, figures: Vec<Figure>) -> String {
+fn page(outcome: &CyclesOutcome, figures: Vec<Figure>) -> PageData {
     let experiment = &outcome.experiment;
     let scene = &experiment.scene;
     let title = if scene.title.is_empty() { &experiment.name } else { &scene.title };
@@ -299,31 +302,27 @@ fn page(outcome: &CyclesOutcome, figures: Vec<Figure>) -> String {
         let notes = list(&outcome.warnings);
         page.push(&format!("<section class=\"notes\"><h2>What to know</h2>{notes}</section>"));
     }
-    let view = outcome
-        .shapes
-        .as_ref()
-        .zip(experiment.state.geometry.as_ref())
-        .and_then(|(shapes, geometry)| RodView::of_runs(shapes, geometry, &experiment.grid));
-    if let Some(view) = view {
-        page.rod(
-            view,
-            "The rod through the whole sequence. Drag to turn it, scroll to zoom; with the keyboard: arrow \
-             keys, plus and minus, Home, and the space bar to play. x is red, y green, z blue.",
-            "",
+    let sigma = if outcome.sigma_states.is_empty() { "" } else { " with ±2σ around it" };
+    if let Some(view) = RodView::of_cycles(outcome) {
+        let caption = format!(
+            "The rod through the whole sequence, the analysis{sigma}. Drag to turn it, scroll to zoom; with \
+             the keyboard: arrow keys, plus and minus, Home, and the space bar to play. x is red, y green, z \
+             blue."
         );
+        page.rod(view, &caption, "");
     }
-    let rod = outcome
-        .shapes
-        .as_ref()
-        .and_then(|shapes| rod_through_time(experiment, shapes, &outcome.trajectories, &[]));
-    rod.into_iter().for_each(|(_, figure)| page.figure(figure));
+    let against_time = markers(outcome);
+    if !against_time.is_empty() {
+        page.push(&format!("<h2>The whole recording{}</h2>", sigma.replace(" around it", "")));
+        page.one_of("Against time:", against_time);
+    }
     figures.into_iter().for_each(|figure| page.figure(figure));
     page.push(&format!("<section><h2>What was left out</h2>{}</section>", list(&experiment.left_out)));
     page.push(&in_numbers(outcome));
     page.push(&scene_section(scene));
     page.push(&format!(
         "<footer><p>Made by Varda {}. Files beside this page: summary.json, cycles.csv, analysis.csv (last \
-         window), trajectory.csv (whole sequence), figures/.</p></footer>",
+         window), trajectory.csv and observations.csv (whole sequence), figures/.</p></footer>",
         env!("CARGO_PKG_VERSION"),
     ));
     page.finish()

@@ -1,10 +1,10 @@
 //! Results as [`Dataset`]s.
 
-use varda_rod::InternalForces;
+use varda_rod::{Curvature, InternalForces};
 
 use super::dataset::{Dataset, Values};
 use crate::outcome::{
-    CyclesOutcome, Estimated, Experiment, ModelErrors, ObservedValue, Outcome, Shapes, Simulation,
+    CyclesOutcome, Estimated, Experiment, Members, ModelErrors, ObservedValue, Outcome, Shapes, Simulation,
     Trajectories,
 };
 use crate::state::{Geometry, StateGroup};
@@ -47,6 +47,7 @@ impl Dataset {
         data.runs(experiment, &outcome.trajectories, &outcome.sigma_states, shapes, "analysis");
         if let (Some(shapes), Some(geometry)) = (shapes, &experiment.state.geometry) {
             data.forces("", "", &shapes.forces, geometry, experiment.grid.last_step());
+            data.curvature(&shapes.curvature, geometry, experiment.grid.last_step());
             data.forces("_sigma", "sigma of ", &shapes.sigma_forces, geometry, experiment.grid.last_step());
         }
         data.control(outcome);
@@ -55,6 +56,9 @@ impl Dataset {
             data.model_errors(experiment, errors);
         }
         data.observations(&outcome.observed);
+        if let Some(members) = &outcome.members {
+            data.members(experiment, members, shapes);
+        }
         data
     }
 
@@ -67,6 +71,7 @@ impl Dataset {
         data.runs(experiment, &simulation.trajectories, &[], shapes, &of);
         if let (Some(shapes), Some(geometry)) = (shapes, &experiment.state.geometry) {
             data.forces("", "", &shapes.forces, geometry, experiment.grid.last_step());
+            data.curvature(&shapes.curvature, geometry, experiment.grid.last_step());
         }
         data
     }
@@ -77,7 +82,12 @@ impl Dataset {
         let mut data = Dataset::about(experiment, "analysis of each window up to the start of the next");
         data.attributes.push(("status", outcome.status.name().to_string()));
         data.attributes.push(("verdict", outcome.judgement.verdict.heading().to_string()));
-        data.runs(experiment, &outcome.trajectories, &[], outcome.shapes.as_ref(), "analysis");
+        let sigma = &outcome.sigma_states;
+        data.runs(experiment, &outcome.trajectories, sigma, outcome.shapes.as_ref(), "analysis");
+        data.observations(&outcome.observed);
+        if let Some(members) = &outcome.members {
+            data.members(experiment, members, outcome.shapes.as_ref());
+        }
         let windows = [("window", outcome.cycles.len())];
         let times = outcome.cycles.iter().map(|cycle| cycle.time).collect();
         data.put("window", &windows, times, "s", "model time at the start of a window");
@@ -197,6 +207,64 @@ impl Dataset {
                 };
                 self.put(format!("{}{suffix}", group.name), dimensions, values, unit(group.unit), what);
             }
+        }
+    }
+
+    /// Members of the analysis; what is held of a rod is where the analysis has it.
+    fn members(&mut self, experiment: &Experiment, members: &Members, shapes: Option<&Shapes>) {
+        let Members { count, steps, states } = members;
+        let (all, times) = (("member", *count), ("member_time", steps.len()));
+        let numbers = (0..*count as i32).collect();
+        self.add("member", &[all], Values::Integers(numbers), "1", "member of the ensemble of analyses");
+        let at = steps.iter().map(|k| experiment.grid.time(*k)).collect();
+        self.put("member_time", &[times], at, "s", "model time at which members are kept");
+        let n = states.len() / (count * steps.len()).max(1);
+        let Some((shapes, geometry)) = shapes.zip(experiment.state.geometry.as_ref()) else {
+            let names = experiment.state.names.len();
+            let values = states.chunks_exact(n.max(1)).flat_map(|x| &x[..names]).copied().collect();
+            let dimensions = [all, times, ("component", names)];
+            self.put("state_members", &dimensions, values, "1", "state, members of the analysis");
+            return;
+        };
+        let vertices = geometry.arc_lengths.len();
+        for group in &experiment.state.groups {
+            let of_state = |(i, state): (usize, &[f64])| {
+                let mut values = spread(state, group, geometry, f64::NAN);
+                let analysis = shapes.analysis.get(steps[i % steps.len()]);
+                if let Some(shape) = analysis.filter(|_| group.name == "position") {
+                    let held = (0..vertices).filter(|v| geometry.free.binary_search(v).is_err());
+                    held.for_each(|v| values[3 * v..3 * v + 3].copy_from_slice(&shape[v]));
+                }
+                values
+            };
+            let values = states.chunks_exact(n.max(1)).enumerate().flat_map(of_state).collect();
+            let place = match group.width {
+                3 => vec![("s", vertices), ("component", 3)],
+                _ => vec![("s_edge", vertices - 1)],
+            };
+            let what = format!("{}, members of the analysis", group.name);
+            let dimensions = [&[all, times][..], &place].concat();
+            self.put(format!("{}_members", group.name), &dimensions, values, unit(group.unit), what);
+        }
+    }
+
+    /// Curvature and rate of twist of a rod, vertex by vertex between two edges.
+    fn curvature(&mut self, steps: &[Option<Curvature>], geometry: &Geometry, last_step: usize) {
+        let inner = geometry.arc_lengths.len().saturating_sub(2);
+        let twists = steps.iter().flatten().any(|of| !of.twist_rate.is_empty());
+        if inner == 0 || steps.iter().all(Option::is_none) {
+            return;
+        }
+        let mut put = |name: &str, unit, what: &str, values: &dyn Fn(&Curvature) -> Vec<f64>| {
+            let count = last_step + 1;
+            let values = rows(count, inner, |k| steps.get(k)?.as_ref().map(values));
+            self.put(name, &[("time", count), ("s_inner", inner)], values, unit, what);
+        };
+        put("curvature", "m-1", "curvature, 2 tan(φ/2) over the length of the vertex", &|of| {
+            of.curvature.clone()
+        });
+        if twists {
+            put("twist_rate", "rad m-1", "rate of twist", &|of| of.twist_rate.clone());
         }
     }
 

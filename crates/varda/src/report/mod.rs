@@ -16,6 +16,7 @@ mod modes;
 mod netcdf;
 mod npz;
 mod page;
+pub mod plot;
 mod recordings;
 mod run_page;
 mod sources;
@@ -66,7 +67,7 @@ fn write_one(out: &ResultFolder, at: &str, outcome: &Outcome) -> Result<(), Erro
         }
     }
     let experiment = &outcome.experiment;
-    write("report.html", &run_page::page(outcome, &summary, figures, covariances, &rod))?;
+    plot::write_page(out, at, &run_page::page(outcome, &summary, figures, covariances, &rod))?;
     write("analysis.csv", &tables::analysis(outcome))?;
     if !outcome.convergence.is_empty() {
         write("convergence.csv", &tables::convergence(&outcome.convergence))?;
@@ -107,7 +108,7 @@ pub fn write_comparison(
     out.write("compare.csv", &tables::comparison(rows))?;
     let figure = figures::comparison(rows);
     out.write("compare.svg", &figure.svg()?)?;
-    out.write("report.html", &comparison::page(file, rows, interrupted, figure))?;
+    plot::write_page(&out, "", &comparison::page(file, rows, interrupted, figure))?;
     out.publish()
 }
 
@@ -138,7 +139,7 @@ pub fn write_modes(modes: &RodModes, folder: &Path) -> Result<PathBuf, Error> {
     for (_, figure) in &figures {
         out.write(&format!("figures/{}.svg", figure.name), &figure.svg()?)?;
     }
-    out.write("report.html", &modes::page(modes, figures))?;
+    plot::write_page(&out, "", &modes::page(modes, figures))?;
     out.publish()
 }
 

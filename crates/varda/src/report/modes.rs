@@ -6,7 +6,7 @@ use varda_rod::Mode;
 
 use super::chart::{Corner, Figure, Panel, Series, Style};
 use super::markup::{escape, short, table};
-use super::page::Page;
+use super::page::{Page, PageData};
 use super::tables::{number, optional};
 use crate::outcome::RodModes;
 
@@ -101,7 +101,7 @@ pub(super) fn figures(modes: &RodModes) -> Vec<(String, Figure)> {
 }
 
 /// The page: frequencies, and the shape of the mode that a reader chooses.
-pub(super) fn page(modes: &RodModes, figures: Vec<(String, Figure)>) -> String {
+pub(super) fn page(modes: &RodModes, figures: Vec<(String, Figure)>) -> PageData {
     let mut page = Page::new(&format!("Modes of {}", modes.name));
     let verdict = match modes.found.unstable {
         0 => "<p class=\"verdict fits\"><strong>STABLE</strong> No mode grows.</p>".to_string(),

@@ -67,8 +67,17 @@ fn build(data: Dataset) -> netcdf_writer::Result<NcFileBuilder> {
 }
 
 fn describe(file: &mut NcFileBuilder, variable: VariableId, array: &Array) -> netcdf_writer::Result<()> {
-    let said =
-        [("long_name", array.long_name.as_str()), ("units", array.unit), ("coordinates", array.coordinates)];
+    // what the CF conventions call it
+    let standard = match array.name.as_str() {
+        "member" => "realization",
+        _ => "",
+    };
+    let said = [
+        ("long_name", array.long_name.as_str()),
+        ("standard_name", standard),
+        ("units", array.unit),
+        ("coordinates", array.coordinates),
+    ];
     for (name, text) in said.into_iter().filter(|(_, text)| !text.is_empty()) {
         file.add_variable_attribute(variable, name, NcAttrValue::Chars(text.to_string()))?;
     }

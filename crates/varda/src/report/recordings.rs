@@ -7,7 +7,8 @@ use serde::Serialize;
 
 use super::folder::ResultFolder;
 use super::markup::{escape, in_brackets, list, scene_section, short, status_words, table, verdict};
-use super::page::Page;
+use super::page::{Page, PageData};
+use super::plot::write_page;
 use super::summary::peak_bytes;
 use super::{Summary, estimates, tables, write_one};
 use crate::Error;
@@ -122,7 +123,7 @@ pub fn write_recordings(outcome: &JointOutcome, folder: &Path) -> Result<PathBuf
         write_one(&out, &format!("{}/", one.experiment.name), one)?;
     }
     let summary = JointSummary::new(outcome);
-    out.write("report.html", &page(outcome, &summary))?;
+    write_page(&out, "", &page(outcome, &summary))?;
     out.write("estimates.csv", &estimates::csv(&outcome.estimates))?;
     out.write("convergence.csv", &tables::convergence(&outcome.convergence))?;
     // Last: a folder without it is not a result.
@@ -130,7 +131,7 @@ pub fn write_recordings(outcome: &JointOutcome, folder: &Path) -> Result<PathBuf
     out.publish()
 }
 
-fn page(outcome: &JointOutcome, summary: &JointSummary) -> String {
+fn page(outcome: &JointOutcome, summary: &JointSummary) -> PageData {
     let title = match outcome.scene.title.as_str() {
         "" => outcome.name.as_str(),
         title => title,

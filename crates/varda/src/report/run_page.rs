@@ -7,8 +7,8 @@ use super::markup::{
     error_name, escape, folded_numbers, in_brackets, list, scene_section, short, status_words, table,
     tile_list, verdict,
 };
-use super::page::Page;
 use super::page::rod::RodView;
+use super::page::{Page, PageData};
 use super::{Summary, estimates, figures, sources};
 use crate::outcome::{ConvergenceRow, Fit, Forecast, KnownConstants, Outcome, Quantity, Withheld};
 use crate::state::{StateGroup, StateLayout};
@@ -21,7 +21,7 @@ pub(super) fn page(
     figures: Vec<Figure>,
     covariances: Vec<(String, Figure)>,
     picture: &str,
-) -> String {
+) -> PageData {
     let experiment = &outcome.experiment;
     let title = match experiment.scene.title.as_str() {
         "" => experiment.name.as_str(),

@@ -4,7 +4,8 @@ use std::path::Path;
 
 use super::chart::{Band, Corner, Figure, Panel, Series, Style};
 use super::markup::{escape, short, table as html_table};
-use super::page::Page;
+use super::page::{Page, PageData};
+use super::plot::{PAGE, PAGE_DATA};
 use super::tables::{number, optional};
 use crate::Error;
 use crate::sweep::grid::Plan;
@@ -24,7 +25,11 @@ const MOST_BANDS: usize = 4;
 pub fn write_sweep(plan: &Plan, table: &Table, folder: &Path) -> Result<(), Error> {
     write_whole(&folder.join("sweep.csv"), &runs_csv(table))?;
     write_whole(&folder.join("sweep-means.csv"), &means_csv(table))?;
-    write_whole(&folder.join("report.html"), &page(plan, table))?;
+    let page = page(plan, table);
+    let mut data = Vec::new();
+    page.write(&mut data).map_err(|reason| Error::Write { path: folder.join(PAGE_DATA), reason })?;
+    write_whole(&folder.join(PAGE_DATA), &String::from_utf8_lossy(&data))?;
+    write_whole(&folder.join(PAGE), &page.html())?;
     write_whole(&folder.join("summary.json"), &format!("{:#}\n", summary_of_sweep(plan, table)))
 }
 
@@ -117,7 +122,7 @@ fn csv_of(rows: impl Iterator<Item = Vec<String>>) -> String {
     String::from_utf8(writer.into_inner().unwrap_or_default()).unwrap_or_default()
 }
 
-fn page(plan: &Plan, table: &Table) -> String {
+fn page(plan: &Plan, table: &Table) -> PageData {
     let title = if plan.title.is_empty() { &plan.scene } else { &plan.title };
     let mut page = Page::new(title);
     let fits: usize = table.combinations.iter().map(|c| c.fits).sum();

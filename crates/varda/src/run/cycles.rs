@@ -1,8 +1,8 @@
 //! Cycling: a scene with `[algorithm.cycles]`, window after window.
 //!
-//! The windows are cut out of one long [`Problem`], whose only window is the whole sequence: one run of the
-//! truth, one draw of observations in the order of time, one recording read. So more cycles do not change the
-//! first ones.
+//! The windows are cut out of one long [`Problem`](crate::setup::Problem), whose only window is the whole
+//! sequence: one run of the truth, one draw of observations in the order of time, one recording read. So
+//! more cycles do not change the first ones.
 
 use std::cell::{Cell, RefCell};
 use std::ops::ControlFlow;
@@ -11,43 +11,24 @@ use std::time::Instant;
 
 use rand_distr::{Distribution, StandardNormal};
 use varda_assimilation::{
-    Cycle, CycleState, CycledCovariance, CycledEnsemble, CycledErrors, CycledEstimate, CycledInflation,
-    CycledMinimizer, CycledUpdate, Cycling, Departures, EnVarOptions, Forcing, Normals, Observation,
-    ObservationOperator, ObservationSet, cycle,
+    Cycle, CyclePosterior, CycleState, CycledCovariance, CycledEnsemble, CycledErrors, CycledEstimate,
+    CycledInflation, CycledMinimizer, CycledUpdate, Cycling, Departures, EnVarOptions, Normals,
+    ObservationSet, cycle,
 };
 use varda_implicit::check::Amplification;
-use varda_implicit::{At, Model, Refusal};
 use varda_linalg::interrupt;
 
-use super::{amplification, cycle_checks, shapes, verdict};
+use super::cycle_runs::{Everything, Runs};
+pub use super::sequence::Sequence;
+use super::{amplification, cycle_checks, members, shapes, verdict};
 use crate::Error;
 use crate::outcome::{
-    CycleDepartures, CycleRow, CyclesOutcome, Experiment, Means, Status, Trajectories, WorkCounts,
+    CycleDepartures, CycleRow, CycleSigma, CyclesOutcome, Experiment, Means, Status, Trajectories, WorkCounts,
 };
-use crate::scene::{self, Cycles, SceneFile, TimeGrid};
+use crate::scene::{self, TimeGrid};
+use crate::setup::ensemble;
 use crate::setup::random::{Stream, stream_of_window};
-use crate::setup::runs::run_states;
-use crate::setup::{Inputs, Problem, ensemble};
-use crate::solve::{forcing, minimizer};
-
-/// A sequence of windows, ready to run. It does not change.
-pub struct Sequence {
-    /// Its settings.
-    pub cycles: Cycles,
-    /// K, the length of a window in steps.
-    pub window: usize,
-    /// S, steps from one window to the next.
-    pub shift: usize,
-    /// The whole sequence as one window: its truth and background are at the first step.
-    pub problem: Problem,
-    /// The states of the truth, step by step; empty where there is none.
-    pub truth: Vec<f64>,
-    /// What was observed, in the order of time, steps counted from the start of the sequence.
-    observations: Vec<Observation>,
-}
-
-/// An observation operator that the windows of a sequence share.
-type SharedOperator = Rc<RefCell<Box<dyn ObservationOperator>>>;
+use crate::solve::minimizer;
 
 /// Progress and cancellation callbacks of a sequence.
 pub struct CycleListener<'a> {
@@ -71,39 +52,6 @@ impl CycleListener<'_> {
 }
 
 impl Sequence {
-    /// The sequence that a scene describes; `None` for a scene without `[algorithm.cycles]`. Runs the truth
-    /// from end to end where there is one.
-    ///
-    /// # Errors
-    /// Those of [`Problem::from_scene`].
-    pub fn from_scene(file: &SceneFile) -> Result<Option<Sequence>, Error> {
-        match &file.scene.algorithm.cycles {
-            Some(cycles) => Sequence::new(cycles.clone(), Inputs::read(file)?).map(Some),
-            None => Ok(None),
-        }
-    }
-
-    /// The sequence of a scene that has been read.
-    ///
-    /// # Errors
-    /// Those of [`Problem::new`].
-    pub fn new(cycles: Cycles, inputs: Inputs) -> Result<Sequence, Error> {
-        let mut problem = Problem::new(inputs)?;
-        let window = problem.experiment.scene.time.window;
-        let truth = match &problem.truth {
-            Some(truth) => run_states(problem.model().as_mut(), truth, problem.experiment.grid.steps)?,
-            None => Vec::new(),
-        };
-        let mut observations = problem.observed.assimilated(&problem.experiment.grid);
-        observations.sort_by(|a, b| at(a).total_cmp(&at(b)));
-        let shift = cycles.shift_of(window);
-        let unused = unused(&observations, &cycles, window);
-        if unused > 0 {
-            problem.experiment.left_out.push(format!("{unused} observed values between two windows"));
-        }
-        Ok(Sequence { cycles, window, shift, problem, truth, observations })
-    }
-
     /// The state before the first window: the background, and the members of an ensemble about it, their
     /// mean.
     pub fn start(&self) -> CycleState {
@@ -133,6 +81,7 @@ impl Sequence {
     ) -> Result<CyclesOutcome, Error> {
         let mut rows = done;
         let (mut refused, mut interrupted, mut late) = (None, false, false);
+        let mut members = None;
         let limits = &self.problem.experiment.scene.limits;
         let mut began = Instant::now();
         let end_angle = Cell::new(rows.last().and_then(|row| row.next_end_angle));
@@ -210,8 +159,20 @@ impl Sequence {
             observations: &observations,
             truth: None,
             model_error,
+            posterior: self.has_sigma(),
         };
+        let everything = Everything::of(&self.problem)?;
         let mut on_cycle = |cycle: &Cycle, after: &CycleState| {
+            let mut row = self.row(cycle);
+            if self.has_sigma() && !interrupt::was_told() {
+                if let Some(CyclePosterior::Members(runs)) = &cycle.posterior
+                    && self.problem.experiment.scene.output.is_more_than_csv()
+                {
+                    let (n, steps) = (self.problem.experiment.n_state, [self.steps(), self.window]);
+                    members = Some(members::of_cycle(runs, n, row.first_step, steps));
+                }
+                row.sigma = self.sigma_along(&row, cycle.posterior.as_ref(), end_angle.get(), &everything);
+            }
             if interrupt::was_told() {
                 // what it was told in is left half done
                 interrupted = true;
@@ -220,10 +181,14 @@ impl Sequence {
                 }
                 return ControlFlow::Break(());
             }
-            let mut row = self.row(cycle, began.elapsed().as_secs_f64());
+            row.seconds = began.elapsed().as_secs_f64();
             row.next_end_angle = self.next_end_angle(&row, end_angle.get());
             end_angle.set(row.next_end_angle);
             let told = (listener.on_cycle)(&row, after);
+            if let Some(before) = rows.last_mut() {
+                // from here on the sequence shows the later window
+                before.sigma.states.truncate(self.shift * self.problem.experiment.n_state);
+            }
             rows.push(row);
             let more = after.next < self.cycles.count;
             late = more && limits.over(listener.started.elapsed());
@@ -298,7 +263,7 @@ impl Sequence {
             rows.iter().skip(if means.count == 0 { 0 } else { self.cycles.spin_up }).collect();
         let unfinished = (status == Status::Interrupted).then_some(self.cycles.count);
         let judgement = verdict::judge_windows(&counted, unfinished, algorithm.method.is_ensemble(), late);
-        let trajectories = self.trajectories(&rows, &mut warnings);
+        let Runs { trajectories, sigma_states, observed } = self.runs(&rows, &everything, &mut warnings)?;
         let amplification = self.amplification(&rows, &trajectories);
         warnings.extend(amplification.and_then(|a| a.warning()));
         let experiment = &self.problem.experiment;
@@ -318,6 +283,9 @@ impl Sequence {
             shapes: shapes::vertices(&self.problem, &trajectories)?,
             cycles: rows,
             trajectories,
+            sigma_states,
+            members,
+            observed,
             means,
             seconds: listener.started.elapsed().as_secs_f64(),
             amplification,
@@ -325,38 +293,7 @@ impl Sequence {
         })
     }
 
-    /// The true state at a step, where it is known.
-    pub fn true_state(&self, k: usize) -> Option<&[f64]> {
-        let n = self.problem.truth.as_ref()?.len();
-        self.truth.get(k * n..(k + 1) * n)
-    }
-
-    /// Observed values that fall into windows, and those that fall between two.
-    pub fn values(&self) -> [usize; 2] {
-        let all: usize = self.observations.iter().map(|o| o.rows.len()).sum();
-        let unused = unused(&self.observations, &self.cycles, self.window);
-        [all - unused, unused]
-    }
-
-    /// What was observed in the window that starts at a step, including what an earlier window has used.
-    fn of_window(
-        &self,
-        operators: &[SharedOperator],
-        first: usize,
-    ) -> Result<ObservationSet, varda_assimilation::Error> {
-        let last = (first + self.window) as f64;
-        let from = self.observations.partition_point(|o| o.step < first);
-        let inside = self.observations[from..].iter().take_while(|o| at(o) <= last);
-        let seen = inside.map(|o| o.clone().at_step(o.step - first)).collect();
-        let operator = |operator: &SharedOperator| -> Box<dyn ObservationOperator> {
-            Box::new(FromStep { operator: Rc::clone(operator), first })
-        };
-        let grid = &self.problem.experiment.grid;
-        let times = (first..=first + self.window).map(|k| grid.time(k)).collect();
-        ObservationSet::on_times(times, operators.iter().map(operator).collect(), seen)
-    }
-
-    fn row(&self, c: &Cycle, seconds: f64) -> CycleRow {
+    fn row(&self, c: &Cycle) -> CycleRow {
         let layout = &self.problem.experiment.state;
         let rmse = |x: &[f64], k: usize| {
             self.true_state(k).map_or(Vec::new(), |truth| layout.rms_difference(x, truth))
@@ -386,19 +323,12 @@ impl Sequence {
             drawn_again: c.drawn_again,
             columns: c.columns,
             dropped: c.dropped,
-            seconds,
+            seconds: 0.0,
+            sigma: CycleSigma::default(),
             background: c.background.clone(),
             analysis: c.analysis.clone(),
             model_errors: c.model_errors.clone(),
             next_end_angle: None,
-        }
-    }
-
-    /// The model of the window that starts at a step, where the window before left the end clamp at an angle.
-    fn model_of(&self, first: usize, end_angle: Option<f64>) -> Box<dyn Model + Send> {
-        match (self.problem.system.rod(), end_angle) {
-            (Some(rod), Some(angle)) => rod.model_turned(first, angle),
-            _ => (self.problem.make_model)(first),
         }
     }
 
@@ -407,32 +337,6 @@ impl Sequence {
         let rod = self.problem.system.rod().filter(|rod| rod.has_end_angle())?;
         let states = self.states_of(row, before, self.shift).ok()?;
         rod.end_angle(&states[states.len() / (self.shift + 1) * self.shift..]).ok()?
-    }
-
-    /// When errors of the model enter.
-    fn forcing(&self) -> Forcing {
-        let n = self.problem.background.len();
-        forcing(self.problem.experiment.scene.algorithm.model_error.as_ref(), n)
-    }
-
-    /// The states of a window from its analysis on, with the errors of the model that it found.
-    fn states_of(&self, row: &CycleRow, before: Option<f64>, steps: usize) -> Result<Vec<f64>, Error> {
-        let mut model = self.model_of(row.first_step, before);
-        let mut x = vec![0.0; model.dim()];
-        model.initial_state(&row.analysis, &mut x)?;
-        if row.model_errors.is_empty() {
-            return run_states(&mut *model, &x, steps);
-        }
-        let (forcing, size) = (self.forcing(), row.analysis.len());
-        let (mut states, mut next) = (x.clone(), x.clone());
-        for k in 0..steps {
-            model.step(k, &x, &mut next)?;
-            let error = forcing.index(k).and_then(|j| row.model_errors.get(j * size..(j + 1) * size));
-            error.unwrap_or(&[]).iter().zip(&mut next).for_each(|(eta, x)| *x += eta);
-            std::mem::swap(&mut x, &mut next);
-            states.extend_from_slice(&x);
-        }
-        Ok(states)
     }
 
     /// ‖M‖ of the last window about its analysis, for methods that have a gradient along a run.
@@ -449,32 +353,6 @@ impl Sequence {
         sigma.iter_mut().for_each(|s| *s = s.sqrt());
         amplification::estimate(model.as_mut(), &last.analysis, &sigma, states, scene.seed)
     }
-
-    /// Runs from every window's analysis to the next one's start, the last to its end; and the truth over the
-    /// same steps. A step that two windows share has the later one's value, which has seen more.
-    fn trajectories(&self, rows: &[CycleRow], warnings: &mut Vec<String>) -> Trajectories {
-        let dim = self.problem.experiment.n_state;
-        let mut analysis = Vec::new();
-        for (i, row) in rows.iter().enumerate() {
-            let last = i + 1 == rows.len();
-            let before = i.checked_sub(1).and_then(|before| rows[before].next_end_angle);
-            match self.states_of(row, before, if last { self.window } else { self.shift - 1 }) {
-                Ok(states) => analysis.extend(states),
-                Err(e) => {
-                    warnings.push(format!("the run of the analysis ends early, in cycle {}: {e}", row.cycle));
-                    break;
-                }
-            }
-        }
-        let steps = rows.last().map_or(0, |r| r.first_step + self.window);
-        let truth = self.truth.get(..(steps + 1) * dim).unwrap_or(&[]).to_vec();
-        Trajectories { dim, background: Vec::new(), analysis, truth }
-    }
-}
-
-/// Time of an observation in steps.
-fn at(o: &Observation) -> f64 {
-    o.step as f64 + o.weight
 }
 
 /// Higher for worse ends.
@@ -487,17 +365,6 @@ fn severity(status: Status) -> usize {
         Status::Interrupted => 4,
         Status::Failed => 5,
     }
-}
-
-/// Observed values that fall between two windows.
-fn unused(observations: &[Observation], cycles: &Cycles, window: usize) -> usize {
-    let shift = cycles.shift_of(window);
-    let is_used = |o: &&Observation| {
-        // The last window that starts no later than the observation.
-        let c = (o.step / shift).min(cycles.count - 1);
-        at(o) <= (c * shift + window) as f64
-    };
-    observations.iter().filter(|o| !is_used(o)).map(|o| o.rows.len()).sum()
 }
 
 fn means(rows: &[CycleRow], spin_up: usize, groups: usize) -> Means {
@@ -526,47 +393,5 @@ fn means(rows: &[CycleRow], spin_up: usize, groups: usize) -> Means {
         inflation: mean(counted.iter().map(|r| r.inflation).collect()),
         chi2: mean(counted.iter().filter(|r| r.observations > 0).map(|r| r.chi2).collect()),
         seconds: mean(counted.iter().map(|r| r.seconds).collect()),
-    }
-}
-
-/// An operator of the sequence, in a window that starts at its step `first`.
-struct FromStep {
-    operator: SharedOperator,
-    first: usize,
-}
-
-impl FromStep {
-    fn moved(&self, at: At) -> At {
-        At { step: self.first + at.step, ..at }
-    }
-}
-
-impl ObservationOperator for FromStep {
-    fn dim(&self) -> usize {
-        self.operator.borrow().dim()
-    }
-
-    fn state_dim(&self) -> usize {
-        self.operator.borrow().state_dim()
-    }
-
-    fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
-        self.operator.borrow_mut().observe(self.moved(at), x, y)
-    }
-
-    fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
-        self.operator.borrow_mut().tangent(self.moved(at), x, dx, dy);
-    }
-
-    fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
-        self.operator.borrow_mut().adjoint_add(self.moved(at), x, dy, dx);
-    }
-
-    fn has_second_derivatives(&self) -> bool {
-        self.operator.borrow().has_second_derivatives()
-    }
-
-    fn second_adjoint_add(&mut self, at: At, x: &[f64], dx: &[f64], dy: &[f64], out: &mut [f64]) {
-        self.operator.borrow_mut().second_adjoint_add(self.moved(at), x, dx, dy, out);
     }
 }

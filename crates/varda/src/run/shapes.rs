@@ -1,7 +1,7 @@
 //! Runs of a rod in space: its vertices step by step, what was seen of it, and one marker followed through
 //! all runs.
 
-use varda_rod::InternalForces;
+use varda_rod::{Curvature, InternalForces};
 
 use crate::Error;
 use crate::outcome::{Shapes, Track, Trajectories};
@@ -15,13 +15,15 @@ use crate::setup::observations::{Observed, ObservedSpace, observe};
 /// [`Error::Rod`].
 pub(crate) fn vertices(problem: &Problem, runs: &Trajectories) -> Result<Option<Shapes>, Error> {
     let Some(rod) = problem.system.rod() else { return Ok(None) };
-    let mut dynamics = rod.parts.dynamics()?;
     let grid = &problem.experiment.grid;
-    let mut of = |states: &[f64]| {
+    // what is held is where the constants of a run put it
+    let of = |states: &[f64]| -> Result<Vec<Vec<[f64; 3]>>, Error> {
+        let Some(first) = states.get(..runs.dim) else { return Ok(Vec::new()) };
+        let (mut dynamics, _) = rod.with_constants_of(first)?;
         let states = states.chunks_exact(runs.dim).enumerate();
         let mut points =
             |k, x| dynamics.vertices(grid.time(k), x).map(|v| v.into_iter().map(Into::into).collect());
-        states.map(|(k, x)| points(k, x)).collect::<Result<Vec<_>, _>>()
+        Ok(states.map(|(k, x)| points(k, x)).collect::<Result<Vec<_>, varda_rod::Error>>()?)
     };
     Ok(Some(Shapes {
         background: of(&runs.background)?,
@@ -44,14 +46,15 @@ pub(crate) fn with_observations(problem: &Problem, runs: &Trajectories) -> Resul
         .as_ref()
         .map(|space| track(observed, space, &problem.experiment.grid, runs))
         .transpose()?;
-    let forces = forces(problem, runs)?;
-    Ok(Some(Shapes { seen: observed.sights(), track: track.flatten(), forces, ..shapes }))
+    let (forces, curvature) = within(problem, runs)?;
+    Ok(Some(Shapes { seen: observed.sights(), track: track.flatten(), forces, curvature, ..shapes }))
 }
 
-/// Forces and moments within the rod of the analysis, from step 1 on.
-fn forces(problem: &Problem, runs: &Trajectories) -> Result<Vec<InternalForces>, Error> {
-    let Some(rod) = problem.system.rod() else { return Ok(Vec::new()) };
-    let Some(first) = runs.analysis.get(..runs.dim) else { return Ok(Vec::new()) };
+/// Forces and moments within the rod of the analysis, from step 1 on, and its curvature from step 0 on.
+fn within(problem: &Problem, runs: &Trajectories) -> Result<Within, Error> {
+    let none = (Vec::new(), Vec::new());
+    let Some(rod) = problem.system.rod() else { return Ok(none) };
+    let Some(first) = runs.analysis.get(..runs.dim) else { return Ok(none) };
     let (mut dynamics, _) = rod.with_constants_of(first)?;
     let (grid, places) = (&problem.experiment.grid, rod.parts.places()?);
     let own = |x: &[f64]| {
@@ -60,10 +63,15 @@ fn forces(problem: &Problem, runs: &Trajectories) -> Result<Vec<InternalForces>,
         own
     };
     let states: Vec<Vec<f64>> = runs.analysis.chunks_exact(runs.dim).map(own).collect();
+    let curvature =
+        states.iter().enumerate().map(|(k, x)| dynamics.curvature(grid.time(k), x).ok()).collect();
     let pairs = states.windows(2).enumerate();
     let found = pairs.map(|(k, x)| dynamics.internal_forces(grid.time(k + 1), &x[1], (grid.time(k), &x[0])));
-    Ok(found.collect::<Result<_, _>>()?)
+    Ok((found.collect::<Result<_, _>>()?, curvature))
 }
+
+/// What a rod has within it, step by step.
+type Within = (Vec<InternalForces>, Vec<Option<Curvature>>);
 
 /// The track of the first marker that was kept back, which says most; else of the last site, which is the
 /// free end in most scenes.

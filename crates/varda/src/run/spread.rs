@@ -2,12 +2,13 @@
 
 use std::borrow::Cow;
 
-use varda_assimilation::{Carried, ObservationSet, Prediction, Squares, propagate_errors, propagate_root};
+use varda_assimilation::{Carried, Squares, propagate_errors, propagate_root};
 use varda_implicit::{Model, ParameterPlaces};
 use varda_rod::{InternalForces, RodStep};
 
 use super::fit::predicted;
 use super::next_observation::Gathering;
+use super::seen_spread::SeenSpread;
 use super::shares::Given;
 use super::sources::SourcesOfSpread;
 use crate::Error;
@@ -16,6 +17,7 @@ use crate::outcome::{
 };
 use crate::scene::TimeGrid;
 use crate::setup::Problem;
+use crate::setup::observations::Seen;
 use crate::setup::rod::RodSystem;
 use crate::solve::{PosteriorSpread, forcing};
 
@@ -164,13 +166,9 @@ struct Along<'a> {
     problem: &'a Problem,
     runs: &'a Trajectories,
     grid: TimeGrid,
-    set: ObservationSet,
-    /// For each of the observations the number of what was seen.
+    seen: SeenSpread<'a>,
+    /// For each of its observations the number of what was seen.
     order: Vec<usize>,
-    /// H(x) of the analysis.
-    run: Prediction,
-    /// The first observation that is not done.
-    next: usize,
     forces: Option<ForceSpread>,
     further: Option<Gathering>,
     given: Option<Given>,
@@ -193,11 +191,10 @@ impl<'a> Along<'a> {
             Some(rod) => Some(ForceSpread::of(rod, &runs.analysis[..runs.dim])?),
             None => None,
         };
-        let mut run = set.prediction();
-        observe_all(&mut set, runs, &mut run)?;
+        let seen = SeenSpread::new(set, &runs.analysis, runs.dim)?;
         let spread = Spread {
             states: Vec::with_capacity(runs.analysis.len()),
-            seen: vec![Vec::new(); problem.observed.seen.len()],
+            seen: Vec::new(),
             forces: Vec::new(),
             known: Vec::new(),
             next: None,
@@ -206,25 +203,12 @@ impl<'a> Along<'a> {
         let further = root.and_then(|(root, length)| Gathering::new(problem, root.len() / length.max(1)));
         let constants = problem.system.estimates().len();
         let given = root.and_then(|(root, length)| Given::of(root, length, constants));
-        Ok(Along {
-            problem,
-            runs,
-            grid,
-            set,
-            order,
-            run,
-            next: 0,
-            forces,
-            further,
-            given,
-            sources: None,
-            spread,
-        })
+        Ok(Along { problem, runs, grid, seen, order, forces, further, given, sources: None, spread })
     }
 
     /// Whether columns of the step before are asked for.
     fn looks_back(&self) -> bool {
-        self.forces.is_some() || self.set.observations()[self.next..].iter().any(|o| o.step < o.last_step())
+        self.forces.is_some() || self.seen.looks_back()
     }
 
     fn see(&mut self, at: &Carried) {
@@ -246,7 +230,12 @@ impl<'a> Along<'a> {
                 }
             }
         }
-        self.observe(at);
+        let Self { seen, order, sources, .. } = self;
+        seen.see(at, &mut |place, c, value, row| {
+            if let Some(sources) = sources {
+                sources.see(order[place], c, value, row);
+            }
+        });
         if let Some(sources) = self.sources.as_mut().filter(|_| k == self.grid.steps) {
             sources.end(at.dim, at.now);
             if let (Some(forces), Some(before)) = (&mut self.forces, k.checked_sub(1)) {
@@ -259,57 +248,12 @@ impl<'a> Along<'a> {
         }
     }
 
-    /// σ of the rows whose observations end at this step.
-    fn observe(&mut self, at: &Carried) {
-        let (k, n, first) = (at.step, at.dim, self.next);
-        let Self { set, run, runs, .. } = self;
-        let ended = |o: &&varda_assimilation::Observation| o.last_step() <= k;
-        let count = set.observations()[first..].iter().take_while(ended).count();
-        if count == 0 {
-            return;
-        }
-        let looks_back = set.observations()[first..first + count].iter().any(|o| o.step < k);
-        let rows = set.rows(first).start..set.rows(first + count - 1).end;
-        let (mut dy, mut values) = (vec![0.0; set.dim()], Vec::new());
-        for (c, column) in at.now.chunks_exact(n).enumerate() {
-            if looks_back {
-                let (before, k) = (&at.before[c * n..(c + 1) * n], k - 1);
-                set.tangent_add(k, &runs.analysis[k * n..(k + 1) * n], before, run, &mut dy);
-            }
-            set.tangent_add(k, &runs.analysis[k * n..(k + 1) * n], column, run, &mut dy);
-            values.extend_from_slice(&dy[rows.clone()]);
-            for k in [k.saturating_sub(1), k] {
-                dy[set.rows_at(k)].fill(0.0);
-            }
-        }
-        let squares = at.sum_of_squares(rows.len(), values.chunks_exact(rows.len().max(1)));
-        for i in first..first + count {
-            let own = set.observations()[i].rows.len();
-            let size = |row: usize| squares[row - rows.start].sqrt();
-            self.spread.seen[self.order[i]] = set.rows(i).take(own).map(size).collect();
-            if let Some(sources) = &mut self.sources {
-                for (c, row) in set.rows(i).take(own).enumerate() {
-                    let of_row = values.chunks_exact(rows.len()).map(|column| column[row - rows.start]);
-                    sources.see(self.order[i], c, run.values()[row], of_row);
-                }
-            }
-        }
-        self.next += count;
-    }
-
     fn end(self) -> Result<Spread, Error> {
         let next = self.further.map(Gathering::answer).transpose()?.flatten();
-        Ok(Spread { next, ..self.spread })
+        let mut seen = vec![Vec::new(); self.problem.observed.seen.len()];
+        self.order.into_iter().zip(self.seen.sigma).for_each(|(i, sigma)| seen[i] = sigma);
+        Ok(Spread { next, seen, ..self.spread })
     }
-}
-
-/// H(x) of the analysis, as far as it ran.
-fn observe_all(set: &mut ObservationSet, runs: &Trajectories, run: &mut Prediction) -> Result<(), Error> {
-    for k in 0..=set.last_step().unwrap_or(0) {
-        let Some(x) = runs.state(&runs.analysis, k) else { break };
-        set.observe_add(k, x, run)?;
-    }
-    Ok(())
 }
 
 /// Everything that was seen, with background, analysis and σ beside it, in the order of time.
@@ -332,7 +276,6 @@ pub(super) fn observed_values(
     for (place, i) in order.into_iter().enumerate() {
         let one = &problem.observed.seen[i];
         let site = &problem.observed.sites[one.site];
-        let rows = set.rows(place);
         let refused = rejected.iter().any(|r| r.label == site.label && r.step == one.step);
         let reason = match () {
             () if one.at() > grid.steps as f64 => "after the window",
@@ -340,23 +283,37 @@ pub(super) fn observed_values(
             () if refused => "background check",
             () => "",
         };
-        for (c, value) in one.values.iter().enumerate() {
-            let Some(value) = *value else { continue };
-            let row = rows.start + c;
-            out.push(ObservedValue {
-                time: grid.start + one.at() * grid.step,
-                label: site.label.clone(),
-                axis: site.quantity.axes()[c],
-                unit: site.quantity.unit(),
-                value,
-                background: at_background[row],
-                analysis: at_analysis[row],
-                sigma: one.sigma,
-                sigma_analysis: spread.and_then(|s| s.seen[i].get(c)).copied(),
-                used: reason.is_empty(),
-                reason,
-            });
-        }
+        let rows = set.rows(place);
+        let runs = [&at_background[rows.clone()], &at_analysis[rows]];
+        let sigma = spread.map_or(&[][..], |s| &s.seen[i]);
+        out.extend(values_of(problem, one, runs, sigma, reason));
     }
     Ok(out)
+}
+
+/// The values of what was seen once, with H of background and analysis, and σ of the latter where it is
+/// known.
+pub(super) fn values_of<'a>(
+    problem: &'a Problem,
+    one: &'a Seen,
+    [background, analysis]: [&'a [f64]; 2],
+    sigma: &'a [f64],
+    reason: &'static str,
+) -> impl Iterator<Item = ObservedValue> + 'a {
+    let (grid, site) = (&problem.experiment.grid, &problem.observed.sites[one.site]);
+    one.values.iter().enumerate().filter_map(move |(c, value)| {
+        Some(ObservedValue {
+            time: grid.start + one.at() * grid.step,
+            label: site.label.clone(),
+            axis: site.quantity.axes()[c],
+            unit: site.quantity.unit(),
+            value: (*value)?,
+            background: background[c],
+            analysis: analysis[c],
+            sigma: one.sigma,
+            sigma_analysis: sigma.get(c).copied(),
+            used: reason.is_empty(),
+            reason,
+        })
+    })
 }

@@ -13,7 +13,7 @@ use super::interrupted::{Asked, Lowest};
 use super::second_minimum::Second;
 use super::verdict::{self, Judged};
 use super::{
-    amplification, between_steps, considered, covariances, departures, estimates, fit, model_errors,
+    amplification, between_steps, considered, covariances, departures, estimates, fit, members, model_errors,
     second_minimum, shapes, shares, spread,
 };
 use crate::Error;
@@ -99,7 +99,6 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
     let mut model = problem.model();
     let mut timed = Timed::new(model.as_mut(), &clock);
     let make_timed = || -> Box<dyn Model + Send> { Box::new(Timed::new(problem.model(), &clock)) };
-    let constants = problem.single_constants();
     let mut task = Task {
         algorithm: scene.algorithm.clone(),
         model: &mut timed,
@@ -109,8 +108,9 @@ pub(super) fn assimilate(problem: &Problem, listener: &mut Listener) -> Result<O
         model_error: problem.model_error.as_ref(),
         ensemble: problem.ensemble.as_ref(),
         anchors: &problem.anchors,
-        constants: &constants,
+        constants: problem.single_constants(),
         posterior: scene.report.posterior,
+        members: scene.output.is_more_than_csv(),
         memory: problem.memory,
         refresh: &mut |control| {
             let model = refreshing.as_mut()?.refresh(control)?;
@@ -290,9 +290,8 @@ pub(super) fn described(problem: &Problem, ended: Ended, listener: &Listener) ->
         );
         (spread, interrupt::was_told())
     });
-    if left && !ended_early {
-        warnings.push("interrupted after the analysis: σ after the start of the window is left out".into());
-    }
+    let remark = "interrupted after the analysis: σ after the start of the window is left out";
+    warnings.extend((left && !ended_early).then(|| remark.to_string()));
     let mut spread = spread?;
     if let (Some(shapes), Some(spread)) = (&mut shapes, &mut spread) {
         shapes.sigma_forces = std::mem::take(&mut spread.forces);
@@ -328,6 +327,7 @@ pub(super) fn described(problem: &Problem, ended: Ended, listener: &Listener) ->
         considered,
         exact_hessian: solution.exact_hessian,
         covariances: covariances::covariances(layout, problem.covariance.as_ref(), posterior),
+        members: members::of_window(problem, make_model, posterior),
         truth,
         j_background,
         gradient_norms: [solution.minimum.gradient_norm_first, solution.minimum.gradient_norm],

@@ -13,6 +13,18 @@ use crate::setup::random::{Stream, stream};
 /// is proportional to its rank.
 const TRUNCATION: f64 = 0.01;
 
+/// Most numbers of the members of an analysis that are kept for files of other formats.
+const MEMBER_NUMBERS: usize = 4_000_000;
+
+/// The steps at which members of an analysis are kept: all, or the first and the last where that would be too
+/// many numbers.
+pub(crate) fn steps_of_members(count: usize, last: usize, state: usize) -> Vec<usize> {
+    match last == 0 || count.saturating_mul(last + 1).saturating_mul(state) <= MEMBER_NUMBERS {
+        true => (0..=last).collect(),
+        false => vec![0, last],
+    }
+}
+
 /// Where the components of a control are.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ComponentPositions {

@@ -9,6 +9,7 @@ use varda_covariance::Taper;
 use varda_implicit::line::Ends;
 use varda_implicit::{Footprint, Remembered, Storage};
 
+use super::ensemble::steps_of_members;
 use super::finer::{Finer, finer};
 use super::inputs::Inputs;
 use crate::Error;
@@ -64,6 +65,9 @@ const OF_A_VALUE: usize = 1000;
 
 /// The same in a sequence of windows of a twin, for each value of all windows, and of the present one again.
 const OF_A_CYCLED_VALUE: usize = 450;
+
+/// A row of observations.csv of a sequence, with its text and its part in figures, in bytes.
+const OF_A_ROW: usize = 400;
 
 /// Sizes of a scene, in numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -203,10 +207,10 @@ impl Memory {
             errors = error_columns(scene, n, &error.covariance);
         }
         let cycled = algorithm.cycles.as_ref().map(|c| c.covariance_of(algorithm.method));
-        let posterior = match cycled {
-            Some(kind) => kind == CycledCovariance::Propagated,
-            None => scene.report.posterior,
-        };
+        let propagated = cycled == Some(CycledCovariance::Propagated);
+        // σ along every window of a sequence, where it can be had
+        let along = cycled.is_some() && scene.report.posterior && has_root(algorithm.method, n);
+        let posterior = if cycled.is_some() { propagated || along } else { scene.report.posterior };
         let square = n.saturating_mul(n);
         if sizes.localization > 0 {
             // The matrix of distances, its eigenvectors and what finding them takes.
@@ -215,13 +219,17 @@ impl Memory {
         }
         let ensemble = algorithm.members().map(|e| EnsembleSize::of(scene, e.members, sizes, m));
         let dense = if let Some(ensemble) = &ensemble {
-            ensemble.dense(posterior).saturating_add(if cycled.is_some() { ensemble.carried() } else { 0 })
+            let of_one = posterior && cycled.is_none();
+            ensemble.dense(of_one).saturating_add(if cycled.is_some() { ensemble.carried() } else { 0 })
         } else if scene.background.covariance.is_of_known_state() && !algorithm.method.is_weak() {
             // G, and columns of the length of the control: roots of B and P_a, and what is carried along
             let columns = sizes.constants;
             columns.saturating_mul(4 * n + 3 * sizes.state + 3 * m).saturating_add(5 * columns * columns)
         } else if algorithm.method.is_weak() {
-            let carried = if cycled.is_none() { weak_carried(n, n + errors, m, sizes.state) } else { 0 };
+            let carried = match cycled.is_none() || along {
+                true => weak_carried(n, n + errors, m, sizes.state),
+                false => 0,
+            };
             if posterior { weak_posterior(n, n + errors, m).max(carried) } else { 0 }
         } else if algorithm.minimizer.settings().is_dense()
             || algorithm.method == Method::Blue
@@ -244,7 +252,9 @@ impl Memory {
                 // Newton's factor beside the Hessian
                 .saturating_add(if algorithm.minimizer == Minimizer::Newton { square } else { 0 })
                 // the root that is carried on, cut by its singular values
-                .saturating_add(if cycled.is_some() && posterior { square.saturating_mul(9) } else { 0 })
+                .saturating_add(if propagated { square.saturating_mul(9) } else { 0 })
+                // what is carried along a window: the columns of the root at two steps
+                .saturating_add(if along { n.saturating_mul(2 * sizes.state) } else { 0 })
         } else if posterior {
             // Lanczos vectors, Ritz vectors and the probes.
             (2 * m.min(MOST_PRODUCTS) + 20) * n
@@ -289,14 +299,28 @@ impl Memory {
         let (shown, runs) =
             (sizes.shown + 1, 2 + usize::from(scene.background.from == Origin::TruthPlusDraw));
         let states = shown.saturating_mul(sizes.state).saturating_mul(runs);
+        // σ of the states of a sequence
+        let states = states + if along { shown.saturating_mul(sizes.state) } else { 0 };
         let values = match (&algorithm.cycles, &scene.observations) {
             (None, _) => m.saturating_mul(OF_A_VALUE),
-            (Some(_), Observations::Synthetic(_)) => (sizes.values + m).saturating_mul(OF_A_CYCLED_VALUE),
-            (Some(_), Observations::File(_)) => 0,
+            (Some(_), Observations::Synthetic(_)) => {
+                sizes.values.saturating_mul(OF_A_ROW).saturating_add((sizes.values + m) * OF_A_CYCLED_VALUE)
+            }
+            (Some(_), Observations::File(_)) => sizes.values.saturating_mul(OF_A_ROW),
         };
         // The same as named arrays, with σ and of a rod its forces.
         let beside = if matches!(scene.model, Model::Rod(_)) { 3 } else { 1 };
-        let arrays = states.saturating_add(shown.saturating_mul(sizes.state).saturating_mul(beside));
+        // members of the analysis, of the last window of a sequence
+        let members = match algorithm.members() {
+            Some(e) if scene.report.posterior && scene.output.is_more_than_csv() => {
+                let last = if cycled.is_some() { sizes.steps } else { sizes.shown };
+                e.members * steps_of_members(e.members, last, sizes.state).len() * sizes.state
+            }
+            _ => 0,
+        };
+        let arrays = states
+            .saturating_add(members)
+            .saturating_add(shown.saturating_mul(sizes.state).saturating_mul(beside));
         let copies = match &scene.output {
             output if output.formats.contains(&Format::Netcdf) => COPIES_OF_NETCDF,
             output => usize::from(output.is_more_than_csv()),
@@ -307,7 +331,9 @@ impl Memory {
             covariance: NUMBER * covariance,
             building: NUMBER * building,
             dense: NUMBER.saturating_mul(dense),
-            other: NUMBER.saturating_mul(other.saturating_add(states)).saturating_add(values + sensors),
+            other: NUMBER
+                .saturating_mul(other.saturating_add(states + members))
+                .saturating_add(values + sensors),
             text: states.saturating_mul(TEXT).max(arrays.saturating_mul(copies * NUMBER)),
             finer: 0,
             for_finer: usize::MAX,
@@ -374,6 +400,11 @@ pub(crate) fn is_low_rank(method: Method, n: usize) -> bool {
     method.is_strong() && n > LARGEST_DENSE_POSTERIOR
 }
 
+/// Whether the posterior of a control of `n` unknowns is one that can be carried along a window.
+pub(crate) fn has_root(method: Method, n: usize) -> bool {
+    !is_low_rank(method, n) && (!method.is_weak() || carries_errors(n))
+}
+
 /// What a posterior of low rank leaves out.
 pub(crate) fn without_spread(scene: &Scene, n: usize) -> Option<String> {
     let why = if is_low_rank(scene.algorithm.method, n) && !scene.background.covariance.is_of_known_state() {
@@ -383,7 +414,11 @@ pub(crate) fn without_spread(scene: &Scene, n: usize) -> Option<String> {
     } else {
         return None;
     };
-    let line = format!("σ of the analysis after the start of the window: {why}");
+    let of = match scene.algorithm.cycles {
+        Some(_) => "along the windows of the sequence",
+        None => "of the analysis after the start of the window",
+    };
+    let line = format!("σ {of}: {why}");
     scene.report.posterior.then_some(line)
 }
 

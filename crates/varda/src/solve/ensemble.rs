@@ -1,7 +1,7 @@
 //! Ensemble methods: forward runs of the members take the place of tangent and adjoint.
 
 use varda_assimilation::{
-    CostFunction, EnVar, EnVarOptions, Error, Iteration, Minimum, ObservationSet, Status,
+    CostFunction, EnVar, EnVarOptions, EnsembleUpdate, Error, Iteration, Minimum, ObservationSet, Status,
 };
 use varda_covariance::{Covariance, Ensemble, Hybrid};
 use varda_implicit::{Model, Storage};
@@ -62,12 +62,18 @@ impl Task<'_> {
         if !matches!(minimum.status, Status::Interrupted | Status::Stalled) {
             let _ = on_iteration(&minimum.iteration(0.0, cost.counts(), v));
         }
+        transform.control(v, &mut control);
         let spread = if posterior && is_whole(minimum.status) {
             let (variance, degrees_of_freedom) = cost.posterior_variance()?;
+            let members = match self.members {
+                true => members_of(&control, cost.posterior_perturbations(&mut EnsembleUpdate::SquareRoot)?),
+                false => Vec::new(),
+            };
             Some(PosteriorSpread {
                 sigma: roots(variance),
                 root: Vec::new(),
                 with_errors: None,
+                members,
                 degrees_of_freedom,
                 error_bound: None,
                 intervals: Vec::new(),
@@ -75,7 +81,6 @@ impl Task<'_> {
         } else {
             None
         };
-        transform.control(v, &mut control);
         let sigma_background = deviations(transform.covariance());
         let end = SubWindowEnd {
             control,
@@ -89,6 +94,15 @@ impl Task<'_> {
         };
         Ok((minimum, end))
     }
+}
+
+/// z + √(N − 1) x_i, in place of the N perturbations x_i.
+fn members_of(z: &[f64], mut perturbations: Vec<f64>) -> Vec<f64> {
+    let size = ((perturbations.len() / z.len()) as f64 - 1.0).sqrt();
+    for x in perturbations.chunks_exact_mut(z.len()) {
+        x.iter_mut().zip(z).for_each(|(x, z)| *x = z + size * *x);
+    }
+    perturbations
 }
 
 impl Members<'_> {

@@ -71,7 +71,7 @@ impl Task<'_> {
                 // BLUE's covariance is (I + GᵀG)⁻¹ with the linearization at the background.
                 let is_linear = algorithm.method == Method::Blue;
                 let linearized = if is_linear { &start } else { &*v };
-                let constants = if is_linear { &[] } else { self.constants };
+                let constants = if is_linear { &[][..] } else { &self.constants };
                 cost.evaluate(linearized, Some(&mut vec![0.0; v.len()]))?;
                 match (is_low_rank(algorithm.method, v.len()), algorithm.hessian) {
                     (true, Hessian::GaussNewton) => {

@@ -33,7 +33,9 @@ pub(crate) struct Task<'a> {
     pub(crate) posterior: bool,
     /// Components of the control whose 95 % intervals are wanted beside σ (strong constraint, dense
     /// posterior).
-    pub(crate) constants: &'a [usize],
+    pub(crate) constants: Vec<usize>,
+    /// Whether to compute the members of the analysis beside it (ensembles).
+    pub(crate) members: bool,
     /// Most bytes for the states and linearizations of a window (strong constraint).
     pub(crate) memory: usize,
     /// Gives another model of the same control if the present one is not accurate enough along this analysis
@@ -85,6 +87,8 @@ pub(crate) struct PosteriorSpread {
     pub(crate) with_errors: Option<ErrorColumns>,
     /// Degrees of freedom for signal (of the initial state, under weak constraint).
     pub(crate) degrees_of_freedom: f64,
+    /// Of an ensemble: the members of the analysis, one control after the other, where they were asked for.
+    pub(crate) members: Vec<f64>,
     /// Of one of low rank: what its variances may be off by, as a fraction of the background's.
     pub(crate) error_bound: Option<f64>,
     /// Ends of 95 % intervals of the constants that the task names, less the analysis; empty where they are
@@ -160,6 +164,7 @@ impl PosteriorSpread {
             root: if keep_root { posterior.control_root(transform) } else { Vec::new() },
             sigma: roots(posterior.variance(transform)),
             with_errors: None,
+            members: Vec::new(),
             degrees_of_freedom: posterior.degrees_of_freedom(),
             error_bound: None,
             intervals: Vec::new(),
@@ -187,6 +192,7 @@ impl PosteriorSpread {
             sigma: roots(posterior.variance(transform)),
             root: Vec::new(),
             with_errors: None,
+            members: Vec::new(),
             degrees_of_freedom: posterior.degrees_of_freedom(),
             error_bound: posterior.error_bound(),
             intervals: Vec::new(),

@@ -4,10 +4,12 @@ mod images;
 mod observed;
 
 pub(super) use images::{covariances, field};
-pub(super) use observed::{markers, rod_through_time};
+pub(super) use observed::{AgainstTime, markers};
+
+use std::collections::HashMap;
 
 use crate::outcome::{
-    ConvergenceRow, Estimated, NextObservation, Outcome, Shapes, Sight, Track, Trajectories,
+    ConvergenceRow, CyclesOutcome, Estimated, NextObservation, Outcome, Shapes, Sight, Track, Trajectories,
 };
 use crate::run::compare::{Compared, lowest};
 use crate::scene::TimeGrid;
@@ -27,7 +29,8 @@ pub(super) fn all(outcome: &Outcome) -> Vec<Figure> {
         }
         None => {
             figures.extend(images::field(&outcome.experiment, &outcome.trajectories, &outcome.sigma_states));
-            figures.push(components(outcome));
+            let seen = outcome.seen.iter().map(|s| (s.component, s.time, s.value)).collect();
+            figures.push(components(&outcome.into(), seen));
         }
     }
     figures.extend(observed::departures(outcome));
@@ -303,11 +306,11 @@ fn tracks(track: &Track, shapes: &Shapes, grid: &TimeGrid) -> Figure {
     }
 }
 
-/// Up to six components against time.
-fn components(outcome: &Outcome) -> Figure {
-    let all = &outcome.trajectories;
+/// Up to six components against time, with values of components at times.
+fn components(of: &AgainstTime, seen: Vec<(usize, f64, f64)>) -> Figure {
+    let all = of.trajectories;
     let runs = drawn(&all.truth, &all.background, &all.analysis, |run| run.is_empty());
-    let (grid, layout) = (&outcome.experiment.grid, &outcome.experiment.state);
+    let (grid, layout) = (&of.experiment.grid, &of.experiment.state);
     // without constants, which stand behind the state
     let names_of = &layout.names[..layout.names.len() - layout.constants.len()];
     let chosen: Vec<usize> = (0..names_of.len()).step_by(names_of.len().div_ceil(6).max(1)).collect();
@@ -319,16 +322,16 @@ fn components(outcome: &Outcome) -> Figure {
         };
         let mut series: Vec<Series> = runs.iter().map(line).collect();
         let band = |(k, x): (usize, &[f64])| {
-            let two = 2.0 * all.state(&outcome.sigma_states, k)?[c];
-            Some((grid.time(k), x[c] - two, x[c] + two))
+            let two = 2.0 * all.state(of.sigma, k)?[c];
+            two.is_finite().then(|| (grid.time(k), x[c] - two, x[c] + two))
         };
         let band: Vec<_> = all.analysis.chunks_exact(all.dim).enumerate().filter_map(band).collect();
         let bands = match band.is_empty() {
             true => Vec::new(),
             false => vec![Band { label: "analysis ± 2σ".into(), style: Style::Analysis, points: band }],
         };
-        let seen = outcome.seen.iter().filter(|s| s.component == c);
-        let points: Vec<(f64, f64)> = seen.map(|s| (s.time, s.value)).collect();
+        let seen = seen.iter().filter(|(component, ..)| *component == c);
+        let points: Vec<(f64, f64)> = seen.map(|(_, time, value)| (*time, *value)).collect();
         if !points.is_empty() {
             series.push(Series { label: "observed".into(), style: Style::Observation, points });
         }
@@ -348,6 +351,18 @@ fn components(outcome: &Outcome) -> Figure {
         columns: chosen.len().min(3),
         panel_size: (360, 270),
     }
+}
+
+/// The same of a sequence of windows, of models that are not in space.
+pub(super) fn components_of_cycles(outcome: &CyclesOutcome) -> Option<Figure> {
+    if outcome.shapes.is_some() || outcome.trajectories.analysis.is_empty() {
+        return None;
+    }
+    let names = &outcome.experiment.state.names;
+    let place: HashMap<&str, usize> = names.iter().enumerate().map(|(i, name)| (name.as_str(), i)).collect();
+    let used = outcome.observed.iter().filter(|v| v.used);
+    let seen = used.filter_map(|v| Some((*place.get(v.label.as_str())?, v.time, v.value))).collect();
+    Some(components(&outcome.into(), seen))
 }
 
 /// Component c of a run against time.

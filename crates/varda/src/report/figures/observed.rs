@@ -1,13 +1,48 @@
 //! Figures of what was observed: every marker against time, departures against their σ, and information by
 //! time.
 
-use crate::outcome::{Experiment, ObservedValue, Outcome, Shapes, Trajectories};
+use crate::outcome::{CyclesOutcome, Experiment, ObservedValue, Outcome, Shapes, Trajectories};
 use crate::report::chart::{Band, Corner, Figure, Panel, Series, Style};
 
 /// Most values of all markers in a page; of more, only some markers are shown.
 const MOST_VALUES: usize = 60_000;
 /// Most markers that have a colour of their own among departures.
 const MOST_COLOURS: usize = 8;
+
+/// What is drawn against time: of a window, or of a sequence of windows.
+#[derive(Clone, Copy)]
+pub(in crate::report) struct AgainstTime<'a> {
+    pub(super) experiment: &'a Experiment,
+    pub(super) trajectories: &'a Trajectories,
+    pub(super) shapes: Option<&'a Shapes>,
+    /// σ of the states of the analysis; empty where it is not known.
+    pub(super) sigma: &'a [f64],
+    observed: &'a [ObservedValue],
+}
+
+impl<'a> From<&'a Outcome> for AgainstTime<'a> {
+    fn from(of: &'a Outcome) -> Self {
+        AgainstTime {
+            experiment: &of.experiment,
+            trajectories: &of.trajectories,
+            shapes: of.shapes.as_ref(),
+            sigma: &of.sigma_states,
+            observed: &of.observed,
+        }
+    }
+}
+
+impl<'a> From<&'a CyclesOutcome> for AgainstTime<'a> {
+    fn from(of: &'a CyclesOutcome) -> Self {
+        AgainstTime {
+            experiment: &of.experiment,
+            trajectories: &of.trajectories,
+            shapes: of.shapes.as_ref(),
+            sigma: &of.sigma_states,
+            observed: &of.observed,
+        }
+    }
+}
 
 /// What was seen of one marker, place or component, in order of time.
 struct Track<'a> {
@@ -16,10 +51,10 @@ struct Track<'a> {
 }
 
 /// The observed values by marker, in the order in which they were first seen.
-fn tracks(outcome: &Outcome) -> Vec<Track<'_>> {
+fn tracks(observed: &[ObservedValue]) -> Vec<Track<'_>> {
     let mut place: std::collections::HashMap<&str, usize> = std::collections::HashMap::new();
     let mut all: Vec<Track> = Vec::new();
-    for value in &outcome.observed {
+    for value in observed {
         let at = *place.entry(value.label.as_str()).or_insert(all.len());
         if at == all.len() {
             all.push(Track { label: &value.label, values: Vec::new() });
@@ -31,23 +66,20 @@ fn tracks(outcome: &Outcome) -> Vec<Track<'_>> {
 }
 
 /// Every marker against time with the analysis ± 2σ, each with its name.
-pub(in crate::report) fn markers(outcome: &Outcome) -> Vec<(String, Figure)> {
-    if outcome.experiment.grid.last_step() == 0 {
+pub(in crate::report) fn markers<'a>(of: impl Into<AgainstTime<'a>>) -> Vec<(String, Figure)> {
+    let of = of.into();
+    if of.experiment.grid.last_step() == 0 {
         return Vec::new();
     }
-    let all = tracks(outcome);
-    let every = outcome.observed.len().div_ceil(MOST_VALUES).max(1);
-    let shapes = outcome.shapes.as_ref();
-    let rod = shapes.and_then(|shapes| {
-        rod_through_time(&outcome.experiment, shapes, &outcome.trajectories, &outcome.sigma_states)
-    });
-    let mut figures: Vec<(String, Figure)> = rod.into_iter().collect();
-    figures.extend(all.iter().step_by(every).map(|track| (track.label.to_string(), marker(track, outcome))));
+    let all = tracks(of.observed);
+    let every = of.observed.len().div_ceil(MOST_VALUES).max(1);
+    let mut figures: Vec<(String, Figure)> = rod_through_time(&of).into_iter().collect();
+    let shown = all.iter().step_by(every);
+    figures.extend(shown.map(|track| (track.label.to_string(), marker(track, of.shapes.is_some()))));
     figures
 }
 
-fn marker(track: &Track, outcome: &Outcome) -> Figure {
-    let in_space = outcome.shapes.is_some();
+fn marker(track: &Track, in_space: bool) -> Figure {
     let mut axes: Vec<&str> = track.values.iter().map(|v| v.axis).collect();
     axes.sort_unstable();
     axes.dedup();
@@ -106,14 +138,9 @@ fn bands(label: &str, points: Vec<(f64, f64, f64)>) -> Vec<Band> {
 }
 
 /// A point of the rod at every step: its free end, or its middle where the end is held.
-pub(in crate::report) fn rod_through_time(
-    experiment: &Experiment,
-    shapes: &Shapes,
-    states: &Trajectories,
-    sigma: &[f64],
-) -> Option<(String, Figure)> {
-    let geometry = experiment.state.geometry.as_ref()?;
-    let grid = &experiment.grid;
+fn rod_through_time(of: &AgainstTime) -> Option<(String, Figure)> {
+    let (shapes, geometry) = (of.shapes?, of.experiment.state.geometry.as_ref()?);
+    let grid = &of.experiment.grid;
     let last = geometry.arc_lengths.len().checked_sub(1)?;
     let (vertex, at) = match geometry.free.binary_search(&last) {
         Ok(at) => (last, at),
@@ -139,8 +166,8 @@ pub(in crate::report) fn rod_through_time(
             points: run.iter().enumerate().map(|(k, shape)| (grid.time(k), shape[vertex][c])).collect(),
         };
         let band = |(k, shape): (usize, &Vec<[f64; 3]>)| {
-            let two = 2.0 * states.state(sigma, k)?.get(3 * at + c)?;
-            Some((grid.time(k), shape[vertex][c] - two, shape[vertex][c] + two))
+            let two = 2.0 * of.trajectories.state(of.sigma, k)?.get(3 * at + c)?;
+            two.is_finite().then(|| (grid.time(k), shape[vertex][c] - two, shape[vertex][c] + two))
         };
         let band: Vec<_> = shapes.analysis.iter().enumerate().filter_map(band).collect();
         Panel {
@@ -163,7 +190,7 @@ pub(in crate::report) fn rod_through_time(
 
 /// (y − H(x_a))/σ of every value against time: 95 % are expected between −2 and 2.
 pub(super) fn departures(outcome: &Outcome) -> Option<Figure> {
-    let all = tracks(outcome);
+    let all = tracks(&outcome.observed);
     if outcome.experiment.grid.last_step() == 0 || all.is_empty() {
         return None;
     }

@@ -1,29 +1,18 @@
 //! report.html as one file that opens offline: text, and the data of its figures with the programs that draw
 //! them. Charts are drawn by uPlot, a rod by three.js; a page carries only what it needs of these.
 
+mod data;
 pub(super) mod rod;
 
 use std::fmt::Write;
 
 use serde::Serialize;
 
+use self::data::FORMAT;
+pub(super) use self::data::{PageData, Unfit};
 use self::rod::RodView;
 use super::chart::Figure;
 use super::markup::escape;
-
-const STYLE: &str = include_str!("style.css");
-const UPLOT_STYLE: &str = include_str!("vendor/uplot.css");
-const UPLOT: &str = include_str!("vendor/uplot.js");
-const THREE: &str = include_str!("vendor/three.js");
-const COLOURS_SCRIPT: &str = include_str!("colours.js");
-const TABLES_SCRIPT: &str = include_str!("tables.js");
-const CHARTS_SCRIPT: &str = include_str!("charts.js");
-const ROD_SCRIPT: &str = include_str!("rod.js");
-
-/// Nothing may be loaded from anywhere: the page is whole, and a name or text of a user that became markup
-/// could not load anything either.
-const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; \
-                      img-src data: blob:; base-uri 'none'; form-action 'none'";
 
 /// A page while it is put together, from top to bottom.
 pub(super) struct Page {
@@ -103,40 +92,11 @@ impl Page {
         self.data.rod = Some(view);
     }
 
-    /// The whole page.
-    pub(super) fn finish(self) -> String {
+    /// The whole page as plain data.
+    pub(super) fn finish(self) -> PageData {
         let Page { title, body, data } = self;
-        let title = escape(&title);
-        let mut scripts = String::new();
-        let mut script = |text: &str| {
-            let _ = writeln!(scripts, "<script>\n{text}\n</script>");
-        };
-        let (charts, rod) = (!data.charts.is_empty(), data.rod.is_some());
-        script(TABLES_SCRIPT);
-        if charts || rod {
-            script(COLOURS_SCRIPT);
-        }
-        if rod {
-            script(THREE);
-            script(ROD_SCRIPT);
-        }
-        if charts {
-            script(UPLOT);
-            script(CHARTS_SCRIPT);
-        }
-        let more_style = if charts { UPLOT_STYLE } else { "" };
-        // Figures hold finite numbers and text: nothing of them cannot be written as JSON. "</" would end the
-        // element.
-        let json = serde_json::to_string(&data).unwrap_or_default().replace("</", "<\\/");
-        format!(
-            "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-             <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
-             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-             <meta name=\"color-scheme\" content=\"light dark\">\n<link rel=\"icon\" href=\"data:,\">\n\
-             <title>{title} – Varda</title>\n<style>\n{more_style}\n{STYLE}</style>\n</head>\n\
-             <body>\n<main>{body}</main>\n<noscript><p class=\"noscript\">Figures are drawn by scripts of \
-             this page; as pictures they are in the folder figures/.</p></noscript>\n\
-             <script type=\"application/json\" id=\"data\">{json}</script>\n{scripts}</body>\n</html>\n"
-        )
+        // Figures hold finite numbers and text: nothing of them cannot be written as JSON.
+        let figures = serde_json::value::to_raw_value(&data).unwrap_or_default();
+        PageData { format: FORMAT, version: env!("CARGO_PKG_VERSION").to_string(), title, body, figures }
     }
 }

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::outcome::{Outcome, Shapes, Sight};
+use crate::outcome::{CyclesOutcome, Outcome, Shapes, Sight, Trajectories};
 use crate::scene::TimeGrid;
 use crate::state::Geometry;
 
@@ -73,17 +73,18 @@ impl RodView {
         let (shapes, geometry) = (outcome.shapes.as_ref()?, outcome.experiment.state.geometry.as_ref()?);
         let shown = Shown::of(shapes, geometry)?;
         let mut view = RodView::new(shapes, geometry, &outcome.experiment.grid, shown);
-        view.add(shapes, geometry, outcome, shown);
+        view.add_sigma(geometry, &outcome.trajectories, &outcome.sigma_states, shown);
+        view.add_forces(shapes, geometry, shown);
         Some(view)
     }
 
-    /// The runs alone.
-    pub(in crate::report) fn of_runs(
-        shapes: &Shapes,
-        geometry: &Geometry,
-        grid: &TimeGrid,
-    ) -> Option<RodView> {
-        Some(RodView::new(shapes, geometry, grid, Shown::of(shapes, geometry)?))
+    /// The runs of a sequence of windows, with σ of the analysis.
+    pub(in crate::report) fn of_cycles(outcome: &CyclesOutcome) -> Option<RodView> {
+        let (shapes, geometry) = (outcome.shapes.as_ref()?, outcome.experiment.state.geometry.as_ref()?);
+        let shown = Shown::of(shapes, geometry)?;
+        let mut view = RodView::new(shapes, geometry, &outcome.experiment.grid, shown);
+        view.add_sigma(geometry, &outcome.trajectories, &outcome.sigma_states, shown);
+        Some(view)
     }
 
     fn new(shapes: &Shapes, geometry: &Geometry, grid: &TimeGrid, shown: Shown) -> RodView {
@@ -110,27 +111,32 @@ impl RodView {
         }
     }
 
-    /// Adds σ, tension and bending moment of the analysis.
-    fn add(&mut self, shapes: &Shapes, geometry: &Geometry, outcome: &Outcome, shown: Shown) {
+    /// Adds σ of the analysis; 0 where it is not known.
+    fn add_sigma(&mut self, geometry: &Geometry, runs: &Trajectories, sigma_states: &[f64], shown: Shown) {
+        if sigma_states.is_empty() {
+            return;
+        }
         let Shown { vertices, instants } = shown;
-        let n = geometry.arc_lengths.len();
-        let states = &outcome.trajectories;
-        if !outcome.sigma_states.is_empty() {
-            let mut sigma = Vec::new();
-            for k in instants.all() {
-                let of_step = states.state(&outcome.sigma_states, k);
-                for v in vertices.all() {
-                    let free = geometry.free.binary_search(&v).ok();
-                    for c in 0..3 {
-                        sigma.push(of_step.zip(free).map_or(0.0, |(s, free)| s[3 * free + c]));
-                    }
+        let mut sigma = Vec::new();
+        for k in instants.all() {
+            let of_step = runs.state(sigma_states, k);
+            for v in vertices.all() {
+                let free = geometry.free.binary_search(&v).ok();
+                for c in 0..3 {
+                    sigma.push(of_step.zip(free).map_or(0.0, |(s, free)| s[3 * free + c]));
                 }
             }
-            let size = |s: &[f64]| 1e3 * (s.iter().map(|x| x * x).sum::<f64>() / 3.0).sqrt();
-            let sizes: Vec<f64> = sigma.chunks_exact(3).map(size).collect();
-            self.colours.push(Colour { name: "σ of place", unit: "mm", values: Packed::new(&sizes) });
-            self.sigma = Packed::new(&sigma);
         }
+        let size = |s: &[f64]| 1e3 * (s.iter().map(|x| x * x).sum::<f64>() / 3.0).sqrt();
+        let sizes: Vec<f64> = sigma.chunks_exact(3).map(size).collect();
+        self.colours.push(Colour { name: "σ of place", unit: "mm", values: Packed::new(&sizes) });
+        self.sigma = Packed::new(&sigma);
+    }
+
+    /// Adds tension and bending moment of the analysis.
+    fn add_forces(&mut self, shapes: &Shapes, geometry: &Geometry, shown: Shown) {
+        let Shown { vertices, instants } = shown;
+        let n = geometry.arc_lengths.len();
         if shapes.forces.is_empty() {
             return;
         }
