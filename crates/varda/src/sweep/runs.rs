@@ -13,8 +13,11 @@ use super::grid::{Part, Plan, Run};
 use crate::Error;
 use crate::setup::constant::is_of_constant;
 
-/// How long to wait before children are asked again whether they have ended.
-const PAUSE: Duration = Duration::from_millis(4);
+/// How long to wait before children are asked again whether they have ended: this share of what the last one
+/// has run, within bounds.
+const PAUSE: u32 = 50;
+const LEAST_PAUSE: Duration = Duration::from_micros(200);
+const LONGEST_PAUSE: Duration = Duration::from_millis(50);
 /// A signal that has ended a child has reached this program by then.
 const SIGNAL: Duration = Duration::from_millis(300);
 /// The exit code of a run that was interrupted.
@@ -121,7 +124,8 @@ impl Study<'_> {
             }
             let ended = ended(&mut running)?;
             if ended.is_empty() {
-                std::thread::sleep(PAUSE);
+                let last = running.iter().map(|one| one.started.elapsed()).min().unwrap_or_default();
+                std::thread::sleep((last / PAUSE).clamp(LEAST_PAUSE, LONGEST_PAUSE));
             }
             for (one, status) in ended {
                 let record = one.record(status);
