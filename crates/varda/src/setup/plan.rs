@@ -1,6 +1,7 @@
 //! What a run of a scene would take, without running anything.
 
 use serde::Serialize;
+use varda_assimilation::Minimizer;
 
 use super::inputs::Inputs;
 use super::memory::{Memory, Sizes, error_numbers, is_low_rank, without_spread};
@@ -108,7 +109,13 @@ impl Plan {
         let (algorithm, n) = (&scene.algorithm, self.n_control + self.n_errors);
         let is_minimized =
             !matches!(algorithm.solver_name(), "outer-loop" | "outer-loop-dual" | "closed-form");
-        let of_minimizer = is_minimized && algorithm.minimizer.settings().is_dense();
+        let settings = algorithm.minimizer.settings();
+        let small = match &settings {
+            Minimizer::Auto(options) => options.trust_region.dense_limit,
+            Minimizer::TrustRegion(options) => options.dense_limit,
+            _ => 0,
+        };
+        let of_minimizer = is_minimized && (settings.is_dense() || n <= small);
         let method = algorithm.method;
         let of_posterior = scene.report.posterior && method.is_strong() && !is_low_rank(method, n);
         let most = if algorithm.hessian == Hessian::Exact { n } else { n.min(self.n_obs) };
