@@ -1,8 +1,9 @@
 //! Seconds of jobs of 1, 2 and 4 ranks, as a table: `cargo build`, then
 //! `cargo run --example scaling [SAMPLES [JOB ...]]`, both with `--release` or without.
 //!
-//! *strong*: the same ensemble on all; *weak*: twenty runs a rank; *sweep*: twenty runs of a study; *newton*: a
-//! dense Hessian an iteration, and one for the posterior; *exact*: the posterior of the exact Hessian.
+//! *strong*: the same ensemble on all; *weak*: twenty runs a rank; *sweep*: twenty runs of a study;
+//! *newton*: a dense Hessian an iteration, and one for the posterior; *exact*: the posterior of the exact
+//! Hessian.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};

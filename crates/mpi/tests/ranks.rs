@@ -126,8 +126,7 @@ fn an_ensemble_has_the_same_bits_on_any_number_of_ranks() {
 #[test]
 fn dense_hessians_have_the_same_bits_on_any_number_of_ranks() {
     let folder = Folder::new("dense");
-    // rows of G, which are fewer than its columns; columns; columns of the exact Hessian; errors of the model;
-    // windows one after the other
+    // rows of G, which are fewer than its columns; columns; columns of the exact Hessian; errors of the model
     let rod = "run hanging-rod --set time.window=100 --quiet";
     let ring = "run lorenz96 --set time.window=40 --quiet";
     let exact = "algorithm.hessian=\"exact\"";

@@ -102,9 +102,9 @@ impl Plan {
         })
     }
 
-    /// The most numbers that go through steps of the window, counted at each, for a dense Hessian of the scene:
-    /// a state for each unknown, or for each observed value. `None` where there is no dense Hessian of sweeps:
-    /// neither the minimizer nor the posterior has one.
+    /// The most numbers that go through steps of the window, counted at each, for a dense Hessian of the
+    /// scene: a state for each unknown, or for each observed value. `None` where there is no dense Hessian of
+    /// sweeps: neither the minimizer nor the posterior has one.
     pub fn dense_numbers(&self, scene: &Scene) -> Option<usize> {
         let (algorithm, n) = (&scene.algorithm, self.n_control + self.n_errors);
         let is_minimized =
