@@ -98,7 +98,7 @@ pub fn share(items: usize, rank: usize, count: usize) -> Range<usize> {
 /// ```
 /// use varda_assimilation::ranks::share_of_work;
 ///
-/// assert_eq!([0, 1].map(|rank| share_of_work(&[1, 1, 2, 4, 4], rank, 2)), [0..4, 4..5]);
+/// assert_eq!([0, 1].map(|rank| share_of_work(&[1, 1, 2, 1, 5], rank, 2)), [0..4, 4..5]);
 /// assert_eq!([0, 1].map(|rank| share_of_work(&[3; 5], rank, 2)), [0..2, 2..5]);
 /// assert_eq!([0, 1].map(|rank| share_of_work(&[0, 0], rank, 2)), [0..2, 2..2]);
 /// ```
