@@ -534,10 +534,9 @@ impl ObservationSet {
         rows().min().map_or(self.dim()..self.dim(), |first| first..rows().max().unwrap_or(first) + 1)
     }
 
-    /// Σ over the rows of the last step whose state they need: the steps of an adjoint sweep for each.
-    pub(crate) fn steps_of_rows(&self) -> usize {
-        let steps = |o: &Observation| o.rows.len().saturating_mul(o.last_step());
-        self.observations.iter().map(steps).fold(0, usize::saturating_add)
+    /// Of each stacked row the last step whose state it needs: the steps of an adjoint sweep for it.
+    pub(crate) fn steps_of_rows(&self) -> Vec<usize> {
+        self.observations.iter().flat_map(|o| std::iter::repeat_n(o.last_step(), o.rows.len())).collect()
     }
 
     /// d = y − H(x), the innovations, from the predictions H(x).

@@ -28,8 +28,9 @@ thread_local! {
 }
 
 /// Does some work on this thread that is shared with other processes: the runs of members of ensembles
-/// ([`EnVar`](crate::EnVar), [`cycle`](crate::cycle())). The same bits for any number of processes, and
-/// without a scope.
+/// ([`EnVar`](crate::EnVar), [`cycle`](crate::cycle())), and the columns or rows of dense Hessians of
+/// [`StrongConstraint`](crate::StrongConstraint) and the costs made of it, where they are large enough
+/// ([`LEAST_NUMBERS`]). The same bits and counts for any number of processes, and without a scope.
 ///
 /// ```
 /// use std::rc::Rc;
@@ -89,6 +90,43 @@ pub fn share(items: usize, rank: usize, count: usize) -> Range<usize> {
     assert!(rank < count, "rank {rank} of {count}");
     let first = |rank: usize| rank * (items / count) + rank.min(items % count);
     first(rank)..first(rank + 1)
+}
+
+/// The items of a rank where they take unlike work: blocks in the order of ranks. An item belongs to the rank
+/// in whose part of the whole work its middle lies.
+///
+/// ```
+/// use varda_assimilation::ranks::share_of_work;
+///
+/// assert_eq!([0, 1].map(|rank| share_of_work(&[1, 1, 2, 1, 5], rank, 2)), [0..4, 4..5]);
+/// assert_eq!([0, 1].map(|rank| share_of_work(&[3; 5], rank, 2)), [0..2, 2..5]);
+/// assert_eq!([0, 1].map(|rank| share_of_work(&[0, 0], rank, 2)), [0..2, 2..2]);
+/// ```
+///
+/// # Panics
+/// If there is no such rank.
+pub fn share_of_work(work: &[usize], rank: usize, count: usize) -> Range<usize> {
+    assert!(rank < count, "rank {rank} of {count}");
+    let all: u128 = work.iter().map(|w| *w as u128).sum();
+    let mut before = 0;
+    let ranks = work.iter().map(|work| {
+        let twice_the_middle = 2 * before + *work as u128;
+        before += *work as u128;
+        (twice_the_middle * count as u128).checked_div(2 * all).map_or(0, |rank| rank as usize)
+    });
+    let ranks: Vec<usize> = ranks.map(|of_item| of_item.min(count - 1)).collect();
+    let first = |rank: usize| ranks.partition_point(|of_item| *of_item < rank);
+    first(rank)..first(rank + 1)
+}
+
+/// The fewest numbers of columns, counted at every step of a window that they go through, that are worth a
+/// gather. They take some 0.3 ms (9 ns a number of a rod); a gather is a few messages.
+pub const LEAST_NUMBERS: usize = 30_000;
+
+/// The processes that share products with linearized steps, of columns of so many numbers in all; `None`
+/// where each does all of them.
+pub(crate) fn for_numbers(numbers: usize) -> Option<Rc<dyn Ranks>> {
+    current().filter(|_| numbers >= LEAST_NUMBERS)
 }
 
 /// What rank 0 says, for all: `text` of the others is not looked at. Outside of [`within`] it is `text`.

@@ -112,6 +112,10 @@ pub trait Model {
     /// As for `tangent`.
     fn adjoint(&mut self, slot: usize, lambda: &mut [f64]);
 
+    /// Told of work that another process does in this one's place, to be added by a model that counts what it
+    /// does. Nothing by default.
+    fn count_elsewhere(&mut self, _done: Counts) {}
+
     /// Forgets what the slots from this one on hold, and gives their memory back.
     fn release(&mut self, from_slot: usize);
 
@@ -361,18 +365,53 @@ pub struct Counts {
 }
 
 impl Counts {
-    fn each(self, other: Self, f: fn(usize, usize) -> usize) -> Self {
+    /// How many numbers these are.
+    pub const LENGTH: usize = 9;
+
+    /// The numbers, in the order of the fields.
+    pub fn to_array(self) -> [usize; Self::LENGTH] {
+        [
+            self.model_steps,
+            self.substeps,
+            self.tangent_steps,
+            self.adjoint_steps,
+            self.linearizations,
+            self.reused,
+            self.factorizations,
+            self.newton_iterations,
+            self.adjoint_derivatives,
+        ]
+    }
+
+    /// The counts of [`to_array`](Self::to_array).
+    pub fn from_array(numbers: [usize; Self::LENGTH]) -> Self {
+        let [
+            model_steps,
+            substeps,
+            tangent_steps,
+            adjoint_steps,
+            linearizations,
+            reused,
+            factorizations,
+            newton_iterations,
+            adjoint_derivatives,
+        ] = numbers;
         Counts {
-            model_steps: f(self.model_steps, other.model_steps),
-            substeps: f(self.substeps, other.substeps),
-            tangent_steps: f(self.tangent_steps, other.tangent_steps),
-            adjoint_steps: f(self.adjoint_steps, other.adjoint_steps),
-            linearizations: f(self.linearizations, other.linearizations),
-            reused: f(self.reused, other.reused),
-            factorizations: f(self.factorizations, other.factorizations),
-            newton_iterations: f(self.newton_iterations, other.newton_iterations),
-            adjoint_derivatives: f(self.adjoint_derivatives, other.adjoint_derivatives),
+            model_steps,
+            substeps,
+            tangent_steps,
+            adjoint_steps,
+            linearizations,
+            reused,
+            factorizations,
+            newton_iterations,
+            adjoint_derivatives,
         }
+    }
+
+    fn each(self, other: Self, f: fn(usize, usize) -> usize) -> Self {
+        let (a, b) = (self.to_array(), other.to_array());
+        Self::from_array(std::array::from_fn(|i| f(a[i], b[i])))
     }
 
     fn add_solves(&mut self, work: &Work) {

@@ -1,7 +1,7 @@
 //! The states of a window, and sweeps along them.
 
 use crate::storage::next_checkpoint;
-use crate::{Error, Log, Model, Storage};
+use crate::{Counts, Error, Log, Model, Storage};
 
 /// Whether a forward run linearizes its steps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,14 +74,32 @@ pub struct LinearizedStep<'a> {
 impl LinearizedStep<'_> {
     /// dx ← M_k dx, for one column or several.
     pub fn tangent(&mut self, dx: &mut [f64]) {
-        self.log.counts.tangent_steps += dx.len() / self.x.len().max(1);
-        self.model.tangent(self.slot, dx);
+        self.tangent_of_share(dx.len() / self.x.len().max(1), dx);
     }
 
     /// λ ← M_kᵀ λ, for one column or several.
     pub fn adjoint(&mut self, lambda: &mut [f64]) {
-        self.log.counts.adjoint_steps += lambda.len() / self.x.len().max(1);
-        self.model.adjoint(self.slot, lambda);
+        self.adjoint_of_share(lambda.len() / self.x.len().max(1), lambda);
+    }
+
+    /// dx ← M_k dx for some of `all` columns, whose others another process does: each has the bits that it
+    /// has among all, and all are counted.
+    pub fn tangent_of_share(&mut self, all: usize, dx: &mut [f64]) {
+        self.log.counts.tangent_steps += all;
+        let done = product_of_share(self.x.len(), all, dx, |dx| self.model.tangent(self.slot, dx));
+        if done < all {
+            self.model.count_elsewhere(Counts { tangent_steps: all - done, ..Counts::default() });
+        }
+    }
+
+    /// λ ← M_kᵀ λ for some of `all` columns, as `tangent_of_share`.
+    pub fn adjoint_of_share(&mut self, all: usize, lambda: &mut [f64]) {
+        self.log.counts.adjoint_steps += all;
+        let done =
+            product_of_share(self.x.len(), all, lambda, |lambda| self.model.adjoint(self.slot, lambda));
+        if done < all {
+            self.model.count_elsewhere(Counts { adjoint_steps: all - done, ..Counts::default() });
+        }
     }
 
     /// dx ← M_k dx, what [`adjoint_derivative`](Self::adjoint_derivative) needs of it kept where the
@@ -112,6 +130,22 @@ impl LinearizedStep<'_> {
         let second = self.model.second_order().expect("a model with second derivatives");
         second.adjoint_derivative(self.slot, dx, lambda, derivative)
     }
+}
+
+/// The product of some of `all` columns of length n; returns how many columns the model is given. One of
+/// several has a column of zeros beside it, since a model may round one alone otherwise.
+fn product_of_share(n: usize, all: usize, columns: &mut [f64], product: impl FnOnce(&mut [f64])) -> usize {
+    let own = columns.len() / n.max(1);
+    if own == 1 && all > 1 {
+        let mut pair = [&*columns, &vec![0.0; n]].concat();
+        product(&mut pair);
+        columns.copy_from_slice(&pair[..n]);
+        return 2;
+    }
+    if own > 0 {
+        product(columns);
+    }
+    own
 }
 
 impl Trajectory {

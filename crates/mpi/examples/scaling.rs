@@ -1,7 +1,9 @@
 //! Seconds of jobs of 1, 2 and 4 ranks, as a table: `cargo build`, then
-//! `cargo run --example scaling [SAMPLES]`, both with `--release` or without.
+//! `cargo run --example scaling [SAMPLES [JOB ...]]`, both with `--release` or without.
 //!
-//! *strong*: the same ensemble on all; *weak*: twenty runs a rank; *sweep*: twenty runs of a study.
+//! *strong*: the same ensemble on all; *weak*: twenty runs a rank; *sweep*: twenty runs of a study;
+//! *newton*: a dense Hessian an iteration, and one for the posterior; *exact*: the posterior of the exact
+//! Hessian.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -32,14 +34,20 @@ fn main() -> Result<(), Box<dyn Error>> {
          | RMSE (m) | sent |"
     );
     println!("|{} --- |", " --- |".repeat(9));
-    for name in ["strong", "weak", "sweep"] {
+    let asked: Vec<String> = std::env::args().skip(2).collect();
+    for name in ["strong", "weak", "sweep", "newton", "exact"] {
+        if !asked.is_empty() && !asked.iter().any(|job| job == name) {
+            continue;
+        }
         for ranks in RANKS {
             let members = if name == "weak" { 20 * ranks - 1 } else { 39 };
             let arguments = match name {
-                "sweep" => ["sweep", "hanging-rod", "--seeds", "0..19"].map(String::from),
+                "sweep" => ["sweep", "hanging-rod", "--seeds", "0..19"].map(String::from).to_vec(),
+                "newton" => of_long_rod("algorithm.minimizer=\"newton\""),
+                "exact" => of_long_rod("algorithm.hessian=\"exact\""),
                 _ => {
                     let ensemble = format!("algorithm={{method=\"4denvar\",ensemble={{members={members}}}}}");
-                    ["run", "hanging-rod", "--set", &ensemble].map(String::from)
+                    ["run", "hanging-rod", "--set", &ensemble].map(String::from).to_vec()
                 }
             };
             let all = (0..samples)
@@ -61,6 +69,14 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     }
     Ok(())
+}
+
+/// 294 unknowns and 600 observed values, 100 steps.
+fn of_long_rod(setting: &str) -> Vec<String> {
+    let sets = ["model.segments=50", "observations.every=2", setting];
+    let mut arguments = ["run", "hanging-rod"].map(String::from).to_vec();
+    sets.iter().for_each(|set| arguments.extend(["--set", set].map(String::from)));
+    arguments
 }
 
 fn job(ranks: usize, arguments: &[String], out: &Path) -> Result<Sample, Box<dyn Error>> {

@@ -16,8 +16,8 @@ use varda_assimilation::ranks;
 use world::{Tally, World};
 
 const USAGE: &str = "\
-Usage: mpirun -n RANKS varda-mpi run SCENE [...]      as varda run; members of its ensemble over the ranks
-       mpirun -n RANKS varda-mpi sweep SCENE [...]    as varda sweep; its runs over the ranks
+Usage: mpirun -n RANKS varda-mpi run SCENE [...]      as varda run; members, or columns of Hessians, divided
+       mpirun -n RANKS varda-mpi sweep SCENE [...]    as varda sweep; its runs divided
 
 --counts   print at the end what was sent and how long ranks waited
 ";

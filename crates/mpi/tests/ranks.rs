@@ -123,6 +123,36 @@ fn an_ensemble_has_the_same_bits_on_any_number_of_ranks() {
     }
 }
 
+#[test]
+fn dense_hessians_have_the_same_bits_on_any_number_of_ranks() {
+    let folder = Folder::new("dense");
+    // rows of G, which are fewer than its columns; columns; columns of the exact Hessian; errors of the model
+    let rod = "run hanging-rod --set time.window=100 --quiet";
+    let ring = "run lorenz96 --set time.window=40 --quiet";
+    let exact = "algorithm.hessian=\"exact\"";
+    let scenes = [
+        ("rows", format!("{rod} --set algorithm.minimizer=\"newton\"")),
+        ("columns", format!("{ring} --set observations.every=1")),
+        ("exact-rod", format!("{rod} --set {exact}")),
+        ("exact-ring", format!("{ring} --set {exact}")),
+        ("weak", "run hanging-rod-weak --set algorithm.minimizer=\"newton\" --quiet".to_string()),
+    ];
+    for (name, scene) in scenes {
+        let plain = folder.plain(&format!("{scene} --out {name}"));
+        let code = plain.status.code().unwrap();
+        assert!(matches!(code, 0 | 3 | 4), "{name}: {plain:?}");
+        for ranks in [1, 2, 4] {
+            let output = folder.ranks(ranks, &format!("{scene} --out {name}-{ranks} --counts"));
+            let (_, err) = ends_with(&output, code);
+            assert!(
+                err.contains(&format!("{ranks} ranks, ")) && !err.contains(" 0 gathers"),
+                "{name}: {err}"
+            );
+            same(&folder.path(name), &folder.path(&format!("{name}-{ranks}")), &TABLES);
+        }
+    }
+}
+
 const CYCLES: &str = "run lorenz96-cycling-4denvar --set algorithm.cycles.spin_up=2 --quiet --out";
 
 #[test]
@@ -241,6 +271,11 @@ fn what_ranks_cannot_share_is_refused() {
         assert_eq!(err.matches(why).count(), 1, "{err}");
     };
     refused("run lorenz63 --quiet", 1, "share the members of an ensemble");
+    refused(
+        "run hanging-rod --set algorithm.method=\"4d-psas\" --set report.posterior=false --quiet",
+        1,
+        "has none of them",
+    );
     refused("run lorenz96-4denvar --set limits.seconds=9.0 --quiet", 1, "no clock in common");
     refused("sweep lorenz63 --seeds 0..3 --part 1/2 --quiet", 1, "divide the whole sweep");
     refused("check lorenz63", 2, "Usage: mpirun");

@@ -1,9 +1,12 @@
 //! Products with the exact Hessian of a window: the second-order adjoint.
 
-use super::StrongConstraint;
+use std::ops::Range;
+
 use super::exact_work::Exact;
 use super::model_error::WeakControl;
+use super::{CostFunction, Counts, StrongConstraint};
 use crate::Error;
+use crate::ranks::{self, Ranks};
 use varda_implicit::Storage;
 
 impl StrongConstraint<'_> {
@@ -12,6 +15,73 @@ impl StrongConstraint<'_> {
         let states = self.errors.as_ref().is_some_and(|e| matches!(e.over, WeakControl::States { .. }));
         let model = self.model.as_mut().is_none_or(|model| model.second_order().is_some());
         model && !states && self.observations.has_second_derivatives()
+    }
+
+    /// The products with all unit vectors, one after the other, which processes share.
+    pub(super) fn exact_columns(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        let n = self.dim();
+        match ranks::for_numbers(n * self.last * self.state_dim) {
+            // what is found with the first column is there for the others, on every process
+            Some(ranks) => {
+                let (first, others) = out.split_at_mut(n);
+                self.exact_products(0..1, first)?;
+                self.exact_columns_divided(&*ranks, others)
+            }
+            None => self.exact_products(0..n, out),
+        }
+    }
+
+    /// All columns but the first: those of this process, and what the others gather. Where one of them has
+    /// failed each does all of them, and fails in the same way.
+    fn exact_columns_divided(&mut self, ranks: &dyn Ranks, others: &mut [f64]) -> Result<(), Error> {
+        let n = self.dim();
+        let share = |rank: usize| ranks::share(n - 1, rank, ranks.count());
+        let before = self.counts();
+        let mut mine = vec![0.0; share(ranks.rank()).len() * n];
+        let own = share(ranks.rank());
+        let done = self.exact_products(own.start + 1..own.end + 1, &mut mine);
+        let work = (self.counts() - before).numbers().map(|number| number as f64);
+        let message = [f64::from(u8::from(done.is_ok()))].into_iter().chain(work).chain(mine);
+        let all = ranks.all_gather(&self.linearized_at(), &message.collect::<Vec<f64>>());
+        let (mut rest, mut everyone, mut elsewhere) = (&all[..], true, Counts::default());
+        for rank in 0..ranks.count() {
+            let (head, columns) = rest.split_at(1 + Counts::LENGTH);
+            let of_rank = share(rank).start * n..share(rank).end * n;
+            let (columns, next) = columns.split_at(of_rank.len());
+            others[of_rank].copy_from_slice(columns);
+            everyone = everyone && head[0] == 1.0;
+            if rank != ranks.rank() {
+                let mut numbers = head[1..].iter().map(|number| *number as usize);
+                elsewhere = elsewhere + Counts::of(|| numbers.next().unwrap_or(0));
+            }
+            rest = next;
+        }
+        if !everyone {
+            return self.exact_products(1..n, others);
+        }
+        self.count_elsewhere(elsewhere);
+        Ok(())
+    }
+
+    /// Adds work that another process has done in this one's place.
+    fn count_elsewhere(&mut self, done: Counts) {
+        self.log.counts = self.log.counts + done.model;
+        self.counts = self.counts + Counts { model: varda_implicit::Counts::default(), ..done };
+        if let Some(model) = &mut self.model {
+            model.count_elsewhere(done.model);
+        }
+    }
+
+    /// The products with some unit vectors.
+    fn exact_products(&mut self, units: Range<usize>, out: &mut [f64]) -> Result<(), Error> {
+        let n = self.dim();
+        let mut unit = vec![0.0; n];
+        for (j, column) in units.zip(out.chunks_exact_mut(n.max(1))) {
+            unit[j] = 1.0;
+            self.exact_product(&unit, column)?;
+            unit[j] = 0.0;
+        }
+        Ok(())
     }
 
     /// out = ∇²J dv at the base point:

@@ -1,5 +1,7 @@
 //! A cost J(v) with its gradient, its parts and its work.
 
+use std::ops::{Add, Sub};
+
 use crate::Error;
 
 /// A cost J(v) with its gradient: minus the logarithm of a probability density up to a constant
@@ -78,4 +80,49 @@ pub struct Counts {
     pub exact_sweeps: usize,
     /// Work of the model since the cost was made; zero where there is none.
     pub model: varda_implicit::Counts,
+}
+
+impl Counts {
+    /// How many numbers these are.
+    pub(crate) const LENGTH: usize = 5 + varda_implicit::Counts::LENGTH;
+
+    /// The numbers: those of the cost, then those of the model.
+    pub(crate) fn numbers(self) -> impl Iterator<Item = usize> {
+        let Counts { forward_runs, gradients, tangent_sweeps, adjoint_sweeps, exact_sweeps, model } = self;
+        let own = [forward_runs, gradients, tangent_sweeps, adjoint_sweeps, exact_sweeps];
+        own.into_iter().chain(model.to_array())
+    }
+
+    /// The counts of these numbers.
+    pub(crate) fn of(mut next: impl FnMut() -> usize) -> Self {
+        Counts {
+            forward_runs: next(),
+            gradients: next(),
+            tangent_sweeps: next(),
+            adjoint_sweeps: next(),
+            exact_sweeps: next(),
+            model: varda_implicit::Counts::from_array(std::array::from_fn(|_| next())),
+        }
+    }
+
+    fn each(self, other: Self, f: fn(usize, usize) -> usize) -> Self {
+        let mut pairs = self.numbers().zip(other.numbers());
+        Counts::of(|| pairs.next().map_or(0, |(a, b)| f(a, b)))
+    }
+}
+
+impl Add for Counts {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        self.each(other, usize::add)
+    }
+}
+
+impl Sub for Counts {
+    type Output = Self;
+
+    fn sub(self, other: Self) -> Self {
+        self.each(other, usize::sub)
+    }
 }

@@ -2,6 +2,7 @@
 
 use super::{CostFunction, CostTerms, Counts, LeastSquares, dot};
 use crate::Error;
+use std::ops::Add;
 
 /// Several windows of one system with some unknowns in common, as several recordings of one rod: each has an
 /// initial state of its own, the constants are the same. With own unknowns v¹ … v^R and shared ones v_p,
@@ -274,14 +275,7 @@ impl CostFunction for Joint<'_> {
 
     /// The sums of the costs' work: one evaluation is a forward run of each.
     fn counts(&self) -> Counts {
-        self.parts.iter().map(|part| part.cost.counts()).fold(Counts::default(), |a, b| Counts {
-            forward_runs: a.forward_runs + b.forward_runs,
-            gradients: a.gradients + b.gradients,
-            tangent_sweeps: a.tangent_sweeps + b.tangent_sweeps,
-            adjoint_sweeps: a.adjoint_sweeps + b.adjoint_sweeps,
-            exact_sweeps: a.exact_sweeps + b.exact_sweeps,
-            model: a.model + b.model,
-        })
+        self.parts.iter().map(|part| part.cost.counts()).fold(Counts::default(), Counts::add)
     }
 }
 

@@ -183,12 +183,7 @@ pub trait LeastSquares: CostFunction {
         let n = self.dim();
         assert_eq!(out.len(), n * n, "length of the Hessian");
         columns(n, out, &mut |unit, column| self.exact_hessian_apply(unit, column))?;
-        for j in 0..n {
-            for i in 0..j {
-                let mean = 0.5 * (out[i + j * n] + out[j + i * n]);
-                (out[i + j * n], out[j + i * n]) = (mean, mean);
-            }
-        }
+        symmetrize(n, out);
         Ok(())
     }
 
@@ -234,6 +229,16 @@ pub trait LeastSquares: CostFunction {
     fn direct(&mut self, gradient: &[f64], p: &mut [f64]) -> Result<(), Error> {
         let (n, m) = (self.dim(), self.observation_dim());
         direct_by_columns(n, m, &mut |unit, column| self.jacobian(unit, column), gradient, p)
+    }
+}
+
+/// A ← (A + Aᵀ)/2, n × n.
+pub(super) fn symmetrize(n: usize, a: &mut [f64]) {
+    for j in 0..n {
+        for i in 0..j {
+            let mean = 0.5 * (a[i + j * n] + a[j + i * n]);
+            (a[i + j * n], a[j + i * n]) = (mean, mean);
+        }
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::dense_work::Dense;
 use super::exact_work::Exact;
+use super::least_squares::symmetrize;
 use super::model_error::{ModelErrorTerm, WeakControl};
 use super::{CostFunction, CostTerms, Counts, LeastSquares, dot};
 use crate::{ControlTransform, Error, ObservationSet, Prediction};
@@ -90,7 +91,7 @@ pub(super) struct Point {
     valid: bool,
     /// Whether the model's `initial_state` was last called here.
     pub(super) initial: bool,
-    v: Vec<f64>,
+    pub(super) v: Vec<f64>,
     z: Vec<f64>,
     /// b, the whitened departures from what is known before: v itself, unless v is states.
     prior: Vec<f64>,
@@ -574,6 +575,13 @@ impl LeastSquares for StrongConstraint<'_> {
 
     fn exact_hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error> {
         self.exact_product(dv, out)
+    }
+
+    fn exact_hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        assert_eq!(out.len(), self.dim() * self.dim(), "length of the Hessian");
+        self.exact_columns(out)?;
+        symmetrize(self.dim(), out);
+        Ok(())
     }
 }
 

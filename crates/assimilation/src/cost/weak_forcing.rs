@@ -177,4 +177,8 @@ impl LeastSquares for WeakForcing<'_> {
     fn exact_hessian_apply(&mut self, dv: &[f64], out: &mut [f64]) -> Result<(), Error> {
         self.window.exact_hessian_apply(dv, out)
     }
+
+    fn exact_hessian(&mut self, out: &mut [f64]) -> Result<(), Error> {
+        self.window.exact_hessian(out)
+    }
 }

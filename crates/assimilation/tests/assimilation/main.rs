@@ -28,6 +28,7 @@ mod observations;
 mod posteriors;
 mod robust;
 mod sensitivities;
+mod shared;
 mod short_form;
 mod state_length;
 mod storage;

@@ -39,7 +39,7 @@ use crate::run::compare::{Compared, compare};
 use crate::run::cycles::Sequence;
 use crate::run::{self, Listener, assimilate};
 use crate::scene::{DATA_BYTES, SHIPPED, Scene, SceneFile};
-use crate::setup::{Inputs, Problem};
+use crate::setup::{Inputs, Plan, Problem};
 use exit::INTERRUPTED;
 use progress::ProgressDisplay;
 
@@ -366,6 +366,9 @@ fn run_scene(
         return recordings::run(&file, &folder, &mut progress, &interrupted, options, started);
     }
     let inputs = Inputs::read(&file)?;
+    if is_shared() {
+        refuse_undivided(&inputs)?;
+    }
     // said before it starts, but an error is the one message of a run that cannot
     let said = if quiet { String::new() } else { preview::in_short(&inputs) };
     if let Some(settings) = &file.scene.algorithm.cycles {
@@ -426,18 +429,36 @@ fn exit_code(outcome: &Outcome, strict: bool) -> ExitCode {
 /// Refuses what several processes would not do alike, or of which they would share nothing.
 fn refuse_unshared(file: &SceneFile) -> Result<(), Error> {
     if file.has_recordings() {
-        return Err(file.invalid("recordings", "several processes share nothing of a scene of recordings"));
+        return Err(file.invalid("recordings", "several processes do not share a scene of recordings"));
     }
     if file.scene.limits.seconds.is_some() {
         let message = "several processes have no clock in common: the limit cannot be kept";
         return Err(file.invalid("limits.seconds", message));
     }
-    if !file.scene.algorithm.method.is_ensemble() {
-        let message = "several processes share the members of an ensemble, or the runs of a sweep; this \
-                       method has neither";
-        return Err(file.invalid("algorithm.method", message));
-    }
     Ok(())
+}
+
+/// Refuses a run of which several processes would share nothing.
+fn refuse_undivided(inputs: &Inputs) -> Result<(), Error> {
+    let file = &inputs.file;
+    if file.scene.algorithm.method.is_ensemble() {
+        return Ok(());
+    }
+    let (numbers, least) = (Plan::of(inputs)?.dense_numbers(&file.scene), ranks::LEAST_NUMBERS);
+    let has = match numbers {
+        None => "this method has none of them".to_string(),
+        Some(numbers) if numbers < least => {
+            format!(
+                "here columns of {numbers} numbers at most go through the steps, and {least} are worth it"
+            )
+        }
+        Some(_) => return Ok(()),
+    };
+    let message = format!(
+        "several processes share the members of an ensemble, the runs of a sweep, or the columns of a dense \
+         Hessian; {has}"
+    );
+    Err(file.invalid("algorithm.method", message))
 }
 
 /// Refuses an occupied folder before the work, not after it; reports what killed runs had left there.

@@ -1,12 +1,13 @@
 //! What a run of a scene would take, without running anything.
 
 use serde::Serialize;
+use varda_assimilation::Minimizer;
 
 use super::inputs::Inputs;
-use super::memory::{Memory, Sizes, error_numbers, without_spread};
+use super::memory::{Memory, Sizes, error_numbers, is_low_rank, without_spread};
 use super::problem::without_derivatives;
 use crate::Error;
-use crate::scene::{Method, SceneFile, TimeGrid};
+use crate::scene::{Hessian, Method, Scene, SceneFile, TimeGrid};
 
 /// Sizes of a scene, and what it leaves out.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -99,5 +100,26 @@ impl Plan {
             bytes_per_part: scene.time.tolerance.map(|_| 8 * sizes.kept),
             left_out,
         })
+    }
+
+    /// The most numbers that go through steps of the window, counted at each, for a dense Hessian of the
+    /// scene: a state for each unknown, or for each observed value. `None` where there is no dense Hessian of
+    /// sweeps: neither the minimizer nor the posterior has one.
+    pub fn dense_numbers(&self, scene: &Scene) -> Option<usize> {
+        let (algorithm, n) = (&scene.algorithm, self.n_control + self.n_errors);
+        let is_minimized =
+            !matches!(algorithm.solver_name(), "outer-loop" | "outer-loop-dual" | "closed-form");
+        let settings = algorithm.minimizer.settings();
+        let small = match &settings {
+            Minimizer::Auto(options) => options.trust_region.dense_limit,
+            Minimizer::TrustRegion(options) => options.dense_limit,
+            _ => 0,
+        };
+        let of_minimizer = is_minimized && (settings.is_dense() || n <= small);
+        let method = algorithm.method;
+        let of_posterior = scene.report.posterior && method.is_strong() && !is_low_rank(method, n);
+        let most = if algorithm.hessian == Hessian::Exact { n } else { n.min(self.n_obs) };
+        (of_minimizer || of_posterior)
+            .then(|| most.saturating_mul(self.window.steps).saturating_mul(self.n_state))
     }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-use varda_implicit::{ControlMap, Error, Log, Model, Rate, Refusal, SecondOrder, Work};
+use varda_implicit::{ControlMap, Counts, Error, Log, Model, Rate, Refusal, SecondOrder, Work};
 use varda_linalg::interrupt;
 
 /// Seconds spent in models, summed over all models that share the clock (and so over threads).
@@ -112,6 +112,11 @@ where
         }
         self.log.counts.adjoint_steps += lambda.len() / self.model.dim().max(1);
         timing(&self.clock.0.adjoint, || self.model.adjoint(slot, lambda));
+    }
+
+    fn count_elsewhere(&mut self, done: Counts) {
+        self.log.counts = self.log.counts + done;
+        self.model.count_elsewhere(done);
     }
 
     fn release(&mut self, from_slot: usize) {

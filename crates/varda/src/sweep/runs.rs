@@ -4,6 +4,7 @@ use std::ffi::OsStr;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{Sender, channel};
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
@@ -13,8 +14,8 @@ use super::grid::{Part, Plan, Run};
 use crate::Error;
 use crate::setup::constant::is_of_constant;
 
-/// How long to wait before children are asked again whether they have ended.
-const PAUSE: Duration = Duration::from_millis(4);
+/// How long to wait for the end of a process before it is asked again whether to go on.
+const PAUSE: Duration = Duration::from_millis(50);
 /// A signal that has ended a child has reached this program by then.
 const SIGNAL: Duration = Duration::from_millis(300);
 /// The exit code of a run that was interrupted.
@@ -115,15 +116,18 @@ impl Study<'_> {
         progress.done = progress.before;
         open.reverse();
         let mut running: Vec<Running> = Vec::new();
+        let (tells, told) = channel();
         while !open.is_empty() || !running.is_empty() {
             while running.len() < self.jobs.max(1) && !open.is_empty() && !interrupted() {
-                running.extend(open.pop().map(|run| self.start(run)).transpose()?);
+                running.extend(open.pop().map(|run| self.start(run, &tells)).transpose()?);
             }
-            let ended = ended(&mut running)?;
-            if ended.is_empty() {
-                std::thread::sleep(PAUSE);
-            }
-            for (one, status) in ended {
+            let index = told.recv_timeout(PAUSE).ok();
+            if let Some(place) = running.iter().position(|one| Some(one.run.index) == index) {
+                let mut one = running.swap_remove(place);
+                let status = one.process.wait().map_err(|reason| Error::Sweep {
+                    path: one.folder.clone(),
+                    reason: format!("its process cannot be waited for: {reason}"),
+                })?;
                 let record = one.record(status);
                 let was_told = status.code() == Some(INTERRUPTED);
                 if was_told {
@@ -147,7 +151,9 @@ impl Study<'_> {
         Ok(progress)
     }
 
-    fn start(&self, run: Run) -> Result<Running, Error> {
+    /// Starts a run. When it has ended its index comes through `tells`: a thread reads its output, of which
+    /// there is nothing but the end.
+    fn start(&self, run: Run, tells: &Sender<usize>) -> Result<Running, Error> {
         let work = self.folder.join(WORK);
         let folder = work.join(format!("{}-{}", run.index, std::process::id()));
         let failed = |path: &Path| {
@@ -164,13 +170,22 @@ impl Study<'_> {
         });
         command.args(["--seed", &run.seed.to_string(), "--quiet", "--out"]).arg(folder.join(RESULT));
         command.env("RAYON_NUM_THREADS", "1").env("NO_COLOR", "1").env_remove("CLICOLOR_FORCE");
-        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(stderr);
-        let started = Instant::now();
-        let process = command.spawn().map_err(|reason| Error::Sweep {
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(stderr);
+        let cannot = |reason| Error::Sweep {
             path: self.program.to_path_buf(),
             reason: format!("a run cannot be started: {reason}"),
-        })?;
-        Ok(Running { run, folder, process, started })
+        };
+        let started = Instant::now();
+        let process = command.spawn().map_err(cannot)?;
+        let mut running = Running { run, folder, process, started };
+        let (output, index, tells) = (running.process.stdout.take(), running.run.index, tells.clone());
+        let wait = move || {
+            let _ = output.map(|mut output| std::io::copy(&mut output, &mut std::io::sink()));
+            // nobody listens any more where the study has ended
+            let _ = tells.send(index);
+        };
+        std::thread::Builder::new().spawn(wait).map_err(cannot)?;
+        Ok(running)
     }
 }
 
@@ -211,21 +226,6 @@ impl Drop for Running {
         let _ = self.process.wait();
         let _ = std::fs::remove_dir_all(&self.folder);
     }
-}
-
-/// Takes out the processes that have ended.
-fn ended(running: &mut Vec<Running>) -> Result<Vec<(Running, ExitStatus)>, Error> {
-    let mut ended = Vec::new();
-    for i in (0..running.len()).rev() {
-        let status = running[i].process.try_wait().map_err(|reason| Error::Sweep {
-            path: running[i].folder.clone(),
-            reason: format!("its process cannot be waited for: {reason}"),
-        })?;
-        if let Some(status) = status {
-            ended.push((running.swap_remove(i), status));
-        }
-    }
-    Ok(ended)
 }
 
 /// The last error that a program has told, else its last line: an excerpt of a scene follows the first,

@@ -86,29 +86,8 @@ fn run_divided<'m>(
 
 /// A log as numbers: its counts, how many warnings, and of each its step, its length and its bytes.
 fn numbers_of(log: &Log) -> Vec<f64> {
-    let Counts {
-        model_steps,
-        substeps,
-        tangent_steps,
-        adjoint_steps,
-        linearizations,
-        reused,
-        factorizations,
-        newton_iterations,
-        adjoint_derivatives,
-    } = log.counts;
-    let mut numbers = vec![
-        model_steps,
-        substeps,
-        tangent_steps,
-        adjoint_steps,
-        linearizations,
-        reused,
-        factorizations,
-        newton_iterations,
-        adjoint_derivatives,
-        log.warnings.len(),
-    ];
+    let mut numbers = log.counts.to_array().to_vec();
+    numbers.push(log.warnings.len());
     for warning in &log.warnings {
         numbers.extend([warning.step, warning.text.len()]);
         numbers.extend(warning.text.bytes().map(usize::from));
@@ -120,17 +99,7 @@ fn numbers_of(log: &Log) -> Vec<f64> {
 /// The log of these numbers.
 fn log_of(next: &mut dyn FnMut() -> f64) -> Log {
     let mut number = || next() as usize;
-    let counts = Counts {
-        model_steps: number(),
-        substeps: number(),
-        tangent_steps: number(),
-        adjoint_steps: number(),
-        linearizations: number(),
-        reused: number(),
-        factorizations: number(),
-        newton_iterations: number(),
-        adjoint_derivatives: number(),
-    };
+    let counts = Counts::from_array(std::array::from_fn(|_| number()));
     let warnings = (0..number())
         .map(|_| {
             let (step, length) = (number(), number());
