@@ -33,6 +33,12 @@ pub enum Error {
     /// A sensor on a section of a chain, whose edges have no sections.
     #[error("a chain has no sections that a sensor could be fixed to: observe accelerations in space")]
     NoFrames,
+    /// The orientation of a section of a rod that has no angle about its tangent.
+    #[error(
+        "the rod has no angle about its tangent that an orientation could be of: it is a chain, or twists \
+             nowhere and no clamp holds a director; observe its `direction`"
+    )]
+    NoAngle,
     /// The spin of a section is not in the state.
     #[error(
         "the spin of edge {edge} is not in the state: give the rod inertia against it, and take an edge \

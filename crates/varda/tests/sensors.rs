@@ -61,6 +61,9 @@ fn sensor(name: &str, kind: &str, arc_length: f64, sigma: f64) -> String {
     )
 }
 
+/// A body whose first axis is the tangent of the rod.
+const AXES: &str = "axes = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]\n";
+
 /// One of every kind that this rod has.
 fn all_kinds() -> String {
     [
@@ -71,6 +74,7 @@ fn all_kinds() -> String {
         sensor("imu", "specific-force", 0.45, 0.1),
         sensor("gyro", "angular-rate", 0.45, 0.05),
         sensor("pointer", "direction", 0.2, 0.01),
+        sensor("body", "orientation", 0.35, 0.01) + AXES,
     ]
     .concat()
 }
@@ -102,6 +106,7 @@ fn every_kind_fits_in_a_twin_and_lowers_sigma() {
         ("specific-force", 0.4, 0.1, "m/s²", 0.71),
         ("angular-rate", 0.4, 0.05, "rad/s", 0.99),
         ("direction", 0.4, 0.005, "rad", 0.99),
+        ("orientation", 0.4, 0.005, "rad", 0.99),
     ];
     for (kind, s, sigma, unit, bound) in kinds {
         let text = format!("{ROD}{TWIN}{PLACES}{}", sensor("it", kind, s, sigma));
@@ -205,8 +210,76 @@ fn a_sensor_that_is_kept_back_is_judged_in_its_unit() {
     // noise of 0.01 N in three components, 0.017 N, of 21 values to 4 of its standard deviations
     assert!(w.rms_analysis < 0.03 && w.rms_analysis < 0.2 * w.rms_background, "{w:?}");
     let units: Vec<&str> = outcome.forecast.iter().map(|f| f.quantity.unit()).collect();
-    assert_eq!(units, ["m", "m", "N", "N", "N", "m/s²", "m/s²", "rad/s", "rad"]);
+    assert_eq!(units, ["m", "m", "N", "N", "N", "m/s²", "m/s²", "rad/s", "rad", "rad"]);
+    // a rotation that stays as it was last read is off by more than its noise of √2 and √3 times 0.01
+    for f in outcome.forecast.iter().filter(|f| f.quantity.unit() == "rad") {
+        assert!(f.analysis < 0.03 && f.persistence > 2.0 * f.analysis, "{f:?}");
+        assert!(f.static_model > 2.0 * f.analysis, "{f:?}");
+    }
     assert!(outcome.observed.iter().any(|o| o.reason == "withheld" && o.unit == "N" && o.axis == "fz"));
+}
+
+/// A direction has two degrees of freedom and an orientation three: readings of them alone have 2J/m of 1.
+#[test]
+fn rotations_alone_fit_with_their_degrees_of_freedom() {
+    let folder = Folder::new("sensors-rotations");
+    for (kind, values) in [("direction", 2), ("orientation", 3)] {
+        let places = [0.1, 0.2, 0.3, 0.4, 0.5];
+        let all: String = places.map(|s| sensor(&format!("at {s}"), kind, s, 0.01)).concat();
+        let outcome = ran(&format!("{ROD}{TWIN}{all}"), &folder, &["observations.every=2"]);
+        assert_eq!(outcome.judgement.verdict, Verdict::Fits, "{kind}: {}", outcome.judgement.text);
+        let m = outcome.analysis.observations;
+        assert_eq!(m, 20 * places.len() * values, "{kind}");
+        let chi2 = 2.0 * outcome.analysis.value / m as f64;
+        // three standard deviations of χ²/m, which 2/3 is not within
+        let bound = 3.0 * (2.0 / m as f64).sqrt();
+        assert!(bound < 0.33 && (chi2 - 1.0).abs() < bound, "{kind}: 2J/m = {chi2}");
+    }
+}
+
+/// A rod that is twisted by nature hangs as one that is not: its sections alone show it.
+#[test]
+fn an_orientation_finds_the_twist_that_a_direction_does_not() {
+    let folder = Folder::new("sensors-twist");
+    let of = |kind: &str| {
+        let text = format!("{ROD}{TWIN}{PLACES}{}", sensor("tip", kind, 0.5, 0.01));
+        let outcome = ran(&text, &folder, &["estimate={natural_twist={sigma=0.5}}"]);
+        assert_eq!(outcome.judgement.verdict, Verdict::Fits, "{kind}: {}", outcome.judgement.text);
+        let chi2 = 2.0 * outcome.analysis.value / outcome.analysis.observations as f64;
+        let found = outcome.estimates.into_iter().find(|e| e.name == "natural_twist").unwrap();
+        (found, chi2, outcome.analysis.observations as f64)
+    };
+    let (unseen, ..) = of("direction");
+    // the prior is left, to its digits
+    assert!(sigma(&unseen) > 0.99 * 0.5, "{unseen:?}");
+    let (found, chi2, m) = of("orientation");
+    // ten readings of 0.01 rad of an angle of half a metre of twist: 0.0063 rad/m, more as damping lets it lag
+    assert!(sigma(&found) < 0.02, "{found:?}");
+    assert!((found.value - found.truth.unwrap()).abs() < 4.0 * sigma(&found), "{found:?}");
+    assert!((chi2 - 1.0).abs() < 4.0 * (2.0 / m).sqrt(), "2J/m = {chi2}");
+}
+
+/// q and −q are one rotation, and digits are no error.
+#[test]
+fn the_sign_of_a_quaternion_does_not_matter() {
+    let body = sensor("body", "orientation", 0.35, 0.01) + AXES;
+    let (folder, _) = of_twin("sign", &format!("{ROD}{TWIN}{body}"), &[]);
+    let text = format!("{ROD}{RECORDED}readings = \"readings.csv\"\n{body}");
+    let as_drawn = ran(&text, &folder, &[]);
+    let path = folder.path().join("readings.csv");
+    let written = std::fs::read_to_string(&path).unwrap();
+    let turned = |(i, line): (usize, &str)| {
+        let mut cells: Vec<String> = line.split(',').map(String::from).collect();
+        for cell in cells[2..6].iter_mut().filter(|_| i > 0 && i % 2 == 0) {
+            *cell = (-1.001 * cell.parse::<f64>().unwrap()).to_string();
+        }
+        cells.join(",")
+    };
+    std::fs::write(&path, written.lines().enumerate().map(turned).collect::<Vec<_>>().join("\n")).unwrap();
+    let other = ran(&text, &folder, &[]);
+    // to the rounding of a product, and the minimum to its tolerance
+    let [a, b] = [&as_drawn, &other].map(|o| (o.j_background, o.analysis.value));
+    assert!((a.0 - b.0).abs() < 1e-9 * a.0 && (a.1 - b.1).abs() < 1e-6 * a.1, "{a:?} {b:?}");
 }
 
 /// A cell that reads 2 % too much stands out, by its name.
@@ -249,9 +322,11 @@ fn what_is_wrong_is_named() {
     let header = "time_s,sensor,tension_n";
     let good = format!("{header}\n1.3,cell,1.0\n");
     let row = |row: &str| format!("{header}\n{row}\n");
+    let body = sensor("body", "orientation", 0.3, 0.01);
+    let q = |q: &str| format!("time_s,sensor,qx,qy,qz,qw\n1.3,body,{q}\n");
     let euler = "time.integrator=\"backward-euler\"";
     let axes = format!("{cell}axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]\n");
-    let cases: [(String, &str, &[&str], &[&str]); 20] = [
+    let cases: [(String, &str, &[&str], &[&str]); 26] = [
         (good.clone(), &cell, &[], &[]),
         (row("1.3,scale,1.0"), &cell, &[], &["rows.csv:2", "\"scale\"", "cell"]),
         (row("1.3,cell,NaN"), &cell, &[], &["rows.csv:2", "`tension_n` is NaN"]),
@@ -281,7 +356,28 @@ fn what_is_wrong_is_named() {
             &[],
             &["spin of edge", "is not in the state"],
         ),
-        (good.clone(), &axes, &[], &["is of kind \"specific-force\" alone"]),
+        (good.clone(), &axes, &[], &["\"specific-force\" and \"orientation\" alone"]),
+        (q("0,0,0,1"), &body, &[], &[]),
+        (q("0,0,0.6,0.6"), &body, &[], &["rows.csv:2", "has length 0.84", "is 1"]),
+        (q("0,0,,1"), &body, &[], &["rows.csv:2", "(qx, qy, qz, qw) is one reading"]),
+        (
+            q("0,0,0,1\n1.3,body,0,0,1,0"),
+            &body,
+            &[],
+            &["rows.csv:3", "\"body\" reads a second orientation at this time"],
+        ),
+        (
+            q("0,0,0,1\n1.3033,body,0,0,1,0"),
+            &body,
+            &["time.integrator=\"midpoint\""],
+            &["observations.readings", "between two steps"],
+        ),
+        (
+            q("0,0,0,1"),
+            &body,
+            &["model.section.ei=[0.0,0.0]", "model.section.gj=0.0"],
+            &["observations.sensors.0.kind", "observe its `direction`"],
+        ),
         (good.clone(), &cell, &[euler], &["time.integrator", "angles of the state before"]),
         (good.clone(), &cell, &["time.tolerance=1e-3"], &["time.tolerance", "leave it out"]),
         (good.clone(), &cell, &["estimate.clock={sigma=0.01}"], &["estimate.clock"]),

@@ -16,8 +16,10 @@ pub enum Quantity {
     AxialForce,
     /// Components of an acceleration, or of one less gravity [m/s²].
     Acceleration,
-    /// Components of a unit vector, whose small changes are angles \[rad\].
+    /// Two angles from a direction that was read \[rad\].
     Direction,
+    /// A rotation vector from an orientation that was read, along the axes of the body \[rad\].
+    Orientation,
     /// Angular rates along m₁ and m₂ of a section [rad/s].
     AngularRate,
     /// The angular rate about its tangent [rad/s].
@@ -28,13 +30,14 @@ pub enum Quantity {
 
 impl Quantity {
     /// Those of what is observed of a rod.
-    pub const OF_RODS: [Quantity; 8] = [
+    pub const OF_RODS: [Quantity; 9] = [
         Quantity::Place,
         Quantity::Pixels,
         Quantity::Force,
         Quantity::AxialForce,
         Quantity::Acceleration,
         Quantity::Direction,
+        Quantity::Orientation,
         Quantity::AngularRate,
         Quantity::Spin,
     ];
@@ -47,7 +50,8 @@ impl Quantity {
             Quantity::Force => &["fx", "fy", "fz"],
             Quantity::AxialForce => &["f"],
             Quantity::Acceleration => &["ax", "ay", "az"],
-            Quantity::Direction => &["tx", "ty", "tz"],
+            Quantity::Direction => &["r1", "r2"],
+            Quantity::Orientation => &["rx", "ry", "rz"],
             Quantity::AngularRate => &["w1", "w2"],
             Quantity::Spin => &["w"],
             Quantity::Component => &[""],
@@ -61,7 +65,7 @@ impl Quantity {
             Quantity::Pixels => "px",
             Quantity::Force | Quantity::AxialForce => "N",
             Quantity::Acceleration => "m/s²",
-            Quantity::Direction => "rad",
+            Quantity::Direction | Quantity::Orientation => "rad",
             Quantity::AngularRate | Quantity::Spin => "rad/s",
             Quantity::Component => "",
         }
@@ -74,7 +78,7 @@ impl Quantity {
             Quantity::Pixels => (1.0, "px"),
             Quantity::Force | Quantity::AxialForce => (1e3, "mN"),
             Quantity::Acceleration => (1.0, "m/s²"),
-            Quantity::Direction => (1e3, "mrad"),
+            Quantity::Direction | Quantity::Orientation => (1e3, "mrad"),
             Quantity::AngularRate | Quantity::Spin => (1e3, "mrad/s"),
             Quantity::Component => (1.0, ""),
         }
@@ -87,7 +91,7 @@ impl Quantity {
             Quantity::Pixels => " px",
             Quantity::Force | Quantity::AxialForce => " N",
             Quantity::Acceleration => " m/s²",
-            Quantity::Direction => " rad",
+            Quantity::Direction | Quantity::Orientation => " rad",
             Quantity::AngularRate | Quantity::Spin => " rad/s",
             Quantity::Component => "",
         }

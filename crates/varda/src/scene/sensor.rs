@@ -22,8 +22,8 @@ pub struct Sensor {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub sigma: Option<f64>,
-    /// Axes of an accelerometer along (m₁, m₂, t) of its section, a row for each; of kind
-    /// "specific-force". Absent: those of the section.
+    /// Axes of an accelerometer or of a body along (m₁, m₂, t) of its section, a row for each; of kinds
+    /// "specific-force" and "orientation". Absent: those of the section.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub axes: Option<[[f64; 3]; 3]>,
     /// What it is used for.
@@ -49,8 +49,11 @@ pub enum SensorKind {
     /// `fx_m_s2`, `fy_m_s2`, `fz_m_s2` [m/s²]; at rest 9.81 upwards.
     SpecificForce,
     /// Direction of the rod, its unit tangent towards greater arc lengths, in the model's axes: `tx`, `ty`,
-    /// `tz`, with σ in rad.
+    /// `tz`, with σ in rad. Observed are the two angles by which the rod is turned from it.
     Direction,
+    /// Orientation of a body that is fixed to a section: `qx`, `qy`, `qz`, `qw`, the unit quaternion that
+    /// turns the body's axes into the model's, with σ in rad. Observed is the rotation vector from it.
+    Orientation,
     /// Angular rate of a section across its tangent, along m₁ and m₂: `w1_rad_s`, `w2_rad_s` [rad/s].
     AngularRate,
     /// Angular rate of a section about its tangent, of a rod with `twist_inertia`: `spin_rad_s` [rad/s].
@@ -59,13 +62,14 @@ pub enum SensorKind {
 
 impl SensorKind {
     /// All of them.
-    pub const ALL: [SensorKind; 8] = [
+    pub const ALL: [SensorKind; 9] = [
         SensorKind::Tension,
         SensorKind::SupportForce,
         SensorKind::AxialSupportForce,
         SensorKind::Acceleration,
         SensorKind::SpecificForce,
         SensorKind::Direction,
+        SensorKind::Orientation,
         SensorKind::AngularRate,
         SensorKind::Spin,
     ];
@@ -79,12 +83,13 @@ impl SensorKind {
             SensorKind::Acceleration => "acceleration",
             SensorKind::SpecificForce => "specific-force",
             SensorKind::Direction => "direction",
+            SensorKind::Orientation => "orientation",
             SensorKind::AngularRate => "angular-rate",
             SensorKind::Spin => "spin",
         }
     }
 
-    /// The columns of its values.
+    /// The columns of what it reads.
     pub fn columns(self) -> &'static [&'static str] {
         match self {
             SensorKind::Tension => &["tension_n"],
@@ -93,8 +98,23 @@ impl SensorKind {
             SensorKind::Acceleration => &["ax_m_s2", "ay_m_s2", "az_m_s2"],
             SensorKind::SpecificForce => &["fx_m_s2", "fy_m_s2", "fz_m_s2"],
             SensorKind::Direction => &["tx", "ty", "tz"],
+            SensorKind::Orientation => &["qx", "qy", "qz", "qw"],
             SensorKind::AngularRate => &["w1_rad_s", "w2_rad_s"],
             SensorKind::Spin => &["spin_rad_s"],
         }
+    }
+
+    /// Number of its values that are observed: a direction has two degrees of freedom, an orientation three.
+    pub fn values(self) -> usize {
+        match self {
+            SensorKind::Direction => 2,
+            SensorKind::Orientation => 3,
+            other => other.columns().len(),
+        }
+    }
+
+    /// Whether it has axes of its own.
+    pub(crate) fn has_axes(self) -> bool {
+        matches!(self, SensorKind::SpecificForce | SensorKind::Orientation)
     }
 }

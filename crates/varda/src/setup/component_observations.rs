@@ -56,6 +56,7 @@ pub(crate) fn synthetic(
                 &models,
             ))
         }),
+        rotations: std::rc::Rc::default(),
         draws: Some(Draws { steps, sigma: vec![sigma; count], within: vec![None; count] }),
     })
 }
@@ -137,6 +138,7 @@ pub(crate) fn recorded(
         make_operator: Box::new(move || {
             Ok(with_constants(operator(&places, n, line)?, constants.clone(), seeing, &[], &models))
         }),
+        rotations: std::rc::Rc::default(),
         draws: None,
     })
 }

@@ -36,6 +36,7 @@ pub mod recordings;
 pub mod rod;
 pub mod rod_model;
 pub mod rod_observations;
+pub(crate) mod rotations;
 pub mod runs;
 mod seen_with;
 mod stacked;
