@@ -370,7 +370,7 @@ fn what_is_wrong_is_named() {
             q("0,0,0,1\n1.3033,body,0,0,1,0"),
             &body,
             &["time.integrator=\"midpoint\""],
-            &["observations.readings", "between two steps"],
+            &["scene.toml", "between two steps"],
         ),
         (
             q("0,0,0,1"),
