@@ -39,6 +39,17 @@ pub enum Sensor {
         /// The place of the clamp \[m\].
         s: f64,
     },
+    /// The moment that a clamp exerts on the rod about its place \[N m\], in space: three values.
+    SupportMoment {
+        /// The place of the clamp \[m\].
+        s: f64,
+    },
+    /// The moments M₁, M₂ that bend the rod as κ₁ and κ₂, and T that twists it \[N m\]: three values, between
+    /// two bent vertices on the straight line through theirs.
+    Moment {
+        /// Its place \[m\].
+        s: f64,
+    },
     /// The acceleration of a point of the centreline in space [m/s²]: three values.
     Acceleration {
         /// Its place \[m\].
@@ -85,6 +96,8 @@ impl Sensor {
             Sensor::Tension { .. } | Sensor::AxialSupportForce { .. } | Sensor::Spin { .. } => 1,
             Sensor::AngularRate { .. } | Sensor::Direction { .. } => 2,
             Sensor::SupportForce { .. }
+            | Sensor::SupportMoment { .. }
+            | Sensor::Moment { .. }
             | Sensor::Acceleration { .. }
             | Sensor::SpecificForce { .. }
             | Sensor::Orientation { .. } => 3,
@@ -106,6 +119,10 @@ pub(crate) enum Placed {
     Force(Sum),
     /// A force along the tangent of an edge.
     Along(Sum, usize),
+    /// The moment of a clamp about a vertex, the one beside it and its edge.
+    ClampMoment([usize; 3]),
+    /// Moments of bent vertices, each with its share.
+    Moment(Vec<(usize, f64)>),
     /// The acceleration of a place.
     Acceleration(Place),
     /// The same less gravity, along axes of the section.
@@ -126,6 +143,8 @@ impl Placed {
             Placed::Along(..) | Placed::Spin(_) => 1,
             Placed::AngularRate(_) | Placed::Direction(..) => 2,
             Placed::Force(_)
+            | Placed::ClampMoment(_)
+            | Placed::Moment(_)
             | Placed::Acceleration(_)
             | Placed::SpecificForce(..)
             | Placed::Orientation(..) => 3,
@@ -179,6 +198,21 @@ pub(crate) fn placed(system: &System, sensor: &Sensor) -> Result<Placed, Error> 
             rod.place("support force", s)?;
             let (_, vertices, edge) = clamp(s).ok_or(Error::NotHeld { s, what: "clamp" })?;
             Placed::Along(Sum { vertices: vertices.clone(), sign: 1.0, loaded: true }, *edge)
+        }
+        Sensor::SupportMoment { s } => {
+            rod.place("support moment", s)?;
+            let (.., edge) = clamp(s).ok_or(Error::NotHeld { s, what: "clamp" })?;
+            Placed::ClampMoment(if *edge == 0 { [0, 1, 0] } else { [n, n - 1, *edge] })
+        }
+        Sensor::Moment { s } => {
+            let Place { edge, fraction } = with_sections(system, rod.place("moment", s)?)?;
+            let shares = [(edge, 1.0 - fraction), (edge + 1, fraction)];
+            let shares: Vec<_> = shares.into_iter().filter(|(_, share)| *share > 1e-9).collect();
+            if shares.iter().any(|(vertex, _)| *vertex == 0 || *vertex == n) {
+                let arc_lengths = rod.arc_lengths();
+                return Err(Error::NoMoment { s, from: arc_lengths[1], to: arc_lengths[n - 1] });
+            }
+            Placed::Moment(shares)
         }
         Sensor::Acceleration { s } => Placed::Acceleration(rod.place("acceleration", s)?),
         Sensor::SpecificForce { s, axes } => {

@@ -17,6 +17,8 @@ pub(crate) struct Present<'a> {
     pub(crate) sensors: &'a [Placed],
     pub(crate) gradient: Vec<Vector3<f64>>,
     pub(crate) loads: Vec<Vector3<f64>>,
+    /// ∂E/∂θ of every edge less the moments of loads; zero without twist.
+    pub(crate) about_tangent: Vec<f64>,
     pub(crate) is_free: Vec<bool>,
     pub(crate) velocities: Vec<Vector3<f64>>,
     pub(crate) damping: Damping,
@@ -33,8 +35,13 @@ impl Present<'_> {
         motion: &Motion<'a>,
         changes: Vec<(usize, ChangeOfForces)>,
     ) -> Tangent<'a> {
-        let share = self.damping.stiffness / (motion.start.length + self.damping.stiffness);
+        let share = self.share(motion);
         Tangent::new(system, motion.start, motion.past.filter(|_| share > 0.0), share, changes)
+    }
+
+    /// What of a stress is that of the strains before.
+    fn share(&self, motion: &Motion) -> f64 {
+        self.damping.stiffness / (motion.start.length + self.damping.stiffness)
     }
 
     /// ∂E/∂x_v − F_v.
@@ -122,6 +129,11 @@ impl Present<'_> {
             Placed::AngularRate(e) => {
                 (self.velocity(motion, e + 1) - self.velocity(motion, *e)) / system.shape.edges[*e].l
             }
+            Placed::ClampMoment([vertex, beside, e]) => {
+                let arm = system.x[*beside] - system.x[*vertex];
+                arm.cross(&self.net(*beside)) + system.shape.edges[*e].t * self.about_tangent[*e]
+            }
+            Placed::Moment(shares) => shares.iter().map(|(v, share)| moment(system, *v) * *share).sum(),
             Placed::Direction(..) | Placed::Orientation(..) => row.direction,
             Placed::Spin(i) => row.direction * self.state[*i],
         }
@@ -147,6 +159,37 @@ impl Present<'_> {
                         on.gradient[v] -= by_force;
                         on.loads[v] += by_force;
                         on.velocities[v] -= direction * (share * self.damping.mass);
+                    }
+                }
+            }
+            &Placed::ClampMoment([vertex, beside, e]) => {
+                let (arm, edge) = (system.x[beside] - system.x[vertex], &system.shape.edges[e]);
+                let by_force = direction.cross(&arm);
+                on.gradient[beside] += by_force;
+                on.loads[beside] -= by_force;
+                on.angles[e] += direction.dot(&edge.t);
+                on.moments[e] -= direction.dot(&edge.t);
+                // a clamp that turns
+                let by_arm = self.net(beside).cross(&direction);
+                on.now.places[beside] += by_arm;
+                on.now.places[vertex] -= by_arm;
+                on.now.add_direction(e, edge, &(direction * self.about_tangent[e]));
+            }
+            Placed::Moment(shares) => {
+                let share_before = self.share(motion);
+                for (v, share) in shares {
+                    // the matrix of stiffness is symmetric
+                    let mut stress = system.bend[v - 1].times(&(direction * *share).into());
+                    if !system.layout.twist {
+                        // it twists nowhere, to the last digit
+                        stress[2] = 0.0;
+                    }
+                    let of = |gradient: &[[f64; 11]; 3], factor: f64| -> [f64; 11] {
+                        std::array::from_fn(|c| (0..3).map(|a| factor * stress[a] * gradient[a][c]).sum())
+                    };
+                    on.now.add_at(*v, &of(&system.shape.strains(*v).gradient, 1.0));
+                    if let Some(past) = motion.past.filter(|_| share_before > 0.0) {
+                        on.before.add_at(*v, &of(&past.strains[v - 1].gradient, -share_before));
                     }
                 }
             }
@@ -198,6 +241,12 @@ impl Present<'_> {
     }
 }
 
+/// M₁, M₂ and T at a bent vertex.
+fn moment(system: &System, vertex: usize) -> Vector3<f64> {
+    let (strains, k) = (system.shape.strains(vertex).value, &system.bend[vertex - 1]);
+    Vector3::from(k.times(&std::array::from_fn(|c| strains[c] - k.rest[c])))
+}
+
 impl Increment {
     /// Adds a weight on the unit tangent of an edge: δt = (I − t tᵀ) δe/l.
     fn add_direction(&mut self, e: usize, edge: &Edge, weight: &Vector3<f64>) {
@@ -216,6 +265,10 @@ impl Weights {
             sum += self.gradient[v].dot(&Vector3::from_column_slice(&tangent.gradient[first..first + 3]));
             sum += self.loads[v].dot(&tangent.loads.forces[v]);
             sum += self.now.places[v].dot(&tangent.now.places[v]);
+        }
+        for e in (0..self.angles.len()).filter(|e| self.angles[*e] != 0.0 && system.layout.twist) {
+            sum += self.angles[e] * tangent.gradient[system.layout.angle(e)];
+            sum += self.moments[e] * tangent.loads.moments[e];
         }
         sum + self.now.angles.iter().zip(&tangent.now.angles).map(|(w, a)| w * a).sum::<f64>()
     }

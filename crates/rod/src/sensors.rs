@@ -20,6 +20,8 @@ use crate::system::System;
 /// ```text
 /// F^e = −Σ_{v ≤ e} ∂E/∂x_v,   N = F^e·t^e                       tension of edge e [N]
 /// R = Σ_v (∂E/∂x_v − F_v + m_v (ẍ_v + α ẋ_v))            over the held vertices of a support [N]
+/// M = (x_b − x_a) × (∂E/∂x_b − F_b) + t (∂E/∂θ − M_t)    of a clamp about x_a, with x_b beside it [N m]
+/// M₁, M₂, T = K (κ₁ − κ̄₁, κ₂ − κ̄₂, τ − τ̄)/l̄            moments within the rod [N m]
 /// a_v = (F_v − ∂E/∂x_v)/m_v − α V_v,   a = (1−w) a_i + w a_{i+1}      acceleration [m/s²]
 /// f = Aᵀ(a − g)                                              specific force, A = (m₁, m₂, t) [m/s²]
 /// ω = t × ṫ,   ṫ = (I − t tᵀ)(V_{e+1} − V_e)/l^e              angular rate of a section [rad/s]
@@ -223,6 +225,11 @@ impl Sensors {
                 };
                 let gravity = parameters.change_of_gravity(change, &system.loads.gravity) * slope;
                 for (out, row) in column.iter_mut().zip(&all) {
+                    if let Placed::Moment(shares) = row.sensor {
+                        let of = |(v, share): &(usize, f64)| tangent.moment(*v) * *share;
+                        *out = row.direction.dot(&shares.iter().map(of).sum::<Vector3<f64>>());
+                        continue;
+                    }
                     *out = present.weights(system, motion, row).along(system, &tangent);
                     let axis = present.direction(system, row);
                     *out += match row.sensor {
@@ -265,10 +272,16 @@ impl Sensors {
                 velocities[v] = Vector3::from_column_slice(&x[first + 3 * f..][..3]);
             }
             let gradient = |v: usize| Vector3::from_column_slice(&system.gradient[layout.vertex(v)..][..3]);
+            let loads = all_loads(system, Some(motion.start));
+            let about_tangent = |e: usize| match layout.twist {
+                true => system.gradient[layout.angle(e)] - loads.moments[e],
+                false => 0.0,
+            };
             let present = Present {
                 sensors,
                 gradient: (0..n).map(gradient).collect(),
-                loads: all_loads(system, Some(motion.start)).forces,
+                about_tangent: (0..n - 1).map(about_tangent).collect(),
+                loads: loads.forces,
                 is_free,
                 velocities,
                 damping,

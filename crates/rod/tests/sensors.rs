@@ -35,15 +35,19 @@ fn sensors(case: Case, rod: &RodStep) -> Vec<Sensor> {
         Sensor::Direction { s: 0.55 },
         Sensor::Orientation { s: 0.33, axes: Matrix3::identity() },
         Sensor::Orientation { s: 0.9, axes: turned() },
+        Sensor::Moment { s: rod.rod().arc_lengths()[3] },
+        Sensor::Moment { s: 0.57 },
     ];
     if case.spins {
         all.push(Sensor::Spin { s: 0.7 });
     }
     if case.held || case.moved {
         all.extend([Sensor::AxialSupportForce { s: 0.0 }, Sensor::Tension { s: 0.01 }]);
+        all.push(Sensor::SupportMoment { s: 0.0 });
     }
     if case.end {
         all.extend([Sensor::SupportForce { s: length }, Sensor::AxialSupportForce { s: length }]);
+        all.push(Sensor::SupportMoment { s: length });
     } else if case.moved {
         let hook = rod.rod().arc_lengths()[SEGMENTS - 2];
         all.extend([Sensor::SupportForce { s: hook }, Sensor::Acceleration { s: hook - 0.01 }]);
@@ -120,17 +124,27 @@ fn forces_are_those_within_the_rod() {
             row += sensor.rows();
             let reaction = |s: f64| {
                 let found = forces.reactions.iter().find(|r| (arc_lengths[r.vertex] - s).abs() < 1e-9);
-                found.unwrap_or_else(|| panic!("{}: no reaction at {s}", case.name)).force
+                found.unwrap_or_else(|| panic!("{}: no reaction at {s}", case.name))
+            };
+            let moment = |i: usize| {
+                let [m1, m2] = forces.bending[i - 1];
+                Vector3::new(m1, m2, forces.twisting[i - 1])
             };
             let expected: Vec<f64> = match *sensor {
                 Sensor::Tension { s } => {
                     let edge = arc_lengths[1..].iter().position(|end| s <= *end).unwrap_or(n - 1);
                     vec![forces.tension[edge]]
                 }
-                Sensor::SupportForce { s } => reaction(s).as_slice().to_vec(),
+                Sensor::SupportForce { s } => reaction(s).force.as_slice().to_vec(),
                 Sensor::AxialSupportForce { s } => {
                     let e = if s == 0.0 { 0 } else { n - 1 };
-                    vec![reaction(s).dot(&(vertices[e + 1] - vertices[e]).normalize())]
+                    vec![reaction(s).force.dot(&(vertices[e + 1] - vertices[e]).normalize())]
+                }
+                Sensor::SupportMoment { s } => reaction(s).moment.as_slice().to_vec(),
+                Sensor::Moment { s } => {
+                    let i = arc_lengths.iter().rposition(|at| *at <= s).unwrap();
+                    let share = (s - arc_lengths[i]) / (arc_lengths[i + 1] - arc_lengths[i]);
+                    (moment(i) * (1.0 - share) + moment(i + 1) * share).as_slice().to_vec()
                 }
                 _ => continue,
             };
@@ -281,6 +295,10 @@ fn close(case: Case, sensors: &[Sensor], derivative: &[f64], by_difference: &[f6
             Sensor::Acceleration { .. } | Sensor::SpecificForce { .. } => 30.0 * rounding,
             Sensor::AngularRate { .. } | Sensor::Spin { .. } => 1e-11,
             Sensor::Direction { .. } | Sensor::Orientation { .. } => 1e-11,
+            // EI/l of 0.06 N m, of rates times 5e3
+            Sensor::Moment { .. } => 1e-12,
+            // an arm of 0.1 m
+            Sensor::SupportMoment { .. } => 0.2 * rounding,
             _ => rounding,
         };
         let bound = 1e-7 * size + rounding / h;
@@ -354,6 +372,12 @@ fn what_cannot_be_measured_is_refused() {
     let loose = Case { held: false, ..PLAIN };
     assert_eq!(of(loose, bdf2, Sensor::SupportForce { s: 0.0 }), None);
     assert_eq!(of(loose, bdf2, Sensor::AxialSupportForce { s: 0.0 }), not_held(0.0, "clamp"));
+    assert_eq!(of(PLAIN, bdf2, Sensor::SupportMoment { s: 1.0 }), not_held(1.0, "clamp"));
+    assert_eq!(of(loose, bdf2, Sensor::SupportMoment { s: 0.0 }), not_held(0.0, "clamp"));
+    let near = |s| of(PLAIN, bdf2, Sensor::Moment { s });
+    let beside = |s| Some(Error::NoMoment { s, from: 0.125, to: 0.875 });
+    assert_eq!([near(0.0), near(0.1), near(0.9)], [beside(0.0), beside(0.1), beside(0.9)]);
+    assert_eq!([near(0.125), near(0.875)], [None, None]);
     let spin = Sensor::Spin { s: 0.5 };
     assert!(matches!(of(PLAIN, bdf2, spin), Some(Error::NoSpin { edge: 3 })));
     let skew = Sensor::SpecificForce { s: 0.5, axes: Matrix3::identity() * 2.0 };
@@ -370,6 +394,7 @@ fn what_cannot_be_measured_is_refused() {
     let body = Sensor::Orientation { s: 0.5, axes: Matrix3::identity() };
     assert_eq!(Sensors::new(chain(), STEP, &[body]).err(), Some(Error::NoAngle));
     assert_eq!(Sensors::new(chain(), STEP, &[Sensor::AngularRate { s: 0.5 }]).err(), Some(Error::NoFrames));
+    assert_eq!(Sensors::new(chain(), STEP, &[Sensor::Moment { s: 0.5 }]).err(), Some(Error::NoFrames));
     // neither a director that is held nor curvature: the angle of its sections is a convention
     assert_eq!((of(loose, bdf2, body), of(PLAIN, bdf2, body)), (Some(Error::NoAngle), None));
     let skew = Sensor::Orientation { s: 0.5, axes: Matrix3::identity() * 2.0 };

@@ -75,6 +75,8 @@ fn all_kinds() -> String {
         sensor("gyro", "angular-rate", 0.45, 0.05),
         sensor("pointer", "direction", 0.2, 0.01),
         sensor("body", "orientation", 0.35, 0.01) + AXES,
+        sensor("bench", "support-moment", 0.0, 0.001),
+        sensor("gauge", "moment", 0.12, 0.001),
     ]
     .concat()
 }
@@ -107,6 +109,8 @@ fn every_kind_fits_in_a_twin_and_lowers_sigma() {
         ("angular-rate", 0.4, 0.05, "rad/s", 0.99),
         ("direction", 0.4, 0.005, "rad", 0.99),
         ("orientation", 0.4, 0.005, "rad", 0.99),
+        ("support-moment", 0.0, 0.001, "N m", 0.99),
+        ("moment", 0.12, 0.001, "N m", 0.99),
     ];
     for (kind, s, sigma, unit, bound) in kinds {
         let text = format!("{ROD}{TWIN}{PLACES}{}", sensor("it", kind, s, sigma));
@@ -136,14 +140,17 @@ fn a_force_cell_finds_the_mass_that_markers_do_not() {
     let [mass, ei] = ["mass_per_length", "ei"].map(|name| markers[name].clone());
     // the prior of the common factor, 30 % of two logarithms, is left: 21 %
     assert!(sigma(&mass) > 0.15 * mass.value && sigma(&ei) > 0.15 * ei.value, "{mass:?} {ei:?}");
-    let with = of(&sensor("clamp", "support-force", 0.0, 0.01));
-    let [mass, ei] = ["mass_per_length", "ei"].map(|name| with[name].clone());
-    // ten readings of 0.01 N of a weight of 1.08 N
-    assert!(sigma(&mass) < 0.01 * mass.value && sigma(&ei) < 0.05 * ei.value, "{mass:?} {ei:?}");
-    for found in [mass, ei] {
-        let truth = found.truth.unwrap();
-        // of a draw: less than four σ
-        assert!((found.value - truth).abs() < 4.0 * sigma(&found), "{found:?}");
+    let cells = [("support-force", 0.0, 0.01, 0.01), ("moment", 0.12, 2e-4, 0.05)];
+    // ten readings of 0.01 N of a weight of 1.08 N; of 0.2 mN m of moments of some 10 mN m
+    for (kind, s, of_one, bound) in cells {
+        let with = of(&sensor("cell", kind, s, of_one));
+        let [mass, ei] = ["mass_per_length", "ei"].map(|name| with[name].clone());
+        assert!(sigma(&mass) < bound * mass.value && sigma(&ei) < 0.05 * ei.value, "{kind} {mass:?} {ei:?}");
+        for found in [mass, ei] {
+            let truth = found.truth.unwrap();
+            // of a draw: less than four σ
+            assert!((found.value - truth).abs() < 4.0 * sigma(&found), "{kind} {found:?}");
+        }
     }
 }
 
@@ -210,7 +217,7 @@ fn a_sensor_that_is_kept_back_is_judged_in_its_unit() {
     // noise of 0.01 N in three components, 0.017 N, of 21 values to 4 of its standard deviations
     assert!(w.rms_analysis < 0.03 && w.rms_analysis < 0.2 * w.rms_background, "{w:?}");
     let units: Vec<&str> = outcome.forecast.iter().map(|f| f.quantity.unit()).collect();
-    assert_eq!(units, ["m", "m", "N", "N", "N", "m/s²", "m/s²", "rad/s", "rad", "rad"]);
+    assert_eq!(units, ["m", "m", "N", "N", "N", "m/s²", "m/s²", "rad/s", "rad", "rad", "N m", "N m"]);
     // a rotation that stays as it was last read is off by more than its noise of √2 and √3 times 0.01
     for f in outcome.forecast.iter().filter(|f| f.quantity.unit() == "rad") {
         assert!(f.analysis < 0.03 && f.persistence > 2.0 * f.analysis, "{f:?}");
@@ -323,10 +330,11 @@ fn what_is_wrong_is_named() {
     let good = format!("{header}\n1.3,cell,1.0\n");
     let row = |row: &str| format!("{header}\n{row}\n");
     let body = sensor("body", "orientation", 0.3, 0.01);
+    let gauge = sensor("cell", "moment", 0.02, 0.01);
     let q = |q: &str| format!("time_s,sensor,qx,qy,qz,qw\n1.3,body,{q}\n");
     let euler = "time.integrator=\"backward-euler\"";
     let axes = format!("{cell}axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]\n");
-    let cases: [(String, &str, &[&str], &[&str]); 26] = [
+    let cases: [(String, &str, &[&str], &[&str]); 27] = [
         (good.clone(), &cell, &[], &[]),
         (row("1.3,scale,1.0"), &cell, &[], &["rows.csv:2", "\"scale\"", "cell"]),
         (row("1.3,cell,NaN"), &cell, &[], &["rows.csv:2", "`tension_n` is NaN"]),
@@ -357,6 +365,12 @@ fn what_is_wrong_is_named() {
             &["spin of edge", "is not in the state"],
         ),
         (good.clone(), &axes, &[], &["\"specific-force\" and \"orientation\" alone"]),
+        (
+            "time_s,sensor,m1_n_m,m2_n_m,t_n_m\n1.3,cell,0,0,0\n".into(),
+            &gauge,
+            &[],
+            &["the moment at s = 0.02 m", "vertices that bend"],
+        ),
         (q("0,0,0,1"), &body, &[], &[]),
         (q("0,0,0.6,0.6"), &body, &[], &["rows.csv:2", "has length 0.84", "is 1"]),
         (q("0,0,,1"), &body, &[], &["rows.csv:2", "(qx, qy, qz, qw) is one reading"]),
@@ -376,7 +390,7 @@ fn what_is_wrong_is_named() {
             q("0,0,0,1"),
             &body,
             &["model.section.ei=[0.0,0.0]", "model.section.gj=0.0"],
-            &["observations.sensors.0.kind", "observe its `direction`"],
+            &["scene.toml", "observe its `direction`"],
         ),
         (good.clone(), &cell, &[euler], &["time.integrator", "angles of the state before"]),
         (good.clone(), &cell, &["time.tolerance=1e-3"], &["time.tolerance", "leave it out"]),

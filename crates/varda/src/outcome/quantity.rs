@@ -14,6 +14,10 @@ pub enum Quantity {
     Force,
     /// A force along the rod \[N\].
     AxialForce,
+    /// Components of the moment of a clamp \[N m\].
+    SupportMoment,
+    /// Moments within a rod that bend it as κ₁ and κ₂, and that which twists it \[N m\].
+    Moment,
     /// Components of an acceleration, or of one less gravity [m/s²].
     Acceleration,
     /// Two angles from a direction that was read \[rad\].
@@ -30,11 +34,13 @@ pub enum Quantity {
 
 impl Quantity {
     /// Those of what is observed of a rod.
-    pub const OF_RODS: [Quantity; 9] = [
+    pub const OF_RODS: [Quantity; 11] = [
         Quantity::Place,
         Quantity::Pixels,
         Quantity::Force,
         Quantity::AxialForce,
+        Quantity::SupportMoment,
+        Quantity::Moment,
         Quantity::Acceleration,
         Quantity::Direction,
         Quantity::Orientation,
@@ -49,6 +55,8 @@ impl Quantity {
             Quantity::Pixels => &["u", "v"],
             Quantity::Force => &["fx", "fy", "fz"],
             Quantity::AxialForce => &["f"],
+            Quantity::SupportMoment => &["mx", "my", "mz"],
+            Quantity::Moment => &["m1", "m2", "t"],
             Quantity::Acceleration => &["ax", "ay", "az"],
             Quantity::Direction => &["r1", "r2"],
             Quantity::Orientation => &["rx", "ry", "rz"],
@@ -64,6 +72,7 @@ impl Quantity {
             Quantity::Place => "m",
             Quantity::Pixels => "px",
             Quantity::Force | Quantity::AxialForce => "N",
+            Quantity::SupportMoment | Quantity::Moment => "N m",
             Quantity::Acceleration => "m/s²",
             Quantity::Direction | Quantity::Orientation => "rad",
             Quantity::AngularRate | Quantity::Spin => "rad/s",
@@ -77,6 +86,7 @@ impl Quantity {
             Quantity::Place => (1e3, "mm"),
             Quantity::Pixels => (1.0, "px"),
             Quantity::Force | Quantity::AxialForce => (1e3, "mN"),
+            Quantity::SupportMoment | Quantity::Moment => (1e3, "mN m"),
             Quantity::Acceleration => (1.0, "m/s²"),
             Quantity::Direction | Quantity::Orientation => (1e3, "mrad"),
             Quantity::AngularRate | Quantity::Spin => (1e3, "mrad/s"),
@@ -90,6 +100,7 @@ impl Quantity {
             Quantity::Place => " m",
             Quantity::Pixels => " px",
             Quantity::Force | Quantity::AxialForce => " N",
+            Quantity::SupportMoment | Quantity::Moment => " N m",
             Quantity::Acceleration => " m/s²",
             Quantity::Direction | Quantity::Orientation => " rad",
             Quantity::AngularRate | Quantity::Spin => " rad/s",

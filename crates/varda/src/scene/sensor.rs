@@ -1,4 +1,4 @@
-//! `[[observations.sensors]]`: force cells, accelerometers and gyroscopes on a rod.
+//! `[[observations.sensors]]`: cells of forces and moments, accelerometers and gyroscopes on a rod.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::defaults::is_default;
 use super::marker::Use;
 
-/// A sensor on a rod. Its readings are forces, accelerations or angular rates of the state at their
-/// time.
+/// A sensor on a rod. Its readings are forces, moments, accelerations, angular rates or rotations of the
+/// state at their time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sensor {
@@ -15,7 +15,7 @@ pub struct Sensor {
     pub name: String,
     /// What it measures.
     pub kind: SensorKind,
-    /// Arc length of its place [m]; of a support's force that of the clamp's face or held vertex.
+    /// Arc length of its place [m]; of a support's force or moment that of the clamp's face or held vertex.
     #[schemars(extend("minimum" = 0.0, "x-unit" = "m"))]
     pub arc_length: f64,
     /// Standard deviation of every value where the file has no `sigma`, in the unit of the kind.
@@ -42,6 +42,12 @@ pub enum SensorKind {
     /// Force of a clamp on the rod along its tangent, which points towards greater arc lengths:
     /// `force_n` [N].
     AxialSupportForce,
+    /// Moment of a clamp on the rod about the clamp's place, in the model's axes: `mx_n_m`, `my_n_m`, `mz_n_m`
+    /// [N m].
+    SupportMoment,
+    /// Moments within the rod, as strain gauges read them: `m1_n_m` and `m2_n_m`, which bend it as κ₁ and κ₂,
+    /// and `t_n_m`, which twists it [N m].
+    Moment,
     /// Acceleration of a point of the centreline, in the model's axes: `ax_m_s2`, `ay_m_s2`, `az_m_s2`
     /// [m/s²].
     Acceleration,
@@ -62,10 +68,12 @@ pub enum SensorKind {
 
 impl SensorKind {
     /// All of them.
-    pub const ALL: [SensorKind; 9] = [
+    pub const ALL: [SensorKind; 11] = [
         SensorKind::Tension,
         SensorKind::SupportForce,
         SensorKind::AxialSupportForce,
+        SensorKind::SupportMoment,
+        SensorKind::Moment,
         SensorKind::Acceleration,
         SensorKind::SpecificForce,
         SensorKind::Direction,
@@ -80,6 +88,8 @@ impl SensorKind {
             SensorKind::Tension => "tension",
             SensorKind::SupportForce => "support-force",
             SensorKind::AxialSupportForce => "axial-support-force",
+            SensorKind::SupportMoment => "support-moment",
+            SensorKind::Moment => "moment",
             SensorKind::Acceleration => "acceleration",
             SensorKind::SpecificForce => "specific-force",
             SensorKind::Direction => "direction",
@@ -95,6 +105,8 @@ impl SensorKind {
             SensorKind::Tension => &["tension_n"],
             SensorKind::SupportForce => &["fx_n", "fy_n", "fz_n"],
             SensorKind::AxialSupportForce => &["force_n"],
+            SensorKind::SupportMoment => &["mx_n_m", "my_n_m", "mz_n_m"],
+            SensorKind::Moment => &["m1_n_m", "m2_n_m", "t_n_m"],
             SensorKind::Acceleration => &["ax_m_s2", "ay_m_s2", "az_m_s2"],
             SensorKind::SpecificForce => &["fx_m_s2", "fy_m_s2", "fz_m_s2"],
             SensorKind::Direction => &["tx", "ty", "tz"],

@@ -37,6 +37,8 @@ impl SensorKind {
         match self {
             SensorKind::Tension | SensorKind::AxialSupportForce => Quantity::AxialForce,
             SensorKind::SupportForce => Quantity::Force,
+            SensorKind::SupportMoment => Quantity::SupportMoment,
+            SensorKind::Moment => Quantity::Moment,
             SensorKind::Acceleration | SensorKind::SpecificForce => Quantity::Acceleration,
             SensorKind::Direction => Quantity::Direction,
             SensorKind::Orientation => Quantity::Orientation,
@@ -55,6 +57,8 @@ fn of_rod(sensor: &Sensor) -> varda_rod::Sensor {
         SensorKind::Tension => varda_rod::Sensor::Tension { s },
         SensorKind::SupportForce => varda_rod::Sensor::SupportForce { s },
         SensorKind::AxialSupportForce => varda_rod::Sensor::AxialSupportForce { s },
+        SensorKind::SupportMoment => varda_rod::Sensor::SupportMoment { s },
+        SensorKind::Moment => varda_rod::Sensor::Moment { s },
         SensorKind::Acceleration => varda_rod::Sensor::Acceleration { s },
         SensorKind::SpecificForce => varda_rod::Sensor::SpecificForce { s, axes },
         SensorKind::Direction => varda_rod::Sensor::Direction { s },
