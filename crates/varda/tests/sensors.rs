@@ -12,6 +12,7 @@ use varda::preview::Preview;
 use varda::report::write_simulation;
 use varda::run::{Listener, assimilate, simulate};
 use varda::setup::Problem;
+use varda_rod::{Quaternion, UnitQuaternion, Vector3};
 
 const ROD: &str = r#"
 [model]
@@ -310,6 +311,65 @@ fn a_cell_that_is_off_stands_out() {
     assert!(outcome.judgement.text.contains("sensor clamp"), "{}", outcome.judgement.text);
 }
 
+/// Offsets that accelerometers, cells and mounts of bodies have: found beside the state, and without them
+/// nothing fits.
+#[test]
+fn biases_of_sensors_are_found() {
+    let sensors = sensor("imu", "specific-force", 0.45, 0.1)
+        + &sensor("clamp", "support-force", 0.0, 0.01)
+        + &sensor("strand", "tension", 0.3, 0.01)
+        + &sensor("body", "orientation", 0.35, 0.01);
+    let (folder, _) = of_twin("bias", &format!("{ROD}{TWIN}{PLACES}{sensors}"), &[]);
+    let path = folder.path().join("readings.csv");
+    let written = std::fs::read_to_string(&path).unwrap();
+    let columns: Vec<&str> = written.lines().next().unwrap().split(',').collect();
+    let of = |name: &str| columns.iter().position(|column| *column == name).unwrap();
+    // how the body is mounted, along its own axes
+    let mount = UnitQuaternion::from_scaled_axis(Vector3::new(0.06, -0.04, 0.09));
+    let offsets = [("\"imu\"", "fx_m_s2", 0.6), ("\"imu\"", "fz_m_s2", -0.4), ("\"clamp\"", "fz_n", 0.15)];
+    let off = |line: &str| {
+        let mut cells: Vec<String> = line.split(',').map(String::from).collect();
+        for (name, column, by) in offsets {
+            if cells[1] == name {
+                cells[of(column)] = (cells[of(column)].parse::<f64>().unwrap() + by).to_string();
+            }
+        }
+        if cells[1] == "\"body\"" {
+            let [x, y, z, w] = [0, 1, 2, 3].map(|i| cells[of("qx") + i].parse::<f64>().unwrap());
+            let turned = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)) * mount;
+            for i in 0..4 {
+                cells[of("qx") + i] = turned.coords[i].to_string();
+            }
+        }
+        cells.join(",")
+    };
+    std::fs::write(&path, written.lines().map(off).collect::<Vec<_>>().join("\n")).unwrap();
+    let files = "file = \"observations.csv\"\nreadings = \"readings.csv\"\n";
+    let text = format!("{ROD}{RECORDED}{files}{sensors}");
+    assert_eq!(ran(&text, &folder, &[]).judgement.verdict, Verdict::DoesNotFit);
+    let biases = "estimate={bias={imu={sigma=1.0},clamp={sigma=0.3},body={sigma=0.2}}}";
+    let outcome = ran(&text, &folder, &[biases]);
+    assert_eq!(outcome.judgement.verdict, Verdict::Fits, "{}", outcome.judgement.text);
+    let expected = [
+        ("bias[imu].fx", "m/s²", 0.6),
+        ("bias[imu].fy", "m/s²", 0.0),
+        ("bias[imu].fz", "m/s²", -0.4),
+        ("bias[clamp].fx", "N", 0.0),
+        ("bias[clamp].fy", "N", 0.0),
+        ("bias[clamp].fz", "N", 0.15),
+        ("bias[body].rx", "rad", 0.06),
+        ("bias[body].ry", "rad", -0.04),
+        ("bias[body].rz", "rad", 0.09),
+    ];
+    assert_eq!(outcome.estimates.len(), expected.len());
+    for (found, (name, unit, value)) in outcome.estimates.iter().zip(expected) {
+        assert_eq!((found.name.as_str(), found.unit), (name, unit));
+        assert!((found.value - value).abs() < 4.0 * sigma(found), "{found:?}, {value}");
+        // ten readings: a third of σ of one and less, of a prior of ten times that and more
+        assert!(sigma(found) < 0.2 * found.prior_sigma, "{found:?}");
+    }
+}
+
 /// What is refused, with the words of it.
 #[test]
 fn what_is_wrong_is_named() {
@@ -334,7 +394,7 @@ fn what_is_wrong_is_named() {
     let q = |q: &str| format!("time_s,sensor,qx,qy,qz,qw\n1.3,body,{q}\n");
     let euler = "time.integrator=\"backward-euler\"";
     let axes = format!("{cell}axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]\n");
-    let cases: [(String, &str, &[&str], &[&str]); 27] = [
+    let cases: [(String, &str, &[&str], &[&str]); 29] = [
         (good.clone(), &cell, &[], &[]),
         (row("1.3,scale,1.0"), &cell, &[], &["rows.csv:2", "\"scale\"", "cell"]),
         (row("1.3,cell,NaN"), &cell, &[], &["rows.csv:2", "`tension_n` is NaN"]),
@@ -372,6 +432,13 @@ fn what_is_wrong_is_named() {
             &["the moment at s = 0.02 m", "vertices that bend"],
         ),
         (q("0,0,0,1"), &body, &[], &[]),
+        (
+            good.clone(),
+            &cell,
+            &["estimate.bias={scale={sigma=0.1}}"],
+            &["estimate.bias", "\"scale\" is none of what is observed: cell"],
+        ),
+        (good.clone(), &cell, &["estimate.ei={cell={sigma=0.1}}"], &["names are for `bias` alone"]),
         (q("0,0,0.6,0.6"), &body, &[], &["rows.csv:2", "has length 0.84", "is 1"]),
         (q("0,0,,1"), &body, &[], &["rows.csv:2", "(qx, qy, qz, qw) is one reading"]),
         (
@@ -405,12 +472,14 @@ fn what_is_wrong_is_named() {
     }
 }
 
+const BIAS: &str = "estimate.bias={imu={sigma=0.5},clamp={sigma=0.1},body={sigma=0.1},strand={sigma=0.1}}";
+
 /// ∇J with constants, at two controls one after the other, and Gᵀ beside G.
 #[test]
 fn the_gradient_of_a_cost_with_readings_and_constants() {
     let text = format!("{ROD}{TWIN}{PLACES}{}", all_kinds());
-    let file =
-        Folder::new("sensors-gradient").scene(&text, &[BOTH, "estimate.damping_stiffness={sigma=\"30%\"}"]);
+    let file = Folder::new("sensors-gradient")
+        .scene(&text, &[BOTH, "estimate.damping_stiffness={sigma=\"30%\"}", BIAS]);
     let problem = Problem::from_scene(&file.unwrap()).unwrap();
     cost_gradient::is_that_of_differences(&problem);
 }

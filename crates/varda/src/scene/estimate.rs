@@ -1,5 +1,7 @@
 //! `[estimate]`: constants that are estimated beside the state.
 
+use std::collections::BTreeMap;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -88,7 +90,8 @@ pub struct Estimate {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mount_translation: Option<Unknown>,
     /// An error of every observed place or component that stays the same all the time, in its unit:
-    /// `bias[tip].x`.
+    /// `bias[tip].x`. By names, of those sensors and markers, each with its prior:
+    /// `bias = { imu = { sigma = 0.1 } }` is `bias[imu].fx` and so on, in the unit of the sensor.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bias: Option<Unknown>,
     /// Offset of the recording's clock [s]: what it wrote down at t was at t + `clock` by the model's.
@@ -137,6 +140,8 @@ pub enum Unknown {
     Every(ConstantPrior),
     /// One for each component.
     Each(Vec<ConstantPrior>),
+    /// Of `bias`: by the name of a sensor or a marker, for each of its values.
+    Named(BTreeMap<String, ConstantPrior>),
 }
 
 /// How well a constant is known.
@@ -215,6 +220,7 @@ impl Unknown {
             Unknown::Each(list) => {
                 invalid(path, format!("has {} entries, expected {components}", list.len()))
             }
+            Unknown::Named(_) => invalid(path, "names are for `bias` alone"),
         }
     }
 

@@ -53,6 +53,8 @@ pub(super) fn validate_estimate(estimate: &Estimate, scene: &Scene) -> Check {
         let priors: Vec<&ConstantPrior> = match unknown {
             Unknown::Every(prior) => vec![prior],
             Unknown::Each(list) => list.iter().collect(),
+            Unknown::Named(_) if key != "bias" => return invalid(path, "names are for `bias` alone"),
+            Unknown::Named(by_name) => by_name.values().collect(),
         };
         for prior in priors {
             prior.spread(&path)?;
@@ -79,7 +81,12 @@ pub(super) fn validate_estimate(estimate: &Estimate, scene: &Scene) -> Check {
         return invalid("time.tolerance", "time steps that adapt do not go with [estimate]: leave one out");
     }
     let algorithm = &scene.algorithm;
-    if estimate.bias.is_some() && !scene.observations.cameras().is_empty() {
+    let is_sensor = |name: &String| scene.observations.sensors().iter().any(|sensor| sensor.name == *name);
+    let of_coordinates = match &estimate.bias {
+        Some(Unknown::Named(by_name)) => !by_name.keys().all(is_sensor),
+        bias => bias.is_some(),
+    };
+    if of_coordinates && !scene.observations.cameras().is_empty() {
         let message = "is of coordinates: beside cameras take marker_offset, or mount_translation";
         return invalid("estimate.bias", message);
     }

@@ -1,5 +1,8 @@
 //! From `[estimate]` to unknown constants behind the state in the control.
 
+use std::collections::BTreeMap;
+use std::rc::Rc;
+
 use varda_covariance::{
     BlockDiagonal, Covariance, CovarianceFunction, Diagonal, Kernel, Markov, Precision, Taper,
 };
@@ -15,6 +18,8 @@ use crate::scene::{
     ConstantPrior, Model, OF_BASE, OF_OBSERVATIONS, OF_PLACES, Observations, PriorSpread, RodModel,
     SceneFile, Unknown,
 };
+
+const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// Unknown constants p, in the order of the control. Each is zero at the value that the scene writes.
 #[derive(Debug, Clone, Default)]
@@ -33,7 +38,7 @@ pub struct Estimates {
 }
 
 /// Constants of the observations, by the place of their first number among all.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Seeing {
     /// How many sites have constants of their own.
     pub(crate) sites: usize,
@@ -41,7 +46,9 @@ pub(crate) struct Seeing {
     pub(crate) offset: Option<usize>,
     pub(crate) rotation: Option<usize>,
     pub(crate) translation: Option<usize>,
-    pub(crate) bias: Option<usize>,
+    /// That of every row which has a bias, of places and components and of sensors.
+    pub(crate) bias: Rc<[Option<usize>]>,
+    pub(crate) bias_of_sensors: Rc<[Option<usize>]>,
     pub(crate) clock: Option<usize>,
     /// What of the clock's offset is in the times of the observations already \[s\].
     pub(crate) clock_known: f64,
@@ -54,8 +61,13 @@ impl Seeing {
     }
 
     /// Without what a recording's axes and errors are: places in those of the model.
-    pub(crate) fn of_places(self) -> Seeing {
-        Seeing { rotation: None, translation: None, bias: None, ..self }
+    pub(crate) fn of_places(&self) -> Seeing {
+        Seeing { rotation: None, translation: None, bias: Rc::default(), ..self.clone() }
+    }
+
+    /// What sensors on a rod have of it.
+    pub(crate) fn of_sensors(&self) -> Seeing {
+        Seeing { bias: Rc::clone(&self.bias_of_sensors), ..Seeing::default() }
     }
 }
 
@@ -164,7 +176,6 @@ impl Estimates {
         if [&estimate.marker_arc_length, &estimate.marker_offset].into_iter().any(Option::is_some) {
             self.seen.sites = sites(file)?.len();
         }
-        let axes = ["x", "y", "z"];
         if let Some(unknown) = &estimate.marker_arc_length {
             self.seen.arc_length = Some(self.len());
             let names: Vec<String> =
@@ -188,23 +199,67 @@ impl Estimates {
                 "mount_rotation" => self.seen.rotation = Some(first),
                 _ => self.seen.translation = Some(first),
             }
-            let names = axes.map(|axis| format!("{key}.{axis}"));
+            let names = AXES.map(|axis| format!("{key}.{axis}"));
             self.add_additive(file, &format!("estimate.{key}"), unknown, &names, unit)?;
         }
-        if let Some(unknown) = &estimate.bias {
-            self.seen.bias = Some(self.len());
-            let sites = sites(file)?;
-            let name = |site: &String| {
-                let axis = |c: usize| if width == 1 { String::new() } else { format!(".{}", axes[c]) };
-                (0..width).map(|c| format!("bias[{site}]{}", axis(c))).collect::<Vec<_>>()
-            };
-            let names: Vec<String> = sites.iter().flat_map(name).collect();
-            self.add_additive(file, "estimate.bias", unknown, &names, if width == 1 { "1" } else { "m" })?;
+        match &estimate.bias {
+            Some(Unknown::Named(by_name)) => self.add_named_biases(file, by_name, width)?,
+            Some(unknown) => {
+                let first = self.len();
+                let names: Vec<String> =
+                    sites(file)?.iter().flat_map(|site| bias(site, &AXES[..width])).collect();
+                self.seen.bias = (first..first + names.len()).map(Some).collect();
+                self.add_additive(
+                    file,
+                    "estimate.bias",
+                    unknown,
+                    &names,
+                    if width == 1 { "1" } else { "m" },
+                )?;
+            }
+            None => {}
         }
         if let Some(unknown) = &estimate.clock {
             (self.seen.clock, self.seen.clock_known) = (Some(self.len()), file.adjusted.clock);
             self.add_additive(file, "estimate.clock", unknown, &["clock".to_string()], "s")?;
         }
+        Ok(())
+    }
+
+    /// Biases of sensors and sites by their names.
+    fn add_named_biases(
+        &mut self,
+        file: &SceneFile,
+        by_name: &BTreeMap<String, ConstantPrior>,
+        width: usize,
+    ) -> Result<(), Error> {
+        let sensors = file.scene.observations.sensors();
+        let sites = sites(file).unwrap_or_default();
+        let is_known = |name: &String| sites.contains(name) || sensors.iter().any(|s| s.name == *name);
+        if let Some(name) = by_name.keys().find(|name| !is_known(name)) {
+            let known = sensors.iter().map(|s| &s.name).chain(&sites).cloned().collect::<Vec<_>>().join(", ");
+            let message = format!("{name:?} is none of what is observed: {known}");
+            return Err(file.invalid("estimate.bias", message));
+        }
+        let mut rows = |all: Vec<(&String, &[&str], &'static str)>| -> Result<Rc<[Option<usize>]>, Error> {
+            let mut rows = Vec::new();
+            for (name, axes, unit) in all {
+                let first = self.len();
+                let Some(prior) = by_name.get(name) else {
+                    rows.extend(axes.iter().map(|_| None));
+                    continue;
+                };
+                let (path, unknown) = (format!("estimate.bias.{name}"), Unknown::Every(prior.clone()));
+                self.add_additive(file, &path, &unknown, &bias(name, axes), unit)?;
+                rows.extend((first..self.len()).map(Some));
+            }
+            Ok(rows.into())
+        };
+        let unit = if width == 1 { "1" } else { "m" };
+        let of_sites = rows(sites.iter().map(|site| (site, &AXES[..width], unit)).collect())?;
+        let quantities = sensors.iter().map(|s| (&s.name, s.kind.quantity()));
+        let of_sensors = rows(quantities.map(|(name, of)| (name, of.axes(), of.unit())).collect())?;
+        (self.seen.bias, self.seen.bias_of_sensors) = (of_sites, of_sensors);
         Ok(())
     }
 
@@ -505,6 +560,14 @@ fn across(gravity: Vector3<f64>) -> [Vector3<f64>; 2] {
     let first = first.unwrap_or_else(Vector3::z);
     let first = (first - down * first.dot(&down)).normalize();
     [first, first.cross(&down)]
+}
+
+/// The names of biases of what has such axes; one value has no axis.
+fn bias(name: &str, axes: &[&str]) -> Vec<String> {
+    match axes {
+        [_] => vec![format!("bias[{name}]")],
+        _ => axes.iter().map(|axis| format!("bias[{name}].{axis}")).collect(),
+    }
 }
 
 /// Names of what is observed, in the order of its rows.

@@ -7,7 +7,6 @@ use std::rc::Rc;
 use varda_rod::{Matrix3, Sensors, UnitQuaternion, Vector3};
 
 use super::csv::Table;
-use super::estimate::Seeing;
 use super::observations::{MakeOperator, Seen};
 use super::recorded_rows::{Clock, LeftOut};
 use super::recording::Recorded;
@@ -100,7 +99,7 @@ pub(super) fn operator(
             operator = operator.measured_from(sensor, read.clone());
         }
         let places = (!parts.estimates.is_empty()).then(|| parts.places()).transpose()?;
-        Ok(with_constants(operator, places, Seeing::default(), &[], &models))
+        Ok(with_constants(operator, places, parts.estimates.seen.of_sensors(), &[], &models))
     }))
 }
 

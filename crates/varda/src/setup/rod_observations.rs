@@ -341,7 +341,8 @@ fn observed(
         };
         Box::new(move || {
             let operator = seen(&parts, &markers)?;
-            let seeing = if mounted { parts.estimates.seen } else { parts.estimates.seen.of_places() };
+            let seeing = &parts.estimates.seen;
+            let seeing = if mounted { seeing.clone() } else { seeing.of_places() };
             let operator = if seeing.moves_sites() { operator.with_frames() } else { operator };
             let places = (!parts.estimates.is_empty()).then(|| parts.places()).transpose()?;
             Ok(with_constants(operator, places, seeing, &markers, &models))
