@@ -438,7 +438,7 @@ fn what_is_wrong_is_named() {
             &["estimate.bias={scale={sigma=0.1}}"],
             &["estimate.bias", "\"scale\" is none of what is observed: cell"],
         ),
-        (good.clone(), &cell, &["estimate.ei={cell={sigma=0.1}}"], &["names are for `bias` alone"]),
+        (good.clone(), &cell, &["estimate.ei={cell={sigma=0.1}}"], &["names are for bias, camera_rotation"]),
         (q("0,0,0.6,0.6"), &body, &[], &["rows.csv:2", "has length 0.84", "is 1"]),
         (q("0,0,,1"), &body, &[], &["rows.csv:2", "(qx, qy, qz, qw) is one reading"]),
         (

@@ -89,6 +89,14 @@ pub struct Estimate {
     /// A displacement of the recording's origin [m] in its own axes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mount_translation: Option<Unknown>,
+    /// A rotation of every camera from its calibration [rad], about its own axes right, down and forward:
+    /// `camera_rotation[left].x`. By names of those cameras.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub camera_rotation: Option<Unknown>,
+    /// A displacement of the centre of every camera from its calibration [m], in the axes of its `position`:
+    /// `camera_translation[left].x`. By names of those cameras.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub camera_translation: Option<Unknown>,
     /// An error of every observed place or component that stays the same all the time, in its unit:
     /// `bias[tip].x`. By names, of those sensors and markers, each with its prior:
     /// `bias = { imu = { sigma = 0.1 } }` is `bias[imu].fx` and so on, in the unit of the sensor.
@@ -125,8 +133,16 @@ pub struct Estimate {
 }
 
 /// Keys of what a rod's observations depend on, and of those of any model.
-pub(crate) const OF_PLACES: [&str; 4] =
-    ["marker_arc_length", "marker_offset", "mount_rotation", "mount_translation"];
+pub(crate) const OF_PLACES: [&str; 6] = [
+    "marker_arc_length",
+    "marker_offset",
+    "mount_rotation",
+    "mount_translation",
+    "camera_rotation",
+    "camera_translation",
+];
+/// Keys of unknowns that may be given by names.
+pub(crate) const BY_NAMES: [&str; 3] = ["bias", "camera_rotation", "camera_translation"];
 pub(crate) const OF_OBSERVATIONS: [&str; 3] = ["bias", "clock", "observation_sigma"];
 
 /// Keys of errors in time of what was recorded of supports, with their unit.
@@ -140,7 +156,7 @@ pub enum Unknown {
     Every(ConstantPrior),
     /// One for each component.
     Each(Vec<ConstantPrior>),
-    /// Of `bias`: by the name of a sensor or a marker, for each of its values.
+    /// By the name of a sensor, a marker (`bias`) or a camera, for each of its values.
     Named(BTreeMap<String, ConstantPrior>),
 }
 
@@ -220,7 +236,7 @@ impl Unknown {
             Unknown::Each(list) => {
                 invalid(path, format!("has {} entries, expected {components}", list.len()))
             }
-            Unknown::Named(_) => invalid(path, "names are for `bias` alone"),
+            Unknown::Named(_) => invalid(path, format!("names are for {} alone", BY_NAMES.join(", "))),
         }
     }
 
@@ -274,6 +290,8 @@ impl Estimate {
             ("marker_offset", &self.marker_offset),
             ("mount_rotation", &self.mount_rotation),
             ("mount_translation", &self.mount_translation),
+            ("camera_rotation", &self.camera_rotation),
+            ("camera_translation", &self.camera_translation),
             ("bias", &self.bias),
             ("clock", &self.clock),
             ("observation_sigma", &self.observation_sigma),

@@ -14,6 +14,7 @@ pub mod csv;
 pub mod ensemble;
 mod error_correlation;
 pub mod estimate;
+mod estimate_observations;
 mod estimate_supports;
 pub mod files;
 pub(crate) mod finer;

@@ -390,9 +390,15 @@ fn observed(
         if named.iter().enumerate().all(|(i, (_, view))| *view == View::Place { point: i }) {
             return operator;
         }
-        let (cameras, in_sight) = (cameras.clone(), in_sight.clone());
+        let (cameras, in_sight, parts) = (cameras.clone(), in_sight.clone(), rod.parts.clone());
         Box::new(move || {
-            let views = Views::new(operator()?, cameras.clone(), named.clone())?;
+            let mut views = Views::new(operator()?, cameras.clone(), named.clone())?;
+            let poses = &parts.estimates.seen.poses;
+            if !poses.is_empty() {
+                let first = parts.places()?.parameters().start;
+                views =
+                    views.with_poses(poses.iter().map(|pose| pose.map(|at| Some(first + at?))).collect())?;
+            }
             Ok(match in_sight.clone() {
                 None => Box::new(views),
                 // steps of windows of a sequence are their own: the time says which it is of all
