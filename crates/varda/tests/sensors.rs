@@ -242,6 +242,11 @@ fn rotations_alone_fit_with_their_degrees_of_freedom() {
         // three standard deviations of χ²/m, which 2/3 is not within
         let bound = 3.0 * (2.0 / m as f64).sqrt();
         assert!(bound < 0.33 && (chi2 - 1.0).abs() < bound, "{kind}: 2J/m = {chi2}");
+        let correlated = "observations.correlation={time=0.05}";
+        let outcome = ran(&format!("{ROD}{TWIN}{all}"), &folder, &["observations.every=2", correlated]);
+        assert_eq!(outcome.judgement.verdict, Verdict::Fits, "{kind}: {}", outcome.judgement.text);
+        let chi2 = 2.0 * outcome.analysis.value / m as f64;
+        assert!((chi2 - 1.0).abs() < bound, "{kind}, correlated: 2J/m = {chi2}");
     }
 }
 
@@ -311,6 +316,20 @@ fn a_cell_that_is_off_stands_out() {
     assert!(outcome.judgement.text.contains("sensor clamp"), "{}", outcome.judgement.text);
 }
 
+/// Windows of a sequence count their own steps; what was read is known by its time.
+#[test]
+fn windows_of_a_sequence_see_rotations_too() {
+    let sensors = sensor("body", "orientation", 0.35, 0.01) + &sensor("pointer", "direction", 0.2, 0.01);
+    let (folder, _) = of_twin("cycles", &format!("{ROD}{TWIN}{PLACES}{sensors}"), &[]);
+    let files = "file = \"observations.csv\"\nreadings = \"readings.csv\"\n";
+    std::fs::write(folder.path().join("scene.toml"), format!("{ROD}{RECORDED}{files}{sensors}")).unwrap();
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_varda"));
+    command.args(["run", "scene.toml", "--set", "time.window=20", "--set", "algorithm.cycles={count=2}"]);
+    let ended = command.current_dir(folder.path()).output().unwrap();
+    let said = String::from_utf8_lossy(&ended.stdout).into_owned() + &String::from_utf8_lossy(&ended.stderr);
+    assert!(ended.status.success() && said.contains("FITS"), "{said}");
+}
+
 /// Offsets that accelerometers, cells and mounts of bodies have: found beside the state, and without them
 /// nothing fits.
 #[test]
@@ -351,9 +370,9 @@ fn biases_of_sensors_are_found() {
     let outcome = ran(&text, &folder, &[biases]);
     assert_eq!(outcome.judgement.verdict, Verdict::Fits, "{}", outcome.judgement.text);
     let expected = [
-        ("bias[imu].fx", "m/s²", 0.6),
-        ("bias[imu].fy", "m/s²", 0.0),
-        ("bias[imu].fz", "m/s²", -0.4),
+        ("bias[imu].ax", "m/s²", 0.6),
+        ("bias[imu].ay", "m/s²", 0.0),
+        ("bias[imu].az", "m/s²", -0.4),
         ("bias[clamp].fx", "N", 0.0),
         ("bias[clamp].fy", "N", 0.0),
         ("bias[clamp].fz", "N", 0.15),

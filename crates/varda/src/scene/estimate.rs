@@ -99,7 +99,8 @@ pub struct Estimate {
     pub camera_translation: Option<Unknown>,
     /// An error of every observed place or component that stays the same all the time, in its unit:
     /// `bias[tip].x`. By names, of those sensors and markers, each with its prior:
-    /// `bias = { imu = { sigma = 0.1 } }` is `bias[imu].fx` and so on, in the unit of the sensor.
+    /// `bias = { imu = { sigma = 0.1 } }` is `bias[imu].ax` and so on, by the names of the tables, in the
+    /// unit of the sensor.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bias: Option<Unknown>,
     /// Offset of the recording's clock [s]: what it wrote down at t was at t + `clock` by the model's.
