@@ -4,8 +4,8 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 
 use crate::rotation::{left_jacobian_inverse, logarithm};
 
-/// Rotations Q that a sensor read at times \[s\], from the axes of what it is fixed to to those of the model; of
-/// a sensor of directions any whose third axis is that which it read.
+/// Rotations Q that a sensor read at times \[s\], from the axes of its body to those of the model; of a
+/// sensor of directions any whose third axis is that which it read.
 ///
 /// ```
 /// use varda_rod::{ReadRotations, UnitQuaternion, Vector3};
@@ -43,15 +43,16 @@ pub(crate) fn turn(read: &Matrix3<f64>, section: &Matrix3<f64>, axes: &Matrix3<f
     logarithm(&(read.tr_mul(section) * axes.transpose()))
 }
 
-/// The rows of ∂ρ/∂w as columns, w a small rotation of the section along its axes: δρ = J(−ρ)⁻¹ C w.
+/// The rows of ∂ρ/∂w as columns, w a small rotation of the section along its axes:
+/// δρ = J(−ρ)⁻¹ C w.
 pub(crate) fn turn_by_section(turn: &Vector3<f64>, axes: &Matrix3<f64>) -> Matrix3<f64> {
     // J(−ρ) = J(ρ)ᵀ
     axes.transpose() * left_jacobian_inverse(turn)
 }
 
-/// By what angles \[rad\] a tangent is turned from the third axis of Q that was read, towards its first and
-/// second: θ (t₁, t₂)/sin θ with t₁, t₂, cos θ along the axes of Q. Opposite to it every way is as near,
-/// and one is taken.
+/// By what angles \[rad\] a tangent is turned from the third axis of Q that was read, towards its first
+/// and second: θ (t₁, t₂)/sin θ with t₁, t₂, cos θ along the axes of Q. Opposite to it every way
+/// is as near, and one is taken.
 ///
 /// ```
 /// use varda_rod::{Matrix3, Vector3, tilt};
@@ -74,8 +75,8 @@ pub(crate) fn tilt_by_tangent(read: &Matrix3<f64>, tangent: &Vector3<f64>) -> [V
     [0, 1].map(|i| read * (Vector3::ith(i, factor) + Vector3::z() * (slope * t[i])))
 }
 
-/// f = θ/sin θ and df/d(cos θ) = (f cos θ − 1)/sin² θ; without bound as θ approaches π, and that of a
-/// picoradian beside it there.
+/// f = θ/sin θ and df/d(cos θ) = (f cos θ − 1)/sin² θ; without bound as θ approaches π, and that
+/// of a picoradian beside it there.
 fn tilt_factors(t: &Vector3<f64>) -> [f64; 2] {
     let sine = t.xy().norm();
     if t.z > 0.0 && sine < 1e-2 {
@@ -130,7 +131,7 @@ mod tests {
         for size in [0.0, 1e-6, 9e-3, 1.1e-2, 0.8, 2.0, 3.1] {
             let tangent = read * exponential(&(Vector3::new(-0.6, 0.8, 0.0) * size)) * Vector3::z();
             let found = tilt(&read, &tangent);
-            // about (−0.6, 0.8) the third axis turns towards (0.8, 0.6); rounding of sin θ near π, 1/24 of it
+            // about (−0.6, 0.8) the third axis turns towards (0.8, 0.6); rounding of sin θ near π
             assert!((found - Vector2::new(0.8, 0.6) * size).norm() < 1e-13, "{size}: {found}");
             let rows = tilt_by_tangent(&read, &tangent);
             for w in AXES {

@@ -44,8 +44,8 @@ pub enum Sensor {
         /// The place of the clamp \[m\].
         s: f64,
     },
-    /// The moments M₁, M₂ that bend the rod as κ₁ and κ₂, and T that twists it \[N m\]: three values, between
-    /// two bent vertices on the straight line through theirs.
+    /// The moments M₁, M₂ that bend the rod as κ₁ and κ₂, and T that twists it \[N m\]: three
+    /// values, between two bent vertices on the straight line through theirs.
     Moment {
         /// Its place \[m\].
         s: f64,

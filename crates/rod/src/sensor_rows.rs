@@ -200,7 +200,7 @@ impl Present<'_> {
             }
             _ => {}
         }
-        // turned from what was read by a small rotation along (m₁, m₂, t): (−m₂·δt, m₁·δt, δφ)
+        // a small rotation along (m₁, m₂, t) is (−m₂·δt, m₁·δt, δφ)
         match row.sensor {
             Placed::Direction(e, rows) => {
                 let by = tilt_by_tangent(&rows.matrix(self.times[0]), &system.shape.edges[*e].t);

@@ -20,8 +20,8 @@ use crate::system::System;
 /// ```text
 /// F^e = −Σ_{v ≤ e} ∂E/∂x_v,   N = F^e·t^e                       tension of edge e [N]
 /// R = Σ_v (∂E/∂x_v − F_v + m_v (ẍ_v + α ẋ_v))            over the held vertices of a support [N]
-/// M = (x_b − x_a) × (∂E/∂x_b − F_b) + t (∂E/∂θ − M_t)    of a clamp about x_a, with x_b beside it [N m]
-/// M₁, M₂, T = K (κ₁ − κ̄₁, κ₂ − κ̄₂, τ − τ̄)/l̄            moments within the rod [N m]
+/// M = (x_b − x_a) × (∂E/∂x_b − F_b) + t (∂E/∂θ − M_t)    of a clamp at x_a, beside x_b [N m]
+/// M_i = EI_i (κ_i − κ̄_i)/l̄,   T = GJ (τ − τ̄)/l̄         moments within the rod [N m]
 /// a_v = (F_v − ∂E/∂x_v)/m_v − α V_v,   a = (1−w) a_i + w a_{i+1}      acceleration [m/s²]
 /// f = Aᵀ(a − g)                                              specific force, A = (m₁, m₂, t) [m/s²]
 /// ω = t × ṫ,   ṫ = (I − t tᵀ)(V_{e+1} − V_e)/l^e              angular rate of a section [rad/s]

@@ -266,7 +266,7 @@ fn an_orientation_finds_the_twist_that_a_direction_does_not() {
     // the prior is left, to its digits
     assert!(sigma(&unseen) > 0.99 * 0.5, "{unseen:?}");
     let (found, chi2, m) = of("orientation");
-    // ten readings of 0.01 rad of an angle of half a metre of twist: 0.0063 rad/m, more as damping lets it lag
+    // ten readings of 0.01 rad of an angle of half a metre of twist: 0.0063 rad/m, and what lags
     assert!(sigma(&found) < 0.02, "{found:?}");
     assert!((found.value - found.truth.unwrap()).abs() < 4.0 * sigma(&found), "{found:?}");
     assert!((chi2 - 1.0).abs() < 4.0 * (2.0 / m).sqrt(), "2J/m = {chi2}");

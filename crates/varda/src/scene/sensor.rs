@@ -42,11 +42,11 @@ pub enum SensorKind {
     /// Force of a clamp on the rod along its tangent, which points towards greater arc lengths:
     /// `force_n` [N].
     AxialSupportForce,
-    /// Moment of a clamp on the rod about the clamp's place, in the model's axes: `mx_n_m`, `my_n_m`, `mz_n_m`
-    /// [N m].
+    /// Moment of a clamp on the rod about the clamp's place, in the model's axes: `mx_n_m`, `my_n_m`,
+    /// `mz_n_m` [N m].
     SupportMoment,
-    /// Moments within the rod, as strain gauges read them: `m1_n_m` and `m2_n_m`, which bend it as κ₁ and κ₂,
-    /// and `t_n_m`, which twists it [N m].
+    /// Moments within the rod, as strain gauges read them: `m1_n_m` and `m2_n_m`, which bend it as κ₁
+    /// and κ₂, and `t_n_m`, which twists it [N m].
     Moment,
     /// Acceleration of a point of the centreline, in the model's axes: `ax_m_s2`, `ay_m_s2`, `az_m_s2`
     /// [m/s²].

@@ -375,7 +375,7 @@ impl Observed {
     /// from what was read then.
     pub(crate) fn as_from(&self, value: &[f64], site: usize, times: [f64; 2]) -> Vec<f64> {
         match self.rotations.get() {
-            Some(rotations) => rotations.from_another(site, value, times),
+            Some(rotations) => rotations.carried(site, value, times),
             None => value.to_vec(),
         }
     }

@@ -63,7 +63,7 @@ impl Rotations {
     }
 
     /// A value of a site that is measured from what it read at one time \[s\], from what it read at another.
-    pub(crate) fn from_another(&self, site: usize, value: &[f64], [from, to]: [f64; 2]) -> Vec<f64> {
+    pub(crate) fn carried(&self, site: usize, value: &[f64], [from, to]: [f64; 2]) -> Vec<f64> {
         let Some((kind, rows)) = self.of_site(site) else { return value.to_vec() };
         let (there, here) = (rows.nearest(from) * turned_by(*kind, value), rows.nearest(to));
         match kind {
