@@ -139,6 +139,11 @@ impl Camera {
         self.position
     }
 
+    /// Its axes (right, down, forward), by rows.
+    pub fn rotation(&self) -> Matrix3<f64> {
+        self.rotation
+    }
+
     /// The same camera with its centre elsewhere by d \[m\].
     #[must_use]
     pub fn moved(self, d: Vector3<f64>) -> Camera {

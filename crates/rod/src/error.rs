@@ -30,9 +30,31 @@ pub enum Error {
         /// Support or clamp.
         what: &'static str,
     },
+    /// A moment within the rod beside the vertices that bend.
+    #[error(
+        "the moment at s = {} m is beside the vertices that bend, from {} to {} m: take a place between \
+             them, or the moment of a clamp",
+        rounded(*s),
+        rounded(*from),
+        rounded(*to)
+    )]
+    NoMoment {
+        /// The arc length \[m\].
+        s: f64,
+        /// That of the first bent vertex \[m\].
+        from: f64,
+        /// That of the last \[m\].
+        to: f64,
+    },
     /// A sensor on a section of a chain, whose edges have no sections.
-    #[error("a chain has no sections that a sensor could be fixed to: observe accelerations in space")]
+    #[error("a chain has no sections that a sensor could be fixed to, and no moments")]
     NoFrames,
+    /// The orientation of a section of a rod that has no angle about its tangent.
+    #[error(
+        "the rod has no angle about its tangent that an orientation could be of: it is a chain, or twists \
+             nowhere and no clamp holds a director; observe its `direction`"
+    )]
+    NoAngle,
     /// The spin of a section is not in the state.
     #[error(
         "the spin of edge {edge} is not in the state: give the rod inertia against it, and take an edge \

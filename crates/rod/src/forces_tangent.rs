@@ -348,6 +348,12 @@ impl<'a> Tangent<'a> {
         self.change(dp);
     }
 
+    /// The change of the moment at bent vertex i, bending and twisting.
+    pub(crate) fn moment(&self, i: usize) -> Vector3<f64> {
+        let [m1, m2] = self.out.bending[i - 1];
+        Vector3::new(m1, m2, self.out.twisting[i - 1])
+    }
+
     fn of(&mut self, system: &System, h: f64, increments: [&[f64]; 3]) -> &mut InternalForces {
         self.vary(system, h, increments);
         let mut reactions = exerted(system, &self.gradient, &self.loads);

@@ -132,6 +132,7 @@ mod moved_increment;
 mod parameters;
 mod predict;
 mod quasi_static;
+mod read_rotations;
 mod recorded;
 mod rod;
 pub mod rotation;
@@ -139,6 +140,7 @@ mod scalar;
 mod second_order;
 mod second_parameters;
 mod sensor;
+mod sensor_rows;
 mod sensors;
 mod shape;
 mod spin;
@@ -168,6 +170,7 @@ pub use material::{Material, Section};
 pub use modes::{Mode, Modes, modes};
 pub use moved::{Displacement, HeldAt, Moved, MovedBy};
 pub use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+pub use read_rotations::{ReadRotations, tilt};
 pub use recorded::{
     RecordedMotion, RecordedRotation, SmoothBy, Smoothing, noise_of_rotations, noise_of_rows,
 };

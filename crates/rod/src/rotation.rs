@@ -1,6 +1,6 @@
 //! Rotations by a vector, and how they change with it.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 /// exp(\[ρ\]×): the rotation about ρ by |ρ| rad (Rodrigues).
 ///
@@ -42,6 +42,42 @@ fn left_jacobian_factors(angle: f64) -> (f64, f64) {
     } else {
         ((1.0 - angle.cos()) / (angle * angle), (angle - angle.sin()) / angle.powi(3))
     }
+}
+
+/// log R: the vector ρ, of at most π rad, with exp(\[ρ\]×) = R.
+///
+/// ```
+/// use varda_rod::{Vector3, rotation};
+///
+/// let rho = Vector3::new(0.3, -2.0, 1.1);
+/// assert!((rotation::logarithm(&rotation::exponential(&rho)) - rho).norm() < 1e-14);
+/// ```
+pub fn logarithm(rotation: &Matrix3<f64>) -> Vector3<f64> {
+    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation)).scaled_axis()
+}
+
+/// J⁻¹ of [`left_jacobian`], for |ρ| below 2π:
+///
+/// ```text
+/// J⁻¹ = I − ½ [ρ]× + (1 − (θ/2) cot(θ/2))/θ² [ρ]×²,   θ = |ρ|
+/// ```
+///
+/// ```
+/// use varda_rod::{Matrix3, Vector3, rotation};
+///
+/// let rho = Vector3::new(0.3, -2.0, 1.1);
+/// let product = rotation::left_jacobian(&rho) * rotation::left_jacobian_inverse(&rho);
+/// assert!((product - Matrix3::identity()).norm() < 1e-14);
+/// ```
+pub fn left_jacobian_inverse(rho: &Vector3<f64>) -> Matrix3<f64> {
+    let (angle, cross) = (rho.norm(), rho.cross_matrix());
+    let square = angle * angle;
+    let factor = if angle < 1e-1 {
+        1.0 / 12.0 + square * (1.0 / 720.0 + square * (1.0 / 30_240.0 + square / 1_209_600.0))
+    } else {
+        (1.0 - 0.5 * angle / (0.5 * angle).tan()) / square
+    };
+    Matrix3::identity() - cross * 0.5 + cross * cross * factor
 }
 
 /// ∂J/∂ρ ψ of [`left_jacobian`].
@@ -96,7 +132,7 @@ mod tests {
     #[test]
     fn the_jacobian_is_that_of_the_rotation_at_small_and_large_angles() {
         let y = Vector3::new(0.3, -0.7, 0.5);
-        for size in [1e-6, 9e-3, 1.1e-2, 0.8, 3.0] {
+        for size in [1e-6, 9e-3, 1.1e-2, 9e-2, 1.1e-1, 0.8, 3.0] {
             let (rho, drho) = (Vector3::new(0.6, 0.0, -0.8) * size, Vector3::new(0.2, 0.5, 0.1));
             let turned = |h: f64| exponential(&(rho + drho * h)) * y;
             let central = |h: f64| (turned(h) - turned(-h)) / (2.0 * h);
@@ -104,6 +140,9 @@ mod tests {
             let tangent = (left_jacobian(&rho) * drho).cross(&turned(0.0));
             // h⁴ of differences, and rounding over h
             assert!((tangent - difference).norm() < 1e-12, "{size}: {}", (tangent - difference).norm());
+            let inverse = left_jacobian_inverse(&rho) * left_jacobian(&rho);
+            // roundings of numbers of 1
+            assert!((inverse - Matrix3::identity()).norm() < 1e-14, "{size}: {inverse}");
         }
     }
 }

@@ -5,6 +5,7 @@ use std::ops::Range;
 use nalgebra::{Matrix3, Vector3};
 
 use crate::Error;
+use crate::read_rotations::ReadRotations;
 use crate::rod::Place;
 use crate::system::System;
 
@@ -38,6 +39,17 @@ pub enum Sensor {
         /// The place of the clamp \[m\].
         s: f64,
     },
+    /// The moment that a clamp exerts on the rod about its place \[N m\], in space: three values.
+    SupportMoment {
+        /// The place of the clamp \[m\].
+        s: f64,
+    },
+    /// The moments M₁, M₂ that bend the rod as κ₁ and κ₂, and T that twists it \[N m\]: three
+    /// values, between two bent vertices on the straight line through theirs.
+    Moment {
+        /// Its place \[m\].
+        s: f64,
+    },
     /// The acceleration of a point of the centreline in space [m/s²]: three values.
     Acceleration {
         /// Its place \[m\].
@@ -51,10 +63,18 @@ pub enum Sensor {
         /// Its axes along (m₁, m₂, t) of the edge: a row for each.
         axes: Matrix3<f64>,
     },
-    /// The unit tangent of the edge at s in space, towards greater s: three values.
+    /// The direction of the rod at s, from one that was read: two angles \[rad\].
     Direction {
         /// Its place \[m\].
         s: f64,
+    },
+    /// The orientation of a body fixed to a section, from one that was read: a rotation vector along its
+    /// axes, three angles \[rad\].
+    Orientation {
+        /// Its place \[m\].
+        s: f64,
+        /// Its axes along (m₁, m₂, t) of the edge: a row for each.
+        axes: Matrix3<f64>,
     },
     /// The angular rate of a section across its tangent \[rad/s\], along m₁ and m₂: two values.
     AngularRate {
@@ -74,11 +94,13 @@ impl Sensor {
     pub fn rows(&self) -> usize {
         match self {
             Sensor::Tension { .. } | Sensor::AxialSupportForce { .. } | Sensor::Spin { .. } => 1,
-            Sensor::AngularRate { .. } => 2,
+            Sensor::AngularRate { .. } | Sensor::Direction { .. } => 2,
             Sensor::SupportForce { .. }
+            | Sensor::SupportMoment { .. }
+            | Sensor::Moment { .. }
             | Sensor::Acceleration { .. }
             | Sensor::SpecificForce { .. }
-            | Sensor::Direction { .. } => 3,
+            | Sensor::Orientation { .. } => 3,
         }
     }
 }
@@ -97,12 +119,18 @@ pub(crate) enum Placed {
     Force(Sum),
     /// A force along the tangent of an edge.
     Along(Sum, usize),
+    /// The moment of a clamp about a vertex, the one beside it and its edge.
+    ClampMoment([usize; 3]),
+    /// Moments of bent vertices, each with its share.
+    Moment(Vec<(usize, f64)>),
     /// The acceleration of a place.
     Acceleration(Place),
     /// The same less gravity, along axes of the section.
     SpecificForce(Place, Matrix3<f64>),
-    /// The tangent of an edge.
-    Direction(usize),
+    /// The tangent of an edge from what was read.
+    Direction(usize, ReadRotations),
+    /// What is fixed to an edge from what was read.
+    Orientation(usize, Matrix3<f64>, ReadRotations),
     /// How fast the tangent of an edge turns, along m₁ and m₂.
     AngularRate(usize),
     /// A number of the state.
@@ -113,18 +141,22 @@ impl Placed {
     pub(crate) fn rows(&self) -> usize {
         match self {
             Placed::Along(..) | Placed::Spin(_) => 1,
-            Placed::AngularRate(_) => 2,
-            Placed::Force(_) | Placed::Acceleration(_) | Placed::SpecificForce(..) | Placed::Direction(_) => {
-                3
-            }
+            Placed::AngularRate(_) | Placed::Direction(..) => 2,
+            Placed::Force(_)
+            | Placed::ClampMoment(_)
+            | Placed::Moment(_)
+            | Placed::Acceleration(_)
+            | Placed::SpecificForce(..)
+            | Placed::Orientation(..) => 3,
         }
     }
 }
 
-/// A row: its sensor, and its direction in space or, of a sensor on a section, along (m₁, m₂, t). Of a
-/// direction it is the axis in space that is seen along the tangent.
+/// A row: its sensor, which of its rows it is, and its direction in space or, of a sensor on a section,
+/// along (m₁, m₂, t).
 pub(crate) struct Row<'a> {
     pub(crate) sensor: &'a Placed,
+    pub(crate) index: usize,
     pub(crate) direction: Vector3<f64>,
 }
 
@@ -167,16 +199,38 @@ pub(crate) fn placed(system: &System, sensor: &Sensor) -> Result<Placed, Error> 
             let (_, vertices, edge) = clamp(s).ok_or(Error::NotHeld { s, what: "clamp" })?;
             Placed::Along(Sum { vertices: vertices.clone(), sign: 1.0, loaded: true }, *edge)
         }
+        Sensor::SupportMoment { s } => {
+            rod.place("support moment", s)?;
+            let (.., edge) = clamp(s).ok_or(Error::NotHeld { s, what: "clamp" })?;
+            Placed::ClampMoment(if *edge == 0 { [0, 1, 0] } else { [n, n - 1, *edge] })
+        }
+        Sensor::Moment { s } => {
+            let Place { edge, fraction } = with_sections(system, rod.place("moment", s)?)?;
+            let shares = [(edge, 1.0 - fraction), (edge + 1, fraction)];
+            let shares: Vec<_> = shares.into_iter().filter(|(_, share)| *share > 1e-9).collect();
+            if shares.iter().any(|(vertex, _)| *vertex == 0 || *vertex == n) {
+                let arc_lengths = rod.arc_lengths();
+                return Err(Error::NoMoment { s, from: arc_lengths[1], to: arc_lengths[n - 1] });
+            }
+            Placed::Moment(shares)
+        }
         Sensor::Acceleration { s } => Placed::Acceleration(rod.place("acceleration", s)?),
         Sensor::SpecificForce { s, axes } => {
-            let skew = (axes.tr_mul(&axes) - Matrix3::identity()).abs().max();
-            if !(skew <= 1e-3 && axes.determinant() > 0.0) {
-                let expected = "a rotation: RᵀR = I, det R > 0";
-                return Err(Error::Value { field: "axes of a sensor", value: skew, expected });
-            }
+            check_axes(&axes)?;
             Placed::SpecificForce(with_sections(system, rod.place("specific force", s)?)?, axes)
         }
-        Sensor::Direction { s } => Placed::Direction(rod.place("direction", s)?.edge),
+        Sensor::Direction { s } => {
+            Placed::Direction(rod.place("direction", s)?.edge, ReadRotations::default())
+        }
+        Sensor::Orientation { s, axes } => {
+            check_axes(&axes)?;
+            let e = rod.place("orientation", s)?.edge;
+            let held = supports.start.is_some() || supports.end.is_some();
+            if !(system.layout.twist || system.layout.bending && held) {
+                return Err(Error::NoAngle);
+            }
+            Placed::Orientation(e, axes, ReadRotations::default())
+        }
         Sensor::AngularRate { s } => {
             Placed::AngularRate(with_sections(system, rod.place("angular rate", s)?)?.edge)
         }
@@ -189,6 +243,15 @@ pub(crate) fn placed(system: &System, sensor: &Sensor) -> Result<Placed, Error> 
             }
         }
     })
+}
+
+fn check_axes(axes: &Matrix3<f64>) -> Result<(), Error> {
+    let skew = (axes.tr_mul(axes) - Matrix3::identity()).abs().max();
+    if !(skew <= 1e-3 && axes.determinant() > 0.0) {
+        let expected = "a rotation: RᵀR = I, det R > 0";
+        return Err(Error::Value { field: "axes of a sensor", value: skew, expected });
+    }
+    Ok(())
 }
 
 /// A place of a rod whose sections are known.

@@ -1,15 +1,16 @@
 //! Sensors on a rod that see forces, accelerations and angular rates of one state.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use varda_implicit::{At, ImplicitStep, ObservationOperator, ParametricStep, Refusal, Remembered};
 
 use crate::Error;
 use crate::dynamics::RodStep;
 use crate::forces_of_motion::{Motion, with_forces};
-use crate::forces_tangent::transpose::Weights;
-use crate::forces_tangent::{ChangeOfForces, Tangent, moved_by};
+use crate::forces_tangent::moved_by;
+use crate::read_rotations::ReadRotations;
 use crate::rod::Place;
-use crate::sensor::{Placed, Row, Sensor, Sum, placed};
+use crate::sensor::{Placed, Sensor, placed};
+use crate::sensor_rows::Present;
 use crate::statics::reactions::all_loads;
 use crate::support::Damping;
 use crate::system::System;
@@ -19,9 +20,13 @@ use crate::system::System;
 /// ```text
 /// F^e = −Σ_{v ≤ e} ∂E/∂x_v,   N = F^e·t^e                       tension of edge e [N]
 /// R = Σ_v (∂E/∂x_v − F_v + m_v (ẍ_v + α ẋ_v))            over the held vertices of a support [N]
+/// M = (x_b − x_a) × (∂E/∂x_b − F_b) + t (∂E/∂θ − M_t)    of a clamp at x_a, beside x_b [N m]
+/// M_i = EI_i (κ_i − κ̄_i)/l̄,   T = GJ (τ − τ̄)/l̄         moments within the rod [N m]
 /// a_v = (F_v − ∂E/∂x_v)/m_v − α V_v,   a = (1−w) a_i + w a_{i+1}      acceleration [m/s²]
 /// f = Aᵀ(a − g)                                              specific force, A = (m₁, m₂, t) [m/s²]
 /// ω = t × ṫ,   ṫ = (I − t tᵀ)(V_{e+1} − V_e)/l^e              angular rate of a section [rad/s]
+/// ρ = log(Qᵀ (m₁, m₂, t) Aᵀ)                      orientation of a body, from Q that was read [rad]
+/// θ (t₁, t₂)/sin θ,   (t₁, t₂, cos θ) = Qᵀ t         direction, from the third axis of Q [rad]
 /// ```
 ///
 /// with F_v the loads of a vertex, and stress of strain rates and drag from the velocities in the state:
@@ -31,6 +36,11 @@ use crate::system::System;
 /// second differences over Δt. The rate of a stored angle, where strain rates need it, is that since the
 /// state before, which a two-step state has (zero at step 0, whose past is itself). At rest there are
 /// neither rates nor inertia.
+///
+/// Orientations and directions are angles from what was read at that time
+/// ([`measured_from`](Self::measured_from)), to be observed as zero: a rotation has three degrees of
+/// freedom and a direction two, in whatever numbers they are written. H is then a function of time, and the
+/// departure 0 − H(x) is log(q(x)⁻¹ q_read) along the axes of the body.
 ///
 /// Forces are those of [`InternalForces`](crate::InternalForces). They depend on the parameters of the rod:
 /// [`by_parameters`](Self::by_parameters).
@@ -116,6 +126,41 @@ impl Sensors {
         })
     }
 
+    /// The same with what a sensor of an orientation or a direction read: it is measured from that which is
+    /// nearest in time. Nothing for another sensor.
+    ///
+    /// ```
+    /// use varda_implicit::{At, ImplicitStep, ObservationOperator};
+    /// use varda_rod::{Clamp, ClampAt, Damping, Loads, Material, Matrix3, ReadRotations, Rod, RodStep};
+    /// use varda_rod::{Section, Sensor, Sensors, Supports, UnitQuaternion, Vector3, straight_guess};
+    ///
+    /// let rod = Rod::uniform(1.0, 4, &Section::circle(&Material::new(1e7, 0.5, 1100.0), 0.005))?;
+    /// let clamp = Clamp::new(ClampAt::Edge, [0.0; 3], Vector3::z(), Vector3::x());
+    /// let supports = Supports::clamped_start(clamp);
+    /// let straight = straight_guess(&rod, &supports, 0.0, [0.0, 0.0, 1.0])?;
+    /// let step = RodStep::new(rod, supports, Loads::default(), Damping::default())?;
+    /// let mut x = step.control_at_rest(&straight);
+    /// x.resize(step.dim(), 0.0);
+    /// // its axes are those of the model, and a body on it that was read a tenth of a radian about z
+    /// let body = Sensor::Orientation { s: 0.7, axes: Matrix3::identity() };
+    /// let read = UnitQuaternion::from_scaled_axis(Vector3::z() * 0.1);
+    /// let read = ReadRotations::new(vec![(0.0, read)]);
+    /// let mut sensors = Sensors::new(step, 0.01, &[body])?.measured_from(0, read);
+    /// let mut y = [0.0; 3];
+    /// sensors.observe(At { step: 0, time: 0.0 }, &x, &mut y)?;
+    /// assert!(y[0].abs() < 1e-15 && y[1].abs() < 1e-15 && (y[2] + 0.1).abs() < 1e-15);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Panics
+    /// If there is no such sensor.
+    pub fn measured_from(mut self, sensor: usize, read: ReadRotations) -> Sensors {
+        if let Placed::Direction(_, rows) | Placed::Orientation(_, _, rows) = &mut self.sensors[sensor] {
+            *rows = read;
+        }
+        self
+    }
+
     /// Takes the values of the parameters of the rod's step.
     ///
     /// # Errors
@@ -180,6 +225,11 @@ impl Sensors {
                 };
                 let gravity = parameters.change_of_gravity(change, &system.loads.gravity) * slope;
                 for (out, row) in column.iter_mut().zip(&all) {
+                    if let Placed::Moment(shares) = row.sensor {
+                        let of = |(v, share): &(usize, f64)| tangent.moment(*v) * *share;
+                        *out = row.direction.dot(&shares.iter().map(of).sum::<Vector3<f64>>());
+                        continue;
+                    }
                     *out = present.weights(system, motion, row).along(system, &tangent);
                     let axis = present.direction(system, row);
                     *out += match row.sensor {
@@ -222,10 +272,16 @@ impl Sensors {
                 velocities[v] = Vector3::from_column_slice(&x[first + 3 * f..][..3]);
             }
             let gradient = |v: usize| Vector3::from_column_slice(&system.gradient[layout.vertex(v)..][..3]);
+            let loads = all_loads(system, Some(motion.start));
+            let about_tangent = |e: usize| match layout.twist {
+                true => system.gradient[layout.angle(e)] - loads.moments[e],
+                false => 0.0,
+            };
             let present = Present {
                 sensors,
                 gradient: (0..n).map(gradient).collect(),
-                loads: all_loads(system, Some(motion.start)).forces,
+                about_tangent: (0..n - 1).map(about_tangent).collect(),
+                loads: loads.forces,
                 is_free,
                 velocities,
                 damping,
@@ -283,178 +339,6 @@ impl Sensors {
     }
 }
 
-/// The rod in a state: ∂E/∂x and loads of every vertex, and how free ones move.
-struct Present<'a> {
-    sensors: &'a [Placed],
-    gradient: Vec<Vector3<f64>>,
-    loads: Vec<Vector3<f64>>,
-    is_free: Vec<bool>,
-    velocities: Vec<Vector3<f64>>,
-    damping: Damping,
-    /// That of the state, and that of the one a little earlier \[s\].
-    times: [f64; 2],
-    at_rest: bool,
-    state: &'a [f64],
-}
-
-impl Present<'_> {
-    fn tangent<'a>(
-        &self,
-        system: &mut System,
-        motion: &Motion<'a>,
-        changes: Vec<(usize, ChangeOfForces)>,
-    ) -> Tangent<'a> {
-        let share = self.damping.stiffness / (motion.start.length + self.damping.stiffness);
-        Tangent::new(system, motion.start, motion.past.filter(|_| share > 0.0), share, changes)
-    }
-
-    /// ∂E/∂x_v − F_v.
-    fn net(&self, v: usize) -> Vector3<f64> {
-        self.gradient[v] - self.loads[v]
-    }
-
-    fn sum(&self, of: &Sum) -> Vector3<f64> {
-        let of_vertex = |v: usize| if of.loaded { self.net(v) } else { self.gradient[v] };
-        of.vertices.clone().map(of_vertex).sum::<Vector3<f64>>() * of.sign
-    }
-
-    fn velocity(&self, motion: &Motion, v: usize) -> Vector3<f64> {
-        if self.is_free[v] { self.velocities[v] } else { motion.held[v][0] }
-    }
-
-    /// The acceleration of a place; nothing accelerates at rest.
-    fn acceleration(&self, system: &System, motion: &Motion, place: &Place) -> Vector3<f64> {
-        let of = |v: usize| match self.is_free[v] {
-            true => -self.net(v) / system.rod.masses[v] - self.velocities[v] * self.damping.mass,
-            false => motion.held[v][1],
-        };
-        match self.at_rest {
-            true => Vector3::zeros(),
-            false => of(place.edge) * (1.0 - place.fraction) + of(place.edge + 1) * place.fraction,
-        }
-    }
-
-    /// What turns with the section of an edge: m₁, m₂, t as columns.
-    fn section(system: &System, e: usize) -> Matrix3<f64> {
-        Matrix3::from_columns(&[system.shape.m1[e], system.shape.m2[e], system.shape.edges[e].t])
-    }
-
-    /// The rows of all sensors.
-    fn rows(&self) -> Vec<Row<'_>> {
-        let mut all = Vec::new();
-        for sensor in self.sensors {
-            let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
-            all.extend(axes.into_iter().take(sensor.rows()).enumerate().map(|(i, axis)| Row {
-                sensor,
-                direction: match sensor {
-                    Placed::SpecificForce(_, axes) => axes.row(i).transpose(),
-                    // ω·m₁ = −m₂·ṫ, ω·m₂ = m₁·ṫ
-                    Placed::AngularRate(_) if i == 0 => -Vector3::y(),
-                    Placed::AngularRate(_) => Vector3::x(),
-                    _ => axis,
-                },
-            }));
-        }
-        all
-    }
-
-    /// The direction of a row in space.
-    fn direction(&self, system: &System, row: &Row) -> Vector3<f64> {
-        match row.sensor {
-            Placed::Along(_, e) | Placed::Direction(e) => system.shape.edges[*e].t,
-            Placed::SpecificForce(Place { edge: e, .. }, _) | Placed::AngularRate(e) => {
-                Self::section(system, *e) * row.direction
-            }
-            _ => row.direction,
-        }
-    }
-
-    /// The vector whose component a row is.
-    fn measured(&self, system: &System, motion: &Motion, row: &Row) -> Vector3<f64> {
-        match row.sensor {
-            Placed::Force(sum) | Placed::Along(sum, _) => self.sum(sum),
-            Placed::Acceleration(place) => self.acceleration(system, motion, place),
-            Placed::SpecificForce(place, _) => {
-                self.acceleration(system, motion, place) - system.loads.gravity
-            }
-            Placed::AngularRate(e) => {
-                (self.velocity(motion, e + 1) - self.velocity(motion, *e)) / system.shape.edges[*e].l
-            }
-            Placed::Direction(_) => row.direction,
-            Placed::Spin(i) => row.direction * self.state[*i],
-        }
-    }
-
-    /// What a row is on forces, velocities and configurations.
-    fn weights(&self, system: &System, motion: &Motion, row: &Row) -> Weights {
-        let mut on = Weights::new(system.rod.segments());
-        let (direction, measured) = (self.direction(system, row), self.measured(system, motion, row));
-        match row.sensor {
-            Placed::Force(sum) | Placed::Along(sum, _) => {
-                for v in sum.vertices.clone() {
-                    on.gradient[v] += direction * sum.sign;
-                    if sum.loaded {
-                        on.loads[v] -= direction * sum.sign;
-                    }
-                }
-            }
-            Placed::Acceleration(place) | Placed::SpecificForce(place, _) if !self.at_rest => {
-                for (v, share) in [(place.edge, 1.0 - place.fraction), (place.edge + 1, place.fraction)] {
-                    if self.is_free[v] {
-                        let by_force = direction * (share / system.rod.masses[v]);
-                        on.gradient[v] -= by_force;
-                        on.loads[v] += by_force;
-                        on.velocities[v] -= direction * (share * self.damping.mass);
-                    }
-                }
-            }
-            Placed::AngularRate(e) => {
-                let by_velocity = direction / system.shape.edges[*e].l;
-                on.velocities[*e] -= by_velocity;
-                on.velocities[e + 1] += by_velocity;
-            }
-            _ => {}
-        }
-        // the direction turns: δm₁ = −(m₁·δt) t + δφ m₂,
-        // δm₂ = −(m₂·δt) t − δφ m₁ with δt = (I − t tᵀ) δe/l
-        let (e, [a, b, c]) = match row.sensor {
-            Placed::Along(_, e) | Placed::Direction(e) => (*e, [0.0, 0.0, 1.0]),
-            Placed::SpecificForce(Place { edge: e, .. }, _) | Placed::AngularRate(e) => {
-                (*e, row.direction.into())
-            }
-            _ => return on,
-        };
-        let (edge, along) = (&system.shape.edges[e], measured.dot(&system.shape.edges[e].t));
-        let mut by_edge = (measured - edge.t * along) * c;
-        if a != 0.0 || b != 0.0 {
-            let (m1, m2) = (system.shape.m1[e], system.shape.m2[e]);
-            by_edge -= (m1 * a + m2 * b) * along;
-            on.now.angles[e] += a * measured.dot(&m2) - b * measured.dot(&m1);
-        }
-        if let Placed::AngularRate(_) = row.sensor {
-            // and the length is in the denominator
-            by_edge -= edge.t * direction.dot(&measured);
-        }
-        on.now.places[e] -= by_edge / edge.l;
-        on.now.places[e + 1] += by_edge / edge.l;
-        on
-    }
-}
-
-impl Weights {
-    /// Their sum with changes of ∂E/∂x, loads and the present configuration.
-    fn along(&self, system: &System, tangent: &Tangent) -> f64 {
-        let mut sum = 0.0;
-        for v in 0..self.gradient.len() {
-            let first = system.layout.vertex(v);
-            sum += self.gradient[v].dot(&Vector3::from_column_slice(&tangent.gradient[first..first + 3]));
-            sum += self.loads[v].dot(&tangent.loads.forces[v]);
-            sum += self.now.places[v].dot(&tangent.now.places[v]);
-        }
-        sum + self.now.angles.iter().zip(&tangent.now.angles).map(|(w, a)| w * a).sum::<f64>()
-    }
-}
-
 impl ObservationOperator for Sensors {
     fn dim(&self) -> usize {
         self.rows
@@ -470,7 +354,7 @@ impl ObservationOperator for Sensors {
         assert_eq!(y.len(), self.rows, "a number for every row");
         self.with_state(at.time, x, &mut |system, motion, present| {
             for (y, row) in y.iter_mut().zip(&present.rows()) {
-                *y = present.direction(system, row).dot(&present.measured(system, motion, row));
+                *y = present.value(system, motion, row);
             }
         })?;
         Ok(())

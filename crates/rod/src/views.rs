@@ -1,10 +1,11 @@
 //! Views of points: as places in space, or as pixels of cameras.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use varda_implicit::{At, ObservationOperator, Refusal};
 
 use crate::Error;
 use crate::camera::{Camera, OutOfSight};
+use crate::rotation::{exponential, left_jacobian};
 
 /// How a point is seen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -59,6 +60,8 @@ pub struct NotSeen {
 /// dy = π' P' dx,   dx += P'ᵀ π'ᵀ dy,   out += (π'ᵀ dy)·P'' dx + P'ᵀ (dy·π'') P' dx
 /// ```
 ///
+/// The pose of a camera may be part of the state ([`with_poses`](Self::with_poses)).
+///
 /// A point that a camera cannot have in its image ([`OutOfSight`]) is an error where it must be seen, and
 /// elsewhere a zero without derivatives.
 ///
@@ -104,6 +107,8 @@ pub struct Views {
     points: Box<dyn ObservationOperator>,
     cameras: Vec<Camera>,
     views: Vec<(String, View)>,
+    /// Where in the state the rotation and the displacement of each camera are.
+    poses: Vec<[Option<usize>; 2]>,
     must_be_seen: MustBeSeen,
     rows: usize,
     /// Places of the points, their increments, and what acts on them.
@@ -138,7 +143,33 @@ impl Views {
         }
         let rows = views.iter().map(|(_, view)| view.rows()).sum();
         let (places, moved, acting) = (vec![0.0; dim], vec![0.0; dim], vec![0.0; dim]);
-        Ok(Views { points, cameras, views, must_be_seen: Box::new(|_, _| true), rows, places, moved, acting })
+        let poses = vec![[None; 2]; cameras.len()];
+        let must_be_seen: MustBeSeen = Box::new(|_, _| true);
+        Ok(Views { points, cameras, views, poses, must_be_seen, rows, places, moved, acting })
+    }
+
+    /// Cameras whose pose is in the state: where there are the three numbers of a rotation ρ \[rad\] of each
+    /// camera about its own axes (right, down, forward), and of a displacement δ of its centre \[m\].
+    ///
+    /// ```text
+    /// (X, Y, Z) = exp(−[ρ]×) R (p − c − δ)
+    /// ```
+    ///
+    /// Without second derivatives then.
+    ///
+    /// # Errors
+    /// [`Error::Count`] where there is not one for every camera, [`Error::Value`] for numbers that are not in
+    /// the state.
+    pub fn with_poses(self, poses: Vec<[Option<usize>; 2]>) -> Result<Views, Error> {
+        let (found, expected, dim) = (poses.len(), self.cameras.len(), self.points.state_dim());
+        if found != expected {
+            return Err(Error::Count { field: "poses of cameras", found, expected });
+        }
+        if let Some(first) = poses.iter().flatten().flatten().find(|first| **first + 3 > dim) {
+            let expected = "three numbers of the state";
+            return Err(Error::Value { field: "pose of a camera", value: *first as f64, expected });
+        }
+        Ok(Views { poses, ..self })
     }
 
     /// Only where this says so, by step and time and the index of the view, must a point be seen.
@@ -160,8 +191,27 @@ impl Views {
         })
     }
 
-    /// `acting` = π'ᵀ dy on the places, at `places`.
-    fn act(&mut self, dy: &[f64]) {
+    /// A point as a camera with its pose in a state has it.
+    fn posed(&self, camera: usize, x: &[f64], point: usize) -> Posed {
+        let p = place(&self.places, point);
+        let [rotation, displacement] = self.poses[camera];
+        if rotation.is_none() && displacement.is_none() {
+            return Posed { point: p, turn: Matrix3::identity(), by_rotation: Matrix3::zeros() };
+        }
+        let at = |first: Option<usize>| {
+            first.map_or_else(Vector3::zeros, |i| Vector3::from_column_slice(&x[i..i + 3]))
+        };
+        let camera = &self.cameras[camera];
+        // Rᵀ exp(−[ρ]×) R = exp(−[Rᵀ ρ]×)
+        let about = -(camera.rotation().tr_mul(&at(rotation)));
+        let turn = exponential(&about);
+        let arm = turn * (p - camera.position() - at(displacement));
+        let by_rotation = arm.cross_matrix() * left_jacobian(&about) * camera.rotation().transpose();
+        Posed { point: camera.position() + arm, turn, by_rotation }
+    }
+
+    /// `acting` = π'ᵀ dy on the places, at `places`; adds what it is on poses.
+    fn act(&mut self, x: &[f64], dy: &[f64], dx: &mut [f64]) {
         let mut acting = std::mem::take(&mut self.acting);
         acting.fill(0.0);
         for (row, view) in self.each() {
@@ -169,8 +219,16 @@ impl Views {
             match view {
                 View::Place { .. } => into.iter_mut().zip(&dy[row..]).for_each(|(a, dy)| *a += dy),
                 View::Pixels { camera, point } => {
-                    let Ok(j) = self.cameras[camera].jacobian(&place(&self.places, point)) else { continue };
+                    let posed = self.posed(camera, x, point);
+                    let Ok(j) = self.cameras[camera].jacobian(&posed.point) else { continue };
                     let force = j[0] * dy[row] + j[1] * dy[row + 1];
+                    let on_place = posed.turn.tr_mul(&force);
+                    let on_pose = [posed.by_rotation.tr_mul(&force), -on_place];
+                    for (first, on) in self.poses[camera].into_iter().zip(on_pose) {
+                        let Some(first) = first else { continue };
+                        dx[first..first + 3].iter_mut().zip(on.iter()).for_each(|(dx, on)| *dx += on);
+                    }
+                    let force = on_place;
                     into.iter_mut().zip(force.iter()).for_each(|(a, f)| *a += f);
                 }
             }
@@ -200,7 +258,7 @@ impl ObservationOperator for Views {
             match *view {
                 View::Place { point } => out.copy_from_slice(&self.places[3 * point..][..3]),
                 View::Pixels { camera, point } => {
-                    match self.cameras[camera].project(&place(&self.places, point)) {
+                    match self.cameras[camera].project(&self.posed(camera, x, point).point) {
                         Ok(seen) => out.copy_from_slice(&seen),
                         Err(why) if (self.must_be_seen)(at, i) => {
                             let not_seen = NotSeen { name: name.clone(), time: at.time, why };
@@ -224,7 +282,12 @@ impl ObservationOperator for Views {
             match view {
                 View::Place { .. } => out.copy_from_slice(d.as_slice()),
                 View::Pixels { camera, point } => {
-                    match self.cameras[camera].jacobian(&place(&self.places, point)) {
+                    let posed = self.posed(camera, x, point);
+                    let [rotation, displacement] = self.poses[camera].map(|first| {
+                        first.map_or_else(Vector3::zeros, |i| Vector3::from_column_slice(&dx[i..i + 3]))
+                    });
+                    let d = posed.turn * (d - displacement) + posed.by_rotation * rotation;
+                    match self.cameras[camera].jacobian(&posed.point) {
                         Ok(j) => out.copy_from_slice(&[j[0].dot(&d), j[1].dot(&d)]),
                         Err(_) => out.fill(0.0),
                     }
@@ -236,18 +299,19 @@ impl ObservationOperator for Views {
     fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
         assert_eq!(dy.len(), self.rows, "a number for every row");
         self.locate(at, x);
-        self.act(dy);
+        self.act(x, dy, dx);
         self.points.adjoint_add(at, x, &self.acting, dx);
     }
 
     fn has_second_derivatives(&self) -> bool {
-        self.points.has_second_derivatives()
+        self.poses.iter().flatten().all(Option::is_none) && self.points.has_second_derivatives()
     }
 
     fn second_adjoint_add(&mut self, at: At, x: &[f64], dx: &[f64], dy: &[f64], out: &mut [f64]) {
         assert_eq!(dy.len(), self.rows, "a number for every row");
         self.locate(at, x);
-        self.act(dy);
+        // no pose is in the state
+        self.act(x, dy, &mut []);
         self.points.second_adjoint_add(at, x, dx, &self.acting, out);
         self.points.tangent(at, x, dx, &mut self.moved);
         let mut acting = std::mem::take(&mut self.acting);
@@ -261,6 +325,14 @@ impl ObservationOperator for Views {
         self.points.adjoint_add(at, x, &acting, out);
         self.acting = acting;
     }
+}
+
+/// A point p where a camera without its pose would see it at the same pixel, p* = c + exp(−[Rᵀρ]×)
+/// (p − c − δ), with ∂p*/∂p and ∂p*/∂ρ.
+struct Posed {
+    point: Vector3<f64>,
+    turn: Matrix3<f64>,
+    by_rotation: Matrix3<f64>,
 }
 
 fn place(places: &[f64], point: usize) -> Vector3<f64> {

@@ -4,8 +4,8 @@ use nalgebra::SVector;
 use num_dual::{Dual2SVec64, DualNum};
 use varda_implicit::{At, ImplicitStep, ObservationOperator, Refusal, check};
 use varda_rod::{
-    Camera, Clamp, ClampAt, Damping, Loads, Marker, Markers, Material, Matrix3, OutOfSight, Rod, RodStep,
-    Section, Supports, Vector3, View, Views,
+    Camera, Clamp, ClampAt, Damping, Error, Loads, Marker, Markers, Material, Matrix3, OutOfSight, Rod,
+    RodStep, Section, Supports, Vector3, View, Views, rotation,
 };
 
 const FOCAL: [f64; 2] = [812.5, 805.0];
@@ -298,6 +298,89 @@ fn second_derivatives_of_views() {
         second.iter().zip(after.iter().zip(&before)).map(|(s, (a, b))| (s - (a - b) / (2.0 * h)).powi(2));
     // h² of third derivatives, and rounding over h: 1e-8 and less of the whole
     assert!(off.sum::<f64>().sqrt() < 1e-6 * norm, "{norm}");
+}
+
+/// Markers of a state with numbers behind it.
+struct Longer(Markers, usize);
+
+impl ObservationOperator for Longer {
+    fn dim(&self) -> usize {
+        self.0.dim()
+    }
+    fn state_dim(&self) -> usize {
+        self.0.state_dim() + self.1
+    }
+    fn observe(&mut self, at: At, x: &[f64], y: &mut [f64]) -> Result<(), Refusal> {
+        self.0.observe(at, &x[..self.0.state_dim()], y)
+    }
+    fn tangent(&mut self, at: At, x: &[f64], dx: &[f64], dy: &mut [f64]) {
+        let own = self.0.state_dim();
+        self.0.tangent(at, &x[..own], &dx[..own], dy);
+    }
+    fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+        let own = self.0.state_dim();
+        self.0.adjoint_add(at, &x[..own], dy, &mut dx[..own]);
+    }
+    fn has_second_derivatives(&self) -> bool {
+        true
+    }
+}
+
+/// Poses in the state: pixels are those of cameras that stand there, and every check passes.
+#[test]
+fn the_pose_of_a_camera_may_be_unknown() {
+    let step = step();
+    let markers = || {
+        let all = [0.37, 0.83].map(|s| Marker { s, offset: Vector3::zeros() });
+        Longer(Markers::new(&step, &all).unwrap(), 9)
+    };
+    let other = camera().moved(Vector3::new(0.3, -0.1, 0.05));
+    let view = |camera, point| (String::new(), View::Pixels { camera, point });
+    let all = || vec![view(0, 1), (String::new(), View::Place { point: 0 }), view(1, 1), view(0, 0)];
+    let of = |cameras: [Camera; 2]| Views::new(Box::new(markers()), cameras.to_vec(), all()).unwrap();
+    let (mut x, n) = (state(&step), step.dim());
+    let (rho, delta) = (Vector3::new(0.05, -0.02, 0.3), Vector3::new(0.01, -0.03, 0.02));
+    let of_other = Vector3::new(-0.04, 0.1, 0.02);
+    for v in [rho, delta, of_other] {
+        x.extend_from_slice(v.as_slice());
+    }
+    let poses = vec![[Some(n), Some(n + 3)], [Some(n + 6), None]];
+    let mut unknown = of([camera(), other.clone()]).with_poses(poses).unwrap();
+    assert!(!unknown.has_second_derivatives());
+    let report = check::operator(&mut unknown, AT, &x, &vec![1e-3; x.len()], 2).unwrap();
+    assert!(report.passed(), "{report}");
+    // turned about its own axes, its axes in space are Rᵀ exp([ρ]×)
+    let turned = |camera: &Camera, rho: &Vector3<f64>, delta: Vector3<f64>| {
+        let axes = rotation::exponential(rho).tr_mul(&camera.rotation());
+        camera.clone().posed(camera.position() + delta, axes).unwrap()
+    };
+    let there = [turned(&camera(), &rho, delta), turned(&other, &of_other, Vector3::zeros())];
+    let mut known = of(there);
+    let [mut a, mut b] = [vec![0.0; unknown.dim()], vec![0.0; unknown.dim()]];
+    unknown.observe(AT, &x, &mut a).unwrap();
+    known.observe(AT, &x, &mut b).unwrap();
+    // rounding of pixels of some hundreds
+    assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-9), "{a:?} {b:?}");
+    // beside central differences over 1e-6 of pixels of 1e3
+    let mut columns = vec![0.0; a.len()];
+    for i in n..x.len() {
+        let mut dx = vec![0.0; x.len()];
+        dx[i] = 1.0;
+        unknown.tangent(AT, &x, &dx, &mut columns);
+        let mut at = |h: f64| {
+            let mut moved = x.clone();
+            moved[i] += h;
+            unknown.observe(AT, &moved, &mut a).unwrap();
+            a.clone()
+        };
+        let (after, before) = (at(1e-6), at(-1e-6));
+        for (column, (after, before)) in columns.iter().zip(after.iter().zip(&before)) {
+            assert!((column - (after - before) / 2e-6).abs() < 1e-5, "{i}: {column} {after} {before}");
+        }
+    }
+    let refused = |poses| of([camera(), other.clone()]).with_poses(poses).err();
+    assert!(matches!(refused(vec![[None; 2]]), Some(Error::Count { found: 1, expected: 2, .. })));
+    assert!(matches!(refused(vec![[None; 2], [None, Some(n + 7)]]), Some(Error::Value { .. })));
 }
 
 #[test]

@@ -8,7 +8,10 @@ use common::{difference, noise, off};
 use varda_implicit::{
     At, ImplicitModel, Model, ObservationOperator, ParametricStep, Scheme, WithParameters, check,
 };
-use varda_rod::{Damping, Error, Marker, Markers, Matrix3, RodStep, Sensor, Sensors, Vector3, rotation};
+use varda_rod::{
+    Damping, Error, Marker, Markers, Matrix3, ReadRotations, RodStep, Sensor, Sensors, UnitQuaternion,
+    Vector3, rotation,
+};
 
 const STEP: f64 = 0.004;
 
@@ -30,20 +33,40 @@ fn sensors(case: Case, rod: &RodStep) -> Vec<Sensor> {
         Sensor::SpecificForce { s: 0.8, axes: turned() },
         Sensor::AngularRate { s: 0.55 },
         Sensor::Direction { s: 0.55 },
+        Sensor::Orientation { s: 0.33, axes: Matrix3::identity() },
+        Sensor::Orientation { s: 0.9, axes: turned() },
+        Sensor::Moment { s: rod.rod().arc_lengths()[3] },
+        Sensor::Moment { s: 0.57 },
     ];
     if case.spins {
         all.push(Sensor::Spin { s: 0.7 });
     }
     if case.held || case.moved {
         all.extend([Sensor::AxialSupportForce { s: 0.0 }, Sensor::Tension { s: 0.01 }]);
+        all.push(Sensor::SupportMoment { s: 0.0 });
     }
     if case.end {
         all.extend([Sensor::SupportForce { s: length }, Sensor::AxialSupportForce { s: length }]);
+        all.push(Sensor::SupportMoment { s: length });
     } else if case.moved {
         let hook = rod.rod().arc_lengths()[SEGMENTS - 2];
         all.extend([Sensor::SupportForce { s: hook }, Sensor::Acceleration { s: hook - 0.01 }]);
     }
     all
+}
+
+/// These on a rod, and what those of rotations have read at the third step: a radian and more from what it
+/// is; at another time something else.
+fn reading(rod: RodStep, all: &[Sensor]) -> Result<Sensors, Error> {
+    let about = |x, y, z| UnitQuaternion::from_scaled_axis(Vector3::new(x, y, z));
+    let mut sensors = Sensors::new(rod, STEP, all)?;
+    for (i, sensor) in all.iter().enumerate() {
+        if let Sensor::Direction { .. } | Sensor::Orientation { .. } = sensor {
+            let read = vec![(0.0, about(0.1, 0.2, 0.3)), (3.0 * STEP, about(0.9, -0.3, 0.2 * i as f64))];
+            sensors = sensors.measured_from(i, ReadRotations::new(read));
+        }
+    }
+    Ok(sensors)
 }
 
 /// A run of some steps: the step, its parameters and all states.
@@ -101,17 +124,27 @@ fn forces_are_those_within_the_rod() {
             row += sensor.rows();
             let reaction = |s: f64| {
                 let found = forces.reactions.iter().find(|r| (arc_lengths[r.vertex] - s).abs() < 1e-9);
-                found.unwrap_or_else(|| panic!("{}: no reaction at {s}", case.name)).force
+                found.unwrap_or_else(|| panic!("{}: no reaction at {s}", case.name))
+            };
+            let moment = |i: usize| {
+                let [m1, m2] = forces.bending[i - 1];
+                Vector3::new(m1, m2, forces.twisting[i - 1])
             };
             let expected: Vec<f64> = match *sensor {
                 Sensor::Tension { s } => {
                     let edge = arc_lengths[1..].iter().position(|end| s <= *end).unwrap_or(n - 1);
                     vec![forces.tension[edge]]
                 }
-                Sensor::SupportForce { s } => reaction(s).as_slice().to_vec(),
+                Sensor::SupportForce { s } => reaction(s).force.as_slice().to_vec(),
                 Sensor::AxialSupportForce { s } => {
                     let e = if s == 0.0 { 0 } else { n - 1 };
-                    vec![reaction(s).dot(&(vertices[e + 1] - vertices[e]).normalize())]
+                    vec![reaction(s).force.dot(&(vertices[e + 1] - vertices[e]).normalize())]
+                }
+                Sensor::SupportMoment { s } => reaction(s).moment.as_slice().to_vec(),
+                Sensor::Moment { s } => {
+                    let i = arc_lengths.iter().rposition(|at| *at <= s).unwrap();
+                    let share = (s - arc_lengths[i]) / (arc_lengths[i + 1] - arc_lengths[i]);
+                    (moment(i) * (1.0 - share) + moment(i + 1) * share).as_slice().to_vec()
                 }
                 _ => continue,
             };
@@ -173,10 +206,17 @@ fn what_is_fixed_to_a_section_sees_its_axes() {
             Sensor::SpecificForce { s, axes: turned() },
             Sensor::AngularRate { s },
             Sensor::Direction { s },
+            Sensor::Orientation { s, axes: Matrix3::identity() },
+            Sensor::Orientation { s, axes: turned() },
         ];
         let places = 3 * rod.free_vertices().len();
         let gravity = gravity_of(case, &p);
+        let read = rotation::exponential(&Vector3::new(0.7, -0.2, 0.4));
+        let rows = ReadRotations::new(vec![(at.time, UnitQuaternion::from_matrix(&read))]);
         let mut sensors = Sensors::new(rod, STEP, &all).unwrap();
+        for i in 4..7 {
+            sensors = sensors.measured_from(i, rows.clone());
+        }
         sensors.set_parameters(&p).unwrap();
         let y = observed(&mut sensors, at, x);
         let [a, f, turned_f] = [0, 3, 6].map(|i| Vector3::from_column_slice(&y[i..i + 3]));
@@ -184,8 +224,15 @@ fn what_is_fixed_to_a_section_sees_its_axes() {
         // a few roundings
         assert!((f - expected).norm() < 1e-12 * expected.norm(), "{}: {f} {expected}", case.name);
         assert!((turned_f - turned() * f).norm() < 1e-12 * f.norm(), "{}", case.name);
-        let direction = Vector3::from_column_slice(&y[11..14]);
-        assert!((direction - section.column(2)).norm() < 1e-12, "{}: {direction}", case.name);
+        // what was read, turned by the angles along its own axes, is what is there
+        let t = section.column(2).into_owned();
+        let tilted = read * rotation::exponential(&Vector3::new(-y[12], y[11], 0.0)) * Vector3::z();
+        assert!((tilted - t).norm() < 1e-12, "{}: {tilted} {t}", case.name);
+        for (first, axes) in [(13, Matrix3::identity()), (16, turned())] {
+            let turn = Vector3::from_column_slice(&y[first..first + 3]);
+            let body = read * rotation::exponential(&turn) * axes;
+            assert!((body - section).norm() < 1e-12, "{}: {body} {section}", case.name);
+        }
         // ω = t × ṫ beside tangents a microsecond of the state's velocities before and after
         let moved = |h: f64| -> Vec<f64> {
             let mut moved = x.clone();
@@ -246,7 +293,12 @@ fn close(case: Case, sensors: &[Sensor], derivative: &[f64], by_difference: &[f6
         let rounding = if case.damping.stiffness > 0.0 || case.drag { 3e-9 } else { 1e-11 };
         let rounding = match sensor {
             Sensor::Acceleration { .. } | Sensor::SpecificForce { .. } => 30.0 * rounding,
-            Sensor::AngularRate { .. } | Sensor::Direction { .. } | Sensor::Spin { .. } => 1e-11,
+            Sensor::AngularRate { .. } | Sensor::Spin { .. } => 1e-11,
+            Sensor::Direction { .. } | Sensor::Orientation { .. } => 1e-11,
+            // EI/l of 0.06 N m, of rates times 5e3
+            Sensor::Moment { .. } => 1e-12,
+            // an arm of 0.1 m
+            Sensor::SupportMoment { .. } => 0.2 * rounding,
             _ => rounding,
         };
         let bound = 1e-7 * size + rounding / h;
@@ -265,7 +317,7 @@ fn every_check_of_an_operator() {
         for scheme in [Scheme::BackwardEuler, Scheme::Midpoint, Scheme::Bdf2] {
             let (rod, p, states) = run(case, scheme, STEP, 3);
             let all = sensors(case, &rod);
-            let mut sensors = match Sensors::new(rod, STEP, &all) {
+            let mut sensors = match reading(rod, &all) {
                 Ok(sensors) => sensors,
                 Err(error) => {
                     let needs_past = scheme == Scheme::BackwardEuler && case.damping.stiffness > 0.0;
@@ -292,7 +344,7 @@ fn constants_change_what_sensors_see_as_differences_say() {
     for case in cases() {
         let (rod, p, states) = run(case, Scheme::Bdf2, STEP, 3);
         let all = sensors(case, &rod);
-        let mut sensors = Sensors::new(rod, STEP, &all).unwrap();
+        let mut sensors = reading(rod, &all).unwrap();
         let (rows, x, at) = (sensors.dim(), &states[3], at(3, STEP));
         sensors.set_parameters(&p).unwrap();
         let mut columns = vec![f64::NAN; rows * p.len()];
@@ -320,6 +372,12 @@ fn what_cannot_be_measured_is_refused() {
     let loose = Case { held: false, ..PLAIN };
     assert_eq!(of(loose, bdf2, Sensor::SupportForce { s: 0.0 }), None);
     assert_eq!(of(loose, bdf2, Sensor::AxialSupportForce { s: 0.0 }), not_held(0.0, "clamp"));
+    assert_eq!(of(PLAIN, bdf2, Sensor::SupportMoment { s: 1.0 }), not_held(1.0, "clamp"));
+    assert_eq!(of(loose, bdf2, Sensor::SupportMoment { s: 0.0 }), not_held(0.0, "clamp"));
+    let near = |s| of(PLAIN, bdf2, Sensor::Moment { s });
+    let beside = |s| Some(Error::NoMoment { s, from: 0.125, to: 0.875 });
+    assert_eq!([near(0.0), near(0.1), near(0.9)], [beside(0.0), beside(0.1), beside(0.9)]);
+    assert_eq!([near(0.125), near(0.875)], [None, None]);
     let spin = Sensor::Spin { s: 0.5 };
     assert!(matches!(of(PLAIN, bdf2, spin), Some(Error::NoSpin { edge: 3 })));
     let skew = Sensor::SpecificForce { s: 0.5, axes: Matrix3::identity() * 2.0 };
@@ -332,8 +390,15 @@ fn what_cannot_be_measured_is_refused() {
     let mut chain = rod(PLAIN);
     chain.ei.fill([0.0; 3]);
     chain.gj.fill(0.0);
-    let chain = RodStep::new(chain, supports(PLAIN), DOWN, Damping::default()).unwrap();
-    assert_eq!(Sensors::new(chain, STEP, &[Sensor::AngularRate { s: 0.5 }]).err(), Some(Error::NoFrames));
+    let chain = || RodStep::new(chain.clone(), supports(PLAIN), DOWN, Damping::default()).unwrap();
+    let body = Sensor::Orientation { s: 0.5, axes: Matrix3::identity() };
+    assert_eq!(Sensors::new(chain(), STEP, &[body]).err(), Some(Error::NoAngle));
+    assert_eq!(Sensors::new(chain(), STEP, &[Sensor::AngularRate { s: 0.5 }]).err(), Some(Error::NoFrames));
+    assert_eq!(Sensors::new(chain(), STEP, &[Sensor::Moment { s: 0.5 }]).err(), Some(Error::NoFrames));
+    // neither a director that is held nor curvature: the angle of its sections is a convention
+    assert_eq!((of(loose, bdf2, body), of(PLAIN, bdf2, body)), (Some(Error::NoAngle), None));
+    let skew = Sensor::Orientation { s: 0.5, axes: Matrix3::identity() * 2.0 };
+    assert!(matches!(of(PLAIN, bdf2, skew), Some(Error::Value { field: "axes of a sensor", .. })));
     let wrong = Sensors::new(step(PLAIN, bdf2), 0.0, &[]).err();
     assert!(matches!(wrong, Some(Error::Value { field: "interval of sensors", .. })));
 }

@@ -12,6 +12,7 @@ use varda::preview::Preview;
 use varda::report::write_simulation;
 use varda::run::{Listener, assimilate, simulate};
 use varda::setup::Problem;
+use varda_rod::{Quaternion, UnitQuaternion, Vector3};
 
 const ROD: &str = r#"
 [model]
@@ -61,6 +62,9 @@ fn sensor(name: &str, kind: &str, arc_length: f64, sigma: f64) -> String {
     )
 }
 
+/// A body whose first axis is the tangent of the rod.
+const AXES: &str = "axes = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]\n";
+
 /// One of every kind that this rod has.
 fn all_kinds() -> String {
     [
@@ -71,6 +75,9 @@ fn all_kinds() -> String {
         sensor("imu", "specific-force", 0.45, 0.1),
         sensor("gyro", "angular-rate", 0.45, 0.05),
         sensor("pointer", "direction", 0.2, 0.01),
+        sensor("body", "orientation", 0.35, 0.01) + AXES,
+        sensor("bench", "support-moment", 0.0, 0.001),
+        sensor("gauge", "moment", 0.12, 0.001),
     ]
     .concat()
 }
@@ -102,6 +109,9 @@ fn every_kind_fits_in_a_twin_and_lowers_sigma() {
         ("specific-force", 0.4, 0.1, "m/s²", 0.71),
         ("angular-rate", 0.4, 0.05, "rad/s", 0.99),
         ("direction", 0.4, 0.005, "rad", 0.99),
+        ("orientation", 0.4, 0.005, "rad", 0.99),
+        ("support-moment", 0.0, 0.001, "N m", 0.99),
+        ("moment", 0.12, 0.001, "N m", 0.99),
     ];
     for (kind, s, sigma, unit, bound) in kinds {
         let text = format!("{ROD}{TWIN}{PLACES}{}", sensor("it", kind, s, sigma));
@@ -131,14 +141,17 @@ fn a_force_cell_finds_the_mass_that_markers_do_not() {
     let [mass, ei] = ["mass_per_length", "ei"].map(|name| markers[name].clone());
     // the prior of the common factor, 30 % of two logarithms, is left: 21 %
     assert!(sigma(&mass) > 0.15 * mass.value && sigma(&ei) > 0.15 * ei.value, "{mass:?} {ei:?}");
-    let with = of(&sensor("clamp", "support-force", 0.0, 0.01));
-    let [mass, ei] = ["mass_per_length", "ei"].map(|name| with[name].clone());
-    // ten readings of 0.01 N of a weight of 1.08 N
-    assert!(sigma(&mass) < 0.01 * mass.value && sigma(&ei) < 0.05 * ei.value, "{mass:?} {ei:?}");
-    for found in [mass, ei] {
-        let truth = found.truth.unwrap();
-        // of a draw: less than four σ
-        assert!((found.value - truth).abs() < 4.0 * sigma(&found), "{found:?}");
+    let cells = [("support-force", 0.0, 0.01, 0.01), ("moment", 0.12, 2e-4, 0.05)];
+    // ten readings of 0.01 N of a weight of 1.08 N; of 0.2 mN m of moments of some 10 mN m
+    for (kind, s, of_one, bound) in cells {
+        let with = of(&sensor("cell", kind, s, of_one));
+        let [mass, ei] = ["mass_per_length", "ei"].map(|name| with[name].clone());
+        assert!(sigma(&mass) < bound * mass.value && sigma(&ei) < 0.05 * ei.value, "{kind} {mass:?} {ei:?}");
+        for found in [mass, ei] {
+            let truth = found.truth.unwrap();
+            // of a draw: less than four σ
+            assert!((found.value - truth).abs() < 4.0 * sigma(&found), "{kind} {found:?}");
+        }
     }
 }
 
@@ -205,8 +218,81 @@ fn a_sensor_that_is_kept_back_is_judged_in_its_unit() {
     // noise of 0.01 N in three components, 0.017 N, of 21 values to 4 of its standard deviations
     assert!(w.rms_analysis < 0.03 && w.rms_analysis < 0.2 * w.rms_background, "{w:?}");
     let units: Vec<&str> = outcome.forecast.iter().map(|f| f.quantity.unit()).collect();
-    assert_eq!(units, ["m", "m", "N", "N", "N", "m/s²", "m/s²", "rad/s", "rad"]);
+    assert_eq!(units, ["m", "m", "N", "N", "N", "m/s²", "m/s²", "rad/s", "rad", "rad", "N m", "N m"]);
+    // a rotation that stays as it was last read is off by more than its noise of √2 and √3 times 0.01
+    for f in outcome.forecast.iter().filter(|f| f.quantity.unit() == "rad") {
+        assert!(f.analysis < 0.03 && f.persistence > 2.0 * f.analysis, "{f:?}");
+        assert!(f.static_model > 2.0 * f.analysis, "{f:?}");
+    }
     assert!(outcome.observed.iter().any(|o| o.reason == "withheld" && o.unit == "N" && o.axis == "fz"));
+}
+
+/// A direction has two degrees of freedom and an orientation three: readings of them alone have 2J/m of 1.
+#[test]
+fn rotations_alone_fit_with_their_degrees_of_freedom() {
+    let folder = Folder::new("sensors-rotations");
+    for (kind, values) in [("direction", 2), ("orientation", 3)] {
+        let places = [0.1, 0.2, 0.3, 0.4, 0.5];
+        let all: String = places.map(|s| sensor(&format!("at {s}"), kind, s, 0.01)).concat();
+        let outcome = ran(&format!("{ROD}{TWIN}{all}"), &folder, &["observations.every=2"]);
+        assert_eq!(outcome.judgement.verdict, Verdict::Fits, "{kind}: {}", outcome.judgement.text);
+        let m = outcome.analysis.observations;
+        assert_eq!(m, 20 * places.len() * values, "{kind}");
+        let chi2 = 2.0 * outcome.analysis.value / m as f64;
+        // three standard deviations of χ²/m, which 2/3 is not within
+        let bound = 3.0 * (2.0 / m as f64).sqrt();
+        assert!(bound < 0.33 && (chi2 - 1.0).abs() < bound, "{kind}: 2J/m = {chi2}");
+        let correlated = "observations.correlation={time=0.05}";
+        let outcome = ran(&format!("{ROD}{TWIN}{all}"), &folder, &["observations.every=2", correlated]);
+        assert_eq!(outcome.judgement.verdict, Verdict::Fits, "{kind}: {}", outcome.judgement.text);
+        let chi2 = 2.0 * outcome.analysis.value / m as f64;
+        assert!((chi2 - 1.0).abs() < bound, "{kind}, correlated: 2J/m = {chi2}");
+    }
+}
+
+/// A rod that is twisted by nature hangs as one that is not: its sections alone show it.
+#[test]
+fn an_orientation_finds_the_twist_that_a_direction_does_not() {
+    let folder = Folder::new("sensors-twist");
+    let of = |kind: &str| {
+        let text = format!("{ROD}{TWIN}{PLACES}{}", sensor("tip", kind, 0.5, 0.01));
+        let outcome = ran(&text, &folder, &["estimate={natural_twist={sigma=0.5}}"]);
+        assert_eq!(outcome.judgement.verdict, Verdict::Fits, "{kind}: {}", outcome.judgement.text);
+        let chi2 = 2.0 * outcome.analysis.value / outcome.analysis.observations as f64;
+        let found = outcome.estimates.into_iter().find(|e| e.name == "natural_twist").unwrap();
+        (found, chi2, outcome.analysis.observations as f64)
+    };
+    let (unseen, ..) = of("direction");
+    // the prior is left, to its digits
+    assert!(sigma(&unseen) > 0.99 * 0.5, "{unseen:?}");
+    let (found, chi2, m) = of("orientation");
+    // ten readings of 0.01 rad of an angle of half a metre of twist: 0.0063 rad/m, and what lags
+    assert!(sigma(&found) < 0.02, "{found:?}");
+    assert!((found.value - found.truth.unwrap()).abs() < 4.0 * sigma(&found), "{found:?}");
+    assert!((chi2 - 1.0).abs() < 4.0 * (2.0 / m).sqrt(), "2J/m = {chi2}");
+}
+
+/// q and −q are one rotation, and digits are no error.
+#[test]
+fn the_sign_of_a_quaternion_does_not_matter() {
+    let body = sensor("body", "orientation", 0.35, 0.01) + AXES;
+    let (folder, _) = of_twin("sign", &format!("{ROD}{TWIN}{body}"), &[]);
+    let text = format!("{ROD}{RECORDED}readings = \"readings.csv\"\n{body}");
+    let as_drawn = ran(&text, &folder, &[]);
+    let path = folder.path().join("readings.csv");
+    let written = std::fs::read_to_string(&path).unwrap();
+    let turned = |(i, line): (usize, &str)| {
+        let mut cells: Vec<String> = line.split(',').map(String::from).collect();
+        for cell in cells[2..6].iter_mut().filter(|_| i > 0 && i % 2 == 0) {
+            *cell = (-1.001 * cell.parse::<f64>().unwrap()).to_string();
+        }
+        cells.join(",")
+    };
+    std::fs::write(&path, written.lines().enumerate().map(turned).collect::<Vec<_>>().join("\n")).unwrap();
+    let other = ran(&text, &folder, &[]);
+    // to the rounding of a product, and the minimum to its tolerance
+    let [a, b] = [&as_drawn, &other].map(|o| (o.j_background, o.analysis.value));
+    assert!((a.0 - b.0).abs() < 1e-9 * a.0 && (a.1 - b.1).abs() < 1e-6 * a.1, "{a:?} {b:?}");
 }
 
 /// A cell that reads 2 % too much stands out, by its name.
@@ -230,6 +316,79 @@ fn a_cell_that_is_off_stands_out() {
     assert!(outcome.judgement.text.contains("sensor clamp"), "{}", outcome.judgement.text);
 }
 
+/// Windows of a sequence count their own steps; what was read is known by its time.
+#[test]
+fn windows_of_a_sequence_see_rotations_too() {
+    let sensors = sensor("body", "orientation", 0.35, 0.01) + &sensor("pointer", "direction", 0.2, 0.01);
+    let (folder, _) = of_twin("cycles", &format!("{ROD}{TWIN}{PLACES}{sensors}"), &[]);
+    let files = "file = \"observations.csv\"\nreadings = \"readings.csv\"\n";
+    std::fs::write(folder.path().join("scene.toml"), format!("{ROD}{RECORDED}{files}{sensors}")).unwrap();
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_varda"));
+    command.args(["run", "scene.toml", "--set", "time.window=20", "--set", "algorithm.cycles={count=2}"]);
+    let ended = command.current_dir(folder.path()).output().unwrap();
+    let said = String::from_utf8_lossy(&ended.stdout).into_owned() + &String::from_utf8_lossy(&ended.stderr);
+    assert!(ended.status.success() && said.contains("FITS"), "{said}");
+}
+
+/// Offsets that accelerometers, cells and mounts of bodies have: found beside the state, and without them
+/// nothing fits.
+#[test]
+fn biases_of_sensors_are_found() {
+    let sensors = sensor("imu", "specific-force", 0.45, 0.1)
+        + &sensor("clamp", "support-force", 0.0, 0.01)
+        + &sensor("strand", "tension", 0.3, 0.01)
+        + &sensor("body", "orientation", 0.35, 0.01);
+    let (folder, _) = of_twin("bias", &format!("{ROD}{TWIN}{PLACES}{sensors}"), &[]);
+    let path = folder.path().join("readings.csv");
+    let written = std::fs::read_to_string(&path).unwrap();
+    let columns: Vec<&str> = written.lines().next().unwrap().split(',').collect();
+    let of = |name: &str| columns.iter().position(|column| *column == name).unwrap();
+    // how the body is mounted, along its own axes
+    let mount = UnitQuaternion::from_scaled_axis(Vector3::new(0.06, -0.04, 0.09));
+    let offsets = [("\"imu\"", "fx_m_s2", 0.6), ("\"imu\"", "fz_m_s2", -0.4), ("\"clamp\"", "fz_n", 0.15)];
+    let off = |line: &str| {
+        let mut cells: Vec<String> = line.split(',').map(String::from).collect();
+        for (name, column, by) in offsets {
+            if cells[1] == name {
+                cells[of(column)] = (cells[of(column)].parse::<f64>().unwrap() + by).to_string();
+            }
+        }
+        if cells[1] == "\"body\"" {
+            let [x, y, z, w] = [0, 1, 2, 3].map(|i| cells[of("qx") + i].parse::<f64>().unwrap());
+            let turned = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)) * mount;
+            for i in 0..4 {
+                cells[of("qx") + i] = turned.coords[i].to_string();
+            }
+        }
+        cells.join(",")
+    };
+    std::fs::write(&path, written.lines().map(off).collect::<Vec<_>>().join("\n")).unwrap();
+    let files = "file = \"observations.csv\"\nreadings = \"readings.csv\"\n";
+    let text = format!("{ROD}{RECORDED}{files}{sensors}");
+    assert_eq!(ran(&text, &folder, &[]).judgement.verdict, Verdict::DoesNotFit);
+    let biases = "estimate={bias={imu={sigma=1.0},clamp={sigma=0.3},body={sigma=0.2}}}";
+    let outcome = ran(&text, &folder, &[biases]);
+    assert_eq!(outcome.judgement.verdict, Verdict::Fits, "{}", outcome.judgement.text);
+    let expected = [
+        ("bias[imu].ax", "m/s²", 0.6),
+        ("bias[imu].ay", "m/s²", 0.0),
+        ("bias[imu].az", "m/s²", -0.4),
+        ("bias[clamp].fx", "N", 0.0),
+        ("bias[clamp].fy", "N", 0.0),
+        ("bias[clamp].fz", "N", 0.15),
+        ("bias[body].rx", "rad", 0.06),
+        ("bias[body].ry", "rad", -0.04),
+        ("bias[body].rz", "rad", 0.09),
+    ];
+    assert_eq!(outcome.estimates.len(), expected.len());
+    for (found, (name, unit, value)) in outcome.estimates.iter().zip(expected) {
+        assert_eq!((found.name.as_str(), found.unit), (name, unit));
+        assert!((found.value - value).abs() < 4.0 * sigma(found), "{found:?}, {value}");
+        // ten readings: a third of σ of one and less, of a prior of ten times that and more
+        assert!(sigma(found) < 0.2 * found.prior_sigma, "{found:?}");
+    }
+}
+
 /// What is refused, with the words of it.
 #[test]
 fn what_is_wrong_is_named() {
@@ -249,9 +408,12 @@ fn what_is_wrong_is_named() {
     let header = "time_s,sensor,tension_n";
     let good = format!("{header}\n1.3,cell,1.0\n");
     let row = |row: &str| format!("{header}\n{row}\n");
+    let body = sensor("body", "orientation", 0.3, 0.01);
+    let gauge = sensor("cell", "moment", 0.02, 0.01);
+    let q = |q: &str| format!("time_s,sensor,qx,qy,qz,qw\n1.3,body,{q}\n");
     let euler = "time.integrator=\"backward-euler\"";
     let axes = format!("{cell}axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]\n");
-    let cases: [(String, &str, &[&str], &[&str]); 20] = [
+    let cases: [(String, &str, &[&str], &[&str]); 29] = [
         (good.clone(), &cell, &[], &[]),
         (row("1.3,scale,1.0"), &cell, &[], &["rows.csv:2", "\"scale\"", "cell"]),
         (row("1.3,cell,NaN"), &cell, &[], &["rows.csv:2", "`tension_n` is NaN"]),
@@ -281,7 +443,41 @@ fn what_is_wrong_is_named() {
             &[],
             &["spin of edge", "is not in the state"],
         ),
-        (good.clone(), &axes, &[], &["is of kind \"specific-force\" alone"]),
+        (good.clone(), &axes, &[], &["\"specific-force\" and \"orientation\" alone"]),
+        (
+            "time_s,sensor,m1_n_m,m2_n_m,t_n_m\n1.3,cell,0,0,0\n".into(),
+            &gauge,
+            &[],
+            &["the moment at s = 0.02 m", "vertices that bend"],
+        ),
+        (q("0,0,0,1"), &body, &[], &[]),
+        (
+            good.clone(),
+            &cell,
+            &["estimate.bias={scale={sigma=0.1}}"],
+            &["estimate.bias", "\"scale\" is none of what is observed: cell"],
+        ),
+        (good.clone(), &cell, &["estimate.ei={cell={sigma=0.1}}"], &["names are for bias, camera_rotation"]),
+        (q("0,0,0.6,0.6"), &body, &[], &["rows.csv:2", "has length 0.84", "is 1"]),
+        (q("0,0,,1"), &body, &[], &["rows.csv:2", "(qx, qy, qz, qw) is one reading"]),
+        (
+            q("0,0,0,1\n1.3,body,0,0,1,0"),
+            &body,
+            &[],
+            &["rows.csv:3", "\"body\" reads a second orientation at this time"],
+        ),
+        (
+            q("0,0,0,1\n1.3033,body,0,0,1,0"),
+            &body,
+            &["time.integrator=\"midpoint\""],
+            &["scene.toml", "between two steps"],
+        ),
+        (
+            q("0,0,0,1"),
+            &body,
+            &["model.section.ei=[0.0,0.0]", "model.section.gj=0.0"],
+            &["scene.toml", "observe its `direction`"],
+        ),
         (good.clone(), &cell, &[euler], &["time.integrator", "angles of the state before"]),
         (good.clone(), &cell, &["time.tolerance=1e-3"], &["time.tolerance", "leave it out"]),
         (good.clone(), &cell, &["estimate.clock={sigma=0.01}"], &["estimate.clock"]),
@@ -295,12 +491,14 @@ fn what_is_wrong_is_named() {
     }
 }
 
+const BIAS: &str = "estimate.bias={imu={sigma=0.5},clamp={sigma=0.1},body={sigma=0.1},strand={sigma=0.1}}";
+
 /// ∇J with constants, at two controls one after the other, and Gᵀ beside G.
 #[test]
 fn the_gradient_of_a_cost_with_readings_and_constants() {
     let text = format!("{ROD}{TWIN}{PLACES}{}", all_kinds());
-    let file =
-        Folder::new("sensors-gradient").scene(&text, &[BOTH, "estimate.damping_stiffness={sigma=\"30%\"}"]);
+    let file = Folder::new("sensors-gradient")
+        .scene(&text, &[BOTH, "estimate.damping_stiffness={sigma=\"30%\"}", BIAS]);
     let problem = Problem::from_scene(&file.unwrap()).unwrap();
     cost_gradient::is_that_of_differences(&problem);
 }

@@ -7,11 +7,13 @@ use super::{Increment, Loaded, Tangent};
 use crate::shape::Shape;
 use crate::system::System;
 
-/// What acts on ∂E/∂x and on the forces of loads at every vertex, on velocities, and on the two
-/// configurations.
+/// What acts on ∂E/∂x and on the forces of loads at every vertex, on ∂E/∂θ and on the moments of
+/// loads at every edge, on velocities, and on the two configurations.
 pub(crate) struct Weights {
     pub(crate) gradient: Vec<Vector3<f64>>,
     pub(crate) loads: Vec<Vector3<f64>>,
+    pub(crate) angles: Vec<f64>,
+    pub(crate) moments: Vec<f64>,
     pub(crate) velocities: Vec<Vector3<f64>>,
     pub(crate) now: Increment,
     pub(crate) before: Increment,
@@ -22,7 +24,8 @@ impl Weights {
         let none = || vec![Vector3::zeros(); segments + 1];
         let [gradient, loads, velocities] = [none(), none(), none()];
         let (now, before) = (Increment::new(segments), Increment::new(segments));
-        Weights { gradient, loads, velocities, now, before }
+        let [angles, moments] = [vec![0.0; segments], vec![0.0; segments]];
+        Weights { gradient, loads, angles, moments, velocities, now, before }
     }
 }
 
@@ -53,7 +56,7 @@ impl Increment {
     }
 
     /// Adds the eleven numbers at a bent vertex.
-    fn add_at(&mut self, vertex: usize, q: &[f64; 11]) {
+    pub(crate) fn add_at(&mut self, vertex: usize, q: &[f64; 11]) {
         for (i, first) in [0, 4, 8].into_iter().enumerate() {
             self.places[vertex - 1 + i] += Vector3::from_column_slice(&q[first..first + 3]);
         }
@@ -65,7 +68,7 @@ impl Increment {
 impl Tangent<'_> {
     /// Adds what weights on ∂E/∂x and on loads are on the two configurations, which are h apart \[s\].
     pub(crate) fn transpose_add(&self, system: &System, h: f64, on: &mut Weights) {
-        let Weights { gradient, loads, now, before, .. } = on;
+        let Weights { gradient, loads, angles, moments, now, before, .. } = on;
         for (e, edge) in system.shape.edges.iter().enumerate() {
             let along = gradient[e + 1] - gradient[e];
             if along == Vector3::zeros() {
@@ -89,6 +92,7 @@ impl Tangent<'_> {
             for (v, first) in [0, 4, 8].into_iter().enumerate() {
                 weights[first..first + 3].copy_from_slice(gradient[i + v].as_slice());
             }
+            [weights[3], weights[7]] = [angles[i], angles[i + 1]];
             if weights == [0.0; 11] {
                 continue;
             }
@@ -105,12 +109,12 @@ impl Tangent<'_> {
             let [a, b] = [loads[e], loads[e + 1]];
             let force = Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z);
             let by_rates = acts.by_velocities.tr_mul(&force) / h;
-            let on_places = by_places.tr_mul(&force) + by_rates;
+            let on_places = by_places.tr_mul(&force) + by_rates + acts.moment_by_places * moments[e];
             for v in 0..2 {
                 now.places[e + v] += on_places.fixed_rows::<3>(3 * v);
                 before.places[e + v] -= by_rates.fixed_rows::<3>(3 * v);
             }
-            now.angles[e] += acts.by_angle.dot(&force);
+            now.angles[e] += acts.by_angle.dot(&force) + acts.moment_by_angle * moments[e];
         }
     }
 }

@@ -14,10 +14,16 @@ pub enum Quantity {
     Force,
     /// A force along the rod \[N\].
     AxialForce,
+    /// Components of the moment of a clamp \[N m\].
+    SupportMoment,
+    /// Moments within a rod that bend it as κ₁ and κ₂, and that which twists it \[N m\].
+    Moment,
     /// Components of an acceleration, or of one less gravity [m/s²].
     Acceleration,
-    /// Components of a unit vector, whose small changes are angles \[rad\].
+    /// Two angles from a direction that was read \[rad\].
     Direction,
+    /// A rotation vector from an orientation that was read, along the axes of the body \[rad\].
+    Orientation,
     /// Angular rates along m₁ and m₂ of a section [rad/s].
     AngularRate,
     /// The angular rate about its tangent [rad/s].
@@ -28,13 +34,16 @@ pub enum Quantity {
 
 impl Quantity {
     /// Those of what is observed of a rod.
-    pub const OF_RODS: [Quantity; 8] = [
+    pub const OF_RODS: [Quantity; 11] = [
         Quantity::Place,
         Quantity::Pixels,
         Quantity::Force,
         Quantity::AxialForce,
+        Quantity::SupportMoment,
+        Quantity::Moment,
         Quantity::Acceleration,
         Quantity::Direction,
+        Quantity::Orientation,
         Quantity::AngularRate,
         Quantity::Spin,
     ];
@@ -46,8 +55,11 @@ impl Quantity {
             Quantity::Pixels => &["u", "v"],
             Quantity::Force => &["fx", "fy", "fz"],
             Quantity::AxialForce => &["f"],
+            Quantity::SupportMoment => &["mx", "my", "mz"],
+            Quantity::Moment => &["m1", "m2", "t"],
             Quantity::Acceleration => &["ax", "ay", "az"],
-            Quantity::Direction => &["tx", "ty", "tz"],
+            Quantity::Direction => &["r1", "r2"],
+            Quantity::Orientation => &["rx", "ry", "rz"],
             Quantity::AngularRate => &["w1", "w2"],
             Quantity::Spin => &["w"],
             Quantity::Component => &[""],
@@ -60,8 +72,9 @@ impl Quantity {
             Quantity::Place => "m",
             Quantity::Pixels => "px",
             Quantity::Force | Quantity::AxialForce => "N",
+            Quantity::SupportMoment | Quantity::Moment => "N m",
             Quantity::Acceleration => "m/s²",
-            Quantity::Direction => "rad",
+            Quantity::Direction | Quantity::Orientation => "rad",
             Quantity::AngularRate | Quantity::Spin => "rad/s",
             Quantity::Component => "",
         }
@@ -73,8 +86,9 @@ impl Quantity {
             Quantity::Place => (1e3, "mm"),
             Quantity::Pixels => (1.0, "px"),
             Quantity::Force | Quantity::AxialForce => (1e3, "mN"),
+            Quantity::SupportMoment | Quantity::Moment => (1e3, "mN m"),
             Quantity::Acceleration => (1.0, "m/s²"),
-            Quantity::Direction => (1e3, "mrad"),
+            Quantity::Direction | Quantity::Orientation => (1e3, "mrad"),
             Quantity::AngularRate | Quantity::Spin => (1e3, "mrad/s"),
             Quantity::Component => (1.0, ""),
         }
@@ -86,8 +100,9 @@ impl Quantity {
             Quantity::Place => " m",
             Quantity::Pixels => " px",
             Quantity::Force | Quantity::AxialForce => " N",
+            Quantity::SupportMoment | Quantity::Moment => " N m",
             Quantity::Acceleration => " m/s²",
-            Quantity::Direction => " rad",
+            Quantity::Direction | Quantity::Orientation => " rad",
             Quantity::AngularRate | Quantity::Spin => " rad/s",
             Quantity::Component => "",
         }

@@ -17,7 +17,9 @@ pub(super) fn reading(inputs: &Inputs) -> Option<Finding> {
     }
     let sites = &inputs.observed.sites;
     let of_forces = |site: usize| {
-        matches!(sites[site].quantity, Quantity::Force | Quantity::AxialForce | Quantity::Acceleration)
+        let moment = matches!(sites[site].quantity, Quantity::SupportMoment | Quantity::Moment);
+        moment
+            || matches!(sites[site].quantity, Quantity::Force | Quantity::AxialForce | Quantity::Acceleration)
     };
     let early = inputs.observed.seen.iter().filter(|seen| of_forces(seen.site) && seen.at() < STEPS);
     let first = early.min_by(|a, b| a.at().total_cmp(&b.at()))?;

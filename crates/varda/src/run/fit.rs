@@ -271,12 +271,19 @@ pub(crate) fn beyond(
             let analysis = miss(&at_analysis, &after);
             let background = miss(&at_background, &after);
             let seen = &beside.seen;
-            let constant = |q: &[f64]| {
-                let errors: Vec<Vec<f64>> = after.iter().map(|j| less(&seen[*j].values, q)).collect();
-                MeanErrors::of(&errors)
+            let time = |at: f64| grid.start + at * grid.step;
+            // what stays as it was at a time
+            let constant = |q: &[f64], from: f64| {
+                let error = |j: &usize| {
+                    let (seen, q) =
+                        (&seen[*j], observed.as_from(q, seen[*j].site, [from, time(seen[*j].at())]));
+                    less(&seen.values, &q)
+                };
+                MeanErrors::of(&after.iter().map(error).collect::<Vec<_>>())
             };
-            let last = inside.last().map(|j| constant(&seen[*j].values).rms);
-            let still = constant(&still(beside.operator.as_mut(), grid.at(grid.steps), at_rest, rows)?);
+            let last = inside.last().map(|j| constant(&seen[*j].values, time(seen[*j].at())).rms);
+            let end = grid.at(grid.steps);
+            let still = constant(&still(beside.operator.as_mut(), end, at_rest, rows)?, end.time);
             forecasts.push(Forecast {
                 label: site.label.clone(),
                 quantity: site.quantity,

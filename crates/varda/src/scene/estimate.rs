@@ -1,5 +1,7 @@
 //! `[estimate]`: constants that are estimated beside the state.
 
+use std::collections::BTreeMap;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -87,8 +89,18 @@ pub struct Estimate {
     /// A displacement of the recording's origin [m] in its own axes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mount_translation: Option<Unknown>,
+    /// A rotation of every camera from its calibration [rad], about its own axes right, down and forward:
+    /// `camera_rotation[left].x`. By names of those cameras.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub camera_rotation: Option<Unknown>,
+    /// A displacement of the centre of every camera from its calibration [m], in the axes of its `position`:
+    /// `camera_translation[left].x`. By names of those cameras.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub camera_translation: Option<Unknown>,
     /// An error of every observed place or component that stays the same all the time, in its unit:
-    /// `bias[tip].x`.
+    /// `bias[tip].x`. By names, of those sensors and markers, each with its prior:
+    /// `bias = { imu = { sigma = 0.1 } }` is `bias[imu].ax` and so on, by the names of the tables, in the
+    /// unit of the sensor.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bias: Option<Unknown>,
     /// Offset of the recording's clock [s]: what it wrote down at t was at t + `clock` by the model's.
@@ -122,8 +134,16 @@ pub struct Estimate {
 }
 
 /// Keys of what a rod's observations depend on, and of those of any model.
-pub(crate) const OF_PLACES: [&str; 4] =
-    ["marker_arc_length", "marker_offset", "mount_rotation", "mount_translation"];
+pub(crate) const OF_PLACES: [&str; 6] = [
+    "marker_arc_length",
+    "marker_offset",
+    "mount_rotation",
+    "mount_translation",
+    "camera_rotation",
+    "camera_translation",
+];
+/// Keys of unknowns that may be given by names.
+pub(crate) const BY_NAMES: [&str; 3] = ["bias", "camera_rotation", "camera_translation"];
 pub(crate) const OF_OBSERVATIONS: [&str; 3] = ["bias", "clock", "observation_sigma"];
 
 /// Keys of errors in time of what was recorded of supports, with their unit.
@@ -137,6 +157,8 @@ pub enum Unknown {
     Every(ConstantPrior),
     /// One for each component.
     Each(Vec<ConstantPrior>),
+    /// By the name of a sensor, a marker (`bias`) or a camera, for each of its values.
+    Named(BTreeMap<String, ConstantPrior>),
 }
 
 /// How well a constant is known.
@@ -215,6 +237,7 @@ impl Unknown {
             Unknown::Each(list) => {
                 invalid(path, format!("has {} entries, expected {components}", list.len()))
             }
+            Unknown::Named(_) => invalid(path, format!("names are for {} alone", BY_NAMES.join(", "))),
         }
     }
 
@@ -268,6 +291,8 @@ impl Estimate {
             ("marker_offset", &self.marker_offset),
             ("mount_rotation", &self.mount_rotation),
             ("mount_translation", &self.mount_translation),
+            ("camera_rotation", &self.camera_rotation),
+            ("camera_translation", &self.camera_translation),
             ("bias", &self.bias),
             ("clock", &self.clock),
             ("observation_sigma", &self.observation_sigma),

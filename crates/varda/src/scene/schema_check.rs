@@ -78,6 +78,11 @@ fn check_table(node: &Node, path: &str, schema: &Json, root: &Json) -> Result<()
         // keys of another table, checked where they are put in
         return Ok(());
     }
+    if schema["additionalProperties"].is_object() {
+        let below = |key: &str| format!("{path}.{key}");
+        let mut all = entries.iter();
+        return all.try_for_each(|e| check(&e.node, &below(&e.key), &schema["additionalProperties"], root));
+    }
     let empty = serde_json::Map::new();
     let known = schema["properties"].as_object().unwrap_or(&empty);
     let section = if path.is_empty() { "the top level".to_string() } else { format!("[{path}]") };
@@ -184,6 +189,8 @@ fn resolve_for<'a>(node: &Node, schema: &'a Json, root: &'a Json) -> &'a Json {
         Value::Datetime => &[],
     };
     let is_table = kinds == ["object"];
+    let by_names = matches!(&node.value, Value::Table(entries) if !entries.is_empty()
+        && entries.iter().all(|e| matches!(e.node.value, Value::Table(_))));
     let mut inner = schema;
     loop {
         inner = if let Some(name) = inner["$ref"].as_str().and_then(|r| r.strip_prefix("#/$defs/")) {
@@ -194,9 +201,12 @@ fn resolve_for<'a>(node: &Node, schema: &'a Json, root: &'a Json) -> &'a Json {
                 let of = |s: &Json| s["type"].as_str().is_some_and(|t| kinds.contains(&t));
                 of(s) || of(&s["oneOf"][0])
             };
+            // tables by names are those of tables alone
+            let named = |s: &Json| resolve(s, root)["additionalProperties"].is_object() == by_names;
             let near = |s: &&Json| (resolve(s, root)["type"] == "object") == is_table;
             let some = || all.iter().filter(|s| s["type"] != "null");
-            match some().find(|s| is(s)).or_else(|| some().find(near)).or_else(|| some().next()) {
+            let first = some().find(|s| is(s) && named(s)).or_else(|| some().find(|s| is(s)));
+            match first.or_else(|| some().find(near)).or_else(|| some().next()) {
                 Some(one) => one,
                 None => return inner,
             }

@@ -77,7 +77,7 @@ pub(super) fn validate_sizes(scene: &Scene) -> Check {
         (0, 0) if synthetic.sensors.is_empty() => state,
         (places, components) => {
             let each = if synthetic.place_sigma()?.is_some() { 3 } else { 0 };
-            let sensors = synthetic.sensors.iter().map(|s| s.kind.columns().len()).sum::<usize>();
+            let sensors = synthetic.sensors.iter().map(|s| s.kind.values()).sum::<usize>();
             (each + 2 * synthetic.cameras.len()) * places + components + sensors
         }
     };

@@ -1,8 +1,8 @@
 //! What `[estimate]` must satisfy beyond the type of each key.
 
-use super::estimate::{OF_BASE, OF_OBSERVATIONS, OF_PLACES, PriorSpread};
+use super::estimate::{BY_NAMES, OF_BASE, OF_OBSERVATIONS, OF_PLACES, PriorSpread};
 use super::invalid::{Check, invalid};
-use super::{ConstantPrior, Estimate, Method, Model, Motion, RodModel, Scene, Section, Unknown};
+use super::{ConstantPrior, Estimate, Hessian, Method, Model, Motion, RodModel, Scene, Section, Unknown};
 
 /// Keys of a rod, of its observations, and of each other model.
 const OF_ROD: [&str; 18] = [
@@ -53,6 +53,10 @@ pub(super) fn validate_estimate(estimate: &Estimate, scene: &Scene) -> Check {
         let priors: Vec<&ConstantPrior> = match unknown {
             Unknown::Every(prior) => vec![prior],
             Unknown::Each(list) => list.iter().collect(),
+            Unknown::Named(_) if !BY_NAMES.contains(&key) => {
+                return invalid(path, format!("names are for {} alone", BY_NAMES.join(", ")));
+            }
+            Unknown::Named(by_name) => by_name.values().collect(),
         };
         for prior in priors {
             prior.spread(&path)?;
@@ -79,7 +83,13 @@ pub(super) fn validate_estimate(estimate: &Estimate, scene: &Scene) -> Check {
         return invalid("time.tolerance", "time steps that adapt do not go with [estimate]: leave one out");
     }
     let algorithm = &scene.algorithm;
-    if estimate.bias.is_some() && !scene.observations.cameras().is_empty() {
+    let is_sensor = |name: &String| scene.observations.sensors().iter().any(|sensor| sensor.name == *name);
+    let of_coordinates = match &estimate.bias {
+        Some(Unknown::Named(by_name)) => !by_name.keys().all(is_sensor),
+        bias => bias.is_some(),
+    };
+    validate_poses(estimate, scene)?;
+    if of_coordinates && !scene.observations.cameras().is_empty() {
         let message = "is of coordinates: beside cameras take marker_offset, or mount_translation";
         return invalid("estimate.bias", message);
     }
@@ -98,6 +108,32 @@ pub(super) fn validate_estimate(estimate: &Estimate, scene: &Scene) -> Check {
         let message = "constants have no place that a distance could be taken from: leave it out, or \
             [estimate]";
         return invalid("algorithm.ensemble.localization_length", message);
+    }
+    Ok(())
+}
+
+/// Poses are of cameras that are there.
+fn validate_poses(estimate: &Estimate, scene: &Scene) -> Check {
+    let cameras = scene.observations.cameras();
+    let keys = [
+        ("camera_rotation", &estimate.camera_rotation),
+        ("camera_translation", &estimate.camera_translation),
+    ];
+    for (key, unknown) in keys {
+        let (Some(unknown), path) = (unknown, format!("estimate.{key}")) else { continue };
+        if cameras.is_empty() {
+            return invalid(path, "needs [[observations.cameras]]");
+        }
+        if scene.algorithm.hessian == Hessian::Exact {
+            let message = "poses of cameras have no second derivatives here: take \"gauss-newton\"";
+            return invalid("algorithm.hessian", message);
+        }
+        if let Unknown::Named(by_name) = unknown
+            && let Some(name) = by_name.keys().find(|name| cameras.iter().all(|c| c.name != **name))
+        {
+            let known: Vec<&str> = cameras.iter().map(|c| c.name.as_str()).collect();
+            return invalid(path, format!("{name:?} is none of the cameras: {}", known.join(", ")));
+        }
     }
     Ok(())
 }

@@ -6,7 +6,7 @@ use super::invalid::{Check, invalid, on_rod};
 use super::parsed::Along;
 use super::validate_frame::{validate_frame, validate_rotation};
 use super::{
-    Camera, Frame, Hessian, Kernel, Model, Origin, Recording, RodModel, Scene, Sensor, SensorKind, Synthetic,
+    Camera, Frame, Hessian, Kernel, Model, Origin, Recording, RodModel, Scene, Sensor, Synthetic,
     UnreachableRows, Use,
 };
 
@@ -136,8 +136,8 @@ fn validate_sensors(sensors: &[Sensor], scene: &Scene, rod: &RodModel) -> Check 
         if let Some(axes) = &sensor.axes {
             let key = format!("observations.sensors.{i}.axes");
             validate_rotation(axes, &key)?;
-            if sensor.kind != SensorKind::SpecificForce {
-                return invalid(key, "is of kind \"specific-force\" alone");
+            if !sensor.kind.has_axes() {
+                return invalid(key, "is of kinds \"specific-force\" and \"orientation\" alone");
             }
         }
     }

@@ -39,7 +39,7 @@ pub(crate) fn synthetic(
     };
     let steps = files.scene.checked(keys.observed_steps(grid.steps))?;
     let (sigma, count) = (files.scene.checked(keys.component_sigma())?, components.len());
-    let (constants, seeing, models) = (places(system), system.estimates.seen, system.models());
+    let (constants, seeing, models) = (places(system), system.estimates.seen.clone(), system.models());
     Ok(Observed {
         errors: None,
         sites: components.iter().enumerate().map(site).collect(),
@@ -51,11 +51,12 @@ pub(crate) fn synthetic(
             Ok(with_constants(
                 Selection::new(components.clone(), n)?,
                 constants.clone(),
-                seeing,
+                seeing.clone(),
                 &[],
                 &models,
             ))
         }),
+        rotations: std::rc::Rc::default(),
         draws: Some(Draws { steps, sigma: vec![sigma; count], within: vec![None; count] }),
     })
 }
@@ -126,7 +127,7 @@ pub(crate) fn recorded(
     let summary = summary(sites_are, counted, (&times, &clock), &sites, &recorded);
     let places: Vec<Place> = site_of.into_keys().collect();
     let (n, line) = (system.names.len(), system.line);
-    let (constants, seeing, models) = (self::places(system), system.estimates.seen, system.models());
+    let (constants, seeing, models) = (self::places(system), system.estimates.seen.clone(), system.models());
     Ok(Observed {
         errors: None,
         sites,
@@ -135,8 +136,9 @@ pub(crate) fn recorded(
         left_out: left.into_texts(),
         recording: Some(summary),
         make_operator: Box::new(move || {
-            Ok(with_constants(operator(&places, n, line)?, constants.clone(), seeing, &[], &models))
+            Ok(with_constants(operator(&places, n, line)?, constants.clone(), seeing.clone(), &[], &models))
         }),
+        rotations: std::rc::Rc::default(),
         draws: None,
     })
 }

@@ -1,5 +1,7 @@
 //! From `[estimate]` to unknown constants behind the state in the control.
 
+use std::rc::Rc;
+
 use varda_covariance::{
     BlockDiagonal, Covariance, CovarianceFunction, Diagonal, Kernel, Markov, Precision, Taper,
 };
@@ -12,8 +14,7 @@ use super::estimate_supports;
 use super::motion::Followed;
 use crate::Error;
 use crate::scene::{
-    ConstantPrior, Model, OF_BASE, OF_OBSERVATIONS, OF_PLACES, Observations, PriorSpread, RodModel,
-    SceneFile, Unknown,
+    ConstantPrior, OF_BASE, OF_OBSERVATIONS, OF_PLACES, PriorSpread, RodModel, SceneFile, Unknown,
 };
 
 /// Unknown constants p, in the order of the control. Each is zero at the value that the scene writes.
@@ -36,7 +37,7 @@ pub struct Estimates {
 const MOST_PROFILED: usize = 16;
 
 /// Constants of the observations, by the place of their first number among all.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Seeing {
     /// How many sites have constants of their own.
     pub(crate) sites: usize,
@@ -44,7 +45,11 @@ pub(crate) struct Seeing {
     pub(crate) offset: Option<usize>,
     pub(crate) rotation: Option<usize>,
     pub(crate) translation: Option<usize>,
-    pub(crate) bias: Option<usize>,
+    /// That of every row which has a bias, of places and components and of sensors.
+    pub(crate) bias: Rc<[Option<usize>]>,
+    pub(crate) bias_of_sensors: Rc<[Option<usize>]>,
+    /// Those of the rotation and the displacement of every camera; nothing where all are known.
+    pub(crate) poses: Rc<[[Option<usize>; 2]]>,
     pub(crate) clock: Option<usize>,
     /// What of the clock's offset is in the times of the observations already \[s\].
     pub(crate) clock_known: f64,
@@ -57,8 +62,13 @@ impl Seeing {
     }
 
     /// Without what a recording's axes and errors are: places in those of the model.
-    pub(crate) fn of_places(self) -> Seeing {
-        Seeing { rotation: None, translation: None, bias: None, ..self }
+    pub(crate) fn of_places(&self) -> Seeing {
+        Seeing { rotation: None, translation: None, bias: Rc::default(), ..self.clone() }
+    }
+
+    /// What sensors on a rod have of it.
+    pub(crate) fn of_sensors(&self) -> Seeing {
+        Seeing { bias: Rc::clone(&self.bias_of_sensors), ..Seeing::default() }
     }
 }
 
@@ -159,75 +169,6 @@ impl Estimates {
         all.of_model = chosen.len();
         all.add_of_observations(file, 1)?;
         Ok((all, chosen))
-    }
-
-    /// What the observations depend on; `width` values to a site.
-    fn add_of_observations(&mut self, file: &SceneFile, width: usize) -> Result<(), Error> {
-        let estimate = &file.scene.estimate;
-        if [&estimate.marker_arc_length, &estimate.marker_offset].into_iter().any(Option::is_some) {
-            self.seen.sites = sites(file)?.len();
-        }
-        let axes = ["x", "y", "z"];
-        if let Some(unknown) = &estimate.marker_arc_length {
-            self.seen.arc_length = Some(self.len());
-            let names: Vec<String> =
-                sites(file)?.iter().map(|site| format!("marker_arc_length[{site}]")).collect();
-            self.add_additive(file, "estimate.marker_arc_length", unknown, &names, "m")?;
-        }
-        if let Some(unknown) = &estimate.marker_offset {
-            self.seen.offset = Some(self.len());
-            let of = |site: &String| ["m1", "m2", "t"].map(|axis| format!("marker_offset[{site}].{axis}"));
-            let names: Vec<String> = sites(file)?.iter().flat_map(of).collect();
-            self.add_additive(file, "estimate.marker_offset", unknown, &names, "m")?;
-        }
-        let mounts = [
-            ("mount_rotation", &estimate.mount_rotation, "rad"),
-            ("mount_translation", &estimate.mount_translation, "m"),
-        ];
-        for (key, unknown, unit) in mounts {
-            let Some(unknown) = unknown else { continue };
-            let first = self.len();
-            match key {
-                "mount_rotation" => self.seen.rotation = Some(first),
-                _ => self.seen.translation = Some(first),
-            }
-            let names = axes.map(|axis| format!("{key}.{axis}"));
-            self.add_additive(file, &format!("estimate.{key}"), unknown, &names, unit)?;
-        }
-        if let Some(unknown) = &estimate.bias {
-            self.seen.bias = Some(self.len());
-            let sites = sites(file)?;
-            let name = |site: &String| {
-                let axis = |c: usize| if width == 1 { String::new() } else { format!(".{}", axes[c]) };
-                (0..width).map(|c| format!("bias[{site}]{}", axis(c))).collect::<Vec<_>>()
-            };
-            let names: Vec<String> = sites.iter().flat_map(name).collect();
-            self.add_additive(file, "estimate.bias", unknown, &names, if width == 1 { "1" } else { "m" })?;
-        }
-        if let Some(unknown) = &estimate.clock {
-            (self.seen.clock, self.seen.clock_known) = (Some(self.len()), file.adjusted.clock);
-            self.add_additive(file, "estimate.clock", unknown, &["clock".to_string()], "s")?;
-        }
-        Ok(())
-    }
-
-    /// Numbers that are zero in the scene and added to what is observed.
-    fn add_additive(
-        &mut self,
-        file: &SceneFile,
-        path: &str,
-        unknown: &Unknown,
-        names: &[String],
-        unit: &'static str,
-    ) -> Result<(), Error> {
-        let priors = file.checked(unknown.priors(path, names.len()))?;
-        for (name, (path, prior)) in names.iter().zip(priors) {
-            let PriorSpread::Normal(sigma) = file.checked(prior.spread(&path))? else {
-                return Err(file.invalid(&path, "is zero in the scene: give sigma in its unit, not a share"));
-            };
-            self.constants.push(Constant { name: name.clone(), unit, value: 0.0, law: Law::Linear, sigma });
-        }
-        Ok(())
     }
 
     fn add_of_rod(
@@ -515,22 +456,4 @@ fn across(gravity: Vector3<f64>) -> [Vector3<f64>; 2] {
     let first = first.unwrap_or_else(Vector3::z);
     let first = (first - down * first.dot(&down)).normalize();
     [first, first.cross(&down)]
-}
-
-/// Names of what is observed, in the order of its rows.
-fn sites(file: &SceneFile) -> Result<Vec<String>, Error> {
-    match (&file.scene.observations, &file.scene.model) {
-        (Observations::File(recording), _) if recording.markers.is_empty() => {
-            let message = "an unknown of every marker needs [[observations.markers]]";
-            Err(file.invalid("estimate", message))
-        }
-        (Observations::File(recording), _) => Ok(recording.markers.iter().map(|m| m.name.clone()).collect()),
-        (Observations::Synthetic(keys), Model::Rod(_)) => {
-            Ok(keys.places.iter().map(|s| format!("s = {s} m")).collect())
-        }
-        (Observations::Synthetic(keys), model) if keys.components.is_empty() => {
-            Ok((0..model.components().unwrap_or(0)).map(|c| c.to_string()).collect())
-        }
-        (Observations::Synthetic(keys), _) => Ok(keys.components.iter().map(usize::to_string).collect()),
-    }
 }

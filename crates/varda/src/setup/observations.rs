@@ -4,18 +4,21 @@
 //! folder, which makes an [`Observed`] of it. Later stages know nothing else of it: sites are groups of rows
 //! of the observation operator, and values are read, or drawn around the truth of a twin experiment.
 
+use std::cell::OnceCell;
 use std::collections::HashMap;
 use std::ops::Range;
+use std::rc::Rc;
 
 use varda_assimilation::{Observation, ObservationOperator, ObservationSet};
 use varda_implicit::{At, Model};
 
 use super::error_correlation::{Chains, ErrorKernel};
 use super::random::{Stream, normal, stream};
+use super::rotations::{self, Rotations};
 use super::runs::run_states;
 use crate::Error;
 use crate::outcome::{PixelSight, Quantity, Reading, RecordingSummary, Sight};
-use crate::scene::{SceneFile, TimeGrid, rounded};
+use crate::scene::{SceneFile, SensorKind, TimeGrid, rounded};
 
 /// Makes an observation operator.
 pub type MakeOperator = Box<dyn Fn() -> Result<Box<dyn ObservationOperator>, Error>>;
@@ -36,6 +39,8 @@ pub struct Observed {
     pub(crate) errors: Option<ErrorKernel>,
     /// Makes H, all sites stacked.
     pub(crate) make_operator: MakeOperator,
+    /// What sensors have read of rotations; of a twin experiment once that is drawn.
+    pub(crate) rotations: Rc<OnceCell<Rotations>>,
     /// The values of a twin experiment that are still to be drawn.
     pub(crate) draws: Option<Draws>,
 }
@@ -50,8 +55,8 @@ pub struct Site {
     pub quantity: Quantity,
     /// The name of the camera that saw it.
     pub camera: Option<String>,
-    /// The name of the sensor that it is, and the columns of its values.
-    pub sensor: Option<(String, &'static [&'static str])>,
+    /// The name and the kind of the sensor that it is.
+    pub sensor: Option<(String, SensorKind)>,
     /// Its rows of H.
     pub rows: Range<usize>,
     /// For each row the component of the control at the same place (localization of ensembles).
@@ -119,6 +124,11 @@ pub(super) fn is_within(pixel: f64, size: f64) -> bool {
 }
 
 impl Site {
+    /// Whether its values are angles from what it has read.
+    pub(crate) fn is_rotation(&self) -> bool {
+        self.sensor.as_ref().is_some_and(|(_, kind)| kind.is_rotation())
+    }
+
     /// Its name without that of its camera.
     pub(crate) fn of_point(&self) -> &str {
         let of_camera = self.camera.as_ref().map(|camera| format!(" in camera {camera}"));
@@ -224,11 +234,7 @@ impl Observed {
                 }
                 let white = if self.errors.is_some() { 1.0 } else { sigma };
                 noise.extend(y.iter().map(|_| normal(&mut rng, white)));
-                let values = y.iter().zip(&noise[noise.len() - y.len()..]);
-                let values = match self.errors {
-                    None => values.map(|(y, e)| Some(y + e)).collect(),
-                    Some(_) => values.map(|(y, _)| Some(*y)).collect(),
-                };
+                let values = y.iter().map(|y| Some(*y)).collect();
                 self.seen.push(Seen { site, step, weight: 0.0, values, sigma });
             }
         }
@@ -236,10 +242,34 @@ impl Observed {
             let all: Vec<&Seen> = self.seen.iter().collect();
             let set = ObservationSet::on_times(grid.times(), vec![operator], self.of(&all, grid))?;
             set.errors().root(&mut noise);
-            let values = self.seen.iter_mut().flat_map(|seen| seen.values.iter_mut().flatten());
-            values.zip(noise).for_each(|(y, e)| *y += e);
         }
+        self.add(&noise, grid);
         Ok(())
+    }
+
+    /// Adds errors to what was drawn, and takes rotations for what their values are measured from.
+    fn add(&mut self, noise: &[f64], grid: &TimeGrid) {
+        let first = self.sites.iter().position(|site| site.sensor.is_some()).unwrap_or(self.sites.len());
+        let mut rotations: HashMap<usize, Vec<(usize, Vec<f64>, &[f64])>> = HashMap::new();
+        let mut rest = noise;
+        for seen in &mut self.seen {
+            let (errors, others) = rest.split_at(seen.values.len());
+            rest = others;
+            if self.sites[seen.site].is_rotation() {
+                let truth = seen.values.iter_mut().flat_map(|value| value.replace(0.0)).collect();
+                rotations.entry(seen.site - first).or_default().push((seen.step, truth, errors));
+            } else {
+                seen.values.iter_mut().flatten().zip(errors).for_each(|(y, e)| *y += e);
+            }
+        }
+        let kind = |sensor: usize| self.sites[first + sensor].sensor.as_ref().map(|(_, kind)| *kind);
+        let drawn = rotations.into_iter().filter_map(|(sensor, mut rows)| {
+            rows.sort_by_key(|(step, ..)| *step);
+            let truth: Vec<_> = rows.iter().map(|(step, y, _)| (grid.time(*step), &y[..])).collect();
+            let errors: Vec<_> = rows.iter().map(|(.., errors)| *errors).collect();
+            Some((sensor, (kind(sensor)?, rotations::drawn(kind(sensor)?, &truth, &errors))))
+        });
+        let _ = self.rotations.set(Rotations::new(first, drawn.collect()));
     }
 
     /// Whether it is in the window and not kept back.
@@ -341,15 +371,26 @@ impl Observed {
         self.seen.iter().filter_map(sight).collect()
     }
 
+    /// A value of a site at one time \[s\] as one of another time: the same, but for one that is measured
+    /// from what was read then.
+    pub(crate) fn as_from(&self, value: &[f64], site: usize, times: [f64; 2]) -> Vec<f64> {
+        match self.rotations.get() {
+            Some(rotations) => rotations.carried(site, value, times),
+            None => value.to_vec(),
+        }
+    }
+
     /// What sensors read.
     pub fn readings(&self, grid: &TimeGrid) -> Vec<Reading> {
         let reading = |s: &Seen| {
-            let (name, columns) = self.sites[s.site].sensor.clone()?;
+            let (sensor, kind) = self.sites[s.site].sensor.clone()?;
+            let time = grid.start + s.at() * grid.step;
+            let cells = self.rotations.get().and_then(|rotations| rotations.cells(s.site, time));
             Some(Reading {
-                time: grid.start + s.at() * grid.step,
-                sensor: name,
-                columns,
-                values: s.values.clone(),
+                time,
+                sensor,
+                columns: kind.columns(),
+                values: cells.map_or_else(|| s.values.clone(), |cells| cells.into_iter().map(Some).collect()),
                 sigma: s.sigma,
             })
         };

@@ -1,16 +1,17 @@
 //! What sensors on a rod read: rows of a file.
 
-use std::collections::HashSet;
+use std::cell::OnceCell;
+use std::collections::{HashMap, HashSet};
 use std::rc::Rc;
 
-use varda_rod::{Matrix3, Sensors};
+use varda_rod::{Matrix3, Sensors, UnitQuaternion, Vector3};
 
 use super::csv::Table;
-use super::estimate::Seeing;
 use super::observations::{MakeOperator, Seen};
 use super::recorded_rows::{Clock, LeftOut};
 use super::recording::Recorded;
 use super::rod::RodSystem;
+use super::rotations::{self, Rotations, Rows};
 use super::seen_with::with_constants;
 use crate::Error;
 use crate::outcome::Quantity;
@@ -25,6 +26,8 @@ pub(super) struct Readings {
     pub(super) recorded: Vec<Recorded>,
     /// The times of all rows \[s\].
     pub(super) times: Vec<f64>,
+    /// What every sensor that reads rotations is, and what it read.
+    pub(super) rotations: HashMap<usize, (SensorKind, Rows)>,
 }
 
 impl SensorKind {
@@ -33,8 +36,11 @@ impl SensorKind {
         match self {
             SensorKind::Tension | SensorKind::AxialSupportForce => Quantity::AxialForce,
             SensorKind::SupportForce => Quantity::Force,
+            SensorKind::SupportMoment => Quantity::SupportMoment,
+            SensorKind::Moment => Quantity::Moment,
             SensorKind::Acceleration | SensorKind::SpecificForce => Quantity::Acceleration,
             SensorKind::Direction => Quantity::Direction,
+            SensorKind::Orientation => Quantity::Orientation,
             SensorKind::AngularRate => Quantity::AngularRate,
             SensorKind::Spin => Quantity::Spin,
         }
@@ -44,23 +50,25 @@ impl SensorKind {
 /// A sensor of the scene as one of the rod.
 fn of_rod(sensor: &Sensor) -> varda_rod::Sensor {
     let s = sensor.arc_length;
+    // nalgebra takes rows for columns
+    let axes = sensor.axes.map_or_else(Matrix3::identity, |rows| Matrix3::from(rows).transpose());
     match sensor.kind {
         SensorKind::Tension => varda_rod::Sensor::Tension { s },
         SensorKind::SupportForce => varda_rod::Sensor::SupportForce { s },
         SensorKind::AxialSupportForce => varda_rod::Sensor::AxialSupportForce { s },
+        SensorKind::SupportMoment => varda_rod::Sensor::SupportMoment { s },
+        SensorKind::Moment => varda_rod::Sensor::Moment { s },
         SensorKind::Acceleration => varda_rod::Sensor::Acceleration { s },
-        SensorKind::SpecificForce => varda_rod::Sensor::SpecificForce {
-            s,
-            // nalgebra takes rows for columns
-            axes: sensor.axes.map_or_else(Matrix3::identity, |rows| Matrix3::from(rows).transpose()),
-        },
+        SensorKind::SpecificForce => varda_rod::Sensor::SpecificForce { s, axes },
         SensorKind::Direction => varda_rod::Sensor::Direction { s },
+        SensorKind::Orientation => varda_rod::Sensor::Orientation { s, axes },
         SensorKind::AngularRate => varda_rod::Sensor::AngularRate { s },
         SensorKind::Spin => varda_rod::Sensor::Spin { s },
     }
 }
 
-/// Makes the operator of sensors on a rod whose steps are `interval` \[s\] long.
+/// Makes the operator of sensors on a rod whose steps are `interval` \[s\] long; those of rotations are
+/// measured from what they have read by then.
 ///
 /// # Errors
 /// The key of a sensor that does not fit the rod, its integrator or its supports.
@@ -69,23 +77,29 @@ pub(super) fn operator(
     rod: &RodSystem,
     sensors: &[Sensor],
     interval: f64,
+    rotations: &Rc<OnceCell<Rotations>>,
 ) -> Result<MakeOperator, Error> {
     for (i, sensor) in sensors.iter().enumerate() {
         Sensors::new(rod.parts.dynamics()?, interval, &[of_rod(sensor)]).map_err(|e| {
             let key = match e {
                 varda_rod::Error::NoRates => "time.integrator".to_string(),
-                varda_rod::Error::NoFrames => format!("observations.sensors.{i}.kind"),
+                varda_rod::Error::NoFrames | varda_rod::Error::NoAngle => {
+                    format!("observations.sensors.{i}.kind")
+                }
                 _ => format!("observations.sensors.{i}.arc_length"),
             };
             file.invalid(&key, e.to_string())
         })?;
     }
     let all: Rc<[varda_rod::Sensor]> = sensors.iter().map(of_rod).collect();
-    let (parts, models) = (rod.parts.clone(), rod.models());
+    let (parts, models, rotations) = (rod.parts.clone(), rod.models(), Rc::clone(rotations));
     Ok(Box::new(move || {
-        let operator = Sensors::new(parts.dynamics()?, interval, &all)?;
+        let mut operator = Sensors::new(parts.dynamics()?, interval, &all)?;
+        for (sensor, read) in rotations.get().into_iter().flat_map(Rotations::all) {
+            operator = operator.measured_from(sensor, read.clone());
+        }
         let places = (!parts.estimates.is_empty()).then(|| parts.places()).transpose()?;
-        Ok(with_constants(operator, places, Seeing::default(), &[], &models))
+        Ok(with_constants(operator, places, parts.estimates.seen.of_sensors(), &[], &models))
     }))
 }
 
@@ -152,16 +166,42 @@ pub(super) fn recorded(
     }
     let (mut readings, mut repeated) = (Readings::default(), HashSet::new());
     let rounding = if timed { 0.5 * finest } else { 0.0 };
+    // the last rotation of each sensor in the file, and how far it has turned there
+    let mut turned: HashMap<usize, (UnitQuaternion<f64>, Vector3<f64>)> = HashMap::new();
     for (line, time, site, values, sigma) in rows {
-        readings.times.push(time);
-        let position = std::array::from_fn(|c| values.get(c).copied().flatten());
-        readings.recorded.push(Recorded { time, site, position, sigma });
         let bad = |message: String| Error::Data { place: format!("{file}:{line}"), message };
+        let kind = sensors[site].kind;
+        let rotation = rotations::read(kind, &values).map_err(bad)?;
+        let position: [Option<f64>; 3] = match rotation {
+            Some(q) if kind == SensorKind::Orientation => {
+                let (before, sum) = turned.entry(site).or_insert((q, Vector3::zeros()));
+                *sum += (before.inverse() * q).scaled_axis();
+                *before = q;
+                sum.map(Some).into()
+            }
+            _ => std::array::from_fn(|c| values.get(c).copied().flatten()),
+        };
+        readings.times.push(time);
+        readings.recorded.push(Recorded { time, site, position, sigma });
         let Some(at) = clock.place(time, rounding, left).map_err(bad)? else { continue };
         if !repeated.insert((site, time.to_bits(), position.map(|v| v.map(f64::to_bits)))) {
             left.repeated += 1;
             continue;
         }
+        let values = match (kind.is_rotation(), rotation) {
+            (false, _) => values,
+            (true, None) => vec![None; kind.values()],
+            (true, Some(q)) => {
+                let t = clock.grid.start + at * clock.grid.step;
+                let (_, rows) = readings.rotations.entry(site).or_insert_with(|| (kind, Rows::new()));
+                if rows.iter().any(|(other, _)| *other == t) {
+                    let (name, kind) = (&sensors[site].name, kind.name());
+                    return Err(bad(format!("sensor {name:?} reads a second {kind} at this time")));
+                }
+                rows.push((t, q));
+                vec![Some(0.0); kind.values()]
+            }
+        };
         readings.seen.push(Seen { site, step: at.floor() as usize, weight: at.fract(), values, sigma });
     }
     Ok(readings)

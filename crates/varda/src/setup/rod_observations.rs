@@ -1,6 +1,7 @@
 //! Observations of a rod: points on it at times, in the axes of a recording or in the images of cameras.
 
-use std::collections::HashSet;
+use std::cell::OnceCell;
+use std::collections::{HashMap, HashSet};
 use std::rc::Rc;
 
 use varda_rod::{Camera, Marker, Markers, Matrix3, Vector3, View, Views};
@@ -17,12 +18,13 @@ use super::recorded_rows::{Clock, LeftOut, summary, text_of};
 use super::recording::Recorded;
 use super::rod::RodSystem;
 use super::rod_model::RodParts;
+use super::rotations::{Rotations, Rows};
 use super::seen_with::with_constants;
 use super::stacked::Stacked;
 use crate::Error;
 use crate::outcome::{Neighbours, Quantity, RecordingSummary, SitesAre};
 use crate::scene::{
-    self, Frame, Method, PriorSpread, Recording, SceneFile, Sensor, Synthetic, TimeGrid, Unknown,
+    self, Frame, Method, PriorSpread, Recording, SceneFile, Sensor, SensorKind, Synthetic, TimeGrid, Unknown,
     UnreachableRows, Use,
 };
 
@@ -64,6 +66,7 @@ pub(crate) fn synthetic(
         cameras: cameras(files.scene, &keys.cameras, [0.0; 3])?,
         rotation: Frame::default().rotation_rows(),
         sensors: &keys.sensors,
+        rotations: None,
     };
     Ok(Observed { draws: Some(draws), ..observed(files.scene, rod, what, Vec::new(), grid, false)? })
 }
@@ -72,7 +75,7 @@ pub(crate) fn synthetic(
 pub(crate) fn none(files: &Files, rod: &RodSystem, grid: TimeGrid) -> Result<Observed, Error> {
     let rotation = Frame::default().rotation_rows();
     let (points, views, cameras) = (Vec::new(), Vec::new(), Vec::new());
-    let what = What { points, views, names: &[], cameras, rotation, sensors: &[] };
+    let what = What { points, views, names: &[], cameras, rotation, sensors: &[], rotations: None };
     observed(files.scene, rod, what, Vec::new(), grid, false)
 }
 
@@ -216,6 +219,7 @@ pub(crate) fn recorded(
         views,
         points: sites,
         sensors: &recording.sensors,
+        rotations: Some(readings.rotations),
         names: &recording.cameras,
         cameras: cameras(files.scene, &recording.cameras, shift)?,
         rotation,
@@ -223,6 +227,12 @@ pub(crate) fn recorded(
     let times = rows.iter().map(|row| row.time).chain(pixels.times).chain(readings.times);
     let times: Vec<f64> = times.collect();
     let observed = observed(files.scene, rod, what, seen, grid, true)?;
+    let between = |s: &&Seen| s.weight > 0.0 && observed.sites[s.site].is_rotation();
+    if observed.seen.iter().any(|s| between(&s)) && rod.models()(0).rate().is_none() {
+        let message = "directions and orientations are read between two steps, where this integrator has no \
+                       state: \"bdf2\" or \"backward-euler\" have, or take steps that meet the readings";
+        return Err(files.scene.invalid("observations.readings", message));
+    }
     let counted = left.count(times.len(), &observed.seen, |site| observed.sites[site].withheld, grid);
     let summary = summary(SitesAre::Markers, counted, (&times, &clock), &observed.sites, &recorded);
     let recording = Some(RecordingSummary { neighbours, ..summary });
@@ -303,6 +313,8 @@ struct What<'a> {
     rotation: [[f64; 3]; 3],
     /// Sensors on it.
     sensors: &'a [Sensor],
+    /// Rotations that these read, where that is known.
+    rotations: Option<HashMap<usize, (SensorKind, Rows)>>,
 }
 
 /// Observations of this; what a recording saw in its window must be in sight there. A twin experiment sees
@@ -318,7 +330,7 @@ fn observed(
     grid: TimeGrid,
     is_recording: bool,
 ) -> Result<Observed, Error> {
-    let What { points, mut views, names, cameras, rotation, sensors } = what;
+    let What { points, mut views, names, cameras, rotation, sensors, rotations: read } = what;
     let markers: Rc<[Marker]> = points.iter().map(|p| p.marker).collect();
     let operator = |markers: &Rc<[Marker]>, rotation: [[f64; 3]; 3], mounted: bool| -> MakeOperator {
         let (markers, parts, models) = (Rc::clone(markers), rod.parts.clone(), rod.models());
@@ -329,7 +341,8 @@ fn observed(
         };
         Box::new(move || {
             let operator = seen(&parts, &markers)?;
-            let seeing = if mounted { parts.estimates.seen } else { parts.estimates.seen.of_places() };
+            let seeing = &parts.estimates.seen;
+            let seeing = if mounted { seeing.clone() } else { seeing.of_places() };
             let operator = if seeing.moves_sites() { operator.with_frames() } else { operator };
             let places = (!parts.estimates.is_empty()).then(|| parts.places()).transpose()?;
             Ok(with_constants(operator, places, seeing, &markers, &models))
@@ -377,9 +390,15 @@ fn observed(
         if named.iter().enumerate().all(|(i, (_, view))| *view == View::Place { point: i }) {
             return operator;
         }
-        let (cameras, in_sight) = (cameras.clone(), in_sight.clone());
+        let (cameras, in_sight, parts) = (cameras.clone(), in_sight.clone(), rod.parts.clone());
         Box::new(move || {
-            let views = Views::new(operator()?, cameras.clone(), named.clone())?;
+            let mut views = Views::new(operator()?, cameras.clone(), named.clone())?;
+            let poses = &parts.estimates.seen.poses;
+            if !poses.is_empty() {
+                let first = parts.places()?.parameters().start;
+                views =
+                    views.with_poses(poses.iter().map(|pose| pose.map(|at| Some(first + at?))).collect())?;
+            }
             Ok(match in_sight.clone() {
                 None => Box::new(views),
                 // steps of windows of a sequence are their own: the time says which it is of all
@@ -390,18 +409,21 @@ fn observed(
             })
         })
     };
-    let is_all = sensors.is_empty();
+    let (is_all, rotations) = (sensors.is_empty(), Rc::new(OnceCell::new()));
+    if let Some(read) = read {
+        let _ = rotations.set(Rotations::new(sites.len(), read));
+    }
     let mut make_operator = seen_as(operator(&markers, rotation, true), named);
     // sensors have places too
     let mut all_markers = markers.to_vec();
     for sensor in sensors {
-        let (place, count) = (Placed::at_arc_length(sensor.arc_length), sensor.kind.columns().len());
+        let (place, count) = (Placed::at_arc_length(sensor.arc_length), sensor.kind.values());
         let nearest = rod.nearest_position(sensor.arc_length);
         sites.push(Site {
             label: format!("sensor {}", sensor.name),
             quantity: sensor.kind.quantity(),
             camera: None,
-            sensor: Some((sensor.name.clone(), sensor.kind.columns())),
+            sensor: Some((sensor.name.clone(), sensor.kind)),
             rows: rows..rows + count,
             anchors: (0..count).map(|c| nearest + c).collect(),
             place: Some(sensor.arc_length),
@@ -412,7 +434,7 @@ fn observed(
         all_markers.push(place.marker);
     }
     if !is_all {
-        let of_sensors = readings::operator(file, rod, sensors, grid.step)?;
+        let of_sensors = readings::operator(file, rod, sensors, grid.step, &rotations)?;
         make_operator = Box::new(move || Ok(Stacked::of(vec![make_operator()?, of_sensors()?])));
     }
     let of_places = views.iter().map(|view| (String::new(), View::Place { point: view.point() })).collect();
@@ -429,6 +451,7 @@ fn observed(
         seen,
         left_out: Vec::new(),
         recording: None,
+        rotations,
         draws: None,
     })
 }

@@ -168,13 +168,13 @@ pub(crate) fn with_constants<O: Sites + 'static>(
     models: &MakeModel,
 ) -> Box<dyn ObservationOperator> {
     let Some(places) = places else { return Box::new(operator) };
-    let first = places.parameters().start;
+    let (first, clock, known) = (places.parameters().start, seeing.clock, seeing.clock_known);
     let seen = Box::new(SeenWith::new(operator, places, seeing, markers));
-    match seeing.clock {
+    match clock {
         None => seen,
         Some(clock) => {
             let rate = models(0).rate().expect("a clock is refused without rates");
-            Box::new(Clocked::new(seen, rate, first + clock, seeing.clock_known))
+            Box::new(Clocked::new(seen, rate, first + clock, known))
         }
     }
 }
@@ -265,8 +265,8 @@ impl<O: Sites> SeenWith<O> {
                 y.iter_mut().zip(&p[first..]).for_each(|(y, t)| *y += t);
             }
         }
-        if let Some(first) = self.seeing.bias {
-            y.iter_mut().zip(&p[first..]).for_each(|(y, b)| *y += b);
+        for (y, constant) in y.iter_mut().zip(&*self.seeing.bias) {
+            *y += constant.map_or(0.0, |constant| p[constant]);
         }
     }
 }
@@ -328,9 +328,11 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
                 dx[p.start + first..].iter_mut().zip(dy).for_each(|(dt, dy)| *dt += dy);
             }
         }
-        if let Some(first) = self.seeing.bias {
-            // a marker without a name has no bias
-            dx[p.clone()][first..].iter_mut().zip(dy).for_each(|(db, dy)| *db += dy);
+        // a marker without a name has no bias
+        for (dy, constant) in dy.iter().zip(&*self.seeing.bias) {
+            if let Some(constant) = constant {
+                dx[p.start + constant] += dy;
+            }
         }
         self.places.gather(x, &mut self.x);
         self.place_sites(x).expect("this state was observed before");
