@@ -365,10 +365,7 @@ impl ImplicitStep for RodStep {
                 |i| mu[i],
                 |i, value| star[i] += value,
             );
-            for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
-                let i = self.system.layout.unknown[self.system.layout.vertex(v)];
-                mixed_add(of.from, dx, own, 3 * f, [star[i], star[i + 1], star[i + 2]]);
-            }
+            self.star_transpose_add(of.from, &star, dx);
             self.star = star;
         }
     }
@@ -420,18 +417,20 @@ impl ImplicitStep for RodStep {
         self.lambda = to;
     }
 
-    /// Not with loads of the motion, spins, a common turn that is free, parameters that move supports, or a
-    /// rod at rest.
+    /// Not with spins, a common turn that is free, loads without second derivatives, parameters that move
+    /// supports, or a rod at rest.
     fn second_kept(&self) -> Option<usize> {
-        let layout = &self.system.layout;
-        let given = !self.couples() && self.system.moves.is_empty() && !self.is_at_rest;
+        let (s, layout) = (&self.system, &self.system.layout);
+        let given = self.spin.is_none() && s.loads_have_second_derivatives();
+        let given = given && s.moves.is_empty() && !self.is_at_rest;
         let damping = self.viscous.as_ref().map_or(0, |viscous| viscous.second_kept(layout));
-        given.then(|| self.second_bands() * layout.band() + damping)
+        given.then(|| self.second_bands() * layout.band() + damping + s.second_of_loads_kept())
     }
 
     fn keep_second(&mut self, step: &SolvedStep<'_>, lambda: &[f64], mu: &[f64], second: &mut [f64]) {
         let bands = self.second_bands() * self.system.layout.band();
-        let (bands, damping) = second.split_at_mut(bands);
+        let (bands, rest) = second.split_at_mut(bands);
+        let (damping, started) = rest.split_at_mut(rest.len() - self.system.second_of_loads_kept());
         let (band, next) = bands.split_at_mut(self.system.layout.band());
         if let Some(end) = self.system.layout.end_angle() {
             next.fill(0.0);
@@ -456,6 +455,10 @@ impl ImplicitStep for RodStep {
             }
             None => system.third_add(&Increment(full), band, None),
         }
+        if !self.system.loads.of_motion.is_empty() {
+            let start = self.stage_start(self.stage(step.at).of.length);
+            self.system.second_of_loads(Some(start), &Increment(&self.full), band, started);
+        }
         let share = self.stage(step.at).angle[0];
         let (layout, angles) = (&self.system.layout, 6 * self.system.layout.free_vertices.len());
         self.psi.fill(0.0);
@@ -473,7 +476,8 @@ impl ImplicitStep for RodStep {
         [rx, ru]: [&mut [f64]; 2],
     ) {
         let layout = &self.system.layout;
-        let (bands, damping) = at.kept.split_at(self.second_bands() * layout.band());
+        let (bands, rest) = at.kept.split_at(self.second_bands() * layout.band());
+        let (damping, started) = rest.split_at(rest.len() - self.system.second_of_loads_kept());
         let (band, next) = bands.split_at(layout.band());
         band_product_add(layout.half_bandwidth, band, du, ru);
         let [angles, end, _] = self.kept_lengths();
@@ -481,6 +485,15 @@ impl ImplicitStep for RodStep {
         if let Some(viscous) = &mut self.viscous {
             let kept = &step.kept[angles + end..];
             viscous.second_add(&self.system.layout, &stage, [kept, damping], [dx, du], [&mut *rx, &mut *ru]);
+        }
+        if !started.is_empty() {
+            self.star(stage.of.from, dx);
+            let [mut on_star, by] = std::mem::take(&mut self.of_unknowns);
+            on_star.clear();
+            on_star.resize(du.len(), 0.0);
+            self.system.second_of_start_add(started, [du, &self.star], ru, &mut on_star);
+            self.star_transpose_add(stage.of.from, &on_star, rx);
+            self.of_unknowns = [on_star, by];
         }
         let end = self.system.layout.end_angle().filter(|end| at.lambda[*end] != 0.0);
         if end.is_some() {

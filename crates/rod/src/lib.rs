@@ -122,6 +122,7 @@ mod implicit_step;
 mod internal_forces;
 mod layout;
 mod load;
+mod loaded;
 mod marker;
 mod material;
 mod modes;
@@ -165,6 +166,7 @@ pub use material::{Material, Section};
 pub use modes::{Mode, Modes, modes};
 pub use moved::{Displacement, HeldAt, Moved, MovedBy};
 pub use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+pub use num_dual::Dual64;
 pub use recorded::{
     RecordedMotion, RecordedRotation, SmoothBy, Smoothing, noise_of_rotations, noise_of_rows,
 };

@@ -333,7 +333,7 @@ impl TwistEquilibrium {
     /// L_cp = ∂F/∂c∂α μ,   out_p += L_pc dc + L_pp dp − F_αᵀ E_θθ⁻¹ (L_αc dc + L_αp dp)
     /// ```
     ///
-    /// K of μ is zero: μ moves no places.
+    /// K of μ is zero: μ moves no places. Moments on angles are in E_α, with their derivatives.
     pub(crate) fn second_add(
         &mut self,
         dx: &[f64],
@@ -368,6 +368,7 @@ impl TwistEquilibrium {
             *weight += end;
         }
         self.full.third_add(&Increment(mu), band, None);
+        self.full.second_of_loads(None, &Increment(mu), band, &mut []);
         self.full.holonomy_second_add(&self.full.shape, weights, band);
 
         self.tangent(dx, theta);
