@@ -37,6 +37,7 @@ pub mod rod;
 pub mod rod_model;
 pub mod rod_observations;
 pub mod runs;
+mod second_derivatives;
 mod seen_with;
 mod stacked;
 pub mod system;
