@@ -458,6 +458,7 @@ impl ImplicitStep for RodStep {
         if !self.system.loads.of_motion.is_empty() {
             let start = self.stage_start(self.stage(step.at).of.length);
             self.system.second_of_loads(Some(start), &Increment(&self.full), band, started);
+            self.system.second_of_moments(start, &Increment(&self.full), band);
         }
         let share = self.stage(step.at).angle[0];
         let (layout, angles) = (&self.system.layout, 6 * self.system.layout.free_vertices.len());

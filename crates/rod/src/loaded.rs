@@ -135,20 +135,11 @@ impl System {
         STARTED * self.slowed_edges().len()
     }
 
-    /// Adds ∂²(−μᵀF)/∂c² of the loads of the motion at the present shape to the lower band of ∂G/∂u, those
-    /// on angles included, and writes what the start of the stage does, where there is one, to `started`.
+    /// Adds ∂²(−μᵀF)/∂c² of the forces and moments of loads at the present shape to the lower band of
+    /// ∂G/∂u, and writes what the start of the stage does, where there is one, to `started`.
     ///
-    /// F is a form, F·dx + m·dα' with the local angles α' of where the edge is. In the coordinates (x, α)
-    /// of the present shape dα' = dα + A(x)·dx, A = −t₀×t·de/(l + e·t₀) of the tangent: ∂F/∂c as loads
-    /// give it changes by the symmetric part of its own derivative, and m A adds
-    ///
-    /// ```text
-    /// −m_c K − K m_c + (m/l³) ((μ_e × t) tᵀ + t (μ_e × t)ᵀ),   K as in `second_order`
-    /// ```
-    ///
-    /// to ∂²(μᵀF)/∂c². The energy of the rod, whose ∂E/∂α is m here, adds half of the last to
-    /// ∂²(μᵀ∇E)/∂c², and KᵀH and H K, of which Kᵀ m_c and its transpose are left by the equation of the
-    /// angles. Both are in the sum.
+    /// ∂F/∂c is as loads give it, in angles that start where the edge is; these are c fixed at the present
+    /// shape but for a term that is antisymmetric in its two derivatives.
     pub(crate) fn second_of_loads(
         &self,
         start: Option<StageStart>,
@@ -203,6 +194,33 @@ impl System {
             for (k, value) in twice.iter_mut().enumerate() {
                 *value += rate * rate * second[OWN + k / 6][OWN + k % 6];
             }
+        });
+    }
+
+    /// Adds what moments m bring to second derivatives of μᵀG beside those of loads and energy. They do the
+    /// work m·dα' on the local angles α' of where the edge is. In coordinates (x, α) of the present shape
+    /// dα' = dα + A(x)·dx, A = −t₀×t·de/(l + e·t₀) of its tangent, so that −μᵀF has
+    ///
+    /// ```text
+    /// −∂²(m A·μ)/∂c² = m_c K + K m_c − (m/l³) ((μ_e × t) tᵀ + t (μ_e × t)ᵀ),   K as in `second_order`
+    /// ```
+    ///
+    /// The energy, whose ∂E/∂α is m, has half of the last again, and KᵀH + H K, of which the equation
+    /// of the angles, (H du + G_x dx)_α = m_c du, leaves the first two again.
+    pub(crate) fn second_of_moments(&self, start: StageStart, mu: &Increment, band: &mut [f64]) {
+        let layout = &self.layout;
+        if !layout.twist {
+            return;
+        }
+        self.each_load(Some(start), |acts, motion, _| {
+            let moved = mu.of_edge(layout, motion.edge);
+            let nothing = acts.moment == 0.0 && acts.moment_by_places == nalgebra::Vector6::zeros();
+            if nothing && acts.moment_by_angle == 0.0 {
+                return;
+            }
+            let of = of_moment(acts, motion, &moved);
+            let of = square::<OWN>(|i, j| of(between(i), between(j)));
+            Band { layout, values: &mut *band }.add(layout.vertex(motion.edge), &of);
         });
     }
 
@@ -271,37 +289,37 @@ fn second_of_edge(load: &dyn Load, motion: &EdgeMotion, mu: &[f64; OWN]) -> [[f6
         }
         row[6] -= mu[6] * acts.moment_by_angle.eps;
     }
-    let mut second = square(|i, j| 0.5 * (rows[i][j] + rows[j][i]));
-    if load.has_moment() {
-        add_carried(&load.on_edge(motion), motion, mu, &mut second);
-    }
-    second
+    square(|i, j| 0.5 * (rows[i][j] + rows[j][i]))
 }
 
-/// Adds what comes with a moment as directors are carried.
-fn add_carried(acts: &EdgeLoad, motion: &EdgeMotion, mu: &[f64; OWN], second: &mut [[f64; ALL]; ALL]) {
+/// Where a number of an edge in the full order stands among places and θ: its angle is between its vertices.
+fn between(i: usize) -> usize {
+    match i {
+        0..3 => i,
+        3 => 6,
+        _ => i - 1,
+    }
+}
+
+/// See [`System::second_of_moments`].
+fn of_moment(acts: &EdgeLoad, motion: &EdgeMotion, mu: &[f64; OWN]) -> impl Fn(usize, usize) -> f64 {
     let (t, l) = motion.tangent();
     let end = |i: usize| Vector3::new(mu[i], mu[i + 1], mu[i + 2]);
     let across = (end(3) - end(0)).cross(&t);
     // of an increment of the edge, by those of its ends
     let ends = |v: Vector3<f64>| -> [f64; OWN] {
-        std::array::from_fn(|i| {
-            if i < 3 {
-                -v[i]
-            } else if i < 6 {
-                v[i - 3]
-            } else {
-                0.0
-            }
+        std::array::from_fn(|i| match i {
+            0..3 => -v[i],
+            3..6 => v[i - 3],
+            _ => 0.0,
         })
     };
     let (area, along, across) = (ends(across / (2.0 * l * l)), ends(t), ends(across));
-    let by = |i: usize| if i < 6 { acts.moment_by_places[i] } else { acts.moment_by_angle };
+    let places = acts.moment_by_places;
+    let by: [f64; OWN] = std::array::from_fn(|i| if i < 6 { places[i] } else { acts.moment_by_angle });
     let curved = -1.5 * acts.moment / (l * l * l);
-    for i in 0..OWN {
-        for j in 0..OWN {
-            second[i][j] += 2.0 * (by(i) * area[j] + area[i] * by(j))
-                + curved * (across[i] * along[j] + along[i] * across[j]);
-        }
+    move |i, j| {
+        let twice = by[i] * area[j] + area[i] * by[j];
+        2.0 * twice + curved * (across[i] * along[j] + along[i] * across[j])
     }
 }

@@ -1,5 +1,7 @@
 //! Sensors on a rod that see forces, accelerations and angular rates of one state.
 
+mod second;
+
 use nalgebra::{Matrix3, Vector3};
 use varda_implicit::{At, ImplicitStep, ObservationOperator, ParametricStep, Refusal, Remembered};
 
@@ -248,7 +250,6 @@ impl Sensors {
     fn fill_rows(&mut self, at: At, x: &[f64], rows: &mut [f64]) {
         let (history, at_rest) = (self.step.repeated(), self.step.is_at_rest);
         let back = if at_rest { 0.0 } else { SHARE * self.interval };
-        let mut on_earlier = vec![0.0; x.len()];
         let done = self.with_state(at.time, x, &mut |system, motion, present| {
             let tangent = present.tangent(system, motion, Vec::new());
             for (row, of) in rows.chunks_exact_mut(x.len()).zip(&present.rows()) {
@@ -258,25 +259,7 @@ impl Sensors {
                 }
                 let mut on = present.weights(system, motion, of);
                 tangent.transpose_add(system, motion.start.length, &mut on);
-                on.now.transpose_add(system, &system.shape, row);
-                on_earlier.fill(0.0);
-                let then = motion.past.map_or(&system.shape, |past| &past.shape);
-                on.before.transpose_add(system, then, &mut on_earlier);
-                let places = 3 * system.layout.free_vertices.len();
-                for i in 0..places {
-                    row[i] += on_earlier[i];
-                    row[places + i] -= back * on_earlier[i];
-                }
-                for (f, &v) in system.layout.free_vertices.iter().enumerate() {
-                    (0..3).for_each(|c| row[places + 3 * f + c] += on.velocities[v][c]);
-                }
-                for i in 2 * places..2 * places + system.layout.free_angles.len() {
-                    let share = if history > 0 && !at_rest { SHARE } else { 0.0 };
-                    row[i] += (1.0 - share) * on_earlier[i];
-                    if share > 0.0 {
-                        row[system.layout.state() + i] += share * on_earlier[i];
-                    }
-                }
+                present.onto_state(system, motion, &mut on, (history, back), row);
             }
         });
         done.expect("this state was observed before");
@@ -389,6 +372,20 @@ impl Present<'_> {
     fn weights(&self, system: &System, motion: &Motion, row: &Row) -> Weights {
         let mut on = Weights::new(system.rod.segments());
         let (direction, measured) = (self.direction(system, row), self.measured(system, motion, row));
+        self.force_weights(system, row, &direction, &measured, &mut on);
+        self.turn_weights(system, row, &measured, &mut on);
+        on
+    }
+
+    /// What a row is that has this direction, which stays.
+    fn force_weights(
+        &self,
+        system: &System,
+        row: &Row,
+        direction: &Vector3<f64>,
+        measured: &Vector3<f64>,
+        on: &mut Weights,
+    ) {
         match row.sensor {
             Placed::Force(sum) | Placed::Along(sum, _) => {
                 for v in sum.vertices.clone() {
@@ -409,21 +406,35 @@ impl Present<'_> {
                 }
             }
             Placed::AngularRate(e) => {
-                let by_velocity = direction / system.shape.edges[*e].l;
+                let edge = &system.shape.edges[*e];
+                let by_velocity = direction / edge.l;
                 on.velocities[*e] -= by_velocity;
                 on.velocities[e + 1] += by_velocity;
+                // and the length is in the denominator
+                let by_edge = edge.t * (direction.dot(measured) / edge.l);
+                on.now.places[*e] += by_edge;
+                on.now.places[e + 1] -= by_edge;
             }
             _ => {}
         }
-        // the direction turns: δm₁ = −(m₁·δt) t + δφ m₂,
-        // δm₂ = −(m₂·δt) t − δφ m₁ with δt = (I − t tᵀ) δe/l
-        let (e, [a, b, c]) = match row.sensor {
-            Placed::Along(_, e) | Placed::Direction(e) => (*e, [0.0, 0.0, 1.0]),
+    }
+
+    /// The edge with whose section the direction of a row turns, and that direction along its (m₁, m₂, t).
+    fn axis(&self, row: &Row) -> Option<(usize, Vector3<f64>)> {
+        match row.sensor {
+            Placed::Along(_, e) | Placed::Direction(e) => Some((*e, Vector3::z())),
             Placed::SpecificForce(Place { edge: e, .. }, _) | Placed::AngularRate(e) => {
-                (*e, row.direction.into())
+                Some((*e, row.direction))
             }
-            _ => return on,
-        };
+            _ => None,
+        }
+    }
+
+    /// What a row is whose direction turns and which measures this, which stays: δm₁ = −(m₁·δt) t
+    /// + δφ m₂, δm₂ = −(m₂·δt) t − δφ m₁ with δt = (I − t tᵀ) δe/l.
+    fn turn_weights(&self, system: &System, row: &Row, measured: &Vector3<f64>, on: &mut Weights) {
+        let Some((e, axis)) = self.axis(row) else { return };
+        let [a, b, c]: [f64; 3] = axis.into();
         let (edge, along) = (&system.shape.edges[e], measured.dot(&system.shape.edges[e].t));
         let mut by_edge = (measured - edge.t * along) * c;
         if a != 0.0 || b != 0.0 {
@@ -431,13 +442,39 @@ impl Present<'_> {
             by_edge -= (m1 * a + m2 * b) * along;
             on.now.angles[e] += a * measured.dot(&m2) - b * measured.dot(&m1);
         }
-        if let Placed::AngularRate(_) = row.sensor {
-            // and the length is in the denominator
-            by_edge -= edge.t * direction.dot(&measured);
-        }
         on.now.places[e] -= by_edge / edge.l;
         on.now.places[e + 1] += by_edge / edge.l;
-        on
+    }
+
+    /// What acts on configurations and velocities as what acts on the state, of a step whose state has so
+    /// much history; the earlier configuration lies `back` \[s\] along the velocities.
+    fn onto_state(
+        &self,
+        system: &System,
+        motion: &Motion,
+        on: &mut Weights,
+        (history, back): (usize, f64),
+        row: &mut [f64],
+    ) {
+        let mut on_earlier = vec![0.0; row.len()];
+        on.now.transpose_add(system, &system.shape, row);
+        let then = motion.past.map_or(&system.shape, |past| &past.shape);
+        on.before.transpose_add(system, then, &mut on_earlier);
+        let places = 3 * system.layout.free_vertices.len();
+        for i in 0..places {
+            row[i] += on_earlier[i];
+            row[places + i] -= back * on_earlier[i];
+        }
+        for (f, &v) in system.layout.free_vertices.iter().enumerate() {
+            (0..3).for_each(|c| row[places + 3 * f + c] += on.velocities[v][c]);
+        }
+        for i in 2 * places..2 * places + system.layout.free_angles.len() {
+            let share = if history > 0 && !self.at_rest { SHARE } else { 0.0 };
+            row[i] += (1.0 - share) * on_earlier[i];
+            if share > 0.0 {
+                row[system.layout.state() + i] += share * on_earlier[i];
+            }
+        }
     }
 }
 
@@ -496,6 +533,18 @@ impl ObservationOperator for Sensors {
                 dx.iter_mut().zip(row).for_each(|(dx, row)| *dx += dy * row);
             }
         });
+    }
+
+    /// Not of a rod at rest, nor with a load that has none.
+    fn has_second_derivatives(&self) -> bool {
+        !self.step.is_at_rest && self.step.system.loads_have_second_derivatives()
+    }
+
+    /// # Panics
+    /// If a slice has the wrong length, or `observe` refuses this state.
+    fn second_adjoint_add(&mut self, at: At, x: &[f64], dx: &[f64], dy: &[f64], out: &mut [f64]) {
+        assert_eq!(dy.len(), self.rows, "a number for every row");
+        self.second_add(at.time, x, dx, dy, out);
     }
 }
 

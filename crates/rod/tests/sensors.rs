@@ -4,13 +4,21 @@
 mod common;
 
 use common::rods_with_parameters::{Case, DOWN, LOST, PLAIN, SEGMENTS, cases, control, rod, step, supports};
-use common::{difference, noise, off};
+use common::{difference, dot, noise, off};
 use varda_implicit::{
-    At, ImplicitModel, Model, ObservationOperator, ParametricStep, Scheme, WithParameters, check,
+    At, ImplicitModel, ImplicitStep, Model, ObservationOperator, ParametricStep, Scheme, WithParameters,
+    check,
 };
 use varda_rod::{Damping, Error, Marker, Markers, Matrix3, RodStep, Sensor, Sensors, Vector3, rotation};
 
 const STEP: f64 = 0.004;
+
+/// In a fluid, pushed by forces that turn with sections, turned by moments.
+const LOADED: [Case; 3] = [
+    Case { name: "in a fluid", drag: true, ..PLAIN },
+    Case { name: "pushed", pushed: true, anisotropic: true, curved: true, ..PLAIN },
+    Case { name: "all at once", pushed: true, drag: true, end: true, damping: LOST, ..PLAIN },
+];
 
 /// A rotation about no axis of a section.
 fn turned() -> Matrix3<f64> {
@@ -261,7 +269,7 @@ fn close(case: Case, sensors: &[Sensor], derivative: &[f64], by_difference: &[f6
 
 #[test]
 fn every_check_of_an_operator() {
-    for case in cases() {
+    for case in cases().into_iter().chain(LOADED) {
         for scheme in [Scheme::BackwardEuler, Scheme::Midpoint, Scheme::Bdf2] {
             let (rod, p, states) = run(case, scheme, STEP, 3);
             let all = sensors(case, &rod);
@@ -282,6 +290,87 @@ fn every_check_of_an_operator() {
                 sensors.tangent(at(3, STEP), x, &dx, &mut tangent);
                 let by_difference = difference(x, &dx, 1e-5, |x| observed(&mut sensors, at(3, STEP), x));
                 close(case, &all, &tangent, &by_difference, 1e-5, &format!("{scheme:?}, {i}"));
+            }
+        }
+    }
+}
+
+/// Σ dy ∂²y/∂x² dx, sensor by sensor, beside differences of the adjoint, extrapolated twice.
+#[test]
+fn second_derivatives_are_those_of_the_adjoint() {
+    for case in cases().into_iter().chain(LOADED) {
+        for scheme in [Scheme::BackwardEuler, Scheme::Midpoint, Scheme::Bdf2] {
+            let (rod, p, states) = run(case, scheme, STEP, 3);
+            let (all, places) = (sensors(case, &rod), 3 * rod.free_vertices().len());
+            let own = rod.dim() - rod.history();
+            let Ok(mut sensors) = Sensors::new(rod, STEP, &all) else { continue };
+            sensors.set_parameters(&p).unwrap();
+            assert!(sensors.has_second_derivatives());
+            let (x, at) = (&states[3], at(3, STEP));
+            let scale = |i: usize| match i % own {
+                i if i < places => 1e-2,
+                i if i < 2 * places => 1.0,
+                _ => 0.1,
+            };
+            let [a, b] = [5, 6].map(|seed| -> Vec<f64> {
+                noise(seed).take(x.len()).enumerate().map(|(i, e)| scale(i) * e).collect()
+            });
+            let mut row = 0;
+            for sensor in &all {
+                let mut dy = vec![0.0; sensors.dim()];
+                let rows = row..row + sensor.rows();
+                row = rows.end;
+                dy[rows].iter_mut().zip(noise(9)).for_each(|(dy, e)| *dy = e);
+                let mut adjoint = |x: &[f64]| {
+                    let mut back = vec![0.0; x.len()];
+                    observed(&mut sensors, at, x);
+                    sensors.adjoint_add(at, x, &dy, &mut back);
+                    back
+                };
+                let steps = [0.04, 0.02, 0.01].map(|h| -> Vec<f64> {
+                    let mut moved =
+                        |h: f64| adjoint(&x.iter().zip(&a).map(|(x, a)| x + h * a).collect::<Vec<_>>());
+                    moved(h).iter().zip(moved(-h)).map(|(p, m)| (p - m) / (2.0 * h)).collect()
+                });
+                let better = |coarse: &[f64], fine: &[f64], k: f64| -> Vec<f64> {
+                    coarse.iter().zip(fine).map(|(c, f)| f + (f - c) / (k - 1.0)).collect()
+                };
+                let best =
+                    better(&better(&steps[0], &steps[1], 4.0), &better(&steps[1], &steps[2], 4.0), 16.0);
+                observed(&mut sensors, at, x);
+                let mut second = |dx: &[f64]| {
+                    let mut out = vec![0.0; x.len()];
+                    sensors.second_adjoint_add(at, x, dx, &dy, &mut out);
+                    out
+                };
+                let (mut by_a, by_b) = (second(&a), second(&b));
+                let norm = |of: &dyn Fn(usize) -> f64| {
+                    (0..x.len()).map(|i| (scale(i) * of(i)).powi(2)).sum::<f64>().sqrt()
+                };
+                let size = norm(&|i| by_a[i]);
+                let error = norm(&|i| by_a[i] - best[i]);
+                let name = format!("{}, {scheme:?}, {sensor:?}: {error:.1e} of {size:.1e}", case.name);
+                if let Sensor::Spin { .. } = sensor {
+                    assert!(size == 0.0 && by_a.iter().all(|d| *d == 0.0), "{name}: a number of the state");
+                    continue;
+                }
+                // what three differences leave; with strain rates and drag those have rounding over 1e-3 Δt
+                let rates = case.damping.stiffness > 0.0 || case.drag;
+                let bound = if rates { 1e-6 } else { 1e-7 };
+                assert!(error <= bound * size, "{name}");
+                let symmetry = (dot(&by_a, &b) - dot(&by_b, &a)).abs();
+                let products = size * norm(&|i| b[i] / scale(i).powi(2));
+                let bound = if rates { 1e-10 } else { 1e-12 };
+                assert!(symmetry <= bound * products, "{name}: {:e}", symmetry / products);
+                let [coarse, fine] = [0, 1].map(|s: usize| norm(&|i| by_a[i] - steps[s][i]));
+                if coarse > 1e-5 * size {
+                    let slope = (coarse / fine).log2();
+                    assert!((slope - 2.0).abs() <= 0.1, "{name}: slope {slope}");
+                }
+                let largest = (0..x.len())
+                    .max_by(|i, j| (scale(*i) * by_a[*i]).abs().total_cmp(&(scale(*j) * by_a[*j]).abs()));
+                by_a[largest.unwrap()] *= 1.0001;
+                assert!(norm(&|i| by_a[i] - best[i]) > 1e-6 * size, "{name}: a wrong entry is not seen");
             }
         }
     }

@@ -117,8 +117,8 @@ fn estimates_have_the_exact_hessian_too() {
 #[test]
 fn loads_of_the_motion_have_the_exact_hessian_too() {
     let loads = [
-        "model.moments=[{arc_length=1.5,moment=[0.0,0.002,0.001]}]",
-        "model.forces=[{arc_length=2.0,force=[0.0,0.01,-0.7],follower=true}]",
+        "model.moments=[{arc_length=1.5,moment=[0.0,0.0004,0.0002]}]",
+        "model.forces=[{arc_length=2.0,force=[0.0,0.0,0.766],follower=true}]",
     ];
     let with: Vec<&str> = loads.into_iter().chain(["algorithm.hessian=exact"]).collect();
     let (plain, exact) = (run("tether-in-current", &loads), run("tether-in-current", &with));
