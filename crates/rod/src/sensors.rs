@@ -1,6 +1,7 @@
 //! Sensors on a rod that see forces, accelerations and angular rates of one state.
 
 mod second;
+mod second_parameters;
 
 use nalgebra::{Matrix3, Vector3};
 use varda_implicit::{At, ImplicitStep, ObservationOperator, ParametricStep, Refusal, Remembered};
@@ -77,6 +78,9 @@ pub struct Sensors {
     before: Vec<f64>,
     /// Rows of H', one after the other.
     known: Remembered,
+    /// Second derivatives with parameters, of a state and what acts on its values: nothing until they are
+    /// asked for.
+    known_second: Remembered,
 }
 
 /// Strain rates are differences over this share of the interval; a much smaller one is lost in rounding.
@@ -114,6 +118,7 @@ impl Sensors {
             parameters: vec![0.0; parameters],
             before: vec![0.0; state_dim],
             known: Remembered::new(state_dim, rows * state_dim),
+            known_second: Remembered::new(state_dim + rows, parameters * (state_dim + parameters)),
             step,
         })
     }
@@ -130,6 +135,7 @@ impl Sensors {
             self.step.set_parameters(p)?;
             self.parameters.copy_from_slice(p);
             self.known.forget();
+            self.known_second.forget();
         }
         Ok(())
     }

@@ -230,6 +230,24 @@ fn a_cell_that_is_off_stands_out() {
     assert!(outcome.judgement.text.contains("sensor clamp"), "{}", outcome.judgement.text);
 }
 
+/// Forces, accelerations, rates and directions have second derivatives, material damping and constants
+/// included; without the key nothing of them is made.
+#[test]
+fn readings_have_the_exact_hessian_too() {
+    let folder = Folder::new("sensors-exact");
+    let text = format!("{ROD}{TWIN}{PLACES}{}", all_kinds());
+    for sets in [&["report.mesh=false"][..], &["report.mesh=false", BOTH]] {
+        let with = [sets, &["algorithm.hessian=\"exact\""]].concat();
+        let (plain, exact) = (ran(&text, &folder, sets), ran(&text, &folder, &with));
+        assert!((exact.analysis.value / plain.analysis.value - 1.0).abs() <= 1e-6);
+        assert_eq!(plain.model_counts.adjoint_derivatives, 0);
+        assert!(exact.convergence.iter().any(|r| r.hessian == Some("exact")));
+        let found = exact.exact_hessian.unwrap();
+        assert!(found.smallest_eigenvalue.is_some_and(|mu| mu > 0.0), "{found:?}");
+        assert!(found.sigma_change.is_some_and(|change| change > 1e-4 && change < 1.0), "{found:?}");
+    }
+}
+
 /// What is refused, with the words of it.
 #[test]
 fn what_is_wrong_is_named() {
@@ -251,7 +269,9 @@ fn what_is_wrong_is_named() {
     let row = |row: &str| format!("{header}\n{row}\n");
     let euler = "time.integrator=\"backward-euler\"";
     let axes = format!("{cell}axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]\n");
-    let cases: [(String, &str, &[&str], &[&str]); 20] = [
+    let ei = "estimate.ei={sigma=\"30%\",together=true}";
+    let moved = "estimate.clamp_direction={sigma=0.1}";
+    let cases: [(String, &str, &[&str], &[&str]); 22] = [
         (good.clone(), &cell, &[], &[]),
         (row("1.3,scale,1.0"), &cell, &[], &["rows.csv:2", "\"scale\"", "cell"]),
         (row("1.3,cell,NaN"), &cell, &[], &["rows.csv:2", "`tension_n` is NaN"]),
@@ -285,7 +305,9 @@ fn what_is_wrong_is_named() {
         (good.clone(), &cell, &[euler], &["time.integrator", "angles of the state before"]),
         (good.clone(), &cell, &["time.tolerance=1e-3"], &["time.tolerance", "leave it out"]),
         (good.clone(), &cell, &["estimate.clock={sigma=0.01}"], &["estimate.clock"]),
-        (good.clone(), &cell, &["algorithm.hessian=\"exact\""], &["algorithm.hessian", "gauss-newton"]),
+        (good.clone(), &cell, &["algorithm.hessian=\"exact\""], &[]),
+        (good.clone(), &cell, &["algorithm.hessian=\"exact\"", ei], &[]),
+        (good.clone(), &cell, &["algorithm.hessian=\"exact\"", moved], &["estimate.clamp_direction moves"]),
         (good, &cell, &["observations.correlation={length=0.1}"], &["take `time`"]),
     ];
     for (rows, sensors, sets, words) in cases {

@@ -181,6 +181,10 @@ fn keys_that_do_not_belong_together_are_refused() {
         let (_folder, file) = scene(name, &text.replace(from, to));
         file.and_then(|file| Problem::from_scene(&file).map(|_| ())).expect_err("refused").to_string()
     };
+    let (folder, _) = scene("exact", &twin());
+    let exact = folder.scene(&twin(), &["algorithm.hessian=\"exact\""]).unwrap();
+    let exact = Problem::from_scene(&exact).map(|_| ()).expect_err("refused").to_string();
+    assert!(exact.contains("algorithm.hessian") && exact.contains("model.twist_inertia"), "{exact}");
     let massless = refusal("massless", "twist_inertia = true", "");
     assert!(massless.contains("model.twist_inertia = true"), "{massless}");
     let half = refusal("half", "sigma_spin = 20.0", "");

@@ -13,8 +13,12 @@
 //! twice, and ∂E/∂α with the curvature of A. Stored angles are α + ψ(x), and ψ is curved.
 
 use nalgebra::Vector3;
+use varda_implicit::At;
+use varda_linalg::dot;
 
+use super::second_parameters::{Changed, OfStrains, WithParameters};
 use super::{Placed, Present, Row, SHARE, Sensors, earlier};
+use crate::change::Parameters;
 use crate::element::STRAINS;
 use crate::forces_of_motion::{Motion, Past};
 use crate::forces_tangent::transpose::Weights;
@@ -66,30 +70,101 @@ fn in_full_order(system: &System, places: &[Vector3<f64>], angles: &[f64]) -> Ve
 }
 
 impl Sensors {
+    /// (out, out_p) += Σ_i dy_i ∂²y_i/∂(x, p)² (dx, dp) of all parameters p of the rod's step, at a state
+    /// that was observed before with these.
+    ///
+    /// # Panics
+    /// If a slice has the wrong length, or a parameter moves supports.
+    pub fn second_with_parameters_add(
+        &mut self,
+        at: At,
+        x: &[f64],
+        [dx, dp]: [&[f64]; 2],
+        dy: &[f64],
+        [out, out_p]: [&mut [f64]; 2],
+    ) {
+        assert!(self.has_second_parameters(), "a parameter moves supports");
+        assert_eq!((dy.len(), dp.len(), out_p.len()), (self.rows, self.parameters(), self.parameters()));
+        self.second_add(at.time, x, dx, dy, out);
+        let (states, of) = (x.len(), [x, dy].concat());
+        let mut known = std::mem::take(&mut self.known_second);
+        let numbers = known.at(at, &of, |numbers| self.second_of_parameters(at.time, x, dy, numbers));
+        let (columns, square) = numbers.split_at(dp.len() * states);
+        let columns = columns.chunks_exact(states).zip(square.chunks_exact(dp.len().max(1)));
+        for (((column, row), out_p), moved) in columns.zip(out_p).zip(dp) {
+            out.iter_mut().zip(column).for_each(|(out, c)| *out += c * moved);
+            *out_p += dot(column, dx) + dot(row, dp);
+        }
+        self.known_second = known;
+    }
+
+    /// Whether that is given: of parameters that move supports it is not.
+    pub fn has_second_parameters(&self) -> bool {
+        self.step.system.moves.is_empty()
+    }
+
     /// out += Σ_i dy_i ∂²y_i/∂x² dx.
     pub(super) fn second_add(&mut self, t: f64, x: &[f64], dx: &[f64], dy: &[f64], out: &mut [f64]) {
         let mut dx_before = vec![0.0; x.len()];
         earlier(&self.step, SHARE, self.interval, dx, &mut dx_before);
-        let (history, interval) = (self.step.repeated(), self.interval);
+        let (history, back) = (self.step.repeated(), SHARE * self.interval);
         let done = self.with_state(t, x, &mut |system, motion, present| {
-            let rows: Vec<(Row, f64)> = present.rows().into_iter().zip(dy.iter().copied()).collect();
+            let rows = present.weighed(dy);
             let mut tangent = present.tangent(system, motion, Vec::new());
             tangent.vary(system, motion.start.length, [dx, &dx_before, &[]]);
-            let mut first = Weights::new(system.rod.segments());
-            for (row, dy) in &rows {
-                first.add(&present.weights(system, motion, row), *dy);
-            }
-            let seen = Seen { system, motion, present, tangent: &tangent, dx };
-            let mut on = Weights::new(system.rod.segments());
-            seen.of_axes(&rows, &mut on);
-            if system.layout.twist {
-                seen.of_carried(&first.gradient, &mut on);
-            }
-            tangent.transpose_add(system, motion.start.length, &mut on);
-            seen.of_forces(&mut first, &mut on);
-            present.onto_state(system, motion, &mut on, (history, SHARE * interval), out);
+            let changed = Changed::none(system);
+            let seen = Seen { system, motion, present, tangent: &tangent, dx, changed, by: None };
+            let mut on = seen.second(&rows);
+            present.onto_state(system, motion, &mut on, (history, back), out);
         });
         done.expect("this state was observed before");
+    }
+
+    /// Fills zeros with Σ_i dy_i ∂²y_i/∂x∂p, a column for every parameter, and ∂²/∂p², row by row.
+    pub(super) fn second_of_parameters(&mut self, t: f64, x: &[f64], dy: &[f64], numbers: &mut [f64]) {
+        let (history, back) = (self.step.repeated(), SHARE * self.interval);
+        let Some(parameters) = self.step.parameters.take() else { return };
+        let (columns, square) = numbers.split_at_mut(parameters.len() * x.len());
+        let zero = vec![0.0; x.len()];
+        let done = self.with_state(t, x, &mut |system, motion, present| {
+            let rows = present.weighed(dy);
+            let changes = parameters.of_forces(system, motion, &present.damping, present.times);
+            let mut tangent = present.tangent(system, motion, changes);
+            let mut forces = Vec::new();
+            for (p, column) in columns.chunks_exact_mut(x.len()).enumerate() {
+                let mut dp = vec![0.0; parameters.len()];
+                dp[p] = 1.0;
+                tangent.vary(system, motion.start.length, [&zero, &zero, &dp]);
+                let changed = Changed::of(system, &parameters, &dp);
+                let by = Some((&*parameters, &dp[..]));
+                let seen = Seen { system, motion, present, tangent: &tangent, dx: &zero, changed, by };
+                let mut on = seen.second(&rows);
+                present.onto_state(system, motion, &mut on, (history, back), column);
+                forces.push(seen.forces());
+            }
+            let weights = present.on_forces(system, motion, &rows);
+            let full = in_full_order(system, &weights.gradient, &vec![0.0; system.rod.segments()]);
+            let with = WithParameters { parameters: &parameters, system, motion, present };
+            square.copy_from_slice(&with.square(&rows, (&weights, &full), &forces));
+        });
+        done.expect("this state was observed before");
+        self.step.parameters = Some(parameters);
+    }
+}
+
+impl Present<'_> {
+    /// The rows with what acts on each.
+    fn weighed(&self, dy: &[f64]) -> Vec<(Row<'_>, f64)> {
+        self.rows().into_iter().zip(dy.iter().copied()).collect()
+    }
+
+    /// What all rows are on forces, velocities and configurations.
+    fn on_forces(&self, system: &System, motion: &Motion, rows: &[(Row, f64)]) -> Weights {
+        let mut on = Weights::new(system.rod.segments());
+        for (row, dy) in rows {
+            on.add(&self.weights(system, motion, row), *dy);
+        }
+        on
     }
 }
 
@@ -100,9 +175,31 @@ struct Seen<'a> {
     present: &'a Present<'a>,
     tangent: &'a Tangent<'a>,
     dx: &'a [f64],
+    changed: Changed,
+    /// Parameters and their increment.
+    by: Option<(&'a Parameters, &'a [f64])>,
 }
 
 impl Seen<'_> {
+    /// What acts on configurations and velocities.
+    fn second(&self, rows: &[(Row, f64)]) -> Weights {
+        let Seen { system, motion, present, tangent, .. } = self;
+        let mut first = present.on_forces(system, motion, rows);
+        let mut on = Weights::new(system.rod.segments());
+        self.of_axes(rows, &mut on);
+        if system.layout.twist {
+            self.of_carried(&first.gradient, &mut on);
+        }
+        tangent.transpose_add(system, motion.start.length, &mut on);
+        self.of_forces(&mut first, &mut on);
+        on
+    }
+
+    /// δ(∂E/∂x_v) and δF_v of every vertex.
+    fn forces(&self) -> Vec<[Vector3<f64>; 2]> {
+        (0..self.system.x.len()).map(|v| [self.net(v, false), self.tangent.loads.forces[v]]).collect()
+    }
+
     fn edge_moved(&self, e: usize) -> Vector3<f64> {
         self.tangent.now.places[e + 1] - self.tangent.now.places[e]
     }
@@ -133,12 +230,19 @@ impl Seen<'_> {
             Placed::Acceleration(place) | Placed::SpecificForce(place, _) => {
                 let of = |v: usize| match self.present.is_free[v] {
                     true => {
-                        -self.net(v, true) / self.system.rod.masses[v]
+                        let mass = self.system.rod.masses[v];
+                        let net = self.net(v, true) - self.present.net(v) * (self.changed.masses[v] / mass);
+                        -net / mass
                             - self.faster(v) * self.present.damping.mass
+                            - self.present.velocities[v] * self.changed.damping
                     }
                     false => Vector3::zeros(),
                 };
-                of(place.edge) * (1.0 - place.fraction) + of(place.edge + 1) * place.fraction
+                let gravity = match row.sensor {
+                    Placed::SpecificForce(..) => self.changed.gravity,
+                    _ => Vector3::zeros(),
+                };
+                of(place.edge) * (1.0 - place.fraction) + of(place.edge + 1) * place.fraction - gravity
             }
             Placed::AngularRate(e) => {
                 let edge = &self.system.shape.edges[*e];
@@ -155,8 +259,12 @@ impl Seen<'_> {
         for (row, dy) in rows.iter().filter(|(_, dy)| *dy != 0.0) {
             let measured = present.measured(system, motion, row);
             let varied = self.measured(row, &measured);
-            let Some((e, axis)) = present.axis(row) else { continue };
             let mut of = Weights::new(system.rod.segments());
+            self.of_masses(row, &mut of);
+            let Some((e, axis)) = present.axis(row) else {
+                on.add(&of, *dy);
+                continue;
+            };
             present.turn_weights(system, row, &varied, &mut of);
             let edge = &system.shape.edges[e];
             let (moved, turned) = (self.edge_moved(e), tangent.now.angles[e]);
@@ -183,6 +291,21 @@ impl Seen<'_> {
                 of.now.places[e + 1] += by_edge / edge.l;
             }
             on.add(&of, *dy);
+        }
+    }
+
+    /// What changes of masses and of damping by mass do to a row of an acceleration.
+    fn of_masses(&self, row: &Row, on: &mut Weights) {
+        let (Placed::Acceleration(place) | Placed::SpecificForce(place, _)) = row.sensor else { return };
+        let direction = self.present.direction(self.system, row);
+        for (v, share) in [(place.edge, 1.0 - place.fraction), (place.edge + 1, place.fraction)] {
+            if self.present.is_free[v] {
+                let mass = self.system.rod.masses[v];
+                let by_force = direction * (share * self.changed.masses[v] / (mass * mass));
+                on.gradient[v] += by_force;
+                on.loads[v] -= by_force;
+                on.velocities[v] -= direction * (share * self.changed.damping);
+            }
         }
     }
 
@@ -226,6 +349,9 @@ impl Seen<'_> {
         system.second_of_loads(start, &second_order::Increment(&mu), &mut now.band, &mut started);
         system.second_of_start_add(&started, [&now.by, &before.by], &mut now.on, &mut before.on);
 
+        if let Some((parameters, dp)) = self.by {
+            self.of_changes(parameters, dp, (&weights, past), &mut now.on, on);
+        }
         let gradient = first.gradient.clone();
         tangent.transpose_add(system, motion.start.length, first);
         let mut on_psi = first.now.on_psi(system);
@@ -238,6 +364,46 @@ impl Seen<'_> {
         }
         now.onto(system, &mut on.now);
         before.onto(system, &mut on.before);
+    }
+
+    /// Wᵀ ∂²(∂E/∂x)/∂(x, p) dp, W in the full order.
+    fn of_changes(
+        &self,
+        parameters: &Parameters,
+        dp: &[f64],
+        (weights, past): (&[f64], Option<&Past>),
+        on_now: &mut [f64],
+        on: &mut Weights,
+    ) {
+        let Seen { system, motion, present, .. } = self;
+        let strains = OfStrains::of(system, weights, past);
+        let strained = strains.strained(present, motion);
+        let (mut full, mut by_unknowns) = (vec![0.0; weights.len()], vec![0.0; on_now.len()]);
+        let mut stresses = Vec::new();
+        for ((parameter, slope), dp) in parameters.list.iter().zip(&parameters.slopes).zip(dp) {
+            let times = slope * dp;
+            if times == 0.0 {
+                continue;
+            }
+            system.second_of_change(&parameter.change, strained, &mut full);
+            system.layout.take(&full, &mut by_unknowns);
+            on_now.iter_mut().zip(&by_unknowns).for_each(|(on, by)| *on += times * by);
+            let Some(past) = past else { continue };
+            if !system.past_of_change(&parameter.change, strained, &mut stresses) {
+                continue;
+            }
+            for (e, [along, bent @ ..]) in stresses.iter().enumerate() {
+                let [by_then, by_now] = past.by_edge[e].map(|by| by * (times * along));
+                for (on, by) in [(&mut on.before, by_then), (&mut on.now, by_now)] {
+                    on.places[e] -= by;
+                    on.places[e + 1] += by;
+                }
+                if let Some(then) = e.checked_sub(1).and_then(|i| past.strains.get(i)) {
+                    let of = |c: usize| (0..3).map(|a| then.gradient[a][c] * bent[a]).sum::<f64>();
+                    on.before.add_at(e, &std::array::from_fn(|c| times * of(c)));
+                }
+            }
+        }
     }
 
     /// What couples the two configurations in stresses of strain rates, −share k ε* for every strain. Returns
