@@ -137,6 +137,7 @@ pub mod rotation;
 mod scalar;
 mod second_order;
 mod second_parameters;
+mod second_step;
 mod sensor;
 mod sensors;
 mod shape;

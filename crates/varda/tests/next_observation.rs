@@ -154,7 +154,12 @@ fn the_exact_hessian_is_refused_where_there_is_none() {
     assert!(lbfgs.contains("algorithm.hessian") && lbfgs.contains("trust-region"), "{lbfgs}");
     let weak = refused("hanging-rod-weak", &["algorithm.hessian=exact"]);
     assert!(weak.contains("algorithm.hessian") && weak.contains("4dvar"), "{weak}");
-    let at_rest = ["algorithm.hessian=exact", "time.integrator=quasi-static"];
-    let at_rest = refused("hanging-rod-case1", &at_rest);
+    let at_rest = [
+        "algorithm.hessian=exact",
+        "time.integrator=quasi-static",
+        "background={from=\"static-equilibrium\",covariance={kind=\"known\"}}",
+        "estimate.ei={sigma=\"30%\",together=true}",
+    ];
+    let at_rest = refused("hose", &at_rest);
     assert!(at_rest.contains("quasi-static") && at_rest.contains("a rod at rest"), "{at_rest}");
 }
