@@ -262,10 +262,12 @@ impl Memory {
         let is_kept = algorithm.minimizer == Minimizer::Lbfgs;
         let (mut other, dense) = if is_kept { (vectors, dense) } else { (0, dense.saturating_add(vectors)) };
         if exact {
-            // of every step λ, μ, the path of a perturbation, twice, matrices about as large as the factor,
-            // and two columns of every constant
+            // of every step λ, μ, the path of a perturbation, twice, matrices about as large as the factor (of
+            // spins three of them), and two columns of every constant
             let vectors = 6 + 2 * sizes.constants;
-            let step = sizes.state.saturating_mul(vectors).saturating_add(sizes.kept);
+            let spins = matches!(&scene.model, Model::Rod(rod) if rod.twist_inertia);
+            let matrices = sizes.kept.saturating_mul(if spins { 3 } else { 1 });
+            let step = sizes.state.saturating_mul(vectors).saturating_add(matrices);
             other = other.saturating_add((sizes.steps + 1).saturating_mul(step));
         }
         other = other.saturating_add(ensemble.map_or(0, |e| e.runs()));
@@ -301,7 +303,12 @@ impl Memory {
             output if output.formats.contains(&Format::Netcdf) => COPIES_OF_NETCDF,
             output => usize::from(output.is_more_than_csv()),
         };
-        let sensors = if scene.observations.sensors().is_empty() { 0 } else { OF_SENSORS };
+        let sensors = match (scene.observations.sensors().is_empty(), exact) {
+            (true, _) => 0,
+            (false, false) => OF_SENSORS,
+            // and of their second derivatives with constants
+            (false, true) => OF_SENSORS + Remembered::BYTES,
+        };
         let footprint = footprint(scene, sizes);
         Memory {
             covariance: NUMBER * covariance,
