@@ -17,10 +17,11 @@ const SYMMETRY: f64 = 1e-12;
 /// Every check of a load, on the first, the middle and the last of its edges: they are edges of the rod; same
 /// input, same result; all values are finite; ∂F/∂(places), ∂F/∂(velocities) and ∂F/∂θ are
 /// derivatives of the forces, and those of the moment are its own (Taylor), directors being carried with the
-/// edge; second derivatives, where there are any, are derivatives of all of that; without [`Load::uses_directors`] nothing depends on them, without [`Load::has_moment`] there is
-/// none. Of a load that says it has a potential: F = −∂W/∂(places) and m = −∂W/∂θ (Taylor),
-/// ∂F/∂(places) is symmetric (but for the part that carried directors bring), and nothing depends on
-/// velocities. Of one without: its energy is zero.
+/// edge; second derivatives, where there are any, are derivatives of all of that; without
+/// [`Load::uses_directors`] nothing depends on them, without [`Load::has_moment`] there is none. Of a load
+/// that says it has a potential: F = −∂W/∂(places) and m = −∂W/∂θ (Taylor), ∂F/∂(places)
+/// is symmetric (but for the part that carried directors bring), and nothing depends on velocities. Of one
+/// without: its energy is zero.
 ///
 /// A load that claims a potential which it has not is not found while a rod moves: a symmetric band keeps one
 /// half of its Jacobian, and Newton's method looks for a minimum that is none.
@@ -240,7 +241,7 @@ fn of_second_derivatives(
         let mut sum = |x: &[f64]| Ok(weigh(&numbers(&load.on_edge(&with(motion, x)?))));
         let (value, bound) = remainder(&mut sum, &gradient, x, direction)?;
         findings.push(Finding::at_most(
-            &format!("2 − Taylor slope of all at an edge whose {what} move"),
+            format!("2 − Taylor slope of all at an edge whose {what} move"),
             value,
             bound,
         ));

@@ -135,11 +135,11 @@ impl System {
         STARTED * self.slowed_edges().len()
     }
 
-    /// Adds ∂²(−μᵀF)/∂c² of the forces and moments of loads at the present shape to the lower band of
-    /// ∂G/∂u, and writes what the start of the stage does, where there is one, to `started`.
+    /// Adds ∂²(−μᵀF)/∂c² of the forces and moments of loads at the present shape to the lower
+    /// band of ∂G/∂u, and writes what the start of the stage does, where there is one, to `started`.
     ///
-    /// ∂F/∂c is as loads give it, in angles that start where the edge is; these are c fixed at the present
-    /// shape but for a term that is antisymmetric in its two derivatives.
+    /// ∂F/∂c is as loads give it, in angles that start where the edge is; these are c fixed at the
+    /// present shape but for a term that is antisymmetric in its two derivatives.
     pub(crate) fn second_of_loads(
         &self,
         start: Option<StageStart>,
@@ -197,16 +197,16 @@ impl System {
         });
     }
 
-    /// Adds what moments m bring to second derivatives of μᵀG beside those of loads and energy. They do the
-    /// work m·dα' on the local angles α' of where the edge is. In coordinates (x, α) of the present shape
-    /// dα' = dα + A(x)·dx, A = −t₀×t·de/(l + e·t₀) of its tangent, so that −μᵀF has
+    /// Adds what moments m bring to second derivatives of μᵀG beside those of loads and energy. They do
+    /// the work m·dα' on the local angles α' of where the edge is. In coordinates (x, α) of the present
+    /// shape dα' = dα + A(x)·dx, A = −t₀×t·de/(l + e·t₀) of its tangent, so that −μᵀF has
     ///
     /// ```text
-    /// −∂²(m A·μ)/∂c² = m_c K + K m_c − (m/l³) ((μ_e × t) tᵀ + t (μ_e × t)ᵀ),   K as in `second_order`
+    /// −∂²(m A·μ)/∂c² = m_c K + K m_c − (m/l³) ((μ_e × t) tᵀ + t (μ_e × t)ᵀ)
     /// ```
     ///
-    /// The energy, whose ∂E/∂α is m, has half of the last again, and KᵀH + H K, of which the equation
-    /// of the angles, (H du + G_x dx)_α = m_c du, leaves the first two again.
+    /// with K as in `second_order`. The energy, whose ∂E/∂α is m, has half of the last again, and
+    /// KᵀH + H K, of which the equation of the angles, (H du + G_x dx)_α = m_c du, leaves the first two.
     pub(crate) fn second_of_moments(&self, start: StageStart, mu: &Increment, band: &mut [f64]) {
         let layout = &self.layout;
         if !layout.twist {

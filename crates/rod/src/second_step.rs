@@ -40,8 +40,8 @@ impl RodStep {
         1 + usize::from(self.curves_next())
     }
 
-    /// Whether ψ of x_{k+1} may be in its angles: in that of the end clamp, and in those of sections in steps
-    /// that end beyond their stage.
+    /// Whether ψ of x_{k+1} may be in its angles: in that of the end clamp, and in those of sections in
+    /// steps that end beyond their stage.
     fn curves_next(&self) -> bool {
         let layout = &self.system.layout;
         layout.end_angle().is_some() || (layout.spins && self.scheme != Scheme::BackwardEuler)

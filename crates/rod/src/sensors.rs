@@ -425,7 +425,7 @@ impl Present<'_> {
         }
     }
 
-    /// The edge with whose section the direction of a row turns, and that direction along its (m₁, m₂, t).
+    /// The edge with whose section the direction of a row turns, and that direction along m₁, m₂, t.
     fn axis(&self, row: &Row) -> Option<(usize, Vector3<f64>)> {
         match row.sensor {
             Placed::Along(_, e) | Placed::Direction(e) => Some((*e, Vector3::z())),

@@ -7,8 +7,8 @@ use super::{Increment, Loaded, Tangent};
 use crate::shape::Shape;
 use crate::system::System;
 
-/// What acts on ∂E/∂x and on the forces of loads at every vertex, on ∂E/∂θ of every edge, on velocities, and
-/// on the two configurations.
+/// What acts on ∂E/∂x and on the forces of loads at every vertex, on ∂E/∂θ of every edge, on
+/// velocities, and on the two configurations.
 pub(crate) struct Weights {
     pub(crate) gradient: Vec<Vector3<f64>>,
     pub(crate) turning: Vec<f64>,

@@ -1,7 +1,7 @@
 //! Second derivatives of what sensors read.
 //!
-//! A row is d·f, of an axis d of its section or of space, and of f, a sum of ∂E/∂x and loads, or a velocity
-//! over a length. With W what all rows together are on ∂E/∂x,
+//! A row is d·f, of an axis d of its section or of space, and of f, a sum of ∂E/∂x and loads, or a
+//! velocity over a length. With W what all rows together are on ∂E/∂x,
 //!
 //! ```text
 //! Σ ∂²(d·f) = Wᵀ ∂²(∂E/∂x) + Σ (∂fᵀ ∂d + ∂dᵀ ∂f + f·∂²d)
@@ -9,8 +9,9 @@
 //!
 //! The first is the third derivative of the energy as in a step ([`second_order`](crate::second_order)).
 //! Angles are not in equilibrium here: ∂E/∂x is taken with directors carried from where an edge is, which
-//! adds −A(x) ∂E/∂α with A the form of [`loaded`](crate::loaded), so that KᵀH and H K of the angles count
-//! twice, and ∂E/∂α with the curvature of A. Stored angles are α + ψ(x), and ψ is curved.
+//! adds −A(x) ∂E/∂α with A the form of [`loaded`](crate::loaded), so that KᵀH and H K of the
+//! angles count twice, and ∂E/∂α with the curvature of A. Stored angles are α + ψ(x), and ψ is
+//! curved.
 
 use nalgebra::Vector3;
 use varda_implicit::At;
@@ -70,8 +71,8 @@ fn in_full_order(system: &System, places: &[Vector3<f64>], angles: &[f64]) -> Ve
 }
 
 impl Sensors {
-    /// (out, out_p) += Σ_i dy_i ∂²y_i/∂(x, p)² (dx, dp) of all parameters p of the rod's step, at a state
-    /// that was observed before with these.
+    /// (out, out_p) += Σ_i dy_i ∂²y_i/∂(x, p)² (dx, dp) of all parameters p of the rod's step, at a
+    /// state that was observed before with these.
     ///
     /// # Panics
     /// If a slice has the wrong length, or a parameter moves supports.
@@ -120,7 +121,7 @@ impl Sensors {
         done.expect("this state was observed before");
     }
 
-    /// Fills zeros with Σ_i dy_i ∂²y_i/∂x∂p, a column for every parameter, and ∂²/∂p², row by row.
+    /// Fills zeros with Σ_i dy_i ∂²y_i/∂x∂p, a column a parameter, and ∂²/∂p² by rows.
     pub(super) fn second_of_parameters(&mut self, t: f64, x: &[f64], dy: &[f64], numbers: &mut [f64]) {
         let (history, back) = (self.step.repeated(), SHARE * self.interval);
         let Some(parameters) = self.step.parameters.take() else { return };
@@ -328,8 +329,8 @@ impl Seen<'_> {
         }
     }
 
-    /// Wᵀ ∂²(∂E/∂x) and that of loads in the local angles, and what curves these: `first` is what all rows
-    /// are on forces, and gets what they are on the two configurations.
+    /// Wᵀ ∂²(∂E/∂x) and that of loads in the local angles, and what curves these: `first` is what
+    /// all rows are on forces, and gets what they are on the two configurations.
     fn of_forces(&self, first: &mut Weights, on: &mut Weights) {
         let Seen { system, motion, present, tangent, .. } = self;
         let n = system.rod.segments();
@@ -406,8 +407,8 @@ impl Seen<'_> {
         }
     }
 
-    /// What couples the two configurations in stresses of strain rates, −share k ε* for every strain. Returns
-    /// k ∂ε[W] of bent vertices.
+    /// What couples the two configurations in stresses of strain rates, −share k ε* for every strain.
+    /// Returns k ∂ε[W] of bent vertices.
     fn of_past(
         &self,
         past: &Past,

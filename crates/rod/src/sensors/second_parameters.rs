@@ -71,8 +71,8 @@ impl OfStrains {
 }
 
 impl WithParameters<'_> {
-    /// ∂²(Σ dy y)/∂p², row by row; `forces` has ∂(∂E/∂x, F)/∂p of every vertex, one list a parameter,
-    /// `weights` what all rows are on them.
+    /// ∂²(Σ dy y)/∂p², row by row; `forces` has ∂(∂E/∂x, F)/∂p of every vertex, one list a
+    /// parameter, `weights` what all rows are on them.
     pub(super) fn square(
         &self,
         rows: &[(Row, f64)],

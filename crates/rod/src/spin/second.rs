@@ -1,15 +1,18 @@
-//! Second derivatives of what resists a spin, Φ = ½ a r² with r = s − s*, and of angles and spins of x_{k+1}.
+//! Second derivatives of what resists a spin, Φ = ½ a r² with r = s − s*, and of angles and spins of
+//! x_{k+1}.
 //!
 //! With ' along μ, as the stage moves in coordinates that start where it is then
 //! ([`second_order`](crate::second_order)),
 //!
 //! ```text
-//! ∂²(μᵀG)/∂w² = a (∇r' ∇rᵀ + ∇r ∇r'ᵀ + r' ∇²r + r ∇²r'),   w = (e_{k−1}, e_k, e_y)
-//! s = T(e_k, e_p) + T(e_p, e_y) + α_y − α_k,   s_{k−1} = T(e_{k−1}, e_k) + α_k − α_{k−1}
+//! ∂²(μᵀG)/∂w² = a (∇r' ∇rᵀ + ∇r ∇r'ᵀ + r' ∇²r + r ∇²r')
+//! w = (e_{k−1}, e_k, e_y)
+//! s = T(e_k, e_p) + T(e_p, e_y) + α_y − α_k
+//! s_{k−1} = T(e_{k−1}, e_k) + α_k − α_{k−1}
 //! ```
 //!
-//! with T the twist between the carried directors of two edges, and e_p linear in e_k and e_{k−1}. Angles of
-//! x_k and x_{k−1} are their stored ones less ψ, which is curved.
+//! with T the twist between the carried directors of two edges, and e_p linear in e_k and e_{k−1}. Angles
+//! of x_k and x_{k−1} are their stored ones less ψ, which is curved.
 
 use nalgebra::{Matrix3, Vector3};
 use num_dual::Dual64;
@@ -222,8 +225,8 @@ impl Spin {
         self.transpose_add(system, rx);
     }
 
-    /// Adds ∂²(μᵀG)/∂w∂g of a change of the inertia of sections, and of α/η by `rate`, to (rx, ru), with what
-    /// was kept last; returns ∂(μᵀG)/∂g.
+    /// Adds ∂²(μᵀG)/∂w∂g of a change of the inertia of sections, and of α/η by `rate`, to (rx,
+    /// ru), with what was kept last; returns ∂(μᵀG)/∂g.
     pub(crate) fn second_of_change(
         &mut self,
         system: &System,

@@ -262,8 +262,8 @@ impl Memory {
         let is_kept = algorithm.minimizer == Minimizer::Lbfgs;
         let (mut other, dense) = if is_kept { (vectors, dense) } else { (0, dense.saturating_add(vectors)) };
         if exact {
-            // of every step λ, μ, the path of a perturbation, twice, matrices about as large as the factor (of
-            // spins three of them), and two columns of every constant
+            // of every step λ, μ, the path of a perturbation, twice, matrices about as large as the
+            // factor (of spins three of them), and two columns of every constant
             let vectors = 6 + 2 * sizes.constants;
             let spins = matches!(&scene.model, Model::Rod(rod) if rod.twist_inertia);
             let matrices = sizes.kept.saturating_mul(if spins { 3 } else { 1 });
