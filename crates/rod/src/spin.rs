@@ -63,8 +63,7 @@ pub(crate) struct Spin {
     pub(crate) next: Configuration,
     /// δs of every edge, or what acts on it.
     pub(crate) varied: Vec<f64>,
-    /// Of second derivatives: what was kept last, of every edge that resists.
-    second: Vec<second::Varied>,
+    second: second::Work,
 }
 
 /// Where the spin of one edge is measured from.
@@ -149,7 +148,7 @@ impl Spin {
             now: vec![flat; edges],
             next: Configuration::new(n),
             varied: vec![0.0; edges],
-            second: Vec::new(),
+            second: second::Work::default(),
         })
     }
 

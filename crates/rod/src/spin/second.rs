@@ -79,6 +79,18 @@ pub(super) struct Varied {
     turned: [f64; ALL],
 }
 
+/// Work space: nothing until second derivatives are asked for.
+#[derive(Default)]
+pub(super) struct Work {
+    /// Of every edge that resists.
+    varied: Vec<Varied>,
+    on_psi: [Vec<f64>; 2],
+    by: Vec<f64>,
+    on: Vec<f64>,
+    on_places: [Vec<Vector3<f64>>; 2],
+    moved: Vec<[f64; ALL + 3]>,
+}
+
 fn constant(edge: &Edge) -> Edge<Dual64> {
     Edge { t: edge.t.map(Dual64::from), l: Dual64::from(edge.l) }
 }
@@ -103,8 +115,13 @@ impl Spin {
         let (edges, bands) = kept.split_at_mut(EDGE * self.resistance.len());
         edges.fill(0.0);
         bands.fill(0.0);
-        let mut on_psi = [(); 2].map(|()| vec![0.0; layout.segments]);
-        self.second.clear();
+        let mut work = std::mem::take(&mut self.second);
+        let Work { varied, on_psi, .. } = &mut work;
+        for on_psi in &mut *on_psi {
+            on_psi.clear();
+            on_psi.resize(layout.segments, 0.0);
+        }
+        varied.clear();
         let ([b0, b1], [_, a1], h) = (stage.of.to, self.from, stage.of.length);
         for (e, kept) in edges.chunks_exact_mut(EDGE).enumerate().filter(|(e, _)| self.resistance[*e] != 0.0)
         {
@@ -115,7 +132,7 @@ impl Spin {
             let (off, rate) = (self.now[e].spin - self.target[e], moved[6] + longer);
             let spun = self.now[e].spin + a1 * self.reference[e].spun_before;
             let (slope, turned) = (form.first.map(|d| d.re), form.first.map(|d| d.eps));
-            self.second.push(Varied { edge: e, off, spun, rate, slope, turned });
+            varied.push(Varied { edge: e, off, spun, rate, slope, turned });
             let (mut on_spin, mut on_angle) = (0.0, 0.0);
             if layout.spins {
                 let f = layout.free_angles.binary_search(&e).expect("a given angle does not resist");
@@ -141,12 +158,13 @@ impl Spin {
             on_psi[0][e] = on * (1.0 - a1) + on_angle * (b0 - 1.0);
             on_psi[1][e] = on * a1;
         }
-        let past = [&self.before, &self.earlier].into_iter().zip(&mut on_psi);
+        let past = [&self.before, &self.earlier].into_iter().zip(on_psi);
         for ((past, on_psi), band) in past.zip(bands.chunks_exact_mut(layout.band().max(1))) {
             if on_psi.iter().any(|w| *w != 0.0) {
                 system.holonomy_second_add(&past.shape, on_psi, band);
             }
         }
+        self.second = work;
     }
 
     /// That of r, its edge of the stage moved by ε μ.
@@ -186,14 +204,19 @@ impl Spin {
         let layout = &system.layout;
         let (edges, bands) = kept.split_at(EDGE * self.resistance.len());
         self.set_increment(system, dx);
-        let mut bands = bands.chunks_exact(layout.band().max(1));
-        let mut of_psi = |past: &Configuration| past.curved(system, bands.next().unwrap_or(&[]));
-        let on_places = [Some(of_psi(&self.before)), self.with_past.then(|| of_psi(&self.earlier))];
-        let moved: Vec<[f64; ALL + 3]> =
-            (0..self.resistance.len()).map(|e| self.moved_at(system, e, du)).collect();
+        let mut work = std::mem::take(&mut self.second);
+        let Work { by, on, on_places, moved, .. } = &mut work;
+        let bands = bands.chunks_exact(layout.band().max(1));
+        let past = [&self.before, &self.earlier].into_iter().take(1 + usize::from(self.with_past));
+        on_places.iter_mut().for_each(Vec::clear);
+        for ((past, band), on_places) in past.zip(bands).zip(&mut *on_places) {
+            past.curved(system, band, [&mut *by, &mut *on], on_places);
+        }
+        moved.clear();
+        moved.extend((0..self.resistance.len()).map(|e| self.moved_at(system, e, du)));
         self.clear();
         let ([_, a1], first) = (self.from, layout.first_spin());
-        for ((e, kept), by) in edges.chunks_exact(EDGE).enumerate().zip(&moved) {
+        for ((e, kept), by) in edges.chunks_exact(EDGE).enumerate().zip(&*moved) {
             let a = self.resistance[e];
             if a == 0.0 {
                 continue;
@@ -218,10 +241,10 @@ impl Spin {
             }
             stage_add(system, e, &on[6..], varied, ru);
         }
-        for (past, on) in [&mut self.before, &mut self.earlier].into_iter().zip(on_places) {
-            let Some(on) = on else { continue };
-            past.displacement.iter_mut().zip(&on).for_each(|(d, on)| *d += on);
+        for (past, on) in [&mut self.before, &mut self.earlier].into_iter().zip(&*on_places) {
+            past.displacement.iter_mut().zip(on).for_each(|(d, on)| *d += on);
         }
+        self.second = work;
         self.transpose_add(system, rx);
     }
 
@@ -235,9 +258,9 @@ impl Spin {
     ) -> f64 {
         let layout = &system.layout;
         let ([_, a1], first) = (self.from, layout.first_spin());
-        let (mut sum, all) = (0.0, std::mem::take(&mut self.second));
+        let (mut sum, work) = (0.0, std::mem::take(&mut self.second));
         self.clear();
-        for v in &all {
+        for v in &work.varied {
             let e = v.edge;
             let more = inertia.get(e).copied().unwrap_or(0.0) * (k + c);
             let slower = system.rod.spin_inertia[e] * rate;
@@ -251,7 +274,7 @@ impl Spin {
             mixed_add(self.from, rx, layout.state(), first + f, [-self.rate * more * v.rate]);
             stage_add(system, e, &on[6..], by_spin, ru);
         }
-        self.second = all;
+        self.second = work;
         self.transpose_add(system, rx);
         sum
     }
@@ -262,7 +285,7 @@ impl Spin {
             let [a, b] = inertia.map(|i| i.get(v.edge).copied().unwrap_or(0.0));
             (a * rates[1] + b * rates[0]) * v.spun * v.rate
         };
-        self.second.iter().map(of).sum()
+        self.second.varied.iter().map(of).sum()
     }
 
     /// Increments of the three edges of an edge, and of their angles.
@@ -300,20 +323,28 @@ fn stage_add(system: &System, e: usize, on: &[f64], turned: f64, ru: &mut [f64])
 }
 
 impl Configuration {
-    /// What a band makes of the increment of places.
-    fn curved(&self, system: &System, band: &[f64]) -> Vec<Vector3<f64>> {
+    /// What a band makes of the increment of places, in `all`; `by` and `on` are work space.
+    fn curved(
+        &self,
+        system: &System,
+        band: &[f64],
+        [by, on]: [&mut Vec<f64>; 2],
+        all: &mut Vec<Vector3<f64>>,
+    ) {
         let layout = &system.layout;
-        let (mut by, mut on) = (vec![0.0; layout.unknowns], vec![0.0; layout.unknowns]);
+        for zeroed in [&mut *by, on] {
+            zeroed.clear();
+            zeroed.resize(layout.unknowns, 0.0);
+        }
+        all.resize(self.displacement.len(), Vector3::zeros());
         let place = |v: usize| layout.unknown[layout.vertex(v)];
         for &v in &layout.free_vertices {
             by[place(v)..place(v) + 3].copy_from_slice(self.displacement[v].as_slice());
         }
-        band_product_add(layout.half_bandwidth, band, &by, &mut on);
-        let mut all = vec![Vector3::zeros(); self.displacement.len()];
+        band_product_add(layout.half_bandwidth, band, by, on);
         for &v in &layout.free_vertices {
             all[v] = Vector3::from_column_slice(&on[place(v)..place(v) + 3]);
         }
-        all
     }
 
     fn add_edge(&mut self, e: usize, force: &[f64], turned: f64) {
