@@ -17,10 +17,11 @@ const SYMMETRY: f64 = 1e-12;
 /// Every check of a load, on the first, the middle and the last of its edges: they are edges of the rod; same
 /// input, same result; all values are finite; ∂F/∂(places), ∂F/∂(velocities) and ∂F/∂θ are
 /// derivatives of the forces, and those of the moment are its own (Taylor), directors being carried with the
-/// edge; without [`Load::uses_directors`] nothing depends on them, without [`Load::has_moment`] there is
-/// none. Of a load that says it has a potential: F = −∂W/∂(places) and m = −∂W/∂θ (Taylor),
-/// ∂F/∂(places) is symmetric (but for the part that carried directors bring), and nothing depends on
-/// velocities. Of one without: its energy is zero.
+/// edge; second derivatives, where there are any, are derivatives of all of that; without
+/// [`Load::uses_directors`] nothing depends on them, without [`Load::has_moment`] there is none. Of a load
+/// that says it has a potential: F = −∂W/∂(places) and m = −∂W/∂θ (Taylor), ∂F/∂(places)
+/// is symmetric (but for the part that carried directors bring), and nothing depends on velocities. Of one
+/// without: its energy is zero.
 ///
 /// A load that claims a potential which it has not is not found while a rod moves: a symmetric band keeps one
 /// half of its Jacobian, and Newton's method looks for a minimum that is none.
@@ -185,6 +186,11 @@ fn on_edge(
         );
         at_most("∂F/∂θ without directors", acts.by_angle.abs().max(), 0.0);
     }
+    if load.has_second_derivatives() {
+        findings.extend(of_second_derivatives(load, &motion, &x, [&by_place, &by_velocity, &by_angle])?);
+    }
+    let mut at_most =
+        |what: &str, value: f64, bound: f64| findings.push(Finding::at_most(what, value, bound));
     if load.has_potential() {
         let minus: Vec<f64> = acts.forces.iter().map(|f| -f).chain([0.0; 6]).chain([-acts.moment]).collect();
         let mut energy = |x: &[f64]| Ok(at(x)?.energy);
@@ -200,6 +206,47 @@ fn on_edge(
     } else {
         at_most("energy of a load without potential", acts.energy.abs(), 0.0);
     }
+    Ok(findings)
+}
+
+/// What a load does to an edge that moves on: the same forces and derivatives, and how they change.
+fn of_second_derivatives(
+    load: &dyn Load,
+    motion: &EdgeMotion,
+    x: &[f64],
+    directions: [&Vec<f64>; 3],
+) -> Result<Vec<Finding>, Error> {
+    let values = numbers(&load.on_edge(motion));
+    let sizes: Vec<f64> = values.iter().map(|v| if *v == 0.0 { 1.0 } else { v.abs() }).collect();
+    // irregular weights, each number in units of its size
+    let weigh = |of: &[f64]| -> f64 {
+        (1..).zip(of.iter().zip(&sizes)).map(|(i, (v, size))| (1.7 * f64::from(i)).sin() * v / size).sum()
+    };
+    let (mut findings, mut departure) = (Vec::new(), 0.0_f64);
+    for (what, direction) in ["places", "velocities", "θ"].into_iter().zip(directions) {
+        let (row, angle) = direction.split_at(12);
+        let by: [f64; 13] = std::array::from_fn(|i| match i {
+            6 => angle[0],
+            0..6 => row[i],
+            _ => row[i - 1],
+        });
+        let acts = load.on_moved_edge(&motion.moved(&by));
+        let off = |(real, value): (&f64, &f64)| (real - value).abs();
+        let largest = values.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+        let here = numbers(&acts.part(|d| d.re));
+        departure = departure.max(share(here.iter().zip(&values).map(off).fold(0.0, f64::max), largest));
+        let slope = weigh(&numbers(&acts.part(|d| d.eps)));
+        let length: f64 = direction.iter().map(|d| d * d).sum();
+        let gradient: Vec<f64> = direction.iter().map(|d| d * slope / length).collect();
+        let mut sum = |x: &[f64]| Ok(weigh(&numbers(&load.on_edge(&with(motion, x)?))));
+        let (value, bound) = remainder(&mut sum, &gradient, x, direction)?;
+        findings.push(Finding::at_most(
+            format!("2 − Taylor slope of all at an edge whose {what} move"),
+            value,
+            bound,
+        ));
+    }
+    findings.push(Finding::at_most("departure of a moved edge from one at rest", departure, SYMMETRY));
     Ok(findings)
 }
 

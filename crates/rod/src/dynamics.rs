@@ -11,7 +11,7 @@ use crate::equilibrium::Rest;
 use crate::predict::Carry;
 use crate::rod::Rod;
 use crate::spin::Spin;
-use crate::stage::{RodStage, mixed};
+use crate::stage::{RodStage, mixed, mixed_add};
 use crate::support::{Damping, Loads, Supports};
 use crate::system::{StageStart, System};
 use crate::twist_equilibrium::TwistEquilibrium;
@@ -418,6 +418,15 @@ impl RodStep {
             for c in 0..3 {
                 self.star[i + c] = mixed(from, dx, layout.state(), 3 * f + c);
             }
+        }
+    }
+
+    /// The transpose of `star`: dx += what acts on X*, by unknowns.
+    pub(crate) fn star_transpose_add(&self, from: [f64; 2], star: &[f64], dx: &mut [f64]) {
+        let layout = &self.system.layout;
+        for (f, &v) in layout.free_vertices.iter().enumerate() {
+            let i = layout.unknown[layout.vertex(v)];
+            mixed_add(from, dx, layout.state(), 3 * f, [star[i], star[i + 1], star[i + 2]]);
         }
     }
 

@@ -2,7 +2,7 @@
 
 pub(crate) mod transpose;
 
-use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
+use nalgebra::{Matrix3, Vector3, Vector6};
 
 use crate::Error;
 use crate::change::{Parameter, Parameters};
@@ -203,13 +203,13 @@ impl Increment {
         }
     }
 
-    fn add(&mut self, other: &Increment, times: f64) {
+    pub(crate) fn add(&mut self, other: &Increment, times: f64) {
         self.places.iter_mut().zip(&other.places).for_each(|(a, b)| *a += b * times);
         self.angles.iter_mut().zip(&other.angles).for_each(|(a, b)| *a += b * times);
     }
 
     /// The eleven numbers at a bent vertex.
-    fn at(&self, vertex: usize) -> [f64; 11] {
+    pub(crate) fn at(&self, vertex: usize) -> [f64; 11] {
         let [a, b, c] = [0, 1, 2].map(|i| self.places[vertex - 1 + i]);
         let [p, q] = [self.angles[vertex - 1], self.angles[vertex]];
         [a.x, a.y, a.z, p, b.x, b.y, b.z, q, c.x, c.y, c.z]
@@ -222,11 +222,11 @@ struct Bent {
     strains: Strains,
 }
 
-/// A load of the motion on an edge, and ∂F/∂(places) with its directors carried along.
+/// A load of the motion on an edge. Its forces are a function of the configuration: what directors that are
+/// carried along bring is that of ∂E/∂x.
 struct Loaded {
     edge: usize,
     acts: EdgeLoad,
-    by_places: Matrix6<f64>,
 }
 
 /// The linearization about one state, the system having its shape.
@@ -286,8 +286,7 @@ impl<'a> Tangent<'a> {
         };
         let mut loaded = Vec::new();
         system.each_load(Some(start), |acts, motion, _| {
-            let by_places = acts.by_places_of_carried(motion);
-            loaded.push(Loaded { edge: motion.edge, acts: *acts, by_places });
+            loaded.push(Loaded { edge: motion.edge, acts: *acts });
         });
         let bent = |i: usize| {
             let (a, b, k) = (&system.shape.edges[i - 1], &system.shape.edges[i], &system.bend[i - 1]);
@@ -470,14 +469,14 @@ impl<'a> Tangent<'a> {
         let (now, before, loads) = (&self.now, &self.before, &mut self.loads);
         loads.forces.fill(Vector3::zeros());
         loads.moments.fill(0.0);
-        for &Loaded { edge: e, ref acts, by_places } in &self.loaded {
+        for &Loaded { edge: e, ref acts } in &self.loaded {
             let of = |i: &Increment| {
                 let [a, b] = [i.places[e], i.places[e + 1]];
                 Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z)
             };
             let (places, turned) = (of(now), now.angles[e]);
             let velocities = (places - of(before)) / h;
-            let forces = by_places * places + acts.by_velocities * velocities + acts.by_angle * turned;
+            let forces = acts.by_places * places + acts.by_velocities * velocities + acts.by_angle * turned;
             for (i, force) in forces.iter().enumerate() {
                 loads.forces[e + i / 3][i % 3] += force;
             }

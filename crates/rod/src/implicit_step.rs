@@ -16,7 +16,6 @@ use crate::layout::band_product_add;
 use crate::second_order::Increment;
 use crate::shape::{HOLONOMY, holonomy, holonomy_transpose_add, kept_bend};
 use crate::stage::{RodStage, mixed, mixed_add};
-use crate::twist_equilibrium::ByParameters;
 
 impl RodStep {
     /// The model whose step k starts at (first_index + k) · length seconds, compiled in this crate.
@@ -106,57 +105,6 @@ impl RodStep {
         }
     }
 
-    /// Second derivatives of the first state, by parameters too where these and their increment are given.
-    pub(crate) fn second_of_initial(
-        &mut self,
-        dz: &[f64],
-        lambda: &[f64],
-        out: &mut [f64],
-        by: Option<ByParameters>,
-    ) {
-        let Some(twist) = &mut self.twist else { return };
-        let layout = &self.system.layout;
-        let (n, first) = (6 * layout.free_vertices.len(), layout.first_spin());
-        self.lambda.clear();
-        self.lambda.extend_from_slice(&lambda[n..first]);
-        self.lambda.extend(layout.end_angle().map(|end| lambda[end]));
-        twist.second_add(&dz[..n / 2], &self.lambda, &mut out[..n / 2], by);
-    }
-
-    /// Bands that second derivatives keep beside damping's: of the stage, and of the end clamp's angle.
-    fn second_bands(&self) -> usize {
-        1 + usize::from(self.system.layout.end_angle().is_some())
-    }
-
-    /// The second derivatives of the end clamp's angle at x_{k+1}, from their band.
-    fn second_of_end_angle(
-        &mut self,
-        step: &SolvedStep<'_>,
-        band: &[f64],
-        [dx, du]: [&[f64]; 2],
-        [rx, ru]: [&mut [f64]; 2],
-    ) {
-        let mut next = std::mem::take(&mut self.state);
-        self.follow(step.at, dx, du, &mut next);
-        let [mut moved, mut by] = std::mem::take(&mut self.of_unknowns);
-        let layout = &self.system.layout;
-        moved.resize(layout.unknowns, 0.0);
-        by.clear();
-        by.resize(layout.unknowns, 0.0);
-        let place = |v: usize| layout.unknown[layout.vertex(v)];
-        for (next, &v) in next.chunks_exact(3).zip(&layout.free_vertices) {
-            moved[place(v)..place(v) + 3].copy_from_slice(next);
-        }
-        band_product_add(layout.half_bandwidth, band, &moved, &mut by);
-        next.fill(0.0);
-        for (next, &v) in next.chunks_exact_mut(3).zip(&layout.free_vertices) {
-            next.copy_from_slice(&by[place(v)..place(v) + 3]);
-        }
-        self.follow_transpose(step, &next, rx, &mut moved);
-        ru.iter_mut().zip(&moved).for_each(|(r, m)| *r += m);
-        (self.state, self.of_unknowns) = (next, [moved, by]);
-    }
-
     /// Whether ∂G/∂x_k depends on the shapes of x_k and u, beside inertia and damping.
     fn couples(&self) -> bool {
         !self.is_at_rest && (self.spin.is_some() || !self.system.loads.of_motion.is_empty())
@@ -173,7 +121,13 @@ impl RodStep {
     }
 
     /// The transpose of `follow`, and of the holonomy between the unknowns' angles and those stored.
-    fn follow_transpose(&mut self, of: &SolvedStep<'_>, lambda: &[f64], dx: &mut [f64], du: &mut [f64]) {
+    pub(crate) fn follow_transpose(
+        &mut self,
+        of: &SolvedStep<'_>,
+        lambda: &[f64],
+        dx: &mut [f64],
+        du: &mut [f64],
+    ) {
         let kept = &of.kept[..self.kept_lengths()[0]];
         let RodStage { of, angle, .. } = self.stage(of.at);
         let ([b0, b1], layout) = (of.to, &self.system.layout);
@@ -365,10 +319,7 @@ impl ImplicitStep for RodStep {
                 |i| mu[i],
                 |i, value| star[i] += value,
             );
-            for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
-                let i = self.system.layout.unknown[self.system.layout.vertex(v)];
-                mixed_add(of.from, dx, own, 3 * f, [star[i], star[i + 1], star[i + 2]]);
-            }
+            self.star_transpose_add(of.from, &star, dx);
             self.star = star;
         }
     }
@@ -420,27 +371,35 @@ impl ImplicitStep for RodStep {
         self.lambda = to;
     }
 
-    /// Not with loads of the motion, spins, a common turn that is free, parameters that move supports, or a
-    /// rod at rest.
+    /// Not with loads without second derivatives, parameters that move supports, or a rod at rest.
     fn second_kept(&self) -> Option<usize> {
-        let layout = &self.system.layout;
-        let given = !self.couples() && self.system.moves.is_empty() && !self.is_at_rest;
+        let (s, layout) = (&self.system, &self.system.layout);
+        let given = s.loads_have_second_derivatives() && s.moves.is_empty() && !self.is_at_rest;
         let damping = self.viscous.as_ref().map_or(0, |viscous| viscous.second_kept(layout));
-        given.then(|| self.second_bands() * layout.band() + damping)
+        given.then(|| {
+            self.second_bands() * layout.band() + damping + self.second_of_motion().iter().sum::<usize>()
+        })
     }
 
     fn keep_second(&mut self, step: &SolvedStep<'_>, lambda: &[f64], mu: &[f64], second: &mut [f64]) {
         let bands = self.second_bands() * self.system.layout.band();
-        let (bands, damping) = second.split_at_mut(bands);
+        let (bands, rest) = second.split_at_mut(bands);
+        let [started, turning] = self.second_of_motion();
+        let (rest, turning) = rest.split_at_mut(rest.len() - turning);
+        let (damping, started) = rest.split_at_mut(rest.len() - started);
         let (band, next) = bands.split_at_mut(self.system.layout.band());
-        if let Some(end) = self.system.layout.end_angle() {
-            next.fill(0.0);
-            if lambda[end] != 0.0 {
-                self.set_edges_of_next(step.at, step.x, step.u);
-                self.psi.fill(0.0);
-                *self.psi.last_mut().expect("a rod has edges") = lambda[end];
-                self.system.holonomy_second_add(&self.system.shape, &mut self.psi, next);
+        next.fill(0.0);
+        let turns = self.turns_with_frames(step.at);
+        if self.curves_next_by(step.at, lambda) {
+            match turns {
+                true => drop(self.set_next_of(step.at, step.x, step.u)),
+                false => self.set_edges_of_next(step.at, step.x, step.u),
             }
+            self.angles_of(lambda, if turns { 1.0 } else { 0.0 });
+            if let Some(end) = self.system.layout.end_angle() {
+                *self.psi.last_mut().expect("a rod has edges") += lambda[end];
+            }
+            self.system.holonomy_second_add(&self.system.shape, &mut self.psi, next);
         }
         self.prepare_and_shape(step.at, step.x, step.u);
         self.full.resize(self.system.layout.full(), 0.0);
@@ -456,12 +415,16 @@ impl ImplicitStep for RodStep {
             }
             None => system.third_add(&Increment(full), band, None),
         }
-        let share = self.stage(step.at).angle[0];
-        let (layout, angles) = (&self.system.layout, 6 * self.system.layout.free_vertices.len());
-        self.psi.fill(0.0);
-        for (f, &e) in layout.free_angles.iter().enumerate() {
-            self.psi[e] = share * lambda[angles + f];
+        if !self.system.loads.of_motion.is_empty() {
+            let start = self.stage_start(self.stage(step.at).of.length);
+            self.system.second_of_loads(Some(start), &Increment(&self.full), band, started);
+            self.system.second_of_moments(start, &Increment(&self.full), band);
         }
+        let stage = self.stage(step.at);
+        if let Some(spin) = &mut self.spin {
+            spin.keep_second(&self.system, &stage, [lambda, &self.full], turning);
+        }
+        self.angles_of(lambda, if turns { 0.0 } else { stage.angle[0] });
         self.system.holonomy_second_add(&self.system.shape, &mut self.psi, band);
     }
 
@@ -473,7 +436,10 @@ impl ImplicitStep for RodStep {
         [rx, ru]: [&mut [f64]; 2],
     ) {
         let layout = &self.system.layout;
-        let (bands, damping) = at.kept.split_at(self.second_bands() * layout.band());
+        let (bands, rest) = at.kept.split_at(self.second_bands() * layout.band());
+        let [started, turning] = self.second_of_motion();
+        let (rest, turning) = rest.split_at(rest.len() - turning);
+        let (damping, started) = rest.split_at(rest.len() - started);
         let (band, next) = bands.split_at(layout.band());
         band_product_add(layout.half_bandwidth, band, du, ru);
         let [angles, end, _] = self.kept_lengths();
@@ -482,9 +448,23 @@ impl ImplicitStep for RodStep {
             let kept = &step.kept[angles + end..];
             viscous.second_add(&self.system.layout, &stage, [kept, damping], [dx, du], [&mut *rx, &mut *ru]);
         }
-        let end = self.system.layout.end_angle().filter(|end| at.lambda[*end] != 0.0);
-        if end.is_some() {
-            self.second_of_end_angle(step, next, [dx, du], [rx, ru]);
+        if !started.is_empty() {
+            self.star(stage.of.from, dx);
+            let [mut on_star, by] = std::mem::take(&mut self.of_unknowns);
+            on_star.clear();
+            on_star.resize(du.len(), 0.0);
+            self.system.second_of_start_add(started, [du, &self.star], ru, &mut on_star);
+            self.star_transpose_add(stage.of.from, &on_star, rx);
+            self.of_unknowns = [on_star, by];
+        }
+        if self.spin.is_some() {
+            self.prepare_and_shape(step.at, step.x, step.u);
+        }
+        if let Some(spin) = &mut self.spin {
+            spin.second_add(&self.system, turning, [dx, du], [&mut *rx, &mut *ru]);
+        }
+        if self.curves_next_by(step.at, at.lambda) {
+            self.second_of_next(step, next, [dx, du], [rx, ru]);
         }
     }
 

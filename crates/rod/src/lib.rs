@@ -124,6 +124,7 @@ mod implicit_step;
 mod internal_forces;
 mod layout;
 mod load;
+mod loaded;
 mod marker;
 mod material;
 mod modes;
@@ -139,6 +140,7 @@ pub mod rotation;
 mod scalar;
 mod second_order;
 mod second_parameters;
+mod second_step;
 mod sensor;
 mod sensor_rows;
 mod sensors;
@@ -170,6 +172,7 @@ pub use material::{Material, Section};
 pub use modes::{Mode, Modes, modes};
 pub use moved::{Displacement, HeldAt, Moved, MovedBy};
 pub use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+pub use num_dual::Dual64;
 pub use read_rotations::{ReadRotations, tilt};
 pub use recorded::{
     RecordedMotion, RecordedRotation, SmoothBy, Smoothing, noise_of_rotations, noise_of_rows,

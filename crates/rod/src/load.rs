@@ -8,33 +8,57 @@ pub(crate) mod scaled;
 use std::ops::Range;
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
+use num_dual::Dual64;
 
+use crate::scalar::{Real, dual, length};
 use crate::{Error, Rod};
 
-/// The motion of an edge, as a load finds it at the time at which a step takes its forces.
+/// The motion of an edge, as a load finds it at the time at which a step takes its forces. Over dual numbers
+/// it is that of an edge which moves on, for second derivatives ([`Load::on_moved_edge`]).
 #[derive(Debug, Clone, Copy)]
 #[non_exhaustive]
-pub struct EdgeMotion {
+pub struct EdgeMotion<T = f64> {
     /// Number of the edge, that of its first vertex.
     pub edge: usize,
     /// Time \[s\].
     pub time: f64,
     /// Places of its two vertices \[m\].
-    pub places: [Vector3<f64>; 2],
+    pub places: [Vector3<T>; 2],
     /// Their velocities \[m/s\]; zero in an equilibrium.
-    pub velocities: [Vector3<f64>; 2],
+    pub velocities: [Vector3<T>; 2],
     /// Directors m₁ and m₂ of its section, for a load with [`Load::uses_directors`]; else zero.
-    pub directors: [Vector3<f64>; 2],
+    pub directors: [Vector3<T>; 2],
     /// Rest length of the edge \[m\].
     pub rest_length: f64,
 }
 
-impl EdgeMotion {
+impl<T: Real> EdgeMotion<T> {
     /// Unit tangent of the edge, and its length \[m\].
-    pub fn tangent(&self) -> (Vector3<f64>, f64) {
+    pub fn tangent(&self) -> (Vector3<T>, T) {
         let edge = self.places[1] - self.places[0];
-        let length = edge.norm();
+        let length = length(&edge);
         (edge / length, length)
+    }
+}
+
+impl EdgeMotion {
+    /// The edge moved by ε times `by`: places, θ, velocities, one after the other. Directors turn with it.
+    pub(crate) fn moved(&self, by: &[f64; 13]) -> EdgeMotion<Dual64> {
+        let of = |i: usize| Vector3::new(by[i], by[i + 1], by[i + 2]);
+        let (t, l) = self.tangent();
+        let rate = (of(3) - of(0)) / l;
+        let turned = rate - t * t.dot(&rate);
+        let [m1, m2] = self.directors;
+        let carried =
+            |m: &Vector3<f64>, across: Vector3<f64>| dual(m, &(across * by[6] - t * m.dot(&turned)));
+        EdgeMotion {
+            edge: self.edge,
+            time: self.time,
+            places: [0, 1].map(|i| dual(&self.places[i], &of(3 * i))),
+            velocities: [0, 1].map(|i| dual(&self.velocities[i], &of(7 + 3 * i))),
+            directors: [carried(&m1, m2), carried(&m2, -m1)],
+            rest_length: self.rest_length,
+        }
     }
 }
 
@@ -45,44 +69,44 @@ impl EdgeMotion {
 /// δt of the unit tangent. Derivatives in places are taken so; that in the angle θ turns them about t,
 /// δm₁ = m₂ δθ.
 #[derive(Debug, Clone, Copy)]
-pub struct EdgeLoad {
+pub struct EdgeLoad<T = f64> {
     /// Potential energy W \[J\] of a load that has one, else zero.
-    pub energy: f64,
+    pub energy: T,
     /// Forces F \[N\].
-    pub forces: Vector6<f64>,
+    pub forces: Vector6<T>,
     /// ∂F/∂(places) \[N/m\].
-    pub by_places: Matrix6<f64>,
+    pub by_places: Matrix6<T>,
     /// ∂F/∂(velocities) \[N s/m\].
-    pub by_velocities: Matrix6<f64>,
+    pub by_velocities: Matrix6<T>,
     /// ∂F/∂θ \[N/rad\], of a load with [`Load::uses_directors`].
-    pub by_angle: Vector6<f64>,
+    pub by_angle: Vector6<T>,
     /// Moment m about the tangent \[N m\], of a load with [`Load::has_moment`]. It does the work m δθ, and
     /// must not depend on velocities.
-    pub moment: f64,
+    pub moment: T,
     /// ∂m/∂(places) \[N\].
-    pub moment_by_places: Vector6<f64>,
+    pub moment_by_places: Vector6<T>,
     /// ∂m/∂θ \[N m/rad\].
-    pub moment_by_angle: f64,
+    pub moment_by_angle: T,
 }
 
-impl EdgeLoad {
-    /// No force.
-    pub fn zero() -> EdgeLoad {
+impl<T: Real> EdgeLoad<T> {
+    /// No force, of any numbers.
+    pub fn none() -> EdgeLoad<T> {
         EdgeLoad {
-            energy: 0.0,
+            energy: T::zero(),
             forces: Vector6::zeros(),
             by_places: Matrix6::zeros(),
             by_velocities: Matrix6::zeros(),
             by_angle: Vector6::zeros(),
-            moment: 0.0,
+            moment: T::zero(),
             moment_by_places: Vector6::zeros(),
-            moment_by_angle: 0.0,
+            moment_by_angle: T::zero(),
         }
     }
 
     /// Adds a force \[N\] on the first (0) or second (1) vertex, with its derivative in the vector from the
     /// first to the second \[N/m\].
-    pub fn add_force(&mut self, vertex: usize, force: Vector3<f64>, by_edge: &Matrix3<f64>) {
+    pub fn add_force(&mut self, vertex: usize, force: Vector3<T>, by_edge: &Matrix3<T>) {
         let row = 3 * vertex;
         let mut forces = self.forces.fixed_rows_mut::<3>(row);
         forces += force;
@@ -90,6 +114,29 @@ impl EdgeLoad {
         first -= by_edge;
         let mut second = self.by_places.fixed_view_mut::<3, 3>(row, 3);
         second += by_edge;
+    }
+}
+
+impl EdgeLoad<Dual64> {
+    /// The values of all its numbers, or what these change by.
+    pub(crate) fn part(&self, of: fn(Dual64) -> f64) -> EdgeLoad {
+        EdgeLoad {
+            energy: of(self.energy),
+            forces: self.forces.map(of),
+            by_places: self.by_places.map(of),
+            by_velocities: self.by_velocities.map(of),
+            by_angle: self.by_angle.map(of),
+            moment: of(self.moment),
+            moment_by_places: self.moment_by_places.map(of),
+            moment_by_angle: of(self.moment_by_angle),
+        }
+    }
+}
+
+impl EdgeLoad {
+    /// No force.
+    pub fn zero() -> EdgeLoad {
+        EdgeLoad::none()
     }
 
     /// The same load times a factor.
@@ -201,4 +248,16 @@ pub trait Load: Send + Sync {
 
     /// Forces, moment and derivatives at one edge.
     fn on_edge(&self, motion: &EdgeMotion) -> EdgeLoad;
+
+    /// Whether `on_moved_edge` is given, for exact Hessians; false by default.
+    fn has_second_derivatives(&self) -> bool {
+        false
+    }
+
+    /// The same as `on_edge` at an edge that moves on, over dual numbers: how forces, moment and derivatives
+    /// change is in their dual parts, those of the derivatives being second derivatives. Written over any
+    /// [`Real`] number, one function does both. Called only where `has_second_derivatives` says so.
+    fn on_moved_edge(&self, _motion: &EdgeMotion<Dual64>) -> EdgeLoad<Dual64> {
+        EdgeLoad::none()
+    }
 }

@@ -424,6 +424,10 @@ impl RodStep {
                 let kept = &of.kept[kept_lengths[0] + kept_lengths[1]..];
                 viscous.past_transpose_add(&self.system.layout, &stage, kept, stresses, by_x);
             }
+            if let Some(spin) = self.spin.as_mut().filter(|_| self.system.layout.spins) {
+                let of = (&change.spin_inertia[..], [k, c], rate);
+                sum += spin.second_of_change(&self.system, of, [&mut *by_x, &mut *by_u]);
+            }
             by_x.iter_mut().chain(by_u).for_each(|b| *b *= slope);
             first.push(sum);
         }
@@ -450,6 +454,10 @@ impl RodStep {
             for (j, b) in parameters.list.iter().enumerate().take(i + 1) {
                 let [a, b] = [&a.change, &b.change];
                 let mut sum = 0.0;
+                if let Some(spin) = self.spin.as_ref().filter(|_| s.layout.spins) {
+                    let rates = [a, b].map(|change| change.damping.mass / h);
+                    sum += spin.second_of_changes([&a.spin_inertia, &b.spin_inertia], rates);
+                }
                 if !(a.masses.is_empty() && b.masses.is_empty()) {
                     let rates = [a, b].map(|change| change.damping.mass / h);
                     for (f, &v) in s.layout.free_vertices.iter().enumerate() {

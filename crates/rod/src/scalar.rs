@@ -1,6 +1,7 @@
 //! The numbers that geometry and elements are written over.
 
 use nalgebra::{RealField, Vector3};
+use num_dual::Dual64;
 
 /// A number that the energy of a rod can be computed with: f64, or a dual number that carries derivatives
 /// along (those of the package `num-dual` are such numbers).
@@ -50,4 +51,9 @@ pub(crate) fn length<T: Real>(v: &Vector3<T>) -> T {
 #[inline(always)]
 pub(crate) fn unit<T: Real>(v: &Vector3<T>) -> Vector3<T> {
     v * (T::one() / length(v))
+}
+
+/// value + ε slope.
+pub(crate) fn dual(value: &Vector3<f64>, slope: &Vector3<f64>) -> Vector3<Dual64> {
+    Vector3::from_fn(|c, _| Dual64::new(value[c], slope[c]))
 }

@@ -26,6 +26,7 @@ use num_dual::Dual64;
 use crate::element::{self, Directors, LOCAL, STRAINS, Stiffness, Strains};
 use crate::geometry::{Edge, Turn};
 use crate::layout::{Band, Layout};
+use crate::scalar::dual;
 use crate::shape::{FirstFrame, Shape};
 use crate::system::System;
 
@@ -39,10 +40,6 @@ pub(crate) struct Moved {
     area: Vector3<f64>,
 }
 
-fn dual(value: Vector3<f64>, slope: Vector3<f64>) -> Vector3<Dual64> {
-    Vector3::from_fn(|c, _| Dual64::new(value[c], slope[c]))
-}
-
 pub(crate) fn slope(v: &Vector3<Dual64>) -> Vector3<f64> {
     v.map(|v| v.eps)
 }
@@ -53,6 +50,13 @@ pub(crate) struct Increment<'a>(pub(crate) &'a [f64]);
 impl Increment<'_> {
     fn place(&self, layout: &Layout, v: usize) -> Vector3<f64> {
         Vector3::from_column_slice(&self.0[layout.vertex(v)..layout.vertex(v) + 3])
+    }
+
+    /// Of the places and, last, of the angle of an edge.
+    pub(crate) fn of_edge(&self, layout: &Layout, e: usize) -> [f64; 7] {
+        let [a, b] = [e, e + 1].map(|v| self.place(layout, v));
+        let turn = if layout.twist { self.0[layout.angle(e)] } else { 0.0 };
+        [a.x, a.y, a.z, b.x, b.y, b.z, turn]
     }
 }
 
@@ -67,12 +71,12 @@ impl System {
     /// Edge e where its ends are moved by ε `places` and its sections turned by ε `turn`.
     fn moved_by(&self, e: usize, places: [Vector3<f64>; 2], turn: f64) -> Moved {
         let shape = &self.shape;
-        let [a, b] = [0, 1].map(|i| dual(self.x[e + i], places[i]));
+        let [a, b] = [0, 1].map(|i| dual(&self.x[e + i], &places[i]));
         let edge = Edge::between(&a, &b, e).expect("this shape was assembled before");
         let (t, dt) = (shape.edges[e].t, slope(&edge.t));
         let area = dt.cross(&t) / (2.0 * shape.edges[e].l);
         let (m1, m2) = (shape.m1[e], shape.m2[e]);
-        let carried = |m: &Vector3<f64>, across: Vector3<f64>| dual(*m, across * turn - t * m.dot(&dt));
+        let carried = |m: &Vector3<f64>, across: Vector3<f64>| dual(m, &(across * turn - t * m.dot(&dt)));
         Moved { edge, m1: carried(&m1, m2), m2: carried(&m2, -m1), area }
     }
 
@@ -205,7 +209,7 @@ impl System {
         on_angle: &mut f64,
     ) -> f64 {
         let Moved { edge, m1, m2, area } = self.moved_by(e, places, turn);
-        let [f, o] = [force, offset].map(|v| dual(*v, Vector3::zeros()));
+        let [f, o] = [force, offset].map(|v| dual(v, &Vector3::zeros()));
         let by_angle = (m2 * o[0] - m1 * o[1]).dot(&f);
         let by_tangent = f * o[2] - (m1 * o[0] + m2 * o[1]) * edge.t.dot(&f);
         let rate = (by_tangent - edge.t * by_tangent.dot(&edge.t)) / edge.l;

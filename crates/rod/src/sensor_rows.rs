@@ -12,6 +12,9 @@ use crate::sensor::{Placed, Row, Sum};
 use crate::support::Damping;
 use crate::system::System;
 
+/// Strain rates are differences over this share of the interval; a much smaller one is lost in rounding.
+pub(crate) const SHARE: f64 = 1e-3;
+
 /// The rod in a state: ∂E/∂x and loads of every vertex, and how free ones move.
 pub(crate) struct Present<'a> {
     pub(crate) sensors: &'a [Placed],
@@ -119,7 +122,7 @@ impl Present<'_> {
     }
 
     /// The vector whose component a row is.
-    fn measured(&self, system: &System, motion: &Motion, row: &Row) -> Vector3<f64> {
+    pub(crate) fn measured(&self, system: &System, motion: &Motion, row: &Row) -> Vector3<f64> {
         match row.sensor {
             Placed::Force(sum) | Placed::Along(sum, _) => self.sum(sum),
             Placed::Acceleration(place) => self.acceleration(system, motion, place),
@@ -143,6 +146,22 @@ impl Present<'_> {
     pub(crate) fn weights(&self, system: &System, motion: &Motion, row: &Row) -> Weights {
         let mut on = Weights::new(system.rod.segments());
         let (direction, measured) = (self.direction(system, row), self.measured(system, motion, row));
+        self.force_weights(system, row, &direction, &measured, &mut on);
+        self.turn_weights(system, row, &measured, &mut on);
+        self.moment_weights(system, motion, row, &direction, &mut on);
+        self.rotation_weights(system, row, &mut on);
+        on
+    }
+
+    /// What a row is that has this direction, which stays.
+    pub(crate) fn force_weights(
+        &self,
+        system: &System,
+        row: &Row,
+        direction: &Vector3<f64>,
+        measured: &Vector3<f64>,
+        on: &mut Weights,
+    ) {
         match row.sensor {
             Placed::Force(sum) | Placed::Along(sum, _) => {
                 for v in sum.vertices.clone() {
@@ -162,6 +181,57 @@ impl Present<'_> {
                     }
                 }
             }
+            Placed::AngularRate(e) => {
+                let edge = &system.shape.edges[*e];
+                let by_velocity = direction / edge.l;
+                on.velocities[*e] -= by_velocity;
+                on.velocities[e + 1] += by_velocity;
+                // and the length is in the denominator
+                let by_edge = edge.t * (direction.dot(measured) / edge.l);
+                on.now.places[*e] += by_edge;
+                on.now.places[e + 1] -= by_edge;
+            }
+            _ => {}
+        }
+    }
+
+    /// The edge with whose section the direction of a row turns, and that direction along m₁, m₂, t.
+    pub(crate) fn axis(&self, row: &Row) -> Option<(usize, Vector3<f64>)> {
+        match row.sensor {
+            Placed::Along(_, e) => Some((*e, Vector3::z())),
+            Placed::SpecificForce(Place { edge: e, .. }, _) | Placed::AngularRate(e) => {
+                Some((*e, row.direction))
+            }
+            _ => None,
+        }
+    }
+
+    /// What a row is whose direction turns and which measures this, which stays: δm₁ = −(m₁·δt) t
+    /// + δφ m₂, δm₂ = −(m₂·δt) t − δφ m₁ with δt = (I − t tᵀ) δe/l.
+    pub(crate) fn turn_weights(&self, system: &System, row: &Row, measured: &Vector3<f64>, on: &mut Weights) {
+        let Some((e, axis)) = self.axis(row) else { return };
+        let [a, b, c]: [f64; 3] = axis.into();
+        let (edge, along) = (&system.shape.edges[e], measured.dot(&system.shape.edges[e].t));
+        let mut by_edge = (measured - edge.t * along) * c;
+        if a != 0.0 || b != 0.0 {
+            let (m1, m2) = (system.shape.m1[e], system.shape.m2[e]);
+            by_edge -= (m1 * a + m2 * b) * along;
+            on.now.angles[e] += a * measured.dot(&m2) - b * measured.dot(&m1);
+        }
+        on.now.places[e] -= by_edge / edge.l;
+        on.now.places[e + 1] += by_edge / edge.l;
+    }
+
+    /// What a row of a moment is.
+    fn moment_weights(
+        &self,
+        system: &System,
+        motion: &Motion,
+        row: &Row,
+        direction: &Vector3<f64>,
+        on: &mut Weights,
+    ) {
+        match row.sensor {
             &Placed::ClampMoment([vertex, beside, e]) => {
                 let (arm, edge) = (system.x[beside] - system.x[vertex], &system.shape.edges[e]);
                 let by_force = direction.cross(&arm);
@@ -170,7 +240,7 @@ impl Present<'_> {
                 on.angles[e] += direction.dot(&edge.t);
                 on.moments[e] -= direction.dot(&edge.t);
                 // a clamp that turns
-                let by_arm = self.net(beside).cross(&direction);
+                let by_arm = self.net(beside).cross(direction);
                 on.now.places[beside] += by_arm;
                 on.now.places[vertex] -= by_arm;
                 on.now.add_direction(e, edge, &(direction * self.about_tangent[e]));
@@ -193,14 +263,12 @@ impl Present<'_> {
                     }
                 }
             }
-            Placed::AngularRate(e) => {
-                let by_velocity = direction / system.shape.edges[*e].l;
-                on.velocities[*e] -= by_velocity;
-                on.velocities[e + 1] += by_velocity;
-            }
             _ => {}
         }
-        // a small rotation along (m₁, m₂, t) is (−m₂·δt, m₁·δt, δφ)
+    }
+
+    /// What a row of a rotation is: a small one along (m₁, m₂, t) is (−m₂·δt, m₁·δt, δφ).
+    fn rotation_weights(&self, system: &System, row: &Row, on: &mut Weights) {
         match row.sensor {
             Placed::Direction(e, rows) => {
                 let by = tilt_by_tangent(&rows.matrix(self.times[0]), &system.shape.edges[*e].t);
@@ -215,29 +283,37 @@ impl Present<'_> {
             }
             _ => {}
         }
-        // the direction turns: δm₁ = −(m₁·δt) t + δφ m₂,
-        // δm₂ = −(m₂·δt) t − δφ m₁ with δt = (I − t tᵀ) δe/l
-        let (e, [a, b, c]) = match row.sensor {
-            Placed::Along(_, e) => (*e, [0.0, 0.0, 1.0]),
-            Placed::SpecificForce(Place { edge: e, .. }, _) | Placed::AngularRate(e) => {
-                (*e, row.direction.into())
+    }
+
+    /// What acts on configurations and velocities as what acts on the state, of a step whose state has so
+    /// much history; the earlier configuration lies `back` \[s\] along the velocities.
+    pub(crate) fn onto_state(
+        &self,
+        system: &System,
+        motion: &Motion,
+        on: &mut Weights,
+        (history, back): (usize, f64),
+        row: &mut [f64],
+    ) {
+        let mut on_earlier = vec![0.0; row.len()];
+        on.now.transpose_add(system, &system.shape, row);
+        let then = motion.past.map_or(&system.shape, |past| &past.shape);
+        on.before.transpose_add(system, then, &mut on_earlier);
+        let places = 3 * system.layout.free_vertices.len();
+        for i in 0..places {
+            row[i] += on_earlier[i];
+            row[places + i] -= back * on_earlier[i];
+        }
+        for (f, &v) in system.layout.free_vertices.iter().enumerate() {
+            (0..3).for_each(|c| row[places + 3 * f + c] += on.velocities[v][c]);
+        }
+        for i in 2 * places..2 * places + system.layout.free_angles.len() {
+            let share = if history > 0 && !self.at_rest { SHARE } else { 0.0 };
+            row[i] += (1.0 - share) * on_earlier[i];
+            if share > 0.0 {
+                row[system.layout.state() + i] += share * on_earlier[i];
             }
-            _ => return on,
-        };
-        let (edge, along) = (&system.shape.edges[e], measured.dot(&system.shape.edges[e].t));
-        let mut by_edge = (measured - edge.t * along) * c;
-        if a != 0.0 || b != 0.0 {
-            let (m1, m2) = (system.shape.m1[e], system.shape.m2[e]);
-            by_edge -= (m1 * a + m2 * b) * along;
-            on.now.angles[e] += a * measured.dot(&m2) - b * measured.dot(&m1);
         }
-        if let Placed::AngularRate(_) = row.sensor {
-            // and the length is in the denominator
-            by_edge -= edge.t * direction.dot(&measured);
-        }
-        on.now.places[e] -= by_edge / edge.l;
-        on.now.places[e + 1] += by_edge / edge.l;
-        on
     }
 }
 

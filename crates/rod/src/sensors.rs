@@ -1,5 +1,8 @@
 //! Sensors on a rod that see forces, accelerations and angular rates of one state.
 
+mod second;
+mod second_parameters;
+
 use nalgebra::Vector3;
 use varda_implicit::{At, ImplicitStep, ObservationOperator, ParametricStep, Refusal, Remembered};
 
@@ -9,8 +12,8 @@ use crate::forces_of_motion::{Motion, with_forces};
 use crate::forces_tangent::moved_by;
 use crate::read_rotations::ReadRotations;
 use crate::rod::Place;
-use crate::sensor::{Placed, Sensor, placed};
-use crate::sensor_rows::Present;
+use crate::sensor::{Placed, Row, Sensor, placed};
+use crate::sensor_rows::{Present, SHARE};
 use crate::statics::reactions::all_loads;
 use crate::support::Damping;
 use crate::system::System;
@@ -85,10 +88,10 @@ pub struct Sensors {
     before: Vec<f64>,
     /// Rows of H', one after the other.
     known: Remembered,
+    /// Second derivatives with parameters, of a state and what acts on its values: nothing until they are
+    /// asked for.
+    known_second: Remembered,
 }
-
-/// Strain rates are differences over this share of the interval; a much smaller one is lost in rounding.
-const SHARE: f64 = 1e-3;
 
 impl Sensors {
     /// Sensors on the rod of a step, whose states are `interval` \[s\] apart.
@@ -122,6 +125,7 @@ impl Sensors {
             parameters: vec![0.0; parameters],
             before: vec![0.0; state_dim],
             known: Remembered::new(state_dim, rows * state_dim),
+            known_second: Remembered::new(state_dim + rows, parameters * (state_dim + parameters)),
             step,
         })
     }
@@ -173,6 +177,7 @@ impl Sensors {
             self.step.set_parameters(p)?;
             self.parameters.copy_from_slice(p);
             self.known.forget();
+            self.known_second.forget();
         }
         Ok(())
     }
@@ -304,7 +309,6 @@ impl Sensors {
     fn fill_rows(&mut self, at: At, x: &[f64], rows: &mut [f64]) {
         let (history, at_rest) = (self.step.repeated(), self.step.is_at_rest);
         let back = if at_rest { 0.0 } else { SHARE * self.interval };
-        let mut on_earlier = vec![0.0; x.len()];
         let done = self.with_state(at.time, x, &mut |system, motion, present| {
             let tangent = present.tangent(system, motion, Vec::new());
             for (row, of) in rows.chunks_exact_mut(x.len()).zip(&present.rows()) {
@@ -314,25 +318,7 @@ impl Sensors {
                 }
                 let mut on = present.weights(system, motion, of);
                 tangent.transpose_add(system, motion.start.length, &mut on);
-                on.now.transpose_add(system, &system.shape, row);
-                on_earlier.fill(0.0);
-                let then = motion.past.map_or(&system.shape, |past| &past.shape);
-                on.before.transpose_add(system, then, &mut on_earlier);
-                let places = 3 * system.layout.free_vertices.len();
-                for i in 0..places {
-                    row[i] += on_earlier[i];
-                    row[places + i] -= back * on_earlier[i];
-                }
-                for (f, &v) in system.layout.free_vertices.iter().enumerate() {
-                    (0..3).for_each(|c| row[places + 3 * f + c] += on.velocities[v][c]);
-                }
-                for i in 2 * places..2 * places + system.layout.free_angles.len() {
-                    let share = if history > 0 && !at_rest { SHARE } else { 0.0 };
-                    row[i] += (1.0 - share) * on_earlier[i];
-                    if share > 0.0 {
-                        row[system.layout.state() + i] += share * on_earlier[i];
-                    }
-                }
+                present.onto_state(system, motion, &mut on, (history, back), row);
             }
         });
         done.expect("this state was observed before");
@@ -380,6 +366,21 @@ impl ObservationOperator for Sensors {
                 dx.iter_mut().zip(row).for_each(|(dx, row)| *dx += dy * row);
             }
         });
+    }
+
+    /// Not of a rod at rest, nor with a load that has none, nor of moments, orientations and directions.
+    fn has_second_derivatives(&self) -> bool {
+        let has = |placed: &Placed| placed.has_second_derivatives();
+        !self.step.is_at_rest
+            && self.step.system.loads_have_second_derivatives()
+            && self.sensors.iter().all(has)
+    }
+
+    /// # Panics
+    /// If a slice has the wrong length, or `observe` refuses this state.
+    fn second_adjoint_add(&mut self, at: At, x: &[f64], dx: &[f64], dy: &[f64], out: &mut [f64]) {
+        assert_eq!(dy.len(), self.rows, "a number for every row");
+        self.second_add(at.time, x, dx, dy, out);
     }
 }
 

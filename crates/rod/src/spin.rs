@@ -28,6 +28,7 @@
 //! step of the same length, p is within 30 degrees of t_k.
 
 mod configuration;
+mod second;
 
 use nalgebra::Vector3;
 
@@ -62,6 +63,7 @@ pub(crate) struct Spin {
     pub(crate) next: Configuration,
     /// δs of every edge, or what acts on it.
     pub(crate) varied: Vec<f64>,
+    second: second::Work,
 }
 
 /// Where the spin of one edge is measured from.
@@ -146,6 +148,7 @@ impl Spin {
             now: vec![flat; edges],
             next: Configuration::new(n),
             varied: vec![0.0; edges],
+            second: second::Work::default(),
         })
     }
 

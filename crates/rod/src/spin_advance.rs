@@ -39,7 +39,7 @@ impl RodStep {
     }
 
     /// The same, from x_k and u.
-    fn set_next_of(&mut self, at: &Interval, x: &[f64], u: &[f64]) -> &mut Spin {
+    pub(crate) fn set_next_of(&mut self, at: &Interval, x: &[f64], u: &[f64]) -> &mut Spin {
         let mut next = std::mem::take(&mut self.state);
         self.follow(at, x, u, &mut next);
         self.set_next(at, &next).expect("the step was accepted before");

@@ -8,7 +8,6 @@ use crate::clamp_frame::ClampFrame;
 use crate::element::{self, Stiffness};
 use crate::geometry::{any_perpendicular, perpendicular, signed_angle};
 use crate::layout::{Band, FIXED, Layout, mirror};
-use crate::load::{EdgeLoad, EdgeMotion};
 use crate::moved::{HeldAt, Moves};
 use crate::rod::Rod;
 use crate::rotation::exponential;
@@ -437,95 +436,6 @@ impl System {
                 values[row * row_length + column + w - row] += entry(i, j);
             }
         }
-    }
-
-    /// Calls `visit` with what every load of the motion does to every edge, the motion of that edge, and the
-    /// unknowns of its vertices and, last, of its angle.
-    pub(crate) fn each_load(
-        &self,
-        start: Option<StageStart>,
-        mut visit: impl FnMut(&EdgeLoad, &EdgeMotion, [usize; 7]),
-    ) {
-        for load in &self.loads.of_motion {
-            for edge in load.edges(self.rod.segments()) {
-                let ends = [edge, edge + 1];
-                let velocity = |v: usize| match start {
-                    Some(start) => (self.x[v] - start.places[v]) / start.length,
-                    None => Vector3::zeros(),
-                };
-                let directors = match load.uses_directors() {
-                    true => [self.shape.m1[edge], self.shape.m2[edge]],
-                    false => [Vector3::zeros(); 2],
-                };
-                let motion = EdgeMotion {
-                    edge,
-                    time: self.time,
-                    places: ends.map(|v| self.x[v]),
-                    velocities: ends.map(velocity),
-                    directors,
-                    rest_length: self.rod.rest_lengths[edge],
-                };
-                let layout = &self.layout;
-                let unknown = |i: usize| match i {
-                    6 if layout.twist => layout.unknown[layout.angle(edge)],
-                    6 => FIXED,
-                    i => layout.unknown[layout.vertex(ends[i / 3]) + i % 3],
-                };
-                visit(&load.on_edge(&motion), &motion, std::array::from_fn(unknown));
-            }
-        }
-    }
-
-    /// Loads of the motion at the present shape: subtracts their forces from g and ∂F/∂x + ∂F/∂v/η
-    /// from the Jacobian, x and F with angles and moments. Returns their energy.
-    pub(crate) fn add_loads(
-        &self,
-        start: Option<StageStart>,
-        g: &mut [f64],
-        mut jacobian: Option<&mut [f64]>,
-    ) -> f64 {
-        let (general, row_length) = (!self.has_potential(), self.row_length());
-        let w = self.layout.half_bandwidth;
-        let rate = start.map_or(0.0, |start| 1.0 / start.length);
-        let mut energy = 0.0;
-        self.each_load(start, |acts, motion, unknown| {
-            energy += acts.energy;
-            let by_places = acts.by_places_of_carried(motion);
-            for a in (0..7).filter(|&a| unknown[a] != FIXED) {
-                let row = unknown[a];
-                g[row] -= if a < 6 { acts.forces[a] } else { acts.moment };
-                let Some(values) = jacobian.as_deref_mut() else { continue };
-                for b in (0..7).filter(|&b| unknown[b] != FIXED && (general || unknown[b] <= row)) {
-                    values[row * row_length + unknown[b] + w - row] -= match (a < 6, b < 6) {
-                        (true, true) => by_places[(a, b)] + rate * acts.by_velocities[(a, b)],
-                        (true, false) => acts.by_angle[a],
-                        (false, true) => acts.moment_by_places[b],
-                        (false, false) => acts.moment_by_angle,
-                    };
-                }
-            }
-        });
-        energy
-    }
-
-    /// (1/η) ∂F/∂v applied to one number a vertex coordinate, or its transpose: `input` of an unknown to
-    /// `output` of another.
-    pub(crate) fn couple_loads(
-        &self,
-        start: StageStart,
-        transposed: bool,
-        input: impl Fn(usize) -> f64,
-        mut output: impl FnMut(usize, f64),
-    ) {
-        self.each_load(Some(start), |acts, _, unknown| {
-            for a in (0..6).filter(|&a| unknown[a] != FIXED) {
-                for b in (0..6).filter(|&b| unknown[b] != FIXED) {
-                    let entry =
-                        if transposed { acts.by_velocities[(b, a)] } else { acts.by_velocities[(a, b)] };
-                    output(unknown[a], entry / start.length * input(unknown[b]));
-                }
-            }
-        });
     }
 
     /// δθ of the edges of a rod without twist unknowns: all turn with the end clamp where only that holds a

@@ -333,7 +333,7 @@ impl TwistEquilibrium {
     /// L_cp = ∂F/∂c∂α μ,   out_p += L_pc dc + L_pp dp − F_αᵀ E_θθ⁻¹ (L_αc dc + L_αp dp)
     /// ```
     ///
-    /// K of μ is zero: μ moves no places.
+    /// K of μ is zero: μ moves no places. Moments on angles are in E_α, with their derivatives.
     pub(crate) fn second_add(
         &mut self,
         dx: &[f64],
@@ -367,7 +367,12 @@ impl TwistEquilibrium {
         if let (Some(weight), Some(end)) = (weights.last_mut(), end.first()) {
             *weight += end;
         }
+        // the first angle is held by its stored value
+        if let Some(&e) = layout.free_angles.first() {
+            weights[e] += self.hold * mu[layout.angle(e)];
+        }
         self.full.third_add(&Increment(mu), band, None);
+        self.full.second_of_loads(None, &Increment(mu), band, &mut []);
         self.full.holonomy_second_add(&self.full.shape, weights, band);
 
         self.tangent(dx, theta);
@@ -400,6 +405,15 @@ impl TwistEquilibrium {
                 for c in 0..3 {
                     out[3 * at + c] -= self.by_place(f, v, c) * self.rhs[f];
                 }
+            }
+        }
+        if self.hold != 0.0 {
+            self.psi.fill(0.0);
+            self.psi[layout.free_angles[0]] = -self.hold * self.rhs[0];
+            self.displacement.fill(Vector3::zeros());
+            self.full.shape.holonomy_transpose_add(&self.psi, &mut self.displacement);
+            for (out, &v) in out.chunks_exact_mut(3).zip(&layout.free_vertices) {
+                out.iter_mut().zip(self.displacement[v].iter()).for_each(|(out, d)| *out += d);
             }
         }
         if let Some((_, _, out)) = parameters {

@@ -7,8 +7,8 @@ use std::sync::Arc;
 use common::{difference, noise, off};
 use varda_implicit::{ImplicitModel, Model, Scheme};
 use varda_rod::{
-    Clamp, ClampAt, Damping, Drag, FollowerForce, InternalForces, Loads, Material, Rod, RodStep, Section,
-    Supports, Vector3, straight_guess,
+    Clamp, ClampAt, Damping, Drag, FollowerForce, InternalForces, Loads, Material, Moment, Rod, RodStep,
+    Section, Supports, Vector3, straight_guess,
 };
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -32,7 +32,8 @@ fn hooks() -> Supports {
     Supports { prescribed: vec![(0, at(0.0)), (5, at(0.4))], ..Supports::default() }
 }
 
-/// Rods by name: twist-free, twisting, damped, held at both ends, hung from points, a chain, in a flow.
+/// Rods by name: twist-free, twisting, damped, held at both ends, hung from points, a chain, in a flow,
+/// turned by moments.
 fn steps() -> Vec<(&'static str, RodStep)> {
     let gravity = || Loads { gravity: GRAVITY, ..Loads::default() };
     let damped = Damping { stiffness: 0.01, mass: 0.3 };
@@ -45,6 +46,9 @@ fn steps() -> Vec<(&'static str, RodStep)> {
     let drag = Drag { flow: Vector3::new(0.6, -0.2, 0.4), tangential: 0.3, ..Drag::of(1000.0, 0.02) };
     let follower = FollowerForce::new(&rod(), 0.0, |t: f64| [0.3 + t, -0.2, 0.25]).unwrap();
     let flow = Loads { of_motion: vec![Arc::new(drag), Arc::new(follower)], ..gravity() };
+    let bend = Moment::new(&rod(), 0.45, |t: f64| [0.03, -0.05 - t, 0.04]).unwrap();
+    let twist = Moment::about_tangent(&rod(), 0.75, |_| 0.03).unwrap();
+    let turned = Loads { of_motion: vec![Arc::new(bend), Arc::new(twist)], ..gravity() };
     let of = |rod, supports, loads, damping| RodStep::new(rod, supports, loads, damping).unwrap();
     vec![
         ("twist-free", of(rod(), clamped(), gravity(), Damping::default())),
@@ -56,6 +60,8 @@ fn steps() -> Vec<(&'static str, RodStep)> {
         ("a damped chain", of(chain, hooks(), gravity(), damped)),
         ("in a flow", of(curved(), clamped(), flow.clone(), Damping::default())),
         ("in a flow, hung from points", of(rod(), hooks(), flow, damped)),
+        ("turned", of(curved(), clamped(), turned.clone(), Damping::default())),
+        ("turned between two clamps", of(rod(), between(), turned, damped)),
     ]
 }
 

@@ -1,12 +1,17 @@
-//! Second derivatives with constants of a rod: products with the exact Hessian of a sum over a window,
-//! against differences of its gradient.
+//! Second derivatives of steps, with constants of a rod and loads of the motion: products with the exact
+//! Hessian of a sum over a window, against differences of its gradient.
 
 mod common;
 
-use common::rods_with_parameters::{Case, cases, control, step};
+use std::ops::Range;
+use std::sync::Arc;
+
+use common::rods_with_parameters::{Case, DOWN, LOST, PLAIN, cases, control, loaded_step, rod, step};
 use common::{dot, noise, norm};
 use varda_implicit::{ImplicitModel, Model, ParametricStep, Scheme, WithParameters};
-use varda_rod::RodStep;
+use varda_rod::{
+    Drag, Dual64, EdgeLoad, EdgeMotion, FollowerForce, Load, Loads, Moment, RodStep, Vector3, check,
+};
 
 const STEPS: usize = 4;
 
@@ -89,12 +94,17 @@ fn scale(i: usize, first: usize) -> f64 {
 
 /// The larger error of a product against differences, extrapolated twice, relative to itself: of places and
 /// velocities, or of parameters; and the slope of plain differences.
-fn errors(window: &mut Window, z: &[f64], dz: &[f64], parameters: usize) -> (f64, Option<f64>) {
+fn errors(
+    window: &mut Window,
+    z: &[f64],
+    (dz, reach): (&[f64], f64),
+    parameters: usize,
+) -> (f64, Option<f64>) {
     let mut difference = |h: f64| -> Vec<f64> {
         let mut at = |h: f64| window.gradient(&z.iter().zip(dz).map(|(z, d)| z + h * d).collect::<Vec<_>>());
         at(h).iter().zip(at(-h)).map(|(p, m)| (p - m) / (2.0 * h)).collect()
     };
-    let steps = [0.08, 0.04, 0.02].map(&mut difference);
+    let steps = [4.0, 2.0, 1.0].map(|share| difference(share * reach));
     let better = |coarse: &[f64], fine: &[f64], k: f64| -> Vec<f64> {
         coarse.iter().zip(fine).map(|(c, f)| f + (f - c) / (k - 1.0)).collect()
     };
@@ -114,11 +124,33 @@ fn errors(window: &mut Window, z: &[f64], dz: &[f64], parameters: usize) -> (f64
     }
     let error = [0..first, first..z.len() - 1].map(|r| weighed(&best, &product, r) / size);
     let [coarse, fine] = [0, 1].map(|i| weighed(&steps[i], &product, whole.clone()));
-    (error[0].max(error[1]), Some((coarse / fine).log2()))
+    // where rounding does not show
+    (error[0].max(error[1]), (coarse > 1e-4 * size).then(|| (coarse / fine).log2()))
 }
 
 fn cases_with_second_derivatives() -> impl Iterator<Item = Case> {
-    cases().into_iter().filter(|case| !case.moved && !case.spins && case.held)
+    cases().into_iter().filter(|case| !case.moved).chain(LOADED)
+}
+
+/// In a fluid, pushed by forces that turn with sections, turned by moments; held by no director.
+const LOADED: [Case; 9] = [
+    Case { name: "in a fluid", drag: true, ..PLAIN },
+    Case { name: "in a fluid, damped", anisotropic: true, curved: true, drag: true, damping: LOST, ..PLAIN },
+    Case { name: "pushed", pushed: true, ..PLAIN },
+    Case { name: "pushed, anisotropic", pushed: true, anisotropic: true, curved: true, ..PLAIN },
+    Case { name: "free to turn", anisotropic: true, curved: true, held: false, damping: LOST, ..PLAIN },
+    Case { name: "free to turn in a fluid", anisotropic: true, drag: true, held: false, ..PLAIN },
+    Case { name: "pushed, held at both ends", pushed: true, drag: true, end: true, damping: LOST, ..PLAIN },
+    Case { name: "spinning, pushed", spins: true, pushed: true, anisotropic: true, ..PLAIN },
+    Case { name: FIRST_SPINS, spins: true, end: true, curved: true, ..PLAIN },
+];
+
+const FIRST_SPINS: &str = "spinning from the start, held at both ends";
+
+/// Of the last case angles and spins at the start are in the control.
+fn made(case: Case, scheme: Scheme) -> RodStep {
+    let step = step(case, scheme);
+    if case.name == FIRST_SPINS { step.with_spins_in_control() } else { step }
 }
 
 const SCHEMES: [Scheme; 3] = [Scheme::BackwardEuler, Scheme::Midpoint, Scheme::Bdf2];
@@ -128,16 +160,91 @@ fn products_are_those_of_differences() {
     for (scheme, case) in
         SCHEMES.into_iter().flat_map(|s| cases_with_second_derivatives().map(move |c| (s, c)))
     {
-        let step = step(case, scheme);
+        let step = made(case, scheme);
         let parameters = step.parameters();
         let z: Vec<f64> = control(&step).into_iter().chain([3.0]).collect();
         let mut window = Window::new(step);
+        // gradients of steps solved to 1e-11 m, over differences of 1e-2; loads and spins bend more over such
+        // a step; a common turn held by 1e-6 of a stiffness carries rounding
+        let (reach, bound) = if case.drag || case.pushed { (0.005, 1e-7) } else { (0.02, 1e-8) };
+        let (reach, bound) = if case.held { (reach, bound) } else { (0.003, 5e-7) };
+        let (reach, bound) = if case.spins { (0.002, 1e-7) } else { (reach, bound) };
         for (i, dz) in directions(&z, parameters).iter().enumerate() {
-            let (error, slope) = errors(&mut window, &z, dz, parameters);
+            let (error, slope) = errors(&mut window, &z, (dz, reach), parameters);
             let name = format!("{}, {scheme:?}, direction {i}: {error:.1e}, slope {slope:?}", case.name);
-            // gradients of steps solved to 1e-11 m, over differences of 1e-2
-            assert!(error <= 1e-8, "{name}");
+            assert!(error <= bound, "{name}");
             assert!(slope.is_none_or(|slope| (slope - 2.0).abs() <= 0.05), "{name}");
+        }
+    }
+}
+
+/// A load whose second derivatives are wrong in one entry.
+struct Mutated {
+    load: Arc<dyn Load>,
+    entry: &'static str,
+}
+
+impl Load for Mutated {
+    fn has_potential(&self) -> bool {
+        self.load.has_potential()
+    }
+
+    fn edges(&self, segments: usize) -> Range<usize> {
+        self.load.edges(segments)
+    }
+
+    fn uses_directors(&self) -> bool {
+        self.load.uses_directors()
+    }
+
+    fn has_moment(&self) -> bool {
+        self.load.has_moment()
+    }
+
+    fn on_edge(&self, motion: &EdgeMotion) -> EdgeLoad {
+        self.load.on_edge(motion)
+    }
+
+    fn has_second_derivatives(&self) -> bool {
+        self.load.has_second_derivatives()
+    }
+
+    fn on_moved_edge(&self, motion: &EdgeMotion<Dual64>) -> EdgeLoad<Dual64> {
+        let mut acts = self.load.on_moved_edge(motion);
+        let entry = match self.entry {
+            "by_places" => &mut acts.by_places[(4, 3)],
+            "by_velocities" => &mut acts.by_velocities[(4, 4)],
+            "by_angle" => &mut acts.by_angle[4],
+            _ => &mut acts.moment_by_places[4],
+        };
+        entry.eps *= 1.1;
+        acts
+    }
+}
+
+#[test]
+fn a_wrong_entry_is_seen() {
+    let rod = rod(PLAIN);
+    let drag = Drag { flow: Vector3::new(3.0, 1.0, 0.4), ..Drag::of(40.0, 0.02) };
+    let push = FollowerForce::new(&rod, 0.7, [0.2, -0.3, 0.1]).unwrap();
+    let moment = Moment::new(&rod, 0.55, [0.02, -0.03, 0.04]).unwrap();
+    let loads: [(Arc<dyn Load>, &[&str]); 3] = [
+        (Arc::new(drag), &["by_places", "by_velocities"]),
+        (Arc::new(push), &["by_places", "by_angle"]),
+        (Arc::new(moment), &["by_places", "moment_by_places"]),
+    ];
+    for (load, entries) in loads {
+        for entry in entries {
+            let mutated = Arc::new(Mutated { load: load.clone(), entry });
+            let report = check::load(&*mutated, &rod, 0.1, 0.5, 3).unwrap();
+            assert!(!report.passed(), "the check for users does not see {entry}:\n{report}");
+            let loads = Loads { of_motion: vec![mutated], ..DOWN };
+            let step = loaded_step(Case { curved: true, ..PLAIN }, Scheme::Bdf2, loads);
+            let parameters = step.parameters();
+            let z: Vec<f64> = control(&step).into_iter().chain([3.0]).collect();
+            let dz = &directions(&z, parameters)[0];
+            let (error, _) = errors(&mut Window::new(step), &z, (dz, 0.005), parameters);
+            assert!(!(error <= 1e-7), "{entry} is not seen: {error:e}");
         }
     }
 }
@@ -147,7 +254,7 @@ fn products_are_symmetric() {
     for (scheme, case) in
         SCHEMES.into_iter().flat_map(|s| cases_with_second_derivatives().map(move |c| (s, c)))
     {
-        let step = step(case, scheme);
+        let step = made(case, scheme);
         let parameters = step.parameters();
         let z: Vec<f64> = control(&step).into_iter().chain([3.0]).collect();
         let mut window = Window::new(step);

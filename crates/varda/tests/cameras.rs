@@ -212,7 +212,7 @@ fn what_is_wrong_is_named() {
             "1.3,left,tip,320,300\n",
             LEFT,
             &["estimate.camera_rotation={sigma=0.1}", "algorithm.hessian=\"exact\""],
-            &["algorithm.hessian", "gauss-newton"],
+            &["algorithm.hessian", "camera_rotation"],
         ),
     ];
     for (rows, camera, sets, words) in cases {

@@ -67,6 +67,16 @@ const AXES: &str = "axes = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]\n
 
 /// One of every kind that this rod has.
 fn all_kinds() -> String {
+    let more = [
+        sensor("pointer", "direction", 0.2, 0.01),
+        sensor("body", "orientation", 0.35, 0.01) + AXES,
+        sensor("bench", "support-moment", 0.0, 0.001),
+        sensor("gauge", "moment", 0.12, 0.001),
+    ];
+    all_kinds_with_second_derivatives() + &more.concat()
+}
+
+fn all_kinds_with_second_derivatives() -> String {
     [
         sensor("strand", "tension", 0.3, 0.01),
         sensor("clamp", "support-force", 0.0, 0.01),
@@ -74,10 +84,6 @@ fn all_kinds() -> String {
         sensor("chip", "acceleration", 0.4, 0.1),
         sensor("imu", "specific-force", 0.45, 0.1),
         sensor("gyro", "angular-rate", 0.45, 0.05),
-        sensor("pointer", "direction", 0.2, 0.01),
-        sensor("body", "orientation", 0.35, 0.01) + AXES,
-        sensor("bench", "support-moment", 0.0, 0.001),
-        sensor("gauge", "moment", 0.12, 0.001),
     ]
     .concat()
 }
@@ -389,6 +395,24 @@ fn biases_of_sensors_are_found() {
     }
 }
 
+/// Forces, accelerations, rates and directions have second derivatives, material damping and constants
+/// included; without the key nothing of them is made.
+#[test]
+fn readings_have_the_exact_hessian_too() {
+    let folder = Folder::new("sensors-exact");
+    let text = format!("{ROD}{TWIN}{PLACES}{}", all_kinds_with_second_derivatives());
+    for sets in [&["report.mesh=false"][..], &["report.mesh=false", BOTH]] {
+        let with = [sets, &["algorithm.hessian=\"exact\""]].concat();
+        let (plain, exact) = (ran(&text, &folder, sets), ran(&text, &folder, &with));
+        assert!((exact.analysis.value / plain.analysis.value - 1.0).abs() <= 1e-6);
+        assert_eq!(plain.model_counts.adjoint_derivatives, 0);
+        assert!(exact.convergence.iter().any(|r| r.hessian == Some("exact")));
+        let found = exact.exact_hessian.unwrap();
+        assert!(found.smallest_eigenvalue.is_some_and(|mu| mu > 0.0), "{found:?}");
+        assert!(found.sigma_change.is_some_and(|change| change > 1e-4 && change < 1.0), "{found:?}");
+    }
+}
+
 /// What is refused, with the words of it.
 #[test]
 fn what_is_wrong_is_named() {
@@ -413,7 +437,9 @@ fn what_is_wrong_is_named() {
     let q = |q: &str| format!("time_s,sensor,qx,qy,qz,qw\n1.3,body,{q}\n");
     let euler = "time.integrator=\"backward-euler\"";
     let axes = format!("{cell}axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]\n");
-    let cases: [(String, &str, &[&str], &[&str]); 29] = [
+    let ei = "estimate.ei={sigma=\"30%\",together=true}";
+    let moved = "estimate.clamp_direction={sigma=0.1}";
+    let cases: [(String, &str, &[&str], &[&str]); 32] = [
         (good.clone(), &cell, &[], &[]),
         (row("1.3,scale,1.0"), &cell, &[], &["rows.csv:2", "\"scale\"", "cell"]),
         (row("1.3,cell,NaN"), &cell, &[], &["rows.csv:2", "`tension_n` is NaN"]),
@@ -481,7 +507,15 @@ fn what_is_wrong_is_named() {
         (good.clone(), &cell, &[euler], &["time.integrator", "angles of the state before"]),
         (good.clone(), &cell, &["time.tolerance=1e-3"], &["time.tolerance", "leave it out"]),
         (good.clone(), &cell, &["estimate.clock={sigma=0.01}"], &["estimate.clock"]),
-        (good.clone(), &cell, &["algorithm.hessian=\"exact\""], &["algorithm.hessian", "gauss-newton"]),
+        (good.clone(), &cell, &["algorithm.hessian=\"exact\""], &[]),
+        (good.clone(), &cell, &["algorithm.hessian=\"exact\"", ei], &[]),
+        (
+            good.clone(),
+            &format!("{cell}{body}"),
+            &["algorithm.hessian=\"exact\""],
+            &["\"body\"", "orientations"],
+        ),
+        (good.clone(), &cell, &["algorithm.hessian=\"exact\"", moved], &["estimate.clamp_direction moves"]),
         (good, &cell, &["observations.correlation={length=0.1}"], &["take `time`"]),
     ];
     for (rows, sensors, sets, words) in cases {

@@ -173,6 +173,22 @@ fn modes_of_twist_are_listed() {
     assert!((f / expected - 1.0).abs() < 0.01, "{f} Hz, {expected}");
 }
 
+/// Sections with inertia have the exact Hessian.
+#[test]
+fn spins_have_the_exact_hessian() {
+    let (folder, _) = scene("exact", &twin());
+    let run = |sets: &[&str]| {
+        let problem = Problem::from_scene(&folder.scene(&twin(), sets).unwrap()).unwrap();
+        assimilate(&problem, &mut Listener::silent()).unwrap()
+    };
+    let (plain, exact) = (run(&[]), run(&["algorithm.hessian=\"exact\""]));
+    assert!((exact.analysis.value / plain.analysis.value - 1.0).abs() <= 1e-6);
+    assert_eq!(plain.model_counts.adjoint_derivatives, 0);
+    let found = exact.exact_hessian.unwrap();
+    assert!(found.smallest_eigenvalue.is_some_and(|mu| mu > 0.0), "{found:?}");
+    assert!(found.sigma_change.is_some_and(|change| change > 0.0 && change < 1.0), "{found:?}");
+}
+
 #[test]
 fn keys_that_do_not_belong_together_are_refused() {
     let refusal = |name: &str, from: &str, to: &str| {

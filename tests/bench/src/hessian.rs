@@ -36,12 +36,13 @@ pub(super) fn run(options: &Options) -> Result<Page> {
     cost.evaluate(&v, None)?;
     products.push(product("Lorenz-96, N = 40, RK4", &mut cost, options)?);
 
-    let (name, scene, sets) = UNKNOWN[0];
-    let problem = twin(scene, sets, &[])?;
-    let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref())?;
-    let (mut model, mut set) = (problem.model(), problem.observations()?);
-    let mut cost = StrongConstraint::new(model.as_mut(), transform, &mut set)?;
-    products.push(product(name, &mut cost, options)?);
+    for (name, scene, sets) in [("tether in a current: drag", "tether-in-current", &[][..]), UNKNOWN[0]] {
+        let problem = twin(scene, sets, &[])?;
+        let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref())?;
+        let (mut model, mut set) = (problem.model(), problem.observations()?);
+        let mut cost = StrongConstraint::new(model.as_mut(), transform, &mut set)?;
+        products.push(product(name, &mut cost, options)?);
+    }
 
     let mut minima = Table::new("minima", "The trust region with either Hessian", MINIMA);
     let seeds = if options.quick { 2 } else { 20 };

@@ -1,6 +1,6 @@
 //! One assembled cost for every kind of model and observation.
 
-use crate::rods::{DT, FIRST, HangingRod, rod_scale, rods, wave};
+use crate::rods::{DT, FIRST, HangingRod, loaded_rods, rod_scale, rods, wave};
 use std::error::Error;
 use varda_assimilation::{
     ControlTransform, LeastSquares, Observation, ObservationOperator, ObservationSet, Selection,
@@ -26,7 +26,9 @@ pub fn for_each_cost(visit: &mut Visit) -> Result<()> {
     flagship(visit)?;
     let places: [(&str, &[Marker]); 2] = [("centreline", &CENTRELINE), ("markers", &OFF_CENTRELINE)];
     for (seen, markers) in places {
-        for mut case in rods()? {
+        // rods with loads of the motion are seen by markers off the centreline alone
+        let loaded = if seen == "markers" { loaded_rods()? } else { Vec::new() };
+        for mut case in rods()?.into_iter().chain(loaded) {
             let markers = Markers::new(case.model.step_ref(), markers)?;
             // At the very start, between steps, on a step.
             let when = [(0, 0.0), (3, 0.25), (5, 0.0), (7, 0.6)];

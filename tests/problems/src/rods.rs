@@ -9,8 +9,8 @@ use varda_assimilation::{LinearObservation, Observation, ObservationSet};
 use varda_covariance::{BlockDiagonal, CovarianceFunction, Dense, Interleaved, Kernel, Taper};
 use varda_implicit::{ImplicitModel, ImplicitStep, Model, Scheme};
 use varda_rod::{
-    Clamp, ClampAt, Damping, EllipseDrive, Loads, Material, Motion as _, Rod, RodStep, Section, Supports,
-    TwistUnknowns, equilibrium, straight_guess,
+    Clamp, ClampAt, Damping, Drag, EllipseDrive, FollowerForce, Load, Loads, Material, Moment, Motion as _,
+    Rod, RodStep, Section, Supports, TwistUnknowns, equilibrium, straight_guess,
 };
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -398,6 +398,35 @@ pub fn rods() -> Result<Vec<RodCase>> {
     ])
 }
 
+/// Rods with loads that depend on their motion: drag, forces that turn with sections, moments; with and
+/// without twist otherwise.
+///
+/// # Errors
+/// A rod that cannot be made.
+pub fn loaded_rods() -> Result<Vec<RodCase>> {
+    let damping = |stiffness, mass| Damping { stiffness, mass };
+    let clamped = || Supports::clamped_start(swinging());
+    // past the rod one way at all times: drag is once differentiable where it turns
+    let flow = [0.7, 0.4, 4.0].into();
+    let drag = || Arc::new(Drag { flow, tangential: 0.3, ..Drag::of(30.0, 0.02) });
+    let (plain, bent) = (straight(8, false)?, curved()?);
+    let push = Arc::new(FollowerForce::new(&bent, 0.6, |t: f64| [0.1 + t, -0.1, 0.1])?);
+    let jet = Arc::new(FollowerForce::tangential(&bent, bent.length(), |_| -0.1)?);
+    let turning = Arc::new(Moment::new(&bent, 0.5, |t: f64| [0.02, -0.02 - 0.1 * t, 0.03])?);
+    let twisting = Arc::new(Moment::about_tangent(&plain, 0.9, |_| 0.02)?);
+    Ok(vec![
+        by(
+            Scheme::Bdf2,
+            loaded("rod in a current", vec![drag()], plain.clone(), clamped(), damping(0.0, 0.7))?,
+        ),
+        by(
+            Scheme::Midpoint,
+            loaded("pushed and turned rod", vec![push, jet, turning], bent, clamped(), damping(0.0, 0.0))?,
+        ),
+        loaded("twisted rod in a current", vec![drag(), twisting], plain, both_ends(), damping(0.004, 0.7))?,
+    ])
+}
+
 /// The same rod by another scheme.
 fn by(scheme: Scheme, case: RodCase) -> RodCase {
     let step = case.model.into_inner().with_scheme(scheme);
@@ -412,12 +441,19 @@ pub const DT: f64 = 0.01;
 pub const FIRST: usize = 3;
 
 fn rod_case(name: &'static str, rod: Rod, supports: Supports, damping: Damping) -> Result<RodCase> {
+    loaded(name, Vec::new(), rod, supports, damping)
+}
+
+fn loaded(
+    name: &'static str,
+    of_motion: Vec<Arc<dyn Load>>,
+    rod: Rod,
+    supports: Supports,
+    damping: Damping,
+) -> Result<RodCase> {
     let force = |t: f64| [0.02 * t.cos(), 0.01, 0.0];
-    let loads = Loads {
-        gravity: [0.0, 0.0, -9.81].into(),
-        point_forces: vec![(0.61, Arc::new(force))],
-        ..Loads::default()
-    };
+    let loads =
+        Loads { gravity: [0.0, 0.0, -9.81].into(), point_forces: vec![(0.61, Arc::new(force))], of_motion };
     let start = FIRST as f64 * DT;
     let clamped_at_end = supports.end.is_some();
     let clamps = supports.start.iter().count() + supports.end.iter().count();

@@ -27,6 +27,23 @@ impl Weights {
         let [angles, moments] = [vec![0.0; segments], vec![0.0; segments]];
         Weights { gradient, loads, angles, moments, velocities, now, before }
     }
+
+    /// Adds so many times others.
+    pub(crate) fn add(&mut self, other: &Weights, times: f64) {
+        let of_vertices = [
+            (&mut self.gradient, &other.gradient),
+            (&mut self.loads, &other.loads),
+            (&mut self.velocities, &other.velocities),
+        ];
+        for (own, other) in of_vertices {
+            own.iter_mut().zip(other).for_each(|(a, b)| *a += b * times);
+        }
+        for (own, other) in [(&mut self.angles, &other.angles), (&mut self.moments, &other.moments)] {
+            own.iter_mut().zip(other).for_each(|(a, b)| *a += b * times);
+        }
+        self.now.add(&other.now, times);
+        self.before.add(&other.before, times);
+    }
 }
 
 impl Increment {
@@ -35,24 +52,28 @@ impl Increment {
         let layout = &system.layout;
         if layout.bending {
             let first = 6 * layout.free_vertices.len();
-            let mut on_psi: Vec<f64> = self.angles.iter().map(|a| -a).collect();
-            if layout.twist {
-                // an angle that is given turns with its clamp
-                let mut free = layout.free_angles.iter().enumerate().peekable();
-                for (e, on_psi) in on_psi.iter_mut().enumerate() {
-                    match free.next_if(|(_, edge)| **edge == e) {
-                        Some((i, _)) => dx[first + i] += self.angles[e],
-                        None => *on_psi = 0.0,
-                    }
-                }
-            } else if system.supports.end.is_some() {
-                *on_psi.last_mut().expect("a rod has an edge") += self.angles.iter().sum::<f64>();
+            for (i, &e) in layout.free_angles.iter().enumerate() {
+                dx[first + i] += self.angles[e];
             }
-            shape.holonomy_transpose_add(&on_psi, &mut self.places);
+            shape.holonomy_transpose_add(&self.on_psi(system), &mut self.places);
         }
         for (f, &v) in layout.free_vertices.iter().enumerate() {
             (0..3).for_each(|c| dx[3 * f + c] += self.places[v][c]);
         }
+    }
+
+    /// What weights on local angles are on the holonomy of every edge.
+    pub(crate) fn on_psi(&self, system: &System) -> Vec<f64> {
+        let layout = &system.layout;
+        let mut on_psi: Vec<f64> = self.angles.iter().map(|a| -a).collect();
+        if layout.twist {
+            // an angle that is given turns with its clamp
+            let held = |e: &usize| layout.free_angles.binary_search(e).is_err();
+            (0..layout.segments).filter(held).for_each(|e| on_psi[e] = 0.0);
+        } else if system.supports.end.is_some() {
+            *on_psi.last_mut().expect("a rod has an edge") += self.angles.iter().sum::<f64>();
+        }
+        on_psi
     }
 
     /// Adds the eleven numbers at a bent vertex.
@@ -66,7 +87,7 @@ impl Increment {
 }
 
 impl Tangent<'_> {
-    /// Adds what weights on ∂E/∂x and on loads are on the two configurations, which are h apart \[s\].
+    /// Adds what weights on ∂E/∂x, ∂E/∂θ and loads are on the two configurations, h apart \[s\].
     pub(crate) fn transpose_add(&self, system: &System, h: f64, on: &mut Weights) {
         let Weights { gradient, loads, angles, moments, now, before, .. } = on;
         for (e, edge) in system.shape.edges.iter().enumerate() {
@@ -105,11 +126,11 @@ impl Tangent<'_> {
                 before.add_at(i + 1, &on_then);
             }
         }
-        for &Loaded { edge: e, ref acts, by_places } in &self.loaded {
+        for &Loaded { edge: e, ref acts } in &self.loaded {
             let [a, b] = [loads[e], loads[e + 1]];
             let force = Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z);
             let by_rates = acts.by_velocities.tr_mul(&force) / h;
-            let on_places = by_places.tr_mul(&force) + by_rates + acts.moment_by_places * moments[e];
+            let on_places = acts.by_places.tr_mul(&force) + by_rates + acts.moment_by_places * moments[e];
             for v in 0..2 {
                 now.places[e + v] += on_places.fixed_rows::<3>(3 * v);
                 before.places[e + v] -= by_rates.fixed_rows::<3>(3 * v);

@@ -1,10 +1,12 @@
 //! Drag of the fluid around a rod.
 
 use nalgebra::{Matrix3, Vector3};
+use num_dual::Dual64;
 
 use super::{EdgeLoad, EdgeMotion, Load};
 use crate::geometry::outer;
 use crate::material::not_negative;
+use crate::scalar::{Real, square};
 use crate::{Error, Rod};
 
 /// Drag of a fluid, quadratic in the speed of the fluid past the rod, u = flow − V, across and along it
@@ -50,23 +52,38 @@ impl Drag {
 
     /// Force per length on a point of velocity v \[m/s\] where the rod has the unit tangent t; its
     /// derivatives in v and, for δt ⟂ t, in t.
-    fn per_length(&self, v: &Vector3<f64>, t: &Vector3<f64>) -> (Vector3<f64>, [Matrix3<f64>; 2]) {
+    fn per_length<T: Real>(&self, v: &Vector3<T>, t: &Vector3<T>) -> (Vector3<T>, [Matrix3<T>; 2]) {
         let pressure = 0.5 * self.fluid_density * self.diameter;
-        let (kn, kt) = (pressure * self.normal, pressure * self.tangential);
-        let u = self.flow - v;
+        let (kn, kt) = (T::of(pressure * self.normal), T::of(pressure * self.tangential));
+        let u = self.flow.map(T::of) - v;
         let along = u.dot(t);
         let across = u - t * along;
-        let speed = across.norm();
         // |u_n| + u_n u_nᵀ/|u_n|, zero where u_n is
-        let direction = if speed > 0.0 { across / speed } else { across };
+        let moves = square(&across) > T::zero();
+        let speed = if moves { square(&across).sqrt() } else { T::zero() };
+        let direction = if moves { across / speed } else { across };
         let stretch = outer(&direction, &across);
         let tt = outer(t, t);
         let plane = Matrix3::identity() - tt;
-        let by_speed = -((plane * speed + stretch) * kn + tt * (2.0 * kt * along.abs()));
-        let by_tangent = outer(t, &across) * (2.0 * kt * along.abs() - kn * speed)
+        let by_speed = -((plane * speed + stretch) * kn + tt * (T::of(2.0) * kt * along.abs()));
+        let by_tangent = outer(t, &across) * (T::of(2.0) * kt * along.abs() - kn * speed)
             + Matrix3::identity() * (kt * along.abs() * along - kn * along * speed)
             - stretch * (kn * along);
         (across * (kn * speed) + t * (kt * along.abs() * along), [by_speed, by_tangent])
+    }
+
+    fn acts<T: Real>(&self, motion: &EdgeMotion<T>) -> EdgeLoad<T> {
+        let (t, l) = motion.tangent();
+        let half = T::of(0.5 * motion.rest_length);
+        let turn = (Matrix3::identity() - outer(&t, &t)) / l;
+        let mut load = EdgeLoad::none();
+        for (vertex, v) in motion.velocities.iter().enumerate() {
+            let (force, [by_speed, by_tangent]) = self.per_length(v, &t);
+            load.add_force(vertex, force * half, &(by_tangent * turn * half));
+            let row = 3 * vertex;
+            load.by_velocities.fixed_view_mut::<3, 3>(row, row).copy_from(&(by_speed * half));
+        }
+        load
     }
 }
 
@@ -87,16 +104,14 @@ impl Load for Drag {
     }
 
     fn on_edge(&self, motion: &EdgeMotion) -> EdgeLoad {
-        let (t, l) = motion.tangent();
-        let half = 0.5 * motion.rest_length;
-        let turn = (Matrix3::identity() - outer(&t, &t)) / l;
-        let mut load = EdgeLoad::zero();
-        for (vertex, v) in motion.velocities.iter().enumerate() {
-            let (force, [by_speed, by_tangent]) = self.per_length(v, &t);
-            load.add_force(vertex, force * half, &(by_tangent * turn * half));
-            let row = 3 * vertex;
-            load.by_velocities.fixed_view_mut::<3, 3>(row, row).copy_from(&(by_speed * half));
-        }
-        load
+        self.acts(motion)
+    }
+
+    fn has_second_derivatives(&self) -> bool {
+        true
+    }
+
+    fn on_moved_edge(&self, motion: &EdgeMotion<Dual64>) -> EdgeLoad<Dual64> {
+        self.acts(motion)
     }
 }

@@ -4,9 +4,11 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use nalgebra::{Matrix3, Vector3};
+use num_dual::Dual64;
 
 use super::{EdgeLoad, EdgeMotion, Load};
 use crate::rod::{Place, Rod};
+use crate::scalar::Real;
 use crate::support::Motion;
 use crate::{Error, geometry::outer};
 
@@ -61,6 +63,25 @@ impl FollowerForce {
     }
 }
 
+impl FollowerForce {
+    fn acts<T: Real>(&self, motion: &EdgeMotion<T>) -> EdgeLoad<T> {
+        let (t, l) = motion.tangent();
+        let f = self.force.at(motion.time).map(T::of);
+        let [m1, m2] = if self.tangential { [Vector3::zeros(); 2] } else { motion.directors };
+        let across = m1 * f.x + m2 * f.y;
+        // δm = −(m·δt) t with δt = (I − t tᵀ) δe/l
+        let by_edge = ((Matrix3::identity() - outer(&t, &t)) * f.z - outer(&t, &across)) / l;
+        let by_angle: Vector3<T> = m2 * f.x - m1 * f.y;
+        let mut load = EdgeLoad::none();
+        for (vertex, share) in [1.0 - self.place.fraction, self.place.fraction].into_iter().enumerate() {
+            let share = T::of(share);
+            load.add_force(vertex, (across + t * f.z) * share, &(by_edge * share));
+            load.by_angle.fixed_rows_mut::<3>(3 * vertex).copy_from(&(by_angle * share));
+        }
+        load
+    }
+}
+
 impl Load for FollowerForce {
     fn has_potential(&self) -> bool {
         false
@@ -75,18 +96,14 @@ impl Load for FollowerForce {
     }
 
     fn on_edge(&self, motion: &EdgeMotion) -> EdgeLoad {
-        let (t, l) = motion.tangent();
-        let f = self.force.at(motion.time);
-        let [m1, m2] = if self.tangential { [Vector3::zeros(); 2] } else { motion.directors };
-        let across = m1 * f.x + m2 * f.y;
-        // δm = −(m·δt) t with δt = (I − t tᵀ) δe/l
-        let by_edge = ((Matrix3::identity() - outer(&t, &t)) * f.z - outer(&t, &across)) / l;
-        let by_angle: Vector3<f64> = m2 * f.x - m1 * f.y;
-        let mut load = EdgeLoad::zero();
-        for (vertex, share) in [1.0 - self.place.fraction, self.place.fraction].into_iter().enumerate() {
-            load.add_force(vertex, (across + t * f.z) * share, &(by_edge * share));
-            load.by_angle.fixed_rows_mut::<3>(3 * vertex).copy_from(&(by_angle * share));
-        }
-        load
+        self.acts(motion)
+    }
+
+    fn has_second_derivatives(&self) -> bool {
+        true
+    }
+
+    fn on_moved_edge(&self, motion: &EdgeMotion<Dual64>) -> EdgeLoad<Dual64> {
+        self.acts(motion)
     }
 }

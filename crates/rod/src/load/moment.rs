@@ -4,11 +4,13 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use nalgebra::Vector3;
+use num_dual::Dual64;
 
 use super::{EdgeLoad, EdgeMotion, Load};
 use crate::Error;
 use crate::geometry::outer;
 use crate::rod::Rod;
+use crate::scalar::Real;
 use crate::support::Motion;
 
 /// An external moment T_ext \[N m\] (paper, section 3): it does the work M·δφ on the rotation
@@ -76,6 +78,27 @@ impl Moment {
     }
 }
 
+impl Moment {
+    fn acts<T: Real>(&self, motion: &EdgeMotion<T>) -> EdgeLoad<T> {
+        let m = (self.moment.at(motion.time) * self.shares[motion.edge - self.first]).map(T::of);
+        let mut load = EdgeLoad::none();
+        if self.along {
+            load.moment = m.z;
+            return load;
+        }
+        let (t, l) = motion.tangent();
+        let force = m.cross(&t) / l;
+        let by_edge = (m.cross_matrix() - outer(&m.cross(&t), &t) * T::of(2.0)) / (l * l);
+        load.add_force(0, -force, &-by_edge);
+        load.add_force(1, force, &by_edge);
+        load.moment = m.dot(&t);
+        let by_edge: Vector3<T> = (m - t * load.moment) / l;
+        load.moment_by_places.fixed_rows_mut::<3>(0).copy_from(&-by_edge);
+        load.moment_by_places.fixed_rows_mut::<3>(3).copy_from(&by_edge);
+        load
+    }
+}
+
 impl Load for Moment {
     fn has_potential(&self) -> bool {
         false
@@ -90,21 +113,14 @@ impl Load for Moment {
     }
 
     fn on_edge(&self, motion: &EdgeMotion) -> EdgeLoad {
-        let m = self.moment.at(motion.time) * self.shares[motion.edge - self.first];
-        let mut load = EdgeLoad::zero();
-        if self.along {
-            load.moment = m.z;
-            return load;
-        }
-        let (t, l) = motion.tangent();
-        let force = m.cross(&t) / l;
-        let by_edge = (m.cross_matrix() - outer(&m.cross(&t), &t) * 2.0) / (l * l);
-        load.add_force(0, -force, &-by_edge);
-        load.add_force(1, force, &by_edge);
-        load.moment = m.dot(&t);
-        let by_edge: Vector3<f64> = (m - t * load.moment) / l;
-        load.moment_by_places.fixed_rows_mut::<3>(0).copy_from(&-by_edge);
-        load.moment_by_places.fixed_rows_mut::<3>(3).copy_from(&by_edge);
-        load
+        self.acts(motion)
+    }
+
+    fn has_second_derivatives(&self) -> bool {
+        true
+    }
+
+    fn on_moved_edge(&self, motion: &EdgeMotion<Dual64>) -> EdgeLoad<Dual64> {
+        self.acts(motion)
     }
 }

@@ -6,7 +6,7 @@
 pub(crate) mod rods_with_parameters;
 
 use varda_implicit::Model;
-use varda_rod::{EdgeLoad, EdgeMotion, Load};
+use varda_rod::{Dual64, EdgeLoad, EdgeMotion, Load, Real};
 
 /// A smooth pseudo-random sequence in [−1, 1].
 pub(crate) fn noise(seed: usize) -> impl Iterator<Item = f64> {
@@ -90,13 +90,25 @@ impl Load for Dashpot {
         false
     }
     fn on_edge(&self, motion: &EdgeMotion) -> EdgeLoad {
+        self.acts(motion)
+    }
+    fn has_second_derivatives(&self) -> bool {
+        true
+    }
+    fn on_moved_edge(&self, motion: &EdgeMotion<Dual64>) -> EdgeLoad<Dual64> {
+        self.acts(motion)
+    }
+}
+
+impl Dashpot {
+    fn acts<T: Real>(&self, motion: &EdgeMotion<T>) -> EdgeLoad<T> {
         let [a, b] = motion.velocities;
-        let mut load = EdgeLoad::zero();
-        let force = (b - a) * self.0;
+        let mut load = EdgeLoad::none();
+        let force = (b - a) * T::of(self.0);
         for c in 0..3 {
             (load.forces[c], load.forces[3 + c]) = (force[c], -force[c]);
             for (row, column, sign) in [(0, 0, -1.0), (0, 3, 1.0), (3, 0, 1.0), (3, 3, -1.0)] {
-                load.by_velocities[(row + c, column + c)] = sign * self.0;
+                load.by_velocities[(row + c, column + c)] = T::of(sign * self.0);
             }
         }
         load

@@ -2,8 +2,9 @@
 
 use varda_implicit::{ParametricStep, Scheme};
 use varda_rod::{
-    Change, Clamp, ClampAt, Damping, Displacement, Drag, EllipseDrive, HeldAt, Law, Loads, Material, Motion,
-    Moved, MovedBy, Parameter, Rod, RodStep, Section, Supports, Vector3, straight_guess,
+    Change, Clamp, ClampAt, Damping, Displacement, Drag, EllipseDrive, FollowerForce, HeldAt, Law, Loads,
+    Material, Moment, Motion, Moved, MovedBy, Parameter, Rod, RodStep, Section, Supports, Vector3,
+    straight_guess,
 };
 
 use super::{Dashpot, noise};
@@ -23,6 +24,8 @@ pub(crate) struct Case {
     /// Parameters move the supports.
     pub(crate) moved: bool,
     pub(crate) drag: bool,
+    /// Forces that turn with sections, and moments.
+    pub(crate) pushed: bool,
 }
 
 pub(crate) const PLAIN: Case = Case {
@@ -35,6 +38,7 @@ pub(crate) const PLAIN: Case = Case {
     held: true,
     moved: false,
     drag: false,
+    pushed: false,
 };
 pub(crate) const LOST: Damping = Damping { stiffness: 0.02, mass: 0.4 };
 
@@ -193,17 +197,33 @@ pub(crate) const DOWN: Loads =
 pub(crate) fn loads(case: Case) -> Loads {
     let mut loads = DOWN;
     if case.drag {
-        let flow = Vector3::new(0.1, 0.4, 0.0);
-        let drag = Drag { fluid_density: 200.0, diameter: 0.02, normal: 1.2, tangential: 0.3, flow };
+        // past the rod the same way at all times: drag is once differentiable where it turns
+        let flow = Vector3::new(3.0, 1.0, 0.4);
+        let drag = Drag { fluid_density: 40.0, diameter: 0.02, normal: 1.2, tangential: 0.3, flow };
         loads.of_motion.push(std::sync::Arc::new(drag));
         loads.of_motion.push(std::sync::Arc::new(Dashpot(0.3)));
+    }
+    if case.pushed {
+        let rod = rod(case);
+        let across = FollowerForce::new(&rod, 0.7, |t: f64| [0.2 + t, -0.3, 0.1]).unwrap();
+        let along = FollowerForce::tangential(&rod, 1.0, |t| -0.2 - t).unwrap();
+        let turning = Moment::new(&rod, 0.55, |t: f64| [0.02, -0.03 - 0.1 * t, 0.04]).unwrap();
+        let twisting = Moment::about_tangent(&rod, 1.0, |_| 0.03).unwrap();
+        loads.of_motion.push(std::sync::Arc::new(across));
+        loads.of_motion.push(std::sync::Arc::new(along));
+        loads.of_motion.push(std::sync::Arc::new(turning));
+        loads.of_motion.push(std::sync::Arc::new(twisting));
     }
     loads
 }
 
 pub(crate) fn step(case: Case, scheme: Scheme) -> RodStep {
+    loaded_step(case, scheme, loads(case))
+}
+
+pub(crate) fn loaded_step(case: Case, scheme: Scheme, loads: Loads) -> RodStep {
     let unknown = unknowns(case);
-    RodStep::with_parameters(rod(case), supports(case), loads(case), case.damping, unknown)
+    RodStep::with_parameters(rod(case), supports(case), loads, case.damping, unknown)
         .unwrap()
         .with_scheme(scheme)
 }

@@ -6,8 +6,7 @@ use super::invalid::{Check, invalid, on_rod};
 use super::parsed::Along;
 use super::validate_frame::{validate_frame, validate_rotation};
 use super::{
-    Camera, Frame, Hessian, Kernel, Model, Origin, Recording, RodModel, Scene, Sensor, Synthetic,
-    UnreachableRows, Use,
+    Camera, Frame, Kernel, Model, Origin, Recording, RodModel, Scene, Sensor, Synthetic, UnreachableRows, Use,
 };
 
 /// Observations of a twin experiment with a rod.
@@ -152,10 +151,6 @@ fn validate_sensors(sensors: &[Sensor], scene: &Scene, rod: &RodModel) -> Check 
         let message = "the forces of a state that is moved along its velocities by a clock's offset are \
                        those of a stretched rod: leave it out, or [[observations.sensors]]";
         return invalid("estimate.clock", message);
-    }
-    if scene.algorithm.hessian == Hessian::Exact {
-        let message = "what sensors read has no second derivatives here: take \"gauss-newton\"";
-        return invalid("algorithm.hessian", message);
     }
     Ok(())
 }

@@ -272,10 +272,11 @@ impl Memory {
         let is_kept = algorithm.minimizer == Minimizer::Lbfgs;
         let (mut other, dense) = if is_kept { (vectors, dense) } else { (0, dense.saturating_add(vectors)) };
         if exact {
-            // of every step λ, μ, the path of a perturbation, twice, matrices about as large as the factor,
-            // and two columns of every constant
-            let vectors = 6 + 2 * sizes.constants;
-            let step = sizes.state.saturating_mul(vectors).saturating_add(sizes.kept);
+            // of every step λ, μ, the path of a perturbation, twice, matrices about as large as the
+            // factor (of spins three of them), and two columns of every constant
+            let spins = matches!(&scene.model, Model::Rod(rod) if rod.twist_inertia);
+            let kept = sizes.kept.saturating_mul(if spins { 3 } else { 1 });
+            let step = sizes.state.saturating_mul(6 + 2 * sizes.constants).saturating_add(kept);
             other = other.saturating_add((sizes.steps + 1).saturating_mul(step));
         }
         other = other.saturating_add(ensemble.map_or(0, |e| e.runs()));
@@ -325,7 +326,8 @@ impl Memory {
             output if output.formats.contains(&Format::Netcdf) => COPIES_OF_NETCDF,
             output => usize::from(output.is_more_than_csv()),
         };
-        let sensors = if scene.observations.sensors().is_empty() { 0 } else { OF_SENSORS };
+        let second = if exact { Remembered::BYTES } else { 0 };
+        let sensors = if scene.observations.sensors().is_empty() { 0 } else { OF_SENSORS + second };
         let footprint = footprint(scene, sizes);
         Memory {
             covariance: NUMBER * covariance,

@@ -14,6 +14,7 @@ use super::memory::{Memory, Sizes, without_spread};
 use super::observations::Observed;
 use super::random::{Stream, stream};
 use super::runs::MakeModel;
+use super::second_derivatives::{observed_without_second_derivatives, without_second_derivatives};
 use super::system::System;
 use crate::Error;
 use crate::outcome::{AcceptedSteps, Experiment};
@@ -179,18 +180,22 @@ impl Problem {
 
     /// Refuses the exact Hessian of a model without second derivatives.
     fn check_hessian(&self, file: &SceneFile) -> Result<(), Error> {
-        if self.experiment.scene.algorithm.hessian == Hessian::GaussNewton {
+        let scene = &self.experiment.scene;
+        if scene.algorithm.hessian == Hessian::GaussNewton {
             return Ok(());
         }
-        let what = if self.model().second_order().is_none() {
-            "this model has no second derivatives (constants in [estimate] that move supports, a rod at \
-             rest, loads of the motion, spins, a rod whose common turn is free)"
+        let message = if self.model().second_order().is_none() {
+            let why = without_second_derivatives(scene);
+            let why = why.unwrap_or_else(|| "this model has no second derivatives".to_string());
+            format!("{why}: leave this key out, and the Hessian is that of Gauss and Newton")
         } else if !self.observations()?.has_second_derivatives() {
-            "these observations have no second derivatives"
+            let why = observed_without_second_derivatives(scene);
+            let why = why.unwrap_or_else(|| "these observations have no second derivatives".to_string());
+            format!("{why}: leave this key out, and the Hessian is that of Gauss and Newton")
         } else {
             return Ok(());
         };
-        Err(file.invalid("algorithm.hessian", format!("{what}: leave the key out")))
+        Err(file.invalid("algorithm.hessian", message))
     }
 
     /// Length of the control.

@@ -46,6 +46,23 @@ pub(crate) trait Sites: ObservationOperator {
 
     /// The columns ∂y/∂p of those.
     fn by_constants(&mut self, _at: At, _x: &[f64], _columns: &mut [f64]) {}
+
+    /// Whether `second_by_constants_add` is given; false by default.
+    fn has_second_constants(&self) -> bool {
+        false
+    }
+
+    /// The second derivatives of Σ dy·y with those, and the state: adds those of an increment of both to
+    /// both.
+    fn second_by_constants_add(
+        &mut self,
+        _at: At,
+        _x: &[f64],
+        _by: [&[f64]; 2],
+        _dy: &[f64],
+        _out: [&mut [f64]; 2],
+    ) {
+    }
 }
 
 impl Sites for Selection {}
@@ -89,6 +106,22 @@ impl Sites for Sensors {
 
     fn by_constants(&mut self, at: At, x: &[f64], columns: &mut [f64]) {
         self.by_parameters(at, x, columns).expect("this state was observed before");
+    }
+
+    fn has_second_constants(&self) -> bool {
+        self.has_second_parameters()
+    }
+
+    fn second_by_constants_add(
+        &mut self,
+        at: At,
+        x: &[f64],
+        [dx, dp]: [&[f64]; 2],
+        dy: &[f64],
+        [out, out_p]: [&mut [f64]; 2],
+    ) {
+        let count = self.parameters();
+        self.second_with_parameters_add(at, x, [dx, &dp[..count]], dy, [out, &mut out_p[..count]]);
     }
 }
 
@@ -365,9 +398,10 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
         self.places.scatter(&self.dx, dx);
     }
 
-    /// Not where constants of the model move what is observed, by supports.
+    /// Not where constants of the model move what is observed, by supports, or as the mount turns.
     fn has_second_derivatives(&self) -> bool {
-        self.moving.constants.is_empty() && self.operator.has_second_derivatives()
+        let with_constants = self.operator.has_second_constants() && self.seeing.rotation.is_none();
+        (self.moving.constants.is_empty() || with_constants) && self.operator.has_second_derivatives()
     }
 
     /// With f = Rᵀ dy, a = J dρ, δ(Rh) = a × Rh + R δh and m the places of sites:
@@ -391,7 +425,12 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
             let turn = exponential(&rho);
             self.back.chunks_exact_mut(3).for_each(|back| set(back, turn.tr_mul(&place(back))));
         }
-        self.operator.second_adjoint_add(at, &self.x, &self.dx, &self.back, own);
+        if self.moving.constants.is_empty() {
+            self.operator.second_adjoint_add(at, &self.x, &self.dx, &self.back, own);
+        } else {
+            let (by, to) = ([&self.dx[..], &dx[constants.clone()]], &mut out[constants.clone()]);
+            self.operator.second_by_constants_add(at, &self.x, by, &self.back, [own, to]);
+        }
         if !self.markers.is_empty() {
             for zeroed in [&mut *places, out_places] {
                 zeroed.clear();
