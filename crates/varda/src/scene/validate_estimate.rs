@@ -125,8 +125,9 @@ fn validate_poses(estimate: &Estimate, scene: &Scene) -> Check {
             return invalid(path, "needs [[observations.cameras]]");
         }
         if scene.algorithm.hessian == Hessian::Exact {
-            let message = "poses of cameras have no second derivatives here: take \"gauss-newton\"";
-            return invalid("algorithm.hessian", message);
+            let why = "what turns and moves a camera has first derivatives alone: leave this key out, and \
+                       the Hessian is that of Gauss and Newton";
+            return invalid("algorithm.hessian", format!("{path}: {why}"));
         }
         if let Unknown::Named(by_name) = unknown
             && let Some(name) = by_name.keys().find(|name| cameras.iter().all(|c| c.name != **name))

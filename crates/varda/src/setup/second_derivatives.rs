@@ -20,11 +20,7 @@ pub(crate) fn without_second_derivatives(scene: &Scene) -> Option<String> {
 pub(crate) fn observed_without_second_derivatives(scene: &Scene) -> Option<String> {
     let without =
         [SensorKind::SupportMoment, SensorKind::Moment, SensorKind::Direction, SensorKind::Orientation];
-    if let Some(sensor) = scene.observations.sensors().iter().find(|sensor| without.contains(&sensor.kind)) {
-        let of = "moments, directions and orientations have first derivatives alone";
-        return Some(format!("sensor {:?} of observations.sensors: {of}", sensor.name));
-    }
-    let poses = ["camera_rotation", "camera_translation"];
-    let (key, _) = scene.estimate.given().into_iter().find(|(key, _)| poses.contains(key))?;
-    Some(format!("estimate.{key}: what turns and moves a camera has first derivatives alone"))
+    let sensor = scene.observations.sensors().iter().find(|sensor| without.contains(&sensor.kind))?;
+    let of = "moments, directions and orientations have first derivatives alone";
+    Some(format!("sensor {:?} of observations.sensors: {of}", sensor.name))
 }
