@@ -510,7 +510,7 @@ fn what_is_wrong_is_named() {
         (good.clone(), &cell, &["algorithm.hessian=\"exact\""], &[]),
         (good.clone(), &cell, &["algorithm.hessian=\"exact\"", ei], &[]),
         (
-            good.clone(),
+            format!("{header},qx,qy,qz,qw\n1.3,cell,1.0,,,,\n"),
             &format!("{cell}{body}"),
             &["algorithm.hessian=\"exact\""],
             &["\"body\"", "orientations"],
