@@ -8,6 +8,11 @@ pub const IDENTIFIABLE: f64 = 0.9;
 /// Two constants whose posterior correlation is at least this are seen together only.
 const COLLINEAR: f64 = 0.95;
 
+/// Whether this is the name of one value of an error in time of what was recorded.
+pub(crate) fn is_of_input(name: &str) -> bool {
+    name.contains("(t = ")
+}
+
 /// An estimated constant: prior and posterior in its unit.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Estimated {
@@ -57,7 +62,7 @@ impl Estimated {
     /// Whether it is one value of an error in time of what was recorded: whether the observations see each is
     /// no question.
     pub(crate) fn is_of_input(&self) -> bool {
-        self.name.contains("(t = ")
+        is_of_input(&self.name)
     }
 
     /// Whether more of σ is the mesh's than the observations'.

@@ -26,6 +26,7 @@ pub use considered::{ByConstant, Considered};
 pub use convergence::{Attempt, ConvergenceRow, Status, WorkCounts};
 pub use covariances::CovarianceBlock;
 pub use cycles::{CycleDepartures, CycleRow, CycleSigma, CyclesOutcome, Means};
+pub(crate) use estimates::is_of_input;
 pub use estimates::{Estimated, IDENTIFIABLE, remarks as remarks_on_estimates};
 pub use evidence::{Cause, Evidence};
 pub use exact_hessian::ExactHessian;

@@ -35,11 +35,6 @@ impl Constant {
         }
     }
 
-    /// Whether it is one value of an error in time of what was recorded.
-    pub(crate) fn is_of_input(&self) -> bool {
-        self.name.contains("(t = ")
-    }
-
     /// The constant at p.
     pub fn at(&self, p: f64) -> f64 {
         match self.law {

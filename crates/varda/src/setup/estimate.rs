@@ -13,6 +13,7 @@ use super::covariance::{Factored, WithoutError};
 use super::estimate_supports;
 use super::motion::Followed;
 use crate::Error;
+use crate::outcome::is_of_input;
 use crate::scene::{
     ConstantPrior, OF_BASE, OF_OBSERVATIONS, OF_PLACES, PriorSpread, RodModel, SceneFile, Unknown,
 };
@@ -304,7 +305,7 @@ impl Estimates {
 
     /// Which of them are numbers of their own, of no field and of no error in time; none where they are many.
     pub(crate) fn single(&self) -> Vec<usize> {
-        let is_single = |i: &usize| self.arc_length(*i).is_none() && !self.constants[*i].is_of_input();
+        let is_single = |i: &usize| self.arc_length(*i).is_none() && !is_of_input(&self.constants[*i].name);
         let all: Vec<usize> = (0..self.len()).filter(is_single).collect();
         if all.len() > MOST_PROFILED { Vec::new() } else { all }
     }

@@ -258,8 +258,6 @@ impl Recorded {
         let forecast = (span - window * step).clamp(0.0, WINDOW);
         let [far, fast] = self.motion().map(|size| rounded(size.max(0.01 * length)));
         let [place, tangent] = self.clamp();
-        let up = if tangent.z.abs() < 0.95 { V::z() } else { V::x() };
-        let director = (up - tangent * up.dot(&tangent)).normalize();
         let are_named = self.tracks.iter().all(|t| t.name.is_some()) && !self.placed;
         let note = match (are_named, self.tracks.len()) {
             (true, 1) => "one marker says nothing of it",
@@ -268,7 +266,6 @@ impl Recorded {
         };
         let steps = if parts > 1.0 { format!("{parts} steps") } else { "a step".to_string() };
         let number = |x: f64| format!("{x:?}");
-        let vector = |v: V| format!("[{:.4}, {:.4}, {:.4}]", v.x, v.y, v.z);
         let whole = |x: f64| format!("{x:.0}");
         let sigma = self.sigma();
         let hand = self.hand(sigma);
@@ -285,7 +282,7 @@ impl Recorded {
             ("{segments}", (4 * self.tracks.len()).clamp(20, 100).to_string()),
             ("{position}", vector(place)),
             ("{tangent}", vector(tangent)),
-            ("{director}", vector(director)),
+            ("{director}", vector(across(tangent))),
             ("{step}", number(step)),
             ("{frames}", format!("{steps} a frame at {:.4} Hz", 1.0 / self.interval)),
             ("{window}", whole(window)),
@@ -437,6 +434,17 @@ fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
 
 fn root_mean_square(values: &[f64]) -> f64 {
     (values.iter().map(|x| x * x).sum::<f64>() / values.len().max(1) as f64).sqrt()
+}
+
+/// A direction across another, upwards where that can be.
+pub(super) fn across(tangent: V) -> V {
+    let up = if tangent.z.abs() < 0.95 { V::z() } else { V::x() };
+    (up - tangent * up.dot(&tangent)).normalize()
+}
+
+/// As a scene writes it.
+pub(super) fn vector(v: V) -> String {
+    format!("[{:.4}, {:.4}, {:.4}]", v.x, v.y, v.z)
 }
 
 /// Two significant digits.

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use varda_rod::Vector3;
 
 use super::csv;
-use super::recording_scene::{Recorded, Track, filled, rounded, scene_of_recording};
+use super::recording_scene::{Recorded, Track, across, filled, rounded, scene_of_recording, vector};
 use crate::Error;
 
 const TEMPLATE: &str = include_str!("../../scenes/shape.toml");
@@ -46,7 +46,6 @@ fn scene(file: &str, points: &Recorded) -> String {
     let tangent = direction(start, second);
     let position = start.mean() - tangent * start.arc_length;
     let are_named = tracks.iter().all(|t| t.name.is_some()) && !points.placed;
-    let vector = |v: Vector3<f64>| format!("[{:.4}, {:.4}, {:.4}]", v.x, v.y, v.z);
     let last = direction(before, end);
     let far = format!(
         "# [model.end]                    # where the far end is held too\n# position = {}\n# tangent = {}\n\
@@ -94,12 +93,6 @@ fn scene(file: &str, points: &Recorded) -> String {
         ("{markers}", markers),
     ];
     filled(TEMPLATE, &values)
-}
-
-/// A direction across another, upwards where that can be.
-fn across(tangent: Vector3<f64>) -> Vector3<f64> {
-    let up = if tangent.z.abs() < 0.95 { Vector3::z() } else { Vector3::x() };
-    (up - tangent * up.dot(&tangent)).normalize()
 }
 
 /// To a tenth of a millimetre.

@@ -5,6 +5,7 @@ use serde_json::Value;
 
 use super::grid::Plan;
 use super::runs::Record;
+use crate::outcome::is_of_input;
 
 /// All rows, with what their columns are.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -180,7 +181,7 @@ fn result(record: &Record) -> Option<&Value> {
 fn constants_of(summary: &Value) -> impl Iterator<Item = (&str, &Value)> {
     let all = summary["estimates"].as_array().into_iter().flatten();
     let named = all.filter(|e| e["arc_length"].is_null()).filter_map(|e| Some((e["name"].as_str()?, e)));
-    named.filter(|(name, _)| !name.contains("(t = "))
+    named.filter(|(name, _)| !is_of_input(name))
 }
 
 impl Row {
