@@ -48,7 +48,7 @@ pub(super) fn run(options: &Options) -> Result<Page> {
     let seeds = if options.quick { 2 } else { 20 };
     for scene in SCENES {
         for way in [Way::GaussNewton, Way::Secant, Way::Exact] {
-            minima.push(minimize(scene, way, seeds)?);
+            minima.push(minimize(scene, way, if options.quick { 2 } else { 100 })?);
         }
     }
     let mut estimates = Table::new("estimates", "Estimates of constants with either Hessian", ESTIMATES);

@@ -148,6 +148,14 @@ impl Default for Start {
     }
 }
 
+impl Start {
+    /// After a run that ended so.
+    pub(super) fn after(&self, end: &Minimum) -> Self {
+        let (index, inner) = (end.outer_iterations, end.inner_iterations);
+        Self { index, inner, gradient_norm: Some(end.gradient_norm_first), ..*self }
+    }
+}
+
 /// What a run has come to: the point's numbers and the step that led there.
 pub(crate) struct Progress {
     attempt: [usize; 2],

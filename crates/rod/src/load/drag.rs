@@ -72,11 +72,12 @@ impl Drag {
         (across * (kn * speed) + t * (kt * along.abs() * along), [by_speed, by_tangent])
     }
 
-    /// Second derivatives of μ·f by u and t, both free, and its first derivative by t: with a = u·t, w = u − a t,
+    /// Second derivatives of μ·f by u and t, both free, and its first one by t: a = u·t, w = u − a t,
     ///
     /// ```text
     /// μ·f = φ(w) + p(a, t·μ),   φ = ½ρd C_n |w| w·μ,   p = ½ρd C_t |a| a t·μ
-    /// δw = (I − t tᵀ) δu − (t uᵀ + a I) δt,   δ²w = −δa δt' − δa' δt − t δ²a,   δ²a = δu·δt' + δu'·δt
+    /// δw = (I − t tᵀ) δu − (t uᵀ + a I) δt,   δ²w = −δa δt' − δa' δt − t δ²a
+    /// δ²a = δu·δt' + δu'·δt
     /// ```
     fn second_per_length(&self, v: &Vector3<f64>, t: &Vector3<f64>, mu: &Vector3<f64>) -> Second {
         let pressure = 0.5 * self.fluid_density * self.diameter;

@@ -165,8 +165,8 @@ minimizers! {
     /// if it converges and J_o ≤ 10 m at the background (m observed values), or ends within the band of a
     /// fit, 2J/m ≤ 1 + 3 √(2/m). Otherwise the trust region starts again through enlarged σ (× 10, 3,
     /// 1 and × 16, 8, 4, 2, 1) and from up to six draws of the prior, until an end is within the band, two
-    /// agree on the lowest J, or three in turn gained less than 10⁻³ of J. The lowest end is the result;
-    /// `attempts` in summary.json lists what each gained.
+    /// agree on the lowest J, or three in turn bring a settled J less than a tenth of the way to the band.
+    /// The lowest end is the result; `attempts` in summary.json lists what each gained.
     Auto,
     /// Gauss–Newton with a trust region (Levenberg–Marquardt in the B⁻¹ norm).
     TrustRegion,

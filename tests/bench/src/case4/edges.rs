@@ -6,10 +6,14 @@ use std::ops::ControlFlow;
 
 use varda::scene::SceneFile;
 use varda::setup::Problem;
-use varda_assimilation::{AutoOptions, ControlTransform, CostFunction, Minimizer, StrongConstraint};
+use varda_assimilation::{
+    AutoOptions, ControlTransform, CostFunction, Hessian, Minimizer, Stopping, StrongConstraint,
+};
 
 use super::runs::{TOLERANCE, norm};
 
+/// Iterations at most: those of scenes.
+const MOST: usize = 1000;
 /// Lengths along −∇J at which J is looked at, in σ: from the first to 1.
 const FIRST: f64 = 1e-13;
 const PER_DECADE: u32 = 8;
@@ -24,12 +28,14 @@ const TEXT: &str = include_str!("edges.md");
 /// The page of these seeds.
 pub(super) fn page(seeds: &[u64]) -> Result<String, Box<dyn Error>> {
     let mut table = String::from(
-        "| seed | ended as | J | ‖∇J‖ over the first | at | J beyond − J | slope | slope beyond |\n",
+        "| seed | Hessian | ended as | J | ‖∇J‖ over the first | at | J beyond − J | slope | \
+         slope beyond |\n",
     );
-    table += "|--:|---|--:|--:|--:|--:|--:|--:|\n";
-    for &seed in seeds {
-        let Edge { status, j, gradient, jump } = edge(seed)?;
-        let _ = write!(table, "| {seed} | {status} | {j:.6} | {gradient:.1e} | ");
+    table += "|--:|---|---|--:|--:|--:|--:|--:|--:|\n";
+    let hessians = [("Gauss–Newton", Hessian::GaussNewton), ("exact", Hessian::Exact)];
+    for (&seed, (name, hessian)) in seeds.iter().flat_map(|seed| hessians.map(|hessian| (seed, hessian))) {
+        let Edge { status, j, gradient, jump } = edge(seed, hessian)?;
+        let _ = write!(table, "| {seed} | {name} | {status} | {j:.6} | {gradient:.1e} | ");
         let _ = match jump {
             Some(Jump { at, j, slope }) => {
                 writeln!(table, "{:.1e} | {:.4} | {:.2e} | {:.2e} |", at[0], j[1] - j[0], slope[0], slope[1])
@@ -62,7 +68,7 @@ struct Jump {
 }
 
 /// Minimizes J of a seed of case 4 with the plain prior, and looks for the edge.
-fn edge(seed: u64) -> Result<Edge, Box<dyn Error>> {
+fn edge(seed: u64, hessian: Hessian) -> Result<Edge, Box<dyn Error>> {
     let file = SceneFile::open("hanging-rod-case4-plain", &[format!("seed={seed}")])?;
     let problem = Problem::from_scene(&file)?;
     let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref())?;
@@ -73,7 +79,8 @@ fn edge(seed: u64) -> Result<Edge, Box<dyn Error>> {
     cost.evaluate(&v, Some(&mut gradient))?;
     let first = norm(&gradient);
     let mut options = AutoOptions::default();
-    options.trust_region.stopping.gradient_tolerance = TOLERANCE;
+    options.trust_region = options.trust_region.with_hessian(hessian);
+    options.trust_region.stopping = Stopping::new(TOLERANCE, MOST);
     let ended = Minimizer::Auto(options).minimize(&mut cost, &mut v, &mut |_| ControlFlow::Continue(()))?;
     let j = cost.evaluate(&v, Some(&mut gradient))?;
     let size = norm(&gradient);
