@@ -130,6 +130,7 @@ mod material;
 mod modes;
 mod moved;
 mod moved_increment;
+mod moved_second;
 mod parameters;
 mod predict;
 mod quasi_static;

@@ -129,11 +129,11 @@ fn errors(
 }
 
 fn cases_with_second_derivatives() -> impl Iterator<Item = Case> {
-    cases().into_iter().filter(|case| !case.moved).chain(LOADED)
+    cases().into_iter().chain(LOADED)
 }
 
 /// In a fluid, pushed by forces that turn with sections, turned by moments; held by no director.
-const LOADED: [Case; 9] = [
+const LOADED: [Case; 13] = [
     Case { name: "in a fluid", drag: true, ..PLAIN },
     Case { name: "in a fluid, damped", anisotropic: true, curved: true, drag: true, damping: LOST, ..PLAIN },
     Case { name: "pushed", pushed: true, ..PLAIN },
@@ -142,8 +142,14 @@ const LOADED: [Case; 9] = [
     Case { name: "free to turn in a fluid", anisotropic: true, drag: true, held: false, ..PLAIN },
     Case { name: "pushed, held at both ends", pushed: true, drag: true, end: true, damping: LOST, ..PLAIN },
     Case { name: "spinning, pushed", spins: true, pushed: true, anisotropic: true, ..PLAIN },
+    Case { name: "moved and pushed", moved: true, pushed: true, drag: true, curved: true, ..PLAIN },
+    Case { name: "moved at both ends in a fluid", anisotropic: true, drag: true, ..MOVED_ENDS },
+    Case { name: "moved at both ends and pushed", curved: true, pushed: true, ..MOVED_ENDS },
+    Case { name: "moved at its end alone", curved: true, held: false, anisotropic: true, ..MOVED_ENDS },
     Case { name: FIRST_SPINS, spins: true, end: true, curved: true, ..PLAIN },
 ];
+
+const MOVED_ENDS: Case = Case { moved: true, end: true, damping: LOST, ..PLAIN };
 
 const FIRST_SPINS: &str = "spinning from the start, held at both ends";
 
@@ -169,6 +175,8 @@ fn products_are_those_of_differences() {
         let (reach, bound) = if case.drag || case.pushed { (0.005, 1e-7) } else { (0.02, 1e-8) };
         let (reach, bound) = if case.held { (reach, bound) } else { (0.003, 5e-7) };
         let (reach, bound) = if case.spins { (0.002, 1e-7) } else { (reach, bound) };
+        // turned by half a radian for each unit
+        let (reach, bound) = if case.moved { (0.004, 1e-7) } else { (reach, bound) };
         for (i, dz) in directions(&z, parameters).iter().enumerate() {
             let (error, slope) = errors(&mut window, &z, (dz, reach), parameters);
             let name = format!("{}, {scheme:?}, direction {i}: {error:.1e}, slope {slope:?}", case.name);
@@ -215,6 +223,9 @@ impl Load for Mutated {
             "by_places" => &mut acts.by_places[(4, 3)],
             "by_velocities" => &mut acts.by_velocities[(4, 4)],
             "by_angle" => &mut acts.by_angle[4],
+            // of the free end of the edge beside a clamp, by the held one
+            "by_held_places" if motion.edge == 1 => &mut acts.by_places[(4, 0)],
+            "by_held_places" => return acts,
             _ => &mut acts.moment_by_places[4],
         };
         entry.eps *= 1.1;
@@ -246,6 +257,22 @@ fn a_wrong_entry_is_seen() {
             let (error, _) = errors(&mut Window::new(step), &z, (dz, 0.005), parameters);
             assert!(!(error <= 1e-7), "{entry} is not seen: {error:e}");
         }
+    }
+}
+
+/// What a support that is moved does through a load on the edge beside it.
+#[test]
+fn a_wrong_entry_of_a_held_vertex_is_seen() {
+    let load = Arc::new(Drag { flow: Vector3::new(3.0, 1.0, 0.4), ..Drag::of(40.0, 0.02) });
+    for (wrong, entry) in [(false, "none"), (true, "by_held_places")] {
+        let mutated = Arc::new(Mutated { load: load.clone(), entry });
+        let of_motion: Vec<Arc<dyn Load>> = if wrong { vec![mutated] } else { vec![load.clone()] };
+        let step = loaded_step(MOVED_ENDS, Scheme::Bdf2, Loads { of_motion, ..DOWN });
+        let parameters = step.parameters();
+        let z: Vec<f64> = control(&step).into_iter().chain([3.0]).collect();
+        let dz = &directions(&z, parameters)[0];
+        let (error, _) = errors(&mut Window::new(step), &z, (dz, 0.004), parameters);
+        assert!((error <= 1e-7) != wrong, "{entry}: {error:e}");
     }
 }
 
