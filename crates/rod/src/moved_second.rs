@@ -86,6 +86,26 @@ impl System {
         self.elastic_second_add(&places, &angles, out);
     }
 
+    /// Calls `visit` with p, q ≤ p and w_pq of a configuration, in `work`, and what both do to the end
+    /// clamp's angle.
+    pub(crate) fn each_moved_twice(
+        &self,
+        shape: &Shape,
+        t: f64,
+        work: &mut Increments,
+        mut visit: impl FnMut([usize; 2], &mut Increments, f64),
+    ) {
+        let acting = self.moves.acting(t);
+        for (i, &p) in acting.iter().enumerate() {
+            for &q in &acting[..=i] {
+                let Increments { places, angles, .. } = &mut *work;
+                if let Some(end) = self.moved_twice(shape, [p, q], t, places, angles) {
+                    visit([p, q], work, end);
+                }
+            }
+        }
+    }
+
     /// Adds `on`ᵀ w_pq of a configuration, and so much of the end clamp's angle as `on_end`, to second
     /// derivatives by parameters.
     pub(crate) fn moved_twice_add(
@@ -96,19 +116,15 @@ impl System {
         work: &mut Increments,
         square: &mut [f64],
     ) {
-        let (m, acting) = (square.len().isqrt(), self.moves.acting(t));
-        let Increments { places, angles, full, .. } = work;
-        for (i, &p) in acting.iter().enumerate() {
-            for &q in &acting[..=i] {
-                let Some(end) = self.moved_twice(shape, [p, q], t, places, angles) else { continue };
-                in_full_order(&self.layout, places, angles, full);
-                let second = dot(on, full) + on_end * end;
-                square[p * m + q] += second;
-                if p != q {
-                    square[q * m + p] += second;
-                }
+        let m = square.len().isqrt();
+        self.each_moved_twice(shape, t, work, |[p, q], Increments { places, angles, full, .. }, end| {
+            in_full_order(&self.layout, places, angles, full);
+            let second = dot(on, full) + on_end * end;
+            square[p * m + q] += second;
+            if p != q {
+                square[q * m + p] += second;
             }
-        }
+        });
     }
 }
 
