@@ -7,6 +7,7 @@ use varda_implicit::{At, ImplicitStep, ObservationOperator, Refusal};
 
 use crate::Error;
 use crate::dynamics::RodStep;
+use crate::moved_second::Together;
 use crate::rod::Place;
 use crate::system::System;
 
@@ -408,7 +409,7 @@ impl ObservationOperator for Markers {
             return;
         }
         self.set(at.time, x).expect("this state was observed before");
-        self.set_increment(dx, &[], &[]);
+        self.set_increment(dx, &[], &Together::default());
         self.second_of_increment(dy);
         self.displacements_transpose_add(out);
     }

@@ -184,15 +184,15 @@ impl Moves {
         }
     }
 
-    /// Those that may move something at time t, ascending: errors in time are zero at most times.
-    pub(crate) fn acting(&self, t: f64) -> Vec<usize> {
+    /// Writes those that may move something at time t, ascending: errors in time are zero at most times.
+    pub(crate) fn acting(&self, t: f64, all: &mut Vec<usize>) {
         let acts = |item: &&Item| match &item.moved.by {
             MovedBy::Turn(_) | MovedBy::Drive { .. } => true,
             MovedBy::Along(along) | MovedBy::TurnAlong { along, .. } => along.0.at(t) != Vector3::zeros(),
         };
-        let mut all: Vec<usize> = self.items.iter().filter(acts).map(|item| item.parameter).collect();
+        all.clear();
+        all.extend(self.items.iter().filter(acts).map(|item| item.parameter));
         all.dedup();
-        all
     }
 
     /// What one of them does.

@@ -13,6 +13,7 @@
 //! [`System::moved_twice`]. μ moves nothing that is held: K is zero there, and KᵀH w_p is left out with
 //! the same of the equation of angles, (H (du + w_p dp) + G_x dx)_α = 0.
 
+use nalgebra::Vector3;
 use varda_implicit::SolvedStep;
 use varda_linalg::dot;
 
@@ -20,7 +21,7 @@ use crate::change::Second;
 use crate::dynamics::RodStep;
 use crate::element::STRAINS;
 use crate::layout::{Layout, band_product_add};
-use crate::moved_increment::{Increments, in_full_order};
+use crate::moved_increment::Increments;
 use crate::second_order::Increment;
 use crate::shape::Shape;
 use crate::system::System;
@@ -43,6 +44,116 @@ impl Acting {
     }
 }
 
+/// What parameters do to one configuration by moving supports; what is there is used again.
+#[derive(Default)]
+pub(crate) struct Together {
+    /// Those that may act, and what those do that move something.
+    acting: Vec<usize>,
+    moved: Vec<MovedBy>,
+    count: usize,
+    work: Option<Increments>,
+}
+
+/// A parameter, its increment of places and local angles, and that of the end clamp's stored angle.
+pub(crate) struct MovedBy {
+    pub(crate) parameter: usize,
+    pub(crate) places: Vec<Vector3<f64>>,
+    pub(crate) angles: Vec<f64>,
+}
+
+impl MovedBy {
+    /// full += so many times the increment, in the full order.
+    pub(crate) fn add_to(&self, layout: &Layout, times: f64, full: &mut [f64]) {
+        for (v, place) in self.places.iter().enumerate() {
+            let full = &mut full[layout.vertex(v)..][..3];
+            full.iter_mut().zip(place.iter()).for_each(|(full, x)| *full += x * times);
+        }
+        if layout.twist {
+            self.angles.iter().enumerate().for_each(|(e, angle)| full[layout.angle(e)] += angle * times);
+        }
+    }
+
+    /// What acts in the full order, times the increment.
+    pub(crate) fn dot(&self, layout: &Layout, on: &[f64]) -> f64 {
+        in_full_dot(layout, &self.places, &self.angles, on)
+    }
+}
+
+/// What acts in the full order, times an increment of places and local angles.
+fn in_full_dot(layout: &Layout, places: &[Vector3<f64>], angles: &[f64], on: &[f64]) -> f64 {
+    let of = |v: usize| places[v].dot(&Vector3::from_column_slice(&on[layout.vertex(v)..][..3]));
+    let of_places: f64 = (0..places.len()).map(of).sum();
+    match layout.twist {
+        true => of_places + (0..angles.len()).map(|e| angles[e] * on[layout.angle(e)]).sum::<f64>(),
+        false => of_places,
+    }
+}
+
+impl Together {
+    /// Takes a configuration at time t.
+    pub(crate) fn set(&mut self, system: &System, shape: &Shape, t: f64) {
+        self.count = 0;
+        if system.moves.is_empty() {
+            return;
+        }
+        system.moves.acting(t, &mut self.acting);
+        for &parameter in &self.acting {
+            if self.moved.len() == self.count {
+                let Increments { places, angles, .. } = Increments::of(system);
+                self.moved.push(MovedBy { parameter, places, angles });
+            }
+            let moved = &mut self.moved[self.count];
+            moved.parameter = parameter;
+            let MovedBy { places, angles, .. } = moved;
+            if system.moved_increment(shape, parameter, t, places, angles).is_some() {
+                self.count += 1;
+            }
+        }
+    }
+
+    /// Those that move something, ascending.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = &MovedBy> {
+        self.moved[..self.count].iter()
+    }
+
+    /// Calls `visit` with p, q ≤ p, places and angles of w_pq, and what both do to the end clamp's angle, of
+    /// the configuration last taken.
+    pub(crate) fn each_pair(
+        &mut self,
+        system: &System,
+        (shape, t): (&Shape, f64),
+        mut visit: impl FnMut([usize; 2], (&[Vector3<f64>], &[f64]), f64),
+    ) {
+        let Increments { places, angles, .. } = self.work.get_or_insert_with(|| Increments::of(system));
+        for (i, &p) in self.acting.iter().enumerate() {
+            for &q in &self.acting[..=i] {
+                if let Some(end) = system.moved_twice(shape, [p, q], t, places, angles) {
+                    visit([p, q], (places, angles), end);
+                }
+            }
+        }
+    }
+
+    /// Adds `on`ᵀ w_pq, `on` in the full order, and so much of the end clamp's angle as `on_end`, to
+    /// ∂²L/∂p².
+    pub(crate) fn pairs_add(
+        &mut self,
+        system: &System,
+        at: (&Shape, f64),
+        (on, on_end): (&[f64], f64),
+        square: &mut [f64],
+    ) {
+        let m = square.len().isqrt();
+        self.each_pair(system, at, |[p, q], (places, angles), end| {
+            let second = in_full_dot(&system.layout, places, angles, on) + on_end * end;
+            square[p * m + q] += second;
+            if p != q {
+                square[q * m + p] += second;
+            }
+        });
+    }
+}
+
 /// What acts on the same configurations.
 struct On {
     now: Vec<f64>,
@@ -62,69 +173,12 @@ impl On {
 }
 
 impl System {
-    /// The increment of a configuration by a parameter that moves supports, in the full order, and what that
-    /// does to the end clamp's angle; `None` where nothing moves.
-    pub(crate) fn moved_in_full(
-        &self,
-        shape: &Shape,
-        parameter: usize,
-        t: f64,
-        work: &mut Increments,
-    ) -> Option<(Vec<f64>, f64)> {
-        let Increments { places, angles, .. } = work;
-        let end = self.moved_increment(shape, parameter, t, places, angles)?;
-        let mut full = vec![0.0; self.layout.full()];
-        in_full_order(&self.layout, places, angles, &mut full);
-        Some((full, end))
-    }
-
     /// out += ∂²E/∂c² μ in the full order, at the present shape and stiffness.
-    pub(crate) fn elastic_second_of(&self, mu: &Increment, out: &mut [f64]) {
-        let n = self.layout.segments;
-        let places: Vec<_> = (0..=n).map(|v| mu.place(&self.layout, v)).collect();
-        let angles: Vec<f64> = (0..n).map(|e| mu.of_edge(&self.layout, e)[6]).collect();
-        self.elastic_second_add(&places, &angles, out);
-    }
-
-    /// Calls `visit` with p, q ≤ p and w_pq of a configuration, in `work`, and what both do to the end
-    /// clamp's angle.
-    pub(crate) fn each_moved_twice(
-        &self,
-        shape: &Shape,
-        t: f64,
-        work: &mut Increments,
-        mut visit: impl FnMut([usize; 2], &mut Increments, f64),
-    ) {
-        let acting = self.moves.acting(t);
-        for (i, &p) in acting.iter().enumerate() {
-            for &q in &acting[..=i] {
-                let Increments { places, angles, .. } = &mut *work;
-                if let Some(end) = self.moved_twice(shape, [p, q], t, places, angles) {
-                    visit([p, q], work, end);
-                }
-            }
-        }
-    }
-
-    /// Adds `on`ᵀ w_pq of a configuration, and so much of the end clamp's angle as `on_end`, to second
-    /// derivatives by parameters.
-    pub(crate) fn moved_twice_add(
-        &self,
-        shape: &Shape,
-        t: f64,
-        (on, on_end): (&[f64], f64),
-        work: &mut Increments,
-        square: &mut [f64],
-    ) {
-        let m = square.len().isqrt();
-        self.each_moved_twice(shape, t, work, |[p, q], Increments { places, angles, full, .. }, end| {
-            in_full_order(&self.layout, places, angles, full);
-            let second = dot(on, full) + on_end * end;
-            square[p * m + q] += second;
-            if p != q {
-                square[q * m + p] += second;
-            }
-        });
+    pub(crate) fn elastic_second_of(&self, mu: &Increment, work: &mut Increments, out: &mut [f64]) {
+        let Increments { places, angles, .. } = work;
+        places.iter_mut().enumerate().for_each(|(v, place)| *place = mu.place(&self.layout, v));
+        angles.iter_mut().enumerate().for_each(|(e, angle)| *angle = mu.of_edge(&self.layout, e)[6]);
+        self.elastic_second_add(places, angles, out);
     }
 }
 
@@ -136,40 +190,53 @@ impl RodStep {
             return Vec::new();
         }
         let (stage, full) = (self.stage(of.at), s.layout.full());
-        let mut work = Increments::of(s);
-        let mut moved = |shape: &Shape, p: usize, t: f64| {
-            s.moved_in_full(shape, p, t, &mut work).map_or_else(|| vec![0.0; full], |(moved, _)| moved)
-        };
         let before = of.at.previous.unwrap_or(0.0);
-        let mut all = Vec::new();
-        for parameter in s.moves.parameters() {
-            let now = moved(&s.shape, parameter, stage.of.time);
-            let mut start = vec![0.0; full];
-            if !s.loads.of_motion.is_empty() {
-                self.moved_start(of, parameter, &mut start);
+        let past = self.viscous.iter().flat_map(|viscous| viscous.past_shapes(&stage));
+        let past: Vec<_> = past.map(|(age, shape)| (shape, of.at.start - age * before)).collect();
+        let none = |parameter| {
+            let [now, start] = [vec![0.0; full], vec![0.0; full]];
+            Acting { parameter, now, start, past: vec![vec![0.0; full]; past.len()] }
+        };
+        let mut all: Vec<Acting> = Vec::new();
+        let mut find = |parameter: usize, add: &mut dyn FnMut(&mut Acting)| {
+            let place = all.binary_search_by_key(&parameter, |a| a.parameter);
+            let place = place.unwrap_or_else(|place| {
+                all.insert(place, none(parameter));
+                place
+            });
+            add(&mut all[place]);
+        };
+        let mut together = Together::default();
+        together.set(s, &s.shape, stage.of.time);
+        for moved in together.iter() {
+            find(moved.parameter, &mut |a| moved.add_to(&s.layout, 1.0, &mut a.now));
+        }
+        for (j, (shape, t)) in past.iter().enumerate() {
+            together.set(s, shape, *t);
+            for moved in together.iter() {
+                find(moved.parameter, &mut |a| moved.add_to(&s.layout, 1.0, &mut a.past[j]));
             }
-            let past = self.viscous.iter().flat_map(|viscous| viscous.past_shapes(&stage));
-            let past: Vec<_> =
-                past.map(|(age, shape)| moved(shape, parameter, of.at.start - age * before)).collect();
-            if [&now, &start].into_iter().chain(&past).any(|moved| moved.iter().any(|x| *x != 0.0)) {
-                all.push(Acting { parameter, now, start, past });
+        }
+        if !s.loads.of_motion.is_empty() {
+            for (share, t) in self.starts(of) {
+                together.set(s, &s.shape, t);
+                for moved in together.iter() {
+                    find(moved.parameter, &mut |a| {
+                        for (v, place) in moved.places.iter().enumerate() {
+                            let start = &mut a.start[s.layout.vertex(v)..][..3];
+                            start.iter_mut().zip(place.iter()).for_each(|(start, x)| *start += share * x);
+                        }
+                    });
+                }
             }
         }
         all
     }
 
-    /// `full` = that of the places where the stage starts.
-    fn moved_start(&self, of: &SolvedStep<'_>, parameter: usize, full: &mut [f64]) {
-        let (s, stage) = (&self.system, self.stage(of.at).of);
-        let mut places = vec![nalgebra::Vector3::zeros(); s.x.len()];
+    /// Shares of the states that the stage starts from, and their times.
+    fn starts(&self, of: &SolvedStep<'_>) -> impl Iterator<Item = (f64, f64)> + use<> {
         let times = [of.at.start, of.at.start - of.at.previous.unwrap_or(0.0)];
-        for (share, time) in stage.from.into_iter().zip(times).filter(|(share, _)| *share != 0.0) {
-            s.moved_places(parameter, time, &mut places).expect("the step was accepted before");
-            for (v, place) in places.iter().enumerate() {
-                let full = &mut full[s.layout.vertex(v)..][..3];
-                full.iter_mut().zip(place.iter()).for_each(|(full, x)| *full += share * x);
-            }
-        }
+        self.stage(of.at).of.from.into_iter().zip(times).filter(|(share, _)| *share != 0.0)
     }
 
     /// Adds all that supports moved by parameters bring to the columns of ∂²L/∂x∂p and ∂²L/∂u∂p and
@@ -183,15 +250,15 @@ impl RodStep {
         square: &mut [f64],
     ) {
         let all_free = work.all_free.take().unwrap_or_else(|| self.system.layout.all_free());
-        let mut moved = Increments::of(&self.system);
+        let mut together = Together::default();
         work.mu.resize(self.system.layout.full(), 0.0);
         self.system.layout.fill(mu, &mut work.mu);
         if !acting.is_empty() {
             self.angles_of(lambda, self.stage(of.at).angle[0]);
             self.second_of_moved_stage(of, (&work.mu, acting, &all_free), [&mut *by_x, &mut *by_u], square);
         }
-        self.first_of_moved_stage(of, &work.mu, &mut moved, square);
-        self.second_of_moved_next(of, (lambda, &all_free), &mut moved, [by_x, by_u], square);
+        self.first_of_moved_stage(of, &work.mu, &mut together, square);
+        self.second_of_moved_next(of, (lambda, &all_free), &mut together, [by_x, by_u], square);
         work.all_free = Some(all_free);
     }
 
@@ -265,28 +332,30 @@ impl RodStep {
         &self,
         of: &SolvedStep<'_>,
         mu: &[f64],
-        work: &mut Increments,
+        together: &mut Together,
         square: &mut [f64],
     ) {
         let (s, stage, [holonomy, end, _]) = (&self.system, self.stage(of.at), self.kept_lengths());
         let layout = &s.layout;
         let mut on = On::none(layout.full(), 0);
-        s.elastic_second_of(&Increment(mu), &mut on.now);
-        let before = of.at.previous.unwrap_or(0.0);
+        s.elastic_second_of(&Increment(mu), &mut Increments::of(s), &mut on.now);
+        let mut add = |shape: &Shape, t: f64, on: &[f64]| {
+            together.set(s, shape, t);
+            together.pairs_add(s, (shape, t), (on, 0.0), square);
+        };
         if !s.loads.of_motion.is_empty() {
             let start = self.stage_start(stage.of.length);
             s.loads_transpose_add(Some(start), &Increment(mu), [&mut on.now, &mut on.start]);
-            let times = [of.at.start, of.at.start - before];
-            for (share, time) in stage.of.from.into_iter().zip(times).filter(|(share, _)| *share != 0.0) {
-                let on: Vec<f64> = on.start.iter().map(|on| share * on).collect();
-                s.moved_twice_add(&s.shape, time, (&on, 0.0), work, square);
+            for (share, t) in self.starts(of) {
+                add(&s.shape, t, &on.start.iter().map(|on| share * on).collect::<Vec<f64>>());
             }
         }
-        s.moved_twice_add(&s.shape, stage.of.time, (&on.now, 0.0), work, square);
+        add(&s.shape, stage.of.time, &on.now);
         if let Some(viscous) = &self.viscous {
+            let before = of.at.previous.unwrap_or(0.0);
             let on = viscous.on_past(layout, &stage, &of.kept[holonomy + end..], mu);
             for ((age, shape), on) in viscous.past_shapes(&stage).zip(&on) {
-                s.moved_twice_add(shape, of.at.start - age * before, (on, 0.0), work, square);
+                add(shape, of.at.start - age * before, on);
             }
         }
     }
@@ -296,7 +365,7 @@ impl RodStep {
         &mut self,
         of: &SolvedStep<'_>,
         (lambda, all_free): (&[f64], &Layout),
-        work: &mut Increments,
+        together: &mut Together,
         [by_x, by_u]: [&mut [f64]; 2],
         square: &mut [f64],
     ) {
@@ -310,19 +379,19 @@ impl RodStep {
         self.system.layout = held;
 
         let (s, t) = (&self.system, of.at.end());
-        let moved = |p: usize| Some((p, s.moved_in_full(&s.shape, p, t, work)?.0));
-        let all: Vec<(usize, Vec<f64>)> = s.moves.acting(t).into_iter().filter_map(moved).collect();
         let none = vec![0.0; s.layout.full()];
-        s.moved_twice_add(&s.shape, t, (&none, lambda[end]), work, square);
+        together.set(s, &s.shape, t);
+        together.pairs_add(s, (&s.shape, t), (&none, lambda[end]), square);
         let (states, unknowns, m) = (of.x.len(), of.u.len(), square.len().isqrt());
         let (mut back, mut next) = (vec![0.0; unknowns], vec![0.0; s.layout.state()]);
-        for (p, moved) in &all {
-            let mut on = none.clone();
-            band_product_add(all_free.half_bandwidth, &band, moved, &mut on);
-            for (q, other) in &all {
-                square[q * m + p] += dot(other, &on);
+        for moved in together.iter() {
+            let (p, layout) = (moved.parameter, &self.system.layout);
+            let (mut full, mut on) = (none.clone(), none.clone());
+            moved.add_to(layout, 1.0, &mut full);
+            band_product_add(all_free.half_bandwidth, &band, &full, &mut on);
+            for other in together.iter() {
+                square[other.parameter * m + p] += other.dot(layout, &on);
             }
-            let layout = &self.system.layout;
             for (next, &v) in next.chunks_exact_mut(3).zip(&layout.free_vertices) {
                 next.copy_from_slice(&on[layout.vertex(v)..][..3]);
             }

@@ -10,6 +10,7 @@ use crate::change::{Change, Parameters};
 use crate::layout::{FIXED, Layout, band_product_add};
 use crate::moved::Moves;
 use crate::moved_increment::Increments;
+use crate::moved_second::{MovedBy, Together};
 use crate::second_order::Increment;
 use crate::second_parameters::Strained;
 use crate::statics::{Statics, at_rest};
@@ -68,6 +69,9 @@ struct Second {
     square: Vec<f64>,
     /// The rod with nothing held, where parameters move supports: bands and products are then of that.
     all_free: Option<Layout>,
+    together: Together,
+    increments: Option<Increments>,
+    none: Vec<f64>,
 }
 
 /// The parameters of a rod, an increment of them, and what a product adds to.
@@ -255,10 +259,10 @@ impl TwistEquilibrium {
     /// dtheta, of the free angles and the end clamp's, += what a parameter does that moves supports, at the
     /// angles last found.
     pub(crate) fn moved_add(&mut self, parameter: usize, work: &mut Increments, dtheta: &mut [f64]) {
-        let (s, Increments { places, angles, .. }) = (&self.full, &mut *work);
+        let (s, Increments { places, angles, full, .. }) = (&self.full, work);
         let Some(end) = s.moved_increment(&s.shape, parameter, s.time, places, angles) else { return };
-        let moments = self.moments_of_moved(work);
-        self.rhs.iter_mut().zip(moments).for_each(|(rhs, moment)| *rhs = -moment);
+        let rhs = &mut self.rhs;
+        moments_of_moved(s, &self.moments, (places, angles), full, |f, moment| rhs[f] = -moment);
         self.solve_angles();
         dtheta.iter_mut().zip(&self.rhs).for_each(|(d, more)| *d += more);
         dtheta[self.rhs.len()..].iter_mut().for_each(|d| *d += end);
@@ -369,12 +373,14 @@ impl TwistEquilibrium {
         if let Some(&e) = layout.free_angles.first() {
             weights[e] += self.hold * mu[layout.angle(e)];
         }
-        let held = all_free.as_ref().map(|all| std::mem::replace(&mut self.full.layout, all.clone()));
+        if let Some(all) = all_free {
+            std::mem::swap(&mut self.full.layout, all);
+        }
         self.full.third_add(&Increment(mu), band, None);
         self.full.second_of_loads(None, &Increment(mu), band, &mut []);
         self.full.holonomy_second_add(&self.full.shape, weights, band);
-        if let Some(held) = held {
-            self.full.layout = held;
+        if let Some(held) = all_free {
+            std::mem::swap(&mut self.full.layout, held);
         }
 
         self.tangent(dx, theta);
@@ -438,12 +444,12 @@ impl TwistEquilibrium {
         on_end: f64,
         (parameters, dp, out): (&Parameters, &[f64], &mut [f64]),
     ) {
-        let Second { mu, band, by, product, along, full, column, by_angles, first, square, all_free, .. } =
-            second;
+        let Second { mu, band, by, product, along, full, column, by_angles, first, square, .. } = second;
+        let Second { all_free, together, increments, none: zeros, .. } = second;
         let (angles, none) = (self.rhs.len(), &parameters.none);
         by_angles.resize(parameters.len() * angles, 0.0);
         self.rhs.fill(0.0);
-        let moved = self.moved_by_parameters();
+        together.set(&self.full, &self.full.shape, self.full.time);
         let all = parameters.list.iter().zip(&parameters.slopes);
         for (((p, slope), dp), to) in all.clone().zip(dp).zip(by_angles.chunks_exact_mut(angles)) {
             self.full.change_of_elastic(&p.change, [0.0; 2], none);
@@ -452,12 +458,14 @@ impl TwistEquilibrium {
                 *rhs -= *to * dp;
             }
         }
-        for Moved { parameter, by_angles: more, .. } in &moved {
+        for MovedBy { parameter, places, angles: turned } in together.iter() {
             let to = &mut by_angles[parameter * angles..][..angles];
-            for ((to, rhs), more) in to.iter_mut().zip(&mut self.rhs).zip(more) {
-                *to += more;
-                *rhs -= more * dp[*parameter];
-            }
+            let s = &self.full;
+            let work = increments.get_or_insert_with(|| Increments::of(s));
+            moments_of_moved(s, &self.moments, (places, turned), &mut work.full, |f, more| {
+                to[f] += more;
+                self.rhs[f] -= more * dp[*parameter];
+            });
         }
         self.solve_angles();
         let s = &self.full;
@@ -469,11 +477,9 @@ impl TwistEquilibrium {
             column[i] = *rhs;
             by[i] += rhs;
         }
-        for Moved { parameter, increment, .. } in &moved {
-            for ((column, by), moved) in column.iter_mut().zip(&mut *by).zip(increment) {
-                *column += moved * dp[*parameter];
-                *by += moved * dp[*parameter];
-            }
+        for moved in together.iter() {
+            moved.add_to(order, dp[moved.parameter], column);
+            moved.add_to(order, dp[moved.parameter], by);
         }
         band_product_add(order.half_bandwidth, band, column, product);
         s.along(&Increment(mu), along);
@@ -489,52 +495,42 @@ impl TwistEquilibrium {
         square.clear();
         square.resize(parameters.len() * parameters.len(), 0.0);
         parameters.square_add(s, strained, first, square);
-        for Moved { parameter, increment, .. } in &moved {
-            out[*parameter] += dot(increment, product);
+        for moved in together.iter() {
+            out[moved.parameter] += moved.dot(order, product);
         }
-        if !moved.is_empty() {
+        if !s.moves.is_empty() {
             full.fill(0.0);
-            s.elastic_second_of(&Increment(mu), full);
-            s.loads_transpose_add(None, &Increment(mu), [full, &mut vec![0.0; mu.len()]]);
-            s.moved_twice_add(&s.shape, s.time, (full, on_end), &mut Increments::of(s), square);
+            zeros.clear();
+            zeros.resize(full.len(), 0.0);
+            let work = increments.get_or_insert_with(|| Increments::of(s));
+            s.elastic_second_of(&Increment(mu), work, full);
+            s.loads_transpose_add(None, &Increment(mu), [full, zeros]);
+            together.pairs_add(s, (&s.shape, s.time), (full, on_end), square);
         }
         for (out, row) in out.iter_mut().zip(square.chunks_exact(parameters.len().max(1))) {
             *out += dot(row, dp);
         }
     }
-
-    /// Parameters that move supports, at the angles last found.
-    fn moved_by_parameters(&self) -> Vec<Moved> {
-        let s = &self.full;
-        let mut work = Increments::of(s);
-        let mut of = |parameter: usize| {
-            let (increment, _) = s.moved_in_full(&s.shape, parameter, s.time, &mut work)?;
-            Some(Moved { parameter, by_angles: self.moments_of_moved(&mut work), increment })
-        };
-        s.moves.acting(s.time).into_iter().filter_map(&mut of).collect()
-    }
-
-    /// What an increment of all places and local angles does to E_θ of the free ones.
-    fn moments_of_moved(&self, work: &mut Increments) -> Vec<f64> {
-        let (s, Increments { places, angles, full, .. }) = (&self.full, work);
-        full.fill(0.0);
-        s.elastic_second_add(places, angles, full);
-        let of = |(f, &e): (usize, &usize)| {
-            let moments = self.moments.get(f).map_or(0.0, |(by_angle, by_places)| {
-                let [a, b] = [places[e], places[e + 1]];
-                by_angle * angles[e] + by_places.dot(&Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z))
-            });
-            full[s.layout.angle(e)] - moments
-        };
-        s.layout.free_angles.iter().enumerate().map(of).collect()
-    }
 }
 
-/// A parameter that moves supports: its increment in the full order, and what that does to E_θ.
-struct Moved {
-    parameter: usize,
-    increment: Vec<f64>,
-    by_angles: Vec<f64>,
+/// What an increment of all places and local angles does to E_θ of free angles: calls `add` with the number
+/// of each; `full` is work space.
+fn moments_of_moved(
+    s: &System,
+    moments: &[(f64, Vector6<f64>)],
+    (places, angles): (&[Vector3<f64>], &[f64]),
+    full: &mut [f64],
+    mut add: impl FnMut(usize, f64),
+) {
+    full.fill(0.0);
+    s.elastic_second_add(places, angles, full);
+    for (f, &e) in s.layout.free_angles.iter().enumerate() {
+        let moment = moments.get(f).map_or(0.0, |(by_angle, by_places)| {
+            let [a, b] = [places[e], places[e + 1]];
+            by_angle * angles[e] + by_places.dot(&Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z))
+        });
+        add(f, full[s.layout.angle(e)] - moment);
+    }
 }
 
 impl System {

@@ -15,9 +15,8 @@ use varda_linalg::dot;
 
 use super::Markers;
 use crate::Error;
-use crate::forces_tangent::Increment;
 use crate::layout::{Layout, band_product_add};
-use crate::moved_increment::Increments;
+use crate::moved_second::{MovedBy, Together};
 
 /// Work space of second derivatives: nothing until they are asked for.
 #[derive(Default)]
@@ -29,6 +28,7 @@ pub(super) struct Second {
     /// The second derivative of what acts on ψ; an increment of the unknowns, and its product with it. Where
     /// parameters move supports these are of the rod with nothing held.
     all_free: Option<Layout>,
+    together: Together,
     band: Vec<f64>,
     by: Vec<f64>,
     product: Vec<f64>,
@@ -57,7 +57,8 @@ impl Markers {
         assert!(places.len() == four && out_places.len() == four, "four numbers for every marker");
         assert!(self.frames, "a rod with frames");
         self.set(at.time, x)?;
-        let moved = self.moved_by_parameters(at.time);
+        let mut moved = std::mem::take(&mut self.second.together);
+        moved.set(&self.system, &self.system.shape, at.time);
         self.set_increment(dx, dp, &moved);
         let units = [Vector3::x(), Vector3::y(), Vector3::z()];
         for ((place, _), (dy, out)) in
@@ -82,6 +83,7 @@ impl Markers {
             self.displacement[e + 1] += on_end;
         }
         self.increment_transpose_add(&moved, out, out_p);
+        self.second.together = moved;
         Ok(())
     }
 
@@ -102,7 +104,8 @@ impl Markers {
         [out, out_p]: [&mut [f64]; 2],
     ) -> Result<(), Error> {
         self.set(at.time, x)?;
-        let moved = self.moved_by_parameters(at.time);
+        let mut moved = std::mem::take(&mut self.second.together);
+        moved.set(&self.system, &self.system.shape, at.time);
         if self.markers.iter().any(|(_, o)| *o != Vector3::zeros()) {
             self.set_increment(dx, dp, &moved);
             self.second_of_increment(dy);
@@ -111,44 +114,35 @@ impl Markers {
         if !self.moving.is_empty() {
             self.forces_of(dy);
             let s = &self.system;
-            s.each_moved_twice(&s.shape, at.time, &mut Increments::of(s), |[p, q], twice, _| {
-                let second = self.acts_along(&twice.places, &twice.angles);
+            moved.each_pair(s, (&s.shape, at.time), |[p, q], (places, angles), _| {
+                let second = self.acts_along(places, angles);
                 out_p[p] += second * dp[q];
                 if p != q {
                     out_p[q] += second * dp[p];
                 }
             });
         }
+        self.second.together = moved;
         Ok(())
     }
 
-    /// The increments of all places and local angles by parameters that move supports.
-    fn moved_by_parameters(&self, t: f64) -> Vec<(usize, Increment)> {
-        let s = &self.system;
-        let of = |p: usize| {
-            let mut moved = Increment::new(s.rod.segments());
-            s.moved_increment(&s.shape, p, t, &mut moved.places, &mut moved.angles)?;
-            Some((p, moved))
-        };
-        s.moves.acting(t).into_iter().filter_map(of).collect()
-    }
-
     /// `displacement` and `angle` = the increment of a state and of such parameters.
-    pub(super) fn set_increment(&mut self, dx: &[f64], dp: &[f64], moved: &[(usize, Increment)]) {
+    pub(super) fn set_increment(&mut self, dx: &[f64], dp: &[f64], moved: &Together) {
         self.system.displacements(dx, &mut self.displacement);
         if self.frames {
             self.turn_angles(dx);
         }
-        for (p, moved) in moved {
-            self.displacement.iter_mut().zip(&moved.places).for_each(|(d, m)| *d += m * dp[*p]);
-            self.angle.iter_mut().zip(&moved.angles).for_each(|(a, m)| *a += m * dp[*p]);
+        for MovedBy { parameter, places, angles } in moved.iter() {
+            let dp = dp[*parameter];
+            self.displacement.iter_mut().zip(places).for_each(|(d, m)| *d += m * dp);
+            self.angle.iter_mut().zip(angles).for_each(|(a, m)| *a += m * dp);
         }
     }
 
     /// The transpose: from what acts on `displacement` and `angle`.
-    fn increment_transpose_add(&mut self, moved: &[(usize, Increment)], dx: &mut [f64], dp: &mut [f64]) {
-        for (p, moved) in moved {
-            dp[*p] += self.acts_along(&moved.places, &moved.angles);
+    fn increment_transpose_add(&mut self, moved: &Together, dx: &mut [f64], dp: &mut [f64]) {
+        for moved in moved.iter() {
+            dp[moved.parameter] += self.acts_along(&moved.places, &moved.angles);
         }
         self.displacements_transpose_add(dx);
     }
@@ -166,7 +160,7 @@ impl Markers {
         if second.all_free.is_none() && !self.moving.is_empty() {
             second.all_free = Some(self.system.layout.all_free());
         }
-        let Second { on_places, on_angles, by_angle, all_free, band, by, product } = &mut second;
+        let Second { on_places, on_angles, by_angle, all_free, band, by, product, .. } = &mut second;
         on_places.clear();
         on_places.resize(n + 1, Vector3::zeros());
         for zeroed in [&mut *on_angles, by_angle] {
@@ -185,7 +179,9 @@ impl Markers {
             // ψ itself is curved
             self.angle.copy_from_slice(by_angle);
             self.weigh_holonomy();
-            let held = all_free.as_ref().map(|all| std::mem::replace(&mut self.system.layout, all.clone()));
+            if let Some(all) = all_free {
+                std::mem::swap(&mut self.system.layout, all);
+            }
             let layout = &self.system.layout;
             for (zeroed, length) in
                 [(&mut *band, layout.band()), (by, layout.unknowns), (product, layout.unknowns)]
@@ -202,8 +198,8 @@ impl Markers {
             for &v in &layout.free_vertices {
                 on_places[v] += Vector3::from_column_slice(&product[unknown(v)..unknown(v) + 3]);
             }
-            if let Some(held) = held {
-                self.system.layout = held;
+            if let Some(held) = all_free {
+                std::mem::swap(&mut self.system.layout, held);
             }
         }
         self.displacement.copy_from_slice(on_places);
