@@ -146,6 +146,7 @@ mod tests {
 
     const AXES: [Vector3<f64>; 3] =
         [Vector3::new(1.0, 0.0, 0.0), Vector3::new(0.0, 1.0, 0.0), Vector3::new(0.0, 0.0, 1.0)];
+    const DY: Vector3<f64> = Vector3::new(0.4, -1.1, 0.7);
 
     /// The derivative along a direction by Richardson's differences of f(h).
     fn derivative<const N: usize>(f: impl Fn(f64) -> nalgebra::SVector<f64, N>) -> nalgebra::SVector<f64, N> {
@@ -169,6 +170,13 @@ mod tests {
                 // h⁴ of differences over (π − θ)
                 let error = (rows.tr_mul(&w) - by_difference).norm();
                 assert!(error < 1e-9, "{size}: {error:e}");
+                let (second, dy) = (turn_second(&found, &axes, &DY, &w), DY);
+                let rows = |h: f64| {
+                    turn_by_section(&turn(&read, &(section * exponential(&(w * h))), &axes), &axes) * dy
+                };
+                // the same
+                let error = (second - derivative(rows)).norm();
+                assert!(error < 1e-9, "{size}: second derivatives off by {error:e}");
             }
         }
     }
@@ -176,7 +184,7 @@ mod tests {
     #[test]
     fn a_tilt_and_its_derivative_at_small_and_large_angles() {
         let read = exponential(&Vector3::new(0.3, -1.0, 0.4));
-        for size in [0.0, 1e-6, 9e-3, 1.1e-2, 0.8, 2.0, 3.1] {
+        for size in [0.0, 1e-6, 9e-3, 1.1e-2, 0.3, 0.34, 0.8, 2.0, 3.1] {
             let tangent = read * exponential(&(Vector3::new(-0.6, 0.8, 0.0) * size)) * Vector3::z();
             let found = tilt(&read, &tangent);
             // about (−0.6, 0.8) the third axis turns towards (0.8, 0.6); rounding of sin θ near π
@@ -188,6 +196,15 @@ mod tests {
                 let error = (Vector2::from(rows.map(|row| row.dot(&change))) - by_difference).norm();
                 // h⁴ of differences over (π − θ)⁵, 1e7
                 assert!(error < if size > 3.0 { 1e-4 } else { 1e-10 }, "{size}: {error:e}");
+                let second = tilt_second(&read, &tangent, &DY.xy(), &change);
+                let by_difference = derivative(|h| {
+                    let [a, b] = tilt_by_tangent(&read, &(exponential(&(w * h)) * tangent));
+                    a * DY.x + b * DY.y
+                });
+                // and over (π − θ)⁷; a 1e-16 of the first derivatives in h, of numbers of 1e2 at 2 rad
+                let bound = if size > 3.0 { 1e-3 * second.norm().max(1.0) } else { 1e-9 };
+                let error = (second - by_difference).norm();
+                assert!(error < bound, "{size}: second derivatives off by {error:e}");
             }
         }
         assert_eq!(tilt(&Matrix3::identity(), &-Vector3::z()), Vector2::new(std::f64::consts::PI, 0.0));
