@@ -317,7 +317,7 @@ pub(crate) fn in_full_order(layout: &Layout, places: &[Vector3<f64>], angles: &[
 }
 
 /// out += a symmetric matrix, of which the lower triangle is read, times x.
-fn lower_times_add<const N: usize>(h: &[[f64; N]; N], x: &[f64; N], out: &mut [f64]) {
+pub(crate) fn lower_times_add<const N: usize>(h: &[[f64; N]; N], x: &[f64; N], out: &mut [f64]) {
     for i in 0..N {
         let mut sum = h[i][i] * x[i];
         for j in 0..i {

@@ -381,10 +381,9 @@ fn second_derivatives_are_those_of_the_first() {
             continue;
         }
         let (rod, p, states) = run(case, scheme, STEP, 3);
-        let (mut all, places, own) =
+        let (all, places, own) =
             (sensors(case, &rod), 3 * rod.free_vertices().len(), rod.dim() - rod.history());
-        all.retain(Sensor::has_second_derivatives);
-        let Ok(mut sensors) = Sensors::new(rod, STEP, &all) else { continue };
+        let Ok(mut sensors) = reading(rod, &all) else { continue };
         sensors.set_parameters(&p).unwrap();
         assert!(sensors.has_second_derivatives() && sensors.has_second_parameters() != case.moved);
         let (x, at) = (&states[3], at(3, STEP));
@@ -428,8 +427,14 @@ fn second_derivatives_are_those_of_the_first() {
             let size = norm(&|i| by_a[i]);
             let error = norm(&|i| by_a[i] - best[i]);
             let name = format!("{}, {scheme:?}, {sensor:?}, {known}: {error:.1e} of {size:.1e}", case.name);
-            if let Sensor::Spin { .. } = sensor {
-                assert!(size == 0.0, "{name}: a number of the state");
+            // a number of the state; a section that is clamped
+            let constant = match sensor {
+                Sensor::Spin { .. } => true,
+                Sensor::Orientation { s, .. } => case.end && *s > 0.875,
+                _ => false,
+            };
+            if constant {
+                assert!(size == 0.0, "{name}");
                 continue;
             }
             // what three differences leave; with strain rates and drag those have rounding over 1e-3 Δt

@@ -17,7 +17,7 @@ use nalgebra::Vector3;
 use varda_implicit::At;
 use varda_linalg::dot;
 
-use super::second_parameters::{Changed, OfStrains, WithParameters};
+use super::second_parameters::{Changed, Forces, OfStrains, WithParameters};
 use super::{Placed, Present, Row, SHARE, Sensors, earlier};
 use crate::change::Parameters;
 use crate::element::STRAINS;
@@ -144,7 +144,7 @@ impl Sensors {
                 forces.push(seen.forces());
             }
             let weights = present.on_forces(system, motion, &rows);
-            let full = in_full_order(system, &weights.gradient, &vec![0.0; system.rod.segments()]);
+            let full = in_full_order(system, &weights.gradient, &weights.angles);
             let with = WithParameters { parameters: &parameters, system, motion, present };
             square.copy_from_slice(&with.square(&rows, (&weights, &full), &forces));
         });
@@ -170,15 +170,15 @@ impl Present<'_> {
 }
 
 /// The rod in a state, and its forces along an increment.
-struct Seen<'a> {
-    system: &'a System,
-    motion: &'a Motion<'a>,
-    present: &'a Present<'a>,
-    tangent: &'a Tangent<'a>,
+pub(super) struct Seen<'a> {
+    pub(super) system: &'a System,
+    pub(super) motion: &'a Motion<'a>,
+    pub(super) present: &'a Present<'a>,
+    pub(super) tangent: &'a Tangent<'a>,
     dx: &'a [f64],
     changed: Changed,
     /// Parameters and their increment.
-    by: Option<(&'a Parameters, &'a [f64])>,
+    pub(super) by: Option<(&'a Parameters, &'a [f64])>,
 }
 
 impl Seen<'_> {
@@ -188,6 +188,8 @@ impl Seen<'_> {
         let mut first = present.on_forces(system, motion, rows);
         let mut on = Weights::new(system.rod.segments());
         self.of_axes(rows, &mut on);
+        self.of_rotations(rows, &mut on.now);
+        self.of_moments(rows, &mut on);
         if system.layout.twist {
             self.of_carried(&first.gradient, &mut on);
         }
@@ -196,12 +198,19 @@ impl Seen<'_> {
         on
     }
 
-    /// δ(∂E/∂x_v) and δF_v of every vertex.
-    fn forces(&self) -> Vec<[Vector3<f64>; 2]> {
-        (0..self.system.x.len()).map(|v| [self.net(v, false), self.tangent.loads.forces[v]]).collect()
+    /// What the increment does to forces.
+    fn forces(&self) -> Forces {
+        let Seen { system, tangent, .. } = self;
+        let of_vertex = |v: usize| [self.net(v, false), tangent.loads.forces[v]];
+        let of_edge = |e: usize| match system.layout.twist {
+            true => [tangent.gradient[system.layout.angle(e)], tangent.loads.moments[e]],
+            false => [0.0; 2],
+        };
+        let n = system.rod.segments();
+        Forces { of_vertices: (0..=n).map(of_vertex).collect(), of_edges: (0..n).map(of_edge).collect() }
     }
 
-    fn edge_moved(&self, e: usize) -> Vector3<f64> {
+    pub(super) fn edge_moved(&self, e: usize) -> Vector3<f64> {
         self.tangent.now.places[e + 1] - self.tangent.now.places[e]
     }
 
@@ -336,15 +345,15 @@ impl Seen<'_> {
         let n = system.rod.segments();
         let share = present.damping.stiffness / (motion.start.length + present.damping.stiffness);
         let past = motion.past.filter(|_| share > 0.0);
-        let none = vec![0.0; n];
-        let weights = in_full_order(system, &first.gradient, &none);
+        let weights = in_full_order(system, &first.gradient, &first.angles);
         let mut now = Unknowns::of(system, &tangent.now);
         let mut before = Unknowns::of(system, &tangent.before);
         let mut strained = vec![0.0; STRAINS * n];
         let mu = second_order::Increment(&weights);
         system.third_add(&mu, &mut now.band, past.map(|_| &mut strained[..]));
         let minus: Vec<Vector3<f64>> = first.loads.iter().map(|w| -w).collect();
-        let mu = in_full_order(system, &minus, &none);
+        let minus_moments: Vec<f64> = first.moments.iter().map(|w| -w).collect();
+        let mu = in_full_order(system, &minus, &minus_moments);
         let mut started = vec![0.0; system.second_of_loads_kept()];
         let start = Some(motion.start);
         system.second_of_loads(start, &second_order::Increment(&mu), &mut now.band, &mut started);
@@ -353,14 +362,13 @@ impl Seen<'_> {
         if let Some((parameters, dp)) = self.by {
             self.of_changes(parameters, dp, (&weights, past), &mut now.on, on);
         }
-        let gradient = first.gradient.clone();
         tangent.transpose_add(system, motion.start.length, first);
         let mut on_psi = first.now.on_psi(system);
         system.holonomy_second_add(&system.shape, &mut on_psi, &mut now.band);
         if let Some(past) = past {
             let mut on_psi = first.before.on_psi(system);
             system.holonomy_second_add(&past.shape, &mut on_psi, &mut before.band);
-            let stresses = self.of_past(past, (share, &gradient), &strained, on);
+            let stresses = self.of_past(past, (share, &weights), &strained, on);
             system.strains_second_add(&past.shape, &stresses, -share, &mut before.band);
         }
         now.onto(system, &mut on.now);
@@ -412,7 +420,7 @@ impl Seen<'_> {
     fn of_past(
         &self,
         past: &Past,
-        (share, gradient): (f64, &[Vector3<f64>]),
+        (share, weights): (f64, &[f64]),
         strained: &[f64],
         on: &mut Weights,
     ) -> Vec<[f64; 4]> {
@@ -429,15 +437,14 @@ impl Seen<'_> {
             };
             on.now.add_at(i + 1, &back(kept, &strain));
             on.before.add_at(i + 1, &back(&then.gradient, &by_now));
-            let mut weights = [0.0; 11];
-            for (v, first) in [0, 4, 8].into_iter().enumerate() {
-                weights[first..first + 3].copy_from_slice(gradient[i + v].as_slice());
-            }
+            let first = system.layout.vertex(i);
+            let weights = std::array::from_fn(|c| weights[first + c]);
             let stress = system.bend[i].times(&system.shape.strains(i + 1).along(&weights));
             stresses[i + 1][1..].copy_from_slice(&stress);
         }
         for (e, edge) in system.shape.edges.iter().enumerate() {
-            let along = gradient[e + 1] - gradient[e];
+            let of = |v: usize| Vector3::from_column_slice(&weights[system.layout.vertex(v)..][..3]);
+            let along = of(e + 1) - of(e);
             if along == Vector3::zeros() {
                 continue;
             }
