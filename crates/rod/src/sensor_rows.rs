@@ -178,6 +178,8 @@ impl Present<'_> {
                         on.gradient[v] -= by_force;
                         on.loads[v] += by_force;
                         on.velocities[v] -= direction * (share * self.damping.mass);
+                    } else {
+                        on.accelerations[v] += direction * share;
                     }
                 }
             }

@@ -4,6 +4,7 @@ mod second;
 mod second_moments;
 mod second_parameters;
 mod second_rotations;
+mod second_supports;
 
 use nalgebra::Vector3;
 use varda_implicit::{At, ImplicitStep, ObservationOperator, ParametricStep, Refusal, Remembered};

@@ -18,6 +18,7 @@ use varda_implicit::At;
 use varda_linalg::dot;
 
 use super::second_parameters::{Changed, Forces, OfStrains, WithParameters};
+use super::second_supports::Supports;
 use super::{Placed, Present, Row, SHARE, Sensors, earlier};
 use crate::change::Parameters;
 use crate::element::STRAINS;
@@ -75,7 +76,7 @@ impl Sensors {
     /// state that was observed before with these.
     ///
     /// # Panics
-    /// If a slice has the wrong length, or a parameter moves supports.
+    /// If a slice has the wrong length.
     pub fn second_with_parameters_add(
         &mut self,
         at: At,
@@ -84,7 +85,6 @@ impl Sensors {
         dy: &[f64],
         [out, out_p]: [&mut [f64]; 2],
     ) {
-        assert!(self.has_second_parameters(), "a parameter moves supports");
         assert_eq!((dy.len(), dp.len(), out_p.len()), (self.rows, self.parameters(), self.parameters()));
         self.second_add(at.time, x, dx, dy, out);
         let (states, of) = (x.len(), [x, dy].concat());
@@ -99,11 +99,6 @@ impl Sensors {
         self.known_second = known;
     }
 
-    /// Whether that is given: of parameters that move supports it is not.
-    pub fn has_second_parameters(&self) -> bool {
-        self.step.system.moves.is_empty()
-    }
-
     /// out += Σ_i dy_i ∂²y_i/∂x² dx.
     pub(super) fn second_add(&mut self, t: f64, x: &[f64], dx: &[f64], dy: &[f64], out: &mut [f64]) {
         let mut dx_before = vec![0.0; x.len()];
@@ -114,7 +109,8 @@ impl Sensors {
             let mut tangent = present.tangent(system, motion, Vec::new());
             tangent.vary(system, motion.start.length, [dx, &dx_before, &[]]);
             let changed = Changed::none(system);
-            let seen = Seen { system, motion, present, tangent: &tangent, dx, changed, by: None };
+            let of = Seen::of(system, motion, present, &tangent);
+            let seen = Seen { dx, changed, ..of };
             let mut on = seen.second(&rows);
             present.onto_state(system, motion, &mut on, (history, back), out);
         });
@@ -129,7 +125,8 @@ impl Sensors {
         let zero = vec![0.0; x.len()];
         let done = self.with_state(t, x, &mut |system, motion, present| {
             let rows = present.weighed(dy);
-            let changes = parameters.of_forces(system, motion, &present.damping, present.times);
+            let supports = Supports::of(system, motion, present);
+            let changes = parameters.of_constants(system, motion, &present.damping);
             let mut tangent = present.tangent(system, motion, changes);
             let mut forces = Vec::new();
             for (p, column) in columns.chunks_exact_mut(x.len()).enumerate() {
@@ -138,15 +135,36 @@ impl Sensors {
                 tangent.vary(system, motion.start.length, [&zero, &zero, &dp]);
                 let changed = Changed::of(system, &parameters, &dp);
                 let by = Some((&*parameters, &dp[..]));
-                let seen = Seen { system, motion, present, tangent: &tangent, dx: &zero, changed, by };
+                let of = Seen::of(system, motion, present, &tangent);
+                let seen = Seen { bands: supports.bands(system), dx: &zero, changed, by, ..of };
                 let mut on = seen.second(&rows);
+                supports.with_constant(p, &on, square);
                 present.onto_state(system, motion, &mut on, (history, back), column);
                 forces.push(seen.forces());
             }
             let weights = present.on_forces(system, motion, &rows);
             let full = in_full_order(system, &weights.gradient, &weights.angles);
             let with = WithParameters { parameters: &parameters, system, motion, present };
-            square.copy_from_slice(&with.square(&rows, (&weights, &full), &forces));
+            let of_constants = with.square(&rows, (&weights, &full), &forces);
+            square.iter_mut().zip(of_constants).for_each(|(sum, more)| *sum += more);
+            if !supports.is_empty() {
+                let changes = parameters.of_supports(system, motion, &present.damping, present.times);
+                let mut tangent = present.tangent(system, motion, changes);
+                for moved in supports.iter() {
+                    let mut dp = vec![0.0; parameters.len()];
+                    dp[moved.parameter] = 1.0;
+                    tangent.vary(system, motion.start.length, [&zero, &zero, &dp]);
+                    let of = Seen::of(system, motion, present, &tangent);
+                    let held = Some(&moved.held[..]);
+                    let seen = Seen { bands: supports.bands(system), dx: &zero, held, ..of };
+                    let mut on = seen.second(&rows);
+                    supports.with_another(moved.parameter, &on, square);
+                    let column = &mut columns[moved.parameter * x.len()..][..x.len()];
+                    present.onto_state(system, motion, &mut on, (history, back), column);
+                }
+                let seen = Seen::of(system, motion, present, &tangent);
+                supports.twice_add(&seen, weights, square);
+            }
         });
         done.expect("this state was observed before");
         self.step.parameters = Some(parameters);
@@ -175,10 +193,27 @@ pub(super) struct Seen<'a> {
     pub(super) motion: &'a Motion<'a>,
     pub(super) present: &'a Present<'a>,
     pub(super) tangent: &'a Tangent<'a>,
+    /// The rod with nothing held, where parameters move supports.
+    bands: &'a System,
     dx: &'a [f64],
-    changed: Changed,
+    /// What held vertices are faster by, and accelerate.
+    pub(super) held: Option<&'a [[Vector3<f64>; 2]]>,
+    pub(super) changed: Changed,
     /// Parameters and their increment.
     pub(super) by: Option<(&'a Parameters, &'a [f64])>,
+}
+
+impl<'a> Seen<'a> {
+    /// Without an increment of what is beside the tangent.
+    fn of(
+        system: &'a System,
+        motion: &'a Motion<'a>,
+        present: &'a Present<'a>,
+        tangent: &'a Tangent<'a>,
+    ) -> Seen<'a> {
+        let changed = Changed::none(system);
+        Seen { system, motion, present, tangent, bands: system, dx: &[], held: None, changed, by: None }
+    }
 }
 
 impl Seen<'_> {
@@ -190,11 +225,14 @@ impl Seen<'_> {
         self.of_axes(rows, &mut on);
         self.of_rotations(rows, &mut on.now);
         self.of_moments(rows, &mut on);
+        self.of_clamps(rows, &mut on);
         if system.layout.twist {
             self.of_carried(&first.gradient, &mut on);
         }
         tangent.transpose_add(system, motion.start.length, &mut on);
+        let loads = first.loads.clone();
         self.of_forces(&mut first, &mut on);
+        self.of_held(&loads, &mut on);
         on
     }
 
@@ -220,12 +258,12 @@ impl Seen<'_> {
             Ok(f) => {
                 Vector3::from_column_slice(&self.dx[3 * (self.system.layout.free_vertices.len() + f)..][..3])
             }
-            Err(_) => Vector3::zeros(),
+            Err(_) => self.held.map_or_else(Vector3::zeros, |held| held[v][0]),
         }
     }
 
     /// δ(∂E/∂x_v), less that of loads where they count.
-    fn net(&self, v: usize, loaded: bool) -> Vector3<f64> {
+    pub(super) fn net(&self, v: usize, loaded: bool) -> Vector3<f64> {
         let first = self.system.layout.vertex(v);
         let elastic = Vector3::from_column_slice(&self.tangent.gradient[first..first + 3]);
         if loaded { elastic - self.tangent.loads.forces[v] } else { elastic }
@@ -246,7 +284,7 @@ impl Seen<'_> {
                             - self.faster(v) * self.present.damping.mass
                             - self.present.velocities[v] * self.changed.damping
                     }
-                    false => Vector3::zeros(),
+                    false => self.held.map_or_else(Vector3::zeros, |held| held[v][1]),
                 };
                 let gravity = match row.sensor {
                     Placed::SpecificForce(..) => self.changed.gravity,
@@ -341,38 +379,38 @@ impl Seen<'_> {
     /// Wᵀ ∂²(∂E/∂x) and that of loads in the local angles, and what curves these: `first` is what
     /// all rows are on forces, and gets what they are on the two configurations.
     fn of_forces(&self, first: &mut Weights, on: &mut Weights) {
-        let Seen { system, motion, present, tangent, .. } = self;
+        let Seen { system, motion, present, tangent, bands, .. } = self;
         let n = system.rod.segments();
         let share = present.damping.stiffness / (motion.start.length + present.damping.stiffness);
         let past = motion.past.filter(|_| share > 0.0);
         let weights = in_full_order(system, &first.gradient, &first.angles);
-        let mut now = Unknowns::of(system, &tangent.now);
-        let mut before = Unknowns::of(system, &tangent.before);
+        let mut now = Unknowns::of(bands, &tangent.now);
+        let mut before = Unknowns::of(bands, &tangent.before);
         let mut strained = vec![0.0; STRAINS * n];
         let mu = second_order::Increment(&weights);
-        system.third_add(&mu, &mut now.band, past.map(|_| &mut strained[..]));
+        bands.third_add(&mu, &mut now.band, past.map(|_| &mut strained[..]));
         let minus: Vec<Vector3<f64>> = first.loads.iter().map(|w| -w).collect();
         let minus_moments: Vec<f64> = first.moments.iter().map(|w| -w).collect();
         let mu = in_full_order(system, &minus, &minus_moments);
-        let mut started = vec![0.0; system.second_of_loads_kept()];
+        let mut started = vec![0.0; bands.second_of_loads_kept()];
         let start = Some(motion.start);
-        system.second_of_loads(start, &second_order::Increment(&mu), &mut now.band, &mut started);
-        system.second_of_start_add(&started, [&now.by, &before.by], &mut now.on, &mut before.on);
+        bands.second_of_loads(start, &second_order::Increment(&mu), &mut now.band, &mut started);
+        bands.second_of_start_add(&started, [&now.by, &before.by], &mut now.on, &mut before.on);
 
         if let Some((parameters, dp)) = self.by {
             self.of_changes(parameters, dp, (&weights, past), &mut now.on, on);
         }
         tangent.transpose_add(system, motion.start.length, first);
         let mut on_psi = first.now.on_psi(system);
-        system.holonomy_second_add(&system.shape, &mut on_psi, &mut now.band);
+        bands.holonomy_second_add(&system.shape, &mut on_psi, &mut now.band);
         if let Some(past) = past {
             let mut on_psi = first.before.on_psi(system);
-            system.holonomy_second_add(&past.shape, &mut on_psi, &mut before.band);
+            bands.holonomy_second_add(&past.shape, &mut on_psi, &mut before.band);
             let stresses = self.of_past(past, (share, &weights), &strained, on);
-            system.strains_second_add(&past.shape, &stresses, -share, &mut before.band);
+            bands.strains_second_add(&past.shape, &stresses, -share, &mut before.band);
         }
-        now.onto(system, &mut on.now);
-        before.onto(system, &mut on.before);
+        now.onto(bands, &mut on.now);
+        before.onto(bands, &mut on.before);
     }
 
     /// Wᵀ ∂²(∂E/∂x)/∂(x, p) dp, W in the full order.
@@ -395,7 +433,7 @@ impl Seen<'_> {
                 continue;
             }
             system.second_of_change(&parameter.change, strained, &mut full);
-            system.layout.take(&full, &mut by_unknowns);
+            self.bands.layout.take(&full, &mut by_unknowns);
             on_now.iter_mut().zip(&by_unknowns).for_each(|(on, by)| *on += times * by);
             let Some(past) = past else { continue };
             if !system.past_of_change(&parameter.change, strained, &mut stresses) {

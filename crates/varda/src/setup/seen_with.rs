@@ -124,7 +124,7 @@ impl Sites for Sensors {
     }
 
     fn has_second_constants(&self) -> bool {
-        self.has_second_parameters()
+        true
     }
 
     fn second_by_constants_add(
