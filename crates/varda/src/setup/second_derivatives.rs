@@ -1,6 +1,6 @@
 //! Which scenes have no exact Hessian, and why.
 
-use crate::scene::{Estimate, Integrator, MOVES_SUPPORTS, Model, Scene, SensorKind};
+use crate::scene::{Estimate, Integrator, MOVES_SUPPORTS, Model, Scene};
 
 /// The key of a scene that leaves its model without second derivatives, and the reason.
 pub(crate) fn without_second_derivatives(scene: &Scene) -> Option<String> {
@@ -14,13 +14,4 @@ pub(crate) fn without_second_derivatives(scene: &Scene) -> Option<String> {
         Some(format!("{table}.{key} moves supports, and what that does has first derivatives alone"))
     };
     moves("estimate", &scene.estimate).or_else(|| moves("consider", &scene.consider))
-}
-
-/// The same of what is observed.
-pub(crate) fn observed_without_second_derivatives(scene: &Scene) -> Option<String> {
-    let without =
-        [SensorKind::SupportMoment, SensorKind::Moment, SensorKind::Direction, SensorKind::Orientation];
-    let sensor = scene.observations.sensors().iter().find(|sensor| without.contains(&sensor.kind))?;
-    let of = "moments, directions and orientations have first derivatives alone";
-    Some(format!("sensor {:?} of observations.sensors: {of}", sensor.name))
 }
