@@ -47,11 +47,6 @@ pub(crate) trait Sites: ObservationOperator {
     /// The columns ∂y/∂p of those.
     fn by_constants(&mut self, _at: At, _x: &[f64], _columns: &mut [f64]) {}
 
-    /// Whether `second_by_constants_add` is given; false by default.
-    fn has_second_constants(&self) -> bool {
-        false
-    }
-
     /// The second derivatives of Σ dy·y with those, and the state: adds those of an increment of both to
     /// both.
     fn second_by_constants_add(
@@ -94,10 +89,6 @@ impl Sites for Markers {
         self.by_parameters(at, x, columns).expect("this state was observed before");
     }
 
-    fn has_second_constants(&self) -> bool {
-        true
-    }
-
     fn second_by_constants_add(
         &mut self,
         at: At,
@@ -121,10 +112,6 @@ impl Sites for Sensors {
 
     fn by_constants(&mut self, at: At, x: &[f64], columns: &mut [f64]) {
         self.by_parameters(at, x, columns).expect("this state was observed before");
-    }
-
-    fn has_second_constants(&self) -> bool {
-        true
     }
 
     fn second_by_constants_add(
@@ -414,8 +401,7 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
     }
 
     fn has_second_derivatives(&self) -> bool {
-        let with_constants = self.operator.has_second_constants();
-        (self.moving.constants.is_empty() || with_constants) && self.operator.has_second_derivatives()
+        self.operator.has_second_derivatives()
     }
 
     /// With f = Rᵀ dy, a = J dρ, δ(Rh) = a × Rh + R δh and m the places of sites and constants of the
