@@ -192,12 +192,7 @@ pub(crate) fn moved_by(system: &System, parameter: usize, h: f64, t: f64) -> Vec
 }
 
 /// The increments of two configurations by supports that a parameter moves.
-pub(crate) fn moved(
-    system: &System,
-    motion: &Motion,
-    parameter: usize,
-    times: [f64; 2],
-) -> [Increment; 2] {
+pub(crate) fn moved(system: &System, motion: &Motion, parameter: usize, times: [f64; 2]) -> [Increment; 2] {
     let of = |shape: Option<&Shape>, t: f64| {
         let mut moved = Increment::new(system.rod.segments());
         let Increment { places, angles } = &mut moved;

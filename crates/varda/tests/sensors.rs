@@ -424,7 +424,8 @@ fn the_exact_hessian_of_a_cost_with_readings_and_constants() {
     let anisotropic = "model.section.ei=[0.0161,0.011]";
     let curved = "model.natural_curvature=[0.8,-0.5]";
     let end = "model.end={position=[0.05,0.02,-0.46],tangent=[0.0,0.0,-1.0],director=[1.0,0.0,0.0]}";
-    let (turned, placed) = ("estimate.clamp_direction={sigma=0.05}", "estimate.support_position={sigma=0.01}");
+    let (turned, placed) =
+        ("estimate.clamp_direction={sigma=0.05}", "estimate.support_position={sigma=0.01}");
     let cases: [(&str, &[&str]); 7] = [
         ("plain", &[]),
         ("a clamp that moves", &[turned, placed]),
