@@ -131,6 +131,7 @@ mod modes;
 mod moved;
 mod moved_increment;
 mod moved_second;
+mod moved_together;
 mod parameters;
 mod predict;
 mod quasi_static;

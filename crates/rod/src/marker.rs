@@ -7,7 +7,7 @@ use varda_implicit::{At, ImplicitStep, ObservationOperator, Refusal};
 
 use crate::Error;
 use crate::dynamics::RodStep;
-use crate::moved_second::Together;
+use crate::moved_together::Together;
 use crate::rod::Place;
 use crate::system::System;
 

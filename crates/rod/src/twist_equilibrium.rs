@@ -10,7 +10,7 @@ use crate::change::{Change, Parameters};
 use crate::layout::{FIXED, Layout, band_product_add};
 use crate::moved::Moves;
 use crate::moved_increment::Increments;
-use crate::moved_second::{MovedBy, Together};
+use crate::moved_together::{MovedBy, Together};
 use crate::second_order::Increment;
 use crate::second_parameters::Strained;
 use crate::statics::{Statics, at_rest};

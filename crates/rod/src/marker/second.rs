@@ -16,7 +16,7 @@ use varda_linalg::dot;
 use super::Markers;
 use crate::Error;
 use crate::layout::{Layout, band_product_add};
-use crate::moved_second::{MovedBy, Together};
+use crate::moved_together::{MovedBy, Together};
 
 /// Work space of second derivatives: nothing until they are asked for.
 #[derive(Default)]

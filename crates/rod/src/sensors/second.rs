@@ -17,8 +17,7 @@ use nalgebra::Vector3;
 use varda_implicit::At;
 use varda_linalg::dot;
 
-use super::second_parameters::{Changed, Forces, OfStrains, WithParameters};
-use super::second_supports::Supports;
+use super::second_parameters::{Changed, Forces, OfStrains};
 use super::{Placed, Present, Row, SHARE, Sensors, earlier};
 use crate::change::Parameters;
 use crate::element::STRAINS;
@@ -59,7 +58,7 @@ impl Unknowns {
     }
 }
 
-fn in_full_order(system: &System, places: &[Vector3<f64>], angles: &[f64]) -> Vec<f64> {
+pub(super) fn in_full_order(system: &System, places: &[Vector3<f64>], angles: &[f64]) -> Vec<f64> {
     let layout = &system.layout;
     let mut full = vec![0.0; layout.full()];
     for (v, place) in places.iter().enumerate() {
@@ -116,69 +115,16 @@ impl Sensors {
         });
         done.expect("this state was observed before");
     }
-
-    /// Fills zeros with Σ_i dy_i ∂²y_i/∂x∂p, a column a parameter, and ∂²/∂p² by rows.
-    pub(super) fn second_of_parameters(&mut self, t: f64, x: &[f64], dy: &[f64], numbers: &mut [f64]) {
-        let (history, back) = (self.step.repeated(), SHARE * self.interval);
-        let Some(parameters) = self.step.parameters.take() else { return };
-        let (columns, square) = numbers.split_at_mut(parameters.len() * x.len());
-        let zero = vec![0.0; x.len()];
-        let done = self.with_state(t, x, &mut |system, motion, present| {
-            let rows = present.weighed(dy);
-            let supports = Supports::of(system, motion, present);
-            let changes = parameters.of_constants(system, motion, &present.damping);
-            let mut tangent = present.tangent(system, motion, changes);
-            let mut forces = Vec::new();
-            for (p, column) in columns.chunks_exact_mut(x.len()).enumerate() {
-                let mut dp = vec![0.0; parameters.len()];
-                dp[p] = 1.0;
-                tangent.vary(system, motion.start.length, [&zero, &zero, &dp]);
-                let changed = Changed::of(system, &parameters, &dp);
-                let by = Some((&*parameters, &dp[..]));
-                let of = Seen::of(system, motion, present, &tangent);
-                let seen = Seen { bands: supports.bands(system), dx: &zero, changed, by, ..of };
-                let mut on = seen.second(&rows);
-                supports.with_constant(p, &on, square);
-                present.onto_state(system, motion, &mut on, (history, back), column);
-                forces.push(seen.forces());
-            }
-            let weights = present.on_forces(system, motion, &rows);
-            let full = in_full_order(system, &weights.gradient, &weights.angles);
-            let with = WithParameters { parameters: &parameters, system, motion, present };
-            let of_constants = with.square(&rows, (&weights, &full), &forces);
-            square.iter_mut().zip(of_constants).for_each(|(sum, more)| *sum += more);
-            if !supports.is_empty() {
-                let changes = parameters.of_supports(system, motion, &present.damping, present.times);
-                let mut tangent = present.tangent(system, motion, changes);
-                for moved in supports.iter() {
-                    let mut dp = vec![0.0; parameters.len()];
-                    dp[moved.parameter] = 1.0;
-                    tangent.vary(system, motion.start.length, [&zero, &zero, &dp]);
-                    let of = Seen::of(system, motion, present, &tangent);
-                    let held = Some(&moved.held[..]);
-                    let seen = Seen { bands: supports.bands(system), dx: &zero, held, ..of };
-                    let mut on = seen.second(&rows);
-                    supports.with_another(moved.parameter, &on, square);
-                    let column = &mut columns[moved.parameter * x.len()..][..x.len()];
-                    present.onto_state(system, motion, &mut on, (history, back), column);
-                }
-                let seen = Seen::of(system, motion, present, &tangent);
-                supports.twice_add(&seen, weights, square);
-            }
-        });
-        done.expect("this state was observed before");
-        self.step.parameters = Some(parameters);
-    }
 }
 
 impl Present<'_> {
     /// The rows with what acts on each.
-    fn weighed(&self, dy: &[f64]) -> Vec<(Row<'_>, f64)> {
+    pub(super) fn weighed(&self, dy: &[f64]) -> Vec<(Row<'_>, f64)> {
         self.rows().into_iter().zip(dy.iter().copied()).collect()
     }
 
     /// What all rows are on forces, velocities and configurations.
-    fn on_forces(&self, system: &System, motion: &Motion, rows: &[(Row, f64)]) -> Weights {
+    pub(super) fn on_forces(&self, system: &System, motion: &Motion, rows: &[(Row, f64)]) -> Weights {
         let mut on = Weights::new(system.rod.segments());
         for (row, dy) in rows {
             on.add(&self.weights(system, motion, row), *dy);
@@ -194,8 +140,8 @@ pub(super) struct Seen<'a> {
     pub(super) present: &'a Present<'a>,
     pub(super) tangent: &'a Tangent<'a>,
     /// The rod with nothing held, where parameters move supports.
-    bands: &'a System,
-    dx: &'a [f64],
+    pub(super) bands: &'a System,
+    pub(super) dx: &'a [f64],
     /// What held vertices are faster by, and accelerate.
     pub(super) held: Option<&'a [[Vector3<f64>; 2]]>,
     pub(super) changed: Changed,
@@ -205,7 +151,7 @@ pub(super) struct Seen<'a> {
 
 impl<'a> Seen<'a> {
     /// Without an increment of what is beside the tangent.
-    fn of(
+    pub(super) fn of(
         system: &'a System,
         motion: &'a Motion<'a>,
         present: &'a Present<'a>,
@@ -218,7 +164,7 @@ impl<'a> Seen<'a> {
 
 impl Seen<'_> {
     /// What acts on configurations and velocities.
-    fn second(&self, rows: &[(Row, f64)]) -> Weights {
+    pub(super) fn second(&self, rows: &[(Row, f64)]) -> Weights {
         let Seen { system, motion, present, tangent, .. } = self;
         let mut first = present.on_forces(system, motion, rows);
         let mut on = Weights::new(system.rod.segments());
@@ -237,7 +183,7 @@ impl Seen<'_> {
     }
 
     /// What the increment does to forces.
-    fn forces(&self) -> Forces {
+    pub(super) fn forces(&self) -> Forces {
         let Seen { system, tangent, .. } = self;
         let of_vertex = |v: usize| [self.net(v, false), tangent.loads.forces[v]];
         let of_edge = |e: usize| match system.layout.twist {

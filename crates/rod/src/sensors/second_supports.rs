@@ -9,12 +9,13 @@
 
 use nalgebra::Vector3;
 
-use super::second::Seen;
-use super::{Placed, Present, Row};
+use super::second::{Seen, in_full_order};
+use super::second_parameters::{Changed, WithParameters};
+use super::{Placed, Present, Row, SHARE, Sensors};
 use crate::forces_of_motion::Motion;
 use crate::forces_tangent::transpose::Weights;
 use crate::forces_tangent::{Increment, moved, moved_by};
-use crate::moved_second::Together;
+use crate::moved_together::Together;
 use crate::shape::Shape;
 use crate::system::System;
 
@@ -129,6 +130,61 @@ impl Supports {
         of_held(now - h, -0.5 / h, 1.0 / (h * h));
         of_held(now, 0.0, -2.0 / (h * h));
         of_held(now + h, 0.5 / h, 1.0 / (h * h));
+    }
+}
+
+impl Sensors {
+    /// Fills zeros with Σ_i dy_i ∂²y_i/∂x∂p, a column a parameter, and ∂²/∂p² by rows.
+    pub(super) fn second_of_parameters(&mut self, t: f64, x: &[f64], dy: &[f64], numbers: &mut [f64]) {
+        let (history, back) = (self.step.repeated(), SHARE * self.interval);
+        let Some(parameters) = self.step.parameters.take() else { return };
+        let (columns, square) = numbers.split_at_mut(parameters.len() * x.len());
+        let zero = vec![0.0; x.len()];
+        let done = self.with_state(t, x, &mut |system, motion, present| {
+            let rows = present.weighed(dy);
+            let supports = Supports::of(system, motion, present);
+            let changes = parameters.of_constants(system, motion, &present.damping);
+            let mut tangent = present.tangent(system, motion, changes);
+            let mut forces = Vec::new();
+            for (p, column) in columns.chunks_exact_mut(x.len()).enumerate() {
+                let mut dp = vec![0.0; parameters.len()];
+                dp[p] = 1.0;
+                tangent.vary(system, motion.start.length, [&zero, &zero, &dp]);
+                let changed = Changed::of(system, &parameters, &dp);
+                let by = Some((&*parameters, &dp[..]));
+                let of = Seen::of(system, motion, present, &tangent);
+                let seen = Seen { bands: supports.bands(system), dx: &zero, changed, by, ..of };
+                let mut on = seen.second(&rows);
+                supports.with_constant(p, &on, square);
+                present.onto_state(system, motion, &mut on, (history, back), column);
+                forces.push(seen.forces());
+            }
+            let weights = present.on_forces(system, motion, &rows);
+            let full = in_full_order(system, &weights.gradient, &weights.angles);
+            let with = WithParameters { parameters: &parameters, system, motion, present };
+            let of_constants = with.square(&rows, (&weights, &full), &forces);
+            square.iter_mut().zip(of_constants).for_each(|(sum, more)| *sum += more);
+            if !supports.is_empty() {
+                let changes = parameters.of_supports(system, motion, &present.damping, present.times);
+                let mut tangent = present.tangent(system, motion, changes);
+                for moved in supports.iter() {
+                    let mut dp = vec![0.0; parameters.len()];
+                    dp[moved.parameter] = 1.0;
+                    tangent.vary(system, motion.start.length, [&zero, &zero, &dp]);
+                    let of = Seen::of(system, motion, present, &tangent);
+                    let held = Some(&moved.held[..]);
+                    let seen = Seen { bands: supports.bands(system), dx: &zero, held, ..of };
+                    let mut on = seen.second(&rows);
+                    supports.with_another(moved.parameter, &on, square);
+                    let column = &mut columns[moved.parameter * x.len()..][..x.len()];
+                    present.onto_state(system, motion, &mut on, (history, back), column);
+                }
+                let seen = Seen::of(system, motion, present, &tangent);
+                supports.twice_add(&seen, weights, square);
+            }
+        });
+        done.expect("this state was observed before");
+        self.step.parameters = Some(parameters);
     }
 }
 
