@@ -167,8 +167,8 @@ fn products_are_those_of_differences() {
         let parameters = step.parameters();
         let z: Vec<f64> = control(&step).into_iter().chain([3.0]).collect();
         let mut window = Window::new(step);
-        // rounding of gradients over differences of 0.1 of what they see least: 4e-9 and less; 1.2e-8 where the
-        // common turn is held by 1e-6 of a stiffness
+        // rounding of gradients over differences of 0.1 of what they see least: 4e-9 and less; 1.2e-8 where
+        // the common turn is held by 1e-6 of a stiffness
         let bound = if case.held { 1e-8 } else { 3e-8 };
         for (i, dz) in directions(&z, parameters).iter().enumerate() {
             // what bends a rod little wants long differences, what turns it far wants short ones

@@ -437,8 +437,8 @@ fn second_derivatives_are_those_of_the_first() {
                 assert!(size == 0.0, "{name}");
                 continue;
             }
-            // what three differences leave, h⁶ of the seventh derivative and rounding: 2e-9 and less, where strain
-            // rates over 1e-3 Δt round too
+            // what three differences leave, h⁶ of the seventh derivative and rounding: 2e-9 and less, where
+            // strain rates over 1e-3 Δt round too
             assert!(error <= 1e-8 * size, "{name}");
             let symmetry = (dot(&by_a, &b) - dot(&by_b, &a)).abs();
             let products = size * norm(&|i| b[i] / scale(i).powi(2));
