@@ -343,8 +343,8 @@ impl<S: ParametricStep> WithParameters<S> {
         (&mut self.step, SolvedStep { at: of.at, x: &self.x, u: of.u, kept }, &mut self.next)
     }
 
-    /// What second derivatives keep: the step's own, the columns of ∂²L/∂x∂p and ∂²L/∂u∂p, ∂²L/∂p²,
-    /// and whether a parameter has any that is not zero.
+    /// What second derivatives keep: the step's own, the columns of ∂²L/∂x∂p and ∂²L/∂u∂p,
+    /// ∂²L/∂p², and whether a parameter has any that is not zero.
     fn second_lengths(&self) -> [usize; 5] {
         let (own, active) = (self.step.second_kept().unwrap_or(0), self.active);
         [own, active * self.step.dim(), active * self.step.unknowns(), active * active, active]

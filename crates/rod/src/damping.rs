@@ -412,8 +412,8 @@ impl KelvinVoigt {
         Self::kept_past(layout, stage, kept).map(of).collect()
     }
 
-    /// Adds the second derivatives of μᵀG by the stage and configuration j of the past, times increments of
-    /// both, to what acts on both: `strained` is k ∂²ε[μ] of the stage.
+    /// Adds the second derivatives of μᵀG by the stage and configuration j of the past, times increments
+    /// of both, to what acts on both: `strained` is k ∂²ε[μ] of the stage.
     pub(crate) fn second_of_both_add(
         &self,
         (layout, stage, j): (&Layout, &RodStage, usize),

@@ -224,8 +224,8 @@ impl System {
         });
     }
 
-    /// Adds −μᵀ ∂F of the loads to what acts on the present configuration and on the start of the stage,
-    /// all in the full order.
+    /// Adds −μᵀ ∂F of the loads to what acts on the present configuration and on the start of the
+    /// stage, all in the full order.
     pub(crate) fn loads_transpose_add(
         &self,
         start: Option<StageStart>,

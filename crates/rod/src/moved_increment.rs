@@ -98,7 +98,8 @@ impl System {
         Ok(of)
     }
 
-    /// ∂²(places)/∂p∂q at time t in all vertices, and of the turns of clamps. With ω_p of a clamp's axes,
+    /// ∂²(places)/∂p∂q at time t in all vertices, and of the turns of clamps. With ω_p of a clamp's
+    /// axes,
     ///
     /// ```text
     /// ∂²(R y)/∂p∂q = ∂_q ω_p × R y + ω_p × (ω_q × R y)

@@ -118,8 +118,8 @@ impl RodStep {
         self.stage(of.at).of.from.into_iter().zip(times).filter(|(share, _)| *share != 0.0)
     }
 
-    /// Adds all that supports moved by parameters bring to the columns of ∂²L/∂x∂p and ∂²L/∂u∂p and
-    /// to ∂²L/∂p², right after those of constants.
+    /// Adds all that supports moved by parameters bring to the columns of ∂²L/∂x∂p and ∂²L/∂u∂p
+    /// and to ∂²L/∂p², right after those of constants.
     pub(crate) fn second_of_moves(
         &mut self,
         of: &SolvedStep<'_>,

@@ -80,8 +80,8 @@ impl Together {
         self.moved[..self.count].iter()
     }
 
-    /// Calls `visit` with p, q ≤ p, places and angles of w_pq, and what both do to the end clamp's angle, of
-    /// the configuration last taken.
+    /// Calls `visit` with p, q ≤ p, places and angles of w_pq, and what both do to the end clamp's angle,
+    /// of the configuration last taken.
     pub(crate) fn each_pair(
         &mut self,
         system: &System,

@@ -12,7 +12,8 @@ use varda_rod::{Marker, Markers};
 const PLACES: [f64; 5] = [0.02, 0.09, 0.31, 0.55, 0.97];
 const AT: At = At { step: 0, time: 0.013 };
 
-/// Markers of a rod: a point is the state, the parameters and the places (s, o₁, o₂, o₃) of each marker.
+/// Markers of a rod: a point is the state, the parameters and the places (s, o₁, o₂, o₃) of each
+/// marker.
 struct Seen {
     markers: Markers,
     dy: Vec<f64>,

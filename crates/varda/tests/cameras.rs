@@ -369,8 +369,8 @@ fn the_gradient_of_a_cost_with_poses() {
     cost_gradient::is_that_of_differences(&Problem::from_scene(&file).unwrap());
 }
 
-/// ∇²J with poses, where the axes of the recording, markers, the clock and constants of the rod are unknown
-/// too, beside differences of ∇J.
+/// ∇²J with poses, where the axes of the recording, markers, the clock and constants of the rod are
+/// unknown too, beside differences of ∇J.
 #[test]
 fn the_exact_hessian_of_a_cost_with_poses() {
     let twin = format!("{ROD}{TWIN}sigma = 0.002\n{LEFT}{RIGHT}");

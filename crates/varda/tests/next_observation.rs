@@ -149,8 +149,8 @@ fn what_moves_supports_has_the_exact_hessian_too() {
     }
 }
 
-/// ∇²J beside differences of ∇J, of every key that moves supports: without twist and with, held at both ends,
-/// with markers off the axis, a mount and a clock that are unknown, and stiffness and damping.
+/// ∇²J beside differences of ∇J, of every key that moves supports: without twist and with, held at both
+/// ends, with markers off the axis, a mount and a clock that are unknown, and stiffness and damping.
 #[test]
 fn the_exact_hessian_of_a_cost_with_supports_that_move() {
     let short = ["time.window=15", "report.forecast=0"];

@@ -415,8 +415,9 @@ fn readings_have_the_exact_hessian_too() {
     }
 }
 
-/// ∇²J with constants and biases beside differences of ∇J, of a rod without twist, and of one that twists,
-/// with supports that move, with natural curvature, anisotropic, with inertia of its sections and without.
+/// ∇²J with constants and biases beside differences of ∇J, of a rod without twist, with supports that
+/// move, and of one that twists, with natural curvature, anisotropic, with inertia of its sections and
+/// without.
 #[test]
 fn the_exact_hessian_of_a_cost_with_readings_and_constants() {
     let text = format!("{ROD}{TWIN}{PLACES}{}", all_kinds());

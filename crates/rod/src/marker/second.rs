@@ -87,8 +87,8 @@ impl Markers {
         Ok(())
     }
 
-    /// (out, out_p) += Σ dy ∂²y/∂(x, p)² (dx, dp) of all parameters p of the rod's step, which may move
-    /// its supports.
+    /// (out, out_p) += Σ dy ∂²y/∂(x, p)² (dx, dp) of all parameters p of the rod's step, which may
+    /// move its supports.
     ///
     /// # Errors
     /// A state that cannot be observed.

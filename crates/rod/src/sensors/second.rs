@@ -1,7 +1,8 @@
 //! Second derivatives of what sensors read.
 //!
 //! A row is d·f, of an axis d of its section or of space, and of f, a sum of ∂E/∂x and loads, or a
-//! velocity over a length. With W what all rows together are on ∂E/∂x,
+//! velocity over a length. With W what all rows together are on ∂E/∂x (and on ∂E/∂θ, of moments of
+//! clamps),
 //!
 //! ```text
 //! Σ ∂²(d·f) = Wᵀ ∂²(∂E/∂x) + Σ (∂fᵀ ∂d + ∂dᵀ ∂f + f·∂²d)
@@ -10,8 +11,8 @@
 //! The first is the third derivative of the energy as in a step ([`second_order`](crate::second_order)).
 //! Angles are not in equilibrium here: ∂E/∂x is taken with directors carried from where an edge is, which
 //! adds −A(x) ∂E/∂α with A the form of [`loaded`](crate::loaded), so that KᵀH and H K of the
-//! angles count twice, and ∂E/∂α with the curvature of A. Stored angles are α + ψ(x), and ψ is
-//! curved.
+//! angles count twice, and ∂E/∂α with the curvature of A. That is of W on ∂E/∂x: ∂E/∂α is the
+//! same however directors are carried. Stored angles are α + ψ(x), and ψ is curved.
 
 use nalgebra::Vector3;
 use varda_implicit::At;

@@ -3,10 +3,10 @@
 //! With s = k d of a row d·M, which k leaves as it is where no constant changes it,
 //!
 //! ```text
-//! ∂²(d·M) = s·∂²ε − share s·∂²ε*,   ∂²(d·M)/∂x∂c = (∂k/∂c d)·∂ε + …,   M_cc as of stresses
+//! ∂²(d·M) = s·∂²ε − share s·∂²ε*,   ∂²(d·M)/∂x∂c = (∂k/∂c d)·∂ε + …
 //! ```
 //!
-//! as in [`second_parameters`](crate::second_parameters).
+//! and ∂²(d·M)/∂c² as in [`second_parameters`](crate::second_parameters).
 
 use nalgebra::Vector3;
 

@@ -6,8 +6,8 @@
 //! δy = (b₂ m₁ − b₁ m₂)·δe/l + b₃ δφ
 //! ```
 //!
-//! in directors that are carried from where the edge is. Along an increment b, the directors and l change, and
-//! φ by the area K δx of [`second_order`](crate::second_order).
+//! in directors that are carried from where the edge is. Along an increment b, the directors and l change,
+//! and φ by the area K δx of [`second_order`](crate::second_order).
 
 use nalgebra::{Vector2, Vector3};
 

@@ -3,8 +3,9 @@
 use varda::setup::Problem;
 use varda_assimilation::{ControlTransform, CostFunction, LeastSquares, StrongConstraint};
 
-/// ∇²J p beside differences of ∇J, extrapolated three times, of the last `constants` entries and of those
-/// before; and qᵀ∇²J p = pᵀ∇²J q. Returns how far Gauss and Newton's product is off, relative.
+/// ∇²J p beside differences of ∇J, extrapolated three times, of the last `constants` entries and of
+/// those before; and qᵀ∇²J p = pᵀ∇²J q. Returns by how much Gauss and Newton's product is off,
+/// relative.
 pub(crate) fn is_that_of_differences(problem: &Problem, constants: usize, bound: f64) -> f64 {
     let mut observations = problem.observations().unwrap();
     let transform = ControlTransform::new(problem.background.clone(), problem.covariance.as_ref()).unwrap();
