@@ -28,6 +28,13 @@ pub(super) struct Moved {
 }
 
 impl Moved {
+    fn acts(&self) -> bool {
+        let zero = Vector3::zeros();
+        let moves =
+            |of: &Increment| of.places.iter().any(|x| *x != zero) || of.angles.iter().any(|a| *a != 0.0);
+        moves(&self.now) || moves(&self.before) || self.held.iter().flatten().any(|v| *v != zero)
+    }
+
     fn dot(&self, on: &Weights) -> f64 {
         let of_vertices = |on: &[Vector3<f64>], by: &dyn Fn(usize) -> Vector3<f64>| -> f64 {
             on.iter().enumerate().map(|(v, on)| on.dot(&by(v))).sum()
@@ -65,11 +72,14 @@ impl Supports {
             };
             Moved { parameter, now, before, held }
         };
-        Supports { all: system.moves.parameters().into_iter().map(of).collect(), all_free }
+        // errors in time act about one time
+        let all = system.moves.parameters().into_iter().map(of).filter(Moved::acts);
+        Supports { all: all.collect(), all_free }
     }
 
-    pub(super) fn is_empty(&self) -> bool {
-        self.all.is_empty()
+    /// Whether there are parameters that may move any.
+    pub(super) fn moves(&self) -> bool {
+        self.all_free.is_some()
     }
 
     pub(super) fn iter(&self) -> impl Iterator<Item = &Moved> {
@@ -150,6 +160,10 @@ impl Sensors {
                 let mut dp = vec![0.0; parameters.len()];
                 dp[p] = 1.0;
                 tangent.vary(system, motion.start.length, [&zero, &zero, &dp]);
+                if !parameters.list[p].change.is_of_constants() {
+                    forces.push(Seen::of(system, motion, present, &tangent).forces());
+                    continue;
+                }
                 let changed = Changed::of(system, &parameters, &dp);
                 let by = Some((&*parameters, &dp[..]));
                 let of = Seen::of(system, motion, present, &tangent);
@@ -164,7 +178,7 @@ impl Sensors {
             let with = WithParameters { parameters: &parameters, system, motion, present };
             let of_constants = with.square(&rows, (&weights, &full), &forces);
             square.iter_mut().zip(of_constants).for_each(|(sum, more)| *sum += more);
-            if !supports.is_empty() {
+            if supports.moves() {
                 let changes = parameters.of_supports(system, motion, &present.damping, present.times);
                 let mut tangent = present.tangent(system, motion, changes);
                 for moved in supports.iter() {
