@@ -20,6 +20,17 @@ pub(crate) struct MovedSupports {
     about: [f64; 2],
 }
 
+/// A clamp that parameters turn, at one time.
+#[derive(Clone, Copy)]
+pub(crate) struct TurnedClamp {
+    axes: Matrix3<f64>,
+    tangent: Vector3<f64>,
+    /// The rotation vector in its own axes.
+    turn: Vector3<f64>,
+    /// The part of it by which the body turns that carries it, and its place in that body.
+    carried: Option<(Vector3<f64>, Vector3<f64>)>,
+}
+
 /// Two changes of a rotation: ω_p, ω_q, ∂_q ω_p and ∂_p ω_q.
 struct Turns {
     omega: [Vector3<f64>; 2],
@@ -49,12 +60,33 @@ impl Turns {
 }
 
 impl System {
+    /// That clamp at time t.
+    ///
+    /// # Panics
+    /// If the rod has no such clamp.
+    pub(crate) fn turned_clamp(&self, end: bool, t: f64) -> Result<TurnedClamp, Error> {
+        let frame = self.clamp_frame(end, t)?.expect("a clamp that turns is one of the rod");
+        let (turn, carried) = (self.moves.turn(end, t), self.moves.turned(end, t));
+        Ok(TurnedClamp { axes: frame.axes, tangent: frame.tangent, turn, carried })
+    }
+
     /// ∂(places)/∂p at time t in all vertices, zero in those that are free.
     pub(crate) fn moved_places(
         &self,
         parameter: usize,
         t: f64,
         places: &mut [Vector3<f64>],
+    ) -> Result<MovedSupports, Error> {
+        self.moved_places_by(parameter, t, places, |end| self.turned_clamp(end, t))
+    }
+
+    /// The same with the clamps at that time.
+    pub(crate) fn moved_places_by(
+        &self,
+        parameter: usize,
+        t: f64,
+        places: &mut [Vector3<f64>],
+        clamp: impl Fn(bool) -> Result<TurnedClamp, Error>,
     ) -> Result<MovedSupports, Error> {
         places.fill(Vector3::zeros());
         let (n, mut of) = (self.rod.segments(), MovedSupports { any: false, about: [0.0; 2] });
@@ -78,11 +110,9 @@ impl System {
             };
             if by != Vector3::zeros() {
                 let end = item.moved.of == HeldAt::End;
-                let frame = self.clamp_frame(end, t)?.expect("a clamp that turns is one of the rod");
-                let omega = frame.axes * (left_jacobian(&self.moves.turn(end, t)) * by) * item.slope;
-                if let (MovedBy::TurnAlong { .. }, Some((turn, arm))) =
-                    (&item.moved.by, self.moves.turned(end, t))
-                {
+                let frame = clamp(end)?;
+                let omega = frame.axes * (left_jacobian(&frame.turn) * by) * item.slope;
+                if let (MovedBy::TurnAlong { .. }, Some((turn, arm))) = (&item.moved.by, frame.carried) {
                     let carried = (left_jacobian(&turn) * by).cross(&(exponential(&turn) * arm));
                     let carried = frame.axes * carried * item.slope;
                     places[vertex] += carried;
@@ -112,6 +142,7 @@ impl System {
         [p, q]: [usize; 2],
         t: f64,
         places: &mut [Vector3<f64>],
+        clamp: impl Fn(bool) -> Result<TurnedClamp, Error>,
     ) -> Result<MovedSupports, Error> {
         places.fill(Vector3::zeros());
         let (n, mut of) = (self.rod.segments(), MovedSupports { any: false, about: [0.0; 2] });
@@ -136,12 +167,12 @@ impl System {
             };
             let (Some(by_a), Some(by_b)) = (turn(&a.moved.by), turn(&b.moved.by)) else { continue };
             let end = a.moved.of == HeldAt::End;
-            let frame = self.clamp_frame(end, t)?.expect("a clamp that turns is one of the rod");
+            let frame = clamp(end)?;
             let by = [by_a * a.slope, by_b * b.slope];
             let curved = if std::ptr::eq(a, b) { by_a * a.curvature } else { Vector3::zeros() };
-            let turns = Turns::by(&frame.axes, &self.moves.turn(end, t), by, curved);
+            let turns = Turns::by(&frame.axes, &frame.turn, by, curved);
             if let (MovedBy::TurnAlong { .. }, MovedBy::TurnAlong { .. }, Some((turn, arm))) =
-                (&a.moved.by, &b.moved.by, self.moves.turned(end, t))
+                (&a.moved.by, &b.moved.by, frame.carried)
             {
                 let carried = frame.axes * (exponential(&turn) * arm);
                 let carried = Turns::by(&frame.axes, &turn, by, curved).of(&carried);
@@ -177,17 +208,16 @@ impl System {
     pub(crate) fn moved_twice(
         &self,
         shape: &Shape,
-        parameters: [usize; 2],
-        t: f64,
-        places: &mut [Vector3<f64>],
-        angles: &mut [f64],
+        (parameters, t): ([usize; 2], f64),
+        (places, angles): (&mut [Vector3<f64>], &mut [f64]),
+        clamp: impl Fn(bool) -> Result<TurnedClamp, Error>,
     ) -> Option<f64> {
-        let moved =
-            self.moved_places_twice(parameters, t, places).expect("supports were placed at this time");
+        let moved = self.moved_places_twice(parameters, t, places, clamp);
+        let moved = moved.expect("supports were placed at this time");
         self.angles_of_moved(shape, &moved, places, angles)
     }
 
-    fn angles_of_moved(
+    pub(crate) fn angles_of_moved(
         &self,
         shape: &Shape,
         moved: &MovedSupports,

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::layout::Layout;
-use crate::moved_increment::Increments;
+use crate::moved_increment::{Increments, TurnedClamp};
 use crate::second_order::Increment;
 use crate::shape::Shape;
 use crate::system::System;
@@ -16,6 +16,8 @@ pub(crate) struct Together {
     moved: Vec<MovedBy>,
     count: usize,
     work: Option<Increments>,
+    /// The clamps that are turned, at the time.
+    clamps: [Option<TurnedClamp>; 2],
 }
 
 /// A parameter, its increment of places and local angles, and that of the end clamp's stored angle.
@@ -53,6 +55,10 @@ fn in_full_dot(layout: &Layout, places: &[Vector3<f64>], angles: &[f64], on: &[f
     }
 }
 
+fn turned(clamps: &[Option<TurnedClamp>; 2], end: bool) -> TurnedClamp {
+    clamps[usize::from(end)].expect("a clamp that turns is one of the rod")
+}
+
 impl Together {
     /// Takes a configuration at time t.
     pub(crate) fn set(&mut self, system: &System, shape: &Shape, t: f64) {
@@ -61,6 +67,12 @@ impl Together {
             return;
         }
         system.moves.acting(t, &mut self.acting);
+        let held = [&system.supports.start, &system.supports.end];
+        for ((clamp, held), end) in self.clamps.iter_mut().zip(held).zip([false, true]) {
+            let placed = "supports were placed at this time";
+            *clamp = held.as_ref().map(|_| system.turned_clamp(end, t).expect(placed));
+        }
+        let clamps = self.clamps;
         for &parameter in &self.acting {
             if self.moved.len() == self.count {
                 let Increments { places, angles, .. } = Increments::of(system);
@@ -69,7 +81,9 @@ impl Together {
             let moved = &mut self.moved[self.count];
             moved.parameter = parameter;
             let MovedBy { places, angles, .. } = moved;
-            if system.moved_increment(shape, parameter, t, places, angles).is_some() {
+            let moved = system.moved_places_by(parameter, t, places, |end| Ok(turned(&clamps, end)));
+            let moved = moved.expect("supports were placed at this time");
+            if system.angles_of_moved(shape, &moved, places, angles).is_some() {
                 self.count += 1;
             }
         }
@@ -91,7 +105,8 @@ impl Together {
         let Increments { places, angles, .. } = self.work.get_or_insert_with(|| Increments::of(system));
         for (i, &p) in self.acting.iter().enumerate() {
             for &q in &self.acting[..=i] {
-                if let Some(end) = system.moved_twice(shape, [p, q], t, places, angles) {
+                let clamp = |end| Ok(turned(&self.clamps, end));
+                if let Some(end) = system.moved_twice(shape, ([p, q], t), (places, angles), clamp) {
                     visit([p, q], (places, angles), end);
                 }
             }
