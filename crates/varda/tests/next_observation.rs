@@ -121,7 +121,7 @@ fn estimates_have_the_exact_hessian_too() {
 fn what_moves_supports_has_the_exact_hessian_too() {
     let clamp =
         ["time.window=80", "estimate.clamp_direction={sigma=0.05}", "estimate.support_position={sigma=0.01}"];
-    let seen = ["estimate.mount_rotation={sigma=0.02}", "estimate.clock={sigma=0.01}"];
+    let seen = ["estimate.mount_rotation={sigma=0.02}"];
     let base = [
         "model.segments=10",
         "time.window=40",
