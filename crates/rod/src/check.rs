@@ -5,7 +5,7 @@ use varda_implicit::Error;
 use varda_implicit::check::{Random, differing, taylor};
 
 use crate::geometry::{Turn, any_perpendicular};
-use crate::load::{EdgeLoad, EdgeMotion, Load};
+use crate::load::{EdgeLoad, EdgeMotion, Load, second_along_each};
 use crate::rod::Rod;
 
 pub use varda_implicit::check::{Finding, Report};
@@ -13,6 +13,8 @@ pub use varda_implicit::check::{Finding, Report};
 /// Share of the largest entry of ∂F/∂(places) by which two mirror images may differ: some thousand
 /// roundings.
 const SYMMETRY: f64 = 1e-12;
+/// Share of the largest second derivative by which two ways to it may differ: divided by lengths twice.
+const SECOND: f64 = 1e-11;
 
 /// Every check of a load, on the first, the middle and the last of its edges: they are edges of the rod; same
 /// input, same result; all values are finite; ∂F/∂(places), ∂F/∂(velocities) and ∂F/∂θ are
@@ -247,6 +249,14 @@ fn of_second_derivatives(
         ));
     }
     findings.push(Finding::at_most("departure of a moved edge from one at rest", departure, SYMMETRY));
+    let multipliers = std::array::from_fn(|i| (2.3 * (i + 1) as f64).cos());
+    let along_each = second_along_each(load, motion, &multipliers);
+    let off = (load.second_on_edge(motion, &multipliers) - along_each).abs().max();
+    findings.push(Finding::at_most(
+        "departure of second derivatives from those of moved edges",
+        share(off, along_each.abs().max()),
+        SECOND,
+    ));
     Ok(findings)
 }
 

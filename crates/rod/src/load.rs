@@ -7,7 +7,7 @@ pub(crate) mod scaled;
 
 use std::ops::Range;
 
-use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3, Vector6};
 use num_dual::Dual64;
 
 use crate::scalar::{Real, dual, length};
@@ -260,4 +260,45 @@ pub trait Load: Send + Sync {
     fn on_moved_edge(&self, _motion: &EdgeMotion<Dual64>) -> EdgeLoad<Dual64> {
         EdgeLoad::none()
     }
+
+    /// ∂²(μᵀF + μ_θ m)/∂c² at one edge, c = its places, θ and velocities, μ by places and θ: symmetric.
+    ///
+    /// By default the derivatives of `on_moved_edge` along each number of c, twelve or thirteen times the
+    /// work of `on_edge`. A load that has a short closed form gives it here;
+    /// [`check::load`](crate::check::load) compares the two.
+    fn second_on_edge(&self, motion: &EdgeMotion, multipliers: &[f64; 7]) -> SMatrix<f64, 13, 13> {
+        second_along_each(self, motion, multipliers)
+    }
+}
+
+/// See [`Load::second_on_edge`].
+pub(crate) fn second_along_each<L: Load + ?Sized>(
+    load: &L,
+    motion: &EdgeMotion,
+    mu: &[f64; 7],
+) -> SMatrix<f64, 13, 13> {
+    let mut rows = SMatrix::<f64, 13, 13>::zeros();
+    for k in 0..13 {
+        let sees = match k {
+            6 => load.uses_directors() || load.has_moment(),
+            7.. => !load.has_potential(),
+            _ => true,
+        };
+        if !sees {
+            continue;
+        }
+        let mut by = [0.0; 13];
+        by[k] = 1.0;
+        let acts = load.on_moved_edge(&motion.moved(&by));
+        for i in 0..6 {
+            rows[(k, i)] += mu[6] * acts.moment_by_places[i].eps;
+            rows[(k, 6)] += mu[i] * acts.by_angle[i].eps;
+            for j in 0..6 {
+                rows[(k, j)] += mu[i] * acts.by_places[(i, j)].eps;
+                rows[(k, 7 + j)] += mu[i] * acts.by_velocities[(i, j)].eps;
+            }
+        }
+        rows[(k, 6)] += mu[6] * acts.moment_by_angle.eps;
+    }
+    (rows + rows.transpose()) * 0.5
 }

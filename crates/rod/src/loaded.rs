@@ -7,8 +7,6 @@ use crate::load::{EdgeLoad, EdgeMotion, Load};
 use crate::second_order::Increment;
 use crate::system::{StageStart, System};
 
-/// Coordinates of an edge: its places, θ and velocities.
-const ALL: usize = 13;
 /// Its places and θ.
 const OWN: usize = 7;
 /// Numbers for every edge that [`System::second_of_loads`] writes: ∂²(−μᵀF) by places and θ with the
@@ -155,17 +153,17 @@ impl System {
             if moved == [0.0; OWN] {
                 return;
             }
-            let second = second_of_edge(load, motion, &moved);
+            let second = load.second_on_edge(motion, &moved);
             let rate = start.map_or(0.0, |start| 1.0 / start.length);
             // velocities are (x − start) rate
             let by_start = |i: usize, j: usize| {
-                let own = second[i][OWN + j];
-                -rate * if i < 6 { own + rate * second[OWN + i][OWN + j] } else { own }
+                let own = second[(i, OWN + j)];
+                rate * if i < 6 { own + rate * second[(OWN + i, OWN + j)] } else { own }
             };
             let by_own = |i: usize, j: usize| {
-                let of_speed = |i: usize, j: usize| if j < 6 { rate * second[i][OWN + j] } else { 0.0 };
-                let both = if i < 6 && j < 6 { rate * rate * second[OWN + i][OWN + j] } else { 0.0 };
-                second[i][j] + of_speed(i, j) + of_speed(j, i) + both
+                let of_speed = |i: usize, j: usize| if j < 6 { rate * second[(i, OWN + j)] } else { 0.0 };
+                let both = if i < 6 && j < 6 { rate * rate * second[(OWN + i, OWN + j)] } else { 0.0 };
+                -(second[(i, j)] + of_speed(i, j) + of_speed(j, i) + both)
             };
             let mut band = Band { layout, values: &mut *band };
             if layout.twist {
@@ -192,7 +190,7 @@ impl System {
                 *value += by_start(k / 6, k % 6);
             }
             for (k, value) in twice.iter_mut().enumerate() {
-                *value += rate * rate * second[OWN + k / 6][OWN + k % 6];
+                *value -= rate * rate * second[(OWN + k / 6, OWN + k % 6)];
             }
         });
     }
@@ -288,35 +286,6 @@ impl System {
 
 fn square<const N: usize>(entry: impl Fn(usize, usize) -> f64) -> [[f64; N]; N] {
     std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)))
-}
-
-/// ∂²(−μᵀF) of a load on one edge by places, θ and velocities, μ by places and θ.
-fn second_of_edge(load: &dyn Load, motion: &EdgeMotion, mu: &[f64; OWN]) -> [[f64; ALL]; ALL] {
-    let mut rows = [[0.0; ALL]; ALL];
-    for (k, row) in rows.iter_mut().enumerate() {
-        let sees = match k {
-            6 => load.uses_directors() || load.has_moment(),
-            7.. => !load.has_potential(),
-            _ => true,
-        };
-        if !sees {
-            continue;
-        }
-        let mut by = [0.0; ALL];
-        by[k] = 1.0;
-        let acts = load.on_moved_edge(&motion.moved(&by));
-        for i in 0..6 {
-            let moment = mu[6] * acts.moment_by_places[i].eps;
-            row[i] -= moment;
-            row[6] -= mu[i] * acts.by_angle[i].eps;
-            for j in 0..6 {
-                row[j] -= mu[i] * acts.by_places[(i, j)].eps;
-                row[OWN + j] -= mu[i] * acts.by_velocities[(i, j)].eps;
-            }
-        }
-        row[6] -= mu[6] * acts.moment_by_angle.eps;
-    }
-    square(|i, j| 0.5 * (rows[i][j] + rows[j][i]))
 }
 
 /// Where a number of an edge in the full order stands among places and θ: its angle is between its vertices.

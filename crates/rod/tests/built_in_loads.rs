@@ -6,11 +6,11 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use common::{assert_close, difference, noise, off};
-use nalgebra::Vector6;
+use nalgebra::{SMatrix, Vector6};
 use varda_implicit::{ImplicitModel, ImplicitStep, Model, Scheme};
 use varda_rod::{
-    Clamp, ClampAt, Damping, Drag, EdgeLoad, EdgeMotion, FollowerForce, Load, Loads, Material, Moment, Rod,
-    RodStep, Section, Supports, Vector3, check, equilibrium, straight_guess,
+    Clamp, ClampAt, Damping, Drag, Dual64, EdgeLoad, EdgeMotion, FollowerForce, Load, Loads, Material,
+    Moment, Rod, RodStep, Section, Supports, Vector3, check, equilibrium, straight_guess,
 };
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -117,6 +117,20 @@ impl Load for Mutated {
             _ => {}
         }
         acts
+    }
+
+    fn has_second_derivatives(&self) -> bool {
+        self.entry == "second" && self.load.has_second_derivatives()
+    }
+
+    fn on_moved_edge(&self, motion: &EdgeMotion<Dual64>) -> EdgeLoad<Dual64> {
+        self.load.on_moved_edge(motion)
+    }
+
+    fn second_on_edge(&self, motion: &EdgeMotion, multipliers: &[f64; 7]) -> SMatrix<f64, 13, 13> {
+        let mut second = self.load.second_on_edge(motion, multipliers);
+        second[(7, 4)] *= 1.001;
+        second
     }
 }
 
@@ -257,6 +271,16 @@ fn the_check_for_users_passes_on_them() {
     for (name, load, _) in loads() {
         let report = check::load(&*load, &rod(true), 0.1, 0.5, 3).unwrap();
         assert!(report.passed(), "{name}:\n{report}");
+    }
+}
+
+#[test]
+fn a_wrong_closed_form_of_second_derivatives_is_seen() {
+    let drag: Arc<dyn Load> = Arc::new(Drag { flow: Vector3::new(0.3, -0.1, 0.2), ..Drag::of(1000.0, 0.01) });
+    for (entry, right) in [("none", true), ("second", false)] {
+        let load = Mutated { load: drag.clone(), entry };
+        let report = check::load(&load, &rod(true), 0.1, 0.5, 3).unwrap();
+        assert_eq!(report.passed(), right, "{report}");
     }
 }
 

@@ -1,6 +1,6 @@
 //! Drag of the fluid around a rod.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, SMatrix, Vector3};
 use num_dual::Dual64;
 
 use super::{EdgeLoad, EdgeMotion, Load};
@@ -72,6 +72,46 @@ impl Drag {
         (across * (kn * speed) + t * (kt * along.abs() * along), [by_speed, by_tangent])
     }
 
+    /// Second derivatives of μ·f by u and t, both free, and its first derivative by t: with a = u·t, w = u − a t,
+    ///
+    /// ```text
+    /// μ·f = φ(w) + p(a, t·μ),   φ = ½ρd C_n |w| w·μ,   p = ½ρd C_t |a| a t·μ
+    /// δw = (I − t tᵀ) δu − (t uᵀ + a I) δt,   δ²w = −δa δt' − δa' δt − t δ²a,   δ²a = δu·δt' + δu'·δt
+    /// ```
+    fn second_per_length(&self, v: &Vector3<f64>, t: &Vector3<f64>, mu: &Vector3<f64>) -> Second {
+        let pressure = 0.5 * self.fluid_density * self.diameter;
+        let (kn, kt) = (pressure * self.normal, pressure * self.tangential);
+        let u = self.flow - v;
+        let a = u.dot(t);
+        let w = u - t * a;
+        let speed = w.norm();
+        // at w = 0 the force is differentiable once, as |a| a is at a = 0
+        let direction = if speed > 0.0 { w / speed } else { w };
+        let along = direction.dot(mu);
+        let both = mu * direction.transpose();
+        let identity = Matrix3::identity();
+        let curved = (both + both.transpose() + (identity - outer(&direction, &direction)) * along) * kn;
+        let slope = (mu * speed + direction * w.dot(mu)) * kn;
+        let [by_a, by_a_twice, by_a_and_b] =
+            [2.0 * a.abs() * t.dot(mu), 2.0 * a.signum() * t.dot(mu), 2.0 * a.abs()].map(|p| kt * p);
+
+        let plane = identity - outer(t, t);
+        let tilt = -(outer(t, &u) + identity * a);
+        let of_a = by_a - slope.dot(t);
+        let mixed = |x: &Vector3<f64>, y: &Vector3<f64>| outer(x, y) + outer(y, x);
+        Second {
+            speeds: plane * curved * plane + outer(t, t) * by_a_twice,
+            both: plane * curved * tilt - outer(t, &slope)
+                + outer(t, &u) * by_a_twice
+                + outer(t, mu) * by_a_and_b
+                + identity * of_a,
+            tangents: tilt.transpose() * curved * tilt - mixed(&u, &slope)
+                + outer(&u, &u) * by_a_twice
+                + mixed(&u, mu) * by_a_and_b,
+            by_tangent: tilt.transpose() * slope + u * by_a + mu * (kt * a.abs() * a),
+        }
+    }
+
     fn acts<T: Real>(&self, motion: &EdgeMotion<T>) -> EdgeLoad<T> {
         let (t, l) = motion.tangent();
         let half = T::of(0.5 * motion.rest_length);
@@ -85,6 +125,15 @@ impl Drag {
         }
         load
     }
+}
+
+/// Second derivatives of μ·f by u and t, and ∂(μ·f)/∂t.
+struct Second {
+    speeds: Matrix3<f64>,
+    /// Rows by u, columns by t.
+    both: Matrix3<f64>,
+    tangents: Matrix3<f64>,
+    by_tangent: Vector3<f64>,
 }
 
 impl Load for Drag {
@@ -113,5 +162,33 @@ impl Load for Drag {
 
     fn on_moved_edge(&self, motion: &EdgeMotion<Dual64>) -> EdgeLoad<Dual64> {
         self.acts(motion)
+    }
+
+    fn second_on_edge(&self, motion: &EdgeMotion, multipliers: &[f64; 7]) -> SMatrix<f64, 13, 13> {
+        let (t, l) = motion.tangent();
+        let half = 0.5 * motion.rest_length;
+        let plane = Matrix3::identity() - outer(&t, &t);
+        let mut by_edge = Matrix3::zeros();
+        let mut all = SMatrix::<f64, 13, 13>::zeros();
+        for (vertex, v) in motion.velocities.iter().enumerate() {
+            let mu = Vector3::from_column_slice(&multipliers[3 * vertex..3 * vertex + 3]) * half;
+            let of = self.second_per_length(v, &t, &mu);
+            // δt = P δe/l, δ²t = −((t·δe) P δe' + (t·δe') P δe + (δe·P δe') t)/l²
+            let across = plane * of.by_tangent;
+            let turned = outer(&t, &across) + outer(&across, &t) + plane * of.by_tangent.dot(&t);
+            by_edge += (plane * of.tangents * plane - turned) / (l * l);
+            // u = flow − v
+            let speed_and_edge = -of.both * plane / l;
+            let row = 7 + 3 * vertex;
+            all.fixed_view_mut::<3, 3>(row, row).copy_from(&of.speeds);
+            for (end, sign) in [(0, -1.0), (3, 1.0)] {
+                all.fixed_view_mut::<3, 3>(row, end).copy_from(&(speed_and_edge * sign));
+                all.fixed_view_mut::<3, 3>(end, row).copy_from(&(speed_and_edge.transpose() * sign));
+            }
+        }
+        for (a, b, sign) in [(0, 0, 1.0), (0, 3, -1.0), (3, 0, -1.0), (3, 3, 1.0)] {
+            all.fixed_view_mut::<3, 3>(a, b).copy_from(&(by_edge * sign));
+        }
+        all
     }
 }
