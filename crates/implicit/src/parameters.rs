@@ -343,11 +343,11 @@ impl<S: ParametricStep> WithParameters<S> {
         (&mut self.step, SolvedStep { at: of.at, x: &self.x, u: of.u, kept }, &mut self.next)
     }
 
-    /// What second derivatives keep: the step's own, the columns of ∂²L/∂x∂p and ∂²L/∂u∂p, and
-    /// ∂²L/∂p².
-    fn second_lengths(&self) -> [usize; 4] {
+    /// What second derivatives keep: the step's own, the columns of ∂²L/∂x∂p and ∂²L/∂u∂p,
+    /// ∂²L/∂p², and whether a parameter has any that is not zero.
+    fn second_lengths(&self) -> [usize; 5] {
         let (own, active) = (self.step.second_kept().unwrap_or(0), self.active);
-        [own, active * self.step.dim(), active * self.step.unknowns(), active * active]
+        [own, active * self.step.dim(), active * self.step.unknowns(), active * active, active]
     }
 
     /// λ of the step's own state.
@@ -486,16 +486,25 @@ impl<S: ParametricStep> ImplicitStep for WithParameters<S> {
     }
 
     fn keep_second(&mut self, of: &SolvedStep<'_>, lambda: &[f64], mu: &[f64], kept: &mut [f64]) {
-        let [own_kept, x, u, _] = self.second_lengths();
+        let [own_kept, x, u, square, _] = self.second_lengths();
         let lambda = self.own_lambda(lambda);
         let (own_kept, rest) = kept.split_at_mut(own_kept);
         let (by_x, rest) = rest.split_at_mut(x);
-        let (by_u, square) = rest.split_at_mut(u);
+        let (by_u, rest) = rest.split_at_mut(u);
+        let (square, acts) = rest.split_at_mut(square);
         let active = self.active;
-        let (step, own, _) = self.own(of);
+        let (step, own, next) = self.own(of);
         step.keep_second(&own, &lambda, mu, own_kept);
         if active > 0 {
-            step.keep_second_parameters(&own, &lambda, mu, [by_x, by_u], square);
+            step.keep_second_parameters(&own, &lambda, mu, [&mut *by_x, &mut *by_u], square);
+        }
+        // errors in time of what moves a support act on few steps
+        let columns = by_x.chunks_exact(next.len().max(1)).zip(by_u.chunks_exact(of.u.len().max(1)));
+        for ((acts, (by_x, by_u)), row) in
+            acts.iter_mut().zip(columns).zip(square.chunks_exact(active.max(1)))
+        {
+            let any = by_x.iter().chain(by_u).chain(row).any(|second| *second != 0.0);
+            *acts = f64::from(u8::from(any));
         }
         self.lambda = lambda;
     }
@@ -508,10 +517,11 @@ impl<S: ParametricStep> ImplicitStep for WithParameters<S> {
         [rx, ru]: [&mut [f64]; 2],
     ) {
         let places = self.places.clone();
-        let [own_kept, x, u, _] = self.second_lengths();
+        let [own_kept, x, u, square, _] = self.second_lengths();
         let (own_kept, rest) = at.kept.split_at(own_kept);
         let (by_x, rest) = rest.split_at(x);
-        let (by_u, square) = rest.split_at(u);
+        let (by_u, rest) = rest.split_at(u);
+        let (square, acts) = rest.split_at(square);
         let lambda = self.own_lambda(at.lambda);
         let mut increment = std::mem::take(&mut self.increment);
         places.gather(dx, &mut increment);
@@ -522,7 +532,8 @@ impl<S: ParametricStep> ImplicitStep for WithParameters<S> {
         step.second_add(&own, &multipliers, [&increment, du], [&mut *back, &mut *ru]);
         let p = places.control..places.control + active;
         let columns = by_x.chunks_exact(back.len().max(1)).zip(by_u.chunks_exact(du.len().max(1)));
-        for (((by_x, by_u), row), i) in columns.zip(square.chunks_exact(active.max(1))).zip(p.clone()) {
+        let all = columns.zip(square.chunks_exact(active.max(1))).zip(p.clone()).zip(acts);
+        for ((((by_x, by_u), row), i), _) in all.filter(|(_, acts)| **acts != 0.0) {
             let dp = dx[i];
             back.iter_mut().zip(by_x).for_each(|(r, c)| *r += c * dp);
             ru.iter_mut().zip(by_u).for_each(|(r, c)| *r += c * dp);

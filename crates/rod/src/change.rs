@@ -5,6 +5,7 @@ use varda_implicit::Law;
 
 use crate::along::Along;
 use crate::element::{self, Strains};
+use crate::layout::Layout;
 use crate::moved::Moved;
 use crate::moved_increment::Increments;
 use crate::rod::Rod;
@@ -131,6 +132,8 @@ pub(crate) struct Second {
     pub(crate) stresses: Vec<[f64; 4]>,
     /// μᵀ ∂G/∂g of each parameter.
     pub(crate) first: Vec<f64>,
+    /// The rod with nothing held, where parameters move supports.
+    pub(crate) all_free: Option<Layout>,
 }
 
 impl Parameters {

@@ -244,23 +244,35 @@ impl KelvinVoigt {
         dx: &mut [f64],
     ) {
         for (j, (of, _, bends)) in Self::kept_past(layout, stage, kept).enumerate() {
-            self.sum.fill(0.0);
-            let past = &self.configurations[j];
-            for (e, stress) in stresses.iter().enumerate() {
-                let [along, bend @ ..] = stress.map(|s| past.weight * s);
-                let (a, b) = (layout.vertex(e), layout.vertex(e + 1));
-                for c in 0..3 {
-                    self.sum[a + c] -= along * past.shape.edges[e].t[c];
-                    self.sum[b + c] += along * past.shape.edges[e].t[c];
-                }
-                let Some(strains) = e.checked_sub(1).and_then(|v| past.strains.get(v)) else { continue };
-                let local = &mut self.sum[layout.vertex(e - 1)..];
-                for (gradient, s) in strains.gradient.iter().zip(bend) {
-                    local.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += s * g);
-                }
-            }
+            self.of_stresses(layout, j, stresses);
             self.of_past_transpose_add(layout, of, bends, dx);
         }
+    }
+
+    /// w_j Σ s ∂ε of a configuration of the past, in the full order, one stress s for each of edge and
+    /// vertex.
+    pub(crate) fn of_stresses(&mut self, layout: &Layout, j: usize, stresses: &[[f64; 4]]) -> &[f64] {
+        self.sum.fill(0.0);
+        let past = &self.configurations[j];
+        for (e, stress) in stresses.iter().enumerate() {
+            let [along, bend @ ..] = stress.map(|s| past.weight * s);
+            let (a, b) = (layout.vertex(e), layout.vertex(e + 1));
+            for c in 0..3 {
+                self.sum[a + c] -= along * past.shape.edges[e].t[c];
+                self.sum[b + c] += along * past.shape.edges[e].t[c];
+            }
+            let Some(strains) = e.checked_sub(1).and_then(|v| past.strains.get(v)) else { continue };
+            let local = &mut self.sum[layout.vertex(e - 1)..];
+            for (gradient, s) in strains.gradient.iter().zip(bend) {
+                local.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += s * g);
+            }
+        }
+        &self.sum
+    }
+
+    /// The shapes of the past, and how many steps before x_k they are.
+    pub(crate) fn past_shapes(&self, stage: &RodStage) -> impl Iterator<Item = (f64, &Shape)> {
+        stage.past().zip(&self.configurations).map(|((_, age, _), past)| (age, &past.shape))
     }
 
     /// `full` = the increment of a configuration of the past, in its own local angles.
@@ -312,8 +324,14 @@ impl KelvinVoigt {
 
     /// Writes the bands: with the stresses s = k ∂ε(y)[μ] of the stage, and its own share and weight −r
     /// w, Σ s ∂²ε of each configuration of the past, in its stored angles. `mu` is in the full order;
-    /// the rest of what is kept `System::third_add` writes.
-    pub(crate) fn keep_second(&mut self, system: &System, kept: &[f64], mu: &[f64], bands: &mut [f64]) {
+    /// the rest of what is kept `System::third_add` writes. `free_angles` are those that are not given.
+    pub(crate) fn keep_second(
+        &mut self,
+        system: &System,
+        free_angles: &[usize],
+        [kept, mu]: [&[f64]; 2],
+        bands: &mut [f64],
+    ) {
         let (layout, n) = (&system.layout, system.layout.segments);
         let Self { configurations, used, share, stresses, weights, .. } = self;
         stresses.resize(n, [0.0; 4]);
@@ -323,7 +341,7 @@ impl KelvinVoigt {
             band.fill(0.0);
             let share = -*share * past.weight;
             system.strains_second_add(&past.shape, stresses, share, band);
-            if layout.free_angles.is_empty() {
+            if free_angles.is_empty() {
                 continue;
             }
             // what its local angles are moved by: −ψ
@@ -336,7 +354,7 @@ impl KelvinVoigt {
                     weights[vertex + 1] -= s * gradient[7];
                 }
             }
-            for e in (0..n).filter(|e| layout.free_angles.binary_search(e).is_err()) {
+            for e in (0..n).filter(|e| free_angles.binary_search(e).is_err()) {
                 weights[e] = 0.0;
             }
             system.holonomy_second_add(&past.shape, weights, band);
@@ -374,6 +392,53 @@ impl KelvinVoigt {
             self.of_past_transpose_add(layout, of, bends, rx);
         }
         (self.of_stage, self.unknowns) = (of_stage, [own, product]);
+    }
+}
+
+impl KelvinVoigt {
+    /// μᵀ ∂G by every configuration of the past, `mu` and these in the full order.
+    pub(crate) fn on_past(
+        &self,
+        layout: &Layout,
+        stage: &RodStage,
+        kept: &[f64],
+        mu: &[f64],
+    ) -> Vec<Vec<f64>> {
+        let of = |(_, strains, _)| {
+            let mut on = vec![0.0; layout.full()];
+            couple(layout, kept, strains, mu, &mut on);
+            on
+        };
+        Self::kept_past(layout, stage, kept).map(of).collect()
+    }
+
+    /// Adds the second derivatives of μᵀG by the stage and configuration j of the past, times increments
+    /// of both, to what acts on both: `strained` is k ∂²ε[μ] of the stage.
+    pub(crate) fn second_of_both_add(
+        &self,
+        (layout, stage, j): (&Layout, &RodStage, usize),
+        [kept, strained]: [&[f64]; 2],
+        [now, past]: [&[f64]; 2],
+        [on_now, on_past]: [&mut [f64]; 2],
+    ) {
+        let (_, strains, _) =
+            Self::kept_past(layout, stage, kept).nth(j).expect("a configuration of the past");
+        couple(layout, strains, strained, past, on_now);
+        couple(layout, strained, strains, now, on_past);
+    }
+
+    /// dx += what acts on configuration j of the past, in the full order.
+    pub(crate) fn onto_past(
+        &mut self,
+        (layout, stage, j): (&Layout, &RodStage, usize),
+        kept: &[f64],
+        on: &[f64],
+        dx: &mut [f64],
+    ) {
+        let (of, _, bends) =
+            Self::kept_past(layout, stage, kept).nth(j).expect("a configuration of the past");
+        self.sum.copy_from_slice(on);
+        self.of_past_transpose_add(layout, of, bends, dx);
     }
 }
 

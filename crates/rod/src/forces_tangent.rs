@@ -99,6 +99,57 @@ impl Parameters {
         damping: &Damping,
         times: [f64; 2],
     ) -> Vec<(usize, ChangeOfForces)> {
+        let mut all = self.of_constants(system, motion, damping);
+        for (index, moved) in self.of_supports(system, motion, damping, times) {
+            match all.binary_search_by_key(&index, |(index, _)| *index) {
+                Ok(place) => {
+                    let (forces, of) = (moved.forces, &mut all[place].1);
+                    of.forces.iter_mut().zip(forces).for_each(|(force, more)| *force += more);
+                    of.moved = moved.moved;
+                }
+                Err(place) => all.insert(place, (index, moved)),
+            }
+        }
+        all
+    }
+
+    /// That of parameters that move supports, and by that alone.
+    pub(crate) fn of_supports(
+        &self,
+        system: &System,
+        motion: &Motion,
+        damping: &Damping,
+        times: [f64; 2],
+    ) -> Vec<(usize, ChangeOfForces)> {
+        let bent = if system.layout.bending { system.layout.segments - 1 } else { 0 };
+        let of = |(index, parameter): (usize, &Parameter)| {
+            if parameter.change.supports.is_empty() {
+                return None;
+            }
+            let mut of = ChangeOfForces {
+                gradient: vec![0.0; system.layout.full()],
+                moments: vec![[0.0; 3]; bent],
+                forces: vec![Vector3::zeros(); system.x.len()],
+                moved: Some(moved(system, motion, index, times)),
+            };
+            if let Some(interval) = motion.interval {
+                let moved = moved_by(system, index, interval, times[0]);
+                for ((force, [v, a]), mass) in of.forces.iter_mut().zip(moved).zip(&system.rod.masses) {
+                    *force -= (a + v * damping.mass) * *mass;
+                }
+            }
+            (!of.is_none()).then_some((index, of))
+        };
+        self.list.iter().enumerate().filter_map(of).collect()
+    }
+
+    /// That of parameters that change constants, and by that alone.
+    pub(crate) fn of_constants(
+        &self,
+        system: &mut System,
+        motion: &Motion,
+        damping: &Damping,
+    ) -> Vec<(usize, ChangeOfForces)> {
         let h = motion.start.length;
         let past = motion.past.map_or_else(PastStrains::default, |past| past.strains());
         let of = |(index, (p, slope)): (usize, (&Parameter, &f64))| {
@@ -116,22 +167,12 @@ impl Parameters {
                     + (more_gravity - velocity * change.damping.mass) * mass;
                 each * *slope
             };
-            let mut of = ChangeOfForces {
+            let of = ChangeOfForces {
                 moments: bent.map(stress).collect(),
                 forces: (0..system.x.len()).map(force).collect(),
                 gradient: system.gradient.iter().map(|g| slope * g).collect(),
                 moved: None,
             };
-            if !change.supports.is_empty() {
-                if let Some(interval) = motion.interval {
-                    let moved = moved_by(system, index, interval, times[0]);
-                    let inertia = |[v, a]: [Vector3<f64>; 2], m: f64| (a + v * damping.mass) * m;
-                    for ((force, moved), mass) in of.forces.iter_mut().zip(moved).zip(&system.rod.masses) {
-                        *force -= inertia(moved, *mass);
-                    }
-                }
-                of.moved = Some(moved(system, motion, index, times));
-            }
             (!of.is_none()).then_some((index, of))
         };
         self.list.iter().zip(&self.slopes).enumerate().filter_map(of).collect()
@@ -151,7 +192,7 @@ pub(crate) fn moved_by(system: &System, parameter: usize, h: f64, t: f64) -> Vec
 }
 
 /// The increments of two configurations by supports that a parameter moves.
-fn moved(system: &System, motion: &Motion, parameter: usize, times: [f64; 2]) -> [Increment; 2] {
+pub(crate) fn moved(system: &System, motion: &Motion, parameter: usize, times: [f64; 2]) -> [Increment; 2] {
     let of = |shape: Option<&Shape>, t: f64| {
         let mut moved = Increment::new(system.rod.segments());
         let Increment { places, angles } = &mut moved;

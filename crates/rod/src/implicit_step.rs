@@ -371,10 +371,10 @@ impl ImplicitStep for RodStep {
         self.lambda = to;
     }
 
-    /// Not with loads without second derivatives, parameters that move supports, or a rod at rest.
+    /// Not with loads without second derivatives, or a rod at rest.
     fn second_kept(&self) -> Option<usize> {
         let (s, layout) = (&self.system, &self.system.layout);
-        let given = s.loads_have_second_derivatives() && s.moves.is_empty() && !self.is_at_rest;
+        let given = s.loads_have_second_derivatives() && !self.is_at_rest;
         let damping = self.viscous.as_ref().map_or(0, |viscous| viscous.second_kept(layout));
         given.then(|| {
             self.second_bands() * layout.band() + damping + self.second_of_motion().iter().sum::<usize>()
@@ -411,7 +411,8 @@ impl ImplicitStep for RodStep {
             Some(viscous) => {
                 let (strained, bands) = damping.split_at_mut(STRAINS * system.layout.segments);
                 system.third_add(&Increment(full), band, Some(strained));
-                viscous.keep_second(system, &step.kept[kept[0] + kept[1]..], full, bands);
+                let of = [&step.kept[kept[0] + kept[1]..], full];
+                viscous.keep_second(system, &system.layout.free_angles, of, bands);
             }
             None => system.third_add(&Increment(full), band, None),
         }

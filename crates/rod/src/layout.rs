@@ -69,6 +69,12 @@ impl Layout {
         Layout::of(self.segments, self.twist, self.bending, Vec::new(), self.free_angles.clone())
     }
 
+    /// The same rod with nothing held: unknowns in the full order.
+    pub(crate) fn all_free(&self) -> Layout {
+        let angles = (0..self.segments).filter(|_| self.twist).collect();
+        Layout::of(self.segments, self.twist, self.bending, (0..=self.segments).collect(), angles)
+    }
+
     fn of(
         segments: usize,
         twist: bool,

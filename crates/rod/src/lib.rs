@@ -130,6 +130,8 @@ mod material;
 mod modes;
 mod moved;
 mod moved_increment;
+mod moved_second;
+mod moved_together;
 mod parameters;
 mod predict;
 mod quasi_static;

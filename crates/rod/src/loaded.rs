@@ -222,6 +222,33 @@ impl System {
         });
     }
 
+    /// Adds −μᵀ ∂F of the loads to what acts on the present configuration and on the start of the
+    /// stage, all in the full order.
+    pub(crate) fn loads_transpose_add(
+        &self,
+        start: Option<StageStart>,
+        mu: &Increment,
+        [on_now, on_start]: [&mut [f64]; 2],
+    ) {
+        let (layout, rate) = (&self.layout, start.map_or(0.0, |start| 1.0 / start.length));
+        self.each_load(start, |acts, motion, _| {
+            let e = motion.edge;
+            let mu = mu.of_edge(layout, e);
+            let by_places = acts.by_places_of_carried(motion);
+            for b in 0..6 {
+                let i = layout.vertex(e + b / 3) + b % 3;
+                let by_speed: f64 = (0..6).map(|a| mu[a] * acts.by_velocities[(a, b)] * rate).sum();
+                let by_place: f64 = (0..6).map(|a| mu[a] * by_places[(a, b)]).sum();
+                on_now[i] -= by_place + by_speed + mu[6] * acts.moment_by_places[b];
+                on_start[i] += by_speed;
+            }
+            if layout.twist {
+                let by_angle: f64 = (0..6).map(|a| mu[a] * acts.by_angle[a]).sum();
+                on_now[layout.angle(e)] -= by_angle + mu[6] * acts.moment_by_angle;
+            }
+        });
+    }
+
     /// What was kept of the start of the stage: adds to `on_unknowns` what an increment of it does, `star` by
     /// unknowns, and to `on_star` what both do.
     pub(crate) fn second_of_start_add(

@@ -1,11 +1,13 @@
 //! Points carried by the rod: on the centreline, or off it in the frame of the section.
 
+mod second;
+
 use nalgebra::{Matrix3, Vector3};
 use varda_implicit::{At, ImplicitStep, ObservationOperator, Refusal};
 
 use crate::Error;
 use crate::dynamics::RodStep;
-use crate::layout::band_product_add;
+use crate::moved_together::Together;
 use crate::rod::Place;
 use crate::system::System;
 
@@ -64,20 +66,7 @@ pub struct Markers {
     angle: Vec<f64>,
     /// Parameters of the step that move its supports.
     moving: Vec<usize>,
-    second: Second,
-}
-
-/// Work space of second derivatives: nothing until they are asked for.
-#[derive(Default)]
-struct Second {
-    /// Forces on places and angles; the derivative by the angle of every edge.
-    on_places: Vec<Vector3<f64>>,
-    on_angles: Vec<f64>,
-    by_angle: Vec<f64>,
-    /// The second derivative of what acts on ψ; an increment of the unknowns, and its product with it.
-    band: Vec<f64>,
-    by: Vec<f64>,
-    product: Vec<f64>,
+    second: second::Second,
 }
 
 impl Markers {
@@ -104,7 +93,7 @@ impl Markers {
             psi: vec![0.0; n],
             angle: vec![0.0; n],
             moving: rod.system.moves.parameters(),
-            second: Second::default(),
+            second: second::Second::default(),
         })
     }
 
@@ -278,54 +267,18 @@ impl Markers {
         }
     }
 
-    /// The second derivatives of Σ dy·y with the places (s, o₁, o₂, o₃) of the markers, four numbers
-    /// each, and the state: adds those of an increment of both to `out` and, by places, to `out_places`.
-    /// Those of the state alone [`second_adjoint_add`](ObservationOperator::second_adjoint_add) adds; of
-    /// places alone there are none.
-    ///
-    /// # Errors
-    /// A state that cannot be observed.
-    ///
-    /// # Panics
-    /// If a slice has the wrong length, or there are no frames ([`with_frames`](Self::with_frames)).
-    pub fn second_by_place_add(
-        &mut self,
-        at: At,
-        x: &[f64],
-        [dx, places]: [&[f64]; 2],
-        dy: &[f64],
-        [out, out_places]: [&mut [f64]; 2],
-    ) -> Result<(), Error> {
-        let four = 4 * self.markers.len();
-        assert!(places.len() == four && out_places.len() == four, "four numbers for every marker");
-        assert!(self.frames, "a rod with frames");
-        self.set(at.time, x)?;
-        self.system.displacements(dx, &mut self.displacement);
-        self.turn_angles(dx);
-        let units = [Vector3::x(), Vector3::y(), Vector3::z()];
-        for ((place, _), (dy, out)) in
-            self.markers.iter().zip(dy.chunks_exact(3).zip(out_places.chunks_exact_mut(4)))
-        {
-            let (e, force) = (place.edge, self.force(dy));
-            let moved = self.displacement[e + 1] - self.displacement[e];
-            out[0] += force.dot(&moved) / self.system.rod.rest_lengths[e];
-            for (unit, out) in units.iter().zip(&mut out[1..]) {
-                let (rate, turn) = self.offset_transpose(e, unit, &force);
-                *out += rate.dot(&moved) + turn * self.angle[e];
-            }
-        }
+    /// `displacement` and `angle` = what acts on places and local angles.
+    fn forces_of(&mut self, dy: &[f64]) {
         self.displacement.fill(Vector3::zeros());
         self.angle.fill(0.0);
-        for (m, (places, dy)) in places.chunks_exact(4).zip(dy.chunks_exact(3)).enumerate() {
-            let (e, force) = (self.markers[m].0.edge, self.force(dy));
-            let (rate, turn) = self.offset_transpose(e, &Vector3::from_column_slice(&places[1..]), &force);
-            let on_end = rate + force * (places[0] / self.system.rod.rest_lengths[e]);
-            self.angle[e] += turn;
-            self.displacement[e] -= on_end;
-            self.displacement[e + 1] += on_end;
+        for ((place, o), dy) in self.markers.iter().zip(dy.chunks_exact(3)) {
+            let (i, w) = (place.edge, place.fraction);
+            let dp = self.force(dy);
+            let (rate, turn) = self.offset_transpose(place.edge, o, &dp);
+            self.angle[i] += turn;
+            self.displacement[i] += dp * (1.0 - w) - rate;
+            self.displacement[i + 1] += dp * w + rate;
         }
-        self.displacements_transpose_add(out);
-        Ok(())
     }
 
     /// δp or p of a marker into the axes of the observer; p − c already taken.
@@ -441,16 +394,7 @@ impl ObservationOperator for Markers {
     fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
         assert_eq!(dy.len(), self.dim(), "three numbers for every marker");
         self.set(at.time, x).expect("this state was observed before");
-        self.displacement.fill(Vector3::zeros());
-        self.angle.fill(0.0);
-        for ((place, o), dy) in self.markers.iter().zip(dy.chunks_exact(3)) {
-            let (i, w) = (place.edge, place.fraction);
-            let dp = self.force(dy);
-            let (rate, turn) = self.offset_transpose(place.edge, o, &dp);
-            self.angle[i] += turn;
-            self.displacement[i] += dp * (1.0 - w) - rate;
-            self.displacement[i + 1] += dp * w + rate;
-        }
+        self.forces_of(dy);
         self.displacements_transpose_add(dx);
     }
 
@@ -465,53 +409,8 @@ impl ObservationOperator for Markers {
             return;
         }
         self.set(at.time, x).expect("this state was observed before");
-        self.system.displacements(dx, &mut self.displacement);
-        let n = self.psi.len();
-        if self.frames {
-            self.turn_angles(dx);
-        }
-        let mut second = std::mem::take(&mut self.second);
-        let Second { on_places, on_angles, by_angle, band, by, product } = &mut second;
-        on_places.clear();
-        on_places.resize(n + 1, Vector3::zeros());
-        for zeroed in [&mut *on_angles, by_angle] {
-            zeroed.clear();
-            zeroed.resize(n, 0.0);
-        }
-        for ((place, o), dy) in self.markers.iter().zip(dy.chunks_exact(3)) {
-            let e = place.edge;
-            let force = self.force(dy);
-            let turn = if self.frames { self.angle[e] } else { 0.0 };
-            let moved = ([self.displacement[e], self.displacement[e + 1]], turn);
-            let places = &mut on_places[e..e + 2];
-            by_angle[e] += self.system.offset_second_add(e, [&force, o], moved, places, &mut on_angles[e]);
-        }
-        if self.frames {
-            // ψ itself is curved
-            self.angle.copy_from_slice(by_angle);
-            self.weigh_holonomy();
-            let layout = &self.system.layout;
-            for (zeroed, length) in
-                [(&mut *band, layout.band()), (by, layout.unknowns), (product, layout.unknowns)]
-            {
-                zeroed.clear();
-                zeroed.resize(length, 0.0);
-            }
-            self.system.holonomy_second_add(&self.system.shape, &mut self.psi, band);
-            let unknown = |v: usize| layout.unknown[layout.vertex(v)];
-            for &v in &layout.free_vertices {
-                by[unknown(v)..unknown(v) + 3].copy_from_slice(self.displacement[v].as_slice());
-            }
-            band_product_add(layout.half_bandwidth, band, by, product);
-            for &v in &layout.free_vertices {
-                on_places[v] += Vector3::from_column_slice(&product[unknown(v)..unknown(v) + 3]);
-            }
-        }
-        self.displacement.copy_from_slice(on_places);
-        if self.frames {
-            self.angle.copy_from_slice(on_angles);
-        }
+        self.set_increment(dx, &[], &Together::default());
+        self.second_of_increment(dy);
         self.displacements_transpose_add(out);
-        self.second = second;
     }
 }

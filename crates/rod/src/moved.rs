@@ -112,9 +112,10 @@ pub(crate) struct Item {
     parameter: usize,
     law: Law,
     pub(crate) moved: Moved,
-    /// g and g′ at the present values.
+    /// g, g′ and g″ at the present values.
     g: f64,
     pub(crate) slope: f64,
+    pub(crate) curvature: f64,
 }
 
 /// All of them, and where they have the supports at the present values.
@@ -139,7 +140,7 @@ impl Moves {
                     all.drives.push((moved.of, [drive; 2]));
                 }
                 let moved = moved.clone();
-                all.items.push(Item { parameter, law, moved, g: 0.0, slope: 1.0 });
+                all.items.push(Item { parameter, law, moved, g: 0.0, slope: 1.0, curvature: 0.0 });
             }
         }
         all
@@ -168,7 +169,8 @@ impl Moves {
         drives.iter_mut().for_each(|(_, [prior, now])| *now = *prior);
         for item in items {
             let p = p[item.parameter];
-            (item.g, item.slope) = (item.law.value(p), item.law.slope(p));
+            (item.g, item.slope, item.curvature) =
+                (item.law.value(p), item.law.slope(p), item.law.curvature(p));
             match &item.moved.by {
                 MovedBy::Turn(by) => turns[usize::from(item.moved.of == HeldAt::End)] += by * item.g,
                 MovedBy::Drive { radii, phase, .. } => {
@@ -180,6 +182,17 @@ impl Moves {
                 MovedBy::Along(_) | MovedBy::TurnAlong { .. } => {}
             }
         }
+    }
+
+    /// Writes those that may move something at time t, ascending: errors in time are zero at most times.
+    pub(crate) fn acting(&self, t: f64, all: &mut Vec<usize>) {
+        let acts = |item: &&Item| match &item.moved.by {
+            MovedBy::Turn(_) | MovedBy::Drive { .. } => true,
+            MovedBy::Along(along) | MovedBy::TurnAlong { along, .. } => along.0.at(t) != Vector3::zeros(),
+        };
+        all.clear();
+        all.extend(self.items.iter().filter(acts).map(|item| item.parameter));
+        all.dedup();
     }
 
     /// What one of them does.
@@ -236,5 +249,20 @@ impl Moves {
             }
         };
         by * item.slope
+    }
+
+    /// ∂²(place)/∂p∂q at time t of two items of one support; g″ is in that of an item with itself.
+    pub(crate) fn second_rate(&self, [a, b]: [&Item; 2], t: f64) -> Vector3<f64> {
+        let mut sum = Vector3::zeros();
+        if std::ptr::eq(a, b) && a.curvature != 0.0 {
+            sum += self.rate(a, t) * (a.curvature / a.slope);
+        }
+        if let (MovedBy::Drive { radii, phase, .. }, MovedBy::Drive { radii: others, phase: other, .. }) =
+            (&a.moved.by, &b.moved.by)
+            && let Some((_, [_, now])) = self.drives.iter().find(|known| known.0 == a.moved.of)
+        {
+            sum += now.second_by([*radii, *others], [*phase, *other], t) * (a.slope * b.slope);
+        }
+        sum
     }
 }

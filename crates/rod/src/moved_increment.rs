@@ -1,12 +1,12 @@
 //! What supports that parameters move do to a configuration of a rod.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use crate::Error;
 use crate::element;
 use crate::layout::{FIXED, Layout};
 use crate::moved::{HeldAt, Moved, MovedBy};
-use crate::rotation::{exponential, left_jacobian};
+use crate::rotation::{exponential, left_jacobian, left_jacobian_derivative};
 use crate::shape::Shape;
 use crate::support::Supports;
 use crate::system::{StageStart, System};
@@ -20,13 +20,73 @@ pub(crate) struct MovedSupports {
     about: [f64; 2],
 }
 
+/// A clamp that parameters turn, at one time.
+#[derive(Clone, Copy)]
+pub(crate) struct TurnedClamp {
+    axes: Matrix3<f64>,
+    tangent: Vector3<f64>,
+    /// The rotation vector in its own axes.
+    turn: Vector3<f64>,
+    /// The part of it by which the body turns that carries it, and its place in that body.
+    carried: Option<(Vector3<f64>, Vector3<f64>)>,
+}
+
+/// Two changes of a rotation: ω_p, ω_q, ∂_q ω_p and ∂_p ω_q.
+struct Turns {
+    omega: [Vector3<f64>; 2],
+    derivative: [Vector3<f64>; 2],
+}
+
+impl Turns {
+    /// Of the rotation vector ρ in `axes`, changed `by` two vectors and `curved` by both.
+    fn by(axes: &Matrix3<f64>, rho: &Vector3<f64>, by: [Vector3<f64>; 2], curved: Vector3<f64>) -> Turns {
+        let jacobian = left_jacobian(rho);
+        let omega = by.map(|by| axes * (jacobian * by));
+        let of =
+            |a: usize, b: usize| axes * (left_jacobian_derivative(rho, &by[b]) * by[a] + jacobian * curved);
+        Turns { omega, derivative: [of(0, 1), of(1, 0)] }
+    }
+
+    /// What both do to a vector that is turned.
+    fn of(&self, turned: &Vector3<f64>) -> Vector3<f64> {
+        let [p, q] = &self.omega;
+        self.derivative[0].cross(turned) + p.cross(&q.cross(turned))
+    }
+
+    /// What both do to the turn about a tangent.
+    fn about(&self, tangent: &Vector3<f64>) -> f64 {
+        0.5 * (self.derivative[0] + self.derivative[1]).dot(tangent)
+    }
+}
+
 impl System {
+    /// That clamp at time t.
+    ///
+    /// # Panics
+    /// If the rod has no such clamp.
+    pub(crate) fn turned_clamp(&self, end: bool, t: f64) -> Result<TurnedClamp, Error> {
+        let frame = self.clamp_frame(end, t)?.expect("a clamp that turns is one of the rod");
+        let (turn, carried) = (self.moves.turn(end, t), self.moves.turned(end, t));
+        Ok(TurnedClamp { axes: frame.axes, tangent: frame.tangent, turn, carried })
+    }
+
     /// ∂(places)/∂p at time t in all vertices, zero in those that are free.
     pub(crate) fn moved_places(
         &self,
         parameter: usize,
         t: f64,
         places: &mut [Vector3<f64>],
+    ) -> Result<MovedSupports, Error> {
+        self.moved_places_by(parameter, t, places, |end| self.turned_clamp(end, t))
+    }
+
+    /// The same with the clamps at that time.
+    pub(crate) fn moved_places_by(
+        &self,
+        parameter: usize,
+        t: f64,
+        places: &mut [Vector3<f64>],
+        clamp: impl Fn(bool) -> Result<TurnedClamp, Error>,
     ) -> Result<MovedSupports, Error> {
         places.fill(Vector3::zeros());
         let (n, mut of) = (self.rod.segments(), MovedSupports { any: false, about: [0.0; 2] });
@@ -50,11 +110,9 @@ impl System {
             };
             if by != Vector3::zeros() {
                 let end = item.moved.of == HeldAt::End;
-                let frame = self.clamp_frame(end, t)?.expect("a clamp that turns is one of the rod");
-                let omega = frame.axes * (left_jacobian(&self.moves.turn(end, t)) * by) * item.slope;
-                if let (MovedBy::TurnAlong { .. }, Some((turn, arm))) =
-                    (&item.moved.by, self.moves.turned(end, t))
-                {
+                let frame = clamp(end)?;
+                let omega = frame.axes * (left_jacobian(&frame.turn) * by) * item.slope;
+                if let (MovedBy::TurnAlong { .. }, Some((turn, arm))) = (&item.moved.by, frame.carried) {
                     let carried = (left_jacobian(&turn) * by).cross(&(exponential(&turn) * arm));
                     let carried = frame.axes * carried * item.slope;
                     places[vertex] += carried;
@@ -66,6 +124,65 @@ impl System {
                 of.about[usize::from(end)] += omega.dot(&frame.tangent);
                 of.any |= omega != Vector3::zeros();
             }
+        }
+        Ok(of)
+    }
+
+    /// ∂²(places)/∂p∂q at time t in all vertices, and of the turns of clamps. With ω_p of a clamp's
+    /// axes,
+    ///
+    /// ```text
+    /// ∂²(R y)/∂p∂q = ∂_q ω_p × R y + ω_p × (ω_q × R y)
+    /// ∂²α/∂p∂q = ½ (∂_q ω_p + ∂_p ω_q)·t
+    /// ```
+    ///
+    /// with α the turn beyond what carries the section from its present tangent to another.
+    fn moved_places_twice(
+        &self,
+        [p, q]: [usize; 2],
+        t: f64,
+        places: &mut [Vector3<f64>],
+        clamp: impl Fn(bool) -> Result<TurnedClamp, Error>,
+    ) -> Result<MovedSupports, Error> {
+        places.fill(Vector3::zeros());
+        let (n, mut of) = (self.rod.segments(), MovedSupports { any: false, about: [0.0; 2] });
+        let pairs = self.moves.of_parameter(p).flat_map(|a| self.moves.of_parameter(q).map(move |b| (a, b)));
+        for (a, b) in pairs.filter(|(a, b)| a.moved.of == b.moved.of) {
+            let moved = self.moves.second_rate([a, b], t);
+            let [vertex, beside] = match a.moved.of {
+                HeldAt::Vertex(v) => [v, v],
+                HeldAt::Start => [0, 1],
+                HeldAt::End => [n, n - 1],
+            };
+            of.any |= moved != Vector3::zeros();
+            places[vertex] += moved;
+            if beside == vertex {
+                continue;
+            }
+            places[beside] += moved;
+            let turn = |by: &MovedBy| match by {
+                MovedBy::Turn(by) => Some(*by),
+                MovedBy::TurnAlong { along, .. } => Some(along.0.at(t)),
+                MovedBy::Along(_) | MovedBy::Drive { .. } => None,
+            };
+            let (Some(by_a), Some(by_b)) = (turn(&a.moved.by), turn(&b.moved.by)) else { continue };
+            let end = a.moved.of == HeldAt::End;
+            let frame = clamp(end)?;
+            let by = [by_a * a.slope, by_b * b.slope];
+            let curved = if std::ptr::eq(a, b) { by_a * a.curvature } else { Vector3::zeros() };
+            let turns = Turns::by(&frame.axes, &frame.turn, by, curved);
+            if let (MovedBy::TurnAlong { .. }, MovedBy::TurnAlong { .. }, Some((turn, arm))) =
+                (&a.moved.by, &b.moved.by, frame.carried)
+            {
+                let carried = frame.axes * (exponential(&turn) * arm);
+                let carried = Turns::by(&frame.axes, &turn, by, curved).of(&carried);
+                places[vertex] += carried;
+                places[beside] += carried;
+            }
+            let length = self.rod.rest_lengths[if end { n - 1 } else { 0 }];
+            places[beside] += turns.of(&(frame.tangent * if end { -length } else { length }));
+            of.about[usize::from(end)] += turns.about(&frame.tangent);
+            of.any = true;
         }
         Ok(of)
     }
@@ -82,6 +199,31 @@ impl System {
         angles: &mut [f64],
     ) -> Option<f64> {
         let moved = self.moved_places(parameter, t, places).expect("supports were placed at this time");
+        self.angles_of_moved(shape, &moved, places, angles)
+    }
+
+    /// What two parameters do together to a configuration, in coordinates that are fixed at the present one
+    /// (see [`second_order`](crate::second_order)): places and angles of held edges. Of other angles it is
+    /// what ψ is moved by with the places, not its own second derivatives.
+    pub(crate) fn moved_twice(
+        &self,
+        shape: &Shape,
+        (parameters, t): ([usize; 2], f64),
+        (places, angles): (&mut [Vector3<f64>], &mut [f64]),
+        clamp: impl Fn(bool) -> Result<TurnedClamp, Error>,
+    ) -> Option<f64> {
+        let moved = self.moved_places_twice(parameters, t, places, clamp);
+        let moved = moved.expect("supports were placed at this time");
+        self.angles_of_moved(shape, &moved, places, angles)
+    }
+
+    pub(crate) fn angles_of_moved(
+        &self,
+        shape: &Shape,
+        moved: &MovedSupports,
+        places: &[Vector3<f64>],
+        angles: &mut [f64],
+    ) -> Option<f64> {
         if !moved.any {
             return None;
         }
@@ -206,7 +348,7 @@ pub(crate) fn in_full_order(layout: &Layout, places: &[Vector3<f64>], angles: &[
 }
 
 /// out += a symmetric matrix, of which the lower triangle is read, times x.
-fn lower_times_add<const N: usize>(h: &[[f64; N]; N], x: &[f64; N], out: &mut [f64]) {
+pub(crate) fn lower_times_add<const N: usize>(h: &[[f64; N]; N], x: &[f64; N], out: &mut [f64]) {
     for i in 0..N {
         let mut sum = h[i][i] * x[i];
         for j in 0..i {

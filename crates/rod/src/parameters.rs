@@ -2,6 +2,7 @@
 
 use nalgebra::Vector3;
 use varda_implicit::{Interval, ParametricStep, Refusal, SolvedStep};
+use varda_linalg::dot;
 
 use crate::Error;
 use crate::change::{Change, Parameter, Parameters, Second};
@@ -10,6 +11,7 @@ use crate::dynamics::{RodStep, TwistUnknowns};
 use crate::layout::FIXED;
 use crate::moved::Moves;
 use crate::moved_increment::{self, Increments};
+use crate::moved_second::Acting;
 use crate::rod::Rod;
 use crate::second_order::Increment;
 use crate::second_parameters::Strained;
@@ -219,22 +221,26 @@ impl ParametricStep for RodStep {
         }
     }
 
-    /// Those of constants: a step whose supports move has no second derivatives.
     fn has_second_parameters(&self) -> bool {
-        self.system.moves.is_empty()
+        true
     }
 
     fn keep_second_parameters(
         &mut self,
         of: &SolvedStep<'_>,
-        _lambda: &[f64],
+        lambda: &[f64],
         mu: &[f64],
-        columns: [&mut [f64]; 2],
+        [by_x, by_u]: [&mut [f64]; 2],
         square: &mut [f64],
     ) {
         let Some(mut parameters) = self.parameters.take() else { return };
         let mut work = std::mem::take(&mut parameters.second);
-        self.second_of_constants(of, mu, (&parameters, &mut work), columns, square);
+        let acting = self.acting(of);
+        let columns = [&mut *by_x, &mut *by_u];
+        self.second_of_constants(of, mu, (&parameters, &mut work, &acting), columns, square);
+        if !self.system.moves.is_empty() {
+            self.second_of_moves(of, [lambda, mu], (&mut work, &acting), [by_x, by_u], square);
+        }
         parameters.second = work;
         self.parameters = Some(parameters);
     }
@@ -367,7 +373,7 @@ impl RodStep {
         &mut self,
         of: &SolvedStep<'_>,
         mu: &[f64],
-        (parameters, work): (&Parameters, &mut Second),
+        (parameters, work, acting): (&Parameters, &mut Second, &[Acting]),
         [by_x, by_u]: [&mut [f64]; 2],
         square: &mut [f64],
     ) {
@@ -375,7 +381,8 @@ impl RodStep {
         let (h, from) = (stage.of.length, stage.of.from);
         let s = &self.system;
         let (own, nf) = (s.layout.state(), s.layout.free_vertices.len());
-        let Second { along, mu: all, full, gravities, stresses, first } = work;
+        let Second { along, mu: all, full, gravities, stresses, first, .. } = work;
+        square.fill(0.0);
         all.resize(s.layout.full(), 0.0);
         full.resize(s.layout.full(), 0.0);
         s.layout.fill(mu, all);
@@ -405,6 +412,7 @@ impl RodStep {
             let by_u = &mut by_u[p * unknowns..(p + 1) * unknowns];
             let mut sum = self.system.second_of_change(change, strained, full);
             self.system.layout.take(full, by_u);
+            acting.iter().for_each(|a| a.with_constant(p, slope * dot(full, &a.now), square));
             let rate = change.damping.mass / h;
             for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
                 let s = &self.system;
@@ -422,7 +430,12 @@ impl RodStep {
                 && self.system.past_of_change(change, strained, stresses)
             {
                 let kept = &of.kept[kept_lengths[0] + kept_lengths[1]..];
-                viscous.past_transpose_add(&self.system.layout, &stage, kept, stresses, by_x);
+                let layout = &self.system.layout;
+                viscous.past_transpose_add(layout, &stage, kept, stresses, by_x);
+                for j in (0..stage.past().count()).filter(|_| !acting.is_empty()) {
+                    let on = viscous.of_stresses(layout, j, stresses);
+                    acting.iter().for_each(|a| a.with_constant(p, slope * dot(on, &a.past[j]), square));
+                }
             }
             if let Some(spin) = self.spin.as_mut().filter(|_| self.system.layout.spins) {
                 let of = (&change.spin_inertia[..], [k, c], rate);
@@ -431,7 +444,6 @@ impl RodStep {
             by_x.iter_mut().chain(by_u).for_each(|b| *b *= slope);
             first.push(sum);
         }
-        square.fill(0.0);
         parameters.square_add(&self.system, strained, first, square);
         self.second_of_masses(parameters, (all, gravities), h, square);
         if let (Some(viscous), Some(past)) = (&mut self.viscous, past) {

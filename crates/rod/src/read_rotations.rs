@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 
-use crate::rotation::{left_jacobian_inverse, logarithm};
+use crate::rotation::{left_jacobian_derivative, left_jacobian_inverse, logarithm};
 
 /// Rotations Q that a sensor read at times \[s\], from the axes of its body to those of the model; of a
 /// sensor of directions any whose third axis is that which it read.
@@ -50,6 +50,22 @@ pub(crate) fn turn_by_section(turn: &Vector3<f64>, axes: &Matrix3<f64>) -> Matri
     axes.transpose() * left_jacobian_inverse(turn)
 }
 
+/// How Σ dy_i ∂ρ_i/∂w changes as the section turns by w: with δρ = J(−ρ)⁻¹ C w,
+///
+/// ```text
+/// δ(Cᵀ J⁻¹ dy) = −Cᵀ J⁻¹ δJ J⁻¹ dy
+/// ```
+pub(crate) fn turn_second(
+    turn: &Vector3<f64>,
+    axes: &Matrix3<f64>,
+    dy: &Vector3<f64>,
+    w: &Vector3<f64>,
+) -> Vector3<f64> {
+    let by_section = turn_by_section(turn, axes);
+    let change = left_jacobian_derivative(turn, &by_section.tr_mul(w));
+    -(by_section * (change * (left_jacobian_inverse(turn) * dy)))
+}
+
 /// By what angles \[rad\] a tangent is turned from the third axis of Q that was read, towards its first
 /// and second: θ (t₁, t₂)/sin θ with t₁, t₂, cos θ along the axes of Q. Opposite to it every way
 /// is as near, and one is taken.
@@ -75,6 +91,38 @@ pub(crate) fn tilt_by_tangent(read: &Matrix3<f64>, tangent: &Vector3<f64>) -> [V
     [0, 1].map(|i| read * (Vector3::ith(i, factor) + Vector3::z() * (slope * t[i])))
 }
 
+/// The change of Σ dy_i ∂y_i/∂t as the tangent moves by δt.
+pub(crate) fn tilt_second(
+    read: &Matrix3<f64>,
+    tangent: &Vector3<f64>,
+    dy: &Vector2<f64>,
+    moved: &Vector3<f64>,
+) -> Vector3<f64> {
+    let (t, d) = (read.tr_mul(tangent), read.tr_mul(moved));
+    let factors = tilt_factors(&t);
+    let slope = factors[1];
+    let along = slope * dy.dot(&d.xy()) + tilt_curvature(&t, factors) * dy.dot(&t.xy()) * d.z;
+    read * Vector3::new(slope * dy.x * d.z, slope * dy.y * d.z, along)
+}
+
+/// d²f/d(cos θ)² of f = θ/sin θ, these two being f and its slope: (f + 3 cos θ df/d(cos θ))/sin² θ.
+fn tilt_curvature(t: &Vector3<f64>, [factor, slope]: [f64; 2]) -> f64 {
+    let square = t.xy().norm_squared();
+    if t.z > 0.0 && square < 0.1 {
+        // of F(s²) = arcsin s/s = Σ a_k s²ᵏ, s = sin θ, it is 4 cos² θ F'' − 2 F', and a₁ = 1/6,
+        // a_{k+1}/a_k = (2k + 1)²/((2k + 2) (2k + 3))
+        let (mut first, mut second, mut power, mut a) = (0.0, 0.0, 1.0, 1.0 / 6.0);
+        for k in (1..17).map(f64::from) {
+            first += k * a * power;
+            a *= (2.0 * k + 1.0).powi(2) / ((2.0 * k + 2.0) * (2.0 * k + 3.0));
+            second += k * (k + 1.0) * a * power;
+            power *= square;
+        }
+        return 4.0 * t.z * t.z * second - 2.0 * first;
+    }
+    (factor + 3.0 * t.z * slope) / square.max(1e-24)
+}
+
 /// f = θ/sin θ and df/d(cos θ) = (f cos θ − 1)/sin² θ; without bound as θ approaches π, and that
 /// of a picoradian beside it there.
 fn tilt_factors(t: &Vector3<f64>) -> [f64; 2] {
@@ -98,6 +146,7 @@ mod tests {
 
     const AXES: [Vector3<f64>; 3] =
         [Vector3::new(1.0, 0.0, 0.0), Vector3::new(0.0, 1.0, 0.0), Vector3::new(0.0, 0.0, 1.0)];
+    const DY: Vector3<f64> = Vector3::new(0.4, -1.1, 0.7);
 
     /// The derivative along a direction by Richardson's differences of f(h).
     fn derivative<const N: usize>(f: impl Fn(f64) -> nalgebra::SVector<f64, N>) -> nalgebra::SVector<f64, N> {
@@ -121,6 +170,13 @@ mod tests {
                 // h⁴ of differences over (π − θ)
                 let error = (rows.tr_mul(&w) - by_difference).norm();
                 assert!(error < 1e-9, "{size}: {error:e}");
+                let (second, dy) = (turn_second(&found, &axes, &DY, &w), DY);
+                let rows = |h: f64| {
+                    turn_by_section(&turn(&read, &(section * exponential(&(w * h))), &axes), &axes) * dy
+                };
+                // the same
+                let error = (second - derivative(rows)).norm();
+                assert!(error < 1e-9, "{size}: second derivatives off by {error:e}");
             }
         }
     }
@@ -128,7 +184,7 @@ mod tests {
     #[test]
     fn a_tilt_and_its_derivative_at_small_and_large_angles() {
         let read = exponential(&Vector3::new(0.3, -1.0, 0.4));
-        for size in [0.0, 1e-6, 9e-3, 1.1e-2, 0.8, 2.0, 3.1] {
+        for size in [0.0, 1e-6, 9e-3, 1.1e-2, 0.3, 0.34, 0.8, 2.0, 3.1] {
             let tangent = read * exponential(&(Vector3::new(-0.6, 0.8, 0.0) * size)) * Vector3::z();
             let found = tilt(&read, &tangent);
             // about (−0.6, 0.8) the third axis turns towards (0.8, 0.6); rounding of sin θ near π
@@ -140,6 +196,15 @@ mod tests {
                 let error = (Vector2::from(rows.map(|row| row.dot(&change))) - by_difference).norm();
                 // h⁴ of differences over (π − θ)⁵, 1e7
                 assert!(error < if size > 3.0 { 1e-4 } else { 1e-10 }, "{size}: {error:e}");
+                let second = tilt_second(&read, &tangent, &DY.xy(), &change);
+                let by_difference = derivative(|h| {
+                    let [a, b] = tilt_by_tangent(&read, &(exponential(&(w * h)) * tangent));
+                    a * DY.x + b * DY.y
+                });
+                // and over (π − θ)⁷; a 1e-16 of the first derivatives in h, of numbers of 1e2 at 2 rad
+                let bound = if size > 3.0 { 1e-3 * second.norm().max(1.0) } else { 1e-9 };
+                let error = (second - by_difference).norm();
+                assert!(error < bound, "{size}: second derivatives off by {error:e}");
             }
         }
         assert_eq!(tilt(&Matrix3::identity(), &-Vector3::z()), Vector2::new(std::f64::consts::PI, 0.0));

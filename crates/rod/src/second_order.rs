@@ -48,7 +48,7 @@ pub(crate) fn slope(v: &Vector3<Dual64>) -> Vector3<f64> {
 pub(crate) struct Increment<'a>(pub(crate) &'a [f64]);
 
 impl Increment<'_> {
-    fn place(&self, layout: &Layout, v: usize) -> Vector3<f64> {
+    pub(crate) fn place(&self, layout: &Layout, v: usize) -> Vector3<f64> {
         Vector3::from_column_slice(&self.0[layout.vertex(v)..layout.vertex(v) + 3])
     }
 

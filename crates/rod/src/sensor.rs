@@ -90,17 +90,6 @@ pub enum Sensor {
 }
 
 impl Sensor {
-    /// Whether it has second derivatives, for exact Hessians: not moments, orientations and directions.
-    pub fn has_second_derivatives(&self) -> bool {
-        !matches!(
-            self,
-            Sensor::SupportMoment { .. }
-                | Sensor::Moment { .. }
-                | Sensor::Direction { .. }
-                | Sensor::Orientation { .. }
-        )
-    }
-
     /// Number of its values.
     pub fn rows(&self) -> usize {
         match self {
@@ -149,13 +138,6 @@ pub(crate) enum Placed {
 }
 
 impl Placed {
-    pub(crate) fn has_second_derivatives(&self) -> bool {
-        !matches!(
-            self,
-            Placed::ClampMoment(_) | Placed::Moment(_) | Placed::Direction(..) | Placed::Orientation(..)
-        )
-    }
-
     pub(crate) fn rows(&self) -> usize {
         match self {
             Placed::Along(..) | Placed::Spin(_) => 1,

@@ -43,7 +43,7 @@ impl Present<'_> {
     }
 
     /// What of a stress is that of the strains before.
-    fn share(&self, motion: &Motion) -> f64 {
+    pub(crate) fn share(&self, motion: &Motion) -> f64 {
         self.damping.stiffness / (motion.start.length + self.damping.stiffness)
     }
 
@@ -74,7 +74,7 @@ impl Present<'_> {
     }
 
     /// What turns with the section of an edge: m₁, m₂, t as columns.
-    fn section(system: &System, e: usize) -> Matrix3<f64> {
+    pub(crate) fn section(system: &System, e: usize) -> Matrix3<f64> {
         Matrix3::from_columns(&[system.shape.m1[e], system.shape.m2[e], system.shape.edges[e].t])
     }
 
@@ -178,6 +178,8 @@ impl Present<'_> {
                         on.gradient[v] -= by_force;
                         on.loads[v] += by_force;
                         on.velocities[v] -= direction * (share * self.damping.mass);
+                    } else {
+                        on.accelerations[v] += direction * share;
                     }
                 }
             }

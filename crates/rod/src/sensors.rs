@@ -1,7 +1,10 @@
 //! Sensors on a rod that see forces, accelerations and angular rates of one state.
 
 mod second;
+mod second_moments;
 mod second_parameters;
+mod second_rotations;
+mod second_supports;
 
 use nalgebra::Vector3;
 use varda_implicit::{At, ImplicitStep, ObservationOperator, ParametricStep, Refusal, Remembered};
@@ -368,12 +371,9 @@ impl ObservationOperator for Sensors {
         });
     }
 
-    /// Not of a rod at rest, nor with a load that has none, nor of moments, orientations and directions.
+    /// Not of a rod at rest, nor with a load that has none.
     fn has_second_derivatives(&self) -> bool {
-        let has = |placed: &Placed| placed.has_second_derivatives();
-        !self.step.is_at_rest
-            && self.step.system.loads_have_second_derivatives()
-            && self.sensors.iter().all(has)
+        !self.step.is_at_rest && self.step.system.loads_have_second_derivatives()
     }
 
     /// # Panics

@@ -81,6 +81,14 @@ impl EllipseDrive {
         let [rx, ry] = self.radii;
         Vector3::new(a * (radii[0] * cos - rx * phase * sin), a * (radii[1] * sin + ry * phase * cos), 0.0)
     }
+
+    /// What two such changes do together.
+    pub(crate) fn second_by(&self, radii: [[f64; 2]; 2], phases: [f64; 2], t: f64) -> Vector3<f64> {
+        let (a, (sin, cos)) = (self.faded_in(t), (self.omega * t + self.phase).sin_cos());
+        let ([rx, ry], both) = (self.radii, phases[0] * phases[1]);
+        let mixed = |c: usize| radii[0][c] * phases[1] + radii[1][c] * phases[0];
+        Vector3::new(-a * (mixed(0) * sin + rx * both * cos), a * (mixed(1) * cos - ry * both * sin), 0.0)
+    }
 }
 
 /// What of a rod a clamp holds: of which section its `position` is the place.

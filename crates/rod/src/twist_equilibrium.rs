@@ -7,9 +7,10 @@ use varda_linalg::dot;
 use crate::Error;
 use crate::along::Along;
 use crate::change::{Change, Parameters};
-use crate::layout::{FIXED, band_product_add};
+use crate::layout::{FIXED, Layout, band_product_add};
 use crate::moved::Moves;
 use crate::moved_increment::Increments;
+use crate::moved_together::{MovedBy, Together};
 use crate::second_order::Increment;
 use crate::second_parameters::Strained;
 use crate::statics::{Statics, at_rest};
@@ -66,6 +67,11 @@ struct Second {
     by_angles: Vec<f64>,
     first: Vec<f64>,
     square: Vec<f64>,
+    /// The rod with nothing held, where parameters move supports: bands and products are then of that.
+    all_free: Option<Layout>,
+    together: Together,
+    increments: Option<Increments>,
+    none: Vec<f64>,
 }
 
 /// The parameters of a rod, an increment of them, and what a product adds to.
@@ -253,18 +259,10 @@ impl TwistEquilibrium {
     /// dtheta, of the free angles and the end clamp's, += what a parameter does that moves supports, at the
     /// angles last found.
     pub(crate) fn moved_add(&mut self, parameter: usize, work: &mut Increments, dtheta: &mut [f64]) {
-        let Increments { places, angles, full, .. } = work;
-        let s = &self.full;
+        let (s, Increments { places, angles, full, .. }) = (&self.full, work);
         let Some(end) = s.moved_increment(&s.shape, parameter, s.time, places, angles) else { return };
-        full.fill(0.0);
-        s.elastic_second_add(places, angles, full);
-        for (f, &e) in s.layout.free_angles.iter().enumerate() {
-            let moments = self.moments.get(f).map_or(0.0, |(by_angle, by_places)| {
-                let [a, b] = [places[e], places[e + 1]];
-                by_angle * angles[e] + by_places.dot(&Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z))
-            });
-            self.rhs[f] = moments - full[s.layout.angle(e)];
-        }
+        let rhs = &mut self.rhs;
+        moments_of_moved(s, &self.moments, (places, angles), full, |f, moment| rhs[f] = -moment);
         self.solve_angles();
         dtheta.iter_mut().zip(&self.rhs).for_each(|(d, more)| *d += more);
         dtheta[self.rhs.len()..].iter_mut().for_each(|d| *d += end);
@@ -349,16 +347,20 @@ impl TwistEquilibrium {
         self.rhs.copy_from_slice(own);
         self.solve_angles();
         let layout = &self.full.layout;
-        let Second { mu, weights, band, by, product, theta, .. } = &mut second;
+        if second.all_free.is_none() && !self.full.moves.is_empty() {
+            second.all_free = Some(layout.all_free());
+        }
+        let Second { mu, weights, band, by, product, theta, all_free, .. } = &mut second;
+        let order = all_free.as_ref().unwrap_or(layout);
         mu.resize(layout.full(), 0.0);
         theta.resize(lambda.len(), 0.0);
-        for (zeroed, length) in [(&mut *weights, layout.segments), (band, layout.band())] {
+        for (zeroed, length) in [(&mut *weights, layout.segments), (band, order.band())] {
             zeroed.clear();
             zeroed.resize(length, 0.0);
         }
         for zeroed in [&mut *by, product] {
             zeroed.clear();
-            zeroed.resize(layout.unknowns, 0.0);
+            zeroed.resize(order.unknowns, 0.0);
         }
         for (f, &e) in layout.free_angles.iter().enumerate() {
             mu[layout.angle(e)] = -self.rhs[f];
@@ -371,32 +373,42 @@ impl TwistEquilibrium {
         if let Some(&e) = layout.free_angles.first() {
             weights[e] += self.hold * mu[layout.angle(e)];
         }
+        if let Some(all) = all_free {
+            std::mem::swap(&mut self.full.layout, all);
+        }
         self.full.third_add(&Increment(mu), band, None);
         self.full.second_of_loads(None, &Increment(mu), band, &mut []);
         self.full.holonomy_second_add(&self.full.shape, weights, band);
+        if let Some(held) = all_free {
+            std::mem::swap(&mut self.full.layout, held);
+        }
 
         self.tangent(dx, theta);
         // dx and the local angles that follow
         let layout = &self.full.layout;
+        let order = all_free.as_ref().unwrap_or(layout);
         for (f, &v) in layout.free_vertices.iter().enumerate() {
-            let i = layout.unknown[layout.vertex(v)];
+            let i = order.unknown[layout.vertex(v)];
             by[i..i + 3].copy_from_slice(&dx[3 * f..3 * f + 3]);
         }
         for (f, &e) in layout.free_angles.iter().enumerate() {
-            by[layout.unknown[layout.angle(e)]] = self.rhs[f];
+            by[order.unknown[layout.angle(e)]] = self.rhs[f];
         }
-        band_product_add(layout.half_bandwidth, band, by, product);
+        band_product_add(order.half_bandwidth, band, by, product);
         if let Some((parameters, dp, out)) = &mut parameters {
-            self.second_of_parameters(&mut second, (parameters, dp, out));
+            let end = end.first().copied().unwrap_or(0.0);
+            self.second_of_parameters(&mut second, end, (parameters, dp, out));
         }
-        let (layout, Second { product, .. }) = (&self.full.layout, &mut second);
+        let (layout, Second { product, all_free, .. }) = (&self.full.layout, &second);
+        let order = all_free.as_ref().unwrap_or(layout);
         for (rhs, &e) in self.rhs.iter_mut().zip(&layout.free_angles) {
-            *rhs = product[layout.unknown[layout.angle(e)]];
+            *rhs = product[order.unknown[layout.angle(e)]];
         }
         self.solve_angles();
         let layout = &self.full.layout;
+        let order = all_free.as_ref().unwrap_or(layout);
         for (f, &v) in layout.free_vertices.iter().enumerate() {
-            let i = layout.unknown[layout.vertex(v)];
+            let i = order.unknown[layout.vertex(v)];
             (0..3).for_each(|c| out[3 * f + c] += product[i + c]);
         }
         for f in 0..self.rhs.len() {
@@ -425,12 +437,19 @@ impl TwistEquilibrium {
     }
 
     /// Adds what parameters do to the increment of angles `by` and to its `product`, and the product of
-    /// their own rows but for what comes back through the angles.
-    fn second_of_parameters(&mut self, second: &mut Second, (parameters, dp, out): ByParameters) {
+    /// their own rows but for what comes back through the angles; `on_end` acts on the end clamp's angle.
+    fn second_of_parameters(
+        &mut self,
+        second: &mut Second,
+        on_end: f64,
+        (parameters, dp, out): (&Parameters, &[f64], &mut [f64]),
+    ) {
         let Second { mu, band, by, product, along, full, column, by_angles, first, square, .. } = second;
+        let Second { all_free, together, increments, none: zeros, .. } = second;
         let (angles, none) = (self.rhs.len(), &parameters.none);
         by_angles.resize(parameters.len() * angles, 0.0);
         self.rhs.fill(0.0);
+        together.set(&self.full, &self.full.shape, self.full.time);
         let all = parameters.list.iter().zip(&parameters.slopes);
         for (((p, slope), dp), to) in all.clone().zip(dp).zip(by_angles.chunks_exact_mut(angles)) {
             self.full.change_of_elastic(&p.change, [0.0; 2], none);
@@ -439,32 +458,78 @@ impl TwistEquilibrium {
                 *rhs -= *to * dp;
             }
         }
+        for MovedBy { parameter, places, angles: turned } in together.iter() {
+            let to = &mut by_angles[parameter * angles..][..angles];
+            let s = &self.full;
+            let work = increments.get_or_insert_with(|| Increments::of(s));
+            moments_of_moved(s, &self.moments, (places, turned), &mut work.full, |f, more| {
+                to[f] += more;
+                self.rhs[f] -= more * dp[*parameter];
+            });
+        }
         self.solve_angles();
         let s = &self.full;
+        let order = all_free.as_ref().unwrap_or(&s.layout);
         column.clear();
-        column.resize(s.layout.unknowns, 0.0);
+        column.resize(order.unknowns, 0.0);
         for (rhs, &e) in self.rhs.iter().zip(&s.layout.free_angles) {
-            let i = s.layout.unknown[s.layout.angle(e)];
+            let i = order.unknown[s.layout.angle(e)];
             column[i] = *rhs;
             by[i] += rhs;
         }
-        band_product_add(s.layout.half_bandwidth, band, column, product);
+        for moved in together.iter() {
+            moved.add_to(order, dp[moved.parameter], column);
+            moved.add_to(order, dp[moved.parameter], by);
+        }
+        band_product_add(order.half_bandwidth, band, column, product);
         s.along(&Increment(mu), along);
         full.resize(s.layout.full(), 0.0);
         first.clear();
         let strained = Strained { rate: 0.0, moves: 0.0, past: none, along };
         for ((p, slope), (dp, out)) in all.zip(dp.iter().zip(out.iter_mut())) {
             first.push(s.second_of_change(&p.change, strained, full));
-            s.layout.take(full, column);
+            order.take(full, column);
             product.iter_mut().zip(&*column).for_each(|(product, c)| *product += slope * dp * c);
             *out += slope * dot(column, by);
         }
         square.clear();
         square.resize(parameters.len() * parameters.len(), 0.0);
         parameters.square_add(s, strained, first, square);
+        for moved in together.iter() {
+            out[moved.parameter] += moved.dot(order, product);
+        }
+        if !s.moves.is_empty() {
+            full.fill(0.0);
+            zeros.clear();
+            zeros.resize(full.len(), 0.0);
+            let work = increments.get_or_insert_with(|| Increments::of(s));
+            s.elastic_second_of(&Increment(mu), work, full);
+            s.loads_transpose_add(None, &Increment(mu), [full, zeros]);
+            together.pairs_add(s, (&s.shape, s.time), (full, on_end), square);
+        }
         for (out, row) in out.iter_mut().zip(square.chunks_exact(parameters.len().max(1))) {
             *out += dot(row, dp);
         }
+    }
+}
+
+/// What an increment of all places and local angles does to E_θ of free angles: calls `add` with the number
+/// of each; `full` is work space.
+fn moments_of_moved(
+    s: &System,
+    moments: &[(f64, Vector6<f64>)],
+    (places, angles): (&[Vector3<f64>], &[f64]),
+    full: &mut [f64],
+    mut add: impl FnMut(usize, f64),
+) {
+    full.fill(0.0);
+    s.elastic_second_add(places, angles, full);
+    for (f, &e) in s.layout.free_angles.iter().enumerate() {
+        let moment = moments.get(f).map_or(0.0, |(by_angle, by_places)| {
+            let [a, b] = [places[e], places[e + 1]];
+            by_angle * angles[e] + by_places.dot(&Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z))
+        });
+        add(f, full[s.layout.angle(e)] - moment);
     }
 }
 

@@ -5,7 +5,7 @@ use varda_implicit::{At, ObservationOperator, Refusal};
 
 use crate::Error;
 use crate::camera::{Camera, OutOfSight};
-use crate::rotation::{exponential, left_jacobian};
+use crate::rotation::{exponential, left_jacobian, left_jacobian_derivative};
 
 /// How a point is seen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -155,8 +155,6 @@ impl Views {
     /// (X, Y, Z) = exp(−[ρ]×) R (p − c − δ)
     /// ```
     ///
-    /// Without second derivatives then.
-    ///
     /// # Errors
     /// [`Error::Count`] where there is not one for every camera, [`Error::Value`] for numbers that are not in
     /// the state.
@@ -196,22 +194,20 @@ impl Views {
         let p = place(&self.places, point);
         let [rotation, displacement] = self.poses[camera];
         if rotation.is_none() && displacement.is_none() {
-            return Posed { point: p, turn: Matrix3::identity(), by_rotation: Matrix3::zeros() };
+            let (zero, turn, by_rotation) = (Vector3::zeros(), Matrix3::identity(), Matrix3::zeros());
+            return Posed { point: p, about: zero, arm: zero, turn, by_rotation };
         }
-        let at = |first: Option<usize>| {
-            first.map_or_else(Vector3::zeros, |i| Vector3::from_column_slice(&x[i..i + 3]))
-        };
         let camera = &self.cameras[camera];
         // Rᵀ exp(−[ρ]×) R = exp(−[Rᵀ ρ]×)
-        let about = -(camera.rotation().tr_mul(&at(rotation)));
+        let about = -(camera.rotation().tr_mul(&three(x, rotation)));
         let turn = exponential(&about);
-        let arm = turn * (p - camera.position() - at(displacement));
+        let arm = turn * (p - camera.position() - three(x, displacement));
         let by_rotation = arm.cross_matrix() * left_jacobian(&about) * camera.rotation().transpose();
-        Posed { point: camera.position() + arm, turn, by_rotation }
+        Posed { point: camera.position() + arm, about, arm, turn, by_rotation }
     }
 
-    /// `acting` = π'ᵀ dy on the places, at `places`; adds what it is on poses.
-    fn act(&mut self, x: &[f64], dy: &[f64], dx: &mut [f64]) {
+    /// `acting` = π'ᵀ dy on the places, at `places`; adds what it is on poses, where these are asked for.
+    fn act(&mut self, x: &[f64], dy: &[f64], mut dx: Option<&mut [f64]>) {
         let mut acting = std::mem::take(&mut self.acting);
         acting.fill(0.0);
         for (row, view) in self.each() {
@@ -224,16 +220,29 @@ impl Views {
                     let force = j[0] * dy[row] + j[1] * dy[row + 1];
                     let on_place = posed.turn.tr_mul(&force);
                     let on_pose = [posed.by_rotation.tr_mul(&force), -on_place];
-                    for (first, on) in self.poses[camera].into_iter().zip(on_pose) {
-                        let Some(first) = first else { continue };
-                        dx[first..first + 3].iter_mut().zip(on.iter()).for_each(|(dx, on)| *dx += on);
+                    if let Some(dx) = dx.as_deref_mut() {
+                        self.on_pose_add(camera, on_pose, dx);
                     }
-                    let force = on_place;
-                    into.iter_mut().zip(force.iter()).for_each(|(a, f)| *a += f);
+                    add(into, &on_place);
                 }
             }
         }
         self.acting = acting;
+    }
+
+    /// Adds what acts on the rotation and the displacement of a camera.
+    fn on_pose_add(&self, camera: usize, on_pose: [Vector3<f64>; 2], dx: &mut [f64]) {
+        for (first, on) in self.poses[camera].into_iter().zip(on_pose) {
+            let Some(first) = first else { continue };
+            add(&mut dx[first..first + 3], &on);
+        }
+    }
+
+    /// δp* and δρ, in the model's axes and with its sign, of an increment of a point and of the state.
+    fn moved(&self, posed: &Posed, camera: usize, d: Vector3<f64>, dx: &[f64]) -> [Vector3<f64>; 2] {
+        let [rotation, displacement] = self.poses[camera].map(|first| three(dx, first));
+        let about = -(self.cameras[camera].rotation().tr_mul(&rotation));
+        [posed.turn * (d - displacement) + posed.by_rotation * rotation, about]
     }
 }
 
@@ -283,10 +292,7 @@ impl ObservationOperator for Views {
                 View::Place { .. } => out.copy_from_slice(d.as_slice()),
                 View::Pixels { camera, point } => {
                     let posed = self.posed(camera, x, point);
-                    let [rotation, displacement] = self.poses[camera].map(|first| {
-                        first.map_or_else(Vector3::zeros, |i| Vector3::from_column_slice(&dx[i..i + 3]))
-                    });
-                    let d = posed.turn * (d - displacement) + posed.by_rotation * rotation;
+                    let [d, _] = self.moved(&posed, camera, d, dx);
                     match self.cameras[camera].jacobian(&posed.point) {
                         Ok(j) => out.copy_from_slice(&[j[0].dot(&d), j[1].dot(&d)]),
                         Err(_) => out.fill(0.0),
@@ -299,28 +305,43 @@ impl ObservationOperator for Views {
     fn adjoint_add(&mut self, at: At, x: &[f64], dy: &[f64], dx: &mut [f64]) {
         assert_eq!(dy.len(), self.rows, "a number for every row");
         self.locate(at, x);
-        self.act(x, dy, dx);
+        self.act(x, dy, Some(dx));
         self.points.adjoint_add(at, x, &self.acting, dx);
     }
 
     fn has_second_derivatives(&self) -> bool {
-        self.poses.iter().flatten().all(Option::is_none) && self.points.has_second_derivatives()
+        self.points.has_second_derivatives()
     }
 
+    /// With f = π'ᵀ dy on p*, a = −Rᵀ ρ, E = exp([a]×), r = E (p − c − δ) and b = J δa:
+    ///
+    /// ```text
+    /// δf = (dy·π'') δp*
+    /// p, −δ: Eᵀ (δf + f × b)
+    /// ρ:     R (δJᵀ (f × r) + Jᵀ (δf × r + f × δp*))
+    /// ```
     fn second_adjoint_add(&mut self, at: At, x: &[f64], dx: &[f64], dy: &[f64], out: &mut [f64]) {
         assert_eq!(dy.len(), self.rows, "a number for every row");
         self.locate(at, x);
-        // no pose is in the state
-        self.act(x, dy, &mut []);
+        self.act(x, dy, None);
         self.points.second_adjoint_add(at, x, dx, &self.acting, out);
         self.points.tangent(at, x, dx, &mut self.moved);
         let mut acting = std::mem::take(&mut self.acting);
         acting.fill(0.0);
         for (row, view) in self.each() {
             let View::Pixels { camera, point } = view else { continue };
-            let (p, d) = (place(&self.places, point), place(&self.moved, point));
-            let Ok(force) = self.cameras[camera].second(&p, &d, [dy[row], dy[row + 1]]) else { continue };
-            acting[3 * point..][..3].iter_mut().zip(force.iter()).for_each(|(a, f)| *a += f);
+            let (posed, seen) = (self.posed(camera, x, point), &self.cameras[camera]);
+            let [d, da] = self.moved(&posed, camera, place(&self.moved, point), dx);
+            let dy = [dy[row], dy[row + 1]];
+            let (Ok(j), Ok(change)) = (seen.jacobian(&posed.point), seen.second(&posed.point, &d, dy)) else {
+                continue;
+            };
+            let (force, jacobian) = (j[0] * dy[0] + j[1] * dy[1], left_jacobian(&posed.about));
+            let on_place = posed.turn.tr_mul(&(change + force.cross(&(jacobian * da))));
+            let turned = left_jacobian_derivative(&posed.about, &da).tr_mul(&force.cross(&posed.arm));
+            let again = jacobian.tr_mul(&(change.cross(&posed.arm) + force.cross(&d)));
+            self.on_pose_add(camera, [seen.rotation() * (turned + again), -on_place], out);
+            add(&mut acting[3 * point..][..3], &on_place);
         }
         self.points.adjoint_add(at, x, &acting, out);
         self.acting = acting;
@@ -331,10 +352,22 @@ impl ObservationOperator for Views {
 /// (p − c − δ), with ∂p*/∂p and ∂p*/∂ρ.
 struct Posed {
     point: Vector3<f64>,
+    /// −Rᵀρ, and p* − c.
+    about: Vector3<f64>,
+    arm: Vector3<f64>,
     turn: Matrix3<f64>,
     by_rotation: Matrix3<f64>,
 }
 
 fn place(places: &[f64], point: usize) -> Vector3<f64> {
     Vector3::from_column_slice(&places[3 * point..][..3])
+}
+
+/// Three numbers of a state; zero where there are none.
+fn three(x: &[f64], first: Option<usize>) -> Vector3<f64> {
+    first.map_or_else(Vector3::zeros, |i| Vector3::from_column_slice(&x[i..i + 3]))
+}
+
+fn add(into: &mut [f64], value: &Vector3<f64>) {
+    into.iter_mut().zip(value.iter()).for_each(|(into, v)| *into += v);
 }

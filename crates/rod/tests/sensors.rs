@@ -377,16 +377,12 @@ fn second_derivatives_are_those_of_the_first() {
     let all = || cases().into_iter().chain(LOADED).flat_map(|case| schemes.map(|scheme| (case, scheme)));
     for (known, (case, scheme)) in [true, false].into_iter().flat_map(|known| all().map(move |c| (known, c)))
     {
-        if case.moved && !known {
-            continue;
-        }
         let (rod, p, states) = run(case, scheme, STEP, 3);
-        let (mut all, places, own) =
+        let (all, places, own) =
             (sensors(case, &rod), 3 * rod.free_vertices().len(), rod.dim() - rod.history());
-        all.retain(Sensor::has_second_derivatives);
-        let Ok(mut sensors) = Sensors::new(rod, STEP, &all) else { continue };
+        let Ok(mut sensors) = reading(rod, &all) else { continue };
         sensors.set_parameters(&p).unwrap();
-        assert!(sensors.has_second_derivatives() && sensors.has_second_parameters() != case.moved);
+        assert!(sensors.has_second_derivatives());
         let (x, at) = (&states[3], at(3, STEP));
         let n = x.len() + p.len();
         let scale = |i: usize| match i % own {
@@ -428,17 +424,23 @@ fn second_derivatives_are_those_of_the_first() {
             let size = norm(&|i| by_a[i]);
             let error = norm(&|i| by_a[i] - best[i]);
             let name = format!("{}, {scheme:?}, {sensor:?}, {known}: {error:.1e} of {size:.1e}", case.name);
-            if let Sensor::Spin { .. } = sensor {
-                assert!(size == 0.0, "{name}: a number of the state");
+            // a number of the state; a section that is clamped
+            let constant = match sensor {
+                Sensor::Spin { .. } => true,
+                Sensor::Orientation { s, .. } => case.end && *s > 0.875 && (known || !case.moved),
+                _ => false,
+            };
+            if constant {
+                assert!(size == 0.0, "{name}");
                 continue;
             }
-            // what three differences leave; with strain rates and drag those have rounding over 1e-3 Δt
-            let rates = case.damping.stiffness > 0.0 || case.drag;
-            let bound = if rates { 1e-6 } else { 1e-7 };
-            assert!(error <= bound * size, "{name}");
+            // what three differences leave, h⁶ of the seventh derivative and rounding: 2e-9 and less, where
+            // strain rates over 1e-3 Δt round too
+            assert!(error <= 1e-8 * size, "{name}");
             let symmetry = (dot(&by_a, &b) - dot(&by_b, &a)).abs();
             let products = size * norm(&|i| b[i] / scale(i).powi(2));
-            let bound = if rates { 1e-10 } else { 1e-12 };
+            // rounding of stresses of rates and of velocities of drag, 5e3 times what is left of them
+            let bound = if case.damping.stiffness > 0.0 || case.drag { 1e-10 } else { 1e-12 };
             assert!(symmetry <= bound * products, "{name}: {:e}", symmetry / products);
             let [coarse, fine] = [0, 1].map(|s: usize| norm(&|i| by_a[i] - steps[s][i]));
             if coarse > 1e-5 * size {
@@ -447,8 +449,8 @@ fn second_derivatives_are_those_of_the_first() {
             }
             let entry = |i: &usize| (scale(*i) * by_a[*i]).abs();
             let largest = (0..seen).max_by(|i, j| entry(i).total_cmp(&entry(j))).unwrap();
-            by_a[largest] *= 1.0001;
-            assert!(norm(&|i| by_a[i] - best[i]) > 1e-6 * size, "{name}: a wrong entry is not seen");
+            by_a[largest] *= 1.00001;
+            assert!(norm(&|i| by_a[i] - best[i]) > 1e-8 * size, "{name}: a wrong entry is not seen");
         }
     }
 }

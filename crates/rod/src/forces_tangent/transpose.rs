@@ -8,13 +8,14 @@ use crate::shape::Shape;
 use crate::system::System;
 
 /// What acts on ∂E/∂x and on the forces of loads at every vertex, on ∂E/∂θ and on the moments of
-/// loads at every edge, on velocities, and on the two configurations.
+/// loads at every edge, on velocities, on accelerations of held vertices, and on the two configurations.
 pub(crate) struct Weights {
     pub(crate) gradient: Vec<Vector3<f64>>,
     pub(crate) loads: Vec<Vector3<f64>>,
     pub(crate) angles: Vec<f64>,
     pub(crate) moments: Vec<f64>,
     pub(crate) velocities: Vec<Vector3<f64>>,
+    pub(crate) accelerations: Vec<Vector3<f64>>,
     pub(crate) now: Increment,
     pub(crate) before: Increment,
 }
@@ -22,10 +23,10 @@ pub(crate) struct Weights {
 impl Weights {
     pub(crate) fn new(segments: usize) -> Weights {
         let none = || vec![Vector3::zeros(); segments + 1];
-        let [gradient, loads, velocities] = [none(), none(), none()];
+        let [gradient, loads, velocities, accelerations] = [none(), none(), none(), none()];
         let (now, before) = (Increment::new(segments), Increment::new(segments));
         let [angles, moments] = [vec![0.0; segments], vec![0.0; segments]];
-        Weights { gradient, loads, angles, moments, velocities, now, before }
+        Weights { gradient, loads, angles, moments, velocities, accelerations, now, before }
     }
 
     /// Adds so many times others.
@@ -34,6 +35,7 @@ impl Weights {
             (&mut self.gradient, &other.gradient),
             (&mut self.loads, &other.loads),
             (&mut self.velocities, &other.velocities),
+            (&mut self.accelerations, &other.accelerations),
         ];
         for (own, other) in of_vertices {
             own.iter_mut().zip(other).for_each(|(a, b)| *a += b * times);

@@ -1,7 +1,8 @@
 //! Second derivatives of what sensors read.
 //!
 //! A row is d·f, of an axis d of its section or of space, and of f, a sum of ∂E/∂x and loads, or a
-//! velocity over a length. With W what all rows together are on ∂E/∂x,
+//! velocity over a length. With W what all rows together are on ∂E/∂x (and on ∂E/∂θ, of moments of
+//! clamps),
 //!
 //! ```text
 //! Σ ∂²(d·f) = Wᵀ ∂²(∂E/∂x) + Σ (∂fᵀ ∂d + ∂dᵀ ∂f + f·∂²d)
@@ -10,14 +11,14 @@
 //! The first is the third derivative of the energy as in a step ([`second_order`](crate::second_order)).
 //! Angles are not in equilibrium here: ∂E/∂x is taken with directors carried from where an edge is, which
 //! adds −A(x) ∂E/∂α with A the form of [`loaded`](crate::loaded), so that KᵀH and H K of the
-//! angles count twice, and ∂E/∂α with the curvature of A. Stored angles are α + ψ(x), and ψ is
-//! curved.
+//! angles count twice, and ∂E/∂α with the curvature of A. That is of W on ∂E/∂x: ∂E/∂α is the
+//! same however directors are carried. Stored angles are α + ψ(x), and ψ is curved.
 
 use nalgebra::Vector3;
 use varda_implicit::At;
 use varda_linalg::dot;
 
-use super::second_parameters::{Changed, OfStrains, WithParameters};
+use super::second_parameters::{Changed, Forces, OfStrains};
 use super::{Placed, Present, Row, SHARE, Sensors, earlier};
 use crate::change::Parameters;
 use crate::element::STRAINS;
@@ -58,7 +59,7 @@ impl Unknowns {
     }
 }
 
-fn in_full_order(system: &System, places: &[Vector3<f64>], angles: &[f64]) -> Vec<f64> {
+pub(super) fn in_full_order(system: &System, places: &[Vector3<f64>], angles: &[f64]) -> Vec<f64> {
     let layout = &system.layout;
     let mut full = vec![0.0; layout.full()];
     for (v, place) in places.iter().enumerate() {
@@ -75,7 +76,7 @@ impl Sensors {
     /// state that was observed before with these.
     ///
     /// # Panics
-    /// If a slice has the wrong length, or a parameter moves supports.
+    /// If a slice has the wrong length.
     pub fn second_with_parameters_add(
         &mut self,
         at: At,
@@ -84,7 +85,6 @@ impl Sensors {
         dy: &[f64],
         [out, out_p]: [&mut [f64]; 2],
     ) {
-        assert!(self.has_second_parameters(), "a parameter moves supports");
         assert_eq!((dy.len(), dp.len(), out_p.len()), (self.rows, self.parameters(), self.parameters()));
         self.second_add(at.time, x, dx, dy, out);
         let (states, of) = (x.len(), [x, dy].concat());
@@ -99,11 +99,6 @@ impl Sensors {
         self.known_second = known;
     }
 
-    /// Whether that is given: of parameters that move supports it is not.
-    pub fn has_second_parameters(&self) -> bool {
-        self.step.system.moves.is_empty()
-    }
-
     /// out += Σ_i dy_i ∂²y_i/∂x² dx.
     pub(super) fn second_add(&mut self, t: f64, x: &[f64], dx: &[f64], dy: &[f64], out: &mut [f64]) {
         let mut dx_before = vec![0.0; x.len()];
@@ -114,53 +109,23 @@ impl Sensors {
             let mut tangent = present.tangent(system, motion, Vec::new());
             tangent.vary(system, motion.start.length, [dx, &dx_before, &[]]);
             let changed = Changed::none(system);
-            let seen = Seen { system, motion, present, tangent: &tangent, dx, changed, by: None };
+            let of = Seen::of(system, motion, present, &tangent);
+            let seen = Seen { dx, changed, ..of };
             let mut on = seen.second(&rows);
             present.onto_state(system, motion, &mut on, (history, back), out);
         });
         done.expect("this state was observed before");
     }
-
-    /// Fills zeros with Σ_i dy_i ∂²y_i/∂x∂p, a column a parameter, and ∂²/∂p² by rows.
-    pub(super) fn second_of_parameters(&mut self, t: f64, x: &[f64], dy: &[f64], numbers: &mut [f64]) {
-        let (history, back) = (self.step.repeated(), SHARE * self.interval);
-        let Some(parameters) = self.step.parameters.take() else { return };
-        let (columns, square) = numbers.split_at_mut(parameters.len() * x.len());
-        let zero = vec![0.0; x.len()];
-        let done = self.with_state(t, x, &mut |system, motion, present| {
-            let rows = present.weighed(dy);
-            let changes = parameters.of_forces(system, motion, &present.damping, present.times);
-            let mut tangent = present.tangent(system, motion, changes);
-            let mut forces = Vec::new();
-            for (p, column) in columns.chunks_exact_mut(x.len()).enumerate() {
-                let mut dp = vec![0.0; parameters.len()];
-                dp[p] = 1.0;
-                tangent.vary(system, motion.start.length, [&zero, &zero, &dp]);
-                let changed = Changed::of(system, &parameters, &dp);
-                let by = Some((&*parameters, &dp[..]));
-                let seen = Seen { system, motion, present, tangent: &tangent, dx: &zero, changed, by };
-                let mut on = seen.second(&rows);
-                present.onto_state(system, motion, &mut on, (history, back), column);
-                forces.push(seen.forces());
-            }
-            let weights = present.on_forces(system, motion, &rows);
-            let full = in_full_order(system, &weights.gradient, &vec![0.0; system.rod.segments()]);
-            let with = WithParameters { parameters: &parameters, system, motion, present };
-            square.copy_from_slice(&with.square(&rows, (&weights, &full), &forces));
-        });
-        done.expect("this state was observed before");
-        self.step.parameters = Some(parameters);
-    }
 }
 
 impl Present<'_> {
     /// The rows with what acts on each.
-    fn weighed(&self, dy: &[f64]) -> Vec<(Row<'_>, f64)> {
+    pub(super) fn weighed(&self, dy: &[f64]) -> Vec<(Row<'_>, f64)> {
         self.rows().into_iter().zip(dy.iter().copied()).collect()
     }
 
     /// What all rows are on forces, velocities and configurations.
-    fn on_forces(&self, system: &System, motion: &Motion, rows: &[(Row, f64)]) -> Weights {
+    pub(super) fn on_forces(&self, system: &System, motion: &Motion, rows: &[(Row, f64)]) -> Weights {
         let mut on = Weights::new(system.rod.segments());
         for (row, dy) in rows {
             on.add(&self.weights(system, motion, row), *dy);
@@ -170,38 +135,67 @@ impl Present<'_> {
 }
 
 /// The rod in a state, and its forces along an increment.
-struct Seen<'a> {
-    system: &'a System,
-    motion: &'a Motion<'a>,
-    present: &'a Present<'a>,
-    tangent: &'a Tangent<'a>,
-    dx: &'a [f64],
-    changed: Changed,
+pub(super) struct Seen<'a> {
+    pub(super) system: &'a System,
+    pub(super) motion: &'a Motion<'a>,
+    pub(super) present: &'a Present<'a>,
+    pub(super) tangent: &'a Tangent<'a>,
+    /// The rod with nothing held, where parameters move supports.
+    pub(super) bands: &'a System,
+    pub(super) dx: &'a [f64],
+    /// What held vertices are faster by, and accelerate.
+    pub(super) held: Option<&'a [[Vector3<f64>; 2]]>,
+    pub(super) changed: Changed,
     /// Parameters and their increment.
-    by: Option<(&'a Parameters, &'a [f64])>,
+    pub(super) by: Option<(&'a Parameters, &'a [f64])>,
+}
+
+impl<'a> Seen<'a> {
+    /// Without an increment of what is beside the tangent.
+    pub(super) fn of(
+        system: &'a System,
+        motion: &'a Motion<'a>,
+        present: &'a Present<'a>,
+        tangent: &'a Tangent<'a>,
+    ) -> Seen<'a> {
+        let changed = Changed::none(system);
+        Seen { system, motion, present, tangent, bands: system, dx: &[], held: None, changed, by: None }
+    }
 }
 
 impl Seen<'_> {
     /// What acts on configurations and velocities.
-    fn second(&self, rows: &[(Row, f64)]) -> Weights {
+    pub(super) fn second(&self, rows: &[(Row, f64)]) -> Weights {
         let Seen { system, motion, present, tangent, .. } = self;
         let mut first = present.on_forces(system, motion, rows);
         let mut on = Weights::new(system.rod.segments());
         self.of_axes(rows, &mut on);
+        self.of_rotations(rows, &mut on.now);
+        self.of_moments(rows, &mut on);
+        self.of_clamps(rows, &mut on);
         if system.layout.twist {
             self.of_carried(&first.gradient, &mut on);
         }
         tangent.transpose_add(system, motion.start.length, &mut on);
+        let loads = first.loads.clone();
         self.of_forces(&mut first, &mut on);
+        self.of_held(&loads, &mut on);
         on
     }
 
-    /// δ(∂E/∂x_v) and δF_v of every vertex.
-    fn forces(&self) -> Vec<[Vector3<f64>; 2]> {
-        (0..self.system.x.len()).map(|v| [self.net(v, false), self.tangent.loads.forces[v]]).collect()
+    /// What the increment does to forces.
+    pub(super) fn forces(&self) -> Forces {
+        let Seen { system, tangent, .. } = self;
+        let of_vertex = |v: usize| [self.net(v, false), tangent.loads.forces[v]];
+        let of_edge = |e: usize| match system.layout.twist {
+            true => [tangent.gradient[system.layout.angle(e)], tangent.loads.moments[e]],
+            false => [0.0; 2],
+        };
+        let n = system.rod.segments();
+        Forces { of_vertices: (0..=n).map(of_vertex).collect(), of_edges: (0..n).map(of_edge).collect() }
     }
 
-    fn edge_moved(&self, e: usize) -> Vector3<f64> {
+    pub(super) fn edge_moved(&self, e: usize) -> Vector3<f64> {
         self.tangent.now.places[e + 1] - self.tangent.now.places[e]
     }
 
@@ -211,12 +205,12 @@ impl Seen<'_> {
             Ok(f) => {
                 Vector3::from_column_slice(&self.dx[3 * (self.system.layout.free_vertices.len() + f)..][..3])
             }
-            Err(_) => Vector3::zeros(),
+            Err(_) => self.held.map_or_else(Vector3::zeros, |held| held[v][0]),
         }
     }
 
     /// δ(∂E/∂x_v), less that of loads where they count.
-    fn net(&self, v: usize, loaded: bool) -> Vector3<f64> {
+    pub(super) fn net(&self, v: usize, loaded: bool) -> Vector3<f64> {
         let first = self.system.layout.vertex(v);
         let elastic = Vector3::from_column_slice(&self.tangent.gradient[first..first + 3]);
         if loaded { elastic - self.tangent.loads.forces[v] } else { elastic }
@@ -237,7 +231,7 @@ impl Seen<'_> {
                             - self.faster(v) * self.present.damping.mass
                             - self.present.velocities[v] * self.changed.damping
                     }
-                    false => Vector3::zeros(),
+                    false => self.held.map_or_else(Vector3::zeros, |held| held[v][1]),
                 };
                 let gravity = match row.sensor {
                     Placed::SpecificForce(..) => self.changed.gravity,
@@ -332,39 +326,38 @@ impl Seen<'_> {
     /// Wᵀ ∂²(∂E/∂x) and that of loads in the local angles, and what curves these: `first` is what
     /// all rows are on forces, and gets what they are on the two configurations.
     fn of_forces(&self, first: &mut Weights, on: &mut Weights) {
-        let Seen { system, motion, present, tangent, .. } = self;
+        let Seen { system, motion, present, tangent, bands, .. } = self;
         let n = system.rod.segments();
         let share = present.damping.stiffness / (motion.start.length + present.damping.stiffness);
         let past = motion.past.filter(|_| share > 0.0);
-        let none = vec![0.0; n];
-        let weights = in_full_order(system, &first.gradient, &none);
-        let mut now = Unknowns::of(system, &tangent.now);
-        let mut before = Unknowns::of(system, &tangent.before);
+        let weights = in_full_order(system, &first.gradient, &first.angles);
+        let mut now = Unknowns::of(bands, &tangent.now);
+        let mut before = Unknowns::of(bands, &tangent.before);
         let mut strained = vec![0.0; STRAINS * n];
         let mu = second_order::Increment(&weights);
-        system.third_add(&mu, &mut now.band, past.map(|_| &mut strained[..]));
+        bands.third_add(&mu, &mut now.band, past.map(|_| &mut strained[..]));
         let minus: Vec<Vector3<f64>> = first.loads.iter().map(|w| -w).collect();
-        let mu = in_full_order(system, &minus, &none);
-        let mut started = vec![0.0; system.second_of_loads_kept()];
+        let minus_moments: Vec<f64> = first.moments.iter().map(|w| -w).collect();
+        let mu = in_full_order(system, &minus, &minus_moments);
+        let mut started = vec![0.0; bands.second_of_loads_kept()];
         let start = Some(motion.start);
-        system.second_of_loads(start, &second_order::Increment(&mu), &mut now.band, &mut started);
-        system.second_of_start_add(&started, [&now.by, &before.by], &mut now.on, &mut before.on);
+        bands.second_of_loads(start, &second_order::Increment(&mu), &mut now.band, &mut started);
+        bands.second_of_start_add(&started, [&now.by, &before.by], &mut now.on, &mut before.on);
 
         if let Some((parameters, dp)) = self.by {
             self.of_changes(parameters, dp, (&weights, past), &mut now.on, on);
         }
-        let gradient = first.gradient.clone();
         tangent.transpose_add(system, motion.start.length, first);
         let mut on_psi = first.now.on_psi(system);
-        system.holonomy_second_add(&system.shape, &mut on_psi, &mut now.band);
+        bands.holonomy_second_add(&system.shape, &mut on_psi, &mut now.band);
         if let Some(past) = past {
             let mut on_psi = first.before.on_psi(system);
-            system.holonomy_second_add(&past.shape, &mut on_psi, &mut before.band);
-            let stresses = self.of_past(past, (share, &gradient), &strained, on);
-            system.strains_second_add(&past.shape, &stresses, -share, &mut before.band);
+            bands.holonomy_second_add(&past.shape, &mut on_psi, &mut before.band);
+            let stresses = self.of_past(past, (share, &weights), &strained, on);
+            bands.strains_second_add(&past.shape, &stresses, -share, &mut before.band);
         }
-        now.onto(system, &mut on.now);
-        before.onto(system, &mut on.before);
+        now.onto(bands, &mut on.now);
+        before.onto(bands, &mut on.before);
     }
 
     /// Wᵀ ∂²(∂E/∂x)/∂(x, p) dp, W in the full order.
@@ -387,7 +380,7 @@ impl Seen<'_> {
                 continue;
             }
             system.second_of_change(&parameter.change, strained, &mut full);
-            system.layout.take(&full, &mut by_unknowns);
+            self.bands.layout.take(&full, &mut by_unknowns);
             on_now.iter_mut().zip(&by_unknowns).for_each(|(on, by)| *on += times * by);
             let Some(past) = past else { continue };
             if !system.past_of_change(&parameter.change, strained, &mut stresses) {
@@ -412,7 +405,7 @@ impl Seen<'_> {
     fn of_past(
         &self,
         past: &Past,
-        (share, gradient): (f64, &[Vector3<f64>]),
+        (share, weights): (f64, &[f64]),
         strained: &[f64],
         on: &mut Weights,
     ) -> Vec<[f64; 4]> {
@@ -429,15 +422,14 @@ impl Seen<'_> {
             };
             on.now.add_at(i + 1, &back(kept, &strain));
             on.before.add_at(i + 1, &back(&then.gradient, &by_now));
-            let mut weights = [0.0; 11];
-            for (v, first) in [0, 4, 8].into_iter().enumerate() {
-                weights[first..first + 3].copy_from_slice(gradient[i + v].as_slice());
-            }
+            let first = system.layout.vertex(i);
+            let weights = std::array::from_fn(|c| weights[first + c]);
             let stress = system.bend[i].times(&system.shape.strains(i + 1).along(&weights));
             stresses[i + 1][1..].copy_from_slice(&stress);
         }
         for (e, edge) in system.shape.edges.iter().enumerate() {
-            let along = gradient[e + 1] - gradient[e];
+            let of = |v: usize| Vector3::from_column_slice(&weights[system.layout.vertex(v)..][..3]);
+            let along = of(e + 1) - of(e);
             if along == Vector3::zeros() {
                 continue;
             }

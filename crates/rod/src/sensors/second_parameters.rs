@@ -42,6 +42,22 @@ impl Changed {
     }
 }
 
+/// What a parameter does to ∂E/∂x and F of every vertex, and to ∂E/∂θ and moments of every edge.
+pub(super) struct Forces {
+    pub(super) of_vertices: Vec<[Vector3<f64>; 2]>,
+    pub(super) of_edges: Vec<[f64; 2]>,
+}
+
+impl Forces {
+    /// What weights see of them.
+    fn seen_by(&self, weights: &Weights) -> f64 {
+        let on_vertices = weights.gradient.iter().zip(&weights.loads).zip(&self.of_vertices);
+        let on_edges = weights.angles.iter().zip(&weights.moments).zip(&self.of_edges);
+        on_vertices.map(|((g, l), [e, f])| g.dot(e) + l.dot(f)).sum::<f64>()
+            + on_edges.map(|((a, m), [e, f])| a * e + m * f).sum::<f64>()
+    }
+}
+
 /// The rod in a state, with its parameters.
 pub(super) struct WithParameters<'a> {
     pub(super) parameters: &'a Parameters,
@@ -71,13 +87,13 @@ impl OfStrains {
 }
 
 impl WithParameters<'_> {
-    /// ∂²(Σ dy y)/∂p², row by row; `forces` has ∂(∂E/∂x, F)/∂p of every vertex, one list a
-    /// parameter, `weights` what all rows are on them.
+    /// ∂²(Σ dy y)/∂p², row by row; `forces` has what each parameter does to forces, `weights` what
+    /// all rows are on them.
     pub(super) fn square(
         &self,
         rows: &[(Row, f64)],
         weights: (&Weights, &[f64]),
-        forces: &[Vec<[Vector3<f64>; 2]>],
+        forces: &[Forces],
     ) -> Vec<f64> {
         let WithParameters { parameters, system, motion, present } = self;
         let (m, (weights, full)) = (parameters.len(), weights);
@@ -86,13 +102,13 @@ impl WithParameters<'_> {
         let mut square = vec![0.0; m * m];
         let strains = OfStrains::of(system, full, motion.past);
         parameters.square_add(system, strains.strained(present, motion), &vec![0.0; m], &mut square);
-        let first = self.of_rows(rows, &changed, forces, &mut square);
+        let mut first = self.of_rows(rows, &changed, forces, &mut square);
+        self.of_moments(rows, &mut first, &mut square);
         let on_gravity = self.of_loads(rows, weights, &changed, &mut square);
         self.of_gravity(&on_gravity, &mut square);
         for (p, (first, forces)) in first.iter().zip(forces).enumerate() {
-            let on_forces = weights.gradient.iter().zip(&weights.loads).zip(forces);
-            let by_forces: f64 = on_forces.map(|((g, l), [e, f])| g.dot(e) + l.dot(f)).sum();
-            square[p * m + p] += parameters.curvatures[p] / parameters.slopes[p] * (first + by_forces);
+            let first = first + forces.seen_by(weights);
+            square[p * m + p] += parameters.curvatures[p] / parameters.slopes[p] * first;
         }
         square
     }
@@ -103,7 +119,7 @@ impl WithParameters<'_> {
         &self,
         rows: &[(Row, f64)],
         changed: &[Changed],
-        forces: &[Vec<[Vector3<f64>; 2]>],
+        forces: &[Forces],
         square: &mut [f64],
     ) -> Vec<f64> {
         let WithParameters { system, present, .. } = self;
@@ -126,7 +142,7 @@ impl WithParameters<'_> {
                 for (i, a) in changed.iter().enumerate() {
                     let slower = present.velocities[v] * a.damping;
                     first[i] += on.dot(&(net * (a.masses[v] / (mass * mass)) - slower));
-                    let of = |p: usize| forces[p][v][0] - forces[p][v][1];
+                    let of = |p: usize| forces[p].of_vertices[v][0] - forces[p].of_vertices[v][1];
                     for (j, b) in changed.iter().enumerate() {
                         let [ma, mb] = [a, b].map(|c| c.masses[v] / mass);
                         let both = of(i) * mb + of(j) * ma - net * (2.0 * ma * mb);

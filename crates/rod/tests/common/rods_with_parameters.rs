@@ -80,7 +80,7 @@ pub(crate) fn rod(case: Case) -> Rod {
 pub(crate) fn supports(case: Case) -> Supports {
     let place = |t: f64| [0.05 * (5.0 * t).sin(), 0.0, 0.0];
     let (turning, face) = (|t: f64| [1.0, 2.0 * t, 0.3 * t], |t: f64| [0.3 * t, -t, 1.0]);
-    let mut supports = if case.moved {
+    let mut supports = if case.moved && case.held {
         Supports::clamped_start(Clamp::new(ClampAt::Face, DRIVE, turning, face))
     } else if case.held {
         Supports::clamped_start(Clamp::new(ClampAt::Edge, place, Vector3::x(), Vector3::z()))
@@ -88,7 +88,7 @@ pub(crate) fn supports(case: Case) -> Supports {
         Supports { prescribed: vec![(0, std::sync::Arc::new(place))], ..Supports::default() }
     };
     if case.end {
-        let end = if case.moved { DRIVE.at(0.0).x + 0.93 } else { 0.93 };
+        let end = if case.moved && case.held { DRIVE.at(0.0).x + 0.93 } else { 0.93 };
         supports.end = Some(Clamp::new(ClampAt::Edge, [end, 0.1, 0.0], Vector3::x(), Vector3::z()));
     } else if case.moved {
         let near = straight(case, SEGMENTS - 2);
@@ -137,6 +137,9 @@ pub(crate) fn moves(case: Case) -> Vec<Parameter> {
         linear(HeldAt::Start, drive([0.0; 2], 1.0)),
         linear(HeldAt::Start, along(Vector3::new(1.0, 0.3, -0.4))),
     ];
+    if !case.held {
+        all = vec![linear(HeldAt::Vertex(0), along(Vector3::new(1.0, 0.3, -0.4)))];
+    }
     if case.end {
         all.push(linear(HeldAt::End, MovedBy::Turn(Vector3::new(0.0, 1.0, 0.2))));
         all.push(linear(HeldAt::End, MovedBy::Turn(Vector3::z())));

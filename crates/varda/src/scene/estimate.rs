@@ -146,10 +146,6 @@ pub(crate) const OF_PLACES: [&str; 6] = [
 pub(crate) const BY_NAMES: [&str; 3] = ["bias", "camera_rotation", "camera_translation"];
 pub(crate) const OF_OBSERVATIONS: [&str; 3] = ["bias", "clock", "observation_sigma"];
 
-/// Keys of constants that move supports.
-pub(crate) const MOVES_SUPPORTS: [&str; 6] =
-    ["clamp_direction", "support_position", "drive_radii", "drive_phase", "base", "base_rotation"];
-
 /// Keys of errors in time of what was recorded of supports, with their unit.
 pub(crate) const OF_BASE: [(&str, &str); 2] = [("base", "m"), ("base_rotation", "rad")];
 

@@ -132,7 +132,7 @@ pub enum Hessian {
     /// With them, by the second-order adjoint: the minimizer uses it where it predicts better, and σ of the
     /// analysis is that of the exact Hessian at the minimum, beside the largest difference from
     /// Gauss–Newton's and a check by draws that the posterior is Gaussian. For models with second
-    /// derivatives: not with constants that move supports or integrator "quasi-static".
+    /// derivatives: not with integrator "quasi-static".
     Exact,
 }
 

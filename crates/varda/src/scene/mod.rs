@@ -59,7 +59,7 @@ pub use camera::Camera;
 pub use cycles::{Adaptive, CycledCovariance, Cycles, EnsembleUpdate, Inflation};
 pub use ensemble::Ensemble;
 pub use estimate::{ConstantPrior, Estimate, PriorSigma, Unknown};
-pub(crate) use estimate::{MOVES_SUPPORTS, OF_BASE, OF_OBSERVATIONS, OF_PLACES, PriorSpread};
+pub(crate) use estimate::{OF_BASE, OF_OBSERVATIONS, OF_PLACES, PriorSpread};
 pub(crate) use file::Adjusted;
 pub use file::SceneFile;
 pub use grid::TimeGrid;

@@ -2,7 +2,7 @@
 
 use super::estimate::{BY_NAMES, OF_BASE, OF_OBSERVATIONS, OF_PLACES, PriorSpread};
 use super::invalid::{Check, invalid};
-use super::{ConstantPrior, Estimate, Hessian, Method, Model, Motion, RodModel, Scene, Section, Unknown};
+use super::{ConstantPrior, Estimate, Method, Model, Motion, RodModel, Scene, Section, Unknown};
 
 /// Keys of a rod, of its observations, and of each other model.
 const OF_ROD: [&str; 18] = [
@@ -123,11 +123,6 @@ fn validate_poses(estimate: &Estimate, scene: &Scene) -> Check {
         let (Some(unknown), path) = (unknown, format!("estimate.{key}")) else { continue };
         if cameras.is_empty() {
             return invalid(path, "needs [[observations.cameras]]");
-        }
-        if scene.algorithm.hessian == Hessian::Exact {
-            let why = "what turns and moves a camera has first derivatives alone: leave this key out, and \
-                       the Hessian is that of Gauss and Newton";
-            return invalid("algorithm.hessian", format!("{path}: {why}"));
         }
         if let Unknown::Named(by_name) = unknown
             && let Some(name) = by_name.keys().find(|name| cameras.iter().all(|c| c.name != **name))

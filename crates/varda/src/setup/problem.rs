@@ -14,7 +14,7 @@ use super::memory::{Memory, Sizes, without_spread};
 use super::observations::Observed;
 use super::random::{Stream, stream};
 use super::runs::MakeModel;
-use super::second_derivatives::{observed_without_second_derivatives, without_second_derivatives};
+use super::second_derivatives::without_second_derivatives;
 use super::system::System;
 use crate::Error;
 use crate::outcome::{AcceptedSteps, Experiment};
@@ -189,8 +189,7 @@ impl Problem {
             let why = why.unwrap_or_else(|| "this model has no second derivatives".to_string());
             format!("{why}: leave this key out, and the Hessian is that of Gauss and Newton")
         } else if !self.observations()?.has_second_derivatives() {
-            let why = observed_without_second_derivatives(scene);
-            let why = why.unwrap_or_else(|| "these observations have no second derivatives".to_string());
+            let why = "these observations have no second derivatives";
             format!("{why}: leave this key out, and the Hessian is that of Gauss and Newton")
         } else {
             return Ok(());

@@ -1,26 +1,11 @@
 //! Which scenes have no exact Hessian, and why.
 
-use crate::scene::{Estimate, Integrator, MOVES_SUPPORTS, Model, Scene, SensorKind};
+use crate::scene::{Integrator, Model, Scene};
 
 /// The key of a scene that leaves its model without second derivatives, and the reason.
 pub(crate) fn without_second_derivatives(scene: &Scene) -> Option<String> {
     let Model::Rod(_) = &scene.model else { return None };
-    if scene.time.integrator == Integrator::QuasiStatic {
-        let why = "a rod at rest is solved anew at every step, which has first derivatives alone";
-        return Some(format!("time.integrator \"quasi-static\": {why}"));
-    }
-    let moves = |table: &str, keys: &Estimate| {
-        let (key, _) = keys.given().into_iter().find(|(key, _)| MOVES_SUPPORTS.contains(key))?;
-        Some(format!("{table}.{key} moves supports, and what that does has first derivatives alone"))
-    };
-    moves("estimate", &scene.estimate).or_else(|| moves("consider", &scene.consider))
-}
-
-/// The same of what is observed.
-pub(crate) fn observed_without_second_derivatives(scene: &Scene) -> Option<String> {
-    let without =
-        [SensorKind::SupportMoment, SensorKind::Moment, SensorKind::Direction, SensorKind::Orientation];
-    let sensor = scene.observations.sensors().iter().find(|sensor| without.contains(&sensor.kind))?;
-    let of = "moments, directions and orientations have first derivatives alone";
-    Some(format!("sensor {:?} of observations.sensors: {of}", sensor.name))
+    let why = "a rod at rest is solved anew at every step, which has first derivatives alone";
+    let at_rest = scene.time.integrator == Integrator::QuasiStatic;
+    at_rest.then(|| format!("time.integrator \"quasi-static\": {why}"))
 }

@@ -19,15 +19,15 @@ pub(crate) trait Sites: ObservationOperator {
     /// The columns ∂y/∂(s, o₁, o₂, o₃) of every site, three numbers each.
     fn by_place(&mut self, _at: At, _x: &[f64], _columns: &mut [f64]) {}
 
-    /// The second derivatives of Σ dy·y with those places, four numbers each, and the state: adds those of
-    /// an increment of both to `out` and, by places, to the other.
+    /// The second derivatives of Σ dy·y with those places, four numbers each, and the state and the
+    /// model's constants: adds those of an increment of state, constants and places to each of these.
     fn second_by_place_add(
         &mut self,
         _at: At,
         _x: &[f64],
-        _by: [&[f64]; 2],
+        _by: [&[f64]; 3],
         _dy: &[f64],
-        _out: [&mut [f64]; 2],
+        _out: [&mut [f64]; 3],
     ) {
     }
 
@@ -46,11 +46,6 @@ pub(crate) trait Sites: ObservationOperator {
 
     /// The columns ∂y/∂p of those.
     fn by_constants(&mut self, _at: At, _x: &[f64], _columns: &mut [f64]) {}
-
-    /// Whether `second_by_constants_add` is given; false by default.
-    fn has_second_constants(&self) -> bool {
-        false
-    }
 
     /// The second derivatives of Σ dy·y with those, and the state: adds those of an increment of both to
     /// both.
@@ -77,7 +72,7 @@ impl Sites for Markers {
         Markers::by_place(self, at, x, columns).expect("this state was observed before");
     }
 
-    fn second_by_place_add(&mut self, at: At, x: &[f64], by: [&[f64]; 2], dy: &[f64], out: [&mut [f64]; 2]) {
+    fn second_by_place_add(&mut self, at: At, x: &[f64], by: [&[f64]; 3], dy: &[f64], out: [&mut [f64]; 3]) {
         Markers::second_by_place_add(self, at, x, by, dy, out).expect("this state was observed before");
     }
 
@@ -93,6 +88,17 @@ impl Sites for Markers {
     fn by_constants(&mut self, at: At, x: &[f64], columns: &mut [f64]) {
         self.by_parameters(at, x, columns).expect("this state was observed before");
     }
+
+    fn second_by_constants_add(
+        &mut self,
+        at: At,
+        x: &[f64],
+        by: [&[f64]; 2],
+        dy: &[f64],
+        out: [&mut [f64]; 2],
+    ) {
+        self.second_with_parameters_add(at, x, by, dy, out).expect("this state was observed before");
+    }
 }
 
 impl Sites for Sensors {
@@ -106,10 +112,6 @@ impl Sites for Sensors {
 
     fn by_constants(&mut self, at: At, x: &[f64], columns: &mut [f64]) {
         self.by_parameters(at, x, columns).expect("this state was observed before");
-    }
-
-    fn has_second_constants(&self) -> bool {
-        self.has_second_parameters()
     }
 
     fn second_by_constants_add(
@@ -398,13 +400,12 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
         self.places.scatter(&self.dx, dx);
     }
 
-    /// Not where constants of the model move what is observed, by supports, or as the mount turns.
     fn has_second_derivatives(&self) -> bool {
-        let with_constants = self.operator.has_second_constants() && self.seeing.rotation.is_none();
-        (self.moving.constants.is_empty() || with_constants) && self.operator.has_second_derivatives()
+        self.operator.has_second_derivatives()
     }
 
-    /// With f = Rᵀ dy, a = J dρ, δ(Rh) = a × Rh + R δh and m the places of sites:
+    /// With f = Rᵀ dy, a = J dρ, δ(Rh) = a × Rh + R δh and m the places of sites and constants of the
+    /// model that move what is observed:
     ///
     /// ```text
     /// x, m: ∂²(fᵀH)/∂(x, m)² (dx, dm) + (∂H/∂(x, m))ᵀ Rᵀ (dy × a)
@@ -437,7 +438,8 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
                 zeroed.resize(4 * self.markers.len(), 0.0);
             }
             self.each_place(|p, i, c| places[4 * i + c] = dx[constants.start + p]);
-            let (by, to) = ([&self.dx[..], places], [&mut own[..], out_places]);
+            let by = [&self.dx[..], &dx[constants.clone()], places];
+            let to = [&mut own[..], &mut out[constants.clone()], out_places];
             self.operator.second_by_place_add(at, &self.x, by, &self.back, to);
             self.each_place(|p, i, c| out[constants.start + p] += out_places[4 * i + c]);
         }
@@ -452,6 +454,13 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
                 self.operator.by_place(at, &self.x, &mut self.columns);
                 self.by_places_add(&dx[constants.clone()], moved);
             }
+            let Self { operator, moving, x: own_x, .. } = self;
+            if !moving.constants.is_empty() {
+                let dp = &dx[constants.clone()];
+                for (p, column) in moving.at(at, x, dy.len(), |into| operator.by_constants(at, own_x, into)) {
+                    moved.iter_mut().zip(column).for_each(|(moved, c)| *moved += c * dp[p]);
+                }
+            }
             let (mut first, mut change) = (Vector3::zeros(), Vector3::zeros());
             let rows = dy.chunks_exact(3).zip(self.y.chunks_exact(3)).zip(moved.chunks_exact(3));
             for (((dy, y), moved), acting) in rows.zip(acting.chunks_exact_mut(3)) {
@@ -463,6 +472,13 @@ impl<O: Sites> ObservationOperator for SeenWith<O> {
             self.operator.adjoint_add(at, &self.x, acting, own);
             if !self.markers.is_empty() {
                 self.by_places_transpose_add(acting, &mut out[constants.clone()]);
+            }
+            let Self { operator, moving, x: own_x, .. } = self;
+            if !moving.constants.is_empty() {
+                let to = &mut out[constants.clone()];
+                for (p, column) in moving.at(at, x, dy.len(), |into| operator.by_constants(at, own_x, into)) {
+                    to[p] += column.iter().zip(&*acting).map(|(c, a)| c * a).sum::<f64>();
+                }
             }
             let of_rho = left_jacobian_derivative(&rho, &drho).tr_mul(&first) + jacobian.tr_mul(&change);
             let at = constants.start + self.seeing.rotation.expect("there is a rotation");
