@@ -122,9 +122,9 @@ fn a_known_state_stays() {
     assert!(nothing.contains("nothing is unknown"), "{nothing}");
 }
 
-/// A rod in a plane, its picture taken from the side: how far its clamp is turned out of the picture is seen by
-/// how much shorter it looks, which is nothing to first order. σ is then the prior's; the interval is not. Its
-/// direction in the picture is seen; GJ of a rod in a plane is not.
+/// A rod in a plane, its picture taken from the side: how far its clamp is turned out of the picture is seen
+/// by how much shorter it looks, which is nothing to first order. σ is then the prior's; the interval is
+/// not. Its direction in the picture is seen; GJ of a rod in a plane is not.
 #[test]
 fn what_is_bounded_but_not_to_first_order_is_identified() {
     let unknown = "[estimate]\ngj = { sigma = \"30%\" }\nclamp_direction = { sigma = 0.2 }\n";
@@ -147,8 +147,8 @@ fn what_is_bounded_but_not_to_first_order_is_identified() {
     let [low, high] = out.interval.unwrap();
     // no more than rounding of σ²: J is flat there
     assert!((out.sigma.unwrap() / out.prior_sigma - 1.0).abs() < 1e-6, "{out:?}");
-    // at φ the end looks nearer by ½ φ² of 0.45 m, which is a σ at 0.04 rad and twelve at 0.13: J is followed
-    // in steps of σ, and not finer; symmetric as the picture is
+    // at φ the end looks nearer by ½ φ² of 0.45 m, which is a σ at 0.04 rad and twelve at 0.13: J is
+    // followed in steps of σ, and not finer; symmetric as the picture is
     assert!(low < -0.03 && (low + high).abs() < 1e-3 && high < 0.2, "{out:?}");
     assert!(out.in_words().contains("rad with 95 %, not Gaussian (prior"), "{}", out.in_words());
     let remarks = remarks_on_estimates(&ended.estimates, true);

@@ -39,11 +39,11 @@ pub struct Estimated {
     /// Ends of the interval that holds the constant with 95 %: by J along it where it was followed (up to 16
     /// constants, strong constraint), else by σ of a normal or log-normal constant.
     pub interval: Option<[f64; 2]>,
-    /// Whether the observations say more of it than the prior: σ_a ≤ 0.9 σ_b, or an interval by J of less than
-    /// 0.9 of the prior's; `null` without a posterior.
+    /// Whether the observations say more of it than the prior: σ_a ≤ 0.9 σ_b, or an interval by J of less
+    /// than 0.9 of the prior's; `null` without a posterior.
     pub identifiable: Option<bool>,
-    /// Whether the interval alone says so: σ is that of the curvature of J at the analysis, and J grows faster
-    /// away from it. Its posterior is not Gaussian.
+    /// Whether the interval alone says so: σ is that of the curvature of J at the analysis, and J grows
+    /// faster away from it. Its posterior is not Gaussian.
     pub by_interval_alone: bool,
     /// Its value in the truth of a twin experiment.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -143,8 +143,8 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
     let skewed: Vec<String> = all.iter().filter(|e| e.by_interval_alone).map(|e| e.name.clone()).collect();
     if !skewed.is_empty() {
         out.push(format!(
-            "not Gaussian: {}: J is flat at the analysis and grows away from it, so that σ is more than {:.0} % \
-             of the prior's while the 95 % interval is less: take the interval",
+            "not Gaussian: {}: J is flat at the analysis and grows away from it, so that σ is more than \
+             {:.0} % of the prior's while the 95 % interval is less: take the interval",
             few(&skewed),
             100.0 * IDENTIFIABLE
         ));
