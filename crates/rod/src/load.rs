@@ -261,7 +261,7 @@ pub trait Load: Send + Sync {
         EdgeLoad::none()
     }
 
-    /// ∂²(μᵀF + μ_θ m)/∂c² at one edge, c = its places, θ, velocities; μ by places and θ. Symmetric.
+    /// ∂²(μᵀF + μ_θ m)/∂c² at one edge: c its places, θ and velocities, μ by places and θ.
     ///
     /// By default the derivatives of `on_moved_edge` along each number of c, twelve or thirteen times the
     /// work of `on_edge`. A load that has a short closed form gives it here;

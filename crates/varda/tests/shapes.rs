@@ -4,6 +4,7 @@
 mod rod_scene;
 
 use rod_scene::Folder;
+use varda::outcome::remarks_on_estimates;
 use varda::run::{Listener, assimilate, simulate};
 use varda::scene::SceneFile;
 use varda::setup::Problem;
@@ -119,4 +120,39 @@ fn a_known_state_stays() {
     assert!((e.value - truth).abs() < 4.0 * sigma, "{} ± {sigma}, truth {truth}", e.value);
     let nothing = SceneFile::open("lorenz96", &[String::from(sets[0])]).err().unwrap().to_string();
     assert!(nothing.contains("nothing is unknown"), "{nothing}");
+}
+
+/// A rod in a plane, its picture taken from the side: how far its clamp is turned out of the picture is seen
+/// by how much shorter it looks, which is nothing to first order. σ is then the prior's; the interval is
+/// not. Its direction in the picture is seen; GJ of a rod in a plane is not.
+#[test]
+fn what_is_bounded_but_not_to_first_order_is_identified() {
+    let unknown = "[estimate]\ngj = { sigma = \"30%\" }\nclamp_direction = { sigma = 0.2 }\n";
+    let scene = [ROD, START, SEEN, unknown, STATIC].concat().replace("sigma = 0.001", "sigma = 0.0003");
+    let folder = Folder::new("shapes-picture").with("seen.csv", SHAPE);
+    let of = |folder: &Folder| Problem::from_scene(&folder.scene(&scene, &[]).unwrap()).unwrap();
+    let shape = simulate(&of(&folder)).unwrap().shapes.unwrap().analysis[0].clone();
+    let (mut rows, mut s) = (String::from("s_m,x_m,y_m,z_m\n"), 0.0);
+    for ends in shape.windows(2) {
+        s += (0..3).map(|c| (ends[1][c] - ends[0][c]).powi(2)).sum::<f64>().sqrt();
+        rows += &format!("{},{},,{}\n", f64::min(s, 0.5), ends[1][0], ends[1][2]);
+    }
+    let ended = assimilate(&of(&folder.with("seen.csv", &rows)), &mut Listener::silent()).unwrap();
+    let found = |name: &str| ended.estimates.iter().find(|e| e.name == name).unwrap();
+    let said = |name: &str| (found(name).identifiable, found(name).by_interval_alone);
+    assert_eq!(said("clamp_direction[start].m1"), (Some(true), true), "{:?}", ended.estimates);
+    assert_eq!(said("clamp_direction[start].m2"), (Some(true), false), "{:?}", ended.estimates);
+    assert_eq!(said("gj"), (Some(false), false), "{:?}", ended.estimates);
+    let out = found("clamp_direction[start].m1");
+    let [low, high] = out.interval.unwrap();
+    // no more than rounding of σ²: J is flat there
+    assert!((out.sigma.unwrap() / out.prior_sigma - 1.0).abs() < 1e-6, "{out:?}");
+    // at φ the end looks nearer by ½ φ² of 0.45 m, which is a σ at 0.04 rad and twelve at 0.13: J is
+    // followed in steps of σ, and not finer; symmetric as the picture is
+    assert!(low < -0.03 && (low + high).abs() < 1e-3 && high < 0.2, "{out:?}");
+    assert!(out.in_words().contains("rad with 95 %, not Gaussian (prior"), "{}", out.in_words());
+    let remarks = remarks_on_estimates(&ended.estimates, true);
+    let says = |start: &str| remarks.iter().any(|r| r.starts_with(start));
+    assert!(says("not Gaussian: clamp_direction[start].m1: J is flat"), "{remarks:?}");
+    assert!(says("not identifiable: gj: "), "{remarks:?}");
 }

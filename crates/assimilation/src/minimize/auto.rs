@@ -73,7 +73,7 @@ setters!(AutoOptions, trust_region.stopping, {
 /// 2, 1), then draws of the prior, v ~ N(0, I) from a fixed seed, in turn down the first ladder and
 /// straight, at most six. No further start is made once the lowest end is within the band (and not
 /// stalled with ‖∇J‖ above 10⁻³ of the first), or two runs have come to the same lowest J (to
-/// 10⁻⁵ of it, converged or stalled), or three in turn have brought a lowest end that converged or stalled less
+/// 10⁻⁵ of it, converged or stalled), or three in turn have brought a lowest end that settled so less
 /// than a tenth of the way to the band, or the iterations are used up. A run is given up after its share
 /// of iterations where J is above the band; where no start did better, iterations that are left go on
 /// from the lowest end. [`Minimum::attempts`] lists what each start came to and what it gained. All look

@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 
-/// A constant whose σ_a is more than this share of its σ_b is not identifiable: the observations say
-/// nothing of it.
+/// A constant whose σ_a is more than this share of its σ_b is not identifiable, and neither is its interval
+/// narrower than this share of the prior's: the observations say nothing of it.
 pub const IDENTIFIABLE: f64 = 0.9;
 /// Two constants whose posterior correlation is at least this are seen together only.
 const COLLINEAR: f64 = 0.95;
@@ -39,8 +39,12 @@ pub struct Estimated {
     /// Ends of the interval that holds the constant with 95 %: by J along it where it was followed (up to 16
     /// constants, strong constraint), else by σ of a normal or log-normal constant.
     pub interval: Option<[f64; 2]>,
-    /// Whether the observations say more of it than the prior: σ_a ≤ 0.9 σ_b; `null` without a posterior.
+    /// Whether the observations say more of it than the prior: σ_a ≤ 0.9 σ_b, or an interval by J of less
+    /// than 0.9 of the prior's; `null` without a posterior.
     pub identifiable: Option<bool>,
+    /// Whether the interval alone says so: σ is that of the curvature of J at the analysis, and J grows
+    /// faster away from it. Its posterior is not Gaussian.
+    pub by_interval_alone: bool,
     /// Its value in the truth of a twin experiment.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub truth: Option<f64>,
@@ -78,6 +82,10 @@ impl Estimated {
         let truth = self.truth.map_or(String::new(), |t| format!("; truth {}", number(t)));
         match (self.sigma, self.identifiable) {
             (Some(_), Some(false)) => format!("not identifiable ({prior}{unit}{truth})"),
+            (Some(_), _) if self.by_interval_alone => {
+                let [low, high] = self.interval.unwrap_or([self.value; 2]).map(number);
+                format!("{low} to {high}{unit} with 95 %, not Gaussian ({prior}{truth})")
+            }
             (Some(sigma), _) => {
                 let mesh = match self.mesh.filter(|_| self.is_of_mesh()) {
                     Some(mesh) => format!("; {} of it for the mesh", number(mesh)),
@@ -129,6 +137,15 @@ pub fn remarks(all: &[Estimated], fits: bool) -> Vec<String> {
             "not identifiable: {}: these observations leave more than {:.0} % of the prior's σ, and what is \
              printed is the prior",
             few(&unseen),
+            100.0 * IDENTIFIABLE
+        ));
+    }
+    let skewed: Vec<String> = all.iter().filter(|e| e.by_interval_alone).map(|e| e.name.clone()).collect();
+    if !skewed.is_empty() {
+        out.push(format!(
+            "not Gaussian: {}: J is flat at the analysis and grows away from it, so that σ is more than \
+             {:.0} % of the prior's while the 95 % interval is less: take the interval",
+            few(&skewed),
             100.0 * IDENTIFIABLE
         ));
     }

@@ -34,6 +34,7 @@ fn row(e: &Estimated) -> String {
     let seen = e.identifiable != Some(false);
     let analysis = match e.sigma {
         _ if !seen => "not identifiable".to_string(),
+        Some(_) if e.by_interval_alone => format!("{}, not Gaussian", short(e.value)),
         Some(sigma) => with_sigma(e.value, sigma),
         None => short(e.value),
     };

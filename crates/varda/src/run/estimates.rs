@@ -34,6 +34,9 @@ pub(super) fn estimated(
             let size = (product(i, i) * product(j, j)).sqrt();
             if size > 0.0 { product(i, j) / size } else { 0.0 }
         };
+        let by_sigma = sigma_p.map(|s| s <= IDENTIFIABLE * constant.sigma);
+        let is_bounded =
+            profile.is_some_and(|[low, high]| 0.5 * (high - low) <= IDENTIFIABLE * INTERVAL * constant.sigma);
         Estimated {
             name: constant.name.clone(),
             arc_length: estimates.arc_length(i),
@@ -48,7 +51,8 @@ pub(super) fn estimated(
                 let ends = profile.unwrap_or([-INTERVAL * s, INTERVAL * s]);
                 ends.map(|end| constant.at(p + end))
             }),
-            identifiable: sigma_p.map(|s| s <= IDENTIFIABLE * constant.sigma),
+            identifiable: by_sigma.map(|by_sigma| by_sigma || is_bounded),
+            by_interval_alone: by_sigma == Some(false) && is_bounded,
             truth: problem.truth.as_ref().map(|truth| constant.at(truth[first + i])),
             correlations: if root.is_empty() {
                 Vec::new()

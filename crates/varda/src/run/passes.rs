@@ -158,6 +158,7 @@ fn sigma(file: &SceneFile, problem: &Problem, outcome: &Outcome) -> Result<Optio
         mesh: None,
         interval: Some([at(-INTERVAL), at(INTERVAL)]),
         identifiable: Some(open <= IDENTIFIABLE * share),
+        by_interval_alone: false,
         truth: problem.truth.as_ref().map(|_| prior),
         correlations: Vec::new(),
     }))
