@@ -409,6 +409,11 @@ impl RodStep {
         StageStart { places: &self.start_of_all, length }
     }
 
+    /// The same for loads of the motion; none at rest, where nothing moves.
+    pub(crate) fn start_of_motion(&self, length: f64) -> Option<StageStart<'_>> {
+        (!self.is_at_rest).then(|| self.stage_start(length))
+    }
+
     /// `star` = δX* by unknowns, from an increment of the state.
     pub(crate) fn star(&mut self, from: [f64; 2], dx: &[f64]) {
         let layout = &self.system.layout;

@@ -371,10 +371,10 @@ impl ImplicitStep for RodStep {
         self.lambda = to;
     }
 
-    /// Not with loads without second derivatives, or a rod at rest.
+    /// Not with loads without second derivatives.
     fn second_kept(&self) -> Option<usize> {
         let (s, layout) = (&self.system, &self.system.layout);
-        let given = s.loads_have_second_derivatives() && !self.is_at_rest;
+        let given = s.loads_have_second_derivatives();
         let damping = self.viscous.as_ref().map_or(0, |viscous| viscous.second_kept(layout));
         given.then(|| {
             self.second_bands() * layout.band() + damping + self.second_of_motion().iter().sum::<usize>()
@@ -417,8 +417,8 @@ impl ImplicitStep for RodStep {
             None => system.third_add(&Increment(full), band, None),
         }
         if !self.system.loads.of_motion.is_empty() {
-            let start = self.stage_start(self.stage(step.at).of.length);
-            self.system.second_of_loads(Some(start), &Increment(&self.full), band, started);
+            let start = self.start_of_motion(self.stage(step.at).of.length);
+            self.system.second_of_loads(start, &Increment(&self.full), band, started);
             self.system.second_of_moments(start, &Increment(&self.full), band);
         }
         let stage = self.stage(step.at);
@@ -470,7 +470,9 @@ impl ImplicitStep for RodStep {
     }
 
     fn initial_second_add(&mut self, _t: f64, dz: &[f64], lambda: &[f64], out: &mut [f64]) {
-        self.second_of_initial(dz, lambda, out, None);
+        if !self.is_at_rest {
+            self.second_of_initial(dz, lambda, out, None);
+        }
     }
 
     fn control_dim(&self) -> usize {

@@ -205,12 +205,12 @@ impl System {
     ///
     /// with K as in `second_order`. The energy, whose ∂E/∂α is m, has half of the last again, and
     /// KᵀH + H K, of which the equation of the angles, (H du + G_x dx)_α = m_c du, leaves the first two.
-    pub(crate) fn second_of_moments(&self, start: StageStart, mu: &Increment, band: &mut [f64]) {
+    pub(crate) fn second_of_moments(&self, start: Option<StageStart>, mu: &Increment, band: &mut [f64]) {
         let layout = &self.layout;
         if !layout.twist {
             return;
         }
-        self.each_load(Some(start), |acts, motion, _| {
+        self.each_load(start, |acts, motion, _| {
             let moved = mu.of_edge(layout, motion.edge);
             let nothing = acts.moment == 0.0 && acts.moment_by_places == nalgebra::Vector6::zeros();
             if nothing && acts.moment_by_angle == 0.0 {

@@ -162,8 +162,8 @@ impl RodStep {
         let s = &self.system;
         s.third_add(&Increment(mu), &mut band, (past > 0).then_some(&mut strained[..]));
         if !s.loads.of_motion.is_empty() {
-            let start = self.stage_start(stage.of.length);
-            s.second_of_loads(Some(start), &Increment(mu), &mut band, &mut started);
+            let start = self.start_of_motion(stage.of.length);
+            s.second_of_loads(start, &Increment(mu), &mut band, &mut started);
             s.second_of_moments(start, &Increment(mu), &mut band);
         }
         s.holonomy_second_add(&s.shape, &mut self.psi, &mut band);
@@ -223,8 +223,8 @@ impl RodStep {
             together.pairs_add(s, (shape, t), (on, 0.0), square);
         };
         if !s.loads.of_motion.is_empty() {
-            let start = self.stage_start(stage.of.length);
-            s.loads_transpose_add(Some(start), &Increment(mu), [&mut on.now, &mut on.start]);
+            let start = self.start_of_motion(stage.of.length);
+            s.loads_transpose_add(start, &Increment(mu), [&mut on.now, &mut on.start]);
             for (share, t) in self.starts(of) {
                 add(&s.shape, t, &on.start.iter().map(|on| share * on).collect::<Vec<f64>>());
             }

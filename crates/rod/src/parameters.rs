@@ -252,6 +252,9 @@ impl ParametricStep for RodStep {
         lambda: &[f64],
         [out_z, out_p]: [&mut [f64]; 2],
     ) {
+        if self.is_at_rest {
+            return self.second_of_rest(dp, lambda, out_p);
+        }
         let parameters = self.parameters.take();
         self.second_of_initial(dz, lambda, out_z, parameters.as_deref().map(|p| (p, dp, out_p)));
         self.parameters = parameters;
@@ -379,6 +382,7 @@ impl RodStep {
     ) {
         let stage = self.stage(of.at);
         let (h, from) = (stage.of.length, stage.of.from);
+        let moves = if self.is_at_rest { 0.0 } else { 1.0 / h };
         let s = &self.system;
         let (own, nf) = (s.layout.state(), s.layout.free_vertices.len());
         let Second { along, mu: all, full, gravities, stresses, first, .. } = work;
@@ -389,8 +393,8 @@ impl RodStep {
         s.along(&Increment(all), along);
         let past = self.viscous.as_mut().map(KelvinVoigt::take_past);
         let strained = Strained {
-            rate: self.damping.stiffness / h,
-            moves: 1.0 / h,
+            rate: self.damping.stiffness * moves,
+            moves,
             past: past.as_ref().unwrap_or(&parameters.none),
             along,
         };
@@ -413,7 +417,7 @@ impl RodStep {
             let mut sum = self.system.second_of_change(change, strained, full);
             self.system.layout.take(full, by_u);
             acting.iter().for_each(|a| a.with_constant(p, slope * dot(full, &a.now), square));
-            let rate = change.damping.mass / h;
+            let rate = change.damping.mass * moves;
             for (f, &v) in self.system.layout.free_vertices.iter().enumerate() {
                 let s = &self.system;
                 let (mass, more) = (s.rod.masses[v], change.masses.get(v).copied().unwrap_or(0.0));
@@ -445,7 +449,7 @@ impl RodStep {
             first.push(sum);
         }
         parameters.square_add(&self.system, strained, first, square);
-        self.second_of_masses(parameters, (all, gravities), h, square);
+        self.second_of_masses(parameters, (all, gravities), moves, square);
         if let (Some(viscous), Some(past)) = (&mut self.viscous, past) {
             viscous.put_past(past);
         }
@@ -456,7 +460,7 @@ impl RodStep {
         &self,
         parameters: &Parameters,
         (all, gravities): (&[f64], &[Vector3<f64>]),
-        h: f64,
+        moves: f64,
         square: &mut [f64],
     ) {
         let s = &self.system;
@@ -467,11 +471,11 @@ impl RodStep {
                 let [a, b] = [&a.change, &b.change];
                 let mut sum = 0.0;
                 if let Some(spin) = self.spin.as_ref().filter(|_| s.layout.spins) {
-                    let rates = [a, b].map(|change| change.damping.mass / h);
+                    let rates = [a, b].map(|change| change.damping.mass * moves);
                     sum += spin.second_of_changes([&a.spin_inertia, &b.spin_inertia], rates);
                 }
                 if !(a.masses.is_empty() && b.masses.is_empty()) {
-                    let rates = [a, b].map(|change| change.damping.mass / h);
+                    let rates = [a, b].map(|change| change.damping.mass * moves);
                     for (f, &v) in s.layout.free_vertices.iter().enumerate() {
                         let e = s.x[v] - self.start[f];
                         let [ma, mb] = [a, b].map(|change| change.masses.get(v).copied().unwrap_or(0.0));

@@ -1,14 +1,19 @@
 //! A rod that is at rest at every step: the equilibrium under its loads where its supports are.
 
 use varda_implicit::{
-    Equations, ImplicitStep, NewtonOptions, ParametricStep, Refusal, Scheme, SolvedStep, StepEquations, solve,
+    Equations, ImplicitStep, Interval, Multipliers, NewtonOptions, ParametricStep, Refusal, Scheme,
+    SolvedStep, StepEquations, solve,
 };
+use varda_linalg::dot;
 
 use crate::Error;
 use crate::at_rest::AtRest;
 use crate::dynamics::RodStep;
 use crate::statics::at_rest;
 use crate::support::Damping;
+
+/// A time in which nothing moves \[s\].
+const INSTANT: f64 = 1e-9;
 
 impl RodStep {
     /// The same rod at rest at every step, the supports where they are at its time: shapes without times, and
@@ -139,6 +144,51 @@ impl RodStep {
             dp[p] = 1.0;
             self.advance_parameters_tangent(&of, dp, into);
             self.stand_still(into);
+        }
+        self.at_rest = Some(rest);
+    }
+
+    /// Adds ∂²(λ·x₀)/∂p² dp at the equilibrium last found. With x₀ = S(u; p), G(u; p) = 0,
+    /// L = λ·S + μ·G and μ = −(∂G/∂u)⁻ᵀ (∂S/∂u)ᵀ λ it is that of L along
+    ///
+    /// ```text
+    /// δu = −(∂G/∂u)⁻¹ ∂G/∂p dp:
+    /// L_pp dp + L_pu δu − (∂G/∂p)ᵀ (∂G/∂u)⁻ᵀ (L_uu δu + L_up dp)
+    /// ```
+    pub(crate) fn second_of_rest(&mut self, dp: &[f64], lambda: &[f64], out: &mut [f64]) {
+        let Some(mut rest) = self.at_rest.take() else { return };
+        // of some length: velocities, which λ does not see here, are differences over it
+        let at = Interval { start: rest.t - INSTANT, length: INSTANT, ..at_rest(rest.t) };
+        let AtRest { from, u, kept, solver, factor, columns, none, .. } = &mut *rest;
+        let (n, m, states) = (u.len(), dp.len(), none.len());
+        let of = SolvedStep { at: &at, x: from, u, kept };
+        let mut lambda = lambda.to_vec();
+        self.stand_still(&mut lambda);
+        let (mut mu, mut du, mut back) = (vec![0.0; n], vec![0.0; n], vec![0.0; states]);
+        self.prepare(&at, from).expect("the equilibrium was found before");
+        self.parameter_jacobian(&of, columns);
+        for (column, dp) in columns.chunks_exact(n.max(1)).zip(dp) {
+            du.iter_mut().zip(column).for_each(|(du, column)| *du -= column * dp);
+        }
+        solver.solve(factor, &mut du);
+        self.advance_adjoint(&of, &lambda, &mut back, &mut mu);
+        solver.solve_transpose(factor, &mut mu);
+        mu.iter_mut().for_each(|mu| *mu = -*mu);
+
+        let mut second = vec![0.0; self.second_kept().expect("asked before")];
+        let (mut by_x, mut by_u) = (vec![0.0; states * m], vec![0.0; n * m]);
+        let (mut square, mut on_u) = (vec![0.0; m * m], vec![0.0; n]);
+        self.keep_second(&of, &lambda, &mu, &mut second);
+        self.keep_second_parameters(&of, &lambda, &mu, [&mut by_x, &mut by_u], &mut square);
+        let multipliers = Multipliers { lambda: &lambda, mu: &mu, kept: &second };
+        self.second_add(&of, &multipliers, [none, &du], [&mut back, &mut on_u]);
+        for (p, column) in by_u.chunks_exact(n.max(1)).enumerate() {
+            on_u.iter_mut().zip(column).for_each(|(on, column)| *on += column * dp[p]);
+            out[p] += dot(column, &du) + dot(&square[p * m..(p + 1) * m], dp);
+        }
+        solver.solve_transpose(factor, &mut on_u);
+        for (out, column) in out.iter_mut().zip(columns.chunks_exact(n.max(1))) {
+            *out -= dot(column, &on_u);
         }
         self.at_rest = Some(rest);
     }

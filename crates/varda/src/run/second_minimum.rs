@@ -38,28 +38,35 @@ pub(super) struct Reserve<'a> {
     problem: &'a Problem,
     /// Values and last step of the observations.
     observed: [usize; 2],
-    taken: Cell<bool>,
+    /// By how much the window amplifies where the minimization was ended.
+    taken: Cell<Option<f64>>,
 }
+
+/// Iterations from one look of [`Reserve`] to the next.
+const LOOKS: usize = 10;
 
 impl<'a> Reserve<'a> {
     pub(super) fn of(problem: &'a Problem, observations: &ObservationSet) -> Reserve<'a> {
         let observed = [observations.dim(), observations.last_step().unwrap_or(0)];
-        Reserve { problem, observed, taken: Cell::new(false) }
+        Reserve { problem, observed, taken: Cell::new(None) }
     }
 
     /// Whether the minimization ends here, after `used` iterations at z with J. Asked of every iterate, it
-    /// looks once.
+    /// looks at some of the last ones: in between a start may be at a stage of enlarged σ, or where nothing
+    /// amplifies.
     pub(super) fn ends(&self, used: usize, j: f64, control: &[f64]) -> bool {
         let [m, last] = self.observed;
         let most = self.problem.experiment.scene.algorithm.max_iterations;
-        let ends = !self.taken.get()
-            && used + MOST == most
+        let looks = self.taken.get().is_none()
+            && used + MOST >= most
+            && used < most
+            && (most - used).is_multiple_of(LOOKS)
             && self.problem.experiment.scene.algorithm.window_growth.is_empty()
             && may_grow(self.problem)
-            && j > FAR * highest_j_of_a_fit(m)
-            && amplifies(self.problem, control, last).is_some();
-        self.taken.set(self.taken.get() || ends);
-        ends
+            && j > FAR * highest_j_of_a_fit(m);
+        let found = if looks { amplifies(self.problem, control, last) } else { None };
+        self.taken.set(self.taken.get().or(found));
+        found.is_some()
     }
 }
 
@@ -88,10 +95,10 @@ pub(super) fn look(
     let (j, used) = (minimum.value, minimum.outer_iterations);
     let ended = match minimum.status {
         Status::Converged | Status::Stalled => true,
-        Status::Interrupted => reserve.taken.get(),
+        Status::Interrupted => reserve.taken.get().is_some(),
         _ => false,
     };
-    // nobody interrupted it, whether growth is tried or not: the lowest end may not amplify
+    // nobody interrupted it
     if minimum.status == Status::Interrupted && ended {
         solution.minimum.status = Status::MaxIterations;
     }
@@ -102,7 +109,8 @@ pub(super) fn look(
     if !applies {
         return Ok((solution, observations, None));
     }
-    let Some(norm) = amplifies(problem, &solution.control, reserve.observed[1]) else {
+    let here = || amplifies(problem, &solution.control, reserve.observed[1]);
+    let Some(norm) = reserve.taken.get().or_else(here) else {
         return Ok((solution, observations, None));
     };
     let start = format!(

@@ -8,7 +8,6 @@ use super::constant::Constant;
 use super::inputs::Inputs;
 use super::observations::MakeOperator;
 use super::rod_model::RodParts;
-use super::second_derivatives::without_second_derivatives;
 use super::system::System;
 use crate::Error;
 use crate::scene::{BackgroundSource, Hessian, Model as SceneModel, SceneFile, TimeGrid};
@@ -64,8 +63,7 @@ impl Considered {
         let make_operator = observed.make_operator;
         let considered = Considered { system, make_operator, own, constants, at_rest };
         if file.scene.algorithm.hessian == Hessian::Exact && considered.model().second_order().is_none() {
-            let why = without_second_derivatives(&file.scene).unwrap_or_default();
-            let message = format!("algorithm.hessian \"exact\" needs second derivatives: {why}");
+            let message = "algorithm.hessian \"exact\" needs second derivatives, which this model has not";
             return Err(file.invalid("consider", message));
         }
         Ok(Some(considered))

@@ -39,7 +39,6 @@ pub mod rod_model;
 pub mod rod_observations;
 pub(crate) mod rotations;
 pub mod runs;
-mod second_derivatives;
 mod seen_with;
 pub mod shape_scene;
 mod stacked;

@@ -14,7 +14,6 @@ use super::memory::{Memory, Sizes, without_spread};
 use super::observations::Observed;
 use super::random::{Stream, stream};
 use super::runs::MakeModel;
-use super::second_derivatives::without_second_derivatives;
 use super::system::System;
 use crate::Error;
 use crate::outcome::{AcceptedSteps, Experiment};
@@ -185,8 +184,7 @@ impl Problem {
             return Ok(());
         }
         let message = if self.model().second_order().is_none() {
-            let why = without_second_derivatives(scene);
-            let why = why.unwrap_or_else(|| "this model has no second derivatives".to_string());
+            let why = "this model has no second derivatives";
             format!("{why}: leave this key out, and the Hessian is that of Gauss and Newton")
         } else if !self.observations()?.has_second_derivatives() {
             let why = "these observations have no second derivatives";
