@@ -329,7 +329,6 @@ fn products_of_rods_at_rest_are_those_of_differences() {
                     error = error.min(errors(&mut window, &z, (dz, reach), parameters).0);
                 }
             }
-            println!("{}, direction {i}: {error:.1e}", case.name);
             // rounding of gradients over the differences, as above; velocities are differences of places
             // over a step of 0.01 s
             assert!(error <= 1e-7, "{}, direction {i}: {error:e}", case.name);
@@ -339,7 +338,6 @@ fn products_of_rods_at_rest_are_those_of_differences() {
         for (i, j) in (0..all.len()).flat_map(|j| (0..j).map(move |i| (i, j))) {
             let [a, b] = [dot(&products[i], &all[j]), dot(&products[j], &all[i])];
             let size = norm(&products[i]) * norm(&all[j]) + norm(&products[j]) * norm(&all[i]);
-            println!("symmetry {:.1e}", (a - b).abs() / size);
             // rounding of solves: ∂G/∂u without inertia is stiff against stretching, soft in bending
             assert!((a - b).abs() <= 1e-9 * size, "{}: {i}, {j}: {a:e} and {b:e}", case.name);
         }
