@@ -313,7 +313,7 @@ impl ObservationOperator for Views {
         self.points.has_second_derivatives()
     }
 
-    /// With f = π'ᵀ dy on p*, a = −Rᵀ ρ, E = exp([a]×), r = E (p − c − δ) and b = J δa:
+    /// With f = π'ᵀ dy on p*, a = −Rᵀ ρ, E = exp(\[a\]×), r = E (p − c − δ) and b = J δa:
     ///
     /// ```text
     /// δf = (dy·π'') δp*
