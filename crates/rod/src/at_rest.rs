@@ -20,6 +20,20 @@ pub(crate) struct AtRest {
     pub(crate) none: Vec<f64>,
     /// One parameter alone.
     pub(crate) dp: Vec<f64>,
+    pub(crate) second: SecondAtRest,
+}
+
+/// What products with second derivatives of the first state need at one equilibrium with one λ.
+#[derive(Default)]
+pub(crate) struct SecondAtRest {
+    /// Empty where nothing is known of the equilibrium last found.
+    pub(crate) lambda: Vec<f64>,
+    pub(crate) mu: Vec<f64>,
+    pub(crate) kept: Vec<f64>,
+    /// The columns of ∂G/∂p and ∂²L/∂u∂p, and ∂²L/∂p².
+    pub(crate) columns: Vec<f64>,
+    pub(crate) by_u: Vec<f64>,
+    pub(crate) square: Vec<f64>,
 }
 
 impl AtRest {
@@ -39,6 +53,7 @@ impl AtRest {
             columns: vec![0.0; unknowns * parameters],
             none: vec![0.0; state],
             dp: vec![0.0; parameters],
+            second: SecondAtRest::default(),
         }
     }
 }

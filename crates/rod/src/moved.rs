@@ -84,6 +84,17 @@ pub enum MovedBy {
     },
 }
 
+impl MovedBy {
+    /// The rotation vector by which it turns a clamp at time t, of a multiple of one.
+    pub(crate) fn turns(&self, t: f64) -> Option<Vector3<f64>> {
+        match self {
+            MovedBy::Turn(by) => Some(*by),
+            MovedBy::TurnAlong { along, .. } => Some(along.0.at(t)),
+            MovedBy::Along(_) | MovedBy::Drive { .. } => None,
+        }
+    }
+}
+
 /// A displacement in time, equal to itself and to copies of it alone.
 #[derive(Clone)]
 pub struct Displacement(pub Arc<dyn Motion>);

@@ -59,6 +59,15 @@ impl Turns {
     }
 }
 
+/// The vertex at which a support holds a rod of n segments, and the other one of a clamp.
+fn held_vertices(of: HeldAt, n: usize) -> [usize; 2] {
+    match of {
+        HeldAt::Vertex(v) => [v, v],
+        HeldAt::Start => [0, 1],
+        HeldAt::End => [n, n - 1],
+    }
+}
+
 impl System {
     /// That clamp at time t.
     ///
@@ -92,22 +101,14 @@ impl System {
         let (n, mut of) = (self.rod.segments(), MovedSupports { any: false, about: [0.0; 2] });
         for item in self.moves.of_parameter(parameter) {
             let moved = self.moves.rate(item, t);
-            let [vertex, beside] = match item.moved.of {
-                HeldAt::Vertex(v) => [v, v],
-                HeldAt::Start => [0, 1],
-                HeldAt::End => [n, n - 1],
-            };
+            let [vertex, beside] = held_vertices(item.moved.of, n);
             of.any |= moved != Vector3::zeros();
             places[vertex] += moved;
             if beside == vertex {
                 continue;
             }
             places[beside] += moved;
-            let by = match &item.moved.by {
-                MovedBy::Turn(by) => *by,
-                MovedBy::TurnAlong { along, .. } => along.0.at(t),
-                MovedBy::Along(_) | MovedBy::Drive { .. } => continue,
-            };
+            let Some(by) = item.moved.by.turns(t) else { continue };
             if by != Vector3::zeros() {
                 let end = item.moved.of == HeldAt::End;
                 let frame = clamp(end)?;
@@ -149,23 +150,14 @@ impl System {
         let pairs = self.moves.of_parameter(p).flat_map(|a| self.moves.of_parameter(q).map(move |b| (a, b)));
         for (a, b) in pairs.filter(|(a, b)| a.moved.of == b.moved.of) {
             let moved = self.moves.second_rate([a, b], t);
-            let [vertex, beside] = match a.moved.of {
-                HeldAt::Vertex(v) => [v, v],
-                HeldAt::Start => [0, 1],
-                HeldAt::End => [n, n - 1],
-            };
+            let [vertex, beside] = held_vertices(a.moved.of, n);
             of.any |= moved != Vector3::zeros();
             places[vertex] += moved;
             if beside == vertex {
                 continue;
             }
             places[beside] += moved;
-            let turn = |by: &MovedBy| match by {
-                MovedBy::Turn(by) => Some(*by),
-                MovedBy::TurnAlong { along, .. } => Some(along.0.at(t)),
-                MovedBy::Along(_) | MovedBy::Drive { .. } => None,
-            };
-            let (Some(by_a), Some(by_b)) = (turn(&a.moved.by), turn(&b.moved.by)) else { continue };
+            let (Some(by_a), Some(by_b)) = (a.moved.by.turns(t), b.moved.by.turns(t)) else { continue };
             let end = a.moved.of == HeldAt::End;
             let frame = clamp(end)?;
             let by = [by_a * a.slope, by_b * b.slope];

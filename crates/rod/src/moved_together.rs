@@ -13,21 +13,21 @@ use crate::system::System;
 pub(crate) struct Together {
     /// Those that may act, and what those do that move something.
     acting: Vec<usize>,
-    moved: Vec<MovedBy>,
+    moved: Vec<Alone>,
     count: usize,
     work: Option<Increments>,
     /// The clamps that are turned, at the time.
     clamps: [Option<TurnedClamp>; 2],
 }
 
-/// A parameter, its increment of places and local angles, and that of the end clamp's stored angle.
-pub(crate) struct MovedBy {
+/// One parameter: its increment of places and local angles, and that of the end clamp's stored angle.
+pub(crate) struct Alone {
     pub(crate) parameter: usize,
     pub(crate) places: Vec<Vector3<f64>>,
     pub(crate) angles: Vec<f64>,
 }
 
-impl MovedBy {
+impl Alone {
     /// full += so many times the increment, in the full order.
     pub(crate) fn add_to(&self, layout: &Layout, times: f64, full: &mut [f64]) {
         for (v, place) in self.places.iter().enumerate() {
@@ -76,11 +76,11 @@ impl Together {
         for &parameter in &self.acting {
             if self.moved.len() == self.count {
                 let Increments { places, angles, .. } = Increments::of(system);
-                self.moved.push(MovedBy { parameter, places, angles });
+                self.moved.push(Alone { parameter, places, angles });
             }
             let moved = &mut self.moved[self.count];
             moved.parameter = parameter;
-            let MovedBy { places, angles, .. } = moved;
+            let Alone { places, angles, .. } = moved;
             let moved = system.moved_places_by(parameter, t, places, |end| Ok(turned(&clamps, end)));
             let moved = moved.expect("supports were placed at this time");
             if system.angles_of_moved(shape, &moved, places, angles).is_some() {
@@ -90,7 +90,7 @@ impl Together {
     }
 
     /// Those that move something, ascending.
-    pub(crate) fn iter(&self) -> impl Iterator<Item = &MovedBy> {
+    pub(crate) fn iter(&self) -> impl Iterator<Item = &Alone> {
         self.moved[..self.count].iter()
     }
 

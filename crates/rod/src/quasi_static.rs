@@ -7,7 +7,7 @@ use varda_implicit::{
 use varda_linalg::dot;
 
 use crate::Error;
-use crate::at_rest::AtRest;
+use crate::at_rest::{AtRest, SecondAtRest};
 use crate::dynamics::RodStep;
 use crate::statics::at_rest;
 use crate::support::Damping;
@@ -93,6 +93,7 @@ impl RodStep {
     pub(crate) fn come_to_rest(&mut self, t: f64, x: &mut [f64]) -> Result<(), Refusal> {
         let Some(mut rest) = self.at_rest.take() else { return Ok(()) };
         rest.t = t;
+        rest.second.lambda.clear();
         rest.from.clear();
         rest.from.extend_from_slice(x);
         let found = self.find_equilibrium(&mut rest, x);
@@ -157,39 +158,55 @@ impl RodStep {
     /// ```
     pub(crate) fn second_of_rest(&mut self, dp: &[f64], lambda: &[f64], out: &mut [f64]) {
         let Some(mut rest) = self.at_rest.take() else { return };
-        // of some length: velocities, which λ does not see here, are differences over it
-        let at = Interval { start: rest.t - INSTANT, length: INSTANT, ..at_rest(rest.t) };
-        let AtRest { from, u, kept, solver, factor, columns, none, .. } = &mut *rest;
-        let (n, m, states) = (u.len(), dp.len(), none.len());
+        let at = instant(rest.t);
+        self.prepare(&at, &rest.from).expect("the equilibrium was found before");
+        if rest.second.lambda != lambda {
+            self.keep_second_of_rest(&mut rest, &at, lambda, dp.len());
+        }
+        let AtRest { from, u, kept, solver, factor, none, second, .. } = &mut *rest;
+        let (n, m) = (u.len(), dp.len());
         let of = SolvedStep { at: &at, x: from, u, kept };
-        let mut lambda = lambda.to_vec();
-        self.stand_still(&mut lambda);
-        let (mut mu, mut du, mut back) = (vec![0.0; n], vec![0.0; n], vec![0.0; states]);
-        self.prepare(&at, from).expect("the equilibrium was found before");
-        self.parameter_jacobian(&of, columns);
-        for (column, dp) in columns.chunks_exact(n.max(1)).zip(dp) {
+        let (mut du, mut on_u, mut on_x) = (vec![0.0; n], vec![0.0; n], vec![0.0; none.len()]);
+        for (column, dp) in second.columns.chunks_exact(n.max(1)).zip(dp) {
             du.iter_mut().zip(column).for_each(|(du, column)| *du -= column * dp);
         }
         solver.solve(factor, &mut du);
-        self.advance_adjoint(&of, &lambda, &mut back, &mut mu);
-        solver.solve_transpose(factor, &mut mu);
-        mu.iter_mut().for_each(|mu| *mu = -*mu);
-
-        let mut second = vec![0.0; self.second_kept().expect("asked before")];
-        let (mut by_x, mut by_u) = (vec![0.0; states * m], vec![0.0; n * m]);
-        let (mut square, mut on_u) = (vec![0.0; m * m], vec![0.0; n]);
-        self.keep_second(&of, &lambda, &mu, &mut second);
-        self.keep_second_parameters(&of, &lambda, &mu, [&mut by_x, &mut by_u], &mut square);
-        let multipliers = Multipliers { lambda: &lambda, mu: &mu, kept: &second };
-        self.second_add(&of, &multipliers, [none, &du], [&mut back, &mut on_u]);
-        for (p, column) in by_u.chunks_exact(n.max(1)).enumerate() {
+        let multipliers = Multipliers { lambda: &second.lambda, mu: &second.mu, kept: &second.kept };
+        self.second_add(&of, &multipliers, [none, &du], [&mut on_x, &mut on_u]);
+        for (p, column) in second.by_u.chunks_exact(n.max(1)).enumerate() {
             on_u.iter_mut().zip(column).for_each(|(on, column)| *on += column * dp[p]);
-            out[p] += dot(column, &du) + dot(&square[p * m..(p + 1) * m], dp);
+            out[p] += dot(column, &du) + dot(&second.square[p * m..(p + 1) * m], dp);
         }
         solver.solve_transpose(factor, &mut on_u);
-        for (out, column) in out.iter_mut().zip(columns.chunks_exact(n.max(1))) {
+        for (out, column) in out.iter_mut().zip(second.columns.chunks_exact(n.max(1))) {
             *out -= dot(column, &on_u);
         }
         self.at_rest = Some(rest);
     }
+
+    /// Those of L that do not depend on the increment, right after it was prepared.
+    fn keep_second_of_rest(&mut self, rest: &mut AtRest, at: &Interval, lambda: &[f64], m: usize) {
+        let AtRest { from, u, kept, solver, factor, none, second, .. } = rest;
+        let (n, states) = (u.len(), none.len());
+        let of = SolvedStep { at, x: from, u, kept };
+        let zeros = |length: usize| vec![0.0; length];
+        let mut placed = lambda.to_vec();
+        self.stand_still(&mut placed);
+        let (mut mu, mut columns) = (zeros(n), zeros(n * m));
+        self.parameter_jacobian(&of, &mut columns);
+        self.advance_adjoint(&of, &placed, &mut zeros(states), &mut mu);
+        solver.solve_transpose(factor, &mut mu);
+        mu.iter_mut().for_each(|mu| *mu = -*mu);
+        let mut bands = zeros(self.second_kept().expect("asked before"));
+        let (mut by_u, mut square) = (zeros(n * m), zeros(m * m));
+        self.keep_second(&of, &placed, &mu, &mut bands);
+        let both = [&mut zeros(states * m)[..], &mut by_u];
+        self.keep_second_parameters(&of, &placed, &mu, both, &mut square);
+        *second = SecondAtRest { lambda: lambda.to_vec(), mu, kept: bands, columns, by_u, square };
+    }
+}
+
+/// A short interval that ends at t: velocities, which are left out of λ, are differences over it.
+fn instant(t: f64) -> Interval {
+    Interval { start: t - INSTANT, length: INSTANT, ..at_rest(t) }
 }

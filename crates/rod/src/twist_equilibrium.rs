@@ -10,7 +10,7 @@ use crate::change::{Change, Parameters};
 use crate::layout::{FIXED, Layout, band_product_add};
 use crate::moved::Moves;
 use crate::moved_increment::Increments;
-use crate::moved_together::{MovedBy, Together};
+use crate::moved_together::{Alone, Together};
 use crate::second_order::Increment;
 use crate::second_parameters::Strained;
 use crate::statics::{Statics, at_rest};
@@ -458,7 +458,7 @@ impl TwistEquilibrium {
                 *rhs -= *to * dp;
             }
         }
-        for MovedBy { parameter, places, angles: turned } in together.iter() {
+        for Alone { parameter, places, angles: turned } in together.iter() {
             let to = &mut by_angles[parameter * angles..][..angles];
             let s = &self.full;
             let work = increments.get_or_insert_with(|| Increments::of(s));

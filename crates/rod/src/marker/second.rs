@@ -16,7 +16,7 @@ use varda_linalg::dot;
 use super::Markers;
 use crate::Error;
 use crate::layout::{Layout, band_product_add};
-use crate::moved_together::{MovedBy, Together};
+use crate::moved_together::{Alone, Together};
 
 /// Work space of second derivatives: nothing until they are asked for.
 #[derive(Default)]
@@ -132,7 +132,7 @@ impl Markers {
         if self.frames {
             self.turn_angles(dx);
         }
-        for MovedBy { parameter, places, angles } in moved.iter() {
+        for Alone { parameter, places, angles } in moved.iter() {
             let dp = dp[*parameter];
             self.displacement.iter_mut().zip(places).for_each(|(d, m)| *d += m * dp);
             self.angle.iter_mut().zip(angles).for_each(|(a, m)| *a += m * dp);
