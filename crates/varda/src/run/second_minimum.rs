@@ -43,7 +43,7 @@ pub(super) struct Reserve<'a> {
 }
 
 /// Iterations from one look of [`Reserve`] to the next.
-const LOOKS: usize = 10;
+const LOOK_EVERY: usize = 10;
 
 impl<'a> Reserve<'a> {
     pub(super) fn of(problem: &'a Problem, observations: &ObservationSet) -> Reserve<'a> {
@@ -60,7 +60,7 @@ impl<'a> Reserve<'a> {
         let looks = self.taken.get().is_none()
             && used + MOST >= most
             && used < most
-            && (most - used).is_multiple_of(LOOKS)
+            && (most - used).is_multiple_of(LOOK_EVERY)
             && self.problem.experiment.scene.algorithm.window_growth.is_empty()
             && may_grow(self.problem)
             && j > FAR * highest_j_of_a_fit(m);

@@ -131,8 +131,8 @@ pub enum Hessian {
     GaussNewton,
     /// With them, by the second-order adjoint: the minimizer uses it where it predicts better, and σ of the
     /// analysis is that of the exact Hessian at the minimum, beside the largest difference from
-    /// Gauss–Newton's and a check by draws that the posterior is Gaussian. For models with second
-    /// derivatives: not with integrator "quasi-static".
+    /// Gauss–Newton's and a check by draws that the posterior is Gaussian. For models and observations
+    /// with second derivatives: not with `[[observations.sensors]]` of a rod at rest.
     Exact,
 }
 
