@@ -165,7 +165,11 @@ sigma = 0.004
 markers = [{markers}]
 [estimate]
 ei = {{ sigma = "50%", together = true }}
-clamp_direction = {{ sigma = 0.3 }}
+# directions are read off two points; how the grippers are turned about the wire was not recorded
+clamp_direction = [
+    {{ sigma = 0.3 }}, {{ sigma = 0.3 }}, {{ sigma = 1.5 }},
+    {{ sigma = 0.3 }}, {{ sigma = 0.3 }}, {{ sigma = 1.5 }},
+]
 support_position = {{ sigma = 0.004 }}
 [algorithm]
 method = "static"

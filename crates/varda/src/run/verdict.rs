@@ -8,10 +8,8 @@ use varda_assimilation::{highest_j_of_a_fit, huber};
 use super::departures::Departure;
 use super::second_minimum::Second;
 use crate::outcome::{CycleRow, Evidence, Judgement, Quantity, Status, Verdict};
+use crate::solve::AT_THE_MINIMUM;
 
-/// A stalled minimization whose gradient fell below this share of the first has come to the minimum as nearly
-/// as rounding, or the noise of J, allows.
-const AT_THE_MINIMUM: f64 = 1e-3;
 /// A marker, time, axis or camera stands out beyond this many standard deviations.
 const STANDS_OUT: f64 = 4.0;
 /// 2J/m from which on the model itself is doubted.
@@ -123,8 +121,10 @@ fn not_converged(judged: &Judged) -> Option<String> {
         Status::Converged | Status::LinearizedOnce => None,
         Status::Stalled if judged.is_ensemble || last <= AT_THE_MINIMUM * first => None,
         Status::Stalled if judged.at_rest => Some(format!(
-            "the minimizer stalled after {} iterations, {gradient}: near these constants the rod comes to \
-             rest in another shape; priors, or a `model.initial_shape`, nearer to what was seen may help",
+            "the minimizer stalled after {} iterations, {gradient}: near these constants the rod snaps into \
+             another shape. A prior may be too narrow (of a clamp's turn about its tangent, say, which is \
+             seldom recorded), or GJ or a curvature at rest be wrong; a `model.initial_shape` nearer to what \
+             was seen may help",
             judged.iterations
         )),
         Status::Stalled if judged.may_grow => Some(format!(

@@ -11,7 +11,7 @@ use varda_implicit::Model;
 
 use super::intervals::Found;
 use super::minimizer;
-use super::task::{PosteriorSpread, Solution, deviations, is_whole};
+use super::task::{PosteriorSpread, Solution, deviations, is_at_minimum, is_whole};
 use crate::outcome::WorkCounts;
 use crate::scene::{Algorithm, Method};
 use crate::setup::covariance::Factored;
@@ -97,7 +97,8 @@ pub(crate) fn joint(
         }
     }
     let mut intervals = vec![Vec::new(); count];
-    if let Some(whole) = whole.as_ref().filter(|_| algorithm.method != Method::Blue) {
+    let followed = algorithm.method != Method::Blue && is_at_minimum(&minimum);
+    if let Some(whole) = whole.as_ref().filter(|_| followed) {
         let mut found = Found::default();
         for (r, intervals) in intervals.iter_mut().enumerate() {
             let of = (&transforms[r], &places[r][..]);

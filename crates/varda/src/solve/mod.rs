@@ -19,7 +19,9 @@ use varda_assimilation::{
 use crate::outcome::WorkCounts;
 use crate::scene::Method;
 use crate::setup::ensemble::anchors;
-pub(crate) use task::{Iterate, OnIterate, PosteriorSpread, Solution, Task, deviations, forcing};
+pub(crate) use task::{
+    AT_THE_MINIMUM, Iterate, OnIterate, PosteriorSpread, Solution, Task, deviations, forcing,
+};
 use task::{SubWindow, SubWindowEnd};
 
 /// Checks the observations against the background if the scene asks for that, and minimises: the whole window

@@ -5,7 +5,9 @@ use varda_assimilation::{
 };
 use varda_implicit::Model;
 
-use super::task::{Iterate, PosteriorSpread, SubWindow, SubWindowEnd, Task, deviations, is_whole};
+use super::task::{
+    Iterate, PosteriorSpread, SubWindow, SubWindowEnd, Task, deviations, is_at_minimum, is_whole,
+};
 use super::{exact_hessian, intervals, minimizer};
 use crate::outcome::WorkCounts;
 use crate::scene::{Hessian, Method};
@@ -71,7 +73,8 @@ impl Task<'_> {
                 // BLUE's covariance is (I + GᵀG)⁻¹ with the linearization at the background.
                 let is_linear = algorithm.method == Method::Blue;
                 let linearized = if is_linear { &start } else { &*v };
-                let constants = if is_linear { &[][..] } else { &self.constants };
+                let followed = !is_linear && is_at_minimum(&minimum);
+                let constants = if followed { &self.constants[..] } else { &[] };
                 cost.evaluate(linearized, Some(&mut vec![0.0; v.len()]))?;
                 match (is_low_rank(algorithm.method, v.len()), algorithm.hessian) {
                     (true, Hessian::GaussNewton) => {

@@ -225,6 +225,16 @@ pub(super) fn roots(variance: Vec<f64>) -> Vec<f64> {
     variance.into_iter().map(|v| v.max(0.0).sqrt()).collect()
 }
 
+/// A stalled minimization whose gradient fell below this share of the first has come to the minimum as nearly
+/// as rounding, or the noise of J, allows.
+pub(crate) const AT_THE_MINIMUM: f64 = 1e-3;
+
+/// Whether a minimization came to its minimum, so that J can be followed from there.
+pub(super) fn is_at_minimum(minimum: &Minimum) -> bool {
+    minimum.status == Status::Converged
+        || minimum.gradient_norm <= AT_THE_MINIMUM * minimum.gradient_norm_first
+}
+
 /// Whether a minimization ended by itself, so that its end has a posterior.
 pub(super) fn is_whole(status: Status) -> bool {
     !matches!(status, Status::Interrupted | Status::Failed)
