@@ -391,7 +391,7 @@ fn gradient(case: &mut Case, constant: &Constant) -> Outcome {
     // off the background, in state and constants
     let mut v: Vec<f64> = (0..columns).map(|i| 0.2 * (1.0 + 1.7 * i as f64).sin()).collect();
     let mut gradient = vec![0.0; columns];
-    cost_at(&with, &v, Some(&mut gradient))?;
+    let j = cost_at(&with, &v, Some(&mut gradient))?;
     for p in of_state..columns {
         let mut at = |h: f64| {
             let before = v[p];
@@ -403,13 +403,14 @@ fn gradient(case: &mut Case, constant: &Constant) -> Outcome {
         let mut central = |h: f64| Ok::<f64, Box<dyn std::error::Error>>((at(h)? - at(-h)?) / (2.0 * h));
         let difference = (4.0 * central(1e-3)? - central(2e-3)?) / 3.0;
         let size = gradient.iter().fold(1.0_f64, |size, g| size.max(g.abs()));
+        let size = gradient[p].abs().max(1e-6 * size);
         case.at_most(
             &format!("∂J/∂p[{}] off its difference", p - of_state),
-            (gradient[p] - difference).abs() / gradient[p].abs().max(1e-6 * size),
-            1e-6,
+            (gradient[p] - difference).abs() / size,
+            1e-6 + 100.0 * f64::EPSILON * j / (1e-3 * size),
             "-",
         )
-        .because("extrapolated differences of J: h⁴ of its fifth derivative, and rounding of J over h");
+        .because("extrapolated differences of J: h⁴ of its fifth derivative, and 100 roundings of J over h");
     }
 
     second(case, &with, &v, of_state)?;
