@@ -410,7 +410,7 @@ fn gradient(case: &mut Case, constant: &Constant) -> Outcome {
             1e-6 + 100.0 * f64::EPSILON * j / (1e-3 * size),
             "-",
         )
-        .because("extrapolated differences of J: h⁴ of its fifth derivative, and 100 roundings of J over h");
+        .because("extrapolated differences of J: h⁴ of its fifth derivative, 100 roundings of J over h");
     }
 
     second(case, &with, &v, of_state)?;
